@@ -1,4 +1,5 @@
-"""The packages of the wheel: the folders of the project that pyproject.toml places inside ``gsfusion_nb``, too."""
+"""The packages of the wheel: the folders of the project that pyproject.toml places inside
+``gsfusion_nb``, too."""
 
 from setuptools import find_namespace_packages, find_packages, setup
 
@@ -7,7 +8,9 @@ setup(
         *find_packages(include=["gsfusion_nb", "gsfusion_nb.*"]),
         *(
             f"gsfusion_nb.{name}"
-            for name in find_namespace_packages(include=["kernels", "kernels.*"], exclude=["*.__pycache__"])
+            for name in find_namespace_packages(
+                include=["kernels", "kernels.*"], exclude=["*.__pycache__"]
+            )
         ),
         "gsfusion_nb.docs",
         "gsfusion_nb.notebooks",

@@ -2,8 +2,9 @@
 
     python data_scripts/icl_nuim.py livingroom1-clean --out data
 
-Synthetic, with true poses and a true surface; the only data set here with public checksums. Written in the plain
-layout: rgb/, depth/, poses.txt, intrinsics.json; groundtruth.ply is the true surface as a point cloud.
+Synthetic, with true poses and a true surface; the only data set here with public checksums. Written
+in the plain layout: rgb/, depth/, poses.txt, intrinsics.json; groundtruth.ply is the true surface
+as a point cloud.
 """
 
 import json
@@ -50,17 +51,29 @@ SEQUENCES = [
 """With exact depth, or depth with sensor errors."""
 COLOUR_BYTES, DEPTH_BYTES, CLOUD_BYTES, POSES_BYTES = 400_000_000, 500_000_000, 100_000_000, 600_000
 """Estimated."""
-PRIMESENSE = {"width": 640, "height": 480, "fx": 525.0, "fy": 525.0, "cx": 319.5, "cy": 239.5, "pixel_centre": 0.0}
+PRIMESENSE = {
+    "width": 640,
+    "height": 480,
+    "fx": 525.0,
+    "fy": 525.0,
+    "cx": 319.5,
+    "cy": 239.5,
+    "pixel_centre": 0.0,
+}
 
 
 def to_plain_layout(folder: Path) -> None:
-    """Write poses and camera in the plain layout. Line k of the poses is of the k-th number of the images' names."""
+    """Write poses and camera in the plain layout. Line k of the poses is of the k-th number of the
+    images' names."""
     poses, _ = read_trajectory_file(folder / "trajectory.log")
     numbers = [image_number(image) or 0 for image in images_in(folder / "rgb")]
     frames = [number - numbers[0] for number in numbers]
     lacking = sorted(set(frames) - set(poses))
     if lacking:
-        raise SequenceError(f"{folder / 'trajectory.log'} lacks the pose of frame {lacking[0]}; expected all from 0 on")
+        raise SequenceError(
+            f"{folder / 'trajectory.log'} lacks the pose of frame {lacking[0]}; expected all from "
+            "0 on"
+        )
     write_pose_lines(folder / "poses.txt", torch.stack([poses[i] for i in frames]))
     values = PRIMESENSE | {"depth_scale": 1000.0}
     (folder / "intrinsics.json").write_text(json.dumps(values) + "\n", encoding="utf-8")
@@ -82,7 +95,10 @@ def plan(name: str) -> Plan:
     room = sequence.rstrip("12")
     kinds = {
         f"{sequence}-color.zip": {"stated_bytes": COLOUR_BYTES, "choose": numbered("rgb", "jpg")},
-        f"{sequence}-depth-{depth}.zip": {"stated_bytes": DEPTH_BYTES, "choose": numbered("depth", "png")},
+        f"{sequence}-depth-{depth}.zip": {
+            "stated_bytes": DEPTH_BYTES,
+            "choose": numbered("depth", "png"),
+        },
         f"{sequence}-traj.txt": {"stated_bytes": POSES_BYTES, "save_as": "trajectory.log"},
         f"{room}.ply.zip": {
             "stated_bytes": CLOUD_BYTES,
@@ -91,11 +107,15 @@ def plan(name: str) -> Plan:
     }
     return Plan(
         folder=f"icl_nuim/{name}",
-        title=f"Augmented ICL-NUIM, {sequence}, {'noise-free' if depth == 'clean' else 'simulated'} depth",
+        title=f"Augmented ICL-NUIM, {sequence}, "
+        f"{'noise-free' if depth == 'clean' else 'simulated'} depth",
         licence="Creative Commons Attribution 3.0 (CC BY 3.0), as ICL-NUIM.",
-        cite="Handa, Whelan, McDonald, Davison: A Benchmark for RGB-D VO, 3D Reconstruction and SLAM, 2014; "
-        "Choi, Zhou, Koltun: Robust Reconstruction of Indoor Scenes, 2015.",
-        items=[Item(url=f"{HOST}/{file}", checksum=f"md5:{MD5[file]}", **kind) for file, kind in kinds.items()],
+        cite="Handa, Whelan, McDonald, Davison: A Benchmark for RGB-D VO, 3D Reconstruction and "
+        "SLAM, 2014; Choi, Zhou, Koltun: Robust Reconstruction of Indoor Scenes, 2015.",
+        items=[
+            Item(url=f"{HOST}/{file}", checksum=f"md5:{MD5[file]}", **kind)
+            for file, kind in kinds.items()
+        ],
         unpacked_bytes=COLOUR_BYTES + DEPTH_BYTES + 3 * CLOUD_BYTES,
         sequences=lambda root: [SequenceOnDisk(preset="replica" if depth == "clean" else "tum")],
         convert=to_plain_layout,

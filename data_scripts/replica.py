@@ -1,9 +1,11 @@
-"""Fetch scenes of Replica as rendered for NICE-SLAM (Sucar et al. 2021, Zhu et al. 2022), with their meshes.
+"""Fetch scenes of Replica as rendered for NICE-SLAM (Sucar et al. 2021, Zhu et al. 2022), with
+their meshes.
 
     python data_scripts/replica.py office0 room0 --out data
 
 All eight come in one archive of 12 GB: name all scenes that you need, or use --keep-archives.
-Each scene gets mesh.ply, the complete mesh, and mesh_culled.ply, the part that the cameras see, for scores of geometry.
+Each scene gets mesh.ply, the complete mesh, and mesh_culled.ply, the part that the cameras see, for
+scores of geometry.
 """
 
 import re
@@ -35,8 +37,10 @@ def plan(scene: str) -> Plan:
 
     return Plan(
         folder=f"replica/{scene}",
-        title=f"Replica as rendered for NICE-SLAM, {scene}: 2000 frames of 1200x680, exact depth and poses",
-        licence="Replica's research licence (Meta): NON-COMMERCIAL research only; the renderings come from ETH Zurich.",
+        title=f"Replica as rendered for NICE-SLAM, {scene}: 2000 frames of 1200x680, exact depth "
+        "and poses",
+        licence="Replica's research licence (Meta): NON-COMMERCIAL research only; the renderings "
+        "come from ETH Zurich.",
         cite="Straub et al.: The Replica Dataset, 2019; Zhu et al.: NICE-SLAM, 2022.",
         items=[
             Item(url=f"{HOST}/data/Replica.zip", stated_bytes=ARCHIVE_BYTES, choose=frames),

@@ -1,9 +1,11 @@
-"""Fetch scenes of Microsoft's 7-Scenes (Shotton et al. 2013): a hand-held Kinect, poses from KinectFusion.
+"""Fetch scenes of Microsoft's 7-Scenes (Shotton et al. 2013): a hand-held Kinect, poses from
+KinectFusion.
 
     python data_scripts/seven_scenes.py heads --out data
 
-As published, colour is not registered to depth (10 to 20 pixels off). The printed command has --reader register=true,
-which warps depth into the colour camera with a calibration estimated on RedKitchen.
+As published, colour is not registered to depth (10 to 20 pixels off). The printed command has
+--reader register=true, which warps depth into the colour camera with a calibration estimated on
+RedKitchen.
 """
 
 import re
@@ -35,18 +37,32 @@ def unpack_sequences(folder: Path) -> None:
 
         def choose(path: str, inner: str = inner) -> str | None:
             name = path.removeprefix(inner)
-            return inner + name if re.fullmatch(r"frame-\d+\.(color\.(png|jpg)|depth\.png|pose\.txt)", name) else None
+            return (
+                inner + name
+                if re.fullmatch(r"frame-\d+\.(color\.(png|jpg)|depth\.png|pose\.txt)", name)
+                else None
+            )
 
         fetch.unpack(archive, folder, choose=choose)
         archive.unlink()
     if not sequences(folder):
-        raise ArchiveError(f"{folder.name}: the archive holds no seq-01.zip or similar; expected the scene's sequences")
+        raise ArchiveError(
+            f"{folder.name}: the archive holds no seq-01.zip or similar; expected the scene's "
+            "sequences"
+        )
 
 
 def sequences(folder: Path) -> list[SequenceOnDisk]:
     """One per sequence."""
     names = sorted(path.name for path in folder.glob("seq-*") if path.is_dir())
-    return [SequenceOnDisk(path=name, preset="tum", reader={"register": True}) for name in names]
+    return [
+        SequenceOnDisk(
+            path=name,
+            preset="tum",
+            reader={"register": True},
+        )
+        for name in names
+    ]
 
 
 def plan(scene: str) -> Plan:
@@ -61,12 +77,14 @@ def plan(scene: str) -> Plan:
         folder=f"7scenes/{scene}",
         title=f"7-Scenes, {scene}: {FRAMES[scene]} frames",
         licence="Microsoft Research licence (MSR-LA): NON-COMMERCIAL use only.",
-        cite="Shotton et al.: Scene Coordinate Regression Forests for Camera Relocalization in RGB-D Images, 2013.",
+        cite="Shotton et al.: Scene Coordinate Regression Forests for Camera Relocalization in "
+        "RGB-D Images, 2013.",
         items=[Item(url=f"{HOST}/{scene}.zip", stated_bytes=size, choose=choose)],
         unpacked_bytes=2 * size,  # temporarily both the inner archives and their content
         sequences=sequences,
         convert=unpack_sequences,
-        note="colour is registered to depth by the reader (register=true), with a calibration estimated on RedKitchen",
+        note="colour is registered to depth by the reader (register=true), with a calibration "
+        "estimated on RedKitchen",
     )
 
 

@@ -1,4 +1,5 @@
-"""Fetch sequences of the TUM RGB-D benchmark (Sturm et al. 2012): a hand-held Kinect, poses from motion capture.
+"""Fetch sequences of the TUM RGB-D benchmark (Sturm et al. 2012): a hand-held Kinect, poses from
+motion capture.
 
 python data_scripts/tum.py fr1_desk --out data
 """
@@ -24,7 +25,8 @@ SIZES_GB = {
     "fr2_desk": 2.0,
     "fr3_office": 1.6,
 }
-"""Sequences and their approximate sizes: the benchmark publishes no exact sizes and no checksums."""
+"""Sequences and their approximate sizes: the benchmark publishes no exact sizes and no
+checksums."""
 
 
 def plan(name: str) -> Plan:
@@ -41,7 +43,8 @@ def plan(name: str) -> Plan:
         folder=f"tum/{folder}",
         title=f"TUM RGB-D benchmark, {name}",
         licence="Creative Commons Attribution 4.0 (CC BY 4.0).",
-        cite="Sturm, Engelhard, Endres, Burgard, Cremers: A Benchmark for the Evaluation of RGB-D SLAM Systems, 2012.",
+        cite="Sturm, Engelhard, Endres, Burgard, Cremers: A Benchmark for the Evaluation of RGB-D "
+        "SLAM Systems, 2012.",
         items=[Item(url=f"{HOST}/{camera}/{folder}.tgz", stated_bytes=size, choose=choose)],
         unpacked_bytes=size,
         sequences=lambda root: [SequenceOnDisk(preset="tum")],

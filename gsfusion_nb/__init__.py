@@ -3,8 +3,9 @@
 import importlib
 import os
 
-# Read by OpenMP when torch loads it. By default its idle threads spin, and on a machine with anything else to do small
-# operations then take ten times as long; to wait asleep costs next to nothing.
+# Read by OpenMP when torch loads it. By default its idle threads spin, and on a machine with
+# anything else to do small operations then take ten times as long; to wait asleep costs next to
+# nothing.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from . import interrupts as interrupts  # first, for Ctrl-C while torch is imported

@@ -1,18 +1,18 @@
 """Which implementation of an operation runs: the plain reference, or a faster one.
 
-An operation is declared once, by putting ``@op("folder")`` on its reference. Faster versions are functions of the same
-name in ``kernels/<folder>/<backend>.py``; they are found by their file name and imported on first use. Nothing else in
-the package imports ``gsfusion_nb.kernels``.
+An operation is declared once, by putting ``@op("folder")`` on its reference. Faster versions are
+functions of the same name in ``kernels/<folder>/<backend>.py``; they are found by their file name
+and imported on first use. Nothing else in the package imports ``gsfusion_nb.kernels``.
 
-``numba`` (CPU), ``triton`` and ``cuda`` (NVIDIA GPUs) are compiled, for float32. Operations on Gaussians in
-float64, and on tensors on other devices, run on the reference instead.
+``numba`` (CPU), ``triton`` and ``cuda`` (NVIDIA GPUs) are compiled, for float32. Operations on
+Gaussians in float64, and on tensors on other devices, run on the reference instead.
 
-``mine`` is the reference with the functions of a learner in it (``FUNCTIONS``). They replace whole operations, or the
-parts of an operation that are declared with ``@piece``. It exists only in a Python session that has imported
-``gsfusion_nb.course.learner_backend``.
+``mine`` is the reference with the functions of a learner in it (``FUNCTIONS``). They replace whole
+operations, or the parts of an operation that are declared with ``@piece``. It exists only in a
+Python session that has imported ``gsfusion_nb.course.learner_backend``.
 
-An observer sees the calls of marked functions (``observed``, ``observing``). Nothing is watched by default; a marked
-function then costs one look at a variable.
+An observer sees the calls of marked functions (``observed``, ``observing``). Nothing is watched by
+default; a marked function then costs one look at a variable.
 """
 
 import contextlib
@@ -48,17 +48,20 @@ MINE = "mine"
 
 _KERNELS = f"{__package__}.kernels"
 _FOLDERS: dict[str, str] = {}
-"""Operation -> package of its kernels, which has a module per backend that offers it: ``<package>.<backend>``."""
+"""Operation -> package of its kernels, which has a module per backend that offers it:
+``<package>.<backend>``."""
 
 _EMULATED_BY = {"triton": "TRITON_INTERPRET", "cuda": "GSFUSION_CUDA_EMULATOR"}
 """Backend for GPUs -> environment variable that lets it run on the processor, for tests."""
 
 _PREFERRED = {"cpu": ("numba",), "cuda": ("cuda", "triton")}
-"""Kind of device -> backends that take its tensors, the fastest first. On any other device the reference runs."""
+"""Kind of device -> backends that take its tensors, the fastest first. On any other device the
+reference runs."""
 
 
 def backend_names() -> tuple[str, ...]:
-    """What a command can be asked to run on; a Python session that has imported the course also has ``mine``."""
+    """What a command can be asked to run on; a Python session that has imported the course also has
+    ``mine``."""
     return ("auto", *BACKENDS)
 
 
@@ -79,20 +82,26 @@ class BackendUnavailable(RuntimeError):
 
 
 class Record:
-    """What a forward operation keeps for its gradient. The gradient runs on the backend that made the record."""
+    """What a forward operation keeps for its gradient. The gradient runs on the backend that made
+    the record."""
 
     backend = "reference"
     """Subclasses in the kernels name theirs."""
 
 
-def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Callable], Callable]:
-    """Make a function the reference of an operation, whose faster versions are in ``kernels/<folder>``.
+def op(
+    folder: str,
+    check: Callable[..., None] | None = None,
+) -> Callable[[Callable], Callable]:
+    """Make a function the reference of an operation, whose faster versions are in
+    ``kernels/<folder>``.
 
-    ``check`` takes the arguments of the operation and raises ``ValueError`` for those that no backend can take; it runs
-    before any of them does.
+    ``check`` takes the arguments of the operation and raises ``ValueError`` for those that no
+    backend can take; it runs before any of them does.
 
-    ``f.reference`` is the function itself, and inside it every other operation is the reference too. An operation whose
-    first argument is a ``Record`` runs on the backend that made the record, whatever backend is in use.
+    ``f.reference`` is the function itself, and inside it every other operation is the reference
+    too. An operation whose first argument is a ``Record`` runs on the backend that made the record,
+    whatever backend is in use.
     """
 
     def declare(reference: Callable) -> Callable:
@@ -130,7 +139,8 @@ def op(folder: str, check: Callable[..., None] | None = None) -> Callable[[Calla
 
 
 def piece(reference: Callable) -> Callable:
-    """Declare a plain function as a part of an operation that a learner can replace: the backend ``mine`` runs theirs.
+    """Declare a plain function as a part of an operation that a learner can replace: the backend
+    ``mine`` runs theirs.
 
     On every other backend the function itself runs.
     """
@@ -147,13 +157,15 @@ def piece(reference: Callable) -> Callable:
 
 
 def operations() -> tuple[str, ...]:
-    """Names of the operations that some backend besides the reference offers, among those declared so far."""
+    """Names of the operations that some backend besides the reference offers, among those declared
+    so far."""
     return tuple(sorted(name for name in _OPS if offered(name)))
 
 
 @functools.cache
 def offered(name: str) -> tuple[str, ...]:
-    """Backends, besides the reference, that have a module for operation ``name``; one may lack what it runs on."""
+    """Backends, besides the reference, that have a module for operation ``name``; one may lack what
+    it runs on."""
     check_name("operation", name, _OPS)
     try:
         package = importlib.import_module(_FOLDERS[name])
@@ -165,7 +177,9 @@ def offered(name: str) -> tuple[str, ...]:
 
 def _defines(package: ModuleType, backend: str, name: str) -> bool:
     """Whether the backend's module has a function ``name``, read without importing it."""
-    source = importlib.resources.files(package).joinpath(f"{backend}.py").read_text(encoding="utf-8")
+    source = (
+        importlib.resources.files(package).joinpath(f"{backend}.py").read_text(encoding="utf-8")
+    )
     return re.search(rf"^def {name}\(", source, re.MULTILINE) is not None
 
 
@@ -182,13 +196,20 @@ def load(name: str, backend: str) -> Callable:
         return _OPS[name]
     if backend not in offered(name):
         raise BackendUnavailable(f"{name}: backend {backend!r} has no implementation of it")
-    if backend in _EMULATED_BY and not (torch.cuda.is_available() or os.environ.get(_EMULATED_BY[backend])):
-        # before the import: triton's LLVM and that of VTK's software renderer end the process when both are loaded
-        raise BackendUnavailable(f"{name}: backend {backend!r} needs an NVIDIA GPU, and torch sees none")
+    if backend in _EMULATED_BY and not (
+        torch.cuda.is_available() or os.environ.get(_EMULATED_BY[backend])
+    ):
+        # before the import: triton's LLVM and that of VTK's software renderer end the process when
+        # both are loaded
+        raise BackendUnavailable(
+            f"{name}: backend {backend!r} needs an NVIDIA GPU, and torch sees none"
+        )
     try:
         return getattr(importlib.import_module(f"{_FOLDERS[name]}.{backend}"), name)
     except ModuleNotFoundError as e:
-        raise BackendUnavailable(f"{name}: backend {backend!r} needs {e.name!r}, which is not installed") from None
+        raise BackendUnavailable(
+            f"{name}: backend {backend!r} needs {e.name!r}, which is not installed"
+        ) from None
     except ImportError as e:
         raise BackendUnavailable(
             f"{name}: backend {backend!r} needs {e.name!r}, which cannot be imported ({e})"
@@ -197,13 +218,16 @@ def load(name: str, backend: str) -> Callable:
 
 @contextlib.contextmanager
 def use_backend(backend: str) -> Iterator[None]:
-    """Run operations on ``backend`` inside the block: "auto", "reference", "numba", "triton", "cuda", "mine".
+    """Run operations on ``backend`` inside the block: "auto", "reference", "numba", "triton",
+    "cuda", "mine".
 
-    With "numba", "triton" or "cuda", an operation that this backend does not offer runs on the reference. "mine" runs
-    the functions that a learner wrote, and the reference for all other operations.
+    With "numba", "triton" or "cuda", an operation that this backend does not offer runs on the
+    reference. "mine" runs the functions that a learner wrote, and the reference for all other
+    operations.
 
     Raises:
-        BackendUnavailable: "mine" where the course is not imported, for instance on the command line.
+        BackendUnavailable: "mine" where the course is not imported, for instance on the command
+            line.
     """
     check_name("backend", backend, (*backend_names(), MINE))
     if backend == MINE:
@@ -216,30 +240,38 @@ def use_backend(backend: str) -> Iterator[None]:
 
 
 def runs_learners_code() -> bool:
-    """Whether the backend is ``mine``, where any operation may fail because of a learner's function."""
+    """Whether the backend is ``mine``, where any operation may fail because of a learner's
+    function."""
     return chosen() == MINE
 
 
 def look_again() -> None:
-    """Forget what was found out about backends, because files, packages or the environment have changed (tests)."""
+    """Forget what was found out about backends, because files, packages or the environment have
+    changed (tests)."""
     for cached in (offered, load, automatic, _problem):
         cached.cache_clear()
 
 
 def kernel_threads() -> tuple[str, Callable[[], None]]:
-    """Whose threads the numba kernels run on ("tbb", "workqueue" or "omp"), and a kernel without work, to time."""
+    """Whose threads the numba kernels run on ("tbb", "workqueue" or "omp"), and a kernel without
+    work, to time."""
     launch = importlib.import_module(f"{_KERNELS}.runtime.numba.launch")
     return launch.threads_from(), launch.start_threads
 
 
 def report() -> list[tuple[str, str, str]]:
     """Rows (operation, backend, "ok" or the reason it cannot run)."""
-    return [(name, b, _problem(name, b) or "ok") for name in sorted(_OPS) for b in ("reference", *offered(name))]
+    return [
+        (name, b, _problem(name, b) or "ok")
+        for name in sorted(_OPS)
+        for b in ("reference", *offered(name))
+    ]
 
 
 @functools.cache
 def automatic(name: str, device: str) -> str:
-    """The backend that "auto" takes for operation ``name`` and tensors on a kind of device ("cpu", "cuda", ...)."""
+    """The backend that "auto" takes for operation ``name`` and tensors on a kind of device ("cpu",
+    "cuda", ...)."""
     for backend in _PREFERRED.get(device, ()):
         if backend in offered(name) and _problem(name, backend) is None:
             return backend
@@ -262,7 +294,11 @@ def chosen() -> str:
 
 
 def _select(name: str, args: tuple, kwargs: dict) -> Callable:
-    if args and isinstance(args[0], Record) and (args[0].backend != "reference" or chosen() != MINE):
+    if (
+        args
+        and isinstance(args[0], Record)
+        and (args[0].backend != "reference" or chosen() != MINE)
+    ):
         return load(name, args[0].backend)
     choice = chosen()
     if choice == MINE:
@@ -273,7 +309,10 @@ def _select(name: str, args: tuple, kwargs: dict) -> Callable:
         return load(name, choice if choice in offered(name) else "reference")
     if not offered(name):
         return _OPS[name]
-    device = next((kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"), "cpu")
+    device = next(
+        (kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"),
+        "cpu",
+    )
     backend = automatic(name, device)
     if backend == "reference" and (device != "cpu" or set(_PREFERRED["cpu"]) & set(offered(name))):
         _log_once(logging.WARNING, name, _why_slow(name, device))
@@ -286,24 +325,35 @@ def _check_course() -> None:
     """Raise ``BackendUnavailable`` unless this Python session can have functions of a learner."""
     if f"{__package__}.course.learner_backend" not in sys.modules:
         raise BackendUnavailable(
-            f"backend {MINE!r} runs functions that a learner wrote in a notebook of the course, and this program has "
+            f"backend {MINE!r} runs functions that a learner wrote in a notebook of the course, "
+            "and this program has "
             "none; use it in a notebook, after `from gsfusion_nb.course import mine`"
         )
 
 
 def _is_double(args: tuple, kwargs: dict) -> bool:
-    """Whether the first argument is Gaussians in float64, which the compiled backends do not take."""
+    """Whether the first argument is Gaussians in float64, which the compiled backends do not
+    take."""
     first = next(iter((*args, *kwargs.values())), None)
     return isinstance(first, GaussianParams) and first.xyz_W.dtype != torch.float32
 
 
 def _why_slow(name: str, device: str) -> str:
-    """A sentence for the user of an operation whose faster versions cannot be used, with what to do about it."""
+    """A sentence for the user of an operation whose faster versions cannot be used, with what to do
+    about it."""
     tried = [b for b in _PREFERRED.get(device, ()) if b in offered(name)]
     if problems := [problem for b in tried if (problem := _problem(name, b))]:
-        return f"{'; '.join(problems)}; {name} runs on the slower reference: `gsfusion-nb doctor` says what to install"
-    known = " and ".join(sorted({kind for kind, names in _PREFERRED.items() if set(names) & set(offered(name))}))
-    return f"{name} runs on the slower reference: its faster versions take {known} tensors, and these are on {device!r}"
+        return (
+            f"{'; '.join(problems)}; {name} runs on the slower reference: `gsfusion-nb doctor` "
+            "says what to install"
+        )
+    known = " and ".join(
+        sorted({kind for kind, names in _PREFERRED.items() if set(names) & set(offered(name))})
+    )
+    return (
+        f"{name} runs on the slower reference: its faster versions take {known} tensors, and "
+        f"these are on {device!r}"
+    )
 
 
 def _devices(values: Iterable) -> Iterator[str]:
@@ -334,8 +384,8 @@ class Calls:
 
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {}
-"""Operation or piece -> the learner's function, with the arguments of the operation. A function that returns
-``NotImplemented`` leaves this call to the reference."""
+"""Operation or piece -> the learner's function, with the arguments of the operation. A function
+that returns ``NotImplemented`` leaves this call to the reference."""
 
 CALLS: dict[str, Calls] = {}
 """Operation or piece -> its calls since the counts were last cleared."""
@@ -343,7 +393,12 @@ CALLS: dict[str, Calls] = {}
 _thread = threading.local()
 
 
-def _run_counted(name: str, reference: Callable[..., Any], args: tuple, kwargs: dict[str, Any]) -> Any:
+def _run_counted(
+    name: str,
+    reference: Callable[..., Any],
+    args: tuple,
+    kwargs: dict[str, Any],
+) -> Any:
     """Call the learner's function for ``name``, or ``reference``, and count the call."""
     inside = _thread.__dict__.setdefault("seconds_of_called", [])
     inside.append(0.0)
@@ -366,14 +421,15 @@ def _run_counted(name: str, reference: Callable[..., Any], args: tuple, kwargs: 
 F = TypeVar("F", bound=Callable[..., Any])
 
 Observer = Callable[[str, Callable[..., Any], tuple[Any, ...], dict[str, Any]], Any]
-"""``observer(name, f, args, kwargs)`` must return ``f(*args, **kwargs)``; it may look at arguments and result before
-and after, and must not change them."""
+"""``observer(name, f, args, kwargs)`` must return ``f(*args, **kwargs)``; it may look at arguments
+and result before and after, and must not change them."""
 
 _observer: ContextVar[Observer | None] = ContextVar("gsfusion_observer", default=None)
 
 
 def observed(f: F) -> F:
-    """Mark a function or method, so that an observer sees its calls under its qualified name, such as "Adam.step"."""
+    """Mark a function or method, so that an observer sees its calls under its qualified name, such
+    as "Adam.step"."""
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -385,7 +441,8 @@ def observed(f: F) -> F:
 
 @contextlib.contextmanager
 def observing(observer: Observer | None) -> Iterator[None]:
-    """Context in which ``observer`` sees the calls of marked functions in this thread; ``None``: nobody does."""
+    """Context in which ``observer`` sees the calls of marked functions in this thread; ``None``:
+    nobody does."""
     token = _observer.set(observer)
     try:
         yield

@@ -9,11 +9,13 @@ import torch
 from torch import Tensor
 
 SAVED_RIGIDITY_ERROR = 1e-2
-"""Largest entry of R R^T - I in a pose of a checkpoint; tracking multiplies poses, so it may grow a little."""
+"""Largest entry of R R^T - I in a pose of a checkpoint; tracking multiplies poses, so it may grow a
+little."""
 
 
 def shown(value: Any, at_most: int = 120) -> str:
-    """A value that somebody else wrote, as one line short enough for a sentence: all messages quote with this.
+    """A value that somebody else wrote, as one line short enough for a sentence: all messages quote
+    with this.
 
     Text, and what holds more than ``at_most`` items, is cut before it is formatted.
     """
@@ -23,8 +25,13 @@ def shown(value: Any, at_most: int = 120) -> str:
     return text if len(text) <= at_most else f"{text[: at_most - 3]}..."
 
 
-def check_shape(name: str, value: object, expected: tuple[int | str, ...]) -> None:
-    """Raise ``ValueError`` unless ``value`` is a tensor of the expected shape; a string stands for any length.
+def check_shape(
+    name: str,
+    value: object,
+    expected: tuple[int | str, ...],
+) -> None:
+    """Raise ``ValueError`` unless ``value`` is a tensor of the expected shape; a string stands for
+    any length.
 
     Example: ``check_shape("depth_m", depth_m, ("H", "W"))``.
     """
@@ -33,51 +40,82 @@ def check_shape(name: str, value: object, expected: tuple[int | str, ...]) -> No
     _check_size(name, tuple(value.shape), expected)
 
 
-def check_array(name: str, value: object, expected: tuple[int | str, ...], dtype: type[np.generic]) -> None:
-    """Raise ``ValueError`` unless ``value`` is a NumPy array of this shape and type; a string stands for any length."""
+def check_array(
+    name: str,
+    value: object,
+    expected: tuple[int | str, ...],
+    dtype: type[np.generic],
+) -> None:
+    """Raise ``ValueError`` unless ``value`` is a NumPy array of this shape and type; a string
+    stands for any length."""
     if not isinstance(value, np.ndarray):
         raise ValueError(f"{name} must be a numpy.ndarray, got {type(value).__name__}")
     if value.dtype != dtype:
-        raise ValueError(f"{name} must be {np.dtype(dtype)}, got {value.dtype}; convert it with .astype()")
+        raise ValueError(
+            f"{name} must be {np.dtype(dtype)}, got {value.dtype}; convert it with .astype()"
+        )
     _check_size(name, value.shape, expected)
 
 
-def _check_size(name: str, got: tuple[int, ...], expected: tuple[int | str, ...]) -> None:
+def _check_size(
+    name: str,
+    got: tuple[int, ...],
+    expected: tuple[int | str, ...],
+) -> None:
     if got == expected:
         return
-    if len(got) != len(expected) or any(isinstance(e, int) and e != g for e, g in zip(expected, got, strict=True)):
+    if len(got) != len(expected) or any(
+        isinstance(e, int) and e != g for e, g in zip(expected, got, strict=True)
+    ):
         wanted = ", ".join(str(e) for e in expected)
         raise ValueError(f"{name} must be [{wanted}], got {list(got)}")
 
 
 def check_finite(name: str, value: Tensor) -> None:
-    """Raise ``ValueError`` if ``value`` holds a NaN or an infinity, with the count and the first place."""
+    """Raise ``ValueError`` if ``value`` holds a NaN or an infinity, with the count and the first
+    place."""
     bad = ~torch.isfinite(value)
     if bad.any():
         first = [int(i) for i in bad.nonzero()[0]]
-        raise ValueError(f"{name} must be finite, got {int(bad.sum())} NaN or infinite values, the first at {first}")
+        raise ValueError(
+            f"{name} must be finite, got {int(bad.sum())} NaN or infinite values, the first at "
+            f"{first}"
+        )
 
 
 def check_pose(name: str, T: Tensor, tolerance: float = 1e-3) -> None:
-    """Raise ``ValueError`` unless ``T`` is a rigid 4x4 transform (finite, rotation orthonormal, no mirroring)."""
+    """Raise ``ValueError`` unless ``T`` is a rigid 4x4 transform (finite, rotation orthonormal, no
+    mirroring)."""
     check_shape(name, T, (4, 4))
-    numbers = T.detach().cpu().double().numpy()  # on so few numbers torch takes more than twice as long
+    numbers = (
+        T.detach().cpu().double().numpy()
+    )  # on so few numbers torch takes more than twice as long
     if not np.isfinite(numbers).all():
         check_finite(name, T)
     R, bottom = numbers[:3, :3], numbers[3]
     error = float(np.abs(R @ R.T - np.eye(3)).max())
     if error > tolerance:
         raise ValueError(
-            f"{name} must be rigid: its rotation misses R R^T = I by {error:.2g} (allowed {tolerance:.0e})"
+            f"{name} must be rigid: its rotation misses R R^T = I by {error:.2g} (allowed "
+            f"{tolerance:.0e})"
         )
     if np.linalg.det(R) < 0:
-        raise ValueError(f"{name} must be rigid: its rotation has determinant -1, so it mirrors the world")
+        raise ValueError(
+            f"{name} must be rigid: its rotation has determinant -1, so it mirrors the world"
+        )
     if np.abs(bottom - [0.0, 0.0, 0.0, 1.0]).max() > tolerance:
-        raise ValueError(f"{name} must end in the row [0, 0, 0, 1], got {[round(float(v), 4) for v in bottom]}")
+        raise ValueError(
+            f"{name} must end in the row [0, 0, 0, 1], got {[round(float(v), 4) for v in bottom]}"
+        )
 
 
-def check_colours(name: str, rgb: Tensor, extremes: tuple[float, float] | None = None) -> None:
-    """Raise ``ValueError`` unless all of ``rgb`` is finite and in 0..1; ``extremes`` if they are known already."""
+def check_colours(
+    name: str,
+    rgb: Tensor,
+    extremes: tuple[float, float] | None = None,
+) -> None:
+    """Raise ``ValueError`` unless all of ``rgb`` is finite and in 0..1; ``extremes`` if they are
+    known already."""
     if not rgb.numel():
         return
     low, high = extremes or torch.stack(torch.aminmax(rgb)).tolist()
@@ -94,7 +132,12 @@ def check_positive(name: str, value: object) -> None:
         raise ValueError(f"{name} must be > 0, got {value}")
 
 
-def check_number(name: str, value: object, low: float | int = -math.inf, high: float | int = math.inf) -> None:
+def check_number(
+    name: str,
+    value: object,
+    low: float | int = -math.inf,
+    high: float | int = math.inf,
+) -> None:
     """Raise ``ValueError`` unless ``value`` is a finite number from ``low`` to ``high``."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError(f"{name} must be a number, got {shown(value)}")
@@ -112,9 +155,15 @@ def check_name(kind: str, name: str, known) -> None:
 
 
 def check_saved(
-    name: str, value: object, shape: tuple[int | str, ...], dtype: torch.dtype = torch.float32, *, finite: bool = True
+    name: str,
+    value: object,
+    shape: tuple[int | str, ...],
+    dtype: torch.dtype = torch.float32,
+    *,
+    finite: bool = True,
 ) -> None:
-    """Raise ``ValueError`` unless ``value``, from a checkpoint, is a tensor of this shape and type, and finite."""
+    """Raise ``ValueError`` unless ``value``, from a checkpoint, is a tensor of this shape and type,
+    and finite."""
     check_shape(name, value, shape)
     assert isinstance(value, Tensor)
     if value.dtype != dtype:
@@ -123,8 +172,14 @@ def check_saved(
         check_finite(name, value)
 
 
-def check_whole(name: str, value: object, low: int, high: int | None = None) -> None:
-    """Raise ``ValueError`` unless ``value`` is a whole number from ``low`` to ``high``, both allowed."""
+def check_whole(
+    name: str,
+    value: object,
+    low: int,
+    high: int | None = None,
+) -> None:
+    """Raise ``ValueError`` unless ``value`` is a whole number from ``low`` to ``high``, both
+    allowed."""
     if isinstance(value, bool) or not isinstance(value, int):
         raise ValueError(f"{name} must be a whole number, got {shown(value)}")
     if value < low or (high is not None and value > high):

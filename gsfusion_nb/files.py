@@ -1,13 +1,15 @@
-"""Files: written completely or not at all, hashed, and read within limits; errors of files; the cache folder.
+"""Files: written completely or not at all, hashed, and read within limits; errors of files; the
+cache folder.
 
-A complete file is written under a temporary name in the same folder, flushed to disk and renamed, which every file
-system does in one step. So a reader finds the old content or the new one, also after a crash or a power failure. A
-killed program may leave a temporary file, which is never read (``remove_partial``).
+A complete file is written under a temporary name in the same folder, flushed to disk and renamed,
+which every file system does in one step. So a reader finds the old content or the new one, also
+after a crash or a power failure. A killed program may leave a temporary file, which is never read
+(``remove_partial``).
 
-A file of other people and programs may be damaged, of another kind, or made to harm. So nothing here opens a pipe or a
-device, which would wait or never end; nothing takes more memory than the caller allows, also when the content is
-packed; and whatever a parser of another project raises becomes a ``SequenceError`` that names the file. All other
-modules read through this one.
+A file of other people and programs may be damaged, of another kind, or made to harm. So nothing
+here opens a pipe or a device, which would wait or never end; nothing takes more memory than the
+caller allows, also when the content is packed; and whatever a parser of another project raises
+becomes a ``SequenceError`` that names the file. All other modules read through this one.
 """
 
 import contextlib
@@ -42,14 +44,16 @@ MAX_SENTENCE = 1000
 
 
 def as_sentence(text: str) -> str:
-    """A message as one line; of a very long one, which holds a long name of somebody else's, beginning and end."""
+    """A message as one line; of a very long one, which holds a long name of somebody else's,
+    beginning and end."""
     text = " ".join(text.splitlines())
     half = MAX_SENTENCE // 2 - 5
     return text if len(text) <= MAX_SENTENCE else f"{text[:half]} [...] {text[-half:]}"
 
 
 class SequenceError(ValueError):
-    """A file or folder that was given, or what was asked of it, makes no sense; one sentence that names the file."""
+    """A file or folder that was given, or what was asked of it, makes no sense; one sentence that
+    names the file."""
 
     def __str__(self) -> str:
         return as_sentence(super().__str__())
@@ -60,12 +64,13 @@ class SequenceNotFoundError(SequenceError, FileNotFoundError):
 
 
 class BadFrameError(SequenceError):
-    """One frame cannot be used (damaged image, no depth, invalid pose, tracking lost); the next frame may be fine."""
+    """One frame cannot be used (damaged image, no depth, invalid pose, tracking lost); the next
+    frame may be fine."""
 
 
 def is_foreseen(error: BaseException) -> bool:
-    """The text of ``error`` is a sentence for people: an error of this package's own, what a ``raise`` of this package
-    wrote, or an error about a file.
+    """The text of ``error`` is a sentence for people: an error of this package's own, what a
+    ``raise`` of this package wrote, or an error about a file.
 
     A ``ValueError`` of a text that is no number, somewhere deep inside, is none.
     """
@@ -83,7 +88,8 @@ def is_foreseen(error: BaseException) -> bool:
 
 
 def unforeseen(error: BaseException, command: str, arguments: list[str]) -> str:
-    """One sentence on ``error`` that names the log with the traceback, in the system's folder for temporary files.
+    """One sentence on ``error`` that names the log with the traceback, in the system's folder for
+    temporary files.
 
     Args:
         error: What was raised.
@@ -111,7 +117,8 @@ _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class DiskFullError(OSError):
-    """There is no room for a file; the message names it, and what leaves none: the disk, a quota or a limit."""
+    """There is no room for a file; the message names it, and what leaves none: the disk, a quota or
+    a limit."""
 
     def __str__(self) -> str:
         return str(self.args[1])
@@ -119,10 +126,11 @@ class DiskFullError(OSError):
 
 @contextmanager
 def atomic_file(path: str | Path) -> Iterator[Path]:
-    """A temporary path to write to, which takes the place of ``path`` when the block ends without an exception.
+    """A temporary path to write to, which takes the place of ``path`` when the block ends without
+    an exception.
 
-    The temporary file is in the same folder (created if needed) and has the same suffix. After an exception, Ctrl-C
-    included, it is removed, and a previous file at ``path`` is unchanged.
+    The temporary file is in the same folder (created if needed) and has the same suffix. After an
+    exception, Ctrl-C included, it is removed, and a previous file at ``path`` is unchanged.
 
         with atomic_file("run/map.npz") as temporary:
             np.savez(temporary, xyz=xyz)
@@ -138,13 +146,16 @@ def atomic_file(path: str | Path) -> Iterator[Path]:
         yield temporary
         if not temporary.exists():
             raise FileNotFoundError(
-                f"nothing was written for {path}; expected the block to write to the path it was given"
+                f"nothing was written for {path}; expected the block to write to the path it was "
+                "given"
             )
         move_into_place(temporary, path)
     except OSError as e:
         if not _is_full(e):
             raise
-        raise DiskFullError(e.errno or errno.ENOSPC, f"{path} cannot be written: {_why_no_room(e, path.parent)}") from e
+        raise DiskFullError(
+            e.errno or errno.ENOSPC, f"{path} cannot be written: {_why_no_room(e, path.parent)}"
+        ) from e
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -157,8 +168,8 @@ def _why_no_room(error: OSError, folder: Path) -> str:
         if most is None:
             return "the file system of its folder takes no file that is so large"
         return (
-            f"this process may write no file of more than {most / 1e6:.1f} MB (the limit RLIMIT_FSIZE of the system, "
-            "in a shell: ulimit -f); `ulimit -f unlimited` lifts it"
+            f"this process may write no file of more than {most / 1e6:.1f} MB (the limit "
+            "RLIMIT_FSIZE of the system, in a shell: ulimit -f); `ulimit -f unlimited` lifts it"
         )
     free = f"{shutil.disk_usage(folder).free / 1e6:.1f} MB are free"
     if error.errno == getattr(errno, "EDQUOT", None):
@@ -177,7 +188,8 @@ def _largest_file_bytes() -> int | None:
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove the temporary files that a killed program left in ``folder``; nobody else may be writing there."""
+    """Remove the temporary files that a killed program left in ``folder``; nobody else may be
+    writing there."""
     for path in folder.glob(".*.partial*"):
         if re.fullmatch(r"\..+\.[0-9a-f]{8}\.partial(\.\w+)?", path.name):
             path.unlink(missing_ok=True)
@@ -191,10 +203,11 @@ def write_file(path: str | Path, content: bytes | str) -> None:
 
 @contextmanager
 def atomic_folder(path: Path, temporary: Path) -> Iterator[Path]:
-    """The folder ``temporary`` to fill, which becomes ``path`` when the block ends without an exception.
+    """The folder ``temporary`` to fill, which becomes ``path`` when the block ends without an
+    exception.
 
-    After an exception, Ctrl-C included, it is removed, and the folders above it that were made for it; what a killed
-    program left there is removed at the next start.
+    After an exception, Ctrl-C included, it is removed, and the folders above it that were made for
+    it; what a killed program left there is removed at the next start.
 
     Args:
         path: Folder to make; an empty one may be there.
@@ -244,8 +257,8 @@ def move_into_place(temporary: Path, path: Path) -> None:
 def try_lock(handle: int) -> bool:
     """Lock an open file for this process; whether no other one holds it.
 
-    The operating system frees the lock when the file is closed or its holder ends, however it ends. A file system that
-    has no locks keeps nobody out.
+    The operating system frees the lock when the file is closed or its holder ends, however it ends.
+    A file system that has no locks keeps nobody out.
     """
     try:
         if sys.platform == "win32":
@@ -262,7 +275,8 @@ def try_lock(handle: int) -> bool:
 
 
 def cache_folder() -> Path:
-    """``$GSFUSION_CACHE``, or the folder ``gsfusion_nb`` in the place that the system has for caches."""
+    """``$GSFUSION_CACHE``, or the folder ``gsfusion_nb`` in the place that the system has for
+    caches."""
     if given := os.environ.get("GSFUSION_CACHE"):
         return Path(given).expanduser()
     return user_cache_path("gsfusion_nb", appauthor=False, opinion=False)
@@ -311,9 +325,10 @@ UNREADABLE = "missing, or cannot be read"
 def file_hashes(files: Iterable[str | Path]) -> dict[str, str]:
     """Path -> hash of the content of each file, 32 hexadecimal digits, or ``UNREADABLE``.
 
-    Every file is hashed from its first byte to its last, links followed. The hashes are kept in the cache folder by
-    path, size, times and inode, so that a file is hashed once. A file that was changed within the last two seconds is
-    hashed again: a second change in the same tick of the file system's clock would not be seen.
+    Every file is hashed from its first byte to its last, links followed. The hashes are kept in the
+    cache folder by path, size, times and inode, so that a file is hashed once. A file that was
+    changed within the last two seconds is hashed again: a second change in the same tick of the
+    file system's clock would not be seen.
     """
     marks = {path: _mark(path) for path in (os.path.abspath(file) for file in files)}
     known = {folder: _Known(folder) for folder in dict.fromkeys(map(os.path.dirname, marks))}
@@ -322,7 +337,9 @@ def file_hashes(files: Iterable[str | Path]) -> dict[str, str]:
     is_long = sum(marks[path][0] for path in left) > _LONG_BYTES
     from .work import ProgressDisplay
 
-    with ProgressDisplay("hashing the data", total=len(left), unit="file", leave=False, shown=is_long) as progress:
+    with ProgressDisplay(
+        "hashing the data", total=len(left), unit="file", leave=False, shown=is_long
+    ) as progress:
         for n, path in enumerate(left, start=1):
             found[path] = known[os.path.dirname(path)].add(path, marks[path])
             progress.show(n)
@@ -332,7 +349,8 @@ def file_hashes(files: Iterable[str | Path]) -> dict[str, str]:
 
 
 class _Known:
-    """Hashes of the files of one folder that are known from before: name -> size, times, inode and hash."""
+    """Hashes of the files of one folder that are known from before: name -> size, times, inode and
+    hash."""
 
     def __init__(self, folder: str):
         name = hashlib.blake2b(folder.encode(errors="surrogateescape"), digest_size=16).hexdigest()
@@ -348,7 +366,8 @@ class _Known:
         return digest if mark and then == " ".join(map(str, mark)) else ""
 
     def add(self, path: str, mark: tuple[int, ...]) -> str:
-        """Hash a file; the hash is kept, unless the file changed while it was read, or shortly before."""
+        """Hash a file; the hash is kept, unless the file changed while it was read, or shortly
+        before."""
         digest = _hash(path)
         if digest and mark == _mark(path) and time.time_ns() - max(mark[1:3]) > _SETTLED_NS:
             self._rows[os.path.basename(path)] = f"{' '.join(map(str, mark))} {digest}"
@@ -363,7 +382,8 @@ class _Known:
 
 
 def _mark(path: str) -> tuple[int, ...]:
-    """Size, times (nanoseconds) and inode of a file, or of the file that a link leads to; empty if there is none."""
+    """Size, times (nanoseconds) and inode of a file, or of the file that a link leads to; empty if
+    there is none."""
     try:
         stat = os.stat(path)
     except (OSError, ValueError):
@@ -387,7 +407,8 @@ _noted: ContextVar[list[Path] | None] = ContextVar("noted", default=None)
 
 
 def is_file(path: Path) -> bool:
-    """Whether there is a file; False for a name, written by somebody else, that no file can have."""
+    """Whether there is a file; False for a name, written by somebody else, that no file can
+    have."""
     try:
         return path.is_file()
     except OSError:
@@ -396,7 +417,8 @@ def is_file(path: Path) -> bool:
 
 @contextmanager
 def noting_files() -> Iterator[list[Path]]:
-    """A block in which every file that is opened by this module is added to the list that it gives."""
+    """A block in which every file that is opened by this module is added to the list that it
+    gives."""
     noted, outer = [], _noted.get()
     token = _noted.set(noted)
     try:
@@ -409,19 +431,23 @@ def noting_files() -> Iterator[list[Path]]:
 
 LEAST_MEMORY_BYTES = 1 << 29
 MOST_MEMORY_PER_BYTE = 100
-"""A packed file of ours may take as much memory as the first, or as many times its size as the second: the TSDFs of
-runs take 8 to 16 times the size of their files, and files that are made to harm a thousand times and more."""
+"""A packed file of ours may take as much memory as the first, or as many times its size as the
+second: the TSDFs of runs take 8 to 16 times the size of their files, and files that are made to
+harm a thousand times and more."""
 
 
 def open_regular(path: str | Path, what: str) -> BufferedReader:
-    """Open a plain file for reading bytes. Pipes, sockets, devices and folders are refused, before anything waits.
+    """Open a plain file for reading bytes. Pipes, sockets, devices and folders are refused, before
+    anything waits.
 
     Raises:
         SequenceNotFoundError: no such file. SequenceError: no plain file, or it may not be read.
     """
     try:
         # A pipe that nobody writes to blocks on opening, unless it is opened without waiting.
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        handle = os.open(
+            path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        )
     except (FileNotFoundError, NotADirectoryError):
         raise SequenceNotFoundError(f"{path} does not exist; expected {what}") from None
     except (OSError, ValueError) as e:
@@ -464,16 +490,20 @@ def read_exactly(file: BinaryIO, n: int, path: str | Path) -> bytes:
     """The next ``n`` bytes of an open file.
 
     Raises:
-        SequenceError: it has fewer; nothing is read then, so a length that is wrong costs no memory.
+        SequenceError: it has fewer; nothing is read then, so a length that is wrong costs no
+            memory.
     """
     left = os.fstat(file.fileno()).st_size - file.tell()
     if not 0 <= n <= left:
-        raise SequenceError(f"{path} is truncated: it ends {n - left} bytes too early; copy it again")
+        raise SequenceError(
+            f"{path} is truncated: it ends {n - left} bytes too early; copy it again"
+        )
     return file.read(n)
 
 
 def inflate(data: bytes, source: str | Path, *, at_most: int) -> bytes:
-    """Unpacked content of a zlib stream. Raises ``BadFrameError`` when it is damaged or larger than ``at_most``."""
+    """Unpacked content of a zlib stream. Raises ``BadFrameError`` when it is damaged or larger than
+    ``at_most``."""
     unpacker = zlib.decompressobj()
     try:
         content = unpacker.decompress(data, at_most + 1)
@@ -493,7 +523,13 @@ def open_archive(path: str | Path, what: str) -> zipfile.ZipFile:
         return zipfile.ZipFile(path)
 
 
-def read_member(archive: zipfile.ZipFile, name: str, source: str | Path, *, at_most: int) -> bytes:
+def read_member(
+    archive: zipfile.ZipFile,
+    name: str,
+    source: str | Path,
+    *,
+    at_most: int,
+) -> bytes:
     """Content of one member of an archive, of at most ``at_most`` bytes unpacked.
 
     Raises:
@@ -501,7 +537,9 @@ def read_member(archive: zipfile.ZipFile, name: str, source: str | Path, *, at_m
     """
     info = archive.getinfo(name)
     if info.file_size > at_most:
-        raise BadFrameError(f"{source}: {name} unpacks to {info.file_size} bytes; expected at most {at_most}")
+        raise BadFrameError(
+            f"{source}: {name} unpacks to {info.file_size} bytes; expected at most {at_most}"
+        )
     try:
         with archive.open(info) as member:
             return member.read(at_most)
@@ -510,25 +548,33 @@ def read_member(archive: zipfile.ZipFile, name: str, source: str | Path, *, at_m
 
 
 @contextmanager
-def parsing(source: str | Path, what: str, error: type[SequenceError] = SequenceError) -> Iterator[None]:
-    """Whatever a parser of another project raises in the block becomes one sentence that names ``source``.
+def parsing(
+    source: str | Path, what: str, error: type[SequenceError] = SequenceError
+) -> Iterator[None]:
+    """Whatever a parser of another project raises in the block becomes one sentence that names
+    ``source``.
 
-    Such parsers were written for files in order: from a damaged one follows any exception, such as ``struct.error`` or
-    ``AssertionError``. Errors that are sentences already pass as they are.
+    Such parsers were written for files in order: from a damaged one follows any exception, such as
+    ``struct.error`` or ``AssertionError``. Errors that are sentences already pass as they are.
     """
     try:
         yield
     except SequenceError:
         raise
     except MemoryError:
-        raise error(f"{source} asks for more memory than there is; it is damaged; expected {what}") from None
+        raise error(
+            f"{source} asks for more memory than there is; it is damaged; expected {what}"
+        ) from None
     except Exception as e:
-        raise error(f"{source} is not readable as {what} ({reason_of(e)}); it may be truncated or damaged") from e
+        raise error(
+            f"{source} is not readable as {what} ({reason_of(e)}); it may be truncated or damaged"
+        ) from e
 
 
 @contextmanager
 def refusing(before: str = "", error: type[SequenceError] = SequenceError) -> Iterator[None]:
-    """A ``ValueError`` that a check raises in the block becomes an ``error`` with the text ``before`` its message."""
+    """A ``ValueError`` that a check raises in the block becomes an ``error`` with the text
+    ``before`` its message."""
     try:
         yield
     except ValueError as e:
@@ -536,23 +582,36 @@ def refusing(before: str = "", error: type[SequenceError] = SequenceError) -> It
 
 
 def reason_of(error: Exception) -> str:
-    """The kind and the first sentence of an error, short enough to be a part of another sentence."""
+    """The kind and the first sentence of an error, short enough to be a part of another
+    sentence."""
     lines = str(error).strip().splitlines()
     text = lines[0].split(". ")[0][:160] if lines else ""
-    return text if isinstance(error, OSError | ValueError) and text else f"{type(error).__name__} {text}".strip()
+    return (
+        text
+        if isinstance(error, OSError | ValueError) and text
+        else f"{type(error).__name__} {text}".strip()
+    )
 
 
 def read_object(
-    path: str | Path, what: str, *, at_most: int = TEXT_BYTES, objects: tuple[str, ...] = ()
+    path: str | Path,
+    what: str,
+    *,
+    at_most: int = TEXT_BYTES,
+    objects: tuple[str, ...] = (),
 ) -> dict[str, Any]:
-    """Content of a JSON file that must hold an object, and in it an object at each of the keys ``objects``.
+    """Content of a JSON file that must hold an object, and in it an object at each of the keys
+    ``objects``.
 
     Raises:
-        SequenceNotFoundError: no such file. SequenceError: no JSON, or refused by ``parse_json``; names the file.
+        SequenceNotFoundError: no such file. SequenceError: no JSON, or refused by ``parse_json``;
+            names the file.
     """
     values = parse_json(read_text(path, what, at_most=at_most), str(path), what)
     if not isinstance(values, dict):
-        raise SequenceError(f"{path} must hold a JSON object ({what}), got a {type(values).__name__}")
+        raise SequenceError(
+            f"{path} must hold a JSON object ({what}), got a {type(values).__name__}"
+        )
     for key in objects:
         if not isinstance(values.get(key), dict):
             got = f"a {type(values[key]).__name__}" if key in values else "none"
@@ -562,21 +621,27 @@ def read_object(
 
 def write_sealed(path: str | Path, values: dict[str, Any]) -> None:
     """Write a JSON object with a checksum of its content, for ``read_sealed``."""
-    write_file(path, json.dumps(values | {_SEAL: _seal_of(values)}, indent=1, allow_nan=False))
+    write_file(
+        path,
+        json.dumps(values | {_SEAL: _seal_of(values)}, indent=1, allow_nan=False),
+    )
 
 
 def read_sealed(path: str | Path, what: str) -> dict[str, Any]:
     """What ``write_sealed`` wrote, if nobody has changed it since.
 
     Raises:
-        SequenceNotFoundError: no such file. SequenceError: no JSON object, or not with the checksum of its content.
+        SequenceNotFoundError: no such file. SequenceError: no JSON object, or not with the checksum
+            of its content.
     """
     values = read_object(path, what)
     seal = values.pop(_SEAL, None)
     if seal is None:
         raise SequenceError(f"{path} is not {what} of this version: it has no checksum")
     if seal != _seal_of(values):
-        raise SequenceError(f"{path} was changed after it was written: its checksum is not that of its content")
+        raise SequenceError(
+            f"{path} was changed after it was written: its checksum is not that of its content"
+        )
     return values
 
 
@@ -590,14 +655,22 @@ def _seal_of(values: dict[str, Any]) -> str:
 def parse_json(text: str, source: str, what: str) -> Any:
     """Values of a JSON text; ``source`` is its name for messages.
 
-    What is no number for a computer is refused. Python's parser reads NaN and Infinity, which JSON does not have, and
-    makes infinities of numbers that are too large. Of two equal keys it takes the last one, which is refused here.
+    What is no number for a computer is refused. Python's parser reads NaN and Infinity, which JSON
+    does not have, and makes infinities of numbers that are too large. Of two equal keys it takes
+    the last one, which is refused here.
     """
     try:
         return json.loads(
-            text, object_pairs_hook=_object, parse_constant=_finite, parse_float=_finite, parse_int=_whole
+            text,
+            object_pairs_hook=_object,
+            parse_constant=_finite,
+            parse_float=_finite,
+            parse_int=_whole,
         )
-    except (ValueError, RecursionError) as e:  # a ValueError also where a number has thousands of digits
+    except (
+        ValueError,
+        RecursionError,
+    ) as e:  # a ValueError also where a number has thousands of digits
         raise SequenceError(f"{source} is not valid JSON ({e}); expected {what}") from None
 
 
@@ -605,7 +678,10 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     values = dict(pairs)
     if len(values) != len(pairs):
         keys = [key for key, _ in pairs]
-        raise ValueError(f"the key {next(k for k in keys if keys.count(k) > 1)[:40]!r} appears twice in an object")
+        raise ValueError(
+            f"the key {next(k for k in keys if keys.count(k) > 1)[:40]!r} appears twice in an "
+            "object"
+        )
     return values
 
 

@@ -1,4 +1,5 @@
-"""Ctrl-C and SIGTERM: where they take effect at once, and where they wait until a change is whole."""
+"""Ctrl-C and SIGTERM: where they take effect at once, and where they wait until a change is
+whole."""
 
 import os
 import signal
@@ -15,18 +16,20 @@ _UNDISTURBED: set[CodeType] = set()
 
 
 def undisturbed(function: F) -> F:
-    """Mark a function that clears up: inside a ``DelayedInterrupt`` no signal ends it halfway, from its first line on.
+    """Mark a function that clears up: inside a ``DelayedInterrupt`` no signal ends it halfway, from
+    its first line on.
 
-    A ``try: ... finally:`` alone does not promise that, because a signal may arrive between the error and what the
-    block does first.
+    A ``try: ... finally:`` alone does not promise that, because a signal may arrive between the
+    error and what the block does first.
     """
     _UNDISTURBED.add(function.__code__)
     return function
 
 
 while_compiling: list[Callable[[], None]] = []
-"""Called, the last of them, between two steps of a compiler: it may raise ``KeyboardInterrupt`` to end the compilation,
-which takes up to a minute. Whoever delays signals puts a function here that knows whether that is possible."""
+"""Called, the last of them, between two steps of a compiler: it may raise ``KeyboardInterrupt`` to
+end the compilation, which takes up to a minute. Whoever delays signals puts a function here that
+knows whether that is possible."""
 
 
 def compiler_goes_on() -> None:
@@ -38,7 +41,8 @@ def compiler_goes_on() -> None:
 def as_interrupt(error: BaseException) -> KeyboardInterrupt | None:
     """The ``KeyboardInterrupt`` that an error hides; None if it hides none.
 
-    Python makes a ``SystemError`` of it where a signal arrives in compiled code that is about to return a value.
+    Python makes a ``SystemError`` of it where a signal arrives in compiled code that is about to
+    return a value.
     """
     cause: BaseException | None = error
     while cause is not None and not isinstance(cause, KeyboardInterrupt):
@@ -47,11 +51,13 @@ def as_interrupt(error: BaseException) -> KeyboardInterrupt | None:
 
 
 class DelayedInterrupt:
-    """Context manager in which Ctrl-C and SIGTERM wait until the block ends, or until ``allow`` or ``deliver``.
+    """Context manager in which Ctrl-C and SIGTERM wait until the block ends, or until ``allow`` or
+    ``deliver``.
 
-    Of nested blocks, the outermost delivers them. It does nothing outside the main thread, where no signal arrives, nor
-    for signals that Python does not handle. After a signal has raised ``KeyboardInterrupt`` in the block, further ones
-    wait, so that what clears up after the first is not interrupted by the second.
+    Of nested blocks, the outermost delivers them. It does nothing outside the main thread, where no
+    signal arrives, nor for signals that Python does not handle. After a signal has raised
+    ``KeyboardInterrupt`` in the block, further ones wait, so that what clears up after the first is
+    not interrupted by the second.
     """
 
     _outermost: "ClassVar[DelayedInterrupt | None]" = None
@@ -100,7 +106,8 @@ class DelayedInterrupt:
 
     @staticmethod
     def deliver() -> None:
-        """Deliver the signals that have come so far, in the block; whether later ones wait does not change."""
+        """Deliver the signals that have come so far, in the block; whether later ones wait does not
+        change."""
         outer = DelayedInterrupt._outermost
         while outer is not None and _is_main_thread() and outer._pending:
             outer._deliver_next()
@@ -136,8 +143,11 @@ def _is_undisturbed(frame: FrameType | None) -> bool:
 _COMMAND = "gsfusion-nb"
 
 
-def _say_interrupted(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Of Ctrl-C while the command imports what it needs, which takes seconds, say one line and no traceback."""
+def _say_interrupted(
+    kind: type[BaseException], error: BaseException, trace: TracebackType | None
+) -> None:
+    """Of Ctrl-C while the command imports what it needs, which takes seconds, say one line and no
+    traceback."""
     if issubclass(kind, KeyboardInterrupt):
         sys.stderr.write(f"{_COMMAND}: interrupted\n")
     else:

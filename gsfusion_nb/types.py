@@ -1,4 +1,5 @@
-"""The values that travel between the rooms: camera, frame, seeds, render output. Frozen; inputs are never modified."""
+"""The values that travel between the rooms: camera, frame, seeds, render output. Frozen; inputs are
+never modified."""
 
 import dataclasses
 import functools
@@ -14,7 +15,8 @@ from torch import Tensor
 from .checks import check_number, check_positive, check_shape
 
 MAX_SIDE_PX, MAX_PIXELS = 1 << 16, 1 << 27
-"""Larger images would not fit into memory, and into the 32-bit numbers that kernels count pixels with."""
+"""Larger images would not fit into memory, and into the 32-bit numbers that kernels count pixels
+with."""
 
 
 def rgb_of_bytes(levels: UInt8[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
@@ -23,11 +25,19 @@ def rgb_of_bytes(levels: UInt8[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
 
 
 def _taken(columns: dict[str, Tensor], rows: Any) -> dict[str, Tensor]:
-    """Rows of every column. A mask is searched once, and whole rows are copied faster than by indexing."""
+    """Rows of every column. A mask is searched once, and whole rows are copied faster than by
+    indexing."""
     if isinstance(rows, Tensor) and rows.ndim == 1 and rows.dtype in (torch.bool, torch.int64):
         n = len(next(iter(columns.values())))
-        places = rows.nonzero()[:, 0] if rows.dtype == torch.bool else torch.where(rows < 0, rows + n, rows)
-        return {name: column.index_select(0, places.to(column.device)) for name, column in columns.items()}
+        places = (
+            rows.nonzero()[:, 0]
+            if rows.dtype == torch.bool
+            else torch.where(rows < 0, rows + n, rows)
+        )
+        return {
+            name: column.index_select(0, places.to(column.device))
+            for name, column in columns.items()
+        }
     return {name: column[rows] for name, column in columns.items()}
 
 
@@ -55,28 +65,43 @@ class Camera:
             check_number(f"camera {name}", getattr(self, name))
         if not all(isinstance(n, int) and n <= MAX_SIDE_PX for n in (self.width, self.height)):
             raise ValueError(
-                f"camera width and height must be whole numbers up to {MAX_SIDE_PX}, got {self.width} x {self.height}"
+                f"camera width and height must be whole numbers up to {MAX_SIDE_PX}, got "
+                f"{self.width} x {self.height}"
             )
         if self.width * self.height > MAX_PIXELS:
-            raise ValueError(f"an image may have {MAX_PIXELS} pixels, got {self.width} x {self.height}")
+            raise ValueError(
+                f"an image may have {MAX_PIXELS} pixels, got {self.width} x {self.height}"
+            )
 
     @property
     def K(self) -> Float[Tensor, "3 3"]:
         """Intrinsic matrix, float64."""
-        return torch.tensor([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=torch.float64)
+        return torch.tensor(
+            [[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]],
+            dtype=torch.float64,
+        )
 
     def resized(self, width: int, height: int) -> "Camera":
-        """The same view on another pixel grid (edges stay edges, so the principal point scales without a shift)."""
+        """The same view on another pixel grid (edges stay edges, so the principal point scales
+        without a shift)."""
         sx, sy = width / self.width, height / self.height
-        return Camera(width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
+        return Camera(
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=self.cx * sx,
+            cy=self.cy * sy,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, init=False)
 class Frame:
     """One RGB-D observation with its pose.
 
-    ``Frame(rgb=...)`` takes colour as it is: an 8-bit image as uint8, anything else as float32, 0..1. Bytes are carried
-    as bytes; ``frame.rgb`` makes floats of them when they are first asked for, and keeps them.
+    ``Frame(rgb=...)`` takes colour as it is: an 8-bit image as uint8, anything else as float32,
+    0..1. Bytes are carried as bytes; ``frame.rgb`` makes floats of them when they are first asked
+    for, and keeps them.
 
     Raises:
         ValueError: a tensor of the wrong type or shape.
@@ -94,8 +119,9 @@ class Frame:
     T_WC: Float[Tensor, "4 4"]
     """Camera-to-world pose, OpenCV axes, metres."""
     extra: Mapping[str, Shaped[Tensor, "H W *C"]]
-    """Further images of this frame by name, such as labels of a segmentation (whole numbers) or uncertainties (floats,
-    finite). They are resized with the frame, and reach seeding rules; keyframes and checkpoints do not keep them."""
+    """Further images of this frame by name, such as labels of a segmentation (whole numbers) or
+    uncertainties (floats, finite). They are resized with the frame, and reach seeding rules;
+    keyframes and checkpoints do not keep them."""
 
     def __init__(
         self,
@@ -111,16 +137,24 @@ class Frame:
     ):
         colour = colour if rgb is None else rgb  # dataclasses.replace(frame, rgb=...) gives both
         size = (camera.height, camera.width)
-        for name, value, shape in (("rgb", colour, (*size, 3)), ("depth_m", depth_m, size), ("T_WC", T_WC, (4, 4))):
+        for name, value, shape in (
+            ("rgb", colour, (*size, 3)),
+            ("depth_m", depth_m, size),
+            ("T_WC", T_WC, (4, 4)),
+        ):
             types = (torch.float32, torch.uint8) if name == "rgb" else (torch.float32,)
             if not isinstance(value, Tensor) or value.dtype not in types:
                 kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
                 wanted = " or ".join(str(t).removeprefix("torch.") for t in types)
-                raise ValueError(f"{name} of frame {index} must be a {wanted} torch.Tensor, got {kind}")
+                raise ValueError(
+                    f"{name} of frame {index} must be a {wanted} torch.Tensor, got {kind}"
+                )
             check_shape(name, value, shape)
         found = _checked_extra(index, extra or {}, size)
         for field, value in zip(
-            dataclasses.fields(self), (index, timestamp_s, colour, depth_m, camera, T_WC, found), strict=True
+            dataclasses.fields(self),
+            (index, timestamp_s, colour, depth_m, camera, T_WC, found),
+            strict=True,
         ):
             object.__setattr__(self, field.name, value)
 
@@ -157,15 +191,20 @@ class Frame:
 
     @functools.cached_property
     def T_WC_cpu(self) -> Float[Tensor, "4 4"]:
-        """The pose in CPU memory; of a frame that was moved to a GPU, it is known without waiting for the GPU."""
+        """The pose in CPU memory; of a frame that was moved to a GPU, it is known without waiting
+        for the GPU."""
         return self.T_WC.detach().cpu()
 
     def to(self, device: torch.device | str) -> "Frame":
         """The same frame with its tensors on ``device``, contiguous; the frame itself if they are.
 
-        To a GPU they are copied without waiting for it, except from pinned memory, which its owner may write to next.
+        To a GPU they are copied without waiting for it, except from pinned memory, which its owner
+        may write to next.
         """
-        moved = {name: _moved(getattr(self, name), torch.device(device)) for name in ("colour", "depth_m", "T_WC")}
+        moved = {
+            name: _moved(getattr(self, name), torch.device(device))
+            for name in ("colour", "depth_m", "T_WC")
+        }
         extra = {name: _moved(value, torch.device(device)) for name, value in self.extra.items()}
         same = [value is getattr(self, name) for name, value in moved.items()]
         if all([*same, *(value is self.extra[name] for name, value in extra.items())]):
@@ -179,23 +218,39 @@ class Extras(dict[str, Tensor]):
     """``Frame.extra``: an image that is not there is an error that lists those that are."""
 
     def __missing__(self, name: str) -> Tensor:
-        raise KeyError(f"this frame has no extra image {name!r}; it has: {', '.join(self) or 'none'}")
+        raise KeyError(
+            f"this frame has no extra image {name!r}; it has: {', '.join(self) or 'none'}"
+        )
 
 
-def _checked_extra(index: int, extra: "Mapping[str, Tensor | np.ndarray]", size: tuple[int, int]) -> Extras:
+def _checked_extra(
+    index: int, extra: "Mapping[str, Tensor | np.ndarray]", size: tuple[int, int]
+) -> Extras:
     if isinstance(extra, Extras):
         if any(value.shape[:2] != size for value in extra.values()):
             shapes = {name: list(value.shape) for name, value in extra.items()}
-            raise ValueError(f"extra of frame {index} must be [{size[0]}, {size[1]}, ...], got {shapes}")
+            raise ValueError(
+                f"extra of frame {index} must be [{size[0]}, {size[1]}, ...], got {shapes}"
+            )
         return extra
     found = Extras()
     for name, value in extra.items():
-        image = torch.from_numpy(np.ascontiguousarray(value)) if isinstance(value, np.ndarray) else value
+        image = (
+            torch.from_numpy(np.ascontiguousarray(value))
+            if isinstance(value, np.ndarray)
+            else value
+        )
         if not isinstance(image, Tensor) or image.shape[:2] != size:
             got = list(image.shape) if isinstance(image, Tensor) else type(image).__name__
-            raise ValueError(f"extra {name!r} of frame {index} must be an image [{size[0]}, {size[1]}, ...], got {got}")
+            raise ValueError(
+                f"extra {name!r} of frame {index} must be an image [{size[0]}, {size[1]}, ...], "
+                f"got {got}"
+            )
         if image.is_floating_point() and not bool(image.isfinite().all()):
-            raise ValueError(f"extra {name!r} of frame {index} must be finite, got NaN or infinity; give 0 or a mask")
+            raise ValueError(
+                f"extra {name!r} of frame {index} must be finite, got NaN or infinity; give 0 or a "
+                "mask"
+            )
         found[name] = image
     return found
 
@@ -207,7 +262,8 @@ def _moved(tensor: Tensor, device: torch.device) -> Tensor:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Seeds:
-    """New Gaussians, one row each, as a seeding rule proposes them. ``seeds[mask]`` filters every column at once."""
+    """New Gaussians, one row each, as a seeding rule proposes them. ``seeds[mask]`` filters every
+    column at once."""
 
     xyz_W: Float[Tensor, "N 3"]
     """Centre, world frame, metres."""
@@ -237,7 +293,8 @@ class Seeds:
         opacity: float = 0.5,
         tag: Int[Tensor, " N"] | None = None,
     ) -> "Seeds":
-        """Round Gaussians with identity orientation (GSFusion III-B.2: R = I, S = diag(d, d, d), alpha = 0.5)."""
+        """Round Gaussians with identity orientation (GSFusion III-B.2: R = I, S = diag(d, d, d),
+        alpha = 0.5)."""
         n = xyz_W.shape[0]
         quat = xyz_W.new_zeros(n, 4)
         quat[:, 0] = 1.0
@@ -247,21 +304,32 @@ class Seeds:
             scale_m=radius_m[:, None].expand(n, 3).clone(),
             quat=quat,
             opacity=xyz_W.new_full((n,), opacity),
-            tag=torch.zeros(n, dtype=torch.int32, device=xyz_W.device) if tag is None else tag.to(torch.int32),
+            tag=torch.zeros(n, dtype=torch.int32, device=xyz_W.device)
+            if tag is None
+            else tag.to(torch.int32),
         )
 
     @staticmethod
     def empty(like: Tensor | None = None) -> "Seeds":
         """No rows, on the device of ``like``."""
         zeros = torch.zeros if like is None else like.new_zeros
-        return Seeds.isotropic(zeros((0, 3)), zeros((0, 3)), zeros((0,)))
+        return Seeds.isotropic(
+            zeros((0, 3)),
+            zeros((0, 3)),
+            zeros((0,)),
+        )
 
     @staticmethod
     def cat(parts: "list[Seeds]") -> "Seeds":
         """Rows of all ``parts``, in order."""
         if not parts:
             return Seeds.empty()
-        return Seeds(**{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in dataclasses.fields(Seeds)})
+        return Seeds(
+            **{
+                f.name: torch.cat([getattr(p, f.name) for p in parts])
+                for f in dataclasses.fields(Seeds)
+            }
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -275,13 +343,17 @@ class RenderOutput:
     alpha: Float[Tensor, "H W"]
     """Accumulated opacity, 1 - transmittance."""
     first_index: Int[Tensor, "H W"] | None
-    """Row of the nearest Gaussian that contributes at the pixel; -1 where none does. ``None`` if not asked for."""
+    """Row of the nearest Gaussian that contributes at the pixel; -1 where none does. ``None`` if
+    not asked for."""
     dominant_index: Int[Tensor, "H W"] | None
-    """Row of the Gaussian with the largest weight at the pixel; -1 where none has any. ``None`` if not asked for."""
+    """Row of the Gaussian with the largest weight at the pixel; -1 where none has any. ``None`` if
+    not asked for."""
     hit_index: Int[Tensor, "H W"] | None = None
-    """Row of the nearest Gaussian that is opaque at the pixel, blended or not, or -1. ``None`` if not asked for."""
+    """Row of the nearest Gaussian that is opaque at the pixel, blended or not, or -1. ``None`` if
+    not asked for."""
     surface_depth_m: Float[Tensor, "H W"] | None = None
-    """z-depth of the surface, metres, 0 where there is none; only for maps that have a surface (RTG-SLAM's discs)."""
+    """z-depth of the surface, metres, 0 where there is none; only for maps that have a surface
+    (RTG-SLAM's discs)."""
 
     def to(self, device: torch.device | str) -> "RenderOutput":
         """The same images on ``device``."""
@@ -291,9 +363,11 @@ class RenderOutput:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GaussianParams:
-    """The optimised numbers of a Gaussian map, one row each, before activation. Gradients have the same shape.
+    """The optimised numbers of a Gaussian map, one row each, before activation. Gradients have the
+    same shape.
 
-    A row stands for the density G(x) = exp(-(x - xyz_W)^T Sigma^-1 (x - xyz_W) / 2) (GSFusion Eq. 1).
+    A row stands for the density G(x) = exp(-(x - xyz_W)^T Sigma^-1 (x - xyz_W) / 2) (GSFusion Eq.
+    1).
     """
 
     xyz_W: Float[Tensor, "N 3"]
@@ -305,7 +379,8 @@ class GaussianParams:
     opacity_logit: Float[Tensor, " N"]
     """Logit of the peak opacity."""
     sh: Float[Tensor, "N K 3"]
-    """Spherical-harmonic coefficients of the colour; K = (degree + 1)^2, coefficient 0 is the constant one."""
+    """Spherical-harmonic coefficients of the colour; K = (degree + 1)^2, coefficient 0 is the
+    constant one."""
 
     def __len__(self) -> int:
         return self.xyz_W.shape[0]
@@ -339,4 +414,6 @@ class Mesh:
             return
         low, high = torch.stack(torch.aminmax(self.faces)).tolist()
         if low < 0 or high >= len(self.vertices_W):
-            raise ValueError(f"faces must refer to vertices 0 to {len(self.vertices_W) - 1}, got {low} to {high}")
+            raise ValueError(
+                f"faces must refer to vertices 0 to {len(self.vertices_W) - 1}, got {low} to {high}"
+            )

@@ -23,7 +23,8 @@ EVERY_S = 10.0
 
 
 class ProgressDisplay:
-    """Progress of one piece of work, as a context manager: tqdm's bar, or a line every ``EVERY_S`` seconds in a log.
+    """Progress of one piece of work, as a context manager: tqdm's bar, or a line every ``EVERY_S``
+    seconds in a log.
 
         with ProgressDisplay("mapping", total=len(frames), unit="frame") as progress:
             for n, frame in enumerate(frames, start=1):
@@ -57,12 +58,27 @@ class ProgressDisplay:
         stored = os.environ.get("GSNB_VIEW") == "static"  # a notebook that is executed to be read
         pause_s = 0.1 if to.isatty() or _in_notebook() else EVERY_S
         self._bar = tqdm(
-            desc=what, total=total, unit=unit or "it", unit_scale=unit == "B", initial=done, leave=leave, file=to,
-            disable=not shown or stored, mininterval=pause_s, maxinterval=EVERY_S,
+            desc=what,
+            total=total,
+            unit=unit or "it",
+            unit_scale=unit == "B",
+            initial=done,
+            leave=leave,
+            file=to,
+            disable=not shown or stored,
+            mininterval=pause_s,
+            maxinterval=EVERY_S,
             delay=0 if pause_s < EVERY_S else EVERY_S,
-        )  # fmt: skip
+        )
 
-    def show(self, done: int, *, total: int | None = None, what: str | None = None, note: str = "") -> None:
+    def show(
+        self,
+        done: int,
+        *,
+        total: int | None = None,
+        what: str | None = None,
+        note: str = "",
+    ) -> None:
         """Say how much is done now.
 
         Args:
@@ -108,15 +124,19 @@ def usable_cores() -> int:
 
 _SHARED_BYTES, _ALIGNED_BYTES = 1 << 26, 64
 _PRIVATE: Any = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if os.name == "posix" else {}
-"""Memory in small pages, of which those that are not used take none. numpy asks for huge ones, and a map that grows
-waits for each of them: in a building of 64 rooms GPS-SLAM's frames took a quarter longer."""
+"""Memory in small pages, of which those that are not used take none. numpy asks for huge ones, and
+a map that grows waits for each of them: in a building of 64 rooms GPS-SLAM's frames took a quarter
+longer."""
 
 
 class _File:
-    """A temporary file of zeros, which is gone when nothing uses it. ``/tmp`` is often in memory."""
+    """A temporary file of zeros, which is gone when nothing uses it. ``/tmp`` is often in
+    memory."""
 
     def __init__(self) -> None:
-        self._folder = "/var/tmp" if "TMPDIR" not in os.environ and os.path.isdir("/var/tmp") else None
+        self._folder = (
+            "/var/tmp" if "TMPDIR" not in os.environ and os.path.isdir("/var/tmp") else None
+        )
         with tempfile.TemporaryFile(dir=self._folder, prefix="gsfusion-map-") as file:
             self._handle = os.dup(file.fileno())
         weakref.finalize(self, os.close, self._handle)
@@ -125,20 +145,24 @@ class _File:
         """The file in memory, made as long as that; earlier maps of it show the same values."""
         try:
             os.truncate(self._handle, n_bytes)
-            if hasattr(os, "posix_fallocate"):  # else a full disk would kill the process at the first write
+            if hasattr(
+                os, "posix_fallocate"
+            ):  # else a full disk would kill the process at the first write
                 os.posix_fallocate(self._handle, 0, n_bytes)
         except OSError as e:
             raise MemoryError(
-                f"no {n_bytes / 1e6:.0f} MB for a part of the map in {self._folder or tempfile.gettempdir()}: {e}"
+                f"no {n_bytes / 1e6:.0f} MB for a part of the map in "
+                f"{self._folder or tempfile.gettempdir()}: {e}"
             ) from e
         return mmap.mmap(self._handle, n_bytes)
 
 
 class MapMemory:
-    """Where the tensors of a map are: in memory, or on a processor in temporary files that are mapped into memory.
+    """Where the tensors of a map are: in memory, or on a processor in temporary files that are
+    mapped into memory.
 
-    Files hold what memory does not: ``give_back`` leaves their pages to the system, which reads them again when they
-    are used, so the map has the same bits. Use ``MAP_MEMORY``, the only one.
+    Files hold what memory does not: ``give_back`` leaves their pages to the system, which reads
+    them again when they are used, so the map has the same bits. Use ``MAP_MEMORY``, the only one.
     """
 
     def __init__(self) -> None:
@@ -158,15 +182,23 @@ class MapMemory:
             ValueError: ``gb`` is not above 0, or this system cannot give pages back.
         """
         if gb is not None and not (gb > 0 and hasattr(mmap, "MADV_DONTNEED")):
-            raise ValueError(f"the limit of memory must be above 0 GB and the system not Windows, got {gb} GB")
-        self.limit_bytes, self._next_bytes = None if gb is None else int(gb * 1e9), int((gb or 0) * 1e9)
+            raise ValueError(
+                f"the limit of memory must be above 0 GB and the system not Windows, got {gb} GB"
+            )
+        self.limit_bytes, self._next_bytes = (
+            None if gb is None else int(gb * 1e9),
+            int((gb or 0) * 1e9),
+        )
 
     def is_in_files(self, device: "torch.device") -> bool:
         """Whether new tensors on this device are in files."""
         return self.limit_bytes is not None and device.type == "cpu"
 
-    def rows(self, *shape: int, dtype: "torch.dtype | None" = None, device: "torch.device") -> "torch.Tensor":
-        """A tensor of zeros, for rows of which on a processor those that are not used need no memory.
+    def rows(
+        self, *shape: int, dtype: "torch.dtype | None" = None, device: "torch.device"
+    ) -> "torch.Tensor":
+        """A tensor of zeros, for rows of which on a processor those that are not used need no
+        memory.
 
         Raises:
             MemoryError: the system does not grant it, or the disk has no space for its file.
@@ -186,13 +218,19 @@ class MapMemory:
         return torch.frombuffer(pages, dtype=like.dtype).view(shape)
 
     def grown(self, old: "torch.Tensor", n: int) -> "torch.Tensor":
-        """The rows of a tensor made by ``rows``, and more up to ``n``, which are zero; in a file nothing is copied.
+        """The rows of a tensor made by ``rows``, and more up to ``n``, which are zero; in a file
+        nothing is copied.
 
         Raises:
             MemoryError: as for ``rows``; ``old`` is unchanged.
         """
         if old.data_ptr() not in self._files:
-            new = self.rows(n, *old.shape[1:], dtype=old.dtype, device=old.device)
+            new = self.rows(
+                n,
+                *old.shape[1:],
+                dtype=old.dtype,
+                device=old.device,
+            )
             new[: len(old)] = old
             return new
         _, file = self._files[old.data_ptr()]
@@ -203,7 +241,10 @@ class MapMemory:
         import torch
 
         if self._shared is None or self._used + values.nbytes > len(self._shared):
-            self._shared, self._used = self._mapped(_File(), max(values.nbytes, _SHARED_BYTES), torch.uint8), 0
+            self._shared, self._used = (
+                self._mapped(_File(), max(values.nbytes, _SHARED_BYTES), torch.uint8),
+                0,
+            )
         place = self._shared[self._used : self._used + values.nbytes]
         self._used += -(-values.nbytes // _ALIGNED_BYTES) * _ALIGNED_BYTES
         return place.view(values.dtype).view(values.shape).copy_(values)
@@ -218,7 +259,8 @@ class MapMemory:
         return values
 
     def give_back(self) -> None:
-        """Leave the pages of all files to the system if this process has more memory than the limit."""
+        """Leave the pages of all files to the system if this process has more memory than the
+        limit."""
         if self.limit_bytes is None or _resident_bytes("VmRSS") <= self._next_bytes:
             return
         for mapped, _ in self._files.values():
@@ -249,10 +291,11 @@ def available_memory(device: "torch.device") -> int | None:
 
 
 class PeakMemory:
-    """Growth of memory inside a block, ``peak_mb``: the largest resident set minus that at the start.
+    """Growth of memory inside a block, ``peak_mb``: the largest resident set minus that at the
+    start.
 
-    Linux stores the largest resident set of a process, and the process can reset it; on other systems the result is
-    None. On a GPU it is the memory that torch allocated.
+    Linux stores the largest resident set of a process, and the process can reset it; on other
+    systems the result is None. On a GPU it is the memory that torch allocated.
     """
 
     def __init__(self, device: str = "cpu"):
@@ -290,7 +333,9 @@ def _resident_bytes(field: str) -> int:
 
 def _reset_peak() -> bool:
     try:
-        Path("/proc/self/clear_refs").write_text("5")  # proc(5): resets VmHWM to the current resident set
+        Path("/proc/self/clear_refs").write_text(
+            "5"
+        )  # proc(5): resets VmHWM to the current resident set
     except OSError:
         return False
     return True
@@ -303,10 +348,17 @@ def return_free_memory() -> None:
 
 
 def memory_is_full(error: BaseException) -> bool:
-    """Whether an error says, in the words of Python, torch, OpenCV or C++, that there is no more memory."""
+    """Whether an error says, in the words of Python, torch, OpenCV or C++, that there is no more
+    memory."""
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         return True
     text = str(error)
     return any(
-        words in text for words in ("can't allocate memory", "bad_alloc", "Insufficient memory", "Cannot allocate")
+        words in text
+        for words in (
+            "can't allocate memory",
+            "bad_alloc",
+            "Insufficient memory",
+            "Cannot allocate",
+        )
     )

@@ -1,6 +1,8 @@
-"""Fixtures of the whole suite: unwritten memory is NaN, real sequences are optional, the cache is a scratch folder.
+"""Fixtures of the whole suite: unwritten memory is NaN, real sequences are optional, the cache is a
+scratch folder.
 
-``-n auto`` shares the tests out to as many processes as cores and memory allow, each with one thread.
+``-n auto`` shares the tests out to as many processes as cores and memory allow, each with one
+thread.
 """
 
 import gc
@@ -32,7 +34,8 @@ WIDTH, HEIGHT, DEPTH_M, STEP_PX = 48, 36, 1.5, 6
 MOST_PROCESSES = 8
 """More only wait for the longest tests."""
 PROCESS_BYTES = 2 * 1024**3
-"""Memory to have for each of them: about the largest that one has used, with the program that a test starts."""
+"""Memory to have for each of them: about the largest that one has used, with the program that a
+test starts."""
 PARITY = pytest.StashKey[dict[tuple[str, str, str], tuple[float, float, int]]]()
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of processes that pytest-xdist and the tests start
@@ -48,16 +51,21 @@ def pytest_xdist_auto_num_workers():
 
 
 def pytest_configure(config):
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's job in the background would ignore Ctrl-C
+    signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # a shell's job in the background would ignore Ctrl-C
     config.stash[PARITY] = {}
 
 
 def pytest_collectstart():
-    gc.disable()  # until all tests are there: looking for garbage took a quarter of the time that it takes
+    # until all tests are there: looking for garbage took a quarter of the time that it takes
+    gc.disable()
 
 
 def pytest_collection_finish():
-    gc.freeze()  # the tests themselves are never garbage: looking through them took a third of a second each time
+    # the tests themselves are never garbage: looking through them took a third of a second each
+    # time
+    gc.freeze()
     gc.enable()
 
 
@@ -82,7 +90,9 @@ def widen(table, row, absolute, relative, flips):
 def pytest_terminal_summary(terminalreporter, config):
     table = config.stash[PARITY]
     if table:
-        terminalreporter.write_line("\nlargest difference from the reference: absolute, of the largest value; flips")
+        terminalreporter.write_line(
+            "\nlargest difference from the reference: absolute, of the largest value; flips"
+        )
     for (backend, operation, name), (absolute, relative, flips) in sorted(table.items()):
         line = f"  {backend:6} {operation:16} {name:16} {absolute:9.1e} {relative:9.1e} {flips:6d}"
         terminalreporter.write_line(line)
@@ -90,15 +100,22 @@ def pytest_terminal_summary(terminalreporter, config):
 
 @pytest.fixture(scope="session")
 def solutions_in():
-    """``solutions_in(notebook)``: exercise -> source of its solution in a solved notebook, as read from JSON."""
+    """``solutions_in(notebook)``: exercise -> source of its solution in a solved notebook, as read
+    from JSON."""
     from gsfusion_nb.course import exercises
 
     between = re.compile(r"### BEGIN SOLUTION\n(.*?)### END SOLUTION", re.DOTALL)
 
     def found(notebook):
-        sources = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+        sources = [
+            "".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"
+        ]
         written = [solution for source in sources for solution in between.findall(source)]
-        names = [(name, each) for each in written for name in re.findall(r"^def (\w+)\(", each, re.MULTILINE)]
+        names = [
+            (name, each)
+            for each in written
+            for name in re.findall(r"^def (\w+)\(", each, re.MULTILINE)
+        ]
         return {name: each for name, each in names if name in exercises()}
 
     return found
@@ -106,9 +123,11 @@ def solutions_in():
 
 @pytest.fixture(autouse=True)
 def _unwritten_memory_is_nan(request, monkeypatch):
-    """``torch.empty`` and its relatives return NaN, so an output that is not written everywhere fails its test.
+    """``torch.empty`` and its relatives return NaN, so an output that is not written everywhere
+    fails its test.
 
-    Not where a comparison runs in other processes too, which must have the same torch: ``same_torch_everywhere``.
+    Not where a comparison runs in other processes too, which must have the same torch:
+    ``same_torch_everywhere``.
     """
     if "same_torch_everywhere" in request.fixturenames:
         return
@@ -116,7 +135,9 @@ def _unwritten_memory_is_nan(request, monkeypatch):
     def poison(make):
         def filled(*args, **kwargs):
             out = make(*args, **kwargs)
-            return out.fill_(float("nan")) if out.is_floating_point() and "out" not in kwargs else out
+            return (
+                out.fill_(float("nan")) if out.is_floating_point() and "out" not in kwargs else out
+            )
 
         return filled
 
@@ -126,17 +147,22 @@ def _unwritten_memory_is_nan(request, monkeypatch):
 
 @pytest.fixture(autouse=True, scope="session")
 def _scratch_cache(tmp_path_factory, pytestconfig):
-    """What the package keeps for the user goes to a folder of this test session; its processes share the cache."""
+    """What the package keeps for the user goes to a folder of this test session; its processes
+    share the cache."""
     own = tmp_path_factory.getbasetemp()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("GSFUSION_CACHE", str((own.parent if hasattr(pytestconfig, "workerinput") else own) / "cache"))
+        patch.setenv(
+            "GSFUSION_CACHE",
+            str((own.parent if hasattr(pytestconfig, "workerinput") else own) / "cache"),
+        )
         patch.setenv("GSNB_COURSE_FILE", str(own / "course.json"))
         yield
 
 
 @pytest.fixture(autouse=True, scope="session")
 def _one_thread():
-    """Small tensors gain nothing from threads, and waiting threads slow each other down on a busy machine."""
+    """Small tensors gain nothing from threads, and waiting threads slow each other down on a busy
+    machine."""
     torch.set_num_threads(1)
 
 
@@ -154,7 +180,8 @@ def _own_rules(monkeypatch):
 
 @pytest.fixture
 def note_parity(pytestconfig):
-    """``note_parity(row, absolute, relative, flips)``: differences of a backend from the reference, for the table."""
+    """``note_parity(row, absolute, relative, flips)``: differences of a backend from the reference,
+    for the table."""
 
     def note(row, absolute, relative, flips):
         widen(pytestconfig.stash[PARITY], row, absolute, relative, flips)
@@ -170,7 +197,8 @@ def generator():
 
 @pytest.fixture
 def shared_sequence():
-    """``shared_sequence(name)`` is the folder of a real sequence, or skips the test with the reason."""
+    """``shared_sequence(name)`` is the folder of a real sequence, or skips the test with the
+    reason."""
 
     def find(name: str) -> Path:
         folder = SHARED_DATA / name
@@ -224,7 +252,8 @@ def node():
 
 @pytest.fixture(scope="session")
 def scene(tmp_path_factory):
-    """Folder with 7 frames of a painted wall, along which the camera moves: five to map, two held out."""
+    """Folder with 7 frames of a painted wall, along which the camera moves: five to map, two held
+    out."""
     folder = tmp_path_factory.mktemp("scene") / "wall"
     (folder / "rgb").mkdir(parents=True)
     (folder / "depth").mkdir()
@@ -232,11 +261,26 @@ def scene(tmp_path_factory):
     wall = cv2.resize(patches, (WIDTH + 7 * STEP_PX, HEIGHT), interpolation=cv2.INTER_LINEAR)
     wall[6:20, 20:60:3] //= 2  # stripes, finer than the patches
     for i in range(7):
-        cv2.imwrite(str(folder / f"rgb/{i:06d}.png"), wall[:, i * STEP_PX : i * STEP_PX + WIDTH, ::-1])
-        cv2.imwrite(str(folder / f"depth/{i:06d}.png"), np.full((HEIGHT, WIDTH), DEPTH_M * 1000, np.uint16))
+        cv2.imwrite(
+            str(folder / f"rgb/{i:06d}.png"),
+            wall[:, i * STEP_PX : i * STEP_PX + WIDTH, ::-1],
+        )
+        cv2.imwrite(
+            str(folder / f"depth/{i:06d}.png"),
+            np.full((HEIGHT, WIDTH), DEPTH_M * 1000, np.uint16),
+        )
     poses = torch.eye(4, dtype=torch.float64).repeat(7, 1, 1)
     poses[:, 0, 3] = torch.arange(7) * STEP_PX * DEPTH_M / WIDTH
     write_pose_lines(folder / "poses.txt", poses)
-    camera = Camera(width=WIDTH, height=HEIGHT, fx=float(WIDTH), fy=float(WIDTH), cx=WIDTH / 2, cy=HEIGHT / 2)
-    (folder / "intrinsics.json").write_text(json.dumps(asdict(camera) | {"depth_scale": 1000.0, "pixel_centre": 0.5}))
+    camera = Camera(
+        width=WIDTH,
+        height=HEIGHT,
+        fx=float(WIDTH),
+        fy=float(WIDTH),
+        cx=WIDTH / 2,
+        cy=HEIGHT / 2,
+    )
+    (folder / "intrinsics.json").write_text(
+        json.dumps(asdict(camera) | {"depth_scale": 1000.0, "pixel_centre": 0.5})
+    )
     return folder

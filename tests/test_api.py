@@ -22,7 +22,9 @@ def get(module: str, name: str) -> object:
 
 
 def test_every_name_of_the_table_imports_and_has_a_docstring():
-    rows = re.findall(r"^\| `(gsfusion_nb[\w.]*)` \| (.*) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    rows = re.findall(
+        r"^\| `(gsfusion_nb[\w.]*)` \| (.*) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE
+    )
     names = [(module, name) for module, cell in rows for name in re.findall(r"`(\w+)`", cell)]
     assert len(names) > 60
     undocumented = {name for module, name in names if not inspect.getdoc(get(module, name))}
@@ -30,8 +32,11 @@ def test_every_name_of_the_table_imports_and_has_a_docstring():
 
 
 def test_the_examples_run():
-    """The camera finds its pose again, to a tenth of the distance; the mappers say that they are not the default."""
-    blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    """The camera finds its pose again, to a tenth of the distance; the mappers say that they are
+    not the default."""
+    blocks = re.findall(
+        r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
     known: dict = {}
     for block in blocks:
         exec(compile(block, str(PAGE), "exec"), known)
@@ -39,18 +44,29 @@ def test_the_examples_run():
     assert (found - true).norm() < 0.25 * (start - true).norm()
     assert known["mapper"].training.names == {"loss": "charbonnier", "optimiser": "sgd"}
     assert len(known["mapper"].gaussians) > 100
-    assert bool(torch.stack([c.isfinite().all() for c in vars(known["mapper"].gaussians.params).values()]).all())
+    assert bool(
+        torch.stack(
+            [c.isfinite().all() for c in vars(known["mapper"].gaussians.params).values()]
+        ).all()
+    )
 
 
 def test_the_gradient_of_the_examples_loss_is_that_of_its_value():
     known: dict = {"torch": torch}
     block = next(
-        b for b in re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.M | re.S) if "def charbonnier" in b
+        b
+        for b in re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.M | re.S)
+        if "def charbonnier" in b
     )
     functions: list[ast.stmt] = [
-        n for n in ast.parse(block).body if isinstance(n, ast.ImportFrom | ast.Import | ast.FunctionDef)
+        n
+        for n in ast.parse(block).body
+        if isinstance(n, ast.ImportFrom | ast.Import | ast.FunctionDef)
     ]
-    exec(compile(ast.Module(body=functions, type_ignores=[]), str(PAGE), "exec"), known)
+    exec(
+        compile(ast.Module(body=functions, type_ignores=[]), str(PAGE), "exec"),
+        known,
+    )
 
     class Rendered:
         rgb = torch.rand(4, 5, 3, dtype=torch.float64, requires_grad=True)
@@ -60,7 +76,10 @@ def test_the_gradient_of_the_examples_loss_is_that_of_its_value():
         pixels = torch.arange(20).reshape(4, 5) % 3 > 0
 
     loss = known["charbonnier"](Rendered, View)
-    torch.testing.assert_close(loss.v_rgb.detach(), torch.autograd.grad(loss.value, Rendered.rgb)[0])
+    torch.testing.assert_close(
+        loss.v_rgb.detach(),
+        torch.autograd.grad(loss.value, Rendered.rgb)[0],
+    )
 
 
 def test_type_checkers_find_the_types():

@@ -1,5 +1,5 @@
-"""ARCHITECTURE.md is true: its floors are those of the layout test, and an example of everything it says how to add is
-added to a copy of the package, in exactly the files it names, and works."""
+"""ARCHITECTURE.md is true: its floors are those of the layout test, and an example of everything it
+says how to add is added to a copy of the package, in exactly the files it names, and works."""
 
 import ast
 import importlib.util
@@ -261,12 +261,18 @@ NOTEBOOK = '{"cells": [], "metadata": {}, "nbformat": 4, "nbformat_minor": 5}\n'
 WHOLE = {
     "a seeding rule": {
         "gsfusion_nb/seeding/rules/toy_rule.py": RULE,
-        "gsfusion_nb/seeding/rules/__init__.py": ("+", "from .toy_rule import toy_rule as toy_rule\n"),
+        "gsfusion_nb/seeding/rules/__init__.py": (
+            "+",
+            "from .toy_rule import toy_rule as toy_rule\n",
+        ),
     },
     "a data set": {"gsfusion_nb/data/readers/toy_reader.py": READER},
     "an operation": {
         "gsfusion_nb/optim/toy_operation.py": OPERATION,
-        "gsfusion_nb/optim/__init__.py": ("+", "from .toy_operation import toy_operation as toy_operation\n"),
+        "gsfusion_nb/optim/__init__.py": (
+            "+",
+            "from .toy_operation import toy_operation as toy_operation\n",
+        ),
         "tests/plugins/kernel_cases/toy_operation.py": CASES,
     },
     "a backend of an operation": {"kernels/toy_operation/numba.py": BACKEND},
@@ -281,7 +287,9 @@ WHOLE = {
     "a chapter": {
         "gsfusion_nb/course/toy_chapter.py": CHAPTER,
         "notebooks/12_toy_chapter.ipynb": NOTEBOOK,
-        "README.md": (("| `10_backends_and_speed`", "| `12_toy_chapter` | a toy | nothing | 1 min |\n"),),
+        "README.md": (
+            ("| `10_backends_and_speed`", "| `12_toy_chapter` | a toy | nothing | 1 min |\n"),
+        ),
     },
     "an exercise whose function runs in the library": {
         "gsfusion_nb/course/toy_own.py": OWN_EXERCISE,
@@ -289,14 +297,22 @@ WHOLE = {
     },
     "a setting": {
         "gsfusion_nb/config/parts.py": (
-            ("    near_m: float", '    toy_m: float = 0.1\n    """A length, metres. Larger: more. Usual: 0 to 1."""\n'),
+            (
+                "    near_m: float",
+                '    toy_m: float = 0.1\n    """A length, metres. Larger: more. Usual: 0 to '
+                '1."""\n',
+            ),
         ),
         "gsfusion_nb/config/gsfusion.py": (
-            ("    lr_xyz: float", '    toy_steps: int = 3\n    """Steps. Larger: slower. Usual: 1 to 5."""\n'),
+            (
+                "    lr_xyz: float",
+                '    toy_steps: int = 3\n    """Steps. Larger: slower. Usual: 1 to 5."""\n',
+            ),
         ),
     },
 }
-"""What is added -> file -> its text; ("+", text) to append; or pairs (beginning of a line, text to put before it)."""
+"""What is added -> file -> its text; ("+", text) to append; or pairs (beginning of a line, text to
+put before it)."""
 
 USE = """
 import sys, tempfile
@@ -361,7 +377,11 @@ except SystemExit:
 def rows() -> dict[str, list[str]]:
     """What can be added -> the files that the page names for it."""
     section = PAGE.split("## How to add")[1].split("\n## ")[0]
-    cells = [[c.strip() for c in line.strip("|").split("|")] for line in section.splitlines() if line.startswith("| a")]
+    cells = [
+        [c.strip() for c in line.strip("|").split("|")]
+        for line in section.splitlines()
+        if line.startswith("| a")
+    ]
     return {name: re.findall(r"`([^`]+)`", files) for name, files, *_ in cells}
 
 
@@ -373,11 +393,17 @@ def matches(named: str, file: str) -> bool:
 def copy(tmp_path_factory) -> Path:
     """A copy of the package with all examples added."""
     root = tmp_path_factory.mktemp("copy")
-    without_kernels = shutil.ignore_patterns("*.nbc", "*.nbi", "*.lock", ".ipynb_checkpoints")  # compiled sources stay
+    without_kernels = shutil.ignore_patterns(
+        "*.nbc", "*.nbi", "*.lock", ".ipynb_checkpoints"
+    )  # compiled sources stay
     shutil.copytree(ROOT / "gsfusion_nb", root / "gsfusion_nb", ignore=without_kernels)
     shutil.copytree(ROOT / "kernels", root / "gsfusion_nb/kernels", ignore=without_kernels)
     (root / "kernels").symlink_to(root / "gsfusion_nb/kernels")
-    shutil.copytree(ROOT / "tests/plugins/kernel_cases", root / "tests/plugins/kernel_cases", ignore=without_kernels)
+    shutil.copytree(
+        ROOT / "tests/plugins/kernel_cases",
+        root / "tests/plugins/kernel_cases",
+        ignore=without_kernels,
+    )
     (root / "notebooks").mkdir()
     for name in ("pyproject.toml", "README.md"):
         shutil.copy(ROOT / name, root)
@@ -414,7 +440,9 @@ def test_the_floors_are_those_of_the_layout_test():
         floors |= dict.fromkeys(re.findall(r"`(\w+)`", names), int(floor))
     assert floors == {room: floor for room, floor in layout.FLOORS.items() if room != "__main__"}
     drawing = (ROOT / "docs/images/architecture.svg").read_text()
-    assert not [room for room in floors if f">{room}</text>" not in drawing], "the drawing lacks rooms"
+    assert not [room for room in floors if f">{room}</text>" not in drawing], (
+        "the drawing lacks rooms"
+    )
 
 
 def test_each_example_is_in_the_files_that_the_page_names():
@@ -431,10 +459,14 @@ EQUATIONS = [
     (paper, *row)
     for paper in ("GSFusion", "RTG-SLAM")
     for row in re.findall(
-        r"^\| +(\d+) \| .* \| `([^`]+)` \| `(\w+)` \|$", INDEX.split(f"## {paper} ")[1].split("\n## ")[0], re.MULTILINE
+        r"^\| +(\d+) \| .* \| `([^`]+)` \| `(\w+)` \|$",
+        INDEX.split(f"## {paper} ")[1].split("\n## ")[0],
+        re.MULTILINE,
     )
 ]
-GRADIENTS = re.findall(r"^\| .* \| `([^`]+)` \| `(\w+)` \| (`.+`) \|$", INDEX.split("## Gradients")[1], re.MULTILINE)
+GRADIENTS = re.findall(
+    r"^\| .* \| `([^`]+)` \| `(\w+)` \| (`.+`) \|$", INDEX.split("## Gradients")[1], re.MULTILINE
+)
 NOT_EVALUATED = ("GSFusion", "1")
 """The density of a Gaussian in space is never computed, so no line has its formula."""
 NUMBERS = {"GSFusion": r"(?<!Kerbl )(?<!RTG-SLAM )Eq\. ", "RTG-SLAM": r"RTG-SLAM Eq\. "}
@@ -465,9 +497,15 @@ def test_each_equation_is_a_comment_at_its_formula(paper, number, file, function
     if (paper, number) == NOT_EVALUATED:
         return
     comments = comments_beside_code(file, lines)
-    found = [c for comment in comments for c in re.findall(NUMBERS[paper] + r"(\d+)(?:-(\d+)| and (\d+))?", comment)]
+    found = [
+        c
+        for comment in comments
+        for c in re.findall(NUMBERS[paper] + r"(\d+)(?:-(\d+)| and (\d+))?", comment)
+    ]
     numbers = {n for a, b, c in found for n in [*range(int(a), int(b or a) + 1), int(c or a)]}
-    assert int(number) in numbers, f"no line of {function} in {file} has {paper} Eq. {number}, only {sorted(numbers)}"
+    assert int(number) in numbers, (
+        f"no line of {function} in {file} has {paper} Eq. {number}, only {sorted(numbers)}"
+    )
 
 
 def test_the_index_has_every_equation_of_both_papers():
@@ -485,7 +523,12 @@ def test_each_gradient_is_where_the_index_says(file, function, pieces):
 def test_the_examples_work(copy):
     environment = os.environ | {"PYTHONPATH": str(copy), "GSFUSION_BACKEND": "reference"}
     done = subprocess.run(
-        [sys.executable, "-c", USE], cwd=copy, env=environment, capture_output=True, text=True, timeout=300
+        [sys.executable, "-c", USE],
+        cwd=copy,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert "--tsdf.toy-m" in done.stdout

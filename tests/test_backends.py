@@ -28,7 +28,8 @@ def double(monkeypatch):
 
 @pytest.fixture
 def write_kernel(tmp_path, monkeypatch):
-    """``write_kernel(backend, source)``: the file of a backend in the folder of the operation ``double``."""
+    """``write_kernel(backend, source)``: the file of a backend in the folder of the operation
+    ``double``."""
     folder = tmp_path / "made_kernels" / "double"
     folder.mkdir(parents=True)
     for package in (folder, folder.parent):
@@ -52,14 +53,22 @@ def test_reference_runs_when_there_is_nothing_else(double):
 
 @pytest.mark.usefixtures("double")
 @pytest.mark.parametrize("asked", ["auto", "numba"])
-def test_gaussians_in_float64_go_to_the_reference_before_a_kernel_sees_them(write_kernel, monkeypatch, asked):
+def test_gaussians_in_float64_go_to_the_reference_before_a_kernel_sees_them(
+    write_kernel, monkeypatch, asked
+):
     @op("double")
     def double(params: GaussianParams) -> torch.dtype:
         """The type of the numbers."""
         return params.xyz_W.dtype
 
     write_kernel("numba", "def double(params):\n    return 'compiled'\n")
-    n = {"xyz_W": (2, 3), "log_scale": (2, 3), "quat": (2, 4), "opacity_logit": (2,), "sh": (2, 1, 3)}
+    n = {
+        "xyz_W": (2, 3),
+        "log_scale": (2, 3),
+        "quat": (2, 4),
+        "opacity_logit": (2,),
+        "sh": (2, 1, 3),
+    }
     single, twice = (
         GaussianParams(**{name: torch.ones(shape, dtype=dtype) for name, shape in n.items()})
         for dtype in (torch.float32, torch.float64)
@@ -83,7 +92,9 @@ def test_the_reference_runs_where_nobody_has_kernels(double, asked):
         assert double(torch.full((1,), 3.0)).tolist() == [6.0]
 
 
-_NEEDS_A_PACKAGE = "import no_such_package\n\ndef double(x):\n    return no_such_package.double(x)\n"
+_NEEDS_A_PACKAGE = (
+    "import no_such_package\n\ndef double(x):\n    return no_such_package.double(x)\n"
+)
 
 
 def test_a_missing_package_is_named(double, write_kernel):
@@ -103,8 +114,8 @@ def test_auto_says_once_that_the_reference_runs_and_what_to_do(double, write_ker
     assert [(r.levelname, r.message) for r in caplog.records] == [
         (
             "WARNING",
-            "double: backend 'numba' needs 'no_such_package', which is not installed; double runs on the slower "
-            "reference: `gsfusion-nb doctor` says what to install",
+            "double: backend 'numba' needs 'no_such_package', which is not installed; double runs "
+            "on the slower reference: `gsfusion-nb doctor` says what to install",
         )
     ]
 
@@ -116,7 +127,8 @@ def test_auto_names_the_devices_that_faster_versions_take(double, write_kernel, 
     assert [(r.levelname, r.message) for r in caplog.records] == [
         (
             "WARNING",
-            "double runs on the slower reference: its faster versions take cpu tensors, and these are on 'meta'",
+            "double runs on the slower reference: its faster versions take cpu tensors, and these "
+            "are on 'meta'",
         )
     ]
 
@@ -129,7 +141,10 @@ def test_auto_goes_on_to_the_next_backend_that_loads(double, write_kernel, caplo
     with caplog.at_level(logging.INFO, logger="gsfusion_nb.backends"):
         double(torch.ones(1))
     assert [(r.levelname, r.message) for r in caplog.records] == [("INFO", "double: numba")]
-    assert [backends.automatic("double", device) for device in ("cpu", "mps")] == ["numba", "reference"]
+    assert [backends.automatic("double", device) for device in ("cpu", "mps")] == [
+        "numba",
+        "reference",
+    ]
 
 
 def test_without_any_faster_version_the_reference_runs_silently(double, caplog):
@@ -178,7 +193,9 @@ def test_a_record_is_differentiated_by_the_backend_that_made_it(double, write_ke
 
 def test_unknown_backend_lists_the_known():
     with (
-        pytest.raises(KeyError, match="no backend 'nubma'; known: auto, cuda, mine, numba, reference, triton"),
+        pytest.raises(
+            KeyError, match="no backend 'nubma'; known: auto, cuda, mine, numba, reference, triton"
+        ),
         use_backend("nubma"),
     ):
         pass

@@ -2,23 +2,43 @@ import json
 
 import pytest
 
-from gsfusion_nb.config import GSFusionConfig, from_dict, gsfusion, gsfusion_fidelity, presets, replace, to_dict
+from gsfusion_nb.config import (
+    GSFusionConfig,
+    from_dict,
+    gsfusion,
+    gsfusion_fidelity,
+    presets,
+    replace,
+    to_dict,
+)
 
 
 @pytest.mark.parametrize(
     ("preset", "m", "n", "random", "passes", "all_frames"),
-    [("replica", 5, 3, 2, 10, False), ("scannetpp", 10, 1, 9, 10, True), ("tum", 10, 5, 5, 20, False)],
+    [
+        ("replica", 5, 3, 2, 10, False),
+        ("scannetpp", 10, 1, 9, 10, True),
+        ("tum", 10, 5, 5, 20, False),
+    ],
 )
 @pytest.mark.parametrize("fidelity", ["paper_steps", "paper", "code"])
 def test_presets_carry_the_published_numbers(preset, m, n, random, passes, all_frames, fidelity):
     c = gsfusion(preset, fidelity)
     o = c.optim
-    assert (o.keyframe_iterations, o.frame_iterations, o.random_keyframe_iterations) == (m, n, random)
+    assert (o.keyframe_iterations, o.frame_iterations, o.random_keyframe_iterations) == (
+        m,
+        n,
+        random,
+    )
     assert (o.global_iterations, c.keep_all_frames) == (passes, all_frames)
     assert (o.lr_xyz, o.lr_sh_dc, o.lr_sh_rest) == (1.6e-4, 2.5e-3, 1.25e-4)
     assert (o.lr_opacity_logit, o.lr_log_scale, o.lr_quat) == (0.05, 1e-3, 1e-3)
     assert (o.depth_weight, c.keyframe_max_gap) == (0.0, 0)
-    assert (c.tsdf.voxel_size_m, c.tsdf.truncation_m, c.tsdf.max_weight) == (0.01, pytest.approx(0.08), 100)
+    assert (c.tsdf.voxel_size_m, c.tsdf.truncation_m, c.tsdf.max_weight) == (
+        0.01,
+        pytest.approx(0.08),
+        100,
+    )
     assert (c.seeding.quadtree_threshold, c.keyframe_min_seeds, c.sh_degree) == (0.1, 50, 3)
 
 
@@ -43,7 +63,9 @@ def test_what_the_released_code_does(preset):
 
 def test_measured_is_the_default():
     assert gsfusion("room") == gsfusion("room", "measured")
-    with pytest.raises(KeyError, match="no fidelity 'papre'; known: code, measured, paper, paper_steps"):
+    with pytest.raises(
+        KeyError, match="no fidelity 'papre'; known: code, measured, paper, paper_steps"
+    ):
         gsfusion("room", "papre")
 
 
@@ -64,7 +86,10 @@ def test_measured_has_its_loss_on_all_data_and_its_steps_where_views_are_close(p
 @pytest.mark.parametrize("preset", presets())
 @pytest.mark.parametrize("fidelity", ["measured", "paper", "code"])
 def test_settings_know_what_they_follow(preset, fidelity):
-    assert gsfusion_fidelity(gsfusion(preset, fidelity, sh_degree=0, tsdf__voxel_size_m=0.05)) == fidelity
+    assert (
+        gsfusion_fidelity(gsfusion(preset, fidelity, sh_degree=0, tsdf__voxel_size_m=0.05))
+        == fidelity
+    )
 
 
 def test_settings_know_their_exceptions():
@@ -88,7 +113,9 @@ def test_json_round_trip(preset):
 
 
 def test_unknown_names_are_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match=r"tsdf: unknown keys \['voxel_sise_m'\]; known: .*'voxel_size_m'"):
+    with pytest.raises(
+        ValueError, match=r"tsdf: unknown keys \['voxel_sise_m'\]; known: .*'voxel_size_m'"
+    ):
         gsfusion("replica", tsdf__voxel_sise_m=0.1)
     with pytest.raises(ValueError, match="config: unknown keys"):
         replace(GSFusionConfig(), sh=1)
@@ -108,12 +135,21 @@ def test_unknown_names_are_refused_with_the_known_ones():
         ({"optim__ssim_weight": 1.5}, "ssim_weight must be between 0 and 1"),
         ({"data__stride": 0}, "stride must be"),
         ({"data__hold_out_every": 1}, "would hold out every frame"),
-        ({"tsdf__voxel_size_m": 0.0001}, r"tsdf.voxel_size_m must be between 0.001 and 1, got 0.0001"),
+        (
+            {"tsdf__voxel_size_m": 0.0001},
+            r"tsdf.voxel_size_m must be between 0.001 and 1, got 0.0001",
+        ),
         ({"tsdf__far_m": float("inf")}, "tsdf.far_m must be finite"),
         ({"optim__lr_xyz": float("nan")}, r"optim.lr_xyz must be finite, got nan"),
-        ({"data__depth_min_m": 5.0, "data__depth_max_m": 1.0}, r"depth_max_m must be above depth_min_m 5.0"),
+        (
+            {"data__depth_min_m": 5.0, "data__depth_max_m": 1.0},
+            r"depth_max_m must be above depth_min_m 5.0",
+        ),
         ({"sh_degree": 5}, "sh_degree must be"),
-        ({"optim__beta1": 0.99, "optim__beta2": 0.9}, r"beta2 must be above beta1 squared, 0.9801, got 0.9"),
+        (
+            {"optim__beta1": 0.99, "optim__beta2": 0.9},
+            r"beta2 must be above beta1 squared, 0.9801, got 0.9",
+        ),
         ({"optim__beta1": 1.0}, r"optim.beta1 must be between 0 and 0.999"),
     ],
 )

@@ -1,4 +1,5 @@
-"""What README and docs name exists: links, images, files, make targets, commands with their options, Python imports."""
+"""What README and docs name exists: links, images, files, make targets, commands with their
+options, Python imports."""
 
 import ast
 import contextlib
@@ -18,10 +19,30 @@ from gsfusion_nb.config.values import leaves, parse_value
 from gsfusion_nb.mapping import SYSTEMS
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/teaching").glob("*.md"),
-                *(ROOT / "docs/measured").glob("*.md")])  # fmt: skip
-COMMANDS = ("demo", "convert", "check", "map", "live", "eval", "export", "lab", "sweep", "study", "bench", "doctor",
-            "course", "grade")  # fmt: skip
+PAGES = sorted(
+    [
+        *ROOT.glob("*.md"),
+        *(ROOT / "docs").glob("*.md"),
+        *(ROOT / "docs/teaching").glob("*.md"),
+        *(ROOT / "docs/measured").glob("*.md"),
+    ]
+)
+COMMANDS = (
+    "demo",
+    "convert",
+    "check",
+    "map",
+    "live",
+    "eval",
+    "export",
+    "lab",
+    "sweep",
+    "study",
+    "bench",
+    "doctor",
+    "course",
+    "grade",
+)
 OTHER_PROGRAMS = ("--pdf", "--pdb")
 
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -51,7 +72,9 @@ def anchors(page: Path) -> set[str]:
 
 def commands(page: Path) -> list[str]:
     """Whole calls of ``gsfusion-nb``; ``a|b`` and ``...`` stand for more than one call."""
-    found = [c[c.index("gsfusion-nb") :] for c in code(page) if re.match(r"(\w+=\w+ )?gsfusion-nb ", c)]
+    found = [
+        c[c.index("gsfusion-nb") :] for c in code(page) if re.match(r"(\w+=\w+ )?gsfusion-nb ", c)
+    ]
     return [c for c in found if "..." not in c and "|" not in c]
 
 
@@ -69,7 +92,8 @@ class Parsed(BaseException):
 
 @pytest.fixture
 def dry(monkeypatch):
-    """Commands end where their arguments have been parsed; each name must be one that its registry has."""
+    """Commands end where their arguments have been parsed; each name must be one that its registry
+    has."""
     parse = tyro.cli
 
     def parse_only(*args, **kwargs):
@@ -77,7 +101,11 @@ def dry(monkeypatch):
         for f in dataclasses.fields(options):
             value = getattr(options, f.name)
             for each in value if isinstance(value, tuple) else (value,):
-                known = [name.partition(" ")[0] for name in f.metadata["names"]()] if "names" in f.metadata else [each]
+                known = (
+                    [name.partition(" ")[0] for name in f.metadata["names"]()]
+                    if "names" in f.metadata
+                    else [each]
+                )
                 if f.name != "words" and each and each not in known and not each.isupper():
                     raise ValueError(f"{f.name} {each} is none of {known}")
         raise Parsed
@@ -93,7 +121,9 @@ def known_options() -> set[str]:
     calls += [("course", "times"), ("course", "export")]
     calls += [("live", source) for source in ("folder", "realsense", "kinect")]
     scripts = (ROOT / "gsfusion_nb/recordings/fetch.py").read_text()
-    return set(re.findall(r"--[\w][\w.\-]*", "".join(help_of(*call) for call in calls) + scripts)) | set(OTHER_PROGRAMS)
+    return set(
+        re.findall(r"--[\w][\w.\-]*", "".join(help_of(*call) for call in calls) + scripts)
+    ) | set(OTHER_PROGRAMS)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
@@ -104,14 +134,18 @@ def test_links_and_images_lead_somewhere(page):
         name, _, anchor = target.partition("#")
         path = (page.parent / name).resolve() if name else page
         assert path.exists(), f"{page.name} links to {target}, which does not exist"
-        assert not anchor or anchor in anchors(path), f"{page.name} links to {target}, but has no such heading"
+        assert not anchor or anchor in anchors(path), (
+            f"{page.name} links to {target}, but has no such heading"
+        )
 
 
 def test_every_page_is_in_the_index_of_its_folder():
     for page in PAGES:
         index = ROOT / "docs/index.md" if page.parent == ROOT else page.parent / "index.md"
         link = f"(../{page.name})" if page.parent == ROOT else f"({page.name})"
-        assert page.name in ("index.md", "README.md") or link in text(index), f"{page.name} is not in {index}"
+        assert page.name in ("index.md", "README.md") or link in text(index), (
+            f"{page.name} is not in {index}"
+        )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
@@ -133,7 +167,9 @@ def test_make_targets_that_are_named_exist(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_commands_are_understood(page, dry, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "FILE").write_text(json.dumps({"config": to_dict(gsfusion())} | to_dict(gsfusion())))
+    (tmp_path / "FILE").write_text(
+        json.dumps({"config": to_dict(gsfusion())} | to_dict(gsfusion()))
+    )
     for command in set(commands(page)):
         arguments = shlex.split(command)[1:]
         try:
@@ -150,15 +186,28 @@ def test_options_that_are_named_exist(page, known_options):
     for span in code(page):
         if span.startswith("--"):
             for option in re.findall(r"--[\w][\w.\-]*", span):
-                assert option in known_options, f"{page.name} names the option {option}, which no command has"
+                assert option in known_options, (
+                    f"{page.name} names the option {option}, which no command has"
+                )
 
 
 CALLS = [
-    *[["map", "room", "--system", system] for system in SYSTEMS], ["live", "folder", "scan"], ["check", "DATA"],
-    ["convert", "SOURCE", "OUT"], ["excerpt", "DATA", "OUT"], ["sweep", "room"], ["study", "systems"],
-    ["benchmark", "tum", "DIR"], ["lab", "TABLE"], ["export", "RUN", "OUT"], ["course", "DIR"], ["eval", "RUN"],
-    ["bench"], ["demo"], ["grade", "DIR"],
-]  # fmt: skip
+    *[["map", "room", "--system", system] for system in SYSTEMS],
+    ["live", "folder", "scan"],
+    ["check", "DATA"],
+    ["convert", "SOURCE", "OUT"],
+    ["excerpt", "DATA", "OUT"],
+    ["sweep", "room"],
+    ["study", "systems"],
+    ["benchmark", "tum", "DIR"],
+    ["lab", "TABLE"],
+    ["export", "RUN", "OUT"],
+    ["course", "DIR"],
+    ["eval", "RUN"],
+    ["bench"],
+    ["demo"],
+    ["grade", "DIR"],
+]
 """One call of each command to which an option of a sentence may belong."""
 
 
@@ -182,7 +231,11 @@ def test_values_of_options_are_understood(page, dry, capsys):
     capsys.readouterr()
 
 
-SETTINGS = {name: value for mapper in SYSTEMS.values() for name, value in leaves(to_dict(mapper.config_type())).items()}
+SETTINGS = {
+    name: value
+    for mapper in SYSTEMS.values()
+    for name, value in leaves(to_dict(mapper.config_type())).items()
+}
 GROUPS = {name.partition(".")[0] for name in SETTINGS if "." in name}
 OTHER_NAMES = ("views.json", "tsdf.npz", "window.lr_sh_rest")
 """Files of a run, and a setting of an earlier version."""
@@ -197,7 +250,9 @@ def test_settings_and_their_values_exist(page):
     for name, value in re.findall(pattern, "\n".join(code(page))):
         if name in OTHER_NAMES:
             continue
-        assert name in SETTINGS or any(other.startswith(f"{name}.") for other in SETTINGS), f"{page.name}: {name}"
+        assert name in SETTINGS or any(other.startswith(f"{name}.") for other in SETTINGS), (
+            f"{page.name}: {name}"
+        )
         parsed = [parse_value(text.strip("\"'`{},")) for text in value.split(",") if value]
         for one in parsed if not str(value).isupper() else []:
             problems = []
@@ -214,9 +269,16 @@ def test_settings_and_their_values_exist(page):
 def test_python_compiles_and_its_imports_work(page):
     for block in blocks(page, "python"):
         compile(block, page.name, "exec")
-        block = re.sub(r"^import (.+)  # pip install .+$", "", block, flags=re.MULTILINE)  # not a part of this package
-        imports: list[ast.stmt] = [n for n in ast.walk(ast.parse(block)) if isinstance(n, ast.Import | ast.ImportFrom)]
-        exec(compile(ast.Module(body=imports, type_ignores=[]), page.name, "exec"), {})
+        block = re.sub(
+            r"^import (.+)  # pip install .+$", "", block, flags=re.MULTILINE
+        )  # not a part of this package
+        imports: list[ast.stmt] = [
+            n for n in ast.walk(ast.parse(block)) if isinstance(n, ast.Import | ast.ImportFrom)
+        ]
+        exec(
+            compile(ast.Module(body=imports, type_ignores=[]), page.name, "exec"),
+            {},
+        )
 
 
 MATHEMATICS = blocks(ROOT / "docs/mathematics.md", "python")

@@ -9,7 +9,14 @@ def test_values_of_others_are_shown_short():
     assert shown("rgb/0.png") == "'rgb/0.png'"
     assert shown(None) == "None"
     assert shown([1, 2.5, "x"]) == "[1, 2.5, 'x']"
-    for value in ("a" * 10**6, b"a" * 10**6, list(range(10**6)), {"a": "b" * 1000}, 10**200, "\n" * 500):
+    for value in (
+        "a" * 10**6,
+        b"a" * 10**6,
+        list(range(10**6)),
+        {"a": "b" * 1000},
+        10**200,
+        "\n" * 500,
+    ):
         text = shown(value)
         assert len(text) <= 120
         assert "\n" not in text

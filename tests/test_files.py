@@ -98,7 +98,8 @@ def test_content_is_flushed_before_the_rename_and_the_name_after_it(tmp_path, mo
     assert order == ["x", "deep", "work", "rename", tmp_path.name]
 
 
-# The module alone is loaded: importing the package takes seconds, and loads what has no part in this.
+# The module alone is loaded: importing the package takes seconds, and loads what has no part in
+# this.
 STOP_AT = f"""
 import importlib.util, os, signal
 from pathlib import Path
@@ -187,8 +188,13 @@ try:
 except DiskFullError as e:
     print(e)
 """
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert f"{tmp_path / 'large'} cannot be written: this process may write no file of more than 0.1 MB" in said
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
+    assert (
+        f"{tmp_path / 'large'} cannot be written: this process may write no file of more than 0.1 "
+        "MB" in said
+    )
     assert "ulimit -f" in said
     assert "disk is full" not in said
     assert [path.name for path in tmp_path.iterdir()] == ["small"]

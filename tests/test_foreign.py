@@ -28,10 +28,23 @@ from gsfusion_nb.files import (
 )
 
 PACKAGE = Path(__file__).resolve().parents[1] / "gsfusion_nb"
-BY_HAND = {"read_text", "read_bytes", "imread", "imdecode", "loadtxt", "genfromtxt", "fromfile", "memmap"}
+BY_HAND = {
+    "read_text",
+    "read_bytes",
+    "imread",
+    "imdecode",
+    "loadtxt",
+    "genfromtxt",
+    "fromfile",
+    "memmap",
+}
 OF_MODULE = {
-    **dict.fromkeys(("json.load", "json.loads", "np.load", "torch.load", "zipfile.ZipFile", "tarfile.open"), ""),
-    **dict.fromkeys(("zlib.decompress", "bz2.decompress", "gzip.open", "gzip.decompress", "PlyData.read"), ""),
+    **dict.fromkeys(
+        ("json.load", "json.loads", "np.load", "torch.load", "zipfile.ZipFile", "tarfile.open"), ""
+    ),
+    **dict.fromkeys(
+        ("zlib.decompress", "bz2.decompress", "gzip.open", "gzip.decompress", "PlyData.read"), ""
+    ),
 }
 ALLOWED = {
     "files.py": "the place",
@@ -56,13 +69,15 @@ ALLOWED = {
     "compare/executors.py": "a picture it has just drawn",
     "data/recorded/images.py": "decodes after the header was looked at",
     "data/room/scene.py": "pictures of its own, from bytes of a limited size",
-    "recordings/convert/recording.py": "an array that is mapped, and so is not larger than its file",
+    "recordings/convert/recording.py": "an array that is mapped, and so is not larger than its "
+    "file",
     "recordings/convert/formats/ros_files.py": "a file that gives no more bytes than it has",
     "recordings/fetch.py": "downloads, and unpacking into a new folder within a limit",
     "course/grading/sandbox.py": "tasks and verdicts of its own",
     "viz/steppers/recording.py": "source files of this package",
     "export/checkpoint_store.py": "tensors and plain values whose checksum is right",
-    "runs/run_folder.py": "text of a checkpoint whose checksum is right, and /proc/sys/kernel/random/boot_id",
+    "runs/run_folder.py": "text of a checkpoint whose checksum is right, and "
+    "/proc/sys/kernel/random/boot_id",
     "export/ply.py": "a reader of its own",
     "export/tsdf_file.py": "arrays without objects",
 }
@@ -76,12 +91,20 @@ def opened_by_hand(path: Path) -> list[str]:
             continue
         f = node.func
         name = f.attr if isinstance(f, ast.Attribute) else f.id if isinstance(f, ast.Name) else ""
-        dotted = f"{f.value.id}.{f.attr}" if isinstance(f, ast.Attribute) and isinstance(f.value, ast.Name) else name
+        dotted = (
+            f"{f.value.id}.{f.attr}"
+            if isinstance(f, ast.Attribute) and isinstance(f.value, ast.Name)
+            else name
+        )
         of_class = dotted in ("self.read_text", "files.read_text")
         text = isinstance(f, ast.Attribute) and name in BY_HAND and not of_class
-        modes = [a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
+        modes = [
+            a.value for a in node.args if isinstance(a, ast.Constant) and isinstance(a.value, str)
+        ]
         opens = (
-            name == "open" and not dotted.startswith(("OpenEXR", "tarfile")) and not set("wax") & set("".join(modes))
+            name == "open"
+            and not dotted.startswith(("OpenEXR", "tarfile"))
+            and not set("wax") & set("".join(modes))
         )
         if text or dotted in OF_MODULE or opens:
             found.append(f"line {node.lineno}: {dotted}")
@@ -95,13 +118,24 @@ def test_no_file_of_others_is_opened_by_hand():
         if name not in ALLOWED and (calls := opened_by_hand(path)):
             found[name] = calls
     assert found == {}, "read through gsfusion_nb/files.py"
-    assert [name for name in ALLOWED if not opened_by_hand(PACKAGE / name)] == [], "no longer needed"
+    assert [name for name in ALLOWED if not opened_by_hand(PACKAGE / name)] == [], (
+        "no longer needed"
+    )
 
 
 def test_the_scan_finds_what_it_looks_for(tmp_path):
-    lines = ["import json, numpy as np", "path.read_text()", "json.load(f)", "np.load(p)", "open(p)", "p.open('rb')"]
+    lines = [
+        "import json, numpy as np",
+        "path.read_text()",
+        "json.load(f)",
+        "np.load(p)",
+        "open(p)",
+        "p.open('rb')",
+    ]
     (tmp_path / "a.py").write_text("\n".join([*lines, "read_text(p, 'x')", "p.open('w')"]))
-    assert [call.split(":")[0] for call in opened_by_hand(tmp_path / "a.py")] == [f"line {n}" for n in range(2, 7)]
+    assert [call.split(":")[0] for call in opened_by_hand(tmp_path / "a.py")] == [
+        f"line {n}" for n in range(2, 7)
+    ]
 
 
 def test_pipes_devices_and_folders_are_refused_at_once(tmp_path):
@@ -109,7 +143,9 @@ def test_pipes_devices_and_folders_are_refused_at_once(tmp_path):
     (tmp_path / "zero").symlink_to("/dev/zero")
     (tmp_path / "circle").symlink_to(tmp_path / "circle")
     for name in ("pipe", "zero"):
-        with pytest.raises(SequenceError, match=rf"{name} is a pipe or device, not a plain file; expected lines"):
+        with pytest.raises(
+            SequenceError, match=rf"{name} is a pipe or device, not a plain file; expected lines"
+        ):
             read_bytes(tmp_path / name, "lines")
     with pytest.raises(SequenceError, match=r"is a folder, not a plain file"):
         read_text(tmp_path, "lines")
@@ -145,7 +181,9 @@ def raising(error):
         raise error
 
 
-@pytest.mark.parametrize("error", [AssertionError(), struct.error("x"), IndexError("y"), RecursionError("deep")])
+@pytest.mark.parametrize(
+    "error", [AssertionError(), struct.error("x"), IndexError("y"), RecursionError("deep")]
+)
 def test_errors_of_parsers_are_sentences(error):
     with pytest.raises(SequenceError, match=r"a\.bag is not readable as a bag \("):
         raising(error)
@@ -173,7 +211,9 @@ def test_sentences_pass_and_memory_has_its_own():
     ],
 )
 def test_json_that_is_ambiguous_or_no_number(text, fault):
-    with pytest.raises(SequenceError, match=rf"^a\.json is not valid JSON \(.*{fault}.*\); expected settings$"):
+    with pytest.raises(
+        SequenceError, match=rf"^a\.json is not valid JSON \(.*{fault}.*\); expected settings$"
+    ):
         parse_json(text, "a.json", "settings")
 
 
@@ -181,7 +221,10 @@ def test_json_in_order(tmp_path):
     (tmp_path / "a.json").write_text(
         '\ufeff{"a": [1, 2.5, "x, NaN: {[", null, true], "b": {"a": -1e-3}}', encoding="utf-8"
     )
-    assert read_object(tmp_path / "a.json", "it") == {"a": [1, 2.5, "x, NaN: {[", None, True], "b": {"a": -1e-3}}
+    assert read_object(tmp_path / "a.json", "it") == {
+        "a": [1, 2.5, "x, NaN: {[", None, True],
+        "b": {"a": -1e-3},
+    }
     (tmp_path / "b.json").write_text("[]")
     with pytest.raises(SequenceError, match=r"b\.json must hold a JSON object \(it\), got a list"):
         read_object(tmp_path / "b.json", "it")
@@ -190,10 +233,19 @@ def test_json_in_order(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".bmp", ".pgm"])
 def test_the_size_of_an_image_is_known_from_its_header(suffix):
-    image = np.random.default_rng(0).integers(0, 255, (31, 47) if suffix == ".pgm" else (31, 47, 3), np.uint8)
+    image = np.random.default_rng(0).integers(
+        0,
+        255,
+        (31, 47) if suffix == ".pgm" else (31, 47, 3),
+        np.uint8,
+    )
     data = cv2.imencode(suffix, image)[1].tobytes()
     assert image_size(data) == (47, 31)
-    for n in range(0, len(data), max(1, len(data) // 200)):
+    for n in range(
+        0,
+        len(data),
+        max(1, len(data) // 200),
+    ):
         assert image_size(data[:n]) in (None, (47, 31))
 
 
@@ -207,7 +259,9 @@ def test_an_image_that_claims_a_billion_pixels_is_not_decoded():
 def test_the_size_of_an_openexr_file_is_that_of_its_largest_part():
     head = b"v/1\x01" + struct.pack("<I", 2)
     sizes = ((30, 20), (7000, 6000))
-    parts = [b"dataWindow\0box2i\0" + struct.pack("<iiiii", 16, 5, 7, 4 + w, 6 + h) for w, h in sizes]
+    parts = [
+        b"dataWindow\0box2i\0" + struct.pack("<iiiii", 16, 5, 7, 4 + w, 6 + h) for w, h in sizes
+    ]
     assert image_size(head) is None
     assert image_size(head + parts[0]) == (30, 20)
     with pytest.raises(BadFrameError, match=r"d\.exr claims 7000x6000"):

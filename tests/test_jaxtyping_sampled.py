@@ -1,4 +1,5 @@
-"""The tests' type checker finds a wrong argument, result or field in the first calls of each test."""
+"""The tests' type checker finds a wrong argument, result or field in the first calls of each
+test."""
 
 from dataclasses import dataclass
 
@@ -11,7 +12,9 @@ from torch import Tensor
 
 
 @jaxtyped(typechecker=beartype)
-def doubled(x: Float[Tensor, "N 3"], times: int = 2, *, wrong: object = None) -> Float[Tensor, "N 3"]:
+def doubled(
+    x: Float[Tensor, "N 3"], times: int = 2, *, wrong: object = None
+) -> Float[Tensor, "N 3"]:
     return 2 * x if wrong is None else wrong  # pyright: ignore[reportReturnType]
 
 
@@ -20,7 +23,10 @@ def test_what_fits_passes():
         assert doubled(torch.ones(n, 3)).sum() == 6 * n
 
 
-@pytest.mark.parametrize("x", [torch.ones(4, 2), torch.ones(4, 3, dtype=torch.int64), [1.0]])
+@pytest.mark.parametrize(
+    "x",
+    [torch.ones(4, 2), torch.ones(4, 3, dtype=torch.int64), [1.0]],
+)
 def test_a_wrong_argument(x):
     with pytest.raises(TypeCheckError, match="checking the parameters"):
         doubled(x)
@@ -28,7 +34,10 @@ def test_a_wrong_argument(x):
         doubled(torch.ones(4, 3), "2")  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.parametrize("result", [torch.ones(4, 2), torch.ones(5, 3), torch.ones(4, 3).long(), "4 x 3"])
+@pytest.mark.parametrize(
+    "result",
+    [torch.ones(4, 2), torch.ones(5, 3), torch.ones(4, 3).long(), "4 x 3"],
+)
 def test_a_wrong_result(result):
     with pytest.raises(TypeCheckError, match="checking the return value"):
         doubled(torch.ones(4, 3), wrong=result)

@@ -1,4 +1,5 @@
-"""The house rules that a tool can check: import floors, packaging, no foreign names, light import."""
+"""The house rules that a tool can check: import floors, packaging, no foreign names, light
+import."""
 
 import ast
 import functools
@@ -44,13 +45,19 @@ def imported_rooms(path: Path) -> set[str]:
         if isinstance(node, ast.ImportFrom) and node.level:
             base = package[: len(package) - node.level]
             targets = (
-                [[*base, *(node.module or "").split(".")]] if node.module else [[*base, a.name] for a in node.names]
+                [[*base, *(node.module or "").split(".")]]
+                if node.module
+                else [[*base, a.name] for a in node.names]
             )
-        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "gsfusion_nb":
+        elif (
+            isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "gsfusion_nb"
+        ):
             rest = (node.module or "").split(".")[1:]
             targets = [rest] if rest else [[a.name] for a in node.names]
         elif isinstance(node, ast.Import):
-            targets = [a.name.split(".")[1:] for a in node.names if a.name.split(".")[0] == "gsfusion_nb"]
+            targets = [
+                a.name.split(".")[1:] for a in node.names if a.name.split(".")[0] == "gsfusion_nb"
+            ]
         rooms |= {t[0] for t in ([part for part in target if part] for target in targets) if t}
     return rooms
 
@@ -59,7 +66,10 @@ def upward_imports(path: Path) -> list[str]:
     """A sentence for each room that the module imports and that is not below its own."""
     room = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
     if room not in FLOORS:
-        return [f"{path.relative_to(ROOT)}: {room} has no floor; give it one in ARCHITECTURE.md and here"]
+        return [
+            f"{path.relative_to(ROOT)}: {room} has no floor; give it one in ARCHITECTURE.md and "
+            "here"
+        ]
     return [
         f"{path.relative_to(ROOT)} ({room}) imports {other}, which is not below it"
         for other in sorted(imported_rooms(path) & set(FLOORS))
@@ -76,7 +86,9 @@ def test_imports_point_down():
 def test_the_check_of_a_recording_is_below_nothing_that_maps():
     """Opening and mapping a recording need no checker: what they share lies in ``data/adjust``."""
     who = [p for p in MODULES if p.parts[-2] in ("adjust", "runs")]
-    found = [p for p in who for node in imports_of(p) if "checkup" in (getattr(node, "module", "") or "")]
+    found = [
+        p for p in who for node in imports_of(p) if "checkup" in (getattr(node, "module", "") or "")
+    ]
     assert len(who) > 10
     assert found == []
 
@@ -84,21 +96,30 @@ def test_the_check_of_a_recording_is_below_nothing_that_maps():
 def test_an_import_that_points_up_is_found(monkeypatch):
     monkeypatch.setitem(FLOORS, "runs", 2)
     path = PACKAGE / "runs" / "map_sequence.py"
-    assert f"{path.relative_to(ROOT)} (runs) imports mapping, which is not below it" in upward_imports(path)
+    assert (
+        f"{path.relative_to(ROOT)} (runs) imports mapping, which is not below it"
+        in upward_imports(path)
+    )
 
 
 def test_only_backends_knows_the_kernels():
-    knowing = [str(p.relative_to(ROOT)) for p in MODULES if "kernels" in imported_rooms(p) and p.name != "backends.py"]
+    knowing = [
+        str(p.relative_to(ROOT))
+        for p in MODULES
+        if "kernels" in imported_rooms(p) and p.name != "backends.py"
+    ]
     assert knowing == []
 
 
 class ImportGraph:
-    """Which file imports which, at any depth of the code. A name that a package passes on counts as imported from the
-    file that defines it."""
+    """Which file imports which, at any depth of the code. A name that a package passes on counts as
+    imported from the file that defines it."""
 
     def __init__(self, roots: dict[str, Path]):
         self.files = {
-            self._dotted(path, package, root): path for package, root in roots.items() for path in root.rglob("*.py")
+            self._dotted(path, package, root): path
+            for package, root in roots.items()
+            for path in root.rglob("*.py")
         }
         self.names = {module: list(self._imported_names(module)) for module in self.files}
         self.edges = {module: self._edges(module) for module in self.files}
@@ -110,7 +131,11 @@ class ImportGraph:
 
     def _imported_names(self, module: str):
         """(module, name in it or "", name here) of every import from the graph's packages."""
-        parts = module.split(".") if self.files[module].name == "__init__.py" else module.split(".")[:-1]
+        parts = (
+            module.split(".")
+            if self.files[module].name == "__init__.py"
+            else module.split(".")[:-1]
+        )
         for node in imports_of(self.files[module]):
             if isinstance(node, ast.ImportFrom):
                 base = parts[: len(parts) - node.level + 1] if node.level else []
@@ -129,14 +154,19 @@ class ImportGraph:
         return module
 
     def _edges(self, module: str) -> set[str]:
-        found = {self.defining(source, name) if name else source for source, name, _ in self.names[module]}
+        found = {
+            self.defining(source, name) if name else source
+            for source, name, _ in self.names[module]
+        }
         return {other for other in found if other in self.files and other != module}
 
     def circles(self) -> list[frozenset[str]]:
-        """Groups of files each of which leads back to itself: strongly connected components of two or more."""
+        """Groups of files each of which leads back to itself: strongly connected components of two
+        or more."""
         reach = {module: self._reached(module) for module in self.files}
         return sorted(
-            {frozenset(b for b in reach[a] if a in reach[b]) for a in self.files if a in reach[a]}, key=sorted
+            {frozenset(b for b in reach[a] if a in reach[b]) for a in self.files if a in reach[a]},
+            key=sorted,
         )
 
     def _reached(self, module: str) -> set[str]:
@@ -166,7 +196,9 @@ def test_files_of_a_package_import_the_file_that_defines_a_name():
         f"{module} imports {name} from {source}; it is defined in {graph.defining(source, name)}"
         for module, names in graph.names.items()
         for source, name, _ in names
-        if module.startswith(f"{source}.") and name and graph.defining(source, name) not in (source, f"{source}.{name}")
+        if module.startswith(f"{source}.")
+        and name
+        and graph.defining(source, name) not in (source, f"{source}.{name}")
     ]
     assert detours == []
 
@@ -181,7 +213,11 @@ def test_a_circle_through_a_package_is_found(tmp_path):
 
 def test_no_postponed_annotations():
     postponed = "from __future__ import annotations"
-    having = [str(p.relative_to(ROOT)) for p in PACKAGE.rglob("*.py") if postponed in p.read_text(encoding="utf-8")]
+    having = [
+        str(p.relative_to(ROOT))
+        for p in PACKAGE.rglob("*.py")
+        if postponed in p.read_text(encoding="utf-8")
+    ]
     assert having == []
 
 
@@ -200,5 +236,10 @@ def test_import_is_light():
         "tyro",
     ]
     code = f"import sys, gsfusion_nb; print([m for m in {heavy} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stdout.strip() == "[]"

@@ -20,8 +20,12 @@ def files_with(mark: str) -> set[str]:
 
 def campaign_commands() -> list[list[str]]:
     """What make campaign gives to pytest, by marks."""
-    made = subprocess.run(["make", "--dry-run", "campaign"], cwd=ROOT, capture_output=True, text=True, check=True)
-    lines = [line.split("-m pytest ", 1)[1] for line in made.stdout.splitlines() if "-m pytest " in line]
+    made = subprocess.run(
+        ["make", "--dry-run", "campaign"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    lines = [
+        line.split("-m pytest ", 1)[1] for line in made.stdout.splitlines() if "-m pytest " in line
+    ]
     return [command for command in map(shlex.split, lines) if "-m" in command]
 
 
@@ -32,7 +36,13 @@ def ci_command() -> list[str]:
     files = re.search(r"more_tests \$\((.+)\)$", script, re.MULTILINE)
     assert options
     assert files
-    chosen = subprocess.run(["bash", "-c", files[1]], cwd=ROOT, capture_output=True, text=True, check=True)
+    chosen = subprocess.run(
+        ["bash", "-c", files[1]],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return [*shlex.split(options[1]), *chosen.stdout.split()]
 
 
@@ -42,7 +52,10 @@ def runs(command: list[str], file: str, marks: set[str]) -> bool:
     chosen = eval(expression, {mark: mark in marks for mark in ("ci", "slow")})
     places = [word for word in command if word.startswith("tests")] or ["tests"]
     ignored = [word.partition("=")[2] for word in command if word.startswith("--ignore=")]
-    below = [any(f"{file}/".startswith(f"{place.rstrip('/')}/") for place in some) for some in (places, ignored)]
+    below = [
+        any(f"{file}/".startswith(f"{place.rstrip('/')}/") for place in some)
+        for some in (places, ignored)
+    ]
     return bool(chosen) and below[0] and not below[1]
 
 
@@ -50,7 +63,11 @@ def runs(command: list[str], file: str, marks: set[str]) -> bool:
 def test_make_campaign_runs_every_slow_test():
     commands = campaign_commands()
     for marks in ({"slow"}, {"slow", "ci"}):
-        left = [f for f in files_with("slow") if sum(runs(command, f, marks) for command in commands) != 1]
+        left = [
+            f
+            for f in files_with("slow")
+            if sum(runs(command, f, marks) for command in commands) != 1
+        ]
         assert left == [], "each file once"
 
 
@@ -61,7 +78,9 @@ def test_ci_runs_every_test_that_is_marked_for_it():
 
 def test_marks_are_where_the_commands_look():
     """A mark in a conftest or plug-in would be of tests whose own files do not have the word."""
-    elsewhere = [f for f in files_with("ci") | files_with("slow") if not Path(f).name.startswith("test_")]
+    elsewhere = [
+        f for f in files_with("ci") | files_with("slow") if not Path(f).name.startswith("test_")
+    ]
     assert elsewhere == []
 
 
@@ -77,4 +96,7 @@ def test_marks_are_where_the_commands_look():
     ],
 )
 def test_what_a_command_runs(command, expected):
-    assert runs(shlex.split(command), "tests/recordings/checkup/test_breakages.py", {"slow"}) == expected
+    assert (
+        runs(shlex.split(command), "tests/recordings/checkup/test_breakages.py", {"slow"})
+        == expected
+    )

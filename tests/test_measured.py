@@ -1,4 +1,5 @@
-"""Every number in a table of the docs comes from a file that a command wrote, and the files fit their recipes."""
+"""Every number in a table of the docs comes from a file that a command wrote, and the files fit
+their recipes."""
 
 import importlib.util
 import json
@@ -38,16 +39,26 @@ VALUES = {
 
 @pytest.fixture
 def project(tmp_path):
-    """A repository with one recipe, its numbers of the first commit, and a page with stale places."""
+    """A repository with one recipe, its numbers of the first commit, and a page with stale
+    places."""
     (tmp_path / "docs/measured").mkdir(parents=True)
     (tmp_path / "docs/measured/recipes.toml").write_text(RECIPE)
     (tmp_path / "code.py").write_text("1\n")
     (tmp_path / "README.md").write_text("Best: <!-- text: walls best -->?<!-- end -->.\n")
-    (tmp_path / "docs/a.md").write_text("<!-- table: walls --><!-- end -->\n<!-- commands: walls -->\n<!-- end -->\n")
+    (tmp_path / "docs/a.md").write_text(
+        "<!-- table: walls --><!-- end -->\n<!-- commands: walls -->\n<!-- end -->\n"
+    )
     commit(tmp_path)
     recipe = measured.read_recipes(tmp_path)["walls"]
-    numbers = {"commands": recipe["commands"], **measured.made(recipe, VALUES), "date": "2026-01-01"}
-    numbers |= {"commit": measured.git("rev-parse", "HEAD", root=tmp_path).strip(), "machine": {"cpu": "a computer"}}
+    numbers = {
+        "commands": recipe["commands"],
+        **measured.made(recipe, VALUES),
+        "date": "2026-01-01",
+    }
+    numbers |= {
+        "commit": measured.git("rev-parse", "HEAD", root=tmp_path).strip(),
+        "machine": {"cpu": "a computer"},
+    }
     (tmp_path / "docs/measured/walls.json").write_text(json.dumps(numbers))
     return tmp_path
 
@@ -60,9 +71,15 @@ def commit(folder):
 def test_pages_are_filled_from_the_file(project):
     assert [p.name for p in measured.fill(project, write=True)] == ["README.md", "a.md"]
     page = (project / "docs/a.md").read_text()
-    assert "| one | 20.2 | 1.00 |\n| both | 21.0 ± 1.4 | 2.00 ± 0.00 |\n\nMeasured on 2026-01-01 with commit `" in page
+    assert (
+        "| one | 20.2 | 1.00 |\n| both | 21.0 ± 1.4 | 2.00 ± 0.00 |\n\nMeasured on 2026-01-01 with "
+        "commit `" in page
+    )
     assert "```\ngsfusion-nb map wall\n```\n" in page  # of one seed
-    assert "Best: <!-- text: walls best -->22.00 dB<!-- end -->." in (project / "README.md").read_text()
+    assert (
+        "Best: <!-- text: walls best -->22.00 dB<!-- end -->."
+        in (project / "README.md").read_text()
+    )
     assert measured.fill(project, write=False) == []
     (project / "docs/a.md").write_text(page.replace("20.2", "20.3"))  # by hand
     assert [p.name for p in measured.fill(project, write=False)] == ["a.md"]
@@ -115,18 +132,30 @@ def of_another_branch(project):
 
 
 @pytest.mark.parametrize("where", ["nowhere", "on another branch"])
-def test_a_commit_that_is_not_in_the_history_makes_a_table_old_and_the_page_says_so(project, capsys, where):
+def test_a_commit_that_is_not_in_the_history_makes_a_table_old_and_the_page_says_so(
+    project, capsys, where
+):
     """Before, git failed for it, and its empty answer was taken for no change since."""
     commit(project)
-    there = "a66beb8cb3ce08b6413ca0dbbe0ee3f4c4a3de24" if where == "nowhere" else of_another_branch(project)
+    there = (
+        "a66beb8cb3ce08b6413ca0dbbe0ee3f4c4a3de24"
+        if where == "nowhere"
+        else of_another_branch(project)
+    )
     with_commit(project, there)
     assert measured.list_old(measured.read_recipes(project), project) == ["walls"]
-    assert f"its commit is not in this repository: {there[:8]} of 2026-01-01" in capsys.readouterr().out
+    assert (
+        f"its commit is not in this repository: {there[:8]} of 2026-01-01"
+        in capsys.readouterr().out
+    )
     assert measured.note_commits(project) == ["walls"]
     assert measured.note_commits(project) == []
     measured.fill(project, write=True)
     page = (project / "docs/a.md").read_text()
-    assert f"**These are not today's numbers.** They were measured on 2026-01-01 with commit `{there[:8]}`" in page
+    assert (
+        "**These are not today's numbers.** They were measured on 2026-01-01 with commit "
+        f"`{there[:8]}`" in page
+    )
     assert 'make measured RENEW="walls"' in page
     with_commit(project, measured.git("rev-parse", "HEAD", root=project).strip())
     assert measured.note_commits(project) == ["walls"]
@@ -139,11 +168,17 @@ def test_without_the_whole_history_nothing_is_said_to_be_current(project, tmp_pa
     cut = tmp_path_factory.mktemp("cut") / "clone"
     (project / "other.py").write_text("1\n")
     commit(project)
-    subprocess.run(["git", "clone", "-q", "--depth", "1", project.as_uri(), str(cut)], check=True)
+    subprocess.run(
+        ["git", "clone", "-q", "--depth", "1", project.as_uri(), str(cut)],
+        check=True,
+    )
     with pytest.raises(measured.MeasuredError, match="history of this checkout is cut"):
         measured.list_old(recipes, cut)
     shutil.rmtree(project / ".git")
-    with pytest.raises(measured.MeasuredError, match="is not a git checkout, so which tables are old cannot be known"):
+    with pytest.raises(
+        measured.MeasuredError,
+        match="is not a git checkout, so which tables are old cannot be known",
+    ):
         measured.list_old(recipes, project)
 
 
@@ -157,7 +192,13 @@ def test_folders_of_the_machine_are_left_out(tmp_path):
         "data": "/home/me/my data/redkitchen250",
         "files": ["C:\\data\\kitchen", "~/data/desk/"],
         "reason": "ValueError: /home/me/data/desk/rgb.txt is missing",
-        "cells": ["28.1 / 0.9 / 3", "held out, 1 / 6", "frames/s", "docs/measured/track_only.py", "https://a.b/c/d"],
+        "cells": [
+            "28.1 / 0.9 / 3",
+            "held out, 1 / 6",
+            "frames/s",
+            "docs/measured/track_only.py",
+            "https://a.b/c/d",
+        ],
         "psnr_db": 20.5,
     }
     measured.write_numbers(tmp_path / "walls.json", found)
@@ -190,10 +231,13 @@ def test_records_of_nested_tables():
 
 
 def test_a_label_that_is_a_number_is_found(tmp_path):
-    (tmp_path / "runs.csv").write_text("label,seed,metric.psnr_held_out_db\n0,0,23.5\n10,0,25.5\n10,1,26.5\n")
+    (tmp_path / "runs.csv").write_text(
+        "label,seed,metric.psnr_held_out_db\n0,0,23.5\n10,0,25.5\n10,1,26.5\n"
+    )
     records = measured.records_of("gsfusion-nb study table-vi room", tmp_path, tmp_path)
     assert (
-        measured.cell("{vi; 10; psnr_held_out_db}, {vi; 0; psnr_held_out_db}", {"vi": records}) == "26.00 ± 0.71, 23.50"
+        measured.cell("{vi; 10; psnr_held_out_db}, {vi; 0; psnr_held_out_db}", {"vi": records})
+        == "26.00 ± 0.71, 23.50"
     )
 
 
@@ -207,31 +251,49 @@ def test_a_table_of_the_lab_has_a_row_for_each_rule_with_means_over_scenes():
     cells = ["{@; psnr_db:.1f}", "{@; budget=8,000; scene=a; psnr_db:.1f}", "{@; p?:.2f}"]
     recipe = {"columns": ["rule", "PSNR", "a", "p"], "rows": "lab", "cells": cells}
     assert measured.made(recipe, {"lab": records})["rows"] == [
-        ["`uniform`", "21.0 ± 1.4", "20.0", ""], ["`dense`", "21.0 ± 0.0", "21.0", "0.50"]
-    ]  # fmt: skip
+        ["`uniform`", "21.0 ± 1.4", "20.0", ""],
+        ["`dense`", "21.0 ± 0.0", "21.0", "0.50"],
+    ]
 
 
 def test_a_table_of_the_lab_keeps_its_marks_and_has_independent_scenes():
     row = {"rule": "tied", "rank": 1.0, "test": None, "scenes": {"a": {"psnr_db": {"mean": 20.0}}}}
-    budget = {"budget": "8,000", "rows": [row, row | {"rule": "plain"}], "scenes": ["a", "b"], "units": [["a"], ["b"]]}
+    budget = {
+        "budget": "8,000",
+        "rows": [row, row | {"rule": "plain"}],
+        "scenes": ["a", "b"],
+        "units": [["a"], ["b"]],
+    }
     rules = {"tied": {"published_training": "centres fixed"}, "plain": {"published_training": ""}}
     records = measured.of_the_lab({"budgets": [budget], "rules": rules})
     recipe = {"columns": ["rule", "PSNR"], "rows": "lab", "cells": ["{@; psnr_db:.1f}"]}
-    assert [row[0] for row in measured.made(recipe, {"lab": records})["rows"]] == ["`tied` †", "`plain`"]
+    assert [row[0] for row in measured.made(recipe, {"lab": records})["rows"]] == [
+        "`tied` †",
+        "`plain`",
+    ]
     with pytest.raises(measured.MeasuredError, match="scenes of 8,000 share frames"):
         measured.of_the_lab({"budgets": [budget | {"units": [["a", "b"]]}]})
 
 
 def test_a_difference_is_taken_scene_by_scene():
     def of(name, psnr):
-        return [{"label": name, "scene": scene, "psnr_db": p} for scene, p in zip("abc", psnr, strict=False)]
+        return [
+            {"label": name, "scene": scene, "psnr_db": p}
+            for scene, p in zip("abc", psnr, strict=False)
+        ]
 
-    values = {"lab": [{"label": "mcmc", "rank": 1.0}, *of("mcmc", (22.0, 24.0)), *of("none", (21.0, 25.0, 30.0))]}
+    values = {
+        "lab": [
+            {"label": "mcmc", "rank": 1.0},
+            *of("mcmc", (22.0, 24.0)),
+            *of("none", (21.0, 25.0, 30.0)),
+        ]
+    }
     assert measured.cell("{lab; mcmc; less=none; psnr_db:.1f}", values) == "0.0 ± 1.4"
     assert measured.cell("{lab; mcmc; scene=b; less=none; psnr_db:.1f}", values) == "-1.0"
 
 
-# ---- The pages of this project ---------------------------------------------------------------------------------------
+# ---- The pages of this project -------------------------------------------------------------------
 
 RECIPES = measured.read_recipes()
 
@@ -246,7 +308,10 @@ def test_a_recipe_depends_on_files_that_exist(name):
         assert any(ROOT.glob(path)), f"{name} depends on {path}, which does not exist"
 
 
-@pytest.mark.parametrize("name", sorted(p.stem for p in (ROOT / measured.MEASURED).glob("*.json")))
+@pytest.mark.parametrize(
+    "name",
+    sorted(p.stem for p in (ROOT / measured.MEASURED).glob("*.json")),
+)
 def test_a_file_of_numbers_has_a_recipe_and_whole_rows(name):
     assert name in RECIPES
     numbers = measured.read_numbers(name)
@@ -260,6 +325,13 @@ def test_each_file_of_numbers_says_whether_its_commit_is_in_the_history():
         measured.check_history()
     except measured.MeasuredError as error:
         pytest.skip(str(error))
-    numbers = {path.stem: measured.read_numbers(path.stem) for path in (ROOT / measured.MEASURED).glob("*.json")}
-    wrong = [n for n, of in numbers.items() if measured.is_in_history(of["commit"]) != of.get("commit_here", True)]
+    numbers = {
+        path.stem: measured.read_numbers(path.stem)
+        for path in (ROOT / measured.MEASURED).glob("*.json")
+    }
+    wrong = [
+        n
+        for n, of in numbers.items()
+        if measured.is_in_history(of["commit"]) != of.get("commit_here", True)
+    ]
     assert wrong == [], "run: python tools/measured.py --fill"

@@ -28,12 +28,18 @@ def page(comment: str, shown: str) -> dict:
     return {
         "cells": [
             {"id": "run", "cell_type": "code", "source": [], "outputs": [output]},
-            {"id": "text", "cell_type": "markdown", "source": [f"It gains.\n\n<!-- holds\n{comment}\n-->"]},
+            {
+                "id": "text",
+                "cell_type": "markdown",
+                "source": [f"It gains.\n\n<!-- holds\n{comment}\n-->"],
+            },
         ]
     }
 
 
-SHOWN = "held-out PSNR  20.63 -> 22.96 dB\n37,097 Gaussians, difference -2e-4, left 20%\nrow 1\nrow 2\n"
+SHOWN = (
+    "held-out PSNR  20.63 -> 22.96 dB\n37,097 Gaussians, difference -2e-4, left 20%\nrow 1\nrow 2\n"
+)
 
 
 @EACH
@@ -45,7 +51,8 @@ def test_what_the_text_says_about_results_holds(path):
     "comment",
     [
         "run: held-out PSNR {before} -> {after} dB\nafter - before > 2\nafter - before < 3",
-        "run: {n} Gaussians, difference {d}, left {share}%\nn == 37097\nabs(d) < 1e-3 and 10 < share <= 20",
+        "run: {n} Gaussians, difference {d}, left {share}%\nn == 37097\nabs(d) < 1e-3 and 10 < "
+        "share <= 20",
         "run: PSNR {} -> {after}\nnot after < 20 or max(after, 2) == 2",
     ],
 )
@@ -87,30 +94,42 @@ def test_the_time_of_a_chapter_covers_its_exercises(path):
     told = re.search(r"\*\*Time\*\* \|.*?(\d+) minutes", text)
     assert told, f"{path.name} does not tell its time in minutes"
     exercises = [int(minutes) for minutes in re.findall(r"★[★☆]* \((\d+) minutes\)", text)]
-    assert int(told[1]) >= 1.2 * sum(exercises), f"{sum(exercises)} minutes of exercises, and the text to read"
+    assert int(told[1]) >= 1.2 * sum(exercises), (
+        f"{sum(exercises)} minutes of exercises, and the text to read"
+    )
 
 
 @EACH
 def test_every_picture_says_what_it_shows(path):
-    """``show`` takes its words from the labels or from alt, ``show_figure`` from the figure; ``Image`` has none."""
+    """``show`` takes its words from the labels or from alt, ``show_figure`` from the figure;
+    ``Image`` has none."""
     for cell in notebook(path)["cells"]:
         if cell["cell_type"] != "code":
             continue
         for call in ast.walk(ast.parse("".join(cell["source"]))):
             if isinstance(call, ast.Call) and isinstance(call.func, ast.Name):
-                assert call.func.id != "Image", f"{path.name}, cell {cell['id']}: use show or show_figure"
+                assert call.func.id != "Image", (
+                    f"{path.name}, cell {cell['id']}: use show or show_figure"
+                )
                 said = len(call.args) > 1 or "alt" in [keyword.arg for keyword in call.keywords]
-                assert call.func.id != "show" or said, f"{path.name}, cell {cell['id']}: give show labels or alt"
+                assert call.func.id != "show" or said, (
+                    f"{path.name}, cell {cell['id']}: give show labels or alt"
+                )
 
 
 @EACH
 def test_every_stored_picture_has_words(path):
-    """A widget's picture too: screen readers of the stored chapter get them from the output's metadata."""
+    """A widget's picture too: screen readers of the stored chapter get them from the output's
+    metadata."""
     for cell in notebook(path)["cells"]:
         for output in cell.get("outputs", []):
             for kind in {"image/png", "image/jpeg"} & set(output.get("data", {})):
                 said = output.get("metadata", {}).get(kind, {}).get("alt", "")
                 assert len(said) > 5, f"{path.name}, cell {cell['id']}: a picture without words"
-            tags = re.findall(r"<(?:img|svg)[^>]*>", "".join(output.get("data", {}).get("text/html", "")))
+            tags = re.findall(
+                r"<(?:img|svg)[^>]*>", "".join(output.get("data", {}).get("text/html", ""))
+            )
             for tag in tags:
-                assert re.search(r'(alt|aria-label)="[^"]+|aria-hidden', tag), f"{path.name}, {cell['id']}: {tag[:80]}"
+                assert re.search(r'(alt|aria-label)="[^"]+|aria-hidden', tag), (
+                    f"{path.name}, {cell['id']}: {tag[:80]}"
+                )

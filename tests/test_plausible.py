@@ -1,4 +1,5 @@
-"""One set of limits: what no camera, pose or depth scale can be is refused by readers, converters and mappers alike."""
+"""One set of limits: what no camera, pose or depth scale can be is refused by readers, converters
+and mappers alike."""
 
 import dataclasses
 import json
@@ -14,11 +15,21 @@ from gsfusion_nb.geometry.operands import check_depth_scale, check_plausible_cam
 from gsfusion_nb.recordings.convert.recording import RecordedFrame, Recording, RgbdImages
 from gsfusion_nb.types import Camera
 
-VGA = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=320.0, cy=240.0)
+VGA = Camera(
+    width=640,
+    height=480,
+    fx=525.0,
+    fy=525.0,
+    cx=320.0,
+    cy=240.0,
+)
 WRONG = [
     ({"fx": 1e12}, "fx must be between 32 and 64000 for 640 x 480 pixels, got 1e"),
     ({"fx": 5.0, "fy": 5000.0}, "fx must be between 32 and 64000 for 640 x 480 pixels, got 5"),
-    ({"fx": 100.0, "fy": 5000.0}, "fx / fy must be between 0.1 and 10 for 640 x 480 pixels, got 0.02"),
+    (
+        {"fx": 100.0, "fy": 5000.0},
+        "fx / fy must be between 0.1 and 10 for 640 x 480 pixels, got 0.02",
+    ),
     ({"cx": 1e5}, "cx must be between -640 and 1280 for 640 x 480 pixels, got 100000"),
     ({"cy": -1000.0}, "cy must be between -480 and 960 for 640 x 480 pixels, got -1000"),
 ]
@@ -37,9 +48,17 @@ def test_cameras_that_cannot_be(change, sentence, tmp_path):
     with pytest.raises(SequenceError, match=f"shot 3: colour camera: {sentence}"):
         RecordedFrame(source="shot 3", time_s=None, model=CameraModel(camera), load=no_images)
     with pytest.raises(SequenceError, match=f"shot 3: depth camera: {sentence}"):
-        RecordedFrame(source="shot 3", time_s=None, model=None, depth_model=CameraModel(camera), load=no_images)
+        RecordedFrame(
+            source="shot 3",
+            time_s=None,
+            model=None,
+            depth_model=CameraModel(camera),
+            load=no_images,
+        )
     write_scan(
-        tmp_path, {name: getattr(camera, name) for name in LAYOUT_KEYS} | {"depth_scale": 1000, "pixel_centre": 0.5}
+        tmp_path,
+        {name: getattr(camera, name) for name in LAYOUT_KEYS}
+        | {"depth_scale": 1000, "pixel_centre": 0.5},
     )
     with pytest.raises(SequenceError, match=f"scan: camera: {sentence}"):
         open_sequence(tmp_path / "scan")
@@ -54,13 +73,17 @@ def write_scan(root, intrinsics):
     (root / "scan/poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1")
 
 
-@pytest.mark.parametrize(("scale", "sentence"), [(1e-3, "got 0.001; is it 1000, the inverse"), (1e9, r"got 1e\+09$")])
+@pytest.mark.parametrize(
+    ("scale", "sentence"), [(1e-3, "got 0.001; is it 1000, the inverse"), (1e9, r"got 1e\+09$")]
+)
 def test_depth_scales_that_cannot_be(scale, sentence, tmp_path):
     with pytest.raises(ValueError, match=f"must be between 1 and 1e.06, {sentence}"):
         check_depth_scale("here", scale)
     with pytest.raises(SequenceError, match=sentence):
         Recording(name="bag", frames=partial(iter, ()), n_frames=0, depth_scale=scale)
-    write_scan(tmp_path, {name: getattr(VGA, name) for name in LAYOUT_KEYS} | {"depth_scale": scale})
+    write_scan(
+        tmp_path, {name: getattr(VGA, name) for name in LAYOUT_KEYS} | {"depth_scale": scale}
+    )
     with pytest.raises(SequenceError, match=sentence):
         open_sequence(tmp_path / "scan")
 
@@ -69,5 +92,7 @@ def test_depth_scales_that_cannot_be(scale, sentence, tmp_path):
 def test_places_too_far_away(metres):
     T = torch.eye(4, dtype=torch.float64)
     T[2, 3] = metres
-    with pytest.raises(SequenceError, match=r"poses.txt pose 4 must be within 10 km of the origin, got \(0, 0, "):
+    with pytest.raises(
+        SequenceError, match=r"poses.txt pose 4 must be within 10 km of the origin, got \(0, 0, "
+    ):
         checked_pose(T, "poses.txt pose 4")

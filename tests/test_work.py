@@ -61,7 +61,10 @@ def test_the_map_has_the_same_bits_in_files(settings, in_files, monkeypatch):
         for i in range(5):
             mapper.step(frames[i])
         surface = {} if settings is rtg_slam else {"mesh": vars(mapper.mesh())}
-        return {name: hash_of(x, mapper.order_of_rows(name)) for name, x in (mapper.maps() | surface).items()}
+        return {
+            name: hash_of(x, mapper.order_of_rows(name))
+            for name, x in (mapper.maps() | surface).items()
+        }
 
     there = hashes()
     MAP_MEMORY.limit(None)

@@ -1,4 +1,5 @@
-"""What a notebook's text says about its own results, and whether it holds for the outputs that are stored with it.
+"""What a notebook's text says about its own results, and whether it holds for the outputs that are
+stored with it.
 
 A text cell says what must hold in a comment that readers do not see:
 
@@ -9,10 +10,11 @@ A text cell says what must hold in a comment that readers do not see:
     after - before > 1
     -->
 
-A line that begins with the id of a code cell and a colon quotes a piece of what that cell shows. ``{name}`` stands for
-a number there and names it, ``{}`` for a number that is not needed; spaces do not matter. The piece must be there
-exactly once. Every other line is a comparison of such numbers, which must be true. It may use + - * / **, brackets,
-``and``, ``or``, ``not``, ``abs``, ``min`` and ``max``.
+A line that begins with the id of a code cell and a colon quotes a piece of what that cell shows.
+``{name}`` stands for a number there and names it, ``{}`` for a number that is not needed; spaces do
+not matter. The piece must be there exactly once. Every other line is a comparison of such numbers,
+which must be true. It may use + - * / **, brackets, ``and``, ``or``, ``not``, ``abs``, ``min`` and
+``max``.
 
 ``python tools/claims.py notebooks/*.ipynb`` lists what does not hold.
 """
@@ -61,12 +63,19 @@ def claims_of(notebook: dict[str, Any]) -> list[Claim]:
             compared = [line for line, quote in zip(lines, quotes, strict=True) if quote is None]
             if not compared:
                 raise ValueError(f"cell {cell['id']} has a comment 'holds' that compares nothing")
-            found.append(Claim(cell["id"], [(q[1], q[2]) for q in quotes if q], compared))
+            found.append(
+                Claim(
+                    cell["id"],
+                    [(q[1], q[2]) for q in quotes if q],
+                    compared,
+                )
+            )
     return found
 
 
 def failures(notebook: dict[str, Any]) -> list[str]:
-    """A sentence for everything that the text says and the stored outputs do not show; empty if all holds."""
+    """A sentence for everything that the text says and the stored outputs do not show; empty if all
+    holds."""
     shown = shown_by(notebook)
     wrong = []
     for claim in claims_of(notebook):
@@ -105,7 +114,11 @@ def shown_by(notebook: dict[str, Any]) -> dict[str, str]:
     return {cell["id"]: _shown(cell) for cell in notebook["cells"] if cell["cell_type"] == "code"}
 
 
-def quoted(cell_id: str, quote: str, shown: dict[str, str]) -> dict[str, str]:
+def quoted(
+    cell_id: str,
+    quote: str,
+    shown: dict[str, str],
+) -> dict[str, str]:
     """The numbers that a quotation names, as they are printed.
 
     Raises:
@@ -122,7 +135,9 @@ def quoted(cell_id: str, quote: str, shown: dict[str, str]) -> dict[str, str]:
             pattern += re.sub(r"(?:\\?\s)+", r"\\s*", re.escape(part))
     matches = list(re.finditer(pattern, shown[cell_id]))
     if len(matches) != 1:
-        raise ValueError(f"{quote!r} is {len(matches)} times in what cell {cell_id} shows, once was expected")
+        raise ValueError(
+            f"{quote!r} is {len(matches)} times in what cell {cell_id} shows, once was expected"
+        )
     found = zip(names, matches[0].groups(), strict=True)
     return {name: number for name, number in found if name}
 
@@ -142,7 +157,9 @@ def _joined(text: str | list[str]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line; 1 if something does not hold."""
-    parser = argparse.ArgumentParser(description="Whether the text of notebooks holds for their stored outputs.")
+    parser = argparse.ArgumentParser(
+        description="Whether the text of notebooks holds for their stored outputs."
+    )
     parser.add_argument("notebooks", type=Path, nargs="+")
     wrong = 0
     for path in parser.parse_args(arguments).notebooks:

@@ -1,7 +1,7 @@
 """The examination of ``docs/teaching/exam.md``: its recordings.
 
-``python tools/exam.py OUT`` writes the recordings ``a.npz`` to ``e.npz``: one is right, the others have one fault each.
-The letters say nothing about the fault; ``FAULTS`` is for the examiner.
+``python tools/exam.py OUT`` writes the recordings ``a.npz`` to ``e.npz``: one is right, the others
+have one fault each. The letters say nothing about the fault; ``FAULTS`` is for the examiner.
 """
 
 import argparse
@@ -31,15 +31,25 @@ def _range(frame: Frame, before: Frame) -> Frame:
 
 FAULTS: dict[str, tuple[str, Callable[[Frame, Frame], Frame]]] = {
     "a": ("depth is the length along the ray, not z", _range),
-    "b": ("each frame has the pose of the frame before it", lambda frame, before: replace(frame, T_WC=before.T_WC)),
+    "b": (
+        "each frame has the pose of the frame before it",
+        lambda frame, before: replace(frame, T_WC=before.T_WC),
+    ),
     "c": ("none", lambda frame, before: frame),
-    "d": ("poses go from the world to the camera", lambda frame, _: replace(frame, T_WC=se3.inverse(frame.T_WC))),
-    "e": ("depth is a tenth too short", lambda frame, _: replace(frame, depth_m=frame.depth_m * 0.9)),
+    "d": (
+        "poses go from the world to the camera",
+        lambda frame, _: replace(frame, T_WC=se3.inverse(frame.T_WC)),
+    ),
+    "e": (
+        "depth is a tenth too short",
+        lambda frame, _: replace(frame, depth_m=frame.depth_m * 0.9),
+    ),
 }
 
 
 def frames_of(letter: str) -> Iterator[Frame]:
-    """The frames of a recording, with its fault; 160 x 120 pixels, poses and depth as a data set would give them."""
+    """The frames of a recording, with its fault; 160 x 120 pixels, poses and depth as a data set
+    would give them."""
     room = RoomSequence(n_frames=120, width=160, height=120, trajectory="novel", seed=7)
     change = FAULTS[letter][1]
     for k in range(FIRST, FIRST + N_FRAMES):
@@ -47,7 +57,8 @@ def frames_of(letter: str) -> Iterator[Frame]:
 
 
 def write(letter: str, path: Path) -> None:
-    """Write a recording: ``rgb`` [N, H, W, 3] uint8, ``depth_m`` [N, H, W], ``T_WC`` [N, 4, 4], ``intrinsics`` [4]."""
+    """Write a recording: ``rgb`` [N, H, W, 3] uint8, ``depth_m`` [N, H, W], ``T_WC`` [N, 4, 4],
+    ``intrinsics`` [4]."""
     frames = list(frames_of(letter))
     camera = frames[0].camera
     with atomic_file(path) as temporary:
@@ -65,12 +76,25 @@ def read(path: Path) -> list[Frame]:
     with np.load(path, allow_pickle=False) as arrays:
         rgb, depth, poses = arrays["rgb"], arrays["depth_m"], arrays["T_WC"]
         fx, fy, cx, cy = arrays["intrinsics"].tolist()
-    camera = Camera(width=rgb.shape[2], height=rgb.shape[1], fx=fx, fy=fy, cx=cx, cy=cy)
+    camera = Camera(
+        width=rgb.shape[2],
+        height=rgb.shape[1],
+        fx=fx,
+        fy=fy,
+        cx=cx,
+        cy=cy,
+    )
     return [
-        Frame(index=k, timestamp_s=k / 2, rgb=torch.from_numpy(rgb[k]), depth_m=torch.from_numpy(depth[k]),
-              camera=camera, T_WC=torch.from_numpy(poses[k]))
+        Frame(
+            index=k,
+            timestamp_s=k / 2,
+            rgb=torch.from_numpy(rgb[k]),
+            depth_m=torch.from_numpy(depth[k]),
+            camera=camera,
+            T_WC=torch.from_numpy(poses[k]),
+        )
         for k in range(len(rgb))
-    ]  # fmt: skip
+    ]
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -1,4 +1,5 @@
-"""Numbers in the docs: measured by commands, kept in ``docs/measured/*.json``, filled into the pages from there.
+"""Numbers in the docs: measured by commands, kept in ``docs/measured/*.json``, filled into the
+pages from there.
 
     python tools/measured.py                 # list the tables that are out of date; needs git
     python tools/measured.py --renew NAME    # run a table's commands, fill the pages
@@ -28,12 +29,16 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = "docs/measured"
 LAYOUT_COMMITS = ".git-blame-ignore-revs"
-"""Commits that changed only how the source is laid out; ``git blame`` skips them, and so does the age of a table."""
+"""Commits that changed only how the source is laid out; ``git blame`` skips them, and so does the
+age of a table."""
 
 COMMIT_HERE = "commit_here"
-"""Key of a file of numbers: whether its commit is in the history of this repository; absent means that it is."""
+"""Key of a file of numbers: whether its commit is in the history of this repository; absent means
+that it is."""
 KEYS = {"about", "depends", "columns", "rows", "runs", "cells", "texts", "minutes", "quiet"}
-MARKER = re.compile(r"(?<!`)<!-- (table|commands|text): ([\w-]+)(?: ([\w-]+))? -->(.*?)<!-- end -->", re.DOTALL)
+MARKER = re.compile(
+    r"(?<!`)<!-- (table|commands|text): ([\w-]+)(?: ([\w-]+))? -->(.*?)<!-- end -->", re.DOTALL
+)
 TRAINED_OTHERWISE = "†"
 """Mark of a rule whose publication trains the Gaussians otherwise, as in the tables of the lab."""
 ABSOLUTE_PATH = re.compile(r"(?<![\w.~:/\\])(?:~|[A-Za-z]:)?(?:[/\\][^/\\\s\"']+){2,}[/\\]?")
@@ -42,19 +47,28 @@ Record = dict[str, Any]
 
 
 class MeasuredError(ValueError):
-    """A recipe, a file of numbers or a page that cannot be used; the message says what was expected."""
+    """A recipe, a file of numbers or a page that cannot be used; the message says what was
+    expected."""
 
 
 def read_recipes(root: Path = ROOT) -> dict[str, dict[str, Any]]:
-    """Recipes by name, with the paths of their groups in ``depends`` and a list of command lines for each run."""
+    """Recipes by name, with the paths of their groups in ``depends`` and a list of command lines
+    for each run."""
     recipes = tomllib.loads((root / MEASURED / "recipes.toml").read_text(encoding="utf-8"))
     groups = recipes.pop("groups", {})
     for name, recipe in recipes.items():
         if unknown := set(recipe) - KEYS:
             raise MeasuredError(f"{name}: unknown keys {sorted(unknown)}; there are {sorted(KEYS)}")
-        recipe["depends"] = sorted({path for item in recipe["depends"] for path in groups.get(item, [item])})
-        recipe["runs"] = {run: [lines] if isinstance(lines, str) else lines for run, lines in recipe["runs"].items()}
-        recipe["commands"] = list(dict.fromkeys(line for lines in recipe["runs"].values() for line in lines))
+        recipe["depends"] = sorted(
+            {path for item in recipe["depends"] for path in groups.get(item, [item])}
+        )
+        recipe["runs"] = {
+            run: [lines] if isinstance(lines, str) else lines
+            for run, lines in recipe["runs"].items()
+        }
+        recipe["commands"] = list(
+            dict.fromkeys(line for lines in recipe["runs"].values() for line in lines)
+        )
     return recipes
 
 
@@ -63,11 +77,15 @@ def read_numbers(name: str, root: Path = ROOT) -> dict[str, Any]:
     return json.loads((root / MEASURED / f"{name}.json").read_text(encoding="utf-8"))
 
 
-# ---- Filling the pages -----------------------------------------------------------------------------------------------
+# ---- Filling the pages ---------------------------------------------------------------------------
 
 
-def filled(page: str, numbers: Callable[[str], Mapping[str, Any]]) -> str:
-    """The text of a page with every marked place made again; ``numbers`` gives the numbers of a name."""
+def filled(
+    page: str,
+    numbers: Callable[[str], Mapping[str, Any]],
+) -> str:
+    """The text of a page with every marked place made again; ``numbers`` gives the numbers of a
+    name."""
 
     def place(match: re.Match[str]) -> str:
         kind, name, key, _ = match.groups()
@@ -76,7 +94,11 @@ def filled(page: str, numbers: Callable[[str], Mapping[str, Any]]) -> str:
             return f"<!-- text: {name} {key} -->{found['texts'][key]}<!-- end -->"
         lines = ["```", *of_one_seed(found["commands"]), "```"]
         if kind == "table":
-            rows = [found["columns"], ["---"] + ["---:"] * (len(found["columns"]) - 1), *found["rows"]]
+            rows = [
+                found["columns"],
+                ["---"] + ["---:"] * (len(found["columns"]) - 1),
+                *found["rows"],
+            ]
             lines = [re.sub(" +", " ", f"| {' | '.join(row)} |") for row in rows]
             lines += ["", origin(name, found)]
         return "\n".join([f"<!-- {kind}: {name} -->", *lines, "<!-- end -->"])
@@ -90,7 +112,8 @@ def origin(name: str, numbers: Mapping[str, Any]) -> str:
     if numbers.get(COMMIT_HERE, True):
         return f"Measured on {numbers['date']} with commit `{commit}`."
     return (
-        f"**These are not today's numbers.** They were measured on {numbers['date']} with commit `{commit}`, which is "
+        f"**These are not today's numbers.** They were measured on {numbers['date']} with commit "
+        f"`{commit}`, which is "
         f'not in this repository. Measure again with `make measured RENEW="{name}"`.'
     )
 
@@ -121,19 +144,27 @@ def fill(root: Path = ROOT, *, write: bool) -> list[Path]:
     return changed
 
 
-# ---- Which are old ---------------------------------------------------------------------------------------------------
+# ---- Which are old -------------------------------------------------------------------------------
 
 
 def git(*arguments: str, root: Path = ROOT) -> str:
     """The output of git.
 
     Raises:
-        MeasuredError: git is not there, or failed; an empty answer is never taken for a failure, nor the other way.
+        MeasuredError: git is not there, or failed; an empty answer is never taken for a failure,
+            nor the other way.
     """
     try:
-        done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True)
+        done = subprocess.run(
+            ["git", *arguments],
+            cwd=root,
+            capture_output=True,
+            text=True,
+        )
     except FileNotFoundError:
-        raise MeasuredError("git is not installed, so the age of the tables cannot be known") from None
+        raise MeasuredError(
+            "git is not installed, so the age of the tables cannot be known"
+        ) from None
     if done.returncode != 0:
         raise MeasuredError(f"git {' '.join(arguments)} failed in {root}: {done.stderr.strip()}")
     return done.stdout
@@ -145,22 +176,32 @@ def check_history(root: Path = ROOT) -> None:
     Raises:
         MeasuredError: no git checkout, or one whose history was cut.
     """
-    inside = subprocess.run(["git", "rev-parse", "--show-toplevel"], cwd=root, capture_output=True, text=True)
+    inside = subprocess.run(
+        ["git", "rev-parse", "--show-toplevel"], cwd=root, capture_output=True, text=True
+    )
     if inside.returncode != 0 or Path(inside.stdout.strip()).resolve() != root.resolve():
-        raise MeasuredError(f"{root} is not a git checkout, so which tables are old cannot be known here")
+        raise MeasuredError(
+            f"{root} is not a git checkout, so which tables are old cannot be known here"
+        )
     if git("rev-parse", "--is-shallow-repository", root=root).strip() == "true":
         raise MeasuredError(
-            "the history of this checkout is cut, so the age of the tables cannot be known: run git fetch --unshallow"
+            "the history of this checkout is cut, so the age of the tables cannot be known: run "
+            "git fetch --unshallow"
         )
 
 
 def is_in_history(commit: str, root: Path = ROOT) -> bool:
-    """Whether a commit is HEAD or an ancestor of it. One of another branch, or that is gone, is not."""
+    """Whether a commit is HEAD or an ancestor of it. One of another branch, or that is gone, is
+    not."""
     call = ["git", "merge-base", "--is-ancestor", commit, "HEAD"]
     return subprocess.run(call, cwd=root, capture_output=True).returncode == 0
 
 
-def reason_of_age(name: str, recipe: Mapping[str, Any], root: Path = ROOT) -> str:
+def reason_of_age(
+    name: str,
+    recipe: Mapping[str, Any],
+    root: Path = ROOT,
+) -> str:
     """Why a table is older than what it depends on; empty if it is not."""
     if not (root / MEASURED / f"{name}.json").is_file():
         return "never measured"
@@ -169,7 +210,9 @@ def reason_of_age(name: str, recipe: Mapping[str, Any], root: Path = ROOT) -> st
         return f"its commit is not in this repository: {numbers['commit'][:8]} of {numbers['date']}"
     if any(numbers[key] != recipe[key] for key in ("commands", "columns")):
         return "the recipe has changed"
-    since = git("log", "--format=%H", f"{numbers['commit']}..HEAD", "--", *recipe["depends"], root=root).split()
+    since = git(
+        "log", "--format=%H", f"{numbers['commit']}..HEAD", "--", *recipe["depends"], root=root
+    ).split()
     changes = [commit for commit in since if commit not in layout_commits(root)]
     return f"{len(changes)} commits since {numbers['date']}" if changes else ""
 
@@ -184,7 +227,8 @@ def layout_commits(root: Path = ROOT) -> set[str]:
 
 
 def note_commits(root: Path = ROOT) -> list[str]:
-    """Write into each file of numbers whether its commit is in the history; returns the names of those that changed."""
+    """Write into each file of numbers whether its commit is in the history; returns the names of
+    those that changed."""
     check_history(root)
     changed = []
     for path in sorted((root / MEASURED).glob("*.json")):
@@ -197,8 +241,12 @@ def note_commits(root: Path = ROOT) -> list[str]:
     return changed
 
 
-def list_old(recipes: Mapping[str, dict[str, Any]], root: Path = ROOT) -> list[str]:
-    """Print the tables whose recipe, or files that it depends on, have changed since; returns their names.
+def list_old(
+    recipes: Mapping[str, dict[str, Any]],
+    root: Path = ROOT,
+) -> list[str]:
+    """Print the tables whose recipe, or files that it depends on, have changed since; returns their
+    names.
 
     Raises:
         MeasuredError: this cannot be known here.
@@ -211,15 +259,22 @@ def list_old(recipes: Mapping[str, dict[str, Any]], root: Path = ROOT) -> list[s
             old.append(name)
             quiet = ", without other load" if recipe.get("quiet") else ""
             print(f"{name}: {recipe['about']}: {why}")
-            print(f'  make measured RENEW="{name}"    # about {recipe.get("minutes", "?")} minutes of one core{quiet}')
+            print(
+                f'  make measured RENEW="{name}"    # about {recipe.get("minutes", "?")} minutes '
+                f"of one core{quiet}"
+            )
     print(f"{len(old)} tables are older than what they depend on.")
     return old
 
 
-# ---- Measuring -------------------------------------------------------------------------------------------------------
+# ---- Measuring -----------------------------------------------------------------------------------
 
 
-def records_of(command: str, recordings: Path, written: Path | None = None) -> list[Record]:
+def records_of(
+    command: str,
+    recordings: Path,
+    written: Path | None = None,
+) -> list[Record]:
     """Run one command line in the folder of the recordings; what it wrote, as flat records.
 
     With ``written``, the folder of an earlier call of the same command, nothing runs.
@@ -236,19 +291,30 @@ def records_of(command: str, recordings: Path, written: Path | None = None) -> l
         if written is None:
             call = [str(ROOT / part) if part.startswith("docs/") else part for part in call]
             done = subprocess.run(call, cwd=recordings, stdout=subprocess.PIPE, text=True)
-            without = what == "lab" and done.returncode == 1  # a run failed: its cell is empty, or the page says so
+            without = (
+                what == "lab" and done.returncode == 1
+            )  # a run failed: its cell is empty, or the page says so
             if done.returncode != 0 and not without:
-                raise MeasuredError(f"ended with status {done.returncode} in {recordings}: {command}")
+                raise MeasuredError(
+                    f"ended with status {done.returncode} in {recordings}: {command}"
+                )
             if program == "python":
                 return leaves(json.loads(done.stdout.strip().splitlines()[-1]))
         if what in ("sweep", "study") and (out / "runs.csv").is_file():
             rows = csv.DictReader((out / "runs.csv").read_text(encoding="utf-8").splitlines())
-            return [{k.removeprefix("metric."): _value_of(k, t) for k, t in r.items()} for r in rows]
+            return [
+                {k.removeprefix("metric."): _value_of(k, t) for k, t in r.items()} for r in rows
+            ]
         if what == "bench":
             rows = json.loads(bench.read_text(encoding="utf-8"))["rows"]
             return [row | row.pop("values") | (row.pop("timing") or {}) for row in rows]
         if what == "demo":
-            return leaves({p.parent.name: json.loads(p.read_text())["metrics"] for p in out.glob("*/metrics.json")})
+            return leaves(
+                {
+                    p.parent.name: json.loads(p.read_text())["metrics"]
+                    for p in out.glob("*/metrics.json")
+                }
+            )
         path = out / ("metrics.json" if what == "map" else "table.json")
         found = json.loads(path.read_text(encoding="utf-8"))
         return of_the_lab(found) if what == "lab" else leaves(found.get("metrics", found))
@@ -260,34 +326,48 @@ def _value_of(column: str, text: str) -> float | str:
 
 
 def leaves(table: Any, label: str = "") -> list[Record]:
-    """The records in nested dictionaries and lists; ``label`` is made of the keys above, with / between."""
+    """The records in nested dictionaries and lists; ``label`` is made of the keys above, with /
+    between."""
     if isinstance(table, list):
         return [record for row in table for record in leaves(row, label)]
     if table and all(isinstance(value, dict) for value in table.values()):
-        return [r for key, value in table.items() for r in leaves(value, f"{label}/{key}" if label else key)]
+        return [
+            r
+            for key, value in table.items()
+            for r in leaves(value, f"{label}/{key}" if label else key)
+        ]
     return [{"label": label} | table]
 
 
 def of_the_lab(table: Mapping[str, Any]) -> list[Record]:
-    """A record of each rule and budget with its rank and test, and one for each of its scenes with the means there."""
+    """A record of each rule and budget with its rank and test, and one for each of its scenes with
+    the means there."""
     found = []
     of_rule = table.get("rules", {})
     for budget in table["budgets"]:
         if "units" in budget and len(budget["units"]) < len(budget["scenes"]):
-            raise MeasuredError(f"scenes of {budget['budget']} share frames, so they are no independent numbers")
+            raise MeasuredError(
+                f"scenes of {budget['budget']} share frames, so they are no independent numbers"
+            )
         for row in budget["rows"]:
             is_other = bool(of_rule.get(row["rule"], {}).get("published_training"))
-            key = {"label": row["rule"], "budget": budget["budget"]} | ({"mark": TRAINED_OTHERWISE} if is_other else {})
+            key = {"label": row["rule"], "budget": budget["budget"]} | (
+                {"mark": TRAINED_OTHERWISE} if is_other else {}
+            )
             found.append(key | {"rank": row["rank"]} | (row["test"] or {}))
             for scene, metrics in row["scenes"].items():
-                found.append(key | {"scene": scene} | {name: of["mean"] for name, of in metrics.items()})
+                found.append(
+                    key | {"scene": scene} | {name: of["mean"] for name, of in metrics.items()}
+                )
     return found
 
 
 def cell(template: str, values: Mapping[str, list[Record]]) -> str:
-    """A cell with its places filled: ``{run; field}`` or ``{run; label; key=value; field*100:.2f}``.
+    """A cell with its places filled: ``{run; field}`` or
+    ``{run; label; key=value; field*100:.2f}``.
 
-    ``{run; label; less=other; field}`` is the difference to the records of another label, each with that of its scene.
+    ``{run; label; less=other; field}`` is the difference to the records of another label, each with
+    that of its scene.
     """
     return re.sub(r"\{([^{}]+)\}", lambda match: _place(match[1], values), template)
 
@@ -312,7 +392,9 @@ def _place(inside: str, values: Mapping[str, list[Record]]) -> str:
     if may_miss and all(number is None for number in found):
         return ""
     if not found or not all(isinstance(number, int | float) for number in found):
-        raise MeasuredError(f"{{{inside}}}: expected numbers, got {found}; fields: {sorted(values[run][0])}")
+        raise MeasuredError(
+            f"{{{inside}}}: expected numbers, got {found}; fields: {sorted(values[run][0])}"
+        )
     metric = METRICS.get(field)
     factor = float(scale) if scale else metric.scale if metric else 1.0
     spec = spec or (f",.{metric.digits}f" if metric else ".4g")
@@ -320,22 +402,39 @@ def _place(inside: str, values: Mapping[str, list[Record]]) -> str:
     return f"{statistics.fmean(found) * factor:{spec}}{spread}"
 
 
-def by_scene(records: list[Record], wanted: Mapping[str, str], field: str) -> list[tuple[Any, Any]]:
+def by_scene(
+    records: list[Record],
+    wanted: Mapping[str, str],
+    field: str,
+) -> list[tuple[Any, Any]]:
     """Scene, or None, and the field of the records that have all that is wanted."""
-    fitting = (r for r in records if field in r and all(str(r.get(key)) == value for key, value in wanted.items()))
+    fitting = (
+        r
+        for r in records
+        if field in r and all(str(r.get(key)) == value for key, value in wanted.items())
+    )
     return [(r.get("scene"), r[field]) for r in fitting]
 
 
-def made(recipe: Mapping[str, Any], values: Mapping[str, list[Record]]) -> dict[str, Any]:
+def made(
+    recipe: Mapping[str, Any],
+    values: Mapping[str, list[Record]],
+) -> dict[str, Any]:
     """Columns, rows and texts of a table from the records of its runs."""
     rows, cells = recipe["rows"], recipe.get("cells")
     if isinstance(rows, str):  # a run: a row for each of its labels
         marks = {r["label"]: r.get("mark", "") for r in values[rows]}
         rows = [[f"`{label}` {mark}".strip(), f"{rows}; {label}"] for label, mark in marks.items()]
     if cells:  # each row is a heading and what stands for @ in the cells
-        rows = [[row[0], *(text.replace("@", row[-1]) for text in cells)] if len(row) == 2 else row for row in rows]
+        rows = [
+            [row[0], *(text.replace("@", row[-1]) for text in cells)] if len(row) == 2 else row
+            for row in rows
+        ]
     if wrong := [row for row in rows if len(row) != len(recipe["columns"])]:
-        raise MeasuredError(f"expected rows of {len(recipe['columns'])} cells, or a heading and a key; got {wrong[0]}")
+        raise MeasuredError(
+            f"expected rows of {len(recipe['columns'])} cells, or a heading and a key; got "
+            f"{wrong[0]}"
+        )
     texts = {key: cell(text, values) for key, text in recipe.get("texts", {}).items()}
     return {
         "columns": recipe["columns"],
@@ -344,8 +443,14 @@ def made(recipe: Mapping[str, Any], values: Mapping[str, list[Record]]) -> dict[
     }
 
 
-def renew(name: str, recipe: Mapping[str, Any], recordings: Path, done: dict[str, list[Record]]) -> None:
-    """Run the commands of a table and write its numbers. ``done`` has the records of commands that have run already."""
+def renew(
+    name: str,
+    recipe: Mapping[str, Any],
+    recordings: Path,
+    done: dict[str, list[Record]],
+) -> None:
+    """Run the commands of a table and write its numbers. ``done`` has the records of commands that
+    have run already."""
     from gsfusion_nb.compare.bench.timing import describe
 
     if changed := git("status", "--porcelain", "--", *recipe["depends"]).strip():
@@ -354,35 +459,48 @@ def renew(name: str, recipe: Mapping[str, Any], recordings: Path, done: dict[str
         if line not in done:
             print(f"{name}: {line}", flush=True)
             done[line] = records_of(line, recordings)
-    values = {run: [r for line in lines for r in done[line]] for run, lines in recipe["runs"].items()}
+    values = {
+        run: [r for line in lines for r in done[line]] for run, lines in recipe["runs"].items()
+    }
     machine = describe(int(os.environ.get("NUMBA_NUM_THREADS", os.cpu_count() or 1)))
     numbers = {key: recipe[key] for key in ("about", "commands", "depends")} | made(recipe, values)
     numbers |= {"commit": git("rev-parse", "HEAD").strip()}
     numbers |= {"date": datetime.date.today().isoformat(), "versions": machine["versions"]}
-    numbers["machine"] = {"cpu": machine["processor"], "cores": machine["cores"], "threads": machine["threads"]}
+    numbers["machine"] = {
+        "cpu": machine["processor"],
+        "cores": machine["cores"],
+        "threads": machine["threads"],
+    }
     kept = (int, float, str)  # but not the settings of a sweep and empty cells
     numbers["values"] = {
-        run: [{k: v for k, v in r.items() if isinstance(v, kept) and v != "" and "setting." not in k} for r in records]
+        run: [
+            {k: v for k, v in r.items() if isinstance(v, kept) and v != "" and "setting." not in k}
+            for r in records
+        ]
         for run, records in values.items()
     }
     write_numbers(ROOT / MEASURED / f"{name}.json", numbers)
 
 
 def write_numbers(path: Path, numbers: Mapping[str, Any]) -> None:
-    """Write a file of numbers. Folders of the machine that measured are left out: of a path its last name is kept."""
+    """Write a file of numbers. Folders of the machine that measured are left out: of a path its
+    last name is kept."""
     text = json.dumps(without_folders(numbers), indent=1, ensure_ascii=False) + "\n"
     path.write_text(text, encoding="utf-8")
 
 
 def without_folders(value: Any) -> Any:
-    """``value`` with the last name of each absolute path in it: of the folder of a recording, the recording's name."""
+    """``value`` with the last name of each absolute path in it: of the folder of a recording, the
+    recording's name."""
     if isinstance(value, Mapping):
         return {key: without_folders(inner) for key, inner in value.items()}
     if isinstance(value, list):
         return [without_folders(inner) for inner in value]
     if not isinstance(value, str):
         return value
-    if PurePosixPath(value).is_absolute() or PureWindowsPath(value).is_absolute():  # there may be spaces in it
+    if (
+        PurePosixPath(value).is_absolute() or PureWindowsPath(value).is_absolute()
+    ):  # there may be spaces in it
         return PureWindowsPath(value).name
     return ABSOLUTE_PATH.sub(lambda match: PureWindowsPath(match[0]).name, value)
 
@@ -390,10 +508,18 @@ def without_folders(value: Any) -> Any:
 def main(arguments: list[str] | None = None) -> int:
     """List, renew or fill. Returns the exit status."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--renew", nargs="+", metavar="NAME", default=[], help="tables to measure again")
-    parser.add_argument("--recordings", type=Path, default=ROOT, help="folder in which commands find the recordings")
-    parser.add_argument("--read", type=Path, metavar="FOLDER", help="take what the command has written here already")
-    parser.add_argument("--fill", action="store_true", help="fill the pages from the files of numbers")
+    parser.add_argument(
+        "--renew", nargs="+", metavar="NAME", default=[], help="tables to measure again"
+    )
+    parser.add_argument(
+        "--recordings", type=Path, default=ROOT, help="folder in which commands find the recordings"
+    )
+    parser.add_argument(
+        "--read", type=Path, metavar="FOLDER", help="take what the command has written here already"
+    )
+    parser.add_argument(
+        "--fill", action="store_true", help="fill the pages from the files of numbers"
+    )
     options = parser.parse_args(arguments)
     recipes = read_recipes()
     done: dict[str, list[Record]] = {}
@@ -410,7 +536,9 @@ def main(arguments: list[str] | None = None) -> int:
         finally:
             try:
                 for name in note_commits():
-                    print(f"{name}: whether its commit is in this repository is noted in its file now")
+                    print(
+                        f"{name}: whether its commit is in this repository is noted in its file now"
+                    )
             except MeasuredError as error:  # the pages are filled all the same
                 print(error, file=sys.stderr)
             for page in fill(write=True):

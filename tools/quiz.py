@@ -1,11 +1,13 @@
-"""A bank of multiple-choice questions, one for each wrong answer of which a checker also finds something true.
+"""A bank of multiple-choice questions, one for each wrong answer of which a checker also finds
+something true.
 
-Each question shows a function and four statements, of which the checker finds one broken: the first property that
-fails. The other three were tested on the same function by the same checker, and hold. A property can hold on all inputs
-of the checker and yet not be true of the function; those that a reader found are left out (``NOT_OFFERED``).
+Each question shows a function and four statements, of which the checker finds one broken: the first
+property that fails. The other three were tested on the same function by the same checker, and hold.
+A property can hold on all inputs of the checker and yet not be true of the function; those that a
+reader found are left out (``NOT_OFFERED``).
 
-``python tools/quiz.py OUT`` writes for every chapter ``chapter_NN.xml``, which Moodle and other learning platforms
-import. The web book has the same questions to read and answer.
+``python tools/quiz.py OUT`` writes for every chapter ``chapter_NN.xml``, which Moodle and other
+learning platforms import. The web book has the same questions to read and answer.
 """
 
 import argparse
@@ -31,7 +33,8 @@ log = logging.getLogger(__name__)
 
 PROMPT = "Which of these statements does the checker find broken?"
 INTRODUCTION = (
-    "Each question shows a function that somebody might hand in; none of them is right. `correct_...` stands for a "
+    "Each question shows a function that somebody might hand in; none of them is right. "
+    "`correct_...` stands for a "
     "right function of that name; names that are not explained are those of the chapter."
 )
 
@@ -51,7 +54,13 @@ class Judged(Attempt):
         with self._noting(prop):
             super().holds(condition, prop, **more)
 
-    def close(self, got: Any, expected: Any, prop: str, **more: Any) -> None:
+    def close(
+        self,
+        got: Any,
+        expected: Any,
+        prop: str,
+        **more: Any,
+    ) -> None:
         """Note the property, and whether it fails."""
         with self._noting(prop):
             super().close(got, expected, prop, **more)
@@ -66,7 +75,8 @@ class Judged(Attempt):
 
 
 def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged:
-    """Run the judge of an exercise on a function to its end, or to an error from which it cannot go on.
+    """Run the judge of an exercise on a function to its end, or to an error from which it cannot go
+    on.
 
     Raises:
         ValueError: no property fails, so the function is no wrong answer.
@@ -87,7 +97,8 @@ def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged
 NOT_OFFERED: dict[str, list[str]] = tomllib.loads(
     Path(__file__).with_name("quiz_not_offered.toml").read_text(encoding="utf-8")
 )
-"""Exercise and number of a wrong answer -> properties that hold on the inputs of the checker only."""
+"""Exercise and number of a wrong answer -> properties that hold on the inputs of the checker
+only."""
 
 _ALWAYS = "it can be called with the arguments that the exercise names"
 
@@ -111,35 +122,52 @@ class Question:
 
 def bank() -> list[Question]:
     """All questions, by chapter."""
-    made = (question(e, number) for e in exercises().values() for number in range(1, len(e.wrong) + 1))
+    made = (
+        question(e, number) for e in exercises().values() for number in range(1, len(e.wrong) + 1)
+    )
     return [q for q in made if q is not None]
 
 
 def question(exercise: Exercise, number: int) -> Question | None:
-    """The question about wrong answer ``number`` of an exercise; ``None`` if fewer than two others are left."""
+    """The question about wrong answer ``number`` of an exercise; ``None`` if fewer than two others
+    are left."""
     function = exercise.wrong[number - 1].function
     name = f"{exercise.name}-{number}"
     judged = judge_thoroughly(exercise, function)
     first = judged.broken[0]
     broken = {e.prop for e in judged.broken}
-    held = [prop for prop in dict.fromkeys(judged.held) if prop not in {*broken, *NOT_OFFERED.get(name, ())}]
+    held = [
+        prop
+        for prop in dict.fromkeys(judged.held)
+        if prop not in {*broken, *NOT_OFFERED.get(name, ())}
+    ]
     random.Random(name).shuffle(held)
     if len(held) < 2:
         return None
     options = [first.prop, *[*held, _ALWAYS][:3]]
     random.Random(name).shuffle(options)
     return Question(
-        name=name, chapter=exercise.chapter, title=exercise.title, code=snippet(exercise, function),
-        options=tuple(options), answer=options.index(first.prop),
-        said=f"not true is: {first.prop}. Input: {first.on}. {first.detail[:1].upper()}{first.detail[1:]}",
-    )  # fmt: skip
+        name=name,
+        chapter=exercise.chapter,
+        title=exercise.title,
+        code=snippet(exercise, function),
+        options=tuple(options),
+        answer=options.index(first.prop),
+        said=f"not true is: {first.prop}. Input: {first.on}. "
+        f"{first.detail[:1].upper()}{first.detail[1:]}",
+    )
 
 
 def snippet(exercise: Exercise, function: Callable[..., Any]) -> str:
-    """Source code of a wrong answer without remarks; a call of the course's solution becomes ``correct_<exercise>``."""
+    """Source code of a wrong answer without remarks; a call of the course's solution becomes
+    ``correct_<exercise>``."""
     tree = ast.parse(source_of(exercise.name, function, without=exercise._solution))
     for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef) and ast.get_docstring(node) is not None and len(node.body) > 1:
+        if (
+            isinstance(node, ast.FunctionDef)
+            and ast.get_docstring(node) is not None
+            and len(node.body) > 1
+        ):
             del node.body[0]
     solution = exercise._solution.__name__
     return re.sub(rf"\b{re.escape(solution)}\b", f"correct_{exercise.name}", ast.unparse(tree))
@@ -165,7 +193,9 @@ def moodle_xml(chapter: int, questions: list[Question]) -> str:
         ET.SubElement(question, "shuffleanswers").text = "true"
         for i, option in enumerate(q.options):
             fraction = "100" if i == q.answer else "0"
-            _text(ET.SubElement(question, "answer", fraction=fraction, format="html"), escape(option))
+            _text(
+                ET.SubElement(question, "answer", fraction=fraction, format="html"), escape(option)
+            )
     ET.indent(quiz)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(quiz, encoding="unicode") + "\n"
 

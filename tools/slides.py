@@ -1,11 +1,14 @@
-"""The decks of slides: Markdown whose pictures and numbers come from the stored outputs of the notebooks.
+"""The decks of slides: Markdown whose pictures and numbers come from the stored outputs of the
+notebooks.
 
 ``python tools/slides.py SLIDES NOTEBOOKS OUT`` writes ``OUT/week_N.html`` with the program Marp,
 which ``npx`` fetches once from the npm registry (``--marp`` names another command). In a deck
 
-- ``![words](cell:02/057b416a)`` is the picture that cell ``057b416a`` of chapter 2 shows (the first one);
-- ``{{02/057b416a: 4 x voxel {a}%}}`` is the number that stands for ``{a}`` in what the cell prints (the notation of
-  ``tools/claims.py``), and ``{{docs/quality: ... {a} ...}}`` one of the page ``docs/quality.md``.
+- ``![words](cell:02/057b416a)`` is the picture that cell ``057b416a`` of chapter 2 shows (the first
+  one);
+- ``{{02/057b416a: 4 x voxel {a}%}}`` is the number that stands for ``{a}`` in what the cell prints
+  (the notation of ``tools/claims.py``), and ``{{docs/quality: ... {a} ...}}`` one of the page
+  ``docs/quality.md``.
 
 So a deck shows what the notebooks show, and building it fails if a cell or a number is gone.
 """
@@ -58,11 +61,15 @@ class Chapters:
     def number(self, chapter: str, cell: str, quote: str) -> str:
         """The number that a quotation names, as the cell of a chapter has it.
 
-        With ``docs`` as chapter: as the page ``cell`` has it, in the first of its sections with the words before the
-        number.
+        With ``docs`` as chapter: as the page ``cell`` has it, in the first of its sections with the
+        words before the number.
         """
         if chapter == "docs":
-            sections = (self.folder.parent / "docs" / f"{cell}.md").read_text(encoding="utf-8").split("\n## ")
+            sections = (
+                (self.folder.parent / "docs" / f"{cell}.md")
+                .read_text(encoding="utf-8")
+                .split("\n## ")
+            )
             words = quote.partition("{")[0].strip()
             shown = {cell: next((section for section in sections if words in section), "")}
         else:
@@ -74,7 +81,8 @@ class Chapters:
 
 
 def prepare(deck: Path, chapters: Chapters, out: Path) -> Path:
-    """Write the deck with its numbers, and its pictures beside it; returns the Markdown file in ``out``.
+    """Write the deck with its numbers, and its pictures beside it; returns the Markdown file in
+    ``out``.
 
     Raises:
         ValueError: a cell, a picture or a number is not there.
@@ -87,7 +95,10 @@ def prepare(deck: Path, chapters: Chapters, out: Path) -> Path:
         return f"({name})"
 
     text = _PICTURE.sub(picture, deck.read_text(encoding="utf-8"))
-    text = _NUMBER.sub(lambda m: chapters.number(m[1], m[2], m[3]), text)
+    text = _NUMBER.sub(
+        lambda m: chapters.number(m[1], m[2], m[3]),
+        text,
+    )
     for name in re.findall(r"\(\.\./\.\./images/([\w.]+)\)", text):
         (out / "figures").mkdir(parents=True, exist_ok=True)
         shutil.copyfile(deck.parent / "../../images" / name, out / "figures" / name)
@@ -109,7 +120,13 @@ def build(source: Path, notebooks: Path, out: Path, marp: str = MARP) -> None:
     decks = [prepare(deck, chapters, out) for deck in sorted(source.glob("week_*.md"))]
     for name in ("theme.css", "marp.config.mjs"):
         shutil.copyfile(source / name, out / name)
-    call = [*shlex.split(marp), "--config-file", "marp.config.mjs", "--allow-local-files", *(d.name for d in decks)]
+    call = [
+        *shlex.split(marp),
+        "--config-file",
+        "marp.config.mjs",
+        "--allow-local-files",
+        *(d.name for d in decks),
+    ]
     subprocess.run(call, cwd=out, check=True, stdin=subprocess.DEVNULL)
 
 

@@ -1,11 +1,18 @@
-"""Settings of Sphinx for the web book; ``python -m book``, in ``tools``, assembles the pages and passes the title."""
+"""Settings of Sphinx for the web book; ``python -m book``, in ``tools``, assembles the pages and
+passes the title."""
 
 import os
 import sys
 
 sys.path.insert(0, os.environ["GSNB_BOOK_PACKAGE"])
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx.ext.viewcode"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.viewcode",
+]
 source_suffix = {".md": "markdown"}
 language = "en"
 
@@ -13,12 +20,20 @@ myst_enable_extensions = ["dollarmath", "amsmath", "html_image"]
 myst_heading_anchors = 4
 myst_dmath_double_inline = True
 myst_update_mathjax = False
-suppress_warnings = ["myst.header", "myst.xref_ambiguous", "misc.highlighting_failure", "ref.python"]
+suppress_warnings = [
+    "myst.header",
+    "myst.xref_ambiguous",
+    "misc.highlighting_failure",
+    "ref.python",
+]
 
 mathjax_path = "mathjax/tex-chtml-full.js"
 mathjax3_config = {
     "tex": {"inlineMath": [["\\(", "\\)"]], "displayMath": [["\\[", "\\]"]]},
-    "options": {"ignoreHtmlClass": "tex2jax_ignore|mathjax_ignore|document", "processHtmlClass": "math"},
+    "options": {
+        "ignoreHtmlClass": "tex2jax_ignore|mathjax_ignore|document",
+        "processHtmlClass": "math",
+    },
 }
 
 autodoc_member_order = "bysource"
@@ -51,7 +66,9 @@ def _plain_bars(app, what, name, obj, options, lines):
     """Docstrings write |x| for a length, which Sphinx would take for one of its own marks."""
     for number, line in enumerate(lines):
         parts = line.split("``")
-        lines[number] = "``".join(p if k % 2 else p.replace("|", "\\|") for k, p in enumerate(parts))
+        lines[number] = "``".join(
+            p if k % 2 else p.replace("|", "\\|") for k, p in enumerate(parts)
+        )
 
 
 def _without_object(app, name, obj, options, bases):
@@ -60,13 +77,17 @@ def _without_object(app, name, obj, options, bases):
 
 
 def _levels(app, pagename, templatename, context, doctree):
-    """The theme's captions of lists of pages are headings without a level, which screen readers need."""
+    """The theme's captions of lists of pages are headings without a level, which screen readers
+    need."""
     if tree := context.get("furo_navigation_tree"):
-        context["furo_navigation_tree"] = tree.replace('role="heading"', 'role="heading" aria-level="2"')
+        context["furo_navigation_tree"] = tree.replace(
+            'role="heading"', 'role="heading" aria-level="2"'
+        )
 
 
 def _no_tree_on_source(app, pagename, templatename, context, doctree):
-    """Pages of source get no list of all pages: making it for each of them took a third of the time."""
+    """Pages of source get no list of all pages: making it for each of them took a third of the
+    time."""
     if pagename.startswith("_modules/"):
         context.pop("toctree", None)
 

@@ -1,8 +1,10 @@
 """gsfusion_nb as a baseline of VSLAM-LAB (Fontan et al. 2025): RGB-D sequences, tracked and mapped.
 
-Copy this file to VSLAM-LAB's Baselines/baseline_files, import ``GSFUSIONNB_baseline`` in Baselines/get_baseline.py, and
-add a line for each system there: ``"gsfusion": lambda: GSFUSIONNB_baseline("gsfusion")``. gsfusion_nb is installed in
-any Python of its own, which GSFUSION_PYTHON names. The maps, numbers and report of a run lie beside its trajectory.
+Copy this file to VSLAM-LAB's Baselines/baseline_files, import ``GSFUSIONNB_baseline`` in
+Baselines/get_baseline.py, and add a line for each system there:
+``"gsfusion": lambda: GSFUSIONNB_baseline("gsfusion")``. gsfusion_nb is installed in any Python of
+its own, which GSFUSION_PYTHON names. The maps, numbers and report of a run lie beside its
+trajectory.
 """
 
 import argparse
@@ -27,11 +29,24 @@ class GSFUSIONNB_baseline(BaselineVSLAMLab):
 
     def build_execute_command(self, exp_it, exp, dataset, sequence_name) -> str:
         """The command line of one run."""
-        sequence, folder = dataset.dataset_path / sequence_name, Path(exp.folder) / dataset.dataset_folder
+        sequence, folder = (
+            dataset.dataset_path / sequence_name,
+            Path(exp.folder) / dataset.dataset_folder,
+        )
         folder /= sequence_name
-        given = {name: exp.parameters.get(name, value) for name, value in self.default_parameters.items()}
-        given |= {"system": self.baseline_name, "sequence_path": sequence, "rgb_csv": folder / "rgb_exp.csv"}
-        given |= {"calibration_yaml": sequence / "calibration.yaml", "exp_folder": folder, "exp_it": exp_it}
+        given = {
+            name: exp.parameters.get(name, value) for name, value in self.default_parameters.items()
+        }
+        given |= {
+            "system": self.baseline_name,
+            "sequence_path": sequence,
+            "rgb_csv": folder / "rgb_exp.csv",
+        }
+        given |= {
+            "calibration_yaml": sequence / "calibration.yaml",
+            "exp_folder": folder,
+            "exp_it": exp_it,
+        }
         program = [os.environ.get("GSFUSION_PYTHON", "python3"), str(Path(__file__).resolve())]
         return shlex.join([*program, *(f"--{name}={value}" for name, value in given.items())])
 
@@ -56,16 +71,32 @@ def read_sequence(args: argparse.Namespace):
     from gsfusion_nb.data.sequence import SequenceError
     from gsfusion_nb.types import Camera
 
-    cameras = yaml.safe_load(args.calibration_yaml.read_text(encoding="utf-8").removeprefix("%YAML:1.0"))["cameras"]
+    cameras = yaml.safe_load(
+        args.calibration_yaml.read_text(encoding="utf-8").removeprefix("%YAML:1.0")
+    )["cameras"]
     told = next((camera for camera in cameras if camera.get("cam_type") == "rgb+depth"), None)
     kind = (told or {}).get("distortion_type", "radtan4")
     if told is None or kind not in ("radtan4", "radtan5", "equid4"):
         raise SequenceError(
-            f"{args.calibration_yaml}: expected a camera of type rgb+depth, radtan or equid; got {told}"
+            f"{args.calibration_yaml}: expected a camera of type rgb+depth, radtan or equid; got "
+            f"{told}"
         )
-    (width, height), (fx, fy), (cx, cy) = told["image_dimension"], told["focal_length"], told["principal_point"]
-    pinhole = Camera(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx + 0.5, cy=cy + 0.5)
-    lens = CameraModel(pinhole, tuple(told.get("distortion_coefficients", ())), fisheye=kind == "equid4")
+    (width, height), (fx, fy), (cx, cy) = (
+        told["image_dimension"],
+        told["focal_length"],
+        told["principal_point"],
+    )
+    pinhole = Camera(
+        width=int(width),
+        height=int(height),
+        fx=fx,
+        fy=fy,
+        cx=cx + 0.5,
+        cy=cy + 0.5,
+    )
+    lens = CameraModel(
+        pinhole, tuple(told.get("distortion_coefficients", ())), fisheye=kind == "equid4"
+    )
     undistorter = None if lens.is_pinhole else Undistorter(lens)
     with open(args.rgb_csv, newline="", encoding="utf-8") as file:
         rows, rgb, depth = list(csv.DictReader(file)), told["cam_name"], told["depth_name"]
@@ -100,7 +131,12 @@ def main(arguments: list[str] | None = None) -> int:
     config = get_system(args.system).preset("online", tracking__poses="tracked", **size)
     run = run_mapping(sequence, config, folder=args.exp_folder / f"{args.exp_it:05}_{args.system}")
     localiser = run.mapper.localiser
-    with open(args.exp_folder / f"{args.exp_it:05}_KeyFrameTrajectory.csv", "w", newline="", encoding="utf-8") as file:
+    with open(
+        args.exp_folder / f"{args.exp_it:05}_KeyFrameTrajectory.csv",
+        "w",
+        newline="",
+        encoding="utf-8",
+    ) as file:
         writer = csv.writer(file)
         writer.writerow(["ts (ns)", "tx (m)", "ty (m)", "tz (m)", "qx", "qy", "qz", "qw"])
         for index, T_WC in zip(localiser.frame_indices, localiser.poses, strict=True):

@@ -1,4 +1,5 @@
-"""Fig. 7 of RTG-SLAM: ``python docs/measured/disc_depth.py [FOLDER] [VIEWS]``, by default 20 views of the room."""
+"""Fig. 7 of RTG-SLAM: ``python docs/measured/disc_depth.py [FOLDER] [VIEWS]``, by default 20 views
+of the room."""
 
 import dataclasses
 import statistics

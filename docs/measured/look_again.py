@@ -1,4 +1,5 @@
-"""A recording walked forth and back: ``python docs/measured/look_again.py FOLDER SYSTEM SEED [always]``.
+"""A recording walked forth and back:
+``python docs/measured/look_again.py FOLDER SYSTEM SEED [always]``.
 
 With ``always``, keyframes and seeds of GPS-SLAM also come where the camera has been before.
 """
@@ -24,8 +25,14 @@ mapper = SYSTEMS[name](SYSTEMS[name].preset("replica", seed=int(seed)))
 rounds = []
 for frames in (walk, walk[::-1]) * (ROUNDS // 2):
     for frame in frames:
-        mapper.step(dataclasses.replace(frame, index=mapper.n_frames, timestamp_s=mapper.n_frames / 30))
-    pictures = [(mapper.render(f.camera, f.T_WC).rgb.clamp(0, 1) - f.rgb).square().mean() for f in held_out]
+        mapper.step(
+            dataclasses.replace(frame, index=mapper.n_frames, timestamp_s=mapper.n_frames / 30)
+        )
+    pictures = [
+        (mapper.render(f.camera, f.T_WC).rgb.clamp(0, 1) - f.rgb).square().mean() for f in held_out
+    ]
     psnr_db = sum(psnr_from_mse(float(mse)) for mse in pictures) / len(pictures)
-    rounds.append({"psnr": psnr_db, "gaussians": len(mapper.gaussians), "keyframes": len(mapper.keyframes)})
+    rounds.append(
+        {"psnr": psnr_db, "gaussians": len(mapper.gaussians), "keyframes": len(mapper.keyframes)}
+    )
 print(json.dumps([{"round": i + 1, **numbers} for i, numbers in enumerate(rounds)]))  # noqa: T201

@@ -1,4 +1,5 @@
-"""ATE of a tracker against a TSDF without Gaussians: ``python docs/measured/track_only.py FOLDER``."""
+"""ATE of a tracker against a TSDF without Gaussians:
+``python docs/measured/track_only.py FOLDER``."""
 
 import dataclasses
 import json
@@ -12,7 +13,10 @@ from gsfusion_nb.evaluation import ate_rmse
 from gsfusion_nb.tracking import Tracker, tsdf_surface
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 
-sequence = open_sequence(sys.argv[1], data=DataConfig(width=320, height=240, hold_out_every=8))
+sequence = open_sequence(
+    sys.argv[1],
+    data=DataConfig(width=320, height=240, hold_out_every=8),
+)
 found = {}
 for name, brightness_m in (("depth", None), ("both", TrackingConfig().brightness_m)):
     tracker = Tracker(TrackingConfig(poses="tracked", brightness_m=brightness_m))
@@ -22,5 +26,8 @@ for name, brightness_m in (("depth", None), ("both", TrackingConfig().brightness
         poses.append(tracker.track(frame, tsdf_surface(volume)).T_WC)
         true.append(frame.T_WC)
         integrate(volume, dataclasses.replace(frame, T_WC=poses[-1]))
-    found[name] = {"ate_rmse_m": ate_rmse(torch.stack(poses), torch.stack(true)), "n_frames": len(poses)}
+    found[name] = {
+        "ate_rmse_m": ate_rmse(torch.stack(poses), torch.stack(true)),
+        "n_frames": len(poses),
+    }
 print(json.dumps(found))  # noqa: T201

@@ -1,4 +1,5 @@
-"""The command ``gsfusion-nb`` and what its first word means: demo, convert, check, map, live, and so on."""
+"""The command ``gsfusion-nb`` and what its first word means: demo, convert, check, map, live, and
+so on."""
 
 import errno
 import importlib
@@ -37,31 +38,35 @@ NOBODY_READS = 141
 class CheckOptions:
     """Examine a recording: units, conventions, intrinsics, registration, times, images.
 
-    Reports errors and the options of gsfusion-nb map that repair them; the same options can be given here to test
-    them. Writes an HTML page."""
+    Reports errors and the options of gsfusion-nb map that repair them; the same options can be
+    given here to test them. Writes an HTML page."""
 
     path: Annotated[str, tyro.conf.Positional]
     """Folder of a sequence, or "room" for the built-in scene."""
     format: str = named("auto", layout_names)
     """Layout of the data."""
     reader: tuple[str, ...] = ()
-    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), poses=false (folder,
-    TUM), n_frames=480 (room)."""
+    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM),
+    poses=false (folder, TUM), n_frames=480 (room)."""
     data: DataConfig = field(default_factory=DataConfig)
     out: str = ""
     """Name of the HTML file. Default: check-<name>.html."""
     frames: int = 250
-    """Approximate number of frames to read; a longer recording is read in windows of 31 consecutive frames."""
+    """Approximate number of frames to read; a longer recording is read in windows of 31 consecutive
+    frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions:
-    """Map the built-in room by GSFusion and by GPS-SLAM, and write a report of both, side by side."""
+    """Map the built-in room by GSFusion and by GPS-SLAM, and write a report of both, side by
+    side."""
 
     out: str = ""
-    """New or empty folder for the results, with a folder of each run; runs/room-<time> by default."""
+    """New or empty folder for the results, with a folder of each run; runs/room-<time> by
+    default."""
     frames: int = 120
-    """Number of frames, spread evenly over one walk through the room. More: a better map, and more time."""
+    """Number of frames, spread evenly over one walk through the room. More: a better map, and more
+    time."""
     backend: str = named(from_environment, backend_names)
     """What the operations run on; the environment variable GSFUSION_BACKEND changes the default."""
 
@@ -93,16 +98,21 @@ class DoctorOptions:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line. Exit status: 0 done, 1 an error (its message is printed), 3 a map that ends before its
-    recording (``print_result``), 130 interrupted, 141 nobody reads the output any more."""
+    """Run the command line. Exit status: 0 done, 1 an error (its message is printed), 3 a map that
+    ends before its recording (``print_result``), 130 interrupted, 141 nobody reads the output any
+    more."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a path in another script ends no command on a terminal of cp1252
+        if isinstance(
+            stream, io.TextIOWrapper
+        ):  # a path in another script ends no command on a terminal of cp1252
             stream.reconfigure(errors="backslashreplace")
     try:
         status = _main(sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python's end says nothing, either
+        os.dup2(
+            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
+        )  # Python's end says nothing, either
         return NOBODY_READS
     return status
 
@@ -128,7 +138,10 @@ def _main(arguments: list[str]) -> int:
         text = e.args[0] if isinstance(e, KeyError) and e.args else e
         if isinstance(e, OSError) and e.errno in _REFUSED and e.filename:
             place = os.path.abspath(os.fsdecode(e.filename))
-            text = f"{_REFUSED[e.errno]}: {place}; expected to read it, or to write there: --out names another folder"
+            text = (
+                f"{_REFUSED[e.errno]}: {place}; expected to read it, or to write there: --out "
+                "names another folder"
+            )
         elif not (isinstance(e, BackendUnavailable) or is_foreseen(e)):
             text = unforeseen(e, f"gsfusion-nb {name}", rest)
         print(f"gsfusion-nb {name}: {text}", file=sys.stderr)
@@ -197,7 +210,10 @@ def _eval(arguments: list[str]) -> int:
     options = parse_options(EvalOptions, prog="gsfusion-nb eval", arguments=arguments)
     with use_backend(options.backend):
         metrics = rescore(
-            options.run, data=options.data or None, with_lpips=options.lpips, device=options.device or None
+            options.run,
+            data=options.data or None,
+            with_lpips=options.lpips,
+            device=options.device or None,
         )
     print_metrics(metrics)
     return 0
@@ -211,7 +227,9 @@ def _compare(name: str, arguments: list[str]) -> int:
     found = importlib.import_module(f"gsfusion_nb.compare.{module}")
     prog = f"gsfusion-nb {name}"
     try:
-        return getattr(found, function)(parse_options(getattr(found, options), prog=prog, arguments=arguments))
+        return getattr(found, function)(
+            parse_options(getattr(found, options), prog=prog, arguments=arguments)
+        )
     except RuleNotNamedError as e:
         files = dict.fromkeys(rule.rpartition(":")[0] for rule in e.rules)
         named = [word for file in files for word in ("--rule-file", file)]
@@ -229,12 +247,18 @@ def _doctor(arguments: list[str]) -> int:
 _MODULES = ("map", "live", "export", "course", "grade")
 """Commands that are modules of this package, with a function ``run``."""
 _COMMANDS = {
-    "demo": _demo, "convert": _convert, "excerpt": _excerpt, "check": _check, "eval": _eval,
+    "demo": _demo,
+    "convert": _convert,
+    "excerpt": _excerpt,
+    "check": _check,
+    "eval": _eval,
     "doctor": _doctor,
-}  # fmt: skip
+}
 _COMPARING = {
-    "lab": ("command", "main", "LabOptions"), "sweep": ("studies", "sweep", "SweepOptions"),
+    "lab": ("command", "main", "LabOptions"),
+    "sweep": ("studies", "sweep", "SweepOptions"),
     "study": ("studies", "study", "StudyOptions"),
-    "benchmark": ("benchmark", "benchmark", "BenchmarkOptions"), "bench": ("bench", "main", "BenchOptions"),
-}  # fmt: skip
+    "benchmark": ("benchmark", "benchmark", "BenchmarkOptions"),
+    "bench": ("bench", "main", "BenchOptions"),
+}
 """Command -> its module in ``compare``, function, and class of options."""

@@ -1,4 +1,5 @@
-"""``gsfusion-nb convert``: what a recording does not say is asked for at a terminal, one question at a time."""
+"""``gsfusion-nb convert``: what a recording does not say is asked for at a terminal, one question
+at a time."""
 
 import dataclasses
 import sys
@@ -21,10 +22,14 @@ CONVERTED = Path("converted")
 
 
 def convert_or_ask(
-    source: str | Path, out: str | Path, *, format: str = "auto", options: ConvertOptions | None = None
+    source: str | Path,
+    out: str | Path,
+    *,
+    format: str = "auto",
+    options: ConvertOptions | None = None,
 ) -> ConvertReport:
-    """``convert`` with a progress bar; what a recording does not say is asked for, if somebody is at a terminal,
-    and once more where the recording cannot be read with the answer.
+    """``convert`` with a progress bar; what a recording does not say is asked for, if somebody is
+    at a terminal, and once more where the recording cannot be read with the answer.
 
     Raises:
         OptionNeeded: nobody can be asked; the message names the option that answers the question.
@@ -56,13 +61,16 @@ def _answered(options: ConvertOptions, needed: OptionNeeded) -> ConvertOptions:
             answer = needed.choices[int(answer) - 1]
         try:
             is_text = isinstance(getattr(options, needed.option), str)
-            return dataclasses.replace(options, **{needed.option: answer if is_text else parse_value(answer)})
+            return dataclasses.replace(
+                options, **{needed.option: answer if is_text else parse_value(answer)}
+            )
         except ValueError as e:
             print(e)
 
 
 def mappable(source: str) -> tuple[str, bool]:
-    """A folder that can be mapped: ``source`` itself, or what a recording of another program was converted to.
+    """A folder that can be mapped: ``source`` itself, or what a recording of another program was
+    converted to.
 
     Returns:
         The folder, and whether its camera has to be tracked because the recording holds no poses.
@@ -85,10 +93,18 @@ def mappable(source: str) -> tuple[str, bool]:
             report = convert_or_ask(path, out)
         except OptionNeeded as e:
             option = e.option.replace("_", "-")
-            raise SequenceError(f"{e}; before mapping: gsfusion-nb convert {path} {out} --{option} ...") from None
+            raise SequenceError(
+                f"{e}; before mapping: gsfusion-nb convert {path} {out} --{option} ..."
+            ) from None
         print(report)
-    elif Path(read_object(made, "the report of a conversion").get("source", "")).resolve() != path.resolve():
-        raise SequenceError(f"{out} is another recording; convert {path} to another folder, with gsfusion-nb convert")
+    elif (
+        Path(read_object(made, "the report of a conversion").get("source", "")).resolve()
+        != path.resolve()
+    ):
+        raise SequenceError(
+            f"{out} is another recording; convert {path} to another folder, with gsfusion-nb "
+            "convert"
+        )
     else:
         print(f"{path} was converted to {out} before; remove that folder to convert it again")
     return str(out), not (out / "poses.txt").is_file()
@@ -96,14 +112,17 @@ def mappable(source: str) -> tuple[str, bool]:
 
 @dataclass(frozen=True, kw_only=True)
 class ConvertCommand:
-    """Write a recording in another format as a sequence that can be checked and mapped: [FORMAT] SOURCE OUT. Frames
-    are written one by one, and OUT appears when all is done."""
+    """Write a recording in another format as a sequence that can be checked and mapped: [FORMAT]
+    SOURCE OUT. Frames are written one by one, and OUT appears when all is done."""
 
-    words: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FORMAT] SOURCE OUT")] = named(
-        MISSING, lambda: sorted(FORMATS)
+    words: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FORMAT] SOURCE OUT")
+    ] = named(MISSING, lambda: sorted(FORMATS))
+    """SOURCE: the file or folder of the recording. OUT: a new folder. FORMAT: recognised
+    automatically if omitted."""
+    options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(
+        default_factory=ConvertOptions
     )
-    """SOURCE: the file or folder of the recording. OUT: a new folder. FORMAT: recognised automatically if omitted."""
-    options: Annotated[ConvertOptions, tyro.conf.arg(name="")] = field(default_factory=ConvertOptions)
 
 
 def convert_command(arguments: list[str]) -> ConvertReport:
@@ -114,7 +133,13 @@ def convert_command(arguments: list[str]) -> ConvertReport:
     """
     command = parse_options(ConvertCommand, prog="gsfusion-nb convert", arguments=arguments)
     if not 2 <= len(command.words) <= 3:
-        listed = "\n".join(f"  {name:<10} {looks_for}" for name, looks_for in known_formats().items())
-        raise ValueError(f"expected [FORMAT] SOURCE OUT; the formats and what they look for:\n{listed}")
+        listed = "\n".join(
+            f"  {name:<10} {looks_for}" for name, looks_for in known_formats().items()
+        )
+        raise ValueError(
+            f"expected [FORMAT] SOURCE OUT; the formats and what they look for:\n{listed}"
+        )
     *format, source, out = command.words
-    return convert_or_ask(source, out, format=format[0] if format else "auto", options=command.options)
+    return convert_or_ask(
+        source, out, format=format[0] if format else "auto", options=command.options
+    )

@@ -23,17 +23,19 @@ class CourseOptions:
     """
 
     folder: Annotated[Path | None, tyro.conf.Positional] = None
-    """Where to write the notebooks, without solutions, and the documentation that they link to. A notebook
-    that is there already stays; to get its newest edition, rename yours."""
+    """Where to write the notebooks, without solutions, and the documentation that they link to. A
+    notebook that is there already stays; to get its newest edition, rename yours."""
     path: Literal["whole", "short"] = "whole"
-    """whole: all chapters, about 27 hours. short: one notebook of two hours, from one frame to a seeding rule."""
+    """whole: all chapters, about 27 hours. short: one notebook of two hours, from one frame to a
+    seeding rule."""
     open: bool = False
     """Then open the first one in JupyterLab."""
     for_class: bool = False
     """Without outputs, to hand out; a notebook that is there already is replaced."""
 
     reset: bool = False
-    """Start the course again, also together with a folder. The file with your progress is renamed, not deleted."""
+    """Start the course again, also together with a folder. The file with your progress is renamed,
+    not deleted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +59,9 @@ def export(arguments: list[str]) -> int:
     chosen = [p for p in found if not options.chapters or int(p.name[:2]) in options.chapters]
     missing = set(options.chapters) - {int(p.name[:2]) for p in chosen}
     if missing or not chosen:
-        raise ValueError(f"there is no chapter {min(missing) if missing else ''} in {options.notebooks}")
+        raise ValueError(
+            f"there is no chapter {min(missing) if missing else ''} in {options.notebooks}"
+        )
     for path in export_course(chosen, options.out):
         print(f"wrote {path}")
     return 0
@@ -72,12 +76,23 @@ def run(arguments: list[str]) -> int:
 
     options = parse_options(CourseOptions, prog="gsfusion-nb course", arguments=arguments)
     if options.folder is None:
-        unused = [f"--{name.replace('_', '-')}" for name in ("path", "open", "for_class") if _is_set(options, name)]
+        unused = [
+            f"--{name.replace('_', '-')}"
+            for name in ("path", "open", "for_class")
+            if _is_set(options, name)
+        ]
         if unused:
-            raise ValueError(f"{' and '.join(unused)} needs the folder of the notebooks: gsfusion-nb course FOLDER")
+            raise ValueError(
+                f"{' and '.join(unused)} needs the folder of the notebooks: gsfusion-nb course "
+                "FOLDER"
+            )
     if options.reset:
         kept = reset()
-        print(f"The course starts again. Your progress so far is kept in {kept}" if kept else "There was no progress.")
+        print(
+            f"The course starts again. Your progress so far is kept in {kept}"
+            if kept
+            else "There was no progress."
+        )
     if options.folder is not None:
         return _copy(options.folder, options)
     if not options.reset:

@@ -1,8 +1,9 @@
-"""``gsfusion-nb doctor``: what is installed, what works, and what to do where it does not; ``--warm`` compiles.
+"""``gsfusion-nb doctor``: what is installed, what works, and what to do where it does not;
+``--warm`` compiles.
 
-``warm`` compiles every fast kernel once, so that no notebook waits for it later: each system maps a few frames of the
-built-in room. Compiled code is kept on disk. What is compiled depends on the types of the arguments, not on their size,
-so small pictures are enough.
+``warm`` compiles every fast kernel once, so that no notebook waits for it later: each system maps a
+few frames of the built-in room. Compiled code is kept on disk. What is compiled depends on the
+types of the arguments, not on their size, so small pictures are enough.
 """
 
 import contextlib
@@ -25,10 +26,24 @@ from ..mapping import make_mapper
 from ..work import ProgressDisplay
 
 PACKAGES = (
-    "torch", "numpy", "numba", "opencv-python-headless", "kornia", "matplotlib", "jupyterlab",
-    "ipykernel", "ipywidgets", "jupyterlab-widgets", "anywidget", "plyfile", "pyvista", "scipy", "scikit-posthocs",
-    "statsmodels", "tyro",
-)  # fmt: skip
+    "torch",
+    "numpy",
+    "numba",
+    "opencv-python-headless",
+    "kornia",
+    "matplotlib",
+    "jupyterlab",
+    "ipykernel",
+    "ipywidgets",
+    "jupyterlab-widgets",
+    "anywidget",
+    "plyfile",
+    "pyvista",
+    "scipy",
+    "scikit-posthocs",
+    "statsmodels",
+    "tyro",
+)
 
 OPTIONAL = {
     "triton": "some of the kernels for GPUs: pip install 'gsfusion-nb[gpu]'",
@@ -73,33 +88,46 @@ def main() -> int:
             print(f"      {'':<{width}}  -> {f.remedy}")
     missing = [f for f in checks if not f.ok and f.needed]
     print(
-        f"{len(missing)} problem(s) to solve: see the arrows above." if missing else "Everything needed is installed."
+        f"{len(missing)} problem(s) to solve: see the arrows above."
+        if missing
+        else "Everything needed is installed."
     )
     return 1 if missing else 0
 
 
 def warm() -> int:
-    """Compile the fast kernels once and show for what. Returns 0, or 1 if no fast kernel can run here.
+    """Compile the fast kernels once and show for what. Returns 0, or 1 if no fast kernel can run
+    here.
 
-    Uses what ``auto`` would choose, and leaves out what is not installed. On one thread: on so little data more gain
-    nothing, and on a busy machine they wait for each other.
+    Uses what ``auto`` would choose, and leaves out what is not installed. On one thread: on so
+    little data more gain nothing, and on a busy machine they wait for each other.
     """
     from ..compare.bench.timing import threads
 
     if all(backends.automatic(name, "cpu") == "reference" for name in backends.operations()):
-        print("No fast kernels can run here, so there is nothing to compile; gsfusion-nb doctor shows why.")
+        print(
+            "No fast kernels can run here, so there is nothing to compile; gsfusion-nb doctor "
+            "shows why."
+        )
         return 1
-    print("Compiling the fast kernels once, so that programs and notebooks start faster (about a minute) ...")
+    print(
+        "Compiling the fast kernels once, so that programs and notebooks start faster (about a "
+        "minute) ..."
+    )
     start, todo = time.perf_counter(), _examples()
     with (
         ProgressDisplay("compiling", total=len(todo), unit="map") as display,
-        backends.use_backend("auto"), _quietly(), threads(1),
-    ):  # fmt: skip
+        backends.use_backend("auto"),
+        _quietly(),
+        threads(1),
+    ):
         for done, config in enumerate(todo):
             display.show(done, note=type(config).__name__)
             _map(config)
         display.show(len(todo))
-    print(f"All fast kernels are compiled and stored on disk ({time.perf_counter() - start:.0f} s).")
+    print(
+        f"All fast kernels are compiled and stored on disk ({time.perf_counter() - start:.0f} s)."
+    )
     return 0
 
 
@@ -111,8 +139,13 @@ def _version(name: str) -> str | None:
 
 
 def _python() -> EnvironmentCheck:
-    text = f"{platform.python_version()} on {platform.system()} {platform.machine()}, {os.cpu_count()} cores"
-    return EnvironmentCheck("python", sys.version_info >= (3, 11), text, "gsfusion_nb needs Python 3.11 or newer")
+    text = (
+        f"{platform.python_version()} on {platform.system()} {platform.machine()}, "
+        f"{os.cpu_count()} cores"
+    )
+    return EnvironmentCheck(
+        "python", sys.version_info >= (3, 11), text, "gsfusion_nb needs Python 3.11 or newer"
+    )
 
 
 def _package(name: str, remedy: str, *, needed: bool = True) -> EnvironmentCheck:
@@ -121,19 +154,29 @@ def _package(name: str, remedy: str, *, needed: bool = True) -> EnvironmentCheck
 
 
 def _opencv_twins() -> EnvironmentCheck:
-    twins = [n for n in ("opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless") if _version(n)]
+    twins = [
+        n
+        for n in ("opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless")
+        if _version(n)
+    ]
     text = f"{', '.join(twins)} and opencv-python-headless" if twins else "one copy"
     return EnvironmentCheck(
-        "opencv copies", not twins, text, f"they overwrite each other's files: pip uninstall {' '.join(twins)}"
+        "opencv copies",
+        not twins,
+        text,
+        f"they overwrite each other's files: pip uninstall {' '.join(twins)}",
     )
 
 
 def _torch() -> list[EnvironmentCheck]:
     (layer, _), n = backends.kernel_threads(), torch.get_num_threads()
     threads = EnvironmentCheck(
-        "threads", layer == "tbb", f"{n} for computing; those of the numba kernels are from {layer}",
-        "a map takes up to 1.6 times as long without: pip install tbb", needed=False,
-    )  # fmt: skip
+        "threads",
+        layer == "tbb",
+        f"{n} for computing; those of the numba kernels are from {layer}",
+        "a map takes up to 1.6 times as long without: pip install tbb",
+        needed=False,
+    )
     cuda = torch.cuda.is_available()
     text = torch.cuda.get_device_name(0) if cuda else "none; everything runs on the CPU"
     return [threads, EnvironmentCheck("CUDA device", cuda, text, needed=False)]
@@ -144,7 +187,11 @@ def _backends() -> list[EnvironmentCheck]:
 
     checks = [EnvironmentCheck("backends", True, f"chosen: {backends.from_environment()}")]
     for name, backend, state in backends.report():
-        checks.append(EnvironmentCheck(f"  {name} / {backend}", state == "ok", state, needed=backend == "reference"))
+        checks.append(
+            EnvironmentCheck(
+                f"  {name} / {backend}", state == "ok", state, needed=backend == "reference"
+            )
+        )
     return checks
 
 
@@ -157,9 +204,15 @@ def _drawing() -> EnvironmentCheck:
 
 
 def _examples() -> list[SystemConfig]:
-    """Settings that together use every operation; the rule asks for gradients of centres in the image."""
-    coarse, tracked = {"voxel_size_m": 0.05}, {"poses": "tracked", "landmarks": True, "back_end": True}
-    rules = [{"rule": "default_strategy", "options": {"absgrad": absolute}} for absolute in (False, True)]
+    """Settings that together use every operation; the rule asks for gradients of centres in the
+    image."""
+    coarse, tracked = (
+        {"voxel_size_m": 0.05},
+        {"poses": "tracked", "landmarks": True, "back_end": True},
+    )
+    rules = [
+        {"rule": "default_strategy", "options": {"absgrad": absolute}} for absolute in (False, True)
+    ]
     return [
         *(gsfusion("room", tsdf=coarse, seeding=rule) for rule in rules),
         gsfusion("room", tsdf=coarse, tracking=tracked),
@@ -170,15 +223,21 @@ def _examples() -> list[SystemConfig]:
 
 
 def _map(config: SystemConfig) -> None:
-    """Map five frames: colours from 8 bits and between them, and a jump after which the camera is sought again."""
-    room = open_sequence("room", data=DataConfig(width=320, height=240, hold_out_every=0), n_frames=600).mapping
+    """Map five frames: colours from 8 bits and between them, and a jump after which the camera is
+    sought again."""
+    room = open_sequence(
+        "room", data=DataConfig(width=320, height=240, hold_out_every=0), n_frames=600
+    ).mapping
     mapper = make_mapper(config)
     for index, position in enumerate((0, 1, 2, 40, 41)):
         frame = dataclasses.replace(room[position], index=index, timestamp_s=float(index))
         mapper.step(dataclasses.replace(frame, rgb=frame.rgb) if index == 2 else frame)
     for _ in mapper.global_optimise(1):
         pass
-    for camera in (frame.camera, frame.camera.resized(24, 18)):  # rays look up voxels in another way if they are few
+    for camera in (
+        frame.camera,
+        frame.camera.resized(24, 18),
+    ):  # rays look up voxels in another way if they are few
         mapper.render(camera, frame.T_WC)
     if not mapper.gaussians_are_discs:
         mapper.mesh()
@@ -186,7 +245,8 @@ def _map(config: SystemConfig) -> None:
 
 @contextlib.contextmanager
 def _quietly() -> Iterator[None]:
-    """No message that kernels are being compiled, which was asked for here, or that a case is a difficult map."""
+    """No message that kernels are being compiled, which was asked for here, or that a case is a
+    difficult map."""
     logger = logging.getLogger("gsfusion_nb")
     before = logger.level
     logger.setLevel(logging.ERROR)

@@ -1,4 +1,5 @@
-"""``gsfusion-nb export``: the maps of a run, or a file of Gaussians, for other programs, right side up."""
+"""``gsfusion-nb export``: the maps of a run, or a file of Gaussians, for other programs, right side
+up."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -12,32 +13,35 @@ from ..config.values import parse_options
 from ..types import Camera, GaussianParams, Mesh
 
 _AS_IN_FILES = "-y"
-"""Up in files of Gaussians that come without a trajectory: most trainers start from the first camera."""
+"""Up in files of Gaussians that come without a trajectory: most trainers start from the first
+camera."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
     """Write the maps of a run, or a file of Gaussians, for other programs, right side up.
 
-    A .glb file holds Gaussians and mesh in one frame, y up; a .usda file (OpenUSD) holds also the moving camera; a .ply
-    file holds the Gaussians, -y up (of GPS-SLAM with its surface as discs); a folder gets gaussians.ply and mesh.ply in
-    one frame, -y up, and map.glb."""
+    A .glb file holds Gaussians and mesh in one frame, y up; a .usda file (OpenUSD) holds also the
+    moving camera; a .ply file holds the Gaussians, -y up (of GPS-SLAM with its surface as discs); a
+    folder gets gaussians.ply and mesh.ply in one frame, -y up, and map.glb."""
 
     source: Annotated[Path, tyro.conf.Positional]
     """Folder of a run, or a .ply file of Gaussians."""
     out: Annotated[Path, tyro.conf.Positional]
     """File to write, .glb, .usda or .ply, or a folder."""
     up: str = "auto"
-    """Direction of the map that points up: +x, -x, +y, -y, +z, -z, or three numbers such as 0.1,0,1. Default: the mean
-    of the cameras' up directions in the run's trajectory; without a trajectory -y."""
+    """Direction of the map that points up: +x, -x, +y, -y, +z, -z, or three numbers such as
+    0.1,0,1. Default: the mean of the cameras' up directions in the run's trajectory; without a
+    trajectory -y."""
     upright: bool = True
-    """Turn .ply files so that -y is up, as viewers of splats expect. Other files are always upright."""
+    """Turn .ply files so that -y is up, as viewers of splats expect. Other files are always
+    upright."""
     mesh: bool = True
     """Put the mesh of a run into a .glb or .usda file."""
     bake_steps: int = 200
-    """A run of GPS-SLAM draws its Gaussians over a surface. In a .ply file the surface becomes discs, and all are
-    fitted to this many pictures of the map; 0: no fit, which is quick and less sharp; -1: no discs, the corrections
-    alone, which show little over black."""
+    """A run of GPS-SLAM draws its Gaussians over a surface. In a .ply file the surface becomes
+    discs, and all are fitted to this many pictures of the map; 0: no fit, which is quick and less
+    sharp; -1: no discs, the corrections alone, which show little over black."""
 
 
 def run(arguments: list[str]) -> int:
@@ -58,7 +62,13 @@ def run(arguments: list[str]) -> int:
         write_map_glb(written[0], gaussians, mesh if options.mesh else None, up=up)
     if suffix == ".usda":
         written.append(options.out)
-        write_map_usda(options.out, gaussians, mesh if options.mesh else None, up=up, **_moving_camera(options.source))
+        write_map_usda(
+            options.out,
+            gaussians,
+            mesh if options.mesh else None,
+            up=up,
+            **_moving_camera(options.source),
+        )
     if suffix == ".ply" or not suffix:
         written.append(options.out if suffix else options.out / "gaussians.ply")
         write_gaussian_ply(written[-1], moved(standard, R) if options.upright else standard)
@@ -70,7 +80,11 @@ def run(arguments: list[str]) -> int:
         raise ValueError(f"{options.out} must end in .glb, .usda or .ply, or be a folder")
     for path in written:
         frame = (
-            "+y up" if path.suffix in (".glb", ".usda") else "-y up" if options.upright else "in the frame of the map"
+            "+y up"
+            if path.suffix in (".glb", ".usda")
+            else "-y up"
+            if options.upright
+            else "in the frame of the map"
         )
         print(f"wrote {path} ({path.stat().st_size / 1e6:.2f} MB, {frame})")
     return 0
@@ -83,11 +97,14 @@ def _read(source: Path) -> tuple[GaussianParams, Mesh | None]:
     if not source.is_dir():
         return read_gaussian_ply(source), None
     mesh = source / "mesh.ply"
-    return read_gaussian_ply(source / "gaussians.ply", strict=True), read_mesh_ply(mesh) if mesh.is_file() else None
+    return read_gaussian_ply(source / "gaussians.ply", strict=True), read_mesh_ply(
+        mesh
+    ) if mesh.is_file() else None
 
 
 def _moving_camera(source: Path) -> dict[str, Any]:
-    """Intrinsics, poses and times of a run; empty, with a sentence, where the source does not have them."""
+    """Intrinsics, poses and times of a run; empty, with a sentence, where the source does not have
+    them."""
     from ..export import read_trajectory_tum
     from ..files import parsing, read_object
 
@@ -97,7 +114,10 @@ def _moving_camera(source: Path) -> dict[str, Any]:
         print(f"{source} does not say which camera it was mapped with, so the stage has none.")
         return {}
     times_s, poses = read_trajectory_tum(source / "trajectory.txt")
-    with parsing(source / "config.json", "the settings of a run, with width, height, fx, fy, cx and cy of its camera"):
+    with parsing(
+        source / "config.json",
+        "the settings of a run, with width, height, fx, fy, cx and cy of its camera",
+    ):
         camera = Camera(**settings["camera"])
     return {"camera": camera, "poses": poses, "times_s": times_s}
 
@@ -111,7 +131,11 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     from ..mapping.systems import get_system
 
     folder = options.source
-    if not (folder / TSDF).is_file() or options.bake_steps < 0 or options.out.suffix.lower() in (".glb", ".usda"):
+    if (
+        not (folder / TSDF).is_file()
+        or options.bake_steps < 0
+        or options.out.suffix.lower() in (".glb", ".usda")
+    ):
         return gaussians
     settings = read_object(folder / "config.json", "the settings of a run", objects=("config",))
     with parsing(folder / "config.json", "the settings of a run"):
@@ -119,10 +143,19 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
         config = from_run(system.config_type, settings["config"])
     trajectory = folder / "trajectory.txt"
     poses = read_trajectory_tum(trajectory)[1].float() if trajectory.is_file() else []
-    print(f"{folder.name} is drawn over its TSDF: making discs of it, and {options.bake_steps} steps to fit them ...")
-    gaussians = dataclasses.replace(gaussians, sh=gaussians.sh[:, : (config.sh_degree + 1) ** 2].contiguous())
+    print(
+        f"{folder.name} is drawn over its TSDF: making discs of it, and {options.bake_steps} steps "
+        "to fit them ..."
+    )
+    gaussians = dataclasses.replace(
+        gaussians,
+        sh=gaussians.sh[:, : (config.sh_degree + 1) ** 2].contiguous(),
+    )
     standard = system.standard_from(folder, gaussians, config, list(poses), options.bake_steps)
-    print(f"{len(standard) - len(gaussians):,} discs for the surface, {len(gaussians):,} Gaussians in front of it")
+    print(
+        f"{len(standard) - len(gaussians):,} discs for the surface, {len(gaussians):,} Gaussians "
+        "in front of it"
+    )
     return standard
 
 
@@ -138,12 +171,19 @@ def _up(options: ExportOptions) -> tuple[torch.Tensor, str]:
     trajectory = options.source / "trajectory.txt"
     if options.source.is_dir() and trajectory.is_file():
         _, poses = read_trajectory_tum(trajectory)
-        return world_up(list(poses)), f"the mean of the up directions of {len(poses)} cameras, {trajectory.name}"
-    return up_vector(_AS_IN_FILES), "files of Gaussians have -y up, and there is no trajectory; --up changes it"
+        return world_up(
+            list(poses)
+        ), f"the mean of the up directions of {len(poses)} cameras, {trajectory.name}"
+    return up_vector(
+        _AS_IN_FILES
+    ), "files of Gaussians have -y up, and there is no trajectory; --up changes it"
 
 
 def _named(up: torch.Tensor) -> str:
     from ..geometry.upright import UP_AXES, up_vector
 
-    axis = next((name for name in UP_AXES if torch.equal(up_vector(name), up.double())), None)
+    axis = next(
+        (name for name in UP_AXES if torch.equal(up_vector(name), up.double())),
+        None,
+    )
     return axis or "({:.2f}, {:.2f}, {:.2f})".format(*up.tolist())

@@ -11,13 +11,15 @@ from ..config.values import parse_options
 
 @dataclass(frozen=True, kw_only=True)
 class GradeOptions:
-    """Mark the submissions of a class: each function runs in a process of its own, without the solutions.
+    """Mark the submissions of a class: each function runs in a process of its own, without the
+    solutions.
 
-    Writes a table with a line for each exercise of each student: points, the property that failed, and a message."""
+    Writes a table with a line for each exercise of each student: points, the property that failed,
+    and a message."""
 
     submissions: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
-    """Notebooks and .py files, or folders of them. A file belongs to the student whom its sub-folder names, else to
-    its own name."""
+    """Notebooks and .py files, or folders of them. A file belongs to the student whom its
+    sub-folder names, else to its own name."""
     out: Path = Path("marks.csv")
     """The table of marks."""
     chapters: tuple[int, ...] = ()
@@ -48,7 +50,8 @@ def run(arguments: list[str]) -> int:
     print(f"{len(submissions)} students, {len(names)} exercises")
     if why_no_bubblewrap():
         print(
-            f"{why_no_bubblewrap()}: a function may change your files and use the network. See docs/teaching/grading.md"
+            f"{why_no_bubblewrap()}: a function may change your files and use the network. See "
+            "docs/teaching/grading.md"
         )
     limits = Limits(seconds=options.seconds, memory_mb=options.memory_mb)
     marks = grade(submissions, names, limits=limits, jobs=options.jobs, tell=print)

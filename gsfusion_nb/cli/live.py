@@ -26,15 +26,15 @@ class LiveOptions(SettingsOptions):
     out: str = ""
     """New or empty folder for the results; runs/<name>-<time> by default."""
     policy: Literal["", "all", "latest"] = ""
-    """What happens if mapping is slower than the camera. all: the source waits; latest: only the newest frame waits,
-    older ones are dropped. Default: latest for cameras, all for folders."""
+    """What happens if mapping is slower than the camera. all: the source waits; latest: only the
+    newest frame waits, older ones are dropped. Default: latest for cameras, all for folders."""
     frames: int = 0
     """End after this many frames; 0: continue until the source ends or Ctrl-C."""
     evaluate: bool = True
     """Score the frames that were kept and write the report."""
     checkpoint_every_s: float = 30.0
-    """Save the state of the scan this often, seconds, so that the map is kept if the process is killed; less often if
-    saving takes more than 3 % of the time. 0: never."""
+    """Save the state of the scan this often, seconds, so that the map is kept if the process is
+    killed; less often if saving takes more than 3 % of the time. 0: never."""
 
     def source(self) -> LiveSource:
         """The source of the frames."""
@@ -43,10 +43,12 @@ class LiveOptions(SettingsOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class FolderOptions(LiveOptions):
-    """Map a folder in the plain layout while another program is writing it. Ctrl-C ends the scan."""
+    """Map a folder in the plain layout while another program is writing it. Ctrl-C ends the
+    scan."""
 
     path: Annotated[str, tyro.conf.Positional]
-    """The folder: rgb/, depth/, intrinsics.json, and poses.txt, whose line k belongs to the image of number k."""
+    """The folder: rgb/, depth/, intrinsics.json, and poses.txt, whose line k belongs to the image
+    of number k."""
     poses: bool = True
     """--no-poses: there is no poses.txt; the camera is tracked."""
     idle_s: float = 10.0
@@ -59,7 +61,11 @@ class FolderOptions(LiveOptions):
     def source(self) -> LiveSource:
         """The folder, followed."""
         return GrowingFolder(
-            self.path, poses=self.poses, idle_s=self.idle_s, patience_s=self.patience_s, stop_file=self.stop_file
+            self.path,
+            poses=self.poses,
+            idle_s=self.idle_s,
+            patience_s=self.patience_s,
+            stop_file=self.stop_file,
         )
 
 
@@ -125,7 +131,11 @@ def _settings(options: LiveOptions, source: LiveSource) -> Any:
     """The settings, with tracking where the source has no poses, and with the limit ``frames``."""
     config = options.settings()
     if not source.has_poses:
-        config = dataclasses.replace(config, tracking=dataclasses.replace(config.tracking, poses="tracked"))
+        config = dataclasses.replace(
+            config, tracking=dataclasses.replace(config.tracking, poses="tracked")
+        )
     if options.frames:
-        config = dataclasses.replace(config, data=dataclasses.replace(config.data, stop=options.frames))
+        config = dataclasses.replace(
+            config, data=dataclasses.replace(config.data, stop=options.frames)
+        )
     return config

@@ -22,14 +22,22 @@ if TYPE_CHECKING:
     from ..runs import CheckpointEvery, FinishedRun
 
 _WITH_RESUME = (
-    "--resume", "--seeding.rule", "--device", "--evaluate", "--no-evaluate", "--backend", "--checkpoint-every-s",
-    "--checkpoint-every-frames", "--memory-gb",
-)  # fmt: skip
+    "--resume",
+    "--seeding.rule",
+    "--device",
+    "--evaluate",
+    "--no-evaluate",
+    "--backend",
+    "--checkpoint-every-s",
+    "--checkpoint-every-frames",
+    "--memory-gb",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapOptions(SettingsOptions):
-    """Map a sequence online, optimise over its keyframes, and score it. Writes maps, numbers and a report to a folder.
+    """Map a sequence online, optimise over its keyframes, and score it. Writes maps, numbers and a
+    report to a folder.
 
     Every setting of the chosen system is an option.
     """
@@ -41,26 +49,28 @@ class MapOptions(SettingsOptions):
     format: str = named("auto", layout_names)
     """Layout of the data."""
     reader: tuple[str, ...] = ()
-    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM), split=train
-    (ScanNet++), poses=false (folder, TUM), n_frames=480 or rooms=64 (room)."""
+    """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM),
+    split=train (ScanNet++), poses=false (folder, TUM), n_frames=480 or rooms=64 (room)."""
     from_gaussians: str = ""
-    """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the recording's poses; they
-    are optimised with the new ones. GSFusion only."""
+    """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the
+    recording's poses; they are optimised with the new ones. GSFusion only."""
     resume: str = ""
-    """Folder of an interrupted run to continue; no other option is needed, but --seeding.rule if its rule came from a
-    file, which is executed."""
+    """Folder of an interrupted run to continue; no other option is needed, but --seeding.rule if
+    its rule came from a file, which is executed."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
     checkpoint_every_s: float = 30.0
-    """Save the state of the run this often, seconds, so that --resume can continue after the process was killed; less
-    often if saving takes more than 3 % of the time. 0: only when the run is interrupted."""
+    """Save the state of the run this often, seconds, so that --resume can continue after the
+    process was killed; less often if saving takes more than 3 % of the time. 0: only when the run
+    is interrupted."""
     checkpoint_every_frames: int = 0
     """Also save after every n-th frame. 0: no."""
     estimate_memory: bool = False
     """Only say how much memory the map will need; reads up to 200 frames and maps 8."""
     memory_gb: float = 0.0
-    """Keep the map in temporary files, and what is far from the camera out of memory, so that the process needs about
-    this many GB; the map is the same. On a processor only. 0: keep it in memory."""
+    """Keep the map in temporary files, and what is far from the camera out of memory, so that the
+    process needs about this many GB; the map is the same. On a processor only. 0: keep it in
+    memory."""
 
 
 def run(arguments: list[str]) -> int:
@@ -73,9 +83,13 @@ def run(arguments: list[str]) -> int:
     from ..data import open_sequence
     from ..runs import CheckpointEvery, run_mapping
 
-    every = CheckpointEvery(seconds=options.checkpoint_every_s, frames=options.checkpoint_every_frames)
+    every = CheckpointEvery(
+        seconds=options.checkpoint_every_s, frames=options.checkpoint_every_frames
+    )
     if options.memory_gb and options.device != "cpu":
-        raise ValueError("--memory-gb is for maps on a processor; leave it out, or take --device cpu")
+        raise ValueError(
+            "--memory-gb is for maps on a processor; leave it out, or take --device cpu"
+        )
     MAP_MEMORY.limit(options.memory_gb or None)
     with use_backend(options.backend):
         options.check_device()
@@ -83,14 +97,19 @@ def run(arguments: list[str]) -> int:
             _refuse_more(options, arguments)
             return print_result(_resumed(options, arguments, every))
         if not options.data:
-            raise ValueError("expected the folder of a sequence or the name of a built-in scene: gsfusion-nb map room")
+            raise ValueError(
+                "expected the folder of a sequence or the name of a built-in scene: gsfusion-nb "
+                "map room"
+            )
         settings, (data, reader) = options.settings(), recording_to_open(options, options.data)
         if data != options.data and reader.get("poses") is False:
             settings = replace(settings, tracking__poses="tracked")
         if options.estimate_memory:
             needed = memory_needed_gb(open_sequence(data, data=settings.data, **reader), settings)
             parts = ", ".join(f"{gb:.2g} GB {what}" for what, gb in needed.items())
-            print(f"about {sum(needed.values()):.2g} GB: {parts}; --memory-gb keeps the map in files")
+            print(
+                f"about {sum(needed.values()):.2g} GB: {parts}; --memory-gb keeps the map in files"
+            )
             return 0
         if options.said_of_preset():
             print(options.said_of_preset())
@@ -108,12 +127,17 @@ def run(arguments: list[str]) -> int:
 
 
 def _resumed(options: MapOptions, arguments: list[str], every: "CheckpointEvery") -> "FinishedRun":
-    """Continue a run; its rule's file is executed only if it was named, or if the user allows it now."""
+    """Continue a run; its rule's file is executed only if it was named, or if the user allows it
+    now."""
     from ..runs import resume_mapping
 
     def resumed(rule: str | None) -> "FinishedRun":
         return resume_mapping(
-            options.resume, seeding=rule, device=options.device, evaluate=options.evaluate, checkpoints=every
+            options.resume,
+            seeding=rule,
+            device=options.device,
+            evaluate=options.evaluate,
+            checkpoints=every,
         )
 
     named = options.config.seeding.rule
@@ -130,7 +154,8 @@ def _refuse_more(options: MapOptions, arguments: list[str]) -> None:
     more = [a for a in arguments if a.startswith("-") and a.split("=")[0] not in _WITH_RESUME]
     if more or options.data:
         raise ValueError(
-            f"--resume continues with the run's own settings and data; leave out {options.data} {' '.join(more)}"
+            f"--resume continues with the run's own settings and data; leave out {options.data} "
+            f"{' '.join(more)}"
         )
 
 
@@ -145,9 +170,10 @@ _BYTES_PER_TRIANGLE = 130
 def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict[str, float]:
     """The memory that the map of a recording will need, GB, by what takes it.
 
-    The voxel blocks that some frames see are counted, without their voxels. A few frames are mapped, and the whole map
-    is taken to have as many Gaussians and triangles a block as that map. Every frame counts as a keyframe, so that
-    pictures are an upper bound. A system without a TSDF makes one for its mesh, which counts as part of it.
+    The voxel blocks that some frames see are counted, without their voxels. A few frames are
+    mapped, and the whole map is taken to have as many Gaussians and triangles a block as that map.
+    Every frame counts as a keyframe, so that pictures are an upper bound. A system without a TSDF
+    makes one for its mesh, which counts as part of it.
 
     Args:
         sequence: The recording.
@@ -165,14 +191,22 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
 
     frames, n = sequence.mapping, len(sequence.mapping)
     if not has_poses(frames):
-        raise SequenceError(f"{sequence.name} has no poses, so what its frames see together is not known beforehand")
+        raise SequenceError(
+            f"{sequence.name} has no poses, so what its frames see together is not known beforehand"
+        )
     mapper = make_mapper(replace(config, tracking__poses="given"))
     has_volume = hasattr(config, "tsdf")
-    settings = config.tsdf if has_volume else TsdfConfig(voxel_size_m=getattr(config, "mesh_voxel_m", 0.04))
+    settings = (
+        config.tsdf
+        if has_volume
+        else TsdfConfig(voxel_size_m=getattr(config, "mesh_voxel_m", 0.04))
+    )
     whole, part = TsdfVolume(settings), TsdfVolume(settings)
 
     def view(limit: int) -> "SequenceView":
-        return dataclasses.replace(frames, positions=[frames.positions[i] for i in evenly(n, limit)])
+        return dataclasses.replace(
+            frames, positions=[frames.positions[i] for i in evenly(n, limit)]
+        )
 
     for frame in readable_frames(view(_COUNTED_VIEWS)):
         whole.index.add(new_band_blocks(whole, frame))

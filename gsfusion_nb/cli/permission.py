@@ -8,7 +8,9 @@ from ..files import SequenceError
 from ..seeding.named_rules import RuleNotNamedError
 
 
-def ask_or_refuse(error: RuleNotNamedError, prog: str, arguments: Sequence[str], naming: Iterable[str]) -> None:
+def ask_or_refuse(
+    error: RuleNotNamedError, prog: str, arguments: Sequence[str], naming: Iterable[str]
+) -> None:
     """Return if the user allows, on a terminal, that the code which ``error`` names is executed.
 
     Args:
@@ -18,7 +20,8 @@ def ask_or_refuse(error: RuleNotNamedError, prog: str, arguments: Sequence[str],
         naming: Those that would have named the rules.
 
     Raises:
-        SequenceError: the user does not allow it, or there is nobody to ask. It has the command to type instead.
+        SequenceError: the user does not allow it, or there is nobody to ask. It has the command to
+            type instead.
     """
     if sys.stdin is not None and sys.stdin.isatty():
         print(f"{error.wish}. Execute it now? [y/N] ", end="", file=sys.stderr, flush=True)

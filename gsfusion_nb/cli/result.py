@@ -10,8 +10,9 @@ def print_result(run: "FinishedRun") -> int:
     """Print a run's numbers, notes and files.
 
     Returns:
-        The exit status: 0; 130 if the run was interrupted; 3 if it ended before the recording, because tracking was
-        lost and not found again, or too many frames in a row could not be used.
+        The exit status: 0; 130 if the run was interrupted; 3 if it ended before the recording,
+        because tracking was lost and not found again, or too many frames in a row could not be
+        used.
     """
     print_metrics(run.metrics)
     for warning in run.run.warnings:
@@ -34,7 +35,11 @@ def print_metrics(metrics: dict[str, Any]) -> None:
     from ..evaluation.metrics import METRIC_GROUPS, format_metric
 
     for group, known in METRIC_GROUPS.items():
-        rows = [(metric.label, format_metric(name, metrics[name])) for name, metric in known.items() if name in metrics]
+        rows = [
+            (metric.label, format_metric(name, metrics[name]))
+            for name, metric in known.items()
+            if name in metrics
+        ]
         if rows:
             print(group)
         for label, value in rows:

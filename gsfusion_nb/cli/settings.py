@@ -1,6 +1,8 @@
-"""Settings as command-line options, the same for all commands that map: ``--tsdf.voxel-size-m 0.02``.
+"""Settings as command-line options, the same for all commands that map:
+``--tsdf.voxel-size-m 0.02``.
 
-The system and the preset decide the defaults of all other options. The order of options does not matter.
+The system and the preset decide the defaults of all other options. The order of options does not
+matter.
 """
 
 import dataclasses
@@ -48,7 +50,10 @@ def fidelity_names() -> list[str]:
         for mapper in SYSTEMS.values()
         for name in mapper.fidelities
     }
-    return [f"{name} (only {systems[0]})" if len(systems) == 1 else name for name, systems in having.items()]
+    return [
+        f"{name} (only {systems[0]})" if len(systems) == 1 else name
+        for name, systems in having.items()
+    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,14 +63,15 @@ class SettingsOptions:
     system: str = named("gsfusion", system_names)
     """Name of the mapping system."""
     preset: str = named("", presets)
-    """Settings for a data set; single options override them. Where none is given: room for the built-in scene,
-    otherwise replica."""
+    """Settings for a data set; single options override them. Where none is given: room for the
+    built-in scene, otherwise replica."""
     fidelity: str = named("", fidelity_names)
-    """What to follow where paper, released code and our measurements differ. Where none is given: measured, in each
-    case the choice that gave better results."""
+    """What to follow where paper, released code and our measurements differ. Where none is given:
+    measured, in each case the choice that gave better results."""
     from_config: str = ""
-    """The config.json of an earlier run, whose settings are used instead of system, preset and fidelity. A rule of that
-    run in a file is executed, so it has to be named with --seeding.rule."""
+    """The config.json of an earlier run, whose settings are used instead of system, preset and
+    fidelity. A rule of that run in a file is executed, so it has to be named with
+    --seeding.rule."""
     rule_options: tuple[str, ...] = ()
     """Options of the seeding rule, such as: --rule-options share=0.2 transparent=false."""
     device: str = "cpu"
@@ -78,10 +84,13 @@ class SettingsOptions:
         """The settings of the system, with the options of the seeding rule."""
         seeding = self.config.seeding
         options = seeding.options | named_values(self.rule_options)
-        return dataclasses.replace(self.config, seeding=dataclasses.replace(seeding, options=options))
+        return dataclasses.replace(
+            self.config, seeding=dataclasses.replace(seeding, options=options)
+        )
 
     def said_of_preset(self) -> str:
-        """A sentence on what the preset sets besides what concerns the data; "" if that is nothing, or not the default.
+        """A sentence on what the preset sets besides what concerns the data; "" if that is nothing,
+        or not the default.
 
         Other fidelities take the settings that were published for the preset's data.
         """
@@ -97,7 +106,11 @@ class SettingsOptions:
             for name, value in values.items()
             if value != default[name] and not name.startswith(("data.", "seeding.own_settings"))
         ]
-        return f"preset {self.preset} sets {', '.join(others)}; the rest is the default" if others else ""
+        return (
+            f"preset {self.preset} sets {', '.join(others)}; the rest is the default"
+            if others
+            else ""
+        )
 
     def check_device(self) -> None:
         """Raise ``ValueError`` with the reason if the device cannot be used here."""
@@ -108,18 +121,26 @@ class SettingsOptions:
         except (RuntimeError, AssertionError, NotImplementedError) as e:
             reason = str(e).splitlines()[0]
             raise ValueError(
-                f"--device {self.device} cannot be used here, expected cpu or a CUDA device: {reason}"
+                f"--device {self.device} cannot be used here, expected cpu or a CUDA device: "
+                f"{reason}"
             ) from None
 
 
-def parse(options: type[O], prog: str, arguments: list[str], *, data: str = "") -> O:
+def parse(
+    options: type[O],
+    prog: str,
+    arguments: list[str],
+    *,
+    data: str = "",
+) -> O:
     """Parse the options of a command that maps, which include all settings of the chosen system.
 
     Args:
         options: Class of the command's options.
         prog: Name of the command in its help.
         arguments: Arguments after the command.
-        data: Name of the field with the data to map; if that is the built-in scene, its preset is the default.
+        data: Name of the field with the data to map; if that is the built-in scene, its preset is
+            the default.
 
     Raises:
         KeyError, ValueError: unknown system, preset or fidelity, or a file that holds no settings.
@@ -130,7 +151,9 @@ def parse(options: type[O], prog: str, arguments: list[str], *, data: str = "") 
         preset = ROOM if _mapped(options, prog, arguments, data) == ROOM else preset
     all_options = with_settings(options, _start(arguments, preset))
     parsed = parse_options(all_options, prog=prog, arguments=arguments, everyday=EVERYDAY)
-    return dataclasses.replace(parsed, config=with_own_settings(parsed.config, _settings_in(arguments, parsed.config)))
+    return dataclasses.replace(
+        parsed, config=with_own_settings(parsed.config, _settings_in(arguments, parsed.config))
+    )
 
 
 def _settings_in(arguments: list[str], config: SystemConfig) -> list[str]:
@@ -141,21 +164,33 @@ def _settings_in(arguments: list[str], config: SystemConfig) -> list[str]:
     return [name for name in dict.fromkeys(typed) if name in known]
 
 
-def _mapped(options: type[SettingsOptions], prog: str, arguments: list[str], data: str) -> str:
-    """The data to map: the first argument, or the value that belongs to no option, which only parsing finds."""
+def _mapped(
+    options: type[SettingsOptions],
+    prog: str,
+    arguments: list[str],
+    data: str,
+) -> str:
+    """The data to map: the first argument, or the value that belongs to no option, which only
+    parsing finds."""
     if not arguments[0].startswith("-"):
         return arguments[0]
     plain = [a for a in arguments if a not in ("-h", "--help", "--help-all")]
-    return getattr(parse_options(with_settings(options, _start(plain, "replica")), prog=prog, arguments=plain), data)
+    return getattr(
+        parse_options(with_settings(options, _start(plain, "replica")), prog=prog, arguments=plain),
+        data,
+    )
 
 
 def reader_options(options: Any) -> dict[str, Any]:
     """What ``--format`` and ``--reader`` say, for ``open_sequence``."""
-    return ({"format": options.format} if options.format != "auto" else {}) | named_values(options.reader)
+    return ({"format": options.format} if options.format != "auto" else {}) | named_values(
+        options.reader
+    )
 
 
 def recording_to_open(options: Any, source: str) -> tuple[str, dict[str, Any]]:
-    """The folder to open, and what ``--format`` and ``--reader`` say; another program's recording is converted first.
+    """The folder to open, and what ``--format`` and ``--reader`` say; another program's recording
+    is converted first.
 
     Of one without poses the reader is told so.
     """
@@ -169,26 +204,34 @@ def recording_to_open(options: Any, source: str) -> tuple[str, dict[str, Any]]:
 
 
 def with_settings(options: type[O], config: SystemConfig) -> type[O]:
-    """``options`` with the fields of ``config`` as options beside its own, such as ``--tsdf.voxel-size-m``."""
+    """``options`` with the fields of ``config`` as options beside its own, such as
+    ``--tsdf.voxel-size-m``."""
     flat = Annotated[type(config), tyro.conf.arg(name="")]
     fields = [("config", flat, field(default_factory=lambda: config))]
-    cls: Any = dataclasses.make_dataclass(options.__name__, fields, bases=(options,), frozen=True, kw_only=True)
+    cls: Any = dataclasses.make_dataclass(
+        options.__name__, fields, bases=(options,), frozen=True, kw_only=True
+    )
     cls.__doc__ = options.__doc__
     return cls
 
 
 def _start(arguments: list[str], preset: str) -> SystemConfig:
-    """The settings before single options override them: those of ``--from-config``, or of system and preset."""
+    """The settings before single options override them: those of ``--from-config``, or of system
+    and preset."""
     from ..mapping import get_system
 
     path = _value_of(arguments, "--from-config")
     if path:
         return _read_settings(Path(path), rule=_value_of(arguments, "--seeding.rule"))
     system = get_system(_value_of(arguments, "--system") or "gsfusion")
-    preset, fidelity = _value_of(arguments, "--preset") or preset, _value_of(arguments, "--fidelity")
+    preset, fidelity = (
+        _value_of(arguments, "--preset") or preset,
+        _value_of(arguments, "--fidelity"),
+    )
     if fidelity and fidelity not in system.fidelities:
         raise ValueError(
-            f"{system.title} has no --fidelity {fidelity}; known: {', '.join(system.fidelities) or 'none'}"
+            f"{system.title} has no --fidelity {fidelity}; known: "
+            f"{', '.join(system.fidelities) or 'none'}"
         )
     return system.preset(preset, **({"fidelity": fidelity} if fidelity else {}))
 
@@ -207,9 +250,13 @@ def _with_rule_named(prog: str, arguments: list[str]) -> list[str]:
     path = _value_of(arguments, "--from-config")
     if not path:
         return arguments
-    others = [option for option in ("--system", "--preset", "--fidelity") if _value_of(arguments, option)]
+    others = [
+        option for option in ("--system", "--preset", "--fidelity") if _value_of(arguments, option)
+    ]
     if others:
-        raise ValueError(f"--from-config sets all settings; leave out {' '.join(others)}, or --from-config")
+        raise ValueError(
+            f"--from-config sets all settings; leave out {' '.join(others)}, or --from-config"
+        )
     if _value_of(arguments, "--seeding.rule"):
         return arguments
     try:
@@ -223,11 +270,13 @@ def _with_rule_named(prog: str, arguments: list[str]) -> list[str]:
 
 
 def _read_settings(path: Path, rule: str | None) -> SystemConfig:
-    """The settings in a run's config.json; ``rule`` is the seeding rule to use instead of the run's, if given.
+    """The settings in a run's config.json; ``rule`` is the seeding rule to use instead of the
+    run's, if given.
 
     Raises:
         RuleNotNamedError: its rule is in a file, and no rule is given.
-        ValueError: not the config.json of a run, or its rule is not part of this package and no other is given.
+        ValueError: not the config.json of a run, or its rule is not part of this package and no
+            other is given.
     """
     from ..mapping import get_system
     from ..seeding.rule_code import is_rule_file
@@ -248,15 +297,19 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
     given = document.get("training")
     if given and isinstance(given, dict):
         named = ", ".join(f"{kind} {shown(name)}" for kind, name in given.items())
-        raise ValueError(f"{path} is of a run with its own {named}; repeat it in Python, run_mapping(..., loss=...)")
+        raise ValueError(
+            f"{path} is of a run with its own {named}; repeat it in Python, run_mapping(..., "
+            "loss=...)"
+        )
     name = own_rule if name is None else name
     if rule is None and document.get("rule_from_file") and (path.parent / "rule.py").is_file():
         raise _not_named(path, f"{path.parent / 'rule.py'}:{name}")
     if rule is None and not document.get("rule_is_built_in", name == own_rule):
         raise ValueError(
-            f"{path} is from a run with the seeding rule {shown(name)}, which is not part of this package, so it "
-            f"cannot be used here; its source is in {path.parent / 'rule.py'}. Repeat the run in Python, with "
-            "run_mapping(data, config, seeding=<the rule>), or choose another rule with --seeding.rule"
+            f"{path} is from a run with the seeding rule {shown(name)}, which is not part of this "
+            f"package, so it cannot be used here; its source is in {path.parent / 'rule.py'}. "
+            "Repeat the run in Python, with run_mapping(data, config, seeding=<the rule>), or "
+            "choose another rule with --seeding.rule"
         )
     return config
 

@@ -1,4 +1,5 @@
-"""Rules, settings, systems and scenes compared by runs with equal budgets. Each name is loaded when first used."""
+"""Rules, settings, systems and scenes compared by runs with equal budgets. Each name is loaded when
+first used."""
 
 import lazy_loader
 

@@ -1,4 +1,5 @@
-"""Which entrants may take part: each rule that is not of this package is checked in a fresh process, once."""
+"""Which entrants may take part: each rule that is not of this package is checked in a fresh
+process, once."""
 
 import contextlib
 import hashlib
@@ -31,7 +32,8 @@ log = logging.getLogger(__name__)
 AT_MOST_S = 300.0
 """How long the check of a rule may take, seconds; usually it takes 3 to 6."""
 OTHER_ORDERS = ("2", "3", "4")
-"""For further checks of a rule that has sets. Two texts have another order in one of them in seven cases of eight."""
+"""For further checks of a rule that has sets. Two texts have another order in one of them in seven
+cases of eight."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +47,8 @@ class Admission:
 
 
 def admission(entry: Entry, folder: Path) -> Admission:
-    """Check the rule of a run with its options, in a fresh process; what was found is kept in ``folder``.
+    """Check the rule of a run with its options, in a fresh process; what was found is kept in
+    ``folder``.
 
     Args:
         entry: The run, with the code of its rule in its spec.
@@ -73,7 +76,8 @@ def admission(entry: Entry, folder: Path) -> Admission:
 
 
 def _read(path: Path) -> Admission | None:
-    """What an earlier check found; None if nothing is known, or its file was changed or damaged, which is told."""
+    """What an earlier check found; None if nothing is known, or its file was changed or damaged,
+    which is told."""
     if not path.is_file():
         return None
     try:
@@ -83,8 +87,13 @@ def _read(path: Path) -> Admission | None:
         return None
 
 
-def _run_in_other_orders(entry: Entry, rule: SeedingRule, first: dict[str, Any]) -> dict[str, Any]:
-    """``first``, or why the rule is refused: in processes in which sets have other orders it gives other seeds."""
+def _run_in_other_orders(
+    entry: Entry,
+    rule: SeedingRule,
+    first: dict[str, Any],
+) -> dict[str, Any]:
+    """``first``, or why the rule is refused: in processes in which sets have other orders it gives
+    other seeds."""
     with ThreadPoolExecutor(len(OTHER_ORDERS)) as pool:
         others = list(pool.map(lambda seed: _run(entry, rule, seed), OTHER_ORDERS))
     if failed := next((found for found in others if found["refused"]), None):
@@ -92,8 +101,8 @@ def _run_in_other_orders(entry: Entry, rule: SeedingRule, first: dict[str, Any])
     if all(found["seeds"] == first["seeds"] for found in others):
         return first
     why = (
-        f"the seeding rule {entry.spec.rule_name!r} gives other seeds in another process: the order of the texts in a "
-        "set differs from process to process, so sort it: sorted(names)"
+        f"the seeding rule {entry.spec.rule_name!r} gives other seeds in another process: the "
+        "order of the texts in a set differs from process to process, so sort it: sorted(names)"
     )
     return {**first, "refused": why}
 
@@ -102,29 +111,54 @@ def _check_key(entry: Entry) -> str:
     spec = entry.spec
     code = {name: digest for name, digest in (spec.code or {}).items() if name != ONLY_NOW}
     options = {name: str(value) for name, value in spec.options.items()}
-    return run_key(check=spec.rule_name, code=code, options=options, extra=hashlib.sha256(_extra(entry)).hexdigest())
+    return run_key(
+        check=spec.rule_name,
+        code=code,
+        options=options,
+        extra=hashlib.sha256(_extra(entry)).hexdigest(),
+    )
 
 
-def _run(entry: Entry, rule: SeedingRule, order: str = "1") -> dict[str, Any]:
-    """What ``fresh_check`` writes about a rule. ``order`` decides that of texts in sets (PYTHONHASHSEED)."""
+def _run(
+    entry: Entry,
+    rule: SeedingRule,
+    order: str = "1",
+) -> dict[str, Any]:
+    """What ``fresh_check`` writes about a rule. ``order`` decides that of texts in sets
+    (PYTHONHASHSEED)."""
     with tempfile.TemporaryDirectory(prefix="gsfusion-check-") as place:
         job, spec = Path(place) / "job", entry.spec
         try:
             job.write_bytes(_job(entry, rule))
         except Exception as e:  # whatever an object's own method raises
-            return _refusal(f"the rule {spec.rule_name} cannot be sent to another process to be checked: {e}")
+            return _refusal(
+                f"the rule {spec.rule_name} cannot be sent to another process to be checked: {e}"
+            )
         command = [sys.executable, "-m", f"{__package__}.fresh_check", str(job)]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONHASHSEED": order}
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+            "PYTHONHASHSEED": order,
+        }
         try:
             done = subprocess.run(
-                command, env=environment, capture_output=True, text=True, timeout=AT_MOST_S, check=False,
-            )  # fmt: skip
+                command,
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=AT_MOST_S,
+                check=False,
+            )
         except subprocess.TimeoutExpired:
-            return _refusal(f"the check of the rule {spec.rule_name} did not end within {AT_MOST_S:.0f} s")
+            return _refusal(
+                f"the check of the rule {spec.rule_name} did not end within {AT_MOST_S:.0f} s"
+            )
         answer = job.with_suffix(".json")
         if not answer.is_file():
             last = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
-            return _refusal(f"the process that checks the rule {spec.rule_name} ended early: {last[0]}")
+            return _refusal(
+                f"the process that checks the rule {spec.rule_name} ended early: {last[0]}"
+            )
         return read_object(answer, "the check of a seeding rule")
 
 
@@ -134,11 +168,20 @@ def _refusal(why: str) -> dict[str, Any]:
 
 def _job(entry: Entry, rule: SeedingRule) -> bytes:
     spec = entry.spec
-    fields: dict[str, Any] = {"name": rule_name(rule), "options": dict(spec.options), "extra": _extra(entry)}
+    fields: dict[str, Any] = {
+        "name": rule_name(rule),
+        "options": dict(spec.options),
+        "extra": _extra(entry),
+    }
     if entry.rule is None and spec.rule_source:
         file, _, name = spec.rule.rpartition(":")
         place = str(Path(spec.rule_folder) / Path(file).name) if spec.rule_folder else file
-        fields |= {"name": name, "source": spec.rule_source, "file": place, "folder": spec.rule_folder}
+        fields |= {
+            "name": name,
+            "source": spec.rule_source,
+            "file": place,
+            "folder": spec.rule_folder,
+        }
     else:
         fields["pickled"] = _pickled(rule)
     return pickle.dumps(CheckJob(**fields))
@@ -156,7 +199,8 @@ def _pickled(thing: Any) -> bytes:
 
 @contextlib.contextmanager
 def _by_value(module: types.ModuleType | None) -> Iterator[None]:
-    """Context in which what is in a module that another process cannot import is pickled by its content."""
+    """Context in which what is in a module that another process cannot import is pickled by its
+    content."""
     if module is None or module.__name__ == "__main__" or is_library_module(module):
         yield
         return

@@ -1,4 +1,5 @@
-"""``gsfusion-nb benchmark``: all scenes of a data set by its published protocol, beside the numbers of the papers."""
+"""``gsfusion-nb benchmark``: all scenes of a data set by its published protocol, beside the numbers
+of the papers."""
 
 import dataclasses
 import os
@@ -27,12 +28,16 @@ from .studies import RecordingOptions, recording_specs
 DEEPEST = 3
 """Scenes are looked for in so many levels of folders."""
 COLUMNS = {
-    "psnr": ("PSNR, dB", ".2f", "psnr_{}_db", 1), "ssim": ("SSIM", ".3f", "ssim_{}", 1),
-    "lpips": ("LPIPS", ".3f", "lpips_{}", 1), "ate": ("ATE RMSE, cm", ".2f", "ate_rmse_m", 100),
-    "fps": ("frames/s", ".2f", "fps_mean_inverse", 1), "mb": ("MB", ".1f", "model_size_mb", 1),
+    "psnr": ("PSNR, dB", ".2f", "psnr_{}_db", 1),
+    "ssim": ("SSIM", ".3f", "ssim_{}", 1),
+    "lpips": ("LPIPS", ".3f", "lpips_{}", 1),
+    "ate": ("ATE RMSE, cm", ".2f", "ate_rmse_m", 100),
+    "fps": ("frames/s", ".2f", "fps_mean_inverse", 1),
+    "mb": ("MB", ".1f", "model_size_mb", 1),
     "memory": ("memory, MB", ".0f", "peak_memory_mb", 1),
-}  # fmt: skip
-"""Column -> heading, format, our metric with {} for the group of views, and factor to the unit shown."""
+}
+"""Column -> heading, format, our metric with {} for the group of views, and factor to the unit
+shown."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,20 +58,26 @@ class DataSet:
     """Sentences: which frames are mapped, which are scored, and what cannot be compared."""
     reader: Mapping[str, Any] = field(default_factory=dict)
     published: Sequence[Mapping[str, Any]] = ()
-    """Rows of papers, means over the scenes: system, source (paper and table), numbers (column -> value)."""
+    """Rows of papers, means over the scenes: system, source (paper and table), numbers (column ->
+    value)."""
     tables: Sequence[Mapping[str, Any]] = ()
-    """Tables of papers with other columns, or of other data: title, columns, and rows (name -> values as text)."""
+    """Tables of papers with other columns, or of other data: title, columns, and rows (name ->
+    values as text)."""
 
 
-DATA_SETS = {name: DataSet(**values) for name, values in read_packaged(Path(__file__).with_suffix(".toml")).items()}
+DATA_SETS = {
+    name: DataSet(**values)
+    for name, values in read_packaged(Path(__file__).with_suffix(".toml")).items()
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkOptions(RecordingOptions):
-    """Map all scenes of a data set by its published protocol, and write a table beside the numbers of the papers.
+    """Map all scenes of a data set by its published protocol, and write a table beside the numbers
+    of the papers.
 
-    Writes benchmark.md and the files of gsfusion-nb lab. After Ctrl-C the same command continues. Whatever --set
-    changes in the protocol is named in the table."""
+    Writes benchmark.md and the files of gsfusion-nb lab. After Ctrl-C the same command continues.
+    Whatever --set changes in the protocol is named in the table."""
 
     name: Annotated[str, tyro.conf.Positional] = named(MISSING, lambda: DATA_SETS)
     """Which data set."""
@@ -80,8 +91,10 @@ def benchmark(options: BenchmarkOptions) -> int:
     """Run the command. Returns the exit status of ``run_and_write``.
 
     Raises:
-        KeyError: no such data set or system. FileNotFoundError: the folder holds no scene of this data set.
-        ValueError: a setting that does not exist, a value that is refused, or no scene that can be read.
+        KeyError: no such data set or system. FileNotFoundError: the folder holds no scene of this
+            data set.
+        ValueError: a setting that does not exist, a value that is refused, or no scene that can be
+            read.
     """
     check_name("data set", options.name, DATA_SETS)
     asked = DATA_SETS[options.name]
@@ -110,13 +123,20 @@ def scenes_in(folder: Path, format: str) -> dict[str, Path]:
         if len(inside.parts) == DEEPEST:
             below.clear()
     if not found:
-        expected = f"expected a folder with {', '.join(layout.looks_for)}, in it or up to {DEEPEST} folders below"
+        expected = (
+            f"expected a folder with {', '.join(layout.looks_for)}, in it or up to "
+            f"{DEEPEST} folders below"
+        )
         raise FileNotFoundError(f"{folder} holds no scene in the layout {format}; {expected}")
     return dict(sorted(found.items()))
 
 
-def benchmark_specs(asked: DataSet, options: BenchmarkOptions) -> tuple[list[RunSpec], list[str]]:
-    """All runs, checked: scenes x systems x seeds; and a sentence about each scene that cannot be read.
+def benchmark_specs(
+    asked: DataSet,
+    options: BenchmarkOptions,
+) -> tuple[list[RunSpec], list[str]]:
+    """All runs, checked: scenes x systems x seeds; and a sentence about each scene that cannot be
+    read.
 
     Raises:
         KeyError, FileNotFoundError, ValueError: as for ``benchmark``.
@@ -136,8 +156,14 @@ def benchmark_specs(asked: DataSet, options: BenchmarkOptions) -> tuple[list[Run
     return specs, unread
 
 
-def report(asked: DataSet, results: Sequence[RunResult], changed: Mapping[str, Any], unread: Sequence[str] = ()) -> str:
-    """The table, our rows first, then the protocol, and under which conditions each of our numbers was measured.
+def report(
+    asked: DataSet,
+    results: Sequence[RunResult],
+    changed: Mapping[str, Any],
+    unread: Sequence[str] = (),
+) -> str:
+    """The table, our rows first, then the protocol, and under which conditions each of our numbers
+    was measured.
 
     Args:
         asked: The data set.
@@ -152,15 +178,28 @@ def report(asked: DataSet, results: Sequence[RunResult], changed: Mapping[str, A
         own = [r for r in results if r.spec.label == label and r.status == "done"]
         if own:
             rows.append(
-                [f"**{label}, here**", *_cells(_means(own, asked.views, units)), f"{_count(own, asked)} scenes"]
+                [
+                    f"**{label}, here**",
+                    *_cells(_means(own, asked.views, units)),
+                    f"{_count(own, asked)} scenes",
+                ]
             )
             cards.append(_card(label, own, asked, changed))
     rows += [[row["system"], *_cells(row["numbers"]), row["source"]] for row in asked.published]
     here = {r.spec.scene for r in results}
     absent = [name for name in asked.scenes if not any(name in scene for scene in here)]
-    said = [*asked.protocol, *([f"Scenes of the papers that are not here: {', '.join(absent)}."] if absent else [])]
-    failed = [f"{r.spec.label} failed on {r.spec.scene}: {r.reason}" for r in results if r.status == "failed"]
-    table = [f"| {' | '.join(row)} |" for row in (heads, ["---", *["---:"] * len(COLUMNS), "---"], *rows)]
+    said = [
+        *asked.protocol,
+        *([f"Scenes of the papers that are not here: {', '.join(absent)}."] if absent else []),
+    ]
+    failed = [
+        f"{r.spec.label} failed on {r.spec.scene}: {r.reason}"
+        for r in results
+        if r.status == "failed"
+    ]
+    table = [
+        f"| {' | '.join(row)} |" for row in (heads, ["---", *["---:"] * len(COLUMNS), "---"], *rows)
+    ]
     seeming = [*map(str, equal_maps(results)), *unknown_maps(results), *shared_frames(units)]
     listed = [f"- {sentence}" for sentence in (*said, *cards, *seeming, *unread, *failed)]
     more = [line for found in asked.tables for line in _published_table(found)]
@@ -174,19 +213,30 @@ def _published_table(found: Mapping[str, Any]) -> list[str]:
     return [f"## {found['title']}", "", *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
-def _means(own: Sequence[RunResult], views: str, units: Mapping[str, str]) -> dict[str, float]:
-    """Column -> mean over the scenes of the mean over the seeds; scenes of one unit count as one."""
+def _means(
+    own: Sequence[RunResult],
+    views: str,
+    units: Mapping[str, str],
+) -> dict[str, float]:
+    """Column -> mean over the scenes of the mean over the seeds; scenes of one unit count as
+    one."""
     found = {}
     for column, (_, _, metric, scale) in COLUMNS.items():
         summaries = {group.scene: group.summary(metric.format(views)) for group in group_runs(own)}
-        means = over_units({scene: s.mean for scene, s in summaries.items() if s.n}, units)
+        means = over_units(
+            {scene: s.mean for scene, s in summaries.items() if s.n},
+            units,
+        )
         if means:
             found[column] = scale * sum(means) / len(means)
     return found
 
 
 def _cells(numbers: Mapping[str, float]) -> list[str]:
-    return [format(numbers[column], form) if column in numbers else "–" for column, (_, form, *_) in COLUMNS.items()]
+    return [
+        format(numbers[column], form) if column in numbers else "–"
+        for column, (_, form, *_) in COLUMNS.items()
+    ]
 
 
 def _count(own: Sequence[RunResult], asked: DataSet) -> str:
@@ -195,14 +245,29 @@ def _count(own: Sequence[RunResult], asked: DataSet) -> str:
     return f"{reported} of the {len(asked.scenes)}, {len(scenes) - reported} other"
 
 
-def _card(label: str, own: Sequence[RunResult], asked: DataSet, changed: Mapping[str, Any]) -> str:
-    """What a reader must know of our row: frames, size, poses, passes, seeds, and what was changed."""
+def _card(
+    label: str,
+    own: Sequence[RunResult],
+    asked: DataSet,
+    changed: Mapping[str, Any],
+) -> str:
+    """What a reader must know of our row: frames, size, poses, passes, seeds, and what was
+    changed."""
     settings = flat_settings(own[0].spec.config())
     frames = sorted({round(r.metrics["n_frames"]) for r in own})
     several = f"{frames[0]:,}" if len(frames) == 1 else f"{frames[0]:,} to {frames[-1]:,}"
     passes = settings.get("optim.global_iterations", settings.get("final.passes"))
     seeds = len({r.spec.seed for r in own})
-    words = f"{label}: {several} frames mapped a scene, poses {settings['tracking.poses']}, {passes} passes over the "
-    words += f"keyframes after the scan, scores of {asked.views.replace('_', '-')} views, {seeds} seed"
+    words = (
+        f"{label}: {several} frames mapped a scene, poses {settings['tracking.poses']}, "
+        f"{passes} passes over the "
+    )
+    words += (
+        f"keyframes after the scan, scores of {asked.views.replace('_', '-')} views, {seeds} seed"
+    )
     words += "s" if seeds > 1 else ""
-    return f"{words}; changed: {', '.join(f'{k}={v}' for k, v in changed.items())}" if changed else words
+    return (
+        f"{words}; changed: {', '.join(f'{k}={v}' for k, v in changed.items())}"
+        if changed
+        else words
+    )

@@ -39,16 +39,17 @@ class WhereOptions:
     jobs: int = 1
     """Number of processes on this machine; each uses its share of the cores."""
     dask: str = ""
-    """Address of the scheduler of a Dask cluster, such as tcp://host:8786, or "local" for one of --jobs workers on this
-    machine. The workers must find the data under the same paths. Needs the extra "cluster"."""
+    """Address of the scheduler of a Dask cluster, such as tcp://host:8786, or "local" for one of
+    --jobs workers on this machine. The workers must find the data under the same paths. Needs the
+    extra "cluster"."""
     reference: str = ""
-    """Name of the row that all others are tested against. It must not be chosen by the results. Default: the rule
-    gsfusion where it takes part, else the first row."""
+    """Name of the row that all others are tested against. It must not be chosen by the results.
+    Default: the rule gsfusion where it takes part, else the first row."""
     tests: str = named("", lambda: [f"{name} ({what})" for name, what in TESTS.items()])
     """What is tested at each budget. Default: what the file says, else reference."""
     cache: bool = True
-    """Use results of earlier commands from the cache, whatever their --out, and keep new ones there. With --no-cache
-    they are kept in the folder of --out."""
+    """Use results of earlier commands from the cache, whatever their --out, and keep new ones
+    there. With --no-cache they are kept in the folder of --out."""
     backend: str = named(from_environment, backend_names)
     """What the operations run on; the environment variable GSFUSION_BACKEND changes the default."""
 
@@ -57,14 +58,14 @@ class WhereOptions:
 class LabOptions(WhereOptions):
     """Compare seeding rules: rules x scenes x seeds x budgets, as a file says.
 
-    Writes runs.csv, table.md, table.json, a figure and a page. After Ctrl-C the same command continues; no
-    run is computed twice, also in later commands."""
+    Writes runs.csv, table.md, table.json, a figure and a page. After Ctrl-C the same command
+    continues; no run is computed twice, also in later commands."""
 
     table: Annotated[str, tyro.conf.Positional] = ""
     """The file that describes the comparison (TOML)."""
     rule_file: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A file of rules that the table names, such as --rule-file my_rules.py: its code is executed only if it is named
-    here, or after a question. Repeat it for several files."""
+    """A file of rules that the table names, such as --rule-file my_rules.py: its code is executed
+    only if it is named here, or after a question. Repeat it for several files."""
     new: str = ""
     """Write a commented example to this file, and do nothing else."""
 
@@ -73,12 +74,16 @@ def main(options: LabOptions) -> int:
     """Run the command. Returns the exit status: 0, 1 if a run failed, or 130 if it was interrupted.
 
     Raises:
-        ValueError: mistakes in the file. FileNotFoundError: no such file. FileExistsError: ``new`` exists already.
+        ValueError: mistakes in the file. FileNotFoundError: no such file. FileExistsError: ``new``
+            exists already.
     """
     if options.new:
         return _write_example(Path(options.new).expanduser())
     if not options.table:
-        raise ValueError("expected the file of a comparison: gsfusion-nb lab table.toml (--new table.toml writes one)")
+        raise ValueError(
+            "expected the file of a comparison: gsfusion-nb lab table.toml (--new table.toml "
+            "writes one)"
+        )
     with use_backend(options.backend):
         table = read_table(options.table, rule_files=options.rule_file)
         print(table)
@@ -89,13 +94,15 @@ def main(options: LabOptions) -> int:
 def run_and_write(
     specs: Sequence[RunSpec], folder: Path, options: WhereOptions, *, table: Table | None = None
 ) -> tuple[int, list[RunResult]]:
-    """Run all ``specs``, print each result as it comes, and write the outputs. Returns exit status and results.
+    """Run all ``specs``, print each result as it comes, and write the outputs. Returns exit status
+    and results.
 
-    Tables are written anew while it runs, at most every ``RENEW_S`` seconds; page and figure at the end.
+    Tables are written anew while it runs, at most every ``RENEW_S`` seconds; page and figure at the
+    end.
 
     Raises:
-        FileExistsError: another command is writing to ``folder``. KeyError: no such row to test against, or no such
-            test.
+        FileExistsError: another command is writing to ``folder``. KeyError: no such row to test
+            against, or no such test.
     """
     table, results = _as_asked(table or Table(specs=list(specs)), options), dict[int, RunResult]()
     with RunFolder(folder):
@@ -107,14 +114,24 @@ def run_and_write(
             missing = {spec.key for spec in specs if store.find(spec) is None}
             print(f"{len(missing)} of {len(specs)} runs to compute", flush=True)
             with executor(options.jobs, options.dask) as where:
-                for i, result in run_all([Entry(spec=spec) for spec in specs], store, where):
+                for i, result in run_all(
+                    [Entry(spec=spec) for spec in specs],
+                    store,
+                    where,
+                ):
                     results[i] = result
                     work += 0.0 if result.copied_from else todo[i]
                     del todo[i]
-                    left = _left(sum(todo.values(), 0.0), work, time.perf_counter() - began)
+                    left = _left(
+                        sum(todo.values(), 0.0),
+                        work,
+                        time.perf_counter() - began,
+                    )
                     print(f"[{len(results):3d}/{len(specs)}] {describe(result)}{left}", flush=True)
                     if len(results) < len(specs) and time.perf_counter() - renewed_s > RENEW_S:
-                        Results(runs=_in_order(results), about=table, store=store).write(folder, pictures=False)
+                        Results(runs=_in_order(results), about=table, store=store).write(
+                            folder, pictures=False
+                        )
                         renewed_s = time.perf_counter()
         except KeyboardInterrupt:
             interrupted = True
@@ -149,11 +166,14 @@ def _as_asked(table: Table, options: WhereOptions) -> Table:
 
 
 def _left(work: float, done: float, elapsed_s: float) -> str:
-    """How long the rest will take, judged by what was computed so far; empty before that, and at the end."""
+    """How long the rest will take, judged by what was computed so far; empty before that, and at
+    the end."""
     if not (work and done):
         return ""
     seconds = elapsed_s * work / done
-    return f"; about {seconds:.0f} s left" if seconds < 90 else f"; about {seconds / 60:.0f} min left"
+    return (
+        f"; about {seconds:.0f} s left" if seconds < 90 else f"; about {seconds / 60:.0f} min left"
+    )
 
 
 def describe(result: RunResult) -> str:
@@ -162,9 +182,14 @@ def describe(result: RunResult) -> str:
     name = f"{spec.scene}, {spec.label}, seed {spec.seed}, {spec.budget}"
     if result.status == "failed":
         return f"{name}: failed: {result.reason}"
-    psnr = f"{numbers['psnr_held_out_db']:.2f} dB held out, " if "psnr_held_out_db" in numbers else ""
+    psnr = (
+        f"{numbers['psnr_held_out_db']:.2f} dB held out, " if "psnr_held_out_db" in numbers else ""
+    )
     copied = ", copied from the cache" if result.copied_from else ""
-    return f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} steps{copied}"
+    return (
+        f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} "
+        f"steps{copied}"
+    )
 
 
 def _in_order(results: dict[int, RunResult]) -> list[RunResult]:

@@ -1,5 +1,5 @@
-"""What takes part in a comparison: rules x scenes x seeds x budgets, given in Python or in a TOML file. All of it is
-checked before anything runs."""
+"""What takes part in a comparison: rules x scenes x seeds x budgets, given in Python or in a TOML
+file. All of it is checked before anything runs."""
 
 import contextlib
 import hashlib
@@ -30,7 +30,8 @@ from .tune import size_option, start_value
 
 @dataclass(frozen=True)
 class Entrant:
-    """A rule with options and a label: ``Entrant("uniform", {"fraction": 0.1}, "uniform 10 %")``."""
+    """A rule with options and a label:
+    ``Entrant("uniform", {"fraction": 0.1}, "uniform 10 %")``."""
 
     rule: str | SeedingRule
     """Name of a registered rule, "FILE.py:name", or the rule itself."""
@@ -39,8 +40,8 @@ class Entrant:
     label: str = ""
     """Name in the table; made from rule and options if empty."""
     size_option: str = ""
-    """Option that is tuned to reach a number of Gaussians; the rule's own if empty. "thin" keeps a random share of the
-    seeds."""
+    """Option that is tuned to reach a number of Gaussians; the rule's own if empty. "thin" keeps a
+    random share of the seeds."""
     size_range: tuple[float | int, float | int] | None = None
     """Smallest and largest value of ``size_option``."""
 
@@ -57,8 +58,9 @@ class Entrant:
             fields: The other fields of ``RunSpec``.
 
         Raises:
-            ValueError: the file of the rule cannot be read. FileNotFoundError: it does not exist, or a file that an
-                option names. KeyError, TypeError: no such rule, or an option that it does not have.
+            ValueError: the file of the rule cannot be read. FileNotFoundError: it does not exist,
+                or a file that an option names. KeyError, TypeError: no such rule, or an option that
+                it does not have.
         """
         rule = self.rule
         file = rule if isinstance(rule, str) and is_rule_file(rule) else ""
@@ -66,10 +68,15 @@ class Entrant:
         found = find_rule(rule)
         check_options(found, self.options)
         spec = RunSpec(
-            rule=rule if isinstance(rule, str) else rule_name(rule), label=self.name, options=self.options,
-            size_option=self.size_option, size_range=self.size_range,
-            rule_source=source, rule_folder=str(rule_folder(file)) if file else "", **fields,
-        ).with_code(found)  # fmt: skip
+            rule=rule if isinstance(rule, str) else rule_name(rule),
+            label=self.name,
+            options=self.options,
+            size_option=self.size_option,
+            size_range=self.size_range,
+            rule_source=source,
+            rule_folder=str(rule_folder(file)) if file else "",
+            **fields,
+        ).with_code(found)
         return Entry(spec=spec, rule=None if isinstance(rule, str) else rule, sequence=sequence)
 
 
@@ -77,7 +84,8 @@ def check_run(spec: RunSpec, rule: SeedingRule) -> None:
     """Check all of a run but its data.
 
     Raises:
-        KeyError: unknown system or preset. TypeError: an option that the rule does not have, or of a wrong type.
+        KeyError: unknown system or preset. TypeError: an option that the rule does not have, or of
+            a wrong type.
         ValueError: a setting that does not exist, an invalid value, or no option that can be tuned.
     """
     spec.config()
@@ -100,21 +108,22 @@ def entries_of(
     The seeds change fastest, then the rules: the first rows of a table are complete early.
 
     Args:
-        rules: Names, "FILE.py:name", functions or classes of a notebook, or ``Entrant``, which also carries options and
-            a label.
+        rules: Names, "FILE.py:name", functions or classes of a notebook, or ``Entrant``, which also
+            carries options and a label.
         scenes: Folders of recordings, "room", or open sequences.
         seeds: One run each.
         budgets: What each rule may spend.
-        config: Settings of all runs, of any system; its rule, the options of the rule and its seed are not used.
-        shared: Other fields of ``RunSpec``, for all runs: ``settings={"tsdf.voxel_size_m": 0.02}`` in place of
-            ``config``.
+        config: Settings of all runs, of any system; its rule, the options of the rule and its seed
+            are not used.
+        shared: Other fields of ``RunSpec``, for all runs: ``settings={"tsdf.voxel_size_m": 0.02}``
+            in place of ``config``.
 
     Raises:
-        KeyError: unknown rule, system or preset. TypeError: a rule with a wrong signature, an option that it does not
-            have or of a wrong type, or both ``config`` and ``settings``.
-        ValueError: no rule, two rules with the same label, a file that cannot be read, a setting that does not exist,
-            an invalid value, or a rule without an option to tune where the budget asks for it. FileNotFoundError: no
-            such file.
+        KeyError: unknown rule, system or preset. TypeError: a rule with a wrong signature, an
+            option that it does not have or of a wrong type, or both ``config`` and ``settings``.
+        ValueError: no rule, two rules with the same label, a file that cannot be read, a setting
+            that does not exist, an invalid value, or a rule without an option to tune where the
+            budget asks for it. FileNotFoundError: no such file.
     """
     entrants = [rule if isinstance(rule, Entrant) else Entrant(rule) for rule in rules]
     names = [entrant.name for entrant in entrants]
@@ -138,11 +147,16 @@ def entries_of(
 def _fields_of_scene(scene: str | OpenedSequence) -> dict[str, Any]:
     if isinstance(scene, str):
         return {"scene": scene}
-    return {"sequence": scene, "scene": scene.name, "data_hash": sequence_fingerprint(scene) + _extra_hash(scene)}
+    return {
+        "sequence": scene,
+        "scene": scene.name,
+        "data_hash": sequence_fingerprint(scene) + _extra_hash(scene),
+    }
 
 
 def _extra_hash(scene: OpenedSequence) -> str:
-    """A hash of ``frame.extra`` of all frames that are mapped; empty where the first has none and nothing gives any."""
+    """A hash of ``frame.extra`` of all frames that are mapped; empty where the first has none and
+    nothing gives any."""
     digest, found = hashlib.blake2b(digest_size=16), False
     for i in range(len(scene.mapping)):
         with contextlib.suppress(SequenceError):
@@ -157,7 +171,8 @@ def _extra_hash(scene: OpenedSequence) -> str:
 
 
 def _fields_of_config(config: SystemConfig) -> dict[str, Any]:
-    """System, preset, and the settings that differ from it; a run has its own rule, options and seed."""
+    """System, preset, and the settings that differ from it; a run has its own rule, options and
+    seed."""
     system = system_of(config)
     settings = changed_settings(config, get_system(system).preset("room"))
     for name in ("seeding.rule", "seeding.options", "seed"):
@@ -176,33 +191,43 @@ def compare_rules(
 ) -> Results:
     """Map ``data`` with each rule and score the views that were held out.
 
-    No folder is written; results are kept in the cache, and a run that is known is not repeated. Ctrl-C (in a
-    notebook: interrupt the kernel) ends it; the results of finished runs are kept.
+    No folder is written; results are kept in the cache, and a run that is known is not repeated.
+    Ctrl-C (in a notebook: interrupt the kernel) ends it; the results of finished runs are kept.
 
     Args:
-        rules: Names, functions or ``Entrant``, which also carries options; no two of the same label.
-        data: Name or folder of a sequence, or an open sequence; some of its views must be held out. Or several.
-        config: Settings of all runs, of any system; only the rule and its options are replaced. By default those of
-            the room without global optimisation.
-        budget: What every rule may spend. By default each rule has as many Gaussians as it makes, and as many gradient
-            steps as follow from them; the table then says how much they differ.
-        seeds: Number of runs of each rule on each sequence: seeds ``config.seed``, the next one, and so on.
-        reference: Label of the rule that all others are tested against. It must not be chosen by the results. By
-            default ``gsfusion`` where it takes part, else the first.
+        rules: Names, functions or ``Entrant``, which also carries options; no two of the same
+            label.
+        data: Name or folder of a sequence, or an open sequence; some of its views must be held out.
+            Or several.
+        config: Settings of all runs, of any system; only the rule and its options are replaced. By
+            default those of the room without global optimisation.
+        budget: What every rule may spend. By default each rule has as many Gaussians as it makes,
+            and as many gradient steps as follow from them; the table then says how much they
+            differ.
+        seeds: Number of runs of each rule on each sequence: seeds ``config.seed``, the next one,
+            and so on.
+        reference: Label of the rule that all others are tested against. It must not be chosen by
+            the results. By default ``gsfusion`` where it takes part, else the first.
 
     Raises:
-        KeyError, TypeError, ValueError: as for ``entries_of``. KeyError also if there is no such reference, ValueError
-            if no view is held out. A rule that raises an error while mapping is listed as failed.
+        KeyError, TypeError, ValueError: as for ``entries_of``. KeyError also if there is no such
+            reference, ValueError if no view is held out. A rule that raises an error while mapping
+            is listed as failed.
     """
     config = config or gsfusion("room", optim__global_iterations=0)
     scenes = [data] if isinstance(data, (str, OpenedSequence)) else list(data)
     sequences = [open_sequence(d, data=config.data) if isinstance(d, str) else d for d in scenes]
     if any(len(sequence.held_out) == 0 for sequence in sequences):
-        raise ValueError("compare_rules scores views that were not mapped; set data.hold_out_every to 2 or more")
+        raise ValueError(
+            "compare_rules scores views that were not mapped; set data.hold_out_every to 2 or more"
+        )
     entries = entries_of(
-        rules, sequences, seeds=range(config.seed, config.seed + seeds), budgets=[budget or Budget(steps="own")],
+        rules,
+        sequences,
+        seeds=range(config.seed, config.seed + seeds),
+        budgets=[budget or Budget(steps="own")],
         config=config,
-    )  # fmt: skip
+    )
     specs = [entry.spec for entry in entries]
     if reference:
         check_name("rule", reference, dict.fromkeys(spec.label for spec in specs))
@@ -214,13 +239,33 @@ def compare_rules(
                 display.show(len(found))
         except KeyboardInterrupt:
             pass
-    return Results(runs=[found[i] for i in sorted(found)], about=Table(specs=specs, reference=reference))
+    return Results(
+        runs=[found[i] for i in sorted(found)],
+        about=Table(specs=specs, reference=reference),
+    )
 
 
-_TOP = {"seeds": (int, list), "reference": (str,), "tests": (str,), "system": (str,), "preset": (str,),
-        "device": (str,), "settings": (dict,), "rules": (list,), "scenes": (list,), "budgets": (list,)}  # fmt: skip
-_RULE = {"rule": (str,), "label": (str,), "options": (dict,), "size_option": (str,), "size_range": (list,),
-         "tuned_on": (str,), "settings": (dict,)}  # fmt: skip
+_TOP = {
+    "seeds": (int, list),
+    "reference": (str,),
+    "tests": (str,),
+    "system": (str,),
+    "preset": (str,),
+    "device": (str,),
+    "settings": (dict,),
+    "rules": (list,),
+    "scenes": (list,),
+    "budgets": (list,),
+}
+_RULE = {
+    "rule": (str,),
+    "label": (str,),
+    "options": (dict,),
+    "size_option": (str,),
+    "size_range": (list,),
+    "tuned_on": (str,),
+    "settings": (dict,),
+}
 _SCENE = {"data": (str,), "label": (str,), "reader": (dict,), "settings": (dict,), "preset": (str,)}
 _BUDGET = {"steps": (str,), "gaussians": (int,), "tolerance": (int, float)}
 Kinds = Mapping[str, tuple[type, ...]]
@@ -242,7 +287,11 @@ def _at(path: Path, place: str) -> Iterator[None]:
         raise TableError(f"{path}: {place}: {what}") from None
 
 
-def read_table(path: str | Path, *, rule_files: Sequence[str | Path] = ()) -> Table:
+def read_table(
+    path: str | Path,
+    *,
+    rule_files: Sequence[str | Path] = (),
+) -> Table:
     """Read and check the file of a comparison.
 
     Args:
@@ -250,28 +299,53 @@ def read_table(path: str | Path, *, rule_files: Sequence[str | Path] = ()) -> Ta
         rule_files: The files of rules that it names and that may be executed.
 
     Raises:
-        RuleNotNamedError: it asks for a rule in a file that is not among ``rule_files``; nothing was executed.
+        RuleNotNamedError: it asks for a rule in a file that is not among ``rule_files``; nothing
+            was executed.
         TableError: a mistake, with its place in the file. FileNotFoundError: no such file.
     """
     path = Path(path).expanduser()
     if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; gsfusion-nb lab --new {path} writes an example")
+        raise FileNotFoundError(
+            f"{path} does not exist; gsfusion-nb lab --new {path} writes an example"
+        )
     text = read_text(path, "the file of a comparison")
     with _at(path, "TOML"):
         top = _checked(tomllib.loads(text), _TOP)
     _refuse_unnamed(path, top.get("rules", []), rule_files)
-    shared: dict[str, Any] = {name: top[name] for name in ("system", "preset", "device") if name in top}
+    shared: dict[str, Any] = {
+        name: top[name] for name in ("system", "preset", "device") if name in top
+    }
     shared["settings"] = _dotted(top.get("settings", {}))
     with _at(path, "settings"):
         RunSpec(rule="uniform", **shared).config()
     given = top.get("seeds", 1)
     seeds = list(range(given)) if isinstance(given, int) else given
     if not seeds or any(not isinstance(s, int) or isinstance(s, bool) or s < 0 for s in seeds):
-        raise TableError(f"{path}: seeds: expected a number of seeds, or a list of whole numbers, got {shown(given)}")
-    budgets = _made(path, top, "budgets", _BUDGET, "", lambda values: Budget(**values)) or [Budget()]
+        raise TableError(
+            f"{path}: seeds: expected a number of seeds, or a list of whole numbers, got "
+            f"{shown(given)}"
+        )
+    budgets = _made(
+        path,
+        top,
+        "budgets",
+        _BUDGET,
+        "",
+        lambda values: Budget(**values),
+    ) or [Budget()]
     tuned = next((budget for budget in budgets if budget.gaussians is not None), budgets[0])
-    rules = _made(path, top, "rules", _RULE, "rule", lambda values: _rule(path, values, shared, tuned), "label")
-    scenes = _made(path, top, "scenes", _SCENE, "data", lambda values: _scene(path, values, shared), "scene")
+    rules = _made(
+        path,
+        top,
+        "rules",
+        _RULE,
+        "rule",
+        lambda values: _rule(path, values, shared, tuned),
+        "label",
+    )
+    scenes = _made(
+        path, top, "scenes", _SCENE, "data", lambda values: _scene(path, values, shared), "scene"
+    )
     reference = top.get("reference", "")
     if reference:
         with _at(path, "reference"):
@@ -286,13 +360,23 @@ def read_table(path: str | Path, *, rule_files: Sequence[str | Path] = ()) -> Ta
     return Table(specs=specs, text=text, reference=reference, tests=tests, tuned_on=tuned_on)
 
 
-def _refuse_unnamed(path: Path, rules: list[Any], named: Sequence[str | Path]) -> None:
+def _refuse_unnamed(
+    path: Path,
+    rules: list[Any],
+    named: Sequence[str | Path],
+) -> None:
     """Raise ``RuleNotNamedError`` with all rules in files that the caller did not name."""
     texts = [values.get("rule") for values in rules if isinstance(values, dict)]
-    wanted = [str(path.parent / text) for text in texts if isinstance(text, str) and is_rule_file(text)]
-    if missing := [rule for rule in dict.fromkeys(wanted) if not is_named(rule.rpartition(":")[0], named)]:
+    wanted = [
+        str(path.parent / text) for text in texts if isinstance(text, str) and is_rule_file(text)
+    ]
+    if missing := [
+        rule for rule in dict.fromkeys(wanted) if not is_named(rule.rpartition(":")[0], named)
+    ]:
         files = [rule.rpartition(":")[0] for rule in missing]
-        raise RuleNotNamedError(path, missing, f"read_table({str(path)!r}, rule_files={list(dict.fromkeys(files))})")
+        raise RuleNotNamedError(
+            path, missing, f"read_table({str(path)!r}, rule_files={list(dict.fromkeys(files))})"
+        )
 
 
 def _made(
@@ -304,15 +388,19 @@ def _made(
     make: Callable[[dict[str, Any]], Any],
     label: str = "",
 ) -> list[Any]:
-    """What ``make`` gives for the checked values of each table [[name]]; no two have the same ``label``, if one is
-    named."""
+    """What ``make`` gives for the checked values of each table [[name]]; no two have the same
+    ``label``, if one is named."""
     found, tables = [], top.get(name, [])
     if required and not tables:
-        raise TableError(f"{path}: expected at least one table [[{name}]] with {required} = ..., got none")
+        raise TableError(
+            f"{path}: expected at least one table [[{name}]] with {required} = ..., got none"
+        )
     for i, values in enumerate(tables):
         with _at(path, f"{name}[{i}]"):
             if not isinstance(values, dict) or (required and required not in values):
-                raise ValueError(f"expected a table with the key {required or 'steps'}, got {shown(values)}")
+                raise ValueError(
+                    f"expected a table with the key {required or 'steps'}, got {shown(values)}"
+                )
             made = make(_checked(values, known))
             if label and any(other[label] == made[label] for other in found):
                 raise ValueError(f"expected labels that differ, got {shown(made[label])} twice")
@@ -329,7 +417,10 @@ def _checked(values: dict[str, Any], known: Kinds) -> dict[str, Any]:
     return values
 
 
-def _merged(shared: Mapping[str, Any], *others: Mapping[str, Any]) -> dict[str, Any]:
+def _merged(
+    shared: Mapping[str, Any],
+    *others: Mapping[str, Any],
+) -> dict[str, Any]:
     """Fields of a run; settings are joined, the later ones count."""
     parts: dict[str, Any] = {**shared}
     for other in others:
@@ -337,7 +428,12 @@ def _merged(shared: Mapping[str, Any], *others: Mapping[str, Any]) -> dict[str, 
     return parts
 
 
-def _rule(path: Path, values: dict[str, Any], shared: Mapping[str, Any], budget: Budget) -> dict[str, Any]:
+def _rule(
+    path: Path,
+    values: dict[str, Any],
+    shared: Mapping[str, Any],
+    budget: Budget,
+) -> dict[str, Any]:
     """A rule as fields of a run, and ``tuned_on``, checked for a budget."""
     options = values.get("options", {})
     parts = {"label": label_of(values["rule"].rpartition(":")[2], options), **values}
@@ -356,7 +452,11 @@ def _rule(path: Path, values: dict[str, Any], shared: Mapping[str, Any], budget:
     return parts | {"code": found.code, "not_kept": found.not_kept, "tuned_on": tuned_on}
 
 
-def _scene(path: Path, values: dict[str, Any], shared: Mapping[str, Any]) -> dict[str, Any]:
+def _scene(
+    path: Path,
+    values: dict[str, Any],
+    shared: Mapping[str, Any],
+) -> dict[str, Any]:
     """A scene as fields of a run."""
     data = values["data"]
     if data != "room" and not Path(data).expanduser().is_absolute():
@@ -370,12 +470,19 @@ def _scene(path: Path, values: dict[str, Any], shared: Mapping[str, Any]) -> dic
     return parts
 
 
-def _dotted(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+def _dotted(
+    values: Mapping[str, Any],
+    path: str = "",
+) -> dict[str, Any]:
     """Settings by dotted name, also where the file nests them."""
     found: dict[str, Any] = {}
     for name, value in values.items():
         full = f"{path}{name}".replace("-", "_")
-        found |= _dotted(value, f"{full}.") if isinstance(value, dict) and full != "seeding.options" else {full: value}
+        found |= (
+            _dotted(value, f"{full}.")
+            if isinstance(value, dict) and full != "seeding.options"
+            else {full: value}
+        )
     return found
 
 

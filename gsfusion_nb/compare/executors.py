@@ -1,4 +1,5 @@
-"""Where runs are done: in this process, in several on this machine, or on a Dask cluster; and what each does."""
+"""Where runs are done: in this process, in several on this machine, or on a Dask cluster; and what
+each does."""
 
 import concurrent.futures
 import contextlib
@@ -27,7 +28,8 @@ from .spec import RunResult, RunSpec
 from .tune import tune, tuning_spec
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Two runs in one process would share its threads, and each would be charged for the other's time and memory."""
+"""Two runs in one process would share its threads, and each would be charged for the other's time
+and memory."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +57,8 @@ class Task:
         """
         if self.sequence is not None:
             raise ValueError(
-                f"{self.spec.scene} was opened in this process: give its name or folder, or use one process"
+                f"{self.spec.scene} was opened in this process: give its name or folder, or use "
+                "one process"
             )
         return self if self.rule is None else dataclasses.replace(self, rule=_pickled(self.rule))
 
@@ -83,23 +86,28 @@ def do_task(task: Task, on_step: OnStep = lambda report: None) -> Answer:
         try:
             if task.program not in ("", run_key()):
                 raise ValueError(
-                    "this process has another version of gsfusion_nb, or of a library, than the comparison, or one of "
-                    "their files was edited after it began: restart it"
+                    "this process has another version of gsfusion_nb, or of a library, than the "
+                    "comparison, or one of their files was edited after it began: restart it"
                 )
             rule = pickle.loads(task.rule) if isinstance(task.rule, bytes) else task.rule
             entry = Entry(spec=task.spec, rule=rule, sequence=task.sequence)
             if task.kind == "tune":
-                return Answer(tuned=tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)), on_step))
+                return Answer(
+                    tuned=tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)), on_step)
+                )
             with tempfile.TemporaryDirectory(prefix="gsfusion-lab-") as folder:
                 result = run_entry(entry, Path(folder), task.tuned, on_step)
-                pictures = {name: (Path(folder) / name).read_bytes() for name in result.pictures.values()}
+                pictures = {
+                    name: (Path(folder) / name).read_bytes() for name in result.pictures.values()
+                }
             return Answer(result=result, pictures=pictures)
         except Exception as e:  # a user's rule may raise anything
             return Answer(reason=f"{type(e).__name__}: {e}")
 
 
 def do_sent_task(task: Task) -> Answer:
-    """``do_task`` in a process that may have been there for long: what it has loaded is compared anew."""
+    """``do_task`` in a process that may have been there for long: what it has loaded is compared
+    anew."""
     look_at_program_again()
     return do_task(task)
 
@@ -113,7 +121,8 @@ def _pickled(rule: SeedingRule | bytes) -> bytes:
         return pickler.dumps(rule)
     except (pickle.PicklingError, AttributeError, TypeError) as e:
         raise ValueError(
-            f"the rule {rule_name(rule)} cannot be sent to other processes: {e}; write it to a file and give "  # pyright: ignore
+            f"the rule {rule_name(rule)} cannot be sent to other processes: {e}; write it to a "
+            "file and give "  # pyright: ignore
             '"FILE.py:name", or install the extra "cluster"'
         ) from None
 
@@ -127,9 +136,12 @@ _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA
 
 
 class InProcess:
-    """One task after another, in this process; ``on_step`` is called with the task before it, and after each frame."""
+    """One task after another, in this process; ``on_step`` is called with the task before it, and
+    after each frame."""
 
-    def __init__(self, on_step: "Callable[[Task, StepReport | None], object]" = lambda task, report: None):
+    def __init__(
+        self, on_step: "Callable[[Task, StepReport | None], object]" = lambda task, report: None
+    ):
         self._tasks, self._on_step = list[tuple[bool, int, Task]](), on_step
 
     def put(self, number: int, task: Task) -> None:
@@ -144,14 +156,19 @@ class InProcess:
 
 
 class OnFutures:
-    """Processes of this machine, or a Dask cluster, whose scheduler repeats the tasks of a worker that is lost.
+    """Processes of this machine, or a Dask cluster, whose scheduler repeats the tasks of a worker
+    that is lost.
 
     Args:
         submit: Begins a task elsewhere; returns its future.
         wait: Waits for the first of some futures, as ``concurrent.futures.wait``.
     """
 
-    def __init__(self, submit: Callable[[Task], Any], wait: Callable[..., Any]):
+    def __init__(
+        self,
+        submit: Callable[[Task], Any],
+        wait: Callable[..., Any],
+    ):
         self._submit, self._wait = submit, wait
         self._numbers: dict[Any, int] = {}
 
@@ -170,7 +187,8 @@ class OnFutures:
 
 
 Executor = InProcess | OnFutures
-"""Does tasks: runs before tunings, so that the first results are there early; otherwise by their numbers."""
+"""Does tasks: runs before tunings, so that the first results are there early; otherwise by their
+numbers."""
 
 
 @contextlib.contextmanager
@@ -179,8 +197,8 @@ def executor(jobs: int = 1, dask: str = "") -> Iterator[Executor]:
 
     Args:
         jobs: Number of processes on this machine; 1 uses this process.
-        dask: Address of the scheduler of a Dask cluster ("tcp://host:8786"), or "local" for a cluster of ``jobs``
-            worker processes on this machine; empty uses none.
+        dask: Address of the scheduler of a Dask cluster ("tcp://host:8786"), or "local" for a
+            cluster of ``jobs`` worker processes on this machine; empty uses none.
 
     Raises:
         ValueError: the extra "cluster" is not installed, or there is no scheduler at the address.
@@ -200,7 +218,8 @@ class NoWorkerError(RuntimeError):
 
 
 def on_dask(client: Any) -> OnFutures:
-    """The cluster of a Dask client; ``get`` raises ``NoWorkerError`` if it has no worker for ``NO_WORKER_S``."""
+    """The cluster of a Dask client; ``get`` raises ``NoWorkerError`` if it has no worker for
+    ``NO_WORKER_S``."""
     from distributed import wait
 
     def submit(task: Task) -> Any:
@@ -216,22 +235,27 @@ def on_dask(client: Any) -> OnFutures:
             elif time.monotonic() - alone_since > NO_WORKER_S:
                 raise NoWorkerError(
                     f"the Dask cluster has had no worker for {NO_WORKER_S:g} s: start one "
-                    f"(dask worker {client.scheduler.address}) and repeat the command; finished runs are kept"
+                    f"(dask worker {client.scheduler.address}) and repeat the command; finished "
+                    "runs are kept"
                 )
 
     return OnFutures(submit, wait_for_workers_too)
 
 
 def threads_of_each(jobs: int) -> dict[str, str]:
-    """Environment in which each of ``jobs`` processes uses its share of the cores, so that they do not fight."""
+    """Environment in which each of ``jobs`` processes uses its share of the cores, so that they do
+    not fight."""
     return dict.fromkeys(_THREADS, str(max(usable_cores() // jobs, 1)))
 
 
 @contextlib.contextmanager
 def _processes(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
-    """Several processes, which divide the cores; if one dies, all tasks that are left have failed."""
+    """Several processes, which divide the cores; if one dies, all tasks that are left have
+    failed."""
     before = dict(os.environ)
-    os.environ.update(threads_of_each(jobs))  # what is started now reads it, and nothing here does so again
+    os.environ.update(
+        threads_of_each(jobs)
+    )  # what is started now reads it, and nothing here does so again
     spawn = multiprocessing.get_context("spawn")
     pool = concurrent.futures.ProcessPoolExecutor(jobs, spawn, initializer=_begin_process)
     try:
@@ -245,8 +269,9 @@ def _processes(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
 
 
 def _submit(pool: concurrent.futures.ProcessPoolExecutor, task: Task) -> concurrent.futures.Future:
-    """Give the pool a task, for which it may start a process. That takes no Ctrl-C, which is for its parent: it begins
-    with this thread's blocked signals, and imports for seconds before it can ignore one (``_begin_process``)."""
+    """Give the pool a task, for which it may start a process. That takes no Ctrl-C, which is for
+    its parent: it begins with this thread's blocked signals, and imports for seconds before it can
+    ignore one (``_begin_process``)."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         return pool.submit(do_sent_task, task)
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -257,7 +282,8 @@ def _submit(pool: concurrent.futures.ProcessPoolExecutor, task: Task) -> concurr
 
 
 def _begin_process() -> None:
-    """In a process of ``_processes``: Ctrl-C is for its parent, and when that was killed it ends, too."""
+    """In a process of ``_processes``: Ctrl-C is for its parent, and when that was killed it ends,
+    too."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
@@ -274,10 +300,17 @@ def _client(jobs: int, address: str) -> Iterator[Any]:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise ValueError("a Dask cluster needs the extra \"cluster\": pip install 'gsfusion-nb[cluster]'") from None
+        raise ValueError(
+            "a Dask cluster needs the extra \"cluster\": pip install 'gsfusion-nb[cluster]'"
+        ) from None
     if address == "local":
-        cluster: Any = LocalCluster(n_workers=jobs, threads_per_worker=1, processes=True, env=threads_of_each(jobs),
-                                    dashboard_address=cast(Any, None))  # fmt: skip
+        cluster: Any = LocalCluster(
+            n_workers=jobs,
+            threads_per_worker=1,
+            processes=True,
+            env=threads_of_each(jobs),
+            dashboard_address=cast(Any, None),
+        )
     else:
         cluster = contextlib.nullcontext(address)
     with cluster as place:

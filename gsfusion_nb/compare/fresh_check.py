@@ -1,7 +1,8 @@
-"""The check of an entrant in a process of its own: ``python -m gsfusion_nb.compare.fresh_check JOB``.
+"""The check of an entrant in a process of its own:
+``python -m gsfusion_nb.compare.fresh_check JOB``.
 
-Nothing that the caller has loaded or changed is there. Where the system can (Landlock, Linux 5.13), compiled code can
-read only the files that the rule declares, too.
+Nothing that the caller has loaded or changed is there. Where the system can (Landlock, Linux 5.13),
+compiled code can read only the files that the rule declares, too.
 """
 
 import ctypes
@@ -43,8 +44,9 @@ _ALONE = "in a process of its own, which can read only the files that the option
 
 
 def main(job_file: str) -> int:
-    """Do the job in a file, and write what was found to the file beside it (.json): "refused", why, or empty; "code",
-    the parts of the rule's key; "walks_sets", whether its code has sets; and "seeds", a hash of what it gave."""
+    """Do the job in a file, and write what was found to the file beside it (.json): "refused", why,
+    or empty; "code", the parts of the rule's key; "walks_sets", whether its code has sets; and
+    "seeds", a hash of what it gave."""
     found: dict[str, Any] = {"refused": "", "code": {}, "walks_sets": False, "seeds": ""}
     path = Path(job_file)
     try:
@@ -62,7 +64,8 @@ def _checked(job: CheckJob) -> tuple[CodeKey, str]:
     """Check a rule. Returns its key, and a hash of what it gave.
 
     Raises:
-        Exception: what the rule or ``check_rule`` raises; ValueError for what only a fresh process shows.
+        Exception: what the rule or ``check_rule`` raises; ValueError for what only a fresh process
+            shows.
     """
     check_rule("uniform")  # so that what libraries load when they are first used is there
     libraries = library_state()
@@ -77,34 +80,51 @@ def _checked(job: CheckJob) -> tuple[CodeKey, str]:
         given = check_rule(rule, options=job.options, extra=extra).digest
     if changes := changes_since(libraries, all_of_package=True):
         raise ValueError(
-            f"the seeding rule {job.name!r} changes {', '.join(changes[:3])} for everybody; a rule may not change "
-            "what it imports: write a function of its own"
+            f"the seeding rule {job.name!r} changes {', '.join(changes[:3])} for everybody; a rule "
+            "may not change what it imports: write a function of its own"
         )
     after = switches()
     if switched := [name for name in before if before[name] != after[name]]:
-        raise ValueError(f"the seeding rule {job.name!r} changes a setting of the whole process: {', '.join(switched)}")
+        raise ValueError(
+            f"the seeding rule {job.name!r} changes a setting of the whole process: "
+            f"{', '.join(switched)}"
+        )
     return key, given
 
 
 def _loaded(job: CheckJob) -> Any:
     if job.pickled:
         return pickle.loads(job.pickled)
-    return rule_of_source(job.source, job.name, job.file, Path(job.folder) if job.folder else None)
+    return rule_of_source(
+        job.source,
+        job.name,
+        job.file,
+        Path(job.folder) if job.folder else None,
+    )
 
 
 _SYSTEM = ("posix", "nt")
 _OF_PROCESS = {
-    *((m, name) for m in _SYSTEM for name in ("getpid", "getppid", "getcwd", "getcwdb", "getlogin", "uname", "times")),
+    *(
+        (m, name)
+        for m in _SYSTEM
+        for name in ("getpid", "getppid", "getcwd", "getcwdb", "getlogin", "uname", "times")
+    ),
     *((m, name) for m in _SYSTEM for name in ("urandom", "getloadavg")),
-    *(("_socket", "gethostname"), ("socket", "gethostname"), ("_thread", "get_ident"), ("_thread", "get_native_id")),
+    *(
+        ("_socket", "gethostname"),
+        ("socket", "gethostname"),
+        ("_thread", "get_ident"),
+        ("_thread", "get_native_id"),
+    ),
     *(("builtins", "id"), ("resource", "getrusage")),
 }
 """Module and name of functions whose answer another process, or another machine, does not get."""
 
 
 class _clock_is_watched:
-    """Context that raises ``ValueError`` at its end if somebody's own code in it has asked for the time, or for what
-    else differs from process to process."""
+    """Context that raises ``ValueError`` at its end if somebody's own code in it has asked for the
+    time, or for what else differs from process to process."""
 
     def __init__(self, rule: str):
         self._rule = rule
@@ -118,8 +138,8 @@ class _clock_is_watched:
         sys.setprofile(None)
         if self._asked and (error is None or isinstance(error, Exception)):
             raise ValueError(
-                f"the seeding rule {self._rule!r} asks for {self._what} ({self._asked}); its seeds may depend on the "
-                "context only"
+                f"the seeding rule {self._rule!r} asks for {self._what} ({self._asked}); its seeds "
+                "may depend on the context only"
             )
 
     def _note(self, frame: Any, event: str, function: Any) -> None:
@@ -145,14 +165,16 @@ _NO_NEW_PRIVILEGES = 38
 
 
 def confine(places: Iterable[str | Path]) -> bool:
-    """From now on this process can read only files in these places, whatever opens them. Returns whether the system
-    can do that (Linux with Landlock); otherwise nothing changes."""
+    """From now on this process can read only files in these places, whatever opens them. Returns
+    whether the system can do that (Linux with Landlock); otherwise nothing changes."""
     if not sys.platform.startswith("linux"):
         return False
     libc = ctypes.CDLL(None, use_errno=True)
     call: Callable[..., int] = libc.syscall
     handled = ctypes.c_uint64(_READ_FILE)
-    ruleset = call(_CREATE_RULESET, ctypes.byref(handled), ctypes.c_size_t(ctypes.sizeof(handled)), 0)
+    ruleset = call(
+        _CREATE_RULESET, ctypes.byref(handled), ctypes.c_size_t(ctypes.sizeof(handled)), 0
+    )
     if ruleset < 0:
         return False
     try:

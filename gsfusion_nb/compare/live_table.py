@@ -23,24 +23,29 @@ from .tables import failures
 
 
 class _Stopped(BaseException):
-    """Raised between two frames of a run that is given up; no ``except Exception`` holds it back."""
+    """Raised between two frames of a run that is given up; no ``except Exception`` holds it
+    back."""
 
 
 class LiveTable(LiveOutput):
-    """Does runs in a thread of its own and shows their results as they come; other cells can run meanwhile.
+    """Does runs in a thread of its own and shows their results as they come; other cells can run
+    meanwhile.
 
-    The last line of a cell shows it. From Python: ``start``, ``pause``, ``step``, ``stop``, and ``run_sync(n)``, which
-    does ``n`` runs in the calling cell. Results are kept in a cache, and a run that is done is never repeated: the same
-    table made again has its rows at once. Making another ``LiveTable`` stops this one.
+    The last line of a cell shows it. From Python: ``start``, ``pause``, ``step``, ``stop``, and
+    ``run_sync(n)``, which does ``n`` runs in the calling cell. Results are kept in a cache, and a
+    run that is done is never repeated: the same table made again has its rows at once. Making
+    another ``LiveTable`` stops this one.
 
     Args:
-        runs: What is compared; ``entries_of`` makes all combinations of rules, scenes, seeds and budgets.
+        runs: What is compared; ``entries_of`` makes all combinations of rules, scenes, seeds and
+            budgets.
         folder: Where ``write`` writes.
         store: Where results are kept; the cache of this package by default.
-        reference: Label of the rule that all others are tested against. It must not be chosen by the results. By
-            default ``gsfusion`` where it takes part, else the first.
+        reference: Label of the rule that all others are tested against. It must not be chosen by
+            the results. By default ``gsfusion`` where it takes part, else the first.
 
-    ``results`` are those so far. ``write()`` writes the table, the figure and the page into ``folder``.
+    ``results`` are those so far. ``write()`` writes the table, the figure and the page into
+    ``folder``.
     """
 
     def __init__(
@@ -61,7 +66,11 @@ class LiveTable(LiveOutput):
         self._go, self._given_up, self._resting, self._now = threading.Event(), False, False, ""
         self._go.set()
         self._writing, self._next_write_s = threading.RLock(), 0.0
-        self.player = Player(self._runs, on_step=lambda _: self._show(), on_rest=self.store_output)
+        self.player = Player(
+            self._runs,
+            on_step=lambda _: self._show(),
+            on_rest=self.store_output,
+        )
         self._build()
         self._show()
 
@@ -128,7 +137,9 @@ class LiveTable(LiveOutput):
         results = self._now_known()
         figure = results.figure()
         bundle = self.widget._repr_mimebundle_(**kwargs)
-        data, words = with_picture(bundle, figure_picture(figure), repr(self), alt=figure_words(figure))
+        data, words = with_picture(
+            bundle, figure_picture(figure), repr(self), alt=figure_words(figure)
+        )
         data["text/html"] = results._repr_html_()
         return data, words
 
@@ -145,7 +156,9 @@ class LiveTable(LiveOutput):
         """The runs without a result; one step does one run, or gives None if it was given up."""
         while left := [i for i in range(len(self.entries)) if i not in self._found]:
             try:
-                for i, result in run_all([self.entries[i] for i in left], self.store, InProcess(self._on_frame)):
+                for i, result in run_all(
+                    [self.entries[i] for i in left], self.store, InProcess(self._on_frame)
+                ):
                     self._found[left[i]] = result
                     yield result
             except _Stopped:
@@ -173,14 +186,19 @@ class LiveTable(LiveOutput):
         with self._writing:
             known = self._now_known()
             lost = failures(known.runs)
-            self.tables.value = fill("live_table.html", tables=known.tables(), failures=lost, picture="")
+            self.tables.value = fill(
+                "live_table.html", tables=known.tables(), failures=lost, picture=""
+            )
             self.progress.value = len(known.runs)
             self._say()
 
     def _say(self) -> None:
-        """Show the state of now. Called from two threads: who writes last must also be who read the state last."""
+        """Show the state of now. Called from two threads: who writes last must also be who read the
+        state last."""
         with self._writing:
-            state = "paused" if self._resting and self.player.state == "running" else self.player.state
+            state = (
+                "paused" if self._resting and self.player.state == "running" else self.player.state
+            )
             words = [f"<b>{state}</b>", f"{len(self._found)} of {len(self.entries)} runs"]
             if state in ("running", "paused"):
                 words.append(html.escape(self._now))
@@ -190,9 +208,16 @@ class LiveTable(LiveOutput):
         import ipywidgets as w
 
         self.buttons = player_buttons(self, "gsnb-lab", self.player)
-        self.progress = w.IntProgress(min=0, max=max(len(self.entries), 1), layout=w.Layout(width="260px"))
+        self.progress = w.IntProgress(
+            min=0,
+            max=max(len(self.entries), 1),
+            layout=w.Layout(width="260px"),
+        )
         self.status, self.tables = w.HTML(), w.HTML()
         self.status.add_class("gsnb-lab-status")
-        controls = w.HBox([*self.buttons.values(), self.progress], layout=w.Layout(flex_flow="row wrap"))
+        controls = w.HBox(
+            [*self.buttons.values(), self.progress],
+            layout=w.Layout(flex_flow="row wrap"),
+        )
         self.widget = w.VBox([controls, self.status, self.tables])
         self.widget.add_class("gsnb-lab")

@@ -32,14 +32,17 @@ from .spec import ONLY_NOW, RunSpec
 
 
 def thinned(rule: SeedingRule, share: float) -> SeedingRule:
-    """``rule`` with a random share of its seeds, drawn from ``ctx.generator``; options and name stay the same."""
+    """``rule`` with a random share of its seeds, drawn from ``ctx.generator``; options and name
+    stay the same."""
     return _variant(rule, lambda ctx, make: _draw(make(ctx), share, ctx.generator))
 
 
 def observed(rule: SeedingRule, used: set[str]) -> SeedingRule:
-    """``rule``, which adds to ``used`` what it reads of the Gaussians of the map; options and name stay the same.
+    """``rule``, which adds to ``used`` what it reads of the Gaussians of the map; options and name
+    stay the same.
 
-    If that is nothing, and it does not edit the map either, then the optimisation does not change what it seeds.
+    If that is nothing, and it does not edit the map either, then the optimisation does not change
+    what it seeds.
     """
     if is_map_rule(rule) and cast(Any, rule).after_step is not MapRule.after_step:
         used.add("after_step")
@@ -66,8 +69,11 @@ class _Observed:
         return len(self._gaussians)
 
 
-def _variant(rule: SeedingRule, seeds: Callable[[SeedContext, Callable[[SeedContext], Seeds]], Seeds]) -> SeedingRule:
-    """``rule`` with other seeds: ``seeds(ctx, make)``, in which ``make(ctx)`` are those of ``rule``."""
+def _variant(
+    rule: SeedingRule, seeds: Callable[[SeedContext, Callable[[SeedContext], Seeds]], Seeds]
+) -> SeedingRule:
+    """``rule`` with other seeds: ``seeds(ctx, make)``, in which ``make(ctx)`` are those of
+    ``rule``."""
     if is_map_rule(rule):
         base: Any = rule
 
@@ -113,9 +119,11 @@ OnStep = Callable[[StepReport | None], object]
 R = TypeVar("R")
 
 RATE_HZ = 30
-"""Frames per second of a depth camera, and of the recordings that the published intervals of rules belong to."""
+"""Frames per second of a depth camera, and of the recordings that the published intervals of rules
+belong to."""
 _warm: set[str] = set()
-"""Systems and devices that have mapped in this process: nothing is compiled or loaded for them any more."""
+"""Systems and devices that have mapped in this process: nothing is compiled or loaded for them any
+more."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -124,7 +132,8 @@ class Entry:
 
     spec: RunSpec
     rule: SeedingRule | None = None
-    """The rule, if it was defined in this process and is not registered; by default the one that the spec names."""
+    """The rule, if it was defined in this process and is not registered; by default the one that
+    the spec names."""
     sequence: OpenedSequence | None = None
     """The frames, if the caller has opened them."""
 
@@ -137,7 +146,12 @@ class Entry:
         if self.sequence is not None:
             return self.sequence
         reader = json.dumps(dict(self.spec.reader), sort_keys=True)
-        return _open(self.spec.content, self.spec.data, reader, self.spec.config().data)
+        return _open(
+            self.spec.content,
+            self.spec.data,
+            reader,
+            self.spec.config().data,
+        )
 
     def found_rule(self) -> SeedingRule:
         """The rule, with all its seeds.
@@ -173,8 +187,8 @@ class Mapped:
 def map_scene(
     entry: Entry, config: SystemConfig, *, scratch: bool = False
 ) -> Generator[StepReport | None, None, Mapped]:
-    """Map the frames of ``entry`` with the settings ``config``; yields the report of each frame, then None after each
-    step of the optimisation after the scan, and returns the map.
+    """Map the frames of ``entry`` with the settings ``config``; yields the report of each frame,
+    then None after each step of the optimisation after the scan, and returns the map.
 
     Args:
         entry: The run.
@@ -211,11 +225,23 @@ def map_scene(
             yield None
     empty = sum(report.n_gaussians == 0 for report in run.steps)
     if empty:
-        notes.append(f"after {empty} of {len(run.steps)} frames the map was empty, so no gradient steps were taken")
-    return Mapped(run=run, n_steps=n_steps, cpu_s=cpu_s, peak_mb=memory.peak_mb, notes=notes, online=online)
+        notes.append(
+            f"after {empty} of {len(run.steps)} frames the map was empty, so no gradient steps "
+            "were taken"
+        )
+    return Mapped(
+        run=run,
+        n_steps=n_steps,
+        cpu_s=cpu_s,
+        peak_mb=memory.peak_mb,
+        notes=notes,
+        online=online,
+    )
 
 
-def finished(steps: Generator[StepReport | None, None, R], on_step: OnStep = lambda report: None) -> R:
+def finished(
+    steps: Generator[StepReport | None, None, R], on_step: OnStep = lambda report: None
+) -> R:
     """What ``steps`` return at their end; ``on_step`` is called with each thing that they yield."""
     while True:
         try:
@@ -246,17 +272,24 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
         mapper.rule_in_use.watched = lambda: only_declared(spec.rule_name, places)
     used, given = flat_settings(mapper.config), flat_settings(config)
     for name, value in getattr(rule, "overrides", {}).items():
-        if dotted(name) not in used:  # keyframe_every in a system that chooses its keyframes by motion
+        if (
+            dotted(name) not in used
+        ):  # keyframe_every in a system that chooses its keyframes by motion
             continue
         if used[dotted(name)] != value:
-            notes.append(f"the rule's own {dotted(name)} = {value} is not used, but {used[dotted(name)]}")
+            notes.append(
+                f"the rule's own {dotted(name)} = {value} is not used, but {used[dotted(name)]}"
+            )
         elif given[dotted(name)] != value:
-            notes.append(f"the rule sets {dotted(name)} = {value}, in place of {given[dotted(name)]}")
+            notes.append(
+                f"the rule sets {dotted(name)} = {value}, in place of {given[dotted(name)]}"
+            )
     return mapper, notes
 
 
 def refuse_other_code(spec: RunSpec, rule: SeedingRule) -> None:
-    """Raise ``ValueError`` if the code of a run is not the one with which its comparison was started.
+    """Raise ``ValueError`` if the code of a run is not the one with which its comparison was
+    started.
 
     A process keeps the modules that it has loaded, and another machine may have other files.
     """
@@ -267,27 +300,36 @@ def refuse_other_code(spec: RunSpec, rule: SeedingRule) -> None:
         parts.pop(ONLY_NOW, None)
     if wanted != here:
         raise ValueError(
-            f"the code of the rule {spec.rule_name} in this process is not the one with which the comparison was "
-            f"started; different: {differing(wanted, here)}. Start the comparison again, give every worker the same "
-            "files and packages, and restart workers that loaded the code before it was edited"
+            f"the code of the rule {spec.rule_name} in this process is not the one with which the "
+            f"comparison was started; different: {differing(wanted, here)}. Start the comparison "
+            "again, give every worker the same files and packages, and restart workers that "
+            "loaded the code before it was edited"
         )
 
 
 def _paced(config: SystemConfig, sequence: OpenedSequence) -> SystemConfig:
-    """``config`` with the spacing of the frames of the built-in room, which is a walk of 49 s with few or many frames:
-    the number of frames that a camera with 30 Hz takes from one to the next. A spacing in the settings stays."""
-    if config.seeding.source_stride or not isinstance(sequence.source, RoomSequence) or len(sequence.source) < 2:
+    """``config`` with the spacing of the frames of the built-in room, which is a walk of 49 s with
+    few or many frames: the number of frames that a camera with 30 Hz takes from one to the next. A
+    spacing in the settings stays."""
+    if (
+        config.seeding.source_stride
+        or not isinstance(sequence.source, RoomSequence)
+        or len(sequence.source) < 2
+    ):
         return config
     seconds = float(np.diff(sequence.source.times_s).mean()) * config.data.stride
     return with_settings(config, {"seeding.source_stride": max(1, round(RATE_HZ * seconds))})
 
 
 def _asked_at_its_pace(rule: SeedingRule, spec: RunSpec, config: SystemConfig) -> SeedingRule:
-    """A rule for keyframes, in the schedule that is the same for all rules, whose keyframes are for the optimisation:
-    it is asked as often as its release makes keyframes (``keyframe_every`` of its settings)."""
+    """A rule for keyframes, in the schedule that is the same for all rules, whose keyframes are for
+    the optimisation: it is asked as often as its release makes keyframes (``keyframe_every`` of its
+    settings)."""
     own = dict(getattr(rule, "overrides", {})).get("keyframe_every", 0)
     when = cast(Any, rule).when if is_map_rule(rule) else None
-    if spec.budget.steps != "equal" or not (own and when and when.only_keyframes and hasattr(config, "keyframe_every")):
+    if spec.budget.steps != "equal" or not (
+        own and when and when.only_keyframes and hasattr(config, "keyframe_every")
+    ):
         return rule
     variant: Any = _variant(rule, lambda ctx, make: make(ctx))
     variant.when = dataclasses.replace(when, frames=own, only_keyframes=False)
@@ -300,7 +342,10 @@ def _asked(mapper: Mapper, n_mapped: int) -> list[str]:
     if when.only_keyframes or when.frames == 1:
         return []
     n = sum(when.is_due(i, None, stride=stride) for i in range(n_mapped))
-    return [f"asked every {when.frames} frames of the recording, here in {n} of {n_mapped} mapped frames"]
+    return [
+        f"asked every {when.frames} frames of the recording, here in {n} of {n_mapped} mapped "
+        "frames"
+    ]
 
 
 class _PrivateFrames(SequenceView):
@@ -309,15 +354,22 @@ class _PrivateFrames(SequenceView):
     def __getitem__(self, i: int) -> Frame:
         frame = super().__getitem__(i)
         images = {name: getattr(frame, name).clone() for name in ("colour", "depth_m", "T_WC")}
-        return dataclasses.replace(frame, **images, extra={name: x.clone() for name, x in frame.extra.items()})
+        return dataclasses.replace(
+            frame,
+            **images,
+            extra={name: x.clone() for name, x in frame.extra.items()},
+        )
 
 
 def _warm_up(sequence: OpenedSequence, config: SystemConfig, device: str) -> None:
-    """Map two frames once per process, so that compiling and loading is not timed in the first run."""
+    """Map two frames once per process, so that compiling and loading is not timed in the first
+    run."""
     name = f"{type(config).__name__} {device}"
     if name not in _warm:
         _warm.add(name)
-        plain = with_settings(config, {"seeding.rule": "uniform", "seeding.options": {"coverage": False}})
+        plain = with_settings(
+            config, {"seeding.rule": "uniform", "seeding.options": {"coverage": False}}
+        )
         run = MappingRun(sequence, make_mapper(plain, device=device))
         for _ in itertools.islice(run.online(), 2):
             pass

@@ -15,7 +15,14 @@ from ..evaluation import NotComputed, frame_rates
 from ..evaluation.image import lpips_unavailable
 from ..files import SequenceError, write_file
 from ..runs import MappingRun
-from ..runs.outputs import environment, map_hashes, nan_views, score_mesh, score_trajectory, tracking_rates
+from ..runs.outputs import (
+    environment,
+    map_hashes,
+    nan_views,
+    score_mesh,
+    score_trajectory,
+    tracking_rates,
+)
 from ..runs.scored_views import ScoredViews, scored_views
 from ..seeding import published_training, rule_source
 from .map_scene import Entry, Mapped, OnStep, budgeted, finished, map_scene
@@ -26,7 +33,8 @@ from .tune import is_tuned, tune, tuning_spec, with_tuned
 MOST_PICTURES = 3
 """Held-out views of which pictures are saved."""
 SURFACE_SAMPLES = 50_000
-"""Points drawn on each of the two surfaces; with a quarter of those of a single run the numbers differ by 1 %."""
+"""Points drawn on each of the two surfaces; with a quarter of those of a single run the numbers
+differ by 1 %."""
 MOST_MESHES = 100
 _scored_meshes: dict[str, dict[str, Any]] = {}
 """Hashes of the maps that a mesh follows from and of the frames -> its scores."""
@@ -53,14 +61,15 @@ def run_entry(
 ) -> RunResult:
     """``run_spec`` of a run that has objects of this process.
 
-    A run that misses its number of Gaussians, because its seed differs from that of the tuning, is tuned once more with
-    its own seed.
+    A run that misses its number of Gaussians, because its seed differs from that of the tuning, is
+    tuned once more with its own seed.
 
     Args:
         entry: The run.
         folder: Where pictures are saved; None saves none.
         tuned: What ``tune`` found for ``tuning_spec(entry.spec)``; it is tuned here if None.
-        on_step: Called with the report of each frame of the scored run, and with None after other work.
+        on_step: Called with the report of each frame of the scored run, and with None after other
+            work.
     """
     try:
         budget = entry.spec.budget
@@ -78,22 +87,34 @@ def run_entry(
         return RunResult(spec=entry.spec, status="failed", reason=f"{type(e).__name__}: {e}")
 
 
-def _mapped(entry: Entry, tuned: Mapping[str, Any] | None, on_step: OnStep) -> Mapped:
+def _mapped(
+    entry: Entry,
+    tuned: Mapping[str, Any] | None,
+    on_step: OnStep,
+) -> Mapped:
     sized = with_tuned(entry, tuned)
     return finished(map_scene(sized, budgeted(sized.spec)), on_step)
 
 
-def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | None) -> RunResult:
+def _result(
+    entry: Entry,
+    mapped: Mapped,
+    tuned: dict[str, Any],
+    folder: Path | None,
+) -> RunResult:
     run, views = mapped.run, scored_views(mapped.run)
-    content = entry.spec.content if entry.sequence is not None else sequence_fingerprint(run.sequence)
+    content = (
+        entry.spec.content if entry.sequence is not None else sequence_fingerprint(run.sequence)
+    )
     if content != entry.spec.content:
         raise SequenceError(
-            f"the files of {entry.spec.data} are not those for which this comparison was made: they changed, or this "
-            "machine has others; start the comparison again"
+            f"the files of {entry.spec.data} are not those for which this comparison was made: "
+            "they changed, or this machine has others; start the comparison again"
         )
     with_lpips = lpips_unavailable() is None
     scores = {
-        name: group.scores(run.mapper.render, run.sequence, with_lpips=with_lpips) for name, group in views.items()
+        name: group.scores(run.mapper.render, run.sequence, with_lpips=with_lpips)
+        for name, group in views.items()
     }
     numbers: dict[str, Any] = dict(mapped.online)
     for name, group in scores.items():
@@ -103,7 +124,9 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
     numbers |= run.mapper.run_metrics(run.steps)
     if entry.spec.online:
         numbers |= frame_rates([s.total_seconds for s in run.steps]) | tracking_rates(run)
-    metrics = {name: float(value) for name, value in numbers.items() if not isinstance(value, NotComputed)}
+    metrics = {
+        name: float(value) for name, value in numbers.items() if not isinstance(value, NotComputed)
+    }
     return RunResult(
         spec=entry.spec,
         status="done",
@@ -116,12 +139,15 @@ def _result(entry: Entry, mapped: Mapped, tuned: dict[str, Any], folder: Path | 
         rule_source=entry.spec.rule_source or rule_source(entry.found_rule()),
         training=_training(entry),
         versions=versions(),
-        pictures=_pictures(entry, mapped, views["held_out"], folder, content) if folder is not None else {},
+        pictures=_pictures(entry, mapped, views["held_out"], folder, content)
+        if folder is not None
+        else {},
     )
 
 
 def _training(entry: Entry) -> str:
-    """``published_training`` of the rule, unless this run follows it: the system of that name, or its own steps."""
+    """``published_training`` of the rule, unless this run follows it: the system of that name, or
+    its own steps."""
     spec, rule = entry.spec, entry.found_rule()
     own_steps = any("iterations" in name for name in getattr(rule, "overrides", {}))
     if spec.rule_name == spec.system or (own_steps and spec.budget.steps == "own"):
@@ -129,16 +155,31 @@ def _training(entry: Entry) -> str:
     return published_training(rule)
 
 
-def _not_counted(metrics: Mapping[str, float], groups: Iterable[str]) -> list[str]:
-    """Sentences on views that no mean counts, of these groups, and on numbers that a result cannot hold."""
+def _not_counted(
+    metrics: Mapping[str, float],
+    groups: Iterable[str],
+) -> list[str]:
+    """Sentences on views that no mean counts, of these groups, and on numbers that a result cannot
+    hold."""
     nan = nan_views(metrics, [f"{group}{suffix}" for group in groups for suffix in ("", "_online")])
-    return nan + [f"{name} is {value}: left out" for name, value in metrics.items() if not math.isfinite(value)]
+    return nan + [
+        f"{name} is {value}: left out"
+        for name, value in metrics.items()
+        if not math.isfinite(value)
+    ]
 
 
-def _mesh_numbers(run: MappingRun, hashes: Mapping[str, str], content: str) -> dict[str, Any]:
-    """Accuracy and completion of the mesh, and of discs. Runs with equal TSDFs have equal meshes, made and scored once;
-    where Gaussians are discs, or there is no TSDF, the Gaussians must be equal too."""
-    names = set(hashes) - ({"gaussians"} if "tsdf" in hashes and not run.mapper.gaussians_are_discs else set())
+def _mesh_numbers(
+    run: MappingRun,
+    hashes: Mapping[str, str],
+    content: str,
+) -> dict[str, Any]:
+    """Accuracy and completion of the mesh, and of discs. Runs with equal TSDFs have equal meshes,
+    made and scored once; where Gaussians are discs, or there is no TSDF, the Gaussians must be
+    equal too."""
+    names = set(hashes) - (
+        {"gaussians"} if "tsdf" in hashes and not run.mapper.gaussians_are_discs else set()
+    )
     parts = [*sorted(f"{name} {hashes[name]}" for name in names), content]
     key = " ".join([*parts, repr(getattr(run.mapper.config, "tsdf", ""))])
     if key not in _scored_meshes:
@@ -171,7 +212,9 @@ def _costs(mapped: Mapped) -> dict[str, Any]:
         "seconds_global": run.seconds_global,
         "seconds_total": mapped.seconds,
         "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
-        "peak_memory_mb": NotComputed("not reported here") if mapped.peak_mb is None else mapped.peak_mb,
+        "peak_memory_mb": NotComputed("not reported here")
+        if mapped.peak_mb is None
+        else mapped.peak_mb,
     }
 
 
@@ -180,12 +223,21 @@ def versions() -> dict[str, str]:
     return environment() | libraries() | {"processor": platform.processor() or platform.machine()}
 
 
-def _pictures(entry: Entry, mapped: Mapped, views: ScoredViews, folder: Path, content: str) -> dict[str, str]:
-    """Save some held-out views as rendered and as recorded. Returns name -> file, relative to ``folder``."""
+def _pictures(
+    entry: Entry, mapped: Mapped, views: ScoredViews, folder: Path, content: str
+) -> dict[str, str]:
+    """Save some held-out views as rendered and as recorded. Returns name -> file, relative to
+    ``folder``."""
     run, n = mapped.run, len(views.positions)
-    picks = sorted({round(i * (n - 1) / (MOST_PICTURES - 1)) for i in range(MOST_PICTURES)}) if n else []
+    picks = (
+        sorted({round(i * (n - 1) / (MOST_PICTURES - 1)) for i in range(MOST_PICTURES)})
+        if n
+        else []
+    )
     few = dataclasses.replace(
-        views, positions=[views.positions[i] for i in picks], poses=[views.poses[i] for i in picks]
+        views,
+        positions=[views.positions[i] for i in picks],
+        poses=[views.poses[i] for i in picks],
     )
     found = {}
     for frame in few.frames(run.sequence):

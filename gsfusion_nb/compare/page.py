@@ -1,4 +1,5 @@
-"""The lab's page: one HTML file with tables, the Pareto plot, and pictures of the same views to compare.
+"""The lab's page: one HTML file with tables, the Pareto plot, and pictures of the same views to
+compare.
 
 The plot has one part for each scene and cost, with the front of the rules that no other beats.
 """
@@ -34,7 +35,8 @@ COSTS = {
 
 
 def pareto_front(cost: np.ndarray, quality: np.ndarray) -> np.ndarray:
-    """The candidates that no other beats, that is, none is at least as good in both numbers and better in one.
+    """The candidates that no other beats, that is, none is at least as good in both numbers and
+    better in one.
 
     Args:
         cost: Less is better. [N]
@@ -50,8 +52,9 @@ def pareto_front(cost: np.ndarray, quality: np.ndarray) -> np.ndarray:
 
 
 def figure_of(results: Iterable[RunResult]) -> "Figure":
-    """Held-out PSNR over each cost on each scene, with the front as a red line, and a name beside the best point of
-    each rule; error bars: standard deviation over seeds. Points of a rule at several budgets are joined."""
+    """Held-out PSNR over each cost on each scene, with the front as a red line, and a name beside
+    the best point of each rule; error bars: standard deviation over seeds. Points of a rule at
+    several budgets are joined."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -62,27 +65,42 @@ def figure_of(results: Iterable[RunResult]) -> "Figure":
     FigureCanvasAgg(figure)
     for i, scene in enumerate(scenes):
         for j, cost in enumerate(costs):
-            axes = figure.add_subplot(len(scenes), len(costs), i * len(costs) + j + 1)
+            axes = figure.add_subplot(
+                len(scenes),
+                len(costs),
+                i * len(costs) + j + 1,
+            )
             _draw(axes, [g for g in groups if g.scene == scene], cost, scene)
     return figure
 
 
 def costs_of(groups: Sequence[Group]) -> list[str]:
-    """The costs that are plotted: the size unless every budget fixes it, and gradient steps only where the rules took
-    different numbers of them."""
+    """The costs that are plotted: the size unless every budget fixes it, and gradient steps only
+    where the rules took different numbers of them."""
     steps = {group.summary("n_steps").mean for group in groups if group.summary("n_steps").n}
     fixed = bool(groups) and all(group.fixes_size for group in groups)
-    return [c for c in COSTS if not (c == "n_gaussians" and fixed) and not (c == "n_steps" and len(steps) < 2)]
+    return [
+        c
+        for c in COSTS
+        if not (c == "n_gaussians" and fixed) and not (c == "n_steps" and len(steps) < 2)
+    ]
 
 
-def _draw(axes: "Axes", groups: Sequence[Group], cost_name: str, scene: str) -> None:
+def _draw(
+    axes: "Axes",
+    groups: Sequence[Group],
+    cost_name: str,
+    scene: str,
+) -> None:
     axes.set_xlabel(COSTS[cost_name], color=MUTED)
     axes.set_ylabel(COLUMNS[FIRST_METRIC].name, color=MUTED)
     axes.tick_params(colors=MUTED)
     axes.grid(True, which="major", color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     title = f"{scene}\nred: on the Pareto front".strip()
-    axes.set_title(title, fontsize=9, color=MUTED, loc="left", parse_math=False)  # a name is no formula
+    axes.set_title(
+        title, fontsize=9, color=MUTED, loc="left", parse_math=False
+    )  # a name is no formula
     found = [(g.label, g.summary(cost_name), g.summary(FIRST_METRIC)) for g in groups]
     found = [(label, c, q) for label, c, q in found if c.n and np.isfinite(q.mean) and c.mean > 0]
     if not found:
@@ -95,16 +113,46 @@ def _draw(axes: "Axes", groups: Sequence[Group], cost_name: str, scene: str) -> 
     front = pareto_front(cost, quality)
     for chosen, colour in ((front, ON_FRONT), (~front, BEATEN)):
         left = np.minimum(wide, 0.9 * cost)  # a logarithmic axis has no zero
-        axes.errorbar(cost[chosen], quality[chosen], xerr=(left[chosen], wide[chosen]), yerr=high[chosen],
-                      fmt="o", color=colour, alpha=0.8, linewidth=1.3, zorder=3)  # fmt: skip
+        axes.errorbar(
+            cost[chosen],
+            quality[chosen],
+            xerr=(left[chosen], wide[chosen]),
+            yerr=high[chosen],
+            fmt="o",
+            color=colour,
+            alpha=0.8,
+            linewidth=1.3,
+            zorder=3,
+        )
     best = np.argsort(cost[front], kind="stable")
-    axes.step(cost[front][best], quality[front][best], where="post", color=ON_FRONT, linewidth=1.2, zorder=2)
+    axes.step(
+        cost[front][best],
+        quality[front][best],
+        where="post",
+        color=ON_FRONT,
+        linewidth=1.2,
+        zorder=2,
+    )
     for name in dict.fromkeys(names):
         own = sorted((i for i, other in enumerate(names) if other == name), key=lambda i: cost[i])
-        axes.plot(cost[own], quality[own], color=MUTED, linewidth=0.8, alpha=0.5, zorder=1)
+        axes.plot(
+            cost[own],
+            quality[own],
+            color=MUTED,
+            linewidth=0.8,
+            alpha=0.5,
+            zorder=1,
+        )
         i = max(own, key=lambda i: quality[i])
-        axes.annotate(name, (float(cost[i]), float(quality[i])), xytext=(5, 4), textcoords="offset points", fontsize=8,
-                      color=INK, parse_math=False)  # fmt: skip
+        axes.annotate(
+            name,
+            (float(cost[i]), float(quality[i])),
+            xytext=(5, 4),
+            textcoords="offset points",
+            fontsize=8,
+            color=INK,
+            parse_math=False,
+        )
     axes.margins(x=0.2, y=0.15)
     if cost.max() >= 2 * cost.min():
         axes.set_xscale("log")
@@ -112,12 +160,16 @@ def _draw(axes: "Axes", groups: Sequence[Group], cost_name: str, scene: str) -> 
 
 _RENDER = re.compile(r"held_out (\S+)")
 PICTURE_WIDTH = 640
-"""Largest width of a stored picture, pixels: a page of a hundred rules, scenes and budgets has about 15 MB."""
+"""Largest width of a stored picture, pixels: a page of a hundred rules, scenes and budgets has
+about 15 MB."""
 
 
-def views_of(result: RunResult, folder: Path) -> Iterator[tuple[str, dict[str, Picture]]]:
-    """The held-out views of a run whose two pictures can be read, in the order of ``result.pictures``: number of the
-    frame, and "truth" (as recorded), "render" and "error".
+def views_of(
+    result: RunResult,
+    folder: Path,
+) -> Iterator[tuple[str, dict[str, Picture]]]:
+    """The held-out views of a run whose two pictures can be read, in the order of
+    ``result.pictures``: number of the frame, and "truth" (as recorded), "render" and "error".
 
     Args:
         result: A run.
@@ -128,8 +180,14 @@ def views_of(result: RunResult, folder: Path) -> Iterator[tuple[str, dict[str, P
         if match is None:
             continue
         try:
-            render, truth = _read(folder / file), _read(folder / result.pictures[f"truth {match[1]}"])
-        except (BadFrameError, KeyError):  # removed since, or damaged: the other views are still worth showing
+            render, truth = (
+                _read(folder / file),
+                _read(folder / result.pictures[f"truth {match[1]}"]),
+            )
+        except (
+            BadFrameError,
+            KeyError,
+        ):  # removed since, or damaged: the other views are still worth showing
             continue
         if render.shape == truth.shape:
             yield match[1], {"truth": truth, "render": render, "error": error_map(render, truth)}
@@ -140,7 +198,10 @@ def _read(path: Path) -> Picture:
 
 
 def page_html(
-    folder: Path | str, results: Sequence[RunResult], tables: Sequence[ResultTable], warnings: Sequence[str] = ()
+    folder: Path | str,
+    results: Sequence[RunResult],
+    tables: Sequence[ResultTable],
+    warnings: Sequence[str] = (),
 ) -> str:
     """The page as HTML text; it loads nothing and works from a file.
 
@@ -150,14 +211,19 @@ def page_html(
         tables: Of these runs.
         warnings: Sentences above the tables.
     """
-    groups, pictures, copied = group_runs(results), {}, sum(bool(run.copied_from) for run in results)
+    groups, pictures, copied = (
+        group_runs(results),
+        {},
+        sum(bool(run.copied_from) for run in results),
+    )
     shots = [_shots(group, Path(folder), pictures) for group in groups]
     data = {"pictures": list(pictures), "shots": shots, "sentences": _pair_sentences(results)}
     graph = PageGraph("Quality and cost", figure_of(results))
     return fill(
         "lab.html",
         title="Seeding lab",
-        subtitle=f"{len(results)} runs" + (f", {copied} of them copied from the cache" if copied else ""),
+        subtitle=f"{len(results)} runs"
+        + (f", {copied} of them copied from the cache" if copied else ""),
         scenes=list(dict.fromkeys(g.scene for g in groups)),
         budgets=list(dict.fromkeys(g.budget for g in groups)),
         labels=list(dict.fromkeys(g.label for g in groups)),
@@ -165,21 +231,35 @@ def page_html(
         graphs=[graph],
         failures=failures(results),
         warnings=warnings,
-        error_bar=ColourBar(colours=ERROR_COLOURS, low="no error", high=f"{ERROR_LIMIT:.0%} or more"),
+        error_bar=ColourBar(
+            colours=ERROR_COLOURS, low="no error", high=f"{ERROR_LIMIT:.0%} or more"
+        ),
         data=data,
     )
 
 
-def _shots(group: Group, folder: Path, pictures: dict[str, int]) -> dict[str, Any]:
+def _shots(
+    group: Group,
+    folder: Path,
+    pictures: dict[str, int],
+) -> dict[str, Any]:
     """The pictures of the first run of a group that has any: number of each picture, by view.
 
     ``pictures`` has each picture once, as a data URI, however many runs share it.
     """
-    shown = {"label": group.label, "scene": group.scene, "budget": group.budget, "seed": 0, "views": []}
+    shown = {
+        "label": group.label,
+        "scene": group.scene,
+        "budget": group.budget,
+        "seed": 0,
+        "views": [],
+    }
     for run in sorted(group.runs, key=lambda r: r.spec.seed):
         views = []
         for frame, named in views_of(run, folder):
-            uris = {name: data_uri(fit_width(picture, PICTURE_WIDTH)) for name, picture in named.items()}
+            uris = {
+                name: data_uri(fit_width(picture, PICTURE_WIDTH)) for name, picture in named.items()
+            }
             numbers = {name: pictures.setdefault(uri, len(pictures)) for name, uri in uris.items()}
             views.append({"name": frame, **numbers})
         if views:

@@ -1,8 +1,9 @@
-"""Which differences between rules are more than noise: paired tests over scenes, by SciPy, statsmodels and
-scikit-posthocs.
+"""Which differences between rules are more than noise: paired tests over scenes, by SciPy,
+statsmodels and scikit-posthocs.
 
-A test is only worth its p value if what it compares was named before the numbers were seen. So all rules are tested
-against one that is named before (``named_reference``), or all pairs are, or all ranks at once (``TESTS``).
+A test is only worth its p value if what it compares was named before the numbers were seen. So all
+rules are tested against one that is named before (``named_reference``), or all pairs are, or all
+ranks at once (``TESTS``).
 """
 
 import itertools
@@ -42,9 +43,9 @@ class Comparison:
     b: str
     metric: str
     differences: dict[str, list[float]]
-    """Unit (a scene, or several that share frames) -> difference of each pair of runs with the same seed and budget,
-    the mean over the unit's scenes. On a single unit pairs whose maps are equal to those of an earlier one are left
-    out: they are the same observation."""
+    """Unit (a scene, or several that share frames) -> difference of each pair of runs with the same
+    seed and budget, the mean over the unit's scenes. On a single unit pairs whose maps are equal to
+    those of an earlier one are left out: they are the same observation."""
     n_pairs: int
     """Number of pairs of runs."""
     n_scenes: int
@@ -52,7 +53,8 @@ class Comparison:
     mean: float
     """Mean over the units; NaN without a pair."""
     interval: tuple[float, float]
-    """95 % confidence interval of the mean difference by Student's t; NaN with fewer than two units."""
+    """95 % confidence interval of the mean difference by Student's t; NaN with fewer than two
+    units."""
     p: float
     """Two-sided p value of the paired t test."""
     corrected: float = math.nan
@@ -62,12 +64,14 @@ class Comparison:
 
     @property
     def units(self) -> list[float]:
-        """What is tested: a difference for each unit, the mean over its seeds; on a single one, one for each seed."""
+        """What is tested: a difference for each unit, the mean over its seeds; on a single one, one
+        for each seed."""
         return _units(self.differences)
 
     @property
     def verdict(self) -> Verdict:
-        """Which rule is better, or that this cannot be said. ``corrected`` decides where it is known."""
+        """Which rule is better, or that this cannot be said. ``corrected`` decides where it is
+        known."""
         better = COLUMNS[self.metric].better
         if len(self.units) < 2:
             return "unknown"
@@ -84,17 +88,32 @@ class Comparison:
             return self
         low, high = self.interval
         differences = {unit: [-d for d in of] for unit, of in self.differences.items()}
-        return replace(self, a=self.b, b=self.a, differences=differences, mean=-self.mean, interval=(-high, -low))
+        return replace(
+            self,
+            a=self.b,
+            b=self.a,
+            differences=differences,
+            mean=-self.mean,
+            interval=(-high, -low),
+        )
 
     def __str__(self) -> str:
         column = COLUMNS[self.metric]
         if self.verdict == "unknown":
-            return f"{self.a} and {self.b}: nothing can be said about noise from {self._pairs()}; use several scenes"
+            return (
+                f"{self.a} and {self.b}: nothing can be said about noise from {self._pairs()}; "
+                "use several scenes"
+            )
         if self.verdict == "equal":
             return f"{self.a} and {self.b} have the same {column.heading} in {self._pairs()}"
         unit = f" {column.unit}" if column.unit else ""
-        low, high = map(column.text, self.interval if self.mean >= 0 else (-self.interval[1], -self.interval[0]))
-        evidence = f"95 % interval {low} to {high}{unit}; {self._pairs()}; paired t test: {p_text(self.p)}"
+        low, high = map(
+            column.text,
+            self.interval if self.mean >= 0 else (-self.interval[1], -self.interval[0]),
+        )
+        evidence = (
+            f"95 % interval {low} to {high}{unit}; {self._pairs()}; paired t test: {p_text(self.p)}"
+        )
         if self.n_tests > 1:
             evidence += f", corrected for {self.n_tests} comparisons: {p_text(self.corrected)}"
         size = f"{column.text(abs(self.mean))}{unit} {column.heading}"
@@ -125,11 +144,12 @@ def compare(
 ) -> Comparison:
     """Is the difference between two rules more than noise?
 
-    Each run of rule ``a`` is paired with the run of rule ``b`` that has the same scene, seed and budget. The pairs of a
-    scene give one difference, their mean, because seeds change only random draws and share everything else. Scenes that
-    share frames give one together. Student's paired t test (scipy) then has one unit for each scene: it asks whether
-    other scenes of this kind would show the same. On a single scene the seeds are the units, and the answer is about
-    its draws only.
+    Each run of rule ``a`` is paired with the run of rule ``b`` that has the same scene, seed and
+    budget. The pairs of a scene give one difference, their mean, because seeds change only random
+    draws and share everything else. Scenes that share frames give one together. Student's paired t
+    test (scipy) then has one unit for each scene: it asks whether other scenes of this kind would
+    show the same. On a single scene the seeds are the units, and the answer is about its draws
+    only.
 
     Args:
         results: Runs of the lab; failed runs are left out, together with their partners.
@@ -152,19 +172,34 @@ def compare(
             own[spec.scene, str(spec.budget), spec.seed] = result
     for label in (a, b):
         if label not in of_label:
-            raise KeyError(f"no runs of {label!r}; there are: {', '.join(sorted(of_label)) or 'none'}")
-    pairs = {place: (of_a, of_label[b][place]) for place, of_a in of_label[a].items() if place in of_label[b]}
+            raise KeyError(
+                f"no runs of {label!r}; there are: {', '.join(sorted(of_label)) or 'none'}"
+            )
+    pairs = {
+        place: (of_a, of_label[b][place])
+        for place, of_a in of_label[a].items()
+        if place in of_label[b]
+    }
     differences = _differences(pairs, metric, units)
     observed = _units(differences)
     interval, p = paired_test(observed)
     return Comparison(
-        a=a, b=b, metric=metric, differences=differences, n_pairs=len(pairs), n_scenes=len({s for s, _, _ in pairs}),
-        mean=float(np.mean(observed)) if observed else math.nan, interval=interval, p=p,
-    )  # fmt: skip
+        a=a,
+        b=b,
+        metric=metric,
+        differences=differences,
+        n_pairs=len(pairs),
+        n_scenes=len({s for s, _, _ in pairs}),
+        mean=float(np.mean(observed)) if observed else math.nan,
+        interval=interval,
+        p=p,
+    )
 
 
 def _differences(
-    pairs: "Mapping[tuple[str, str, int], tuple[RunResult, RunResult]]", metric: str, units: Mapping[str, str]
+    pairs: "Mapping[tuple[str, str, int], tuple[RunResult, RunResult]]",
+    metric: str,
+    units: Mapping[str, str],
 ) -> dict[str, list[float]]:
     """``Comparison.differences`` from the pair of runs of each scene, budget and seed."""
     by_unit: dict[str, dict[tuple[str, int], list[tuple[RunResult, RunResult]]]] = {}
@@ -176,30 +211,41 @@ def _differences(
         for place, of_scenes in by_seed.items():
             hashes = tuple((x.spec.scene, x.map_hash, y.map_hash) for x, y in of_scenes)
             is_known = len(by_unit) == 1 and all(x and y for _, x, y in hashes)
-            difference = float(np.mean([x.metrics[metric] - y.metrics[metric] for x, y in of_scenes]))
+            difference = float(
+                np.mean([x.metrics[metric] - y.metrics[metric] for x, y in of_scenes])
+            )
             of_maps.setdefault((place[0], hashes) if is_known else place, difference)
         found[unit] = list(of_maps.values())
     return found
 
 
 def named_reference(specs: "Iterable[RunSpec]") -> str:
-    """Label of the rule that all others are tested against where none is named; it does not depend on any result.
+    """Label of the rule that all others are tested against where none is named; it does not depend
+    on any result.
 
-    The rule ``gsfusion`` with its own options where it takes part, else the first. Empty without any run.
+    The rule ``gsfusion`` with its own options where it takes part, else the first. Empty without
+    any run.
     """
     specs = list(specs)
     published = [spec.label for spec in specs if spec.rule == "gsfusion"]
     plain = [spec.label for spec in specs if spec.rule == "gsfusion" and not spec.options]
-    return next(iter([*plain, *published, *(spec.label for spec in specs)]), "")
+    return next(
+        iter([*plain, *published, *(spec.label for spec in specs)]),
+        "",
+    )
 
 
-def against_reference(results: "Sequence[RunResult]", budget: str, reference: str = "") -> list[Comparison]:
-    """Each rule (a) against the reference (b) at one budget, best rule first, with p values corrected by Holm's method.
+def against_reference(
+    results: "Sequence[RunResult]", budget: str, reference: str = ""
+) -> list[Comparison]:
+    """Each rule (a) against the reference (b) at one budget, best rule first, with p values
+    corrected by Holm's method.
 
     Args:
         results: All runs.
         budget: Text of the budget.
-        reference: Label of a rule, chosen before the results were known; ``named_reference`` if empty.
+        reference: Label of a rule, chosen before the results were known; ``named_reference`` if
+            empty.
 
     Returns:
         The comparisons; none if the reference has no completed run at this budget.
@@ -209,12 +255,14 @@ def against_reference(results: "Sequence[RunResult]", budget: str, reference: st
     if reference not in labels:
         return []
     others = [label for label in labels if label != reference]
-    return corrected([compare(results, other, reference, budget=budget, units=units) for other in others])
+    return corrected(
+        [compare(results, other, reference, budget=budget, units=units) for other in others]
+    )
 
 
 def all_pairs(results: "Sequence[RunResult]", budget: str) -> list[Comparison]:
-    """Every pair of rules at one budget, the better rules first, with p values corrected for all pairs by Holm's
-    method."""
+    """Every pair of rules at one budget, the better rules first, with p values corrected for all
+    pairs by Holm's method."""
     units = scene_units(results)
     pairs = itertools.combinations(_labels(results, budget), 2)
     return corrected([compare(results, a, b, budget=budget, units=units) for a, b in pairs])
@@ -229,7 +277,8 @@ def _labels(results: "Iterable[RunResult]", budget: str) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class RankTest:
-    """The ranks of all rules at one budget: Friedman's test, and Nemenyi's for each pair; ``sentences`` says it."""
+    """The ranks of all rules at one budget: Friedman's test, and Nemenyi's for each pair;
+    ``sentences`` says it."""
 
     labels: tuple[str, ...]
     """The rules with a result on every scene, best mean rank first."""
@@ -241,28 +290,42 @@ class RankTest:
     p: float
     """Of Friedman's test that all rules are equal; NaN with fewer than three rules or two units."""
     pairs: Mapping[tuple[str, str], float]
-    """The better and the worse rule -> p of Nemenyi's test, which counts all pairs; empty where ``p`` is NaN."""
+    """The better and the worse rule -> p of Nemenyi's test, which counts all pairs; empty where
+    ``p`` is NaN."""
 
     @property
     def better(self) -> list[tuple[str, str]]:
-        """The pairs that differ by more than noise, the better rule first: none unless Friedman's test sees a
-        difference."""
-        return [pair for pair, p in self.pairs.items() if self.p < SIGNIFICANCE and p < SIGNIFICANCE]
+        """The pairs that differ by more than noise, the better rule first: none unless Friedman's
+        test sees a difference."""
+        return [
+            pair for pair, p in self.pairs.items() if self.p < SIGNIFICANCE and p < SIGNIFICANCE
+        ]
 
     @property
     def sentences(self) -> list[str]:
-        """What the tests say: about all rules, then about each pair that differs by more than noise."""
+        """What the tests say: about all rules, then about each pair that differs by more than
+        noise."""
         size = f"{len(self.labels)} rules on {self.n_units} scene{'s' * (self.n_units > 1)}"
-        said = [f"{label} has no result on some scenes, so it has no rank" for label in self.left_out]
+        said = [
+            f"{label} has no result on some scenes, so it has no rank" for label in self.left_out
+        ]
         if math.isnan(self.p):
-            return [f"nothing can be said about the ranks of {size}; Friedman's test needs 3 rules and 2 scenes", *said]
-        seen = "they are not all equal" if self.p < SIGNIFICANCE else "which is within noise, so no pair is tested"
+            return [
+                f"nothing can be said about the ranks of {size}; Friedman's test needs 3 rules and "
+                "2 scenes",
+                *said,
+            ]
+        seen = (
+            "they are not all equal"
+            if self.p < SIGNIFICANCE
+            else "which is within noise, so no pair is tested"
+        )
         said.insert(0, f"Friedman's test of {size}: {p_text(self.p)}, {seen}")
         rank = dict(zip(self.labels, self.ranks, strict=True))
         for a, b in self.better:
             said.append(
-                f"{a} is better than {b}: mean ranks {rank[a]:.2f} and {rank[b]:.2f}, which is more than noise "
-                f"(Nemenyi's test for all pairs: {p_text(self.pairs[a, b])})"
+                f"{a} is better than {b}: mean ranks {rank[a]:.2f} and {rank[b]:.2f}, which is "
+                f"more than noise (Nemenyi's test for all pairs: {p_text(self.pairs[a, b])})"
             )
         if self.p < SIGNIFICANCE:
             n_left = len(self.pairs) - len(self.better)
@@ -271,9 +334,11 @@ class RankTest:
 
 
 def rank_test(results: "Sequence[RunResult]", budget: str, metric: str = FIRST_METRIC) -> RankTest:
-    """Friedman's test (scipy) over the units of a budget, and Nemenyi's (scikit-posthocs), of rules with all results.
+    """Friedman's test (scipy) over the units of a budget, and Nemenyi's (scikit-posthocs), of rules
+    with all results.
 
-    Demsar, Statistical Comparisons of Classifiers over Multiple Data Sets, JMLR 2006, Sections 3.2.2 and 3.2.3.
+    Demsar, Statistical Comparisons of Classifiers over Multiple Data Sets, JMLR 2006, Sections
+    3.2.2 and 3.2.3.
     """
     from scipy.stats import friedmanchisquare, rankdata
 
@@ -285,9 +350,13 @@ def rank_test(results: "Sequence[RunResult]", budget: str, metric: str = FIRST_M
     order = np.argsort(ranks.mean(axis=1), kind="stable") if len(ranks) else np.zeros(0, int)
     kept = [label for label, complete in zip(labels, is_complete, strict=True) if complete]
     found = RankTest(
-        labels=tuple(kept[i] for i in order), ranks=tuple(ranks.mean(axis=1)[order].tolist()),
-        left_out=tuple(label for label in labels if label not in kept), n_units=means.shape[1], p=math.nan, pairs={},
-    )  # fmt: skip
+        labels=tuple(kept[i] for i in order),
+        ranks=tuple(ranks.mean(axis=1)[order].tolist()),
+        left_out=tuple(label for label in labels if label not in kept),
+        n_units=means.shape[1],
+        p=math.nan,
+        pairs={},
+    )
     if len(kept) < 3 or means.shape[1] < 2 or not np.ptp(ranks):
         return found
     import scikit_posthocs
@@ -300,7 +369,8 @@ def rank_test(results: "Sequence[RunResult]", budget: str, metric: str = FIRST_M
 
 
 def corrected(comparisons: Sequence[Comparison]) -> list[Comparison]:
-    """The comparisons with p values corrected for their number by the step-down method of Holm (1979), of statsmodels.
+    """The comparisons with p values corrected for their number by the step-down method of Holm
+    (1979), of statsmodels.
 
     A NaN is a test that could not be made: it stays NaN and is not counted.
     """
@@ -317,8 +387,8 @@ def corrected(comparisons: Sequence[Comparison]) -> list[Comparison]:
 def paired_test(differences: Sequence[float]) -> tuple[tuple[float, float], float]:
     """95 % interval of the mean by Student's t, and p of the paired t test, both of scipy.
 
-    NaN with fewer than two differences. If all differences are the same, the interval is that value, and p is 0, or 1
-    if the value is zero.
+    NaN with fewer than two differences. If all differences are the same, the interval is that
+    value, and p is 0, or 1 if the value is zero.
     """
     from scipy import stats
 
@@ -326,7 +396,9 @@ def paired_test(differences: Sequence[float]) -> tuple[tuple[float, float], floa
         return (math.nan, math.nan), math.nan
     if not any(differences):
         return (0.0, 0.0), 1.0
-    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # about differences that are all the same
+    with warnings.catch_warnings(
+        action="ignore", category=RuntimeWarning
+    ):  # about differences that are all the same
         t: Any = stats.ttest_1samp(differences, 0.0)
         interval: Any = t.confidence_interval(0.95)
     return (float(interval.low), float(interval.high)), float(t.pvalue)

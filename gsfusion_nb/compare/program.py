@@ -1,4 +1,5 @@
-"""The program that computes a run: this package, the libraries, and what was changed in them; and keys made of it."""
+"""The program that computes a run: this package, the libraries, and what was changed in them; and
+keys made of it."""
 
 import functools
 import hashlib
@@ -17,9 +18,13 @@ from ..seeding.patches import changed_values, library_state, patches, switches
 
 _CODE = {".py", ".toml", ".cu", ".cuh"}
 _LIBRARIES = {
-    "torch": "torch", "numba": "numba", "numpy": "numpy", "opencv": "opencv-python-headless", "scipy": "scipy",
+    "torch": "torch",
+    "numba": "numba",
+    "numpy": "numpy",
+    "opencv": "opencv-python-headless",
+    "scipy": "scipy",
     "kornia": "kornia",
-}  # fmt: skip
+}
 _WATCHED = ("gsfusion_nb.", "torch.Tensor.", "torch.nn.functional.", "numpy.linalg.", "math.")
 _at_start = library_state(*_WATCHED)
 """The package and the most used names of libraries, as they were when this module was imported."""
@@ -33,14 +38,20 @@ def libraries() -> dict[str, str]:
     import numpy as np
     import torch
 
-    found = {"torch": torch.__version__, "numba": numba.__version__, "numpy": np.__version__, "opencv": cv2.__version__}
+    found = {
+        "torch": torch.__version__,
+        "numba": numba.__version__,
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+    }
     found |= {name: importlib.metadata.version(name) for name in ("scipy", "kornia")}
     return found | {"python": platform.python_version()}
 
 
 @functools.cache
 def _state_of_process() -> dict[str, Any]:
-    """Files of libraries that were edited, their functions that were replaced, and switches of torch."""
+    """Files of libraries that were edited, their functions that were replaced, and switches of
+    torch."""
     edited = {}
     for name in _LIBRARIES.values():
         try:
@@ -49,7 +60,12 @@ def _state_of_process() -> dict[str, Any]:
             continue
         if " edited " in state:
             edited[name] = state
-    return {"edited": edited, "patches": patches(), "swapped": changed_values(_at_start), "switches": switches()}
+    return {
+        "edited": edited,
+        "patches": patches(),
+        "swapped": changed_values(_at_start),
+        "switches": switches(),
+    }
 
 
 def look_at_program_again() -> None:
@@ -59,11 +75,12 @@ def look_at_program_again() -> None:
 
 
 def run_key(**parts: Any) -> str:
-    """A key of ``parts`` (plain values), of this package's version and source, and of the libraries: 32 hexadecimal
-    digits.
+    """A key of ``parts`` (plain values), of this package's version and source, and of the
+    libraries: 32 hexadecimal digits.
 
-    Two runs with the same key give the same map on one machine. A change in the data, the settings, a rule, an option,
-    the seed, the program or its libraries gives another key. So does a function of a library that was replaced.
+    Two runs with the same key give the same map on one machine. A change in the data, the settings,
+    a rule, an option, the seed, the program or its libraries gives another key. So does a function
+    of a library that was replaced.
     """
     parts |= {"version": __version__, "package": package_fingerprint(), "libraries": libraries()}
     parts |= {"process": _state_of_process()}
@@ -73,15 +90,20 @@ def run_key(**parts: Any) -> str:
 
 @functools.cache
 def package_fingerprint() -> str:
-    """A hash of the source of this package and its kernels, but not of JupyterLab's copies of opened files.
+    """A hash of the source of this package and its kernels, but not of JupyterLab's copies of
+    opened files.
 
-    A process may have loaded a file before it was edited. So if one was edited while the process runs, no other
-    process has this hash.
+    A process may have loaded a file before it was edited. So if one was edited while the process
+    runs, no other process has this hash.
     """
     digest = hashlib.blake2b(digest_size=16)
     edited_later = False
     for root in _source_folders():
-        for file in sorted(p for p in root.rglob("*") if p.suffix in _CODE and p.parent.name != ".ipynb_checkpoints"):
+        for file in sorted(
+            p
+            for p in root.rglob("*")
+            if p.suffix in _CODE and p.parent.name != ".ipynb_checkpoints"
+        ):
             digest.update(str(file.relative_to(root)).encode() + b"\0" + file.read_bytes())
             edited_later = edited_later or installed.changed_at(file) > installed.BEGAN_NS
     if edited_later:
@@ -96,9 +118,13 @@ def _source_folders() -> list[Path]:
     return [Path(__file__).resolve().parents[1], *(Path(place) for place in places or ())]
 
 
-def own_code(rule: SeedingRule, options: Mapping[str, Any], system: str) -> dict[str, Any]:
-    """The fields ``code`` and ``not_kept`` of a run: what its rule and its system are made of, if they are not this
-    package's, and the files that options of the rule name.
+def own_code(
+    rule: SeedingRule,
+    options: Mapping[str, Any],
+    system: str,
+) -> dict[str, Any]:
+    """The fields ``code`` and ``not_kept`` of a run: what its rule and its system are made of, if
+    they are not this package's, and the files that options of the rule name.
 
     Raises:
         FileNotFoundError: an option names a file that does not exist. KeyError: no such system.

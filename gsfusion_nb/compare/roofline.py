@@ -1,9 +1,11 @@
-"""The roofline of this machine (Williams, Waterman & Patterson 2009), and where this package's kernels are below it.
+"""The roofline of this machine (Williams, Waterman & Patterson 2009), and where this package's
+kernels are below it.
 
     attainable flop/s = min(peak flop/s, intensity x bandwidth),   intensity = flop / bytes moved
 
-Operations and bytes are counted by hand, from the formulas; bytes are those that must move at least once (inputs read,
-outputs written). Further work of a kernel (sorting, gathering, reading twice) shows as a lower speed.
+Operations and bytes are counted by hand, from the formulas; bytes are those that must move at least
+once (inputs read, outputs written). Further work of a kernel (sorting, gathering, reading twice)
+shows as a lower speed.
 """
 
 import functools
@@ -34,18 +36,22 @@ FLOATS_PER_GAUSSIAN = sum(math.prod(shape) for shape in _ROW.values())
 """Centre, log scale, quaternion, opacity, SH of degree 3."""
 
 ADAM_FLOPS, ADAM_FLOATS = 12, 7
-"""Per number. m: 3, v: 4, step: sqrt, +, /, x, - = 5. Read value, gradient, m, v; write value, m, v."""
+"""Per number. m: 3, v: 4, step: sqrt, +, /, x, - = 5. Read value, gradient, m, v; write value, m,
+v."""
 FORWARD_FLOPS = 30
-"""Per pair (pixel, Gaussian): sigma 10, exp counted as 8, alpha 2, transmittance 2, four channels and alpha 8."""
+"""Per pair (pixel, Gaussian): sigma 10, exp counted as 8, alpha 2, transmittance 2, four channels
+and alpha 8."""
 BACKWARD_FLOPS = 70
 """Per pair: alpha again 20, dL/dalpha 12, dL/dcolour 8, dL/dconic, dL/duv, dL/dopacity 30."""
 SSIM_FLOPS = 5 * 2 * 11 * 2 + 3 * 2 * 11 * 2 + 40
-"""Per number: five maps blurred forwards and three backwards, each with an 11-tap filter twice, and the quotient."""
+"""Per number: five maps blurred forwards and three backwards, each with an 11-tap filter twice, and
+the quotient."""
 L1_FLOPS, L1_FLOATS = 9, 3
-"""Per number: difference, size, sign, clamp, square, two sums. Read picture and photograph, write the gradient."""
+"""Per number: difference, size, sign, clamp, square, two sums. Read picture and photograph, write
+the gradient."""
 TSDF_FLOPS, TSDF_FLOATS = 40, 10
-"""Per observed voxel: projection 12, distance along the ray 10, three running means 18. Read and write distance,
-weight and colour."""
+"""Per observed voxel: projection 12, distance along the ray 10, three running means 18. Read and
+write distance, weight and colour."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +61,8 @@ class Roofs:
     gflops: float
     """10^9 float32 operations per second: a matrix product."""
     gb_per_s: float
-    """10^9 bytes per second to and from memory: b = a + b, in place, on arrays larger than the caches."""
+    """10^9 bytes per second to and from memory: b = a + b, in place, on arrays larger than the
+    caches."""
 
     @property
     def ridge(self) -> float:
@@ -88,15 +95,28 @@ class KernelPoint:
         return self.flops / self.seconds / 1e9
 
 
-def fastest_s(work: Callable[[], object], *, repeats: int = 5, device: str = "cpu") -> float:
-    """CPU time of the fastest of ``repeats`` runs, which other programs affect least, after one run that compiles and
-    fills caches. On "cuda" the time between two events of its queue."""
+def fastest_s(
+    work: Callable[[], object],
+    *,
+    repeats: int = 5,
+    device: str = "cpu",
+) -> float:
+    """CPU time of the fastest of ``repeats`` runs, which other programs affect least, after one run
+    that compiles and fills caches. On "cuda" the time between two events of its queue."""
     work()
     laps = [lap(work, device) for _ in range(repeats)]
-    return max(min(x.cpu_s if x.device_s is None else x.device_s for x in laps), 1e-9)
+    return max(
+        min(x.cpu_s if x.device_s is None else x.device_s for x in laps),
+        1e-9,
+    )
 
 
-def measure_roofs(*, size: int = 1024, megabytes: int = 96, device: str = "cpu") -> Roofs:
+def measure_roofs(
+    *,
+    size: int = 1024,
+    megabytes: int = 96,
+    device: str = "cpu",
+) -> Roofs:
     """Measure both limits of one core, or of a GPU, in about a second.
 
     Args:
@@ -109,7 +129,10 @@ def measure_roofs(*, size: int = 1024, megabytes: int = 96, device: str = "cpu")
     with threads(1):
         product_s = fastest_s(lambda: torch.mm(a, b), device=device)
         sum_s = fastest_s(lambda: y.add_(x), device=device)
-    return Roofs(gflops=2 * size**3 / product_s / 1e9, gb_per_s=12 * len(x) / sum_s / 1e9)
+    return Roofs(
+        gflops=2 * size**3 / product_s / 1e9,
+        gb_per_s=12 * len(x) / sum_s / 1e9,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,12 +148,17 @@ class Work:
 
 
 def mapping_work(
-    n: int = 20_000, width: int = 320, height: int = 240, per_pixel: float = 30.0, device: str = "cpu"
+    n: int = 20_000,
+    width: int = 320,
+    height: int = 240,
+    per_pixel: float = 30.0,
+    device: str = "cpu",
 ) -> list[Work]:
     """The main operations of a mapping step, on a random scene.
 
     Args:
-        n: Number of Gaussians, with SH of degree 3; Adam gets five times as many, which do not fit in a cache.
+        n: Number of Gaussians, with SH of degree 3; Adam gets five times as many, which do not fit
+            in a cache.
         width, height: Size of the image, pixels.
         per_pixel: Mean number of Gaussians above alpha = 1/255 at a pixel.
         device: Where the tensors are.
@@ -141,15 +169,25 @@ def mapping_work(
     g = torch.Generator().manual_seed(0)
     rows = 5 * n  # too much for a cache
     params, gradients, m, v = (
-        GaussianParams(**{name: torch.rand(rows, *shape, generator=g).to(device) for name, shape in _ROW.items()})
+        GaussianParams(
+            **{
+                name: torch.rand(rows, *shape, generator=g).to(device)
+                for name, shape in _ROW.items()
+            }
+        )
         for _ in range(4)
     )
     rates = ColumnRates(*[1e-3] * len(ColumnRates._fields))
     image, target = (torch.rand(height, width, 3, generator=g).to(device) for _ in range(2))
     depth_m = (1.5 + 0.5 * torch.rand(height, 1, generator=g)).expand(height, width).contiguous()
     frame = Frame(
-        index=0, timestamp_s=0.0, rgb=image.cpu(), depth_m=depth_m, camera=scene.camera, T_WC=torch.eye(4)
-    ).to(device)  # fmt: skip
+        index=0,
+        timestamp_s=0.0,
+        rgb=image.cpu(),
+        depth_m=depth_m,
+        camera=scene.camera,
+        T_WC=torch.eye(4),
+    ).to(device)
 
     def forward():
         return render_forward(scene.params, scene.camera, scene.T_WC, with_indices=False)
@@ -170,21 +208,51 @@ def mapping_work(
 
     voxels = volume()[1]
     return [
-        Work(name="Adam", operations=("adam_update_map",), flops=ADAM_FLOPS * 5 * numbers,
-             bytes=4 * ADAM_FLOATS * 5 * numbers,
-             run=lambda: adam_update_map(
-                 params, gradients, m, v, None, rates=rates, beta1=0.9, beta2=0.999, eps=1e-15)),
-        Work(name="L1 and gradient", operations=("l1_mse_vjp",), flops=L1_FLOPS * 3 * pixels,
-             bytes=4 * L1_FLOATS * 3 * pixels, run=lambda: l1_mse_vjp(image, target)),
-        Work(name="D-SSIM and gradient", operations=("dssim_vjp",), flops=SSIM_FLOPS * 3 * pixels,
-             bytes=4 * 3 * 3 * pixels, run=lambda: dssim_vjp(image, target)),
-        Work(name="render", operations=("render_forward",), flops=FORWARD_FLOPS * pairs,
-             bytes=4 * (numbers + 5 * pixels), run=forward),
-        Work(name="render, gradient", operations=("render_forward", "render_vjp"), flops=BACKWARD_FLOPS * pairs,
-             bytes=4 * (2 * numbers + 8 * pixels), run=backward),
-        Work(name="TSDF update", operations=("fuse_frame_",), flops=TSDF_FLOPS * voxels,
-             bytes=4 * (TSDF_FLOATS * voxels + 4 * pixels), run=lambda: fuse_frame_(volume()[0], frame)),
-    ]  # fmt: skip
+        Work(
+            name="Adam",
+            operations=("adam_update_map",),
+            flops=ADAM_FLOPS * 5 * numbers,
+            bytes=4 * ADAM_FLOATS * 5 * numbers,
+            run=lambda: adam_update_map(
+                params, gradients, m, v, None, rates=rates, beta1=0.9, beta2=0.999, eps=1e-15
+            ),
+        ),
+        Work(
+            name="L1 and gradient",
+            operations=("l1_mse_vjp",),
+            flops=L1_FLOPS * 3 * pixels,
+            bytes=4 * L1_FLOATS * 3 * pixels,
+            run=lambda: l1_mse_vjp(image, target),
+        ),
+        Work(
+            name="D-SSIM and gradient",
+            operations=("dssim_vjp",),
+            flops=SSIM_FLOPS * 3 * pixels,
+            bytes=4 * 3 * 3 * pixels,
+            run=lambda: dssim_vjp(image, target),
+        ),
+        Work(
+            name="render",
+            operations=("render_forward",),
+            flops=FORWARD_FLOPS * pairs,
+            bytes=4 * (numbers + 5 * pixels),
+            run=forward,
+        ),
+        Work(
+            name="render, gradient",
+            operations=("render_forward", "render_vjp"),
+            flops=BACKWARD_FLOPS * pairs,
+            bytes=4 * (2 * numbers + 8 * pixels),
+            run=backward,
+        ),
+        Work(
+            name="TSDF update",
+            operations=("fuse_frame_",),
+            flops=TSDF_FLOPS * voxels,
+            bytes=4 * (TSDF_FLOATS * voxels + 4 * pixels),
+            run=lambda: fuse_frame_(volume()[0], frame),
+        ),
+    ]
 
 
 def kernel_points(
@@ -194,8 +262,8 @@ def kernel_points(
     device: str = "cpu",
     backends: Sequence[str] = BACKENDS,
 ) -> list[KernelPoint]:
-    """Time every operation on those of ``backends`` that have it on a device, on one thread. ``make_work`` creates the
-    tensors there."""
+    """Time every operation on those of ``backends`` that have it on a device, on one thread.
+    ``make_work`` creates the tensors there."""
     working = {(name, backend) for name, backend, state in report() if state == "ok"}
     points = []
     for backend in (b for b in backends if DEVICES[b] == device):
@@ -205,7 +273,13 @@ def kernel_points(
             with use_backend(backend), threads(1):
                 seconds = fastest_s(work.run, repeats=repeats, device=device)
             points.append(
-                KernelPoint(name=work.name, backend=backend, flops=work.flops, bytes=work.bytes, seconds=seconds)
+                KernelPoint(
+                    name=work.name,
+                    backend=backend,
+                    flops=work.flops,
+                    bytes=work.bytes,
+                    seconds=seconds,
+                )
             )
     return points
 
@@ -214,7 +288,8 @@ _COLOURS = {"reference": "#3d85c6", "numba": "#d1495b", "triton": "#8e5bb5"}
 
 
 def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
-    """The two roofs, and a point for each kernel: hollow for the reference, filled for a fast backend."""
+    """The two roofs, and a point for each kernel: hollow for the reference, filled for a fast
+    backend."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -224,19 +299,49 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
     known = [p.intensity for p in points] or [roofs.ridge]
     low, high = min(*known, 0.2) / 2, max(*known, roofs.ridge) * 4
     x = [low * (high / low) ** (i / 100) for i in range(101)]
-    axes.plot(x, [roofs.attainable_gflops(i) for i in x], color="#1c2430", linewidth=2)
-    axes.annotate(f"{roofs.gb_per_s:.0f} GB/s", (low, roofs.attainable_gflops(low)), xytext=(0, 34),
-                  textcoords="offset points", fontsize=9)  # fmt: skip
-    axes.annotate(f"{roofs.gflops:.0f} Gflop/s", (high, roofs.gflops), xytext=(-4, 6), textcoords="offset points",
-                  ha="right", fontsize=9)  # fmt: skip
+    axes.plot(
+        x,
+        [roofs.attainable_gflops(i) for i in x],
+        color="#1c2430",
+        linewidth=2,
+    )
+    axes.annotate(
+        f"{roofs.gb_per_s:.0f} GB/s",
+        (low, roofs.attainable_gflops(low)),
+        xytext=(0, 34),
+        textcoords="offset points",
+        fontsize=9,
+    )
+    axes.annotate(
+        f"{roofs.gflops:.0f} Gflop/s",
+        (high, roofs.gflops),
+        xytext=(-4, 6),
+        textcoords="offset points",
+        ha="right",
+        fontsize=9,
+    )
     for backend in dict.fromkeys(p.backend for p in points):
         own, colour = [p for p in points if p.backend == backend], _COLOURS.get(backend, "#6a9e1f")
         inside = "none" if backend == "reference" else colour
-        axes.scatter([p.intensity for p in own], [p.gflops for p in own], s=60, edgecolors=colour, facecolors=inside,
-                     linewidths=1.6, label=backend, zorder=3)  # fmt: skip
+        axes.scatter(
+            [p.intensity for p in own],
+            [p.gflops for p in own],
+            s=60,
+            edgecolors=colour,
+            facecolors=inside,
+            linewidths=1.6,
+            label=backend,
+            zorder=3,
+        )
         for p in own if backend != "reference" else ():
-            axes.annotate(p.name, (p.intensity, p.gflops), xytext=(9, -3), textcoords="offset points",
-                          ha="left", fontsize=8)  # fmt: skip
+            axes.annotate(
+                p.name,
+                (p.intensity, p.gflops),
+                xytext=(9, -3),
+                textcoords="offset points",
+                ha="left",
+                fontsize=8,
+            )
     axes.set(xscale="log", yscale="log", xlabel="intensity, flop per byte", ylabel="Gflop/s")
     axes.set_ylim(top=roofs.gflops * 3)
     axes.grid(True, which="major", alpha=0.3)
@@ -247,13 +352,17 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
 
 def as_table(roofs: Roofs, points: Sequence[KernelPoint]) -> str:
     """Intensity, time, and share of the limit, one line per kernel."""
-    lines = [f"{'kernel':20} {'backend':10} {'flop/byte':>9} {'ms':>7} {'Gflop/s':>8} {'of the roof':>11}  limited by"]
+    lines = [
+        f"{'kernel':20} {'backend':10} {'flop/byte':>9} {'ms':>7} {'Gflop/s':>8} "
+        f"{'of the roof':>11}  limited by"
+    ]
     for p in points:
         roof = roofs.attainable_gflops(p.intensity)
         limit = "memory" if p.intensity < roofs.ridge else "arithmetic"
         share = f"{100 * p.gflops / roof:.0f} %" if math.isfinite(roof) else ""
         lines.append(
-            f"{p.name:20} {p.backend:10} {p.intensity:9.2f} {1e3 * p.seconds:7.1f} {p.gflops:8.2f} {share:>11}  {limit}"
+            f"{p.name:20} {p.backend:10} {p.intensity:9.2f} {1e3 * p.seconds:7.1f} {p.gflops:8.2f} "
+            f"{share:>11}  {limit}"
         )
     return "\n".join(lines)
 
@@ -263,7 +372,8 @@ ON_A_GPU = {"n": 200_000, "width": 1200, "height": 680}
 
 
 def main(device: str, folder: Path) -> int:
-    """``gsfusion-nb study roofline``: measure, print, and write the table and the picture to ``folder``."""
+    """``gsfusion-nb study roofline``: measure, print, and write the table and the picture to
+    ``folder``."""
     if device not in ("cpu", "cuda"):
         raise ValueError(f"--device must be cpu or cuda, got {device!r}")
     if device == "cuda" and not torch.cuda.is_available():
@@ -273,7 +383,10 @@ def main(device: str, folder: Path) -> int:
     work = functools.partial(mapping_work, **(ON_A_GPU if is_gpu else {}), device=device)
     points = kernel_points(work, repeats=10 if is_gpu else 5, device=device)
     head = header(describe(1))
-    limits = f"measured limits: {roofs.gflops:.0f} Gflop/s (matrix product), {roofs.gb_per_s:.0f} GB/s (b = a + b)"
+    limits = (
+        f"measured limits: {roofs.gflops:.0f} Gflop/s (matrix product), {roofs.gb_per_s:.0f} "
+        "GB/s (b = a + b)"
+    )
     text = "\n".join([*head, limits, "", as_table(roofs, points)])
     print(text)
     (folder / "roofline.txt").write_text(text + "\n", encoding="utf-8")

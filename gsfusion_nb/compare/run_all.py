@@ -1,4 +1,5 @@
-"""All runs of a comparison: what is known is taken from the store, the rest is computed, in any order."""
+"""All runs of a comparison: what is known is taken from the store, the rest is computed, in any
+order."""
 
 import dataclasses
 import logging
@@ -29,7 +30,8 @@ class ResultStore:
     """The results of all comparisons, with their pictures, by the keys of their runs.
 
     Args:
-        folder: Where they are; ``lab`` in the cache folder of this package by default. It is created.
+        folder: Where they are; ``lab`` in the cache folder of this package by default. It is
+            created.
     """
 
     def __init__(self, folder: str | Path | None = None):
@@ -39,7 +41,8 @@ class ResultStore:
         """Files that were told to be useless."""
 
     def find(self, spec: RunSpec) -> RunResult | None:
-        """The result of a run with the key of ``spec`` that is done, with the labels of ``spec``; None if none is.
+        """The result of a run with the key of ``spec`` that is done, with the labels of ``spec``;
+        None if none is.
 
         A file that is damaged or was changed is not used; one line names it.
         """
@@ -64,8 +67,13 @@ class ResultStore:
         """Write what ``tune`` found for ``tuning_spec(spec)``."""
         write_sealed(self.folder / "tuned" / f"{tuning_key(spec)}.json", tuned)
 
-    def _read(self, path: Path, load: Callable[[Path], T]) -> T | None:
-        """What ``load`` gives for a file; None if there is none, or it cannot be used, which is told once."""
+    def _read(
+        self,
+        path: Path,
+        load: Callable[[Path], T],
+    ) -> T | None:
+        """What ``load`` gives for a file; None if there is none, or it cannot be used, which is
+        told once."""
         try:
             return load(path) if path.is_file() else None
         except (ValueError, OSError) as e:
@@ -83,10 +91,12 @@ def tuning_key(spec: RunSpec) -> str:
 def run_all(
     entries: Sequence[Entry], store: ResultStore, executor: Executor | None = None
 ) -> Generator[tuple[int, RunResult], None, None]:
-    """Run all ``entries``; yields position and result of each when it is there, each result written to ``store``.
+    """Run all ``entries``; yields position and result of each when it is there, each result written
+    to ``store``.
 
-    The data are looked at anew. Results in ``store`` are reused, runs with equal keys are done once, and runs that
-    differ only in their seed are tuned once. When the caller stops, everything that was yielded is kept.
+    The data are looked at anew. Results in ``store`` are reused, runs with equal keys are done
+    once, and runs that differ only in their seed are tuned once. When the caller stops, everything
+    that was yielded is kept.
 
     Args:
         entries: The runs.
@@ -118,19 +128,31 @@ def run_all(
 
 
 def with_code_of_now(entries: Sequence[Entry]) -> list[Entry]:
-    """The runs with what their code is now; a run whose rule cannot be found, which will fail, as it is."""
+    """The runs with what their code is now; a run whose rule cannot be found, which will fail, as
+    it is."""
     found: dict[Any, RunSpec] = {}
     changed = []
     for entry in entries:
         spec = entry.spec
-        asked = (id(entry.rule), spec.rule, spec.rule_source, spec.rule_folder, spec.system, repr(spec.options))
+        asked = (
+            id(entry.rule),
+            spec.rule,
+            spec.rule_source,
+            spec.rule_folder,
+            spec.system,
+            repr(spec.options),
+        )
         if asked not in found:
             try:
                 found[asked] = spec.with_code(original(entry.found_rule()))
             except (KeyError, ValueError, TypeError, OSError):
                 found[asked] = dataclasses.replace(spec, code=None)
         now = found[asked]
-        changed.append(dataclasses.replace(entry, spec=dataclasses.replace(spec, code=now.code, not_kept=now.not_kept)))
+        changed.append(
+            dataclasses.replace(
+                entry, spec=dataclasses.replace(spec, code=now.code, not_kept=now.not_kept)
+            )
+        )
     return changed
 
 
@@ -143,9 +165,12 @@ class _Admitted:
         self._only_now: dict[str, str] = {}
 
     def ask(self, entry: Entry) -> tuple[Entry, RunResult | None]:
-        """The run, with why its result is not kept if the check found that; and its result if it is refused."""
+        """The run, with why its result is not kept if the check found that; and its result if it is
+        refused."""
         spec = entry.spec
-        asked = repr((spec.rule, sorted((spec.code or {}).items()), sorted(map(repr, spec.options.items()))))
+        asked = repr(
+            (spec.rule, sorted((spec.code or {}).items()), sorted(map(repr, spec.options.items())))
+        )
         if asked not in self._found:
             self._found[asked] = self._checked(entry)
         found = self._found[asked]
@@ -154,7 +179,9 @@ class _Admitted:
         if found.not_kept:
             alone = self._only_now.setdefault(asked, uuid.uuid4().hex)
             code = {**(spec.code or {}), ONLY_NOW: alone}
-            entry = dataclasses.replace(entry, spec=dataclasses.replace(spec, code=code, not_kept=found.not_kept))
+            entry = dataclasses.replace(
+                entry, spec=dataclasses.replace(spec, code=code, not_kept=found.not_kept)
+            )
         return entry, None
 
     def _checked(self, entry: Entry) -> Admission:
@@ -208,9 +235,16 @@ class _Plan:
         entry = self._entries[i]
         self._executor.put(
             number,
-            Task(kind=kind, spec=entry.spec, backend=chosen(), rule=_own_rule(entry), sequence=entry.sequence,
-                 tuned=tuned, program=run_key()),
-        )  # fmt: skip
+            Task(
+                kind=kind,
+                spec=entry.spec,
+                backend=chosen(),
+                rule=_own_rule(entry),
+                sequence=entry.sequence,
+                tuned=tuned,
+                program=run_key(),
+            ),
+        )
 
     def _result(self, i: int, answer: Answer) -> RunResult:
         for name, content in answer.pictures.items():

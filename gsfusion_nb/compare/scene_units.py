@@ -1,4 +1,5 @@
-"""Which scenes of a comparison are independent: scenes that share frames of a recording are one unit."""
+"""Which scenes of a comparison are independent: scenes that share frames of a recording are one
+unit."""
 
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
@@ -10,8 +11,9 @@ if TYPE_CHECKING:
 def scene_units(results: "Iterable[RunResult]") -> dict[str, str]:
     """Scene -> its unit, in the order in which the scenes were first seen.
 
-    Scenes with equal data, or with a frame in common (``RunResult.frames``), are one unit, also through a third scene.
-    Its name is made of theirs: "kitchen + kitchen again". A scene of which no frames are known is a unit of its own.
+    Scenes with equal data, or with a frame in common (``RunResult.frames``), are one unit, also
+    through a third scene. Its name is made of theirs: "kitchen + kitchen again". A scene of which
+    no frames are known is a unit of its own.
     """
     marks: dict[str, set[str]] = {}
     for result in results:
@@ -33,7 +35,8 @@ def shared_frames(units: Mapping[str, str]) -> list[str]:
     for scene, unit in units.items():
         scenes.setdefault(unit, []).append(scene)
     return [
-        f"{', '.join(names[:-1])} and {names[-1]} share frames, so they count as one scene in means and tests"
+        f"{', '.join(names[:-1])} and {names[-1]} share frames, so they count as one scene in "
+        "means and tests"
         for names in scenes.values()
         if len(names) > 1
     ]

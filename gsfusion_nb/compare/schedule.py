@@ -15,13 +15,16 @@ def with_settings(config: C, values: Mapping[str, Any]) -> C:
 
     Args:
         config: Settings of a system.
-        values: Dotted name -> value; a dash in a name counts as an underscore, and a whole number as a float where one
-            is wanted.
+        values: Dotted name -> value; a dash in a name counts as an underscore, and a whole number
+            as a float where one is wanted.
 
     Raises:
         ValueError: no such setting, or an invalid value.
     """
-    tree = nested({name.replace("-", "_"): value for name, value in values.items()}, ".")
+    tree = nested(
+        {name.replace("-", "_"): value for name, value in values.items()},
+        ".",
+    )
     _whole_as_float(config, tree)
     return with_own_settings(from_dict(type(config), tree, start=config), leaves(tree))
 
@@ -41,25 +44,46 @@ def flat_settings(config: Any) -> dict[str, Any]:
 
 
 def changed_settings(config: Any, base: Any) -> dict[str, Any]:
-    """Dotted name -> value of the settings of ``config`` that differ from those of ``base``, of the same class."""
+    """Dotted name -> value of the settings of ``config`` that differ from those of ``base``, of the
+    same class."""
     before = flat_settings(base)
     return {name: value for name, value in flat_settings(config).items() if value != before[name]}
 
 
 EQUAL_KEYFRAME_EVERY = 4
-"""Every n-th mapped frame is a keyframe where the settings do not say otherwise; MonoGS takes as many on Replica."""
-SCHEDULE = frozenset({
-    "keyframe_every", "keyframe_min_seeds", "keep_all_frames", "optim.keyframe_iterations", "optim.frame_iterations",
-    "optim.random_keyframe_iterations", "optim.global_iterations", "window.iterations", "window.every_frames",
-    "window.frames", "keyframes.iterations", "keyframes.latest", "keyframes.random",
-    "keyframes.instead_of_window", "final.passes",
-})  # fmt: skip
-"""Settings of any system that decide how many gradient steps are taken when. No rule may bring its own."""
-_PER_FRAME = ("optim.keyframe_iterations", "optim.frame_iterations", "optim.random_keyframe_iterations")
+"""Every n-th mapped frame is a keyframe where the settings do not say otherwise; MonoGS takes as
+many on Replica."""
+SCHEDULE = frozenset(
+    {
+        "keyframe_every",
+        "keyframe_min_seeds",
+        "keep_all_frames",
+        "optim.keyframe_iterations",
+        "optim.frame_iterations",
+        "optim.random_keyframe_iterations",
+        "optim.global_iterations",
+        "window.iterations",
+        "window.every_frames",
+        "window.frames",
+        "keyframes.iterations",
+        "keyframes.latest",
+        "keyframes.random",
+        "keyframes.instead_of_window",
+        "final.passes",
+    }
+)
+"""Settings of any system that decide how many gradient steps are taken when. No rule may bring its
+own."""
+_PER_FRAME = (
+    "optim.keyframe_iterations",
+    "optim.frame_iterations",
+    "optim.random_keyframe_iterations",
+)
 
 
 def fixed_schedule(config: SystemConfig) -> SystemConfig:
-    """``config`` with keyframes that do not depend on seeds, and a schedule that no rule replaces by its own.
+    """``config`` with keyframes that do not depend on seeds, and a schedule that no rule replaces
+    by its own.
 
     RTG-SLAM's keyframes follow from the poses already.
     """
@@ -79,5 +103,7 @@ def dotted(name: str) -> str:
 def without_steps(config: SystemConfig) -> SystemConfig:
     """``config`` without any gradient step: only seeding and fusion."""
     known = {f.name for f in dataclasses.fields(config)}
-    none: dict[str, Any] = dict.fromkeys((*_PER_FRAME, "optim.global_iterations"), 0) if "optim" in known else {}
+    none: dict[str, Any] = (
+        dict.fromkeys((*_PER_FRAME, "optim.global_iterations"), 0) if "optim" in known else {}
+    )
     return with_settings(config, none)

@@ -1,4 +1,5 @@
-"""What one run is, as plain values: rule, options, scene, seed, budget, settings; its key and its result."""
+"""What one run is, as plain values: rule, options, scene, seed, budget, settings; its key and its
+result."""
 
 import dataclasses
 import functools
@@ -31,11 +32,11 @@ class Budget:
     """What every rule of a comparison may spend."""
 
     steps: Literal["equal", "own"] = "equal"
-    """Gradient steps. "equal": the same fixed schedule for every rule; "own": keyframes, and so the number of steps,
-    follow from the seeds of the rule, as published."""
+    """Gradient steps. "equal": the same fixed schedule for every rule; "own": keyframes, and so the
+    number of steps, follow from the seeds of the rule, as published."""
     gaussians: int | None = None
-    """Gaussians in the final map: one numeric option of each rule is tuned until it has this many. None: as many as the
-    rule makes."""
+    """Gaussians in the final map: one numeric option of each rule is tuned until it has this many.
+    None: as many as the rule makes."""
     tolerance: float | int = within(0.05, 0.001, 0.5)
     """Largest relative deviation from ``gaussians``."""
 
@@ -44,7 +45,9 @@ class Budget:
         if self.gaussians is not None:
             check_number("budget.gaussians", self.gaussians, 1)
             if not isinstance(self.gaussians, int):
-                raise ValueError(f"budget.gaussians must be a whole number, got {shown(self.gaussians)}")
+                raise ValueError(
+                    f"budget.gaussians must be a whole number, got {shown(self.gaussians)}"
+                )
 
     def __str__(self) -> str:
         size = "own size" if self.gaussians is None else f"{self.gaussians:,} Gaussians"
@@ -53,7 +56,8 @@ class Budget:
 
 @dataclass(frozen=True, kw_only=True)
 class RunSpec:
-    """One run of the lab. Everything that decides its result is in here, as plain values that JSON can hold."""
+    """One run of the lab. Everything that decides its result is in here, as plain values that JSON
+    can hold."""
 
     rule: str
     """Name of a registered seeding rule, or "FILE.py:name"."""
@@ -66,7 +70,8 @@ class RunSpec:
     data: str = ""
     """Folder of the sequence, or "room"; ``scene`` if empty."""
     reader: Mapping[str, Option] = field(default_factory=dict)
-    """Options for opening the data: format, and those of the layout's reader, such as ``n_frames``."""
+    """Options for opening the data: format, and those of the layout's reader, such as
+    ``n_frames``."""
     seed: int = 0
     """Seed of all random numbers."""
     budget: Budget = field(default_factory=Budget)
@@ -74,12 +79,13 @@ class RunSpec:
     system: str = "gsfusion"
     """Name of the mapping system."""
     preset: str = ""
-    """Settings published for a data set; "room" for the built-in scene and "replica" for others if empty."""
+    """Settings published for a data set; "room" for the built-in scene and "replica" for others if
+    empty."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Settings that differ from the preset, by dotted name: ``{"tsdf.voxel_size_m": 0.02}``."""
     size_option: str = ""
-    """Option of the rule, or dotted setting, that is tuned to reach ``budget.gaussians``; the rule's own if empty.
-    "thin": a random share of the seeds is kept instead."""
+    """Option of the rule, or dotted setting, that is tuned to reach ``budget.gaussians``; the
+    rule's own if empty. "thin": a random share of the seeds is kept instead."""
     size_range: tuple[float | int, float | int] | None = None
     """Smallest and largest value of ``size_option``; the usual range if None."""
     keep_share: float | int = 1.0
@@ -87,10 +93,12 @@ class RunSpec:
     rule_source: str = ""
     """Source of the file that the rule comes from; empty for a rule of this package."""
     rule_folder: str = ""
-    """Folder of that file, where the modules are that it imports from beside it; empty: there are none."""
+    """Folder of that file, where the modules are that it imports from beside it; empty: there are
+    none."""
     code: Mapping[str, str] | None = None
-    """What decides what the rule does, and a system that is not of this package: part -> its hash or version
-    (``CodeKey.parts``), with the files that the rule's options name. Found when the key is asked for if None."""
+    """What decides what the rule does, and a system that is not of this package: part -> its hash
+    or version (``CodeKey.parts``), with the files that the rule's options name. Found when the key
+    is asked for if None."""
     not_kept: str = ""
     """Why no later command can use the result of this run; empty if it can."""
     data_hash: str = ""
@@ -98,16 +106,22 @@ class RunSpec:
     device: str = "cpu"
     """Device of the maps."""
     fidelity: str = ""
-    """What to follow where paper and released code differ, one of the system's ``fidelities``; its default if empty."""
+    """What to follow where paper and released code differ, one of the system's ``fidelities``; its
+    default if empty."""
     online: bool = False
     """Score the views also before the optimisation after the scan, and give frames per second."""
 
     def __post_init__(self):
-        plain = {name: str(value) if isinstance(value, Path) else value for name, value in self.options.items()}
+        plain = {
+            name: str(value) if isinstance(value, Path) else value
+            for name, value in self.options.items()
+        }
         object.__setattr__(self, "options", plain)
         object.__setattr__(self, "label", self.label or label_of(self.rule_name, self.options))
         object.__setattr__(self, "data", self.data or self.scene)
-        object.__setattr__(self, "preset", self.preset or ("room" if self.data == "room" else "replica"))
+        object.__setattr__(
+            self, "preset", self.preset or ("room" if self.data == "room" else "replica")
+        )
         check_number("seed", self.seed, 0)
         check_number("keep_share", self.keep_share, 1e-6, 1)
         if self.size_range is not None and not 0 < self.size_range[0] < self.size_range[1]:
@@ -125,12 +139,19 @@ class RunSpec:
         A rule that brings settings with it does not change those in ``settings``.
 
         Raises:
-            KeyError: unknown system or preset. ValueError: a setting that does not exist, or has an invalid value.
+            KeyError: unknown system or preset. ValueError: a setting that does not exist, or has an
+                invalid value.
         """
-        base = get_system(self.system).preset(self.preset, **({"fidelity": self.fidelity} if self.fidelity else {}))
+        base = get_system(self.system).preset(
+            self.preset, **({"fidelity": self.fidelity} if self.fidelity else {})
+        )
         given = {name.replace("-", "_"): value for name, value in self.settings.items()}
         own = [*base.seeding.own_settings, *given.pop("seeding.own_settings", ()), *given]
-        rule = {"seeding.rule": self.rule_name, "seeding.options": dict(self.options), "seed": self.seed}
+        rule = {
+            "seeding.rule": self.rule_name,
+            "seeding.options": dict(self.options),
+            "seed": self.seed,
+        }
         return with_settings(base, given | rule | {"seeding.own_settings": own})
 
     def opened(self) -> OpenedSequence:
@@ -144,20 +165,27 @@ class RunSpec:
 
     @functools.cached_property
     def content(self) -> str:
-        """``sequence_fingerprint`` of the frames when this was first asked for; or why they cannot be opened."""
+        """``sequence_fingerprint`` of the frames when this was first asked for; or why they cannot
+        be opened."""
         if self.data_hash:
             return self.data_hash
-        asked = json.dumps([self.data, dict(self.reader), to_dict(self.config())["data"]], sort_keys=True)
+        asked = json.dumps(
+            [self.data, dict(self.reader), to_dict(self.config())["data"]],
+            sort_keys=True,
+        )
         if asked not in _seen:
             try:
                 _seen[asked] = sequence_fingerprint(self.opened())
-            except Exception as e:  # a reader of other people may raise anything; the run fails with it
+            except (
+                Exception
+            ) as e:  # a reader of other people may raise anything; the run fails with it
                 _seen[asked] = f"{type(e).__name__}: {e}"
         return _seen[asked]
 
     @functools.cached_property
     def key(self) -> str:
-        """``run_key`` of data, settings, rule, options, seed, budget and program: equal keys mean equal results.
+        """``run_key`` of data, settings, rule, options, seed, budget and program: equal keys mean
+        equal results.
 
         Raises:
             BackendUnavailable: on the backend "mine", whose functions are no part of the program.
@@ -168,10 +196,25 @@ class RunSpec:
                 'use it outside `with use_backend("mine")`'
             )
         parts = self.to_json()
-        for name in ("label", "scene", "data", "rule", "preset", "fidelity", "settings", "rule_source", "rule_folder"):
+        for name in (
+            "label",
+            "scene",
+            "data",
+            "rule",
+            "preset",
+            "fidelity",
+            "settings",
+            "rule_source",
+            "rule_folder",
+        ):
             parts.pop(name)  # names, and what the settings and the code say
         parts |= self._code()
-        return run_key(**parts, config=to_dict(self.config()), content=self.content, backend=chosen())
+        return run_key(
+            **parts,
+            config=to_dict(self.config()),
+            content=self.content,
+            backend=chosen(),
+        )
 
     def found_rule(self) -> SeedingRule:
         """The rule that the run names.
@@ -222,29 +265,42 @@ class RunSpec:
             **{
                 **values,
                 "budget": Budget(**values.get("budget", {})),
-                "size_range": None if size_range is None else (float(size_range[0]), float(size_range[1])),
+                "size_range": None
+                if size_range is None
+                else (float(size_range[0]), float(size_range[1])),
             }
         )
 
 
 def label_of(rule: str, options: Mapping[str, Option]) -> str:
     """Name of a rule with options in tables: "uniform fraction=0.1"."""
-    return " ".join([rule, *(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in options.items())])
+    return " ".join(
+        [rule, *(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in options.items())]
+    )
 
 
 _seen: dict[str, str] = {}
-"""Data, options of the reader and settings -> ``sequence_fingerprint``, so that many runs look at them once."""
+"""Data, options of the reader and settings -> ``sequence_fingerprint``, so that many runs look at
+them once."""
 
 
 def look_again() -> None:
-    """Forget what the data and the program are: whoever asks for them next looks at the files anew."""
+    """Forget what the data and the program are: whoever asks for them next looks at the files
+    anew."""
     _seen.clear()
     look_at_program_again()
 
 
-MEASURED = frozenset({
-    "ms_per_frame", "cpu_ms_per_frame", "seeding_ms", "seconds_total", "seconds_global", "peak_memory_mb"
-})  # fmt: skip
+MEASURED = frozenset(
+    {
+        "ms_per_frame",
+        "cpu_ms_per_frame",
+        "seeding_ms",
+        "seconds_total",
+        "seconds_global",
+        "peak_memory_mb",
+    }
+)
 """Metrics that differ from one run to the next; all others are equal bit for bit for equal keys."""
 
 
@@ -258,15 +314,17 @@ class RunResult:
     reason: str = ""
     """Why it failed, in a sentence."""
     metrics: Mapping[str, float] = field(default_factory=dict)
-    """Numbers by their names in metrics.json; a number that could not be computed is absent. psnr_mapped_db,
-    psnr_held_out_db, ssim_mapped, ssim_held_out, lpips_mapped, lpips_held_out, depth_l1_mapped_m, depth_l1_held_out_m,
-    mesh_accuracy_m, mesh_completion_m, disc_accuracy_m, disc_completion_m (and their ratios), mesh_psnr_held_out_db,
-    n_gaussians, n_keyframes, n_steps (gradient steps), n_frames, ms_per_frame and
-    cpu_ms_per_frame (of mapping, mean over all frames but the first), seeding_ms (of that the rule), seconds_total
-    (mapping with all its optimisation, without scoring), seconds_global (of that after the scan), model_size_mb,
-    peak_memory_mb (growth while mapping)."""
+    """Numbers by their names in metrics.json; a number that could not be computed is absent.
+    psnr_mapped_db, psnr_held_out_db, ssim_mapped, ssim_held_out, lpips_mapped, lpips_held_out,
+    depth_l1_mapped_m, depth_l1_held_out_m, mesh_accuracy_m, mesh_completion_m, disc_accuracy_m,
+    disc_completion_m (and their ratios), mesh_psnr_held_out_db, n_gaussians, n_keyframes, n_steps
+    (gradient steps), n_frames, ms_per_frame and cpu_ms_per_frame (of mapping, mean over all frames
+    but the first), seeding_ms (of that the rule), seconds_total (mapping with all its optimisation,
+    without scoring), seconds_global (of that after the scan), model_size_mb, peak_memory_mb (growth
+    while mapping)."""
     tuned: Mapping[str, Any] = field(default_factory=dict)
-    """How the budget was reached: option, value, n_runs (tuning runs), error_percent. Empty without a budget."""
+    """How the budget was reached: option, value, n_runs (tuning runs), error_percent. Empty without
+    a budget."""
     notes: list[str] = field(default_factory=list)
     """What differs from the other runs of a comparison, as sentences."""
     map_hash: str = ""
@@ -278,14 +336,16 @@ class RunResult:
     rule_source: str = ""
     """Source code of the rule."""
     training: str = ""
-    """How the publication of the rule trains the Gaussians, if not as in this run (``trained_otherwise``)."""
+    """How the publication of the rule trains the Gaussians, if not as in this run
+    (``trained_otherwise``)."""
     versions: Mapping[str, str] = field(default_factory=dict)
     """Versions of the programs, and the machine."""
     copied_from: str = ""
-    """Folder of the store that had this result of an earlier command; empty for one that was computed now."""
+    """Folder of the store that had this result of an earlier command; empty for one that was
+    computed now."""
     pictures: Mapping[str, str] = field(default_factory=dict)
-    """Name of a picture -> its file, relative to the output folder: "held_out 4" is the render of frame 4, which was
-    held out, "truth 4" its recorded image."""
+    """Name of a picture -> its file, relative to the output folder: "held_out 4" is the render of
+    frame 4, which was held out, "truth 4" its recorded image."""
 
     @property
     def key(self) -> str:
@@ -294,7 +354,9 @@ class RunResult:
 
     def to_json(self) -> dict[str, Any]:
         """The result as plain values; numbers that are not finite are left out."""
-        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)} | {"spec": self.spec.to_json()}
+        values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)} | {
+            "spec": self.spec.to_json()
+        }
         values["metrics"] = {name: v for name, v in self.metrics.items() if math.isfinite(v)}
         values["key"] = self.key
         return values
@@ -322,12 +384,15 @@ class RunResult:
             key: Of the run that it must be the result of; empty: any.
 
         Raises:
-            ValueError: the file is damaged, was changed, or is from another version or of another run.
+            ValueError: the file is damaged, was changed, or is from another version or of another
+                run.
             FileNotFoundError: no such file.
         """
         document = read_sealed(path, "the result of a run of the lab")
         if key and document.get("key") != key:
-            raise ValueError(f"{path} is the result of another run, with the key {shown(document.get('key'))}")
+            raise ValueError(
+                f"{path} is the result of another run, with the key {shown(document.get('key'))}"
+            )
         try:
             return cls.from_json(document)
         except (TypeError, KeyError, AttributeError) as e:

@@ -47,7 +47,8 @@ class Column:
 
 
 def _columns() -> Iterator[Column]:
-    """All columns, in the order of the tables: names, units and digits are those of ``METRICS`` where it has them."""
+    """All columns, in the order of the tables: names, units and digits are those of ``METRICS``
+    where it has them."""
     views = {"held_out": "held out", "held_out_between": "between neighbours", "mapped": "mapped"}
     images: dict[str, Better] = {"psnr_{}_db": "higher", "ssim_{}": "higher", "lpips_{}": "lower"}
     images["depth_l1_{}_m"] = "lower"
@@ -66,9 +67,15 @@ def _columns() -> Iterator[Column]:
     yield _column("n_gaussians", "lower")
     yield _column("n_keyframes", "neither")
     yield Column(metric="n_steps", heading="Gradient steps", digits=0)
-    yield Column(metric="ms_per_frame", heading="Time per frame", unit="ms", digits=1, better="lower")
-    yield Column(metric="cpu_ms_per_frame", heading="CPU time per frame", unit="ms", digits=1, better="lower")
-    yield Column(metric="seeding_ms", heading="Seeding per frame", unit="ms", digits=1, better="lower")
+    yield Column(
+        metric="ms_per_frame", heading="Time per frame", unit="ms", digits=1, better="lower"
+    )
+    yield Column(
+        metric="cpu_ms_per_frame", heading="CPU time per frame", unit="ms", digits=1, better="lower"
+    )
+    yield Column(
+        metric="seeding_ms", heading="Seeding per frame", unit="ms", digits=1, better="lower"
+    )
     yield _column("seconds_total", "lower")
     yield _column("peak_memory_mb", "lower", "Memory")
     for metric in ("fps_total", "fps_mapping", "fps_tracking"):
@@ -77,8 +84,14 @@ def _columns() -> Iterator[Column]:
 
 def _column(metric: str, better: Better, heading: str = "") -> Column:
     known = METRICS[metric]
-    return Column(metric=metric, heading=heading or known.label, unit=known.unit, digits=known.digits,
-                  scale=known.scale, better=better)  # fmt: skip
+    return Column(
+        metric=metric,
+        heading=heading or known.label,
+        unit=known.unit,
+        digits=known.digits,
+        scale=known.scale,
+        better=better,
+    )
 
 
 COLUMNS: Mapping[str, Column] = {column.metric: column for column in _columns()}
@@ -106,7 +119,11 @@ def summarise(values: Iterable[float]) -> Summary:
     if len(known) == 0:
         return Summary(math.nan, math.nan, 0)
     spread = len(known) > 1 and bool(np.isfinite(known).all())
-    return Summary(float(known.mean()), float(known.std(ddof=1)) if spread else math.nan, len(known))
+    return Summary(
+        float(known.mean()),
+        float(known.std(ddof=1)) if spread else math.nan,
+        len(known),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +139,8 @@ class Group:
 
     @property
     def fixes_size(self) -> bool:
-        """Whether the budget gives every rule the same size, so that differences are left-overs of the tuning."""
+        """Whether the budget gives every rule the same size, so that differences are left-overs of
+        the tuning."""
         return any(run.spec.budget.gaussians is not None for run in (*self.runs, *self.failed))
 
     def summary(self, metric: str) -> Summary:
@@ -135,49 +153,83 @@ def group_runs(results: "Iterable[RunResult]") -> list[Group]:
     found: dict[tuple[str, str, str], tuple[list[RunResult], list[RunResult]]] = {}
     for result in results:
         spec = result.spec
-        done, failed = found.setdefault((spec.label, spec.scene, str(spec.budget)), ([], []))
+        done, failed = found.setdefault(
+            (spec.label, spec.scene, str(spec.budget)),
+            ([], []),
+        )
         (done if result.status == "done" else failed).append(result)
     return [
-        Group(label=label, scene=scene, budget=budget, runs=tuple(done), failed=tuple(failed))
+        Group(
+            label=label,
+            scene=scene,
+            budget=budget,
+            runs=tuple(done),
+            failed=tuple(failed),
+        )
         for (label, scene, budget), (done, failed) in found.items()
     ]
 
 
 def by_budget(groups: Sequence[Group]) -> list[list[Group]]:
     """The groups of each budget."""
-    return [[g for g in groups if g.budget == budget] for budget in dict.fromkeys(g.budget for g in groups)]
+    return [
+        [g for g in groups if g.budget == budget]
+        for budget in dict.fromkeys(g.budget for g in groups)
+    ]
 
 
-def over_units(by_scene: Mapping[str, float], units: Mapping[str, str]) -> list[float]:
-    """Means over the scenes of each unit, of those in ``by_scene``; NaN where one of them is NaN."""
+def over_units(
+    by_scene: Mapping[str, float],
+    units: Mapping[str, str],
+) -> list[float]:
+    """Means over the scenes of each unit, of those in ``by_scene``; NaN where one of them is
+    NaN."""
     of_unit: dict[str, list[float]] = {}
     for scene, value in by_scene.items():
         of_unit.setdefault(units.get(scene, scene), []).append(value)
     return [float(np.mean(values)) for values in of_unit.values()]
 
 
-def unit_means(groups: Sequence[Group], metric: str, units: Mapping[str, str]) -> tuple[list[str], np.ndarray]:
-    """The rules of one budget, and the mean of each on each unit; NaN where it lacks a scene of it. [rules, units]"""
+def unit_means(
+    groups: Sequence[Group], metric: str, units: Mapping[str, str]
+) -> tuple[list[str], np.ndarray]:
+    """The rules of one budget, and the mean of each on each unit; NaN where it lacks a scene of it.
+    [rules, units]"""
     scenes = list(dict.fromkeys(group.scene for group in groups))
     labels = list(dict.fromkeys(group.label for group in groups))
     found = {(group.label, group.scene): group.summary(metric).mean for group in groups}
-    rows = [over_units({s: found.get((label, s), math.nan) for s in scenes}, units) for label in labels]
-    return labels, np.array(rows, float).reshape(len(labels), len({units.get(s, s) for s in scenes}))
+    rows = [
+        over_units(
+            {s: found.get((label, s), math.nan) for s in scenes},
+            units,
+        )
+        for label in labels
+    ]
+    return labels, np.array(rows, float).reshape(
+        len(labels), len({units.get(s, s) for s in scenes})
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Standing:
-    """One rule over all scenes of a comparison, at one budget; NaN if it has no result on one of them."""
+    """One rule over all scenes of a comparison, at one budget; NaN if it has no result on one of
+    them."""
 
     label: str
     rank: float
-    """Mean over the scenes of the rank by the mean over seeds, 1 is best; ties share the mean of their ranks."""
+    """Mean over the scenes of the rank by the mean over seeds, 1 is best; ties share the mean of
+    their ranks."""
     over_scenes: Summary
-    """Of the means of the scenes. Scenes that share frames count as one, with the mean over them."""
+    """Of the means of the scenes. Scenes that share frames count as one, with the mean over
+    them."""
 
 
-def standings(groups: Sequence[Group], units: Mapping[str, str] | None = None) -> list[Standing]:
-    """The rules of one budget, best mean of ``FIRST_METRIC`` over the scenes first; incomplete ones come last.
+def standings(
+    groups: Sequence[Group],
+    units: Mapping[str, str] | None = None,
+) -> list[Standing]:
+    """The rules of one budget, best mean of ``FIRST_METRIC`` over the scenes first; incomplete ones
+    come last.
 
     Means that are equal in the digits of the tables share a rank.
 
@@ -193,7 +245,14 @@ def standings(groups: Sequence[Group], units: Mapping[str, str] | None = None) -
     ranks = rankdata(-shown, axis=0, nan_policy="omit").mean(axis=1) if labels else ()
     nothing = Summary(math.nan, math.nan, 0)
     standing = [
-        Standing(label=label, rank=float(rank), over_scenes=nothing if math.isnan(rank) else summarise(own))
+        Standing(
+            label=label,
+            rank=float(rank),
+            over_scenes=nothing if math.isnan(rank) else summarise(own),
+        )
         for label, rank, own in zip(labels, ranks, means.tolist(), strict=True)
     ]
-    return sorted(standing, key=lambda s: (math.isnan(s.over_scenes.mean), -s.over_scenes.mean))
+    return sorted(
+        standing,
+        key=lambda s: (math.isnan(s.over_scenes.mean), -s.over_scenes.mean),
+    )

@@ -1,6 +1,8 @@
-"""Runs on one recording: all combinations of some values (``sweep``), and named comparisons (``study``).
+"""Runs on one recording: all combinations of some values (``sweep``), and named comparisons
+(``study``).
 
-The named comparisons are those of the papers, beside their numbers, and the questions that this project asked itself.
+The named comparisons are those of the papers, beside their numbers, and the questions that this
+project asked itself.
 """
 
 import dataclasses
@@ -26,7 +28,8 @@ from .spec import Budget, RunResult, RunSpec
 from .statistics import Group, group_runs
 
 Values = Mapping[str, Any]
-"""Name -> value: "system", "fidelity", "seeding.rule", an option of the rule as "rule.<name>", or a setting."""
+"""Name -> value: "system", "fidelity", "seeding.rule", an option of the rule as "rule.<name>", or a
+setting."""
 Row = Mapping[str, float | int]
 """Column -> value."""
 
@@ -85,26 +88,30 @@ class RecordingOptions(WhereOptions):
     """What is mapped."""
 
     set: tuple[str, ...] = ()
-    """Settings of all runs: --set data.width=320 data.height=240 seeding.rule=uniform rule.fraction=0.1."""
+    """Settings of all runs: --set data.width=320 data.height=240 seeding.rule=uniform
+    rule.fraction=0.1."""
     seeds: int = 1
     """Number of seeds: 0, 1, and so on."""
     preset: str = named("", presets)
-    """Settings for a data set. Where none is given: room for the built-in scene, otherwise replica."""
+    """Settings for a data set. Where none is given: room for the built-in scene, otherwise
+    replica."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: n_frames=60 (room)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepOptions(RecordingOptions):
-    """Map one recording with every combination of some values, with several seeds, and write a table.
+    """Map one recording with every combination of some values, with several seeds, and write a
+    table.
 
     All values are checked before anything runs. After Ctrl-C the same command continues."""
 
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a recording, or "room" for the built-in scene."""
     grid: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["-g"]), tyro.conf.UseAppendAction] = ()
-    """Values of a setting: --grid tsdf.voxel-size-m=0.01,0.02; of an option of the rule: --grid rule.fraction=0.1,0.2;
-    rules: --grid seeding.rule=gsfusion,my_rules.py:mine. Repeat it for several settings."""
+    """Values of a setting: --grid tsdf.voxel-size-m=0.01,0.02; of an option of the rule: --grid
+    rule.fraction=0.1,0.2; rules: --grid seeding.rule=gsfusion,my_rules.py:mine. Repeat it for
+    several settings."""
     system: str = named("gsfusion", lambda: SYSTEMS)
     """Name of the mapping system."""
 
@@ -116,12 +123,13 @@ class StudyOptions(RecordingOptions):
     A variant that was run before, by any command, is taken from the cache."""
 
     name: Annotated[str, tyro.conf.Positional] = named(MISSING, study_names)
-    """What to compare. The ablations of GSFusion's paper run with its settings (fidelity "paper"), of which one is
-    changed as it does."""
+    """What to compare. The ablations of GSFusion's paper run with its settings (fidelity "paper"),
+    of which one is changed as it does."""
     data: Annotated[str, tyro.conf.Positional] = "room"
     """Folder of a sequence, or "room" for the built-in scene."""
     only: str = ""
-    """Only the variants whose name contains this text, in capital or small letters: --only given. Default: all."""
+    """Only the variants whose name contains this text, in capital or small letters: --only given.
+    Default: all."""
     device: str = "cpu"
     """Only for roofline: the device to measure, cpu or cuda."""
 
@@ -178,26 +186,43 @@ def sweep_specs(options: SweepOptions) -> list[RunSpec]:
     variants = {}
     for values in itertools.product(*axes.values()):
         pairs = dict(zip(axes, values, strict=True))
-        label = ", ".join(str(v) if n == RULE else f"{n.rpartition('.')[2]} {v}" for n, v in pairs.items())
+        label = ", ".join(
+            str(v) if n == RULE else f"{n.rpartition('.')[2]} {v}" for n, v in pairs.items()
+        )
         variants[label] = {"system": options.system, **pairs}
     return recording_specs(variants, options, options.data)
 
 
-def study_specs(name: str, options: RecordingOptions, data: str, only: str = "") -> list[RunSpec]:
+def study_specs(
+    name: str,
+    options: RecordingOptions,
+    data: str,
+    only: str = "",
+) -> list[RunSpec]:
     """All runs of a study, checked.
 
     Raises:
-        ValueError, KeyError, TypeError: no variant whose name contains ``only``, or a setting that is refused.
+        ValueError, KeyError, TypeError: no variant whose name contains ``only``, or a setting that
+            is refused.
     """
     asked = STUDIES[name]
-    variants = {label: values for label, values in asked.variants.items() if only.lower() in label.lower()}
+    variants = {
+        label: values for label, values in asked.variants.items() if only.lower() in label.lower()
+    }
     if not variants:
-        raise ValueError(f"--only: no variant's name contains {only!r}; there are {', '.join(asked.variants)}")
+        raise ValueError(
+            f"--only: no variant's name contains {only!r}; there are {', '.join(asked.variants)}"
+        )
     return recording_specs(variants, options, data, common=asked.common, online=True)
 
 
 def recording_specs(
-    variants: Mapping[str, Values], options: RecordingOptions, data: str, *, common: Values | None = None, **fields: Any
+    variants: Mapping[str, Values],
+    options: RecordingOptions,
+    data: str,
+    *,
+    common: Values | None = None,
+    **fields: Any,
 ) -> list[RunSpec]:
     """A run of each variant and seed on one recording, checked.
 
@@ -226,27 +251,36 @@ def recording_specs(
 
 
 def ran_under(specs: Sequence[RunSpec]) -> str:
-    """What all runs have in common, in a sentence: system, preset, fidelity, settings, options of rule and reader.
+    """What all runs have in common, in a sentence: system, preset, fidelity, settings, options of
+    rule and reader.
 
     Args:
         specs: At least one run.
     """
     first, *others = map(_values_of, specs)
-    shared = {name: value for name, value in first.items() if all((name, value) in o.items() for o in others)}
+    shared = {
+        name: value
+        for name, value in first.items()
+        if all((name, value) in o.items() for o in others)
+    }
     return f"All runs have {', '.join(f'{name} {value}' for name, value in shared.items())}."
 
 
 def _values_of(spec: RunSpec) -> dict[str, Any]:
-    """Everything that a run sets, by name; a setting that nobody named is that of the preset and the fidelity."""
+    """Everything that a run sets, by name; a setting that nobody named is that of the preset and
+    the fidelity."""
     fidelity = spec.fidelity or next(iter(get_system(spec.system).fidelities), "")
-    names = {"system": spec.system, "preset": spec.preset} | ({"fidelity": fidelity} if fidelity else {})
+    names = {"system": spec.system, "preset": spec.preset} | (
+        {"fidelity": fidelity} if fidelity else {}
+    )
     options = {f"{OPTION}{name}": value for name, value in spec.options.items()}
     reader = {f"reader {name}": value for name, value in spec.reader.items()}
     return names | dict(spec.settings) | options | reader
 
 
 def spec_with(values: Values, label: str, **fields: Any) -> RunSpec:
-    """A run with some values set; its rule and the options of the rule are those of its system otherwise.
+    """A run with some values set; its rule and the options of the rule are those of its system
+    otherwise.
 
     Args:
         values: What is set.
@@ -258,11 +292,24 @@ def spec_with(values: Values, label: str, **fields: Any) -> RunSpec:
     """
     values = dict(values)
     system, fidelity = values.pop("system", "gsfusion"), values.pop("fidelity", "")
-    base = RunSpec(rule=system, label=label, system=system, fidelity=fidelity, budget=Budget(steps="own"), **fields)
-    own = get_system(system).preset(base.preset, **({"fidelity": fidelity} if fidelity else {})).seeding
+    base = RunSpec(
+        rule=system,
+        label=label,
+        system=system,
+        fidelity=fidelity,
+        budget=Budget(steps="own"),
+        **fields,
+    )
+    own = (
+        get_system(system)
+        .preset(base.preset, **({"fidelity": fidelity} if fidelity else {}))
+        .seeding
+    )
     rule = values.pop(RULE, own.rule)
     options = dict(own.options) if rule == own.rule else {}
-    options |= {name.removeprefix(OPTION): v for name, v in values.items() if name.startswith(OPTION)}
+    options |= {
+        name.removeprefix(OPTION): v for name, v in values.items() if name.startswith(OPTION)
+    }
     settings = {name: v for name, v in values.items() if not name.startswith(OPTION)}
     source = read_rule_file(rule)[0] if is_rule_file(rule) else ""
     folder = str(rule_folder(rule)) if source else ""
@@ -290,7 +337,9 @@ def beside_paper(asked: Study, results: Sequence[RunResult]) -> str:
     """Our numbers, means over the seeds, with the paper's in brackets."""
     groups = {g.label: g for g in group_runs(results)}
     under = ran_under([result.spec for result in results]) if results else ""
-    rows = {label: groups[label] for label in asked.variants if label in groups and groups[label].runs}
+    rows = {
+        label: groups[label] for label in asked.variants if label in groups and groups[label].runs
+    }
     ours = {label: _in_the_papers_columns(group, asked.views) for label, group in rows.items()}
     assert asked.paper is not None
     text = f"{PaperComparison(asked.paper.number, ours)!r}\n(in brackets: the paper's numbers)"
@@ -300,15 +349,30 @@ def beside_paper(asked: Study, results: Sequence[RunResult]) -> str:
 def _in_the_papers_columns(group: Group, views: str) -> dict[str, float]:
     """Our numbers under the headings of the paper."""
     names = {
-        "PSNR": f"psnr_{views}_db", "SSIM": f"ssim_{views}", "MB": "model_size_mb", "global s": "seconds_global",
-        "keyframes": "n_keyframes", "Gaussians": "n_gaussians",
-    }  # fmt: skip
-    found = {name: group.summary(metric).mean for name, metric in names.items() if group.summary(metric).n}
+        "PSNR": f"psnr_{views}_db",
+        "SSIM": f"ssim_{views}",
+        "MB": "model_size_mb",
+        "global s": "seconds_global",
+        "keyframes": "n_keyframes",
+        "Gaussians": "n_gaussians",
+    }
+    found = {
+        name: group.summary(metric).mean
+        for name, metric in names.items()
+        if group.summary(metric).n
+    }
     ms = group.summary("ms_per_frame")
     return found | ({"FPS": 1e3 / ms.mean} if ms.n else {})
 
 
-_FORMATS = {"PSNR": ".2f", "SSIM": ".3f", "FPS": ".1f", "MB": ".1f", "global s": ".1f", "keyframes": ",.0f"}
+_FORMATS = {
+    "PSNR": ".2f",
+    "SSIM": ".3f",
+    "FPS": ".1f",
+    "MB": ".1f",
+    "global s": ".1f",
+    "keyframes": ",.0f",
+}
 
 
 class PaperComparison:
@@ -316,8 +380,9 @@ class PaperComparison:
 
     Args:
         number: "IV" to "VIII".
-        ours: Setting -> column -> value; only the paper's columns, and "Gaussians", are shown. Settings that the paper
-            does not have are shown with ours alone. Settings that begin with a number are sorted by it.
+        ours: Setting -> column -> value; only the paper's columns, and "Gaussians", are shown.
+            Settings that the paper does not have are shown with ours alone. Settings that begin
+            with a number are sorted by it.
 
     Raises:
         KeyError: the paper has no such ablation.
@@ -334,7 +399,10 @@ class PaperComparison:
     @property
     def title(self) -> str:
         """One line above the table."""
-        return f"Table {self.paper.number}, {self.paper.title}: here (in the paper on {self.paper.data})"
+        return (
+            f"Table {self.paper.number}, {self.paper.title}: here (in the paper on "
+            f"{self.paper.data})"
+        )
 
     def lines(self) -> list[list[str]]:
         """Cells, the headings first: ours, and the paper's in brackets."""
@@ -351,7 +419,9 @@ class PaperComparison:
         text = []
         for row in rows:
             sides = ["<", *">" * (len(row) - 1)]
-            text.append("  ".join(f"{c:{side}{w}}" for c, side, w in zip(row, sides, widths, strict=True)))
+            text.append(
+                "  ".join(f"{c:{side}{w}}" for c, side, w in zip(row, sides, widths, strict=True))
+            )
         return "\n".join([self.title, *text])
 
 

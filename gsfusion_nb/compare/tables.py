@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING
 from .equal_maps import equal_maps, unknown_maps
 from .paired_tests import TESTS, Comparison, against_reference, all_pairs, named_reference, p_text
 from .scene_units import scene_units, shared_frames
-from .statistics import COLUMNS, FIRST_METRIC, Column, Group, Summary, by_budget, group_runs, standings
+from .statistics import (
+    COLUMNS,
+    FIRST_METRIC,
+    Column,
+    Group,
+    Summary,
+    by_budget,
+    group_runs,
+    standings,
+)
 
 if TYPE_CHECKING:
     from .spec import RunResult
@@ -31,7 +40,8 @@ class Cell:
     """One cell."""
 
     text: str
-    """In the column's unit and digits: "24.81 ± 0.06"; the standard deviation is that over the seeds."""
+    """In the column's unit and digits: "24.81 ± 0.06"; the standard deviation is that over the
+    seeds."""
     value: float = math.nan
     """The mean in the unit of the column, for sorting; NaN if there is none."""
     best: bool = False
@@ -73,11 +83,13 @@ def all_tables(
     tests: str = "reference",
     tuned_on: Mapping[str, str] | None = None,
 ) -> list[ResultTable]:
-    """For each budget: the rules with the scenes as columns, if there are several, and a table of each scene.
+    """For each budget: the rules with the scenes as columns, if there are several, and a table of
+    each scene.
 
     Args:
         results: All runs.
-        reference: Label of the rule that all others are tested against; ``named_reference`` if empty.
+        reference: Label of the rule that all others are tested against; ``named_reference`` if
+            empty.
         tests: What is tested: a name in ``TESTS``.
         tuned_on: Label of a rule -> the scenes that its values were chosen on.
     """
@@ -90,8 +102,14 @@ def all_tables(
             budget = of_budget[0].budget
             made = against_reference(results, budget, reference) if tests == "reference" else []
             made = all_pairs(results, budget) if tests == "pairs" else made
-            table = _scenes_table(of_budget, reference, [c.towards(reference) for c in made], tuned_on or {}, units)
-            tables.append(dataclasses.replace(table, notes=(*table.notes, _note_on_tests(reference, tests, made))))
+            table = _scenes_table(
+                of_budget, reference, [c.towards(reference) for c in made], tuned_on or {}, units
+            )
+            tables.append(
+                dataclasses.replace(
+                    table, notes=(*table.notes, _note_on_tests(reference, tests, made))
+                )
+            )
         tables += [scene_table([g for g in of_budget if g.scene == scene]) for scene in scenes]
     return tables
 
@@ -99,22 +117,41 @@ def all_tables(
 def _note_on_tests(reference: str, tests: str, made: Sequence[Comparison]) -> str:
     """What was tested, and what the tests needed to be told before."""
     if tests == "reference" and not made:
-        return f"nothing is tested: the reference {reference} has no completed run, or no other rule has one"
-    named = f"; the reference is {reference}, which does not depend on the results" if tests != "nemenyi" else ""
+        return (
+            f"nothing is tested: the reference {reference} has no completed run, or no other "
+            "rule has one"
+        )
+    named = (
+        f"; the reference is {reference}, which does not depend on the results"
+        if tests != "nemenyi"
+        else ""
+    )
     return f"tests: {TESTS[tests]}{named}"
 
 
 def scene_table(groups: Sequence[Group]) -> ResultTable:
-    """The rules on one scene at one budget, best held-out PSNR first, with all of ``COLUMNS`` that any run has."""
+    """The rules on one scene at one budget, best held-out PSNR first, with all of ``COLUMNS`` that
+    any run has."""
     order = sorted(groups, key=lambda g: _descending(g.summary(FIRST_METRIC).mean))
     columns = [c for c in COLUMNS.values() if any(g.summary(c.metric).n for g in groups)]
-    fixed = {"n_gaussians"} if any(g.fixes_size for g in groups) else set()  # nobody is better in it
-    cells = [_cells(c, [g.summary(c.metric) for g in order], marked=c.metric not in fixed) for c in columns]
+    fixed = (
+        {"n_gaussians"} if any(g.fixes_size for g in groups) else set()
+    )  # nobody is better in it
+    cells = [
+        _cells(
+            c,
+            [g.summary(c.metric) for g in order],
+            marked=c.metric not in fixed,
+        )
+        for c in columns
+    ]
     return ResultTable(
-        budget=groups[0].budget, scene=groups[0].scene, columns=tuple(columns),
+        budget=groups[0].budget,
+        scene=groups[0].scene,
+        columns=tuple(columns),
         rows=_rows([g.label for g in order], cells, _trained_otherwise(groups)),
         notes=tuple(_notes(groups)),
-    )  # fmt: skip
+    )
 
 
 def _scenes_table(
@@ -130,48 +167,77 @@ def _scenes_table(
     n_units = len({units[scene] for scene in scenes})
     found = {(g.label, g.scene): g.summary(FIRST_METRIC) for g in groups}
     nothing = Summary(math.nan, math.nan, 0)
-    cells = [_cells(column, [found.get((label, scene), nothing) for label in labels]) for scene in scenes]
-    cells.append(_cells(column, [dataclasses.replace(s.over_scenes, sd=math.nan) for s in order]))
+    cells = [
+        _cells(column, [found.get((label, scene), nothing) for label in labels]) for scene in scenes
+    ]
+    cells.append(
+        _cells(
+            column,
+            [dataclasses.replace(s.over_scenes, sd=math.nan) for s in order],
+        )
+    )
     cells.append([Cell(text=RANK.text(s.rank), value=RANK.shown(s.rank)) for s in order])
-    notes = [f"{column.name} on each scene, the mean over the scenes, and the mean of the ranks; ties share a rank"]
+    notes = [
+        f"{column.name} on each scene, the mean over the scenes, and the mean of the ranks; ties "
+        "share a rank"
+    ]
     notes += shared_frames({scene: units[scene] for scene in scenes})
     against = {c.a: c for c in tests if c.b == reference}
     if against:
         pairs = [_test_cells(against.get(label)) for label in labels]
         cells += [[difference for difference, _ in pairs], [p for _, p in pairs]]
         notes.append(
-            f"last columns: mean difference to {reference} with its 95 % interval, and p of the paired t test over "
+            f"last columns: mean difference to {reference} with its 95 % interval, and p of the "
+            "paired t test over "
             f"the {n_units} scenes, corrected by Holm's method for {tests[0].n_tests} comparisons"
         )
     notes += _notes_on_rows(groups)
-    notes += [f"{label} was tuned on: {where}" for label, where in tuned_on.items() if label in labels]
+    notes += [
+        f"{label} was tuned on: {where}" for label, where in tuned_on.items() if label in labels
+    ]
     return ResultTable(
         budget=groups[0].budget,
         scene="",
         columns=(
             *(dataclasses.replace(column, heading=scene) for scene in (*scenes, "Mean")),
-            RANK, *(_TEST_COLUMNS if against else ()),
+            RANK,
+            *(_TEST_COLUMNS if against else ()),
         ),
         rows=_rows(labels, cells, _trained_otherwise(groups)),
         notes=(*notes, _seeds_note(groups)),
-    )  # fmt: skip
+    )
 
 
-def _rows(labels: Sequence[str], cells: Sequence[Sequence[Cell]], marked: Mapping[str, str]) -> tuple[Row, ...]:
+def _rows(
+    labels: Sequence[str],
+    cells: Sequence[Sequence[Cell]],
+    marked: Mapping[str, str],
+) -> tuple[Row, ...]:
     """A row of each rule; ``cells`` are the columns."""
     return tuple(
-        Row(label=label, cells=tuple(of[i] for of in cells), mark=OTHERWISE if label in marked else "")
+        Row(
+            label=label,
+            cells=tuple(of[i] for of in cells),
+            mark=OTHERWISE if label in marked else "",
+        )
         for i, label in enumerate(labels)
     )
 
 
 def _trained_otherwise(groups: Sequence[Group]) -> dict[str, str]:
-    """Label of a rule -> how its publication trains the Gaussians, of the rules of which that is not as here."""
+    """Label of a rule -> how its publication trains the Gaussians, of the rules of which that is
+    not as here."""
     return {run.spec.label: run.training for group in groups for run in group.runs if run.training}
 
 
-def _cells(column: Column, summaries: Sequence[Summary], *, marked: bool = True) -> list[Cell]:
-    """A column over the rules; the best are marked unless neither direction is better, or all are the same."""
+def _cells(
+    column: Column,
+    summaries: Sequence[Summary],
+    *,
+    marked: bool = True,
+) -> list[Cell]:
+    """A column over the rules; the best are marked unless neither direction is better, or all are
+    the same."""
     values = [column.shown(s.mean) for s in summaries]
     known = {v for v in values if not math.isnan(v)}
     best = None
@@ -180,10 +246,11 @@ def _cells(column: Column, summaries: Sequence[Summary], *, marked: bool = True)
     return [
         Cell(
             text=column.text(s.mean) + ("" if math.isnan(s.sd) else f" ± {column.text(s.sd)}"),
-            value=value, best=value == best,
+            value=value,
+            best=value == best,
         )
         for s, value in zip(summaries, values, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def _test_cells(test: Comparison | None) -> tuple[Cell, Cell]:
@@ -198,12 +265,16 @@ def _test_cells(test: Comparison | None) -> tuple[Cell, Cell]:
 
 
 def _notes(groups: Sequence[Group]) -> list[str]:
-    """What a reader must know about the runs of one table: seeds, failures, and what was not equal."""
+    """What a reader must know about the runs of one table: seeds, failures, and what was not
+    equal."""
     runs = [run for group in groups for run in group.runs]
     if not runs:
         return ["no run was completed"]
     most = max(len(g.runs) + len(g.failed) for g in groups)
-    notes = [_seeds_note(groups), *(f"{g.label}: {len(g.runs)} of {most} runs" for g in groups if len(g.runs) < most)]
+    notes = [
+        _seeds_note(groups),
+        *(f"{g.label}: {len(g.runs)} of {most} runs" for g in groups if len(g.runs) < most),
+    ]
     budget, parts = runs[0].spec.budget, []
     for metric, noun, own in (
         ("n_gaussians", "Gaussians", budget.gaussians is None),
@@ -213,9 +284,15 @@ def _notes(groups: Sequence[Group]) -> list[str]:
         if own and means and max(means) > min(means):
             parts.append(f"{min(means):,.0f} to {max(means):,.0f} {noun}")
     if parts:
-        notes.append(f"not equal between the rules: {' and '.join(parts)}; quality also depends on these")
+        notes.append(
+            f"not equal between the rules: {' and '.join(parts)}; quality also depends on these"
+        )
     notes += _notes_on_rows(groups)
-    return list(dict.fromkeys([*notes, *(f"{run.spec.label}: {note}" for run in runs for note in run.notes)]))
+    return list(
+        dict.fromkeys(
+            [*notes, *(f"{run.spec.label}: {note}" for run in runs for note in run.notes)]
+        )
+    )
 
 
 def _notes_on_rows(groups: Sequence[Group]) -> list[str]:
@@ -225,8 +302,8 @@ def _notes_on_rows(groups: Sequence[Group]) -> list[str]:
     if marked := _trained_otherwise(groups):
         listed = "; ".join(f"{label} ({training})" for label, training in marked.items())
         notes.append(
-            f"{OTHERWISE} the publication trains the Gaussians otherwise than here, so the row is about this rule, and "
-            f"not about that system: {listed}"
+            f"{OTHERWISE} the publication trains the Gaussians otherwise than here, so the row is "
+            f"about this rule, and not about that system: {listed}"
         )
     return notes
 
@@ -235,7 +312,9 @@ def _seeds_note(groups: Sequence[Group]) -> str:
     seeds = len({run.spec.seed for group in groups for run in group.runs})
     if seeds < 2:
         return "one seed: no standard deviation within a scene"
-    return f"± within a scene: standard deviation over {seeds} seeds, which change only random draws"
+    return (
+        f"± within a scene: standard deviation over {seeds} seeds, which change only random draws"
+    )
 
 
 def _descending(value: float) -> float:
@@ -245,7 +324,9 @@ def _descending(value: float) -> float:
 def failures(results: "Iterable[RunResult]") -> list[tuple[str, str, str, int, str]]:
     """Label, scene, budget, seed and reason of each run that failed."""
     return [
-        (r.spec.label, r.spec.scene, str(r.spec.budget), r.spec.seed, r.reason) for r in results if r.status == "failed"
+        (r.spec.label, r.spec.scene, str(r.spec.budget), r.spec.seed, r.reason)
+        for r in results
+        if r.status == "failed"
     ]
 
 
@@ -259,7 +340,10 @@ def as_markdown(table: ResultTable) -> str:
         "|---|" + "---:|" * len(table.columns),
     ]
     for row in table.rows:
-        cells = (f"**{plain_markdown(cell.text)}**" if cell.best else plain_markdown(cell.text) for cell in row.cells)
+        cells = (
+            f"**{plain_markdown(cell.text)}**" if cell.best else plain_markdown(cell.text)
+            for cell in row.cells
+        )
         label = f"{plain_markdown(row.label)} {row.mark}".strip()
         lines.append(f"| {' | '.join([label, *cells])} |")
     return "\n".join([*lines, "", *(f"- {plain_markdown(note)}" for note in table.notes)])

@@ -1,4 +1,5 @@
-"""Reaching a budget: the option of a rule that decides its size, and the search for the value that gives the budget."""
+"""Reaching a budget: the option of a rule that decides its size, and the search for the value that
+gives the budget."""
 
 import dataclasses
 import itertools
@@ -42,8 +43,13 @@ SIZE_OPTIONS: dict[str, SizeOption] = {
     "on_the_fly_nvs": SizeOption("density", 1e-4, 1e4),
     "cone_gs": SizeOption("share", 1e-5, 1e3),
     **dict.fromkeys(("default_strategy", "mcmc", "game"), _SHARE),
-    **dict.fromkeys(("cg_slam", "gaus_slam", "gaussian_slam", "gps_slam", "gs_slam", "hf_slam", "mm3dgs"), _SHARE),
-    **dict.fromkeys(("rtg_slam", "splatam", "splatam_like", "two_dgs_slam", "vings", "vtgaussian"), _SHARE),
+    **dict.fromkeys(
+        ("cg_slam", "gaus_slam", "gaussian_slam", "gps_slam", "gs_slam", "hf_slam", "mm3dgs"),
+        _SHARE,
+    ),
+    **dict.fromkeys(
+        ("rtg_slam", "splatam", "splatam_like", "two_dgs_slam", "vings", "vtgaussian"), _SHARE
+    ),
 }
 """Registered rule -> its size option."""
 
@@ -58,8 +64,10 @@ def size_option(spec: RunSpec, rule: SeedingRule) -> SizeOption:
     name = dotted(spec.size_option) or (known.name if known else "")
     if not name:
         raise ValueError(
-            f"the rule {rule_name(rule)} has no size option: name the option that changes its number of Gaussians as "
-            f'size_option (its options: {", ".join(rule_options(rule)) or "none"}), or "{THIN}", which keeps a random '
+            f"the rule {rule_name(rule)} has no size option: name the option that changes its "
+            "number of Gaussians as "
+            f'size_option (its options: {", ".join(rule_options(rule)) or "none"}), or "{THIN}", '
+            "which keeps a random "
             f"share of its seeds"
         )
     if known is not None and name == known.name and spec.size_range is None:
@@ -79,10 +87,14 @@ def start_value(spec: RunSpec, rule: SeedingRule, option: SizeOption) -> float |
     values = {**flat_settings(spec.config()), **rule_options(rule), **spec.options}
     if option.name not in values:
         known = ", ".join([*rule_options(rule), THIN])
-        raise ValueError(f"the rule {rule_name(rule)} has no option {shown(option.name)} to tune; known: {known}")
+        raise ValueError(
+            f"the rule {rule_name(rule)} has no option {shown(option.name)} to tune; known: {known}"
+        )
     value = values[option.name]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or value <= 0:
-        raise ValueError(f"the size option {option.name} must be a number above 0, got {shown(value)}")
+        raise ValueError(
+            f"the size option {option.name} must be a number above 0, got {shown(value)}"
+        )
     return value
 
 
@@ -98,7 +110,11 @@ def with_size(spec: RunSpec, option: SizeOption, value: float | int) -> RunSpec:
     return RunSpec.from_json(values)
 
 
-def _usual_range(spec: RunSpec, rule: SeedingRule, name: str) -> tuple[float | int, float | int]:
+def _usual_range(
+    spec: RunSpec,
+    rule: SeedingRule,
+    name: str,
+) -> tuple[float | int, float | int]:
     if name == THIN:
         return 1e-5, 1.0
     start = start_value(spec, rule, SizeOption(name, 0, 0))
@@ -131,10 +147,11 @@ def search(
     whole: bool = False,
     counts: dict[Number, Number] | None = None,
 ) -> dict[Number, Number]:
-    """Search for ``count(value) = target``; ``count`` is monotone, but the direction need not be known.
+    """Search for ``count(value) = target``; ``count`` is monotone, but the direction need not be
+    known.
 
-    Values and counts are compared by their ratios. Between two values on both sides of the target it interpolates, or
-    bisects when one end stays; outside it follows the slope.
+    Values and counts are compared by their ratios. Between two values on both sides of the target
+    it interpolates, or bisects when one end stays; outside it follows the slope.
 
     Args:
         count: What is counted at a value.
@@ -146,7 +163,8 @@ def search(
         counts: Counts that are known already.
 
     Returns:
-        Value -> count, in the order of evaluation; the one nearest to the target may be farther than ``tolerance``.
+        Value -> count, in the order of evaluation; the one nearest to the target may be farther
+        than ``tolerance``.
     """
     counts = {} if counts is None else counts
 
@@ -171,7 +189,10 @@ def search(
         value = a * (b / a) ** share
         if not whole:
             return value
-        inside = range(math.floor(min(a, b)) + 1, math.ceil(max(a, b)))
+        inside = range(
+            math.floor(min(a, b)) + 1,
+            math.ceil(max(a, b)),
+        )
         return min(inside, key=lambda v: abs(v - value)) if inside else a
 
     def beyond() -> Number:
@@ -186,7 +207,10 @@ def search(
         if counts[edge] == counts[inner]:
             return high if upwards else low
         slope = ratio(counts[edge], counts[inner]) / math.log(edge / inner)
-        return moved(edge, abs(ratio(target, counts[edge]) / slope) * (1 if upwards else -1))
+        return moved(
+            edge,
+            abs(ratio(target, counts[edge]) / slope) * (1 if upwards else -1),
+        )
 
     def following() -> Number | None:
         """The value to try next; None if the search has ended."""
@@ -196,7 +220,10 @@ def search(
         above = [v for v, n in counts.items() if n >= target]
         if not (below and above):
             return beyond()
-        a, b = min(itertools.product(below, above), key=lambda pair: abs(math.log(pair[0] / pair[1])))
+        a, b = min(
+            itertools.product(below, above),
+            key=lambda pair: abs(math.log(pair[0] / pair[1])),
+        )
         return None if abs(math.log(a / b)) < _CLOSEST else between(a, b)
 
     value = following() if counts else allowed(start)
@@ -238,7 +265,8 @@ def is_tuned(spec: RunSpec) -> bool:
 
 
 def tuning_spec(spec: RunSpec) -> RunSpec:
-    """The run whose tuning is also that of ``spec``: equal but for the seed, which is the same for all."""
+    """The run whose tuning is also that of ``spec``: equal but for the seed, which is the same for
+    all."""
     return dataclasses.replace(spec, seed=TUNING_SEED)
 
 
@@ -251,10 +279,12 @@ def with_tuned(entry: Entry, tuned: Mapping[str, Any] | None) -> Entry:
 
 
 def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
-    """Find what the budget of ``entry`` asks for, with scratch runs; ``on_step`` is called between their frames.
+    """Find what the budget of ``entry`` asks for, with scratch runs; ``on_step`` is called between
+    their frames.
 
-    First without gradient steps, which is fast; then, if they can change the number of Gaussians, with all of them.
-    They cannot if the rule never read the Gaussians of the map and does not edit it.
+    First without gradient steps, which is fast; then, if they can change the number of Gaussians,
+    with all of them. They cannot if the rule never read the Gaussians of the map and does not edit
+    it.
 
     Returns:
         Plain values: option, value, n_gaussians (in the last tuning run), n_runs.
@@ -264,7 +294,11 @@ def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
     """
     spec, rule, used = entry.spec, entry.found_rule(), set()
     option, config = size_option(spec, rule), budgeted(spec)
-    start, target, tolerance = start_value(spec, rule, option), spec.budget.gaussians, spec.budget.tolerance
+    start, target, tolerance = (
+        start_value(spec, rule, option),
+        spec.budget.gaussians,
+        spec.budget.tolerance,
+    )
     assert target is not None
     whole, has_steps = isinstance(start, int), without_steps(config) != config
     entry = dataclasses.replace(entry, rule=observed(rule, used))
@@ -273,7 +307,9 @@ def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
     def counter(settings: Callable[[SystemConfig], SystemConfig]) -> Callable[[Number], Number]:
         def count(value: Number) -> int:
             most = math.inf if "after_step" in used else FAR_TOO_MANY * target
-            changed = dataclasses.replace(entry, spec=with_size(spec, option, int(value) if whole else value))
+            changed = dataclasses.replace(
+                entry, spec=with_size(spec, option, int(value) if whole else value)
+            )
             return _count(changed, settings(budgeted(changed.spec)), most, on_step)
 
         return count
@@ -282,12 +318,18 @@ def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
     first = round(first) if whole else first
     counts: dict[Number, Number] = {first: count(first)}  # which tells what the rule reads
     rough = 4 if used and has_steps else 1  # only a start for the search with all steps
-    counts = search(count, target, start=first, tolerance=rough * tolerance / 2, counts=counts, **limits)
+    counts = search(
+        count, target, start=first, tolerance=rough * tolerance / 2, counts=counts, **limits
+    )
     value = min(counts, key=_errors(counts, target).__getitem__)
     n_runs = len(counts)
-    too_few = "after_step" not in used and counts[value] < target / 2  # and seeding is most without steps
+    too_few = (
+        "after_step" not in used and counts[value] < target / 2
+    )  # and seeding is most without steps
     if used and has_steps and not too_few:
-        counts = search(counter(lambda config: config), target, start=value, tolerance=tolerance / 2, **limits)
+        counts = search(
+            counter(lambda config: config), target, start=value, tolerance=tolerance / 2, **limits
+        )
         n_runs += len(counts)
     try:
         value = nearest(counts, target, tolerance)
@@ -297,13 +339,16 @@ def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
             f"option {option.name}: {e}"
         ) from None
     return {
-        "option": option.name, "value": int(value) if whole else value, "n_runs": n_runs,
+        "option": option.name,
+        "value": int(value) if whole else value,
+        "n_runs": n_runs,
         "n_gaussians": int(counts[value]),
-    }  # fmt: skip
+    }
 
 
 def _count(entry: Entry, config: SystemConfig, most: float, on_step: OnStep) -> int:
-    """Gaussians in the map of a scratch run; extrapolated from a run that is given up, at more than ``most``."""
+    """Gaussians in the map of a scratch run; extrapolated from a run that is given up, at more than
+    ``most``."""
     steps, n_frames = map_scene(entry, config, scratch=True), len(entry.opened().mapping)
     for done in itertools.count(1):
         try:

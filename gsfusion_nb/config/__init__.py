@@ -1,4 +1,5 @@
-"""Settings of a run: frozen dataclasses with the unit in the name, and presets named after papers and data sets."""
+"""Settings of a run: frozen dataclasses with the unit in the name, and presets named after papers
+and data sets."""
 
 from .gps_slam import BaseConfig as BaseConfig
 from .gps_slam import GpsSlamConfig as GpsSlamConfig

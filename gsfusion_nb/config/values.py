@@ -1,4 +1,5 @@
-"""Changing, saving, comparing and explaining settings: frozen dataclasses of plain values or of such dataclasses."""
+"""Changing, saving, comparing and explaining settings: frozen dataclasses of plain values or of
+such dataclasses."""
 
 import ast
 import dataclasses
@@ -21,11 +22,13 @@ C = TypeVar("C")
 
 
 NOT_FOR_RULES = ("data", "seed", "seeding.rule", "seeding.options", "seeding.own_settings")
-"""Settings that a seeding rule cannot bring: they are used before the mapper is made, or choose the rule itself."""
+"""Settings that a seeding rule cannot bring: they are used before the mapper is made, or choose the
+rule itself."""
 
 
 def replace(config: C, **overrides: Any) -> C:
-    """A copy of ``config`` with some fields changed; nested ones take a double underscore: ``tsdf__voxel_size_m``.
+    """A copy of ``config`` with some fields changed; nested ones take a double underscore:
+    ``tsdf__voxel_size_m``.
 
     In the settings of a system these count as set by the user: a seeding rule does not change them.
     """
@@ -34,13 +37,16 @@ def replace(config: C, **overrides: Any) -> C:
 
 
 def with_own_settings(config: C, names: Iterable[str]) -> C:
-    """The settings of a system with more names in ``seeding.own_settings``; other settings are returned unchanged."""
+    """The settings of a system with more names in ``seeding.own_settings``; other settings are
+    returned unchanged."""
     seeding: Any = getattr(config, "seeding", None)
     if not hasattr(seeding, "own_settings"):
         return config
     own = list(seeding.own_settings)
     for name in names:
-        for_rules = not any(name == taken or name.startswith(f"{taken}.") for taken in NOT_FOR_RULES)
+        for_rules = not any(
+            name == taken or name.startswith(f"{taken}.") for taken in NOT_FOR_RULES
+        )
         if for_rules and name not in own:
             own.append(name)
     return _merge(config, {"seeding": {"own_settings": own}}, "")
@@ -58,35 +64,44 @@ def nested(values: Mapping[str, Any], separator: str) -> dict[str, Any]:
     return tree
 
 
-def from_dict(cls: type[C], values: dict[str, Any], *, start: C | None = None) -> C:
-    """Build ``cls`` from nested dictionaries, as ``to_dict`` or ``config.json`` give them; unknown keys are refused.
+def from_dict(
+    cls: type[C],
+    values: dict[str, Any],
+    *,
+    start: C | None = None,
+) -> C:
+    """Build ``cls`` from nested dictionaries, as ``to_dict`` or ``config.json`` give them; unknown
+    keys are refused.
 
     What ``values`` leaves out comes from ``start``, or from the defaults.
 
     Raises:
-        ValueError: a value that no setting has, or a seeding rule in a file: no mapper executes code because a file of
-            settings says so.
+        ValueError: a value that no setting has, or a seeding rule in a file: no mapper executes
+            code because a file of settings says so.
     """
     seeding = values.get("seeding")
     rule = seeding.get("rule") if isinstance(seeding, dict) else None
     if isinstance(rule, str) and ".py" in rule:
         raise ValueError(
-            f"seeding.rule must be the name of a rule, got the file {shown(rule)}; where you trust it, give it to "
-            "run_mapping or to a mapper (seeding=...)"
+            f"seeding.rule must be the name of a rule, got the file {shown(rule)}; where you trust "
+            "it, give it to run_mapping or to a mapper (seeding=...)"
         )
     return _merge(cls() if start is None else start, values, "")
 
 
 def from_run(cls: type[C], values: dict[str, Any]) -> C:
-    """The settings of a run, from its files: what they leave out is what runs did before that setting existed.
+    """The settings of a run, from its files: what they leave out is what runs did before that
+    setting existed.
 
-    That is not always the default: a setting that came later may have a default that changes maps (``within``).
+    That is not always the default: a setting that came later may have a default that changes maps
+    (``within``).
     """
     return from_dict(cls, values, start=_before(cls()))
 
 
 def _before(settings: C) -> C:
-    """``settings`` with the values that runs had before the settings existed, where a field names one."""
+    """``settings`` with the values that runs had before the settings existed, where a field names
+    one."""
     changes = {}
     for f in dataclasses.fields(settings):  # pyright: ignore[reportArgumentType]
         value = getattr(settings, f.name)
@@ -102,8 +117,14 @@ def to_dict(config: Any) -> dict[str, Any]:
     return dataclasses.asdict(config)
 
 
-def within(default: Any, low: float | int, high: float | int = math.inf, **more: Any) -> Any:
-    """A field of settings whose numbers lie between ``low`` and ``high``, both allowed; ``more`` as for ``setting``."""
+def within(
+    default: Any,
+    low: float | int,
+    high: float | int = math.inf,
+    **more: Any,
+) -> Any:
+    """A field of settings whose numbers lie between ``low`` and ``high``, both allowed; ``more`` as
+    for ``setting``."""
     return setting(default, range=(low, high), **more)
 
 
@@ -117,7 +138,8 @@ def setting(default: Any, **metadata: Any) -> Any:
 
     Args:
         default: Its default.
-        metadata: ``before``: what a run did before the setting existed, where that is not the default (``from_run``).
+        metadata: ``before``: what a run did before the setting existed, where that is not the
+            default (``from_run``).
     """
     return field(default=default, metadata=metadata)
 
@@ -129,12 +151,15 @@ def named(default: Any, names: Callable[[], Iterable[str]]) -> Any:
         default: Its default, or a function that returns it.
         names: Returns what the registry has; it may add a few words in brackets to a name.
     """
-    given: dict[str, Any] = {"default_factory": default} if callable(default) else {"default": default}
+    given: dict[str, Any] = (
+        {"default_factory": default} if callable(default) else {"default": default}
+    )
     return field(**given, metadata={"names": names})
 
 
 class Settings:
-    """A group of settings. Values outside of the ranges that its fields declare are refused when it is made."""
+    """A group of settings. Values outside of the ranges that its fields declare are refused when it
+    is made."""
 
     group: ClassVar[str] = ""
 
@@ -146,8 +171,8 @@ class Settings:
 
 
 def check_kinds(group: str, config: Any) -> None:
-    """Raise ``ValueError`` unless words are among those a field lists, whole numbers whole, switches booleans, and
-    numbers in their range."""
+    """Raise ``ValueError`` unless words are among those a field lists, whole numbers whole,
+    switches booleans, and numbers in their range."""
     for f in dataclasses.fields(config):
         name = f"{group}.{f.name}".removeprefix(".")
         value = getattr(config, f.name)
@@ -155,9 +180,15 @@ def check_kinds(group: str, config: Any) -> None:
         if words and value not in words:
             raise ValueError(f"{name} must be one of {', '.join(words)}, got {shown(value)}")
         for kind, wanted in ((int, "a whole number"), (bool, "True or False"), (str, "a text")):
-            if f.type is kind and (not isinstance(value, kind) or isinstance(value, bool) != (kind is bool)):
+            if f.type is kind and (
+                not isinstance(value, kind) or isinstance(value, bool) != (kind is bool)
+            ):
                 raise ValueError(f"{name} must be {wanted}, got {shown(value)}")
-        if isinstance(f.type, type) and dataclasses.is_dataclass(f.type) and not isinstance(value, f.type):
+        if (
+            isinstance(f.type, type)
+            and dataclasses.is_dataclass(f.type)
+            and not isinstance(value, f.type)
+        ):
             raise ValueError(f"{name} must be a group of settings, got {shown(value)}")
         if typing.get_origin(f.type) is dict and not isinstance(value, dict):
             raise ValueError(f"{name} must hold values by name, got {shown(value)}")
@@ -172,7 +203,9 @@ def _merge(config: Any, values: dict[str, Any], path: str) -> Any:
     known = {f.name for f in dataclasses.fields(config)}
     unknown = sorted(set(values) - known)
     if unknown:
-        raise ValueError(f"{path.rstrip('.') or 'config'}: unknown keys {unknown}; known: {sorted(known)}")
+        raise ValueError(
+            f"{path.rstrip('.') or 'config'}: unknown keys {unknown}; known: {sorted(known)}"
+        )
     changed = {}
     for name, value in values.items():
         old = getattr(config, name)
@@ -186,7 +219,8 @@ def _merge(config: Any, values: dict[str, Any], path: str) -> Any:
 
 @functools.cache
 def read_packaged(path: Path) -> dict[str, Any]:
-    """Values of a TOML file of this package, read once; the text "None" stands for no value, which TOML lacks."""
+    """Values of a TOML file of this package, read once; the text "None" stands for no value, which
+    TOML lacks."""
     return _with_none(tomllib.loads(path.read_text(encoding="utf-8")))
 
 
@@ -201,8 +235,8 @@ MEASURED = "measured"
 
 
 class Presets:
-    """Settings of a system. The defaults of its dataclass are the fidelity "measured" on most data; ``presets.toml``
-    says what other fidelities and data sets change.
+    """Settings of a system. The defaults of its dataclass are the fidelity "measured" on most data;
+    ``presets.toml`` says what other fidelities and data sets change.
 
     Args:
         system: Its name.
@@ -225,7 +259,12 @@ class Presets:
         self.of_code: dict[str, dict[str, Any]] = tables.get("code_on", {})
         """Preset -> a last layer of the fidelity "code"."""
 
-    def make(self, preset: str, fidelity: str, overrides: dict[str, Any]) -> Any:
+    def make(
+        self,
+        preset: str,
+        fidelity: str,
+        overrides: dict[str, Any],
+    ) -> Any:
         """The settings of a preset and a fidelity, with fields changed as for ``replace``.
 
         Raises:
@@ -254,9 +293,11 @@ class Presets:
         return {f: [_results(self.make(p, f, {})) for p in self.of_data] for f in self.fidelities}
 
     def fidelity_of(self, config: Any) -> str:
-        """The fidelity that ``config`` follows, with its exceptions: "paper", or "code, but optim.ssim_weight 0.0".
+        """The fidelity that ``config`` follows, with its exceptions: "paper", or "code, but
+        optim.ssim_weight 0.0".
 
-        Only the settings in which the fidelities differ count. Of equally close ones it is the first.
+        Only the settings in which the fidelities differ count. Of equally close ones it is the
+        first.
         """
         deciding = {
             key
@@ -281,7 +322,10 @@ def _results(config: Any) -> dict[str, Any]:
     return values
 
 
-def leaves(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+def leaves(
+    values: Mapping[str, Any],
+    path: str = "",
+) -> dict[str, Any]:
     """Nested values by dotted name; the options of the seeding rule are one value."""
     found: dict[str, Any] = {}
     for name, value in values.items():
@@ -294,27 +338,54 @@ T = TypeVar("T")
 
 
 EVERYDAY = (
-    "system", "preset", "fidelity", "rule_options", "device",
-    "data", "out", "reader", "resume", "evaluate",
-    "sh_degree", "seed", "keyframe_every",
-    "data.width", "data.stop", "data.stride", "data.depth_max_m", "data.hold_out_every",
-    "tsdf.voxel_size_m", "tsdf.far_m",
-    "seeding.rule", "seeding.quadtree_threshold",
-    "tracking.poses", "tracking.back_end",
-    "optim.global_iterations", "optim.refine_poses", "optim.fit_exposure", "final.passes",
-)  # fmt: skip
-"""The options that people change, by dotted name, of all systems. ``--help`` of a command with settings shows only
-these, ``--help-all`` every one."""
+    "system",
+    "preset",
+    "fidelity",
+    "rule_options",
+    "device",
+    "data",
+    "out",
+    "reader",
+    "resume",
+    "evaluate",
+    "sh_degree",
+    "seed",
+    "keyframe_every",
+    "data.width",
+    "data.stop",
+    "data.stride",
+    "data.depth_max_m",
+    "data.hold_out_every",
+    "tsdf.voxel_size_m",
+    "tsdf.far_m",
+    "seeding.rule",
+    "seeding.quadtree_threshold",
+    "tracking.poses",
+    "tracking.back_end",
+    "optim.global_iterations",
+    "optim.refine_poses",
+    "optim.fit_exposure",
+    "final.passes",
+)
+"""The options that people change, by dotted name, of all systems. ``--help`` of a command with
+settings shows only these, ``--help-all`` every one."""
 
 
-def parse_options(options: type[T], *, prog: str, arguments: list[str], everyday: Collection[str] = ()) -> T:
+def parse_options(
+    options: type[T],
+    *,
+    prog: str,
+    arguments: list[str],
+    everyday: Collection[str] = (),
+) -> T:
     """``tyro.cli`` with the texts under the fields as help.
 
     Args:
         options: Dataclass of the options; the text under a field is its help.
         prog: Name of the command in the help.
         arguments: What the user typed after it.
-        everyday: Dotted names of the options that ``--help`` shows, all by default; ``--help-all`` shows every one.
+        everyday: Dotted names of the options that ``--help`` shows, all by default; ``--help-all``
+            shows every one.
     """
     import tyro
 
@@ -328,7 +399,8 @@ def parse_options(options: type[T], *, prog: str, arguments: list[str], everyday
 
 
 def named_values(texts: Iterable[str]) -> dict[str, Any]:
-    """``name=value`` texts as a dictionary of numbers, True or False, and words; a dash in a name is an underscore.
+    """``name=value`` texts as a dictionary of numbers, True or False, and words; a dash in a name
+    is an underscore.
 
     Raises:
         ValueError: a text without "=".
@@ -345,13 +417,21 @@ def named_values(texts: Iterable[str]) -> dict[str, Any]:
 def parse_value(text: str) -> Any:
     """A number, True or False, or the text itself if it is neither."""
     try:
-        return parse_json(text.lower() if text.lower() in ("true", "false") else text, text, "a value")
+        return parse_json(
+            text.lower() if text.lower() in ("true", "false") else text, text, "a value"
+        )
     except SequenceError:
         return text
 
 
-def _only(names: Collection[str], options: type[T], default: Any = None, path: str = "") -> type[T]:
-    """A dataclass for a help text: the fields of ``options`` that have these dotted names, with their defaults."""
+def _only(
+    names: Collection[str],
+    options: type[T],
+    default: Any = None,
+    path: str = "",
+) -> type[T]:
+    """A dataclass for a help text: the fields of ``options`` that have these dotted names, with
+    their defaults."""
     hints, fields = typing.get_type_hints(options, include_extras=True), []
     for f in dataclasses.fields(options):  # pyright: ignore[reportArgumentType]
         value = f.default if default is None else getattr(default, f.name)
@@ -359,10 +439,16 @@ def _only(names: Collection[str], options: type[T], default: Any = None, path: s
             value = f.default_factory()
         kind = hints[f.name]
         if is_dataclass(value):
-            below = path if f.name == "config" else f"{path}{f.name}."  # the settings of a system are at the top
+            below = (
+                path if f.name == "config" else f"{path}{f.name}."
+            )  # the settings of a system are at the top
             if any(name.startswith(below) for name in names):
                 group = _only(names, type(value), value, below)
-                kind = Annotated[(group, *get_args(kind)[1:])] if get_origin(kind) is Annotated else group
+                kind = (
+                    Annotated[(group, *get_args(kind)[1:])]
+                    if get_origin(kind) is Annotated
+                    else group
+                )
                 fields.append((f.name, kind, field(default_factory=group)))
         elif path + f.name in names:
             fields.append((f.name, kind, field(default_factory=lambda value=value: value)))
@@ -372,7 +458,8 @@ def _only(names: Collection[str], options: type[T], default: Any = None, path: s
 
 
 def _explain(options: type) -> None:
-    """Attach the explanations to the fields of a dataclass, of its bases, and of the dataclasses in it."""
+    """Attach the explanations to the fields of a dataclass, of its bases, and of the dataclasses in
+    it."""
     for base in options.__mro__:
         if "__dataclass_fields__" in vars(base):
             _explain_own_fields(base)
@@ -400,7 +487,8 @@ def _explain_own_fields(cls: type) -> None:
 
 
 def _default(value: str) -> str:
-    """The default value after an explanation; an empty one says nothing, and the explanation says what it means."""
+    """The default value after an explanation; an empty one says nothing, and the explanation says
+    what it means."""
     return "" if value in ("", "''", "{}") else f"(default: {value})"
 
 
@@ -413,5 +501,7 @@ def _explanations(cls: type) -> dict[str, str]:
     return {
         each.target.id: " ".join(text.value.value.split())  # pyright: ignore
         for each, text in itertools.pairwise(source.body)
-        if isinstance(each, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+        if isinstance(each, ast.AnnAssign)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
     }

@@ -1,4 +1,5 @@
-"""Exercises of the course: checkers by chapter, predictions, progress, and the copies of the notebooks."""
+"""Exercises of the course: checkers by chapter, predictions, progress, and the copies of the
+notebooks."""
 
 from . import learner_backend as mine
 from .course import course_progress as course_progress

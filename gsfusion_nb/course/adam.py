@@ -36,39 +36,90 @@ def _no_memory(param, gradient, m, v, t, lr, beta1, beta2, eps) -> Step:
 
 
 def _corrected_moments_kept(param, gradient, m, v, t, lr, beta1, beta2, eps) -> Step:
-    param, m, v = _adam(param, gradient, m, v, t, lr, beta1, beta2, eps)
+    param, m, v = _adam(
+        param,
+        gradient,
+        m,
+        v,
+        t,
+        lr,
+        beta1,
+        beta2,
+        eps,
+    )
     return param, m / (1 - beta1**t), v / (1 - beta2**t)
 
 
 def _eps_inside(param, gradient, m, v, t, lr, beta1, beta2, eps) -> Step:
-    _, m, v = _adam(param, gradient, m, v, t, lr, beta1, beta2, eps)
+    _, m, v = _adam(
+        param,
+        gradient,
+        m,
+        v,
+        t,
+        lr,
+        beta1,
+        beta2,
+        eps,
+    )
     return param - lr * m / (1 - beta1**t) / (v / (1 - beta2**t) + eps).sqrt(), m, v
 
 
 def _as_adam_update(
-    yours: Yours, param: Tensor, gradient: Tensor, exp_avg: Tensor, exp_avg_sq: Tensor, steps: int | Tensor | None,
-    *, lr: float | Tensor, beta1: float, beta2: float, eps: float,
-) -> None:  # fmt: skip
+    yours: Yours,
+    param: Tensor,
+    gradient: Tensor,
+    exp_avg: Tensor,
+    exp_avg_sq: Tensor,
+    steps: int | Tensor | None,
+    *,
+    lr: float | Tensor,
+    beta1: float,
+    beta2: float,
+    eps: float,
+) -> None:
     """Yours on all rows that have taken the same number of steps, in place."""
     if isinstance(steps, Tensor):
         parts = [(int(t), steps == t) for t in steps.unique()]
     else:
-        parts = [(math.inf if steps is None else steps, torch.ones(len(param), dtype=torch.bool, device=param.device))]
+        parts = [
+            (
+                math.inf if steps is None else steps,
+                torch.ones(len(param), dtype=torch.bool, device=param.device),
+            )
+        ]
     state = {"param": param, "m": exp_avg, "v": exp_avg_sq}
     for t, rows in parts:
         p, g, m, v = (x[rows] for x in (param, gradient, exp_avg, exp_avg_sq))
-        new = yours(p, g, m, v, t, lr, beta1, beta2, eps, gives={"param": p, "m": m, "v": v})
+        new = yours(
+            p,
+            g,
+            m,
+            v,
+            t,
+            lr,
+            beta1,
+            beta2,
+            eps,
+            gives={"param": p, "m": m, "v": v},
+        )
         for old, value in zip(state.values(), new, strict=True):
             old[rows] = value
 
 
 @exercise(
-    chapter=5, difficulty=3, minutes=12, solution=_adam, becomes=Becomes("adam_update", _as_adam_update),
+    chapter=5,
+    difficulty=3,
+    minutes=12,
+    solution=_adam,
+    becomes=Becomes("adam_update", _as_adam_update),
     hints=(
-        "First the two running averages: m of the gradient, v of its square. What weight does the new value get?",
-        "Both start at 0 and are too small at first: divide m by 1 - beta1^t, and v by 1 - beta2^t.",
-        "Go downhill by lr m_hat / (sqrt(v_hat) + eps). Return m and v without the correction; the next step needs "
-        "them. beta ** t is 0 for t = infinity, so no special case is needed.",
+        "First the two running averages: m of the gradient, v of its square. What weight does the "
+        "new value get?",
+        "Both start at 0 and are too small at first: divide m by 1 - beta1^t, and v by 1 - "
+        "beta2^t.",
+        "Go downhill by lr m_hat / (sqrt(v_hat) + eps). Return m and v without the correction; the "
+        "next step needs them. beta ** t is 0 for t = infinity, so no special case is needed.",
     ),
     wrong=(
         Wrong(_uphill, says="a positive gradient makes the parameter smaller"),
@@ -78,7 +129,7 @@ def _as_adam_update(
         Wrong(_corrected_moments_kept, says="without the correction"),
         Wrong(_eps_inside, says="eps is added to the root"),
     ),
-)  # fmt: skip
+)
 def adam(attempt: Attempt) -> None:
     """One step of Adam (Kingma & Ba 2015): new parameter, m and v."""
     names, f64 = ("param", "m", "v"), torch.float64
@@ -87,28 +138,54 @@ def adam(attempt: Attempt) -> None:
     attempt.on("gradients 2 and -0.5 at the first step, lr = 0.01")
     param, m, v = attempt.unpack(attempt(zero, g, zero, zero, 1, *rest), names)
     attempt.close(
-        m, 0.1 * g, "m averages the gradient: a new value counts 1 - beta1", why="returned without the correction"
+        m,
+        0.1 * g,
+        "m averages the gradient: a new value counts 1 - beta1",
+        why="returned without the correction",
     )
     attempt.close(v, 0.001 * g**2, "v averages the squared gradient, without the correction")
     direction = torch.as_tensor(param).sign()
     attempt.close(direction, [[-1.0], [1.0]], "a positive gradient makes the parameter smaller")
     why = "m_hat / sqrt(v_hat) is the sign of the gradient at t = 1"
-    attempt.close(param, [[-0.01], [0.01]], "the first step is one learning rate, however large the gradient", why=why)
+    attempt.close(
+        param,
+        [[-0.01], [0.01]],
+        "the first step is one learning rate, however large the gradient",
+        why=why,
+    )
     generator = torch.Generator().manual_seed(4)
     param, g, m = (torch.randn(5, 3, generator=generator, dtype=f64) for _ in range(3))
-    v, lr = torch.rand(5, 3, generator=generator, dtype=f64), torch.tensor([0.1, 0.2, 0.3], dtype=f64)
+    v, lr = (
+        torch.rand(5, 3, generator=generator, dtype=f64),
+        torch.tensor([0.1, 0.2, 0.3], dtype=f64),
+    )
     given = (param, g, m, v)
-    got = attempt.unpack(attempt.on("random numbers at step 7, lr = 0.05")(*given, 7, 0.05, 0.9, 0.99, 1e-15), names)
+    got = attempt.unpack(
+        attempt.on("random numbers at step 7, lr = 0.05")(*given, 7, 0.05, 0.9, 0.99, 1e-15), names
+    )
     expected = _adam(*given, 7, 0.05, 0.9, 0.99, 1e-15)
     attempt.close(got[1], expected[1], "m averages the gradient: the old m counts beta1")
     attempt.close(got[2], expected[2], "v averages the squared gradient: the old v counts beta2")
-    corrected = "the step is lr m_hat / sqrt(v_hat), with m_hat = m / (1 - beta1^t) and v_hat = v / (1 - beta2^t)"
+    corrected = (
+        "the step is lr m_hat / sqrt(v_hat), with m_hat = m / (1 - beta1^t) and v_hat = v "
+        "/ (1 - beta2^t)"
+    )
     attempt.close(got[0], expected[0], corrected)
-    got = attempt.unpack(attempt.on("the same with eps = 0.1")(*given, 7, 0.05, 0.9, 0.99, 0.1), names)
-    attempt.close(got[0], _adam(*given, 7, 0.05, 0.9, 0.99, 0.1)[0], "eps is added to the root of v_hat")
+    got = attempt.unpack(
+        attempt.on("the same with eps = 0.1")(*given, 7, 0.05, 0.9, 0.99, 0.1), names
+    )
+    attempt.close(
+        got[0],
+        _adam(*given, 7, 0.05, 0.9, 0.99, 0.1)[0],
+        "eps is added to the root of v_hat",
+    )
     attempt.on("the same with a learning rate for each column")
     got = attempt.unpack(attempt(*given, 7, lr, 0.9, 0.99, 0.1), names)
-    attempt.close(got[0], _adam(*given, 7, lr, 0.9, 0.99, 0.1)[0], "lr may be a tensor, one for each column")
+    attempt.close(
+        got[0],
+        _adam(*given, 7, lr, 0.9, 0.99, 0.1)[0],
+        "lr may be a tensor, one for each column",
+    )
     attempt.on("the same with t = infinity: no correction")
     got = attempt.unpack(attempt(*given, math.inf, lr, 0.9, 0.999, 0.1), names)
     expected = _adam(*given, math.inf, lr, 0.9, 0.999, 0.1)

@@ -1,4 +1,5 @@
-"""A learner's function under test, the statements that a judge makes about what it returns, and the verdict."""
+"""A learner's function under test, the statements that a judge makes about what it returns, and the
+verdict."""
 
 import functools
 import inspect
@@ -30,10 +31,12 @@ class NotWritten(Exception):
 
 
 class Attempt:
-    """Calls the student's function on copies of its arguments; if it raises or changes them, that is a ``Failed``.
+    """Calls the student's function on copies of its arguments; if it raises or changes them, that
+    is a ``Failed``.
 
-    ``on`` describes the input of a call in words: those given by ``attempt.on("...")`` before it, or made from it.
-    NumPy arrays come back as tensors, NumPy numbers as Python's, and what a generator yields as a list.
+    ``on`` describes the input of a call in words: those given by ``attempt.on("...")`` before it,
+    or made from it. NumPy arrays come back as tensors, NumPy numbers as Python's, and what a
+    generator yields as a list.
     """
 
     def __init__(self, function: Callable[..., Any]):
@@ -47,12 +50,16 @@ class Attempt:
         """Lines at which a function of the library returned the answer, in every call so far."""
 
     def on(self, words: str) -> "Attempt":
-        """Describe the input of the next calls: ``attempt.on("a pixel at 2 m")(camera, uv, depth)``."""
+        """Describe the input of the next calls:
+        ``attempt.on("a pixel at 2 m")(camera, uv, depth)``."""
         self.words = words
         return self
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        given, named = [argument_copy(a) for a in args], {k: argument_copy(a) for k, a in kwargs.items()}
+        given, named = (
+            [argument_copy(a) for a in args],
+            {k: argument_copy(a) for k, a in kwargs.items()},
+        )
         on = self.words or describe([*args, *kwargs.values()])
         try:
             with calls_of_library(self.function) as calls:
@@ -64,14 +71,20 @@ class Attempt:
         except Exception as e:
             place = line_of_error(e, self.function)
             raised = f"it raised {type(e).__name__}{f' in {place}' if place else ''}"
-            raise Failed("it runs", on, f"{raised}: {str(e).splitlines()[0] if str(e) else ''}") from e
+            raise Failed(
+                "it runs", on, f"{raised}: {str(e).splitlines()[0] if str(e) else ''}"
+            ) from e
         if result is None or result is Ellipsis:
             raise NotWritten
         self.lines |= {code: line for line, code, _ in calls}
         same = {line for line, _, value in calls if _is_answer(value, result)}
         self.borrowed = same if self.borrowed is None else self.borrowed & same
         self.returned = result
-        for before, after in zip([*args, *kwargs.values()], [*given, *named.values()], strict=True):
+        for before, after in zip(
+            [*args, *kwargs.values()],
+            [*given, *named.values()],
+            strict=True,
+        ):
             if not _same(before, after):
                 names = {Tensor: "a tensor", np.ndarray: "an array", Camera: "the camera"}
                 what = names.get(type(before), f"a {type(before).__name__}")
@@ -80,12 +93,24 @@ class Attempt:
         return self.returned
 
     def not_borrowed(self, replaced: Sequence[Callable[..., Any]]) -> None:
-        """Fails if functions of the library returned the answer in every call, or it called one that it replaces."""
-        called = {self.lines[f.__code__] for f in map(inspect.unwrap, replaced) if f.__code__ in self.lines}
+        """Fails if functions of the library returned the answer in every call, or it called one
+        that it replaces."""
+        called = {
+            self.lines[f.__code__]
+            for f in map(inspect.unwrap, replaced)
+            if f.__code__ in self.lines
+        }
         for line in called | (self.borrowed or set()):
             code = inspect.unwrap(self.function).__code__
-            detail = f"a function of the library gave the answer in {line_in_words(code.co_filename, line)}"
-            raise Failed("it computes the answer itself", self.words, f"{detail}. Write what that function computes")
+            detail = (
+                "a function of the library gave the answer in "
+                f"{line_in_words(code.co_filename, line)}"
+            )
+            raise Failed(
+                "it computes the answer itself",
+                self.words,
+                f"{detail}. Write what that function computes",
+            )
 
     def holds(self, condition: Any, prop: str, *, detail: str) -> None:
         """``prop`` fails, with ``detail``, unless ``condition`` is true."""
@@ -93,7 +118,14 @@ class Attempt:
             raise Failed(prop, self.words, detail)
 
     def close(
-        self, got: Any, expected: Any, prop: str, *, tolerance: float = 1e-5, why: str = "", names: Sequence[str] = ()
+        self,
+        got: Any,
+        expected: Any,
+        prop: str,
+        *,
+        tolerance: float = 1e-5,
+        why: str = "",
+        names: Sequence[str] = (),
     ) -> None:
         """``prop`` fails unless ``got`` has the shape and the values of ``expected``.
 
@@ -103,7 +135,8 @@ class Attempt:
             prop: A statement that is true of a right answer: "the depth is the point's z".
             tolerance: Largest deviation, in units of max(1, size of the value).
             why: What a deviation usually means; ends the message.
-            names: Of the values, where ``got`` is a list that the judge made from parts of an answer.
+            names: Of the values, where ``got`` is a list that the judge made from parts of an
+                answer.
         """
         on = self.words
         right, mine = as_tensor(expected), _numbers(got, prop, on)
@@ -111,18 +144,28 @@ class Attempt:
             raise Failed(prop, on, f"the shape is {list(mine.shape)}, expected {list(right.shape)}")
         if not torch.isfinite(mine).eq(torch.isfinite(right)).all():
             raise Failed(prop, on, "a value is NaN or infinite")
-        off = (mine - right).nan_to_num().abs() - tolerance * right.nan_to_num().abs().clamp(min=1.0)
+        off = (mine - right).nan_to_num().abs() - tolerance * right.nan_to_num().abs().clamp(
+            min=1.0
+        )
         if off.numel() and float(off.max()) > 0:
             at = int(off.argmax())
             position = [int(i) for i in np.unravel_index(at, tuple(right.shape))]
             place = f" for {names[at]}" if names else f" at {position}" if position else ""
-            detail = f"got {_short(mine.reshape(-1)[at])}{place}, expected {_short(right.reshape(-1)[at])}"
-            raise Failed(prop, on, f"{detail}{': ' if why[0].islower() else '. '}{why}" if why else detail)
+            detail = (
+                f"got {_short(mine.reshape(-1)[at])}{place}, expected "
+                f"{_short(right.reshape(-1)[at])}"
+            )
+            raise Failed(
+                prop, on, f"{detail}{': ' if why[0].islower() else '. '}{why}" if why else detail
+            )
 
     def unpack(self, value: Any, names: Sequence[str]) -> tuple[Any, ...]:
-        """The parts of a returned tuple, one for each name; fails unless there are exactly that many."""
+        """The parts of a returned tuple, one for each name; fails unless there are exactly that
+        many."""
         if not isinstance(value, (tuple, list)) or len(value) != len(names):
-            raise Failed(f"it returns {', '.join(names)}", self.words, f"it returned {describe([value])}")
+            raise Failed(
+                f"it returns {', '.join(names)}", self.words, f"it returned {describe([value])}"
+            )
         return tuple(value)
 
     @property
@@ -162,7 +205,11 @@ def as_rows(value: Any) -> Any:
 
 def as_tensor(value: Any) -> Tensor:
     """``value`` as float64 on the CPU; a list of tensors becomes one."""
-    if isinstance(value, (list, tuple)) and value and all(isinstance(v, Tensor) and v.ndim for v in value):
+    if (
+        isinstance(value, (list, tuple))
+        and value
+        and all(isinstance(v, Tensor) and v.ndim for v in value)
+    ):
         return torch.stack([as_tensor(v) for v in value])
     return torch.as_tensor(value).detach().cpu().to(torch.float64)
 
@@ -176,7 +223,9 @@ def _numbers(value: Any, prop: str, on: str) -> Tensor:
     try:
         return as_tensor(value)
     except (TypeError, ValueError, RuntimeError):
-        raise Failed(prop, on, f"it returned {describe([value])}, which is not an array of numbers") from None
+        raise Failed(
+            prop, on, f"it returned {describe([value])}, which is not an array of numbers"
+        ) from None
 
 
 def _short(value: Tensor) -> str:
@@ -215,7 +264,11 @@ class Verdict:
         if self.state == "not written":
             return CodeInUse(exercise=self.exercise, state="not yet yours", why="not yet yours.")
         on = f" (on {self.on})" if self.on else ""
-        return CodeInUse(exercise=self.exercise, state="fails", why=f"yours fails “{self.prop}”{on}: {self.detail}")
+        return CodeInUse(
+            exercise=self.exercise,
+            state="fails",
+            why=f"yours fails “{self.prop}”{on}: {self.detail}",
+        )
 
     @property
     def headline(self) -> str:
@@ -223,7 +276,8 @@ class Verdict:
         if self.state == "failed":
             return f"{_SIGNS['failed']} {self.exercise}: not true yet: “{self.prop}”"
         return (
-            f"{_SIGNS[self.state]} {self.exercise}: {self.state if self.state == 'not written' else 'all checks pass'}"
+            f"{_SIGNS[self.state]} {self.exercise}: "
+            f"{self.state if self.state == 'not written' else 'all checks pass'}"
         )
 
     @property
@@ -232,7 +286,10 @@ class Verdict:
         rest = [f"input: {self.on}"] if self.on else []
         rest += [self.detail] if self.detail else []
         if not self and self.hints_left:
-            rest.append(f"{self.hints_left} hint{'s' if self.hints_left > 1 else ''}: check.{self.exercise}.hint()")
+            rest.append(
+                f"{self.hints_left} hint{'s' if self.hints_left > 1 else ''}: "
+                f"check.{self.exercise}.hint()"
+            )
         elif self.state == "failed":
             rest.append(f"a solution: check.{self.exercise}.solution()")
         return rest

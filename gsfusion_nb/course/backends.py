@@ -1,4 +1,5 @@
-"""Exercises of chapter 10: Amdahl's law, the roofline, counting bytes, and a loop that a compiler makes fast."""
+"""Exercises of chapter 10: Amdahl's law, the roofline, counting bytes, and a loop that a compiler
+makes fast."""
 
 import numpy as np
 
@@ -15,20 +16,23 @@ def _speedup_of_the_stage(seconds: dict[str, float], stage: str, factor: float) 
 
 
 @exercise(
-    chapter=10, difficulty=1, minutes=5, solution=_speedup,
+    chapter=10,
+    difficulty=1,
+    minutes=5,
+    solution=_speedup,
     hints=(
         "What is the time of the frame before, and after?",
         "after = total - seconds[stage] + seconds[stage] / factor; the answer is total / after.",
     ),
-    wrong=(
-        Wrong(_speedup_of_the_stage, says="the other stages take as long as before"),
-    ),
-)  # fmt: skip
+    wrong=(Wrong(_speedup_of_the_stage, says="the other stages take as long as before"),),
+)
 def overall_speedup(attempt: Attempt) -> None:
     """Speed-up of a whole frame when one stage gets faster (Amdahl)."""
     attempt.on("one stage alone, 4 times as fast")
     attempt.close(
-        attempt({"optimise": 0.2}, "optimise", 4.0), 4.0, "with one stage, the whole frame gains as much as the stage"
+        attempt({"optimise": 0.2}, "optimise", 4.0),
+        4.0,
+        "with one stage, the whole frame gains as much as the stage",
     )
     attempt.on("50 ms optimise and 50 ms tsdf; optimise 5 times as fast")
     seconds = {"optimise": 0.05, "tsdf": 0.05}
@@ -39,8 +43,15 @@ def overall_speedup(attempt: Attempt) -> None:
         why="10 ms + 50 ms are left of 100 ms",
     )
     attempt.on("the same, a million times as fast")
-    attempt.close(attempt(dict(seconds), "optimise", 1e6), 2.0, "the other stages limit the speed-up", tolerance=1e-4)
-    attempt.close(attempt.on("a factor of 1")(dict(seconds), "tsdf", 1.0), 1.0, "no change, no gain")
+    attempt.close(
+        attempt(dict(seconds), "optimise", 1e6),
+        2.0,
+        "the other stages limit the speed-up",
+        tolerance=1e-4,
+    )
+    attempt.close(
+        attempt.on("a factor of 1")(dict(seconds), "tsdf", 1.0), 1.0, "no change, no gain"
+    )
 
 
 def _attainable(intensity: float, peak_gflops: float, gb_per_s: float) -> float:
@@ -52,15 +63,17 @@ def _attainable_peak(intensity: float, peak_gflops: float, gb_per_s: float) -> f
 
 
 @exercise(
-    chapter=10, difficulty=1, minutes=5, solution=_attainable,
+    chapter=10,
+    difficulty=1,
+    minutes=5,
+    solution=_attainable,
     hints=(
-        "Bytes arrive at gb_per_s, and each allows `intensity` operations. How many operations a second is that?",
+        "Bytes arrive at gb_per_s, and each allows `intensity` operations. How many operations a "
+        "second is that?",
         "The smaller of the two limits: min(peak, intensity x bandwidth).",
     ),
-    wrong=(
-        Wrong(_attainable_peak, says="memory limits a kernel of low intensity"),
-    ),
-)  # fmt: skip
+    wrong=(Wrong(_attainable_peak, says="memory limits a kernel of low intensity"),),
+)
 def attainable_gflops(attempt: Attempt) -> None:
     """The roofline of a kernel: the most Gflop/s that it can reach."""
     attempt.on("0.5 flop per byte, 100 Gflop/s, 10 GB/s")
@@ -68,8 +81,16 @@ def attainable_gflops(attempt: Attempt) -> None:
     attempt.on("50 flop per byte on the same machine")
     attempt.close(attempt(50.0, 100.0, 10.0), 100.0, "arithmetic limits a kernel of high intensity")
     attempt.on("3 flop per byte, 30 Gflop/s, 8 GB/s")
-    attempt.close(attempt(3.0, 30.0, 8.0), 24.0, "every machine has its own limits: intensity x bandwidth here")
-    attempt.close(attempt.on("the ridge, 10 flop per byte")(10.0, 100.0, 10.0), 100.0, "at the ridge both limits agree")
+    attempt.close(
+        attempt(3.0, 30.0, 8.0),
+        24.0,
+        "every machine has its own limits: intensity x bandwidth here",
+    )
+    attempt.close(
+        attempt.on("the ridge, 10 flop per byte")(10.0, 100.0, 10.0),
+        100.0,
+        "at the ridge both limits agree",
+    )
 
 
 def _adam_traffic(n: int) -> tuple[int, float]:
@@ -89,7 +110,10 @@ def _adam_per_map(n: int) -> tuple[int, float]:
 
 
 @exercise(
-    chapter=10, difficulty=2, minutes=8, solution=_adam_traffic,
+    chapter=10,
+    difficulty=2,
+    minutes=8,
+    solution=_adam_traffic,
     hints=(
         "Which arrays are read? Value, gradient, m, v. Which are written?",
         "Four reads and three writes, of 4 bytes each.",
@@ -100,16 +124,23 @@ def _adam_per_map(n: int) -> tuple[int, float]:
         Wrong(_adam_in_numbers, says="4 bytes"),
         Wrong(_adam_per_map, says="does not depend on the size"),
     ),
-)  # fmt: skip
+)
 def adam_traffic(attempt: Attempt) -> None:
-    """Bytes that one step of Adam moves for n float32 numbers, and its intensity at 12 flop per number."""
+    """Bytes that one step of Adam moves for n float32 numbers, and its intensity at 12 flop per
+    number."""
     names = ("bytes", "intensity")
     moved, intensity = attempt.unpack(attempt.on("one number")(1), names)
-    attempt.holds(float(moved) != 7, "a float32 has 4 bytes", detail="7 is how many numbers move, not how many bytes")
+    attempt.holds(
+        float(moved) != 7,
+        "a float32 has 4 bytes",
+        detail="7 is how many numbers move, not how many bytes",
+    )
     prop = "four arrays are read, three are written: writing moves bytes, too"
     attempt.close([moved], [28], prop, names=names[:1])
     attempt.close(intensity, 12 / 28, "intensity is flop per byte", tolerance=1e-3)
-    moved, intensity = attempt.unpack(attempt.on("59 numbers for each of 10,000 Gaussians")(590_000), names)
+    moved, intensity = attempt.unpack(
+        attempt.on("59 numbers for each of 10,000 Gaussians")(590_000), names
+    )
     attempt.close(moved, 28 * 590_000, "twice the numbers, twice the bytes")
     attempt.close(intensity, 12 / 28, "the intensity does not depend on the size", tolerance=1e-3)
 
@@ -163,11 +194,16 @@ def _average_of_more_than_the_cap(D, W, d, max_weight):
 
 
 @exercise(
-    chapter=10, difficulty=3, minutes=15, solution=_average_loop,
+    chapter=10,
+    difficulty=3,
+    minutes=15,
+    solution=_average_loop,
     hints=(
-        "The same formulas as in chapter 2 (Eq. 7-9), for one voxel i at a time, in a plain for loop.",
+        "The same formulas as in chapter 2 (Eq. 7-9), for one voxel i at a time, in a plain for "
+        "loop.",
         "NaN is the only number that is not equal to itself: `if d[i] == d[i]`.",
-        "If d[i] >= -1: w = min(W[i] + 1, max_weight), new_W[i] = w, new_D[i] = (D[i] (w - 1) + min(d[i], 1)) / w.",
+        "If d[i] >= -1: w = min(W[i] + 1, max_weight), new_W[i] = w, new_D[i] = (D[i] (w - 1) + "
+        "min(d[i], 1)) / w.",
     ),
     wrong=(
         Wrong(_average_of_everything, says="behind the surface"),
@@ -176,29 +212,55 @@ def _average_of_more_than_the_cap(D, W, d, max_weight):
         Wrong(_average_unclamped, says="at most 1"),
         Wrong(_average_of_more_than_the_cap, says="1 / max_weight"),
     ),
-)  # fmt: skip
+)
 def average_loop(attempt: Attempt) -> None:
     """TSDF update of many voxels as a loop, to be compiled."""
     names = ("D", "W")
 
-    def update(on: str, D: list[float], W: list[float], d: list[float], cap: float) -> tuple:
+    def update(
+        on: str,
+        D: list[float],
+        W: list[float],
+        d: list[float],
+        cap: float,
+    ) -> tuple:
         given = (np.array(v, np.float32) for v in (D, W, d))
         return attempt.unpack(attempt.on(on)(*given, cap), names)
 
     D, W = update("D = 0.5 after 3 observations, and d = 0.1", [0.5], [3.0], [0.1], 100.0)
     attempt.close(D, [0.4], "the mean of all observations")
     attempt.close(W, [4.0], "one observation more")
-    D, W = update("d = -1.5 (far behind) and d = NaN (no depth)", [0.5, 0.5], [3.0, 3.0], [-1.5, float("nan")], 100.0)
-    attempt.close(D, [0.5, 0.5], "a voxel far behind the surface, or without depth, does not change")
-    attempt.close(W, [3.0, 3.0], "a voxel far behind the surface, or without depth, was not observed")
+    D, W = update(
+        "d = -1.5 (far behind) and d = NaN (no depth)",
+        [0.5, 0.5],
+        [3.0, 3.0],
+        [-1.5, float("nan")],
+        100.0,
+    )
+    attempt.close(
+        D, [0.5, 0.5], "a voxel far behind the surface, or without depth, does not change"
+    )
+    attempt.close(
+        W, [3.0, 3.0], "a voxel far behind the surface, or without depth, was not observed"
+    )
     D, W = update("d = -0.5, just behind the surface", [0.5], [1.0], [-0.5], 100.0)
     attempt.close(D, [0.0], "a voxel behind the surface, inside the band, is observed")
     attempt.close(W, [2.0], "a voxel behind the surface, inside the band, is observed")
     on = "d = 7, free space far in front of the surface"
-    attempt.close(update(on, [0.5], [1.0], [7.0], 100.0)[0], [0.75], "d counts as at most 1")
+    attempt.close(
+        update(on, [0.5], [1.0], [7.0], 100.0)[0],
+        [0.75],
+        "d counts as at most 1",
+    )
     D, W = update("W = 4 with max_weight 4, D = 0.2, and d = 1", [0.2], [4.0], [1.0], 4.0)
     attempt.close(W, [4.0], "the weight stops at max_weight")
     attempt.close(D, [0.4], "at max_weight a new observation counts 1 / max_weight")
-    D, W = update("three voxels at once", [0.5, 0.0, -0.5], [1.0, 0.0, 9.0], [0.1, 0.3, 0.5], 100.0)
+    D, W = update(
+        "three voxels at once",
+        [0.5, 0.0, -0.5],
+        [1.0, 0.0, 9.0],
+        [0.1, 0.3, 0.5],
+        100.0,
+    )
     attempt.close(W, [2.0, 1.0, 10.0], "every voxel has its own weight")
     attempt.close(D, [0.3, 0.3, -0.4], "every voxel has its own mean")

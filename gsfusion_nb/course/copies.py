@@ -1,9 +1,11 @@
-"""Copies of the notebooks: for one learner to work in, for students to hand in; and their documentation.
+"""Copies of the notebooks: for one learner to work in, for students to hand in; and their
+documentation.
 
-In a code cell everything from the line ``### BEGIN SOLUTION`` to ``### END SOLUTION`` is a solution, in a text cell
-from ``<!-- BEGIN SOLUTION -->`` to ``<!-- END SOLUTION -->``. A cell that would be empty without it is left out, and
-so are other comments of text cells, which are for tests. A student's copy has no outputs, because they would show what
-the reader is asked to predict. A learner's copy has the stored pictures of what to expect.
+In a code cell everything from the line ``### BEGIN SOLUTION`` to ``### END SOLUTION`` is a
+solution, in a text cell from ``<!-- BEGIN SOLUTION -->`` to ``<!-- END SOLUTION -->``. A cell that
+would be empty without it is left out, and so are other comments of text cells, which are for tests.
+A student's copy has no outputs, because they would show what the reader is asked to predict. A
+learner's copy has the stored pictures of what to expect.
 
 A learner's work is never overwritten: a notebook that is there already stays.
 """
@@ -34,7 +36,8 @@ _TO_A_PAGE = re.compile(r"\]\(\.\./docs/")
 _TO_A_SOURCE_FILE = re.compile(r'<a href=\\"(?:\.\./)+gsfusion_nb/[^>]*>(.*?)</a>')
 
 _NOTE = (
-    "*The pictures and numbers below were stored: they show what to expect. Running a cell replaces them by yours. An "
+    "*The pictures and numbers below were stored: they show what to expect. Running a cell "
+    "replaces them by yours. An "
     "exercise that you have not solved yet says so, and the reference's code goes on.*"
 )
 
@@ -49,18 +52,30 @@ def notebooks_folder() -> Path:
     for folder in (package / "notebooks", package.parent / "notebooks"):
         if (folder / FIRST).is_file():
             return folder
-    raise FileNotFoundError(f"{package} holds no notebooks; expected {FIRST} in its folder notebooks: install it again")
+    raise FileNotFoundError(
+        f"{package} holds no notebooks; expected {FIRST} in its folder notebooks: install it again"
+    )
 
 
 def docs_folder() -> Path | None:
-    """The folder of the documentation, in an installed package or in a clone; ``None`` if there is none."""
+    """The folder of the documentation, in an installed package or in a clone; ``None`` if there is
+    none."""
     package = Path(__file__).resolve().parents[1]
-    found = (folder for folder in (package / "docs", package.parent / "docs") if (folder / "index.md").is_file())
+    found = (
+        folder
+        for folder in (package / "docs", package.parent / "docs")
+        if (folder / "index.md").is_file()
+    )
     return next(found, None)
 
 
-def without_solutions(notebook: dict[str, Any], *, outputs: bool = False) -> dict[str, Any]:
-    """A copy of the notebook (as read from JSON) without solutions and, unless they are wanted, ``outputs``.
+def without_solutions(
+    notebook: dict[str, Any],
+    *,
+    outputs: bool = False,
+) -> dict[str, Any]:
+    """A copy of the notebook (as read from JSON) without solutions and, unless they are wanted,
+    ``outputs``.
 
     Raises:
         ValueError: a marker without its partner; the message names the cell.
@@ -74,7 +89,10 @@ def without_solutions(notebook: dict[str, Any], *, outputs: bool = False) -> dic
             if line.strip() in (_END if inside else _BEGIN):
                 inside = not inside
             elif line.strip() in (*_BEGIN, *_END):
-                raise ValueError(f"cell {number} has {line.strip()!r} {'inside' if inside else 'outside'} a solution")
+                raise ValueError(
+                    f"cell {number} has {line.strip()!r} {'inside' if inside else 'outside'} a "
+                    "solution"
+                )
             elif not inside:
                 left.append(line)
         if inside:
@@ -92,10 +110,11 @@ def without_solutions(notebook: dict[str, Any], *, outputs: bool = False) -> dic
 
 
 def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
-    """A copy of the notebook (as read from JSON) without solutions, with the stored outputs as what to expect.
+    """A copy of the notebook (as read from JSON) without solutions, with the stored outputs as what
+    to expect.
 
-    What would show the learner's own answer stands as "what you should see" (a verdict) or goes (whose code was used).
-    The outputs between a prediction and what came of it are folded.
+    What would show the learner's own answer stands as "what you should see" (a verdict) or goes
+    (whose code was used). The outputs between a prediction and what came of it are folded.
 
     Raises:
         ValueError: a marker of a solution without its partner; the message names the cell.
@@ -112,10 +131,15 @@ def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
             if not _WHOSE.match("".join(output.get("data", {}).get("text/plain", "")))
         ]
         if unknown:  # JupyterLab unfolds them when the cell runs
-            cell["metadata"] = cell["metadata"] | {"collapsed": True, "jupyter": {"outputs_hidden": True}}
+            cell["metadata"] = cell["metadata"] | {
+                "collapsed": True,
+                "jupyter": {"outputs_hidden": True},
+            }
         unknown = (unknown | set(_PREDICT.findall(source))) - set(_CAME.findall(source))
     learner = without_solutions(marked, outputs=True)
-    learner["cells"].insert(1, {"cell_type": "markdown", "id": "what-to-expect", "metadata": {}, "source": [_NOTE]})
+    learner["cells"].insert(
+        1, {"cell_type": "markdown", "id": "what-to-expect", "metadata": {}, "source": [_NOTE]}
+    )
     return learner
 
 
@@ -127,12 +151,19 @@ def _expected(output: dict[str, Any]) -> dict[str, Any]:
     text = "".join(data.get("text/plain", output.get("text", ""))).strip()
     words = f"what you should see: {text}"
     escaped = words.replace("&", "&amp;").replace("<", "&lt;").replace("\n", "<br>")
-    shown = f'<div class="gsnb-expected" style="color:#6e7781;padding:2px 0 2px 14px">{escaped}</div>'
-    return {"output_type": "display_data", "metadata": {}, "data": {"text/html": [shown], "text/plain": [words]}}
+    shown = (
+        f'<div class="gsnb-expected" style="color:#6e7781;padding:2px 0 2px 14px">{escaped}</div>'
+    )
+    return {
+        "output_type": "display_data",
+        "metadata": {},
+        "data": {"text/html": [shown], "text/plain": [words]},
+    }
 
 
 def documentation_pages(docs: Path) -> dict[str, bytes]:
-    """Path in the folder of the notebooks -> content: the pages of the documentation and their pictures.
+    """Path in the folder of the notebooks -> content: the pages of the documentation and their
+    pictures.
 
     A link to anything that is not copied becomes its text.
     """
@@ -140,21 +171,30 @@ def documentation_pages(docs: Path) -> dict[str, bytes]:
 
     def kept(match: re.Match[str]) -> str:
         page = match[2].partition("#")[0]
-        return match[0] if not page or page in texts or re.match(r"https?://|images/", page) else match[1]
+        return (
+            match[0]
+            if not page or page in texts or re.match(r"https?://|images/", page)
+            else match[1]
+        )
 
-    found = {f"{DOCUMENTATION}/{name}": _LINK.sub(kept, text).encode() for name, text in texts.items()}
+    found = {
+        f"{DOCUMENTATION}/{name}": _LINK.sub(kept, text).encode() for name, text in texts.items()
+    }
     pictures = (path for path in sorted((docs / "images").glob("*")) if path.is_file())
     return found | {f"{DOCUMENTATION}/images/{path.name}": path.read_bytes() for path in pictures}
 
 
 def copy_for_learner(target: Path, *, short: bool = False) -> list[Path]:
-    """The learner's edition of the installed notebooks in the folder ``target``; those that are there already stay.
+    """The learner's edition of the installed notebooks in the folder ``target``; those that are
+    there already stay.
 
-    With ``short`` it is the notebook of the short path. The pages of the documentation come along, unless ``target`` is
-    a folder of a clone, whose own pages links lead to. Returns the notebooks that were written.
+    With ``short`` it is the notebook of the short path. The pages of the documentation come along,
+    unless ``target`` is a folder of a clone, whose own pages links lead to. Returns the notebooks
+    that were written.
 
     Raises:
-        NotADirectoryError: ``target`` is a file. FileNotFoundError: this installation has no notebooks.
+        NotADirectoryError: ``target`` is a file. FileNotFoundError: this installation has no
+            notebooks.
     """
     if target.exists() and not target.is_dir():
         raise NotADirectoryError(f"{target} is a file; expected a folder for the notebooks")
@@ -165,15 +205,20 @@ def copy_for_learner(target: Path, *, short: bool = False) -> list[Path]:
 
 
 def hand_out(
-    source: Path, target: Path, pages: Mapping[str, bytes] | None = None, *, short: bool = False
+    source: Path,
+    target: Path,
+    pages: Mapping[str, bytes] | None = None,
+    *,
+    short: bool = False,
 ) -> list[Path]:
-    """Write the learner's edition of the notebooks of a folder into the folder ``target``, which may hold earlier work.
+    """Write the learner's edition of the notebooks of a folder into the folder ``target``, which
+    may hold earlier work.
 
     Args:
         source: The solved notebooks.
         target: Where the copies go.
-        pages: Pages of the documentation (``documentation_pages``) to write beside them, which links then lead to. By
-            default none: ``target`` is a folder of the project.
+        pages: Pages of the documentation (``documentation_pages``) to write beside them, which
+            links then lead to. By default none: ``target`` is a folder of the project.
         short: The notebook of the short path in place of the chapters.
 
     Returns:
@@ -187,7 +232,9 @@ def hand_out(
         if (target / name).exists():
             continue
         text = _as_text(name, learner_copy, notebook)
-        if pages is not None:  # links of stored outputs to source files become text; run, they link to installed files
+        if (
+            pages is not None
+        ):  # links of stored outputs to source files become text; run, they link to installed files
             text = _TO_A_SOURCE_FILE.sub(r"\1", _TO_A_PAGE.sub(f"]({DOCUMENTATION}/", text))
         write_file(target / name, text)
         written.append(target / name)
@@ -196,8 +243,14 @@ def hand_out(
     return written
 
 
-def copy_for_class(source: Path, target: Path, *, short: bool = False) -> list[Path]:
-    """Write a student's copy of the notebooks of a folder, or of one notebook. Returns the files written.
+def copy_for_class(
+    source: Path,
+    target: Path,
+    *,
+    short: bool = False,
+) -> list[Path]:
+    """Write a student's copy of the notebooks of a folder, or of one notebook. Returns the files
+    written.
 
     Args:
         source: A folder of notebooks, or one notebook.
@@ -205,7 +258,8 @@ def copy_for_class(source: Path, target: Path, *, short: bool = False) -> list[P
         short: The notebook of the short path in place of the chapters.
 
     Raises:
-        ValueError: no notebook at ``source``, ``target`` is the source's folder, or unbalanced markers.
+        ValueError: no notebook at ``source``, ``target`` is the source's folder, or unbalanced
+            markers.
     """
     written = []
     for name, notebook in _notebooks(source, target, short=short).items():
@@ -214,13 +268,20 @@ def copy_for_class(source: Path, target: Path, *, short: bool = False) -> list[P
     return written
 
 
-def _notebooks(source: Path, target: Path, *, short: bool) -> dict[str, Any]:
+def _notebooks(
+    source: Path,
+    target: Path,
+    *,
+    short: bool,
+) -> dict[str, Any]:
     """File name -> the notebook as read from JSON."""
     notebooks = [source] if source.is_file() else sorted(source.glob("*.ipynb"))
     if not notebooks:
         raise ValueError(f"there is no notebook at {source}")
     if target.resolve() == notebooks[0].parent.resolve():
-        raise ValueError(f"the copies would replace the notebooks in {target}; choose another folder")
+        raise ValueError(
+            f"the copies would replace the notebooks in {target}; choose another folder"
+        )
     target.mkdir(parents=True, exist_ok=True)
     if short:
         return {SHORT_PATH: short_path(source)}

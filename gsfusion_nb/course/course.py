@@ -22,7 +22,21 @@ TITLES = {
     12: "GPS-SLAM",
 }
 
-MINUTES = {0: 60, 1: 95, 2: 135, 3: 105, 4: 185, 5: 210, 6: 120, 7: 110, 8: 170, 9: 135, 10: 75, 11: 115, 12: 80}
+MINUTES = {
+    0: 60,
+    1: 95,
+    2: 135,
+    3: 105,
+    4: 185,
+    5: 210,
+    6: 120,
+    7: 110,
+    8: 170,
+    9: 135,
+    10: 75,
+    11: 115,
+    12: 80,
+}
 """Of each chapter, for somebody to whom the subject is new: an estimate of the authors, not timed.
 The notebooks, the README and the syllabus say the same; tests compare them."""
 
@@ -73,8 +87,14 @@ class Course:
         """One line about the notebook's chapter."""
         for chapter in self.chapters:
             if chapter.number == self.chapter:
-                rest = f"open: {', '.join(chapter.open_exercises)}" if chapter.open_exercises else "all are solved"
-                return f"This chapter: {chapter.solved} of {chapter.total} exercises solved; {rest}."
+                rest = (
+                    f"open: {', '.join(chapter.open_exercises)}"
+                    if chapter.open_exercises
+                    else "all are solved"
+                )
+                return (
+                    f"This chapter: {chapter.solved} of {chapter.total} exercises solved; {rest}."
+                )
         return ""
 
     @property
@@ -83,7 +103,10 @@ class Course:
         if self.problem:
             return f"Your progress is not known: {self.problem}"
         made = f"{self.predictions} prediction{'' if self.predictions == 1 else 's'} made"
-        return f"Course: {self.done} of {self.total} exercises solved, {made}. All chapters: gsfusion-nb course"
+        return (
+            f"Course: {self.done} of {self.total} exercises solved, {made}. All chapters: "
+            "gsfusion-nb course"
+        )
 
     def __repr__(self) -> str:
         return "\n".join(line for line in (self.here, self.whole) if line)
@@ -95,7 +118,11 @@ class Course:
         """All chapters, one a line, and what is next."""
         of = sum(chapter.minutes for chapter in self.chapters) / 60
         made = f"{self.predictions} prediction{'' if self.predictions == 1 else 's'}"
-        begun = [chapter.open_exercises[0] for chapter in self.chapters if 0 < chapter.solved < chapter.total]
+        begun = [
+            chapter.open_exercises[0]
+            for chapter in self.chapters
+            if 0 < chapter.solved < chapter.total
+        ]
         return "\n".join(
             [
                 *(chapter.line for chapter in self.chapters),
@@ -117,7 +144,9 @@ def read_course(chapter: int | None = None) -> Course:
     made = sum("answer" in entry for entry in read_section("predictions").values())
     path = course_file()
     chapters = _chapters(read_section("exercises"))
-    return Course(chapters=chapters, predictions=made, file=str(path) if path else "", chapter=chapter)
+    return Course(
+        chapters=chapters, predictions=made, file=str(path) if path else "", chapter=chapter
+    )
 
 
 def course_progress(chapter: int) -> Course:
@@ -125,7 +154,12 @@ def course_progress(chapter: int) -> Course:
     try:
         return read_course(chapter)
     except CourseFileError as e:
-        return Course(chapters=_chapters({}), predictions=0, file="", problem=str(e))
+        return Course(
+            chapters=_chapters({}),
+            predictions=0,
+            file="",
+            problem=str(e),
+        )
 
 
 def _chapters(noted: Entries) -> tuple[Chapter, ...]:

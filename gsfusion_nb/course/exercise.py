@@ -1,4 +1,5 @@
-"""Exercises and their checkers. A notebook imports ``check``; a chapter's module registers exercises.
+"""Exercises and their checkers. A notebook imports ``check``; a chapter's module registers
+exercises.
 
 In a notebook::
 
@@ -26,14 +27,16 @@ In ``course/<chapter>.py`` (found automatically, nothing to register elsewhere):
         point = attempt(camera, uv, depth_m)                # copies tensors, catches errors
         attempt.close(point, expected, "the depth is the point's z")
 
-The judge returns nothing and raises ``Failed`` (through ``close``, ``holds`` and ``unpack`` of the attempt) at the
-first property that does not hold; put the property that explains most mistakes first. Tests run every judge on its
-solution, which must pass, on every wrong answer, which must fail and say ``says``, and on an unwritten body.
+The judge returns nothing and raises ``Failed`` (through ``close``, ``holds`` and ``unpack`` of the
+attempt) at the first property that does not hold; put the property that explains most mistakes
+first. Tests run every judge on its solution, which must pass, on every wrong answer, which must
+fail and say ``says``, and on an unwritten body.
 
 A judged function runs with a limit of time (``learner_code.py``).
 
-A function that passes is kept (``course.mine``). ``becomes=Becomes("lift", adapter)`` says which operation of the
-library it replaces under the backend ``mine``; ``adapter(yours, *arguments of the operation)`` calls it.
+A function that passes is kept (``course.mine``). ``becomes=Becomes("lift", adapter)`` says which
+operation of the library it replaces under the backend ``mine``;
+``adapter(yours, *arguments of the operation)`` calls it.
 """
 
 import contextlib
@@ -68,15 +71,24 @@ class Said(str):
     __repr__ = str.__str__
 
 
-def source_of(exercise: str, function: Callable[..., Any], without: Callable[..., Any] | None = None) -> str:
-    """Source of a function under the exercise's name, after the private functions of its module that it calls, but not
-    ``without``."""
-    sources = [inspect.getsource(each) for each in [*_called_by(function, {function, without}), function]]
+def source_of(
+    exercise: str,
+    function: Callable[..., Any],
+    without: Callable[..., Any] | None = None,
+) -> str:
+    """Source of a function under the exercise's name, after the private functions of its module
+    that it calls, but not ``without``."""
+    sources = [
+        inspect.getsource(each) for each in [*_called_by(function, {function, without}), function]
+    ]
     renamed = re.sub(rf"\b{re.escape(function.__name__)}\b", exercise, sources[-1])
     return "\n\n".join([*sources[:-1], renamed]).strip()
 
 
-def _called_by(function: Callable[..., Any], seen: set[Any]) -> Iterator[Callable[..., Any]]:
+def _called_by(
+    function: Callable[..., Any],
+    seen: set[Any],
+) -> Iterator[Callable[..., Any]]:
     plain = inspect.unwrap(function)
     code = getattr(plain, "__code__", None)
     names = code.co_names if code is not None else ()
@@ -115,10 +127,12 @@ class Exercise:
     replaces: tuple[Callable[..., Any], ...] = ()
     hints_given: int = 0
     tries: int = 0
-    """Functions of this exercise's name that were judged in this process; unwritten ones do not count."""
+    """Functions of this exercise's name that were judged in this process; unwritten ones do not
+    count."""
 
     def __call__(self, function: Any) -> Verdict:
-        """The verdict on ``function``: passed, failed (which property, on what input), or not written."""
+        """The verdict on ``function``: passed, failed (which property, on what input), or not
+        written."""
         verdict = self._judged(function)
         own = getattr(function, "__name__", "") in (self.name, "<lambda>")
         if verdict or (verdict.state == "failed" and own):
@@ -141,9 +155,13 @@ class Exercise:
 
     def verdict(self, function: Any) -> Verdict:
         """The verdict on ``function``, which is neither counted nor kept."""
-        verdict = functools.partial(Verdict, exercise=self.name, hints_left=len(self.hints) - self.hints_given)
+        verdict = functools.partial(
+            Verdict, exercise=self.name, hints_left=len(self.hints) - self.hints_given
+        )
         if not callable(function):
-            return verdict(state="failed", prop="it is a function", detail=f"got a {type(function).__name__}")
+            return verdict(
+                state="failed", prop="it is a function", detail=f"got a {type(function).__name__}"
+            )
         attempt = Attempt(function)
         try:
             with use_backend("reference") if self.becomes else contextlib.nullcontext():
@@ -152,11 +170,21 @@ class Exercise:
         except NotWritten:
             return verdict(state="not written", detail="the function returns nothing so far")
         except Failed as e:
-            return verdict(state="failed", prop=e.prop, on=e.on, detail=e.detail)
-        except Exception as e:  # the judge did something with the result that such a result cannot do
+            return verdict(
+                state="failed",
+                prop=e.prop,
+                on=e.on,
+                detail=e.detail,
+            )
+        except (
+            Exception
+        ) as e:  # the judge did something with the result that such a result cannot do
             prop = "it returns what the function's first line asks for"
             said = f"{type(e).__name__}: {str(e).splitlines()[0] if str(e) else ''}"
-            detail = f"it returned {describe([attempt.returned])}, with which the checker could not go on ({said})"
+            detail = (
+                f"it returned {describe([attempt.returned])}, with which the checker could "
+                f"not go on ({said})"
+            )
             return verdict(state="failed", prop=prop, on=attempt.words, detail=detail)
         return Verdict(exercise=self.name, state="passed")
 
@@ -173,21 +201,33 @@ class Exercise:
         with forgiving():
             noted = read_section("exercises").get(self.name, {})
         if not (self.tries or noted.get("tries", 0)):
-            more = f" Before that: check.{self.name}.hint()" if self.hints_given < len(self.hints) else ""
+            more = (
+                f" Before that: check.{self.name}.hint()"
+                if self.hints_given < len(self.hints)
+                else ""
+            )
             return Said(
-                f"The solution of {self.name} opens after your first try: write the function and run "
-                f"check.{self.name}({self.name}).{more}"
+                f"The solution of {self.name} opens after your first try: write the function and "
+                f"run check.{self.name}({self.name}).{more}"
             )
         return Said(source_of(self.name, self._solution))
 
-    def working(self, function: Any, *, plain: bool = False) -> Callable[..., Any]:
-        """``function`` if it passes, otherwise the reference's, so that the chapter can go on; one sentence says whose.
+    def working(
+        self,
+        function: Any,
+        *,
+        plain: bool = False,
+    ) -> Callable[..., Any]:
+        """``function`` if it passes, otherwise the reference's, so that the chapter can go on; one
+        sentence says whose.
 
-        If the student's function raises in a later call, the sentence names its line and the reference's goes on.
+        If the student's function raises in a later call, the sentence names its line and the
+        reference's goes on.
 
         Args:
             function: The student's.
-            plain: Return the function itself, for a compiler such as numba; its errors stop the cell.
+            plain: Return the function itself, for a compiler such as numba; its errors stop the
+                cell.
         """
         verdict = self._judged(function)
         verdict.code_in_use.tell()
@@ -198,8 +238,8 @@ class Exercise:
     def __repr__(self) -> str:
         stars = "★" * self.difficulty + "☆" * (5 - self.difficulty)
         return (
-            f"{self.name}: {self.title} {stars} {DIFFICULTIES[self.difficulty]}, about {self.minutes} minutes, "
-            f"{len(self.hints)} hints"
+            f"{self.name}: {self.title} {stars} {DIFFICULTIES[self.difficulty]}, about "
+            f"{self.minutes} minutes, {len(self.hints)} hints"
         )
 
 
@@ -214,7 +254,8 @@ def exercise(
     becomes: Becomes | None = None,
     replaces: Sequence[Callable[..., Any]] = (),
 ) -> Callable[[Callable[[Attempt], None]], Exercise]:
-    """Register the decorated judge as the exercise of its name; the first line of its docstring is the title.
+    """Register the decorated judge as the exercise of its name; the first line of its docstring is
+    the title.
 
     Args:
         chapter: Number of the chapter.
@@ -227,36 +268,56 @@ def exercise(
         replaces: Functions of the library that it must not call.
 
     Raises:
-        ValueError: unknown difficulty, no hint, no wrong answer, no title, or a name that another module uses.
+        ValueError: unknown difficulty, no hint, no wrong answer, no title, or a name that another
+            module uses.
     """
 
     def register(judge: Callable[[Attempt], None]) -> Exercise:
         name = judge.__name__
         title = (judge.__doc__ or "").strip().splitlines()[:1]
         if difficulty not in DIFFICULTIES:
-            raise ValueError(f"exercise {name}: difficulty must be one of {list(DIFFICULTIES)}, got {difficulty}")
+            raise ValueError(
+                f"exercise {name}: difficulty must be one of {list(DIFFICULTIES)}, got {difficulty}"
+            )
         if not hints or not wrong or not title:
-            raise ValueError(f"exercise {name} needs a docstring, at least one hint and at least one wrong answer")
+            raise ValueError(
+                f"exercise {name} needs a docstring, at least one hint and at least one wrong "
+                "answer"
+            )
         known = _EXERCISES.get(name)
         if known is not None and known.judge.__module__ != judge.__module__:
             raise ValueError(f"exercise {name} exists already in {known.judge.__module__}")
         _EXERCISES[name] = Exercise(
-            name=name, title=title[0], chapter=chapter, difficulty=difficulty, minutes=minutes,
-            hints=tuple(hints), judge=judge, _solution=solution, wrong=tuple(wrong), becomes=becomes,
+            name=name,
+            title=title[0],
+            chapter=chapter,
+            difficulty=difficulty,
+            minutes=minutes,
+            hints=tuple(hints),
+            judge=judge,
+            _solution=solution,
+            wrong=tuple(wrong),
+            becomes=becomes,
             replaces=tuple(replaces),
-        )  # fmt: skip
+        )
         return _EXERCISES[name]
 
     return register
 
 
 def exercises() -> dict[str, Exercise]:
-    """Every exercise of the course by name; loads the modules of this folder, which register them."""
+    """Every exercise of the course by name; loads the modules of this folder, which register
+    them."""
     package = importlib.import_module(__package__ or "")
     for module in pkgutil.iter_modules(package.__path__):
         if not module.ispkg:
             importlib.import_module(f"{package.__name__}.{module.name}")
-    return dict(sorted(_EXERCISES.items(), key=lambda item: (item[1].chapter, item[0])))
+    return dict(
+        sorted(
+            _EXERCISES.items(),
+            key=lambda item: (item[1].chapter, item[0]),
+        )
+    )
 
 
 class Checkers:

@@ -9,27 +9,46 @@ from ..geometry import depth_to_points, se3
 from ..types import Camera
 from .exercise import Attempt, Wrong, exercise
 
-_CAMERA = Camera(width=8, height=6, fx=10.0, fy=5.0, cx=4.0, cy=3.0)
+_CAMERA = Camera(
+    width=8,
+    height=6,
+    fx=10.0,
+    fy=5.0,
+    cx=4.0,
+    cy=3.0,
+)
 
 
 def _project(camera: Camera, xyz_C: Tensor) -> Tensor:
     x, y, z = xyz_C.unbind(-1)
-    return torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], dim=-1)
+    return torch.stack(
+        [camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy],
+        dim=-1,
+    )
 
 
 def _project_without_depth(camera: Camera, xyz_C: Tensor) -> Tensor:
     x, y, _ = xyz_C.unbind(-1)
-    return torch.stack([camera.fx * x + camera.cx, camera.fy * y + camera.cy], dim=-1)
+    return torch.stack(
+        [camera.fx * x + camera.cx, camera.fy * y + camera.cy],
+        dim=-1,
+    )
 
 
 def _project_with_y_up(camera: Camera, xyz_C: Tensor) -> Tensor:
     x, y, z = xyz_C.unbind(-1)
-    return torch.stack([camera.fx * x / z + camera.cx, camera.cy - camera.fy * y / z], dim=-1)
+    return torch.stack(
+        [camera.fx * x / z + camera.cx, camera.cy - camera.fy * y / z],
+        dim=-1,
+    )
 
 
 def _project_with_one_focal_length(camera: Camera, xyz_C: Tensor) -> Tensor:
     x, y, z = xyz_C.unbind(-1)
-    return torch.stack([camera.fx * x / z + camera.cx, camera.fx * y / z + camera.cy], dim=-1)
+    return torch.stack(
+        [camera.fx * x / z + camera.cx, camera.fx * y / z + camera.cy],
+        dim=-1,
+    )
 
 
 def _project_to_whole_pixels(camera: Camera, xyz_C: Tensor) -> Tensor:
@@ -37,7 +56,10 @@ def _project_to_whole_pixels(camera: Camera, xyz_C: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=1, difficulty=1, minutes=5, solution=_project,
+    chapter=1,
+    difficulty=1,
+    minutes=5,
+    solution=_project,
     hints=(
         "Similar triangles: a point twice as far away lands half as far from the principal point.",
         "u = fx x / z + cx, and the same for v.",
@@ -48,20 +70,36 @@ def _project_to_whole_pixels(camera: Camera, xyz_C: Tensor) -> Tensor:
         Wrong(_project_with_one_focal_length, says="v takes fy"),
         Wrong(_project_to_whole_pixels, says="between"),
     ),
-)  # fmt: skip
+)
 def project_points(attempt: Attempt) -> None:
     """Project camera-frame points to pixels (Eq. 4)."""
-    uv = attempt.on("a point on the optical axis, 2 m away")(_CAMERA, torch.tensor([[0.0, 0.0, 2.0]]))
-    attempt.close(uv, [[4.0, 3.0]], "the optical axis meets the image at the principal point (cx, cy)")
-    uv = attempt.on("points (0.2, 0, 1) and (0.2, 0, 2)")(_CAMERA, torch.tensor([[0.2, 0.0, 1.0], [0.2, 0.0, 2.0]]))
-    attempt.close(uv, [[6.0, 3.0], [5.0, 3.0]], "a point twice as far lands half as far from the principal point")
-    uv = attempt.on("a point 0.4 m below the axis, 2 m away")(_CAMERA, torch.tensor([[0.0, 0.4, 2.0]]))
+    uv = attempt.on("a point on the optical axis, 2 m away")(
+        _CAMERA, torch.tensor([[0.0, 0.0, 2.0]])
+    )
+    attempt.close(
+        uv, [[4.0, 3.0]], "the optical axis meets the image at the principal point (cx, cy)"
+    )
+    uv = attempt.on("points (0.2, 0, 1) and (0.2, 0, 2)")(
+        _CAMERA, torch.tensor([[0.2, 0.0, 1.0], [0.2, 0.0, 2.0]])
+    )
+    attempt.close(
+        uv,
+        [[6.0, 3.0], [5.0, 3.0]],
+        "a point twice as far lands half as far from the principal point",
+    )
+    uv = attempt.on("a point 0.4 m below the axis, 2 m away")(
+        _CAMERA, torch.tensor([[0.0, 0.4, 2.0]])
+    )
     v = float(torch.as_tensor(uv).reshape(-1)[-1])
     down = "y points down, in the camera's frame and in the image"
     attempt.holds(v > 3, down, detail=f"v is {v:.5g}, but below the middle row 3 it is larger")
     attempt.close(uv, [[4.0, 4.0]], "u takes fx and v takes fy: they may differ")
-    uv = attempt.on("a point that projects between pixel centres")(_CAMERA, torch.tensor([[0.03, 0.01, 1.0]]))
-    attempt.close(uv, [[4.3, 3.05]], "pixel coordinates are continuous: a point may fall between centres")
+    uv = attempt.on("a point that projects between pixel centres")(
+        _CAMERA, torch.tensor([[0.03, 0.01, 1.0]])
+    )
+    attempt.close(
+        uv, [[4.3, 3.05]], "pixel coordinates are continuous: a point may fall between centres"
+    )
 
 
 def _lift(camera: Camera, uv: Tensor, depth_m: Tensor) -> Tensor:
@@ -81,16 +119,20 @@ def _lift_with_one_focal_length(camera: Camera, uv: Tensor, depth_m: Tensor) -> 
 
 
 @exercise(
-    chapter=1, difficulty=2, minutes=8, solution=_lift,
+    chapter=1,
+    difficulty=2,
+    minutes=8,
+    solution=_lift,
     hints=(
         "Solve Eq. 4 for x and y; z is known.",
-        "The ray ((u - cx) / fx, (v - cy) / fy, 1) has z = 1. What must it be multiplied by to get z = depth?",
+        "The ray ((u - cx) / fx, (v - cy) / fy, 1) has z = 1. What must it be multiplied by to get "
+        "z = depth?",
     ),
     wrong=(
         Wrong(_lift_along_the_ray, says="the depth is z, not the distance to the camera"),
         Wrong(_lift_with_one_focal_length, says="fx and fy"),
     ),
-)  # fmt: skip
+)
 def lift_pixels(attempt: Attempt) -> None:
     """Lift pixels with depth to camera-frame points (Eq. 10)."""
     uv, depth = torch.tensor([[7.5, 5.5]]), torch.tensor([2.0])
@@ -103,14 +145,31 @@ def lift_pixels(attempt: Attempt) -> None:
             [0.0, 0.0, 2.0],
             "the principal point is straight ahead: x and y are 0",
         ),
-        ("a pixel to the right of it", [7.5, 3.0], [0.7, 0.0, 2.0], "x = (u - cx) / fx, times the depth"),
-        ("a pixel below it", [4.0, 5.5], [0.0, 1.0, 2.0], "y = (v - cy) / fy, times the depth: fx and fy may differ"),
+        (
+            "a pixel to the right of it",
+            [7.5, 3.0],
+            [0.7, 0.0, 2.0],
+            "x = (u - cx) / fx, times the depth",
+        ),
+        (
+            "a pixel below it",
+            [4.0, 5.5],
+            [0.0, 1.0, 2.0],
+            "y = (v - cy) / fy, times the depth: fx and fy may differ",
+        ),
     ):
-        attempt.close(attempt.on(f"{where}, at depth 2 m")(_CAMERA, torch.tensor([pixel]), depth), [expected], prop)
+        attempt.close(
+            attempt.on(f"{where}, at depth 2 m")(_CAMERA, torch.tensor([pixel]), depth),
+            [expected],
+            prop,
+        )
     generator = torch.Generator().manual_seed(0)
     uv = torch.rand(50, 2, generator=generator) * torch.tensor([8.0, 6.0])
     depth = 0.5 + torch.rand(50, generator=generator)
-    back = _project(_CAMERA, torch.as_tensor(attempt.on("many pixels, lifted and projected again")(_CAMERA, uv, depth)))
+    back = _project(
+        _CAMERA,
+        torch.as_tensor(attempt.on("many pixels, lifted and projected again")(_CAMERA, uv, depth)),
+    )
     attempt.close(back, uv, "projecting the point gives the pixel back", tolerance=1e-4)
 
 
@@ -133,7 +192,10 @@ def _invert_by_transposing(T: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=1, difficulty=2, minutes=8, solution=_invert,
+    chapter=1,
+    difficulty=2,
+    minutes=8,
+    solution=_invert,
     hints=(
         "x_W = R x_C + t. Solve for x_C; R^-1 = R^T.",
         "x_C = R^T (x_W - t) = R^T x_W - R^T t: the translation is turned too.",
@@ -142,22 +204,34 @@ def _invert_by_transposing(T: Tensor) -> Tensor:
         Wrong(_invert_parts_alone, says="lands at the origin"),
         Wrong(_invert_by_transposing, says="last row"),
     ),
-)  # fmt: skip
+)
 def invert_pose(attempt: Attempt) -> None:
     """Turn T_WC into T_CW without a general matrix inverse."""
-    attempt.close(attempt.on("the identity")(torch.eye(4)), torch.eye(4), "the inverse of the identity is the identity")
+    attempt.close(
+        attempt.on("the identity")(torch.eye(4)),
+        torch.eye(4),
+        "the inverse of the identity is the identity",
+    )
     T = torch.eye(4)
     T[:2, :2] = torch.tensor([[0.0, -1.0], [1.0, 0.0]])
     T[:3, 3] = torch.tensor([1.0, 2.0, 3.0])
     T_CW = torch.as_tensor(attempt.on("a quarter turn about z and a step of (1, 2, 3) m")(T))
     attempt.close(T_CW.shape, [4, 4], "the result is a 4 x 4 matrix")
     attempt.close(T_CW[3], [0.0, 0.0, 0.0, 1.0], "the last row of a pose is 0 0 0 1")
-    attempt.close(T_CW[:3, :3], T[:3, :3].T, "the transpose undoes the rotation")
+    attempt.close(
+        T_CW[:3, :3],
+        T[:3, :3].T,
+        "the transpose undoes the rotation",
+    )
     centre = T_CW @ torch.tensor([1.0, 2.0, 3.0, 1.0])
-    attempt.close(centre[:3], [0.0, 0.0, 0.0], "the camera's centre lands at the origin of the camera's frame")
+    attempt.close(
+        centre[:3], [0.0, 0.0, 0.0], "the camera's centre lands at the origin of the camera's frame"
+    )
     attempt.on("a pose in general position")
     T = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.4, -0.7, 0.2]))
-    attempt.close(torch.as_tensor(attempt(T)) @ T, torch.eye(4), "T_CW T_WC is the identity", tolerance=1e-4)
+    attempt.close(
+        torch.as_tensor(attempt(T)) @ T, torch.eye(4), "T_CW T_WC is the identity", tolerance=1e-4
+    )
 
 
 def _normals(points: Tensor) -> Tensor:
@@ -178,73 +252,133 @@ def _normals_not_unit(points: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=1, difficulty=3, minutes=10, solution=_normals,
+    chapter=1,
+    difficulty=3,
+    minutes=10,
+    solution=_normals,
     hints=(
-        "Two directions in the surface: from the left to the right neighbour, and from the upper to the lower one.",
-        "Their cross product is normal to both. Which order points back at the camera, to negative z?",
+        "Two directions in the surface: from the left to the right neighbour, and from the upper "
+        "to the lower one.",
+        "Their cross product is normal to both. Which order points back at the camera, to negative "
+        "z?",
         "torch.linalg.cross(down, across), divided by its length.",
     ),
     wrong=(
         Wrong(_normals_away, says="faces the camera"),
         Wrong(_normals_not_unit, says="length 1"),
     ),
-)  # fmt: skip
+)
 def normals_of_points(attempt: Attempt) -> None:
     """Normals of an image of points, by central differences."""
     points = depth_to_points(_CAMERA, torch.full((6, 8), 2.0))
     n = attempt.on("a wall at z = 2 m, seen straight on")(points)
-    attempt.close(torch.as_tensor(n).shape, [4, 6, 3], "the border has no normal: the result is [H - 2, W - 2, 3]")
+    attempt.close(
+        torch.as_tensor(n).shape,
+        [4, 6, 3],
+        "the border has no normal: the result is [H - 2, W - 2, 3]",
+    )
     n = torch.as_tensor(n)
-    attempt.close(n.norm(dim=-1), torch.ones(4, 6), "a normal has length 1", tolerance=1e-4)
+    attempt.close(
+        n.norm(dim=-1),
+        torch.ones(4, 6),
+        "a normal has length 1",
+        tolerance=1e-4,
+    )
     attempt.holds(
         (n[..., 2] < 0).all(),
         "the normal faces the camera: its z is negative",
         detail=f"z of the normal is {float(n[..., 2].max()):.3g}",
     )
     attempt.on("a floor 1 m below the camera")
-    uv = torch.stack(torch.meshgrid(torch.arange(8) + 0.5, torch.arange(6) + 0.5, indexing="xy"), dim=-1)
-    camera = Camera(width=8, height=6, fx=10.0, fy=5.0, cx=4.0, cy=-3.0)
+    uv = torch.stack(
+        torch.meshgrid(torch.arange(8) + 0.5, torch.arange(6) + 0.5, indexing="xy"),
+        dim=-1,
+    )
+    camera = Camera(
+        width=8,
+        height=6,
+        fx=10.0,
+        fy=5.0,
+        cx=4.0,
+        cy=-3.0,
+    )
     floor = depth_to_points(camera, camera.fy / (uv[..., 1] - camera.cy))
     up = torch.tensor([0.0, -1.0, 0.0]).expand(4, 6, 3)
     attempt.close(attempt(floor), up, "the floor's normal points up, to negative y", tolerance=1e-4)
-    bowl = depth_to_points(_CAMERA, 2 - 0.3 * (uv[..., 0] - 3) ** 2 / 16 - 0.2 * (uv[..., 1] - 2) ** 2 / 9)
-    prop = "central differences: from the left to the right neighbour, and from the upper to the lower one"
-    attempt.close(attempt.on("a curved surface")(bowl), _normals(bowl), prop, tolerance=1e-4)
+    bowl = depth_to_points(
+        _CAMERA,
+        2 - 0.3 * (uv[..., 0] - 3) ** 2 / 16 - 0.2 * (uv[..., 1] - 2) ** 2 / 9,
+    )
+    prop = (
+        "central differences: from the left to the right neighbour, and from the upper to the "
+        "lower one"
+    )
+    attempt.close(
+        attempt.on("a curved surface")(bowl),
+        _normals(bowl),
+        prop,
+        tolerance=1e-4,
+    )
 
 
-def _halve(fx: float, fy: float, cx: float, cy: float) -> tuple[float, float, float, float]:
+def _halve(
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+) -> tuple[float, float, float, float]:
     return fx / 2, fy / 2, (cx + 0.5) / 2 - 0.5, (cy + 0.5) / 2 - 0.5
 
 
-def _halve_everything(fx: float, fy: float, cx: float, cy: float) -> tuple[float, float, float, float]:
+def _halve_everything(
+    fx: float, fy: float, cx: float, cy: float
+) -> tuple[float, float, float, float]:
     return fx / 2, fy / 2, cx / 2, cy / 2
 
 
-def _halve_the_centre_alone(fx: float, fy: float, cx: float, cy: float) -> tuple[float, float, float, float]:
+def _halve_the_centre_alone(
+    fx: float, fy: float, cx: float, cy: float
+) -> tuple[float, float, float, float]:
     return fx, fy, (cx + 0.5) / 2 - 0.5, (cy + 0.5) / 2 - 0.5
 
 
 @exercise(
-    chapter=1, difficulty=3, minutes=10, solution=_halve,
+    chapter=1,
+    difficulty=3,
+    minutes=10,
+    solution=_halve,
     hints=(
-        "Where is the image's left edge, counted from the centre of its first pixel? And after halving?",
+        "Where is the image's left edge, counted from the centre of its first pixel? And after "
+        "halving?",
         "Count from the image's edge instead: add 0.5. Then halve. Then subtract 0.5 again.",
     ),
     wrong=(
         Wrong(_halve_everything, says="the middle of the image stays the middle"),
         Wrong(_halve_the_centre_alone, says="angle of view"),
     ),
-)  # fmt: skip
+)
 def halve_intrinsics(attempt: Attempt) -> None:
-    """Intrinsics of the half-size image, for a data set that counts pixels from the centre of the first one."""
+    """Intrinsics of the half-size image, for a data set that counts pixels from the centre of the
+    first one."""
     attempt.on("640 x 480 with fx = fy = 600, centre (319.5, 239.5)")
     names = ("fx", "fy", "cx", "cy")
     fx, fy, cx, cy = attempt.unpack(attempt(600.0, 600.0, 319.5, 239.5), names)
     prop = "half the pixels over the same angle of view: half the focal length"
-    attempt.close([fx, fy], [300.0, 300.0], prop, names=names[:2])
+    attempt.close(
+        [fx, fy],
+        [300.0, 300.0],
+        prop,
+        names=names[:2],
+    )
     shift = max(abs(float(cx) - 159.5), abs(float(cy) - 119.5))
     why = f"a shift of {shift:.2f} px of the small image"
-    attempt.close([cx, cy], [159.5, 119.5], "the middle of the image stays the middle", why=why, names=names[2:])
+    attempt.close(
+        [cx, cy],
+        [159.5, 119.5],
+        "the middle of the image stays the middle",
+        why=why,
+        names=names[2:],
+    )
     attempt.on("a point off the axis, projected at both sizes")
     half = attempt.unpack(attempt(525.0, 520.0, 310.2, 251.7), names)
     x, y = 0.3, -0.2

@@ -1,4 +1,5 @@
-"""The whole projection of a Gaussian, and its gradient, assembled: exercises of chapters 4 and 5."""
+"""The whole projection of a Gaussian, and its gradient, assembled: exercises of chapters 4 and
+5."""
 
 import torch
 from torch import Tensor
@@ -15,9 +16,19 @@ Ellipse = tuple[Tensor, Tensor, Tensor]
 def _tangent(camera: Camera, xyz_C: Tensor) -> Tensor:
     """J at a point, its direction limited to 1.3 times the half angle of view."""
     x, y, z = xyz_C
-    limit_x, limit_y = FRUSTUM_CLAMP * camera.width / 2 / camera.fx, FRUSTUM_CLAMP * camera.height / 2 / camera.fy
-    tx, ty, o = (x / z).clamp(-limit_x, limit_x), (y / z).clamp(-limit_y, limit_y), torch.zeros_like(z)
-    rows = [torch.stack([camera.fx / z, o, -camera.fx * tx / z]), torch.stack([o, camera.fy / z, -camera.fy * ty / z])]
+    limit_x, limit_y = (
+        FRUSTUM_CLAMP * camera.width / 2 / camera.fx,
+        FRUSTUM_CLAMP * camera.height / 2 / camera.fy,
+    )
+    tx, ty, o = (
+        (x / z).clamp(-limit_x, limit_x),
+        (y / z).clamp(-limit_y, limit_y),
+        torch.zeros_like(z),
+    )
+    rows = [
+        torch.stack([camera.fx / z, o, -camera.fx * tx / z]),
+        torch.stack([o, camera.fy / z, -camera.fy * ty / z]),
+    ]
     return torch.stack(rows)
 
 
@@ -30,37 +41,56 @@ def _ellipse(camera: Camera, xyz_C: Tensor, J: Tensor, B: Tensor) -> Ellipse:
     return uv, torch.stack([Q[0, 0], Q[0, 1], Q[1, 1]]), z
 
 
-def _project(camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor) -> Ellipse:
+def _project(
+    camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor
+) -> Ellipse:
     W = T_CW[:3, :3]
     xyz_C = W @ xyz_W + T_CW[:3, 3]
     B = W @ quaternion.to_matrix(quat) @ torch.diag(log_scale.exp())
     return _ellipse(camera, xyz_C, _tangent(camera, xyz_C), B)
 
 
-def _camera_not_turned(camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor) -> Ellipse:
+def _camera_not_turned(
+    camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor
+) -> Ellipse:
     xyz_C = se3.apply(T_CW, xyz_W)
     B = quaternion.to_matrix(quat) @ torch.diag(log_scale.exp())
     return _ellipse(camera, xyz_C, _tangent(camera, xyz_C), B)
 
 
-def _world_for_camera(camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor) -> Ellipse:
+def _world_for_camera(
+    camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor
+) -> Ellipse:
     return _project(camera, se3.inverse(T_CW), xyz_W, log_scale, quat)
 
 
-def _covariance_for_conic(camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor) -> Ellipse:
+def _covariance_for_conic(
+    camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor
+) -> Ellipse:
     uv, (A, B, C), z = _project(camera, T_CW, xyz_W, log_scale, quat)
     return uv, torch.stack([C, -B, A]) / (A * C - B * B), z
 
 
-def _logarithm_kept(camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor) -> Ellipse:
+def _logarithm_kept(
+    camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor
+) -> Ellipse:
     return _project(camera, T_CW, xyz_W, log_scale.abs().log(), quat)
 
 
-def _unlimited(camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor) -> Ellipse:
+def _unlimited(
+    camera: Camera, T_CW: Tensor, xyz_W: Tensor, log_scale: Tensor, quat: Tensor
+) -> Ellipse:
     xyz_C = se3.apply(T_CW, xyz_W)
     x, y, z = xyz_C.tolist()
-    J = xyz_C.new_tensor([[camera.fx / z, 0, -camera.fx * x / z**2], [0, camera.fy / z, -camera.fy * y / z**2]])
-    return _ellipse(camera, xyz_C, J, T_CW[:3, :3] @ quaternion.to_matrix(quat) @ torch.diag(log_scale.exp()))
+    J = xyz_C.new_tensor(
+        [[camera.fx / z, 0, -camera.fx * x / z**2], [0, camera.fy / z, -camera.fy * y / z**2]]
+    )
+    return _ellipse(
+        camera,
+        xyz_C,
+        J,
+        T_CW[:3, :3] @ quaternion.to_matrix(quat) @ torch.diag(log_scale.exp()),
+    )
 
 
 def _in_front(params: GaussianParams, T_CW: Tensor) -> tuple[Tensor, Tensor]:
@@ -70,13 +100,20 @@ def _in_front(params: GaussianParams, T_CW: Tensor) -> tuple[Tensor, Tensor]:
     return depth_m, finite & (depth_m > NEAR_PLANE_M)
 
 
-def _as_project_gaussians(yours: Yours, params: GaussianParams, camera: Camera, T_WC: Tensor) -> Projection:
-    """Yours in float64 for each Gaussian in front of the camera; opacity and extent follow from the conic."""
+def _as_project_gaussians(
+    yours: Yours, params: GaussianParams, camera: Camera, T_WC: Tensor
+) -> Projection:
+    """Yours in float64 for each Gaussian in front of the camera; opacity and extent follow from the
+    conic."""
     T_CW = se3.inverse(T_WC.to(params.xyz_W))
     depth_m, asked = _in_front(params, T_CW)
     opacity = params.opacity_logit.sigmoid()
     uv, conic = depth_m.new_zeros(len(params), 2), depth_m.new_zeros(len(params), 3)
-    extent_px, turned, none = torch.zeros_like(uv), T_CW.double(), torch.zeros((), dtype=torch.float64)
+    extent_px, turned, none = (
+        torch.zeros_like(uv),
+        T_CW.double(),
+        torch.zeros((), dtype=torch.float64),
+    )
     for k in asked.nonzero()[:, 0].tolist():
         given = (params.xyz_W[k].double(), params.log_scale[k].double(), params.quat[k].double())
         like = {"uv": uv[k].double(), "conic": conic[k].double(), "depth_m": none}
@@ -84,30 +121,54 @@ def _as_project_gaussians(yours: Yours, params: GaussianParams, camera: Camera, 
         determinant = A * C - B * B
         if not (determinant > 0 and A > 0):
             yours.fail(
-                f"returned a conic {[float(A), float(B), float(C)]}, which is no ellipse", (camera, T_CW, *given)
+                f"returned a conic {[float(A), float(B), float(C)]}, which is no ellipse",
+                (camera, T_CW, *given),
             )
         reach = 2 * (opacity[k].double() / ALPHA_MIN).clamp_min(1.0).log()
         uv[k], conic[k], depth_m[k] = centre, torch.stack([A, B, C]), z
         extent_px[k] = (reach * torch.stack([C, A]) / determinant).sqrt()
     finite = depth_m.isfinite() & ((uv.abs() < FARTHEST_PX) & (extent_px < FARTHEST_PX)).all(1)
-    values = {"uv": uv, "conic": conic, "depth_m": depth_m, "opacity": opacity, "extent_px": extent_px}
-    columns = {name: torch.where(finite.view(-1, *[1] * (x.ndim - 1)), x, 0.0) for name, x in values.items()}
+    values = {
+        "uv": uv,
+        "conic": conic,
+        "depth_m": depth_m,
+        "opacity": opacity,
+        "extent_px": extent_px,
+    }
+    columns = {
+        name: torch.where(
+            finite.view(-1, *[1] * (x.ndim - 1)),
+            x,
+            0.0,
+        )
+        for name, x in values.items()
+    }
     return Projection(**columns, visible=asked & finite & (opacity >= ALPHA_MIN))
 
 
-_CAMERA = Camera(width=80, height=60, fx=60.0, fy=50.0, cx=41.0, cy=29.0)
+_CAMERA = Camera(
+    width=80,
+    height=60,
+    fx=60.0,
+    fy=50.0,
+    cx=41.0,
+    cy=29.0,
+)
 _NAMES = ("uv", "conic", "depth_m")
 
 
 @exercise(
-    chapter=4, difficulty=4, minutes=20, solution=_project,
+    chapter=4,
+    difficulty=4,
+    minutes=20,
+    solution=_project,
     becomes=Becomes("project_gaussians", _as_project_gaussians),
     hints=(
         "xyz_C = W xyz_W + t, with W = T_CW[:3, :3] and t = T_CW[:3, 3]. uv is the pinhole of it.",
-        "B = W R S is the shape in the camera frame, R = quaternion.to_matrix(quat), S = diag(exp(log_scale)). "
-        "Then cov = (J B) (J B)^T + 0.3 I, with the J of section 2.",
-        "J holds x/z and y/z. Limit these two, only there: x/z to +-1.3 * width / (2 fx), y/z to +-1.3 * height / "
-        "(2 fy).",
+        "B = W R S is the shape in the camera frame, R = quaternion.to_matrix(quat), S = "
+        "diag(exp(log_scale)). Then cov = (J B) (J B)^T + 0.3 I, with the J of section 2.",
+        "J holds x/z and y/z. Limit these two, only there: x/z to +-1.3 * width / (2 fx), y/z to "
+        "+-1.3 * height / (2 fy).",
         "The conic is (Q[0, 0], Q[0, 1], Q[1, 1]) of Q = inverse of cov.",
     ),
     wrong=(
@@ -117,12 +178,16 @@ _NAMES = ("uv", "conic", "depth_m")
         Wrong(_camera_not_turned, says="the ellipse turns with the camera"),
         Wrong(_unlimited, says="far outside the picture"),
     ),
-)  # fmt: skip
+)
 def project_gaussian(attempt: Attempt) -> None:
-    """From a row of the map to an ellipse in the picture: centre, conic and depth of one Gaussian."""
+    """From a row of the map to an ellipse in the picture: centre, conic and depth of one
+    Gaussian."""
     f64 = torch.float64
     eye, ahead = torch.eye(4, dtype=f64), torch.tensor([0.0, 0.0, 2.0], dtype=f64)
-    ball, upright = torch.full((3,), 0.1, dtype=f64).log(), torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=f64)
+    ball, upright = (
+        torch.full((3,), 0.1, dtype=f64).log(),
+        torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=f64),
+    )
 
     def ask(on: str, T_CW: Tensor, *row: Tensor) -> Ellipse:
         return attempt.unpack(attempt.on(on)(_CAMERA, T_CW, *row), _NAMES)
@@ -140,11 +205,19 @@ def project_gaussian(attempt: Attempt) -> None:
     if abs(A - 9.3) < 1e-3:
         attempt.close(conic, expected, "the conic is the inverse of the covariance", why=why)
     attempt.close(
-        conic, expected, "the conic of J W R S S^T R^T W^T J^T + 0.3 I, with S = diag(exp(log_scale))", why=why
+        conic,
+        expected,
+        "the conic of J W R S S^T R^T W^T J^T + 0.3 I, with S = diag(exp(log_scale))",
+        why=why,
     )
-    needle, tilted = torch.tensor([0.3, 0.05, 0.02], dtype=f64).log(), torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64)
+    needle, tilted = (
+        torch.tensor([0.3, 0.05, 0.02], dtype=f64).log(),
+        torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64),
+    )
     turned = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.3, -0.4, 0.8], dtype=f64))
-    uv, conic, depth_m = ask("a tilted needle before a turned camera", turned, ahead, needle, tilted)
+    uv, conic, depth_m = ask(
+        "a tilted needle before a turned camera", turned, ahead, needle, tilted
+    )
     expected = _project(_CAMERA, turned, ahead, needle, tilted)
     attempt.close(uv, expected[0], "u = fx x/z + cx, v = fy y/z + cy")
     attempt.close(conic, expected[1], "the ellipse turns with the camera: M = J W R S")
@@ -152,12 +225,20 @@ def project_gaussian(attempt: Attempt) -> None:
     aside = torch.tensor([2.5, 0.2, 1.0], dtype=f64)
     _, conic, _ = ask(on, eye, aside, needle, tilted)
     expected = _project(_CAMERA, eye, aside, needle, tilted)
-    attempt.close(conic, expected[1], "far outside the picture, J is that of 1.3 times the half angle of view")
-    attempt.close(ask(on, eye, aside, needle, tilted)[0], expected[0], "only J is limited, not the centre")
+    attempt.close(
+        conic, expected[1], "far outside the picture, J is that of 1.3 times the half angle of view"
+    )
+    attempt.close(
+        ask(on, eye, aside, needle, tilted)[0], expected[0], "only J is limited, not the centre"
+    )
     on = "a needle far above the picture, y/z = -1.9"
     above = torch.tensor([0.2, -2.5, 1.3], dtype=f64)
     expected = _project(_CAMERA, eye, above, needle, tilted)
-    attempt.close(ask(on, eye, above, needle, tilted)[1], expected[1], "y/z is limited in J, too: 1.3 height / (2 fy)")
+    attempt.close(
+        ask(on, eye, above, needle, tilted)[1],
+        expected[1],
+        "y/z is limited in J, too: 1.3 height / (2 fy)",
+    )
 
 
 def _project_vjp(camera, T_CW, xyz_W, log_scale, quat, v_uv, v_conic, v_depth_m) -> Ellipse:
@@ -184,44 +265,76 @@ def _shape_ignored(camera, T_CW, xyz_W, log_scale, quat, v_uv, v_conic, v_depth_
 
 
 def _left_in_the_camera(camera, T_CW, xyz_W, log_scale, quat, v_uv, v_conic, v_depth_m) -> Ellipse:
-    v_xyz, v_log, v_quat = _project_vjp(camera, T_CW, xyz_W, log_scale, quat, v_uv, v_conic, v_depth_m)
+    v_xyz, v_log, v_quat = _project_vjp(
+        camera, T_CW, xyz_W, log_scale, quat, v_uv, v_conic, v_depth_m
+    )
     return T_CW[:3, :3] @ v_xyz, v_log, v_quat
 
 
 def _J_held_fixed(camera, T_CW, xyz_W, log_scale, quat, v_uv, v_conic, v_depth_m) -> Ellipse:
-    centre = _project_vjp(camera, T_CW, xyz_W, log_scale, quat, v_uv, 0 * v_conic, v_depth_m)[0]
+    centre = _project_vjp(
+        camera,
+        T_CW,
+        xyz_W,
+        log_scale,
+        quat,
+        v_uv,
+        0 * v_conic,
+        v_depth_m,
+    )[0]
     return centre, *_project_vjp(camera, T_CW, xyz_W, log_scale, quat, v_uv, v_conic, v_depth_m)[1:]
 
 
 def _as_project_gaussians_vjp(
-    yours: Yours, params: GaussianParams, camera: Camera, T_WC: Tensor,
-    v_uv: Tensor, v_conic: Tensor, v_depth_m: Tensor, v_opacity: Tensor,
-) -> ProjectionGradient:  # fmt: skip
+    yours: Yours,
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Tensor,
+    v_uv: Tensor,
+    v_conic: Tensor,
+    v_depth_m: Tensor,
+    v_opacity: Tensor,
+) -> ProjectionGradient:
     """Yours in float64 for each Gaussian in front of the camera that some pixel moves."""
     T_CW = se3.inverse(T_WC.to(params.xyz_W))
-    wanted = torch.cat([v_uv, v_conic, v_depth_m[:, None]], dim=1).any(1) & _in_front(params, T_CW)[1]
-    gradient = {name: torch.zeros_like(getattr(params, name)) for name in ("xyz_W", "log_scale", "quat")}
+    wanted = (
+        torch.cat([v_uv, v_conic, v_depth_m[:, None]], dim=1).any(1) & _in_front(params, T_CW)[1]
+    )
+    gradient = {
+        name: torch.zeros_like(getattr(params, name)) for name in ("xyz_W", "log_scale", "quat")
+    }
     for k in wanted.nonzero()[:, 0].tolist():
         row = [getattr(params, name)[k].double() for name in gradient]
         like = {f"v_{name}": value for name, value in zip(gradient, row, strict=True)}
         v = (v_uv[k].double(), v_conic[k].double(), v_depth_m[k].double())
-        for column, value in zip(gradient.values(), yours(camera, T_CW.double(), *row, *v, gives=like), strict=True):
+        for column, value in zip(
+            gradient.values(),
+            yours(camera, T_CW.double(), *row, *v, gives=like),
+            strict=True,
+        ):
             column[k] = value
     opacity = params.opacity_logit.sigmoid()
     return ProjectionGradient(**gradient, opacity_logit=v_opacity * opacity * (1 - opacity))
 
 
 @exercise(
-    chapter=5, difficulty=5, minutes=40, solution=_project_vjp,
+    chapter=5,
+    difficulty=5,
+    minutes=40,
+    solution=_project_vjp,
     becomes=Becomes("project_gaussians_vjp", _as_project_gaussians_vjp),
     hints=(
-        "Compute J, B = W R S, M = J B and Q forwards first, as in chapter 4. Then go through the table backwards.",
-        "v_Q has v_A and v_C on its diagonal and v_B / 2 twice beside it; v_cov = -Q v_Q Q (exercise 5.4).",
-        "v_M = 2 v_cov M;  v_J = v_M B^T;  v_B = J^T v_M;  v_log_scale = exp(log_scale) * column sums of (W R) * v_B;  "
+        "Compute J, B = W R S, M = J B and Q forwards first, as in chapter 4. Then go through the "
+        "table backwards.",
+        "v_Q has v_A and v_C on its diagonal and v_B / 2 twice beside it; v_cov = -Q v_Q Q "
+        "(exercise 5.4).",
+        "v_M = 2 v_cov M;  v_J = v_M B^T;  v_B = J^T v_M;  v_log_scale = exp(log_scale) * column "
+        "sums of (W R) * v_B;  "
         "v_R = W^T v_B S, and quaternion.to_matrix_vjp(quat, v_R) does the rest.",
-        "The centre: exercise 5.5 gives the part of v_uv, v_depth_m belongs to z, and J depends on the centre, too: "
-        "x on J[0, 2] = -fx x / z^2, y on J[1, 2], z on all four entries.",
-        "Every entry of J is 1/z times something in x/z, y/z: v_z = v_depth_m - (x v_x + y v_y + sum(J * v_J)) / z, "
+        "The centre: exercise 5.5 gives the part of v_uv, v_depth_m belongs to z, and J depends on "
+        "the centre, too: x on J[0, 2] = -fx x / z^2, y on J[1, 2], z on all four entries.",
+        "Every entry of J is 1/z times something in x/z, y/z: v_z = v_depth_m - (x v_x + y v_y + "
+        "sum(J * v_J)) / z, "
         "where v_x and v_y contain both parts. At the end v_xyz_W = W^T v_xyz_C.",
     ),
     wrong=(
@@ -229,35 +342,72 @@ def _as_project_gaussians_vjp(
         Wrong(_shape_ignored, says="v_log_scale agrees with autograd"),
         Wrong(_J_held_fixed, says="J moves with the centre"),
     ),
-)  # fmt: skip
+)
 def project_gaussian_vjp(attempt: Attempt) -> None:
-    """Gradient of the projection of one Gaussian: from centre, conic and depth to its row of the map."""
+    """Gradient of the projection of one Gaussian: from centre, conic and depth to its row of the
+    map."""
     f64, names = torch.float64, ("v_xyz_W", "v_log_scale", "v_quat")
     turned = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.3, -0.4, 0.8], dtype=f64))
-    ahead = se3.apply(se3.inverse(turned), torch.tensor([0.3, -0.2, 2.0], dtype=f64))
-    needle, tilted = torch.tensor([0.3, 0.05, 0.1], dtype=f64).log(), torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64)
-    v_uv, v_conic = torch.tensor([0.7, -0.4], dtype=f64), torch.tensor([20.0, 30.0, -10.0], dtype=f64)
+    ahead = se3.apply(
+        se3.inverse(turned),
+        torch.tensor([0.3, -0.2, 2.0], dtype=f64),
+    )
+    needle, tilted = (
+        torch.tensor([0.3, 0.05, 0.1], dtype=f64).log(),
+        torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64),
+    )
+    v_uv, v_conic = (
+        torch.tensor([0.7, -0.4], dtype=f64),
+        torch.tensor([20.0, 30.0, -10.0], dtype=f64),
+    )
     v_depth_m = torch.tensor(0.5, dtype=f64)
 
     def both(on: str, xyz_W: Tensor, *v: Tensor) -> tuple[tuple, tuple]:
-        got = attempt.unpack(attempt.on(on)(_CAMERA, turned, xyz_W, needle, tilted, *v), names)
+        got = attempt.unpack(
+            attempt.on(on)(_CAMERA, turned, xyz_W, needle, tilted, *v),
+            names,
+        )
         leaves = [x.clone().requires_grad_() for x in (xyz_W, needle, tilted)]
         outputs = _project(_CAMERA, turned, *leaves)
         loss = torch.stack([(a * b).sum() for a, b in zip(outputs, v, strict=True)]).sum()
         right = torch.autograd.grad(loss, leaves, allow_unused=True)
-        return got, tuple(torch.zeros_like(x) if r is None else r for x, r in zip(leaves, right, strict=True))
+        return got, tuple(
+            torch.zeros_like(x) if r is None else r for x, r in zip(leaves, right, strict=True)
+        )
 
-    got, right = both("only the centre counts: dL/dconic = 0, dL/ddepth = 0", ahead, v_uv, 0 * v_conic, 0 * v_depth_m)
-    attempt.close(got[0], right[0], "the gradient of the centre goes back to the world: W^T v_xyz_C")
-    got, right = both("only the depth counts: dL/duv = 0, dL/dconic = 0", ahead, 0 * v_uv, 0 * v_conic, v_depth_m)
+    got, right = both(
+        "only the centre counts: dL/dconic = 0, dL/ddepth = 0",
+        ahead,
+        v_uv,
+        0 * v_conic,
+        0 * v_depth_m,
+    )
+    attempt.close(
+        got[0], right[0], "the gradient of the centre goes back to the world: W^T v_xyz_C"
+    )
+    got, right = both(
+        "only the depth counts: dL/duv = 0, dL/dconic = 0", ahead, 0 * v_uv, 0 * v_conic, v_depth_m
+    )
     attempt.close(got[0], right[0], "v_depth_m belongs to z")
-    got, right = both("only the shape counts: dL/duv = 0, dL/ddepth = 0", ahead, 0 * v_uv, v_conic, 0 * v_depth_m)
+    got, right = both(
+        "only the shape counts: dL/duv = 0, dL/ddepth = 0", ahead, 0 * v_uv, v_conic, 0 * v_depth_m
+    )
     attempt.close(got[1], right[1], "v_log_scale agrees with autograd")
     attempt.close(got[2], right[2], "v_quat agrees with autograd")
     attempt.close(got[0], right[0], "J moves with the centre, so the shape has a gradient by it")
-    aside = se3.apply(se3.inverse(turned), torch.tensor([2.5, 0.2, 1.0], dtype=f64))
-    got, right = both("everything, and a Gaussian far outside the picture", aside, v_uv, v_conic, v_depth_m)
+    aside = se3.apply(
+        se3.inverse(turned),
+        torch.tensor([2.5, 0.2, 1.0], dtype=f64),
+    )
+    got, right = both(
+        "everything, and a Gaussian far outside the picture", aside, v_uv, v_conic, v_depth_m
+    )
     attempt.close(got[0], right[0], "where x/z is limited in J, x has no gradient through J")
-    above = se3.apply(se3.inverse(turned), torch.tensor([0.2, -2.5, 1.3], dtype=f64))
-    got, right = both("a Gaussian far above the picture, 1.3 m ahead", above, v_uv, v_conic, v_depth_m)
+    above = se3.apply(
+        se3.inverse(turned),
+        torch.tensor([0.2, -2.5, 1.3], dtype=f64),
+    )
+    got, right = both(
+        "a Gaussian far above the picture, 1.3 m ahead", above, v_uv, v_conic, v_depth_m
+    )
     attempt.close(got[0], right[0], "where y/z is limited in J, y has no gradient through J")

@@ -1,4 +1,5 @@
-"""Exercises of chapter 5: gradients written by hand, and their comparison with autograd and finite differences."""
+"""Exercises of chapter 5: gradients written by hand, and their comparison with autograd and finite
+differences."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,9 +28,15 @@ class Compared:
 
     @property
     def errors(self) -> tuple[float, float]:
-        """Largest deviation of the hand-written one from autograd and differences, as a share of the largest number."""
-        scale = float(self.difference.abs().max().clamp_min(1e-12)) if self.difference.numel() else 1.0
-        return tuple(float((self.hand - other).abs().max()) / scale for other in (self.autograd, self.difference))  # pyright: ignore[reportReturnType]
+        """Largest deviation of the hand-written one from autograd and differences, as a share of
+        the largest number."""
+        scale = (
+            float(self.difference.abs().max().clamp_min(1e-12)) if self.difference.numel() else 1.0
+        )
+        return tuple(
+            float((self.hand - other).abs().max()) / scale
+            for other in (self.autograd, self.difference)
+        )  # pyright: ignore[reportReturnType]
 
 
 class GradientComparison:
@@ -52,7 +59,10 @@ class GradientComparison:
             for name, *values in _numbers(row):
                 lines.append(f"{name:>16} " + " ".join(f"{v:>12.6f}" for v in values))
             a, d = row.errors
-            lines.append(f"{'':>16} largest error of {row.hand.numel()}: autograd {a:.0e}, difference {d:.0e}")
+            lines.append(
+                f"{'':>16} largest error of {row.hand.numel()}: autograd {a:.0e}, difference "
+                f"{d:.0e}"
+            )
         return "\n".join([*lines, "all three agree" if self.ok else "they do NOT agree"])
 
 
@@ -78,8 +88,16 @@ def compare_gradients(
     values = {name: x.detach().clone().double().requires_grad_() for name, x in inputs.items()}
     out = forward(*values.values())
     if v is None:
-        v = torch.randn(out.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    auto = torch.autograd.grad((v * out).sum(), list(values.values()), allow_unused=True)
+        v = torch.randn(
+            out.shape,
+            generator=torch.Generator().manual_seed(0),
+            dtype=torch.float64,
+        )
+    auto = torch.autograd.grad(
+        (v * out).sum(),
+        list(values.values()),
+        allow_unused=True,
+    )
     plain = [x.detach() for x in values.values()]
     with torch.no_grad():
         by_hand = vjp(v, *plain)
@@ -96,8 +114,13 @@ def compare_gradients(
     return GradientComparison(rows)
 
 
-def central_difference(loss: Callable[[Tensor], float], x: Tensor, step: float) -> Tensor:
-    """(L(x + h) - L(x - h)) / 2h for every element of ``x``, one at a time. Two evaluations per number."""
+def central_difference(
+    loss: Callable[[Tensor], float],
+    x: Tensor,
+    step: float,
+) -> Tensor:
+    """(L(x + h) - L(x - h)) / 2h for every element of ``x``, one at a time. Two evaluations per
+    number."""
     gradient = torch.zeros_like(x)
     for i in range(x.numel()):
         ends = []
@@ -116,7 +139,9 @@ def _numbers(row: Compared) -> list[tuple[str, float, float, float]]:
     for i in range(min(row.hand.numel(), _SHOWN)):
         index = [int(j) for j in torch.unravel_index(torch.tensor(i), shape)] if shape else []
         name = row.name + (str(index) if index else "")
-        table.append((name, *(float(x.reshape(-1)[i]) for x in (row.hand, row.autograd, row.difference))))
+        table.append(
+            (name, *(float(x.reshape(-1)[i]) for x in (row.hand, row.autograd, row.difference)))
+        )
     return table
 
 
@@ -147,7 +172,10 @@ def _moves_x(loss: Loss, x: Tensor, h: float) -> Tensor:
 
 
 @exercise(
-    chapter=5, difficulty=1, minutes=5, solution=_slope,
+    chapter=5,
+    difficulty=1,
+    minutes=5,
+    solution=_slope,
     hints=(
         "For each i: move x[i] up by h, then down by h, and compare the two losses.",
         "Divide by 2h, the distance between the two points.",
@@ -158,18 +186,29 @@ def _moves_x(loss: Loss, x: Tensor, h: float) -> Tensor:
         Wrong(_half_forgotten, says="the slope of a straight line"),
         Wrong(_moves_x, says="it does not change its inputs"),
     ),
-)  # fmt: skip
+)
 def slope(attempt: Attempt) -> None:
     """Gradient of a function by central differences."""
     f64 = torch.float64
     x, a = torch.tensor([1.0, -2.0, 0.5], dtype=f64), torch.tensor([3.0, -1.0, 2.0], dtype=f64)
     attempt.on("the straight line 3 x0 - x1 + 2 x2")
-    attempt.close(attempt(lambda p: a @ p, x, 1e-3), a, "the slope of a straight line is its coefficients")
+    attempt.close(
+        attempt(lambda p: a @ p, x, 1e-3), a, "the slope of a straight line is its coefficients"
+    )
     attempt.on("the parabola sum x^2 with h = 0.1")
     why = "take both sides: (f(x+h) - f(x-h)) / 2h"
-    attempt.close(attempt(lambda p: (p * p).sum(), x, 0.1), 2 * x, "a parabola has no error even for large h", why=why)
+    attempt.close(
+        attempt(lambda p: (p * p).sum(), x, 0.1),
+        2 * x,
+        "a parabola has no error even for large h",
+        why=why,
+    )
     expected = torch.stack([x[0].cos() * x[1] * x[2], x[0].sin() * x[2], x[0].sin() * x[1]])
-    got = attempt.on("sin(x0) x1 x2")(lambda p: p[0].sin() * p[1] * p[2], x, 1e-4)
+    got = attempt.on("sin(x0) x1 x2")(
+        lambda p: p[0].sin() * p[1] * p[2],
+        x,
+        1e-4,
+    )
     attempt.close(got, expected, "every element has its own slope", tolerance=1e-6)
 
 
@@ -190,7 +229,10 @@ def _as_l1_vjp(yours: Yours, rgb: Tensor, target: Tensor, v_loss: float = 1.0) -
 
 
 @exercise(
-    chapter=5, difficulty=1, minutes=4, solution=_l1_gradient,
+    chapter=5,
+    difficulty=1,
+    minutes=4,
+    solution=_l1_gradient,
     becomes=Becomes("l1_vjp", _as_l1_vjp),
     hints=(
         "The derivative of |x| is its sign.",
@@ -200,17 +242,24 @@ def _as_l1_vjp(yours: Yours, rgb: Tensor, target: Tensor, v_loss: float = 1.0) -
         Wrong(_uphill, says="too bright means a positive gradient"),
         Wrong(_not_a_mean, says="the loss is a mean"),
     ),
-)  # fmt: skip
+)
 def l1_gradient(attempt: Attempt) -> None:
     """Gradient of the mean absolute difference of two images."""
     dark = torch.full((2, 2, 3), 0.4)
     got = attempt.on("a picture of 2 x 2 pixels, everywhere 0.2 too bright")(dark + 0.2, dark)
-    attempt.close(torch.as_tensor(got).sign(), torch.ones(2, 2, 3), "too bright means a positive gradient")
     attempt.close(
-        got, torch.full((2, 2, 3), 1 / 12), "the loss is a mean over pixels and channels", why="2 * 2 * 3 = 12 values"
+        torch.as_tensor(got).sign(), torch.ones(2, 2, 3), "too bright means a positive gradient"
+    )
+    attempt.close(
+        got,
+        torch.full((2, 2, 3), 1 / 12),
+        "the loss is a mean over pixels and channels",
+        why="2 * 2 * 3 = 12 values",
     )
     attempt.on("two equal pictures")
-    attempt.close(attempt(dark, dark), torch.zeros(2, 2, 3), "where nothing differs the gradient is 0")
+    attempt.close(
+        attempt(dark, dark), torch.zeros(2, 2, 3), "where nothing differs the gradient is 0"
+    )
     generator = torch.Generator().manual_seed(1)
     a, b = torch.rand(3, 5, 3, generator=generator), torch.rand(3, 5, 3, generator=generator)
     attempt.on("random pictures of 3 x 5 pixels")
@@ -236,7 +285,10 @@ def _forwards(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=5, difficulty=2, minutes=8, solution=_pinhole_vjp,
+    chapter=5,
+    difficulty=2,
+    minutes=8,
+    solution=_pinhole_vjp,
     hints=(
         "v_xyz = J^T v_uv with the J of chapter 4: three numbers.",
         "x moves only u, y only v, but z moves both.",
@@ -246,25 +298,47 @@ def _forwards(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
         Wrong(_forwards, says="x moves u by fx / z"),
         Wrong(_depth_ignored, says="moving away moves u and v towards the middle: -fx x / z^2"),
     ),
-)  # fmt: skip
+)
 def pinhole_vjp(attempt: Attempt) -> None:
     """Gradient of the pinhole projection: from dL/d(u, v) to dL/d(x, y, z)."""
     f64 = torch.float64
-    ahead, aside = torch.tensor([0.0, 0.0, 2.0], dtype=f64), torch.tensor([1.0, -0.5, 2.0], dtype=f64)
+    ahead, aside = (
+        torch.tensor([0.0, 0.0, 2.0], dtype=f64),
+        torch.tensor([1.0, -0.5, 2.0], dtype=f64),
+    )
     attempt.on("a point 2 m straight ahead, dL/du = 1, fx = 100")
-    got = attempt(ahead, 100.0, 80.0, torch.tensor([1.0, 0.0], dtype=f64))
+    got = attempt(
+        ahead,
+        100.0,
+        80.0,
+        torch.tensor([1.0, 0.0], dtype=f64),
+    )
     got = torch.as_tensor(got)
     attempt.close(got[:2], [50.0, 0.0], "x moves u by fx / z")
     attempt.close(got[2], 0.0, "straight ahead, moving along z changes nothing: x is 0")
-    got = attempt.on("the same point, dL/dv = 1, fy = 80")(ahead, 100.0, 80.0, torch.tensor([0.0, 1.0], dtype=f64))
+    got = attempt.on("the same point, dL/dv = 1, fy = 80")(
+        ahead, 100.0, 80.0, torch.tensor([0.0, 1.0], dtype=f64)
+    )
     attempt.close(got, [0.0, 40.0, 0.0], "y moves v by fy / z")
     attempt.on("a point at (1, -0.5, 2), dL/du = dL/dv = 1")
-    got = attempt(aside, 100.0, 80.0, torch.tensor([1.0, 1.0], dtype=f64))
+    got = attempt(
+        aside,
+        100.0,
+        80.0,
+        torch.tensor([1.0, 1.0], dtype=f64),
+    )
     why = "u = fx x / z, differentiated by z"
-    attempt.close(got, [50.0, 40.0, -25.0 + 10.0], "moving away moves u and v towards the middle: -fx x / z^2", why=why)
+    attempt.close(
+        got,
+        [50.0, 40.0, -25.0 + 10.0],
+        "moving away moves u and v towards the middle: -fx x / z^2",
+        why=why,
+    )
     attempt.on("another point")
     xyz, v = torch.tensor([-0.7, 0.3, 1.3], dtype=f64), torch.tensor([0.4, -1.7], dtype=f64)
-    attempt.close(attempt(xyz, 90.0, 110.0, v), _pinhole_vjp(xyz, 90.0, 110.0, v), "v_xyz = J^T v_uv")
+    attempt.close(
+        attempt(xyz, 90.0, 110.0, v), _pinhole_vjp(xyz, 90.0, 110.0, v), "v_xyz = J^T v_uv"
+    )
 
 
 def _inverse_vjp(Q: Tensor, v_Q: Tensor) -> Tensor:
@@ -280,17 +354,21 @@ def _element_by_element(Q: Tensor, v_Q: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=5, difficulty=3, minutes=12, solution=_inverse_vjp,
+    chapter=5,
+    difficulty=3,
+    minutes=12,
+    solution=_inverse_vjp,
     hints=(
         "Start from Q cov = I and move cov a little: dQ cov + Q dcov = 0.",
         "So dQ = -Q dcov Q. For 1 x 1 matrices that is d(1/s) = -ds / s^2.",
-        "L changes by <v_Q, dQ> = -trace(v_Q^T Q dcov Q). Rearrange it until it reads <v_cov, dcov>.",
+        "L changes by <v_Q, dQ> = -trace(v_Q^T Q dcov Q). Rearrange it until it reads <v_cov, "
+        "dcov>.",
     ),
     wrong=(
         Wrong(_plus, says="a wider Gaussian has a smaller conic"),
         Wrong(_element_by_element, says="the matrix acts from both sides"),
     ),
-)  # fmt: skip
+)
 def inverse_vjp(attempt: Attempt) -> None:
     """Gradient of a matrix inverse: from dL/dQ to dL/dcov, Q = cov^-1."""
     f64 = torch.float64
@@ -301,12 +379,16 @@ def inverse_vjp(attempt: Attempt) -> None:
     v_Q = torch.tensor([[1.0, 0.3], [0.3, -2.0]], dtype=f64)
     attempt.on("a tilted ellipse")
     expected = _inverse_vjp(cov.inverse(), v_Q)
-    attempt.close(attempt(cov.inverse(), v_Q), expected, "the matrix acts from both sides: -Q^T v_Q Q^T")
+    attempt.close(
+        attempt(cov.inverse(), v_Q), expected, "the matrix acts from both sides: -Q^T v_Q Q^T"
+    )
     attempt.on("the same ellipse, and a v_Q that is not symmetric")
     v_Q = torch.tensor([[1.0, 0.7], [-0.4, -2.0]], dtype=f64)
     expected = _inverse_vjp(cov.inverse(), v_Q)
     why = "entry (i, j) of v_Q belongs to entry (i, j) of Q"
-    attempt.close(attempt(cov.inverse(), v_Q), expected, "v_Q is not transposed: -Q^T v_Q Q^T", why=why)
+    attempt.close(
+        attempt(cov.inverse(), v_Q), expected, "v_Q is not transposed: -Q^T v_Q Q^T", why=why
+    )
 
 
 def _blend(alpha: Tensor, rgb: Tensor) -> Tensor:
@@ -331,8 +413,8 @@ def _alpha_for_weight(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Ten
 
 
 def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
-    """Yours for each pixel whose colour has a gradient; a loss of depth or alpha is left to the reference. The
-    blending ends where the reference ends it, and a clamped alpha does not move."""
+    """Yours for each pixel whose colour has a gradient; a loss of depth or alpha is left to the
+    reference. The blending ends where the reference ends it, and a clamped alpha does not move."""
     if v_C[:, 3:].any():
         return NotImplemented
     _, w = blend_weights(alpha)
@@ -347,36 +429,56 @@ def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
 
 
 @exercise(
-    chapter=5, difficulty=4, minutes=25, solution=_blend_vjp,
+    chapter=5,
+    difficulty=4,
+    minutes=25,
+    solution=_blend_vjp,
     becomes=Becomes("blend_vjp", _as_blend_vjp),
     hints=(
         "C = sum_k w_k c_k is linear in the colours: dL/dc_k = w_k v_C, with w_k = alpha_k T_k.",
-        "alpha_k brightens its own term, T_k c_k, and darkens all terms behind: each has the factor (1 - alpha_k).",
-        "A term j > k is w_j = (1 - alpha_k) x something, so dw_j/dalpha_k = -w_j / (1 - alpha_k). Sum over j > k.",
+        "alpha_k brightens its own term, T_k c_k, and darkens all terms behind: each has the "
+        "factor (1 - alpha_k).",
+        "A term j > k is w_j = (1 - alpha_k) x something, so dw_j/dalpha_k = -w_j / (1 - alpha_k). "
+        "Sum over j > k.",
         "S_k, the sum over j > k of w_j (c_j . v_C), is a reversed cumsum minus the term of k.",
     ),
     wrong=(
         Wrong(_shadow_forgotten, says="what stands behind gets darker: -S / (1 - alpha)"),
         Wrong(_alpha_for_weight, says="a colour counts with its weight"),
     ),
-)  # fmt: skip
+)
 def blend_vjp(attempt: Attempt) -> None:
     """Gradient of the blending of one pixel: from dL/dC to dL/dalpha and dL/dc."""
     f64, names = torch.float64, ("v_alpha", "v_rgb")
-    alpha, rgb = torch.tensor([0.5, 0.8], dtype=f64), torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=f64)
+    alpha, rgb = (
+        torch.tensor([0.5, 0.8], dtype=f64),
+        torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=f64),
+    )
     attempt.on("red 0.5 in front of green 0.8, dL/dC = (1, 0, 0)")
-    v_alpha, v_rgb = attempt.unpack(attempt(alpha, rgb, torch.tensor([1.0, 0.0, 0.0], dtype=f64)), names)
+    v_alpha, v_rgb = attempt.unpack(
+        attempt(alpha, rgb, torch.tensor([1.0, 0.0, 0.0], dtype=f64)),
+        names,
+    )
     attempt.close(
-        v_rgb, [[0.5, 0.0, 0.0], [0.4, 0.0, 0.0]], "a colour counts with its weight", why="w = 0.5 and 0.5 * 0.8"
+        v_rgb,
+        [[0.5, 0.0, 0.0], [0.4, 0.0, 0.0]],
+        "a colour counts with its weight",
+        why="w = 0.5 and 0.5 * 0.8",
     )
     attempt.close(v_alpha, [1.0, 0.0], "more alpha adds more of the Gaussian's own colour")
     attempt.on("the same, dL/dC = (0, 1, 0)")
-    v_alpha, _ = attempt.unpack(attempt(alpha, rgb, torch.tensor([0.0, 1.0, 0.0], dtype=f64)), names)
+    v_alpha, _ = attempt.unpack(
+        attempt(alpha, rgb, torch.tensor([0.0, 1.0, 0.0], dtype=f64)),
+        names,
+    )
     why = "the red one takes light from the green one: -S / (1 - alpha) = -0.4 / 0.5"
     attempt.close(v_alpha, [-0.8, 0.5], "what stands behind gets darker: -S / (1 - alpha)", why=why)
     generator = torch.Generator().manual_seed(2)
     alpha = 0.9 * torch.rand(9, generator=generator, dtype=f64)
-    rgb, v = torch.rand(9, 3, generator=generator, dtype=f64), torch.randn(3, generator=generator, dtype=f64)
+    rgb, v = (
+        torch.rand(9, 3, generator=generator, dtype=f64),
+        torch.randn(3, generator=generator, dtype=f64),
+    )
     v_alpha, v_rgb = attempt.unpack(attempt.on("nine random Gaussians")(alpha, rgb, v), names)
     a, c = alpha.clone().requires_grad_(), rgb.clone().requires_grad_()
     expected = torch.autograd.grad(_blend(a, c) @ v, (a, c))

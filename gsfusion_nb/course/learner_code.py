@@ -1,7 +1,9 @@
-"""A learner's function outside the library: where it is, how it is run, and how it comes to the next chapter.
+"""A learner's function outside the library: where it is, how it is run, and how it comes to the
+next chapter.
 
-It runs with a limit of time, and its results become plain values. A chapter goes on with it if it passes, else with the
-reference's. An accepted function is kept as source code in the course file, because a notebook is a process of its own.
+It runs with a limit of time, and its results become plain values. A chapter goes on with it if it
+passes, else with the reference's. An accepted function is kept as source code in the course file,
+because a notebook is a process of its own.
 """
 
 import contextlib
@@ -39,7 +41,8 @@ SECTION = "functions"
 
 
 class Failed(Exception):
-    """A property does not hold: ``prop`` names it, ``on`` the input, ``detail`` what was returned and expected."""
+    """A property does not hold: ``prop`` names it, ``on`` the input, ``detail`` what was returned
+    and expected."""
 
     def __init__(self, prop: str, on: str, detail: str):
         super().__init__(f"{prop} (on {on}): {detail}")
@@ -47,7 +50,8 @@ class Failed(Exception):
 
 
 def line_of_error(error: BaseException, function: Callable[..., Any]) -> str:
-    """``line 3 of cell 7, `u = x / z` ``: the innermost line of the function's file on the error's way; or "".
+    """``line 3 of cell 7, `u = x / z` ``: the innermost line of the function's file on the error's
+    way; or "".
 
     A notebook has one file for each cell, so helper functions of the same cell are found too.
     """
@@ -61,13 +65,19 @@ def line_of_error(error: BaseException, function: Callable[..., Any]) -> str:
 
 
 def line_of_definition(function: Callable[..., Any]) -> str:
-    """``line 1 of cell 7, `def project(xyz_C):` ``: the first line of a function; its type if it has no code."""
+    """``line 1 of cell 7, `def project(xyz_C):` ``: the first line of a function; its type if it
+    has no code."""
     code = getattr(inspect.unwrap(function), "__code__", None)
-    return type(function).__name__ if code is None else line_in_words(code.co_filename, code.co_firstlineno)
+    return (
+        type(function).__name__
+        if code is None
+        else line_in_words(code.co_filename, code.co_firstlineno)
+    )
 
 
 def line_in_words(file: str, line: int) -> str:
-    """The line, the number in the brackets of its cell, if it is one of the running notebook, and its text."""
+    """The line, the number in the brackets of its cell, if it is one of the running notebook, and
+    its text."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     cell = getattr(getattr(shell, "compile", None), "_filename_map", {}).get(file)
@@ -100,8 +110,8 @@ def in_words(value: Any) -> str:
 def plain_value(value: Any) -> Any:
     """A copy of a result, made of tensors, numbers, texts, lists, tuples, sets and dicts.
 
-    NumPy arrays become tensors, NumPy numbers and fractions Python's, and what a generator yields a list. Objects of
-    the library stay.
+    NumPy arrays become tensors, NumPy numbers and fractions Python's, and what a generator yields a
+    list. Objects of the library stay.
 
     Raises:
         Failed: an object of another kind, or a generator without end.
@@ -124,12 +134,18 @@ def plain_value(value: Any) -> Any:
     if isinstance(value, (Iterator, range)):
         found = [plain_value(part) for part in itertools.islice(value, _LONGEST + 1)]
         if len(found) > _LONGEST:
-            raise Failed("it comes to an end", "", f"it returned a generator of more than {_LONGEST:,} values")
+            raise Failed(
+                "it comes to an end",
+                "",
+                f"it returned a generator of more than {_LONGEST:,} values",
+            )
         return found
     if type(value).__module__.startswith(f"{__name__.partition('.')[0]}."):
         return value
     kinds = "tensors, arrays, numbers, texts, lists, tuples"
-    raise Failed("it returns plain values", "", f"it returned a {type(value).__name__}; expected {kinds}")
+    raise Failed(
+        "it returns plain values", "", f"it returned a {type(value).__name__}; expected {kinds}"
+    )
 
 
 def argument_copy(value: Any) -> Any:
@@ -140,12 +156,16 @@ def argument_copy(value: Any) -> Any:
 
 
 class _TimeIsUp(BaseException):
-    """Raised inside a learner's function that takes too long; no ``except Exception`` of theirs catches it."""
+    """Raised inside a learner's function that takes too long; no ``except Exception`` of theirs
+    catches it."""
 
 
 @contextlib.contextmanager
-def calls_of_library(function: Callable[..., Any]) -> Iterator[list[tuple[int, types.CodeType, Any]]]:
-    """Calls of this package's functions in the learner's file: line, function, result; while the context is open.
+def calls_of_library(
+    function: Callable[..., Any],
+) -> Iterator[list[tuple[int, types.CodeType, Any]]]:
+    """Calls of this package's functions in the learner's file: line, function, result; while the
+    context is open.
 
     None for a function of the package itself.
     """
@@ -154,8 +174,14 @@ def calls_of_library(function: Callable[..., Any]) -> Iterator[list[tuple[int, t
     usual = sys.getprofile()
 
     def watch(frame: Any, event: str, value: Any) -> None:
-        operator = frame.f_code.co_name.startswith("__")  # such as len() and [] of a value of the library
-        if event == "return" and not operator and _is_of_library(frame.f_globals.get("__name__", "")):
+        operator = frame.f_code.co_name.startswith(
+            "__"
+        )  # such as len() and [] of a value of the library
+        if (
+            event == "return"
+            and not operator
+            and _is_of_library(frame.f_globals.get("__name__", ""))
+        ):
             caller = frame.f_back
             while caller is not None and _passes_on(caller.f_globals.get("__name__", "")):
                 caller = caller.f_back
@@ -179,8 +205,11 @@ def _passes_on(module: str) -> bool:
     return module == backends.__name__ or module.startswith("jaxtyping")
 
 
-def run_learner(function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
-    """The result of ``function`` as a plain value. A loop without end is left where the system has timers.
+def run_learner(
+    function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]
+) -> Any:
+    """The result of ``function`` as a plain value. A loop without end is left where the system has
+    timers.
 
     Raises:
         Failed: it took too long, or returned something that is no plain value.
@@ -199,7 +228,10 @@ def run_learner(function: Callable[..., Any], args: Sequence[Any], kwargs: Mappi
     try:
         return plain_value(function(*args, **kwargs))
     except _TimeIsUp:
-        said = f"it ran for more than {LIMIT_S:g} s. Is there a loop whose condition never becomes false?"
+        said = (
+            f"it ran for more than {LIMIT_S:g} s. Is there a loop whose condition never becomes "
+            "false?"
+        )
         raise Failed("it comes to an end", "", said) from None
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
@@ -234,8 +266,11 @@ class CodeInUse:
             ipython.display.display(self)
 
 
-def with_reference(exercise: str, function: Callable[..., Any], reference: Callable[..., Any]) -> Any:
-    """``function``, until a call raises: then a sentence names the line, and ``reference`` answers from there on.
+def with_reference(
+    exercise: str, function: Callable[..., Any], reference: Callable[..., Any]
+) -> Any:
+    """``function``, until a call raises: then a sentence names the line, and ``reference`` answers
+    from there on.
 
     ``function`` gets copies of tensors and arrays. An interrupt is not caught.
     """
@@ -245,7 +280,10 @@ def with_reference(exercise: str, function: Callable[..., Any], reference: Calla
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal failed
         if not failed:
-            copies, named = map(argument_copy, args), {name: argument_copy(value) for name, value in kwargs.items()}
+            copies, named = (
+                map(argument_copy, args),
+                {name: argument_copy(value) for name, value in kwargs.items()},
+            )
             try:
                 return plain_value(function(*copies, **named))
             except Exception as e:
@@ -278,7 +316,8 @@ def keep_source(exercise: str, function: Callable[..., Any]) -> None:
 
 
 def functions_of_earlier_chapters() -> dict[str, Callable[..., Any]]:
-    """Exercise -> the function noted for it, made from its source; a source that does not run any more is left out.
+    """Exercise -> the function noted for it, made from its source; a source that does not run any
+    more is left out.
 
     Raises:
         CourseFileError: the file is damaged, or a newer version of the program wrote it.
@@ -289,7 +328,9 @@ def functions_of_earlier_chapters() -> dict[str, Callable[..., Any]]:
         linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
         namespace: dict[str, Any] = {"__name__": "__main__"}
         try:
-            exec(compile(source, file, "exec"), namespace)  # the learner's own code, from the learner's own file
+            exec(
+                compile(source, file, "exec"), namespace
+            )  # the learner's own code, from the learner's own file
             made[exercise] = namespace[str(entry.get("function"))]
         except Exception:
             continue
@@ -297,7 +338,8 @@ def functions_of_earlier_chapters() -> dict[str, Callable[..., Any]]:
 
 
 def _needed(function: types.FunctionType, seen: set[int]) -> Iterator[str]:
-    """Source of a function, after that of everything in its notebook that it uses: imports, numbers, functions."""
+    """Source of a function, after that of everything in its notebook that it uses: imports,
+    numbers, functions."""
     seen.add(id(function))
     for name in sorted(_names(function.__code__)):
         if name in function.__globals__:
@@ -306,7 +348,8 @@ def _needed(function: types.FunctionType, seen: set[int]) -> Iterator[str]:
 
 
 def _definition(name: str, value: Any, seen: set[int]) -> Iterator[str]:
-    """Lines that define a global of the notebook; none for what has no short definition, such as an image."""
+    """Lines that define a global of the notebook; none for what has no short definition, such as an
+    image."""
     if isinstance(value, types.ModuleType):
         package, _, module = value.__name__.rpartition(".")
         yield f"{f'from {package} ' if package else ''}import {module} as {name}"

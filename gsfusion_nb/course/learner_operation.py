@@ -1,4 +1,5 @@
-"""A learner's function in the place of an operation of the library: called on copies, results checked, errors named."""
+"""A learner's function in the place of an operation of the library: called on copies, results
+checked, errors named."""
 
 import functools
 import inspect
@@ -18,23 +19,26 @@ KEPT: dict[str, Callable[..., Any]] = {}
 
 @dataclass(frozen=True)
 class Becomes:
-    """What a function becomes under the backend ``mine``: an operation of the library, or a piece of one."""
+    """What a function becomes under the backend ``mine``: an operation of the library, or a piece
+    of one."""
 
     operation: str
     """Name of the function with ``@op`` or ``@piece``."""
     adapter: Callable[..., Any]
-    """Takes the learner's function (``Yours``) and the arguments of the operation; returns what the operation returns,
-    or ``NotImplemented`` to leave this call to the reference."""
+    """Takes the learner's function (``Yours``) and the arguments of the operation; returns what the
+    operation returns, or ``NotImplemented`` to leave this call to the reference."""
 
 
 class LearnerError(RuntimeError):
-    """A learner's function failed inside the library; the message names its cell and line and what went in."""
+    """A learner's function failed inside the library; the message names its cell and line and what
+    went in."""
 
 
 class Yours:
     """A learner's function inside the library, as the adapter of its exercise calls it.
 
-    While it runs, the backend is the reference, so that a library function that it calls does not call it again.
+    While it runs, the backend is the reference, so that a library function that it calls does not
+    call it again.
 
     Args:
         exercise: Name of the exercise.
@@ -45,21 +49,31 @@ class Yours:
     def __init__(self, exercise: str, operation: str, function: Callable[..., Any]):
         self.exercise, self.operation, self.function = exercise, operation, function
 
-    def __call__(self, *args: Any, gives: Mapping[str, Tensor] | None = None) -> Any:
+    def __call__(
+        self,
+        *args: Any,
+        gives: Mapping[str, Tensor] | None = None,
+    ) -> Any:
         """Call the function on copies of the tensors in ``args``.
 
         Args:
-            gives: Name of each result -> a tensor of the shape and type that it must have. One result is returned as
-                a tensor, several as a tuple. Without ``gives`` the result is returned as it is.
+            gives: Name of each result -> a tensor of the shape and type that it must have. One
+                result is returned as a tensor, several as a tuple. Without ``gives`` the result is
+                returned as it is.
 
         Raises:
-            LearnerError: the function raised, or a result has another shape or type, or is not finite.
+            LearnerError: the function raised, or a result has another shape or type, or is not
+                finite.
         """
         copies = [value.clone() if isinstance(value, Tensor) else value for value in args]
         result = self._called(copies)
         return result if gives is None else self._checked(result, gives, args)
 
-    def many(self, calls: Sequence[tuple], gives: Sequence[Mapping[str, Tensor]]) -> list[Any]:
+    def many(
+        self,
+        calls: Sequence[tuple],
+        gives: Sequence[Mapping[str, Tensor]],
+    ) -> list[Any]:
         """Call the function for each tuple of arguments. Raises as for one call."""
         return [self(*args, gives=like) for args, like in zip(calls, gives, strict=True)]
 
@@ -73,18 +87,32 @@ class Yours:
             reason = f"{type(e).__name__}: {str(e).splitlines()[0]}" if str(e) else type(e).__name__
             self.fail(f"raised {reason}", tuple(args), cause=e)
 
-    def _checked(self, result: Any, gives: Mapping[str, Tensor], args: tuple) -> Any:
+    def _checked(
+        self,
+        result: Any,
+        gives: Mapping[str, Tensor],
+        args: tuple,
+    ) -> Any:
         values = result if len(gives) > 1 else (result,)
         if not isinstance(values, (tuple, list)) or len(values) != len(gives):
-            self.fail(f"must return {len(gives)} results ({', '.join(gives)}); it returned {in_words(result)}", args)
+            self.fail(
+                f"must return {len(gives)} results ({', '.join(gives)}); it returned "
+                f"{in_words(result)}",
+                args,
+            )
         checked = tuple(
-            self._as_tensor(name, value, like, args) for (name, like), value in zip(gives.items(), values, strict=True)
+            self._as_tensor(name, value, like, args)
+            for (name, like), value in zip(gives.items(), values, strict=True)
         )
         for name, value in zip(gives, checked, strict=True):
             if not value.isfinite().all():
                 bad = (~value.isfinite()).nonzero()
                 at = f", the first at {bad[0].tolist()}" if value.ndim else ""
-                self.fail(f"returned {len(bad)} NaN or infinite values for {name} {list(value.shape)}{at}", args)
+                self.fail(
+                    f"returned {len(bad)} NaN or infinite values for {name} "
+                    f"{list(value.shape)}{at}",
+                    args,
+                )
         return checked if len(gives) > 1 else checked[0]
 
     def _as_tensor(self, name: str, value: Any, like: Tensor, args: tuple) -> Tensor:
@@ -95,24 +123,43 @@ class Yours:
         try:
             got = torch.as_tensor(value)
         except (TypeError, ValueError, RuntimeError):
-            self.fail(f"returned {in_words(value)} for {name}, which is not an array of numbers; {expected}", args)
+            self.fail(
+                f"returned {in_words(value)} for {name}, which is not an array of numbers; "
+                f"{expected}",
+                args,
+            )
         is_whole = isinstance(value, Tensor) and not got.is_floating_point()
         if got.shape != like.shape or (like.is_floating_point() and (is_whole or got.is_complex())):
             self.fail(f"returned {in_words(value)} for {name}; {expected}", args)
         return got.to(like)
 
-    def fail(self, what: str, args: tuple = (), *, cause: Exception | None = None) -> NoReturn:
-        """Raise ``LearnerError``: the function, its place, ``what`` it did, and the arguments that went in."""
-        where = (cause is not None and line_of_error(cause, self.function)) or line_of_definition(self.function)
+    def fail(
+        self,
+        what: str,
+        args: tuple = (),
+        *,
+        cause: Exception | None = None,
+    ) -> NoReturn:
+        """Raise ``LearnerError``: the function, its place, ``what`` it did, and the arguments that
+        went in."""
+        where = (cause is not None and line_of_error(cause, self.function)) or line_of_definition(
+            self.function
+        )
         message = f"your {self.exercise} ({where}) {what}. It ran as the operation {self.operation}"
         if args:
             names = list(inspect.signature(self.function).parameters)
             names += [f"argument {i + 1}" for i in range(len(names), len(args))]
-            message += ", with " + "; ".join(f"{n} = {in_words(v)}" for n, v in zip(names, args, strict=False))
+            message += ", with " + "; ".join(
+                f"{n} = {in_words(v)}" for n, v in zip(names, args, strict=False)
+            )
         raise LearnerError(message) from cause
 
 
-def remember(exercise: str, becomes: Becomes | None, function: Callable[..., Any]) -> None:
+def remember(
+    exercise: str,
+    becomes: Becomes | None,
+    function: Callable[..., Any],
+) -> None:
     """Keep ``function`` for an exercise, in place of an earlier one."""
     KEPT[exercise] = function
     if becomes is not None:

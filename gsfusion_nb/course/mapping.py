@@ -1,4 +1,5 @@
-"""Exercises of chapter 6: the online loop of GSFusion: the steps of a frame, keyframes, and correct frame rates."""
+"""Exercises of chapter 6: the online loop of GSFusion: the steps of a frame, keyframes, and correct
+frame rates."""
 
 import torch
 from torch import Tensor
@@ -20,18 +21,24 @@ def _mean_of_rates(seconds: list[float]) -> float:
 
 
 @exercise(
-    chapter=6, difficulty=1, minutes=4, solution=_frame_rate,
+    chapter=6,
+    difficulty=1,
+    minutes=4,
+    solution=_frame_rate,
     hints=(
         "Three frames in 0.7 s: how many frames is that in one second?",
-        "Frames divided by time. Do not average rates: quick frames would count more than the time they took.",
+        "Frames divided by time. Do not average rates: quick frames would count more than the time "
+        "they took.",
     ),
-    wrong=(
-        Wrong(_mean_of_rates, says="frames divided by the time they took"),
-    ),
-)  # fmt: skip
+    wrong=(Wrong(_mean_of_rates, says="frames divided by the time they took"),),
+)
 def frame_rate(attempt: Attempt) -> None:
     """Frames per second of a run, from the seconds of each frame."""
-    attempt.close(attempt.on("ten frames of 0.1 s")([0.1] * 10), 10.0, "equal frames: one divided by the time of each")
+    attempt.close(
+        attempt.on("ten frames of 0.1 s")([0.1] * 10),
+        10.0,
+        "equal frames: one divided by the time of each",
+    )
     attempt.on("one frame of 0.01 s and one of 0.99 s")
     why = "The mean of 1/t would be 50.5, but only two frames were mapped in that second"
     attempt.close(attempt([0.01, 0.99]), 2.0, "frames divided by the time they took", why=why)
@@ -39,7 +46,9 @@ def frame_rate(attempt: Attempt) -> None:
     attempt.close(attempt([0.1, 0.2, 0.4]), 3 / 0.7, "frames divided by the time they took")
 
 
-def _plan_frame(n_seeds: int, n_keyframes: int, m: int, n: int, r: int, min_seeds: int) -> tuple[bool, int, int]:
+def _plan_frame(
+    n_seeds: int, n_keyframes: int, m: int, n: int, r: int, min_seeds: int
+) -> tuple[bool, int, int]:
     is_keyframe = n_seeds > min_seeds
     if is_keyframe:
         return True, m, 0
@@ -70,11 +79,16 @@ def _as_plan_frame(yours: Yours, *numbers: int) -> tuple[bool, int, int]:
 
 
 @exercise(
-    chapter=6, difficulty=2, minutes=8, solution=_plan_frame,
+    chapter=6,
+    difficulty=2,
+    minutes=8,
+    solution=_plan_frame,
     becomes=Becomes("plan_frame", _as_plan_frame),
     hints=(
-        "Keyframe or not is decided by the number of new Gaussians alone: 'greater than a certain threshold'.",
-        "A keyframe gets m steps and no others. Any other frame gets n, and then r on random keyframes.",
+        "Keyframe or not is decided by the number of new Gaussians alone: 'greater than a certain "
+        "threshold'.",
+        "A keyframe gets m steps and no others. Any other frame gets n, and then r on random "
+        "keyframes.",
         "How many different keyframes can you draw from a list of one?",
     ),
     wrong=(
@@ -82,7 +96,7 @@ def _as_plan_frame(yours: Yours, *numbers: int) -> tuple[bool, int, int]:
         Wrong(_plan_revisiting_always, says="at a keyframe no other frames are revisited"),
         Wrong(_plan_with_replacement, says="never more revisits than keyframes"),
     ),
-)  # fmt: skip
+)
 def plan_frame(attempt: Attempt) -> None:
     """How many optimisation steps a frame gets (III-B.3)."""
     names = ("is_keyframe", "steps", "revisits")
@@ -92,23 +106,45 @@ def plan_frame(attempt: Attempt) -> None:
 
     on = "300 new Gaussians, 7 keyframes so far, m = 5, n = 3, r = 2, threshold 50"
     key, steps, revisits = plan(on, 300, 7, 5, 3, 2, 50)
-    attempt.holds(key, "a frame with many new Gaussians is a keyframe", detail=f"is_keyframe is {key!r}")
+    attempt.holds(
+        key, "a frame with many new Gaussians is a keyframe", detail=f"is_keyframe is {key!r}"
+    )
     attempt.close(steps, 5, "a keyframe gets m steps")
     attempt.close(revisits, 0, "at a keyframe no other frames are revisited")
     key, steps, revisits = plan("10 new Gaussians, 7 keyframes so far", 10, 7, 5, 3, 2, 50)
-    attempt.holds(not key, "a frame with few new Gaussians is not a keyframe", detail=f"is_keyframe is {key!r}")
+    attempt.holds(
+        not key,
+        "a frame with few new Gaussians is not a keyframe",
+        detail=f"is_keyframe is {key!r}",
+    )
     attempt.close([steps, revisits], [3, 2], "any other frame gets n steps, and r revisits")
     key, *_ = plan("exactly 50 new Gaussians", 50, 7, 5, 3, 2, 50)
-    attempt.holds(not key, "a keyframe adds more new Gaussians than the threshold", detail="50 is not more than 50")
-    key, steps, revisits = plan("120 new Gaussians, threshold 200, m = 6, n = 2, r = 1", 120, 7, 6, 2, 1, 200)
+    attempt.holds(
+        not key,
+        "a keyframe adds more new Gaussians than the threshold",
+        detail="50 is not more than 50",
+    )
+    key, steps, revisits = plan(
+        "120 new Gaussians, threshold 200, m = 6, n = 2, r = 1", 120, 7, 6, 2, 1, 200
+    )
     prop = "the threshold is min_seeds, and the steps are m, n and r, not the paper's numbers"
-    attempt.holds((bool(key), steps, revisits) == (False, 2, 1), prop, detail=f"got {key!r}, {steps}, {revisits}")
+    attempt.holds(
+        (bool(key), steps, revisits) == (False, 2, 1),
+        prop,
+        detail=f"got {key!r}, {steps}, {revisits}",
+    )
     on = "10 new Gaussians, one keyframe so far"
     attempt.close(
-        plan(on, 10, 1, 5, 3, 2, 50)[2], 1, "there are never more revisits than keyframes: each goes to another one"
+        plan(on, 10, 1, 5, 3, 2, 50)[2],
+        1,
+        "there are never more revisits than keyframes: each goes to another one",
     )
     on = "10 new Gaussians, no keyframe yet"
-    attempt.close(plan(on, 10, 0, 5, 3, 2, 50)[2], 0, "without keyframes there are no revisits")
+    attempt.close(
+        plan(on, 10, 0, 5, 3, 2, 50)[2],
+        0,
+        "without keyframes there are no revisits",
+    )
 
 
 def _draw_keyframes(n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
@@ -116,32 +152,50 @@ def _draw_keyframes(n_keyframes: int, count: int, generator: torch.Generator) ->
 
 
 def _draw_with_replacement(n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
-    return torch.randint(0, max(n_keyframes, 1), (min(count, n_keyframes),), generator=generator)
+    return torch.randint(
+        0,
+        max(n_keyframes, 1),
+        (min(count, n_keyframes),),
+        generator=generator,
+    )
 
 
 def _draw_the_latest(n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
     return torch.arange(n_keyframes).flip(0)[:count]
 
 
-def _draw_from_the_global_generator(n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
+def _draw_from_the_global_generator(
+    n_keyframes: int, count: int, generator: torch.Generator
+) -> Tensor:
     return torch.randperm(n_keyframes)[:count]
 
 
-def _as_draw_keyframes(yours: Yours, n_keyframes: int, count: int, generator: torch.Generator) -> Tensor:
-    """Yours, with the mapper's generator. Another way to shuffle draws other keyframes than the reference."""
+def _as_draw_keyframes(
+    yours: Yours, n_keyframes: int, count: int, generator: torch.Generator
+) -> Tensor:
+    """Yours, with the mapper's generator. Another way to shuffle draws other keyframes than the
+    reference."""
     given = (n_keyframes, count, generator)
     drawn = torch.as_tensor(yours(*given)).long().reshape(-1)
     right = len(drawn) == min(count, n_keyframes) == len(drawn.unique())
     if not right or (len(drawn) and not 0 <= int(drawn.min()) <= int(drawn.max()) < n_keyframes):
-        yours.fail(f"must return {min(count, n_keyframes)} different numbers; it returned {drawn.tolist()}", given)
+        yours.fail(
+            f"must return {min(count, n_keyframes)} different numbers; it returned "
+            f"{drawn.tolist()}",
+            given,
+        )
     return drawn
 
 
 @exercise(
-    chapter=6, difficulty=2, minutes=6, solution=_draw_keyframes,
+    chapter=6,
+    difficulty=2,
+    minutes=6,
+    solution=_draw_keyframes,
     becomes=Becomes("draw_keyframes", _as_draw_keyframes),
     hints=(
-        "The paper: 'the first (m-n) keyframes after shuffling'. Which torch function shuffles 0..n-1?",
+        "The paper: 'the first (m-n) keyframes after shuffling'. Which torch function shuffles "
+        "0..n-1?",
         "torch.randperm takes the generator; a slice also works for lists that are too short.",
     ),
     wrong=(
@@ -149,12 +203,19 @@ def _as_draw_keyframes(yours: Yours, n_keyframes: int, count: int, generator: to
         Wrong(_draw_the_latest, says="every keyframe has the same chance"),
         Wrong(_draw_from_the_global_generator, says="the generator that is passed in"),
     ),
-)  # fmt: skip
+)
 def draw_keyframes(attempt: Attempt) -> None:
     """Indices of random keyframes to revisit."""
 
-    def draw(on: str, n: int, count: int, seeds: int = 1) -> list[list[int]]:
-        drawn = [attempt.on(on)(n, count, torch.Generator().manual_seed(seed)) for seed in range(seeds)]
+    def draw(
+        on: str,
+        n: int,
+        count: int,
+        seeds: int = 1,
+    ) -> list[list[int]]:
+        drawn = [
+            attempt.on(on)(n, count, torch.Generator().manual_seed(seed)) for seed in range(seeds)
+        ]
         return [[int(i) for i in torch.as_tensor(each).reshape(-1).tolist()] for each in drawn]
 
     on = "2 out of 5, drawn 200 times"
@@ -183,12 +244,17 @@ def draw_keyframes(attempt: Attempt) -> None:
         "every keyframe has the same chance",
         detail=f"shares of the five: {[round(float(s), 2) for s in share]}, expected 0.2 each",
     )
-    attempt.close(sorted(draw("4 out of 3", 3, 4)[0]), [0, 1, 2], "from a short list, all of it")
+    attempt.close(
+        sorted(draw("4 out of 3", 3, 4)[0]),
+        [0, 1, 2],
+        "from a short list, all of it",
+    )
     attempt.close(len(draw("2 out of none", 0, 2)[0]), 0, "from an empty list, nothing")
 
 
 class Log:
-    """Stands in for the optimiser: remembers which view was optimised, and how many Gaussians there were."""
+    """Stands in for the optimiser: remembers which view was optimised, and how many Gaussians there
+    were."""
 
     def __init__(self, mapper: GSFusion):
         self.mapper = mapper
@@ -210,7 +276,9 @@ def _map_frame(mapper: GSFusion, frame: Frame, optimise) -> int:
     for _ in range(optim.keyframe_iterations if is_keyframe else optim.frame_iterations):
         optimise(frame)
     if not is_keyframe:
-        for keyframe in mapper.keyframes.draw(optim.random_keyframe_iterations, mapper.random.keyframes):
+        for keyframe in mapper.keyframes.draw(
+            optim.random_keyframe_iterations, mapper.random.keyframes
+        ):
             optimise(keyframe)
     return len(seeds)
 
@@ -242,22 +310,31 @@ def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
 
 
 @exercise(
-    chapter=6, difficulty=4, minutes=20, solution=_map_frame,
+    chapter=6,
+    difficulty=4,
+    minutes=20,
+    solution=_map_frame,
     hints=(
         "Four parts in this order: integrate(mapper.volume, frame); seeds = mapper.propose_seeds("
-        "mapper.seed_context(frame)); mapper.gaussians.append(seeds, frame.index); optimise(frame).",
-        "A frame with more than mapper.config.keyframe_min_seeds seeds goes to mapper.keyframes.append(frame) and gets "
+        "mapper.seed_context(frame)); mapper.gaussians.append(seeds, frame.index); "
+        "optimise(frame).",
+        "A frame with more than mapper.config.keyframe_min_seeds seeds goes to "
+        "mapper.keyframes.append(frame) and gets "
         "mapper.config.optim.keyframe_iterations steps; others frame_iterations.",
         "After a frame that is not a keyframe: for keyframe in mapper.keyframes.draw("
-        "mapper.config.optim.random_keyframe_iterations, mapper.random.keyframes): optimise(keyframe).",
+        "mapper.config.optim.random_keyframe_iterations, mapper.random.keyframes): "
+        "optimise(keyframe).",
     ),
     wrong=(
         Wrong(_map_seeding_first, says="the frame is fused into the TSDF before the rule runs"),
-        Wrong(_map_optimising_too_early, says="new Gaussians are in the map when the frame is optimised"),
+        Wrong(
+            _map_optimising_too_early,
+            says="new Gaussians are in the map when the frame is optimised",
+        ),
         Wrong(_map_without_keyframes, says="becomes a keyframe"),
         Wrong(_map_forgetting, says="random keyframes"),
     ),
-)  # fmt: skip
+)
 def map_frame(attempt: Attempt) -> None:
     """The whole step: fuse, seed, optimise, revisit (Fig. 2)."""
     theirs, ours = _small_mapper(), _small_mapper()
@@ -265,11 +342,16 @@ def map_frame(attempt: Attempt) -> None:
     first = _wall(0)
     expected = _map_frame(ours, first, lambda view: None)
     got = attempt.on("a first frame of a patterned wall")(theirs, first, log)
-    attempt.holds(theirs.volume.n_blocks > 0, "the frame is fused into the TSDF", detail="the volume is still empty")
+    attempt.holds(
+        theirs.volume.n_blocks > 0,
+        "the frame is fused into the TSDF",
+        detail="the volume is still empty",
+    )
     attempt.close(
         len(theirs.gaussians),
         expected,
-        "the frame is fused into the TSDF before the rule runs, and the seeds are appended to the map",
+        "the frame is fused into the TSDF before the rule runs, and the seeds are appended to the "
+        "map",
         why="Before, every voxel has weight 0",
     )
     attempt.close(got, expected, "it returns the number of new Gaussians")
@@ -291,7 +373,11 @@ def map_frame(attempt: Attempt) -> None:
 def _second(attempt: Attempt, mapper: GSFusion, log: Log, on: str) -> None:
     """The frame shows nothing new: three steps on it, then one on the only keyframe."""
     log.calls.clear()
-    attempt.close(attempt.on(on)(mapper, _wall(1), log), 0, "what was seen is not seeded again")
+    attempt.close(
+        attempt.on(on)(mapper, _wall(1), log),
+        0,
+        "what was seen is not seeded again",
+    )
     attempt.close(len(mapper.keyframes), 1, "a frame with few new Gaussians is not a keyframe")
     kinds = [kind for kind, _, _ in log.calls]
     attempt.close(kinds.count("frame"), 3, "a frame that is not a keyframe gets n = 3 steps")
@@ -312,10 +398,25 @@ def _small_mapper() -> GSFusion:
 
 def _wall(index: int) -> Frame:
     """A chequered wall 2 m away, 64 x 48."""
-    camera = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
-    j, i = torch.meshgrid(torch.arange(48), torch.arange(64), indexing="ij")
+    camera = Camera(
+        width=64,
+        height=48,
+        fx=60.0,
+        fy=60.0,
+        cx=32.0,
+        cy=24.0,
+    )
+    j, i = torch.meshgrid(
+        torch.arange(48),
+        torch.arange(64),
+        indexing="ij",
+    )
     grey = (((i // 8) + (j // 8)) % 2).float() * 0.8 + 0.1
     return Frame(
-        index=index, timestamp_s=float(index), rgb=grey[..., None].expand(-1, -1, 3).contiguous(),
-        depth_m=torch.full((48, 64), 2.0), camera=camera, T_WC=torch.eye(4),
-    )  # fmt: skip
+        index=index,
+        timestamp_s=float(index),
+        rgb=grey[..., None].expand(-1, -1, 3).contiguous(),
+        depth_m=torch.full((48, 64), 2.0),
+        camera=camera,
+        T_WC=torch.eye(4),
+    )

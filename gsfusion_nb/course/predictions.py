@@ -30,9 +30,16 @@ _unkept: Entries = {}
 
 
 class Prediction(LiveOutput):
-    """A question with buttons, or with a field for a number. Notebooks show it; ``answer`` records from Python."""
+    """A question with buttons, or with a field for a number. Notebooks show it; ``answer`` records
+    from Python."""
 
-    def __init__(self, name: str, question: str, choices: Sequence[Answer], unit: str):
+    def __init__(
+        self,
+        name: str,
+        question: str,
+        choices: Sequence[Answer],
+        unit: str,
+    ):
         self.name, self.question, self.choices, self.unit = name, question, list(choices), unit
 
     def answer(self, value: Answer) -> str:
@@ -45,10 +52,19 @@ class Prediction(LiveOutput):
         if "came" in entry:
             return f"It came already; {_yours(entry)}"
         if self.choices and value not in self.choices:
-            raise ValueError(f"prediction {self.name}: expected one of {self.choices}, got {value!r}")
+            raise ValueError(
+                f"prediction {self.name}: expected one of {self.choices}, got {value!r}"
+            )
         if not self.choices and (isinstance(value, str) or not math.isfinite(value)):
             raise ValueError(f"prediction {self.name}: expected a number, got {value!r}")
-        _note(self.name, question=self.question, choices=self.choices, answer=value, unit=self.unit, when=now())
+        _note(
+            self.name,
+            question=self.question,
+            choices=self.choices,
+            answer=value,
+            unit=self.unit,
+            when=now(),
+        )
         return self.state
 
     @property
@@ -58,11 +74,15 @@ class Prediction(LiveOutput):
         return _yours(entry) if "answer" in entry else "not predicted yet"
 
     def __repr__(self) -> str:
-        options = f" ({', '.join(_shown(c, self.unit) for c in self.choices)})" if self.choices else ""
+        options = (
+            f" ({', '.join(_shown(c, self.unit) for c in self.choices)})" if self.choices else ""
+        )
         return f"Predict: {self.question}{options}\n  {self.state}"
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
-        html = fill("prediction.html", prediction=self, options=[_shown(c, self.unit) for c in self.choices])
+        html = fill(
+            "prediction.html", prediction=self, options=[_shown(c, self.unit) for c in self.choices]
+        )
         live = {} if static_views() else self._widget._repr_mimebundle_(**kwargs)
         return live | {"text/plain": repr(self), "text/html": html}, {}
 
@@ -75,14 +95,20 @@ class Prediction(LiveOutput):
         style = {"description_width": "initial"}
         if self.choices:
             options = [(_shown(choice, self.unit), choice) for choice in self.choices]
-            control = w.ToggleButtons(options=options, value=given if given in self.choices else None, style=style)
+            control = w.ToggleButtons(
+                options=options, value=given if given in self.choices else None, style=style
+            )
             control.style.button_width = "auto"
         else:
             start = given if isinstance(given, (int, float)) else None
             control = w.Text(
-                value="" if start is None else f"{start:g}", placeholder="a number", description=self.unit, style=style,
-                continuous_update=False, layout=w.Layout(width="220px"),
-            )  # fmt: skip
+                value="" if start is None else f"{start:g}",
+                placeholder="a number",
+                description=self.unit,
+                style=style,
+                continuous_update=False,
+                layout=w.Layout(width="220px"),
+            )
         control.add_class("gsnb-prediction-answer")
 
         def record(change: Any) -> None:
@@ -94,7 +120,9 @@ class Prediction(LiveOutput):
                 said.value = "Please give a number, such as 2.5."
 
         control.observe(record, names="value")
-        box = w.VBox([w.HTML(f"<b>Predict.</b> {fill('text.html', text=self.question)}"), control, said])
+        box = w.VBox(
+            [w.HTML(f"<b>Predict.</b> {fill('text.html', text=self.question)}"), control, said]
+        )
         box.add_class("gsnb-prediction")
         return box
 
@@ -118,7 +146,12 @@ class Outcome:
 
 
 def predict(
-    name: str, question: str = "", choices: Sequence[Answer] = (), *, unit: str = "", answer: Answer | None = None
+    name: str,
+    question: str = "",
+    choices: Sequence[Answer] = (),
+    *,
+    unit: str = "",
+    answer: Answer | None = None,
 ) -> Prediction:
     """Ask for a prediction; the last line of a cell shows it.
 
@@ -129,18 +162,25 @@ def predict(
         unit: Of numbers.
         answer: Records this answer, without a widget.
     """
-    asked = Prediction(name, question or str(_entry(name).get("question", name)), choices, unit)
+    asked = Prediction(
+        name,
+        question or str(_entry(name).get("question", name)),
+        choices,
+        unit,
+    )
     if answer is not None:
         asked.answer(answer)
     return asked
 
 
 def came(name: str, value: Any, *, right: Answer | None = None) -> Outcome:
-    """What came, beside what was predicted. Of choices that are numbers the nearest one in ratio was right.
+    """What came, beside what was predicted. Of choices that are numbers the nearest one in ratio
+    was right.
 
     Args:
         name: Of the prediction.
-        value: What came, a number (of any type with ``float()``) or a sentence without its full stop.
+        value: What came, a number (of any type with ``float()``) or a sentence without its full
+            stop.
         right: The choice that was right, if that does not follow from ``value``.
     """
     value = value if isinstance(value, (str, int, float)) else float(value)
@@ -159,7 +199,12 @@ def came(name: str, value: Any, *, right: Answer | None = None) -> Outcome:
         choices = [c for c in entry.get("choices", ()) if isinstance(c, (int, float)) and c > 0]
         if choices and value > 0:
             verdict = answer == min(choices, key=lambda c: abs(math.log(c / value)))
-    return Outcome(predicted=_yours(entry), came=_shown(value, unit), right=verdict, words=words)
+    return Outcome(
+        predicted=_yours(entry),
+        came=_shown(value, unit),
+        right=verdict,
+        words=words,
+    )
 
 
 def _compared(answer: float, value: float) -> tuple[bool, str]:
@@ -173,7 +218,11 @@ def _compared(answer: float, value: float) -> tuple[bool, str]:
 
 
 def _yours(entry: dict[str, Any]) -> str:
-    return f"You predicted {_shown(entry['answer'], str(entry.get('unit', '')))}." if "answer" in entry else ""
+    return (
+        f"You predicted {_shown(entry['answer'], str(entry.get('unit', '')))}."
+        if "answer" in entry
+        else ""
+    )
 
 
 def _shown(value: Answer, unit: str) -> str:

@@ -6,8 +6,9 @@ The file holds objects by section and name::
      "exercises": {"psnr": {"tries": 2, "passed": "2026-11-22T20:15:00"}},
      "predictions": {"first_seeds": {"question": "...", "answer": 3000, "came": 3812}}}
 
-Sections of other modules are kept as they are. The environment variable ``GSNB_COURSE_FILE`` names another file. A
-notebook that is executed to be stored (``GSNB_VIEW=static``) keeps no file: what it notes ends with the kernel.
+Sections of other modules are kept as they are. The environment variable ``GSNB_COURSE_FILE`` names
+another file. A notebook that is executed to be stored (``GSNB_VIEW=static``) keeps no file: what it
+notes ends with the kernel.
 """
 
 import contextlib
@@ -55,7 +56,8 @@ def read_section(section: str) -> Entries:
 
 
 def note(section: str, name: str, **values: Any) -> None:
-    """Add ``values`` to the entry ``name`` of a section; they replace earlier values of the same keys.
+    """Add ``values`` to the entry ``name`` of a section; they replace earlier values of the same
+    keys.
 
     Raises:
         CourseFileError: the file is damaged or newer, or cannot be written. It is unchanged.
@@ -66,7 +68,8 @@ def note(section: str, name: str, **values: Any) -> None:
 
 
 def reset() -> Path | None:
-    """Start again: the file is renamed, so that nothing is lost. Returns its new name, or ``None`` without a file."""
+    """Start again: the file is renamed, so that nothing is lost. Returns its new name, or ``None``
+    without a file."""
     global _in_memory
     _in_memory = {"format": FORMAT}
     path = course_file()
@@ -84,7 +87,8 @@ def now() -> str:
 
 @contextlib.contextmanager
 def forgiving() -> Iterator[None]:
-    """Notes inside the block never stop a notebook: what cannot be kept is said once, in one sentence."""
+    """Notes inside the block never stop a notebook: what cannot be kept is said once, in one
+    sentence."""
     try:
         yield
     except CourseFileError as e:
@@ -97,7 +101,8 @@ def read_file(path: Path) -> dict[str, Any]:
     """All sections of a course file.
 
     Raises:
-        CourseFileError: the file is no course file, damaged, or a newer version of the program wrote it.
+        CourseFileError: the file is no course file, damaged, or a newer version of the program
+            wrote it.
     """
     try:
         course = read_object(path, "the progress of a learner")
@@ -106,7 +111,8 @@ def read_file(path: Path) -> dict[str, Any]:
     found = course.get("format")
     if not isinstance(found, int) or found > FORMAT:
         raise CourseFileError(
-            f"{path} has format {found!r}, this version reads {FORMAT}: a newer version wrote it, or it is another file"
+            f"{path} has format {found!r}, this version reads {FORMAT}: a newer version wrote it, "
+            "or it is another file"
         )
     return course
 
@@ -120,7 +126,9 @@ def _read() -> dict[str, Any]:
     try:
         return read_file(path)
     except CourseFileError as e:
-        raise CourseFileError(f"{e}. It was left as it is. Rename it, or run  gsfusion-nb course --reset") from None
+        raise CourseFileError(
+            f"{e}. It was left as it is. Rename it, or run  gsfusion-nb course --reset"
+        ) from None
 
 
 def _write(course: dict[str, Any]) -> None:

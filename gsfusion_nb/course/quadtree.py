@@ -1,4 +1,5 @@
-"""Exercises of chapter 3: contrast of a cell, splitting, the recursion, from a cell to a Gaussian."""
+"""Exercises of chapter 3: contrast of a cell, splitting, the recursion, from a cell to a
+Gaussian."""
 
 import math
 
@@ -37,15 +38,27 @@ def _contrast_without_pixels(cell_rgb: Tensor, image_pixels: int) -> float:
 
 
 def _as_luma_variance(yours: Yours, rgb: Tensor) -> float:
-    """The contrast is the variance times the image's pixels / 9e7: that of an image of 9e7 pixels is the variance."""
+    """The contrast is the variance times the image's pixels / 9e7: that of an image of 9e7 pixels
+    is the variance."""
     pixels = int(QUADTREE_NORMALISER)
-    return float(yours(rgb, pixels, gives={"the contrast": torch.zeros((), dtype=torch.float64)}))
+    return float(
+        yours(
+            rgb,
+            pixels,
+            gives={"the contrast": torch.zeros((), dtype=torch.float64)},
+        )
+    )
 
 
 @exercise(
-    chapter=3, difficulty=2, minutes=10, solution=_contrast, becomes=Becomes("luma_variance", _as_luma_variance),
+    chapter=3,
+    difficulty=2,
+    minutes=10,
+    solution=_contrast,
+    becomes=Becomes("luma_variance", _as_luma_variance),
     hints=(
-        "One variance per colour channel, over all pixels of the cell. cell_rgb is uint8: convert first.",
+        "One variance per colour channel, over all pixels of the cell. cell_rgb is uint8: convert "
+        "first.",
         "Divide by the number of pixels, not by one less: var(..., correction=0).",
         "0.2989 var(R) + 0.5870 var(G) + 0.1140 var(B), times image_pixels / 9e7.",
     ),
@@ -55,7 +68,7 @@ def _as_luma_variance(yours: Yours, rgb: Tensor) -> float:
         Wrong(_contrast_with_n_minus_1, says="divided by the number of pixels"),
         Wrong(_contrast_without_pixels, says="pixels of the whole image"),
     ),
-)  # fmt: skip
+)
 def contrast(attempt: Attempt) -> None:
     """The contrast that decides whether a cell is split."""
     attempt.on("a cell of one colour")
@@ -65,13 +78,25 @@ def contrast(attempt: Attempt) -> None:
     mixed[:2, :, 0] = 255
     mixed[2:, :, 1] = 130
     right = (0.2989 * 127.5**2 + 0.5870 * 65.0**2) / 1000
-    got = float(attempt.on("half red (255, 0, 0), half green (0, 130, 0): almost the same brightness")(mixed, 90_000))
+    got = float(
+        attempt.on("half red (255, 0, 0), half green (0, 130, 0): almost the same brightness")(
+            mixed, 90_000
+        )
+    )
     prop = "different colours of the same brightness have contrast, too"
     attempt.holds(got > 1e-4 * right, prop, detail=f"got {got:.4g}, expected {right:.4g}")
-    twice = float(attempt.on("the same cell in images of 90,000 and 180,000 pixels")(mixed, 180_000)) / got
-    prop = "it is a variance, not its root, times the pixels of the whole image: twice the pixels, twice the contrast"
+    twice = (
+        float(attempt.on("the same cell in images of 90,000 and 180,000 pixels")(mixed, 180_000))
+        / got
+    )
+    prop = (
+        "it is a variance, not its root, times the pixels of the whole image: twice the pixels, "
+        "twice the contrast"
+    )
     attempt.holds(abs(twice - 2) < 1e-3, prop, detail=f"it grows {twice:.3g} times")
-    attempt.on("half of the cell 80, half 100 in red, green and blue constant, image of 90,000 pixels")
+    attempt.on(
+        "half of the cell 80, half 100 in red, green and blue constant, image of 90,000 pixels"
+    )
     red = plain.clone()
     red[:2, :, 0] = 80
     red[2:, :, 0] = 100
@@ -80,12 +105,23 @@ def contrast(attempt: Attempt) -> None:
     attempt.on("the cell half red, half green")
     attempt.close(attempt(mixed, 90_000), right, "green weighs 0.5870, blue 0.1140", tolerance=1e-4)
     attempt.on("a cell of 5 x 7 random pixels, image of 90,000 pixels")
-    noise = torch.randint(0, 256, (7, 5, 3), generator=torch.Generator().manual_seed(3), dtype=torch.uint8)
+    noise = torch.randint(
+        0,
+        256,
+        (7, 5, 3),
+        generator=torch.Generator().manual_seed(3),
+        dtype=torch.uint8,
+    )
     prop = "V = 0.2989 var(R) + 0.5870 var(G) + 0.1140 var(B) over all pixels of the cell"
     attempt.close(attempt(noise, 90_000), _contrast(noise, 90_000), prop, tolerance=1e-4)
 
 
-def _split(x0: int, y0: int, width: int, height: int) -> list[Cell]:
+def _split(
+    x0: int,
+    y0: int,
+    width: int,
+    height: int,
+) -> list[Cell]:
     w, h = width // 2, height // 2
     return [
         (x0, y0, w, h),
@@ -95,42 +131,68 @@ def _split(x0: int, y0: int, width: int, height: int) -> list[Cell]:
     ]
 
 
-def _split_all_floor(x0: int, y0: int, width: int, height: int) -> list[Cell]:
+def _split_all_floor(
+    x0: int,
+    y0: int,
+    width: int,
+    height: int,
+) -> list[Cell]:
     w, h = width // 2, height // 2
     return [(x0 + i * w, y0 + j * h, w, h) for i in (0, 1) for j in (0, 1)]
 
 
-def _as_cut(yours: Yours, x0: int, y0: int, width: int, height: int) -> list[Cell]:
-    parts = yours(x0, y0, width, height, gives={"the four parts": torch.zeros(4, 4, dtype=torch.int64)})
+def _as_cut(
+    yours: Yours,
+    x0: int,
+    y0: int,
+    width: int,
+    height: int,
+) -> list[Cell]:
+    parts = yours(
+        x0,
+        y0,
+        width,
+        height,
+        gives={"the four parts": torch.zeros(4, 4, dtype=torch.int64)},
+    )
     return [(x, y, w, h) for x, y, w, h in parts.tolist()]
 
 
 @exercise(
-    chapter=3, difficulty=1, minutes=5, solution=_split, becomes=Becomes("cut", _as_cut),
+    chapter=3,
+    difficulty=1,
+    minutes=5,
+    solution=_split,
+    becomes=Becomes("cut", _as_cut),
     hints=(
         "The left and the upper part get the floor of the half.",
         "The right part gets what is left: width - width // 2.",
     ),
-    wrong=(
-        Wrong(_split_all_floor, says="every pixel"),
-    ),
-)  # fmt: skip
+    wrong=(Wrong(_split_all_floor, says="every pixel"),),
+)
 def split_cell(attempt: Attempt) -> None:
     """Split a cell into four."""
     names = ("four cells: top left", "bottom left", "top right", "bottom right")
     for cell in ((0, 0, 8, 4), (3, 2, 6, 4), (10, 20, 7, 5), (1, 4, 9, 15)):
-        parts = attempt.unpack(as_rows(attempt.on(f"the cell (x0, y0, width, height) = {cell}")(*cell)), names)
+        parts = attempt.unpack(
+            as_rows(attempt.on(f"the cell (x0, y0, width, height) = {cell}")(*cell)), names
+        )
         covered = torch.zeros(64, 64, dtype=torch.int64)
         for part in parts:
             x, y, w, h = (int(a) for a in attempt.unpack(part, ("x0", "y0", "width", "height")))
             covered[y : y + h, x : x + w] += 1
         x, y, w, h = cell
         inside = covered[y : y + h, x : x + w]
-        times = f"{int((inside == 0).sum())} pixels in none, {int((covered > 1).sum())} in more than one"
+        times = (
+            f"{int((inside == 0).sum())} pixels in none, {int((covered > 1).sum())} in more "
+            "than one"
+        )
         whole = bool((inside == 1).all()) and int(covered.sum()) == w * h
         attempt.holds(whole, "every pixel of the cell is in exactly one part", detail=times)
         got = [tuple(map(int, p)) for p in parts]
-        attempt.holds(got == cut(*cell), "left and top parts get the floor of the half", detail=f"got {got}")
+        attempt.holds(
+            got == cut(*cell), "left and top parts get the floor of the half", detail=f"got {got}"
+        )
 
 
 def _leaves(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> list[Cell]:
@@ -163,9 +225,15 @@ def _cut_what_is_plain(rgb_u8: Tensor, threshold: float, min_cell_px: int) -> li
 
 
 def _as_quadtree(
-    yours: Yours, rgb_u8: Tensor, *, threshold: float = 0.1, min_cell_px: int = 1, contrast: str = "released"
+    yours: Yours,
+    rgb_u8: Tensor,
+    *,
+    threshold: float = 0.1,
+    min_cell_px: int = 1,
+    contrast: str = "released",
 ) -> Cells:
-    """Yours as ``Cells``, in the library's order; a threshold for the standard deviation becomes one for its square."""
+    """Yours as ``Cells``, in the library's order; a threshold for the standard deviation becomes
+    one for its square."""
     H, W = rgb_u8.shape[:2]
     if contrast == "std":  # sqrt(V) / 255 > t  is  V (H W) / 9e7 > (255 t)^2 (H W) / 9e7
         threshold = (255 * threshold) ** 2 * (H * W) / QUADTREE_NORMALISER
@@ -179,21 +247,36 @@ def _as_quadtree(
         if cell in found:
             return [(*cell, level)]
         if min(cell[2:]) < 2:
-            yours.fail(f"returned leaves that do not tile the image: none contains the cell {cell}", given)
+            yours.fail(
+                f"returned leaves that do not tile the image: none contains the cell {cell}", given
+            )
         return [leaf for part in cut(*cell) for leaf in leaves(part, level + 1)]
 
-    rows = torch.tensor(leaves((0, 0, W, H), 0), dtype=torch.int32, device=rgb_u8.device)
+    rows = torch.tensor(
+        leaves((0, 0, W, H), 0),
+        dtype=torch.int32,
+        device=rgb_u8.device,
+    )
     if len(rows) != len(found):
-        yours.fail(f"returned {len(found)} leaves, of which only {len(rows)} come from splitting the image", given)
+        yours.fail(
+            f"returned {len(found)} leaves, of which only {len(rows)} come from splitting the "
+            "image",
+            given,
+        )
     x0, y0, width, height, level = rows.T.contiguous()
     return Cells(x0=x0, y0=y0, width=width, height=height, level=level)
 
 
 @exercise(
-    chapter=3, difficulty=4, minutes=20, solution=_leaves, becomes=Becomes("quadtree", _as_quadtree),
+    chapter=3,
+    difficulty=4,
+    minutes=20,
+    solution=_leaves,
+    becomes=Becomes("quadtree", _as_quadtree),
     hints=(
         "A function visit(x0, y0, w, h) that either appends the cell or visits its four parts.",
-        "Cut if w // 2 > min_cell_px and h // 2 > min_cell_px and the contrast is above the threshold.",
+        "Cut if w // 2 > min_cell_px and h // 2 > min_cell_px and the contrast is above the "
+        "threshold.",
         "image_pixels is that of the whole image at every level. Start with visit(0, 0, W, H).",
     ),
     wrong=(
@@ -201,15 +284,27 @@ def _as_quadtree(
         Wrong(_leaves_and_inner_nodes, says="exactly one leaf"),
         Wrong(_cut_what_is_plain, says="is split"),
     ),
-)  # fmt: skip
+)
 def quadtree_leaves(attempt: Attempt) -> None:
     """The recursion: all leaves of an image's quadtree."""
     g = torch.Generator().manual_seed(0)
-    noise = torch.randint(0, 256, (20, 28, 3), generator=g, dtype=torch.uint8)
+    noise = torch.randint(
+        0,
+        256,
+        (20, 28, 3),
+        generator=g,
+        dtype=torch.uint8,
+    )
     plain = torch.full((20, 28, 3), 128, dtype=torch.uint8)
-    half = torch.where(torch.arange(28)[None, :, None] < 14, plain, noise)
+    half = torch.where(
+        torch.arange(28)[None, :, None] < 14,
+        plain,
+        noise,
+    )
     got = _as_cells(attempt, attempt.on("an image of one grey")(plain, 0.01, 1))
-    attempt.holds(got == {(0, 0, 28, 20)}, "a plain image stays one cell", detail=f"got {len(got)} cells")
+    attempt.holds(
+        got == {(0, 0, 28, 20)}, "a plain image stays one cell", detail=f"got {len(got)} cells"
+    )
     cells = _as_cells(attempt, attempt.on("an image of noise")(noise, 0.001, 5))
     attempt.holds(len(cells) > 1, "a busy image is split", detail=f"got {len(cells)} cell")
     covered = torch.zeros(20, 28, dtype=torch.int64)
@@ -219,32 +314,58 @@ def quadtree_leaves(attempt: Attempt) -> None:
     attempt.holds((covered == 1).all(), "every pixel is in exactly one leaf", detail=detail)
     small = [c for c in cells if min(c[2], c[3]) < 6]
     prop = "half sizes stay above min_cell_px = 5"
-    attempt.holds(not small, prop, detail=f"there is a leaf of {small[0][2:] if small else ''} pixels")
+    attempt.holds(
+        not small, prop, detail=f"there is a leaf of {small[0][2:] if small else ''} pixels"
+    )
     wide, tall = "an image half grey, half noise", "the same image, turned by 90 degrees"
-    above = "a cell is split where its contrast is above the threshold, and its four parts are those of split_cell"
+    above = (
+        "a cell is split where its contrast is above the threshold, and its four parts are "
+        "those of split_cell"
+    )
     whole = "image_pixels is that of the whole image at every level"
     limit = "both halves of a cell stay above min_cell_px, the width and the height"
-    asked = ((wide, 0.001, 1, above), (wide, 0.5, 1, above), (wide, 0.012, 1, whole), (wide, 0.001, 2, limit),
-             (tall, 0.001, 1, above), (tall, 0.001, 3, limit))  # fmt: skip
+    asked = (
+        (wide, 0.001, 1, above),
+        (wide, 0.5, 1, above),
+        (wide, 0.012, 1, whole),
+        (wide, 0.001, 2, limit),
+        (tall, 0.001, 1, above),
+        (tall, 0.001, 3, limit),
+    )
     for on, threshold, least, prop in asked:
         image = half if on == wide else half.transpose(0, 1).contiguous()
         cells = quadtree(image, threshold=threshold, min_cell_px=least)
-        expected = set(zip(*(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)), strict=True))
+        expected = set(
+            zip(
+                *(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)),
+                strict=True,
+            )
+        )
         got = _as_cells(attempt, attempt.on(on)(image, threshold, least))
-        detail = f"threshold {threshold}, min_cell_px {least}: {len(got)} leaves, expected {len(expected)}"
+        detail = (
+            f"threshold {threshold}, min_cell_px {least}: {len(got)} leaves, expected "
+            f"{len(expected)}"
+        )
         attempt.holds(got == expected, prop, detail=detail)
 
 
 def _as_cells(attempt: Attempt, value: object) -> set[Cell]:
     value = as_rows(value)
     attempt.holds(
-        isinstance(value, (list, tuple)), "it returns a list of cells", detail=f"got a {type(value).__name__}"
+        isinstance(value, (list, tuple)),
+        "it returns a list of cells",
+        detail=f"got a {type(value).__name__}",
     )
     rows = [attempt.unpack(c, ("x0", "y0", "width", "height")) for c in value]  # pyright: ignore[reportGeneralTypeIssues]
     return {(int(x), int(y), int(w), int(h)) for x, y, w, h in rows}
 
 
-def _gaussian(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor) -> tuple[Tensor, float]:
+def _gaussian(
+    camera: Camera,
+    cell: Cell,
+    depth_m: Tensor,
+    T_WC: Tensor,
+) -> tuple[Tensor, float]:
     x0, y0, w, h = cell
     u, v = x0 + w / 2, y0 + h / 2
     z = depth_m[int(v), int(u)]
@@ -252,29 +373,47 @@ def _gaussian(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor) -> tupl
     return se3.apply(T_WC, xyz_C), float(z) * math.hypot(w / 2, h / 2) / camera.fx
 
 
-def _gaussian_in_the_camera(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor) -> tuple[Tensor, float]:
+def _gaussian_in_the_camera(
+    camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor
+) -> tuple[Tensor, float]:
     return _gaussian(camera, cell, depth_m, torch.eye(4))
 
 
-def _gaussian_at_the_corner(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor) -> tuple[Tensor, float]:
-    xyz_W, _ = _gaussian(camera, (cell[0], cell[1], 0, 0), depth_m, T_WC)
+def _gaussian_at_the_corner(
+    camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor
+) -> tuple[Tensor, float]:
+    xyz_W, _ = _gaussian(
+        camera,
+        (cell[0], cell[1], 0, 0),
+        depth_m,
+        T_WC,
+    )
     return xyz_W, _gaussian(camera, cell, depth_m, T_WC)[1]
 
 
-def _gaussian_of_full_diagonal(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor) -> tuple[Tensor, float]:
+def _gaussian_of_full_diagonal(
+    camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor
+) -> tuple[Tensor, float]:
     xyz_W, scale = _gaussian(camera, cell, depth_m, T_WC)
     return xyz_W, 2 * scale
 
 
-def _gaussian_of_one_size(camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor) -> tuple[Tensor, float]:
-    return _gaussian(camera, cell, depth_m, T_WC)[0], math.hypot(cell[2] / 2, cell[3] / 2) / camera.fx
+def _gaussian_of_one_size(
+    camera: Camera, cell: Cell, depth_m: Tensor, T_WC: Tensor
+) -> tuple[Tensor, float]:
+    return _gaussian(camera, cell, depth_m, T_WC)[0], math.hypot(
+        cell[2] / 2, cell[3] / 2
+    ) / camera.fx
 
 
 def _as_cell_gaussians(
     yours: Yours, camera: Camera, cells: Cells, depth_m: Tensor, T_WC: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Yours for every cell."""
-    rows = zip(*(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)), strict=True)
+    rows = zip(
+        *(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)),
+        strict=True,
+    )
     like = {"xyz_W": T_WC.new_zeros(3), "scale_m": depth_m.new_zeros(())}
     calls = [(camera, cell, depth_m, T_WC) for cell in rows]
     results = yours.many(calls, [like] * len(calls))
@@ -285,11 +424,15 @@ def _as_cell_gaussians(
 
 
 @exercise(
-    chapter=3, difficulty=3, minutes=12, solution=_gaussian,
+    chapter=3,
+    difficulty=3,
+    minutes=12,
+    solution=_gaussian,
     becomes=Becomes("cell_gaussians", _as_cell_gaussians),
     hints=(
         "The middle of the cell, in continuous pixels, is (x0 + w / 2, y0 + h / 2).",
-        "Depth z: that of the pixel which contains the middle. Lift the middle with it (chapter 1), then apply T_WC.",
+        "Depth z: that of the pixel which contains the middle. Lift the middle with it (chapter "
+        "1), then apply T_WC.",
         "A length of r pixels at depth z is z r / fx metres. r is half the diagonal of the cell.",
     ),
     wrong=(
@@ -298,23 +441,41 @@ def _as_cell_gaussians(
         Wrong(_gaussian_of_full_diagonal, says="half the diagonal"),
         Wrong(_gaussian_of_one_size, says="twice as far"),
     ),
-)  # fmt: skip
+)
 def cell_to_gaussian(attempt: Attempt) -> None:
     """Position and size of a cell's Gaussian (Eq. 10 and the size below it)."""
-    camera = Camera(width=40, height=30, fx=20.0, fy=25.0, cx=20.0, cy=15.0)
+    camera = Camera(
+        width=40,
+        height=30,
+        fx=20.0,
+        fy=25.0,
+        cx=20.0,
+        cy=15.0,
+    )
     names = ("xyz_W", "scale_m")
     on = "the cell (18, 11, 4, 8) around the image centre, depth 2 m, identity pose"
     flat = torch.full((30, 40), 2.0)
-    xyz, scale = attempt.unpack(attempt.on(on)(camera, (18, 11, 4, 8), flat, torch.eye(4)), names)
+    xyz, scale = attempt.unpack(
+        attempt.on(on)(camera, (18, 11, 4, 8), flat, torch.eye(4)),
+        names,
+    )
     attempt.close(
-        xyz, [0.0, 0.0, 2.0], "seen from the world's origin, the Gaussian is on the ray through the middle of the cell"
+        xyz,
+        [0.0, 0.0, 2.0],
+        "seen from the world's origin, the Gaussian is on the ray through the middle of the cell",
     )
     attempt.on("the same cell on walls at 2 m and at 4 m")
-    _, scale_far = attempt.unpack(attempt(camera, (18, 11, 4, 8), 2 * flat, torch.eye(4)), names)
+    _, scale_far = attempt.unpack(
+        attempt(camera, (18, 11, 4, 8), 2 * flat, torch.eye(4)),
+        names,
+    )
     prop = "on a wall twice as far the same cell is twice as large in metres"
     attempt.close(float(scale_far) / float(scale), 2.0, prop, tolerance=1e-4)
     attempt.on(on).close(
-        scale, 2.0 * math.hypot(2, 4) / 20, "its standard deviation is half the diagonal, z r / fx", tolerance=1e-4
+        scale,
+        2.0 * math.hypot(2, 4) / 20,
+        "its standard deviation is half the diagonal, z r / fx",
+        tolerance=1e-4,
     )
     attempt.on("a cell of odd size on a slanted wall, camera turned and moved")
     slanted = 1.0 + 0.05 * torch.arange(40.0).expand(30, 40)
@@ -322,6 +483,9 @@ def cell_to_gaussian(attempt: Attempt) -> None:
     cell = (5, 7, 7, 5)
     expected = _gaussian(camera, cell, slanted, T)
     xyz, scale = attempt.unpack(attempt(camera, cell, slanted, T), names)
-    prop = "the position is in the world frame, with the depth of the middle pixel, fx for x and fy for y"
+    prop = (
+        "the position is in the world frame, with the depth of the middle pixel, fx for x and "
+        "fy for y"
+    )
     attempt.close(xyz, expected[0], prop, tolerance=1e-4)
     attempt.close(scale, expected[1], "the size uses the depth of the middle pixel", tolerance=1e-4)

@@ -1,4 +1,5 @@
-"""Exercises of the quickstart: which cells get a Gaussian, what PSNR measures, and which frames are held out."""
+"""Exercises of the quickstart: which cells get a Gaussian, what PSNR measures, and which frames are
+held out."""
 
 import math
 from typing import Any
@@ -34,10 +35,14 @@ def _as_first_seen(yours: Yours, weight: Tensor, required_weight: float) -> Any:
 
 
 @exercise(
-    chapter=0, difficulty=1, minutes=5, solution=_first_seen,
+    chapter=0,
+    difficulty=1,
+    minutes=5,
+    solution=_first_seen,
     becomes=Becomes("first_seen", _as_first_seen),
     hints=(
-        "Fusion comes before seeding. A voxel that this frame was the first to see has been averaged once.",
+        "Fusion comes before seeding. A voxel that this frame was the first to see has been "
+        "averaged once.",
         "A cell whose middle has no depth has no point in space, so no Gaussian can be placed.",
     ),
     wrong=(
@@ -45,15 +50,25 @@ def _as_first_seen(yours: Yours, weight: Tensor, required_weight: float) -> Any:
         Wrong(_up_to_one, says="weight 0, outside the map"),
         Wrong(_depth_or_not, says="no depth, no Gaussian"),
     ),
-)  # fmt: skip
+)
 def first_seen(attempt: Attempt) -> None:
     """Which cells get a Gaussian: true or false for each, from its voxel's weight and its depth."""
     depth_m = torch.tensor([1.0, 1.0, 1.0])
-    why = "Fusion comes first: the weight is already 1 when this frame is the first. All three have depth"
+    why = (
+        "Fusion comes first: the weight is already 1 when this frame is the first. All three "
+        "have depth"
+    )
     got = attempt.on("weights 1, 2 and 7, all with depth")(torch.tensor([1.0, 2.0, 7.0]), depth_m)
-    attempt.close(torch.as_tensor(got).double(), [1, 0, 0], "weight 1 gives a Gaussian, a larger weight none", why=why)
+    attempt.close(
+        torch.as_tensor(got).double(),
+        [1, 0, 0],
+        "weight 1 gives a Gaussian, a larger weight none",
+        why=why,
+    )
     got = attempt.on("weight 0: a point outside the volume")(torch.tensor([0.0, 1.0]), depth_m[:2])
-    attempt.close(torch.as_tensor(got).double(), [0, 1], "weight 0, outside the map, gives no Gaussian")
+    attempt.close(
+        torch.as_tensor(got).double(), [0, 1], "weight 0, outside the map, gives no Gaussian"
+    )
     got = attempt.on("weight 1, depth 0")(torch.tensor([1.0, 1.0]), torch.tensor([0.0, 2.0]))
     attempt.close(torch.as_tensor(got).double(), [0, 1], "no depth, no Gaussian")
 
@@ -79,7 +94,10 @@ def _negative(rendered: Tensor, photo: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=0, difficulty=2, minutes=8, solution=_psnr,
+    chapter=0,
+    difficulty=2,
+    minutes=8,
+    solution=_psnr,
     hints=(
         "Peak signal to noise: the peak is 1 here. Noise is the mean of the squared differences.",
         "10 log10(peak^2 / MSE). With peak 1 that is -10 log10(MSE).",
@@ -91,17 +109,25 @@ def _negative(rendered: Tensor, photo: Tensor) -> Tensor:
         Wrong(_mean_of_pixels, says="one mean over the whole picture"),
         Wrong(_negative, says="more is better"),
     ),
-)  # fmt: skip
+)
 def psnr(attempt: Attempt) -> None:
     """PSNR of two pictures with values from 0 to 1, in dB."""
     generator = torch.Generator().manual_seed(0)
     photo = torch.rand(6, 8, 3, generator=generator, dtype=torch.float64)
-    got = torch.as_tensor(attempt.on("a picture that is too bright by 0.1 everywhere")(photo + 0.1, photo)).double()
+    got = torch.as_tensor(
+        attempt.on("a picture that is too bright by 0.1 everywhere")(photo + 0.1, photo)
+    ).double()
     summed = 20 - 10 * math.log10(photo.numel())
     detail = f"got {float(got.mean()):.1f} dB, which is that of the sum"
-    attempt.holds(abs(float(got.mean()) - summed) > 1e-3, "it is a mean over all values, not a sum", detail=detail)
     attempt.holds(
-        float(got.mean()) > 0, "more is better, and 0 dB is very bad", detail=f"got {float(got.mean()):.1f} dB"
+        abs(float(got.mean()) - summed) > 1e-3,
+        "it is a mean over all values, not a sum",
+        detail=detail,
+    )
+    attempt.holds(
+        float(got.mean()) > 0,
+        "more is better, and 0 dB is very bad",
+        detail=f"got {float(got.mean()):.1f} dB",
     )
     why = "-10 log10(0.1^2) = 20"
     attempt.close(got, 20.0, "off by 0.1 everywhere is 20 dB: the differences are squared", why=why)
@@ -113,7 +139,9 @@ def psnr(attempt: Attempt) -> None:
     got = torch.as_tensor(attempt(half, photo)).double()
     not_squared = abs(float(got.mean()) + 20 * math.log10(0.05)) < 1e-3
     detail = f"got {float(got.mean()):.2f} dB, which is that of the mean absolute difference"
-    attempt.holds(not not_squared, "the differences are squared before they are averaged", detail=detail)
+    attempt.holds(
+        not not_squared, "the differences are squared before they are averaged", detail=detail
+    )
     attempt.close(got, expected, "one mean over the whole picture", why=why)
 
 
@@ -134,7 +162,10 @@ def _all_others(n: int, every: int, offset: int) -> list[int]:
 
 
 @exercise(
-    chapter=0, difficulty=1, minutes=5, solution=_exam,
+    chapter=0,
+    difficulty=1,
+    minutes=5,
+    solution=_exam,
     hints=(
         "print(sequence.held_out.positions) shows them.",
         "range(start, stop, step) counts in steps; or ask every i for its remainder, i % every.",
@@ -144,25 +175,40 @@ def _all_others(n: int, every: int, offset: int) -> list[int]:
         Wrong(_the_last_ones, says="spread over the whole walk"),
         Wrong(_all_others, says="one in every eight"),
     ),
-)  # fmt: skip
+)
 def exam_frames(attempt: Attempt) -> None:
     """Which of n frames are held out: every n-th one, counted from an offset."""
 
-    def chosen(on: str, n: int, every: int, offset: int) -> list[int]:
+    def chosen(
+        on: str,
+        n: int,
+        every: int,
+        offset: int,
+    ) -> list[int]:
         return [int(i) for i in attempt.on(on)(n, every, offset)]
 
     got = chosen("80 frames, every 8th, offset 4", 80, 8, 4)
     detail = f"got {len(got)} frames: {str(got[:8])[1:-1]} ..."
-    attempt.holds(len(got) <= 40, "one in every eight is held out, the others are mapped", detail=detail)
     attempt.holds(
-        not got or max(got) - min(got) > 40, "the held-out frames are spread over the whole walk", detail=detail
+        len(got) <= 40, "one in every eight is held out, the others are mapped", detail=detail
+    )
+    attempt.holds(
+        not got or max(got) - min(got) > 40,
+        "the held-out frames are spread over the whole walk",
+        detail=detail,
     )
     attempt.holds(0 not in got, "the first frame is mapped: the map begins there", detail=detail)
     attempt.close(
-        got, open_sequence("room", n_frames=80).held_out.positions, "the held-out frames are those of the library"
+        got,
+        open_sequence("room", n_frames=80).held_out.positions,
+        "the held-out frames are those of the library",
     )
     on = "3 frames, every 8th, offset 4: the walk ends before the first held-out frame"
     attempt.close(len(chosen(on, 3, 8, 4)), 0, "a short walk has no held-out frame")
-    attempt.close(chosen("11 frames, every 5th, offset 2", 11, 5, 2), [2, 7], "counted from the offset")
+    attempt.close(
+        chosen("11 frames, every 5th, offset 2", 11, 5, 2), [2, 7], "counted from the offset"
+    )
     on = "9 frames, every 4th, offset 0"
-    attempt.close(chosen(on, 9, 4, 0), [0, 4, 8], "with offset 0, frame 0 is the first held-out frame")
+    attempt.close(
+        chosen(on, 9, 4, 0), [0, 4, 8], "with offset 0, frame 0 is the first held-out frame"
+    )

@@ -1,4 +1,5 @@
-"""Exercises of chapter 11: the unit of depth from two frames, the delay of the poses, bad poses against bad points."""
+"""Exercises of chapter 11: the unit of depth from two frames, the delay of the poses, bad poses
+against bad points."""
 
 import torch
 from torch import Tensor
@@ -25,36 +26,68 @@ def _lengths(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=11, difficulty=3, minutes=12, solution=_depth_factor,
+    chapter=11,
+    difficulty=3,
+    minutes=12,
+    solution=_depth_factor,
     hints=(
-        "In metres the same point is s a in the first camera and s b in the second: R (s a) + t = s b.",
-        "So s (b - R a) = t for every point: the turn is taken out, what is left is the motion in stored units.",
-        "The points are noisy and t is not, so average the noisy side: the mean of b - R a is t / s. What counts of it "
-        "is the part along t.",
+        "In metres the same point is s a in the first camera and s b in the second: R (s a) + t = "
+        "s b.",
+        "So s (b - R a) = t for every point: the turn is taken out, what is left is the motion in "
+        "stored units.",
+        "The points are noisy and t is not, so average the noisy side: the mean of b - R a is t / "
+        "s. What counts of it is the part along t.",
     ),
     wrong=(
         Wrong(_units_per_metre, says="metres for one stored unit"),
         Wrong(_turn_ignored, says="the turn of the camera is taken out"),
         Wrong(_lengths, says="noise does not make it smaller"),
     ),
-)  # fmt: skip
+)
 def depth_factor(attempt: Attempt) -> None:
     """What a stored unit of depth is in metres, from two frames with poses."""
     generator = torch.Generator().manual_seed(11)
     aside = torch.tensor([0.2, 0.0, 0.0], dtype=torch.float64)
-    a_m = torch.rand(40, 3, generator=generator, dtype=torch.float64) + torch.tensor([-0.5, -0.5, 2.0]).double()
+    a_m = (
+        torch.rand(40, 3, generator=generator, dtype=torch.float64)
+        + torch.tensor([-0.5, -0.5, 2.0]).double()
+    )
     eye = torch.eye(3, dtype=torch.float64)
     attempt.on("depth in millimetres, the points 20 cm to the right in the second camera")
     got = attempt(1000 * a_m, 1000 * (a_m + aside), eye, aside)
-    attempt.close(got, 0.001, "metres for one stored unit", tolerance=1e-6, why="a millimetre is 0.001 m")
+    attempt.close(
+        got, 0.001, "metres for one stored unit", tolerance=1e-6, why="a millimetre is 0.001 m"
+    )
     R = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.05, 0.3, -0.1], dtype=torch.float64))[:3, :3]
     t = torch.tensor([0.1, -0.05, 0.2], dtype=torch.float64)
-    got = attempt.on("a camera that also turns, depth too small by 5")(a_m / 5, (a_m @ R.T + t) / 5, R, t)
-    attempt.close(got, 5.0, "the turn of the camera is taken out", tolerance=1e-6, why="b is compared with R a")
-    many = torch.rand(4000, 3, generator=generator, dtype=torch.float64) + torch.tensor([-0.5, -0.5, 2.0]).double()
+    got = attempt.on("a camera that also turns, depth too small by 5")(
+        a_m / 5, (a_m @ R.T + t) / 5, R, t
+    )
+    attempt.close(
+        got,
+        5.0,
+        "the turn of the camera is taken out",
+        tolerance=1e-6,
+        why="b is compared with R a",
+    )
+    many = (
+        torch.rand(4000, 3, generator=generator, dtype=torch.float64)
+        + torch.tensor([-0.5, -0.5, 2.0]).double()
+    )
     noise = 0.1 * torch.randn(2, 4000, 3, generator=generator, dtype=torch.float64)
-    got = attempt.on("4,000 points with a noise of 10 cm")((many + noise[0]) / 5, (many @ R.T + t + noise[1]) / 5, R, t)
-    attempt.close(got, 5.0, "noise does not make it smaller", tolerance=0.25, why="average b - R a before you divide")
+    got = attempt.on("4,000 points with a noise of 10 cm")(
+        (many + noise[0]) / 5,
+        (many @ R.T + t + noise[1]) / 5,
+        R,
+        t,
+    )
+    attempt.close(
+        got,
+        5.0,
+        "noise does not make it smaller",
+        tolerance=0.25,
+        why="average b - R a before you divide",
+    )
 
 
 def _alike(x: Tensor, y: Tensor, k: int) -> float:
@@ -64,7 +97,10 @@ def _alike(x: Tensor, y: Tensor, k: int) -> float:
 
 
 def _pose_shift(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
-    return max(range(-reach, reach + 1), key=lambda k: _alike(image_motion, pose_motion, k))
+    return max(
+        range(-reach, reach + 1),
+        key=lambda k: _alike(image_motion, pose_motion, k),
+    )
 
 
 def _other_sign(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
@@ -83,14 +119,21 @@ def _least_difference(image_motion: Tensor, pose_motion: Tensor, reach: int) -> 
 def _sum_of_products(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
     def products(k: int) -> float:
         n = len(image_motion)
-        return float((image_motion[max(0, -k) : n - max(0, k)] * pose_motion[max(0, k) : n - max(0, -k)]).sum())
+        return float(
+            (
+                image_motion[max(0, -k) : n - max(0, k)] * pose_motion[max(0, k) : n - max(0, -k)]
+            ).sum()
+        )
 
     return max(range(-reach, reach + 1), key=products)
 
 
 def _rolled(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
     x = image_motion - image_motion.mean()
-    return max(range(-reach, reach + 1), key=lambda k: float((x * (pose_motion - pose_motion.mean()).roll(-k)).sum()))
+    return max(
+        range(-reach, reach + 1),
+        key=lambda k: float((x * (pose_motion - pose_motion.mean()).roll(-k)).sum()),
+    )
 
 
 def _only_forwards(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
@@ -98,13 +141,17 @@ def _only_forwards(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int
 
 
 @exercise(
-    chapter=11, difficulty=3, minutes=15, solution=_pose_shift,
+    chapter=11,
+    difficulty=3,
+    minutes=15,
+    solution=_pose_shift,
     hints=(
-        "Try every k from -reach to reach. Image i belongs to pose i + k, so for k > 0 compare image_motion[: n - k] "
-        "with pose_motion[k:].",
-        "Pixels and radians cannot be subtracted. Compare the shapes of the curves: subtract the mean of each part, "
-        "multiply, sum, and divide by both lengths (the correlation).",
-        "Cut both curves to the part in which they overlap: roll() would bring the end to the beginning.",
+        "Try every k from -reach to reach. Image i belongs to pose i + k, so for k > 0 compare "
+        "image_motion[: n - k] with pose_motion[k:].",
+        "Pixels and radians cannot be subtracted. Compare the shapes of the curves: subtract the "
+        "mean of each part, multiply, sum, and divide by both lengths (the correlation).",
+        "Cut both curves to the part in which they overlap: roll() would bring the end to the "
+        "beginning.",
     ),
     wrong=(
         Wrong(_other_sign, says="image i belongs to pose i + k"),
@@ -113,13 +160,22 @@ def _only_forwards(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int
         Wrong(_sum_of_products, says="a longer overlap is not more alike"),
         Wrong(_rolled, says="the end does not follow the beginning"),
     ),
-)  # fmt: skip
+)
 def pose_shift(attempt: Attempt) -> None:
     """By how many frames the poses are late, from how fast the images and the poses move."""
 
-    def ask(on: str, image_motion: Tensor, pose_motion: Tensor, k: int, prop: str, reach: int = 3) -> None:
+    def ask(
+        on: str,
+        image_motion: Tensor,
+        pose_motion: Tensor,
+        k: int,
+        prop: str,
+        reach: int = 3,
+    ) -> None:
         got = attempt.on(on)(image_motion, pose_motion, reach)
-        attempt.holds(isinstance(got, (int, float, Tensor)), "it returns a number", detail=f"got {got!r}")
+        attempt.holds(
+            isinstance(got, (int, float, Tensor)), "it returns a number", detail=f"got {got!r}"
+        )
         attempt.holds(float(got) == k, prop, detail=f"got {float(got):g}, expected {k}")
 
     generator = torch.Generator().manual_seed(5)
@@ -128,9 +184,22 @@ def pose_shift(attempt: Attempt) -> None:
     ask("the same curve twice", early, early.clone(), 0, "where nothing is shifted the answer is 0")
     ask("poses two frames late", early, curve[1:41], 2, "image i belongs to pose i + k")
     ask("poses three frames early", early, curve[6:46], -3, "the poses may be early, too")
-    ask("poses three frames late", early, curve[0:40], 3, "a shift of reach frames is found, to both sides")
+    ask(
+        "poses three frames late",
+        early,
+        curve[0:40],
+        3,
+        "a shift of reach frames is found, to both sides",
+    )
     on = "poses five frames late, reach 6"
-    ask(on, curve[6:46], curve[1:41], 5, "shifts of up to reach frames are tried", reach=6)
+    ask(
+        on,
+        curve[6:46],
+        curve[1:41],
+        5,
+        "shifts of up to reach frames are tried",
+        reach=6,
+    )
     on = "images in pixels, poses in radians, poses two frames late"
     ask(on, 30 * early + 2, 0.1 * curve[1:41], 2, "pixels and radians are different units")
     on = "a camera that never stops, poses two frames late"
@@ -183,14 +252,19 @@ def _no_noise(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
 
 
 @exercise(
-    chapter=11, difficulty=4, minutes=20, solution=_tell_apart,
+    chapter=11,
+    difficulty=4,
+    minutes=20,
+    solution=_tell_apart,
     hints=(
-        "First the given pose: the root of the mean squared distance between R a + t and b. Below 3 noise_m it fits.",
-        "Otherwise look for the rigid motion that fits best. Its R comes from the singular values of (a - mean a)^T "
+        "First the given pose: the root of the mean squared distance between R a + t and b. Below "
+        "3 noise_m it fits.",
+        "Otherwise look for the rigid motion that fits best. Its R comes from the singular values "
+        "of (a - mean a)^T "
         "(b - mean b) = U S V^T: R = V U^T (Kabsch 1976). Then t = mean b - R mean a.",
-        "If that fits, only the pose was wrong. If even the best motion does not, the points are wrong: focal length, "
-        "principal point, kind of depth. Where det(V U^T) is -1, turn the sign of the last column of V: a mirror is no "
-        "motion.",
+        "If that fits, only the pose was wrong. If even the best motion does not, the points are "
+        "wrong: focal length, principal point, kind of depth. Where det(V U^T) is -1, turn the "
+        "sign of the last column of V: a mirror is no motion.",
     ),
     wrong=(
         Wrong(_always_poses, says="no motion repairs a wrong focal length"),
@@ -198,34 +272,66 @@ def _no_noise(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
         Wrong(_with_mirrors, says="a mirror image is no motion"),
         Wrong(_no_noise, says="noise is not a mistake"),
     ),
-)  # fmt: skip
+)
 def tell_apart(attempt: Attempt) -> None:
     """Are the poses wrong, or the points themselves?"""
     generator = torch.Generator().manual_seed(7)
-    a = torch.rand(300, 3, generator=generator, dtype=torch.float64) * torch.tensor([3.0, 2.0, 2.0]).double()
+    a = (
+        torch.rand(300, 3, generator=generator, dtype=torch.float64)
+        * torch.tensor([3.0, 2.0, 2.0]).double()
+    )
     a = a + torch.tensor([-1.5, -1.0, 1.0]).double()
     true = se3.exp(torch.tensor([0.3, -0.1, 0.2, 0.1, 0.5, 0.0], dtype=torch.float64))
     noise = 0.005 * torch.randn(2, 300, 3, generator=generator, dtype=torch.float64)
     b = se3.apply(true, a)
-    wide = torch.tensor([1.2, 1.2, 1.0], dtype=torch.float64)  # x and y of points lifted with fx, fy too small
+    wide = torch.tensor(
+        [1.2, 1.2, 1.0], dtype=torch.float64
+    )  # x and y of points lifted with fx, fy too small
     mirror = torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
     aside = true.clone()
     aside[0, 3] += 0.1
     turned = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, 0.1, 0.0], dtype=torch.float64)) @ true
     cases = (
         ("the true pose, noise of 5 mm", a, b, true, "fits", "noise is not a mistake"),
-        ("a pose 10 cm beside the true one", a, b, aside, "poses", "a shifted pose is the pose's mistake"),
+        (
+            "a pose 10 cm beside the true one",
+            a,
+            b,
+            aside,
+            "poses",
+            "a shifted pose is the pose's mistake",
+        ),
         ("a pose turned by 6 degrees", a, b, turned, "poses", "the best motion may also turn"),
-        ("both frames with a focal length 17 % too short", wide * a, wide * b, true, "points",
-         "no motion repairs a wrong focal length"),
+        (
+            "both frames with a focal length 17 % too short",
+            wide * a,
+            wide * b,
+            true,
+            "points",
+            "no motion repairs a wrong focal length",
+        ),
         ("the second image mirrored", a, mirror * b, true, "points", "a mirror image is no motion"),
-    )  # fmt: skip
+    )
     for on, first, second, T_ba, expected, prop in cases:
-        got = attempt.on(on)(first + noise[0], second + noise[1], T_ba, 0.005)
-        attempt.holds(got in ("fits", "poses", "points"), "it returns one of the three words", detail=f"got {got!r}")
+        got = attempt.on(on)(
+            first + noise[0],
+            second + noise[1],
+            T_ba,
+            0.005,
+        )
+        attempt.holds(
+            got in ("fits", "poses", "points"),
+            "it returns one of the three words",
+            detail=f"got {got!r}",
+        )
         attempt.holds(got == expected, prop, detail=f"got {got!r}, expected {expected!r}")
     attempt.on("noise of 5 cm, and a pose 1 m beside the true one")
     aside[0, 3] += 0.9
-    got = attempt(a + 10 * noise[0], b + 10 * noise[1], aside, 0.05)
+    got = attempt(
+        a + 10 * noise[0],
+        b + 10 * noise[1],
+        aside,
+        0.05,
+    )
     prop = "what counts as small is a multiple of noise_m, for the given pose and for the best one"
     attempt.holds(got == "poses", prop, detail=f"got {got!r}, expected 'poses'")

@@ -39,7 +39,13 @@ def _range(r: Tensor, p: Tensor, n: Tensor) -> Tensor:
     return p.norm() if rn.abs() < MIN_COSINE * r.norm() else ((p @ n) / rn * r).norm()
 
 
-def _as_disc_hit(yours: Yours, r: Tensor, p: Tensor, n: Tensor, min_cosine: float) -> Any:
+def _as_disc_hit(
+    yours: Yours,
+    r: Tensor,
+    p: Tensor,
+    n: Tensor,
+    min_cosine: float,
+) -> Any:
     """Yours for each ray, with the limit of the exercise; the reference for other limits."""
     if min_cosine != MIN_COSINE:
         return NotImplemented
@@ -49,11 +55,18 @@ def _as_disc_hit(yours: Yours, r: Tensor, p: Tensor, n: Tensor, min_cosine: floa
 
 
 @exercise(
-    chapter=7, difficulty=2, minutes=10, solution=_disc_hit, becomes=Becomes("disc_hit", _as_disc_hit),
+    chapter=7,
+    difficulty=2,
+    minutes=10,
+    solution=_disc_hit,
+    becomes=Becomes("disc_hit", _as_disc_hit),
     hints=(
-        "The points of the plane satisfy (x - p) . n = 0. Put x = theta r and solve for theta: that is Eq. 4.",
-        "The depth is the z of theta r. With r = (.., .., 1) it is theta itself, but r may come normalised.",
-        "cos of the angle between ray and normal: |r . n| / |r|. Below 0.5 (60 degrees) return p's z instead.",
+        "The points of the plane satisfy (x - p) . n = 0. Put x = theta r and solve for theta: "
+        "that is Eq. 4.",
+        "The depth is the z of theta r. With r = (.., .., 1) it is theta itself, but r may come "
+        "normalised.",
+        "cos of the angle between ray and normal: |r . n| / |r|. Below 0.5 (60 degrees) return p's "
+        "z instead.",
     ),
     wrong=(
         Wrong(_always_centre, says="a tilted disc is nearer on one side than on the other"),
@@ -61,7 +74,7 @@ def _as_disc_hit(yours: Yours, r: Tensor, p: Tensor, n: Tensor, min_cosine: floa
         Wrong(_always_plane, says="beyond 60 degrees the depth of the centre is used"),
         Wrong(_range, says="depth is z, not the distance along the ray"),
     ),
-)  # fmt: skip
+)
 def disc_hit(attempt: Attempt) -> None:
     """Depth at which a ray meets a disc (Eq. 4-5)."""
     ahead, back = torch.tensor([0.0, 0.0, 2.0]), torch.tensor([0.0, 0.0, -1.0])
@@ -70,71 +83,140 @@ def disc_hit(attempt: Attempt) -> None:
     attempt.close(attempt(ray, ahead, back), 2.0, "depth is z, not the distance along the ray")
     leaning = torch.tensor([-0.6, 0.0, -0.8])
     ray = torch.tensor([0.2, 0.0, 1.0])
-    got = attempt.on("a disc 2 m ahead, tilted by 37 degrees, ray (0.2, 0, 1)")(ray, ahead, -leaning)
-    attempt.close(got, 1.6 / 0.92, "a tilted disc is nearer on one side than on the other", why="Eq. 4: p.n / r.n")
+    got = attempt.on("a disc 2 m ahead, tilted by 37 degrees, ray (0.2, 0, 1)")(
+        ray, ahead, -leaning
+    )
+    attempt.close(
+        got,
+        1.6 / 0.92,
+        "a tilted disc is nearer on one side than on the other",
+        why="Eq. 4: p.n / r.n",
+    )
     attempt.on("the same with the normal turned round")
-    attempt.close(attempt(ray, ahead, leaning), 1.6 / 0.92, "a normal may point either way", why="use |r.n|")
+    attempt.close(
+        attempt(ray, ahead, leaning), 1.6 / 0.92, "a normal may point either way", why="use |r.n|"
+    )
     attempt.on("the same ray, normalised")
-    attempt.close(attempt(ray / ray.norm(), ahead, leaning), 1.6 / 0.92, "the length of the ray does not matter")
+    attempt.close(
+        attempt(ray / ray.norm(), ahead, leaning),
+        1.6 / 0.92,
+        "the length of the ray does not matter",
+    )
     attempt.on("a disc turned 80 degrees, ray (0.2, 0, 1)")
     flat = torch.tensor([-0.9848, 0.0, -0.1736])
     prop = "beyond 60 degrees the depth of the centre is used"
-    attempt.close(attempt(ray, ahead, torch.tensor([0.9848, 0.0, -0.1736])), 2.0, prop)
+    attempt.close(
+        attempt(ray, ahead, torch.tensor([0.9848, 0.0, -0.1736])),
+        2.0,
+        prop,
+    )
     attempt.on("a disc turned 80 degrees, to the other side")
-    attempt.close(attempt(torch.tensor([0.0, 0.1, 1.0]), ahead, flat), 2.0, prop)
+    attempt.close(
+        attempt(torch.tensor([0.0, 0.1, 1.0]), ahead, flat),
+        2.0,
+        prop,
+    )
     attempt.on("a disc to the right of the axis, turned by 80 degrees")
     edge_on = torch.tensor([0.9848, 0.0, 0.1736])
-    got = attempt(torch.tensor([0.2, 0.0, 1.0]), torch.tensor([0.8, 0.0, 2.0]), edge_on)
-    attempt.close(got, 2.0, "beyond 60 degrees the depth of the centre is used: its z, not its distance")
+    got = attempt(
+        torch.tensor([0.2, 0.0, 1.0]),
+        torch.tensor([0.8, 0.0, 2.0]),
+        edge_on,
+    )
+    attempt.close(
+        got, 2.0, "beyond 60 degrees the depth of the centre is used: its z, not its distance"
+    )
     side, straight = torch.tensor([0.2, 0.0, 2.0]), torch.tensor([0.0, 0.0, 1.0])
     for degrees, expected in ((57, 2.0 + 0.2 * math.tan(math.radians(57))), (63, 2.0)):
         tilt = math.radians(degrees)
         for length in (0.3, 1.0, 3.0):
-            attempt.on(f"a disc beside the axis turned by {degrees} degrees, ray (0, 0, {length:g})")
-            got = attempt(length * straight, side, torch.tensor([math.sin(tilt), 0.0, math.cos(tilt)]))
-            limit = "the plane counts up to 60 degrees between ray and normal, whatever the ray's length"
-            attempt.close(got, expected, limit, tolerance=1e-4, why="|r.n| / |r| is the cosine; compare it with 0.5")
+            attempt.on(
+                f"a disc beside the axis turned by {degrees} degrees, ray (0, 0, {length:g})"
+            )
+            got = attempt(
+                length * straight,
+                side,
+                torch.tensor([math.sin(tilt), 0.0, math.cos(tilt)]),
+            )
+            limit = (
+                "the plane counts up to 60 degrees between ray and normal, whatever the ray's "
+                "length"
+            )
+            attempt.close(
+                got,
+                expected,
+                limit,
+                tolerance=1e-4,
+                why="|r.n| / |r| is the cosine; compare it with 0.5",
+            )
 
 
-def _adding_masks(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
+def _adding_masks(
+    T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor
+) -> tuple[Tensor, Tensor]:
     known = D > 0
     surface = known & ((T > 0.5) | ((D_map - D).abs() > 0.1))
     colour = known & ~surface & ((C_map - C).abs().mean(-1) > 0.1)
     return surface, colour
 
 
-def _missing_depth(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
+def _missing_depth(
+    T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor
+) -> tuple[Tensor, Tensor]:
     surface = (T > 0.5) | ((D_map - D).abs() > 0.1)
     return surface, ~surface & ((C_map - C).abs().mean(-1) > 0.1)
 
 
-def _one_sign(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
+def _one_sign(
+    T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor
+) -> tuple[Tensor, Tensor]:
     surface = (D > 0) & ((T > 0.5) | (D_map - D > 0.1))
     return surface, (D > 0) & ~surface & ((C_map - C).abs().mean(-1) > 0.1)
 
 
-def _overlapping(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
+def _overlapping(
+    T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor
+) -> tuple[Tensor, Tensor]:
     surface, _ = _adding_masks(T, D_map, D, C_map, C)
     return surface, (D > 0) & ((C_map - C).abs().mean(-1) > 0.1)
 
 
-def _both_needed(T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor) -> tuple[Tensor, Tensor]:
+def _both_needed(
+    T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor
+) -> tuple[Tensor, Tensor]:
     surface = (D > 0) & (T > 0.5) & ((D_map - D).abs() > 0.1)
     return surface, (D > 0) & ~surface & ((C_map - C).abs().mean(-1) > 0.1)
 
 
 def _as_adding_masks(
-    yours: Yours, T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor, *limits: float
+    yours: Yours,
+    T: Tensor,
+    D_map: Tensor,
+    D: Tensor,
+    C_map: Tensor,
+    C: Tensor,
+    *limits: float,
 ) -> Any:
     """Yours, with the limits of the exercise; the reference for others."""
     if limits != (MIN_TRANSMITTANCE, DEPTH_ERROR_M, COLOUR_ERROR):
         return NotImplemented
     mask = torch.zeros_like(D, dtype=torch.bool)
-    return yours(T, D_map, D, C_map, C, gives={"M_s": mask, "M_c": mask})
+    return yours(
+        T,
+        D_map,
+        D,
+        C_map,
+        C,
+        gives={"M_s": mask, "M_c": mask},
+    )
 
 
 @exercise(
-    chapter=7, difficulty=2, minutes=8, solution=_adding_masks, becomes=Becomes("adding_masks", _as_adding_masks),
+    chapter=7,
+    difficulty=2,
+    minutes=8,
+    solution=_adding_masks,
+    becomes=Becomes("adding_masks", _as_adding_masks),
     hints=(
         "M_s is a union: new area OR wrong depth. Both sides of a depth error count.",
         "M_c takes what is wrong in colour and NOT already in M_s: & ~surface.",
@@ -146,13 +228,19 @@ def _as_adding_masks(
         Wrong(_overlapping, says="no pixel is in both"),
         Wrong(_missing_depth, says="no disc where nothing was measured"),
     ),
-)  # fmt: skip
+)
 def adding_masks(attempt: Attempt) -> None:
     """Where does the map need Gaussians (Eq. 6)?"""
     names = ("M_s", "M_c")
     grey = torch.full((1, 5, 3), 0.5)
 
-    def ask(on: str, T: list[float], seen: list[float], D: list[float], C: Tensor) -> tuple[Any, Any]:
+    def ask(
+        on: str,
+        T: list[float],
+        seen: list[float],
+        D: list[float],
+        C: Tensor,
+    ) -> tuple[Any, Any]:
         maps = [torch.tensor([row]) for row in (T, seen, D)]
         got = attempt.unpack(attempt.on(on)(*maps, grey, C), names)
         for mask in got:
@@ -161,34 +249,92 @@ def adding_masks(attempt: Attempt) -> None:
         return got
 
     on = "five pixels: right, unseen, 20 cm too far, 20 cm too near, unseen and wrong"
-    surface, colour = ask(on, [0.0, 0.9, 0.0, 0.0, 0.9], [2.0, 2.0, 2.2, 1.8, 2.5], [2.0] * 5, grey)
-    attempt.holds(surface[0, 1] and surface[0, 2], "either reason is enough", detail=f"M_s is {surface.tolist()}")
-    attempt.holds(surface[0, 3], "too near is as wrong as too far", detail="the fourth pixel is not in M_s: use |.|")
+    surface, colour = ask(
+        on,
+        [0.0, 0.9, 0.0, 0.0, 0.9],
+        [2.0, 2.0, 2.2, 1.8, 2.5],
+        [2.0] * 5,
+        grey,
+    )
+    attempt.holds(
+        surface[0, 1] and surface[0, 2],
+        "either reason is enough",
+        detail=f"M_s is {surface.tolist()}",
+    )
+    attempt.holds(
+        surface[0, 3],
+        "too near is as wrong as too far",
+        detail="the fourth pixel is not in M_s: use |.|",
+    )
     attempt.close(surface, [[0, 1, 1, 1, 1]], "M_s = new or wrong in depth")
     attempt.close(colour, [[0] * 5], "where the colours agree M_c is empty")
     other = grey.clone()
     other[0, 1:] = torch.tensor([0.8, 0.5, 0.8])
     on = "the same, with a wrong colour in all but the first, and the second in the map now"
-    surface, colour = ask(on, [0.0, 0.0, 0.0, 0.0, 0.9], [2.0, 2.0, 2.2, 1.8, 2.5], [2.0] * 5, other)
-    attempt.holds(not (surface & colour).any(), "no pixel is in both", detail=f"M_c is {colour.tolist()}")
+    surface, colour = ask(
+        on,
+        [0.0, 0.0, 0.0, 0.0, 0.9],
+        [2.0, 2.0, 2.2, 1.8, 2.5],
+        [2.0] * 5,
+        other,
+    )
+    attempt.holds(
+        not (surface & colour).any(), "no pixel is in both", detail=f"M_c is {colour.tolist()}"
+    )
     attempt.close(colour, [[0, 1, 0, 0, 0]], "M_c = wrong in colour only")
-    on = "transmittance 0.45 and 0.55, depth 8 cm and 12 cm off, a surface 40 cm from the camera that nothing covers"
-    surface, colour = ask(on, [0.45, 0.55, 0.0, 0.0, 0.9], [2.0, 2.0, 2.08, 2.12, 0.0], [2.0, 2.0, 2.0, 2.0, 0.4], grey)
-    attempt.close(surface[:, :4], [[0, 1, 0, 1]], "the limits are 0.5 for T and 10 cm for the depth")
+    on = (
+        "transmittance 0.45 and 0.55, depth 8 cm and 12 cm off, a surface 40 cm from the camera "
+        "that nothing covers"
+    )
+    surface, colour = ask(
+        on,
+        [0.45, 0.55, 0.0, 0.0, 0.9],
+        [2.0, 2.0, 2.08, 2.12, 0.0],
+        [2.0, 2.0, 2.0, 2.0, 0.4],
+        grey,
+    )
+    attempt.close(
+        surface[:, :4], [[0, 1, 0, 1]], "the limits are 0.5 for T and 10 cm for the depth"
+    )
     detail = "the fifth pixel is missing: D is the measured depth, D_map that of the map"
-    attempt.holds(surface[0, 4], "what is measured counts, near or far, where the map has nothing", detail=detail)
+    attempt.holds(
+        surface[0, 4],
+        "what is measured counts, near or far, where the map has nothing",
+        detail=detail,
+    )
     on = "colours that are off by 0.08 and 0.12 on average, and by 0.24 in one channel of three"
     nearly = grey.clone()
     nearly[0, 1] = grey[0, 1] + 0.08
     nearly[0, 2] = grey[0, 2] - 0.12
     nearly[0, 3, 0] = 0.74
-    _, colour = ask(on, [0.0] * 5, [2.0] * 5, [2.0] * 5, nearly)
-    attempt.close(colour, [[0, 0, 1, 0, 0]], "the colour error is the mean of the three channels, and its limit is 0.1")
-    surface, colour = ask("the same without any measured depth", [0.9] * 5, [0.0] * 5, [0.0] * 5, other)
-    attempt.holds(not (surface | colour).any(), "no disc where nothing was measured", detail="need D > 0 in both masks")
+    _, colour = ask(
+        on,
+        [0.0] * 5,
+        [2.0] * 5,
+        [2.0] * 5,
+        nearly,
+    )
+    attempt.close(
+        colour,
+        [[0, 0, 1, 0, 0]],
+        "the colour error is the mean of the three channels, and its limit is 0.1",
+    )
+    surface, colour = ask(
+        "the same without any measured depth", [0.9] * 5, [0.0] * 5, [0.0] * 5, other
+    )
+    attempt.holds(
+        not (surface | colour).any(),
+        "no disc where nothing was measured",
+        detail="need D > 0 in both masks",
+    )
 
 
-STAYS, BECOMES_STABLE, BECOMES_UNSTABLE, DELETED = "stays", "becomes stable", "becomes unstable", "is deleted"
+STAYS, BECOMES_STABLE, BECOMES_UNSTABLE, DELETED = (
+    "stays",
+    "becomes stable",
+    "becomes unstable",
+    "is deleted",
+)
 
 
 def _next_state(stable: bool, eta: int, errors: int, age: int) -> str:
@@ -234,11 +380,18 @@ def _as_next_states(
     error_count: int,
     unstable_frames: int,
 ) -> Any:
-    """Yours for each row. Counts are given as shares of their limits, rounded up: half of delta_eta is 50 of 100."""
+    """Yours for each row. Counts are given as shares of their limits, rounded up: half of delta_eta
+    is 50 of 100."""
     if min(stable_confidence, error_count, unstable_frames) <= 0:
         return NotImplemented
     happens = torch.zeros_like(age)
-    rows = zip(stable.tolist(), confidence.tolist(), errors.tolist(), age.tolist(), strict=True)
+    rows = zip(
+        stable.tolist(),
+        confidence.tolist(),
+        errors.tolist(),
+        age.tolist(),
+        strict=True,
+    )
     for k, (is_stable, eta, e, frames) in enumerate(rows):
         given = (
             is_stable,
@@ -254,11 +407,18 @@ def _as_next_states(
 
 
 @exercise(
-    chapter=7, difficulty=2, minutes=8, solution=_next_state, becomes=Becomes("next_states", _as_next_states),
+    chapter=7,
+    difficulty=2,
+    minutes=8,
+    solution=_next_state,
+    becomes=Becomes("next_states", _as_next_states),
     hints=(
-        "Two cases, stable or not. Only a stable Gaussian has errors that matter, only an unstable one an age.",
-        "An unstable one is asked first whether it has been optimised enough (eta > 100), then whether it is too old.",
-        "In the paper, a stable one in error is not deleted: it becomes unstable and is optimised again.",
+        "Two cases, stable or not. Only a stable Gaussian has errors that matter, only an unstable "
+        "one an age.",
+        "An unstable one is asked first whether it has been optimised enough (eta > 100), then "
+        "whether it is too old.",
+        "In the paper, a stable one in error is not deleted: it becomes unstable and is optimised "
+        "again.",
     ),
     wrong=(
         Wrong(_errors_kill, says="a stable one with errors becomes unstable again"),
@@ -266,7 +426,7 @@ def _as_next_states(
         Wrong(_everything_ages, says="a stable one is never too old"),
         Wrong(_any_errors, says="errors of an unstable one do not count"),
     ),
-)  # fmt: skip
+)
 def next_state(attempt: Attempt) -> None:
     """What happens to one Gaussian at the end of a frame?"""
     cases = (
@@ -274,14 +434,20 @@ def next_state(attempt: Attempt) -> None:
         ((False, 100, 0, 5), STAYS, "exactly 100 is not more than 100"),
         ((False, 3, 0, 120), STAYS, "exactly 120 frames are not more than 120"),
         ((False, 3, 0, 121), DELETED, "unstable for more than 120 frames: it is deleted"),
-        ((False, 101, 0, 121), BECOMES_STABLE, "enough optimisation counts, even at the last moment"),
+        (
+            (False, 101, 0, 121),
+            BECOMES_STABLE,
+            "enough optimisation counts, even at the last moment",
+        ),
         ((False, 3, 11, 5), STAYS, "errors of an unstable one do not count"),
         ((True, 400, 10, 90), STAYS, "exactly 10 errors are not too many"),
         ((True, 400, 11, 90), BECOMES_UNSTABLE, "a stable one with errors becomes unstable again"),
         ((True, 400, 2, 1000), STAYS, "a stable one is never too old"),
     )
     for (stable, eta, errors, age), expected, prop in cases:
-        attempt.on(f"{'stable' if stable else 'unstable'}, eta {eta}, {errors} errors, {age} frames old")
+        attempt.on(
+            f"{'stable' if stable else 'unstable'}, eta {eta}, {errors} errors, {age} frames old"
+        )
         got = attempt(stable, eta, errors, age)
         attempt.holds(got == expected, prop, detail=f"got {got!r}, expected {expected!r}")
 
@@ -314,8 +480,8 @@ def _as_fuse(
     *,
     history_max_weight: float = 1.0,
 ) -> Any:
-    """Yours for the rows that a step has changed; the others keep what the window made of them, as in the library.
-    The reference, where the weight of the past has a limit (released code)."""
+    """Yours for the rows that a step has changed; the others keep what the window made of them, as
+    in the library. The reference, where the weight of the past has a limit (released code)."""
     if history_max_weight != 1:
         return NotImplemented
     rows, fused = eta_after > 0, after.clone()
@@ -325,33 +491,69 @@ def _as_fuse(
 
 
 @exercise(
-    chapter=7, difficulty=3, minutes=8, solution=_fuse, becomes=Becomes("fuse", _as_fuse),
+    chapter=7,
+    difficulty=3,
+    minutes=8,
+    solution=_fuse,
+    becomes=Becomes("fuse", _as_fuse),
     hints=(
         "eta_after already contains eta_before: a window with 20 steps raises it from 30 to 50.",
-        "w_curr = (eta_after - eta_before) / eta_after is the share of the steps that this window made.",
-        "Rows that no step ever touched have eta 0: clamp the divisor. w needs [:, None] to act on rows.",
+        "w_curr = (eta_after - eta_before) / eta_after is the share of the steps that this window "
+        "made.",
+        "Rows that no step ever touched have eta 0: clamp the divisor. w needs [:, None] to act on "
+        "rows.",
     ),
     wrong=(
         Wrong(_swapped, says="a new Gaussian takes the values from the window"),
         Wrong(_sum_of_counts, says="the newer values are weighted by their share of the steps"),
         Wrong(_unguarded, says="a Gaussian never seen does not change"),
     ),
-)  # fmt: skip
+)
 def fuse(attempt: Attempt) -> None:
     """Merge the values after an optimisation window with those before it (Eq. 9)."""
     before, after = torch.tensor([[0.0, 4.0]]), torch.tensor([[1.0, 0.0]])
-    got = attempt.on("eta 0 before, 20 after")(before, after, torch.tensor([0]), torch.tensor([20]))
+    got = attempt.on("eta 0 before, 20 after")(
+        before,
+        after,
+        torch.tensor([0]),
+        torch.tensor([20]),
+    )
     attempt.close(got, after, "a new Gaussian takes the values from the window")
-    got = attempt.on("eta 30 before, 40 after")(before, after, torch.tensor([30]), torch.tensor([40]))
+    got = attempt.on("eta 30 before, 40 after")(
+        before, after, torch.tensor([30]), torch.tensor([40])
+    )
     why = "10 of the 40 steps were made in this window: w_curr = 1/4"
-    attempt.close(got, [[0.25, 3.0]], "the newer values are weighted by their share of the steps", why=why)
+    attempt.close(
+        got, [[0.25, 3.0]], "the newer values are weighted by their share of the steps", why=why
+    )
     attempt.on("eta 50 before and after: seen by no view of this window")
-    got = attempt(before, after, torch.tensor([50]), torch.tensor([50]))
+    got = attempt(
+        before,
+        after,
+        torch.tensor([50]),
+        torch.tensor([50]),
+    )
     attempt.close(got, before, "without steps nothing changes")
-    got = attempt.on("eta 0 before and after")(before, before, torch.tensor([0]), torch.tensor([0]))
+    got = attempt.on("eta 0 before and after")(
+        before,
+        before,
+        torch.tensor([0]),
+        torch.tensor([0]),
+    )
     attempt.close(got, before, "a Gaussian never seen does not change", why="do not divide by zero")
-    got = attempt.on("eta 0 before and 1 after")(before, after, torch.tensor([0]), torch.tensor([1]))
-    attempt.close(got, after, "one step is enough to take the values from the window", why="eta_after is 1: w_curr = 1")
+    got = attempt.on("eta 0 before and 1 after")(
+        before, after, torch.tensor([0]), torch.tensor([1])
+    )
+    attempt.close(
+        got,
+        after,
+        "one step is enough to take the values from the window",
+        why="eta_after is 1: w_curr = 1",
+    )
     both = [torch.cat([x, x]) for x in (before, after)]
-    got = attempt.on("two rows at once")(*both, torch.tensor([0, 30]), torch.tensor([20, 40]))
+    got = attempt.on("two rows at once")(
+        *both,
+        torch.tensor([0, 30]),
+        torch.tensor([20, 40]),
+    )
     attempt.close(got, [[1.0, 0.0], [0.25, 3.0]], "every row has its own weight")

@@ -13,23 +13,46 @@ from .exercise import Attempt, Failed, Wrong, exercise
 
 
 def wall_context(covered: str = "nothing") -> SeedContext:
-    """A chequered wall 2 m away, seen by 64 x 48 pixels; "quarter": opaque Gaussians on its upper left quarter."""
-    camera = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
-    j, i = torch.meshgrid(torch.arange(48), torch.arange(64), indexing="ij")
+    """A chequered wall 2 m away, seen by 64 x 48 pixels; "quarter": opaque Gaussians on its upper
+    left quarter."""
+    camera = Camera(
+        width=64,
+        height=48,
+        fx=60.0,
+        fy=60.0,
+        cx=32.0,
+        cy=24.0,
+    )
+    j, i = torch.meshgrid(
+        torch.arange(48),
+        torch.arange(64),
+        indexing="ij",
+    )
     grey = (((i // 4) + (j // 4)) % 2).float() * 0.8 + 0.1
     frame = Frame(
-        index=0, timestamp_s=0.0, rgb=grey[..., None].expand(-1, -1, 3).contiguous(),
-        depth_m=torch.full((48, 64), 2.0), camera=camera, T_WC=torch.eye(4),
-    )  # fmt: skip
-    x, y = torch.meshgrid(torch.linspace(-1.2, -0.1, 12), torch.linspace(-0.9, -0.1, 9), indexing="xy")
+        index=0,
+        timestamp_s=0.0,
+        rgb=grey[..., None].expand(-1, -1, 3).contiguous(),
+        depth_m=torch.full((48, 64), 2.0),
+        camera=camera,
+        T_WC=torch.eye(4),
+    )
+    x, y = torch.meshgrid(
+        torch.linspace(-1.2, -0.1, 12),
+        torch.linspace(-0.9, -0.1, 9),
+        indexing="xy",
+    )
     xyz = torch.stack([x, y, torch.full_like(x, 2.0)], dim=-1).reshape(-1, 3)
     if covered == "nothing":
         xyz = xyz[:0]
     n = len(xyz)
     params = GaussianParams(
-        xyz_W=xyz, log_scale=torch.full((n, 3), 0.06).log(), quat=torch.tensor([1.0, 0, 0, 0]).expand(n, 4).clone(),
-        opacity_logit=torch.full((n,), 4.0), sh=torch.zeros(n, 1, 3),
-    )  # fmt: skip
+        xyz_W=xyz,
+        log_scale=torch.full((n, 3), 0.06).log(),
+        quat=torch.tensor([1.0, 0, 0, 0]).expand(n, 4).clone(),
+        opacity_logit=torch.full((n,), 4.0),
+        sh=torch.zeros(n, 1, 3),
+    )
     config = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
     return SeedContext(frame, _FreshVolume(), SimpleNamespace(params=params), config=config)
 
@@ -40,11 +63,16 @@ class _FreshVolume:
     config = TsdfConfig(voxel_size_m=0.02)
 
     def sample_nearest(self, xyz_W: Tensor) -> SimpleNamespace:
-        return SimpleNamespace(D=torch.zeros(len(xyz_W)), W=torch.ones(len(xyz_W)))
+        return SimpleNamespace(
+            D=torch.zeros(len(xyz_W)),
+            W=torch.ones(len(xyz_W)),
+        )
 
 
 def _raster(ctx: SeedContext, *, step_px: int = 8) -> Seeds:
-    uv = pixel_grid(ctx.camera, device=ctx.frame.depth_m.device)[step_px // 2 :: step_px, step_px // 2 :: step_px]
+    uv = pixel_grid(ctx.camera, device=ctx.frame.depth_m.device)[
+        step_px // 2 :: step_px, step_px // 2 :: step_px
+    ]
     return ctx.seeds_at(uv.reshape(-1, 2), step_px / 2)
 
 
@@ -52,9 +80,11 @@ def _raster_without_depth_test(ctx: SeedContext, *, step_px: int = 8) -> Seeds:
     seeds = _raster(ctx, step_px=step_px)
     origin = seeds.xyz_W.new_zeros(1, 3)
     return Seeds.isotropic(
-        torch.cat([seeds.xyz_W, origin]), torch.cat([seeds.rgb, origin + 0.5]),
-        torch.cat([seeds.scale_m[:, 0], origin[:, 0] + 0.1]), opacity=0.5,
-    )  # fmt: skip
+        torch.cat([seeds.xyz_W, origin]),
+        torch.cat([seeds.rgb, origin + 0.5]),
+        torch.cat([seeds.scale_m[:, 0], origin[:, 0] + 0.1]),
+        opacity=0.5,
+    )
 
 
 def _raster_of_pixels(ctx: SeedContext, *, step_px: int = 8) -> Seeds:
@@ -71,10 +101,15 @@ def _raster_positional(ctx: SeedContext, step_px: int = 8) -> Seeds:
 
 
 @exercise(
-    chapter=9, difficulty=2, minutes=10, solution=_raster,
+    chapter=9,
+    difficulty=2,
+    minutes=10,
+    solution=_raster,
     hints=(
-        "pixel_grid(ctx.camera) has all pixel centres, [H, W, 2]; slice it with [start::step_px, start::step_px].",
-        "ctx.seeds_at(uv, radius_px) does the rest: depth, back-projection, colour, size. uv is [N, 2].",
+        "pixel_grid(ctx.camera) has all pixel centres, [H, W, 2]; slice it with [start::step_px, "
+        "start::step_px].",
+        "ctx.seeds_at(uv, radius_px) does the rest: depth, back-projection, colour, size. uv is "
+        "[N, 2].",
         "A square of step_px pixels reaches step_px / 2 to each side.",
     ),
     wrong=(
@@ -83,7 +118,7 @@ def _raster_positional(ctx: SeedContext, step_px: int = 8) -> Seeds:
         Wrong(_raster_of_points, says="as large as its square"),
         Wrong(_raster_positional, says="keyword-only"),
     ),
-)  # fmt: skip
+)
 def raster_rule(attempt: Attempt) -> None:
     """A rule that seeds on a regular raster of pixels."""
     ctx = wall_context()
@@ -100,20 +135,34 @@ def raster_rule(attempt: Attempt) -> None:
     _one_in_the_middle_of_each(attempt, seeds, ctx, 8)
     seeds = _seeds(attempt, attempt.on("the same, every 16 pixels")(ctx, step_px=16))
     attempt.close(len(seeds), 12, "the option step_px sets the distance")
-    attempt.close(seeds.scale_m[:, 0], torch.full((12,), 2.0 * 8 / 60), "the size grows with step_px")
+    attempt.close(
+        seeds.scale_m[:, 0],
+        torch.full((12,), 2.0 * 8 / 60),
+        "the size grows with step_px",
+    )
     _one_in_the_middle_of_each(attempt, seeds, ctx, 16)
 
 
-def _one_in_the_middle_of_each(attempt: Attempt, seeds: Seeds, ctx: SeedContext, step_px: int) -> None:
-    """Each square of the raster has its seed within a pixel of its middle, with the colour of a pixel there."""
-    u, v = project(ctx.camera, se3.apply(se3.inverse(ctx.frame.T_WC), seeds.xyz_W)).unbind(-1)
+def _one_in_the_middle_of_each(
+    attempt: Attempt, seeds: Seeds, ctx: SeedContext, step_px: int
+) -> None:
+    """Each square of the raster has its seed within a pixel of its middle, with the colour of a
+    pixel there."""
+    u, v = project(
+        ctx.camera,
+        se3.apply(se3.inverse(ctx.frame.T_WC), seeds.xyz_W),
+    ).unbind(-1)
     square = (v / step_px).floor() * (ctx.camera.width // step_px) + (u / step_px).floor()
     prop = "the seeds stand on a regular raster: one in the middle of each square"
     hit = len(square.unique())
-    attempt.holds(hit == len(seeds), prop, detail=f"{len(seeds)} seeds stand in {hit} different squares")
+    attempt.holds(
+        hit == len(seeds), prop, detail=f"{len(seeds)} seeds stand in {hit} different squares"
+    )
     off = torch.stack([u, v]).remainder(step_px) - step_px / 2
     worst = float(off.abs().max())
-    attempt.holds(worst <= 1.01, prop, detail=f"a seed is {worst:.1f} pixels beside the middle of its square")
+    attempt.holds(
+        worst <= 1.01, prop, detail=f"a seed is {worst:.1f} pixels beside the middle of its square"
+    )
     photo = ctx.frame.rgb[v.long(), u.long()]
     attempt.close(seeds.rgb, photo, "a seed has the colour of the pixel below it", tolerance=1e-4)
 
@@ -149,26 +198,34 @@ def _where_swapped(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
 
 
 @exercise(
-    chapter=9, difficulty=3, minutes=15, solution=_where_empty,
+    chapter=9,
+    difficulty=3,
+    minutes=15,
+    solution=_where_empty,
     hints=(
-        "ctx.cells() proposes a seed for each quadtree leaf with depth. ctx.render().alpha [H, W] says how opaque the "
-        "map is at each pixel.",
-        "Where is a seed in the image? leaves = ctx.quadtree_cells(); x, y = leaves.centre_uv.long().unbind(-1).",
-        "Leaves without depth gave no seed: kept = ctx.has_depth()[y, x], then alpha[y, x][kept] has a row per seed.",
+        "ctx.cells() proposes a seed for each quadtree leaf with depth. ctx.render().alpha [H, W] "
+        "says how opaque the map is at each pixel.",
+        "Where is a seed in the image? leaves = ctx.quadtree_cells(); x, y = "
+        "leaves.centre_uv.long().unbind(-1).",
+        "Leaves without depth gave no seed: kept = ctx.has_depth()[y, x], then alpha[y, x][kept] "
+        "has a row per seed.",
     ),
     wrong=(
         Wrong(_where_full, says="an empty map"),
         Wrong(_where_everything, says="opaque already"),
         Wrong(_where_swapped, says="row y, column x"),
     ),
-)  # fmt: skip
+)
 def silhouette_rule(attempt: Attempt) -> None:
-    """Seed where the map is still transparent (SplaTAM's silhouette) instead of testing the TSDF."""
+    """Seed where the map is still transparent (SplaTAM's silhouette) instead of testing the
+    TSDF."""
     attempt.on("a wall, and an empty map")
     ctx = wall_context(covered="nothing")
     all_cells = ctx.cells()
     check_rule(_where_empty)
-    attempt.close(len(_seeds(attempt, attempt(ctx))), len(all_cells), "with an empty map every cell is seeded")
+    attempt.close(
+        len(_seeds(attempt, attempt(ctx))), len(all_cells), "with an empty map every cell is seeded"
+    )
     on = "a wall whose upper left quarter has opaque Gaussians"
     ctx = wall_context(covered="quarter")
     seeds = _seeds(attempt, attempt.on(on)(ctx))
@@ -184,7 +241,9 @@ def silhouette_rule(attempt: Attempt) -> None:
     )
     for max_alpha in (0.02, 0.9, 1.1):
         attempt.on(f"{on}, max_alpha = {max_alpha}")
-        got, expected = (len(_seeds(attempt, rule(ctx, max_alpha=max_alpha))) for rule in (attempt, _where_empty))
+        got, expected = (
+            len(_seeds(attempt, rule(ctx, max_alpha=max_alpha))) for rule in (attempt, _where_empty)
+        )
         prop = "max_alpha is the limit: cells with a smaller alpha are seeded"
         attempt.holds(got == expected, prop, detail=f"{got} seeds, expected {expected}")
     _contract(attempt.watched)
@@ -208,20 +267,28 @@ def _pareto_strict_in_both(n_gaussians: Tensor, psnr_db: Tensor) -> Tensor:
 
 
 @exercise(
-    chapter=9, difficulty=2, minutes=8, solution=_pareto,
+    chapter=9,
+    difficulty=2,
+    minutes=8,
+    solution=_pareto,
     hints=(
-        "Rule a beats rule b if it has no more Gaussians, no less PSNR, and is better in at least one of the two.",
+        "Rule a beats rule b if it has no more Gaussians, no less PSNR, and is better in at least "
+        "one of the two.",
         "n[:, None] <= n compares every rule with every rule: row a, column b.",
     ),
     wrong=(
         Wrong(_pareto_best_ratio, says="both ends"),
         Wrong(_pareto_strict_in_both, says="equally good"),
     ),
-)  # fmt: skip
+)
 def pareto_rules(attempt: Attempt) -> None:
     """Which rules no other rule beats: [N] true or false."""
 
-    def front(on: str, n: list[float], psnr: list[float]) -> list[bool]:
+    def front(
+        on: str,
+        n: list[float],
+        psnr: list[float],
+    ) -> list[bool]:
         got = torch.as_tensor(attempt.on(on)(torch.tensor(n), torch.tensor(psnr)))
         attempt.close(list(got.shape), [len(n)], "one answer per rule")
         return [bool(b) for b in got]
@@ -233,11 +300,21 @@ def pareto_rules(attempt: Attempt) -> None:
         "both ends of the front count: the smallest map and the best picture",
         detail=f"got {got}, expected [True, True, False]",
     )
-    attempt.holds(not got[2], "a rule with more Gaussians and a worse picture is beaten", detail=f"got {got}")
+    attempt.holds(
+        not got[2], "a rule with more Gaussians and a worse picture is beaten", detail=f"got {got}"
+    )
     got = front("3,000 with 22 dB and 6,000 with 22 dB", [3000.0, 6000.0], [22.0, 22.0])
-    attempt.holds(got == [True, False], "of two equally good pictures the smaller map wins", detail=f"got {got}")
+    attempt.holds(
+        got == [True, False],
+        "of two equally good pictures the smaller map wins",
+        detail=f"got {got}",
+    )
     got = front("two maps of 3,000, with 22 and 25 dB", [3000.0, 3000.0], [22.0, 25.0])
-    attempt.holds(got == [False, True], "of two equally large maps the better picture wins", detail=f"got {got}")
+    attempt.holds(
+        got == [False, True],
+        "of two equally large maps the better picture wins",
+        detail=f"got {got}",
+    )
     on = "two rules with the same numbers"
     attempt.holds(
         front(on, [3.0, 3.0], [22.0, 22.0]) == [True, True],

@@ -25,7 +25,8 @@ _HEADING = re.compile(r"^## (?:\d+\. )?", re.MULTILINE)
 
 
 def short_path(folder: Path) -> dict[str, Any]:
-    """The notebook, solved, with the outputs that its cells have in their chapters, in the form that JSON has.
+    """The notebook, solved, with the outputs that its cells have in their chapters, in the form
+    that JSON has.
 
     Args:
         folder: The solved chapters, with ``short_path.toml``.
@@ -35,45 +36,76 @@ def short_path(folder: Path) -> dict[str, Any]:
     """
     plan = folder / "short_path.toml"
     parts = tomllib.loads(read_text(plan, "the parts of the short path"))["part"]
-    chapters = {path.name[:2]: read_object(path, "a notebook") for path in sorted(folder.glob("*.ipynb"))}
-    stored = {f"{number}/{cell['id']}": cell for number, chapter in chapters.items() for cell in chapter["cells"]}
+    chapters = {
+        path.name[:2]: read_object(path, "a notebook") for path in sorted(folder.glob("*.ipynb"))
+    }
+    stored = {
+        f"{number}/{cell['id']}": cell
+        for number, chapter in chapters.items()
+        for cell in chapter["cells"]
+    }
     named = [name for part in parts for name in part["cells"]]
     if lost := [name for name in named if name not in stored]:
         raise ValueError(f"{plan} names cells that no chapter has: {', '.join(lost)}")
     cells: list[Cell] = []
     for number, part in enumerate(parts):
         cells.append(_text(f"part-{number}", part["text"]))
-        cells += [_fitting(stored[name], fresh=name in part.get("fresh", ())) for name in part["cells"]]
+        cells += [
+            _fitting(stored[name], fresh=name in part.get("fresh", ())) for name in part["cells"]
+        ]
     chosen = [chapters[number] for number in sorted({name[:2] for name in named})]
     return chosen[0] | {"cells": [cells[0], _imports(chosen, cells), *cells[1:]]}
 
 
 def _text(name: str, text: str) -> Cell:
-    return {"cell_type": "markdown", "id": name, "metadata": {}, "source": text.strip().splitlines(keepends=True)}
+    return {
+        "cell_type": "markdown",
+        "id": name,
+        "metadata": {},
+        "source": text.strip().splitlines(keepends=True),
+    }
 
 
 def _fitting(cell: Cell, *, fresh: bool) -> Cell:
     """A chapter's cell below the headings of the parts; ``fresh``: without its outputs."""
     if cell["cell_type"] == "code":
         return cell | {"outputs": []} if fresh else cell
-    return cell | {"source": _HEADING.sub("### ", "".join(cell["source"])).splitlines(keepends=True)}
+    return cell | {
+        "source": _HEADING.sub("### ", "".join(cell["source"])).splitlines(keepends=True)
+    }
 
 
-def _imports(chapters: Iterable[dict[str, Any]], cells: Iterable[Cell]) -> Cell:
-    """A folded cell with what the folded cells of ``chapters`` import and ``cells`` use, each name once."""
+def _imports(
+    chapters: Iterable[dict[str, Any]],
+    cells: Iterable[Cell],
+) -> Cell:
+    """A folded cell with what the folded cells of ``chapters`` import and ``cells`` use, each name
+    once."""
     used = {node.id for node in _nodes(cells) if isinstance(node, ast.Name)}
     begins: dict[str, str] = {}
-    folded = [c for chapter in chapters for c in chapter["cells"] if c["metadata"].get("jupyter") == _FOLDED]
+    folded = [
+        c
+        for chapter in chapters
+        for c in chapter["cells"]
+        if c["metadata"].get("jupyter") == _FOLDED
+    ]
     for node in _nodes(folded):
         if isinstance(node, ast.Import | ast.ImportFrom):
             begin = f"from {node.module} import" if isinstance(node, ast.ImportFrom) else "import"
-            begins = {ast.unparse(a): begin for a in node.names if (a.asname or a.name) in used} | begins
+            begins = {
+                ast.unparse(a): begin for a in node.names if (a.asname or a.name) in used
+            } | begins
     lines = [f"import {name}" for name, begin in sorted(begins.items()) if begin == "import"]
     for begin in sorted({*begins.values()} - {"import"}):
         names = ", ".join(sorted(name for name, its in begins.items() if its == begin))
         lines += [f"{begin} {row.rstrip(',')}" for row in textwrap.wrap(names, 119 - len(begin))]
     source = "\n".join(["# what this page uses", *lines]).splitlines(keepends=True)
-    cell = {"cell_type": "code", "execution_count": None, "id": "imports", "metadata": {"jupyter": _FOLDED}}
+    cell = {
+        "cell_type": "code",
+        "execution_count": None,
+        "id": "imports",
+        "metadata": {"jupyter": _FOLDED},
+    }
     return cell | {"outputs": [], "source": source}
 
 

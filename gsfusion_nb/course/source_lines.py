@@ -1,7 +1,8 @@
-"""Where an equation is in the code: the line is searched when the cell runs, so it is always up to date.
+"""Where an equation is in the code: the line is searched when the cell runs, so it is always up to
+date.
 
-A click opens the file in JupyterLab at the line, if the server's root holds the notebook and the package, as with
-``make lab``.
+A click opens the file in JupyterLab at the line, if the server's root holds the notebook and the
+package, as with ``make lab``.
 """
 
 import inspect
@@ -26,26 +27,45 @@ class SourceLines:
         self.rows = rows
 
     def __repr__(self) -> str:
-        return "\n".join(f"{what}\n    {path}:{number}  {code}" for what, code, path, number in self.rows)
+        return "\n".join(
+            f"{what}\n    {path}:{number}  {code}" for what, code, path, number in self.rows
+        )
 
     def _repr_html_(self) -> str:
-        up, link = _up(), Markup('<a href="{}/{}#line={}">{}:{}</a>')  # JupyterLab counts lines from 0
+        up, link = (
+            _up(),
+            Markup('<a href="{}/{}#line={}">{}:{}</a>'),
+        )  # JupyterLab counts lines from 0
         rows = [
             (
                 what,
                 Markup("<code>{}</code>").format(code),
-                link.format(up, path, number - 1, path.split("/", 1)[1], number),
+                link.format(
+                    up,
+                    path,
+                    number - 1,
+                    path.split("/", 1)[1],
+                    number,
+                ),
             )
             for what, code, path, number in self.rows
         ]
-        return html_table(rows, heads=("what", "line", "where"), style="font-size:12px", cell_style="text-align:left")
+        return html_table(
+            rows,
+            heads=("what", "line", "where"),
+            style="font-size:12px",
+            cell_style="text-align:left",
+        )
 
 
 def _up() -> str:
     """The way from the notebook's folder to the package's."""
     try:
         return Path(os.path.relpath(_ROOT.parent)).as_posix()
-    except (ValueError, OSError):  # another drive of Windows, or a folder that is gone: no link can lead there
+    except (
+        ValueError,
+        OSError,
+    ):  # another drive of Windows, or a folder that is gone: no link can lead there
         return _ROOT.parent.as_uri()
 
 
@@ -53,7 +73,8 @@ def source_lines(lines: dict[str, tuple[Callable[..., Any], str]]) -> SourceLine
     """Find lines of the library.
 
     Args:
-        lines: What the line does -> (any function of the file, a part of the line that no other line there has).
+        lines: What the line does -> (any function of the file, a part of the line that no other
+            line there has).
 
     Raises:
         ValueError: no line, or more than one, contains the part.
@@ -64,7 +85,9 @@ def source_lines(lines: dict[str, tuple[Callable[..., Any], str]]) -> SourceLine
         text = path.read_text(encoding="utf-8").splitlines()
         found = [i for i, line in enumerate(text) if piece in line]
         if len(found) != 1:
-            raise ValueError(f"{what}: {piece!r} must be on one line of {path.name}, it is on {len(found)}")
+            raise ValueError(
+                f"{what}: {piece!r} must be on one line of {path.name}, it is on {len(found)}"
+            )
         shown = f"{_ROOT.name}/{path.relative_to(_ROOT).as_posix()}"
         rows.append((what, text[found[0]].strip(), shown, found[0] + 1))
     return SourceLines(rows)

@@ -43,36 +43,58 @@ def _one_focal_length(xyz_C: Tensor, cov_C: Tensor, fx: float, fy: float) -> Ten
 
 
 @exercise(
-    chapter=4, difficulty=3, minutes=12, solution=_covariance_2d,
+    chapter=4,
+    difficulty=3,
+    minutes=12,
+    solution=_covariance_2d,
     hints=(
-        "J holds the derivatives of u = fx x/z + cx and v = fy y/z + cy by x, y and z: two rows, three columns.",
-        "du/dz is not zero: u = fx x/z, so du/dz = -fx x / z^2. Extent along z therefore widens the ellipse sideways.",
-        "The covariance of J x is J cov J^T. The low-pass filter is 0.3 px^2 on both diagonal entries, added last.",
+        "J holds the derivatives of u = fx x/z + cx and v = fy y/z + cy by x, y and z: two rows, "
+        "three columns.",
+        "du/dz is not zero: u = fx x/z, so du/dz = -fx x / z^2. Extent along z therefore widens "
+        "the ellipse sideways.",
+        "The covariance of J x is J cov J^T. The low-pass filter is 0.3 px^2 on both diagonal "
+        "entries, added last.",
     ),
     wrong=(
         Wrong(_flat, says="off the axis, extent along z widens the ellipse"),
         Wrong(_no_low_pass, says="a Gaussian too small to see is still about a pixel wide"),
         Wrong(_one_focal_length, says="fy acts on v"),
     ),
-)  # fmt: skip
+)
 def covariance_2d(attempt: Attempt) -> None:
     """Project the covariance of a Gaussian onto the image: J cov J^T + 0.3 I."""
     f64 = torch.float64
     axis = torch.tensor([0.0, 0.0, 2.0], dtype=f64)
-    got = attempt.on("a point-like Gaussian 2 m ahead")(axis, torch.zeros(3, 3, dtype=f64), 100.0, 100.0)
+    got = attempt.on("a point-like Gaussian 2 m ahead")(
+        axis, torch.zeros(3, 3, dtype=f64), 100.0, 100.0
+    )
     why = "add 0.3 px^2 to the diagonal"
-    attempt.close(got, 0.3 * torch.eye(2), "a Gaussian too small to see is still about a pixel wide", why=why)
+    attempt.close(
+        got, 0.3 * torch.eye(2), "a Gaussian too small to see is still about a pixel wide", why=why
+    )
     attempt.on("a ball of standard deviation 10 cm, 2 m ahead, f = 100 px")
     got = attempt(axis, 0.01 * torch.eye(3, dtype=f64), 100.0, 100.0)
-    attempt.close(got, 25.3 * torch.eye(2), "a ball straight ahead gives a circle of (f s / z)^2 + 0.3")
-    needle, right = torch.diag(torch.tensor([0.0, 0.0, 0.04], dtype=f64)), torch.tensor([1.0, 0.0, 2.0], dtype=f64)
+    attempt.close(
+        got, 25.3 * torch.eye(2), "a ball straight ahead gives a circle of (f s / z)^2 + 0.3"
+    )
+    needle, right = (
+        torch.diag(torch.tensor([0.0, 0.0, 0.04], dtype=f64)),
+        torch.tensor([1.0, 0.0, 2.0], dtype=f64),
+    )
     got = attempt.on("a needle along z, 1 m to the right")(right, needle, 100.0, 100.0)
     why = "J needs its third column, du/dz = -fx x / z^2"
-    attempt.close(got, [[25.3, 0.0], [0.0, 0.3]], "off the axis, extent along z widens the ellipse", why=why)
-    got = attempt.on("a ball, fx = 100 px and fy = 50 px")(axis, 0.01 * torch.eye(3, dtype=f64), 100.0, 50.0)
+    attempt.close(
+        got, [[25.3, 0.0], [0.0, 0.3]], "off the axis, extent along z widens the ellipse", why=why
+    )
+    got = attempt.on("a ball, fx = 100 px and fy = 50 px")(
+        axis, 0.01 * torch.eye(3, dtype=f64), 100.0, 50.0
+    )
     attempt.close(got, [[25.3, 0.0], [0.0, 6.55]], "fy acts on v")
     xyz = torch.tensor([0.4, -0.3, 1.5], dtype=f64)
-    L = torch.tensor([[0.2, 0.0, 0.0], [0.1, 0.1, 0.0], [-0.05, 0.2, 0.3]], dtype=f64)
+    L = torch.tensor(
+        [[0.2, 0.0, 0.0], [0.1, 0.1, 0.0], [-0.05, 0.2, 0.3]],
+        dtype=f64,
+    )
     got = attempt.on("a tilted Gaussian off both axes")(xyz, L @ L.T, 90.0, 110.0)
     attempt.close(got, _covariance_2d(xyz, L @ L.T, 90.0, 110.0), "cov_2D = J cov J^T + 0.3 I")
 
@@ -101,13 +123,16 @@ def _averaged(alpha: Tensor, rgb: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _as_blend(yours: Yours, alpha: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
-    """Yours for each pixel: its colour, and alpha = 1 - the light left. The reference blends the depth, and blending
-    ends where it ends there."""
+    """Yours for each pixel: its colour, and alpha = 1 - the light left. The reference blends the
+    depth, and blending ends where it ends there."""
     _, w = blend_weights(alpha)
     C, rgb = w.T @ c, c[:, :3]
     rows = [(column > 0).nonzero()[:, 0] for column in w.T]
     calls = [(alpha[k, p], rgb[k]) for p, k in enumerate(rows)]
-    pixels = yours.many(calls, [{"the colour": rgb.new_zeros(3), "the light left": rgb.new_zeros(())}] * len(calls))
+    pixels = yours.many(
+        calls,
+        [{"the colour": rgb.new_zeros(3), "the light left": rgb.new_zeros(())}] * len(calls),
+    )
     if pixels:
         C[:, :3] = torch.stack([colour for colour, _ in pixels])
         C[:, 4] = 1 - torch.stack([left for _, left in pixels])
@@ -115,11 +140,17 @@ def _as_blend(yours: Yours, alpha: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
 
 
 @exercise(
-    chapter=4, difficulty=2, minutes=8, solution=_composite_pixel, becomes=Becomes("blend", _as_blend),
+    chapter=4,
+    difficulty=2,
+    minutes=8,
+    solution=_composite_pixel,
+    becomes=Becomes("blend", _as_blend),
     hints=(
         "Go through the Gaussians with a number T, the light that is left, which starts at 1.",
-        "Each adds alpha * T * colour; then T becomes T * (1 - alpha). The order of these two lines matters.",
-        "Without a loop: T = cumprod of (1 - alpha), shifted by one place so that it starts with 1.",
+        "Each adds alpha * T * colour; then T becomes T * (1 - alpha). The order of these two "
+        "lines matters.",
+        "Without a loop: T = cumprod of (1 - alpha), shifted by one place so that it starts with "
+        "1.",
     ),
     wrong=(
         Wrong(_own_alpha_too, says="nothing is in front of the first one"),
@@ -127,30 +158,45 @@ def _as_blend(yours: Yours, alpha: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
         Wrong(_no_transmittance, says="only the light that is left"),
         Wrong(_averaged, says="what is not covered stays black"),
     ),
-)  # fmt: skip
+)
 def composite_pixel(attempt: Attempt) -> None:
     """Blend the sorted Gaussians of one pixel, nearest first."""
     names = ("colour", "light left")
     red, green = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
     attempt.on("one red Gaussian of alpha 0.5")
-    colour, left = attempt.unpack(attempt(torch.tensor([0.5]), torch.tensor([red])), names)
+    colour, left = attempt.unpack(
+        attempt(torch.tensor([0.5]), torch.tensor([red])),
+        names,
+    )
     red_is = float(torch.as_tensor(colour)[0])
-    detail = f"red is {red_is:.3g}, expected 0.5: alpha 0.5 covers one half, and nothing is divided by the weights"
+    detail = (
+        f"red is {red_is:.3g}, expected 0.5: alpha 0.5 covers one half, and nothing is "
+        "divided by the weights"
+    )
     attempt.holds(red_is < 0.99, "what is not covered stays black", detail=detail)
     why = "T in front of a Gaussian does not contain its own alpha"
     attempt.close(colour, [0.5, 0.0, 0.0], "nothing is in front of the first one", why=why)
     attempt.close(left, 0.5, "behind alpha 0.5 half of the light is left")
     attempt.on("red alpha 0.8 in front of green alpha 0.5")
-    colour, left = attempt.unpack(attempt(torch.tensor([0.8, 0.5]), torch.tensor([red, green])), names)
-    red_and_green = torch.as_tensor(colour)[:2].double() - torch.tensor([0.8, 0.5], dtype=torch.float64)
+    colour, left = attempt.unpack(
+        attempt(torch.tensor([0.8, 0.5]), torch.tensor([red, green])),
+        names,
+    )
+    red_and_green = torch.as_tensor(colour)[:2].double() - torch.tensor(
+        [0.8, 0.5], dtype=torch.float64
+    )
     attempt.holds(
         float(red_and_green.abs().max()) > 1e-6,
         "what is behind gets only the light that is left",
-        detail="red has its whole alpha 0.8 and green its whole alpha 0.5, as if nothing were in front of it",
+        detail="red has its whole alpha 0.8 and green its whole alpha 0.5, as if nothing were in "
+        "front of it",
     )
     attempt.close(colour, [0.8, 0.1, 0.0], "the nearest comes first", why="w = 0.8 and 0.2 * 0.5")
     attempt.close(left, 0.1, "the light left is the product of all 1 - alpha")
-    colour, left = attempt.unpack(attempt.on("no Gaussian at all")(torch.zeros(0), torch.zeros(0, 3)), names)
+    colour, left = attempt.unpack(
+        attempt.on("no Gaussian at all")(torch.zeros(0), torch.zeros(0, 3)),
+        names,
+    )
     attempt.close(colour, [0.0, 0.0, 0.0], "an empty pixel is black")
     attempt.close(left, 1.0, "an empty pixel keeps all its light")
     generator = torch.Generator().manual_seed(3)
@@ -165,25 +211,39 @@ Number = float | int
 Box = tuple[int, int, int, int]
 
 
-def _ranges(low: Number, high: Number, tile_px: int, size: int) -> tuple[int, int]:
+def _ranges(
+    low: Number,
+    high: Number,
+    tile_px: int,
+    size: int,
+) -> tuple[int, int]:
     n = -(-size // tile_px)
     first = min(max(math.floor(low / tile_px), 0), n)
-    return first, max(first, min(max(math.floor(high / tile_px) + 1, 0), n))
+    return first, max(
+        first,
+        min(max(math.floor(high / tile_px) + 1, 0), n),
+    )
 
 
-def _tiles_touched(u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int) -> Box:
+def _tiles_touched(
+    u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int
+) -> Box:
     return (
         *_ranges(u - extent_px, u + extent_px, tile_px, width),
         *_ranges(v - extent_px, v + extent_px, tile_px, height),
     )
 
 
-def _last_one_missing(u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int) -> Box:
+def _last_one_missing(
+    u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int
+) -> Box:
     x0, x1, y0, y1 = _tiles_touched(u, v, extent_px, width, height, tile_px)
     return x0, max(x0, x1 - 1), y0, max(y0, y1 - 1)
 
 
-def _unclamped(u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int) -> Box:
+def _unclamped(
+    u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int
+) -> Box:
     low, high = (
         [math.floor((c - extent_px) / tile_px) for c in (u, v)],
         [math.floor((c + extent_px) / tile_px) + 1 for c in (u, v)],
@@ -191,12 +251,21 @@ def _unclamped(u: Number, v: Number, extent_px: Number, width: int, height: int,
     return low[0], high[0], low[1], high[1]
 
 
-def _whole_tiles_only(u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int) -> Box:
-    return _tiles_touched(u, v, extent_px, width // tile_px * tile_px, height // tile_px * tile_px, tile_px)
+def _whole_tiles_only(
+    u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int
+) -> Box:
+    return _tiles_touched(
+        u, v, extent_px, width // tile_px * tile_px, height // tile_px * tile_px, tile_px
+    )
 
 
 def _as_tile_intersections(
-    yours: Yours, projection: Projection, camera: Camera, *, tile_px: int = TILE_PX, pixels: Tensor | None = None
+    yours: Yours,
+    projection: Projection,
+    camera: Camera,
+    *,
+    tile_px: int = TILE_PX,
+    pixels: Tensor | None = None,
 ) -> TileLists:
     """Lists from the box of yours around each Gaussian, nearest first."""
     tiles_x, tiles_y = -(-camera.width // tile_px), -(-camera.height // tile_px)
@@ -209,7 +278,9 @@ def _as_tile_intersections(
         given = (u, v, extent_px, camera.width, camera.height, tile_px)
         x0, x1, y0, y1 = yours(*given, gives={"x0, x1, y0, y1": four}).tolist()
         if min(x0, y0) < 0 or x1 > tiles_x or y1 > tiles_y:
-            yours.fail(f"returned {(x0, x1, y0, y1)}, but there are {tiles_x} x {tiles_y} tiles", given)
+            yours.fail(
+                f"returned {(x0, x1, y0, y1)}, but there are {tiles_x} x {tiles_y} tiles", given
+            )
         for tile in [y * tiles_x + x for y in range(y0, y1) for x in range(x0, x1)]:
             lists[tile].append(k)
     if pixels is not None:
@@ -217,16 +288,33 @@ def _as_tile_intersections(
             y, x = tile // tiles_x * tile_px, tile % tiles_x * tile_px
             if not pixels[y : y + tile_px, x : x + tile_px].any():
                 listed.clear()
-    gaussian = torch.tensor([k for listed in lists for k in listed], dtype=torch.int64, device=projection.uv.device)
-    offset = torch.tensor([0, *(len(listed) for listed in lists)], device=projection.uv.device).cumsum(0)
-    return TileLists(gaussian=gaussian, offset=offset, tile_px=tile_px, tiles_x=tiles_x, tiles_y=tiles_y, pixels=pixels)
+    gaussian = torch.tensor(
+        [k for listed in lists for k in listed],
+        dtype=torch.int64,
+        device=projection.uv.device,
+    )
+    offset = torch.tensor(
+        [0, *(len(listed) for listed in lists)], device=projection.uv.device
+    ).cumsum(0)
+    return TileLists(
+        gaussian=gaussian,
+        offset=offset,
+        tile_px=tile_px,
+        tiles_x=tiles_x,
+        tiles_y=tiles_y,
+        pixels=pixels,
+    )
 
 
 @exercise(
-    chapter=4, difficulty=2, minutes=10, solution=_tiles_touched,
+    chapter=4,
+    difficulty=2,
+    minutes=10,
+    solution=_tiles_touched,
     becomes=Becomes("tile_intersections", _as_tile_intersections),
     hints=(
-        "Tile number of a coordinate: floor(coordinate / tile_px). Do it for u - extent and u + extent.",
+        "Tile number of a coordinate: floor(coordinate / tile_px). Do it for u - extent and u + "
+        "extent.",
         "The ranges are half open, like range(): the end is one more than the last tile.",
         "There are ceil(width / tile_px) tiles across. Clamp both ends to 0 .. that number.",
     ),
@@ -235,13 +323,16 @@ def _as_tile_intersections(
         Wrong(_unclamped, says="tiles outside the picture do not exist"),
         Wrong(_whole_tiles_only, says="the last tile may reach beyond the picture's border"),
     ),
-)  # fmt: skip
+)
 def tiles_touched(attempt: Attempt) -> None:
     """Which tiles does the box around a splat touch?"""
     names = ("x0", "x1", "y0", "y1")
 
     half_open = "the ranges are half open: the end is one past the last tile"
-    outside, beyond = "tiles outside the picture do not exist", "the last tile may reach beyond the picture's border"
+    outside, beyond = (
+        "tiles outside the picture do not exist",
+        "the last tile may reach beyond the picture's border",
+    )
     for u, v, extent, width, height, prop, why in (
         (12, 20, 2, 64, 48, "a splat inside one tile is in that tile", half_open),
         (31, 39, 1, 64, 48, "a coordinate belongs to the tile below it: floor, not round", ""),
@@ -252,13 +343,32 @@ def tiles_touched(attempt: Attempt) -> None:
     ):
         attempt.on(f"u {u}, v {v}, extent {extent}, picture {width} x {height}, tiles of 8")
         got = attempt.unpack(_as_list(attempt(u, v, extent, width, height, 8)), names)
-        attempt.close(got, _tiles_touched(u, v, extent, width, height, 8), prop, why=why)
-    for on, u in (("u -30, v 20, extent 5: left of the picture", -30.0), ("u 100, v 20: right of it", 100.0)):
-        x0, x1, *_ = box = attempt.unpack(_as_list(attempt.on(on)(u, 20.0, 5.0, 64, 48, 8)), names)
-        attempt.holds(x1 <= x0, "a splat outside the picture touches no tile", detail=f"got columns {x0} to {x1}")
+        attempt.close(
+            got,
+            _tiles_touched(u, v, extent, width, height, 8),
+            prop,
+            why=why,
+        )
+    for on, u in (
+        ("u -30, v 20, extent 5: left of the picture", -30.0),
+        ("u 100, v 20: right of it", 100.0),
+    ):
+        x0, x1, *_ = box = attempt.unpack(
+            _as_list(attempt.on(on)(u, 20.0, 5.0, 64, 48, 8)),
+            names,
+        )
+        attempt.holds(
+            x1 <= x0,
+            "a splat outside the picture touches no tile",
+            detail=f"got columns {x0} to {x1}",
+        )
         inside = min(box) >= 0 and max(x0, x1) <= 8
         detail = f"got columns {x0} to {x1}, and there are 8: clamp both ends to 0 .. 8"
-        attempt.holds(inside, "tiles outside the picture do not exist, not even as an empty range", detail=detail)
+        attempt.holds(
+            inside,
+            "tiles outside the picture do not exist, not even as an empty range",
+            detail=detail,
+        )
 
 
 def _as_list(value: Any) -> Any:
@@ -284,7 +394,9 @@ def _no_half(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:
 
 def _not_normalised(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:
     x, y, z = xyz_W - centre_W
-    return (torch.stack([torch.full_like(x, SH_C0), -_C1 * y, _C1 * z, -_C1 * x]) @ sh + 0.5).clamp(min=0)
+    return (torch.stack([torch.full_like(x, SH_C0), -_C1 * y, _C1 * z, -_C1 * x]) @ sh + 0.5).clamp(
+        min=0
+    )
 
 
 def _not_clamped(sh: Tensor, xyz_W: Tensor, centre_W: Tensor) -> Tensor:
@@ -299,14 +411,25 @@ def _as_sh_to_rgb(yours: Yours, sh: Tensor, xyz_W: Tensor, camera_centre_W: Tens
         return NotImplemented
     sh = torch.nn.functional.pad(sh, (0, 0, 0, 4 - K))
     rgb = xyz_W.new_zeros(n, 3)
-    usable = (xyz_W != camera_centre_W).any(1) & xyz_W.isfinite().all(1) & sh.isfinite().all(2).all(1)
+    usable = (
+        (xyz_W != camera_centre_W).any(1) & xyz_W.isfinite().all(1) & sh.isfinite().all(2).all(1)
+    )
     for k in usable.nonzero()[:, 0].tolist():
-        rgb[k] = yours(sh[k], xyz_W[k], camera_centre_W, gives={"the colour": rgb[k]})
+        rgb[k] = yours(
+            sh[k],
+            xyz_W[k],
+            camera_centre_W,
+            gives={"the colour": rgb[k]},
+        )
     return rgb
 
 
 @exercise(
-    chapter=4, difficulty=3, minutes=10, solution=_view_colour, becomes=Becomes("sh_to_rgb", _as_sh_to_rgb),
+    chapter=4,
+    difficulty=3,
+    minutes=10,
+    solution=_view_colour,
+    becomes=Becomes("sh_to_rgb", _as_sh_to_rgb),
     hints=(
         "d points from the camera to the Gaussian, and has length 1.",
         "Y_0 = 0.2821, Y_1 = -0.4886 y, Y_2 = 0.4886 z, Y_3 = -0.4886 x, with d = (x, y, z).",
@@ -318,16 +441,22 @@ def _as_sh_to_rgb(yours: Yours, sh: Tensor, xyz_W: Tensor, camera_centre_W: Tens
         Wrong(_not_normalised, says="only the direction counts"),
         Wrong(_not_clamped, says="no colour is below 0"),
     ),
-)  # fmt: skip
+)
 def view_colour(attempt: Attempt) -> None:
     """Colour of a Gaussian of SH degree 1, seen from a camera centre."""
     origin, ahead = torch.zeros(3), torch.tensor([0.0, 0.0, 1.0])
     attempt.on("coefficients all zero")
-    attempt.close(attempt(torch.zeros(4, 3), ahead, origin), [0.5] * 3, "all-zero coefficients are middle grey")
+    attempt.close(
+        attempt(torch.zeros(4, 3), ahead, origin),
+        [0.5] * 3,
+        "all-zero coefficients are middle grey",
+    )
     sh = torch.zeros(4, 3)
     sh[2] = 0.5
     expected = [0.5 + 0.5 * _C1] * 3
-    got = torch.as_tensor(attempt.on("a Gaussian 1 m along z, only sh[2] = 0.5")(sh, ahead, origin)).double()
+    got = torch.as_tensor(
+        attempt.on("a Gaussian 1 m along z, only sh[2] = 0.5")(sh, ahead, origin)
+    ).double()
     detail = f"got {float(got.min()):.3g}, and 0.744 is expected: d = (x - o) / |x - o|"
     attempt.holds(float(got.min()) > 0.499, "d goes from the camera to the Gaussian", detail=detail)
     attempt.close(got, expected, "sh[2] belongs to Y_2 = 0.4886 z")
@@ -337,15 +466,27 @@ def view_colour(attempt: Attempt) -> None:
     attempt.close(attempt(sh, ahead + step, step), expected, prop, why="d = (x - o) / |x - o|")
     constant = torch.zeros(4, 3)
     constant[0] = 1.0
-    attempt.close(attempt.on("only sh[0] = 1")(constant, ahead, origin), [0.5 + SH_C0] * 3, "sh[0] counts Y_0 = 0.2821")
+    attempt.close(
+        attempt.on("only sh[0] = 1")(constant, ahead, origin),
+        [0.5 + SH_C0] * 3,
+        "sh[0] counts Y_0 = 0.2821",
+    )
     attempt.on("the same, 4 m along z")
-    attempt.close(attempt(sh, 4 * ahead, origin), expected, "only the direction counts", why="normalise d")
+    attempt.close(
+        attempt(sh, 4 * ahead, origin), expected, "only the direction counts", why="normalise d"
+    )
     attempt.on("the same Gaussian, sh[2] = -2")
     attempt.close(attempt(-4 * sh, ahead, origin), [0.0] * 3, "no colour is below 0")
     attempt.on("the same Gaussian, sh[2] = 2")
-    attempt.close(attempt(4 * sh, ahead, origin), [0.5 + 2 * _C1] * 3, "a colour may be above 1")
+    attempt.close(
+        attempt(4 * sh, ahead, origin),
+        [0.5 + 2 * _C1] * 3,
+        "a colour may be above 1",
+    )
     generator = torch.Generator().manual_seed(5)
     sh, xyz, centre = (0.4 * torch.randn(n, 3, generator=generator) for n in (4, 1, 1))
     attempt.on("random coefficients and positions")
     expected = sh_to_rgb(sh[None], xyz, centre[0])[0]
-    attempt.close(attempt(sh, xyz[0], centre[0]), expected, "order and signs of the basis are Y0, -y, z, -x")
+    attempt.close(
+        attempt(sh, xyz[0], centre[0]), expected, "order and signs of the basis are Y0, -y, z, -x"
+    )

@@ -1,4 +1,5 @@
-"""Exercises of chapter 2: signed distance, running average, voxel blocks, Morton code, zero crossing."""
+"""Exercises of chapter 2: signed distance, running average, voxel blocks, Morton code, zero
+crossing."""
 
 from typing import Any
 
@@ -16,44 +17,63 @@ def _signed_distance(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple
     return (sdf / truncation_m).clamp(-1, 1), observed
 
 
-def _signed_distance_backwards(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
+def _signed_distance_backwards(
+    depth_m: Tensor, z_m: Tensor, truncation_m: float
+) -> tuple[Tensor, Tensor]:
     d, _ = _signed_distance(depth_m, z_m, truncation_m)
     return -d, (depth_m > 0) & (z_m - depth_m > -truncation_m)
 
 
-def _signed_distance_band_only(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
+def _signed_distance_band_only(
+    depth_m: Tensor, z_m: Tensor, truncation_m: float
+) -> tuple[Tensor, Tensor]:
     d, _ = _signed_distance(depth_m, z_m, truncation_m)
     return d, (depth_m > 0) & ((depth_m - z_m).abs() < truncation_m)
 
 
-def _signed_distance_through_walls(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
+def _signed_distance_through_walls(
+    depth_m: Tensor, z_m: Tensor, truncation_m: float
+) -> tuple[Tensor, Tensor]:
     return _signed_distance(depth_m, z_m, truncation_m)[0], depth_m > 0
 
 
-def _signed_distance_holes_too(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
+def _signed_distance_holes_too(
+    depth_m: Tensor, z_m: Tensor, truncation_m: float
+) -> tuple[Tensor, Tensor]:
     return _signed_distance(depth_m, z_m, truncation_m)[0], depth_m - z_m > -truncation_m
 
 
-def _as_signed_distance_m(yours: Yours, depth_m: Tensor, centres_C: Tensor, config: TsdfConfig) -> Tensor:
+def _as_signed_distance_m(
+    yours: Yours, depth_m: Tensor, centres_C: Tensor, config: TsdfConfig
+) -> Tensor:
     """Distances in metres from yours; -inf where yours says that nothing was observed."""
     z = centres_C[..., 2]
     asked = (z > 0) & depth_m.isfinite()
     depth, z = depth_m[asked].to(z), z[asked]
     if config.sdf == "ray":  # the same equation with lengths along the ray
         depth, z = depth * centres_C[asked].norm(dim=-1) / z, centres_C[asked].norm(dim=-1)
-    d, observed = yours(depth, z, config.truncation_m, gives={"d": depth, "observed": depth > 0})
+    d, observed = yours(
+        depth,
+        z,
+        config.truncation_m,
+        gives={"d": depth, "observed": depth > 0},
+    )
     sdf_m = torch.full_like(depth_m, -torch.inf, dtype=centres_C.dtype)
     sdf_m[asked] = torch.where(observed, d * config.truncation_m, -torch.inf)
     return sdf_m
 
 
 @exercise(
-    chapter=2, difficulty=2, minutes=8, solution=_signed_distance,
+    chapter=2,
+    difficulty=2,
+    minutes=8,
+    solution=_signed_distance,
     becomes=Becomes("signed_distance_m", _as_signed_distance_m),
     hints=(
         "Eq. 6: what the camera measured, minus where the voxel is. Both are along z.",
         "Eq. 7 divides by the truncation and clamps to -1 .. 1.",
-        "Observed: there is a measurement, and the voxel is not deeper behind it than the truncation.",
+        "Observed: there is a measurement, and the voxel is not deeper behind it than the "
+        "truncation.",
     ),
     wrong=(
         Wrong(_signed_distance_backwards, says="positive in front"),
@@ -61,66 +81,116 @@ def _as_signed_distance_m(yours: Yours, depth_m: Tensor, centres_C: Tensor, conf
         Wrong(_signed_distance_through_walls, says="hidden"),
         Wrong(_signed_distance_holes_too, says="0 means missing"),
     ),
-)  # fmt: skip
+)
 def signed_distance(attempt: Attempt) -> None:
     """What one depth measurement says about the voxels on its ray (Eq. 6-7)."""
     names = ("d", "observed")
 
-    def ask(on: str, depth_m: float, z_m: list[float]) -> tuple[Tensor, Tensor]:
+    def ask(
+        on: str,
+        depth_m: float,
+        z_m: list[float],
+    ) -> tuple[Tensor, Tensor]:
         depth, z = torch.full((len(z_m),), depth_m), torch.tensor(z_m)
         d, observed = attempt.unpack(attempt.on(on)(depth, z, 0.1), names)
         return torch.as_tensor(d), torch.as_tensor(observed)
 
     d, observed = ask("a voxel 5 cm in front of a surface at 2 m, truncation 10 cm", 2.0, [1.95])
-    attempt.close(d, [0.5], "d is positive in front of the surface, in units of the truncation", tolerance=1e-4)
+    attempt.close(
+        d,
+        [0.5],
+        "d is positive in front of the surface, in units of the truncation",
+        tolerance=1e-4,
+    )
     d, observed = ask("a voxel 5 cm behind a surface at 2 m", 2.0, [2.05])
     attempt.close(d, [-0.5], "d is negative behind the surface", tolerance=1e-4)
-    attempt.holds(observed.all(), "a voxel just behind the surface, inside the band, is observed", detail="it is not")
+    attempt.holds(
+        observed.all(),
+        "a voxel just behind the surface, inside the band, is observed",
+        detail="it is not",
+    )
     d, observed = ask("a voxel 1 m in front of a surface at 2 m", 2.0, [1.0])
     attempt.close(d, [1.0], "d is clamped to 1 far in front")
-    attempt.holds(observed.all(), "free space in front of the surface is observed, however far", detail="it is not")
+    attempt.holds(
+        observed.all(),
+        "free space in front of the surface is observed, however far",
+        detail="it is not",
+    )
     d, observed = ask("a voxel 1 m behind a surface at 2 m", 2.0, [3.0])
     hidden = "a voxel hidden behind the band is not observed: what is there is unknown"
     attempt.holds(not observed.any(), hidden, detail="observed is true")
     d, observed = ask("a pixel whose depth is 0, voxel at 5 cm", 0.0, [0.05])
-    attempt.holds(not observed.any(), "depth 0 means missing: nothing is observed", detail="observed is true")
+    attempt.holds(
+        not observed.any(), "depth 0 means missing: nothing is observed", detail="observed is true"
+    )
     attempt.on("a surface at 40 cm and voxels at 20, 35, 45 and 80 cm, truncation 25 cm")
     z, depth = torch.tensor([0.2, 0.35, 0.45, 0.8]), torch.full((4,), 0.4)
     d, observed = (torch.as_tensor(part) for part in attempt.unpack(attempt(depth, z, 0.25), names))
     prop = "a near surface is observed like any other, and the band is as wide as truncation_m says"
     attempt.close(observed.double(), [1, 1, 1, 0], prop)
-    attempt.close(d.double()[:3], [0.8, 0.2, -0.2], "d is in units of truncation_m")
+    attempt.close(
+        d.double()[:3],
+        [0.8, 0.2, -0.2],
+        "d is in units of truncation_m",
+    )
 
 
-def _running_average(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor, Tensor]:
+def _running_average(
+    D: Tensor,
+    W: Tensor,
+    d: Tensor,
+    max_weight: float,
+) -> tuple[Tensor, Tensor]:
     W_new = (W + 1).clamp(max=max_weight)
     return (D * (W_new - 1) + d) / W_new, W_new
 
 
-def _running_average_as_printed(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor, Tensor]:
+def _running_average_as_printed(
+    D: Tensor, W: Tensor, d: Tensor, max_weight: float
+) -> tuple[Tensor, Tensor]:
     W_new = (W + 1).clamp(max=max_weight)
     return (D * W + d * W_new) / (W + W_new), W_new
 
 
-def _running_average_without_cap(D: Tensor, W: Tensor, d: Tensor, max_weight: float) -> tuple[Tensor, Tensor]:
+def _running_average_without_cap(
+    D: Tensor, W: Tensor, d: Tensor, max_weight: float
+) -> tuple[Tensor, Tensor]:
     return (D * W + d) / (W + 1), W + 1
 
 
 def _as_tsdf_update(
-    yours: Yours, D: Tensor, W: Tensor, sdf_m: Tensor, *, truncation_m: float, max_weight: float, average: str = "mean"
+    yours: Yours,
+    D: Tensor,
+    W: Tensor,
+    sdf_m: Tensor,
+    *,
+    truncation_m: float,
+    max_weight: float,
+    average: str = "mean",
 ) -> Any:
-    """The update of the observed voxels by yours; other definitions of the average are left to the reference."""
+    """The update of the observed voxels by yours; other definitions of the average are left to the
+    reference."""
     if average != "mean":
         return NotImplemented
     observed = sdf_m > -truncation_m
     before, weight = D[observed], W[observed]
     d = (sdf_m[observed] / truncation_m).clamp(-1.0, 1.0)
-    new_D, new_W = yours(before, weight, d, max_weight, gives={"D": before, "W": weight})
+    new_D, new_W = yours(
+        before,
+        weight,
+        d,
+        max_weight,
+        gives={"D": before, "W": weight},
+    )
     return D.masked_scatter(observed, new_D), W.masked_scatter(observed, new_W)
 
 
 @exercise(
-    chapter=2, difficulty=2, minutes=10, solution=_running_average, becomes=Becomes("tsdf_update", _as_tsdf_update),
+    chapter=2,
+    difficulty=2,
+    minutes=10,
+    solution=_running_average,
+    becomes=Becomes("tsdf_update", _as_tsdf_update),
     hints=(
         "The mean of n numbers from the mean of the first n - 1 and the last one.",
         "First W <- min(W + 1, max_weight). Then D <- (D (W - 1) + d) / W, with the new W.",
@@ -129,29 +199,42 @@ def _as_tsdf_update(
         Wrong(_running_average_as_printed, says="every observation counts the same"),
         Wrong(_running_average_without_cap, says="max_weight"),
     ),
-)  # fmt: skip
+)
 def running_average(attempt: Attempt) -> None:
     """Add one observation to a voxel: W is capped, D is the running mean (Eq. 8-9)."""
     names = ("D", "W")
     attempt.on("a voxel never observed (D = 1, W = 0), observation 0.2")
-    D, W = attempt.unpack(attempt(torch.ones(1), torch.zeros(1), torch.tensor([0.2]), 100.0), names)
+    D, W = attempt.unpack(
+        attempt(torch.ones(1), torch.zeros(1), torch.tensor([0.2]), 100.0),
+        names,
+    )
     attempt.close(D, [0.2], "the first observation replaces the initial value")
     attempt.close(W, [1.0], "W counts the observations")
     attempt.on("observations 0.2, 0.4, 0.6 one after the other")
     D, W = torch.ones(1), torch.zeros(1)
     for d in (0.2, 0.4, 0.6):
-        D, W = (torch.as_tensor(a) for a in attempt.unpack(attempt(D, W, torch.tensor([d]), 100.0), names))
+        D, W = (
+            torch.as_tensor(a)
+            for a in attempt.unpack(attempt(D, W, torch.tensor([d]), 100.0), names)
+        )
     attempt.close(D, [0.4], "every observation counts the same: D is their mean")
     attempt.on("W = 4 with max_weight = 4, D = 0.2, observation 1")
-    D, W = attempt.unpack(attempt(torch.full((1,), 0.2), torch.full((1,), 4.0), torch.ones(1), 4.0), names)
+    D, W = attempt.unpack(
+        attempt(torch.full((1,), 0.2), torch.full((1,), 4.0), torch.ones(1), 4.0),
+        names,
+    )
     attempt.close(W, [4.0], "W stops at max_weight")
-    attempt.close(D, [0.4], "at max_weight a new observation still moves D: it counts 1 / max_weight")
+    attempt.close(
+        D, [0.4], "at max_weight a new observation still moves D: it counts 1 / max_weight"
+    )
     g = torch.Generator().manual_seed(1)
     D, W = torch.rand(64, generator=g), torch.randint(0, 12, (64,), generator=g).float()
     d = torch.rand(64, generator=g) * 2 - 1
     expected = tsdf_update(D, W, d * 0.1, truncation_m=0.1, max_weight=10.0)
     D, W = attempt.unpack(attempt.on("64 random voxels")(D, W, d, 10.0), names)
-    attempt.close(D, expected[0], "D = (D (W - 1) + d) / W with the new W, as in gsfusion_nb.tsdf.tsdf_update")
+    attempt.close(
+        D, expected[0], "D = (D (W - 1) + d) / W with the new W, as in gsfusion_nb.tsdf.tsdf_update"
+    )
 
 
 def _block_of(xyz_W: Tensor, voxel_size_m: float) -> Tensor:
@@ -173,11 +256,18 @@ def _voxel_of(xyz_W: Tensor, voxel_size_m: float) -> Tensor:
 def _as_block_of(yours: Yours, ijk: Tensor) -> Tensor:
     """Yours for the centres of voxels, in a grid whose voxels are 1 m."""
     voxels = ijk.reshape(-1, 3)
-    return yours(voxels.double() + 0.5, 1.0, gives={"the blocks": voxels}).view_as(ijk)
+    return yours(
+        voxels.double() + 0.5,
+        1.0,
+        gives={"the blocks": voxels},
+    ).view_as(ijk)
 
 
 @exercise(
-    chapter=2, difficulty=1, minutes=5, solution=_block_of,
+    chapter=2,
+    difficulty=1,
+    minutes=5,
+    solution=_block_of,
     becomes=Becomes("block_of", _as_block_of),
     hints=(
         "A block spans 8 voxels along each axis: its edge is 8 voxel sizes.",
@@ -188,12 +278,16 @@ def _as_block_of(yours: Yours, ijk: Tensor) -> Tensor:
         Wrong(_block_of_rounded, says="above zero, block k"),
         Wrong(_voxel_of, says="to 8 (k + 1) voxels"),
     ),
-)  # fmt: skip
+)
 def block_of(attempt: Attempt) -> None:
     """The voxel block that contains a point."""
-    block = attempt.on("(0.30, 0.05, 0.85) m with voxels of 5 cm")(torch.tensor([[0.30, 0.05, 0.85]]), 0.05)
+    block = attempt.on("(0.30, 0.05, 0.85) m with voxels of 5 cm")(
+        torch.tensor([[0.30, 0.05, 0.85]]), 0.05
+    )
     attempt.close(block, [[0, 0, 2]], "above zero, block k reaches from 8 k to 8 (k + 1) voxels")
-    block = attempt.on("(-0.10, 0.10, -0.50) m with voxels of 5 cm")(torch.tensor([[-0.10, 0.10, -0.50]]), 0.05)
+    block = attempt.on("(-0.10, 0.10, -0.50) m with voxels of 5 cm")(
+        torch.tensor([[-0.10, 0.10, -0.50]]), 0.05
+    )
     attempt.close(
         block,
         [[-1, 0, -2]],
@@ -201,9 +295,18 @@ def block_of(attempt: Attempt) -> None:
         why="Rounding towards zero merges the two blocks beside the origin",
     )
     attempt.on("(0.39, 0.41, 2.37) and (-3.00, 0.02, 0.79) m with voxels of 5 cm")
-    block = attempt(torch.tensor([[0.39, 0.41, 2.37], [-3.0, 0.02, 0.79]]), 0.05)
-    attempt.close(block, [[0, 1, 5], [-8, 0, 1]], "a block has 8 voxels along each axis: its edge is 40 cm here")
-    block = attempt.on("(0.39, 0.41, 2.37) m with voxels of 2 cm")(torch.tensor([[0.39, 0.41, 2.37]]), 0.02)
+    block = attempt(
+        torch.tensor([[0.39, 0.41, 2.37], [-3.0, 0.02, 0.79]]),
+        0.05,
+    )
+    attempt.close(
+        block,
+        [[0, 1, 5], [-8, 0, 1]],
+        "a block has 8 voxels along each axis: its edge is 40 cm here",
+    )
+    block = attempt.on("(0.39, 0.41, 2.37) m with voxels of 2 cm")(
+        torch.tensor([[0.39, 0.41, 2.37]]), 0.02
+    )
     attempt.close(block, [[2, 2, 14]], "the edge of a block grows with voxel_size_m")
 
 
@@ -223,7 +326,8 @@ def _morton_z_first(x: int, y: int, z: int) -> int:
 
 
 def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
-    """The library's coordinates have 21 bits. Yours interleaves ten at a time: 30 bits of the code."""
+    """The library's coordinates have 21 bits. Yours interleaves ten at a time: 30 bits of the
+    code."""
     one = torch.zeros((), dtype=torch.int64)
     known: dict[tuple[int, ...], int] = {}
 
@@ -233,13 +337,20 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
         return known[xyz]
 
     rows = (coords.long() + octree.OFFSET).tolist()
-    codes = [sum(ten_bits(*(c >> shift & 1023 for c in row)) << 3 * shift for shift in (0, 10, 20)) for row in rows]
+    codes = [
+        sum(ten_bits(*(c >> shift & 1023 for c in row)) << 3 * shift for shift in (0, 10, 20))
+        for row in rows
+    ]
     return torch.tensor(codes, dtype=torch.int64, device=coords.device)
 
 
 @exercise(
-    chapter=2, difficulty=3, minutes=15, solution=_morton,
-    becomes=Becomes("interleave", _as_interleave), replaces=(octree.encode, octree.interleave),
+    chapter=2,
+    difficulty=3,
+    minutes=15,
+    solution=_morton,
+    becomes=Becomes("interleave", _as_interleave),
+    replaces=(octree.encode, octree.interleave),
     hints=(
         "Bit i of x is (x >> i) & 1. Where must it go?",
         "Bit i of x becomes bit 3 i, of y bit 3 i + 1, of z bit 3 i + 2; collect them with |.",
@@ -248,7 +359,7 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
         Wrong(_morton_one_after_the_other, says="then y: bit 0 of y is bit 1 of the code"),
         Wrong(_morton_z_first, says="x comes first"),
     ),
-)  # fmt: skip
+)
 def morton_code(attempt: Attempt) -> None:
     """Interleave the bits of three block coordinates (0 to 1023)."""
     for coords, expected, prop in (
@@ -266,7 +377,11 @@ def morton_code(attempt: Attempt) -> None:
         attempt.close(code >> 3, parent, "the parent's code is code >> 3")
         origin = int(octree.encode(torch.zeros(1, 3, dtype=torch.int64)))
         library = int(octree.encode(torch.tensor([coords]))) - origin
-        attempt.close(code, library, "it agrees with gsfusion_nb.tsdf.octree.encode, minus the code of the origin")
+        attempt.close(
+            code,
+            library,
+            "it agrees with gsfusion_nb.tsdf.octree.encode, minus the code of the origin",
+        )
 
 
 def _zero_crossing(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
@@ -283,13 +398,22 @@ def _by_magnitude(p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
     return p0 + t[:, None] * (p1 - p0)
 
 
-def _as_zero_crossing(yours: Yours, p0: Tensor, p1: Tensor, D0: Tensor, D1: Tensor) -> Tensor:
+def _as_zero_crossing(
+    yours: Yours,
+    p0: Tensor,
+    p1: Tensor,
+    D0: Tensor,
+    D1: Tensor,
+) -> Tensor:
     """Yours for every edge that marching cubes cuts. The unit of the points is a voxel."""
     return yours(p0, p1, D0, D1, gives={"the points": p0})
 
 
 @exercise(
-    chapter=2, difficulty=2, minutes=8, solution=_zero_crossing,
+    chapter=2,
+    difficulty=2,
+    minutes=8,
+    solution=_zero_crossing,
     becomes=Becomes("zero_crossing", _as_zero_crossing),
     hints=(
         "On a straight line D(t) = D0 + t (D1 - D0). For which t is it zero?",
@@ -299,22 +423,53 @@ def _as_zero_crossing(yours: Yours, p0: Tensor, p1: Tensor, D0: Tensor, D1: Tens
         Wrong(_middle, says="nearer to the end"),
         Wrong(_by_magnitude, says="halfway"),
     ),
-)  # fmt: skip
+)
 def zero_crossing(attempt: Attempt) -> None:
     """Where the surface cuts an edge between two voxel centres."""
     p0, p1 = torch.tensor([[0.0, 0.0, 0.0]]), torch.tensor([[0.1, 0.0, 0.0]])
 
     def ask(on: str, D0: float, D1: float) -> Tensor:
-        return torch.as_tensor(attempt.on(on)(p0, p1, torch.tensor([D0]), torch.tensor([D1])))
+        return torch.as_tensor(
+            attempt.on(on)(
+                p0,
+                p1,
+                torch.tensor([D0]),
+                torch.tensor([D1]),
+            )
+        )
 
     on = "D = +0.5 and -0.5 at the ends of a 10 cm edge"
-    attempt.close(ask(on, 0.5, -0.5), [[0.05, 0.0, 0.0]], "opposite values cut the edge halfway")
+    attempt.close(
+        ask(on, 0.5, -0.5),
+        [[0.05, 0.0, 0.0]],
+        "opposite values cut the edge halfway",
+    )
     prop = "the surface is nearer to the end whose D is nearer to zero"
-    attempt.close(ask("D = +0.1 and -0.4", 0.1, -0.4), [[0.02, 0.0, 0.0]], prop)
+    attempt.close(
+        ask("D = +0.1 and -0.4", 0.1, -0.4),
+        [[0.02, 0.0, 0.0]],
+        prop,
+    )
     on = "D = -0.3 and +0.1"
-    attempt.close(ask(on, -0.3, 0.1), [[0.075, 0.0, 0.0]], "it makes no difference which end is negative")
-    attempt.on("two edges, neither at the origin: along y from (1, 2, 3) and along z from (-1, 0.5, 2)")
-    starts, ends = torch.tensor([[1.0, 2, 3], [-1, 0.5, 2]]), torch.tensor([[1.0, 2.1, 3], [-1, 0.5, 2.1]])
-    got = attempt(starts, ends, torch.tensor([0.6, -0.1]), torch.tensor([-0.2, 0.3]))
+    attempt.close(
+        ask(on, -0.3, 0.1), [[0.075, 0.0, 0.0]], "it makes no difference which end is negative"
+    )
+    attempt.on(
+        "two edges, neither at the origin: along y from (1, 2, 3) and along z from (-1, 0.5, 2)"
+    )
+    starts, ends = (
+        torch.tensor([[1.0, 2, 3], [-1, 0.5, 2]]),
+        torch.tensor([[1.0, 2.1, 3], [-1, 0.5, 2.1]]),
+    )
+    got = attempt(
+        starts,
+        ends,
+        torch.tensor([0.6, -0.1]),
+        torch.tensor([-0.2, 0.3]),
+    )
     prop = "every edge has its own crossing, counted from its own start p0"
-    attempt.close(got, [[1.0, 2.075, 3.0], [-1.0, 0.5, 2.025]], prop)
+    attempt.close(
+        got,
+        [[1.0, 2.075, 3.0], [-1.0, 0.5, 2.025]],
+        prop,
+    )

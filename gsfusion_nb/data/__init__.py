@@ -1,7 +1,7 @@
 """Posed RGB-D sequences: readers of public layouts, the built-in scene, selection and resizing.
 
-Anything with ``__len__``, ``__getitem__``, ``pose``, ``camera`` and ``name`` is a sequence (``Sequence``). Frames are
-decoded when asked for; nothing is kept in memory.
+Anything with ``__len__``, ``__getitem__``, ``pose``, ``camera`` and ``name`` is a sequence
+(``Sequence``). Frames are decoded when asked for; nothing is kept in memory.
 """
 
 from .adjust.repair import OpenedSequence as OpenedSequence

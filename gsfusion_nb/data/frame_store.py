@@ -1,4 +1,5 @@
-"""Frames that are kept when they are read, within a limit of memory, for whoever reads them again."""
+"""Frames that are kept when they are read, within a limit of memory, for whoever reads them
+again."""
 
 import contextlib
 import dataclasses
@@ -10,9 +11,11 @@ from ..types import Frame
 
 
 class FrameStore:
-    """Frames of a sequence by position, as they were read: colour as bytes if it has eight bits, without ``extra``.
+    """Frames of a sequence by position, as they were read: colour as bytes if it has eight bits,
+    without ``extra``.
 
-    Which frames are kept when the memory is full: first those that are ``wanted``, then those that came first.
+    Which frames are kept when the memory is full: first those that are ``wanted``, then those that
+    came first.
 
     Args:
         limit_bytes: Of all images that are kept.
@@ -20,7 +23,9 @@ class FrameStore:
     """
 
     def __init__(
-        self, limit_bytes: int, timed: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext
+        self,
+        limit_bytes: int,
+        timed: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
     ) -> None:
         self.limit_bytes, self.timed = limit_bytes, timed
         self.wanted: frozenset[int] = frozenset()
@@ -34,13 +39,15 @@ class FrameStore:
         return len(self._frames)
 
     def get(self, position: int) -> Frame | None:
-        """The frame at a position, if it is kept: a new object, whose colour as floats is not kept with it."""
+        """The frame at a position, if it is kept: a new object, whose colour as floats is not kept
+        with it."""
         with self._lock:
             frame = self._frames.get(position)
         return None if frame is None else dataclasses.replace(frame)
 
     def add(self, position: int, frame: Frame) -> None:
-        """Keep a copy of a frame that was read, if there is room, or room can be made for a wanted one."""
+        """Keep a copy of a frame that was read, if there is room, or room can be made for a wanted
+        one."""
         size = frame.colour.nbytes + frame.depth_m.nbytes
         with self._lock:
             if position in self._frames or not self._make_room(size, position in self.wanted):

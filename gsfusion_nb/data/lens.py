@@ -1,4 +1,5 @@
-"""Cameras with lens distortion: removing it, and registering depth to the colour of another camera."""
+"""Cameras with lens distortion: removing it, and registering depth to the colour of another
+camera."""
 
 import itertools
 from dataclasses import dataclass
@@ -15,23 +16,25 @@ from ..types import Camera
 from .sequence import SequenceError
 
 TIE = 1e-3
-"""Nearest-pixel maps are shifted by this many pixels, so that of two equally near pixels the lower one is always
-chosen."""
+"""Nearest-pixel maps are shifted by this many pixels, so that of two equally near pixels the lower
+one is always chosen."""
 SAME_PX = 0.05
 """Two cameras whose rays meet the image border within this distance, in pixels, count as equal."""
 LARGEST_FOOTPRINT_PX = 64
-"""A pixel of depth that would cover more pixels of the other camera across, because it is almost in that camera's image
-plane, is a point."""
+"""A pixel of depth that would cover more pixels of the other camera across, because it is almost in
+that camera's image plane, is a point."""
 SAME_SURFACE = 0.05
-"""Depths that differ by less than this share of the nearer one may be of one surface within a pixel."""
+"""Depths that differ by less than this share of the nearer one may be of one surface within a
+pixel."""
 SEAM_PX = 0.25
-"""Slanted surfaces come apart between two pixels of depth, by less than this in the other image. A seam is filled from
-both sides."""
+"""Slanted surfaces come apart between two pixels of depth, by less than this in the other image. A
+seam is filled from both sides."""
 
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A pinhole with OpenCV's distortion: Brown's (k1 k2 p1 p2 [k3 [k4 k5 k6 ...]]) or, for a fisheye, k1 to k4."""
+    """A pinhole with OpenCV's distortion: Brown's (k1 k2 p1 p2 [k3 [k4 k5 k6 ...]]) or, for a
+    fisheye, k1 to k4."""
 
     camera: Camera
     distortion: tuple[float, ...] = ()
@@ -50,14 +53,16 @@ class CameraModel:
         """This camera for an image of the given size.
 
         Raises:
-            SequenceError: the image has other proportions than the camera, so it is not only resized.
+            SequenceError: the image has other proportions than the camera, so it is not only
+                resized.
         """
         own_size = (self.camera.width, self.camera.height)
         if own_size == (width, height):
             return self
         if not same_proportions((width, height), own_size):
             raise SequenceError(
-                f"{source} is {width}x{height}, but its camera is {self.camera.width}x{self.camera.height}, of other "
+                f"{source} is {width}x{height}, but its camera is "
+                f"{self.camera.width}x{self.camera.height}, of other "
                 "proportions; give the intrinsics of the images as they are"
             )
         return self.resized(width, height)
@@ -72,7 +77,9 @@ class CameraModel:
             return self.camera
         K, D, size = _opencv(self)
         if self.fisheye:
-            K_new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(K, D, size, np.eye(3), balance=0.0)
+            K_new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
+                K, D, size, np.eye(3), balance=0.0
+            )
         else:
             K_new, _ = cv2.getOptimalNewCameraMatrix(K, D, size, 0.0)
         try:
@@ -88,12 +95,14 @@ class CameraModel:
             return camera
         except ValueError as e:
             numbers = " ".join(f"{value:g}" for value in self.distortion)
-            raise ValueError(f"the distortion {numbers} cannot be removed by a pinhole camera: {e}") from None
+            raise ValueError(
+                f"the distortion {numbers} cannot be removed by a pinhole camera: {e}"
+            ) from None
 
 
 def same_proportions(first: tuple[int, int], second: tuple[int, int]) -> bool:
-    """Whether two sizes, width and height, can be those of one view: resized, they differ by less than a pixel of the
-    smaller one."""
+    """Whether two sizes, width and height, can be those of one view: resized, they differ by less
+    than a pixel of the smaller one."""
     difference = abs(first[0] * second[1] - first[1] * second[0])
     return difference <= max(*first, *second)
 
@@ -111,19 +120,31 @@ def same_rays(model: CameraModel, camera: Camera) -> bool:
 
 
 def pixel_map(model: CameraModel, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Position in the image of ``model`` for each pixel of ``camera``, for ``cv2.remap``. Two float32 [H, W]"""
+    """Position in the image of ``model`` for each pixel of ``camera``, for ``cv2.remap``. Two
+    float32 [H, W]"""
     K, D, _ = _opencv(model)
     K_new, _, size = _opencv(CameraModel(camera))
     if model.fisheye:
-        return cv2.fisheye.initUndistortRectifyMap(K, D, np.eye(3), K_new, size, cv2.CV_32FC1)
+        return cv2.fisheye.initUndistortRectifyMap(
+            K,
+            D,
+            np.eye(3),
+            K_new,
+            size,
+            cv2.CV_32FC1,
+        )
     return cv2.initUndistortRectifyMap(K, D, np.eye(3), K_new, size, cv2.CV_32FC1)
 
 
 def z_of_range(range_m: np.ndarray, model: CameraModel) -> np.ndarray:
-    """z-depth of distances measured along each pixel's ray: z = range / |ray with z = 1|, float32. [H, W]"""
+    """z-depth of distances measured along each pixel's ray: z = range / |ray with z = 1|, float32.
+    [H, W]"""
     height, width = range_m.shape
     K, D, _ = _opencv(model)
-    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    u, v = np.meshgrid(
+        np.arange(width, dtype=np.float64),
+        np.arange(height, dtype=np.float64),
+    )
     uv = np.stack([u, v], -1).reshape(-1, 1, 2)
     undistort = cv2.fisheye.undistortPoints if model.fisheye else cv2.undistortPoints
     xy = undistort(uv, K, D).reshape(height, width, 2)
@@ -141,12 +162,16 @@ def _opencv(model: CameraModel) -> tuple[np.ndarray, np.ndarray, tuple[int, int]
 
 
 def warp_depth(
-    depth_m: Float[Tensor, "H W"], source: Camera, target: Camera, T_target_source: Float[Tensor, "4 4"]
+    depth_m: Float[Tensor, "H W"],
+    source: Camera,
+    target: Camera,
+    T_target_source: Float[Tensor, "4 4"],
 ) -> Float[Tensor, "h w"]:
-    """Depth as ``target`` sees it: every point is moved to its pixel there; if several meet, the nearest is kept.
+    """Depth as ``target`` sees it: every point is moved to its pixel there; if several meet, the
+    nearest is kept.
 
-    One source pixel fills one target pixel, as it is right for two views of one camera. A target of a higher resolution
-    would have holes (``register_depth``).
+    One source pixel fills one target pixel, as it is right for two views of one camera. A target of
+    a higher resolution would have holes (``register_depth``).
 
     Args:
         depth_m: z-depth, metres, 0 = missing. [H, W]
@@ -174,15 +199,20 @@ def warp_depth(
 
 
 def register_depth(
-    depth_m: Float[Tensor, "H W"], source: Camera, target: Camera, T_target_source: Float[Tensor, "4 4"]
+    depth_m: Float[Tensor, "H W"],
+    source: Camera,
+    target: Camera,
+    T_target_source: Float[Tensor, "4 4"],
 ) -> Float[Tensor, "h w"]:
-    """Depth as a camera of another resolution sees it, without the holes that single points would leave.
+    """Depth as a camera of another resolution sees it, without the holes that single points would
+    leave.
 
-    Every pixel of depth is a small plane parallel to its image. It fills the pixels of ``target`` whose centres its
-    outline covers there, and the one that its own centre falls into. Where several meet, the nearest surface is kept,
-    and of it the pixel whose centre is nearest. Pixels that are left in a seam take one of the outlines beside it. So
-    a lower resolution of depth gives blocks, and no depth is interpolated. librealsense fills outlines, too, when it
-    aligns depth to colour.
+    Every pixel of depth is a small plane parallel to its image. It fills the pixels of ``target``
+    whose centres its outline covers there, and the one that its own centre falls into. Where
+    several meet, the nearest surface is kept, and of it the pixel whose centre is nearest. Pixels
+    that are left in a seam take one of the outlines beside it. So a lower resolution of depth gives
+    blocks, and no depth is interpolated. librealsense fills outlines, too, when it aligns depth to
+    colour.
 
     Args:
         depth_m: z-depth, metres, 0 = missing. [H, W]
@@ -215,25 +245,39 @@ def register_depth(
     pairs = outline.covered(target)
     z = P[pairs.rows, 2]
     own = (~pairs.is_seam).nonzero()[:, 0]
-    filled = _front(pairs.place[own], z[own], pairs.away_px[own], target)
+    filled = _front(
+        pairs.place[own],
+        z[own],
+        pairs.away_px[own],
+        target,
+    )
     seam = pairs.is_seam.nonzero()[:, 0]
     seam = seam[filled.flatten()[pairs.place[seam]] == 0]
-    return torch.maximum(filled, _front(pairs.place[seam], z[seam], pairs.away_px[seam], target))
+    return torch.maximum(
+        filled,
+        _front(pairs.place[seam], z[seam], pairs.away_px[seam], target),
+    )
 
 
 def _front(
-    place: Int[Tensor, " K"], z: Float[Tensor, " K"], away_px: Float[Tensor, " K"], camera: Camera
+    place: Int[Tensor, " K"],
+    z: Float[Tensor, " K"],
+    away_px: Float[Tensor, " K"],
+    camera: Camera,
 ) -> Float[Tensor, "h w"]:
-    """Of the depths ``z`` at each pixel, numbered row by row, one of the nearest surface; 0 where there is none.
+    """Of the depths ``z`` at each pixel, numbered row by row, one of the nearest surface; 0 where
+    there is none.
 
-    Of several on that surface the one is taken whose centre is nearest to that of the pixel: the nearest one of all
-    would draw slanted surfaces towards the camera.
+    Of several on that surface the one is taken whose centre is nearest to that of the pixel: the
+    nearest one of all would draw slanted surfaces towards the camera.
     """
     empty = z.new_full((camera.height * camera.width,), torch.inf)
     nearest = empty.scatter_reduce(0, place, z, reduce="amin")
     away_px = away_px.where(z <= (1 + SAME_SURFACE) * nearest[place], torch.inf)
     central = empty.scatter_reduce(0, place, away_px, reduce="amin")
-    out = empty.scatter_reduce(0, place, z.where(away_px == central[place], torch.inf), reduce="amin")
+    out = empty.scatter_reduce(
+        0, place, z.where(away_px == central[place], torch.inf), reduce="amin"
+    )
     return out.where(out.isfinite(), 0).reshape(camera.height, camera.width)
 
 
@@ -264,8 +308,8 @@ class _Outline:
     """They are so near that the sides are unknown."""
 
     def covered(self, camera: Camera) -> "_Covered":
-        """Every pair of an outline and a pixel of ``camera``, the other one, that it covers or misses by less than a
-        seam."""
+        """Every pair of an outline and a pixel of ``camera``, the other one, that it covers or
+        misses by less than a seam."""
         pixel = self.uv.floor()
         reach = 0.5 * (self.right.abs() + self.down.abs()) + SEAM_PX
         known = ~self.is_point & (reach <= LARGEST_FOOTPRINT_PX / 2).all(dim=1)
@@ -281,7 +325,9 @@ class _Outline:
             is_own = (du, dv) == (0, 0)
             covered = pixel + pixel.new_tensor([du, dv])
             away = covered + 0.5 - self.uv
-            over_sides = torch.stack([_cross(away, self.down).abs(), _cross(self.right, away).abs()])
+            over_sides = torch.stack(
+                [_cross(away, self.down).abs(), _cross(self.right, away).abs()]
+            )
             beyond = over_sides - area
             within_seam = (beyond <= SEAM_PX * lengths).all(dim=0)
             within_reach = (away.abs() <= reach).all(dim=1)
@@ -298,16 +344,20 @@ class _Outline:
         return _Covered(*(torch.cat(parts) for parts in zip(*found, strict=True)))
 
 
-def _cross(a: Float[Tensor, "N 2"], b: Float[Tensor, "N 2"]) -> Float[Tensor, " N"]:
+def _cross(
+    a: Float[Tensor, "N 2"],
+    b: Float[Tensor, "N 2"],
+) -> Float[Tensor, " N"]:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 class Undistorter:
-    """Maps image pairs of a camera with distortion to a pinhole camera that sees nothing outside the source image.
+    """Maps image pairs of a camera with distortion to a pinhole camera that sees nothing outside
+    the source image.
 
-    Colour is interpolated; depth is taken from the nearest pixel, never interpolated, or warped into the pinhole if it
-    is that of a second camera. ``camera`` is the pinhole; its focal length differs from that of the lens by a few per
-    cent, so that there is no border without data.
+    Colour is interpolated; depth is taken from the nearest pixel, never interpolated, or warped
+    into the pinhole if it is that of a second camera. ``camera`` is the pinhole; its focal length
+    differs from that of the lens by a few per cent, so that there is no border without data.
 
     Args:
         lens: Of the colour image.
@@ -316,15 +366,32 @@ class Undistorter:
     """
 
     def __init__(
-        self, lens: CameraModel, depth_camera: Camera | None = None, T_depth_colour: Float[Tensor, "4 4"] | None = None
+        self,
+        lens: CameraModel,
+        depth_camera: Camera | None = None,
+        T_depth_colour: Float[Tensor, "4 4"] | None = None,
     ):
         self.lens, self.camera, self.depth_camera = lens, lens.pinhole(), depth_camera
         self._u, self._v = pixel_map(lens, self.camera)
-        self._T_colour_depth = torch.eye(4) if T_depth_colour is None else se3.inverse(T_depth_colour)
+        self._T_colour_depth = (
+            torch.eye(4) if T_depth_colour is None else se3.inverse(T_depth_colour)
+        )
 
-    def __call__(self, rgb: np.ndarray, depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(
+        self,
+        rgb: np.ndarray,
+        depth_m: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The pair as ``camera`` sees it. Colour uint8 [H, W, 3], depth in metres [H, W]."""
-        rgb = cv2.remap(rgb, self._u, self._v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        rgb = cv2.remap(
+            rgb,
+            self._u,
+            self._v,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
         if self.depth_camera is None:
             return rgb, cv2.remap(depth_m, self._u, self._v, cv2.INTER_NEAREST)
-        return rgb, warp_depth(torch.from_numpy(depth_m), self.depth_camera, self.camera, self._T_colour_depth).numpy()
+        return rgb, warp_depth(
+            torch.from_numpy(depth_m), self.depth_camera, self.camera, self._T_colour_depth
+        ).numpy()

@@ -1,4 +1,5 @@
-"""Opening a sequence by path or name, whatever its layout, and a hash of everything that a run reads of it."""
+"""Opening a sequence by path or name, whatever its layout, and a hash of everything that a run
+reads of it."""
 
 import contextlib
 import dataclasses
@@ -16,20 +17,29 @@ from ..checks import check_name
 from ..config import DataConfig
 from ..files import UNREADABLE, file_hashes, noting_files
 from . import readers
-from .adjust.repair import ExtraOf, OpenedSequence, RepairedSequence, SequenceView, apply_options, as_read
+from .adjust.repair import (
+    ExtraOf,
+    OpenedSequence,
+    RepairedSequence,
+    SequenceView,
+    apply_options,
+    as_read,
+)
 from .recorded.files import missing
 from .recorded.recorded_sequence import Layout, RecordedSequence
 from .sequence import SequenceError, SequenceNotFoundError
 
 
 def known_layouts() -> dict[str, Layout]:
-    """Layouts by name: ``LAYOUT`` of every file in ``readers``, in the order in which they are tried."""
+    """Layouts by name: ``LAYOUT`` of every file in ``readers``, in the order in which they are
+    tried."""
     names = sorted(module.name for module in pkgutil.iter_modules(readers.__path__))
     return {name: importlib.import_module(f"{readers.__name__}.{name}").LAYOUT for name in names}
 
 
 _CONVERT = (
-    ". A ROS bag and recordings of other programs are converted to a folder first: gsfusion-nb convert SOURCE FOLDER"
+    ". A ROS bag and recordings of other programs are converted to a folder first: "
+    "gsfusion-nb convert SOURCE FOLDER"
 )
 
 
@@ -41,21 +51,24 @@ def open_sequence(
     extra: ExtraOf | None = None,
     **options: Any,
 ) -> OpenedSequence:
-    """Open a sequence: the frames to map are ``.mapping``, those held out for evaluation are ``.held_out``.
+    """Open a sequence: the frames to map are ``.mapping``, those held out for evaluation are
+    ``.held_out``.
 
     Args:
-        path_or_name: Folder of a sequence, or "room", the built-in scene (a folder of that name: "./room").
+        path_or_name: Folder of a sequence, or "room", the built-in scene (a folder of that name:
+            "./room").
         format: "auto" recognises the layout by its files; or the name of a file in ``readers``.
         data: Size, range, depth limits, held-out frames.
-        extra: A function from a frame, at its recorded size, to further images of it by name: labels, uncertainties, or
-            anything [H, W, ...]. They become ``frame.extra``, are resized with the frame, and reach seeding rules.
-        options: Keyword arguments of the layout's reader, such as ``undistort`` of ``tum``, ``register`` of
-            ``seven_scenes`` or ``split`` of ``scannetpp``.
+        extra: A function from a frame, at its recorded size, to further images of it by name:
+            labels, uncertainties, or anything [H, W, ...]. They become ``frame.extra``, are resized
+            with the frame, and reach seeding rules.
+        options: Keyword arguments of the layout's reader, such as ``undistort`` of ``tum``,
+            ``register`` of ``seven_scenes`` or ``split`` of ``scannetpp``.
 
     Raises:
         SequenceNotFoundError: no such folder, or one of its files is missing.
-        SequenceError: the folder fits no layout (the message lists what each layout looks for), or its content is
-            invalid.
+        SequenceError: the folder fits no layout (the message lists what each layout looks for), or
+            its content is invalid.
         KeyError: unknown format.
         ValueError: an option that the layout's reader does not have.
     """
@@ -63,7 +76,9 @@ def open_sequence(
     if format == "room" or (format == "auto" and str(path_or_name) == "room"):
         from .room import room
 
-        if data is not None and data.width and data.height:  # rendered at the wanted size, not resized to it
+        if (
+            data is not None and data.width and data.height
+        ):  # rendered at the wanted size, not resized to it
             options = {"width": data.width, "height": data.height, **options}
         _check_options("room", room, options)
         source: Any = room(**options)
@@ -71,8 +86,8 @@ def open_sequence(
     path = Path(path_or_name).expanduser()
     if not path.is_dir():
         raise SequenceNotFoundError(
-            f"{path} is not a folder; expected one that holds a sequence, or the name of a built-in: room"
-            + (_CONVERT if path.exists() else "")
+            f"{path} is not a folder; expected one that holds a sequence, or the name of a "
+            "built-in: room" + (_CONVERT if path.exists() else "")
         )
     name = detect_layout(path) if format == "auto" else format
     reader = known_layouts()[name].read
@@ -84,25 +99,39 @@ def open_sequence(
     return apply_options(recording, data, extra)
 
 
-def _check_options(name: str, reader: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    known = [p.name for p in inspect.signature(reader).parameters.values() if p.kind is p.KEYWORD_ONLY]
+def _check_options(
+    name: str,
+    reader: Callable[..., Any],
+    options: Mapping[str, Any],
+) -> None:
+    known = [
+        p.name for p in inspect.signature(reader).parameters.values() if p.kind is p.KEYWORD_ONLY
+    ]
     if unknown := [option for option in options if option not in known]:
-        raise ValueError(f"{name} has no option {', '.join(unknown)}; it has: {', '.join(known) or 'none'}")
+        raise ValueError(
+            f"{name} has no option {', '.join(unknown)}; it has: {', '.join(known) or 'none'}"
+        )
 
 
 def detect_layout(path: str | Path) -> str:
     """Name of the first layout whose files are all there.
 
     Raises:
-        SequenceError: none; the message lists for each layout what it looks for and what is missing.
+        SequenceError: none; the message lists for each layout what it looks for and what is
+            missing.
     """
     path = Path(path)
     known = known_layouts()
-    lacking = {name: missing(layout.locate(path), layout.looks_for) for name, layout in known.items()}
+    lacking = {
+        name: missing(layout.locate(path), layout.looks_for) for name, layout in known.items()
+    }
     for name, parts in lacking.items():
         if not parts:
             return name
-    nearest = sorted(known, key=lambda name: len(lacking[name]) / len(known[name].looks_for))
+    nearest = sorted(
+        known,
+        key=lambda name: len(lacking[name]) / len(known[name].looks_for),
+    )
     described = []
     for name in nearest:
         wanted = ", ".join(known[name].looks_for)
@@ -111,15 +140,19 @@ def detect_layout(path: str | Path) -> str:
 
 
 def sequence_fingerprint(sequence: OpenedSequence) -> str:
-    """A hash of an open sequence: frames to map, frames held out, camera, poses, and the content of all their images.
+    """A hash of an open sequence: frames to map, frames held out, camera, poses, and the content of
+    all their images.
 
-    Of a recording on disk the files are hashed, those with poses and intrinsics too; of any other sequence the pixels
-    of every frame, unless its source has a ``content``, a text that decides its frames (the built-in room).
+    Of a recording on disk the files are hashed, those with poses and intrinsics too; of any other
+    sequence the pixels of every frame, unless its source has a ``content``, a text that decides its
+    frames (the built-in room).
     """
     digest = hashlib.blake2b(digest_size=16)
     views = (sequence.mapping, sequence.held_out)
     for view in views:
-        digest.update(repr((view.positions, view.camera, view.depth_min_m, view.depth_max_m)).encode())
+        digest.update(
+            repr((view.positions, view.camera, view.depth_min_m, view.depth_max_m)).encode()
+        )
         for i in range(len(view)):
             digest.update(_pose_bytes(view, i))
     source = sequence.source
@@ -141,7 +174,8 @@ def sequence_fingerprint(sequence: OpenedSequence) -> str:
 
 
 def data_files(sequence: OpenedSequence) -> dict[str, str]:
-    """Path -> hash of each file that a run on ``sequence`` reads; empty for a sequence that is not on disk."""
+    """Path -> hash of each file that a run on ``sequence`` reads; empty for a sequence that is not
+    on disk."""
     source = as_read(sequence.source)
     if not isinstance(source, RecordedSequence):
         return {}
@@ -151,12 +185,13 @@ def data_files(sequence: OpenedSequence) -> dict[str, str]:
 
 
 def frame_fingerprints(sequence: OpenedSequence) -> list[str]:
-    """A hash of each picture of the recording from the first to the last frame of ``sequence``, also of those between
-    that it leaves out; without repetitions.
+    """A hash of each picture of the recording from the first to the last frame of ``sequence``,
+    also of those between that it leaves out; without repetitions.
 
-    Two sequences that have a hash in common show the same walk, at least in part. Size, name, range, stride, held-out
-    frames and corrections do not matter. Of a recording on disk the files of its colour images are hashed, of any other
-    sequence the pixels, unless its source has ``moments``, texts that name what its frames show (the built-in room).
+    Two sequences that have a hash in common show the same walk, at least in part. Size, name,
+    range, stride, held-out frames and corrections do not matter. Of a recording on disk the files
+    of its colour images are hashed, of any other sequence the pixels, unless its source has
+    ``moments``, texts that name what its frames show (the built-in room).
     """
     positions = [*sequence.mapping.positions, *sequence.held_out.positions]
     if not positions:

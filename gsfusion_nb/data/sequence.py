@@ -13,10 +13,11 @@ from ..types import Camera, Frame
 
 @runtime_checkable
 class Sequence(Protocol):
-    """Posed RGB-D frames in order. Anything with these members can be mapped; no base class is needed.
+    """Posed RGB-D frames in order. Anything with these members can be mapped; no base class is
+    needed.
 
-    ``sequence[i]`` decodes frame ``i`` and raises ``IndexError`` past the end, so ``for frame in sequence``
-    works.
+    ``sequence[i]`` decodes frame ``i`` and raises ``IndexError`` past the end, so
+    ``for frame in sequence`` works.
     """
 
     @property
@@ -34,12 +35,14 @@ class Sequence(Protocol):
     def __getitem__(self, i: int) -> Frame: ...
 
     def pose(self, i: int) -> Float[Tensor, "4 4"]:
-        """Camera-to-world pose of frame ``i``, the same as ``sequence[i].T_WC``, without decoding images."""
+        """Camera-to-world pose of frame ``i``, the same as ``sequence[i].T_WC``, without decoding
+        images."""
         ...
 
 
 def position(i: int, length: int) -> int:
-    """Index ``i`` of a sequence of ``length`` frames as a number from 0, counting from the end when negative.
+    """Index ``i`` of a sequence of ``length`` frames as a number from 0, counting from the end when
+    negative.
 
     Raises:
         IndexError: past either end.

@@ -1,4 +1,5 @@
-"""Graphs as matplotlib figures without pyplot, safe in threads; and small ones drawn in a millisecond."""
+"""Graphs as matplotlib figures without pyplot, safe in threads; and small ones drawn in a
+millisecond."""
 
 import io
 import math
@@ -67,30 +68,59 @@ def curve_figure(
     axes = figure.add_subplot()
     _style(axes, x_label, y_label)
     if stacked:
-        axes.stackplot(x, *series.values(), labels=list(series), colors=PALETTE, linewidth=0, alpha=0.9)
+        axes.stackplot(
+            x,
+            *series.values(),
+            labels=list(series),
+            colors=PALETTE,
+            linewidth=0,
+            alpha=0.9,
+        )
         axes.set_ylim(bottom=0)
     else:
         lone = "o" if len(x) == 1 else None
         for i, (label, values) in enumerate(series.items()):
-            axes.plot(x, values, label=label, color=PALETTE[i % len(PALETTE)], linewidth=1.6, marker=lone)
+            axes.plot(
+                x,
+                values,
+                label=label,
+                color=PALETTE[i % len(PALETTE)],
+                linewidth=1.6,
+                marker=lone,
+            )
     axes.margins(x=0.01)
     if len(marks):
         axes.margins(y=0.1)  # keeps the curve above the ticks
         axes.plot(
-            marks, [0.02] * len(marks), transform=axes.get_xaxis_transform(), linestyle="none", marker="|",
-            markersize=7, markeredgewidth=1.0, color=MUTED, label=marks_label, clip_on=False,
-        )  # fmt: skip
+            marks,
+            [0.02] * len(marks),
+            transform=axes.get_xaxis_transform(),
+            linestyle="none",
+            marker="|",
+            markersize=7,
+            markeredgewidth=1.0,
+            color=MUTED,
+            label=marks_label,
+            clip_on=False,
+        )
     if len(series) + bool(len(marks)) > 1:
         legend: Any = figure.legend(
-            loc="outside upper left", ncols=3, frameon=False, fontsize=9.5, labelcolor=INK, handlelength=1.2,
-            columnspacing=1.2, borderpad=0.1,
-        )  # fmt: skip
+            loc="outside upper left",
+            ncols=3,
+            frameon=False,
+            fontsize=9.5,
+            labelcolor=INK,
+            handlelength=1.2,
+            columnspacing=1.2,
+            borderpad=0.1,
+        )
         legend.set_in_layout(True)
     return figure
 
 
 def figure_png(figure) -> bytes:
-    """PNG bytes of a matplotlib figure on a transparent ground, with text that is readable on white and on black."""
+    """PNG bytes of a matplotlib figure on a transparent ground, with text that is readable on white
+    and on black."""
     from matplotlib.colors import to_hex
     from matplotlib.lines import Line2D
     from matplotlib.text import Text
@@ -112,12 +142,15 @@ def figure_words(figure: "Figure") -> str:
     for axes in figure.axes:
         names = [name for name in axes.get_legend_handles_labels()[1] if name]
         curves = f": {', '.join(names)}" if names else ""
-        parts.append(f"{axes.get_ylabel() or 'values'} over {axes.get_xlabel() or 'positions'}{curves}")
+        parts.append(
+            f"{axes.get_ylabel() or 'values'} over {axes.get_xlabel() or 'positions'}{curves}"
+        )
     return f"Graph of {'; '.join(parts)}"
 
 
 def figure_picture(figure: "Figure", channels: int = 3) -> Any:
-    """A figure as an image, at its own size and resolution; with 4 channels its ground stays transparent."""
+    """A figure as an image, at its own size and resolution; with 4 channels its ground stays
+    transparent."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     canvas = FigureCanvasAgg(figure)
@@ -125,7 +158,14 @@ def figure_picture(figure: "Figure", channels: int = 3) -> Any:
     return np.asarray(canvas.buffer_rgba())[..., :channels].copy()
 
 
-def style(axes: "Axes", *, x: str = "", y: str = "", title: str = "", ink: str = BETWEEN) -> None:
+def style(
+    axes: "Axes",
+    *,
+    x: str = "",
+    y: str = "",
+    title: str = "",
+    ink: str = BETWEEN,
+) -> None:
     """Labels and frame of a graph, readable on a light and on a dark page."""
     axes.set_facecolor("none")
     axes.set_xlabel(x, color=ink, fontsize=8)
@@ -137,8 +177,11 @@ def style(axes: "Axes", *, x: str = "", y: str = "", title: str = "", ink: str =
         spine.set_linewidth(0.6)
 
 
-def card_figure(width: int, height: int, rows: int = 1, **options: Any) -> tuple["Figure", list[Any]]:
-    """A figure on the ground of pictures in a row, and its axes below each other; for ``figure_picture``.
+def card_figure(
+    width: int, height: int, rows: int = 1, **options: Any
+) -> tuple["Figure", list[Any]]:
+    """A figure on the ground of pictures in a row, and its axes below each other; for
+    ``figure_picture``.
 
     Args:
         width, height: Of the picture, pixels.
@@ -147,7 +190,9 @@ def card_figure(width: int, height: int, rows: int = 1, **options: Any) -> tuple
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=CARD, layout="constrained")
+    figure = Figure(
+        figsize=(width / 100, height / 100), dpi=100, facecolor=CARD, layout="constrained"
+    )
     axes = figure.subplots(rows, squeeze=False, **options)[:, 0]
     for one in axes:
         style(one, ink=CARD_INK)
@@ -155,23 +200,40 @@ def card_figure(width: int, height: int, rows: int = 1, **options: Any) -> tuple
 
 
 def image_figure(
-    image: pictures.AnyImage, size: tuple[int, int], window: Sequence[float | int] = ()
+    image: pictures.AnyImage,
+    size: tuple[int, int],
+    window: Sequence[float | int] = (),
 ) -> tuple["Figure", "Axes"]:
-    """An image, enlarged without smoothing, to draw over in its pixels (u, v); for ``figure_picture``.
+    """An image, enlarged without smoothing, to draw over in its pixels (u, v); for
+    ``figure_picture``.
 
     Args:
         image: RGB. [H, W, 3]
         size: Width and height of the picture, pixels.
-        window: What is shown, as u from and to, v from and to; light grey beyond the image. By default the whole image.
+        window: What is shown, as u from and to, v from and to; light grey beyond the image. By
+            default the whole image.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100, facecolor="#ececec")
+    figure = Figure(
+        figsize=(size[0] / 100, size[1] / 100),
+        dpi=100,
+        facecolor="#ececec",
+    )
     axes = figure.add_axes((0, 0, 1, 1))
     height, width = image.shape[:2]
-    axes.imshow(pictures.to_uint8(image), extent=(0, width, height, 0), interpolation="nearest")
+    axes.imshow(
+        pictures.to_uint8(image),
+        extent=(0, width, height, 0),
+        interpolation="nearest",
+    )
     u0, u1, v0, v1 = window or (0, width, 0, height)
-    axes.set(xlim=(u0, u1), ylim=(v1, v0), aspect="auto", autoscale_on=False)
+    axes.set(
+        xlim=(u0, u1),
+        ylim=(v1, v0),
+        aspect="auto",
+        autoscale_on=False,
+    )
     axes.set_axis_off()
     return figure, axes
 
@@ -194,26 +256,50 @@ def _thousands(value: float, _position: Any = None) -> str:
     return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:g}"
 
 
-def small_curves(series: Mapping[str, Sequence[float | int]], *, n_x: int, width: int, height: int = 110) -> Picture:
-    """One small graph per series, in a row: its title and newest value above, the range of its values at the left.
+def small_curves(
+    series: Mapping[str, Sequence[float | int]],
+    *,
+    n_x: int,
+    width: int,
+    height: int = 110,
+) -> Picture:
+    """One small graph per series, in a row: its title and newest value above, the range of its
+    values at the left.
 
     Args:
         series: Title -> values so far, one per step; NaN leaves a gap.
-        n_x: Number of steps of the whole run, which fill the width, so that the curve also shows progress.
+        n_x: Number of steps of the whole run, which fill the width, so that the curve also shows
+            progress.
         width, height: Of the picture, pixels.
     """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=CARD)
     every = figure.subplots(1, len(series), squeeze=False)[0]
-    figure.subplots_adjust(50 / width, 8 / height, 1 - 8 / width, 1 - 24 / height, 60 * len(series) / width)
-    for axes, (title, values), ink in zip(every, series.items(), PALETTE * len(series), strict=False):
+    figure.subplots_adjust(
+        50 / width,
+        8 / height,
+        1 - 8 / width,
+        1 - 24 / height,
+        60 * len(series) / width,
+    )
+    for axes, (title, values), ink in zip(
+        every, series.items(), PALETTE * len(series), strict=False
+    ):
         known = [v for v in values if math.isfinite(v)]
-        axes.plot(np.arange(len(values)), np.array(values, float), color=ink, linewidth=1.5)
+        axes.plot(
+            np.arange(len(values)),
+            np.array(values, float),
+            color=ink,
+            linewidth=1.5,
+        )
         axes.set_xlim(0, max(n_x, len(values), 2) - 1)
         axes.set_xticks([])
         low, high = (min(known), max(known)) if known else (0.0, 1.0)
-        axes.set_yticks([low, high], [number(low), number(high)] if known else ["", ""])
+        axes.set_yticks(
+            [low, high],
+            [number(low), number(high)] if known else ["", ""],
+        )
         axes.grid(axis="y", color=CARD_INK, alpha=0.2)
         style(axes, title=f"{title}  {number(known[-1])}" if known else title, ink=CARD_INK)
         for spine in axes.spines.values():

@@ -1,4 +1,5 @@
-"""Elements of HTML pages: pictures with captions and colour bars, and graphs (``templates/parts.html``)."""
+"""Elements of HTML pages: pictures with captions and colour bars, and graphs
+(``templates/parts.html``)."""
 
 import base64
 import functools
@@ -48,7 +49,11 @@ class PageGraph:
 
 
 def page_picture(
-    image: pictures.ImageLike, caption: str, *, alt: str = "", bar: ColourBar | None = None
+    image: pictures.ImageLike,
+    caption: str,
+    *,
+    alt: str = "",
+    bar: ColourBar | None = None,
 ) -> dict[str, Any]:
     """A picture that is stored in the page, for ``parts.html``: at most ``PICTURE_WIDTH`` wide.
 
@@ -60,10 +65,22 @@ def page_picture(
     small = pictures.fit_width(image, PICTURE_WIDTH)
     height, width = small.shape[:2]
     src = pictures.data_uri(small)
-    return {"src": src, "width": width, "height": height, "alt": alt or caption, "caption": caption, "bar": bar}
+    return {
+        "src": src,
+        "width": width,
+        "height": height,
+        "alt": alt or caption,
+        "caption": caption,
+        "bar": bar,
+    }
 
 
-def page_graph(title: str, x: Numbers, series: Mapping[str, Numbers], **options: Any) -> PageGraph:
+def page_graph(
+    title: str,
+    x: Numbers,
+    series: Mapping[str, Numbers],
+    **options: Any,
+) -> PageGraph:
     """A graph for a page; options of ``curve_figure``."""
     return PageGraph(title, curve_figure(x, series, **options))
 

@@ -1,6 +1,8 @@
-"""Arrays to pictures: 8-bit RGB images drawn with OpenCV, fast enough to be redrawn while a slider moves.
+"""Arrays to pictures: 8-bit RGB images drawn with OpenCV, fast enough to be redrawn while a slider
+moves.
 
-Every function takes tensors or numpy arrays and returns a new uint8 RGB array; inputs are not changed.
+Every function takes tensors or numpy arrays and returns a new uint8 RGB array; inputs are not
+changed.
 """
 
 import base64
@@ -14,8 +16,18 @@ from torch import Tensor
 
 Picture = UInt8[np.ndarray, "_ _ 3"]
 """The type that these functions return."""
-ImageLike = Float[Tensor, "H W 3"] | UInt8[Tensor, "H W 3"] | Float[np.ndarray, "H W 3"] | UInt8[np.ndarray, "H W 3"]
-AnyImage = Float[Tensor, "_ _ 3"] | UInt8[Tensor, "_ _ 3"] | Float[np.ndarray, "_ _ 3"] | UInt8[np.ndarray, "_ _ 3"]
+ImageLike = (
+    Float[Tensor, "H W 3"]
+    | UInt8[Tensor, "H W 3"]
+    | Float[np.ndarray, "H W 3"]
+    | UInt8[np.ndarray, "H W 3"]
+)
+AnyImage = (
+    Float[Tensor, "_ _ 3"]
+    | UInt8[Tensor, "_ _ 3"]
+    | Float[np.ndarray, "_ _ 3"]
+    | UInt8[np.ndarray, "_ _ 3"]
+)
 """An image whose size may differ from that of the other arguments."""
 MapLike = Float[Tensor, "H W"] | Float[np.ndarray, "H W"]
 
@@ -32,7 +44,8 @@ _HATCH = (58, 78)
 
 
 def to_uint8(rgb: ImageLike) -> Picture:
-    """An image as bytes: 0..1 is clamped and rounded, halves up, NaN becomes black; bytes are copied."""
+    """An image as bytes: 0..1 is clamped and rounded, halves up, NaN becomes black; bytes are
+    copied."""
     image = _numpy(rgb)
     if image.dtype == np.uint8:
         return image.copy()
@@ -40,17 +53,25 @@ def to_uint8(rgb: ImageLike) -> Picture:
 
 
 def depth_range_m(*depths: MapLike) -> tuple[float, float]:
-    """A common (near, far), metres, for several depth images: 1st and 99th percentile of what is not missing."""
+    """A common (near, far), metres, for several depth images: 1st and 99th percentile of what is
+    not missing."""
     known = [d[np.isfinite(d) & (d > 0)] for d in map(_numpy, depths)]
     values = np.concatenate([v.ravel() for v in known]) if known else np.zeros(0)
     if len(values) == 0:
         return 0.0, 1.0
-    near, far = (float(v) for v in np.percentile(values[:: max(1, len(values) // 100_000)], (1, 99)))
+    near, far = (
+        float(v)
+        for v in np.percentile(
+            values[:: max(1, len(values) // 100_000)],
+            (1, 99),
+        )
+    )
     return near, max(far, near + 1e-3)
 
 
 def colour_depth(depth_m: MapLike, near_m: float, far_m: float) -> Picture:
-    """Depth as colour (turbo: near is dark blue, far is dark red), striped grey where it is missing.
+    """Depth as colour (turbo: near is dark blue, far is dark red), striped grey where it is
+    missing.
 
     Args:
         depth_m: z-depth, metres, 0 or NaN = missing. [H, W]
@@ -69,19 +90,30 @@ def colour_depth(depth_m: MapLike, near_m: float, far_m: float) -> Picture:
 
 
 def error_map(rgb: ImageLike, reference: ImageLike, *, limit: float = ERROR_LIMIT) -> Picture:
-    """Mean |rgb - reference| over the channels as colour (inferno): black is none, light yellow ``limit`` or more."""
+    """Mean |rgb - reference| over the channels as colour (inferno): black is none, light yellow
+    ``limit`` or more."""
     a, b = to_uint8(rgb), to_uint8(reference)
     if a.shape != b.shape:
-        raise ValueError(f"rgb and reference must have one shape, got {list(a.shape)} and {list(b.shape)}")
-    level = cv2.transform(cv2.absdiff(a, b), np.full((1, 3), 1 / (3 * limit)))
+        raise ValueError(
+            f"rgb and reference must have one shape, got {list(a.shape)} and {list(b.shape)}"
+        )
+    level = cv2.transform(
+        cv2.absdiff(a, b),
+        np.full((1, 3), 1 / (3 * limit)),
+    )
     return _colours(ERROR_COLOURS)[np.asarray(level, dtype=np.uint8)]
 
 
-def depth_error_map(depth_m: MapLike, reference_m: MapLike, *, limit_m: float = DEPTH_ERROR_LIMIT_M) -> Picture:
-    """|depth - reference| as colour (inferno: light yellow is ``limit_m`` or more), striped where one is missing."""
+def depth_error_map(
+    depth_m: MapLike, reference_m: MapLike, *, limit_m: float = DEPTH_ERROR_LIMIT_M
+) -> Picture:
+    """|depth - reference| as colour (inferno: light yellow is ``limit_m`` or more), striped where
+    one is missing."""
     a, b = _numpy(depth_m), _numpy(reference_m)
     if a.shape != b.shape:
-        raise ValueError(f"depth_m and reference_m must have one shape, got {list(a.shape)} and {list(b.shape)}")
+        raise ValueError(
+            f"depth_m and reference_m must have one shape, got {list(a.shape)} and {list(b.shape)}"
+        )
     known = (a > 0) & (b > 0) & np.isfinite(a) & np.isfinite(b)
     error = np.abs(np.where(known, a, 0) - np.where(known, b, 0))
     image = _colours(ERROR_COLOURS)[_byte(error / limit_m)]
@@ -90,7 +122,12 @@ def depth_error_map(depth_m: MapLike, reference_m: MapLike, *, limit_m: float = 
 
 
 def paint_cells(
-    rgb: ImageLike, cells: Any, *, scale: int = 1, by_level: bool = True, strength: float = 0.75
+    rgb: ImageLike,
+    cells: Any,
+    *,
+    scale: int = 1,
+    by_level: bool = True,
+    strength: float = 0.75,
 ) -> Picture:
     """The borders of quadtree cells over an image.
 
@@ -98,24 +135,45 @@ def paint_cells(
         rgb: The image the cells belong to. [H, W, 3]
         cells: Anything with ``x0, y0, width, height, level`` as one-axis tensors or arrays, pixels.
         scale: Enlarge the image by this factor first, so that the borders do not hide small cells.
-        by_level: Colour by depth in the tree (dark purple is coarse, yellow is fine), else light grey.
+        by_level: Colour by depth in the tree (dark purple is coarse, yellow is fine), else light
+            grey.
         strength: Opacity of the lines.
     """
     image = to_uint8(rgb)
     if scale > 1:
         image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     x0, y0, width, height, level = (
-        np.asarray(_numpy(getattr(cells, name)), dtype=np.int32) for name in ("x0", "y0", "width", "height", "level")
+        np.asarray(_numpy(getattr(cells, name)), dtype=np.int32)
+        for name in ("x0", "y0", "width", "height", "level")
     )
     x1, y1 = x0 + width, y0 + height
-    corners = np.stack([np.stack([x0, x1, x1, x0], 1), np.stack([y0, y0, y1, y1], 1)], axis=2) * scale
+    corners = (
+        np.stack(
+            [np.stack([x0, x1, x1, x0], 1), np.stack([y0, y0, y1, y1], 1)],
+            axis=2,
+        )
+        * scale
+    )
     lines = image.copy()
     palette = _colours(LEVEL_COLOURS)
     deepest = max(int(level.max(initial=0)), 1)
     for depth in np.unique(level):
-        colour = palette[round(255 * (0.15 + 0.85 * depth / deepest))] if by_level else np.array([235, 235, 235])
-        cv2.polylines(lines, list(corners[level == depth]), True, [int(v) for v in colour], 1)
-    return np.asarray(cv2.addWeighted(lines, strength, image, 1 - strength, 0), dtype=np.uint8)
+        colour = (
+            palette[round(255 * (0.15 + 0.85 * depth / deepest))]
+            if by_level
+            else np.array([235, 235, 235])
+        )
+        cv2.polylines(
+            lines,
+            list(corners[level == depth]),
+            True,
+            [int(v) for v in colour],
+            1,
+        )
+    return np.asarray(
+        cv2.addWeighted(lines, strength, image, 1 - strength, 0),
+        dtype=np.uint8,
+    )
 
 
 def fit_width(image: ImageLike, width: int) -> Picture:
@@ -130,17 +188,28 @@ def fit_width(image: ImageLike, width: int) -> Picture:
 
 def encode_jpeg(image: ImageLike, quality: int = 88) -> bytes:
     """JPEG bytes of an RGB picture: for photographs (640x480 in about 2 ms)."""
-    return _encode(to_uint8(image)[..., ::-1], ".jpg", [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return _encode(
+        to_uint8(image)[..., ::-1],
+        ".jpg",
+        [cv2.IMWRITE_JPEG_QUALITY, quality],
+    )
 
 
 def encode_png(image: ImageLike, compression: int = 6) -> bytes:
     """PNG bytes of an RGB picture: for drawings, where JPEG would blur the lines."""
-    return _encode(to_uint8(image)[..., ::-1], ".png", [cv2.IMWRITE_PNG_COMPRESSION, compression])
+    return _encode(
+        to_uint8(image)[..., ::-1],
+        ".png",
+        [cv2.IMWRITE_PNG_COMPRESSION, compression],
+    )
 
 
 def encode_rgba(rgba: UInt8[np.ndarray, "H W 4"]) -> bytes:
-    """PNG bytes of a picture with its opacity, written fast: for what is sent to a browser while it changes."""
-    return _encode(cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA), ".png", [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    """PNG bytes of a picture with its opacity, written fast: for what is sent to a browser while it
+    changes."""
+    return _encode(
+        cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA), ".png", [cv2.IMWRITE_PNG_COMPRESSION, 1]
+    )
 
 
 def data_uri(image: ImageLike, kind: Literal["jpeg", "png"] = "jpeg") -> str:
@@ -159,7 +228,9 @@ def _encode(pixels: np.ndarray, suffix: str, options: list[int]) -> bytes:
     """Bytes of a file from pixels in OpenCV's order, blue first."""
     done, encoded = cv2.imencode(suffix, pixels, options)
     if not done:
-        raise ValueError(f"OpenCV could not encode a picture of shape {list(pixels.shape)} as {suffix}")
+        raise ValueError(
+            f"OpenCV could not encode a picture of shape {list(pixels.shape)} as {suffix}"
+        )
     return encoded.tobytes()
 
 
@@ -180,14 +251,18 @@ def _byte(unit: np.ndarray) -> np.ndarray:
 def _colours(name: str) -> np.ndarray:
     """The 256 RGB colours of an OpenCV colour map."""
     ramp = np.arange(256, dtype=np.uint8)[:, None]
-    return np.ascontiguousarray(cv2.applyColorMap(ramp, getattr(cv2, f"COLORMAP_{name.upper()}"))[:, 0, ::-1])
+    return np.ascontiguousarray(
+        cv2.applyColorMap(ramp, getattr(cv2, f"COLORMAP_{name.upper()}"))[:, 0, ::-1]
+    )
 
 
 LABEL_PX = 26
 """Height of the strip with the labels."""
 
 
-def side_by_side(images: Sequence[AnyImage], labels: Sequence[str] = (), *, gap: int = 6) -> Picture:
+def side_by_side(
+    images: Sequence[AnyImage], labels: Sequence[str] = (), *, gap: int = 6
+) -> Picture:
     """Images in a row at the height of the first, with a label strip above if there are labels.
 
     Args:
@@ -198,7 +273,10 @@ def side_by_side(images: Sequence[AnyImage], labels: Sequence[str] = (), *, gap:
     if not images:
         raise ValueError("side_by_side needs at least one image, got none")
     if labels and len(labels) != len(images):
-        raise ValueError(f"side_by_side needs one label per image, got {len(labels)} labels for {len(images)} images")
+        raise ValueError(
+            f"side_by_side needs one label per image, got {len(labels)} labels for {len(images)} "
+            "images"
+        )
     height = images[0].shape[0]
     columns = []
     for i, image in enumerate(images):
@@ -209,18 +287,34 @@ def side_by_side(images: Sequence[AnyImage], labels: Sequence[str] = (), *, gap:
         if labels:
             picture = np.concatenate([_label(labels[i], picture.shape[1]), picture])
         if i:
-            columns.append(np.full((picture.shape[0], gap, 3), CARD, np.uint8))
+            columns.append(
+                np.full(
+                    (picture.shape[0], gap, 3),
+                    CARD,
+                    np.uint8,
+                )
+            )
         columns.append(picture)
     return np.concatenate(columns, axis=1)
 
 
 def _label(text: str, width: int) -> np.ndarray:
-    """A dark strip with light text, made smaller until it fits: readable on a light and on a dark page."""
+    """A dark strip with light text, made smaller until it fits: readable on a light and on a dark
+    page."""
     strip = np.full((LABEL_PX, width, 3), CARD, np.uint8)
     font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5
     (text_width, _), _ = cv2.getTextSize(text, font, size, 1)
     size *= min(1.0, (width - 8) / max(text_width, 1))
-    cv2.putText(strip, text, (4, LABEL_PX - 9), font, size, CARD_INK, 1, cv2.LINE_AA)
+    cv2.putText(
+        strip,
+        text,
+        (4, LABEL_PX - 9),
+        font,
+        size,
+        CARD_INK,
+        1,
+        cv2.LINE_AA,
+    )
     return strip
 
 

@@ -14,21 +14,32 @@ WIDGET_MIME = "application/vnd.jupyter.widget-view+json"
 def static_views() -> bool:
     """Whether live views should leave only a picture in the notebook.
 
-    True with ``GSNB_VIEW=static`` (the notebook is executed to be stored: a widget without its kernel shows
-    nothing) and with ``GSNB_SMOKE=1`` (a quick test run).
+    True with ``GSNB_VIEW=static`` (the notebook is executed to be stored: a widget without its
+    kernel shows nothing) and with ``GSNB_SMOKE=1`` (a quick test run).
     """
-    return os.environ.get("GSNB_VIEW") == "static" or os.environ.get("GSNB_SMOKE", "0") not in ("", "0")
+    return os.environ.get("GSNB_VIEW") == "static" or os.environ.get("GSNB_SMOKE", "0") not in (
+        "",
+        "0",
+    )
 
 
-def with_stored(bundle: Any, kind: str, content: bytes, text: str, words: dict[str, Any]) -> Bundle:
-    """A widget's mime bundle with a picture for readers of the stored notebook; only that with ``static_views()``.
+def with_stored(
+    bundle: Any,
+    kind: str,
+    content: bytes,
+    text: str,
+    words: dict[str, Any],
+) -> Bundle:
+    """A widget's mime bundle with a picture for readers of the stored notebook; only that with
+    ``static_views()``.
 
     Args:
         bundle: The widget's own, with or without metadata.
         kind: MIME type of the picture.
         content: The picture's file.
         text: For readers without pictures.
-        words: Metadata of the picture: its description for screen readers, ``alt``, and its ``width``, pixels.
+        words: Metadata of the picture: its description for screen readers, ``alt``, and its
+            ``width``, pixels.
     """
     data = dict(bundle[0] if isinstance(bundle, tuple) else bundle or {})
     if static_views():
@@ -41,8 +52,8 @@ def with_stored(bundle: Any, kind: str, content: bytes, text: str, words: dict[s
 class LiveOutput:
     """Shows what ``_repr_mimebundle_`` gives as two outputs: the widget, and what is stored of it.
 
-    JupyterLab prefers a widget to every other form in the same output, also when its kernel has gone and nothing can be
-    shown. The second output is hidden while the first one is alive.
+    JupyterLab prefers a widget to every other form in the same output, also when its kernel has
+    gone and nothing can be shown. The second output is hidden while the first one is alive.
     """
 
     _repr_mimebundle_: Any
@@ -64,5 +75,11 @@ class LiveOutput:
             self._stored_output.update(_to_store(data, words), raw=True)
 
 
-def _to_store(data: dict[str, Any], words: dict[str, Any]) -> dict[str, str]:
-    return {"text/html": fill("stored.html", data=data, words=words), "text/plain": data["text/plain"]}
+def _to_store(
+    data: dict[str, Any],
+    words: dict[str, Any],
+) -> dict[str, str]:
+    return {
+        "text/html": fill("stored.html", data=data, words=words),
+        "text/plain": data["text/plain"],
+    }

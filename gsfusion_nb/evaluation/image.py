@@ -1,6 +1,8 @@
-"""Difference between a rendered and a recorded image: PSNR, SSIM, LPIPS, depth error, and the scores of many views.
+"""Difference between a rendered and a recorded image: PSNR, SSIM, LPIPS, depth error, and the
+scores of many views.
 
-Images are RGB in 0..1, not cropped and not masked; an average over views is the mean of the per-image numbers.
+Images are RGB in 0..1, not cropped and not masked; an average over views is the mean of the
+per-image numbers.
 """
 
 import functools
@@ -27,11 +29,13 @@ BORDER_PX = 5
 """Half of SSIM's window of 11 pixels, rounded down: nearer to the border the window is cut."""
 
 RenderFn = Callable[[Camera, Tensor], RenderOutput]
-"""Renders a map for a camera at pose T_WC. It does not receive the frame, so its pixels cannot influence the result."""
+"""Renders a map for a camera at pose T_WC. It does not receive the frame, so its pixels cannot
+influence the result."""
 
 
 def to_8bit_grid(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
-    """Clamp to 0..1 and round to the 256 levels of an 8-bit image, halves up. Differentiable: no."""
+    """Clamp to 0..1 and round to the 256 levels of an 8-bit image, halves up. Differentiable:
+    no."""
     return (rgb.clamp(0, 1) * 255 + 0.5).floor() / 255
 
 
@@ -56,7 +60,8 @@ def psnr(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> floa
     Returns:
         Decibels; infinite for equal images.
 
-    Differentiable: no. Source: the protocol of GSFusion's evaluation (torchmetrics, data range 1, 8-bit images).
+    Differentiable: no. Source: the protocol of GSFusion's evaluation (torchmetrics, data range 1,
+    8-bit images).
     """
     return _psnr(*_prepared(rgb, reference))
 
@@ -68,10 +73,11 @@ def _psnr(a: Tensor, b: Tensor) -> float:
 
 
 def ssim(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float:
-    """Structural similarity: mean over pixels and channels of the map with an 11x11 Gaussian window, sigma 1.5.
+    """Structural similarity: mean over pixels and channels of the map with an 11x11 Gaussian
+    window, sigma 1.5.
 
-    C1 = 0.01^2, C2 = 0.03^2, reflected borders, population variances; the whole map is averaged, as torchmetrics does
-    from 1.5.2 on.
+    C1 = 0.01^2, C2 = 0.03^2, reflected borders, population variances; the whole map is averaged, as
+    torchmetrics does from 1.5.2 on.
 
     Args:
         rgb: Image, 0..1 (clamped); at least 6 pixels on each side. [H, W, 3]
@@ -86,24 +92,35 @@ def ssim(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> floa
 
 
 def ssim_as_released(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float:
-    """SSIM as in GSFusion's published tables: ``ssim`` without a border of 5 pixels, where the window is cut.
+    """SSIM as in GSFusion's published tables: ``ssim`` without a border of 5 pixels, where the
+    window is cut.
 
-    torchmetrics up to 1.4 and scikit-image leave this border out, and the evaluation released with GSFusion uses
-    torchmetrics of that time (its requirements name no version). It differs from ``ssim`` in the third digit. Use it
-    only beside published numbers. Arguments and result are those of ``ssim``; the images have at least 11 pixels on
-    each side.
+    torchmetrics up to 1.4 and scikit-image leave this border out, and the evaluation released with
+    GSFusion uses torchmetrics of that time (its requirements name no version). It differs from
+    ``ssim`` in the third digit. Use it only beside published numbers. Arguments and result are
+    those of ``ssim``; the images have at least 11 pixels on each side.
 
     Differentiable: no. Source: GSFusion's released evaluation.
     """
     return _mean(_without_border(_ssim_map(*_prepared(rgb, reference), BORDER_PX + 6)))
 
 
-def _ssim_map(a: Tensor, b: Tensor, smallest: int = 6) -> Float[Tensor, "H W 3"]:
-    """SSIM at each pixel of prepared images. On a processor OpenCV filters, in a fifth of the time of a convolution."""
+def _ssim_map(
+    a: Tensor,
+    b: Tensor,
+    smallest: int = 6,
+) -> Float[Tensor, "H W 3"]:
+    """SSIM at each pixel of prepared images. On a processor OpenCV filters, in a fifth of the time
+    of a convolution."""
     if min(a.shape[:2]) < smallest:
-        raise ValueError(f"rgb must be at least {smallest} pixels high and wide for an 11x11 window, got {[*a.shape]}")
+        raise ValueError(
+            f"rgb must be at least {smallest} pixels high and wide for an 11x11 window, got "
+            f"{[*a.shape]}"
+        )
     filtered = _filtered_by_opencv if a.device.type == "cpu" else _filtered_by_torch
-    mean_a, mean_b, mean_aa, mean_bb, mean_ab = (filtered(image) for image in (a, b, a * a, b * b, a * b))
+    mean_a, mean_b, mean_aa, mean_bb, mean_ab = (
+        filtered(image) for image in (a, b, a * a, b * b, a * b)
+    )
     aa, bb, ab = mean_a * mean_a, mean_b * mean_b, mean_a * mean_b
     variances = (mean_aa - aa) + (mean_bb - bb)
     return (2 * ab + C1) * (2 * (mean_ab - ab) + C2) / ((aa + bb + C1) * (variances + C2))
@@ -117,7 +134,9 @@ def _filtered_by_opencv(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]
     weights = (-x.square() / (2 * SIGMA_PX**2)).exp()
     window = (weights / weights.sum()).numpy()
     pixels = image.detach().contiguous().numpy()
-    return torch.from_numpy(cv2.sepFilter2D(pixels, -1, window, window, borderType=cv2.BORDER_REFLECT_101))
+    return torch.from_numpy(
+        cv2.sepFilter2D(pixels, -1, window, window, borderType=cv2.BORDER_REFLECT_101)
+    )
 
 
 def _filtered_by_torch(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
@@ -131,13 +150,17 @@ def _without_border(image: Tensor) -> Tensor:
     return image[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
 
 
-def lpips(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float | NotComputed:
+def lpips(
+    rgb: Float[Tensor, "H W 3"],
+    reference: Float[Tensor, "H W 3"],
+) -> float | NotComputed:
     """Learned perceptual distance with AlexNet features; 0 for equal images, lower is better.
 
     Images are given to the network as RGB in -1..1, as it was trained.
 
     Returns:
-        The distance, or the reason why there is none: the optional package ``lpips`` or AlexNet's weights are missing.
+        The distance, or the reason why there is none: the optional package ``lpips`` or AlexNet's
+        weights are missing.
             Nothing is downloaded.
 
     Differentiable: no. Source: Zhang et al. 2018, linear weights of release 0.1.
@@ -146,12 +169,16 @@ def lpips(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> flo
     return _network_distance(a * 2 - 1, b * 2 - 1)
 
 
-def lpips_as_released(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float | NotComputed:
-    """LPIPS as in GSFusion's published tables: the same network, given BGR in 0..1 instead of RGB in -1..1.
+def lpips_as_released(
+    rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]
+) -> float | NotComputed:
+    """LPIPS as in GSFusion's published tables: the same network, given BGR in 0..1 instead of RGB
+    in -1..1.
 
-    The released evaluation reads images with OpenCV, which gives BGR, and leaves them in 0..1, where the network
-    expects -1..1. Its numbers cannot be compared with LPIPS of other papers, nor with ``lpips``. Use it only beside
-    published numbers. Arguments and result are those of ``lpips``.
+    The released evaluation reads images with OpenCV, which gives BGR, and leaves them in 0..1,
+    where the network expects -1..1. Its numbers cannot be compared with LPIPS of other papers, nor
+    with ``lpips``. Use it only beside published numbers. Arguments and result are those of
+    ``lpips``.
 
     Differentiable: no. Source: GSFusion's released evaluation.
     """
@@ -159,7 +186,10 @@ def lpips_as_released(rgb: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W
     return _network_distance(a.flip(-1), b.flip(-1))
 
 
-def _network_distance(a: Float[Tensor, "H W 3"], b: Float[Tensor, "H W 3"]) -> float | NotComputed:
+def _network_distance(
+    a: Float[Tensor, "H W 3"],
+    b: Float[Tensor, "H W 3"],
+) -> float | NotComputed:
     network = _lpips_network()
     if isinstance(network, NotComputed):
         return network
@@ -169,7 +199,8 @@ def _network_distance(a: Float[Tensor, "H W 3"], b: Float[Tensor, "H W 3"]) -> f
 
 
 def lpips_unavailable() -> NotComputed | None:
-    """The reason why LPIPS cannot be computed on this machine, or None. Fast; nothing is downloaded."""
+    """The reason why LPIPS cannot be computed on this machine, or None. Fast; nothing is
+    downloaded."""
     network = _lpips_network()
     return network if isinstance(network, NotComputed) else None
 
@@ -180,8 +211,12 @@ def _lpips_network():
         import lpips as package  # pyright: ignore[reportMissingImports]
         from torchvision.models import AlexNet_Weights  # pyright: ignore[reportMissingImports]
     except ImportError as e:
-        return NotComputed(f"package {e.name!r} is not installed (pip install 'gsfusion-nb[lpips]')")
-    except RuntimeError as e:  # a torchvision for another version of torch fails while it registers its operators
+        return NotComputed(
+            f"package {e.name!r} is not installed (pip install 'gsfusion-nb[lpips]')"
+        )
+    except (
+        RuntimeError
+    ) as e:  # a torchvision for another version of torch fails while it registers its operators
         return NotComputed(f"torchvision is not compatible with the installed torch ({e})")
     name = AlexNet_Weights.IMAGENET1K_V1.url.rsplit("/", 1)[-1]
     weights = Path(torch.hub.get_dir()) / "checkpoints" / name
@@ -192,11 +227,15 @@ def _lpips_network():
         return package.LPIPS(net="alex", verbose=False).eval()
 
 
-def depth_l1_m(depth_m: Float[Tensor, "H W"], reference_m: Float[Tensor, "H W"]) -> tuple[float, float]:
-    """Mean |depth - reference|, metres, over the pixels that have depth in both, and the share of these pixels.
+def depth_l1_m(
+    depth_m: Float[Tensor, "H W"], reference_m: Float[Tensor, "H W"]
+) -> tuple[float, float]:
+    """Mean |depth - reference|, metres, over the pixels that have depth in both, and the share of
+    these pixels.
 
     Returns:
-        ``(l1_m, share)``; the error is NaN when no pixel has both, and when a depth that is compared is NaN.
+        ``(l1_m, share)``; the error is NaN when no pixel has both, and when a depth that is
+        compared is NaN.
 
     Differentiable: no.
     """
@@ -208,12 +247,14 @@ def depth_l1_m(depth_m: Float[Tensor, "H W"], reference_m: Float[Tensor, "H W"])
 
 
 def expected_depth_m(view: RenderOutput, *, alpha_min: float = 0.5) -> Float[Tensor, "H W"]:
-    """Depth of the map, metres; 0 (missing) where it has none: ``surface_depth_m`` if the map has it, else blended
-    depth / opacity where the opacity is at least ``alpha_min``."""
+    """Depth of the map, metres; 0 (missing) where it has none: ``surface_depth_m`` if the map has
+    it, else blended depth / opacity where the opacity is at least ``alpha_min``."""
     if view.surface_depth_m is not None:
         return view.surface_depth_m
     covered = view.alpha >= alpha_min
-    return torch.where(covered, view.depth_m / view.alpha.clamp_min(1e-6), torch.zeros_like(view.depth_m))
+    return torch.where(
+        covered, view.depth_m / view.alpha.clamp_min(1e-6), torch.zeros_like(view.depth_m)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,7 +296,8 @@ class ImageScores:
 
     @property
     def depth_l1_m(self) -> float | NotComputed:
-        """Mean of the per-image depth error, metres, over the views that have one (``without("depth_l1_m")``)."""
+        """Mean of the per-image depth error, metres, over the views that have one
+        (``without("depth_l1_m")``)."""
         return self.mean("depth_l1_m")
 
     @property
@@ -266,10 +308,13 @@ class ImageScores:
     def without(self, name: str) -> tuple[int, ...]:
         """Frame numbers of the views whose field ``name`` is NaN, which ``mean`` does not count."""
         values = [(row.index, getattr(row, name)) for row in self.rows]
-        return tuple(index for index, v in values if not isinstance(v, NotComputed) and math.isnan(v))
+        return tuple(
+            index for index, v in values if not isinstance(v, NotComputed) and math.isnan(v)
+        )
 
     def mean(self, name: str) -> float | NotComputed:
-        """Mean of a field of ``ViewScores`` over the views that have it, or the reason why there is none.
+        """Mean of a field of ``ViewScores`` over the views that have it, or the reason why there is
+        none.
 
         The views that it leaves out are ``without(name)``; ``as_metrics`` has their numbers.
         """
@@ -286,15 +331,23 @@ class ImageScores:
         """Why no view has the field ``name``."""
         if len(self.not_a_number) == len(self):
             return "the render of every view has a NaN"
-        return "no view has both depths" if name == "depth_l1_m" else "the images are too small for its window"
+        return (
+            "no view has both depths"
+            if name == "depth_l1_m"
+            else "the images are too small for its window"
+        )
 
     def as_metrics(self, suffix: str) -> dict[str, float | NotComputed]:
-        """The means with the names of the metrics table, for example ``psnr_held_out_db`` for suffix "held_out".
+        """The means with the names of the metrics table, for example ``psnr_held_out_db`` for
+        suffix "held_out".
 
-        If means leave views out, ``n_views_nan_held_out`` and ``n_views_no_depth_held_out`` say how many.
+        If means leave views out, ``n_views_nan_held_out`` and ``n_views_no_depth_held_out`` say how
+        many.
         """
         missing = {"nan": self.not_a_number, "no_depth": self.without("depth_l1_m")}
-        return {f"n_views_{why}_{suffix}": float(len(views)) for why, views in missing.items() if views} | {
+        return {
+            f"n_views_{why}_{suffix}": float(len(views)) for why, views in missing.items() if views
+        } | {
             f"psnr_{suffix}_db": self.psnr,
             f"ssim_{suffix}": self.ssim,
             f"lpips_{suffix}": self.mean("lpips"),
@@ -305,7 +358,8 @@ class ImageScores:
 
 
 def score_view(view: RenderOutput, frame: Frame, *, with_lpips: bool = False) -> ViewScores:
-    """Compare the map's picture of one view with the frame; arguments and scores are those of ``score_views``."""
+    """Compare the map's picture of one view with the frame; arguments and scores are those of
+    ``score_views``."""
     frame = frame.to(view.rgb.device)
     images = (view.rgb, frame.rgb)
     prepared, side = _prepared(*images), min(frame.rgb.shape[:2])
@@ -323,7 +377,9 @@ def score_view(view: RenderOutput, frame: Frame, *, with_lpips: bool = False) ->
     )
 
 
-def score_views(render_fn: RenderFn, frames: Iterable[Frame], *, with_lpips: bool = False) -> ImageScores:
+def score_views(
+    render_fn: RenderFn, frames: Iterable[Frame], *, with_lpips: bool = False
+) -> ImageScores:
     """Render every frame's view and compare it with the frame, reading the frames one by one.
 
     Args:

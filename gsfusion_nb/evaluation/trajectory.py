@@ -1,4 +1,5 @@
-"""Difference between an estimated and the true camera path: alignment, absolute and relative errors."""
+"""Difference between an estimated and the true camera path: alignment, absolute and relative
+errors."""
 
 import torch
 from jaxtyping import Float
@@ -13,8 +14,9 @@ def align_umeyama(
 ) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"]]:
     """R and t of the rigid transform that minimises  sum |target - (R source + t)|^2.
 
-    With the covariance of the centred points U D V^T:  R = U S V^T,  where S = diag(1, 1, +-1) keeps det R = +1. For
-    points on one line the rotation about it is not determined; every choice has the same residual.
+    With the covariance of the centred points U D V^T:  R = U S V^T,  where S = diag(1, 1, +-1)
+    keeps det R = +1. For points on one line the rotation about it is not determined; every choice
+    has the same residual.
 
     Args:
         source: Points to move, metres. [N, 3]
@@ -41,14 +43,19 @@ def align_umeyama(
     return R, mean_y - R @ mean_x
 
 
-def ate_rmse(estimate: Float[Tensor, "N 4 4"], reference: Float[Tensor, "N 4 4"], *, align: bool = True) -> float:
+def ate_rmse(
+    estimate: Float[Tensor, "N 4 4"],
+    reference: Float[Tensor, "N 4 4"],
+    *,
+    align: bool = True,
+) -> float:
     """Absolute trajectory error: root mean square distance of camera centres, metres.
 
     Args:
         estimate: Camera-to-world poses, one per reference pose. [N, 4, 4]
         reference: True poses. [N, 4, 4]
-        align: First align the estimate with the reference (the world frame of a map is arbitrary); False for given
-            poses.
+        align: First align the estimate with the reference (the world frame of a map is arbitrary);
+            False for given poses.
 
     Returns:
         Metres. For a camera that only rotates, the number after an alignment has no meaning.
@@ -62,7 +69,11 @@ def ate_rmse(estimate: Float[Tensor, "N 4 4"], reference: Float[Tensor, "N 4 4"]
     return float(_distances(estimate, reference, align).square().mean().sqrt())
 
 
-def _distances(estimate: Tensor, reference: Tensor, align: bool = True) -> Float[Tensor, " N"]:
+def _distances(
+    estimate: Tensor,
+    reference: Tensor,
+    align: bool = True,
+) -> Float[Tensor, " N"]:
     x, y = estimate[:, :3, 3].double(), reference[:, :3, 3].double()
     if align:
         R, t = align_umeyama(x, y)
@@ -70,7 +81,10 @@ def _distances(estimate: Tensor, reference: Tensor, align: bool = True) -> Float
     return (x - y).norm(dim=1)
 
 
-def rpe(estimate: Float[Tensor, "N 4 4"], reference: Float[Tensor, "N 4 4"]) -> tuple[float, float]:
+def rpe(
+    estimate: Float[Tensor, "N 4 4"],
+    reference: Float[Tensor, "N 4 4"],
+) -> tuple[float, float]:
     """Relative pose error over neighbouring poses:  E_i = (Q_i^-1 Q_{i+1})^-1 (P_i^-1 P_{i+1}).
 
     Args:
@@ -78,7 +92,8 @@ def rpe(estimate: Float[Tensor, "N 4 4"], reference: Float[Tensor, "N 4 4"]) -> 
         reference: True poses Q. [N, 4, 4]
 
     Returns:
-        Root mean squares of E's translation (metres) and rotation angle (degrees). No alignment is involved.
+        Root mean squares of E's translation (metres) and rotation angle (degrees). No alignment is
+        involved.
 
     Differentiable: no. Source: Sturm et al. 2012, section V-B.
     """
@@ -89,7 +104,9 @@ def rpe(estimate: Float[Tensor, "N 4 4"], reference: Float[Tensor, "N 4 4"]) -> 
     return float(E[:, :3, 3].square().sum(1).mean().sqrt()), float(angle.square().mean().sqrt())
 
 
-def trajectory_scores(estimate: Float[Tensor, "N 4 4"], reference: Float[Tensor, "N 4 4"]) -> dict[str, float]:
+def trajectory_scores(
+    estimate: Float[Tensor, "N 4 4"], reference: Float[Tensor, "N 4 4"]
+) -> dict[str, float]:
     """Absolute and relative errors of a path, named as in metrics.json.
 
     Args:

@@ -1,4 +1,5 @@
-"""Files for other programs (Gaussians, meshes, both in glTF or OpenUSD, trajectories) and checkpoints, all atomic."""
+"""Files for other programs (Gaussians, meshes, both in glTF or OpenUSD, trajectories) and
+checkpoints, all atomic."""
 
 from .checkpoint_store import CheckpointStore as CheckpointStore
 from .gaussian_ply import read_gaussian_ply as read_gaussian_ply

@@ -1,10 +1,12 @@
-"""Checkpoints of a run: each is complete, but what has not changed since the last one is not written again.
+"""Checkpoints of a run: each is complete, but what has not changed since the last one is not
+written again.
 
-For each checkpoint n a folder holds ``n.state`` (the state) and ``n.constants`` (what earlier checkpoints do not have
-of images, and of large tensors in parts of some rows), both as torch saves them, and ``n.json``, which lists every file
-that the checkpoint needs with its SHA-256. ``n.json`` is written last; until then the previous checkpoint is the valid
-one, and it is kept until the next is complete. Several checkpoints need the same ``n.constants``, so each has a copy,
-``n.copy``, which is read if it is damaged; on a disk that is nearly full there is none.
+For each checkpoint n a folder holds ``n.state`` (the state) and ``n.constants`` (what earlier
+checkpoints do not have of images, and of large tensors in parts of some rows), both as torch saves
+them, and ``n.json``, which lists every file that the checkpoint needs with its SHA-256. ``n.json``
+is written last; until then the previous checkpoint is the valid one, and it is kept until the next
+is complete. Several checkpoints need the same ``n.constants``, so each has a copy, ``n.copy``,
+which is read if it is damaged; on a disk that is nearly full there is none.
 
 No code from the files is executed when they are read.
 """
@@ -41,7 +43,8 @@ FORMAT = "gsfusion_nb checkpoint"
 VERSION = 7
 _CONSTANT, _PARTS = "$constant", "$parts"
 _COPIED_BYTES, _PART_BYTES = 1 << 16, 1 << 23
-"""Of larger tensors the memory is written as it is; still larger ones are written in parts of this size."""
+"""Of larger tensors the memory is written as it is; still larger ones are written in parts of this
+size."""
 _NAME = re.compile(r"\d{6}\.(state|constants)")
 _ROOM_FOR_COPY = 4
 """A file of constants is copied where the disk has room for so many of them."""
@@ -67,7 +70,8 @@ class CheckpointStore:
         self._number = max([0, *self._numbers()])
         self._constants: dict[int, tuple[Tensor, str]] = {}
         self._parts: dict[str, str] = {}
-        """SHA-256 of each part of a tensor in the last checkpoint -> its place, as of a constant."""
+        """SHA-256 of each part of a tensor in the last checkpoint -> its place, as of a
+        constant."""
         self._files: dict[str, str] = {}
         """SHA-256 of every file of constants that the last checkpoint needs."""
         self._sizes: dict[str, int] = {}
@@ -75,8 +79,14 @@ class CheckpointStore:
         self._before: set[str] = set()
         """Files of the last checkpoint."""
 
-    def save(self, state: dict[str, Any], *, constant: Iterable[Tensor] = ()) -> None:
-        """Write a checkpoint: nested dictionaries, lists and tuples of tensors, numbers, strings and None.
+    def save(
+        self,
+        state: dict[str, Any],
+        *,
+        constant: Iterable[Tensor] = (),
+    ) -> None:
+        """Write a checkpoint: nested dictionaries, lists and tuples of tensors, numbers, strings
+        and None.
 
         Args:
             state: What to save. Tensors on a GPU are copied to the CPU.
@@ -92,9 +102,15 @@ class CheckpointStore:
         def stored(tensor: Tensor) -> Any:
             if id(tensor) not in constants:
                 plain = _on_disk(tensor)
-                return plain if plain.nbytes <= _PART_BYTES else {_PARTS: [in_part(x) for x in _parts_of(plain)]}
+                return (
+                    plain
+                    if plain.nbytes <= _PART_BYTES
+                    else {_PARTS: [in_part(x) for x in _parts_of(plain)]}
+                )
             if id(tensor) not in used:
-                used[id(tensor)] = self._constants.get(id(tensor), (tensor, f"{number:06d}.constants {len(fresh)}"))
+                used[id(tensor)] = self._constants.get(
+                    id(tensor), (tensor, f"{number:06d}.constants {len(fresh)}")
+                )
                 if id(tensor) not in self._constants:
                     fresh[used[id(tensor)][1]] = _on_disk(tensor)
             return {_CONSTANT: used[id(tensor)][1]}
@@ -109,22 +125,35 @@ class CheckpointStore:
             return parts[digest]
 
         tree = _plain(state, "state", stored)
-        needed = {place.partition(" ")[0] for place in (*(place for _, place in used.values()), *parts.values())}
+        needed = {
+            place.partition(" ")[0]
+            for place in (*(place for _, place in used.values()), *parts.values())
+        }
         files = {name: digest for name, digest in self._files.items() if name in needed}
         if fresh:
             name = f"{number:06d}.constants"
             files[name] = self._write(name, fresh)
             self._copy(name)
         name = f"{number:06d}.state"
-        document = {"format": FORMAT, "version": VERSION, "files": files | {name: self._write(name, tree)}}
+        document = {
+            "format": FORMAT,
+            "version": VERSION,
+            "files": files | {name: self._write(name, tree)},
+        }
         write_file(self.folder / f"{number:06d}.json", json.dumps(document))
         wanted = {*document["files"], f"{number:06d}.json"}
         self._remove_all_but(_with_copies(wanted | self._before))
         self._number, self._constants, self._files, self._before = number, used, files, wanted
         self._parts = self._worth_keeping(parts, number, len(fresh))
 
-    def _worth_keeping(self, parts: dict[str, str], number: int, n_fresh: int) -> dict[str, str]:
-        """The parts without those in files of which less than half is needed: they are written again next time."""
+    def _worth_keeping(
+        self,
+        parts: dict[str, str],
+        number: int,
+        n_fresh: int,
+    ) -> dict[str, str]:
+        """The parts without those in files of which less than half is needed: they are written
+        again next time."""
         self._sizes[f"{number:06d}.constants"] = n_fresh
         of_file = Counter(place.partition(" ")[0] for place in parts.values())
         of_file.update(place.partition(" ")[0] for _, place in self._constants.values())
@@ -132,7 +161,8 @@ class CheckpointStore:
         return {digest: place for digest, place in parts.items() if place.partition(" ")[0] in kept}
 
     def load(self) -> Loaded:
-        """The latest checkpoint that is not damaged, on the CPU; its constants are read when they are used.
+        """The latest checkpoint that is not damaged, on the CPU; its constants are read when they
+        are used.
 
         Raises:
             FileNotFoundError: There is none. ValueError: All are damaged, or from another version.
@@ -147,7 +177,9 @@ class CheckpointStore:
                 problems.append(f"{path} cannot be used ({reason_of(e)})")
                 continue
             self._before = {path.name, *files}
-            return Loaded(state=state, number=number, passed_over="; ".join(problems), copies=copies)
+            return Loaded(
+                state=state, number=number, passed_over="; ".join(problems), copies=copies
+            )
         if not problems:
             raise FileNotFoundError(f"{self.folder} holds no checkpoint")
         raise ValueError("; ".join(problems))
@@ -181,11 +213,15 @@ class CheckpointStore:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
     def _copy(self, name: str) -> None:
-        """Copy a file of constants beside it, if the disk has room for it and for what comes after it."""
+        """Copy a file of constants beside it, if the disk has room for it and for what comes after
+        it."""
         size = (self.folder / name).stat().st_size
         if shutil.disk_usage(self.folder).free < _ROOM_FOR_COPY * size:
             return
-        with contextlib.suppress(DiskFullError), atomic_file(self.folder / _copy_of(name)) as temporary:
+        with (
+            contextlib.suppress(DiskFullError),
+            atomic_file(self.folder / _copy_of(name)) as temporary,
+        ):
             shutil.copyfile(self.folder / name, temporary)
 
     def _intact(self, name: str, digest: str, copies: list[str]) -> Path:
@@ -204,15 +240,21 @@ class CheckpointStore:
             except (ValueError, OSError):
                 raise e from None
             copies.append(
-                f"{self.folder / name} is damaged ({reason_of(e)}); its copy, which is intact, is used instead"
+                f"{self.folder / name} is damaged ({reason_of(e)}); its copy, which is intact, is "
+                "used instead"
             )
             return copy
 
-    def _read(self, path: Path, copies: list[str]) -> tuple[dict[str, Any], list[str]]:
+    def _read(
+        self,
+        path: Path,
+        copies: list[str],
+    ) -> tuple[dict[str, Any], list[str]]:
         document = read_object(path, "a checkpoint", objects=("files",))
         if document.get("format") != FORMAT or document.get("version") != VERSION:
             raise ValueError(
-                f"expected a {FORMAT} of version {VERSION}, got version {shown(document.get('version'))}: map again, "
+                f"expected a {FORMAT} of version {VERSION}, got version "
+                f"{shown(document.get('version'))}: map again, "
                 "or continue with the version of gsfusion_nb that began the run"
             )
         constants: dict[str, Tensor] = {}
@@ -222,7 +264,9 @@ class CheckpointStore:
             source = self._intact(name, digest, copies)
             with open_regular(source, "a part of a checkpoint") as file:
                 mapped = sys.platform != "win32"  # more than memory may hold
-                content = torch.load(source if mapped else file, map_location="cpu", weights_only=True, mmap=mapped)
+                content = torch.load(
+                    source if mapped else file, map_location="cpu", weights_only=True, mmap=mapped
+                )
                 _check_buffers(content, name)
             used.append(source)
             if name.endswith(".constants"):
@@ -232,7 +276,9 @@ class CheckpointStore:
         size = sum(source.stat().st_size for source in used)
         joined = _joined_bytes(state, constants)
         if joined > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
-            raise ValueError(f"its files of {size / 1e6:.1f} MB ask for {joined / 1e9:.1f} GB of memory")
+            raise ValueError(
+                f"its files of {size / 1e6:.1f} MB ask for {joined / 1e9:.1f} GB of memory"
+            )
         return _whole(state, constants), list(document["files"])
 
     def _remove_all_but(self, wanted: set[str]) -> None:
@@ -253,15 +299,21 @@ def _with_copies(names: set[str]) -> set[str]:
 
 
 def _checked(path: Path, digest: str) -> Path:
-    """The path, if the content of the file has this SHA-256. Raises ``ValueError`` if it has not."""
+    """The path, if the content of the file has this SHA-256. Raises ``ValueError`` if it has
+    not."""
     with open_regular(path, "a part of a checkpoint") as file:
         if hashlib.file_digest(file, "sha256").hexdigest() != digest:
             raise ValueError(f"the checksum of {path.name} is wrong")
     return path
 
 
-def _plain(value: Any, name: str, stored: Callable[[Tensor], Any]) -> Any:
-    """``value`` with what is ``stored`` in place of each tensor. Raises ``TypeError`` for what cannot be saved."""
+def _plain(
+    value: Any,
+    name: str,
+    stored: Callable[[Tensor], Any],
+) -> Any:
+    """``value`` with what is ``stored`` in place of each tensor. Raises ``TypeError`` for what
+    cannot be saved."""
     if isinstance(value, Tensor):
         return stored(value)
     if value is None or type(value) in (bool, int, float, str):
@@ -274,7 +326,8 @@ def _plain(value: Any, name: str, stored: Callable[[Tensor], Any]) -> Any:
     if type(value) in (list, tuple):
         return type(value)(_plain(v, f"{name}[{i}]", stored) for i, v in enumerate(value))
     raise TypeError(
-        f"{name} must be a tensor, number, string, None, or a dict, list or tuple of those, got {type(value)}"
+        f"{name} must be a tensor, number, string, None, or a dict, list or tuple of those, got "
+        f"{type(value)}"
     )
 
 
@@ -294,12 +347,19 @@ class _GivesBack:
 
 
 def _parts_of(tensor: Tensor) -> Sequence[Tensor]:
-    return [_on_disk(part) for part in tensor.split(max(1, _PART_BYTES * len(tensor) // tensor.nbytes))]
+    return [
+        _on_disk(part) for part in tensor.split(max(1, _PART_BYTES * len(tensor) // tensor.nbytes))
+    ]
 
 
 def _joined(parts: list[Tensor]) -> Tensor:
     sizes, first = [len(part) for part in parts], parts[0]
-    whole = MAP_MEMORY.rows(sum(sizes), *first.shape[1:], dtype=first.dtype, device=first.device)
+    whole = MAP_MEMORY.rows(
+        sum(sizes),
+        *first.shape[1:],
+        dtype=first.dtype,
+        device=first.device,
+    )
     for place, part in zip(whole.split(sizes), parts, strict=True):
         place.copy_(part)
         MAP_MEMORY.give_back()
@@ -311,15 +371,20 @@ def _on_disk(tensor: Tensor) -> Tensor:
     plain = tensor.detach().cpu().contiguous()
     if plain.nbytes < _COPIED_BYTES:
         return plain.clone()
-    values = torch.from_numpy(plain.view(-1).view(torch.uint8).numpy())  # NumPy does not know all types
+    values = torch.from_numpy(
+        plain.view(-1).view(torch.uint8).numpy()
+    )  # NumPy does not know all types
     return values.view(plain.dtype).view(plain.shape)
 
 
 def _check_buffers(value: Any, name: str) -> None:
-    """Raise ``ValueError`` for a tensor that stands for more memory than it has, as one with a stride of 0."""
+    """Raise ``ValueError`` for a tensor that stands for more memory than it has, as one with a
+    stride of 0."""
     if isinstance(value, Tensor):
         if value.nbytes > value.untyped_storage().nbytes():
-            raise ValueError(f"{name} has a tensor {list(value.shape)} of more values than are stored for it")
+            raise ValueError(
+                f"{name} has a tensor {list(value.shape)} of more values than are stored for it"
+            )
     elif isinstance(value, dict):
         for part in value.values():
             _check_buffers(part, name)
@@ -329,7 +394,8 @@ def _check_buffers(value: Any, name: str) -> None:
 
 
 def _joined_bytes(value: Any, constants: dict[str, Tensor]) -> int:
-    """Memory that the tensors in parts take when they are joined; a part may occur several times."""
+    """Memory that the tensors in parts take when they are joined; a part may occur several
+    times."""
     if isinstance(value, dict):
         if _PARTS in value:
             return sum(constants[place].nbytes for place in value[_PARTS])

@@ -1,4 +1,5 @@
-"""What a file of Gaussians says about the meaning of its numbers: by its first bytes, properties and comments."""
+"""What a file of Gaussians says about the meaning of its numbers: by its first bytes, properties
+and comments."""
 
 import re
 from pathlib import Path
@@ -26,7 +27,9 @@ _PACKED = {".spz": "SPZ", ".splat": "splat", ".ksplat": "ksplat", ".sog": "SOG"}
 _MAGIC = {b"\x1f\x8b": ".spz", b"NGSP": ".spz", b"PK\x03\x04": ".sog"}
 _CONVERTER = "npx @playcanvas/splat-transform"
 _OTHER_KINDS = {
-    "anchors of Scaffold-GS, of which a network makes Gaussians": re.compile(r"f_anchor_feat_\d+|f_offset_\d+"),
+    "anchors of Scaffold-GS, of which a network makes Gaussians": re.compile(
+        r"f_anchor_feat_\d+|f_offset_\d+"
+    ),
     "Gaussians that move in time": re.compile(
         r"t|time|t_scale|scale_t|trbf_\w+|motion_\d+|omega_\d+|rot_r_\d+|f_t_\d+"
     ),
@@ -42,34 +45,41 @@ _MODE = re.compile(r"\s*(?:SplatRenderMode:\s*(\S+)|antialiased\s+(\d+))\s*", re
 
 
 def refuse_packed(path: Path, what: str) -> None:
-    """Raise ``SequenceError`` for Gaussians that are packed otherwise than as PLY; names what makes a PLY of them."""
+    """Raise ``SequenceError`` for Gaussians that are packed otherwise than as PLY; names what makes
+    a PLY of them."""
     with open_regular(path, what) as file:
         head = file.read(4)
-    suffix = next((suffix for magic, suffix in _MAGIC.items() if head.startswith(magic)), path.suffix.lower())
+    suffix = next(
+        (suffix for magic, suffix in _MAGIC.items() if head.startswith(magic)),
+        path.suffix.lower(),
+    )
     if suffix in _PACKED and not head.startswith(b"ply"):
         raise SequenceError(
-            f"{path} is a {_PACKED[suffix]} file; expected {what}, as this makes one: {_CONVERTER} {path.name} "
-            f"{path.stem}.ply"
+            f"{path} is a {_PACKED[suffix]} file; expected {what}, as this makes one: {_CONVERTER} "
+            f"{path.name} {path.stem}.ply"
         )
 
 
 def needed_columns(path: Path, ply: Any, what: str) -> list[str]:
-    """Names of the properties that make the Gaussians, with that of a smoothing filter where there is one.
+    """Names of the properties that make the Gaussians, with that of a smoothing filter where there
+    is one.
 
     Raises:
-        ValueError: one is missing, or the file holds another kind of Gaussians, which the message names.
+        ValueError: one is missing, or the file holds another kind of Gaussians, which the message
+            names.
     """
     present = _properties(ply)
     if "chunk" in ply and any(name.startswith("packed_") for name in present):
         raise SequenceError(
-            f"{path} is a compressed PLY; expected {what} as trained, as this makes one: {_CONVERTER} {path.name} "
-            "plain.ply"
+            f"{path} is a compressed PLY; expected {what} as trained, as this makes one: "
+            f"{_CONVERTER} {path.name} plain.ply"
         )
     for kind, pattern in _OTHER_KINDS.items():
         found = [name for name in present if pattern.fullmatch(name)]
         if found:
             raise SequenceError(
-                f"{path} holds {kind} (property {found[0]}); expected Gaussians that stand for themselves"
+                f"{path} holds {kind} (property {found[0]}); expected Gaussians that stand for "
+                "themselves"
             )
     n_rest = sum(name.startswith("f_rest_") for name in present)
     rest = [f"f_rest_{i}" for i in range(n_rest)]
@@ -77,13 +87,15 @@ def needed_columns(path: Path, ply: Any, what: str) -> list[str]:
     lacking = [name for name in needed if name not in present]
     if lacking == ["scale_2"]:
         raise SequenceError(
-            f"{path} holds flat Gaussians of 2D Gaussian Splatting (2DGS), which have no scale_2 and are drawn by "
-            "other equations; expected Gaussians with three scales"
+            f"{path} holds flat Gaussians of 2D Gaussian Splatting (2DGS), which have no scale_2 "
+            "and are drawn by other equations; expected Gaussians with three scales"
         )
     if lacking:
         raise ValueError(f"{path} has no properties {', '.join(lacking)}; expected {what}")
     if n_rest not in (0, 9, 24, N_REST):
-        raise ValueError(f"{path} must have 0, 9, 24 or 45 f_rest properties (degree 0 to 3), got {n_rest}")
+        raise ValueError(
+            f"{path} must have 0, 9, 24 or 45 f_rest properties (degree 0 to 3), got {n_rest}"
+        )
     filters = filter_column(present)
     return [*needed, filters] if filters else needed
 
@@ -99,15 +111,21 @@ def notes_on_meaning(ply: Any) -> list[str]:
     present = _properties(ply)
     filters = filter_column(present)
     if filters:
-        notes.append(f"{filters} was applied: the Gaussians are as wide as their trainer smooths them")
+        notes.append(
+            f"{filters} was applied: the Gaussians are as wide as their trainer smooths them"
+        )
     modes = [match for comment in ply.comments if (match := _MODE.fullmatch(comment))]
     mode = (modes[-1][1] or ("mip" if int(modes[-1][2]) else "default")) if modes else "default"
     if mode.lower() != "default":
         notes.append(
-            f"it was trained for the render mode {mode[:40]}, which this package does not have: Gaussians smaller than "
-            "a pixel are drawn stronger than they should be"
+            f"it was trained for the render mode {mode[:40]}, which this package does not have: "
+            "Gaussians smaller than a pixel are drawn stronger than they should be"
         )
-    unknown = [name for name in present if name not in (*NAMES, filters) and not _BESIDE.fullmatch(name.lower())]
+    unknown = [
+        name
+        for name in present
+        if name not in (*NAMES, filters) and not _BESIDE.fullmatch(name.lower())
+    ]
     if unknown:
         notes.append(f"the properties {', '.join(unknown[:8])} are not known and not used")
     return notes

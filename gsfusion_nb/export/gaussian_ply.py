@@ -1,10 +1,13 @@
-"""PLY files of 3D Gaussian splatting, which public viewers can open (layout of Kerbl et al. 2023's released code).
+"""PLY files of 3D Gaussian splatting, which public viewers can open (layout of Kerbl et al. 2023's
+released code).
 
 Gaussians are binary little endian, 62 float32 properties, 248 bytes each, before activation:
-``x y z nx ny nz f_dc_0..2 f_rest_0..44 opacity scale_0..2 rot_0..3``. Normals are 0; ``f_rest`` holds 15 coefficients
-of red, then 15 of green, then 15 of blue; opacity is a logit, scales are logarithms, the quaternion is wxyz.
+``x y z nx ny nz f_dc_0..2 f_rest_0..44 opacity scale_0..2 rot_0..3``. Normals are 0; ``f_rest``
+holds 15 coefficients of red, then 15 of green, then 15 of blue; opacity is a logit, scales are
+logarithms, the quaternion is wxyz.
 
-Files of other trainers may say more: a smoothing filter of each Gaussian, a mode of rendering, float64 places.
+Files of other trainers may say more: a smoothing filter of each Gaussian, a mode of rendering,
+float64 places.
 """
 
 import logging
@@ -49,8 +52,8 @@ _WHAT = "a PLY file of Gaussians"
 def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
     """Write a Gaussian map in the standard layout, atomically.
 
-    Colours of a lower SH degree are padded with zero coefficients to degree 3, which looks the same and can be opened
-    by every viewer.
+    Colours of a lower SH degree are padded with zero coefficients to degree 3, which looks the same
+    and can be opened by every viewer.
 
     Raises:
         ValueError: The SH degree is above 3.
@@ -59,7 +62,9 @@ def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
 
     n, coefficients = params.sh.shape[:2]
     if coefficients not in (1, 4, 9, 16):
-        raise ValueError(f"sh must have 1, 4, 9 or 16 coefficients (degree 0 to 3), got {coefficients}")
+        raise ValueError(
+            f"sh must have 1, 4, 9 or 16 coefficients (degree 0 to 3), got {coefficients}"
+        )
     sh = params.sh.detach()
     rest = sh.new_zeros(n, 3, 15)
     rest[:, :, : coefficients - 1] = sh[:, 1:].transpose(1, 2)  # by channel, then coefficient
@@ -72,24 +77,37 @@ def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
         params.log_scale,
         params.quat,
     ]
-    table = torch.cat([c.detach().to("cpu", torch.float32) for c in columns], dim=1).contiguous().numpy()
+    table = (
+        torch.cat(
+            [c.detach().to("cpu", torch.float32) for c in columns],
+            dim=1,
+        )
+        .contiguous()
+        .numpy()
+    )
     rows = table.astype("<f4", copy=False).view([(name, "<f4") for name in NAMES]).reshape(n)
     with atomic_file(path) as temporary:
-        PlyData([PlyElement.describe(rows, "vertex")], text=False, byte_order="<").write(str(temporary))
+        PlyData([PlyElement.describe(rows, "vertex")], text=False, byte_order="<").write(
+            str(temporary)
+        )
 
 
-def read_gaussian_ply(path: str | Path, *, strict: bool = False, keep_place: bool = False) -> GaussianParams:
-    """Read a Gaussian map written by this or another program; 0, 9, 24 or 45 ``f_rest`` properties give degree 0 to 3.
+def read_gaussian_ply(
+    path: str | Path, *, strict: bool = False, keep_place: bool = False
+) -> GaussianParams:
+    """Read a Gaussian map written by this or another program; 0, 9, 24 or 45 ``f_rest`` properties
+    give degree 0 to 3.
 
-    The order of the properties, their types and the byte order do not matter. What changes the meaning of others is
-    applied or refused by name, and a warning of the log says what was done:
+    The order of the properties, their types and the byte order do not matter. What changes the
+    meaning of others is applied or refused by name, and a warning of the log says what was done:
 
-    - ``filter_3D`` (Mip-Splatting, Gaussian Opacity Fields) widens each Gaussian and lowers its opacity (Yu et al.
-      2024, Eq. 9).
+    - ``filter_3D`` (Mip-Splatting, Gaussian Opacity Fields) widens each Gaussian and lowers its
+      opacity (Yu et al. 2024, Eq. 9).
     - float64 places that float32 would round, as of a survey, are moved by whole metres.
-    - Rows that are no Gaussians (NaN, a quaternion of 0, beyond ``FARTHEST``) are left out and counted. An infinite
-      logit of opacity is an opaque Gaussian.
-    - A mode of rendering that the file names (``SplatRenderMode: mip``) is named, because this package has only one.
+    - Rows that are no Gaussians (NaN, a quaternion of 0, beyond ``FARTHEST``) are left out and
+      counted. An infinite logit of opacity is an opaque Gaussian.
+    - A mode of rendering that the file names (``SplatRenderMode: mip``) is named, because this
+      package has only one.
 
     Args:
         path: The file.
@@ -97,9 +115,10 @@ def read_gaussian_ply(path: str | Path, *, strict: bool = False, keep_place: boo
         keep_place: Refuse the file where places would have to be moved.
 
     Raises:
-        FileNotFoundError: The file does not exist. ValueError: The file is not a PLY file of Gaussians, is truncated,
-            or holds Gaussians of another kind or none at all; the message names the missing part, the kind, or the
-            first bad row. Of packed formats it names a converter.
+        FileNotFoundError: The file does not exist. ValueError: The file is not a PLY file of
+            Gaussians, is truncated, or holds Gaussians of another kind or none at all; the message
+            names the missing part, the kind, or the first bad row. Of packed formats it names a
+            converter.
     """
     path = Path(path)
     refuse_packed(path, _WHAT)
@@ -113,8 +132,8 @@ def read_gaussian_ply(path: str | Path, *, strict: bool = False, keep_place: boo
         table |= dict(zip(PLACE, place.astype(np.float32).T, strict=True))
     if moved_m.any() and keep_place:
         raise SequenceError(
-            f"{path} has places near ({', '.join(f'{v:.0f}' for v in moved_m)}), which float32 would round; expected "
-            "places not far from 0, in the frame of the poses"
+            f"{path} has places near ({', '.join(f'{v:.0f}' for v in moved_m)}), which float32 "
+            "would round; expected places not far from 0, in the frame of the poses"
         )
     notes += _notes_on_places(data, moved_m)
     _make_finite(table)
@@ -125,15 +144,22 @@ def read_gaussian_ply(path: str | Path, *, strict: bool = False, keep_place: boo
     for rows, _ in bad.values():
         kept &= ~rows
     if bad:
-        told = "; ".join(f"{int(rows.sum())} {why}, the first in row {rows.argmax()}" for why, (rows, _) in bad.items())
+        told = "; ".join(
+            f"{int(rows.sum())} {why}, the first in row {rows.argmax()}"
+            for why, (rows, _) in bad.items()
+        )
         notes.append(f"{int((~kept).sum()):,} of {len(kept):,} Gaussians were left out: {told}")
     for note in notes:
         log.warning("%s: %s", path, note)
-    return _filtered({name: column[kept] for name, column in table.items()}, filter_column(names))
+    return _filtered(
+        {name: column[kept] for name, column in table.items()},
+        filter_column(names),
+    )
 
 
 def _places(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places, float64, and the whole metres that were subtracted, so that float32 holds them. [N, 3], [3]"""
+    """Places, float64, and the whole metres that were subtracted, so that float32 holds them. [N,
+    3], [3]"""
     place = np.stack([data[axis].astype(np.float64) for axis in PLACE], axis=1)
     known = place[(np.abs(place) <= FARTHEST).all(axis=1)]
     rounded = np.abs(known - known.astype(np.float32)).max(initial=0.0, axis=0)
@@ -147,7 +173,10 @@ def _notes_on_places(data: np.ndarray, moved_m: np.ndarray) -> list[str]:
     if moved_m.any():
         by = ", ".join(f"{v:.0f}" for v in np.negative(moved_m) + 0.0)
         return [f"places were moved by ({by}), because float32 would round them"]
-    farthest = max((float(np.abs(data[axis][np.isfinite(data[axis])]).max(initial=0.0)) for axis in PLACE), default=0.0)
+    farthest = max(
+        (float(np.abs(data[axis][np.isfinite(data[axis])]).max(initial=0.0)) for axis in PLACE),
+        default=0.0,
+    )
     step = float(np.spacing(np.float32(min(farthest, FARTHEST))))
     if step < COARSE_FILE_M:
         return []
@@ -163,7 +192,8 @@ def _make_finite(table: dict[str, np.ndarray]) -> None:
 
 
 def _bad_rows(table: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, str]]:
-    """Rows that are no Gaussians: why, which they are, and a clause on the first; only reasons that occur."""
+    """Rows that are no Gaussians: why, which they are, and a clause on the first; only reasons that
+    occur."""
     found = {}
     counted = np.zeros(len(table["opacity"]), dtype=bool)
     unknown = counted.copy()
@@ -183,12 +213,17 @@ def _bad_rows(table: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, str]]
         rows = wrong & ~counted
         counted |= rows
         if rows.any():
-            clause = first if wrong is unknown else f"has {reason} in row {rows.argmax()} of Gaussians"
+            clause = (
+                first if wrong is unknown else f"has {reason} in row {rows.argmax()} of Gaussians"
+            )
             found[f"with {reason}"] = (rows, clause)
     return found
 
 
-def _stacked(table: dict[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
+def _stacked(
+    table: dict[str, np.ndarray],
+    names: tuple[str, ...],
+) -> np.ndarray:
     out = np.empty((len(table["opacity"]), len(names)), dtype=np.float32)
     for i, name in enumerate(names):
         out[:, i] = table[name]
@@ -196,8 +231,9 @@ def _stacked(table: dict[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray
 
 
 def _filtered(table: dict[str, np.ndarray], filter_name: str) -> GaussianParams:
-    """The Gaussians of the columns; with the 3D smoothing filter of Mip-Splatting (Yu et al. 2024, Eq. 9) if there is
-    one, whose column holds its standard deviation f: Sigma' = Sigma + f^2 I, o' = o sqrt(|Sigma| / |Sigma'|)."""
+    """The Gaussians of the columns; with the 3D smoothing filter of Mip-Splatting (Yu et al. 2024,
+    Eq. 9) if there is one, whose column holds its standard deviation f: Sigma' = Sigma + f^2 I, o'
+    = o sqrt(|Sigma| / |Sigma'|)."""
     log_scale = torch.from_numpy(_stacked(table, SCALES))
     opacity_logit = torch.from_numpy(table["opacity"].copy())
     if filter_name:
@@ -215,5 +251,7 @@ def _filtered(table: dict[str, np.ndarray], filter_name: str) -> GaussianParams:
         log_scale=log_scale,
         quat=torch.from_numpy(_stacked(table, QUATERNION)),
         opacity_logit=opacity_logit,
-        sh=torch.cat([constant[:, None], rest.reshape(len(rest), 3, n_rest // 3).transpose(1, 2)], dim=1),
+        sh=torch.cat(
+            [constant[:, None], rest.reshape(len(rest), 3, n_rest // 3).transpose(1, 2)], dim=1
+        ),
     )

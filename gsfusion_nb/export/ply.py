@@ -14,12 +14,18 @@ from ..files import SequenceError, atomic_file, open_regular, parsing
 from ..types import Mesh
 
 
-def _check_rows(path: Path, columns: np.ndarray, names: tuple[str, ...]) -> None:
-    """Raise ``SequenceError`` if a row of ``columns`` [N, C] contains NaN or infinities; names the first."""
+def _check_rows(
+    path: Path,
+    columns: np.ndarray,
+    names: tuple[str, ...],
+) -> None:
+    """Raise ``SequenceError`` if a row of ``columns`` [N, C] contains NaN or infinities; names the
+    first."""
     if (bad := np.argwhere(~np.isfinite(columns))).size:
         row, column = bad[0]
         raise SequenceError(
-            f"{path} contains NaN or infinities, the first is {names[column]} of row {row}; expected finite numbers"
+            f"{path} contains NaN or infinities, the first is {names[column]} of row {row}; "
+            "expected finite numbers"
         )
 
 
@@ -47,7 +53,8 @@ _ROWS = 1 << 18
 
 
 def write_mesh_ply(path: str | Path, mesh: Mesh) -> None:
-    """Write a mesh, atomically. Colours are rounded to 8 bits. MeshLab, Blender, Open3D and PyVista can read it."""
+    """Write a mesh, atomically. Colours are rounded to 8 bits. MeshLab, Blender, Open3D and PyVista
+    can read it."""
     header = [
         "ply",
         "format binary_little_endian 1.0",
@@ -60,10 +67,16 @@ def write_mesh_ply(path: str | Path, mesh: Mesh) -> None:
     ]
     with atomic_file(path) as temporary, temporary.open("wb") as file:
         file.write("\n".join([*header, ""]).encode("ascii"))
-        for xyz, rgb in zip(mesh.vertices_W.split(_ROWS), mesh.rgb.split(_ROWS), strict=True):
+        for xyz, rgb in zip(
+            mesh.vertices_W.split(_ROWS),
+            mesh.rgb.split(_ROWS),
+            strict=True,
+        ):
             vertices = np.zeros(len(xyz), dtype=_VERTEX)
             vertices["xyz"] = xyz.detach().cpu().numpy()
-            vertices["rgb"] = (rgb.detach().clamp(0, 1) * 255).round().to("cpu", torch.uint8).numpy()
+            vertices["rgb"] = (
+                (rgb.detach().clamp(0, 1) * 255).round().to("cpu", torch.uint8).numpy()
+            )
             file.write(vertices.tobytes())
         for part in mesh.faces.split(_ROWS):
             faces = np.zeros(len(part), dtype=_FACE)
@@ -76,16 +89,21 @@ def read_mesh_ply(path: str | Path) -> Mesh:
     """Read a triangle mesh written by this or another program; without colours it is grey (0.5).
 
     Raises:
-        FileNotFoundError: The file does not exist. ValueError: The file is not a PLY file of a triangle mesh, contains
-            NaN or infinities, or has faces with vertices that do not exist.
+        FileNotFoundError: The file does not exist. ValueError: The file is not a PLY file of a
+            triangle mesh, contains NaN or infinities, or has faces with vertices that do not exist.
     """
     path, what = Path(path), "a PLY file of a mesh"
     ply = read_ply(path, what, known_list_len={"face": dict.fromkeys(_FACE_LISTS, 3)})
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names or ()):
-        raise ValueError(f"{path} has no element 'vertex' with x, y, z; expected a PLY file of a mesh")
+        raise ValueError(
+            f"{path} has no element 'vertex' with x, y, z; expected a PLY file of a mesh"
+        )
     vertex = ply["vertex"].data
     with parsing(path, what), np.errstate(over="ignore"):
-        xyz = np.stack([vertex[axis].astype(np.float32) for axis in "xyz"], axis=-1)
+        xyz = np.stack(
+            [vertex[axis].astype(np.float32) for axis in "xyz"],
+            axis=-1,
+        )
         rgb = np.full((len(vertex), 3), 0.5, dtype=np.float32)
         if {"red", "green", "blue"} <= set(vertex.dtype.names):
             colour = np.stack([vertex[c] for c in ("red", "green", "blue")], axis=-1)
@@ -94,7 +112,11 @@ def read_mesh_ply(path: str | Path) -> Mesh:
     _check_rows(path, rgb, ("red", "green", "blue"))
     faces = _triangles(ply, path)
     try:
-        return Mesh(vertices_W=torch.from_numpy(xyz), faces=faces, rgb=torch.from_numpy(rgb).to(torch.float32))
+        return Mesh(
+            vertices_W=torch.from_numpy(xyz),
+            faces=faces,
+            rgb=torch.from_numpy(rgb).to(torch.float32),
+        )
     except ValueError as e:
         raise SequenceError(f"{path}: {e}") from None
 
@@ -105,15 +127,21 @@ def _triangles(ply, path: Path) -> torch.Tensor:
     data = ply["face"].data
     name = next((n for n in _FACE_LISTS if n in data.dtype.names), None)
     if name is None:
-        raise ValueError(f"{path} has no face property vertex_indices; expected a PLY file of a mesh")
+        raise ValueError(
+            f"{path} has no face property vertex_indices; expected a PLY file of a mesh"
+        )
     column = data[name]
     if column.dtype == object:
         sizes = {len(face) for face in column}
         if sizes != {3}:
             raise ValueError(
-                f"{path} must contain only triangles, got faces with {', '.join(map(str, sorted(sizes)))} vertices"
+                f"{path} must contain only triangles, got faces with "
+                f"{', '.join(map(str, sorted(sizes)))} vertices"
             )
         column = np.stack(list(column))
     if column.dtype.kind not in "iu" or int(column.max()) >= 2**31:
-        raise ValueError(f"{path} must have whole vertex numbers below 2^31, got {column.dtype} up to {column.max()}")
+        raise ValueError(
+            f"{path} must have whole vertex numbers below 2^31, got {column.dtype} up to "
+            f"{column.max()}"
+        )
     return torch.from_numpy(np.array(column, dtype=np.int32))

@@ -1,9 +1,10 @@
 """The TSDF in a run's folder, ``tsdf.npz``: what the pictures of a map need that draws its surface.
 
-A compressed numpy archive with the observed voxels only: ``block_coords`` [B, 3] int32, ``observed`` [B, 64] (512 bits
-a block, the first voxel in the highest bit), and for the V observed voxels, block by block, ``D`` [V] int16 in
-multiples of 1/32767, ``W`` [V] float16 and ``rgb`` [3, V] uint8. ``voxel_size_m`` and ``truncation_m`` say how large
-they are. The rounding of D is 1/32767 of the truncation distance; that of a colour is half a level of 255.
+A compressed numpy archive with the observed voxels only: ``block_coords`` [B, 3] int32,
+``observed`` [B, 64] (512 bits a block, the first voxel in the highest bit), and for the V observed
+voxels, block by block, ``D`` [V] int16 in multiples of 1/32767, ``W`` [V] float16 and ``rgb`` [3,
+V] uint8. ``voxel_size_m`` and ``truncation_m`` say how large they are. The rounding of D is 1/32767
+of the truncation distance; that of a colour is half a level of 255.
 """
 
 import math
@@ -16,7 +17,14 @@ import torch
 from torch import Tensor
 
 from ..config import TsdfConfig, to_dict
-from ..files import LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE, SequenceError, atomic_file, open_regular, parsing
+from ..files import (
+    LEAST_MEMORY_BYTES,
+    MOST_MEMORY_PER_BYTE,
+    SequenceError,
+    atomic_file,
+    open_regular,
+    parsing,
+)
 from ..tsdf import TsdfVolume
 from ..tsdf.block_pool import VOXELS_PER_BLOCK
 
@@ -32,7 +40,9 @@ def write_tsdf(path: str | Path, volume: TsdfVolume) -> None:
     """Write the observed voxels of a volume, atomically; about 4 bytes for each."""
     observed = volume.W > 0
     place = observed.view(-1).nonzero()[:, 0]
-    in_planes = place + place // VOXELS_PER_BLOCK * (2 * VOXELS_PER_BLOCK)  # a block has three planes of colour
+    in_planes = place + place // VOXELS_PER_BLOCK * (
+        2 * VOXELS_PER_BLOCK
+    )  # a block has three planes of colour
     rgb = volume.rgb_planes.reshape(-1)
     planes = [rgb[in_planes + k * VOXELS_PER_BLOCK] for k in range(3)]
     columns = {
@@ -40,9 +50,15 @@ def write_tsdf(path: str | Path, volume: TsdfVolume) -> None:
         "truncation_m": np.float64(volume.config.truncation_m),
         "block_coords": volume.block_coords.cpu().numpy().astype("<i4"),
         "observed": np.packbits(observed.cpu().numpy(), axis=1),
-        "D": _levels(volume.D.view(-1)[place], D_LEVELS).to(torch.int16).cpu().numpy().astype("<i2"),
+        "D": _levels(volume.D.view(-1)[place], D_LEVELS)
+        .to(torch.int16)
+        .cpu()
+        .numpy()
+        .astype("<i2"),
         "W": _half(volume.W.view(-1)[place]).cpu().numpy().astype("<f2"),
-        "rgb": torch.stack([_levels(plane, RGB_LEVELS).to(torch.uint8) for plane in planes]).cpu().numpy(),
+        "rgb": torch.stack([_levels(plane, RGB_LEVELS).to(torch.uint8) for plane in planes])
+        .cpu()
+        .numpy(),
     }
     with atomic_file(path) as temporary, zipfile.ZipFile(temporary, "w", **_FAST) as archive:
         for name, values in columns.items():
@@ -50,32 +66,47 @@ def write_tsdf(path: str | Path, volume: TsdfVolume) -> None:
                 np.lib.format.write_array(file, np.asanyarray(values), allow_pickle=False)
 
 
-def read_tsdf(path: str | Path, config: TsdfConfig, device: torch.device | str = "cpu") -> TsdfVolume:
+def read_tsdf(
+    path: str | Path, config: TsdfConfig, device: torch.device | str = "cpu"
+) -> TsdfVolume:
     """The volume that ``write_tsdf`` wrote; what was not observed is as in a new block.
 
     Args:
         path: The file.
-        config: Settings of the volume; they must give the voxels the size that they have in the file.
+        config: Settings of the volume; they must give the voxels the size that they have in the
+            file.
         device: Device of the volume.
 
     Raises:
-        FileNotFoundError: no such file. ValueError: another file, a damaged one, or voxels of another size.
+        FileNotFoundError: no such file. ValueError: another file, a damaged one, or voxels of
+            another size.
     """
     path = Path(path)
-    with open_regular(path, WHAT) as file, parsing(path, WHAT), np.load(file, allow_pickle=False) as archive:
+    with (
+        open_regular(path, WHAT) as file,
+        parsing(path, WHAT),
+        np.load(file, allow_pickle=False) as archive,
+    ):
         _check_memory(path, sum(entry.file_size for entry in archive.zip.infolist()))
         _check_arrays(path, archive)
-        for name, wanted in (("voxel_size_m", config.voxel_size_m), ("truncation_m", config.truncation_m)):
+        for name, wanted in (
+            ("voxel_size_m", config.voxel_size_m),
+            ("truncation_m", config.truncation_m),
+        ):
             if not math.isclose(float(archive[name]), wanted, rel_tol=1e-9):
                 raise SequenceError(
-                    f"{path} has {name} {float(archive[name]):g}, but the settings of the run say {wanted:g}"
+                    f"{path} has {name} {float(archive[name]):g}, but the settings of the run say "
+                    f"{wanted:g}"
                 )
         coords = archive["block_coords"]
         _check_memory(path, len(coords) * _BLOCK_BYTES)
         D, W, rgb = (archive[name] for name in ("D", "W", "rgb"))
         observed = torch.from_numpy(np.unpackbits(archive["observed"], axis=1).astype(bool))
     n = len(coords)
-    columns: dict[str, Any] = {"D": torch.ones(n, VOXELS_PER_BLOCK), "W": torch.zeros(n, VOXELS_PER_BLOCK)}
+    columns: dict[str, Any] = {
+        "D": torch.ones(n, VOXELS_PER_BLOCK),
+        "W": torch.zeros(n, VOXELS_PER_BLOCK),
+    }
     planes = torch.zeros(3, n, VOXELS_PER_BLOCK)
     volume = TsdfVolume(config, device)
     with parsing(path, WHAT):
@@ -83,7 +114,10 @@ def read_tsdf(path: str | Path, config: TsdfConfig, device: torch.device | str =
         columns["W"][observed] = torch.from_numpy(W.astype(np.float32))
         for plane, values in zip(planes, rgb, strict=True):
             plane[observed] = torch.from_numpy(values.astype(np.float32)) / RGB_LEVELS
-        state = columns | {"rgb": planes.transpose(0, 1).contiguous(), "block_coords": torch.from_numpy(coords)}
+        state = columns | {
+            "rgb": planes.transpose(0, 1).contiguous(),
+            "block_coords": torch.from_numpy(coords),
+        }
         volume.load_state_dict({"config": to_dict(config), **state})
     return volume
 
@@ -103,7 +137,8 @@ _BITS = np.array([number.bit_count() for number in range(256)], np.uint8)
 
 
 def _check_arrays(path: Path, archive: Any) -> None:
-    """Raise ``SequenceError`` unless the arrays are those of ``write_tsdf``, of sizes that agree, with its values."""
+    """Raise ``SequenceError`` unless the arrays are those of ``write_tsdf``, of sizes that agree,
+    with its values."""
     sizes: dict[str, int] = {}
     for name, (kind, shape) in _ARRAYS.items():
         if name not in archive.files:
@@ -113,20 +148,28 @@ def _check_arrays(path: Path, archive: Any) -> None:
         wanted = shape
         if fits:
             named = zip(shape, array.shape, strict=True)
-            wanted = tuple(sizes.setdefault(n, size) if isinstance(n, str) else n for n, size in named)
+            wanted = tuple(
+                sizes.setdefault(n, size) if isinstance(n, str) else n for n, size in named
+            )
         if not fits or array.shape != wanted:
             raise SequenceError(
-                f"{path}: {name} is {list(array.shape)} of {array.dtype}, expected {list(wanted)} of "
-                f"{np.dtype(kind)}; expected {WHAT}"
+                f"{path}: {name} is {list(array.shape)} of {array.dtype}, expected {list(wanted)} "
+                f"of {np.dtype(kind)}; expected {WHAT}"
             )
     n_observed = int(_BITS[archive["observed"]].sum(dtype=np.int64))
     if n_observed != sizes["V"]:
-        raise SequenceError(f"{path} marks {n_observed} voxels as observed, but has the values of {sizes['V']}")
+        raise SequenceError(
+            f"{path} marks {n_observed} voxels as observed, but has the values of {sizes['V']}"
+        )
     D, W = archive["D"], archive["W"]
     if D.size and D.min() < -D_LEVELS:
-        raise SequenceError(f"{path}: D must be at least {-D_LEVELS:g}, got {D.min()}; expected {WHAT}")
+        raise SequenceError(
+            f"{path}: D must be at least {-D_LEVELS:g}, got {D.min()}; expected {WHAT}"
+        )
     if W.size and not (np.isfinite(W).all() and W.min() > 0):
-        raise SequenceError(f"{path}: W must be above 0 and finite for each observed voxel; expected {WHAT}")
+        raise SequenceError(
+            f"{path}: W must be above 0 and finite for each observed voxel; expected {WHAT}"
+        )
 
 
 _BLOCK_BYTES = 20 * VOXELS_PER_BLOCK
@@ -134,7 +177,8 @@ _BLOCK_BYTES = 20 * VOXELS_PER_BLOCK
 
 
 def _check_memory(path: Path, n_bytes: int) -> None:
-    """Raise ``SequenceError`` before a file takes far more memory than one of its size can hold a map of."""
+    """Raise ``SequenceError`` before a file takes far more memory than one of its size can hold a
+    map of."""
     size = path.stat().st_size
     if n_bytes > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
         raise SequenceError(
@@ -157,7 +201,8 @@ def as_stored(volume: TsdfVolume) -> TsdfVolume:
 
 
 def _levels(values: Tensor, levels: float) -> Tensor:
-    """Values as whole numbers of levels; colours beyond 0..1 and distances beyond -1..1 do not occur."""
+    """Values as whole numbers of levels; colours beyond 0..1 and distances beyond -1..1 do not
+    occur."""
     return values.clamp(-1, 1).mul_(levels).round_()
 
 

@@ -1,8 +1,10 @@
 """Gaussians, mesh and cameras in one OpenUSD stage as text (``.usda``), upright, in metres.
 
-Gaussians are a ``ParticleField3DGaussianSplat`` (OpenUSD 26.03 and later): standard deviations in metres and opacities
-0..1, not their logarithm and logit, rotations wxyz, and the coefficients of the colour in the order of Kerbl et al.
-2023. The stage has y up. Its root has the rotation that takes the map there, and below it are the numbers of the map
+Gaussians are a ``ParticleField3DGaussianSplat`` (OpenUSD 26.03 and later): standard deviations in
+metres and opacities 0..1, not their logarithm and logit, rotations wxyz, and the coefficients of
+the colour in the order of Kerbl et al.
+2023. The stage has y up. Its root has the rotation that takes the map there, and below it are the
+  numbers of the map
 unchanged. USD multiplies row vectors from the left, so its matrices are the transposes of ours.
 """
 
@@ -40,7 +42,8 @@ def write_map_usda(
 ) -> None:
     """Write Gaussians, and a mesh and a moving camera if given, as one ``.usda`` file, atomically.
 
-    Text takes four times the bytes of ``map.glb``. ``usdcat map.usda -o map.usdc`` makes a binary file of it.
+    Text takes four times the bytes of ``map.glb``. ``usdcat map.usda -o map.usdc`` makes a binary
+    file of it.
 
     Args:
         path: File to write.
@@ -60,10 +63,15 @@ def write_map_usda(
     R = torch.eye(4, dtype=torch.float64)
     R[:3, :3] = turn_to_y_up(up)
     with atomic_file(path) as temporary, temporary.open("w", encoding="ascii") as file:
-        ends = "" if not len(times_s) else f"    startTimeCode = {times_s[0]!r}\n    endTimeCode = {times_s[-1]!r}\n"
+        ends = (
+            ""
+            if not len(times_s)
+            else f"    startTimeCode = {times_s[0]!r}\n    endTimeCode = {times_s[-1]!r}\n"
+        )
         file.write(
             '#usda 1.0\n(\n    defaultPrim = "Map"\n    metersPerUnit = 1\n    upAxis = "Y"\n'
-            f'    timeCodesPerSecond = 1\n{ends})\n\ndef Xform "Map"\n{{\n    matrix4d xformOp:transform = '
+            f'    timeCodesPerSecond = 1\n{ends})\n\ndef Xform "Map"\n{{\n    matrix4d '
+            "xformOp:transform = "
             f'{_matrix(R)}\n    uniform token[] xformOpOrder = ["xformOp:transform"]\n'
         )
         if len(gaussians):
@@ -87,7 +95,9 @@ def _splats(g: GaussianParams) -> Iterator[str]:
     yield from _array("float[] opacities", g.opacity_logit.double().sigmoid())
     yield f"        uniform int radiance:sphericalHarmonicsDegree = {degree}\n"
     yield from _array("float3[] radiance:sphericalHarmonicsCoefficients", g.sh.flatten(0, 1))
-    colour = torch.from_numpy(linear_rgb(g.sh[:, 0].double() * SH_C0 + 0.5))  # for programs that do not know splats
+    colour = torch.from_numpy(
+        linear_rgb(g.sh[:, 0].double() * SH_C0 + 0.5)
+    )  # for programs that do not know splats
     yield from _array("color3f[] primvars:displayColor", colour, _OF_POINTS)
     yield "    }\n"
 
@@ -96,7 +106,10 @@ def _surface(mesh: Mesh) -> Iterator[str]:
     colour = torch.from_numpy(linear_rgb(mesh.rgb))
     yield '\n    def Mesh "Surface"\n    {\n        uniform token subdivisionScheme = "none"\n'
     yield "        uniform bool doubleSided = 1\n"
-    yield from _array("float3[] extent", torch.stack([mesh.vertices_W.amin(0), mesh.vertices_W.amax(0)]))
+    yield from _array(
+        "float3[] extent",
+        torch.stack([mesh.vertices_W.amin(0), mesh.vertices_W.amax(0)]),
+    )
     yield from _array("point3f[] points", mesh.vertices_W)
     yield from _array("int[] faceVertexCounts", torch.full((len(mesh.faces),), 3))
     yield from _array("int[] faceVertexIndices", mesh.faces.flatten())
@@ -104,14 +117,23 @@ def _surface(mesh: Mesh) -> Iterator[str]:
     yield "    }\n"
 
 
-def _camera(camera: Camera, poses: Float[Tensor, "F 4 4"], times_s: Sequence[float]) -> Iterator[str]:
-    """USD's cameras look along -z with y up; a ray of pixel (u, v) goes through the film at distance focalLength."""
+def _camera(
+    camera: Camera, poses: Float[Tensor, "F 4 4"], times_s: Sequence[float]
+) -> Iterator[str]:
+    """USD's cameras look along -z with y up; a ray of pixel (u, v) goes through the film at
+    distance focalLength."""
     c, focal = camera, APERTURE * camera.fx / camera.width
     across, along = focal / c.fx, focal / c.fy  # of a pixel on the film
-    T_usd = poses.double().cpu() @ torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+    T_usd = poses.double().cpu() @ torch.diag(
+        torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)
+    )
     yield '\n    def Camera "Camera"\n    {\n        token projection = "perspective"\n'
     yield "        float2 clippingRange = (0.01, 1000)\n"
-    lengths = {"focalLength": focal, "horizontalAperture": APERTURE, "verticalAperture": along * c.height}
+    lengths = {
+        "focalLength": focal,
+        "horizontalAperture": APERTURE,
+        "verticalAperture": along * c.height,
+    }
     lengths |= {"horizontalApertureOffset": across * (c.width / 2 - c.cx)}
     lengths |= {"verticalApertureOffset": along * (c.cy - c.height / 2)}
     for name, value in lengths.items():
@@ -135,5 +157,7 @@ def _array(declaration: str, values: Tensor, after: str = "") -> Iterator[str]:
         number = "%d" if not part.is_floating_point() else "%.9g"
         form = number if part.ndim == 1 else f"({', '.join([number] * part.shape[1])})"
         rows = np.asarray(part if number == "%d" else part.float()).tolist()
-        yield ", " * (start > 0) + ", ".join(form % (row if part.ndim == 1 else tuple(row)) for row in rows)
+        yield ", " * (start > 0) + ", ".join(
+            form % (row if part.ndim == 1 else tuple(row)) for row in rows
+        )
     yield f"]{after}\n"

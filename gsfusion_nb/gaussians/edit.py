@@ -23,50 +23,61 @@ from ..types import Seeds
 STORED = {"xyz_W": (3,), "log_scale": (3,), "quat": (4,), "opacity_logit": (), "sh": ("K", 3)}
 """Columns of parameters as they are stored, and the shape of a row."""
 ACTIVATED = {"scale_m": (3,), "opacity": (), "rgb": (3,)}
-"""Columns that are given as they look, and stored as the logarithm, the logit and SH coefficient 0."""
+"""Columns that are given as they look, and stored as the logarithm, the logit and SH coefficient
+0."""
 _SAME = {"scale_m": "log_scale", "opacity": "opacity_logit", "rgb": "sh"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Edit:
-    """Changes of the rows of a Gaussian map. Every field is optional; they are applied in the order of the fields.
+    """Changes of the rows of a Gaussian map. Every field is optional; they are applied in the order
+    of the fields.
 
-    Rows are row numbers [M], or a mask [N] over all rows. They always mean the map before the edit, also where an
-    earlier field has added or changed rows. New rows come after the old ones: copies of ``clone``, the two halves of
-    ``split`` (all first ones, then all second ones), ``add``.
+    Rows are row numbers [M], or a mask [N] over all rows. They always mean the map before the edit,
+    also where an earlier field has added or changed rows. New rows come after the old ones: copies
+    of ``clone``, the two halves of ``split`` (all first ones, then all second ones), ``add``.
 
-    When an edit is applied, a value of the wrong kind or shape, a NaN, an opacity or colour outside its range, a row
-    that does not exist or is in two fields that contradict each other is a ``ValueError``, before anything is changed.
+    When an edit is applied, a value of the wrong kind or shape, a NaN, an opacity or colour outside
+    its range, a row that does not exist or is in two fields that contradict each other is a
+    ``ValueError``, before anything is changed.
 
-    Source: the operations of gsplat's strategies (Kerbl et al. 2023, section 5; Kheradmand et al. 2024, section 4;
-    Rota Bulò et al. 2024, section 3.3); ``docs/strategies.md`` compares them one by one.
+    Source: the operations of gsplat's strategies (Kerbl et al. 2023, section 5; Kheradmand et al.
+    2024, section 4; Rota Bulò et al. 2024, section 3.3); ``docs/strategies.md`` compares them one
+    by one.
     """
 
     rates: Mapping[str, Tensor] = field(default_factory=dict)
-    """Parameter (``xyz_W``, ``log_scale``, ``quat``, ``opacity_logit``, ``sh``) -> factor of its learning rate, one
-    for each row of the map [N], 0: frozen. It stays until it is set again; seeds have 1, copies that of their row."""
+    """Parameter (``xyz_W``, ``log_scale``, ``quat``, ``opacity_logit``, ``sh``) -> factor of its
+    learning rate, one for each row of the map [N], 0: frozen. It stays until it is set again; seeds
+    have 1, copies that of their row."""
     set: Mapping[str, tuple[Tensor, Tensor]] = field(default_factory=dict)
-    """Column -> (rows, their new values [M, ...]): a parameter as it is stored (names as in ``rates``), or as it looks
-    (``scale_m``, ``opacity``, ``rgb``), or ``tag``; in a map of surfels also ``state``. Adam's moments stay."""
+    """Column -> (rows, their new values [M, ...]): a parameter as it is stored (names as in
+    ``rates``), or as it looks (``scale_m``, ``opacity``, ``rgb``), or ``tag``; in a map of surfels
+    also ``state``. Adam's moments stay."""
     reset_opacity: float | None = None
     """No opacity stays above this; Adam's moments of all opacities become zero."""
     relocate: tuple[Tensor, Tensor] | None = None
-    """(rows to move [M], rows to move them to [M], which may repeat): the moved rows become copies of the others, and
-    opacity and scale of all copies of a row are such that together they look as the row did. Adam's moments of the rows
-    that were moved to become zero; the moved rows keep theirs."""
+    """(rows to move [M], rows to move them to [M], which may repeat): the moved rows become copies
+    of the others, and opacity and scale of all copies of a row are such that together they look as
+    the row did. Adam's moments of the rows that were moved to become zero; the moved rows keep
+    theirs."""
     clone: Tensor | None = None
     """Rows to copy; row numbers may repeat. The moments of the copies are zero."""
     clone_shares: bool = False
-    """Give a row and its copies such opacities and scales that together they look as the row did (as ``relocate``)."""
+    """Give a row and its copies such opacities and scales that together they look as the row did
+    (as ``relocate``)."""
     split: Tensor | None = None
-    """Rows to replace by two each: centres drawn from the Gaussian itself, scales divided by 1.6, moments zero."""
+    """Rows to replace by two each: centres drawn from the Gaussian itself, scales divided by 1.6,
+    moments zero."""
     split_shares: bool = False
-    """Opacity 1 - sqrt(1 - o) of the two, which together hide as much as the row did, instead of o each."""
+    """Opacity 1 - sqrt(1 - o) of the two, which together hide as much as the row did, instead of o
+    each."""
     add: Seeds | None = None
     """New Gaussians."""
     keep: Tensor | None = None
-    """Mask [N]: rows where it is false are removed, with the copies and halves that ``clone`` and ``split`` make of
-    them. So a rule may ask for both of one row, as gsplat does, which first duplicates and splits and then prunes."""
+    """Mask [N]: rows where it is false are removed, with the copies and halves that ``clone`` and
+    ``split`` make of them. So a rule may ask for both of one row, as gsplat does, which first
+    duplicates and splits and then prunes."""
     min_opacity: float = 0.005
     """Lowest opacity that ``relocate`` and ``clone_shares`` give."""
 
@@ -76,7 +87,8 @@ class Edit:
         return bool(self.rates) or bool(self.set) or any(value is not None for value in wanted)
 
     def resolved(self, sh: Tensor, surfels: bool) -> "Edit":
-        """The same edit for a map with these SH coefficients [N, K, 3], with row numbers for all masks but ``keep``.
+        """The same edit for a map with these SH coefficients [N, K, 3], with row numbers for all
+        masks but ``keep``.
 
         Raises:
             ValueError: what cannot be applied to this map; the message names the field.
@@ -102,7 +114,11 @@ class Edit:
             keep = keep.to(sh.device)
         if self.add is not None:
             _check_add(self.add)
-        if clone is not None and split is not None and (both := clone[torch.isin(clone, split)]).numel():
+        if (
+            clone is not None
+            and split is not None
+            and (both := clone[torch.isin(clone, split)]).numel()
+        ):
             raise ValueError(f"row {int(both[0])} is both cloned and split; do one of them")
         if keep is not None:
             clone, split = (None if rows is None else rows[keep[rows]] for rows in (clone, split))
@@ -110,11 +126,14 @@ class Edit:
         for what, rows in used.items():
             if keep is not None and (gone := rows[~keep[rows]]).numel():
                 raise ValueError(f"row {int(gone[0])} is both {what} and removed; do one of them")
-        return dataclasses.replace(self, set=new_set, relocate=moved, clone=clone, split=split, keep=keep)
+        return dataclasses.replace(
+            self, set=new_set, relocate=moved, clone=clone, split=split, keep=keep
+        )
 
 
 def check_rate(name: str, factors: Any, n: int | None = None) -> None:
-    """Raise ``ValueError`` unless these can be factors of the learning rate of a parameter, of ``n`` rows if given."""
+    """Raise ``ValueError`` unless these can be factors of the learning rate of a parameter, of
+    ``n`` rows if given."""
     if name not in STORED:
         raise ValueError(f"rates: no parameter {shown(name)}; known: {', '.join(STORED)}")
     check_shape(f"rates: {name}", factors, ("N" if n is None else n,))
@@ -125,44 +144,79 @@ def check_rate(name: str, factors: Any, n: int | None = None) -> None:
 _RANGES = {"scale_m": (0.0, math.inf), "opacity": (0.0, 1.0), "rgb": (0.0, 1.0), "state": (0, 1)}
 
 
-def _checked_set(name: str, pair: Any, sh: Tensor, surfels: bool) -> tuple[Tensor, Tensor]:
+def _checked_set(
+    name: str,
+    pair: Any,
+    sh: Tensor,
+    surfels: bool,
+) -> tuple[Tensor, Tensor]:
     """Row numbers and values of ``Edit.set``."""
     known = (*STORED, *ACTIVATED, "tag", *(["state"] if surfels else []))
     if name not in known:
         raise ValueError(f"set: no column {shown(name)} in this map; known: {', '.join(known)}")
-    if not isinstance(pair, tuple) or len(pair) != 2 or not all(isinstance(x, Tensor) for x in pair):
-        raise ValueError(f"set: {name} must be a pair (rows, values) of tensors, got {type(pair).__name__}")
+    if (
+        not isinstance(pair, tuple)
+        or len(pair) != 2
+        or not all(isinstance(x, Tensor) for x in pair)
+    ):
+        raise ValueError(
+            f"set: {name} must be a pair (rows, values) of tensors, got {type(pair).__name__}"
+        )
     rows, values = _numbers(f"set: rows of {name}", pair[0], sh), pair[1]
     width = sh.shape[1:] if name == "sh" else STORED.get(name, ACTIVATED.get(name, ()))
     check_shape(f"set: {name}", values, (len(rows), *width))
     if values.is_floating_point() == (name in ("tag", "state")) or values.dtype == torch.bool:
-        raise ValueError(f"set: {name} must not be {values.dtype}; tag and state are whole numbers, the others floats")
+        raise ValueError(
+            f"set: {name} must not be {values.dtype}; tag and state are whole numbers, the others "
+            "floats"
+        )
     check_finite(f"set: {name}", values)
     low, high = _RANGES.get(name, (-math.inf, math.inf))
-    inside = (values > low) & (values < high) if name in ("scale_m", "opacity") else (values >= low) & (values <= high)
+    inside = (
+        (values > low) & (values < high)
+        if name in ("scale_m", "opacity")
+        else (values >= low) & (values <= high)
+    )
     if not inside.all():
-        raise ValueError(f"set: {name} must be between {low} and {high}, got {float(values[~inside][0]):g}")
+        raise ValueError(
+            f"set: {name} must be between {low} and {high}, got {float(values[~inside][0]):g}"
+        )
     return rows, values
 
 
 def _check_add(seeds: Seeds) -> None:
-    for name, tail in (("xyz_W", (3,)), ("rgb", (3,)), ("scale_m", (3,)), ("quat", (4,)), ("opacity", ())):
+    for name, tail in (
+        ("xyz_W", (3,)),
+        ("rgb", (3,)),
+        ("scale_m", (3,)),
+        ("quat", (4,)),
+        ("opacity", ()),
+    ):
         value = getattr(seeds, name)
         check_shape(f"add: {name}", value, (len(seeds), *tail))
         check_finite(f"add: {name}", value)
     if not (seeds.scale_m > 0).all():
         raise ValueError(f"add: scale_m must be above 0, got {float(seeds.scale_m.min()):g}")
     if not ((seeds.opacity > 0) & (seeds.opacity < 1)).all():
-        raise ValueError(f"add: opacity must lie strictly between 0 and 1, got {shown(seeds.opacity)}")
+        raise ValueError(
+            f"add: opacity must lie strictly between 0 and 1, got {shown(seeds.opacity)}"
+        )
 
 
 def _checked_relocate(pair: Any, sh: Tensor) -> tuple[Tensor, Tensor]:
-    if not isinstance(pair, tuple) or len(pair) != 2 or any(getattr(r, "dtype", None) is torch.bool for r in pair):
-        raise ValueError("relocate must be a pair of row numbers: rows to move, and rows to move them to")
+    if (
+        not isinstance(pair, tuple)
+        or len(pair) != 2
+        or any(getattr(r, "dtype", None) is torch.bool for r in pair)
+    ):
+        raise ValueError(
+            "relocate must be a pair of row numbers: rows to move, and rows to move them to"
+        )
     moved, target = (_numbers("relocate", rows, sh) for rows in pair)
     if len(moved) != len(target):
         raise ValueError(
-            f"relocate must have one row to move to for each row to move, got {len(target)} for {len(moved)}"
+            f"relocate must have one row to move to for each row to move, got {len(target)} for "
+            f"{len(moved)}"
         )
     if len(moved.unique()) != len(moved):
         raise ValueError("relocate: a row can be moved only once")
@@ -180,7 +234,10 @@ def _numbers(name: str, rows: Any, like: Tensor) -> Tensor:
         check_shape(f"{name}, as a mask", rows, (n,))
         return rows.nonzero()[:, 0]
     if len(rows) and (int(rows.min()) < 0 or int(rows.max()) >= n):
-        raise ValueError(f"{name}: rows must be between 0 and {n - 1}, got {int(rows.min())} to {int(rows.max())}")
+        raise ValueError(
+            f"{name}: rows must be between 0 and {n - 1}, got {int(rows.min())} to "
+            f"{int(rows.max())}"
+        )
     return rows.long()
 
 
@@ -191,9 +248,13 @@ MOST_COPIES = 51
 
 
 def shared(
-    opacity: Float[Tensor, " N"], scale_m: Float[Tensor, "N 3"], copies: Int[Tensor, " N"], min_opacity: float = 0.005
+    opacity: Float[Tensor, " N"],
+    scale_m: Float[Tensor, "N 3"],
+    copies: Int[Tensor, " N"],
+    min_opacity: float = 0.005,
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 3"]]:
-    """Opacity and scale of each of n equal Gaussians at one place that together look as one Gaussian did.
+    """Opacity and scale of each of n equal Gaussians at one place that together look as one
+    Gaussian did.
 
         o' = 1 - (1 - o)^(1/n),   s' = s o / sum_{j=1..n} C(n, j) (-1)^(j-1) o'^j / sqrt(j)
 
@@ -204,7 +265,8 @@ def shared(
         min_opacity: Smallest o' that is returned; s' is that of the exact o'.
 
     Differentiable: no.
-    Source: Kheradmand et al. 2024, Eq. 9; there the sum is written twice, over i <= n of C(i - 1, j - 1).
+    Source: Kheradmand et al. 2024, Eq. 9; there the sum is written twice, over i <= n of C(i - 1, j
+    - 1).
     """
     n = copies.clamp(1, MOST_COPIES).double()
     j = torch.arange(1, MOST_COPIES + 1, dtype=torch.float64, device=opacity.device)
@@ -222,7 +284,9 @@ def shared(
 
 
 @observed
-def apply_edit(model: Any, edit: Edit, generator: torch.Generator, frame_index: int = 0) -> Int[Tensor, " M"]:
+def apply_edit(
+    model: Any, edit: Edit, generator: torch.Generator, frame_index: int = 0
+) -> Int[Tensor, " M"]:
     """Change the rows of ``model`` as its method ``edit`` says (``GaussianModel``)."""
     before = len(model)
     edit = edit.resolved(model.params.sh, "state" in model.columns)
@@ -231,7 +295,9 @@ def apply_edit(model: Any, edit: Edit, generator: torch.Generator, frame_index: 
     for name, (rows, values) in edit.set.items():
         model.set_rows(*_stored(model, name, rows, values))
     if edit.reset_opacity is not None:
-        model.params.opacity_logit.clamp_(max=math.log(edit.reset_opacity / (1 - edit.reset_opacity)))
+        model.params.opacity_logit.clamp_(
+            max=math.log(edit.reset_opacity / (1 - edit.reset_opacity))
+        )
         model.clear_moments(slice(None), "opacity_logit")
     if edit.relocate is not None:
         _relocate(model, *edit.relocate, edit.min_opacity)
@@ -253,7 +319,12 @@ def apply_edit(model: Any, edit: Edit, generator: torch.Generator, frame_index: 
     return origin[kept]
 
 
-def _stored(model: Any, name: str, rows: Tensor, values: Tensor) -> tuple[str, Tensor, Tensor]:
+def _stored(
+    model: Any,
+    name: str,
+    rows: Tensor,
+    values: Tensor,
+) -> tuple[str, Tensor, Tensor]:
     """Column, rows and values of ``Edit.set`` as the map stores them."""
     if name == "scale_m":
         return "log_scale", rows, values.log()
@@ -266,12 +337,20 @@ def _stored(model: Any, name: str, rows: Tensor, values: Tensor) -> tuple[str, T
     return name, rows, values
 
 
-def _share(model: Any, rows: Int[Tensor, " M"], min_opacity: float) -> Int[Tensor, " R"]:
-    """Give every row that is named k times the opacity and scale of one of k + 1 copies; returns those rows, once."""
+def _share(
+    model: Any,
+    rows: Int[Tensor, " M"],
+    min_opacity: float,
+) -> Int[Tensor, " R"]:
+    """Give every row that is named k times the opacity and scale of one of k + 1 copies; returns
+    those rows, once."""
     once, times = rows.unique(return_counts=True)
     params = model.params
     opacity, scale_m = shared(
-        params.opacity_logit[once].sigmoid(), params.log_scale[once].exp(), times + 1, min_opacity
+        params.opacity_logit[once].sigmoid(),
+        params.log_scale[once].exp(),
+        times + 1,
+        min_opacity,
     )
     model.set_rows("opacity_logit", once, opacity.logit())
     model.set_rows("log_scale", once, scale_m.log())
@@ -300,12 +379,30 @@ def _clone(model: Any, rows: Tensor, shares: bool, min_opacity: float) -> None:
 def _split(model: Any, rows: Tensor, shares: bool, generator: torch.Generator) -> None:
     params = model.params
     scale_m, R = params.log_scale[rows].exp(), quaternion.to_matrix(params.quat[rows])
-    drawn = torch.randn(2, len(rows), 3, generator=generator, device=generator.device).to(scale_m)
+    drawn = torch.randn(
+        2,
+        len(rows),
+        3,
+        generator=generator,
+        device=generator.device,
+    ).to(scale_m)
     away = torch.einsum("nij,nj,bnj->bni", R, scale_m, drawn)
     centres, logit = params.xyz_W[rows] + away, params.opacity_logit[rows]
-    new = torch.arange(len(model), len(model) + 2 * len(rows), device=rows.device)
+    new = torch.arange(
+        len(model),
+        len(model) + 2 * len(rows),
+        device=rows.device,
+    )
     model.copy_rows(rows.repeat(2))
     model.set_rows("xyz_W", new, centres.reshape(-1, 3))
-    model.set_rows("log_scale", new, (scale_m / SPLIT_SHRINKS).log().repeat(2, 1))
+    model.set_rows(
+        "log_scale",
+        new,
+        (scale_m / SPLIT_SHRINKS).log().repeat(2, 1),
+    )
     if shares:
-        model.set_rows("opacity_logit", new, (1 - (1 - logit.sigmoid()).sqrt()).logit().repeat(2))
+        model.set_rows(
+            "opacity_logit",
+            new,
+            (1 - (1 - logit.sigmoid()).sqrt()).logit().repeat(2),
+        )

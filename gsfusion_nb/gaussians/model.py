@@ -1,4 +1,5 @@
-"""The Gaussian map: rows of parameters and the rows of their optimiser, which are added and removed together."""
+"""The Gaussian map: rows of parameters and the rows of their optimiser, which are added and removed
+together."""
 
 import dataclasses
 from collections.abc import Callable
@@ -24,17 +25,19 @@ PARAMETERS = tuple(f.name for f in dataclasses.fields(GaussianParams))
 class GaussianModel(GrowingRows):
     """A map of Gaussians and the state of Adam for each of them.
 
-    Rows are stored in buffers that grow by a factor when full; every property is a view of the rows in use. Rows change
-    only through ``append``, ``edit``, ``keep``, ``move`` and the optimiser, so parameters and moments always belong
-    together. Two kinds of columns exist only once they are used: factors of learning rates (``rates``), and numbers
-    that a seeding rule keeps for each row (``memory``).
+    Rows are stored in buffers that grow by a factor when full; every property is a view of the rows
+    in use. Rows change only through ``append``, ``edit``, ``keep``, ``move`` and the optimiser, so
+    parameters and moments always belong together. Two kinds of columns exist only once they are
+    used: factors of learning rates (``rates``), and numbers that a seeding rule keeps for each row
+    (``memory``).
     """
 
     _COUNTS: tuple[str, ...] = ("birth_frame", "birth_step", "last_step", "tag")
     """Columns of whole numbers."""
     _MOMENTS: tuple[str, ...] = ("exp_avg", "exp_avg_sq")
     _POSE_PREFIXES: tuple[str, ...] = ("",)
-    """Prefixes of the columns that hold centres and orientations, which move when a loop is closed."""
+    """Prefixes of the columns that hold centres and orientations, which move when a loop is
+    closed."""
     rows: None = None
     """A model is all rows of its map (``gsfusion_nb.optim.PartOfMap`` has some)."""
 
@@ -50,13 +53,14 @@ class GaussianModel(GrowingRows):
 
     def __repr__(self) -> str:
         return (
-            f"GaussianModel({len(self):,} Gaussians, SH degree {self.sh_degree}, {self.size_bytes / 1e6:.1f} MB as PLY)"
+            f"GaussianModel({len(self):,} Gaussians, SH degree {self.sh_degree}, "
+            f"{self.size_bytes / 1e6:.1f} MB as PLY)"
         )
 
     @property
     def params(self) -> GaussianParams:
-        """Parameters before activation; views, so the optimiser updates them in place. The same ones until the number
-        of rows changes."""
+        """Parameters before activation; views, so the optimiser updates them in place. The same
+        ones until the number of rows changes."""
         return self._rows("")
 
     @property
@@ -76,7 +80,8 @@ class GaussianModel(GrowingRows):
 
     @property
     def clock(self) -> StepClock:
-        """When each row began, and the last step in which it took part: views, which the optimiser changes."""
+        """When each row began, and the last step in which it took part: views, which the optimiser
+        changes."""
         return StepClock(self._steps, self.birth_step, self.last_step)
 
     @property
@@ -95,7 +100,8 @@ class GaussianModel(GrowingRows):
 
     @property
     def last_step(self) -> Int[Tensor, " N"]:
-        """Value of ``step_count`` after the last step of the optimiser in which each row took part."""
+        """Value of ``step_count`` after the last step of the optimiser in which each row took
+        part."""
         return self._columns["last_step"][: self._count]
 
     @property
@@ -124,7 +130,8 @@ class GaussianModel(GrowingRows):
         return 62 * 4 * len(self)
 
     def extend(self, params: GaussianParams, frame_index: int = -1) -> None:
-        """Add rows that were optimised elsewhere, with zero moments; colours are cut or padded to the map's SH degree.
+        """Add rows that were optimised elsewhere, with zero moments; colours are cut or padded to
+        the map's SH degree.
 
         Args:
             params: The rows, in the frame of the map.
@@ -135,7 +142,9 @@ class GaussianModel(GrowingRows):
         """
         bad = {name: int((~column.isfinite()).sum()) for name, column in vars(params).items()}
         if any(bad.values()):
-            raise ValueError(f"Gaussians to begin with must be finite, got NaN or infinities: {bad}")
+            raise ValueError(
+                f"Gaussians to begin with must be finite, got NaN or infinities: {bad}"
+            )
         start, stop = self._count, self._count + len(params)
         self._reserve(stop)
         for name in (*PARAMETERS[:-1], *self._moment_names()):
@@ -158,7 +167,8 @@ class GaussianModel(GrowingRows):
             frame_index: Number of the frame they come from, stored as ``birth_frame``.
 
         Raises:
-            ValueError: a value is NaN, a scale is negative, or an opacity is not in 0..1. The map is unchanged.
+            ValueError: a value is NaN, a scale is negative, or an opacity is not in 0..1. The map
+                is unchanged.
         """
         n = len(seeds)
         if n == 0:
@@ -166,11 +176,15 @@ class GaussianModel(GrowingRows):
         check_shape("seeds.xyz_W", seeds.xyz_W, (n, 3))
         values = {"xyz_W": seeds.xyz_W, "quat": seeds.quat, "rgb": seeds.rgb}
         values |= {"scale_m": seeds.scale_m.log(), "opacity": seeds.opacity.logit()}
-        if bool(torch.cat([v.reshape(-1) for v in values.values()]).isnan().any()):  # a GPU is waited for once
-            name, row = next((k, int(v.isnan().nonzero()[0, 0])) for k, v in values.items() if v.isnan().any())
+        if bool(
+            torch.cat([v.reshape(-1) for v in values.values()]).isnan().any()
+        ):  # a GPU is waited for once
+            name, row = next(
+                (k, int(v.isnan().nonzero()[0, 0])) for k, v in values.items() if v.isnan().any()
+            )
             raise ValueError(
-                "new Gaussians need numbers that are not NaN, scales >= 0 and opacities in 0..1, got "
-                f"{getattr(seeds, name)[row].tolist()} as {name} of row {row}"
+                "new Gaussians need numbers that are not NaN, scales >= 0 and opacities in 0..1, "
+                f"got {getattr(seeds, name)[row].tolist()} as {name} of row {row}"
             )
         start, stop = self._count, self._count + n
         self._reserve(stop)
@@ -189,14 +203,18 @@ class GaussianModel(GrowingRows):
         self._in_use(stop)
         self.as_new(slice(start, stop))
 
-    def edit(self, edit: Edit, generator: torch.Generator, frame_index: int = 0) -> Int[Tensor, " M"]:
-        """Change rows as ``edit`` says, in the order of its fields; parameters, moments, birth and tag stay together.
+    def edit(
+        self, edit: Edit, generator: torch.Generator, frame_index: int = 0
+    ) -> Int[Tensor, " M"]:
+        """Change rows as ``edit`` says, in the order of its fields; parameters, moments, birth and
+        tag stay together.
 
         Args:
             edit: What to change.
             generator: Where the halves of a split row go is drawn from it.
-            frame_index: Number of the frame, stored as ``birth_frame`` of the Gaussians in ``edit.add``; copies have
-                the ``birth_frame`` of their row, and like all new rows the present ``birth_step``.
+            frame_index: Number of the frame, stored as ``birth_frame`` of the Gaussians in
+                ``edit.add``; copies have the ``birth_frame`` of their row, and like all new rows
+                the present ``birth_step``.
 
         Returns:
             For each of the rows after the edit its number before, -1 for new rows. [M]
@@ -217,7 +235,11 @@ class GaussianModel(GrowingRows):
         """Count these rows as added now."""
         self.clock.begin(rows)
 
-    def clear_moments(self, rows: Int[Tensor, " M"] | slice, parameter: str | None = None) -> None:
+    def clear_moments(
+        self,
+        rows: Int[Tensor, " M"] | slice,
+        parameter: str | None = None,
+    ) -> None:
         """Set Adam's moments of these rows to zero, of all parameters or of one."""
         for name in self._moment_names():
             if parameter is None or name.endswith(f".{parameter}"):
@@ -239,12 +261,19 @@ class GaussianModel(GrowingRows):
         return undo
 
     def move(self, T: Float[Tensor, "N 4 4"]) -> None:
-        """Apply a rigid motion to each row (a loop closure): centre, orientation, colour, and Adam's moments."""
+        """Apply a rigid motion to each row (a loop closure): centre, orientation, colour, and
+        Adam's moments."""
         for prefix in self._POSE_PREFIXES:
-            xyz, quat = (self._columns[f"{prefix}{name}"][: self._count] for name in ("xyz_W", "quat"))
+            xyz, quat = (
+                self._columns[f"{prefix}{name}"][: self._count] for name in ("xyz_W", "quat")
+            )
             turn = T.to(xyz)
             xyz.copy_((turn[:, :3, :3] @ xyz[:, :, None]).squeeze(2) + turn[:, :3, 3])
-            quat.copy_(quaternion.multiply(quaternion.from_matrix(turn[:, :3, :3]), quaternion.normalise(quat)))
+            quat.copy_(
+                quaternion.multiply(
+                    quaternion.from_matrix(turn[:, :3, :3]), quaternion.normalise(quat)
+                )
+            )
         R = T[:, :3, :3].to(self.device)
         turn_colours_(self.params.sh, R)
         if self._MOMENTS:
@@ -252,19 +281,26 @@ class GaussianModel(GrowingRows):
 
     def state_of_columns(self) -> tuple[int, ...]:
         """Another one when a value has changed: PyTorch counts the changes of a tensor."""
-        return (len(self), self.step_count, *(x for c in self._columns.values() for x in (c.data_ptr(), c._version)))
+        return (
+            len(self),
+            self.step_count,
+            *(x for c in self._columns.values() for x in (c.data_ptr(), c._version)),
+        )
 
     def write_back(self) -> None:
         """Nothing: a step on the whole map changes it in place."""
 
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
-        """Everything needed to continue later, as tensors and numbers; without ``copies`` steps change the tensors."""
+        """Everything needed to continue later, as tensors and numbers; without ``copies`` steps
+        change the tensors."""
         columns = self.snapshot() if copies else self.columns
         rows = {name: column for name, column in columns.items() if not name.startswith("trace.")}
         return {"sh_degree": self.sh_degree, "step_count": self.step_count, "rows": rows}
 
     @classmethod
-    def from_state_dict(cls, state: dict[str, Any], device: torch.device | str = "cpu") -> "GaussianModel":
+    def from_state_dict(
+        cls, state: dict[str, Any], device: torch.device | str = "cpu"
+    ) -> "GaussianModel":
         """The model that was saved with ``state_dict``."""
         model = cls(state["sh_degree"], device)
         model._steps.value = state["step_count"]
@@ -282,9 +318,16 @@ class GaussianModel(GrowingRows):
     def _rows(self, prefix: str) -> GaussianParams:
         last = self._columns[prefix + PARAMETERS[-1]]
         buffer, views = self._views.get(prefix, (None, None))
-        if views is not None and buffer is last and len(views) == self._count and not _is_differentiated(views):
+        if (
+            views is not None
+            and buffer is last
+            and len(views) == self._count
+            and not _is_differentiated(views)
+        ):
             return views
-        views = GaussianParams(**{name: self._columns[prefix + name][: self._count] for name in PARAMETERS})
+        views = GaussianParams(
+            **{name: self._columns[prefix + name][: self._count] for name in PARAMETERS}
+        )
         self._views[prefix] = (last, views)
         return views
 
@@ -304,7 +347,11 @@ class GaussianModel(GrowingRows):
             "opacity_logit": (),
             "sh": ((self.sh_degree + 1) ** 2, 3),
         }
-        return MAP_MEMORY.rows(capacity, *widths[name.split(".")[-1]], device=self.device)
+        return MAP_MEMORY.rows(
+            capacity,
+            *widths[name.split(".")[-1]],
+            device=self.device,
+        )
 
     def _reserve(self, count: int) -> None:
         if count > self._capacity:

@@ -1,6 +1,8 @@
-"""Columns of one length that grow together: a row is added, copied, removed and saved in all of them.
+"""Columns of one length that grow together: a row is added, copied, removed and saved in all of
+them.
 
-And how Gaussians are turned, moved and scaled, with their view-dependent colours and Adam's moments.
+And how Gaussians are turned, moved and scaled, with their view-dependent colours and Adam's
+moments.
 """
 
 import math
@@ -19,9 +21,11 @@ from ..work import MAP_MEMORY
 
 
 def turn_colours_(sh: Float[Tensor, "N K 3"], R: Float[Tensor, "N 3 3"]) -> None:
-    """Turn the colours of each row with it, in place: seen from a direction that turned with it, it looks the same.
+    """Turn the colours of each row with it, in place: seen from a direction that turned with it, it
+    looks the same.
 
-    Rows that moved with the same keyframes share a rotation, so there are far fewer rotations than rows.
+    Rows that moved with the same keyframes share a rotation, so there are far fewer rotations than
+    rows.
     """
     if sh.shape[1] == 1:
         return
@@ -32,13 +36,17 @@ def turn_colours_(sh: Float[Tensor, "N K 3"], R: Float[Tensor, "N 3 3"]) -> None
 def turn_moments_(mean: GaussianParams, square: GaussianParams, R: Float[Tensor, "N 3 3"]) -> None:
     """Turn Adam's running means of the gradients and of their squares with the rows, in place.
 
-    The gradients of centre, quaternion and colour turn as these do. The mean square of  g' = M g  is  (M o M) s  if the
-    components of g are independent, with s their mean squares; for colours it is left as it is.
+    The gradients of centre, quaternion and colour turn as these do. The mean square of  g' = M g
+    is  (M o M) s  if the components of g are independent, with s their mean squares; for colours it
+    is left as it is.
     """
     R = R.to(mean.xyz_W)
     q = quaternion.from_matrix(R)
     axes = torch.eye(4).to(q)
-    L = torch.stack([quaternion.multiply(q, axis.expand_as(q)) for axis in axes], -1)  # q x = L x
+    L = torch.stack(
+        [quaternion.multiply(q, axis.expand_as(q)) for axis in axes],
+        -1,
+    )  # q x = L x
     for moments, turns in ((mean, (R, L)), (square, (R * R, L * L))):
         for column, turn in zip((moments.xyz_W, moments.quat), turns, strict=True):
             column.copy_((turn @ column[:, :, None])[:, :, 0])
@@ -47,10 +55,16 @@ def turn_moments_(mean: GaussianParams, square: GaussianParams, R: Float[Tensor,
 
 def _each_turn(R: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
     """The distinct rotations but the identity, each with its rows."""
-    turns, which = torch.unique(R.reshape(-1, 9), dim=0, return_inverse=True)
+    turns, which = torch.unique(
+        R.reshape(-1, 9),
+        dim=0,
+        return_inverse=True,
+    )
     order = which.argsort(stable=True)
     for turn, rows in zip(
-        turns.view(-1, 3, 3), order.split(which.bincount(minlength=len(turns)).tolist()), strict=True
+        turns.view(-1, 3, 3),
+        order.split(which.bincount(minlength=len(turns)).tolist()),
+        strict=True,
     ):
         if not torch.equal(turn, torch.eye(3).to(turn)):
             yield rows, turn
@@ -58,7 +72,8 @@ def _each_turn(R: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
 
 _FIRST_CAPACITY = 4096
 _GROWTH = {"cpu": 2.0, "cuda": 1.25}
-"""Rows that are full grow by this factor. Untouched memory is free on a CPU; on a GPU it is taken from the rest."""
+"""Rows that are full grow by this factor. Untouched memory is free on a CPU; on a GPU it is taken
+from the rest."""
 
 
 class UndoLog:
@@ -79,14 +94,16 @@ class UndoLog:
 
 
 class GrowingRows:
-    """Rows in buffers that grow by a factor when full; what is given out are views of the rows in use.
+    """Rows in buffers that grow by a factor when full; what is given out are views of the rows in
+    use.
 
-    A subclass defines ``device`` and ``_new_column``. Columns of the kinds in ``_OPTIONAL`` exist only once they are
-    used.
+    A subclass defines ``device`` and ``_new_column``. Columns of the kinds in ``_OPTIONAL`` exist
+    only once they are used.
     """
 
     _OPTIONAL: ClassVar[dict[str, float]] = {"rate.": 1.0, "memory.": 0.0, "trace.": 0.0}
-    """Prefix of the names of optional columns, one float per row -> value of rows for which it was not set."""
+    """Prefix of the names of optional columns, one float per row -> value of rows for which it was
+    not set."""
 
     device: torch.device
 
@@ -107,7 +124,8 @@ class GrowingRows:
 
     @property
     def rates(self) -> dict[str, Float[Tensor, " N"]]:
-        """Parameter -> factor of its learning rate in each row, for the parameters that have any."""
+        """Parameter -> factor of its learning rate in each row, for the parameters that have
+        any."""
         return self._optional("rate.")
 
     @property
@@ -116,16 +134,18 @@ class GrowingRows:
         return self._optional("memory.")
 
     def set_rate(self, parameter: str, factors: Float[Tensor, " N"]) -> None:
-        """Set the factors by which the learning rate of a parameter is multiplied, one for each row."""
+        """Set the factors by which the learning rate of a parameter is multiplied, one for each
+        row."""
         self._use(f"rate.{parameter}")[: self._count] = factors
 
     def row_memory(self, name: str) -> Float[Tensor, " N"]:
-        """A number for each row, 0 at first, which is removed, copied and saved together with its row; a view."""
+        """A number for each row, 0 at first, which is removed, copied and saved together with its
+        row; a view."""
         return self._use(f"memory.{name}")[: self._count]
 
     def trace_ids(self) -> Float[Tensor, " N"]:
-        """A number for each row that an observer gives it, 0 at first; a view. It is removed and copied together with
-        its row, and not saved."""
+        """A number for each row that an observer gives it, 0 at first; a view. It is removed and
+        copied together with its row, and not saved."""
         return self._use("trace.id")[: self._count]
 
     def end_trace(self) -> None:
@@ -137,7 +157,12 @@ class GrowingRows:
         for column in self.memory.values():
             column[rows] = 0.0
 
-    def set_rows(self, name: str, rows: Int[Tensor, " M"], values: Tensor) -> None:
+    def set_rows(
+        self,
+        name: str,
+        rows: Int[Tensor, " M"],
+        values: Tensor,
+    ) -> None:
         """Write the values of some rows of a column, as they are stored."""
         self._columns[name][: self._count][rows] = values.to(self._columns[name])
 
@@ -162,7 +187,8 @@ class GrowingRows:
             column[first : self._count] = column.index_select(0, places)
 
     def log_changes(self) -> Callable[[], None]:
-        """From now on ``will_change`` keeps rows, until ``end_log``. Returns a function that brings them back."""
+        """From now on ``will_change`` keeps rows, until ``end_log``. Returns a function that brings
+        them back."""
         log = self._log = UndoLog(self._count, set(self._columns))
 
         def undo() -> None:
@@ -183,7 +209,8 @@ class GrowingRows:
         self._log = None
 
     def will_change(self, rows: Int[Tensor, " M"] | None = None) -> None:
-        """Say that values of these rows will change, each row once, or with None anything; new rows need not be said.
+        """Say that values of these rows will change, each row once, or with None anything; new rows
+        need not be said.
 
         Does nothing unless changes are logged.
         """
@@ -200,7 +227,9 @@ class GrowingRows:
         rows = rows[~log.is_kept[rows]]
         log.is_kept[rows] = True
         if len(rows):
-            log.kept.append((rows, {name: c.index_select(0, rows) for name, c in self._columns.items()}))
+            log.kept.append(
+                (rows, {name: c.index_select(0, rows) for name, c in self._columns.items()})
+            )
 
     def snapshot(self) -> dict[str, Tensor]:
         """A copy of the rows, for ``restore``."""
@@ -216,7 +245,11 @@ class GrowingRows:
 
     def _optional(self, prefix: str) -> dict[str, Tensor]:
         columns = self._columns.items()
-        return {name[len(prefix) :]: column[: self._count] for name, column in columns if name.startswith(prefix)}
+        return {
+            name[len(prefix) :]: column[: self._count]
+            for name, column in columns
+            if name.startswith(prefix)
+        }
 
     def _use(self, name: str) -> Tensor:
         """The buffer of an optional column, made when it is first used."""
@@ -241,7 +274,9 @@ class GrowingRows:
         if count <= self._capacity:
             return
         capacity = max(count, int(_GROWTH[self.device.type] * self._capacity))
-        self._columns = {name: MAP_MEMORY.grown(column, capacity) for name, column in self._columns.items()}
+        self._columns = {
+            name: MAP_MEMORY.grown(column, capacity) for name, column in self._columns.items()
+        }
 
     def _made(self, name: str, capacity: int) -> Tensor:
         for prefix, value in self._OPTIONAL.items():
@@ -255,9 +290,14 @@ class GrowingRows:
 
 
 def moved(
-    params: GaussianParams, R: Float[Tensor, "3 3"], t: Float[Tensor, "3"] | None = None, *, scale: float = 1.0
+    params: GaussianParams,
+    R: Float[Tensor, "3 3"],
+    t: Float[Tensor, "3"] | None = None,
+    *,
+    scale: float = 1.0,
 ) -> GaussianParams:
-    """The map in another frame: x -> scale R x + t. It looks the same from a camera that is moved in the same way.
+    """The map in another frame: x -> scale R x + t. It looks the same from a camera that is moved
+    in the same way.
 
     Args:
         params: The map.

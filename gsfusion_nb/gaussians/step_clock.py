@@ -1,4 +1,5 @@
-"""The clock of the optimiser's steps: when each row began, and the last step in which it took part."""
+"""The clock of the optimiser's steps: when each row began, and the last step in which it took
+part."""
 
 from dataclasses import dataclass
 
@@ -17,8 +18,8 @@ class StepCount:
 class StepClock:
     """The number of steps, and two numbers of each row. For every row  0 <= birth <= last <= count.
 
-    A row that was left out of a step has ``last < count``: it misses steps, until it catches up. Its age, the t of
-    Adam's bias correction, is ``count - birth``.
+    A row that was left out of a step has ``last < count``: it misses steps, until it catches up.
+    Its age, the t of Adam's bias correction, is ``count - birth``.
 
     Args:
         steps: The number of steps.
@@ -26,7 +27,12 @@ class StepClock:
         last: Value of the count after the last step in which each row took part. [R]
     """
 
-    def __init__(self, steps: StepCount, birth: Int[Tensor, " R"], last: Int[Tensor, " R"]):
+    def __init__(
+        self,
+        steps: StepCount,
+        birth: Int[Tensor, " R"],
+        last: Int[Tensor, " R"],
+    ):
         self._steps = steps
         self.birth = birth
         self.last = last
@@ -53,7 +59,8 @@ class StepClock:
         return self.last - self.birth
 
     def begin(self, rows: Int[Tensor, " M"] | slice) -> None:
-        """These rows begin now: they are new, or their moments were forgotten. They have age 0 and miss nothing."""
+        """These rows begin now: they are new, or their moments were forgotten. They have age 0 and
+        miss nothing."""
         self.birth[rows] = self.count
         self.last[rows] = self.count
 
@@ -79,7 +86,11 @@ class StepClock:
 
     def copy(self) -> "StepClock":
         """A clock of its own that stands at the same steps."""
-        return StepClock(StepCount(self.count), self.birth.clone(), self.last.clone())
+        return StepClock(
+            StepCount(self.count),
+            self.birth.clone(),
+            self.last.clone(),
+        )
 
     def part(self, rows: Int[Tensor, " M"]) -> "StepClock":
         """A clock of its own for copies of some rows; ``write_back`` brings it home."""
@@ -92,13 +103,16 @@ class StepClock:
             ValueError: other rows were stepped since the part was made.
         """
         if part.count < self.count:
-            raise ValueError(f"a part with {part.count} steps is older than its map, which has {self.count}")
+            raise ValueError(
+                f"a part with {part.count} steps is older than its map, which has {self.count}"
+            )
         self._steps.value = part.count
         self.birth.index_copy_(0, rows, part.birth)
         self.last.index_copy_(0, rows, part.last)
 
     def repair(self) -> None:
-        """Make rows whose moments were forgotten begin there, as in checkpoints of versions that only set ``birth``."""
+        """Make rows whose moments were forgotten begin there, as in checkpoints of versions that
+        only set ``birth``."""
         self.birth.clamp_(max=self.count)
         self.last.copy_(self.last.clamp(max=self.count).maximum(self.birth))
 
@@ -108,6 +122,6 @@ class StepClock:
         if bool(wrong.any()):
             row = int(wrong.nonzero()[0, 0])
             raise ValueError(
-                f"expected 0 <= birth <= last <= count, got {int(self.birth[row])}, {int(self.last[row])} and "
-                f"{self.count} in row {row}"
+                f"expected 0 <= birth <= last <= count, got {int(self.birth[row])}, "
+                f"{int(self.last[row])} and {self.count} in row {row}"
             )

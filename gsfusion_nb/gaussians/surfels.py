@@ -1,7 +1,9 @@
-"""The compact Gaussian map of RTG-SLAM: every Gaussian is a disc, opaque or transparent, stable or unstable.
+"""The compact Gaussian map of RTG-SLAM: every Gaussian is a disc, opaque or transparent, stable or
+unstable.
 
-``change_states`` decides when a Gaussian becomes stable or unstable, or is removed (Peng et al. 2024, section 3.2,
-"State management"), and ``fuse_with_history`` keeps earlier views from being forgotten (Eq. 9).
+``change_states`` decides when a Gaussian becomes stable or unstable, or is removed (Peng et al.
+2024, section 3.2, "State management"), and ``fuse_with_history`` keeps earlier views from being
+forgotten (Eq. 9).
 """
 
 import math
@@ -34,10 +36,11 @@ def radius_of(scale_m: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
 
 
 class SurfelModel(GaussianModel):
-    """A Gaussian map whose rows are also surfels: normal, confidence count, birth frame, error counters, state.
+    """A Gaussian map whose rows are also surfels: normal, confidence count, birth frame, error
+    counters, state.
 
-    Opacity is set when a row is added and never changes. No moments are stored: each optimisation starts a new Adam,
-    and ``step_count`` counts frames.
+    Opacity is set when a row is added and never changes. No moments are stored: each optimisation
+    starts a new Adam, and ``step_count`` counts frames.
 
     Source: Peng et al. 2024 (RTG-SLAM), section 3.1.
     """
@@ -53,7 +56,8 @@ class SurfelModel(GaussianModel):
 
     @property
     def confidence(self) -> Int[Tensor, " N"]:
-        """Optimisation steps that changed the colour of each row; times the size of a step they are eta."""
+        """Optimisation steps that changed the colour of each row; times the size of a step they are
+        eta."""
         return self._columns["confidence"][: len(self)]
 
     @property
@@ -68,7 +72,8 @@ class SurfelModel(GaussianModel):
 
     @property
     def frames_in_view(self) -> Int[Tensor, " N"]:
-        """Number of frames with the row's centre in view since it was added or last became unstable."""
+        """Number of frames with the row's centre in view since it was added or last became
+        unstable."""
         return self._columns["frames_in_view"][: len(self)]
 
     @property
@@ -95,18 +100,20 @@ class SurfelModel(GaussianModel):
 
     @property
     def anchor(self) -> dict[str, Tensor]:
-        """Centre, log-scale and quaternion when added; the regulariser keeps transparent rows close to them (Eq. 8)."""
+        """Centre, log-scale and quaternion when added; the regulariser keeps transparent rows close
+        to them (Eq. 8)."""
         return {name: self._columns[f"anchor.{name}"][: len(self)] for name in _ANCHOR}
 
     def extend(self, params: GaussianParams, frame_index: int = -1) -> None:
-        """Refused: the opacity of a disc is one of two constants, and its thinnest axis is a normal.
+        """Refused: the opacity of a disc is one of two constants, and its thinnest axis is a
+        normal.
 
         Raises:
             ValueError: always.
         """
         raise ValueError(
-            "RTG-SLAM cannot begin with Gaussians of another program, because its own are discs with one of "
-            "two opacities; use --system gsfusion"
+            "RTG-SLAM cannot begin with Gaussians of another program, because its own are discs "
+            "with one of two opacities; use --system gsfusion"
         )
 
     def append(self, seeds: Seeds, frame_index: int = 0) -> None:
@@ -115,9 +122,14 @@ class SurfelModel(GaussianModel):
         super().append(seeds, frame_index)
         self.as_new(slice(start, len(self)))
 
-    def set_rows(self, name: str, rows: Int[Tensor, " M"], values: Tensor) -> None:
-        """Also: geometry that is set is where the regulariser holds a transparent row; a new state starts its counts
-        again, as in ``change_states``."""
+    def set_rows(
+        self,
+        name: str,
+        rows: Int[Tensor, " M"],
+        values: Tensor,
+    ) -> None:
+        """Also: geometry that is set is where the regulariser holds a transparent row; a new state
+        starts its counts again, as in ``change_states``."""
         super().set_rows(name, rows, values)
         if name in _ANCHOR:
             super().set_rows(f"anchor.{name}", rows, values)
@@ -150,7 +162,9 @@ def state_counts(model: SurfelModel) -> dict[str, int]:
         "unstable_opaque": ~stable & ~transparent,
         "unstable_transparent": ~stable & transparent,
     }
-    counts = torch.stack([kind.count_nonzero() for kind in kinds.values()]).tolist()  # the host waits for a GPU once
+    counts = torch.stack(
+        [kind.count_nonzero() for kind in kinds.values()]
+    ).tolist()  # the host waits for a GPU once
     return dict(zip(kinds, counts, strict=True))
 
 
@@ -165,7 +179,8 @@ class Transitions:
     stabilised: int
     """Unstable rows that became stable."""
     released: int
-    """Stable rows with too many errors, which became unstable again (or were deleted, ``on_error="delete"``)."""
+    """Stable rows with too many errors, which became unstable again (or were deleted,
+    ``on_error="delete"``)."""
     expired: int
     """Rows removed because they were unstable for too long."""
     oversized: int
@@ -180,7 +195,8 @@ def count_errors(
     depth_index: Int[Tensor, "H W"],
     config: StateConfig,
 ) -> None:
-    """Add 1 to the error count e_i of every stable row that is wrong in this frame, for colour and for depth.
+    """Add 1 to the error count e_i of every stable row that is wrong in this frame, for colour and
+    for depth.
 
     A row is wrong if the largest error among its pixels is above the threshold.
 
@@ -203,9 +219,13 @@ def count_errors(
 
 
 def count_views(
-    model: SurfelModel, camera: Camera, T_WC: Float[Tensor, "4 4"], rows: Int[Tensor, " R"] | None = None
+    model: SurfelModel,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    rows: Int[Tensor, " R"] | None = None,
 ) -> None:
-    """Add 1 to ``frames_in_view`` of every row whose centre is in front of the camera and in the image, even if hidden.
+    """Add 1 to ``frames_in_view`` of every row whose centre is in front of the camera and in the
+    image, even if hidden.
 
     Args:
         model: The map; its counter changes.
@@ -223,7 +243,9 @@ def count_views(
         model.frames_in_view.index_add_(0, rows, seen.to(model.frames_in_view.dtype))
 
 
-def change_states(model: SurfelModel, config: StateConfig, confidence_per_step: float = 1.0) -> Transitions:
+def change_states(
+    model: SurfelModel, config: StateConfig, confidence_per_step: float = 1.0
+) -> Transitions:
     """Unstable -> stable by confidence, stable -> unstable by errors, and removal of bad rows.
 
         eta_i > delta_eta                  unstable becomes stable
@@ -231,7 +253,8 @@ def change_states(model: SurfelModel, config: StateConfig, confidence_per_step: 
         k - t_i > delta_t                  unstable is removed
         r_i   > max_radius_factor mean(r)  removed, stable or not (released code; not in the paper)
 
-    eta_i is a number of steps times ``confidence_per_step``. ``config.age`` says which frames count in k - t_i.
+    eta_i is a number of steps times ``confidence_per_step``. ``config.age`` says which frames count
+    in k - t_i.
     """
     stable = model.is_stable
     age = model.frames_in_view if config.age == "in_view" else model.step_count - model.birth_step
@@ -239,12 +262,20 @@ def change_states(model: SurfelModel, config: StateConfig, confidence_per_step: 
     if config.on_error == "release":
         errors = errors.maximum(model.colour_errors)
     happens = next_states(
-        stable, model.confidence, errors, age,
-        stable_confidence=config.stable_confidence / confidence_per_step if confidence_per_step else math.inf,
-        error_count=config.error_count, unstable_frames=config.unstable_frames,
-    )  # fmt: skip
+        stable,
+        model.confidence,
+        errors,
+        age,
+        stable_confidence=config.stable_confidence / confidence_per_step
+        if confidence_per_step
+        else math.inf,
+        error_count=config.error_count,
+        unstable_frames=config.unstable_frames,
+    )
     rows = happens.nonzero()[:, 0]  # few
-    ready, wrong, expired = (rows[happens[rows] == what] for what in (BECOMES_STABLE, BECOMES_UNSTABLE, DELETED))
+    ready, wrong, expired = (
+        rows[happens[rows] == what] for what in (BECOMES_STABLE, BECOMES_UNSTABLE, DELETED)
+    )
     model.state[ready] = STABLE
     for counter in (model.colour_errors, model.depth_errors):
         counter[ready] = 0
@@ -254,7 +285,12 @@ def change_states(model: SurfelModel, config: StateConfig, confidence_per_step: 
     if config.on_error == "release":
         model.state[wrong] = UNSTABLE
         model.clock.begin(wrong)
-        for counter in (model.confidence, model.frames_in_view, model.colour_errors, model.depth_errors):
+        for counter in (
+            model.confidence,
+            model.frames_in_view,
+            model.colour_errors,
+            model.depth_errors,
+        ):
             counter[wrong] = 0
     else:
         gone[wrong] = True
@@ -263,13 +299,17 @@ def change_states(model: SurfelModel, config: StateConfig, confidence_per_step: 
     if config.max_radius_factor is not None and len(model):
         radius = model.radius_m
         for kind in (model.is_stable, ~model.is_stable):
-            mean = sum_rows(torch.where(kind, radius, 0.0)) / kind.sum()  # NaN without rows; no radius is above NaN
+            mean = (
+                sum_rows(torch.where(kind, radius, 0.0)) / kind.sum()
+            )  # NaN without rows; no radius is above NaN
             oversized |= kind & (radius > config.max_radius_factor * mean)
         oversized &= ~gone
     if bool((gone | oversized).any()):
         model.keep(~(gone | oversized))
     n_oversized = int(oversized.count_nonzero())
-    return Transitions(stabilised=len(ready), released=len(wrong), expired=len(expired), oversized=n_oversized)
+    return Transitions(
+        stabilised=len(ready), released=len(wrong), expired=len(expired), oversized=n_oversized
+    )
 
 
 @piece
@@ -283,14 +323,16 @@ def next_states(
     error_count: int,
     unstable_frames: int,
 ) -> Int[Tensor, " N"]:
-    """What happens to every row at the end of a frame: STAYS, BECOMES_STABLE, BECOMES_UNSTABLE or DELETED.
+    """What happens to every row at the end of a frame: STAYS, BECOMES_STABLE, BECOMES_UNSTABLE or
+    DELETED.
 
     Args:
         stable: State of every row.
         confidence: eta: optimisation steps that changed its colour.
         errors: e: frames in which it was wrong since it became stable.
         age: Frames since it was added or last became unstable.
-        stable_confidence, error_count, unstable_frames: delta_eta, delta_e, delta_t, all to be exceeded.
+        stable_confidence, error_count, unstable_frames: delta_eta, delta_e, delta_t, all to be
+            exceeded.
 
     Source: Peng et al. 2024, section 3.2, "State management".
     """
@@ -320,14 +362,16 @@ def fuse_with_history(
 
     Differentiable: yes, through torch.
 
-    Source: Peng et al. 2024, Eq. 9, whose w_curr is 1 - w. (The released code uses the weight of the first row for all
-    parameters except centre and quaternion.)
+    Source: Peng et al. 2024, Eq. 9, whose w_curr is 1 - w. (The released code uses the weight of
+    the first row for all parameters except centre and quaternion.)
     """
     w = _weight_of_history(confidence_before, confidence_after, history_max_weight).to(after.xyz_W)
 
     def fused(name: str) -> Tensor:
         rows = [getattr(params, name).flatten(1) for params in (before, after)]
-        mixed = fuse(*rows, confidence_before, confidence_after, history_max_weight=history_max_weight)
+        mixed = fuse(
+            *rows, confidence_before, confidence_after, history_max_weight=history_max_weight
+        )
         return mixed.view_as(getattr(after, name))
 
     return GaussianParams(
@@ -352,9 +396,13 @@ def fuse(
 
     Differentiable: yes, through torch. Source: Peng et al. 2024, Eq. 9.
     """
-    w = _weight_of_history(confidence_before, confidence_after, history_max_weight).to(after)[:, None]
+    w = _weight_of_history(confidence_before, confidence_after, history_max_weight).to(after)[
+        :, None
+    ]
     return w * before + (1 - w) * after  # RTG-SLAM Eq. 9
 
 
-def _weight_of_history(before: Int[Tensor, " N"], after: Int[Tensor, " N"], largest: float) -> Float[Tensor, " N"]:
+def _weight_of_history(
+    before: Int[Tensor, " N"], after: Int[Tensor, " N"], largest: float
+) -> Float[Tensor, " N"]:
     return (before / after.clamp_min(1)).clamp(max=largest)

@@ -1,4 +1,5 @@
-"""Pinhole projection, its inverse, and normals of a depth image, in the convention of the whole package.
+"""Pinhole projection, its inverse, and normals of a depth image, in the convention of the whole
+package.
 
     pose        T_WC, T_CW   camera-to-world 4x4 and its inverse, metres;
                              OpenCV axes: x right, y down, z forward
@@ -17,7 +18,8 @@
     randomness  generator    passed in; a run with a seed repeats exactly on one machine
                              and thread count
 
-A data set whose intrinsics put pixel centres at integers (TUM, 7-Scenes, Replica) gets +0.5 on cx and cy in its reader.
+A data set whose intrinsics put pixel centres at integers (TUM, 7-Scenes, Replica) gets +0.5 on cx
+and cy in its reader.
 """
 
 from collections.abc import Sequence
@@ -29,7 +31,12 @@ from torch import Tensor
 from ..types import Camera
 
 
-def pixel_grid(camera: Camera, *, device=None, dtype=torch.float32) -> Float[Tensor, "H W 2"]:
+def pixel_grid(
+    camera: Camera,
+    *,
+    device=None,
+    dtype=torch.float32,
+) -> Float[Tensor, "H W 2"]:
     """Pixel centres ``uv`` of the whole image. [H, W, 2]"""
     u = torch.arange(camera.width, device=device, dtype=dtype) + 0.5
     v = torch.arange(camera.height, device=device, dtype=dtype) + 0.5
@@ -43,8 +50,11 @@ def rays(camera: Camera, uv: Float[Tensor, "*N 2"]) -> Float[Tensor, "*N 3"]:
     return torch.stack([x, y, torch.ones_like(x)], dim=-1)
 
 
-def backproject(camera: Camera, uv: Float[Tensor, "*N 2"], depth_m: Float[Tensor, "*N"]) -> Float[Tensor, "*N 3"]:
-    """Camera-frame points at z-depth ``depth_m`` at the pixels ``uv`` (GSFusion Eq. 10, before T_WC).
+def backproject(
+    camera: Camera, uv: Float[Tensor, "*N 2"], depth_m: Float[Tensor, "*N"]
+) -> Float[Tensor, "*N 3"]:
+    """Camera-frame points at z-depth ``depth_m`` at the pixels ``uv`` (GSFusion Eq. 10, before
+    T_WC).
 
     Differentiable: yes, through torch.
     """
@@ -52,7 +62,8 @@ def backproject(camera: Camera, uv: Float[Tensor, "*N 2"], depth_m: Float[Tensor
 
 
 def project(camera: Camera, xyz_C: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 2"]:
-    """Pixel coordinates of camera-frame points (GSFusion Eq. 4). Points with z <= 0 give meaningless pixels.
+    """Pixel coordinates of camera-frame points (GSFusion Eq. 4). Points with z <= 0 give
+    meaningless pixels.
 
     Differentiable: yes, through torch.
     """
@@ -73,9 +84,9 @@ def depth_to_normals(
 ) -> Float[Tensor, "H W 3"]:
     """Unit normals that point towards the camera, camera frame; zero where unknown. [H, W, 3]
 
-    Cross product of central differences of the back-projected points. A pixel has no normal if its depth or that of one
-    of its four neighbours is missing, or if a neighbour's depth differs by more than ``max_jump`` times its own (a
-    depth edge).
+    Cross product of central differences of the back-projected points. A pixel has no normal if its
+    depth or that of one of its four neighbours is missing, or if a neighbour's depth differs by
+    more than ``max_jump`` times its own (a depth edge).
     """
     P = depth_to_points(camera, depth_m)
     normal = torch.zeros_like(P)
@@ -114,13 +125,20 @@ def normals_at(
     return _towards_camera(points[0] - points[1], points[2] - points[3]) * known[:, None]
 
 
-def _on_one_surface(d: Float[Tensor, "*N"], neighbours: Sequence[Tensor], max_jump: float) -> Bool[Tensor, "*N"]:
+def _on_one_surface(
+    d: Float[Tensor, "*N"], neighbours: Sequence[Tensor], max_jump: float
+) -> Bool[Tensor, "*N"]:
     known = d > 0
     for n in neighbours:
         known = known & (n > 0) & ((n - d).abs() <= max_jump * d)
     return known
 
 
-def _towards_camera(dx: Float[Tensor, "*N 3"], dy: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
-    n = torch.linalg.cross(dy, dx)  # y down, x right: in this order the normal points towards the camera
+def _towards_camera(
+    dx: Float[Tensor, "*N 3"],
+    dy: Float[Tensor, "*N 3"],
+) -> Float[Tensor, "*N 3"]:
+    n = torch.linalg.cross(
+        dy, dx
+    )  # y down, x right: in this order the normal points towards the camera
     return n / n.norm(dim=-1, keepdim=True).clamp_min(1e-12)

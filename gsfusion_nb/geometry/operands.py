@@ -1,4 +1,5 @@
-"""Checks of what operations, mappers and tools are given: cameras, poses, depth images, Gaussians."""
+"""Checks of what operations, mappers and tools are given: cameras, poses, depth images,
+Gaussians."""
 
 import math
 from typing import Any
@@ -26,7 +27,8 @@ def check_operand(
     dtypes: tuple[torch.dtype, ...] = FLOATS,
     device: torch.device | None = None,
 ) -> None:
-    """Raise ``ValueError`` unless ``value`` is a tensor of this shape, of one of the types, on the device.
+    """Raise ``ValueError`` unless ``value`` is a tensor of this shape, of one of the types, on the
+    device.
 
     Args:
         name: For the sentence.
@@ -39,17 +41,23 @@ def check_operand(
     assert isinstance(value, Tensor)
     if value.dtype not in dtypes:
         wanted = "boolean" if dtypes is MASK else " or ".join(str(t) for t in dtypes)
-        raise ValueError(f"{name} must be {wanted}, got {value.dtype}; convert it with .to({dtypes[0]})")
+        raise ValueError(
+            f"{name} must be {wanted}, got {value.dtype}; convert it with .to({dtypes[0]})"
+        )
     if device is None and value.is_meta:
-        raise ValueError(f"{name} must hold numbers, got a tensor on the device meta, which has none")
+        raise ValueError(
+            f"{name} must hold numbers, got a tensor on the device meta, which has none"
+        )
     if device is not None and not _is_on(value.device, device):
         raise ValueError(
-            f"{name} must be on {device}, got a tensor on {value.device}; move it with .to({str(device)!r})"
+            f"{name} must be on {device}, got a tensor on {value.device}; move it with "
+            f".to({str(device)!r})"
         )
 
 
 def check_gaussians(params: Any, like: GaussianParams | None = None) -> None:
-    """Raise ``ValueError`` unless the columns of ``params`` fit together (or, as gradients, those of ``like``)."""
+    """Raise ``ValueError`` unless the columns of ``params`` fit together (or, as gradients, those
+    of ``like``)."""
     if not isinstance(params, GaussianParams):
         raise ValueError(f"params must be GaussianParams, got {type(params).__name__}")
     if like is not None and _same_layout(params, like):
@@ -58,21 +66,46 @@ def check_gaussians(params: Any, like: GaussianParams | None = None) -> None:
     if like is None:
         check_operand("xyz_W", first, ("N", 3))
     else:
-        check_operand("xyz_W", params.xyz_W, (len(first), 3), dtypes=(first.dtype,), device=first.device)
+        check_operand(
+            "xyz_W",
+            params.xyz_W,
+            (len(first), 3),
+            dtypes=(first.dtype,),
+            device=first.device,
+        )
     n, K = len(first), "K" if like is None else like.sh.shape[1]
-    for name, shape in (("log_scale", (n, 3)), ("quat", (n, 4)), ("opacity_logit", (n,)), ("sh", (n, K, 3))):
-        check_operand(name, getattr(params, name), shape, dtypes=(first.dtype,), device=first.device)
+    for name, shape in (
+        ("log_scale", (n, 3)),
+        ("quat", (n, 4)),
+        ("opacity_logit", (n,)),
+        ("sh", (n, K, 3)),
+    ):
+        check_operand(
+            name,
+            getattr(params, name),
+            shape,
+            dtypes=(first.dtype,),
+            device=first.device,
+        )
     if params.sh.shape[1] not in (1, 4, 9, 16):
-        raise ValueError(f"sh must be [N, K, 3] with K = 1, 4, 9 or 16 (degree 0 to 3), got K = {params.sh.shape[1]}")
+        raise ValueError(
+            "sh must be [N, K, 3] with K = 1, 4, 9 or 16 (degree 0 to 3), got K = "
+            f"{params.sh.shape[1]}"
+        )
     if n >= MOST_GAUSSIANS:
         raise ValueError(f"a map may have fewer than 2^24 Gaussians, got {n}; leave some out")
 
 
 def _same_layout(a: GaussianParams, b: GaussianParams) -> bool:
-    """Whether all columns have the same shape, type of numbers and device: the usual case, found quickly."""
+    """Whether all columns have the same shape, type of numbers and device: the usual case, found
+    quickly."""
     return all(
         isinstance(x, Tensor) and x.shape == y.shape and x.dtype == y.dtype and x.device == y.device
-        for x, y in zip(vars(a).values(), vars(b).values(), strict=True)
+        for x, y in zip(
+            vars(a).values(),
+            vars(b).values(),
+            strict=True,
+        )
     )
 
 
@@ -83,7 +116,8 @@ def check_camera(camera: Any) -> None:
 
 
 def check_view(camera: Any, T_WC: Any, device: torch.device) -> None:
-    """Raise ``ValueError`` unless this is a camera and a finite pose, on ``device`` or on the processor.
+    """Raise ``ValueError`` unless this is a camera and a finite pose, on ``device`` or on the
+    processor.
 
     A pose on a GPU is not waited for: with a NaN in it nothing is seen.
     """
@@ -102,12 +136,14 @@ def check_frame_on(frame: Any, device: torch.device) -> None:
         where = getattr(frame, name).device
         if not _is_on(where, device) and not (name == "T_WC" and where.type == "cpu"):
             raise ValueError(
-                f"the frame must be on {device}, got its {name} on {where}; move it with .to({str(device)!r})"
+                f"the frame must be on {device}, got its {name} on {where}; move it with "
+                f".to({str(device)!r})"
             )
 
 
 def check_images(**images: Any) -> None:
-    """Raise ``ValueError`` unless all are images of one size, type and device. A name with "depth" is [H, W]."""
+    """Raise ``ValueError`` unless all are images of one size, type and device. A name with "depth"
+    is [H, W]."""
     (name, first), *others = images.items()
     check_operand(name, first, ("H", "W", 3))
     size = tuple(first.shape[:2])
@@ -124,7 +160,8 @@ def _is_on(found: torch.device, wanted: torch.device) -> bool:
 FOCAL_PER_SIDE = (0.05, 100.0)
 """Focal length in units of the image's side: fields of view from 169 down to 0.6 degrees."""
 PIXEL_ASPECT = 10.0
-"""fx and fy differ by at most this factor; pixels of cameras are square, and images may be resized along one side."""
+"""fx and fy differ by at most this factor; pixels of cameras are square, and images may be resized
+along one side."""
 CENTRE_SIDES = (-1.0, 2.0)
 """Place of the principal point in units of the image's side; 0 and 1 are the image's edges."""
 MAX_DISTANCE_M = 10_000.0
@@ -149,11 +186,14 @@ def check_plausible_camera(source: str, camera: Camera) -> None:
     ):
         if not low <= value <= high:
             size = f"{c.width} x {c.height} pixels"
-            raise ValueError(f"{source}: {name} must be between {low:g} and {high:g} for {size}, got {value:g}")
+            raise ValueError(
+                f"{source}: {name} must be between {low:g} and {high:g} for {size}, got {value:g}"
+            )
 
 
 def check_rays(source: str, camera: Camera) -> None:
-    """Raise ``ValueError`` if a ray runs further sideways than those of any plausible camera; a picture may be small.
+    """Raise ``ValueError`` if a ray runs further sideways than those of any plausible camera; a
+    picture may be small.
 
     The sentence begins with ``source``.
     """
@@ -163,27 +203,29 @@ def check_rays(source: str, camera: Camera) -> None:
         sideways = max(abs(centre), abs(size - centre)) / focal
         if not sideways <= most:
             raise ValueError(
-                f"{source}: f{axis} = {focal:g} and c{axis} = {centre:g} make a ray run {sideways:.3g} m sideways per "
-                f"metre of depth; expected at most {most:g}"
+                f"{source}: f{axis} = {focal:g} and c{axis} = {centre:g} make a ray run "
+                f"{sideways:.3g} m sideways per metre of depth; expected at most {most:g}"
             )
 
 
 def check_place(source: str, T_WC: Float[Tensor, "4 4"]) -> None:
-    """Raise ``ValueError`` if the camera is too far from the origin; the sentence begins with ``source``."""
+    """Raise ``ValueError`` if the camera is too far from the origin; the sentence begins with
+    ``source``."""
     if float(T_WC[:3, 3].abs().max()) > MAX_DISTANCE_M:
         place = ", ".join(f"{float(v):.4g}" for v in T_WC[:3, 3])
         raise ValueError(
-            f"{source} must be within {MAX_DISTANCE_M / 1000:g} km of the origin, got ({place}) m: is the unit metres? "
-            "Of map coordinates, subtract one origin from all poses"
+            f"{source} must be within {MAX_DISTANCE_M / 1000:g} km of the origin, got ({place}) m: "
+            "is the unit metres? Of map coordinates, subtract one origin from all poses"
         )
 
 
 def check_depth_scale(source: str, scale: float) -> None:
-    """Raise ``ValueError`` if no depth of one metre is stored as ``scale``; the sentence begins with ``source``."""
+    """Raise ``ValueError`` if no depth of one metre is stored as ``scale``; the sentence begins
+    with ``source``."""
     low, high = DEPTH_SCALE
     if not low <= scale <= high:
         inverse = f"; is it {1 / scale:g}, the inverse?" if 0 < scale < low else ""
         raise ValueError(
-            f"{source}: the depth scale, the stored value of one metre, must be between {low:g} and {high:g}, got "
-            f"{scale:g}{inverse}"
+            f"{source}: the depth scale, the stored value of one metre, must be between {low:g} "
+            f"and {high:g}, got {scale:g}{inverse}"
         )

@@ -62,8 +62,8 @@ def up_vector(up: Up) -> Float[Tensor, "3"]:
 def turn_to_y_up(up: Up) -> Float[Tensor, "3 3"]:
     """The rotation R with R up = +y, for glTF, float64.
 
-    For the axes it is a change of axes without rounding: "-y" (the OpenCV axes of the first camera) is (x, y, z) ->
-    (x, -y, -z), "+z" is (x, y, z) -> (x, z, -y).
+    For the axes it is a change of axes without rounding: "-y" (the OpenCV axes of the first camera)
+    is (x, y, z) -> (x, -y, -z), "+z" is (x, y, z) -> (x, z, -y).
     """
     u = up_vector(up)
     level = torch.eye(3, dtype=torch.float64)[2 if float(u[0].abs()) > 0.9 else 0]

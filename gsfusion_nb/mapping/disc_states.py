@@ -1,4 +1,5 @@
-"""The states of RTG-SLAM's Gaussians over a run: the share of each, and why none has become stable."""
+"""The states of RTG-SLAM's Gaussians over a run: the share of each, and why none has become
+stable."""
 
 from collections.abc import Sequence
 from statistics import fmean
@@ -16,14 +17,16 @@ def n_stable(step: StepReport) -> int:
 
 
 def state_shares(steps: Sequence[StepReport]) -> dict[str, float]:
-    """Share of the Gaussians in each state, mean over the frames, and that of the stable ones after the last frame.
+    """Share of the Gaussians in each state, mean over the frames, and that of the stable ones after
+    the last frame.
 
     Args:
         steps: Of a run, in order; those without any Gaussian do not count.
 
     Returns:
-        "share_stable" and "share_unstable", "share_stable_transparent" and "share_unstable_transparent" among them,
-        "share_transparent" and "share_stable_last", each 0..1 of all Gaussians; empty without a Gaussian.
+        "share_stable" and "share_unstable", "share_stable_transparent" and
+        "share_unstable_transparent" among them, "share_transparent" and "share_stable_last", each
+        0..1 of all Gaussians; empty without a Gaussian.
     """
     filled = [step for step in steps if step.n_gaussians]
     if not filled:
@@ -40,7 +43,8 @@ def state_shares(steps: Sequence[StepReport]) -> dict[str, float]:
 
 
 def why_never_stable(steps: Sequence[StepReport], config: RtgSlamConfig, most_steps: int) -> str:
-    """A sentence that says that no Gaussian has become stable, and what is missing; empty if one has.
+    """A sentence that says that no Gaussian has become stable, and what is missing; empty if one
+    has.
 
     Args:
         steps: Of a run, in order.
@@ -51,7 +55,8 @@ def why_never_stable(steps: Sequence[StepReport], config: RtgSlamConfig, most_st
         return ""
     confidence = most_steps * config.window.confidence_per_step
     return (
-        f"RTG-SLAM's stable state never occurred: in {len(steps)} frames no Gaussian reached a confidence above "
-        f"states.stable_confidence {config.states.stable_confidence:g}, the highest is {confidence:g}; so all "
-        "were optimised all the time, and the paper's rule could seed no transparent one"
+        f"RTG-SLAM's stable state never occurred: in {len(steps)} frames no Gaussian reached a "
+        f"confidence above states.stable_confidence {config.states.stable_confidence:g}, the "
+        f"highest is {confidence:g}; so all were optimised all the time, and the paper's rule "
+        "could seed no transparent one"
     )

@@ -14,8 +14,11 @@ LOOKED_AT = 10
 """Frames after which a map is looked at while it is made."""
 
 
-def why_few(config: GSFusionConfig, camera: Camera | None, n_frames: int, n_gaussians: int, n_keyframes: int) -> str:
-    """A sentence if the frames so far gave fewer Gaussians than one keyframe has, or no keyframe; else empty.
+def why_few(
+    config: GSFusionConfig, camera: Camera | None, n_frames: int, n_gaussians: int, n_keyframes: int
+) -> str:
+    """A sentence if the frames so far gave fewer Gaussians than one keyframe has, or no keyframe;
+    else empty.
 
     Args:
         config: Settings of the map.
@@ -28,13 +31,20 @@ def why_few(config: GSFusionConfig, camera: Camera | None, n_frames: int, n_gaus
     said = [f"there are only {n_gaussians:,} Gaussians after {n_frames} frames"]
     if not n_keyframes:
         said.append(
-            f"no frame added more than {least} (keyframe_min_seeds), so none is a keyframe, and the passes after the "
-            "scan change nothing"
+            f"no frame added more than {least} (keyframe_min_seeds), so none is a keyframe, and "
+            "the passes after the scan change nothing"
         )
-    if config.seeding.rule == _RULE and config.seeding.quadtree_contrast == "released" and camera is not None:
+    if (
+        config.seeding.rule == _RULE
+        and config.seeding.quadtree_contrast == "released"
+        and camera is not None
+    ):
         said.append(_of_quadtree(config.seeding.quadtree_threshold, camera))
     else:
-        said.append(f"let the seeding rule {config.seeding.rule!r} propose more, or set a smaller keyframe_min_seeds")
+        said.append(
+            f"let the seeding rule {config.seeding.rule!r} propose more, or set a smaller "
+            "keyframe_min_seeds"
+        )
     return "; ".join(said)
 
 
@@ -43,7 +53,8 @@ def _of_quadtree(threshold: float, camera: Camera) -> str:
     n_px = camera.width * camera.height
     contrast = math.sqrt(threshold * QUADTREE_NORMALISER / n_px)
     return (
-        f"at {camera.width} x {camera.height} pixels the quadtree cuts only cells whose colours vary by "
-        f"{contrast:.0f} of 255 or more: for small images use --seeding.quadtree-contrast std, or "
-        f"--seeding.quadtree-threshold {threshold * n_px / _PUBLISHED_AT_PX:.2g}, which cuts as it does at 1200 x 680"
+        f"at {camera.width} x {camera.height} pixels the quadtree cuts only cells whose colours "
+        f"vary by {contrast:.0f} of 255 or more: for small images use --seeding.quadtree-contrast "
+        f"std, or --seeding.quadtree-threshold {threshold * n_px / _PUBLISHED_AT_PX:.2g}, which "
+        "cuts as it does at 1200 x 680"
     )

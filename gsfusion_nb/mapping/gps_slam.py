@@ -1,4 +1,5 @@
-"""GPS-SLAM (Peng et al. 2025): a coloured TSDF, and Gaussians for what its colours cannot show, frame by frame."""
+"""GPS-SLAM (Peng et al. 2025): a coloured TSDF, and Gaussians for what its colours cannot show,
+frame by frame."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -27,11 +28,13 @@ LEAST_OPACITY = 0.005
 """Gaussians with a smaller opacity are removed (released code)."""
 
 KEPT_BASES_BYTES = 256 << 20
-"""Memory for the surfaces that the passes after the scan have seen; the others are looked at anew in each pass."""
+"""Memory for the surfaces that the passes after the scan have seen; the others are looked at anew
+in each pass."""
 
 
 class GPSSLAM(TsdfMapping):
-    """GPS-SLAM: its two maps are ``volume`` (TSDF) and ``gaussians``, which are drawn over the TSDF's picture.
+    """GPS-SLAM: its two maps are ``volume`` (TSDF) and ``gaussians``, which are drawn over the
+    TSDF's picture.
 
     Settings: ``gsfusion_nb.config.gps_slam``.
     """
@@ -59,24 +62,37 @@ class GPSSLAM(TsdfMapping):
         if followed != "measured":
             losses = " and its structural and depth losses" if followed == "rrg" else ""
             self.notes.append(
-                f'GPS-SLAM with the fidelity "{followed}" still differs in what is not a setting, such as the order of '
+                f'GPS-SLAM with the fidelity "{followed}" still differs in what is not a setting, '
+                "such as the order of "
                 f"a frame, the stored colours, the cut of alpha{losses} (docs/gps_slam.md)"
             )
 
     def map_frame(self, frame: Frame) -> StepReport:
-        """Propose seeds where the surface's picture is wrong, append, optimise views of the round, fuse.
+        """Propose seeds where the surface's picture is wrong, append, optimise views of the round,
+        fuse.
 
-        The frame is fused last, because that cannot be undone; what the rule and the optimisation see of the surface is
-        without it. The first frame is therefore only fused, unless the rule needs no surface.
+        The frame is fused last, because that cannot be undone; what the rule and the optimisation
+        see of the surface is without it. The first frame is therefore only fused, unless the rule
+        needs no surface.
         """
         schedule, is_keyframe = self.config.schedule, self.is_next_keyframe(frame)
-        seeds_now, in_window = self.rule_is_due(is_keyframe), self.n_frames % schedule.window_every == 0
+        seeds_now, in_window = (
+            self.rule_is_due(is_keyframe),
+            self.n_frames % schedule.window_every == 0,
+        )
         with self.clock("tsdf"):
             missing = self._make_room(frame)
         with self.clock("base"):
-            now = self._look(self._kept(frame)) if seeds_now or in_window or self.after_steps.edits else None
+            now = (
+                self._look(self._kept(frame))
+                if seeds_now or in_window or self.after_steps.edits
+                else None
+            )
         with self.clock("seeding"):
-            below, preview = None if now is None else now.below, FusedView(self.volume, frame, missing)
+            below, preview = (
+                None if now is None else now.below,
+                FusedView(self.volume, frame, missing),
+            )
             context = self._context(frame, volume=preview, below=below)
             seeds = self.propose_seeds(context)
         with self.changes(undoable=self.views.steps_in(self.n_frames) > 0):
@@ -105,33 +121,45 @@ class GPSSLAM(TsdfMapping):
         return self._context(frame, volume=self.volume, below=below)
 
     def _context(self, frame: Frame, **more: Any) -> SeedContext:
-        return super()._context(frame, near_m=self.config.tsdf.near_m, seen_before=self._seen_before(frame), **more)
+        return super()._context(
+            frame, near_m=self.config.tsdf.near_m, seen_before=self._seen_before(frame), **more
+        )
 
     def is_next_keyframe(self, frame: Frame) -> bool:
-        """Whether the camera has turned or moved far enough since the last keyframe, or it is time for one."""
+        """Whether the camera has turned or moved far enough since the last keyframe, or it is time
+        for one."""
         views = self.config.views
         if not len(self.keyframes):
             return True
         due = views.every_frames and self.n_frames % views.every_frames == 0
         if not due:
-            turned_deg, moved_m = se3.motion(self.keyframes[len(self.keyframes) - 1].T_WC, frame.T_WC)
+            turned_deg, moved_m = se3.motion(
+                self.keyframes[len(self.keyframes) - 1].T_WC, frame.T_WC
+            )
             due = turned_deg > views.rotation_deg or moved_m > views.translation_m
         return bool(due) and not self._seen_before(frame)
 
     def _seen_before(self, frame: Frame) -> bool:
-        return bool(self.config.views.every_frames) and super()._seen_before(frame)  # as released, nobody asks
+        return bool(self.config.views.every_frames) and super()._seen_before(
+            frame
+        )  # as released, nobody asks
 
     def below(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> BaseView:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
         return self._over_surface.below(camera, T_WC)
 
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
-        """Surface and Gaussians seen by a camera; alpha is 1 where there is a surface, and depth is the surface's."""
+        """Surface and Gaussians seen by a camera; alpha is 1 where there is a surface, and depth is
+        the surface's."""
         return self._over_surface.render(camera, T_WC)
 
     @property
     def _over_surface(self) -> OverSurface:
-        return OverSurface(volume=self.volume, params=self.params_now(), config=self.config.base)
+        return OverSurface(
+            volume=self.volume,
+            params=self.params_now(),
+            config=self.config.base,
+        )
 
     @property
     def row_optim(self) -> OptimConfig:
@@ -145,7 +173,12 @@ class GPSSLAM(TsdfMapping):
     def drawn_as_stored(self) -> Draw:
         """The map with its TSDF rounded as in the file."""
         look = self._stored_looks.of(self.volume, self.n_frames)
-        over = OverSurface(volume=self.volume, params=self.params_now(), config=self.config.base, look=look)
+        over = OverSurface(
+            volume=self.volume,
+            params=self.params_now(),
+            config=self.config.base,
+            look=look,
+        )
         return over.render
 
     def forget_drawn(self) -> None:
@@ -158,9 +191,16 @@ class GPSSLAM(TsdfMapping):
         return OverSurface.of_folder(folder, params, config).render
 
     @classmethod
-    def aligned_pose(cls, draw: Draw, params: GaussianParams, frame: Frame) -> Float[Tensor, "4 4"]:
+    def aligned_pose(
+        cls,
+        draw: Draw,
+        params: GaussianParams,
+        frame: Frame,
+    ) -> Float[Tensor, "4 4"]:
         """The pose at which the whole picture fits the frame best; the surface moves in it, too."""
-        return fit_pose_by_flow(draw, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC).T_WC
+        return fit_pose_by_flow(
+            draw, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC
+        ).T_WC
 
     def standard_gaussians(self) -> GaussianParams:
         """The Gaussians in front of the surface, then the surface as discs.
@@ -224,7 +264,8 @@ class GPSSLAM(TsdfMapping):
         return look_at(self.volume, keyframe.to(self.device), self.config.base)
 
     def _renew_views(self, now: BasedView | None, *, in_window: bool) -> None:
-        """Look again at the views whose turn it is; ``now``: this frame, which becomes one of them if ``in_window``."""
+        """Look again at the views whose turn it is; ``now``: this frame, which becomes one of them
+        if ``in_window``."""
         self._kept_bases = {}
         views = self.views
         if in_window and now is not None and bool((now.seen_depth_m > 0).any()):
@@ -247,24 +288,37 @@ class GPSSLAM(TsdfMapping):
             self.gaussians.keep(kept)
 
     def _restart_adam(self) -> None:
-        """Forget all moments and the number of steps, after rows have taken the steps that they missed."""
+        """Forget all moments and the number of steps, after rows have taken the steps that they
+        missed."""
         self.take_missed_steps()
         self.gaussians.will_change()
         self.gaussians.restart_optimiser()
 
     def _optimise(self, context: SeedContext) -> list[list[float]]:
-        """The steps of this frame, each on one of the views. Returns loss and mean squared error before each."""
+        """The steps of this frame, each on one of the views. Returns loss and mean squared error
+        before each."""
         n = self.views.steps_in(self.n_frames) if len(self.views) and len(self.gaussians) else 0
         self.after_steps.frame_begins(context, n)
         views = [self.views.next_view(self.random.keyframes) for _ in range(n)]
-        return as_floats([self._optimise_view(view, views[i + 1 :]) for i, view in enumerate(views)])
+        return as_floats(
+            [self._optimise_view(view, views[i + 1 :]) for i, view in enumerate(views)]
+        )
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
-        """One step on the i-th keyframe after the scan; each pass ends as a burst does, with the removal of rows."""
+        """One step on the i-th keyframe after the scan; each pass ends as a burst does, with the
+        removal of rows."""
         view = self._kept_bases.get(i)
         if view is None:
-            view = look_at(self.volume, self.keyframes[i].to(self.device), self.config.base, full=True)
-            size = sum(x.nbytes for x in (*vars(view.below.base).values(), view.seen_rgb, view.seen_depth_m))
+            view = look_at(
+                self.volume,
+                self.keyframes[i].to(self.device),
+                self.config.base,
+                full=True,
+            )
+            size = sum(
+                x.nbytes
+                for x in (*vars(view.below.base).values(), view.seen_rgb, view.seen_depth_m)
+            )
             if (len(self._kept_bases) + 1) * size <= KEPT_BASES_BYTES:
                 self._kept_bases[i] = view
         loss = self._optimise_view(view)[0]
@@ -275,19 +329,28 @@ class GPSSLAM(TsdfMapping):
     def _optimise_view(self, view: BasedView, later: Sequence[BasedView] = ()) -> ViewStep:
         """One gradient step on one view; the surface is held fixed. Returns loss and MSE before it.
 
-        Rows of ``later`` views are stepped, too. They are in the map after the last step, or when a rule looks at it.
+        Rows of ``later`` views are stepped, too. They are in the map after the last step, or when a
+        rule looks at it.
         """
         self.guard.may_stop()
         keyframe, below = view.keyframe, view.below
         camera, T_WC, target = keyframe.camera, keyframe.T_WC, keyframe.rgb
-        part = self.part_in_view(keyframe, self.config.residual.adam, [v.keyframe for v in later])
+        part = self.part_in_view(
+            keyframe,
+            self.config.residual.adam,
+            [v.keyframe for v in later],
+        )
         watched = self.after_steps.watch(self.gaussians, keyframe, len(part.params))
-        output, saved = render_over_base(part.params, camera, T_WC, below.base, behind_m=below.behind_m)
+        output, saved = render_over_base(
+            part.params, camera, T_WC, below.base, behind_m=below.behind_m
+        )
         of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp
         pixels = of_pixels(output.rgb, target)
         loss, v_rgb = pixels.value, pixels.v_rgb
         if self.training.loss is not None:
-            given = self.training.view_loss(output.as_render_output(below.base), keyframe, with_depth=False)
+            given = self.training.view_loss(
+                output.as_render_output(below.base), keyframe, with_depth=False
+            )
             loss, v_rgb = given.value, given.v_rgb
         gradients = render_over_base_vjp(saved, v_rgb, **watched.outputs)
         adam_step(part, gradients, self.config.residual.adam, self.training.optimiser)

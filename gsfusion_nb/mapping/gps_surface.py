@@ -1,16 +1,19 @@
-"""A map of GPS-SLAM as a camera sees it, and as plain Gaussians for programs that know no surface below them.
+"""A map of GPS-SLAM as a camera sees it, and as plain Gaussians for programs that know no surface
+below them.
 
-The surface becomes opaque discs, one in each voxel that it crosses. A Gaussian of weight w over the surface's colour
-C_s gives (C_s + w c) / (1 + w), and one of opacity a in front of a disc gives a c + (1 - a) C_s: the same for
+The surface becomes opaque discs, one in each voxel that it crosses. A Gaussian of weight w over the
+surface's colour C_s gives (C_s + w c) / (1 + w), and one of opacity a in front of a disc gives a c
++ (1 - a) C_s: the same for
 
     a = w / (1 + w)                                                                             (1)
 
-so its opacity o becomes o / (1 + o). This is exact where one Gaussian covers a pixel, and only at its centre: away from
-it (1) falls off more slowly than a Gaussian, and of several, sorted ones take light from each other. A Gaussian is
-blended with the surface also when it lies behind it; here it would be hidden, so each is moved in front of the discs.
+so its opacity o becomes o / (1 + o). This is exact where one Gaussian covers a pixel, and only at
+its centre: away from it (1) falls off more slowly than a Gaussian, and of several, sorted ones take
+light from each other. A Gaussian is blended with the surface also when it lies behind it; here it
+would be hidden, so each is moved in front of the discs.
 
-Discs of one colour are coarser than the TSDF, which interpolates between voxels. So colours, opacities and sizes are
-then fitted (``fit_to_pictures``) to pictures of the map itself.
+Discs of one colour are coarser than the TSDF, which interpolates between voxels. So colours,
+opacities and sizes are then fitted (``fit_to_pictures``) to pictures of the map itself.
 """
 
 import dataclasses
@@ -41,25 +44,48 @@ DISC_VOXELS = 0.4
 THIN_VOXELS = 0.05
 """Standard deviation of a disc across the surface, voxels."""
 IN_FRONT_VOXELS = 1.0
-"""How far in front of the surface the Gaussians are, voxels: less, and discs beside them cover them in flat views."""
+"""How far in front of the surface the Gaussians are, voxels: less, and discs beside them cover them
+in flat views."""
 WIDER = 1.1
 """Factor on the size of the Gaussians, for the slower fall-off of (1)."""
-CAMERA = Camera(width=320, height=240, fx=200.0, fy=200.0, cx=160.0, cy=120.0)
-"""Of the pictures that discs are fitted to, wide, so that it sees at least what the recording's camera saw."""
-_RATES = OptimConfig(lr_xyz=0.0, lr_quat=0.0, lr_sh_dc=0.02, lr_sh_rest=0.001, lr_log_scale=0.01, lr_opacity_logit=0.05)
+CAMERA = Camera(
+    width=320,
+    height=240,
+    fx=200.0,
+    fy=200.0,
+    cx=160.0,
+    cy=120.0,
+)
+"""Of the pictures that discs are fitted to, wide, so that it sees at least what the recording's
+camera saw."""
+_RATES = OptimConfig(
+    lr_xyz=0.0,
+    lr_quat=0.0,
+    lr_sh_dc=0.02,
+    lr_sh_rest=0.001,
+    lr_log_scale=0.01,
+    lr_opacity_logit=0.05,
+)
 
 
-def plain_gaussians(volume: TsdfVolume, params: GaussianParams, discs: GaussianParams | None = None) -> GaussianParams:
-    """Surface and Gaussians as Gaussians for a sorted renderer: first the Gaussians, in their order, then the discs.
+def plain_gaussians(
+    volume: TsdfVolume, params: GaussianParams, discs: GaussianParams | None = None
+) -> GaussianParams:
+    """Surface and Gaussians as Gaussians for a sorted renderer: first the Gaussians, in their
+    order, then the discs.
 
-    Holes of the surface stay holes. ``discs`` are those of an earlier surface, to save the time of making new ones.
-    Differentiable: no.
+    Holes of the surface stay holes. ``discs`` are those of an earlier surface, to save the time of
+    making new ones. Differentiable: no.
     """
     discs = (
-        surface_discs(extract_mesh(volume), volume.config.voxel_size_m, params.sh.shape[1]) if discs is None else discs
+        surface_discs(extract_mesh(volume), volume.config.voxel_size_m, params.sh.shape[1])
+        if discs is None
+        else discs
     )
     over = in_front(volume, params)
-    return GaussianParams(**{name: torch.cat([rows, getattr(discs, name)]) for name, rows in vars(over).items()})
+    return GaussianParams(
+        **{name: torch.cat([rows, getattr(discs, name)]) for name, rows in vars(over).items()}
+    )
 
 
 def fit_to_pictures(
@@ -90,12 +116,25 @@ def fit_to_pictures(
 
 
 def surface_discs(mesh: Mesh, voxel_size_m: float, coefficients: int = 1) -> GaussianParams:
-    """An opaque disc in each voxel that holds vertices of the mesh, at their mean place and in their mean colour."""
+    """An opaque disc in each voxel that holds vertices of the mesh, at their mean place and in
+    their mean colour."""
     xyz = mesh.vertices_W
-    _, voxel = torch.unique((xyz / voxel_size_m).floor().long(), dim=0, return_inverse=True)
+    _, voxel = torch.unique(
+        (xyz / voxel_size_m).floor().long(),
+        dim=0,
+        return_inverse=True,
+    )
     n = int(voxel.max()) + 1 if len(voxel) else 0
-    mean = _means(torch.cat([xyz, mesh.rgb, vertex_normals(mesh)], dim=1), voxel, n)
-    centre, rgb, normal = mean[:, :3], mean[:, 3:6], torch.nn.functional.normalize(mean[:, 6:], dim=1)
+    mean = _means(
+        torch.cat([xyz, mesh.rgb, vertex_normals(mesh)], dim=1),
+        voxel,
+        n,
+    )
+    centre, rgb, normal = (
+        mean[:, :3],
+        mean[:, 3:6],
+        torch.nn.functional.normalize(mean[:, 6:], dim=1),
+    )
     sh = xyz.new_zeros(n, coefficients, 3)
     sh[:, 0] = rgb_to_sh_dc(rgb)
     size_m = voxel_size_m * torch.tensor([DISC_VOXELS, DISC_VOXELS, THIN_VOXELS]).to(xyz)
@@ -109,7 +148,8 @@ def surface_discs(mesh: Mesh, voxel_size_m: float, coefficients: int = 1) -> Gau
 
 
 def in_front(volume: TsdfVolume, params: GaussianParams) -> GaussianParams:
-    """The Gaussians with the opacities of (1), moved along the surface's normal until they are in front of it."""
+    """The Gaussians with the opacities of (1), moved along the surface's normal until they are in
+    front of it."""
     voxel_m, truncation_m = volume.config.voxel_size_m, volume.config.truncation_m
     D, known = volume.interpolate(params.xyz_W)
     at, f = volume.cell_corners(params.xyz_W[known])
@@ -119,11 +159,17 @@ def in_front(volume: TsdfVolume, params: GaussianParams) -> GaussianParams:
     xyz[known] += lacking_m[:, None] * torch.nn.functional.normalize(gradient, dim=1)
     o = params.opacity_logit.sigmoid()
     wide = params.log_scale + math.log(WIDER)
-    return dataclasses.replace(params, xyz_W=xyz, opacity_logit=(o / (1 + o)).logit(), log_scale=wide)
+    return dataclasses.replace(
+        params,
+        xyz_W=xyz,
+        opacity_logit=(o / (1 + o)).logit(),
+        log_scale=wide,
+    )
 
 
 def vertex_normals(mesh: Mesh) -> Float[Tensor, "V 3"]:
-    """Sum of the normals of the triangles around each vertex, weighted by their areas; not of unit length."""
+    """Sum of the normals of the triangles around each vertex, weighted by their areas; not of unit
+    length."""
     a, b, c = mesh.vertices_W[mesh.faces.long()].unbind(1)
     normal = torch.linalg.cross(b - a, c - a)
     sums = torch.zeros_like(mesh.vertices_W)
@@ -132,7 +178,11 @@ def vertex_normals(mesh: Mesh) -> Float[Tensor, "V 3"]:
     return sums
 
 
-def _means(rows: Float[Tensor, "V C"], group: Int[Tensor, " V"], n: int) -> Float[Tensor, "N C"]:
+def _means(
+    rows: Float[Tensor, "V C"],
+    group: Int[Tensor, " V"],
+    n: int,
+) -> Float[Tensor, "N C"]:
     total = rows.new_zeros(n, rows.shape[1]).index_add_(0, group, rows)
     return total / torch.bincount(group, minlength=n).clamp_min(1)[:, None]
 
@@ -144,14 +194,15 @@ TSDF = "tsdf.npz"
 Look = Callable[[Camera, Float[Tensor, "4 4"]], tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]]
 """Colour and depth of a surface that a camera sees, one ray for each pixel."""
 KEPT_LOOKS_BYTES = 1 << 28
-"""Largest memory of what was seen of a surface and is kept for the next score: 218 pictures of 320x240."""
+"""Largest memory of what was seen of a surface and is kept for the next score: 218 pictures of
+320x240."""
 
 
 class StoredLooks:
     """What cameras see of a volume as its file holds it, kept while the volume is the same.
 
-    A run scores the same views before and after its passes, which do not change the surface: it is rounded, and rays
-    are cast, once.
+    A run scores the same views before and after its passes, which do not change the surface: it is
+    rounded, and rays are cast, once.
     """
 
     def __init__(self) -> None:
@@ -207,13 +258,22 @@ class OverSurface:
             rgb, depth_m = seen.rgb, seen.depth_m
         else:
             rgb, depth_m = self.look(camera, T_WC)
-        return base_view(rgb, depth_m, (camera.height, camera.width), self.config.holes, self.config.behind_m)
+        return base_view(
+            rgb,
+            depth_m,
+            (camera.height, camera.width),
+            self.config.holes,
+            self.config.behind_m,
+        )
 
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
-        """Surface and Gaussians seen by a camera; alpha is 1 where there is a surface, and depth is the surface's."""
+        """Surface and Gaussians seen by a camera; alpha is 1 where there is a surface, and depth is
+        the surface's."""
         below = self.below(camera, T_WC)
         device = self.volume.device
-        out, _ = render_over_base(self.params, camera, T_WC.to(device), below.base, behind_m=below.behind_m)
+        out, _ = render_over_base(
+            self.params, camera, T_WC.to(device), below.base, behind_m=below.behind_m
+        )
         return out.as_render_output(below.base)
 
     @staticmethod

@@ -18,7 +18,8 @@ WINDOW = 2
 """How many of the last frames are among the views."""
 
 WINDOW_TURNS = 2 / 7
-"""Turns of the latest frames for each turn of a keyframe, as with the 2 frames and 7 keyframes of the release."""
+"""Turns of the latest frames for each turn of a keyframe, as with the 2 frames and 7 keyframes of
+the release."""
 
 LOOK_STEPS, SEEDING_STEPS = 1.5, 2.0
 """Gradient steps that take as long as a look at the TSDF, and as seeding; measured at 320 x 240."""
@@ -38,15 +39,23 @@ class BasedView:
     def of(keyframe: Keyframe, rgb: Tensor, depth_m: Tensor, config: BaseConfig) -> "BasedView":
         """A view whose camera sees these colours and depths of the surface."""
         camera = keyframe.camera
-        below = base_view(rgb, depth_m, (camera.height, camera.width), config.holes, config.behind_m)
+        below = base_view(
+            rgb, depth_m, (camera.height, camera.width), config.holes, config.behind_m
+        )
         return BasedView(keyframe=keyframe, seen_rgb=rgb, seen_depth_m=depth_m, below=below)
 
     def state_dict(self) -> dict[str, Any]:
         """Plain values."""
-        return {"keyframe": self.keyframe.state_dict(), "seen_rgb": self.seen_rgb, "seen_depth_m": self.seen_depth_m}
+        return {
+            "keyframe": self.keyframe.state_dict(),
+            "seen_rgb": self.seen_rgb,
+            "seen_depth_m": self.seen_depth_m,
+        }
 
 
-def look_at(volume: TsdfVolume, keyframe: Keyframe, config: BaseConfig, *, full: bool = False) -> BasedView:
+def look_at(
+    volume: TsdfVolume, keyframe: Keyframe, config: BaseConfig, *, full: bool = False
+) -> BasedView:
     """The view with what its camera sees of the volume now.
 
     Args:
@@ -61,7 +70,8 @@ def look_at(volume: TsdfVolume, keyframe: Keyframe, config: BaseConfig, *, full:
 
 
 def small(camera: Camera, config: BaseConfig) -> Camera:
-    """The camera that rays are cast for while mapping; of odd sizes, the small picture covers a pixel more."""
+    """The camera that rays are cast for while mapping; of odd sizes, the small picture covers a
+    pixel more."""
     if config.resolution == "full":
         return camera
     width, height = (camera.width + 1) // 2, (camera.height + 1) // 2
@@ -75,8 +85,9 @@ def _lens(camera: Camera) -> dict[str, float]:
 class ViewRound:
     """The views of a round: the latest frames and some random keyframes, which take turns.
 
-    A keyframe that is looked at takes its own place, or that of the one that was looked at longest ago when there are
-    enough. Steps draw from all views without replacement; when all had their turn, a new order is drawn.
+    A keyframe that is looked at takes its own place, or that of the one that was looked at longest
+    ago when there are enough. Steps draw from all views without replacement; when all had their
+    turn, a new order is drawn.
     """
 
     def __init__(self, config: ScheduleConfig):
@@ -96,16 +107,26 @@ class ViewRound:
         self.window = [*self.window, view][-WINDOW:]
 
     def recall(
-        self, keyframes: KeyframeList, look: Callable[[Keyframe], BasedView], generator: Any, n: int, n_new: int
+        self,
+        keyframes: KeyframeList,
+        look: Callable[[Keyframe], BasedView],
+        generator: Any,
+        n: int,
+        n_new: int,
     ) -> None:
-        """Look at ``n`` keyframes, of which up to ``n_new`` were never looked at, the newest but one; others at random.
+        """Look at ``n`` keyframes, of which up to ``n_new`` were never looked at, the newest but
+        one; others at random.
 
-        The newest is not looked at: the surface is one frame older than it, so half of its picture may be missing.
+        The newest is not looked at: the surface is one frame older than it, so half of its picture
+        may be missing.
         """
         new = [keyframes[len(keyframes) - 2]] if n_new and len(keyframes) > 1 else []
         looked_at = max((view.keyframe.index for view in self.recalled), default=-1)
         new = [keyframe for keyframe in new if keyframe.index > looked_at][: self.config.keyframes]
-        for keyframe in [*new, *keyframes.draw(min(n, self.config.keyframes) - len(new), generator)]:
+        for keyframe in [
+            *new,
+            *keyframes.draw(min(n, self.config.keyframes) - len(new), generator),
+        ]:
             others = [view for view in self.recalled if view.keyframe.index != keyframe.index]
             self.recalled = [*others, look(keyframe)][-self.config.keyframes :]
 
@@ -122,7 +143,8 @@ class ViewRound:
         return min(self._share(self.config.recalled_new, n_frames), self.recalls_in(n_frames))
 
     def steps_in(self, n_frames: int) -> int:
-        """Gradient steps in the frame before which ``n_frames`` were mapped; fewer where other work is done."""
+        """Gradient steps in the frame before which ``n_frames`` were mapped; fewer where other work
+        is done."""
         if not self.config.spread:
             return self._share(self.config.iterations, n_frames)
         return self._steps[n_frames % self.config.every_frames]
@@ -166,20 +188,28 @@ class ViewRound:
     def constant_tensors(self) -> list[Tensor]:
         """Those in ``state_dict``: none of them changes."""
         views = [*self.window, *self.recalled]
-        return [x for view in views for x in (view.keyframe.rgb_u8, view.seen_rgb, view.seen_depth_m)]
+        return [
+            x for view in views for x in (view.keyframe.rgb_u8, view.seen_rgb, view.seen_depth_m)
+        ]
 
     def state_dict(self) -> dict[str, Any]:
         """Views and turns."""
         views = {"window": self.window, "recalled": self.recalled}
-        return {name: [v.state_dict() for v in kind] for name, kind in views.items()} | {"turns": list(self._turns)}
+        return {name: [v.state_dict() for v in kind] for name, kind in views.items()} | {
+            "turns": list(self._turns)
+        }
 
-    def load_state_dict(self, state: dict[str, Any], base: BaseConfig, device: torch.device) -> None:
+    def load_state_dict(
+        self, state: dict[str, Any], base: BaseConfig, device: torch.device
+    ) -> None:
         """Restore what ``state_dict`` saved."""
         for name in ("window", "recalled"):
             saved = state[name]
             keyframes = KeyframeList.from_state_dict([view["keyframe"] for view in saved], device)
             views = [
-                BasedView.of(keyframe, view["seen_rgb"].to(device), view["seen_depth_m"].to(device), base)
+                BasedView.of(
+                    keyframe, view["seen_rgb"].to(device), view["seen_depth_m"].to(device), base
+                )
                 for keyframe, view in zip(keyframes, saved, strict=True)
             ]
             setattr(self, name, views)
@@ -187,17 +217,21 @@ class ViewRound:
 
 
 def _share(in_round: int, position: int, every: int) -> int:
-    """What the frame at ``position`` does of what is spread evenly over the ``every`` frames of a round."""
+    """What the frame at ``position`` does of what is spread evenly over the ``every`` frames of a
+    round."""
     return in_round * (position + 1) // every - in_round * position // every
 
 
 def _even_steps(config: ScheduleConfig) -> list[int]:
     """Steps of each frame of a round: each step is given to the frame with the least work.
 
-    The first frame also seeds. The TSDF is looked at there, at the frames of the window and at recalled keyframes.
+    The first frame also seeds. The TSDF is looked at there, at the frames of the window and at
+    recalled keyframes.
     """
     every = config.every_frames
-    looks = [(k % config.window_every == 0) + _share(config.recalled, k, every) for k in range(every)]
+    looks = [
+        (k % config.window_every == 0) + _share(config.recalled, k, every) for k in range(every)
+    ]
     work = [LOOK_STEPS * n for n in looks]
     work[0] += SEEDING_STEPS
     steps = [0] * every

@@ -1,4 +1,5 @@
-"""GSFusion (Wei & Leutenegger 2024): TSDF fusion and Gaussian splatting, one frame at a time, in the paper's order."""
+"""GSFusion (Wei & Leutenegger 2024): TSDF fusion and Gaussian splatting, one frame at a time, in
+the paper's order."""
 
 import bisect
 from collections.abc import Callable, Sequence
@@ -10,7 +11,16 @@ from torch import Tensor
 from ..backends import observed, piece
 from ..config import GSFusionConfig, OptimConfig, gsfusion, gsfusion_fidelities, gsfusion_fidelity
 from ..gaussians import GaussianModel
-from ..optim import Keyframe, ViewLoss, adam_step, add_penalties_, depth_l1, depth_l1_vjp, dssim_vjp, l1_mse_vjp
+from ..optim import (
+    Keyframe,
+    ViewLoss,
+    adam_step,
+    add_penalties_,
+    depth_l1,
+    depth_l1_vjp,
+    dssim_vjp,
+    l1_mse_vjp,
+)
 from ..render import render_forward, render_vjp
 from ..seeding import Cells, SeedContext, rule_name
 from ..tsdf import FusedView, fuse_frame_
@@ -24,8 +34,9 @@ from .tsdf_mapping import TsdfMapping
 class GSFusion(TsdfMapping):
     """GSFusion: its two maps are ``volume`` (TSDF) and ``gaussians``.
 
-    GSFusion as published takes the poses as given; ``config.tracking.poses = "tracked"`` aligns each frame to the TSDF
-    by RTG-SLAM's ICP instead. Settings and published presets: ``gsfusion_nb.config.gsfusion``.
+    GSFusion as published takes the poses as given; ``config.tracking.poses = "tracked"`` aligns
+    each frame to the TSDF by RTG-SLAM's ICP instead. Settings and published presets:
+    ``gsfusion_nb.config.gsfusion``.
     """
 
     title = "GSFusion"
@@ -40,15 +51,21 @@ class GSFusion(TsdfMapping):
     gaussians: GaussianModel
 
     def __init__(self, *args: Any, **options: Any):
-        """Raises ``ValueError`` for a rule that is asked in keyframes only, without ``keyframe_every``."""
+        """Raises ``ValueError`` for a rule that is asked in keyframes only, without
+        ``keyframe_every``."""
         super().__init__(*args, **options)
         if self.rule_in_use.when.only_keyframes and not self.config.keyframe_every:
             raise ValueError(
-                f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, and with keyframe_every = 0 a "
+                f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, and with "
+                "keyframe_every = 0 a "
                 "frame becomes a keyframe by its seeds; set keyframe_every, such as 5"
             )
         optim = self.config.optim
-        self.fits = KeyframeFits(optim, self.localiser) if optim.refine_poses or optim.fit_exposure else None
+        self.fits = (
+            KeyframeFits(optim, self.localiser)
+            if optim.refine_poses or optim.fit_exposure
+            else None
+        )
         """What the passes after the scan fit to keyframes besides the Gaussians, if anything."""
         self._camera: Camera | None = None
         """Of the last frame; None before the first, and after a resume until the next."""
@@ -56,9 +73,10 @@ class GSFusion(TsdfMapping):
     def map_frame(self, frame: Frame) -> StepReport:
         """Fuse, propose seeds, append, optimise (paper Fig. 2, section III-B).
 
-        In the paper the frame is fused before the seeding rule runs. Here the frame is fused last, because that cannot
-        be undone. The rule sees a preview of the fused volume (``FusedView``), with the same values, and the
-        optimisation does not read the volume, so the maps are those of the paper's order.
+        In the paper the frame is fused before the seeding rule runs. Here the frame is fused last,
+        because that cannot be undone. The rule sees a preview of the fused volume (``FusedView``),
+        with the same values, and the optimisation does not read the volume, so the maps are those
+        of the paper's order.
         """
         self._camera = frame.camera
         with self.clock("tsdf"):
@@ -86,11 +104,15 @@ class GSFusion(TsdfMapping):
         return self._context(frame, volume=self.volume, near_m=self.config.tsdf.near_m)
 
     def is_next_keyframe(self, frame: Frame) -> bool | None:
-        """Whether this frame, mapped next, becomes a keyframe; None if that depends on the number of its seeds."""
+        """Whether this frame, mapped next, becomes a keyframe; None if that depends on the number
+        of its seeds."""
         every, gap = self.config.keyframe_every, self.config.keyframe_max_gap
         if every:
             return self.n_frames % every == 0
-        mapped, last = self.localiser.frame_indices, self.keyframes[-1].index if len(self.keyframes) else None
+        mapped, last = (
+            self.localiser.frame_indices,
+            self.keyframes[-1].index if len(self.keyframes) else None,
+        )
         overdue = gap and last is not None and len(mapped) - bisect.bisect_left(mapped, last) >= gap
         return True if overdue and not self._seen_before(frame) else None
 
@@ -111,7 +133,8 @@ class GSFusion(TsdfMapping):
         return [*said, why] if why else said
 
     def run_notes(self, steps: Sequence[StepReport]) -> list[str]:
-        """Also why the map has hardly any Gaussians, or no keyframe; a map without any is told elsewhere."""
+        """Also why the map has hardly any Gaussians, or no keyframe; a map without any is told
+        elsewhere."""
         why = self._why_few() if len(self.gaussians) else ""
         return [*super().run_notes(steps), *([why] if why else [])]
 
@@ -124,8 +147,13 @@ class GSFusion(TsdfMapping):
         return self.seed_context(frame).quadtree_cells()
 
     def _plan(self, frame: Frame, n_seeds: int) -> tuple[bool, int, int]:
-        """``plan_frame`` by the settings; where it is known whether the frame is a keyframe, its seeds do not count."""
-        optim, least, known = self.config.optim, self.config.keyframe_min_seeds, self.is_next_keyframe(frame)
+        """``plan_frame`` by the settings; where it is known whether the frame is a keyframe, its
+        seeds do not count."""
+        optim, least, known = (
+            self.config.optim,
+            self.config.keyframe_min_seeds,
+            self.is_next_keyframe(frame),
+        )
         return plan_frame(
             n_seeds if known is None else known * (least + 1),
             len(self.keyframes) + self.config.keep_all_frames,
@@ -139,7 +167,12 @@ class GSFusion(TsdfMapping):
     def _keeps_depth(self) -> bool:
         return self.config.optim.depth_weight > 0 or self.training.loss is not None
 
-    def _optimise_online(self, context: SeedContext, n: int, n_revisits: int) -> list[list[float]]:
+    def _optimise_online(
+        self,
+        context: SeedContext,
+        n: int,
+        n_revisits: int,
+    ) -> list[list[float]]:
         """``n`` steps on the frame, then some on random keyframes to avoid forgetting (III-B.3).
 
         Returns loss and mean squared error before each step.
@@ -149,11 +182,17 @@ class GSFusion(TsdfMapping):
         earlier = self.keyframes.draw(n_revisits, self.random.keyframes)
         self.after_steps.frame_begins(context, n + len(earlier))
         views = [*[context.frame] * n, *earlier]
-        return as_floats([self._optimise_view(view, self.config.optim.online_ssim_weight) for view in views])
+        return as_floats(
+            [self._optimise_view(view, self.config.optim.online_ssim_weight) for view in views]
+        )
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan."""
-        loss = self._optimise_view(self.keyframes[i], self.config.optim.ssim_weight, fits=True)[0]
+        loss = self._optimise_view(
+            self.keyframes[i],
+            self.config.optim.ssim_weight,
+            fits=True,
+        )[0]
         if self.fits is not None and not self.passes.queue:
             self.fits.end_pass(self.keyframes, self.gaussians)
         return loss
@@ -172,11 +211,15 @@ class GSFusion(TsdfMapping):
         return undo
 
     @observed
-    def _optimise_view(self, view: Frame | Keyframe, ssim_weight: float = 0.0, fits: bool = False) -> ViewStep:
-        """One gradient step on one view. Returns loss and MSE before it. As published, the loss is only L1 online.
+    def _optimise_view(
+        self, view: Frame | Keyframe, ssim_weight: float = 0.0, fits: bool = False
+    ) -> ViewStep:
+        """One gradient step on one view. Returns loss and MSE before it. As published, the loss is
+        only L1 online.
 
-        With ``fits`` the view is a keyframe whose pose and exposure are fitted, too, where the settings say so. Both
-        results stay on the device, because waiting for them after every step would leave a GPU idle.
+        With ``fits`` the view is a keyframe whose pose and exposure are fitted, too, where the
+        settings say so. Both results stay on the device, because waiting for them after every step
+        would leave a GPU idle.
         """
         self.guard.may_stop()
         view, optim = view.to(self.device), self.config.optim
@@ -204,13 +247,18 @@ class GSFusion(TsdfMapping):
     def _penalties(self) -> dict[str, float]:
         """Weights of the penalties on Gaussians, of those that count."""
         optim = self.config.optim
-        weights = {"isotropy": optim.isotropy_weight, "scale": optim.scale_weight, "opacity": optim.opacity_weight}
+        weights = {
+            "isotropy": optim.isotropy_weight,
+            "scale": optim.scale_weight,
+            "opacity": optim.opacity_weight,
+        }
         return weights if any(weights.values()) else {}
 
     def _loss(
         self, rendered: RenderOutput, view: Frame | Keyframe, ssim_weight: float
     ) -> tuple[ViewLoss, Float[Tensor, ""]]:
-        """L1 (Eq. 12), with D-SSIM and depth where the settings say so, or the given loss; and the MSE."""
+        """L1 (Eq. 12), with D-SSIM and depth where the settings say so, or the given loss; and the
+        MSE."""
         target = view.rgb  # of a keyframe, made from bytes each time
         pixels, optim = l1_mse_vjp(rendered.rgb, target), self.config.optim
         if self.training.loss is not None:
@@ -228,9 +276,15 @@ class GSFusion(TsdfMapping):
 
 @piece
 def plan_frame(
-    n_seeds: int, n_keyframes: int, keyframe_steps: int, frame_steps: int, revisits: int, min_seeds: int
+    n_seeds: int,
+    n_keyframes: int,
+    keyframe_steps: int,
+    frame_steps: int,
+    revisits: int,
+    min_seeds: int,
 ) -> tuple[bool, int, int]:
-    """Whether a frame is a keyframe, its gradient steps, and how many random keyframes are revisited (III-B.3).
+    """Whether a frame is a keyframe, its gradient steps, and how many random keyframes are
+    revisited (III-B.3).
 
     Args:
         n_seeds: New Gaussians of the frame.

@@ -10,7 +10,8 @@ from ..types import GaussianParams
 class LostRows:
     """Counts the Gaussians of a map that a step made NaN or infinite.
 
-    After each step only sums are kept, so that a GPU does not have to wait; rows are looked at if a sum is not finite.
+    After each step only sums are kept, so that a GPU does not have to wait; rows are looked at if a
+    sum is not finite.
     """
 
     def __init__(self) -> None:
@@ -57,17 +58,22 @@ class LostRows:
         return finite if n else None
 
     def in_words(self, where: str) -> str:
-        """A sentence for the user about the Gaussians that were lost in a frame, or in the passes."""
+        """A sentence for the user about the Gaussians that were lost in a frame, or in the
+        passes."""
         return (
-            f"{where}: {self.in_frame:,} Gaussians became NaN or infinite in gradient steps and were removed; look for "
-            "wrong depth or poses (gsfusion-nb check) or try smaller learning rates; metrics.json counts all as "
-            "n_not_finite"
+            f"{where}: {self.in_frame:,} Gaussians became NaN or infinite in gradient steps and "
+            "were removed; look for wrong depth or poses (gsfusion-nb check) or try smaller "
+            "learning rates; metrics.json counts all as n_not_finite"
         )
 
 
 def finite_rows(params: GaussianParams) -> Bool[Tensor, " N"]:
     """Rows all of whose values are finite. [N]"""
-    finite = torch.ones(len(params), dtype=torch.bool, device=params.xyz_W.device)
+    finite = torch.ones(
+        len(params),
+        dtype=torch.bool,
+        device=params.xyz_W.device,
+    )
     for column in vars(params).values():
         finite &= column.isfinite().flatten(1).all(1) if column.ndim > 1 else column.isfinite()
     return finite

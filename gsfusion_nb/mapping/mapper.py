@@ -1,7 +1,9 @@
-"""The interface of a mapping system: what each system defines, what all systems share, and what runs need from them.
+"""The interface of a mapping system: what each system defines, what all systems share, and what
+runs need from them.
 
-A system is one subclass of ``Mapper`` in this folder, its settings in ``gsfusion_nb/config``, and one line in
-``systems.py``. Everything around it (runs, report, checkpoints, command line, live panels) uses only this interface.
+A system is one subclass of ``Mapper`` in this folder, its settings in ``gsfusion_nb/config``, and
+one line in ``systems.py``. Everything around it (runs, report, checkpoints, command line, live
+panels) uses only this interface.
 """
 
 import contextlib
@@ -22,9 +24,25 @@ from ..config import OptimConfig, SystemConfig, from_run, to_dict
 from ..files import BadFrameError
 from ..gaussians import GaussianModel
 from ..interrupts import DelayedInterrupt, undisturbed
-from ..optim import Keyframe, KeyframeList, PartOfMap, UpdateFunction, fit_pose, params_now, take_missed_steps
+from ..optim import (
+    Keyframe,
+    KeyframeList,
+    PartOfMap,
+    UpdateFunction,
+    fit_pose,
+    params_now,
+    take_missed_steps,
+)
 from ..render import Boxes, drawn_in_part, render
-from ..seeding import Cells, SeedContext, SeedingRule, apply_rule, copy_memory, move_memory, rule_name
+from ..seeding import (
+    Cells,
+    SeedContext,
+    SeedingRule,
+    apply_rule,
+    copy_memory,
+    move_memory,
+    rule_name,
+)
 from ..seeding.apply import ChangedInputError
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction, Surface, localise
@@ -51,27 +69,29 @@ def _depth_of(view: Frame | Keyframe) -> Tensor | None:
 
 
 class Mapper(ABC):
-    """A mapping system: give it frames with ``step``; the map is ``gaussians``, and what the subclass adds.
+    """A mapping system: give it frames with ``step``; the map is ``gaussians``, and what the
+    subclass adds.
 
     Args:
         config: Settings; the defaults of ``config_type`` if none are given.
         seeding: Name of a registered rule, "FILE.py:name", or the rule function itself; overrides
-            ``config.seeding.rule``. The options in the settings are passed to it if it has all of them. If only
-            ``config.seeding.rule`` has them, the rule runs with its defaults. Settings that the rule brings
-            (``MapRule.overrides``) replace those in ``config`` that the user did not set (``settings_with_rule``).
-            ``self.config`` has the settings in use.
+            ``config.seeding.rule``. The options in the settings are passed to it if it has all of
+            them. If only ``config.seeding.rule`` has them, the rule runs with its defaults.
+            Settings that the rule brings (``MapRule.overrides``) replace those in ``config`` that
+            the user did not set (``settings_with_rule``). ``self.config`` has the settings in use.
         device: Device of the map.
-        loss, optimiser: Given instead of the system's own loss and Adam (``Training``, ``LossFunction``,
-            ``UpdateFunction``; docs/api.md has an example). Results name them.
+        loss, optimiser: Given instead of the system's own loss and Adam (``Training``,
+            ``LossFunction``, ``UpdateFunction``; docs/api.md has an example). Results name them.
 
     Raises:
-        TypeError: neither rule has all of the options, or the value of an option is of the wrong type; ``loss`` or
-            ``optimiser`` is no function.
+        TypeError: neither rule has all of the options, or the value of an option is of the wrong
+            type; ``loss`` or ``optimiser`` is no function.
         ValueError: the rule brings a setting that the system does not have.
 
-    A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``map_frame``, ``surface``, ``mesh`` and
-    ``_global_step``. It overrides the rest where the default does not fit: ``state_dict`` and ``_load`` if it has state
-    of its own, which ``TsdfMapping`` does for a TSDF.
+    A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``map_frame``,
+    ``surface``, ``mesh`` and ``_global_step``. It overrides the rest where the default does not
+    fit: ``state_dict`` and ``_load`` if it has state of its own, which ``TsdfMapping`` does for a
+    TSDF.
     """
 
     title: ClassVar[str]
@@ -79,44 +99,60 @@ class Mapper(ABC):
     config_type: ClassVar[type[SystemConfig]]
     """Class of the settings."""
     preset: ClassVar[Callable[..., Any]]
-    """``preset(name, **overrides)``: settings as published for a data set; also takes ``fidelity`` if there are any.
-    It must know the names "room" and "replica", the defaults of the command line."""
+    """``preset(name, **overrides)``: settings as published for a data set; also takes ``fidelity``
+    if there are any. It must know the names "room" and "replica", the defaults of the command
+    line."""
     fidelities: ClassVar[tuple[str, ...]] = ()
-    """Values of ``fidelity`` (what to follow where paper and released code differ), the default first; may be empty."""
+    """Values of ``fidelity`` (what to follow where paper and released code differ), the default
+    first; may be empty."""
     fidelity_of: ClassVar[Callable[[Any], str]] = staticmethod(lambda config: "")
-    """``fidelity_of(config)``: which of ``fidelities`` the settings follow, with exceptions, in words; "" if none."""
+    """``fidelity_of(config)``: which of ``fidelities`` the settings follow, with exceptions, in
+    words; "" if none."""
     model_type: ClassVar[type[GaussianModel]] = GaussianModel
     """Class of the Gaussian map."""
     gaussians_are_discs: ClassVar[bool] = False
-    """Whether the Gaussians are discs on the surface; then their distance to the true surface is scored, too."""
+    """Whether the Gaussians are discs on the surface; then their distance to the true surface is
+    scored, too."""
     panels: ClassVar[tuple[str, ...]] = ("input", "render", "error", "new_gaussians")
-    """Pictures of one step to show while mapping, by name; ``gsfusion_nb.viz.map_pictures.PANELS`` draws them."""
+    """Pictures of one step to show while mapping, by name; ``gsfusion_nb.viz.map_pictures.PANELS``
+    draws them."""
     curves: ClassVar[dict[str, Callable[[StepReport], float | int]]] = {
         "PSNR of the frame, dB": lambda report: report.psnr_after_db,
         "Gaussians": lambda report: report.n_gaussians,
     }
     """Title -> value after a step, plotted while mapping; NaN leaves a gap."""
     states: ClassVar[tuple[str, ...]] = ()
-    """Names of those counts of a step that add up to its Gaussians, if each is in a state; reports plot them."""
+    """Names of those counts of a step that add up to its Gaussians, if each is in a state; reports
+    plot them."""
     needs_depth: ClassVar[bool] = False
     """Whether a frame without any depth is refused."""
     needs_volume_to_render: ClassVar[bool] = False
-    """Whether the picture needs more than the Gaussians: then ``gaussians.ply`` alone does not show the map, and the
-    methods from ``write_besides`` to ``standard_from`` are overridden."""
+    """Whether the picture needs more than the Gaussians: then ``gaussians.ply`` alone does not show
+    the map, and the methods from ``write_besides`` to ``standard_from`` are overridden."""
     memory_savers: ClassVar[tuple[str, ...]] = ()
-    """Settings, besides smaller images, that reduce the memory of the map; named in the message when memory is full."""
+    """Settings, besides smaller images, that reduce the memory of the map; named in the message
+    when memory is full."""
 
     config: Any
     """The settings, a ``config_type``."""
     gaussians: Any
     """The Gaussian map, a ``model_type``."""
     mesh_share: float | None = None
-    """Share of the surface seen that the last ``mesh`` has, where it is made from some of the views."""
+    """Share of the surface seen that the last ``mesh`` has, where it is made from some of the
+    views."""
 
     def __init_subclass__(cls, **rest: Any):
         """What a subclass offers to callers runs in ``usual_torch``, as what this class offers."""
         super().__init_subclass__(**rest)
-        for name in ("__init__", "surface", "mesh", "render", "seed_context", "quadtree_cells", "standard_gaussians"):
+        for name in (
+            "__init__",
+            "surface",
+            "mesh",
+            "render",
+            "seed_context",
+            "quadtree_cells",
+            "standard_gaussians",
+        ):
             if name in vars(cls):
                 setattr(cls, name, in_usual_torch(vars(cls)[name]))
 
@@ -145,7 +181,8 @@ class Mapper(ABC):
         self._steps_missed = False
         """Whether rows may have missed steps."""
         self._finished_scan = -1
-        """Number of frames after which the trajectory was last made ready for the passes after the scan."""
+        """Number of frames after which the trajectory was last made ready for the passes after the
+        scan."""
         self.lost = LostRows()
         """How many Gaussians a step made NaN or infinite."""
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
@@ -155,8 +192,11 @@ class Mapper(ABC):
         self.guard = FrameGuard()
         self.clock = StageClock()
         """Wall time of the stages of the last frame."""
-        self.watch: Callable[[int | None], contextlib.AbstractContextManager[None]] = lambda _: contextlib.nullcontext()
-        """Context around each frame (with its index) and each step after the scan (with None), for an observer."""
+        self.watch: Callable[[int | None], contextlib.AbstractContextManager[None]] = lambda _: (
+            contextlib.nullcontext()
+        )
+        """Context around each frame (with its index) and each step after the scan (with None), for
+        an observer."""
         self._told_far = False
         self.n_frames = 0
         """Number of frames mapped so far."""
@@ -175,26 +215,31 @@ class Mapper(ABC):
         """Number of passes of the optimisation after the scan in the settings."""
 
     def step(self, frame: Frame) -> StepReport:
-        """Map one frame, all of it or nothing: check it, find its pose, map it (``map_frame``), record its pose.
+        """Map one frame, all of it or nothing: check it, find its pose, map it (``map_frame``),
+        record its pose.
 
-        Ctrl-C ends it at any place before the frame changes the map, or between two of its gradient steps if it can be
-        undone; else it takes effect after the frame.
+        Ctrl-C ends it at any place before the frame changes the map, or between two of its gradient
+        steps if it can be undone; else it takes effect after the frame.
 
         Raises:
-            BadFrameError: the frame cannot be used (``check_frame``), tracking is lost, or it is too far away for the
-                voxel index. The map is unchanged.
+            BadFrameError: the frame cannot be used (``check_frame``), tracking is lost, or it is
+                too far away for the voxel index. The map is unchanged.
             MemoryError: no room for new voxel blocks. The map is unchanged.
-            RuntimeError: another thread is in a step, or an earlier frame was only half mapped. The map is unchanged.
+            RuntimeError: another thread is in a step, or an earlier frame was only half mapped. The
+                map is unchanged.
             Exception: any error that the seeding rule raised. The map is unchanged.
         """
         with DelayedInterrupt(), usual_torch():
             with self.watch(frame.index), self.guard.while_mapping(frame.index):
                 report = self._mapped_whole(frame)
             MAP_MEMORY.give_back()
-            return dataclasses.replace(report, tracking=self.localiser.report, seconds=self.clock.seconds)
+            return dataclasses.replace(
+                report, tracking=self.localiser.report, seconds=self.clock.seconds
+            )
 
     def _mapped_whole(self, frame: Frame) -> StepReport:
-        """Map a frame; if what comes before ``changes`` fails, or an undoable change, all is as it was before."""
+        """Map a frame; if what comes before ``changes`` fails, or an undoable change, all is as it
+        was before."""
         random_numbers, memory = self.random.state_dict(), copy_memory(self.memory)
         try:
             DelayedInterrupt.allow()
@@ -218,7 +263,9 @@ class Mapper(ABC):
         return report
 
     @undisturbed
-    def _give_up_frame(self, random_numbers: dict[str, Tensor], memory: dict[str, Any], error: BaseException) -> None:
+    def _give_up_frame(
+        self, random_numbers: dict[str, Tensor], memory: dict[str, Any], error: BaseException
+    ) -> None:
         if self.guard.undo():
             self.gaussians.end_log()
             self.random.load_state_dict(random_numbers)
@@ -235,22 +282,31 @@ class Mapper(ABC):
         """Map a frame that was checked and has a pose; the system's part of ``step``.
 
         What can fail because of the user's code comes first. All changes of the map are inside
-        ``with self.changes(...)``, and changes that cannot be undone come last. All work that takes time is in a stage,
-        ``with self.clock("optimise"): ...``: the speed of a run is computed from the sum of the stages.
+        ``with self.changes(...)``, and changes that cannot be undone come last. All work that takes
+        time is in a stage, ``with self.clock("optimise"): ...``: the speed of a run is computed
+        from the sum of the stages.
         """
 
     @abstractmethod
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Any:
-        """The map's surface seen by a camera: ``rgb`` 0..1, ``depth_m`` (0 where there is none) and ``normal_W``."""
+        """The map's surface seen by a camera: ``rgb`` 0..1, ``depth_m`` (0 where there is none) and
+        ``normal_W``."""
 
     def tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
         """What a frame at this pose is aligned to where poses are tracked: the map's surface."""
         seen = self.surface(camera, T_WC)
-        return Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=camera, T_WC=T_WC, rgb=seen.rgb)
+        return Surface(
+            depth_m=seen.depth_m,
+            normal_W=seen.normal_W,
+            camera=camera,
+            T_WC=T_WC,
+            rgb=seen.rgb,
+        )
 
     @in_usual_torch
     def localised_pose(self, frame: Frame) -> Float[Tensor, "4 4"] | None:
-        """Where a frame that is not mapped was taken: aligned with the map, from between the mapped frames around it.
+        """Where a frame that is not mapped was taken: aligned with the map, from between the mapped
+        frames around it.
 
         Nothing changes. ``None``: it fits nowhere there.
 
@@ -267,13 +323,15 @@ class Mapper(ABC):
 
     @abstractmethod
     def _global_step(self, i: int) -> Float[Tensor, ""]:
-        """One step of the optimisation after the scan, on the i-th keyframe. Returns the loss before it."""
+        """One step of the optimisation after the scan, on the i-th keyframe. Returns the loss
+        before it."""
 
     @classmethod
     def render_gaussians(
         cls, params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], config: Any
     ) -> RenderOutput:
-        """Gaussians as this system renders and scores them. Default: blended colour and depth (Kerbl et al. 2023).
+        """Gaussians as this system renders and scores them. Default: blended colour and depth
+        (Kerbl et al. 2023).
 
         Args:
             params: The Gaussians, of a mapper or read from a file.
@@ -284,21 +342,24 @@ class Mapper(ABC):
 
     @in_usual_torch
     def begin_with(self, params: GaussianParams, name: str = "another map") -> None:
-        """Put Gaussians that were optimised elsewhere into the map before the first frame; they are optimised further.
+        """Put Gaussians that were optimised elsewhere into the map before the first frame; they are
+        optimised further.
 
-        They must be in the world frame of the poses, in metres. The volume stays empty: the surface comes from the
-        frames. A seeding rule sees them like its own.
+        They must be in the world frame of the poses, in metres. The volume stays empty: the surface
+        comes from the frames. A seeding rule sees them like its own.
 
         Args:
             params: The Gaussians.
             name: Of the file, for the notes of the run.
 
         Raises:
-            ValueError: a frame was mapped before, a number is not finite, or the system cannot use them.
+            ValueError: a frame was mapped before, a number is not finite, or the system cannot use
+                them.
         """
         if self.n_frames:
             raise ValueError(
-                f"a map can only begin with other Gaussians before its first frame; {self.n_frames} are mapped"
+                "a map can only begin with other Gaussians before its first frame; "
+                f"{self.n_frames} are mapped"
             )
         self.gaussians.extend(params)
         self.notes.append(f"the map began with {len(params):,} Gaussians of {name}")
@@ -322,7 +383,8 @@ class Mapper(ABC):
         return None
 
     def params_now(self, rows: Int[Tensor, " R"] | None = None) -> GaussianParams:
-        """The Gaussians with the steps that they missed while no view showed them; the map does not change.
+        """The Gaussians with the steps that they missed while no view showed them; the map does not
+        change.
 
         What is written, scored, drawn or given to a rule is made from these.
 
@@ -340,7 +402,8 @@ class Mapper(ABC):
     def take_missed_steps(self) -> None:
         """Bring all rows of the map up to date, in place.
 
-        That changes when a row is rounded, so it is done where the run says, not where somebody looks at the map.
+        That changes when a row is rounded, so it is done where the run says, not where somebody
+        looks at the map.
         """
         optim = self.row_optim
         if optim is None or self.training.optimiser is not None or not self._steps_missed:
@@ -360,35 +423,47 @@ class Mapper(ABC):
     def part_in_view(
         self, view: Frame | Keyframe, optim: OptimConfig, later: Sequence[Keyframe] = ()
     ) -> "GaussianModel | PartOfMap":
-        """What a gradient step on this view changes: the rows that the view may show, or a small map as a whole.
+        """What a gradient step on this view changes: the rows that the view may show, or a small
+        map as a whole.
 
-        The steps of a frame on one view take the same rows, as long as nothing else changes the map. So do the steps on
-        ``later`` views, whose rows are taken together with these.
+        The steps of a frame on one view take the same rows, as long as nothing else changes the
+        map. So do the steps on ``later`` views, whose rows are taken together with these.
         """
         views, (last_views, last) = (view, *later), self._last_part
-        if last is not None and last.is_current and {id(v) for v in views} <= {id(v) for v in last_views}:
+        if (
+            last is not None
+            and last.is_current
+            and {id(v) for v in views} <= {id(v) for v in last_views}
+        ):
             self.gaussians.will_change(last.rows)
             return last
         depths = [None if self.config.all_in_view else _depth_of(v) for v in views]
-        seen = (self.boxes.rows(self.gaussians.params, v.camera, v.T_WC, d) for v, d in zip(views, depths, strict=True))
+        seen = (
+            self.boxes.rows(self.gaussians.params, v.camera, v.T_WC, d)
+            for v, d in zip(views, depths, strict=True)
+        )
         found = [x for x in seen if x is not None]
         rows = None if len(found) < len(views) else torch.cat(found).unique() if later else found[0]
         self.gaussians.will_change(rows)
         part = self.gaussians if rows is None else PartOfMap(self.gaussians, rows, self.boxes)
         self._steps_missed |= rows is not None
-        if self.training.optimiser is None and self._steps_missed:  # else a GPU would be waited for in small maps
+        if (
+            self.training.optimiser is None and self._steps_missed
+        ):  # else a GPU would be waited for in small maps
             take_missed_steps(part, optim)
         self._last_part = (views, part) if isinstance(part, PartOfMap) else ((), None)
         return part
 
     def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
-        """Optimise over the keyframes after the scan: each pass visits all of them once in a new random order.
+        """Optimise over the keyframes after the scan: each pass visits all of them once in a new
+        random order.
 
-        A generator, so that the caller can show progress or stop: ``for step in mapper.global_optimise(): ...``.
+        A generator, so that the caller can show progress or stop:
+        ``for step in mapper.global_optimise(): ...``.
 
         Args:
-            passes: Number of passes; ``n_passes`` by default. A pass that was interrupted is finished first and counts
-                as one of them.
+            passes: Number of passes; ``n_passes`` by default. A pass that was interrupted is
+                finished first and counts as one of them.
         """
         passes = self.n_passes if passes is None else passes
         steps = self._global_steps(passes)
@@ -396,11 +471,14 @@ class Mapper(ABC):
             yield step
 
     def _global_steps(self, passes: int) -> Iterator[GlobalStep]:
-        yield from self.passes.run(passes, len(self.keyframes), self.random.passes, self._watched_global_step)
+        yield from self.passes.run(
+            passes, len(self.keyframes), self.random.passes, self._watched_global_step
+        )
         self.take_missed_steps()
 
     def _whole_global_step(self, steps: Iterator[GlobalStep]) -> GlobalStep | None:
-        """The next step, all of it or nothing; None: there are no more. Ctrl-C takes effect after it."""
+        """The next step, all of it or nothing; None: there are no more. Ctrl-C takes effect after
+        it."""
         with DelayedInterrupt(), usual_torch():
             if not self.passes.begun and self._finished_scan != self.n_frames:
                 self.lost.begin_frame()
@@ -414,7 +492,11 @@ class Mapper(ABC):
 
     def _undo_of_global_step(self) -> Callable[[], None]:
         """A function that undoes the next step of the optimisation after the scan."""
-        undo, passes, random_numbers = self._undo(), self.passes.state_dict(), self.random.state_dict()
+        undo, passes, random_numbers = (
+            self._undo(),
+            self.passes.state_dict(),
+            self.random.state_dict(),
+        )
         memory = copy_memory(self.memory) if self.after_steps.edits else None
 
         def undo_all() -> None:
@@ -439,9 +521,10 @@ class Mapper(ABC):
         """Context in which a frame changes the map.
 
         Args:
-            undoable: Keep what changes until the end of the context (``GrowingRows.will_change``). A failure in it then
-                leaves the map as it was, and Ctrl-C takes effect between two gradient steps. While foreign code runs
-                that is always so, and the whole map is kept.
+            undoable: Keep what changes until the end of the context (``GrowingRows.will_change``).
+                A failure in it then leaves the map as it was, and Ctrl-C takes effect between two
+                gradient steps. While foreign code runs that is always so, and the whole map is
+                kept.
         """
         DelayedInterrupt.delay()
         foreign = self.after_steps.edits or self.training.names or runs_learners_code()
@@ -459,9 +542,14 @@ class Mapper(ABC):
         self.gaussians.end_log()
 
     def _undo(self) -> Callable[[], None]:
-        """A function that undoes what a frame changes in the map, from now on; a subclass extends it."""
+        """A function that undoes what a frame changes in the map, from now on; a subclass extends
+        it."""
         undo_rows, taken = self.gaussians.log_changes(), self.after_steps.taken
-        keyframes, lost, steps_missed = self.keyframes.snapshot(), self.lost.counts, self._steps_missed
+        keyframes, lost, steps_missed = (
+            self.keyframes.snapshot(),
+            self.lost.counts,
+            self._steps_missed,
+        )
 
         def undo() -> None:
             undo_rows()
@@ -475,7 +563,8 @@ class Mapper(ABC):
         return undo
 
     def rows_changed(self, before: Int[Tensor, " N"]) -> None:  # noqa: B027
-        """Called after a rule's edit of the map; a subclass that holds copies of rows brings them up to date.
+        """Called after a rule's edit of the map; a subclass that holds copies of rows brings them
+        up to date.
 
         Args:
             before: For each row of the map its number before the edit, -1 for new rows. [N]
@@ -502,25 +591,30 @@ class Mapper(ABC):
             generator=self.random.rule,
             config=self.config.seeding,
             memory=self.memory,
-            starts_submap=self.rule_in_use.when.starts_submap(self.n_frames, stride=self.config.source_stride),
+            starts_submap=self.rule_in_use.when.starts_submap(
+                self.n_frames, stride=self.config.source_stride
+            ),
             keyframes=tuple(self.keyframes),
             past_T_WC=tuple(self.localiser.poses),
             **more,
         )
 
     def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
-        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due (``MapRule.when``).
+        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due
+        (``MapRule.when``).
 
         Args:
             context: What the rule sees.
             checks: Further arguments of ``apply_rule``.
         """
         when = self.rule_in_use.when
-        is_keyframe = self.is_next_keyframe(context.frame) if when.only_keyframes else None  # may wait for a GPU
+        is_keyframe = (
+            self.is_next_keyframe(context.frame) if when.only_keyframes else None
+        )  # may wait for a GPU
         if when.only_keyframes and is_keyframe is None:
             raise ValueError(
-                f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but {self.title} chooses its "
-                "keyframes after the seeding"
+                f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but "
+                f"{self.title} chooses its keyframes after the seeding"
             )
         if not self.rule_is_due(is_keyframe):
             return Seeds.empty(context.frame.depth_m)
@@ -529,23 +623,30 @@ class Mapper(ABC):
                 return apply_rule(self.rule, context, self.config.seeding.options, **checks)
         except ChangedInputError as e:
             if not e.what.startswith("frame."):  # which is as it was
-                self.guard.half_mapped = f"the map was changed by its seeding rule {rule_name(self.rule)!r} ({e.what})"
+                self.guard.half_mapped = (
+                    f"the map was changed by its seeding rule {rule_name(self.rule)!r} ({e.what})"
+                )
             raise
 
     def rule_is_due(self, is_keyframe: bool | None) -> bool:
         """Whether the rule is asked in the frame that is mapped next (``MapRule.when``)."""
-        return self.rule_in_use.when.is_due(self.n_frames, is_keyframe, stride=self.config.source_stride)
+        return self.rule_in_use.when.is_due(
+            self.n_frames, is_keyframe, stride=self.config.source_stride
+        )
 
     def is_next_keyframe(self, frame: Frame) -> bool | None:
-        """Whether this frame, mapped next, becomes a keyframe; None if that depends on its seeds."""
+        """Whether this frame, mapped next, becomes a keyframe; None if that depends on its
+        seeds."""
         return None
 
     def counts(self) -> dict[str, int]:
-        """Sizes of the map besides its Gaussians and keyframes, with their names in metrics.json."""
+        """Sizes of the map besides its Gaussians and keyframes, with their names in
+        metrics.json."""
         return {}
 
     def run_metrics(self, steps: Sequence[StepReport]) -> dict[str, Any]:
-        """Numbers of a whole run, from its steps, that only this system has; with their names in metrics.json."""
+        """Numbers of a whole run, from its steps, that only this system has; with their names in
+        metrics.json."""
         return {}
 
     def run_notes(self, steps: Sequence[StepReport]) -> list[str]:
@@ -553,7 +654,8 @@ class Mapper(ABC):
         return []
 
     def maps(self) -> dict[str, dict[str, Tensor]]:
-        """The tensors of each map, by name; two runs have the same maps if these are equal (``order_of_rows``)."""
+        """The tensors of each map, by name; two runs have the same maps if these are equal
+        (``order_of_rows``)."""
         return {"gaussians": vars(self.params_now())}
 
     def order_of_rows(self, name: str) -> Tensor | None:
@@ -561,7 +663,8 @@ class Mapper(ABC):
         return None
 
     def quadtree_cells(self, frame: Frame) -> Cells | None:
-        """The quadtree cells of the frame that seeding used; ``None`` if the system has no quadtree."""
+        """The quadtree cells of the frame that seeding used; ``None`` if the system has no
+        quadtree."""
         return None
 
     def constant_tensors(self) -> list[Tensor]:
@@ -573,7 +676,8 @@ class Mapper(ABC):
         """Everything needed to continue later from exactly this state, as tensors and plain values.
 
         Args:
-            copies: Without, large tensors are those of the map, which later frames change: to be written at once.
+            copies: Without, large tensors are those of the map, which later frames change: to be
+                written at once.
         """
         return {
             "config": to_dict(self.config),
@@ -600,12 +704,12 @@ class Mapper(ABC):
         loss: LossFunction | None = None,
         optimiser: UpdateFunction | None = None,
     ) -> M:
-        """The mapper that was saved with ``state_dict``; a rule that is not registered by name must be given again, and
-        so must a loss and an optimiser.
+        """The mapper that was saved with ``state_dict``; a rule that is not registered by name must
+        be given again, and so must a loss and an optimiser.
 
         Raises:
-            SequenceError: the rule is neither given nor registered by its name, the loss or optimiser is not given, or
-                one of them had a state that was not saved.
+            SequenceError: the rule is neither given nor registered by its name, the loss or
+                optimiser is not given, or one of them had a state that was not saved.
         """
         config = from_run(cls.config_type, state["config"])
         if seeding is None:
@@ -618,8 +722,9 @@ class Mapper(ABC):
         mapper.rule_in_use.load_state_dict(state["rule"])
         if changes := mapper.rule_in_use.difference(state["rule"]):
             mapper.notes.append(
-                f"after {state['n_frames']} frames the run continued with another seeding rule, or an edited one: "
-                f"{shown(rule_name(mapper.rule))} instead of {shown(state['rule']['name'])}; different: {changes}"
+                f"after {state['n_frames']} frames the run continued with another seeding rule, or "
+                f"an edited one: {shown(rule_name(mapper.rule))} instead of "
+                f"{shown(state['rule']['name'])}; different: {changes}"
             )
         mapper._load(state)
         return mapper
@@ -639,7 +744,8 @@ class Mapper(ABC):
         """Write the files that the pictures need besides ``gaussians.ply``."""
 
     def drawn_as_stored(self) -> Draw:
-        """The map as its files hold it, which is what a run scores; made now, so not changed by later frames."""
+        """The map as its files hold it, which is what a run scores; made now, so not changed by
+        later frames."""
         return self.render
 
     def forget_drawn(self) -> None:  # noqa: B027
@@ -661,19 +767,32 @@ class Mapper(ABC):
         return lambda camera, T_WC: cls.render_gaussians(params, camera, T_WC.to(device), config)
 
     @classmethod
-    def aligned_pose(cls, draw: Draw, params: GaussianParams, frame: Frame) -> Float[Tensor, "4 4"]:
-        """The pose at which the map's picture fits the frame best; default: by the Gaussians alone (``fit_pose``)."""
-        return fit_pose(params, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC).T_WC
+    def aligned_pose(
+        cls,
+        draw: Draw,
+        params: GaussianParams,
+        frame: Frame,
+    ) -> Float[Tensor, "4 4"]:
+        """The pose at which the map's picture fits the frame best; default: by the Gaussians alone
+        (``fit_pose``)."""
+        return fit_pose(
+            params,
+            frame.camera,
+            frame.rgb.to(params.xyz_W.device),
+            frame.T_WC,
+        ).T_WC
 
     def standard_gaussians(self) -> GaussianParams:
-        """Gaussians whose sorted picture, as any viewer of splats draws it, is about that of the map."""
+        """Gaussians whose sorted picture, as any viewer of splats draws it, is about that of the
+        map."""
         return self.params_now()
 
     @classmethod
     def standard_from(
         cls, folder: Path, params: GaussianParams, config: Any, poses: Sequence[Tensor], steps: int
     ) -> GaussianParams:
-        """``standard_gaussians`` of a finished run, fitted to pictures of its map if they are not the map itself.
+        """``standard_gaussians`` of a finished run, fitted to pictures of its map if they are not
+        the map itself.
 
         Args:
             folder, params, config: As for ``drawn_from``.
@@ -685,7 +804,9 @@ class Mapper(ABC):
     def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
         """Warnings for the user about the step that gave ``report``, as sentences."""
         warnings, depth_m = [], frame.depth_m[::8, ::8]
-        if report.n_not_finite and report.n_not_finite == self.lost.total:  # the first; all are counted
+        if (
+            report.n_not_finite and report.n_not_finite == self.lost.total
+        ):  # the first; all are counted
             warnings.append(self.lost.in_words(f"frame {frame.index}"))
         if report.tracking.get("status") == "recovered":
             warnings.append(f"frame {frame.index}: tracking was lost and has recovered")
@@ -694,15 +815,22 @@ class Mapper(ABC):
         if not self._told_far and bool(depth_m[depth_m > 0].median() > FAR_DEPTH_M):
             self._told_far = True
             warnings.append(
-                f"frame {frame.index}, and perhaps later ones, has a median depth beyond {FAR_DEPTH_M:g} m: is it a "
+                f"frame {frame.index}, and perhaps later ones, has a median depth beyond "
+                f"{FAR_DEPTH_M:g} m: is it a "
                 "code for missing depth, or the wrong depth scale? --data.depth-max-m leaves it out"
             )
         return warnings
 
     def _report(
-        self, frame: Frame, seeds: Seeds, is_keyframe: bool, steps: Sequence[Sequence[float]] = (), **fields: Any
+        self,
+        frame: Frame,
+        seeds: Seeds,
+        is_keyframe: bool,
+        steps: Sequence[Sequence[float]] = (),
+        **fields: Any,
     ) -> StepReport:
-        """The report on a frame, from loss and mean squared error before each step on it (``as_floats``)."""
+        """The report on a frame, from loss and mean squared error before each step on it
+        (``as_floats``)."""
         psnrs_db = [psnr_from_mse(mse) for _, mse in steps] or [math.nan]
         measured = {
             "losses": tuple(loss for loss, _ in steps),
@@ -724,8 +852,8 @@ class Mapper(ABC):
         self._follow(self.localiser.record(frame))
 
     def _follow(self, correction: Correction | None) -> None:
-        """After a loop closure, move Gaussians, keyframes and what the rule remembers of the world with the
-        trajectory."""
+        """After a loop closure, move Gaussians, keyframes and what the rule remembers of the world
+        with the trajectory."""
         if correction is not None:
             move_map(correction, self.gaussians, self.keyframes)
             move_memory(self.memory, correction.transform_of)

@@ -1,4 +1,5 @@
-"""RTG-SLAM (Peng et al. 2024): compact Gaussians, optimised while unstable, frame by frame in the paper's order."""
+"""RTG-SLAM (Peng et al. 2024): compact Gaussians, optimised while unstable, frame by frame in the
+paper's order."""
 
 import dataclasses
 import itertools
@@ -17,7 +18,14 @@ from ..gaussians import STABLE, SurfelModel, Transitions, fuse_with_history
 from ..gaussians.surfels import change_states, count_errors, count_views, state_counts
 from ..geometry import depth_to_points, se3
 from ..optim import Keyframe, TrainingView
-from ..render import SurfaceView, drawn_in_part, render_forward, rows_in_view, surface_depth_m, view_surface
+from ..render import (
+    SurfaceView,
+    drawn_in_part,
+    render_forward,
+    rows_in_view,
+    surface_depth_m,
+    view_surface,
+)
 from ..seeding import SeedContext
 from ..tracking import Correction
 from ..tsdf import TsdfVolume, extract_mesh, integrate
@@ -29,20 +37,24 @@ from .step import StepReport, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser
 
 MESH_VIEWS = 60
-"""Fewest views whose rendered depth is fused to the mesh, if there are as many; a long walk has more."""
+"""Fewest views whose rendered depth is fused to the mesh, if there are as many; a long walk has
+more."""
 
 KEYFRAME_DEG, KEYFRAME_M = 30.0, 0.3
-"""A frame becomes a keyframe when the camera has turned, or its centre has moved, by this since the last one."""
+"""A frame becomes a keyframe when the camera has turned, or its centre has moved, by this since the
+last one."""
 
 WORST_SHARE = 0.4
-"""Share of a keyframe's pixels that have a loss in the optimisation over keyframes, those with the largest colour
-errors."""
+"""Share of a keyframe's pixels that have a loss in the optimisation over keyframes, those with the
+largest colour errors."""
 
 KEYFRAMES_LR_FACTOR = 0.1
-"""Learning rates of the optimisation over keyframes as a multiple of the window's; centres do not move."""
+"""Learning rates of the optimisation over keyframes as a multiple of the window's; centres do not
+move."""
 
 MASKED_BELOW = 0.8
-"""If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves no time."""
+"""If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves
+no time."""
 
 LastStep = tuple[int, Tensor, WatchedStep]
 """Number of its view, its loss, and what was collected of it."""
@@ -78,17 +90,23 @@ class RTGSLAM(Mapper):
         """The optimiser of the passes after the scan."""
 
     def __repr__(self) -> str:
-        counts = ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in state_counts(self.gaussians).items())
+        counts = ", ".join(
+            f"{n:,} {name.replace('_', ' ')}" for name, n in state_counts(self.gaussians).items()
+        )
         return f"RTGSLAM({self.n_frames} frames, {len(self.gaussians):,} Gaussians ({counts}))"
 
     def map_frame(self, frame: Frame) -> StepReport:
-        """Propose seeds, append, optimise the window and the keyframes, change states (paper Fig. 2, section 3.2)."""
+        """Propose seeds, append, optimise the window and the keyframes, change states (paper Fig.
+        2, section 3.2)."""
         with self.clock("seeding"):
             context = self.seed_context(frame)
             before = _psnr_db(context.surface().rgb, frame) if len(self.gaussians) else math.nan
             seeds = self.propose_seeds(context)  # RTG-SLAM Eq. 6
         is_keyframe = self.is_next_keyframe(frame)
-        window_is_due, keyframes_are_due = self._window_is_due(is_keyframe), is_keyframe and self.n_frames > 0
+        window_is_due, keyframes_are_due = (
+            self._window_is_due(is_keyframe),
+            is_keyframe and self.n_frames > 0,
+        )
         with self.changes(undoable=window_is_due or keyframes_are_due):
             with self.boxes.appending(self.gaussians):
                 self.gaussians.append(seeds, frame.index)
@@ -115,7 +133,11 @@ class RTGSLAM(Mapper):
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame."""
-        return self._context(frame, discs=self.config.discs, near_m=self.config.data.depth_min_m)
+        return self._context(
+            frame,
+            discs=self.config.discs,
+            near_m=self.config.data.depth_min_m,
+        )
 
     def is_next_keyframe(self, frame: Frame) -> bool:
         """Whether the camera has turned or moved far enough since the last keyframe."""
@@ -127,21 +149,32 @@ class RTGSLAM(Mapper):
         return float(turned) >= KEYFRAME_DEG or float(moved) >= KEYFRAME_M
 
     def _window_is_due(self, is_keyframe: bool) -> bool:
-        replaced = is_keyframe and self.config.keyframes.instead_of_window and bool(self.gaussians.is_stable.any())
-        return not self.n_frames or ((self.n_frames + 1) % self.config.window.every_frames == 0 and not replaced)
+        replaced = (
+            is_keyframe
+            and self.config.keyframes.instead_of_window
+            and bool(self.gaussians.is_stable.any())
+        )
+        return not self.n_frames or (
+            (self.n_frames + 1) % self.config.window.every_frames == 0 and not replaced
+        )
 
-    def _begin(self, context: SeedContext, is_keyframe: bool, window: bool, keyframes: bool) -> None:
-        """Take the frame of ``context`` into the window, and keep it if it is a keyframe. What will be optimised is
-        told to ``after_steps``."""
+    def _begin(
+        self, context: SeedContext, is_keyframe: bool, window: bool, keyframes: bool
+    ) -> None:
+        """Take the frame of ``context`` into the window, and keep it if it is a keyframe. What will
+        be optimised is told to ``after_steps``."""
         self._final = None  # its rows are no longer the map's
         self.window.append(context.frame)
         if is_keyframe:
             self.keyframes.append(context.frame, with_depth=True)
-        n_steps = window * self.config.window.iterations + keyframes * self.config.keyframes.iterations
+        n_steps = (
+            window * self.config.window.iterations + keyframes * self.config.keyframes.iterations
+        )
         self.after_steps.frame_begins(context, n_steps)
 
     def _optimise_window(self) -> list[float]:
-        """Optimise the unstable Gaussians against the last frames, then fuse them with the old values (Eq. 7-9)."""
+        """Optimise the unstable Gaussians against the last frames, then fuse them with the old
+        values (Eq. 7-9)."""
         config, model = self.config.window, self.gaussians
         trained = ~model.is_stable if config.only_unstable else torch.ones_like(model.is_stable)
         seen = self._seen(self.window)
@@ -149,29 +182,39 @@ class RTGSLAM(Mapper):
             return []
         given = {"all_in_view": self.config.all_in_view, "training": self.training}
         optimiser = SurfelOptimiser(model, trained, config, self.config.discs, seen=seen, **given)
-        before = GaussianParams(**{name: value.clone() for name, value in vars(optimiser.trained).items()})
+        before = GaussianParams(
+            **{name: value.clone() for name, value in vars(optimiser.trained).items()}
+        )
         masked = config.only_unstable and optimiser.n < MASKED_BELOW * int(seen.sum())
         touched = [optimiser.touched(f.camera, f.T_WC) if masked else None for f in self.window]
-        views = [TrainingView.of(frame, pixels) for frame, pixels in zip(self.window, touched, strict=True)]
+        views = [
+            TrainingView.of(frame, pixels)
+            for frame, pixels in zip(self.window, touched, strict=True)
+        ]
         newest_from = config.iterations / 2 if config.draw == "newest_half" else math.inf
         losses, last = self._take_steps(optimiser, views, config.iterations, newest_from)
         was, most = model.confidence[optimiser.rows], config.history_max_weight
         now = was + optimiser.steps_seen
-        fused = fuse_with_history(before, optimiser.trained, was, now, history_max_weight=most)  # RTG-SLAM Eq. 9
+        fused = fuse_with_history(
+            before, optimiser.trained, was, now, history_max_weight=most
+        )  # RTG-SLAM Eq. 9
         optimiser.write_back(fused)
         model.confidence[optimiser.rows] = now
         self._edit(optimiser, self.window, last)
         return torch.stack(losses).tolist() if losses else []
 
     def _optimise_keyframes(self) -> int:
-        """Optimise over the latest and some random keyframes, on the pixels with the largest colour errors.
+        """Optimise over the latest and some random keyframes, on the pixels with the largest colour
+        errors.
 
         Returns the number of gradient steps.
         """
         config, model = self.config.keyframes, self.gaussians
         n = len(self.keyframes)
         latest = list(range(max(0, n - config.latest), n))
-        earlier = torch.randperm(n - len(latest), generator=self.random.keyframes)[: config.random].tolist()
+        earlier = torch.randperm(n - len(latest), generator=self.random.keyframes)[
+            : config.random
+        ].tolist()
         chosen = [self.keyframes[i].to(self.device) for i in earlier + latest]
         rows = model.is_stable if config.rows == "stable" else torch.ones_like(model.is_stable)
         seen = self._seen(chosen)
@@ -196,11 +239,17 @@ class RTGSLAM(Mapper):
         return config.iterations
 
     def _take_steps(
-        self, optimiser: SurfelOptimiser, views: list[TrainingView], n: int, newest_from: float = math.inf
+        self,
+        optimiser: SurfelOptimiser,
+        views: list[TrainingView],
+        n: int,
+        newest_from: float = math.inf,
     ) -> tuple[list[Tensor], LastStep | None]:
-        """``n`` gradient steps on views drawn at random, from step ``newest_from`` on only on the newest.
+        """``n`` gradient steps on views drawn at random, from step ``newest_from`` on only on the
+        newest.
 
-        Returns the losses before them; and the number of the view, the loss and what was collected of the last step.
+        Returns the losses before them; and the number of the view, the loss and what was collected
+        of the last step.
         """
         losses, last = [], None
         for step in range(n):
@@ -213,13 +262,17 @@ class RTGSLAM(Mapper):
         self.lost.stepped(optimiser.trained)
         return losses, last
 
-    def _step_on(self, view: TrainingView, optimiser: SurfelOptimiser) -> tuple[Float[Tensor, ""], WatchedStep]:
+    def _step_on(
+        self, view: TrainingView, optimiser: SurfelOptimiser
+    ) -> tuple[Float[Tensor, ""], WatchedStep]:
         """One step, on copies of rows: the loss before it, and what was collected of it."""
         watched = self.after_steps.watch(self.gaussians, view, len(optimiser.drawn))
         loss = optimiser.step(view, watched.outputs).total
         return loss, self.after_steps.add_up(self.gaussians, watched, view.camera, optimiser.drawn)
 
-    def _edit(self, optimiser: SurfelOptimiser, sources: Sequence[Frame | Keyframe], last: LastStep | None) -> None:
+    def _edit(
+        self, optimiser: SurfelOptimiser, sources: Sequence[Frame | Keyframe], last: LastStep | None
+    ) -> None:
         """Let the rule edit the map after its rows were written back."""
         if last is not None:
             i, loss, watched = last
@@ -243,7 +296,8 @@ class RTGSLAM(Mapper):
         return error >= error.flatten().quantile(1 - WORST_SHARE)
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
-        """One step on the i-th keyframe, on all pixels and all Gaussians, which all become stable at the first step."""
+        """One step on the i-th keyframe, on all pixels and all Gaussians, which all become stable
+        at the first step."""
         if self._final is None:
             self.gaussians.will_change()
             self.gaussians.state.fill_(STABLE)
@@ -256,7 +310,8 @@ class RTGSLAM(Mapper):
         return loss
 
     def params_now(self, rows: Int[Tensor, " R"] | None = None) -> GaussianParams:
-        """In the passes after the scan, the discs with the steps that they missed; else those of the map."""
+        """In the passes after the scan, the discs with the steps that they missed; else those of
+        the map."""
         params = self.gaussians.params if self._final is None else self._final.adam.params_now()
         return params if rows is None else params[rows]
 
@@ -267,7 +322,8 @@ class RTGSLAM(Mapper):
             self._final.write_back()
 
     def rows_changed(self, before: Int[Tensor, " N"]) -> None:
-        """In the passes after the scan all rows stay stable, and Adam goes on with the rows that are left."""
+        """In the passes after the scan all rows stay stable, and Adam goes on with the rows that
+        are left."""
         if self._final is not None:
             self.gaussians.state.fill_(STABLE)
             earlier, self._final = self._final, self._final_optimiser()
@@ -310,7 +366,8 @@ class RTGSLAM(Mapper):
             self._final.adam.end_log()
 
     def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
-        """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of the view before."""
+        """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of
+        the view before."""
         part = self.boxes.rows(self.gaussians.params, frame.camera, frame.T_WC)
         view = self.surface(frame.camera, frame.T_WC, frame.depth_m)
         if not runs_learners_code():
@@ -318,19 +375,34 @@ class RTGSLAM(Mapper):
         count_views(self.gaussians, frame.camera, frame.T_WC, part)
         known = frame.depth_m > 0
         colour_error = (view.rgb - frame.rgb).abs().mean(dim=-1) * known
-        depth_error_m = torch.where(known & (view.depth_m > 0), frame.depth_m - view.depth_m, 0.0)
+        depth_error_m = torch.where(
+            known & (view.depth_m > 0),
+            frame.depth_m - view.depth_m,
+            0.0,
+        )
         count_errors(
-            self.gaussians, colour_error, view.dominant_index, depth_error_m, view.hit_index, self.config.states
+            self.gaussians,
+            colour_error,
+            view.dominant_index,
+            depth_error_m,
+            view.hit_index,
+            self.config.states,
         )
         per_step = self.config.window.confidence_per_step
-        return _psnr_db(view.rgb, frame), change_states(self.gaussians, self.config.states, per_step)
+        return _psnr_db(view.rgb, frame), change_states(
+            self.gaussians, self.config.states, per_step
+        )
 
     def surface(
-        self, camera: Camera, T_WC: Float[Tensor, "4 4"], depth_m: Float[Tensor, "h w"] | None = None
+        self,
+        camera: Camera,
+        T_WC: Float[Tensor, "4 4"],
+        depth_m: Float[Tensor, "h w"] | None = None,
     ) -> SurfaceView:
         """Colour, transmittance, depth and normals of the map seen by a camera (Eq. 1-5).
 
-        With ``depth_m``, the measured depth, a large map is not drawn far behind it, unless ``config.all_in_view``.
+        With ``depth_m``, the measured depth, a large map is not drawn far behind it, unless
+        ``config.all_in_view``.
         """
         depth_m = None if self.config.all_in_view else depth_m
         T_WC = T_WC.to(self.device)
@@ -346,7 +418,11 @@ class RTGSLAM(Mapper):
 
     @classmethod
     def render_gaussians(
-        cls, params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], config: RtgSlamConfig
+        cls,
+        params: GaussianParams,
+        camera: Camera,
+        T_WC: Float[Tensor, "4 4"],
+        config: RtgSlamConfig,
     ) -> RenderOutput:
         """The map seen by a camera, with the depth of its discs as ``surface_depth_m``."""
         output, _ = render_forward(params, camera, T_WC, opaque_alpha=config.discs.opaque_alpha)
@@ -356,33 +432,58 @@ class RTGSLAM(Mapper):
     def mesh(self) -> Mesh:
         """Surface of the map: depth rendered at poses along the trajectory, fused into a TSDF.
 
-        The poses are spread evenly. Where the camera has turned by half of its field of view since the last one, or
-        moved by half of the median depth in it, there is one more, so that neighbouring views overlap on any walk.
-        ``mesh_share`` becomes the share of the surface seen halfway between them whose voxels were observed.
+        The poses are spread evenly. Where the camera has turned by half of its field of view since
+        the last one, or moved by half of the median depth in it, there is one more, so that
+        neighbouring views overlap on any walk. ``mesh_share`` becomes the share of the surface seen
+        halfway between them whose voxels were observed.
         """
-        settings = TsdfConfig(voxel_size_m=self.config.mesh_voxel_m, truncation_voxels=4.0, near_m=0.2)
-        volume, poses, camera = TsdfVolume(settings, device=self.device), self.localiser.poses, self.camera
+        settings = TsdfConfig(
+            voxel_size_m=self.config.mesh_voxel_m, truncation_voxels=4.0, near_m=0.2
+        )
+        volume, poses, camera = (
+            TsdfVolume(settings, device=self.device),
+            self.localiser.poses,
+            self.camera,
+        )
         stride, taken, near = max(1, len(poses) // MESH_VIEWS), [], (0.0, 0.0)
         for index, T_WC in enumerate(poses):
             assert camera is not None
-            moved = se3.motion(poses[taken[-1]], T_WC) if index % stride and T_WC is not poses[-1] else near
+            moved = (
+                se3.motion(poses[taken[-1]], T_WC)
+                if index % stride and T_WC is not poses[-1]
+                else near
+            )
             if moved[0] < near[0] and moved[1] < near[1]:
                 continue
             view = self.surface(camera, T_WC)
             rgb, pose = view.rgb.clamp(0, 1), T_WC.to(self.device)
-            frame = Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=view.depth_m, camera=camera, T_WC=pose)
+            frame = Frame(
+                index=index,
+                timestamp_s=0.0,
+                rgb=rgb,
+                depth_m=view.depth_m,
+                camera=camera,
+                T_WC=pose,
+            )
             integrate(volume, frame)
             taken.append(index)
             known = view.depth_m[view.depth_m > 0]
             half_depth_m = 0.5 * float(known.median()) if len(known) else math.inf
             near = math.degrees(math.atan(0.5 * camera.width / camera.fx)), half_depth_m
         between = [(a + b) // 2 for a, b in itertools.pairwise(taken) if b - a > 1]
-        observed = [self._observed(volume, poses[i]) for i in between[:: max(1, len(between) // 20)]]
+        observed = [
+            self._observed(volume, poses[i]) for i in between[:: max(1, len(between) // 20)]
+        ]
         self.mesh_share = float(torch.cat(observed).float().mean()) if observed else 1.0
         return extract_mesh(volume)
 
-    def _observed(self, volume: TsdfVolume, T_WC: Float[Tensor, "4 4"]) -> Bool[Tensor, " N"]:
-        """Whether the voxel of each surface point seen from a pose was observed; of every 16th pixel with depth."""
+    def _observed(
+        self,
+        volume: TsdfVolume,
+        T_WC: Float[Tensor, "4 4"],
+    ) -> Bool[Tensor, " N"]:
+        """Whether the voxel of each surface point seen from a pose was observed; of every 16th
+        pixel with depth."""
         assert self.camera is not None
         depth_m, T = self.surface(self.camera, T_WC).depth_m, T_WC.to(self.device)
         xyz_W = se3.apply(T, depth_to_points(self.camera, depth_m))
@@ -409,7 +510,10 @@ class RTGSLAM(Mapper):
 
     def constant_tensors(self) -> list[Tensor]:
         """Images of keyframes and of the window."""
-        return [*super().constant_tensors(), *(image for f in self.window for image in (f.colour, f.depth_m))]
+        return [
+            *super().constant_tensors(),
+            *(image for f in self.window for image in (f.colour, f.depth_m)),
+        ]
 
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """The state of any mapper, the window, and the optimiser of the final passes."""
@@ -437,7 +541,10 @@ class RTGSLAM(Mapper):
         if correction is None:
             return
         moves = correction.transform_of(torch.tensor([f.index for f in self.window])).float()
-        moved = [dataclasses.replace(f, T_WC=T.to(f.T_WC) @ f.T_WC) for f, T in zip(self.window, moves, strict=True)]
+        moved = [
+            dataclasses.replace(f, T_WC=T.to(f.T_WC) @ f.T_WC)
+            for f, T in zip(self.window, moves, strict=True)
+        ]
         self.window = deque(moved, maxlen=self.window.maxlen)
 
 

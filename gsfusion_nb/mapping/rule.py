@@ -1,4 +1,5 @@
-"""The seeding rule of a mapper: options, memory, times, settings that it brings, edits after gradient steps."""
+"""The seeding rule of a mapper: options, memory, times, settings that it brings, edits after
+gradient steps."""
 
 import contextlib
 import dataclasses
@@ -18,11 +19,27 @@ from ..files import SequenceError
 from ..gaussians import Edit, GaussianModel
 from ..optim import Keyframe, TrainingView
 from ..render import Footprints, footprints
-from ..seeding import EVERY_FRAME, MapRule, SeedContext, SeedingRule, StepStats, When, check_memory, copy_memory
+from ..seeding import (
+    EVERY_FRAME,
+    MapRule,
+    SeedContext,
+    SeedingRule,
+    StepStats,
+    When,
+    check_memory,
+    copy_memory,
+)
 from ..seeding.apply import unchanged_inputs
 from ..seeding.code_key import code_key, differing, loaded_values, rule_fingerprint
 from ..seeding.points import add_up
-from ..seeding.rule import check_needs, is_map_rule, option_values, registered, rule_name, rule_options
+from ..seeding.rule import (
+    check_needs,
+    is_map_rule,
+    option_values,
+    registered,
+    rule_name,
+    rule_options,
+)
 from ..types import Camera, Frame
 
 log = logging.getLogger(__name__)
@@ -30,24 +47,26 @@ log = logging.getLogger(__name__)
 S = TypeVar("S", bound=SystemConfig)
 
 ONLY_IF_THERE = ("keyframe_every",)
-"""Settings that a rule may bring to systems that do not have them: RTG-SLAM's keyframes never depend on the seeds."""
+"""Settings that a rule may bring to systems that do not have them: RTG-SLAM's keyframes never
+depend on the seeds."""
 ALL = "all"
 
 
 class RuleInUse:
-    """A rule with the options of one mapper, its fingerprint from when the mapper was made, and its memory.
+    """A rule with the options of one mapper, its fingerprint from when the mapper was made, and its
+    memory.
 
-    A function should depend on its context only; what it must remember belongs in ``ctx.memory``. A rule that stores
-    something elsewhere can map, but its checkpoints cannot be resumed. The instances of a class (``MapRule``) are
-    frozen, so its only state is its memory.
+    A function should depend on its context only; what it must remember belongs in ``ctx.memory``. A
+    rule that stores something elsewhere can map, but its checkpoints cannot be resumed. The
+    instances of a class (``MapRule``) are frozen, so its only state is its memory.
 
     Args:
         rule: The rule.
         options: Values of its options.
 
     Raises:
-        TypeError: an option that the rule does not have, or a value of the wrong type. Also whatever a class raises in
-            ``__post_init__`` for its options.
+        TypeError: an option that the rule does not have, or a value of the wrong type. Also
+            whatever a class raises in ``__post_init__`` for its options.
     """
 
     def __init__(self, rule: SeedingRule, options: dict[str, Any]):
@@ -91,20 +110,23 @@ class RuleInUse:
         """
         if state["changed"]:
             raise SequenceError(
-                f"the seeding rule {shown(state['name'])} stores something from one frame to the next that is not in "
-                "the checkpoint, so the run cannot continue to the same map; keep it in ctx.memory instead"
+                f"the seeding rule {shown(state['name'])} stores something from one frame to the "
+                "next that is not in the checkpoint, so the run cannot continue to the same map; "
+                "keep it in ctx.memory instead"
             )
         self.set_memory(state["memory"])
 
     def set_memory(self, memory: dict[str, Any]) -> None:
-        """Replace the contents of the memory by a copy of ``memory``. Raises ``TypeError`` for an impossible one."""
+        """Replace the contents of the memory by a copy of ``memory``. Raises ``TypeError`` for an
+        impossible one."""
         check_memory(rule_name(self.rule), memory)
         kept = copy_memory(memory)
         self.memory.clear()
         self.memory.update(kept)
 
     def difference(self, state: dict[str, Any]) -> str:
-        """What differs from the rule of ``state`` in words: its name, or parts of its key; empty if nothing does."""
+        """What differs from the rule of ``state`` in words: its name, or parts of its key; empty if
+        nothing does."""
         if state["name"] != rule_name(self.rule):
             return "its name"
         if state["fingerprint"] == self._fingerprint:
@@ -113,7 +135,8 @@ class RuleInUse:
 
 
 def check_known(state: dict[str, Any]) -> None:
-    """Raise ``SequenceError`` if the rule of a checkpoint is not the one that is registered here by its name."""
+    """Raise ``SequenceError`` if the rule of a checkpoint is not the one that is registered here by
+    its name."""
     name, known = state["name"], registered().get(state["name"])
     if known is None or rule_fingerprint(known) != state["fingerprint"]:
         what = "is not known here"
@@ -121,40 +144,52 @@ def check_known(state: dict[str, Any]) -> None:
             changes = differing(state.get("parts", {}), code_key(known).parts)
             what = f"is not the one that is registered here by that name (it differs in {changes})"
         raise SequenceError(
-            f"the seeding rule {shown(name)} of this run {what}; its source is in rule.py of the run's folder: define "
+            f"the seeding rule {shown(name)} of this run {what}; its source is in rule.py of the "
+            "run's folder: define "
             "it and continue with it in Python: resume_mapping(folder, seeding=<the rule>)"
         )
 
 
 def settings_with_rule(config: S, rule: SeedingRule) -> S:
-    """``config`` with everything that the rule decides, so that the stored settings are those of the run.
+    """``config`` with everything that the rule decides, so that the stored settings are those of
+    the run.
 
-    Options: those in the settings are for the rule in the settings. Another rule gets them if it has all of them; if
-    only the first rule has them, the other runs with its defaults. Options that neither has are returned unchanged; the
-    mapper refuses them when it is made.
+    Options: those in the settings are for the rule in the settings. Another rule gets them if it
+    has all of them; if only the first rule has them, the other runs with its defaults. Options that
+    neither has are returned unchanged; the mapper refuses them when it is made.
 
-    Settings: what the user set counts more than what the rule brings (``MapRule.overrides``), and that more than
-    defaults and fidelities. The user's are named in ``config.seeding.own_settings``: presets add what they set for a
-    data set, ``gsfusion_nb.config.replace`` and the command line what they are asked to change.
+    Settings: what the user set counts more than what the rule brings (``MapRule.overrides``), and
+    that more than defaults and fidelities. The user's are named in ``config.seeding.own_settings``:
+    presets add what they set for a data set, ``gsfusion_nb.config.replace`` and the command line
+    what they are asked to change.
 
     Raises:
-        ValueError: the rule brings a setting that the system does not have, or a value that it refuses; or
-            ``own_settings`` names a setting that the system does not have.
+        ValueError: the rule brings a setting that the system does not have, or a value that it
+            refuses; or ``own_settings`` names a setting that the system does not have.
     """
     config = _with_options(config, rule)
     changes = _changes_by(rule, config)
     if not changes:
         return config
     for name, value in changes.items():
-        log.info("the seeding rule %r sets %s = %s, was %s", rule_name(rule), name, value, _value(config, name))
+        log.info(
+            "the seeding rule %r sets %s = %s, was %s",
+            rule_name(rule),
+            name,
+            value,
+            _value(config, name),
+        )
     try:
         return from_dict(type(config), nested(changes, "."), start=config)
     except (TypeError, ValueError, KeyError) as e:
-        raise ValueError(f"the seeding rule {rule_name(rule)!r} brings settings that are refused: {e}") from None
+        raise ValueError(
+            f"the seeding rule {rule_name(rule)!r} brings settings that are refused: {e}"
+        ) from None
 
 
 def settings_of_run(config: S, rule: SeedingRule) -> S:
-    """``config`` of a run that continues with ``rule``, an edited or another one: the settings of the run stay."""
+    """``config`` of a run that continues with ``rule``, an edited or another one: the settings of
+    the run stay."""
     return with_own_settings(config, sorted(_changes_by(rule, config)))
 
 
@@ -174,23 +209,36 @@ def _with_options(config: S, rule: SeedingRule) -> S:
         and not options.keys() <= rule_options(rule).keys()
         and options.keys() <= rule_options(own).keys()
     ):
-        log.info("the options %s belong to the seeding rule %r; %r runs with its defaults", options, seeding.rule, name)
+        log.info(
+            "the options %s belong to the seeding rule %r; %r runs with its defaults",
+            options,
+            seeding.rule,
+            name,
+        )
         options = {}
-    return dataclasses.replace(config, seeding=dataclasses.replace(seeding, rule=name, options=options))
+    return dataclasses.replace(
+        config, seeding=dataclasses.replace(seeding, rule=name, options=options)
+    )
 
 
 def _brought(config: SystemConfig, rule: SeedingRule) -> dict[str, Any]:
     """The settings that a rule brings, by dotted name."""
     overrides = rule.overrides if is_map_rule(rule) else {}
     brought = {name.replace("__", "."): value for name, value in overrides.items()}
-    brought = {name: value for name, value in brought.items() if name not in ONLY_IF_THERE or hasattr(config, name)}
-    if isinstance(every := brought.get("keyframe_every"), int) and every > 0:  # of the recording, not of mapped frames
+    brought = {
+        name: value
+        for name, value in brought.items()
+        if name not in ONLY_IF_THERE or hasattr(config, name)
+    }
+    if (
+        isinstance(every := brought.get("keyframe_every"), int) and every > 0
+    ):  # of the recording, not of mapped frames
         brought["keyframe_every"] = max(1, round(every / config.source_stride))
     for name in brought:
         if any(name == taken or name.startswith(f"{taken}.") for taken in NOT_FOR_RULES):
             raise ValueError(
-                f"the seeding rule {rule_name(rule)!r} brings the setting {shown(name)}, which only the user can set; "
-                f"a rule cannot bring {', '.join(NOT_FOR_RULES)}"
+                f"the seeding rule {rule_name(rule)!r} brings the setting {shown(name)}, which "
+                f"only the user can set; a rule cannot bring {', '.join(NOT_FOR_RULES)}"
             )
     return brought
 
@@ -235,7 +283,8 @@ class WatchedStep:
 
 
 class AfterSteps:
-    """Collects the statistics of gradient steps that a rule asks for, and lets it edit the map after them.
+    """Collects the statistics of gradient steps that a rule asks for, and lets it edit the map
+    after them.
 
     Args:
         rule: The rule of the mapper; a function neither asks for statistics nor edits.
@@ -276,16 +325,25 @@ class AfterSteps:
         """
         if not self.is_used:
             return WatchedStep()
-        seen = footprints(model.params, view.camera, view.T_WC) if self._needs - {"render"} else None
+        seen = (
+            footprints(model.params, view.camera, view.T_WC) if self._needs - {"render"} else None
+        )
         n = len(model) if n_rows is None else n_rows
         asked = [name in self._needs for name in ("image_gradients", "abs_image_gradients")]
-        v_uv, v_uv_abs = (torch.zeros(n, 2, device=model.device) if wanted else None for wanted in asked)
+        v_uv, v_uv_abs = (
+            torch.zeros(n, 2, device=model.device) if wanted else None for wanted in asked
+        )
         return WatchedStep(footprints=seen, v_uv=v_uv, v_uv_abs=v_uv_abs)
 
     def add_up(
-        self, model: GaussianModel, step: WatchedStep, camera: Camera, rows: Int[Tensor, " R"] | None = None
+        self,
+        model: GaussianModel,
+        step: WatchedStep,
+        camera: Camera,
+        rows: Int[Tensor, " R"] | None = None,
     ) -> WatchedStep:
-        """Count a step and add it to the statistics of each row; returns it with gradients for all rows of the map.
+        """Count a step and add it to the statistics of each row; returns it with gradients for all
+        rows of the map.
 
         Args:
             model: The map.
@@ -298,7 +356,9 @@ class AfterSteps:
         if seen is None:
             return step
         if rows is not None:
-            v_uv, v_uv_abs = (_spread(values, rows, len(model)) for values in (step.v_uv, step.v_uv_abs))
+            v_uv, v_uv_abs = (
+                _spread(values, rows, len(model)) for values in (step.v_uv, step.v_uv_abs)
+            )
             step = WatchedStep(footprints=seen, v_uv=v_uv, v_uv_abs=v_uv_abs)
         add_up(model, seen.visible, step.v_uv, camera, step.v_uv_abs)
         return step
@@ -313,7 +373,13 @@ class AfterSteps:
         rows: Int[Tensor, " R"] | None = None,
     ) -> None:
         """``add_up`` of a step, then ``edit``; arguments as for these."""
-        self.edit(mapper, self.add_up(mapper.gaussians, step, view.camera, rows), view, loss, rgb)
+        self.edit(
+            mapper,
+            self.add_up(mapper.gaussians, step, view.camera, rows),
+            view,
+            loss,
+            rgb,
+        )
 
     def edit(
         self,
@@ -326,22 +392,26 @@ class AfterSteps:
         """Let the rule edit the map, after a step was written to it.
 
         Args:
-            mapper: The ``Mapper``, for its map, and its contexts of keyframes in the passes after the scan.
+            mapper: The ``Mapper``, for its map, and its contexts of keyframes in the passes after
+                the scan.
             step: From ``add_up``.
             view: What was rendered.
             loss: Loss before the step.
             rgb: The rendered picture.
 
         Raises:
-            Exception: what the rule raises, or ``ValueError`` if its edit is not possible. The map has no part of the
-                edit. In the passes after the scan the rule's memory and its random numbers are as before the call;
-                online, whoever undoes the frame restores them.
+            Exception: what the rule raises, or ``ValueError`` if its edit is not possible. The map
+                has no part of the edit. In the passes after the scan the rule's memory and its
+                random numbers are as before the call; online, whoever undoes the frame restores
+                them.
         """
         if not self.edits:
             return
         mapper.take_missed_steps()  # an edit reads, copies and removes any row
         if self._context is not None:
-            self._edit(mapper, dataclasses.replace(self._context), self._stats(step, view, loss, rgb))
+            self._edit(
+                mapper, dataclasses.replace(self._context), self._stats(step, view, loss, rgb)
+            )
             return
         ctx = mapper.seed_context(_as_frame(view))
         memory, random_numbers = copy_memory(ctx.memory), ctx.generator.get_state()
@@ -353,7 +423,9 @@ class AfterSteps:
             ctx.generator.set_state(random_numbers)
             raise
 
-    def _stats(self, step: WatchedStep, view: Frame | Keyframe, loss: Tensor, rgb: Tensor) -> StepStats:
+    def _stats(
+        self, step: WatchedStep, view: Frame | Keyframe, loss: Tensor, rgb: Tensor
+    ) -> StepStats:
         online, seen = self._context is not None, step.footprints
         return StepStats(
             step=self.taken,
@@ -380,15 +452,22 @@ class AfterSteps:
         if edit is None:
             return
         if not isinstance(edit, Edit):
-            raise TypeError(f"seeding rule {self._name!r}: after_step must return an Edit or None, got {shown(edit)}")
+            raise TypeError(
+                f"seeding rule {self._name!r}: after_step must return an Edit or None, got "
+                f"{shown(edit)}"
+            )
         try:
             before = mapper.gaussians.edit(edit, ctx.generator, ctx.frame.index)
         except ValueError as error:
-            raise ValueError(f"seeding rule {self._name!r} returned an impossible edit: {error}") from None
+            raise ValueError(
+                f"seeding rule {self._name!r} returned an impossible edit: {error}"
+            ) from None
         mapper.rows_changed(before)
 
 
-def _spread(values: Float[Tensor, "R 2"] | None, rows: Int[Tensor, " R"], n: int) -> Float[Tensor, "N 2"] | None:
+def _spread(
+    values: Float[Tensor, "R 2"] | None, rows: Int[Tensor, " R"], n: int
+) -> Float[Tensor, "N 2"] | None:
     """Values of some rows, zero for the other rows of the ``n``."""
     return None if values is None else values.new_zeros(n, 2).index_copy_(0, rows, values)
 
@@ -400,5 +479,10 @@ def _as_frame(view: Frame | Keyframe) -> Frame:
     size, depth_m = view.rgb_u8.shape[:2], view.depth_m
     depth_m = torch.zeros(size, device=view.rgb_u8.device) if depth_m is None else depth_m
     return Frame(
-        index=view.index, timestamp_s=0.0, colour=view.rgb_u8, depth_m=depth_m, camera=view.camera, T_WC=view.T_WC
+        index=view.index,
+        timestamp_s=0.0,
+        colour=view.rgb_u8,
+        depth_m=depth_m,
+        camera=view.camera,
+        T_WC=view.T_WC,
     )

@@ -1,4 +1,5 @@
-"""What every frame step needs: checks of the frame, all of it or nothing, the clock, and the report."""
+"""What every frame step needs: checks of the frame, all of it or nothing, the clock, and the
+report."""
 
 import contextlib
 import math
@@ -32,11 +33,12 @@ class StepReport:
     losses: tuple[float, ...]
     """Loss before each optimisation step on this frame."""
     psnr_before_db: float = math.nan
-    """PSNR of this view before its optimisation, dB; NaN if not measured. Each system decides whether its new Gaussians
-    are drawn for it (GSFusion draws them, RTG-SLAM does not)."""
+    """PSNR of this view before its optimisation, dB; NaN if not measured. Each system decides
+    whether its new Gaussians are drawn for it (GSFusion draws them, RTG-SLAM does not)."""
     psnr_after_db: float = math.nan
-    """PSNR of this view after its optimisation, dB; NaN if not measured. A system may take the last value that needs no
-    extra rendering (GSFusion: just before the last optimisation step; RTG-SLAM renders at the end of the step)."""
+    """PSNR of this view after its optimisation, dB; NaN if not measured. A system may take the last
+    value that needs no extra rendering (GSFusion: just before the last optimisation step; RTG-SLAM
+    renders at the end of the step)."""
     n_steps: int = 0
     """Number of gradient steps in this frame, on any view."""
     n_not_finite: int = 0
@@ -44,12 +46,13 @@ class StepReport:
     n_blocks: int = 0
     """Number of voxel blocks in the TSDF map after the step, if there is one."""
     counts: dict[str, int] = field(default_factory=dict)
-    """What only this system counts, by name, such as the number of Gaussians by state and of changes of state."""
+    """What only this system counts, by name, such as the number of Gaussians by state and of
+    changes of state."""
     tracking: dict[str, Any] = field(default_factory=dict)
     """How the frame was tracked: status, rms_m, inlier_share. Empty for given poses."""
     seconds: dict[str, float] = field(default_factory=dict)
-    """Wall time by stage. Each system names its stages, such as tsdf, seeding, optimise; "tracking" is the time for the
-    pose, which a run reports separately."""
+    """Wall time by stage. Each system names its stages, such as tsdf, seeding, optimise; "tracking"
+    is the time for the pose, which a run reports separately."""
 
     @property
     def total_seconds(self) -> float:
@@ -120,17 +123,21 @@ BLACK = 2.5 / 255
 """A frame without any brighter pixel counts as black."""
 
 
-def check_frame(frame: Frame, device: torch.device | None = None, *, needs_depth: bool = False) -> Frame:
+def check_frame(
+    frame: Frame, device: torch.device | None = None, *, needs_depth: bool = False
+) -> Frame:
     """The frame itself on ``device``, if it can be mapped.
 
     Args:
         frame: The frame to check.
-        device: Device to move it to; by default it stays where it is. The host waits for a GPU once.
+        device: Device to move it to; by default it stays where it is. The host waits for a GPU
+            once.
         needs_depth: Refuse a frame without any depth.
 
     Raises:
-        BadFrameError: the pose is not rigid or too far away, the camera is impossible (``check_plausible_camera``), an
-            image holds a NaN or colours outside 0..1, the picture is black, or it has no depth with ``needs_depth``.
+        BadFrameError: the pose is not rigid or too far away, the camera is impossible
+            (``check_plausible_camera``), an image holds a NaN or colours outside 0..1, the picture
+            is black, or it has no depth with ``needs_depth``.
     """
     try:
         check_pose(f"T_WC of frame {frame.index}", frame.T_WC_cpu)
@@ -144,7 +151,9 @@ def check_frame(frame: Frame, device: torch.device | None = None, *, needs_depth
 
 
 def _check_images(frame: Frame, needs_depth: bool) -> None:
-    extremes = torch.stack([x.float() for image in (frame.depth_m, frame.colour) for x in torch.aminmax(image)])
+    extremes = torch.stack(
+        [x.float() for image in (frame.depth_m, frame.colour) for x in torch.aminmax(image)]
+    )
     depth_low, depth_high, low, high = extremes.tolist()  # NaN if any value is
     if frame.is_8_bit:
         low, high = low / 255, high / 255
@@ -158,7 +167,8 @@ def _check_images(frame: Frame, needs_depth: bool) -> None:
 
 
 class HalfMappedError(RuntimeError):
-    """A map contains only a part of a frame; it cannot map more frames, because the rest of that frame is lost."""
+    """A map contains only a part of a frame; it cannot map more frames, because the rest of that
+    frame is lost."""
 
 
 class FrameUndone(KeyboardInterrupt):
@@ -168,14 +178,16 @@ class FrameUndone(KeyboardInterrupt):
 class FrameGuard:
     """Lets a mapper map one frame at a time, and remembers a frame that it could not finish.
 
-    What can fail because of the user's code or data comes before ``changes_begin``; if it fails, the map is unchanged.
-    From there until ``changes_stay`` a frame can be undone, if the mapper has given a function for it. Otherwise only a
-    failure of the machine (memory) or of the program can leave a frame half mapped; the map then refuses more frames.
+    What can fail because of the user's code or data comes before ``changes_begin``; if it fails,
+    the map is unchanged. From there until ``changes_stay`` a frame can be undone, if the mapper has
+    given a function for it. Otherwise only a failure of the machine (memory) or of the program can
+    leave a frame half mapped; the map then refuses more frames.
     """
 
     def __init__(self):
         self.stop_wanted: Callable[[], bool] = lambda: False
-        """Whether the program is asked to stop; a frame that can be undone is then given up. A run sets it."""
+        """Whether the program is asked to stop; a frame that can be undone is then given up. A run
+        sets it."""
         self.end_wanted: Callable[[], bool] = lambda: False
         """Likewise, also where nothing is mapped yet; asked while kernels are compiled."""
         self.half_mapped = ""
@@ -188,20 +200,23 @@ class FrameGuard:
     def while_mapping(self, index: int) -> Iterator[None]:
         """Context for the step of a mapper on the frame with this index.
 
-        After ``changes_begin``, Ctrl-C takes effect only when the frame is mapped, or at ``may_stop``.
+        After ``changes_begin``, Ctrl-C takes effect only when the frame is mapped, or at
+        ``may_stop``.
 
         Raises:
-            RuntimeError: another thread is in a step. HalfMappedError: an earlier frame was only half mapped.
+            RuntimeError: another thread is in a step. HalfMappedError: an earlier frame was only
+                half mapped.
         """
         if not self._lock.acquire(blocking=False):
             raise RuntimeError(
-                f"frame {index} was given while another thread maps frame {self._index}; give one frame at a time"
+                f"frame {index} was given while another thread maps frame {self._index}; give one "
+                "frame at a time"
             )
         try:
             if self.half_mapped:
                 raise HalfMappedError(
-                    f"{self.half_mapped}; this map takes no more frames: continue from the run's last checkpoint "
-                    "(resume_mapping), or with a new mapper"
+                    f"{self.half_mapped}; this map takes no more frames: continue from the run's "
+                    "last checkpoint (resume_mapping), or with a new mapper"
                 )
             self._index, self._changing, self._undo = index, False, None
             with DelayedInterrupt() as interrupt:
@@ -211,7 +226,9 @@ class FrameGuard:
                         yield
                 except BaseException as e:
                     if self._changing:
-                        self.half_mapped = f"frame {index} was only half mapped ({type(e).__name__}: {e})"
+                        self.half_mapped = (
+                            f"frame {index} was only half mapped ({type(e).__name__}: {e})"
+                        )
                     raise
         finally:
             self._undo = None
@@ -236,7 +253,8 @@ class FrameGuard:
 
     @contextlib.contextmanager
     def _heard_while_compiling(self) -> Iterator[None]:
-        """Context in which Ctrl-C ends the compilation of a kernel, if what was changed by then can be undone."""
+        """Context in which Ctrl-C ends the compilation of a kernel, if what was changed by then can
+        be undone."""
 
         def may_end() -> None:
             if self._changing and self._undo is None:
@@ -254,15 +272,18 @@ class FrameGuard:
             while_compiling.remove(may_end)
 
     def changes_begin(self, undo: Callable[[], None] | None = None) -> None:
-        """Declare that the frame changes the map from here on; ``undo`` would bring back the map of now."""
+        """Declare that the frame changes the map from here on; ``undo`` would bring back the map of
+        now."""
         DelayedInterrupt.delay()
         self._changing, self._undo = True, undo
 
     def may_stop(self) -> None:
-        """Called between two gradient steps. If the frame can be undone, Ctrl-C and SIGTERM take effect here.
+        """Called between two gradient steps. If the frame can be undone, Ctrl-C and SIGTERM take
+        effect here.
 
         Raises:
-            FrameUndone: the program is asked to stop. KeyboardInterrupt: Ctrl-C, where nobody else handles it.
+            FrameUndone: the program is asked to stop. KeyboardInterrupt: Ctrl-C, where nobody else
+                handles it.
         """
         if self._undo is None:
             return
@@ -276,7 +297,8 @@ class FrameGuard:
 
     @undisturbed
     def undo(self) -> bool:
-        """Undo what the frame has changed; returns whether the map is now as it was before the frame."""
+        """Undo what the frame has changed; returns whether the map is now as it was before the
+        frame."""
         DelayedInterrupt.delay()
         if self._undo is not None:
             self._undo()

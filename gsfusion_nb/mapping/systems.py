@@ -36,7 +36,9 @@ def system_of(config: SystemConfig) -> str:
     for name, mapper in SYSTEMS.items():
         if type(config) is mapper.config_type:
             return name
-    raise TypeError(f"expected the settings of a system ({', '.join(SYSTEMS)}), got {type(config).__name__}")
+    raise TypeError(
+        f"expected the settings of a system ({', '.join(SYSTEMS)}), got {type(config).__name__}"
+    )
 
 
 def make_mapper(

@@ -1,4 +1,5 @@
-"""What a mapper optimises with: loss, optimiser, passes over the keyframes, and fits of poses and exposures in them."""
+"""What a mapper optimises with: loss, optimiser, passes over the keyframes, and fits of poses and
+exposures in them."""
 
 import dataclasses
 import hashlib
@@ -24,15 +25,17 @@ from .localiser import Localiser, between
 from .step import GlobalStep
 
 LossFunction = Callable[[RenderOutput, TrainingView], ViewLoss]
-"""``loss(rendered, view)``: the value for one view, and its gradient with respect to the rendered images.
+"""``loss(rendered, view)``: the value for one view, and its gradient with respect to the rendered
+images.
 
-``rendered`` has ``rgb``, ``alpha`` and ``depth_m``. The depth is the one that the system's own loss would use: blended
-in GSFusion, of the discs in RTG-SLAM, of surface and Gaussians in GPS-SLAM, where it has no gradient. In RTG-SLAM only
-``view.pixels`` are drawn and count."""
+``rendered`` has ``rgb``, ``alpha`` and ``depth_m``. The depth is the one that the system's own loss
+would use: blended in GSFusion, of the discs in RTG-SLAM, of surface and Gaussians in GPS-SLAM,
+where it has no gradient. In RTG-SLAM only ``view.pixels`` are drawn and count."""
 
 
 def given_functions(loss: LossFunction | None, optimiser: UpdateFunction | None) -> dict[str, Any]:
-    """Those of the two that are given, by name; a system that does not know them is not asked to take them."""
+    """Those of the two that are given, by name; a system that does not know them is not asked to
+    take them."""
     return {name: f for name, f in (("loss", loss), ("optimiser", optimiser)) if f is not None}
 
 
@@ -42,8 +45,10 @@ class Training:
     Both functions must depend on their arguments only: what they store is not part of a checkpoint.
 
     Args:
-        loss: Replaces all terms about the picture and its depth. Penalties on Gaussians in the settings stay.
-        optimiser: Replaces ``adam_update``; learning rates, and factors of rows, stay those of the settings.
+        loss: Replaces all terms about the picture and its depth. Penalties on Gaussians in the
+            settings stay.
+        optimiser: Replaces ``adam_update``; learning rates, and factors of rows, stay those of the
+            settings.
 
     Raises:
         TypeError: one of them is not a function, or the optimiser returns something.
@@ -61,10 +66,13 @@ class Training:
 
     @property
     def names(self) -> dict[str, str]:
-        """The names of what was given, for metrics.json, config.json and the report; empty for the defaults."""
+        """The names of what was given, for metrics.json, config.json and the report; empty for the
+        defaults."""
         return {name: rule_name(f) for name, f in self._given.items()}
 
-    def view_loss(self, rendered: RenderOutput, source: "Frame | Any", *, with_depth: bool = True) -> ViewLoss:
+    def view_loss(
+        self, rendered: RenderOutput, source: "Frame | Any", *, with_depth: bool = True
+    ) -> ViewLoss:
         """The given loss of one view.
 
         Args:
@@ -80,7 +88,9 @@ class Training:
         view = source if isinstance(source, TrainingView) else TrainingView.of(source)
         found, name = self.loss(rendered, view), f"loss {self.names['loss']!r}"
         if not isinstance(found, ViewLoss):
-            raise TypeError(f"{name} must return a ViewLoss (gsfusion_nb.optim), got {shown(found)}")
+            raise TypeError(
+                f"{name} must return a ViewLoss (gsfusion_nb.optim), got {shown(found)}"
+            )
         check_shape(f"value of the {name}", found.value, ())
         for column, like in (("v_rgb", rendered.rgb), ("v_depth_m", rendered.depth_m)):
             gradient = getattr(found, column)
@@ -88,14 +98,22 @@ class Training:
                 check_shape(f"{column} of the {name}", gradient, tuple(like.shape))
                 check_finite(f"{column} of the {name}", gradient)
         if found.v_depth_m is not None and not with_depth:
-            raise ValueError(f"{name} returned v_depth_m, but this system's depth has no gradient; leave it out")
+            raise ValueError(
+                f"{name} returned v_depth_m, but this system's depth has no gradient; leave it out"
+            )
         return found.detached(rendered.rgb)
 
     def state_dict(self) -> dict[str, dict[str, str]]:
         """Name and fingerprint of each function that is given."""
-        return {kind: {"name": rule_name(f), "code": rule_fingerprint(f)} for kind, f in self._given.items()}
+        return {
+            kind: {"name": rule_name(f), "code": rule_fingerprint(f)}
+            for kind, f in self._given.items()
+        }
 
-    def notes_on(self, state: dict[str, dict[str, str]]) -> list[str]:
+    def notes_on(
+        self,
+        state: dict[str, dict[str, str]],
+    ) -> list[str]:
         """Sentences about a difference from the training of a checkpoint.
 
         Raises:
@@ -105,12 +123,15 @@ class Training:
         for kind in ("loss", "optimiser"):
             if kind in state and kind not in now:
                 raise SequenceError(
-                    f"this run has its own {kind}, {shown(state[kind]['name'])}, which is not in the checkpoint: "
+                    f"this run has its own {kind}, {shown(state[kind]['name'])}, which is not in "
+                    "the checkpoint: "
                     f"continue it in Python with resume_mapping(folder, {kind}=<the function>)"
                 )
             if now.get(kind) != state.get(kind):
                 was = shown(state[kind]["name"]) if kind in state else "the system's own"
-                notes.append(f"the run continued with another {kind}: {self.names[kind]!r} instead of {was}")
+                notes.append(
+                    f"the run continued with another {kind}: {self.names[kind]!r} instead of {was}"
+                )
         return notes
 
 
@@ -118,13 +139,24 @@ def _try_out(optimiser: UpdateFunction, name: str) -> None:
     """Take one step, late enough that a warm-up is over, on two rows with gradient 1."""
     name = f"optimiser {name!r}"
     param, m, v = torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 3)
-    returned: Any = optimiser(param, torch.ones(2, 3), m, v, torch.full((2,), 1000), lr=0.1)
+    returned: Any = optimiser(
+        param,
+        torch.ones(2, 3),
+        m,
+        v,
+        torch.full((2,), 1000),
+        lr=0.1,
+    )
     if returned is not None:
-        raise TypeError(f"{name} must change param in place and return nothing, got {shown(returned)}")
+        raise TypeError(
+            f"{name} must change param in place and return nothing, got {shown(returned)}"
+        )
     if not _all_finite(param, m, v):
         raise ValueError(f"{name} makes NaN or infinity from a gradient of 1")
     if not param.any():
-        raise ValueError(f"{name} must change param in place (param -= ..., not param = param - ...)")
+        raise ValueError(
+            f"{name} must change param in place (param -= ..., not param = param - ...)"
+        )
 
 
 def _all_finite(*values: Tensor) -> bool:
@@ -146,9 +178,14 @@ class KeyframePasses:
         return self.done > 0 or len(self.queue) > 0
 
     def run(
-        self, passes: int, n_keyframes: int, generator: torch.Generator, optimise: Callable[[int], Float[Tensor, ""]]
+        self,
+        passes: int,
+        n_keyframes: int,
+        generator: torch.Generator,
+        optimise: Callable[[int], Float[Tensor, ""]],
     ) -> Iterator[GlobalStep]:
-        """Visit every keyframe ``passes`` times; ``optimise(i)`` takes one step on the i-th and returns its loss.
+        """Visit every keyframe ``passes`` times; ``optimise(i)`` takes one step on the i-th and
+        returns its loss.
 
         A pass that was interrupted is finished first and counts as one of them.
         """
@@ -173,16 +210,17 @@ class KeyframePasses:
 
 
 class KeyframeFits:
-    """What the passes after the scan fit to each keyframe, besides the Gaussians: its exposure and its pose.
+    """What the passes after the scan fit to each keyframe, besides the Gaussians: its exposure and
+    its pose.
 
-    Exposures (``optim.fit_exposure``) are stored with the keyframes, so that the map has the mean brightness of the
-    pictures.
+    Exposures (``optim.fit_exposure``) are stored with the keyframes, so that the map has the mean
+    brightness of the pictures.
 
-    With ``optim.refine_poses`` a keyframe moves one step towards the pose at which the map fits it whenever it is
-    visited, because the map's picture of it is there anyway. A prior holds each pose at that of the data. After each
-    pass, the mean motion of all keyframes is taken back, by moving map and keyframes together, so that the map stays
-    where the data puts it; and the frames between keyframes follow them. The poses are the localiser's and the
-    keyframes'.
+    With ``optim.refine_poses`` a keyframe moves one step towards the pose at which the map fits it
+    whenever it is visited, because the map's picture of it is there anyway. A prior holds each pose
+    at that of the data. After each pass, the mean motion of all keyframes is taken back, by moving
+    map and keyframes together, so that the map stays where the data puts it; and the frames between
+    keyframes follow them. The poses are the localiser's and the keyframes'.
     """
 
     def __init__(self, optim: OptimConfig, localiser: Localiser):
@@ -191,8 +229,11 @@ class KeyframeFits:
         self._sigma = torch.tensor(sigma, dtype=torch.float64)
         self._exposure: Tensor | None = None
 
-    def expose(self, keyframes: KeyframeList, keyframe: Keyframe, output: RenderOutput) -> RenderOutput:
-        """The map's picture with the exposure of the keyframe; that of its next visit is fitted to the map of now."""
+    def expose(
+        self, keyframes: KeyframeList, keyframe: Keyframe, output: RenderOutput
+    ) -> RenderOutput:
+        """The map's picture with the exposure of the keyframe; that of its next visit is fitted to
+        the map of now."""
         if not self._optim.fit_exposure:
             return output
         fitted = fit_gain(output.rgb, keyframe.rgb, output.alpha >= SHOWN_ALPHA)
@@ -200,12 +241,18 @@ class KeyframeFits:
         self._exposure = fitted if keyframe.gain is None else keyframe.gain.to(fitted)
         return dataclasses.replace(output, rgb=exposed(output.rgb, self._exposure))
 
-    def expose_vjp(self, output: RenderOutput, v_rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
-        """The gradient with respect to the map's picture, from that of the exposed picture, of the last ``expose``."""
-        return v_rgb if self._exposure is None else exposed_vjp(output.rgb, self._exposure, v_rgb)[0]
+    def expose_vjp(
+        self, output: RenderOutput, v_rgb: Float[Tensor, "H W 3"]
+    ) -> Float[Tensor, "H W 3"]:
+        """The gradient with respect to the map's picture, from that of the exposed picture, of the
+        last ``expose``."""
+        return (
+            v_rgb if self._exposure is None else exposed_vjp(output.rgb, self._exposure, v_rgb)[0]
+        )
 
     def move(self, keyframes: KeyframeList, keyframe: Keyframe, shown: RenderOutput) -> None:
-        """Move a keyframe one step, by the map's picture of it that its last gradient was computed from."""
+        """Move a keyframe one step, by the map's picture of it that its last gradient was computed
+        from."""
         if not self._optim.refine_poses:
             return
         row = self._localiser.frame_indices.index(keyframe.index)
@@ -226,7 +273,8 @@ class KeyframeFits:
                 keyframes.set_gain(index, (gain - mean).exp())
 
     def _take_back_motion(self, keyframes: KeyframeList, gaussians: GaussianModel) -> None:
-        """Where all keyframes move together by G, T_i = G T_i(given), the pictures do not change: nothing holds G."""
+        """Where all keyframes move together by G, T_i = G T_i(given), the pictures do not change:
+        nothing holds G."""
         poses, given = self._localiser.poses, self._localiser.given
         rows = sorted(self._localiser.frame_indices.index(k.index) for k in keyframes)
         T_WC, T_given = (torch.stack([p[r] for r in rows]).double() for p in (poses, given))
@@ -241,8 +289,12 @@ class KeyframeFits:
         self._localiser.follow(rows)
 
 
-def exposure_between(fitted: Mapping[int, Float[Tensor, " 3"]], index: int) -> Float[Tensor, " 3"]:
-    """The exposure of any frame of the source by those of the frames before and after it, interpolated in stops.
+def exposure_between(
+    fitted: Mapping[int, Float[Tensor, " 3"]],
+    index: int,
+) -> Float[Tensor, " 3"]:
+    """The exposure of any frame of the source by those of the frames before and after it,
+    interpolated in stops.
 
     Args:
         fitted: Number of a frame -> its exposure; at least one.
@@ -260,8 +312,8 @@ LEAST_SHARE = 0.5
 class RandomStreams:
     """Three generators that follow from one seed.
 
-    A rule that draws more or fewer numbers than another changes neither which keyframes are revisited nor the order of
-    the passes after the scan.
+    A rule that draws more or fewer numbers than another changes neither which keyframes are
+    revisited nor the order of the passes after the scan.
 
     Args:
         seed: Seed of the run, ``config.seed``.

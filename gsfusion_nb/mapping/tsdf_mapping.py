@@ -1,4 +1,5 @@
-"""What mappers with a TSDF have in common: the volume, its surface and mesh, and the frames that a loop may move."""
+"""What mappers with a TSDF have in common: the volume, its surface and mesh, and the frames that a
+loop may move."""
 
 import dataclasses
 from collections.abc import Callable
@@ -12,7 +13,15 @@ from ..files import BadFrameError
 from ..geometry import backproject, se3
 from ..seeding import SeedContext
 from ..tracking import Correction
-from ..tsdf import NewBlocks, RaycastOutput, TsdfVolume, extract_mesh, integrate, new_band_blocks, raycast
+from ..tsdf import (
+    NewBlocks,
+    RaycastOutput,
+    TsdfVolume,
+    extract_mesh,
+    integrate,
+    new_band_blocks,
+    raycast,
+)
 from ..types import Camera, Frame, Mesh, Seeds
 from .mapper import Mapper
 from .step import StepReport
@@ -21,15 +30,18 @@ MOVED_VOXELS = 0.5
 """The volume is made again when a frame's surface has moved by more than this many voxels."""
 
 SEEN_WITHIN_M, SEEN_WITHIN_DEG, LATEST = 0.1, 10.0, 10
-"""A frame shows nothing new if a keyframe was taken from a pose so near to its own, which is not one of the latest."""
+"""A frame shows nothing new if a keyframe was taken from a pose so near to its own, which is not
+one of the latest."""
 
 
 class FusedFrames:
-    """Frames with the poses at which they were fused, in CPU memory, in the order of the trajectory.
+    """Frames with the poses at which they were fused, in CPU memory, in the order of the
+    trajectory.
 
-    A frame that has moved is not taken out of the volume again: all frames are fused into a new one. That is exact also
-    where the observation count has reached its limit, and after a loop most frames have moved. On the kitchen at
-    320x240 it takes 8.7 ms of processor time for each frame; taking out and putting in, 12 for each that moved.
+    A frame that has moved is not taken out of the volume again: all frames are fused into a new
+    one. That is exact also where the observation count has reached its limit, and after a loop most
+    frames have moved. On the kitchen at 320x240 it takes 8.7 ms of processor time for each frame;
+    taking out and putting in, 12 for each that moved.
     """
 
     def __init__(self) -> None:
@@ -48,9 +60,11 @@ class FusedFrames:
         self.frames.append(bare.to("cpu"))
 
     def moved_m(self, poses: list[Float[Tensor, "4 4"]]) -> float:
-        """How far a frame's camera, or a point at its median depth in a corner of its view, would move at most.
+        """How far a frame's camera, or a point at its median depth in a corner of its view, would
+        move at most.
 
-        The corners move also where a camera turns about its viewing axis, which leaves the middle of the view in place.
+        The corners move also where a camera turns about its viewing axis, which leaves the middle
+        of the view in place.
 
         Args:
             poses: New camera-to-world poses, one for each frame.
@@ -60,7 +74,9 @@ class FusedFrames:
         """
         if not self.frames:
             return 0.0
-        change = torch.stack(poses).cpu().double() - torch.stack([f.T_WC for f in self.frames]).double()
+        change = (
+            torch.stack(poses).cpu().double() - torch.stack([f.T_WC for f in self.frames]).double()
+        )
         xyz_C = torch.stack([_camera_and_corners(f) for f in self.frames])
         return float((xyz_C @ change[:, :3, :3].mT + change[:, None, :3, 3]).norm(dim=-1).max())
 
@@ -68,11 +84,20 @@ class FusedFrames:
         """A new volume like ``volume`` with all frames at new poses, which they keep.
 
         Raises:
-            ValueError: a frame would be too far away for the voxel index. MemoryError: no room for the blocks. Nothing
-                has changed.
+            ValueError: a frame would be too far away for the voxel index. MemoryError: no room for
+                the blocks. Nothing has changed.
         """
-        fresh = TsdfVolume(volume.config, volume.device, memory_limit_bytes=volume.memory_limit_bytes)
-        moved = [dataclasses.replace(f, T_WC=T) for f, T in zip(self.frames, torch.stack(poses).cpu(), strict=True)]
+        fresh = TsdfVolume(
+            volume.config, volume.device, memory_limit_bytes=volume.memory_limit_bytes
+        )
+        moved = [
+            dataclasses.replace(f, T_WC=T)
+            for f, T in zip(
+                self.frames,
+                torch.stack(poses).cpu(),
+                strict=True,
+            )
+        ]
         for frame in moved:
             integrate(fresh, dataclasses.replace(frame.to(volume.device)))
         self.frames = moved
@@ -88,16 +113,23 @@ class FusedFrames:
 
 
 def _camera_and_corners(frame: Frame) -> Float[Tensor, "5 3"]:
-    """The camera's centre and the corners of its view at the median depth, in the camera's frame, float64."""
+    """The camera's centre and the corners of its view at the median depth, in the camera's frame,
+    float64."""
     some, camera = frame.depth_m[::4, ::4], frame.camera
     known = some[some > 0]
     z = known.median().double() if len(known) else torch.zeros((), dtype=torch.float64)
-    corners = torch.tensor([(u, v) for u in (0, camera.width) for v in (0, camera.height)], dtype=torch.float64)
-    return torch.cat([torch.zeros(1, 3, dtype=torch.float64), backproject(camera, corners, z.expand(4))])
+    corners = torch.tensor(
+        [(u, v) for u in (0, camera.width) for v in (0, camera.height)],
+        dtype=torch.float64,
+    )
+    return torch.cat(
+        [torch.zeros(1, 3, dtype=torch.float64), backproject(camera, corners, z.expand(4))]
+    )
 
 
 class TsdfMapping(Mapper):
-    """A mapper with a TSDF, ``volume``, by the settings ``config.tsdf``; arguments as for ``Mapper``."""
+    """A mapper with a TSDF, ``volume``, by the settings ``config.tsdf``; arguments as for
+    ``Mapper``."""
 
     def __init__(self, *args: Any, **options: Any):
         super().__init__(*args, **options)
@@ -113,8 +145,11 @@ class TsdfMapping(Mapper):
         )
 
     def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
-        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due."""
-        return super().propose_seeds(context, one_per_voxel=self.config.seeding.one_per_voxel, **checks)
+        """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not
+        due."""
+        return super().propose_seeds(
+            context, one_per_voxel=self.config.seeding.one_per_voxel, **checks
+        )
 
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
         """Depth, normals and colours of the TSDF map's surface seen by a camera."""
@@ -131,7 +166,12 @@ class TsdfMapping(Mapper):
     def maps(self) -> dict[str, dict[str, Tensor]]:
         """Gaussians and the TSDF."""
         volume = self.volume
-        columns = {"block_coords": volume.block_coords, "D": volume.D, "W": volume.W, "rgb": volume.rgb_planes}
+        columns = {
+            "block_coords": volume.block_coords,
+            "D": volume.D,
+            "W": volume.W,
+            "rgb": volume.rgb_planes,
+        }
         return super().maps() | {"tsdf": columns}
 
     def order_of_rows(self, name: str) -> Tensor | None:
@@ -144,20 +184,29 @@ class TsdfMapping(Mapper):
         if self.n_frames > 1 or report.n_blocks:
             return warnings
         tsdf, known = self.config.tsdf, frame.depth_m[frame.depth_m > 0]
-        median = f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
+        median = (
+            f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
+        )
         if ((known >= tsdf.near_m) & (known <= tsdf.far_m)).any():
-            return [*warnings, f"nothing was mapped from the depth of frame {frame.index} ({median})"]
+            return [
+                *warnings,
+                f"nothing was mapped from the depth of frame {frame.index} ({median})",
+            ]
         return [
             *warnings,
-            f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m {tsdf.far_m:g} m "
-            f"({median}), so nothing was mapped from it; check the depth scale",
+            f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m "
+            f"{tsdf.far_m:g} m ({median}), so nothing was mapped from it; check the depth scale",
         ]
 
     def _seen_before(self, frame: Frame) -> bool:
         """Whether an earlier keyframe shows what the frame shows."""
         T_WC, earlier = frame.T_WC.cpu(), self.keyframes.T_WC[:-LATEST]
         near = earlier[(earlier[:, :3, 3] - T_WC[:3, 3]).norm(dim=1) <= SEEN_WITHIN_M]
-        return bool((se3.rotation_angle(near[:, :3, :3].mT @ T_WC[:3, :3]).rad2deg() <= SEEN_WITHIN_DEG).any())
+        return bool(
+            (
+                se3.rotation_angle(near[:, :3, :3].mT @ T_WC[:3, :3]).rad2deg() <= SEEN_WITHIN_DEG
+            ).any()
+        )
 
     def constant_tensors(self) -> list[Tensor]:
         """Images of keyframes and of the frames in the TSDF."""
@@ -166,7 +215,10 @@ class TsdfMapping(Mapper):
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """The state of any mapper, and the TSDF with the frames that a loop may move."""
         volume = self.volume.state_dict(copies=copies)
-        return super().state_dict(copies=copies) | {"volume": volume, "fused": self.fused.state_dict()}
+        return super().state_dict(copies=copies) | {
+            "volume": volume,
+            "fused": self.fused.state_dict(),
+        }
 
     def _load(self, state: dict[str, Any]) -> None:
         super()._load(state)
@@ -197,7 +249,8 @@ class TsdfMapping(Mapper):
         super()._record(frame)
 
     def _follow(self, correction: Correction | None) -> None:
-        """After a loop closure that moved a frame by more than half a voxel, the TSDF is made again."""
+        """After a loop closure that moved a frame by more than half a voxel, the TSDF is made
+        again."""
         super()._follow(correction)
         if correction is None or not len(self.fused):
             return
@@ -208,7 +261,8 @@ class TsdfMapping(Mapper):
             self.volume = self.fused.fused_again(self.volume, poses)
         except (MemoryError, ValueError) as e:
             self.notes.append(
-                f"the TSDF stays as it was before the loop at frame {int(correction.frame_index[-1])}: {e}"
+                "the TSDF stays as it was before the loop at frame "
+                f"{int(correction.frame_index[-1])}: {e}"
             )
 
     def _make_room(self, frame: Frame) -> NewBlocks:

@@ -18,8 +18,9 @@ R = TypeVar("R")
 def usual_torch() -> Iterator[None]:
     """New tensors inside the block are float32, and can be changed in place later.
 
-    Tensors made in ``torch.inference_mode`` cannot be changed outside of it, so a map that grew partly inside would
-    take no more frames. With ``torch.set_default_dtype(torch.float64)`` its columns would differ from its pictures.
+    Tensors made in ``torch.inference_mode`` cannot be changed outside of it, so a map that grew
+    partly inside would take no more frames. With ``torch.set_default_dtype(torch.float64)`` its
+    columns would differ from its pictures.
     """
     given = torch.get_default_dtype()
     with torch.inference_mode(False):
@@ -45,9 +46,14 @@ def in_usual_torch(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def changeable(frame: Frame) -> Frame:
-    """The frame with tensors that can be kept in a map: copies, if it was made in ``torch.inference_mode``."""
+    """The frame with tensors that can be kept in a map: copies, if it was made in
+    ``torch.inference_mode``."""
     values = {"colour": frame.colour, "depth_m": frame.depth_m, "T_WC": frame.T_WC}
     if not any(value.is_inference() for value in (*values.values(), *frame.extra.values())):
         return frame
     copies = {name: value.clone() for name, value in values.items()}
-    return dataclasses.replace(frame, **copies, extra={name: value.clone() for name, value in frame.extra.items()})
+    return dataclasses.replace(
+        frame,
+        **copies,
+        extra={name: value.clone() for name, value in frame.extra.items()},
+    )

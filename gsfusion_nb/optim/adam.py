@@ -1,4 +1,5 @@
-"""Adam on a map that grows while it is optimised (``adam_step``), and on a fixed set of its rows (``RowAdam``)."""
+"""Adam on a map that grows while it is optimised (``adam_step``), and on a fixed set of its rows
+(``RowAdam``)."""
 
 import contextlib
 import math
@@ -19,33 +20,57 @@ from ..render import Boxes
 from ..types import GaussianParams
 
 _NOTHING_LEFT = 8e-10
-"""With zero gradient a row has stopped when its step is this share of the first: after 200 steps at the usual decays,
-since (0.9 / sqrt(0.999))^200 is 8e-10."""
+"""With zero gradient a row has stopped when its step is this share of the first: after 200 steps at
+the usual decays, since (0.9 / sqrt(0.999))^200 is 8e-10."""
 
 _ROWS_AT_A_TIME = 1 << 16
 """Of a map whose missed steps are taken in a copy, which limits the memory."""
 
 BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
-"""Of ``RowAdam``: the values of the released code of RTG-SLAM, which are those of 3D Gaussian splatting."""
+"""Of ``RowAdam``: the values of the released code of RTG-SLAM, which are those of 3D Gaussian
+splatting."""
 
 UpdateFunction = Callable[..., None]
-"""``update(param, gradient, m, v, steps, *, lr)``: an optimiser that is given to a mapper in place of Adam.
+"""``update(param, gradient, m, v, steps, *, lr)``: an optimiser that is given to a mapper in place
+of Adam.
 
-It changes one column of the map in place: ``param`` [N, ...], and ``m`` and ``v`` of the same shape. These two are its
-memory: they begin at zero, follow each row when rows are added and removed, and are saved in checkpoints. ``steps`` [N]
-counts the steps of each row, this one included. ``lr`` is the learning rate of the settings, a number or a tensor that
-fits a row."""
+It changes one column of the map in place: ``param`` [N, ...], and ``m`` and ``v`` of the same
+shape. These two are its memory: they begin at zero, follow each row when rows are added and
+removed, and are saved in checkpoints. ``steps`` [N] counts the steps of each row, this one
+included. ``lr`` is the learning rate of the settings, a number or a tensor that fits a row."""
 
 
 def check_adam(
-    param: Any, gradient: Any, exp_avg: Any, exp_avg_sq: Any, steps: Any, *, lr: Any, **decay: float
+    param: Any,
+    gradient: Any,
+    exp_avg: Any,
+    exp_avg_sq: Any,
+    steps: Any,
+    *,
+    lr: Any,
+    **decay: float,
 ) -> None:
     """Raise ``ValueError`` for arguments that ``adam_update`` refuses."""
-    check_operand("param", param, ("N", *("W",) * (getattr(param, "ndim", 1) - 1)))
+    check_operand(
+        "param",
+        param,
+        ("N", *("W",) * (getattr(param, "ndim", 1) - 1)),
+    )
     for name, value in {"gradient": gradient, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
-        check_operand(name, value, tuple(param.shape), dtypes=(param.dtype,), device=param.device)
+        check_operand(
+            name,
+            value,
+            tuple(param.shape),
+            dtypes=(param.dtype,),
+            device=param.device,
+        )
     if isinstance(lr, Tensor):
-        check_operand("lr", lr, tuple(param.shape[1:]), device=None if lr.device.type == "cpu" else param.device)
+        check_operand(
+            "lr",
+            lr,
+            tuple(param.shape[1:]),
+            device=None if lr.device.type == "cpu" else param.device,
+        )
     else:
         check_number("lr", lr)
     _check_steps_and_decay(steps, param, decay)
@@ -84,14 +109,17 @@ def adam_update(
         gradient: dL/dparam. [N, ...]
         exp_avg: m. [N, ...]
         exp_avg_sq: v. [N, ...]
-        steps: t, including this step: one number for all rows, or one per row [N]. None: no bias correction.
-        lr: Learning rate, in units of the parameter: one number, or one for each value of a row. [...]
+        steps: t, including this step: one number for all rows, or one per row [N]. None: no bias
+            correction.
+        lr: Learning rate, in units of the parameter: one number, or one for each value of a row.
+            [...]
         beta1: Decay of m.
         beta2: Decay of v.
         eps: Keeps the division finite where v = 0.
 
-    Rows that no pixel sees have zero gradient, but their momentum still moves them, as in the released GSFusion. Those
-    that the view cannot show are left out (``PartOfMap``) and catch up when they are seen (``take_missed_steps``).
+    Rows that no pixel sees have zero gradient, but their momentum still moves them, as in the
+    released GSFusion. Those that the view cannot show are left out (``PartOfMap``) and catch up
+    when they are seen (``take_missed_steps``).
 
     Source: Kingma & Ba 2015, algorithm 1.
     """
@@ -104,10 +132,13 @@ def adam_update(
 
 
 def _bias(beta: float, steps: int | Tensor | None, moment: Tensor) -> float | Tensor:
-    """1 - beta^t: the share of its weights that a moment has which began at 0; 1 without a correction."""
+    """1 - beta^t: the share of its weights that a moment has which began at 0; 1 without a
+    correction."""
     if not isinstance(steps, Tensor):
         return 1.0 if steps is None else 1 - beta**steps
-    t = steps.double().reshape(-1, *[1] * (moment.ndim - 1))  # float64: 1 - b2^t would lose its digits in float32
+    t = steps.double().reshape(
+        -1, *[1] * (moment.ndim - 1)
+    )  # float64: 1 - b2^t would lose its digits in float32
     return (1 - beta**t).to(moment)
 
 
@@ -124,7 +155,8 @@ class ColumnRates(NamedTuple):
     """Of the other SH coefficients."""
 
     def by_column(self, sh: Float[Tensor, "N K 3"]) -> dict[str, float | Tensor]:
-        """The same as ``adam_update`` takes it: one number, and for ``sh`` one for each coefficient. [K, 3]"""
+        """The same as ``adam_update`` takes it: one number, and for ``sh`` one for each
+        coefficient. [K, 3]"""
         sh_rates = sh.new_full((sh.shape[1], 1), self.sh_rest)
         sh_rates[0] = self.sh_dc
         return {
@@ -137,11 +169,22 @@ class ColumnRates(NamedTuple):
 
 
 def check_adam_map(
-    params: Any, gradients: Any, exp_avg: Any, exp_avg_sq: Any, steps: Any, *, rates: Any, **decay: float
+    params: Any,
+    gradients: Any,
+    exp_avg: Any,
+    exp_avg_sq: Any,
+    steps: Any,
+    *,
+    rates: Any,
+    **decay: float,
 ) -> None:
     """Raise ``ValueError`` for arguments that ``adam_update_map`` refuses."""
     check_gaussians(params)
-    for name, rows in {"gradients": gradients, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}.items():
+    for name, rows in {
+        "gradients": gradients,
+        "exp_avg": exp_avg,
+        "exp_avg_sq": exp_avg_sq,
+    }.items():
         try:
             check_gaussians(rows, like=params)
         except ValueError as e:
@@ -173,7 +216,8 @@ def adam_update_map(
         gradients: dL/dparams.
         exp_avg: m of each value, updated in place.
         exp_avg_sq: v of each value, updated in place.
-        steps: t, including this step: one number for all rows, or one per row [N]. None: no bias correction.
+        steps: t, including this step: one number for all rows, or one per row [N]. None: no bias
+            correction.
         rates: Learning rates.
         beta1: Decay of m.
         beta2: Decay of v.
@@ -183,11 +227,22 @@ def adam_update_map(
     """
     for name, lr in rates.by_column(params.sh).items():
         p, g, m, v = (getattr(rows, name) for rows in (params, gradients, exp_avg, exp_avg_sq))
-        adam_update(p, g, m, v, steps, lr=lr, beta1=beta1, beta2=beta2, eps=eps)
+        adam_update(
+            p,
+            g,
+            m,
+            v,
+            steps,
+            lr=lr,
+            beta1=beta1,
+            beta2=beta2,
+            eps=eps,
+        )
 
 
 class PartOfMap:
-    """Copies of some rows of a map and of their moments, for ``adam_step``; ``write_back`` puts them into the map.
+    """Copies of some rows of a map and of their moments, for ``adam_step``; ``write_back`` puts
+    them into the map.
 
     The rows that are left out keep their values and their moments until ``take_missed_steps``.
 
@@ -199,7 +254,9 @@ class PartOfMap:
 
     def __init__(self, model: GaussianModel, rows: Int[Tensor, " R"], boxes: Boxes):
         self.model, self.rows, self._boxes = model, rows, boxes
-        self.params, self.exp_avg, self.exp_avg_sq = (x[rows] for x in (model.params, model.exp_avg, model.exp_avg_sq))
+        self.params, self.exp_avg, self.exp_avg_sq = (
+            x[rows] for x in (model.params, model.exp_avg, model.exp_avg_sq)
+        )
         self.clock = model.clock.part(rows)
         self.rates = {name: factors[rows] for name, factors in model.rates.items()}
         self._state = model.state_of_columns()
@@ -238,16 +295,19 @@ def adam_step(
 ) -> None:
     """Update every parameter of the map once, each group at its own constant learning rate.
 
-    The bias correction multiplies a step by sqrt(1 - b2^t) / (1 - b1^t). ``config.adam_steps`` says what t is:
+    The bias correction multiplies a step by sqrt(1 - b2^t) / (1 - b1^t). ``config.adam_steps`` says
+    what t is:
 
     - ``"per_row"``: the age of each Gaussian (textbook Adam). Its first step is one learning rate.
-    - ``"none"``: no correction. Where the gradient stays the same, the first step of a new Gaussian is
-      (1 - 0.9) / sqrt(1 - 0.999) = 3.16 learning rates and its tenth 6.5.
-    - ``"shared"``: the number of steps of the whole map, as in the released GSFusion. Every Gaussian of the map, new or
-      old, then takes the step of ``"none"`` times the same factor: 0.15 at step 10, 0.44 at 210, 0.93 at 2,000. In a
-      short run all Gaussians learn more slowly; at the 16,000 steps of a Replica sequence there is no difference left.
+    - ``"none"``: no correction. Where the gradient stays the same, the first step of a new Gaussian
+      is (1 - 0.9) / sqrt(1 - 0.999) = 3.16 learning rates and its tenth 6.5.
+    - ``"shared"``: the number of steps of the whole map, as in the released GSFusion. Every
+      Gaussian of the map, new or old, then takes the step of ``"none"`` times the same factor: 0.15
+      at step 10, 0.44 at 210, 0.93 at 2,000. In a short run all Gaussians learn more slowly; at the
+      16,000 steps of a Replica sequence there is no difference left.
 
-    Where the map has factors of learning rates (``model.rates``), each row takes its own part of the step.
+    Where the map has factors of learning rates (``model.rates``), each row takes its own part of
+    the step.
 
     Args:
         model: The map, or a part of it, changed in place.
@@ -287,14 +347,17 @@ def _rates_of(config: OptimConfig) -> ColumnRates:
 
 
 def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig) -> None:
-    """Move the rows by the steps of Adam that they missed while no view showed them: steps with zero gradient.
+    """Move the rows by the steps of Adam that they missed while no view showed them: steps with
+    zero gradient.
 
-    In each of them  m <- b1 m,  v <- b2 v,  so k steps together are a geometric series, with  r = b1 / sqrt(b2):
+    In each of them  m <- b1 m,  v <- b2 v,  so k steps together are a geometric series, with  r =
+    b1 / sqrt(b2):
 
         param <- param - lr m / (sqrt(v) + eps) sum_{j=1..k} c_j r^j,   m <- b1^k m,   v <- b2^k v
 
-    c_j is the bias correction  sqrt(1 - b2^t) / (1 - b1^t)  of the j-th missed step, or 1 without one. This is
-    ``adam_step`` on the whole map but for rounding and for eps, which is 1e-15 beside sqrt(v).
+    c_j is the bias correction  sqrt(1 - b2^t) / (1 - b1^t)  of the j-th missed step, or 1 without
+    one. This is ``adam_step`` on the whole map but for rounding and for eps, which is 1e-15 beside
+    sqrt(v).
 
     Args:
         model: The map, or a part of it, changed in place.
@@ -307,12 +370,16 @@ def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig) -> 
     start = {"none": None, "shared": clock.last, "per_row": clock.age_at_last}[config.adam_steps]
     steps = MissedSteps(missed, start, config.beta1, config.beta2, config.eps)
     for name, lr in _rates_of(config).by_column(model.params.sh).items():
-        column, m, v = (getattr(values, name) for values in (model.params, model.exp_avg, model.exp_avg_sq))
+        column, m, v = (
+            getattr(values, name) for values in (model.params, model.exp_avg, model.exp_avg_sq)
+        )
         steps.take(column, m, v, lr, model.rates.get(name))
     clock.catch_up()
 
 
-def params_now(model: GaussianModel, config: OptimConfig, rows: Int[Tensor, " R"] | None = None) -> GaussianParams:
+def params_now(
+    model: GaussianModel, config: OptimConfig, rows: Int[Tensor, " R"] | None = None
+) -> GaussianParams:
     """Parameters of a map as they are with the steps that rows missed; the map does not change.
 
     Args:
@@ -339,7 +406,8 @@ def params_now(model: GaussianModel, config: OptimConfig, rows: Int[Tensor, " R"
 
 
 class MissedSteps:
-    """The steps of ``take_missed_steps``, for one column of the map after another; a row with k = 0 stays as it is.
+    """The steps of ``take_missed_steps``, for one column of the map after another; a row with k = 0
+    stays as it is.
 
     Args:
         missed: k of each row. [R]
@@ -348,7 +416,12 @@ class MissedSteps:
     """
 
     def __init__(
-        self, missed: Int[Tensor, " R"], start: Int[Tensor, " R"] | None, beta1: float, beta2: float, eps: float
+        self,
+        missed: Int[Tensor, " R"],
+        start: Int[Tensor, " R"] | None,
+        beta1: float,
+        beta2: float,
+        eps: float,
     ):
         self.eps, ratio = eps, beta1 / math.sqrt(beta2)
         self.decay1, self.decay2 = (beta ** missed.double() for beta in (beta1, beta2))
@@ -359,24 +432,46 @@ class MissedSteps:
             k = missed.clamp_max(enough)
             pairs, which = torch.unique(start.long() * (enough + 1) + k, return_inverse=True)
             first, last = pairs[:, None] // (enough + 1), pairs[:, None] % (enough + 1)
-            j = torch.arange(1, int(k.max()) + 1, device=k.device)
+            j = torch.arange(
+                1,
+                int(k.max()) + 1,
+                device=k.device,
+            )
             t = (first + j).double()
             terms = (1 - beta2**t).sqrt() / (1 - beta1**t) * ratio**j
             self.distance = (terms * (j <= last)).sum(1)[which]
 
-    def take(self, column: Tensor, m: Tensor, v: Tensor, lr: float | Tensor, factor: Tensor | None) -> None:
-        """Change a column and its moments in place; ``factor`` of the learning rate is one for each row."""
+    def take(
+        self,
+        column: Tensor,
+        m: Tensor,
+        v: Tensor,
+        lr: float | Tensor,
+        factor: Tensor | None,
+    ) -> None:
+        """Change a column and its moments in place; ``factor`` of the learning rate is one for each
+        row."""
         distance = self.distance if factor is None else self.distance * factor
-        far, decay1, decay2 = (x.to(m).view(-1, *[1] * (m.ndim - 1)) for x in (distance, self.decay1, self.decay2))
+        far, decay1, decay2 = (
+            x.to(m).view(-1, *[1] * (m.ndim - 1)) for x in (distance, self.decay1, self.decay2)
+        )
         column -= lr * far * m / (v.sqrt() + self.eps)
         m *= decay1
         v *= decay2
 
 
 def take_step(
-    update: UpdateFunction, name: str, param: Tensor, gradient: Tensor, m: Tensor, v: Tensor, ages: Tensor, lr: Any
+    update: UpdateFunction,
+    name: str,
+    param: Tensor,
+    gradient: Tensor,
+    m: Tensor,
+    v: Tensor,
+    ages: Tensor,
+    lr: Any,
 ) -> None:
-    """One step of an optimiser from outside on the column ``name``; arguments as for ``UpdateFunction``.
+    """One step of an optimiser from outside on the column ``name``; arguments as for
+    ``UpdateFunction``.
 
     Raises:
         ValueError: a value is no longer finite that was before.
@@ -384,36 +479,51 @@ def take_step(
     finite = param.isfinite()
     update(param, gradient, m, v, ages, lr=lr)
     if lost := int((finite & ~param.isfinite()).sum()):
-        raise ValueError(f"the optimiser made {lost} values of {name} NaN or infinite; try smaller learning rates")
+        raise ValueError(
+            f"the optimiser made {lost} values of {name} NaN or infinite; try smaller learning "
+            "rates"
+        )
 
 
 @contextlib.contextmanager
-def at_row_rates(params: GaussianParams, factors: Mapping[str, Float[Tensor, " N"]]) -> Iterator[None]:
-    """Context in which one step of Adam is taken, which then moves each row by ``factors`` times as far.
+def at_row_rates(
+    params: GaussianParams, factors: Mapping[str, Float[Tensor, " N"]]
+) -> Iterator[None]:
+    """Context in which one step of Adam is taken, which then moves each row by ``factors`` times as
+    far.
 
-    The step of Adam is its learning rate times a direction that does not depend on it, so a factor of the step is the
-    same factor of the learning rate. With factor 0 the row keeps its values bit for bit, with 1 it takes the step bit
-    for bit. Adam's moments change as usual, also those of frozen rows.
+    The step of Adam is its learning rate times a direction that does not depend on it, so a factor
+    of the step is the same factor of the learning rate. With factor 0 the row keeps its values bit
+    for bit, with 1 it takes the step bit for bit. Adam's moments change as usual, also those of
+    frozen rows.
 
     Args:
         params: What the step changes in place.
-        factors: Parameter -> factor of each row, at least 0; a parameter that is missing takes its whole step.
+        factors: Parameter -> factor of each row, at least 0; a parameter that is missing takes its
+            whole step.
     """
     before = {name: getattr(params, name).clone() for name in factors}
     yield
     for name, start in before.items():
         value = getattr(params, name)
         factor = factors[name].reshape(-1, *[1] * (value.ndim - 1)).to(value)
-        value.copy_(torch.where(factor == 0, start, torch.lerp(start, value, factor)))
+        value.copy_(
+            torch.where(
+                factor == 0,
+                start,
+                torch.lerp(start, value, factor),
+            )
+        )
 
 
 class RowAdam:
-    """Moments that start at zero, bias correction by the number of steps taken, one constant rate per group.
+    """Moments that start at zero, bias correction by the number of steps taken, one constant rate
+    per group.
 
     Args:
         params: Parameters to update, in place.
-        rates: Learning rate of each group: xyz_W, log_scale, quat, sh_dc, sh_rest. Groups with rate 0 do not change;
-            opacity never changes (Peng et al. 2024: lr_alpha = 0).
+        rates: Learning rate of each group: xyz_W, log_scale, quat, sh_dc, sh_rest. Groups with rate
+            0 do not change; opacity never changes (Peng et al. 2024: lr_alpha = 0).
         factors: Parameter -> factor of its rate for each row [N]; those that are missing are 1.
         update: Takes the step of each group instead of ``adam_update``.
     """
@@ -432,7 +542,10 @@ class RowAdam:
         self._rates: dict[str, Any] = {
             name: rates[name] for name in ("xyz_W", "log_scale", "quat") if rates[name] > 0
         } | {"sh": sh_rates.expand(-1, 3)}
-        self._moments = {name: [torch.zeros_like(getattr(params, name)) for _ in range(2)] for name in self._rates}
+        self._moments = {
+            name: [torch.zeros_like(getattr(params, name)) for _ in range(2)]
+            for name in self._rates
+        }
         self.clock = StepClock.of_new_rows(len(params), params.xyz_W.device)
         self._log: list[tuple[Any, dict[str, list[Tensor]]]] | None = None
         """Rows, and their parameters and moments, before each change since ``log_changes``."""
@@ -461,7 +574,12 @@ class RowAdam:
 
     def _will_change(self, rows: Int[Tensor, " R"] | slice) -> None:
         if self._log is not None:
-            self._log.append((rows, {name: [c[rows].clone() for c in self._columns(name)] for name in self._rates}))
+            self._log.append(
+                (
+                    rows,
+                    {name: [c[rows].clone() for c in self._columns(name)] for name in self._rates},
+                )
+            )
 
     @property
     def steps(self) -> int:
@@ -469,7 +587,8 @@ class RowAdam:
         return self.clock.count
 
     def catch_up(self, rows: Int[Tensor, " R"]) -> None:
-        """Take the steps that these rows missed, each with zero gradient, as ``take_missed_steps`` does."""
+        """Take the steps that these rows missed, each with zero gradient, as ``take_missed_steps``
+        does."""
         late, caught_up = self._caught_up(rows)
         if len(late):
             self._will_change(late)
@@ -480,14 +599,19 @@ class RowAdam:
 
     def params_now(self) -> GaussianParams:
         """A copy of the parameters as they are with the steps that rows missed."""
-        params = GaussianParams(**{name: column.clone() for name, column in vars(self.params).items()})
+        params = GaussianParams(
+            **{name: column.clone() for name, column in vars(self.params).items()}
+        )
         late, caught_up = self._caught_up(torch.arange(len(params), device=params.xyz_W.device))
         for name, columns in caught_up.items():
             getattr(params, name)[late] = columns[0]
         return params
 
-    def _caught_up(self, rows: Int[Tensor, " R"]) -> tuple[Int[Tensor, " L"], dict[str, list[Tensor]]]:
-        """Which of the rows missed steps of Adam, and copies of their parameters and moments after these steps."""
+    def _caught_up(
+        self, rows: Int[Tensor, " R"]
+    ) -> tuple[Int[Tensor, " L"], dict[str, list[Tensor]]]:
+        """Which of the rows missed steps of Adam, and copies of their parameters and moments after
+        these steps."""
         late = rows[self.clock.missed[rows] > 0]
         if self._update is not None or not len(late):
             return late[:0], {}
@@ -501,17 +625,24 @@ class RowAdam:
             caught_up[name] = [param, m, v]
         return late, caught_up
 
-    def step(self, gradients: GaussianParams, rows: Int[Tensor, " R"] | None = None) -> None:
+    def step(
+        self,
+        gradients: GaussianParams,
+        rows: Int[Tensor, " R"] | None = None,
+    ) -> None:
         """Update once.
 
         Args:
             gradients: Of ``params``, or of their ``rows``; further rows of it are ignored.
-            rows: Update only these, each once; the others keep their values and moments (``catch_up``). None: all. [R]
+            rows: Update only these, each once; the others keep their values and moments
+                (``catch_up``). None: all. [R]
         """
         self._will_change(slice(None) if rows is None else rows)
         self.clock.step(slice(None) if rows is None else rows)
         params = self.params if rows is None else self.params[rows]
-        factors = self._factors if rows is None else {name: f[rows] for name, f in self._factors.items()}
+        factors = (
+            self._factors if rows is None else {name: f[rows] for name, f in self._factors.items()}
+        )
         n = len(params)
         with at_row_rates(params, factors):
             for name, lr in self._rates.items():
@@ -519,7 +650,17 @@ class RowAdam:
                 m, v = moments if rows is None else (moment[rows] for moment in moments)
                 param, gradient = getattr(params, name), getattr(gradients, name)[:n]
                 if self._update is None:
-                    adam_update(param, gradient, m, v, self.steps, lr=lr, beta1=BETA1, beta2=BETA2, eps=EPS)
+                    adam_update(
+                        param,
+                        gradient,
+                        m,
+                        v,
+                        self.steps,
+                        lr=lr,
+                        beta1=BETA1,
+                        beta2=BETA2,
+                        eps=EPS,
+                    )
                 else:
                     ages = torch.full((n,), self.steps, device=param.device)
                     take_step(self._update, name, param, gradient, m, v, ages, lr)
@@ -531,7 +672,8 @@ class RowAdam:
                 getattr(self.params, name).index_copy_(0, rows, getattr(params, name))
 
     def take_over(self, earlier: "RowAdam", before: Int[Tensor, " N"]) -> None:
-        """Continue with the moments and the step count of other rows; ``before`` is the row there of each, or -1."""
+        """Continue with the moments and the step count of other rows; ``before`` is the row there
+        of each, or -1."""
         known = before >= 0
         self.clock.advance(earlier.steps)
         self.clock.last[known] = earlier.clock.last[before[known]]
@@ -541,7 +683,9 @@ class RowAdam:
 
     def state_dict(self) -> dict[str, Any]:
         """Moments, and the number of steps, also of each row."""
-        moments = {name: [moment.clone() for moment in pair] for name, pair in self._moments.items()}
+        moments = {
+            name: [moment.clone() for moment in pair] for name, pair in self._moments.items()
+        }
         return {"steps": self.steps, "last": self.clock.last.clone(), "moments": moments}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

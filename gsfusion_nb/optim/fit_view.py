@@ -1,24 +1,27 @@
 """The pose and the exposure of one view from its picture, while the map stays.
 
-``fit_pose`` follows the gradient of the picture. ``fit_pose_by_flow`` is for maps that have no gradient; it takes
-Gauss-Newton steps by the flow that a motion would cause. If the camera moves by T_WC exp(xi), a point at X in its frame
-moves to X - rho - omega x X, and its image with it. To first order the picture I of a still scene then changes at each
-pixel by
+``fit_pose`` follows the gradient of the picture. ``fit_pose_by_flow`` is for maps that have no
+gradient; it takes Gauss-Newton steps by the flow that a motion would cause. If the camera moves by
+T_WC exp(xi), a point at X in its frame moves to X - rho - omega x X, and its image with it. To
+first order the picture I of a still scene then changes at each pixel by
 
     J xi,      J = grad I . dpi/dX [I, -hat(X)],      X = z K^-1 (u, v, 1)
 
-with the map's own depth z. With the residual r between the map's picture and the photograph, a step solves
-(sum w J^T J) xi = -sum w J^T r, the normal equations of direct image alignment. ``pose_vjp`` is the exact gradient; the
-sum w J^T r agrees with it where the map is smooth, and J gives the curvature that a gradient alone does not: how far to
-go along each of six directions of different units.
+with the map's own depth z. With the residual r between the map's picture and the photograph, a step
+solves (sum w J^T J) xi = -sum w J^T r, the normal equations of direct image alignment. ``pose_vjp``
+is the exact gradient; the sum w J^T r agrees with it where the map is smooth, and J gives the
+curvature that a gradient alone does not: how far to go along each of six directions of different
+units.
 
-Source: derived here; direct alignment goes back to Lucas & Kanade 1981, with depth e.g. Kerl et al. 2013. The gradient
-of the picture is the mean of both pictures' (efficient second-order minimisation, Malis 2004).
+Source: derived here; direct alignment goes back to Lucas & Kanade 1981, with depth e.g. Kerl et al.
+2013. The gradient of the picture is the mean of both pictures' (efficient second-order
+  minimisation, Malis 2004).
 
-The exposure is one factor per colour channel between the map's picture and the photograph (``fit_gain``). A camera with
-auto exposure shows the same wall brighter in one picture than in the next. An exposure multiplies the light; after the
-camera's gamma curve it multiplies the colours, too, (g L)^(1/2.2) = g^(1/2.2) L^(1/2.2), until they are white. So three
-factors a view are nearly all there is to know, and too few to hide an error of the map.
+The exposure is one factor per colour channel between the map's picture and the photograph
+(``fit_gain``). A camera with auto exposure shows the same wall brighter in one picture than in the
+next. An exposure multiplies the light; after the camera's gamma curve it multiplies the colours,
+too, (g L)^(1/2.2) = g^(1/2.2) L^(1/2.2), until they are white. So three factors a view are nearly
+all there is to know, and too few to hide an error of the map.
 """
 
 from collections.abc import Callable
@@ -35,16 +38,19 @@ from ..render.constants import SHOWN_ALPHA
 from ..types import Camera, GaussianParams, RenderOutput
 
 SMALL_RESIDUAL = 0.02
-"""The weights are those of the mean absolute error, 1 / |r|, but not larger than for this difference of colours."""
+"""The weights are those of the mean absolute error, 1 / |r|, but not larger than for this
+difference of colours."""
 ACROSS = 80
-"""About so many pixels of a row are used, at most every second one: neighbours say nearly the same."""
+"""About so many pixels of a row are used, at most every second one: neighbours say nearly the
+same."""
 PIXELS_PER_OBSERVATION = 100.0
 """Neighbouring pixels err together: so many count as one independent observation."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseSystem:
-    """Normal equations of a pose in the frame of the camera, translation first: the best step solves H xi = -g."""
+    """Normal equations of a pose in the frame of the camera, translation first: the best step
+    solves H xi = -g."""
 
     H: Float[Tensor, "6 6"]
     g: Float[Tensor, " 6"]
@@ -58,7 +64,8 @@ def pose_system(output: RenderOutput, target: Float[Tensor, "H W 3"], camera: Ca
     """The evidence of one picture about its camera's pose.
 
     H is in units of information (inverse variances): residuals count by their mean size, and
-    ``PIXELS_PER_OBSERVATION`` pixels as one. So a prior with a standard deviation in metres and radians can be added.
+    ``PIXELS_PER_OBSERVATION`` pixels as one. So a prior with a standard deviation in metres and
+    radians can be added.
 
     Args:
         output: The map's picture and depth at the pose so far.
@@ -85,28 +92,44 @@ def pose_system(output: RenderOutput, target: Float[Tensor, "H W 3"], camera: Ca
     H = a.T @ (summed(w * gx * gx) * a) + b.T @ (summed(w * gy * gy) * b) + H_uv + H_uv.T
     g = (a.T @ summed(w * gx * r) + b.T @ summed(w * gy * r))[:, 0]
     unit = every**2 / (error.clamp_min(SMALL_RESIDUAL) * 3 * PIXELS_PER_OBSERVATION)
-    return PoseSystem(H=unit * H, g=unit * g, error=error, share=shown.float().mean())
+    return PoseSystem(
+        H=unit * H,
+        g=unit * g,
+        error=error,
+        share=shown.float().mean(),
+    )
 
 
 def flow_of_motion(
     depth_m: Float[Tensor, "h w"], camera: Camera, every: int = 1
 ) -> tuple[Float[Tensor, "h w 6"], Float[Tensor, "h w 6"]]:
-    """Rows of dpi/dX [I, -hat(X)] for u and for v, at every n-th pixel of every n-th row, whose depths are given."""
+    """Rows of dpi/dX [I, -hat(X)] for u and for v, at every n-th pixel of every n-th row, whose
+    depths are given."""
     size = depth_m.shape
-    u, v = (torch.arange(0, n, every, device=depth_m.device) + 0.5 for n in (camera.width, camera.height))
+    u, v = (
+        torch.arange(0, n, every, device=depth_m.device) + 0.5
+        for n in (camera.width, camera.height)
+    )
     x = ((u - camera.cx) / camera.fx).to(depth_m).expand(size)
     y = ((v - camera.cy) / camera.fy).to(depth_m)[:, None].expand(size)
     inverse = torch.where(depth_m > 0, 1 / depth_m.clamp_min(1e-6), 0.0)
     zero = torch.zeros_like(inverse)
-    along_u = torch.stack([inverse, zero, -x * inverse, -x * y, 1 + x * x, -y], dim=-1)
-    along_v = torch.stack([zero, inverse, -y * inverse, -1 - y * y, x * y, x], dim=-1)
+    along_u = torch.stack(
+        [inverse, zero, -x * inverse, -x * y, 1 + x * x, -y],
+        dim=-1,
+    )
+    along_v = torch.stack(
+        [zero, inverse, -y * inverse, -1 - y * y, x * y, x],
+        dim=-1,
+    )
     return camera.fx * along_u, camera.fy * along_v
 
 
 def image_gradient(
     rgb: Float[Tensor, "H W 3"], every: int = 1
 ) -> tuple[Float[Tensor, "h w 3"], Float[Tensor, "h w 3"]]:
-    """Central differences along u and v, per pixel; 0 at the border. Of every n-th pixel of every n-th row."""
+    """Central differences along u and v, per pixel; 0 at the border. Of every n-th pixel of every
+    n-th row."""
     rows, columns = rgb[::every], rgb[:, ::every]
     gx, gy = torch.zeros_like(rows), torch.zeros_like(columns)
     gx[:, 1:-1] = (rows[:, 2:] - rows[:, :-2]) / 2
@@ -115,7 +138,10 @@ def image_gradient(
 
 
 def pose_step(
-    system: PoseSystem, T_WC: Float[Tensor, "4 4"], T_given: Float[Tensor, "4 4"], sigma: Float[Tensor, " 6"]
+    system: PoseSystem,
+    T_WC: Float[Tensor, "4 4"],
+    T_given: Float[Tensor, "4 4"],
+    sigma: Float[Tensor, " 6"],
 ) -> Float[Tensor, "4 4"]:
     """The pose after one step, between what the picture says and the pose that was given.
 
@@ -125,14 +151,18 @@ def pose_step(
         system: Of the picture at ``T_WC``.
         T_WC: The pose so far.
         T_given: The pose of the data.
-        sigma: Standard deviations of the given pose: three in metres, three in radians; no step is longer. [6]
+        sigma: Standard deviations of the given pose: three in metres, three in radians; no step is
+            longer. [6]
 
     Differentiable: no.
     """
     here = T_WC.double().cpu()
     e = se3.log(se3.inverse(T_given.double().cpu()) @ here)
     weight = sigma**-2
-    xi = -torch.linalg.solve(system.H.double().cpu() + weight.diag(), system.g.double().cpu() + weight * e)
+    xi = -torch.linalg.solve(
+        system.H.double().cpu() + weight.diag(),
+        system.g.double().cpu() + weight * e,
+    )
     xi = xi / max(1.0, float((xi.abs() / sigma).max()))
     return (here @ se3.exp(xi)).to(T_WC)
 
@@ -140,7 +170,8 @@ def pose_step(
 EVALUATIONS = 20
 """Pictures drawn, one for each trial pose; a line search that has begun may add a few."""
 UNIT = 0.01
-"""Metres and radians: the motions that are sought are about this large, so numbers in this unit are about 1."""
+"""Metres and radians: the motions that are sought are about this large, so numbers in this unit are
+about 1."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,7 +179,8 @@ class PoseFit:
     """The fitted pose of a view."""
 
     T_WC: Float[Tensor, "4 4"]
-    """Camera-to-world pose with the smallest error of all that were tried, the given one included."""
+    """Camera-to-world pose with the smallest error of all that were tried, the given one
+    included."""
     mse_before: float
     """Mean squared error of the picture at the given pose, colours 0..1."""
     mse_after: float
@@ -163,23 +195,26 @@ def fit_pose(
     *,
     evaluations: int = EVALUATIONS,
 ) -> PoseFit:
-    """Move a camera until the map's picture fits the one that was taken: the mean squared error, by L-BFGS on a twist.
+    """Move a camera until the map's picture fits the one that was taken: the mean squared error, by
+    L-BFGS on a twist.
 
-    It corrects poses that are wrong by some millimetres and tenths of a degree, as a tracker's are. It finds no view
-    whose pose is unknown: the picture must nearly fit, because a Gaussian's gradient reaches only as far as it does.
+    It corrects poses that are wrong by some millimetres and tenths of a degree, as a tracker's are.
+    It finds no view whose pose is unknown: the picture must nearly fit, because a Gaussian's
+    gradient reaches only as far as it does.
 
     Args:
         params: The map.
         camera: Of the view.
         rgb: The picture that was taken, 0..1. [H, W, 3]
         T_WC: Its pose so far.
-        evaluations: Pictures drawn with their gradients before the search ends; a few more end a line search.
+        evaluations: Pictures drawn with their gradients before the search ends; a few more end a
+            line search.
 
     Raises:
         ValueError: ``evaluations`` is no whole number of at least 1.
 
-    Differentiable: no. Source: MonoGS and SplaTAM (Matsuki et al. 2024, Keetha et al. 2024) track by minimising such an
-    error over the pose, with Adam; L-BFGS needs fewer pictures.
+    Differentiable: no. Source: MonoGS and SplaTAM (Matsuki et al. 2024, Keetha et al. 2024) track
+    by minimising such an error over the pose, with Adam; L-BFGS needs fewer pictures.
     """
     check_whole("evaluations", evaluations, 1)
     T_start = T_WC.to(params.xyz_W)
@@ -195,14 +230,20 @@ def fit_pose(
         tried.append((mse, here))
         v_xi = pose_vjp(params, render_vjp(saved, 2 * difference / difference.numel()), here)
         with torch.enable_grad():
-            moved = se3.log(se3.inverse(here) @ T_WC)  # zero: its derivative leads from the twist at ``here`` to x
+            moved = se3.log(
+                se3.inverse(here) @ T_WC
+            )  # zero: its derivative leads from the twist at ``here`` to x
         (gradient,) = torch.autograd.grad(moved, x, v_xi)
         scale = max(tried[0][0], 1e-12)
         x.grad = gradient / scale
         return mse / scale
 
     solver = torch.optim.LBFGS(
-        [x], max_iter=evaluations, max_eval=evaluations, tolerance_change=1e-4, line_search_fn="strong_wolfe"
+        [x],
+        max_iter=evaluations,
+        max_eval=evaluations,
+        tolerance_change=1e-4,
+        line_search_fn="strong_wolfe",
     )
     solver.step(error)
     mse, best = min(tried, key=lambda trial: trial[0])
@@ -212,7 +253,8 @@ def fit_pose(
 STEPS = 8
 """Pictures drawn."""
 SIGMA = 0.05
-"""Metres and radians: how far the pose may be from the given one, as a standard deviation, and the longest step."""
+"""Metres and radians: how far the pose may be from the given one, as a standard deviation, and the
+longest step."""
 
 
 def fit_pose_by_flow(
@@ -223,10 +265,12 @@ def fit_pose_by_flow(
     *,
     steps: int = STEPS,
 ) -> PoseFit:
-    """Move a camera until the map's picture fits the one that was taken, without any gradient of the map.
+    """Move a camera until the map's picture fits the one that was taken, without any gradient of
+    the map.
 
-    ``fit_pose`` needs the gradient of every part of the picture; a surface seen by rays has none. Here the colours
-    and depths of the picture say how it moves (``pose_system``). Of all poses tried, the best is returned.
+    ``fit_pose`` needs the gradient of every part of the picture; a surface seen by rays has none.
+    Here the colours and depths of the picture say how it moves (``pose_system``). Of all poses
+    tried, the best is returned.
 
     Args:
         draw: Renders the map; its picture, depth and alpha are used.
@@ -261,22 +305,31 @@ WHITE = 0.98
 """Brighter pixels of the photograph may be cut off and do not count."""
 
 
-def exposed(rgb: Float[Tensor, "H W 3"], gain: Float[Tensor, " 3"]) -> Float[Tensor, "H W 3"]:
-    """The map's picture as a camera with this exposure takes it. Differentiable: ``exposed_vjp``."""
+def exposed(
+    rgb: Float[Tensor, "H W 3"],
+    gain: Float[Tensor, " 3"],
+) -> Float[Tensor, "H W 3"]:
+    """The map's picture as a camera with this exposure takes it. Differentiable:
+    ``exposed_vjp``."""
     return rgb * gain
 
 
 def exposed_vjp(
-    rgb: Float[Tensor, "H W 3"], gain: Float[Tensor, " 3"], v_exposed: Float[Tensor, "H W 3"]
+    rgb: Float[Tensor, "H W 3"],
+    gain: Float[Tensor, " 3"],
+    v_exposed: Float[Tensor, "H W 3"],
 ) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, " 3"]]:
     """dL/drgb = gain v and dL/dgain = the sum over the pixels of rgb v."""
     return gain * v_exposed, (rgb * v_exposed).sum((0, 1))
 
 
 def fit_gain(
-    rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], shown: Bool[Tensor, "H W"]
+    rgb: Float[Tensor, "H W 3"],
+    target: Float[Tensor, "H W 3"],
+    shown: Bool[Tensor, "H W"],
 ) -> Float[Tensor, " 3"]:
-    """The factors with which the map's picture r fits the photograph t best: least squares, with a weak prior at 1.
+    """The factors with which the map's picture r fits the photograph t best: least squares, with a
+    weak prior at 1.
 
         g = (sum r t + p / 4) / (sum r^2 + p / 4)
 

@@ -16,12 +16,14 @@ from ..types import Camera, Frame, rgb_of_bytes
 from ..work import MAP_MEMORY
 
 IN_MEMORY_BYTES = 1 << 30
-"""Images of keyframes beyond these are in temporary files, of whose pages the system keeps what memory allows."""
+"""Images of keyframes beyond these are in temporary files, of whose pages the system keeps what
+memory allows."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Keyframe:
-    """A view to optimise against. Its image is stored as bytes, a quarter of float32, shared with an 8-bit frame."""
+    """A view to optimise against. Its image is stored as bytes, a quarter of float32, shared with
+    an 8-bit frame."""
 
     index: int
     rgb_u8: UInt8[Tensor, "H W 3"]
@@ -79,7 +81,10 @@ class TrainingView:
     """Number of its frame; -1 if not known."""
 
     @staticmethod
-    def of(source: Frame | Keyframe, pixels: Bool[Tensor, "H W"] | None = None) -> "TrainingView":
+    def of(
+        source: Frame | Keyframe,
+        pixels: Bool[Tensor, "H W"] | None = None,
+    ) -> "TrainingView":
         """The view of a frame or keyframe; all pixels by default."""
         rgb = source.rgb  # of a keyframe, made from bytes each time
         depth_m = source.depth_m
@@ -97,11 +102,13 @@ class TrainingView:
 
 
 class KeyframeList:
-    """Keyframes in the order in which they were added; random numbers come only from the generator that is passed in.
+    """Keyframes in the order in which they were added; random numbers come only from the generator
+    that is passed in.
 
     Args:
-        device: Device on which the images are stored; by default that of the frames. On a processor they take no more
-            than ``IN_MEMORY_BYTES``, and the others are read from temporary files when they are used.
+        device: Device on which the images are stored; by default that of the frames. On a processor
+            they take no more than ``IN_MEMORY_BYTES``, and the others are read from temporary files
+            when they are used.
     """
 
     def __init__(self, device: torch.device | str | None = None):
@@ -122,8 +129,12 @@ class KeyframeList:
     @property
     def T_WC(self) -> Float[Tensor, "K 4 4"]:
         """Their camera-to-world poses, on the CPU."""
-        if len(self._poses) < len(self._items):  # keyframes were added, or all poses may have changed
-            self._poses = torch.cat([self._poses, *(k.T_WC.cpu()[None] for k in self._items[len(self._poses) :])])
+        if len(self._poses) < len(
+            self._items
+        ):  # keyframes were added, or all poses may have changed
+            self._poses = torch.cat(
+                [self._poses, *(k.T_WC.cpu()[None] for k in self._items[len(self._poses) :])]
+            )
         return self._poses
 
     def append(self, frame: Frame, *, with_depth: bool = False) -> None:
@@ -143,26 +154,33 @@ class KeyframeList:
     def move(self, T: Float[Tensor, "K 4 4"]) -> None:
         """Apply a rigid motion to each keyframe's pose (a loop closure)."""
         self._items = [
-            dataclasses.replace(k, T_WC=T_k.to(k.T_WC) @ k.T_WC) for k, T_k in zip(self._items, T, strict=True)
+            dataclasses.replace(k, T_WC=T_k.to(k.T_WC) @ k.T_WC)
+            for k, T_k in zip(self._items, T, strict=True)
         ]
         self._poses = self._poses[:0]
 
     def set_pose(self, index: int, T_WC: Float[Tensor, "4 4"]) -> None:
         """Give the keyframe of the frame with this index another pose."""
         at = self._place(index)
-        self._items[at] = dataclasses.replace(self._items[at], T_WC=T_WC.to(self._items[at].T_WC))
+        self._items[at] = dataclasses.replace(
+            self._items[at],
+            T_WC=T_WC.to(self._items[at].T_WC),
+        )
         self._poses = self._poses[:at]
 
     def set_gain(self, index: int, gain: Float[Tensor, " 3"]) -> None:
         """Give the keyframe of the frame with this index another exposure."""
         at = self._place(index)
-        self._items[at] = dataclasses.replace(self._items[at], gain=gain.to(self._items[at].T_WC.device))
+        self._items[at] = dataclasses.replace(
+            self._items[at], gain=gain.to(self._items[at].T_WC.device)
+        )
 
     def _place(self, index: int) -> int:
         return next(i for i, k in enumerate(self._items) if k.index == index)
 
     def draw(self, count: int, generator: torch.Generator) -> list[Keyframe]:
-        """Up to ``count`` different keyframes at random (GSFusion III-B.3: the first of the shuffled list)."""
+        """Up to ``count`` different keyframes at random (GSFusion III-B.3: the first of the
+        shuffled list)."""
         if count == 0 or not self._items:
             return []
         return [self._items[i] for i in draw_keyframes(len(self._items), count, generator).tolist()]
@@ -172,8 +190,13 @@ class KeyframeList:
         return [k.state_dict() for k in self._items]
 
     @classmethod
-    def from_state_dict(cls, state: list[dict[str, Any]], device: torch.device | str | None = None) -> "KeyframeList":
-        """The list that was saved with ``state_dict``, with its images on ``device`` if one is given."""
+    def from_state_dict(
+        cls,
+        state: list[dict[str, Any]],
+        device: torch.device | str | None = None,
+    ) -> "KeyframeList":
+        """The list that was saved with ``state_dict``, with its images on ``device`` if one is
+        given."""
         keyframes = cls(device)
         for s in state:
             keyframes._keep(Keyframe(**{**s, "camera": Camera(**s["camera"])}))
@@ -181,16 +204,27 @@ class KeyframeList:
 
     def _keep(self, keyframe: Keyframe) -> None:
         keyframe = keyframe if self.device is None else keyframe.to(self.device)
-        images = {name: x for name in ("rgb_u8", "depth_m") if (x := getattr(keyframe, name)) is not None}
+        images = {
+            name: x for name in ("rgb_u8", "depth_m") if (x := getattr(keyframe, name)) is not None
+        }
         self._bytes_kept += sum(image.nbytes for image in images.values())
         device = keyframe.rgb_u8.device
-        is_full = self._bytes_kept > IN_MEMORY_BYTES and device.type == "cpu" and sys.platform != "win32"
+        is_full = (
+            self._bytes_kept > IN_MEMORY_BYTES and device.type == "cpu" and sys.platform != "win32"
+        )
         if is_full or MAP_MEMORY.is_in_files(device):
-            keyframe = dataclasses.replace(keyframe, **{name: MAP_MEMORY.in_file(x) for name, x in images.items()})
+            keyframe = dataclasses.replace(
+                keyframe, **{name: MAP_MEMORY.in_file(x) for name, x in images.items()}
+            )
         self._items.append(keyframe)
 
 
 @piece
-def draw_keyframes(n_keyframes: int, count: int, generator: torch.Generator) -> Int[Tensor, " M"]:
-    """Numbers of up to ``count`` different keyframes at random, all with the same chance (GSFusion III-B.3)."""
+def draw_keyframes(
+    n_keyframes: int,
+    count: int,
+    generator: torch.Generator,
+) -> Int[Tensor, " M"]:
+    """Numbers of up to ``count`` different keyframes at random, all with the same chance (GSFusion
+    III-B.3)."""
     return torch.randperm(n_keyframes, generator=generator)[:count]

@@ -1,4 +1,5 @@
-"""Losses of a picture and of its depth, and penalties on the Gaussians themselves, each with its gradient beside it."""
+"""Losses of a picture and of its depth, and penalties on the Gaussians themselves, each with its
+gradient beside it."""
 
 import math
 from dataclasses import dataclass
@@ -21,20 +22,27 @@ WINDOW_PX = 11
 WINDOW_SIGMA_PX = 1.5
 
 
-def l1(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
-    """Mean absolute difference over pixels and channels (GSFusion Eq. 12). Differentiable: ``l1_vjp``."""
+def l1(
+    rgb: Float[Tensor, "H W 3"],
+    target: Float[Tensor, "H W 3"],
+) -> Float[Tensor, ""]:
+    """Mean absolute difference over pixels and channels (GSFusion Eq. 12). Differentiable:
+    ``l1_vjp``."""
     return (rgb - target).abs().mean()  # GSFusion Eq. 12
 
 
 @piece
-def l1_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], v_loss: float = 1.0) -> Float[Tensor, "H W 3"]:
+def l1_vjp(
+    rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"], v_loss: float = 1.0
+) -> Float[Tensor, "H W 3"]:
     """dL/drgb = sign(rgb - target) / (number of values), zero where they are equal."""
     return v_loss * torch.sign(rgb - target) / rgb.numel()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PictureLoss:
-    """Loss of one view, its gradient, and the MSE of its PSNR. All are tensors, so the host does not wait."""
+    """Loss of one view, its gradient, and the MSE of its PSNR. All are tensors, so the host does
+    not wait."""
 
     value: Float[Tensor, ""]
     """Mean absolute or squared difference; the picture is not clamped."""
@@ -69,32 +77,49 @@ def check_pictures(rgb: Any, target: Any, v_loss: float = 1.0) -> None:
 
 @op("picture_loss", check_pictures)
 def l1_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> PictureLoss:
-    """What an optimisation step needs from a picture: ``l1``, ``l1_vjp`` and the MSE for its PSNR."""
+    """What an optimisation step needs from a picture: ``l1``, ``l1_vjp`` and the MSE for its
+    PSNR."""
     mse = (rgb.clamp(0, 1) - target).square().mean()
-    return PictureLoss(value=l1(rgb, target), mse=mse, v_rgb=l1_vjp(rgb, target))
+    return PictureLoss(
+        value=l1(rgb, target),
+        mse=mse,
+        v_rgb=l1_vjp(rgb, target),
+    )
 
 
 @op("picture_loss", check_pictures)
 def l2_mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> PictureLoss:
     """As ``l1_mse_vjp``, of the mean squared difference.
 
-    Its value is of the picture as it is, the MSE for the PSNR of the picture as shown: colours beyond 0..1 that the
-    gradient pulls back count in the value only.
+    Its value is of the picture as it is, the MSE for the PSNR of the picture as shown: colours
+    beyond 0..1 that the gradient pulls back count in the value only.
     """
     mse = (rgb.clamp(0, 1) - target).square().mean()
-    return PictureLoss(value=(rgb - target).square().mean(), mse=mse, v_rgb=mse_vjp(rgb, target))
+    return PictureLoss(
+        value=(rgb - target).square().mean(),
+        mse=mse,
+        v_rgb=mse_vjp(rgb, target),
+    )
 
 
-def mse_vjp(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
-    """Gradient of the mean squared difference over pixels and channels: 2 (rgb - target) / (number of values)."""
+def mse_vjp(
+    rgb: Float[Tensor, "H W 3"],
+    target: Float[Tensor, "H W 3"],
+) -> Float[Tensor, "H W 3"]:
+    """Gradient of the mean squared difference over pixels and channels: 2 (rgb - target) / (number
+    of values)."""
     return (rgb - target) * (2 / rgb.numel())
 
 
-def depth_l1(depth_m: Float[Tensor, "H W"], target_m: Float[Tensor, "H W"]) -> Float[Tensor, ""]:
+def depth_l1(
+    depth_m: Float[Tensor, "H W"],
+    target_m: Float[Tensor, "H W"],
+) -> Float[Tensor, ""]:
     """Mean |D^ - D| over the pixels with measured depth (target above 0), metres; 0 without any.
 
-    D^ is the blended depth sum_k w_k z_k as ``render`` gives it. It is not divided by alpha, so that a pixel that the
-    map does not cover has a large error, which also pulls the opacity up. Differentiable: ``depth_l1_vjp``.
+    D^ is the blended depth sum_k w_k z_k as ``render`` gives it. It is not divided by alpha, so
+    that a pixel that the map does not cover has a large error, which also pulls the opacity up.
+    Differentiable: ``depth_l1_vjp``.
 
     Source: Keetha et al. 2024 (SplaTAM), the depth term of the mapping loss.
     """
@@ -107,17 +132,23 @@ def depth_l1_vjp(
 ) -> Float[Tensor, "H W"]:
     """dL/dD^ = sign(D^ - D) / (number of pixels with measured depth), zero elsewhere."""
     known = target_m > 0
-    return v_loss * torch.sign(torch.where(known, depth_m - target_m, 0.0)) / known.sum().clamp_min(1)
+    return (
+        v_loss * torch.sign(torch.where(known, depth_m - target_m, 0.0)) / known.sum().clamp_min(1)
+    )
 
 
-def dssim(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
+def dssim(
+    rgb: Float[Tensor, "H W 3"],
+    target: Float[Tensor, "H W 3"],
+) -> Float[Tensor, ""]:
     """1 - mean SSIM with an 11 px Gaussian window of sigma 1.5, zero padding, channel by channel.
 
                (2 mu_x mu_y + C1)      (2 sigma_xy + C2)
         SSIM = ----------------------  ----------------------------
                (mu_x^2 + mu_y^2 + C1)  (sigma_x^2 + sigma_y^2 + C2)
 
-    Differentiable: ``dssim_vjp``. Source: Wang et al. 2004, Eq. 13; its weight in GSFusion's global loss is 0.2.
+    Differentiable: ``dssim_vjp``. Source: Wang et al. 2004, Eq. 13; its weight in GSFusion's global
+    loss is 0.2.
     """
     A1, A2, B1, B2 = _ssim_factors(rgb, target)
     return 1.0 - (A1 * A2 / (B1 * B2)).mean()
@@ -129,8 +160,8 @@ def dssim_vjp(
 ) -> tuple[Float[Tensor, ""], Float[Tensor, "H W 3"]]:
     """Value and gradient of ``dssim``.
 
-    SSIM depends on x = rgb through mu_x = G x, q = G x^2 and r = G (x y), where G is the window average. G is its own
-    transpose, so  v_x = G v_mu + 2 x G v_q + y G v_r.
+    SSIM depends on x = rgb through mu_x = G x, q = G x^2 and r = G (x y), where G is the window
+    average. G is its own transpose, so  v_x = G v_mu + 2 x G v_q + y G v_r.
     """
     mu_x, mu_y = window_mean(rgb), window_mean(target)
     A1, A2, B1, B2 = _ssim_factors(rgb, target)
@@ -148,7 +179,12 @@ def _ssim_factors(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]
     mu_x, mu_y = window_mean(x), window_mean(y)
     variance_x, variance_y = window_mean(x * x) - mu_x**2, window_mean(y * y) - mu_y**2
     covariance = window_mean(x * y) - mu_x * mu_y
-    return 2 * mu_x * mu_y + C1, 2 * covariance + C2, mu_x**2 + mu_y**2 + C1, variance_x + variance_y + C2
+    return (
+        2 * mu_x * mu_y + C1,
+        2 * covariance + C2,
+        mu_x**2 + mu_y**2 + C1,
+        variance_x + variance_y + C2,
+    )
 
 
 def window_mean(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
@@ -156,12 +192,18 @@ def window_mean(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
     from kornia.filters import gaussian_blur2d
 
     size, sigma = (WINDOW_PX, WINDOW_PX), (WINDOW_SIGMA_PX, WINDOW_SIGMA_PX)
-    return gaussian_blur2d(image.permute(2, 0, 1)[None], size, sigma, border_type="constant")[0].permute(1, 2, 0)
+    return gaussian_blur2d(
+        image.permute(2, 0, 1)[None],
+        size,
+        sigma,
+        border_type="constant",
+    )[0].permute(1, 2, 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RgbdLoss:
-    """Value and gradient of the loss of one view. All are tensors, so the host need not wait for a GPU."""
+    """Value and gradient of the loss of one view. All are tensors, so the host need not wait for a
+    GPU."""
 
     colour: Float[Tensor, ""]
     """Mean |C - C^| over the pixels and channels."""
@@ -174,7 +216,12 @@ class RgbdLoss:
 
 
 def check_rgbd(
-    rgb: Any, depth_m: Any, target_rgb: Any, target_depth_m: Any, pixels: Any, **weights: float | None
+    rgb: Any,
+    depth_m: Any,
+    target_rgb: Any,
+    target_depth_m: Any,
+    pixels: Any,
+    **weights: float | None,
 ) -> None:
     """Raise ``ValueError`` for arguments that ``rgbd_l1_vjp`` refuses."""
     check_images(rgb=rgb, depth_m=depth_m, target_rgb=target_rgb, target_depth_m=target_depth_m)
@@ -203,11 +250,13 @@ def rgbd_l1_vjp(
         target_rgb, target_depth_m: Measured, C and D; depth 0 where missing.
         pixels: The pixels to compare. [H, W]
         weight_colour, weight_depth: w_c and w_d.
-        behind_m: Depth rendered more than this behind the measurement has no loss, metres (released code).
+        behind_m: Depth rendered more than this behind the measurement has no loss, metres (released
+            code).
 
     Differentiable: no; it returns the gradient, which is zero where both are equal.
 
-    Source: Peng et al. 2024, Eq. 7-8. The third term of Eq. 8 is about Gaussians, not pixels: ``SurfelOptimiser``.
+    Source: Peng et al. 2024, Eq. 7-8. The third term of Eq. 8 is about Gaussians, not pixels:
+    ``SurfelOptimiser``.
     """
     behind_m = math.inf if behind_m is None else behind_m
     known = pixels & (depth_m > 0) & (target_depth_m > 0) & (depth_m - target_depth_m < behind_m)
@@ -225,7 +274,8 @@ def rgbd_l1_vjp(
 
 
 def anisotropy(log_scale: Float[Tensor, "N 3"]) -> Float[Tensor, ""]:
-    """Mean |s - s_mean| over Gaussians and axes, metres, with s_mean a Gaussian's mean standard deviation.
+    """Mean |s - s_mean| over Gaussians and axes, metres, with s_mean a Gaussian's mean standard
+    deviation.
 
     Zero for round Gaussians, and for an empty map. Differentiable: ``anisotropy_vjp``.
 
@@ -235,7 +285,10 @@ def anisotropy(log_scale: Float[Tensor, "N 3"]) -> Float[Tensor, ""]:
     return (s - s.mean(dim=1, keepdim=True)).abs().sum() / max(s.numel(), 1)
 
 
-def anisotropy_vjp(log_scale: Float[Tensor, "N 3"], v_loss: float = 1.0) -> Float[Tensor, "N 3"]:
+def anisotropy_vjp(
+    log_scale: Float[Tensor, "N 3"],
+    v_loss: float = 1.0,
+) -> Float[Tensor, "N 3"]:
     """dL/dlog_scale = s (q - q_mean),  q = sign(s - s_mean) / (3 N)."""
     s = log_scale.exp()
     q = v_loss * torch.sign(s - s.mean(dim=1, keepdim=True)) / max(s.numel(), 1)
@@ -243,14 +296,19 @@ def anisotropy_vjp(log_scale: Float[Tensor, "N 3"], v_loss: float = 1.0) -> Floa
 
 
 def mean_scale(log_scale: Float[Tensor, "N 3"]) -> Float[Tensor, ""]:
-    """Mean standard deviation over Gaussians and axes, metres; 0 for an empty map. Differentiable: ``mean_scale_vjp``.
+    """Mean standard deviation over Gaussians and axes, metres; 0 for an empty map. Differentiable:
+    ``mean_scale_vjp``.
 
-    Source: Kheradmand et al. 2024 (3DGS-MCMC), section 4: square roots of the covariance's eigenvalues.
+    Source: Kheradmand et al. 2024 (3DGS-MCMC), section 4: square roots of the covariance's
+    eigenvalues.
     """
     return log_scale.exp().sum() / max(log_scale.numel(), 1)
 
 
-def mean_scale_vjp(log_scale: Float[Tensor, "N 3"], v_loss: float = 1.0) -> Float[Tensor, "N 3"]:
+def mean_scale_vjp(
+    log_scale: Float[Tensor, "N 3"],
+    v_loss: float = 1.0,
+) -> Float[Tensor, "N 3"]:
     """dL/dlog_scale = s / (3 N)."""
     return v_loss * log_scale.exp() / max(log_scale.numel(), 1)
 
@@ -263,14 +321,21 @@ def mean_opacity(opacity_logit: Float[Tensor, " N"]) -> Float[Tensor, ""]:
     return opacity_logit.sigmoid().sum() / max(opacity_logit.numel(), 1)
 
 
-def mean_opacity_vjp(opacity_logit: Float[Tensor, " N"], v_loss: float = 1.0) -> Float[Tensor, " N"]:
+def mean_opacity_vjp(
+    opacity_logit: Float[Tensor, " N"], v_loss: float = 1.0
+) -> Float[Tensor, " N"]:
     """dL/dopacity_logit = o (1 - o) / N."""
     o = opacity_logit.sigmoid()
     return v_loss * o * (1 - o) / max(opacity_logit.numel(), 1)
 
 
 def add_penalties_(
-    gradients: GaussianParams, params: GaussianParams, *, isotropy: float, scale: float, opacity: float
+    gradients: GaussianParams,
+    params: GaussianParams,
+    *,
+    isotropy: float,
+    scale: float,
+    opacity: float,
 ) -> Float[Tensor, ""]:
     """Add the gradients of the penalties to ``gradients``; a penalty of weight 0 is not computed.
 

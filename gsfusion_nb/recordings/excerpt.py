@@ -1,7 +1,8 @@
 """``gsfusion-nb excerpt``: a part of a recording as a recording.
 
-Images in folders are copied bit for bit, with what belongs to them: lists and poses keep the lines of the chosen
-frames, other files are whole. What is not a folder of images is written in the plain layout, as ``convert`` does.
+Images in folders are copied bit for bit, with what belongs to them: lists and poses keep the lines
+of the chosen frames, other files are whole. What is not a folder of images is written in the plain
+layout, as ``convert`` does.
 """
 
 import contextlib
@@ -30,19 +31,22 @@ from .convert.run import convert
 _BY_PLACE = ("open3d",)
 """Formats that count images and poses from the first image: without it they would not fit."""
 _PER_IMAGE = (7, 12, 16, 17)
-"""Columns of a file with one pose per image: a position and a quaternion, or a matrix, also after a name."""
+"""Columns of a file with one pose per image: a position and a quaternion, or a matrix, also after a
+name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExcerptOptions:
-    """Write some frames of a recording to a new folder: images bit for bit, with their poses and intrinsics."""
+    """Write some frames of a recording to a new folder: images bit for bit, with their poses and
+    intrinsics."""
 
     source: Annotated[Path, tyro.conf.Positional]
     """Folder or file of the recording."""
     out: Annotated[Path, tyro.conf.Positional]
     """New or empty folder."""
     frames: str
-    """First frame, end (not included) and step, as A:B or A:B:STEP; each may be left out, such as 100:200 or ::10."""
+    """First frame, end (not included) and step, as A:B or A:B:STEP; each may be left out, such as
+    100:200 or ::10."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value, such as poses=false."""
 
@@ -64,7 +68,9 @@ def excerpt_command(arguments: list[str]) -> str:
 
 def _slice(text: str) -> slice:
     if not re.fullmatch(r"\d*:\d*(:[1-9]\d*)?", text):
-        raise SequenceError(f"--frames must be A:B or A:B:STEP, such as 100:200 or ::10, got {text}")
+        raise SequenceError(
+            f"--frames must be A:B or A:B:STEP, such as 100:200 or ::10, got {text}"
+        )
     return slice(*(int(part) if part else None for part in text.split(":")))
 
 
@@ -81,36 +87,58 @@ def write_excerpt(source: Path, out: Path, chosen: slice, **reader: Any) -> int:
         The number of frames.
 
     Raises:
-        SequenceError: the recording cannot be read, or it has none of these frames. FileExistsError: ``out`` is in use.
+        SequenceError: the recording cannot be read, or it has none of these frames.
+            FileExistsError: ``out`` is in use.
     """
     layout = readable_layout(source)
     format = "" if layout else detect_format(source)
     if format in _BY_PLACE or (format and not source.is_dir()):
-        options = ConvertOptions(start=chosen.start or 0, stop=chosen.stop or 0, every=chosen.step or 1)
+        options = ConvertOptions(
+            start=chosen.start or 0, stop=chosen.stop or 0, every=chosen.step or 1
+        )
         return convert(source, out, format=format, options=options).frames
-    shared, images = _files_of_layout(source, layout, reader) if layout else _files_of_format(source, format)
+    shared, images = (
+        _files_of_layout(source, layout, reader) if layout else _files_of_format(source, format)
+    )
     places = range(len(images))[chosen]
     if not places:
         raise SequenceError(f"{source} has {len(images)} frames; --frames chooses none of them")
-    wanted, every = {f for place in places for f in images[place]}, {f for files in images for f in files}
-    parts = _Parts({f.name for f in wanted}, {f.name for f in every}, len(images), places)
+    wanted, every = (
+        {f for place in places for f in images[place]},
+        {f for files in images for f in files},
+    )
+    parts = _Parts(
+        {f.name for f in wanted},
+        {f.name for f in every},
+        len(images),
+        places,
+    )
     with atomic_folder(out, out.with_name(f".{out.name}.partial")) as folder:
         for file in sorted(wanted | {*shared} - every):
-            target = folder / (file.relative_to(source) if file.is_relative_to(source) else file.name)
+            target = folder / (
+                file.relative_to(source) if file.is_relative_to(source) else file.name
+            )
             target.parent.mkdir(parents=True, exist_ok=True)
             if file in wanted or layout == "replica" or not parts.write(file, target):
                 shutil.copyfile(file, target)
     return len(places)
 
 
-def _files_of_layout(source: Path, layout: str, reader: dict[str, Any]) -> tuple[list[Path], list[list[Path]]]:
+def _files_of_layout(
+    source: Path, layout: str, reader: dict[str, Any]
+) -> tuple[list[Path], list[list[Path]]]:
     """Files of the whole recording, and those of each frame."""
     sequence = as_read(open_sequence(source, format=layout, **reader).source)
     assert isinstance(sequence, RecordedSequence)
-    return [*sequence.read_from], [[*pair] for pair in zip(sequence.rgb_files, sequence.depth_files, strict=True)]
+    return [*sequence.read_from], [
+        [*pair] for pair in zip(sequence.rgb_files, sequence.depth_files, strict=True)
+    ]
 
 
-def _files_of_format(source: Path, format: str) -> tuple[list[Path], list[list[Path]]]:
+def _files_of_format(
+    source: Path,
+    format: str,
+) -> tuple[list[Path], list[list[Path]]]:
     """Files of the whole recording, and those of each frame."""
     with noting_files() as shared, parsing(source, f"a recording in the format {format}"):
         recording = FORMATS[format].read(source, ConvertOptions(depth_scale=1000.0))
@@ -127,7 +155,8 @@ def _files_of_format(source: Path, format: str) -> tuple[list[Path], list[list[P
 
 @dataclass(frozen=True)
 class _Parts:
-    """Writes the part of a list, or of a file with one pose per frame, that belongs to the kept frames."""
+    """Writes the part of a list, or of a file with one pose per frame, that belongs to the kept
+    frames."""
 
     kept: set[str]
     """Names of their images."""
@@ -145,14 +174,27 @@ class _Parts:
                 return True
         if file.name == "train_test_lists.json":
             lists = read_object(file, "lists of images")
-            part = {name: [image for image in images if image in self.kept] for name, images in lists.items()}
+            part = {
+                name: [image for image in images if image in self.kept]
+                for name, images in lists.items()
+            }
             return bool(target.write_text(json.dumps(part), encoding="utf-8"))
         if file.suffix not in (".txt", ".csv"):
             return False
         lines = read_text(file, "lines of text").splitlines(keepends=True)
-        rows = {i: line.split() for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")}
+        rows = {
+            i: line.split()
+            for i, line in enumerate(lines)
+            if line.strip() and not line.lstrip().startswith("#")
+        }
         named = {i: {Path(word).name for word in words} & self.images for i, words in rows.items()}
         drop = {i for i in rows if any(named.values()) and not named[i] & self.kept}
-        if len(rows) == self.n_frames and {len(words) for words in rows.values()} <= set(_PER_IMAGE):
+        if len(rows) == self.n_frames and {len(words) for words in rows.values()} <= set(
+            _PER_IMAGE
+        ):
             drop = {*rows} - {[*rows][place] for place in self.places}
-        return bool(target.write_text("".join(x for i, x in enumerate(lines) if i not in drop), encoding="utf-8"))
+        return bool(
+            target.write_text(
+                "".join(x for i, x in enumerate(lines) if i not in drop), encoding="utf-8"
+            )
+        )

@@ -1,7 +1,8 @@
-"""Fetching public data sets: describe, ask, download, unpack, convert, read; then the folder gets its name.
+"""Fetching public data sets: describe, ask, download, unpack, convert, read; then the folder gets
+its name.
 
-The scripts in ``data_scripts/`` list the files of each data set; the code that they share is here. pooch downloads,
-compares digests and tries again; a download that is broken off begins anew.
+The scripts in ``data_scripts/`` list the files of each data set; the code that they share is here.
+pooch downloads, compares digests and tries again; a download that is broken off begins anew.
 """
 
 import argparse
@@ -75,7 +76,10 @@ class SequenceOnDisk:
         """The command that maps it."""
         words = ["gsfusion-nb", "map", str(folder / self.path), "--preset", self.preset]
         if self.reader:
-            words += ["--reader", *(f"{name}={str(value).lower()}" for name, value in self.reader.items())]
+            words += [
+                "--reader",
+                *(f"{name}={str(value).lower()}" for name, value in self.reader.items()),
+            ]
         return shlex.join(words)
 
     def prove(self, folder: Path) -> str:
@@ -89,8 +93,10 @@ class SequenceOnDisk:
         depth_m = first.depth_m[first.depth_m > 0]
         seen = float((last.depth_m > 0).float().mean())
         return (
-            f"{sequence.name}: {len(sequence)} frames of {first.camera.width}x{first.camera.height}, depth around "
-            f"{float(depth_m.median()):.2f} m in the first, at {100 * seen:.0f} % of the pixels of the last"
+            f"{sequence.name}: {len(sequence)} frames of "
+            f"{first.camera.width}x{first.camera.height}, depth around "
+            f"{float(depth_m.median()):.2f} m in the first, at {100 * seen:.0f} % of the pixels of "
+            "the last"
         )
 
 
@@ -118,14 +124,17 @@ class Plan:
 def fetch_data_set(plan: Plan, out: Path) -> None:
     """Fetch a data set into ``out`` and print how to map it; an existing one is only read again.
 
-    The folder gets its name when it is complete and the reader has opened it. Downloads are kept in ``out/.fetch``.
+    The folder gets its name when it is complete and the reader has opened it. Downloads are kept in
+    ``out/.fetch``.
 
     Raises:
         FetchError: or a subclass; the message says what to do.
     """
     target = out / plan.folder
     if target.exists():
-        _say(f"{target} already exists; nothing is fetched (remove or rename it to fetch it again).")
+        _say(
+            f"{target} already exists; nothing is fetched (remove or rename it to fetch it again)."
+        )
         return _report(plan, target, target)
     with atomic_folder(target, out / WORK / "unfinished" / target.name) as folder:
         files = [(item, _download(item, out)) for item in plan.items]
@@ -149,7 +158,11 @@ def _described(plan: Plan, out: Path) -> str:
     """Contents, size and licence of a plan."""
     lines = [plan.title]
     for item in plan.items:
-        check = f"compared with its published {item.checksum.partition(':')[0]}" if item.checksum else "no checksum"
+        check = (
+            f"compared with its published {item.checksum.partition(':')[0]}"
+            if item.checksum
+            else "no checksum"
+        )
         lines.append(f"  from     {item.url} (about {size_text(item.stated_bytes)}; {check})")
     lines += [
         f"  to       {out / plan.folder} (about {size_text(plan.unpacked_bytes)})",
@@ -163,39 +176,51 @@ def _agree() -> None:
     """Return if the user agrees; raise ``FetchError`` if not, or if there is no user to ask."""
     if sys.stdin is None or not sys.stdin.isatty():
         raise FetchError(
-            "cannot ask whether you agree to size and licence, because this is not a terminal; run again with --yes"
+            "cannot ask whether you agree to size and licence, because this is not a terminal; run "
+            "again with --yes"
         )
     if input("Go on under this licence? [y/N] ").strip().lower() not in ("y", "yes"):
         raise FetchError("nothing was fetched")
 
 
 def _download(item: Item, out: Path) -> Path:
-    """The downloaded file of an item; one that is there already, with the published digest if any, is taken."""
+    """The downloaded file of an item; one that is there already, with the published digest if any,
+    is taken."""
     import pooch
     from requests.exceptions import RequestException
 
     pooch.get_logger().setLevel(logging.WARNING)
     name = item.url.rpartition("/")[2]
     store = pooch.create(
-        out / WORK / "downloads", base_url="", registry={name: item.checksum or None}, urls={name: item.url},
+        out / WORK / "downloads",
+        base_url="",
+        registry={name: item.checksum or None},
+        urls={name: item.url},
         retry_if_failed=ATTEMPTS - 1,
-    )  # fmt: skip
+    )
     try:
         shows = sys.stderr is not None and sys.stderr.isatty()
         downloader: Any = pooch.HTTPDownloader(timeout=TIMEOUT_S, progressbar=shows)
         return Path(store.fetch(name, downloader=downloader))
     except (RequestException, ValueError) as e:
         raise FetchError(
-            f"{item.url} could not be downloaded: {e}; {ATTEMPTS} attempts were made, run again later"
+            f"{item.url} could not be downloaded: {e}; {ATTEMPTS} attempts were made, run again "
+            "later"
         ) from None
 
 
-def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name) -> int:
-    """Unpack the chosen regular files of a zip, tar or gzipped tar into ``folder``; the number of files written.
+def unpack(
+    archive: Path,
+    folder: Path,
+    *,
+    choose: Choose = lambda name: name,
+) -> int:
+    """Unpack the chosen regular files of a zip, tar or gzipped tar into ``folder``; the number of
+    files written.
 
     Raises:
-        ArchiveError: not an archive, a damaged one, one with a path outside of the folder, or with none of the chosen
-            files.
+        ArchiveError: not an archive, a damaged one, one with a path outside of the folder, or with
+            none of the chosen files.
     """
     count = 0
     try:
@@ -203,8 +228,15 @@ def unpack(archive: Path, folder: Path, *, choose: Choose = lambda name: name) -
             path = choose(name)
             if path is None:
                 continue
-            if PurePosixPath(path).is_absolute() or ".." in PurePosixPath(path).parts or "\\" in path or ":" in path:
-                raise ArchiveError(f"{archive.name} holds {shown(name)}, which is outside of the target folder")
+            if (
+                PurePosixPath(path).is_absolute()
+                or ".." in PurePosixPath(path).parts
+                or "\\" in path
+                or ":" in path
+            ):
+                raise ArchiveError(
+                    f"{archive.name} holds {shown(name)}, which is outside of the target folder"
+                )
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             with (folder / path).open("xb") as file:
                 shutil.copyfileobj(source, file)
@@ -235,7 +267,10 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
         if zipfile.is_zipfile(opened):
             with zipfile.ZipFile(opened) as zipped:
                 for info in zipped.infolist():
-                    if not info.is_dir() and stat.S_IFMT(info.external_attr >> 16) in (0, stat.S_IFREG):
+                    if not info.is_dir() and stat.S_IFMT(info.external_attr >> 16) in (
+                        0,
+                        stat.S_IFREG,
+                    ):
                         try:
                             source = zipped.open(info)
                         except OSError as e:  # it points outside of the file
@@ -251,19 +286,25 @@ def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
                     yield member.name, source
 
 
-def _write_source(plan: Plan, files: list[tuple[Item, Path]], folder: Path) -> None:
+def _write_source(
+    plan: Plan,
+    files: list[tuple[Item, Path]],
+    folder: Path,
+) -> None:
     """Write the data set's own record: where its files come from, and its licence."""
     import pooch
 
     downloaded = [
-        {"url": item.url, "sha256": pooch.file_hash(str(file)), "published": item.checksum} for item, file in files
+        {"url": item.url, "sha256": pooch.file_hash(str(file)), "published": item.checksum}
+        for item, file in files
     ]
     values = {"title": plan.title, "licence": plan.licence, "cite": plan.cite, "files": downloaded}
     write_file(folder / SOURCE, json.dumps(values, indent=1) + "\n")
 
 
 def _report(plan: Plan, folder: Path, target: Path) -> None:
-    """Read every sequence in ``folder``, which is or will become ``target``, and print how to map it."""
+    """Read every sequence in ``folder``, which is or will become ``target``, and print how to map
+    it."""
     sequences = plan.sequences(folder)
     if not sequences:
         raise FetchError(f"{folder} holds no sequence")
@@ -279,7 +320,10 @@ def size_text(n_bytes: int) -> str:
 
 
 def run(
-    description: str, plans: Callable[[str], Plan], names: Sequence[str], arguments: Sequence[str] | None = None
+    description: str,
+    plans: Callable[[str], Plan],
+    names: Sequence[str],
+    arguments: Sequence[str] | None = None,
 ) -> int:
     """The command line of a script: describe the data sets that are named, ask once, fetch them.
 
@@ -292,11 +336,19 @@ def run(
     Returns:
         Exit status: 0 done, 1 an error (its message is printed), 130 interrupted.
     """
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("name", nargs="+", choices=names, help="which data sets")
-    parser.add_argument("--out", type=Path, default=Path("data"), help="folder of all data sets (default: data)")
-    parser.add_argument("--yes", action="store_true", help="agree to download size and licence without a question")
-    parser.add_argument("--keep-archives", action="store_true", help="keep the downloaded archives in OUT/.fetch")
+    parser.add_argument(
+        "--out", type=Path, default=Path("data"), help="folder of all data sets (default: data)"
+    )
+    parser.add_argument(
+        "--yes", action="store_true", help="agree to download size and licence without a question"
+    )
+    parser.add_argument(
+        "--keep-archives", action="store_true", help="keep the downloaded archives in OUT/.fetch"
+    )
     options = parser.parse_args(arguments)
     try:
         wanted = [plans(name) for name in dict.fromkeys(options.name)]

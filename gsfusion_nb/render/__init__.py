@@ -1,4 +1,5 @@
-"""The Gaussian renderer: project, tile lists, composite; every stage beside its explicit gradient."""
+"""The Gaussian renderer: project, tile lists, composite; every stage beside its explicit
+gradient."""
 
 from .composite import CompositeGradient as CompositeGradient
 from .composite import CompositeOutput as CompositeOutput

@@ -13,11 +13,12 @@ For the k-th Gaussian of a pixel, nearest first, with (dx, dy) = pixel centre - 
     dL/du_k     = sum_pixels alpha_k dL/dalpha_k (A dx + B dy)
     dL/dv_k     = sum_pixels alpha_k dL/dalpha_k (B dx + C dy)
 
-Where the pixels of a Gaussian pull it to opposite sides, the terms of the last sums cancel. The sums of their absolute
-values, ``uv_abs``, do not cancel: sum_pixels |alpha_k dL/dalpha_k (A dx + B dy)|, and the same for v.
+Where the pixels of a Gaussian pull it to opposite sides, the terms of the last sums cancel. The
+sums of their absolute values, ``uv_abs``, do not cancel: sum_pixels |alpha_k dL/dalpha_k (A dx + B
+dy)|, and the same for v.
 
-Source: Kerbl et al. 2023, Eq. 3-4 and section 6 (0.99, 1/255, 1e-4); RTG-SLAM Eq. 1-3; GSFusion Eq. 3 and 11;
-``uv_abs``: Ye et al. 2024 (AbsGS).
+Source: Kerbl et al. 2023, Eq. 3-4 and section 6 (0.99, 1/255, 1e-4); RTG-SLAM Eq. 1-3; GSFusion Eq.
+3 and 11; ``uv_abs``: Ye et al. 2024 (AbsGS).
 
 Arrays are [K, P]: the K Gaussians of a tile, nearest first, at its P pixels.
 """
@@ -63,9 +64,11 @@ class CompositeOutput:
     first_index: Int[Tensor, "H W"] | None
     """Row of the first Gaussian with w > 0, or -1. ``None`` if not asked for."""
     dominant_index: Int[Tensor, "H W"] | None
-    """Row of the Gaussian with the largest w (the nearest of equals), or -1. ``None`` if not asked for."""
+    """Row of the Gaussian with the largest w (the nearest of equals), or -1. ``None`` if not asked
+    for."""
     hit_index: Int[Tensor, "H W"] | None
-    """Row of the first Gaussian with alpha >= ``opaque_alpha``, blended or not, or -1. ``None`` if not asked for."""
+    """Row of the first Gaussian with alpha >= ``opaque_alpha``, blended or not, or -1. ``None`` if
+    not asked for."""
     saved: Record
 
 
@@ -94,21 +97,31 @@ def check_composite(
     with_indices: bool = True,
     opaque_alpha: float | None = None,
 ) -> None:
-    """Raise ``ValueError`` for arguments that ``composite`` refuses, such as the lists of another scene or image."""
+    """Raise ``ValueError`` for arguments that ``composite`` refuses, such as the lists of another
+    scene or image."""
     check_operand("uv", uv, ("N", 2))
     n = len(uv)
-    columns = {"conic": (conic, (n, 3)), "opacity": (opacity, (n,)), "rgb": (rgb, (n, 3)), "depth_m": (depth_m, (n,))}
+    columns = {
+        "conic": (conic, (n, 3)),
+        "opacity": (opacity, (n,)),
+        "rgb": (rgb, (n, 3)),
+        "depth_m": (depth_m, (n,)),
+    }
     for name, (value, shape) in columns.items():
         check_operand(name, value, shape, dtypes=(uv.dtype,), device=uv.device)
     if not isinstance(tiles, TileLists):
-        raise ValueError(f"tiles must be TileLists, as tile_intersections makes them, got {type(tiles).__name__}")
+        raise ValueError(
+            f"tiles must be TileLists, as tile_intersections makes them, got {type(tiles).__name__}"
+        )
     check_camera(camera)
     tiles.check(n, camera)
     if opaque_alpha is not None:
         check_positive("opaque_alpha", opaque_alpha)
 
 
-def check_image_gradients(camera: Camera, v_rgb: Any, v_depth_m: Any, v_alpha: Any, device: torch.device) -> None:
+def check_image_gradients(
+    camera: Camera, v_rgb: Any, v_depth_m: Any, v_alpha: Any, device: torch.device
+) -> None:
     """Raise ``ValueError`` unless the gradients of the images have the camera's size."""
     size = (camera.height, camera.width)
     check_operand("v_rgb", v_rgb, (*size, 3), device=device)
@@ -118,13 +131,21 @@ def check_image_gradients(camera: Camera, v_rgb: Any, v_depth_m: Any, v_alpha: A
 
 
 def check_record(saved: Any, maker: str, field: str) -> None:
-    """Raise ``ValueError`` unless this is the record that operation ``maker`` returns, which has a ``field``."""
+    """Raise ``ValueError`` unless this is the record that operation ``maker`` returns, which has a
+    ``field``."""
     if not issubclass(type(saved), Record) or not hasattr(saved, field):
-        raise ValueError(f"saved: the record that {maker} returns was expected, got {type(saved).__name__}")
+        raise ValueError(
+            f"saved: the record that {maker} returns was expected, got {type(saved).__name__}"
+        )
 
 
 def check_composite_vjp(
-    saved: Any, v_rgb: Any, v_depth_m: Any = None, v_alpha: Any = None, *, with_uv_abs: bool = False
+    saved: Any,
+    v_rgb: Any,
+    v_depth_m: Any = None,
+    v_alpha: Any = None,
+    *,
+    with_uv_abs: bool = False,
 ) -> None:
     """Raise ``ValueError`` for arguments that ``composite_vjp`` refuses."""
     check_record(saved, "composite", "tiles")
@@ -147,17 +168,21 @@ def composite(
     """Blend the Gaussians of ``tiles`` over black (equations at the top of this file).
 
     Args:
-        uv, conic, opacity, depth_m: Screen-space Gaussians as in ``Projection``; rows not in ``tiles`` are not drawn.
+        uv, conic, opacity, depth_m: Screen-space Gaussians as in ``Projection``; rows not in
+            ``tiles`` are not drawn.
         rgb: Colour of each. [N, 3]
         tiles: Sorted lists; they decide what is drawn, in which order, and on which pixels.
         camera: Gives the image size.
         with_indices: Also find the first and the dominant Gaussian of each pixel.
-        opaque_alpha: If given, also find the first Gaussian whose alpha at the pixel reaches it, even behind the point
-            where the pixel stops (RTG-SLAM, section 3.1).
+        opaque_alpha: If given, also find the first Gaussian whose alpha at the pixel reaches it,
+            even behind the point where the pixel stops (RTG-SLAM, section 3.1).
 
     Differentiable: ``composite_vjp``.
     """
-    c = torch.cat([rgb, depth_m[:, None], torch.ones_like(depth_m)[:, None]], dim=1)
+    c = torch.cat(
+        [rgb, depth_m[:, None], torch.ones_like(depth_m)[:, None]],
+        dim=1,
+    )
     C = uv.new_zeros(camera.height, camera.width, 5)
     first, dominant, hit = (tiles.gaussian.new_full(C.shape[:2], -1) for _ in range(3))
     for tile in range(tiles.tiles_x * tiles.tiles_y):
@@ -170,7 +195,9 @@ def composite(
         first[y, x] = _nearest(w > 0, k)
         dominant[y, x] = _nearest((w > 0) & (w == w.amax(dim=0)), k)
         if opaque_alpha is not None:
-            hit[y, x] = _nearest(alpha >= opaque_alpha, k)  # the Gaussian that the ray meets: RTG-SLAM, above Eq. 4
+            hit[y, x] = _nearest(
+                alpha >= opaque_alpha, k
+            )  # the Gaussian that the ray meets: RTG-SLAM, above Eq. 4
     return CompositeOutput(
         rgb=C[..., :3],
         depth_m=C[..., 3],
@@ -191,19 +218,26 @@ def composite_vjp(
     *,
     with_uv_abs: bool = False,
 ) -> CompositeGradient:
-    """Gradient of ``composite`` with respect to everything that it blends (equations at the top of this file).
+    """Gradient of ``composite`` with respect to everything that it blends (equations at the top of
+    this file).
 
-    It is the exact derivative of the forward pass: zero where alpha is clamped at 0.99 or cut at 1/255. (The code
-    released with Kerbl et al. 2023 lets the gradient through the 0.99 clamp.)
+    It is the exact derivative of the forward pass: zero where alpha is clamped at 0.99 or cut at
+    1/255. (The code released with Kerbl et al. 2023 lets the gradient through the 0.99 clamp.)
 
     Args:
         saved: ``CompositeOutput.saved``.
-        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Pixels that were not drawn are ignored.
+        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Pixels that were not drawn
+            are ignored.
         with_uv_abs: Also sum up the absolute values of the pixels' dL/du and dL/dv.
     """
     uv, conic, opacity, c = saved.uv, saved.conic, saved.opacity, saved.c
-    v_depth_m, v_alpha = (torch.zeros_like(v_rgb[..., 0]) if v is None else v for v in (v_depth_m, v_alpha))
-    v_image = torch.cat([v_rgb, v_depth_m[..., None], v_alpha[..., None]], dim=-1)
+    v_depth_m, v_alpha = (
+        torch.zeros_like(v_rgb[..., 0]) if v is None else v for v in (v_depth_m, v_alpha)
+    )
+    v_image = torch.cat(
+        [v_rgb, v_depth_m[..., None], v_alpha[..., None]],
+        dim=-1,
+    )
     v_uv, v_conic, v_opacity, v_c = (torch.zeros_like(value) for value in (uv, conic, opacity, c))
     v_uv_abs = torch.zeros_like(uv) if with_uv_abs else None
     for tile in range(saved.tiles.tiles_x * saved.tiles.tiles_y):
@@ -211,7 +245,9 @@ def composite_vjp(
         dx, dy = pixel_offsets(uv[k], x, y)
         alpha = splat_alpha(dx, dy, conic[k], opacity[k])
         v_alpha_k, v_c_k = blend_vjp(alpha, c[k], v_image[y, x])
-        v_uv_k, v_conic_k, v_opacity_k = splat_alpha_vjp(dx, dy, conic[k], opacity[k], alpha, v_alpha_k)
+        v_uv_k, v_conic_k, v_opacity_k = splat_alpha_vjp(
+            dx, dy, conic[k], opacity[k], alpha, v_alpha_k
+        )
         v_c[k] += v_c_k
         v_uv[k] += v_uv_k
         v_conic[k] += v_conic_k
@@ -219,22 +255,35 @@ def composite_vjp(
         if v_uv_abs is not None:
             v_uv_abs[k] += absolute_uv_vjp(dx, dy, conic[k], alpha, v_alpha_k)
     return CompositeGradient(
-        uv=v_uv, conic=v_conic, opacity=v_opacity, rgb=v_c[:, :3], depth_m=v_c[:, 3], uv_abs=v_uv_abs
+        uv=v_uv,
+        conic=v_conic,
+        opacity=v_opacity,
+        rgb=v_c[:, :3],
+        depth_m=v_c[:, 3],
+        uv_abs=v_uv_abs,
     )
 
 
-def pixel_offsets(uv: Tensor, x: Tensor, y: Tensor) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"]]:
-    """dx and dy, pixel centre - (u, v), of K Gaussians at the pixels in columns ``x`` and rows ``y``."""
+def pixel_offsets(
+    uv: Tensor, x: Tensor, y: Tensor
+) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"]]:
+    """dx and dy, pixel centre - (u, v), of K Gaussians at the pixels in columns ``x`` and rows
+    ``y``."""
     return x + 0.5 - uv[:, :1], y + 0.5 - uv[:, 1:]
 
 
 @piece
 def splat_alpha(
-    dx: Float[Tensor, "K P"], dy: Float[Tensor, "K P"], conic: Float[Tensor, "K 3"], opacity: Float[Tensor, " K"]
+    dx: Float[Tensor, "K P"],
+    dy: Float[Tensor, "K P"],
+    conic: Float[Tensor, "K 3"],
+    opacity: Float[Tensor, " K"],
 ) -> Float[Tensor, "K P"]:
     """alpha of K Gaussians at P pixels (RTG-SLAM Eq. 2): at most 0.99, and 0 below 1/255."""
     A, B, C = conic[:, :, None].unbind(1)
-    sigma = (A * dx * dx + C * dy * dy) / 2 + B * dx * dy  # (u - mu)^T Sigma'^-1 (u - mu) / 2: GSFusion Eq. 3
+    sigma = (
+        A * dx * dx + C * dy * dy
+    ) / 2 + B * dx * dy  # (u - mu)^T Sigma'^-1 (u - mu) / 2: GSFusion Eq. 3
     alpha = (opacity[:, None] * torch.exp(-sigma)).clamp(max=ALPHA_MAX)  # RTG-SLAM Eq. 2
     return torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
 
@@ -248,7 +297,8 @@ def splat_alpha_vjp(
     alpha: Float[Tensor, "K P"],
     v_alpha: Float[Tensor, "K P"],
 ) -> tuple[Float[Tensor, "K 2"], Float[Tensor, "K 3"], Float[Tensor, " K"]]:
-    """Gradient of ``splat_alpha``, whose result is ``alpha``: v_uv, v_conic and v_opacity, summed over the pixels.
+    """Gradient of ``splat_alpha``, whose result is ``alpha``: v_uv, v_conic and v_opacity, summed
+    over the pixels.
 
     ``v_alpha`` is zero where alpha is clamped or cut.
     """
@@ -257,8 +307,14 @@ def splat_alpha_vjp(
     v_sigma = -v_alpha * alpha
     # sigma = (A dx^2 + C dy^2) / 2 + B dx dy,  (dx, dy) = pixel centre - (u, v)
     A, B, C = conic[:, :, None].unbind(1)
-    v_uv = -torch.stack([v_sigma * (A * dx + B * dy), v_sigma * (B * dx + C * dy)], dim=1).sum(2)
-    v_conic = torch.stack([v_sigma * dx * dx / 2, v_sigma * dx * dy, v_sigma * dy * dy / 2], dim=1).sum(2)
+    v_uv = -torch.stack(
+        [v_sigma * (A * dx + B * dy), v_sigma * (B * dx + C * dy)],
+        dim=1,
+    ).sum(2)
+    v_conic = torch.stack(
+        [v_sigma * dx * dx / 2, v_sigma * dx * dy, v_sigma * dy * dy / 2],
+        dim=1,
+    ).sum(2)
     return v_uv, v_conic, v_opacity
 
 
@@ -269,15 +325,21 @@ def absolute_uv_vjp(
     alpha: Float[Tensor, "K P"],
     v_alpha: Float[Tensor, "K P"],
 ) -> Float[Tensor, "K 2"]:
-    """As ``v_uv`` of ``splat_alpha_vjp``, but the sum of the absolute values of the pixels' dL/du and dL/dv."""
+    """As ``v_uv`` of ``splat_alpha_vjp``, but the sum of the absolute values of the pixels' dL/du
+    and dL/dv."""
     g = v_alpha * alpha
     A, B, C = conic[:, :, None].unbind(1)
-    v_uv_p = torch.stack([g * (A * dx + B * dy), g * (B * dx + C * dy)], dim=1)
+    v_uv_p = torch.stack(
+        [g * (A * dx + B * dy), g * (B * dx + C * dy)],
+        dim=1,
+    )
     return v_uv_p.abs().sum(2)
 
 
 @piece
-def blend(alpha: Float[Tensor, "K P"], c: Float[Tensor, "K 5"]) -> tuple[Float[Tensor, "K P"], Float[Tensor, "P 5"]]:
+def blend(
+    alpha: Float[Tensor, "K P"], c: Float[Tensor, "K 5"]
+) -> tuple[Float[Tensor, "K P"], Float[Tensor, "P 5"]]:
     """Weights of K sorted Gaussians at P pixels, and the blended values C of the pixels."""
     _, w = blend_weights(alpha)
     return w, w.T @ c  # C = sum_k c_k alpha_k T_k: Kerbl Eq. 3, RTG-SLAM Eq. 1, GSFusion Eq. 11
@@ -285,9 +347,12 @@ def blend(alpha: Float[Tensor, "K P"], c: Float[Tensor, "K 5"]) -> tuple[Float[T
 
 @piece
 def blend_vjp(
-    alpha: Float[Tensor, "K P"], c: Float[Tensor, "K 5"], v_C: Float[Tensor, "P 5"]
+    alpha: Float[Tensor, "K P"],
+    c: Float[Tensor, "K 5"],
+    v_C: Float[Tensor, "P 5"],
 ) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K 5"]]:
-    """Gradient of ``blend``: v_alpha, zero where alpha is clamped, cut or behind the last blended one; and v_c."""
+    """Gradient of ``blend``: v_alpha, zero where alpha is clamped, cut or behind the last blended
+    one; and v_c."""
     T, w = blend_weights(alpha)
     # w_k = alpha_k T_k, and every T_j behind has the factor 1 - alpha_k
     c_dot_v = c @ v_C.T
@@ -309,6 +374,13 @@ def _sum_behind(value: Float[Tensor, "K P"]) -> Float[Tensor, "K P"]:
     return value.flip(0).cumsum(0).flip(0) - value
 
 
-def _nearest(mask: Bool[Tensor, "K P"], gaussian: Int[Tensor, " K"]) -> Int[Tensor, " P"]:
+def _nearest(
+    mask: Bool[Tensor, "K P"],
+    gaussian: Int[Tensor, " K"],
+) -> Int[Tensor, " P"]:
     """The first Gaussian of each pixel for which the mask is true, or -1."""
-    return torch.where(mask.any(dim=0), gaussian[mask.int().argmax(dim=0)], -1)
+    return torch.where(
+        mask.any(dim=0),
+        gaussian[mask.int().argmax(dim=0)],
+        -1,
+    )

@@ -1,7 +1,7 @@
 """Disc depth: an opaque Gaussian as a flat disc that the ray of a pixel meets, and its gradient.
 
-In the camera frame, for the ray r = K^-1 (u, v, 1) and the Gaussian that it hits, with p the centre and n = R_CW R_q e
-the axis of the smallest scale:
+In the camera frame, for the ray r = K^-1 (u, v, 1) and the Gaussian that it hits, with p the centre
+and n = R_CW R_q e the axis of the smallest scale:
 
     z = (p . n) / (r . n)    if  |r . n| / |r| >= min_cosine
                              and z > 0
@@ -11,11 +11,11 @@ the axis of the smallest scale:
     on the plane   dz/dp = n / (r . n),   dz/dn = (p - z r) / (r . n)
     at the centre  dz/dp = (0, 0, 1)
 
-Source: RTG-SLAM (Peng et al. 2024), Eq. 4-5. The test of the offset is that of the released code. The test of z > 0 is
-ours: a plane that is met behind the camera has no depth.
+Source: RTG-SLAM (Peng et al. 2024), Eq. 4-5. The test of the offset is that of the released code.
+The test of z > 0 is ours: a plane that is met behind the camera has no depth.
 
-``view_surface`` is the surface that a camera sees in a map: mappers compare it with depth, trackers align frames with
-it.
+``view_surface`` is the surface that a camera sees in a map: mappers compare it with depth, trackers
+align frames with it.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,9 @@ from ..types import Camera, GaussianParams, RenderOutput
 from .constants import DISC_MAX_OFFSET, DISC_MIN_COSINE, OPAQUE_ALPHA
 from .rasterize import check_rows, render_forward
 
-PUBLISHED_DISCS = DiscConfig(opaque_alpha=OPAQUE_ALPHA, min_cosine=DISC_MIN_COSINE, max_offset=DISC_MAX_OFFSET)
+PUBLISHED_DISCS = DiscConfig(
+    opaque_alpha=OPAQUE_ALPHA, min_cosine=DISC_MIN_COSINE, max_offset=DISC_MAX_OFFSET
+)
 """When a disc counts as hit as published, for maps of systems that have no such settings."""
 
 
@@ -45,7 +47,8 @@ class DiscDepth:
     depth_m: Float[Tensor, "H W"]
     """z-depth, metres; 0 where no disc is hit."""
     normal_W: Float[Tensor, "H W 3"]
-    """Unit normal of the disc, world frame, on the side of the camera; 0 where no disc is hit. No gradient."""
+    """Unit normal of the disc, world frame, on the side of the camera; 0 where no disc is hit. No
+    gradient."""
     on_plane: Bool[Tensor, "H W"]
     """Whether the depth is that of the intersection with the plane, not of the centre."""
 
@@ -63,7 +66,9 @@ def check_discs(
     check_gaussians(params)
     device = params.xyz_W.device
     check_view(camera, T_WC, device)
-    check_operand("hit_index", hit_index, (camera.height, camera.width), dtypes=INTEGERS, device=device)
+    check_operand(
+        "hit_index", hit_index, (camera.height, camera.width), dtypes=INTEGERS, device=device
+    )
     if device.type == "cpu" and int(hit_index.max()) >= len(params):
         raise ValueError(
             f"hit_index must name rows of the {len(params)} Gaussians, got {int(hit_index.max())}; "
@@ -75,7 +80,14 @@ def check_discs(
 
 
 def check_discs_vjp(
-    params: Any, camera: Any, T_WC: Any, hit_index: Any, v_depth_m: Any, *, rows: Any = None, **options: float | None
+    params: Any,
+    camera: Any,
+    T_WC: Any,
+    hit_index: Any,
+    v_depth_m: Any,
+    *,
+    rows: Any = None,
+    **options: float | None,
 ) -> None:
     """Raise ``ValueError`` for arguments that ``disc_depth_vjp`` refuses."""
     check_discs(params, camera, T_WC, hit_index, **options)  # pyright: ignore[reportArgumentType]
@@ -98,11 +110,13 @@ def disc_depth(
     Args:
         params, camera, T_WC: as given to ``render_forward``.
         hit_index: Row of the hit Gaussian or -1, ``RenderOutput.hit_index``. [H, W]
-        max_offset: Largest |z - p_z|, in units of the disc's largest scale. ``None``: no limit, as in the paper.
+        max_offset: Largest |z - p_z|, in units of the disc's largest scale. ``None``: no limit, as
+            in the paper.
         min_cosine: Smallest cosine of the angle between ray and normal.
 
     Raises:
-        ValueError: ``hit_index`` is not of the camera's size or names a row that ``params`` does not have.
+        ValueError: ``hit_index`` is not of the camera's size or names a row that ``params`` does
+            not have.
 
     Differentiable: ``disc_depth_vjp``.
     """
@@ -129,9 +143,11 @@ def disc_depth_vjp(
     min_cosine: float = DISC_MIN_COSINE,
     rows: Bool[Tensor, " N"] | None = None,
 ) -> tuple[Float[Tensor, "N 3"], Float[Tensor, "N 4"]]:
-    """Gradient of ``disc_depth`` with respect to centre and quaternion (equations at the top of this file).
+    """Gradient of ``disc_depth`` with respect to centre and quaternion (equations at the top of
+    this file).
 
-    Which disc is hit, and which of the two cases applies, is treated as constant: scale and opacity get no gradient.
+    Which disc is hit, and which of the two cases applies, is treated as constant: scale and opacity
+    get no gradient.
 
     Args:
         params, camera, T_WC, hit_index, max_offset, min_cosine: as given to ``disc_depth``.
@@ -145,11 +161,24 @@ def disc_depth_vjp(
         m = _meet(params, camera, T_WC, hit_index, max_offset, min_cosine)
         v_z, on_plane = v_depth_m.to(m.z)[hit_index >= 0, None], m.on_plane[:, None]
         # on the plane z = (p . n) / (r . n), else z = p_z
-        v_p = torch.where(on_plane, v_z * m.n / m.rn, v_z * m.n.new_tensor([0.0, 0.0, 1.0]))
-        v_n = torch.where(on_plane, v_z * (m.p - m.z[:, None] * m.r) / m.rn, 0.0)
+        v_p = torch.where(
+            on_plane,
+            v_z * m.n / m.rn,
+            v_z * m.n.new_tensor([0.0, 0.0, 1.0]),
+        )
+        v_n = torch.where(
+            on_plane,
+            v_z * (m.p - m.z[:, None] * m.r) / m.rn,
+            0.0,
+        )
         # p = R_CW (x_W - t),  n = R_CW R_q e: every pixel adds to the Gaussian that it hits
-        v_xyz_W, v_n_W = (v.new_zeros(len(params), 3).index_add(0, m.row, v @ m.R_WC.T) for v in (v_p, v_n))
-        v_quat = quaternion.to_matrix_vjp(params.quat, v_n_W[:, :, None] * m.e[:, None, :])
+        v_xyz_W, v_n_W = (
+            v.new_zeros(len(params), 3).index_add(0, m.row, v @ m.R_WC.T) for v in (v_p, v_n)
+        )
+        v_quat = quaternion.to_matrix_vjp(
+            params.quat,
+            v_n_W[:, :, None] * m.e[:, None, :],
+        )
     if rows is not None:
         v_xyz_W, v_quat = (torch.where(rows[:, None], v, 0.0) for v in (v_xyz_W, v_quat))
     return v_xyz_W, v_quat
@@ -157,9 +186,13 @@ def disc_depth_vjp(
 
 @piece
 def disc_hit(
-    r: Float[Tensor, "M 3"], p: Float[Tensor, "M 3"], n: Float[Tensor, "M 3"], min_cosine: float
+    r: Float[Tensor, "M 3"],
+    p: Float[Tensor, "M 3"],
+    n: Float[Tensor, "M 3"],
+    min_cosine: float,
 ) -> Float[Tensor, " M"]:
-    """z-depth at which rays meet the planes of discs, or that of the disc's centre where a ray is too flat.
+    """z-depth at which rays meet the planes of discs, or that of the disc's centre where a ray is
+    too flat.
 
     Args:
         r: Rays with r_z = 1, camera frame. [M, 3]
@@ -174,14 +207,18 @@ def disc_hit(
     return torch.where(steep, theta, p[:, 2])  # RTG-SLAM Eq. 5
 
 
-def _is_steep(r: Float[Tensor, "M 3"], n: Float[Tensor, "M 3"], min_cosine: float) -> Bool[Tensor, " M"]:
-    """Whether the angle between ray and normal is small enough for the plane to be used (the condition of Eq. 5)."""
+def _is_steep(
+    r: Float[Tensor, "M 3"], n: Float[Tensor, "M 3"], min_cosine: float
+) -> Bool[Tensor, " M"]:
+    """Whether the angle between ray and normal is small enough for the plane to be used (the
+    condition of Eq. 5)."""
     return (r * n).sum(-1).abs() >= min_cosine * r.norm(dim=-1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Meeting:
-    """The M pixels that hit a disc, in the camera frame, where the R_g of RTG-SLAM is the identity and t_g is zero."""
+    """The M pixels that hit a disc, in the camera frame, where the R_g of RTG-SLAM is the identity
+    and t_g is zero."""
 
     R_WC: Float[Tensor, "3 3"]
     e: Float[Tensor, "N 3"]
@@ -199,7 +236,12 @@ class _Meeting:
 
 
 def _meet(
-    params: GaussianParams, camera: Camera, T_WC: Tensor, hit_index: Tensor, max_offset: float | None, min_cosine: float
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Tensor,
+    hit_index: Tensor,
+    max_offset: float | None,
+    min_cosine: float,
 ) -> _Meeting:
     T_WC = T_WC.to(params.xyz_W)
     T_CW, row = se3.inverse(T_WC), hit_index[hit_index >= 0].long()
@@ -215,7 +257,17 @@ def _meet(
         largest_scale = params.log_scale.amax(dim=1).exp()
         on_plane = on_plane & ((z - p[:, 2]).abs() <= max_offset * largest_scale[row])
     z = torch.where(on_plane, z, p[:, 2])
-    return _Meeting(R_WC=T_WC[:3, :3], e=e, row=row, r=r, p=p, n=n, rn=rn[:, None], z=z, on_plane=on_plane)
+    return _Meeting(
+        R_WC=T_WC[:3, :3],
+        e=e,
+        row=row,
+        r=r,
+        p=p,
+        n=n,
+        rn=rn[:, None],
+        z=z,
+        on_plane=on_plane,
+    )
 
 
 BLENDED_MIN_ALPHA = 0.5
@@ -224,7 +276,8 @@ BLENDED_MIN_ALPHA = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SurfaceView:
-    """Colour, transmittance and surface of the map from one camera (the maps of Peng et al. 2024, section 3.1)."""
+    """Colour, transmittance and surface of the map from one camera (the maps of Peng et al. 2024,
+    section 3.1)."""
 
     rgb: Float[Tensor, "H W 3"]
     transmittance: Float[Tensor, "H W"]
@@ -251,8 +304,8 @@ def view_surface(
 
     Args:
         params, camera, T_WC: as for ``render``.
-        config: When a disc counts as hit, as published by default; with ``depth="blended"`` the depth is sum of
-            w_k z_k / alpha instead.
+        config: When a disc counts as hit, as published by default; with ``depth="blended"`` the
+            depth is sum of w_k z_k / alpha instead.
         pixels: Draw only where this is true. [H, W]
 
     Differentiable: no; ``render_forward``, ``disc_depth`` and their vjp are.
@@ -263,7 +316,9 @@ def view_surface(
     hit, dominant = output.hit_index, output.dominant_index
     assert hit is not None
     assert dominant is not None
-    disc = disc_depth(params, camera, T_WC, hit, max_offset=config.max_offset, min_cosine=config.min_cosine)
+    disc = disc_depth(
+        params, camera, T_WC, hit, max_offset=config.max_offset, min_cosine=config.min_cosine
+    )
     depth_m = disc.depth_m if config.depth == "disc" else blended_depth_m(output)
     return SurfaceView(
         rgb=output.rgb,
@@ -276,18 +331,30 @@ def view_surface(
 
 
 def surface_depth_m(
-    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], output: RenderOutput, config: DiscConfig
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    output: RenderOutput,
+    config: DiscConfig,
 ) -> Float[Tensor, "H W"]:
-    """Depth of the surface in ``output`` (rendered with ``opaque_alpha``), metres: of the discs hit, or blended."""
+    """Depth of the surface in ``output`` (rendered with ``opaque_alpha``), metres: of the discs
+    hit, or blended."""
     if config.depth == "blended":
         return blended_depth_m(output)
     assert output.hit_index is not None
     return disc_depth(
-        params, camera, T_WC, output.hit_index, max_offset=config.max_offset, min_cosine=config.min_cosine
+        params,
+        camera,
+        T_WC,
+        output.hit_index,
+        max_offset=config.max_offset,
+        min_cosine=config.min_cosine,
     ).depth_m
 
 
-def blended_depth_m(output: RenderOutput, min_alpha: float = BLENDED_MIN_ALPHA) -> Float[Tensor, "H W"]:
+def blended_depth_m(
+    output: RenderOutput, min_alpha: float = BLENDED_MIN_ALPHA
+) -> Float[Tensor, "H W"]:
     """sum of w_k z_k / alpha, metres; 0 where alpha is below ``min_alpha``."""
     depth_m = output.depth_m / output.alpha.clamp_min(1e-6)
     return torch.where(output.alpha >= min_alpha, depth_m, 0.0)

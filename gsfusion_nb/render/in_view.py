@@ -1,9 +1,10 @@
 """The part of a large map that a camera may see, found without a look at every Gaussian.
 
-Rows that were added together are close together, in memory and in space. Around each chunk of ``CHUNK`` rows there is a
-box, and a chunk whose box cannot reach the picture is left out. What is left is drawn in the same order, so the picture
-has the same bits. Chunks that are hidden behind the measured depth of a view can be left out, too: then a room does not
-cost what is in the rooms behind its walls. Their share of the picture is the light that the walls let through.
+Rows that were added together are close together, in memory and in space. Around each chunk of
+``CHUNK`` rows there is a box, and a chunk whose box cannot reach the picture is left out. What is
+left is drawn in the same order, so the picture has the same bits. Chunks that are hidden behind the
+measured depth of a view can be left out, too: then a room does not cost what is in the rooms behind
+its walls. Their share of the picture is the light that the walls let through.
 """
 
 import contextlib
@@ -28,11 +29,13 @@ CHUNK = 256
 """Rows in a box."""
 
 WHOLE_BELOW, WHOLE_BELOW_ON_GPU = 10_000, 1_000_000
-"""A map with fewer rows is drawn, and stepped, as a whole, as it is published. A GPU has to wait for the boxes: on an
-H200, steps by part took 17 ms a frame with up to 325,000 rows, where an H100 took 6 without parts."""
+"""A map with fewer rows is drawn, and stepped, as a whole, as it is published. A GPU has to wait
+for the boxes: on an H200, steps by part took 17 ms a frame with up to 325,000 rows, where an H100
+took 6 without parts."""
 
 MOSTLY_SEEN = 0.7
-"""A map of which more is seen is drawn as a whole: to copy so many rows would take longer than to draw the others."""
+"""A map of which more is seen is drawn as a whole: to copy so many rows would take longer than to
+draw the others."""
 
 GRID = (12, 16)
 """Rows and columns of the cells of a view in which depth is compared."""
@@ -63,12 +66,17 @@ class Chunks(NamedTuple):
 class Boxes:
     """Boxes around the chunks of a map, which are made anew when its tensors have changed.
 
-    PyTorch counts the changes of a tensor. A kernel that changes one through its memory has to tell it.
+    PyTorch counts the changes of a tensor. A kernel that changes one through its memory has to tell
+    it.
     """
 
     def __init__(self) -> None:
         self._of: tuple[int, ...] = ()
-        self._chunks = Chunks(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+        self._chunks = Chunks(
+            np.zeros((0, 3)),
+            np.zeros((0, 3)),
+            np.zeros(0),
+        )
 
     def rows(
         self,
@@ -77,12 +85,14 @@ class Boxes:
         T_WC: Float[Tensor, "4 4"],
         depth_m: Float[Tensor, "h w"] | None = None,
     ) -> Int[Tensor, " R"] | None:
-        """Rows of the chunks that a camera may see, rising; None: all rows, because there are few, or most are seen.
+        """Rows of the chunks that a camera may see, rising; None: all rows, because there are few,
+        or most are seen.
 
         Args:
             params: The map.
             camera, T_WC: as given to ``render``.
-            depth_m: Measured depth of the view, of any size, 0 where missing; chunks behind it are left out. [h, w]
+            depth_m: Measured depth of the view, of any size, 0 where missing; chunks behind it are
+                left out. [h, w]
         """
         n = len(params)
         if n < (WHOLE_BELOW if params.xyz_W.device.type == "cpu" else WHOLE_BELOW_ON_GPU):
@@ -96,16 +106,25 @@ class Boxes:
 
     @contextlib.contextmanager
     def appending(self, model: Any) -> Iterator[None]:
-        """Context in which rows are only added at the end of a map: the boxes of the others stay."""
+        """Context in which rows are only added at the end of a map: the boxes of the others
+        stay."""
         start, known = len(model.params) // CHUNK, self._of == _state(model.params)
         yield
         if known and self._of != _state(model.params):
             more = _chunks_of(model.params[start * CHUNK :])
-            self._chunks = Chunks(*(np.concatenate([x[:start], y]) for x, y in zip(self._chunks, more, strict=True)))
+            self._chunks = Chunks(
+                *(np.concatenate([x[:start], y]) for x, y in zip(self._chunks, more, strict=True))
+            )
             self._of = _state(model.params)
 
-    def renew(self, params: GaussianParams, rows: Int[Tensor, " R"], part: GaussianParams) -> None:
-        """Follow a change of only these ``rows``, which were all in the last result; ``part``: their new values."""
+    def renew(
+        self,
+        params: GaussianParams,
+        rows: Int[Tensor, " R"],
+        part: GaussianParams,
+    ) -> None:
+        """Follow a change of only these ``rows``, which were all in the last result; ``part``:
+        their new values."""
         changed = rows[::CHUNK].cpu().numpy() // CHUNK
         for column, values in zip(self._chunks, _chunks_of(part), strict=True):
             column[changed] = values
@@ -119,7 +138,10 @@ def _state(params: GaussianParams) -> tuple[int, ...]:
 
 
 def seen_chunks(
-    chunks: Chunks, camera: Camera, T_WC: Float[Tensor, "4 4"], depth_m: Float[Tensor, "h w"] | None = None
+    chunks: Chunks,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    depth_m: Float[Tensor, "h w"] | None = None,
 ) -> Int[ndarray, " C"]:
     """Numbers of the chunks that a camera may see, rising; arguments as for ``Boxes.rows``."""
     T_CW = se3.inverse(T_WC.detach().cpu().double()).numpy()
@@ -127,7 +149,14 @@ def seen_chunks(
     if depth_m is None:
         return seen
     near = Chunks(*(x[seen] for x in chunks))
-    return seen[~chunks_behind(near, camera, T_CW, farthest_depth(depth_m).cpu().numpy())]
+    return seen[
+        ~chunks_behind(
+            near,
+            camera,
+            T_CW,
+            farthest_depth(depth_m).cpu().numpy(),
+        )
+    ]
 
 
 def rows_of_chunks(chunks: Int[ndarray, " C"], n: int) -> Int[Tensor, " R"]:
@@ -147,29 +176,41 @@ def _chunks_of(params: GaussianParams) -> Chunks:
     return chunks_of_points(params.xyz_W)._replace(reach_m=reach_m.cpu().numpy())
 
 
-def _by_chunk(extreme: Callable[[Tensor, int], Tensor], x: Float[Tensor, "N 3"]) -> Float[Tensor, "C 3"]:
-    """Smallest or largest value in each chunk; NaN where a row has one. Twice over 16 is faster than over 256."""
+def _by_chunk(
+    extreme: Callable[[Tensor, int], Tensor], x: Float[Tensor, "N 3"]
+) -> Float[Tensor, "C 3"]:
+    """Smallest or largest value in each chunk; NaN where a row has one. Twice over 16 is faster
+    than over 256."""
     n = len(x) // CHUNK * CHUNK
-    whole = extreme(extreme(x[:n].view(-1, 16, CHUNK // 16, 3), 1), 1)
+    whole = extreme(
+        extreme(x[:n].view(-1, 16, CHUNK // 16, 3), 1),
+        1,
+    )
     return whole if n == len(x) else torch.cat([whole, extreme(x[n:], 0)[None]])
 
 
-def chunks_in_view(chunks: Chunks, camera: Camera, T_CW: Float[ndarray, "4 4"]) -> Bool[ndarray, " C"]:
+def chunks_in_view(
+    chunks: Chunks, camera: Camera, T_CW: Float[ndarray, "4 4"]
+) -> Bool[ndarray, " C"]:
     """Whether Gaussians of a chunk may reach the picture; NaN counts as in view.
 
-    A Gaussian touches the picture only if its centre is in front of the camera and, with half the image size h and the
-    focal length f along an axis, and the bound of ``rows_in_view`` on its size,
+    A Gaussian touches the picture only if its centre is in front of the camera and, with half the
+    image size h and the focal length f along an axis, and the bound of ``rows_in_view`` on its
+    size,
 
         |f x / z + c - h| <= h + reach sqrt(0.3) + f sqrt(1 + limit^2) reach_m / z .
 
-    Times z this is linear in the centre, so the corner of the box that lies farthest along a plane decides.
+    Times z this is linear in the centre, so the corner of the box that lies farthest along a plane
+    decides.
 
     Args:
         chunks: Of the map.
         camera: as given to ``render``.
         T_CW: World-to-camera pose.
     """
-    planes = [(0.0, 0.0, -1.0, 0.0)]  # normal in the camera frame, and factor of reach_m: seen if n . x <= k reach_m
+    planes = [
+        (0.0, 0.0, -1.0, 0.0)
+    ]  # normal in the camera frame, and factor of reach_m: seen if n . x <= k reach_m
     for axis, f, c, size in _axes(camera):
         h, limit = size / 2, FRUSTUM_CLAMP * size / (2 * f)
         for sign in (1.0, -1.0):
@@ -188,7 +229,8 @@ def _axes(camera: Camera) -> tuple[tuple[int, float, float, int], tuple[int, flo
 
 
 def farthest_depth(depth_m: Float[Tensor, "h w"]) -> Float[Tensor, "12 16"]:
-    """Largest depth in each cell of ``GRID``, infinite where most of it is not known; of its own result the same.
+    """Largest depth in each cell of ``GRID``, infinite where most of it is not known; of its own
+    result the same.
 
     Args:
         depth_m: z-depth, metres, 0 where missing.
@@ -196,29 +238,45 @@ def farthest_depth(depth_m: Float[Tensor, "h w"]) -> Float[Tensor, "12 16"]:
     if depth_m.shape == GRID:
         return torch.where(depth_m > 0, depth_m, torch.inf)
     known = adaptive_avg_pool2d((depth_m > 0).to(depth_m.dtype)[None], GRID)[0]
-    return torch.where(known > 0.5, adaptive_max_pool2d(depth_m[None], GRID)[0], torch.inf)
+    return torch.where(
+        known > 0.5,
+        adaptive_max_pool2d(depth_m[None], GRID)[0],
+        torch.inf,
+    )
 
 
 def chunks_behind(
-    chunks: Chunks, camera: Camera, T_CW: Float[ndarray, "4 4"], farthest_m: Float[ndarray, "12 16"]
+    chunks: Chunks,
+    camera: Camera,
+    T_CW: Float[ndarray, "4 4"],
+    farthest_m: Float[ndarray, "12 16"],
 ) -> Bool[ndarray, " C"]:
-    """Whether all of a chunk is more than ``BEHIND_M`` behind the depth in all cells that it may touch.
+    """Whether all of a chunk is more than ``BEHIND_M`` behind the depth in all cells that it may
+    touch.
 
     Args:
         chunks, camera, T_CW: As for ``chunks_in_view``.
         farthest_m: From ``farthest_depth``.
     """
     low, high, reach_m = chunks
-    corners = np.stack([np.where(which, high, low) for which in itertools.product((False, True), repeat=3)], 1)
+    corners = np.stack(
+        [np.where(which, high, low) for which in itertools.product((False, True), repeat=3)],
+        1,
+    )
     xyz = corners @ T_CW[:3, :3].T + T_CW[:3, 3]  # [C, 8, 3]
     nearest_m = xyz[..., 2].min(1) - reach_m
     in_front = nearest_m > 0
-    z, spread = np.where(in_front[:, None], xyz[..., 2], 1.0), reach_m / np.where(in_front, nearest_m, 1.0)
+    z, spread = (
+        np.where(in_front[:, None], xyz[..., 2], 1.0),
+        reach_m / np.where(in_front, nearest_m, 1.0),
+    )
     touched = np.ones((len(low), *GRID), bool)
     for axis, f, c, size in _axes(camera):
         uv, cells = f * xyz[..., axis] / z + c, GRID[1 - axis]
         more_px = f * (1 + FRUSTUM_CLAMP * size / (2 * f)) * spread + _REACH
-        first, last = (np.floor(edge * cells / size) for edge in (uv.min(1) - more_px, uv.max(1) + more_px))
+        first, last = (
+            np.floor(edge * cells / size) for edge in (uv.min(1) - more_px, uv.max(1) + more_px)
+        )
         inside = (np.arange(cells) >= first[:, None]) & (np.arange(cells) <= last[:, None])
         touched &= inside[:, None, :] if axis == 0 else inside[:, :, None]
     deepest_m = np.where(touched, farthest_m, 0.0).max((1, 2), initial=0.0)
@@ -237,17 +295,24 @@ def drawn_in_part(
     """The result of ``draw``, for which only the part of the map is drawn that the camera may see.
 
     Args:
-        draw: From Gaussians to a dataclass of images; those whose names end with ``_index`` hold rows, -1: none.
+        draw: From Gaussians to a dataclass of images; those whose names end with ``_index`` hold
+            rows, -1: none.
         params: The map.
         boxes: Of the map; None draws all of it.
         camera, T_WC: as given to ``render``.
-        depth_m: Measured depth, of any size: what is hidden behind it is left out, also where the map has a hole.
+        depth_m: Measured depth, of any size: what is hidden behind it is left out, also where the
+            map has a hole.
         take: Gives the values of some rows [R], or of all (None); those in ``params`` by default.
     """
     rows = None if boxes is None else boxes.rows(params, camera, T_WC, depth_m)
     if rows is None:
         return draw(params if take is None else take(None))
     view: Any = draw(params[rows] if take is None else take(rows))
-    indices = {name: x for name, x in vars(view).items() if name.endswith("_index") and x is not None}
+    indices = {
+        name: x for name, x in vars(view).items() if name.endswith("_index") and x is not None
+    }
     of_map = torch.cat([rows, rows.new_tensor([-1])])  # -1 is the last one
-    return dataclasses.replace(view, **{name: of_map[x.long()].to(x.dtype) for name, x in indices.items()})
+    return dataclasses.replace(
+        view,
+        **{name: of_map[x.long()].to(x.dtype) for name, x in indices.items()},
+    )

@@ -1,4 +1,5 @@
-"""Which Gaussians a camera sees, how large they are in its picture, and how they were blended there."""
+"""Which Gaussians a camera sees, how large they are in its picture, and how they were blended
+there."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -24,8 +25,8 @@ def blend_rows(
     x: Int[Tensor, " P"],
     y: Int[Tensor, " P"],
 ) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K P"], Float[Tensor, "K P"]]:
-    """alpha, T and w of K Gaussians, nearest first, at the pixels in columns ``x`` and rows ``y``, by the formulas of
-    ``composite``; w is 0 from where a pixel stops. Differentiable: no."""
+    """alpha, T and w of K Gaussians, nearest first, at the pixels in columns ``x`` and rows ``y``,
+    by the formulas of ``composite``; w is 0 from where a pixel stops. Differentiable: no."""
     alpha = splat_alpha(*pixel_offsets(uv, x, y), conic, opacity)
     return alpha, *blend_weights(alpha)
 
@@ -62,17 +63,32 @@ class ScreenGaussians:
         """Number of the tile that holds the pixel in column ``u`` and row ``v``."""
         return v // self.tiles.tile_px * self.tiles.tiles_x + u // self.tiles.tile_px
 
-    def blend(self, tile: int, x: Int[Tensor, " P"], y: Int[Tensor, " P"]) -> TileBlend:
-        """alpha, T and w of the list of a tile at its pixels in columns ``x`` and rows ``y``, by the formulas of
-        ``composite`` from the values that were blended."""
+    def blend(
+        self,
+        tile: int,
+        x: Int[Tensor, " P"],
+        y: Int[Tensor, " P"],
+    ) -> TileBlend:
+        """alpha, T and w of the list of a tile at its pixels in columns ``x`` and rows ``y``, by
+        the formulas of ``composite`` from the values that were blended."""
         k = self.tiles.gaussians_of(tile).long()
         if not len(k):
             none = self.uv.new_zeros(0, len(x))
             return TileBlend(gaussian=k, alpha=none, transmittance=none, weight=none)
-        alpha, T, w = blend_rows(self.uv[k], self.conic[k], self.opacity[k], x, y)
+        alpha, T, w = blend_rows(
+            self.uv[k],
+            self.conic[k],
+            self.opacity[k],
+            x,
+            y,
+        )
         return TileBlend(gaussian=k, alpha=alpha, transmittance=T, weight=w)
 
-    def pixels_of(self, tile: int, camera: Camera) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
+    def pixels_of(
+        self,
+        tile: int,
+        camera: Camera,
+    ) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
         """Columns and rows of the pixels of a tile that are drawn."""
         y, x = self.tiles.pixels_of(tile, camera)
         return x, y
@@ -80,7 +96,14 @@ class ScreenGaussians:
     def tiles_with(self, row: int) -> list[tuple[int, int]]:
         """Tiles in whose lists a Gaussian is, and its place there, 0 for the nearest."""
         at = (self.tiles.gaussian == row).nonzero()[:, 0]
-        tile = torch.searchsorted(self.tiles.offset, at.to(self.tiles.offset.dtype), right=True) - 1
+        tile = (
+            torch.searchsorted(
+                self.tiles.offset,
+                at.to(self.tiles.offset.dtype),
+                right=True,
+            )
+            - 1
+        )
         return [(int(t), int(i - self.tiles.offset[t])) for t, i in zip(tile, at, strict=True)]
 
 
@@ -109,8 +132,8 @@ def footprints(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"
         params, camera, T_WC: as given to ``render``.
 
     Differentiable: no.
-    Source: Kerbl et al. 2023, section 6; the size of the box is that of ``project_gaussians``, which depends on the
-    opacity.
+    Source: Kerbl et al. 2023, section 6; the size of the box is that of ``project_gaussians``,
+    which depends on the opacity.
     """
     rows = rows_in_view(params, camera, T_WC).nonzero()[:, 0]
     p = project_gaussians(params[rows], camera, T_WC)
@@ -125,11 +148,14 @@ def footprints(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"
 
 
 @torch.no_grad()
-def rows_in_view(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Bool[Tensor, " N"]:
-    """Rows that may reach a pixel of the picture; the others change nothing in it and get no gradient from it.
+def rows_in_view(
+    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]
+) -> Bool[Tensor, " N"]:
+    """Rows that may reach a pixel of the picture; the others change nothing in it and get no
+    gradient from it.
 
-    It bounds the box that ``project_gaussians`` computes: with s the largest standard deviation and |tx| <= c,
-    where c is 1.3 half fields of view,
+    It bounds the box that ``project_gaussians`` computes: with s the largest standard deviation and
+    |tx| <= c, where c is 1.3 half fields of view,
 
         cov_uu = |first row of J W R S|^2 + 0.3 <= (fx s / z)^2 (1 + c^2) + 0.3
 
@@ -151,5 +177,7 @@ def rows_in_view(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 
         extent = (reach * variance).sqrt() * (1 + 1e-4)  # a little more, for rounding
         return (focal * along / z + centre - size / 2).abs() <= size / 2 + extent
 
-    in_picture = meets(x, camera.fx, camera.cx, camera.width) & meets(y, camera.fy, camera.cy, camera.height)
+    in_picture = meets(x, camera.fx, camera.cx, camera.width) & meets(
+        y, camera.fy, camera.cy, camera.height
+    )
     return in_picture & (z > NEAR_PLANE_M) & (opacity >= ALPHA_MIN)

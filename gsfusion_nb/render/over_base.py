@@ -1,14 +1,16 @@
 """Gaussians over a picture of the surface, blended without order (GPS-SLAM), and the gradient.
 
-The base is what a camera sees of the coloured surface: a colour C_s and a depth D_s for each pixel, with the weight b.
-For pixel u and Gaussian i, with its alpha as in ``composite`` and z_i the depth of its centre:
+The base is what a camera sees of the coloured surface: a colour C_s and a depth D_s for each pixel,
+with the weight b. For pixel u and Gaussian i, with its alpha as in ``composite`` and z_i the depth
+of its centre:
 
     w_i = alpha_i,  0 where z_i > D_s + eps      the Gaussian is behind the surface             (1)
     W   = sum_i w_i                              not bounded by 1                               (2)
     C   = (b C_s + sum_i w_i c_i) / (b + W)      a weighted mean; the base is one more sample   (3)
 
-Sums do not depend on an order: nothing is sorted, no light is used up, no pixel is finished early. Where D_s = 0 there
-is no surface, and (1) hides nothing. With v_C = dL/dC of one pixel and everything but the Gaussians held fixed:
+Sums do not depend on an order: nothing is sorted, no light is used up, no pixel is finished early.
+Where D_s = 0 there is no surface, and (1) hides nothing. With v_C = dL/dC of one pixel and
+everything but the Gaussians held fixed:
 
     q         = v_C / (b + W)                    dL/d of the sum in (3)                         (4)
     dL/dc_i   = w_i q                                                                           (5)
@@ -16,12 +18,14 @@ is no surface, and (1) hides nothing. With v_C = dL/dC of one pixel and everythi
 
 and from w_i on the gradient of alpha, as in ``composite``.
 
-Source: Peng et al. 2025 (GPS-SLAM) and its released code, where b = 1; the form is that of Ye et al. 2025 (Gaussian-
-enhanced surfels). The release cuts alpha at 0.999, here it is cut at 0.99 as in the rest of the toolkit.
+Source: Peng et al. 2025 (GPS-SLAM) and its released code, where b = 1; the form is that of Ye et
+al. 2025 (Gaussian- enhanced surfels). The release cuts alpha at 0.999, here it is cut at 0.99 as in
+the rest of the toolkit.
 
-``base_view`` makes the base from the surface that a raycast sees, which leaves holes where no surface was fused: no
-depth, too far, glass. There the released code of GPS-SLAM draws black with weight 1, which no Gaussian can quite cover.
-Filled by push-pull (Gortler et al. 1996, The Lumigraph) a hole has the colours around it.
+``base_view`` makes the base from the surface that a raycast sees, which leaves holes where no
+surface was fused: no depth, too far, glass. There the released code of GPS-SLAM draws black with
+weight 1, which no Gaussian can quite cover. Filled by push-pull (Gortler et al. 1996, The
+Lumigraph) a hole has the colours around it.
 """
 
 import dataclasses
@@ -48,14 +52,16 @@ from .tiles import tile_intersections
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Base:
-    """The surface as a camera sees it, the picture over which the Gaussians are blended. It has no gradient."""
+    """The surface as a camera sees it, the picture over which the Gaussians are blended. It has no
+    gradient."""
 
     rgb: Float[Tensor, "H W 3"]
     """C_s."""
     depth_m: Float[Tensor, "H W"]
     """D_s: z-depth, metres; 0 where no surface is known."""
     weight: Float[Tensor, "H W"]
-    """b: how much C_s counts against the Gaussians; 0: not at all, 1: as much as one opaque Gaussian."""
+    """b: how much C_s counts against the Gaussians; 0: not at all, 1: as much as one opaque
+    Gaussian."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,13 +71,19 @@ class OverBaseOutput:
     rgb: Float[Tensor, "H W 3"]
     """C; not clamped. 0 where b + W = 0."""
     depth_m: Float[Tensor, "H W"]
-    """(D_s + sum w_i z_i) / (1 + W); without the surface where there is none; 0 where there is nothing at all."""
+    """(D_s + sum w_i z_i) / (1 + W); without the surface where there is none; 0 where there is
+    nothing at all."""
     weight: Float[Tensor, "H W"]
     """W, the sum of the Gaussians' weights; may exceed 1."""
 
     def as_render_output(self, base: Base) -> RenderOutput:
-        """The picture as mappers show it: alpha is 1 where ``base`` has a surface, else W, at most 1; no indices."""
-        alpha = torch.where(base.depth_m > 0, 1.0, self.weight.clamp(max=1.0))
+        """The picture as mappers show it: alpha is 1 where ``base`` has a surface, else W, at most
+        1; no indices."""
+        alpha = torch.where(
+            base.depth_m > 0,
+            1.0,
+            self.weight.clamp(max=1.0),
+        )
         return RenderOutput(
             rgb=self.rgb,
             depth_m=alpha * self.depth_m,
@@ -84,7 +96,8 @@ class OverBaseOutput:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OverBaseSaved(Record):
-    """What ``render_over_base_vjp`` needs from the forward pass. Every backend has its own kind of record."""
+    """What ``render_over_base_vjp`` needs from the forward pass. Every backend has its own kind of
+    record."""
 
     params: GaussianParams
     camera: Camera
@@ -96,7 +109,14 @@ class OverBaseSaved(Record):
     output: OverBaseOutput
 
 
-def check_over_base(params: Any, camera: Any, T_WC: Any, base: Any, *, behind_m: float) -> None:
+def check_over_base(
+    params: Any,
+    camera: Any,
+    T_WC: Any,
+    base: Any,
+    *,
+    behind_m: float,
+) -> None:
     """Raise ``ValueError`` for arguments that ``render_over_base`` refuses."""
     check_gaussians(params)
     check_view(camera, T_WC, params.xyz_W.device)
@@ -104,21 +124,45 @@ def check_over_base(params: Any, camera: Any, T_WC: Any, base: Any, *, behind_m:
         raise ValueError(f"base must be a Base, got {type(base).__name__}")
     size, like = (camera.height, camera.width), params.xyz_W
     for name, shape in (("rgb", (*size, 3)), ("depth_m", size), ("weight", size)):
-        check_operand(f"base.{name}", getattr(base, name), shape, dtypes=(like.dtype,), device=like.device)
+        check_operand(
+            f"base.{name}",
+            getattr(base, name),
+            shape,
+            dtypes=(like.dtype,),
+            device=like.device,
+        )
     check_number("behind_m", behind_m, 0)
 
 
-def check_over_base_vjp(saved: Any, v_rgb: Any, *, rows: Any = None, v_uv: Any = None, v_uv_abs: Any = None) -> None:
+def check_over_base_vjp(
+    saved: Any,
+    v_rgb: Any,
+    *,
+    rows: Any = None,
+    v_uv: Any = None,
+    v_uv_abs: Any = None,
+) -> None:
     """Raise ``ValueError`` for arguments that ``render_over_base_vjp`` refuses."""
     check_record(saved, "render_over_base", "behind_m")
     like, camera = saved.params.xyz_W, saved.camera
-    check_operand("v_rgb", v_rgb, (camera.height, camera.width, 3), dtypes=(like.dtype,), device=like.device)
+    check_operand(
+        "v_rgb",
+        v_rgb,
+        (camera.height, camera.width, 3),
+        dtypes=(like.dtype,),
+        device=like.device,
+    )
     check_rows(like, rows, v_uv=v_uv, v_uv_abs=v_uv_abs)
 
 
 @op("over_base", check_over_base)
 def render_over_base(
-    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], base: Base, *, behind_m: float
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    base: Base,
+    *,
+    behind_m: float,
 ) -> tuple[OverBaseOutput, Record]:
     """Draw the Gaussians over ``base``, and a record of the pass for ``render_over_base_vjp``.
 
@@ -126,7 +170,8 @@ def render_over_base(
         params: The map, any number of rows; rows with NaN or infinities are not drawn.
         camera, T_WC: The camera and its camera-to-world pose.
         base: What this camera sees of the surface.
-        behind_m: eps of (1): a Gaussian whose centre is farther than this behind the surface is hidden, metres.
+        behind_m: eps of (1): a Gaussian whose centre is farther than this behind the surface is
+            hidden, metres.
 
     Differentiable: ``render_over_base_vjp``, in the parameters of the Gaussians.
     """
@@ -143,17 +188,31 @@ def render_over_base(
             depth_m=projection.depth_m,
             tiles=tile_intersections(projection, camera),
         )
-        rgb, depth_m, weight = (torch.zeros_like(image) for image in (base.rgb, base.depth_m, base.weight))
+        rgb, depth_m, weight = (
+            torch.zeros_like(image) for image in (base.rgb, base.depth_m, base.weight)
+        )
         for tile in range(screen.tiles.tiles_x * screen.tiles.tiles_y):
             k, (y, x) = screen.tiles.gaussians_of(tile), screen.tiles.pixels_of(tile, camera)
             _, w = weights_in_front(screen, k, x, y, base, behind_m)
-            rgb[y, x], weight[y, x] = blend_with_base(w, screen.rgb[k], base.rgb[y, x], base.weight[y, x])
+            rgb[y, x], weight[y, x] = blend_with_base(
+                w,
+                screen.rgb[k],
+                base.rgb[y, x],
+                base.weight[y, x],
+            )
             there = base.depth_m[y, x] > 0
             D = torch.where(there, base.depth_m[y, x], 0.0)
             depth_m[y, x] = _ratio(D + w.T @ screen.depth_m[k], there + w.sum(0))
     output = OverBaseOutput(rgb=rgb, depth_m=depth_m, weight=weight)
     return output, OverBaseSaved(
-        params=params, camera=camera, T_WC=T_WC, base=base, behind_m=behind_m, drawn=drawn, screen=screen, output=output
+        params=params,
+        camera=camera,
+        T_WC=T_WC,
+        base=base,
+        behind_m=behind_m,
+        drawn=drawn,
+        screen=screen,
+        output=output,
     )
 
 
@@ -174,29 +233,49 @@ def render_over_base_vjp(
         rows, v_uv, v_uv_abs: As for ``render_vjp``.
 
     Returns:
-        Gradients, in the shape of the parameters; zero for a Gaussian that is not seen or is frozen.
+        Gradients, in the shape of the parameters; zero for a Gaussian that is not seen or is
+        frozen.
     """
     params, screen, camera, base = saved.params, saved.screen, saved.camera, saved.base
-    v = {name: torch.zeros_like(getattr(screen, name)) for name in ("uv", "conic", "opacity", "rgb")}
+    v = {
+        name: torch.zeros_like(getattr(screen, name)) for name in ("uv", "conic", "opacity", "rgb")
+    }
     v_abs = torch.zeros_like(screen.uv)
     with torch.no_grad():
         for tile in range(screen.tiles.tiles_x * screen.tiles.tiles_y):
             k, (y, x) = screen.tiles.gaussians_of(tile), screen.tiles.pixels_of(tile, camera)
             alpha, w = weights_in_front(screen, k, x, y, base, saved.behind_m)
             C, b = saved.output.rgb[y, x], base.weight[y, x]
-            v_w, v_c = blend_with_base_vjp(w, screen.rgb[k], C, b, v_rgb[y, x])
-            v_alpha = torch.where((w > 0) & (alpha < ALPHA_MAX), v_w, 0.0)  # w = alpha, 0 where hidden: (1)
+            v_w, v_c = blend_with_base_vjp(
+                w,
+                screen.rgb[k],
+                C,
+                b,
+                v_rgb[y, x],
+            )
+            v_alpha = torch.where(
+                (w > 0) & (alpha < ALPHA_MAX), v_w, 0.0
+            )  # w = alpha, 0 where hidden: (1)
             (dx, dy), conic = pixel_offsets(screen.uv[k], x, y), screen.conic[k]
-            v_uv_k, v_conic_k, v_opacity_k = splat_alpha_vjp(dx, dy, conic, screen.opacity[k], alpha, v_alpha)
+            v_uv_k, v_conic_k, v_opacity_k = splat_alpha_vjp(
+                dx, dy, conic, screen.opacity[k], alpha, v_alpha
+            )
             v["uv"][k] += v_uv_k
             v["conic"][k] += v_conic_k
             v["opacity"][k] += v_opacity_k
             v["rgb"][k] += v_c
             if v_uv_abs is not None:
                 v_abs[k] += absolute_uv_vjp(dx, dy, conic, alpha, v_alpha)
-        v_sh, v_xyz_W = sh_to_rgb_vjp(params.sh, params.xyz_W, saved.T_WC[:3, 3], v["rgb"])
+        v_sh, v_xyz_W = sh_to_rgb_vjp(
+            params.sh,
+            params.xyz_W,
+            saved.T_WC[:3, 3],
+            v["rgb"],
+        )
         no_depth = torch.zeros_like(screen.depth_m)
-        g = project_gaussians_vjp(params, camera, saved.T_WC, v["uv"], v["conic"], no_depth, v["opacity"])
+        g = project_gaussians_vjp(
+            params, camera, saved.T_WC, v["uv"], v["conic"], no_depth, v["opacity"]
+        )
     gradient = vars(g) | {"xyz_W": g.xyz_W + v_xyz_W, "sh": v_sh}
     frozen = ~saved.drawn if rows is None else ~(saved.drawn & rows)
     for value in gradient.values():
@@ -213,25 +292,41 @@ def weights_in_front(
     """alpha and w of the Gaussians ``k`` at the pixels in columns ``x`` and rows ``y``."""
     dx, dy = pixel_offsets(screen.uv[k], x, y)
     alpha = splat_alpha(dx, dy, screen.conic[k], screen.opacity[k])
-    return alpha, not_behind(alpha, screen.depth_m[k], base.depth_m[y, x], behind_m)
+    return alpha, not_behind(
+        alpha,
+        screen.depth_m[k],
+        base.depth_m[y, x],
+        behind_m,
+    )
 
 
 @piece
 def not_behind(
-    alpha: Float[Tensor, "K P"], z: Float[Tensor, " K"], D_s: Float[Tensor, " P"], behind_m: float
+    alpha: Float[Tensor, "K P"],
+    z: Float[Tensor, " K"],
+    D_s: Float[Tensor, " P"],
+    behind_m: float,
 ) -> Float[Tensor, "K P"]:
-    """Weights of K Gaussians at depths ``z`` at P pixels with the surface at depths ``D_s``, 0 for no surface."""
+    """Weights of K Gaussians at depths ``z`` at P pixels with the surface at depths ``D_s``, 0 for
+    no surface."""
     hidden = (D_s > 0) & (z[:, None] > D_s + behind_m)
     return torch.where(hidden, 0.0, alpha)  # (1)
 
 
 @piece
 def blend_with_base(
-    w: Float[Tensor, "K P"], c: Float[Tensor, "K 3"], C_s: Float[Tensor, "P 3"], b: Float[Tensor, " P"]
+    w: Float[Tensor, "K P"],
+    c: Float[Tensor, "K 3"],
+    C_s: Float[Tensor, "P 3"],
+    b: Float[Tensor, " P"],
 ) -> tuple[Float[Tensor, "P 3"], Float[Tensor, " P"]]:
-    """Colour C and weight W of P pixels from the weights and colours of K Gaussians, in any order, and the base."""
+    """Colour C and weight W of P pixels from the weights and colours of K Gaussians, in any order,
+    and the base."""
     W = w.sum(0)  # (2)
-    C = _ratio(b[:, None] * C_s + w.T @ c, (b + W)[:, None])  # (3)
+    C = _ratio(
+        b[:, None] * C_s + w.T @ c,
+        (b + W)[:, None],
+    )  # (3)
     return C, W
 
 
@@ -243,7 +338,8 @@ def blend_with_base_vjp(
     b: Float[Tensor, " P"],
     v_C: Float[Tensor, "P 3"],
 ) -> tuple[Float[Tensor, "K P"], Float[Tensor, "K 3"]]:
-    """Gradient of ``blend_with_base``, whose result is ``C``, to the weights and colours: v_w and v_c."""
+    """Gradient of ``blend_with_base``, whose result is ``C``, to the weights and colours: v_w and
+    v_c."""
     W = w.sum(0)
     q = _ratio(v_C, (b + W)[:, None])  # (4)
     v_c = w @ q  # (5)
@@ -253,13 +349,18 @@ def blend_with_base_vjp(
 
 def _ratio(a: Tensor, b: Tensor) -> Tensor:
     """a / b, and 0 where b is 0: a pixel that nothing has any weight in."""
-    return torch.where(b > 0, a / torch.where(b > 0, b, 1.0), 0.0)
+    return torch.where(
+        b > 0,
+        a / torch.where(b > 0, b, 1.0),
+        0.0,
+    )
 
 
 Holes = Literal["filled", "black", "gaussians"]
 
 SAME_SURFACE = 0.03
-"""Depths that differ by less than this share belong to the same surface when a picture is enlarged."""
+"""Depths that differ by less than this share belong to the same surface when a picture is
+enlarged."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -273,13 +374,21 @@ class BaseView:
     """Gaussians farther than this behind the surface are hidden, metres."""
 
 
-def check_base_view(rgb: Any, depth_m: Any, size: Any, holes: Any, behind_m: Any) -> None:
+def check_base_view(
+    rgb: Any,
+    depth_m: Any,
+    size: Any,
+    holes: Any,
+    behind_m: Any,
+) -> None:
     """Raise ``ValueError`` for arguments that ``base_view`` refuses."""
     check_operand("rgb", rgb, ("h", "w", 3))
     small = tuple(rgb.shape[:2])
     check_operand("depth_m", depth_m, small, dtypes=(rgb.dtype,), device=rgb.device)
     if small not in (tuple(size), tuple((n + 1) // 2 for n in size)):
-        raise ValueError(f"the surface must be as large as the picture {tuple(size)} or half of it, got {small}")
+        raise ValueError(
+            f"the surface must be as large as the picture {tuple(size)} or half of it, got {small}"
+        )
     if holes not in get_args(Holes):
         raise ValueError(f"holes must be one of {', '.join(get_args(Holes))}, got {holes!r}")
     check_number("behind_m", behind_m, 0)
@@ -287,15 +396,20 @@ def check_base_view(rgb: Any, depth_m: Any, size: Any, holes: Any, behind_m: Any
 
 @op("base_view", check_base_view)
 def base_view(
-    rgb: Float[Tensor, "h w 3"], depth_m: Float[Tensor, "h w"], size: tuple[int, int], holes: Holes, behind_m: float
+    rgb: Float[Tensor, "h w 3"],
+    depth_m: Float[Tensor, "h w"],
+    size: tuple[int, int],
+    holes: Holes,
+    behind_m: float,
 ) -> BaseView:
-    """The base of a picture from the surface that its camera sees, at the picture's size or at half of it.
+    """The base of a picture from the surface that its camera sees, at the picture's size or at half
+    of it.
 
     Args:
         rgb, depth_m: Colour and z-depth of the surface, 0 where there is none. [h, w]
         size: Height and width of the picture.
-        holes: Where no surface is: "filled" with the colours around, weight 1; "black", weight 1 (released code);
-            "gaussians": weight 0, so that only Gaussians count.
+        holes: Where no surface is: "filled" with the colours around, weight 1; "black", weight 1
+            (released code); "gaussians": weight 0, so that only Gaussians count.
         behind_m: For the result.
     """
     known = depth_m > 0
@@ -305,21 +419,36 @@ def base_view(
     if depth_m.shape != size:
         image, known = enlarge(image, known, size)
     weight = torch.ones_like(image[..., 0]) if holes != "gaussians" else known.to(image)
-    colour = image[..., :3] if holes == "filled" else torch.where(known[..., None], image[..., :3], 0.0)
-    base = Base(rgb=colour.contiguous(), depth_m=torch.where(known, image[..., 3], 0.0), weight=weight)
+    colour = (
+        image[..., :3] if holes == "filled" else torch.where(known[..., None], image[..., :3], 0.0)
+    )
+    base = Base(
+        rgb=colour.contiguous(),
+        depth_m=torch.where(known, image[..., 3], 0.0),
+        weight=weight,
+    )
     return BaseView(base=base, depth_everywhere_m=image[..., 3].contiguous(), behind_m=behind_m)
 
 
-def fill(image: Float[Tensor, "H W C"], known: Bool[Tensor, "H W"]) -> Float[Tensor, "H W C"]:
+def fill(
+    image: Float[Tensor, "H W C"],
+    known: Bool[Tensor, "H W"],
+) -> Float[Tensor, "H W C"]:
     """The image with smooth values where they are not known: push-pull.
 
-    Pull: halve the picture until one pixel is left, each time with the mean of the known ones of four. Push: back up,
-    each unknown pixel takes the value that is interpolated from the smaller picture. Zero if nothing is known.
+    Pull: halve the picture until one pixel is left, each time with the mean of the known ones of
+    four. Push: back up, each unknown pixel takes the value that is interpolated from the smaller
+    picture. Zero if nothing is known.
     """
     x, w = image.permute(2, 0, 1)[None], known[None, None].to(image)
     levels = [(x, w)]
     while max(x.shape[2:]) > 1:
-        both = avg_pool2d(torch.cat([x * w, w], dim=1), 2, ceil_mode=True, count_include_pad=False)
+        both = avg_pool2d(
+            torch.cat([x * w, w], dim=1),
+            2,
+            ceil_mode=True,
+            count_include_pad=False,
+        )
         total = both[:, -1:]
         x, w = both[:, :-1] / total.clamp_min(1e-6), (total > 0).to(image)
         levels.append((x, w))
@@ -331,26 +460,47 @@ def fill(image: Float[Tensor, "H W C"], known: Bool[Tensor, "H W"]) -> Float[Ten
 
 
 def enlarge(
-    image: Float[Tensor, "h w C"], known: Bool[Tensor, "h w"], size: tuple[int, int]
+    image: Float[Tensor, "h w C"],
+    known: Bool[Tensor, "h w"],
+    size: tuple[int, int],
 ) -> tuple[Float[Tensor, "H W C"], Bool[Tensor, "H W"]]:
-    """A picture of half the size, enlarged; its last channel is depth. Colours do not run over a step in depth.
+    """A picture of half the size, enlarged; its last channel is depth. Colours do not run over a
+    step in depth.
 
-    Each large pixel lies in a small one, its own, and takes the mean of that and the three others around it, weighted
-    by 9, 3, 3 and 1, without those that lie on another surface or are known where its own is not.
+    Each large pixel lies in a small one, its own, and takes the mean of that and the three others
+    around it, weighted by 9, 3, 3 and 1, without those that lie on another surface or are known
+    where its own is not.
 
     Returns:
         The image, and which of its pixels are known: those whose own small pixel is.
     """
     h, w = known.shape
-    padded = pad(image.permute(2, 0, 1)[None], (1, 1, 1, 1), mode="replicate")[0].permute(1, 2, 0)
-    around = pad(known[None, None].to(image), (1, 1, 1, 1), mode="replicate")[0, 0] > 0
+    padded = pad(
+        image.permute(2, 0, 1)[None],
+        (1, 1, 1, 1),
+        mode="replicate",
+    )[0].permute(1, 2, 0)
+    around = (
+        pad(
+            known[None, None].to(image),
+            (1, 1, 1, 1),
+            mode="replicate",
+        )[0, 0]
+        > 0
+    )
     z, out = image[..., -1], image.new_empty(2 * h, 2 * w, image.shape[-1])
     for down in (0, 1):
         for right in (0, 1):
             total, sum_ = torch.full_like(z, 9.0), 9.0 * image
-            for i, j, share in ((2 * down, 1, 3.0), (1, 2 * right, 3.0), (2 * down, 2 * right, 1.0)):
+            for i, j, share in (
+                (2 * down, 1, 3.0),
+                (1, 2 * right, 3.0),
+                (2 * down, 2 * right, 1.0),
+            ):
                 there = padded[i : i + h, j : j + w]
-                same = ((there[..., -1] - z).abs() < SAME_SURFACE * z) & (around[i : i + h, j : j + w] == known)
+                same = ((there[..., -1] - z).abs() < SAME_SURFACE * z) & (
+                    around[i : i + h, j : j + w] == known
+                )
                 sum_ = sum_ + share * same[..., None] * there
                 total = total + share * same
             out[down::2, right::2] = sum_ / total[..., None]

@@ -1,17 +1,20 @@
 """From 3D Gaussians to 2D ones: elliptical weighted average (EWA) splatting, and its gradient.
 
-Source: Zwicker et al. 2002, Eq. 25-31; Kerbl et al. 2023, Eq. 5-6 and appendix A; GSFusion Eq. 2-5. The low-pass filter
-of 0.3 px^2, the clamp in J and the near plane are those of the code released with Kerbl et al. 2023.
+Source: Zwicker et al. 2002, Eq. 25-31; Kerbl et al. 2023, Eq. 5-6 and appendix A; GSFusion Eq. 2-5.
+The low-pass filter of 0.3 px^2, the clamp in J and the near plane are those of the code released
+with Kerbl et al. 2023.
 
-The gradient of a picture to the pose of its camera (``pose_vjp``) follows from those of the Gaussians. Moving the
-camera by T_WC exp(xi) shows the same picture as moving every Gaussian by the opposite motion: in the frame of the
-camera each centre x becomes exp(-xi) x and each orientation R becomes exp(-omega) R. So the pose needs no pass over the
-pixels of its own: it is a sum over the gradients that the renderer computes for the Gaussians. One term has to be taken
-out of this sum. A camera that turns in place sees the same colours, whereas Gaussians that turn around it do not turn
+The gradient of a picture to the pose of its camera (``pose_vjp``) follows from those of the
+Gaussians. Moving the camera by T_WC exp(xi) shows the same picture as moving every Gaussian by the
+opposite motion: in the frame of the camera each centre x becomes exp(-xi) x and each orientation R
+becomes exp(-omega) R. So the pose needs no pass over the pixels of its own: it is a sum over the
+gradients that the renderer computes for the Gaussians. One term has to be taken out of this sum. A
+camera that turns in place sees the same colours, whereas Gaussians that turn around it do not turn
 their spherical harmonics.
 
-Source: derived here; the tests compare it with finite differences, and with autograd through a renderer of three lines.
-Other published ways to the same gradient: MonoGS (Matsuki et al. 2024, Eq. 3-6), which goes through dx_C/dxi.
+Source: derived here; the tests compare it with finite differences, and with autograd through a
+renderer of three lines. Other published ways to the same gradient: MonoGS (Matsuki et al. 2024, Eq.
+3-6), which goes through dx_C/dxi.
 """
 
 from dataclasses import dataclass
@@ -29,18 +32,21 @@ from .constants import ALPHA_MIN, FARTHEST_PX, FRUSTUM_CLAMP, NEAR_PLANE_M, SCRE
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Projection:
-    """The Gaussians as ellipses in the image. Rows that are not ``visible`` contain finite numbers without meaning."""
+    """The Gaussians as ellipses in the image. Rows that are not ``visible`` contain finite numbers
+    without meaning."""
 
     uv: Float[Tensor, "N 2"]
     """Centre, pixels."""
     conic: Float[Tensor, "N 3"]
-    """A, B, C of sigma = (A dx^2 + C dy^2) / 2 + B dx dy: the inverse of the 2D covariance, 1/px^2."""
+    """A, B, C of sigma = (A dx^2 + C dy^2) / 2 + B dx dy: the inverse of the 2D covariance,
+    1/px^2."""
     depth_m: Float[Tensor, " N"]
     """z of the centre in the camera frame, metres."""
     opacity: Float[Tensor, " N"]
     """Peak opacity."""
     extent_px: Float[Tensor, "N 2"]
-    """Half width and half height of the box outside which alpha is below 1/255, pixels. No gradient."""
+    """Half width and half height of the box outside which alpha is below 1/255, pixels. No
+    gradient."""
     visible: Bool[Tensor, " N"]
     """In front of the near plane, at least 1/255 opaque, and of finite position and size."""
 
@@ -56,12 +62,15 @@ class ProjectionGradient:
 
 
 @piece
-def project_gaussians(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Projection:
+def project_gaussians(
+    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]
+) -> Projection:
     """Project every Gaussian onto the image plane.
 
     Args:
         params: Gaussians before activation, N rows; the colour is not used.
-        camera: Pinhole camera. The clamp in J is symmetric about the image centre, whatever cx and cy are.
+        camera: Pinhole camera. The clamp in J is symmetric about the image centre, whatever cx and
+            cy are.
         T_WC: Camera-to-world pose.
 
     Returns:
@@ -73,18 +82,32 @@ def project_gaussians(params: GaussianParams, camera: Camera, T_WC: Float[Tensor
     u = camera.fx * s.x / s.z + camera.cx  # GSFusion Eq. 4
     v = camera.fy * s.y / s.z + camera.cy
     opacity = params.opacity_logit.sigmoid()
-    reach = 2 * (opacity / ALPHA_MIN).clamp_min(1.0).log()  # o exp(-sigma) = 1/255 at 2 sigma = 2 ln(255 o)
+    reach = (
+        2 * (opacity / ALPHA_MIN).clamp_min(1.0).log()
+    )  # o exp(-sigma) = 1/255 at 2 sigma = 2 ln(255 o)
     extent_px = (reach[:, None] * s.cov.diagonal(dim1=1, dim2=2)).sqrt()
     uv = torch.stack([u, v], dim=-1)
-    finite = s.depth_m.isfinite() & ((uv.abs() < FARTHEST_PX) & (extent_px < FARTHEST_PX)).all(1)  # false for a NaN
+    finite = s.depth_m.isfinite() & ((uv.abs() < FARTHEST_PX) & (extent_px < FARTHEST_PX)).all(
+        1
+    )  # false for a NaN
     values = {
         "uv": uv,
-        "conic": torch.stack([s.Q[:, 0, 0], s.Q[:, 0, 1], s.Q[:, 1, 1]], dim=-1),
+        "conic": torch.stack(
+            [s.Q[:, 0, 0], s.Q[:, 0, 1], s.Q[:, 1, 1]],
+            dim=-1,
+        ),
         "depth_m": s.depth_m,
         "opacity": opacity,
         "extent_px": extent_px,
     }
-    columns = {name: torch.where(finite.view(-1, *[1] * (x.ndim - 1)), x, 0.0) for name, x in values.items()}
+    columns = {
+        name: torch.where(
+            finite.view(-1, *[1] * (x.ndim - 1)),
+            x,
+            0.0,
+        )
+        for name, x in values.items()
+    }
     return Projection(**columns, visible=s.in_front & finite & (opacity >= ALPHA_MIN))
 
 
@@ -100,7 +123,8 @@ def project_gaussians_vjp(
 ) -> ProjectionGradient:
     """Gradient of ``project_gaussians``, from the screen-space Gaussians to the parameters.
 
-    Where x/z or y/z is clamped in J, it gets no gradient through J. Rows behind the near plane get zero.
+    Where x/z or y/z is clamped in J, it gets no gradient through J. Rows behind the near plane get
+    zero.
 
     Args:
         params, camera, T_WC: as given to ``project_gaussians``.
@@ -169,7 +193,11 @@ def _splat(params: GaussianParams, camera: Camera, T_WC: Tensor) -> _Splat:
 
     limit_x = FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx
     limit_y = FRUSTUM_CLAMP * 0.5 * camera.height / camera.fy
-    tx, ty, o = (x / z).clamp(-limit_x, limit_x), (y / z).clamp(-limit_y, limit_y), torch.zeros_like(z)
+    tx, ty, o = (
+        (x / z).clamp(-limit_x, limit_x),
+        (y / z).clamp(-limit_y, limit_y),
+        torch.zeros_like(z),
+    )
     J = _matrix([[camera.fx / z, o, -camera.fx * tx / z], [o, camera.fy / z, -camera.fy * ty / z]])
 
     R, S = quaternion.to_matrix(params.quat), params.log_scale.exp().diag_embed()
@@ -177,37 +205,59 @@ def _splat(params: GaussianParams, camera: Camera, T_WC: Tensor) -> _Splat:
     M = J @ W @ R @ S  # so that Sigma' = M M^T: GSFusion Eq. 2 and 5
     cov = M @ M.mT + SCREEN_BLUR_PX2 * torch.eye(2).to(M)
     uu, uv, vv = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
-    # det(M M^T + e I) = |m_u x m_v|^2 + e tr(M M^T) + e^2: for a needle, uu vv - uv^2 would lose all digits in float32
+    # det(M M^T + e I) = |m_u x m_v|^2 + e tr(M M^T) + e^2: for a needle, uu vv - uv^2 would lose
+    # all digits in float32
     cross, trace = torch.linalg.cross(M[:, 0], M[:, 1]), (M * M).sum((1, 2))
     det = (cross * cross).sum(-1) + SCREEN_BLUR_PX2 * trace + SCREEN_BLUR_PX2**2
     Q = _matrix([[vv, -uv], [-uv, uu]]) / det[:, None, None]
     return _Splat(
-        W=W, depth_m=depth_m, in_front=in_front, x=x, y=y, z=z, tx=tx, ty=ty, J=J, R=R, S=S, M=M, cov=cov, Q=Q
-    )  # fmt: skip
+        W=W,
+        depth_m=depth_m,
+        in_front=in_front,
+        x=x,
+        y=y,
+        z=z,
+        tx=tx,
+        ty=ty,
+        J=J,
+        R=R,
+        S=S,
+        M=M,
+        cov=cov,
+        Q=Q,
+    )
 
 
 def _matrix(rows: list[list[Tensor]]) -> Tensor:
-    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+    return torch.stack(
+        [torch.stack(row, dim=-1) for row in rows],
+        dim=-2,
+    )
 
 
-def pose_vjp(params: GaussianParams, v_params: GaussianParams, T_WC: Float[Tensor, "4 4"]) -> Float[Tensor, " 6"]:
+def pose_vjp(
+    params: GaussianParams, v_params: GaussianParams, T_WC: Float[Tensor, "4 4"]
+) -> Float[Tensor, " 6"]:
     """dL/dxi at xi = 0 for a camera at T_WC exp(xi).
 
     Args:
         params: The Gaussians that were drawn, N rows.
-        v_params: What ``render_vjp`` returned for all of them: rows that it was told to freeze are missing in the sum.
+        v_params: What ``render_vjp`` returned for all of them: rows that it was told to freeze are
+            missing in the sum.
         T_WC: Camera-to-world pose of the picture.
 
     Returns:
-        Gradient with respect to the twist in the frame of the camera, translation (per metre) first, then rotation (per
-        radian), as ``geometry.se3.exp`` takes it. [6]
+        Gradient with respect to the twist in the frame of the camera, translation (per metre)
+        first, then rotation (per radian), as ``geometry.se3.exp`` takes it. [6]
     """
     R_WC, centre_W = T_WC[:3, :3].to(params.xyz_W), T_WC[:3, 3].to(params.xyz_W)
     arm = params.xyz_W - centre_W
     v_x = v_params.xyz_W  # a camera that moves by rho: dx = -rho
     v_turn = v_x
     if params.sh.shape[1] > 1:
-        v_rgb = v_params.sh[:, 0] / SH_C0  # dL/dsh_0 = Y_0 dL/drgb, zero where the colour was clamped
+        v_rgb = (
+            v_params.sh[:, 0] / SH_C0
+        )  # dL/dsh_0 = Y_0 dL/drgb, zero where the colour was clamped
         v_turn = v_x - sh_to_rgb_vjp(params.sh, params.xyz_W, centre_W, v_rgb)[1]
     v_rho_W = -v_x.sum(0)
     # a camera that turns by omega: dx = -omega x arm, so  dL = -omega . (arm x dL/dx)
@@ -222,7 +272,8 @@ def pose_vjp(params: GaussianParams, v_params: GaussianParams, T_WC: Float[Tenso
 def pose_matrix_vjp(
     params: GaussianParams, v_params: GaussianParams, T_WC: Float[Tensor, "4 4"]
 ) -> Float[Tensor, "4 4"]:
-    """dL/dT_WC along rigid motions; arguments as for ``pose_vjp``, whose g = (g_rho, g_omega) it puts into a matrix.
+    """dL/dT_WC along rigid motions; arguments as for ``pose_vjp``, whose g = (g_rho, g_omega) it
+    puts into a matrix.
 
         v_T = [ R hat(g_omega) / 2   R g_rho ]
               [         0               0    ]

@@ -1,4 +1,5 @@
-"""The whole renderer: project, colour, tile lists, composite; and its gradient, the stages in reverse order."""
+"""The whole renderer: project, colour, tile lists, composite; and its gradient, the stages in
+reverse order."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -34,16 +35,18 @@ class RenderSaved(Record):
 
 
 def render(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
-    """Draw the Gaussian map from a camera: colour, blended depth, alpha, first and dominant Gaussian.
+    """Draw the Gaussian map from a camera: colour, blended depth, alpha, first and dominant
+    Gaussian.
 
     Args:
-        params: The map; any number of rows, even none; float32 or float64. A Gaussian whose centre, size, opacity or
-            colour is NaN or infinite is not drawn and has zero gradient.
+        params: The map; any number of rows, even none; float32 or float64. A Gaussian whose centre,
+            size, opacity or colour is NaN or infinite is not drawn and has zero gradient.
         camera: Pinhole camera, any image size.
         T_WC: Camera-to-world pose.
 
     Differentiable: use ``render_forward`` with ``render_vjp``, or ``render_autograd``.
-    Source: Kerbl et al. 2023; the clamps and cuts, which are not in the paper, are in ``constants``.
+    Source: Kerbl et al. 2023; the clamps and cuts, which are not in the paper, are in
+    ``constants``.
     """
     return render_forward(params, camera, T_WC)[0]
 
@@ -63,7 +66,13 @@ def check_render(
     if opaque_alpha is not None:
         check_positive("opaque_alpha", opaque_alpha)
     if pixels is not None:
-        check_operand("pixels", pixels, (camera.height, camera.width), dtypes=MASK, device=params.xyz_W.device)
+        check_operand(
+            "pixels",
+            pixels,
+            (camera.height, camera.width),
+            dtypes=MASK,
+            device=params.xyz_W.device,
+        )
 
 
 def check_render_vjp(
@@ -83,12 +92,19 @@ def check_render_vjp(
 
 
 def check_rows(like: Tensor, rows: Any, **centres: Any) -> None:
-    """Raise ``ValueError`` unless the rows to train, and what is filled for the centres, fit those of ``like``."""
+    """Raise ``ValueError`` unless the rows to train, and what is filled for the centres, fit those
+    of ``like``."""
     if rows is not None:
         check_operand("rows", rows, (len(like),), dtypes=MASK, device=like.device)
     for name, out in centres.items():
         if out is not None:
-            check_operand(name, out, (len(like), 2), dtypes=(like.dtype,), device=like.device)
+            check_operand(
+                name,
+                out,
+                (len(like), 2),
+                dtypes=(like.dtype,),
+                device=like.device,
+            )
 
 
 @op("rasterize", check_render)
@@ -105,11 +121,13 @@ def render_forward(
 
     Args:
         params, camera, T_WC: as given to ``render``.
-        with_indices: Find the first and the dominant Gaussian of each pixel. An optimiser does not need them; with
-            False both are ``None``, which is a little faster.
-        opaque_alpha: If given, also find the Gaussians for ``disc_depth``; the paper's is ``OPAQUE_ALPHA``.
-        pixels: Draw only where this is true; elsewhere all images are 0, indices -1 and gradients zero. Tiles without
-            such a pixel take no time. (Peng et al. 2024, RTG-SLAM, section 3.2.) [H, W]
+        with_indices: Find the first and the dominant Gaussian of each pixel. An optimiser does not
+            need them; with False both are ``None``, which is a little faster.
+        opaque_alpha: If given, also find the Gaussians for ``disc_depth``; the paper's is
+            ``OPAQUE_ALPHA``.
+        pixels: Draw only where this is true; elsewhere all images are 0, indices -1 and gradients
+            zero. Tiles without such a pixel take no time. (Peng et al. 2024, RTG-SLAM, section
+            3.2.) [H, W]
 
     Raises:
         ValueError: ``pixels`` is not boolean or not of the camera's size.
@@ -119,7 +137,11 @@ def render_forward(
         projection = project_gaussians(params, camera, T_WC)
         drawn = projection.visible & params.sh.isfinite().all(2).all(1)
         projection = dataclasses.replace(projection, visible=drawn)
-        rgb = torch.where(drawn[:, None], sh_to_rgb(params.sh, params.xyz_W, T_WC[:3, 3]), 0.0)
+        rgb = torch.where(
+            drawn[:, None],
+            sh_to_rgb(params.sh, params.xyz_W, T_WC[:3, 3]),
+            0.0,
+        )
         tiles = tile_intersections(projection, camera, pixels=pixels)
         image = composite(
             projection.uv,
@@ -149,7 +171,12 @@ def render_forward(
         tiles=tiles,
     )
     return output, RenderSaved(
-        params=params, camera=camera, T_WC=T_WC, drawn=drawn, composite=image.saved, screen=screen
+        params=params,
+        camera=camera,
+        T_WC=T_WC,
+        drawn=drawn,
+        composite=image.saved,
+        screen=screen,
     )
 
 
@@ -168,25 +195,45 @@ def render_vjp(
 
     Args:
         saved: Second result of ``render_forward``.
-        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Pixels that were not drawn are ignored.
-        rows: Compute gradients only where this is true; the other Gaussians are frozen, which takes less time. [N]
-        v_uv: If given, it is filled with dL/d of the centres in the image, per pixel, their size and shape in the image
-            held fixed; densification decides by it (Kerbl et al. 2023, section 5.2). Zero as the other gradients are.
-        v_uv_abs: If given, it is filled with the same sum over the pixels, but of absolute values: pixels that pull a
-            Gaussian to opposite sides do not cancel (Ye et al. 2024, AbsGS). Zero as the other gradients are.
+        v_rgb, v_depth_m, v_alpha: dL/d of the images; ``None`` is zero. Pixels that were not drawn
+            are ignored.
+        rows: Compute gradients only where this is true; the other Gaussians are frozen, which takes
+            less time. [N]
+        v_uv: If given, it is filled with dL/d of the centres in the image, per pixel, their size
+            and shape in the image held fixed; densification decides by it (Kerbl et al. 2023,
+            section 5.2). Zero as the other gradients are.
+        v_uv_abs: If given, it is filled with the same sum over the pixels, but of absolute values:
+            pixels that pull a Gaussian to opposite sides do not cancel (Ye et al. 2024, AbsGS).
+            Zero as the other gradients are.
 
     Returns:
-        Gradients, in the shape of the parameters; zero for a Gaussian that is not seen or is frozen.
+        Gradients, in the shape of the parameters; zero for a Gaussian that is not seen or is
+        frozen.
 
     Raises:
-        ValueError: ``rows`` is not boolean or not of the length of the parameters; ``v_uv`` or ``v_uv_abs`` is not
-            [N, 2] of the parameters' type.
+        ValueError: ``rows`` is not boolean or not of the length of the parameters; ``v_uv`` or
+            ``v_uv_abs`` is not [N, 2] of the parameters' type.
     """
     params = saved.params
     with torch.no_grad():
-        v = composite_vjp(saved.composite, v_rgb, v_depth_m, v_alpha, with_uv_abs=v_uv_abs is not None)
-        v_sh, v_xyz_W = sh_to_rgb_vjp(params.sh, params.xyz_W, saved.T_WC[:3, 3], v.rgb)
-        g = project_gaussians_vjp(params, saved.camera, saved.T_WC, v.uv, v.conic, v.depth_m, v.opacity)
+        v = composite_vjp(
+            saved.composite, v_rgb, v_depth_m, v_alpha, with_uv_abs=v_uv_abs is not None
+        )
+        v_sh, v_xyz_W = sh_to_rgb_vjp(
+            params.sh,
+            params.xyz_W,
+            saved.T_WC[:3, 3],
+            v.rgb,
+        )
+        g = project_gaussians_vjp(
+            params,
+            saved.camera,
+            saved.T_WC,
+            v.uv,
+            v.conic,
+            v.depth_m,
+            v.opacity,
+        )
     gradient = {
         "xyz_W": g.xyz_W + v_xyz_W,  # the centre affects position and view direction
         "log_scale": g.log_scale,
@@ -204,21 +251,34 @@ def render_vjp(
 
 
 class Render(torch.autograd.Function):
-    """Binds ``render_forward``, ``render_vjp`` and ``pose_matrix_vjp`` to autograd; no arithmetic here."""
+    """Binds ``render_forward``, ``render_vjp`` and ``pose_matrix_vjp`` to autograd; no arithmetic
+    here."""
 
     @staticmethod
     def forward(ctx, camera, T_WC, xyz_W, log_scale, quat, opacity_logit, sh):
-        params = GaussianParams(xyz_W=xyz_W, log_scale=log_scale, quat=quat, opacity_logit=opacity_logit, sh=sh)
+        params = GaussianParams(
+            xyz_W=xyz_W, log_scale=log_scale, quat=quat, opacity_logit=opacity_logit, sh=sh
+        )
         out, ctx.record = render_forward(params, camera, T_WC)
-        # the check of saved tensors notices a change in place, also of the images, which a fast record may share
-        ctx.save_for_backward(T_WC, *vars(params).values(), out.rgb, out.depth_m, out.alpha)
+        # the check of saved tensors notices a change in place, also of the images, which a fast
+        # record may share
+        ctx.save_for_backward(
+            T_WC,
+            *vars(params).values(),
+            out.rgb,
+            out.depth_m,
+            out.alpha,
+        )
         ctx.mark_non_differentiable(out.first_index, out.dominant_index)
         return out.rgb, out.depth_m, out.alpha, out.first_index, out.dominant_index
 
     @staticmethod
     def backward(ctx, *v):
         if torch.is_grad_enabled():
-            raise RuntimeError("render_autograd has first derivatives only; expected a backward without create_graph")
+            raise RuntimeError(
+                "render_autograd has first derivatives only; expected a backward without "
+                "create_graph"
+            )
         T_WC, *columns = ctx.saved_tensors[:-3]
         g = render_vjp(ctx.record, *v[:3])
         params = GaussianParams(**dict(zip(vars(g), columns, strict=True)))
@@ -226,18 +286,27 @@ class Render(torch.autograd.Function):
         return None, v_T_WC, g.xyz_W, g.log_scale, g.quat, g.opacity_logit, g.sh
 
 
-def render_autograd(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
+def render_autograd(
+    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]
+) -> RenderOutput:
     """``render`` for ``loss.backward()``, with the same arguments.
 
-    Differentiable: once, in every parameter and in the pose. The gradient of ``T_WC`` is that of ``pose_matrix_vjp``:
-    it is exact for every way to compute a rigid ``T_WC``, such as ``T_0 @ se3.exp(xi)`` or ``se3.inverse(T_CW)``. A
-    matrix that is itself a leaf has to be moved along it as a rigid motion.
+    Differentiable: once, in every parameter and in the pose. The gradient of ``T_WC`` is that of
+    ``pose_matrix_vjp``: it is exact for every way to compute a rigid ``T_WC``, such as
+    ``T_0 @ se3.exp(xi)`` or ``se3.inverse(T_CW)``. A matrix that is itself a leaf has to be moved
+    along it as a rigid motion.
 
     Raises:
-        RuntimeError: in a backward with ``create_graph``: there are no second derivatives; or after a parameter, the
-            pose or a picture was changed in place since.
+        RuntimeError: in a backward with ``create_graph``: there are no second derivatives; or after
+            a parameter, the pose or a picture was changed in place since.
     """
     rgb, depth_m, alpha, first_index, dominant_index = Render.apply(
         camera, T_WC, params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh
     )  # pyright: ignore[reportGeneralTypeIssues]
-    return RenderOutput(rgb=rgb, depth_m=depth_m, alpha=alpha, first_index=first_index, dominant_index=dominant_index)
+    return RenderOutput(
+        rgb=rgb,
+        depth_m=depth_m,
+        alpha=alpha,
+        first_index=first_index,
+        dominant_index=dominant_index,
+    )

@@ -16,7 +16,8 @@ from .project import Projection
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TileLists:
-    """One list of Gaussians per tile, one after another: tile t has ``gaussian[offset[t] : offset[t + 1]]``."""
+    """One list of Gaussians per tile, one after another: tile t has
+    ``gaussian[offset[t] : offset[t + 1]]``."""
 
     gaussian: Int[Tensor, " I"]
     """Row of the Gaussian, by tile, then by depth."""
@@ -30,32 +31,47 @@ class TileLists:
     """Pixels to draw; ``None`` means all. Tiles without such a pixel have empty lists."""
 
     def check(self, n: int, camera: Camera) -> None:
-        """Raise ``ValueError`` unless these are lists of ``n`` Gaussians on the image of ``camera``."""
+        """Raise ``ValueError`` unless these are lists of ``n`` Gaussians on the image of
+        ``camera``."""
         tiles = (-(-camera.width // self.tile_px), -(-camera.height // self.tile_px))
         if (self.tiles_x, self.tiles_y) != tiles:
             raise ValueError(
-                f"tiles must be {tiles[0]} x {tiles[1]} for this camera, got {self.tiles_x} x {self.tiles_y}"
+                f"tiles must be {tiles[0]} x {tiles[1]} for this camera, got {self.tiles_x} x "
+                f"{self.tiles_y}"
             )
-        if self.gaussian.device.type == "cpu" and len(self.gaussian) and int(self.gaussian.max()) >= n:
+        if (
+            self.gaussian.device.type == "cpu"
+            and len(self.gaussian)
+            and int(self.gaussian.max()) >= n
+        ):
             raise ValueError(
-                f"tiles must name rows of the {n} Gaussians, got {int(self.gaussian.max())}; are they of another map?"
+                f"tiles must name rows of the {n} Gaussians, got {int(self.gaussian.max())}; are "
+                "they of another map?"
             )
 
     def gaussians_of(self, tile: int) -> Int[Tensor, " K"]:
         """The list of one tile, nearest first."""
         return self.gaussian[self.offset[tile] : self.offset[tile + 1]]
 
-    def pixels_of(self, tile: int, camera: Camera) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
+    def pixels_of(
+        self,
+        tile: int,
+        camera: Camera,
+    ) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
         """Rows and columns of the pixels of a tile that will be drawn."""
         drawn = self.pixels
         if drawn is None:
-            drawn = torch.ones(camera.height, camera.width, dtype=torch.bool, device=self.gaussian.device)
+            drawn = torch.ones(
+                camera.height, camera.width, dtype=torch.bool, device=self.gaussian.device
+            )
         top, left = tile // self.tiles_x * self.tile_px, tile % self.tiles_x * self.tile_px
         y, x = drawn[top : top + self.tile_px, left : left + self.tile_px].nonzero().unbind(-1)
         return top + y, left + x
 
 
-def check_tiles(projection: Any, camera: Any, *, tile_px: int = TILE_PX, pixels: Any = None) -> None:
+def check_tiles(
+    projection: Any, camera: Any, *, tile_px: int = TILE_PX, pixels: Any = None
+) -> None:
     """Raise ``ValueError`` for arguments that ``tile_intersections`` refuses."""
     if not isinstance(projection, Projection):
         raise ValueError(f"projection must be a Projection, got {type(projection).__name__}")
@@ -63,17 +79,28 @@ def check_tiles(projection: Any, camera: Any, *, tile_px: int = TILE_PX, pixels:
     if not isinstance(tile_px, int) or tile_px < 1:
         raise ValueError(f"tile_px must be a whole number of at least 1, got {tile_px}")
     if pixels is not None:
-        check_operand("pixels", pixels, (camera.height, camera.width), dtypes=MASK, device=projection.uv.device)
+        check_operand(
+            "pixels",
+            pixels,
+            (camera.height, camera.width),
+            dtypes=MASK,
+            device=projection.uv.device,
+        )
 
 
 @op("binning", check_tiles)
 def tile_intersections(
-    projection: Projection, camera: Camera, *, tile_px: int = TILE_PX, pixels: Bool[Tensor, "H W"] | None = None
+    projection: Projection,
+    camera: Camera,
+    *,
+    tile_px: int = TILE_PX,
+    pixels: Bool[Tensor, "H W"] | None = None,
 ) -> TileLists:
     """Sorted lists of the Gaussians that each tile may show.
 
-    A Gaussian is listed in every tile that meets the box outside which its alpha is below 1/255. (A faster backend may
-    leave out a tile that meets the box, but not the ellipse in it.) Equal depths keep row order.
+    A Gaussian is listed in every tile that meets the box outside which its alpha is below 1/255. (A
+    faster backend may leave out a tile that meets the box, but not the ellipse in it.) Equal depths
+    keep row order.
 
     Args:
         projection: Screen-space Gaussians.
@@ -84,7 +111,8 @@ def tile_intersections(
     Raises:
         ValueError: ``pixels`` is not boolean or not of the camera's size.
 
-    Differentiable: no (a list; the neglected gradient at the border of a box is as small as the cut at 1/255).
+    Differentiable: no (a list; the neglected gradient at the border of a box is as small as the cut
+    at 1/255).
     """
     nearest_first = projection.depth_m.argsort(stable=True)
     nearest_first = nearest_first[projection.visible[nearest_first]]

@@ -1,4 +1,5 @@
-"""Runs of a mapper over a sequence or a stream: the loop over the frames, timing, checkpoints, files and scores."""
+"""Runs of a mapper over a sequence or a stream: the loop over the frames, timing, checkpoints,
+files and scores."""
 
 from .map_sequence import FinishedRun as FinishedRun
 from .map_sequence import map_stream as map_stream

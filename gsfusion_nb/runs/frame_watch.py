@@ -1,7 +1,8 @@
 """An observer beside a run: do the frames agree with each other as those of a right recording do?
 
 It measures what ``gsfusion-nb check`` measures first, on small copies of the frames that are mapped
-anyway, and says one sentence where they do not agree. It draws no random number and changes nothing.
+anyway, and says one sentence where they do not agree. It draws no random number and changes
+nothing.
 """
 
 import dataclasses
@@ -13,9 +14,22 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from ..data.adjust.first_frames import FirstAgreement, SmallFrame, agreement_of, pairs_of, stands_still
+from ..data.adjust.first_frames import (
+    FirstAgreement,
+    SmallFrame,
+    agreement_of,
+    pairs_of,
+    stands_still,
+)
 from ..data.adjust.reprojection import Reprojection
-from ..data.adjust.steps import JUMP_ERROR, STEPS_AROUND, STILL_DEG, STILL_M, find_jumps, repeated_image
+from ..data.adjust.steps import (
+    JUMP_ERROR,
+    STEPS_AROUND,
+    STILL_DEG,
+    STILL_M,
+    find_jumps,
+    repeated_image,
+)
 from ..geometry import se3
 from ..mapping.localiser import jump_from
 from ..mapping.usual_torch import usual_torch
@@ -25,30 +39,33 @@ ADVICE = "run `gsfusion-nb check DATA`"
 """How each sentence ends."""
 
 COMPARED = 12
-"""Frames that are compared with each other: the first dozen, then every second of twice as many, and so on."""
+"""Frames that are compared with each other: the first dozen, then every second of twice as many,
+and so on."""
 WIDEST = 8
 """The last comparison takes every eighth frame, up to the 89th."""
 FEWEST = 4
 """Frames to compare."""
 BETTER = 0.02
-"""Frames that agree this much better under another reading are doubted: right recordings gain at most 0.007, wrong
-ones 0.2 to 0.5 in the middle (docs/check.md has the distributions)."""
+"""Frames that agree this much better under another reading are doubted: right recordings gain at
+most 0.007, wrong ones 0.2 to 0.5 in the middle (docs/check.md has the distributions)."""
 LEAST_OVERLAP = 0.2
 """With fewer of the points on a measured depth, a chance agreement of few points ..."""
 FAR_BETTER = 0.3
 """... must be this much better."""
 LEAST_SHARE = 0.7
-"""Of the points that fall on a measured depth so many agree with it: of right recordings 0.86 and more."""
+"""Of the points that fall on a measured depth so many agree with it: of right recordings 0.86 and
+more."""
 MOST_COLOUR = 0.75
-"""Pictures that do not move as depth does differ so much of what they would if nothing had moved: of right recordings
-at most 0.54, of pictures in another order 0.82 and more."""
+"""Pictures that do not move as depth does differ so much of what they would if nothing had moved:
+of right recordings at most 0.54, of pictures in another order 0.82 and more."""
 _EXPLAINED = 0.5
-"""Another reading explains frames that do not agree if it agrees to this share of the points on a depth."""
+"""Another reading explains frames that do not agree if it agrees to this share of the points on a
+depth."""
 _SETTLED = 3
 """Steps after one before it is judged."""
 _CHANGE, _CHANGE_OF_USUAL = 0.02, 3.0
-"""Depth that differs from that of the frame before, pixel by pixel, by less than this share, or this many
-times the usual difference, has not changed as at another place."""
+"""Depth that differs from that of the frame before, pixel by pixel, by less than this share, or
+this many times the usual difference, has not changed as at another place."""
 _LEAST_POINTS = 50
 """Of a pair of frames, to compare their depth."""
 
@@ -57,8 +74,8 @@ class FrameWatch:
     """Looks at every mapped frame of a run until it has said something.
 
     Args:
-        is_tracking: Whether the poses are tracked. They may then jump where the camera is found again, and an image may
-            be repeated.
+        is_tracking: Whether the poses are tracked. They may then jump where the camera is found
+            again, and an image may be repeated.
     """
 
     def __init__(self, *, is_tracking: bool):
@@ -90,8 +107,14 @@ class FrameWatch:
             self._last, self._last_small = frame, small
             return said or self._keep(number, small, poses)
 
-    def look_again(self, n: int, read: Callable[[int], Frame], poses: list[Float[Tensor, "4 4"]]) -> None:
-        """Be where a watch is that has seen the last ``n`` frames: look again at those it would still know.
+    def look_again(
+        self,
+        n: int,
+        read: Callable[[int], Frame],
+        poses: list[Float[Tensor, "4 4"]],
+    ) -> None:
+        """Be where a watch is that has seen the last ``n`` frames: look again at those it would
+        still know.
 
         Args:
             n: Number of frames.
@@ -124,7 +147,12 @@ class FrameWatch:
         self._compared, self._spacing, self._n, self._is_judged = [], 1, 0, False
         self._last, self._last_small, self._steps = None, None, []
 
-    def _keep(self, number: int, small: SmallFrame, poses: list[Float[Tensor, "4 4"]]) -> str:
+    def _keep(
+        self,
+        number: int,
+        small: SmallFrame,
+        poses: list[Float[Tensor, "4 4"]],
+    ) -> str:
         """Take every ``_spacing``-th frame, and compare when there are enough."""
         if self._spacing <= WIDEST and self._n % self._spacing == 0:
             self._compared.append((number, small))
@@ -146,14 +174,27 @@ class FrameWatch:
         doubt = doubt_of(found)
         return doubt and f"frames {frames[0].index} to {frames[-1].index} {doubt}; {ADVICE}"
 
-    def _step(self, frame: Frame, small: SmallFrame, poses: list[Float[Tensor, "4 4"]]) -> str:
+    def _step(
+        self,
+        frame: Frame,
+        small: SmallFrame,
+        poses: list[Float[Tensor, "4 4"]],
+    ) -> str:
         """Compare with the frame before."""
         if self._last is None or self._last_small is None:
             return ""
         turned_deg, moved_m = se3.motion(poses[-2], poses[-1])
         repeated = repeated_image(self._last, frame)
-        pair = pairs_of([self._last_small, small], poses[-2:], [(0, 1)])
-        before = {"index": self._last.index, "timestamp_s": self._last.timestamp_s, "T_WC": poses[-2]}
+        pair = pairs_of(
+            [self._last_small, small],
+            poses[-2:],
+            [(0, 1)],
+        )
+        before = {
+            "index": self._last.index,
+            "timestamp_s": self._last.timestamp_s,
+            "T_WC": poses[-2],
+        }
         step = {
             "from": self._last.index,
             "to": frame.index,
@@ -170,37 +211,48 @@ class FrameWatch:
         if not repeated or is_still or (self._is_tracking and repeated == "colour and depth"):
             return self._jump(settled=_SETTLED)
         return (
-            f"frame {frame.index} has the {repeated} of frame {self._last.index}, pixel by pixel, although its pose is "
-            f"{100 * moved_m:.2g} cm and {turned_deg:.2g} degrees away (usual: no image is repeated while the camera "
-            f"moves); {ADVICE}"
+            f"frame {frame.index} has the {repeated} of frame {self._last.index}, pixel by pixel, "
+            f"although its pose is {100 * moved_m:.2g} cm and {turned_deg:.2g} degrees away "
+            f"(usual: no image is repeated while the camera moves); {ADVICE}"
         )
 
     def _jump(self, *, settled: int) -> str:
         """The first step that depth does not confirm, if ``settled`` others came after it.
 
-        A step over a pause may be longer. One that no camera makes is told by the mapper. Where the depth
-        image changes, too, much more than in the other steps, the recording goes on at another place.
+        A step over a pause may be longer. One that no camera makes is told by the mapper. Where the
+        depth image changes, too, much more than in the other steps, the recording goes on at
+        another place.
         """
         if self._is_tracking or all(step["error"] <= JUMP_ERROR for step in self._steps):
             return ""
         turned, moved, seconds, error, still, repeated, is_told = (
             np.array([step[name] for step in self._steps])
-            for name in ("turned_deg", "moved_m", "seconds", "error", "still", "repeated", "is_told")
+            for name in (
+                "turned_deg",
+                "moved_m",
+                "seconds",
+                "error",
+                "still",
+                "repeated",
+                "is_told",
+            )
         )
         usual = float(np.nanmedian(still)) if np.isfinite(still).any() else 0.0
         goes_on = ~(still <= max(_CHANGE, _CHANGE_OF_USUAL * usual))
         longer = np.maximum(1.0, seconds / max(float(np.median(seconds)), 1e-6))
         frozen = repeated | np.append(repeated[1:], False)
         found = find_jumps(turned / longer, moved / longer, error, frozen)
-        jumps = [i for i in found if i < len(self._steps) - settled and not is_told[i] and not goes_on[i]]
+        jumps = [
+            i for i in found if i < len(self._steps) - settled and not is_told[i] and not goes_on[i]
+        ]
         if not jumps:
             return ""
         i = min(jumps)
         step = self._steps[i]
         return (
-            f"the pose jumps by {moved[i]:.2g} m and {turned[i]:.2g} degrees from frame {step['from']} to "
-            f"{step['to']}, and depth does not follow (usual here: {np.median(moved):.2g} m and "
-            f"{np.median(turned):.2g} degrees a frame); {ADVICE}"
+            f"the pose jumps by {moved[i]:.2g} m and {turned[i]:.2g} degrees from frame "
+            f"{step['from']} to {step['to']}, and depth does not follow (usual here: "
+            f"{np.median(moved):.2g} m and {np.median(turned):.2g} degrees a frame); {ADVICE}"
         )
 
 
@@ -216,17 +268,19 @@ def doubt_of(found: FirstAgreement) -> str:
     explains = not disagrees or found.other > _EXPLAINED * found.overlap
     if explains and found.gain > (BETTER if found.overlap >= LEAST_OVERLAP else FAR_BETTER):
         return (
-            f"agree in depth to {found.as_read:.0%} as read, but to {found.other:.0%} with {found.reading} "
-            "(usual: best as read)"
+            f"agree in depth to {found.as_read:.0%} as read, but to {found.other:.0%} with "
+            f"{found.reading} (usual: best as read)"
         )
     if disagrees:
         return (
-            f"do not agree: of the points that fall on a depth of another one, {found.share / found.overlap:.0%} agree "
+            "do not agree: of the points that fall on a depth of another one, "
+            f"{found.share / found.overlap:.0%} agree "
             f"with it within 3 % (usual: at least {LEAST_SHARE:.0%})"
         )
     if found.colour > MOST_COLOUR:
         return (
-            f"agree in depth, but their pictures do not follow: the same points differ by {found.colour:.0%} of what "
+            "agree in depth, but their pictures do not follow: the same points differ by "
+            f"{found.colour:.0%} of what "
             f"they would if nothing moved (usual: at most {MOST_COLOUR:.0%})"
         )
     return ""
@@ -248,7 +302,8 @@ class WatchedRun(Protocol):
 
 
 class QuietWatch:
-    """The watch of one run, until it has said something; whatever happens in it, the run goes on."""
+    """The watch of one run, until it has said something; whatever happens in it, the run goes
+    on."""
 
     def __init__(self):
         self._watch: FrameWatch | None = None
@@ -259,13 +314,17 @@ class QuietWatch:
         self._is_over = any(sentence.endswith(ADVICE) for sentence in run.warnings)
 
     def look(self, run: WatchedRun, frame: Frame | None) -> None:
-        """Look at the frame that was mapped last; None: no more will come. What is doubtful the run warns of."""
+        """Look at the frame that was mapped last; None: no more will come. What is doubtful the run
+        warns of."""
         if self._is_over:
             return
         try:
             said = self._look(run, frame)
         except Exception as e:
-            said = f"whether the frames agree is not watched any further ({type(e).__name__}: {e}); {ADVICE}"
+            said = (
+                f"whether the frames agree is not watched any further ({type(e).__name__}: "
+                f"{e}); {ADVICE}"
+            )
         if said:
             self._is_over, self._watch = True, None
             run.warn_once(said)

@@ -1,4 +1,5 @@
-"""One run over a sequence: the loop over frames, timing, interruption, checkpoints. ``outputs`` writes the results."""
+"""One run over a sequence: the loop over frames, timing, interruption, checkpoints. ``outputs``
+writes the results."""
 
 import copy
 import dataclasses
@@ -12,7 +13,14 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from ..data import FrameStore, OpenedSequence, RecordedSequence, SequenceError, SequenceView, data_files
+from ..data import (
+    FrameStore,
+    OpenedSequence,
+    RecordedSequence,
+    SequenceError,
+    SequenceView,
+    data_files,
+)
 from ..data.adjust.repair import as_read
 from ..data.stream import read_ahead
 from ..export import CheckpointStore
@@ -30,22 +38,31 @@ from .run_folder import CHECKPOINTS, StepLog, packed, random_state
 log = logging.getLogger(__name__)
 
 MAX_BAD_FRAMES_IN_A_ROW = 20
-"""After more unusable frames in a row than this, the run stops; a lost camera is looked for until the end."""
+"""After more unusable frames in a row than this, the run stops; a lost camera is looked for until
+the end."""
 KEPT_BYTES = 1 << 28
 """Images of frames that are kept to be scored and shown: 128 frames of 640x480."""
 READ_AHEAD = 4
 """Number of frames of a recording on disk that another thread decodes in advance."""
 _ENDINGS = ("interrupted after ", "interrupted while ", "ended by ")
-"""First words of the endings in checkpoints of versions that did not tell them from other warnings."""
+"""First words of the endings in checkpoints of versions that did not tell them from other
+warnings."""
 _PLAIN = (
-    "global_losses", "online_scores", "warnings", "next_position", "bad_in_a_row", "seconds_global", "is_optimised"
-)  # fmt: skip
+    "global_losses",
+    "online_scores",
+    "warnings",
+    "next_position",
+    "bad_in_a_row",
+    "seconds_global",
+    "is_optimised",
+)
 """Fields of a run that a checkpoint holds as they are."""
 
 
 @runtime_checkable
 class Frames(Protocol):
-    """Frames in order; one that cannot be used raises a ``SequenceError``, and reading can continue after it."""
+    """Frames in order; one that cannot be used raises a ``SequenceError``, and reading can continue
+    after it."""
 
     def __next__(self) -> Frame: ...
 
@@ -62,7 +79,12 @@ class RunWatcher(Protocol):
         """Called after each mapped frame, when the state is complete."""
         ...
 
-    def finished(self, mapper: Any, mesh: Mesh, metrics: dict[str, Any]) -> None:
+    def finished(
+        self,
+        mapper: Any,
+        mesh: Mesh,
+        metrics: dict[str, Any],
+    ) -> None:
         """Called once, when the maps are written and scored."""
         ...
 
@@ -70,14 +92,15 @@ class RunWatcher(Protocol):
 class MappingRun:
     """A sequence and the mapper that maps it.
 
-    ``online()`` and ``optimise()`` are generators: the caller (a progress bar, a widget, a plain loop) sees every
-    step and may stop after any of them. Between two steps the state is complete, so a run can be saved and resumed
-    there.
+    ``online()`` and ``optimise()`` are generators: the caller (a progress bar, a widget, a plain
+    loop) sees every step and may stop after any of them. Between two steps the state is complete,
+    so a run can be saved and resumed there.
 
     Args:
         sequence: The sequence to map, from ``open_sequence`` or ``apply_options``.
         mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
-        source: How the sequence was opened (path, format), written to config.json so that it can be opened again.
+        source: How the sequence was opened (path, format), written to config.json so that it can be
+            opened again.
         clock: Of the run, if it began before, to open the data.
 
     Raises:
@@ -96,16 +119,21 @@ class MappingRun:
         clock: RunClock | None = None,
     ):
         if not isinstance(mapper, Mapper):
-            raise TypeError(f"expected a mapper, such as GSFusion(config), got {type(mapper).__name__}")
+            raise TypeError(
+                f"expected a mapper, such as GSFusion(config), got {type(mapper).__name__}"
+            )
         self.mapper: Any = mapper
         if self.mapper.config.tracking.poses == "given" and not has_poses(sequence):
-            raise SequenceError(f"{sequence.name} has no poses; set tracking.poses = 'tracked' to track the camera")
+            raise SequenceError(
+                f"{sequence.name} has no poses; set tracking.poses = 'tracked' to track the camera"
+            )
         self.clock = clock or RunClock()
         """Where the time of the run goes."""
         self.sequence = sequence
         self.source = source or {}
         self.data_files = data_files(sequence) if source else {}
-        """Path -> hash of the content of every file of the recording that the run reads, when it began."""
+        """Path -> hash of the content of every file of the recording that the run reads, when it
+        began."""
         self._data_files = packed(self.data_files)
         self.steps: list[StepReport] = []
         self._step_log = StepLog()
@@ -120,17 +148,18 @@ class MappingRun:
         self.warnings: list[str] = []
         """What the user should know, as sentences."""
         self.endings: list[str] = []
-        """Those of ``warnings`` that are about how the run ended, or about its map at the end. A run that goes on
-        forgets them."""
+        """Those of ``warnings`` that are about how the run ended, or about its map at the end. A
+        run that goes on forgets them."""
         for note in self.mapper.notes:
             self._warn(note)
         if not has_poses(sequence) and len(sequence.held_out):
             self._warn(
-                f"{sequence.name} has no poses: each held-out frame is scored where depth and brightness fit the map "
-                "(--data.hold-out-every 0 maps all frames)"
+                f"{sequence.name} has no poses: each held-out frame is scored where depth and "
+                "brightness fit the map (--data.hold-out-every 0 maps all frames)"
             )
         self.localised: tuple[Any, dict[int, Tensor]] | None = None
-        """A state of the map, and frame -> pose of the held-out frames that were aligned with it."""
+        """A state of the map, and frame -> pose of the held-out frames that were aligned with
+        it."""
         self.next_position = 0
         self.bad_in_a_row = 0
         """Number of unusable frames directly before ``next_position``."""
@@ -138,13 +167,15 @@ class MappingRun:
         self.is_optimised = False
         """Whether the optimisation after the scan is finished."""
         self.after_step: Callable[[], None] = lambda: None
-        """Called after every frame and every step of the optimisation, when the state is complete."""
+        """Called after every frame and every step of the optimisation, when the state is
+        complete."""
         self.watchers: list[RunWatcher] = []
         self._watch = QuietWatch()
         self.store: CheckpointStore | None = None
         """Where the last checkpoint was saved, or read; it knows what need not be written again."""
         self.status = "running"
-        """"running", "complete", "interrupted" (by the user) or "stopped" (the data ended with an error)."""
+        """"running", "complete", "interrupted" (by the user) or "stopped" (the data ended with an
+        error)."""
 
     def __repr__(self) -> str:
         return f"MappingRun({self.sequence.name}, {self.status}, {self.mapper!r})"
@@ -156,14 +187,16 @@ class MappingRun:
 
     @property
     def poses(self) -> list[torch.Tensor]:
-        """Camera-to-world pose of every mapped frame, as given or as tracked and corrected so far."""
+        """Camera-to-world pose of every mapped frame, as given or as tracked and corrected so
+        far."""
         return self.mapper.localiser.poses
 
     def online(self) -> Generator[StepReport, None, None]:
-        """Map the remaining frames one by one; those that cannot be used are skipped and listed in ``warnings``.
+        """Map the remaining frames one by one; those that cannot be used are skipped and listed in
+        ``warnings``.
 
-        It ends early if a frame was undone because ``mapper.guard.stop_wanted`` asks for it; that frame is then the
-        next one.
+        It ends early if a frame was undone because ``mapper.guard.stop_wanted`` asks for it; that
+        frame is then the next one.
 
         Raises:
             SequenceError: No frame could be mapped; the message gives the first reason.
@@ -184,7 +217,8 @@ class MappingRun:
             raise SequenceError(self._why_nothing())
 
     def _next_step(self, frames: Frames) -> StepReport | Literal["skipped", "end"]:
-        """Map the next frame and count it, or skip it; Ctrl-C takes effect before both or after both."""
+        """Map the next frame and count it, or skip it; Ctrl-C takes effect before both or after
+        both."""
         try:
             with self.clock("reading"):
                 frame = next(frames)
@@ -224,32 +258,46 @@ class MappingRun:
             return "skipped"
         if self.mapper.localiser.frames_lost:
             if self.bad_in_a_row == MAX_BAD_FRAMES_IN_A_ROW + 1:
-                self._warn("tracking is lost; the camera is looked for in every frame until the recording ends")
+                self._warn(
+                    "tracking is lost; the camera is looked for in every frame until the recording "
+                    "ends"
+                )
             return "skipped"
         self.status = "stopped"
-        self._warn(f"stopped after {self.bad_in_a_row} unusable frames in a row; everything mapped before is kept")
+        self._warn(
+            f"stopped after {self.bad_in_a_row} unusable frames in a row; everything mapped before "
+            "is kept"
+        )
         return "end"
 
     def frames(self) -> Frames:
         """The remaining frames; those on disk are decoded in advance."""
         view = self.sequence.mapping
-        return read_ahead(view, start=self.next_position, depth=READ_AHEAD if _is_on_disk(view) else 0)
+        return read_ahead(
+            view, start=self.next_position, depth=READ_AHEAD if _is_on_disk(view) else 0
+        )
 
     def mapped_views(self, limit: int) -> SequenceView:
         """At most ``limit`` of the frames mapped so far, evenly spread; 0 means all."""
         mapped, n = self.sequence.mapping, self.next_position
-        return dataclasses.replace(mapped, positions=[mapped.positions[i] for i in evenly(n, limit)])
+        return dataclasses.replace(
+            mapped, positions=[mapped.positions[i] for i in evenly(n, limit)]
+        )
 
     def covering_views(self, least: int) -> SequenceView:
-        """At least this many mapped frames, evenly spread, and those where the camera has moved by 1 m or turned by 30
-        degrees since the last one, so that neighbours overlap on any walk."""
+        """At least this many mapped frames, evenly spread, and those where the camera has moved by
+        1 m or turned by 30 degrees since the last one, so that neighbours overlap on any walk."""
         localiser, taken = self.mapper.localiser, list[int]()
         poses, stride = localiser.poses, max(1, len(localiser.poses) // least)
         for i, T_WC in enumerate(poses):
-            turned_deg, moved_m = se3.motion(poses[taken[-1]], T_WC) if i % stride else (math.inf, math.inf)
+            turned_deg, moved_m = (
+                se3.motion(poses[taken[-1]], T_WC) if i % stride else (math.inf, math.inf)
+            )
             if turned_deg >= 30 or moved_m >= 1:
                 taken.append(i)
-        return dataclasses.replace(self.sequence.mapping, positions=[localiser.frame_indices[i] for i in taken])
+        return dataclasses.replace(
+            self.sequence.mapping, positions=[localiser.frame_indices[i] for i in taken]
+        )
 
     def extra_metrics(self) -> dict[str, Any]:
         """Metrics that only this kind of run has."""
@@ -271,7 +319,8 @@ class MappingRun:
             return
 
     def _next_global_step(self, steps: Iterator[GlobalStep]) -> GlobalStep | None:
-        """Take a step and count it, or note that there are no more; Ctrl-C takes effect after both."""
+        """Take a step and count it, or note that there are no more; Ctrl-C takes effect after
+        both."""
         start = time.perf_counter()
         with DelayedInterrupt(), self.clock("passes"):
             step = next(steps, None)
@@ -286,7 +335,8 @@ class MappingRun:
             return step
 
     def keep_frames(self, limit_bytes: int = KEPT_BYTES) -> None:
-        """Keep frames that are read, so that those that are scored and shown are read once: at most so many bytes.
+        """Keep frames that are read, so that those that are scored and shown are read once: at most
+        so many bytes.
 
         Frames that are in memory, or made by code of others, are not kept.
         """
@@ -320,7 +370,8 @@ class MappingRun:
         }
 
     def save_checkpoint(self, folder: Path) -> None:
-        """Write a checkpoint to ``folder``, from which the run can be resumed; only what has changed is written."""
+        """Write a checkpoint to ``folder``, from which the run can be resumed; only what has
+        changed is written."""
         document = self.document()
         if self.store is None or self.store.folder != folder / CHECKPOINTS:
             self.store = CheckpointStore(folder / CHECKPOINTS)
@@ -331,7 +382,8 @@ class MappingRun:
         return [*self.mapper.constant_tensors(), self._data_files, *self._step_log.blocks]
 
     def stream(self) -> dict[str, Any]:
-        """Description of a source that cannot be opened again, if the run can be finished without it; else empty."""
+        """Description of a source that cannot be opened again, if the run can be finished without
+        it; else empty."""
         return {}
 
     @property
@@ -405,7 +457,8 @@ def has_poses(view: SequenceView) -> bool:
 
 
 def evenly(n: int, limit: int) -> list[int]:
-    """At most ``limit`` of the numbers 0..n-1, evenly spread from the first to the last; 0 means all."""
+    """At most ``limit`` of the numbers 0..n-1, evenly spread from the first to the last; 0 means
+    all."""
     if not limit or n <= limit:
         return list(range(n))
     return [round(i * (n - 1) / max(limit - 1, 1)) for i in range(limit)]

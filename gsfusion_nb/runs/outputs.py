@@ -1,4 +1,5 @@
-"""The files a run writes: maps, trajectory, settings, metrics and a report, each file written atomically."""
+"""The files a run writes: maps, trajectory, settings, metrics and a report, each file written
+atomically."""
 
 import dataclasses
 import hashlib
@@ -48,9 +49,11 @@ from .scored_views import (
 )
 
 FILES = {
-    "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender and Unity plug-ins",
+    "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender "
+    "and Unity plug-ins",
     "mesh.ply": "TSDF surface with vertex colours: MeshLab, Blender, CloudCompare",
-    "tsdf.npz": "the coloured TSDF that GPS-SLAM draws its Gaussians over; gaussians.ply alone shows them over black",
+    "tsdf.npz": "the coloured TSDF that GPS-SLAM draws its Gaussians over; gaussians.ply alone "
+    "shows them over black",
     "trajectory.txt": "poses, TUM format: evo_traj tum trajectory.txt",
     "trajectory_given.txt": "the poses before they were refined, if they were",
     "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
@@ -70,7 +73,12 @@ MESH_VIEWS = 50
 """At most this many held-out views are compared with the mesh, spread evenly."""
 
 
-def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dict[str, Any]:
+def score(
+    run: MappingRun,
+    suffix: str = "",
+    *,
+    with_lpips: bool = False,
+) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error of the current map on mapped and held-out views."""
     mapper, params = run.mapper, run.mapper.params_now()
     with run.clock("view_scores"):
@@ -78,7 +86,9 @@ def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dic
         wanted = mapper.config.data.align_held_out and not suffix
         align = (lambda frame: mapper.aligned_pose(draw, params, frame)) if wanted else None
         views = scored_views(run)
-        metrics = score_in_map(draw, views, run.sequence, suffix, with_lpips=with_lpips, align=align)
+        metrics = score_in_map(
+            draw, views, run.sequence, suffix, with_lpips=with_lpips, align=align
+        )
     for sentence in nan_views(metrics, [f"{name}{suffix}" for name in views]):
         if suffix:  # of the map before the passes, which is scored once
             run.warn_once(sentence)
@@ -87,7 +97,10 @@ def score(run: MappingRun, suffix: str = "", *, with_lpips: bool = False) -> dic
     return metrics
 
 
-def nan_views(metrics: Mapping[str, Any], groups: Iterable[str]) -> list[str]:
+def nan_views(
+    metrics: Mapping[str, Any],
+    groups: Iterable[str],
+) -> list[str]:
     """A sentence for each group of views of which some are not numbers."""
     counts = {group: metrics.get(f"n_views_nan_{group}", 0) for group in groups}
     return [
@@ -107,7 +120,11 @@ def write_maps(run: MappingRun, folder: Path) -> Mesh:
         with run.clock("mesh"):
             mesh = run.mapper.mesh()
     except torch.OutOfMemoryError as e:
-        mesh = Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3))
+        mesh = Mesh(
+            vertices_W=torch.zeros(0, 3),
+            faces=torch.zeros(0, 3, dtype=torch.int64),
+            rgb=torch.zeros(0, 3),
+        )
         run.note_ending(f"no mesh was made, because GPU memory was full: {str(e).splitlines()[0]}")
     with run.clock("writing"):
         _write_maps(run, folder, mesh)
@@ -139,35 +156,52 @@ def _write_maps(run: MappingRun, folder: Path, mesh: Mesh) -> None:
 
 
 def map_hashes(run: MappingRun, mesh: Mesh | None = None) -> dict[str, str]:
-    """SHA-256 of each map of a run, by name: "gaussians", "trajectory", "tsdf" if the system has one, and "mesh" if it
-    is given; it follows from the others."""
+    """SHA-256 of each map of a run, by name: "gaussians", "trajectory", "tsdf" if the system has
+    one, and "mesh" if it is given; it follows from the others."""
     trajectory = {
         "frame_index": torch.tensor(run.mapper.localiser.frame_indices, dtype=torch.int64),
-        "T_WC": torch.stack(run.mapper.localiser.poses) if run.mapper.localiser.poses else torch.zeros(0, 4, 4),
+        "T_WC": torch.stack(run.mapper.localiser.poses)
+        if run.mapper.localiser.poses
+        else torch.zeros(0, 4, 4),
     }
-    maps = run.mapper.maps() | {"trajectory": trajectory} | ({} if mesh is None else {"mesh": vars(mesh)})
-    return {name: hash_of(tensors, run.mapper.order_of_rows(name)) for name, tensors in maps.items()}
+    maps = (
+        run.mapper.maps()
+        | {"trajectory": trajectory}
+        | ({} if mesh is None else {"mesh": vars(mesh)})
+    )
+    return {
+        name: hash_of(tensors, run.mapper.order_of_rows(name)) for name, tensors in maps.items()
+    }
 
 
 def hash_of(tensors: Mapping[str, Tensor], order: Tensor | None = None) -> str:
-    """SHA-256 of named tensors, sorted by name. Of each tensor the name, type and shape are hashed as text, then its
-    numbers, row by row, in little-endian byte order; ``order``: row numbers, if not as they are."""
+    """SHA-256 of named tensors, sorted by name. Of each tensor the name, type and shape are hashed
+    as text, then its numbers, row by row, in little-endian byte order; ``order``: row numbers, if
+    not as they are."""
     digest = hashlib.sha256()
     for name, tensor in sorted(tensors.items()):
-        digest.update(f"{name} {str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}\n".encode())
+        digest.update(
+            f"{name} {str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}\n".encode()
+        )
         rows = (tensor if order is None else order).split(_ROWS_AT_A_TIME)
         for part in rows if order is None else (tensor[places] for places in rows):
             values = part.detach().cpu().contiguous().numpy()
-            digest.update(values.astype(values.dtype.newbyteorder("<"), copy=False).reshape(-1).view("uint8").data)
+            digest.update(
+                values.astype(values.dtype.newbyteorder("<"), copy=False)
+                .reshape(-1)
+                .view("uint8")
+                .data
+            )
             MAP_MEMORY.give_back()
     return digest.hexdigest()
 
 
 def write_rule(run: MappingRun, folder: Path) -> None:
-    """Write the source of a seeding rule that is not part of the package; it is needed to repeat the run.
+    """Write the source of a seeding rule that is not part of the package; it is needed to repeat
+    the run.
 
-    Of a rule that was given as FILE.py:name it is the whole file, with the modules that it imports from beside it,
-    which a resumed run uses.
+    Of a rule that was given as FILE.py:name it is the whole file, with the modules that it imports
+    from beside it, which a resumed run uses.
     """
     rule = run.mapper.rule
     if not is_built_in(rule):
@@ -182,14 +216,23 @@ def _write_trajectory(run: MappingRun, folder: Path) -> None:
         write_trajectory_tum(folder / "trajectory.txt", run.timestamps_s, torch.stack(run.poses))
     localiser = run.mapper.localiser
     if localiser.is_refined:
-        write_trajectory_tum(folder / "trajectory_given.txt", run.timestamps_s, torch.stack(localiser.given))
+        write_trajectory_tum(
+            folder / "trajectory_given.txt", run.timestamps_s, torch.stack(localiser.given)
+        )
 
 
-def write_numbers(run: MappingRun, folder: Path, metrics: dict[str, Any], status: str = "") -> None:
-    """Write metrics.json: status (by default that of the run), warnings, a hash of each map, the metrics, the processor
-    time of each stage, and a row per frame.
+def write_numbers(
+    run: MappingRun,
+    folder: Path,
+    metrics: dict[str, Any],
+    status: str = "",
+) -> None:
+    """Write metrics.json: status (by default that of the run), warnings, a hash of each map, the
+    metrics, the processor time of each stage, and a row per frame.
     """
-    rows = [vars(s) | {"losses": list(s.losses), "total_seconds": s.total_seconds} for s in run.steps]
+    rows = [
+        vars(s) | {"losses": list(s.losses), "total_seconds": s.total_seconds} for s in run.steps
+    ]
     document = {
         "status": status or run.status,
         "warnings": run.warnings,
@@ -257,12 +300,15 @@ def tracking_rates(run: MappingRun) -> dict[str, float]:
     if not run.mapper.localiser.is_tracking or not tracking:
         return {}
     mapping = sum(s.total_seconds for s in run.steps) - tracking
-    return {"fps_tracking": len(run.steps) / tracking, "fps_mapping": len(run.steps) / max(mapping, 1e-9)}
+    return {
+        "fps_tracking": len(run.steps) / tracking,
+        "fps_mapping": len(run.steps) / max(mapping, 1e-9),
+    }
 
 
 def score_trajectory(run: MappingRun) -> dict[str, Any]:
-    """Absolute trajectory error of tracked or refined poses against the true ones, where the data knows them, else the
-    data's own; empty if no pose moved, or there are none to compare."""
+    """Absolute trajectory error of tracked or refined poses against the true ones, where the data
+    knows them, else the data's own; empty if no pose moved, or there are none to compare."""
     localiser = run.mapper.localiser
     moved = localiser.is_tracking or localiser.is_refined
     truth = ground_truth_poses(localiser, run.sequence.mapping) if moved else None
@@ -272,12 +318,22 @@ def score_trajectory(run: MappingRun) -> dict[str, Any]:
     if not localiser.is_tracking:
         return scores
     status = [s.tracking.get("status") for s in run.steps]
-    return scores | {"n_recovered": status.count("recovered"), "n_degenerate": status.count("degenerate")}
+    return scores | {
+        "n_recovered": status.count("recovered"),
+        "n_degenerate": status.count("degenerate"),
+    }
 
 
-def score_mesh(run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_samples: int | None = None) -> dict[str, Any]:
-    """PSNR of the mesh's vertices at held-out views, at most ``MESH_VIEWS`` of them; and if ``source.mesh()`` gives the
-    true surface, accuracy and completion of the mesh and of RTG-SLAM's discs.
+def score_mesh(
+    run: MappingRun,
+    mesh: Mesh,
+    *,
+    seed: int | None = None,
+    n_samples: int | None = None,
+) -> dict[str, Any]:
+    """PSNR of the mesh's vertices at held-out views, at most ``MESH_VIEWS`` of them; and if
+    ``source.mesh()`` gives the true surface, accuracy and completion of the mesh and of RTG-SLAM's
+    discs.
 
     Only the part of the true surface that the mapped frames saw is compared.
 
@@ -308,7 +364,10 @@ def score_mesh(run: MappingRun, mesh: Mesh, *, seed: int | None = None, n_sample
     return metrics
 
 
-def _named(what: str, scores: dict[str, float] | NotComputed) -> dict[str, Any]:
+def _named(
+    what: str,
+    scores: dict[str, float] | NotComputed,
+) -> dict[str, Any]:
     """Scores of a surface with the names of the metrics table."""
     if isinstance(scores, NotComputed):
         return {f"{what}_accuracy_m": scores}
@@ -316,18 +375,24 @@ def _named(what: str, scores: dict[str, float] | NotComputed) -> dict[str, Any]:
 
 
 def score_centres(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
-    """Distance of the Gaussian centres from the run's own mesh; empty for discs, which the mesh is made from."""
+    """Distance of the Gaussian centres from the run's own mesh; empty for discs, which the mesh is
+    made from."""
     mapper = run.mapper
     if mapper.gaussians_are_discs:
         return {}
     generator = torch.Generator().manual_seed(mapper.config.seed)
     distance = centres_to_own_mesh(mapper.params_now(), mesh, generator=generator)
     names = ("centres_to_own_mesh_m", "centres_to_own_mesh_m2")
-    return {names[0]: distance} if isinstance(distance, NotComputed) else dict(zip(names, distance, strict=True))
+    return (
+        {names[0]: distance}
+        if isinstance(distance, NotComputed)
+        else dict(zip(names, distance, strict=True))
+    )
 
 
 def peak_memory_mb(device: torch.device) -> float | NotComputed:
-    """Peak memory so far, MB: of the GPU if the maps are there, else resident memory of the process."""
+    """Peak memory so far, MB: of the GPU if the maps are there, else resident memory of the
+    process."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated(device) / 1e6
     try:
@@ -350,7 +415,8 @@ def environment() -> dict[str, str]:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` as indented JSON, atomically; NaN and infinity, which JSON does not have, become text."""
+    """Write ``value`` as indented JSON, atomically; NaN and infinity, which JSON does not have,
+    become text."""
     write_file(path, json.dumps(_strict(value), indent=1, allow_nan=False))
 
 
@@ -366,13 +432,19 @@ def report_views(run: MappingRun) -> list[ReportView]:
     """A few held-out and mapped views: input image and render."""
     panels = []
     mapped = run.mapped_views(1000)
-    mapped = dataclasses.replace(mapped, positions=[mapped.positions[i] for i in evenly(len(mapped), 3)])
+    mapped = dataclasses.replace(
+        mapped, positions=[mapped.positions[i] for i in evenly(len(mapped), 3)]
+    )
     held_out_frames = scored_views(run)["held_out"].spread(3).frames(run.sequence)
     mapped_frames = frames_in_map(mapped, run.mapper.localiser, run.sequence.mapping)
     for frames, held_out in ((held_out_frames, True), (mapped_frames, False)):
         for frame in frames:
             rendered = run.mapper.render(frame.camera, frame.T_WC)
-            panels.append(ReportView.of(frame, rendered, held_out=held_out, cells=run.mapper.quadtree_cells(frame)))
+            panels.append(
+                ReportView.of(
+                    frame, rendered, held_out=held_out, cells=run.mapper.quadtree_cells(frame)
+                )
+            )
     return panels
 
 

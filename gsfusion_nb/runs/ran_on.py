@@ -1,4 +1,5 @@
-"""What a run's maps depend on besides its data and settings: versions, the backend, the processor."""
+"""What a run's maps depend on besides its data and settings: versions, the backend, the
+processor."""
 
 import importlib.metadata
 import platform
@@ -14,7 +15,8 @@ _LIBRARIES = {"PyTorch": "torch", "NumPy": "numpy", "numba": "numba", "triton": 
 
 
 def ran_on(device: torch.device) -> dict[str, str]:
-    """What a map on this device is made with now, by name; runs of which all is equal have equal maps, bit for bit."""
+    """What a map on this device is made with now, by name; runs of which all is equal have equal
+    maps, bit for bit."""
     found = {
         "gsfusion_nb": __version__,
         "backend": chosen(),
@@ -32,7 +34,9 @@ def ran_on(device: torch.device) -> dict[str, str]:
 def difference(then: Mapping[str, str], now: Mapping[str, str]) -> str:
     """What differs between two results of ``ran_on``, in words; empty if nothing does."""
     names = (name for name in {**then, **now} if then.get(name) != now.get(name))
-    return ", ".join(f"{name} {now.get(name, 'none')} instead of {then.get(name, 'none')}" for name in names)
+    return ", ".join(
+        f"{name} {now.get(name, 'none')} instead of {then.get(name, 'none')}" for name in names
+    )
 
 
 def _version(distribution: str) -> str:

@@ -1,4 +1,5 @@
-"""The report of a run as one HTML file with numbers, pictures, graphs and settings; it loads no other files."""
+"""The report of a run as one HTML file with numbers, pictures, graphs and settings; it loads no
+other files."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,14 @@ from ..drawing import pictures
 from ..drawing.page import PICTURE_WIDTH, ColourBar, PageGraph, fill, page_graph, page_picture
 from ..drawing.pictures import AnyImage
 from ..evaluation.image import expected_depth_m, psnr, ssim
-from ..evaluation.metrics import METRIC_GROUPS, METRICS, NBSP, format_metric, format_value, reason_missing
+from ..evaluation.metrics import (
+    METRIC_GROUPS,
+    METRICS,
+    NBSP,
+    format_metric,
+    format_value,
+    reason_missing,
+)
 from ..files import write_file
 from ..mapping.step import StepReport
 from ..types import Frame, RenderOutput
@@ -50,7 +58,13 @@ class ReportView:
     """Quadtree cells of this frame (``x0, y0, width, height, level``), or None."""
 
     @staticmethod
-    def of(frame: Frame, view: RenderOutput, *, held_out: bool, cells: Any = None) -> "ReportView":
+    def of(
+        frame: Frame,
+        view: RenderOutput,
+        *,
+        held_out: bool,
+        cells: Any = None,
+    ) -> "ReportView":
         """A frame and the render of its view, with their scores."""
         view = view.to(frame.rgb.device)
         return ReportView(
@@ -68,13 +82,15 @@ class ReportView:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ReportData:
-    """Everything the report shows. Only the title is required; parts that are not given are not shown."""
+    """Everything the report shows. Only the title is required; parts that are not given are not
+    shown."""
 
     title: str
     subtitle: str = ""
     """One line: data set, preset, date."""
     metrics: Mapping[str, Any] = field(default_factory=dict)
-    """Name -> number or ``NotComputed``; the known names, labels and units are in ``metrics.METRIC_GROUPS``."""
+    """Name -> number or ``NotComputed``; the known names, labels and units are in
+    ``metrics.METRIC_GROUPS``."""
     config: Mapping[str, Any] = field(default_factory=dict)
     """Settings as nested dictionaries, as from ``dataclasses.asdict``."""
     frames: Sequence[StepReport] = ()
@@ -94,7 +110,8 @@ class ReportData:
 
 
 def write_report(path: Path | str, run: ReportData) -> Path:
-    """Write ``run`` as one HTML file, atomically: a reader sees the old file or the new one, never a partial one.
+    """Write ``run`` as one HTML file, atomically: a reader sees the old file or the new one, never
+    a partial one.
 
     Returns:
         The path written.
@@ -131,7 +148,9 @@ def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
         missing = reason_missing(value) is not None
         text = format_metric(name, value)
         number, _, unit = (text, "", "") if missing else text.partition(NBSP)
-        boxes.append({"label": label, "number": number, "unit": unit, "is_missing": missing, "more": more})
+        boxes.append(
+            {"label": label, "number": number, "unit": unit, "is_missing": missing, "more": more}
+        )
     return boxes
 
 
@@ -140,7 +159,14 @@ def _views(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
     shown = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):
         scores = [f"PSNR {panel.psnr:.2f}{NBSP}dB", f"SSIM {panel.ssim:.3f}"]
-        shown.append({"name": panel.name, "held_out": panel.held_out, "scores": scores, "pictures": _pictures(panel)})
+        shown.append(
+            {
+                "name": panel.name,
+                "held_out": panel.held_out,
+                "scores": scores,
+                "pictures": _pictures(panel),
+            }
+        )
     return shown
 
 
@@ -150,7 +176,9 @@ def _pictures(panel: ReportView) -> list[dict[str, Any]]:
     error, depth = pictures.ERROR_COLOURS, pictures.DEPTH_COLOURS
     light = ColourBar(colours=error, low="0", high=f"{pictures.ERROR_LIMIT:g} or more, of 1")
     metres = ColourBar(colours=depth, low=f"{near:.2f}{NBSP}m", high=f"{far:.2f}{NBSP}m")
-    off = ColourBar(colours=error, low="0", high=f"{pictures.DEPTH_ERROR_LIMIT_M * 100:g}{NBSP}cm or more")
+    off = ColourBar(
+        colours=error, low="0", high=f"{pictures.DEPTH_ERROR_LIMIT_M * 100:g}{NBSP}cm or more"
+    )
     shown = (
         ("Input", panel.rgb, None),
         ("Render", panel.render, None),
@@ -159,7 +187,10 @@ def _pictures(panel: ReportView) -> list[dict[str, Any]]:
         ("Depth, rendered (striped: missing)", pictures.colour_depth(rendered, near, far), metres),
         ("|Rendered − measured depth|", pictures.depth_error_map(rendered, measured), off),
     )
-    return [page_picture(image, words, alt=f"{panel.name}, {words}", bar=bar) for words, image, bar in shown]
+    return [
+        page_picture(image, words, alt=f"{panel.name}, {words}", bar=bar)
+        for words, image, bar in shown
+    ]
 
 
 def _quadtrees(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
@@ -170,7 +201,9 @@ def _quadtrees(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
             continue
         scale = max(1, round(PICTURE_WIDTH / panel.rgb.shape[1]))
         painted = pictures.paint_cells(panel.rgb, panel.cells, scale=scale)
-        caption = f"{panel.name}, {len(panel.cells.level):,} cells: one Gaussian may be seeded in each"
+        caption = (
+            f"{panel.name}, {len(panel.cells.level):,} cells: one Gaussian may be seeded in each"
+        )
         bar = ColourBar(colours=pictures.LEVEL_COLOURS, low="coarse", high="fine")
         shown.append(page_picture(painted, caption, alt=f"{panel.name}, quadtree", bar=bar))
     return shown
@@ -179,30 +212,52 @@ def _quadtrees(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
 def _graphs(
     frames: Sequence[StepReport], states: Sequence[str], global_losses: Sequence[float | int]
 ) -> list[PageGraph]:
-    """Time by stage, size of the map, its states, PSNR and loss over the frames, and the loss of the global
-    optimisation."""
+    """Time by stage, size of the map, its states, PSNR and loss over the frames, and the loss of
+    the global optimisation."""
     x = [row.frame_index for row in frames]
-    marks = {"marks": [row.frame_index for row in frames if row.is_keyframe], "marks_label": "keyframe"}
+    marks = {
+        "marks": [row.frame_index for row in frames if row.is_keyframe],
+        "marks_label": "keyframe",
+    }
     shown = []
     if frames:
         times = _stages_ms(frames)
-        shown.append(page_graph("Time per frame", x, times, x_label="frame", y_label="time, ms", stacked=True))
+        shown.append(
+            page_graph(
+                "Time per frame", x, times, x_label="frame", y_label="time, ms", stacked=True
+            )
+        )
         gaussians = {"Gaussians": [row.n_gaussians for row in frames]}
-        shown.append(page_graph("Size of the map", x, gaussians, x_label="frame", y_label="Gaussians", **marks))
+        shown.append(
+            page_graph(
+                "Size of the map", x, gaussians, x_label="frame", y_label="Gaussians", **marks
+            )
+        )
     if frames and states:
         counts = {name.replace("_", " "): [row.counts[name] for row in frames] for name in states}
         labels = {"x_label": "frame", "y_label": "Gaussians"}
         shown.append(page_graph("States of the Gaussians", x, counts, stacked=True, **labels))
-    psnr = {"before the step": [r.psnr_before_db for r in frames], "after the step": [r.psnr_after_db for r in frames]}
+    psnr = {
+        "before the step": [r.psnr_before_db for r in frames],
+        "after the step": [r.psnr_after_db for r in frames],
+    }
     psnr = {label: values for label, values in psnr.items() if not all(map(math.isnan, values))}
     if psnr:
-        shown.append(page_graph("PSNR of the current view", x, psnr, x_label="frame", y_label="PSNR, dB", **marks))
+        shown.append(
+            page_graph(
+                "PSNR of the current view", x, psnr, x_label="frame", y_label="PSNR, dB", **marks
+            )
+        )
     if any(row.losses for row in frames):
         ends = {
             "first step": [row.losses[0] if row.losses else math.nan for row in frames],
             "last step": [row.losses[-1] if row.losses else math.nan for row in frames],
         }
-        shown.append(page_graph("Loss at a frame's first and last step", x, ends, x_label="frame", y_label="loss"))
+        shown.append(
+            page_graph(
+                "Loss at a frame's first and last step", x, ends, x_label="frame", y_label="loss"
+            )
+        )
     if global_losses:
         passes = list(range(1, len(global_losses) + 1))
         loss = {"mean loss": list(global_losses)}
@@ -235,19 +290,40 @@ def _stages_ms(frames: Sequence[StepReport]) -> dict[str, list[float]]:
 def _metric_groups(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     """All metrics in groups, each with its meaning; metrics with unknown names come last."""
     known = {
-        group: [_metric_line(METRICS[n].label, METRICS[n].meaning, n, metrics[n]) for n in names if n in metrics]
+        group: [
+            _metric_line(METRICS[n].label, METRICS[n].meaning, n, metrics[n])
+            for n in names
+            if n in metrics
+        ]
         for group, names in METRIC_GROUPS.items()
     }
-    known["Other"] = [_metric_line(name, "", name, value) for name, value in metrics.items() if name not in METRICS]
+    known["Other"] = [
+        _metric_line(name, "", name, value)
+        for name, value in metrics.items()
+        if name not in METRICS
+    ]
     return [{"title": group, "lines": lines} for group, lines in known.items() if lines]
 
 
-def _metric_line(label: str, meaning: str, name: str, value: Any) -> dict[str, Any]:
+def _metric_line(
+    label: str,
+    meaning: str,
+    name: str,
+    value: Any,
+) -> dict[str, Any]:
     missing = reason_missing(value) is not None
-    return {"label": label, "meaning": meaning, "text": format_metric(name, value), "is_missing": missing}
+    return {
+        "label": label,
+        "meaning": meaning,
+        "text": format_metric(name, value),
+        "is_missing": missing,
+    }
 
 
-def _settings(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+def _settings(
+    values: Mapping[str, Any],
+    prefix: str = "",
+) -> list[tuple[str, str]]:
     """Settings as dotted names and short texts."""
     rows = []
     for name, value in values.items():
@@ -265,7 +341,12 @@ def _frame_cells(row: StepReport) -> tuple[str, ...]:
         return "–" if math.isnan(value) else f"{value:.{digits}f}"
 
     return (
-        f"{row.frame_index}", "●" if row.is_keyframe else "", f"{1e3 * row.total_seconds:,.0f}", f"{row.n_seeds:,}",
-        f"{row.n_gaussians:,}", number(row.psnr_before_db, 2), number(row.psnr_after_db, 2),
+        f"{row.frame_index}",
+        "●" if row.is_keyframe else "",
+        f"{1e3 * row.total_seconds:,.0f}",
+        f"{row.n_seeds:,}",
+        f"{row.n_gaussians:,}",
+        number(row.psnr_before_db, 2),
+        number(row.psnr_after_db, 2),
         number(row.losses[-1] if row.losses else math.nan, 4),
-    )  # fmt: skip
+    )

@@ -22,13 +22,19 @@ log = logging.getLogger(__name__)
 
 
 def rescore(
-    folder: Path | str, *, data: str | None = None, with_lpips: bool = False, device: torch.device | str | None = None
+    folder: Path | str,
+    *,
+    data: str | None = None,
+    with_lpips: bool = False,
+    device: torch.device | str | None = None,
 ) -> dict[str, Any]:
-    """Render the map of a finished run from the views in views.json, and update the scores in metrics.json.
+    """Render the map of a finished run from the views in views.json, and update the scores in
+    metrics.json.
 
-    The system renders as in the run, from gaussians.ply (GPS-SLAM: and tsdf.npz), at the poses in views.json. On the
-    same device and backend the scores are equal to the run's, bit for bit. If some differ, the log and the warnings in
-    metrics.json list them. A warning also says if the data has other frames, poses or images than in the run.
+    The system renders as in the run, from gaussians.ply (GPS-SLAM: and tsdf.npz), at the poses in
+    views.json. On the same device and backend the scores are equal to the run's, bit for bit. If
+    some differ, the log and the warnings in metrics.json list them. A warning also says if the data
+    has other frames, poses or images than in the run.
 
     Args:
         folder: Folder of the run.
@@ -40,11 +46,14 @@ def rescore(
         All metrics of the run.
 
     Raises:
-        FileNotFoundError: The folder has no config.json, metrics.json, views.json or gaussians.ply (or tsdf.npz).
+        FileNotFoundError: The folder has no config.json, metrics.json, views.json or gaussians.ply
+            (or tsdf.npz).
         ValueError: One of them is damaged, or the sequence of the run is not on disk.
     """
     folder = Path(folder)
-    settings = read_object(folder / "config.json", "the settings of a run", objects=("source", "config"))
+    settings = read_object(
+        folder / "config.json", "the settings of a run", objects=("source", "config")
+    )
     document = read_object(folder / METRICS, "the numbers of a run", objects=("metrics",))
     with parsing(folder / "config.json", "the settings of a run"):
         source = dict(settings["source"])
@@ -55,7 +64,8 @@ def rescore(
         source["path_or_name"] = data
     if "path_or_name" not in source:
         raise ValueError(
-            f"{folder} was mapped from a sequence in memory; if the sequence is also on disk, give its folder (--data)"
+            f"{folder} was mapped from a sequence in memory; if the sequence is also on disk, give "
+            "its folder (--data)"
         )
     views = read_views(folder)
     sequence = _sequence_of(folder, source, config.data)
@@ -63,21 +73,39 @@ def rescore(
     if known and known != sequence_fingerprint(sequence):
         _warn(
             document,
-            f"{source['path_or_name']} does not hold the data that this run was mapped from: the scores "
-            "compare the map with other images",
+            f"{source['path_or_name']} does not hold the data that this run was mapped from: the "
+            "scores compare the map with other images",
         )
     place = torch.device(device or (stored_device if torch.cuda.is_available() else "cpu"))
-    params = _of_degree(read_gaussian_ply(folder / "gaussians.ply", strict=True), config.sh_degree, place)
+    params = _of_degree(
+        read_gaussian_ply(folder / "gaussians.ply", strict=True), config.sh_degree, place
+    )
 
     draw = system.drawn_from(folder, params, config)
-    align = (lambda frame: system.aligned_pose(draw, params, frame)) if config.data.align_held_out else None
-    scores = metrics_as_json(score_in_map(draw, views, sequence, with_lpips=with_lpips, align=align))
+    align = (
+        (lambda frame: system.aligned_pose(draw, params, frame))
+        if config.data.align_held_out
+        else None
+    )
+    scores = metrics_as_json(
+        score_in_map(draw, views, sequence, with_lpips=with_lpips, align=align)
+    )
     stored = document["metrics"]
     if not with_lpips:
-        scores = {name: value for name, value in scores.items() if not (name.startswith("lpips") and name in stored)}
-    changed = [name for name, value in scores.items() if _is_number(stored.get(name)) and value != stored[name]]
+        scores = {
+            name: value
+            for name, value in scores.items()
+            if not (name.startswith("lpips") and name in stored)
+        }
+    changed = [
+        name
+        for name, value in scores.items()
+        if _is_number(stored.get(name)) and value != stored[name]
+    ]
     if changed:
-        differences = ", ".join(f"{name} {_short(stored[name])} -> {_short(scores[name])}" for name in changed)
+        differences = ", ".join(
+            f"{name} {_short(stored[name])} -> {_short(scores[name])}" for name in changed
+        )
         _warn(document, f"these scores differ from those of the run: {differences}")
     document["metrics"] = stored | scores
     write_json(folder / METRICS, document)
@@ -103,8 +131,12 @@ def _warn(document: dict[str, Any], sentence: str) -> None:
 
 
 def _of_degree(params: GaussianParams, degree: int, device: torch.device) -> GaussianParams:
-    """The Gaussians with the SH degree of the run (the file is padded to degree 3), on ``device``."""
-    params = dataclasses.replace(params, sh=params.sh[:, : (degree + 1) ** 2].contiguous())
+    """The Gaussians with the SH degree of the run (the file is padded to degree 3), on
+    ``device``."""
+    params = dataclasses.replace(
+        params,
+        sh=params.sh[:, : (degree + 1) ** 2].contiguous(),
+    )
     return GaussianParams(**{name: column.to(device) for name, column in vars(params).items()})
 
 

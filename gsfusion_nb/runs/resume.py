@@ -12,7 +12,13 @@ from ..files import UNREADABLE, SequenceError, file_hashes, reason_of
 from ..mapping import get_system
 from ..seeding import SeedingRule, rule_name
 from ..seeding.named_rules import RuleNotNamedError, is_named
-from ..seeding.rule_code import file_source, is_rule_file, read_rule_file, rule_folder, rule_of_source
+from ..seeding.rule_code import (
+    file_source,
+    is_rule_file,
+    read_rule_file,
+    rule_folder,
+    rule_of_source,
+)
 from .mapping_run import MappingRun
 from .ran_on import difference, ran_on
 from .run_folder import CHECKPOINTS, RULE, is_complete, load_random_state, random_state, unpacked
@@ -21,20 +27,30 @@ from .stream_run import StreamRun
 
 
 def load_run(
-    folder: Path | str, *, seeding: "str | SeedingRule | None" = None, device: torch.device | str = "cpu", **given: Any
+    folder: Path | str,
+    *,
+    seeding: "str | SeedingRule | None" = None,
+    device: torch.device | str = "cpu",
+    **given: Any,
 ) -> MappingRun:
-    """The run that was interrupted or killed in ``folder``; a stream gives no more frames. ``given``: loss, optimiser.
+    """The run that was interrupted or killed in ``folder``; a stream gives no more frames.
+    ``given``: loss, optimiser.
 
     No code from the folder is executed, unless ``seeding`` names it.
 
     Raises:
         RuleNotNamedError: The run's seeding rule came from a file, and ``seeding`` names none.
         FileNotFoundError: The folder holds no checkpoint (a complete run leaves none).
-        ValueError: All checkpoints are damaged, the run's sequence was in memory, or its files have changed.
+        ValueError: All checkpoints are damaged, the run's sequence was in memory, or its files have
+            changed.
     """
     path, store = Path(folder), CheckpointStore(Path(folder) / CHECKPOINTS)
     if not store.exists:
-        why = "the run is complete, and there is nothing to continue" if is_complete(path) else "map again"
+        why = (
+            "the run is complete, and there is nothing to continue"
+            if is_complete(path)
+            else "map again"
+        )
         raise FileNotFoundError(f"{store.folder} holds no checkpoint: {why}")
     loaded = store.load()
     try:
@@ -42,7 +58,10 @@ def load_run(
         check_values(_reports(loaded.state["run"]), ("run", "steps"))
         run = _run_of(loaded.state, path, seeding, device, given)
         load_random_state(loaded.state["random"])
-        check_same(loaded.state["random"], random_state() | {"torch_cuda": loaded.state["random"]["torch_cuda"]})
+        check_same(
+            loaded.state["random"],
+            random_state() | {"torch_cuda": loaded.state["random"]["torch_cuda"]},
+        )
         check_same({name: loaded.state[name] for name in _KEPT}, run.document())
         check_agreement(run)
         run.warnings += [note for note in run.mapper.notes if note not in run.warnings]
@@ -51,13 +70,17 @@ def load_run(
             raise
         raise SequenceError(f"{store.folder}: {e}") from e
     except Exception as e:  # the checkpoint is intact, but this version does not know its state
-        raise ValueError(f"{store.folder} is damaged or from another version: {reason_of(e)}") from None
+        raise ValueError(
+            f"{store.folder} is damaged or from another version: {reason_of(e)}"
+        ) from None
     run.store = store
     if said := _other_program(loaded.state.get("ran_on"), run):
         run.warn_once(said)
     run.warnings += [said for said in loaded.copies if said not in run.warnings]
     if loaded.passed_over:
-        run.warnings.append(f"{loaded.passed_over}; checkpoint {loaded.number}, which is intact, is used instead")
+        run.warnings.append(
+            f"{loaded.passed_over}; checkpoint {loaded.number}, which is intact, is used instead"
+        )
     return run
 
 
@@ -67,11 +90,16 @@ _KEPT = ("system", "run", "mapper", "rule_from_file")
 
 def _reports(state: dict[str, Any]) -> list[Any]:
     """The reports of frames in a state, as plain values."""
-    return [row for block in (*state["steps"]["blocks"], state["steps"]["rest"]) for row in unpacked(block)]
+    return [
+        row
+        for block in (*state["steps"]["blocks"], state["steps"]["rest"])
+        for row in unpacked(block)
+    ]
 
 
 def resume_command(folder: Path, rule: SeedingRule) -> str:
-    """What to type to continue the run in ``folder``; the file of its rule is named, so that it may be executed."""
+    """What to type to continue the run in ``folder``; the file of its rule is named, so that it may
+    be executed."""
     words = ["gsfusion-nb", "map", "--resume", str(folder)]
     if file_source(rule):
         words += ["--seeding.rule", f"{folder / RULE}:{rule_name(rule)}"]
@@ -79,16 +107,29 @@ def resume_command(folder: Path, rule: SeedingRule) -> str:
 
 
 def _other_program(then: dict[str, str] | None, run: MappingRun) -> str:
-    """A sentence if the run goes on with another backend or version than it was interrupted with; else empty."""
+    """A sentence if the run goes on with another backend or version than it was interrupted with;
+    else empty."""
     where = f"after {len(run.steps)} frames and {run.mapper.passes.done} passes the run continued"
     if then is None:
-        return f"{where} from a checkpoint that does not say with which versions and backend it was made"
+        return (
+            f"{where} from a checkpoint that does not say with which versions and backend it "
+            "was made"
+        )
     changed = difference(then, ran_on(run.mapper.device))
-    return changed and f"{where} with {changed}: its maps are not, bit for bit, those of a run without interruption"
+    return (
+        changed
+        and f"{where} with {changed}: its maps are not, bit for bit, those of a run without "
+        "interruption"
+    )
 
 
-def _refuse_changes(then: dict[str, str], now: dict[str, str], path: Path) -> None:
-    """Raise ``SequenceError`` with the first files that differ between two states of a recording."""
+def _refuse_changes(
+    then: dict[str, str],
+    now: dict[str, str],
+    path: Path,
+) -> None:
+    """Raise ``SequenceError`` with the first files that differ between two states of a
+    recording."""
     changes = []
     for file in sorted(then | now):
         if file not in then:
@@ -100,13 +141,16 @@ def _refuse_changes(then: dict[str, str], now: dict[str, str], path: Path) -> No
     if changes:
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
         raise SequenceError(
-            f"files of the recording are not as they were when {path} began: {', '.join(changes[:3])}{more}; restore "
-            "them, or map again into a new folder"
+            f"files of the recording are not as they were when {path} began: "
+            f"{', '.join(changes[:3])}{more}; restore them, or map again into a new folder"
         )
 
 
-def _rule_of(path: Path, document: dict[str, Any], given: "str | SeedingRule | None") -> "str | SeedingRule | None":
-    """The rule to continue with. Code in the run's folder is somebody else's until the caller names it.
+def _rule_of(
+    path: Path, document: dict[str, Any], given: "str | SeedingRule | None"
+) -> "str | SeedingRule | None":
+    """The rule to continue with. Code in the run's folder is somebody else's until the caller names
+    it.
 
     Raises:
         RuleNotNamedError: the run's rule came from a file, and none is given.
@@ -123,17 +167,22 @@ def _rule_of(path: Path, document: dict[str, Any], given: "str | SeedingRule | N
         return given
     if read_rule_file(given) != (stored, name):
         raise SequenceError(
-            f"{given} is not the seeding rule with which the run in {path} began: the run's own is {own}:{name}; "
-            "name that one to continue, or map again with the new one"
+            f"{given} is not the seeding rule with which the run in {path} began: the run's own is "
+            f"{own}:{name}; name that one to continue, or map again with the new one"
         )
     return rule_of_source(stored, name, given.rpartition(":")[0], rule_folder(given))
 
 
 def _is_own(path: Path, given: "str | SeedingRule | None") -> bool:
-    """The rule is to be the one that the run began with: none is given, or the one in its folder."""
+    """The rule is to be the one that the run began with: none is given, or the one in its
+    folder."""
     if given is None:
         return True
-    return isinstance(given, str) and is_rule_file(given) and is_named(given.rpartition(":")[0], [path / RULE])
+    return (
+        isinstance(given, str)
+        and is_rule_file(given)
+        and is_named(given.rpartition(":")[0], [path / RULE])
+    )
 
 
 def _run_of(
@@ -146,14 +195,16 @@ def _run_of(
     source, state = document["source"], document["run"]
     if not source:
         raise SequenceError(
-            f"{path} was mapped from a sequence in memory; only runs on a sequence opened by path or name can resume"
+            f"{path} was mapped from a sequence in memory; only runs on a sequence opened by path "
+            "or name can resume"
         )
     rule, system = _rule_of(path, document, seeding), get_system(document["system"])
     mapper = system.from_state_dict(document["mapper"], seeding=rule, device=device, **given)
     changes = mapper.rule_in_use.difference(document["mapper"]["rule"])
     if changes and _is_own(path, seeding):
         raise SequenceError(
-            f"the seeding rule is not as it was when {path} began; different: {changes}. Restore it, or continue with "
+            f"the seeding rule is not as it was when {path} began; different: {changes}. Restore "
+            "it, or continue with "
             "the rule as it is now by giving it (seeding.rule), in a file outside of that folder"
         )
     if "stream" in source:
@@ -167,12 +218,13 @@ def _run_of(
     others = [camera for camera in cameras if camera not in (None, run.sequence.camera)]
     if others:
         raise SequenceError(
-            f"{path} was mapped with the camera {others[0]}, but {run.sequence.name} now has {run.sequence.camera}"
+            f"{path} was mapped with the camera {others[0]}, but {run.sequence.name} now has "
+            f"{run.sequence.camera}"
         )
     n = len(run.sequence.mapping)
     if run.next_position > n:
         raise SequenceError(
-            f"{path} was interrupted after {run.next_position} frames, but {run.sequence.name} has {n} now; expected "
-            "the files that the run started with"
+            f"{path} was interrupted after {run.next_position} frames, but {run.sequence.name} has "
+            f"{n} now; expected the files that the run started with"
         )
     return run

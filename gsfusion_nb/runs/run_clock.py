@@ -6,24 +6,38 @@ import time
 from collections.abc import Callable, Iterator
 
 STAGES = (
-    "opening", "reading", "mapping", "passes", "mesh", "writing", "checkpoints", "view_scores", "mesh_scores",
-    "report", "other",
-)  # fmt: skip
+    "opening",
+    "reading",
+    "mapping",
+    "passes",
+    "mesh",
+    "writing",
+    "checkpoints",
+    "view_scores",
+    "mesh_scores",
+    "report",
+    "other",
+)
 """Names of the stages, in about the order of a run; what is in no stage counts as other."""
 
 
 class RunClock:
-    """Adds up the time of each stage: ``with clock("reading"): ...``. A stage inside another counts for itself alone.
+    """Adds up the time of each stage: ``with clock("reading"): ...``. A stage inside another counts
+    for itself alone.
 
-    Only the thread that made it is counted: frames that another one decodes in advance count as reading while they are
-    waited for.
+    Only the thread that made it is counted: frames that another one decodes in advance count as
+    reading while they are waited for.
 
     Args:
         now: Returns the time in seconds.
         cpu: Returns the processor time of the process in seconds.
     """
 
-    def __init__(self, now: Callable[[], float] = time.perf_counter, cpu: Callable[[], float] = time.process_time):
+    def __init__(
+        self,
+        now: Callable[[], float] = time.perf_counter,
+        cpu: Callable[[], float] = time.process_time,
+    ):
         self._now, self._cpu = now, cpu
         self.seconds = dict.fromkeys(STAGES, 0.0)
         """Stage -> wall time so far, seconds."""
@@ -49,7 +63,9 @@ class RunClock:
     def metrics(self) -> dict[str, float]:
         """Seconds of each stage so far, and their sum, with their names in metrics.json."""
         self._count()
-        return {f"seconds_{stage}": s for stage, s in self.seconds.items()} | {"seconds_total": self.total}
+        return {f"seconds_{stage}": s for stage, s in self.seconds.items()} | {
+            "seconds_total": self.total
+        }
 
     @property
     def total(self) -> float:

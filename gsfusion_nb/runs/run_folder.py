@@ -1,4 +1,5 @@
-"""A run's folder: its lock, when checkpoints are saved, and how a run is stopped without losing data."""
+"""A run's folder: its lock, when checkpoints are saved, and how a run is stopped without losing
+data."""
 
 import contextlib
 import datetime
@@ -51,7 +52,9 @@ class RunFolder:
         self._handle = os.open(self.path / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
         if not try_lock(self._handle):
             os.close(self._handle)
-            raise FileExistsError(f"{self.path} is in use: another run is writing to it; wait until it has ended")
+            raise FileExistsError(
+                f"{self.path} is in use: another run is writing to it; wait until it has ended"
+            )
         for folder in (self.path, self.path / CHECKPOINTS):
             remove_partial(folder)
         return self
@@ -61,23 +64,31 @@ class RunFolder:
 
 
 def new_folder(name: str, folder: Path | str | None = None) -> Path:
-    """Create the folder of a run: ``folder``, which must be new or empty, or ``runs/<name>-<date>-<time>``.
+    """Create the folder of a run: ``folder``, which must be new or empty, or
+    ``runs/<name>-<date>-<time>``.
 
-    What a run leaves that ended before its first checkpoint counts as empty: nothing in it can be used.
+    What a run leaves that ended before its first checkpoint counts as empty: nothing in it can be
+    used.
 
     Raises:
         FileExistsError: The folder holds files, perhaps of a run that is running or interrupted.
     """
     if folder is None:
         stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-        places = (Path("runs") / f"{name}-{stamp}{'' if n == 1 else f'-{n}'}" for n in itertools.count(1))
+        places = (
+            Path("runs") / f"{name}-{stamp}{'' if n == 1 else f'-{n}'}" for n in itertools.count(1)
+        )
         path = next(place for place in places if not place.exists())
     else:
         path = Path(folder).expanduser()
         if path.is_file() or (path.is_dir() and not holds_nothing(path)):
             resumable = any((path / CHECKPOINTS).glob("*.json"))
-            hint = f"; to continue the run in it: gsfusion-nb map --resume {path}" if resumable else ""
-            raise FileExistsError(f"{path} must be a new or empty folder, so that no earlier run is overwritten{hint}")
+            hint = (
+                f"; to continue the run in it: gsfusion-nb map --resume {path}" if resumable else ""
+            )
+            raise FileExistsError(
+                f"{path} must be a new or empty folder, so that no earlier run is overwritten{hint}"
+            )
     path.mkdir(parents=True, exist_ok=True)
     return path
 
@@ -85,11 +96,14 @@ def new_folder(name: str, folder: Path | str | None = None) -> Path:
 def holds_nothing(path: Path) -> bool:
     """Whether the folder holds only what a run writes before its first checkpoint."""
     names = {p.name for p in path.iterdir() if ".partial" not in p.name}
-    return names <= {LOCK, RULE, RULE_MODULES, CHECKPOINTS} and not any((path / CHECKPOINTS).glob("*.json"))
+    return names <= {LOCK, RULE, RULE_MODULES, CHECKPOINTS} and not any(
+        (path / CHECKPOINTS).glob("*.json")
+    )
 
 
 def is_complete(folder: Path) -> bool:
-    """Whether the run in ``folder`` is complete: scored, and all files written, of which metrics.json is the last.
+    """Whether the run in ``folder`` is complete: scored, and all files written, of which
+    metrics.json is the last.
 
     Raises:
         ValueError: metrics.json is damaged.
@@ -102,7 +116,8 @@ log = logging.getLogger(__name__)
 
 NOT_SAVED = "this checkpoint could not be saved: %s; the last one is kept, and the run continues"
 MAX_SHARE = 0.03
-"""Checkpoints at time intervals take at most this share of the run: after a slow one, the next is saved later."""
+"""Checkpoints at time intervals take at most this share of the run: after a slow one, the next is
+saved later."""
 BLOCK = 256
 """Number of steps that are packed together."""
 
@@ -112,20 +127,23 @@ class CheckpointEvery:
     """How often a run saves a checkpoint. If both are 0, only when it is interrupted."""
 
     seconds: float | int = 30.0
-    """Time between two checkpoints; longer if saving one takes more than 3 % of it. 0: not by time."""
+    """Time between two checkpoints; longer if saving one takes more than 3 % of it. 0: not by
+    time."""
     frames: int = 0
-    """Frames, or views of the optimisation after the scan, between two checkpoints. 0: not by frames."""
+    """Frames, or views of the optimisation after the scan, between two checkpoints. 0: not by
+    frames."""
 
     def __post_init__(self):
         if self.seconds < 0 or self.frames < 0:
             raise ValueError(
-                f"the interval of checkpoints must be at least 0 s and 0 frames, got {self.seconds} s and "
-                f"{self.frames} frames"
+                "the interval of checkpoints must be at least 0 s and 0 frames, got "
+                f"{self.seconds} s and {self.frames} frames"
             )
 
 
 class Autosave:
-    """Called after every step of a run; saves a checkpoint when one is due. It does not change the run.
+    """Called after every step of a run; saves a checkpoint when one is due. It does not change the
+    run.
 
     Args:
         mapper: Nothing is saved while a frame is only partly in its map.
@@ -150,7 +168,9 @@ class Autosave:
     def __call__(self) -> None:
         self._steps += 1
         every = self._every
-        due = (every.frames and self._steps >= every.frames) or (every.seconds and self._clock() >= self._next_s)
+        due = (every.frames and self._steps >= every.frames) or (
+            every.seconds and self._clock() >= self._next_s
+        )
         if due and not self._mapper.guard.half_mapped:
             self._steps = 0
             self._take()
@@ -179,7 +199,10 @@ class StepLog:
         while len(steps) >= BLOCK * (len(self.blocks) + 1):
             at = BLOCK * len(self.blocks)
             self.blocks.append(packed([vars(step) for step in steps[at : at + BLOCK]]))
-        return {"blocks": list(self.blocks), "rest": packed([vars(step) for step in steps[BLOCK * len(self.blocks) :]])}
+        return {
+            "blocks": list(self.blocks),
+            "rest": packed([vars(step) for step in steps[BLOCK * len(self.blocks) :]]),
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> list[StepReport]:
         """The reports that ``state_dict`` packed."""
@@ -205,7 +228,13 @@ def random_state() -> dict[str, Any]:
     return {
         "torch": torch.get_rng_state(),
         "torch_cuda": torch.cuda.get_rng_state_all() if torch.cuda.is_initialized() else [],
-        "numpy": [name, torch.from_numpy(np.asarray(keys).astype(np.int64)), position, has_gauss, gauss],
+        "numpy": [
+            name,
+            torch.from_numpy(np.asarray(keys).astype(np.int64)),
+            position,
+            has_gauss,
+            gauss,
+        ],
         "python": [version, torch.tensor(words, dtype=torch.int64), json.dumps(next_gauss)],
     }
 
@@ -213,7 +242,11 @@ def random_state() -> dict[str, Any]:
 def load_random_state(state: dict[str, Any]) -> None:
     """Set the generators to what ``random_state`` returned."""
     torch.set_rng_state(state["torch"].cpu())
-    if state["torch_cuda"] and torch.cuda.is_available() and len(state["torch_cuda"]) == torch.cuda.device_count():
+    if (
+        state["torch_cuda"]
+        and torch.cuda.is_available()
+        and len(state["torch_cuda"]) == torch.cuda.device_count()
+    ):
         torch.cuda.set_rng_state_all([s.cpu() for s in state["torch_cuda"]])
     name, keys, *rest = state["numpy"]
     np.random.set_state((name, keys.cpu().numpy().astype(np.uint32), *rest))  # noqa: NPY002
@@ -222,10 +255,12 @@ def load_random_state(state: dict[str, Any]) -> None:
 
 
 class StopRequest:
-    """Turns Ctrl-C, an interrupt of the notebook kernel or SIGTERM into a request to stop after the current step.
+    """Turns Ctrl-C, an interrupt of the notebook kernel or SIGTERM into a request to stop after the
+    current step.
 
-    A second signal has no effect for ``PATIENCE_S`` seconds; after that, or if ``at_once`` is set, a signal raises
-    ``KeyboardInterrupt`` immediately. While files are written (``saving``) it never does.
+    A second signal has no effect for ``PATIENCE_S`` seconds; after that, or if ``at_once`` is set,
+    a signal raises ``KeyboardInterrupt`` immediately. While files are written (``saving``) it never
+    does.
     """
 
     PATIENCE_S = 5.0
@@ -251,7 +286,8 @@ class StopRequest:
 
     @contextlib.contextmanager
     def ending_at_once(self) -> Iterator[None]:
-        """A block that a signal ends immediately, because nothing is lost; the code after it runs as usual."""
+        """A block that a signal ends immediately, because nothing is lost; the code after it runs
+        as usual."""
         self.at_once = True
         try:
             if not self.wanted:
@@ -273,11 +309,15 @@ class StopRequest:
 
     @contextlib.contextmanager
     def listening(self) -> Iterator["StopRequest"]:
-        """Catch signals inside the block; does nothing outside the main thread, where that is not possible."""
+        """Catch signals inside the block; does nothing outside the main thread, where that is not
+        possible."""
         if threading.current_thread() is not threading.main_thread():
             yield self
             return
-        before = {number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)}
+        before = {
+            number: signal.signal(number, self._handle)
+            for number in (signal.SIGINT, signal.SIGTERM)
+        }
         try:
             yield self
         finally:

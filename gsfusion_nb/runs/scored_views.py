@@ -1,4 +1,5 @@
-"""The views that a run is scored with and their poses in its map, stored so that it can be scored again."""
+"""The views that a run is scored with and their poses in its map, stored so that it can be scored
+again."""
 
 import bisect
 import contextlib
@@ -35,16 +36,23 @@ def readable_frames(view: SequenceView) -> Iterator[Frame]:
             continue
 
 
-def poses_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> list[Float[Tensor, "4 4"] | None]:
+def poses_in_map(
+    view: SequenceView, localiser: Localiser, mapping: SequenceView
+) -> list[Float[Tensor, "4 4"] | None]:
     """The camera-to-world pose in the map of each frame of a view, or ``None``; no images are read.
 
-    With given poses these are the poses of the data, and of mapped frames those that pictures refined
-    (``optim.refine_poses``). With tracked poses a mapped frame has its tracked pose, and any
-    other frame is placed relative to the nearest mapped frame n with the poses of the data:
-    T_WC = T_WC(n) T_data(n)^-1 T_data. If the data has no poses, only mapped frames have a pose in the map.
+    With given poses these are the poses of the data, and of mapped frames those that pictures
+    refined (``optim.refine_poses``). With tracked poses a mapped frame has its tracked pose, and
+    any other frame is placed relative to the nearest mapped frame n with the poses of the data:
+    T_WC = T_WC(n) T_data(n)^-1 T_data. If the data has no poses, only mapped frames have a pose in
+    the map.
     """
     if not localiser.is_tracking or not localiser.poses:
-        refined = zip(localiser.frame_indices, localiser.poses, strict=True) if localiser.is_refined else ()
+        refined = (
+            zip(localiser.frame_indices, localiser.poses, strict=True)
+            if localiser.is_refined
+            else ()
+        )
         mapped_at = dict(refined)
         return [mapped_at.get(index, _data_pose(view, i)) for i, index in enumerate(view.positions)]
     mapped = torch.tensor(localiser.frame_indices)
@@ -56,18 +64,29 @@ def poses_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView
         if int(mapped[nearest]) != index:
             at = position.get(int(mapped[nearest])) if has_poses(mapping) else None
             there, here = None if at is None else _data_pose(mapping, at), _data_pose(view, i)
-            T_WC = None if there is None or here is None else T_WC @ se3.inverse(there.to(T_WC)) @ here.to(T_WC)
+            T_WC = (
+                None
+                if there is None or here is None
+                else T_WC @ se3.inverse(there.to(T_WC)) @ here.to(T_WC)
+            )
         poses.append(T_WC)
     return poses
 
 
-def frames_in_map(view: SequenceView, localiser: Localiser, mapping: SequenceView) -> Iterator[Frame]:
-    """The readable frames of a view with their ``poses_in_map``; frames without one are left out."""
+def frames_in_map(
+    view: SequenceView, localiser: Localiser, mapping: SequenceView
+) -> Iterator[Frame]:
+    """The readable frames of a view with their ``poses_in_map``; frames without one are left
+    out."""
     yield from frames_at(view, poses_in_map(view, localiser, mapping))
 
 
-def frames_at(view: SequenceView, poses: list[Float[Tensor, "4 4"] | None]) -> Iterator[Frame]:
-    """The readable frames of a view with other poses, one per frame; frames with ``None`` are left out."""
+def frames_at(
+    view: SequenceView,
+    poses: list[Float[Tensor, "4 4"] | None],
+) -> Iterator[Frame]:
+    """The readable frames of a view with other poses, one per frame; frames with ``None`` are left
+    out."""
     posed = [i for i, T_WC in enumerate(poses) if T_WC is not None]
     for i in posed:
         try:
@@ -85,9 +104,11 @@ def _data_pose(view: SequenceView, i: int) -> Float[Tensor, "4 4"] | None:
         return None
 
 
-def ground_truth_poses(localiser: Localiser, mapping: SequenceView) -> Float[Tensor, "N 4 4"] | None:
-    """The true poses of the mapped frames where the source knows them (``true_pose``), otherwise those of the data;
-    ``None`` if one is missing."""
+def ground_truth_poses(
+    localiser: Localiser, mapping: SequenceView
+) -> Float[Tensor, "N 4 4"] | None:
+    """The true poses of the mapped frames where the source knows them (``true_pose``), otherwise
+    those of the data; ``None`` if one is missing."""
     source = as_read(mapping.source)
     true_pose = getattr(source, "true_pose", None)
     if true_pose is not None:
@@ -106,22 +127,29 @@ VIEWS = "views.json"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ScoredViews:
-    """Some frames of a sequence, their poses in the map, and with which exposure the map is shown there."""
+    """Some frames of a sequence, their poses in the map, and with which exposure the map is shown
+    there."""
 
     positions: list[int]
     """Positions of the frames in the sequence."""
     poses: list[Float[Tensor, "4 4"]]
     """Camera-to-world in the map, float32."""
     gains: dict[int, Float[Tensor, " 3"]] = dataclasses.field(default_factory=dict)
-    """Position -> factor of each colour between the map's picture and this view's; 1 for the others."""
+    """Position -> factor of each colour between the map's picture and this view's; 1 for the
+    others."""
 
     def spread(self, limit: int) -> "ScoredViews":
         """At most ``limit`` of the views, evenly spread."""
         picks = evenly(len(self.positions), limit)
-        return ScoredViews([self.positions[i] for i in picks], [self.poses[i] for i in picks], self.gains)
+        return ScoredViews(
+            [self.positions[i] for i in picks],
+            [self.poses[i] for i in picks],
+            self.gains,
+        )
 
     def frames(self, sequence: SequenceView) -> Iterator[Frame]:
-        """The readable frames with their poses in the map; size and depth limits are those of ``sequence``."""
+        """The readable frames with their poses in the map; size and depth limits are those of
+        ``sequence``."""
         view = SequenceView(
             source=sequence.source,
             positions=self.positions,
@@ -132,11 +160,15 @@ class ScoredViews:
         )
         yield from frames_at(view, list(self.poses))
 
-    def scores(self, draw: Draw, sequence: SequenceView, *, with_lpips: bool = False) -> ImageScores:
-        """The scores of the readable frames; what ``draw`` renders is shown with the exposure of each view."""
+    def scores(
+        self, draw: Draw, sequence: SequenceView, *, with_lpips: bool = False
+    ) -> ImageScores:
+        """The scores of the readable frames; what ``draw`` renders is shown with the exposure of
+        each view."""
         return ImageScores(
             rows=tuple(
-                score_view(self._shown(draw, frame), frame, with_lpips=with_lpips) for frame in self.frames(sequence)
+                score_view(self._shown(draw, frame), frame, with_lpips=with_lpips)
+                for frame in self.frames(sequence)
             )
         )
 
@@ -144,23 +176,29 @@ class ScoredViews:
         with torch.no_grad():
             output = draw(frame.camera, frame.T_WC)
         gain = self.gains.get(frame.index)
-        return output if gain is None else dataclasses.replace(output, rgb=exposed(output.rgb, gain.to(output.rgb)))
+        return (
+            output
+            if gain is None
+            else dataclasses.replace(output, rgb=exposed(output.rgb, gain.to(output.rgb)))
+        )
 
 
 def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
     """The held-out and mapped views of a run that are scored, with their current poses in the map.
 
-    Held-out views of tracked recordings without poses are aligned with the map by their depth and brightness; those
-    that fit nowhere are left out, and the run says so.
+    Held-out views of tracked recordings without poses are aligned with the map by their depth and
+    brightness; those that fit nowhere are left out, and the run says so.
 
-    Where pictures refined the mapped poses or exposures, the held-out views are there a second time, as the group
-    held_out_between, each moved as the mapped views before and after it were, and with an exposure between theirs;
-    their own pictures are not used.
+    Where pictures refined the mapped poses or exposures, the held-out views are there a second
+    time, as the group held_out_between, each moved as the mapped views before and after it were,
+    and with an exposure between theirs; their own pictures are not used.
     """
     localiser, mapping = run.mapper.localiser, run.sequence.mapping
     mapped = run.mapped_views(run.mapper.config.data.scored_views)
     refused = set(mapped.positions) - set(localiser.frame_indices)  # read, but not mapped
-    mapped = dataclasses.replace(mapped, positions=[p for p in mapped.positions if p not in refused])
+    mapped = dataclasses.replace(
+        mapped, positions=[p for p in mapped.positions if p not in refused]
+    )
     found = {}
     for name, view in (("held_out", run.sequence.held_out), ("mapped", mapped)):
         poses = poses_in_map(view, localiser, mapping)
@@ -175,7 +213,10 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
     held_out = found["held_out"]
     gains = _gains_between(run, held_out.positions)
     if localiser.is_refined or gains:
-        moved = [localiser.refined(*view) for view in zip(held_out.positions, held_out.poses, strict=True)]
+        moved = [
+            localiser.refined(*view)
+            for view in zip(held_out.positions, held_out.poses, strict=True)
+        ]
         found["held_out_between"] = ScoredViews(held_out.positions, moved, gains)
     return found
 
@@ -183,7 +224,8 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
 def _localised(
     run: MappingRun, view: SequenceView, poses: list[Float[Tensor, "4 4"] | None]
 ) -> list[Float[Tensor, "4 4"] | None]:
-    """The poses of held-out views, and where the map was tracked of those without one: aligned with the map as it is.
+    """The poses of held-out views, and where the map was tracked of those without one: aligned with
+    the map as it is.
 
     They are found once for each state of the map.
     """
@@ -191,7 +233,13 @@ def _localised(
     missing = [i for i, T_WC in enumerate(poses) if T_WC is None]
     if not missing or not mapper.localiser.is_tracking or not mapper.localiser.poses:
         return poses
-    state = (run.next_position, mapper.n_frames, mapper.passes.done, len(mapper.passes.queue), tuple(view.positions))
+    state = (
+        run.next_position,
+        mapper.n_frames,
+        mapper.passes.done,
+        len(mapper.passes.queue),
+        tuple(view.positions),
+    )
     if run.localised is None or run.localised[0] != state:
         found: dict[int, Tensor] = {}
         for frame in frames_at(view, [torch.eye(4) if T_WC is None else None for T_WC in poses]):
@@ -203,15 +251,22 @@ def _localised(
         lost = [view.positions[i] for i in missing if view.positions[i] not in found]
         if lost:
             run.warn_once(
-                f"{len(lost)} of {len(missing)} held-out frames could not be found in the map and are not scored, the "
-                f"first is frame {lost[0]}"
+                f"{len(lost)} of {len(missing)} held-out frames could not be found in the map and "
+                f"are not scored, the first is frame {lost[0]}"
             )
     known = run.localised[1]
-    return [known.get(index) if T_WC is None else T_WC for index, T_WC in zip(view.positions, poses, strict=True)]
+    return [
+        known.get(index) if T_WC is None else T_WC
+        for index, T_WC in zip(view.positions, poses, strict=True)
+    ]
 
 
-def _gains_between(run: MappingRun, positions: list[int]) -> dict[int, Float[Tensor, " 3"]]:
-    """The exposure of each held-out view by those of the mapped views before and after it; empty without fitted ones.
+def _gains_between(
+    run: MappingRun,
+    positions: list[int],
+) -> dict[int, Float[Tensor, " 3"]]:
+    """The exposure of each held-out view by those of the mapped views before and after it; empty
+    without fitted ones.
 
     Of a mapped view that is no keyframe it is fitted here, from its picture.
     """
@@ -227,7 +282,9 @@ def _gains_between(run: MappingRun, positions: list[int]) -> dict[int, Float[Ten
     view = dataclasses.replace(mapped, positions=wanted)
     for frame in frames_at(view, [poses[i] for i in wanted]):
         shown = mapper.render(frame.camera, frame.T_WC)
-        fitted[frame.index] = fit_gain(shown.rgb, frame.rgb.to(shown.rgb), shown.alpha >= SHOWN_ALPHA)
+        fitted[frame.index] = fit_gain(
+            shown.rgb, frame.rgb.to(shown.rgb), shown.alpha >= SHOWN_ALPHA
+        )
     return {p: exposure_between(fitted, p) for p in positions}
 
 
@@ -248,9 +305,10 @@ def score_in_map(
         sequence: The sequence that holds their images.
         suffix: Appended to the name of the group.
         with_lpips: Also compute LPIPS.
-        align: If given, the held-out views are scored once more, as the group held_out_aligned, each at the pose that
-            it returns, at which the map fits the picture best (``Mapper.aligned_pose``), and as the group
-            held_out_fitted with brightness and white balance fitted, too (``fit_gain``).
+        align: If given, the held-out views are scored once more, as the group held_out_aligned,
+            each at the pose that it returns, at which the map fits the picture best
+            (``Mapper.aligned_pose``), and as the group held_out_fitted with brightness and white
+            balance fitted, too (``fit_gain``).
     """
     metrics: dict[str, Any] = {}
     groups = dict(views)
@@ -265,7 +323,11 @@ def score_in_map(
     return metrics
 
 
-def _fitted(frames: Iterator[Frame], draw: Draw, align: Callable[[Frame], Tensor]) -> ScoredViews:
+def _fitted(
+    frames: Iterator[Frame],
+    draw: Draw,
+    align: Callable[[Frame], Tensor],
+) -> ScoredViews:
     """The views at the poses that fit their pictures to the map best, and their exposures there."""
     views = ScoredViews([], [])
     for frame in frames:
@@ -273,12 +335,15 @@ def _fitted(frames: Iterator[Frame], draw: Draw, align: Callable[[Frame], Tensor
         shown = draw(frame.camera, T_WC)
         views.positions.append(frame.index)
         views.poses.append(T_WC.to(frame.T_WC))
-        views.gains[frame.index] = fit_gain(shown.rgb, frame.rgb.to(shown.rgb.device), shown.alpha >= SHOWN_ALPHA)
+        views.gains[frame.index] = fit_gain(
+            shown.rgb, frame.rgb.to(shown.rgb.device), shown.alpha >= SHOWN_ALPHA
+        )
     return views
 
 
 def views_as_json(views: dict[str, ScoredViews]) -> dict[str, Any]:
-    """The views as plain values for JSON; float32 poses and exposures are read back from them bit for bit."""
+    """The views as plain values for JSON; float32 poses and exposures are read back from them bit
+    for bit."""
     return {
         name: [
             {"frame": position, "T_WC": T_WC.flatten().tolist()}
@@ -293,13 +358,14 @@ def read_views(folder: Path) -> dict[str, ScoredViews]:
     """Read the views from ``views.json`` in a run's folder.
 
     Raises:
-        FileNotFoundError: The run is from a version that did not write the file. ValueError: The file is damaged.
+        FileNotFoundError: The run is from a version that did not write the file. ValueError: The
+            file is damaged.
     """
     path = folder / VIEWS
     if not path.is_file():
         raise FileNotFoundError(
-            f"{path} does not exist, so the views to score and their poses are not known; the run is from an older "
-            "version: map the data again"
+            f"{path} does not exist, so the views to score and their poses are not known; the run "
+            "is from an older version: map the data again"
         )
     try:
         document = read_object(path, "the views that a run is scored by")

@@ -1,4 +1,5 @@
-"""One page of several runs of the same recording: numbers, the same held-out views, meshes, and the map as it grew."""
+"""One page of several runs of the same recording: numbers, the same held-out views, meshes, and the
+map as it grew."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,7 +30,8 @@ NUMBERS = {
 
 
 def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
-    """Write one HTML file, atomically, that loads no other files; it links to the report of each run.
+    """Write one HTML file, atomically, that loads no other files; it links to the report of each
+    run.
 
     Args:
         path: Of the file, in a folder above those of the runs.
@@ -39,8 +41,14 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
         The path written.
     """
     path, names = Path(path), [run.mapper.title for run in runs]
-    of_frames = {name: [step.psnr_after_db for step in run.run.steps] for name, run in zip(names, runs, strict=True)}
-    sizes = {name: [step.n_gaussians for step in run.run.steps] for name, run in zip(names, runs, strict=True)}
+    of_frames = {
+        name: [step.psnr_after_db for step in run.run.steps]
+        for name, run in zip(names, runs, strict=True)
+    }
+    sizes = {
+        name: [step.n_gaussians for step in run.run.steps]
+        for name, run in zip(names, runs, strict=True)
+    }
     frames = [step.frame_index for step in runs[0].run.steps]
     page = fill(
         "side_by_side.html",
@@ -55,7 +63,13 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
             for name, (words, picture) in zip(names, seen, strict=True)
         ][: 2 * len(runs)],
         graphs=[
-            page_graph("PSNR of the frame after its step", frames, of_frames, x_label="frame", y_label="PSNR, dB"),
+            page_graph(
+                "PSNR of the frame after its step",
+                frames,
+                of_frames,
+                x_label="frame",
+                y_label="PSNR, dB",
+            ),
             page_graph("Size of the map", frames, sizes, x_label="frame", y_label="Gaussians"),
         ],
     )
@@ -64,31 +78,56 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
 
 
 def numbers_of(runs: Sequence["FinishedRun"]) -> list[list[str]]:
-    """The rows of a table: a head with the names of the systems, then each number's label and its values."""
+    """The rows of a table: a head with the names of the systems, then each number's label and its
+    values."""
     known = [name for name in NUMBERS if any(name in run.metrics for run in runs)]
-    rows = [[NUMBERS[name], *(format_metric(name, run.metrics.get(name)) for run in runs)] for name in known]
+    rows = [
+        [NUMBERS[name], *(format_metric(name, run.metrics.get(name)) for run in runs)]
+        for name in known
+    ]
     return [["", *(run.mapper.title for run in runs)], *rows]
 
 
-def _views(of_runs: Sequence[Sequence[ReportView]], names: Sequence[str]) -> list[dict[str, Any]]:
-    """Each view that all runs held out: what was recorded, and of each run the picture and the error of its depth."""
-    shown, held_out = [], [{view.name: view for view in views if view.held_out} for views in of_runs]
+def _views(
+    of_runs: Sequence[Sequence[ReportView]],
+    names: Sequence[str],
+) -> list[dict[str, Any]]:
+    """Each view that all runs held out: what was recorded, and of each run the picture and the
+    error of its depth."""
+    shown, held_out = (
+        [],
+        [{view.name: view for view in views if view.held_out} for views in of_runs],
+    )
     for first in held_out[0].values():
         panels = [views[first.name] for views in held_out if first.name in views]
         if len(panels) < len(held_out):
             continue
         near, far = pictures.depth_range_m(first.depth_m)
-        metres = ColourBar(colours=pictures.DEPTH_COLOURS, low=f"{near:.2f}{NBSP}m", high=f"{far:.2f}{NBSP}m")
+        metres = ColourBar(
+            colours=pictures.DEPTH_COLOURS, low=f"{near:.2f}{NBSP}m", high=f"{far:.2f}{NBSP}m"
+        )
         off = ColourBar(
-            colours=pictures.ERROR_COLOURS, low="0", high=f"{pictures.DEPTH_ERROR_LIMIT_M * 100:g}{NBSP}cm or more"
+            colours=pictures.ERROR_COLOURS,
+            low="0",
+            high=f"{pictures.DEPTH_ERROR_LIMIT_M * 100:g}{NBSP}cm or more",
         )
         rows = [page_picture(first.rgb, "As recorded", alt=f"{first.name}, as recorded")]
         for name, panel in zip(names, panels, strict=True):
-            rows.append(page_picture(panel.render, f"{name}, {panel.psnr:.2f}{NBSP}dB", alt=f"{first.name}, {name}"))
+            rows.append(
+                page_picture(
+                    panel.render, f"{name}, {panel.psnr:.2f}{NBSP}dB", alt=f"{first.name}, {name}"
+                )
+            )
         measured = pictures.colour_depth(first.depth_m, near, far)
-        rows.append(page_picture(measured, "Depth as measured", alt=f"{first.name}, depth", bar=metres))
+        rows.append(
+            page_picture(measured, "Depth as measured", alt=f"{first.name}, depth", bar=metres)
+        )
         for name, panel in zip(names, panels, strict=True):
             error = pictures.depth_error_map(panel.render_depth_m, panel.depth_m)
-            rows.append(page_picture(error, f"{name}, error of depth", alt=f"{first.name}, {name}, depth", bar=off))
+            rows.append(
+                page_picture(
+                    error, f"{name}, error of depth", alt=f"{first.name}, {name}, depth", bar=off
+                )
+            )
         shown.append({"name": first.name, "pictures": rows})
     return shown

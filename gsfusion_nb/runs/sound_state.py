@@ -1,9 +1,10 @@
 """Whether the state in a checkpoint is one that a run of this version can have come to.
 
-Its checksums say that no disk changed it. They do not say who wrote it: a checkpoint may be somebody else's, or that of
-a program with an error. Three things are looked at, before the run goes on: every value by its name, sizes that have to
-agree, and whether the run that was made of the state would write the same state again. The last finds what was
-converted, filled up or passed over without a word.
+Its checksums say that no disk changed it. They do not say who wrote it: a checkpoint may be
+somebody else's, or that of a program with an error. Three things are looked at, before the run goes
+on: every value by its name, sizes that have to agree, and whether the run that was made of the
+state would write the same state again. The last finds what was converted, filled up or passed over
+without a word.
 """
 
 import math
@@ -16,16 +17,56 @@ from torch import Tensor
 from ..checks import check_pose, check_whole, shown
 from ..files import SequenceError
 
-COUNTS = frozenset({
-    "bad_in_a_row", "done", "frame_index", "height", "index", "lost_in_a_row", "n", "n_blocks", "n_earlier", "n_frames",
-    "n_gaussians", "n_not_finite", "n_seeds", "n_steps", "n_taken", "n_unusable", "next_position", "queue", "sh_degree",
-    "step", "step_count", "steps", "steps_taken", "turns", "width",
-})  # fmt: skip
+COUNTS = frozenset(
+    {
+        "bad_in_a_row",
+        "done",
+        "frame_index",
+        "height",
+        "index",
+        "lost_in_a_row",
+        "n",
+        "n_blocks",
+        "n_earlier",
+        "n_frames",
+        "n_gaussians",
+        "n_not_finite",
+        "n_seeds",
+        "n_steps",
+        "n_taken",
+        "n_unusable",
+        "next_position",
+        "queue",
+        "sh_degree",
+        "step",
+        "step_count",
+        "steps",
+        "steps_taken",
+        "turns",
+        "width",
+    }
+)
 """Names of whole numbers that are never negative."""
-NUMBERS = frozenset({
-    "cx", "cy", "fx", "fy", "global_losses", "inlier_share", "losses", "online_scores", "psnr_after_db",
-    "psnr_before_db", "rms_m", "seconds", "seconds_global", "timestamp_s", "usual_fit", "weight",
-})  # fmt: skip
+NUMBERS = frozenset(
+    {
+        "cx",
+        "cy",
+        "fx",
+        "fy",
+        "global_losses",
+        "inlier_share",
+        "losses",
+        "online_scores",
+        "psnr_after_db",
+        "psnr_before_db",
+        "rms_m",
+        "seconds",
+        "seconds_global",
+        "timestamp_s",
+        "usual_fit",
+        "weight",
+    }
+)
 FLAGS = frozenset({"changed", "is_keyframe", "is_optimised"})
 TEXTS = frozenset({"endings", "kind", "name", "status", "warnings"})
 LISTS = frozenset({"endings", "global_losses", "losses", "queue", "turns", "usual_fit", "warnings"})
@@ -33,11 +74,22 @@ TABLES = frozenset({"counts", "online_scores", "seconds", "tracking"})
 """Dictionaries of numbers, with names that a system, or a score, gives."""
 _OTHERS = frozenset({"index", "steps"})
 """Names of a number in one place and of a list or dictionary in another."""
-MAY_BE_NAN = frozenset({
-    "global_losses", "losses", "online_scores", "pass_losses", "psnr_after_db", "psnr_before_db", "timestamps_s",
-    "timestamp_s", "tracking", "features",
-})  # fmt: skip
-"""Scores, losses and places of features that could not be measured, and the times of frames that have none."""
+MAY_BE_NAN = frozenset(
+    {
+        "global_losses",
+        "losses",
+        "online_scores",
+        "pass_losses",
+        "psnr_after_db",
+        "psnr_before_db",
+        "timestamps_s",
+        "timestamp_s",
+        "tracking",
+        "features",
+    }
+)
+"""Scores, losses and places of features that could not be measured, and the times of frames that
+have none."""
 POSES = frozenset({"T_WC", "poses", "given"})
 _BYTES, _FLOATS = torch.uint8, torch.float32
 IMAGES = {
@@ -76,7 +128,11 @@ def check_values(value: Any, where: tuple[str, ...] = ()) -> None:
         _check_plain(value, where)
 
 
-def check_same(state: Any, again: Any, where: tuple[str, ...] = ()) -> None:
+def check_same(
+    state: Any,
+    again: Any,
+    where: tuple[str, ...] = (),
+) -> None:
     """Check that what a run would write is what it was made of.
 
     Raises:
@@ -88,7 +144,9 @@ def check_same(state: Any, again: Any, where: tuple[str, ...] = ()) -> None:
         for key in [*state, *again]:
             if key in state and key not in again:
                 raise _refusal((*where, str(key)), "nothing of this name", _kind(state[key]))
-            if key in state and key not in _NOT_OF_A_MAP:  # what is not in it came after it was written
+            if (
+                key in state and key not in _NOT_OF_A_MAP
+            ):  # what is not in it came after it was written
                 check_same(state[key], again[key], (*where, str(key)))
     elif isinstance(state, list | tuple):
         if len(state) != len(again):
@@ -97,7 +155,9 @@ def check_same(state: Any, again: Any, where: tuple[str, ...] = ()) -> None:
             check_same(mine, theirs, (*where, str(i)))
     elif isinstance(state, Tensor):
         _check_same_tensor(state, again, where)
-    elif state != again and not (isinstance(state, float) and math.isnan(state) and math.isnan(again)):
+    elif state != again and not (
+        isinstance(state, float) and math.isnan(state) and math.isnan(again)
+    ):
         raise _refusal(where, shown(again), shown(state))
 
 
@@ -120,33 +180,49 @@ def check_agreement(run: Any) -> None:
     }
     if len(set(sizes.values())) > 1:
         raise SequenceError(
-            f"a state has {', '.join(f'{size} {name}' for name, size in sizes.items())}, not equally many"
+            f"a state has {', '.join(f'{size} {name}' for name, size in sizes.items())}, not "
+            "equally many"
         )
     if len(run.timestamps_s) != n or n > mapper.n_frames:
         raise SequenceError(
-            f"a state has {n} reports of frames, {len(run.timestamps_s)} times and {mapper.n_frames} mapped frames"
+            f"a state has {n} reports of frames, {len(run.timestamps_s)} times and "
+            f"{mapper.n_frames} mapped frames"
         )
     if run.next_position < n:
-        raise SequenceError(f"a state has {n} reports of frames, but goes on at position {run.next_position}")
+        raise SequenceError(
+            f"a state has {n} reports of frames, but goes on at position {run.next_position}"
+        )
     indices = localiser.frame_indices
     if min(indices, default=0) < 0:
-        raise SequenceError(f"a mapped frame of a state has the index {min(indices)}, expected at least 0")
+        raise SequenceError(
+            f"a mapped frame of a state has the index {min(indices)}, expected at least 0"
+        )
     numbers = [keyframe.index for keyframe in keyframes]
     if lost := {step.frame_index for step in run.steps if step.is_keyframe} - set(numbers):
-        raise SequenceError(f"keyframe {min(lost)} of the reports of a state is not among its keyframes")
+        raise SequenceError(
+            f"keyframe {min(lost)} of the reports of a state is not among its keyframes"
+        )
     if strange := set(numbers) - set(indices):
         raise SequenceError(f"keyframe {min(strange)} of a state is not among its mapped frames")
-    if len(set(numbers)) < len(numbers) and len(set(indices)) == len(indices):  # else of two recordings, one by one
+    if len(set(numbers)) < len(numbers) and len(set(indices)) == len(
+        indices
+    ):  # else of two recordings, one by one
         raise SequenceError("a state has a keyframe twice")
     queue = mapper.passes.queue
     if len(set(queue)) < len(queue) or any(not 0 <= k < len(keyframes) for k in queue):
-        raise SequenceError(f"the passes of a state wait for keyframes {shown(queue)}; it has {len(keyframes)}")
+        raise SequenceError(
+            f"the passes of a state wait for keyframes {shown(queue)}; it has {len(keyframes)}"
+        )
     _check_rows(mapper.gaussians)
 
 
 def _check_rows(model: Any) -> None:
     """Numbers of rows that are negative, or later than the present."""
-    names = [name for name in model.columns if name in ("last_step", "birth_step", "birth_frame", "state")]
+    names = [
+        name
+        for name in model.columns
+        if name in ("last_step", "birth_step", "birth_frame", "state")
+    ]
     for name in names:
         column = model.columns[name]
         if not len(column):
@@ -154,19 +230,28 @@ def _check_rows(model: Any) -> None:
         low, high = (int(x) for x in torch.aminmax(column))
         least, most = {"state": (0, 1), "birth_frame": (-1, _MOST)}.get(name, (0, model.step_count))
         if low < least or high > most:
-            raise SequenceError(f"{name} of the Gaussians must be from {least} to {most}, got {low} to {high}")
+            raise SequenceError(
+                f"{name} of the Gaussians must be from {least} to {most}, got {low} to {high}"
+            )
 
 
 def _check_holder(value: Any, where: tuple[str, ...]) -> None:
     """Lists and dictionaries are where they belong, and nowhere else."""
     above, name = ("", "", *where)[-2:]
-    is_entry = (above in LISTS and above != "usual_fit" and name.isdigit()) or above in TABLES - {"tracking"}
+    is_entry = (above in LISTS and above != "usual_fit" and name.isdigit()) or above in TABLES - {
+        "tracking"
+    }
     if not is_entry and name in LISTS and not isinstance(value, list | tuple):
         raise _refusal(where, "a list", _kind(value))
     if not is_entry and name in TABLES and not isinstance(value, dict):
         raise _refusal(where, "a dictionary", _kind(value))
-    is_number = name in (COUNTS | NUMBERS | FLAGS) - LISTS - TABLES - _OTHERS or (above, name) == ("adam", "steps")
-    if (is_entry or is_number) and (value is None or isinstance(value, dict | list | tuple | Tensor)):
+    is_number = name in (COUNTS | NUMBERS | FLAGS) - LISTS - TABLES - _OTHERS or (above, name) == (
+        "adam",
+        "steps",
+    )
+    if (is_entry or is_number) and (
+        value is None or isinstance(value, dict | list | tuple | Tensor)
+    ):
         raise _refusal(where, "one value", _kind(value))
 
 
@@ -220,7 +305,9 @@ def _check_images(values: dict[str, Any], where: tuple[str, ...]) -> None:
     size = (camera["height"], camera["width"])
     for name, kinds in IMAGES.items():
         image = values.get(name)
-        if isinstance(image, Tensor) and (tuple(image.shape[:2]) != size or image.dtype not in kinds):
+        if isinstance(image, Tensor) and (
+            tuple(image.shape[:2]) != size or image.dtype not in kinds
+        ):
             wanted = f"an image of {size[1]} x {size[0]} pixels of {' or '.join(map(str, kinds))}"
             raise _refusal((*where, name), wanted, _kind(image))
 
@@ -231,7 +318,9 @@ def _check_same_tensor(state: Tensor, again: Tensor, where: tuple[str, ...]) -> 
     mine, theirs = state.cpu(), again.cpu()
     if not torch.equal(mine, theirs):
         both_nan = (
-            mine.isnan() & theirs.isnan() if mine.is_floating_point() else torch.zeros_like(mine, dtype=torch.bool)
+            mine.isnan() & theirs.isnan()
+            if mine.is_floating_point()
+            else torch.zeros_like(mine, dtype=torch.bool)
         )
         if not bool(((mine == theirs) | both_nan).all()):
             raise _refusal(where, "values that a run keeps as they are", "others")

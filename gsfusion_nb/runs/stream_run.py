@@ -20,15 +20,24 @@ from .mapping_run import MappingRun
 MOST_VIEWS = 24
 """At most this many mapped frames are kept, and as many held-out ones: 2.1 MB each at 640x480."""
 
-_UNKNOWN = Camera(width=1, height=1, fx=1.0, fy=1.0, cx=0.5, cy=0.5)
+_UNKNOWN = Camera(
+    width=1,
+    height=1,
+    fx=1.0,
+    fy=1.0,
+    cx=0.5,
+    cy=0.5,
+)
 
 
 class StreamRun(MappingRun):
-    """A mapper and the frames that arrive for it; used like any ``MappingRun``, also in a ``LiveMapper``.
+    """A mapper and the frames that arrive for it; used like any ``MappingRun``, also in a
+    ``LiveMapper``.
 
-    A second thread receives the frames. Their indices count all that arrive, also dropped ones. Every
-    ``data.hold_out_every``-th is held out for scoring, unless the camera is tracked and there are no poses to compare
-    with. ``sequence`` holds what is kept: the poses of all mapped frames and the images of a few.
+    A second thread receives the frames. Their indices count all that arrive, also dropped ones.
+    Every ``data.hold_out_every``-th is held out for scoring, unless the camera is tracked and there
+    are no poses to compare with. ``sequence`` holds what is kept: the poses of all mapped frames
+    and the images of a few.
 
     Args:
         frames: Any iterable of frames, for example a ``LiveSource``; used once.
@@ -38,7 +47,8 @@ class StreamRun(MappingRun):
         until: Called while no frame arrives; the stream ends when it returns True.
 
     Raises:
-        SequenceError: The source has no poses and the settings do not ask to track them, or ``data.repair`` is set.
+        SequenceError: The source has no poses and the settings do not ask to track them, or
+            ``data.repair`` is set.
     """
 
     resumable = False
@@ -59,25 +69,39 @@ class StreamRun(MappingRun):
         self.policy: Policy = policy or getattr(frames, "policy", "all")
         data = self.mapper.config.data
         earlier = self.mapper.localiser.frame_indices
-        selected = SelectedFrames(frames, data, name=name, first_index=max(earlier, default=-1) + 1)
+        selected = SelectedFrames(
+            frames,
+            data,
+            name=name,
+            first_index=max(earlier, default=-1) + 1,
+        )
         self._feed = BackgroundFrames(selected, policy=self.policy, until=lambda: self.until())
         self._n_taken = self.n_unusable = 0
-        self._holds_out = data.hold_out_every > 0 and (self.kept.has_poses or not self.mapper.localiser.is_tracking)
+        self._holds_out = data.hold_out_every > 0 and (
+            self.kept.has_poses or not self.mapper.localiser.is_tracking
+        )
         self._n_earlier = len(earlier)
         self.mapper.passes = KeyframePasses()
 
     @property
     def can_be_saved(self) -> bool:
-        """Whether a checkpoint can be saved now; it keeps the map if the process is killed, though not the stream."""
+        """Whether a checkpoint can be saved now; it keeps the map if the process is killed, though
+        not the stream."""
         return not self.mapper.guard.half_mapped
 
     def state_dict(self) -> dict[str, Any]:
         """The state of the run, and the kept frames of the stream."""
-        counts = {"n_taken": self._n_taken, "n_unusable": self.n_unusable, "n_earlier": self._n_earlier}
+        counts = {
+            "n_taken": self._n_taken,
+            "n_unusable": self.n_unusable,
+            "n_earlier": self._n_earlier,
+        }
         return super().state_dict() | {"kept": self.kept.state_dict(), "counts": counts}
 
     @classmethod
-    def after_a_kill(cls, source: dict[str, Any], mapper: Mapper, state: dict[str, Any]) -> "StreamRun":
+    def after_a_kill(
+        cls, source: dict[str, Any], mapper: Mapper, state: dict[str, Any]
+    ) -> "StreamRun":
         """The run of a stream whose process was killed; it gets no more frames."""
         nothing, passes = KeptFrames(source["stream"], has_poses=source["has_poses"]), mapper.passes
         run = cls(nothing, mapper, policy=source["policy"])
@@ -85,9 +109,15 @@ class StreamRun(MappingRun):
         run.load_state_dict(state)
         run.kept.load_state_dict(state["kept"])
         counts = state["counts"]
-        run._n_taken, run.n_unusable, run._n_earlier = counts["n_taken"], counts["n_unusable"], counts["n_earlier"]
+        run._n_taken, run.n_unusable, run._n_earlier = (
+            counts["n_taken"],
+            counts["n_unusable"],
+            counts["n_earlier"],
+        )
         run.sequence = run.kept.opened()
-        run._warn(f"the stream was interrupted after {len(run.steps)} frames, when its process was killed")
+        run._warn(
+            f"the stream was interrupted after {len(run.steps)} frames, when its process was killed"
+        )
         return run
 
     def stream(self) -> dict[str, Any]:
@@ -97,7 +127,10 @@ class StreamRun(MappingRun):
     def constant_tensors(self) -> list[Tensor]:
         """Also the images of the kept frames."""
         frames = [*self.kept.kept_mapped.items, *self.kept.kept_held_out.items]
-        return [*super().constant_tensors(), *(image for f in frames for image in (f.colour, f.depth_m))]
+        return [
+            *super().constant_tensors(),
+            *(image for f in frames for image in (f.colour, f.depth_m)),
+        ]
 
     def frames(self) -> "StreamRun":
         """The frames that come, without those held out: the run gives them itself."""
@@ -105,7 +138,8 @@ class StreamRun(MappingRun):
 
     @property
     def poses(self) -> list[Any]:
-        """Camera-to-world pose [4, 4] of every frame of this run, as given, or as tracked and corrected so far."""
+        """Camera-to-world pose [4, 4] of every frame of this run, as given, or as tracked and
+        corrected so far."""
         return self.mapper.localiser.poses[self._n_earlier :]
 
     def covering_views(self, least: int) -> SequenceView:
@@ -167,15 +201,19 @@ class StreamRun(MappingRun):
     def _why_nothing(self) -> str:
         if not self.warnings:
             return f"no frame came from {self.sequence.name}"
-        reason = self.warnings[0].removeprefix("skipped a frame: ").removesuffix("; everything mapped before is kept")
+        reason = (
+            self.warnings[0]
+            .removeprefix("skipped a frame: ")
+            .removesuffix("; everything mapped before is kept")
+        )
         return f"no frame of {self.sequence.name} could be mapped, the first because {reason}"
 
 
 class KeptFrames:
     """A ``Sequence`` of some frames of a stream, by index, and of the poses of all mapped frames.
 
-    Reading a frame that was not kept raises ``BadFrameError``. When there are more than ``most`` frames, every other
-    one is dropped, and from then on frames are kept half as often.
+    Reading a frame that was not kept raises ``BadFrameError``. When there are more than ``most``
+    frames, every other one is dropped, and from then on frames are kept half as often.
     """
 
     def __init__(self, name: str, *, has_poses: bool = True, most: int = MOST_VIEWS):
@@ -188,7 +226,10 @@ class KeptFrames:
         self._poses = array("f")
 
     def __len__(self) -> int:
-        return 1 + max((s.items[-1].index for s in (self.kept_mapped, self.kept_held_out) if s.items), default=-1)
+        return 1 + max(
+            (s.items[-1].index for s in (self.kept_mapped, self.kept_held_out) if s.items),
+            default=-1,
+        )
 
     def __getitem__(self, i: int) -> Frame:
         if self._last is not None and self._last.index == i:
@@ -240,7 +281,8 @@ class KeptFrames:
         self.kept_held_out.load_state_dict(state["kept_held_out"])
 
     def opened(self) -> OpenedSequence:
-        """All mapped frames, of which only some have images, and the held-out frames that were kept."""
+        """All mapped frames, of which only some have images, and the held-out frames that were
+        kept."""
         held_out = [frame.index for frame in self.kept_held_out.items]
         return OpenedSequence(
             source=self,
@@ -268,7 +310,11 @@ class _EvenSample:
         self._n += 1
 
     def state_dict(self) -> dict[str, Any]:
-        return {"items": [frame.state_dict() for frame in self.items], "step": self._step, "n": self._n}
+        return {
+            "items": [frame.state_dict() for frame in self.items],
+            "step": self._step,
+            "n": self._n,
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.items = [Frame.of_state(values) for values in state["items"]]

@@ -1,4 +1,5 @@
-"""Where new Gaussians are created: the image quadtree, the context that a rule sees, the registry, and the rules."""
+"""Where new Gaussians are created: the image quadtree, the context that a rule sees, the registry,
+and the rules."""
 
 from ..gaussians import Edit as Edit
 from ..types import Seeds as Seeds

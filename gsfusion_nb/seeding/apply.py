@@ -1,4 +1,5 @@
-"""Running a seeding rule: it leaves its inputs unchanged, keeps only what can be saved, and returns valid seeds."""
+"""Running a seeding rule: it leaves its inputs unchanged, keeps only what can be saved, and returns
+valid seeds."""
 
 import dataclasses
 import math
@@ -23,7 +24,8 @@ _PLAIN = (type(None), bool, int, float, str)
 _RESERVED = "$"
 """Checkpoints use this key themselves."""
 _WORLD = {"xyz_W": (3,), "normal_W": (3,), "T_WC": (4, 4)}
-"""Names of values in world coordinates, and the shape of a row: points, directions, camera-to-world poses."""
+"""Names of values in world coordinates, and the shape of a row: points, directions, camera-to-world
+poses."""
 
 
 def check_memory(rule: str, memory: Any, name: str = "memory") -> None:
@@ -31,14 +33,16 @@ def check_memory(rule: str, memory: Any, name: str = "memory") -> None:
 
     Args:
         rule: Name of the rule, for the message.
-        memory: A dict with strings as keys; tensors, None, True/False, numbers, words, and lists, tuples and dicts of
-            these.
+        memory: A dict with strings as keys; tensors, None, True/False, numbers, words, and lists,
+            tuples and dicts of these.
         name: What it is called in the message.
     """
     if type(memory) is dict:
         for key, value in memory.items():
             if type(key) is not str or key == _RESERVED:
-                raise TypeError(f"seeding rule {rule!r}: the keys of its {name} must be words, got {shown(key)}")
+                raise TypeError(
+                    f"seeding rule {rule!r}: the keys of its {name} must be words, got {shown(key)}"
+                )
             check_memory(rule, value, f"{name}[{key!r}]")
         _check_world(rule, memory, name)
     elif type(memory) in (list, tuple):
@@ -46,8 +50,9 @@ def check_memory(rule: str, memory: Any, name: str = "memory") -> None:
             check_memory(rule, value, f"{name}[{i}]")
     elif not isinstance(memory, Tensor) and type(memory) not in _PLAIN:
         raise TypeError(
-            f"seeding rule {rule!r} keeps a {type(memory).__name__} in its {name}, which a checkpoint cannot save; "
-            "expected tensors, numbers, True/False, words, None, and lists, tuples and dicts of these"
+            f"seeding rule {rule!r} keeps a {type(memory).__name__} in its {name}, which a "
+            "checkpoint cannot save; expected tensors, numbers, True/False, words, None, and "
+            "lists, tuples and dicts of these"
         )
 
 
@@ -69,18 +74,24 @@ def equal_memories(a: Any, b: Any) -> bool:
     if isinstance(a, Tensor):
         return a.dtype == b.dtype and a.shape == b.shape and torch.equal(a, b)
     if isinstance(a, dict):
-        return a.keys() == b.keys() and all(equal_memories(value, b[key]) for key, value in a.items())
+        return a.keys() == b.keys() and all(
+            equal_memories(value, b[key]) for key, value in a.items()
+        )
     if isinstance(a, (list, tuple)):
         return len(a) == len(b) and all(map(equal_memories, a, b))
     return a == b or (a != a and b != b)
 
 
-def move_memory(memory: Any, transform_of: Callable[[Int[Tensor, " N"]], Float[Tensor, "N 4 4"]]) -> None:
-    """Move the values in world coordinates with the map, in place, as a loop closure moves Gaussians and keyframes.
+def move_memory(
+    memory: Any, transform_of: Callable[[Int[Tensor, " N"]], Float[Tensor, "N 4 4"]]
+) -> None:
+    """Move the values in world coordinates with the map, in place, as a loop closure moves
+    Gaussians and keyframes.
 
     Args:
-        memory: What a rule keeps. In each dict in it, the values with the names ``xyz_W`` (points), ``normal_W``
-            (directions) and ``T_WC`` (poses) are moved, each row with the frame that ``frame_index`` says.
+        memory: What a rule keeps. In each dict in it, the values with the names ``xyz_W`` (points),
+            ``normal_W`` (directions) and ``T_WC`` (poses) are moved, each row with the frame that
+            ``frame_index`` says.
         transform_of: Frames -> world-to-world motions (``Correction.transform_of``).
     """
     if not isinstance(memory, (dict, list, tuple)):
@@ -100,24 +111,39 @@ def move_memory(memory: Any, transform_of: Callable[[Int[Tensor, " N"]], Float[T
 
 
 def _check_world(rule: str, memory: dict[str, Any], name: str) -> None:
-    """Raise ``TypeError`` for values in world coordinates without the frame of each row, by which they are moved."""
+    """Raise ``TypeError`` for values in world coordinates without the frame of each row, by which
+    they are moved."""
     for key in _WORLD.keys() & memory.keys():
         value, frame = memory[key], memory.get("frame_index")
-        n = len(frame) if isinstance(frame, Tensor) and frame.ndim == 1 and not frame.is_floating_point() else -1
+        n = (
+            len(frame)
+            if isinstance(frame, Tensor) and frame.ndim == 1 and not frame.is_floating_point()
+            else -1
+        )
         if not isinstance(value, Tensor) or tuple(value.shape) != (n, *_WORLD[key]):
             raise TypeError(
-                f"seeding rule {rule!r}: {name}[{key!r}] is moved when a loop closes, so it must be a tensor "
-                f"[N, {', '.join(map(str, _WORLD[key]))}] beside {name}['frame_index'], an int64 tensor [N] with "
-                "ctx.frame.index for each row"
+                f"seeding rule {rule!r}: {name}[{key!r}] is moved when a loop closes, so it must "
+                f"be a tensor [N, {', '.join(map(str, _WORLD[key]))}] beside "
+                f"{name}['frame_index'], an int64 tensor [N] with ctx.frame.index for each row"
             )
 
 
-_COLUMNS = {"xyz_W": ("N", 3), "rgb": ("N", 3), "scale_m": ("N", 3), "quat": ("N", 4), "opacity": ("N",), "tag": ("N",)}
+_COLUMNS = {
+    "xyz_W": ("N", 3),
+    "rgb": ("N", 3),
+    "scale_m": ("N", 3),
+    "quat": ("N", 4),
+    "opacity": ("N",),
+    "tag": ("N",),
+}
 
 
 @observed
 def apply_rule(
-    rule: str | SeedingRule, ctx: SeedContext, options: Mapping[str, Option] | None = None, one_per_voxel: bool = False
+    rule: str | SeedingRule,
+    ctx: SeedContext,
+    options: Mapping[str, Option] | None = None,
+    one_per_voxel: bool = False,
 ) -> Seeds:
     """Run a rule on one frame and check what it returns.
 
@@ -125,16 +151,18 @@ def apply_rule(
         rule: Name, function or class.
         ctx: What the rule may look at, and its memory.
         options: Values of the rule's options, in place of its defaults.
-        one_per_voxel: Afterwards keep at most one seed per voxel, and none in voxels that hold a Gaussian.
+        one_per_voxel: Afterwards keep at most one seed per voxel, and none in voxels that hold a
+            Gaussian.
 
     Returns:
         The new Gaussians, on the frame's device.
 
     Raises:
-        KeyError: no such rule. TypeError: unknown option, wrong type of option or of result, or something in the
-            rule's memory that cannot be saved.
-        ValueError: a column of wrong shape, NaN, scale <= 0, opacity outside (0, 1), colour outside 0..1, or an
-            implausibly large position or scale; or the rule changed what it was given to read.
+        KeyError: no such rule. TypeError: unknown option, wrong type of option or of result, or
+            something in the rule's memory that cannot be saved.
+        ValueError: a column of wrong shape, NaN, scale <= 0, opacity outside (0, 1), colour outside
+            0..1, or an implausibly large position or scale; or the rule changed what it was given
+            to read.
     """
     found = get_rule(rule)
     values: Any = option_values(found, options or {})
@@ -147,18 +175,25 @@ def apply_rule(
     try:
         _check_seeds(seeds, ctx)
     except (TypeError, ValueError) as error:
-        raise type(error)(f"seeding rule {rule_name(rule)!r} returned invalid seeds: {error}") from None
+        raise type(error)(
+            f"seeding rule {rule_name(rule)!r} returned invalid seeds: {error}"
+        ) from None
     if not one_per_voxel:
         return seeds
     taken = None if ctx.gaussians is None else ctx.voxel_index(ctx.params().xyz_W)
     return keep_one_per_voxel(seeds, ctx.voxel_index(seeds.xyz_W), taken)
 
 
-def keep_one_per_voxel(seeds: Seeds, voxel: Int[Tensor, "N 3"], taken: Int[Tensor, "M 3"] | None = None) -> Seeds:
-    """Of the seeds that share a voxel, keep the one with the largest standard deviation; of equal ones the first.
+def keep_one_per_voxel(
+    seeds: Seeds,
+    voxel: Int[Tensor, "N 3"],
+    taken: Int[Tensor, "M 3"] | None = None,
+) -> Seeds:
+    """Of the seeds that share a voxel, keep the one with the largest standard deviation; of equal
+    ones the first.
 
-    The largest one best covers the area of the seeds that are dropped. GSFusion IV-C.1 says that a voxel contains at
-    most one Gaussian, but not which one.
+    The largest one best covers the area of the seeds that are dropped. GSFusion IV-C.1 says that a
+    voxel contains at most one Gaussian, but not which one.
 
     Args:
         seeds: Proposed Gaussians, N rows.
@@ -169,7 +204,11 @@ def keep_one_per_voxel(seeds: Seeds, voxel: Int[Tensor, "N 3"], taken: Int[Tenso
         The seeds that are kept, in their order.
     """
     if taken is not None and len(taken) and len(seeds):
-        _, group = torch.unique(torch.cat([voxel, taken]), dim=0, return_inverse=True)
+        _, group = torch.unique(
+            torch.cat([voxel, taken]),
+            dim=0,
+            return_inverse=True,
+        )
         free = ~torch.isin(group[: len(seeds)], group[len(seeds) :])
         seeds, voxel = seeds[free], voxel[free]
     if len(seeds) == 0:
@@ -191,16 +230,28 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
         column = getattr(seeds, name)
         check_shape(name, column, (n, *shape[1:]))
         if column.device != ctx.frame.depth_m.device:
-            raise ValueError(f"{name} must be on the frame's device {ctx.frame.depth_m.device}, got {column.device}")
+            raise ValueError(
+                f"{name} must be on the frame's device {ctx.frame.depth_m.device}, got "
+                f"{column.device}"
+            )
         if name != "tag" and not column.is_floating_point():
             raise ValueError(f"{name} must be floating point, got {column.dtype}")
     if n == 0:
         return
-    far, columns = f"{MAX_DISTANCE_M:,.0f} m", {name: getattr(seeds, name) for name in _COLUMNS if name != "tag"}
+    far, columns = (
+        f"{MAX_DISTANCE_M:,.0f} m",
+        {name: getattr(seeds, name) for name in _COLUMNS if name != "tag"},
+    )
     columns["length of quat"] = seeds.quat.norm(dim=-1)
     extremes = torch.stack([x for column in columns.values() for x in torch.aminmax(column)])
     values = extremes.tolist()  # a GPU is waited for once; the extremes of a NaN are NaN
-    found = dict(zip(columns, zip(values[::2], values[1::2], strict=True), strict=True))
+    found = dict(
+        zip(
+            columns,
+            zip(values[::2], values[1::2], strict=True),
+            strict=True,
+        )
+    )
     for name, (low, high) in found.items():
         if not (math.isfinite(low) and math.isfinite(high)):
             check_finite(name, columns[name])
@@ -220,24 +271,27 @@ class ChangedInputError(ValueError):
 
     def __init__(self, rule: str, what: str):
         super().__init__(
-            f"seeding rule {rule!r} changed {what} in place, which the map and other rules use too; work on a copy "
-            "(x.clone())"
+            f"seeding rule {rule!r} changed {what} in place, which the map and other rules use "
+            "too; work on a copy (x.clone())"
         )
         self.what = what
 
 
 @contextmanager
-def unchanged_inputs(ctx: SeedContext, rule: SeedingRule, *, is_quick: bool = False) -> Iterator[None]:
+def unchanged_inputs(
+    ctx: SeedContext, rule: SeedingRule, *, is_quick: bool = False
+) -> Iterator[None]:
     """Context in which a rule may change its memory, but nothing else of what it was given.
 
-    The rules of this package are not watched. A change of the frame is undone. Of the Gaussians and the frame every
-    change is seen, of the rest those that torch makes; NumPy's arrays of the rest cannot be written to.
+    The rules of this package are not watched. A change of the frame is undone. Of the Gaussians and
+    the frame every change is seen, of the rest those that torch makes; NumPy's arrays of the rest
+    cannot be written to.
 
     Args:
         ctx: What the rule sees.
         rule: The rule.
-        is_quick: Only changes that torch makes are looked for, everywhere, and no array can be written to; for calls
-            after each gradient step.
+        is_quick: Only changes that torch makes are looked for, everywhere, and no array can be
+            written to; for calls after each gradient step.
 
     Raises:
         ChangedInputError: at the end of the context, if the rule changed one of them in place.
@@ -248,12 +302,22 @@ def unchanged_inputs(ctx: SeedContext, rule: SeedingRule, *, is_quick: bool = Fa
     _ = ctx.frame.rgb  # made now, so that it is among them
     watched = list(context_tensors(ctx))
     versions = [_version(tensor) for _, tensor in watched]
-    copies = {name: tensor.clone() for name, tensor in watched if name.startswith("frame.") and not is_quick}
-    sums = {name: _sum_of_bits(tensor) for name, tensor in watched if name.startswith("map.") and not is_quick}
+    copies = {
+        name: tensor.clone()
+        for name, tensor in watched
+        if name.startswith("frame.") and not is_quick
+    }
+    sums = {
+        name: _sum_of_bits(tensor)
+        for name, tensor in watched
+        if name.startswith("map.") and not is_quick
+    }
     places = [_place(tensor) for _, tensor in watched]
     changed = ""
     try:
-        with read_only((name, x) for name, x in watched if name not in copies and name not in sums) as made:
+        with read_only(
+            (name, x) for name, x in watched if name not in copies and name not in sums
+        ) as made:
             yield
     except Exception as e:
         if made and ("read-only" in str(e) or "readonly" in str(e)):  # NumPy's word, and OpenCV's
@@ -306,7 +370,8 @@ def _sum_of_bits(tensor: Tensor) -> int:
 
 
 def context_tensors(context: SeedContext) -> Iterator[tuple[str, Tensor]]:
-    """Name and tensor of everything that a rule can read in a context: frame, Gaussians, keyframes, poses, volume."""
+    """Name and tensor of everything that a rule can read in a context: frame, Gaussians, keyframes,
+    poses, volume."""
     frame = context.frame
     yield "frame.rgb_u8" if frame.is_8_bit else "frame.rgb", frame.colour
     yield from ((f"frame.{name}", getattr(frame, name)) for name in ("depth_m", "T_WC"))
@@ -323,7 +388,9 @@ def context_tensors(context: SeedContext) -> Iterator[tuple[str, Tensor]]:
         for name in ("rgb_u8", "depth_m", "T_WC"):
             if isinstance(value := getattr(keyframe, name, None), Tensor):
                 yield f"keyframes[{i}].{name}", value
-    yield from (("past_T_WC", T_WC) for T_WC in context.past_T_WC[-1:])  # a mapper's poses share one counter
+    yield from (
+        ("past_T_WC", T_WC) for T_WC in context.past_T_WC[-1:]
+    )  # a mapper's poses share one counter
     volume = getattr(context.volume, "_volume", context.volume)
     for name in ("D", "W", "rgb"):
         if isinstance(values := getattr(volume, name, None), Tensor):

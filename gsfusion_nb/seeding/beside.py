@@ -1,4 +1,5 @@
-"""Modules beside a rule's file: its folder is importable for the rule alone, and what runs is what is on disk now."""
+"""Modules beside a rule's file: its folder is importable for the rule alone, and what runs is what
+is on disk now."""
 
 import builtins
 import contextlib
@@ -16,15 +17,17 @@ from .code_key import imported_names, where_module
 from .code_values import BESIDE, LOADED_SOURCE, keep_home
 
 _SWAPPING = threading.RLock()
-"""While the modules of one rule are in ``sys.modules``, no other thread imports those of another."""
+"""While the modules of one rule are in ``sys.modules``, no other thread imports those of
+another."""
 
 
 class Beside:
-    """Finds the modules in a folder, for the rule that was loaded from it. Another rule of another folder may have
-    modules of the same names.
+    """Finds the modules in a folder, for the rule that was loaded from it. Another rule of another
+    folder may have modules of the same names.
 
-    A module of Python itself is never taken from the folder. The source is compiled each time, since Python's own
-    copies of compiled files miss a change within a second. Without a folder nothing is found.
+    A module of Python itself is never taken from the folder. The source is compiled each time,
+    since Python's own copies of compiled files miss a change within a second. Without a folder
+    nothing is found.
     """
 
     def __init__(self, folder: Path | None):
@@ -33,7 +36,8 @@ class Beside:
         """Modules that were imported, by name."""
         self._is_active = False
         self.builtins = {**vars(builtins), "__import__": self._import}
-        """For the rule's modules: their import statements look beside the file first, also while the rule runs."""
+        """For the rule's modules: their import statements look beside the file first, also while
+        the rule runs."""
 
     def has(self, name: str) -> bool:
         """Whether a module, by its dotted name, comes from the folder."""
@@ -45,7 +49,11 @@ class Beside:
         spec = importlib.machinery.PathFinder.find_spec(top, [str(self.folder)])
         if spec is None or spec.origin is not None:
             return spec is not None
-        has_code = any(file for place in spec.submodule_search_locations or () for file in Path(place).glob("*.py"))
+        has_code = any(
+            file
+            for place in spec.submodule_search_locations or ()
+            for file in Path(place).glob("*.py")
+        )
         return has_code and importlib.machinery.PathFinder.find_spec(top) is None
 
     def find_spec(
@@ -54,14 +62,17 @@ class Beside:
         """As ``sys.meta_path`` asks."""
         if not self.has(name):
             return None
-        spec = importlib.machinery.PathFinder.find_spec(name, [str(self.folder)] if path is None else path)
+        spec = importlib.machinery.PathFinder.find_spec(
+            name, [str(self.folder)] if path is None else path
+        )
         if spec is not None and isinstance(spec.loader, importlib.machinery.SourceFileLoader):
             spec.loader = _FromSource(name, spec.loader.path, self)
         return spec
 
     @contextlib.contextmanager
     def importable(self) -> Iterator[None]:
-        """Context in which the folder is importable, and its modules are the ones in ``sys.modules``."""
+        """Context in which the folder is importable, and its modules are the ones in
+        ``sys.modules``."""
         with _SWAPPING:
             if self._is_active:  # a module beside the file imports another one
                 yield
@@ -82,14 +93,20 @@ class Beside:
                 self._is_active = False
 
     def sources_of(self, source: bytes) -> dict[str, bytes]:
-        """Name -> content of the modules in the folder that a source imports, and those that these import."""
+        """Name -> content of the modules in the folder that a source imports, and those that these
+        import."""
         return {name: content for name, (_, content) in self._imports_of(source).items()}
 
     def files_of(self, source: bytes) -> dict[str, bytes]:
-        """The same by path, relative to the folder; without packages that have no file of their own."""
+        """The same by path, relative to the folder; without packages that have no file of their
+        own."""
         assert self.folder is not None
         found = self._imports_of(source).values()
-        return {file.relative_to(self.folder).as_posix(): content for file, content in found if file != self.folder}
+        return {
+            file.relative_to(self.folder).as_posix(): content
+            for file, content in found
+            if file != self.folder
+        }
 
     def _imports_of(self, source: bytes) -> dict[str, tuple[Path, bytes]]:
         found: dict[str, tuple[Path, bytes]] = {}
@@ -118,7 +135,14 @@ class Beside:
         vars(module)[LOADED_SOURCE] = source
         keep_home(module)
 
-    def _import(self, name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> Any:
+    def _import(
+        self,
+        name: str,
+        globals: Any = None,
+        locals: Any = None,
+        fromlist: Any = (),
+        level: int = 0,
+    ) -> Any:
         if level == 0 and not self.has(name):
             return builtins.__import__(name, globals, locals, fromlist or (), level)
         with self.importable():
@@ -139,7 +163,8 @@ class _FromSource(importlib.machinery.SourceFileLoader):
 
 
 def sources_digest(source: bytes, beside: Beside) -> str:
-    """A hash of a rule's file, of the modules that it imports from its folder, and of the name of the folder."""
+    """A hash of a rule's file, of the modules that it imports from its folder, and of the name of
+    the folder."""
     digest = hashlib.blake2b(source, digest_size=8)
     for name, content in sorted(beside.sources_of(source).items()):
         digest.update(f"\0{name}\0".encode() + content)

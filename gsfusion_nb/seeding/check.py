@@ -20,7 +20,14 @@ from ..geometry import pixel_grid, rays, se3
 from ..render import footprints, render
 from ..tsdf import TsdfVolume, integrate
 from ..types import Camera, Frame, Seeds
-from .apply import ChangedInputError, apply_rule, check_memory, context_tensors, copy_memory, equal_memories
+from .apply import (
+    ChangedInputError,
+    apply_rule,
+    check_memory,
+    context_tensors,
+    copy_memory,
+    equal_memories,
+)
 from .code_key import code_key, loaded_values
 from .code_values import ValueHash
 from .context import SeedContext
@@ -44,15 +51,18 @@ from .rule_guard import UndeclaredError, only_declared
 _TSDF = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
 _SPHERE = ((0.1, 0.05, 1.3), 0.3)
 _WALL = ((0.2, 0.0, -1.0), -1.9)
-"""Normal (not of unit length) and offset: points with normal . p = offset, a slanted wall near z = 2."""
+"""Normal (not of unit length) and offset: points with normal . p = offset, a slanted wall near z =
+2."""
 
 
 def check_contexts() -> dict[str, SeedContext]:
-    """Small scenes by name: a textured slanted wall with a sphere before it, seen from a tilted camera.
+    """Small scenes by name: a textured slanted wall with a sphere before it, seen from a tilted
+    camera.
 
-    "new": no Gaussians yet; "half seen": the left half was observed before and has Gaussians; "holes": depth missing
-    in stripes; "dark": no depth at all; "odd": 7 x 5 pixels; "tiny": one pixel; "real map": a TSDF volume and a
-    Gaussian map made from the first view, seen from a place beside it.
+    "new": no Gaussians yet; "half seen": the left half was observed before and has Gaussians;
+    "holes": depth missing in stripes; "dark": no depth at all; "odd": 7 x 5 pixels; "tiny": one
+    pixel; "real map": a TSDF volume and a Gaussian map made from the first view, seen from a place
+    beside it.
     """
     new = _scene_frame(61, 47)
     stripes = new.depth_m * (torch.arange(61) % 3 > 0)
@@ -82,7 +92,8 @@ def check_contexts() -> dict[str, SeedContext]:
 
 
 def _real_map(frame: Frame, config: SeedingConfig) -> SeedContext:
-    """Maps as a mapper has them: one frame fused and seeded, then a second one from 15 cm beside it fused."""
+    """Maps as a mapper has them: one frame fused and seeded, then a second one from 15 cm beside it
+    fused."""
     volume, gaussians = TsdfVolume(_TSDF), GaussianModel(sh_degree=0)
     integrate(volume, frame)
     gaussians.append(SeedContext(frame, volume, config=config).cells(), frame.index)
@@ -92,10 +103,11 @@ def _real_map(frame: Frame, config: SeedingConfig) -> SeedContext:
 
 
 class Walk:
-    """A camera that moves sideways through the scene, and maps that grow as in a mapper, without optimisation.
+    """A camera that moves sideways through the scene, and maps that grow as in a mapper, without
+    optimisation.
 
-    So that the Gaussians are not all round and equal, their sizes, directions and opacities are disturbed. Some are
-    large, nearly transparent, or both, so that a rule's edits of these meet.
+    So that the Gaussians are not all round and equal, their sizes, directions and opacities are
+    disturbed. Some are large, nearly transparent, or both, so that a rule's edits of these meet.
     """
 
     n_frames = 3
@@ -106,42 +118,76 @@ class Walk:
         self._frames: list[Frame] = []
 
     def context(self, number: int, memory: dict[str, Any]) -> SeedContext:
-        """What a rule sees of the next frame; ``memory`` is what it kept so far. The frame is in the volume."""
+        """What a rule sees of the next frame; ``memory`` is what it kept so far. The frame is in
+        the volume."""
         frame = dataclasses.replace(_scene_frame(48, 36, shift_m=0.2 * number), index=number)
         integrate(self._volume, frame)
         self._frames.append(frame)
         past = tuple(f.T_WC for f in self._frames[:-1])
         config = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
         return SeedContext(
-            frame, self._volume, self.gaussians, config=config, memory=memory, past_T_WC=past, starts_submap=not number
+            frame,
+            self._volume,
+            self.gaussians,
+            config=config,
+            memory=memory,
+            past_T_WC=past,
+            starts_submap=not number,
         )
 
     def grow(self, seeds: Seeds) -> None:
         """Add seeds to the map."""
         before = len(self.gaussians)
         self.gaussians.append(seeds, self._frames[-1].index)
-        params, n, g = self.gaussians.params, len(self.gaussians) - before, torch.Generator().manual_seed(before)
-        for column, size in ((params.log_scale, 0.3), (params.quat, 0.2), (params.opacity_logit, 1.0)):
+        params, n, g = (
+            self.gaussians.params,
+            len(self.gaussians) - before,
+            torch.Generator().manual_seed(before),
+        )
+        for column, size in (
+            (params.log_scale, 0.3),
+            (params.quat, 0.2),
+            (params.opacity_logit, 1.0),
+        ):
             column[before:] += size * torch.randn(n, *column.shape[1:], generator=g)
-        params.log_scale[before::5] += 2.5  # some large ones, and some nearly transparent ones, of which some are both
+        params.log_scale[before::5] += (
+            2.5  # some large ones, and some nearly transparent ones, of which some are both
+        )
         params.opacity_logit[before::3] = -6.0
         self.gaussians.clock.advance(self.gaussians.step_count + 5)
 
 
 def _scene_frame(width: int, height: int, shift_m: float = 0.0) -> Frame:
-    """The scene by exact ray casting. The wall has four plain quarters and the sphere stripes: cells of several sizes.
+    """The scene by exact ray casting. The wall has four plain quarters and the sphere stripes:
+    cells of several sizes.
 
     With ``shift_m`` the camera is that far to the right of the scene's usual camera.
     """
-    camera = Camera(width=width, height=height, fx=float(width), fy=float(width), cx=width / 2, cy=height / 2)
+    camera = Camera(
+        width=width,
+        height=height,
+        fx=float(width),
+        fy=float(width),
+        cx=width / 2,
+        cy=height / 2,
+    )
     eye = torch.tensor([shift_m, 0.0, 0.0])
     depth_m, rgb = _scene_images(camera, eye)
     T_WC = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.2, 2.0, -0.3]))
     T_WC[:3, 3] += T_WC[:3, :3] @ eye
-    return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T_WC)
+    return Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=rgb,
+        depth_m=depth_m,
+        camera=camera,
+        T_WC=T_WC,
+    )
 
 
-def _scene_images(camera: Camera, eye: Float[Tensor, " 3"]) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W 3"]]:
+def _scene_images(
+    camera: Camera, eye: Float[Tensor, " 3"]
+) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W 3"]]:
     """Depth, metres, and colour of the scene, seen from ``eye`` in the scene's frame."""
     ray = rays(camera, pixel_grid(camera))
     wall = ray.new_tensor(_WALL[0])
@@ -149,16 +195,27 @@ def _scene_images(camera: Camera, eye: Float[Tensor, " 3"]) -> tuple[Float[Tenso
     centre, radius = ray.new_tensor(_SPHERE[0]) - eye, _SPHERE[1]
     a, b, c = (ray * ray).sum(-1), ray @ centre, centre @ centre - radius**2
     root = b * b - a * c
-    z_sphere = torch.where(root > 0, (b - root.clamp_min(0).sqrt()) / a, torch.inf)
+    z_sphere = torch.where(
+        root > 0,
+        (b - root.clamp_min(0).sqrt()) / a,
+        torch.inf,
+    )
     depth_m = torch.minimum(z_wall, z_sphere)
     point = ray * depth_m[..., None] + eye
     checks = ((point[..., :2] > 0).sum(-1) % 2)[..., None]
     stripes = 0.5 + 0.5 * torch.sin(point * torch.tensor([40.0, 3.0, 11.0]))
-    return depth_m, torch.where((z_sphere < z_wall)[..., None], stripes, 0.25 + 0.5 * checks.expand_as(stripes))
+    return depth_m, torch.where(
+        (z_sphere < z_wall)[..., None], stripes, 0.25 + 0.5 * checks.expand_as(stripes)
+    )
 
 
-_STEPS: tuple[tuple[int, Literal["online", "passes"]], ...] = ((1, "online"), (600, "online"), (3000, "passes"))
-"""Steps after which ``after_step`` is called; published strategies act every 100 or 3,000 steps from 500 on."""
+_STEPS: tuple[tuple[int, Literal["online", "passes"]], ...] = (
+    (1, "online"),
+    (600, "online"),
+    (3000, "passes"),
+)
+"""Steps after which ``after_step`` is called; published strategies act every 100 or 3,000 steps
+from 500 on."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +229,8 @@ class RuleCheck:
     seeds: dict[str, int]
     """Scene -> number of seeds the rule gave there."""
     digest: str = ""
-    """A hash of all seeds, and of the map and the memory at the end of the walk: equal in every process."""
+    """A hash of all seeds, and of the map and the memory at the end of the walk: equal in every
+    process."""
 
     def __repr__(self) -> str:
         lines = [f"seeding rule {self.rule!r} keeps the contract"]
@@ -190,11 +248,12 @@ def check_rule(
     extra: Callable[[Frame], Mapping[str, Any]] | None = None,
     options: Mapping[str, Option] | None = None,
 ) -> RuleCheck:
-    """Check the contract of a seeding rule: valid seeds, in front of the camera, none without depth, repeatable, and no
-    change to the frame or the map.
+    """Check the contract of a seeding rule: valid seeds, in front of the camera, none without
+    depth, repeatable, and no change to the frame or the map.
 
-    It runs in single frames, and through a walk in which a map grows from its own seeds and its memory is kept. There
-    ``after_step`` of a class is called, too, with random gradients, and its edits are made.
+    It runs in single frames, and through a walk in which a map grows from its own seeds and its
+    memory is kept. There ``after_step`` of a class is called, too, with random gradients, and its
+    edits are made.
 
     Args:
         rule: Name, function or class; it need not be registered.
@@ -213,11 +272,16 @@ def check_rule(
     tested = _Tested(function, dict(options or {}))
     scenes = check_contexts() if contexts is None else contexts
     try:
-        with only_declared(name, [*option_paths(function, tested.options).values(), *code_key(function).files]):
+        with only_declared(
+            name,
+            [*option_paths(function, tested.options).values(), *code_key(function).files],
+        ):
             counts, digest = _counts(tested, scenes, extra, with_walk=contexts is None)
     except UndeclaredError as e:
         raise AssertionError(str(e)) from None
-    edits = contexts is None and is_map_rule(function) and function.after_step is not MapRule.after_step
+    edits = (
+        contexts is None and is_map_rule(function) and function.after_step is not MapRule.after_step
+    )
     passed = (
         "columns of the right shape, finite, scale > 0, opacity in (0, 1), colour in 0..1",
         "changes neither the frame nor the map",
@@ -238,7 +302,11 @@ class _Tested:
     rule: SeedingRule
     options: dict[str, Option]
 
-    def seeds(self, ctx: SeedContext, changed: Mapping[str, Option] | None = None) -> Seeds:
+    def seeds(
+        self,
+        ctx: SeedContext,
+        changed: Mapping[str, Option] | None = None,
+    ) -> Seeds:
         return apply_rule(self.rule, ctx, {**self.options, **(changed or {})})
 
     def made(self) -> MapRule:
@@ -255,7 +323,8 @@ def _counts(
     *,
     with_walk: bool,
 ) -> tuple[dict[str, int], str]:
-    """Check a rule in each scene. Returns the number of its seeds there, and a hash of all that it gave."""
+    """Check a rule in each scene. Returns the number of its seeds there, and a hash of all that it
+    gave."""
     counts = {}
     all_given = ValueHash(strict=False)
     name, kept = rule_name(tested.rule), loaded_values(tested.rule)
@@ -271,18 +340,25 @@ def _counts(
         counts[scene] = len(first)
         all_given.add(vars(first))
     if with_walk:
-        counts["walk"] = _check_walk(tested, kept, extra, f"seeding rule {name!r}, scene 'walk'", all_given)
+        counts["walk"] = _check_walk(
+            tested, kept, extra, f"seeding rule {name!r}, scene 'walk'", all_given
+        )
     return counts, all_given.hexdigest()
 
 
-def _with_extra(ctx: SeedContext, extra: Callable[[Frame], Mapping[str, Any]] | None) -> SeedContext:
+def _with_extra(
+    ctx: SeedContext, extra: Callable[[Frame], Mapping[str, Any]] | None
+) -> SeedContext:
     if extra is None:
         return ctx
-    return dataclasses.replace(ctx, frame=dataclasses.replace(ctx.frame, extra=dict(extra(ctx.frame))))
+    return dataclasses.replace(
+        ctx, frame=dataclasses.replace(ctx.frame, extra=dict(extra(ctx.frame)))
+    )
 
 
 def _fresh(ctx: SeedContext, seed: int = 0, **changes: Any) -> SeedContext:
-    """The same context with nothing cached, a copy of its memory, and its generator at the start."""
+    """The same context with nothing cached, a copy of its memory, and its generator at the
+    start."""
     generator = torch.Generator().manual_seed(seed)
     return dataclasses.replace(ctx, generator=generator, memory=copy_memory(ctx.memory), **changes)
 
@@ -297,20 +373,29 @@ def _run_unchanged(tested: "_Tested", ctx: SeedContext, where: str) -> Seeds:
 
 @contextmanager
 def _unchanged(ctx: SeedContext, where: str) -> Iterator[None]:
-    """Raise ``AssertionError`` at the end of the block if anything that a rule can read was changed in place."""
+    """Raise ``AssertionError`` at the end of the block if anything that a rule can read was changed
+    in place."""
     watched = [(name, tensor, tensor.clone()) for name, tensor in context_tensors(ctx)]
     try:
         yield
     except ChangedInputError as e:
-        raise AssertionError(f"{where}: it changed {e.what} in place; work on a copy (x.clone())") from None
+        raise AssertionError(
+            f"{where}: it changed {e.what} in place; work on a copy (x.clone())"
+        ) from None
     for name, tensor, before in watched:
         if not torch.equal(tensor, before):
             raise AssertionError(f"{where}: it changed {name} in place; work on a copy (x.clone())")
 
 
-def _check_walk(tested: "_Tested", kept: str, extra: Any, where: str, all_given: ValueHash) -> int:
-    """Several frames in which a map grows from the rule's own seeds; the map and the memory at the end are added to
-    ``all_given``. Returns the number of seeds."""
+def _check_walk(
+    tested: "_Tested",
+    kept: str,
+    extra: Any,
+    where: str,
+    all_given: ValueHash,
+) -> int:
+    """Several frames in which a map grows from the rule's own seeds; the map and the memory at the
+    end are added to ``all_given``. Returns the number of seeds."""
     total, memory, rule = 0, {}, tested.rule
     walk = Walk()
     for number in range(walk.n_frames):
@@ -323,7 +408,9 @@ def _check_walk(tested: "_Tested", kept: str, extra: Any, where: str, all_given:
         if is_map_rule(rule) and rule.after_step is not MapRule.after_step:
             ctx = dataclasses.replace(ctx, memory=after)
             for step, stage in _STEPS:
-                after = _check_after_step(tested.made(), ctx, step, stage, f"{here}, after step {step} ({stage})")
+                after = _check_after_step(
+                    tested.made(), ctx, step, stage, f"{here}, after step {step} ({stage})"
+                )
                 ctx = dataclasses.replace(ctx, memory=after)
             _check_nothing_kept(rule, kept, here)
         total, memory = total + len(first), after
@@ -334,8 +421,8 @@ def _check_walk(tested: "_Tested", kept: str, extra: Any, where: str, all_given:
 def _check_after_step(
     rule: MapRule, ctx: SeedContext, step: int, stage: Literal["online", "passes"], where: str
 ) -> dict[str, Any]:
-    """``after_step`` changes nothing but its memory, returns the same twice, and its edit fits the map, which then has
-    it. Returns the memory afterwards."""
+    """``after_step`` changes nothing but its memory, returns the same twice, and its edit fits the
+    map, which then has it. Returns the memory afterwards."""
     given = _step_stats(rule, ctx, step, stage)
     edits, memories, second = [], [], copy.deepcopy(ctx.gaussians)  # statistics may be restarted
     for seed, model in ((1, ctx.gaussians), (2, second)):
@@ -348,21 +435,35 @@ def _check_after_step(
         edits.append(edit)
         memories.append(fresh.memory)
     if not equal_memories(*map(_as_memory, edits)) or not equal_memories(*memories):
-        raise AssertionError(f"{where}: two calls with the same input gave different edits, or different memories")
+        raise AssertionError(
+            f"{where}: two calls with the same input gave different edits, or different memories"
+        )
     if edits[0] is not None:
         try:
-            ctx.gaussians.edit(edits[0], torch.Generator().manual_seed(step), ctx.frame.index)
+            ctx.gaussians.edit(
+                edits[0],
+                torch.Generator().manual_seed(step),
+                ctx.frame.index,
+            )
         except ValueError as e:
-            raise AssertionError(f"{where}: it returned an edit that is not possible: {e}") from None
+            raise AssertionError(
+                f"{where}: it returned an edit that is not possible: {e}"
+            ) from None
     return memories[0]
 
 
-def _step_stats(rule: MapRule, ctx: SeedContext, step: int, stage: Literal["online", "passes"]) -> StepStats:
+def _step_stats(
+    rule: MapRule, ctx: SeedContext, step: int, stage: Literal["online", "passes"]
+) -> StepStats:
     """Statistics that the rule asks for, with random gradients."""
     needs, model, frame = rule.statistics(), ctx.gaussians, ctx.frame
     check_needs(needs, f"seeding rule {rule_name(type(rule))!r}: statistics()")
     seen = footprints(model.params, frame.camera, frame.T_WC) if needs - {"render"} else None
-    drawn = 1e-3 * torch.randn(len(model), 2, generator=torch.Generator().manual_seed(step))
+    drawn = 1e-3 * torch.randn(
+        len(model),
+        2,
+        generator=torch.Generator().manual_seed(step),
+    )
     v_uv, v_uv_abs = (
         value if name in needs else None
         for name, value in (("image_gradients", drawn), ("abs_image_gradients", 2 * drawn.abs()))
@@ -391,7 +492,8 @@ def _as_memory(edit: Edit | None) -> dict[str, Any] | None:
     if edit is None:
         return None
     return {
-        k: vars(v) if isinstance(v, Seeds) else dict(v) if isinstance(v, Mapping) else v for k, v in vars(edit).items()
+        k: vars(v) if isinstance(v, Seeds) else dict(v) if isinstance(v, Mapping) else v
+        for k, v in vars(edit).items()
     }
 
 
@@ -399,13 +501,16 @@ def _check_nothing_kept(rule: SeedingRule, before: str, where: str) -> None:
     """The rule stores nothing new after all these runs, except in the memory of a context."""
     if loaded_values(rule) != before:
         raise AssertionError(
-            f"{where}: it keeps something from one frame to the next (a global, a variable around it, an attribute); "
-            "its seeds may depend on the context only: keep it in ctx.memory"
+            f"{where}: it keeps something from one frame to the next (a global, a variable around "
+            "it, an attribute); its seeds may depend on the context only: keep it in ctx.memory"
         )
 
 
-def _check_randomness(tested: "_Tested", ctx: SeedContext, first: Seeds, where: str) -> dict[str, Any]:
-    """Runs on equal inputs give equal seeds, and leave equal memories. Returns the memory afterwards."""
+def _check_randomness(
+    tested: "_Tested", ctx: SeedContext, first: Seeds, where: str
+) -> dict[str, Any]:
+    """Runs on equal inputs give equal seeds, and leave equal memories. Returns the memory
+    afterwards."""
     memories = []
     for seed in (1, 2):
         fresh = _fresh(ctx)
@@ -415,19 +520,19 @@ def _check_randomness(tested: "_Tested", ctx: SeedContext, first: Seeds, where: 
             drawn = not torch.equal(torch.get_rng_state(), state)
         if drawn:
             raise AssertionError(
-                f"{where}: it drew random numbers from torch's global generator; draw from the context only: "
-                "torch.rand(..., generator=ctx.generator)"
+                f"{where}: it drew random numbers from torch's global generator; draw from the "
+                "context only: torch.rand(..., generator=ctx.generator)"
             )
         if not equal_memories(vars(first), vars(again)):
             raise AssertionError(
-                f"{where}: two runs on the same input gave different seeds; a rule may depend on the context only, "
-                "and draw from ctx.generator only"
+                f"{where}: two runs on the same input gave different seeds; a rule may depend on "
+                "the context only, and draw from ctx.generator only"
             )
         memories.append(fresh.memory)
     if not equal_memories(*memories):
         raise AssertionError(
-            f"{where}: two runs on the same input left different values in its memory; they may depend on the context "
-            "and on the memory only"
+            f"{where}: two runs on the same input left different values in its memory; they may "
+            "depend on the context and on the memory only"
         )
     return memories[0]
 
@@ -437,7 +542,8 @@ def _check_in_front(seeds: Seeds, frame: Frame, where: str) -> None:
     behind = int((z <= 0).sum())
     if behind:
         raise AssertionError(
-            f"{where}: {behind} of {len(seeds)} seeds lie behind the camera; xyz_W is in the world frame, T_WC applied"
+            f"{where}: {behind} of {len(seeds)} seeds lie behind the camera; xyz_W is in the world "
+            "frame, T_WC applied"
         )
 
 
@@ -445,7 +551,10 @@ def _check_missing_depth(tested: "_Tested", ctx: SeedContext, where: str) -> Non
     blind = dataclasses.replace(ctx.frame, depth_m=torch.zeros_like(ctx.frame.depth_m))
     found = len(tested.seeds(_fresh(ctx, frame=blind)))
     if found:
-        raise AssertionError(f"{where}: the frame has no depth, yet it gave {found} seeds; there is no surface to seed")
+        raise AssertionError(
+            f"{where}: the frame has no depth, yet it gave {found} seeds; there is no surface to "
+            "seed"
+        )
 
 
 def _check_every_option(tested: "_Tested", ctx: SeedContext, first: Seeds, where: str) -> None:
@@ -453,14 +562,17 @@ def _check_every_option(tested: "_Tested", ctx: SeedContext, first: Seeds, where
     defaults = rule_options(tested.rule) | tested.options
     if not equal_memories(vars(first), vars(tested.seeds(_fresh(ctx), defaults))):
         raise AssertionError(
-            f"{where}: passing its own defaults {defaults} by name gave other seeds than leaving them out"
+            f"{where}: passing its own defaults {defaults} by name gave other seeds than leaving "
+            "them out"
         )
     for options in _switched(defaults, rule_choices(tested.rule)):
         seeds = tested.seeds(_fresh(ctx), options)
         _check_in_front(seeds, ctx.frame, f"{where}, with {options}")
 
 
-def _switched(defaults: dict[str, Option], choices: dict[str, tuple[str, ...]]) -> Iterable[dict[str, Option]]:
+def _switched(
+    defaults: dict[str, Option], choices: dict[str, tuple[str, ...]]
+) -> Iterable[dict[str, Option]]:
     for name, default in defaults.items():
         if isinstance(default, bool):
             yield {name: not default}
@@ -470,7 +582,8 @@ def _switched(defaults: dict[str, Option], choices: dict[str, tuple[str, ...]]) 
 
 @contextmanager
 def _other_generators(seed: int) -> Iterator[None]:
-    """Set the global random generators to other states inside the block, and restore them after it."""
+    """Set the global random generators to other states inside the block, and restore them after
+    it."""
     before = torch.get_rng_state(), np.random.get_state(), random.getstate()  # noqa: NPY002
     torch.default_generator.manual_seed(seed)
     np.random.seed(seed)  # noqa: NPY002

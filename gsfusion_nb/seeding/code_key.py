@@ -1,6 +1,8 @@
-"""The key of code: everything that decides what a rule, or another function or class, does. Equal keys, equal work.
+"""The key of code: everything that decides what a rule, or another function or class, does. Equal
+keys, equal work.
 
-It is made here and nowhere else, for the lab, for ``--resume``, and again by every process before it works.
+It is made here and nowhere else, for the lab, for ``--resume``, and again by every process before
+it works.
 """
 
 import ast
@@ -23,7 +25,7 @@ from .code_values import (
     UnhashableError,
     ValueHash,
     is_library_module,
-)  # fmt: skip
+)
 from .installed import distribution_of, is_installed, state_of, with_requirements
 
 _PACKAGE = __name__.partition(".")[0]
@@ -35,10 +37,10 @@ class CodeKey:
     """What decides what some code does."""
 
     parts: Mapping[str, str]
-    """Part -> its hash or version. "values": code and values as they are loaded here, by what the code can reach.
-    "file NAME": content of a module's file, of all modules that are imported and are no installed packages.
-    "package NAME": version of an installed distribution, with a hash of its files that were edited since.
-    "missing NAME": a module that is imported and is not there."""
+    """Part -> its hash or version. "values": code and values as they are loaded here, by what the
+    code can reach. "file NAME": content of a module's file, of all modules that are imported and
+    are no installed packages. "package NAME": version of an installed distribution, with a hash of
+    its files that were edited since. "missing NAME": a module that is imported and is not there."""
     reason: str = ""
     """Why the key says too little, so that nothing can be reused by it; empty if it says all."""
     files: tuple[Path, ...] = field(default=(), repr=False, compare=False)
@@ -56,11 +58,12 @@ class CodeKey:
 
 
 def code_key(code: Any) -> CodeKey:
-    """The key of a function or class: its code and values, the files of all modules that they come from or that these
-    import, and the installed distributions that are reached.
+    """The key of a function or class: its code and values, the files of all modules that they come
+    from or that these import, and the installed distributions that are reached.
 
-    Own code is what is not installed. It is hashed twice, as a file and as it is loaded: a process in which an older
-    version of a file is loaded has another key. Of packages in site-packages the version counts, and an edited file.
+    Own code is what is not installed. It is hashed twice, as a file and as it is loaded: a process
+    in which an older version of a file is loaded has another key. Of packages in site-packages the
+    version counts, and an edited file.
     """
     values = ValueHash()
     parts: dict[str, str] = {}
@@ -87,7 +90,8 @@ def code_key(code: Any) -> CodeKey:
 
 
 def loaded_values(code: Any) -> str:
-    """A hash of the code and values as they are now, without any file; why there is none where it cannot be made."""
+    """A hash of the code and values as they are now, without any file; why there is none where it
+    cannot be made."""
     values = ValueHash()
     try:
         values.add(code, getattr(code, "__name__", type(code).__name__))
@@ -104,25 +108,40 @@ def rule_fingerprint(code: Any) -> str:
 def differing(a: Mapping[str, str], b: Mapping[str, str]) -> str:
     """The parts in which two keys differ, in words."""
     names = [name for name in sorted({*a, *b}) if a.get(name) != b.get(name)]
-    words = [f"{name} ({a[name]}, {b[name]})" if _is_version(name, a, b) else name for name in names]
+    words = [
+        f"{name} ({a[name]}, {b[name]})" if _is_version(name, a, b) else name for name in names
+    ]
     return ", ".join("code or values as loaded" if word == "values" else word for word in words)
 
 
-def _is_version(name: str, a: Mapping[str, str], b: Mapping[str, str]) -> bool:
+def _is_version(
+    name: str,
+    a: Mapping[str, str],
+    b: Mapping[str, str],
+) -> bool:
     return name.startswith("package ") and name in a and name in b
 
 
 def _packages(modules: Iterable[str]) -> dict[str, str]:
-    """State of the distributions that modules of libraries belong to, and of all that they require."""
+    """State of the distributions that modules of libraries belong to, and of all that they
+    require."""
     names = set()
     for module in modules:
         top = module.partition(".")[0]
         if top == _PACKAGE or top in sys.stdlib_module_names:
             continue
-        file = _file_of(sys.modules.get(module)) or _file_of(sys.modules.get(top)) or _origin(where_module(top, None))
+        file = (
+            _file_of(sys.modules.get(module))
+            or _file_of(sys.modules.get(top))
+            or _origin(where_module(top, None))
+        )
         if file is not None and (name := distribution_of(file)):
             names.add(name)
-    return {f"package {name}": state_of(name) for name in with_requirements(names) if name != "gsfusion-nb"}
+    return {
+        f"package {name}": state_of(name)
+        for name in with_requirements(names)
+        if name != "gsfusion-nb"
+    }
 
 
 def _file_of(module: types.ModuleType | None) -> Path | None:
@@ -131,7 +150,8 @@ def _file_of(module: types.ModuleType | None) -> Path | None:
 
 
 class _Closure:
-    """The files of own modules, and of all own modules that they import, at any depth of their code.
+    """The files of own modules, and of all own modules that they import, at any depth of their
+    code.
 
     Args:
         modules: Modules to begin with, as they are loaded.
@@ -143,7 +163,8 @@ class _Closure:
         self.files: list[Path] = []
         self.reason = ""
         self.whole: dict[str, types.ModuleType] = {}
-        """Modules whose names may be looked up while the code runs, all of them if any module does so."""
+        """Modules whose names may be looked up while the code runs, all of them if any module does
+        so."""
         self._done: set[str] = set()
         self._loaded: dict[str, types.ModuleType] = {}
         self._looks_up = False
@@ -160,10 +181,19 @@ class _Closure:
         source = getattr(module, LOADED_SOURCE, None)
         file = _file_of(module)
         content = source if source is not None else None if file is None else _read(file)
-        package = module.__name__ if hasattr(module, "__path__") else module.__name__.rpartition(".")[0]
+        package = (
+            module.__name__ if hasattr(module, "__path__") else module.__name__.rpartition(".")[0]
+        )
         self._add_file(name, file, content, package, getattr(module, BESIDE, None))
 
-    def _add_file(self, name: str, file: Path | None, content: bytes | None, package: str, beside: Any) -> None:
+    def _add_file(
+        self,
+        name: str,
+        file: Path | None,
+        content: bytes | None,
+        package: str,
+        beside: Any,
+    ) -> None:
         if name in self._done:
             return
         self._done.add(name)
@@ -171,7 +201,9 @@ class _Closure:
             self.files.append(file)
         if content is None:
             if file is not None:
-                self.reason = self.reason or f"{file}, the file of the module {name}, cannot be read"
+                self.reason = (
+                    self.reason or f"{file}, the file of the module {name}, cannot be read"
+                )
             return
         self.parts[f"file {name}"] = hashlib.blake2b(content, digest_size=16).hexdigest()
         if file is not None and file.suffix in importlib.machinery.EXTENSION_SUFFIXES:
@@ -183,11 +215,16 @@ class _Closure:
 
     def _look_at_lookups(self, tree: ast.AST, name: str) -> None:
         for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
-            called = call.func.id if isinstance(call.func, ast.Name) else getattr(call.func, "attr", "")
+            called = (
+                call.func.id if isinstance(call.func, ast.Name) else getattr(call.func, "attr", "")
+            )
             constant = [isinstance(a, ast.Constant) for a in call.args]
-            if called in ("import_module", "__import__", "run_path", "run_module") and not all(constant[:1]):
+            if called in ("import_module", "__import__", "run_path", "run_module") and not all(
+                constant[:1]
+            ):
                 self.reason = self.reason or (
-                    f"{name}, line {call.lineno}, imports a module whose name is made while it runs ({called})"
+                    f"{name}, line {call.lineno}, imports a module whose name is made while it "
+                    f"runs ({called})"
                 )
             if isinstance(call.func, ast.Name) and called in _LOOKUPS:
                 self._looks_up = self._looks_up or called != "getattr" or not all(constant[1:2])
@@ -215,13 +252,16 @@ class _Closure:
             if file is not None and is_installed(file) and not is_beside and distribution_of(file):
                 self.libraries.add(dotted)
                 return
-            package = dotted if spec.submodule_search_locations is not None else dotted.rpartition(".")[0]
+            package = (
+                dotted if spec.submodule_search_locations is not None else dotted.rpartition(".")[0]
+            )
             if file is not None:
                 self._add_file(dotted, file, _read(file), package, beside)
 
 
 def imported_names(source: bytes, package: str) -> list[str]:
-    """Names of the modules that a source may import, sorted. ``package``: the package that it is in."""
+    """Names of the modules that a source may import, sorted. ``package``: the package that it is
+    in."""
     return sorted(set(_imports(_parsed(source), package)))
 
 
@@ -251,7 +291,9 @@ def where_module(name: str, beside: Any) -> importlib.machinery.ModuleSpec | Non
     for n in range(1, len(parts) + 1):
         dotted = ".".join(parts[:n])
         finders = [*([beside] if beside is not None else []), *sys.meta_path]
-        found = (finder.find_spec(dotted, path) for finder in finders if hasattr(finder, "find_spec"))
+        found = (
+            finder.find_spec(dotted, path) for finder in finders if hasattr(finder, "find_spec")
+        )
         try:
             spec = next((spec for spec in found if spec is not None), None)
         except (ImportError, ValueError, AttributeError):
@@ -270,14 +312,22 @@ def _imports(tree: ast.AST, package: str) -> Iterator[str]:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            base = ".".join(package.split(".")[: len(package.split(".")) - node.level + 1]) if node.level else ""
+            base = (
+                ".".join(package.split(".")[: len(package.split(".")) - node.level + 1])
+                if node.level
+                else ""
+            )
             source = ".".join(filter(None, (base, node.module)))
             if source:
                 yield source
                 yield from (f"{source}.{alias.name}" for alias in node.names if alias.name != "*")
         elif isinstance(node, ast.Call) and _called(node) in ("import_module", "__import__"):
             first = node.args[0] if node.args else None
-            if isinstance(first, ast.Constant) and isinstance(first.value, str) and not first.value.startswith("."):
+            if (
+                isinstance(first, ast.Constant)
+                and isinstance(first.value, str)
+                and not first.value.startswith(".")
+            ):
                 yield first.value
 
 

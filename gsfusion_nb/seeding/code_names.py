@@ -1,4 +1,5 @@
-"""The names by which code reaches what it uses: of globals, attributes and modules, and those that it makes itself."""
+"""The names by which code reaches what it uses: of globals, attributes and modules, and those that
+it makes itself."""
 
 import contextlib
 import dis
@@ -8,7 +9,15 @@ from collections.abc import Iterator
 
 _BY_NAME = {"globals", "eval", "exec", "vars", "locals"}
 """Builtins that look names up while a program runs."""
-_ANYWHERE = {"_getframe", "_current_frames", "currentframe", "__globals__", "f_globals", "f_locals", "get_objects"}
+_ANYWHERE = {
+    "_getframe",
+    "_current_frames",
+    "currentframe",
+    "__globals__",
+    "f_globals",
+    "f_locals",
+    "get_objects",
+}
 """Attributes by which a program reaches names of other modules, or all objects of the process."""
 _MAKE_SETS = {"BUILD_SET", "SET_ADD", "SET_UPDATE"}
 _OF_VIEWS = {"&", "|", "^", "-"}
@@ -30,39 +39,53 @@ def names_of(code: types.CodeType) -> set[str]:
 
 
 def globals_of(code: types.CodeType) -> set[str]:
-    """The names in code, and in the functions inside it, that are looked up among globals and builtins."""
+    """The names in code, and in the functions inside it, that are looked up among globals and
+    builtins."""
     instructions = (i for part in parts_of(code) for i in dis.get_instructions(part))
-    return {i.argval for i in instructions if i.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS")}
+    return {
+        i.argval
+        for i in instructions
+        if i.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS")
+    }
 
 
 def words_of(text: str) -> set[str]:
-    """The names in a text that may be one, as for ``operator.attrgetter("grid.step")``; none in a sentence."""
+    """The names in a text that may be one, as for ``operator.attrgetter("grid.step")``; none in a
+    sentence."""
     words = text.split(".")
     return set(words) if all(word.isidentifier() for word in words) else set()
 
 
 def imported_inside(f: types.FunctionType) -> set[str]:
     """Modules that a function imports while it runs, by their full names."""
-    package = f.__globals__.get("__package__") or (f.__globals__.get("__name__") or "").rpartition(".")[0]
+    package = (
+        f.__globals__.get("__package__") or (f.__globals__.get("__name__") or "").rpartition(".")[0]
+    )
     found = set()
     for code in parts_of(f.__code__):
         instructions = list(dis.get_instructions(code))
         for i, instruction in enumerate(instructions):
             if instruction.opname == "IMPORT_NAME":
                 level = instructions[i - 2].argval  # put on the stack before the names
-                name = "." * level + instruction.argval if isinstance(level, int) else instruction.argval
+                name = (
+                    "." * level + instruction.argval
+                    if isinstance(level, int)
+                    else instruction.argval
+                )
                 with contextlib.suppress(ImportError):
                     found.add(importlib.util.resolve_name(name, package))
     return found
 
 
 def walks_sets(code: types.CodeType) -> bool:
-    """Whether code makes a set, or asks for hashes: what it does may depend on the order of texts in a set, which
-    differs from process to process."""
+    """Whether code makes a set, or asks for hashes: what it does may depend on the order of texts
+    in a set, which differs from process to process."""
     for part in parts_of(code):
         names = set(part.co_names)
         makes = {i.opname for i in dis.get_instructions(part)}
-        operators = {i.argrepr.rstrip("=") for i in dis.get_instructions(part) if i.opname == "BINARY_OP"}
+        operators = {
+            i.argrepr.rstrip("=") for i in dis.get_instructions(part) if i.opname == "BINARY_OP"
+        }
         if {"set", "frozenset", "hash"} & names or _MAKE_SETS & makes:
             return True
         if {"keys", "items"} & names and _OF_VIEWS & operators:
@@ -77,7 +100,8 @@ def looks_up(f: types.FunctionType, *, in_a_module: bool) -> str:
 
     Args:
         f: The function.
-        in_a_module: Its names are those of a module, of which everything can be hashed; not of a notebook.
+        in_a_module: Its names are those of a module, of which everything can be hashed; not of a
+            notebook.
     """
     names = names_of(f.__code__)
     if found := sorted(_ANYWHERE & names):

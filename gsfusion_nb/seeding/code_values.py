@@ -1,7 +1,8 @@
-"""A hash of a value and of everything that decides what it does, equal in every process: code, closures, attributes.
+"""A hash of a value and of everything that decides what it does, equal in every process: code,
+closures, attributes.
 
-What a value consists of is what the pickle protocol says, with the additions of cloudpickle, so no kind of value is
-left out. What cannot be pickled cannot be hashed.
+What a value consists of is what the pickle protocol says, with the additions of cloudpickle, so no
+kind of value is left out. What cannot be pickled cannot be hashed.
 """
 
 import functools
@@ -27,24 +28,53 @@ LOADED_SOURCE = "__loaded_source__"
 RULE_SOURCE = "__rule_source__"
 """Name in the module of a rule's file itself: its source."""
 BESIDE = "__beside__"
-"""Name in a module that was loaded for a rule's file: the finder of the modules beside that file."""
+"""Name in a module that was loaded for a rule's file: the finder of the modules beside that
+file."""
 _OWN = __name__.partition(".")[0]
 CHECKS_TYPES = "jaxtyping"
-"""Beginning of the names of modules that put checks of types around functions, and change nothing else."""
+"""Beginning of the names of modules that put checks of types around functions, and change nothing
+else."""
 _ATOMS = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis), type(NotImplemented))
 _DESCRIPTORS = (
-    types.MemberDescriptorType, types.GetSetDescriptorType, types.WrapperDescriptorType, types.MethodDescriptorType,
+    types.MemberDescriptorType,
+    types.GetSetDescriptorType,
+    types.WrapperDescriptorType,
+    types.MethodDescriptorType,
     types.ClassMethodDescriptorType,
-)  # fmt: skip
+)
 _NOT_OF_A_CLASS = {
-    "__dict__", "__weakref__", "__doc__", "__module__", "__annotations__", "__firstlineno__", "__static_attributes__",
+    "__dict__",
+    "__weakref__",
+    "__doc__",
+    "__module__",
+    "__annotations__",
+    "__firstlineno__",
+    "__static_attributes__",
     "_abc_impl",
-}  # fmt: skip
+}
 NOT_OF_A_PROGRAM = {
-    "__name__", "__file__", "__doc__", "__builtins__", "__spec__", "__loader__", "__package__", "__cached__",
-    "__path__", "__annotations__", "__import__", "__build_class__", "__debug__", "__rules__", "__undeclared__",
-    "__imported_files__", "display", "get_ipython", LOADED_SOURCE, RULE_SOURCE, BESIDE,
-}  # fmt: skip
+    "__name__",
+    "__file__",
+    "__doc__",
+    "__builtins__",
+    "__spec__",
+    "__loader__",
+    "__package__",
+    "__cached__",
+    "__path__",
+    "__annotations__",
+    "__import__",
+    "__build_class__",
+    "__debug__",
+    "__rules__",
+    "__undeclared__",
+    "__imported_files__",
+    "display",
+    "get_ipython",
+    LOADED_SOURCE,
+    RULE_SOURCE,
+    BESIDE,
+}
 """Names that Python, or what loads a module or runs a notebook, sets by itself."""
 _HOLD_VALUES = (list, tuple, dict, set, frozenset, np.ndarray, torch.Tensor)
 """Kinds of what somebody may put into a library to look it up there."""
@@ -56,7 +86,8 @@ class UnhashableError(ValueError):
 
 @functools.lru_cache(maxsize=4096)
 def is_library(module: str) -> bool:
-    """Whether a module is this package's, Python's or an installed one, rather than somebody's own."""
+    """Whether a module is this package's, Python's or an installed one, rather than somebody's
+    own."""
     if module == "__main__":  # a notebook, or a script
         return False
     top = module.partition(".")[0]
@@ -82,7 +113,9 @@ def _is_library(module: types.ModuleType) -> bool:
     places = [getattr(module, "__file__", None), *getattr(module, "__path__", ())]
     place = next((place for place in places if isinstance(place, str)), None)
     if place is None:
-        return getattr(module, "__spec__", None) is not None  # built in; one without a spec was made by a program
+        return (
+            getattr(module, "__spec__", None) is not None
+        )  # built in; one without a spec was made by a program
     return is_installed(place) or place.startswith("<frozen")
 
 
@@ -93,18 +126,23 @@ def is_library_module(module: types.ModuleType) -> bool:
         return False
     if name.startswith(CHECKS_TYPES):
         return True
-    if name.partition(".")[0] in (_OWN, *sys.stdlib_module_names) and sys.modules.get(name) is module:
+    if (
+        name.partition(".")[0] in (_OWN, *sys.stdlib_module_names)
+        and sys.modules.get(name) is module
+    ):
         return True
     return _is_library(module)
 
 
 def is_library_code(function: types.FunctionType) -> bool:
-    """Whether a function was written in a library: the module that it looks up its names in is one."""
+    """Whether a function was written in a library: the module that it looks up its names in is
+    one."""
     return is_library_namespace(function.__globals__)
 
 
 def is_library_namespace(names: Mapping[str, Any]) -> bool:
-    """Whether the names of a module are those of a library's; by its file, since two modules may share a name."""
+    """Whether the names of a module are those of a library's; by its file, since two modules may
+    share a name."""
     name = names.get("__name__") or "__main__"
     top = name.partition(".")[0]
     if name == "__main__" or LOADED_SOURCE in names:
@@ -125,7 +163,8 @@ def keep_home(module: types.ModuleType) -> None:
 
 
 def home_of(function: types.FunctionType) -> types.ModuleType | None:
-    """The module in whose namespace a function looks up its names; None for a namespace that is no module's."""
+    """The module in whose namespace a function looks up its names; None for a namespace that is no
+    module's."""
     names = function.__globals__
     known = sys.modules.get(names.get("__name__") or "")
     if isinstance(known, types.ModuleType) and vars(known) is names:
@@ -136,11 +175,12 @@ def home_of(function: types.FunctionType) -> types.ModuleType | None:
 class ValueHash:
     """Puts values into a hash. The same values give the same hash in every process.
 
-    Own functions and classes are hashed with their code and with what the code can reach by the names in it. Those of
-    libraries are hashed by their name.
+    Own functions and classes are hashed with their code and with what the code can reach by the
+    names in it. Those of libraries are hashed by their name.
 
     Args:
-        strict: Raise ``UnhashableError`` for a value that cannot be hashed. Otherwise its type stands for it.
+        strict: Raise ``UnhashableError`` for a value that cannot be hashed. Otherwise its type
+            stands for it.
     """
 
     def __init__(self, strict: bool = True):
@@ -167,7 +207,8 @@ class ValueHash:
         return self._hash.hexdigest()
 
     def _settle(self) -> None:
-        """Add what own code names anywhere of the own modules that it has, in whatever way it got the module."""
+        """Add what own code names anywhere of the own modules that it has, in whatever way it got
+        the module."""
         known = -1
         while known != (known := sum(len(names) for names in self._names_at.values())):
             for module in sorted(self.modules.values(), key=lambda module: module.__name__):
@@ -210,7 +251,8 @@ class ValueHash:
             self._object(x)
 
     def _is_new(self, x: Any) -> bool:
-        """Whether an object was not met before; one that was is hashed by its number, so that circles end."""
+        """Whether an object was not met before; one that was is hashed by its number, so that
+        circles end."""
         if id(x) in self._seen:
             self._text(f"object {self._seen[id(x)][0]}")
             return False
@@ -269,7 +311,11 @@ class ValueHash:
             self.add(value, f"[{key!r}]" if type(key) in _ATOMS else "")
         self._text(f"{len(x)} items")
 
-    def _attributes(self, x: Mapping[str, Any], without: Iterable[str] = ()) -> None:
+    def _attributes(
+        self,
+        x: Mapping[str, Any],
+        without: Iterable[str] = (),
+    ) -> None:
         """Values by name, whose order says nothing."""
         for name in sorted(map(str, x.keys() - set(without))):
             self._text(name)
@@ -298,7 +344,9 @@ class ValueHash:
         self._text(f"{x.dtype} {tuple(x.shape)} {x.stride()} {x.requires_grad} {x.device.type}")
         plain = x.detach().cpu().resolve_conj().resolve_neg().contiguous()
         flat = plain.view(-1)
-        if flat.stride(0) != 1:  # one value of a column counts as contiguous, and cannot be seen as bytes
+        if (
+            flat.stride(0) != 1
+        ):  # one value of a column counts as contiguous, and cannot be seen as bytes
             flat = flat.clone(memory_format=torch.contiguous_format)
         self._hash.update(flat.view(torch.uint8).numpy().tobytes())
         if type(x) not in (torch.Tensor, torch.nn.Parameter):
@@ -307,7 +355,11 @@ class ValueHash:
         if x.is_leaf and x.grad is not None:
             self.add(x.grad, ".grad")
 
-    def _module(self, x: types.ModuleType, names: set[str] | None = None) -> None:
+    def _module(
+        self,
+        x: types.ModuleType,
+        names: set[str] | None = None,
+    ) -> None:
         """A module, of which ``names`` are looked up."""
         if is_library_module(x):
             self._text(x.__name__)
@@ -316,13 +368,16 @@ class ValueHash:
             return
         self.modules[id(x)] = x
         reached = self._names_at.setdefault(id(x), set())
-        for name in sorted(({*(names or ()), "__getattr__"} & vars(x).keys()) - reached - NOT_OF_A_PROGRAM):
+        for name in sorted(
+            ({*(names or ()), "__getattr__"} & vars(x).keys()) - reached - NOT_OF_A_PROGRAM
+        ):
             reached.add(name)
             self._text(name)
             self._global(vars(x)[name], names or set(), f"{x.__name__}.{name}")
 
     def _library_names(self, x: types.ModuleType, names: set[str]) -> None:
-        """What a library has by these names, where that is not what it says: constants, and functions of others."""
+        """What a library has by these names, where that is not what it says: constants, and
+        functions of others."""
         reached = self._names_at.setdefault(id(x), set())
         for name in sorted((names & vars(x).keys()) - reached):
             reached.add(name)
@@ -356,13 +411,19 @@ class ValueHash:
         self._code(f.__code__)
         self.add(f.__defaults__, f"default of {f.__name__}")
         self.add(f.__kwdefaults__, f"default of {f.__name__}")
-        self._text(repr(sorted((name, _plain_repr(value)) for name, value in f.__annotations__.items())))
+        self._text(
+            repr(sorted((name, _plain_repr(value)) for name, value in f.__annotations__.items()))
+        )
         self._attributes(vars(f))
         self._closure(f)
         self._names_of_code(f, home)
 
     def _closure(self, f: types.FunctionType) -> None:
-        for name, cell in zip(f.__code__.co_freevars, f.__closure__ or (), strict=True):
+        for name, cell in zip(
+            f.__code__.co_freevars,
+            f.__closure__ or (),
+            strict=True,
+        ):
             try:
                 content = cell.cell_contents
             except ValueError:  # not assigned yet
@@ -375,7 +436,9 @@ class ValueHash:
         self._words |= names
         by_name = looks_up(f, in_a_module=home is not None and home.__name__ != "__main__")
         if by_name and self._strict:
-            raise UnhashableError(f"{f.__name__} looks names up by {by_name}, so what it uses is not known")
+            raise UnhashableError(
+                f"{f.__name__} looks names up by {by_name}, so what it uses is not known"
+            )
         loaded = globals_of(f.__code__) - NOT_OF_A_PROGRAM
         for name in sorted(loaded & f.__globals__.keys()):
             self._text(name)
@@ -397,7 +460,11 @@ class ValueHash:
     def _class(self, x: type) -> None:
         self._text(f"{self._home_name(x.__module__)}.{x.__qualname__}")
         home = sys.modules.get(x.__module__) or self._home_of_methods(x)
-        if is_library_module(home) if isinstance(home, types.ModuleType) else is_library(x.__module__):
+        if (
+            is_library_module(home)
+            if isinstance(home, types.ModuleType)
+            else is_library(x.__module__)
+        ):
             self.libraries.add(x.__module__)
             return
         if isinstance(home, types.ModuleType):
@@ -423,13 +490,22 @@ class ValueHash:
         self._hash.update(code.co_code)
         table = getattr(code, "co_exceptiontable", b"")
         shape = (code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags)
-        self._text(repr((code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars, shape, table)))
+        self._text(
+            repr(
+                (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars, shape, table)
+            )
+        )
         self._all(code.co_consts)
 
     def _by_reference(self, x: Any) -> bool:
         """Whether an object of a library can be found by its name, and was hashed by it."""
-        module, name = getattr(x, "__module__", None), getattr(x, "__qualname__", None) or getattr(x, "__name__", None)
-        if isinstance(x, types.BuiltinFunctionType) and isinstance(x.__self__, types.ModuleType | type):
+        module, name = (
+            getattr(x, "__module__", None),
+            getattr(x, "__qualname__", None) or getattr(x, "__name__", None),
+        )
+        if isinstance(x, types.BuiltinFunctionType) and isinstance(
+            x.__self__, types.ModuleType | type
+        ):
             self._text(f"{getattr(x.__self__, '__name__', '')}.{x.__qualname__}")
             return True
         if not isinstance(module, str) or not isinstance(name, str) or not is_library(module):
@@ -476,18 +552,24 @@ class ValueHash:
 
     def _give_up(self, x: Any, why: str) -> None:
         if self._strict:
-            raise UnhashableError(f"{self._where()} is a {type(x).__name__}, which cannot be hashed ({why})")
+            raise UnhashableError(
+                f"{self._where()} is a {type(x).__name__}, which cannot be hashed ({why})"
+            )
         self._text("unhashable")
 
     def _where(self) -> str:
-        return "".join(place if place[0] in ".[" else f" {place}" for place in self._place).strip() or "a value"
+        return (
+            "".join(place if place[0] in ".[" else f" {place}" for place in self._place).strip()
+            or "a value"
+        )
 
     def _text(self, text: str) -> None:
         self._hash.update(text.encode(errors="surrogatepass") + b"\0")
 
 
 def _imported(name: str, f: types.FunctionType) -> Any:
-    """What ``import name`` inside a function gives; None where it fails, which the rule will notice."""
+    """What ``import name`` inside a function gives; None where it fails, which the rule will
+    notice."""
     beside = f.__globals__.get(BESIDE)
     if beside is None or not beside.has(name):
         if name.partition(".")[0] in (_OWN, *sys.stdlib_module_names):
@@ -517,7 +599,11 @@ def _own_attributes(x: Any) -> dict[str, Any]:
     found = dict(x.__dict__) if type(getattr(x, "__dict__", None)) is dict else {}
     for kind in type(x).__mro__:
         for name, member in vars(kind).items():
-            if isinstance(member, types.MemberDescriptorType) and not is_library(kind.__module__) and hasattr(x, name):
+            if (
+                isinstance(member, types.MemberDescriptorType)
+                and not is_library(kind.__module__)
+                and hasattr(x, name)
+            ):
                 found[name] = getattr(x, name)
     return found
 
@@ -536,4 +622,8 @@ def _resolved(module: str, name: str) -> Any:
 
 def _plain_repr(annotation: Any) -> str:
     """An annotation in words, without addresses."""
-    return annotation if isinstance(annotation, str) else re.sub(r" at 0x[0-9a-fA-F]+", "", repr(annotation))
+    return (
+        annotation
+        if isinstance(annotation, str)
+        else re.sub(r" at 0x[0-9a-fA-F]+", "", repr(annotation))
+    )

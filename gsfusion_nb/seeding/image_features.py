@@ -16,7 +16,8 @@ from .quadtree import LUMA_WEIGHTS
 NO_GRADIENT = 0.01
 """Gradients of the brightness well below this are noise, per pixel."""
 SMALLEST_LEVEL_PX, BORDER_PX = 8, 4
-"""Corners are looked for on image sizes down to this many pixels, and not closer to the border than this."""
+"""Corners are looked for on image sizes down to this many pixels, and not closer to the border than
+this."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,8 +27,8 @@ class EdgeDirection:
     along: Float[Tensor, "H W 2"]
     """Unit vector along the edge in the image (u, v); its sign is arbitrary."""
     coherence: Float[Tensor, "H W"]
-    """(l1 - l2) / (l1 + l2) of the eigenvalues l1 >= l2 of the tensor: 1 at a straight edge, 0 where no direction
-    differs from the others."""
+    """(l1 - l2) / (l1 + l2) of the eigenvalues l1 >= l2 of the tensor: 1 at a straight edge, 0
+    where no direction differs from the others."""
 
 
 def luma(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W"]:
@@ -41,15 +42,18 @@ def gradient_length(grey: Float[Tensor, "H W"]) -> Float[Tensor, "H W"]:
 
 
 def gradients(grey: Float[Tensor, "H W"]) -> tuple[Float[Tensor, "H W"], Float[Tensor, "H W"]]:
-    """Derivatives along u and along v, per pixel (central differences; one-sided at the border); 0 along an axis of one
-    pixel. Differentiable: no."""
-    gv, gu = (torch.gradient(grey, dim=d)[0] if grey.shape[d] > 1 else torch.zeros_like(grey) for d in (0, 1))
+    """Derivatives along u and along v, per pixel (central differences; one-sided at the border); 0
+    along an axis of one pixel. Differentiable: no."""
+    gv, gu = (
+        torch.gradient(grey, dim=d)[0] if grey.shape[d] > 1 else torch.zeros_like(grey)
+        for d in (0, 1)
+    )
     return gu, gv
 
 
 def structure_directions(grey: Float[Tensor, "H W"], window_px: int) -> EdgeDirection:
-    """Eigenvectors and coherence of the structure tensor, the mean of (gx, gy)^T (gx, gy) over a window. A gradient of
-    less than about 1/100 per pixel counts as none. Differentiable: no.
+    """Eigenvectors and coherence of the structure tensor, the mean of (gx, gy)^T (gx, gy) over a
+    window. A gradient of less than about 1/100 per pixel counts as none. Differentiable: no.
 
     Raises:
         ValueError: ``window_px`` is even or below 1.
@@ -57,23 +61,32 @@ def structure_directions(grey: Float[Tensor, "H W"], window_px: int) -> EdgeDire
     if window_px < 1 or window_px % 2 == 0:
         raise ValueError(f"window_px must be odd and at least 1, got {window_px}")
     gx, gy = gradients(grey)
-    xx, yy, xy = box_blur(torch.stack([gx * gx, gy * gy, gx * gy], dim=2), window_px).unbind(2)
+    xx, yy, xy = box_blur(
+        torch.stack([gx * gx, gy * gy, gx * gy], dim=2),
+        window_px,
+    ).unbind(2)
     difference = ((xx - yy).square() + 4 * xy.square()).sqrt()  # l1 - l2
     across = torch.atan2(2 * xy, xx - yy) / 2
     return EdgeDirection(
-        along=torch.stack([-across.sin(), across.cos()], dim=2), coherence=difference / (xx + yy + NO_GRADIENT**2)
+        along=torch.stack([-across.sin(), across.cos()], dim=2),
+        coherence=difference / (xx + yy + NO_GRADIENT**2),
     )
 
 
 def box_blur(image: Float[Tensor, "H W C"], window_px: int) -> Float[Tensor, "H W C"]:
     """Mean over a square window of odd side; outside the picture its border is repeated."""
     reach = window_px // 2
-    padded = functional.pad(image.permute(2, 0, 1)[None], (reach,) * 4, mode="replicate")
+    padded = functional.pad(
+        image.permute(2, 0, 1)[None],
+        (reach,) * 4,
+        mode="replicate",
+    )
     return functional.avg_pool2d(padded, window_px, stride=1)[0].permute(1, 2, 0)
 
 
 def absolute_laplacian(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W"]:
-    """|4 x - its four neighbours|, summed over the channels; pixels outside the picture equal those at its border."""
+    """|4 x - its four neighbours|, summed over the channels; pixels outside the picture equal those
+    at its border."""
     channels = rgb.permute(2, 0, 1)[:, None]
     padded = functional.pad(channels, (1, 1, 1, 1), mode="replicate")
     kernel = rgb.new_tensor([[0.0, 1.0, 0.0], [1.0, -4.0, 1.0], [0.0, 1.0, 0.0]])
@@ -81,15 +94,21 @@ def absolute_laplacian(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W"]:
 
 
 def halved(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
-    """The picture at half the size (means of 2 x 2 pixels), enlarged again (bilinear): without its finest detail."""
+    """The picture at half the size (means of 2 x 2 pixels), enlarged again (bilinear): without its
+    finest detail."""
     H, W, _ = rgb.shape
     channels = rgb.permute(2, 0, 1)[None]
-    small = functional.interpolate(channels, size=(-(-H // 2), -(-W // 2)), mode="area")
+    small = functional.interpolate(
+        channels,
+        size=(-(-H // 2), -(-W // 2)),
+        mode="area",
+    )
     return functional.interpolate(small, size=(H, W), mode="bilinear")[0].permute(1, 2, 0)
 
 
 def disc_blur(image: Float[Tensor, "H W"], radius_px: float) -> Float[Tensor, "H W"]:
-    """Mean over the pixels whose centre is within ``radius_px``; outside the picture its border is repeated."""
+    """Mean over the pixels whose centre is within ``radius_px``; outside the picture its border is
+    repeated."""
     reach = int(radius_px)
     offset = torch.arange(-reach, reach + 1, device=image.device)
     disc = (offset[:, None] ** 2 + offset[None, :] ** 2 <= radius_px**2).to(image)
@@ -97,8 +116,11 @@ def disc_blur(image: Float[Tensor, "H W"], radius_px: float) -> Float[Tensor, "H
     return functional.conv2d(padded, (disc / disc.sum())[None, None])[0, 0]
 
 
-def canny(frame: Frame, low: float, high: float, dilate_px: int, euclidean: bool = False) -> Bool[Tensor, "H W"]:
-    """OpenCV's Canny edges of the frame's grey image, widened. On the frame's device; differentiable: no."""
+def canny(
+    frame: Frame, low: float, high: float, dilate_px: int, euclidean: bool = False
+) -> Bool[Tensor, "H W"]:
+    """OpenCV's Canny edges of the frame's grey image, widened. On the frame's device;
+    differentiable: no."""
     edges = cv2.Canny(_grey_levels(frame), low, high, L2gradient=euclidean)
     if dilate_px > 1:
         edges = cv2.dilate(edges, np.ones((dilate_px, dilate_px), np.uint8))
@@ -106,14 +128,16 @@ def canny(frame: Frame, low: float, high: float, dilate_px: int, euclidean: bool
 
 
 def orb_corners(frame: Frame, count: int) -> Float[Tensor, "K 2"]:
-    """Centres of the pixels in which ORB's detector finds a corner, each pixel once, row by row. Unlike ORB's own
-    defaults, corners near the border count, since no descriptors are computed."""
+    """Centres of the pixels in which ORB's detector finds a corner, each pixel once, row by row.
+    Unlike ORB's own defaults, corners near the border count, since no descriptors are computed."""
     side = min(frame.camera.width, frame.camera.height)
     levels = min(8, 1 + int(math.log(side / SMALLEST_LEVEL_PX, 1.2)))
     orb = cv2.ORB.create(nfeatures=count, scaleFactor=1.2, nlevels=levels, edgeThreshold=BORDER_PX)
     found = cv2.KeyPoint.convert(orb.detect(_grey_levels(frame), None))
     position = torch.from_numpy(np.array(found, np.float32).reshape(-1, 2))
-    pixel = torch.unique(position.round().long().flip(1), dim=0).flip(1)  # OpenCV counts centres as whole numbers
+    pixel = torch.unique(position.round().long().flip(1), dim=0).flip(
+        1
+    )  # OpenCV counts centres as whole numbers
     return (pixel.float() + 0.5).to(frame.depth_m.device)
 
 

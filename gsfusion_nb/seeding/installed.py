@@ -1,4 +1,5 @@
-"""Installed distributions: which one a file belongs to, its version, and whether a file of it was edited since."""
+"""Installed distributions: which one a file belongs to, its version, and whether a file of it was
+edited since."""
 
 import base64
 import functools
@@ -14,16 +15,21 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-_FOLDERS = {Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib", "purelib", "platlib")}
+_FOLDERS = {
+    Path(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib", "purelib", "platlib")
+}
 _PACKAGES = {"site-packages", "dist-packages"}
 _CODE = (".py", ".so", ".pyd", ".dll", ".dylib")
 
 
 @functools.lru_cache(maxsize=65536)
 def is_installed(file: str | Path) -> bool:
-    """Whether a file belongs to Python or to an installed package, rather than to somebody's own code."""
+    """Whether a file belongs to Python or to an installed package, rather than to somebody's own
+    code."""
     path = Path(file)
-    return bool(_PACKAGES.intersection(path.parts)) or any(path.is_relative_to(folder) for folder in _FOLDERS)
+    return bool(_PACKAGES.intersection(path.parts)) or any(
+        path.is_relative_to(folder) for folder in _FOLDERS
+    )
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,8 @@ def normalised(name: str) -> str:
 
 @functools.cache
 def _records() -> dict[str, _Record]:
-    """Name -> record of every installed distribution that has one; the first on Python's path counts."""
+    """Name -> record of every installed distribution that has one; the first on Python's path
+    counts."""
     found: dict[str, _Record] = {}
     for folder in dict.fromkeys(sys.path):
         for path in sorted(Path(folder or ".").glob("*.dist-info/RECORD")):
@@ -68,8 +75,12 @@ def _records() -> dict[str, _Record]:
 
 @functools.lru_cache(maxsize=4096)
 def distribution_of(file: Path) -> str:
-    """Name of the distribution that installed a file; empty if none did, as for a file that was put beside them."""
-    return next((name for name, record in _records().items() if record.has(file)), "")
+    """Name of the distribution that installed a file; empty if none did, as for a file that was put
+    beside them."""
+    return next(
+        (name for name, record in _records().items() if record.has(file)),
+        "",
+    )
 
 
 def with_requirements(names: Iterable[str]) -> list[str]:
@@ -96,8 +107,9 @@ def _requirements(name: str) -> list[str]:
 def state_of(name: str) -> str:
     """Version of an installed distribution and, if files of it were edited since, a hash of these.
 
-    A process may have loaded a file before it was edited. So where one was edited while the process runs, the state is
-    one that no other process has. It is looked up once, and again after ``look_again``.
+    A process may have loaded a file before it was edited. So where one was edited while the process
+    runs, the state is one that no other process has. It is looked up once, and again after
+    ``look_again``.
     """
     version = importlib.metadata.version(name)
     edits = _edits(normalised(name))
@@ -116,10 +128,11 @@ ONLY_HERE = uuid.uuid4().hex
 
 
 def _edits(name: str) -> str:
-    """A hash of the code files that are no longer what the distribution installed; empty if there are none.
+    """A hash of the code files that are no longer what the distribution installed; empty if there
+    are none.
 
-    Only a file that changed after the list of files was written is read: a change sets a file's ctime, which no
-    program sets back.
+    Only a file that changed after the list of files was written is read: a change sets a file's
+    ctime, which no program sets back.
     """
     record = _records().get(name)
     if record is None:
@@ -141,7 +154,9 @@ def _edits(name: str) -> str:
         if _as_recorded(content) != recorded:
             edited = True
             latest_ns = max(latest_ns, changed_ns)
-            digest.update(relative.encode(errors="surrogateescape") + b"\0" + hashlib.sha256(content).digest())
+            digest.update(
+                relative.encode(errors="surrogateescape") + b"\0" + hashlib.sha256(content).digest()
+            )
     if latest_ns > BEGAN_NS:
         digest.update(ONLY_HERE.encode())
     return digest.hexdigest() if edited else ""

@@ -1,8 +1,9 @@
-"""Code of a seeding rule is executed where the user names its file, and not where somebody else's file names it.
+"""Code of a seeding rule is executed where the user names its file, and not where somebody else's
+file names it.
 
-Settings, checkpoints and tables of comparisons may come from anybody. What they say of a rule in a file is therefore
-only a wish: whoever opens them raises ``RuleNotNamedError``, unless the caller names the same file. A command may then
-ask on its terminal.
+Settings, checkpoints and tables of comparisons may come from anybody. What they say of a rule in a
+file is therefore only a wish: whoever opens them raises ``RuleNotNamedError``, unless the caller
+names the same file. A command may then ask on its terminal.
 """
 
 import os
@@ -25,10 +26,12 @@ class RuleNotNamedError(SequenceError):
     def __init__(self, asking: str | Path, rules: Sequence[str], how: str):
         self.rules = list(rules)
         wanted = [rule.rpartition(":")[::2] for rule in rules]
-        said = " and ".join(f"{shown(name)} in {_shown_path(os.path.abspath(file))}" for file, name in wanted)
+        said = " and ".join(
+            f"{shown(name)} in {_shown_path(os.path.abspath(file))}" for file, name in wanted
+        )
         self.wish = (
-            f"{_shown_path(str(asking))} asks for the seeding rule {said}, whose code is executed only where the user "
-            "names it"
+            f"{_shown_path(str(asking))} asks for the seeding rule {said}, whose code is executed "
+            "only where the user names it"
         )
         """Who asks for what."""
         super().__init__(f"{self.wish}; if you trust it: {how}")
@@ -38,7 +41,8 @@ def is_named(file: str | Path, named: Iterable[str | Path]) -> bool:
     """Whether ``file`` is one of the files ``named``, whatever the paths look like."""
     path = Path(file).expanduser()
     return path.is_file() and any(
-        other.is_file() and other.samefile(path) for other in (Path(name).expanduser() for name in named)
+        other.is_file() and other.samefile(path)
+        for other in (Path(name).expanduser() for name in named)
     )
 
 

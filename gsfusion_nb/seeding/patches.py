@@ -18,20 +18,33 @@ import torch
 from .code_values import ValueHash, is_library_code, is_library_module, is_own_class
 
 _CALLED = (
-    types.FunctionType, types.BuiltinFunctionType, types.MethodDescriptorType, types.MethodType, type, property,
-    classmethod, staticmethod, functools.partial,
-)  # fmt: skip
+    types.FunctionType,
+    types.BuiltinFunctionType,
+    types.MethodDescriptorType,
+    types.MethodType,
+    type,
+    property,
+    classmethod,
+    staticmethod,
+    functools.partial,
+)
 _PACKAGE = __name__.partition(".")[0]
 _NOTHING = object()
 _AROUND_FUNCTIONS = (
-    types.MethodType, staticmethod, classmethod, functools.partial, property, functools._lru_cache_wrapper,
-)  # fmt: skip
+    types.MethodType,
+    staticmethod,
+    classmethod,
+    functools.partial,
+    property,
+    functools._lru_cache_wrapper,
+)
 _HOOKS = {"builtins._", "builtins.display", "builtins.get_ipython"}
 """What interactive programs set, and no computation reads."""
 
 
 def patches() -> dict[str, str]:
-    """Name in a loaded library -> hash of somebody's own function or object there. It takes about 0.15 s."""
+    """Name in a loaded library -> hash of somebody's own function or object there. It takes about
+    0.15 s."""
     found: dict[str, str] = {}
     for place, names, _ in _namespaces():
         for name, value in list(names.items()):
@@ -60,7 +73,12 @@ def switches() -> dict[str, str]:
         "small numbers": "kept" if float(torch.tensor([1e-40]) * 1.0) else "zero",
         "oneDNN": str(torch.backends.mkldnn.enabled),
         "TF32": f"{torch.backends.cuda.matmul.allow_tf32} {torch.backends.cudnn.allow_tf32}",
-        "cuDNN": str([getattr(torch.backends.cudnn, name) for name in ("enabled", "benchmark", "deterministic")]),
+        "cuDNN": str(
+            [
+                getattr(torch.backends.cudnn, name)
+                for name in ("enabled", "benchmark", "deterministic")
+            ]
+        ),
         "numpy errors": str(sorted(np.geterr().items())),
         "decimal": str(decimal.getcontext().prec),
     }
@@ -84,15 +102,20 @@ def library_state(*libraries: str) -> list[Namespace]:
         libraries: Beginnings of the names of modules; all by default.
     """
     return [
-        Namespace(name, owner, dict(names), _inside_all(names) if name.startswith(_PACKAGE) else {})
+        Namespace(
+            name,
+            owner,
+            dict(names),
+            _inside_all(names) if name.startswith(_PACKAGE) else {},
+        )
         for name, names, owner in _namespaces()
         if not libraries or f"{name}.".startswith(libraries)
     ]
 
 
 def changes_since(state: list[Namespace], *, all_of_package: bool = False) -> list[str]:
-    """Names in libraries whose function, class or number is another one than it was, sorted; of this package also
-    functions with other code, defaults or attributes, and new names of classes.
+    """Names in libraries whose function, class or number is another one than it was, sorted; of
+    this package also functions with other code, defaults or attributes, and new names of classes.
 
     Args:
         state: What ``library_state`` gave.
@@ -112,7 +135,10 @@ def changed_values(state: list[Namespace]) -> dict[str, str]:
     return found
 
 
-def _changed(state: list[Namespace], all_of_package: bool) -> Iterator[tuple[str, Any]]:
+def _changed(
+    state: list[Namespace],
+    all_of_package: bool,
+) -> Iterator[tuple[str, Any]]:
     for before in state:
         for key, value in list(vars(before.owner).items()):
             if _is_change(before, key, value, all_of_package):
@@ -122,14 +148,27 @@ def _changed(state: list[Namespace], all_of_package: bool) -> Iterator[tuple[str
 def _is_change(before: Namespace, key: str, value: Any, all_of_package: bool) -> bool:
     if key.startswith("__") or issubclass(type(value), types.ModuleType):
         return False
-    if all_of_package and before.name.startswith(_PACKAGE) and before.names.get(key, _NOTHING) is not value:
+    if (
+        all_of_package
+        and before.name.startswith(_PACKAGE)
+        and before.names.get(key, _NOTHING) is not value
+    ):
         return True
     bases = before.owner.__mro__[1:] if isinstance(before.owner, type) else ()
-    inherited = next((vars(base)[key] for base in bases if key in vars(base)), value)  # a new name of a module is lazy
+    inherited = next(
+        (vars(base)[key] for base in bases if key in vars(base)), value
+    )  # a new name of a module is lazy
     was = before.names.get(key, inherited)
     if was is value:
-        is_new = key not in before.names and bool(bases) and inherited is value and before.name.startswith(_PACKAGE)
-        return is_new or (key in before.inside and not _are_same(before.inside[key], _inside(value)))
+        is_new = (
+            key not in before.names
+            and bool(bases)
+            and inherited is value
+            and before.name.startswith(_PACKAGE)
+        )
+        return is_new or (
+            key in before.inside and not _are_same(before.inside[key], _inside(value))
+        )
     if issubclass(type(value), _CALLED):
         return issubclass(type(was), _CALLED)
     is_number = type(value) in (int, float, str, bool, tuple)
@@ -141,7 +180,8 @@ def _inside_all(names: Mapping[str, Any]) -> dict[str, tuple[Any, ...]]:
 
 
 def _inside(value: Any) -> tuple[Any, ...]:
-    """What decides what a function does and can be changed without giving its name to another one."""
+    """What decides what a function does and can be changed without giving its name to another
+    one."""
     function = value.__func__ if isinstance(value, staticmethod | classmethod) else value
     if type(function) is not types.FunctionType:
         return ()
@@ -150,7 +190,9 @@ def _inside(value: Any) -> tuple[Any, ...]:
 
 
 def _are_same(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
-    return len(a) == len(b) and all(x is y or (type(x) is type(y) is str and x == y) for x, y in zip(a, b, strict=True))
+    return len(a) == len(b) and all(
+        x is y or (type(x) is type(y) is str and x == y) for x, y in zip(a, b, strict=True)
+    )
 
 
 def _namespaces() -> Iterator[tuple[str, Any, Any]]:
@@ -159,17 +201,26 @@ def _namespaces() -> Iterator[tuple[str, Any, Any]]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of names that are deprecated
         for name, module in list(sys.modules.items()):
-            if type(module) is not types.ModuleType or name == "__main__" or not is_library_module(module):
+            if (
+                type(module) is not types.ModuleType
+                or name == "__main__"
+                or not is_library_module(module)
+            ):
                 continue
             yield name, vars(module), module
             for key, value in list(vars(module).items()):
-                if type(value) is not types.FunctionType and isinstance(value, type) and id(value) not in seen:
+                if (
+                    type(value) is not types.FunctionType
+                    and isinstance(value, type)
+                    and id(value) not in seen
+                ):
                     seen.add(id(value))
                     yield f"{name}.{key}", vars(value), value
 
 
 def _own_function(value: Any) -> Any:
-    """Somebody's own function that a name of a library leads to; None for what libraries are made of."""
+    """Somebody's own function that a name of a library leads to; None for what libraries are made
+    of."""
     kind = type(value)
     if kind is types.FunctionType:
         return None if _is_quickly_library(value) else value
@@ -180,19 +231,25 @@ def _own_function(value: Any) -> Any:
     if kind is functools._lru_cache_wrapper:
         return _own_function(value.__wrapped__)
     if kind is property:
-        return next((own for f in (value.fget, value.fset) if (own := _own_function(f)) is not None), None)
+        return next(
+            (own for f in (value.fget, value.fset) if (own := _own_function(f)) is not None),
+            None,
+        )
     return None
 
 
 _known_libraries: dict[int, Any] = {}
-"""Identity of the namespace of a library's module -> the namespace, kept so that its identity stays its own."""
+"""Identity of the namespace of a library's module -> the namespace, kept so that its identity stays
+its own."""
 
 
 def _is_quickly_library(function: types.FunctionType) -> bool:
     names = function.__globals__
     if id(names) in _known_libraries:
         return True
-    is_made_here = (names.get("__name__") or "").startswith("namedtuple_")  # by collections, for every class
+    is_made_here = (names.get("__name__") or "").startswith(
+        "namedtuple_"
+    )  # by collections, for every class
     if is_made_here or is_library_code(function):
         _known_libraries[id(names)] = names
         return True

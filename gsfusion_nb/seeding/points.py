@@ -27,8 +27,8 @@ class Neighbours:
 
     @property
     def spacing_m(self) -> Float[Tensor, " M"]:
-        """Root mean square of the distances that exist, metres; NaN without any. The square root of what 3DGS calls the
-        mean squared distance to the 3 nearest neighbours (simple-knn)."""
+        """Root mean square of the distances that exist, metres; NaN without any. The square root of
+        what 3DGS calls the mean squared distance to the 3 nearest neighbours (simple-knn)."""
         exists = self.distance_m.isfinite()
         return (self.distance_m.where(exists, 0.0).square().sum(dim=1) / exists.sum(dim=1)).sqrt()
 
@@ -36,7 +36,13 @@ class Neighbours:
 def check_points(xyz_W: Any, others_W: Any, k: Any) -> None:
     """Raise ``ValueError`` for arguments that ``k_nearest`` refuses."""
     check_operand("xyz_W", xyz_W, ("M", 3))
-    check_operand("others_W", others_W, ("N", 3), dtypes=(xyz_W.dtype,), device=xyz_W.device)
+    check_operand(
+        "others_W",
+        others_W,
+        ("N", 3),
+        dtypes=(xyz_W.dtype,),
+        device=xyz_W.device,
+    )
     check_whole("k", k, 1)
 
 
@@ -44,23 +50,39 @@ def check_points(xyz_W: Any, others_W: Any, k: Any) -> None:
 def k_nearest(
     xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], k: int
 ) -> tuple[Float[Tensor, "M K"], Int[Tensor, "M K"]]:
-    """Distance to the ``k`` nearest of ``others_W`` and their rows, nearest first; if there are fewer,
-    infinite and row N. Points that are not finite, or more than 1e19 apart, are no neighbours. On the device of the
-    points; differentiable: no."""
+    """Distance to the ``k`` nearest of ``others_W`` and their rows, nearest first; if there are
+    fewer, infinite and row N. Points that are not finite, or more than 1e19 apart, are no
+    neighbours. On the device of the points; differentiable: no."""
     from scipy.spatial import KDTree
 
-    M, N, far = len(xyz_W), len(others_W), 1e30  # far is for what is not finite: its square overflows in float32
-    points, others = xyz_W.nan_to_num(-far, -far, -far).cpu(), others_W.nan_to_num(far, far, far).cpu()
-    tree = KDTree(others.numpy(), balanced_tree=False, compact_nodes=False)  # built in half the time
-    distance, row = (torch.from_numpy(x).view(M, k).to(xyz_W.device) for x in tree.query(points.numpy(), k=k))
+    M, N, far = (
+        len(xyz_W),
+        len(others_W),
+        1e30,
+    )  # far is for what is not finite: its square overflows in float32
+    points, others = (
+        xyz_W.nan_to_num(-far, -far, -far).cpu(),
+        others_W.nan_to_num(far, far, far).cpu(),
+    )
+    tree = KDTree(
+        others.numpy(), balanced_tree=False, compact_nodes=False
+    )  # built in half the time
+    distance, row = (
+        torch.from_numpy(x).view(M, k).to(xyz_W.device) for x in tree.query(points.numpy(), k=k)
+    )
     none = ~distance.float().square().isfinite()
     return distance.masked_fill(none, torch.inf).to(xyz_W.dtype), row.masked_fill(none, N)
 
 
-def nearest_others(xyz_W: Float[Tensor, "M 3"], more_W: Float[Tensor, "N 3"], k: int) -> Neighbours:
+def nearest_others(
+    xyz_W: Float[Tensor, "M 3"],
+    more_W: Float[Tensor, "N 3"],
+    k: int,
+) -> Neighbours:
     """The ``k`` nearest neighbours of each point among the other points and ``more_W``.
 
-    A point at the same place as another one has it as a neighbour at distance 0. Differentiable: no.
+    A point at the same place as another one has it as a neighbour at distance 0. Differentiable:
+    no.
     """
     M = len(xyz_W)
     everything = torch.cat([xyz_W, more_W])
@@ -69,7 +91,10 @@ def nearest_others(xyz_W: Float[Tensor, "M 3"], more_W: Float[Tensor, "N 3"], k:
     other[other.all(dim=1), -1] = False  # a duplicate hid the point itself: leave out the farthest
     kept = other.byte().sort(dim=1, descending=True, stable=True).indices[:, :k]
     row = row.gather(1, kept)
-    return Neighbours(distance_m=distance.gather(1, kept), row=row.masked_fill(row == len(everything), -1))
+    return Neighbours(
+        distance_m=distance.gather(1, kept),
+        row=row.masked_fill(row == len(everything), -1),
+    )
 
 
 _BITS = 21
@@ -77,15 +102,15 @@ _BITS = 21
 
 
 def voxel_keys(xyz_W: Float[Tensor, "N 3"], voxel_size_m: float) -> Int[Tensor, " N"]:
-    """One whole number for the voxel floor(xyz / voxel size) that contains each point. Two voxels have the same number
-    only if they are 2^21 voxels apart."""
+    """One whole number for the voxel floor(xyz / voxel size) that contains each point. Two voxels
+    have the same number only if they are 2^21 voxels apart."""
     x, y, z = ((xyz_W / voxel_size_m).floor().long() & ((1 << _BITS) - 1)).unbind(dim=1)
     return (x << 2 * _BITS) | (y << _BITS) | z
 
 
 VISIBLE, GRADIENT, ABS_GRADIENT = "times_visible", "image_gradient", "abs_image_gradient"
-"""Names of the numbers that are summed up for each row: steps in which it was visible, and lengths of its ``v_uv`` and
-of its ``v_uv_abs``."""
+"""Names of the numbers that are summed up for each row: steps in which it was visible, and lengths
+of its ``v_uv`` and of its ``v_uv_abs``."""
 
 
 def add_up(
@@ -95,17 +120,20 @@ def add_up(
     camera: Camera,
     v_uv_abs: Float[Tensor, "N 2"] | None = None,
 ) -> None:
-    """Add a step to the statistics of each row of a map, which ``times_visible``, ``image_gradient`` and
-    ``abs_image_gradient`` read."""
+    """Add a step to the statistics of each row of a map, which ``times_visible``,
+    ``image_gradient`` and ``abs_image_gradient`` read."""
     gaussians.row_memory(VISIBLE).add_(visible)
     for name, gradient in ((GRADIENT, v_uv), (ABS_GRADIENT, v_uv_abs)):
         if gradient is not None:
-            length = (gradient * gradient.new_tensor([camera.width / 2, camera.height / 2])).norm(dim=1)
+            length = (gradient * gradient.new_tensor([camera.width / 2, camera.height / 2])).norm(
+                dim=1
+            )
             gaussians.row_memory(name).add_(torch.where(visible, length, 0.0))
 
 
 def times_visible(gaussians: Any) -> Float[Tensor, " N"] | None:
-    """Number of gradient steps in which each Gaussian was visible since ``restart_statistics``; None if not collected.
+    """Number of gradient steps in which each Gaussian was visible since ``restart_statistics``;
+    None if not collected.
 
     Source: Kerbl et al. 2023, section 5.2.
     """
@@ -113,10 +141,11 @@ def times_visible(gaussians: Any) -> Float[Tensor, " N"] | None:
 
 
 def image_gradient(gaussians: Any) -> Float[Tensor, " N"] | None:
-    """Mean length of dL/d of each centre in the image over the steps in which it was visible; None if not collected.
+    """Mean length of dL/d of each centre in the image over the steps in which it was visible; None
+    if not collected.
 
-    The unit of length in the image is half its width and half its height, as in 3DGS and gsplat, whose threshold
-    2e-4 refers to it.
+    The unit of length in the image is half its width and half its height, as in 3DGS and gsplat,
+    whose threshold 2e-4 refers to it.
 
     Source: Kerbl et al. 2023, section 5.2.
     """
@@ -124,9 +153,11 @@ def image_gradient(gaussians: Any) -> Float[Tensor, " N"] | None:
 
 
 def abs_image_gradient(gaussians: Any) -> Float[Tensor, " N"] | None:
-    """Mean length of ``StepStats.v_uv_abs`` over the steps in which each Gaussian was visible; None if not collected.
+    """Mean length of ``StepStats.v_uv_abs`` over the steps in which each Gaussian was visible; None
+    if not collected.
 
-    The unit of length in the image is that of ``image_gradient``, as in gsplat with ``absgrad=True``.
+    The unit of length in the image is that of ``image_gradient``, as in gsplat with
+    ``absgrad=True``.
 
     Source: Ye et al. 2024 (AbsGS).
     """
@@ -160,31 +191,36 @@ class MapView:
     quat: Float[Tensor, "N 4"]
     """Orientation, wxyz, not normalised."""
     sh: Float[Tensor, "N K 3"]
-    """Spherical-harmonic coefficients of the colour, K = (degree + 1)^2; coefficient 0 is the constant one."""
+    """Spherical-harmonic coefficients of the colour, K = (degree + 1)^2; coefficient 0 is the
+    constant one."""
     tag: Int[Tensor, " N"] | None = None
     """Label that the seeding rule gave each Gaussian; None if the map does not keep it."""
     state: Int[Tensor, " N"] | None = None
     """Stable (1) or unstable (0); None if the map does not distinguish them."""
     age_frames: Int[Tensor, " N"] | None = None
-    """Index of this frame minus that of the frame that seeded each Gaussian; both count the frames of the source, also
-    those that are not mapped. None if the map does not keep it."""
+    """Index of this frame minus that of the frame that seeded each Gaussian; both count the frames
+    of the source, also those that are not mapped. None if the map does not keep it."""
     age_steps: Int[Tensor, " N"] | None = None
-    """Steps of the map (``SeedContext.step_count``) since each Gaussian was added. None if the map does not keep it."""
+    """Steps of the map (``SeedContext.step_count``) since each Gaussian was added. None if the map
+    does not keep it."""
     times_visible: Float[Tensor, " N"] | None = None
-    """Gradient steps in which each Gaussian was visible; None unless a rule that is a class asks for it: needs
-    "visibility"."""
+    """Gradient steps in which each Gaussian was visible; None unless a rule that is a class asks
+    for it: needs "visibility"."""
     image_gradient: Float[Tensor, " N"] | None = None
-    """Mean length of dL/d of its centre in the image over these steps, in units of half the image; None unless a rule
-    that is a class asks for it: needs "image_gradients"."""
+    """Mean length of dL/d of its centre in the image over these steps, in units of half the image;
+    None unless a rule that is a class asks for it: needs "image_gradients"."""
     abs_image_gradient: Float[Tensor, " N"] | None = None
-    """The same with the sum of the absolute values over the pixels (``StepStats.v_uv_abs``); None unless a rule that is
-    a class asks for it: needs "abs_image_gradients"."""
+    """The same with the sum of the absolute values over the pixels (``StepStats.v_uv_abs``); None
+    unless a rule that is a class asks for it: needs "abs_image_gradients"."""
 
     @property
     def normal_W(self) -> Float[Tensor, "N 3"]:
         """Unit vector along the smallest standard deviation, world frame; its sign is arbitrary."""
         R = quaternion.to_matrix(self.quat)
-        return R.gather(2, self.scale_m.argmin(dim=1)[:, None, None].expand(-1, 3, 1)).squeeze(2)
+        return R.gather(
+            2,
+            self.scale_m.argmin(dim=1)[:, None, None].expand(-1, 3, 1),
+        ).squeeze(2)
 
     @property
     def rgb(self) -> Float[Tensor, "N 3"]:
@@ -199,14 +235,17 @@ def view_map(gaussians: Any, frame_index: int, params: GaussianParams | None = N
     """The view of a map for the frame with this index.
 
     Args:
-        gaussians: An object whose ``params`` is a GaussianParams; a GaussianModel has the other columns as well.
+        gaussians: An object whose ``params`` is a GaussianParams; a GaussianModel has the other
+            columns as well.
         frame_index: Index of the current frame, for the ages.
         params: Parameters of all rows, if others than ``gaussians.params``.
     """
     params = gaussians.params if params is None else params
     assert params is not None
     scale_m = params.log_scale.exp()
-    birth_frame, birth_step = (getattr(gaussians, name, None) for name in ("birth_frame", "birth_step"))
+    birth_frame, birth_step = (
+        getattr(gaussians, name, None) for name in ("birth_frame", "birth_step")
+    )
     return MapView(
         xyz_W=params.xyz_W,
         scale_m=scale_m,

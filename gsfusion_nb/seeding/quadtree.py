@@ -1,4 +1,5 @@
-"""The image quadtree of GSFusion (section III-B.1): small cells where the picture varies, large ones elsewhere."""
+"""The image quadtree of GSFusion (section III-B.1): small cells where the picture varies, large
+ones elsewhere."""
 
 from dataclasses import dataclass, fields
 from typing import Any, Literal
@@ -17,7 +18,8 @@ LUMA_WEIGHTS = (0.2989, 0.5870, 0.1140)
 """Weights of R, G, B in the quadtree's contrast (ITU-R BT.601 as the released code rounds them)."""
 
 QUADTREE_NORMALISER = 9e7
-"""The released code multiplies a cell's variance by (image pixels) / 9e7 before the threshold test."""
+"""The released code multiplies a cell's variance by (image pixels) / 9e7 before the threshold
+test."""
 
 Cell = tuple[int, int, int, int]
 """First column, first row, width, height, pixels."""
@@ -50,7 +52,10 @@ class Cells:
     @property
     def centre_uv(self) -> Float[Tensor, "L 2"]:
         """Middle of each cell, continuous pixel coordinates."""
-        return torch.stack([self.x0 + 0.5 * self.width, self.y0 + 0.5 * self.height], dim=-1)
+        return torch.stack(
+            [self.x0 + 0.5 * self.width, self.y0 + 0.5 * self.height],
+            dim=-1,
+        )
 
     @property
     def half_diagonal_px(self) -> Float[Tensor, " L"]:
@@ -63,7 +68,9 @@ class Cells:
         return self.width * self.height
 
 
-def check_quadtree(rgb_u8: Any, *, threshold: float = 0.1, min_cell_px: int = 1, contrast: str = "released") -> None:
+def check_quadtree(
+    rgb_u8: Any, *, threshold: float = 0.1, min_cell_px: int = 1, contrast: str = "released"
+) -> None:
     """Raise ``ValueError`` for arguments that ``quadtree`` refuses."""
     check_operand("rgb_u8", rgb_u8, ("H", "W", 3), dtypes=(torch.uint8,))
     if rgb_u8.numel() == 0:
@@ -85,22 +92,24 @@ def quadtree(
     """Cut the image in four, and each part again, while a part's contrast is above ``threshold``.
 
     With V the variance of a cell, see ``luma_variance``:
-    "released": V (H W) / 9e7, H and W of the whole image, so a small image needs a smaller threshold;
-    "std": sqrt(V) / 255, the same at every resolution.
+    "released": V (H W) / 9e7, H and W of the whole image, so a small image needs a smaller
+    threshold; "std": sqrt(V) / 255, the same at every resolution.
     A cell is cut only if floor(width / 2) and floor(height / 2) both exceed ``min_cell_px``.
 
     Args:
         rgb_u8: Colour, 0..255. [H, W, 3]
         threshold: Contrast above which a cell is cut, in the unit of ``contrast``.
-        min_cell_px: A cell is cut only while half its width and half its height are above this, pixels.
+        min_cell_px: A cell is cut only while half its width and half its height are above this,
+            pixels.
         contrast: "released" or "std".
 
     Returns:
-        The leaves. They tile the image without overlap, listed depth first: top left, bottom left, top right,
-        bottom right.
+        The leaves. They tile the image without overlap, listed depth first: top left, bottom left,
+        top right, bottom right.
 
     Raises:
-        ValueError: wrong shape, an empty image, negative threshold, ``min_cell_px`` below 1, unknown contrast.
+        ValueError: wrong shape, an empty image, negative threshold, ``min_cell_px`` below 1,
+            unknown contrast.
 
     Differentiable: no.
 
@@ -112,28 +121,41 @@ def quadtree(
         if w // 2 <= min_cell_px or h // 2 <= min_cell_px:
             return False
         V = luma_variance(rgb_u8[y0 : y0 + h, x0 : x0 + w])
-        return (V * (H * W) / QUADTREE_NORMALISER if contrast == "released" else V**0.5 / 255) > threshold
+        return (
+            V * (H * W) / QUADTREE_NORMALISER if contrast == "released" else V**0.5 / 255
+        ) > threshold
 
     def leaves(cell: Cell, level: int) -> list[tuple[int, ...]]:
         if not is_cut(*cell):
             return [(*cell, level)]
         return [leaf for part in cut(*cell) for leaf in leaves(part, level + 1)]
 
-    rows = torch.tensor(leaves((0, 0, W, H), 0), dtype=torch.int32, device=rgb_u8.device)
+    rows = torch.tensor(
+        leaves((0, 0, W, H), 0),
+        dtype=torch.int32,
+        device=rgb_u8.device,
+    )
     x0, y0, width, height, level = rows.T.contiguous()
     return Cells(x0=x0, y0=y0, width=width, height=height, level=level)
 
 
 @piece
 def luma_variance(rgb: Shaped[Tensor, "h w 3"]) -> float:
-    """V = 0.2989 var(R) + 0.5870 var(G) + 0.1140 var(B), the variances of all pixels of a cell, on 0..255."""
+    """V = 0.2989 var(R) + 0.5870 var(G) + 0.1140 var(B), the variances of all pixels of a cell, on
+    0..255."""
     r, g, b = rgb.double().flatten(0, 1).var(dim=0, correction=0).tolist()
     return LUMA_WEIGHTS[0] * r + LUMA_WEIGHTS[1] * g + LUMA_WEIGHTS[2] * b
 
 
 @piece
-def cut(x0: int, y0: int, width: int, height: int) -> list[Cell]:
-    """The four parts of a cell: top left, bottom left, top right, bottom right. Left and top get the floor of half."""
+def cut(
+    x0: int,
+    y0: int,
+    width: int,
+    height: int,
+) -> list[Cell]:
+    """The four parts of a cell: top left, bottom left, top right, bottom right. Left and top get
+    the floor of half."""
     w, h = width // 2, height // 2
     return [
         (x0, y0, w, h),
@@ -145,12 +167,16 @@ def cut(x0: int, y0: int, width: int, height: int) -> list[Cell]:
 
 @piece
 def cell_gaussians(
-    camera: Camera, cells: Cells, depth_m: Float[Tensor, "H W"], T_WC: Float[Tensor, "4 4"]
+    camera: Camera,
+    cells: Cells,
+    depth_m: Float[Tensor, "H W"],
+    T_WC: Float[Tensor, "4 4"],
 ) -> tuple[Float[Tensor, "L 3"], Float[Tensor, " L"]]:
-    """Position and standard deviation of the Gaussian of each cell, whose middle must lie on a pixel with depth.
+    """Position and standard deviation of the Gaussian of each cell, whose middle must lie on a
+    pixel with depth.
 
-    The middle (u, v) is lifted with the depth z of the pixel that contains it, to T_WC (z K^-1 (u, v, 1)); the standard
-    deviation is z r / fx, with r half the diagonal.
+    The middle (u, v) is lifted with the depth z of the pixel that contains it, to T_WC (z K^-1 (u,
+    v, 1)); the standard deviation is z r / fx, with r half the diagonal.
 
     Returns:
         xyz_W [L, 3] and scale_m [L], metres, world frame.

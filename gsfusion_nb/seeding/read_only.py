@@ -18,10 +18,11 @@ _patching = threading.RLock()
 
 @contextlib.contextmanager
 def read_only(named: Iterable[tuple[str, Tensor]]) -> Iterator[list[str]]:
-    """Context in which somebody's own code gets read-only arrays of these tensors, and of all views of them.
+    """Context in which somebody's own code gets read-only arrays of these tensors, and of all views
+    of them.
 
-    ``numpy()``, ``np.asarray`` and ``memoryview`` share a tensor's memory, and torch does not count what is written
-    there. Code of libraries, and of this package, gets arrays as usual.
+    ``numpy()``, ``np.asarray`` and ``memoryview`` share a tensor's memory, and torch does not count
+    what is written there. Code of libraries, and of this package, gets arrays as usual.
 
     Args:
         named: Name and tensor of each.
@@ -75,8 +76,14 @@ def _guarded(function: Callable[..., Any]) -> Callable[..., Any]:
 def _shares(array: np.ndarray, tensor: Tensor) -> bool:
     """Whether an array is no copy."""
     first = tensor.untyped_storage().data_ptr()
-    return first <= array.__array_interface__["data"][0] <= first + tensor.untyped_storage().nbytes()
+    return (
+        first <= array.__array_interface__["data"][0] <= first + tensor.untyped_storage().nbytes()
+    )
 
 
 def _storage(tensor: Tensor) -> int:
-    return 0 if tensor.layout is not torch.strided or tensor.is_meta else tensor.untyped_storage().data_ptr()
+    return (
+        0
+        if tensor.layout is not torch.strided or tensor.is_meta
+        else tensor.untyped_storage().data_ptr()
+    )

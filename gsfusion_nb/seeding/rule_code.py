@@ -32,9 +32,11 @@ def is_built_in(rule: Any) -> bool:
         return False
     if isinstance(rule, type):
         return all(
-            is_library_code(member) for kind in rule.__mro__ for member in vars(kind).values()
+            is_library_code(member)
+            for kind in rule.__mro__
+            for member in vars(kind).values()
             if isinstance(member, types.FunctionType)
-        )  # fmt: skip
+        )
     while isinstance(rule, types.FunctionType) and is_library_code(rule):
         if not hasattr(rule, "__wrapped__"):
             return True
@@ -43,8 +45,15 @@ def is_built_in(rule: Any) -> bool:
 
 
 def rule_source(rule: SeedingRule) -> str:
-    """The source code of a rule, or of its class for a callable object; empty where Python does not know it."""
-    target = inspect.unwrap(rule) if inspect.isroutine(rule) else rule if isinstance(rule, type) else type(rule)
+    """The source code of a rule, or of its class for a callable object; empty where Python does not
+    know it."""
+    target = (
+        inspect.unwrap(rule)
+        if inspect.isroutine(rule)
+        else rule
+        if isinstance(rule, type)
+        else type(rule)
+    )
     try:
         return textwrap.dedent(inspect.getsource(target))
     except (OSError, TypeError):
@@ -52,12 +61,19 @@ def rule_source(rule: SeedingRule) -> str:
 
 
 def _source_of_cell(cls: type) -> str:
-    """The source code of a class in a notebook cell, which Python knows by the code of its methods only."""
-    methods = [inspect.unwrap(member) for member in vars(cls).values() if inspect.isfunction(member)]
+    """The source code of a class in a notebook cell, which Python knows by the code of its methods
+    only."""
+    methods = [
+        inspect.unwrap(member) for member in vars(cls).values() if inspect.isfunction(member)
+    ]
     for code in (method.__code__ for method in methods):
         lines = linecache.getlines(code.co_filename)
         for node in ast.walk(ast.parse("".join(lines))):
-            if isinstance(node, ast.ClassDef) and node.name == cls.__name__ and node.end_lineno is not None:
+            if (
+                isinstance(node, ast.ClassDef)
+                and node.name == cls.__name__
+                and node.end_lineno is not None
+            ):
                 first = min(part.lineno for part in (node, *node.decorator_list))
                 if first <= code.co_firstlineno <= node.end_lineno:
                     return textwrap.dedent("".join(lines[first - 1 : node.end_lineno]))
@@ -65,7 +81,8 @@ def _source_of_cell(cls: type) -> str:
 
 
 def rule_files(rule: SeedingRule, options: Mapping[str, Any]) -> dict[str, str]:
-    """Option name -> hash of the file or folder, for the options of a rule that are paths, defaults included.
+    """Option name -> hash of the file or folder, for the options of a rule that are paths, defaults
+    included.
 
     Raises:
         FileNotFoundError: a path that does not exist.
@@ -74,14 +91,16 @@ def rule_files(rule: SeedingRule, options: Mapping[str, Any]) -> dict[str, str]:
     for name, path in paths.items():
         if not path.exists():
             raise FileNotFoundError(
-                f"seeding rule {rule_name(rule)!r}: its option {name!r} names {path}, which does not exist here "
+                f"seeding rule {rule_name(rule)!r}: its option {name!r} names {path}, which does "
+                "not exist here "
                 f"(from {Path.cwd()}); expected the file or folder that the rule reads"
             )
     return {name: path_hash(path) for name, path in paths.items()}
 
 
 def path_hash(path: Path) -> str:
-    """A hash of the content of a file, or of all files in a folder with their names, links followed.
+    """A hash of the content of a file, or of all files in a folder with their names, links
+    followed.
 
     Raises:
         OSError: a file cannot be read.
@@ -89,7 +108,12 @@ def path_hash(path: Path) -> str:
     digest, files = hashlib.blake2b(digest_size=16), [path]
     if path.is_dir():
         walked = os.walk(path, followlinks=True)
-        files = sorted(f for folder, _, names in walked for f in (Path(folder, name) for name in names) if f.is_file())
+        files = sorted(
+            f
+            for folder, _, names in walked
+            for f in (Path(folder, name) for name in names)
+            if f.is_file()
+        )
     hashes = file_hashes(files)
     for file in files:
         if (found := hashes[os.path.abspath(file)]) == UNREADABLE:
@@ -119,12 +143,15 @@ def read_rule_file(text: str) -> tuple[str, str]:
         raise ValueError(f"expected a seeding rule in a file as FILE.py:name, got {shown(text)}")
     path = Path(file).expanduser()
     if not path.is_file():
-        raise FileNotFoundError(f"{path} does not exist; expected the file of the seeding rule {name}")
+        raise FileNotFoundError(
+            f"{path} does not exist; expected the file of the seeding rule {name}"
+        )
     return read_text(path, "a seeding rule", at_most=MOST_BYTES), name
 
 
 def load_rule_file(text: str) -> SeedingRule:
-    """The rule that "FILE.py:name" names. It may import the modules beside the file, as a script may.
+    """The rule that "FILE.py:name" names. It may import the modules beside the file, as a script
+    may.
 
     Raises:
         ValueError: the file cannot be loaded, or has no such rule. FileNotFoundError: no such file.
@@ -134,23 +161,29 @@ def load_rule_file(text: str) -> SeedingRule:
 
 
 def rule_folder(text: str) -> Path:
-    """The folder of the modules beside the file that "FILE.py:name" names; in the folder of a run it is another one."""
+    """The folder of the modules beside the file that "FILE.py:name" names; in the folder of a run
+    it is another one."""
     file = Path(text.rpartition(":")[0]).expanduser().resolve()
     of_a_run = file.parent / RULE_MODULES
     return of_a_run if file.name == "rule.py" and of_a_run.is_dir() else file.parent
 
 
-def rule_of_source(source: str, name: str, file: str = "rule.py", folder: Path | None = None) -> SeedingRule:
-    """The rule ``name`` of a file's source. The rules that it registers are not registered outside of it.
+def rule_of_source(
+    source: str, name: str, file: str = "rule.py", folder: Path | None = None
+) -> SeedingRule:
+    """The rule ``name`` of a file's source. The rules that it registers are not registered outside
+    of it.
 
     Args:
-        source: The whole file. It may import installed packages, modules on Python's path, and those in ``folder``.
+        source: The whole file. It may import installed packages, modules on Python's path, and
+            those in ``folder``.
         name: The function or class.
         file: Name of the file, for messages and for ``__file__``.
         folder: Where the modules beside the file are; None: there are none.
 
     Raises:
-        ValueError: the source cannot be loaded, or has no such rule. TypeError: its signature is not that of a rule.
+        ValueError: the source cannot be loaded, or has no such rule. TypeError: its signature is
+            not that of a rule.
     """
     beside = Beside(folder)
     module_name = f"rule_file_{sources_digest(source.encode(), beside)}"
@@ -165,21 +198,25 @@ def rule_of_source(source: str, name: str, file: str = "rule.py", folder: Path |
 
 
 def find_rule(rule: str | SeedingRule) -> SeedingRule:
-    """The rule that is registered by a name, or that "FILE.py:name" names; a function or class is returned unchanged.
+    """The rule that is registered by a name, or that "FILE.py:name" names; a function or class is
+    returned unchanged.
 
     Raises:
-        KeyError: no rule of that name. TypeError: bad signature. ValueError, FileNotFoundError: as ``load_rule_file``.
+        KeyError: no rule of that name. TypeError: bad signature. ValueError, FileNotFoundError: as
+            ``load_rule_file``.
     """
     return load_rule_file(rule) if isinstance(rule, str) and is_rule_file(rule) else get_rule(rule)
 
 
 def file_source(rule: SeedingRule) -> str:
-    """Source of the whole file that a rule was loaded from; empty for a rule that was not loaded from a file."""
+    """Source of the whole file that a rule was loaded from; empty for a rule that was not loaded
+    from a file."""
     return getattr(_module_of(rule), RULE_SOURCE, "")
 
 
 def beside_sources(rule: SeedingRule) -> dict[str, bytes]:
-    """Path, relative to the folder of the rule's file, -> content of the modules that it imports from there."""
+    """Path, relative to the folder of the rule's file, -> content of the modules that it imports
+    from there."""
     module = _module_of(rule)
     beside: Beside | None = getattr(module, BESIDE, None)
     if beside is None or beside.folder is None:
@@ -200,7 +237,8 @@ def refuse_undeclared(rule: SeedingRule, files: Iterable[Path]) -> None:
 
 
 _READ, _IMPORTED = "__undeclared__", "__imported_files__"
-"""Names in the module of a rule's file: what it read while it was loaded, and the files that it imported."""
+"""Names in the module of a rule's file: what it read while it was loaded, and the files that it
+imported."""
 
 
 def _module_of(rule: SeedingRule) -> types.ModuleType | None:
@@ -215,20 +253,37 @@ def _load(source: str, name: str, file: str, beside: Beside) -> types.ModuleType
     vars(module)[RULE_SOURCE] = source
     beside.prepare(module, source.encode())
     lines = source.splitlines(keepends=True)
-    linecache.cache[shown_name] = (len(source), None, lines, shown_name)  # for its source in reports
+    linecache.cache[shown_name] = (
+        len(source),
+        None,
+        lines,
+        shown_name,
+    )  # for its source in reports
     sys.modules[name] = module  # dataclasses look there
     try:
         with keep_registered() as before, noted(Path(file).name) as watch:
             exec(compile(source, shown_name, "exec", dont_inherit=True), module.__dict__)
-            own = [rule_name(rule) for key, rule in registered().items() if before.get(key) is not rule]
+            own = [
+                rule_name(rule) for key, rule in registered().items() if before.get(key) is not rule
+            ]
     except Exception as e:
         del sys.modules[name]
-        at = [frame.lineno for frame in traceback.extract_tb(e.__traceback__) if frame.filename == shown_name]
+        at = [
+            frame.lineno
+            for frame in traceback.extract_tb(e.__traceback__)
+            if frame.filename == shown_name
+        ]
         line = e.lineno if isinstance(e, SyntaxError) else (at[-1] if at else None)
         where = file if line is None else f"{file}, line {line}"
         raise ValueError(f"{where}: {type(e).__name__}: {getattr(e, 'msg', e)}") from None
     vars(module)[_READ] = watch.offence
     vars(module)[_IMPORTED] = frozenset(watch.imported)
-    functions = [k for k, v in vars(module).items() if isinstance(v, types.FunctionType) and v.__module__ == name]
-    module.__dict__["__rules__"] = list(dict.fromkeys([*own, *(f for f in functions if not f.startswith("_"))]))
+    functions = [
+        k
+        for k, v in vars(module).items()
+        if isinstance(v, types.FunctionType) and v.__module__ == name
+    ]
+    module.__dict__["__rules__"] = list(
+        dict.fromkeys([*own, *(f for f in functions if not f.startswith("_"))])
+    )
     return module

@@ -1,6 +1,8 @@
-"""What a seeding rule reads besides its context: files that it does not declare, the environment, other programs.
+"""What a seeding rule reads besides its context: files that it does not declare, the environment,
+other programs.
 
-Python tells what it opens and starts (audit events, PEP 578). What compiled code opens by itself is not told.
+Python tells what it opens and starts (audit events, PEP 578). What compiled code opens by itself is
+not told.
 """
 
 import _thread
@@ -26,15 +28,28 @@ _PACKAGE = __name__.partition(".")[0]
 
 
 def _folders_of_kernels() -> list[str]:
-    """Where the package's kernels are, which may lie beside it, and where numba keeps them compiled."""
+    """Where the package's kernels are, which may lie beside it, and where numba keeps them
+    compiled."""
     found = importlib.util.find_spec(f"{_PACKAGE}.kernels")
     sources = found.submodule_search_locations or () if found is not None else ()
-    compiled = (os.environ.get("NUMBA_CACHE_DIR"), user_cache_path("numba", appauthor=False, opinion=False))
+    compiled = (
+        os.environ.get("NUMBA_CACHE_DIR"),
+        user_cache_path("numba", appauthor=False, opinion=False),
+    )
     return [str(folder) for folder in (*sources, *compiled) if folder]
 
 
 SYSTEM_FOLDERS = (
-    *("/dev", "/proc", "/sys", "/etc", "/usr", sys.prefix, sys.base_prefix, str(Path(__file__).parents[1])),
+    *(
+        "/dev",
+        "/proc",
+        "/sys",
+        "/etc",
+        "/usr",
+        sys.prefix,
+        sys.base_prefix,
+        str(Path(__file__).parents[1]),
+    ),
     *_folders_of_kernels(),
 )
 """What the rule's own process may read without being told: the system, Python, and this package."""
@@ -44,24 +59,57 @@ _NEW = os.O_CREAT | os.O_EXCL
 _COMPILERS = {"torch", "triton", "numba"}
 """Libraries that start a compiler for the code that they are given."""
 _PROGRAMS = {
-    *("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.startfile", "pty.spawn"),
+    *(
+        "subprocess.Popen",
+        "os.system",
+        "os.exec",
+        "os.posix_spawn",
+        "os.spawn",
+        "os.startfile",
+        "pty.spawn",
+    ),
     *("os.fork", "os.forkpty"),
 }
-_NETWORK = {"socket.connect", "socket.getaddrinfo", "socket.gethostbyname", "socket.sendto", "urllib.Request"}
+_NETWORK = {
+    "socket.connect",
+    "socket.getaddrinfo",
+    "socket.gethostbyname",
+    "socket.sendto",
+    "urllib.Request",
+}
 _READING = {"os", "_collections_abc", "collections.abc"}
 """Modules through which the environment is read."""
 _OF_THE_USER = {"posixpath", "ntpath", "tempfile"}
-"""Modules that look up the user's folders in the environment; what is read there is looked at by itself."""
+"""Modules that look up the user's folders in the environment; what is read there is looked at by
+itself."""
 _ASKS = ("stat", "lstat", "access", "readlink")
-"""Functions of ``os`` that say something of a file without opening it, of which Python does not tell."""
-_ONLY_NAMES = {"resolve", "realpath", "_joinrealpath", "checkcache", "updatecache", "getsourcefile", "rmtree"}
-"""Functions of Python that ask so on the way to a path's full name, a message's source line, or to remove something."""
+"""Functions of ``os`` that say something of a file without opening it, of which Python does not
+tell."""
+_ONLY_NAMES = {
+    "resolve",
+    "realpath",
+    "_joinrealpath",
+    "checkcache",
+    "updatecache",
+    "getsourcefile",
+    "rmtree",
+}
+"""Functions of Python that ask so on the way to a path's full name, a message's source line, or to
+remove something."""
 _COMPILED_READERS = (
     *(("cv2", name) for name in ("imread", "imreadmulti", "VideoCapture", "FileStorage")),
     *(("torch", "from_file"), ("torch.jit", "load")),
 )
 """Functions whose compiled code opens the file that their first argument names."""
-_CHANGES = {"os.remove", "os.rename", "os.rmdir", "os.link", "os.symlink", "os.truncate", "os.utime"}
+_CHANGES = {
+    "os.remove",
+    "os.rename",
+    "os.rmdir",
+    "os.link",
+    "os.symlink",
+    "os.truncate",
+    "os.utime",
+}
 _FOLDERS = {"os.listdir", "os.scandir", "glob.glob", "os.walk", "glob.glob/2"}
 
 
@@ -74,7 +122,10 @@ class _Watch:
 
     def __init__(self, rule: str, paths: Iterable[Path]):
         self.rule = rule
-        self.allowed = [place.expanduser().resolve() for place in (*map(Path, SYSTEM_FOLDERS), cache_folder(), *paths)]
+        self.allowed = [
+            place.expanduser().resolve()
+            for place in (*map(Path, SYSTEM_FOLDERS), cache_folder(), *paths)
+        ]
         self.written: set[str] = set()
         self.imported: set[Path] = set()
         """Files of own modules that were imported."""
@@ -95,9 +146,14 @@ class _Watch:
         elif event == "builtins.input":
             self._refuse("asks the user", "make it an option")
         elif event in _PROGRAMS and _caller() not in _COMPILERS and not _is_for_package():
-            self._refuse(f"starts a program ({_words(arguments[:1])})", "compute in the rule, or give it the result")
+            self._refuse(
+                f"starts a program ({_words(arguments[:1])})",
+                "compute in the rule, or give it the result",
+            )
         elif event in _NETWORK and not _is_for_package():
-            self._refuse(f"uses the network ({_words(arguments[-1:])})", "load it before, as a file")
+            self._refuse(
+                f"uses the network ({_words(arguments[-1:])})", "load it before, as a file"
+            )
 
     def thread(self) -> None:
         """A thread is started, in which nothing would be noticed."""
@@ -106,9 +162,14 @@ class _Watch:
 
     def environment(self, name: str) -> None:
         """The environment variable ``name`` is read."""
-        asker, function = next((asked for asked in _functions() if asked[0] not in _READING), ("", ""))
+        asker, function = next(
+            (asked for asked in _functions() if asked[0] not in _READING), ("", "")
+        )
         if _caller() == "" and (asker not in _OF_THE_USER or function.startswith("expandvars")):
-            self._refuse(f"reads the environment variable {name}", f'make it an option: {name.lower()}: str = "..."')
+            self._refuse(
+                f"reads the environment variable {name}",
+                f'make it an option: {name.lower()}: str = "..."',
+            )
 
     def _opened(self, file: Any, _mode: Any, flags: Any) -> None:
         if isinstance(file, int) or file is None:  # a file that is open already
@@ -132,7 +193,8 @@ class _Watch:
             self._refuse(f"writes {path}", "keep what it must remember in ctx.memory")
         elif os.path.isfile(path):
             self._refuse(
-                f"reads {path}, which none of its options names", f'declare it: weights: Path = Path("{path}")'
+                f"reads {path}, which none of its options names",
+                f'declare it: weights: Path = Path("{path}")',
             )
 
     def _makes_folder(self, folder: Any) -> None:
@@ -161,7 +223,8 @@ class _Watch:
         path = Path(os.path.abspath(os.fsdecode(file)))
         if not self._may_read(path) and not self._is_its_own(path):
             self._refuse(
-                f"asks for {path} (whether it exists, its size or date), which none of its options names",
+                f"asks for {path} (whether it exists, its size or date), which none of its options "
+                "names",
                 f'declare it: weights: Path = Path("{path}")',
             )
 
@@ -170,7 +233,10 @@ class _Watch:
             return
         path = Path(os.path.abspath(os.fsdecode(folder)))
         if not self._may_read(path) and not self._is_its_own(path):
-            self._refuse(f"lists {path}, which none of its options names", f'declare it: masks: Path = Path("{path}")')
+            self._refuse(
+                f"lists {path}, which none of its options names",
+                f'declare it: masks: Path = Path("{path}")',
+            )
 
     def _may_read(self, path: Path) -> bool:
         if path.suffix in _COMPILED or is_installed(path):
@@ -183,8 +249,8 @@ class _Watch:
 
     def _refuse(self, what: str, instead: str) -> None:
         self.offence = self.offence or (
-            f"the seeding rule {self.rule!r} {what}, so a comparison would keep its old results when that changes; "
-            f"{instead}"
+            f"the seeding rule {self.rule!r} {what}, so a comparison would keep its old results "
+            f"when that changes; {instead}"
         )
 
 
@@ -201,7 +267,8 @@ def _words(arguments: tuple[Any, ...]) -> str:
 
 
 def _frames() -> Iterator[tuple[str, dict[str, Any]]]:
-    """Name and names of the modules on the stack, the nearest first, from where this one was called."""
+    """Name and names of the modules on the stack, the nearest first, from where this one was
+    called."""
     frame: Any = sys._getframe(1)
     is_ours = True
     while frame is not None:
@@ -213,7 +280,8 @@ def _frames() -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def _functions() -> Iterator[tuple[str, str]]:
-    """Module and name of the functions on the stack, the nearest first, from where this module was called."""
+    """Module and name of the functions on the stack, the nearest first, from where this module was
+    called."""
     frame: Any = sys._getframe(1)
     is_ours = True
     while frame is not None:
@@ -225,8 +293,11 @@ def _functions() -> Iterator[tuple[str, str]]:
 
 
 def _is_only_a_name() -> bool:
-    """Whether Python asks of a file only to find its full name, the line of a message, or to remove it."""
-    of_python = itertools.takewhile(lambda asked: asked[0].partition(".")[0] in sys.stdlib_module_names, _functions())
+    """Whether Python asks of a file only to find its full name, the line of a message, or to remove
+    it."""
+    of_python = itertools.takewhile(
+        lambda asked: asked[0].partition(".")[0] in sys.stdlib_module_names, _functions()
+    )
     return any(function in _ONLY_NAMES for _, function in of_python)
 
 
@@ -236,8 +307,8 @@ def _asker() -> str:
 
 
 def _caller() -> str:
-    """Name of the package whose function asked for it: the nearest on the stack that is not Python's own; empty for
-    somebody's own code."""
+    """Name of the package whose function asked for it: the nearest on the stack that is not
+    Python's own; empty for somebody's own code."""
     for name, names in _frames():
         top = name.partition(".")[0]
         if top not in sys.stdlib_module_names:
@@ -265,7 +336,8 @@ def _watch() -> _Watch | None:
 
 @functools.cache
 def _listen() -> None:
-    # A lambda, which no tool that checks types wraps: a wrapper raises events itself, and they would never end.
+    # A lambda, which no tool that checks types wraps: a wrapper raises events itself, and they
+    # would never end.
     sys.addaudithook(lambda event, arguments: _tell(event, arguments))
 
 
@@ -282,8 +354,8 @@ def _tell(event: str, arguments: tuple[Any, ...]) -> None:
 
 @contextlib.contextmanager
 def _calls_watched(watch: _Watch) -> Iterator[None]:
-    """Tell ``watch`` of what Python does not tell of: the variables that are read, files that are asked for, and those
-    that compiled code opens, in this thread."""
+    """Tell ``watch`` of what Python does not tell of: the variables that are read, files that are
+    asked for, and those that compiled code opens, in this thread."""
     kind: Any = type(os.environ)
 
     def told(function: Any, tell: Callable[[Any], None]) -> Any:
@@ -308,7 +380,9 @@ def _calls_watched(watch: _Watch) -> Iterator[None]:
         replaced: list[tuple[Any, str, Any]] = [(kind, "__getitem__", tell_of_variable)]
         replaced += [(os, name, told(getattr(os, name), watch.asked)) for name in _ASKS]
         starts = ((threading.Thread, "start"), (_thread, "start_new_thread"))
-        replaced += [(owner, name, told(getattr(owner, name), tell_of_thread)) for owner, name in starts]
+        replaced += [
+            (owner, name, told(getattr(owner, name), tell_of_thread)) for owner, name in starts
+        ]
         for module, name in _COMPILED_READERS:
             if (owner := sys.modules.get(module)) is not None:
                 replaced.append((owner, name, told(getattr(owner, name), watch.compiled)))
@@ -324,7 +398,8 @@ def _calls_watched(watch: _Watch) -> Iterator[None]:
 
 @contextlib.contextmanager
 def noted(rule: str, paths: Iterable[Path] = ()) -> Iterator[_Watch]:
-    """Context that notes what a rule reads besides the files and folders ``paths``, those of Python and of packages."""
+    """Context that notes what a rule reads besides the files and folders ``paths``, those of Python
+    and of packages."""
     _listen()
     tempfile.gettempdir()  # which reads the environment, once
     watch = _Watch(rule, paths)
@@ -339,16 +414,19 @@ def noted(rule: str, paths: Iterable[Path] = ()) -> Iterator[_Watch]:
 
 @contextlib.contextmanager
 def only_declared(rule: str, paths: Iterable[Path] = ()) -> Iterator[None]:
-    """Context in which a rule may read the files and folders ``paths`` only, and those of Python and of packages.
+    """Context in which a rule may read the files and folders ``paths`` only, and those of Python
+    and of packages.
 
-    No environment variable, no other program, no network. A temporary file that it makes itself may be read.
+    No environment variable, no other program, no network. A temporary file that it makes itself may
+    be read.
 
     Args:
         rule: Name of the rule, for the message.
         paths: Its options of type ``Path``, and the files of its modules.
 
     Raises:
-        UndeclaredError: at the end of the context, if it read something else, also where it caught its own error.
+        UndeclaredError: at the end of the context, if it read something else, also where it caught
+            its own error.
     """
     with noted(rule, paths) as watch:
         try:
@@ -361,12 +439,13 @@ def only_declared(rule: str, paths: Iterable[Path] = ()) -> Iterator[None]:
 
 
 def refuse(rule: str, offence: str, imported: Iterable[Path] = ()) -> None:
-    """Raise ``UndeclaredError`` if a rule read something that no option names, or imported unseen modules."""
+    """Raise ``UndeclaredError`` if a rule read something that no option names, or imported unseen
+    modules."""
     unseen = sorted(map(str, imported))
     if unseen and not offence:
         offence = (
-            f"the seeding rule {rule!r} imports {unseen[0]} by a name that it makes while it runs, so a comparison "
-            "would keep its old results when that changes; use an import statement"
+            f"the seeding rule {rule!r} imports {unseen[0]} by a name that it makes while it runs, "
+            "so a comparison would keep its old results when that changes; use an import statement"
         )
     if offence:
         raise UndeclaredError(offence)

@@ -1,4 +1,5 @@
-"""One attempt to find the pose of a frame: where ICP starts, what it leads to, and whether that is accepted."""
+"""One attempt to find the pose of a frame: where ICP starts, what it leads to, and whether that is
+accepted."""
 
 import dataclasses
 import math
@@ -17,8 +18,8 @@ from .surface import DepthLevel, Surface, SurfaceSource, depth_pyramid, smooth_n
 
 WIDE_DISTANCE = 3.0
 WIDE_ANGLE_DEG = 60.0
-"""ICP from a wide start allows this many times the distance and normals at up to this angle: on the coarse levels it
-finds a pose that the usual limits then refine."""
+"""ICP from a wide start allows this many times the distance and normals at up to this angle: on the
+coarse levels it finds a pose that the usual limits then refine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,8 @@ class Start:
     anywhere: bool = False
     """It may be far from the last pose."""
     extra: ExtraRows | None = None
-    """Rows of the landmarks that agree with this pose: it need not fit as well as one that nothing else confirms."""
+    """Rows of the landmarks that agree with this pose: it need not fit as well as one that nothing
+    else confirms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,25 +73,35 @@ class Attempt:
     result: IcpResult
 
 
-def attempt(sight: Sight, source: SurfaceSource, mixed: SurfaceSource, start: Start, config: TrackingConfig) -> Attempt:
+def attempt(
+    sight: Sight, source: SurfaceSource, mixed: SurfaceSource, start: Start, config: TrackingConfig
+) -> Attempt:
     """Align a frame from one start.
 
     Args:
         sight: The frame.
         source: Renders the model.
         mixed: Renders the target of the settings, which may be mixed with the last frame.
-        start: Where to start; from a wide one, or one that may be anywhere, the model alone is used.
+        start: Where to start; from a wide one, or one that may be anywhere, the model alone is
+            used.
         config: Pyramid levels and limits.
     """
     T_WC, camera = start.T_WC, sight.frame.camera
     if start.wide:
         surface = source(camera, T_WC.float())
-        T_WC = align(sight.levels[:-1] or sight.levels, surface, T_WC, _widened(config)).T_WC
+        T_WC = align(
+            sight.levels[:-1] or sight.levels,
+            surface,
+            T_WC,
+            _widened(config),
+        ).T_WC
     surface = (source if start.wide or start.anywhere else mixed)(camera, T_WC.float())
     if start.smooth:
         surface = smooth_normals(surface)
     pictures = Pictures.of(sight.brightness, surface) if sight.brightness else None
-    return Attempt(start, surface, align(sight.levels, surface, T_WC, config, sight.extra, pictures))
+    return Attempt(
+        start, surface, align(sight.levels, surface, T_WC, config, sight.extra, pictures)
+    )
 
 
 def _widened(config: TrackingConfig) -> TrackingConfig:
@@ -104,11 +116,11 @@ def _widened(config: TrackingConfig) -> TrackingConfig:
 
 
 SAME_PLACE = 0.6
-"""Smallest correlation of brightness where camera and model see the same surface. In the built-in room it is at least
-0.94 at the true pose, and mostly below 0.5 at the poses of other frames."""
+"""Smallest correlation of brightness where camera and model see the same surface. In the built-in
+room it is at least 0.94 at the true pose, and mostly below 0.5 at the poses of other frames."""
 DOUBTFUL_PLACE = 0.8
-"""The same for a fit that is worse than usual. Where frames of four recordings were left out, such fits had 0.87 or
-more near the true pose, and 0.63 or less a metre from it."""
+"""The same for a fit that is worse than usual. Where frames of four recordings were left out, such
+fits had 0.87 or more near the true pose, and 0.63 or less a metre from it."""
 SAME_SURFACE_M = 0.05
 """Largest difference of depth at which camera and model see the same surface, metres."""
 ENOUGH_PIXELS = 100
@@ -116,14 +128,16 @@ ENOUGH_PIXELS = 100
 
 
 def correlation(frame: Frame, surface: Surface) -> float | None:
-    """Correlation of the frame's brightness with the model's, over the pixels that both see at the same depth.
+    """Correlation of the frame's brightness with the model's, over the pixels that both see at the
+    same depth.
 
     Args:
         frame: The frame.
         surface: The model seen from the pose to test, with colours, at the frame's size.
 
     Returns:
-        -1 to 1; ``None`` if the model has no colours, too few pixels are shared, or an image is uniform there.
+        -1 to 1; ``None`` if the model has no colours, too few pixels are shared, or an image is
+        uniform there.
     """
     if surface.rgb is None or surface.depth_m.shape != frame.depth_m.shape:
         return None
@@ -142,14 +156,15 @@ def correlation(frame: Frame, surface: Surface) -> float | None:
 MIN_SHARE = 0.15
 MIN_OVERLAP_SHARE = 0.4
 MAX_RMS_M = 0.02
-"""Tracking fails if less than these shares of the pixels with depth, and of those that fall on a known part of the
-model, found a corresponding point, or if their distances are larger, metres. Correctly tracked frames had an overlap
-share of 0.53 or more; of 390 frames started at the pose of another place, 15 reached more than 0.4."""
+"""Tracking fails if less than these shares of the pixels with depth, and of those that fall on a
+known part of the model, found a corresponding point, or if their distances are larger, metres.
+Correctly tracked frames had an overlap share of 0.53 or more; of 390 frames started at the pose of
+another place, 15 reached more than 0.4."""
 
 RECOVERED_SHARE = 0.3
 RECOVERED_OVERLAP_SHARE = 0.6
-"""After a failed prediction a pose must fit this well, and in every direction of motion: one of several starts may fit
-by chance, and a wrong pose would damage the map permanently."""
+"""After a failed prediction a pose must fit this well, and in every direction of motion: one of
+several starts may fit by chance, and a wrong pose would damage the map permanently."""
 
 USUAL_FRAMES = 15
 """A fit is compared with those of this many frames before it,"""
@@ -157,8 +172,8 @@ LEAST_FRAMES = 5
 """but not before there are this many."""
 UNUSUAL_RMS = 2.0
 UNUSUAL_SHARE = 0.6
-"""A fit is doubtful if its distances are this many times as large as usual, or if less than this share of the usual
-pixels fit."""
+"""A fit is doubtful if its distances are this many times as large as usual, or if less than this
+share of the usual pixels fit."""
 
 CLEARLY_BETTER = 0.9
 """Another pose is preferred to a doubtful one only if its cost is below this share of it."""
@@ -184,7 +199,10 @@ class UsualFit:
             return ""
         rms_m, share = (statistics.median(values) for values in zip(*self.fits, strict=True))
         if result.rms_m > UNUSUAL_RMS * rms_m:
-            return f"its points lie {result.rms_m * 1e3:.1f} mm from the model, usually {rms_m * 1e3:.1f} mm"
+            return (
+                f"its points lie {result.rms_m * 1e3:.1f} mm from the model, usually "
+                f"{rms_m * 1e3:.1f} mm"
+            )
         if result.inlier_share < UNUSUAL_SHARE * share:
             return f"{result.inlier_share:.0%} of its pixels fit the model, usually {share:.0%}"
         return ""
@@ -203,11 +221,15 @@ def best_of(sight: Sight, fits: list[Attempt], config: TrackingConfig) -> Attemp
 def cost(sight: Sight, result: IcpResult, against: Attempt, config: TrackingConfig) -> float:
     """Mean square error of a pose of the frame against the surface of one attempt, metres squared.
 
-    Every usable pixel of the frame counts, those that fit nothing with ``COST_GATE_M``, so that poses can be compared.
+    Every usable pixel of the frame counts, those that fit nothing with ``COST_GATE_M``, so that
+    poses can be compared.
     """
     level, surface = sight.levels[-1], against.surface
     T_WC = result.T_WC.to(surface.depth_m.device)
-    gates = {"max_distance_m": COST_GATE_M, "min_cosine": math.cos(math.radians(config.max_angle_deg))}
+    gates = {
+        "max_distance_m": COST_GATE_M,
+        "min_cosine": math.cos(math.radians(config.max_angle_deg)),
+    }
     system = icp_system(level, T_WC, surface, **gates)
     missed = (result.n_pixels - system.n_inliers) * COST_GATE_M**2
     error = (system.sum_squares_m2 + missed) / max(result.n_pixels, 1)
@@ -220,23 +242,30 @@ def cost(sight: Sight, result: IcpResult, against: Attempt, config: TrackingConf
 
 
 def why_no_fit(result: IcpResult, *, strict: bool) -> str:
-    """The reason why the frame does not fit the model. ``strict``: with the limits after a failed prediction."""
+    """The reason why the frame does not fit the model. ``strict``: with the limits after a failed
+    prediction."""
     share = RECOVERED_SHARE if strict else MIN_SHARE
     overlap_share = RECOVERED_OVERLAP_SHARE if strict else MIN_OVERLAP_SHARE
     if result.inlier_share < share:
-        return f"{result.inlier_share:.0%} of its pixels fit the model (at least {share:.0%} needed)"
+        return (
+            f"{result.inlier_share:.0%} of its pixels fit the model (at least {share:.0%} needed)"
+        )
     if result.overlap_inlier_share < overlap_share:
         fit = f"{result.overlap_inlier_share:.0%} of its pixels that meet the model fit it"
         return f"{fit} (at least {overlap_share:.0%} needed)"
     if not result.rms_m <= MAX_RMS_M:
-        return f"its points lie {result.rms_m * 100:.1f} cm from the model (at most {MAX_RMS_M * 100:g} cm)"
+        return (
+            f"its points lie {result.rms_m * 100:.1f} cm from the model (at most "
+            f"{MAX_RMS_M * 100:g} cm)"
+        )
     if strict and result.degenerate:
         return f"{result.degenerate} of 6 directions of motion are not determined"
     return ""
 
 
 def why_too_far(last: Tensor, T_WC: Tensor, config: TrackingConfig, *, frames: int) -> str:
-    """The reason why the camera cannot have moved from ``last`` to ``T_WC`` [4, 4] in this number of frames."""
+    """The reason why the camera cannot have moved from ``last`` to ``T_WC`` [4, 4] in this number
+    of frames."""
     step = se3.inverse(last) @ T_WC
     moved_m = float(step[:3, 3].norm())
     turned_deg = float(se3.rotation_angle(step[:3, :3]).rad2deg())
@@ -244,14 +273,15 @@ def why_too_far(last: Tensor, T_WC: Tensor, config: TrackingConfig, *, frames: i
     most_deg = frames * config.max_step_deg
     if moved_m > most_m or turned_deg > most_deg:
         return (
-            f"it would have moved {moved_m:.2f} m and turned {turned_deg:.0f} degrees since the last one (at most "
-            f"{most_m:g} m and {most_deg:g} degrees)"
+            f"it would have moved {moved_m:.2f} m and turned {turned_deg:.0f} degrees since the "
+            f"last one (at most {most_m:g} m and {most_deg:g} degrees)"
         )
     return ""
 
 
 def why_not_alike(frame: Frame, surface: Surface, *, doubtful: bool) -> str:
-    """The reason why the frame does not look like the model seen from its pose. ``doubtful``: its fit is unusual."""
+    """The reason why the frame does not look like the model seen from its pose. ``doubtful``: its
+    fit is unusual."""
     least = DOUBTFUL_PLACE if doubtful else SAME_PLACE
     likeness = correlation(frame, surface)
     if likeness is None or likeness >= least:

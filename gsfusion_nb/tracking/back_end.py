@@ -1,11 +1,12 @@
-"""The back end of tracking: keyframes, landmarks, loops, and the pose graph that makes them consistent.
+"""The back end of tracking: keyframes, landmarks, loops, and the pose graph that makes them
+consistent.
 
-Peng et al. 2024, section 3.2: "a back-end optimization thread similar to ORB-SLAM2 ... a set of 3D landmarks are also
-maintained ... used for graph optimization". Here it runs in turn with the front end, keyframe by keyframe, with ORB
-features (OpenCV) and a pose graph.
+Peng et al. 2024, section 3.2: "a back-end optimization thread similar to ORB-SLAM2 ... a set of 3D
+landmarks are also maintained ... used for graph optimization". Here it runs in turn with the front
+end, keyframe by keyframe, with ORB features (OpenCV) and a pose graph.
 
-``LoopFinder`` finds earlier keyframes that show the same place as a new one, and checks that they do. A ``Correction``
-holds the poses of keyframes before and after; everything else moves with them.
+``LoopFinder`` finds earlier keyframes that show the same place as a new one, and checks that they
+do. A ``Correction`` holds the poses of keyframes before and after; everything else moves with them.
 """
 
 import logging
@@ -26,7 +27,14 @@ from .keyframe_database import KeyframeDatabase
 from .landmark_map import LandmarkMap
 from .landmarks import SEARCH_SHARE, Landmarks
 from .matching import RelativePose, refine_pose, rows_of
-from .pose_graph import Edge, edge_error, fit_odometry, odometry_information, optimise_poses, with_floor
+from .pose_graph import (
+    Edge,
+    edge_error,
+    fit_odometry,
+    odometry_information,
+    optimise_poses,
+    with_floor,
+)
 
 log = logging.getLogger(__name__)
 
@@ -37,13 +45,16 @@ MIN_SHARE = 0.3
 """At least this share of the matches must agree on the pose."""
 
 MIN_CELLS = 4
-"""The agreeing features must lie in at least this many cells of a 4 x 4 grid over the image, not all on one poster."""
+"""The agreeing features must lie in at least this many cells of a 4 x 4 grid over the image, not
+all on one poster."""
 
 DEPTH_TOLERANCE = (0.05, 0.03)
-"""Depths of one surface differ by less than 5 cm plus 3 %: noise, slopes between samples, pose errors of 1 degree."""
+"""Depths of one surface differ by less than 5 cm plus 3 %: noise, slopes between samples, pose
+errors of 1 degree."""
 
 MIN_DEPTH_AGREEMENT = 0.7
-"""At least this share of the pixels that are not hidden must show the same surface in both views."""
+"""At least this share of the pixels that are not hidden must show the same surface in both
+views."""
 
 MIN_DEPTH_PIXELS = 20
 """With fewer overlapping pixels the depth is not used to reject a loop."""
@@ -51,8 +62,8 @@ MIN_DEPTH_PIXELS = 20
 DRIFT_M = 0.3
 DRIFT_DEG = 10.0
 DRIFT_SHARE = 0.2
-"""A loop may disagree with the trajectory by this much, plus this share of the path in between: otherwise it is another
-place that looks the same."""
+"""A loop may disagree with the trajectory by this much, plus this share of the path in between:
+otherwise it is another place that looks the same."""
 
 MIN_GAP = 8
 """A loop connects keyframes that are at least this many keyframes apart."""
@@ -62,7 +73,8 @@ MIN_INLIERS = 30
 
 
 def may_drift(drift: Float[Tensor, "4 4"], T_WC: Float[Tensor, "K 4 4"]) -> bool:
-    """Whether a drift is plausible along these poses: at most 0.3 m and 10 degrees plus a fifth of the path."""
+    """Whether a drift is plausible along these poses: at most 0.3 m and 10 degrees plus a fifth of
+    the path."""
     steps = se3.inverse(T_WC[:-1]) @ T_WC[1:]
     path_m = float(steps[:, :3, 3].norm(dim=1).sum())
     path_deg = float(torch.rad2deg(se3.rotation_angle(steps[:, :3, :3]).sum()))
@@ -102,15 +114,20 @@ def why_not_same_place(
 
 
 def depth_thumbnail(depth_m: Float[Tensor, "H W"]) -> Float[Tensor, "h w"]:
-    """A depth image about 64 pixels wide; each pixel is the depth in the middle of its cell, metres."""
+    """A depth image about 64 pixels wide; each pixel is the depth in the middle of its cell,
+    metres."""
     step = max(1, depth_m.shape[1] // THUMBNAIL_PX)
     return depth_m[step // 2 :: step, step // 2 :: step].cpu().clone()
 
 
 def depth_agreement(
-    camera: Camera, depth_a: Float[Tensor, "h w"], depth_b: Float[Tensor, "h w"], T_BA: Float[Tensor, "4 4"]
+    camera: Camera,
+    depth_a: Float[Tensor, "h w"],
+    depth_b: Float[Tensor, "h w"],
+    T_BA: Float[Tensor, "4 4"],
 ) -> tuple[float, int]:
-    """Share of a's pixels whose point lies on b's surface, among those that lie on it or in front of it.
+    """Share of a's pixels whose point lies on b's surface, among those that lie on it or in front
+    of it.
 
     Points behind b's surface are hidden and are not counted, unless they are the majority.
 
@@ -142,7 +159,8 @@ def depth_agreement(
 
 
 CANDIDATES = 3
-"""Loops are searched in this many of the most similar keyframes and in the one whose pose is nearest."""
+"""Loops are searched in this many of the most similar keyframes and in the one whose pose is
+nearest."""
 
 AROUND = 2
 """A loop uses the landmarks of this many keyframes before and after the earlier keyframe."""
@@ -161,7 +179,8 @@ class LoopFinder:
         self.thumbnails.append(depth_thumbnail(depth_m))
 
     def loops(self, row: int) -> Iterator[tuple[int, RelativePose]]:
-        """Earlier keyframes that see the same place as keyframe ``row``, each with the relative pose."""
+        """Earlier keyframes that see the same place as keyframe ``row``, each with the relative
+        pose."""
         for earlier in self._candidates(row):
             pose = self._pose(row, earlier)
             if pose is not None and self._is_true(row, earlier, pose):
@@ -171,12 +190,18 @@ class LoopFinder:
         before = row - MIN_GAP
         if before < 0:
             return []
-        rows = [r for r, _ in self.database.similar(self.database.features[row], CANDIDATES, exclude_after=before + 1)]
+        rows = [
+            r
+            for r, _ in self.database.similar(
+                self.database.features[row], CANDIDATES, exclude_after=before + 1
+            )
+        ]
         near = self.database.nearest_view(self.database.T_WC[row], before + 1)
         return rows if near in rows else [*rows, near]
 
     def _pose(self, row: int, earlier: int) -> RelativePose | None:
-        """Pose of one keyframe relative to another: from their features, then from all landmarks around the other."""
+        """Pose of one keyframe relative to another: from their features, then from all landmarks
+        around the other."""
         features, camera = self.database.features[row], self.database.camera
         pose = self.database.compare(features, earlier)
         if pose is None or len(pose.rows) < MIN_INLIERS:
@@ -185,7 +210,9 @@ class LoopFinder:
         first = max(0, earlier - AROUND)
         last = min(earlier + AROUND, row - MIN_GAP)
         around = list(range(first, last + 1))
-        pairs = self.landmarks.find(features, T_WR @ pose.T_RQ, around, SEARCH_SHARE / 4 * camera.width)
+        pairs = self.landmarks.find(
+            features, T_WR @ pose.T_RQ, around, SEARCH_SHARE / 4 * camera.width
+        )
         return refine_pose(self.landmarks.rows(features, pairs, T_WR), pose.T_RQ, pairs)
 
     def _is_true(self, row: int, earlier: int, pose: RelativePose) -> bool:
@@ -211,19 +238,24 @@ class Correction:
     T_WC_new: Float[Tensor, "K 4 4"]
     """Camera-to-world, float64."""
     loops: list[tuple[int, int, int]]
-    """(frame index, earlier frame index, matches that agree) of the loops found since the last correction."""
+    """(frame index, earlier frame index, matches that agree) of the loops found since the last
+    correction."""
 
     def transform_of(self, frame_index: Int[Tensor, " N"]) -> Float[Tensor, "N 4 4"]:
-        """The motion of the world near each frame: T_new T_old^-1, blended between the keyframes before and after.
+        """The motion of the world near each frame: T_new T_old^-1, blended between the keyframes
+        before and after.
 
-        Rotations are interpolated along the shorter arc. The point c between the two old camera centres moves to the
-        interpolation of its two images: R(t) = slerp(R_a, R_b, t), R(t) c + t(t) = (1 - t) D_a c + t D_b c.
+        Rotations are interpolated along the shorter arc. The point c between the two old camera
+        centres moves to the interpolation of its two images: R(t) = slerp(R_a, R_b, t), R(t) c +
+        t(t) = (1 - t) D_a c + t D_b c.
 
         Args:
-            frame_index: Frames, in any order; before the first and after the last keyframe its transform is used. [N]
+            frame_index: Frames, in any order; before the first and after the last keyframe its
+                transform is used. [N]
 
         Returns:
-            World-to-world transforms, float64. Exactly the identity where the keyframes did not move.
+            World-to-world transforms, float64. Exactly the identity where the keyframes did not
+            move.
         """
         keyframe = self.frame_index
         before = torch.searchsorted(keyframe, frame_index.to(keyframe), right=True) - 1
@@ -253,7 +285,11 @@ def _motion(T_old: Tensor, T_new: Tensor) -> Tensor:
     """T_new T_old^-1; exactly the identity where they are equal."""
     same = (T_old == T_new).flatten(1).all(1)
     eye = torch.eye(4, dtype=torch.float64).expand_as(T_old)
-    return torch.where(same[:, None, None], eye, T_new @ se3.inverse(T_old))
+    return torch.where(
+        same[:, None, None],
+        eye,
+        T_new @ se3.inverse(T_old),
+    )
 
 
 def _apply(T: Tensor, xyz: Tensor) -> Tensor:
@@ -262,7 +298,8 @@ def _apply(T: Tensor, xyz: Tensor) -> Tensor:
 
 
 TIED_TO = 3
-"""A new keyframe gets edges to this many keyframes around it, those with which it shares most landmarks."""
+"""A new keyframe gets edges to this many keyframes around it, those with which it shares most
+landmarks."""
 
 MIN_SHARED = 15
 """Smallest number of common landmarks for an edge between two keyframes."""
@@ -271,31 +308,34 @@ LANDMARK_FLOOR = (0.05, 0.002)
 """Smallest standard deviation of a relative pose from features, degrees and metres."""
 
 LANDMARK_SHARE = 0.25
-"""The last adjustment counts the squared errors of landmarks as this share of what they would be worth if they were
-independent; a corner is found beside its place in the same way by many views."""
+"""The last adjustment counts the squared errors of landmarks as this share of what they would be
+worth if they were independent; a corner is found beside its place in the same way by many views."""
 
 LOOP_MAX_SIGMA = 5.0
-"""A loop with a larger error after the optimisation, in standard deviations, is false: its matches are not used."""
+"""A loop with a larger error after the optimisation, in standard deviations, is false: its matches
+are not used."""
 
 
 KEYFRAME_DEG, KEYFRAME_M = 15.0, 0.15
-"""The graph gets a new keyframe when the camera has turned, or moved, by more than this since the last one. Larger: a
-smaller graph, faster, but fewer chances to find a loop."""
+"""The graph gets a new keyframe when the camera has turned, or moved, by more than this since the
+last one. Larger: a smaller graph, faster, but fewer chances to find a loop."""
 
 CORRECT_FROM_M, CORRECT_FROM_DEG = 0.02, 0.5
-"""A loop corrects the trajectory at once if they disagree by more than this; smaller differences are corrected at the
-end of the scan."""
+"""A loop corrects the trajectory at once if they disagree by more than this; smaller differences
+are corrected at the end of the scan."""
 
 ODOMETRY_SIGMA_DEG, ODOMETRY_SIGMA_M = 0.5, 0.02
-"""Largest standard deviation of the tracked motion between two keyframes, per axis; it is trusted more where it agrees
-with the landmarks (``fit_odometry``)."""
+"""Largest standard deviation of the tracked motion between two keyframes, per axis; it is trusted
+more where it agrees with the landmarks (``fit_odometry``)."""
 
 LANDMARKS_PER_KEYFRAME = 150
-"""How many landmarks of each keyframe take part in the optimisation at the end, those seen in most frames first."""
+"""How many landmarks of each keyframe take part in the optimisation at the end, those seen in most
+frames first."""
 
 
 def moved_enough(last: Float[Tensor, "4 4"], T_WC: Float[Tensor, "4 4"]) -> bool:
-    """Whether the camera has turned or moved far enough since the pose ``last`` for a new keyframe."""
+    """Whether the camera has turned or moved far enough since the pose ``last`` for a new
+    keyframe."""
     turned_deg, moved_m = se3.motion(last, T_WC)
     return turned_deg > KEYFRAME_DEG or moved_m > KEYFRAME_M
 
@@ -303,15 +343,16 @@ def moved_enough(last: Float[Tensor, "4 4"], T_WC: Float[Tensor, "4 4"]) -> bool
 class BackEnd:
     """Corrects the front end's trajectory over keyframes.
 
-    World frame: ``add`` expects poses in the world frame as corrected so far; a front end applies each ``Correction``
-    to its own pose before the next frame.
+    World frame: ``add`` expects poses in the world frame as corrected so far; a front end applies
+    each ``Correction`` to its own pose before the next frame.
     """
 
     def __init__(self, camera: Camera, *, features: int = FEATURES, levels: int = LEVELS):
         """
         Args:
             camera: Intrinsics of all frames.
-            features, levels: ORB features of a keyframe and levels of their pyramid (``extract_features``).
+            features, levels: ORB features of a keyframe and levels of their pyramid
+                (``extract_features``).
         """
         self.camera = camera
         self.map = LandmarkMap(camera, count=features, levels=levels)
@@ -320,7 +361,8 @@ class BackEnd:
         self._finder = LoopFinder(self.database, self.landmarks)
         self.edges: list[Edge] = []
         self.loops: list[tuple[int, Tensor]] = []
-        """(keyframe row, pairs of feature and landmark [I, 2]) of each loop, in the order of the edges of that kind."""
+        """(keyframe row, pairs of feature and landmark [I, 2]) of each loop, in the order of the
+        edges of that kind."""
         self._fresh_loops: list[tuple[int, int, int]] = []
 
     def __len__(self) -> int:
@@ -329,13 +371,19 @@ class BackEnd:
     @property
     def T_WC(self) -> Float[Tensor, "K 4 4"]:
         """Current poses of the keyframes, camera-to-world, float64."""
-        return torch.stack(self.database.T_WC) if len(self) else torch.zeros((0, 4, 4), dtype=torch.float64)
+        return (
+            torch.stack(self.database.T_WC)
+            if len(self)
+            else torch.zeros((0, 4, 4), dtype=torch.float64)
+        )
 
     def wants(self, T_WC: Float[Tensor, "4 4"]) -> bool:
         """Whether the camera has moved or turned enough since the last keyframe to become one."""
         return not len(self) or moved_enough(self.database.T_WC[-1], T_WC)
 
-    def add(self, frame: Frame, T_WC: Float[Tensor, "4 4"], features: Features | None = None) -> Correction | None:
+    def add(
+        self, frame: Frame, T_WC: Float[Tensor, "4 4"], features: Features | None = None
+    ) -> Correction | None:
         """Add a keyframe; if it closes a loop that the trajectory does not, optimise the poses.
 
         Args:
@@ -364,42 +412,62 @@ class BackEnd:
         return self._correct(landmarks=True) if len(self) > 1 else None
 
     def _tie(self, row: int, around: list[int], T_seen: Tensor) -> None:
-        """Add edges to the previous keyframe (odometry) and to those with most common landmarks, which give the
-        keyframe the pose ``T_seen``."""
+        """Add edges to the previous keyframe (odometry) and to those with most common landmarks,
+        which give the keyframe the pose ``T_seen``."""
         if not around:
             return
         T = self.database.T_WC
         information = odometry_information(ODOMETRY_SIGMA_DEG, ODOMETRY_SIGMA_M)
         step = se3.inverse(T[row - 1]) @ T[row]
-        self.edges.append(Edge(i=row - 1, j=row, T_ij=step, information=information, kind="odometry"))
+        self.edges.append(
+            Edge(i=row - 1, j=row, T_ij=step, information=information, kind="odometry")
+        )
         shared = {r: self.landmarks.shared(row, r) for r in around}
         for r in sorted(around, key=lambda r: -len(shared[r]))[:TIED_TO]:
             if len(shared[r]) < MIN_SHARED:
                 continue
-            rows = rows_of(self.camera, self.database.features[row], self.database.features[r], shared[r])
+            rows = rows_of(
+                self.camera,
+                self.database.features[row],
+                self.database.features[r],
+                shared[r],
+            )
             pose = refine_pose(rows, se3.inverse(T[r]) @ T_seen, shared[r])
             if pose is not None and len(pose.rows) >= MIN_SHARED:
                 self.edges.append(self._edge(r, row, pose, "landmarks"))
 
     def _edge(self, i: int, j: int, pose: RelativePose, kind: Any) -> Edge:
-        return Edge(i=i, j=j, T_ij=pose.T_RQ, information=with_floor(pose.information, *LANDMARK_FLOOR), kind=kind)
+        return Edge(
+            i=i,
+            j=j,
+            T_ij=pose.T_RQ,
+            information=with_floor(pose.information, *LANDMARK_FLOOR),
+            kind=kind,
+        )
 
     def _close_loops(self, row: int) -> bool:
-        """Add the loops that the new keyframe closes. Returns whether the trajectory contradicts one of them."""
+        """Add the loops that the new keyframe closes. Returns whether the trajectory contradicts
+        one of them."""
         off = False
         for earlier, pose in self._finder.loops(row):
             edge = self._edge(earlier, row, pose, "loop")
             self.edges.append(edge)
             self.loops.append((row, pose.rows))
-            self._fresh_loops.append((self.database.index[row], self.database.index[earlier], len(pose.rows)))
-            missed = se3.inverse(pose.T_RQ) @ se3.inverse(self.database.T_WC[earlier]) @ self.database.T_WC[row]
+            self._fresh_loops.append(
+                (self.database.index[row], self.database.index[earlier], len(pose.rows))
+            )
+            missed = (
+                se3.inverse(pose.T_RQ)
+                @ se3.inverse(self.database.T_WC[earlier])
+                @ self.database.T_WC[row]
+            )
             degrees = float(torch.rad2deg(se3.rotation_angle(missed[:3, :3])))
             off |= float(missed[:3, 3].norm()) > CORRECT_FROM_M or degrees > CORRECT_FROM_DEG
         return off
 
     def _correct(self, *, landmarks: bool) -> Correction:
-        """Optimise the poses with relative poses and then, with ``landmarks``, also with the landmarks. Landmarks that
-        loops show to be the same become one."""
+        """Optimise the poses with relative poses and then, with ``landmarks``, also with the
+        landmarks. Landmarks that loops show to be the same become one."""
         old = self.T_WC
         self.map.move(optimise_poses(old, fit_odometry(self.edges)).T_WC)
         self.landmarks.fuse(self._true_loops())
@@ -407,19 +475,35 @@ class BackEnd:
             self._with_landmarks()
         self.map.collect()
         fresh, self._fresh_loops = self._fresh_loops, []
-        return Correction(frame_index=torch.tensor(self.database.index), T_WC_old=old, T_WC_new=self.T_WC, loops=fresh)
+        return Correction(
+            frame_index=torch.tensor(self.database.index),
+            T_WC_old=old,
+            T_WC_new=self.T_WC,
+            loops=fresh,
+        )
 
     def _true_loops(self) -> list[tuple[int, Tensor]]:
         """The loops that the present poses agree with."""
         loops, T_WC = [e for e in self.edges if e.kind == "loop"], self.T_WC
-        return [loop for loop, e in zip(self.loops, loops, strict=True) if edge_error(e, T_WC) < LOOP_MAX_SIGMA]
+        return [
+            loop
+            for loop, e in zip(self.loops, loops, strict=True)
+            if edge_error(e, T_WC) < LOOP_MAX_SIGMA
+        ]
 
     def _with_landmarks(self) -> None:
         """Adjust all poses but the first, and the landmarks, which keep what was found."""
         seen = self.landmarks.observations(per_keyframe=LANDMARKS_PER_KEYFRAME)
         steps = [e for e in fit_odometry(self.edges) if e.kind == "odometry"]
         odometry = [replace(e, information=e.information / LANDMARK_SHARE) for e in steps]
-        found = adjust(self.camera, self.T_WC, seen, odometry, torch.arange(len(self)) == 0, iterations=20)
+        found = adjust(
+            self.camera,
+            self.T_WC,
+            seen,
+            odometry,
+            torch.arange(len(self)) == 0,
+            iterations=20,
+        )
         self.map.move(found.T_WC)
         self.landmarks.refine(seen.name, found.xyz_W)
 

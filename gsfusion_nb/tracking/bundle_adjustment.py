@@ -1,12 +1,14 @@
 """Least squares over all poses and landmarks together: bundle adjustment (``adjust``).
 
-The unknowns are twists of the poses, T_k <- T_k exp(xi_k), and shifts of the landmarks. Their normal equations are
+The unknowns are twists of the poses, T_k <- T_k exp(xi_k), and shifts of the landmarks. Their
+normal equations are
 
     [ U    W ] [xi]     [b_p]
     [ W^T  V ] [dx] = - [b_x],    V block-diagonal, one 3x3 block for each landmark.
 
-The landmarks are eliminated (Schur complement): (U - W V^-1 W^T) xi = -(b_p - W V^-1 b_x), a small system over the
-poses alone; then dx = -V^-1 (b_x + W^T xi). Errors get Cauchy weights; steps are damped (Levenberg-Marquardt).
+The landmarks are eliminated (Schur complement): (U - W V^-1 W^T) xi = -(b_p - W V^-1 b_x), a small
+system over the poses alone; then dx = -V^-1 (b_x + W^T xi). Errors get Cauchy weights; steps are
+damped (Levenberg-Marquardt).
 
 Source: Triggs et al. 2000 (Bundle adjustment: a modern synthesis).
 """
@@ -29,7 +31,8 @@ from .landmarks import Observations
 from .pose_graph import Edge, EdgeTerms
 
 FIRST_DAMPING = 1e-4
-"""Added to the diagonal of the normal equations, as a share of it; it falls with each step that helps."""
+"""Added to the diagonal of the normal equations, as a share of it; it falls with each step that
+helps."""
 
 ADJUST_LEAST_FALL = 1e-4
 """The steps end when the error falls by less than this share of it."""
@@ -111,7 +114,10 @@ class _Points:
         damped = self.V * (1 + damping * np.eye(3)) + 1e-9 * np.eye(3)
         return np.linalg.inv(damped)
 
-    def step(self, damping: float) -> tuple[Float[ndarray, "K 6"], Float[ndarray, "L 3"]]:
+    def step(
+        self,
+        damping: float,
+    ) -> tuple[Float[ndarray, "K 6"], Float[ndarray, "L 3"]]:
         """Twists of the poses, which are 0, and shifts of the landmarks."""
         dx = -(self.V_inv(damping) @ self.b_x[:, :, None])
         return np.zeros((self.n_poses, 6)), dx[:, :, 0]
@@ -129,7 +135,10 @@ class _System(_Points):
     free: ndarray
     """Rows of ``U`` that may change."""
 
-    def step(self, damping: float) -> tuple[Float[ndarray, "K 6"], Float[ndarray, "L 3"]]:
+    def step(
+        self,
+        damping: float,
+    ) -> tuple[Float[ndarray, "K 6"], Float[ndarray, "L 3"]]:
         """Twists of the poses and shifts of the landmarks."""
         from scipy.sparse import coo_matrix
 
@@ -157,14 +166,22 @@ class _System(_Points):
 class _Problem:
     """What is measured."""
 
-    def __init__(self, camera: Camera, seen: Observations, edges: list[Edge], fixed: Tensor):
+    def __init__(
+        self,
+        camera: Camera,
+        seen: Observations,
+        edges: list[Edge],
+        fixed: Tensor,
+    ):
         self.camera = camera
         self.keyframe, self.landmark = seen.keyframe.numpy(), seen.landmark.numpy()
         self.of_keyframe = _members(self.keyframe, len(fixed))
         self.of_landmark = _members(self.landmark, len(seen.xyz_W))
         self.uv, self.sigma_px = seen.uv.numpy(), seen.sigma_px.numpy()
         self.inverse = inverse_or_zero(seen.depth_m.numpy())
-        self.sigma_inverse = np.sqrt(DEPTH_SIGMA_PER_M**2 + (self.sigma_px * self.inverse / camera.fx) ** 2)
+        self.sigma_inverse = np.sqrt(
+            DEPTH_SIGMA_PER_M**2 + (self.sigma_px * self.inverse / camera.fx) ** 2
+        )
         self.free = (6 * (~fixed).nonzero().numpy() + np.arange(6)).ravel()
         self.edges = EdgeTerms(edges) if edges else None
 
@@ -206,12 +223,18 @@ class _Problem:
             free=self.free,
         )
 
-    def _errors(self, T_WC: Tensor, xyz: ndarray) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+    def _errors(
+        self,
+        T_WC: Tensor,
+        xyz: ndarray,
+    ) -> tuple[ndarray, ndarray, ndarray, ndarray]:
         T = T_WC.numpy()[self.keyframe]
         R = T[:, :3, :3]
         from_camera = xyz[self.landmark] - T[:, :3, 3]
         y = np.einsum("oji,oj->oi", R, from_camera)
-        e, by_y = point_errors(self.camera, y, self.uv, self.inverse, self.sigma_px, self.sigma_inverse)
+        e, by_y = point_errors(
+            self.camera, y, self.uv, self.inverse, self.sigma_px, self.sigma_inverse
+        )
         return e, by_y, y, R
 
     def _add_edges(self, T_WC: Tensor, U: ndarray, b_p: ndarray) -> None:
@@ -233,12 +256,17 @@ def _members(group: ndarray, n: int) -> Any:
     from scipy.sparse import csr_matrix
 
     count = len(group)
-    return csr_matrix((np.ones(count), (group, np.arange(count))), (n, count))
+    return csr_matrix(
+        (np.ones(count), (group, np.arange(count))),
+        (n, count),
+    )
 
 
 def _added(members: Any, values: Float[ndarray, "O *S"]) -> Float[ndarray, "N *S"]:
     """The sum of ``values`` over each group."""
-    flat = values.reshape(len(values), math.prod(values.shape[1:]))  # -1 has no meaning where there are no rows
+    flat = values.reshape(
+        len(values), math.prod(values.shape[1:])
+    )  # -1 has no meaning where there are no rows
     return (members @ flat).reshape(members.shape[0], *values.shape[1:])
 
 

@@ -1,12 +1,14 @@
-"""Frame-to-model ICP: the pose at which a depth frame fits a surface best (Peng et al. 2024, Eq. 10).
+"""Frame-to-model ICP: the pose at which a depth frame fits a surface best (Peng et al. 2024, Eq.
+10).
 
-One iteration: every point p of the frame gets a partner q with normal n on the surface (``associate``). The sums
-H = J^T J and b = J^T r of  r = n . (p - q)  are taken (``icp_system``). The step  xi = -H^-1 b  moves the pose,
-T <- exp(xi) T  (``solve_step``, ``next_pose``).
+One iteration: every point p of the frame gets a partner q with normal n on the surface
+(``associate``). The sums H = J^T J and b = J^T r of  r = n . (p - q)  are taken (``icp_system``).
+The step  xi = -H^-1 b  moves the pose, T <- exp(xi) T  (``solve_step``, ``next_pose``).
 
-All twists are in the axes of the world, translation first, and turn about the centre o of the surface's camera: a turn
-about an origin far away would be mixed with a large translation. ``recentred`` writes a twist about another point: the
-rows of landmarks come about the world's origin, and a step is solved about the mean of the points.
+All twists are in the axes of the world, translation first, and turn about the centre o of the
+surface's camera: a turn about an origin far away would be mixed with a large translation.
+``recentred`` writes a twist about another point: the rows of landmarks come about the world's
+origin, and a step is solved about the mean of the points.
 """
 
 import dataclasses
@@ -44,14 +46,24 @@ class IcpSystem:
     n_inliers: int
     """Number of correspondences within the limits of distance and angle."""
     n_overlap: int
-    """Number of pixels of the frame that fall on known pixels of the surface, which alone give information."""
+    """Number of pixels of the frame that fall on known pixels of the surface, which alone give
+    information."""
 
     @property
     def rms_m(self) -> float:
-        """Weighted root mean square point-to-plane distance of the correspondences, metres; infinite without any."""
-        return (self.sum_squares_m2 / self.sum_weights) ** 0.5 if self.sum_weights > 0 else float("inf")
+        """Weighted root mean square point-to-plane distance of the correspondences, metres;
+        infinite without any."""
+        return (
+            (self.sum_squares_m2 / self.sum_weights) ** 0.5
+            if self.sum_weights > 0
+            else float("inf")
+        )
 
-    def plus(self, H: Float[Tensor, "6 6"], b: Float[Tensor, " 6"]) -> "IcpSystem":
+    def plus(
+        self,
+        H: Float[Tensor, "6 6"],
+        b: Float[Tensor, " 6"],
+    ) -> "IcpSystem":
         """The system with the sums of further rows; distances and counts stay those of depth."""
         both_H = self.H.cpu() + H.cpu()
         both_b = self.b.cpu() + b.cpu()
@@ -60,10 +72,11 @@ class IcpSystem:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Correspondences:
-    """The point of each pixel of the frame, and the point of the surface at the pixel that it projects to.
+    """The point of each pixel of the frame, and the point of the surface at the pixel that it
+    projects to.
 
-    Points are relative to the centre of the surface's camera, along the axes of the world, so that rotations are about
-    that camera and not about a world origin that may be far away.
+    Points are relative to the centre of the surface's camera, along the axes of the world, so that
+    rotations are about that camera and not about a world origin that may be far away.
     """
 
     xyz: Float[Tensor, "H W 3"]
@@ -79,9 +92,12 @@ class Correspondences:
 
 @piece
 def point_to_plane(
-    xyz: Float[Tensor, "N 3"], surface_xyz: Float[Tensor, "N 3"], surface_normal: Float[Tensor, "N 3"]
+    xyz: Float[Tensor, "N 3"],
+    surface_xyz: Float[Tensor, "N 3"],
+    surface_normal: Float[Tensor, "N 3"],
 ) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 6"]]:
-    """Residual  r = n . (p - q)  and its derivative with respect to a twist xi (translation first), p <- exp(xi) p.
+    """Residual  r = n . (p - q)  and its derivative with respect to a twist xi (translation first),
+    p <- exp(xi) p.
 
     dp = rho + omega x p, so  dr/dxi = [n, p x n].
 
@@ -96,9 +112,15 @@ def point_to_plane(
 
 
 def associate(
-    level: DepthLevel, T_WC: Float[Tensor, "4 4"], surface: Surface, *, max_distance_m: float, min_cosine: float
+    level: DepthLevel,
+    T_WC: Float[Tensor, "4 4"],
+    surface: Surface,
+    *,
+    max_distance_m: float,
+    min_cosine: float,
 ) -> Correspondences:
-    """Projective association: every point of the frame is compared with the surface at the pixel it projects into.
+    """Projective association: every point of the frame is compared with the surface at the pixel it
+    projects into.
 
     Args:
         level: A pyramid level of the frame.
@@ -130,15 +152,22 @@ def associate(
     aligned = (se3.rotate(T, level.normal_C) * surface_normal).sum(-1) >= min_cosine
     inlier = overlap & near & aligned
     return Correspondences(
-        xyz=xyz, surface_xyz=surface_xyz, surface_normal=surface_normal, overlap=overlap, inlier=inlier
+        xyz=xyz,
+        surface_xyz=surface_xyz,
+        surface_normal=surface_normal,
+        overlap=overlap,
+        inlier=inlier,
     )
 
 
-def depth_weight(depth_m: Float[Tensor, "*N"], even_to_m: float | None) -> Float[Tensor, "*N"]:
+def depth_weight(
+    depth_m: Float[Tensor, "*N"],
+    even_to_m: float | None,
+) -> Float[Tensor, "*N"]:
     """Weight of a measurement at depth z: min(1, (even_to / z)^4), or 1 without a limit.
 
-    The standard deviation of a structured-light camera grows with z^2 (Khoshelham & Elberink 2012), and so does its
-    calibration error. Eq. 10 has no weights.
+    The standard deviation of a structured-light camera grows with z^2 (Khoshelham & Elberink 2012),
+    and so does its calibration error. Eq. 10 has no weights.
     """
     if even_to_m is None:
         return torch.ones_like(depth_m)
@@ -146,7 +175,13 @@ def depth_weight(depth_m: Float[Tensor, "*N"], even_to_m: float | None) -> Float
 
 
 def check_icp(
-    level: Any, T_WC: Any, surface: Any, *, max_distance_m: float, min_cosine: float, even_to_m: float | None = None
+    level: Any,
+    T_WC: Any,
+    surface: Any,
+    *,
+    max_distance_m: float,
+    min_cosine: float,
+    even_to_m: float | None = None,
 ) -> None:
     """Raise ``ValueError`` for arguments that ``icp_system`` refuses."""
     for name, kind, value in (("level", DepthLevel, level), ("surface", Surface, surface)):
@@ -156,7 +191,10 @@ def check_icp(
     device = level.depth_m.device
     check_view(level.camera, T_WC, device)
     images = {"normal_C": level.normal_C}
-    surface_images = {"depth_m of the surface": surface.depth_m, "normal_W of the surface": surface.normal_W}
+    surface_images = {
+        "depth_m of the surface": surface.depth_m,
+        "normal_W of the surface": surface.normal_W,
+    }
     for camera, both in ((level.camera, images), (surface.camera, surface_images)):
         for name, image in both.items():
             channels = (3,) if "normal" in name else ()
@@ -180,8 +218,8 @@ def icp_system(
 ) -> IcpSystem:
     """Normal equations of the point-to-plane error about the pose ``T_WC``.
 
-    The twist rotates and moves the frame in the world's axes about the centre o of the surface's camera:
-    ``T_WC <- shift(o) exp(xi) shift(-o) T_WC``.
+    The twist rotates and moves the frame in the world's axes about the centre o of the surface's
+    camera: ``T_WC <- shift(o) exp(xi) shift(-o) T_WC``.
 
     Args:
         level, T_WC, surface, max_distance_m, min_cosine: See ``associate``.
@@ -191,7 +229,11 @@ def icp_system(
     """
     found = associate(level, T_WC, surface, max_distance_m=max_distance_m, min_cosine=min_cosine)
     rows = found.inlier
-    r, J = point_to_plane(found.xyz[rows], found.surface_xyz[rows], found.surface_normal[rows])
+    r, J = point_to_plane(
+        found.xyz[rows],
+        found.surface_xyz[rows],
+        found.surface_normal[rows],
+    )
     r = r.double()
     J = J.double()
     w = depth_weight(level.depth_m[rows], even_to_m).double()
@@ -207,8 +249,8 @@ def icp_system(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Extent:
-    """Mean and spread of the points of a frame: in a twist about the mean, with rotations times the spread, all six
-    components are metres of surface motion (Gelfand et al. 2003)."""
+    """Mean and spread of the points of a frame: in a twist about the mean, with rotations times the
+    spread, all six components are metres of surface motion (Gelfand et al. 2003)."""
 
     centre: Float[Tensor, " 3"]
     """Mean of the points, in the frame of the twist, metres; float64."""
@@ -225,7 +267,8 @@ class Step:
     length_m: float
     """How far it moves the surface, metres: its norm in the units of ``Extent``."""
     eigenvalues: Float[Tensor, " 6"]
-    """Mean information of the six principal directions of motion, smallest first; their sum is about 2."""
+    """Mean information of the six principal directions of motion, smallest first; their sum is
+    about 2."""
     degenerate: int
     """Number of these directions that the scene does not determine."""
 
@@ -233,7 +276,8 @@ class Step:
 def recentred(offset: Float[Tensor, " 3"]) -> Float[Tensor, "6 6"]:
     """A of  xi_a = A xi_b: the twist about a of the motion that is xi_b about b = a + ``offset``.
 
-    Both move a point p alike,  rho_a + omega x (p - a) = rho_b + omega x (p - b),  so  rho_a = rho_b + (b - a) x omega.
+    Both move a point p alike,  rho_a + omega x (p - a) = rho_b + omega x (p - b),  so  rho_a =
+    rho_b + (b - a) x omega.
     """
     A = torch.eye(6, dtype=torch.float64)
     A[:3, 3:] = se3.hat(offset.double().cpu())
@@ -241,11 +285,13 @@ def recentred(offset: Float[Tensor, " 3"]) -> Float[Tensor, "6 6"]:
 
 
 def solve_step(system: IcpSystem, extent: Extent, *, damping: float, min_eigenvalue: float) -> Step:
-    """Minimise  |r + J xi|^2 + damping tr(H) |xi|^2  in the directions of motion that the scene determines.
+    """Minimise  |r + J xi|^2 + damping tr(H) |xi|^2  in the directions of motion that the scene
+    determines.
 
-    The twist is first written about the mean of the points, xi = A y, so that the eigenvalues of A^T H A can be
-    compared. In directions whose eigenvalue is below ``min_eigenvalue`` times the largest, the step is 0: there the
-    pose keeps its starting value, the prediction (solution remapping).
+    The twist is first written about the mean of the points, xi = A y, so that the eigenvalues of
+    A^T H A can be compared. In directions whose eigenvalue is below ``min_eigenvalue`` times the
+    largest, the step is 0: there the pose keeps its starting value, the prediction (solution
+    remapping).
 
     Args:
         system: Normal equations H, b.
@@ -253,7 +299,8 @@ def solve_step(system: IcpSystem, extent: Extent, *, damping: float, min_eigenva
         damping: Share of the trace that is added to every eigenvalue.
         min_eigenvalue: Smallest eigenvalue of a determined direction, as a share of the largest.
 
-    Differentiable: no. Source: Zhang, Kaess & Singh 2016, "On degeneracy of optimization-based state estimation".
+    Differentiable: no. Source: Zhang, Kaess & Singh 2016, "On degeneracy of optimization-based
+    state estimation".
     """
     A = recentred(extent.centre)
     A[:, 3:] /= extent.spread_m
@@ -273,16 +320,17 @@ def solve_step(system: IcpSystem, extent: Extent, *, damping: float, min_eigenva
 
 
 ExtraRows = Callable[[Tensor], tuple[Tensor, Tensor]]
-"""Further rows of the least squares, such as landmarks: given a pose ``T_WC`` [4, 4], returns the sums of w J^T J
-[6, 6] and w J^T r [6], float64 on the CPU, for a twist in world axes about the world's origin, ``T_WC <- exp(xi) T_WC``
-(translation first). r in metres; weight 1 is that of a pixel of depth nearer than ``even_to_m``."""
+"""Further rows of the least squares, such as landmarks: given a pose ``T_WC`` [4, 4], returns the
+sums of w J^T J [6, 6] and w J^T r [6], float64 on the CPU, for a twist in world axes about the
+world's origin, ``T_WC <- exp(xi) T_WC`` (translation first). r in metres; weight 1 is that of a
+pixel of depth nearer than ``even_to_m``."""
 
 DAMPING = 1e-6
 """Damping of the normal equations, as a share of their trace (released code: 1e-4)."""
 
 LEAST_STEP_M = 1e-5
-"""ICP ends on the finest level when a step moves the surface by less than this, metres; on coarser levels the limit is
-multiplied by their reduction factor."""
+"""ICP ends on the finest level when a step moves the surface by less than this, metres; on coarser
+levels the limit is multiplied by their reduction factor."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -316,9 +364,11 @@ class IcpResult:
     n_pixels: int
     """Number of pixels with usable depth."""
     eigenvalues: tuple[float, ...]
-    """Mean information of the six principal directions of motion, smallest first (see ``solve_step``)."""
+    """Mean information of the six principal directions of motion, smallest first (see
+    ``solve_step``)."""
     degenerate: int
-    """Number of these directions that the scene does not determine. Along them the pose keeps its starting value."""
+    """Number of these directions that the scene does not determine. Along them the pose keeps its
+    starting value."""
     history: tuple[IcpIteration, ...]
 
     @property
@@ -349,8 +399,8 @@ def icp(
         config: Pyramid levels, limits of correspondences, damping.
 
     Returns:
-        The pose and how well it fits. The caller decides whether it is good enough: without any correspondence the
-        pose is the starting pose and ``n_inliers`` is 0.
+        The pose and how well it fits. The caller decides whether it is good enough: without any
+        correspondence the pose is the starting pose and ``n_inliers`` is 0.
 
     Differentiable: no. Source: Peng et al. 2024, Eq. 10; Newcombe et al. 2011.
     """
@@ -368,8 +418,8 @@ def align(
 ) -> IcpResult:
     """``icp`` of a frame whose pyramid was made before. Levels are used in the order given.
 
-    Brightness (``pictures``) and ``extra`` join every step. Distances and counts of the result are those of depth
-    alone.
+    Brightness (``pictures``) and ``extra`` join every step. Distances and counts of the result are
+    those of depth alone.
     """
     rows = _Rows(surface, config, extra, pictures)
     o = surface.T_WC[:3, 3].double().cpu()
@@ -377,16 +427,23 @@ def align(
     points = _extent(levels[-1], config.even_to_m)
     history: list[IcpIteration] = []
     for level, iterations in zip(levels, config.iterations, strict=True):
-        # 5 degrees move a point 2 m away by 17 cm, more than the limit of the finest level. A limit in proportion to
-        # the factor would be too large: with it one frame of a noise-free room converged to a wrong pose.
+        # 5 degrees move a point 2 m away by 17 cm, more than the limit of the finest level. A limit
+        # in proportion to the factor would be too large: with it one frame of a noise-free room
+        # converged to a wrong pose.
         reach = (level.factor / levels[-1].factor) ** 0.5
         for _ in range(iterations):
             system, joined = rows.at(level, T_WC, reach * config.max_distance_m)
             if system.n_inliers < 6:
                 break
             step = _step(joined, T_WC, o, points, config)
-            fit = {"rms_m": system.rms_m, "n_inliers": system.n_inliers, "n_overlap": system.n_overlap}
-            history.append(IcpIteration(factor=level.factor, T_WC=T_WC, step_m=step.length_m, **fit))
+            fit = {
+                "rms_m": system.rms_m,
+                "n_inliers": system.n_inliers,
+                "n_overlap": system.n_overlap,
+            }
+            history.append(
+                IcpIteration(factor=level.factor, T_WC=T_WC, step_m=step.length_m, **fit)
+            )
             T_WC = se3.translate(next_pose(se3.translate(T_WC, -o), joined, step), o)
             if step.length_m < LEAST_STEP_M * level.factor:
                 break
@@ -413,11 +470,17 @@ class _Rows:
     extra: ExtraRows | None
     pictures: Pictures | None
 
-    def at(self, level: DepthLevel, T_WC: Tensor, max_distance_m: float) -> tuple[IcpSystem, IcpSystem]:
+    def at(
+        self, level: DepthLevel, T_WC: Tensor, max_distance_m: float
+    ) -> tuple[IcpSystem, IcpSystem]:
         """The system of depth alone at a pose, and that of all rows."""
         config, there = self.config, T_WC.to(self.surface.depth_m.device)
         min_cosine = math.cos(math.radians(config.max_angle_deg))
-        gates = {"max_distance_m": max_distance_m, "min_cosine": min_cosine, "even_to_m": config.even_to_m}
+        gates = {
+            "max_distance_m": max_distance_m,
+            "min_cosine": min_cosine,
+            "even_to_m": config.even_to_m,
+        }
         system = joined = icp_system(level, there, self.surface, **gates)
         if self.pictures is not None and config.brightness_m:
             H, b = self.pictures.system(level, there, max_distance_m).normal_equations()
@@ -441,17 +504,24 @@ def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
     return Extent(centre=middle.double().cpu(), spread_m=max(spread, 1e-3))
 
 
-def _step(system: IcpSystem, T_WC: Tensor, o: Tensor, points: Extent, config: TrackingConfig) -> Step:
+def _step(
+    system: IcpSystem, T_WC: Tensor, o: Tensor, points: Extent, config: TrackingConfig
+) -> Step:
     extent = Extent(centre=se3.apply(T_WC, points.centre) - o, spread_m=points.spread_m)
     return solve_step(system, extent, damping=DAMPING, min_eigenvalue=config.min_eigenvalue)
 
 
 @piece
-def next_pose(T: Float[Tensor, "4 4"], system: IcpSystem, step: Step) -> Float[Tensor, "4 4"]:
+def next_pose(
+    T: Float[Tensor, "4 4"],
+    system: IcpSystem,
+    step: Step,
+) -> Float[Tensor, "4 4"]:
     """The pose after a Gauss-Newton step, T <- exp(xi) T.
 
     Args:
-        T: Pose before it, with its origin moved to the point o about which the twist turns, float64.
+        T: Pose before it, with its origin moved to the point o about which the twist turns,
+            float64.
         system: Normal equations H, b at that pose.
         step: Their solution.
 

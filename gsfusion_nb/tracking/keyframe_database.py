@@ -1,9 +1,11 @@
-"""Place recognition: the keyframes with the most similar features, and the camera's pose relative to them.
+"""Place recognition: the keyframes with the most similar features, and the camera's pose relative
+to them.
 
-Every descriptor is turned into eight words, one per table: twelve of its bits, the same twelve for all descriptors
-(locality-sensitive hashing, Gionis et al. 1999). Descriptors of one point seen twice differ in few of their 256 bits,
-so they share some of the words; words that are rare among the keyframes count most (tf-idf, Sivic & Zisserman 2003).
-Nothing is trained and nothing is downloaded.
+Every descriptor is turned into eight words, one per table: twelve of its bits, the same twelve for
+all descriptors (locality-sensitive hashing, Gionis et al. 1999). Descriptors of one point seen
+twice differ in few of their 256 bits, so they share some of the words; words that are rare among
+the keyframes count most (tf-idf, Sivic & Zisserman 2003). Nothing is trained and nothing is
+downloaded.
 """
 
 from typing import Any
@@ -22,8 +24,9 @@ from .matching import RelativePose, relative_pose
 
 TABLES = 8
 BITS = 12
-"""Eight tables of twelve bits find a true revisit among the five best in 94 % of 53 cases (built-in room) and 93 % of
-15 (red kitchen); a vocabulary of 1024 words clustered from the first keyframes found 91 % and 93 %."""
+"""Eight tables of twelve bits find a true revisit among the five best in 94 % of 53 cases (built-in
+room) and 93 % of 15 (red kitchen); a vocabulary of 1024 words clustered from the first keyframes
+found 91 % and 93 %."""
 
 RELOCALISED_BY = 20
 """Number of matches that must agree with a pose for ``relocalise`` to return it."""
@@ -57,8 +60,14 @@ class KeyframeDatabase:
         """Features of a frame."""
         return extract_features(frame, count=self.count, levels=self.levels)
 
-    def add(self, index: int, T_WC: Float[Tensor, "4 4"], features: Features) -> None:
-        """Add a keyframe: its frame index, its camera-to-world pose and its features (may be empty)."""
+    def add(
+        self,
+        index: int,
+        T_WC: Float[Tensor, "4 4"],
+        features: Features,
+    ) -> None:
+        """Add a keyframe: its frame index, its camera-to-world pose and its features (may be
+        empty)."""
         check_pose("T_WC", T_WC)
         words = _words(features)
         self.index.append(int(index))
@@ -70,13 +79,18 @@ class KeyframeDatabase:
     def move(self, T_WC: Float[Tensor, "K 4 4"]) -> None:
         """Replace the poses of all rows, after a correction of the trajectory."""
         if len(T_WC) != len(self):
-            raise ValueError(f"T_WC must have one pose for each of the {len(self)} keyframes, got {len(T_WC)}")
+            raise ValueError(
+                f"T_WC must have one pose for each of the {len(self)} keyframes, got {len(T_WC)}"
+            )
         self.T_WC = list(T_WC.detach().cpu().double().unbind(0))
 
-    def similar(self, features: Features, k: int, *, exclude_after: int | None = None) -> list[tuple[int, float]]:
+    def similar(
+        self, features: Features, k: int, *, exclude_after: int | None = None
+    ) -> list[tuple[int, float]]:
         """The ``k`` keyframes that are most similar to a view, best first.
 
-        The score is the cosine between the sets of words, each word weighted by log(keyframes / keyframes with it).
+        The score is the cosine between the sets of words, each word weighted by log(keyframes /
+        keyframes with it).
 
         Args:
             features: Features of the view.
@@ -88,10 +102,14 @@ class KeyframeDatabase:
         """
         rows = len(self) if exclude_after is None else max(0, min(exclude_after, len(self)))
         query = _words(features)
-        filled = np.array([r for r in range(rows) if len(self._words[r])], int)
+        filled = np.array(
+            [r for r in range(rows) if len(self._words[r])],
+            int,
+        )
         if len(filled) == 0 or k < 1 or len(query) == 0:
             return []
-        # One more than the number of keyframes: otherwise, with one keyframe, the weight of every word would be 0.
+        # One more than the number of keyframes: otherwise, with one keyframe, the weight of every
+        # word would be 0.
         weight = np.log((len(self) + 1) / np.maximum(self._frequency, 1)).astype(np.float32) ** 2
         shared = np.zeros_like(weight)
         shared[query] = weight[query]
@@ -102,16 +120,22 @@ class KeyframeDatabase:
         best = np.argsort(-score, kind="stable")[:k]
         return [(int(filled[b]), float(score[b])) for b in best if score[b] > 0]
 
-    def relocalise(self, view: Frame | Features, *, k: int = 5) -> list[Tensor]:
-        """Possible poses of the camera, without any earlier pose: one for each of the ``k`` most similar keyframes.
+    def relocalise(
+        self,
+        view: Frame | Features,
+        *,
+        k: int = 5,
+    ) -> list[Tensor]:
+        """Possible poses of the camera, without any earlier pose: one for each of the ``k`` most
+        similar keyframes.
 
         Args:
             view: A frame (its own pose is not used), or its features.
             k: Number of keyframes to try.
 
         Returns:
-            Camera-to-world poses [4, 4] float64, the one with most agreeing matches first; none if the place is
-            unknown.
+            Camera-to-world poses [4, 4] float64, the one with most agreeing matches first; none if
+            the place is unknown.
 
         Raises:
             ValueError: the frame comes from another camera.
@@ -119,7 +143,8 @@ class KeyframeDatabase:
         if isinstance(view, Frame):
             if view.camera != self.camera:
                 raise ValueError(
-                    f"frame {view.index} must come from the keyframes' camera {self.camera}, got {view.camera}"
+                    f"frame {view.index} must come from the keyframes' camera {self.camera}, got "
+                    f"{view.camera}"
                 )
             view = self.extract(view)
         found: list[tuple[int, Tensor]] = []
@@ -129,8 +154,13 @@ class KeyframeDatabase:
                 found.append((len(pose.rows), self.T_WC[row] @ pose.T_RQ))
         return [T_WC for _, T_WC in sorted(found, key=lambda f: -f[0])]
 
-    def nearest_view(self, T_WC: Float[Tensor, "4 4"], before: int | None = None) -> int:
-        """The keyframe, of the first ``before`` ones, with the nearest pose, where 0.5 m counts as much as 45 degrees.
+    def nearest_view(
+        self,
+        T_WC: Float[Tensor, "4 4"],
+        before: int | None = None,
+    ) -> int:
+        """The keyframe, of the first ``before`` ones, with the nearest pose, where 0.5 m counts as
+        much as 45 degrees.
 
         Raises:
             ValueError: there is none.
@@ -139,7 +169,10 @@ class KeyframeDatabase:
         if not poses:
             raise ValueError("the database must have a keyframe to compare with, got none")
         step = se3.inverse(T_WC.detach().cpu().double()) @ torch.stack(poses)
-        distance = step[:, :3, 3].norm(dim=1) / 0.5 + torch.rad2deg(se3.rotation_angle(step[:, :3, :3])) / 45.0
+        distance = (
+            step[:, :3, 3].norm(dim=1) / 0.5
+            + torch.rad2deg(se3.rotation_angle(step[:, :3, :3])) / 45.0
+        )
         return int(distance.argmin())
 
     def compare(self, features: Features, row: int) -> RelativePose | None:
@@ -150,7 +183,9 @@ class KeyframeDatabase:
         """Poses and features, from which the words are computed."""
         return {
             "index": list(self.index),
-            "T_WC": torch.stack(self.T_WC) if self.T_WC else torch.zeros((0, 4, 4), dtype=torch.float64),
+            "T_WC": torch.stack(self.T_WC)
+            if self.T_WC
+            else torch.zeros((0, 4, 4), dtype=torch.float64),
             "features": [dict(vars(f)) for f in self.features],
         }
 
@@ -158,7 +193,9 @@ class KeyframeDatabase:
         """Replace the keyframes by those of ``state_dict``."""
         self.index, self.T_WC, self.features, self._words = [], [], [], []
         self._frequency[:] = 0
-        for index, T_WC, features in zip(state["index"], state["T_WC"], state["features"], strict=True):
+        for index, T_WC, features in zip(
+            state["index"], state["T_WC"], state["features"], strict=True
+        ):
             self.add(index, T_WC, Features(**features))
 
 

@@ -1,4 +1,5 @@
-"""Keyframes and landmarks together: which of them a new view can see, and the camera's pose that they give."""
+"""Keyframes and landmarks together: which of them a new view can see, and the camera's pose that
+they give."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -29,8 +30,8 @@ LEAST_SHARED = 15
 """... if they share at least this many; and of the earlier keyframe whose pose is nearest."""
 
 SEARCHES = (SEARCH_SHARE, SEARCH_SHARE / 2, SEARCH_SHARE / 4)
-"""Radius of one search after the other, as a share of the image width; the first is left out where the prediction is
-good."""
+"""Radius of one search after the other, as a share of the image width; the first is left out where
+the prediction is good."""
 
 LEAST_SEEN = 20
 """A view needs this many landmarks that agree with its pose."""
@@ -40,16 +41,19 @@ LEAST_SHARE = 0.4
 
 
 SIGMA_M = 0.02
-"""A landmark that is off by one standard deviation counts in ICP as much as a pixel of near depth that is off by this,
-metres, where depth contradicts the landmarks beyond their noise. Larger: texture counts more, depth less."""
+"""A landmark that is off by one standard deviation counts in ICP as much as a pixel of near depth
+that is off by this, metres, where depth contradicts the landmarks beyond their noise. Larger:
+texture counts more, depth less."""
 
 ALLOWED = 6.0
-"""The mean of a chi-squared distribution with 6 degrees of freedom. With its 95 % quantile, 12.6, the error on 50
-frames of a real recording was 0.75 cm instead of 0.63; in a room with simulated noise it was that of depth alone."""
+"""The mean of a chi-squared distribution with 6 degrees of freedom. With its 95 % quantile, 12.6,
+the error on 50 frames of a real recording was 0.75 cm instead of 0.63; in a room with simulated
+noise it was that of depth alone."""
 
 MOST_REFINED = 1000
 REFINING_STEPS = 3
-"""At most this many landmarks of each keyframe are refined with every new keyframe, in this many steps."""
+"""At most this many landmarks of each keyframe are refined with every new keyframe, in this many
+steps."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,9 +73,10 @@ class Sighting:
     def extra(self) -> ExtraRows:
         """The rows for ICP, which count only as far as its pose contradicts them.
 
-        At the true pose the sum of squared errors is larger than at the landmarks' own pose, its minimum, by d, which
-        has a chi-squared distribution with 6 degrees of freedom. The factor 1 - 6 / d is 0 up to its mean: depth with
-        little noise is more exact than landmarks, and then decides alone. (The discrepancy principle, Morozov 1966.)
+        At the true pose the sum of squared errors is larger than at the landmarks' own pose, its
+        minimum, by d, which has a chi-squared distribution with 6 degrees of freedom. The factor 1
+        - 6 / d is 0 up to its mean: depth with little noise is more exact than landmarks, and then
+          decides alone. (The discrepancy principle, Morozov 1966.)
         """
         least = landmark_sums(self.rows, self.T_WC).cost
 
@@ -95,7 +100,10 @@ class _Local:
     def part(self, rows: Bool[ndarray, " N"]) -> "_Local":
         """Some of the landmarks."""
         return dataclasses.replace(
-            self, landmark=self.landmark[rows], xyz_W=self.xyz_W[rows], descriptors=self.descriptors[rows]
+            self,
+            landmark=self.landmark[rows],
+            xyz_W=self.xyz_W[rows],
+            descriptors=self.descriptors[rows],
         )
 
 
@@ -116,11 +124,14 @@ class LandmarkMap:
     def __len__(self) -> int:
         return len(self.database)
 
-    def add(self, index: int, T_WC: Float[Tensor, "4 4"], features: Features) -> tuple[list[int], Sighting | None]:
+    def add(
+        self, index: int, T_WC: Float[Tensor, "4 4"], features: Features
+    ) -> tuple[list[int], Sighting | None]:
         """Add a keyframe: landmarks that are seen again, and new ones.
 
         Returns:
-            The earlier keyframes that it may share landmarks with, and the landmarks that it sees again.
+            The earlier keyframes that it may share landmarks with, and the landmarks that it sees
+            again.
         """
         around = self.around(T_WC)
         seen = self._sighting(features, T_WC, self._seen_from(around)) if around else None
@@ -132,16 +143,24 @@ class LandmarkMap:
         return around, seen
 
     def refine(self, keyframes: list[int]) -> None:
-        """Move the landmarks that several of these keyframes see to where they agree best, with the poses as they
-        are."""
+        """Move the landmarks that several of these keyframes see to where they agree best, with the
+        poses as they are."""
         seen = self.landmarks.observations(per_keyframe=MOST_REFINED, keyframes=keyframes)
         if len(seen):
             fixed = torch.ones(len(self), dtype=torch.bool)
-            found = adjust(self.camera, torch.stack(self.database.T_WC), seen, [], fixed, iterations=REFINING_STEPS)
+            found = adjust(
+                self.camera,
+                torch.stack(self.database.T_WC),
+                seen,
+                [],
+                fixed,
+                iterations=REFINING_STEPS,
+            )
             self.landmarks.refine(seen.name, found.xyz_W)
 
     def collect(self) -> None:
-        """Choose the landmarks of the local map: those around the last keyframe that are worth a search."""
+        """Choose the landmarks of the local map: those around the last keyframe that are worth a
+        search."""
         self._local = None
         if len(self):
             local = self._seen_from(self.around(self.database.T_WC[-1]))
@@ -150,8 +169,8 @@ class LandmarkMap:
     def see(self, features: Features, T_WC: Float[Tensor, "4 4"]) -> Sighting | None:
         """The landmarks of the local map in a view, and its pose.
 
-        They are searched where ``T_WC``, a prediction, puts them. If too few agree there, the view is matched with the
-        last keyframe, which needs no prediction.
+        They are searched where ``T_WC``, a prediction, puts them. If too few agree there, the view
+        is matched with the last keyframe, which needs no prediction.
 
         Returns:
             None if fewer than 20 landmarks, or 40 % of the matches, agree with a pose.
@@ -164,7 +183,11 @@ class LandmarkMap:
         seen = self.find(features, T_WC, local) or self.find(features, T_WC, local, SEARCHES)
         if seen is None:
             pose = self.database.compare(features, len(self) - 1)
-            seen = pose and self.find(features, self.database.T_WC[-1] @ pose.T_RQ, local)
+            seen = pose and self.find(
+                features,
+                self.database.T_WC[-1] @ pose.T_RQ,
+                local,
+            )
         return seen
 
     def count(self, seen: Sighting) -> None:
@@ -177,27 +200,38 @@ class LandmarkMap:
         self.collect()
 
     def around(self, T_WC: Float[Tensor, "4 4"]) -> list[int]:
-        """Rows of the keyframes whose landmarks a view near the pose ``T_WC`` may see (covisibility)."""
+        """Rows of the keyframes whose landmarks a view near the pose ``T_WC`` may see
+        (covisibility)."""
         n = len(self)
         if not n:
             return []
         latest = range(max(0, n - LATEST), n)
-        return sorted({*latest, *self._covisible(n - 1, latest[0]), self.database.nearest_view(T_WC)})
+        return sorted(
+            {*latest, *self._covisible(n - 1, latest[0]), self.database.nearest_view(T_WC)}
+        )
 
     def _covisible(self, row: int, before: int) -> list[int]:
-        """The keyframes, of the first ``before`` ones, that share most landmarks with the one in this row."""
+        """The keyframes, of the first ``before`` ones, that share most landmarks with the one in
+        this row."""
         of_feature = self.landmarks.of_feature
-        seen = np.zeros(len(self.landmarks) + 1, bool)  # the last entry stands for features without a landmark
+        seen = np.zeros(
+            len(self.landmarks) + 1, bool
+        )  # the last entry stands for features without a landmark
         seen[of_feature[row]] = True
         seen[-1] = False
         shared = np.array([seen[f].sum() for f in of_feature[:before]], int)
-        return [int(r) for r in np.argsort(-shared, kind="stable")[:COVISIBLE] if shared[r] >= LEAST_SHARED]
+        return [
+            int(r)
+            for r in np.argsort(-shared, kind="stable")[:COVISIBLE]
+            if shared[r] >= LEAST_SHARED
+        ]
 
     def relocalise(self, features: Features, *, k: int = 5) -> list[Sighting]:
-        """Landmarks in a view, without any earlier pose: those that the ``k`` most similar keyframes and their
-        neighbours see.
+        """Landmarks in a view, without any earlier pose: those that the ``k`` most similar
+        keyframes and their neighbours see.
 
-        A keyframe gives a pose by few matches, and landmarks of several keyframes confirm it or not.
+        A keyframe gives a pose by few matches, and landmarks of several keyframes confirm it or
+        not.
 
         Returns:
             The sighting with most landmarks first; none if the place is unknown.
@@ -207,8 +241,12 @@ class LandmarkMap:
             pose = self.database.compare(features, row)
             if pose is not None:
                 local = self._seen_from(sorted({row, *self._covisible(row, len(self))}))
-                found.append(self.find(features, self.database.T_WC[row] @ pose.T_RQ, local, SEARCHES))
-        return sorted((seen for seen in found if seen is not None), key=lambda seen: -len(seen.pairs))
+                found.append(
+                    self.find(features, self.database.T_WC[row] @ pose.T_RQ, local, SEARCHES)
+                )
+        return sorted(
+            (seen for seen in found if seen is not None), key=lambda seen: -len(seen.pairs)
+        )
 
     def find(
         self,
@@ -217,11 +255,18 @@ class LandmarkMap:
         local: "_Local",
         searches: tuple[float, ...] = SEARCHES[1:],
     ) -> Sighting | None:
-        """Landmarks searched around their predicted pixels, then more closely around those of the pose that they give;
-        None if too few agree."""
+        """Landmarks searched around their predicted pixels, then more closely around those of the
+        pose that they give; None if too few agree."""
         T_WC = T_WC.detach().cpu().double()
         for share in searches:
-            pairs = found_near(self.camera, local.xyz_W, local.descriptors, features, T_WC, share * self.camera.width)
+            pairs = found_near(
+                self.camera,
+                local.xyz_W,
+                local.descriptors,
+                features,
+                T_WC,
+                share * self.camera.width,
+            )
             if len(pairs) < LEAST_SEEN:
                 return None
             rows = self._rows(features, pairs, local)
@@ -229,9 +274,17 @@ class LandmarkMap:
             agree = rows.agree(T_WC)
             if int(agree.sum()) < max(LEAST_SEEN, LEAST_SHARE * len(pairs)):
                 return None
-        pairs = np.stack([pairs[:, 0], local.landmark[pairs[:, 1]]], 1)
+        pairs = np.stack(
+            [pairs[:, 0], local.landmark[pairs[:, 1]]],
+            1,
+        )
         expected = local.landmark[in_view(self.camera, local.xyz_W, T_WC)[1]]
-        return Sighting(T_WC=T_WC, rows=rows[agree], pairs=pairs[agree], expected=expected)
+        return Sighting(
+            T_WC=T_WC,
+            rows=rows[agree],
+            pairs=pairs[agree],
+            expected=expected,
+        )
 
     def _rows(self, features: Features, pairs: ndarray, local: "_Local") -> LandmarkRows:
         seen = pairs[:, 0]
@@ -255,7 +308,8 @@ class LandmarkMap:
         return {
             "database": self.database.state_dict(),
             "landmarks": self.landmarks.state_dict(),
-            "local": local and {"keyframes": local.keyframes, "landmark": torch.from_numpy(local.landmark)},
+            "local": local
+            and {"keyframes": local.keyframes, "landmark": torch.from_numpy(local.landmark)},
         }
 
     def load_state(self, state: dict[str, Any]) -> None:
@@ -265,4 +319,6 @@ class LandmarkMap:
         self._local = None
         if state["local"] is not None:
             local = self._seen_from(state["local"]["keyframes"])
-            self._local = local.part(np.isin(local.landmark, state["local"]["landmark"].cpu().numpy()))
+            self._local = local.part(
+                np.isin(local.landmark, state["local"]["landmark"].cpu().numpy())
+            )

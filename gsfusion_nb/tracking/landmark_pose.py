@@ -1,9 +1,11 @@
-"""The pose of one view from points that it shows: their errors, least squares (``landmark_pose``), which of them agree.
+"""The pose of one view from points that it shows: their errors, least squares (``landmark_pose``),
+which of them agree.
 
-The errors of one landmark in one view are those of its pixel and of its inverse depth (``LandmarkRows``). ICP adds
-these rows to its own (Eq. 10 of Peng et al. 2024), so that texture determines what the surface leaves open.
-Inverse depth is used because its error is the same at all depths for a camera that measures disparity, as the errors
-of the pixel are (the stereo keypoints of ORB-SLAM2, Mur-Artal & Tardos 2017).
+The errors of one landmark in one view are those of its pixel and of its inverse depth
+(``LandmarkRows``). ICP adds these rows to its own (Eq. 10 of Peng et al. 2024), so that texture
+determines what the surface leaves open. Inverse depth is used because its error is the same at all
+depths for a camera that measures disparity, as the errors of the pixel are (the stereo keypoints of
+ORB-SLAM2, Mur-Artal & Tardos 2017).
 """
 
 import dataclasses
@@ -27,15 +29,16 @@ CAUCHY = 2.4
 """Larger errors, in standard deviations, get less weight (95 % efficiency for Gaussian errors)."""
 
 GATE_CHI2 = 11.34
-"""A landmark agrees if the squares of its three errors, in standard deviations, sum to less (99 %)."""
+"""A landmark agrees if the squares of its three errors, in standard deviations, sum to less (99
+%)."""
 
 NEAREST_M = 0.05
 """Points nearer than this, or behind the camera, give no row."""
 
 ROUNDS = 8
 SMALLEST_STEP = 1e-5
-"""``landmark_pose`` takes at most this many Gauss-Newton steps, and ends after one smaller than this, metres and
-radians."""
+"""``landmark_pose`` takes at most this many Gauss-Newton steps, and ends after one smaller than
+this, metres and radians."""
 
 DAMPING = 1e-9
 """Added to the diagonal of the normal equations of ``landmark_pose``, as a share of their trace."""
@@ -62,23 +65,37 @@ class LandmarkRows:
         columns = ("xyz_W", "uv", "inverse_depth", "sigma_px")
         return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
-    def errors(self, T_WC: Float[Tensor, "4 4"]) -> tuple[Float[ndarray, "P 3"], Float[ndarray, "P 3 3"], ndarray]:
-        """Errors at a pose, in standard deviations, and their derivative with respect to the point in the camera.
+    def errors(
+        self, T_WC: Float[Tensor, "4 4"]
+    ) -> tuple[Float[ndarray, "P 3"], Float[ndarray, "P 3 3"], ndarray]:
+        """Errors at a pose, in standard deviations, and their derivative with respect to the point
+        in the camera.
 
-        With y = T_WC^-1 x the errors are  (f_x y_x / y_z + c_x - u) / s,  (f_y y_y / y_z + c_y - v) / s  and
-        (1 / y_z - 1 / z) / s_d,  where  s_d^2 = 2 (1.6e-3)^2 + (s / (f z))^2:  the noise of both depths, and the change
-        of depth that an error of the pixel causes on a surface at 45 degrees.
+        With y = T_WC^-1 x the errors are  (f_x y_x / y_z + c_x - u) / s,  (f_y y_y / y_z + c_y - v)
+        / s  and (1 / y_z - 1 / z) / s_d,  where  s_d^2 = 2 (1.6e-3)^2 + (s / (f z))^2:  the noise
+        of both depths, and the change of depth that an error of the pixel causes on a surface at 45
+        degrees.
 
         Returns:
             Errors, derivative, and the points y in the camera frame. Rows that do not count are 0.
         """
         T = T_WC.double().numpy()
         y = (self.xyz_W - T[:3, 3]) @ T[:3, :3]
-        s_d = np.sqrt(2 * DEPTH_SIGMA_PER_M**2 + (self.sigma_px * self.inverse_depth / self.camera.fx) ** 2)
-        return *point_errors(self.camera, y, self.uv, self.inverse_depth, self.sigma_px, s_d), y
+        s_d = np.sqrt(
+            2 * DEPTH_SIGMA_PER_M**2 + (self.sigma_px * self.inverse_depth / self.camera.fx) ** 2
+        )
+        return *point_errors(
+            self.camera,
+            y,
+            self.uv,
+            self.inverse_depth,
+            self.sigma_px,
+            s_d,
+        ), y
 
     def agree(self, T_WC: Float[Tensor, "4 4"]) -> Bool[ndarray, " P"]:
-        """Which landmarks are in front of the camera and where the frame shows them, to 99 % of their errors."""
+        """Which landmarks are in front of the camera and where the frame shows them, to 99 % of
+        their errors."""
         e, _, y = self.errors(T_WC)
         return (y[:, 2] > NEAREST_M) & ((e * e).sum(1) < GATE_CHI2)
 
@@ -101,7 +118,12 @@ def check_rows(rows: Any, T_WC: Any, centre: Any = None) -> None:
         raise ValueError(f"rows must be LandmarkRows, got {type(rows).__name__}")
     check_camera(rows.camera)
     n, f64 = len(rows.uv), np.float64
-    for name, shape in (("xyz_W", (n, 3)), ("uv", (n, 2)), ("inverse_depth", (n,)), ("sigma_px", (n,))):
+    for name, shape in (
+        ("xyz_W", (n, 3)),
+        ("uv", (n, 2)),
+        ("inverse_depth", (n,)),
+        ("sigma_px", (n,)),
+    ):
         check_array(name, getattr(rows, name), shape, f64)
     check_operand("T_WC", T_WC, (4, 4))
     if centre is not None:
@@ -110,12 +132,16 @@ def check_rows(rows: Any, T_WC: Any, centre: Any = None) -> None:
 
 @op("landmarks", check_rows)
 def landmark_sums(
-    rows: LandmarkRows, T_WC: Float[Tensor, "4 4"], centre: Float[Tensor, " 3"] | None = None
+    rows: LandmarkRows,
+    T_WC: Float[Tensor, "4 4"],
+    centre: Float[Tensor, " 3"] | None = None,
 ) -> LandmarkSums:
-    """Sums of the errors at a pose, for a twist about ``centre`` along the world's axes, translation first.
+    """Sums of the errors at a pose, for a twist about ``centre`` along the world's axes,
+    translation first.
 
-    It moves the camera as ICP's does, T_WC <- shift(o) exp(xi) shift(-o) T_WC, so a landmark moves in the camera by
-    dy = -R^T (rho + omega x (x - o)). Cauchy weights w = 1 / (1 + |e|^2 / 2.4^2) reduce what wrong matches do.
+    It moves the camera as ICP's does, T_WC <- shift(o) exp(xi) shift(-o) T_WC, so a landmark moves
+    in the camera by dy = -R^T (rho + omega x (x - o)). Cauchy weights w = 1 / (1 + |e|^2 / 2.4^2)
+    reduce what wrong matches do.
 
     Args:
         rows: The landmarks.
@@ -180,9 +206,15 @@ def inverse_or_zero(depth_m: ndarray) -> ndarray:
 
 
 def point_errors(
-    camera: Camera, y: ndarray, uv: ndarray, inverse_depth: ndarray, sigma_px: ndarray, sigma_inverse: ndarray
+    camera: Camera,
+    y: ndarray,
+    uv: ndarray,
+    inverse_depth: ndarray,
+    sigma_px: ndarray,
+    sigma_inverse: ndarray,
 ) -> tuple[Float[ndarray, "P 3"], Float[ndarray, "P 3 3"]]:
-    """Errors of pixel and inverse depth in standard deviations, and their derivative with respect to the points.
+    """Errors of pixel and inverse depth in standard deviations, and their derivative with respect
+    to the points.
 
     Args:
         camera: Intrinsics.

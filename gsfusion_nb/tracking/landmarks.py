@@ -1,4 +1,5 @@
-"""3D points seen by several keyframes, found again by projection and Hamming distance (Peng et al. 2024, sec. 3.2)."""
+"""3D points seen by several keyframes, found again by projection and Hamming distance (Peng et al.
+2024, sec. 3.2)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -19,12 +20,12 @@ NO_LANDMARK = -1
 
 CULL_VIEWS = 15
 CULL_SHARE = 0.05
-"""A landmark that at least this many frames should have seen, and less than this share of them found, is no longer
-searched for: it is hidden, moved, or does not look the same from elsewhere."""
+"""A landmark that at least this many frames should have seen, and less than this share of them
+found, is no longer searched for: it is hidden, moved, or does not look the same from elsewhere."""
 
 SEARCH_SHARE = 0.05
-"""Radius of the first search for a landmark around its predicted pixel, as a share of the image width; the second
-search, with the pose estimated from the first, uses a quarter of it."""
+"""Radius of the first search for a landmark around its predicted pixel, as a share of the image
+width; the second search, with the pose estimated from the first, uses a quarter of it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,9 +51,10 @@ class Observations:
 class Landmarks:
     """Tracks of features over the keyframes of ``database``.
 
-    Every feature with depth that matches no known landmark becomes a new one. Its position is stored in the camera
-    frame of its first keyframe, so that it moves with a correction of that keyframe's pose. At first it is the one that
-    the keyframe measured; an adjustment improves it (``refine``).
+    Every feature with depth that matches no known landmark becomes a new one. Its position is
+    stored in the camera frame of its first keyframe, so that it moves with a correction of that
+    keyframe's pose. At first it is the one that the keyframe measured; an adjustment improves it
+    (``refine``).
     """
 
     def __init__(self, database: KeyframeDatabase):
@@ -63,18 +65,24 @@ class Landmarks:
         self._xyz_B = np.zeros((0, 3))
         """Position in the camera frame of the first keyframe, metres. [L, 3]"""
         self._views = np.zeros((0, 2), np.int32)
-        """Number of frames that should have seen the landmark, and of those that found it. [L, 2]"""
+        """Number of frames that should have seen the landmark, and of those that found it. [L,
+        2]"""
 
     def __len__(self) -> int:
         return len(self._birth)
 
     def find(
-        self, features: Features, T_WC: Float[Tensor, "4 4"], rows: list[int], radius_px: float
+        self,
+        features: Features,
+        T_WC: Float[Tensor, "4 4"],
+        rows: list[int],
+        radius_px: float,
     ) -> Int[Tensor, "P 2"]:
-        """Landmarks seen from the keyframes ``rows`` that project near a feature with a similar descriptor.
+        """Landmarks seen from the keyframes ``rows`` that project near a feature with a similar
+        descriptor.
 
-        Both of a pair are each other's nearest descriptor within ``radius_px``, they differ in at most 64 bits, and
-        clearly less than the landmark's second best match.
+        Both of a pair are each other's nearest descriptor within ``radius_px``, they differ in at
+        most 64 bits, and clearly less than the landmark's second best match.
 
         Returns:
             (feature row, landmark). [P, 2]
@@ -86,7 +94,8 @@ class Landmarks:
         return torch.from_numpy(np.stack([row, landmark[at]], 1))
 
     def add(self, features: Features, pairs: Int[Tensor, "P 2"]) -> None:
-        """Process the keyframe last added to ``database``: known landmarks by ``pairs``, new ones for the rest."""
+        """Process the keyframe last added to ``database``: known landmarks by ``pairs``, new ones
+        for the rest."""
         row = len(self.of_feature)
         of_feature = np.full(len(features), NO_LANDMARK, np.int32)
         of_feature[pairs[:, 0].numpy()] = pairs[:, 1].numpy()
@@ -101,7 +110,8 @@ class Landmarks:
         self._views = np.concatenate([self._views, no_views])
 
     def count_views(self, expected: ndarray, found: ndarray) -> None:
-        """Count a frame that should have seen the landmarks ``expected`` and found ``found`` of them."""
+        """Count a frame that should have seen the landmarks ``expected`` and found ``found`` of
+        them."""
         self._views[expected, 0] += 1
         self._views[found, 1] += 1
 
@@ -110,9 +120,13 @@ class Landmarks:
         expected, found = self._views[landmark].T
         return (expected < CULL_VIEWS) | (found >= CULL_SHARE * expected)
 
-    def refine(self, landmark: Int[Tensor, " N"], xyz_W: Float[Tensor, "N 3"]) -> None:
-        """Replace the positions of some landmarks, world frame, with the keyframes' present poses. What is not finite
-        is left out."""
+    def refine(
+        self,
+        landmark: Int[Tensor, " N"],
+        xyz_W: Float[Tensor, "N 3"],
+    ) -> None:
+        """Replace the positions of some landmarks, world frame, with the keyframes' present poses.
+        What is not finite is left out."""
         known = torch.isfinite(xyz_W).all(1).numpy()
         number = landmark.numpy()[known]
         at_W = xyz_W.double().numpy()[known]
@@ -121,15 +135,17 @@ class Landmarks:
         self._xyz_B[number] = np.einsum("nji,nj->ni", T[:, :3, :3], from_camera)
 
     def fuse(self, same: list[tuple[int, Tensor]]) -> None:
-        """Make one landmark, the oldest, of those that loops say are the same: (keyframe, pairs of feature and
-        landmark [I, 2]) each."""
+        """Make one landmark, the oldest, of those that loops say are the same: (keyframe, pairs of
+        feature and landmark [I, 2]) each."""
         if not same:
             return
         name = self._merged(same)
         oldest = np.unique(name, return_index=True)[1].astype(np.int32)
         for row, landmark in enumerate(self.of_feature):
             now = np.where(landmark >= 0, oldest[name[landmark]], NO_LANDMARK)
-            kept = np.unique(now, return_index=True)[1]  # two features of one keyframe would be a wrong match
+            kept = np.unique(now, return_index=True)[
+                1
+            ]  # two features of one keyframe would be a wrong match
             self.of_feature[row] = np.full_like(landmark, NO_LANDMARK)
             self.of_feature[row][kept] = now[kept]
 
@@ -139,25 +155,34 @@ class Landmarks:
         if len(number) == 0:
             return torch.zeros((0, 3), dtype=torch.float64)
         T = self._poses()[self._birth[number, 0]]
-        turned = np.einsum("nij,nj->ni", T[:, :3, :3], self._xyz_B[number])
+        turned = np.einsum(
+            "nij,nj->ni",
+            T[:, :3, :3],
+            self._xyz_B[number],
+        )
         return torch.from_numpy(turned + T[:, :3, 3])
 
     def _poses(self) -> ndarray:
         return torch.stack(self.database.T_WC).numpy()
 
-    def rows(self, features: Features, pairs: Int[Tensor, "P 2"], T_WR: Float[Tensor, "4 4"]) -> LandmarkRows:
-        """The ``pairs`` from ``find``: points in a reference camera frame R, where the features show them."""
+    def rows(
+        self, features: Features, pairs: Int[Tensor, "P 2"], T_WR: Float[Tensor, "4 4"]
+    ) -> LandmarkRows:
+        """The ``pairs`` from ``find``: points in a reference camera frame R, where the features
+        show them."""
         seen = features[pairs[:, 0]]
         return LandmarkRows(
             camera=self.database.camera,
             xyz_W=se3.apply(se3.inverse(T_WR), self.positions(pairs[:, 1])).numpy(),
             uv=seen.uv.double().numpy(),
             inverse_depth=inverse_or_zero(seen.xyz_C[:, 2].double().numpy()),
-            sigma_px=seen.sigma_px.double().numpy() * 2**0.5,  # the landmark's own pixel had the same error
+            sigma_px=seen.sigma_px.double().numpy()
+            * 2**0.5,  # the landmark's own pixel had the same error
         )
 
     def shared(self, row_a: int, row_b: int) -> Int[Tensor, "P 2"]:
-        """Features of two keyframes that are the same landmark and have depth in b: (feature of a, feature of b)."""
+        """Features of two keyframes that are the same landmark and have depth in b: (feature of a,
+        feature of b)."""
         a, b = self.of_feature[row_a], self.of_feature[row_b]
         common, at_a, at_b = np.intersect1d(a, b, return_indices=True)
         at_a = at_a[common >= 0]
@@ -166,11 +191,15 @@ class Landmarks:
         pairs = np.stack([at_a, at_b], 1)[with_depth]
         return torch.from_numpy(pairs.astype(np.int64))
 
-    def observations(self, *, per_keyframe: int, keyframes: list[int] | None = None) -> Observations:
-        """Observations of landmarks that at least two keyframes see, reduced to ``per_keyframe`` of each.
+    def observations(
+        self, *, per_keyframe: int, keyframes: list[int] | None = None
+    ) -> Observations:
+        """Observations of landmarks that at least two keyframes see, reduced to ``per_keyframe`` of
+        each.
 
         Args:
-            per_keyframe: About this many landmarks of each keyframe are used, those with the longest tracks.
+            per_keyframe: About this many landmarks of each keyframe are used, those with the
+                longest tracks.
             keyframes: Rows of the keyframes whose observations count; all by default.
         """
         rows = list(range(len(self.of_feature))) if keyframes is None else keyframes
@@ -248,5 +277,8 @@ class Landmarks:
             pairs.append(np.stack([self.of_feature[row][feature], landmark], 1))
         joined = np.concatenate(pairs)
         joined = joined[(joined >= 0).all(1)]
-        links = coo_matrix((np.ones(len(joined)), joined.T), shape=(len(self), len(self)))
+        links = coo_matrix(
+            (np.ones(len(joined)), joined.T),
+            shape=(len(self), len(self)),
+        )
         return connected_components(links, directed=False)[1].astype(np.int64)

@@ -10,14 +10,19 @@ from .surface import SurfaceSource
 
 
 def localise(
-    frame: Frame, surface: SurfaceSource, guess: Float[Tensor, "4 4"], config: TrackingConfig | None = None
+    frame: Frame,
+    surface: SurfaceSource,
+    guess: Float[Tensor, "4 4"],
+    config: TrackingConfig | None = None,
 ) -> Float[Tensor, "4 4"] | None:
-    """Align a frame with the map alone, by ICP from a pose near its own, then once more with wide limits.
+    """Align a frame with the map alone, by ICP from a pose near its own, then once more with wide
+    limits.
 
     Args:
         frame: Its own ``T_WC`` is not used.
         surface: Renders the map; it is called at a few poses.
-        guess: Camera-to-world pose to start from, such as one between those of the frames before and after it.
+        guess: Camera-to-world pose to start from, such as one between those of the frames before
+            and after it.
         config: Pyramid levels and limits.
 
     Returns:
@@ -32,6 +37,10 @@ def localise(
         found = attempt(sight, surface, surface, from_there, config).result
         if why_no_fit(found, strict=from_there.wide):
             continue
-        if not why_not_alike(frame, surface(frame.camera, found.T_WC.float()), doubtful=False):
+        if not why_not_alike(
+            frame,
+            surface(frame.camera, found.T_WC.float()),
+            doubtful=False,
+        ):
             return found.T_WC
     return None

@@ -1,4 +1,5 @@
-"""Matching of features with features and with known 3D points, and the relative pose that follows from them."""
+"""Matching of features with features and with known 3D points, and the relative pose that follows
+from them."""
 
 from dataclasses import dataclass
 
@@ -23,10 +24,12 @@ RATIO = 0.8
 """Largest ratio of best to second best distance (Lowe 2004); it rejects repeated texture."""
 
 RANSAC_PX = 4.0
-"""Largest reprojection error that RANSAC accepts, pixels, before the test in standard deviations."""
+"""Largest reprojection error that RANSAC accepts, pixels, before the test in standard
+deviations."""
 
 RANSAC_ROUNDS = 150
-"""Number of random draws. A pose needs three true matches; if 30 % are true, 150 draws fail in 2 % of the cases."""
+"""Number of random draws. A pose needs three true matches; if 30 % are true, 150 draws fail in 2 %
+of the cases."""
 
 MIN_PAIRS = 8
 """Smallest number of matches for a pose."""
@@ -39,7 +42,8 @@ class RelativePose:
     T_RQ: Float[Tensor, "4 4"]
     """Query camera to reference camera, float64."""
     information: Float[Tensor, "6 6"]
-    """Inverse covariance of xi in T_RQ exp(xi): rotation first (1/rad^2), then translation (1/m^2)."""
+    """Inverse covariance of xi in T_RQ exp(xi): rotation first (1/rad^2), then translation
+    (1/m^2)."""
     rows: Int[Tensor, "I 2"]
     """The matches that agree: (query row, reference row)."""
     n_matches: int
@@ -47,7 +51,8 @@ class RelativePose:
 
 
 def match_features(query: Features, reference: Features) -> Int[Tensor, "P 2"]:
-    """Pairs of rows that are each other's nearest descriptor and clearly nearer than the second nearest.
+    """Pairs of rows that are each other's nearest descriptor and clearly nearer than the second
+    nearest.
 
     Args:
         query, reference: Two views; with fewer than two features in one of them nothing matches.
@@ -84,10 +89,11 @@ def _nearest(a: ndarray, b: ndarray, k: int) -> tuple[ndarray, ndarray]:
 
 
 def relative_pose(camera: Camera, query: Features, reference: Features) -> RelativePose | None:
-    """Pose between two views of the same place, from their features alone; None if too few matches agree.
+    """Pose between two views of the same place, from their features alone; None if too few matches
+    agree.
 
-    Matches, then RANSAC over poses from three points (OpenCV), then least squares over the errors of the agreeing
-    matches in pixels and, where both have depth, in depth.
+    Matches, then RANSAC over poses from three points (OpenCV), then least squares over the errors
+    of the agreeing matches in pixels and, where both have depth, in depth.
 
     Args:
         camera: Intrinsics of both views.
@@ -105,7 +111,9 @@ def relative_pose(camera: Camera, query: Features, reference: Features) -> Relat
     return None if T_RQ is None else refine_pose(rows, T_RQ, pairs)
 
 
-def rows_of(camera: Camera, query: Features, reference: Features, pairs: Int[Tensor, "P 2"]) -> LandmarkRows:
+def rows_of(
+    camera: Camera, query: Features, reference: Features, pairs: Int[Tensor, "P 2"]
+) -> LandmarkRows:
     """Points of the reference view, in its camera's frame, where the query view shows them.
 
     Args:
@@ -125,7 +133,9 @@ def rows_of(camera: Camera, query: Features, reference: Features, pairs: Int[Ten
     )
 
 
-def refine_pose(rows: LandmarkRows, T_RQ: Float[Tensor, "4 4"], pairs: Int[Tensor, "P 2"]) -> RelativePose | None:
+def refine_pose(
+    rows: LandmarkRows, T_RQ: Float[Tensor, "4 4"], pairs: Int[Tensor, "P 2"]
+) -> RelativePose | None:
     """The pose of ``landmark_pose``; None if fewer than ``MIN_PAIRS`` agree with it.
 
     Args:
@@ -143,9 +153,16 @@ def refine_pose(rows: LandmarkRows, T_RQ: Float[Tensor, "4 4"], pairs: Int[Tenso
     if int(agrees.sum()) < MIN_PAIRS:
         return None
     H = landmark_sums(rows, T, T[:3, 3]).H
-    axes = torch.block_diag(T[:3, :3], T[:3, :3])  # from the reference's axes to those of the query camera
+    axes = torch.block_diag(
+        T[:3, :3], T[:3, :3]
+    )  # from the reference's axes to those of the query camera
     information = (axes.T @ H @ axes)[_ROTATION_FIRST][:, _ROTATION_FIRST]
-    return RelativePose(T_RQ=T, information=information, rows=pairs[agrees], n_matches=len(pairs))
+    return RelativePose(
+        T_RQ=T,
+        information=information,
+        rows=pairs[agrees],
+        n_matches=len(pairs),
+    )
 
 
 _ROTATION_FIRST = [3, 4, 5, 0, 1, 2]
@@ -176,11 +193,19 @@ def _transform(R: ndarray, t: ndarray) -> Float[Tensor, "4 4"]:
 SEARCHED_FROM_M = 0.1
 """Points nearer than this, or behind the camera, are not searched for."""
 
-_BIT_COUNT = np.array([bin(word).count("1") for word in range(1 << 16)], np.uint8)
+_BIT_COUNT = np.array(
+    [bin(word).count("1") for word in range(1 << 16)],
+    np.uint8,
+)
 
 
 def found_near(
-    camera: Camera, xyz_W: ndarray, descriptors: ndarray, features: Features, T_WC: Tensor, radius_px: float
+    camera: Camera,
+    xyz_W: ndarray,
+    descriptors: ndarray,
+    features: Features,
+    T_WC: Tensor,
+    radius_px: float,
 ) -> Int[ndarray, "P 2"]:
     """Points that project near a feature with a similar descriptor, mutually best and clearly so.
 
@@ -211,7 +236,9 @@ def found_near(
     point = seen.nonzero()[0]
     if len(point) == 0 or len(features) == 0:
         return np.zeros((0, 2), np.int64)
-    near = KDTree(uv[point]).sparse_distance_matrix(KDTree(features.uv.numpy()), radius_px, output_type="ndarray")
+    near = KDTree(uv[point]).sparse_distance_matrix(
+        KDTree(features.uv.numpy()), radius_px, output_type="ndarray"
+    )
     a, b = point[near["i"]], near["j"].astype(np.int64)
     distance = hamming(descriptors[a], features.descriptors.numpy()[b])
     kept = _clear_and_mutual(a, b, distance)
@@ -241,7 +268,8 @@ def hamming(a: ndarray, b: ndarray) -> Int[ndarray, " N"]:
 
 
 def _clear_and_mutual(a: ndarray, b: ndarray, distance: ndarray) -> ndarray:
-    """Which candidate pairs are mutually best, close enough, and clearly better than the second best match of a."""
+    """Which candidate pairs are mutually best, close enough, and clearly better than the second
+    best match of a."""
     order = np.lexsort((distance, a))
     a_sorted, d_sorted = a[order], distance[order]
     first = np.diff(a_sorted, prepend=-1) != 0
@@ -252,6 +280,10 @@ def _clear_and_mutual(a: ndarray, b: ndarray, distance: ndarray) -> ndarray:
     best_of_b = np.full(b.max(initial=0) + 1, 257)
     np.minimum.at(best_of_b, b, distance)
     pair = order[place]
-    kept = (distance[pair] <= MAX_HAMMING) & (distance[pair] < RATIO * second) & (distance[pair] == best_of_b[b[pair]])
+    kept = (
+        (distance[pair] <= MAX_HAMMING)
+        & (distance[pair] < RATIO * second)
+        & (distance[pair] == best_of_b[b[pair]])
+    )
     pair = pair[kept]
     return pair[np.unique(b[pair], return_index=True)[1]]

@@ -1,19 +1,21 @@
 """Least squares over the keyframes' poses, from relative poses.
 
-Units: metres, radians. A relative pose's information is the inverse covariance of xi in T_ij exp(xi), rotation
-first (1/rad^2), then translation (1/m^2).
+Units: metres, radians. A relative pose's information is the inverse covariance of xi in T_ij
+exp(xi), rotation first (1/rad^2), then translation (1/m^2).
 
-``optimise_poses`` takes Gauss-Newton steps. A pose is changed in its own camera frame, T_k <- T_k exp(xi_k),
-translation first. For an edge that measured T_ij,
+``optimise_poses`` takes Gauss-Newton steps. A pose is changed in its own camera frame, T_k <- T_k
+exp(xi_k), translation first. For an edge that measured T_ij,
 
     e = log(T_ij^-1 T_i^-1 T_j),   de/dxi_j = J,   de/dxi_i = -J Ad(T_j^-1 T_i),
     J = I + A/2 + A^2/12 - A^4/720,   A = [ hat(omega)  hat(rho)   ]   of  e = (rho, omega).
                                           [     0       hat(omega) ]
 
-One step solves  H xi = -b,  H = sum J_a^T Omega J_c,  b = sum J_a^T Omega e,  over the ends a, c of all edges. The
-first pose is fixed. An edge touches two poses only, so H is sparse, and SuperLU solves it.
+One step solves  H xi = -b,  H = sum J_a^T Omega J_c,  b = sum J_a^T Omega e,  over the ends a, c of
+all edges. The first pose is fixed. An edge touches two poses only, so H is sparse, and SuperLU
+solves it.
 
-Source: Sola et al. 2018 (A micro Lie theory), Grisetti et al. 2010 (A tutorial on graph-based SLAM).
+Source: Sola et al. 2018 (A micro Lie theory), Grisetti et al. 2010 (A tutorial on graph-based
+SLAM).
 """
 
 from dataclasses import dataclass, replace
@@ -29,34 +31,38 @@ from ..checks import check_shape
 from ..geometry import se3
 
 LOOP_CAUCHY = 2.0
-"""A loop whose error is this many standard deviations has half its weight; at 100 almost none. With 1 the only loop
-after a long drift was not closed in 2 of 10 cases, with 2 in none."""
+"""A loop whose error is this many standard deviations has half its weight; at 100 almost none. With
+1 the only loop after a long drift was not closed in 2 of 10 cases, with 2 in none."""
 
 TRACK_HUBER = 3.0
-"""Larger errors of relative poses between neighbours, in standard deviations, count linearly instead of quadratically,
-because the front end may slip once."""
+"""Larger errors of relative poses between neighbours, in standard deviations, count linearly
+instead of quadratically, because the front end may slip once."""
 
 ODOMETRY_FLOOR = (0.05, 0.002)
 """Smallest standard deviation that is assumed for the front end, degrees and metres."""
 
 HELD_BY_MAP = 16.0
-"""The information of the front end's steps counts this many times, because the errors of steps that are tracked
-against a map do not add up as independent ones would. Chosen among 1, 16 and 64 on four recordings, so the errors of
-the back end on these are no test of it. One seed each, ATE (RMSE) after the graph in cm, by GSFusion on the living
-room, a fast walk with noise and the kitchen, and by RTG-SLAM on the kitchen: 0.78, 0.19, 1.06, 1.42 with 1; 0.30, 0.16,
-0.73, 1.39 with 16; 0.19, 0.17, 0.74, 1.48 with 64. So 1 is too little, and these recordings do not tell 16 from 64."""
+"""The information of the front end's steps counts this many times, because the errors of steps that
+are tracked against a map do not add up as independent ones would. Chosen among 1, 16 and 64 on four
+recordings, so the errors of the back end on these are no test of it. One seed each, ATE (RMSE)
+after the graph in cm, by GSFusion on the living room, a fast walk with noise and the kitchen, and
+by RTG-SLAM on the kitchen: 0.78, 0.19, 1.06, 1.42 with 1; 0.30, 0.16, 0.73, 1.39 with 16; 0.19,
+0.17, 0.74, 1.48 with 64. So 1 is too little, and these recordings do not tell 16 from 64."""
 
 MIN_STEPS = 10
-"""Steps measured by both front end and landmarks that are needed to estimate the precision of the front end."""
+"""Steps measured by both front end and landmarks that are needed to estimate the precision of the
+front end."""
 
 SLIPPED = 10.0
-"""A step at which front end and landmarks differ by more standard deviations than this is a slip of the front end."""
+"""A step at which front end and landmarks differ by more standard deviations than this is a slip of
+the front end."""
 
 _HALVES = (slice(0, 3), slice(3, 6))
 """Rotation and translation in a tangent vector."""
 
 _OTHER_HALF_FIRST = [3, 4, 5, 0, 1, 2]
-"""From the order of an ``Edge``'s information, rotation first, to that of ``se3``'s twists, and back."""
+"""From the order of an ``Edge``'s information, rotation first, to that of ``se3``'s twists, and
+back."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,32 +91,42 @@ class Optimised:
 
 
 def odometry_information(sigma_deg: float, sigma_m: float) -> Float[Tensor, "6 6"]:
-    """Information matrix of a relative pose with these standard deviations along each axis; rotation first."""
-    sigma = torch.tensor([np.radians(sigma_deg)] * 3 + [sigma_m] * 3, dtype=torch.float64)
+    """Information matrix of a relative pose with these standard deviations along each axis;
+    rotation first."""
+    sigma = torch.tensor(
+        [np.radians(sigma_deg)] * 3 + [sigma_m] * 3,
+        dtype=torch.float64,
+    )
     return torch.diag(sigma**-2)
 
 
-def with_floor(information: Float[Tensor, "6 6"], sigma_deg: float, sigma_m: float) -> Float[Tensor, "6 6"]:
+def with_floor(
+    information: Float[Tensor, "6 6"], sigma_deg: float, sigma_m: float
+) -> Float[Tensor, "6 6"]:
     """Information after adding these standard deviations to the covariance.
 
-    Hundreds of features would give a tenth of a millimetre if their errors were independent, which they are not.
+    Hundreds of features would give a tenth of a millimetre if their errors were independent, which
+    they are not.
     """
     floor = torch.linalg.inv(odometry_information(sigma_deg, sigma_m))
     return torch.linalg.inv(torch.linalg.inv(information) + floor)
 
 
 def fit_odometry(edges: list[Edge]) -> list[Edge]:
-    """The edges, where those of the front end get the precision that a comparison with the landmarks shows.
+    """The edges, where those of the front end get the precision that a comparison with the
+    landmarks shows.
 
-    The difference of two measurements of one step has the sum of their variances. With d its components over all steps
-    that both have measured, for a Gaussian  median(d^2) = 0.455 var(d), so
+    The difference of two measurements of one step has the sum of their variances. With d its
+    components over all steps that both have measured, for a Gaussian  median(d^2) = 0.455 var(d),
+    so
 
         sigma_odometry^2 = median(d^2) / 0.455 - median(sigma_landmarks^2),
 
-    for rotation and translation each, not below ``ODOMETRY_FLOOR`` and not above the given value, so that landmarks do
-    not make a precise front end worse. It counts as ``HELD_BY_MAP`` measurements. A step that differs by more than
-    ``SLIPPED`` keeps what was given: the precision of the others says nothing about a slip. With fewer than
-    ``MIN_STEPS`` such steps, nothing changes.
+    for rotation and translation each, not below ``ODOMETRY_FLOOR`` and not above the given value,
+    so that landmarks do not make a precise front end worse. It counts as ``HELD_BY_MAP``
+    measurements. A step that differs by more than ``SLIPPED`` keeps what was given: the precision
+    of the others says nothing about a slip. With fewer than ``MIN_STEPS`` such steps, nothing
+    changes.
     """
     steps = {e.j: e for e in edges if e.kind == "odometry"}
     both = []
@@ -143,13 +159,17 @@ def _variances(information: Float[Tensor, "6 6"]) -> Float[Tensor, " 6"]:
 
 
 def edge_error(edge: Edge, T_WC: Float[Tensor, "K 4 4"]) -> float:
-    """Length of the edge's error at these poses, in standard deviations: sqrt(xi^T information xi)."""
+    """Length of the edge's error at these poses, in standard deviations: sqrt(xi^T information
+    xi)."""
     T_ij = se3.inverse(T_WC[edge.i]) @ T_WC[edge.j]
     xi = _difference(edge.T_ij, T_ij)
     return float((xi @ edge.information @ xi).clamp_min(0).sqrt())
 
 
-def _difference(T_a: Float[Tensor, "4 4"], T_b: Float[Tensor, "4 4"]) -> Float[Tensor, " 6"]:
+def _difference(
+    T_a: Float[Tensor, "4 4"],
+    T_b: Float[Tensor, "4 4"],
+) -> Float[Tensor, " 6"]:
     """The twist from one pose to another, rotation first."""
     return se3.log((se3.inverse(T_a) @ T_b).double())[_OTHER_HALF_FIRST]
 
@@ -163,7 +183,9 @@ HALVINGS = 8
 
 @piece
 def relative_pose_error(
-    T_i: Float[Tensor, "*E 4 4"], T_j: Float[Tensor, "*E 4 4"], T_ij: Float[Tensor, "*E 4 4"]
+    T_i: Float[Tensor, "*E 4 4"],
+    T_j: Float[Tensor, "*E 4 4"],
+    T_ij: Float[Tensor, "*E 4 4"],
 ) -> tuple[Float[Tensor, "*E 6"], Float[Tensor, "*E 6 6"], Float[Tensor, "*E 6 6"]]:
     """Error of measured relative poses, and its derivatives with respect to the poses at both ends.
 
@@ -208,29 +230,46 @@ def pose_graph_step(
     from scipy.sparse.linalg import splu
 
     K = len(T_WC)
-    H, b = torch.zeros((K, K, 6, 6), dtype=T_WC.dtype, layout=torch.sparse_coo), T_WC.new_zeros(K, 6)
+    H, b = (
+        torch.zeros(
+            (K, K, 6, 6),
+            dtype=T_WC.dtype,
+            layout=torch.sparse_coo,
+        ),
+        T_WC.new_zeros(K, 6),
+    )
     for a, J_a in ((i, J_i), (j, J_j)):
         weighted = J_a.mT @ information
-        b.index_add_(0, a, (weighted @ e[:, :, None])[:, :, 0])
+        b.index_add_(
+            0,
+            a,
+            (weighted @ e[:, :, None])[:, :, 0],
+        )
         for c, J_c in ((i, J_i), (j, J_j)):
             at = torch.stack((a, c))
             H = H + torch.sparse_coo_tensor(at, weighted @ J_c, H.shape, check_invariants=True)
     H = H.coalesce()
     row, column = H.indices()
     first = torch.searchsorted(row, torch.arange(K + 1))  # number of the first block in each row
-    blocks = bsr_array((H.values().numpy(), column.numpy(), first.numpy()), shape=(6 * K, 6 * K))
+    blocks = bsr_array(
+        (H.values().numpy(), column.numpy(), first.numpy()),
+        shape=(6 * K, 6 * K),
+    )
     free = blocks.tocsc()[6:, 6:]  # the first pose is left out: it is fixed
     xi = torch.from_numpy(splu(free, "MMD_AT_PLUS_A").solve(-b.flatten()[6:].numpy())).view(-1, 6)
     return torch.cat([T_WC[:1], T_WC[1:] @ se3.exp(xi)])
 
 
-def optimise_poses(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge], *, iterations: int = 50) -> Optimised:
+def optimise_poses(
+    T_WC: Float[Tensor, "K 4 4"], edges: list[Edge], *, iterations: int = 50
+) -> Optimised:
     """Poses that agree best with the relative poses; the first pose is fixed.
 
-    minimise  sum rho(|log(T_ij^-1 T_i^-1 T_j)|_information), with rho Huber for steps between neighbours and Cauchy
-    for loops: a false loop contradicts all others and loses its weight. Gauss-Newton steps are started twice, from the
-    present poses and from the optimum without robust weights of loops, because after a long drift also the first true
-    loop has a large error. The lower of the two minima is used.
+    minimise  sum rho(|log(T_ij^-1 T_i^-1 T_j)|_information), with rho Huber for steps between
+    neighbours and Cauchy for loops: a false loop contradicts all others and loses its weight.
+    Gauss-Newton steps are started twice, from the present poses and from the optimum without robust
+    weights of loops, because after a long drift also the first true loop has a large error. The
+    lower of the two minima is used.
 
     Args:
         T_WC: Camera-to-world poses to start from. [K, 4, 4]
@@ -263,7 +302,9 @@ class EdgeTerms:
         self.i, self.j = (torch.tensor([getattr(e, end) for e in edges]) for end in ("i", "j"))
         self.T_ij = torch.stack([e.T_ij for e in edges]).double()
         order = torch.tensor(_OTHER_HALF_FIRST)
-        self.information = torch.stack([e.information for e in edges]).double()[:, order][:, :, order]
+        self.information = torch.stack([e.information for e in edges]).double()[:, order][
+            :, :, order
+        ]
         self.is_loop = torch.tensor([e.kind == "loop" for e in edges])
 
     def errors(self, T_WC: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -289,12 +330,23 @@ class EdgeTerms:
         return torch.einsum("ea,eab,eb->e", e, self.information, e).clamp_min(0).sqrt()
 
 
-def _descend(graph: EdgeTerms, T_WC: Tensor, iterations: int, *, robust: bool) -> tuple[Tensor, float]:
-    """Poses and error after Gauss-Newton steps with robust weights, which are computed again before each step."""
+def _descend(
+    graph: EdgeTerms, T_WC: Tensor, iterations: int, *, robust: bool
+) -> tuple[Tensor, float]:
+    """Poses and error after Gauss-Newton steps with robust weights, which are computed again before
+    each step."""
     e, J_i, J_j = graph.errors(T_WC)
     error = graph.robust_error(e, robust)
     for _ in range(iterations):
-        proposed = pose_graph_step(T_WC, graph.i, graph.j, e, J_i, J_j, graph.weighted(e, robust))
+        proposed = pose_graph_step(
+            T_WC,
+            graph.i,
+            graph.j,
+            e,
+            J_i,
+            J_j,
+            graph.weighted(e, robust),
+        )
         xi = se3.log(se3.inverse(T_WC) @ proposed)
         share = 1.0
         there = graph.errors(proposed)

@@ -14,11 +14,12 @@ from ..tsdf import TsdfVolume, raycast
 from ..types import Camera
 
 GRAZING_COSINE = 0.2
-"""Surfaces at a more grazing angle (cosine below this, 78 degrees) are left out: their depth errors are largest, and
-five times larger along the surface (released code of Peng et al. 2024)."""
+"""Surfaces at a more grazing angle (cosine below this, 78 degrees) are left out: their depth errors
+are largest, and five times larger along the surface (released code of Peng et al. 2024)."""
 
 BLOCK_JUMP = 0.05
-"""Pixels of a block whose depth differs from the block's median by more than this share lie on another surface."""
+"""Pixels of a block whose depth differs from the block's median by more than this share lie on
+another surface."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,8 +35,11 @@ class DepthLevel:
     """Unit normals that face the camera, camera frame; 0 where they are not known."""
 
 
-def depth_pyramid(depth_m: Float[Tensor, "H W"], camera: Camera, factors: tuple[int, ...]) -> list[DepthLevel]:
-    """Reduced images of a depth frame, one for each of ``factors`` (Peng et al. 2024, "Input pre-processing").
+def depth_pyramid(
+    depth_m: Float[Tensor, "H W"], camera: Camera, factors: tuple[int, ...]
+) -> list[DepthLevel]:
+    """Reduced images of a depth frame, one for each of ``factors`` (Peng et al. 2024, "Input
+    pre-processing").
 
     Args:
         depth_m: z-depth, metres, 0 where there is none. [H, W]
@@ -48,7 +52,9 @@ def depth_pyramid(depth_m: Float[Tensor, "H W"], camera: Camera, factors: tuple[
     depth_m = torch.where(torch.isfinite(depth_m) & (depth_m > 0), depth_m, 0.0)
     reduced = {1: depth_m}
     for factor in sorted(set(factors)):
-        finer = max(f for f in reduced if factor % f == 0)  # reducing an already reduced image is faster
+        finer = max(
+            f for f in reduced if factor % f == 0
+        )  # reducing an already reduced image is faster
         reduced[factor] = reduce_depth(reduced[finer], factor // finer)
     return [_level(reduced[factor], reduced_camera(camera, factor), factor) for factor in factors]
 
@@ -67,7 +73,8 @@ def _level(depth_m: Tensor, camera: Camera, factor: int) -> DepthLevel:
 
 
 def reduced_camera(camera: Camera, factor: int) -> Camera:
-    """The camera with pixels ``factor`` times as large; the last ones may reach beyond the image."""
+    """The camera with pixels ``factor`` times as large; the last ones may reach beyond the
+    image."""
     return Camera(
         width=-(-camera.width // factor),
         height=-(-camera.height // factor),
@@ -79,11 +86,13 @@ def reduced_camera(camera: Camera, factor: int) -> Camera:
 
 
 def reduce_depth(depth_m: Float[Tensor, "H W"], factor: int) -> Float[Tensor, "h w"]:
-    """Harmonic mean of each block's pixels on the surface of its median; missing where less than half have depth.
+    """Harmonic mean of each block's pixels on the surface of its median; missing where less than
+    half have depth.
 
-    On a plane 1 / z is linear in the pixel, so this is the plane's depth at the block's centre. The noise of 1 / z of a
-    stereo or structured-light camera is also the same at all depths. The maximum, which the released code uses, moves
-    slanted surfaces back; a mean across a depth edge would be a point in mid-air.
+    On a plane 1 / z is linear in the pixel, so this is the plane's depth at the block's centre. The
+    noise of 1 / z of a stereo or structured-light camera is also the same at all depths. The
+    maximum, which the released code uses, moves slanted surfaces back; a mean across a depth edge
+    would be a point in mid-air.
     """
     if factor == 1:
         return depth_m
@@ -105,8 +114,8 @@ def reduce_depth(depth_m: Float[Tensor, "H W"], factor: int) -> Float[Tensor, "h
 
 HYBRID_DEPTH_M = 0.01
 HYBRID_COSINE_GAP = 0.01
-"""If depths (metres) or normals (1 - cosine; 8 degrees) differ by more than this, a hybrid target uses the last frame's
-own depth (released code of Peng et al. 2024)."""
+"""If depths (metres) or normals (1 - cosine; 8 degrees) differ by more than this, a hybrid target
+uses the last frame's own depth (released code of Peng et al. 2024)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +146,8 @@ SurfaceSource = Callable[[Camera, Tensor], Surface]
 def about_the_surface(
     T_WC: Float[Tensor, "4 4"], T_WS: Float[Tensor, "4 4"], dtype: torch.dtype
 ) -> tuple[Float[Tensor, "4 4"], Float[Tensor, "3 3"]]:
-    """The pose with its origin moved to the centre of the surface's camera, and the rotation R_WS of that camera.
+    """The pose with its origin moved to the centre of the surface's camera, and the rotation R_WS
+    of that camera.
 
     The difference of the centres is taken in float64: both may be far from the world's origin.
     """
@@ -146,11 +156,18 @@ def about_the_surface(
 
 
 def tsdf_surface(volume: TsdfVolume) -> SurfaceSource:
-    """The zero crossing of a TSDF as the model to track against (KinectFusion, Newcombe et al. 2011)."""
+    """The zero crossing of a TSDF as the model to track against (KinectFusion, Newcombe et al.
+    2011)."""
 
     def render(camera: Camera, T_WC: Tensor) -> Surface:
         seen = raycast(volume, camera, T_WC)
-        return Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=camera, T_WC=T_WC, rgb=seen.rgb)
+        return Surface(
+            depth_m=seen.depth_m,
+            normal_W=seen.normal_W,
+            camera=camera,
+            T_WC=T_WC,
+            rgb=seen.rgb,
+        )
 
     return render
 
@@ -158,20 +175,28 @@ def tsdf_surface(volume: TsdfVolume) -> SurfaceSource:
 def smooth_normals(model: Surface) -> Surface:
     """The same surface with each normal averaged over 3x3 pixels, for models of few noisy frames.
 
-    The normals of a TSDF of one Kinect frame have errors of 30 degrees; averaged, they agree with those of the next
-    frame. Along edges the mean mixes two surfaces, so normals of a good model are better without it.
+    The normals of a TSDF of one Kinect frame have errors of 30 degrees; averaged, they agree with
+    those of the next frame. Along edges the mean mixes two surfaces, so normals of a good model are
+    better without it.
     """
     known = (model.normal_W != 0).any(dim=-1, keepdim=True)
-    mean = torch.nn.functional.avg_pool2d(model.normal_W.permute(2, 0, 1), 3, stride=1, padding=1).permute(1, 2, 0)
+    mean = torch.nn.functional.avg_pool2d(
+        model.normal_W.permute(2, 0, 1), 3, stride=1, padding=1
+    ).permute(1, 2, 0)
     normal_W = torch.nn.functional.normalize(mean, dim=-1).where(known, 0.0)
     return dataclasses.replace(model, normal_W=normal_W)
 
 
-def hybrid_surface(model: Surface, depth_m: Float[Tensor, "H W"], rgb: Float[Tensor, "H W 3"] | None = None) -> Surface:
-    """The model where it agrees with the last frame, and that frame's own depth elsewhere (released code).
+def hybrid_surface(
+    model: Surface,
+    depth_m: Float[Tensor, "H W"],
+    rgb: Float[Tensor, "H W 3"] | None = None,
+) -> Surface:
+    """The model where it agrees with the last frame, and that frame's own depth elsewhere (released
+    code).
 
-    They agree where both have depth, the depths differ by at most 1 cm and the normals by at most 8 degrees. Normals
-    are computed from the mixed depth.
+    They agree where both have depth, the depths differ by at most 1 cm and the normals by at most 8
+    degrees. Normals are computed from the mixed depth.
 
     Args:
         model: Rendered from the pose of the last frame, with its camera.
@@ -184,4 +209,6 @@ def hybrid_surface(model: Surface, depth_m: Float[Tensor, "H W"], rgb: Float[Ten
     own = (depth_m > 0) & ((model.depth_m <= 0) | apart | turned)
     mixed_m = torch.where(own, depth_m, model.depth_m)
     normal_W = se3.rotate(model.T_WC.to(depth_m), depth_to_normals(model.camera, mixed_m))
-    return Surface(depth_m=mixed_m, normal_W=normal_W, camera=model.camera, T_WC=model.T_WC, rgb=rgb)
+    return Surface(
+        depth_m=mixed_m, normal_W=normal_W, camera=model.camera, T_WC=model.T_WC, rgb=rgb
+    )

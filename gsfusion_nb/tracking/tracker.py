@@ -1,4 +1,5 @@
-"""Camera tracking in a growing map: predict the pose, align it, check the fit, and try other starts if it is bad."""
+"""Camera tracking in a growing map: predict the pose, align it, check the fit, and try other starts
+if it is bad."""
 
 import dataclasses
 import functools
@@ -14,7 +15,17 @@ from ..checks import check_pose
 from ..config import TrackingConfig
 from ..geometry import se3
 from ..types import Camera, Frame
-from .attempt import Attempt, Sight, Start, UsualFit, attempt, best_of, why_no_fit, why_not_alike, why_too_far
+from .attempt import (
+    Attempt,
+    Sight,
+    Start,
+    UsualFit,
+    attempt,
+    best_of,
+    why_no_fit,
+    why_not_alike,
+    why_too_far,
+)
 from .icp import ExtraRows, IcpResult
 from .surface import Surface, SurfaceSource, hybrid_surface
 
@@ -24,9 +35,9 @@ class TrackingReport:
     """The pose of one frame and how it was found."""
 
     status: Literal["first", "ok", "degenerate", "recovered"]
-    """"first": pose from the data; "degenerate": some directions of motion, which the scene does not determine, are
-    predicted; "recovered": ICP failed from the predicted pose, also with smoothed normals, but not from another
-    start."""
+    """"first": pose from the data; "degenerate": some directions of motion, which the scene does
+    not determine, are predicted; "recovered": ICP failed from the predicted pose, also with
+    smoothed normals, but not from another start."""
     T_WC: Float[Tensor, "4 4"]
     """Camera-to-world pose, float32."""
     start: str = ""
@@ -46,8 +57,8 @@ class TrackingLostError(ValueError):
 
 
 Relocaliser = Callable[[Frame], Sequence[tuple[Tensor, ExtraRows | None]]]
-"""Returns possible poses ``T_WC`` [4, 4] of a frame by its appearance, the most likely first, and the further rows for
-ICP of the landmarks that agree with it, if there are any."""
+"""Returns possible poses ``T_WC`` [4, 4] of a frame by its appearance, the most likely first, and
+the further rows for ICP of the landmarks that agree with it, if there are any."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,7 +71,8 @@ class _TrackedPose:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _OwnFrame:
-    """An earlier frame that the model is mixed with: its pose (float64), depth and, if it is used, colours."""
+    """An earlier frame that the model is mixed with: its pose (float64), depth and, if it is used,
+    colours."""
 
     T_WC: Tensor
     depth_m: Tensor
@@ -80,14 +92,16 @@ class Tracker:
         """Number of frames that could not be tracked, up to the last one."""
         self._last: _TrackedPose | None = None
         self._before: _TrackedPose | None = None
-        """The frame before the last one, if both were tracked; the motion between them is the velocity."""
+        """The frame before the last one, if both were tracked; the motion between them is the
+        velocity."""
         self._own: _OwnFrame | None = None
         """The frame that a hybrid target is mixed with."""
         self._usual = UsualFit()
 
     @property
     def standing(self) -> tuple[Any, ...]:
-        """The state of the path (last poses and last frame), opaque to others, so that a step can be undone."""
+        """The state of the path (last poses and last frame), opaque to others, so that a step can
+        be undone."""
         return self._last, self._before, self.lost_in_a_row, self._own, self._usual.fits
 
     @standing.setter
@@ -104,13 +118,13 @@ class Tracker:
     ) -> TrackingReport:
         """Pose of the next frame. That of the first frame is taken from the data.
 
-        ICP starts from ``guess``, if there is one, or from the predicted pose. If that fails, it starts again from the
-        predicted pose, also with smoothed normals, from the last pose, from the last pose with wide limits, and from
-        the poses of ``relocalise``. For each start the frame is aligned with the model as rendered from it, and the
-        result is accepted if it fits.
+        ICP starts from ``guess``, if there is one, or from the predicted pose. If that fails, it
+        starts again from the predicted pose, also with smoothed normals, from the last pose, from
+        the last pose with wide limits, and from the poses of ``relocalise``. For each start the
+        frame is aligned with the model as rendered from it, and the result is accepted if it fits.
 
-        A pose that fits, but much worse than those of the last frames, is accepted only if the frame looks there like
-        the model, and no other start leads to a pose that fits better.
+        A pose that fits, but much worse than those of the last frames, is accepted only if the
+        frame looks there like the model, and no other start leads to a pose that fits better.
 
         Args:
             frame: Its ``T_WC`` is used only if it is the first.
@@ -120,12 +134,14 @@ class Tracker:
             guess: The pose that they give; ICP starts from it first.
 
         Raises:
-            TrackingLostError: no start led to a pose that fits. Only the count of lost frames changes, so the next
-                frame is tried again.
+            TrackingLostError: no start led to a pose that fits. Only the count of lost frames
+                changes, so the next frame is tried again.
         """
         sight = Sight.of(frame, self.config, extra)
         if not sight.has_depth:
-            raise self._lost(f"frame {frame.index} cannot be tracked: none of its pixels have usable depth")
+            raise self._lost(
+                f"frame {frame.index} cannot be tracked: none of its pixels have usable depth"
+            )
         if self._last is None:
             check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
             self._accept(frame, frame.T_WC.double().cpu(), moved=False)
@@ -136,7 +152,9 @@ class Tracker:
         for start in self._starts(frame, relocalise, fits, guess):
             with_rows = dataclasses.replace(sight, extra=start.extra or extra)
             found = attempt(with_rows, surface, mixed, start, self.config)
-            problem = self._problem(found, frame, surface, strict=bool(failures or fits) or self.lost_in_a_row > 0)
+            problem = self._problem(
+                found, frame, surface, strict=bool(failures or fits) or self.lost_in_a_row > 0
+            )
             if problem:
                 failures.append(f"from {start.name} {problem}")
                 continue
@@ -154,29 +172,41 @@ class Tracker:
         self._accept(frame, best.result.T_WC, moved=moved)
         first_try = best.start.smooth or (first_try and best is fits[0])
         return TrackingReport(
-            status="recovered" if not first_try else "degenerate" if best.result.degenerate else "ok",
+            status="recovered"
+            if not first_try
+            else "degenerate"
+            if best.result.degenerate
+            else "ok",
             T_WC=best.result.T_WC.to(frame.T_WC),
             start=best.start.name,
             doubt=doubt,
             icp=best.result,
         )
 
-    def _problem(self, found: Attempt, frame: Frame, surface: SurfaceSource, *, strict: bool) -> str:
-        """The reason to reject the pose that an attempt found, or "".  ``strict``: an earlier start has failed."""
+    def _problem(
+        self, found: Attempt, frame: Frame, surface: SurfaceSource, *, strict: bool
+    ) -> str:
+        """The reason to reject the pose that an attempt found, or "".  ``strict``: an earlier start
+        has failed."""
         assert self._last is not None
         result = found.result
         problem = why_no_fit(result, strict=strict and found.start.extra is None)
         if not problem and not found.start.anywhere:
-            problem = why_too_far(self._last.T_WC, result.T_WC, self.config, frames=1 + self.lost_in_a_row)
+            problem = why_too_far(
+                self._last.T_WC, result.T_WC, self.config, frames=1 + self.lost_in_a_row
+            )
         if not problem and (strict or self._usual.why_unusual(result)):
-            problem = why_not_alike(frame, surface(frame.camera, result.T_WC.float()), doubtful=not strict)
+            problem = why_not_alike(
+                frame, surface(frame.camera, result.T_WC.float()), doubtful=not strict
+            )
         return problem
 
     def correct(self, T_change: Float[Tensor, "4 4"]) -> None:
-        """Apply a correction by the back end to the last poses: every pose T becomes ``T_change @ T``.
+        """Apply a correction by the back end to the last poses: every pose T becomes
+        ``T_change @ T``.
 
-        The products are made rigid: a correction is T_new T_old^-1, so what is not rigid in the last pose is in the
-        next correction, too, and would more than double each time.
+        The products are made rigid: a correction is T_new T_old^-1, so what is not rigid in the
+        last pose is in the next correction, too, and would more than double each time.
         """
         check_pose("T_change", T_change)
         change = T_change.double().cpu()
@@ -184,12 +214,16 @@ class Tracker:
             seen and _TrackedPose(T_WC=se3.rigid(change @ seen.T_WC), timestamp_s=seen.timestamp_s)
             for seen in (self._last, self._before)
         )
-        self._own = self._own and dataclasses.replace(self._own, T_WC=se3.rigid(change @ self._own.T_WC))
+        self._own = self._own and dataclasses.replace(
+            self._own, T_WC=se3.rigid(change @ self._own.T_WC)
+        )
 
     def predict(self, timestamp_s: float) -> Float[Tensor, "4 4"]:
-        """Predicted pose at a time: the last motion extrapolated in proportion to time, or the last pose. float64
+        """Predicted pose at a time: the last motion extrapolated in proportion to time, or the last
+        pose. float64
 
-        Frames are not evenly spaced in time (some are held out or dropped), so the motion is scaled by time.
+        Frames are not evenly spaced in time (some are held out or dropped), so the motion is scaled
+        by time.
 
         Raises:
             ValueError: before the first frame.
@@ -198,12 +232,16 @@ class Tracker:
             raise ValueError("no pose can be predicted before the first frame has been tracked")
         if self.config.prior == "previous" or self._before is None:
             return self._last.T_WC
-        taken, ahead = self._last.timestamp_s - self._before.timestamp_s, timestamp_s - self._last.timestamp_s
+        taken, ahead = (
+            self._last.timestamp_s - self._before.timestamp_s,
+            timestamp_s - self._last.timestamp_s,
+        )
         ratio = min(ahead / taken, MAX_TIME_RATIO) if taken > 0 and ahead > 0 else 1.0
         return constant_velocity(self._before.T_WC, self._last.T_WC, ratio)
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything needed to continue later from exactly this state, as tensors and plain values."""
+        """Everything needed to continue later from exactly this state, as tensors and plain
+        values."""
         return {
             "lost_in_a_row": self.lost_in_a_row,
             "last": self._last and dataclasses.asdict(self._last),
@@ -217,7 +255,9 @@ class Tracker:
         """The tracker that was saved with ``state_dict``; the settings are stored elsewhere."""
         tracker = cls(config)
         tracker.lost_in_a_row = state["lost_in_a_row"]
-        tracker._last, tracker._before = (saved and _TrackedPose(**saved) for saved in (state["last"], state["before"]))
+        tracker._last, tracker._before = (
+            saved and _TrackedPose(**saved) for saved in (state["last"], state["before"])
+        )
         tracker._own = state["own"] and _OwnFrame(**state["own"])
         tracker._usual.fits = [(rms_m, share) for rms_m, share in state["usual_fit"]]
         return tracker
@@ -238,10 +278,17 @@ class Tracker:
             yield Start("the last pose", last)
         yield Start("the last pose with wide limits", last, wide=True)
         for n, (T_WC, extra) in enumerate([] if fits else relocalise(frame)):
-            yield Start(f"place {n + 1}", T_WC.double().cpu(), wide=extra is None, anywhere=True, extra=extra)
+            yield Start(
+                f"place {n + 1}",
+                T_WC.double().cpu(),
+                wide=extra is None,
+                anywhere=True,
+                extra=extra,
+            )
 
     def _target(self, source: SurfaceSource) -> SurfaceSource:
-        """What ICP aligns a frame with: the model, or the model mixed with the last frame, seen from that frame."""
+        """What ICP aligns a frame with: the model, or the model mixed with the last frame, seen
+        from that frame."""
         own = self._own
         if own is None:
             return source
@@ -250,7 +297,11 @@ class Tracker:
         def seen(camera: Camera) -> Surface:
             model = source(camera, own.T_WC.float())
             device = model.depth_m.device
-            return hybrid_surface(model, own.depth_m.to(device), None if own.rgb is None else own.rgb.to(device))
+            return hybrid_surface(
+                model,
+                own.depth_m.to(device),
+                None if own.rgb is None else own.rgb.to(device),
+            )
 
         return lambda camera, T_WC: seen(camera)
 

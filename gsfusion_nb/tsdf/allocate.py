@@ -1,4 +1,5 @@
-"""Which voxel blocks a depth image needs: those that the viewing rays cross inside the truncation band."""
+"""Which voxel blocks a depth image needs: those that the viewing rays cross inside the truncation
+band."""
 
 from typing import Any
 
@@ -15,7 +16,8 @@ from .octree import NewBlocks
 from .volume import TsdfVolume, check_volume
 
 OUTLIER_RATIO = 0.05
-"""A neighbour supports a depth pixel if their depths differ by less than this share of the pixel's depth."""
+"""A neighbour supports a depth pixel if their depths differ by less than this share of the pixel's
+depth."""
 
 
 MOST_CELLS = 1 << 20
@@ -23,10 +25,11 @@ MOST_CELLS = 1 << 20
 
 
 def allocate(volume: TsdfVolume, frame: Frame) -> Int[Tensor, " K"]:
-    """Allocate the blocks that meet the truncation band of ``frame``; returns the rows of the new ones.
+    """Allocate the blocks that meet the truncation band of ``frame``; returns the rows of the new
+    ones.
 
-    GSFusion III-B.1: "a ray is marched along the line of sight for each pixel, and voxel blocks are allocated only if
-    they fall into the specified band around the depth measurement".
+    GSFusion III-B.1: "a ray is marched along the line of sight for each pixel, and voxel blocks are
+    allocated only if they fall into the specified band around the depth measurement".
     """
     return volume.allocate_missing(volume.reserve(new_band_blocks(volume, frame)))
 
@@ -41,28 +44,42 @@ def check_band(volume: Any, frame: Any) -> None:
 
 @op("allocate", check_band)
 def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
-    """Coordinates of all blocks that the band of any pixel's ray crosses, each once, sorted by x, y, z.
+    """Coordinates of all blocks that the band of any pixel's ray crosses, each once, sorted by x,
+    y, z.
 
-    The band is ``depth +- truncation`` along z (``sdf="z"``) or along the ray (``sdf="ray"``). Pixels outside
-    ``near_m`` .. ``far_m`` and, with ``outlier_guard``, isolated ones are ignored. The crossing is exact: no block is
-    skipped at a corner, and no pixel is skipped.
+    The band is ``depth +- truncation`` along z (``sdf="z"``) or along the ray (``sdf="ray"``).
+    Pixels outside ``near_m`` .. ``far_m`` and, with ``outlier_guard``, isolated ones are ignored.
+    The crossing is exact: no block is skipped at a corner, and no pixel is skipped.
 
     Raises:
-        ValueError: the pose is not rigid, or the camera impossible: its rays would cross millions of blocks.
+        ValueError: the pose is not rigid, or the camera impossible: its rays would cross millions
+            of blocks.
     """
     config, depth_m = volume.config, frame.depth_m
     used = (depth_m > 0) & (depth_m >= config.near_m) & (depth_m <= config.far_m)
     if config.outlier_guard:
         used &= has_support(depth_m)
-    ray_C = rays(frame.camera, pixel_grid(frame.camera, device=depth_m.device, dtype=depth_m.dtype))[used]
+    ray_C = rays(
+        frame.camera, pixel_grid(frame.camera, device=depth_m.device, dtype=depth_m.dtype)
+    )[used]
     z = depth_m[used]
     half_m = config.truncation_m / ray_C.norm(dim=1) if config.sdf == "ray" else config.truncation_m
 
     direction = se3.rotate(frame.T_WC.to(z), ray_C) / volume.block_size_m
     position = frame.T_WC[:3, 3].double() / volume.block_size_m
-    own_block = position.floor()  # counted from the camera's own block, float32 is exact enough anywhere in the world
+    own_block = (
+        position.floor()
+    )  # counted from the camera's own block, float32 is exact enough anywhere in the world
     origin = (position - own_block).to(z)
-    return crossed_cells(origin, direction, (z - half_m).clamp(min=0.0), z + half_m) + own_block.long()
+    return (
+        crossed_cells(
+            origin,
+            direction,
+            (z - half_m).clamp(min=0.0),
+            z + half_m,
+        )
+        + own_block.long()
+    )
 
 
 @op("allocate", check_band)
@@ -70,7 +87,8 @@ def new_band_blocks(volume: TsdfVolume, frame: Frame) -> NewBlocks:
     """Those of ``band_blocks`` that are not allocated yet.
 
     Raises:
-        ValueError: the pose is not rigid, the camera impossible, or a block lies beyond the voxel index.
+        ValueError: the pose is not rigid, the camera impossible, or a block lies beyond the voxel
+            index.
     """
     return volume.index.missing(band_blocks(volume, frame))
 
@@ -81,17 +99,21 @@ def crossed_cells(
     t_first: Float[Tensor, " R"],
     t_last: Float[Tensor, " R"],
 ) -> Int[Tensor, "N 3"]:
-    """Unit cells that the segments ``origin + t direction``, t from ``t_first`` to ``t_last``, pass; each once, sorted.
+    """Unit cells that the segments ``origin + t direction``, t from ``t_first`` to ``t_last``,
+    pass; each once, sorted.
 
     All segments step together, each through the nearest wall of its cell (Amanatides & Woo 1987).
 
     Raises:
         ValueError: a segment ends ``MOST_CELLS`` or more from the origin of the cells.
     """
-    farthest = (origin + t_last[:, None] * direction).abs().amax() if len(direction) else torch.zeros(())
+    farthest = (
+        (origin + t_last[:, None] * direction).abs().amax() if len(direction) else torch.zeros(())
+    )
     if not bool(farthest < MOST_CELLS):
         raise ValueError(
-            f"a block {float(farthest):.3g} blocks from the camera lies beyond the voxel index, which has {MOST_CELLS} "
+            f"a block {float(farthest):.3g} blocks from the camera lies beyond the voxel index, "
+            f"which has {MOST_CELLS} "
             "on each side: check the depth unit, tsdf.far_m and the intrinsics"
         )
     cell = (origin + t_first[:, None] * direction).floor()
@@ -101,20 +123,34 @@ def crossed_cells(
         t_wall = ((wall - origin) / direction).where(direction != 0, torch.inf)
         t, axis = t_wall.min(dim=1)
         goes_on = t < t_last
-        cell, direction, axis, t_last = cell[goes_on], direction[goes_on], axis[goes_on], t_last[goes_on]
+        cell, direction, axis, t_last = (
+            cell[goes_on],
+            direction[goes_on],
+            axis[goes_on],
+            t_last[goes_on],
+        )
         cell = cell + direction.sign() * torch.nn.functional.one_hot(axis, 3)
         crossed.append(cell)
     return _distinct(torch.cat(crossed).long())
 
 
-def has_support(depth_m: Float[Tensor, "H W"], ratio: float = OUTLIER_RATIO) -> Bool[Tensor, "H W"]:
+def has_support(
+    depth_m: Float[Tensor, "H W"],
+    ratio: float = OUTLIER_RATIO,
+) -> Bool[Tensor, "H W"]:
     """Pixels with at least one of their eight neighbours within ``ratio`` of their own depth.
 
     A lone pixel at a wrong depth would otherwise allocate blocks in free space.
     """
     H, W = depth_m.shape
-    around = torch.nn.functional.pad(depth_m, (1, 1, 1, 1), value=torch.inf)
-    neighbours = [around[y : y + H, x : x + W] for y in range(3) for x in range(3) if (y, x) != (1, 1)]
+    around = torch.nn.functional.pad(
+        depth_m,
+        (1, 1, 1, 1),
+        value=torch.inf,
+    )
+    neighbours = [
+        around[y : y + H, x : x + W] for y in range(3) for x in range(3) if (y, x) != (1, 1)
+    ]
     gaps = torch.stack([(neighbour - depth_m).abs() for neighbour in neighbours])
     return (gaps < ratio * depth_m).any(0)
 

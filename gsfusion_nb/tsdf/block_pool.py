@@ -16,35 +16,43 @@ BLOCK_VOXELS = 8
 VOXELS_PER_BLOCK = BLOCK_VOXELS**3
 
 BYTES_PER_BLOCK = VOXELS_PER_BLOCK * (4 + 4 + 12) + 12
-"""Distance, weight and colour of every voxel as float32, and three int32 coordinates; ``W_RGB_BYTES`` more where
-colours have weights of their own. Colour is float32 because a running mean at weight 100 changes by a hundredth of the
-difference: float16 would stop 6 grey levels away from the mean and 8 bits 50 levels away. Integers with more bits
-would save memory, but converting them takes too long."""
+"""Distance, weight and colour of every voxel as float32, and three int32 coordinates;
+``W_RGB_BYTES`` more where colours have weights of their own. Colour is float32 because a running
+mean at weight 100 changes by a hundredth of the difference: float16 would stop 6 grey levels away
+from the mean and 8 bits 50 levels away. Integers with more bits would save memory, but converting
+them takes too long."""
 
 W_RGB_BYTES = VOXELS_PER_BLOCK * 4
 
 BLOCKS_IN_BOX = 64
-"""Rows for which it is known together where their blocks are. Neighbours in the pool were mostly seen together."""
+"""Rows for which it is known together where their blocks are. Neighbours in the pool were mostly
+seen together."""
 
 _FIRST_CAPACITY = 1024
 _GROWTH = {"cpu": (8.0, 2.0, 1.25, 1.05), "cuda": (1.25, 1.05), "files": (2.0, 1.25)}
-"""Factors of growth by kind of memory, the first that it allows. On a processor spare rows take no memory before
-they are first written to. Large steps copy seldom and early, when there is little to copy, so the volume can fill
-nearly all memory: doubling alone ends near half of it. The smallest step keeps copies rare when memory is nearly full.
+"""Factors of growth by kind of memory, the first that it allows. On a processor spare rows take no
+memory before they are first written to. Large steps copy seldom and early, when there is little to
+copy, so the volume can fill nearly all memory: doubling alone ends near half of it. The smallest
+step keeps copies rare when memory is nearly full.
 """
 
 
 class BlockPool:
-    """The tensors behind a volume, with spare rows at the end. New rows are filled when they are handed out.
+    """The tensors behind a volume, with spare rows at the end. New rows are filled when they are
+    handed out.
 
     Without ``weighs_colours`` there is no weight of the colours, ``W_rgb``.
     """
 
     def __init__(self, capacity: int, device: torch.device, *, weighs_colours: bool):
         self.capacity = capacity
-        self.D, self.W = (MAP_MEMORY.rows(capacity, VOXELS_PER_BLOCK, device=device) for _ in range(2))
+        self.D, self.W = (
+            MAP_MEMORY.rows(capacity, VOXELS_PER_BLOCK, device=device) for _ in range(2)
+        )
         self.rgb = MAP_MEMORY.rows(capacity, 3, VOXELS_PER_BLOCK, device=device)
-        self.W_rgb = MAP_MEMORY.rows(capacity, VOXELS_PER_BLOCK, device=device) if weighs_colours else None
+        self.W_rgb = (
+            MAP_MEMORY.rows(capacity, VOXELS_PER_BLOCK, device=device) if weighs_colours else None
+        )
         self.coords = MAP_MEMORY.rows(capacity, 3, dtype=torch.int32, device=device)
         self._boxes = np.empty((0, 2, 3), np.int32)
 
@@ -59,17 +67,26 @@ class BlockPool:
         self.coords[rows] = coords
 
     def boxes(self, n_blocks: int) -> Int[np.ndarray, "C 2 3"]:
-        """Lowest and highest ``coords`` in each ``BLOCKS_IN_BOX`` of the first ``n_blocks`` rows, on a CPU."""
+        """Lowest and highest ``coords`` in each ``BLOCKS_IN_BOX`` of the first ``n_blocks`` rows,
+        on a CPU."""
         boxes, start = self._boxes, BLOCKS_IN_BOX * len(self._boxes)
         if start < n_blocks:
-            coords, first = self.coords[start:n_blocks].numpy(), np.arange(0, n_blocks - start, BLOCKS_IN_BOX)
-            more = np.stack([extreme.reduceat(coords, first) for extreme in (np.minimum, np.maximum)], 1)
+            coords, first = (
+                self.coords[start:n_blocks].numpy(),
+                np.arange(0, n_blocks - start, BLOCKS_IN_BOX),
+            )
+            more = np.stack(
+                [extreme.reduceat(coords, first) for extreme in (np.minimum, np.maximum)], 1
+            )
             boxes = np.concatenate([boxes, more])
             self._boxes = boxes[: n_blocks // BLOCKS_IN_BOX]  # the last one may not be full
         return boxes
 
-    def with_room_for(self, n_blocks: int, *, limit_bytes: int | None, voxel_size_m: float) -> "BlockPool":
-        """This pool, or a larger copy; it grows by a factor, so that the cost of copying stays constant per block.
+    def with_room_for(
+        self, n_blocks: int, *, limit_bytes: int | None, voxel_size_m: float
+    ) -> "BlockPool":
+        """This pool, or a larger copy; it grows by a factor, so that the cost of copying stays
+        constant per block.
 
         Args:
             n_blocks: Number of rows needed.
@@ -89,9 +106,15 @@ class BlockPool:
         for capacity in (*grown, n_blocks):
             size = estimate_memory(capacity, weighs_colours=self.W_rgb is not None)
             if (limit_bytes is None or size <= limit_bytes) and (free is None or size <= free):
-                with contextlib.suppress(RuntimeError, MemoryError):  # torch may get less than is free
+                with contextlib.suppress(
+                    RuntimeError, MemoryError
+                ):  # torch may get less than is free
                     return self._grown(capacity)
-        allowed = [f"only {x / 1e6:.0f} MB may be used" for x in (limit_bytes, free) if x is not None and x < size]
+        allowed = [
+            f"only {x / 1e6:.0f} MB may be used"
+            for x in (limit_bytes, free)
+            if x is not None and x < size
+        ]
         needed = estimate_memory(n_blocks, weighs_colours=self.W_rgb is not None)
         raise MemoryError(
             f"the TSDF volume needs {needed / 1e6:.0f} MB for {n_blocks} blocks of 8^3 voxels of "
@@ -109,5 +132,6 @@ class BlockPool:
 
 
 def estimate_memory(n_blocks: int, *, weighs_colours: bool) -> int:
-    """Memory of a volume of ``n_blocks`` blocks, bytes; more where colours have weights of their own."""
+    """Memory of a volume of ``n_blocks`` blocks, bytes; more where colours have weights of their
+    own."""
     return n_blocks * (BYTES_PER_BLOCK + (W_RGB_BYTES if weighs_colours else 0))

@@ -28,8 +28,9 @@ LEAST_COLOUR_WEIGHT = 1e-3
 """Of a colour, also one from outside the band, as long as the voxel has had little."""
 
 LITTLE_COLOUR = 49.5 * LEAST_COLOUR_WEIGHT
-"""A voxel whose weight of colour is below this has had little: less than fifty colours from outside the band. The limit
-is halfway between 49 and 50 of them, because their sum in float32 is not exact."""
+"""A voxel whose weight of colour is below this has had little: less than fifty colours from outside
+the band. The limit is halfway between 49 and 50 of them, because their sum in float32 is not
+exact."""
 
 NEAREST_COLOUR_M = 0.1
 """Colours seen from nearer count as from here."""
@@ -58,20 +59,24 @@ def tsdf_update(
     max_weight: float,
     average: Literal["mean", "eq9", "int16"] = "mean",
 ) -> tuple[Float[Tensor, "*V"], Float[Tensor, "*V"]]:
-    """Add one signed-distance observation to every voxel that is not behind the truncation band (Eq. 7-9).
+    """Add one signed-distance observation to every voxel that is not behind the truncation band
+    (Eq. 7-9).
 
-    Eq. 9 as printed weights the new value d by w_k, but the released code weights it by 1, which makes D the mean of
-    all observations: after 0.2, 0.4 and 0.6, D is 0.2, 0.3 and 0.4; with the printed equation 0.2, 0.3333 and 0.4933.
+    Eq. 9 as printed weights the new value d by w_k, but the released code weights it by 1, which
+    makes D the mean of all observations: after 0.2, 0.4 and 0.6, D is 0.2, 0.3 and 0.4; with the
+    printed equation 0.2, 0.3333 and 0.4933.
 
     Args:
-        D: Truncated signed distance before, tsdf_{k-1}, in units of the truncation distance. Any shape [V]
+        D: Truncated signed distance before, tsdf_{k-1}, in units of the truncation distance. Any
+            shape [V]
         W: Observation count before, w_{k-1}. [V]
-        sdf_m: New signed distance, metres, positive in front of the surface; -inf where nothing was measured. [V]
+        sdf_m: New signed distance, metres, positive in front of the surface; -inf where nothing was
+            measured. [V]
         truncation_m: Half width eps of the band, metres.
         max_weight: Cap w_max on the count, at least 1.
-        average: "mean" of all observations; "eq9" as printed; "int16": the mean with D, d and the result truncated to
-            multiples of 1/32767, as in the released code, so that D no longer follows changes below
-            w_max / 32767 once W has reached w_max.
+        average: "mean" of all observations; "eq9" as printed; "int16": the mean with D, d and the
+            result truncated to multiples of 1/32767, as in the released code, so that D no longer
+            follows changes below w_max / 32767 once W has reached w_max.
 
     Returns:
         ``D`` and ``W`` after, tsdf_k and w_k; voxels behind the band keep theirs.
@@ -93,14 +98,18 @@ def tsdf_update(
 
 
 def colour_weight(
-    sdf_m: Float[Tensor, "*V"], z_m: Float[Tensor, "*V"], W_rgb: Float[Tensor, "*V"], config: TsdfConfig
+    sdf_m: Float[Tensor, "*V"],
+    z_m: Float[Tensor, "*V"],
+    W_rgb: Float[Tensor, "*V"],
+    config: TsdfConfig,
 ) -> Float[Tensor, "*V"]:
     """How much a colour counts in the mean of a voxel; 0: not at all.
 
-    The weight is 1 at the surface and falls to 0 at the border of the band, because there the pixel shows another place
-    than the voxel if it is seen at an angle; with "equal" weights it is 1 in the whole band. It also falls with the
-    square of the distance, as the number of pixels that see the voxel does. A voxel that has had little colour takes
-    any, if only with the least weight: raycasts interpolate between voxels of which some are outside every band.
+    The weight is 1 at the surface and falls to 0 at the border of the band, because there the pixel
+    shows another place than the voxel if it is seen at an angle; with "equal" weights it is 1 in
+    the whole band. It also falls with the square of the distance, as the number of pixels that see
+    the voxel does. A voxel that has had little colour takes any, if only with the least weight:
+    raycasts interpolate between voxels of which some are outside every band.
 
     Args:
         sdf_m: Signed distance of the voxel, metres. [V]
@@ -121,10 +130,12 @@ def colour_weight(
 
 
 def integrate(volume: TsdfVolume, frame: Frame) -> IntegrateReport:
-    """Allocate what ``frame`` needs and update every voxel that it observes; the volume changes in place.
+    """Allocate what ``frame`` needs and update every voxel that it observes; the volume changes in
+    place.
 
-    A voxel is observed when its centre projects into the image, the pixel that contains the projection has depth, and
-    the voxel is not further than the truncation behind it. Voxels in front, however far, are observed as free (D = 1).
+    A voxel is observed when its centre projects into the image, the pixel that contains the
+    projection has depth, and the voxel is not further than the truncation behind it. Voxels in
+    front, however far, are observed as free (D = 1).
 
     Raises:
         ValueError: the pose is not rigid. MemoryError: no room for the new blocks.
@@ -144,12 +155,13 @@ def check_fuse(volume: Any, frame: Any) -> None:
 
 
 def check_fuse_frame(volume: Any, frame: Any) -> None:
-    """As ``check_fuse``; and a volume without any block takes nothing of a frame that needs some."""
+    """As ``check_fuse``; and a volume without any block takes nothing of a frame that needs
+    some."""
     check_fuse(volume, frame)
     if not volume.n_blocks and len(new_band_blocks(volume, frame)):
         raise ValueError(
-            "the volume has no voxel blocks, so nothing can be fused into it; integrate(volume, frame) makes those "
-            "that the frame needs and fuses it"
+            "the volume has no voxel blocks, so nothing can be fused into it; integrate(volume, "
+            "frame) makes those that the frame needs and fuses it"
         )
 
 
@@ -160,15 +172,19 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     It makes no blocks: ``integrate`` does, and then calls this.
 
     Raises:
-        ValueError: the pose is not rigid; or the volume has no blocks although the frame needs some.
+        ValueError: the pose is not rigid; or the volume has no blocks although the frame needs
+            some.
     """
     T_CW = se3.inverse(frame.T_WC.double())
     rows = blocks_in_view(volume, frame.camera, T_CW)
     return sum(_fuse_blocks(volume, part, frame, T_CW) for part in rows.split(BLOCKS_AT_A_TIME))
 
 
-def blocks_in_view(volume: TsdfVolume, camera: Camera, T_CW: Float[Tensor, "4 4"]) -> Int[Tensor, " K"]:
-    """Rows of the blocks that may reach into the view: up to ``far_m`` and the truncation, and between its four sides.
+def blocks_in_view(
+    volume: TsdfVolume, camera: Camera, T_CW: Float[Tensor, "4 4"]
+) -> Int[Tensor, " K"]:
+    """Rows of the blocks that may reach into the view: up to ``far_m`` and the truncation, and
+    between its four sides.
 
     A block whose eight corners all lie outside the same side of the view is not in view.
     """
@@ -176,7 +192,10 @@ def blocks_in_view(volume: TsdfVolume, camera: Camera, T_CW: Float[Tensor, "4 4"
 
 
 def corners_in_view(
-    corners_W: Float[Tensor, "B 8 3"], config: TsdfConfig, camera: Camera, T_CW: Float[Tensor, "4 4"]
+    corners_W: Float[Tensor, "B 8 3"],
+    config: TsdfConfig,
+    camera: Camera,
+    T_CW: Float[Tensor, "4 4"],
 ) -> Bool[Tensor, " B"]:
     """Which blocks, given by their corners, may reach into the view; see ``blocks_in_view``."""
     x, y, z = se3.apply(T_CW, corners_W).unbind(-1)
@@ -191,7 +210,12 @@ def corners_in_view(
     return torch.stack([(distance > 0).any(1) for distance in within]).all(0)
 
 
-def _fuse_blocks(volume: TsdfVolume, rows: Int[Tensor, " B"], frame: Frame, T_CW: Float[Tensor, "4 4"]) -> int:
+def _fuse_blocks(
+    volume: TsdfVolume,
+    rows: Int[Tensor, " B"],
+    frame: Frame,
+    T_CW: Float[Tensor, "4 4"],
+) -> int:
     """Update the voxels of some blocks from a frame, in place; returns how many were observed."""
     before = TsdfSample(
         D=volume.D[rows],
@@ -227,7 +251,9 @@ def signed_distance_m(
     z = centres_C[..., 2]
     sdf_m = depth_m - z  # Eq. 6
     if config.sdf == "ray":
-        sdf_m = sdf_m * centres_C.norm(dim=-1) / z  # not in the paper: the released code measures along the ray
+        sdf_m = (
+            sdf_m * centres_C.norm(dim=-1) / z
+        )  # not in the paper: the released code measures along the ray
     return sdf_m
 
 
@@ -255,7 +281,11 @@ def fuse_voxels(
     measured = in_image & (depth_m > 0) & in_range
     sdf_m = sdf_m.where(measured, -torch.inf).to(before.D.dtype)
 
-    band = {"truncation_m": config.truncation_m, "max_weight": config.max_weight, "average": config.average}
+    band = {
+        "truncation_m": config.truncation_m,
+        "max_weight": config.max_weight,
+        "average": config.average,
+    }
     D_k, W_k = tsdf_update(before.D, before.W, sdf_m, **band)
     observed = sdf_m > -config.truncation_m
     W_rgb, step = W_k, 1.0 / W_k  # the mean; the paper does not define colour
@@ -264,14 +294,19 @@ def fuse_voxels(
         W_rgb = (before.W_rgb + w).clamp(max=config.max_weight)
         step = (w / W_rgb.clamp(min=LEAST_COLOUR_WEIGHT)).clamp(max=1.0)
     rgb_k = before.rgb + step[..., None] * (frame.rgb[v, u] - before.rgb)
-    return TsdfSample(D=D_k, W=W_k, rgb=rgb_k.where(observed[..., None], before.rgb), W_rgb=W_rgb), observed
+    return TsdfSample(
+        D=D_k,
+        W=W_k,
+        rgb=rgb_k.where(observed[..., None], before.rgb),
+        W_rgb=W_rgb,
+    ), observed
 
 
 class FusedView:
     """Shows a volume as if ``frame`` were already fused; the volume is not changed.
 
-    GSFusion's seeding rules need the volume with the frame fused into it. With this view they can run before it is
-    fused, so that a rule that fails leaves the map unchanged.
+    GSFusion's seeding rules need the volume with the frame fused into it. With this view they can
+    run before it is fused, so that a rule that fails leaves the map unchanged.
 
     Args:
         volume: The volume before the frame.
@@ -294,7 +329,8 @@ class FusedView:
         return sample_fused_voxels(self._volume, self._frame, self._missing, xyz_W)
 
     def raycast(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
-        """The surface that a camera will see; computed in a copy of the volume into which the frame is fused.
+        """The surface that a camera will see; computed in a copy of the volume into which the frame
+        is fused.
 
         Raises:
             MemoryError: no room for the copy.
@@ -313,8 +349,20 @@ def check_sample_fused(volume: Any, frame: Any, missing: Any, xyz_W: Any) -> Non
     if not isinstance(missing, NewBlocks):
         raise ValueError(f"missing must be NewBlocks, got {type(missing).__name__}")
     device = volume.D.device
-    check_operand("codes", missing.codes, ("M",), dtypes=(torch.int64,), device=device)
-    check_operand("coords", missing.coords, (len(missing), 3), dtypes=(torch.int64,), device=device)
+    check_operand(
+        "codes",
+        missing.codes,
+        ("M",),
+        dtypes=(torch.int64,),
+        device=device,
+    )
+    check_operand(
+        "coords",
+        missing.coords,
+        (len(missing), 3),
+        dtypes=(torch.int64,),
+        device=device,
+    )
     check_operand("xyz_W", xyz_W, ("N", 3), device=device)
 
 
@@ -335,7 +383,12 @@ def sample_fused_voxels(
     block = block_of(ijk)
     in_view = corners_in_view(volume.corners_of(block), volume.config, frame.camera, T_CW)
     changes = ((volume.index.find(block) >= 0) | missing.contains(block)) & in_view
-    after, _ = fuse_voxels(before, se3.apply(T_CW, volume.centres_of(ijk)), frame, volume.config)
+    after, _ = fuse_voxels(
+        before,
+        se3.apply(T_CW, volume.centres_of(ijk)),
+        frame,
+        volume.config,
+    )
     return TsdfSample(
         D=after.D.where(changes, before.D),
         W=after.W.where(changes, before.W),

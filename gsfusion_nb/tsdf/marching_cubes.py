@@ -1,20 +1,21 @@
-"""The surface of the volume as a triangle mesh: marching cubes (Lorensen & Cline 1987) from the sparse blocks.
+"""The surface of the volume as a triangle mesh: marching cubes (Lorensen & Cline 1987) from the
+sparse blocks.
 
-A cube has a voxel centre at each of its corners: corner c is at (c & 1, c >> 1 & 1, c >> 2 & 1). A corner is inside the
-surface where D < 0, and an edge between an inside and an outside corner is cut: there, at the zero of D, is a vertex.
-The case of a cube is the set of its inside corners,
+A cube has a voxel centre at each of its corners: corner c is at (c & 1, c >> 1 & 1, c >> 2 & 1). A
+corner is inside the surface where D < 0, and an edge between an inside and an outside corner is
+cut: there, at the zero of D, is a vertex. The case of a cube is the set of its inside corners,
 
     case = sum over c of 2^c [D_c < 0]                                                     (1)
 
 and a table holds the triangles of each of the 256 cases. It is derived here instead of typed in:
 
-1. On each face, walk around the four corners counter-clockwise, seen from outside the cube. A segment joins each side
-   where the walk goes inside to the next side where it comes out again.
+1. On each face, walk around the four corners counter-clockwise, seen from outside the cube. A
+   segment joins each side where the walk goes inside to the next side where it comes out again.
 2. The segments of the six faces join into closed loops of cut edges.
 3. Each loop is cut into triangles.
 
-Step 1 looks at the face alone, so the two cubes that share a face have the same segments there, also where inside and
-outside corners alternate, and the surface has no cracks.
+Step 1 looks at the face alone, so the two cubes that share a face have the same segments there,
+also where inside and outside corners alternate, and the surface has no cracks.
 """
 
 import functools
@@ -33,7 +34,8 @@ from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from .volume import CORNERS, VOXELS, TsdfVolume, check_volume
 
 EDGES = tuple((axis, corner) for axis in range(3) for corner in range(8) if not corner >> axis & 1)
-"""(axis, lower corner) of the twelve edges; the edge joins the lower corner with lower corner + 2^axis."""
+"""(axis, lower corner) of the twelve edges; the edge joins the lower corner with lower corner +
+2^axis."""
 
 Loop = tuple[int, ...]
 """Numbers of edges, in order around a polygon."""
@@ -54,7 +56,11 @@ def _faces() -> list[list[int]]:
 def _sides(face: list[int]) -> list[int]:
     """Edges of a face: side i joins its corners i and i + 1."""
     sides = []
-    for a, b in zip(face, face[1:] + face[:1], strict=True):
+    for a, b in zip(
+        face,
+        face[1:] + face[:1],
+        strict=True,
+    ):
         axis = (a ^ b).bit_length() - 1
         sides.append(EDGES.index((axis, min(a, b))))
     return sides
@@ -64,14 +70,17 @@ _FACES = [(face, _sides(face)) for face in _faces()]
 
 
 def loops(case: int) -> list[Loop]:
-    """Closed polygons of cut edges that separate inside from outside, counter-clockwise seen from outside.
+    """Closed polygons of cut edges that separate inside from outside, counter-clockwise seen from
+    outside.
 
     Steps 1 and 2 of the derivation above.
     """
     follows = {}
     for face, sides in _FACES:
         inside = [case >> corner & 1 for corner in face]
-        turn = [inside[(i + 1) % 4] - inside[i] for i in range(4)]  # of side i: 1 goes inside, -1 comes out
+        turn = [
+            inside[(i + 1) % 4] - inside[i] for i in range(4)
+        ]  # of side i: 1 goes inside, -1 comes out
         for i in range(4):
             if turn[i] == 1:
                 onwards = [(i + k) % 4 for k in (1, 2, 3)]
@@ -87,15 +96,20 @@ def loops(case: int) -> list[Loop]:
 
 
 def triangulate(loop: Loop) -> list[Triangle]:
-    """Triangles over a loop, without diagonals that lie in a face of the cube where that is possible (step 3).
+    """Triangles over a loop, without diagonals that lie in a face of the cube where that is
+    possible (step 3).
 
-    Such a diagonal could coincide with one of the neighbouring cube, and four triangles would then share it.
+    Such a diagonal could coincide with one of the neighbouring cube, and four triangles would then
+    share it.
     """
-    return min(_triangulations(loop), key=lambda triangles: sum(map(_diagonals_in_faces, triangles)))
+    return min(
+        _triangulations(loop), key=lambda triangles: sum(map(_diagonals_in_faces, triangles))
+    )
 
 
 def _triangulations(polygon: Loop) -> list[list[Triangle]]:
-    """All ways to cut a polygon into triangles: choose the apex over its last side, then cut the two other parts."""
+    """All ways to cut a polygon into triangles: choose the apex over its last side, then cut the
+    two other parts."""
     if len(polygon) < 3:
         return [[]]
     found = []
@@ -109,7 +123,8 @@ def _triangulations(polygon: Loop) -> list[list[Triangle]]:
 
 @functools.cache
 def _diagonals_in_faces(triangle: Triangle) -> int:
-    """Sides of a triangle that lie in a face. The loop's own sides all do, so only the diagonals make a difference."""
+    """Sides of a triangle that lie in a face. The loop's own sides all do, so only the diagonals
+    make a difference."""
     sides = itertools.combinations(triangle, 2)
     faces = [set(edges) for _, edges in _FACES]
     return sum(any(face.issuperset(side) for face in faces) for side in sides)
@@ -117,13 +132,19 @@ def _diagonals_in_faces(triangle: Triangle) -> int:
 
 @functools.cache
 def triangle_table() -> tuple[Tensor, Tensor]:
-    """Edge numbers of the triangles of every case, padded with 0 [256, T, 3], and the number of triangles [256]."""
+    """Edge numbers of the triangles of every case, padded with 0 [256, T, 3], and the number of
+    triangles [256]."""
     cases = []
     for case in range(256):
         triangulated = [triangulate(loop) for loop in loops(case)]
         cases.append(list(itertools.chain.from_iterable(triangulated)))
     count = torch.tensor([len(triangles) for triangles in cases])
-    table = torch.zeros(256, int(count.max()), 3, dtype=torch.int64)
+    table = torch.zeros(
+        256,
+        int(count.max()),
+        3,
+        dtype=torch.int64,
+    )
     for case, triangles in enumerate(cases):
         if triangles:
             table[case, : len(triangles)] = torch.tensor(triangles)
@@ -142,34 +163,50 @@ def check_mesh(volume: Any, *, min_weight: float = 1.0) -> None:
 
 @op("marching_cubes", check_mesh)
 def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
-    """Marching cubes over the blocks (Lorensen & Cline 1987), with vertices on the zero crossing of D.
+    """Marching cubes over the blocks (Lorensen & Cline 1987), with vertices on the zero crossing of
+    D.
 
-    A cube spans eight voxel centres and is meshed only when all eight were observed at least ``min_weight`` times, so
-    the end of the truncation band creates no false surface. Every cut edge has one vertex, shared by all its triangles.
+    A cube spans eight voxel centres and is meshed only when all eight were observed at least
+    ``min_weight`` times, so the end of the truncation band creates no false surface. Every cut edge
+    has one vertex, shared by all its triangles.
 
     Args:
         volume: The map.
         min_weight: Smallest observation count of a usable voxel.
 
     Returns:
-        Vertices in the world frame (metres), their colours interpolated between the two voxels, and faces,
-        counter-clockwise seen from the free side.
+        Vertices in the world frame (metres), their colours interpolated between the two voxels, and
+        faces, counter-clockwise seen from the free side.
 
     Differentiable: no.
     """
     parts, keep = [], MAP_MEMORY.in_file if MAP_MEMORY.is_in_files(volume.device) else Tensor.detach
-    for n, part in enumerate(torch.arange(volume.n_blocks, device=volume.device).split(BLOCKS_AT_A_TIME), start=1):
+    for n, part in enumerate(
+        torch.arange(volume.n_blocks, device=volume.device).split(BLOCKS_AT_A_TIME), start=1
+    ):
         parts.append(tuple(map(keep, _numbered(_triangles(volume, part, min_weight)))))
         MAP_MEMORY.give_back()
         if n % 64 == 0:
             return_free_memory()  # the small results lie between large intermediate ones
-    edges, sizes = torch.cat([cut for cut, _ in parts]).unique(), [len(triangles) for _, triangles in parts]
-    faces = MAP_MEMORY.rows(sum(sizes), 3, dtype=torch.int64, device=volume.device)
+    edges, sizes = (
+        torch.cat([cut for cut, _ in parts]).unique(),
+        [len(triangles) for _, triangles in parts],
+    )
+    faces = MAP_MEMORY.rows(
+        sum(sizes),
+        3,
+        dtype=torch.int64,
+        device=volume.device,
+    )
     for place, (cut, triangles) in zip(faces.split(sizes), parts, strict=True):
         place.copy_(torch.searchsorted(edges, cut)[triangles])
         MAP_MEMORY.give_back()
     vertices_W, rgb = (MAP_MEMORY.rows(len(edges), 3, device=volume.device) for _ in range(2))
-    for places, part in zip(torch.arange(len(edges)).split(EDGES_AT_A_TIME), edges.split(EDGES_AT_A_TIME), strict=True):
+    for places, part in zip(
+        torch.arange(len(edges)).split(EDGES_AT_A_TIME),
+        edges.split(EDGES_AT_A_TIME),
+        strict=True,
+    ):
         vertices_W[places], rgb[places] = _vertices(volume, part)
         MAP_MEMORY.give_back()
     return Mesh(vertices_W=vertices_W, faces=faces, rgb=rgb)
@@ -181,8 +218,11 @@ def _numbered(triangles: Int[Tensor, "F 3"]) -> tuple[Int[Tensor, " E"], Int[Ten
     return edges, numbers.int()
 
 
-def _triangles(volume: TsdfVolume, rows: Int[Tensor, " B"], min_weight: float) -> Int[Tensor, "F 3"]:
-    """The three cut edges of every triangle of the cubes whose lowest corners are the voxels of some blocks.
+def _triangles(
+    volume: TsdfVolume, rows: Int[Tensor, " B"], min_weight: float
+) -> Int[Tensor, "F 3"]:
+    """The three cut edges of every triangle of the cubes whose lowest corners are the voxels of
+    some blocks.
 
     The number of an edge is 3 x (position of its lower voxel in the flattened pool) + axis.
     """
@@ -195,14 +235,17 @@ def _triangles(volume: TsdfVolume, rows: Int[Tensor, " B"], min_weight: float) -
 
     table, count = (t.to(volume.device) for t in triangle_table())
     number = torch.arange(table.shape[1], device=volume.device)
-    cube, nth = (number < count[case][:, None]).nonzero().unbind(1)  # of every triangle of every cube
+    cube, nth = (
+        (number < count[case][:, None]).nonzero().unbind(1)
+    )  # of every triangle of every cube
     edge = table[case[cube], nth]
     axis, lower = torch.tensor(EDGES, device=volume.device)[edge].unbind(-1)
     return 3 * corner[cube[:, None], lower] + axis
 
 
 def _cube_corners(volume: TsdfVolume, rows: Int[Tensor, " B"]) -> Int[Tensor, "C 8"]:
-    """Position in the flattened pool of the eight corners of each cube that may be cut, -1 where not allocated.
+    """Position in the flattened pool of the eight corners of each cube that may be cut, -1 where
+    not allocated.
 
     They lie in the block of the lowest corner or in one of its seven upper neighbours.
     """
@@ -210,30 +253,51 @@ def _cube_corners(volume: TsdfVolume, rows: Int[Tensor, " B"]) -> Int[Tensor, "C
     coords = volume.block_coords[rows, None] + CORNERS.to(device)
     neighbour = volume.index.find(coords.view(-1, 3)).view(-1, 8)
     block, cube = _mixed(volume.D, neighbour).nonzero().unbind(1)
-    xyz = (VOXELS[:, None] + CORNERS).to(device)  # 0..8, in voxels from the corner of the block  [512, 8, 3]
+    xyz = (VOXELS[:, None] + CORNERS).to(
+        device
+    )  # 0..8, in voxels from the corner of the block  [512, 8, 3]
     which = (xyz >> 3) @ xyz.new_tensor([1, 2, 4])
     number = (xyz & 7) @ xyz.new_tensor([64, 8, 1])
     row = neighbour[block[:, None], which[cube]]
     return torch.where(row < 0, -1, row * VOXELS_PER_BLOCK + number[cube])
 
 
-def _mixed(D: Float[Tensor, "N 512"], neighbour: Int[Tensor, "B 8"]) -> Bool[Tensor, "B 512"]:
+def _mixed(
+    D: Float[Tensor, "N 512"],
+    neighbour: Int[Tensor, "B 8"],
+) -> Bool[Tensor, "B 512"]:
     """Cubes with corners inside and outside; what is not allocated counts as outside."""
     n, side = len(neighbour), BLOCK_VOXELS
-    inside = torch.zeros(n, side + 1, side + 1, side + 1, dtype=torch.uint8, device=D.device)
+    inside = torch.zeros(
+        n,
+        side + 1,
+        side + 1,
+        side + 1,
+        dtype=torch.uint8,
+        device=D.device,
+    )
     grid = D.view(len(D), side, side, side)
-    for row, corner in zip(neighbour.unbind(1), CORNERS.tolist(), strict=True):
+    for row, corner in zip(
+        neighbour.unbind(1),
+        CORNERS.tolist(),
+        strict=True,
+    ):
         first = tuple(slice(0, 1) if upper else slice(None) for upper in corner)
         place = tuple(slice(side, None) if upper else slice(0, side) for upper in corner)
         found = (row >= 0).nonzero()[:, 0]
         inside[(found, *place)] = (grid[(slice(None), *first)][row[found]] < 0).byte()
-    corners = [inside[(slice(None), *(slice(k, k + side) for k in corner))] for corner in CORNERS.tolist()]
+    corners = [
+        inside[(slice(None), *(slice(k, k + side) for k in corner))] for corner in CORNERS.tolist()
+    ]
     count = torch.stack(corners).sum(0, dtype=torch.uint8).view(n, VOXELS_PER_BLOCK)
     return (count > 0) & (count < len(corners))
 
 
-def _vertices(volume: TsdfVolume, edges: Int[Tensor, " V"]) -> tuple[Float[Tensor, "V 3"], Float[Tensor, "V 3"]]:
-    """Positions and colours of the points on edges where D, linear between the two voxel centres, is zero."""
+def _vertices(
+    volume: TsdfVolume, edges: Int[Tensor, " V"]
+) -> tuple[Float[Tensor, "V 3"], Float[Tensor, "V 3"]]:
+    """Positions and colours of the points on edges where D, linear between the two voxel centres,
+    is zero."""
     first, axis = edges // 3, edges % 3
     along = torch.eye(3, dtype=torch.int64, device=edges.device)[axis]
     ijk = volume.voxel_at(first)
@@ -248,7 +312,10 @@ def _vertices(volume: TsdfVolume, edges: Int[Tensor, " V"]) -> tuple[Float[Tenso
 
 @piece
 def zero_crossing(
-    p0: Float[Tensor, "V 3"], p1: Float[Tensor, "V 3"], D0: Float[Tensor, " V"], D1: Float[Tensor, " V"]
+    p0: Float[Tensor, "V 3"],
+    p1: Float[Tensor, "V 3"],
+    D0: Float[Tensor, " V"],
+    D1: Float[Tensor, " V"],
 ) -> Float[Tensor, "V 3"]:
     """The point of each edge where D, linear between its ends p0 and p1 of different sign, is zero.
 

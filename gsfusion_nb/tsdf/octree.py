@@ -1,7 +1,7 @@
 """The linear octree that finds a voxel block by its coordinates.
 
-Its keys are Morton codes: three block coordinates interleaved bit by bit. Sorted codes visit the blocks in octree
-order.
+Its keys are Morton codes: three block coordinates interleaved bit by bit. Sorted codes visit the
+blocks in octree order.
 """
 
 import functools
@@ -33,14 +33,16 @@ _SPREAD = (
     (4, 0x10C30C30C30C30C3),
     (2, 0x1249249249249249),
 )
-"""Shift and mask pairs that move bit i of a 21-bit number to bit 3 i, halving the groups each time."""
+"""Shift and mask pairs that move bit i of a 21-bit number to bit 3 i, halving the groups each
+time."""
 
 _PART = 7
 """Bits that ``interleave`` looks up at a time: 2^7 numbers, three times."""
 
 
 def encode(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
-    """Morton code of signed coordinates: bit i of x, y, z becomes bit 3i, 3i+1, 3i+2. The parent is ``code >> 3``.
+    """Morton code of signed coordinates: bit i of x, y, z becomes bit 3i, 3i+1, 3i+2. The parent is
+    ``code >> 3``.
 
     Args:
         coords: Integer coordinates, each in [-2^20, 2^20). [N, 3]
@@ -62,7 +64,9 @@ def encode(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
 def check_range(low: int, high: int) -> None:
     """Raise ``ValueError`` unless all coordinates from ``low`` to ``high`` have a code."""
     if low < -OFFSET or high >= OFFSET:
-        raise ValueError(f"block coordinates must lie in [{-OFFSET}, {OFFSET}), got {low} to {high}")
+        raise ValueError(
+            f"block coordinates must lie in [{-OFFSET}, {OFFSET}), got {low} to {high}"
+        )
 
 
 @piece
@@ -75,9 +79,11 @@ def interleave(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
 
 
 @functools.cache
-def _tables(device: torch.device) -> tuple[Int[Tensor, " P"], Int[Tensor, " 3"], Int[Tensor, "3 3"]]:
-    """Every part of a coordinate with two zeros between its bits; the first bit of the parts; their places in the code,
-    by axis. The tables of a GPU are copied there once."""
+def _tables(
+    device: torch.device,
+) -> tuple[Int[Tensor, " P"], Int[Tensor, " 3"], Int[Tensor, "3 3"]]:
+    """Every part of a coordinate with two zeros between its bits; the first bit of the parts; their
+    places in the code, by axis. The tables of a GPU are copied there once."""
     spread = torch.arange(1 << _PART)
     for shift, mask in _SPREAD:
         spread = (spread | (spread << shift)) & mask
@@ -102,7 +108,8 @@ NODE_BITS = 4
 """A node of the table is 2^4 blocks wide."""
 
 TABLE_NODES = 1 << 24
-"""Largest box of nodes in a table (64 MB): a cube of 327 m with voxels of 1 cm. A larger map is searched by code."""
+"""Largest box of nodes in a table (64 MB): a cube of 327 m with voxels of 1 cm. A larger map is
+searched by code."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -127,10 +134,12 @@ class NewBlocks:
 
 
 class BlockTable:
-    """Pool rows of blocks by their coordinates, in two levels: a box of nodes, and a row for each block of a node.
+    """Pool rows of blocks by their coordinates, in two levels: a box of nodes, and a row for each
+    block of a node.
 
-    The nodes are those of the octree four levels above the blocks. Only nodes with blocks have rows, so that a long
-    walk or one far block costs little memory. Node 0 has no blocks; it stands for all nodes that do not exist.
+    The nodes are those of the octree four levels above the blocks. Only nodes with blocks have
+    rows, so that a long walk or one far block costs little memory. Node 0 has no blocks; it stands
+    for all nodes that do not exist.
     """
 
     def __init__(self, device: torch.device | str = "cpu"):
@@ -138,8 +147,14 @@ class BlockTable:
         """Lowest node of the box."""
         self.nodes = torch.zeros(1, 1, 1, dtype=torch.int32, device=device)
         """Number of each node of the box. [X, Y, Z]"""
-        self.rows = torch.full((1, 1 << 3 * NODE_BITS), -1, dtype=torch.int32, device=device)
-        """Pool row of each block of a node (number 256 x + 16 y + z), -1: none; spare ones at the end. [N, 4096]"""
+        self.rows = torch.full(
+            (1, 1 << 3 * NODE_BITS),
+            -1,
+            dtype=torch.int32,
+            device=device,
+        )
+        """Pool row of each block of a node (number 256 x + 16 y + z), -1: none; spare ones at the
+        end. [N, 4096]"""
         self._count = torch.zeros((), dtype=torch.int64, device=device)
         self._most = 0  # the count or more: the host does not wait for a GPU to know it
 
@@ -154,10 +169,17 @@ class BlockTable:
         low, high = (_corner(x >> NODE_BITS for x in corner) for corner in (new.low, new.high))
         if not self._enclose(low, high):
             return False
-        self._make_room(min(len(new), math.prod(b - a + 1 for a, b in zip(low, high, strict=True))))
+        self._make_room(
+            min(
+                len(new),
+                math.prod(b - a + 1 for a, b in zip(low, high, strict=True)),
+            )
+        )
         cell, number, _ = self._place(new.coords)
         node, parent = self.nodes.view(-1)[cell].long(), new.codes >> 3 * NODE_BITS
-        first = parent.diff(prepend=parent.new_full((1,), -1)) != 0  # blocks of a node are neighbours in Morton order
+        first = (
+            parent.diff(prepend=parent.new_full((1,), -1)) != 0
+        )  # blocks of a node are neighbours in Morton order
         opened = (first & (node == 0)).cumsum(0)
         node = torch.where(node == 0, self._count + opened, node)
         self._count = self._count + opened[-1]
@@ -165,8 +187,12 @@ class BlockTable:
         self.rows[node, number] = rows.int()
         return True
 
-    def _place(self, coords: Int[Tensor, "N 3"]) -> tuple[Int[Tensor, " N"], Int[Tensor, " N"], Bool[Tensor, " N"]]:
-        """Cell of each block's node in the box, the block's number in the node, and whether the node is in the box."""
+    def _place(
+        self,
+        coords: Int[Tensor, "N 3"],
+    ) -> tuple[Int[Tensor, " N"], Int[Tensor, " N"], Bool[Tensor, " N"]]:
+        """Cell of each block's node in the box, the block's number in the node, and whether the
+        node is in the box."""
         nx, ny, nz = self.nodes.shape
         x, y, z = coords.long().T.contiguous()  # contiguous planes are much faster on a CPU
         i = (x >> NODE_BITS) - self.low[0]
@@ -185,7 +211,8 @@ class BlockTable:
         return cell, number, inside
 
     def _enclose(self, low: Corner, high: Corner) -> bool:
-        """Enlarge the box, with room for more, so that it holds these nodes; False if it would be too large."""
+        """Enlarge the box, with room for more, so that it holds these nodes; False if it would be
+        too large."""
         if not self._most:
             self.low = low
         first = np.array(self.low)
@@ -208,7 +235,8 @@ class BlockTable:
         return True
 
     def _make_room(self, n_nodes: int) -> None:
-        """Make sure that so many more nodes have rows; the host waits for a GPU only where they might not."""
+        """Make sure that so many more nodes have rows; the host waits for a GPU only where they
+        might not."""
         self._most += n_nodes
         if self._most >= len(self.rows):
             self._most = int(self._count) + n_nodes
@@ -221,9 +249,10 @@ class BlockTable:
 class BlockIndex:
     """Sorted Morton codes of the allocated blocks, and the pool row of each.
 
-    A linear octree (Gargantini 1982): only leaves are stored, the node above a code is ``code >> 3``, and all leaves
-    below a node are neighbours in ``codes``. The world is limited only by the 21 bits per axis of a code. Blocks are
-    found through a table, which is faster than a binary search.
+    A linear octree (Gargantini 1982): only leaves are stored, the node above a code is
+    ``code >> 3``, and all leaves below a node are neighbours in ``codes``. The world is limited
+    only by the 21 bits per axis of a code. Blocks are found through a table, which is faster than a
+    binary search.
     """
 
     def __init__(self, device: torch.device | str = "cpu"):
@@ -236,14 +265,17 @@ class BlockIndex:
 
     @classmethod
     def of_blocks(cls, coords: Int[Tensor, "B 3"]) -> "BlockIndex":
-        """The index of blocks whose row is their position in ``coords``, which must all be different."""
+        """The index of blocks whose row is their position in ``coords``, which must all be
+        different."""
         index = cls(coords.device)
         index._codes, index._rows = encode(coords).sort()
         index._count = len(coords)
         if len(index):
             low, high = torch.stack(torch.aminmax(coords, dim=0)).tolist()
             coords = coords[index._rows].long()
-            blocks = NewBlocks(coords=coords, codes=index._codes, low=_corner(low), high=_corner(high))
+            blocks = NewBlocks(
+                coords=coords, codes=index._codes, low=_corner(low), high=_corner(high)
+            )
             index._enter(blocks, index._rows)
         return index
 
@@ -264,7 +296,11 @@ class BlockIndex:
 
     def find(self, block_coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
         """Pool row of each block, -1 where it is not allocated. int64"""
-        return self._search(encode(block_coords)) if self.table is None else self.table.find(block_coords)
+        return (
+            self._search(encode(block_coords))
+            if self.table is None
+            else self.table.find(block_coords)
+        )
 
     def missing(self, coords: Int[Tensor, "N 3"]) -> NewBlocks:
         """Those of the blocks at ``coords`` that are not allocated. The host waits for a GPU once.
@@ -273,13 +309,22 @@ class BlockIndex:
             ValueError: a coordinate does not fit in a Morton code.
         """
         coords = coords.to(torch.int64)
-        by_table = self.table is not None and coords.device.type == "cpu"  # a GPU would be waited for here
+        by_table = (
+            self.table is not None and coords.device.type == "cpu"
+        )  # a GPU would be waited for here
         if by_table:
             coords = coords[self.find(coords) < 0]
         if not len(coords):
-            return NewBlocks(coords=coords, codes=coords.new_zeros(0), low=(0, 0, 0), high=(0, 0, 0))
+            return NewBlocks(
+                coords=coords,
+                codes=coords.new_zeros(0),
+                low=(0, 0, 0),
+                high=(0, 0, 0),
+            )
         codes = interleave(coords)
-        present = torch.zeros_like(codes, dtype=torch.bool) if by_table else _among(codes, self.codes)
+        present = (
+            torch.zeros_like(codes, dtype=torch.bool) if by_table else _among(codes, self.codes)
+        )
         codes, order = codes.masked_fill(present, -1).sort()  # those that exist come first, as -1
         counts = torch.stack([present.sum(), (codes.diff() == 0).sum()])
         *box, n, equal = torch.cat([*torch.aminmax(coords, dim=0), counts]).tolist()
@@ -288,15 +333,21 @@ class BlockIndex:
         if equal > max(n - 1, 0):  # a block was given twice
             first = codes.diff(prepend=codes.new_full((1,), -1)) != 0
             codes, order = codes[first], order[first]
-        return NewBlocks(coords=coords[order], codes=codes, low=_corner(box[:3]), high=_corner(box[3:]))
+        return NewBlocks(
+            coords=coords[order],
+            codes=codes,
+            low=_corner(box[:3]),
+            high=_corner(box[3:]),
+        )
 
     def add(self, new: NewBlocks) -> None:
         """Give the next rows to the blocks that ``missing`` returned, in their order.
 
-        Breadth-first allocation from the top (GSFusion III-B.1): a descent that creates the missing nodes level by
-        level arrives at the new leaves in Morton order. Here the nodes above are implied by the leaf codes, so the
-        whole descent is one merge of sorted codes. The merge is left until the codes are asked for: where blocks are
-        found through the table, that is not in every frame.
+        Breadth-first allocation from the top (GSFusion III-B.1): a descent that creates the missing
+        nodes level by level arrives at the new leaves in Morton order. Here the nodes above are
+        implied by the leaf codes, so the whole descent is one merge of sorted codes. The merge is
+        left until the codes are asked for: where blocks are found through the table, that is not in
+        every frame.
         """
         n, M = len(self), len(new)
         if not M:
@@ -321,7 +372,8 @@ class BlockIndex:
         self._added = []
 
     def level(self, k: int) -> Int[Tensor, " P"]:
-        """Codes of the distinct octree nodes ``k`` levels above the blocks; ``level(0)`` are the blocks. Sorted."""
+        """Codes of the distinct octree nodes ``k`` levels above the blocks; ``level(0)`` are the
+        blocks. Sorted."""
         if not 0 <= k <= BITS:
             raise ValueError(f"level must be between 0 (blocks) and {BITS} (root), got {k}")
         return (self.codes >> (3 * k)).unique_consecutive()
@@ -337,9 +389,12 @@ class BlockIndex:
         if self.table is not None and not self.table.enter(new, rows):
             self.table = None
             log.warning(
-                "blocks from %s to %s: the map is too large for a table of its blocks, and looking at it is slow from "
-                "here on; check the poses, or use larger voxels (tsdf.voxel_size_m)", new.low, new.high
-            )  # fmt: skip
+                "blocks from %s to %s: the map is too large for a table of its blocks, and looking "
+                "at it is slow from "
+                "here on; check the poses, or use larger voxels (tsdf.voxel_size_m)",
+                new.low,
+                new.high,
+            )
 
 
 def _corner(numbers: Iterable[int]) -> Corner:

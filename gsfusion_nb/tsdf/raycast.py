@@ -1,17 +1,20 @@
-"""What a camera sees of the volume: march every ray to the surface (KinectFusion, Newcombe et al. 2011).
+"""What a camera sees of the volume: march every ray to the surface (KinectFusion, Newcombe et al.
+2011).
 
-The points of a ray are x(z) = o + z r, with the camera's centre o and r of length 1 along the camera's axis. A ray
-advances by a share s of the stored distance (truncation distance mu), by a voxel v at least, and across a block that is
-not allocated in one step:
+The points of a ray are x(z) = o + z r, with the camera's centre o and r of length 1 along the
+camera's axis. A ray advances by a share s of the stored distance (truncation distance mu), by a
+voxel v at least, and across a block that is not allocated in one step:
 
     z <- z + max(s mu |D(x)|, v) / |r|                                                     (1)
 
-The surface is between the first two samples z0, z1 with D0 >= 0 > D1, where a straight line through them is zero:
+The surface is between the first two samples z0, z1 with D0 >= 0 > D1, where a straight line through
+them is zero:
 
     z* = z0 + (z1 - z0) D0 / (D0 - D1)                                                     (2)
 
-Its normal is the direction of the gradient of D. D is read in two ways: of the voxel that holds x, which is quick and
-says how far the ray may go; and trilinear between the eight voxels around x, close to a surface and in (2).
+Its normal is the direction of the gradient of D. D is read in two ways: of the voxel that holds x,
+which is quick and says how far the ray may go; and trilinear between the eight voxels around x,
+close to a surface and in (2).
 """
 
 from dataclasses import dataclass
@@ -29,13 +32,16 @@ from ..types import Camera
 from .volume import TsdfVolume, check_volume, corner_gradients, corner_weights
 
 STEP = 0.7
-"""s in (1). Below 1, because D was measured along other rays and overestimates the true distance."""
+"""s in (1). Below 1, because D was measured along other rays and overestimates the true
+distance."""
 
 CLOSE_VOXELS = 2.0
-"""Closer to a surface, marching uses the interpolated D, because the sign of the nearest voxel can be wrong there."""
+"""Closer to a surface, marching uses the interpolated D, because the sign of the nearest voxel can
+be wrong there."""
 
 REFINEMENTS = 2
-"""How often (2) is computed again, with the interpolated D at the last z* in place of the end with the same sign."""
+"""How often (2) is computed again, with the interpolated D at the last z* in place of the end with
+the same sign."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,8 +67,8 @@ def check_raycast(volume: Any, camera: Any, T_WC: Any) -> None:
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
     """Depth, normals and colour of the zero crossing of D, as seen from a pose.
 
-    Each ray advances by (1) and stops where D changes from + to -. A ray on which D changes from - to + has met the
-    back of a surface and ends there without a result.
+    Each ray advances by (1) and stops where D changes from + to -. A ray on which D changes from -
+    to + has met the back of a surface and ends there without a result.
 
     Args:
         volume: The map.
@@ -76,7 +82,9 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> R
     """
     T_WC = T_WC.to(volume.device, torch.float32)
     H, W, n = camera.height, camera.width, camera.height * camera.width
-    depth_m, normal_W, rgb = (torch.zeros(n, *channels, device=volume.device) for channels in ((), (3,), (3,)))
+    depth_m, normal_W, rgb = (
+        torch.zeros(n, *channels, device=volume.device) for channels in ((), (3,), (3,))
+    )
     if volume.n_blocks:
         ray_C = rays(camera, pixel_grid(camera, device=volume.device))
         ray_W = se3.rotate(T_WC, ray_C).view(n, 3)
@@ -91,12 +99,23 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> R
         gradient = (D[..., None] * corner_gradients(f)).sum(1)
         normal_W[hit] = torch.nn.functional.normalize(gradient, dim=1)
         rgb[hit] = (volume.voxel_rgb(at) * corner_weights(f)[..., None]).sum(1)
-    return RaycastOutput(depth_m=depth_m.view(H, W), normal_W=normal_W.view(H, W, 3), rgb=rgb.view(H, W, 3))
+    return RaycastOutput(
+        depth_m=depth_m.view(H, W),
+        normal_W=normal_W.view(H, W, 3),
+        rgb=rgb.view(H, W, 3),
+    )
 
 
-def _surface_depths(volume: TsdfVolume, T_WC: Float[Tensor, "4 4"], ray_W: Float[Tensor, "R 3"]) -> Float[Tensor, " R"]:
-    """Depth at which each ray first changes from the free side of a surface to its inside, NaN where none does."""
-    origin_W, voxel_m, truncation_m = T_WC[:3, 3], volume.config.voxel_size_m, volume.config.truncation_m
+def _surface_depths(
+    volume: TsdfVolume, T_WC: Float[Tensor, "4 4"], ray_W: Float[Tensor, "R 3"]
+) -> Float[Tensor, " R"]:
+    """Depth at which each ray first changes from the free side of a surface to its inside, NaN
+    where none does."""
+    origin_W, voxel_m, truncation_m = (
+        T_WC[:3, 3],
+        volume.config.voxel_size_m,
+        volume.config.truncation_m,
+    )
     T_CW = se3.inverse(T_WC.double())
     z_blocks = se3.apply(T_CW, volume.block_corners())[..., 2]
     z_last = float(z_blocks.max())
@@ -113,13 +132,17 @@ def _surface_depths(volume: TsdfVolume, T_WC: Float[Tensor, "4 4"], ray_W: Float
         bracket = [t[enters] for t in (z_before, z, D_before, D)]
         depth[ray[enters]] = _zero_crossing(volume, origin_W, r[enters], bracket)
         free_m = (STEP * truncation_m * D.abs()).nan_to_num(0.0).clamp(min=voxel_m)
-        step = torch.where(allocated, free_m / r.norm(dim=1), _to_block_exit(volume, point_W, r))  # (1)
+        step = torch.where(
+            allocated, free_m / r.norm(dim=1), _to_block_exit(volume, point_W, r)
+        )  # (1)
         goes_on = ~enters & ~leaves & (z + step < z_last)
         ray, z_before, D_before, z = ray[goes_on], z[goes_on], D[goes_on], (z + step)[goes_on]
     return depth
 
 
-def _distance_at(volume: TsdfVolume, point_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
+def _distance_at(
+    volume: TsdfVolume, point_W: Float[Tensor, "N 3"]
+) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
     """D at points, NaN where not observed; and whether their block is allocated."""
     voxel = volume.find_voxels(volume.voxel_index(point_W))
     nearest = volume.D.view(-1)[voxel].where(volume.observed(voxel), torch.nan)
@@ -133,20 +156,29 @@ def _distance_at(volume: TsdfVolume, point_W: Float[Tensor, "N 3"]) -> tuple[Flo
 def _to_block_exit(
     volume: TsdfVolume, point_W: Float[Tensor, "N 3"], ray_W: Float[Tensor, "N 3"]
 ) -> Float[Tensor, " N"]:
-    """Depth to add so that each point leaves its block, plus a hundredth of a voxel to be surely outside."""
+    """Depth to add so that each point leaves its block, plus a hundredth of a voxel to be surely
+    outside."""
     p = point_W / volume.block_size_m
-    to_wall = torch.where(ray_W > 0, p.floor() + 1 - p, p - p.floor())
+    to_wall = torch.where(
+        ray_W > 0,
+        p.floor() + 1 - p,
+        p - p.floor(),
+    )
     to_wall_m = to_wall * volume.block_size_m
     to_exit = (to_wall_m / ray_W.abs().clamp(min=1e-9)).amin(1)
     return to_exit + 0.01 * volume.config.voxel_size_m
 
 
 def _zero_crossing(
-    volume: TsdfVolume, origin_W: Float[Tensor, " 3"], ray_W: Float[Tensor, "N 3"], bracket: list[Tensor]
+    volume: TsdfVolume,
+    origin_W: Float[Tensor, " 3"],
+    ray_W: Float[Tensor, "N 3"],
+    bracket: list[Tensor],
 ) -> Float[Tensor, " N"]:
     """Depth of the zero of D inside a bracket (depths before and behind, D before and behind).
 
-    Equation (2), then again in the part of the bracket where the sign of the interpolated D changes (regula falsi).
+    Equation (2), then again in the part of the bracket where the sign of the interpolated D changes
+    (regula falsi).
     """
     z0, z1, D0, D1 = bracket
     z = z0 + (z1 - z0) * D0 / (D0 - D1)

@@ -1,6 +1,7 @@
 """The volumetric map: an unordered pool of 8^3 voxel blocks, found through a linear octree.
 
-Between voxel centres D is interpolated: trilinear weights of the eight corners of a cell, and their derivatives.
+Between voxel centres D is interpolated: trilinear weights of the eight corners of a cell, and their
+derivatives.
 """
 
 import functools
@@ -30,12 +31,18 @@ def corners(device: torch.device) -> Int[Tensor, "8 3"]:
 
 
 def corner_weights(f: Float[Tensor, "N 3"]) -> Float[Tensor, "N 8"]:
-    """Trilinear weights of the corners of a cell, at fractions ``f`` along its edges: products of f or 1 - f."""
-    return torch.where(corners(f.device) == 1, f[:, None], 1.0 - f[:, None]).prod(2)
+    """Trilinear weights of the corners of a cell, at fractions ``f`` along its edges: products of f
+    or 1 - f."""
+    return torch.where(
+        corners(f.device) == 1,
+        f[:, None],
+        1.0 - f[:, None],
+    ).prod(2)
 
 
 def corner_gradients(f: Float[Tensor, "N 3"]) -> Float[Tensor, "N 8 3"]:
-    """Derivatives of ``corner_weights`` along the three axes: plus or minus the product over the other two axes."""
+    """Derivatives of ``corner_weights`` along the three axes: plus or minus the product over the
+    other two axes."""
     upper = corners(f.device) == 1
     along = torch.where(upper, f[:, None], 1.0 - f[:, None])
     others = along[..., [[1, 2], [0, 2], [0, 1]]].prod(3)
@@ -48,10 +55,12 @@ VOXELS = torch.tensor([[x, y, z] for x in range(8) for y in range(8) for z in ra
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TsdfSample:
-    """Voxel values at points, or of whole blocks. Where no voxel is allocated: ``D`` 1, ``W`` 0, black."""
+    """Voxel values at points, or of whole blocks. Where no voxel is allocated: ``D`` 1, ``W`` 0,
+    black."""
 
     D: Float[Tensor, "*N"]
-    """Truncated signed distance, in units of the truncation distance, positive in front of the surface."""
+    """Truncated signed distance, in units of the truncation distance, positive in front of the
+    surface."""
     W: Float[Tensor, "*N"]
     """Observation count."""
     rgb: Float[Tensor, "*N 3"]
@@ -63,18 +72,24 @@ class TsdfSample:
 class TsdfVolume:
     """A sparse truncated signed distance field with colour.
 
-    Voxel i of an axis spans [i, i + 1) voxel sizes from the world's origin, and its values stand for its centre.
-    Block b holds voxels 8b .. 8b + 7; inside a block, voxel (x, y, z) is number 64 x + 8 y + z. Blocks are created
-    where they are needed, anywhere in the world, and keep their row.
+    Voxel i of an axis spans [i, i + 1) voxel sizes from the world's origin, and its values stand
+    for its centre. Block b holds voxels 8b .. 8b + 7; inside a block, voxel (x, y, z) is number 64
+    x + 8 y + z. Blocks are created where they are needed, anywhere in the world, and keep their
+    row.
 
     Args:
         config: Voxel size, truncation and the other settings.
         device: Device of the tensors.
-        memory_limit_bytes: Refuse to grow beyond this; by default, beyond what the machine has available.
+        memory_limit_bytes: Refuse to grow beyond this; by default, beyond what the machine has
+            available.
     """
 
     def __init__(
-        self, config: TsdfConfig, device: torch.device | str = "cpu", *, memory_limit_bytes: int | None = None
+        self,
+        config: TsdfConfig,
+        device: torch.device | str = "cpu",
+        *,
+        memory_limit_bytes: int | None = None,
     ):
         self.config = config
         self.device = torch.device(device)
@@ -89,7 +104,8 @@ class TsdfVolume:
 
     @property
     def D(self) -> Float[Tensor, "B 512"]:
-        """Truncated signed distance of every voxel; 1 until observed. A view: writing to it changes the map."""
+        """Truncated signed distance of every voxel; 1 until observed. A view: writing to it changes
+        the map."""
         return self._pool.D[: self.n_blocks]
 
     @property
@@ -104,12 +120,14 @@ class TsdfVolume:
 
     @property
     def rgb_planes(self) -> Float[Tensor, "B 3 512"]:
-        """The colours as they are stored, one plane per channel: integration is 6 times faster on whole planes."""
+        """The colours as they are stored, one plane per channel: integration is 6 times faster on
+        whole planes."""
         return self._pool.rgb[: self.n_blocks]
 
     @property
     def W_rgb(self) -> Float[Tensor, "B 512"]:
-        """Weight of the colour of every voxel; ``W`` where colours have no weights of their own. A view."""
+        """Weight of the colour of every voxel; ``W`` where colours have no weights of their own. A
+        view."""
         return self.W if self._pool.W_rgb is None else self._pool.W_rgb[: self.n_blocks]
 
     @property
@@ -136,18 +154,22 @@ class TsdfVolume:
         """Allocate the blocks at ``coords`` that do not exist yet; returns their rows.
 
         Raises:
-            MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room for.
+            MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room
+                for.
         """
         return self.allocate_missing(self.make_room(coords))
 
     def make_room(self, coords: Int[Tensor, "N 3"]) -> NewBlocks:
-        """Make sure that the blocks at ``coords`` can be allocated; returns those that do not exist yet.
+        """Make sure that the blocks at ``coords`` can be allocated; returns those that do not exist
+        yet.
 
-        No block is allocated yet: this is the part of ``add_blocks`` that can fail. The host waits for a GPU once.
+        No block is allocated yet: this is the part of ``add_blocks`` that can fail. The host waits
+        for a GPU once.
 
         Raises:
             ValueError: a block lies beyond the voxel index.
-            MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room for.
+            MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room
+                for.
         """
         return self.reserve(self.index.missing(coords))
 
@@ -155,7 +177,8 @@ class TsdfVolume:
         """Make sure that blocks which do not exist yet can be allocated; returns them.
 
         Raises:
-            MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room for.
+            MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room
+                for.
         """
         if len(missing):
             self._reserve(self.n_blocks + len(missing))
@@ -174,14 +197,20 @@ class TsdfVolume:
         return torch.floor(xyz_W / self.config.voxel_size_m).to(torch.int64)
 
     def find_voxels(self, ijk: Int[Tensor, "*N 3"]) -> Int[Tensor, "*N"]:
-        """Position of each voxel in the flattened pool (row * 512 + number in the block), -1 if not allocated. int64"""
+        """Position of each voxel in the flattened pool (row * 512 + number in the block), -1 if not
+        allocated. int64"""
         blocks = block_of(ijk).reshape(-1, 3)
         row = self.index.find(blocks).view(ijk.shape[:-1])
         x, y, z = (ijk & 7).unbind(-1)
-        return torch.where(row < 0, -1, row * VOXELS_PER_BLOCK + 64 * x + 8 * y + z)
+        return torch.where(
+            row < 0,
+            -1,
+            row * VOXELS_PER_BLOCK + 64 * x + 8 * y + z,
+        )
 
     def voxel_at(self, flat: Int[Tensor, " N"]) -> Int[Tensor, "N 3"]:
-        """Integer coordinates of allocated voxels, given by their position in the flattened pool. int64"""
+        """Integer coordinates of allocated voxels, given by their position in the flattened pool.
+        int64"""
         row, number = flat // VOXELS_PER_BLOCK, flat % VOXELS_PER_BLOCK
         return BLOCK_VOXELS * self.block_coords[row].long() + VOXELS.to(self.device)[number]
 
@@ -190,11 +219,13 @@ class TsdfVolume:
         return BLOCK_VOXELS * self.block_coords[rows, None].long() + VOXELS.to(self.device)
 
     def voxel_centres(self, rows: Int[Tensor, " B"]) -> Float[Tensor, "B 512 3"]:
-        """Centres of the voxels of some blocks, world frame, metres: what the values of a voxel stand for. float64"""
+        """Centres of the voxels of some blocks, world frame, metres: what the values of a voxel
+        stand for. float64"""
         return self.centres_of(self.voxel_coords(rows))
 
     def centres_of(self, ijk: Int[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
-        """Centres of voxels, allocated or not, given by their integer coordinates. World frame, metres. float64"""
+        """Centres of voxels, allocated or not, given by their integer coordinates. World frame,
+        metres. float64"""
         return (ijk.double() + 0.5) * self.config.voxel_size_m
 
     def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
@@ -212,29 +243,37 @@ class TsdfVolume:
         return self.corners_of(self.block_coords)
 
     def corners_of(self, blocks: Int[Tensor, "B 3"]) -> Float[Tensor, "B 8 3"]:
-        """Corners of blocks, allocated or not, given by their integer coordinates. World frame, metres. float64"""
+        """Corners of blocks, allocated or not, given by their integer coordinates. World frame,
+        metres. float64"""
         return (blocks[:, None].double() + corners(self.device)) * self.block_size_m
 
     def voxel_rgb(self, flat: Int[Tensor, "*N"]) -> Float[Tensor, "*N 3"]:
         """Colours of allocated voxels, given by their position in the flattened pool."""
         return self.rgb_planes[flat // VOXELS_PER_BLOCK, :, flat % VOXELS_PER_BLOCK]
 
-    def cell_corners(self, xyz_W: Float[Tensor, "N 3"]) -> tuple[Int[Tensor, "N 8"], Float[Tensor, "N 3"]]:
-        """The eight voxels whose centres surround each point, and where the point lies between them.
+    def cell_corners(
+        self, xyz_W: Float[Tensor, "N 3"]
+    ) -> tuple[Int[Tensor, "N 8"], Float[Tensor, "N 3"]]:
+        """The eight voxels whose centres surround each point, and where the point lies between
+        them.
 
         Returns:
-            Positions in the flattened pool, -1 if not allocated, corner x + 2 y + 4 z [N, 8]; fractions in 0..1 [N, 3].
+            Positions in the flattened pool, -1 if not allocated, corner x + 2 y + 4 z [N, 8];
+            fractions in 0..1 [N, 3].
         """
         p = xyz_W / self.config.voxel_size_m - 0.5
         lowest = p.floor()
         surrounding = lowest.long()[:, None] + corners(self.device)
         return self.find_voxels(surrounding), p - lowest
 
-    def interpolate(self, xyz_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
+    def interpolate(
+        self, xyz_W: Float[Tensor, "N 3"]
+    ) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
         """Trilinear signed distance at points, in units of the truncation distance.
 
         Returns:
-            ``D`` (1 where not valid) and ``valid``: all eight surrounding voxels have been observed.
+            ``D`` (1 where not valid) and ``valid``: all eight surrounding voxels have been
+            observed.
 
         Differentiable: no (the map is state, not a parameter).
         """
@@ -247,14 +286,16 @@ class TsdfVolume:
         return D, valid
 
     def observed(self, flat: Int[Tensor, "*N"]) -> Bool[Tensor, "*N"]:
-        """Whether voxels, given by their position in the flattened pool, are allocated (not -1) and have a weight."""
+        """Whether voxels, given by their position in the flattened pool, are allocated (not -1) and
+        have a weight."""
         allocated = flat >= 0
         observed = torch.zeros_like(allocated)
         observed[allocated] = self.W.view(-1)[flat[allocated]] > 0
         return observed
 
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
-        """Everything needed to continue: configuration and blocks; without ``copies`` later frames change them."""
+        """Everything needed to continue: configuration and blocks; without ``copies`` later frames
+        change them."""
         tensors = self._tensors()
         if copies:
             tensors = {name: x.clone() for name, x in tensors.items()}
@@ -270,53 +311,74 @@ class TsdfVolume:
         """Replace the map by one saved with ``state_dict``; its configuration must be the same.
 
         Raises:
-            ValueError: Another configuration, tensors of other types or sizes, numbers that are not finite, a negative
-                weight, or a block that is stored twice or lies outside the index range.
+            ValueError: Another configuration, tensors of other types or sizes, numbers that are not
+                finite, a negative weight, or a block that is stored twice or lies outside the index
+                range.
         """
         config = from_run(TsdfConfig, state["config"])
         if config != self.config:
             raise ValueError(f"the saved map was made with {config}, this volume has {self.config}")
         _check_saved_blocks(state)
         self._take(
-            {name: state[name] for name in ("D", "W", "rgb", "block_coords")} | {"W_rgb": _colour_weights(state)}
+            {name: state[name] for name in ("D", "W", "rgb", "block_coords")}
+            | {"W_rgb": _colour_weights(state)}
         )
 
     def _take(self, tensors: dict[str, Tensor]) -> None:
-        """Replace the blocks by those of ``_tensors``, which may be on another device, whose memory may be full."""
+        """Replace the blocks by those of ``_tensors``, which may be on another device, whose memory
+        may be full."""
         coords = tensors["block_coords"].to(self.device)
         n, self._pool = coords.shape[0], self._empty_pool()
         self._reserve(n)
         self.index = BlockIndex.of_blocks(coords)
         pool = self._pool
-        for target, name in ((pool.D, "D"), (pool.W, "W"), (pool.rgb, "rgb"), (pool.coords, "block_coords")):
+        for target, name in (
+            (pool.D, "D"),
+            (pool.W, "W"),
+            (pool.rgb, "rgb"),
+            (pool.coords, "block_coords"),
+        ):
             target[:n] = tensors[name].to(self.device)
         if pool.W_rgb is not None:
             pool.W_rgb[:n] = tensors["W_rgb"].to(self.device)
 
     def _tensors(self) -> dict[str, Tensor]:
         weights = {"W_rgb": self.W_rgb} if self.config.weighs_colours else {}
-        return {"D": self.D, "W": self.W, "rgb": self.rgb_planes, "block_coords": self.block_coords} | weights
+        return {
+            "D": self.D,
+            "W": self.W,
+            "rgb": self.rgb_planes,
+            "block_coords": self.block_coords,
+        } | weights
 
     def _empty_pool(self) -> BlockPool:
         return BlockPool(0, self.device, weighs_colours=self.config.weighs_colours)
 
     def _reserve(self, n_blocks: int) -> None:
         limit, voxel_size_m = self.memory_limit_bytes, self.config.voxel_size_m
-        self._pool = self._pool.with_room_for(n_blocks, limit_bytes=limit, voxel_size_m=voxel_size_m)
+        self._pool = self._pool.with_room_for(
+            n_blocks, limit_bytes=limit, voxel_size_m=voxel_size_m
+        )
 
 
 def _check_saved_blocks(state: dict[str, Any]) -> None:
     coords = state["block_coords"]
     check_saved("block_coords", coords, ("B", 3), torch.int32)
     n = len(coords)
-    for name, shape in (("D", (n, VOXELS_PER_BLOCK)), ("W", (n, VOXELS_PER_BLOCK)), ("rgb", (n, 3, VOXELS_PER_BLOCK))):
+    for name, shape in (
+        ("D", (n, VOXELS_PER_BLOCK)),
+        ("W", (n, VOXELS_PER_BLOCK)),
+        ("rgb", (n, 3, VOXELS_PER_BLOCK)),
+    ):
         check_saved(name, state[name], shape)
     check_saved("W_rgb", _colour_weights(state), (n, VOXELS_PER_BLOCK))
     if len(encode(coords).unique()) != n:
         raise ValueError("block_coords must contain every block once")
     for name, weights in (("W", state["W"]), ("W_rgb", _colour_weights(state))):
         if n and float(weights.min()) < 0:
-            raise ValueError(f"{name} must be at least 0 in every voxel, got {float(weights.min()):g}")
+            raise ValueError(
+                f"{name} must be at least 0 in every voxel, got {float(weights.min()):g}"
+            )
 
 
 def _colour_weights(state: dict[str, Any]) -> Tensor:
@@ -338,17 +400,27 @@ def check_sample(volume: Any, xyz_W: Any) -> None:
 
 @piece
 def block_of(ijk: Int[Tensor, "*N 3"]) -> Int[Tensor, "*N 3"]:
-    """The block that contains each voxel: floor(ijk / 8). A shift by three bits rounds down below zero, too."""
+    """The block that contains each voxel: floor(ijk / 8). A shift by three bits rounds down below
+    zero, too."""
     return ijk >> 3
 
 
 @op("sample", check_sample)
 def sample_voxels(volume: TsdfVolume, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
-    """Values of the voxels that contain the points; the operation behind ``TsdfVolume.sample_nearest``."""
+    """Values of the voxels that contain the points; the operation behind
+    ``TsdfVolume.sample_nearest``."""
     at = volume.find_voxels(volume.voxel_index(xyz_W))
     known, at = at >= 0, at[at >= 0]
-    D, W, rgb = xyz_W.new_ones(len(known)), xyz_W.new_zeros(len(known)), xyz_W.new_zeros(len(known), 3)
+    D, W, rgb = (
+        xyz_W.new_ones(len(known)),
+        xyz_W.new_zeros(len(known)),
+        xyz_W.new_zeros(len(known), 3),
+    )
     W_rgb = torch.zeros_like(W)
-    D[known], W[known], rgb[known] = volume.D.view(-1)[at], volume.W.view(-1)[at], volume.voxel_rgb(at)
+    D[known], W[known], rgb[known] = (
+        volume.D.view(-1)[at],
+        volume.W.view(-1)[at],
+        volume.voxel_rgb(at),
+    )
     W_rgb[known] = volume.W_rgb.view(-1)[at]
     return TsdfSample(D=D, W=W, rgb=rgb, W_rgb=W_rgb)

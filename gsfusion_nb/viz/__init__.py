@@ -1,4 +1,5 @@
-"""Pictures, live views and panels for notebooks. Import them from here; each is loaded when it is first used.
+"""Pictures, live views and panels for notebooks. Import them from here; each is loaded when it is
+first used.
 
 The names, and where each is from, are in ``__init__.pyi``.
 """

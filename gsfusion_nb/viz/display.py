@@ -32,7 +32,11 @@ if TYPE_CHECKING:
 
 
 def show(
-    images: AnyImage | Sequence[AnyImage], labels: str | Sequence[str] = (), *, scale: float | int = 1.0, alt: str = ""
+    images: AnyImage | Sequence[AnyImage],
+    labels: str | Sequence[str] = (),
+    *,
+    scale: float | int = 1.0,
+    alt: str = "",
 ) -> "Image":
     """One image, or several in a row with a label above each, as the output of a notebook cell.
 
@@ -40,19 +44,27 @@ def show(
         images: RGB, 0..1 or bytes. [H, W, 3]
         labels: One per image, or none.
         scale: Size on screen, screen pixels per image pixel.
-        alt: What it shows, for screen readers and for pages made from the notebook; by default the labels.
+        alt: What it shows, for screen readers and for pages made from the notebook; by default the
+            labels.
     """
     from IPython.display import Image
 
     row: list[Any] = list(images) if isinstance(images, (list, tuple)) else [images]
     captions = [labels] if isinstance(labels, str) else list(labels)
-    if scale < 1 or captions:  # resized before the labels are written, so that the text keeps its size
+    if (
+        scale < 1 or captions
+    ):  # resized before the labels are written, so that the text keeps its size
         how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
         row = [cv2.resize(to_uint8(i), None, fx=scale, fy=scale, interpolation=how) for i in row]
         scale = 1
     picture = side_by_side(row, captions) if captions or len(row) > 1 else to_uint8(row[0])
     words = alt or "; ".join(captions) or "picture"
-    return Image(data=encode_jpeg(picture), format="jpeg", width=round(picture.shape[1] * scale), alt=words)
+    return Image(
+        data=encode_jpeg(picture),
+        format="jpeg",
+        width=round(picture.shape[1] * scale),
+        alt=words,
+    )
 
 
 def show_figure(figure: "Figure", *, width: int = 520, alt: str = "") -> "Image":
@@ -61,16 +73,25 @@ def show_figure(figure: "Figure", *, width: int = 520, alt: str = "") -> "Image"
     Args:
         figure: A matplotlib figure; its ground becomes transparent.
         width: On screen, pixels.
-        alt: What it shows, for screen readers and for pages made from the notebook; by default the names of its axes
-            and curves.
+        alt: What it shows, for screen readers and for pages made from the notebook; by default the
+            names of its axes and curves.
     """
     from IPython.display import Image
 
-    return Image(data=figure_png(figure), format="png", width=width, alt=alt or figure_words(figure))
+    return Image(
+        data=figure_png(figure), format="png", width=width, alt=alt or figure_words(figure)
+    )
 
 
-def with_picture(bundle: Any, picture: AnyImage, text: str, *, alt: str = "") -> Bundle:
-    """A widget's mime bundle with a picture beside it, for readers of the stored notebook; and its metadata.
+def with_picture(
+    bundle: Any,
+    picture: AnyImage,
+    text: str,
+    *,
+    alt: str = "",
+) -> Bundle:
+    """A widget's mime bundle with a picture beside it, for readers of the stored notebook; and its
+    metadata.
 
     With ``static_views()`` only the picture is kept.
 
@@ -100,13 +121,20 @@ def joined(modules: Sequence[str]) -> str:
     return "\n".join(_EXPORT.sub("", _IMPORT.sub("", source(f"{name}.js"))) for name in modules)
 
 
-def front_end(worker: Sequence[str], page: Sequence[str], worker_name: str, texts: Mapping[str, str]) -> str:
+def front_end(
+    worker: Sequence[str],
+    page: Sequence[str],
+    worker_name: str,
+    texts: Mapping[str, str],
+) -> str:
     """The module of a viewer that computes in a worker.
 
     Args:
-        worker: Modules of the worker, in the order of their imports; without a page, so that node runs them too.
+        worker: Modules of the worker, in the order of their imports; without a page, so that node
+            runs them too.
         page: Modules of the page.
-        worker_name: Constant that holds the worker's text; its code is also in the page, for where none is allowed.
+        worker_name: Constant that holds the worker's text; its code is also in the page, for where
+            none is allowed.
         texts: Constant -> name of a file that it holds.
     """
     code = joined(worker)
@@ -124,7 +152,8 @@ _LOST_CSS = """
 class LostNotice(anywidget.AnyWidget):
     """Empty while the kernel lives; after a restart or a shutdown it tells to run the cell again.
 
-    It also gives the sliders beside it their labels as names for screen readers, which ipywidgets does not.
+    It also gives the sliders beside it their labels as names for screen readers, which ipywidgets
+    does not.
     """
 
     _esm = joined(("lost", "notice"))
@@ -156,8 +185,9 @@ class Stroke:
 class ClickImage(anywidget.AnyWidget):
     """A picture that says where it is touched, with the mouse, a finger, or the arrow keys.
 
-    With touch "stroke", ``on_stroke(f)`` calls ``f(stroke)`` while the picture is dragged; each arrow key drags by 4
-    pixels. While ``f`` is at work, newer positions replace each other, so that only the last one waits.
+    With touch "stroke", ``on_stroke(f)`` calls ``f(stroke)`` while the picture is dragged; each
+    arrow key drags by 4 pixels. While ``f`` is at work, newer positions replace each other, so that
+    only the last one waits.
 
     Args:
         width: On screen, pixels; less where the page is narrower.
@@ -171,11 +201,24 @@ class ClickImage(anywidget.AnyWidget):
 
     value = synced(t.Bytes(b""))
     format = synced(t.Enum(("jpeg", "png"), "jpeg"))
-    size = synced(t.Tuple(t.Int(), t.Int(), default_value=(1, 1)))
+    size = synced(
+        t.Tuple(
+            t.Int(),
+            t.Int(),
+            default_value=(1, 1),
+        )
+    )
     width = synced(t.Int(320))
     alt = synced(t.Unicode("picture"))
     touch = synced(t.Enum(("", "stroke"), ""))
-    stroke = synced(t.List(t.Float(), [0.0] * 5, minlen=5, maxlen=5))
+    stroke = synced(
+        t.List(
+            t.Float(),
+            [0.0] * 5,
+            minlen=5,
+            maxlen=5,
+        )
+    )
 
     def show(self, picture: AnyImage) -> None:
         """Show another picture."""
@@ -188,6 +231,12 @@ class ClickImage(anywidget.AnyWidget):
 
         def touched(_change: Any) -> None:
             number, u0, v0, u, v = self.stroke
-            act(Stroke(number=int(number), start=(u0, v0), now=(u, v)))
+            act(
+                Stroke(
+                    number=int(number),
+                    start=(u0, v0),
+                    now=(u, v),
+                )
+            )
 
         self.observe(touched, "stroke")

@@ -21,13 +21,16 @@ from .player import MIN_INTERVAL_S, Player, Scrubber, error_html, player_buttons
 from .splat_viewer import SplatViewer
 
 DRAWING_REST = 3.0
-"""After drawing, nothing is drawn for this many times as long: drawing takes a quarter of the time at most."""
+"""After drawing, nothing is drawn for this many times as long: drawing takes a quarter of the time
+at most."""
 LOOKS_BACK = 40
-"""The slider goes back through at least this many steps, spread evenly; and through all that were drawn."""
+"""The slider goes back through at least this many steps, spread evenly; and through all that were
+drawn."""
 
 
 class LiveView(LiveOutput):
-    """Buttons, pictures with a slider that goes back, and curves of work that is done step by step in a thread.
+    """Buttons, pictures with a slider that goes back, and curves of work that is done step by step
+    in a thread.
 
     Args:
         make_steps: As for ``Player``.
@@ -58,26 +61,47 @@ class LiveView(LiveOutput):
         self.lock = self.player.lock
         self.buttons = player_buttons(self.player, f"gsnb-{name}", self.player)
         self.scrubber = Scrubber(self._show_kept, what=what, css_class=f"gsnb-{name}-back")
-        self.progress = w.IntProgress(min=0, max=n_steps, layout=w.Layout(width="260px"))
+        self.progress = w.IntProgress(
+            min=0,
+            max=n_steps,
+            layout=w.Layout(width="260px"),
+        )
         self.status, self.error = w.HTML(), w.HTML()
         self.status.add_class(f"gsnb-{name}-status")
-        self.images = {key: ClickImage(width=width, alt=caption) for key, caption in captions.items()}
+        self.images = {
+            key: ClickImage(width=width, alt=caption) for key, caption in captions.items()
+        }
         for key, image in self.images.items():
             image.add_class(f"gsnb-{name}-{key}")
         titles = f"curves over the {what}s: {', '.join(self._series())}"
         self.curves = ClickImage(width=self._width, format="png", alt=titles)
         self.curves.show(self._curves(self._width))
-        cells = [w.VBox([w.HTML(html.escape(captions[key])), image]) for key, image in self.images.items()]
+        cells = [
+            w.VBox([w.HTML(html.escape(captions[key])), image])
+            for key, image in self.images.items()
+        ]
         wrapped = w.Layout(flex_flow="row wrap")
-        rows = [w.HBox(cells[i : i + self._columns], layout=wrapped) for i in range(0, len(cells), self._columns)]
+        rows = [
+            w.HBox(cells[i : i + self._columns], layout=wrapped)
+            for i in range(0, len(cells), self._columns)
+        ]
         controls = w.HBox([*self.buttons.values(), self.progress], layout=wrapped)
         self.widget = w.VBox(
-            [controls, self.status, self.error, self.scrubber.widget, *rows, self.curves, LostNotice()]
+            [
+                controls,
+                self.status,
+                self.error,
+                self.scrubber.widget,
+                *rows,
+                self.curves,
+                LostNotice(),
+            ]
         )
         self.widget.add_class(f"gsnb-{name}")
 
     def run_sync(self, n: int | None = None) -> int:
-        """Do ``n`` steps, or all that are left, in the calling thread. Returns how many were done."""
+        """Do ``n`` steps, or all that are left, in the calling thread. Returns how many were
+        done."""
         return self.player.run_sync(n)
 
     def picture(self) -> Picture:
@@ -93,7 +117,9 @@ class LiveView(LiveOutput):
         with self.lock:
             self._draw()
             alt = "; ".join([image.alt for image in self.images.values()] + [self.curves.alt])
-            return with_picture(self.widget._repr_mimebundle_(**kwargs), self.picture(), repr(self), alt=alt)
+            return with_picture(
+                self.widget._repr_mimebundle_(**kwargs), self.picture(), repr(self), alt=alt
+            )
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.player.n_steps} steps)"
@@ -142,7 +168,8 @@ class LiveView(LiveOutput):
         self._write_status()
 
     def _write_status(self) -> None:
-        """Show the state of now. Called from two threads: who writes last must also be who read the state last."""
+        """Show the state of now. Called from two threads: who writes last must also be who read the
+        state last."""
         with self._writing:
             words = [f"<b>{self.player.state}</b>", *self._words()]
             self.status.value = " · ".join(word for word in words if word)
@@ -150,13 +177,15 @@ class LiveView(LiveOutput):
 
 
 class LiveLoop(LiveView):
-    """Runs an iterator step by step in its own thread, controlled by buttons; other cells can run meanwhile.
+    """Runs an iterator step by step in its own thread, controlled by buttons; other cells can run
+    meanwhile.
 
-    The last line of a cell shows it. From Python: ``player.start()``, ``pause``, ``step``, ``stop``, and
-    ``run_sync(n)``, which does ``n`` steps in the calling cell.
+    The last line of a cell shows it. From Python: ``player.start()``, ``pause``, ``step``,
+    ``stop``, and ``run_sync(n)``, which does ``n`` steps in the calling cell.
 
     Args:
-        make_steps: Makes the iterator; called again after a stop, it continues from the current state.
+        make_steps: Makes the iterator; called again after a stop, it continues from the current
+            state.
         picture: Makes the picture to show; called with the lock held, at most ten times a second.
         curves: Title -> values so far, lists that the steps append to.
         n_steps: Number of steps that the width of the curves stands for.
@@ -174,7 +203,9 @@ class LiveLoop(LiveView):
     ):
         self._picture, self._values, self._kept = picture, curves, -1
         captions = {"image": "the picture of this step"}
-        super().__init__(make_steps, captions, name="live-loop", what="step", n_steps=n_steps, width=width)
+        super().__init__(
+            make_steps, captions, name="live-loop", what="step", n_steps=n_steps, width=width
+        )
         self._draw()
 
     def _series(self) -> Mapping[str, Sequence[float | int]]:
@@ -190,24 +221,31 @@ class LiveLoop(LiveView):
 
     def _words(self) -> list[str]:
         self.progress.value = done = self.player.n_steps
-        of = f" of {self._n_steps}" if done <= self._n_steps else ""  # several curves one after the other
-        return [f"step {done}{of}", "" if self.scrubber.following else f"looking back at step {self._shown}"]
+        of = (
+            f" of {self._n_steps}" if done <= self._n_steps else ""
+        )  # several curves one after the other
+        return [
+            f"step {done}{of}",
+            "" if self.scrubber.following else f"looking back at step {self._shown}",
+        ]
 
 
 class LiveMapper(LiveView):
-    """Runs the online part of a ``MappingRun`` frame by frame in its own thread; other cells can run meanwhile.
+    """Runs the online part of a ``MappingRun`` frame by frame in its own thread; other cells can
+    run meanwhile.
 
-    The last line of a cell shows it. From Python: ``player.start()``, ``pause``, ``step``, ``stop``, and
-    ``run_sync(n)``, which maps ``n`` frames (or all that are left) in the calling cell. ``lock`` is held during a step;
-    pass it to any code that reads the maps at the same time. Making another ``LiveMapper`` stops this one, so running a
-    cell twice does not leave the first run going unseen.
+    The last line of a cell shows it. From Python: ``player.start()``, ``pause``, ``step``,
+    ``stop``, and ``run_sync(n)``, which maps ``n`` frames (or all that are left) in the calling
+    cell. ``lock`` is held during a step; pass it to any code that reads the maps at the same time.
+    Making another ``LiveMapper`` stops this one, so running a cell twice does not leave the first
+    run going unseen.
 
     Args:
         run: The run; it may have mapped some frames already.
         panel_width: Width of each panel on screen, pixels.
 
-    ``splats()`` makes a splat viewer that follows the map; show it in a cell of its own. The slider ``frame`` goes back
-    through the frames that were mapped.
+    ``splats()`` makes a splat viewer that follows the map; show it in a cell of its own. The slider
+    ``frame`` goes back through the frames that were mapped.
     """
 
     def __init__(self, run: MappingRun, *, panel_width: int = 320):
@@ -218,7 +256,9 @@ class LiveMapper(LiveView):
         self.panels: dict[str, Picture] = {}
         self._kept = run.next_position
         n, captions = len(run.sequence.mapping), captions_of(run.mapper)
-        super().__init__(run.online, captions, name="live", what="frame", n_steps=n, width=panel_width)
+        super().__init__(
+            run.online, captions, name="live", what="frame", n_steps=n, width=panel_width
+        )
         self._write_status()
 
     def stop(self) -> None:
@@ -226,10 +266,11 @@ class LiveMapper(LiveView):
         self.player.stop()
 
     def splats(self, **options: Any) -> SplatViewer:
-        """A splat viewer that is updated while the map grows; ``options`` are those of ``SplatViewer``.
+        """A splat viewer that is updated while the map grows; ``options`` are those of
+        ``SplatViewer``.
 
-        Its time slider shows the map as it was at earlier frames. After another call only the newer viewer follows the
-        map.
+        Its time slider shows the map as it was at earlier frames. After another call only the newer
+        viewer follows the map.
         """
         if not len(self.run.mapper.keyframes) and len(self.run.sequence.mapping):  # no keyframe yet
             first = self.run.sequence.mapping[0]
@@ -241,13 +282,20 @@ class LiveMapper(LiveView):
         return f"LiveMapper({self.run!r})"
 
     def _series(self) -> Mapping[str, Sequence[float | int]]:
-        return {title: [value(s) for s in self.run.steps] for title, value in self.run.mapper.curves.items()}
+        return {
+            title: [value(s) for s in self.run.steps]
+            for title, value in self.run.mapper.curves.items()
+        }
 
     def _mosaic(self) -> Picture | None:
         if not self.panels:
             return None
         small = next(iter(self.panels.values())).shape[1]
-        return mosaic(self.panels, captions_of(self.run.mapper), max(1, round(self._panel_width / small)))
+        return mosaic(
+            self.panels,
+            captions_of(self.run.mapper),
+            max(1, round(self._panel_width / small)),
+        )
 
     def _draw(self) -> None:
         super()._draw()
@@ -266,7 +314,9 @@ class LiveMapper(LiveView):
         """The frame mapped last, with the pose it was mapped at."""
         frame = self.run.sequence.mapping[self.run.next_position - 1]
         mapped = self.run.mapper.localiser
-        if not mapped.poses or mapped.frame_indices[-1] != frame.index:  # frames after it were skipped
+        if (
+            not mapped.poses or mapped.frame_indices[-1] != frame.index
+        ):  # frames after it were skipped
             return frame
         return dataclasses.replace(frame, T_WC=mapped.poses[-1].to(frame.T_WC))
 

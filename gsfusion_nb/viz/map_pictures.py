@@ -29,8 +29,13 @@ STATE_COLOURS = {
     "stable_transparent": (40, 200, 190),
     "unstable_transparent": (230, 60, 160),
 }
-"""Names as in ``state_counts``. Opaque: blue and orange; transparent, as dots: turquoise and pink."""
-CAUSES = {1: ("new area", (60, 210, 90)), 2: ("depth wrong", (255, 60, 60)), 3: ("colour wrong", (70, 150, 255))}
+"""Names as in ``state_counts``. Opaque: blue and orange; transparent, as dots: turquoise and
+pink."""
+CAUSES = {
+    1: ("new area", (60, 210, 90)),
+    2: ("depth wrong", (255, 60, 60)),
+    3: ("colour wrong", (70, 150, 255)),
+}
 """Tag of a Gaussian from the rule ``rtg_slam`` -> why it was added, its colour."""
 
 _NOTHING = (24, 24, 28)
@@ -46,7 +51,9 @@ def palette(name: str) -> np.ndarray:
     """The 256 colours of a palette, bytes. [256, 3]"""
     if name != "state":
         return np.array([rgb_of(stop) for stop in draw.colour_stops(name, 256)], np.uint8)
-    return np.repeat([STATE_COLOURS["unstable_opaque"], STATE_COLOURS["stable_opaque"]], 128, axis=0).astype(np.uint8)
+    return np.repeat(
+        [STATE_COLOURS["unstable_opaque"], STATE_COLOURS["stable_opaque"]], 128, axis=0
+    ).astype(np.uint8)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,9 +69,16 @@ class Paint:
 
     def on(self, params: GaussianParams) -> GaussianParams:
         """The same Gaussians in these colours, the same from every side."""
-        level = ((self.values - self.low) / max(self.high - self.low, 1e-9) * 255).round().clamp(0, 255).long()
+        level = (
+            ((self.values - self.low) / max(self.high - self.low, 1e-9) * 255)
+            .round()
+            .clamp(0, 255)
+            .long()
+        )
         colours = torch.from_numpy(palette(self.palette)).to(params.sh) / 255
-        return dataclasses.replace(params, sh=rgb_to_sh_dc(colours[level.to(colours.device)])[:, None])
+        return dataclasses.replace(
+            params, sh=rgb_to_sh_dc(colours[level.to(colours.device)])[:, None]
+        )
 
 
 def map_picture(
@@ -96,7 +110,9 @@ def map_picture(
     if size != 1 or opacity != 1:
         o = (params.opacity_logit.sigmoid() * opacity).clamp(1e-6, 1 - 1e-6)
         log_size = torch.tensor(size).log().item()
-        params = dataclasses.replace(params, log_scale=params.log_scale + log_size, opacity_logit=o.logit())
+        params = dataclasses.replace(
+            params, log_scale=params.log_scale + log_size, opacity_logit=o.logit()
+        )
     view = render(params, camera, T_WC)
     if depth:
         return depth_picture(view)
@@ -111,7 +127,9 @@ def depth_picture(view: RenderOutput) -> Picture:
     """Expected depth of a rendered view as colour, with its scale."""
     depth = expected_depth_m(view)
     near, far = draw.depth_range_m(depth)
-    return _with_scale(draw.colour_depth(depth, near, far), palette("turbo"), f"{near:.1f} m", f"{far:.1f} m")
+    return _with_scale(
+        draw.colour_depth(depth, near, far), palette("turbo"), f"{near:.1f} m", f"{far:.1f} m"
+    )
 
 
 def _with_scale(picture: Picture, colours: np.ndarray, low: str, high: str) -> Picture:
@@ -128,44 +146,88 @@ def _with_scale(picture: Picture, colours: np.ndarray, low: str, high: str) -> P
     ramp = colours[np.linspace(0, 255, bar).astype(int)]
     picture[top + 4 : height - 4, x : x + bar] = ramp[None]
     for text, at in ((low, 4), (high, x + bar + 6)):
-        cv2.putText(picture, text, (at, height - 5), font, size, (235, 235, 235), 1, cv2.LINE_AA)
+        cv2.putText(
+            picture,
+            text,
+            (at, height - 5),
+            font,
+            size,
+            (235, 235, 235),
+            1,
+            cv2.LINE_AA,
+        )
     return picture
 
 
-def state_picture(model: SurfelModel, view: SurfaceView | RenderOutput, camera: Camera, T_WC: Tensor) -> Picture:
-    """Every pixel in the colour of the state of the disc that it hits, shaded by the render; transparent rows as dots.
+def state_picture(
+    model: SurfelModel, view: SurfaceView | RenderOutput, camera: Camera, T_WC: Tensor
+) -> Picture:
+    """Every pixel in the colour of the state of the disc that it hits, shaded by the render;
+    transparent rows as dots.
 
     Args:
         model: The map.
         view: What a camera there sees, from ``RTGSLAM.render`` or ``RTGSLAM.surface``.
         camera, T_WC: The camera and pose that it is seen from.
     """
-    table = np.array([STATE_COLOURS["unstable_opaque"], STATE_COLOURS["stable_opaque"], _NOTHING], np.float32)
+    table = np.array(
+        [STATE_COLOURS["unstable_opaque"], STATE_COLOURS["stable_opaque"], _NOTHING], np.float32
+    )
     assert view.hit_index is not None
     hit = view.hit_index.cpu()
-    state = torch.where(hit >= 0, model.state.cpu()[hit.clamp_min(0).long()].long(), 2) if len(model) else hit * 0 + 2
+    state = (
+        torch.where(
+            hit >= 0,
+            model.state.cpu()[hit.clamp_min(0).long()].long(),
+            2,
+        )
+        if len(model)
+        else hit * 0 + 2
+    )
     light = view.rgb.cpu().clamp(0, 1).mean(-1).numpy()
     shade = np.where(state.numpy() == 2, 1.0, 0.55 + 0.45 * light)
     picture = (table[state.numpy()] * shade[..., None]).astype(np.uint8)
     for name, stable in (("unstable_transparent", False), ("stable_transparent", True)):
         paint_rows(
-            picture, model, model.is_transparent & (model.is_stable == stable), STATE_COLOURS[name], camera, T_WC
+            picture,
+            model,
+            model.is_transparent & (model.is_stable == stable),
+            STATE_COLOURS[name],
+            camera,
+            T_WC,
         )
     return picture
 
 
 def cause_picture(photo: AnyImage, model: SurfelModel, frame: Frame) -> Picture:
-    """The photograph in grey, with the Gaussians added at this frame as dots in the colour of their cause."""
+    """The photograph in grey, with the Gaussians added at this frame as dots in the colour of their
+    cause."""
     grey = to_uint8(photo).mean(-1, keepdims=True)
-    picture = np.repeat((60 + 0.55 * grey).astype(np.uint8), 3, axis=-1)
+    picture = np.repeat(
+        (60 + 0.55 * grey).astype(np.uint8),
+        3,
+        axis=-1,
+    )
     born = model.birth_frame == frame.index
     for tag, (_, ink) in CAUSES.items():
-        paint_rows(picture, model, born & (model.tag == tag), ink, frame.camera, frame.T_WC)
+        paint_rows(
+            picture,
+            model,
+            born & (model.tag == tag),
+            ink,
+            frame.camera,
+            frame.T_WC,
+        )
     return picture
 
 
 def paint_rows(
-    picture: Picture, model: GaussianModel, rows: Bool[Tensor, " N"], ink: tuple[int, ...], camera: Camera, T_WC: Tensor
+    picture: Picture,
+    model: GaussianModel,
+    rows: Bool[Tensor, " N"],
+    ink: tuple[int, ...],
+    camera: Camera,
+    T_WC: Tensor,
 ) -> None:
     """Draw a dot of two by two pixels at the centre of each of the given Gaussians, in place."""
     xyz_W = model.params.xyz_W[rows]
@@ -173,8 +235,13 @@ def paint_rows(
     paint_points(picture, project(camera, xyz_C[xyz_C[:, 2] > 0]), ink)
 
 
-def paint_points(picture: Picture, uv: Float[Tensor, "N 2"], ink: tuple[int, ...]) -> None:
-    """Draw a dot of two by two pixels at each point, in place; ``uv`` is where its upper left pixel is."""
+def paint_points(
+    picture: Picture,
+    uv: Float[Tensor, "N 2"],
+    ink: tuple[int, ...],
+) -> None:
+    """Draw a dot of two by two pixels at each point, in place; ``uv`` is where its upper left pixel
+    is."""
     at = uv.cpu().numpy()
     at = np.floor(at[np.isfinite(at).all(1)]).clip(-9, 1e6).astype(int)
     for dx in (0, 1):
@@ -206,7 +273,9 @@ def _below(step: MappedFrame) -> Tensor:
 
 def _with_new_gaussians(picture: Picture, step: MappedFrame) -> Picture:
     model, frame = step.mapper.gaussians, step.frame
-    paint_rows(picture, model, model.birth_frame == frame.index, SEED_COLOUR, frame.camera, frame.T_WC)
+    paint_rows(
+        picture, model, model.birth_frame == frame.index, SEED_COLOUR, frame.camera, frame.T_WC
+    )
     return picture
 
 
@@ -220,20 +289,31 @@ def _depth_error(step: MappedFrame) -> Picture:
 
 
 def _states(step: MappedFrame) -> Picture:
-    return state_picture(step.mapper.gaussians, step.output, step.frame.camera, step.frame.T_WC)
+    return state_picture(
+        step.mapper.gaussians,
+        step.output,
+        step.frame.camera,
+        step.frame.T_WC,
+    )
 
 
 PANELS: dict[str, tuple[str, Callable[[MappedFrame], Picture]]] = {
     "input": ("photograph", lambda step: step.photo),
     "render": ("Gaussian map, rendered", lambda step: step.rendered),
-    "error": ("|render − photograph|, bright from 0.25", lambda step: draw.error_map(step.rendered, step.photo)),
+    "error": (
+        "|render − photograph|, bright from 0.25",
+        lambda step: draw.error_map(step.rendered, step.photo),
+    ),
     "depth_error": ("|rendered depth − depth|, bright from 10 cm", _depth_error),
     "base": ("the coloured TSDF alone, holes filled", lambda step: to_uint8(_below(step))),
     "residual": (
         "what the Gaussians add: grey is nothing",
         lambda step: to_uint8(0.5 + (step.output.rgb - _below(step))),
     ),
-    "new_gaussians": ("new Gaussians in red", lambda step: _with_new_gaussians(step.photo.copy(), step)),
+    "new_gaussians": (
+        "new Gaussians in red",
+        lambda step: _with_new_gaussians(step.photo.copy(), step),
+    ),
     "quadtree_seeds": ("quadtree cells, new Gaussians in red", _quadtree_seeds),
     "seed_causes": (
         "added for: green area, red depth, blue colour",
@@ -254,13 +334,19 @@ def columns_for(n_panels: int) -> int:
     return min(n_panels, 2) if n_panels <= 4 else 3
 
 
-def mosaic(pictures: Mapping[str, Picture], captions: Mapping[str, str], scale: int = 1) -> Picture:
+def mosaic(
+    pictures: Mapping[str, Picture],
+    captions: Mapping[str, str],
+    scale: int = 1,
+) -> Picture:
     """Pictures of one size, two or three in a row, with labels; ``scale`` enlarges them."""
     names, wide = list(pictures), columns_for(len(pictures))
     big = {name: picture.repeat(scale, 0).repeat(scale, 1) for name, picture in pictures.items()}
     labels = {name: captions[name].replace("−", "-") for name in names}
     rows = [names[i : i + wide] for i in range(0, len(names), wide)]
-    return np.concatenate([side_by_side([big[n] for n in row], [labels[n] for n in row]) for row in rows])
+    return np.concatenate(
+        [side_by_side([big[n] for n in row], [labels[n] for n in row]) for row in rows]
+    )
 
 
 def live_panels(mapper: Mapper, frame: Frame) -> dict[str, Picture]:
@@ -272,6 +358,10 @@ def live_panels(mapper: Mapper, frame: Frame) -> dict[str, Picture]:
     """
     output = mapper.render(frame.camera, frame.T_WC)
     step = MappedFrame(
-        mapper=mapper, frame=frame, output=output, photo=to_uint8(frame.colour), rendered=to_uint8(output.rgb)
+        mapper=mapper,
+        frame=frame,
+        output=output,
+        photo=to_uint8(frame.colour),
+        rendered=to_uint8(output.rgb),
     )
     return {name: PANELS[name][1](step) for name in mapper.panels}

@@ -30,13 +30,19 @@ _PROBE = (
 
 
 def mesh_picture(
-    mesh: Mesh, camera: Camera, T_WC: Float[Tensor, "4 4"], *, shading: Literal["colour", "shape"] = "colour"
+    mesh: Mesh,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    *,
+    shading: Literal["colour", "shape"] = "colour",
 ) -> Picture:
-    """The mesh seen by a camera; faces seen from behind are left out, so that one can look into a closed room.
+    """The mesh seen by a camera; faces seen from behind are left out, so that one can look into a
+    closed room.
 
     Args:
         mesh: Any mesh; one without triangles gives the background.
-        camera: Its size and its vertical angle of view count; the principal point is taken as the middle.
+        camera: Its size and its vertical angle of view count; the principal point is taken as the
+            middle.
         T_WC: Camera-to-world pose.
         shading: "colour" shows the vertex colours, "shape" a grey surface under a lamp.
 
@@ -57,16 +63,29 @@ def mesh_picture(
 def _plotter(mesh: Mesh, camera: Camera, T_WC: Tensor, shading: str) -> Any:
     import pyvista as pv
 
-    plotter = pv.Plotter(off_screen=True, window_size=[camera.width, camera.height], lighting="none")
+    plotter = pv.Plotter(
+        off_screen=True, window_size=[camera.width, camera.height], lighting="none"
+    )
     plotter.add_light(pv.Light(light_type="headlight"))
     plotter.set_background([c / 255 for c in BACKGROUND])  # pyright: ignore[reportArgumentType]
     if len(mesh.faces):
-        surface = pv.PolyData.from_regular_faces(mesh.vertices_W.cpu().numpy(), mesh.faces.cpu().numpy())
+        surface = pv.PolyData.from_regular_faces(
+            mesh.vertices_W.cpu().numpy(), mesh.faces.cpu().numpy()
+        )
         if shading == "colour":
             surface["rgb"] = to_uint8(mesh.rgb[None])[0]
-            plotter.add_mesh(surface, scalars="rgb", rgb=True, ambient=0.7, diffuse=0.3, culling="back")
+            plotter.add_mesh(
+                surface, scalars="rgb", rgb=True, ambient=0.7, diffuse=0.3, culling="back"
+            )
         else:
-            plotter.add_mesh(surface, color="#e6e6e6", ambient=0.2, diffuse=0.8, smooth_shading=False, culling="back")
+            plotter.add_mesh(
+                surface,
+                color="#e6e6e6",
+                ambient=0.2,
+                diffuse=0.8,
+                smooth_shading=False,
+                culling="back",
+            )
     T = T_WC.detach().cpu().double().numpy()
     plotter.camera.position = T[:3, 3]
     plotter.camera.focal_point = T[:3, 3] + T[:3, 2]
@@ -77,18 +96,27 @@ def _plotter(mesh: Mesh, camera: Camera, T_WC: Tensor, shading: str) -> Any:
 
 
 def mesh_camera(size: tuple[int, int]) -> Camera:
-    """A camera with a vertical angle of view of 30 degrees, for a picture of ``size`` (width, height)."""
+    """A camera with a vertical angle of view of 30 degrees, for a picture of ``size`` (width,
+    height)."""
     width, height = size
     focal = 0.5 * height / math.tan(math.radians(_VIEW_ANGLE_DEG / 2))
-    return Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+    return Camera(
+        width=width,
+        height=height,
+        fx=focal,
+        fy=focal,
+        cx=width / 2,
+        cy=height / 2,
+    )
 
 
 @functools.cache
 def can_draw() -> tuple[bool, str]:
     """Whether a pyvista ``Plotter`` works on this machine, and the reason if not.
 
-    On a machine with neither libgl1 nor libegl1 creating one ends the process with a segmentation fault that no ``try``
-    catches, so it is tried once in a process of its own. The environment variable GSNB_VTK=ok or none skips the trial.
+    On a machine with neither libgl1 nor libegl1 creating one ends the process with a segmentation
+    fault that no ``try`` catches, so it is tried once in a process of its own. The environment
+    variable GSNB_VTK=ok or none skips the trial.
     """
     headless = not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     if sys.platform == "linux" and headless:  # rather than search for an X server
@@ -97,13 +125,19 @@ def can_draw() -> tuple[bool, str]:
     if forced in ("ok", "none"):
         return forced == "ok", f"GSNB_VTK={forced}"
     try:
-        done = subprocess.run([sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=60)
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=60
+        )
     except subprocess.TimeoutExpired:
         return False, "VTK took over 60 s for a trial picture of 16x16 pixels"
     if done.returncode == 0:
         return True, "ok"
     if done.returncode < 0:
-        return False, "VTK crashed; on Debian or Ubuntu: apt-get install -y --no-install-recommends libgl1 libegl1"
+        return (
+            False,
+            "VTK crashed; on Debian or Ubuntu: apt-get install -y --no-install-recommends libgl1 "
+            "libegl1",
+        )
     return False, (done.stderr.strip().splitlines() or ["unknown error"])[-1]
 
 
@@ -115,7 +149,8 @@ def show_mesh(
     shading: Literal["colour", "shape"] = "colour",
     size: tuple[int, int] = (640, 480),
 ) -> "Image":
-    """A picture of the mesh as the output of a cell. Faces seen from behind are hidden: one can see into a room.
+    """A picture of the mesh as the output of a cell. Faces seen from behind are hidden: one can see
+    into a room.
 
     Args:
         mesh: What ``mapper.mesh()`` gives.
@@ -128,7 +163,9 @@ def show_mesh(
         ValueError: the mesh has no triangles. RuntimeError: VTK cannot draw.
     """
     if not len(mesh.faces):
-        raise ValueError("the mesh has no triangles: nothing was mapped, or no surface was seen closely enough")
+        raise ValueError(
+            "the mesh has no triangles: nothing was mapped, or no surface was seen closely enough"
+        )
     pose = _from_above(mesh, up_W, size) if T_WC is None else T_WC
     return show(mesh_picture(mesh, mesh_camera(size), pose, shading=shading))
 

@@ -23,17 +23,19 @@ State = Literal["ready", "running", "paused", "stopped", "finished", "failed"]
 class Player:
     """Runs the iterator that ``make_steps()`` returns in a thread of its own.
 
-    Widgets and tests use the same methods: ``start``, ``pause``, ``step``, ``stop``, ``join``; ``run_sync`` does the
-    work in the calling thread. ``lock`` is held during a step: hold it too when reading what the steps change.
+    Widgets and tests use the same methods: ``start``, ``pause``, ``step``, ``stop``, ``join``;
+    ``run_sync`` does the work in the calling thread. ``lock`` is held during a step: hold it too
+    when reading what the steps change.
 
     Args:
-        make_steps: Makes the iterator. It is called again after a stop or an error and must then continue from the
-            current state, not start again.
-        on_step: Called after each step with what the iterator yielded, in the thread of the step, with the lock held.
+        make_steps: Makes the iterator. It is called again after a stop or an error and must then
+            continue from the current state, not start again.
+        on_step: Called after each step with what the iterator yielded, in the thread of the step,
+            with the lock held.
         on_rest: Called with the lock held when the work has paused, stopped, finished or failed.
 
-    An exception ends the work: ``state`` is "failed" and ``error`` holds the exception. It is not printed, because the
-    output of a thread may appear under any cell.
+    An exception ends the work: ``state`` is "failed" and ``error`` holds the exception. It is not
+    printed, because the output of a thread may appear under any cell.
     """
 
     def __init__(
@@ -54,7 +56,8 @@ class Player:
         """Steps done."""
         self._asking = threading.Lock()
         self._wanted = 0.0
-        """Steps still to do, perhaps infinitely many; changes, as the two below, only while ``_asking`` is held."""
+        """Steps still to do, perhaps infinitely many; changes, as the two below, only while
+        ``_asking`` is held."""
         self._then: State = "paused"
         self._serving = False
         """The thread is running and will read new requests."""
@@ -118,7 +121,10 @@ class Player:
         """
         self.close()
         if self.is_alive:
-            raise RuntimeError("the worker thread is still in a step after 30 s; call run_sync again a little later")
+            raise RuntimeError(
+                "the worker thread is still in a step after 30 s; call run_sync again a little "
+                "later"
+            )
         done, self.error, self.state = 0, None, "running"
         try:
             while (n is None or done < n) and self._advance():
@@ -139,7 +145,10 @@ class Player:
             self._wanted, self._then = steps + more, then
             if steps and not self._serving and self.state != "finished":
                 self.error, self._serving = None, True
-                context, threads = contextvars.copy_context(), torch.get_num_threads()  # a new thread inherits neither
+                context, threads = (
+                    contextvars.copy_context(),
+                    torch.get_num_threads(),
+                )  # a new thread inherits neither
                 self._thread = threading.Thread(
                     target=context.run, args=(self._work, threads, self._thread), daemon=True
                 )
@@ -214,14 +223,17 @@ def error_html(error: BaseException | None) -> str:
         return ""
     trace = html.escape("".join(traceback.format_exception(error)))
     headline = html.escape(f"{type(error).__name__}: {error}")
-    return f'<details style="color:#b3261e"><summary>{headline}</summary><pre>{trace}</pre></details>'
+    return (
+        f'<details style="color:#b3261e"><summary>{headline}</summary><pre>{trace}</pre></details>'
+    )
 
 
 _ON_STAGE: "weakref.WeakValueDictionary[type, Any]" = weakref.WeakValueDictionary()
 
 
 def take_the_stage(new: Any) -> None:
-    """Stop what took the stage before of the same class: a cell that is run twice leaves nothing going unseen."""
+    """Stop what took the stage before of the same class: a cell that is run twice leaves nothing
+    going unseen."""
     if (earlier := _ON_STAGE.get(type(new))) is not None:
         earlier.stop()
     _ON_STAGE[type(new)] = new
@@ -241,7 +253,12 @@ def player_buttons(commands: Any, css_prefix: str, player: Player) -> dict[str, 
     import ipywidgets as w
 
     buttons = {
-        name: w.Button(description=name, icon=icon, layout=w.Layout(width="88px")) for name, icon in _ICONS.items()
+        name: w.Button(
+            description=name,
+            icon=icon,
+            layout=w.Layout(width="88px"),
+        )
+        for name, icon in _ICONS.items()
     }
     for name, button in buttons.items():
         button.add_class(f"{css_prefix}-{name.lower()}")
@@ -252,7 +269,12 @@ def player_buttons(commands: Any, css_prefix: str, player: Player) -> dict[str, 
         with writing:  # two threads change the state: who writes last has read last
             over, runs = player.state == "finished", player.keeps_running
             stands = over or not (runs or player.state in ("running", "paused"))
-            useless = {"Start": over or runs, "Pause": over or not runs, "Step": over or runs, "Stop": stands}
+            useless = {
+                "Start": over or runs,
+                "Pause": over or not runs,
+                "Step": over or runs,
+                "Stop": stands,
+            }
             for name, button in buttons.items():
                 button.disabled = useless[name]
 
@@ -266,7 +288,8 @@ MOST_ENTRIES = 400
 
 
 class Scrubber:
-    """Keeps what was shown of each step; ``widget`` is the slider. At its right end it follows the newest step.
+    """Keeps what was shown of each step; ``widget`` is the slider. At its right end it follows the
+    newest step.
 
     Args:
         show: Called with an entry that is to be shown, from the thread of a step or of the slider.
@@ -274,7 +297,13 @@ class Scrubber:
         css_class: The slider's CSS class.
     """
 
-    def __init__(self, show: Callable[[Any], None], *, what: str, css_class: str):
+    def __init__(
+        self,
+        show: Callable[[Any], None],
+        *,
+        what: str,
+        css_class: str,
+    ):
         import ipywidgets as w
 
         self._show = show
@@ -284,7 +313,13 @@ class Scrubber:
         self.following, self._moving = True, False
         """Whether the newest step is shown; false while the slider is at an earlier one."""
         self.widget = w.IntSlider(
-            min=0, max=0, value=0, description=what, disabled=True, readout=False, layout=w.Layout(width="420px")
+            min=0,
+            max=0,
+            value=0,
+            description=what,
+            disabled=True,
+            readout=False,
+            layout=w.Layout(width="420px"),
         )
         self.widget.add_class(css_class)
         self.widget.observe(self._moved, names="value")

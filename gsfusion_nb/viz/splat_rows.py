@@ -1,4 +1,5 @@
-"""The rows of a map as the splat viewer's front end reads them, and the numbers of each Gaussian."""
+"""The rows of a map as the splat viewer's front end reads them, and the numbers of each
+Gaussian."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -23,7 +24,8 @@ KNOWN: dict[str, tuple[Kind, str]] = {
     "confidence": ("number", "confidence"),
     "contribution": ("number", "contribution"),
 }
-"""Attributes of a map that become columns: name -> (kind, label). Extras of these names replace them."""
+"""Attributes of a map that become columns: name -> (kind, label). Extras of these names replace
+them."""
 STATE_NAMES = ("unstable", "stable")
 SURFEL_TAG = "cause: area, depth, colour"
 """Name of the tag column of a map with states (``surfel_pictures.CAUSES``)."""
@@ -43,7 +45,8 @@ class Column:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Values of the first and last colour: the extremes of labels, 1st and 99th percentile of numbers."""
+        """Values of the first and last colour: the extremes of labels, 1st and 99th percentile of
+        numbers."""
         known = self.values[np.isfinite(self.values)]
         if self.kind == "state":
             return 0.0, float(len(STATE_NAMES) - 1)
@@ -51,7 +54,10 @@ class Column:
             return 0.0, 1.0
         if self.kind != "number":
             return float(known.min()), float(known.max())
-        low, high = np.percentile(known[:: max(1, len(known) // 100_000)], (1, 99))
+        low, high = np.percentile(
+            known[:: max(1, len(known) // 100_000)],
+            (1, 99),
+        )
         return float(low), float(high)
 
     @property
@@ -64,12 +70,21 @@ class Column:
         low, high = self.limits
         names = list(STATE_NAMES) if self.kind == "state" else None
         return {
-            "name": self.name, "label": self.label, "kind": self.kind, "palette": self.palette, "low": low,
-            "high": high, "names": names,
-        }  # fmt: skip
+            "name": self.name,
+            "label": self.label,
+            "kind": self.kind,
+            "palette": self.palette,
+            "low": low,
+            "high": high,
+            "names": names,
+        }
 
 
-def columns_of(source: Any, n: int, extras: Mapping[str, Any]) -> list[Column]:
+def columns_of(
+    source: Any,
+    n: int,
+    extras: Mapping[str, Any],
+) -> list[Column]:
     """The columns of a map: its own ``KNOWN`` attributes, then the extras.
 
     Args:
@@ -89,29 +104,48 @@ def columns_of(source: Any, n: int, extras: Mapping[str, Any]) -> list[Column]:
 
 
 def with_surface(columns: list[Column], n: int, total: int) -> list[Column]:
-    """The columns of ``n`` Gaussians continued with zeros to ``total`` rows, and one that is 1 in the rows behind."""
+    """The columns of ``n`` Gaussians continued with zeros to ``total`` rows, and one that is 1 in
+    the rows behind."""
     longer = [dataclasses.replace(c, values=np.pad(c.values, (0, total - n))) for c in columns]
     behind = (np.arange(total) >= n).astype(np.float32)
-    return [*longer, Column(name="surface", label="surface or Gaussian", kind="number", values=behind)]
+    return [
+        *longer,
+        Column(name="surface", label="surface or Gaussian", kind="number", values=behind),
+    ]
 
 
 def stacked(columns: list[Column], n: int) -> Float[np.ndarray, "N C"]:
     """The values side by side."""
-    return np.stack([c.values for c in columns], axis=1) if columns else np.zeros((n, 0), np.float32)
+    return (
+        np.stack([c.values for c in columns], axis=1) if columns else np.zeros((n, 0), np.float32)
+    )
 
 
 def _column(name: str, values: Any, n: int) -> Column:
     if name in _NAMES_TAKEN:
-        raise ValueError(f"an extra cannot be named {name!r}, which the viewer shows already; choose another name")
-    array = values.detach().cpu().numpy() if isinstance(values, torch.Tensor) else np.asarray(values)
+        raise ValueError(
+            f"an extra cannot be named {name!r}, which the viewer shows already; choose another "
+            "name"
+        )
+    array = (
+        values.detach().cpu().numpy() if isinstance(values, torch.Tensor) else np.asarray(values)
+    )
     if array.shape != (n,):
-        raise ValueError(f"extras[{name!r}] must hold one number per Gaussian, [{n}], got {list(array.shape)}")
+        raise ValueError(
+            f"extras[{name!r}] must hold one number per Gaussian, [{n}], got {list(array.shape)}"
+        )
     kind, label = KNOWN.get(name, ("number", name))
-    return Column(name=name, label=label, kind=kind, values=array.astype(np.float32))
+    return Column(
+        name=name,
+        label=label,
+        kind=kind,
+        values=array.astype(np.float32),
+    )
 
 
 PACKET_BYTES = 48_000_000
-"""The records of a map stay below this size; if necessary its higher harmonics are left out (96 of 124 bytes)."""
+"""The records of a map stay below this size; if necessary its higher harmonics are left out (96 of
+124 bytes)."""
 MAX_CHANGED_SHARE = 0.6
 """If a larger share of the rows has changed, all rows are sent: simpler, and hardly more bytes."""
 
@@ -154,19 +188,30 @@ Packet = tuple[Int[np.ndarray, " M"] | None, UInt8[np.ndarray, "M S"]]
 def layout_for(params: GaussianParams, columns: int) -> RowLayout:
     """The layout with as many harmonics as the map has and ``PACKET_BYTES`` allows."""
     fitting = [
-        K for K in (16, 9, 4) if params.sh.shape[1] >= K and len(params) * (28 + 4 * columns + 6 * K) < PACKET_BYTES
+        K
+        for K in (16, 9, 4)
+        if params.sh.shape[1] >= K and len(params) * (28 + 4 * columns + 6 * K) < PACKET_BYTES
     ]
     return RowLayout(columns=columns, harmonics=fitting[0] if fitting else 1)
 
 
 def finite_rows(params: GaussianParams) -> Bool[Tensor, " N"]:
     """Rows without a NaN or an infinity."""
-    columns = (params.xyz_W, params.log_scale, params.quat, params.opacity_logit[:, None], params.sh.flatten(1))
+    columns = (
+        params.xyz_W,
+        params.log_scale,
+        params.quat,
+        params.opacity_logit[:, None],
+        params.sh.flatten(1),
+    )
     return torch.stack([c.isfinite().all(dim=1) for c in columns]).all(dim=0)
 
 
-def pack_rows(params: GaussianParams, columns: Float[np.ndarray, "N C"], layout: RowLayout) -> UInt8[np.ndarray, "N S"]:
-    """All rows as records. A row with a NaN or an infinity gets opacity 0, which hides it and keeps the numbering.
+def pack_rows(
+    params: GaussianParams, columns: Float[np.ndarray, "N C"], layout: RowLayout
+) -> UInt8[np.ndarray, "N S"]:
+    """All rows as records. A row with a NaN or an infinity gets opacity 0, which hides it and keeps
+    the numbering.
 
     Args:
         params: The map, N rows.
@@ -190,11 +235,14 @@ def pack_rows(params: GaussianParams, columns: Float[np.ndarray, "N C"], layout:
     return records.view(np.uint8).reshape(len(params), layout.stride)
 
 
-def packet_between(old: UInt8[np.ndarray, "_ _"] | None, new: UInt8[np.ndarray, "_ _"]) -> Packet | None:
-    """What to send to a front end that holds ``old`` so that it holds ``new``; ``None`` if nothing changed.
+def packet_between(
+    old: UInt8[np.ndarray, "_ _"] | None, new: UInt8[np.ndarray, "_ _"]
+) -> Packet | None:
+    """What to send to a front end that holds ``old`` so that it holds ``new``; ``None`` if nothing
+    changed.
 
-    If the map only grew, the new rows are sent; if rows changed, those; if rows were removed, all rows are sent,
-    since every row after a removed one has another number.
+    If the map only grew, the new rows are sent; if rows changed, those; if rows were removed, all
+    rows are sent, since every row after a removed one has another number.
     """
     if old is None or old.shape[1] != new.shape[1] or len(old) > len(new):
         return None, new
@@ -210,7 +258,8 @@ def packet_between(old: UInt8[np.ndarray, "_ _"] | None, new: UInt8[np.ndarray, 
 
 @dataclass(frozen=True, kw_only=True)
 class GaussianRecord:
-    """One row of a map, activated values. ``str(row)`` and the notebook show it as a small table."""
+    """One row of a map, activated values. ``str(row)`` and the notebook show it as a small
+    table."""
 
     row: int
     """Its number in the map."""
@@ -231,7 +280,12 @@ class GaussianRecord:
 
     def lines(self) -> list[tuple[str, str]]:
         """Names and values, rounded for reading."""
-        triples = {"xyz_W [m]": self.xyz_W, "scale_m [m]": self.scale_m, "quat (wxyz)": self.quat, "rgb": self.rgb}
+        triples = {
+            "xyz_W [m]": self.xyz_W,
+            "scale_m [m]": self.scale_m,
+            "quat (wxyz)": self.quat,
+            "rgb": self.rgb,
+        }
         rows = [("row", f"{self.row:,}")]
         rows += [(name, "  ".join(f"{v:.4g}" for v in values)) for name, values in triples.items()]
         rows += [("opacity", f"{self.opacity:.4g}"), ("sh degree", str(self.sh_degree))]
@@ -254,6 +308,9 @@ def gaussian_record(params: GaussianParams, columns: list[Column], row: int) -> 
         "rgb": one.sh[0, 0] * SH_C0 + 0.5,
     }
     return GaussianRecord(
-        row=row, opacity=float(one.opacity_logit[0].sigmoid()), sh_degree=params.sh_degree,
-        extras={c.name: float(c.values[row]) for c in columns}, **{k: tuple(v.tolist()) for k, v in values.items()},
-    )  # fmt: skip
+        row=row,
+        opacity=float(one.opacity_logit[0].sigmoid()),
+        sh_degree=params.sh_degree,
+        extras={c.name: float(c.values[row]) for c in columns},
+        **{k: tuple(v.tolist()) for k, v in values.items()},
+    )

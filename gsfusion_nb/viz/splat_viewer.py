@@ -1,7 +1,9 @@
-"""The splat viewer: a Gaussian map in a notebook cell, turned with the mouse, coloured by a chosen quantity.
+"""The splat viewer: a Gaussian map in a notebook cell, turned with the mouse, coloured by a chosen
+quantity.
 
-The browser draws (``static/``): with WebGL2 where there is a graphics card, else with a rasteriser in a worker.
-Rows are sent as binary messages and are not part of the widget's state, so a saved notebook does not hold the map.
+The browser draws (``static/``): with WebGL2 where there is a graphics card, else with a rasteriser
+in a worker. Rows are sent as binary messages and are not part of the widget's state, so a saved
+notebook does not hold the map.
 """
 
 import threading
@@ -20,7 +22,14 @@ from torch import Tensor
 from ..checks import check_name, check_pose
 from ..drawing.pictures import Picture, to_uint8
 from ..geometry.upright import world_up
-from ..render.constants import ALPHA_MAX, ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2, TRANSMITTANCE_MIN
+from ..render.constants import (
+    ALPHA_MAX,
+    ALPHA_MIN,
+    FRUSTUM_CLAMP,
+    NEAR_PLANE_M,
+    SCREEN_BLUR_PX2,
+    TRANSMITTANCE_MIN,
+)
 from ..types import Camera, GaussianParams, RenderOutput
 from . import splat_rows
 from .display import Bundle, LiveOutput, front_end, source, static_views, synced, with_picture
@@ -30,12 +39,22 @@ from .viewpoint import Vector, places_of, viewing_camera
 
 ENGINE = ("splats/rows", "projection", "splats/colour", "splats/raster", "splats/engine")
 """JavaScript modules of the worker."""
-PAGE = ("lost", "camera", "splats/webgl", "splats/worker", "splats/panel", "mouse", "splats/time", "splats/widget")
+PAGE = (
+    "lost",
+    "camera",
+    "splats/webgl",
+    "splats/worker",
+    "splats/panel",
+    "mouse",
+    "splats/time",
+    "splats/widget",
+)
 """JavaScript modules of the page."""
 MIN_INTERVAL_S = 0.2
 """Shortest time between two updates of a growing map."""
 SOFTWARE_ROWS = 150_000
-"""The software rasteriser draws at most this many rows, the most important; with more it would react too slowly."""
+"""The software rasteriser draws at most this many rows, the most important; with more it would
+react too slowly."""
 PICK_ALPHA = 0.25
 """A click picks the front-most Gaussian whose alpha at the pixel is at least this."""
 
@@ -54,33 +73,40 @@ _RULES = {
 class SplatViewer(LiveOutput, anywidget.AnyWidget):
     """Look at a Gaussian map from every side; the last line of a cell shows it.
 
-    Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, R to reset, click to
-    pick: the row's numbers appear in the viewer, ``viewer.picked`` is its number, ``viewer.picked_row()`` its values,
-    ``viewer.observe(f, "picked")`` calls ``f`` at each pick. The viewer is as wide as the cell, at most twice its
-    canvas. ``look_from("above")`` and the buttons go to other places. With ``static_views()`` only a picture by the
-    library's renderer is shown. A map of GPS-SLAM is shown with its surface as discs, in rows behind those of the map;
+    Drag to orbit, shift-drag to pan, ctrl-drag to look around, wheel (after a click) to zoom, R to
+    reset, click to pick: the row's numbers appear in the viewer, ``viewer.picked`` is its number,
+    ``viewer.picked_row()`` its values, ``viewer.observe(f, "picked")`` calls ``f`` at each pick.
+    The viewer is as wide as the cell, at most twice its canvas. ``look_from("above")`` and the
+    buttons go to other places. With ``static_views()`` only a picture by the library's renderer is
+    shown. A map of GPS-SLAM is shown with its surface as discs, in rows behind those of the map;
     colour by "surface" tells them apart.
 
     Args:
         source: A mapper (which also knows its cameras), a model, or bare parameters.
         camera: Intrinsics of the view; the mapper's own by default.
-        T_WC: Camera-to-world pose to start from; the mapper's first keyframe by default, else above the map.
+        T_WC: Camera-to-world pose to start from; the mapper's first keyframe by default, else above
+            the map.
         width, height: Of the canvas, pixels.
         extras: Numbers to colour by: name -> one per Gaussian. [N] each
         up_W: The world's up direction; by default the mean of the known cameras' -y axes.
         lock: Held while reading the map, if another thread changes it (``LiveMapper.lock``).
-        colour_by: "rgb", "depth" (from the camera), "opacity", "birth_frame", "tag" (seed level), "state",
-            "contribution" or another extra, where given.
+        colour_by: "rgb", "depth" (from the camera), "opacity", "birth_frame", "tag" (seed level),
+            "state", "contribution" or another extra, where given.
 
     Raises:
-        TypeError: ``source`` is not a map. ValueError: an extra does not fit the map, or the pose is not rigid.
+        TypeError: ``source`` is not a map. ValueError: an extra does not fit the map, or the pose
+            is not rigid.
     """
 
     _esm = front_end(
         ENGINE,
         PAGE,
         "ENGINE_SOURCE",
-        {"PANEL_HTML": "splats/viewer.html", "VERTEX": "splats/splat.vert", "FRAGMENT": "splats/splat.frag"},
+        {
+            "PANEL_HTML": "splats/viewer.html",
+            "VERTEX": "splats/splat.vert",
+            "FRAGMENT": "splats/splat.frag",
+        },
     )
     _css = source("splats/viewer.css")
 
@@ -129,7 +155,9 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         keyframes = list(getattr(source, "keyframes", ()))
         poses = [k.T_WC for k in keyframes] or ([] if T_WC is None else [T_WC])
         up = torch.as_tensor(world_up(poses) if up_W is None else up_W).float()
-        self.camera = viewing_camera(camera or (keyframes[0].camera if keyframes else None), width, height)
+        self.camera = viewing_camera(
+            camera or (keyframes[0].camera if keyframes else None), width, height
+        )
         self._sending = threading.RLock()
         self._sent: np.ndarray | None = None
         self._listening, self._displayed = False, False
@@ -138,16 +166,25 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         with self._lock:
             self._read()
             start = keyframes[0].T_WC if T_WC is None and keyframes else T_WC
-            places = places_of(self._params[splat_rows.finite_rows(self._params)], self.camera, start, up)
+            places = places_of(
+                self._params[splat_rows.finite_rows(self._params)], self.camera, start, up
+            )
         first = places["photo"].T_WC.flatten().tolist()
         c = self.camera
         super().__init__(
-            width=c.width, height=c.height, intrinsics=[c.fx, c.fy, c.cx, c.cy], up_W=(up / up.norm()).tolist(),
-            pose=first, pivot_m=places["photo"].pivot_m, reach_m=1.5 * places["above"].pivot_m,
-            places={name: [p.T_WC.flatten().tolist(), p.pivot_m, p.cut_m] for name, p in places.items()},
+            width=c.width,
+            height=c.height,
+            intrinsics=[c.fx, c.fy, c.cx, c.cy],
+            up_W=(up / up.norm()).tolist(),
+            pose=first,
+            pivot_m=places["photo"].pivot_m,
+            reach_m=1.5 * places["above"].pivot_m,
+            places={
+                name: [p.T_WC.flatten().tolist(), p.pivot_m, p.cut_m] for name, p in places.items()
+            },
             palettes={name: palette(name).tobytes().hex() for name in PALETTES},
             colour_by=colour_by,
-        )  # fmt: skip
+        )
         self._describe()
         self.observe(lambda _change: self._show_record(), "picked")
         self.on_msg(self._heard)
@@ -163,14 +200,21 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         self.pose = T_WC.flatten().tolist()
 
     def look_from(self, place: str) -> "SplatViewer":
-        """Move the camera to "photo", where it was at first, "above" the map, without the roof, or "inside" it."""
+        """Move the camera to "photo", where it was at first, "above" the map, without the roof, or
+        "inside" it."""
         check_name("place", place, tuple(self.places))
         with self.hold_sync():
             self.pose, self.pivot_m, self.cut_m = self.places[place]
         return self
 
-    def update(self, source: Any = None, *, extras: Mapping[str, Any] | None = None) -> None:
-        """Show the map as it is now, or another one. Only changed rows are sent, at most five times a second.
+    def update(
+        self,
+        source: Any = None,
+        *,
+        extras: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Show the map as it is now, or another one. Only changed rows are sent, at most five times
+        a second.
 
         After a call that comes too soon, the state of the map is sent a little later.
 
@@ -216,24 +260,46 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
                 rows &= (self._params.xyz_W - to_W[:3, 3]) @ to_W[:3, 2] > self.cut_m
             by_name = {c.name: c for c in self._columns}
             if self.born_until is not None and "birth_frame" in by_name:
-                rows &= torch.from_numpy(by_name["birth_frame"].values <= self.born_until).to(rows.device)
-            background = torch.tensor([int(self.background[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+                rows &= torch.from_numpy(by_name["birth_frame"].values <= self.born_until).to(
+                    rows.device
+                )
+            background = torch.tensor(
+                [int(self.background[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+            )
             return map_picture(
-                self._params[rows], self.camera, T_WC, paint=self._paint(by_name.get(self.colour_by), rows),
-                depth=self.colour_by == "depth", size=self.size, opacity=self.opacity, background=background,
-            )  # fmt: skip
+                self._params[rows],
+                self.camera,
+                T_WC,
+                paint=self._paint(by_name.get(self.colour_by), rows),
+                depth=self.colour_by == "depth",
+                size=self.size,
+                opacity=self.opacity,
+                background=background,
+            )
 
     def _paint(self, column: Column | None, rows: Tensor) -> Paint | None:
         if column is not None:
             values = torch.from_numpy(np.nan_to_num(column.values))[rows.cpu()]
-            return Paint(values=values, low=column.limits[0], high=column.limits[1], palette=column.palette)
+            return Paint(
+                values=values,
+                low=column.limits[0],
+                high=column.limits[1],
+                palette=column.palette,
+            )
         if self.colour_by == "opacity":
-            return Paint(values=self._params.opacity_logit[rows].sigmoid(), low=0.0, high=1.0)
+            return Paint(
+                values=self._params.opacity_logit[rows].sigmoid(),
+                low=0.0,
+                high=1.0,
+            )
         return None
 
     def _surface_view(self) -> RenderOutput | None:
-        """The whole picture of a mapper that draws over its surface, as long as the viewer changes nothing in it."""
-        changed = self.cut_m > 0 or self.born_until is not None or self.size != 1 or self.opacity != 1
+        """The whole picture of a mapper that draws over its surface, as long as the viewer changes
+        nothing in it."""
+        changed = (
+            self.cut_m > 0 or self.born_until is not None or self.size != 1 or self.opacity != 1
+        )
         if changed or self.colour_by not in ("rgb", "depth") or not _draws_surface(self._source):
             return None
         return self._source.render(self.camera, self.T_WC)
@@ -245,11 +311,17 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         self._displayed = self._displayed or not static_views()
         shown = "in their colours" if self.colour_by == "rgb" else f"coloured by {self.colour_by}"
         alt = f"A map of {len(self._params):,} Gaussians, {shown}"
-        return with_picture(super()._repr_mimebundle_(**kwargs), self.picture(), repr(self), alt=alt)
+        return with_picture(
+            super()._repr_mimebundle_(**kwargs), self.picture(), repr(self), alt=alt
+        )
 
     @t.validate("colour_by")
     def _check_colour_by(self, proposal: Any) -> str:
-        check_name("colour_by", proposal["value"], ("rgb", "depth", "opacity", *(c.name for c in self._columns)))
+        check_name(
+            "colour_by",
+            proposal["value"],
+            ("rgb", "depth", "opacity", *(c.name for c in self._columns)),
+        )
         return proposal["value"]
 
     def _read(self) -> None:
@@ -258,7 +330,9 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         params = held if isinstance(held, GaussianParams) else getattr(held, "params", None)
         if not isinstance(params, GaussianParams):
             kind = type(self._source).__name__
-            raise TypeError(f"SplatViewer needs a mapper, a GaussianModel or GaussianParams, got {kind}")
+            raise TypeError(
+                f"SplatViewer needs a mapper, a GaussianModel or GaussianParams, got {kind}"
+            )
         columns, n = splat_rows.columns_of(held, len(params), self._extras), len(params)
         if _draws_surface(self._source):  # the surface as discs, behind the map's own rows
             params = self._source.standard_gaussians()
@@ -272,14 +346,21 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
             frames = [c for c in self._columns if c.kind == "frame" and len(c.values)]
             self.birth_range = list(frames[0].limits) if frames else []
             bad = len(self._params) - int(splat_rows.finite_rows(self._params).sum())
-            self.notice = f"{bad:,} of the rows hold NaN or infinite numbers and are not drawn" if bad else ""
+            self.notice = (
+                f"{bad:,} of the rows hold NaN or infinite numbers and are not drawn" if bad else ""
+            )
 
     def _refresh(self) -> None:
-        with self._lock, self._sending:  # always in this order: a caller of `update` may hold the first already
+        with (
+            self._lock,
+            self._sending,
+        ):  # always in this order: a caller of `update` may hold the first already
             self._timer = None
             self._read()
             layout = splat_rows.layout_for(self._params, len(self._columns))
-            records = splat_rows.pack_rows(self._params, splat_rows.stacked(self._columns, len(self._params)), layout)
+            records = splat_rows.pack_rows(
+                self._params, splat_rows.stacked(self._columns, len(self._params)), layout
+            )
             self._describe()
             self._last_sent_s = time.monotonic()
             self._send_rows(records, layout)
@@ -293,7 +374,8 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
             self.notice = str(e)
 
     def _send_rows(self, records: np.ndarray, layout: RowLayout) -> None:
-        """Send the rows that the front end does not have; all rows if it has not answered (a cell may be running)."""
+        """Send the rows that the front end does not have; all rows if it has not answered (a cell
+        may be running)."""
         if not (self._listening or self._displayed):
             return
         packet = splat_rows.packet_between(self._sent if self._listening else None, records)
@@ -301,9 +383,12 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         if packet is not None:
             index, rows = packet
             head = {
-                "n": len(records), "stride": layout.stride, "columns": layout.columns, "harmonics": layout.harmonics,
+                "n": len(records),
+                "stride": layout.stride,
+                "columns": layout.columns,
+                "harmonics": layout.harmonics,
                 "all": index is None,
-            }  # fmt: skip
+            }
             buffers = [a.tobytes() for a in ([rows] if index is None else [index, rows])]
             self.send({"kind": "rows", "head": head}, buffers)
 

@@ -29,9 +29,9 @@ def orbit_camera(
         centre = target + distance (cos(el) r + sin(el) up)
         right  = up x r
 
-    with e_1 the world axis farthest from up (x when up is z) made orthogonal to it, and e_2 = up x e_1. "Right" does
-    not depend on the elevation, so looking straight down needs no special case. At distance 0 the camera is at the
-    target, and the angles only turn it.
+    with e_1 the world axis farthest from up (x when up is z) made orthogonal to it, and e_2 = up x
+    e_1. "Right" does not depend on the elevation, so looking straight down needs no special case.
+    At distance 0 the camera is at the target, and the angles only turn it.
 
     Args:
         target_W: Point in the middle of the picture, metres. [3]
@@ -69,11 +69,16 @@ def orbit_camera(
 
 
 def extent(xyz_W: Float[Tensor, "N 3"]) -> tuple[Float[Tensor, "3"], float]:
-    """Centre and radius (half the diagonal) of the box around the points without the outermost 2 % on each side."""
+    """Centre and radius (half the diagonal) of the box around the points without the outermost 2 %
+    on each side."""
     if not len(xyz_W):
         return torch.zeros(3), 1.0
     rows = xyz_W.detach().cpu()[:: max(1, len(xyz_W) // 20_000)].float()
-    low, high = torch.quantile(rows, torch.tensor([0.02, 0.98]), dim=0)
+    low, high = torch.quantile(
+        rows,
+        torch.tensor([0.02, 0.98]),
+        dim=0,
+    )
     return (low + high) / 2, max(float((high - low).norm()) / 2, 1e-3)
 
 
@@ -84,20 +89,36 @@ _FOCAL_PER_WIDTH = 0.7
 def viewing_camera(camera: Camera | None, width: int | None, height: int | None) -> Camera:
     """The given camera for a canvas of the given size, with its horizontal angle of view.
 
-    By default the canvas has the camera's size, at most 640 pixels wide; without a camera it is 480 x 360.
+    By default the canvas has the camera's size, at most 640 pixels wide; without a camera it is 480
+    x 360.
     """
     if camera is None:
         w, h = width or 480, height or 360
-        return Camera(width=w, height=h, fx=_FOCAL_PER_WIDTH * w, fy=_FOCAL_PER_WIDTH * w, cx=w / 2, cy=h / 2)
+        return Camera(
+            width=w,
+            height=h,
+            fx=_FOCAL_PER_WIDTH * w,
+            fy=_FOCAL_PER_WIDTH * w,
+            cx=w / 2,
+            cy=h / 2,
+        )
     if width is None:
-        width = min(camera.width, 640) if height is None else round(height * camera.width / camera.height)
+        width = (
+            min(camera.width, 640)
+            if height is None
+            else round(height * camera.width / camera.height)
+        )
     scaled = camera.resized(width, round(width * camera.height / camera.width))
     if height is None or height == scaled.height:
         return scaled
     return Camera(
-        width=width, height=height, fx=scaled.fx, fy=scaled.fy,
-        cx=scaled.cx, cy=scaled.cy + (height - scaled.height) / 2,
-    )  # fmt: skip
+        width=width,
+        height=height,
+        fx=scaled.fx,
+        fy=scaled.fy,
+        cx=scaled.cx,
+        cy=scaled.cy + (height - scaled.height) / 2,
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,19 +133,23 @@ class Place:
 
 
 def places_of(
-    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"] | None, up_W: Float[Tensor, "3"]
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"] | None,
+    up_W: Float[Tensor, "3"],
 ) -> dict[str, Place]:
     """Where a viewer of a map can be put.
 
     Args:
         params: The map.
         camera: Of the viewer.
-        T_WC: The pose "photo"; without one it is a view of the whole map from 35 degrees above. Its pivot is at the
-            median depth of the view.
+        T_WC: The pose "photo"; without one it is a view of the whole map from 35 degrees above. Its
+            pivot is at the median depth of the view.
         up_W: The world's up direction.
 
     Returns:
-        "photo", where the viewer starts; "above", without the roof; and "inside", in the middle of the map.
+        "photo", where the viewer starts; "above", without the roof; and "inside", in the middle of
+        the map.
     """
     centre_W, radius_m = extent(params.xyz_W)
     x, y, z = centre_W.tolist()
@@ -143,6 +168,10 @@ def places_of(
         photo = Place(T_WC=pose, pivot_m=float(seen.median()) if len(seen) else radius_m)
     return {
         "photo": photo,
-        "above": Place(T_WC=around(-60.0, 74.0, far_m), pivot_m=far_m, cut_m=max(far_m - 0.13 * radius_m, 0.0)),
+        "above": Place(
+            T_WC=around(-60.0, 74.0, far_m),
+            pivot_m=far_m,
+            cut_m=max(far_m - 0.13 * radius_m, 0.0),
+        ),
         "inside": Place(T_WC=around(90.0, 0.0, 0.0), pivot_m=0.3),
     }

@@ -40,14 +40,33 @@ def adam_update_map(
     device_of(operation, params.xyz_W)
     groups = [vars(rows) for rows in (params, gradients, exp_avg, exp_avg_sq)]
     is_float32 = params.xyz_W.dtype == torch.float32  # and all others are of the same type
-    if not (is_float32 and all(column.is_contiguous() for group in groups for column in group.values())):
+    if not (
+        is_float32 and all(column.is_contiguous() for group in groups for column in group.values())
+    ):
         each_column = load(operation, "reference")
-        each_column(params, gradients, exp_avg, exp_avg_sq, steps, rates=rates, beta1=beta1, beta2=beta2, eps=eps)
+        each_column(
+            params,
+            gradients,
+            exp_avg,
+            exp_avg_sq,
+            steps,
+            rates=rates,
+            beta1=beta1,
+            beta2=beta2,
+            eps=eps,
+        )
         return
     N, K = len(params), params.sh.shape[1]
-    blocks = 2 * parts(3 * N, _NUMBERS) + parts(4 * N, _NUMBERS) + parts(N, _NUMBERS) + parts(3 * K * N, _NUMBERS)
+    blocks = (
+        2 * parts(3 * N, _NUMBERS)
+        + parts(4 * N, _NUMBERS)
+        + parts(N, _NUMBERS)
+        + parts(3 * K * N, _NUMBERS)
+    )
     counts, decay = _steps(steps, beta1, beta2), _decay(beta1, beta2, eps)
-    launch(operation, "adam:update_map", blocks, _BLOCK, *groups, rates._asdict(), counts, decay, N, K)
+    launch(
+        operation, "adam:update_map", blocks, _BLOCK, *groups, rates._asdict(), counts, decay, N, K
+    )
     for column in groups[0].values():
         increment_version(column)
 
@@ -70,16 +89,42 @@ def adam_update(
     if not is_simple(*column.values()) or total > _MOST_NUMBERS:
         reference.reference(**column, steps=steps, lr=lr, beta1=beta1, beta2=beta2, eps=eps)
         return
-    rate, lr = (step_sizes(lr, param).to(device).contiguous(), 0.0) if isinstance(lr, Tensor) else (None, float(lr))
-    counts, decay, width = _steps(steps, beta1, beta2), _decay(beta1, beta2, eps), total // max(len(param), 1)
+    rate, lr = (
+        (step_sizes(lr, param).to(device).contiguous(), 0.0)
+        if isinstance(lr, Tensor)
+        else (None, float(lr))
+    )
+    counts, decay, width = (
+        _steps(steps, beta1, beta2),
+        _decay(beta1, beta2, eps),
+        total // max(len(param), 1),
+    )
     blocks = parts(total, _NUMBERS)
-    launch("adam_update", "adam:update_parameter", blocks, _BLOCK, column, rate, lr, counts, decay, total, width)
+    launch(
+        "adam_update",
+        "adam:update_parameter",
+        blocks,
+        _BLOCK,
+        column,
+        rate,
+        lr,
+        counts,
+        decay,
+        total,
+        width,
+    )
     increment_version(param)
 
 
-def _steps(steps: int | Tensor | None, beta1: float, beta2: float) -> dict[str, Any]:
+def _steps(
+    steps: int | Tensor | None,
+    beta1: float,
+    beta2: float,
+) -> dict[str, Any]:
     """The step count of every row, int32 or int64; with neither, the corrections of all rows."""
-    counts = dict.fromkeys(("of_row", "of_row_64")) | dict.fromkeys(("ln_beta1", "ln_beta2", "first", "second"), 0.0)
+    counts = dict.fromkeys(("of_row", "of_row_64")) | dict.fromkeys(
+        ("ln_beta1", "ln_beta2", "first", "second"), 0.0
+    )
     if not isinstance(steps, Tensor):
         first, second = corrections(math.inf if steps is None else float(steps), beta1, beta2)
         return counts | {"first": first, "second": second}
@@ -92,4 +137,10 @@ def _ln(beta: float) -> float:
 
 
 def _decay(beta1: float, beta2: float, eps: float) -> dict[str, float]:
-    return {"beta1": beta1, "one_minus_beta1": 1 - beta1, "beta2": beta2, "one_minus_beta2": 1 - beta2, "eps": eps}
+    return {
+        "beta1": beta1,
+        "one_minus_beta1": 1 - beta1,
+        "beta2": beta2,
+        "one_minus_beta2": 1 - beta2,
+        "eps": eps,
+    }

@@ -15,8 +15,8 @@ def corrections(t: Any, beta1: float, beta2: float) -> tuple[Any, Any]:
     """1 / (1 - b1^t) and 1 / sqrt(1 - b2^t).
 
     Args:
-        t: One step count, infinite for no correction, or an array or tensor with one per row, float64 (1 - b2^t loses
-            its digits in float32).
+        t: One step count, infinite for no correction, or an array or tensor with one per row,
+            float64 (1 - b2^t loses its digits in float32).
     """
     return 1 / (1 - beta1**t), 1 / (1 - beta2**t) ** 0.5
 

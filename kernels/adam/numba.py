@@ -1,4 +1,5 @@
-"""One pass of Adam over a parameter: each value, its gradient and its two moments are read and written once."""
+"""One pass of Adam over a parameter: each value, its gradient and its two moments are read and
+written once."""
 
 # Arrays are passed on as a list, which pyright cannot follow:
 # pyright: reportCallIssue=false
@@ -50,14 +51,16 @@ def adam_update(
 
 
 def adam_update_map(*operands: Any, **options: Any) -> None:
-    """See ``gsfusion_nb.optim.adam_update_map``: it is that function, whose columns are updated on this backend."""
+    """See ``gsfusion_nb.optim.adam_update_map``: it is that function, whose columns are updated on
+    this backend."""
     load("adam_update_map", "reference")(*operands, **options)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _update(tensors, corrections, rate, decay):
-    """One step. corrections: 1 / (1 - beta1^t) and 1 / sqrt(1 - beta2^t) of every row [N], or of all [1]. rate: of each
-    value of a row [W]. decay: what is kept of each moment, and the share of the new value; eps."""
+    """One step. corrections: 1 / (1 - beta1^t) and 1 / sqrt(1 - beta2^t) of every row [N], or of
+    all [1]. rate: of each value of a row [W]. decay: what is kept of each moment, and the share of
+    the new value; eps."""
     param, gradient, exp_avg, exp_avg_sq = tensors
     correction_1, correction_2 = corrections
     beta1, rest1, beta2, rest2, eps = decay

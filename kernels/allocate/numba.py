@@ -1,6 +1,8 @@
-"""The blocks that the band of a depth image crosses: sixteen rays at a time into a byte map of the view's bounding box.
+"""The blocks that the band of a depth image crosses: sixteen rays at a time into a byte map of the
+view's bounding box.
 
-The rays, pieces and roundings are the reference's, so the set of blocks is the same to the last one.
+The rays, pieces and roundings are the reference's, so the set of blocks is the same to the last
+one.
 
 The blocks that a view can meet, numbered from a corner: what the numba kernels mark cells in.
 """
@@ -42,7 +44,8 @@ from ..runtime.numba.simd import (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BlockBox:
-    """The blocks around a part of a view, and the view in their units, relative to them: exact far from the origin."""
+    """The blocks around a part of a view, and the view in their units, relative to them: exact far
+    from the origin."""
 
     low: Int[Tensor, " 3"]
     """Lowest block."""
@@ -61,7 +64,8 @@ class BlockBox:
 
 
 def block_box(volume: TsdfVolume, frame: Frame, z_near: float, z_far: float) -> BlockBox:
-    """All blocks that the view frustum of ``frame`` can meet between two depths, with one to spare on each side."""
+    """All blocks that the view frustum of ``frame`` can meet between two depths, with one to spare
+    on each side."""
     camera, T_WC = frame.camera, frame.T_WC.double()
     position = T_WC[:3, 3] / volume.block_size_m
     base = position.floor()
@@ -91,11 +95,13 @@ _ROWS = 16
 """Image rows of one parallel task."""
 
 _MAP_CELLS = 1 << 24
-"""Largest box marked in a byte map; float32 counts exactly up to here. The reference handles larger ones."""
+"""Largest box marked in a byte map; float32 counts exactly up to here. The reference handles larger
+ones."""
 
 
 _NEAREST, _FARTHEST, _LONGEST = range(3)
-"""Rows of what a task finds out about its bands: smallest near end, largest far end, greatest length, metres."""
+"""Rows of what a task finds out about its bands: smallest near end, largest far end, greatest
+length, metres."""
 
 
 def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
@@ -112,7 +118,15 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     depth = np.empty((height, len(slopes[0])), np.float32)
     extents = np.empty((-(-height // _ROWS), 3, 16), np.float32)
     with launching():
-        _usable(depth_m.detach().contiguous().numpy(), *slopes, limits, config.outlier_guard, along_ray, depth, extents)
+        _usable(
+            depth_m.detach().contiguous().numpy(),
+            *slopes,
+            limits,
+            config.outlier_guard,
+            along_ray,
+            depth,
+            extents,
+        )
         z_near, z_far = float(extents[:, _NEAREST].min()), float(extents[:, _FARTHEST].max())
         if z_far < 0:
             return torch.zeros(0, 3, dtype=torch.int64)
@@ -122,7 +136,16 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
         view = np.array(box.R, np.float32), np.array(box.origin, np.float32)
         marks = np.zeros(math.prod(box.size) // 8 * 8 + 8, np.uint8)
         pieces = box.pieces(float(extents[:, _LONGEST].max()))
-        _crossed(depth, slopes, f32(config.truncation_m), view, np.array(box.size), pieces, along_ray, marks)
+        _crossed(
+            depth,
+            slopes,
+            f32(config.truncation_m),
+            view,
+            np.array(box.size),
+            pieces,
+            along_ray,
+            marks,
+        )
         cells = _cells(marks, np.array(box.size))
     return torch.from_numpy(cells) + box.low
 
@@ -134,7 +157,8 @@ def new_band_blocks(volume: TsdfVolume, frame: Frame) -> NewBlocks:
 
 @njit(inline="always")
 def _band(d, x, y, truncation, along_ray):
-    """Near and far end of the bands of sixteen pixels, and the lengths of their rays per metre of depth."""
+    """Near and far end of the bands of sixteen pixels, and the lengths of their rays per metre of
+    depth."""
     one = splat(_ONE)
     length = sqrt(times(x, x) + times(y, y) + one)
     half = truncation
@@ -147,9 +171,9 @@ def _band(d, x, y, truncation, along_ray):
 def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
     """Depth in rows of full vectors, -1 where it takes no part.
 
-    limits: which depths take part, metres; half the width of the band, metres; the largest difference between
-    neighbours that support each other, as a share of the depth. extents: [tasks, 3, 16], see ``_NEAREST``; the extreme
-    of each lane.
+    limits: which depths take part, metres; half the width of the band, metres; the largest
+    difference between neighbours that support each other, as a share of the depth. extents: [tasks,
+    3, 16], see ``_NEAREST``; the extreme of each lane.
     """
     height, width = depth.shape
     stride = result.shape[1]
@@ -164,7 +188,12 @@ def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
         nearest, farthest = splat(_INFINITE), splat(_NOT_USED)
         longest = farthest
         zero, not_used = splat(_ZERO), splat(_NOT_USED)
-        near_m, far_m, truncation, ratio = splat(limits[0]), splat(limits[1]), splat(limits[2]), splat(limits[3])
+        near_m, far_m, truncation, ratio = (
+            splat(limits[0]),
+            splat(limits[1]),
+            splat(limits[2]),
+            splat(limits[3]),
+        )
         for i in range(first, last):
             row = result[i]
             for j in range(0, stride, 16):
@@ -189,8 +218,8 @@ def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
-    """Mark the cells of the box that the bands pass through. view: rows of R_WC, blocks per metre; the camera's centre,
-    blocks from the corner of the box.
+    """Mark the cells of the box that the bands pass through. view: rows of R_WC, blocks per metre;
+    the camera's centre, blocks from the corner of the box.
 
     Threads share the map: each only ever writes ones.
     """
@@ -225,17 +254,28 @@ def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
                     number = select(used, ex * stride_x + ey * stride_y + ez, nowhere)
                     _mark(marks, number, nowhere)
                     mx, my, mz = ex - cx, ey - cy, ez - cz
-                    diagonal = used & (absolute(mx) + absolute(my) + absolute(mz) > splat(_MORE_THAN_ONE))
+                    diagonal = used & (
+                        absolute(mx) + absolute(my) + absolute(mz) > splat(_MORE_THAN_ONE)
+                    )
                     if any_lane(diagonal):
                         piece = ((px, py, pz), (qx, qy, qz))
-                        _mark_between(marks, piece, (cx, cy, cz), (mx, my, mz), diagonal, (stride_x, stride_y), nowhere)
+                        _mark_between(
+                            marks,
+                            piece,
+                            (cx, cy, cz),
+                            (mx, my, mz),
+                            diagonal,
+                            (stride_x, stride_y),
+                            nowhere,
+                        )
                     px, py, pz, cx, cy, cz = qx, qy, qz, ex, ey, ez
     marks[n] = 0
 
 
 @njit(cache=True, error_model="numpy")
 def _mark_between(marks, piece, cell, step, diagonal, strides, nowhere):
-    """Mark the cells that pieces pass between the cells of their ends, where these differ along more than one axis.
+    """Mark the cells that pieces pass between the cells of their ends, where these differ along
+    more than one axis.
 
     As in the reference: the coordinate that changes first has done so, then all but the last.
     """
@@ -248,12 +288,20 @@ def _mark_between(marks, piece, cell, step, diagonal, strides, nowhere):
     stays_x, stays_y, stays_z = absolute(mx) < half, absolute(my) < half, absolute(mz) < half
     ux, uy, uz = select(stays_x, late, tx), select(stays_y, late, ty), select(stays_z, late, tz)
     entry = minimum(minimum(ux, uy), uz)
-    kx, ky, kz = select(entry >= ux, mx, zero), select(entry >= uy, my, zero), select(entry >= uz, mz, zero)
+    kx, ky, kz = (
+        select(entry >= ux, mx, zero),
+        select(entry >= uy, my, zero),
+        select(entry >= uz, mz, zero),
+    )
     number = (cx + kx) * stride_x + (cy + ky) * stride_y + (cz + kz)
     _mark(marks, select(diagonal, number, nowhere), nowhere)
     ux, uy, uz = select(stays_x, early, tx), select(stays_y, early, ty), select(stays_z, early, tz)
     leave = maximum(maximum(ux, uy), uz)
-    kx, ky, kz = select(leave > ux, mx, zero), select(leave > uy, my, zero), select(leave > uz, mz, zero)
+    kx, ky, kz = (
+        select(leave > ux, mx, zero),
+        select(leave > uy, my, zero),
+        select(leave > uz, mz, zero),
+    )
     number = (cx + kx) * stride_x + (cy + ky) * stride_y + (cz + kz)
     _mark(marks, select(diagonal, number, nowhere), nowhere)
 
@@ -265,7 +313,8 @@ def _mark(marks, number, nowhere):
 
 @njit(inline="always")
 def _wall(start, end, cell, step):
-    """Where along the piece a coordinate crosses the wall between its cells, as a part of its length."""
+    """Where along the piece a coordinate crosses the wall between its cells, as a part of its
+    length."""
     return (maximum(cell, cell + step) - start) / (end - start)
 
 

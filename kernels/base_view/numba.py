@@ -1,4 +1,5 @@
-"""``base_view`` in one pass over the pixels: fill what is unknown through a pyramid, then enlarge."""
+"""``base_view`` in one pass over the pixels: fill what is unknown through a pyramid, then
+enlarge."""
 
 import numpy as np
 import torch
@@ -18,7 +19,9 @@ _DEPTH = 3
 """Channel of the depth, behind the colours."""
 
 
-def base_view(rgb: Tensor, depth_m: Tensor, size: tuple[int, int], holes: str, behind_m: float) -> BaseView:
+def base_view(
+    rgb: Tensor, depth_m: Tensor, size: tuple[int, int], holes: str, behind_m: float
+) -> BaseView:
     """See ``gsfusion_nb.render.base_view``."""
     if rgb.dtype != torch.float32:
         return reference.reference(rgb, depth_m, size, holes, behind_m)
@@ -32,7 +35,9 @@ def base_view(rgb: Tensor, depth_m: Tensor, size: tuple[int, int], holes: str, b
         _write(image, known, depth_m.shape == size, holes == "filled", holes == "gaussians", arrays)
     colour, depth, weight, everywhere = out
     return BaseView(
-        base=Base(rgb=colour, depth_m=depth, weight=weight), depth_everywhere_m=everywhere, behind_m=behind_m
+        base=Base(rgb=colour, depth_m=depth, weight=weight),
+        depth_everywhere_m=everywhere,
+        behind_m=behind_m,
     )
 
 
@@ -108,7 +113,9 @@ def _mean_around(image, known, y, x, value):
     for c in range(4):
         value[c] = _NINE * image[i, j, c]
     for k in range(3):
-        a, b, share = (up, j, _THREE) if k == 0 else (i, side, _THREE) if k == 1 else (up, side, _ONE)
+        a, b, share = (
+            (up, j, _THREE) if k == 0 else (i, side, _THREE) if k == 1 else (up, side, _ONE)
+        )
         if abs(image[a, b, _DEPTH] - z) < _SAME * z and known[a, b] == known[i, j]:
             total += share
             for c in range(4):

@@ -1,7 +1,9 @@
-"""Lists of the splats that touch each tile, nearest first or in any order: ``binning.cu`` and torch's radix sorts.
+"""Lists of the splats that touch each tile, nearest first or in any order: ``binning.cu`` and
+torch's radix sorts.
 
-Splats are sorted by depth once, the (splat, tile) pairs are listed in that order, and a stable sort by tile number
-keeps it: two sorts with short keys. The number of pairs is the only value the host waits for.
+Splats are sorted by depth once, the (splat, tile) pairs are listed in that order, and a stable sort
+by tile number keeps it: two sorts with short keys. The number of pairs is the only value the host
+waits for.
 """
 
 from dataclasses import dataclass
@@ -34,14 +36,25 @@ class TileLists:
     """Tiles in a row."""
     n_tiles: int
 
-    def work(self, splats: Tensor, camera: Camera, pixels: Tensor | None) -> dict[str, Any]:
-        """What the kernels of ``square.cuh`` are given. ``pixels``: uint8, those to be drawn; ``None`` for all."""
+    def work(
+        self,
+        splats: Tensor,
+        camera: Camera,
+        pixels: Tensor | None,
+    ) -> dict[str, Any]:
+        """What the kernels of ``square.cuh`` are given. ``pixels``: uint8, those to be drawn;
+        ``None`` for all."""
         size = {"width": camera.width, "height": camera.height, "tiles_x": self.tiles_x}
         return size | {"splats": splats, "ids": self.ids, "offset": self.offset, "pixels": pixels}
 
 
 def list_tiles(
-    splats: Tensor, depth: Tensor, camera: Camera, pixels: Tensor | None, *, by_depth: bool = True
+    splats: Tensor,
+    depth: Tensor,
+    camera: Camera,
+    pixels: Tensor | None,
+    *,
+    by_depth: bool = True,
 ) -> TileLists:
     """Lists of all splats with a finite depth; empty in tiles without any of ``pixels``.
 
@@ -57,7 +70,18 @@ def list_tiles(
     active, before = (None, None) if pixels is None else _active_tiles(pixels)
     count = torch.empty(N, dtype=torch.int32, device=device)
     blocks = parts(N, _BLOCK)
-    launch("render_forward", "binning:count_tiles", blocks, _BLOCK, splats, depth, before, count, N, grid)
+    launch(
+        "render_forward",
+        "binning:count_tiles",
+        blocks,
+        _BLOCK,
+        splats,
+        depth,
+        before,
+        count,
+        N,
+        grid,
+    )
     order = torch.sort(depth, stable=True).indices if by_depth else torch.arange(N, device=device)
     end = count.index_select(0, order).cumsum(0)  # int64
     total = int(end[-1]) if N else 0
@@ -71,12 +95,14 @@ def list_tiles(
     tile, place = torch.sort(tile, stable=True)
     numbers = torch.arange(n_tiles + 1, dtype=tile.dtype, device=device)
     offset = torch.searchsorted(tile, numbers, out_int32=True)
-    return TileLists(ids=ids.index_select(0, place), offset=offset, tiles_x=tiles_x, n_tiles=n_tiles)
+    return TileLists(
+        ids=ids.index_select(0, place), offset=offset, tiles_x=tiles_x, n_tiles=n_tiles
+    )
 
 
 def _active_tiles(pixels: Tensor) -> tuple[Tensor, Tensor]:
-    """Whether each tile has a wanted pixel [tiles_y, tiles_x]; the number of those before each column of tiles, int32
-    [tiles_y, tiles_x + 1]."""
+    """Whether each tile has a wanted pixel [tiles_y, tiles_x]; the number of those before each
+    column of tiles, int32 [tiles_y, tiles_x + 1]."""
     H, W = pixels.shape
     padded = torch.nn.functional.pad(pixels, (0, -W % TILE, 0, -H % TILE))
     active = padded.unflatten(1, (-1, TILE)).unflatten(0, (-1, TILE)).any(3).any(1).contiguous()

@@ -1,4 +1,5 @@
-"""How many (Gaussian, tile) pairs the kernels can number, and where the pixels to be drawn are, tile by tile.
+"""How many (Gaussian, tile) pairs the kernels can number, and where the pixels to be drawn are,
+tile by tile.
 
 The numba kernels list a splat only in tiles where it can be seen.
 """
@@ -15,8 +16,8 @@ def check_pairs(total: int) -> None:
     """Raise ``ValueError`` if there are more (Gaussian, tile) pairs than kernels can number."""
     if total >= MOST_PAIRS:
         raise ValueError(
-            f"render_forward: {total} (Gaussian, tile) pairs are more than 2^31; draw a smaller image, "
-            "or a map of smaller Gaussians"
+            f"render_forward: {total} (Gaussian, tile) pairs are more than 2^31; draw a smaller "
+            "image, or a map of smaller Gaussians"
         )
 
 
@@ -28,7 +29,8 @@ class TileWindows(NamedTuple):
     """The bounding box of the pixels to be drawn in each tile, and how many tiles have any."""
 
     windows: np.ndarray
-    """int32 [tiles, 4], first and last column, first and last row, in pixels of the image; in a tile without any, the
-    first is behind the last. [0, 4] if all pixels are to be drawn."""
+    """int32 [tiles, 4], first and last column, first and last row, in pixels of the image; in a
+    tile without any, the first is behind the last. [0, 4] if all pixels are to be drawn."""
     sums: np.ndarray
-    """int32 [tiles_y + 1, tiles_x + 1]: ``sums[j, i]`` tiles above row j and left of column i have any."""
+    """int32 [tiles_y + 1, tiles_x + 1]: ``sums[j, i]`` tiles above row j and left of column i have
+    any."""

@@ -38,7 +38,8 @@ def tile_windows(pixels, width, height):
 
 @njit(cache=True, error_model="numpy")
 def depth_order(splats, count):
-    """Rows with a tile, by depth, equal depths in row order: two radix passes over the bits of the positive float."""
+    """Rows with a tile, by depth, equal depths in row order: two radix passes over the bits of the
+    positive float."""
     n = 0
     for i in range(count.shape[0]):
         n += count[i] > 0
@@ -68,7 +69,8 @@ def depth_order(splats, count):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def list_tiles(splats, start, noted, width, height, windows, pair_tile):
-    """Numbers of the tiles each splat is listed in, row i in ``pair_tile[start[i]:start[i + 1]]``."""
+    """Numbers of the tiles each splat is listed in, row i in
+    ``pair_tile[start[i]:start[i + 1]]``."""
     N = splats.shape[0]
     n_parts = (N + CHUNK - 1) // CHUNK
     for k_part in prange(cyclic_size(n_parts)):
@@ -78,16 +80,21 @@ def list_tiles(splats, start, noted, width, height, windows, pair_tile):
         first, end = part * CHUNK, min(N, part * CHUNK + CHUNK)
         n = start[end] - start[first]
         if n <= NOTED_PER_CHUNK:
-            pair_tile[start[first] : start[end]] = noted[part * NOTED_PER_CHUNK : part * NOTED_PER_CHUNK + n]
+            pair_tile[start[first] : start[end]] = noted[
+                part * NOTED_PER_CHUNK : part * NOTED_PER_CHUNK + n
+            ]
             continue
         for i in range(first, end):
             if start[i + 1] > start[i]:
-                tiles_of(splats[i], width, height, windows, pair_tile, start[i], start[i + 1] - start[i])
+                tiles_of(
+                    splats[i], width, height, windows, pair_tile, start[i], start[i + 1] - start[i]
+                )
 
 
 @njit(cache=True, error_model="numpy")
 def sort_pairs(order, start, pair_tile, n_tiles):
-    """Counting sort of the pairs by tile, depth order kept; a pair's slot is its place in ``pair_tile``."""
+    """Counting sort of the pairs by tile, depth order kept; a pair's slot is its place in
+    ``pair_tile``."""
     offset = np.zeros(n_tiles + 1, np.int32)
     for k in range(pair_tile.shape[0]):
         offset[pair_tile[k] + 1] += 1

@@ -1,7 +1,7 @@
 """Sums of the brightness error in one pass over the pixels of a frame.
 
-The formulas are those of ``gsfusion_nb.tracking.brightness``. As in the kernel of ICP, each row of pixels first lists
-sqrt(w) [J, r, 1] in columns, then multiplies them; rows are added up in order.
+The formulas are those of ``gsfusion_nb.tracking.brightness``. As in the kernel of ICP, each row of
+pixels first lists sqrt(w) [J, r, 1] in columns, then multiplies them; rows are added up in order.
 """
 
 # Arrays are passed on as tuples, which pyright cannot follow:
@@ -30,7 +30,13 @@ _FLAT_SQUARE, _PER_ERROR = f32(FLAT) * f32(FLAT), f32(1.0 / USUAL_ERROR)
 
 
 def brightness_system(
-    level: DepthLevel, brightness: Tensor, T_WC: Tensor, picture: Picture, *, max_distance_m: float, offset: float = 0.0
+    level: DepthLevel,
+    brightness: Tensor,
+    T_WC: Tensor,
+    picture: Picture,
+    *,
+    max_distance_m: float,
+    offset: float = 0.0,
 ) -> BrightnessSystem:
     """See ``gsfusion_nb.tracking.brightness_system``."""
     images = (level.depth_m, brightness, picture.depth_m, picture.brightness, picture.gradient)
@@ -41,7 +47,12 @@ def brightness_system(
     poses = poses_of(T_WC, picture.T_WC)
     with launching():
         sums, n = _sum_rows(
-            seen, poses, lens_of(level.camera, f32), lens_of(picture.camera, f32), f32(max_distance_m), f32(offset)
+            seen,
+            poses,
+            lens_of(level.camera, f32),
+            lens_of(picture.camera, f32),
+            f32(max_distance_m),
+            f32(offset),
         )
     return BrightnessSystem(gram=torch.from_numpy(sums.sum(0))[_ENTRIES], n=int(n.sum()))
 
@@ -50,7 +61,8 @@ def brightness_system(
 def _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns):
     """Write sqrt(w) [J, r, 1] of the pixels of row j that both see to ``columns``; their number.
 
-    seen: depth and brightness of the frame [H, W]; depth, brightness [h, w] and gradient [h, w, 2] of the picture.
+    seen: depth and brightness of the frame [H, W]; depth, brightness [h, w] and gradient [h, w, 2]
+    of the picture.
     """
     depth, brightness, picture_depth, picture, gradient = seen
     T, R = poses.T_WC, poses.R_WS
@@ -69,7 +81,10 @@ def _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns
         s2 = R[0, 2] * p0 + R[1, 2] * p1 + R[2, 2] * p2
         if not s2 > _ZERO:
             continue
-        s0, s1 = R[0, 0] * p0 + R[1, 0] * p1 + R[2, 0] * p2, R[0, 1] * p0 + R[1, 1] * p1 + R[2, 1] * p2
+        s0, s1 = (
+            R[0, 0] * p0 + R[1, 0] * p1 + R[2, 0] * p2,
+            R[0, 1] * p0 + R[1, 1] * p1 + R[2, 1] * p2,
+        )
         u, v = fx * (s0 / s2) + cx, fy * (s1 / s2) + cy
         if not (u >= _ZERO and u < f32(width) and v >= _ZERO and v < f32(height)):
             continue

@@ -1,4 +1,5 @@
-"""Arrays that the kernels of compositing share: tiles, lists of pairs, images, sums of the gradient."""
+"""Arrays that the kernels of compositing share: tiles, lists of pairs, images, sums of the
+gradient."""
 
 from typing import NamedTuple
 
@@ -9,8 +10,8 @@ TILE = 16
 
 
 class PairLists(NamedTuple):
-    """The (splat, tile) pairs, sorted by tile, then by depth: tile t has those from ``offset[t]`` to
-    ``offset[t + 1]``. int32"""
+    """The (splat, tile) pairs, sorted by tile, then by depth: tile t has those from ``offset[t]``
+    to ``offset[t + 1]``. int32"""
 
     ids: np.ndarray
     """Splat of each pair."""
@@ -28,7 +29,8 @@ class Image(NamedTuple):
 
 
 class IndexImages(NamedTuple):
-    """Rows of the first and of the heaviest splat of each pixel, and of the first opaque one; -1 for none.
+    """Rows of the first and of the heaviest splat of each pixel, and of the first opaque one; -1
+    for none.
 
     int64 [H, W], or [0, 0] if not wanted.
     """
@@ -38,7 +40,9 @@ class IndexImages(NamedTuple):
     hit: np.ndarray
 
 
-SUM_GX, SUM_GY, SUM_GXX, SUM_GXY, SUM_GYY, SUM_G, SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH = range(10)
+SUM_GX, SUM_GY, SUM_GXX, SUM_GXY, SUM_GYY, SUM_G, SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH = range(
+    10
+)
 
 PAIR_SUMS = 10
 """Numbers in a row."""

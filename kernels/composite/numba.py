@@ -1,10 +1,13 @@
-"""Front-to-back compositing of sorted splats, one 16x16 tile at a time, one pixel row per vector, and its gradient.
+"""Front-to-back compositing of sorted splats, one 16x16 tile at a time, one pixel row per vector,
+and its gradient.
 
-State per tile is a row-major 16x16 array of the transmittance T; a finished pixel keeps its T with the sign flipped,
-and one that is not to be drawn, or lies beyond the image, starts as finished. Other planes of the same size follow.
+State per tile is a row-major 16x16 array of the transmittance T; a finished pixel keeps its T with
+the sign flipped, and one that is not to be drawn, or lies beyond the image, starts as finished.
+Other planes of the same size follow.
 
-The gradient walks front to back like the forward pass: it repeats the forward decisions exactly, and the part of the
-pixel still to come is what is left of the total, so nothing per pair has to be kept between the passes.
+The gradient walks front to back like the forward pass: it repeats the forward decisions exactly,
+and the part of the pixel still to come is what is left of the total, so nothing per pair has to be
+kept between the passes.
 """
 
 # Intrinsics are called without their typing context, which pyright cannot follow:
@@ -15,7 +18,19 @@ from numba import njit, prange
 
 from gsfusion_nb.render.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 
-from ..project.layout import BLUE, CONIC_A, CONIC_B, CONIC_C, DEPTH, EXTENT_V, GREEN, LN_OPACITY, RED, U, V
+from ..project.layout import (
+    BLUE,
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    DEPTH,
+    EXTENT_V,
+    GREEN,
+    LN_OPACITY,
+    RED,
+    U,
+    V,
+)
 from ..runtime.numba.scalars import cyclic_size, cyclic_task
 from ..runtime.numba.simd import (
     any_lane,
@@ -43,7 +58,8 @@ _LOG_ALPHA_MIN, _T_MIN = f32(np.log(ALPHA_MIN)), f32(TRANSMITTANCE_MIN)
 
 @njit(cache=True, error_model="numpy")
 def zeros(size):
-    """float32 zeros that begin on a cache line: a vector that straddles two costs twice, 5 % of the whole."""
+    """float32 zeros that begin on a cache line: a vector that straddles two costs twice, 5 % of the
+    whole."""
     line = 16
     memory = np.zeros(size + line, np.float32)
     skip = -(memory.ctypes.data // 4) % line
@@ -52,7 +68,8 @@ def zeros(size):
 
 @njit(cache=True, error_model="numpy")
 def open_pixels(state, rows_open, pixels, x0, y0, width, height):
-    """T in front of the first splat: 1 at the tile's pixels that are to be drawn, else -1. Returns the open rows."""
+    """T in front of the first splat: 1 at the tile's pixels that are to be drawn, else -1. Returns
+    the open rows."""
     tile_width, tile_height = min(pair.TILE, width - x0), min(pair.TILE, height - y0)
     masked = pixels.shape[0] > 0
     if not masked and tile_width == pair.TILE and tile_height == pair.TILE:
@@ -73,14 +90,18 @@ def open_pixels(state, rows_open, pixels, x0, y0, width, height):
 
 @njit(inline="always")
 def rows_of(s, y0, height):
-    """The rows of the tile at ``y0`` that splat ``s`` reaches: the first, and the one behind the last."""
+    """The rows of the tile at ``y0`` that splat ``s`` reaches: the first, and the one behind the
+    last."""
     first = max(0, int(np.ceil(s[V] - s[EXTENT_V] - HALF)) - y0)
-    return first, min(min(pair.TILE, height - y0), int(np.floor(s[V] + s[EXTENT_V] - HALF)) + 1 - y0)
+    return first, min(
+        min(pair.TILE, height - y0), int(np.floor(s[V] + s[EXTENT_V] - HALF)) + 1 - y0
+    )
 
 
 @njit(inline="always")
 def across(s, x0):
-    """What is the same in all rows of the tile at ``x0``: dx, and q0 and q1 of  ln alpha = q0 + q1 dy - C dy^2 / 2."""
+    """What is the same in all rows of the tile at ``x0``: dx, and q0 and q1 of  ln alpha = q0 + q1
+    dy - C dy^2 / 2."""
     dx = iota() + splat(f32(x0) + HALF) - splat(s[U])
     q0 = splat(-HALF * s[CONIC_A]) * dx * dx + splat(s[LN_OPACITY])
     return dx, q0, splat(-s[CONIC_B]) * dx
@@ -97,7 +118,8 @@ def row_exponent(s, q0, q1, dy):
 def absorb(state, o, alpha):
     """Let a splat absorb its share ``alpha`` of T in the row at ``o``.
 
-    Returns the weights T alpha, zero where the pixel finishes; T before; T after; and which pixels go on.
+    Returns the weights T alpha, zero where the pixel finishes; T before; T after; and which pixels
+    go on.
     """
     T = load(state, o)
     T_open = maximum(T, splat(ZERO))
@@ -115,8 +137,11 @@ def alpha_of(log_alpha, seen):
     return select(seen, minimum(exp(log_alpha), splat(CEILING)), splat(ZERO))
 
 
-_SUM_RED, _SUM_GREEN, _SUM_BLUE, _SUM_DEPTH, _HEAVIEST, _DOMINANT, _FIRST, _HIT = range(PIXELS, 9 * PIXELS, PIXELS)
-"""Where the planes of the forward pass begin in a tile's state, after T: sums of w c, the largest w, indices."""
+_SUM_RED, _SUM_GREEN, _SUM_BLUE, _SUM_DEPTH, _HEAVIEST, _DOMINANT, _FIRST, _HIT = range(
+    PIXELS, 9 * PIXELS, PIXELS
+)
+"""Where the planes of the forward pass begin in a tile's state, after T: sums of w c, the largest
+w, indices."""
 
 _FORWARD_STATE, _FORWARD_STATE_WITHOUT_HITS = 9 * PIXELS, 8 * PIXELS
 
@@ -125,8 +150,9 @@ _FORWARD_STATE, _FORWARD_STATE_WITHOUT_HITS = 9 * PIXELS, 8 * PIXELS
 def composite_forward(splats, lists, pixels, image, indices, opaque):
     """Blend every tile's splats into ``image`` and ``indices``.
 
-    splats [N, SPLAT]: see ``project.layout``. pixels: bool [H, W], those to be drawn, or [0, 0] for all.
-    opaque: a hit is the first splat with at least this alpha, even behind the one that finishes the pixel.
+    splats [N, SPLAT]: see ``project.layout``. pixels: bool [H, W], those to be drawn, or [0, 0] for
+    all. opaque: a hit is the first splat with at least this alpha, even behind the one that
+    finishes the pixel.
     """
     ids, offset = lists.ids, lists.offset
     height, width = image.depth.shape
@@ -146,7 +172,9 @@ def composite_forward(splats, lists, pixels, image, indices, opaque):
         state[_DOMINANT:] = -ONE
         rows_open = np.empty(pair.TILE, np.uint8)
         n_open = open_pixels(state, rows_open, pixels, x0, y0, width, height)
-        if with_hit:  # finished pixels that still look for a hit keep their row open: -1 there, 0 at those not drawn
+        # finished pixels that still look for a hit keep their row open: -1 there, 0 at those not
+        # drawn
+        if with_hit:
             for o in range(PIXELS):
                 state[_HIT + o] = -max(state[o], ZERO)
         for k in range(offset[tile], offset[tile + 1]):
@@ -169,7 +197,9 @@ def composite_forward(splats, lists, pixels, image, indices, opaque):
                     _note_indices(state, o, w, number)
                 open_lanes = splat(ZERO) < T
                 if with_hit:
-                    open_lanes = either(open_lanes, _note_hit(state, o, alpha >= splat(opaque), number))
+                    open_lanes = either(
+                        open_lanes, _note_hit(state, o, alpha >= splat(opaque), number)
+                    )
                 if not any_lane(open_lanes):
                     rows_open[r] = 0
                     n_open -= 1
@@ -213,7 +243,8 @@ def _note_indices(state, o, w, number):
 
 @njit(inline="always")
 def _note_hit(state, o, solid, number):
-    """Keep the number of the splat where it is the first ``solid`` one; which pixels still look for theirs."""
+    """Keep the number of the splat where it is the first ``solid`` one; which pixels still look for
+    theirs."""
     before = load(state, _HIT + o)
     now = select(solid & (splat(ZERO) > before), number, before)
     store(state, _HIT + o, now)
@@ -238,24 +269,29 @@ def _write_tile(state, x0, y0, image, indices, pixels):
                 indices.dominant[y, x] = int(state[_DOMINANT + o])
                 indices.first[y, x] = int(state[_FIRST + o])
             if with_hit:
-                indices.hit[y, x] = int(state[_HIT + o]) if pixels.shape[0] == 0 or pixels[y, x] else -1
+                indices.hit[y, x] = (
+                    int(state[_HIT + o]) if pixels.shape[0] == 0 or pixels[y, x] else -1
+                )
 
 
 _REST, _V_RED, _V_GREEN, _V_BLUE, _V_DEPTH, _V_ALPHA = range(PIXELS, 7 * PIXELS, PIXELS)
-"""Where the planes begin in a tile's state, after T: what is still to come of C . v, and dL/d of the images."""
+"""Where the planes begin in a tile's state, after T: what is still to come of C . v, and dL/d of
+the images."""
 _BACKWARD_STATE = 7 * PIXELS
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def composite_backward(splats, lists, wanted, image, v_image, pair_sums, abs_sums):
-    """Per (tile, splat) sums of the loss gradient, written to ``pair_sums[slot[k]]`` [I, PAIR_SUMS].
+    """Per (tile, splat) sums of the loss gradient, written to ``pair_sums[slot[k]]`` [I,
+    PAIR_SUMS].
 
-    wanted: the pixels that were given to the forward, [0, 0] for all, and the rows whose sums are wanted, bool [N] or
-    [0] for all; the sums of the others are not written. image: as the forward made it. v_image: dL/d of it. abs_sums:
-    [I, 2], to which the sums of |dL/du| and |dL/dv| are written likewise, or None, for which this is compiled without
-    them.
-    With p_k = c_k . v_rgb + z_k v_depth + v_alpha:  dL/dalpha_k = T_k p_k - (sum_{j > k} w_j p_j) / (1 - alpha_k).
-    The last sum starts as the whole pixel's, C . v_rgb + D v_depth + alpha v_alpha, and loses w_k p_k at each step.
+    wanted: the pixels that were given to the forward, [0, 0] for all, and the rows whose sums are
+    wanted, bool [N] or [0] for all; the sums of the others are not written. image: as the forward
+    made it. v_image: dL/d of it. abs_sums: [I, 2], to which the sums of |dL/du| and |dL/dv| are
+    written likewise, or None, for which this is compiled without them.
+    With p_k = c_k . v_rgb + z_k v_depth + v_alpha:  dL/dalpha_k = T_k p_k - (sum_{j > k} w_j p_j) /
+    (1 - alpha_k). The last sum starts as the whole pixel's, C . v_rgb + D v_depth + alpha v_alpha,
+    and loses w_k p_k at each step.
     """
     ids, offset, slot = lists.ids, lists.offset, lists.slot
     pixels, trained = wanted
@@ -321,8 +357,13 @@ def _read_gradients(state, x0, y0, image, v_image, masked):
 
 @njit(inline="always")
 def _pass_on(state, o, w, red, green, blue, z):
-    """p of a splat with the weights ``w`` in the row at ``o``, and what is still to come behind it."""
-    p = red * load(state, _V_RED + o) + green * load(state, _V_GREEN + o) + blue * load(state, _V_BLUE + o)
+    """p of a splat with the weights ``w`` in the row at ``o``, and what is still to come behind
+    it."""
+    p = (
+        red * load(state, _V_RED + o)
+        + green * load(state, _V_GREEN + o)
+        + blue * load(state, _V_BLUE + o)
+    )
     p = p + z * load(state, _V_DEPTH + o) + load(state, _V_ALPHA + o)
     rest = load(state, _REST + o) - w * p
     store(state, _REST + o, rest)
@@ -331,8 +372,8 @@ def _pass_on(state, o, w, red, green, blue, z):
 
 @njit(inline="always")
 def _add_up(state, rows_open, s, place, out, abs_sums, slot):
-    """Write the sums of a trained splat over the tile at ``place`` (x0, y0, height of the image) to ``out`` and to row
-    ``slot`` of ``abs_sums``; returns how many rows it finished."""
+    """Write the sums of a trained splat over the tile at ``place`` (x0, y0, height of the image) to
+    ``out`` and to row ``slot`` of ``abs_sums``; returns how many rows it finished."""
     x0, y0, height = place
     first_row, end_row = rows_of(s, y0, height)
     dx, q0, q1 = across(s, x0)
@@ -389,7 +430,8 @@ def _add_up(state, rows_open, s, place, out, abs_sums, slot):
 
 @njit(cache=True, error_model="numpy")
 def _pass_through(state, rows_open, s, place):
-    """Take what a frozen splat absorbs from T and from what is still to come; returns how many rows it finished."""
+    """Take what a frozen splat absorbs from T and from what is still to come; returns how many rows
+    it finished."""
     x0, y0, height = place
     first_row, end_row = rows_of(s, y0, height)
     _, q0, q1 = across(s, x0)

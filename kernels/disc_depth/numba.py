@@ -1,7 +1,9 @@
-"""Disc depth of each pixel's hit and its gradient: one pass over the pixels, one over the Gaussians.
+"""Disc depth of each pixel's hit and its gradient: one pass over the pixels, one over the
+Gaussians.
 
-The formulas are those of ``gsfusion_nb.render.disc``. The gradient first lists the pixels of each Gaussian by counting;
-then each Gaussian adds up its own, in the order of the image: the sums do not depend on the number of threads.
+The formulas are those of ``gsfusion_nb.render.disc``. The gradient first lists the pixels of each
+Gaussian by counting; then each Gaussian adds up its own, in the order of the image: the sums do not
+depend on the number of threads.
 """
 
 # Arrays are passed on as a list, which pyright cannot follow:
@@ -24,8 +26,8 @@ from ..runtime.numba.launch import launching
 from ..runtime.numba.scalars import cyclic_size, cyclic_task
 
 P_X, P_Y, P_Z, N_X, N_Y, N_Z, P_DOT_N, MAX_OFFSET_M, NORMAL_X, NORMAL_Y, NORMAL_Z = range(11)
-"""A disc as a row of float32: centre p and normal n in the camera frame, p . n, the largest allowed |z - p_z|, and the
-normal towards the camera in the world frame."""
+"""A disc as a row of float32: centre p and normal n in the camera frame, p . n, the largest allowed
+|z - p_z|, and the normal towards the camera in the world frame."""
 
 DISC = 11
 """Numbers in a row."""
@@ -48,7 +50,8 @@ class View(NamedTuple):
 
 
 class PixelLists(NamedTuple):
-    """Pixels of an image, ``width`` a row, that hit Gaussian g: ``pixel[start[g] : start[g + 1]]``, in order."""
+    """Pixels of an image, ``width`` a row, that hit Gaussian g: ``pixel[start[g] : start[g + 1]]``,
+    in order."""
 
     pixel: np.ndarray
     start: np.ndarray
@@ -70,7 +73,9 @@ def disc_depth(
     on_plane = torch.empty(hit.shape, dtype=torch.bool)
     with launching():
         discs = _list_discs(*arrays, view, _offset(max_offset), _ALL_ROWS)
-        _meet_all(discs, hit, view, f32(min_cosine), depth.numpy(), normal.numpy(), on_plane.numpy())
+        _meet_all(
+            discs, hit, view, f32(min_cosine), depth.numpy(), normal.numpy(), on_plane.numpy()
+        )
     return reference.DiscDepth(depth_m=depth, normal_W=normal, on_plane=on_plane)
 
 
@@ -95,7 +100,14 @@ def disc_depth_vjp(
         pixel, start = _pixels_by_row(hit.reshape(-1), len(params), trained)
         lists = PixelLists(pixel=pixel, start=start, width=hit.shape[1])
         _meet_all_vjp(
-            discs, *arrays[1:], lists, view, f32(min_cosine), v_depth.reshape(-1), v_xyz.numpy(), v_quat.numpy()
+            discs,
+            *arrays[1:],
+            lists,
+            view,
+            f32(min_cosine),
+            v_depth.reshape(-1),
+            v_xyz.numpy(),
+            v_quat.numpy(),
         )
     return v_xyz, v_quat
 
@@ -132,7 +144,8 @@ def _unit(q):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
-    """The discs [N, DISC]; those of rows that are not ``wanted`` stay empty. An empty array stands for all rows."""
+    """The discs [N, DISC]; those of rows that are not ``wanted`` stay empty. An empty array stands
+    for all rows."""
     N = xyz.shape[0]
     all_wanted = wanted.shape[0] == 0
     R, centre = view.R_WC, view.centre_W
@@ -149,17 +162,31 @@ def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
             _, w, x, y, z = _unit(quat[i])
             axis = _thin_axis(log_scale[i])
             if axis == 0:
-                n0, n1, n2 = _ONE - _TWO * (y * y + z * z), _TWO * (x * y + w * z), _TWO * (x * z - w * y)
+                n0, n1, n2 = (
+                    _ONE - _TWO * (y * y + z * z),
+                    _TWO * (x * y + w * z),
+                    _TWO * (x * z - w * y),
+                )
             elif axis == 1:
-                n0, n1, n2 = _TWO * (x * y - w * z), _ONE - _TWO * (x * x + z * z), _TWO * (y * z + w * x)
+                n0, n1, n2 = (
+                    _TWO * (x * y - w * z),
+                    _ONE - _TWO * (x * x + z * z),
+                    _TWO * (y * z + w * x),
+                )
             else:
-                n0, n1, n2 = _TWO * (x * z + w * y), _TWO * (y * z - w * x), _ONE - _TWO * (x * x + y * y)
+                n0, n1, n2 = (
+                    _TWO * (x * z + w * y),
+                    _TWO * (y * z - w * x),
+                    _ONE - _TWO * (x * x + y * y),
+                )
             p0, p1, p2 = xyz[i, 0] - centre[0], xyz[i, 1] - centre[1], xyz[i, 2] - centre[2]
             for k in range(3):
                 d[P_X + k] = R[0, k] * p0 + R[1, k] * p1 + R[2, k] * p2
                 d[N_X + k] = R[0, k] * n0 + R[1, k] * n1 + R[2, k] * n2
             d[P_DOT_N] = d[P_X] * d[N_X] + d[P_Y] * d[N_Y] + d[P_Z] * d[N_Z]
-            d[MAX_OFFSET_M] = max_offset * math.exp(max(log_scale[i, 0], log_scale[i, 1], log_scale[i, 2]))
+            d[MAX_OFFSET_M] = max_offset * math.exp(
+                max(log_scale[i, 0], log_scale[i, 1], log_scale[i, 2])
+            )
             side = -_ONE if d[P_DOT_N] > _ZERO else _ONE
             d[NORMAL_X] = side * n0
             d[NORMAL_Y] = side * n1
@@ -201,7 +228,8 @@ def _meet_all(discs, hit, view, min_cosine, depth, normal, on_plane):
 
 @njit(cache=True, error_model="numpy")
 def _pixels_by_row(hit, N, wanted):
-    """Places in the image of the pixels that hit row g, in order: ``pixel[start[g] : start[g + 1]]``.
+    """Places in the image of the pixels that hit row g, in order:
+    ``pixel[start[g] : start[g + 1]]``.
 
     Rows that are not ``wanted`` have none; an empty array stands for all rows.
     """
@@ -224,7 +252,8 @@ def _pixels_by_row(hit, N, wanted):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _meet_all_vjp(discs, log_scale, quat, lists, view, min_cosine, v_depth, v_xyz, v_quat):
-    """Each row's sum over its pixels, in float64, carried to centre and quaternion; every row is written."""
+    """Each row's sum over its pixels, in float64, carried to centre and quaternion; every row is
+    written."""
     pixel, start, width = lists.pixel, lists.start, lists.width
     R = view.R_WC
     N = discs.shape[0]

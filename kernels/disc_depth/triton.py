@@ -1,10 +1,13 @@
-"""Disc depth of each pixel's hit and its gradient: one pass over the pixels, one over the Gaussians.
+"""Disc depth of each pixel's hit and its gradient: one pass over the pixels, one over the
+Gaussians.
 
-The formulas are those of ``gsfusion_nb.render.disc``. A pixel makes its disc from the parameters: cheaper than a table
-of discs. Pixels of one disc add their gradients by atomics, in an order that changes from run to run.
+The formulas are those of ``gsfusion_nb.render.disc``. A pixel makes its disc from the parameters:
+cheaper than a table of discs. Pixels of one disc add their gradients by atomics, in an order that
+changes from run to run.
 """
 
-# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportIndexIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false,
+# reportIndexIssue=false
 
 import torch
 import triton
@@ -45,9 +48,12 @@ def disc_depth(
     max_offset: float | None = DISC_MAX_OFFSET,
     min_cosine: float = DISC_MIN_COSINE,
 ) -> reference.DiscDepth:
-    """See ``gsfusion_nb.render.disc_depth``. A row beyond the last is taken for no hit: the host would have to wait."""
+    """See ``gsfusion_nb.render.disc_depth``. A row beyond the last is taken for no hit: the host
+    would have to wait."""
     device = device_of("disc_depth", params.xyz_W)
-    depth, normal = (torch.empty(*hit_index.shape, *n, dtype=torch.float32, device=device) for n in ((), (3,)))
+    depth, normal = (
+        torch.empty(*hit_index.shape, *n, dtype=torch.float32, device=device) for n in ((), (3,))
+    )
     on_plane = torch.empty(hit_index.shape, dtype=torch.uint8, device=device)
     launch(
         _meet_all,
@@ -95,20 +101,31 @@ def disc_depth_vjp(
     )
     axes = {name: discs[name] for name in ("log_scale", "quat", "T", "N")}
     launch(
-        _axes_vjp, parts(N, _BLOCK), device, **axes, v_disc=v_disc, v_xyz=v_xyz, v_quat=v_quat, BLOCK=_BLOCK,
+        _axes_vjp,
+        parts(N, _BLOCK),
+        device,
+        **axes,
+        v_disc=v_disc,
+        v_xyz=v_xyz,
+        v_quat=v_quat,
+        BLOCK=_BLOCK,
         num_warps=4,
-    )  # fmt: skip
+    )
     return v_xyz, v_quat
 
 
-def _discs_of(params: GaussianParams, T_WC: Tensor, device: torch.device) -> dict[str, Tensor | int]:
+def _discs_of(
+    params: GaussianParams, T_WC: Tensor, device: torch.device
+) -> dict[str, Tensor | int]:
     """The Gaussians and the pose."""
     arrays = {"xyz": params.xyz_W, "log_scale": params.log_scale, "quat": params.quat}
     arrays = {name: array.detach().contiguous() for name, array in arrays.items()}
     return {**arrays, "N": len(params), "T": T_WC.detach().to(device, torch.float32).contiguous()}
 
 
-def _rays_of(camera: Camera, hit_index: Tensor, max_offset: float | None, min_cosine: float) -> dict:
+def _rays_of(
+    camera: Camera, hit_index: Tensor, max_offset: float | None, min_cosine: float
+) -> dict:
     """What each pixel hits, its ray, and where the ray may meet the disc."""
     return {
         "hit": hit_index.long().contiguous(),
@@ -145,14 +162,33 @@ def _discs(xyz, log_scale, quat, T, g, mask):
     C_x, C_y, C_z = load_position(T)
     X, Y, Z = X - C_x, Y - C_y, Z - C_z
     return (
-        c0 * X + c1 * Y + c2 * Z, c3 * X + c4 * Y + c5 * Z, c6 * X + c7 * Y + c8 * Z,
-        c0 * n0 + c1 * n1 + c2 * n2, c3 * n0 + c4 * n1 + c5 * n2, c6 * n0 + c7 * n1 + c8 * n2,
-        n0, n1, n2, tl.exp(tl.maximum(l0, tl.maximum(l1, l2))),
-    )  # fmt: skip
+        c0 * X + c1 * Y + c2 * Z,
+        c3 * X + c4 * Y + c5 * Z,
+        c6 * X + c7 * Y + c8 * Z,
+        c0 * n0 + c1 * n1 + c2 * n2,
+        c3 * n0 + c4 * n1 + c5 * n2,
+        c6 * n0 + c7 * n1 + c8 * n2,
+        n0,
+        n1,
+        n2,
+        tl.exp(tl.maximum(l0, tl.maximum(l1, l2))),
+    )
 
 
 @triton.jit
-def _meet(p0, p1, p2, m0, m1, m2, scale, x, y, max_offset, min_cosine):
+def _meet(
+    p0,
+    p1,
+    p2,
+    m0,
+    m1,
+    m2,
+    scale,
+    x,
+    y,
+    max_offset,
+    min_cosine,
+):
     """z, r . n (1 off the plane), p . n and whether z is on the plane, for the rays (x, y, 1)."""
     rn = x * m0 + y * m1 + m2
     on_plane = tl.abs(rn) >= min_cosine * tl.sqrt(x * x + y * y + 1.0)
@@ -165,9 +201,25 @@ def _meet(p0, p1, p2, m0, m1, m2, scale, x, y, max_offset, min_cosine):
 
 @triton.jit(do_not_specialize=["width", "total", "N"])
 def _meet_all(
-    xyz, log_scale, quat, T, hit, depth, normal, on_plane_image, width, total, N, fx, fy, cx, cy, max_offset,
-    min_cosine, BLOCK: tl.constexpr,
-):  # fmt: skip
+    xyz,
+    log_scale,
+    quat,
+    T,
+    hit,
+    depth,
+    normal,
+    on_plane_image,
+    width,
+    total,
+    N,
+    fx,
+    fy,
+    cx,
+    cy,
+    max_offset,
+    min_cosine,
+    BLOCK: tl.constexpr,
+):
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     here = at < total
     g = tl.load(hit + at, mask=here, other=-1)
@@ -183,9 +235,26 @@ def _meet_all(
 
 @triton.jit(do_not_specialize=["width", "total", "N"])
 def _meet_all_vjp(
-    xyz, log_scale, quat, T, hit, trained, v_depth, v_disc, width, total, N, fx, fy, cx, cy, max_offset,
-    min_cosine, SOME: tl.constexpr, BLOCK: tl.constexpr,
-):  # fmt: skip
+    xyz,
+    log_scale,
+    quat,
+    T,
+    hit,
+    trained,
+    v_depth,
+    v_disc,
+    width,
+    total,
+    N,
+    fx,
+    fy,
+    cx,
+    cy,
+    max_offset,
+    min_cosine,
+    SOME: tl.constexpr,
+    BLOCK: tl.constexpr,
+):
     """Add each pixel's gradients of centre and normal, camera frame, to ``v_disc`` [N, _V_DISC]."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     here = at < total
@@ -216,8 +285,19 @@ def _axes_vjp(log_scale, quat, T, v_disc, v_xyz, v_quat, N, BLOCK: tl.constexpr)
     a0, a1, a2 = load3(v + _V_P_X, 0, row)
     b0, b1, b2 = load3(v + _V_N_X, 0, row)
     k0, k1, k2, k3, k4, k5, k6, k7, k8 = load_rotation(T)
-    store3(v_xyz, i, k0 * a0 + k1 * a1 + k2 * a2, k3 * a0 + k4 * a1 + k5 * a2, k6 * a0 + k7 * a1 + k8 * a2, row)
-    v0, v1, v2 = k0 * b0 + k1 * b1 + k2 * b2, k3 * b0 + k4 * b1 + k5 * b2, k6 * b0 + k7 * b1 + k8 * b2
+    store3(
+        v_xyz,
+        i,
+        k0 * a0 + k1 * a1 + k2 * a2,
+        k3 * a0 + k4 * a1 + k5 * a2,
+        k6 * a0 + k7 * a1 + k8 * a2,
+        row,
+    )
+    v0, v1, v2 = (
+        k0 * b0 + k1 * b1 + k2 * b2,
+        k3 * b0 + k4 * b1 + k5 * b2,
+        k6 * b0 + k7 * b1 + k8 * b2,
+    )
     l0, l1, l2 = load3(log_scale, i, row)
     axis = _thin_axis(l0, l1, l2)
     e0, e1, e2 = _pick(axis, 1.0, 0.0, 0.0), _pick(axis, 0.0, 1.0, 0.0), _pick(axis, 0.0, 0.0, 1.0)

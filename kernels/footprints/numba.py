@@ -1,4 +1,5 @@
-"""Visibility and size in the image of every Gaussian, in one pass over the rows; float64 goes to the reference."""
+"""Visibility and size in the image of every Gaussian, in one pass over the rows; float64 goes to
+the reference."""
 
 import math
 
@@ -11,7 +12,19 @@ from gsfusion_nb.render.constants import ALPHA_MIN, NEAR_PLANE_M
 from gsfusion_nb.render.on_screen import Footprints
 from gsfusion_nb.types import Camera, GaussianParams
 
-from ..project.layout import DEPTH, EXTENT_U, EXTENT_V, HEIGHT, LN_OPACITY, SPLAT, WIDTH, U, V, arrays_of, pack_camera
+from ..project.layout import (
+    DEPTH,
+    EXTENT_U,
+    EXTENT_V,
+    HEIGHT,
+    LN_OPACITY,
+    SPLAT,
+    WIDTH,
+    U,
+    V,
+    arrays_of,
+    pack_camera,
+)
 from ..project.numba import CHUNK, _project, camera_point
 from ..runtime.numba.launch import launching
 
@@ -29,8 +42,15 @@ def footprints(params: GaussianParams, camera: Camera, T_WC: Tensor) -> Footprin
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _radii(params, cam, radius):
-    """Write half of the longer side of the box of each row, 0 where it does not reach into the image."""
-    xyz, log_scale, quat, logit, sh = params.xyz, params.log_scale, params.quat, params.logit, params.sh
+    """Write half of the longer side of the box of each row, 0 where it does not reach into the
+    image."""
+    xyz, log_scale, quat, logit, sh = (
+        params.xyz,
+        params.log_scale,
+        params.quat,
+        params.logit,
+        params.sh,
+    )
     N = sh.shape[0]
     for part in prange((N + CHUNK - 1) // CHUNK):
         s = np.empty(SPLAT, np.float32)
@@ -45,5 +65,10 @@ def _radii(params, cam, radius):
             if not _project(cam, x, y, z, log_scale[i], quat[i], s):
                 continue
             across = s[U] + s[EXTENT_U] > _ZERO and s[U] - s[EXTENT_U] < cam[WIDTH]
-            if across and s[V] + s[EXTENT_V] > _ZERO and s[V] - s[EXTENT_V] < cam[HEIGHT] and np.isfinite(sh[i]).all():
+            if (
+                across
+                and s[V] + s[EXTENT_V] > _ZERO
+                and s[V] - s[EXTENT_V] < cam[HEIGHT]
+                and np.isfinite(sh[i]).all()
+            ):
                 radius[i] = max(s[EXTENT_U], s[EXTENT_V])

@@ -1,4 +1,5 @@
-"""Real spherical harmonics up to degree 3 at one direction, and their gradient; constants as in the reference."""
+"""Real spherical harmonics up to degree 3 at one direction, and their gradient; constants as in the
+reference."""
 
 import numpy as np
 from numba import njit
@@ -18,7 +19,8 @@ _2, _3, _4, _6, _8 = f32(2), f32(3), f32(4), f32(6), f32(8)
 
 @njit(cache=True, error_model="numpy")
 def basis_into(x, y, z, K, Y):
-    """Write the first K = 1, 4, 9 or 16 basis functions at the unit direction (x, y, z) to ``Y``."""
+    """Write the first K = 1, 4, 9 or 16 basis functions at the unit direction (x, y, z) to
+    ``Y``."""
     Y[0] = _C0
     if K < 4:
         return
@@ -59,9 +61,23 @@ def gradient_into(x, y, z, K, w):
     xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
     a, b, c, d = _C30 * w[9], _C31 * w[10], _C32 * w[11], _3 * _C33 * w[12]
     e, f, g = _C32 * w[13], _C34 * w[14], _C30 * w[15]
-    vx += -_6 * a * xy + b * yz + _2 * c * xy - _2 * d * xz - e * (_4 * zz - _3 * xx - yy) + _2 * f * xz
+    vx += (
+        -_6 * a * xy
+        + b * yz
+        + _2 * c * xy
+        - _2 * d * xz
+        - e * (_4 * zz - _3 * xx - yy)
+        + _2 * f * xz
+    )
     vx += -_3 * g * (xx - yy)
-    vy += -_3 * a * (xx - yy) + b * xz - c * (_4 * zz - xx - _3 * yy) - _2 * d * yz + _2 * e * xy - _2 * f * yz
+    vy += (
+        -_3 * a * (xx - yy)
+        + b * xz
+        - c * (_4 * zz - xx - _3 * yy)
+        - _2 * d * yz
+        + _2 * e * xy
+        - _2 * f * yz
+    )
     vy += _6 * g * xy
     vz += b * xy - _8 * c * yz + d * (_2 * zz - xx - yy) - _8 * e * xz + f * (xx - yy)
     return vx, vy, vz

@@ -7,7 +7,8 @@ from gsfusion_nb.tracking.icp import IcpSystem
 from gsfusion_nb.tracking.surface import DepthLevel, Surface
 
 H_ROWS = H_0, H_1, H_2, H_3, H_4, H_5 = 0, 6, 11, 15, 18, 20
-"""Where among the sums of a kernel each row of H begins: with its entry on the diagonal, for H is symmetric."""
+"""Where among the sums of a kernel each row of H begins: with its entry on the diagonal, for H is
+symmetric."""
 
 B, SQUARES, WEIGHTS, INLIERS, OVERLAP = 21, 27, 28, 29, 30
 """Places of the six entries of b, the two sums and the two counts, behind those of H."""
@@ -29,7 +30,8 @@ def images_of(level: DepthLevel, surface: Surface) -> dict[str, Tensor]:
 
 
 def to_system(sums: Tensor) -> IcpSystem:
-    """The normal equations from the kernels' sums over all pixels, float64 [31] on the CPU; H and b stay there."""
+    """The normal equations from the kernels' sums over all pixels, float64 [31] on the CPU; H and b
+    stay there."""
     return IcpSystem(
         H=sums[_ENTRIES],
         b=sums[B:SQUARES],

@@ -1,8 +1,8 @@
 """Normal equations of point-to-plane ICP in one pass over the pixels of a frame.
 
 The formulas are those of ``gsfusion_nb.tracking.icp``. Each row of pixels first lists
-its correspondences, sqrt(w) [J, r, 1] in columns, then multiplies them: 29 vectorised dot products. Rows are added up
-in order, so the sums do not depend on the number of threads.
+its correspondences, sqrt(w) [J, r, 1] in columns, then multiplies them: 29 vectorised dot products.
+Rows are added up in order, so the sums do not depend on the number of threads.
 """
 
 # Arrays are passed on as tuples, which pyright cannot follow:
@@ -25,13 +25,15 @@ from .host import H_ROWS, INLIERS, N_SUMS, OVERLAP, SQUARES, WEIGHTS, B, images_
 
 f32 = np.float32
 _N_X, _N_Y, _N_Z, _M_X, _M_Y, _M_Z, _RESIDUAL, _WEIGHT = range(8)
-"""Columns of a correspondence: the six of J, the normal and the moment of it about the origin, then r and 1."""
+"""Columns of a correspondence: the six of J, the normal and the moment of it about the origin, then
+r and 1."""
 _N_COLUMNS = 8
 _ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
 
 
 class Poses(NamedTuple):
-    """T_WC about the centre of the surface's camera [4, 4]; rotation of that camera [3, 3]. float32"""
+    """T_WC about the centre of the surface's camera [4, 4]; rotation of that camera [3, 3].
+    float32"""
 
     T_WC: np.ndarray
     R_WS: np.ndarray
@@ -49,15 +51,24 @@ def icp_system(
     """See ``gsfusion_nb.tracking.icp_system``."""
     images = images_of(level, surface).values()
     if any(t.dtype != torch.float32 or t.device.type != "cpu" for t in images):
-        options = {"max_distance_m": max_distance_m, "min_cosine": min_cosine, "even_to_m": even_to_m}
+        options = {
+            "max_distance_m": max_distance_m,
+            "min_cosine": min_cosine,
+            "even_to_m": even_to_m,
+        }
         return reference.reference(level, T_WC, surface, **options)
     depth, normal, surface_depth, surface_normal = (t.detach().contiguous().numpy() for t in images)
     poses = poses_of(T_WC, surface.T_WC)
-    max_square_m2, even = f32(max_distance_m) * f32(max_distance_m), f32(np.inf if even_to_m is None else even_to_m)
+    max_square_m2, even = (
+        f32(max_distance_m) * f32(max_distance_m),
+        f32(np.inf if even_to_m is None else even_to_m),
+    )
     gates = max_square_m2, f32(min_cosine), even
     frame, model = (depth, normal), (surface_depth, surface_normal)
     with launching():
-        sums = _sum_rows(frame, model, poses, lens_of(level.camera, f32), lens_of(surface.camera, f32), gates)
+        sums = _sum_rows(
+            frame, model, poses, lens_of(level.camera, f32), lens_of(surface.camera, f32), gates
+        )
     return to_system(torch.from_numpy(sums.sum(0)))
 
 
@@ -80,10 +91,12 @@ def dot(a, b, n):
 
 @njit(cache=True, error_model="numpy")
 def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
-    """Write sqrt(w) [J, r, 1] of the correspondences of row j to ``columns``; their number, and that of the overlap.
+    """Write sqrt(w) [J, r, 1] of the correspondences of row j to ``columns``; their number, and
+    that of the overlap.
 
-    frame, model: depth [H, W] and normals [H, W, 3] of the frame, and of the surface that it is aligned with. gates:
-    the largest square of a distance, the least cosine, and the depth up to which all have the same weight.
+    frame, model: depth [H, W] and normals [H, W, 3] of the frame, and of the surface that it is
+    aligned with. gates: the largest square of a distance, the least cosine, and the depth up to
+    which all have the same weight.
     """
     (depth, normal), (surface_depth, surface_normal) = frame, model
     max_square_m2, min_cosine, even_to_m = gates
@@ -110,7 +123,11 @@ def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
             continue
         column, row = int(u), int(v)
         d = surface_depth[row, column]
-        n0, n1, n2 = surface_normal[row, column, 0], surface_normal[row, column, 1], surface_normal[row, column, 2]
+        n0, n1, n2 = (
+            surface_normal[row, column, 0],
+            surface_normal[row, column, 1],
+            surface_normal[row, column, 2],
+        )
         if not d > _ZERO or (n0 == _ZERO and n1 == _ZERO and n2 == _ZERO):
             continue
         n_overlap += 1
@@ -129,7 +146,9 @@ def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
         if not cosine >= min_cosine:
             continue
         near = even_to_m / z
-        w = near * near if near < _ONE else _ONE  # the square root of the weight, on both factors of each product
+        w = (
+            near * near if near < _ONE else _ONE
+        )  # the square root of the weight, on both factors of each product
         k = n_inliers
         columns[_RESIDUAL, k] = w * (e0 * n0 + e1 * n1 + e2 * n2)
         columns[_WEIGHT, k] = w
@@ -151,7 +170,9 @@ def _sum_rows(frame, model, poses, lens, surface_lens, gates):
     sums = np.empty((height, N_SUMS))
     for j in prange(height):
         columns = np.empty((_N_COLUMNS, width), np.float32)
-        n, sums[j, OVERLAP] = _correspond(frame, model, poses, lens, surface_lens, gates, j, columns)
+        n, sums[j, OVERLAP] = _correspond(
+            frame, model, poses, lens, surface_lens, gates, j, columns
+        )
         sums[j, INLIERS] = n
         for a in range(6):
             for b in range(a, 6):

@@ -1,10 +1,11 @@
 """Normal equations of point-to-plane ICP in one pass over the pixels of a frame.
 
-The formulas are those of ``gsfusion_nb.tracking.icp``. A program sums 256 pixels in float32; the programs'
-sums are added in float64. They repeat bit for bit.
+The formulas are those of ``gsfusion_nb.tracking.icp``. A program sums 256 pixels in float32; the
+programs' sums are added in float64. They repeat bit for bit.
 """
 
-# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportIndexIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false,
+# reportIndexIssue=false
 
 import dataclasses
 
@@ -24,8 +25,16 @@ from .host import images_of, to_system
 
 _BLOCK = 256
 _H_0, _H_1, _H_2, _H_3, _H_4, _H_5 = (tl.constexpr(place) for place in host.H_ROWS)
-_B, _SQUARES, _WEIGHTS = tl.constexpr(host.B), tl.constexpr(host.SQUARES), tl.constexpr(host.WEIGHTS)
-_INLIERS, _OVERLAP, _N_SUMS = tl.constexpr(host.INLIERS), tl.constexpr(host.OVERLAP), tl.constexpr(host.N_SUMS)
+_B, _SQUARES, _WEIGHTS = (
+    tl.constexpr(host.B),
+    tl.constexpr(host.SQUARES),
+    tl.constexpr(host.WEIGHTS),
+)
+_INLIERS, _OVERLAP, _N_SUMS = (
+    tl.constexpr(host.INLIERS),
+    tl.constexpr(host.OVERLAP),
+    tl.constexpr(host.N_SUMS),
+)
 
 
 def icp_system(
@@ -37,14 +46,23 @@ def icp_system(
     min_cosine: float,
     even_to_m: float | None = None,
 ) -> IcpSystem:
-    """See ``gsfusion_nb.tracking.icp_system``. Poses may be on any device; H and b are on the pose's."""
+    """See ``gsfusion_nb.tracking.icp_system``. Poses may be on any device; H and b are on the
+    pose's."""
     images = images_of(level, surface)
     if any(t.dtype != torch.float32 for t in images.values()):
-        options = {"max_distance_m": max_distance_m, "min_cosine": min_cosine, "even_to_m": even_to_m}
+        options = {
+            "max_distance_m": max_distance_m,
+            "min_cosine": min_cosine,
+            "even_to_m": even_to_m,
+        }
         return reference.reference(level, T_WC, surface, **options)
     device = device_of("icp_system", level.depth_m)
-    T, R_WS = (pose.to(device) for pose in about_the_surface(T_WC.detach(), surface.T_WC, torch.float32))
-    depth, normal, surface_depth, surface_normal = (t.detach().contiguous() for t in images.values())
+    T, R_WS = (
+        pose.to(device) for pose in about_the_surface(T_WC.detach(), surface.T_WC, torch.float32)
+    )
+    depth, normal, surface_depth, surface_normal = (
+        t.detach().contiguous() for t in images.values()
+    )
     total = level.depth_m.numel()
     sums = torch.empty(parts(total, _BLOCK), _N_SUMS.value, dtype=torch.float32, device=device)
     launch(
@@ -75,8 +93,20 @@ def icp_system(
 
 
 @triton.jit
-def _add_row(out, at: tl.constexpr, a, b0, b1, b2, b3, b4, b5, first: tl.constexpr):
-    """Store the sums of ``a`` times those of the six columns from number ``first`` on, at ``out + at`` and behind."""
+def _add_row(
+    out,
+    at: tl.constexpr,
+    a,
+    b0,
+    b1,
+    b2,
+    b3,
+    b4,
+    b5,
+    first: tl.constexpr,
+):
+    """Store the sums of ``a`` times those of the six columns from number ``first`` on, at
+    ``out + at`` and behind."""
     if first <= 0:
         tl.store(out + at, tl.sum(a * b0, axis=0))
     if first <= 1:
@@ -109,18 +139,49 @@ def _turn_back(R, x, y, z):
 
 
 @triton.jit(
-    do_not_specialize=["width", "total", "surface_width", "surface_height", "max_square", "min_cosine", "even_to"]
+    do_not_specialize=[
+        "width",
+        "total",
+        "surface_width",
+        "surface_height",
+        "max_square",
+        "min_cosine",
+        "even_to",
+    ]
 )
 def _sum(
-    depth, normal, surface_depth, surface_normal, T, R_WS, sums, width, total, surface_width, surface_height,
-    fx, fy, cx, cy, surface_fx, surface_fy, surface_cx, surface_cy, max_square, min_cosine, even_to,
+    depth,
+    normal,
+    surface_depth,
+    surface_normal,
+    T,
+    R_WS,
+    sums,
+    width,
+    total,
+    surface_width,
+    surface_height,
+    fx,
+    fy,
+    cx,
+    cy,
+    surface_fx,
+    surface_fy,
+    surface_cx,
+    surface_cy,
+    max_square,
+    min_cosine,
+    even_to,
     BLOCK: tl.constexpr,
-):  # fmt: skip
-    """The sums of ``host.to_system`` of each program. ``T``: T_WC about the centre of the surface's camera [4, 4]."""
+):
+    """The sums of ``host.to_system`` of each program. ``T``: T_WC about the centre of the surface's
+    camera [4, 4]."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     z = tl.load(depth + at, mask=at < total, other=0.0)
     overlap = z > 0
-    p0, p1, p2 = _turn(T, 4, z * ((at % width + 0.5 - cx) / fx), z * ((at // width + 0.5 - cy) / fy), z)
+    p0, p1, p2 = _turn(
+        T, 4, z * ((at % width + 0.5 - cx) / fx), z * ((at // width + 0.5 - cy) / fy), z
+    )
     C_x, C_y, C_z = load_position(T)
     p0, p1, p2 = p0 + C_x, p1 + C_y, p2 + C_z
     s0, s1, s2 = _turn_back(R_WS, p0, p1, p2)
@@ -132,14 +193,23 @@ def _sum(
     d = tl.load(surface_depth + row * surface_width + column, mask=overlap, other=0.0)
     n0, n1, n2 = load3(surface_normal, row * surface_width + column, overlap)
     overlap = overlap & (d > 0) & ((n0 != 0) | (n1 != 0) | (n2 != 0))
-    x, y = d * ((column + 0.5 - surface_cx) / surface_fx), d * ((row + 0.5 - surface_cy) / surface_fy)
+    x, y = (
+        d * ((column + 0.5 - surface_cx) / surface_fx),
+        d * ((row + 0.5 - surface_cy) / surface_fy),
+    )
     q0, q1, q2 = _turn(R_WS, 3, x, y, d)
     e0, e1, e2 = p0 - q0, p1 - q1, p2 - q2
     a, b, c = load3(normal, at, overlap)
     a, b, c = _turn(T, 4, a, b, c)
-    inlier = overlap & (e0 * e0 + e1 * e1 + e2 * e2 <= max_square) & (n0 * a + n1 * b + n2 * c >= min_cosine)
+    inlier = (
+        overlap
+        & (e0 * e0 + e1 * e1 + e2 * e2 <= max_square)
+        & (n0 * a + n1 * b + n2 * c >= min_cosine)
+    )
     near = tl.minimum(even_to / tl.where(inlier, z, 1.0), 1.0)
-    w = tl.where(inlier, near * near, 0.0)  # the square root of the weight, on both factors of each product
+    w = tl.where(
+        inlier, near * near, 0.0
+    )  # the square root of the weight, on both factors of each product
     r = tl.where(inlier, w * (e0 * n0 + e1 * n1 + e2 * n2), 0.0)
     n0, n1, n2 = w * n0, w * n1, w * n2
     m0, m1, m2 = p1 * n2 - p2 * n1, p2 * n0 - p0 * n2, p0 * n1 - p1 * n0

@@ -1,4 +1,5 @@
-"""Fold a frame into the volume, one pass over its blocks to find those in view, one over voxels: ``integrate.cu``."""
+"""Fold a frame into the volume, one pass over its blocks to find those in view, one over voxels:
+``integrate.cu``."""
 
 from typing import Any
 
@@ -13,13 +14,15 @@ from ..runtime.cuda.launch import device_of, launch
 
 _BLOCK = 128
 _RESIDENT = 132 * 16
-"""Blocks of threads: as many as an H100 has room for or more; each takes one voxel block after another."""
+"""Blocks of threads: as many as an H100 has room for or more; each takes one voxel block after
+another."""
 _OBSERVED, _N_COUNTS = 1, 2
 """Which of the counts of a frame is the number of observed voxels; as in ``integrate.cu``."""
 
 
 def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
-    """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``; the published averages are left to the reference."""
+    """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``; the published averages are left to the
+    reference."""
     device = device_of("fuse_frame_", volume.D)
     check_dtype("fuse_frame_", torch.float32, volume=volume.D, depth_m=frame.depth_m, rgb=frame.rgb)
     n = volume.n_blocks
@@ -31,13 +34,39 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     count = torch.zeros(_N_COUNTS, dtype=torch.int32, device=device)
     coords, (view, images, band) = volume.block_coords, view_of(volume, frame)
     blocks = parts(n, _BLOCK)
-    launch("fuse_frame_", "integrate:visible_blocks", blocks, _BLOCK, view, coords, n, band["far"], rows, count)
+    launch(
+        "fuse_frame_",
+        "integrate:visible_blocks",
+        blocks,
+        _BLOCK,
+        view,
+        coords,
+        n,
+        band["far"],
+        rows,
+        count,
+    )
     blocks, voxels = min(n, _RESIDENT), voxels_of(volume)
-    launch("fuse_frame_", "integrate:fuse_blocks", blocks, _BLOCK, view, coords, images, band, voxels, rows, count)
+    launch(
+        "fuse_frame_",
+        "integrate:fuse_blocks",
+        blocks,
+        _BLOCK,
+        view,
+        coords,
+        images,
+        band,
+        voxels,
+        rows,
+        count,
+    )
     return int(count[_OBSERVED])
 
 
-def view_of(volume: TsdfVolume, frame: Frame) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
+def view_of(
+    volume: TsdfVolume,
+    frame: Frame,
+) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """What ``voxel.cuh`` is given of a frame and of the settings of a volume."""
     camera, config = frame.camera, volume.config
     view = lens_of(camera)._asdict() | {

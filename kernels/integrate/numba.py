@@ -1,11 +1,13 @@
-"""Fold a frame into the volume: one pass over the blocks to find what it can observe, one over their voxels.
+"""Fold a frame into the volume: one pass over the blocks to find what it can observe, one over
+their voxels.
 
-A block is 32 vectors of two rows of eight voxels. Its homogeneous pixel coordinates are one corner plus 512 offsets
-that all blocks share, as in the reference, whose roundings are repeated here: distance "z" gives the same bits.
+A block is 32 vectors of two rows of eight voxels. Its homogeneous pixel coordinates are one corner
+plus 512 offsets that all blocks share, as in the reference, whose roundings are repeated here:
+distance "z" gives the same bits.
 
-Which blocks a frame can observe: in view, not beyond the largest depth, not hidden behind what is seen. For that a
-pyramid of tiles holds the largest depth in any part of the image; it is made while depth and colour are packed into
-words.
+Which blocks a frame can observe: in view, not beyond the largest depth, not hidden behind what is
+seen. For that a pyramid of tiles holds the largest depth in any part of the image; it is made while
+depth and colour are packed into words.
 """
 
 # Intrinsics are called without their typing context, which pyright cannot follow:
@@ -19,7 +21,12 @@ from numba import int32, njit, prange, uint32, uint64
 
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tsdf.block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK
-from gsfusion_nb.tsdf.integrate import INT16_ONE, LEAST_COLOUR_WEIGHT, LITTLE_COLOUR, NEAREST_COLOUR_M
+from gsfusion_nb.tsdf.integrate import (
+    INT16_ONE,
+    LEAST_COLOUR_WEIGHT,
+    LITTLE_COLOUR,
+    NEAREST_COLOUR_M,
+)
 from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
@@ -55,12 +62,17 @@ f32 = np.float32
 _EPS = f32(1e-4)
 _ZERO, _ONE, _INFINITE = f32(0.0), f32(1.0), f32(np.inf)
 _GREY_LEVELS = f32(255.0)
-_LEAST, _LITTLE, _MOST_BY_DISTANCE = f32(LEAST_COLOUR_WEIGHT), f32(LITTLE_COLOUR), f32(NEAREST_COLOUR_M**-2)
+_LEAST, _LITTLE, _MOST_BY_DISTANCE = (
+    f32(LEAST_COLOUR_WEIGHT),
+    f32(LITTLE_COLOUR),
+    f32(NEAREST_COLOUR_M**-2),
+)
 _MEAN, _EQ9, _INT16 = range(3)
 _AVERAGES = {"mean": _MEAN, "eq9": _EQ9, "int16": _INT16}
 _INT16_ONE, _INT16_ULP = f32(INT16_ONE), f32(1.0 / INT16_ONE)
 _ULP_IS_ONE = f32(2.0**23)
-"""From here on float32 numbers are whole: adding and subtracting it rounds a smaller positive number."""
+"""From here on float32 numbers are whole: adding and subtracting it rounds a smaller positive
+number."""
 
 _CHUNK = 16
 """Blocks of one parallel task."""
@@ -113,8 +125,11 @@ class DepthPyramid(NamedTuple):
     """[L, 3]: see ``_FIRST``."""
 
 
-def packed_image(depth: np.ndarray, colour: np.ndarray, near_m: float) -> tuple[np.ndarray, DepthPyramid]:
-    """Depth bits and, if ``colour`` [H W 3] has any bytes, colour of every pixel in one word; a pyramid of depths.
+def packed_image(
+    depth: np.ndarray, colour: np.ndarray, near_m: float
+) -> tuple[np.ndarray, DepthPyramid]:
+    """Depth bits and, if ``colour`` [H W 3] has any bytes, colour of every pixel in one word; a
+    pyramid of depths.
 
     Unknown depth becomes ``MISSING``.
     """
@@ -124,7 +139,9 @@ def packed_image(depth: np.ndarray, colour: np.ndarray, near_m: float) -> tuple[
         first, h, w = levels[-1]
         levels.append((first + h * w, (h + 1) // 2, (w + 1) // 2))
     packed = np.empty(height * width, np.uint64)
-    pyramid = DepthPyramid(largest=np.empty(levels[-1][_FIRST] + 1, np.float32), levels=np.array(levels))
+    pyramid = DepthPyramid(
+        largest=np.empty(levels[-1][_FIRST] + 1, np.float32), levels=np.array(levels)
+    )
     _pack(depth, colour, f32(near_m), pyramid, packed)
     return packed, pyramid
 
@@ -138,14 +155,24 @@ def _pack(depth, colour, near, pyramid, packed):
     flat_depth, has_bytes = depth.reshape(-1), len(colour) > 0
     for i in prange(h):
         column = np.full(w * _TILE + 16, MISSING, np.float32)
-        missing, zero, nearest, infinite = splat(MISSING), splat(_ZERO), splat(near), splat(_INFINITE)
+        missing, zero, nearest, infinite = (
+            splat(MISSING),
+            splat(_ZERO),
+            splat(near),
+            splat(_INFINITE),
+        )
         for y in range(i * _TILE, min(height, i * _TILE + _TILE)):
             for x in range(0, width - 15, 16):
                 at = y * width + x
                 d = load(flat_depth, at)
                 d = select((d > zero) & (d >= nearest) & (d < infinite), d, missing)
                 store(column, x, maximum(load(column, x), d))
-                store_pairs(packed, at, d, byte_triples(colour, 3 * at) if has_bytes else splat_int(int32(0)))
+                store_pairs(
+                    packed,
+                    at,
+                    d,
+                    byte_triples(colour, 3 * at) if has_bytes else splat_int(int32(0)),
+                )
             for x in range(width - width % 16, width):
                 d = depth[y, x]
                 d = d if (d > _ZERO) & (d >= near) & (d < _INFINITE) else MISSING
@@ -178,7 +205,10 @@ def farthest(largest, levels, box, width, height):
     u0, u1 = int(max(low_u, 0.0)), int(min(high_u, width - 1.0))
     v0, v1 = int(max(low_v, 0.0)), int(min(high_v, height - 1.0))
     level, tile = 0, _TILE
-    while level < levels.shape[0] - 1 and max(u1 // tile - u0 // tile, v1 // tile - v0 // tile) >= _SCAN:
+    while (
+        level < levels.shape[0] - 1
+        and max(u1 // tile - u0 // tile, v1 // tile - v0 // tile) >= _SCAN
+    ):
         level, tile = level + 1, tile * 2
     first, columns = levels[level, _FIRST], levels[level, _COLUMNS]
     most = MISSING
@@ -190,7 +220,8 @@ def farthest(largest, levels, box, width, height):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def find_observable(coords, rows, M, axis_z, limits, size, pyramid):
-    """Those of the ``blocks_in_view`` with a voxel that may be observed: in the picture, not too far, not hidden.
+    """Those of the ``blocks_in_view`` with a voxel that may be observed: in the picture, not too
+    far, not hidden.
 
     M [3, 4]: homogeneous pixel coordinates (U, V, Z) of a world point. axis_z: third row of T_CW.
     """
@@ -202,7 +233,11 @@ def find_observable(coords, rows, M, axis_z, limits, size, pyramid):
     half_z = 0.5 * side * (abs(axis_z[0]) + abs(axis_z[1]) + abs(axis_z[2]))
     for i in prange(len(rows)):
         b = rows[i]
-        x, y, z = side * (coords[b, 0] + 0.5), side * (coords[b, 1] + 0.5), side * (coords[b, 2] + 0.5)
+        x, y, z = (
+            side * (coords[b, 0] + 0.5),
+            side * (coords[b, 1] + 0.5),
+            side * (coords[b, 2] + 0.5),
+        )
         Z = M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3]
         if Z + half_z <= 0.0 or Z - half_z >= far + truncation:
             continue
@@ -237,16 +272,24 @@ def _box_around(M, centre, side):
 
 def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     """See ``gsfusion_nb.tsdf.integrate.fuse_frame_``."""
-    if any(t.device.type != "cpu" for t in (frame.depth_m, volume.D)) or volume.D.dtype != torch.float32:
+    if (
+        any(t.device.type != "cpu" for t in (frame.depth_m, volume.D))
+        or volume.D.dtype != torch.float32
+    ):
         return reference.reference(volume, frame)
     if not volume.n_blocks:
         return 0
     camera, config = frame.camera, volume.config
     T_CW = se3.inverse(frame.T_WC.detach().double()).numpy()
-    # (U, V, Z) of a world point: one is added to the pixel so that a truncation towards zero finds it.
-    K = np.array([[camera.fx, 0.0, camera.cx + 1], [0.0, camera.fy, camera.cy + 1], [0.0, 0.0, 1.0]])
+    # (U, V, Z) of a world point: one is added to the pixel so that a truncation towards zero finds
+    # it.
+    K = np.array(
+        [[camera.fx, 0.0, camera.cx + 1], [0.0, camera.fy, camera.cy + 1], [0.0, 0.0, 1.0]]
+    )
     depth, colour = (t.detach().contiguous().numpy() for t in (frame.depth_m, frame.colour))
-    in_bytes, rgb = (colour.reshape(-1), _NO_FLOATS) if frame.is_8_bit else (_NO_BYTES, colour.reshape(-1))
+    in_bytes, rgb = (
+        (colour.reshape(-1), _NO_FLOATS) if frame.is_8_bit else (_NO_BYTES, colour.reshape(-1))
+    )
     limits = Limits(
         far=float(config.far_m),
         truncation=float(config.truncation_m),
@@ -255,15 +298,25 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
         colour_band=float(config.colour_band_voxels * config.voxel_size_m),
     )
     falling = config.colour_weights == "falling"
-    method = config.sdf == "ray", _AVERAGES[config.average], config.weighs_colours, config.colour_by_distance, falling
-    D, W, colours, W_rgb = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes, volume.W_rgb))
+    method = (
+        config.sdf == "ray",
+        _AVERAGES[config.average],
+        config.weighs_colours,
+        config.colour_by_distance,
+        falling,
+    )
+    D, W, colours, W_rgb = (
+        t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes, volume.W_rgb)
+    )
     voxels = Voxels(coords=volume.block_coords.numpy(), D=D, W=W, rgb=colours, W_rgb=W_rgb)
     with launching():
         packed, pyramid = packed_image(depth, in_bytes, config.near_m)
         end_m = min(limits.far, float(pyramid.largest[-1])) + limits.truncation
         pixel_m = (end_m + volume.block_size_m) / min(camera.fx, camera.fy)
         rows = blocks_in_view(volume, camera, T_CW, end_m, pixel_m)
-        rows = find_observable(voxels.coords, rows, K @ T_CW[:3], T_CW[2], limits, depth.shape, pyramid)
+        rows = find_observable(
+            voxels.coords, rows, K @ T_CW[:3], T_CW[2], limits, depth.shape, pyramid
+        )
         updated = np.zeros(-(-len(rows) // _CHUNK), np.int64)
         _fuse(rows, voxels, (packed, rgb), depth.shape, (T_CW, K), limits, method, updated)
     return int(updated.sum())
@@ -274,7 +327,11 @@ def _offsets(T_CW, K, voxel_size):
     """(U, V, Z) of the 512 voxel centres relative to their block's corner, planes of one array."""
     out = np.empty(3 * VOXELS_PER_BLOCK, np.float32)
     for n in range(VOXELS_PER_BLOCK):
-        x, y, z = ((n >> 6) + 0.5) * voxel_size, ((n >> 3 & 7) + 0.5) * voxel_size, ((n & 7) + 0.5) * voxel_size
+        x, y, z = (
+            ((n >> 6) + 0.5) * voxel_size,
+            ((n >> 3 & 7) + 0.5) * voxel_size,
+            ((n & 7) + 0.5) * voxel_size,
+        )
         X = T_CW[0, 0] * x + T_CW[0, 1] * y + T_CW[0, 2] * z
         Y = T_CW[1, 0] * x + T_CW[1, 1] * y + T_CW[1, 2] * z
         Z = T_CW[2, 0] * x + T_CW[2, 1] * y + T_CW[2, 2] * z
@@ -312,12 +369,19 @@ def _truncated(x):
 
 @njit(inline="always")
 def _average_bytes(C, at, step, colour):
-    """Move the colours of sixteen voxels by ``step`` towards 8-bit ones; ``at``: where those of the block begin."""
+    """Move the colours of sixteen voxels by ``step`` towards 8-bit ones; ``at``: where those of the
+    block begin."""
     grey_level = splat(_ONE / _GREY_LEVELS)
     green_at, blue_at = at + VOXELS_PER_BLOCK, at + 2 * VOXELS_PER_BLOCK
     store(C, at, load(C, at) + step * (first_byte(colour) * grey_level - load(C, at)))
-    store(C, green_at, load(C, green_at) + step * (second_byte(colour) * grey_level - load(C, green_at)))
-    store(C, blue_at, load(C, blue_at) + step * (third_byte(colour) * grey_level - load(C, blue_at)))
+    store(
+        C,
+        green_at,
+        load(C, green_at) + step * (second_byte(colour) * grey_level - load(C, green_at)),
+    )
+    store(
+        C, blue_at, load(C, blue_at) + step * (third_byte(colour) * grey_level - load(C, blue_at))
+    )
 
 
 @njit(inline="always")
@@ -328,8 +392,14 @@ def _average_floats(C, at, step, rgb, pixel, observed):
     red = pixel * splat_int(int32(3))
     green, blue = red + splat_int(int32(1)), red + splat_int(int32(2))
     store(C, at, load(C, at) + step * (gather(rgb, red, observed, zero) - load(C, at)))
-    store(C, green_at, load(C, green_at) + step * (gather(rgb, green, observed, zero) - load(C, green_at)))
-    store(C, blue_at, load(C, blue_at) + step * (gather(rgb, blue, observed, zero) - load(C, blue_at)))
+    store(
+        C,
+        green_at,
+        load(C, green_at) + step * (gather(rgb, green, observed, zero) - load(C, green_at)),
+    )
+    store(
+        C, blue_at, load(C, blue_at) + step * (gather(rgb, blue, observed, zero) - load(C, blue_at))
+    )
 
 
 @njit(inline="always")
@@ -353,7 +423,11 @@ def _corner(coords, row, side, T_CW, K):
     X = T_CW[0, 0] * x + T_CW[0, 1] * y + T_CW[0, 2] * z + T_CW[0, 3]
     Y = T_CW[1, 0] * x + T_CW[1, 1] * y + T_CW[1, 2] * z + T_CW[1, 3]
     Z = T_CW[2, 0] * x + T_CW[2, 1] * y + T_CW[2, 2] * z + T_CW[2, 3]
-    return splat(f32(K[0, 0] * X + K[0, 2] * Z)), splat(f32(K[1, 1] * Y + K[1, 2] * Z)), splat(f32(Z))
+    return (
+        splat(f32(K[0, 0] * X + K[0, 2] * Z)),
+        splat(f32(K[1, 1] * Y + K[1, 2] * Z)),
+        splat(f32(Z)),
+    )
 
 
 @njit(inline="always")
@@ -364,11 +438,15 @@ def _ray_per_depth(slope_u, slope_v):
 
 @njit(inline="always")
 def _place(corner, offset, o, end_u, end_v):
-    """Where sixteen voxels of a block are seen: which are in the picture, 1 / z, z, and (u, v) plus a pixel."""
+    """Where sixteen voxels of a block are seen: which are in the picture, 1 / z, z, and (u, v) plus
+    a pixel."""
     one = splat(_ONE)
     away = corner[2] + load(offset, _Z + o)
     inv_z = one / away
-    u, v = times(corner[0] + load(offset, _U + o), inv_z), times(corner[1] + load(offset, _V + o), inv_z)
+    u, v = (
+        times(corner[0] + load(offset, _U + o), inv_z),
+        times(corner[1] + load(offset, _V + o), inv_z),
+    )
     inside = (u >= one) & (u < end_u) & (v >= one) & (v < end_v) & (away >= splat(_EPS))
     return inside, inv_z, away, u, v
 
@@ -395,17 +473,21 @@ def _update_colour_weight(W_rgb, at, w, most):
     W_old = load(W_rgb, at)
     W_new = minimum(W_old + w, most)
     store(W_rgb, at, W_new)
-    return select(w > splat(_ZERO), minimum(w / maximum(W_new, splat(_LEAST)), splat(_ONE)), splat(_ZERO))
+    return select(
+        w > splat(_ZERO), minimum(w / maximum(W_new, splat(_LEAST)), splat(_ONE)), splat(_ZERO)
+    )
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _fuse(rows, voxels, image, size, view, limits, method, updated):
-    """Update the voxels of the blocks ``rows``; ``updated`` [tasks] takes the numbers of voxels observed.
+    """Update the voxels of the blocks ``rows``; ``updated`` [tasks] takes the numbers of voxels
+    observed.
 
-    image: depth and 8-bit colour of every pixel in one word, and colours that are float32, empty if they are bytes.
-    view: pose [4, 4] and intrinsic matrix [3, 3], float64, with one added to the principal point.
-    method: whether distances are along the ray, how they are averaged, whether colours have weights of their own, and
-    whether these fall with the distance, and within the band.
+    image: depth and 8-bit colour of every pixel in one word, and colours that are float32, empty if
+    they are bytes. view: pose [4, 4] and intrinsic matrix [3, 3], float64, with one added to the
+    principal point. method: whether distances are along the ray, how they are averaged, whether
+    colours have weights of their own, and whether these fall with the distance, and within the
+    band.
 
     A task takes every n-th block, so that tasks cost about the same wherever the hidden blocks are.
     """
@@ -416,14 +498,23 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
     offset = _offsets(T_CW, K, limits.voxel_size)
     height, width = size
     n_tasks = updated.shape[0]
-    side, truncation, max_weight = BLOCK_VOXELS * limits.voxel_size, limits.truncation, limits.max_weight
+    side, truncation, max_weight = (
+        BLOCK_VOXELS * limits.voxel_size,
+        limits.truncation,
+        limits.max_weight,
+    )
     for task in prange(n_tasks):
         zero, one, missing = splat(_ZERO), splat(_ONE), splat(MISSING)
         end_u, end_v = splat(f32(width + 1)), splat(f32(height + 1))
         stride, first_pixel = splat_int(np.int32(width)), splat_int(np.int32(width + 1))
         behind, inv_truncation = splat(f32(-truncation)), splat(f32(1.0 / truncation))
         most, inv_band = splat(f32(max_weight)), splat(inv_band_width)
-        fx, fy, cx, cy = splat(f32(1.0 / K[0, 0])), splat(f32(1.0 / K[1, 1])), splat(f32(K[0, 2])), splat(f32(K[1, 2]))
+        fx, fy, cx, cy = (
+            splat(f32(1.0 / K[0, 0])),
+            splat(f32(1.0 / K[1, 1])),
+            splat(f32(K[0, 2])),
+            splat(f32(K[1, 2])),
+        )
         count = 0
         for r in range(task, len(rows), n_tasks):
             row = rows[r]
@@ -435,7 +526,11 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
                 inside, inv_z, away, u, v = _place(corner, offset, o, end_u, end_v)
                 if not any_lane(inside):
                     continue
-                pixel = truncate(select(inside, v, one)) * stride + truncate(select(inside, u, one)) - first_pixel
+                pixel = (
+                    truncate(select(inside, v, one)) * stride
+                    + truncate(select(inside, u, one))
+                    - first_pixel
+                )
                 measured, colour = gather_pairs(packed, pixel, inside, missing)
                 sdf = measured - away  # GSFusion Eq. 6
                 if along_ray:

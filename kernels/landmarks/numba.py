@@ -1,7 +1,8 @@
 """Sums over the landmarks that a frame sees, and the pose at which they fit best, in float64.
 
-The formulas are those of ``gsfusion_nb.tracking.landmark_pose``. A frame sees some hundred landmarks, so one thread
-takes them in order; whole Gauss-Newton steps run without leaving the kernel.
+The formulas are those of ``gsfusion_nb.tracking.landmark_pose``. A frame sees some hundred
+landmarks, so one thread takes them in order; whole Gauss-Newton steps run without leaving the
+kernel.
 """
 
 # Arrays are passed on as tuples, which pyright cannot follow:
@@ -86,7 +87,13 @@ def _sums(rows, T, lens, centre, H, b):
         e[0] = w * (u + lens.cx - rows.uv[p, 0])
         e[1] = w * (v + lens.cy - rows.uv[p, 1])
         e[2] = w_d * (d - known)
-        a_u, a_v, c_u, c_v, c_d = w * lens.fx * d, w * lens.fy * d, -w * u * d, -w * v * d, -w_d * d * d
+        a_u, a_v, c_u, c_v, c_d = (
+            w * lens.fx * d,
+            w * lens.fy * d,
+            -w * u * d,
+            -w * v * d,
+            -w_d * d * d,
+        )
         for k in range(3):
             J[0, k] = -(a_u * T[k, 0] + c_u * T[k, 2])
             J[1, k] = -(a_v * T[k, 1] + c_v * T[k, 2])

@@ -1,4 +1,5 @@
-"""Marching cubes in four passes over the blocks: mark edges, count vertices, emit vertices, emit triangles."""
+"""Marching cubes in four passes over the blocks: mark edges, count vertices, emit vertices, emit
+triangles."""
 
 import functools
 
@@ -25,14 +26,27 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     device = device_of("extract_mesh", volume.D)
     check_dtype("extract_mesh", torch.float32, volume=volume.D)
     B, coords = volume.n_blocks, volume.block_coords
-    field = {"D": volume.D, "W": volume.W, "neighbour": _neighbours(volume), "min_weight": min_weight}
+    field = {
+        "D": volume.D,
+        "W": volume.W,
+        "neighbour": _neighbours(volume),
+        "min_weight": min_weight,
+    }
     table = _table(device)
     triangles = torch.zeros(B, dtype=torch.int32, device=device)
     words = torch.zeros(B * _WORDS, dtype=torch.int32, device=device)
     n_vertices = torch.empty_like(words)
     launch("extract_mesh", "marching_cubes:mark_edges", B, _BLOCK, field, table, triangles, words)
     blocks = parts(len(words), _BLOCK)
-    launch("extract_mesh", "marching_cubes:count_vertices", blocks, _BLOCK, words, n_vertices, len(words))
+    launch(
+        "extract_mesh",
+        "marching_cubes:count_vertices",
+        blocks,
+        _BLOCK,
+        words,
+        n_vertices,
+        len(words),
+    )
     before, first = (x.cumsum(0, dtype=torch.int32) - x for x in (n_vertices, triangles))
     V, F = torch.stack([n_vertices.sum(), triangles.sum()]).tolist()
     vertices, rgb = (torch.empty(V, 3, dtype=torch.float32, device=device) for _ in range(2))
@@ -40,16 +54,39 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     if F:
         edges, voxel_size_m = {"words": words, "before": before}, volume.config.voxel_size_m
         launch(
-            "extract_mesh", "marching_cubes:emit_vertices", (B, _EDGES // _BLOCK), _BLOCK, field, edges,
-            volume.rgb_planes, coords, voxel_size_m, vertices, rgb,
-        )  # fmt: skip
-        launch("extract_mesh", "marching_cubes:emit_triangles", B, _BLOCK, field, table, edges, triangles, first, faces)
+            "extract_mesh",
+            "marching_cubes:emit_vertices",
+            (B, _EDGES // _BLOCK),
+            _BLOCK,
+            field,
+            edges,
+            volume.rgb_planes,
+            coords,
+            voxel_size_m,
+            vertices,
+            rgb,
+        )
+        launch(
+            "extract_mesh",
+            "marching_cubes:emit_triangles",
+            B,
+            _BLOCK,
+            field,
+            table,
+            edges,
+            triangles,
+            first,
+            faces,
+        )
     return Mesh(vertices_W=vertices, faces=faces, rgb=rgb)
 
 
 def _neighbours(volume: TsdfVolume) -> Tensor:
-    """Rows of each block and its seven upper neighbours, number 4 x + 2 y + z; -1 where absent. int32 [B, 8]"""
-    steps = torch.tensor([[n >> 2, n >> 1 & 1, n & 1] for n in range(8)], dtype=torch.int32, device=volume.device)
+    """Rows of each block and its seven upper neighbours, number 4 x + 2 y + z; -1 where absent.
+    int32 [B, 8]"""
+    steps = torch.tensor(
+        [[n >> 2, n >> 1 & 1, n & 1] for n in range(8)], dtype=torch.int32, device=volume.device
+    )
     around = (volume.block_coords[:, None] + steps).view(-1, 3)
     return volume.index.find(around).to(torch.int32)
 

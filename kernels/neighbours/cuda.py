@@ -13,11 +13,16 @@ _BLOCK, _MOST = 128, 8
 
 
 def k_nearest(xyz_W: Tensor, others_W: Tensor, k: int) -> tuple[Tensor, Tensor]:
-    """See ``gsfusion_nb.seeding.points.k_nearest``; more than 8 neighbours are left to the reference."""
+    """See ``gsfusion_nb.seeding.points.k_nearest``; more than 8 neighbours are left to the
+    reference."""
     device, (M, N) = device_of("k_nearest", xyz_W), (len(xyz_W), len(others_W))
     if xyz_W.dtype != torch.float32 or k > _MOST:
         return load("k_nearest", "reference")(xyz_W, others_W, k)
-    distance, row = (torch.empty(M, k, dtype=kind, device=device) for kind in (torch.float32, torch.int64))
+    distance, row = (
+        torch.empty(M, k, dtype=kind, device=device) for kind in (torch.float32, torch.int64)
+    )
     points = packed(xyz_W), packed(others_W)
-    launch("k_nearest", "neighbours:nearest", parts(M, _BLOCK), _BLOCK, *points, distance, row, M, N, k)
+    launch(
+        "k_nearest", "neighbours:nearest", parts(M, _BLOCK), _BLOCK, *points, distance, row, M, N, k
+    )
     return distance, row

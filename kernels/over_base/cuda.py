@@ -1,7 +1,8 @@
 """``render_over_base`` and its gradient in CUDA, offered for CUDA tensors: ``over_base.cu``.
 
-Project and colour every row, list its tiles in any order, and sum up. float64 goes to the reference. Gradients are
-added up by atomics, in an order that changes from run to run: they repeat to rounding, not bit for bit.
+Project and colour every row, list its tiles in any order, and sum up. float64 goes to the
+reference. Gradients are added up by atomics, in an order that changes from run to run: they repeat
+to rounding, not bit for bit.
 """
 
 from dataclasses import dataclass
@@ -60,7 +61,11 @@ def render_over_base(
     check_dtype(name, torch.float32, **vars(params), **vars(base))
     pose = packed(T_WC.to(device, torch.float32))
     splats, depth = project_rows(params, camera, pose)
-    surface = {"rgb": packed(base.rgb), "depth": packed(base.depth_m), "weight": packed(base.weight)}
+    surface = {
+        "rgb": packed(base.rgb),
+        "depth": packed(base.depth_m),
+        "weight": packed(base.weight),
+    }
     image = {name: torch.empty_like(x) for name, x in surface.items()}
     saved = CudaOverBase(
         params=params,
@@ -74,12 +79,25 @@ def render_over_base(
         surface=surface | {"behind": behind_m},
         image=image,
     )
-    launch(name, "over_base:over_base_forward", saved.lists.n_tiles, _BLOCK, saved.work, saved.surface, image)
+    launch(
+        name,
+        "over_base:over_base_forward",
+        saved.lists.n_tiles,
+        _BLOCK,
+        saved.work,
+        saved.surface,
+        image,
+    )
     return OverBaseOutput(rgb=image["rgb"], depth_m=image["depth"], weight=image["weight"]), saved
 
 
 def render_over_base_vjp(
-    saved: Any, v_rgb: Tensor, *, rows: Tensor | None = None, v_uv: Tensor | None = None, v_uv_abs: Tensor | None = None
+    saved: Any,
+    v_rgb: Tensor,
+    *,
+    rows: Tensor | None = None,
+    v_uv: Tensor | None = None,
+    v_uv_abs: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_over_base_vjp``.
 

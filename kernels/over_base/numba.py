@@ -1,12 +1,12 @@
 """``render_over_base`` and its gradient, what ``gsfusion_nb.backends`` offers for CPU tensors.
 
-Project and colour every row, then sum up over bands of image rows, sixteen pixels a vector; nothing is sorted. A plane
-holds one number for each pixel, row by row. Its rows are a vector longer than the image's, so that sixteen lanes may
-begin at any pixel.
+Project and colour every row, then sum up over bands of image rows, sixteen pixels a vector; nothing
+is sorted. A plane holds one number for each pixel, row by row. Its rows are a vector longer than
+the image's, so that sixteen lanes may begin at any pixel.
 
-What a pixel gives to every splat over it are four numbers, q and -q . C, so the gradient finishes one splat after
-another, whatever its place among the others. Its sums go through the gradient of the projection, as in ``rasterize``.
-float64 runs on the reference.
+What a pixel gives to every splat over it are four numbers, q and -q . C, so the gradient finishes
+one splat after another, whatever its place among the others. Its sums go through the gradient of
+the projection, as in ``rasterize``. float64 runs on the reference.
 """
 
 # Intrinsics are called without their typing context, which pyright cannot follow:
@@ -27,11 +27,35 @@ from gsfusion_nb.types import Camera, GaussianParams
 from ..binning.numba import tile_windows
 from ..composite import layout as pair
 from ..composite.numba import CEILING, HALF, ONE, ZERO, across, alpha_of, row_exponent, zeros
-from ..project.layout import BLUE, CONIC_A, CONIC_B, CONIC_C, DEPTH, EXTENT_U, EXTENT_V, GREEN, RED, U, V, pack_camera
+from ..project.layout import (
+    BLUE,
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    DEPTH,
+    EXTENT_U,
+    EXTENT_V,
+    GREEN,
+    RED,
+    U,
+    V,
+    pack_camera,
+)
 from ..project.numba import gradients_of, project
 from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.scalars import cyclic_size, cyclic_task
-from ..runtime.numba.simd import LANES, any_lane, exp, load, minimum, negative_abs, reduce_add, select, splat, store
+from ..runtime.numba.simd import (
+    LANES,
+    any_lane,
+    exp,
+    load,
+    minimum,
+    negative_abs,
+    reduce_add,
+    select,
+    splat,
+    store,
+)
 
 f32 = np.float32
 _INFINITE = f32(np.inf)
@@ -41,7 +65,8 @@ BAND = 8
 
 
 class BandLists(NamedTuple):
-    """The splats that touch each band: band b has ``ids[offset[b] : offset[b + 1]]``, in the order of the map."""
+    """The splats that touch each band: band b has ``ids[offset[b] : offset[b + 1]]``, in the order
+    of the map."""
 
     ids: np.ndarray
     offset: np.ndarray
@@ -71,14 +96,19 @@ def stride_of(width):
 
 @njit(inline="always")
 def row_range(s, y0, y1):
-    """Rows from ``y0`` to before ``y1`` that splat ``s`` reaches: the first, and the one behind the last."""
-    return max(y0, int(np.ceil(s[V] - s[EXTENT_V] - HALF))), min(y1, int(np.floor(s[V] + s[EXTENT_V] - HALF)) + 1)
+    """Rows from ``y0`` to before ``y1`` that splat ``s`` reaches: the first, and the one behind the
+    last."""
+    return max(y0, int(np.ceil(s[V] - s[EXTENT_V] - HALF))), min(
+        y1, int(np.floor(s[V] + s[EXTENT_V] - HALF)) + 1
+    )
 
 
 @njit(inline="always")
 def column_range(s, width):
     """The same for columns of the image."""
-    return max(0, int(np.ceil(s[U] - s[EXTENT_U] - HALF))), min(width, int(np.floor(s[U] + s[EXTENT_U] - HALF)) + 1)
+    return max(0, int(np.ceil(s[U] - s[EXTENT_U] - HALF))), min(
+        width, int(np.floor(s[U] + s[EXTENT_U] - HALF)) + 1
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -104,12 +134,14 @@ def list_bands(splats, start, height):
 
 
 _RED, _GREEN, _BLUE, _WEIGHT, _LIMIT, _DEPTH = range(6)
-"""Planes of a band: sums of w c and of w, the depth behind which a splat is hidden, and the sum of w z."""
+"""Planes of a band: sums of w c and of w, the depth behind which a splat is hidden, and the sum of
+w z."""
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def blend_bands(splats, lists, base, behind, image):
-    """Fill ``image`` from the splats and the base. behind: of the surface, where splats are hidden, metres."""
+    """Fill ``image`` from the splats and the base. behind: of the surface, where splats are hidden,
+    metres."""
     n_bands = lists.offset.shape[0] - 1
     for k_band in prange(cyclic_size(n_bands)):
         band = cyclic_task(k_band, n_bands)
@@ -137,7 +169,8 @@ def _blend_band(band, splats, lists, base, behind, image):
 
 @njit(inline="always")
 def _add(state, s, place, layout):
-    """Add the weights of a splat, times its colour and depth, to the planes of the band at ``place``."""
+    """Add the weights of a splat, times its colour and depth, to the planes of the band at
+    ``place``."""
     y0, y1, width = place
     plane, stride = layout
     first, end = row_range(s, y0, y1)
@@ -175,7 +208,8 @@ def _write_row(state, o, plane, y, base, image):
 
 
 Q_RED, Q_GREEN, Q_BLUE, MINUS_QC, LIMIT = range(5)
-"""Planes: dL/d of the sum of w c, minus its product with the picture, and where splats are hidden."""
+"""Planes: dL/d of the sum of w c, minus its product with the picture, and where splats are
+hidden."""
 PLANES = 5
 
 _CHUNK = 64
@@ -204,8 +238,9 @@ def gradient_planes(image, base, behind, v_rgb, planes):
 def splat_sums(splats, drawn, trained, planes, size, sums, abs_sums):
     """Write the sums of each drawn splat to its row of ``sums`` [M, PAIR_SUMS].
 
-    drawn: the rows of the map that are drawn. trained: bool [N], or [0] for all; the sums of others are not written.
-    planes: one after another, flat. abs_sums: [M, 2], for the sums of |dL/du| and |dL/dv|, or None.
+    drawn: the rows of the map that are drawn. trained: bool [N], or [0] for all; the sums of others
+    are not written. planes: one after another, flat. abs_sums: [M, 2], for the sums of |dL/du| and
+    |dL/dv|, or None.
     """
     height, width = size
     all_trained = trained.shape[0] == 0
@@ -253,8 +288,12 @@ def _add_up(s, planes, height, width, out, abs_sums, m):
             sum_g, sum_gy, sum_gyy = sum_g + g, sum_gy + gy, sum_gyy + gy * splat(dy)
             sum_r, sum_gr, sum_b = sum_r + w * q_r, sum_gr + w * q_g, sum_b + w * q_b
             if abs_sums is not None:
-                minus_u = minus_u + negative_abs(g * (splat(s[CONIC_A]) * dx + splat(s[CONIC_B] * dy)))
-                minus_v = minus_v + negative_abs(g * (splat(s[CONIC_B]) * dx + splat(s[CONIC_C] * dy)))
+                minus_u = minus_u + negative_abs(
+                    g * (splat(s[CONIC_A]) * dx + splat(s[CONIC_B] * dy))
+                )
+                minus_v = minus_v + negative_abs(
+                    g * (splat(s[CONIC_B]) * dx + splat(s[CONIC_C] * dy))
+                )
         gx = sum_g * dx
         out[pair.SUM_GX] += reduce_add(gx)
         out[pair.SUM_GY] += reduce_add(sum_gy)
@@ -303,15 +342,29 @@ def render_over_base(
         splats, count, _ = project(params, cam, tile_windows(_ALL_PIXELS, W, H))
         start = np.zeros(N + 1, np.int32)
         np.cumsum(count > 0, out=start[1:])
-        blend_bands(splats, list_bands(splats, start, H), _surface(base), np.float32(behind_m), image)
+        blend_bands(
+            splats, list_bands(splats, start, H), _surface(base), np.float32(behind_m), image
+        )
     saved = NumbaSaved(
-        params=params, camera=camera, base=base, behind_m=behind_m, lens=cam, splats=splats, start=start, image=image
+        params=params,
+        camera=camera,
+        base=base,
+        behind_m=behind_m,
+        lens=cam,
+        splats=splats,
+        start=start,
+        image=image,
     )
     return OverBaseOutput(rgb=rgb, depth_m=depth_m, weight=weight), saved
 
 
 def render_over_base_vjp(
-    saved: Any, v_rgb: Tensor, *, rows: Tensor | None = None, v_uv: Tensor | None = None, v_uv_abs: Tensor | None = None
+    saved: Any,
+    v_rgb: Tensor,
+    *,
+    rows: Tensor | None = None,
+    v_uv: Tensor | None = None,
+    v_uv_abs: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_over_base_vjp``."""
     trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
@@ -323,10 +376,14 @@ def render_over_base_vjp(
         abs_sums = None if v_uv_abs is None else scratch("abs_sums", len(drawn) * 2).reshape(-1, 2)
         v_image = v_rgb.contiguous().numpy()
         behind = np.float32(saved.behind_m)
-        gradient_planes(saved.image, _surface(saved.base), behind, v_image, planes.reshape(PLANES, H, stride))
+        gradient_planes(
+            saved.image, _surface(saved.base), behind, v_image, planes.reshape(PLANES, H, stride)
+        )
         splat_sums(saved.splats, drawn, trained, planes, (H, W), sums, abs_sums)
         return gradients_of(saved, trained, sums, abs_sums, v_uv, v_uv_abs)
 
 
 def _surface(base: Base) -> Surface:
-    return Surface(*(image.detach().contiguous().numpy() for image in (base.rgb, base.depth_m, base.weight)))
+    return Surface(
+        *(image.detach().contiguous().numpy() for image in (base.rgb, base.depth_m, base.weight))
+    )

@@ -1,4 +1,5 @@
-"""A loss of the picture, its gradient and the squared error as shown (``picture_loss.cu``). The host does not wait."""
+"""A loss of the picture, its gradient and the squared error as shown (``picture_loss.cu``). The
+host does not wait."""
 
 import torch
 from torch import Tensor
@@ -23,7 +24,13 @@ def l2_mse_vjp(rgb: Tensor, target: Tensor) -> PictureLoss:
     return _loss("l2_mse_vjp", "picture_loss:l2_pass", rgb, target, 2.0)
 
 
-def _loss(name: str, kernel: str, rgb: Tensor, target: Tensor, factor: float) -> PictureLoss:
+def _loss(
+    name: str,
+    kernel: str,
+    rgb: Tensor,
+    target: Tensor,
+    factor: float,
+) -> PictureLoss:
     if rgb.dtype != torch.float32 or not 0 < rgb.numel() < 1 << 31:
         return load(name, "reference")(rgb, target)
     total, device = rgb.numel(), device_of(name, rgb)

@@ -1,4 +1,5 @@
-"""Mean absolute or squared difference, its gradient and the squared error of the picture as shown, in one pass."""
+"""Mean absolute or squared difference, its gradient and the squared error of the picture as shown,
+in one pass."""
 
 import numpy as np
 import torch

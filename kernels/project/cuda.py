@@ -16,11 +16,15 @@ _BLOCK = 128
 
 
 def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[Tensor, Tensor]:
-    """Splats [N, SPLAT], written only for rows that are drawn, and depths [N], infinite for the others."""
+    """Splats [N, SPLAT], written only for rows that are drawn, and depths [N], infinite for the
+    others."""
     N, device = len(params), T_WC.device
     splats = torch.empty(N, SPLAT, dtype=torch.float32, device=device)
     depth = torch.empty(N, dtype=torch.float32, device=device)
-    given, size = (_arrays(params) | {"pose": T_WC}, projection_lens(camera)), (camera.width, camera.height)
+    given, size = (
+        (_arrays(params) | {"pose": T_WC}, projection_lens(camera)),
+        (camera.width, camera.height),
+    )
     kernel = f"project:project_{params.sh.shape[1]}"
     launch("render_forward", kernel, parts(N, _BLOCK), _BLOCK, *given, splats, depth, N, *size)
     return splats, depth
@@ -35,12 +39,13 @@ def gradients_of(
     v_uv: Tensor | None,
     v_uv_abs: Tensor | None,
 ) -> GaussianParams:
-    """dL/d of the parameters of a drawn map; also fills dL/d of the centres in the image if asked to.
+    """dL/d of the parameters of a drawn map; also fills dL/d of the centres in the image if asked
+    to.
 
     Args:
         operation: Named by errors.
-        kernel: Adds up the gradients of the splats over their pixels; another, with ``_abs`` behind its name, adds up
-            the absolute values of those of the centres, too.
+        kernel: Adds up the gradients of the splats over their pixels; another, with ``_abs`` behind
+            its name, adds up the absolute values of those of the centres, too.
         saved: The record of the picture, whose ``work`` the kernel is given.
         given: Further structs for it, the last one with dL/d of the picture.
         rows, v_uv, v_uv_abs: As for ``render_vjp``.
@@ -52,13 +57,19 @@ def gradients_of(
         launch(operation, kernel, tiles, _BLOCK, saved.work, *given, trained, sums)
     else:
         abs_sums = torch.zeros(N, 2, dtype=torch.float32, device=device)
-        launch(operation, f"{kernel}_abs", tiles, _BLOCK, saved.work, *given, trained, sums, abs_sums)
+        launch(
+            operation, f"{kernel}_abs", tiles, _BLOCK, saved.work, *given, trained, sums, abs_sums
+        )
         v_uv_abs.copy_(abs_sums)
     if v_uv is not None:
         A, B, C = (splats[:, column] for column in (CONIC_A, CONIC_B, CONIC_C))
         g_x, g_y = sums[:, SUM_GX], sums[:, SUM_GY]
         drawn = depth.isfinite() if rows is None else depth.isfinite() & rows
-        v_uv.copy_(torch.where(drawn[:, None], torch.stack([A * g_x + B * g_y, B * g_x + C * g_y], dim=1), 0.0))
+        v_uv.copy_(
+            torch.where(
+                drawn[:, None], torch.stack([A * g_x + B * g_y, B * g_x + C * g_y], dim=1), 0.0
+            )
+        )
     out = {name: torch.empty_like(array) for name, array in arrays.items()}
     view, blocks = (arrays | {"pose": saved.T_WC}, projection_lens(saved.camera)), parts(N, _BLOCK)
     kernel = f"project:project_vjp_{params.sh.shape[1]}"

@@ -11,16 +11,30 @@ from gsfusion_nb.types import Camera, GaussianParams
 
 from ..runtime.arguments import lens_of
 
-COLUMNS = U, V, CONIC_A, CONIC_B, CONIC_C, LN_OPACITY, RED, GREEN, BLUE, DEPTH, EXTENT_U, EXTENT_V = range(12)
-"""Centre, pixels; inverse covariance, sigma = (A dx^2 + C dy^2) / 2 + B dx dy; ln(opacity); colour; z, metres; half the
-width and half the height of the ellipse alpha >= 1/255, pixels."""
+COLUMNS = (
+    U,
+    V,
+    CONIC_A,
+    CONIC_B,
+    CONIC_C,
+    LN_OPACITY,
+    RED,
+    GREEN,
+    BLUE,
+    DEPTH,
+    EXTENT_U,
+    EXTENT_V,
+) = range(12)
+"""Centre, pixels; inverse covariance, sigma = (A dx^2 + C dy^2) / 2 + B dx dy; ln(opacity); colour;
+z, metres; half the width and half the height of the ellipse alpha >= 1/255, pixels."""
 
 SPLAT = 12
 """Numbers in a row."""
 
 
 def projection_lens(camera: Camera) -> dict[str, float]:
-    """Focal lengths, principal point, and the largest |x / z| and |y / z| at which the projection is linearised."""
+    """Focal lengths, principal point, and the largest |x / z| and |y / z| at which the projection
+    is linearised."""
     limits = {
         "limit_x": FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx,
         "limit_y": FRUSTUM_CLAMP * 0.5 * camera.height / camera.fy,
@@ -30,7 +44,8 @@ def projection_lens(camera: Camera) -> dict[str, float]:
 
 R00, R01, R02, R10, R11, R12, R20, R21, R22, T0, T1, T2 = range(12)
 CENTRE_X, CENTRE_Y, CENTRE_Z, FX, FY, CX, CY, LIMIT_X, LIMIT_Y, WIDTH, HEIGHT = range(12, 23)
-"""The camera as 23 float32: R_CW, t_CW, its centre, fx, fy, cx, cy, limits of x/z and y/z in J, image size."""
+"""The camera as 23 float32: R_CW, t_CW, its centre, fx, fy, cx, cy, limits of x/z and y/z in J,
+image size."""
 
 
 class Params(NamedTuple):
@@ -51,5 +66,10 @@ def arrays_of(params: GaussianParams) -> Params:
 def pack_camera(camera: Camera, T_WC: Tensor) -> np.ndarray:
     """The camera and its pose as one float32 array, in the order of the constants above."""
     T = T_WC.detach().double()
-    T_CW, tail = se3.inverse(T).numpy(), [*projection_lens(camera).values(), camera.width, camera.height]
-    return np.concatenate([T_CW[:3, :3].ravel(), T_CW[:3, 3], T[:3, 3].numpy(), tail]).astype(np.float32)
+    T_CW, tail = (
+        se3.inverse(T).numpy(),
+        [*projection_lens(camera).values(), camera.width, camera.height],
+    )
+    return np.concatenate([T_CW[:3, :3].ravel(), T_CW[:3, 3], T[:3, 3].numpy(), tail]).astype(
+        np.float32
+    )

@@ -1,7 +1,9 @@
-"""Projection, colour and tile test of every Gaussian, in one pass over the rows, and the gradient, in another.
+"""Projection, colour and tile test of every Gaussian, in one pass over the rows, and the gradient,
+in another.
 
-Formulas and names are those of ``render.project`` and ``geometry.spherical_harmonics`` of gsfusion_nb, unrolled to
-scalars here, so that a row is read once and its intermediate values stay in registers.
+Formulas and names are those of ``render.project`` and ``geometry.spherical_harmonics`` of
+gsfusion_nb, unrolled to scalars here, so that a row is read once and its intermediate values stay
+in registers.
 """
 
 import math
@@ -39,7 +41,8 @@ CHUNK = 256
 """Rows that one thread takes at a time."""
 
 NOTED_PER_CHUNK = 16 * CHUNK
-"""Tiles of a chunk's splats that are noted while they are counted; if there are more, they are found a second time."""
+"""Tiles of a chunk's splats that are noted while they are counted; if there are more, they are
+found a second time."""
 
 
 @njit(inline="always")
@@ -66,10 +69,16 @@ def rotation(q):
     w, x, y, z = q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
     return (
         norm,
-        _ONE - _TWO * (y * y + z * z), _TWO * (x * y - w * z), _TWO * (x * z + w * y),
-        _TWO * (x * y + w * z), _ONE - _TWO * (x * x + z * z), _TWO * (y * z - w * x),
-        _TWO * (x * z - w * y), _TWO * (y * z + w * x), _ONE - _TWO * (x * x + y * y),
-    )  # fmt: skip
+        _ONE - _TWO * (y * y + z * z),
+        _TWO * (x * y - w * z),
+        _TWO * (x * z + w * y),
+        _TWO * (x * y + w * z),
+        _ONE - _TWO * (x * x + z * z),
+        _TWO * (y * z - w * x),
+        _TWO * (x * z - w * y),
+        _TWO * (y * z + w * x),
+        _ONE - _TWO * (x * x + y * y),
+    )
 
 
 @njit(inline="always")
@@ -80,12 +89,20 @@ def clamp(x, limit):
 
 @njit(cache=True, error_model="numpy")
 def _band(splat, y_first, y_last):
-    """Columns (first, last) of pixels whose centres the ellipse covers somewhere in the pixel rows y_first .. y_last.
+    """Columns (first, last) of pixels whose centres the ellipse covers somewhere in the pixel rows
+    y_first .. y_last.
 
-    The ellipse's right edge x(y) = (-B dy + sqrt(B^2 dy^2 - A (C dy^2 - r))) / A is concave, so its largest value in
-    the band is at the rightmost point's dy clamped to the band; the left edge likewise.
+    The ellipse's right edge x(y) = (-B dy + sqrt(B^2 dy^2 - A (C dy^2 - r))) / A is concave, so its
+    largest value in the band is at the rightmost point's dy clamped to the band; the left edge
+    likewise.
     """
-    u, v, A, B, C = splat[col.U], splat[col.V], splat[col.CONIC_A], splat[col.CONIC_B], splat[col.CONIC_C]
+    u, v, A, B, C = (
+        splat[col.U],
+        splat[col.V],
+        splat[col.CONIC_A],
+        splat[col.CONIC_B],
+        splat[col.CONIC_C],
+    )
     slack = f32(2e-3)  # for rounding: more entries, the same picture
     reach = _TWO * (splat[col.LN_OPACITY] - _LOG_ALPHA_MIN) + slack
     low = max(f32(y_first) + _HALF - v, -splat[col.EXTENT_V])
@@ -99,9 +116,11 @@ def _band(splat, y_first, y_last):
 
 @njit(cache=True, error_model="numpy")
 def tiles_of(splat, width, height, windows, tiles, start, room):
-    """Number of tiles that the splat touches; the numbers of the first ``room`` of them go to ``tiles[start:]``.
+    """Number of tiles that the splat touches; the numbers of the first ``room`` of them go to
+    ``tiles[start:]``.
 
-    Only tiles count in whose window (``binning.tile_windows``) it can be seen; an empty array stands for whole tiles.
+    Only tiles count in whose window (``binning.tile_windows``) it can be seen; an empty array
+    stands for whole tiles.
     """
     y_first = max(0, int(math.ceil(splat[col.V] - splat[col.EXTENT_V] - _HALF)))
     y_last = min(height - 1, int(math.floor(splat[col.V] + splat[col.EXTENT_V] - _HALF)))
@@ -111,7 +130,9 @@ def tiles_of(splat, width, height, windows, tiles, start, room):
     if y_first > y_last:
         return n
     for ty in range(y_first // pair.TILE, y_last // pair.TILE + 1):
-        left, right = _band(splat, max(y_first, ty * pair.TILE), min(y_last, ty * pair.TILE + pair.TILE - 1))
+        left, right = _band(
+            splat, max(y_first, ty * pair.TILE), min(y_last, ty * pair.TILE + pair.TILE - 1)
+        )
         left, right = max(left, 0), min(right, width - 1)
         if left > right:
             continue
@@ -131,7 +152,8 @@ def tiles_of(splat, width, height, windows, tiles, start, room):
 def centre_vjp(splats, start, trained, pair_sums, v_uv):
     """Write dL/d(u, v) to every row of ``v_uv`` [N, 2]; arguments as for ``project_rows_vjp``.
 
-    ln alpha = ln o - (A dx^2 + C dy^2) / 2 - B dx dy with (dx, dy) = pixel - (u, v), so v_u = A sum g dx + B sum g dy.
+    ln alpha = ln o - (A dx^2 + C dy^2) / 2 - B dx dy with (dx, dy) = pixel - (u, v), so v_u = A sum
+    g dx + B sum g dy.
     """
     all_trained = trained.shape[0] == 0
     for i in range(v_uv.shape[0]):
@@ -149,8 +171,8 @@ def centre_vjp(splats, start, trained, pair_sums, v_uv):
 
 @njit(cache=True, error_model="numpy")
 def row_sums(start, trained, abs_sums, v_uv_abs):
-    """Write the sum of |dL/d(u, v)| over the pixels to every row of ``v_uv_abs`` [N, 2]; ``abs_sums``: over those of
-    each tile, from ``composite_backward``."""
+    """Write the sum of |dL/d(u, v)| over the pixels to every row of ``v_uv_abs`` [N, 2];
+    ``abs_sums``: over those of each tile, from ``composite_backward``."""
     all_trained = trained.shape[0] == 0
     for i in range(v_uv_abs.shape[0]):
         u, v = np.float32(0.0), np.float32(0.0)
@@ -162,7 +184,9 @@ def row_sums(start, trained, abs_sums, v_uv_abs):
         v_uv_abs[i, 1] = v
 
 
-def project(params: GaussianParams, cam: np.ndarray, wanted: TileWindows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def project(
+    params: GaussianParams, cam: np.ndarray, wanted: TileWindows
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """``splats``, ``count`` and ``noted`` of ``project_rows``; only inside ``launching``."""
     N = len(params)
     splats, count = np.empty((N, col.SPLAT), np.float32), np.empty(N, np.int32)
@@ -179,16 +203,28 @@ def gradients_of(
     v_uv: Tensor | None,
     v_uv_abs: Tensor | None,
 ) -> GaussianParams:
-    """dL/d of the parameters of a drawn map from the sums of its splats; also fills dL/d of the centres if asked to.
+    """dL/d of the parameters of a drawn map from the sums of its splats; also fills dL/d of the
+    centres if asked to.
 
     Args:
-        saved: The map, ``params``; its camera, ``lens``; ``splats`` and ``start``, as for ``project_rows_vjp``.
+        saved: The map, ``params``; its camera, ``lens``; ``splats`` and ``start``, as for
+            ``project_rows_vjp``.
         trained, sums, abs_sums: As for ``project_rows_vjp`` and ``row_sums``.
         v_uv, v_uv_abs: Of ``render_vjp``.
     """
     columns = vars(saved.params).items()
-    out = GaussianParams(**{name: torch.empty_like(x, memory_format=torch.contiguous_format) for name, x in columns})
-    project_rows_vjp(arrays_of(saved.params), saved.lens, saved.splats, saved.start, trained, sums, arrays_of(out))
+    out = GaussianParams(
+        **{name: torch.empty_like(x, memory_format=torch.contiguous_format) for name, x in columns}
+    )
+    project_rows_vjp(
+        arrays_of(saved.params),
+        saved.lens,
+        saved.splats,
+        saved.start,
+        trained,
+        sums,
+        arrays_of(out),
+    )
     if v_uv is not None:
         packed = v_uv.contiguous()
         centre_vjp(saved.splats, saved.start, trained, sums, packed.numpy())
@@ -202,12 +238,20 @@ def gradients_of(
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def project_rows(params, cam, wanted, splats, count, noted):
-    """Fill ``splats`` [N, SPLAT] and ``count`` [N], the number of tiles each is listed in (0: not drawn).
+    """Fill ``splats`` [N, SPLAT] and ``count`` [N], the number of tiles each is listed in (0: not
+    drawn).
 
     wanted: ``TileWindows``, where there are pixels to be drawn.
-    noted: for each chunk ``NOTED_PER_CHUNK`` numbers, the tiles of its rows one after another, as far as they fit.
+    noted: for each chunk ``NOTED_PER_CHUNK`` numbers, the tiles of its rows one after another, as
+    far as they fit.
     """
-    xyz, log_scale, quat, logit, sh = params.xyz, params.log_scale, params.quat, params.logit, params.sh
+    xyz, log_scale, quat, logit, sh = (
+        params.xyz,
+        params.log_scale,
+        params.quat,
+        params.logit,
+        params.sh,
+    )
     windows, sums = wanted.windows, wanted.sums
     N = sh.shape[0]
     width, height = int(cam[col.WIDTH]), int(cam[col.HEIGHT])
@@ -244,10 +288,12 @@ def project_rows(params, cam, wanted, splats, count, noted):
 
 @njit(cache=True, error_model="numpy")
 def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
-    """Write to ``found`` those of the rows first .. end - 1 that may touch a wanted pixel; returns their number.
+    """Write to ``found`` those of the rows first .. end - 1 that may touch a wanted pixel; returns
+    their number.
 
-    A box around the largest possible picture of a row is looked up in ``sums`` (``binning.tile_windows``). There is no
-    branch: which rows pass is random to the processor, and a wrong guess costs as much as the test.
+    A box around the largest possible picture of a row is looked up in ``sums``
+    (``binning.tile_windows``). There is no branch: which rows pass is random to the processor, and
+    a wrong guess costs as much as the test.
     """
     fx, fy = cam[col.FX], cam[col.FY]
     width, height = int(cam[col.WIDTH]), int(cam[col.HEIGHT])
@@ -266,8 +312,14 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
         reach_v = _BEYOND * (fy * size * math.sqrt(_ONE + ty * ty) + _ONE)
         left, right = int(max(u - reach_u, -far)), int(min(u + reach_u, far))
         top, bottom = int(max(v - reach_v, -far)), int(min(v + reach_v, far))
-        x0, x1 = min(max(left, 0), width) // pair.TILE, (min(max(right, -1), width - 1) + pair.TILE) // pair.TILE
-        y0, y1 = min(max(top, 0), height) // pair.TILE, (min(max(bottom, -1), height - 1) + pair.TILE) // pair.TILE
+        x0, x1 = (
+            min(max(left, 0), width) // pair.TILE,
+            (min(max(right, -1), width - 1) + pair.TILE) // pair.TILE,
+        )
+        y0, y1 = (
+            min(max(top, 0), height) // pair.TILE,
+            (min(max(bottom, -1), height - 1) + pair.TILE) // pair.TILE,
+        )
         tiles = sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]
         found[n] = i
         n += int((z > _NEAR) & (tiles > 0))
@@ -276,7 +328,8 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
 
 @njit(inline="always")
 def _project(cam, x, y, z, log_scale, quat, s):
-    """Centre, conic and extent of a Gaussian at (x, y, z) in the camera frame; whether they are within limits."""
+    """Centre, conic and extent of a Gaussian at (x, y, z) in the camera frame; whether they are
+    within limits."""
     inv_z = _ONE / z
     u, v = cam[col.FX] * x * inv_z + cam[col.CX], cam[col.FY] * y * inv_z + cam[col.CY]
     tx, ty = clamp(x * inv_z, cam[col.LIMIT_X]), clamp(y * inv_z, cam[col.LIMIT_Y])
@@ -327,9 +380,11 @@ def _colour(cam, xyz, sh, basis, s):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
-    """Add up each row's pair sums and carry them to its parameters; every row of the outputs is written.
+    """Add up each row's pair sums and carry them to its parameters; every row of the outputs is
+    written.
 
-    Rows that are not ``trained`` get zero and their pair sums are not read; an empty array stands for all rows.
+    Rows that are not ``trained`` get zero and their pair sums are not read; an empty array stands
+    for all rows.
     """
     xyz, log_scale, quat, sh = params.xyz, params.log_scale, params.quat, params.sh
     v_xyz, v_log_scale, v_quat = v_params.xyz, v_params.log_scale, v_params.quat
@@ -357,13 +412,16 @@ def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
                     total[j] += pair_sums[slot, j]
             s = splats[i]
             v_logit[i] = total[pair.SUM_G] * (_ONE - math.exp(s[col.LN_OPACITY]))
-            _project_vjp(cam, s, total, (xyz[i], log_scale[i], quat[i]), v_xyz[i], v_log_scale[i], v_quat[i])
+            _project_vjp(
+                cam, s, total, (xyz[i], log_scale[i], quat[i]), v_xyz[i], v_log_scale[i], v_quat[i]
+            )
             _colour_vjp(cam, s, total, xyz[i], sh[i], (basis, w), v_xyz[i], v_sh[i])
 
 
 @njit(inline="always")
 def _project_vjp(cam, s, total, row, v_xyz, v_log_scale, v_quat):
-    """From the centre, the conic and the depth of a splat to its row: position, log scales, quaternion."""
+    """From the centre, the conic and the depth of a splat to its row: position, log scales,
+    quaternion."""
     xyz, log_scale, quat = row
     # ln alpha = ln o - (A dx^2 + C dy^2) / 2 - B dx dy,  d = pixel - centre
     v_u = s[col.CONIC_A] * total[pair.SUM_GX] + s[col.CONIC_B] * total[pair.SUM_GY]
@@ -394,7 +452,9 @@ def _project_vjp(cam, s, total, row, v_xyz, v_log_scale, v_quat):
     v_xz = cam[col.FX] * v_u + (v_tx if tx == x_z else _ZERO)
     v_yz = cam[col.FY] * v_v + (v_ty if ty == y_z else _ZERO)
     d0, d1 = v_xz * inv_z, v_yz * inv_z
-    d2 = total[pair.SUM_DEPTH] - inv_z * (x_z * v_xz + y_z * v_yz + l0 + l1 + l2)  # J is as 1/z: m . v_m in all
+    d2 = total[pair.SUM_DEPTH] - inv_z * (
+        x_z * v_xz + y_z * v_yz + l0 + l1 + l2
+    )  # J is as 1/z: m . v_m in all
     v_xyz[0] = cam[col.R00] * d0 + cam[col.R10] * d1 + cam[col.R20] * d2
     v_xyz[1] = cam[col.R01] * d0 + cam[col.R11] * d1 + cam[col.R21] * d2
     v_xyz[2] = cam[col.R02] * d0 + cam[col.R12] * d1 + cam[col.R22] * d2
@@ -414,30 +474,38 @@ def _column(cam, lens, q0, q1, q2, scale):
 def _solved(mu0, mv0, mu1, mv1, mu2, mv2):
     """n_j = Q m_j of the columns of M, where Q is the inverse of cov = M M^T + blur I.
 
-    n_j = (sum_k (m_k x m_j) (-m_kv, m_ku) + blur m_j) / det: the term of k = j, which is large for a needle, is zero.
-    A mu + B mv, with the conic, would be a difference of large numbers.
+    n_j = (sum_k (m_k x m_j) (-m_kv, m_ku) + blur m_j) / det: the term of k = j, which is large for
+    a needle, is zero. A mu + B mv, with the conic, would be a difference of large numbers.
     """
     c0, c1, c2 = mu1 * mv2 - mu2 * mv1, mu2 * mv0 - mu0 * mv2, mu0 * mv1 - mu1 * mv0
     trace = mu0 * mu0 + mu1 * mu1 + mu2 * mu2 + mv0 * mv0 + mv1 * mv1 + mv2 * mv2
     inv_det = _ONE / (c0 * c0 + c1 * c1 + c2 * c2 + _BLUR * trace + _BLUR * _BLUR)
     return (
-        (c2 * mv1 - c1 * mv2 + _BLUR * mu0) * inv_det, (c1 * mu2 - c2 * mu1 + _BLUR * mv0) * inv_det,
-        (c0 * mv2 - c2 * mv0 + _BLUR * mu1) * inv_det, (c2 * mu0 - c0 * mu2 + _BLUR * mv1) * inv_det,
-        (c1 * mv0 - c0 * mv1 + _BLUR * mu2) * inv_det, (c0 * mu1 - c1 * mu0 + _BLUR * mv2) * inv_det,
-    )  # fmt: skip
+        (c2 * mv1 - c1 * mv2 + _BLUR * mu0) * inv_det,
+        (c1 * mu2 - c2 * mu1 + _BLUR * mv0) * inv_det,
+        (c0 * mv2 - c2 * mv0 + _BLUR * mu1) * inv_det,
+        (c2 * mu0 - c0 * mu2 + _BLUR * mv1) * inv_det,
+        (c1 * mv0 - c0 * mv1 + _BLUR * mu2) * inv_det,
+        (c0 * mu1 - c1 * mu0 + _BLUR * mv2) * inv_det,
+    )
 
 
 @njit(inline="always")
 def _column_vjp(s, total, n_u, n_v):
-    """From n = Q m and the sums of a splat: m . v_m, which is dL/d of the log scale of the column m, and v_m (2).
+    """From n = Q m and the sums of a splat: m . v_m, which is dL/d of the log scale of the column
+    m, and v_m (2).
 
-    v_cov = -Q v_Q Q and v_m = 2 v_cov m = -2 Q (v_Q n), so m . v_m = -2 n . (v_Q n). For a needle m . (2 v_cov m)
-    loses all digits in float32: the entries of v_cov are as large as 1 / blur^2, and along the needle they cancel.
+    v_cov = -Q v_Q Q and v_m = 2 v_cov m = -2 Q (v_Q n), so m . v_m = -2 n . (v_Q n). For a needle m
+    . (2 v_cov m) loses all digits in float32: the entries of v_cov are as large as 1 / blur^2, and
+    along the needle they cancel.
     """
     # v_A = -SUM_GXX / 2, v_B = -SUM_GXY (two entries of Q, each half), v_C = -SUM_GYY / 2
     w_u = total[pair.SUM_GXX] * n_u + total[pair.SUM_GXY] * n_v
     w_v = total[pair.SUM_GXY] * n_u + total[pair.SUM_GYY] * n_v
-    v_mu, v_mv = s[col.CONIC_A] * w_u + s[col.CONIC_B] * w_v, s[col.CONIC_B] * w_u + s[col.CONIC_C] * w_v
+    v_mu, v_mv = (
+        s[col.CONIC_A] * w_u + s[col.CONIC_B] * w_v,
+        s[col.CONIC_B] * w_u + s[col.CONIC_C] * w_v,
+    )
     return n_u * w_u + n_v * w_v, v_mu, v_mv
 
 
@@ -472,7 +540,8 @@ def _quaternion_vjp(quat, norm, v_R, v_quat):
 
 @njit(inline="always")
 def _colour_vjp(cam, s, total, xyz, sh, scratch, v_xyz, v_sh):
-    """From the colour of a splat to its coefficients and, through the direction of view, added to its position."""
+    """From the colour of a splat to its coefficients and, through the direction of view, added to
+    its position."""
     basis, w = scratch
     K = sh.shape[0]
     v_red = total[pair.SUM_RED] if s[col.RED] > _ZERO else _ZERO

@@ -1,4 +1,5 @@
-"""What the kernels share: the luma weights as whole numbers, the depth of the tree, and the columns of its leaves."""
+"""What the kernels share: the luma weights as whole numbers, the depth of the tree, and the columns
+of its leaves."""
 
 from torch import Tensor
 
@@ -13,7 +14,8 @@ LEAF_COLUMNS = X0, Y0, WIDTH, HEIGHT, LEVEL = range(5)
 
 
 def deepest_level(width: int, height: int, min_cell_px: int) -> int:
-    """Level at which not even the largest cell may be cut. The largest of level l is ceil(size / 2^l)."""
+    """Level at which not even the largest cell may be cut. The largest of level l is ceil(size /
+    2^l)."""
     level = 0
     while width // 2 > min_cell_px and height // 2 > min_cell_px:
         width, height, level = (width + 1) // 2, (height + 1) // 2, level + 1
@@ -22,4 +24,10 @@ def deepest_level(width: int, height: int, min_cell_px: int) -> int:
 
 def to_cells(leaves: Tensor) -> Cells:
     """The leaves from an array of theirs [5, n]."""
-    return Cells(x0=leaves[X0], y0=leaves[Y0], width=leaves[WIDTH], height=leaves[HEIGHT], level=leaves[LEVEL])
+    return Cells(
+        x0=leaves[X0],
+        y0=leaves[Y0],
+        width=leaves[WIDTH],
+        height=leaves[HEIGHT],
+        level=leaves[LEVEL],
+    )

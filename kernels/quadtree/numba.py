@@ -1,6 +1,8 @@
-"""The image quadtree bottom-up: sums of the smallest cells that may be cut, added four by four, then one walk down.
+"""The image quadtree bottom-up: sums of the smallest cells that may be cut, added four by four,
+then one walk down.
 
-Sums are integers and the contrast is computed in the reference's order of operations, so the leaves are the same.
+Sums are integers and the contrast is computed in the reference's order of operations, so the leaves
+are the same.
 """
 
 from typing import Literal
@@ -27,11 +29,17 @@ _N_COLUMNS = len(col.LEAF_COLUMNS)
 
 
 def quadtree(
-    rgb_u8: Tensor, *, threshold: float = 0.1, min_cell_px: int = 1, contrast: Literal["released", "std"] = "released"
+    rgb_u8: Tensor,
+    *,
+    threshold: float = 0.1,
+    min_cell_px: int = 1,
+    contrast: Literal["released", "std"] = "released",
 ) -> Cells:
     """See ``gsfusion_nb.seeding.quadtree``."""
     if rgb_u8.device.type != "cpu":
-        return reference.reference(rgb_u8, threshold=threshold, min_cell_px=min_cell_px, contrast=contrast)
+        return reference.reference(
+            rgb_u8, threshold=threshold, min_cell_px=min_cell_px, contrast=contrast
+        )
     image = rgb_u8.contiguous().numpy()
     height, width = image.shape[:2]
     levels = col.deepest_level(width, height, min_cell_px)
@@ -41,14 +49,17 @@ def quadtree(
         if levels:
             sums = np.zeros((len(ys) // 2, len(xs) // 2, _SUMS), np.int64)
             _sums(image, xs[::2].copy(), ys[::2].copy(), sums)
-            split = _splits(sums, xs, ys, levels, float(threshold), int(min_cell_px), contrast == "released")
+            split = _splits(
+                sums, xs, ys, levels, float(threshold), int(min_cell_px), contrast == "released"
+            )
         leaves = _leaves(split, xs, ys, levels).copy()
     return col.to_cells(torch.from_numpy(leaves))
 
 
 @njit(cache=True, error_model="numpy")
 def _lines(length, levels):
-    """Cell borders along one axis at the deepest level; every 2^k-th of them are the borders k levels higher."""
+    """Cell borders along one axis at the deepest level; every 2^k-th of them are the borders k
+    levels higher."""
     n = 1 << levels
     lines = np.empty(n + 1, np.int64)
     lines[0] = 0
@@ -63,12 +74,17 @@ def _lines(length, levels):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _sums(image, xs, ys, sums):
-    """Add R, G, B and the luma-weighted squares of each cell between the lines to ``sums`` [Y, X, _SUMS]."""
+    """Add R, G, B and the luma-weighted squares of each cell between the lines to ``sums`` [Y, X,
+    _SUMS]."""
     rows, columns = ys.shape[0] - 1, xs.shape[0] - 1
     width = image.shape[1]
     for task in prange(rows):
         i = int64(task)
-        red, green, blue = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros(width, np.int32)
+        red, green, blue = (
+            np.zeros(width, np.int32),
+            np.zeros(width, np.int32),
+            np.zeros(width, np.int32),
+        )
         squares = np.zeros(width, np.int64)
         for y in range(ys[i], ys[i + 1]):
             line = image[y]
@@ -77,7 +93,9 @@ def _sums(image, xs, ys, sums):
                 red[x] += r
                 green[x] += g
                 blue[x] += b
-                squares[x] += np.int32(_RED) * r * r + np.int32(_GREEN) * g * g + np.int32(_BLUE) * b * b
+                squares[x] += (
+                    np.int32(_RED) * r * r + np.int32(_GREEN) * g * g + np.int32(_BLUE) * b * b
+                )
         for j in range(columns):
             for x in range(xs[j], xs[j + 1]):
                 sums[i, j, _SUM_RED] += red[x]
@@ -88,7 +106,8 @@ def _sums(image, xs, ys, sums):
 
 @njit(cache=True, error_model="numpy")
 def _splits(sums, xs, ys, levels, threshold, min_cell_px, released):
-    """Whether each cell would be cut, level after level from the whole image down; level l starts at (4^l - 1) / 3."""
+    """Whether each cell would be cut, level after level from the whole image down; level l starts
+    at (4^l - 1) / 3."""
     split = np.empty(((1 << 2 * levels) - 1) // 3, np.uint8)
     pixels = xs[-1] * ys[-1]
     for level in range(levels - 1, -1, -1):
@@ -101,7 +120,11 @@ def _splits(sums, xs, ys, levels, threshold, min_cell_px, released):
             for j in range(n):
                 w = xs[(j + 1) * step] - xs[j * step]
                 area = float(h * w)
-                r, g, b = sums[i, j, _SUM_RED] / area, sums[i, j, _SUM_GREEN] / area, sums[i, j, _SUM_BLUE] / area
+                r, g, b = (
+                    sums[i, j, _SUM_RED] / area,
+                    sums[i, j, _SUM_GREEN] / area,
+                    sums[i, j, _SUM_BLUE] / area,
+                )
                 V = sums[i, j, _SUM_SQUARES] / area
                 V = V - _RED * r * r
                 V = V - _GREEN * g * g
@@ -130,7 +153,9 @@ def _parents(sums):
 def _leaves(split, xs, ys, levels):
     """The leaves (``LEAF_COLUMNS``) in the reference's depth-first order."""
     leaves = np.empty((_N_COLUMNS, 1 << 2 * levels), np.int32)
-    stack = np.empty((3 * levels + 4, 3), np.int64)  # level, row and column of cells still to be visited
+    stack = np.empty(
+        (3 * levels + 4, 3), np.int64
+    )  # level, row and column of cells still to be visited
     stack[0, :] = 0
     top, count = 1, 0
     while top:

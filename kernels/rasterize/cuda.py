@@ -1,7 +1,9 @@
-"""``render_forward`` and ``render_vjp`` in CUDA, which ``gsfusion_nb.backends`` offers for CUDA tensors.
+"""``render_forward`` and ``render_vjp`` in CUDA, which ``gsfusion_nb.backends`` offers for CUDA
+tensors.
 
-Project and colour every row, list its tiles, sort, composite; and back. float64 goes to the reference. Gradients are
-added up by atomics, in an order that changes from run to run: they repeat to rounding, not bit for bit.
+Project and colour every row, list its tiles, sort, composite; and back. float64 goes to the
+reference. Gradients are added up by atomics, in an order that changes from run to run: they repeat
+to rounding, not bit for bit.
 """
 
 from dataclasses import dataclass
@@ -84,7 +86,11 @@ def render_forward(
         image={"rgb": out.rgb, "depth": out.depth_m, "alpha": out.alpha},
         pixels=as_bytes(pixels),
     )
-    images = picture.image | {"first": out.first_index, "dominant": out.dominant_index, "hit": out.hit_index}
+    images = picture.image | {
+        "first": out.first_index,
+        "dominant": out.dominant_index,
+        "hit": out.hit_index,
+    }
     kernel = f"composite:composite_{int(with_indices)}{int(with_hits)}"
     opaque = float(opaque_alpha or _NO_HIT_ALPHA)
     launch("render_forward", kernel, picture.lists.n_tiles, _BLOCK, picture.work, images, opaque)
@@ -108,6 +114,10 @@ def render_vjp(
     """
     gradients = {"v_rgb": v_rgb, "v_depth": v_depth_m, "v_alpha": v_alpha}
     device_of("render_vjp", v_rgb)
-    seen = saved.image | {name: None if v is None else packed(v.float()) for name, v in gradients.items()}
+    seen = saved.image | {
+        name: None if v is None else packed(v.float()) for name, v in gradients.items()
+    }
     centres = {"v_uv": v_uv, "v_uv_abs": v_uv_abs}
-    return gradients_of("render_vjp", "composite:composite_backward", saved, seen, rows=rows, **centres)
+    return gradients_of(
+        "render_vjp", "composite:composite_backward", saved, seen, rows=rows, **centres
+    )

@@ -1,4 +1,5 @@
-"""Around the kernels of the rasteriser, in numba and in CUDA: its output before they run, and what was blended."""
+"""Around the kernels of the rasteriser, in numba and in CUDA: its output before they run, and what
+was blended."""
 
 import torch
 from torch import Tensor
@@ -12,19 +13,33 @@ from ..project.layout import CONIC_A, DEPTH, LN_OPACITY, RED, U
 from ..runtime.arguments import parts
 
 
-def blank(camera: Camera, device: torch.device, *, with_indices: bool, with_hits: bool) -> RenderOutput:
+def blank(
+    camera: Camera, device: torch.device, *, with_indices: bool, with_hits: bool
+) -> RenderOutput:
     """An output that a kernel is to fill."""
     size = (camera.height, camera.width)
-    rgb, depth_m, alpha = (torch.empty(*size, *n, dtype=torch.float32, device=device) for n in ((3,), (), ()))
+    rgb, depth_m, alpha = (
+        torch.empty(*size, *n, dtype=torch.float32, device=device) for n in ((3,), (), ())
+    )
     wanted = (with_indices, with_indices, with_hits)
-    first, dominant, hit = (torch.empty(size, dtype=torch.int64, device=device) if w else None for w in wanted)
+    first, dominant, hit = (
+        torch.empty(size, dtype=torch.int64, device=device) if w else None for w in wanted
+    )
     return RenderOutput(
-        rgb=rgb, depth_m=depth_m, alpha=alpha, first_index=first, dominant_index=dominant, hit_index=hit
+        rgb=rgb,
+        depth_m=depth_m,
+        alpha=alpha,
+        first_index=first,
+        dominant_index=dominant,
+        hit_index=hit,
     )
 
 
-def screen_of(splats: Tensor, ids: Tensor, offset: Tensor, camera: Camera, pixels: Tensor | None) -> ScreenGaussians:
-    """What was blended: rows of ``project.layout``, the lists of the tiles, and which pixels were drawn."""
+def screen_of(
+    splats: Tensor, ids: Tensor, offset: Tensor, camera: Camera, pixels: Tensor | None
+) -> ScreenGaussians:
+    """What was blended: rows of ``project.layout``, the lists of the tiles, and which pixels were
+    drawn."""
     tiles_x, tiles_y = parts(camera.width, TILE), parts(camera.height, TILE)
     return ScreenGaussians(
         uv=splats[:, U : U + 2],
@@ -32,5 +47,12 @@ def screen_of(splats: Tensor, ids: Tensor, offset: Tensor, camera: Camera, pixel
         opacity=splats[:, LN_OPACITY].exp(),
         rgb=splats[:, RED : RED + 3],
         depth_m=splats[:, DEPTH],
-        tiles=TileLists(gaussian=ids, offset=offset, tile_px=TILE, tiles_x=tiles_x, tiles_y=tiles_y, pixels=pixels),
+        tiles=TileLists(
+            gaussian=ids,
+            offset=offset,
+            tile_px=TILE,
+            tiles_x=tiles_x,
+            tiles_y=tiles_y,
+            pixels=pixels,
+        ),
     )

@@ -1,6 +1,8 @@
-"""``render_forward`` and ``render_vjp`` from the fused kernels: what ``gsfusion_nb.backends`` offers for CPU tensors.
+"""``render_forward`` and ``render_vjp`` from the fused kernels: what ``gsfusion_nb.backends``
+offers for CPU tensors.
 
-Project and colour every row, list its tiles, sort by counting, composite; and back. float64 goes to the reference.
+Project and colour every row, list its tiles, sort by counting, composite; and back. float64 goes to
+the reference.
 """
 
 # Arrays are passed on as a list, which pyright cannot follow:
@@ -50,8 +52,16 @@ class NumbaSaved(Record):
     @property
     def screen(self) -> ScreenGaussians:
         """What was blended."""
-        splats, ids, offset = map(torch.from_numpy, (self.splats, self.lists.ids, self.lists.offset))
-        return screen_of(splats, ids, offset, self.camera, torch.from_numpy(self.pixels) if self.pixels.size else None)
+        splats, ids, offset = map(
+            torch.from_numpy, (self.splats, self.lists.ids, self.lists.offset)
+        )
+        return screen_of(
+            splats,
+            ids,
+            offset,
+            self.camera,
+            torch.from_numpy(self.pixels) if self.pixels.size else None,
+        )
 
 
 def render_forward(
@@ -67,7 +77,9 @@ def render_forward(
     drawn = _ALL_PIXELS if pixels is None else pixels.contiguous().numpy()
     cam = pack_camera(camera, T_WC)
     N, H, W = len(params), camera.height, camera.width
-    out = blank(camera, torch.device("cpu"), with_indices=with_indices, with_hits=opaque_alpha is not None)
+    out = blank(
+        camera, torch.device("cpu"), with_indices=with_indices, with_hits=opaque_alpha is not None
+    )
     image = Image(rgb=out.rgb.numpy(), depth=out.depth_m.numpy(), alpha=out.alpha.numpy())
     indices = (out.first_index, out.dominant_index, out.hit_index)
     indices = IndexImages(*(_NO_INDEX if index is None else index.numpy() for index in indices))
@@ -83,7 +95,14 @@ def render_forward(
         lists = sort_pairs(order, start, pair_tile, -(-W // TILE) * -(-H // TILE))
         composite_forward(splats, lists, drawn, image, indices, np.float32(opaque_alpha or 1.0))
     saved = NumbaSaved(
-        params=params, camera=camera, lens=cam, splats=splats, start=start, lists=lists, image=image, pixels=drawn
+        params=params,
+        camera=camera,
+        lens=cam,
+        splats=splats,
+        start=start,
+        lists=lists,
+        image=image,
+        pixels=drawn,
     )
     return out, saved
 
@@ -100,10 +119,15 @@ def render_vjp(
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
     trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
-    v_image = (_NO_IMAGE if v is None else v.contiguous().float().numpy() for v in (v_rgb, v_depth_m, v_alpha))
+    v_image = (
+        _NO_IMAGE if v is None else v.contiguous().float().numpy()
+        for v in (v_rgb, v_depth_m, v_alpha)
+    )
     wanted, n_pairs = (saved.pixels, trained), len(saved.lists.ids)
     with launching():
         pair_sums = scratch("pair_sums", n_pairs * PAIR_SUMS).reshape(-1, PAIR_SUMS)
         abs_sums = None if v_uv_abs is None else scratch("abs_sums", n_pairs * 2).reshape(-1, 2)
-        composite_backward(saved.splats, saved.lists, wanted, saved.image, Image(*v_image), pair_sums, abs_sums)
+        composite_backward(
+            saved.splats, saved.lists, wanted, saved.image, Image(*v_image), pair_sums, abs_sums
+        )
         return gradients_of(saved, trained, pair_sums, abs_sums, v_uv, v_uv_abs)

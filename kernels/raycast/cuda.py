@@ -27,11 +27,17 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
         return reference.reference(volume, camera, T_WC)
     device_of("raycast", volume.D)
     H, W, config = camera.height, camera.width, volume.config
-    depth, normal, rgb = ((torch.empty if n else torch.zeros)(H, W, *k, device=device) for k in ((), (3,), (3,)))
+    depth, normal, rgb = (
+        (torch.empty if n else torch.zeros)(H, W, *k, device=device) for k in ((), (3,), (3,))
+    )
     out = RaycastOutput(depth_m=depth, normal_W=normal, rgb=rgb)
     if not n:
         return out
-    lens = lens_of(camera)._asdict() | {"T_WC": packed(T_WC.to(device, torch.float32)), "width": W, "height": H}
+    lens = lens_of(camera)._asdict() | {
+        "T_WC": packed(T_WC.to(device, torch.float32)),
+        "width": W,
+        "height": H,
+    }
     sizes = {
         "voxel": config.voxel_size_m,
         "block": volume.block_size_m,
@@ -42,9 +48,27 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     }
     tiles_x, tiles_y = parts(W, _TILE), parts(H, _TILE)
     first = torch.full((tiles_x * tiles_y,), _INFINITE_BITS, dtype=torch.int32, device=device)
-    spans = {"first": first, "last": torch.zeros_like(first), "tiles_x": tiles_x, "tiles_y": tiles_y}
-    launch("raycast", "raycast:block_spans", parts(n * _WARP, _BLOCK), _BLOCK, coords, n, lens, sizes, spans)
-    blocks, images = parts(W, _WIDE) * parts(H, _HIGH), {"depth": depth, "normal": normal, "rgb": rgb}
+    spans = {
+        "first": first,
+        "last": torch.zeros_like(first),
+        "tiles_x": tiles_x,
+        "tiles_y": tiles_y,
+    }
+    launch(
+        "raycast",
+        "raycast:block_spans",
+        parts(n * _WARP, _BLOCK),
+        _BLOCK,
+        coords,
+        n,
+        lens,
+        sizes,
+        spans,
+    )
+    blocks, images = (
+        parts(W, _WIDE) * parts(H, _HIGH),
+        {"depth": depth, "normal": normal, "rgb": rgb},
+    )
     values = table_of(volume), voxels_of(volume)
     launch("raycast", "raycast:raycast", blocks, _BLOCK, *values, lens, sizes, spans, images)
     return out

@@ -1,14 +1,16 @@
 """March rays to the surface, four by four at a time: steps and tests are the reference's.
 
-Before, find out what of the map the view can meet: depths between which each tile's rays do, and the voxels that they
-may look up. Rays look D up in a copy that tells what has been observed, or in the map with its W. The march is compiled
-for each: with one for both that branches at every look-up, rays take 10 to 20 % longer.
+Before, find out what of the map the view can meet: depths between which each tile's rays do, and
+the voxels that they may look up. Rays look D up in a copy that tells what has been observed, or in
+the map with its W. The march is compiled for each: with one for both that branches at every
+look-up, rays take 10 to 20 % longer.
 
-Tried: packets of 32 rays (9 to 17 % less time, but the vector layer has 16 lanes); rays that start at the nearest voxel
-with D < 0 (hardly less time, and some pixels lose their surface); no copy of the blocks in view from 320x240 on (10 to
-15 % longer); blocks looked up in the table of nodes, as in larger views (20 % longer); rays that start at 8 m where no
-nearer block is (with 41,000 blocks in view 1.6 ms less before the march, 3.5 ms more in it); blocks in view found by
-nodes of the table instead of neighbours in the pool (scattered reads, twice the time before the march).
+Tried: packets of 32 rays (9 to 17 % less time, but the vector layer has 16 lanes); rays that start
+at the nearest voxel with D < 0 (hardly less time, and some pixels lose their surface); no copy of
+the blocks in view from 320x240 on (10 to 15 % longer); blocks looked up in the table of nodes, as
+in larger views (20 % longer); rays that start at 8 m where no nearer block is (with 41,000 blocks
+in view 1.6 ms less before the march, 3.5 ms more in it); blocks in view found by nodes of the table
+instead of neighbours in the pool (scattered reads, twice the time before the march).
 """
 
 # Intrinsics are called without their typing context, which pyright cannot follow:
@@ -30,7 +32,15 @@ from gsfusion_nb.tsdf.raycast import raycast as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Camera
 
-from ..runtime.arguments import IN_NODE, NODE_BITS, NODE_SHIFT, BlockTable, lens_of, parts, ray_slopes
+from ..runtime.arguments import (
+    IN_NODE,
+    NODE_BITS,
+    NODE_SHIFT,
+    BlockTable,
+    lens_of,
+    parts,
+    ray_slopes,
+)
 from ..runtime.numba.blocks import blocks_in_view
 from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.simd import (
@@ -84,7 +94,8 @@ class Unmarked(NamedTuple):
 
 
 def values(field, at, wanted):
-    """D of sixteen voxels, infinite where they are not wanted or have not been observed; in compiled code only."""
+    """D of sixteen voxels, infinite where they are not wanted or have not been observed; in
+    compiled code only."""
     raise NotImplementedError
 
 
@@ -103,7 +114,8 @@ def _(field, at, wanted):
 
 
 class Near(NamedTuple):
-    """Pool rows of the blocks that rays may look up, in a box around them: one look-up instead of two."""
+    """Pool rows of the blocks that rays may look up, in a box around them: one look-up instead of
+    two."""
 
     rows: np.ndarray
     """Of each block of the box, z fastest; -1 where there is none."""
@@ -114,8 +126,9 @@ class Near(NamedTuple):
 
 
 def place(table, axis, voxel):
-    """Where sixteen voxels are along an axis: what that adds to the number of an entry of the table's box, and to those
-    of the block in this entry and of the voxel in the block; and whether it is in the box. In compiled code only.
+    """Where sixteen voxels are along an axis: what that adds to the number of an entry of the
+    table's box, and to those of the block in this entry and of the voxel in the block; and whether
+    it is in the box. In compiled code only.
     """
     raise NotImplementedError
 
@@ -128,16 +141,24 @@ def _(table, axis, voxel):
         strides = (table.size[1] * table.size[2], table.size[2], int32(1))
         three, seven = splat_int(int32(3)), splat_int(int32(7))
         entry = (voxel >> splat_int(int32(shift))) - splat_int(table.low[axis])
-        in_entry = ((voxel >> three) & splat_int(int32(inside))) * splat_int(int32(1 << NODE_BITS * (2 - axis)))
+        in_entry = ((voxel >> three) & splat_int(int32(inside))) * splat_int(
+            int32(1 << NODE_BITS * (2 - axis))
+        )
         in_block = (voxel & seven) * splat_int(int32(1 << 3 * (2 - axis)))
-        return entry * splat_int(strides[axis]), in_entry, in_block, below(entry, splat_int(table.size[axis]))
+        return (
+            entry * splat_int(strides[axis]),
+            in_entry,
+            in_block,
+            below(entry, splat_int(table.size[axis])),
+        )
 
     return placed
 
 
 @njit(inline="always")
 def at_places(x, y, z):
-    """Entry, block in the entry, voxel in the block, and whether it is in the box, of places along the three axes."""
+    """Entry, block in the entry, voxel in the block, and whether it is in the box, of places along
+    the three axes."""
     return x[0] + y[0] + z[0], x[1] + y[1] + z[1], x[2] + y[2] + z[2], x[3] & y[3] & z[3]
 
 
@@ -149,7 +170,9 @@ def rows_of(table, at, wanted):
 @overload(rows_of, inline="always")
 def _(table, at, wanted):
     if table.instance_class is Near:
-        return lambda table, at, wanted: gather_int(table.rows, at[0], wanted & at[3], splat_int(int32(-1)))
+        return lambda table, at, wanted: gather_int(
+            table.rows, at[0], wanted & at[3], splat_int(int32(-1))
+        )
 
     def in_nodes(table, at, wanted):
         node = gather_int(table.nodes, at[0], wanted & at[3], splat_int(int32(0)))
@@ -161,7 +184,8 @@ def _(table, at, wanted):
 
 @njit(cache=True, error_model="numpy")
 def _corner(table, field, place, moved, row, wanted):
-    """Value and position of one corner of sixteen cells; ``moved`` are those where it lies in another block."""
+    """Value and position of one corner of sixteen cells; ``moved`` are those where it lies in
+    another block."""
     if any_lane(moved):
         row = select_int(moved, rows_of(table, place, moved), row)
     at = row * splat_int(int32(VOXELS_PER_BLOCK)) + place[2]
@@ -170,9 +194,11 @@ def _corner(table, field, place, moved, row, wanted):
 
 @njit(cache=True, error_model="numpy")
 def cells(table, field, px, py, pz, wanted):
-    """The eight voxels around sixteen points: their values (infinite where not observed) and positions.
+    """The eight voxels around sixteen points: their values (infinite where not observed) and
+    positions.
 
-    Points are in voxels, less a half. Also returns which cells are observed whole, and the cells' lowest corners.
+    Points are in voxels, less a half. Also returns which cells are observed whole, and the cells'
+    lowest corners.
     """
     one, seven = splat_int(int32(1)), splat_int(int32(7))
     bx, by, bz = floor(px), floor(py), floor(pz)
@@ -182,7 +208,11 @@ def cells(table, field, px, py, pz, wanted):
     first = at_places(x0, y0, z0)
     row = rows_of(table, first, wanted)
     wanted = wanted & (row >= splat_int(int32(0)))
-    ox, oy, oz = wanted & ((x & seven) == seven), wanted & ((y & seven) == seven), wanted & ((z & seven) == seven)
+    ox, oy, oz = (
+        wanted & ((x & seven) == seven),
+        wanted & ((y & seven) == seven),
+        wanted & ((z & seven) == seven),
+    )
     none = but_not(ox, ox)
     oxy, oxz, oyz = either(ox, oy), either(ox, oz), either(oy, oz)
     v0, a0 = _corner(table, field, first, none, row, wanted)
@@ -193,16 +223,23 @@ def cells(table, field, px, py, pz, wanted):
     v5, a5 = _corner(table, field, at_places(x1, y0, z1), oxz, row, wanted)
     v6, a6 = _corner(table, field, at_places(x0, y1, z1), oyz, row, wanted)
     v7, a7 = _corner(table, field, at_places(x1, y1, z1), either(oxy, oz), row, wanted)
-    most = maximum(maximum(maximum(v0, v1), maximum(v2, v3)), maximum(maximum(v4, v5), maximum(v6, v7)))
+    most = maximum(
+        maximum(maximum(v0, v1), maximum(v2, v3)), maximum(maximum(v4, v5), maximum(v6, v7))
+    )
     whole = wanted & (most < splat(_INFINITE))
     return (v0, v1, v2, v3, v4, v5, v6, v7), (a0, a1, a2, a3, a4, a5, a6, a7), whole, (bx, by, bz)
 
 
 @njit(cache=True, error_model="numpy")
 def leaves(corner, px, py, pz, wanted):
-    """Whether any of sixteen points lies in another cell than the one with this lowest ``corner``."""
+    """Whether any of sixteen points lies in another cell than the one with this lowest
+    ``corner``."""
     zero = splat(_ZERO)
-    away = absolute(floor(px) - corner[0]) + absolute(floor(py) - corner[1]) + absolute(floor(pz) - corner[2])
+    away = (
+        absolute(floor(px) - corner[0])
+        + absolute(floor(py) - corner[1])
+        + absolute(floor(pz) - corner[2])
+    )
     return any_lane(wanted & (away > zero))
 
 
@@ -216,11 +253,18 @@ def blend(v, f):
     return z0 + (z1 - z0) * fz
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)  # which products are fused must not hang on the compiler
+@njit(
+    cache=True, error_model="numpy", forceinline=True
+)  # which products are fused must not hang on the compiler
 def interpolate(table, field, point, inv_voxel, wanted):
-    """Trilinear D at sixteen world points, and where all eight voxels around them have been observed."""
+    """Trilinear D at sixteen world points, and where all eight voxels around them have been
+    observed."""
     half = splat(_HALF)
-    px, py, pz = point[0] * inv_voxel - half, point[1] * inv_voxel - half, point[2] * inv_voxel - half
+    px, py, pz = (
+        point[0] * inv_voxel - half,
+        point[1] * inv_voxel - half,
+        point[2] * inv_voxel - half,
+    )
     v, _, whole, corner = cells(table, field, px, py, pz, wanted)
     return blend(v, (px - corner[0], py - corner[1], pz - corner[2])), whole
 
@@ -228,13 +272,15 @@ def interpolate(table, field, point, inv_voxel, wanted):
 _NEAR = 0.01
 
 _BEFORE = 1e-3
-"""Rays start this far before the nearest block, in blocks: its wall is crossed in the way of all others."""
+"""Rays start this far before the nearest block, in blocks: its wall is crossed in the way of all
+others."""
 
 NEAR_END, FAR_END = range(2)
 """Columns of the depths between which a tile's rays can meet a block."""
 
 _U0, _U1, _V0, _V1 = range(4)
-"""Columns of the tiles that a block covers: first and last of a row, first and last row. None if last < first."""
+"""Columns of the tiles that a block covers: first and last of a row, first and last row. None if
+last < first."""
 
 BLOCKS_AT_ONCE = 64
 """Blocks that a thread takes together."""
@@ -243,17 +289,20 @@ NEAR_BLOCKS = 1 << 21
 """Largest box of blocks around those in view (8 MB) of which a table is made for the rays."""
 
 FEW_RAYS = 12
-"""Rays for each block in view below which its voxels are not copied. Where all is in the cache, marking a block takes
-as long as about so many rays take to ask for W as well; fresh memory for the copy of a growing map takes longer."""
+"""Rays for each block in view below which its voxels are not copied. Where all is in the cache,
+marking a block takes as long as about so many rays take to ask for W as well; fresh memory for the
+copy of a growing map takes longer."""
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def look_up(blocks, rows, T_CW, lens, side, size, tile_px, marked, spans):
-    """Where rays can meet the blocks in some ``rows``. blocks: [B, 3], and D and W of their voxels, block after block.
+    """Where rays can meet the blocks in some ``rows``. blocks: [B, 3], and D and W of their voxels,
+    block after block.
 
-    Sets ``spans`` [rows, columns, 2] to the depths between which the rays of each tile of pixels can meet a block, and
-    ``marked`` to D where a voxel has been observed, else infinity, in these blocks. Returns whether ``marked`` has been
-    set: it is left as it was where there are so few rays that the copy would take longer than they do.
+    Sets ``spans`` [rows, columns, 2] to the depths between which the rays of each tile of pixels
+    can meet a block, and ``marked`` to D where a voxel has been observed, else infinity, in these
+    blocks. Returns whether ``marked`` has been set: it is left as it was where there are so few
+    rays that the copy would take longer than they do.
     """
     coords, D, W = blocks
     many = size[0] * size[1] >= FEW_RAYS * len(rows)
@@ -278,11 +327,15 @@ def look_up(blocks, rows, T_CW, lens, side, size, tile_px, marked, spans):
 
 @njit(cache=True, error_model="numpy")
 def near_blocks(coords, rows, most):
-    """A table of the blocks in ``rows``, without entries if their box has more than ``most`` blocks."""
+    """A table of the blocks in ``rows``, without entries if their box has more than ``most``
+    blocks."""
     low, high = np.full(3, 1 << 30, np.int32), np.full(3, -(1 << 30), np.int32)
     for b in rows:
         for axis in range(3):
-            low[axis], high[axis] = min(low[axis], coords[b, axis]), max(high[axis], coords[b, axis])
+            low[axis], high[axis] = (
+                min(low[axis], coords[b, axis]),
+                max(high[axis], coords[b, axis]),
+            )
     size = np.maximum(high - low + np.int32(1), np.int32(0))
     cells = np.int64(size[0]) * size[1] * size[2]
     table = np.full(cells if cells <= most else 0, np.int32(-1), np.int32)
@@ -308,7 +361,11 @@ def _project(block, T_CW, lens, side, tile_px, tiles, cover, depth):
     low_z, high_z = np.inf, -np.inf
     low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
     for c in range(8):
-        X, Y, Z = (block[0] + (c & 1)) * side, (block[1] + (c >> 1 & 1)) * side, (block[2] + (c >> 2)) * side
+        X, Y, Z = (
+            (block[0] + (c & 1)) * side,
+            (block[1] + (c >> 1 & 1)) * side,
+            (block[2] + (c >> 2)) * side,
+        )
         x = T_CW[0, 0] * X + T_CW[0, 1] * Y + T_CW[0, 2] * Z + T_CW[0, 3]
         y = T_CW[1, 0] * X + T_CW[1, 1] * Y + T_CW[1, 2] * Z + T_CW[1, 3]
         z = T_CW[2, 0] * X + T_CW[2, 1] * Y + T_CW[2, 2] * Z + T_CW[2, 3]
@@ -352,9 +409,15 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     depth, normal, rgb = (torch.empty(camera.height, camera.width, *n) for n in ((), (3,), (3,)))
     x, y = ray_slopes(camera)
     pose = T_WC.detach().cpu()
-    rays = _in_fours(x).tile(1, 4).numpy(), _in_fours(y).repeat_interleave(4, 1).numpy(), pose.to(torch.float32).numpy()
+    rays = (
+        _in_fours(x).tile(1, 4).numpy(),
+        _in_fours(y).repeat_interleave(4, 1).numpy(),
+        pose.to(torch.float32).numpy(),
+    )
     lens, size = lens_of(camera, f32), (camera.height, camera.width)
-    sizes = Sizes(*map(f32, (volume.config.voxel_size_m, volume.config.truncation_m, volume.block_size_m)))
+    sizes = Sizes(
+        *map(f32, (volume.config.voxel_size_m, volume.config.truncation_m, volume.block_size_m))
+    )
     D, W, colours = (t.view(-1).numpy() for t in (volume.D, volume.W, volume.rgb_planes))
     blocks = volume.block_coords.numpy(), D, W
     T_CW = se3.inverse(pose.double()).numpy()
@@ -363,7 +426,9 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
         copy = scratch("raycast", D.size)
         rows = blocks_in_view(volume, camera, T_CW, np.inf, 2 * volume.config.voxel_size_m)
         with parallel_chunksize(BLOCKS_AT_ONCE):
-            copied = look_up(blocks, rows, T_CW, lens, volume.block_size_m, size, TILE_PX, copy, spans)
+            copied = look_up(
+                blocks, rows, T_CW, lens, volume.block_size_m, size, TILE_PX, copy, spans
+            )
         field = Marked(copy) if copied else Unmarked(D, W)
         near = Near(*near_blocks(blocks[0], rows, NEAR_BLOCKS))
         with parallel_chunksize(spans.shape[1]):  # a row of tiles: neighbours meet the same voxels
@@ -389,18 +454,25 @@ def _to_wall(p, forward, per_block, inv_side):
 
 @njit(cache=True, error_model="numpy")
 def _crossing(table, field, origin, direction, sizes, span, alive):
-    """Depths on either side of the first change from free to inside along sixteen rays, D there, and where it is."""
+    """Depths on either side of the first change from free to inside along sixteen rays, D there,
+    and where it is."""
     ox, oy, oz = origin
     dx, dy, dz = direction
     zero, one, infinite, small = splat(_ZERO), splat(_ONE), splat(_INFINITE), splat(_SMALL)
     voxel, truncation, side = splat(sizes.voxel), splat(sizes.truncation), splat(sizes.block)
     inv_voxel, inv_side = one / voxel, one / side
-    reach, close_by, margin = splat(_STEP) * truncation, splat(_CLOSE) * voxel, splat(_MARGIN) * voxel
+    reach, close_by, margin = (
+        splat(_STEP) * truncation,
+        splat(_CLOSE) * voxel,
+        splat(_MARGIN) * voxel,
+    )
     block = splat_int(int32(VOXELS_PER_BLOCK))
     per_m = one / sqrt(dx * dx + dy * dy + dz * dz)
     per_x, per_y, per_z = (
-        side / maximum(absolute(dx), small), side / maximum(absolute(dy), small), side / maximum(absolute(dz), small)
-    )  # fmt: skip
+        side / maximum(absolute(dx), small),
+        side / maximum(absolute(dy), small),
+        side / maximum(absolute(dz), small),
+    )
     to_x, to_y, to_z = dx > zero, dy > zero, dz > zero
     z_start, z_end = span
     z, z_end = splat(z_start), splat(z_end)
@@ -410,7 +482,11 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
     z0, z1, D0, D1 = z, z, one, zero - one
     while any_lane(alive):
         px, py, pz = ox + dx * z, oy + dy * z, oz + dz * z
-        i, j, k = truncate(floor(px * inv_voxel)), truncate(floor(py * inv_voxel)), truncate(floor(pz * inv_voxel))
+        i, j, k = (
+            truncate(floor(px * inv_voxel)),
+            truncate(floor(py * inv_voxel)),
+            truncate(floor(pz * inv_voxel)),
+        )
         here_at = at_places(place(table, 0, i), place(table, 1, j), place(table, 2, k))
         row = rows_of(table, here_at, alive)
         allocated = row >= splat_int(int32(0))
@@ -458,10 +534,11 @@ def _in_voxels(origin, direction, z, inv_voxel):
 
 @njit(cache=True, error_model="numpy")
 def _refined(table, field, origin, direction, voxel, bracket, found):
-    """Depth where D is zero on sixteen rays, between two depths on either side of the surface: the secant method.
+    """Depth where D is zero on sixteen rays, between two depths on either side of the surface: the
+    secant method.
 
-    And the voxels around the points there, as of ``cells``, with their places between them. The points move so little
-    that the voxels are seldom looked up again.
+    And the voxels around the points there, as of ``cells``, with their places between them. The
+    points move so little that the voxels are seldom looked up again.
     """
     z0, z1, D0, D1 = bracket
     zero, inv_voxel = splat(_ZERO), splat(_ONE) / voxel
@@ -482,9 +559,11 @@ def _refined(table, field, origin, direction, voxel, bracket, found):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _march(table, field, C, rays, sizes, spans, tile_px, depth, normal, rgb):
-    """Fill the three pictures, four by four rays at a time; zero where no ray meets a surface observed on all sides.
+    """Fill the three pictures, four by four rays at a time; zero where no ray meets a surface
+    observed on all sides.
 
-    rays: x / z of every four columns and y / z of every four rows, for four by four pixels [N, 16]; the pose [4, 4].
+    rays: x / z of every four columns and y / z of every four rows, for four by four pixels [N, 16];
+    the pose [4, 4].
     """
     x, y, T = rays
     height, width = depth.shape
@@ -523,7 +602,8 @@ def _march(table, field, C, rays, sizes, spans, tile_px, depth, normal, rgb):
 
 @njit(cache=True, error_model="numpy")
 def _surface_into(v, at, f, whole, z, C, lanes):
-    """Depth, normal (the gradient of the trilinear D) and colour of sixteen points to their rows of ``lanes``."""
+    """Depth, normal (the gradient of the trilinear D) and colour of sixteen points to their rows of
+    ``lanes``."""
     fx, fy, fz = f
     zero = splat(_ZERO)
     x00, x10, x01, x11 = v[1] - v[0], v[3] - v[2], v[5] - v[4], v[7] - v[6]
@@ -542,18 +622,27 @@ def _surface_into(v, at, f, whole, z, C, lanes):
     for c in range(3):
         plane = splat_int(int32(VOXELS_PER_BLOCK * c))
         colours = (
-            _colour(C, at[0], plane, whole), _colour(C, at[1], plane, whole),
-            _colour(C, at[2], plane, whole), _colour(C, at[3], plane, whole),
-            _colour(C, at[4], plane, whole), _colour(C, at[5], plane, whole),
-            _colour(C, at[6], plane, whole), _colour(C, at[7], plane, whole),
-        )  # fmt: skip
+            _colour(C, at[0], plane, whole),
+            _colour(C, at[1], plane, whole),
+            _colour(C, at[2], plane, whole),
+            _colour(C, at[3], plane, whole),
+            _colour(C, at[4], plane, whole),
+            _colour(C, at[5], plane, whole),
+            _colour(C, at[6], plane, whole),
+            _colour(C, at[7], plane, whole),
+        )
         store(lanes[_RGB + c], 0, select(whole, blend(colours, f), zero))
 
 
 @njit(cache=True, error_model="numpy")
 def _colour(C, at, plane, whole):
-    row, number = at >> splat_int(int32(_BITS_OF_VOXEL)), at & splat_int(int32(VOXELS_PER_BLOCK - 1))
-    return gather(C, row * splat_int(int32(3 * VOXELS_PER_BLOCK)) + number + plane, whole, splat(_ZERO))
+    row, number = (
+        at >> splat_int(int32(_BITS_OF_VOXEL)),
+        at & splat_int(int32(VOXELS_PER_BLOCK - 1)),
+    )
+    return gather(
+        C, row * splat_int(int32(3 * VOXELS_PER_BLOCK)) + number + plane, whole, splat(_ZERO)
+    )
 
 
 @njit(cache=True, error_model="numpy")

@@ -3,7 +3,8 @@
 The second pass takes the counts from the device; the host waits for nothing.
 """
 
-# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportIndexIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false,
+# reportIndexIssue=false
 
 import torch
 import triton
@@ -17,7 +18,8 @@ from ..runtime.triton.launch import device_of, launch, load3, parts, store3
 
 _BLOCK = 1024
 _COLOUR_VALUES, _DEPTH_PIXELS, _COLOUR_SUM, _DEPTH_SUM = (tl.constexpr(n) for n in range(4))
-"""What the kernels add up: values of colour and pixels with a depth loss, then sum |C - C^| and sum |D - D^|."""
+"""What the kernels add up: values of colour and pixels with a depth loss, then sum |C - C^| and sum
+|D - D^|."""
 _N_SUMS = tl.constexpr(4)
 
 
@@ -35,11 +37,17 @@ def rgbd_l1_vjp(
     """See ``gsfusion_nb.optim.rgbd_l1_vjp``."""
     images = (rgb, depth_m, target_rgb, target_depth_m)
     if any(image.dtype != torch.float32 for image in images):
-        options = {"weight_colour": weight_colour, "weight_depth": weight_depth, "behind_m": behind_m}
+        options = {
+            "weight_colour": weight_colour,
+            "weight_depth": weight_depth,
+            "behind_m": behind_m,
+        }
         return reference.reference(*images, pixels, **options)
     names = ("rgb", "depth_m", "target_rgb", "target_depth_m")
     device = device_of("rgbd_l1_vjp", rgb)
-    v_rgb, v_depth_m = (torch.empty_like(t, memory_format=torch.contiguous_format) for t in (rgb, depth_m))
+    v_rgb, v_depth_m = (
+        torch.empty_like(t, memory_format=torch.contiguous_format) for t in (rgb, depth_m)
+    )
     total = depth_m.numel()
     shared = {
         **{name: image.detach().contiguous() for name, image in zip(names, images, strict=True)},
@@ -71,12 +79,16 @@ def rgbd_l1_vjp(
 
 @triton.jit
 def _gaps(rgb, depth_m, target_rgb, target_depth_m, pixels, at, total, limit):
-    """Differences of the three colours and of the depth, and which pixels count for either; 0 where not."""
+    """Differences of the three colours and of the depth, and which pixels count for either; 0 where
+    not."""
     here = at < total
     wanted = here & (tl.load(pixels + at, mask=here, other=0) != 0)
     r, g, b = load3(rgb, at, wanted)
     target_r, target_g, target_b = load3(target_rgb, at, wanted)
-    d, target = tl.load(depth_m + at, mask=wanted, other=0.0), tl.load(target_depth_m + at, mask=wanted, other=0.0)
+    d, target = (
+        tl.load(depth_m + at, mask=wanted, other=0.0),
+        tl.load(target_depth_m + at, mask=wanted, other=0.0),
+    )
     known = wanted & (d > 0) & (target > 0) & (d - target < limit)
     return r - target_r, g - target_g, b - target_b, tl.where(known, d - target, 0.0), wanted, known
 
@@ -87,10 +99,14 @@ def _sign(x):
 
 
 @triton.jit(do_not_specialize=["total", "limit"])
-def _sums(rgb, depth_m, target_rgb, target_depth_m, pixels, sums, total, limit, BLOCK: tl.constexpr):
+def _sums(
+    rgb, depth_m, target_rgb, target_depth_m, pixels, sums, total, limit, BLOCK: tl.constexpr
+):
     """The four sums, of each program."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
-    r, g, b, d, wanted, known = _gaps(rgb, depth_m, target_rgb, target_depth_m, pixels, at, total, limit)
+    r, g, b, d, wanted, known = _gaps(
+        rgb, depth_m, target_rgb, target_depth_m, pixels, at, total, limit
+    )
     out = sums + _N_SUMS * tl.program_id(0)
     tl.store(out + _COLOUR_VALUES, 3.0 * tl.sum(wanted.to(tl.float32), axis=0))
     tl.store(out + _DEPTH_PIXELS, tl.sum(known.to(tl.float32), axis=0))
@@ -100,13 +116,28 @@ def _sums(rgb, depth_m, target_rgb, target_depth_m, pixels, sums, total, limit, 
 
 @triton.jit(do_not_specialize=["total", "limit", "weight_colour", "weight_depth"])
 def _write(
-    rgb, depth_m, target_rgb, target_depth_m, pixels, counts, v_rgb, v_depth, total, limit, weight_colour, weight_depth,
+    rgb,
+    depth_m,
+    target_rgb,
+    target_depth_m,
+    pixels,
+    counts,
+    v_rgb,
+    v_depth,
+    total,
+    limit,
+    weight_colour,
+    weight_depth,
     BLOCK: tl.constexpr,
-):  # fmt: skip
+):
     """The two gradient images; every pixel is written. counts: the first two sums of the image."""
     at = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     here = at < total
     r, g, b, d, _, _ = _gaps(rgb, depth_m, target_rgb, target_depth_m, pixels, at, total, limit)
     scale = weight_colour / tl.load(counts + _COLOUR_VALUES).to(tl.float32)
     store3(v_rgb, at, _sign(r) * scale, _sign(g) * scale, _sign(b) * scale, here)
-    tl.store(v_depth + at, _sign(d) * (weight_depth / tl.load(counts + _DEPTH_PIXELS).to(tl.float32)), mask=here)
+    tl.store(
+        v_depth + at,
+        _sign(d) * (weight_depth / tl.load(counts + _DEPTH_PIXELS).to(tl.float32)),
+        mask=here,
+    )

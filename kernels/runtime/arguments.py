@@ -22,7 +22,8 @@ def check_dtype(operation: str, dtype: torch.dtype, **tensors: Tensor | None) ->
 
 
 def packed(tensor: Tensor) -> Tensor:
-    """The same values without gaps, from an address that is a multiple of 16 bytes; a copy only where needed."""
+    """The same values without gaps, from an address that is a multiple of 16 bytes; a copy only
+    where needed."""
     tensor = tensor.detach().contiguous()
     return tensor if tensor.data_ptr() % _ALIGNMENT == 0 else tensor.clone()
 
@@ -60,7 +61,9 @@ class BlockTable(NamedTuple):
     def of(table: octree.BlockTable) -> "BlockTable":
         """Those of a table on the processor."""
         low, size = np.array(table.low, np.int32), np.array(table.nodes.shape, np.int32)
-        return BlockTable(nodes=table.nodes.view(-1).numpy(), rows=table.rows.view(-1).numpy(), low=low, size=size)
+        return BlockTable(
+            nodes=table.nodes.view(-1).numpy(), rows=table.rows.view(-1).numpy(), low=low, size=size
+        )
 
 
 class Lens(NamedTuple):
@@ -74,7 +77,9 @@ class Lens(NamedTuple):
 
 def lens_of(camera: Camera, number: Callable[[float], Any] = float) -> Lens:
     """Those of ``camera``, each as a ``number``: its precision in the kernel."""
-    return Lens(fx=number(camera.fx), fy=number(camera.fy), cx=number(camera.cx), cy=number(camera.cy))
+    return Lens(
+        fx=number(camera.fx), fy=number(camera.fy), cx=number(camera.cx), cy=number(camera.cy)
+    )
 
 
 def ray_slopes(camera: Camera) -> tuple[Tensor, Tensor]:

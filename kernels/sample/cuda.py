@@ -22,13 +22,22 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     if _is_left_to_the_reference(volume, xyz_W):
         return tsdf.sample_voxels.reference(volume, xyz_W)
     points, out = _points(xyz_W), _blank(xyz_W)
-    blocks, values, size = parts(len(xyz_W), _BLOCK), (table_of(volume), voxels_of(volume)), volume.config.voxel_size_m
-    launch("sample_voxels", "sample:sample_voxels", blocks, _BLOCK, points, *values, size, vars(out))
+    blocks, values, size = (
+        parts(len(xyz_W), _BLOCK),
+        (table_of(volume), voxels_of(volume)),
+        volume.config.voxel_size_m,
+    )
+    launch(
+        "sample_voxels", "sample:sample_voxels", blocks, _BLOCK, points, *values, size, vars(out)
+    )
     return out
 
 
-def sample_fused_voxels(volume: TsdfVolume, frame: Frame, missing: tsdf.NewBlocks, xyz_W: Tensor) -> TsdfSample:
-    """See ``gsfusion_nb.tsdf.sample_fused_voxels``; the published averages are left to the reference."""
+def sample_fused_voxels(
+    volume: TsdfVolume, frame: Frame, missing: tsdf.NewBlocks, xyz_W: Tensor
+) -> TsdfSample:
+    """See ``gsfusion_nb.tsdf.sample_fused_voxels``; the published averages are left to the
+    reference."""
     name, images = "sample_fused_voxels", {"depth_m": frame.depth_m, "rgb": frame.rgb}
     device_of(name, volume.D)
     check_dtype(name, torch.float32, volume=volume.D, **images)
@@ -37,7 +46,9 @@ def sample_fused_voxels(volume: TsdfVolume, frame: Frame, missing: tsdf.NewBlock
     points, out = _points(xyz_W), _blank(xyz_W)
     blocks, values = parts(len(xyz_W), _BLOCK), (table_of(volume), voxels_of(volume))
     fresh, view = {"codes": packed(missing.codes), "count": len(missing)}, view_of(volume, frame)
-    launch(name, "sample:sample_fused_voxels", blocks, _BLOCK, points, *values, fresh, *view, vars(out))
+    launch(
+        name, "sample:sample_fused_voxels", blocks, _BLOCK, points, *values, fresh, *view, vars(out)
+    )
     return out
 
 
@@ -53,7 +64,9 @@ def _points(xyz_W: Tensor) -> dict[str, Any]:
 
 def _blank(xyz_W: Tensor) -> TsdfSample:
     """A result that a kernel is to fill."""
-    D, W, rgb, W_rgb = (torch.empty(len(xyz_W), *k, device=xyz_W.device) for k in ((), (), (3,), ()))
+    D, W, rgb, W_rgb = (
+        torch.empty(len(xyz_W), *k, device=xyz_W.device) for k in ((), (), (3,), ())
+    )
     return TsdfSample(D=D, W=W, rgb=rgb, W_rgb=W_rgb)
 
 
@@ -61,4 +74,9 @@ def table_of(volume: TsdfVolume) -> dict[str, Any]:
     """Where the blocks are, of a map that is not too large for a table."""
     table = volume.index.table
     assert table is not None
-    return {"nodes": table.nodes, "rows": table.rows, "low": table.low, "size": tuple(table.nodes.shape)}
+    return {
+        "nodes": table.nodes,
+        "rows": table.rows,
+        "low": table.low,
+        "size": tuple(table.nodes.shape),
+    }

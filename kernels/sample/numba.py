@@ -36,8 +36,11 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     return TsdfSample(D=D, W=W, rgb=rgb, W_rgb=W_rgb)
 
 
-def sample_fused_voxels(volume: TsdfVolume, frame: Frame, missing: NewBlocks, xyz_W: Tensor) -> TsdfSample:
-    """See ``gsfusion_nb.tsdf.sample_fused_voxels``: it is that function, whose look-ups run on this backend."""
+def sample_fused_voxels(
+    volume: TsdfVolume, frame: Frame, missing: NewBlocks, xyz_W: Tensor
+) -> TsdfSample:
+    """See ``gsfusion_nb.tsdf.sample_fused_voxels``: it is that function, whose look-ups run on this
+    backend."""
     return load("sample_fused_voxels", "reference")(volume, frame, missing, xyz_W)
 
 
@@ -45,7 +48,8 @@ def sample_fused_voxels(volume: TsdfVolume, frame: Frame, missing: NewBlocks, xy
 def _sample(table, voxels, points, voxel_size, out):
     """The values at the points; where no block is allocated D is 1, W 0 and the colour black.
 
-    voxels: D [B, 512], W, planes of colour [B, 3, 512] and W_rgb of the blocks in the pool. out: of the points.
+    voxels: D [B, 512], W, planes of colour [B, 3, 512] and W_rgb of the blocks in the pool. out: of
+    the points.
     """
     nodes, rows, low, size = table.nodes, table.rows, table.low, table.size
     field_D, field_W, field_rgb, field_W_rgb = voxels
@@ -59,11 +63,19 @@ def _sample(table, voxels, points, voxel_size, out):
             rgb[i, 0] = f32(0)
             rgb[i, 1] = f32(0)
             rgb[i, 2] = f32(0)
-            x, y, z = points[i, 0] / voxel_size, points[i, 1] / voxel_size, points[i, 2] / voxel_size
+            x, y, z = (
+                points[i, 0] / voxel_size,
+                points[i, 1] / voxel_size,
+                points[i, 2] / voxel_size,
+            )
             if not (abs(x) < _FARTHEST and abs(y) < _FARTHEST and abs(z) < _FARTHEST):
                 continue
             vx, vy, vz = int(math.floor(x)), int(math.floor(y)), int(math.floor(z))
-            X, Y, Z = (vx >> NODE_SHIFT) - low[0], (vy >> NODE_SHIFT) - low[1], (vz >> NODE_SHIFT) - low[2]
+            X, Y, Z = (
+                (vx >> NODE_SHIFT) - low[0],
+                (vy >> NODE_SHIFT) - low[1],
+                (vz >> NODE_SHIFT) - low[2],
+            )
             if not (0 <= X < size[0] and 0 <= Y < size[1] and 0 <= Z < size[2]):
                 continue
             node = int(nodes[(X * size[1] + Y) * size[2] + Z])

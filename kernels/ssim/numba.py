@@ -1,7 +1,8 @@
-"""D-SSIM and its gradient: every window average is a row pass and a column pass over rows of interleaved colour.
+"""D-SSIM and its gradient: every window average is a row pass and a column pass over rows of
+interleaved colour.
 
-A row is its 3 W values, so neighbours of one channel are 3 apart; rows are padded to whole vectors. The formulas are
-those of ``gsfusion_nb.optim.losses``.
+A row is its 3 W values, so neighbours of one channel are 3 apart; rows are padded to whole vectors.
+The formulas are those of ``gsfusion_nb.optim.losses``.
 """
 
 # Intrinsics are called without their typing context, which pyright cannot follow:
@@ -26,7 +27,11 @@ _C1, _C2 = f32(reference.C1), f32(reference.C2)
 _1, _2 = f32(1), f32(2)
 
 
-def dssim_vjp(rgb: Tensor, target: Tensor, v_loss: float = 1.0) -> tuple[Tensor, Tensor]:
+def dssim_vjp(
+    rgb: Tensor,
+    target: Tensor,
+    v_loss: float = 1.0,
+) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.optim.dssim_vjp``."""
     if rgb.dtype != torch.float32 or target.dtype != torch.float32:
         return reference.dssim_vjp.reference(rgb, target, v_loss)
@@ -101,7 +106,11 @@ def _differentiate(means, window, n, stride, terms, similarity):
             S = select(inside, A1 * A2 * both, zero)
             total += reduce_add(S)
             o = r * stride + j
-            store(terms[BY_MEAN], o, two * my * (A2 - A1) * both + two * mx * S * (inverse_2 - inverse_1))
+            store(
+                terms[BY_MEAN],
+                o,
+                two * my * (A2 - A1) * both + two * mx * S * (inverse_2 - inverse_1),
+            )
             store(terms[BY_SQUARE], o, zero - S * inverse_2)
             store(terms[BY_PRODUCT], o, select(inside, two * A1 * both, zero))
         similarity[r] = total
@@ -119,7 +128,8 @@ def _average_rows_again(terms, window, n, stride, means):
 
 @njit(parallel=True, cache=True, error_model="numpy")
 def _combine(means, x, y, window, stride, scale, gradient):
-    """v_x = scale (G v_mu + 2 x G v_q + y G v_r); ``means`` holds the averages of the derivatives now."""
+    """v_x = scale (G v_mu + 2 x G v_q + y G v_r); ``means`` holds the averages of the derivatives
+    now."""
     H, n = x.shape
     for r in prange(H):
         row = np.empty((N_TERMS, stride), np.float32)

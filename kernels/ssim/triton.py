@@ -1,11 +1,12 @@
-"""D-SSIM and its gradient: every window average is a row pass and a column pass over interleaved colour.
+"""D-SSIM and its gradient: every window average is a row pass and a column pass over interleaved
+colour.
 
 A row is its 3 W values, so neighbours of one channel are 3 apart. The formulas are those of
 ``gsfusion_nb.optim.losses``. The eleven neighbours of a value come from the cache.
 """
 
-# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportIndexIssue=false
-# pyright: reportGeneralTypeIssues=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false,
+# reportIndexIssue=false pyright: reportGeneralTypeIssues=false
 
 import torch
 import triton
@@ -21,13 +22,19 @@ from .window import window as window_weights
 _BLOCK = 256
 _WINDOW = tl.constexpr(reference.WINDOW_PX)
 _HALF = tl.constexpr(reference.WINDOW_PX // 2)
-_X, _Y, _XX, _YY, _XY = (tl.constexpr(n) for n in (planes.X, planes.Y, planes.XX, planes.YY, planes.XY))
+_X, _Y, _XX, _YY, _XY = (
+    tl.constexpr(n) for n in (planes.X, planes.Y, planes.XX, planes.YY, planes.XY)
+)
 _BY_MEAN, _BY_SQUARE = tl.constexpr(planes.BY_MEAN), tl.constexpr(planes.BY_SQUARE)
 _BY_PRODUCT, _N_TERMS = tl.constexpr(planes.BY_PRODUCT), tl.constexpr(planes.N_TERMS)
 _C1, _C2 = tl.constexpr(reference.C1), tl.constexpr(reference.C2)
 
 
-def dssim_vjp(rgb: Tensor, target: Tensor, v_loss: float = 1.0) -> tuple[Tensor, Tensor]:
+def dssim_vjp(
+    rgb: Tensor,
+    target: Tensor,
+    v_loss: float = 1.0,
+) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.optim.dssim_vjp``."""
     if rgb.dtype != torch.float32 or target.dtype != torch.float32:
         return reference.dssim_vjp.reference(rgb, target, v_loss)
@@ -41,12 +48,26 @@ def dssim_vjp(rgb: Tensor, target: Tensor, v_loss: float = 1.0) -> tuple[Tensor,
     similarity = torch.empty(programs, dtype=torch.float32, device=device)
     gradient = torch.empty(rgb.shape, dtype=torch.float32, device=device)
     shared = {
-        "window": window, "means": means, "total": total, "stride": stride, "BLOCK": _BLOCK, "num_warps": 4,
-    }  # fmt: skip
+        "window": window,
+        "means": means,
+        "total": total,
+        "stride": stride,
+        "BLOCK": _BLOCK,
+        "num_warps": 4,
+    }
     launch(_rows, programs, device, x=x, y=y, **shared)
     launch(_differentiate, programs, device, terms=terms, similarity=similarity, **shared)
     launch(_rows_again, programs, device, terms=terms, **shared)
-    launch(_combine, programs, device, x=x, y=y, gradient=gradient, scale=-float(v_loss) / total, **shared)
+    launch(
+        _combine,
+        programs,
+        device,
+        x=x,
+        y=y,
+        gradient=gradient,
+        scale=-float(v_loss) / total,
+        **shared,
+    )
     return (1.0 - similarity.sum(dtype=torch.float64) / total).float(), gradient
 
 
@@ -55,13 +76,20 @@ def _rows(x, y, window, means, total, stride, BLOCK: tl.constexpr):
     """Row averages of x, y, x^2, y^2 and x y."""
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     column = i % stride
-    mx, my, xx = tl.zeros([BLOCK], tl.float32), tl.zeros([BLOCK], tl.float32), tl.zeros([BLOCK], tl.float32)
+    mx, my, xx = (
+        tl.zeros([BLOCK], tl.float32),
+        tl.zeros([BLOCK], tl.float32),
+        tl.zeros([BLOCK], tl.float32),
+    )
     yy, xy = tl.zeros([BLOCK], tl.float32), tl.zeros([BLOCK], tl.float32)
     for k in tl.static_range(_WINDOW):
         shift = 3 * (k - _HALF)
         here = (i < total) & (column + shift >= 0) & (column + shift < stride)
         weight = tl.load(window + k)
-        a, b = tl.load(x + i + shift, mask=here, other=0.0), tl.load(y + i + shift, mask=here, other=0.0)
+        a, b = (
+            tl.load(x + i + shift, mask=here, other=0.0),
+            tl.load(y + i + shift, mask=here, other=0.0),
+        )
         mx += weight * a
         my += weight * b
         xx += weight * (a * a)
@@ -97,7 +125,11 @@ def _differentiate(means, window, terms, similarity, total, stride, BLOCK: tl.co
     A1, A2 = 2 * mx * my + _C1, 2 * (xy - mx * my) + _C2
     B1, B2 = mx * mx + my * my + _C1, (xx - mx * mx) + (yy - my * my) + _C2
     S = A1 * A2 / (B1 * B2)
-    tl.store(terms + _BY_MEAN * total + i, 2 * my * (A2 - A1) / (B1 * B2) + 2 * mx * S * (1 / B2 - 1 / B1), mask=here)
+    tl.store(
+        terms + _BY_MEAN * total + i,
+        2 * my * (A2 - A1) / (B1 * B2) + 2 * mx * S * (1 / B2 - 1 / B1),
+        mask=here,
+    )
     tl.store(terms + _BY_SQUARE * total + i, -S / B2, mask=here)
     tl.store(terms + _BY_PRODUCT * total + i, 2 * A1 / (B1 * B2), mask=here)
     tl.store(similarity + tl.program_id(0), tl.sum(tl.where(here, S, 0.0), axis=0))
@@ -113,13 +145,26 @@ def _rows_again(terms, window, means, total, stride, BLOCK: tl.constexpr):
         for k in tl.static_range(_WINDOW):
             shift = 3 * (k - _HALF)
             here = (i < total) & (column + shift >= 0) & (column + shift < stride)
-            mean += tl.load(window + k) * tl.load(terms + plane * total + i + shift, mask=here, other=0.0)
+            mean += tl.load(window + k) * tl.load(
+                terms + plane * total + i + shift, mask=here, other=0.0
+            )
         tl.store(means + plane * total + i, mean, mask=i < total)
 
 
 @triton.jit(do_not_specialize=["total", "stride", "scale"])
-def _combine(means, x, y, window, gradient, total, stride, scale, BLOCK: tl.constexpr):
-    """v_x = scale (G v_mu + 2 x G v_q + y G v_r); ``means`` holds the row averages of the derivatives now."""
+def _combine(
+    means,
+    x,
+    y,
+    window,
+    gradient,
+    total,
+    stride,
+    scale,
+    BLOCK: tl.constexpr,
+):
+    """v_x = scale (G v_mu + 2 x G v_q + y G v_r); ``means`` holds the row averages of the
+    derivatives now."""
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     here = i < total
     g_mu = _column(means + _BY_MEAN * total, window, i, total, stride)

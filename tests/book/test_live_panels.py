@@ -1,4 +1,5 @@
-"""What pages of the book compute by themselves, run by node, against the library: points, fused distances, cells."""
+"""What pages of the book compute by themselves, run by node, against the library: points, fused
+distances, cells."""
 
 import json
 import subprocess
@@ -23,44 +24,83 @@ def computed(node: str, expression: str, **values):
     """What an expression is in a page that knows these values."""
     given = "".join(f"const {name} = {json.dumps(value)};\n" for name, value in values.items())
     script = f"{FORMULAS.read_text()}{given}console.log(JSON.stringify({expression}));"
-    return json.loads(subprocess.run([node, "-"], input=script, capture_output=True, text=True, check=True).stdout)
+    return json.loads(
+        subprocess.run(
+            [node, "-"],
+            input=script,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+    )
 
 
 @pytest.mark.parametrize(("truncation_voxels", "most"), [(1.0, 16.0), (4.0, 3.0)])
 def test_samples_of_rays_have_the_librarys_place_and_distance(node, truncation_voxels, most):
     walk = RoomSequence(n_frames=240, width=80, height=60, noise="kinect")
     frames, camera = [walk[i] for i in range(6)], walk.camera
-    config = TsdfConfig(voxel_size_m=0.04, truncation_voxels=truncation_voxels, max_weight=most, sdf="z")
-    uv = torch.tensor([[20.5, 31.5], [61.5, 10.5], [3.5, 55.5]], dtype=torch.float64).repeat_interleave(95, 0)
+    config = TsdfConfig(
+        voxel_size_m=0.04, truncation_voxels=truncation_voxels, max_weight=most, sdf="z"
+    )
+    uv = torch.tensor(
+        [[20.5, 31.5], [61.5, 10.5], [3.5, 55.5]],
+        dtype=torch.float64,
+    ).repeat_interleave(95, 0)
     z = torch.arange(95, dtype=torch.float64).repeat(3) * 0.04 + 0.42
     xyz_W = se3.apply(frames[0].T_WC.double(), backproject(camera, uv, z))
-    after = TsdfSample(D=torch.ones(285), W=torch.zeros(285), rgb=torch.zeros(285, 3), W_rgb=torch.zeros(285))
+    after = TsdfSample(
+        D=torch.ones(285),
+        W=torch.zeros(285),
+        rgb=torch.zeros(285, 3),
+        W_rgb=torch.zeros(285),
+    )
     for frame in frames:
         xyz_C = se3.apply(se3.inverse(frame.T_WC.double()), xyz_W)
         after, _ = fuse_voxels(after, xyz_C, frame, config)
-    expected = torch.cat([xyz_W, project(camera, xyz_C), after.D[:, None], after.W[:, None]], dim=1)
+    expected = torch.cat(
+        [xyz_W, project(camera, xyz_C), after.D[:, None], after.W[:, None]],
+        dim=1,
+    )
 
     each = "const xyz = apply(frames[0][0], backproject(camera, u, v, z[i]));"
     said = "frames.map(([T, depth]) => signedDistance(camera, depth, T, xyz))"
     place = "...project(camera, applyInverse(frames.at(-1)[0], xyz))"
     got = computed(
         node,
-        f"uv.map(([u, v], i) => {{ {each} return [...xyz, {place}, ...fused({said}, eps, most)]; }})",
-        uv=uv.tolist(), z=z.tolist(), camera=asdict(camera), eps=config.truncation_m, most=most,
+        f"uv.map(([u, v], i) => {{ {each} return [...xyz, {place}, ...fused({said}, eps, most)]; "
+        f"}})",
+        uv=uv.tolist(),
+        z=z.tolist(),
+        camera=asdict(camera),
+        eps=config.truncation_m,
+        most=most,
         frames=[[f.T_WC[:3].tolist(), f.depth_m.flatten().tolist()] for f in frames],
-    )  # fmt: skip
-    torch.testing.assert_close(torch.tensor(got, dtype=torch.float64), expected, atol=1e-5, rtol=1e-5)
-    assert computed(node, "zeroCrossing([[1, 1], [0.2, 0], [0.2, 2], [-0.6, 1]], 1, 0.04)") == pytest.approx(1.09)
+    )
+    torch.testing.assert_close(
+        torch.tensor(got, dtype=torch.float64), expected, atol=1e-5, rtol=1e-5
+    )
+    assert computed(
+        node, "zeroCrossing([[1, 1], [0.2, 0], [0.2, 2], [-0.6, 1]], 1, 0.04)"
+    ) == pytest.approx(1.09)
 
 
-@pytest.mark.parametrize(("threshold", "least", "contrast"), [(0.02, 1, "released"), (0.05, 3, "std")])
+@pytest.mark.parametrize(
+    ("threshold", "least", "contrast"),
+    [(0.02, 1, "released"), (0.05, 3, "std")],
+)
 def test_the_cells_are_the_librarys(node, threshold, least, contrast):
     rgb = RoomSequence(n_frames=60, width=107, height=75)[0].rgb_u8
     cells = quadtree(rgb, threshold=threshold, min_cell_px=least, contrast=contrast)
     given = {"threshold": threshold, "min": least, "contrast": contrast}
     leaves = "quadtree(rgb, 107, 75, settings).map(({ cell, level }) => [...cell, level])"
     got = computed(node, leaves, rgb=rgb.flatten().tolist(), settings=given)
-    assert got == torch.stack([cells.x0, cells.y0, cells.width, cells.height, cells.level], dim=1).tolist()
+    assert (
+        got
+        == torch.stack(
+            [cells.x0, cells.y0, cells.width, cells.height, cells.level],
+            dim=1,
+        ).tolist()
+    )
 
 
 def test_the_panels_are_small():

@@ -21,7 +21,13 @@ def places() -> Places:
 
 
 def code(name: str, source: str, *outputs: dict) -> dict:
-    return {"cell_type": "code", "id": name, "source": source, "outputs": list(outputs), "metadata": {}}
+    return {
+        "cell_type": "code",
+        "id": name,
+        "source": source,
+        "outputs": list(outputs),
+        "metadata": {},
+    }
 
 
 def shown(kind: str, value: str, **metadata) -> dict:
@@ -30,15 +36,26 @@ def shown(kind: str, value: str, **metadata) -> dict:
 
 @pytest.fixture
 def chapter(places) -> Chapter:
-    png = base64.b64encode(cv2.imencode(".png", np.zeros((4, 6, 3), np.uint8))[1].tobytes()).decode()
+    png = base64.b64encode(
+        cv2.imencode(".png", np.zeros((4, 6, 3), np.uint8))[1].tobytes()
+    ).decode()
     text = (
-        "# Title\n\n<!-- holds\nq: {n}\n-->\n\n$$a = b$$\n\n$$c = d \\tag{Eq. 7}$$\n\nSee [two](02_tsdf_fusion.ipynb)."
+        "# Title\n\n<!-- holds\nq: {n}\n-->\n\n$$a = b$$\n\n$$c = d \\tag{Eq. 7}$$\n\nSee "
+        "[two](02_tsdf_fusion.ipynb)."
     )
     cells = [
         {"cell_type": "markdown", "id": "t", "source": text, "metadata": {}},
         code("ask", 'predict("n", "How many?", [1, 10], unit="px")'),
-        code("run", "print(9)", {"output_type": "stream", "name": "stdout", "text": ["9 < 10\n", "\n", "end\n"]}),
-        code("came", 'came("n", 9)', shown("text/html", "<div class='gsnb-outcome'><b>It came: 9.</b></div>")),
+        code(
+            "run",
+            "print(9)",
+            {"output_type": "stream", "name": "stdout", "text": ["9 < 10\n", "\n", "end\n"]},
+        ),
+        code(
+            "came",
+            'came("n", 9)',
+            shown("text/html", "<div class='gsnb-outcome'><b>It came: 9.</b></div>"),
+        ),
         code("spoils", "print(8)", {"output_type": "stream", "name": "stdout", "text": "8"}),
         {"cell_type": "markdown", "id": "t2", "source": "Next.", "metadata": {}},
         code("free", "print(7)", {"output_type": "stream", "name": "stdout", "text": "7"}),
@@ -46,7 +63,9 @@ def chapter(places) -> Chapter:
         code("solved", "### BEGIN SOLUTION\ndef psnr(a, b):\n    return 1\n\n\n### END SOLUTION"),
         code("picture", "show(x)", shown("image/png", png, alt='a "black" picture', width=12)),
     ]
-    return Chapter({"cells": cells}, "notebooks/03_quadtree_decomposition.ipynb", places, bar="<p>bar</p>")
+    return Chapter(
+        {"cells": cells}, "notebooks/03_quadtree_decomposition.ipynb", places, bar="<p>bar</p>"
+    )
 
 
 def test_a_chapter_has_text_numbers_hints_solution_and_pictures(chapter):
@@ -69,7 +88,9 @@ def test_a_chapter_has_text_numbers_hints_solution_and_pictures(chapter):
 
 def test_what_came_waits_for_the_prediction(chapter):
     page = chapter.markdown()
-    assert page.count('data-prediction="n"') == 4  # the question, what came, the outputs before and after it
+    assert (
+        page.count('data-prediction="n"') == 4
+    )  # the question, what came, the outputs before and after it
     assert '<input type="radio" name="n" value="10"> 10 px' in page
     assert page.index("See what came") < page.index("9 &lt; 10") < page.index("It came: 9.")
 
@@ -92,7 +113,9 @@ def test_a_question_of_the_quiz_can_be_answered():
 def test_the_reference_lists_the_public_names_of_a_room():
     page = api_page("tsdf", ROOT / "gsfusion_nb")
     assert "autofunction:: gsfusion_nb.tsdf.tsdf_update" in page
-    assert "autofunction:: gsfusion_nb.backends.use_backend" in api_page("backends", ROOT / "gsfusion_nb")
+    assert "autofunction:: gsfusion_nb.backends.use_backend" in api_page(
+        "backends", ROOT / "gsfusion_nb"
+    )
 
 
 def test_the_first_page_leads_to_the_first_chapter():

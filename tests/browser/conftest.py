@@ -26,17 +26,25 @@ from quick_run import quick
 _PROJECT = Path(__file__).resolve().parents[2]
 _NOTEBOOKS = _PROJECT / "notebooks"
 _SETTINGS = {
-    "@jupyterlab/apputils-extension/notification.jupyterlab-settings":
-        '{"fetchNews": "false", "checkForUpdates": false, "doNotDisturbMode": true}',
+    "@jupyterlab/apputils-extension/notification.jupyterlab-settings": '{"fetchNews": "false", '
+    '"checkForUpdates": false, "doNotDisturbMode": true}',
     "@jupyterlab/notebook-extension/tracker.jupyterlab-settings": '{"windowingMode": "none"}',
-}  # fmt: skip
+}
 _CHROMIUM_OPTIONS = [
-    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--disable-gpu",
-]  # fmt: skip
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-gpu",
+]
 
 _IDLE = "app?.shell.currentWidget?.sessionContext?.session?.kernel?.status === 'idle'"
-_DONE = "cells.filter(c => c.type === 'code').every(c => c.executionCount !== null && c.executionState !== 'running')"
+_DONE = (
+    "cells.filter(c => c.type === 'code').every(c => c.executionCount !== null && "
+    "c.executionState !== 'running')"
+)
 
 
 def pytest_collection_modifyitems(items):
@@ -49,8 +57,22 @@ def pytest_collection_modifyitems(items):
 class Lab:
     """One server and one browser. ``open(cells)`` runs a new notebook and gives its page."""
 
-    def __init__(self, browser: Any, folder: Path, port: int, token: str, *, under: str = ""):
-        self.browser, self.folder, self.port, self.token, self.under = browser, folder, port, token, under
+    def __init__(
+        self,
+        browser: Any,
+        folder: Path,
+        port: int,
+        token: str,
+        *,
+        under: str = "",
+    ):
+        self.browser, self.folder, self.port, self.token, self.under = (
+            browser,
+            folder,
+            port,
+            token,
+            under,
+        )
         self.errors: list[str] = []
         """Uncaught errors of the pages."""
         self.requests: list[str] = []
@@ -61,11 +83,19 @@ class Lab:
         import nbformat
 
         notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(c) for c in cells])
-        notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
+        notebook.metadata["kernelspec"] = {
+            "name": "python3",
+            "display_name": "Python 3",
+            "language": "python",
+        }
         return self.open_notebook(notebook, timeout_s=timeout_s)
 
     def open_notebook(
-        self, notebook: Any, *, timeout_s: float = 180, before: Callable[[Any], object] | None = None
+        self,
+        notebook: Any,
+        *,
+        timeout_s: float = 180,
+        before: Callable[[Any], object] | None = None,
     ) -> Any:
         """A page with a notebook, all of its cells run without an error.
 
@@ -74,14 +104,17 @@ class Lab:
             timeout_s: For all cells together.
             before: What is done with the page before the cells run.
         """
-        import nbformat  # it loads jsonschema: three seconds, in processes that only collect these tests, too
+        # it loads jsonschema: three seconds, in processes that only collect these tests, too
+        import nbformat
 
         name = f"{uuid.uuid4().hex[:8]}.ipynb"
         nbformat.write(notebook, self.folder / name)
         page = self.browser.new_page(viewport={"width": 1280, "height": 1000})
         page.on("pageerror", lambda e: self.errors.append(str(e)))
         page.on("request", lambda r: self._note(r.url))
-        page.goto(f"http://127.0.0.1:{self.port}/lab/tree/{self.under}{name}?reset&token={self.token}")
+        page.goto(
+            f"http://127.0.0.1:{self.port}/lab/tree/{self.under}{name}?reset&token={self.token}"
+        )
         wait(page, _IDLE, timeout_s, "the kernel to be idle")
         if before is not None:
             before(page)
@@ -109,9 +142,15 @@ class Lab:
         return json.loads(self.run(page, f"import json; print(json.dumps({expression}))"))
 
     def chapter(
-        self, name: str, until: str, *, without: tuple[str, ...] = (), changes: Mapping[str, str] | None = None
+        self,
+        name: str,
+        until: str,
+        *,
+        without: tuple[str, ...] = (),
+        changes: Mapping[str, str] | None = None,
     ) -> list[str]:
-        """The student's code cells of a chapter in its quick version, up to the one that contains ``until``.
+        """The student's code cells of a chapter in its quick version, up to the one that contains
+        ``until``.
 
         Args:
             name: File in ``notebooks``.
@@ -124,14 +163,20 @@ class Lab:
             source = "".join(cell["source"])
             for old, new in (changes or {}).items():
                 source = source.replace(old, new)
-            if cell["cell_type"] == "code" and not any(words in source for words in ("BEGIN SOLUTION", *without)):
+            if cell["cell_type"] == "code" and not any(
+                words in source for words in ("BEGIN SOLUTION", *without)
+            ):
                 chosen.append(source)
                 if until in source:
                     return chosen
         raise AssertionError(f"no cell of {name} has {until!r}")
 
     @staticmethod
-    def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 90) -> None:
+    def wait_for(
+        condition: Callable[[], bool],
+        what: str,
+        timeout_s: float = 90,
+    ) -> None:
         """Until a condition is true; the test fails when that takes too long."""
         until = time.monotonic() + timeout_s
         while not condition():
@@ -140,7 +185,8 @@ class Lab:
 
     @staticmethod
     def screenshot(locator: Any, name: str) -> np.ndarray:
-        """Bytes of what is shown of an element, also written to $GSNB_SCREENSHOTS/name.png. [H, W, 3], blue first."""
+        """Bytes of what is shown of an element, also written to $GSNB_SCREENSHOTS/name.png. [H, W,
+        3], blue first."""
         locator.scroll_into_view_if_needed()
         png = locator.screenshot()
         if folder := os.environ.get("GSNB_SCREENSHOTS"):
@@ -183,9 +229,14 @@ def wait(page: Any, condition: str, timeout_s: float, what: str) -> None:
 
 @pytest.fixture(scope="session")
 def launch():
-    """``launch(options)`` starts Chromium; a process has one playwright. Skips the test where either is missing."""
+    """``launch(options)`` starts Chromium; a process has one playwright. Skips the test where
+    either is missing."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    chromium = (
+        shutil.which("chromium")
+        or shutil.which("chromium-browser")
+        or shutil.which("google-chrome")
+    )
     if chromium is None:
         pytest.skip("no chromium here (Debian: apt-get install chromium)")
     with playwright.sync_playwright() as p:
@@ -205,17 +256,21 @@ def lab(launch, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def project_lab(lab, tmp_path_factory):
-    """A ``Lab`` as ``make lab`` starts it: the root of its server is the project; notebooks go to a folder in it."""
+    """A ``Lab`` as ``make lab`` starts it: the root of its server is the project; notebooks go to a
+    folder in it."""
     folder = _PROJECT / "runs" / f"browser-{uuid.uuid4().hex[:8]}"
     folder.mkdir(parents=True)
     with _server(tmp_path_factory.mktemp("project_lab"), _PROJECT) as (port, token):
-        yield Lab(lab.browser, folder, port, token, under=folder.relative_to(_PROJECT).as_posix() + "/")
+        yield Lab(
+            lab.browser, folder, port, token, under=folder.relative_to(_PROJECT).as_posix() + "/"
+        )
     shutil.rmtree(folder)
 
 
 @contextlib.contextmanager
 def _server(home: Path, root: Path | None = None):
-    """A JupyterLab of our own: free port, fresh settings, its own process group, which ends with it."""
+    """A JupyterLab of our own: free port, fresh settings, its own process group, which ends with
+    it."""
     for name, text in _SETTINGS.items():
         path = home / "settings" / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -225,18 +280,34 @@ def _server(home: Path, root: Path | None = None):
         s.bind(("127.0.0.1", 0))
         port = s.getsockname()[1]
     token = uuid.uuid4().hex
-    places = {"JUPYTER_CONFIG_DIR": "config", "JUPYTER_DATA_DIR": "data", "JUPYTER_RUNTIME_DIR": "runtime",
-              "JUPYTERLAB_SETTINGS_DIR": "settings", "JUPYTERLAB_WORKSPACES_DIR": "workspaces"}  # fmt: skip
+    places = {
+        "JUPYTER_CONFIG_DIR": "config",
+        "JUPYTER_DATA_DIR": "data",
+        "JUPYTER_RUNTIME_DIR": "runtime",
+        "JUPYTERLAB_SETTINGS_DIR": "settings",
+        "JUPYTERLAB_WORKSPACES_DIR": "workspaces",
+    }
     env = {k: v for k, v in os.environ.items() if k not in ("GSNB_VIEW", "GSNB_SMOKE")}
     env |= {name: str(home / folder) for name, folder in places.items()}
     command = [
-        sys.executable, "-m", "jupyter", "lab", "--no-browser", "--allow-root", "--ip=127.0.0.1", f"--port={port}",
-        "--ServerApp.port_retries=0", f"--IdentityProvider.token={token}", "--expose-app-in-browser",
+        sys.executable,
+        "-m",
+        "jupyter",
+        "lab",
+        "--no-browser",
+        "--allow-root",
+        "--ip=127.0.0.1",
+        f"--port={port}",
+        "--ServerApp.port_retries=0",
+        f"--IdentityProvider.token={token}",
+        "--expose-app-in-browser",
         f"--ServerApp.root_dir={root or home / 'work'}",
         "--LabApp.check_for_updates_class=jupyterlab.NeverCheckForUpdate",
-    ]  # fmt: skip
+    ]
     with (home / "server.log").open("w") as output:
-        server = subprocess.Popen(command, env=env, stdout=output, stderr=output, start_new_session=True)
+        server = subprocess.Popen(
+            command, env=env, stdout=output, stderr=output, start_new_session=True
+        )
         try:
             _wait_for_server(f"http://127.0.0.1:{port}/api?token={token}", home / "server.log")
             yield port, token
@@ -263,7 +334,12 @@ def book_site(tmp_path_factory) -> Path:
     if ready := os.environ.get("GSNB_BOOK"):
         return Path(ready).resolve()
     out = tmp_path_factory.mktemp("book") / "site"
-    build(_PROJECT, out, "", by_chapter(q for q in bank() if q.chapter == 0))
+    build(
+        _PROJECT,
+        out,
+        "",
+        by_chapter(q for q in bank() if q.chapter == 0),
+    )
     return out
 
 

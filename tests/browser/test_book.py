@@ -1,7 +1,9 @@
-"""The web book in a real browser, opened as a folder of files: every chapter, and everything that reacts.
+"""The web book in a real browser, opened as a folder of files: every chapter, and everything that
+reacts.
 
-The book is built for these tests, or taken from $GSNB_BOOK. axe-core looks for what keeps people out who do not see the
-page or use no mouse; it comes from npm: ``npm install --prefix DIR axe-core``, then GSNB_NPM=DIR.
+The book is built for these tests, or taken from $GSNB_BOOK. axe-core looks for what keeps people
+out who do not see the page or use no mouse; it comes from npm:
+``npm install --prefix DIR axe-core``, then GSNB_NPM=DIR.
 """
 
 from pathlib import Path
@@ -12,15 +14,21 @@ from book.__main__ import missing
 
 pytestmark = [
     pytest.mark.ci,
-    pytest.mark.skipif(bool(missing()), reason=f"the extra 'book' is not installed: no {', '.join(missing())}"),
+    pytest.mark.skipif(
+        bool(missing()), reason=f"the extra 'book' is not installed: no {', '.join(missing())}"
+    ),
 ]
 
 ROOT = Path(__file__).resolve().parents[2]
 CHAPTERS = [path.stem for path in sorted((ROOT / "notebooks").glob("*.ipynb"))]
 PAGES = (
-    "index", "notebooks/00_quickstart", "notebooks/03_quadtree_decomposition", "docs/teaching/quiz/chapter_00",
-    "docs/equations", "docs/outputs",
-)  # fmt: skip
+    "index",
+    "notebooks/00_quickstart",
+    "notebooks/03_quadtree_decomposition",
+    "docs/teaching/quiz/chapter_00",
+    "docs/equations",
+    "docs/outputs",
+)
 GRAVE = ("serious", "critical")
 _LEFT = "net::ERR_ABORTED"
 """The page was left while it was still loading a file."""
@@ -28,7 +36,8 @@ _LEFT = "net::ERR_ABORTED"
 
 @pytest.fixture
 def open_file(book_browser):
-    """Opens a page of the book; the test fails if a page wrote an error or asked for something elsewhere."""
+    """Opens a page of the book; the test fails if a page wrote an error or asked for something
+    elsewhere."""
     wrong: list[str] = []
     pages = []
 
@@ -37,8 +46,13 @@ def open_file(book_browser):
         pages.append(page)
         page.on("console", lambda m: wrong.append(m.text) if m.type == "error" else None)
         page.on("pageerror", lambda e: wrong.append(str(e)))
-        page.on("request", lambda r: wrong.append(r.url) if r.url.startswith("http") else None)
-        page.on("requestfailed", lambda r: r.failure == _LEFT or wrong.append(f"{r.url}: {r.failure}"))
+        page.on(
+            "request",
+            lambda r: wrong.append(r.url) if r.url.startswith("http") else None,
+        )
+        page.on(
+            "requestfailed", lambda r: r.failure == _LEFT or wrong.append(f"{r.url}: {r.failure}")
+        )
         page.goto(f"file://{file}")
         return page
 
@@ -56,7 +70,8 @@ def opened(open_file, book_site):
 def test_a_table_of_results_is_sorted_by_a_heading(open_file, tmp_path):
     (tmp_path / "book.js").write_text((ROOT / "tools/book/static/book.js").read_text())
     cells = "".join(
-        f"<tr><th>{name}</th><td>{value}</td></tr>" for name, value in (("a", "9.5"), ("b", "1,200"), ("c", "30"))
+        f"<tr><th>{name}</th><td>{value}</td></tr>"
+        for name, value in (("a", "9.5"), ("b", "1,200"), ("c", "30"))
     )
     table = f"<table class=gsnb-lab-stored><tr><th>rule</th><th>Gaussians</th></tr>{cells}</table>"
     (tmp_path / "t.html").write_text(f"<!doctype html>{table}<script defer src=book.js></script>")
@@ -73,7 +88,9 @@ def test_a_table_of_results_is_sorted_by_a_heading(open_file, tmp_path):
 def test_the_map_turns_until_it_is_dragged(opened, name):
     page = opened(name)
     canvas = page.locator(".gsnb-moving-map .gsnb-splat-software")
-    page.wait_for_function("document.querySelector('.gsnb-splat-status')?.textContent.includes('Gaussians in view')")
+    page.wait_for_function(
+        "document.querySelector('.gsnb-splat-status')?.textContent.includes('Gaussians in view')"
+    )
     look = lambda: canvas.evaluate("c => c.toDataURL()")  # noqa: E731
     before = look()
     page.wait_for_timeout(2000)
@@ -93,7 +110,10 @@ def test_the_map_turns_until_it_is_dragged(opened, name):
     assert look() != at_rest
 
 
-@pytest.mark.parametrize(("chapter", "says"), [(1, "same surface"), (2, "After 1 frame D"), (3, "3,283 cells")])
+@pytest.mark.parametrize(
+    ("chapter", "says"),
+    [(1, "same surface"), (2, "After 1 frame D"), (3, "3,283 cells")],
+)
 def test_a_panel_computes_in_the_page(opened, chapter, says):
     text = opened(f"notebooks/{CHAPTERS[chapter]}").locator(".gsnb-live [role=status]")
     text.filter(has_text=says).wait_for()
@@ -106,7 +126,9 @@ def test_a_panel_computes_in_the_page(opened, chapter, says):
 def test_a_chapter_opens_at_every_width(opened, chapter):
     page = opened(f"notebooks/{chapter}", viewport={"width": 390, "height": 800})
     page.wait_for_load_state("load")
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "the page is wider than a phone"
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), (
+        "the page is wider than a phone"
+    )
     formulas = page.locator("div.math, span.math").count()
     if formulas:
         page.wait_for_function("document.querySelectorAll('mjx-container').length > 0")
@@ -159,14 +181,19 @@ def test_the_search_finds_a_word(opened):
 
 
 def faults(page, rules=None) -> list[str]:
-    """What axe-core finds grave on a page, by all of its rules or some: rule, element, what is wrong."""
+    """What axe-core finds grave on a page, by all of its rules or some: rule, element, what is
+    wrong."""
     axe: Path = npm_programs.npm_folder("axe-core") / "axe-core" / "axe.min.js"
     page.add_script_tag(path=axe)
     options = {"resultTypes": ["violations"]} | ({"runOnly": rules} if rules else {})
     found = page.evaluate("options => axe.run(document, options)", options)
     grave = [violation for violation in found["violations"] if violation["impact"] in GRAVE]
     assert len(found["passes"]) >= (len(rules) if rules else 10)  # it looked
-    return [f"{v['id']}: {node['html'][:120]} {node['failureSummary']}" for v in grave for node in v["nodes"][:3]]
+    return [
+        f"{v['id']}: {node['html'][:120]} {node['failureSummary']}"
+        for v in grave
+        for node in v["nodes"][:3]
+    ]
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

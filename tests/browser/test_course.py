@@ -1,4 +1,5 @@
-"""A chapter as a student uses it: run all of it, drag the threshold, answer an exercise wrongly and then rightly."""
+"""A chapter as a student uses it: run all of it, drag the threshold, answer an exercise wrongly and
+then rightly."""
 
 import json
 from pathlib import Path
@@ -56,7 +57,10 @@ def test_the_chapter_runs_to_its_end_with_live_widgets(lab, page):
 
 
 def test_dragging_the_threshold_changes_picture_and_count(lab, page):
-    picture, handle = page.locator(".gsnb-quadtree-image img"), page.locator(".gsnb-quadtree-threshold .noUi-handle")
+    picture, handle = (
+        page.locator(".gsnb-quadtree-image img"),
+        page.locator(".gsnb-quadtree-threshold .noUi-handle"),
+    )
     picture.scroll_into_view_if_needed()
     before, cells = lab.screenshot(picture, "quadtree_before"), count(page)
     assert before.std() > 20
@@ -69,7 +73,10 @@ def test_dragging_the_threshold_changes_picture_and_count(lab, page):
         page.mouse.move(x + 5 * step, y)
     page.mouse.up()
     lab.wait_for(lambda: count(page) < cells / 2, "fewer cells at a larger threshold")
-    lab.wait_for(lambda: np.abs(lab.screenshot(picture, "quadtree_after") - before).mean() > 1, "another picture")
+    lab.wait_for(
+        lambda: np.abs(lab.screenshot(picture, "quadtree_after") - before).mean() > 1,
+        "another picture",
+    )
     assert lab.errors == []
 
 

@@ -1,4 +1,5 @@
-"""Chapter 12 as a student uses it: what is mixed in a pixel, the choice of voxel sizes, a live map."""
+"""Chapter 12 as a student uses it: what is mixed in a pixel, the choice of voxel sizes, a live
+map."""
 
 import pytest
 
@@ -17,8 +18,14 @@ def test_a_click_shows_what_is_mixed_there(lab, chapter):
     image.scroll_into_view_if_needed()
     before, box = image.get_attribute("src"), image.bounding_box()
     zoom = box["width"] / image.evaluate("image => image.naturalWidth")
-    chapter.mouse.click(box["x"] + zoom * 80.5 * 300 / 120, box["y"] + zoom * (26 + 60.5 * 300 / 120))
-    lab.wait_for(lambda: lab.run(chapter, "print(microscope.stack.u, microscope.stack.v)") == "80 60", "the click")
+    chapter.mouse.click(
+        box["x"] + zoom * 80.5 * 300 / 120,
+        box["y"] + zoom * (26 + 60.5 * 300 / 120),
+    )
+    lab.wait_for(
+        lambda: lab.run(chapter, "print(microscope.stack.u, microscope.stack.v)") == "80 60",
+        "the click",
+    )
     chapter.locator(".gsnb-microscope").get_by_text("pixel (80, 60)").wait_for(timeout=20_000)
     lab.wait_for(lambda: image.get_attribute("src") != before, "another picture")
     assert "mean" in chapter.locator(".gsnb-microscope-text").inner_text()

@@ -1,4 +1,5 @@
-"""The seeding lab as a person uses it: the page of a comparison from a file, and the live table in a notebook."""
+"""The seeding lab as a person uses it: the page of a comparison from a file, and the live table in
+a notebook."""
 
 import itertools
 
@@ -47,15 +48,23 @@ def results(folder):
     noise, found = np.random.default_rng(0), []
     truth = np.repeat(np.linspace(30, 220, 64)[None, :, None], 48, 0).repeat(3, 2).astype(np.uint8)
     cv2.imwrite(str(folder / "truth.png"), truth)
-    for budget, scene, label, seed in itertools.product(BUDGETS, ("room", "kitchen"), PSNR, range(3)):
-        spec = RunSpec(rule="uniform", label=label, scene=scene, data="room", seed=seed, budget=budget)
+    for budget, scene, label, seed in itertools.product(
+        BUDGETS, ("room", "kitchen"), PSNR, range(3)
+    ):
+        spec = RunSpec(
+            rule="uniform", label=label, scene=scene, data="room", seed=seed, budget=budget
+        )
         file = f"{list(PSNR).index(label)}.png"
         sd = 255 * 10 ** (-PSNR[label] / 20)
-        cv2.imwrite(str(folder / file), np.clip(truth + noise.normal(0, sd, truth.shape), 0, 255).astype(np.uint8))
+        cv2.imwrite(
+            str(folder / file),
+            np.clip(truth + noise.normal(0, sd, truth.shape), 0, 255).astype(np.uint8),
+        )
         numbers = {
-            "psnr_held_out_db": PSNR[label] + float(noise.normal(0, 0.05)), "n_gaussians": 4000.0 + seed,
+            "psnr_held_out_db": PSNR[label] + float(noise.normal(0, 0.05)),
+            "n_gaussians": 4000.0 + seed,
             "ms_per_frame": 40.0 + 10 * list(PSNR).index(label) + seed,
-        }  # fmt: skip
+        }
         pictures = {"held_out 4": file, "truth 4": "truth.png"} if seed == 0 else {}
         found.append(RunResult(spec=spec, status="done", metrics=numbers, pictures=pictures))
     return found
@@ -70,7 +79,8 @@ def file(tmp_path_factory):
 
 @pytest.fixture
 def open_page(lab, file):
-    """``open_page(width, scheme)``: the page in a window of that width; no request may leave it, no error may come."""
+    """``open_page(width, scheme)``: the page in a window of that width; no request may leave it, no
+    error may come."""
     wrong, contexts = [], []
 
     def open_it(width=1280, scheme="light", **options):
@@ -81,7 +91,10 @@ def open_page(lab, file):
         page = context.new_page()
         page.on("pageerror", lambda e: wrong.append(str(e)))
         page.on("console", lambda m: wrong.append(m.text) if m.type == "error" else None)
-        page.on("request", lambda r: None if r.url.startswith(("file:", "data:")) else wrong.append(r.url))
+        page.on(
+            "request",
+            lambda r: None if r.url.startswith(("file:", "data:")) else wrong.append(r.url),
+        )
         page.goto(file)
         return page
 
@@ -92,7 +105,9 @@ def open_page(lab, file):
 
 
 def first_labels(page):
-    return page.locator(".one-table:visible tbody tr").evaluate_all("rows => rows.map(r => r.dataset.label)")
+    return page.locator(".one-table:visible tbody tr").evaluate_all(
+        "rows => rows.map(r => r.dataset.label)"
+    )
 
 
 def test_sorting_choosing_and_menus_by_keyboard(open_page):
@@ -103,13 +118,20 @@ def test_sorting_choosing_and_menus_by_keyboard(open_page):
     assert first_labels(page) == list(PSNR)
     page.keyboard.press("Enter")
     assert first_labels(page) == list(PSNR)[::-1]
-    assert page.locator(".one-table:visible th[aria-sort=descending]").inner_text().startswith("Time per frame")
+    assert (
+        page.locator(".one-table:visible th[aria-sort=descending]")
+        .inner_text()
+        .startswith("Time per frame")
+    )
     page.get_by_label("Scene", exact=True).select_option("kitchen")
     page.get_by_label("Budget", exact=True).select_option("own size, own steps")
     assert page.locator(".one-table:visible caption").inner_text() == "kitchen, own size, own steps"
     page.get_by_role("button", name="with a <long> name & more").focus()
     page.keyboard.press("Enter")
-    assert page.locator("#of-rule h3").inner_text() == "with a <long> name & more: kitchen, own size, own steps, seed 0"
+    assert (
+        page.locator("#of-rule h3").inner_text()
+        == "with a <long> name & more: kitchen, own size, own steps, seed 0"
+    )
     assert page.locator("#of-rule img").count() == 3
     page.get_by_role("button", name="Close").press("Enter")
     assert page.locator("#of-rule").is_hidden()
@@ -130,12 +152,17 @@ def test_two_rules_by_slider_flicker_errors_and_nearness(lab, open_page):
     page = open_page()
     page.get_by_label("A", exact=True).select_option("quadtree")
     page.get_by_label("B", exact=True).select_option("with a <long> name & more")
-    assert "quadtree is better than with a <long> name & more by 2.8" in page.locator("#verdict").inner_text()
+    assert (
+        "quadtree is better than with a <long> name & more by 2.8"
+        in page.locator("#verdict").inner_text()
+    )
     divide = page.get_by_label("Dividing line")
     divide.focus()
     for _ in range(10):
         page.keyboard.press("ArrowLeft")
-    assert page.locator(".stage .over").evaluate("e => e.style.clipPath") == "inset(0px 0px 0px 40%)"
+    assert (
+        page.locator(".stage .over").evaluate("e => e.style.clipPath") == "inset(0px 0px 0px 40%)"
+    )
     page.locator(".stage").scroll_into_view_if_needed()
     box = page.locator(".stage").bounding_box()
     page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 50)
@@ -153,10 +180,18 @@ def test_two_rules_by_slider_flicker_errors_and_nearness(lab, open_page):
 
     page.get_by_label("errors").check()
     assert page.locator("#comparison img").count() == 2
-    assert page.locator("#comparison .ends").inner_text().split() == ["no", "error", "25%", "or", "more"]
+    assert page.locator("#comparison .ends").inner_text().split() == [
+        "no",
+        "error",
+        "25%",
+        "or",
+        "more",
+    ]
 
     page.get_by_label("which is nearer").check()
-    lab.wait_for(lambda: page.locator("#comparison canvas").evaluate("c => c.width") == 64, "the canvas", 5)
+    lab.wait_for(
+        lambda: page.locator("#comparison canvas").evaluate("c => c.width") == 64, "the canvas", 5
+    )
     red, blue = page.locator("#comparison canvas").evaluate(
         """c => {
             const data = c.getContext("2d").getImageData(0, 0, 64, 48).data;
@@ -174,7 +209,10 @@ def test_flicker_waits_for_people_who_want_no_motion(open_page):
     assert page.get_by_role("button", name="Play").is_visible()
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(1280, "light"), (1280, "dark"), (400, "light"), (400, "dark")])
+@pytest.mark.parametrize(
+    ("width", "scheme"),
+    [(1280, "light"), (1280, "dark"), (400, "light"), (400, "dark")],
+)
 def test_it_fits_and_can_be_read(lab, open_page, width, scheme):
     page = open_page(width, scheme)
     assert page.evaluate("document.documentElement.scrollWidth") <= width

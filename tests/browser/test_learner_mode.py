@@ -1,4 +1,5 @@
-"""What a learner meets in JupyterLab: whose code runs, a prediction, a live view with its slider, links to source."""
+"""What a learner meets in JupyterLab: whose code runs, a prediction, a live view with its slider,
+links to source."""
 
 import pytest
 
@@ -55,7 +56,9 @@ def test_the_notebook_says_whose_code_is_used_and_names_the_line(project_lab, pa
 def test_a_prediction_is_recorded_by_a_click(project_lab, page):
     page.locator(".gsnb-prediction-answer button", has_text="3,000").first.click()
     project_lab.wait_for(
-        lambda: "You predicted 3,000" in page.locator(".gsnb-prediction").first.inner_text(), "the answer", 60
+        lambda: "You predicted 3,000" in page.locator(".gsnb-prediction").first.inner_text(),
+        "the answer",
+        60,
     )
     project_lab.screenshot(page.locator(".jp-Cell").nth(1), "prediction")
     shown = project_lab.run(page, 'print(came("browser_seeds", 2890))')
@@ -69,7 +72,9 @@ def test_the_live_view_is_finished_and_its_slider_goes_back(project_lab, page):
     project_lab.screenshot(page.locator(".gsnb-live").first, "live_finished")
     project_lab.move_slider(slider, -before)
     status = page.locator(".gsnb-live-status")
-    project_lab.wait_for(lambda: "looking back at frame 0" in status.inner_text(), "the first frame", 60)
+    project_lab.wait_for(
+        lambda: "looking back at frame 0" in status.inner_text(), "the first frame", 60
+    )
     project_lab.screenshot(page.locator(".gsnb-live").first, "live_looking_back")
 
 
@@ -77,6 +82,8 @@ def test_a_click_opens_the_file_at_the_line(project_lab, page):
     link = page.locator(".jp-OutputArea-output a").first
     assert link.inner_text().startswith("geometry/camera.py:")
     link.click()
-    project_lab.wait_for(lambda: "u = camera.fx * xyz_C" in page.evaluate(LINE), "the editor at the line", 60)
+    project_lab.wait_for(
+        lambda: "u = camera.fx * xyz_C" in page.evaluate(LINE), "the editor at the line", 60
+    )
     project_lab.screenshot(page.locator(".jp-FileEditor"), "source_link")
     assert project_lab.errors == []

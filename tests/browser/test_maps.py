@@ -1,4 +1,5 @@
-"""The finished maps as a person looks at them: Gaussians to turn, a volume to fill; without a network."""
+"""The finished maps as a person looks at them: Gaussians to turn, a volume to fill; without a
+network."""
 
 import base64
 import time
@@ -57,7 +58,10 @@ def test_the_splat_viewer_goes_to_other_places(lab, page):
     photo = splat_pixels(page)
     for place in ("above", "inside", "photo"):
         page.locator(".gsnb-splat-places button", has_text=place).click()
-        lab.wait_for(lambda place=place: lab.value(page, f"splats.pose == splats.places['{place}'][0]"), "the pose")
+        lab.wait_for(
+            lambda place=place: lab.value(page, f"splats.pose == splats.places['{place}'][0]"),
+            "the pose",
+        )
         time.sleep(1.0)  # a fine picture
         painted = np.array(lab.value(page, "splats.picture().tolist()"))
         assert np.abs(splat_pixels(page) - painted).mean() < 8, place
@@ -67,12 +71,17 @@ def test_the_splat_viewer_goes_to_other_places(lab, page):
     assert lab.errors == []
 
 
-@pytest.mark.parametrize(("panel", "slider"), [("points", "turn_deg"), ("fill", "heading_deg"), ("fill", "height_m")])
+@pytest.mark.parametrize(
+    ("panel", "slider"),
+    [("points", "turn_deg"), ("fill", "heading_deg"), ("fill", "height_m")],
+)
 def test_sliders_redraw(lab, page, panel, slider):
     image = page.locator(f".gsnb-{panel}-image img").first
     if panel == "fill":
         page.locator(".gsnb-fill-measure").click()
-        lab.wait_for(lambda: int(page.locator(".gsnb-fill-frames").inner_text()) > 0, "the measurement")
+        lab.wait_for(
+            lambda: int(page.locator(".gsnb-fill-frames").inner_text()) > 0, "the measurement"
+        )
     image.scroll_into_view_if_needed()
     before = image.get_attribute("src")
     lab.move_slider(page.locator(f".gsnb-{panel}-{slider}").first, 6)

@@ -1,4 +1,5 @@
-"""Chapters 6, 9 and 10 as a person uses them: start, pause, step and stop mapping; sliders made from a rule; Amdahl."""
+"""Chapters 6, 9 and 10 as a person uses them: start, pause, step and stop mapping; sliders made
+from a rule; Amdahl."""
 
 import time
 
@@ -92,11 +93,15 @@ def test_start_pause_step_and_stop_online_mapping(lab, page):
 def test_the_map_is_turned_while_it_grows(lab, page):
     scene = page.locator(".gsnb-splat-scene")
     scene.scroll_into_view_if_needed()
-    lab.wait_for(lambda: lab.value(page, "splats.stats.get('pictures', 0)") > 0, "the first picture")
+    lab.wait_for(
+        lambda: lab.value(page, "splats.stats.get('pictures', 0)") > 0, "the first picture"
+    )
     pixels = "document.querySelector('.gsnb-splat-software').toDataURL('image/png')"
     before, last = page.evaluate(pixels), lab.value(page, "splats.birth_range[1]")
     lab.run(page, "live.player.start()")
-    lab.wait_for(lambda: lab.value(page, "splats.birth_range[1]") > last, "newer Gaussians in the viewer")
+    lab.wait_for(
+        lambda: lab.value(page, "splats.birth_range[1]") > last, "newer Gaussians in the viewer"
+    )
     lab.wait_for(lambda: page.evaluate(pixels) != before, "a picture of them")
 
     pose, mapped = lab.value(page, "splats.pose"), lab.value(page, "run.next_position")
@@ -110,7 +115,10 @@ def test_the_map_is_turned_while_it_grows(lab, page):
 
     page.locator(".gsnb-splat-time").fill("0")  # the time slider goes back while the map grows
     lab.wait_for(lambda: lab.value(page, "splats.born_until") == 0, "the time slider")
-    lab.wait_for(lambda: lab.value(page, "live.player.state") in ("running", "finished"), "no harm to the mapping")
+    lab.wait_for(
+        lambda: lab.value(page, "live.player.state") in ("running", "finished"),
+        "no harm to the mapping",
+    )
     lab.run(page, "live.player.stop(); splats.born_until = None")
     lab.wait_for(lambda: not lab.value(page, "live.player.is_alive"), "the stop")
     sent = "splats.birth_range[1] == float(run.mapper.gaussians.birth_frame.max())"
@@ -124,12 +132,15 @@ def test_a_slider_made_from_a_keyword_moves_the_seeds(lab, page):
     lab.screenshot(page.locator(".gsnb-rule").first, "chapter_09_rule")
     before, picture = lab.value(page, "panel.values"), source(page, ".gsnb-rule-image")
     lab.move_slider(page.locator(".gsnb-rule-max_depth_m"), -6)
-    lab.wait_for(lambda: lab.value(page, "panel.values")["max_depth_m"] < before["max_depth_m"], "the slider")
+    lab.wait_for(
+        lambda: lab.value(page, "panel.values")["max_depth_m"] < before["max_depth_m"], "the slider"
+    )
     lab.wait_for(lambda: source(page, ".gsnb-rule-image") != picture, "a new picture")
     fewer = int(page.locator(".gsnb-rule-count").inner_text().replace(",", ""))
     page.locator(".gsnb-rule-invert input").click()
     lab.wait_for(
-        lambda: int(page.locator(".gsnb-rule-count").inner_text().replace(",", "")) != fewer, "the check box to count"
+        lambda: int(page.locator(".gsnb-rule-count").inner_text().replace(",", "")) != fewer,
+        "the check box to count",
     )
     lab.screenshot(page.locator(".gsnb-rule").first, "chapter_09_rule_inverted")
 

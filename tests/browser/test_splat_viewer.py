@@ -38,7 +38,9 @@ class Scene:
         self.lab, self.page = lab, page
         self.element = page.locator(".gsnb-splat-scene")
         self.element.scroll_into_view_if_needed()
-        self.lab.wait_for(lambda: self.value("viewer.stats.get('pictures', 0)") > 0, "the first picture")
+        self.lab.wait_for(
+            lambda: self.value("viewer.stats.get('pictures', 0)") > 0, "the first picture"
+        )
 
     def value(self, expression):
         return self.lab.value(self.page, expression)
@@ -129,7 +131,9 @@ def test_dragging_orbits_and_r_goes_back(scene, start):
     assert psnr(turned, ours) > 38
     scene.page.keyboard.press("r")  # the notebook would make the cell raw
     assert difference(scene.settle(), start) < 0.5
-    assert scene.value("viewer.pose") == pytest.approx(scene.value("viewer.places['photo'][0]"), abs=1e-5)
+    assert scene.value("viewer.pose") == pytest.approx(
+        scene.value("viewer.places['photo'][0]"), abs=1e-5
+    )
 
 
 def test_pan_zoom_and_arrows(scene, start):
@@ -208,11 +212,14 @@ def test_webgl_shows_the_same_when_asked_for(scene, start):
     scene.page.locator(".gsnb-splat-renderer").select_option("webgl")
     scene.lab.wait_for(lambda: scene.value("viewer.renderer_used") == "webgl", "the switch")
     software = scene.pixels()
-    scene.lab.wait_for(lambda: psnr(scene.pixels("gpu"), software) > 32, "the same picture")  # it blends in 8 bits
+    scene.lab.wait_for(
+        lambda: psnr(scene.pixels("gpu"), software) > 32, "the same picture"
+    )  # it blends in 8 bits
     scene.screenshot("webgl")
     scene.page.locator(".gsnb-splat-renderer").select_option("auto")
     scene.lab.wait_for(
-        lambda: scene.value("viewer.renderer_used") == "software" or scene.value("viewer.gpu"), "the switch"
+        lambda: scene.value("viewer.renderer_used") == "software" or scene.value("viewer.gpu"),
+        "the switch",
     )
 
 

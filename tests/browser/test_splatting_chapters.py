@@ -1,4 +1,5 @@
-"""Chapters 4 and 5 as a student uses them: click pixels, drag sliders, watch the fit, answer an exercise."""
+"""Chapters 4 and 5 as a student uses them: click pixels, drag sliders, watch the fit, answer an
+exercise."""
 
 import time
 
@@ -45,13 +46,19 @@ def test_a_click_shows_the_stack_of_that_pixel(lab, forward):
     assert before.std() > 10
     forward.mouse.click(*place_of(image, 80, 180))
     lab.wait_for(
-        lambda: lab.run(forward, "print(microscope.stack.u, microscope.stack.v)") == "80 180", "the click to arrive"
+        lambda: lab.run(forward, "print(microscope.stack.u, microscope.stack.v)") == "80 180",
+        "the click to arrive",
     )
     forward.locator(".gsnb-microscope").get_by_text("pixel (80, 180)").wait_for(timeout=20_000)
     lab.move_slider(forward.locator(".gsnb-microscope-u"), 1)
-    lab.wait_for(lambda: lab.run(forward, "print(microscope.stack.u)") == "81", "the slider to arrive")
+    lab.wait_for(
+        lambda: lab.run(forward, "print(microscope.stack.u)") == "81", "the slider to arrive"
+    )
     rows = int(lab.run(forward, "print(min(len(microscope.stack), 14))"))
-    lab.wait_for(lambda: forward.locator(".gsnb-microscope-text tr").count() >= rows + 2, "a line for each Gaussian")
+    lab.wait_for(
+        lambda: forward.locator(".gsnb-microscope-text tr").count() >= rows + 2,
+        "a line for each Gaussian",
+    )
     assert np.abs(lab.screenshot(image, "microscope_after") - before).mean() > 2
     lab.screenshot(forward.locator(".gsnb-microscope"), "microscope")
 
@@ -63,7 +70,8 @@ def test_dragging_follows_the_mouse(lab, forward):
     forward.mouse.move(*place_of(image, 160, 120), steps=8)
     forward.mouse.up()
     lab.wait_for(
-        lambda: lab.run(forward, "print(microscope.stack.u, microscope.stack.v)") == "160 120", "the last position"
+        lambda: lab.run(forward, "print(microscope.stack.u, microscope.stack.v)") == "160 120",
+        "the last position",
     )
 
 
@@ -71,9 +79,13 @@ def test_the_sliders_move_the_gaussian(lab, forward):
     picture = forward.locator(".gsnb-one-gaussian-image img")
     before = lab.screenshot(picture, "one_gaussian_before")
     lab.move_slider(forward.locator(".gsnb-one-gaussian-z_m"), 10)
-    lab.wait_for(lambda: forward.locator(".gsnb-one-gaussian-z_m .widget-readout").inner_text() == "2.5", "the slider")
     lab.wait_for(
-        lambda: np.abs(lab.screenshot(picture, "one_gaussian_after") - before).mean() > 1, "the ellipse to shrink"
+        lambda: forward.locator(".gsnb-one-gaussian-z_m .widget-readout").inner_text() == "2.5",
+        "the slider",
+    )
+    lab.wait_for(
+        lambda: np.abs(lab.screenshot(picture, "one_gaussian_after") - before).mean() > 1,
+        "the ellipse to shrink",
     )
 
 
@@ -81,7 +93,10 @@ def test_an_exercise_is_red_then_green(lab, forward):
     wrong = "lambda alpha, rgb: ((alpha * (1 - alpha).cumprod(0))[:, None] * rgb).sum(0)"
     verdict = lab.run(forward, f"print(check.composite_pixel(lambda a, c: (({wrong})(a, c), 0.5)))")
     assert "nothing is in front of the first one" in verdict
-    right = "lambda a, c: ((a * torch.cat([torch.ones(1), (1 - a).cumprod(0)])[:-1]) @ c, (1 - a).prod())"
+    right = (
+        "lambda a, c: ((a * torch.cat([torch.ones(1), (1 - a).cumprod(0)])[:-1]) @ c, (1 - "
+        "a).prod())"
+    )
     assert "all checks pass" in lab.run(forward, f"print(check.composite_pixel({right}))")
 
 
@@ -116,11 +131,19 @@ def test_the_gradient_microscope_follows_click_and_choice(lab, backward):
     first = lab.screenshot(image, "gradient_pixel_before")
     scale = image.bounding_box()["width"] / image.evaluate("image => image.naturalWidth")
     image.click(position={"x": scale * 80.5 * 222 / 120, "y": scale * (26 + 30.5 * 222 / 120)})
-    lab.wait_for(lambda: lab.run(backward, "print(gradients.of_pixel.stack.u)") == "80", "the click to arrive")
-    lab.wait_for(lambda: np.abs(lab.screenshot(image, "gradient_pixel") - first).mean() > 1, "other arrows")
+    lab.wait_for(
+        lambda: lab.run(backward, "print(gradients.of_pixel.stack.u)") == "80",
+        "the click to arrive",
+    )
+    lab.wait_for(
+        lambda: np.abs(lab.screenshot(image, "gradient_pixel") - first).mean() > 1,
+        "other arrows",
+    )
     second = lab.screenshot(image, "gradient_pixel")
     backward.locator(".gsnb-gradient-pick select").select_option("Gaussian")
-    backward.locator(".gsnb-gradient-text").get_by_text("sum over all pixels").wait_for(timeout=20_000)
+    backward.locator(".gsnb-gradient-text").get_by_text("sum over all pixels").wait_for(
+        timeout=20_000
+    )
     assert np.abs(lab.screenshot(image, "gradient_gaussian") - second).mean() > 1
     lab.screenshot(backward.locator(".gsnb-gradient"), "gradient_microscope")
 

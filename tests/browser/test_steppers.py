@@ -1,4 +1,5 @@
-"""A stepper as a person uses it: Next, Back, Restart, arrow keys, the slider, both themes, a window of 1000 px."""
+"""A stepper as a person uses it: Next, Back, Restart, arrow keys, the slider, both themes, a window
+of 1000 px."""
 
 import pytest
 
@@ -24,10 +25,12 @@ RAY = "ray = raycast_stepper(volume, frame.camera, frame.T_WC, (30, 30))\nray"
 OTHERS = {
     "quadtree": "quadtree_stepper(frame.rgb_u8[:48, :64], threshold=0.05, min_cell_px=2)",
     "compositing": "compositing_stepper(four.params, view, torch.eye(4), (8, 6))",
-    "compositing_gradient": "compositing_gradient_stepper(four.params, view, torch.eye(4), (8, 6), torch.ones(3) / 2)",
+    "compositing_gradient": "compositing_gradient_stepper(four.params, view, torch.eye(4), (8, 6), "
+    "torch.ones(3) / 2)",
     "adam": 'adam_stepper(adam_steps="shared", earlier_steps=20)',
     "icp": "icp_stepper(frame.depth_m, frame.camera, known, displaced_pose(frame.T_WC, 0.05, 0.0))",
-    "pose_graph": "pose_graph_stepper(torch.stack([torch.linalg.matrix_power(bent, k) for k in range(4)]), ring)",
+    "pose_graph": "pose_graph_stepper(torch.stack([torch.linalg.matrix_power(bent, k) for k in "
+    "range(4)]), ring)",
 }
 """Name -> the call that makes it."""
 SETTING = """
@@ -84,7 +87,10 @@ def test_next_back_restart_keys_and_slider(lab):
     page = lab.open([VOLUME, RAY])
     page.set_viewport_size({"width": 1000, "height": 900})
     page.evaluate("window.jupyterapp.shell.collapseLeft()")
-    cubes, ray = page.locator(".gsnb-stepper-marching-cubes-1"), page.locator(".gsnb-stepper-raycast")
+    cubes, ray = (
+        page.locator(".gsnb-stepper-marching-cubes-1"),
+        page.locator(".gsnb-stepper-raycast"),
+    )
     box = cubes.bounding_box()
     assert box["x"] + box["width"] <= 1000
     lab.screenshot(cubes, "stepper_cubes")
@@ -108,7 +114,9 @@ def test_next_back_restart_keys_and_slider(lab):
     lab.wait_for(lambda: lab.value(page, "cubes.step") == 0, "the first step")
     ray.scroll_into_view_if_needed()
     print(f"from Next to the picture: {page.evaluate(TIMES):.0f} ms")  # noqa: T201
-    page.evaluate("window.jupyterapp.commands.execute('apputils:change-theme', {theme: 'JupyterLab Dark'})")
+    page.evaluate(
+        "window.jupyterapp.commands.execute('apputils:change-theme', {theme: 'JupyterLab Dark'})"
+    )
     page.wait_for_selector("body[data-jp-theme-light=false]", state="attached")
     lab.screenshot(ray, "stepper_ray_dark")
     assert lab.errors == []
@@ -116,7 +124,9 @@ def test_next_back_restart_keys_and_slider(lab):
 
 @pytest.mark.slow
 def test_every_other_stepper_goes_to_its_end_in_a_page(lab):
-    page = lab.open([SETTING, *(f"{name} = {call}\n{name}" for name, call in OTHERS.items())], timeout_s=300)
+    page = lab.open(
+        [SETTING, *(f"{name} = {call}\n{name}" for name, call in OTHERS.items())], timeout_s=300
+    )
     page.set_viewport_size({"width": 1000, "height": 900})
     page.evaluate("window.jupyterapp.shell.collapseLeft()")
     for name in OTHERS:
@@ -127,11 +137,15 @@ def test_every_other_stepper_goes_to_its_end_in_a_page(lab):
         first = image.get_attribute("src")
         for step in (1, 2):
             stepper.locator(".gsnb-stepper-next").click()
-            lab.wait_for(lambda n=name, k=step: lab.value(page, f"{n}.step") == k, f"step {step} of {name}")
+            lab.wait_for(
+                lambda n=name, k=step: lab.value(page, f"{n}.step") == k, f"step {step} of {name}"
+            )
         assert stepper.locator("mark").count() >= 1, f"no line of code is marked in {name}"
         stepper.focus()
         page.keyboard.press("End")
-        lab.wait_for(lambda n=name: lab.value(page, f"{n}.step == {n}.count - 1"), f"the end of {name}")
+        lab.wait_for(
+            lambda n=name: lab.value(page, f"{n}.step == {n}.count - 1"), f"the end of {name}"
+        )
         assert stepper.locator(".gsnb-stepper-next").is_disabled()
         assert image.get_attribute("src") != first, name
         lab.screenshot(stepper, f"stepper_{name}")

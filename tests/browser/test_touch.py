@@ -1,4 +1,5 @@
-"""Pictures that are dragged: the picture follows, no queue builds up, and the sliders move along."""
+"""Pictures that are dragged: the picture follows, no queue builds up, and the sliders move
+along."""
 
 import json
 import os
@@ -31,7 +32,9 @@ volume = TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0))
 fill = tsdf_fill_panel(volume, room.camera, look, start=(0.4, -0.4, 100.0)).press("measure")
 fill
 """
-ONE = "one = one_gaussian_panel(Camera(width=80, height=60, fx=52.0, fy=52.0, cx=40.0, cy=30.0))\none"
+ONE = (
+    "one = one_gaussian_panel(Camera(width=80, height=60, fx=52.0, fy=52.0, cx=40.0, cy=30.0))\none"
+)
 POINTS = "points = point_panel(room[0])\npoints"
 
 METER = """(image) => {
@@ -54,7 +57,8 @@ def page(lab):
 
 
 def drag(page, image, start, ends, wait_for_each):
-    """Press at a fraction of a picture, move over others; milliseconds from each movement to its picture."""
+    """Press at a fraction of a picture, move over others; milliseconds from each movement to its
+    picture."""
     image.scroll_into_view_if_needed()
     box = image.bounding_box()
 
@@ -69,7 +73,9 @@ def drag(page, image, start, ends, wait_for_each):
     for i, end in enumerate(ends):
         page.mouse.move(*at(end))
         if wait_for_each:
-            page.wait_for_function(f"window.gsnbTimes.shown.length > {i}", polling=20, timeout=20_000)
+            page.wait_for_function(
+                f"window.gsnbTimes.shown.length > {i}", polling=20, timeout=20_000
+            )
             page.wait_for_timeout(120)  # other messages of this redraw
             page.evaluate(f"window.gsnbTimes.shown.length = {i + 1}")
     if not wait_for_each:
@@ -93,25 +99,51 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param("fill", marks=pytest.mark.slow), "one-gaussian", "points"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("fill", marks=pytest.mark.slow), "one-gaussian", "points"]
+)
 def test_the_picture_follows_the_drag_without_a_queue(lab, page, name):
     what, start, control = CASES[name]
-    image, handle = page.locator(f".gsnb-{name}-image img").first, page.locator(f".gsnb-{name}-{control} .noUi-handle")
+    image, handle = (
+        page.locator(f".gsnb-{name}-image img").first,
+        page.locator(f".gsnb-{name}-{control} .noUi-handle"),
+    )
     if name == "fill":
         size = page.evaluate("(i) => [i.naturalWidth, i.naturalHeight]", image.element_handle())
-        at = json.loads(lab.run(page, "import json; from gsfusion_nb.viz.panels.tsdf import camera_handles; "
-                                "print(json.dumps(camera_handles(0.4, -0.4, 100.0)['place']))"))  # fmt: skip
+        at = json.loads(
+            lab.run(
+                page,
+                "import json; from gsfusion_nb.viz.panels.tsdf import camera_handles; "
+                "print(json.dumps(camera_handles(0.4, -0.4, 100.0)['place']))",
+            )
+        )
         start = (at[0] / size[0], (at[1] + 26) / size[1])
-    before, value = lab.screenshot(image, f"touch_{name}_before"), handle.get_attribute("aria-valuenow")
+    before, value = (
+        lab.screenshot(image, f"touch_{name}_before"),
+        handle.get_attribute("aria-valuenow"),
+    )
     ends = [(start[0] + 0.006 * (i + 1), start[1]) for i in range(MOVES)]
     times = drag(page, image, start, ends, wait_for_each=True)
     each = [shown - moved for moved, shown in times["shown"]]
     assert np.abs(lab.screenshot(image, f"touch_{name}_after") - before).mean() > 0.3, what
     assert handle.get_attribute("aria-valuenow") != value
-    flood = drag(page, image, ends[-1], [(ends[-1][0] - 0.0015 * i, start[1]) for i in range(1, 61)], False)
+    flood = drag(
+        page,
+        image,
+        ends[-1],
+        [(ends[-1][0] - 0.0015 * i, start[1]) for i in range(1, 61)],
+        False,
+    )
     settled = flood["shown"][-1][1] - flood["moved"]
-    note(name, {"median_ms": statistics.median(each), "max_ms": max(each), "settled_ms": settled,
-                "pictures_of_60_moves": len(flood["shown"])})  # fmt: skip
+    note(
+        name,
+        {
+            "median_ms": statistics.median(each),
+            "max_ms": max(each),
+            "settled_ms": settled,
+            "pictures_of_60_moves": len(flood["shown"]),
+        },
+    )
     lab.screenshot(page.locator(f".gsnb-{name}").first, f"touch_{name}_panel")
     assert len(flood["shown"]) < 60
     assert settled < 5 * statistics.median(each) + 200  # two redraws, not sixty
@@ -121,7 +153,10 @@ def test_the_arrow_keys_drag_too(lab, page):
     image = page.locator(".gsnb-one-gaussian-image img")
     x_m = lab.value(page, "one.set(x_m=0.0, y_m=0.0).values['x_m']")
     at = image.bounding_box()
-    page.mouse.click(at["x"] + at["width"] / 2, at["y"] + at["height"] / 2)
+    page.mouse.click(
+        at["x"] + at["width"] / 2,
+        at["y"] + at["height"] / 2,
+    )
     image.focus()
     for _ in range(3):
         page.keyboard.press("ArrowLeft")

@@ -1,4 +1,5 @@
-"""The panel of a trace as a person uses it: slider, buttons, clicks, keys, both themes, a window of 1000 px."""
+"""The panel of a trace as a person uses it: slider, buttons, clicks, keys, both themes, a window of
+1000 px."""
 
 import pytest
 
@@ -44,10 +45,16 @@ def test_the_panel_follows_a_gaussian_and_a_voxel(lab):
     image.focus()
     page.keyboard.press("ArrowRight")
     lab.wait_for(lambda: lab.value(page, "hasattr(panel.story, 'ijk')"), "a voxel")
-    page.evaluate("window.jupyterapp.commands.execute('apputils:change-theme', {theme: 'JupyterLab Dark'})")
+    page.evaluate(
+        "window.jupyterapp.commands.execute('apputils:change-theme', {theme: 'JupyterLab Dark'})"
+    )
     page.wait_for_selector("body[data-jp-theme-light=false]", state="attached")
     lab.screenshot(root, "trace_voxel_dark")
-    lab.run(page, "viewer = SplatViewer(mapper, width=96, height=72); panel.follow_picks(viewer); viewer.picked = 7")
+    lab.run(
+        page,
+        "viewer = SplatViewer(mapper, width=96, height=72); panel.follow_picks(viewer); "
+        "viewer.picked = 7",
+    )
     assert lab.value(page, "panel.story.row") == 7
     lab.screenshot(root, "trace_picked_dark")
     assert last > 3

@@ -1,7 +1,9 @@
-"""Checkpoints and TSDFs with one wrong thing in them and right checksums: what a program with an error would write.
+"""Checkpoints and TSDFs with one wrong thing in them and right checksums: what a program with an
+error would write.
 
-A file that was damaged by a disk is found by its checksum. Here somebody made the file: values that are not finite,
-rows too few or too many, another type, another kind, another count, a tensor whose stride is 0.
+A file that was damaged by a disk is found by its checksum. Here somebody made the file: values that
+are not finite, rows too few or too many, another type, another kind, another count, a tensor whose
+stride is 0.
 """
 
 import copy
@@ -90,12 +92,39 @@ def _loose(value: Any) -> Any:
     return value.clone() if isinstance(value, Tensor) else value
 
 
-_NOT_ALTERED = ("source", "rule_from_file", "fingerprint", "parts", "training", "random", "own_settings")
+_NOT_ALTERED = (
+    "source",
+    "rule_from_file",
+    "fingerprint",
+    "parts",
+    "training",
+    "random",
+    "own_settings",
+)
 """Settings and codes whose other values are other runs, not wrong ones."""
-_FREE_LENGTH = ("warnings", "global_losses", "pass_losses", "usual_fit", "losses", "data_files", "thumbnails", "window")
+_FREE_LENGTH = (
+    "warnings",
+    "global_losses",
+    "pass_losses",
+    "usual_fit",
+    "losses",
+    "data_files",
+    "thumbnails",
+    "window",
+)
 """Lists of which no other part of a state says how long they are."""
-_MAY_BE_NAN = ("pass_losses", "global_losses", "online_scores", "psnr_before_db", "psnr_after_db", "losses", "seconds",
-               "timestamps_s", "timestamp_s", "tracking")  # fmt: skip
+_MAY_BE_NAN = (
+    "pass_losses",
+    "global_losses",
+    "online_scores",
+    "psnr_before_db",
+    "psnr_after_db",
+    "losses",
+    "seconds",
+    "timestamps_s",
+    "timestamp_s",
+    "tracking",
+)
 
 
 def _ways(state: Any, rng: random.Random) -> list[Way]:
@@ -156,7 +185,14 @@ Change = tuple[Callable[[], Any], str, bool]
 
 def _changes(value: Any, way: Way) -> Iterator[Change]:
     """What can be made of a value; whether it is wrong."""
-    name = str(way[-1]) if isinstance(way[-1], str) else next((str(k) for k in reversed(way) if isinstance(k, str)), "")
+    name = (
+        str(way[-1])
+        if isinstance(way[-1], str)
+        else next(
+            (str(k) for k in reversed(way) if isinstance(k, str)),
+            "",
+        )
+    )
     free = any(part in _FREE_LENGTH for part in way)
     if isinstance(value, Tensor):
         yield from _tensor_changes(value, name, free)
@@ -183,9 +219,18 @@ def _changes(value: Any, way: Way) -> Iterator[Change]:
         yield lambda: "text", "text", True
         yield lambda: list(value), "a list", True
         for key in value:
-            yield lambda key=key: {k: v for k, v in value.items() if k != key}, f"without {key}", False
-        yield lambda: {**value, "more": 1}, "an unknown key", not ({"tracking", "counts", "seconds"} & set(way)
-                                                                   or name in ("online_scores", "memory"))  # fmt: skip
+            yield (
+                lambda key=key: {k: v for k, v in value.items() if k != key},
+                f"without {key}",
+                False,
+            )
+        yield (
+            lambda: {**value, "more": 1},
+            "an unknown key",
+            not (
+                {"tracking", "counts", "seconds"} & set(way) or name in ("online_scores", "memory")
+            ),
+        )
     elif isinstance(value, list | tuple):
         yield lambda: 7, "a number", True
         yield lambda: "text", "text", True
@@ -203,7 +248,11 @@ def _tensor_changes(value: Tensor, name: str, free: bool) -> Iterator[Change]:
     yield lambda: "text", "text", True
     yield lambda: 3.0, "a number", True
     yield lambda: value[None], "a dimension more", True
-    yield lambda: value.to(torch.float64 if value.dtype != torch.float64 else torch.float32), "another type", True
+    yield (
+        lambda: value.to(torch.float64 if value.dtype != torch.float64 else torch.float32),
+        "another type",
+        True,
+    )
     yield lambda: value.to(torch.complex64), "another type", True
     if value.numel() and value.is_floating_point():
         bad = name not in _MAY_BE_NAN
@@ -284,5 +333,11 @@ def _stride(folder: Path, rng: random.Random) -> Alteration | None:
 def _tensors(value: Any, way: Way) -> Iterator[Way]:
     if isinstance(value, Tensor):
         yield way
-    for key, part in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+    for key, part in (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    ):
         yield from _tensors(part, (*way, key))

@@ -1,10 +1,13 @@
-"""Damaged and hostile files, thousands of them: every one ends in a sentence, or is accepted rightly.
+"""Damaged and hostile files, thousands of them: every one ends in a sentence, or is accepted
+rightly.
 
     python tests/campaign/fuzz.py --inputs 20000 --seed 1 --keep /tmp/offending
-    python tests/campaign/fuzz.py --inputs 1200 --target altered     # checkpoints and TSDFs with right checksums
+    python tests/campaign/fuzz.py --inputs 1200 --target altered
 
-Each input is made from its number and the seed alone, so ``--only 1234`` repeats one. Inputs are read in forked copies
-of a warm process, each input with 10 s and 1 GB.
+The target "altered" is checkpoints and TSDFs whose checksums are right.
+
+Each input is made from its number and the seed alone, so ``--only 1234`` repeats one. Inputs are
+read in forked copies of a warm process, each input with 10 s and 1 GB.
 """
 
 import argparse
@@ -33,7 +36,11 @@ import targets
 SECONDS = 10
 MEMORY_BYTES = 1_000_000_000
 BATCH = 40
-CLEAN, ACCEPTED, BAD = "clean errors", "accepted", ("tracebacks", "crashes", "hangs", "memory", "silent acceptances")
+CLEAN, ACCEPTED, BAD = (
+    "clean errors",
+    "accepted",
+    ("tracebacks", "crashes", "hangs", "memory", "silent acceptances"),
+)
 
 
 @dataclass
@@ -51,7 +58,10 @@ class Figures:
 
     def __str__(self) -> str:
         n = sum(self.counts.values())
-        rows = [f"{n:8} inputs in {self.seconds:.0f} s", *(f"{self.counts[k]:8} {k}" for k in (CLEAN, ACCEPTED, *BAD))]
+        rows = [
+            f"{n:8} inputs in {self.seconds:.0f} s",
+            *(f"{self.counts[k]:8} {k}" for k in (CLEAN, ACCEPTED, *BAD)),
+        ]
         return "\n".join(rows)
 
 
@@ -66,12 +76,20 @@ class Campaign:
         self.root, self.seed = root, seed
         (root / "corpus").mkdir(parents=True)
         (root / "bombs").mkdir()
-        self.seeds = [made for made in corpus.build(root / "corpus") if made.target.startswith(only)]
+        self.seeds = [
+            made for made in corpus.build(root / "corpus") if made.target.startswith(only)
+        ]
         self.bombs = [] if only else corpus.bombs(root / "bombs")
-        files = [p for p in (root / "corpus").rglob("*") if p.is_file() and p.stat().st_size < 200_000]
+        files = [
+            p for p in (root / "corpus").rglob("*") if p.is_file() and p.stat().st_size < 200_000
+        ]
         self.others = [p.read_bytes() for p in files[:: max(1, len(files) // 60)]]
 
-    def make(self, i: int, folder: Path) -> tuple[corpus.Seed, Path, Path | None]:
+    def make(
+        self,
+        i: int,
+        folder: Path,
+    ) -> tuple[corpus.Seed, Path, Path | None]:
         """Write input ``i`` to ``folder``: its seed, what is to be opened, and the damaged file."""
         rng = random.Random(f"{self.seed}/{i}")
         if i < len(self.bombs):
@@ -89,11 +107,20 @@ class Campaign:
             return seed, place, None
         files = sorted(p for p in place.rglob("*") if p.is_file())
         plain = [p for p in files if p.suffix.lower() not in (".png", ".jpg", ".npy")]
-        chosen = place / seed.entry if (place / seed.entry).is_file() else rng.choice(plain * 3 + files)
+        chosen = (
+            place / seed.entry if (place / seed.entry).is_file() else rng.choice(plain * 3 + files)
+        )
         if rng.randrange(40) == 0:
             _replace(chosen, rng)
         else:
-            chosen.write_bytes(mutate.mutated(chosen.read_bytes(), chosen.name, rng, self.others))
+            chosen.write_bytes(
+                mutate.mutated(
+                    chosen.read_bytes(),
+                    chosen.name,
+                    rng,
+                    self.others,
+                )
+            )
         return seed, place / seed.entry, chosen
 
     def judge(self, i: int, folder: Path) -> tuple[str, str]:
@@ -105,7 +132,11 @@ class Campaign:
         try:
             targets.TARGETS[seed.target](path)
             kind, text = ACCEPTED, ""
-            is_json = chosen is not None and chosen.is_file() and chosen.name.endswith((".json", "metadata"))
+            is_json = (
+                chosen is not None
+                and chosen.is_file()
+                and chosen.name.endswith((".json", "metadata"))
+            )
             if chosen is not None and is_json and seed.target not in targets.CORRECTED:
                 fault = targets.strict_json_fault(chosen)
                 kind, text = ("silent acceptances", fault) if fault else (kind, text)
@@ -117,17 +148,27 @@ class Campaign:
             kind, text = _kind_of(e, folder), "".join(traceback.format_exception(e))[-900:]
         if _memory("VmHWM") - before > MEMORY_BYTES:
             kind, text = "memory", f"{(_memory('VmHWM') - before) / 1e9:.2f} GB; {text}"
-        return kind, f"{seed.name} ({seed.target}), {chosen.name if chosen else 'made to harm'}: {text}"
+        return (
+            kind,
+            f"{seed.name} ({seed.target}), {chosen.name if chosen else 'made to harm'}: {text}",
+        )
 
 
 def _kind_of(error: BaseException, folder: Path) -> str:
     text = str(error.args[0] if isinstance(error, KeyError) and error.args else error)
-    if isinstance(error, MemoryError) or any(w in text for w in ("more memory than", "Unable to alloc", "t allocate")):
+    if isinstance(error, MemoryError) or any(
+        w in text for w in ("more memory than", "Unable to alloc", "t allocate")
+    ):
         return "memory"
     ours = isinstance(error, (ValueError, OSError, KeyError))
     names = {p.name for p in folder.rglob("*")} | {folder.name, "input"}
-    sentence = "\n" not in text.strip() and 20 < len(text) < 1500 and any(name in text for name in names)
-    foreign = isinstance(error, UnicodeError) or type(error).__module__.split(".")[0] not in ("builtins", "gsfusion_nb")
+    sentence = (
+        "\n" not in text.strip() and 20 < len(text) < 1500 and any(name in text for name in names)
+    )
+    foreign = isinstance(error, UnicodeError) or type(error).__module__.split(".")[0] not in (
+        "builtins",
+        "gsfusion_nb",
+    )
     return CLEAN if ours and sentence and not foreign else "tracebacks"
 
 
@@ -154,7 +195,9 @@ def _restart_peak() -> None:
 
 def _memory(name: str) -> int:
     text = Path("/proc/self/status").read_text()
-    return next(int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith(f"{name}:"))
+    return next(
+        int(line.split()[1]) * 1024 for line in text.splitlines() if line.startswith(f"{name}:")
+    )
 
 
 def _child(campaign: Campaign, numbers: list[int], write: int) -> None:
@@ -177,13 +220,21 @@ def _child(campaign: Campaign, numbers: list[int], write: int) -> None:
             try:
                 kind, text = campaign.judge(i, folder)
             except Hang as e:
-                kind, text = "hangs", "while it was made or measured: " + "".join(traceback.format_exception(e))[-900:]
+                kind, text = (
+                    "hangs",
+                    "while it was made or measured: "
+                    + "".join(traceback.format_exception(e))[-900:],
+                )
             told.write(json.dumps([i, kind, text]) + "\n")
             shutil.rmtree(folder, ignore_errors=True)
     os._exit(0)
 
 
-def run(campaign: Campaign, numbers: list[int], keep: Path | None = None) -> Figures:
+def run(
+    campaign: Campaign,
+    numbers: list[int],
+    keep: Path | None = None,
+) -> Figures:
     """Judge inputs by number, and keep those that did not end well."""
     figures, start, left = Figures(), time.monotonic(), list(numbers)
     while left:
@@ -210,7 +261,9 @@ def run(campaign: Campaign, numbers: list[int], keep: Path | None = None) -> Fig
             print(f"{len(numbers) - len(left)} {dict(figures.counts)}", flush=True)
     figures.seconds = time.monotonic() - start
     for row in figures.offending if keep else ():
-        campaign.make(row["input"], Path(keep or "") / f"{row['kind'].replace(' ', '-')}-{row['input']}")
+        campaign.make(
+            row["input"], Path(keep or "") / f"{row['kind'].replace(' ', '-')}-{row['input']}"
+        )
     return figures
 
 
@@ -283,12 +336,16 @@ def warm() -> None:
 
 def main() -> int:
     """Run a campaign; the exit status is 1 if an input did not end well."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--inputs", type=int, default=2000)
     parser.add_argument("--first", type=int, default=0, help="number of the first input")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int, nargs="*", help="numbers of single inputs")
-    parser.add_argument("--target", default="", help="only inputs that are read so: altered, convert, resume, ...")
+    parser.add_argument(
+        "--target", default="", help="only inputs that are read so: altered, convert, resume, ..."
+    )
     parser.add_argument("--keep", type=Path, help="folder for inputs that did not end well")
     options = parser.parse_args()
     warm()

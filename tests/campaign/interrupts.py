@@ -1,9 +1,12 @@
-"""Press Ctrl-C at random moments while a run maps and optimises, call it again each time, and compare its maps.
+"""Press Ctrl-C at random moments while a run maps and optimises, call it again each time, and
+compare its maps.
 
-    python tests/campaign/interrupts.py --tries 24      # real signals, as in a notebook; prints the figures
+    python tests/campaign/interrupts.py --tries 24
 
-Every try is a run of this process on the built-in room at 80x60. Another thread sends SIGINT to the process after
-random times, also while Python clears up after the one before.
+The signals are real ones, as in a notebook, and the figures are printed.
+
+Every try is a run of this process on the built-in room at 80x60. Another thread sends SIGINT to the
+process after random times, also while Python clears up after the one before.
 """
 
 import argparse
@@ -41,12 +44,16 @@ class Figures:
     different: list[str] = field(default_factory=list)
 
     def __str__(self) -> str:
-        said = f"{self.tries} runs, {self.interrupts} interrupts; {len(self.different)} with other maps"
+        said = (
+            f"{self.tries} runs, {self.interrupts} interrupts; {len(self.different)} with other "
+            "maps"
+        )
         return "\n".join([said, *self.different, *self.others])
 
 
 class Presses:
-    """A thread that presses Ctrl-C at random moments, in pauses of up to ``most_s``, until it is told to stop."""
+    """A thread that presses Ctrl-C at random moments, in pauses of up to ``most_s``, until it is
+    told to stop."""
 
     def __init__(self, seed: int, most_s: float):
         self._draw, self._most_s = random.Random(seed), most_s
@@ -113,7 +120,12 @@ def settled(call: Callable[[], Any], figures: Figures) -> None:
                 figures.interrupts += 1
 
 
-def campaign(tries: int, seed: int, variants: list[str], most_s: float) -> Figures:
+def campaign(
+    tries: int,
+    seed: int,
+    variants: list[str],
+    most_s: float,
+) -> Figures:
     """Runs of all ``variants`` in turn, while Ctrl-C is pressed."""
     figures, whole = Figures(), {}
     for variant in variants:
@@ -134,17 +146,27 @@ def campaign(tries: int, seed: int, variants: list[str], most_s: float) -> Figur
         if found != whole[variant]:
             names = [name for name in found if found[name] != whole[variant][name]]
             figures.different.append(f"{variant}, try {n}: other {', '.join(names)}")
-        sys.stderr.write(f"{n + 1} of {tries}: {figures.interrupts} interrupts, {len(figures.different)} different\n")
+        sys.stderr.write(
+            f"{n + 1} of {tries}: {figures.interrupts} interrupts, {len(figures.different)} "
+            "different\n"
+        )
     return figures
 
 
 def main() -> int:
-    """Run a campaign and print its figures; 1 if a map differed, or an error of another kind came."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """Run a campaign and print its figures; 1 if a map differed, or an error of another kind
+    came."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--tries", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--most-s", type=float, default=1.0, help="longest time between two presses")
-    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), help="all by default")
+    parser.add_argument(
+        "--most-s", type=float, default=1.0, help="longest time between two presses"
+    )
+    parser.add_argument(
+        "--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), help="all by default"
+    )
     options = parser.parse_args()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     figures = campaign(options.tries, options.seed, options.variants, options.most_s)

@@ -1,4 +1,5 @@
-"""Kill a run at any moment, go on with it, and compare its maps with those of a run that was never killed.
+"""Kill a run at any moment, go on with it, and compare its maps with those of a run that was never
+killed.
 
     python tests/campaign/kills.py --kills 300
 
@@ -68,7 +69,8 @@ class Figures:
             f"kills: {sum(self.kills.values())} ({kinds})",
             f"runs killed before their first checkpoint, begun anew: {self.before_first}",
             f"killed while the maps were written: {self.while_writing}",
-            f"most steps done again after a kill: {self.lost_steps} (a checkpoint every {EVERY_FRAMES})",
+            f"most steps done again after a kill: {self.lost_steps} (a checkpoint every "
+            f"{EVERY_FRAMES})",
             f"resumed maps identical: {self.identical}; different or failed: {len(self.failures)}",
         ]
         return "\n".join([*lines, *self.failures])
@@ -78,17 +80,39 @@ def settings(system: str, poses: str) -> Any:
     """Small settings of a system: nine frames and two passes."""
     from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
 
-    shared = {"data__stop": 12, "data__hold_out_every": 4, "data__hold_out_offset": 2, "tracking__poses": poses}
+    shared = {
+        "data__stop": 12,
+        "data__hold_out_every": 4,
+        "data__hold_out_offset": 2,
+        "tracking__poses": poses,
+    }
     if system == "gsfusion":
-        small = {"tsdf__voxel_size_m": 0.04, "tsdf__truncation_voxels": 4.0, "seeding__quadtree_threshold": 0.01}
-        return gsfusion("replica", sh_degree=1, keyframe_min_seeds=20, optim__global_iterations=2, **small, **shared)
+        small = {
+            "tsdf__voxel_size_m": 0.04,
+            "tsdf__truncation_voxels": 4.0,
+            "seeding__quadtree_threshold": 0.01,
+        }
+        return gsfusion(
+            "replica",
+            sh_degree=1,
+            keyframe_min_seeds=20,
+            optim__global_iterations=2,
+            **small,
+            **shared,
+        )
     if system == "gps_slam":
         small = {"tsdf__voxel_size_m": 0.04, "schedule__every_frames": 4}
         return gps_slam("room", data__width=0, data__height=0, final__passes=2, **small, **shared)
     return rtg_slam("room", data__width=0, data__height=0, final__passes=2, **shared)
 
 
-def child(variant: tuple[str, str], folder: Path, *, every: int = EVERY_FRAMES, kill: KillPoint | None = None) -> int:
+def child(
+    variant: tuple[str, str],
+    folder: Path,
+    *,
+    every: int = EVERY_FRAMES,
+    kill: KillPoint | None = None,
+) -> int:
     """Start a process that begins the run in ``folder``, or goes on with it; its id."""
     pid = os.fork()
     if pid:
@@ -106,7 +130,12 @@ def child(variant: tuple[str, str], folder: Path, *, every: int = EVERY_FRAMES, 
     return 0
 
 
-def _run(variant: tuple[str, str], folder: Path, every: int, kill: KillPoint | None) -> None:
+def _run(
+    variant: tuple[str, str],
+    folder: Path,
+    every: int,
+    kill: KillPoint | None,
+) -> None:
     import torch
 
     from gsfusion_nb.runs import CheckpointEvery, mapping_run, resume_mapping, run_mapping
@@ -130,13 +159,25 @@ def _run(variant: tuple[str, str], folder: Path, every: int, kill: KillPoint | N
         hashes = resume_mapping(folder, evaluate=False, checkpoints=checkpoints).run.hashes
     else:  # into the same folder, which refuses whatever is worth keeping
         folder.with_suffix(".steps").unlink(missing_ok=True)
-        run = run_mapping("room", settings(*variant), folder=folder, evaluate=False, checkpoints=checkpoints, **ROOM)
+        run = run_mapping(
+            "room",
+            settings(*variant),
+            folder=folder,
+            evaluate=False,
+            checkpoints=checkpoints,
+            **ROOM,
+        )
         hashes = run.run.hashes
     result = {"sha256": hashes, "operations": operations.n, "steps": steps[0]}
     folder.with_suffix(".result").write_text(json.dumps(result))
 
 
-def _counted(after_step: Any, steps: list[int], folder: Path, kill: KillPoint | None) -> Any:
+def _counted(
+    after_step: Any,
+    steps: list[int],
+    folder: Path,
+    kill: KillPoint | None,
+) -> Any:
     """``after_step`` that also counts, tells the parent, and dies when it is time."""
 
     log = folder.with_suffix(".steps")
@@ -157,7 +198,9 @@ class Operations:
 
     def __init__(self, folder: Path, kill: KillPoint | None):
         self.folder, self.n = f"{folder}{os.sep}", 0
-        self.kill = kill if kill is not None and kill.kind in ("before", "after", "within") else None
+        self.kill = (
+            kill if kill is not None and kill.kind in ("before", "after", "within") else None
+        )
 
     def watch(self) -> None:
         """Put counting in place of the functions of ``os`` and ``io``."""
@@ -166,7 +209,12 @@ class Operations:
         os.fsync = self._watched(os.fsync, any_path=True)
         plain = io.open
 
-        def opened(path: Any, mode: str = "r", *rest: Any, **options: Any) -> Any:
+        def opened(
+            path: Any,
+            mode: str = "r",
+            *rest: Any,
+            **options: Any,
+        ) -> Any:
             file = plain(path, mode, *rest, **options)
             return _Writing(file, self) if set(mode) & set("wax+") and self._is_ours(path) else file
 
@@ -240,19 +288,30 @@ def finish(pid: int, seconds: float | None = None) -> bool:
     return os.WIFSIGNALED(status)
 
 
-def whole(variant: tuple[str, str], folder: Path, every: int = EVERY_FRAMES) -> dict[str, Any]:
+def whole(
+    variant: tuple[str, str],
+    folder: Path,
+    every: int = EVERY_FRAMES,
+) -> dict[str, Any]:
     """The result of a run that is not killed."""
     began = time.monotonic()
     finish(child(variant, folder, every=every))
     if not folder.with_suffix(".result").exists():
         raise RuntimeError(folder.with_suffix(".error").read_text())
-    return json.loads(folder.with_suffix(".result").read_text()) | {"seconds": time.monotonic() - began}
+    return json.loads(folder.with_suffix(".result").read_text()) | {
+        "seconds": time.monotonic() - began
+    }
 
 
 def kill_and_resume(
-    variant: tuple[str, str], folder: Path, kills: list[KillPoint], unkilled: dict[str, Any], figures: Figures
+    variant: tuple[str, str],
+    folder: Path,
+    kills: list[KillPoint],
+    unkilled: dict[str, Any],
+    figures: Figures,
 ) -> None:
-    """Kill a run at each of ``kills`` in turn, let it complete, and compare it with ``unkilled``."""
+    """Kill a run at each of ``kills`` in turn, let it complete, and compare it with
+    ``unkilled``."""
     expected, n_steps, n_killed = unkilled["sha256"], unkilled["steps"], 0
     for kill in kills:
         seconds = kill.at if kill.kind == "time" else None
@@ -260,7 +319,9 @@ def kill_and_resume(
             break
         n_killed += 1
         figures.kills[kill.kind] += 1
-        figures.before_first += not has_checkpoint(folder) and not (folder / "metrics.json").exists()
+        figures.before_first += (
+            not has_checkpoint(folder) and not (folder / "metrics.json").exists()
+        )
         written = (folder / "config.json").exists() and n_killed == 1
         figures.while_writing += written and not _says_complete(folder)
     try:
@@ -270,7 +331,9 @@ def kill_and_resume(
         return
     left = [path.name for path in folder.rglob("*.partial*")]
     if left or not _says_complete(folder):
-        figures.failures.append(f"{variant} {kills}: left {left}, complete: {_says_complete(folder)}")
+        figures.failures.append(
+            f"{variant} {kills}: left {left}, complete: {_says_complete(folder)}"
+        )
     elif result["sha256"] == expected:
         figures.identical += 1
         again = folder.with_suffix(".steps").stat().st_size - n_steps
@@ -282,7 +345,12 @@ def kill_and_resume(
         folder.with_suffix(suffix).unlink(missing_ok=True)
 
 
-def campaign(n_kills: int, seed: int, variants: list[tuple[str, str]], folder: Path) -> Figures:
+def campaign(
+    n_kills: int,
+    seed: int,
+    variants: list[tuple[str, str]],
+    folder: Path,
+) -> Figures:
     """Runs of all ``variants``, killed ``n_kills`` times in all."""
     import gsfusion_nb.runs  # noqa: F401  (imported before the forks)
 
@@ -298,25 +366,41 @@ def campaign(n_kills: int, seed: int, variants: list[tuple[str, str]], folder: P
         whole_run, kills = results[variant], []
         for _ in range(draw.choice((1, 1, 2))):
             kind = draw.choice(("before", "after", "within", "step", "time"))
-            apart = max(1, whole_run["operations"] * len(variants) // n_kills)  # few kills are spread over the run
+            apart = max(
+                1, whole_run["operations"] * len(variants) // n_kills
+            )  # few kills are spread over the run
             operation[variant] = (operation[variant] + apart - 1) % whole_run["operations"] + 1
-            at = {"step": draw.randint(1, whole_run["steps"]), "time": draw.uniform(0.2, 1.0) * whole_run["seconds"]}
+            at = {
+                "step": draw.randint(1, whole_run["steps"]),
+                "time": draw.uniform(0.2, 1.0) * whole_run["seconds"],
+            }
             kills.append(KillPoint(kind, at.get(kind, operation[variant])))
         kill_and_resume(variant, folder / f"run-{n}", kills, whole_run, figures)
         n += 1
-        sys.stderr.write(f"{sum(figures.kills.values())} of {n_kills} kills, {len(figures.failures)} failures\n")
+        sys.stderr.write(
+            f"{sum(figures.kills.values())} of {n_kills} kills, {len(figures.failures)} failures\n"
+        )
     return figures
 
 
 def main() -> int:
     """Run a campaign and print its figures; 1 if a map differed or a run failed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--kills", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), help="all by default")
+    parser.add_argument(
+        "--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), help="all by default"
+    )
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        figures = campaign(options.kills, options.seed, [VARIANTS[v] for v in options.variants], Path(folder))
+        figures = campaign(
+            options.kills,
+            options.seed,
+            [VARIANTS[v] for v in options.variants],
+            Path(folder),
+        )
     sys.stdout.write(f"{figures}\n")
     return 1 if figures.failures else 0
 

@@ -1,4 +1,5 @@
-"""Where a program can be mutated and how: the operators of Cosmic Ray, and one more that takes a statement out."""
+"""Where a program can be mutated and how: the operators of Cosmic Ray, and one more that takes a
+statement out."""
 
 import ast
 import random
@@ -14,27 +15,34 @@ from cosmic_ray.operators.operator import Example, Operator
 from cosmic_ray.plugins import get_operator
 
 OPPOSITES = {
-    "Binary": "Add_Sub Sub_Add Mul_Div Div_Mul FloorDiv_Mul Mod_FloorDiv Pow_Mul BitOr_BitAnd BitAnd_BitOr "
-    "BitXor_BitAnd LShift_RShift RShift_LShift",
-    "Comparison": "Eq_NotEq NotEq_Eq Lt_LtE Lt_GtE LtE_Lt LtE_Gt Gt_GtE Gt_LtE GtE_Gt GtE_Lt Is_IsNot IsNot_Is",
+    "Binary": "Add_Sub Sub_Add Mul_Div Div_Mul FloorDiv_Mul Mod_FloorDiv Pow_Mul BitOr_BitAnd "
+    "BitAnd_BitOr BitXor_BitAnd LShift_RShift RShift_LShift",
+    "Comparison": "Eq_NotEq NotEq_Eq Lt_LtE Lt_GtE LtE_Lt LtE_Gt Gt_GtE Gt_LtE GtE_Gt GtE_Lt "
+    "Is_IsNot IsNot_Is",
     "Unary": "USub_UAdd Delete_Not Delete_Invert",
 }
-"""Replacements that give a program which still runs; Cosmic Ray also has those that end in a TypeError at once."""
+"""Replacements that give a program which still runs; Cosmic Ray also has those that end in a
+TypeError at once."""
 OTHERS = (
-    "AddNot ReplaceTrueWithFalse ReplaceFalseWithTrue ReplaceAndWithOr ReplaceOrWithAnd ReplaceBreakWithContinue "
+    "AddNot ReplaceTrueWithFalse ReplaceFalseWithTrue ReplaceAndWithOr ReplaceOrWithAnd "
+    "ReplaceBreakWithContinue "
     "ReplaceContinueWithBreak ExceptionReplacer NumberReplacer ZeroIterationForLoop"
 )
 
 
 PRODUCTS = ("arith_expr", "term", "expr", "xor_expr", "and_expr", "shift_expr", "power", "operator")
 """What a binary operator is part of; a star in a list of arguments is not."""
-CONTENT = tuple(f"gsfusion_nb/data/room/{name}.py" for name in ("drawings", "furniture", "interior", "scene", "camera"))
-"""What the built-in room looks like and how one walks through it: with another number it is another room, and none is
-right."""
+CONTENT = tuple(
+    f"gsfusion_nb/data/room/{name}.py"
+    for name in ("drawings", "furniture", "interior", "scene", "camera")
+)
+"""What the built-in room looks like and how one walks through it: with another number it is another
+room, and none is right."""
 
 
 class RemoveStatement(Operator):
-    """Takes out a statement that changes something: ``x[i] = 0``, ``self.x = 1``, ``x += 1``, or a call."""
+    """Takes out a statement that changes something: ``x[i] = 0``, ``self.x = 1``, ``x += 1``, or a
+    call."""
 
     def mutation_positions(self, node):
         if node.type == "simple_stmt" and self._changes_something(node.children[0]):
@@ -68,7 +76,9 @@ class RemoveStatement(Operator):
 
 def operators() -> dict[str, Any]:
     """The operators in use, by name."""
-    pairs = [f"Replace{kind}Operator_{pair}" for kind, all_ in OPPOSITES.items() for pair in all_.split()]
+    pairs = [
+        f"Replace{kind}Operator_{pair}" for kind, all_ in OPPOSITES.items() for pair in all_.split()
+    ]
     found = {name: get_operator(f"core/{name}")() for name in (*pairs, *OTHERS.split())}
     return {**found, "RemoveStatement": RemoveStatement()}
 
@@ -85,7 +95,8 @@ class Mutant:
     line: int
     """First line of the change, from 1."""
     runs_with: tuple[int, ...]
-    """Lines of the file with one of which a test executes what is changed; empty where only an import does."""
+    """Lines of the file with one of which a test executes what is changed; empty where only an
+    import does."""
     original: str
     """The changed lines before, without indentation."""
     changed: str
@@ -97,7 +108,9 @@ class Mutant:
         return self.file, self.original, self.changed
 
     def __str__(self) -> str:
-        return f"{self.file}:{self.line} {self.operator}\n    - {self.original}\n    + {self.changed}"
+        return (
+            f"{self.file}:{self.line} {self.operator}\n    - {self.original}\n    + {self.changed}"
+        )
 
 
 Site = tuple[int, int]
@@ -107,8 +120,8 @@ Site = tuple[int, int]
 def sites(source: str) -> dict[Site, list[tuple[str, int]]]:
     """Place in a module -> operator and occurrence of each mutant there.
 
-    Left out is what is no behaviour: annotations, decorators, messages of errors, ``strict`` of ``zip``; and the stars
-    of arguments, which are no products.
+    Left out is what is no behaviour: annotations, decorators, messages of errors, ``strict`` of
+    ``zip``; and the stars of arguments, which are no products.
     """
     nodes = list(ast_nodes(get_ast(source)))
     silent = _silent_ranges(ast.parse(source))
@@ -116,7 +129,11 @@ def sites(source: str) -> dict[Site, list[tuple[str, int]]]:
     for name, operator in operators().items():
         occurrence = -1
         for node in nodes:
-            star = name.startswith("ReplaceBinary") and node.parent is not None and node.parent.type not in PRODUCTS
+            star = (
+                name.startswith("ReplaceBinary")
+                and node.parent is not None
+                and node.parent.type not in PRODUCTS
+            )
             for start, _ in operator.mutation_positions(node):
                 occurrence += 1
                 if not star and not any(low <= start < high for low, high in silent):
@@ -138,7 +155,10 @@ def _silent_ranges(tree: ast.Module) -> list[tuple[Site, Site]]:
         elif isinstance(node, ast.keyword) and node.arg == "strict":
             silent.append(node.value)
     ends = [node for node in silent if node is not None]
-    return [((node.lineno, node.col_offset), (node.end_lineno or 0, node.end_col_offset or 0)) for node in ends]
+    return [
+        ((node.lineno, node.col_offset), (node.end_lineno or 0, node.end_col_offset or 0))
+        for node in ends
+    ]
 
 
 def mutated(source: str, operator: str, occurrence: int) -> str:
@@ -146,22 +166,47 @@ def mutated(source: str, operator: str, occurrence: int) -> str:
     return mutate_code(source, operators()[operator], occurrence) or source
 
 
-def sample(root: Path, folder: str, count: int, seed: int) -> list[Mutant]:
+def sample(
+    root: Path,
+    folder: str,
+    count: int,
+    seed: int,
+) -> list[Mutant]:
     """Mutants at ``count`` random places of a folder, at each place one."""
     rng = random.Random(f"{seed} {folder}")
     files = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*.py"))]
     sources = {file: (root / file).read_text("utf-8") for file in files if file not in CONTENT}
-    all_sites = [(file, site, kinds) for file, source in sources.items() for site, kinds in sites(source).items()]
+    all_sites = [
+        (file, site, kinds)
+        for file, source in sources.items()
+        for site, kinds in sites(source).items()
+    ]
     drawn = rng.sample(all_sites, min(count, len(all_sites)))
     return [described(file, sources[file], site, *rng.choice(kinds)) for file, site, kinds in drawn]
 
 
-def described(file: str, source: str, site: Site, operator: str, occurrence: int) -> Mutant:
+def described(
+    file: str,
+    source: str,
+    site: Site,
+    operator: str,
+    occurrence: int,
+) -> Mutant:
     """The mutant of an operator's n-th occurrence."""
     before, after = source.splitlines(), mutated(source, operator, occurrence).splitlines()
-    head = next((i for i, (a, b) in enumerate(zip(before, after, strict=False)) if a != b), len(before) - 1)
-    ends = zip(reversed(before[head:]), reversed(after[head:]), strict=False)
-    tail = next((i for i, (a, b) in enumerate(ends) if a != b), 0)
+    head = next(
+        (i for i, (a, b) in enumerate(zip(before, after, strict=False)) if a != b),
+        len(before) - 1,
+    )
+    ends = zip(
+        reversed(before[head:]),
+        reversed(after[head:]),
+        strict=False,
+    )
+    tail = next(
+        (i for i, (a, b) in enumerate(ends) if a != b),
+        0,
+    )
     texts = (" ".join(text[head : len(text) - tail]) for text in (before, after))
     original, changed = (" ".join(text.split()) for text in texts)
     return Mutant(
@@ -176,8 +221,9 @@ def described(file: str, source: str, site: Site, operator: str, occurrence: int
 
 
 def executed_lines(tree: ast.Module, line: int) -> list[int]:
-    """Lines that are executed when ``line`` has an effect: in a function those of its statement; for a default of a
-    parameter the function's; for what is executed at import those of all functions of the module."""
+    """Lines that are executed when ``line`` has an effect: in a function those of its statement;
+    for a default of a parameter the function's; for what is executed at import those of all
+    functions of the module."""
     functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
     around = [f for f in functions if f.lineno <= line <= (f.end_lineno or 0)]
     if not around:
@@ -185,7 +231,9 @@ def executed_lines(tree: ast.Module, line: int) -> list[int]:
     inner = max(around, key=lambda function: function.lineno)
     if line < inner.body[0].lineno:
         return _lines(inner.body)
-    statements = [node for node in ast.walk(inner) if isinstance(node, ast.stmt) and node is not inner]
+    statements = [
+        node for node in ast.walk(inner) if isinstance(node, ast.stmt) and node is not inner
+    ]
     innermost = min(
         (node for node in statements if node.lineno <= line <= (node.end_lineno or 0)),
         key=lambda node: (node.end_lineno or 0) - node.lineno,

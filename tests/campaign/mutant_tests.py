@@ -1,4 +1,5 @@
-"""Which tests execute a line, and what they say about a mutant: processes forked from one that has loaded PyTorch."""
+"""Which tests execute a line, and what they say about a mutant: processes forked from one that has
+loaded PyTorch."""
 
 import contextlib
 import importlib
@@ -20,9 +21,11 @@ import pytest
 from mutant_sites import Mutant, mutated
 
 HEAVY = (
-    "torch numpy numba cv2 scipy.spatial scipy.optimize scipy.sparse scipy.ndimage matplotlib.pyplot PIL.Image kornia"
+    "torch numpy numba cv2 scipy.spatial scipy.optimize scipy.sparse scipy.ndimage "
+    "matplotlib.pyplot PIL.Image kornia"
 )
-"""What is loaded once, before any process is forked. The package itself is not: each process loads its own mutant."""
+"""What is loaded once, before any process is forked. The package itself is not: each process loads
+its own mutant."""
 MEMORY_BYTES = 12 * 1024**3
 """Address space of a process: a mutant may ask for any amount."""
 OPTIONS = ("-q", "-n0", "-x", "-p", "no:cacheprovider", "--no-header", "--tb=no", "--capture=fd")
@@ -38,8 +41,9 @@ class Coverage:
     """File -> line -> tests."""
 
     def of(self, mutant: Mutant, most_s: float) -> list[str]:
-        """Tests for a mutant, those of one file together: first those that execute its line, then the others that
-        execute anything of its module, because a test may find what another one has made or put into a cache.
+        """Tests for a mutant, those of one file together: first those that execute its line, then
+        the others that execute anything of its module, because a test may find what another one has
+        made or put into a cache.
 
         Args:
             mutant: The change.
@@ -49,15 +53,21 @@ class Coverage:
         room = "/".join(mutant.file.split("/")[:2])
         of_module = {test for tests in lines.values() for test in tests}
         if mutant.runs_with:
-            direct = {test for i in mutant.runs_with for test in lines.get(i, ())} or of_module  # or an import does
+            direct = {
+                test for i in mutant.runs_with for test in lines.get(i, ())
+            } or of_module  # or an import does
         else:  # a module of constants
-            modules = [by_line for file, by_line in self.lines.items() if file.startswith(f"{room}/")]
+            modules = [
+                by_line for file, by_line in self.lines.items() if file.startswith(f"{room}/")
+            ]
             direct = {test for by_line in modules for tests in by_line.values() for test in tests}
         files = {_file(test) for test in direct}
         near = {test for test in of_module - direct if _file(test) in files}
         far = of_module - direct - near if direct else set()
         chosen, spent = [], 0.0
-        for test in [test for group in (direct, near, far) for test in self._in_order(group, mutant)]:
+        for test in [
+            test for group in (direct, near, far) for test in self._in_order(group, mutant)
+        ]:
             if spent + self.seconds[test] <= most_s or not chosen:
                 chosen.append(test)
                 spent += self.seconds[test]
@@ -71,9 +81,17 @@ class Coverage:
         room = mutant.file.split("/")[1]
 
         def cost(file: str) -> tuple[bool, float, str]:
-            return not file.startswith(f"tests/{room}/"), sum(self.seconds[t] for t in files[file]), file
+            return (
+                not file.startswith(f"tests/{room}/"),
+                sum(self.seconds[t] for t in files[file]),
+                file,
+            )
 
-        return [t for file in sorted(files, key=cost) for t in sorted(files[file], key=lambda t: (self.seconds[t], t))]
+        return [
+            t
+            for file in sorted(files, key=cost)
+            for t in sorted(files[file], key=lambda t: (self.seconds[t], t))
+        ]
 
 
 def _file(test: str) -> str:
@@ -81,11 +99,15 @@ def _file(test: str) -> str:
 
 
 def copy_of(root: Path, folder: Path) -> Path:
-    """A copy of what git knows of a checkout, and of its compiled kernels, with the times of their files.
+    """A copy of what git knows of a checkout, and of its compiled kernels, with the times of their
+    files.
 
-    A mutant whose tests had to compile the kernels first would run out of its time, and count as killed.
+    A mutant whose tests had to compile the kernels first would run out of its time, and count as
+    killed.
     """
-    names = subprocess.check_output(["git", "-C", str(root), "ls-files", "-z"], text=True).split("\0")
+    names = subprocess.check_output(["git", "-C", str(root), "ls-files", "-z"], text=True).split(
+        "\0"
+    )
     compiled = [path.relative_to(root).as_posix() for path in (root / "kernels").rglob("*.nb[ic]")]
     for name in filter(None, [*names, *compiled]):
         if (root / name).is_file():
@@ -101,15 +123,23 @@ def load_once() -> None:
 
 
 def warm(tree: Path, folders: Sequence[str], scratch: Path) -> None:
-    """Compile what the tests in ``folders`` import, so that each mutant's process compiles its own module only."""
+    """Compile what the tests in ``folders`` import, so that each mutant's process compiles its own
+    module only."""
     _forked(tree, scratch, 0, lambda: _pytest(folders, options=[*OPTIONS, "--collect-only"]))
 
 
-def covered(tree: Path, folders: Sequence[str], scratch: Path, file: Path) -> None:
+def covered(
+    tree: Path,
+    folders: Sequence[str],
+    scratch: Path,
+    file: Path,
+) -> None:
     """Run the tests in ``folders`` and write what each executes to ``file``."""
     code = _forked(tree, scratch, 0, lambda: _measure(tree, folders, scratch, file))
     if code or not file.exists():
-        raise RuntimeError(f"the tests in {', '.join(folders)} cannot be measured; see {scratch / 'out.txt'}")
+        raise RuntimeError(
+            f"the tests in {', '.join(folders)} cannot be measured; see {scratch / 'out.txt'}"
+        )
 
 
 def read_coverage(files: Iterable[Path]) -> Coverage:
@@ -125,15 +155,22 @@ def read_coverage(files: Iterable[Path]) -> Coverage:
     return Coverage(seconds=seconds, lines=lines)
 
 
-def verdict(tree: Path, mutant: Mutant, tests: Sequence[str], seconds: float, scratch: Path) -> str:
-    """ "killed", "survived" or "timed out": what the tests say about a mutant in a copy of the checkout.
+def verdict(
+    tree: Path,
+    mutant: Mutant,
+    tests: Sequence[str],
+    seconds: float,
+    scratch: Path,
+) -> str:
+    """ "killed", "survived" or "timed out": what the tests say about a mutant in a copy of the
+    checkout.
 
     Args:
         tree: The copy; the mutant's file is as before at the end.
         mutant: The change.
         tests: Names of tests, in their order.
-        seconds: Time that the tests take without the change; five times as much of a processor's time, and 20 s, is
-            the limit.
+        seconds: Time that the tests take without the change; five times as much of a processor's
+            time, and 20 s, is the limit.
         scratch: Folder for the output and for what tests write.
     """
     if not tests:
@@ -143,7 +180,12 @@ def verdict(tree: Path, mutant: Mutant, tests: Sequence[str], seconds: float, sc
     try:
         path.write_text(mutated(source, mutant.operator, mutant.occurrence), "utf-8")
         limit = round(20 + 5 * seconds)
-        code = _forked(tree, scratch, limit, lambda: _pytest(list(dict.fromkeys(map(_file, tests))), Only(tests)))
+        code = _forked(
+            tree,
+            scratch,
+            limit,
+            lambda: _pytest(list(dict.fromkeys(map(_file, tests))), Only(tests)),
+        )
     finally:
         path.write_text(source, "utf-8")
         os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
@@ -152,8 +194,16 @@ def verdict(tree: Path, mutant: Mutant, tests: Sequence[str], seconds: float, sc
     return "timed out" if code == -signal.SIGXCPU or code == -signal.SIGKILL else "killed"
 
 
-def _pytest(files: Sequence[str], *plugins: Any, options: Sequence[str] = OPTIONS) -> int:
-    return int(pytest.main([*options, f"--basetemp={os.environ['MUTANT_SCRATCH']}/tests", *files], plugins=plugins))
+def _pytest(
+    files: Sequence[str],
+    *plugins: Any,
+    options: Sequence[str] = OPTIONS,
+) -> int:
+    return int(
+        pytest.main(
+            [*options, f"--basetemp={os.environ['MUTANT_SCRATCH']}/tests", *files], plugins=plugins
+        )
+    )
 
 
 def _forked(tree: Path, scratch: Path, limit_s: int, work: Any) -> int:
@@ -201,11 +251,14 @@ class Only:
         self.place = {test: i for i, test in enumerate(tests)}
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        items[:] = sorted((i for i in items if i.nodeid in self.place), key=lambda item: self.place[item.nodeid])
+        items[:] = sorted(
+            (i for i in items if i.nodeid in self.place), key=lambda item: self.place[item.nodeid]
+        )
 
 
 class Recorder:
-    """Plugin of pytest: tells coverage which test runs, or which fixture that several tests share is made."""
+    """Plugin of pytest: tells coverage which test runs, or which fixture that several tests share
+    is made."""
 
     def __init__(self, coverage: Any):
         self.coverage, self.context = coverage, ""
@@ -224,7 +277,9 @@ class Recorder:
     def pytest_runtest_protocol(self, item: Any) -> Any:
         self._switch(item.nodeid)
         fixtures = item._fixtureinfo.name2fixturedefs.values()
-        self.shared[item.nodeid] = [_shared(f[-1]) for f in fixtures if f and f[-1].scope != "function"]
+        self.shared[item.nodeid] = [
+            _shared(f[-1]) for f in fixtures if f and f[-1].scope != "function"
+        ]
         before = sum(os.times()[:4])  # its own and its processes'
         yield
         self.seconds[item.nodeid] = sum(os.times()[:4]) - before
@@ -257,14 +312,25 @@ STARTS = "import coverage\n\ncoverage.process_startup()\n"
 """What each Python process of a test does first."""
 
 
-def _measure(tree: Path, folders: Sequence[str], scratch: Path, file: Path) -> int:
+def _measure(
+    tree: Path,
+    folders: Sequence[str],
+    scratch: Path,
+    file: Path,
+) -> int:
     import coverage
 
     (scratch / "config").write_text(CONFIG)
     (scratch / "sitecustomize.py").write_text(STARTS)
-    os.environ |= {"COVERAGE_PROCESS_START": str(scratch / "config"), "MUTANT_CONTEXT": "", "MUTANT_TREE": str(tree)}
+    os.environ |= {
+        "COVERAGE_PROCESS_START": str(scratch / "config"),
+        "MUTANT_CONTEXT": "",
+        "MUTANT_TREE": str(tree),
+    }
     os.environ["PYTHONPATH"] = f"{scratch}{os.pathsep}{tree}"
-    cov = coverage.Coverage(data_file=str(scratch / "coverage"), source=[str(tree / "gsfusion_nb")], messages=False)
+    cov = coverage.Coverage(
+        data_file=str(scratch / "coverage"), source=[str(tree / "gsfusion_nb")], messages=False
+    )
     recorder = Recorder(cov)
     cov.erase()
     cov.start()
@@ -282,7 +348,9 @@ def _measure(tree: Path, folders: Sequence[str], scratch: Path, file: Path) -> i
             line: sorted({i for context in contexts for i in users.get(context, ())})
             for line, contexts in data.contexts_by_lineno(name).items()
         }
-        lines[Path(name).relative_to(tree).as_posix()] = {line: tests for line, tests in by_line.items() if tests}
+        lines[Path(name).relative_to(tree).as_posix()] = {
+            line: tests for line, tests in by_line.items() if tests
+        }
     seconds = {test: recorder.seconds[test] for test in kept}
     file.write_text(json.dumps({"tests": kept, "seconds": seconds, "lines": lines}))
     return 0 if code in (0, 1) else code

@@ -2,13 +2,15 @@
 
     python tests/campaign/mutants.py --sample 40 --minutes 120      # of each room; prints a table
 
-A mutant is the program with one small change, made by an operator of Cosmic Ray (pip install cosmic-ray coverage). It
-is killed by a test that fails, and survives if all tests pass that execute the changed line. First the tests of each
-room run once under coverage, which says what each of them executes. Then each mutant is tested in a process of its own
-(a fork of this one), until the first failure.
+A mutant is the program with one small change, made by an operator of Cosmic Ray (pip install
+cosmic-ray coverage). It is killed by a test that fails, and survives if all tests pass that execute
+the changed line. First the tests of each room run once under coverage, which says what each of them
+executes. Then each mutant is tested in a process of its own (a fork of this one), until the first
+failure.
 
-``survivors.toml`` lists mutants that may survive, each with a reason: "equivalent" if nothing that the program promises
-is another, "untested" if it is not worth a test. Survivors that are not listed are printed.
+``survivors.toml`` lists mutants that may survive, each with a reason: "equivalent" if nothing that
+the program promises is another, "untested" if it is not worth a test. Survivors that are not listed
+are printed.
 """
 
 import argparse
@@ -29,9 +31,31 @@ for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS"):
 
 ROOT = Path(__file__).resolve().parents[2]
 SURVIVORS = Path(__file__).with_name("survivors.toml")
-ROOMS = ("render", "tsdf", "gaussians", "optim", "evaluation", "seeding", "tracking", "data", "mapping", "compare")
+ROOMS = (
+    "render",
+    "tsdf",
+    "gaussians",
+    "optim",
+    "evaluation",
+    "seeding",
+    "tracking",
+    "data",
+    "mapping",
+    "compare",
+)
 TESTS = (
-    *("geometry", "tsdf", "gaussians", "render", "seeding", "optim", "tracking", "export", "evaluation", "mapping"),
+    *(
+        "geometry",
+        "tsdf",
+        "gaussians",
+        "render",
+        "seeding",
+        "optim",
+        "tracking",
+        "export",
+        "evaluation",
+        "mapping",
+    ),
     *("data", "recordings", "runs", "compare", "kernels"),
 )
 """Folders of the tests that count."""
@@ -42,19 +66,40 @@ MOST_S = 30.0
 
 
 def main() -> int:
-    """Run a campaign and print its table; 1 if fewer mutants of a room were killed than there must be."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rooms", nargs="+", choices=ROOMS, default=list(ROOMS), help="all by default")
+    """Run a campaign and print its table; 1 if fewer mutants of a room were killed than there must
+    be."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
-        "--tests", nargs="+", choices=TESTS, default=list(TESTS), help="folders of tests; all by default"
+        "--rooms", nargs="+", choices=ROOMS, default=list(ROOMS), help="all by default"
+    )
+    parser.add_argument(
+        "--tests",
+        nargs="+",
+        choices=TESTS,
+        default=list(TESTS),
+        help="folders of tests; all by default",
     )
     parser.add_argument("--sample", type=int, default=40, help="mutants of each room")
     parser.add_argument("--seed", type=int, default=0, help="another seed draws other mutants")
-    parser.add_argument("--minutes", type=float, default=120.0, help="no further mutant is begun after so long")
-    parser.add_argument("--least", type=float, default=90.0, help="per cent of each room's mutants to be killed")
-    parser.add_argument("--again", type=Path, help="only the survivors of an earlier --results file")
-    parser.add_argument("--results", type=Path, help="file for the verdicts, one a line; what it has is not run again")
-    parser.add_argument("--keep", type=Path, help="folder that keeps the coverage for the next call")
+    parser.add_argument(
+        "--minutes", type=float, default=120.0, help="no further mutant is begun after so long"
+    )
+    parser.add_argument(
+        "--least", type=float, default=90.0, help="per cent of each room's mutants to be killed"
+    )
+    parser.add_argument(
+        "--again", type=Path, help="only the survivors of an earlier --results file"
+    )
+    parser.add_argument(
+        "--results",
+        type=Path,
+        help="file for the verdicts, one a line; what it has is not run again",
+    )
+    parser.add_argument(
+        "--keep", type=Path, help="folder that keeps the coverage for the next call"
+    )
     parser.add_argument("--root", type=Path, default=ROOT, help="the checkout, by default this one")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="mutants") as folder:
@@ -73,7 +118,9 @@ def campaign(options: argparse.Namespace, folder: Path) -> list[dict]:
     tree = copy_of(options.root, folder / "tree")
     load_once()
     warm(tree, [f"tests/{folder}" for folder in options.tests], folder / "scratch")
-    coverage = measured(tree, options.tests, options.keep or folder / "coverage", folder / "scratch")
+    coverage = measured(
+        tree, options.tests, options.keep or folder / "coverage", folder / "scratch"
+    )
     verdicts = read_verdicts(options.results) if options.results else []
     known = {(v["operator"], v["occurrence"], *key_of(v)) for v in verdicts}
     if options.again:
@@ -81,7 +128,9 @@ def campaign(options: argparse.Namespace, folder: Path) -> list[dict]:
         mutants = [moved for v in found for moved in moved_to(tree, v)]
     else:
         mutants = [
-            m for room in options.rooms for m in sample(tree, f"gsfusion_nb/{room}", options.sample, options.seed)
+            m
+            for room in options.rooms
+            for m in sample(tree, f"gsfusion_nb/{room}", options.sample, options.seed)
         ]
     for mutant in mutants:
         if (mutant.operator, mutant.occurrence, *mutant.key) in known:
@@ -96,12 +145,15 @@ def campaign(options: argparse.Namespace, folder: Path) -> list[dict]:
         if options.results:
             with options.results.open("a") as file:
                 file.write(json.dumps(verdicts[-1]) + "\n")
-        sys.stderr.write(f"{time.strftime('%H:%M:%S')} {what}, {len(tests)} tests of {spent:.0f} s: {mutant}\n")
+        sys.stderr.write(
+            f"{time.strftime('%H:%M:%S')} {what}, {len(tests)} tests of {spent:.0f} s: {mutant}\n"
+        )
     return verdicts
 
 
 def measured(tree: Path, folders: Sequence[str], kept: Path, scratch: Path):
-    """The coverage of some folders of tests; what ``kept`` has of the same files is not measured again."""
+    """The coverage of some folders of tests; what ``kept`` has of the same files is not measured
+    again."""
     from mutant_tests import covered, read_coverage
 
     kept = kept.resolve()  # the processes that measure work in the copy
@@ -122,7 +174,8 @@ def measured(tree: Path, folders: Sequence[str], kept: Path, scratch: Path):
 
 
 def moved_to(tree: Path, verdict: dict):
-    """The same mutant where its line is today, if it is anywhere; of any operator if none is named."""
+    """The same mutant where its line is today, if it is anywhere; of any operator if none is
+    named."""
     from mutant_sites import described, sites
 
     path = tree / verdict["file"]
@@ -152,7 +205,9 @@ def key_of(verdict: dict) -> tuple[str, str, str]:
 def entries() -> dict[tuple[str, str, str], dict[str, str]]:
     """What ``survivors.toml`` says of each mutant that it lists: "kind" and "reason"."""
     groups = tomllib.loads(SURVIVORS.read_text("utf-8"))
-    return {key_of(entry): entry | {"kind": kind} for kind, some in groups.items() for entry in some}
+    return {
+        key_of(entry): entry | {"kind": kind} for kind, some in groups.items() for entry in some
+    }
 
 
 def listed() -> dict[tuple[str, str, str], str]:
@@ -160,7 +215,10 @@ def listed() -> dict[tuple[str, str, str], str]:
     return {key: entry["kind"] for key, entry in entries().items()}
 
 
-def of_list(verdict: dict, known: dict[tuple[str, str, str], str]) -> str:
+def of_list(
+    verdict: dict,
+    known: dict[tuple[str, str, str], str],
+) -> str:
     """The verdict; for a survivor that is listed, as what."""
     what = str(verdict["verdict"])
     return known.get(key_of(verdict), what) if what in SURVIVED else what
@@ -169,7 +227,10 @@ def of_list(verdict: dict, known: dict[tuple[str, str, str], str]) -> str:
 KINDS = ("killed", "timed out", "survived", "not executed", "untested", "equivalent")
 
 
-def by_room(verdicts: Iterable[dict], known: dict[tuple[str, str, str], str]) -> dict[str, Counter]:
+def by_room(
+    verdicts: Iterable[dict],
+    known: dict[tuple[str, str, str], str],
+) -> dict[str, Counter]:
     """How many mutants of each room ended as what."""
     rooms: dict[str, Counter] = defaultdict(Counter)
     for verdict in verdicts:
@@ -183,7 +244,10 @@ def killed(counts: Counter) -> float:
     return 100 * (counts["killed"] + counts["timed out"]) / real if real else 100.0
 
 
-def report(verdicts: Iterable[dict], known: dict[tuple[str, str, str], str]) -> str:
+def report(
+    verdicts: Iterable[dict],
+    known: dict[tuple[str, str, str], str],
+) -> str:
     """The survivors that are not listed, and a table by room."""
     lines = []
     for verdict in verdicts:
@@ -193,7 +257,10 @@ def report(verdicts: Iterable[dict], known: dict[tuple[str, str, str], str]) -> 
     rooms = by_room(verdicts, known)
     rows = [*rooms.items(), ("together", sum(rooms.values(), Counter()))]
     table = [("room", "mutants", *KINDS, "killed, %")]
-    table += [(name, counts.total(), *(counts[k] for k in KINDS), f"{killed(counts):.0f}") for name, counts in rows]
+    table += [
+        (name, counts.total(), *(counts[k] for k in KINDS), f"{killed(counts):.0f}")
+        for name, counts in rows
+    ]
     return "\n".join([*lines, "", *(" ".join(f"{cell:>12}" for cell in row) for row in table), ""])
 
 

@@ -9,7 +9,21 @@ import zipfile
 from typing import Any
 
 NUMBERS = (
-    *("0", "-1", "1", "0.5", "1e30", "-1e30", "1e-30", "nan", "inf", "-inf", "1e400", "4294967296", "-2147483649"),
+    *(
+        "0",
+        "-1",
+        "1",
+        "0.5",
+        "1e30",
+        "-1e30",
+        "1e-30",
+        "nan",
+        "inf",
+        "-inf",
+        "1e400",
+        "4294967296",
+        "-2147483649",
+    ),
     *("9" * 400, "1" + "0" * 60, "abc", "", "0x10", "1_000", "18446744073709551616"),
 )
 BYTES = tuple(
@@ -46,8 +60,14 @@ VALUES: tuple[Any, ...] = (
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 
 
-def mutated(data: bytes, name: str, rng: random.Random, others: list[bytes]) -> bytes:
-    """``data`` with one to three faults; ``name`` says what kind of file it is, ``others`` are spliced in."""
+def mutated(
+    data: bytes,
+    name: str,
+    rng: random.Random,
+    others: list[bytes],
+) -> bytes:
+    """``data`` with one to three faults; ``name`` says what kind of file it is, ``others`` are
+    spliced in."""
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         ways = [_bits, _cut, _cut_out, _twice, _splice, _overwrite, _overwrite]
         suffix = name.rsplit(".", 1)[-1].lower() if "." in name else name
@@ -119,7 +139,10 @@ def _line(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
     elif way == 3:
         lines[i] = b" ".join(lines[i].split()[:-1])
     else:
-        lines.insert(i, rng.choice((b"\xff\xfe", b"# x", b"\0\0", b"a b c", b"1 2", b"\xc3\xa9", b" " * 10000)))
+        lines.insert(
+            i,
+            rng.choice((b"\xff\xfe", b"# x", b"\0\0", b"a b c", b"1 2", b"\xc3\xa9", b" " * 10000)),
+        )
     return b"\n".join(lines)
 
 
@@ -127,8 +150,24 @@ def _header(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
     end = data.find(b"end_header")
     head, rest = data[: max(end, 0)], data[max(end, 0) :]
     if rng.randrange(2):
-        kinds = (b"float", b"uchar", b"int", b"double", b"list uchar int", b"list uint float", b"int8", b"nothing")
-        return head.replace(rng.choice((b"float", b"uchar", b"int")), rng.choice(kinds), rng.choice((1, 2, -1))) + rest
+        kinds = (
+            b"float",
+            b"uchar",
+            b"int",
+            b"double",
+            b"list uchar int",
+            b"list uint float",
+            b"int8",
+            b"nothing",
+        )
+        return (
+            head.replace(
+                rng.choice((b"float", b"uchar", b"int")),
+                rng.choice(kinds),
+                rng.choice((1, 2, -1)),
+            )
+            + rest
+        )
     return (_number if rng.randrange(2) else _line)(head or b"ply", rng, others) + rest
 
 
@@ -150,14 +189,21 @@ def _json(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
 
 
 def _places(node: Any):
-    children = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+    children = (
+        node.items()
+        if isinstance(node, dict)
+        else enumerate(node)
+        if isinstance(node, list)
+        else ()
+    )
     for key, child in children:
         yield node, key
         yield from _places(child)
 
 
 def _json_text(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
-    """What a writer of JSON does not produce: equal keys, NaN, deep brackets, numbers without end."""
+    """What a writer of JSON does not produce: equal keys, NaN, deep brackets, numbers without
+    end."""
     way = rng.randrange(4)
     values = list(re.finditer(rb":\s*(-?[\d.eE+-]+|\"[^\"]*\")", data))
     if way == 0 or not values:
@@ -166,7 +212,9 @@ def _json_text(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
     match = rng.choice(values)
     if way == 1:
         key = re.findall(rb'"[^"]*"\s*$', data[: match.start()])
-        return data[: match.end()] + b", " + (key[0] if key else b'"a"') + b": 1" + data[match.end() :]
+        return (
+            data[: match.end()] + b", " + (key[0] if key else b'"a"') + b": 1" + data[match.end() :]
+        )
     value = rng.choice((b"NaN", b"Infinity", b"-Infinity", b"1e999", b"9" * 400, b"[" * 5000))
     return data[: match.start()] + b": " + value + data[match.end() :]
 
@@ -185,11 +233,15 @@ def _member(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
     if way == 0:
         del members[name]
     elif way == 1:
-        members[rng.choice(("../x", "/x", "a\0b", "metadata", "rgbd/99999999999.jpg", "rgbd/x.jpg"))] = members[name]
+        members[
+            rng.choice(("../x", "/x", "a\0b", "metadata", "rgbd/99999999999.jpg", "rgbd/x.jpg"))
+        ] = members[name]
     else:
         members[name] = mutated(members[name], name, rng, others)
     out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as made:
+    with zipfile.ZipFile(
+        out, "w", rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
+    ) as made:
         for key, content in members.items():
             made.writestr(key, content)
     return out.getvalue()

@@ -49,7 +49,10 @@ def _check_times(times: list[float], notes: str = "") -> None:
 
 def _check_frames(sequence: Any, at_most: int = 2) -> None:
     c = sequence.camera
-    _need(all(math.isfinite(float(v)) for v in vars(c).values()) and min(c.fx, c.fy) > 0, f"the camera {c}")
+    _need(
+        all(math.isfinite(float(v)) for v in vars(c).values()) and min(c.fx, c.fy) > 0,
+        f"the camera {c}",
+    )
     error: BadFrameError | None = None
     for i in range(min(at_most, len(sequence))):
         try:
@@ -60,9 +63,15 @@ def _check_frames(sequence: Any, at_most: int = 2) -> None:
         T = frame.T_WC.double()
         _need(bool(torch.isfinite(T).all()), "a pose is not finite")
         gap = (T[:3, :3] @ T[:3, :3].T - torch.eye(3, dtype=torch.float64)).abs().max()
-        _need(float(gap) < 2e-3 and float(torch.linalg.det(T[:3, :3])) > 0, "a pose is not rigid")
+        _need(
+            float(gap) < 2e-3 and float(torch.linalg.det(T[:3, :3])) > 0,
+            "a pose is not rigid",
+        )
         depth = frame.depth_m
-        _need(bool(torch.isfinite(depth).all()) and float(depth.min()) >= 0, "depth is not finite or negative")
+        _need(
+            bool(torch.isfinite(depth).all()) and float(depth.min()) >= 0,
+            "depth is not finite or negative",
+        )
     if error is not None:
         raise error
 
@@ -103,7 +112,10 @@ def convert(path: Path) -> None:
     made = folder(out, poses=(out / "poses.txt").exists())
     rows = (out / "times.txt").read_text().splitlines()[1:]
     notes = " ".join([*report.notes, *report.examples, *report.dropped])
-    _check_times([float(row.split()[1]) for row in rows if not row.endswith("nan")], notes)
+    _check_times(
+        [float(row.split()[1]) for row in rows if not row.endswith("nan")],
+        notes,
+    )
     _check_frames(made)
 
 
@@ -166,11 +178,20 @@ def resume(path: Path) -> None:
         for name, table in run.mapper.maps().items():
             for column in table.values():
                 finite = bool(torch.isfinite(column.float()).all())
-                _need(finite or any("NaN" in note for note in run.mapper.notes), f"{name} is not finite")
+                _need(
+                    finite or any("NaN" in note for note in run.mapper.notes),
+                    f"{name} is not finite",
+                )
         states = getattr(run.mapper.gaussians, "state", torch.zeros(0))
-        _need(bool(((states == 0) | (states == 1)).all()), "a state that there is not")
+        _need(
+            bool(((states == 0) | (states == 1)).all()),
+            "a state that there is not",
+        )
         for keyframe in run.mapper.keyframes:
-            _need(keyframe.rgb_u8.shape[:2] == (keyframe.camera.height, keyframe.camera.width), "a keyframe's size")
+            _need(
+                keyframe.rgb_u8.shape[:2] == (keyframe.camera.height, keyframe.camera.width),
+                "a keyframe's size",
+            )
             _need(bool(torch.isfinite(keyframe.T_WC).all()), "a keyframe's pose is not finite")
         for steps in (run.online(), run.optimise()):
             try:
@@ -233,7 +254,18 @@ def archive(path: Path) -> None:
 
 
 TARGETS: dict[str, Callable[[Path], None]] = {
-    f.__name__: f for f in (sequence, growing, convert, trajectory, run_trajectory, intrinsics, matrix, gaussians, mesh)
+    f.__name__: f
+    for f in (
+        sequence,
+        growing,
+        convert,
+        trajectory,
+        run_trajectory,
+        intrinsics,
+        matrix,
+        gaussians,
+        mesh,
+    )
 } | {f.__name__: f for f in (resume, settings, rescore, archive, altered, altered_tsdf)}
 CORRECTED = ("growing", "resume", "altered", "altered_tsdf")
 """Targets that continue without a damaged file: a folder may still grow."""

@@ -13,7 +13,9 @@ FUZZ = Path(__file__).parent / "fuzz.py"
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is measured as Linux does")
+@pytest.mark.skipif(
+    not Path("/proc/self/clear_refs").exists(), reason="memory is measured as Linux does"
+)
 def test_damaged_and_hostile_files():
     command = [sys.executable, str(FUZZ), "--inputs", "1500", "--seed", "8"]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -23,7 +25,9 @@ def test_damaged_and_hostile_files():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is measured as Linux does")
+@pytest.mark.skipif(
+    not Path("/proc/self/clear_refs").exists(), reason="memory is measured as Linux does"
+)
 def test_altered_checkpoints_with_right_checksums():
     command = [sys.executable, str(FUZZ), "--inputs", "1200", "--seed", "1", "--target", "altered"]
     done = subprocess.run(command, capture_output=True, text=True)

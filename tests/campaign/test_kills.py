@@ -1,4 +1,5 @@
-"""A handful of kills in CI, five processes that map; the whole campaign: python tests/campaign/kills.py."""
+"""A handful of kills in CI, five processes that map; the whole campaign: python
+tests/campaign/kills.py."""
 
 import subprocess
 import sys
@@ -12,7 +13,11 @@ pytestmark = pytest.mark.skipif(not hasattr(__import__("os"), "fork"), reason="n
 
 
 def run(*options: str) -> str:
-    done = subprocess.run([sys.executable, str(SCRIPT), *options], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, str(SCRIPT), *options],
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
     return done.stdout
 

@@ -1,4 +1,5 @@
-"""What the campaign of mutants changes, which tests it chooses, and what its table says; by hand on small sources."""
+"""What the campaign of mutants changes, which tests it chooses, and what its table says; by hand on
+small sources."""
 
 import ast
 import os
@@ -8,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-pytest.importorskip("cosmic_ray", reason="make campaign installs it: pip install cosmic-ray coverage")
+pytest.importorskip(
+    "cosmic_ray", reason="make campaign installs it: pip install cosmic-ray coverage"
+)
 
 sys.path.append(str(Path(__file__).parent))
 import mutant_sites
@@ -70,21 +73,36 @@ def test_lines_with_which_a_change_has_an_effect(line, lines):
 
 
 def mutant(**changed):
-    values = {"file": "gsfusion_nb/render/a.py", "operator": "NumberReplacer", "occurrence": 0, "line": 2}
-    return mutant_sites.Mutant(**values | {"runs_with": (2,), "original": "return 1", "changed": "return 2"} | changed)
+    values = {
+        "file": "gsfusion_nb/render/a.py",
+        "operator": "NumberReplacer",
+        "occurrence": 0,
+        "line": 2,
+    }
+    return mutant_sites.Mutant(
+        **values | {"runs_with": (2,), "original": "return 1", "changed": "return 2"} | changed
+    )
 
 
 def test_the_room_s_own_tests_come_first_then_others_that_know_the_module():
-    seconds = {"tests/map/test_m.py::a": 1.0, "tests/render/test_a.py::slow": 9.0, "tests/render/test_a.py::quick": 1.0}
+    seconds = {
+        "tests/map/test_m.py::a": 1.0,
+        "tests/render/test_a.py::slow": 9.0,
+        "tests/render/test_a.py::quick": 1.0,
+    }
     seconds |= {"tests/render/test_a.py::other": 1.0, "tests/render/test_b.py::far": 1.0}
     m, slow, quick, other, far = seconds
     lines = {"gsfusion_nb/render/a.py": {2: [m, slow, quick], 9: [other, far]}}
     coverage = mutant_tests.Coverage(seconds=seconds, lines=lines)
     assert coverage.of(mutant(), 100.0) == [quick, slow, m, other, far]
     assert coverage.of(mutant(), 4.0) == [quick, m, other, far]
-    assert set(coverage.of(mutant(runs_with=(3,)), 100.0)) == set(seconds)  # an import may execute it
+    assert set(coverage.of(mutant(runs_with=(3,)), 100.0)) == set(
+        seconds
+    )  # an import may execute it
     assert coverage.of(mutant(file="gsfusion_nb/render/unknown.py"), 100.0) == []
-    assert set(coverage.of(mutant(runs_with=(), file="gsfusion_nb/render/constants.py"), 100.0)) == set(seconds)
+    assert set(
+        coverage.of(mutant(runs_with=(), file="gsfusion_nb/render/constants.py"), 100.0)
+    ) == set(seconds)
 
 
 MEASURED = """
@@ -112,19 +130,30 @@ def test_that_fails():
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_a_line_belongs_to_the_tests_that_need_it(tmp_path):
-    """What a shared fixture executes is needed by all tests that use it, and a process belongs to its test."""
+    """What a shared fixture executes is needed by all tests that use it, and a process belongs to
+    its test."""
     tree = tmp_path / "tree"
     for folder in ("tests/x", "gsfusion_nb"):
         (tree / folder).mkdir(parents=True)
     (tree / "gsfusion_nb/__init__.py").touch()
-    (tree / "gsfusion_nb/m.py").write_text("".join(f"def {f}():\n    return {i}\n" for f, i in FUNCTIONS.items()))
+    (tree / "gsfusion_nb/m.py").write_text(
+        "".join(f"def {f}():\n    return {i}\n" for f, i in FUNCTIONS.items())
+    )
     (tree / "tests/x/test_m.py").write_text(MEASURED)
     measure = "import mutant_tests, pathlib; mutant_tests.covered({}, ['tests/x'], {}, {})"
     paths = [f"pathlib.Path({str(p)!r})" for p in (tree, tmp_path / "scratch", tmp_path / "m.json")]
-    subprocess.run([sys.executable, "-c", measure.format(*paths)], cwd=Path(__file__).parent, check=True)
+    subprocess.run(
+        [sys.executable, "-c", measure.format(*paths)],
+        cwd=Path(__file__).parent,
+        check=True,
+    )
     lines = mutant_tests.read_coverage([tmp_path / "m.json"]).lines["gsfusion_nb/m.py"]
     found = {name: {t.split("::")[1] for t in lines[2 * i + 2]} for i, name in enumerate(FUNCTIONS)}
-    assert found == {"shared": {"test_first", "test_second"}, "own": {"test_second"}, "there": {"test_in_a_process"}}
+    assert found == {
+        "shared": {"test_first", "test_second"},
+        "own": {"test_second"},
+        "there": {"test_in_a_process"},
+    }
 
 
 FUNCTIONS = {"shared": 1, "own": 2, "there": 3}
@@ -132,14 +161,17 @@ FUNCTIONS = {"shared": 1, "own": 2, "there": 3}
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.parametrize(
-    ("test", "what"), [("assert f() == 1", "killed"), ("assert f() > 0", "survived"), ("import m", "survived")]
+    ("test", "what"),
+    [("assert f() == 1", "killed"), ("assert f() > 0", "survived"), ("import m", "survived")],
 )
 def test_a_mutant_is_killed_by_a_test_that_fails(tmp_path, test, what):
     tree = tmp_path / "tree"
     (tree / "tests").mkdir(parents=True)
     (tree / "m.py").write_text("def f():\n    return 1\n")
     (tree / "tests/test_m.py").write_text(f"from m import f\n\ndef test_f():\n    {test}\n")
-    verdict = mutant_tests.verdict(tree, mutant(file="m.py"), ["tests/test_m.py::test_f"], 1.0, tmp_path / "scratch")
+    verdict = mutant_tests.verdict(
+        tree, mutant(file="m.py"), ["tests/test_m.py::test_f"], 1.0, tmp_path / "scratch"
+    )
     assert verdict == what, (tmp_path / "scratch/out.txt").read_text()
     assert Path(tree / "m.py").read_text() == "def f():\n    return 1\n"
 
@@ -150,23 +182,41 @@ def test_the_table_counts_a_listed_survivor_as_what_it_is():
         "timed out": "gsfusion_nb/render/a.py",
         "survived": "gsfusion_nb/tsdf/b.py",
     }
-    verdicts = [{"verdict": v, "file": f, "line": 3, "original": v, "changed": "x"} for v, f in by_file.items()]
+    verdicts = [
+        {"verdict": v, "file": f, "line": 3, "original": v, "changed": "x"}
+        for v, f in by_file.items()
+    ]
     verdicts.append(verdicts[2] | {"file": "gsfusion_nb/render/a.py"})
     known = {
         ("gsfusion_nb/render/a.py", "survived", "x"): "equivalent",
         ("gsfusion_nb/render/a.py", "killed", "x"): "untested",
     }
     rooms = mutants.by_room(verdicts, known)
-    assert rooms == {"render": {"killed": 1, "timed out": 1, "equivalent": 1}, "tsdf": {"survived": 1}}
-    assert {room: mutants.killed(counts) for room, counts in rooms.items()} == {"render": 100.0, "tsdf": 0.0}
+    assert rooms == {
+        "render": {"killed": 1, "timed out": 1, "equivalent": 1},
+        "tsdf": {"survived": 1},
+    }
+    assert {room: mutants.killed(counts) for room, counts in rooms.items()} == {
+        "render": 100.0,
+        "tsdf": 0.0,
+    }
     text = mutants.report(verdicts, known)
     assert text.startswith("survived: gsfusion_nb/tsdf/b.py:3\n    - survived\n    + x\n\n")
-    assert [line.split()[0] for line in text.splitlines()[-4:]] == ["room", "render", "tsdf", "together"]
+    assert [line.split()[0] for line in text.splitlines()[-4:]] == [
+        "room",
+        "render",
+        "tsdf",
+        "together",
+    ]
     assert [line.split()[-1] for line in text.splitlines()[-3:]] == ["100", "0", "67"]
 
 
 def test_every_listed_survivor_is_a_line_of_its_file_and_has_a_reason():
     """A line that is gone takes its entry with it."""
-    gone = [key for key, entry in mutants.entries().items() if not any(mutants.moved_to(mutants.ROOT, entry))]
+    gone = [
+        key
+        for key, entry in mutants.entries().items()
+        if not any(mutants.moved_to(mutants.ROOT, entry))
+    ]
     assert gone == []
     assert all(len(entry["reason"]) > 10 for entry in mutants.entries().values())

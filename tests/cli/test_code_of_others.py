@@ -1,4 +1,5 @@
-"""Code that a file of somebody else's names is executed only where the user names it, or says yes on a terminal."""
+"""Code that a file of somebody else's names is executed only where the user names it, or says yes
+on a terminal."""
 
 import io
 import json
@@ -20,8 +21,14 @@ RULE = "def near(ctx, *, step=5):\n    return ctx.seeds_at(ctx.pixels()[::step],
 HELPER = "STEP = 5\n"
 SPY = "import pathlib\npathlib.Path({place!r}).touch()\n"
 """What shows that code was executed."""
-FAST = {"data__width": 32, "data__height": 24, "data__stop": 4, "sh_degree": 0, "tsdf__voxel_size_m": 0.1,
-        "optim__global_iterations": 0}  # fmt: skip
+FAST = {
+    "data__width": 32,
+    "data__height": 24,
+    "data__stop": 4,
+    "sh_degree": 0,
+    "tsdf__voxel_size_m": 0.1,
+    "optim__global_iterations": 0,
+}
 
 
 class Terminal(io.StringIO):
@@ -39,7 +46,8 @@ def ran(tmp_path):
 
 @pytest.fixture
 def stranger(tmp_path, ran, monkeypatch):
-    """The folder of a run of a rule in a file, interrupted after two of four frames; nothing of it is loaded here."""
+    """The folder of a run of a rule in a file, interrupted after two of four frames; nothing of it
+    is loaded here."""
     own = tmp_path / "mine" / "my_rule.py"
     own.parent.mkdir()
     own.write_text(SPY.format(place=str(ran)) + "import thin\n" + RULE)
@@ -56,10 +64,21 @@ def stranger(tmp_path, ran, monkeypatch):
         patch.setattr(MappingRun, "_map", interrupted)
         with pytest.raises(KeyboardInterrupt) as end:
             run_mapping("room", config, folder=folder, evaluate=False, n_frames=20)
-    named = shlex.join(["gsfusion-nb", "map", "--resume", str(folder), "--seeding.rule", f"{folder / 'rule.py'}:near"])
+    named = shlex.join(
+        [
+            "gsfusion-nb",
+            "map",
+            "--resume",
+            str(folder),
+            "--seeding.rule",
+            f"{folder / 'rule.py'}:near",
+        ]
+    )
     assert any(note.endswith(named) for note in end.value.__notes__)
     assert (folder / "rule_modules/thin.py").read_text() == HELPER
-    (folder / "rule.py").write_text(own.read_text() + "# theirs\n")  # another module than the one that is loaded
+    (folder / "rule.py").write_text(
+        own.read_text() + "# theirs\n"
+    )  # another module than the one that is loaded
     ran.unlink()
     return folder
 
@@ -67,7 +86,9 @@ def stranger(tmp_path, ran, monkeypatch):
 def test_a_run_of_others_is_not_executed(stranger, ran, capsys, monkeypatch):
     file = stranger / "rule.py"
     for resume in (load_run, resume_mapping):
-        with pytest.raises(RuleNotNamedError, match="asks for the seeding rule 'near' in") as refused:
+        with pytest.raises(
+            RuleNotNamedError, match="asks for the seeding rule 'near' in"
+        ) as refused:
             resume(stranger)
         assert f"seeding='{file}:near'" in str(refused.value)
     monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
@@ -75,7 +96,9 @@ def test_a_run_of_others_is_not_executed(stranger, ran, capsys, monkeypatch):
         assert main(["map", *words]) == 1
         said = capsys.readouterr().err
         assert str(file) in said
-        assert said.strip().endswith(shlex.join(["gsfusion-nb", "map", *words, "--seeding.rule", f"{file}:near"]))
+        assert said.strip().endswith(
+            shlex.join(["gsfusion-nb", "map", *words, "--seeding.rule", f"{file}:near"])
+        )
     monkeypatch.setattr("sys.stdin", Terminal("\n"))
     assert main(["map", "--resume", str(stranger)]) == 1
     assert "Execute it now? [y/N]" in capsys.readouterr().err
@@ -88,7 +111,9 @@ def test_a_named_file_is_compared_before_it_is_executed(stranger, ran, tmp_path)
         resume_mapping(stranger, seeding=f"{tmp_path / 'other.py'}:near")
     assert not ran.exists()
     with pytest.raises(SequenceError, match=r"not as it was when .* began; different: "):
-        resume_mapping(stranger, seeding=f"{stranger / 'rule.py'}:near")  # named, but altered since the checkpoint
+        resume_mapping(
+            stranger, seeding=f"{stranger / 'rule.py'}:near"
+        )  # named, but altered since the checkpoint
     assert ran.exists()
 
 
@@ -104,7 +129,12 @@ def test_one_s_own_run_goes_on(stranger, tmp_path, capsys, monkeypatch, way):
 
 
 def settings_file(place, rule="near", **more):
-    document = {"system": "gsfusion", "rule": "near", "config": to_dict(gsfusion("room", **FAST)), **more}
+    document = {
+        "system": "gsfusion",
+        "rule": "near",
+        "config": to_dict(gsfusion("room", **FAST)),
+        **more,
+    }
     document["config"]["seeding"]["rule"] = rule
     (place / "config.json").write_text(json.dumps(document))
     return place / "config.json"
@@ -115,7 +145,9 @@ def settings_file(place, rule="near", **more):
 def test_settings_of_others_execute_nothing(tmp_path, ran, capsys, monkeypatch, way, command):
     (tmp_path / "rule.py").write_text(SPY.format(place=str(ran)) + RULE)
     beside = way == "a file beside it"
-    file = settings_file(tmp_path, **({"rule_from_file": True} if beside else {"rule": f"{tmp_path}/rule.py:near"}))
+    file = settings_file(
+        tmp_path, **({"rule_from_file": True} if beside else {"rule": f"{tmp_path}/rule.py:near"})
+    )
     monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
     typed = [*command, "--from-config", str(file)]
     assert main(typed) == 1
@@ -130,21 +162,27 @@ def test_settings_of_others_execute_nothing(tmp_path, ran, capsys, monkeypatch, 
 def test_settings_in_python_name_no_file(tmp_path):
     values = to_dict(gsfusion("room")) | {"seeding": {"rule": f"{tmp_path}/rule.py:near"}}
     for read in (from_run, from_dict):
-        with pytest.raises(ValueError, match=r"seeding\.rule must be the name of a rule, got the file"):
+        with pytest.raises(
+            ValueError, match=r"seeding\.rule must be the name of a rule, got the file"
+        ):
             read(GSFusionConfig, values)
 
 
 def test_eval_and_export_execute_nothing(tmp_path, ran, capsys):
     (tmp_path / "rule.py").write_text(SPY.format(place=str(ran)) + RULE)
     for rule in ("near", f"{tmp_path}/rule.py:near"):
-        settings_file(tmp_path, rule, rule_from_file=True, source={"path_or_name": "room"}, device="cpu")
+        settings_file(
+            tmp_path, rule, rule_from_file=True, source={"path_or_name": "room"}, device="cpu"
+        )
         (tmp_path / "metrics.json").write_text('{"metrics": {}}')
         assert main(["eval", str(tmp_path)]) == 1
         assert main(["export", str(tmp_path), str(tmp_path / "out.glb")]) == 1
     assert not ran.exists()
 
 
-TABLE = '[[rules]]\nrule = "uniform"\n[[rules]]\nrule = "their.py:near"\n[[scenes]]\ndata = "room"\n'
+TABLE = (
+    '[[rules]]\nrule = "uniform"\n[[rules]]\nrule = "their.py:near"\n[[scenes]]\ndata = "room"\n'
+)
 
 
 def test_the_table_of_a_comparison_executes_nothing(tmp_path, ran, capsys, monkeypatch):

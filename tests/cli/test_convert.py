@@ -1,4 +1,5 @@
-"""Recordings that do not say everything: questions at a terminal, and a sentence where there is none."""
+"""Recordings that do not say everything: questions at a terminal, and a sentence where there is
+none."""
 
 import numpy as np
 import pytest
@@ -83,7 +84,9 @@ def test_another_recording_of_the_same_name(scan, terminal, tmp_path):
     np.testing.assert_equal((tmp_path / "converted/scan/poses.txt").exists(), False)
 
 
-@pytest.mark.parametrize(("name", "says"), [("a.svo2", "ZED_SVO_Export"), ("mav0/cam0/data.csv", "without depth")])
+@pytest.mark.parametrize(
+    ("name", "says"), [("a.svo2", "ZED_SVO_Export"), ("mav0/cam0/data.csv", "without depth")]
+)
 def test_a_program_whose_recordings_are_not_read_is_named(tmp_path, monkeypatch, name, says):
     """Also by map and check, and not as a folder of no known layout."""
     monkeypatch.chdir(tmp_path)

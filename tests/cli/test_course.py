@@ -1,4 +1,5 @@
-"""``gsfusion-nb course``: the notebooks in a folder; progress by chapter, as JSON, and from the start again."""
+"""``gsfusion-nb course``: the notebooks in a folder; progress by chapter, as JSON, and from the
+start again."""
 
 import json
 import re
@@ -34,7 +35,10 @@ def test_progress_by_chapter(course_file, capsys):
 
 
 def test_a_path_is_one_word_on_every_system():
-    assert quoted(r"C:\Users\me\my course\00.ipynb", windows=True) == r'"C:\Users\me\my course\00.ipynb"'
+    assert (
+        quoted(r"C:\Users\me\my course\00.ipynb", windows=True)
+        == r'"C:\Users\me\my course\00.ipynb"'
+    )
     assert quoted("/home/me/my course/00.ipynb", windows=False) == "'/home/me/my course/00.ipynb'"
 
 
@@ -64,14 +68,20 @@ def test_options_of_the_folder_need_one(course_file, capsys, option):
 def test_a_damaged_file_is_said(course_file, capsys):
     course_file.write_text("[")
     assert main(["course"]) == 1
-    assert "It was left as it is. Rename it, or run  gsfusion-nb course --reset" in capsys.readouterr().err
+    assert (
+        "It was left as it is. Rename it, or run  gsfusion-nb course --reset"
+        in capsys.readouterr().err
+    )
 
 
 def test_the_notebooks_in_a_folder(tmp_path, capsys):
     folder = tmp_path / "my course"
     assert main(["course", str(folder)]) == 0
     said = capsys.readouterr().out
-    assert f"The notebooks are in {folder}. To open the first one: jupyter lab '{folder}/00_quickstart.ipynb'" in said
+    assert (
+        f"The notebooks are in {folder}. To open the first one: jupyter lab "
+        f"'{folder}/00_quickstart.ipynb'" in said
+    )
     first = folder / "00_quickstart.ipynb"
     assert "BEGIN SOLUTION" not in first.read_text()
     first.write_text(first.read_text() + " ")
@@ -81,7 +91,10 @@ def test_the_notebooks_in_a_folder(tmp_path, capsys):
     assert main(["course", str(first)]) == 1
     assert "is a file; expected a folder for the notebooks" in capsys.readouterr().err
     assert dead_links(folder) == []
-    assert "documentation/seeding_lab.md" in (folder / "09_write_your_own_seeding_rule.ipynb").read_text()
+    assert (
+        "documentation/seeding_lab.md"
+        in (folder / "09_write_your_own_seeding_rule.ipynb").read_text()
+    )
 
 
 def test_the_short_path_is_one_notebook(tmp_path):
@@ -100,12 +113,17 @@ def dead_links(folder: Path) -> list[str]:
     texts: list[tuple[Path, str]] = [(path, path.read_text()) for path in folder.rglob("*.md")]
     for path in folder.glob("*.ipynb"):
         for cell in json.loads(path.read_text())["cells"]:
-            outputs = [output.get("data", {}).get("text/html", "") for output in cell.get("outputs", ())]
+            outputs = [
+                output.get("data", {}).get("text/html", "") for output in cell.get("outputs", ())
+            ]
             texts += [
-                (path, "".join(text)) for text in (*outputs, *([cell["source"]] * (cell["cell_type"] == "markdown")))
+                (path, "".join(text))
+                for text in (*outputs, *([cell["source"]] * (cell["cell_type"] == "markdown")))
             ]
     found = [
-        (path, link) for path, text in texts for link in re.findall(r'\]\(([^)\s#]+)|(?:href|src)="([^"#]+)', text)
+        (path, link)
+        for path, text in texts
+        for link in re.findall(r'\]\(([^)\s#]+)|(?:href|src)="([^"#]+)', text)
     ]
     assert len(found) > 50
     relative = [
@@ -121,7 +139,15 @@ def test_the_wheel_holds_the_notebooks_and_the_licence(tmp_path):
     pytest.importorskip("setuptools", minversion="77", reason="setuptools >= 77 is not installed")
     source = tmp_path / "source"  # setuptools leaves a folder build
     source.mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE", "gsfusion_nb", "kernels", "notebooks", "docs"):
+    for name in (
+        "pyproject.toml",
+        "README.md",
+        "LICENSE",
+        "gsfusion_nb",
+        "kernels",
+        "notebooks",
+        "docs",
+    ):
         (source / name).symlink_to(ROOT / name)
     command = [
         sys.executable,
@@ -138,7 +164,9 @@ def test_the_wheel_holds_the_notebooks_and_the_licence(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     assert wheel.name.endswith("-py3-none-any.whl")  # nothing to compile
-    assert sum(name.startswith("gsfusion_nb/notebooks/") for name in names) == 14  # with the short path
+    assert (
+        sum(name.startswith("gsfusion_nb/notebooks/") for name in names) == 14
+    )  # with the short path
     assert "gsfusion_nb/docs/seeding_lab.md" in names  # what the notebooks link to
     assert any(name.endswith("/licenses/LICENSE") for name in names)
     assert "gsfusion_nb/kernels/project/numba.py" in names

@@ -30,7 +30,9 @@ def test_a_missing_package_is_named_with_its_remedy(capsys, monkeypatch):
 
 
 def test_opencv_twins_are_found(monkeypatch):
-    monkeypatch.setattr(doctor, "_version", lambda name: "5.0" if name.startswith("opencv") else None)
+    monkeypatch.setattr(
+        doctor, "_version", lambda name: "5.0" if name.startswith("opencv") else None
+    )
     check = doctor._opencv_twins()
     assert not check.ok
     assert "pip uninstall opencv-python" in check.remedy

@@ -1,4 +1,5 @@
-"""The help of every command: each name that it gives is in its registry, each default is that of the field."""
+"""The help of every command: each name that it gives is in its registry, each default is that of
+the field."""
 
 import dataclasses
 import re
@@ -23,7 +24,11 @@ CALLS = [
     *[("map", "--system", system) for system in SYSTEMS],
     ("map", "--preset", "tum", "--fidelity", "code"),
     *[("live", source) for source in ("folder", "realsense")],
-    *[(name,) for name in (*cli._MODULES, *cli._COMMANDS, *cli._COMPARING) if name not in ("map", "live")],
+    *[
+        (name,)
+        for name in (*cli._MODULES, *cli._COMMANDS, *cli._COMPARING)
+        if name not in ("map", "live")
+    ],
     ("course", "export"),
 ]
 FIDELITIES = {name for mapper in SYSTEMS.values() for name in mapper.fidelities}
@@ -35,7 +40,8 @@ NAMES = {
     "format": {"auto", *known_layouts()},
     "backend": {"auto", *BACKENDS},
 }
-"""Option -> what it may be. Other options of the same name have their own registry: ``OWN_NAMES``."""
+"""Option -> what it may be. Other options of the same name have their own registry:
+``OWN_NAMES``."""
 OWN_NAMES = {
     ("bench", "backend"): {"reference", "numba", "cuda"},
     ("bench", "what"): {"all", "raster", "tsdf", "map", "growth"},
@@ -45,8 +51,11 @@ OWN_NAMES = {
 }
 
 
-def help_of(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: Any) -> tuple[type, dict[str, str]]:
-    """The class of a command's options, and the help of each option by its name on the command line."""
+def help_of(
+    arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> tuple[type, dict[str, str]]:
+    """The class of a command's options, and the help of each option by its name on the command
+    line."""
     classes, parse = [], tyro.cli
 
     def noted(options: type, **rest: Any) -> Any:
@@ -70,7 +79,10 @@ def help_of(arguments: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, capsys:
     return classes[-1], blocks
 
 
-def fields_of(options: Any, path: str = "") -> Iterator[tuple[str, dataclasses.Field, Any]]:
+def fields_of(
+    options: Any,
+    path: str = "",
+) -> Iterator[tuple[str, dataclasses.Field, Any]]:
     """Each option: its dotted name, its field, and its default."""
     for f in dataclasses.fields(options):
         value = f.default
@@ -113,7 +125,9 @@ def test_each_default_is_shown_and_each_name_is_known(arguments, monkeypatch, ca
         if "names" in f.metadata:
             names = {str(n).partition(" ")[0] for n in f.metadata["names"]()}
             listed = text.partition("Known: ")[2]
-            assert {n for n in names if re.search(rf"(?<![\w\-]){re.escape(n)}(?![\w\-])", listed)} == names, text
+            assert {
+                n for n in names if re.search(rf"(?<![\w\-]){re.escape(n)}(?![\w\-])", listed)
+            } == names, text
             assert known is None or names == known
 
 
@@ -125,7 +139,9 @@ def test_the_help_names_backends_that_a_command_takes(name):
 
 def test_the_rules_that_a_text_names_are_registered():
     text = (Path(cli.__file__).parents[1] / "config/parts.py").read_text(encoding="utf-8")
-    named = text.partition('"""Name of a registered seeding rule: ')[2].partition(", another one")[0]
+    named = text.partition('"""Name of a registered seeding rule: ')[2].partition(", another one")[
+        0
+    ]
     assert len(named.split(", ")) == 5
     for rule in named.split(", "):
         get_rule(rule)

@@ -49,7 +49,9 @@ def test_a_mistake_of_ours_is_one_sentence_with_a_log(tmp_path, capsys, monkeypa
         (errno.EROFS, "the file system is read-only"),
     ],
 )
-def test_a_folder_that_may_not_be_written_is_named_in_full(tmp_path, capsys, monkeypatch, number, what):
+def test_a_folder_that_may_not_be_written_is_named_in_full(
+    tmp_path, capsys, monkeypatch, number, what
+):
     def refused(arguments):
         raise OSError(number, "what the system says", "runs")
 
@@ -74,6 +76,14 @@ def test_a_terminal_that_knows_few_letters(tmp_path):
 
 def test_data_scripts_too(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert fetch.run("", lambda name: [][3], ["fr1_desk"], ["fr1_desk", "--yes"]) == 1
+    assert (
+        fetch.run(
+            "",
+            lambda name: [][3],
+            ["fr1_desk"],
+            ["fr1_desk", "--yes"],
+        )
+        == 1
+    )
     assert "ended by an unexpected error, IndexError" in capsys.readouterr().err
     assert len(list(tmp_path.glob("*.log"))) == 1

@@ -29,8 +29,14 @@ def ended_folder(tmp_path, small_room):
     poses = []
     for i in range(6):
         frame = small_room[i]
-        assert cv2.imwrite(str(root / f"rgb/{i}.png"), frame.rgb_u8.numpy()[..., ::-1])
-        assert cv2.imwrite(str(root / f"depth/{i}.png"), np.rint(frame.depth_m.numpy() * 5000).astype(np.uint16))
+        assert cv2.imwrite(
+            str(root / f"rgb/{i}.png"),
+            frame.rgb_u8.numpy()[..., ::-1],
+        )
+        assert cv2.imwrite(
+            str(root / f"depth/{i}.png"),
+            np.rint(frame.depth_m.numpy() * 5000).astype(np.uint16),
+        )
         poses.append(" ".join(f"{v:.9f}" for v in frame.T_WC.flatten().tolist()))
     (root / "poses.txt").write_text("\n".join([*poses, ""]))
     values = vars(small_room.camera) | {"depth_scale": 5000, "pixel_centre": 0.5}
@@ -40,7 +46,15 @@ def ended_folder(tmp_path, small_room):
 
 
 def test_a_folder_is_followed_to_its_end(ended_folder, tmp_path):
-    arguments = ["folder", str(ended_folder), "--out", str(tmp_path / "run"), *SETTINGS, "--frames", "5"]
+    arguments = [
+        "folder",
+        str(ended_folder),
+        "--out",
+        str(tmp_path / "run"),
+        *SETTINGS,
+        "--frames",
+        "5",
+    ]
     run = live(arguments)
     assert run.run.status == "complete"
     assert run.metrics["n_frames"] == 5
@@ -54,7 +68,9 @@ def test_a_folder_is_followed_to_its_end(ended_folder, tmp_path):
 def test_what_cannot_be_is_said_in_a_sentence(ended_folder, tmp_path, monkeypatch, capsys):
     with pytest.raises(KeyError, match="no live source 'webcam'; known: folder, realsense"):
         live(["webcam"])
-    with pytest.raises(SequenceNotFoundError, match="expected one in which a recording is being written"):
+    with pytest.raises(
+        SequenceNotFoundError, match="expected one in which a recording is being written"
+    ):
         live(["folder", str(tmp_path / "nowhere")])
     with pytest.raises(KeyError, match="no preset 'repilca'; known:"):
         live(["folder", str(ended_folder), "--preset", "repilca"])

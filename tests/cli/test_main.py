@@ -8,10 +8,13 @@ import pytest
 from gsfusion_nb.cli import doctor, main
 from gsfusion_nb.runs import outputs
 
-SMALL = "--data.width 80 --data.height 60 --data.stop 6 --data.hold-out-every 3 --data.hold-out-offset 1"
+SMALL = (
+    "--data.width 80 --data.height 60 --data.stop 6 --data.hold-out-every 3 "
+    "--data.hold-out-offset 1"
+)
 FAST = (
-    "--tsdf.voxel-size-m 0.04 --optim.global-iterations 1 --optim.keyframe-iterations 2 --sh-degree 0 "
-    "--seeding.quadtree-threshold 0.01 --keyframe-min-seeds 20"
+    "--tsdf.voxel-size-m 0.04 --optim.global-iterations 1 --optim.keyframe-iterations 2 "
+    "--sh-degree 0 --seeding.quadtree-threshold 0.01 --keyframe-min-seeds 20"
 )
 
 
@@ -63,9 +66,17 @@ def test_preset_is_a_start_that_options_override(tmp_path, capsys):
         (["map", "nowhere"], 1, "nowhere is not a folder; expected one that holds a sequence"),
         (["map"], 1, "expected the folder of a sequence"),
         (["map", "room", "--preset", "repilca"], 1, "no preset 'repilca'; known:"),
-        (["map", "room", "--memory-gb", "1", "--device", "cuda"], 1, "--memory-gb is for maps on a processor"),
+        (
+            ["map", "room", "--memory-gb", "1", "--device", "cuda"],
+            1,
+            "--memory-gb is for maps on a processor",
+        ),
         (["map", "room", "--backend", "nubma"], 1, "no backend 'nubma'; known:"),
-        (["map", "--resume", "nowhere"], 1, "nowhere does not exist; expected the folder of an interrupted run"),
+        (
+            ["map", "--resume", "nowhere"],
+            1,
+            "nowhere does not exist; expected the folder of an interrupted run",
+        ),
         (["eval", "nowhere"], 1, "config.json"),
         (["bench", "fly"], 1, "no bench 'fly'"),
         (["bench", "tsdf", "--data", "nowhere"], 1, "nowhere is not a folder"),
@@ -77,7 +88,9 @@ def test_mistakes_are_answered_with_a_sentence(arguments, status, sentence, caps
     assert sentence in capsys.readouterr().err.replace("\n", " ")
 
 
-@pytest.mark.parametrize("arguments", [["map", "room"], ["demo"], ["live", "folder", "nowhere", "--no-poses"]])
+@pytest.mark.parametrize(
+    "arguments", [["map", "room"], ["demo"], ["live", "folder", "nowhere", "--no-poses"]]
+)
 def test_the_environment_chooses_the_backend_where_no_option_does(arguments, monkeypatch, capsys):
     monkeypatch.setenv("GSFUSION_BACKEND", "nubma")
     assert main(arguments) == 1
@@ -86,7 +99,10 @@ def test_the_environment_chooses_the_backend_where_no_option_does(arguments, mon
 
 @pytest.mark.parametrize(
     ("option", "value", "sentence"),
-    [("--tsdf.voxel-sise-m", "0.1", "voxel-size-m"), ("--tsdf.voxel-size-m", "-1", "tsdf.voxel_size_m must be")],
+    [
+        ("--tsdf.voxel-sise-m", "0.1", "voxel-size-m"),
+        ("--tsdf.voxel-size-m", "-1", "tsdf.voxel_size_m must be"),
+    ],
 )
 def test_a_bad_option_is_refused(option, value, sentence, capsys):
     with pytest.raises(SystemExit) as stop:
@@ -107,20 +123,30 @@ def test_a_reader_that_has_enough_ends_the_command_quietly(arguments, tmp_path):
     os.close(read)
     command = [sys.executable, "-m", "gsfusion_nb", *arguments]
     environment = {**os.environ, "GSNB_COURSE_FILE": str(tmp_path / "course.json")}
-    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, env=environment)
+    done = subprocess.run(
+        command,
+        stdout=write,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
     os.close(write)
     assert (done.returncode, done.stderr) == (141, "")
 
 
 def test_ctrl_c_while_the_command_imports_is_one_line(tmp_path):
-    """Not a traceback, also in a library; of an error that is none of the user's doing there is one."""
+    """Not a traceback, also in a library; of an error that is none of the user's doing there is
+    one."""
     (tmp_path / "torch.py").write_text("raise KeyboardInterrupt")
     code = "import sys; sys.argv[0] = '/usr/bin/{}'; import gsfusion_nb.cli"
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
 
     def said(command: str) -> str:
         done = subprocess.run(
-            [sys.executable, "-c", code.format(command)], env=environment, capture_output=True, text=True
+            [sys.executable, "-c", code.format(command)],
+            env=environment,
+            capture_output=True,
+            text=True,
         )
         assert done.returncode != 0
         return done.stderr

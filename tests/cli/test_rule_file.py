@@ -1,4 +1,5 @@
-"""A rule from a file on the command line: its source goes into the run folder; a resumed or repeated run uses it."""
+"""A rule from a file on the command line: its source goes into the run folder; a resumed or
+repeated run uses it."""
 
 import json
 
@@ -10,8 +11,23 @@ from gsfusion_nb.runs import resume_mapping, run_mapping
 from gsfusion_nb.runs.mapping_run import MappingRun
 
 RULE = "def near(ctx, *, step=5):\n    return ctx.seeds_at(ctx.pixels()[::step], 1.0)\n"
-FAST = ("--data.width", "32", "--data.height", "24", "--data.stop", "4", "--reader", "n_frames=20", "--no-evaluate",
-        "--sh-degree", "0", "--tsdf.voxel-size-m", "0.1", "--optim.global-iterations", "0")  # fmt: skip
+FAST = (
+    "--data.width",
+    "32",
+    "--data.height",
+    "24",
+    "--data.stop",
+    "4",
+    "--reader",
+    "n_frames=20",
+    "--no-evaluate",
+    "--sh-degree",
+    "0",
+    "--tsdf.voxel-size-m",
+    "0.1",
+    "--optim.global-iterations",
+    "0",
+)
 
 
 @pytest.fixture
@@ -33,8 +49,15 @@ def test_the_source_goes_into_the_folder_and_repeats_the_run(rule, tmp_path, cap
     written = json.loads((first / "config.json").read_text())
     assert (written["rule"], written["config"]["seeding"]["options"]) == ("near", {"step": 7})
     rule.write_text("an edit that is not even Python")
-    config = ("--from-config", str(first / "config.json"), "--no-evaluate", "--reader", "n_frames=20",
-              "--seeding.rule", f"{first / 'rule.py'}:near")  # fmt: skip
+    config = (
+        "--from-config",
+        str(first / "config.json"),
+        "--no-evaluate",
+        "--reader",
+        "n_frames=20",
+        "--seeding.rule",
+        f"{first / 'rule.py'}:near",
+    )
     assert run(["room", *config, "--out", str(again)]) == 0
     assert hashes(again) == hashes(first)
 
@@ -43,9 +66,15 @@ def test_a_resumed_run_uses_its_own_rule_or_refuses_another(rule, tmp_path, monk
     from gsfusion_nb.config import gsfusion
 
     config = gsfusion(
-        "room", data__width=32, data__height=24, data__stop=4, sh_degree=0, tsdf__voxel_size_m=0.1,
-        optim__global_iterations=0, seeding__rule=f"{rule}:near",
-    )  # fmt: skip
+        "room",
+        data__width=32,
+        data__height=24,
+        data__stop=4,
+        sh_degree=0,
+        tsdf__voxel_size_m=0.1,
+        optim__global_iterations=0,
+        seeding__rule=f"{rule}:near",
+    )
     folder, original = tmp_path / "run", MappingRun._map
 
     def dies(self, frame):

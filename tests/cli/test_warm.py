@@ -48,10 +48,15 @@ def test_progress_names_every_map_and_ends_at_the_total(monkeypatch, capsys):
     pytest.importorskip("numba")
     mapped, shown, threads = [], [], torch.get_num_threads()
     monkeypatch.setattr(doctor, "_map", mapped.append)
-    monkeypatch.setattr(doctor.ProgressDisplay, "show", lambda self, done, **more: shown.append((done, more)))
+    monkeypatch.setattr(
+        doctor.ProgressDisplay, "show", lambda self, done, **more: shown.append((done, more))
+    )
     assert doctor.warm() == 0
     assert [done for done, _ in shown] == list(range(len(mapped) + 1))
-    assert [more.get("note", "") for _, more in shown] == [*(type(config).__name__ for config in mapped), ""]
+    assert [more.get("note", "") for _, more in shown] == [
+        *(type(config).__name__ for config in mapped),
+        "",
+    ]
     assert torch.get_num_threads() == threads
     assert "All fast kernels are compiled" in capsys.readouterr().out
 
@@ -60,7 +65,9 @@ def test_progress_names_every_map_and_ends_at_the_total(monkeypatch, capsys):
 def test_the_maps_use_every_compiled_operation_and_nothing_is_compiled_again(dispatched):
     pytest.importorskip("numba")
     assert doctor.warm() == 0
-    fast = {name for name in backends.operations() if backends.automatic(name, "cpu") != "reference"}
+    fast = {
+        name for name in backends.operations() if backends.automatic(name, "cpu") != "reference"
+    }
     assert fast - set(dispatched) == {"band_blocks"}, "which has the kernels of new_band_blocks"
     with watching() as compiled:
         assert doctor.warm() == 0
@@ -69,7 +76,9 @@ def test_the_maps_use_every_compiled_operation_and_nothing_is_compiled_again(dis
 
 def test_without_fast_backends_there_is_nothing_to_do(monkeypatch, capsys):
     monkeypatch.setattr(backends, "offered", lambda name: ())
-    monkeypatch.setattr(backends, "automatic", backends.automatic.__wrapped__)  # nothing is remembered
+    monkeypatch.setattr(
+        backends, "automatic", backends.automatic.__wrapped__
+    )  # nothing is remembered
     assert doctor.warm() == 1
     assert "nothing to compile" in capsys.readouterr().out
 
@@ -91,9 +100,16 @@ def test_compiling_is_announced_once_and_only_when_it_happens(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "GSFUSION_BACKEND": "auto"}
     command = [sys.executable, "-c", _ONE_KERNEL]
     first, second = (
-        subprocess.run(command, env=environment, capture_output=True, text=True, check=True) for _ in range(2)
+        subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
     )
-    assert first.stderr.count("compiling the numba kernels that this command needs (once on this machine") == 1
+    assert (
+        first.stderr.count(
+            "compiling the numba kernels that this command needs (once on this machine"
+        )
+        == 1
+    )
     assert second.stderr == ""
-    # numba's OpenMP layer sets the thread count of the runtime that it shares with torch; it must be put back
+    # numba's OpenMP layer sets the thread count of the runtime that it shares with torch; it must
+    # be put back
     assert first.stdout.strip() == second.stdout.strip() == "1"

@@ -1,4 +1,5 @@
-"""Each entrant is checked in a fresh process before it counts, once; nothing that it does reaches other rules."""
+"""Each entrant is checked in a fresh process before it counts, once; nothing that it does reaches
+other rules."""
 
 import dataclasses
 import json
@@ -161,7 +162,9 @@ def test_a_rule_is_checked_once_in_a_process_of_its_own(fresh_checks, entry, tmp
 
 
 def test_what_the_check_refuses_is_a_row_that_failed(fresh_checks, entry, tmp_path, monkeypatch):
-    monkeypatch.setattr(admission, "_run", lambda *_: {"refused": "it asks for the time", "code": {}})
+    monkeypatch.setattr(
+        admission, "_run", lambda *_: {"refused": "it asks for the time", "code": {}}
+    )
     result = only(run_all.run_all([entry("clock")], ResultStore(tmp_path / "cache")))
     assert (result.status, result.reason) == ("failed", "it asks for the time")
 
@@ -202,7 +205,12 @@ def test_a_rule_with_sets_is_checked_in_other_orders(fresh_checks, entry, tmp_pa
 
     def run(entry, rule, order="1"):
         orders.append(order)
-        return {"refused": "", "code": entry.spec.code, "walks_sets": name == "count", "seeds": seeds[order]}
+        return {
+            "refused": "",
+            "code": entry.spec.code,
+            "walks_sets": name == "count",
+            "seeds": seeds[order],
+        }
 
     monkeypatch.setattr(admission, "_run", run)
     for name, seeds, most in (
@@ -213,10 +221,14 @@ def test_a_rule_with_sets_is_checked_in_other_orders(fresh_checks, entry, tmp_pa
         orders.clear()
         found = admission.admission(entry(name), tmp_path / f"checks {len(set(seeds.values()))}")
         assert (len(orders), len(set(orders))) == (most, most)
-        assert ("gives other seeds in another process" in found.refused) == (len(set(seeds.values())) > 1)
+        assert ("gives other seeds in another process" in found.refused) == (
+            len(set(seeds.values())) > 1
+        )
 
 
-@pytest.mark.parametrize("text", ["{}", '{"refused": 3, "not_kept": ""}', '{"refused": ""}', "[", '{"x": 1}'])
+@pytest.mark.parametrize(
+    "text", ["{}", '{"refused": 3, "not_kept": ""}', '{"refused": ""}', "[", '{"x": 1}']
+)
 def test_a_damaged_finding_is_made_again(fresh_checks, entry, tmp_path, monkeypatch, text):
     monkeypatch.setattr(admission, "_run", lambda *_: {"refused": "no", "code": {}})
     assert admission.admission(entry("plain"), tmp_path).refused == "no"
@@ -234,17 +246,29 @@ def test_what_compiled_code_reads_is_refused_where_the_system_can(fresh_checks, 
     import cv2
     import numpy as np
 
-    cv2.imwrite(str(tmp_path / "nine.png"), np.full((4, 4), 9, np.uint8))
-    can = "import sys; from gsfusion_nb.compare.fresh_check import confine; sys.exit(not confine([sys.prefix, '/usr']))"
+    cv2.imwrite(
+        str(tmp_path / "nine.png"),
+        np.full((4, 4), 9, np.uint8),
+    )
+    can = (
+        "import sys; from gsfusion_nb.compare.fresh_check import confine; sys.exit(not "
+        "confine([sys.prefix, '/usr']))"
+    )
     if subprocess.run([sys.executable, "-c", can], check=False).returncode:
         pytest.skip("this system has no Landlock")
-    assert "which can read only the files" in admission.admission(entry("picture"), tmp_path / "checks").refused
+    assert (
+        "which can read only the files"
+        in admission.admission(entry("picture"), tmp_path / "checks").refused
+    )
 
 
 def test_the_clock_of_own_code_is_noticed_and_that_of_libraries_is_not():
     import time
 
-    with pytest.raises(ValueError, match=r"asks for the time \(time\.perf_counter\)"), _clock_is_watched("mine"):
+    with (
+        pytest.raises(ValueError, match=r"asks for the time \(time\.perf_counter\)"),
+        _clock_is_watched("mine"),
+    ):
         time.perf_counter()
     with _clock_is_watched("mine"):
         torch.ones(3).sum()
@@ -281,7 +305,10 @@ def test_a_rule_that_writes_into_a_frame_fails_and_spoils_no_other(entry, spec, 
     clean = run_entry(Entry(spec=spec("uniform", seed=5))).map_hash
     for name in ("writes", "writes_late"):
         result = run_entry(entry(name))
-        assert (result.status, "changed frame.depth_m in place" in result.reason) == ("failed", True)
+        assert (result.status, "changed frame.depth_m in place" in result.reason) == (
+            "failed",
+            True,
+        )
     assert run_entry(Entry(spec=spec("uniform", seed=5))).map_hash == clean
 
 

@@ -27,14 +27,22 @@ def small(monkeypatch):
 @pytest.mark.ci
 def test_all_sections(small, tmp_path, capsys):
     path = tmp_path / "bench.json"
-    options = BenchOptions(quick=True, frames=2, size=("64x48",), json=str(path))
+    options = BenchOptions(
+        quick=True,
+        frames=2,
+        size=("64x48",),
+        json=str(path),
+    )
     assert run.main(options) == 0
     text = capsys.readouterr().out
     tables = [line for line in text.splitlines() if line.startswith("|")]
     assert {line.count("|") for line in tables} == {9}
     numbers = json.loads(path.read_text())
     assert (numbers["interrupted"], numbers["machine"]["threads"]) == (False, 1)
-    rows = {name: [row for row in numbers["rows"] if row["section"] == name] for name in options.sections}
+    rows = {
+        name: [row for row in numbers["rows"] if row["section"] == name]
+        for name in options.sections
+    }
     assert all(rows.values())
     assert "numba" in {row["method"] for row in rows["raster"]}
     for row in rows["raster"]:
@@ -51,9 +59,21 @@ def test_all_sections(small, tmp_path, capsys):
 @pytest.mark.ci
 def test_growth(tmp_path, capsys):
     path = tmp_path / "bench.json"
-    assert run.main(BenchOptions(what="growth", quick=True, size=("64x48",), json=str(path))) == 0
+    assert (
+        run.main(
+            BenchOptions(
+                what="growth",
+                quick=True,
+                size=("64x48",),
+                json=str(path),
+            )
+        )
+        == 0
+    )
     rows = json.loads(path.read_text())["rows"]
-    assert [row["method"] for row in rows] == [name for name in run.SYSTEMS for _ in range(3)]  # rooms 1, 2 and 4
+    assert [row["method"] for row in rows] == [
+        name for name in run.SYSTEMS for _ in range(3)
+    ]  # rooms 1, 2 and 4
     for name in run.SYSTEMS:
         sizes = [row["values"]["n_gaussians"] for row in rows if row["method"] == name]
         assert sizes == sorted(sizes)
@@ -62,7 +82,12 @@ def test_growth(tmp_path, capsys):
 
 def test_ctrl_c_keeps_what_was_measured(monkeypatch, tmp_path, capsys):
     def rows(options):
-        yield BenchRow(section="raster", case="a", method="m", timing=summary([Lap(1.0, 1.0)]))
+        yield BenchRow(
+            section="raster",
+            case="a",
+            method="m",
+            timing=summary([Lap(1.0, 1.0)]),
+        )
         raise KeyboardInterrupt
 
     monkeypatch.setitem(run.SECTIONS, "raster", ("", rows))
@@ -73,7 +98,10 @@ def test_ctrl_c_keeps_what_was_measured(monkeypatch, tmp_path, capsys):
 
 
 def test_medians_by_hand():
-    result = summary([Lap(0.001, 0.010, 0.001), Lap(0.002, 0.030, 0.003), Lap(0.009, 0.020, 0.002)], peak_mb=5.0)
+    result = summary(
+        [Lap(0.001, 0.010, 0.001), Lap(0.002, 0.030, 0.003), Lap(0.009, 0.020, 0.002)],
+        peak_mb=5.0,
+    )
     assert (result.wall_ms, result.cpu_ms, result.device_ms) == pytest.approx((2, 20, 2))
     assert (result.runs, result.peak_mb, summary([Lap(0.004, 0.001)]).device_ms) == (3, 5.0, None)
 
@@ -107,7 +135,14 @@ def test_what_makes_no_sense_is_refused_before_anything_runs(changes, error, nam
 
 def test_the_scene_is_that_of_its_seed_and_fills_the_frustum_and_a_border():
     a, b, other = (random_scene(50, 64, 48, sh_degree=1, seed=s) for s in (3, 3, 4))
-    assert all(torch.equal(x, y) for x, y in zip(vars(a.params).values(), vars(b.params).values(), strict=True))
+    assert all(
+        torch.equal(x, y)
+        for x, y in zip(
+            vars(a.params).values(),
+            vars(b.params).values(),
+            strict=True,
+        )
+    )
     assert torch.equal(a.v_rgb, b.v_rgb)
     assert not torch.equal(a.params.xyz_W, other.params.xyz_W)
     scene = random_scene(5000, 320, 240)
@@ -120,7 +155,10 @@ def test_the_scene_is_that_of_its_seed_and_fills_the_frustum_and_a_border():
     assert float(render(empty.params, empty.camera, empty.T_WC).alpha.max()) == 0
 
 
-@pytest.mark.parametrize(("n", "size"), [(1000, (160, 120)), (5000, (160, 120)), (5000, (320, 240))])
+@pytest.mark.parametrize(
+    ("n", "size"),
+    [(1000, (160, 120)), (5000, (160, 120)), (5000, (320, 240))],
+)
 def test_about_thirty_gaussians_are_visible_at_a_pixel(n, size):
     """Counted by brute force at a few hundred pixels, from the projection alone."""
     scene = random_scene(n, *size)

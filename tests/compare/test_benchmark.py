@@ -1,4 +1,5 @@
-"""Data sets by their published protocol: which scenes are found, what is run, and what the table says."""
+"""Data sets by their published protocol: which scenes are found, what is run, and what the table
+says."""
 
 import re
 
@@ -17,7 +18,12 @@ from gsfusion_nb.compare.benchmark import (
 )
 from gsfusion_nb.compare.spec import RunResult, RunSpec
 
-QUICK = ("optim.global_iterations=1", "sh_degree=0", "tsdf.voxel_size_m=0.08", "seeding.quadtree_contrast=std")
+QUICK = (
+    "optim.global_iterations=1",
+    "sh_degree=0",
+    "tsdf.voxel_size_m=0.08",
+    "seeding.quadtree_contrast=std",
+)
 
 
 @pytest.fixture
@@ -36,23 +42,35 @@ def test_scenes_are_found_by_their_files(replica):
     Box().replica(replica / "room0/earlier")  # what lies inside a scene is no other scene
     Box().replica(replica / "a/b/c/too_deep")
     assert list(scenes_in(replica, "replica")) == ["mine", "office1", "room0"]
-    with pytest.raises(FileNotFoundError, match=r"no scene in the layout tum; expected a folder with rgb\.txt"):
+    with pytest.raises(
+        FileNotFoundError, match=r"no scene in the layout tum; expected a folder with rgb\.txt"
+    ):
         scenes_in(replica, "tum")
 
 
 @pytest.mark.parametrize(
     ("frames", "seeds", "words"),
-    [((7,), (0, 0), "7 frames mapped a scene, .* 1 seed"), ((7, 2500), (0, 1), "7 to 2,500 frames .* 2 seeds")],
+    [
+        ((7,), (0, 0), "7 frames mapped a scene, .* 1 seed"),
+        ((7, 2500), (0, 1), "7 to 2,500 frames .* 2 seeds"),
+    ],
 )
 def test_a_row_says_its_frames_and_seeds(frames, seeds, words):
     own = [
-        RunResult(spec=RunSpec(rule="uniform", seed=seed), status="done", metrics={"n_frames": float(n)})
+        RunResult(
+            spec=RunSpec(rule="uniform", seed=seed),
+            status="done",
+            metrics={"n_frames": float(n)},
+        )
         for n in frames
         for seed in seeds
     ]
     said = _card("ours", own, DATA_SETS["replica"], {})
     assert re.fullmatch(f"ours: {words}", said)
-    assert _card("ours", own, DATA_SETS["replica"], {"sh_degree": 0}) == f"{said}; changed: sh_degree=0"
+    assert (
+        _card("ours", own, DATA_SETS["replica"], {"sh_degree": 0})
+        == f"{said}; changed: sh_degree=0"
+    )
 
 
 @pytest.mark.parametrize("name", DATA_SETS)
@@ -70,16 +88,29 @@ def test_the_tables_of_gps_slams_paper_are_there():
     """Tables 1 to 7 of arXiv 2509.11574 v2, a number of each."""
     own = {
         name: [
-            row["numbers"] for row in asked.published if "2509.11574" in row["source"] and row["system"] == "GPS-SLAM"
+            row["numbers"]
+            for row in asked.published
+            if "2509.11574" in row["source"] and row["system"] == "GPS-SLAM"
         ]
         for name, asked in DATA_SETS.items()
     }
     replica, tum, scannetpp = own["replica"][0], own["tum"][0], own["scannetpp"][0]
-    assert [replica[c] for c in ("psnr", "ssim", "lpips", "fps", "memory")] == [37.24, 0.960, 0.103, 252.64, 3979]
+    assert [replica[c] for c in ("psnr", "ssim", "lpips", "fps", "memory")] == [
+        37.24,
+        0.960,
+        0.103,
+        252.64,
+        3979,
+    ]
     assert (replica["ate"], tum["ate"]) == (0.17, 3.08)
     assert (scannetpp["psnr"], scannetpp["ssim"], scannetpp["lpips"]) == (25.81, 0.872, 0.278)
-    found = {table["title"]: table["rows"] for asked in DATA_SETS.values() for table in asked.tables}
-    of = {n: next(rows for title, rows in found.items() if f"2025, Table {n})" in title) for n in (2, 5, 6, 7)}
+    found = {
+        table["title"]: table["rows"] for asked in DATA_SETS.values() for table in asked.tables
+    }
+    of = {
+        n: next(rows for title, rows in found.items() if f"2025, Table {n})" in title)
+        for n in (2, 5, 6, 7)
+    }
     assert of[2]["GPS-SLAM"] == ["2.6", "2.2", "1.1", "4,000", "137,200", "41.15", "380.72"]
     assert of[5]["GPS-SLAM"] == ["0.60", "99.93", "0.61", "99.50"]
     assert of[6]["1 cm"] == ["34.09", "107.48", "0.21", "1.77", "193", "560"]
@@ -88,13 +119,15 @@ def test_the_tables_of_gps_slams_paper_are_there():
 
 
 def test_the_protocol_is_set_and_what_changes_it_is_kept(replica):
-    options = BenchmarkOptions(name="replica", folder=str(replica), set=("data.scored_views=5",), seeds=2)
+    options = BenchmarkOptions(
+        name="replica", folder=str(replica), set=("data.scored_views=5",), seeds=2
+    )
     specs, unread = benchmark_specs(DATA_SETS["replica"], options)
     assert [s.label for s in specs[:6:2]] == ["GSFusion", "RTG-SLAM", "GPS-SLAM"]
     assert [(s.scene, s.seed) for s in specs[:2]] == [("mine", 0), ("mine", 1)]
-    assert {(s.config().data.hold_out_every, s.config().data.scored_views, s.preset) for s in specs} == {
-        (0, 5, "replica")
-    }
+    assert {
+        (s.config().data.hold_out_every, s.config().data.scored_views, s.preset) for s in specs
+    } == {(0, 5, "replica")}
     assert len(unread) == 1
     assert "office1 cannot be read" in unread[0]
     only = BenchmarkOptions(name="replica", folder=str(replica / "office1"))
@@ -104,27 +137,58 @@ def test_the_protocol_is_set_and_what_changes_it_is_kept(replica):
 
 def test_means_over_scenes_stand_above_the_papers_numbers(replica):
     asked = DATA_SETS["replica"]
-    options = BenchmarkOptions(name="replica", folder=str(replica), systems=("gps_slam",), seeds=2)
+    options = BenchmarkOptions(
+        name="replica",
+        folder=str(replica),
+        systems=("gps_slam",),
+        seeds=2,
+    )
     specs, _ = benchmark_specs(asked, options)
-    psnr = {("mine", 0): 30.0, ("mine", 1): 32.0, ("room0", 0): 40.0}  # the second seed of room0 failed
+    psnr = {
+        ("mine", 0): 30.0,
+        ("mine", 1): 32.0,
+        ("room0", 0): 40.0,
+    }  # the second seed of room0 failed
     results = [
-        RunResult(spec=s, status="done", metrics={"psnr_mapped_db": psnr[s.scene, s.seed], "n_frames": 4})
+        RunResult(
+            spec=s,
+            status="done",
+            metrics={"psnr_mapped_db": psnr[s.scene, s.seed], "n_frames": 4},
+        )
         if (s.scene, s.seed) in psnr
         else RunResult(spec=s, status="failed", reason="no memory")
         for s in specs
     ]
     text = report(asked, results, {"data.stop": 4}, ["office1 cannot be read: no poses"])
     ours, first = text.splitlines()[4:6]
-    assert ours == "| **GPS-SLAM, here** | 35.50 | – | – | – | – | – | – | 1 of the 8, 1 other scenes |"
-    assert first.startswith("| GSFusion | 34.65 | 0.949 | 0.056 | – | 9.73 | 40.1 | – | Wei & Leutenegger 2024")
+    assert (
+        ours
+        == "| **GPS-SLAM, here** | 35.50 | – | – | – | – | – | – | 1 of the 8, 1 other scenes |"
+    )
+    assert first.startswith(
+        "| GSFusion | 34.65 | 0.949 | 0.056 | – | 9.73 | 40.1 | – | Wei & Leutenegger 2024"
+    )
     assert "| 1 cm | 34.09 | 107.48 | 0.21 | 1.77 | 193 | 560 |" in text
-    for words in ("not here: room1, room2, office0", "changed: data.stop=4", "failed on room0: no memory", "no poses"):
+    for words in (
+        "not here: room1, room2, office0",
+        "changed: data.stop=4",
+        "failed on room0: no memory",
+        "no poses",
+    ):
         assert words in text
 
 
 @pytest.mark.ci
 def test_the_command_writes_the_table(replica, tmp_path, capsys):
-    command = ["benchmark", "replica", str(replica / "room0"), "--systems", "gsfusion", "--out", str(tmp_path / "out")]
+    command = [
+        "benchmark",
+        "replica",
+        str(replica / "room0"),
+        "--systems",
+        "gsfusion",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert cli([*command, "--set", *QUICK]) == 0
     text = (tmp_path / "out/benchmark.md").read_text()
     assert text in capsys.readouterr().out

@@ -1,4 +1,5 @@
-"""A comparison on a Dask cluster of several worker processes, one of which is killed in the middle."""
+"""A comparison on a Dask cluster of several worker processes, one of which is killed in the
+middle."""
 
 import json
 import os
@@ -32,7 +33,9 @@ def numbers(result):
 def test_a_cluster_gives_the_numbers_of_this_process(distributed, spec, tmp_path):
     entries = [Entry(spec=spec("uniform")), Entry(spec=spec("nonsense"))]
     here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))
-    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None)
+    cluster = distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+    )
     with cluster, distributed.Client(cluster) as client:
         there = dict(run_all(entries, ResultStore(tmp_path / "cache b"), on_dask(client)))
     assert numbers(there[0]) == numbers(here[0])
@@ -40,10 +43,18 @@ def test_a_cluster_gives_the_numbers_of_this_process(distributed, spec, tmp_path
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_changes_no_number(distributed, same_torch_everywhere, spec, tmp_path):
-    entries = [Entry(spec=spec(rule, seed=seed)) for rule in ("uniform", "gsfusion", "dense") for seed in range(4)]
+def test_a_worker_that_is_killed_changes_no_number(
+    distributed, same_torch_everywhere, spec, tmp_path
+):
+    entries = [
+        Entry(spec=spec(rule, seed=seed))
+        for rule in ("uniform", "gsfusion", "dense")
+        for seed in range(4)
+    ]
     here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))
-    cluster = distributed.LocalCluster(n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None)
+    cluster = distributed.LocalCluster(
+        n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None
+    )
     with cluster, distributed.Client(cluster) as client:
         victim, there = client.run(os.getpid).popitem()[1], {}
         for i, result in run_all(entries, ResultStore(tmp_path / "cache b"), on_dask(client)):
@@ -66,7 +77,11 @@ def test_a_cluster_that_loses_its_last_worker_ends_with_a_sentence(
         with distributed.Client(cluster) as client:
             cluster.scale(1)
             client.wait_for_workers(1, timeout=60)
-            runs = run_all([Entry(spec=spec(seed=s)) for s in range(6)], ResultStore(tmp_path / "b"), on_dask(client))
+            runs = run_all(
+                [Entry(spec=spec(seed=s)) for s in range(6)],
+                ResultStore(tmp_path / "b"),
+                on_dask(client),
+            )
             next(runs)
             cluster.scale(0)
             with pytest.raises(executors.NoWorkerError, match=re.escape(cluster.scheduler_address)):
@@ -79,14 +94,17 @@ CLUSTER = "--nthreads 1 --no-dashboard --local-directory"
 
 @pytest.fixture
 def started(tmp_path):
-    """``started(name, words, **environment)``: a process of Dask's command line, ended after the test."""
+    """``started(name, words, **environment)``: a process of Dask's command line, ended after the
+    test."""
     processes = []
 
     def start(name, words, **environment):
         command = [sys.executable, "-m", "dask", *words.split()]
         with (tmp_path / f"{name}.log").open("w") as log:
             processes.append(
-                subprocess.Popen(command, stdout=log, stderr=log, env=os.environ | environment, cwd=tmp_path)
+                subprocess.Popen(
+                    command, stdout=log, stderr=log, env=os.environ | environment, cwd=tmp_path
+                )
             )
         return processes[-1]
 
@@ -101,7 +119,9 @@ def started(tmp_path):
 def scheduler(distributed, started, tmp_path):
     """Address of a scheduler in a process of its own."""
     file = tmp_path / "scheduler.json"
-    started("scheduler", f"scheduler --scheduler-file {file} --port 0 --host 127.0.0.1 --no-dashboard")
+    started(
+        "scheduler", f"scheduler --scheduler-file {file} --port 0 --host 127.0.0.1 --no-dashboard"
+    )
     while not file.exists() or not file.read_text():
         time.sleep(0.1)
     return json.loads(file.read_text())["address"]
@@ -111,7 +131,11 @@ def scheduler(distributed, started, tmp_path):
 def test_two_workers_with_caches_of_their_own_compute_what_this_process_computes(
     distributed, same_torch_everywhere, spec, tmp_path, started, scheduler
 ):
-    entries = [Entry(spec=spec(rule, seed=seed)) for rule in ("uniform", "gsfusion", "edge_strokes") for seed in (0, 1)]
+    entries = [
+        Entry(spec=spec(rule, seed=seed))
+        for rule in ("uniform", "gsfusion", "edge_strokes")
+        for seed in (0, 1)
+    ]
     here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))
     for name in ("one", "two"):
         cache = tmp_path / f"cache of {name}"
@@ -127,6 +151,8 @@ def test_two_workers_with_caches_of_their_own_compute_what_this_process_computes
         client.wait_for_workers(2, timeout=120)
         there = dict(run_all(entries, empty, on_dask(client)))
         assert len({*client.run(os.getpid).values(), os.getpid()}) == 3
-    assert not list(tmp_path.glob("cache of */**/results/*"))  # where a copied result would have come from
+    assert not list(
+        tmp_path.glob("cache of */**/results/*")
+    )  # where a copied result would have come from
     assert [there[i].reason for i in range(6)] == [""] * 6
     assert {i: numbers(r) for i, r in there.items()} == {i: numbers(r) for i, r in here.items()}

@@ -1,4 +1,5 @@
-"""The file of a comparison: all of it is checked before anything runs, with the place in the file."""
+"""The file of a comparison: all of it is checked before anything runs, with the place in the
+file."""
 
 import pytest
 
@@ -54,8 +55,10 @@ def test_all_combinations_in_order(table):
     found = read_mine(table())
     assert str(found) == "8 runs: 2 rules x 1 scene x 2 seeds x 2 budgets"
     assert [(s.label, s.seed, s.budget.gaussians) for s in found.specs[:3]] == [
-        ("uniform fraction=0.1", 0, 150), ("uniform fraction=0.1", 3, 150), ("some", 0, 150)
-    ]  # fmt: skip
+        ("uniform fraction=0.1", 0, 150),
+        ("uniform fraction=0.1", 3, 150),
+        ("some", 0, 150),
+    ]
     some = found.specs[2]
     assert (some.rule_source, some.size_range, some.scene) == (RULE, (1, 90), "a wall")
     assert some.config().tsdf.voxel_size_m == 0.08
@@ -77,12 +80,16 @@ def test_all_combinations_in_order(table):
         ('"own"', '"same"', "budgets[1]: "),
         ('"data.hold_out_every" = 4', '"data.hold_out_every" = 0', "scenes[0]: "),
         ("[[scenes]]", "[[scene]]", "scene"),
-        ('label = "a wall"', 'settings = { sh_degree = 0, sh_degre = 1 }', "scenes[0]: "),
+        ('label = "a wall"', "settings = { sh_degree = 0, sh_degre = 1 }", "scenes[0]: "),
         ("seeds = [0, 3]", "seeds = [0, 3", "TOML: "),
-        ("seeds =", 'tests = "wilcoxon"\nseeds =', "tests: no test 'wilcoxon'; known: nemenyi, pairs, reference"),
+        (
+            "seeds =",
+            'tests = "wilcoxon"\nseeds =',
+            "tests: no test 'wilcoxon'; known: nemenyi, pairs, reference",
+        ),
         ("seeds =", 'reference = "the best"\nseeds =', "reference: no rule 'the best'"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_are_found_before_anything_runs(table, old, new, place):
     with pytest.raises(TableError) as error:
         read_mine(table(old, new))
@@ -96,7 +103,12 @@ def test_settings_are_checked_together(table):
 
 def test_equal_names_are_refused(table):
     with pytest.raises(TableError, match="uniform"):
-        read_mine(table("[[scenes]]", '[[rules]]\nrule = "uniform"\noptions = { fraction = 0.1 }\n[[scenes]]'))
+        read_mine(
+            table(
+                "[[scenes]]",
+                '[[rules]]\nrule = "uniform"\noptions = { fraction = 0.1 }\n[[scenes]]',
+            )
+        )
 
 
 def test_the_example_is_a_good_file(tmp_path, capsys):
@@ -118,7 +130,10 @@ def test_what_is_tested_is_named_before_anything_runs(table, tmp_path):
     assert (found.tests, found.reference) == ("pairs", "some")
     asked = _as_asked(found, LabOptions(tests="nemenyi"))
     assert (asked.tests, asked.reference) == ("nemenyi", "some")
-    assert _as_asked(found, LabOptions(reference="uniform fraction=0.1")).reference == "uniform fraction=0.1"
+    assert (
+        _as_asked(found, LabOptions(reference="uniform fraction=0.1")).reference
+        == "uniform fraction=0.1"
+    )
     out = ["--out", str(tmp_path / "out"), "--rule-file", str(tmp_path / "mine.py")]
     assert cli(["lab", str(path), *out, "--reference", "the best"]) == 1
     assert cli(["lab", str(path), *out, "--tests", "wilcoxon"]) == 1
@@ -134,13 +149,20 @@ def test_the_command_writes_everything(table, tmp_path, capsys):
     out = tmp_path / "out"
     path = table("seeds = [0, 3]", "seeds = 1")
     path.write_text(path.read_text().replace('[[budgets]]\nsteps = "own"\n', ""))
-    status = main(LabOptions(table=str(path), out=str(out), rule_file=(str(tmp_path / "mine.py"),)))
+    status = main(
+        LabOptions(
+            table=str(path),
+            out=str(out),
+            rule_file=(str(tmp_path / "mine.py"),),
+        )
+    )
     text = capsys.readouterr().out
     assert (status, text.count("failed:")) == (0, 0), text
     rows = list(csv.DictReader((out / "runs.csv").read_text().splitlines()))
     assert [(r["label"], r["budget_gaussians"], r["steps"], r["status"]) for r in rows] == [
-        ("uniform fraction=0.1", "150", "equal", "done"), ("some", "150", "equal", "done"),
-    ]  # fmt: skip
+        ("uniform fraction=0.1", "150", "equal", "done"),
+        ("some", "150", "equal", "done"),
+    ]
     assert abs(int(rows[0]["metric.n_gaussians"][:3]) - 150) < 8
     assert rows[0]["setting.tsdf.voxel_size_m"] == "0.08"
     origin = json.loads((out / "table.json").read_text())

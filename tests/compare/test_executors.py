@@ -30,6 +30,8 @@ else:  # in the process that was started, which imports
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows blocks no signals")
 def test_a_process_that_is_started_takes_no_ctrl_c_while_it_imports(tmp_path):
     (tmp_path / "several.py").write_text(SCRIPT)
-    done = subprocess.run([sys.executable, str(tmp_path / "several.py")], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "several.py")], capture_output=True, text=True
+    )
     assert done.stderr == ""
     assert done.stdout.split() == ["imported", "went", "on", "False"]

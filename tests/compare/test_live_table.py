@@ -1,4 +1,5 @@
-"""The live table: rows as runs end, pause between two frames, stop and go on, pictures of a row, and what is stored."""
+"""The live table: rows as runs end, pause between two frames, stop and go on, pictures of a row,
+and what is stored."""
 
 import time
 
@@ -22,7 +23,11 @@ def specs(spec):
     """Two rules with two seeds; the last run fails."""
     own = Budget(steps="own")
     made = [spec("uniform", seed=seed, budget=own) for seed in (0, 1)]
-    return [*made, spec("gsfusion", label="quadtree", budget=own), spec("dense", options={"stride": -1}, budget=own)]
+    return [
+        *made,
+        spec("gsfusion", label="quadtree", budget=own),
+        spec("dense", options={"stride": -1}, budget=own),
+    ]
 
 
 @pytest.fixture
@@ -45,11 +50,15 @@ def test_rows_appear_as_runs_end(live):
     assert "uniform</th>" in live.tables.value
     assert "1 of 4 runs" in live.status.value
     assert live.run_sync() == 3
-    assert all(f"{name}</th>" in live.tables.value for name in ("uniform", "quadtree", "dense stride=-1"))
+    assert all(
+        f"{name}</th>" in live.tables.value for name in ("uniform", "quadtree", "dense stride=-1")
+    )
     assert " ± " in live.tables.value
     assert "dense stride=-1, wall, own size, own steps, seed 0 failed: " in live.tables.value
     assert "<b>finished</b>" in live.status.value
-    assert repr(live).startswith("LiveTable(4 of 4 runs, 1 failed: TypeError: seeding rule 'dense' has no options")
+    assert repr(live).startswith(
+        "LiveTable(4 of 4 runs, 1 failed: TypeError: seeding rule 'dense' has no options"
+    )
 
 
 def test_it_starts_pauses_between_frames_goes_on_and_stops(specs, tmp_path):
@@ -100,7 +109,11 @@ def test_a_stored_notebook_has_table_and_picture(live, monkeypatch):
 def test_interrupting_the_kernel_keeps_what_is_done(specs, tmp_path, monkeypatch):
     live = LiveTable(specs[:2], tmp_path, store=ResultStore(tmp_path / "cache"))
     live.run_sync(1)
-    monkeypatch.setattr(live._go, "wait", lambda: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(
+        live._go,
+        "wait",
+        lambda: (_ for _ in ()).throw(KeyboardInterrupt),
+    )
     with pytest.raises(KeyboardInterrupt):
         live.run_sync()
     monkeypatch.undo()
@@ -113,10 +126,18 @@ def test_all_combinations():
         return ctx.cells()
 
     entries = entries_of(
-        ["uniform", Entrant(own, label="mine")], ["room", "hall"], seeds=(0, 1), settings={"sh_degree": 0}
+        ["uniform", Entrant(own, label="mine")],
+        ["room", "hall"],
+        seeds=(0, 1),
+        settings={"sh_degree": 0},
     )
     places = [(e.spec.scene, e.spec.label, e.spec.seed) for e in entries]
-    assert places[:4] == [("room", "uniform", 0), ("room", "uniform", 1), ("room", "mine", 0), ("room", "mine", 1)]
+    assert places[:4] == [
+        ("room", "uniform", 0),
+        ("room", "uniform", 1),
+        ("room", "mine", 0),
+        ("room", "mine", 1),
+    ]
     assert len(places) == 8
     assert entries[2].rule is own
     assert entries[2].spec.code
@@ -135,30 +156,66 @@ def takes_numbers(ctx, *, step=7, scale=1.0):
 @pytest.mark.parametrize(
     ("entrant", "shared", "message"),
     [
-        (Entrant(takes_numbers, {"stepp": 3}), {}, "has no options ['stepp']; known: ['scale', 'step']"),
-        (Entrant(takes_numbers), {}, "the rule takes_numbers has no size option: name the option that changes"),
-        (Entrant(takes_numbers, size_option="stepp"), {}, "takes_numbers has no option 'stepp' to tune; known: step"),
-        (Entrant(takes_numbers, size_option="step", size_range=(9, 2)), {}, "both above 0, got [9, 2]"),
-        (Entrant("uniform"), {"settings": {"data.widht": 3}}, "data: unknown keys ['widht']; known: "),
+        (
+            Entrant(takes_numbers, {"stepp": 3}),
+            {},
+            "has no options ['stepp']; known: ['scale', 'step']",
+        ),
+        (
+            Entrant(takes_numbers),
+            {},
+            "the rule takes_numbers has no size option: name the option that changes",
+        ),
+        (
+            Entrant(takes_numbers, size_option="stepp"),
+            {},
+            "takes_numbers has no option 'stepp' to tune; known: step",
+        ),
+        (
+            Entrant(takes_numbers, size_option="step", size_range=(9, 2)),
+            {},
+            "both above 0, got [9, 2]",
+        ),
+        (
+            Entrant("uniform"),
+            {"settings": {"data.widht": 3}},
+            "data: unknown keys ['widht']; known: ",
+        ),
     ],
 )
 def test_mistakes_in_a_notebook_are_found_before_anything_runs(entrant, shared, message):
     with pytest.raises((ValueError, TypeError)) as error:
-        entries_of([entrant], budgets=[Budget(steps="own"), Budget(gaussians=150)], **shared)
+        entries_of(
+            [entrant],
+            budgets=[Budget(steps="own"), Budget(gaussians=150)],
+            **shared,
+        )
     assert message in str(error.value)
 
 
 def test_settings_and_open_frames_of_a_notebook(specs, tmp_path, cache):
     config, sequence = specs[0].config(), Entry(spec=specs[0]).opened()
     rules = ["uniform", Entrant("uniform", {"fraction": 0.05})]
-    entries = entries_of(rules, [sequence], seeds=(0, 1), budgets=[Budget(steps="own")], config=config)
+    entries = entries_of(
+        rules,
+        [sequence],
+        seeds=(0, 1),
+        budgets=[Budget(steps="own")],
+        config=config,
+    )
     assert [e.spec.scene for e in entries] == ["wall"] * 4
     assert entries[0].spec.config().tsdf == config.tsdf
     assert entries[1].spec.config().seed == 1
     live = LiveTable(entries, tmp_path, store=ResultStore(cache))
     assert live.run_sync(1) == 1
     assert repr(live) == "LiveTable(1 of 4 runs)"
-    by_name = entries_of(["uniform"], [specs[0].data], seeds=[0], budgets=[Budget(steps="own")], config=config)
+    by_name = entries_of(
+        ["uniform"],
+        [specs[0].data],
+        seeds=[0],
+        budgets=[Budget(steps="own")],
+        config=config,
+    )
     again = LiveTable(by_name, tmp_path / "by_name", store=ResultStore(cache))
     again.run_sync()
     assert again.results[0].map_hash == live.results[0].map_hash

@@ -1,4 +1,5 @@
-"""One run of the lab: equal steps for every rule, budgets that are reached, failures as rows, equal numbers."""
+"""One run of the lab: equal steps for every rule, budgets that are reached, failures as rows, equal
+numbers."""
 
 import dataclasses
 import inspect
@@ -56,10 +57,17 @@ def same_numbers(a, b):
 def test_every_rule_takes_the_same_steps(spec):
     frugal, rich = (run_spec(spec("uniform", options={"fraction": f})) for f in (0.01, 0.9))
     classy = run_entry(Entry(spec=spec("brings_settings"), rule=brings_settings))
-    own = [run_spec(spec("uniform", options={"fraction": f}, budget=Budget(steps="own"))) for f in (0.01, 0.9)]
+    own = [
+        run_spec(spec("uniform", options={"fraction": f}, budget=Budget(steps="own")))
+        for f in (0.01, 0.9)
+    ]
     assert [r.reason for r in (frugal, rich, classy, *own)] == [""] * 5
     assert frugal.metrics["n_steps"] == rich.metrics["n_steps"] == classy.metrics["n_steps"]
-    assert frugal.metrics["n_keyframes"] == rich.metrics["n_keyframes"] == -(-5 // EQUAL_KEYFRAME_EVERY)
+    assert (
+        frugal.metrics["n_keyframes"]
+        == rich.metrics["n_keyframes"]
+        == -(-5 // EQUAL_KEYFRAME_EVERY)
+    )
     assert classy.notes == [
         "the rule's own optim.frame_iterations = 9 is not used, but 1",
         "the rule sets optim.lr_xyz = 0.0005, in place of 0.00032",
@@ -69,8 +77,14 @@ def test_every_rule_takes_the_same_steps(spec):
 
 def test_a_rule_without_seeds_has_fewer_steps_and_says_so(spec):
     result = run_entry(Entry(spec=spec("nothing"), rule=nothing))
-    assert (result.status, result.metrics["n_steps"], result.metrics["n_gaussians"]) == ("done", 2, 0)
-    assert result.notes == ["after 5 of 5 frames the map was empty, so no gradient steps were taken"]
+    assert (result.status, result.metrics["n_steps"], result.metrics["n_gaussians"]) == (
+        "done",
+        2,
+        0,
+    )
+    assert result.notes == [
+        "after 5 of 5 frames the map was empty, so no gradient steps were taken"
+    ]
 
 
 def test_what_is_not_a_number_is_a_note_and_no_silence(spec, monkeypatch):
@@ -90,7 +104,9 @@ def test_what_is_not_a_number_is_a_note_and_no_silence(spec, monkeypatch):
         "psnr_held_out_db is inf: left out",
     ]
     assert [note for note in result.notes if "views" in note or "left out" in note] == notes
-    assert all(note in Results(runs=[result]).tables()[0].notes[-2:][i] for i, note in enumerate(notes))
+    assert all(
+        note in Results(runs=[result]).tables()[0].notes[-2:][i] for i, note in enumerate(notes)
+    )
 
 
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
@@ -104,10 +120,21 @@ def test_the_first_run_of_a_process_maps(spec, system, monkeypatch):
 def test_what_a_result_holds(spec, tmp_path):
     result = run_spec(spec("gsfusion"), tmp_path)
     expected = {
-        "psnr_mapped_db", "psnr_held_out_db", "ssim_mapped", "ssim_held_out", "depth_l1_mapped_m",
-        "depth_l1_held_out_m", "n_gaussians", "n_keyframes", "n_steps", "n_frames", "ms_per_frame",
-        "cpu_ms_per_frame", "seeding_ms", "seconds_total",
-    }  # fmt: skip
+        "psnr_mapped_db",
+        "psnr_held_out_db",
+        "ssim_mapped",
+        "ssim_held_out",
+        "depth_l1_mapped_m",
+        "depth_l1_held_out_m",
+        "n_gaussians",
+        "n_keyframes",
+        "n_steps",
+        "n_frames",
+        "ms_per_frame",
+        "cpu_ms_per_frame",
+        "seeding_ms",
+        "seconds_total",
+    }
     assert expected <= set(result.metrics)
     assert set(result.pictures) == {"held_out 2", "truth 2", "held_out 6", "truth 6"}
     assert all((tmp_path / name).is_file() for name in result.pictures.values())
@@ -134,11 +161,19 @@ def test_it_repeats_bit_for_bit_and_equal_rules_tie(spec):
     ],
 )
 def test_a_number_of_gaussians_is_reached(spec, rule, changes, option):
-    result = run_spec(spec(rule, budget=Budget(gaussians=150, tolerance=0.05), **changes))
+    result = run_spec(
+        spec(
+            rule,
+            budget=Budget(gaussians=150, tolerance=0.05),
+            **changes,
+        )
+    )
     assert (result.status, result.reason) == ("done", "")
     assert result.metrics["n_gaussians"] == pytest.approx(150, rel=0.05)
     assert result.tuned["option"] == option
-    assert result.tuned["error_percent"] == pytest.approx(100 * abs(result.metrics["n_gaussians"] / 150 - 1))
+    assert result.tuned["error_percent"] == pytest.approx(
+        100 * abs(result.metrics["n_gaussians"] / 150 - 1)
+    )
     assert result.spec.label == rule.rpartition(":")[2]
 
 
@@ -150,8 +185,14 @@ def faulty(ctx, *, n=3):
     ("changes", "reason"),
     [
         ({"rule": "dense", "budget": Budget(gaussians=100)}, "dense has no size option"),
-        ({"rule": "dense", "size_option": "fraction", "budget": Budget(gaussians=100)}, "no option 'fraction' to tune"),
-        ({"rule": "uniform", "budget": Budget(gaussians=10**6)}, "uniform does not reach 1,000,000 Gaussians"),
+        (
+            {"rule": "dense", "size_option": "fraction", "budget": Budget(gaussians=100)},
+            "no option 'fraction' to tune",
+        ),
+        (
+            {"rule": "uniform", "budget": Budget(gaussians=10**6)},
+            "uniform does not reach 1,000,000 Gaussians",
+        ),
         ({"rule": "uniform", "options": {"fration": 0.1}}, "has no options"),
         ({"rule": "nonsense"}, "no seeding rule 'nonsense'"),
         ({"rule": "a.py:b", "rule_source": "x = 1 +"}, "a.py, line 1: SyntaxError"),
@@ -180,17 +221,32 @@ def test_a_rule_that_raises_fails_its_run(spec):
 
 @pytest.mark.parametrize(("n_frames", "asked"), [(40, "5 of 5"), (4000, "1 of 5")])
 def test_intervals_of_rules_are_those_of_a_recording(n_frames, asked):
-    """The room is a walk of 49 s; five of 40 frames are 38 frames of a camera apart, five of 4,000 a third of one."""
-    settings = {"data.width": 32, "data.height": 24, "data.stop": 6, "tsdf.voxel_size_m": 0.1, "sh_degree": 0,
-                "optim.global_iterations": 0}  # fmt: skip
-    run = RunSpec(rule="cg_slam", reader={"n_frames": n_frames, "width": 64, "height": 48}, settings=settings)
-    assert any(f"asked every 30 frames of the recording, here in {asked}" in note for note in run_spec(run).notes)
+    """The room is a walk of 49 s; five of 40 frames are 38 frames of a camera apart, five of 4,000
+    a third of one."""
+    settings = {
+        "data.width": 32,
+        "data.height": 24,
+        "data.stop": 6,
+        "tsdf.voxel_size_m": 0.1,
+        "sh_degree": 0,
+        "optim.global_iterations": 0,
+    }
+    run = RunSpec(
+        rule="cg_slam", reader={"n_frames": n_frames, "width": 64, "height": 48}, settings=settings
+    )
+    assert any(
+        f"asked every 30 frames of the recording, here in {asked}" in note
+        for note in run_spec(run).notes
+    )
 
 
 FIVE = "asked every 5 frames of the recording, here in 5 of 5 mapped frames"
 
 
-@pytest.mark.parametrize(("steps", "notes"), [("equal", [FIVE]), ("own", [])])
+@pytest.mark.parametrize(
+    ("steps", "notes"),
+    [("equal", [FIVE]), ("own", [])],
+)
 def test_in_the_equal_schedule_a_rule_for_keyframes_has_those_of_its_release(spec, steps, notes):
     run = spec("gs_slam", {"seeding.source_stride": 6}, budget=Budget(steps=steps))
     result = run_spec(run)
@@ -199,17 +255,32 @@ def test_in_the_equal_schedule_a_rule_for_keyframes_has_those_of_its_release(spe
     assert result.metrics["n_keyframes"] == (2 if steps == "equal" else 5)
 
 
-@pytest.mark.parametrize(("stride", "given", "used"), [(1, 0, 6), (2, 0, 12), (1, 7, 7)])
+@pytest.mark.parametrize(
+    ("stride", "given", "used"),
+    [(1, 0, 6), (2, 0, 12), (1, 7, 7)],
+)
 def test_the_rooms_frames_are_as_far_apart_as_they_were_seen(stride, given, used):
-    """240 frames of a walk of 49 s: six frames of a camera with 30 Hz from one to the next; a setting stays."""
+    """240 frames of a walk of 49 s: six frames of a camera with 30 Hz from one to the next; a
+    setting stays."""
     config = gsfusion("room", data__stride=stride, seeding__source_stride=given)
     sequence = open_sequence("room", n_frames=240, width=16, height=12, data=config.data)
     assert _paced(config, sequence).seeding.source_stride == used
 
 
-@pytest.mark.parametrize(("errors", "runs", "error"), [((0.5, 0.001), 7, 0.1), ((0.001,), 4, 0.1)])
-def test_a_run_that_misses_its_size_is_tuned_once_more_with_its_own_seed(monkeypatch, errors, runs, error):
-    entry = Entry(spec=RunSpec(rule="uniform", seed=5, budget=Budget(gaussians=1000)))
+@pytest.mark.parametrize(
+    ("errors", "runs", "error"),
+    [((0.5, 0.001), 7, 0.1), ((0.001,), 4, 0.1)],
+)
+def test_a_run_that_misses_its_size_is_tuned_once_more_with_its_own_seed(
+    monkeypatch, errors, runs, error
+):
+    entry = Entry(
+        spec=RunSpec(
+            rule="uniform",
+            seed=5,
+            budget=Budget(gaussians=1000),
+        )
+    )
     seeds, left = [], iter([*errors, errors[-1]])
 
     def tuned_again(entry, on_step):

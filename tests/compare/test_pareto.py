@@ -9,7 +9,10 @@ from gsfusion_nb.compare.statistics import group_runs
 
 
 def test_by_hand():
-    front = pareto_front(np.array([1, 5, 9, 5]), np.array([20.0, 25.0, 24.0, 22.0]))
+    front = pareto_front(
+        np.array([1, 5, 9, 5]),
+        np.array([20.0, 25.0, 24.0, 22.0]),
+    )
     assert front.tolist() == [True, True, False, False]
 
 
@@ -23,7 +26,9 @@ def test_the_definition_in_a_loop():
     cost, quality = g.integers(0, 8, 40), g.integers(0, 8, 40).astype(float)
     for i, on_front in enumerate(pareto_front(cost, quality)):
         beaten = any(
-            cost[j] <= cost[i] and quality[j] >= quality[i] and (cost[j] < cost[i] or quality[j] > quality[i])
+            cost[j] <= cost[i]
+            and quality[j] >= quality[i]
+            and (cost[j] < cost[i] or quality[j] > quality[i])
             for j in range(40)
         )
         assert on_front == (not beaten)

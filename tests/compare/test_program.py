@@ -27,7 +27,12 @@ def of(step):
 
 CHANGES = {
     "a method of the context": (SeedContext, "corners", of(1), of(2)),
-    "another method of the context": (SeedContext, "corners", SeedContext.pixels, SeedContext.normals),
+    "another method of the context": (
+        SeedContext,
+        "corners",
+        SeedContext.pixels,
+        SeedContext.normals,
+    ),
     "an object": (SeedContext, "corners", Called(1), Called(2)),
     "a function in a cache": (torch, "sum", functools.cache(of(1)), functools.cache(of(2))),
     "a new attribute of the context": (SeedContext, "step", 1, 2),
@@ -39,7 +44,8 @@ CHANGES = {
 
 @pytest.fixture
 def key(monkeypatch):
-    """A function that gives the key of the program as it is now; files of libraries are not looked at."""
+    """A function that gives the key of the program as it is now; files of libraries are not looked
+    at."""
     monkeypatch.setattr(program.installed, "state_of", lambda name: "1.0")
 
     def found():
@@ -50,8 +56,14 @@ def key(monkeypatch):
     program.look_at_program_again()
 
 
-@pytest.mark.parametrize(("owner", "name", "first", "second"), CHANGES.values(), ids=CHANGES)
-def test_each_change_of_the_program_has_a_key_of_its_own(monkeypatch, key, owner, name, first, second):
+@pytest.mark.parametrize(
+    ("owner", "name", "first", "second"),
+    CHANGES.values(),
+    ids=CHANGES,
+)
+def test_each_change_of_the_program_has_a_key_of_its_own(
+    monkeypatch, key, owner, name, first, second
+):
     keys = [key()]
     for value in (first, second, second):
         with monkeypatch.context() as patched:
@@ -63,7 +75,8 @@ def test_each_change_of_the_program_has_a_key_of_its_own(monkeypatch, key, owner
 
 
 def test_the_source_of_the_package_is_part_of_the_key(monkeypatch, tmp_path):
-    """Content and name of each file of code; not copies that JupyterLab makes, nor files of other kinds."""
+    """Content and name of each file of code; not copies that JupyterLab makes, nor files of other
+    kinds."""
     monkeypatch.setattr(program, "_source_folders", lambda: [tmp_path])
     found = []
 

@@ -1,4 +1,5 @@
-"""Rules compared in one call: what is counted, what it survives, and that a stop keeps what has finished."""
+"""Rules compared in one call: what is counted, what it survives, and that a stop keeps what has
+finished."""
 
 import dataclasses
 
@@ -11,9 +12,17 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import GSFusion
 
 CONFIG = gsfusion(
-    "room", data__width=64, data__height=48, data__stop=5, data__hold_out_every=5, tsdf__voxel_size_m=0.05,
-    sh_degree=0, optim__global_iterations=0, seeding__quadtree_contrast="std", seeding__quadtree_threshold=0.05,
-)  # fmt: skip
+    "room",
+    data__width=64,
+    data__height=48,
+    data__stop=5,
+    data__hold_out_every=5,
+    tsdf__voxel_size_m=0.05,
+    sh_degree=0,
+    optim__global_iterations=0,
+    seeding__quadtree_contrast="std",
+    seeding__quadtree_threshold=0.05,
+)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +48,15 @@ def test_a_run_agrees_with_the_mapper_and_is_shown(sequence):
 
 def test_the_key_of_a_run_is_its_content(sequence):
     def keys(rules, sequence=sequence, config=CONFIG):
-        return [e.spec.key for e in entries_of(rules, [sequence], seeds=[config.seed], config=config)]
+        return [
+            e.spec.key
+            for e in entries_of(
+                rules,
+                [sequence],
+                seeds=[config.seed],
+                config=config,
+            )
+        ]
 
     def mine(ctx):
         return ctx.cells()

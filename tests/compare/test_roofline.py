@@ -1,4 +1,5 @@
-"""The roofline: the formula, what is counted, and that every kernel is timed on every CPU backend."""
+"""The roofline: the formula, what is counted, and that every kernel is timed on every CPU
+backend."""
 
 import functools
 
@@ -66,12 +67,16 @@ def test_the_command_writes_a_table_and_a_picture(tmp_path, monkeypatch, capsys)
     text = (tmp_path / "roofline.txt").read_text()
     assert "100 Gflop/s (matrix product), 10 GB/s" in text
     assert text.strip() in capsys.readouterr().out
-    assert all(text.count(name) >= 2 for name in ("L1 and gradient", "TSDF update", "render, gradient"))
+    assert all(
+        text.count(name) >= 2 for name in ("L1 and gradient", "TSDF update", "render, gradient")
+    )
     assert (tmp_path / "roofline.png").read_bytes()[1:4] == b"PNG"
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-@pytest.mark.parametrize(("device", "reason"), [("cuda", "needs an NVIDIA GPU"), ("gpu", "must be cpu or cuda")])
+@pytest.mark.parametrize(
+    ("device", "reason"), [("cuda", "needs an NVIDIA GPU"), ("gpu", "must be cpu or cuda")]
+)
 def test_a_device_that_is_not_there_is_named(device, reason, tmp_path):
     with pytest.raises(ValueError, match=reason):
         roofline.main(device, tmp_path)

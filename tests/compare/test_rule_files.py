@@ -1,4 +1,5 @@
-"""What a rule reads besides the frame is part of its key: files of its options, helper modules, networks."""
+"""What a rule reads besides the frame is part of its key: files of its options, helper modules,
+networks."""
 
 import functools
 import importlib
@@ -41,7 +42,9 @@ HELPER = "SCALE = {scale}\n\n\ndef radius():\n    return SCALE\n"
 
 def write_weights(path, bias):
     net = torch.nn.Conv2d(3, 1, 1)
-    net.load_state_dict({"weight": torch.tensor([1.0, -1.0, 0.5]).view(1, 3, 1, 1), "bias": torch.tensor([bias])})
+    net.load_state_dict(
+        {"weight": torch.tensor([1.0, -1.0, 0.5]).view(1, 3, 1, 1), "bias": torch.tensor([bias])}
+    )
     torch.save(net.state_dict(), path)
 
 
@@ -93,7 +96,10 @@ def test_the_values_of_a_global_network_are_part_of_the_fingerprint():
         net = torch.nn.Conv2d(3, 1, 1)
         for parameter in net.parameters():
             torch.nn.init.constant_(parameter, value)
-        prints += [rule_fingerprint(lambda ctx, net=net: net(ctx)), rule_fingerprint(functools.partial(pow, value))]
+        prints += [
+            rule_fingerprint(lambda ctx, net=net: net(ctx)),
+            rule_fingerprint(functools.partial(pow, value)),
+        ]
     assert len(set(prints)) == 4
 
 
@@ -105,12 +111,15 @@ def test_a_helper_module_is_part_of_the_key(how, entry, tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "the_helper", raising=False)
     file, helper, keys = tmp_path / "rule.py", tmp_path / "the_helper.py", []
     file.write_text(
-        f"{how}\n\ndef helped(ctx):\n{inside}    return ctx.seeds_at(ctx.pixels()[::7], {call})  # {how!r}\n"
+        f"{how}\n\ndef helped(ctx):\n{inside}    return ctx.seeds_at(ctx.pixels()[::7], {call})  # "
+        f"{how!r}\n"
     )
     for scale in (1.5, 22.5):
         helper.write_text(HELPER.format(scale=scale))
         importlib.invalidate_caches()
-        for name in [name for name in sys.modules if name == "the_helper" or name.startswith("rule_file_")]:
+        for name in [
+            name for name in sys.modules if name == "the_helper" or name.startswith("rule_file_")
+        ]:
             monkeypatch.delitem(sys.modules, name)
         keys.append(entry(f"{file}:helped").spec.key)
     assert keys[0] != keys[1]

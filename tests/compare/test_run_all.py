@@ -1,4 +1,5 @@
-"""All runs of a comparison: the same numbers wherever they run, nothing twice, and failures as rows."""
+"""All runs of a comparison: the same numbers wherever they run, nothing twice, and failures as
+rows."""
 
 import dataclasses
 import os
@@ -80,7 +81,8 @@ def test_a_stop_keeps_what_is_done(entries, tmp_path):
 
 
 def test_a_damaged_or_altered_result_is_computed_again_and_named(entries, tmp_path, caplog):
-    """Also one of another run under this name, and one of the right form whose number somebody has changed."""
+    """Also one of another run under this name, and one of the right form whose number somebody has
+    changed."""
     store = ResultStore(tmp_path / "cache")
     results = dict(run_all(entries[1:3], store))
     path = tmp_path / "cache" / "results" / f"{results[1].key}.json"
@@ -89,8 +91,14 @@ def test_a_damaged_or_altered_result_is_computed_again_and_named(entries, tmp_pa
     assert found in content
     damages = {
         "cut": ('{"spec": 3', "is not valid JSON"),
-        "number": (content.replace(found, '"psnr_held_out_db": 99.9'), "was changed after it was written"),
-        "type": (content.replace(found, '"psnr_held_out_db": "x"'), "was changed after it was written"),
+        "number": (
+            content.replace(found, '"psnr_held_out_db": 99.9'),
+            "was changed after it was written",
+        ),
+        "type": (
+            content.replace(found, '"psnr_held_out_db": "x"'),
+            "was changed after it was written",
+        ),
         "unsealed": (content.replace('"checksum"', '"check"'), "has no checksum"),
         "other": (other, "is the result of another run"),
     }
@@ -111,7 +119,8 @@ def test_a_damaged_or_altered_result_is_computed_again_and_named(entries, tmp_pa
 
 
 def test_other_data_are_seen_by_runs_that_were_made_before(spec, scene, tmp_path):
-    """One bit in the middle of an image behind a link: another key, and no result of the old data."""
+    """One bit in the middle of an image behind a link: another key, and no result of the old
+    data."""
     shutil.copytree(scene, tmp_path / "wall")
     (tmp_path / "link").symlink_to(tmp_path / "wall", target_is_directory=True)
     runs = [Entry(spec=spec(data=str(tmp_path / "link")))]
@@ -127,16 +136,24 @@ def test_other_data_are_seen_by_runs_that_were_made_before(spec, scene, tmp_path
     assert second.map_hash != first.map_hash
 
 
-def test_data_or_programs_that_differ_where_a_run_is_done_fail_it(spec, scene, tmp_path, monkeypatch):
+def test_data_or_programs_that_differ_where_a_run_is_done_fail_it(
+    spec, scene, tmp_path, monkeypatch
+):
     shutil.copytree(scene, tmp_path / "wall")
-    task = Task(kind="run", spec=spec(data=str(tmp_path / "wall")), backend="auto")
+    task = Task(
+        kind="run",
+        spec=spec(data=str(tmp_path / "wall")),
+        backend="auto",
+    )
     assert len(task.spec.key) == 32
     shutil.copyfile(tmp_path / "wall/rgb/000001.png", tmp_path / "wall/rgb/000003.png")
     result = do_task(task).result
     assert result is not None
     assert result.status == "failed"
     assert str(tmp_path / "wall") in result.reason
-    assert "another version" in do_task(dataclasses.replace(task, program="of another machine")).reason
+    assert (
+        "another version" in do_task(dataclasses.replace(task, program="of another machine")).reason
+    )
 
 
 def test_the_key_has_the_versions_of_the_libraries(monkeypatch):
@@ -146,26 +163,43 @@ def test_the_key_has_the_versions_of_the_libraries(monkeypatch):
 
 
 def test_two_commands_in_one_folder_and_two_on_one_cache(spec, tmp_path, monkeypatch):
-    """The second of two in one folder is refused; two on one cache at the same time give the same results."""
+    """The second of two in one folder is refused; two on one cache at the same time give the same
+    results."""
     options = WhereOptions(out=str(tmp_path / "a"))
     with RunFolder(tmp_path / "a"), pytest.raises(FileExistsError, match="is in use"):
         run_and_write([spec()], tmp_path / "a", options)
     monkeypatch.setenv("GSFUSION_CACHE", str(tmp_path / "cache"))
-    one, two = (run_all([Entry(spec=spec()), Entry(spec=spec(seed=1))], ResultStore()) for _ in range(2))
+    one, two = (
+        run_all(
+            [Entry(spec=spec()), Entry(spec=spec(seed=1))],
+            ResultStore(),
+        )
+        for _ in range(2)
+    )
     found = [next(one), next(two), next(one), next(two)]
     assert [result.status for _, result in found] == ["done"] * 4
     assert len({result.map_hash for i, result in found if i == 0}) == 1
     assert run_and_write([spec()], tmp_path / "d", options)[0] == 0
     assert "1 of 1 runs were copied" in (tmp_path / "d" / "table.md").read_text()
     assert str(tmp_path / "cache") in (tmp_path / "d" / "runs.csv").read_text()
-    status, (run,) = run_and_write([spec()], tmp_path / "e", WhereOptions(cache=False))
+    status, (run,) = run_and_write(
+        [spec()],
+        tmp_path / "e",
+        WhereOptions(cache=False),
+    )
     assert (status, run.copied_from, run.map_hash) == (0, "", found[0][1].map_hash)
     assert "copied from" not in (tmp_path / "e" / "table.md").read_text()
 
 
 def test_it_is_said_how_many_runs_will_be_computed(spec, tmp_path, capsys):
     store, runs = ResultStore(tmp_path), [spec(), spec(label="again")]
-    store.keep(RunResult(spec=runs[0], status="done", metrics={"n_gaussians": 20.0, "n_steps": 1.0}))
+    store.keep(
+        RunResult(
+            spec=runs[0],
+            status="done",
+            metrics={"n_gaussians": 20.0, "n_steps": 1.0},
+        )
+    )
     run_and_write(runs, tmp_path, WhereOptions(cache=False))
     assert "0 of 2 runs to compute" in capsys.readouterr().out
 
@@ -200,7 +234,12 @@ def test_each_process_has_its_share_of_the_cores():
 def test_what_cannot_be_sent_is_said(spec, scene):
     from gsfusion_nb.data import open_sequence
 
-    task = Task(kind="run", spec=spec(), backend="auto", sequence=open_sequence(scene))
+    task = Task(
+        kind="run",
+        spec=spec(),
+        backend="auto",
+        sequence=open_sequence(scene),
+    )
     with pytest.raises(ValueError, match="was opened in this process"):
         task.packed()
 

@@ -1,4 +1,5 @@
-"""What a run of the lab is: plain values to JSON and back, and a key of everything that decides its result."""
+"""What a run of the lab is: plain values to JSON and back, and a key of everything that decides its
+result."""
 
 import json
 
@@ -86,9 +87,12 @@ def test_a_budget_that_means_nothing_is_refused(values, message):
 
 def test_a_result_is_written_and_read_back(tmp_path):
     result = RunResult(
-        spec=SPEC, status="done", metrics={"psnr_held_out_db": 21.5, "ssim_held_out": float("nan")},
-        tuned={"option": "fraction", "value": 0.03}, map_hash="ab",
-    )  # fmt: skip
+        spec=SPEC,
+        status="done",
+        metrics={"psnr_held_out_db": 21.5, "ssim_held_out": float("nan")},
+        tuned={"option": "fraction", "value": 0.03},
+        map_hash="ab",
+    )
     result.save(tmp_path / "a.json")
     back = RunResult.load(tmp_path / "a.json")
     assert back.metrics == {"psnr_held_out_db": 21.5}
@@ -100,7 +104,9 @@ def test_a_result_is_written_and_read_back(tmp_path):
 
 def test_extra_images_are_part_of_the_key(scene):
     def key(value):
-        sequence = open_sequence(scene, extra=lambda frame: {"label": torch.full_like(frame.depth_m, value)})
+        sequence = open_sequence(
+            scene, extra=lambda frame: {"label": torch.full_like(frame.depth_m, value)}
+        )
         return entries_of(["uniform"], [sequence])[0].spec.key
 
     assert key(1.0) == key(1.0) != key(0.0)

@@ -1,4 +1,5 @@
-"""Every rule has an option that decides its number of Gaussians; the search for its value takes few runs."""
+"""Every rule has an option that decides its number of Gaussians; the search for its value takes few
+runs."""
 
 from dataclasses import dataclass
 
@@ -7,7 +8,15 @@ import torch
 
 from gsfusion_nb.compare import Budget, Entrant, RunSpec, tune
 from gsfusion_nb.compare.map_scene import _draw, map_scene, thinned
-from gsfusion_nb.compare.tune import SIZE_OPTIONS, NotReachedError, nearest, search, size_option, start_value, with_size
+from gsfusion_nb.compare.tune import (
+    SIZE_OPTIONS,
+    NotReachedError,
+    nearest,
+    search,
+    size_option,
+    start_value,
+    with_size,
+)
 from gsfusion_nb.seeding import MapRule, SeedContext, apply_rule, is_built_in, registered
 from gsfusion_nb.types import Camera, Frame, Seeds
 
@@ -15,7 +24,9 @@ WITHOUT = {"dense"}
 
 
 def test_every_rule_of_the_package_is_covered():
-    assert {name for name, rule in registered().items() if is_built_in(rule)} == set(SIZE_OPTIONS) | WITHOUT
+    assert {name for name, rule in registered().items() if is_built_in(rule)} == set(
+        SIZE_OPTIONS
+    ) | WITHOUT
 
 
 @pytest.mark.parametrize("name", SIZE_OPTIONS)
@@ -24,7 +35,11 @@ def test_the_option_exists_and_its_usual_value_is_in_range(name):
     option = size_option(spec, rule)
     start = start_value(spec, rule, option)
     assert option.low <= start <= option.high
-    smaller = with_size(spec, option, start / 2 if isinstance(start, float) else max(start // 2, 1))
+    smaller = with_size(
+        spec,
+        option,
+        start / 2 if isinstance(start, float) else max(start // 2, 1),
+    )
     assert start_value(smaller, rule, option) < start
     assert smaller.label == spec.label
     smaller.config()
@@ -44,12 +59,22 @@ RANGES = [
 def test_the_range_of_an_option_follows_from_its_usual_value(monkeypatch, name, start, expected):
     """A share is at most 1; a number with a unit may be 10,000 times larger or smaller."""
     monkeypatch.setattr(tune, "start_value", lambda *_: start)
-    assert tune._usual_range(RunSpec(rule="uniform"), registered()["uniform"], name) == pytest.approx(expected)
+    assert tune._usual_range(
+        RunSpec(rule="uniform"), registered()["uniform"], name
+    ) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(("n", "share", "kept"), [(11, 0.25, 3), (10, 0.24, 2), (7, 0.0, 0), (7, 1.0, 7)])
+@pytest.mark.parametrize(
+    ("n", "share", "kept"),
+    [(11, 0.25, 3), (10, 0.24, 2), (7, 0.0, 0), (7, 1.0, 7)],
+)
 def test_a_share_is_rounded_to_the_nearest_number(n, share, kept):
-    seeds = Seeds.isotropic(torch.arange(3.0 * n).view(n, 3), torch.full((n, 3), 0.5), torch.ones(n), opacity=0.5)
+    seeds = Seeds.isotropic(
+        torch.arange(3.0 * n).view(n, 3),
+        torch.full((n, 3), 0.5),
+        torch.ones(n),
+        opacity=0.5,
+    )
     some = _draw(seeds, share, torch.Generator().manual_seed(0))
     assert len(some) == kept
     assert some.xyz_W[:, 0].tolist() == sorted(set(some.xyz_W[:, 0].tolist()))
@@ -57,13 +82,26 @@ def test_a_share_is_rounded_to_the_nearest_number(n, share, kept):
 
 @pytest.mark.parametrize("name", ["edge_discs", "edge_strokes"])
 def test_a_share_of_a_function_and_of_a_class_is_drawn(name):
-    camera = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
+    camera = Camera(
+        width=64,
+        height=48,
+        fx=50.0,
+        fy=50.0,
+        cx=32.0,
+        cy=24.0,
+    )
     frame = Frame(
-        index=0, timestamp_s=0.0, rgb=torch.rand(48, 64, 3), depth_m=torch.full((48, 64), 2.0), camera=camera,
+        index=0,
+        timestamp_s=0.0,
+        rgb=torch.rand(48, 64, 3),
+        depth_m=torch.full((48, 64), 2.0),
+        camera=camera,
         T_WC=torch.eye(4),
-    )  # fmt: skip
+    )
     some = thinned(registered()[name], 0.25)
-    every, quarter = (len(apply_rule(r, SeedContext(frame), {"coverage": False})) for r in (name, some))
+    every, quarter = (
+        len(apply_rule(r, SeedContext(frame), {"coverage": False})) for r in (name, some)
+    )
     assert quarter == round(every / 4) > 10
 
 
@@ -88,8 +126,9 @@ class edits_the_map(MapRule):
 
 
 @pytest.mark.parametrize(
-    ("rule", "with_steps"), [(reads_nothing, False), (reads_the_map, True), (edits_the_map, True)]
-)  # fmt: skip
+    ("rule", "with_steps"),
+    [(reads_nothing, False), (reads_the_map, True), (edits_the_map, True)],
+)
 def test_only_rules_that_use_the_map_are_tuned_with_gradient_steps(rule, with_steps, monkeypatch):
     steps = []
 
@@ -99,9 +138,16 @@ def test_only_rules_that_use_the_map_are_tuned_with_gradient_steps(rule, with_st
 
     monkeypatch.setattr(tune, "map_scene", recorded)
     run = Entrant(rule, size_option="spacing_px").entry(
-        data="room", reader={"n_frames": 2}, budget=Budget(gaussians=150, tolerance=0.2),
-        settings={"data.width": 48, "data.height": 36, "tsdf.voxel_size_m": 0.05, "optim.global_iterations": 0},
-    )  # fmt: skip
+        data="room",
+        reader={"n_frames": 2},
+        budget=Budget(gaussians=150, tolerance=0.2),
+        settings={
+            "data.width": 48,
+            "data.height": 36,
+            "tsdf.voxel_size_m": 0.05,
+            "optim.global_iterations": 0,
+        },
+    )
     found = tune.tune(run)
     assert not steps[0]
     assert any(steps) == with_steps
@@ -123,17 +169,34 @@ def test_a_run_with_far_too_many_gaussians_is_given_up(monkeypatch):
 
     monkeypatch.setattr(tune, "map_scene", recorded)
     run = Entrant(ten_at_least, size_option="spacing_px").entry(
-        data="room", reader={"n_frames": 8}, budget=Budget(gaussians=15),
-        settings={"data.width": 48, "data.height": 36, "tsdf.voxel_size_m": 0.05, "optim.global_iterations": 0},
-    )  # fmt: skip
+        data="room",
+        reader={"n_frames": 8},
+        budget=Budget(gaussians=15),
+        settings={
+            "data.width": 48,
+            "data.height": 36,
+            "tsdf.voxel_size_m": 0.05,
+            "optim.global_iterations": 0,
+        },
+    )
     with pytest.raises(tune.NotReachedError, match="ten_at_least does not reach 15 Gaussians"):
         tune.tune(run)
     assert len(n_frames) < 8
     assert max(n_frames) == 1  # given up in the first of seven frames
 
 
-def found(count, start, target, low=1e-6, high=100.0, tolerance=0.02, whole=False):
-    counts = search(count, target, start=start, low=low, high=high, tolerance=tolerance, whole=whole)
+def found(
+    count,
+    start,
+    target,
+    low=1e-6,
+    high=100.0,
+    tolerance=0.02,
+    whole=False,
+):
+    counts = search(
+        count, target, start=start, low=low, high=high, tolerance=tolerance, whole=whole
+    )
     return nearest(counts, target, tolerance), len(counts)
 
 
@@ -154,9 +217,23 @@ def test_the_search_finds_the_value_in_few_runs(name, start):
 
 
 def test_whole_numbers():
-    assert found(lambda v: 10 * v, 3, 500.0, low=1, high=1000, whole=True) == (50, 3)
+    assert found(
+        lambda v: 10 * v,
+        3,
+        500.0,
+        low=1,
+        high=1000,
+        whole=True,
+    ) == (50, 3)
     with pytest.raises(NotReachedError, match="00"):
-        found(lambda v: 200 * v, 9, 500.0, low=1, high=1000, whole=True)
+        found(
+            lambda v: 200 * v,
+            9,
+            500.0,
+            low=1,
+            high=1000,
+            whole=True,
+        )
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,5 @@
-"""Every setting is explained where it is defined, with its unit: the command line's help is made of these texts."""
+"""Every setting is explained where it is defined, with its unit: the command line's help is made of
+these texts."""
 
 import ast
 import dataclasses
@@ -20,7 +21,9 @@ def config_classes(cls: type) -> set[type]:
     """A settings class and all that it holds."""
     default = cls()
     held = [getattr(default, f.name) for f in dataclasses.fields(cls)]
-    return {cls}.union(*(config_classes(type(value)) for value in held if dataclasses.is_dataclass(value)))
+    return {cls}.union(
+        *(config_classes(type(value)) for value in held if dataclasses.is_dataclass(value))
+    )
 
 
 def explanations(cls: type) -> dict[str, str]:
@@ -29,13 +32,18 @@ def explanations(cls: type) -> dict[str, str]:
     for base in (base for base in reversed(cls.__mro__) if dataclasses.is_dataclass(base)):
         source: Any = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
         for field, text in itertools.pairwise(source.body):
-            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+            if (
+                isinstance(field, ast.AnnAssign)
+                and isinstance(text, ast.Expr)
+                and isinstance(text.value, ast.Constant)
+            ):
                 texts[field.target.id] = str(text.value.value)  # pyright: ignore[reportAttributeAccessIssue]
     return texts
 
 
 CLASSES = sorted(
-    {cls for mapper in SYSTEMS.values() for cls in config_classes(mapper.config_type)}, key=lambda cls: cls.__name__
+    {cls for mapper in SYSTEMS.values() for cls in config_classes(mapper.config_type)},
+    key=lambda cls: cls.__name__,
 )
 
 
@@ -47,7 +55,9 @@ def test_every_setting_is_explained_with_its_unit(cls):
             continue
         assert len(texts.get(f.name, "")) > 20, f"{cls.__name__}.{f.name} has no explanation"
         for ending, unit in UNITS.items():
-            assert not f.name.endswith(ending) or unit in texts[f.name], f"{cls.__name__}.{f.name}: no unit"
+            assert not f.name.endswith(ending) or unit in texts[f.name], (
+                f"{cls.__name__}.{f.name}: no unit"
+            )
 
 
 @pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)

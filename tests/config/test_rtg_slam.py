@@ -41,7 +41,12 @@ def test_what_the_paper_says():
     assert c.discs.min_cosine == pytest.approx(math.cos(math.radians(60)))
     assert c.discs.max_offset is None
     w = c.window
-    assert (w.weight_colour, w.anchor, w.draw, w.history_max_weight) == (1.0, "birth", "random", 1.0)
+    assert (w.weight_colour, w.anchor, w.draw, w.history_max_weight) == (
+        1.0,
+        "birth",
+        "random",
+        1.0,
+    )
     assert w.depth_behind_m is None
     s = c.states
     assert (s.colour_error, s.depth_error_m, s.on_error) == (0.1, 0.1, "release")
@@ -50,7 +55,9 @@ def test_what_the_paper_says():
     assert (k.latest, k.random, k.rows, k.instead_of_window) == (1, 3, "all", False)
     assert c.final.passes == 10
     released = rtg_slam("replica", "code").tracking
-    assert c.tracking == dataclasses.replace(released, target="model")  # the rest is not in the paper
+    assert c.tracking == dataclasses.replace(
+        released, target="model"
+    )  # the rest is not in the paper
     assert c.tracking.pyramid == (4, 2, 1)
     assert not c.tracking.landmarks
 
@@ -59,7 +66,12 @@ def test_what_the_released_code_does():
     c = rtg_slam("replica", "code")
     assert (c.discs.opaque_alpha, c.discs.max_offset, c.discs.min_cosine) == (0.6, 1.0, 0.5)
     w = c.window
-    assert (w.weight_colour, w.anchor, w.draw, w.history_max_weight) == (0.8, "window", "newest_half", 0.5)
+    assert (w.weight_colour, w.anchor, w.draw, w.history_max_weight) == (
+        0.8,
+        "window",
+        "newest_half",
+        0.5,
+    )
     assert w.depth_behind_m == 0.1
     s = c.states
     assert s.colour_error == pytest.approx(0.2 / 3)  # 0.2 of the sum over R, G, B
@@ -74,7 +86,12 @@ def test_what_the_released_code_does():
         assert (o.final.passes, o.final.lr_factor) == (10, 1.0)
         assert o.keyframes.instead_of_window == (other != "scannetpp")
     t = c.tracking
-    assert (t.pyramid, t.iterations, t.max_distance_m, t.max_angle_deg) == ((4, 2, 1), (5, 5, 5), 0.1, 20.0)
+    assert (t.pyramid, t.iterations, t.max_distance_m, t.max_angle_deg) == (
+        (4, 2, 1),
+        (5, 5, 5),
+        0.1,
+        20.0,
+    )
     assert (t.prior, t.target) == ("previous", "hybrid")
     assert not t.landmarks
     assert rtg_slam("replica").tracking.landmarks
@@ -93,7 +110,9 @@ def test_overrides_reach_nested_fields():
     assert (c.window.iterations, c.window.every_frames) == (30, 4)
     assert c.tracking.back_end
     assert c.mesh_voxel_m == 0.05
-    with pytest.raises(ValueError, match=r"window: unknown keys \['iteration'\]; known: .*'iterations'"):
+    with pytest.raises(
+        ValueError, match=r"window: unknown keys \['iteration'\]; known: .*'iterations'"
+    ):
         rtg_slam("tum", window__iteration=20)
     with pytest.raises(KeyError, match="no preset 'repilca'; known: azure, online, replica"):
         rtg_slam("repilca")

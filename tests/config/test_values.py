@@ -48,5 +48,7 @@ def test_layers_of_settings():
     assert (layered.count, layered.inner) == (5, Inner(sizes=(4, 4), share=None))
     assert to_dict(layered)["inner"] == {"sizes": (4, 4), "share": None}
     assert replace(layered, inner__share=0.2).inner.share == 0.2
-    with pytest.raises(ValueError, match=r"inner: unknown keys \['size'\]; known: \['share', 'sizes'\]"):
+    with pytest.raises(
+        ValueError, match=r"inner: unknown keys \['size'\]; known: \['share', 'sizes'\]"
+    ):
         replace(layered, inner__size=1)

@@ -36,13 +36,19 @@ def twice(monkeypatch):
     monkeypatch.setattr(module, "_EXERCISES", dict(module._EXERCISES))
 
     @exercise(
-        chapter=1, difficulty=2, minutes=3, hints=("first", "second"), solution=double,
+        chapter=1,
+        difficulty=2,
+        minutes=3,
+        hints=("first", "second"),
+        solution=double,
         wrong=(Wrong(abs, says="twice"),),
-    )  # fmt: skip
+    )
     def twice(attempt):
         """Double a number."""
         attempt.on("the number 3")
-        attempt.close(attempt(torch.tensor([3.0])), [6.0], "it is twice as large", why="Add it to itself")
+        attempt.close(
+            attempt(torch.tensor([3.0])), [6.0], "it is twice as large", why="Add it to itself"
+        )
 
     return twice
 
@@ -85,7 +91,10 @@ def test_the_chapter_goes_on_and_says_with_whose_code(twice, capsys):
         return capsys.readouterr().out
 
     assert twice.working(abs)(2) == 4
-    assert "twice: the reference's is used: yours fails “it is twice as large” (on the number 3)" in printed()
+    assert (
+        "twice: the reference's is used: yours fails “it is twice as large” (on the number 3)"
+        in printed()
+    )
     assert twice.working(lambda x: None)(2) == 4
     assert printed() == "twice: the reference's is used: not yet yours.\n"
 
@@ -113,7 +122,10 @@ def test_a_crash_names_the_line(twice):
 
 def test_the_solution_opens_after_a_try(twice, monkeypatch, tmp_path):
     monkeypatch.setenv("GSNB_COURSE_FILE", str(tmp_path / "course.json"))
-    refused = "The solution of twice opens after your first try: write the function and run check.twice(twice)."
+    refused = (
+        "The solution of twice opens after your first try: write the function and run "
+        "check.twice(twice)."
+    )
     assert repr(twice.solution()).startswith(refused)
     twice(lambda x: None)
     twice(abs)  # an example of a verdict: its name is not the exercise's
@@ -139,18 +151,39 @@ def test_check_knows_its_exercises(twice):
 def test_an_exercise_must_be_complete():
     with pytest.raises(ValueError, match="needs a docstring"):
 
-        @exercise(chapter=1, difficulty=1, minutes=1, hints=("h",), solution=double, wrong=(Wrong(abs, says="x"),))
+        @exercise(
+            chapter=1,
+            difficulty=1,
+            minutes=1,
+            hints=("h",),
+            solution=double,
+            wrong=(Wrong(abs, says="x"),),
+        )
         def untitled(attempt): ...
 
     with pytest.raises(ValueError, match="difficulty must be one of"):
 
-        @exercise(chapter=1, difficulty=9, minutes=1, hints=("h",), solution=double, wrong=(Wrong(abs, says="x"),))
+        @exercise(
+            chapter=1,
+            difficulty=9,
+            minutes=1,
+            hints=("h",),
+            solution=double,
+            wrong=(Wrong(abs, says="x"),),
+        )
         def too_hard(attempt):
             """Hard."""
 
     with pytest.raises(ValueError, match=r"exists already in gsfusion_nb\.course\.frames"):
 
-        @exercise(chapter=1, difficulty=1, minutes=1, hints=("h",), solution=double, wrong=(Wrong(abs, says="x"),))
+        @exercise(
+            chapter=1,
+            difficulty=1,
+            minutes=1,
+            hints=("h",),
+            solution=double,
+            wrong=(Wrong(abs, says="x"),),
+        )
         def project_points(attempt):
             """Taken."""
 
@@ -198,7 +231,10 @@ def test_what_the_judge_cannot_use_is_told(twice):
 
     verdict = dataclasses.replace(twice, judge=awkward)(lambda x: {"a": x})
     assert (verdict.state, verdict.on) == ("failed", "the number 3")
-    assert "it returned a dict, with which the checker could not go on (TypeError: unsupported operand" in repr(verdict)
+    assert (
+        "it returned a dict, with which the checker could not go on (TypeError: unsupported operand"
+        in repr(verdict)
+    )
 
 
 @pytest.mark.parametrize("name", exercises())
@@ -211,7 +247,10 @@ def test_no_answer_makes_a_checker_raise(name):
         lambda v: object(),
         lambda v: (w for w in [v]),
     ):
-        assert exercises()[name](lambda *a, spoil=spoil, **k: spoil(solution(*a, **k))).state == "failed"
+        assert (
+            exercises()[name](lambda *a, spoil=spoil, **k: spoil(solution(*a, **k))).state
+            == "failed"
+        )
 
 
 def test_an_answer_of_the_library_gets_a_sentence_and_no_mark():

@@ -1,4 +1,5 @@
-"""Copies of the notebooks have no solution; a learner's shows what to expect, and nobody's work is overwritten."""
+"""Copies of the notebooks have no solution; a learner's shows what to expect, and nobody's work is
+overwritten."""
 
 import copy
 import json
@@ -11,7 +12,11 @@ from gsfusion_nb.cli.course import run
 from gsfusion_nb.course.copies import copy_for_class, hand_out, learner_copy, without_solutions
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.ipynb"))
-PICTURE = {"output_type": "display_data", "metadata": {}, "data": {"image/png": "abc", "text/plain": "<Image>"}}
+PICTURE = {
+    "output_type": "display_data",
+    "metadata": {},
+    "data": {"image/png": "abc", "text/plain": "<Image>"},
+}
 
 
 def text(source):
@@ -19,11 +24,22 @@ def text(source):
 
 
 def shown(text):
-    return {"output_type": "execute_result", "metadata": {}, "execution_count": 2, "data": {"text/plain": [text]}}
+    return {
+        "output_type": "execute_result",
+        "metadata": {},
+        "execution_count": 2,
+        "data": {"text/plain": [text]},
+    }
 
 
 def code(source, *outputs):
-    return {"cell_type": "code", "metadata": {}, "source": source, "outputs": list(outputs), "execution_count": 2}
+    return {
+        "cell_type": "code",
+        "metadata": {},
+        "source": source,
+        "outputs": list(outputs),
+        "execution_count": 2,
+    }
 
 
 def notebook(*cells):
@@ -44,7 +60,15 @@ def test_solutions_go_and_the_rest_stays():
             text("Double it."),
             code("def f(x):\n    ..."),
             code(SOLVED),
-            code(["a = 1\n", "    ### BEGIN SOLUTION\n", "a = 2\n", "    ### END SOLUTION\n", "b = 3"]),
+            code(
+                [
+                    "a = 1\n",
+                    "    ### BEGIN SOLUTION\n",
+                    "a = 2\n",
+                    "    ### END SOLUTION\n",
+                    "b = 3",
+                ]
+            ),
             text("Why?\n<!-- BEGIN SOLUTION -->\nBecause.\n<!-- END SOLUTION -->\nGo on."),
             code(""),
         ],
@@ -57,9 +81,14 @@ def test_solutions_go_and_the_rest_stays():
     sources = ["".join(cell["source"]) for cell in student["cells"]]
     assert sources == ["Double it.", "def f(x):\n    ...", "a = 1\nb = 3", "Why?\nGo on.", ""]
     assert all(
-        c["outputs"] == [] and c["execution_count"] is None for c in student["cells"] if c["cell_type"] == "code"
+        c["outputs"] == [] and c["execution_count"] is None
+        for c in student["cells"]
+        if c["cell_type"] == "code"
     )
-    assert {k: student[k] for k in ("metadata", "nbformat")} == {"metadata": {"m": 1}, "nbformat": 4}
+    assert {k: student[k] for k in ("metadata", "nbformat")} == {
+        "metadata": {"m": 1},
+        "nbformat": 4,
+    }
 
 
 @pytest.mark.parametrize("source", ["### BEGIN SOLUTION\nx = 1", "x = 1\n### END SOLUTION"])
@@ -107,8 +136,15 @@ def test_a_learner_sees_what_to_expect_and_no_answer():
 
 
 def test_what_comes_of_a_prediction_is_folded():
-    cells = [code('predict(\n    "x", "?")'), code("2 + 2", shown("4")), code('came("x", 4)', shown("4")), code("1")]
-    folded = [cell["metadata"].get("collapsed") for cell in learner_copy(notebook(*cells))["cells"][2:]]
+    cells = [
+        code('predict(\n    "x", "?")'),
+        code("2 + 2", shown("4")),
+        code('came("x", 4)', shown("4")),
+        code("1"),
+    ]
+    folded = [
+        cell["metadata"].get("collapsed") for cell in learner_copy(notebook(*cells))["cells"][2:]
+    ]
     assert folded == [None, True, True, None]
 
 
@@ -134,5 +170,9 @@ def test_no_copy_shows_the_comments_of_tests():
     for path in NOTEBOOKS:
         whole = json.loads(path.read_text(encoding="utf-8"))
         for copied in (learner_copy(whole), without_solutions(whole)):
-            texts = ["".join(cell["source"]) for cell in copied["cells"] if cell["cell_type"] == "markdown"]
+            texts = [
+                "".join(cell["source"])
+                for cell in copied["cells"]
+                if cell["cell_type"] == "markdown"
+            ]
             assert not any("<!--" in text for text in texts), path.name

@@ -1,4 +1,5 @@
-"""Every exercise of the course: its solution passes, its wrong answers fail and say why, an unwritten body is grey."""
+"""Every exercise of the course: its solution passes, its wrong answers fail and say why, an
+unwritten body is grey."""
 
 import inspect
 
@@ -20,7 +21,9 @@ def test_the_solution_is_right_as_it_is_shown(name):
     exercise.judge(Attempt(namespace[name]))
 
 
-@pytest.mark.parametrize(("exercise", "wrong"), WRONG, ids=[f"{e.name}-{w.function.__name__}" for e, w in WRONG])
+@pytest.mark.parametrize(
+    ("exercise", "wrong"), WRONG, ids=[f"{e.name}-{w.function.__name__}" for e, w in WRONG]
+)
 def test_a_plausible_wrong_answer_fails_and_hears_why(exercise, wrong):
     verdict = exercise.verdict(wrong.function)
     assert verdict.state == "failed", repr(verdict)

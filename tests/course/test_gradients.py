@@ -22,7 +22,11 @@ def test_central_difference_of_a_cubic():
 
 
 def test_three_ways_agree_on_a_right_gradient():
-    table = compare_gradients(torch.sin, lambda v, x: v * x.cos(), {"x": X})
+    table = compare_gradients(
+        torch.sin,
+        lambda v, x: v * x.cos(),
+        {"x": X},
+    )
     assert table
     assert "all three agree" in repr(table)
 
@@ -39,12 +43,20 @@ def test_three_ways_find_one_wrong_element():
 
 
 def test_three_ways_name_the_input_that_is_wrong():
-    table = compare_gradients(lambda a, b: a * b, lambda v, a, b: (v * b, v * b), {"a": X, "b": X + 1})
+    table = compare_gradients(
+        lambda a, b: a * b,
+        lambda v, a, b: (v * b, v * b),
+        {"a": X, "b": X + 1},
+    )
     assert [max(row.errors) < 1e-5 for row in table.rows] == [True, False]
 
 
 def test_an_input_without_influence_has_zero_gradient():
-    table = compare_gradients(lambda a, b: a * 2, lambda v, a, b: (2 * v, torch.zeros_like(b)), {"a": X, "b": X})
+    table = compare_gradients(
+        lambda a, b: a * 2,
+        lambda v, a, b: (2 * v, torch.zeros_like(b)),
+        {"a": X, "b": X},
+    )
     assert table
 
 
@@ -52,15 +64,26 @@ def test_all_solutions_pass_three_ways():
     v_C = torch.tensor([0.3, -1.0, 0.5], dtype=F64)
     alpha, rgb = torch.tensor([0.5, 0.8, 0.3], dtype=F64), torch.rand(3, 3, dtype=F64)
     assert compare_gradients(
-        gradients._blend, lambda v, a, c: gradients._blend_vjp(a, c, v), {"alpha": alpha, "rgb": rgb}, v=v_C
+        gradients._blend,
+        lambda v, a, c: gradients._blend_vjp(a, c, v),
+        {"alpha": alpha, "rgb": rgb},
+        v=v_C,
     )
     cov = torch.tensor([[2.0, 0.8], [0.8, 1.0]], dtype=F64)
-    assert compare_gradients(torch.linalg.inv, lambda v, s: gradients._inverse_vjp(s.inverse(), v), {"cov": cov})
+    assert compare_gradients(
+        torch.linalg.inv,
+        lambda v, s: gradients._inverse_vjp(s.inverse(), v),
+        {"cov": cov},
+    )
 
     def pinhole(p):
         return torch.stack([90 * p[0] / p[2], 110 * p[1] / p[2]])
 
-    assert compare_gradients(pinhole, lambda v, p: gradients._pinhole_vjp(p, 90.0, 110.0, v), {"p": X})
+    assert compare_gradients(
+        pinhole,
+        lambda v, p: gradients._pinhole_vjp(p, 90.0, 110.0, v),
+        {"p": X},
+    )
 
 
 def test_source_lines_find_a_line_with_its_number(monkeypatch):

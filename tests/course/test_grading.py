@@ -1,4 +1,5 @@
-"""Marks for a class: what a submission needs, what it may do in the sandbox, who gets which mark."""
+"""Marks for a class: what a submission needs, what it may do in the sandbox, who gets which
+mark."""
 
 import csv
 from pathlib import Path
@@ -43,14 +44,23 @@ def test_only_what_a_function_needs_runs():
     cells = [
         Cell("cell 1", "import torch\nSCALE = 2\nn = run_for_an_hour()\n%matplotlib inline\n!ls"),
         Cell("cell 2", "def half(x):\n    return x / SCALE\n\ndef f(x):\n    return 'the first'"),
-        Cell("cell 3", "def f(n):\n    y = [half(i) for i in n]\n    return torch.tensor(y)\nf = check.f.working(f)"),
+        Cell(
+            "cell 3",
+            "def f(n):\n    y = [half(i) for i in n]\n    return torch.tensor(y)\nf = "
+            "check.f.working(f)",
+        ),
         Cell("cell 4", "SCALE = 4\nraise ValueError"),
         Cell("cell 5", "this is no Python: def g(x)"),
     ]
     lines = [(cell.label, node.lineno) for cell, node in needed(cells, "f")]
     assert lines == [
-        ("cell 1", 1), ("cell 1", 2), ("cell 2", 1), ("cell 2", 4), ("cell 3", 1), ("cell 4", 1),
-    ]  # fmt: skip
+        ("cell 1", 1),
+        ("cell 1", 2),
+        ("cell 2", 1),
+        ("cell 2", 4),
+        ("cell 3", 1),
+        ("cell 4", 1),
+    ]
     with pytest.raises(Failed, match="cell 5"):
         needed(cells, "g")
     with pytest.raises(Failed, match="no function h"):
@@ -67,20 +77,37 @@ def test_what_is_no_submission_is_said(tmp_path):
 
 
 def test_whose_a_file_is(tmp_path):
-    for path in ("submitted/ann/ch2/02_tsdf_fusion.ipynb", "submitted/bob/ch2/02_tsdf_fusion.ipynb"):
+    for path in (
+        "submitted/ann/ch2/02_tsdf_fusion.ipynb",
+        "submitted/bob/ch2/02_tsdf_fusion.ipynb",
+    ):
         (tmp_path / path).parent.mkdir(parents=True)
         (tmp_path / path).write_text("{}")
     assert [s.student for s in find_submissions([tmp_path / "submitted"])] == ["ann", "bob"]
-    assert [s.student for s in find_submissions(sorted((tmp_path / "submitted").iterdir()))] == ["ann", "bob"]
+    assert [s.student for s in find_submissions(sorted((tmp_path / "submitted").iterdir()))] == [
+        "ann",
+        "bob",
+    ]
     assert [s.student for s in find_submissions([SUBMISSIONS / "right.py"])] == ["right"]
 
 
 def test_no_cell_of_the_table_is_a_formula():
     names = ("=1+1", "+1", "-1", "@sum", "\t=1", " =1", "a\nb", 'he said "x", twice')
-    marks = [Mark(student=n, exercise="psnr", points=1.5, most=2.0, message=n) for n in names]
+    marks = [
+        Mark(
+            student=n,
+            exercise="psnr",
+            points=1.5,
+            most=2.0,
+            message=n,
+        )
+        for n in names
+    ]
     rows = list(csv.reader(as_csv(marks).splitlines()))
     assert len(rows) == 1 + len(names)
-    assert all(not row[i].lstrip().startswith(("=", "+", "-", "@")) for row in rows[1:] for i in (0, 5))
+    assert all(
+        not row[i].lstrip().startswith(("=", "+", "-", "@")) for row in rows[1:] for i in (0, 5)
+    )
     assert rows[1][2:4] == ["1.5", "2"]
 
 
@@ -88,23 +115,33 @@ def test_no_cell_of_the_table_is_a_formula():
 def test_a_function_that_ends_its_process_or_sleeps_leaves_the_next_one_alone():
     of = {
         "psnr": "import os\ndef psnr(image, reference): os._exit(3)",
-        "block_of": "import time\nblock_of = time.sleep(100)\ndef block_of(xyz_W, voxel_size_m): return 1",
-        "zero_crossing": "print('hello')\ndef zero_crossing(p0, p1, D0, D1): return p0 + (D0 / (D0 - D1))[:, None] "
-        "* (p1 - p0)",
+        "block_of": "import time\nblock_of = time.sleep(100)\ndef block_of(xyz_W, voxel_size_m): "
+        "return 1",
+        "zero_crossing": "print('hello')\ndef zero_crossing(p0, p1, D0, D1): return p0 + (D0 / (D0 "
+        "- D1))[:, None] * (p1 - p0)",
     }
-    found = verdicts({name: [Cell("cell 1", source)] for name, source in of.items()}, Limits(seconds=10.0))
+    found = verdicts(
+        {name: [Cell("cell 1", source)] for name, source in of.items()},
+        Limits(seconds=10.0),
+    )
     assert "ended" in found["psnr"].detail
     assert "10 s" in found["block_of"].detail
     assert found["zero_crossing"], found["zero_crossing"]
 
 
 SOLVED = {"map_frame": 6, "draw_keyframes": 6, "slope": 5, "quadtree_leaves": 3}
-"""Exercise -> chapter: with a mapper, a generator, a function, and other exercises in what is passed."""
+"""Exercise -> chapter: with a mapper, a generator, a function, and other exercises in what is
+passed."""
 
 
 @pytest.mark.ci
 def test_solved_chapters_pass_in_the_sandbox():
-    codes = [read_code(path) for path in sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))]
+    codes = [
+        read_code(path)
+        for path in sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
+    ]
     chosen = {name: choose(codes, name, chapter) for name, chapter in SOLVED.items()}
-    for verdict in verdicts({name: code.cells for name, code in chosen.items() if code}, Limits()).values():
+    for verdict in verdicts(
+        {name: code.cells for name, code in chosen.items() if code}, Limits()
+    ).values():
         assert verdict, repr(verdict)

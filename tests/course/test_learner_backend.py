@@ -1,4 +1,5 @@
-"""The backend ``mine``: accepted functions run in the library, are counted, and are named when they fail."""
+"""The backend ``mine``: accepted functions run in the library, are counted, and are named when they
+fail."""
 
 import linecache
 
@@ -96,7 +97,10 @@ def whole_numbers(rgb, target):
 def test_a_broken_function_is_named_with_its_line_and_what_went_in(broken):
     mine.keep("l1_gradient", broken)
     at = broken.__code__.co_firstlineno + 2 * (broken is raises)
-    with use_backend("mine"), pytest.raises(LearnerError, match=rf"your l1_gradient \(line {at}, `") as e:
+    with (
+        use_backend("mine"),
+        pytest.raises(LearnerError, match=rf"your l1_gradient \(line {at}, `") as e,
+    ):
         l1_vjp(*PICTURES)
     assert "rgb = [2, 3, 3] float32" in str(e.value)
 
@@ -108,7 +112,10 @@ def test_a_nested_list_of_the_right_shape_is_accepted():
 
 
 def test_inputs_of_the_library_are_safe_from_a_function_that_changes_its_own():
-    mine.keep("running_average", lambda D, W, d, cap: (D.zero_(), W.add_(1)))
+    mine.keep(
+        "running_average",
+        lambda D, W, d, cap: (D.zero_(), W.add_(1)),
+    )
     D, W, sdf_m = torch.ones(3), torch.zeros(3), torch.tensor([0.01, -0.01, -1.0])
     with use_backend("mine"):
         new_D, new_W = tsdf_update(D, W, sdf_m, truncation_m=0.1, max_weight=100.0)
@@ -116,9 +123,17 @@ def test_inputs_of_the_library_are_safe_from_a_function_that_changes_its_own():
     assert (new_D.tolist(), new_W.tolist()) == ([0.0, 0.0, 1.0], [1.0, 1.0, 0.0])
 
 
-@pytest.mark.parametrize("settings", [{"threshold": 0.001}, {"threshold": 0.1, "contrast": "std", "min_cell_px": 2}])
+@pytest.mark.parametrize(
+    "settings", [{"threshold": 0.001}, {"threshold": 0.1, "contrast": "std", "min_cell_px": 2}]
+)
 def test_a_quadtree_in_another_order_gives_the_librarys_cells(settings):
-    rgb_u8 = torch.randint(0, 256, (21, 30, 3), generator=torch.Generator().manual_seed(0), dtype=torch.uint8)
+    rgb_u8 = torch.randint(
+        0,
+        256,
+        (21, 30, 3),
+        generator=torch.Generator().manual_seed(0),
+        dtype=torch.uint8,
+    )
     expected = quadtree.reference(rgb_u8, **settings)
     mine.keep("quadtree_leaves", lambda *given: check.quadtree_leaves._solution(*given)[::-1])
     with use_backend("mine"):
@@ -128,7 +143,10 @@ def test_a_quadtree_in_another_order_gives_the_librarys_cells(settings):
         assert torch.equal(getattr(got, name), column)
 
 
-@pytest.mark.parametrize("leaves", [[(0, 0, 15, 10)], [(0, 0, 30, 21), (0, 0, 1, 1)], 7])
+@pytest.mark.parametrize(
+    "leaves",
+    [[(0, 0, 15, 10)], [(0, 0, 30, 21), (0, 0, 1, 1)], 7],
+)
 def test_leaves_that_do_not_tile_the_image_are_the_learners_error(leaves):
     mine.keep("quadtree_leaves", lambda *given: leaves)
     with use_backend("mine"), pytest.raises(LearnerError, match="your quadtree_leaves"):
@@ -155,7 +173,9 @@ def keep_all():
 
 def few_gaussians(n=9):
     g = torch.Generator().manual_seed(2)
-    xyz = torch.randn(n, 3, generator=g) * torch.tensor([0.6, 0.4, 0.3]) + torch.tensor([0.0, 0.0, 1.5])
+    xyz = torch.randn(n, 3, generator=g) * torch.tensor([0.6, 0.4, 0.3]) + torch.tensor(
+        [0.0, 0.0, 1.5]
+    )
     xyz[-1, 2] = -1.0  # behind the camera
     xyz[-2, 0] = 4.0  # far outside the picture
     return GaussianParams(
@@ -168,22 +188,47 @@ def few_gaussians(n=9):
 
 
 def test_a_picture_and_its_gradient_by_the_learners_code_are_the_references():
-    params, camera = few_gaussians(), Camera(width=5, height=4, fx=5.0, fy=4.0, cx=2.5, cy=2.0)
+    params, camera = (
+        few_gaussians(),
+        Camera(
+            width=5,
+            height=4,
+            fx=5.0,
+            fy=4.0,
+            cx=2.5,
+            cy=2.0,
+        ),
+    )
     T_WC = se3.exp(torch.tensor([0.1, -0.1, 0.05, 0.1, -0.2, 0.3]))
     expected, saved = render_forward.reference(params, camera, T_WC)
-    v_rgb = torch.randn(4, 5, 3, generator=torch.Generator().manual_seed(3))
+    v_rgb = torch.randn(
+        4,
+        5,
+        3,
+        generator=torch.Generator().manual_seed(3),
+    )
     v_expected = render_vjp.reference(saved, v_rgb)
     keep_all()
     with use_backend("mine"):
         got, saved = render_forward(params, camera, T_WC)
         v_got = render_vjp(saved, v_rgb)
     for name in ("rgb", "depth_m", "alpha"):
-        torch.testing.assert_close(getattr(got, name), getattr(expected, name), rtol=1e-4, atol=1e-5)
+        torch.testing.assert_close(
+            getattr(got, name), getattr(expected, name), rtol=1e-4, atol=1e-5
+        )
     assert torch.equal(got.first_index, expected.first_index)
     for name, value in vars(v_expected).items():
         torch.testing.assert_close(getattr(v_got, name), value, rtol=1e-3, atol=1e-4)
-    for name in ("project_gaussians", "splat_alpha", "blend", "tile_intersections", "sh_to_rgb", "blend_vjp",
-                 "splat_alpha_vjp", "project_gaussians_vjp"):  # fmt: skip
+    for name in (
+        "project_gaussians",
+        "splat_alpha",
+        "blend",
+        "tile_intersections",
+        "sh_to_rgb",
+        "blend_vjp",
+        "splat_alpha_vjp",
+        "project_gaussians_vjp",
+    ):
         assert row(name).calls.own > 0, name
         assert row(name).calls.reference == 0, name
 
@@ -206,22 +251,46 @@ def test_adam_by_the_learners_code_is_the_references(steps):
 
 
 def test_nan_at_one_pixel_is_found_among_many():
-    params, camera = few_gaussians(), Camera(width=5, height=4, fx=5.0, fy=4.0, cx=2.5, cy=2.0)
+    params, camera = (
+        few_gaussians(),
+        Camera(
+            width=5,
+            height=4,
+            fx=5.0,
+            fy=4.0,
+            cx=2.5,
+            cy=2.0,
+        ),
+    )
 
     def composite_pixel(alpha, rgb):
         return rgb.sum(0) / (len(alpha) - 3), alpha.sum()
 
     mine.keep("composite_pixel", composite_pixel)
-    with use_backend("mine"), pytest.raises(LearnerError, match="NaN or infinite values for the colour") as e:
+    with (
+        use_backend("mine"),
+        pytest.raises(LearnerError, match="NaN or infinite values for the colour") as e,
+    ):
         render_forward(params, camera, torch.eye(4))
     assert "alpha = [" in str(e.value)
 
 
 @pytest.mark.ci
 def test_a_room_mapped_with_the_learners_code_is_as_good_as_the_references():
-    """Measured: 0.0005 dB. Both differ in the order of sums, and the projection of yours runs in float64."""
-    options = {"data__width": 32, "data__height": 24, "data__stop": 8, "tsdf__voxel_size_m": 0.08, "sh_degree": 1}
-    options |= {"tsdf__truncation_voxels": 2.0, "seeding__quadtree_contrast": "std", "keyframe_min_seeds": 20}
+    """Measured: 0.0005 dB. Both differ in the order of sums, and the projection of yours runs in
+    float64."""
+    options = {
+        "data__width": 32,
+        "data__height": 24,
+        "data__stop": 8,
+        "tsdf__voxel_size_m": 0.08,
+        "sh_degree": 1,
+    }
+    options |= {
+        "tsdf__truncation_voxels": 2.0,
+        "seeding__quadtree_contrast": "std",
+        "keyframe_min_seeds": 20,
+    }
     config = gsfusion("room", "paper_steps", **options)
     sequence = open_sequence("room", data=config.data, n_frames=16)
     scores, meshes = [], []
@@ -232,15 +301,24 @@ def test_a_room_mapped_with_the_learners_code_is_as_good_as_the_references():
             for i in range(2):
                 mapper.step(sequence.mapping[i])
             views = [sequence.mapping[i] for i in range(2)]
-            scores.append([psnr(mapper.render(view.camera, view.T_WC).rgb, view.rgb) for view in views])
+            scores.append(
+                [psnr(mapper.render(view.camera, view.T_WC).rgb, view.rgb) for view in views]
+            )
             meshes.append(mapper.mesh())
     assert scores[0] == pytest.approx(scores[1], abs=0.1)
-    torch.testing.assert_close(meshes[0].vertices_W, meshes[1].vertices_W, rtol=0, atol=1e-5)
+    torch.testing.assert_close(
+        meshes[0].vertices_W,
+        meshes[1].vertices_W,
+        rtol=0,
+        atol=1e-5,
+    )
     parts = {"luma_variance", "cut"}  # inside yours they are called by yours
     later = {name for name, exercise in exercises().items() if exercise.chapter > 6}
     rows = [each for each in mine.board().rows if each.exercise and each.exercise not in later]
     for each in rows:
-        if each.operation not in parts | {"draw_keyframes"}:  # called after a frame that is no keyframe
+        if each.operation not in parts | {
+            "draw_keyframes"
+        }:  # called after a frame that is no keyframe
             assert each.calls.own > 0, each.operation
             assert each.calls.reference == 0, each.operation
 
@@ -284,12 +362,36 @@ def test_the_solutions_can_stand_in_and_the_board_says_so():
 
 
 def test_a_frame_in_which_the_learners_function_fails_is_taken_back():
-    camera = Camera(width=16, height=12, fx=14.0, fy=14.0, cx=8.0, cy=6.0)
-    rgb = torch.rand(12, 16, 3, generator=torch.Generator().manual_seed(3))
-    frame = Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=torch.full((12, 16), 2.0), camera=camera,
-                  T_WC=torch.eye(4))  # fmt: skip
-    config = gsfusion("online", sh_degree=0, tsdf__voxel_size_m=0.2, seeding__quadtree_contrast="std",
-                      optim__keyframe_iterations=2, optim__frame_iterations=2)  # fmt: skip
+    camera = Camera(
+        width=16,
+        height=12,
+        fx=14.0,
+        fy=14.0,
+        cx=8.0,
+        cy=6.0,
+    )
+    rgb = torch.rand(
+        12,
+        16,
+        3,
+        generator=torch.Generator().manual_seed(3),
+    )
+    frame = Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=rgb,
+        depth_m=torch.full((12, 16), 2.0),
+        camera=camera,
+        T_WC=torch.eye(4),
+    )
+    config = gsfusion(
+        "online",
+        sh_degree=0,
+        tsdf__voxel_size_m=0.2,
+        seeding__quadtree_contrast="std",
+        optim__keyframe_iterations=2,
+        optim__frame_iterations=2,
+    )
     mapper, calls = GSFusion(config), []
 
     def l1_gradient(rgb, target):
@@ -300,7 +402,9 @@ def test_a_frame_in_which_the_learners_function_fails_is_taken_back():
 
     mine.keep("l1_gradient", l1_gradient)
     with use_backend("mine"):
-        with pytest.raises(LearnerError, match=r"your l1_gradient .* raised ValueError: the second step"):
+        with pytest.raises(
+            LearnerError, match=r"your l1_gradient .* raised ValueError: the second step"
+        ):
             mapper.step(frame)
         assert (len(mapper.gaussians), len(mapper.keyframes), mapper.volume.n_blocks) == (0, 0, 0)
         assert mapper.step(frame).n_seeds == len(mapper.gaussians) > 0
@@ -310,7 +414,9 @@ def test_progress_written_by_hand_keeps_no_function(monkeypatch, tmp_path):
     monkeypatch.setenv("GSNB_COURSE_FILE", str(tmp_path / "course.json"))
     wrong = "def l1_gradient(rgb, target):\n    return rgb\n"
     progress.note("exercises", "l1_gradient", tries=1, passed=progress.now())
-    progress.note("functions", "l1_gradient", function="l1_gradient", source=wrong, kept=progress.now())
+    progress.note(
+        "functions", "l1_gradient", function="l1_gradient", source=wrong, kept=progress.now()
+    )
     mine.load()
     assert "l1_gradient" not in mine.KEPT
     with use_backend("mine"):

@@ -28,14 +28,30 @@ def block_of(xyz_W, voxel_size_m):
 @pytest.mark.parametrize(
     ("name", "function", "words"),
     [
-        pytest.param("block_of", lambda x, s: itertools.count(), "more than 10,000 values", id="a list without end"),
-        pytest.param("plan_frame", lambda *a: (object(),) * 3, "it returned a object", id="an object"),
+        pytest.param(
+            "block_of",
+            lambda x, s: itertools.count(),
+            "more than 10,000 values",
+            id="a list without end",
+        ),
+        pytest.param(
+            "plan_frame", lambda *a: (object(),) * 3, "it returned a object", id="an object"
+        ),
         pytest.param("block_of", lambda x, s: torch.full((len(x), 3), torch.nan), "NaN", id="NaN"),
-        pytest.param("block_of", lambda x, s: x.mul_(0).long(), "does not change its inputs", id="input changed"),
-        pytest.param("project_points", lambda c, x: object.__setattr__(c, "fx", 0.0) or x[:, :2], "the camera that was",
-                     id="camera changed"),
+        pytest.param(
+            "block_of",
+            lambda x, s: x.mul_(0).long(),
+            "does not change its inputs",
+            id="input changed",
+        ),
+        pytest.param(
+            "project_points",
+            lambda c, x: object.__setattr__(c, "fx", 0.0) or x[:, :2],
+            "the camera that was",
+            id="camera changed",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_plain_answer_is_refused(name, function, words):
     says(name, function, words)
 

@@ -14,7 +14,9 @@ def test_the_reference_step_maps_as_the_library_does():
         frame = mapping._wall(k)
         n = mapping._map_frame(ours, frame, ours._optimise_view)
         assert n == theirs.step(frame).n_seeds
-    torch.testing.assert_close(ours.gaussians.params.xyz_W, theirs.gaussians.params.xyz_W, rtol=0, atol=0)
+    torch.testing.assert_close(
+        ours.gaussians.params.xyz_W, theirs.gaussians.params.xyz_W, rtol=0, atol=0
+    )
     assert len(ours.keyframes) == len(theirs.keyframes) == 1
 
 
@@ -31,5 +33,12 @@ def test_the_log_tells_key_frames_from_frames():
     log = mapping.Log(mapper)
     frame = mapping._wall(4)
     log(frame)
-    log(Keyframe(index=2, rgb_u8=frame.rgb_u8, camera=frame.camera, T_WC=frame.T_WC))
+    log(
+        Keyframe(
+            index=2,
+            rgb_u8=frame.rgb_u8,
+            camera=frame.camera,
+            T_WC=frame.T_WC,
+        )
+    )
     assert log.calls == [("frame", 4, 0), ("keyframe", 2, 0)]

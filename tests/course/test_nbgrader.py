@@ -16,9 +16,13 @@ ROOT = Path(__file__).resolve().parents[2]
 SUBMISSIONS = Path(__file__).parent / "submissions"
 CHAPTER = "02_tsdf_fusion"
 MARKS = {
-    "right": 4, "partly_right": 2, "wrong_sign": 0, "endless": 2, "out_of_memory": 2,
+    "right": 4,
+    "partly_right": 2,
+    "wrong_sign": 0,
+    "endless": 2,
+    "out_of_memory": 2,
     "raises": 2,
-}  # fmt: skip
+}
 MOST = 4
 NAMES = ("signed_distance", "zero_crossing")
 
@@ -27,7 +31,9 @@ def exported(tmp_path: Path) -> Path:
     """The two exercises of the chapter on which they differ, as an assignment."""
     target = tmp_path / "nbgrader"
     notebook = json.loads((ROOT / "notebooks" / f"{CHAPTER}.ipynb").read_text())
-    of_both = re.compile(rf"^(def |check\.)({'|'.join(NAMES)})\(|from gsfusion_nb.course import", re.MULTILINE)
+    of_both = re.compile(
+        rf"^(def |check\.)({'|'.join(NAMES)})\(|from gsfusion_nb.course import", re.MULTILINE
+    )
     notebook["cells"] = [c for c in notebook["cells"] if of_both.search("".join(c["source"]))]
     chapter = tmp_path / f"{CHAPTER}.ipynb"
     chapter.write_text(json.dumps(notebook))
@@ -40,8 +46,14 @@ def handed_in(released: Path, student: Path) -> str:
     notebook = json.loads(released.read_text())
     source = student.read_text()
     body = ast.parse(source).body
-    of = {n.name: ast.get_source_segment(source, n) for n in body if isinstance(n, ast.FunctionDef) and n.name in NAMES}
-    rest = "\n".join(str(ast.get_source_segment(source, n)) for n in body if getattr(n, "name", "") not in NAMES)
+    of = {
+        n.name: ast.get_source_segment(source, n)
+        for n in body
+        if isinstance(n, ast.FunctionDef) and n.name in NAMES
+    }
+    rest = "\n".join(
+        str(ast.get_source_segment(source, n)) for n in body if getattr(n, "name", "") not in NAMES
+    )
     for cell in notebook["cells"]:
         text = "".join(cell["source"])
         found = re.search(r"^def (\w+)\(", text, re.MULTILINE)
@@ -52,15 +64,29 @@ def handed_in(released: Path, student: Path) -> str:
 
 
 def run(*command: str, cwd: Path) -> None:
-    programs = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # nbgrader calls alembic
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "JUPYTER_PLATFORM_DIRS": "1", "PATH": programs}
-    done = subprocess.run([sys.executable, "-m", *command], cwd=cwd, env=environment, capture_output=True, text=True)
+    programs = (
+        f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"  # nbgrader calls alembic
+    )
+    environment = os.environ | {
+        "OMP_NUM_THREADS": "1",
+        "JUPYTER_PLATFORM_DIRS": "1",
+        "PATH": programs,
+    }
+    done = subprocess.run(
+        [sys.executable, "-m", *command],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
 
 
 @pytest.mark.ci
 def test_nbgrader_gives_six_submissions_their_marks(tmp_path):
-    pytest.importorskip("nbgrader", reason='nbgrader is not installed: pip install "gsfusion-nb[teaching]"')
+    pytest.importorskip(
+        "nbgrader", reason='nbgrader is not installed: pip install "gsfusion-nb[teaching]"'
+    )
     from nbgrader.api import Gradebook
 
     course = exported(tmp_path)
@@ -93,9 +119,15 @@ for app, options in ((AutogradeApp(), []), (GenerateFeedbackApp(), ["--student",
 def test_every_chapter_can_be_exported():
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
         cells = json.loads(path.read_text())["cells"]
-        checks = sum("".join(c["source"]).strip().startswith("check.") for c in cells if c["cell_type"] == "code")
+        checks = sum(
+            "".join(c["source"]).strip().startswith("check.")
+            for c in cells
+            if c["cell_type"] == "code"
+        )
         made = assignment_cells(cells)
         tests = [c for c in made if re.match(r"assert check\.", "".join(c["source"]))]
-        answers = [c for c in made if "BEGIN SOLUTION" in "".join(c["source"]) and c["cell_type"] == "code"]
+        answers = [
+            c for c in made if "BEGIN SOLUTION" in "".join(c["source"]) and c["cell_type"] == "code"
+        ]
         assert 3 <= len(tests) <= checks, path.name
         assert len(answers) >= len(tests), path.name

@@ -33,12 +33,18 @@ def test_words_and_numbers():
     assert not outcome.right
     assert repr(outcome) == "You predicted left. It came: on the right. Right was: right."
     predict("gain", "How many dB?", unit="dB", answer=0.5)
-    assert repr(came("gain", 2.0)) == "You predicted 0.5 dB. It came: 2 dB. That is 4 times your number."
+    assert (
+        repr(came("gain", 2.0))
+        == "You predicted 0.5 dB. It came: 2 dB. That is 4 times your number."
+    )
     predict("sign", "By how much?", answer=1)
     assert came("sign", -1.0).words == "That is another sign, or zero."
 
 
-@pytest.mark.parametrize(("choices", "answer"), [([1, 2], 3), ((), "many"), ((), float("nan"))])
+@pytest.mark.parametrize(
+    ("choices", "answer"),
+    [([1, 2], 3), ((), "many"), ((), float("nan"))],
+)
 def test_an_answer_that_was_not_asked_for_is_refused(choices, answer):
     with pytest.raises(ValueError, match="prediction x: expected"):
         predict("x", "?", choices, answer=answer)

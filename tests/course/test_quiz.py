@@ -27,7 +27,9 @@ def test_the_right_option_is_what_the_checker_says(name):
     verdict = getattr(check, name)(exercise.wrong[0].function)
     assert q.options[q.answer] == verdict.prop
     assert verdict.on in q.said
-    assert not re.search(rf"\b{exercise._solution.__name__}\b|{exercise.wrong[0].function.__name__}", q.code)
+    assert not re.search(
+        rf"\b{exercise._solution.__name__}\b|{exercise.wrong[0].function.__name__}", q.code
+    )
     assert f"def {name}(" in q.code
 
 

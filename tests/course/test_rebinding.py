@@ -1,4 +1,5 @@
-"""Cells of a notebook can be run again in any order: no cell rebinds a name that another cell reads from elsewhere."""
+"""Cells of a notebook can be run again in any order: no cell rebinds a name that another cell reads
+from elsewhere."""
 
 import ast
 import json
@@ -40,7 +41,11 @@ class Cell(ast.NodeVisitor):
         self.bound.add((node.asname or node.name).split(".")[0])
 
     def visit_FunctionDef(self, node):
-        for part in (*node.decorator_list, *node.args.defaults, *filter(None, node.args.kw_defaults)):
+        for part in (
+            *node.decorator_list,
+            *node.args.defaults,
+            *filter(None, node.args.kw_defaults),
+        ):
             self.visit(part)
         self.bound.add(node.name)
         self.later |= free(node)
@@ -67,13 +72,17 @@ def free(scope):
 
 
 def rebindings(sources):
-    """``name: cells that bind it, cells that read it from another`` where that depends on the order of running."""
+    """``name: cells that bind it, cells that read it from another`` where that depends on the order
+    of running."""
     cells = [Cell(source) for source in sources]
     found = []
     for name in sorted(set().union(*(cell.bound for cell in cells))):
         binders = [i for i, cell in enumerate(cells) if name in cell.bound]
         readers = [i for i, cell in enumerate(cells) if name in cell.read]
-        exercise = all(f"def {name}(" in sources[i] for i in binders) and "BEGIN SOLUTION" in sources[binders[-1]]
+        exercise = (
+            all(f"def {name}(" in sources[i] for i in binders)
+            and "BEGIN SOLUTION" in sources[binders[-1]]
+        )
         if len(binders) > 1 and readers and not exercise:
             found.append(f"{name}: bound in {binders}, read in {readers}")
     return found
@@ -82,9 +91,19 @@ def rebindings(sources):
 def test_the_search_finds_what_breaks():
     assert rebindings(["x = 1", "print(x)", "x = 2"]) == ["x: bound in [0, 2], read in [1]"]
     function = "def f():\n    return x"
-    assert rebindings(["x = 1", function, "for x in (1, 2): pass"]) == ["x: bound in [0, 2], read in [1]"]
-    assert rebindings(["x = 1\nprint(x)", "x = 2\nprint([x for _ in 'a'])", "def g(x):\n    return x"]) == []
-    assert rebindings(["def f(): ...", "### BEGIN SOLUTION\ndef f(): return 1\n### END SOLUTION", "f()"]) == []
+    assert rebindings(["x = 1", function, "for x in (1, 2): pass"]) == [
+        "x: bound in [0, 2], read in [1]"
+    ]
+    assert (
+        rebindings(["x = 1\nprint(x)", "x = 2\nprint([x for _ in 'a'])", "def g(x):\n    return x"])
+        == []
+    )
+    assert (
+        rebindings(
+            ["def f(): ...", "### BEGIN SOLUTION\ndef f(): return 1\n### END SOLUTION", "f()"]
+        )
+        == []
+    )
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)

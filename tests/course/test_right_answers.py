@@ -1,4 +1,5 @@
-"""Right answers in another style than the notebooks' solutions: loops, NumPy, float64, lists. Judges accept them."""
+"""Right answers in another style than the notebooks' solutions: loops, NumPy, float64, lists.
+Judges accept them."""
 
 import math
 
@@ -33,7 +34,10 @@ def lift_pixels(camera, uv, depth_m):
 
 def normals_of_points(points):
     p = points.double().numpy()
-    n = np.cross(p[2:, 1:-1] - p[:-2, 1:-1], p[1:-1, 2:] - p[1:-1, :-2])
+    n = np.cross(
+        p[2:, 1:-1] - p[:-2, 1:-1],
+        p[1:-1, 2:] - p[1:-1, :-2],
+    )
     return n / np.sqrt((n**2).sum(-1, keepdims=True))
 
 
@@ -60,7 +64,10 @@ def block_of(xyz_W, voxel_size_m):
 
 def morton_code(x, y, z):
     bits = [f"{c:010b}" for c in (z, y, x)]
-    return int("".join("".join(three) for three in zip(*bits, strict=True)), 2)
+    return int(
+        "".join("".join(three) for three in zip(*bits, strict=True)),
+        2,
+    )
 
 
 def contrast(cell_rgb, image_pixels):
@@ -70,7 +77,9 @@ def contrast(cell_rgb, image_pixels):
 
 def split_cell(x0, y0, width, height):
     xs, ys = (x0, x0 + width // 2, x0 + width), (y0, y0 + height // 2, y0 + height)
-    return np.array([(xs[i], ys[j], xs[i + 1] - xs[i], ys[j + 1] - ys[j]) for i in (0, 1) for j in (0, 1)])
+    return np.array(
+        [(xs[i], ys[j], xs[i + 1] - xs[i], ys[j + 1] - ys[j]) for i in (0, 1) for j in (0, 1)]
+    )
 
 
 def quadtree_leaves(rgb_u8, threshold, min_cell_px):
@@ -78,7 +87,10 @@ def quadtree_leaves(rgb_u8, threshold, min_cell_px):
     leaves, waiting = [], [(0, 0, W, H)]
     while waiting:
         x, y, w, h = cell = waiting.pop()
-        if min(w // 2, h // 2) > min_cell_px and contrast(rgb_u8[y : y + h, x : x + w], H * W) > threshold:
+        if (
+            min(w // 2, h // 2) > min_cell_px
+            and contrast(rgb_u8[y : y + h, x : x + w], H * W) > threshold
+        ):
             waiting += [tuple(part) for part in split_cell(*cell).tolist()]
         else:
             leaves.append(list(cell))
@@ -88,7 +100,10 @@ def quadtree_leaves(rgb_u8, threshold, min_cell_px):
 def splat_alpha(dx, dy, conic, opacity):
     A, B, C = conic.tolist()
     alpha = np.minimum(
-        float(opacity) * np.exp(-0.5 * (A * dx.numpy() ** 2 + 2 * B * dx.numpy() * dy.numpy() + C * dy.numpy() ** 2)),
+        float(opacity)
+        * np.exp(
+            -0.5 * (A * dx.numpy() ** 2 + 2 * B * dx.numpy() * dy.numpy() + C * dy.numpy() ** 2)
+        ),
         0.99,
     )
     alpha[alpha < 1 / 255] = 0
@@ -116,7 +131,12 @@ def blend_vjp(alpha, rgb, v_colour):
 def splat_alpha_vjp(dx, dy, conic, opacity, v_alpha):
     A, B, C = conic.tolist()
     v_uv, v_conic, v_opacity = np.zeros(2), np.zeros(3), 0.0
-    for x, y, v in zip(dx.tolist(), dy.tolist(), v_alpha.tolist(), strict=True):
+    for x, y, v in zip(
+        dx.tolist(),
+        dy.tolist(),
+        v_alpha.tolist(),
+        strict=True,
+    ):
         bell = math.exp(-(A * x * x + C * y * y) / 2 - B * x * y)
         a = float(opacity) * bell
         if 1 / 255 <= a < 0.99:
@@ -146,7 +166,9 @@ def draw_keyframes(n_keyframes, count, generator):
 
 def fuse(before, after, eta_before, eta_after):
     rows = []
-    for b, a, before_n, after_n in zip(before, after, eta_before.tolist(), eta_after.tolist(), strict=True):
+    for b, a, before_n, after_n in zip(
+        before, after, eta_before.tolist(), eta_after.tolist(), strict=True
+    ):
         rows.append(b if after_n == 0 else (before_n * b + (after_n - before_n) * a) / after_n)
     return torch.stack(rows)
 
@@ -163,7 +185,11 @@ def adam_traffic(n):
 def average_loop(D, W, d, max_weight):
     seen = np.isfinite(d) & (d >= -1)
     W_new = np.where(seen, np.minimum(W + 1, max_weight), W)
-    return np.where(seen, D + (np.minimum(np.nan_to_num(d), 1) - D) / np.maximum(W_new, 1), D), W_new
+    return np.where(
+        seen,
+        D + (np.minimum(np.nan_to_num(d), 1) - D) / np.maximum(W_new, 1),
+        D,
+    ), W_new
 
 
 RIGHT = {name: value for name, value in list(globals().items()) if name in ALL and callable(value)}

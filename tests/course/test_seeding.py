@@ -18,7 +18,9 @@ def test_the_budget_trees_error_is_the_sum_of_squares():
 def test_more_cells_never_make_it_worse():
     image = cell_budget._busy_corner()
     error = cell_budget._squared_error_of(image)
-    left = [sum(error(*c) for c in cell_budget._budget_cells(image, n)) for n in (1, 4, 16, 64, 256)]
+    left = [
+        sum(error(*c) for c in cell_budget._budget_cells(image, n)) for n in (1, 4, 16, 64, 256)
+    ]
     assert left == sorted(left, reverse=True)
     whole = cell_budget._budget_cells(image, 10_000)
     assert len(whole) < 10_000  # cells of one pixel's width are not cut

@@ -29,7 +29,10 @@ def test_every_exercise_comes_once_and_before_its_solution():
     exercises = re.findall(r"^check\.(\w+)\(\1\)$", "\n".join(sources), re.MULTILINE)
     assert 4 <= len(set(exercises)) == len(exercises) <= 6
     for name in exercises:
-        assert ["BEGIN SOLUTION" in source for source in sources if f"def {name}(" in source] == [False, True]
+        assert ["BEGIN SOLUTION" in source for source in sources if f"def {name}(" in source] == [
+            False,
+            True,
+        ]
 
 
 def scopes(table):
@@ -39,22 +42,37 @@ def scopes(table):
 def test_a_cell_reads_names_of_its_own_chapter_only():
     """Chapters give the same names to different things."""
     sources = code(short_path(NOTEBOOKS))
-    imported = [node for node in ast.walk(ast.parse(sources["imports"])) if isinstance(node, ast.alias)]
+    imported = [
+        node for node in ast.walk(ast.parse(sources["imports"])) if isinstance(node, ast.alias)
+    ]
     bound = {alias.asname or alias.name: "imports" for alias in imported}
     assert len(bound) == len(imported)
     named = [name.split("/") for part in tomllib.loads(PLAN)["part"] for name in part["cells"]]
     for chapter, cell in named:
         tables = scopes(symtable.symtable(sources.get(cell, ""), cell, "exec"))
-        binds = {s.get_name() for s in tables[0].get_symbols() if s.is_assigned() or s.is_imported()}
-        reads = {s.get_name() for t in tables for s in t.get_symbols() if s.is_referenced() and s.is_global()}
+        binds = {
+            s.get_name() for s in tables[0].get_symbols() if s.is_assigned() or s.is_imported()
+        }
+        reads = {
+            s.get_name()
+            for t in tables
+            for s in t.get_symbols()
+            if s.is_referenced() and s.is_global()
+        }
         reads |= {s.get_name() for s in tables[0].get_symbols() if s.is_referenced()}
         for name in reads - binds - vars(builtins).keys():
-            assert bound.get(name) in (chapter, "imports"), f"{chapter}/{cell} reads {name} of {bound.get(name)}"
+            assert bound.get(name) in (chapter, "imports"), (
+                f"{chapter}/{cell} reads {name} of {bound.get(name)}"
+            )
         bound |= dict.fromkeys(binds, chapter)
 
 
 def test_a_cell_that_is_gone_is_told(tmp_path):
     shutil.copy(NOTEBOOKS / "00_quickstart.ipynb", tmp_path)
-    (tmp_path / "short_path.toml").write_text('[[part]]\ntext = "## Title"\ncells = ["00/q02", "00/gone", "02/q02"]')
-    with pytest.raises(ValueError, match=r"short_path\.toml names cells that no chapter has: 00/gone, 02/q02"):
+    (tmp_path / "short_path.toml").write_text(
+        '[[part]]\ntext = "## Title"\ncells = ["00/q02", "00/gone", "02/q02"]'
+    )
+    with pytest.raises(
+        ValueError, match=r"short_path\.toml names cells that no chapter has: 00/gone, 02/q02"
+    ):
         short_path(tmp_path)

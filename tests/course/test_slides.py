@@ -1,4 +1,5 @@
-"""The decks take their pictures and numbers from the notebooks, and load nothing from other servers."""
+"""The decks take their pictures and numbers from the notebooks, and load nothing from other
+servers."""
 
 import re
 from pathlib import Path
@@ -22,13 +23,18 @@ def test_every_picture_and_number_of_a_deck_is_in_the_notebooks(deck, chapters, 
     assert not re.search(r"\{\{\d\d/", text)
     for alt, name in re.findall(r"!\[([^\]]*)\]\(([^)]+)\)", text):
         assert (tmp_path / name).stat().st_size > 500
-        assert len(re.sub(r"^w:\d+ ", "", alt).split()) >= 4, f"{deck.name}: {alt!r} says too little"
+        assert len(re.sub(r"^w:\d+ ", "", alt).split()) >= 4, (
+            f"{deck.name}: {alt!r} says too little"
+        )
 
 
 def test_what_is_missing_is_named(chapters, tmp_path):
     deck = tmp_path / "week_9.md"
     for text, said in (
-        ("![a](cell:02/nothing)", "cell nothing of chapter 2 shows no picture|cell nothing of chapter 02"),
+        (
+            "![a](cell:02/nothing)",
+            "cell nothing of chapter 2 shows no picture|cell nothing of chapter 02",
+        ),
         ("![a](cell:77/q01)", "no chapter 77"),
         ("{{00/q10: frame 1: {} new}}", "must name one number"),
     ):

@@ -1,6 +1,8 @@
-"""Slips of a student: one piece of a right answer replaced by a wrong one. Every judge refuses them and names why.
+"""Slips of a student: one piece of a right answer replaced by a wrong one. Every judge refuses them
+and names why.
 
-``slips.json``: exercise -> [what stands in the notebook's solution, what the student wrote, the property that fails].
+``slips.json``: exercise -> [what stands in the notebook's solution, what the student wrote, the
+property that fails].
 """
 
 import heapq
@@ -22,17 +24,29 @@ ALL = exercises()
 SLIPS = json.loads(Path(__file__).with_name("slips.json").read_text(encoding="utf-8"))
 NOTEBOOKS = Path(__file__).resolve().parents[2] / "notebooks"
 OF_THE_NOTEBOOK = {
-    "contrast_of": ALL["contrast"]._solution, "part_of": ALL["split_cell"]._solution, "quaternion": quaternion,
-    "STABLE": BECOMES_STABLE, "UNSTABLE": BECOMES_UNSTABLE, "DELETED": DELETED, "STAYS": STAYS,
-    "torch": torch, "np": np, "math": math, "heapq": heapq,
-}  # fmt: skip
+    "contrast_of": ALL["contrast"]._solution,
+    "part_of": ALL["split_cell"]._solution,
+    "quaternion": quaternion,
+    "STABLE": BECOMES_STABLE,
+    "UNSTABLE": BECOMES_UNSTABLE,
+    "DELETED": DELETED,
+    "STAYS": STAYS,
+    "torch": torch,
+    "np": np,
+    "math": math,
+    "heapq": heapq,
+}
 
 
 @pytest.fixture(scope="module")
 def solutions(solutions_in):
     """Exercise -> source of its solution in the notebook."""
-    notebooks = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(NOTEBOOKS.glob("*.ipynb"))]
-    return {name: source for notebook in notebooks for name, source in solutions_in(notebook).items()}
+    notebooks = [
+        json.loads(path.read_text(encoding="utf-8")) for path in sorted(NOTEBOOKS.glob("*.ipynb"))
+    ]
+    return {
+        name: source for notebook in notebooks for name, source in solutions_in(notebook).items()
+    }
 
 
 def written(name, source):

@@ -1,4 +1,5 @@
-"""A trace of a mapper: its numbers are those of the operations, and the map is that of a mapper without a trace."""
+"""A trace of a mapper: its numbers are those of the operations, and the map is that of a mapper
+without a trace."""
 
 import dataclasses
 import itertools
@@ -23,15 +24,31 @@ SMALL = {"data__width": 32, "data__height": 24}
 
 
 def settings(**changes):
-    usual = {"tsdf__voxel_size_m": 0.08, "sh_degree": 1, "keyframe_min_seeds": 20, "seeding__quadtree_contrast": "std"}
+    usual = {
+        "tsdf__voxel_size_m": 0.08,
+        "sh_degree": 1,
+        "keyframe_min_seeds": 20,
+        "seeding__quadtree_contrast": "std",
+    }
     return gsfusion("room", "paper_steps", **(SMALL | usual | changes))
 
 
 @pytest.fixture(scope="module")
 def frames():
     """A camera that slides along a wall with stripes, half of them nearer."""
-    camera = Camera(width=32, height=24, fx=28.0, fy=28.0, cx=16.0, cy=12.0)
-    v, u = torch.meshgrid(torch.arange(24) + 0.5, torch.arange(32) + 0.5, indexing="ij")
+    camera = Camera(
+        width=32,
+        height=24,
+        fx=28.0,
+        fy=28.0,
+        cx=16.0,
+        cy=12.0,
+    )
+    v, u = torch.meshgrid(
+        torch.arange(24) + 0.5,
+        torch.arange(32) + 0.5,
+        indexing="ij",
+    )
     out = []
     for i in range(5):
         x = (u - 16) / 28 * 2 + 0.15 * i
@@ -40,13 +57,23 @@ def frames():
         T = torch.eye(4)
         T[0, 3] = 0.15 * i
         depth_m = torch.where(stripe > 0.5, 1.9, 2.0)
-        out.append(Frame(index=2 * i, timestamp_s=0.1 * i, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T))
+        out.append(
+            Frame(
+                index=2 * i,
+                timestamp_s=0.1 * i,
+                rgb=rgb,
+                depth_m=depth_m,
+                camera=camera,
+                T_WC=T,
+            )
+        )
     return out
 
 
 @pytest.fixture(scope="module")
 def traced(frames):
-    """(mapper, its trace, an equal mapper without a trace), after four frames and a pass over the keyframes."""
+    """(mapper, its trace, an equal mapper without a trace), after four frames and a pass over the
+    keyframes."""
     mapper, plain = GSFusion(settings()), GSFusion(settings())
     trace = Trace(mapper)
     for frame in frames[:4]:
@@ -72,7 +99,8 @@ def test_no_number_of_the_map_changes(traced):
 
 
 def parts_of_a_step(trace, serial):
-    """What each Gaussian adds to the picture of a step: number -> (weight [H, W], colour), and that picture."""
+    """What each Gaussian adds to the picture of a step: number -> (weight [H, W], colour), and that
+    picture."""
     parts, image = {}, None
     for i in range(trace.identities.count):
         for step in (s for s in trace.gaussian(id=i).steps if s.serial == serial):
@@ -88,16 +116,27 @@ def parts_of_a_step(trace, serial):
 
 
 @pytest.mark.parametrize("backend", ["auto", "reference"])
-def test_the_weights_of_all_gaussians_make_the_picture_and_a_click_finds_the_largest(frames, backend):
+def test_the_weights_of_all_gaussians_make_the_picture_and_a_click_finds_the_largest(
+    frames, backend
+):
     mapper = GSFusion(settings())
     with use_backend(backend), tracing(mapper) as trace:
         mapper.step(frames[0])
     last = trace.gaussian(id=0).steps[-1].serial
     parts, image = parts_of_a_step(trace, last)
-    torch.testing.assert_close(sum(w[..., None] * c for w, c in parts.values()), image, atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        sum(w[..., None] * c for w, c in parts.values()),
+        image,
+        atol=1e-5,
+        rtol=0,
+    )
     ids, weights = list(parts), torch.stack([w for w, _ in parts.values()])
     for u, v in ((3, 4), (16, 12), (31, 23)):
-        assert trace.gaussian_at(u, v) == trace.gaussian_at(u, v, last) == ids[int(weights[:, v, u].argmax())]
+        assert (
+            trace.gaussian_at(u, v)
+            == trace.gaussian_at(u, v, last)
+            == ids[int(weights[:, v, u].argmax())]
+        )
 
 
 def test_adam_gives_the_next_value(traced):
@@ -110,7 +149,17 @@ def test_adam_gives_the_next_value(traced):
         for name, a in step.adam.items():
             p, m, v = a.before[None].clone(), a.m[0][None].clone(), a.v[0][None].clone()
             gradient = a.gradient[None]
-            adam_update(p, gradient, m, v, step.t, lr=a.lr, beta1=optim.beta1, beta2=optim.beta2, eps=optim.eps)
+            adam_update(
+                p,
+                gradient,
+                m,
+                v,
+                step.t,
+                lr=a.lr,
+                beta1=optim.beta1,
+                beta2=optim.beta2,
+                eps=optim.eps,
+            )
             torch.testing.assert_close(p[0], a.after, atol=1e-7, rtol=1e-6)
             torch.testing.assert_close(m[0], a.m[1])
             torch.testing.assert_close(v[0], a.v[1])
@@ -177,7 +226,10 @@ def test_a_voxel_has_the_values_of_the_volume(frames):
         for m in (m for m in moments if m.observed):
             d = max(-1.0, min(1.0, m.sdf_m / mapper.config.tsdf.truncation_m))
             assert m.W[1] == m.W[0] + 1
-            assert m.D[1] == pytest.approx((m.D[0] * m.W[0] + d) / m.W[1], abs=1e-4)
+            assert m.D[1] == pytest.approx(
+                (m.D[0] * m.W[0] + d) / m.W[1],
+                abs=1e-4,
+            )
 
 
 def test_the_birth_of_a_gaussian_is_its_cell(traced, frames):
@@ -188,7 +240,10 @@ def test_the_birth_of_a_gaussian_is_its_cell(traced, frames):
     assert born.uv == pytest.approx((x + w / 2, y + h / 2), abs=1e-3)
     assert level == born.tag == int(mapper.gaussians.tag[0])
     seeded = trace.gaussian(0).moments[0]
-    assert seeded.boxes == {"cell": [(x, y, w, h)], "pixel": [(int(born.uv[0]), int(born.uv[1]), 1, 1)]}
+    assert seeded.boxes == {
+        "cell": [(x, y, w, h)],
+        "pixel": [(int(born.uv[0]), int(born.uv[1]), 1, 1)],
+    }
     assert seeded.image is frames[0].colour
 
 
@@ -200,7 +255,9 @@ def test_memory_stays_within_the_limit_and_what_was_picked_stays(frames, traced)
     trace.voxel(*voxel)
     for frame in frames[:4]:
         mapper.step(frame)
-        newest = max(sum(t.untyped_storage().nbytes() for t in tensors_of([r])) for r in trace._held)
+        newest = max(
+            sum(t.untyped_storage().nbytes() for t in tensors_of([r])) for r in trace._held
+        )
         assert trace.memory_bytes <= max(100_000, newest)
         trace.gaussian(id=2)  # picked after the first frame
     assert trace.n_dropped > 10
@@ -248,16 +305,26 @@ def test_identity_is_followed_through_edits(frames):
     assert first.row is None
     assert len(first.steps) == 2
     assert first.events[-1].what == "removed by the rule"
-    halves = [i for i in range(trace.identities.count) if trace.identities.birth(i).cause == "split"]
-    assert [trace.identities.birth(i).parent for i in halves] == [5, 5]  # row 4 after row 0 was removed
+    halves = [
+        i for i in range(trace.identities.count) if trace.identities.birth(i).cause == "split"
+    ]
+    assert [trace.identities.birth(i).parent for i in halves] == [
+        5,
+        5,
+    ]  # row 4 after row 0 was removed
     assert trace.gaussian(id=5).row is None
     assert trace.gaussian(id=5).events[-1].what == "split in two"
-    copy = next(i for i in range(trace.identities.count) if trace.identities.birth(i).cause == "clone")
+    copy = next(
+        i for i in range(trace.identities.count) if trace.identities.birth(i).cause == "clone"
+    )
     assert trace.identities.birth(copy).parent is not None
     assert any(e.what.startswith("relocated") for e in trace.identities.events)
     for row in range(len(mapper.gaussians)):
         steps = trace.gaussian(row).steps
-        assert torch.equal(steps[-1].adam["xyz_W"].after, mapper.gaussians.params.xyz_W[row])
+        assert torch.equal(
+            steps[-1].adam["xyz_W"].after,
+            mapper.gaussians.params.xyz_W[row],
+        )
         assert "split" in str(trace.gaussian(id=5))
 
 

@@ -1,4 +1,5 @@
-"""Any change in what a run reads changes the fingerprint, also in the middle of a file and behind a link."""
+"""Any change in what a run reads changes the fingerprint, also in the middle of a file and behind a
+link."""
 
 import os
 import runpy
@@ -32,7 +33,9 @@ def wall(scene, tmp_path):
 
 
 def fingerprint_of(folder) -> str:
-    return sequence_fingerprint(open_sequence(folder, data=DataConfig(stop=6, hold_out_every=3, hold_out_offset=2)))
+    return sequence_fingerprint(
+        open_sequence(folder, data=DataConfig(stop=6, hold_out_every=3, hold_out_offset=2))
+    )
 
 
 def flip(path, at: int) -> None:
@@ -50,7 +53,11 @@ def flip(path, at: int) -> None:
 def test_one_bit_of_a_file_that_is_read(wall, name):
     before = fingerprint_of(wall)
     assert fingerprint_of(wall) == before
-    at = (wall / name).read_text().index(".5") + 1 if name == "poses.txt" else (wall / name).stat().st_size // 2
+    at = (
+        (wall / name).read_text().index(".5") + 1
+        if name == "poses.txt"
+        else (wall / name).stat().st_size // 2
+    )
     if name == "intrinsics.json":
         (wall / name).write_text((wall / name).read_text() + "\n")
     else:
@@ -103,14 +110,19 @@ def test_of_a_sequence_in_memory_every_pixel_counts():
 
 
 def frames_of(path, *, options=None, **data) -> set[str]:
-    sequence = open_sequence(path, data=DataConfig(hold_out_every=3, hold_out_offset=2, **data), **(options or {}))
+    sequence = open_sequence(
+        path,
+        data=DataConfig(hold_out_every=3, hold_out_offset=2, **data),
+        **(options or {}),
+    )
     found = frame_fingerprints(sequence)
     assert len(found) == len(set(found))
     return set(found)
 
 
 def test_frames_of_a_recording_are_known_again(wall):
-    """Whatever the size, the name of the folder and the stride, also where the selected frames alternate."""
+    """Whatever the size, the name of the folder and the stride, also where the selected frames
+    alternate."""
     whole = frames_of(wall)
     assert len(whole) == len(list((wall / "rgb").iterdir()))
     shutil.copytree(wall, wall.parent / "copy")
@@ -126,12 +138,21 @@ def test_frames_of_a_recording_are_known_again(wall):
 
 def test_frames_of_the_room_are_known_again():
     plain = frames_of("room", options={"n_frames": 60})
-    changed = {"n_frames": 43, "noise": "kinect", "pose_error_m": 0.01, "exposure_stops": 0.3, "holes": 0.1}
+    changed = {
+        "n_frames": 43,
+        "noise": "kinect",
+        "pose_error_m": 0.01,
+        "exposure_stops": 0.3,
+        "holes": 0.1,
+    }
     assert frames_of("room", options=changed) & plain
     assert frames_of("room", options={"n_frames": 9, "rooms": 4}) & plain
     assert not frames_of("room", options={"n_frames": 60, "seed": 1}) & plain
     assert not frames_of("room", options={"n_frames": 60, "trajectory": "novel"}) & plain
-    first, last = (frames_of("room", options={"n_frames": 480}, **part) for part in ({"stop": 60}, {"start": 60}))
+    first, last = (
+        frames_of("room", options={"n_frames": 480}, **part)
+        for part in ({"stop": 60}, {"start": 60})
+    )
     assert not first & last
     assert frames_of("room", options={"n_frames": 480}, start=59) & first
 
@@ -155,7 +176,9 @@ def test_of_a_sequence_in_memory_the_pictures_count():
         def pose(self, i):
             return kept[self.order[i]].T_WC
 
-    a, b, c = (set(frame_fingerprints(apply_options(Listed(order)))) for order in ([0, 1], [1, 2], [2, 3]))
+    a, b, c = (
+        set(frame_fingerprints(apply_options(Listed(order)))) for order in ([0, 1], [1, 2], [2, 3])
+    )
     assert [len(a & b), len(b & c), len(a & c)] == [1, 1, 0]
 
 
@@ -168,11 +191,15 @@ def test_a_file_is_hashed_once_until_it_changes(wall, monkeypatch):
     assert len(set(first.values())) == 1
     assert len(hashed) == 2
     file_hashes([file])
-    assert len(hashed) == 3  # changed less than two seconds ago: a second change might have the same time
+    assert (
+        len(hashed) == 3
+    )  # changed less than two seconds ago: a second change might have the same time
     monkeypatch.setattr(hashes, "_SETTLED_NS", -(10**18))
     assert file_hashes([file]) == file_hashes([file]) == {str(file): first[str(file)]}
     assert len(hashed) == 4
     flip(file, 50)
     assert file_hashes([file, wall / "none"]).values() != first.values()
     assert len(hashed) == 5
-    assert file_hashes([wall / "none", wall]) == dict.fromkeys([str(wall / "none"), str(wall)], hashes.UNREADABLE)
+    assert file_hashes([wall / "none", wall]) == dict.fromkeys(
+        [str(wall / "none"), str(wall)], hashes.UNREADABLE
+    )

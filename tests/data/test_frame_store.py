@@ -33,7 +33,9 @@ def counted(small_room) -> Counted:
     return Counted(small_room)
 
 
-def view(counted: Counted, store: FrameStore | None, positions: list[int] | None = None) -> SequenceView:
+def view(
+    counted: Counted, store: FrameStore | None, positions: list[int] | None = None
+) -> SequenceView:
     positions = list(range(6)) if positions is None else positions
     return SequenceView(source=counted, positions=positions, camera=counted.camera, kept=store)
 
@@ -93,7 +95,10 @@ def test_a_frame_larger_than_the_limit_pushes_nothing_out(counted):
 
 
 def test_further_images_are_made_again(counted):
-    opened = apply_options(counted, extra=lambda frame: {"labels": torch.ones(60, 80, dtype=torch.int64)})
+    opened = apply_options(
+        counted,
+        extra=lambda frame: {"labels": torch.ones(60, 80, dtype=torch.int64)},
+    )
     frames = opened.keeping(FrameStore(1 << 22)).mapping
     assert "labels" in frames[0].extra
     assert "labels" in frames[0].extra

@@ -1,4 +1,5 @@
-"""Depth of one camera in the image of another: a plane, whose depth there is known in closed form."""
+"""Depth of one camera in the image of another: a plane, whose depth there is known in closed
+form."""
 
 import math
 
@@ -11,11 +12,19 @@ from gsfusion_nb.data.lens import CameraModel, register_depth, same_proportions,
 from gsfusion_nb.geometry import pixel_grid, rays, se3
 from gsfusion_nb.types import Camera
 
-COLOUR = Camera(width=96, height=72, fx=70.0, fy=68.0, cx=47.3, cy=36.4)
+COLOUR = Camera(
+    width=96,
+    height=72,
+    fx=70.0,
+    fy=68.0,
+    cx=47.3,
+    cy=36.4,
+)
 BESIDE = se3.exp(torch.tensor([0.015, -0.002, 0.004, 0.01, -0.02, 0.015], dtype=torch.float64))
 """From a depth camera 15 mm beside to the colour camera."""
 TURNED = torch.tensor(
-    [[0.0, -1.0, 0.0, 0.01], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]], dtype=torch.float64
+    [[0.0, -1.0, 0.0, 0.01], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]],
+    dtype=torch.float64,
 )
 """The same for a sensor mounted on its side."""
 
@@ -43,7 +52,10 @@ def wide(share: float) -> Camera:
 @pytest.mark.parametrize("share", [2.0, 1.0, 0.7, 0.5, 0.33, 0.12])
 @pytest.mark.parametrize("tilt", [0.0, 0.5])
 def test_a_plane_covers_the_whole_image_at_every_ratio_of_resolutions(share, tilt):
-    normal = torch.tensor([math.sin(tilt), 0.0, math.cos(tilt)], dtype=torch.float64)
+    normal = torch.tensor(
+        [math.sin(tilt), 0.0, math.cos(tilt)],
+        dtype=torch.float64,
+    )
     truth = plane_depth(COLOUR, normal, 2.0)
     T_depth_colour = se3.inverse(BESIDE)
     normal_D = T_depth_colour[:3, :3] @ normal
@@ -59,14 +71,20 @@ def test_a_plane_covers_the_whole_image_at_every_ratio_of_resolutions(share, til
 
 def test_a_lower_resolution_gives_blocks_and_interpolates_nothing():
     low = COLOUR.resized(32, 24)
-    depth_m = 1.0 + torch.rand(24, 32, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    depth_m = 1.0 + torch.rand(
+        24, 32, generator=torch.Generator().manual_seed(0), dtype=torch.float64
+    )
     depth_m[5:9, 20:30] = 0.0
     found = register_depth(depth_m, low, COLOUR, torch.eye(4, dtype=torch.float64))
     assert torch.equal(found, depth_m.repeat_interleave(3, 0).repeat_interleave(3, 1))
 
 
 def test_equal_cameras_change_nothing_and_a_far_surface_gives_way():
-    depth_m = 1.0 + torch.rand(72, 96, generator=torch.Generator().manual_seed(1))
+    depth_m = 1.0 + torch.rand(
+        72,
+        96,
+        generator=torch.Generator().manual_seed(1),
+    )
     depth_m[10:20, 30:50] = 0.0
     assert torch.equal(register_depth(depth_m, COLOUR, COLOUR, torch.eye(4)), depth_m)
     lower = COLOUR.resized(48, 36)
@@ -78,7 +96,8 @@ def test_equal_cameras_change_nothing_and_a_far_surface_gives_way():
 
 @pytest.mark.parametrize("share", [4.0, 2.0])
 def test_a_higher_resolution_does_not_draw_a_slope_nearer(share):
-    """The nearest of several points in a pixel is on average too near; the most central one is not."""
+    """The nearest of several points in a pixel is on average too near; the most central one is
+    not."""
     normal = torch.tensor([0.5, 0.1, 0.8], dtype=torch.float64)
     truth = plane_depth(COLOUR, normal, 2.0)
     T_depth_colour = se3.inverse(BESIDE)
@@ -92,7 +111,14 @@ def test_a_higher_resolution_does_not_draw_a_slope_nearer(share):
 
 
 def test_a_sensor_on_its_side_and_what_is_nearest():
-    source = Camera(width=40, height=40, fx=20.0, fy=20.0, cx=20.0, cy=20.0)
+    source = Camera(
+        width=40,
+        height=40,
+        fx=20.0,
+        fy=20.0,
+        cx=20.0,
+        cy=20.0,
+    )
     far = torch.full((40, 40), 3.0, dtype=torch.float64)
     found = register_depth(far, source, COLOUR, TURNED)
     assert bool((found == 3.0).all())
@@ -106,11 +132,31 @@ def test_a_sensor_on_its_side_and_what_is_nearest():
 
 def test_what_is_almost_beside_the_camera_stays_a_point():
     """A pixel whose outline reaches behind the other camera has no outline there."""
-    source = Camera(width=1, height=1, fx=0.5, fy=0.5, cx=0.5, cy=0.5)
-    T = torch.tensor([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0.5], [0, 0, 0, 1]], dtype=torch.float64)
-    found = register_depth(torch.full((1, 1), 2.0, dtype=torch.float64), source, COLOUR.resized(4000, 40), T)
+    source = Camera(
+        width=1,
+        height=1,
+        fx=0.5,
+        fy=0.5,
+        cx=0.5,
+        cy=0.5,
+    )
+    T = torch.tensor(
+        [[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0.5], [0, 0, 0, 1]],
+        dtype=torch.float64,
+    )
+    found = register_depth(
+        torch.full((1, 1), 2.0, dtype=torch.float64),
+        source,
+        COLOUR.resized(4000, 40),
+        T,
+    )
     assert int((found > 0).sum()) <= 1
-    assert not register_depth(torch.zeros(3, 3), source.resized(3, 3), COLOUR, T).any()
+    assert not register_depth(
+        torch.zeros(3, 3),
+        source.resized(3, 3),
+        COLOUR,
+        T,
+    ).any()
 
 
 @pytest.mark.parametrize(
@@ -128,7 +174,16 @@ def test_what_is_almost_beside_the_camera_stays_a_point():
 )
 def test_same_proportions(first, second, same):
     assert same_proportions(first, second) == same_proportions(second, first) == same
-    model = CameraModel(Camera(width=first[0], height=first[1], fx=50.0, fy=50.0, cx=30.0, cy=20.0))
+    model = CameraModel(
+        Camera(
+            width=first[0],
+            height=first[1],
+            fx=50.0,
+            fy=50.0,
+            cx=30.0,
+            cy=20.0,
+        )
+    )
     if same:
         width, height = second
         fitted = model.fitted(width, height, "an image").camera

@@ -18,10 +18,18 @@ from gsfusion_nb.types import Camera, Frame
 
 
 class Synthetic:
-    """Ten tiny frames; depth of frame i is i + 1 metres on the left half and missing on the right."""
+    """Ten tiny frames; depth of frame i is i + 1 metres on the left half and missing on the
+    right."""
 
     name = "synthetic"
-    camera = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)
+    camera = Camera(
+        width=8,
+        height=6,
+        fx=8.0,
+        fy=8.0,
+        cx=4.0,
+        cy=3.0,
+    )
 
     def __init__(self, n=10):
         self.n = n
@@ -42,7 +50,12 @@ class Synthetic:
         depth_m = torch.zeros(6, 8)
         depth_m[:, :4] = i + 1.0
         return Frame(
-            index=i, timestamp_s=i / 10, rgb=torch.rand(6, 8, 3), depth_m=depth_m, camera=self.camera, T_WC=self.pose(i)
+            index=i,
+            timestamp_s=i / 10,
+            rgb=torch.rand(6, 8, 3),
+            depth_m=depth_m,
+            camera=self.camera,
+            T_WC=self.pose(i),
         )
 
 
@@ -79,11 +92,23 @@ def test_selection(config, mapped, held):
 @pytest.mark.parametrize(
     ("config", "n", "pattern"),
     [
-        (DataConfig(start=10), 10, r"synthetic has 10 frames; data\.start must be below that, got 10"),
+        (
+            DataConfig(start=10),
+            10,
+            r"synthetic has 10 frames; data\.start must be below that, got 10",
+        ),
         (DataConfig(start=5, stop=5), 10, r"data\.stop must be above data\.start 5, or 0, got 5"),
         (DataConfig(), 0, "synthetic has no frames; expected at least one"),
-        (DataConfig(hold_out_every=2, hold_out_offset=0), 1, "holding out every 2th of 1 frames leaves none to map"),
-        (DataConfig(hold_out_every=4, hold_out_offset=4), 9, r"data\.hold_out_offset must be between 0 and 3 .*got 4"),
+        (
+            DataConfig(hold_out_every=2, hold_out_offset=0),
+            1,
+            "holding out every 2th of 1 frames leaves none to map",
+        ),
+        (
+            DataConfig(hold_out_every=4, hold_out_offset=4),
+            9,
+            r"data\.hold_out_offset must be between 0 and 3 .*got 4",
+        ),
     ],
 )
 def test_impossible_selections(config, n, pattern):
@@ -91,7 +116,10 @@ def test_impossible_selections(config, n, pattern):
         apply_options(Synthetic(n), config)
 
 
-@pytest.mark.parametrize(("width", "height", "size"), [(4, 0, (4, 3)), (0, 3, (4, 3)), (2, 6, (2, 6)), (0, 0, (8, 6))])
+@pytest.mark.parametrize(
+    ("width", "height", "size"),
+    [(4, 0, (4, 3)), (0, 3, (4, 3)), (2, 6, (2, 6)), (0, 0, (8, 6))],
+)
 def test_resize(width, height, size):
     view = apply_options(Synthetic(), DataConfig(width=width, height=height)).mapping
     frame = view[0]
@@ -102,11 +130,16 @@ def test_resize(width, height, size):
 
 
 def test_depth_limits():
-    view = apply_options(Synthetic(), DataConfig(depth_min_m=2.0, depth_max_m=4.0, hold_out_every=0)).mapping
+    view = apply_options(
+        Synthetic(), DataConfig(depth_min_m=2.0, depth_max_m=4.0, hold_out_every=0)
+    ).mapping
     assert float(view[1].depth_m.max()) == 2.0
     assert float(view[3].depth_m.max()) == 4.0
     for i in (0, 4):
-        with pytest.raises(BadFrameError, match=rf"synthetic frame {i} has no depth between 2 and 4 m; expected some"):
+        with pytest.raises(
+            BadFrameError,
+            match=rf"synthetic frame {i} has no depth between 2 and 4 m; expected some",
+        ):
             view[i]
     far = apply_options(Synthetic(), DataConfig(depth_min_m=2.0, hold_out_every=0)).mapping
     assert float(far[9].depth_m.max()) == 10.0
@@ -122,7 +155,9 @@ def test_detection_lists_what_was_looked_for(tmp_path, box):
     root = box.folder(tmp_path / "scan")
     assert detect_layout(root) == "folder"
     (root / "intrinsics.json").unlink()
-    with pytest.raises(SequenceError, match=r"looked for folder: rgb/, .* \(missing intrinsics\.json\); "):
+    with pytest.raises(
+        SequenceError, match=r"looked for folder: rgb/, .* \(missing intrinsics\.json\); "
+    ):
         open_sequence(root)
 
 

@@ -1,4 +1,5 @@
-"""The scripts as modules, a server on this machine, the box room of the other tests, and no way to a real host."""
+"""The scripts as modules, a server on this machine, the box room of the other tests, and no way to
+a real host."""
 
 import http.server
 import importlib.util
@@ -61,9 +62,13 @@ class Handler(http.server.BaseHTTPRequestHandler):
 def site(monkeypatch):
     monkeypatch.setenv("no_proxy", "*")
     site = Site()
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), type("Bound", (Handler,), {"site": site}))
+    server = http.server.ThreadingHTTPServer(
+        ("127.0.0.1", 0), type("Bound", (Handler,), {"site": site})
+    )
     site.address = f"http://127.0.0.1:{server.server_address[1]}"
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
+    thread = threading.Thread(
+        target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True
+    )
     thread.start()
     yield site
     server.shutdown()
@@ -74,18 +79,30 @@ def site(monkeypatch):
 class Archives:
     """Makes small archives, good and bad."""
 
-    def zip(self, files: dict[str, bytes], *, links: tuple[str, ...] = ()) -> bytes:
+    def zip(
+        self,
+        files: dict[str, bytes],
+        *,
+        links: tuple[str, ...] = (),
+    ) -> bytes:
         out = io.BytesIO()
         with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as zipped:
             for name, content in files.items():
                 info = zipfile.ZipInfo(name)
                 info.filename = name  # as it is: the constructor cleans it
-                info.external_attr = ((stat.S_IFLNK if name in links else stat.S_IFREG) | 0o644) << 16
+                info.external_attr = (
+                    (stat.S_IFLNK if name in links else stat.S_IFREG) | 0o644
+                ) << 16
                 info.compress_type = zipfile.ZIP_DEFLATED
                 zipped.writestr(info, content)
         return out.getvalue()
 
-    def tgz(self, files: dict[str, bytes], *, links: tuple[str, ...] = ()) -> bytes:
+    def tgz(
+        self,
+        files: dict[str, bytes],
+        *,
+        links: tuple[str, ...] = (),
+    ) -> bytes:
         out = io.BytesIO()
         with tarfile.open(fileobj=out, mode="w:gz") as tar:
             for name, content in files.items():
@@ -133,6 +150,10 @@ def files():
     """``files(root, "inside")``: the files below ``root`` by their path in an archive."""
 
     def collect(root: Path, inside: str = "") -> dict[str, bytes]:
-        return {f"{inside}{p.relative_to(root).as_posix()}": p.read_bytes() for p in root.rglob("*") if p.is_file()}
+        return {
+            f"{inside}{p.relative_to(root).as_posix()}": p.read_bytes()
+            for p in root.rglob("*")
+            if p.is_file()
+        }
 
     return collect

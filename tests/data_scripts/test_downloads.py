@@ -1,4 +1,5 @@
-"""Every script that downloads, end to end against a server on this machine, with tiny archives in the real layout."""
+"""Every script that downloads, end to end against a server on this machine, with tiny archives in
+the real layout."""
 
 import hashlib
 import json
@@ -22,7 +23,12 @@ def run(module, site, out, *arguments):
 def tum_set(site, tmp_path, box, archives, writer, files):
     """fr1_desk with two frames."""
     name = "rgbd_dataset_freiburg1_desk"
-    root = writer("tum")(tmp_path / "made" / name, box, n=2, camera=LENSES["freiburg1"].camera)
+    root = writer("tum")(
+        tmp_path / "made" / name,
+        box,
+        n=2,
+        camera=LENSES["freiburg1"].camera,
+    )
     (root / "accelerometer.txt").write_text("# nothing\n")
     path = f"/freiburg1/{name}.tgz"
     site.files[path] = archives.tgz(files(root, f"{name}/"))
@@ -56,8 +62,14 @@ def test_seven_scenes(script, site, tmp_path, box, archives, writer, files, caps
     write, inner = writer("seven_scenes"), {}
     for name in ("seq-01", "seq-02"):
         root = write(tmp_path / "made" / name, box, n=2)
-        inner[f"heads/{name}.zip"] = archives.zip(files(root, f"{name}/") | {f"{name}/Thumbs.db": b"x"})
-    split = {"heads/TrainSplit.txt": b"sequence2\n", "heads/TestSplit.txt": b"sequence1\n", "heads/heads.png": b"x"}
+        inner[f"heads/{name}.zip"] = archives.zip(
+            files(root, f"{name}/") | {f"{name}/Thumbs.db": b"x"}
+        )
+    split = {
+        "heads/TrainSplit.txt": b"sequence2\n",
+        "heads/TestSplit.txt": b"sequence1\n",
+        "heads/heads.png": b"x",
+    }
     site.files["/heads.zip"] = archives.zip(inner | split)
     out = tmp_path / "data"
     assert run(script("seven_scenes"), site, out, "heads") == 0
@@ -65,8 +77,12 @@ def test_seven_scenes(script, site, tmp_path, box, archives, writer, files, caps
     assert "NON-COMMERCIAL" in text
     folder = out / "7scenes/heads"
     assert sorted(p.name for p in folder.iterdir()) == [
-        "TestSplit.txt", "TrainSplit.txt", "seq-01", "seq-02", "source.json",
-    ]  # fmt: skip
+        "TestSplit.txt",
+        "TrainSplit.txt",
+        "seq-01",
+        "seq-02",
+        "source.json",
+    ]
     assert not (folder / "seq-01/Thumbs.db").exists()
     assert f"gsfusion-nb map {folder}/seq-02 --preset tum --reader register=true" in text
     assert len(open_sequence(folder / "seq-01", register=True)) == 2
@@ -78,7 +94,10 @@ def test_replica(script, site, tmp_path, box, archives, writer, files, capsys):
         writer("replica")(made / scene, box, n=3)
         (made / f"{scene}_mesh.ply").write_bytes(b"ply of " + scene.encode())
     site.files["/data/Replica.zip"] = archives.zip(files(made, "Replica/"))
-    meshes = {f"cull_replica_mesh/{scene}.ply": b"culled " + scene.encode() for scene in ("office0", "room0")}
+    meshes = {
+        f"cull_replica_mesh/{scene}.ply": b"culled " + scene.encode()
+        for scene in ("office0", "room0")
+    }
     site.files["/cull_replica_mesh.zip"] = archives.zip(meshes)
     out = tmp_path / "data"
     assert run(script("replica"), site, out, "office0", "room0") == 0
@@ -101,12 +120,25 @@ def icl(script, site, tmp_path, box, archives):
     """livingroom1 with three frames, and its own checksums."""
     module = script("icl_nuim")
     colour, depth, log = {}, {}, []
-    camera = Camera(width=640, height=480, fx=525.0, fy=525.0, cx=320.0, cy=240.0)
+    camera = Camera(
+        width=640,
+        height=480,
+        fx=525.0,
+        fy=525.0,
+        cx=320.0,
+        cy=240.0,
+    )
     for i, T_WC in enumerate(box.poses(3)):
         rgb_file, depth_file = tmp_path / f"made/{i:05d}.jpg", tmp_path / f"made/{i:05d}.png"
         box.write_pair(rgb_file, depth_file, T_WC, 1000, camera)
-        colour[rgb_file.name], depth[depth_file.name] = rgb_file.read_bytes(), depth_file.read_bytes()
-        log += [f"{i} {i} {i + 1}", *(" ".join(f"{value:.8f}" for value in row) for row in T_WC.tolist())]
+        colour[rgb_file.name], depth[depth_file.name] = (
+            rgb_file.read_bytes(),
+            depth_file.read_bytes(),
+        )
+        log += [
+            f"{i} {i} {i + 1}",
+            *(" ".join(f"{value:.8f}" for value in row) for row in T_WC.tolist()),
+        ]
     contents = {
         "livingroom1-color.zip": archives.zip(colour),
         "livingroom1-depth-clean.zip": archives.zip(depth),

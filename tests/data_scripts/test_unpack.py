@@ -22,12 +22,23 @@ def made(request, tmp_path, archives):
 def test_all_files_or_chosen_ones_come_out(made):
     archive, folder = made(GOOD)
     assert unpack(archive, folder) == 3
-    assert {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()} == GOOD
-    assert unpack(archive, folder / "b", choose=lambda n: "one" if n.endswith("b.bin") else None) == 1
+    assert {
+        str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()
+    } == GOOD
+    assert (
+        unpack(
+            archive,
+            folder / "b",
+            choose=lambda n: "one" if n.endswith("b.bin") else None,
+        )
+        == 1
+    )
     assert [p.name for p in (folder / "b").iterdir()] == ["one"]
 
 
-@pytest.mark.parametrize("name", ["../outside", "set/../../outside", "/outside", "..\\outside", "C:outside"])
+@pytest.mark.parametrize(
+    "name", ["../outside", "set/../../outside", "/outside", "..\\outside", "C:outside"]
+)
 def test_nothing_is_written_outside_of_the_folder(made, name, tmp_path):
     archive, folder = made(GOOD | {name: b"harm"})
     with pytest.raises(ArchiveError, match="outside"):

@@ -55,7 +55,10 @@ def test_error_maps_by_hand():
     assert none.sum() < 20
     assert none.sum() < half.sum() < full.sum()
     assert full.min() > 150
-    depth = pictures.depth_error_map(torch.tensor([[1.0, 1.1, 0.0]]), torch.ones(1, 3))
+    depth = pictures.depth_error_map(
+        torch.tensor([[1.0, 1.1, 0.0]]),
+        torch.ones(1, 3),
+    )
     assert depth[0, 0].sum() < 20
     assert depth[0, 1].min() > 150
     assert depth[0, 2].max() == depth[0, 2].min() > 20
@@ -67,19 +70,30 @@ def test_error_maps_by_hand():
 
 def cells(*rows):
     columns = torch.tensor(rows, dtype=torch.int32).reshape(-1, 5).T
-    return SimpleNamespace(**dict(zip(("x0", "y0", "width", "height", "level"), columns, strict=True)))
+    return SimpleNamespace(
+        **dict(zip(("x0", "y0", "width", "height", "level"), columns, strict=True))
+    )
 
 
 def test_cell_borders_are_drawn_and_insides_are_not():
     grey = torch.full((17, 25, 3), 0.5)
-    image = pictures.paint_cells(grey, cells((0, 0, 12, 16, 1), (12, 0, 12, 16, 2)), strength=1.0)
+    image = pictures.paint_cells(
+        grey,
+        cells((0, 0, 12, 16, 1), (12, 0, 12, 16, 2)),
+        strength=1.0,
+    )
     assert image.shape == (17, 25, 3)
     assert (image[1:16, 1:12] == 128).all()
     assert (image[1:16, 13:24] == 128).all()
     assert (image[8, [0, 12, 24]] != 128).any(axis=-1).all()
     assert (image[8, 0] != image[8, 24]).any()  # another level, another colour
     assert (grey == 0.5).all()
-    same = pictures.paint_cells(grey, cells((0, 0, 12, 16, 1), (12, 0, 12, 16, 2)), by_level=False, strength=1.0)
+    same = pictures.paint_cells(
+        grey,
+        cells((0, 0, 12, 16, 1), (12, 0, 12, 16, 2)),
+        by_level=False,
+        strength=1.0,
+    )
     assert (same[8, 0] == same[8, 24]).all()
 
 
@@ -101,9 +115,13 @@ def test_curve_figure_has_labels_a_legend_and_no_pyplot():
     import sys
 
     figure = curves.curve_figure(
-        [0, 1, 3], {"a": [1.0, math.nan, 2.0], "b": [2.0, 2.0, 5.0]}, x_label="frame", y_label="PSNR, dB", marks=[0, 3],
+        [0, 1, 3],
+        {"a": [1.0, math.nan, 2.0], "b": [2.0, 2.0, 5.0]},
+        x_label="frame",
+        y_label="PSNR, dB",
+        marks=[0, 3],
         marks_label="keyframe",
-    )  # fmt: skip
+    )
     axes = figure.axes[0]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("frame", "PSNR, dB")
     assert [t.get_text() for t in figure.legends[0].get_texts()] == ["a", "b", "keyframe"]
@@ -121,11 +139,19 @@ def test_curve_figure_has_labels_a_legend_and_no_pyplot():
 
 
 def line_columns(image):
-    return np.nonzero((np.abs(image.astype(int) - curves.rgb_of(PALETTE[0])).sum(-1) < 60).any(0))[0]
+    return np.nonzero((np.abs(image.astype(int) - curves.rgb_of(PALETTE[0])).sum(-1) < 60).any(0))[
+        0
+    ]
 
 
 def test_a_small_curve_fills_as_much_as_is_done_and_nan_leaves_a_gap():
-    done = line_columns(small_curves({"a": [0, 1, 2, 3, 4]}, n_x=9, width=400))
+    done = line_columns(
+        small_curves(
+            {"a": [0, 1, 2, 3, 4]},
+            n_x=9,
+            width=400,
+        )
+    )
     assert 50 <= done.min() < 70
     assert done.max() == pytest.approx((50 + 392) / 2, abs=6)
     values = [1.0] * 10 + [math.nan] * 10 + [2.0] * 10

@@ -1,4 +1,5 @@
-"""PSNR, SSIM, LPIPS and depth error: closed forms, a brute-force SSIM, and views read one by one."""
+"""PSNR, SSIM, LPIPS and depth error: closed forms, a brute-force SSIM, and views read one by
+one."""
 
 import json
 import math
@@ -36,14 +37,32 @@ def picture(generator, height=24, width=31):
 def view_of(rgb, depth_m, alpha=1.0):
     index = torch.zeros(depth_m.shape, dtype=torch.int64)
     return RenderOutput(
-        rgb=rgb, depth_m=depth_m * alpha, alpha=torch.full_like(depth_m, alpha), first_index=index, dominant_index=index
+        rgb=rgb,
+        depth_m=depth_m * alpha,
+        alpha=torch.full_like(depth_m, alpha),
+        first_index=index,
+        dominant_index=index,
     )
 
 
 def frame_of(index, rgb, depth_m):
     h, w = depth_m.shape
-    camera = Camera(width=w, height=h, fx=float(w), fy=float(w), cx=w / 2, cy=h / 2)
-    return Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=torch.eye(4))
+    camera = Camera(
+        width=w,
+        height=h,
+        fx=float(w),
+        fy=float(w),
+        cx=w / 2,
+        cy=h / 2,
+    )
+    return Frame(
+        index=index,
+        timestamp_s=0.0,
+        rgb=rgb,
+        depth_m=depth_m,
+        camera=camera,
+        T_WC=torch.eye(4),
+    )
 
 
 @pytest.mark.parametrize("offset", [0.2, 1 / 255, 1.0])
@@ -81,7 +100,11 @@ def test_ssim_matches_its_definition_pixel_by_pixel(generator):
                 mp, mq = (window * p).sum(), (window * q).sum()
                 vp, vq = (window * (p - mp) ** 2).sum(), (window * (q - mq) ** 2).sum()
                 cov = (window * (p - mp) * (q - mq)).sum()
-                total += (2 * mp * mq + 1e-4) * (2 * cov + 9e-4) / ((mp**2 + mq**2 + 1e-4) * (vp + vq + 9e-4))
+                total += (
+                    (2 * mp * mq + 1e-4)
+                    * (2 * cov + 9e-4)
+                    / ((mp**2 + mq**2 + 1e-4) * (vp + vq + 9e-4))
+                )
     assert ssim(a, b) == pytest.approx(total / (9 * 12 * 3), abs=1e-12)
 
 
@@ -93,14 +116,25 @@ def test_metrics_refuse_images_of_different_shape_or_too_small():
 
 
 def patterned(height=24, width=31):
-    y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    a = torch.stack([(7 * x + 3 * y) % 256, (x * y) % 256, (11 * x + y * y) % 256], -1)
-    b = torch.stack([(7 * x + 5 * y) % 256, (x * y + 9) % 256, (13 * x + y * y) % 256], -1)
+    y, x = torch.meshgrid(
+        torch.arange(height),
+        torch.arange(width),
+        indexing="ij",
+    )
+    a = torch.stack(
+        [(7 * x + 3 * y) % 256, (x * y) % 256, (11 * x + y * y) % 256],
+        -1,
+    )
+    b = torch.stack(
+        [(7 * x + 5 * y) % 256, (x * y + 9) % 256, (13 * x + y * y) % 256],
+        -1,
+    )
     return a.double() / 255, b.double() / 255
 
 
 def test_ssim_as_released_is_that_of_torchmetrics_1_4():
-    """torchmetrics 1.4.0, whose authors cut the border, and scikit-image 0.26.0 agree on these images:
+    """torchmetrics 1.4.0, whose authors cut the border, and scikit-image 0.26.0 agree on these
+    images:
 
     structural_similarity_index_measure(chw(a), chw(b), data_range=1.0)
     structural_similarity(a.numpy(), b.numpy(), channel_axis=2, gaussian_weights=True, sigma=1.5,
@@ -126,10 +160,16 @@ def test_each_lpips_gives_the_network_its_own_images(monkeypatch):
     rgb[..., 0] = 51 / 255  # red
     lpips(rgb, other)
     assert network.seen[0].shape == (1, 3, 8, 9)
-    torch.testing.assert_close(network.seen[0][0, :, 0, 0], torch.tensor([-0.6, -1.0, -1.0]))
+    torch.testing.assert_close(
+        network.seen[0][0, :, 0, 0],
+        torch.tensor([-0.6, -1.0, -1.0]),
+    )
     assert (network.seen[1] == 1).all()
     assert lpips_as_released(rgb, other) == pytest.approx((0.8 + 1 + 1) / 3)
-    torch.testing.assert_close(network.seen[0][0, :, 0, 0], torch.tensor([0.0, 0.0, 0.2]))
+    torch.testing.assert_close(
+        network.seen[0][0, :, 0, 0],
+        torch.tensor([0.0, 0.0, 0.2]),
+    )
 
 
 def test_depth_error_counts_only_pixels_with_both():
@@ -144,9 +184,12 @@ def test_depth_error_counts_only_pixels_with_both():
 def test_expected_depth_divides_by_alpha_and_drops_thin_pixels():
     index = torch.zeros(1, 3, dtype=torch.int64)
     view = RenderOutput(
-        rgb=torch.zeros(1, 3, 3), depth_m=torch.tensor([[1.6, 0.4, 0.0]]), alpha=torch.tensor([[0.8, 0.2, 0.0]]),
-        first_index=index, dominant_index=index,
-    )  # fmt: skip
+        rgb=torch.zeros(1, 3, 3),
+        depth_m=torch.tensor([[1.6, 0.4, 0.0]]),
+        alpha=torch.tensor([[0.8, 0.2, 0.0]]),
+        first_index=index,
+        dominant_index=index,
+    )
     assert torch.allclose(expected_depth_m(view), torch.tensor([[2.0, 0.0, 0.0]]))
 
 
@@ -162,7 +205,11 @@ def test_score_views_reads_frames_one_by_one(generator):
 
     def render(camera, T_WC):
         assert alive == 1
-        return view_of(torch.full((24, 31, 3), 0.5), torch.full((24, 31), 2.1), alpha=0.9)
+        return view_of(
+            torch.full((24, 31, 3), 0.5),
+            torch.full((24, 31), 2.1),
+            alpha=0.9,
+        )
 
     scores = score_views(render, frames())
     assert [row.index for row in scores.rows] == [3, 11]
@@ -170,21 +217,30 @@ def test_score_views_reads_frames_one_by_one(generator):
     assert scores.depth_l1_m == pytest.approx(0.1, abs=1e-5)
     assert isinstance(scores.mean("lpips"), NotComputed)
     assert set(scores.as_metrics("held_out")) == {
-        "psnr_held_out_db", "ssim_held_out", "lpips_held_out", "depth_l1_held_out_m",
-        "ssim_as_released_held_out", "lpips_as_released_held_out",
-    }  # fmt: skip
+        "psnr_held_out_db",
+        "ssim_held_out",
+        "lpips_held_out",
+        "depth_l1_held_out_m",
+        "ssim_as_released_held_out",
+        "lpips_as_released_held_out",
+    }
 
 
 def test_score_views_of_no_frames_is_not_computed():
     scores = score_views(lambda camera, T_WC: None, [])  # pyright: ignore[reportArgumentType]
     assert scores.psnr == NotComputed("no view to score")
-    assert metrics_as_json(scores.as_metrics("mapped"))["ssim_mapped"] == {"not_computed": "no view to score"}
+    assert metrics_as_json(scores.as_metrics("mapped"))["ssim_mapped"] == {
+        "not_computed": "no view to score"
+    }
 
 
 def test_depth_mean_skips_views_without_common_depth(generator):
     rgb = picture(generator)
     frames = [frame_of(0, rgb, torch.zeros(24, 31)), frame_of(1, rgb, torch.ones(24, 31))]
-    scores = score_views(lambda camera, T_WC: view_of(rgb, torch.full((24, 31), 1.5)), frames)
+    scores = score_views(
+        lambda camera, T_WC: view_of(rgb, torch.full((24, 31), 1.5)),
+        frames,
+    )
     assert scores.depth_l1_m == pytest.approx(0.5)
     assert scores.psnr == math.inf
 
@@ -196,7 +252,10 @@ def test_a_view_with_a_nan_is_counted_and_its_frame_is_known(generator):
     broken[3, 4, 1] = math.nan
     frames = [frame_of(i, rgb, torch.ones(24, 31)) for i in (2, 5, 9)]
     renders = iter([rgb * 0.5, broken, rgb * 0.5])
-    scores = score_views(lambda camera, T_WC: view_of(next(renders), torch.full((24, 31), 1.5)), frames)
+    scores = score_views(
+        lambda camera, T_WC: view_of(next(renders), torch.full((24, 31), 1.5)),
+        frames,
+    )
     assert scores.not_a_number == (5,)
     assert scores.without("ssim") == (5,)
     assert scores.without("depth_l1_m") == scores.without("lpips") == ()
@@ -205,7 +264,9 @@ def test_a_view_with_a_nan_is_counted_and_its_frame_is_known(generator):
     assert metrics["n_views_nan_held_out"] == 1
     assert "n_views_no_depth_held_out" not in metrics
     assert format_metric("n_views_nan_held_out", 1.0) == "1"
-    everywhere = score_views(lambda camera, T_WC: view_of(broken, torch.full((24, 31), 1.5)), frames)
+    everywhere = score_views(
+        lambda camera, T_WC: view_of(broken, torch.full((24, 31), 1.5)), frames
+    )
     assert everywhere.psnr == everywhere.ssim == NotComputed("the render of every view has a NaN")
 
 
@@ -214,7 +275,13 @@ def test_a_view_without_a_depth_error_is_counted(generator):
     broken = torch.full((24, 31), 1.5)
     broken[0, 0] = math.nan
     assert math.isnan(depth_l1_m(broken, ones)[0])
-    assert depth_l1_m(broken, ones.index_put((torch.tensor(0), torch.tensor(0)), torch.tensor(0.0)))[0] == 0.5
+    assert (
+        depth_l1_m(
+            broken,
+            ones.index_put((torch.tensor(0), torch.tensor(0)), torch.tensor(0.0)),
+        )[0]
+        == 0.5
+    )
     depths = iter([broken, torch.full((24, 31), 1.5), torch.full((24, 31), 1.5)])
     frames = [frame_of(0, rgb, ones), frame_of(1, rgb, torch.zeros(24, 31)), frame_of(2, rgb, ones)]
     scores = score_views(lambda camera, T_WC: view_of(rgb, next(depths)), frames)
@@ -236,15 +303,31 @@ def test_scores_do_not_depend_on_the_number_of_threads():
     assert len(set(found)) == 1
 
 
-CAMERA = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)
+CAMERA = Camera(
+    width=8,
+    height=6,
+    fx=8.0,
+    fy=8.0,
+    cx=4.0,
+    cy=3.0,
+)
 
 
 def frame(depth_m=2.0):
     """A wall in front of the camera; the colour of a pixel says where it is."""
-    row, column = torch.meshgrid(torch.arange(6) / 10, torch.arange(8) / 10, indexing="ij")
+    row, column = torch.meshgrid(
+        torch.arange(6) / 10,
+        torch.arange(8) / 10,
+        indexing="ij",
+    )
     rgb = torch.stack([column, row, torch.full_like(row, 0.5)], dim=-1)
     return Frame(
-        index=0, timestamp_s=0.0, rgb=rgb, depth_m=torch.full((6, 8), depth_m), camera=CAMERA, T_WC=torch.eye(4)
+        index=0,
+        timestamp_s=0.0,
+        rgb=rgb,
+        depth_m=torch.full((6, 8), depth_m),
+        camera=CAMERA,
+        T_WC=torch.eye(4),
     )
 
 
@@ -272,7 +355,9 @@ def test_vertices_are_compared_with_their_pixels_and_hidden_ones_are_not():
     ]
     expected = -10 * torch.tensor(0.2**2 / 6).log10()
     assert mesh_psnr(mesh_of(*vertices), [frame()]) == pytest.approx(float(expected), abs=1e-3)
-    assert mesh_psnr(mesh_of(*vertices), [frame(), frame(5.0)]) == pytest.approx(float(expected), abs=1e-3)
+    assert mesh_psnr(mesh_of(*vertices), [frame(), frame(5.0)]) == pytest.approx(
+        float(expected), abs=1e-3
+    )
 
 
 @pytest.mark.parametrize(
@@ -339,7 +424,10 @@ def test_a_metric_is_shown_in_the_unit_of_its_name():
         if units and unit != ["frames"]:  # a count of frames says so
             digits = len(number.partition(".")[2])
             [(wanted, factor)] = units
-            found[name] = "".join(unit) == wanted and abs(float(number) - 0.25 * factor) <= 0.501 * 10**-digits
+            found[name] = (
+                "".join(unit) == wanted
+                and abs(float(number) - 0.25 * factor) <= 0.501 * 10**-digits
+            )
     assert len(found) > 50
     assert [name for name, fits in found.items() if not fits] == []
 
@@ -363,14 +451,23 @@ def test_a_setting_as_text(value, text):
 @pytest.mark.parametrize(("side", "enough"), [(5, False), (6, True)])
 def test_ssim_needs_half_a_window(side, enough):
     """11 x 11 pixels, of which five may be mirrored."""
-    picture = torch.rand(side, 20, 3, generator=torch.Generator().manual_seed(0))
+    picture = torch.rand(
+        side,
+        20,
+        3,
+        generator=torch.Generator().manual_seed(0),
+    )
     if enough:
         assert ssim(picture, picture) == pytest.approx(1.0)
     else:
-        with pytest.raises(ValueError, match=r"at least 6 pixels high and wide for an 11x11 window, got \[5, 20, 3\]"):
+        with pytest.raises(
+            ValueError,
+            match=r"at least 6 pixels high and wide for an 11x11 window, got \[5, 20, 3\]",
+        ):
             ssim(picture, picture)
     [row] = score_views(
-        lambda camera, T_WC: view_of(picture, torch.ones(side, 20)), [frame_of(0, picture, torch.ones(side, 20))]
+        lambda camera, T_WC: view_of(picture, torch.ones(side, 20)),
+        [frame_of(0, picture, torch.ones(side, 20))],
     ).rows
     assert math.isnan(row.ssim) != enough
 
@@ -387,10 +484,17 @@ def test_ssim_in_float32_agrees_with_float64(generator):
 
 
 def test_ssim_as_released_does_not_see_the_border(generator):
-    """A pixel of the border counts only in windows that reach it, and those are around pixels nearer than 6."""
+    """A pixel of the border counts only in windows that reach it, and those are around pixels
+    nearer than 6."""
     a, b = patterned()
     inner = ssim_as_released(a, b)
-    assert ssim_as_released(a[5:-5, 5:-5], b[5:-5, 5:-5]) != inner
+    assert (
+        ssim_as_released(
+            a[5:-5, 5:-5],
+            b[5:-5, 5:-5],
+        )
+        != inner
+    )
     with pytest.raises(ValueError, match="at least 11 pixels"):
         ssim_as_released(torch.zeros(10, 30, 3), torch.zeros(10, 30, 3))
 
@@ -410,7 +514,9 @@ def test_lpips_without_its_package_says_so(monkeypatch, no_cached_network):
     assert str(result).startswith("not computed: package 'lpips' is not installed")
 
 
-def test_lpips_without_weights_says_so_and_never_builds_the_network(monkeypatch, no_cached_network, tmp_path):
+def test_lpips_without_weights_says_so_and_never_builds_the_network(
+    monkeypatch, no_cached_network, tmp_path
+):
     """A stand-in package: building the network would mean a download, so it must not happen."""
 
     class Package:
@@ -433,15 +539,21 @@ def test_lpips_without_weights_says_so_and_never_builds_the_network(monkeypatch,
 
 
 def test_no_number_if_no_view_shows_the_mesh():
-    assert mesh_psnr(mesh_of(at(3, 1, 2.0, [0.5] * 3)), [frame(5.0)]) == NotComputed(
-        "no view shows a vertex of the mesh"
-    )
+    assert mesh_psnr(
+        mesh_of(at(3, 1, 2.0, [0.5] * 3)),
+        [frame(5.0)],
+    ) == NotComputed("no view shows a vertex of the mesh")
 
 
 @pytest.mark.parametrize(("side", "enough"), [(10, False), (11, True)])
 def test_a_score_without_its_border_needs_a_picture_that_is_larger(side, enough):
     """Five pixels are left out on each side."""
-    picture = torch.rand(side, 20, 3, generator=torch.Generator().manual_seed(0))
+    picture = torch.rand(
+        side,
+        20,
+        3,
+        generator=torch.Generator().manual_seed(0),
+    )
     frames = [frame_of(0, picture, torch.ones(side, 20))]
     [row] = score_views(lambda camera, T_WC: view_of(picture, torch.ones(side, 20)), frames).rows
     assert math.isnan(row.ssim_as_released) != enough

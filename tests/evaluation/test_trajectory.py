@@ -1,4 +1,5 @@
-"""Trajectory errors: known transforms come back, by-hand values, and agreement with evo where it is installed."""
+"""Trajectory errors: known transforms come back, by-hand values, and agreement with evo where it is
+installed."""
 
 import math
 
@@ -12,7 +13,9 @@ from gsfusion_nb.geometry import se3
 
 def random_path(generator, n=40):
     """A smooth path: accumulated small motions."""
-    step = torch.randn(n, 6, generator=generator, dtype=torch.float64) * torch.tensor([0.1] * 3 + [0.05] * 3)
+    step = torch.randn(n, 6, generator=generator, dtype=torch.float64) * torch.tensor(
+        [0.1] * 3 + [0.05] * 3
+    )
     poses = [torch.eye(4, dtype=torch.float64)]
     for xi in step[1:]:
         poses.append(poses[-1] @ se3.exp(xi))
@@ -20,7 +23,15 @@ def random_path(generator, n=40):
 
 
 def perturbed(path, generator, size=0.01):
-    xi = torch.randn(len(path), 6, generator=generator, dtype=torch.float64) * size
+    xi = (
+        torch.randn(
+            len(path),
+            6,
+            generator=generator,
+            dtype=torch.float64,
+        )
+        * size
+    )
     return path @ se3.exp(xi)
 
 
@@ -65,7 +76,10 @@ def test_alignment_is_the_least_squares_optimum(generator):
 def test_rpe_by_hand():
     """A drift of 1 cm and 1 degree a frame."""
     reference = torch.eye(4, dtype=torch.float64).repeat(5, 1, 1)
-    xi = torch.tensor([0.0, 0.0, 0.01, 0.0, 0.0, math.radians(1)], dtype=torch.float64)
+    xi = torch.tensor(
+        [0.0, 0.0, 0.01, 0.0, 0.0, math.radians(1)],
+        dtype=torch.float64,
+    )
     estimate = torch.stack([se3.exp(i * xi) for i in range(5)])
     assert rpe(estimate, reference) == (pytest.approx(0.01), pytest.approx(1.0))
 
@@ -74,7 +88,9 @@ def test_rpe_by_hand():
 def test_ate_agrees_with_evo(generator, align):
     metrics, paths = evo()
     path = random_path(generator)
-    estimate = se3.exp(torch.tensor([0.3, 0, 1, 0, 1, 0], dtype=torch.float64)) @ perturbed(path, generator)
+    estimate = se3.exp(torch.tensor([0.3, 0, 1, 0, 1, 0], dtype=torch.float64)) @ perturbed(
+        path, generator
+    )
     theirs_ref, theirs = evo_path(paths, path), evo_path(paths, estimate)
     if align:
         theirs.align(theirs_ref)
@@ -88,9 +104,14 @@ def test_rpe_agrees_with_evo(generator):
     metrics, paths = evo()
     path = random_path(generator)
     estimate = perturbed(path, generator)
-    for relation, value in zip(("translation_part", "rotation_angle_deg"), rpe(estimate, path), strict=True):
+    for relation, value in zip(
+        ("translation_part", "rotation_angle_deg"), rpe(estimate, path), strict=True
+    ):
         theirs = metrics.RPE(
-            getattr(metrics.PoseRelation, relation), delta=1, delta_unit=metrics.Unit.frames, all_pairs=True
+            getattr(metrics.PoseRelation, relation),
+            delta=1,
+            delta_unit=metrics.Unit.frames,
+            all_pairs=True,
         )
         theirs.process_data((evo_path(paths, path), evo_path(paths, estimate)))
         assert value == pytest.approx(theirs.get_statistic(metrics.StatisticsType.rmse), abs=1e-9)
@@ -130,7 +151,9 @@ def test_scores_by_name(generator):
     assert exact["ate_mean_m"] == pytest.approx(0, abs=1e-9)
     assert exact["rpe_translation_m"] == pytest.approx(0, abs=1e-9)
     assert exact["rpe_rotation_deg"] == pytest.approx(0, abs=1e-5)
-    assert exact["drift_m"] == pytest.approx(float((moved - path)[-1, :3, 3].norm()))  # of the end, not aligned
+    assert exact["drift_m"] == pytest.approx(
+        float((moved - path)[-1, :3, 3].norm())
+    )  # of the end, not aligned
 
     off = path.clone()
     off[-1, :3, 3] += torch.tensor([0.03, 0.0, 0.04], dtype=torch.float64)
@@ -151,7 +174,10 @@ def test_noise_of_known_size_is_measured(generator):
 
 def test_scores_of_too_short_a_path():
     with pytest.raises(ValueError, match="at least 3 positions, got 2"):
-        trajectory_scores(torch.eye(4).repeat(2, 1, 1), torch.eye(4).repeat(2, 1, 1))
+        trajectory_scores(
+            torch.eye(4).repeat(2, 1, 1),
+            torch.eye(4).repeat(2, 1, 1),
+        )
 
 
 @pytest.mark.parametrize("score", [ate_rmse, rpe, trajectory_scores])

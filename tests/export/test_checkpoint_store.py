@@ -67,7 +67,9 @@ def test_what_is_constant_is_written_once(tmp_path):
     back = CheckpointStore(tmp_path).load().state
     assert torch.equal(back["image"], before)
     assert torch.equal(back["rows"], rows)
-    if sys.platform == "linux":  # images are read when they are used: all together may be more than memory holds
+    if (
+        sys.platform == "linux"
+    ):  # images are read when they are used: all together may be more than memory holds
         assert str(tmp_path / "000001.constants") in Path("/proc/self/maps").read_text()
     again = CheckpointStore(tmp_path)
     again.load()
@@ -75,8 +77,13 @@ def test_what_is_constant_is_written_once(tmp_path):
     for _ in range(3):
         again.save({"image": other}, constant=[other])
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "000003.constants", "000003.copy", "000004.json", "000004.state", "000005.json", "000005.state"
-    ]  # fmt: skip
+        "000003.constants",
+        "000003.copy",
+        "000004.json",
+        "000004.state",
+        "000005.json",
+        "000005.state",
+    ]
     assert torch.equal(again.load().state["image"], other)
     again.remove()
     assert not tmp_path.exists()
@@ -85,21 +92,34 @@ def test_what_is_constant_is_written_once(tmp_path):
 def test_parts_of_a_large_tensor_that_did_not_change_are_not_written_again(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint_store, "_PART_BYTES", 40_000)
     monkeypatch.setattr(checkpoint_store, "_COPIED_BYTES", 10_000)
-    store, rows = CheckpointStore(tmp_path), torch.rand(100, 1000, generator=torch.Generator().manual_seed(0))
+    store, rows = (
+        CheckpointStore(tmp_path),
+        torch.rand(100, 1000, generator=torch.Generator().manual_seed(0)),
+    )
     buffer = torch.cat([rows, rows])
 
     def written() -> list[int]:
         store.save({"rows": buffer[:100], "small": torch.arange(3)})
-        assert same(CheckpointStore(tmp_path).load().state, {"rows": buffer[:100], "small": torch.arange(3)})
-        parts = [len(torch.load(path, weights_only=True)) for path in sorted(tmp_path.glob("*.constants"))]
-        assert 10 <= sum(parts) <= 20 + 10  # at most twice what is needed, besides that of the checkpoint before
+        assert same(
+            CheckpointStore(tmp_path).load().state,
+            {"rows": buffer[:100], "small": torch.arange(3)},
+        )
+        parts = [
+            len(torch.load(path, weights_only=True))
+            for path in sorted(tmp_path.glob("*.constants"))
+        ]
+        assert (
+            10 <= sum(parts) <= 20 + 10
+        )  # at most twice what is needed, besides that of the checkpoint before
         return parts
 
     assert written() == [10]
     buffer[55] += 1
     assert written() == [10, 1]
     assert (tmp_path / "000002.constants").stat().st_size < 1.2 * 40_000
-    buffer[:60] += 1  # less than half of the first file is needed: the rest of it moves at the next checkpoint
+    buffer[:60] += (
+        1  # less than half of the first file is needed: the rest of it moves at the next checkpoint
+    )
     assert written() == [10, 1, 6]
     assert written() == [10, 6, 4]
     assert written() == [6, 4]
@@ -174,7 +194,10 @@ def test_another_version_is_refused(tmp_path, version):
     CheckpointStore(tmp_path).save(state())
     path = tmp_path / "000001.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": version}))
-    with pytest.raises(ValueError, match=f"expected a gsfusion_nb checkpoint of version 7, got version {version}: map"):
+    with pytest.raises(
+        ValueError,
+        match=f"expected a gsfusion_nb checkpoint of version 7, got version {version}: map",
+    ):
         CheckpointStore(tmp_path).load()
 
 
@@ -189,13 +212,18 @@ def with_right_checksums(folder: Path, name: str, content) -> None:
 def test_a_tensor_of_more_values_than_are_stored_is_refused(tmp_path):
     CheckpointStore(tmp_path).save(state())
     with_right_checksums(tmp_path, "000001.state", {"rows": torch.zeros(1).expand(2_500_000_000)})
-    with pytest.raises(ValueError, match=r"000001\.state has a tensor \[2500000000\] of more values than are stored"):
+    with pytest.raises(
+        ValueError,
+        match=r"000001\.state has a tensor \[2500000000\] of more values than are stored",
+    ):
         CheckpointStore(tmp_path).load()
 
 
 def test_a_part_that_occurs_a_thousand_times_is_refused(tmp_path):
     CheckpointStore(tmp_path).save({"image": torch.rand(500_000)}, constant=())
-    with_right_checksums(tmp_path, "000001.constants", {"000001.constants 0": torch.zeros(2_000_000)})
+    with_right_checksums(
+        tmp_path, "000001.constants", {"000001.constants 0": torch.zeros(2_000_000)}
+    )
     parts = {"rows": {"$parts": ["000001.constants 0"] * 1000}}
     with_right_checksums(tmp_path, "000001.state", parts)
     with pytest.raises(ValueError, match=r"its files of 8\.0 MB ask for 8\.0 GB of memory"):

@@ -20,7 +20,11 @@ def gaussians(n, degree, generator):
         return torch.randn(*shape, generator=generator)
 
     return GaussianParams(
-        xyz_W=rand(n, 3), log_scale=rand(n, 3), quat=rand(n, 4), opacity_logit=rand(n), sh=rand(n, (degree + 1) ** 2, 3)
+        xyz_W=rand(n, 3),
+        log_scale=rand(n, 3),
+        quat=rand(n, 4),
+        opacity_logit=rand(n),
+        sh=rand(n, (degree + 1) ** 2, 3),
     )
 
 
@@ -50,7 +54,28 @@ def test_bytes_of_one_gaussian_by_hand(tmp_path):
     write_gaussian_ply(tmp_path / "g.ply", one)
     row = np.frombuffer((tmp_path / "g.ply").read_bytes()[-248:], "<f4")
     red, green, blue = ([float(3 * k + c) for k in range(1, 16)] for c in range(3))  # channel-major
-    assert row.tolist() == [1, 2, 3, 0, 0, 0, 0, 1, 2, *red, *green, *blue, 11, 4, 5, 6, 7, 8, 9, 10]
+    assert row.tolist() == [
+        1,
+        2,
+        3,
+        0,
+        0,
+        0,
+        0,
+        1,
+        2,
+        *red,
+        *green,
+        *blue,
+        11,
+        4,
+        5,
+        6,
+        7,
+        8,
+        9,
+        10,
+    ]
 
 
 @pytest.mark.parametrize("n", [0, 1, 9])
@@ -75,11 +100,15 @@ def test_reads_files_of_lower_degree_and_float64_and_big_endian(tmp_path, genera
     columns = {"opacity": g.opacity_logit, **{a: g.xyz_W[:, i] for i, a in enumerate("xyz")}}
     columns |= {f"f_dc_{c}": g.sh[:, 0, c] for c in range(3)}
     columns |= {f"f_rest_{c * k + j}": g.sh[:, 1 + j, c] for c in range(3) for j in range(k)}
-    columns |= {f"scale_{i}": g.log_scale[:, i] for i in range(3)} | {f"rot_{i}": g.quat[:, i] for i in range(4)}
+    columns |= {f"scale_{i}": g.log_scale[:, i] for i in range(3)} | {
+        f"rot_{i}": g.quat[:, i] for i in range(4)
+    }
     rows = np.zeros(4, dtype=[(name, "f8") for name in columns])
     for name, column in columns.items():
         rows[name] = column.numpy()
-    plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")], byte_order=">").write(str(tmp_path / "g.ply"))
+    plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")], byte_order=">").write(
+        str(tmp_path / "g.ply")
+    )
     back = read_gaussian_ply(tmp_path / "g.ply")
     assert back.sh_degree == degree
     assert torch.equal(back.sh, g.sh)
@@ -88,7 +117,9 @@ def test_reads_files_of_lower_degree_and_float64_and_big_endian(tmp_path, genera
 
 def test_errors_are_sentences(tmp_path, generator):
     path = tmp_path / "g.ply"
-    with pytest.raises(FileNotFoundError, match=r"g\.ply does not exist; expected a PLY file of Gaussians"):
+    with pytest.raises(
+        FileNotFoundError, match=r"g\.ply does not exist; expected a PLY file of Gaussians"
+    ):
         read_gaussian_ply(path)
     path.write_text("hello")
     with pytest.raises(ValueError, match=r"g\.ply is not .*readable .*PLY file"):
@@ -103,7 +134,10 @@ def test_errors_are_sentences(tmp_path, generator):
         read_gaussian_ply(path)
 
 
-@pytest.mark.parametrize(("column", "value"), [("xyz_W", 5.9e34), ("log_scale", 86.0), ("quat", 0.0)])
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("xyz_W", 5.9e34), ("log_scale", 86.0), ("quat", 0.0)],
+)
 def test_gaussians_that_no_map_has_are_refused_with_their_row(tmp_path, generator, column, value):
     params = gaussians(3, 0, generator)
     getattr(params, column)[1] = value
@@ -119,7 +153,10 @@ def test_gaussians_that_no_map_has_are_refused_with_their_row(tmp_path, generato
 def columns_of(params):
     """The properties of a file by name, as another trainer may write them."""
     rest = params.sh[:, 1:].transpose(1, 2).reshape(len(params), -1)
-    columns = {"opacity": params.opacity_logit, **{a: params.xyz_W[:, i] for i, a in enumerate("xyz")}}
+    columns = {
+        "opacity": params.opacity_logit,
+        **{a: params.xyz_W[:, i] for i, a in enumerate("xyz")},
+    }
     columns |= {f"f_dc_{c}": params.sh[:, 0, c] for c in range(3)}
     columns |= {f"f_rest_{i}": rest[:, i] for i in range(rest.shape[1])}
     columns |= {f"scale_{i}": params.log_scale[:, i] for i in range(3)}
@@ -128,36 +165,63 @@ def columns_of(params):
 
 
 def write_columns(path, columns, *, dtype="f4", comments=()):
-    rows = np.zeros(len(next(iter(columns.values()))), dtype=[(name, dtype) for name in columns])
+    rows = np.zeros(
+        len(next(iter(columns.values()))),
+        dtype=[(name, dtype) for name in columns],
+    )
     for name, column in columns.items():
         rows[name] = column
-    plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")], comments=list(comments)).write(str(path))
+    plyfile.PlyData([plyfile.PlyElement.describe(rows, "vertex")], comments=list(comments)).write(
+        str(path)
+    )
     return path
 
 
 @pytest.mark.parametrize("name", ["filter_3D", "filter_3d"])
 def test_a_smoothing_filter_is_applied(tmp_path, generator, caplog, name):
-    """Mip-Splatting, Eq. 9: sqrt(|S| / |S + f^2 I|) exp(-x^T (S + f^2 I)^-1 x / 2), by hand for two Gaussians."""
+    """Mip-Splatting, Eq. 9: sqrt(|S| / |S + f^2 I|) exp(-x^T (S + f^2 I)^-1 x / 2), by hand for two
+    Gaussians."""
     g = gaussians(2, 0, generator)
     g.log_scale[:] = torch.log(torch.tensor([[0.03, 0.04, 0.12], [0.01, 0.01, 0.01]]))
     g.opacity_logit[:] = torch.logit(torch.tensor([0.9, 0.5]))
-    path = write_columns(tmp_path / "g.ply", columns_of(g) | {name: np.array([0.04, 0.0])})
+    path = write_columns(
+        tmp_path / "g.ply",
+        columns_of(g) | {name: np.array([0.04, 0.0])},
+    )
     back = read_gaussian_ply(path)
-    wide = torch.tensor([[0.05, (2 * 0.04**2) ** 0.5, (0.12**2 + 0.04**2) ** 0.5], [0.01, 0.01, 0.01]])
+    wide = torch.tensor(
+        [[0.05, (2 * 0.04**2) ** 0.5, (0.12**2 + 0.04**2) ** 0.5], [0.01, 0.01, 0.01]]
+    )
     assert torch.allclose(back.log_scale.exp(), wide, rtol=1e-5)
     peak = 0.9 * (0.03 * 0.04 * 0.12) / float(wide[0].prod())
-    assert torch.allclose(back.opacity_logit.sigmoid(), torch.tensor([peak, 0.5]), rtol=1e-5)
+    assert torch.allclose(
+        back.opacity_logit.sigmoid(),
+        torch.tensor([peak, 0.5]),
+        rtol=1e-5,
+    )
     assert f"{name} was applied" in caplog.text
 
 
 @pytest.mark.parametrize(
     ("comment", "named"),
-    [("SplatRenderMode: mip", "mip"), ("splatrendermode:  Banana", "Banana"), ("antialiased 1", "mip"),
-     ("SplatRenderMode: default", ""), ("antialiased 0", ""), ("Exported from Brush", "")],
-)  # fmt: skip
+    [
+        ("SplatRenderMode: mip", "mip"),
+        ("splatrendermode:  Banana", "Banana"),
+        ("antialiased 1", "mip"),
+        ("SplatRenderMode: default", ""),
+        ("antialiased 0", ""),
+        ("Exported from Brush", ""),
+    ],
+)
 def test_another_mode_of_rendering_is_named(tmp_path, generator, caplog, comment, named):
-    read_gaussian_ply(write_columns(tmp_path / "g.ply", columns_of(gaussians(2, 0, generator)), comments=[comment]))
-    assert (f"trained for the render mode {named}, which this package does not have" in caplog.text) == bool(named)
+    read_gaussian_ply(
+        write_columns(
+            tmp_path / "g.ply", columns_of(gaussians(2, 0, generator)), comments=[comment]
+        )
+    )
+    assert (
+        f"trained for the render mode {named}, which this package does not have" in caplog.text
+    ) == bool(named)
     assert bool(caplog.text) == bool(named)
 
 
@@ -169,12 +233,16 @@ def test_places_of_a_survey_are_moved_and_not_rounded(tmp_path, generator, caplo
     columns["y"] = columns["y"] + 5400456.5
     path = write_columns(tmp_path / "g.ply", columns, dtype="f8")
     back = read_gaussian_ply(path)
-    moved = np.array([float(word) for word in caplog.text.split("moved by (")[1].split(")")[0].split(",")])
+    moved = np.array(
+        [float(word) for word in caplog.text.split("moved by (")[1].split(")")[0].split(",")]
+    )
     assert moved[2] == 0
     stored = np.stack([columns[axis] for axis in "xyz"], axis=1)
     assert np.abs(stored + moved - back.xyz_W.double().numpy()).max() < 1e-4
     assert back.xyz_W.abs().max() < 10
-    with pytest.raises(ValueError, match=r"has places near \(5001\d\d, 54004\d\d, 0\), which float32 would round"):
+    with pytest.raises(
+        ValueError, match=r"has places near \(5001\d\d, 54004\d\d, 0\), which float32 would round"
+    ):
         read_gaussian_ply(path, keep_place=True)
     caplog.clear()
     read_gaussian_ply(write_columns(path, columns))
@@ -214,9 +282,14 @@ def test_one_bad_row_leaves_the_others(tmp_path, generator, caplog):
 
 @pytest.mark.parametrize(
     ("name", "head"),
-    [("a.spz", b"\x1f\x8b\x08"), ("b.bin", b"NGSP\x04"), ("c.splat", b"\0" * 64), ("d.ksplat", b"\0\1" + b"\0" * 62),
-     ("e.sog", b"PK\x03\x04")],
-)  # fmt: skip
+    [
+        ("a.spz", b"\x1f\x8b\x08"),
+        ("b.bin", b"NGSP\x04"),
+        ("c.splat", b"\0" * 64),
+        ("d.ksplat", b"\0\1" + b"\0" * 62),
+        ("e.sog", b"PK\x03\x04"),
+    ],
+)
 def test_packed_formats_name_what_makes_a_ply(tmp_path, name, head):
     (tmp_path / name).write_bytes(head)
     with pytest.raises(ValueError, match=rf"npx @playcanvas/splat-transform {name} {name[0]}\.ply"):
@@ -235,7 +308,9 @@ def test_other_kinds_of_gaussians_are_named(tmp_path, generator, caplog):
     ):
         with pytest.raises(ValueError, match=kind):
             read_gaussian_ply(write_columns(tmp_path / "g.ply", changed))
-    read_gaussian_ply(write_columns(tmp_path / "g.ply", columns | {"nx": zeros, "red": zeros, "label": zeros}))
+    read_gaussian_ply(
+        write_columns(tmp_path / "g.ply", columns | {"nx": zeros, "red": zeros, "label": zeros})
+    )
     assert not caplog.text
     read_gaussian_ply(write_columns(tmp_path / "g.ply", columns | {"reflectance": zeros}))
     assert "the properties reflectance are not known and not used" in caplog.text
@@ -243,5 +318,7 @@ def test_other_kinds_of_gaussians_are_named(tmp_path, generator, caplog):
     chunk = plyfile.PlyElement.describe(np.zeros(1, dtype=[("min_x", "f4")]), "chunk")
     vertex = plyfile.PlyElement.describe(packed, "vertex")
     plyfile.PlyData([chunk, vertex]).write(str(tmp_path / "g.compressed.ply"))
-    with pytest.raises(ValueError, match=r"is a compressed PLY; .*splat-transform g\.compressed\.ply plain\.ply"):
+    with pytest.raises(
+        ValueError, match=r"is a compressed PLY; .*splat-transform g\.compressed\.ply plain\.ply"
+    ):
         read_gaussian_ply(tmp_path / "g.compressed.ply")

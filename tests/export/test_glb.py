@@ -28,9 +28,12 @@ def some(n, degree, generator):
         return torch.randn(*shape, generator=generator)
 
     return GaussianParams(
-        xyz_W=rand(n, 3) * 0.5 + torch.tensor([0.0, 0, 3]), log_scale=rand(n, 3) * 0.5 - 2, quat=rand(n, 4),
-        opacity_logit=rand(n) * 2, sh=rand(n, (degree + 1) ** 2, 3) * 0.3,
-    )  # fmt: skip
+        xyz_W=rand(n, 3) * 0.5 + torch.tensor([0.0, 0, 3]),
+        log_scale=rand(n, 3) * 0.5 - 2,
+        quat=rand(n, 4),
+        opacity_logit=rand(n) * 2,
+        sh=rand(n, (degree + 1) ** 2, 3) * 0.3,
+    )
 
 
 def parts(path):
@@ -60,10 +63,12 @@ def up_of_root(document):
 
 def test_numbers_as_the_extension_has_them(tmp_path):
     one = GaussianParams(
-        xyz_W=torch.tensor([[1.0, 2, 3]]), log_scale=torch.tensor([[0.01, 0.1, 1.0]]).log(),
-        quat=torch.tensor([[0.0, 0, 0, 2]]), opacity_logit=torch.tensor([0.75]).logit(),
+        xyz_W=torch.tensor([[1.0, 2, 3]]),
+        log_scale=torch.tensor([[0.01, 0.1, 1.0]]).log(),
+        quat=torch.tensor([[0.0, 0, 0, 2]]),
+        opacity_logit=torch.tensor([0.75]).logit(),
         sh=torch.arange(12.0).view(1, 4, 3),
-    )  # fmt: skip
+    )
     write_map_glb(tmp_path / "m.glb", one, up="+z")
     document, chunk = parts(tmp_path / "m.glb")
     assert document["extensionsUsed"] == [EXTENSION]
@@ -79,27 +84,53 @@ def test_numbers_as_the_extension_has_them(tmp_path):
     assert values(f"{EXTENSION}:ROTATION").tolist() == [0, 0, 1, 0]  # xyzw
     assert values(f"{EXTENSION}:OPACITY")[0] == pytest.approx(0.75)  # after the sigmoid
     assert values(f"{EXTENSION}:SH_DEGREE_1_COEF_2").tolist() == [9, 10, 11]
-    assert torch.allclose(up_of_root(document), torch.tensor([0.0, 0, 1]), atol=1e-6)
+    assert torch.allclose(
+        up_of_root(document),
+        torch.tensor([0.0, 0, 1]),
+        atol=1e-6,
+    )
 
 
 def test_mesh_beside_the_gaussians(tmp_path, generator):
     write_map_glb(tmp_path / "m.glb", some(7, 3, generator), MESH)
     document, chunk = parts(tmp_path / "m.glb")
-    assert torch.allclose(up_of_root(document), torch.tensor([0.0, -1, 0]), atol=1e-6)
-    assert [document["nodes"][i]["name"] for i in document["nodes"][0]["children"]] == ["Gaussians", "surface"]
+    assert torch.allclose(
+        up_of_root(document),
+        torch.tensor([0.0, -1, 0]),
+        atol=1e-6,
+    )
+    assert [document["nodes"][i]["name"] for i in document["nodes"][0]["children"]] == [
+        "Gaussians",
+        "surface",
+    ]
     primitive = document["meshes"][1]["primitives"][0]
     xyz, colour = (primitive["attributes"][name] for name in ("POSITION", "COLOR_0"))
     assert array(document, chunk, xyz).tolist() == MESH.vertices_W.tolist()
-    assert (document["accessors"][xyz]["min"], document["accessors"][xyz]["max"]) == ([0, 0, 0], [1, 2, 3])
-    assert array(document, chunk, primitive["indices"], "<u4").reshape(-1, 3).tolist() == MESH.faces.tolist()
+    assert (document["accessors"][xyz]["min"], document["accessors"][xyz]["max"]) == (
+        [0, 0, 0],
+        [1, 2, 3],
+    )
+    assert (
+        array(document, chunk, primitive["indices"], "<u4").reshape(-1, 3).tolist()
+        == MESH.faces.tolist()
+    )
     # 0.2 and 0.4 of sRGB are 0.0331 and 0.1329 of linear light
-    assert array(document, chunk, colour)[3].tolist() == pytest.approx([0.03310, 0.13287, 1.0], abs=1e-5)
+    assert array(document, chunk, colour)[3].tolist() == pytest.approx(
+        [0.03310, 0.13287, 1.0], abs=1e-5
+    )
 
 
 @pytest.mark.parametrize("degree", [1, 3])
 def test_a_moved_map_looks_the_same_from_the_moved_camera(generator, degree):
     g = some(60, degree, generator)
-    camera = Camera(width=48, height=32, fx=40.0, fy=40.0, cx=24.0, cy=16.0)
+    camera = Camera(
+        width=48,
+        height=32,
+        fx=40.0,
+        fy=40.0,
+        cx=24.0,
+        cy=16.0,
+    )
     R, t = turn_to_minus_y_up((0.2, 0.9, 0.4)), torch.tensor([0.5, -1.0, 2.0])
     T = torch.eye(4)
     T[:3, :3] = R.float()
@@ -115,7 +146,10 @@ def test_up_is_turned_to_y_by_a_rotation():
     for up in ("+x", "-x", "+y", "-y", "+z", "-z", (1.0, 2.0, -3.0)):
         R = turn_to_y_up(up)
         u = torch.tensor(up).double() if isinstance(up, tuple) else torch.linalg.inv(R)[:, 1]
-        assert torch.allclose(R @ u / u.norm(), torch.tensor([0.0, 1, 0]).double())
+        assert torch.allclose(
+            R @ u / u.norm(),
+            torch.tensor([0.0, 1, 0]).double(),
+        )
         assert float(torch.linalg.det(R)) == pytest.approx(1.0)
     assert turn_to_y_up("-y").diag().tolist() == [1, -1, -1]
     with pytest.raises(ValueError, match="direction of three numbers"):
@@ -126,6 +160,10 @@ def test_nothing_is_an_empty_scene_and_what_is_not_finite_is_refused(tmp_path, g
     write_map_glb(tmp_path / "m.glb", some(0, 3, generator))
     document, chunk = parts(tmp_path / "m.glb")
     assert (document["scenes"], chunk) == ([{}], b"")
-    bad = moved(some(1, 0, generator), torch.eye(3), torch.tensor([0, 0, float("nan")]))
+    bad = moved(
+        some(1, 0, generator),
+        torch.eye(3),
+        torch.tensor([0, 0, float("nan")]),
+    )
     with pytest.raises(ValueError, match="xyz_W of 1 Gaussians"):
         write_map_glb(tmp_path / "n.glb", bad)

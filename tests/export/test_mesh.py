@@ -20,7 +20,11 @@ def tetrahedron():
 
 
 def empty():
-    return Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int64), rgb=torch.zeros(0, 3))
+    return Mesh(
+        vertices_W=torch.zeros(0, 3),
+        faces=torch.zeros(0, 3, dtype=torch.int64),
+        rgb=torch.zeros(0, 3),
+    )
 
 
 def test_ply_bytes_literally(tmp_path):
@@ -39,7 +43,11 @@ def test_ply_bytes_literally(tmp_path):
     assert body[-13:] == struct.pack("<B3i", 3, 1, 2, 3)
 
 
-@pytest.mark.parametrize("mesh", [tetrahedron(), empty()], ids=["tetrahedron", "empty"])
+@pytest.mark.parametrize(
+    "mesh",
+    [tetrahedron(), empty()],
+    ids=["tetrahedron", "empty"],
+)
 def test_ply_round_trip(tmp_path, mesh):
     write_mesh_ply(tmp_path / "m.ply", mesh)
     back = read_mesh_ply(tmp_path / "m.ply")
@@ -51,16 +59,26 @@ def test_ply_round_trip(tmp_path, mesh):
 
 
 def foreign_ply(path, faces, text=False):
-    vertex = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)], dtype=[(a, "f8") for a in "xyz"])
+    vertex = np.array(
+        [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)],
+        dtype=[(a, "f8") for a in "xyz"],
+    )
     face = np.empty(len(faces), dtype=[("vertex_index", object)])
     face["vertex_index"] = [np.array(f, dtype=np.int32) for f in faces]
-    elements = [plyfile.PlyElement.describe(vertex, "vertex"), plyfile.PlyElement.describe(face, "face")]
+    elements = [
+        plyfile.PlyElement.describe(vertex, "vertex"),
+        plyfile.PlyElement.describe(face, "face"),
+    ]
     plyfile.PlyData(elements, text=text).write(str(path))
 
 
 @pytest.mark.parametrize("text", [False, True])
 def test_reads_files_of_other_programs(tmp_path, text):
-    foreign_ply(tmp_path / "m.ply", [[0, 1, 2], [1, 3, 2]], text)
+    foreign_ply(
+        tmp_path / "m.ply",
+        [[0, 1, 2], [1, 3, 2]],
+        text,
+    )
     mesh = read_mesh_ply(tmp_path / "m.ply")
     assert mesh.faces.tolist() == [[0, 1, 2], [1, 3, 2]]
     assert torch.equal(mesh.rgb, torch.full((4, 3), 0.5))
@@ -86,4 +104,8 @@ def test_ply_errors_are_sentences(tmp_path):
 def test_faces_must_refer_to_vertices(bad):
     mesh = tetrahedron()
     with pytest.raises(ValueError, match="faces must refer to vertices 0 to 3"):
-        Mesh(vertices_W=mesh.vertices_W, faces=torch.tensor([[0, 1, bad]]), rgb=mesh.rgb)
+        Mesh(
+            vertices_W=mesh.vertices_W,
+            faces=torch.tensor([[0, 1, bad]]),
+            rgb=mesh.rgb,
+        )

@@ -1,4 +1,5 @@
-"""tsdf.npz: a volume comes back as it was rounded, compact, and a file that is not in order is refused."""
+"""tsdf.npz: a volume comes back as it was rounded, compact, and a file that is not in order is
+refused."""
 
 from pathlib import Path
 from typing import Any
@@ -14,20 +15,41 @@ from gsfusion_nb.tsdf import TsdfVolume, integrate, raycast
 from gsfusion_nb.types import Camera, Frame
 
 CONFIG = TsdfConfig(voxel_size_m=0.05, truncation_voxels=4.0)
-CAMERA = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
+CAMERA = Camera(
+    width=64,
+    height=48,
+    fx=50.0,
+    fy=50.0,
+    cx=32.0,
+    cy=24.0,
+)
 
 
 @pytest.fixture(scope="module")
 def volume() -> TsdfVolume:
     """A slanted wall, seen twice."""
-    v, u = torch.meshgrid(torch.arange(48.0), torch.arange(64.0), indexing="ij")
-    rgb = torch.stack([u / 64, v / 48, (u + v) % 7 / 7], dim=-1)
+    v, u = torch.meshgrid(
+        torch.arange(48.0),
+        torch.arange(64.0),
+        indexing="ij",
+    )
+    rgb = torch.stack(
+        [u / 64, v / 48, (u + v) % 7 / 7],
+        dim=-1,
+    )
     wall = TsdfVolume(CONFIG)
     for index in range(2):
         depth_m = 1.5 + 0.004 * u + 0.001 * index
         integrate(
             wall,
-            Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=CAMERA, T_WC=torch.eye(4)),
+            Frame(
+                index=index,
+                timestamp_s=0.0,
+                rgb=rgb,
+                depth_m=depth_m,
+                camera=CAMERA,
+                T_WC=torch.eye(4),
+            ),
         )
     return wall
 
@@ -69,10 +91,16 @@ def _changed(path: Path, **columns: Any) -> None:
         (_cut, "not readable as the TSDF of a run"),
         (lambda path: path.unlink(), "does not exist; expected the TSDF of a run"),
         (lambda path: path.write_text("voxels"), "not readable as the TSDF of a run"),
-        (lambda path: _changed(path, voxel_size_m=np.float64(0.01)), "but the settings of the run say 0.05"),
+        (
+            lambda path: _changed(path, voxel_size_m=np.float64(0.01)),
+            "but the settings of the run say 0.05",
+        ),
         (lambda path: _changed(path, D=np.zeros(3, np.int16)), "not readable as the TSDF of a run"),
         (lambda path: _changed(path, W=np.load(path)["W"] * np.float16("nan")), "W"),
-        (lambda path: _changed(path, block_coords=np.load(path)["block_coords"] * 0), "every block once"),
+        (
+            lambda path: _changed(path, block_coords=np.load(path)["block_coords"] * 0),
+            "every block once",
+        ),
     ],
 )
 def test_a_file_that_is_not_in_order_is_refused(damage, says, volume, tmp_path):
@@ -94,11 +122,25 @@ def test_a_small_file_cannot_ask_for_much_memory(tmp_path, monkeypatch):
         "W": np.zeros(0, np.float16),
         "rgb": np.zeros((3, 0), np.uint8),
     }
-    size: dict[str, Any] = {"voxel_size_m": CONFIG.voxel_size_m, "truncation_m": CONFIG.truncation_m}
+    size: dict[str, Any] = {
+        "voxel_size_m": CONFIG.voxel_size_m,
+        "truncation_m": CONFIG.truncation_m,
+    }
     path = tmp_path / "tsdf.npz"
-    np.savez_compressed(path, block_coords=coords, observed=np.zeros((n, 64), np.uint8), **nothing, **size)
+    np.savez_compressed(
+        path,
+        block_coords=coords,
+        observed=np.zeros((n, 64), np.uint8),
+        **nothing,
+        **size,
+    )
     with pytest.raises(ValueError, match=r"tsdf\.npz of .* MB asks for 1\.0 GB of memory"):
         read_tsdf(path, CONFIG)
-    np.savez_compressed(path, block_coords=coords[:1], D=np.zeros(5_000_000, np.int8), **size)
+    np.savez_compressed(
+        path,
+        block_coords=coords[:1],
+        D=np.zeros(5_000_000, np.int8),
+        **size,
+    )
     with pytest.raises(ValueError, match=r"tsdf\.npz of .* MB asks for 0\.0 GB of memory"):
         read_tsdf(path, CONFIG)

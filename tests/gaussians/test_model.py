@@ -10,13 +10,21 @@ def seeds(n: int, generator: torch.Generator) -> Seeds:
     def uniform(*size: int):
         return torch.rand(*size, generator=generator)
 
-    return Seeds.isotropic(uniform(n, 3), uniform(n, 3), 0.01 + uniform(n), tag=torch.arange(n))
+    return Seeds.isotropic(
+        uniform(n, 3),
+        uniform(n, 3),
+        0.01 + uniform(n),
+        tag=torch.arange(n),
+    )
 
 
 def test_appended_rows_hold_the_published_initial_values(generator):
     model = GaussianModel(sh_degree=3)
     rgb = torch.tensor([[0.0, 128 / 255, 1.0]])
-    model.append(Seeds.isotropic(torch.ones(1, 3), rgb, torch.tensor([0.00745356])), frame_index=7)
+    model.append(
+        Seeds.isotropic(torch.ones(1, 3), rgb, torch.tensor([0.00745356])),
+        frame_index=7,
+    )
     p = model.params
     # -0.5 / 0.28209479177387814 and log(2 * sqrt(2^2 + 1^2) / 600)
     assert p.sh[0, 0].tolist() == pytest.approx([-1.772454, 0.0069508, 1.772454], abs=1e-5)
@@ -28,7 +36,10 @@ def test_appended_rows_hold_the_published_initial_values(generator):
     assert model.birth_frame.tolist() == [7]
 
 
-@pytest.mark.parametrize("counts", [(0,), (1,), (4096, 1), (5000, 5000, 3)])
+@pytest.mark.parametrize(
+    "counts",
+    [(0,), (1,), (4096, 1), (5000, 5000, 3)],
+)
 def test_growth_keeps_old_rows_and_zeroes_new_moments(counts, generator):
     model = GaussianModel(sh_degree=1)
     parts = [seeds(n, generator) for n in counts]
@@ -107,7 +118,10 @@ def test_a_log_brings_back_rows_that_were_said_to_change(generator):
     assert not torch.equal(model.params.xyz_W, before["xyz_W"])
 
 
-@pytest.mark.parametrize(("given", "own"), [(0, 2), (1, 1), (3, 1), (2, 3)])
+@pytest.mark.parametrize(
+    ("given", "own"),
+    [(0, 2), (1, 1), (3, 1), (2, 3)],
+)
 def test_colours_of_another_degree_are_cut_or_padded(given, own, generator):
     source = GaussianModel(sh_degree=given)
     source.append(seeds(4, generator))
@@ -117,7 +131,10 @@ def test_colours_of_another_degree_are_cut_or_padded(given, own, generator):
     model.step_count = 9
     model.extend(source.params)
     shared = min((given + 1) ** 2, (own + 1) ** 2)
-    assert torch.equal(model.params.sh[2:, :shared], source.params.sh[:, :shared])
+    assert torch.equal(
+        model.params.sh[2:, :shared],
+        source.params.sh[:, :shared],
+    )
     assert not model.params.sh[2:, shared:].any()
     for name in PARAMETERS[:-1]:
         assert torch.equal(getattr(model.params, name)[2:], getattr(source.params, name))
@@ -149,7 +166,8 @@ def test_growth_clears_what_a_dropped_row_left_behind(generator):
 
 
 def test_only_rows_that_were_never_in_use_are_zero_already(generator):
-    """Rows are dropped, partly used again, and the buffers grow: no moment and no coefficient of old rows is left."""
+    """Rows are dropped, partly used again, and the buffers grow: no moment and no coefficient of
+    old rows is left."""
     model = GaussianModel(sh_degree=1)
     for n, kept in ((10, 4), (3, 7), (8, 2), (5000, 4999), (4, 1), (9000, 9000)):
         start = len(model)
@@ -207,7 +225,10 @@ def test_bad_arguments_are_sentences():
         GaussianModel().keep(torch.ones(2, dtype=torch.bool))
 
 
-@pytest.mark.parametrize(("name", "value"), [("opacity", 3.0), ("scale_m", -0.1), ("xyz_W", float("nan"))])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("opacity", 3.0), ("scale_m", -0.1), ("xyz_W", float("nan"))],
+)
 def test_gaussians_that_are_not_numbers_are_refused(generator, name, value):
     new, model = seeds(5, generator), GaussianModel(sh_degree=0)
     getattr(new, name)[2] = value

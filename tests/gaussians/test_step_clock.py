@@ -1,4 +1,5 @@
-"""The clock of steps: its invariant, and parts of a map with their missed steps are the whole map, in any order."""
+"""The clock of steps: its invariant, and parts of a map with their missed steps are the whole map,
+in any order."""
 
 import copy
 import random
@@ -29,13 +30,18 @@ def gradients(like, seen, generator):
     rows = {}
     for name, column in vars(like).items():
         g = torch.zeros_like(column)
-        g[seen] = torch.randn(len(seen), *column.shape[1:], generator=generator)
+        g[seen] = torch.randn(
+            len(seen),
+            *column.shape[1:],
+            generator=generator,
+        )
         rows[name] = g
     return GaussianParams(**rows)
 
 
 class Twins:
-    """Two maps of which one is stepped as a whole and one by parts; each operation is done to both."""
+    """Two maps of which one is stepped as a whole and one by parts; each operation is done to
+    both."""
 
     def __init__(self, adam_steps, seed):
         self.config = OptimConfig(adam_steps=adam_steps)
@@ -66,7 +72,11 @@ class Twins:
             part.write_back()
 
     def step_all(self):
-        g = gradients(self.whole.params, torch.arange(len(self.whole)), self.generator)
+        g = gradients(
+            self.whole.params,
+            torch.arange(len(self.whole)),
+            self.generator,
+        )
         take_missed_steps(self.parts, self.config)
         for model in self.both:
             adam_step(model, g, self.config)
@@ -84,7 +94,12 @@ class Twins:
         kept = keep.nonzero()[:, 0]
         rows = kept[torch.randperm(len(kept), generator=self.generator)[: len(kept) // 2]]
         moved, target = rows[: len(rows) // 2], rows[len(rows) // 2 :][: len(rows) // 2]
-        edit = Edit(clone=kept[:1], relocate=(moved, target), keep=keep, add=seeds(2, self.generator))
+        edit = Edit(
+            clone=kept[:1],
+            relocate=(moved, target),
+            keep=keep,
+            add=seeds(2, self.generator),
+        )
         number = self.random.randint(0, 1000)
         for model in self.both:
             model.edit(edit, torch.Generator().manual_seed(number), 2)
@@ -107,13 +122,27 @@ class Twins:
             model.end_log()
 
     def resume(self):
-        self.whole, self.parts = (GaussianModel.from_state_dict(copy.deepcopy(m.state_dict())) for m in self.both)
+        self.whole, self.parts = (
+            GaussianModel.from_state_dict(copy.deepcopy(m.state_dict())) for m in self.both
+        )
 
     def catch_up(self):
         take_missed_steps(self.parts, self.config)
 
 
-OPERATIONS = ("append", "step", "step", "step", "step_all", "restart", "edit", "keep", "undo", "resume", "catch_up")
+OPERATIONS = (
+    "append",
+    "step",
+    "step",
+    "step",
+    "step_all",
+    "restart",
+    "edit",
+    "keep",
+    "undo",
+    "resume",
+    "catch_up",
+)
 
 
 @pytest.mark.parametrize("adam_steps", ["none", "shared", "per_row"])
@@ -130,9 +159,18 @@ def test_parts_with_their_missed_steps_are_the_whole_map_in_any_order(adam_steps
     now = params_now(twins.parts, twins.config)
     some = torch.arange(0, len(twins.parts), 2)
     for name in PARAMETERS:
-        torch.testing.assert_close(getattr(now, name), getattr(twins.whole.params, name), **CLOSE)
+        torch.testing.assert_close(
+            getattr(now, name),
+            getattr(twins.whole.params, name),
+            **CLOSE,
+        )
         part = getattr(params_now(twins.parts, twins.config, some), name)
-        torch.testing.assert_close(part, getattr(now, name)[some], atol=1e-6, rtol=1e-5)
+        torch.testing.assert_close(
+            part,
+            getattr(now, name)[some],
+            atol=1e-6,
+            rtol=1e-5,
+        )
         assert torch.equal(before["rows"][name], getattr(twins.parts.params, name))
     take_missed_steps(twins.parts, twins.config)
     assert int(twins.parts.clock.missed.sum()) == 0
@@ -146,7 +184,8 @@ def test_parts_with_their_missed_steps_are_the_whole_map_in_any_order(adam_steps
 
 @pytest.mark.parametrize("seed", range(3))
 def test_rows_of_discs_in_any_order(seed, generator):
-    """``RowAdam`` on all rows, and on parts of them, while rows are added and removed and the run is resumed."""
+    """``RowAdam`` on all rows, and on parts of them, while rows are added and removed and the run
+    is resumed."""
     chance, n = random.Random(seed), 8
     model = GaussianModel(1)
     model.append(seeds(n, generator))
@@ -173,7 +212,9 @@ def test_rows_of_discs_in_any_order(seed, generator):
     now = parts.params_now()
     parts.catch_up(torch.arange(len(whole.params)))
     for name in PARAMETERS:
-        torch.testing.assert_close(getattr(parts.params, name), getattr(whole.params, name), **CLOSE)
+        torch.testing.assert_close(
+            getattr(parts.params, name), getattr(whole.params, name), **CLOSE
+        )
         assert torch.equal(getattr(now, name), getattr(parts.params, name))
 
 
@@ -192,7 +233,8 @@ def resumed(adam):
 
 
 def test_a_row_that_was_restarted_out_of_view_moves_by_finite_steps(generator):
-    """Not seen for longer than since the restart: its age before the missed steps would be below zero."""
+    """Not seen for longer than since the restart: its age before the missed steps would be below
+    zero."""
     model, config = GaussianModel(0), OptimConfig(adam_steps="per_row")
     model.append(seeds(2, generator))
     first, second = torch.tensor([0]), torch.tensor([1])
@@ -243,7 +285,10 @@ def test_discs_keep_the_invariant_when_frames_are_counted(generator):
     model = SurfelModel(sh_degree=0)
     model.append(seeds(4, generator))
     model.clock.advance(5)
-    model.edit(Edit(set={"state": (torch.tensor([1]), torch.tensor([0]))}), generator)
+    model.edit(
+        Edit(set={"state": (torch.tensor([1]), torch.tensor([0]))}),
+        generator,
+    )
     model.clock.check()
     assert model.birth_step.tolist() == [0, 5, 0, 0]
     assert int(model.clock.missed.sum()) == 0

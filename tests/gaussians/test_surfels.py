@@ -22,7 +22,13 @@ from gsfusion_nb.gaussians import (
     radius_of,
     state_counts,
 )
-from gsfusion_nb.gaussians.surfels import BECOMES_STABLE, BECOMES_UNSTABLE, DELETED, STAYS, next_states
+from gsfusion_nb.gaussians.surfels import (
+    BECOMES_STABLE,
+    BECOMES_UNSTABLE,
+    DELETED,
+    STAYS,
+    next_states,
+)
 from gsfusion_nb.geometry import quaternion, se3
 from gsfusion_nb.geometry.spherical_harmonics import sh_basis
 from gsfusion_nb.types import Camera, Seeds
@@ -44,18 +50,36 @@ def discs(n: int, generator: torch.Generator, opacity: float = OPAQUE) -> Seeds:
     )
 
 
-def one_disc(scale_m: tuple[float, float, float], quat: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)) -> SurfelModel:
+def one_disc(
+    scale_m: tuple[float, float, float],
+    quat: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0),
+) -> SurfelModel:
     model = SurfelModel(sh_degree=0)
-    seeds = Seeds.isotropic(torch.zeros(1, 3), torch.full((1, 3), 0.5), torch.ones(1), opacity=OPAQUE)
-    model.append(Seeds(**vars(seeds) | {"scale_m": torch.tensor([scale_m]), "quat": torch.tensor([quat])}))
+    seeds = Seeds.isotropic(
+        torch.zeros(1, 3),
+        torch.full((1, 3), 0.5),
+        torch.ones(1),
+        opacity=OPAQUE,
+    )
+    model.append(
+        Seeds(**vars(seeds) | {"scale_m": torch.tensor([scale_m]), "quat": torch.tensor([quat])})
+    )
     return model
 
 
 def test_normal_is_the_thinnest_axis_by_hand():
     half = math.sqrt(0.5)
-    torch.testing.assert_close(one_disc((0.03, 0.02, 0.001)).normal_W, torch.tensor([[0.0, 0, 1]]))
-    torch.testing.assert_close(one_disc((0.001, 0.02, 0.03)).normal_W, torch.tensor([[1.0, 0, 0]]))
-    turned = one_disc((0.001, 0.02, 0.03), (half, 0.0, 0.0, half))  # a quarter turn about z: x goes to y
+    torch.testing.assert_close(
+        one_disc((0.03, 0.02, 0.001)).normal_W,
+        torch.tensor([[0.0, 0, 1]]),
+    )
+    torch.testing.assert_close(
+        one_disc((0.001, 0.02, 0.03)).normal_W,
+        torch.tensor([[1.0, 0, 0]]),
+    )
+    turned = one_disc(
+        (0.001, 0.02, 0.03), (half, 0.0, 0.0, half)
+    )  # a quarter turn about z: x goes to y
     torch.testing.assert_close(turned.normal_W, torch.tensor([[0.0, 1, 0]]))
 
 
@@ -91,7 +115,8 @@ def motions(n: int, generator: torch.Generator) -> torch.Tensor:
 
 @pytest.mark.parametrize("kind", [SurfelModel, GaussianModel])
 def test_moving_rows_moves_points_and_axes(kind, generator):
-    """Centres by R x + t, orientations by R R_q, the covariance by R S R^T: each from the matrices themselves."""
+    """Centres by R x + t, orientations by R R_q, the covariance by R S R^T: each from the matrices
+    themselves."""
     model = kind(sh_degree=0)
     model.append(discs(30, generator))
     T = motions(30, generator).float()
@@ -99,28 +124,46 @@ def test_moving_rows_moves_points_and_axes(kind, generator):
     before = quaternion.to_matrix(model.params.quat)
     model.move(T.double())
     torch.testing.assert_close(
-        model.params.xyz_W, torch.einsum("nij,nj->ni", R, xyz) + T[:, :3, 3], atol=1e-5, rtol=1e-5
+        model.params.xyz_W,
+        torch.einsum("nij,nj->ni", R, xyz) + T[:, :3, 3],
+        atol=1e-5,
+        rtol=1e-5,
     )
-    torch.testing.assert_close(quaternion.to_matrix(model.params.quat), R @ before, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(
+        quaternion.to_matrix(model.params.quat), R @ before, atol=1e-5, rtol=1e-5
+    )
     if kind is SurfelModel:
         torch.testing.assert_close(model.anchor["xyz_W"], model.params.xyz_W)
-        torch.testing.assert_close(model.anchor["quat"], model.params.quat, atol=1e-6, rtol=1e-5)
+        torch.testing.assert_close(
+            model.anchor["quat"],
+            model.params.quat,
+            atol=1e-6,
+            rtol=1e-5,
+        )
 
 
 def test_colours_and_moments_turn_with_their_rows(generator):
-    """Two groups of rows turn by 40 degrees about two axes, the third stays: seen from directions that turn with them,
-    colours are the same, and so is what a gradient says about a motion that turns with them."""
+    """Two groups of rows turn by 40 degrees about two axes, the third stays: seen from directions
+    that turn with them, colours are the same, and so is what a gradient says about a motion that
+    turns with them."""
     model = GaussianModel(sh_degree=3)
     model.append(discs(30, generator))
     for moments in (model.params, model.exp_avg):
         moments.sh.copy_(torch.randn(30, 16, 3, generator=generator))
     for name in ("xyz_W", "quat"):
-        getattr(model.exp_avg, name).copy_(torch.randn(30, 3 + (name == "quat"), generator=generator))
-        getattr(model.exp_avg_sq, name).copy_(torch.rand(30, 3 + (name == "quat"), generator=generator))
+        getattr(model.exp_avg, name).copy_(
+            torch.randn(30, 3 + (name == "quat"), generator=generator)
+        )
+        getattr(model.exp_avg_sq, name).copy_(
+            torch.rand(30, 3 + (name == "quat"), generator=generator)
+        )
     T = torch.eye(4, dtype=torch.float64).repeat(30, 1, 1)
     T[:10] = se3.exp(torch.tensor([0, 0, 0, 0.7, 0, 0], dtype=torch.float64))
     T[10:20] = se3.exp(torch.tensor([1, 2, 3, 0, 0.4, 0.5], dtype=torch.float64))
-    R, dirs = T[:, :3, :3].float(), torch.nn.functional.normalize(torch.randn(30, 3, generator=generator), dim=1)
+    R, dirs = (
+        T[:, :3, :3].float(),
+        torch.nn.functional.normalize(torch.randn(30, 3, generator=generator), dim=1),
+    )
     before, old = (copy.deepcopy(vars(x)) for x in (model.exp_avg, model.params))
     square = model.exp_avg_sq.xyz_W.clone()
     model.move(T)
@@ -128,8 +171,14 @@ def test_colours_and_moments_turn_with_their_rows(generator):
     for was, now in ((old["sh"], model.params.sh), (before["sh"], model.exp_avg.sh)):
         seen = [(sh_basis(d, 3)[:, :, None] * sh).sum(1) for d, sh in ((dirs, was), (turned, now))]
         torch.testing.assert_close(*seen, atol=1e-5, rtol=1e-4)
-    torch.testing.assert_close(model.exp_avg.xyz_W, (R @ before["xyz_W"][:, :, None])[:, :, 0])
-    torch.testing.assert_close(model.exp_avg.quat.norm(dim=1), before["quat"].norm(dim=1))
+    torch.testing.assert_close(
+        model.exp_avg.xyz_W,
+        (R @ before["xyz_W"][:, :, None])[:, :, 0],
+    )
+    torch.testing.assert_close(
+        model.exp_avg.quat.norm(dim=1),
+        before["quat"].norm(dim=1),
+    )
     torch.testing.assert_close(model.exp_avg_sq.xyz_W.sum(1), square.sum(1))
     assert torch.equal(model.params.sh[20:], old["sh"][20:])
 
@@ -163,7 +212,13 @@ CONFIG = StateConfig(
 )
 
 
-def surfels(n: int, *, stable: tuple[int, ...] = (), radius_m: float = 0.02, now: int = 0) -> SurfelModel:
+def surfels(
+    n: int,
+    *,
+    stable: tuple[int, ...] = (),
+    radius_m: float = 0.02,
+    now: int = 0,
+) -> SurfelModel:
     """``n`` equal discs, numbered by their tag, born at step 0."""
     model = SurfelModel(sh_degree=0)
     model.append(
@@ -185,7 +240,11 @@ def rows(model: SurfelModel) -> dict[str, torch.Tensor]:
     return model.snapshot()
 
 
-def assert_same(model: SurfelModel, before: dict[str, torch.Tensor], but: tuple[str, ...] = ()) -> None:
+def assert_same(
+    model: SurfelModel,
+    before: dict[str, torch.Tensor],
+    but: tuple[str, ...] = (),
+) -> None:
     for name, column in rows(model).items():
         if name not in but:
             assert torch.equal(column, before[name]), name
@@ -206,7 +265,8 @@ def test_a_row_becomes_stable_above_the_threshold_only():
 
 
 @pytest.mark.parametrize(
-    ("per_step", "stable"), [(1.0, [False, False, True]), (2.0, [False, True, True]), (0.0, [False, False, False])]
+    ("per_step", "stable"),
+    [(1.0, [False, False, True]), (2.0, [False, True, True]), (0.0, [False, False, False])],
 )
 def test_confidence_is_the_number_of_steps_times_their_size(per_step, stable):
     model = surfels(3)
@@ -220,7 +280,9 @@ def test_a_stable_row_in_error_more_than_ten_times_is_released(counter):
     model = surfels(4, stable=(0, 1, 2), now=1000)
     model.birth_step.fill_(990)
     model.confidence.fill_(60)
-    getattr(model, counter).copy_(torch.tensor([9, 10, 11, 11]))  # the last is unstable: it has no errors to answer for
+    getattr(model, counter).copy_(
+        torch.tensor([9, 10, 11, 11])
+    )  # the last is unstable: it has no errors to answer for
     before = rows(model)
     report = change_states(model, CONFIG)
     assert report == Transitions(stabilised=0, released=1, expired=0, oversized=0)
@@ -245,7 +307,8 @@ def test_as_released_wrong_depth_is_deleted_and_wrong_colour_left_alone():
 
 
 def test_oversized_rows_go_measured_against_those_of_their_own_state():
-    """Means: (12 * 0.01 + 0.5) / 13 = 0.0477 of the stable, 0.1 of the unstable. A stable 0.5 m goes, 0.1 m stays."""
+    """Means: (12 * 0.01 + 0.5) / 13 = 0.0477 of the stable, 0.1 of the unstable. A stable 0.5 m
+    goes, 0.1 m stays."""
     model = surfels(16, stable=tuple(range(13)), radius_m=0.01)
     model.params.log_scale[12:13] = torch.tensor(0.5).log()
     model.params.log_scale[13:] = torch.tensor(0.1).log()
@@ -254,7 +317,9 @@ def test_oversized_rows_go_measured_against_those_of_their_own_state():
     assert model.tag.tolist() == [*range(12), 13, 14, 15]
 
 
-def images(colour, colour_index, depth, depth_index) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+def images(
+    colour, colour_index, depth, depth_index
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     return (
         torch.tensor([colour]),
         torch.tensor([colour_index], dtype=torch.int64),
@@ -287,19 +352,43 @@ def test_depth_errors_of_one_side():
     model = surfels(2, stable=(0, 1))
     one_sided = StateConfig(on_error="delete", depth_error_m=0.1)
     # measured minus rendered: positive where the model stands in front of the measurement
-    count_errors(model, *images([0.0, 0.0], [0, 1], [-0.5, 0.5], [0, 1]), one_sided)
+    count_errors(
+        model,
+        *images([0.0, 0.0], [0, 1], [-0.5, 0.5], [0, 1]),
+        one_sided,
+    )
     assert model.depth_errors.tolist() == [0, 1]
 
 
 @pytest.mark.parametrize("some", [False, True])
 def test_a_view_is_counted_where_the_centre_is_in_the_image(some):
-    """Camera of 40 x 20 pixels with f = 20: at z = 2 the image reaches from -2 to 2 and from -1 to 1 metre, at
-    z = -2 it would be the same. The camera stands at x = 5 and looks along its z axis."""
-    camera = Camera(width=40, height=20, fx=20.0, fy=20.0, cx=20.0, cy=10.0)
+    """Camera of 40 x 20 pixels with f = 20: at z = 2 the image reaches from -2 to 2 and from -1 to
+    1 metre, at z = -2 it would be the same. The camera stands at x = 5 and looks along its z
+    axis."""
+    camera = Camera(
+        width=40,
+        height=20,
+        fx=20.0,
+        fy=20.0,
+        cx=20.0,
+        cy=10.0,
+    )
     T_WC = torch.eye(4)
     T_WC[0, 3] = 5.0
-    inside = [(0.0, 0.0, 2.0), (-1.99, 0.0, 2.0), (1.99, 0.0, 2.0), (0.0, -0.99, 2.0), (0.0, 0.99, 2.0)]
-    outside = [(-2.01, 0.0, 2.0), (2.01, 0.0, 2.0), (0.0, -1.01, 2.0), (0.0, 1.01, 2.0), (0.0, 0.0, -2.0)]
+    inside = [
+        (0.0, 0.0, 2.0),
+        (-1.99, 0.0, 2.0),
+        (1.99, 0.0, 2.0),
+        (0.0, -0.99, 2.0),
+        (0.0, 0.99, 2.0),
+    ]
+    outside = [
+        (-2.01, 0.0, 2.0),
+        (2.01, 0.0, 2.0),
+        (0.0, -1.01, 2.0),
+        (0.0, 1.01, 2.0),
+        (0.0, 0.0, -2.0),
+    ]
     border = [(-2.0, 0.0, 2.0), (2.0, 0.0, 2.0), (0.0, -1.0, 2.0), (0.0, 1.0, 2.0)]
     model = surfels(14)
     model.params.xyz_W.copy_(torch.tensor([*inside, *outside, *border]) + T_WC[:3, 3])
@@ -311,7 +400,10 @@ def test_a_view_is_counted_where_the_centre_is_in_the_image(some):
 
 
 def test_discs_of_another_program_are_refused():
-    with pytest.raises(ValueError, match=r"RTG-SLAM cannot begin with Gaussians of another program, .* use --system"):
+    with pytest.raises(
+        ValueError,
+        match=r"RTG-SLAM cannot begin with Gaussians of another program, .* use --system",
+    ):
         surfels(1).extend(surfels(1).params)
 
 
@@ -338,7 +430,10 @@ def test_a_new_state_starts_its_counts_again():
     assert model.birth_step.tolist() == [0, 9, 0, 0]
 
 
-@pytest.mark.parametrize(("age", "left"), [("all", [0, 1]), ("in_view", [0, 2])])
+@pytest.mark.parametrize(
+    ("age", "left"),
+    [("all", [0, 1]), ("in_view", [0, 2])],
+)
 def test_an_unstable_row_is_removed_when_it_is_older_than_the_limit(age, left):
     """The limit is 50 frames. Frames since it was added: 50, 50, 51; in view: 50, 51, 50."""
     model = surfels(3, now=60)
@@ -361,11 +456,20 @@ def test_what_happens_to_a_row_and_what_counts_first():
         error_count=10,
         unstable_frames=50,
     )
-    assert happens.tolist() == [STAYS, BECOMES_STABLE, DELETED, BECOMES_STABLE, STAYS, BECOMES_UNSTABLE, STAYS]
+    assert happens.tolist() == [
+        STAYS,
+        BECOMES_STABLE,
+        DELETED,
+        BECOMES_STABLE,
+        STAYS,
+        BECOMES_UNSTABLE,
+        STAYS,
+    ]
 
 
 def test_moments_turn_by_the_rotation_and_its_squares(generator):
-    """A gradient of a quaternion turns as the quaternion does, from the left; mean squares by the squares."""
+    """A gradient of a quaternion turns as the quaternion does, from the left; mean squares by the
+    squares."""
     model = GaussianModel(sh_degree=0)
     model.append(discs(7, generator))
     for moments in (model.exp_avg, model.exp_avg_sq):
@@ -376,16 +480,29 @@ def test_moments_turn_by_the_rotation_and_its_squares(generator):
     model.move(T)
     R = T[:, :3, :3].float()
     q = quaternion.from_matrix(R)
-    L = torch.stack([quaternion.multiply(q, e.expand(7, 4)) for e in torch.eye(4)], dim=2)
+    L = torch.stack(
+        [quaternion.multiply(q, e.expand(7, 4)) for e in torch.eye(4)],
+        dim=2,
+    )
     for i in range(7):
         mean, square = (
-            {name: column[i] for name, column in vars(m).items()} for m in (model.exp_avg, model.exp_avg_sq)
+            {name: column[i] for name, column in vars(m).items()}
+            for m in (model.exp_avg, model.exp_avg_sq)
         )
         torch.testing.assert_close(mean["xyz_W"], R[i] @ before["exp_avg"]["xyz_W"][i])
-        turned = quaternion.multiply(q[i : i + 1], before["exp_avg"]["quat"][i : i + 1])[0]
+        turned = quaternion.multiply(
+            q[i : i + 1],
+            before["exp_avg"]["quat"][i : i + 1],
+        )[0]
         torch.testing.assert_close(mean["quat"], turned)
-        torch.testing.assert_close(square["xyz_W"], R[i] ** 2 @ before["exp_avg_sq"]["xyz_W"][i])
-        torch.testing.assert_close(square["quat"], L[i] ** 2 @ before["exp_avg_sq"]["quat"][i])
+        torch.testing.assert_close(
+            square["xyz_W"],
+            R[i] ** 2 @ before["exp_avg_sq"]["xyz_W"][i],
+        )
+        torch.testing.assert_close(
+            square["quat"],
+            L[i] ** 2 @ before["exp_avg_sq"]["quat"][i],
+        )
 
 
 def test_normal_is_the_smallest_eigenvector_of_the_covariance(generator):
@@ -394,7 +511,10 @@ def test_normal_is_the_smallest_eigenvector_of_the_covariance(generator):
     R = quaternion.to_matrix(model.params.quat)
     covariance = R @ torch.diag_embed(model.scale_m**2) @ R.transpose(1, 2)
     smallest = torch.linalg.eigh(covariance.double()).eigenvectors[:, :, 0].float()
-    torch.testing.assert_close((smallest * model.normal_W).sum(1).abs(), torch.ones(20))
+    torch.testing.assert_close(
+        (smallest * model.normal_W).sum(1).abs(),
+        torch.ones(20),
+    )
 
 
 def test_a_reused_row_remembers_nothing(generator):
@@ -433,12 +553,21 @@ def test_a_moved_anchor_stays_where_it_was_beside_its_row(generator):
     model.append(discs(10, generator))
     model.params.xyz_W.add_(0.1)
     model.params.quat.add_(0.3)
-    gap = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(model.params.quat)
+    gap = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(
+        model.params.quat
+    )
     model.move(motions(10, generator))
-    moved = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(model.params.quat)
+    moved = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(
+        model.params.quat
+    )
     torch.testing.assert_close(moved, gap, atol=1e-5, rtol=1e-5)
     apart = (model.params.xyz_W - model.anchor["xyz_W"]).norm(dim=1)
-    torch.testing.assert_close(apart, torch.full((10,), 0.1 * math.sqrt(3)), atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(
+        apart,
+        torch.full((10,), 0.1 * math.sqrt(3)),
+        atol=1e-5,
+        rtol=1e-5,
+    )
 
 
 NOTHING = Transitions(stabilised=0, released=0, expired=0, oversized=0)
@@ -447,7 +576,9 @@ NOTHING = Transitions(stabilised=0, released=0, expired=0, oversized=0)
 def test_a_row_that_becomes_stable_at_the_last_moment_stays():
     model = surfels(1, now=1000)
     model.confidence.fill_(101)
-    assert change_states(model, CONFIG) == Transitions(stabilised=1, released=0, expired=0, oversized=0)
+    assert change_states(model, CONFIG) == Transitions(
+        stabilised=1, released=0, expired=0, oversized=0
+    )
     assert len(model) == 1
 
 
@@ -461,6 +592,10 @@ def test_errors_add_up_over_frames():
     model = surfels(1, stable=(0,))
     for _ in range(11):
         assert model.is_stable.all()
-        count_errors(model, *images([0.5], [0], [0.0], [-1]), CONFIG)
+        count_errors(
+            model,
+            *images([0.5], [0], [0.0], [-1]),
+            CONFIG,
+        )
         change_states(model, CONFIG)
     assert not model.is_stable.any()

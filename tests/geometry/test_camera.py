@@ -1,10 +1,25 @@
 import pytest
 import torch
 
-from gsfusion_nb.geometry import backproject, depth_to_normals, depth_to_points, normals_at, pixel_grid, project, rays
+from gsfusion_nb.geometry import (
+    backproject,
+    depth_to_normals,
+    depth_to_points,
+    normals_at,
+    pixel_grid,
+    project,
+    rays,
+)
 from gsfusion_nb.types import Camera
 
-CAMERA = Camera(width=5, height=3, fx=10.0, fy=20.0, cx=2.5, cy=1.5)
+CAMERA = Camera(
+    width=5,
+    height=3,
+    fx=10.0,
+    fy=20.0,
+    cx=2.5,
+    cy=1.5,
+)
 
 
 def test_pixel_centres_are_at_halves():
@@ -15,9 +30,18 @@ def test_pixel_centres_are_at_halves():
 
 
 def test_by_hand():
-    torch.testing.assert_close(project(CAMERA, torch.tensor([[0.0, 0, 3]])), torch.tensor([[2.5, 1.5]]))
-    torch.testing.assert_close(project(CAMERA, torch.tensor([[0.2, 0.1, 2.0]])), torch.tensor([[3.5, 2.5]]))
-    torch.testing.assert_close(rays(CAMERA, torch.tensor([[3.5, 2.5]])), torch.tensor([[0.1, 0.05, 1.0]]))
+    torch.testing.assert_close(
+        project(CAMERA, torch.tensor([[0.0, 0, 3]])),
+        torch.tensor([[2.5, 1.5]]),
+    )
+    torch.testing.assert_close(
+        project(CAMERA, torch.tensor([[0.2, 0.1, 2.0]])),
+        torch.tensor([[3.5, 2.5]]),
+    )
+    torch.testing.assert_close(
+        rays(CAMERA, torch.tensor([[3.5, 2.5]])),
+        torch.tensor([[0.1, 0.05, 1.0]]),
+    )
 
 
 @pytest.mark.parametrize("batch", [(1,), (3, 1, 2), (0,)])
@@ -43,7 +67,14 @@ def test_resized_keeps_the_view():
     torch.testing.assert_close(project(big, point), 2 * project(CAMERA, point))
 
 
-WIDE = Camera(width=17, height=13, fx=20.0, fy=18.0, cx=8.0, cy=6.9)
+WIDE = Camera(
+    width=17,
+    height=13,
+    fx=20.0,
+    fy=18.0,
+    cx=8.0,
+    cy=6.9,
+)
 
 
 def plane_depth(normal, distance):
@@ -51,11 +82,19 @@ def plane_depth(normal, distance):
     return -distance / (rays(WIDE, pixel_grid(WIDE, dtype=torch.float64)) @ normal)
 
 
-@pytest.mark.parametrize("n", [(0.0, 0.0, -1.0), (0.2, -0.1, -1.0), (-0.3, 0.3, -0.8)])
+@pytest.mark.parametrize(
+    "n",
+    [(0.0, 0.0, -1.0), (0.2, -0.1, -1.0), (-0.3, 0.3, -0.8)],
+)
 def test_plane(n):
     normal = torch.nn.functional.normalize(torch.tensor(n, dtype=torch.float64), dim=0)
     found = depth_to_normals(WIDE, plane_depth(normal, 2.0), max_jump=0.5)
-    torch.testing.assert_close(found[1:-1, 1:-1], normal.expand(11, 15, 3), atol=1e-12, rtol=0)
+    torch.testing.assert_close(
+        found[1:-1, 1:-1],
+        normal.expand(11, 15, 3),
+        atol=1e-12,
+        rtol=0,
+    )
     assert (found[0] == 0).all()
     assert (found[:, -1] == 0).all()
 
@@ -73,7 +112,14 @@ def test_missing_depth_and_edges_give_none():
 
 
 def test_image_too_small():
-    camera = Camera(width=2, height=9, fx=1.0, fy=1.0, cx=1.0, cy=1.0)
+    camera = Camera(
+        width=2,
+        height=9,
+        fx=1.0,
+        fy=1.0,
+        cx=1.0,
+        cy=1.0,
+    )
     assert (depth_to_normals(camera, torch.ones(9, 2)) == 0).all()
 
 

@@ -1,4 +1,5 @@
-"""The blocks that the CPU kernel finds are the reference's, to the last one and in the same order."""
+"""The blocks that the CPU kernel finds are the reference's, to the last one and in the same
+order."""
 
 import dataclasses
 
@@ -28,7 +29,10 @@ def assert_same_blocks(config, frame):
 
 @pytest.mark.parametrize("sdf", ["z", "ray"])
 @pytest.mark.parametrize("guard", [True, False])
-@pytest.mark.parametrize(("width", "height"), [(160, 120), (37, 29), (16, 1), (1, 1), (15, 33)])
+@pytest.mark.parametrize(
+    ("width", "height"),
+    [(160, 120), (37, 29), (16, 1), (1, 1), (15, 33)],
+)
 def test_same_blocks(width, height, sdf, guard, make_frames):
     config = dataclasses.replace(CONFIG, sdf=sdf, outlier_guard=guard)
     for frame in make_frames(width, height):
@@ -45,13 +49,20 @@ def test_bands_of_any_length_anywhere(truncation_voxels, shift, make_frames):
 
 def test_missing_and_infinite_depth(make_frames):
     frame = make_frames(40, 30, n=1)[0]
-    for depth in (torch.zeros(30, 40), torch.full((30, 40), float("inf")), torch.full((30, 40), 0.1)):
+    for depth in (
+        torch.zeros(30, 40),
+        torch.full((30, 40), float("inf")),
+        torch.full((30, 40), 0.1),
+    ):
         assert len(assert_same_blocks(CONFIG, dataclasses.replace(frame, depth_m=depth))) == 0
     mixed = frame.depth_m.clone()
     mixed[::3, ::4] = float("inf")
-    assert_same_blocks(dataclasses.replace(CONFIG, near_m=0.0), dataclasses.replace(frame, depth_m=mixed))
     assert_same_blocks(
-        dataclasses.replace(CONFIG, near_m=0.0, outlier_guard=False), dataclasses.replace(frame, depth_m=mixed)
+        dataclasses.replace(CONFIG, near_m=0.0), dataclasses.replace(frame, depth_m=mixed)
+    )
+    assert_same_blocks(
+        dataclasses.replace(CONFIG, near_m=0.0, outlier_guard=False),
+        dataclasses.replace(frame, depth_m=mixed),
     )
 
 
@@ -59,7 +70,9 @@ def test_what_the_kernel_does_not_take_goes_to_the_reference(make_frames, monkey
     frame = make_frames(40, 30, n=1)[0]
     strided = torch.stack([frame.depth_m] * 2, dim=-1)[..., 0]
     expected = assert_same_blocks(CONFIG, frame)
-    assert torch.equal(assert_same_blocks(CONFIG, dataclasses.replace(frame, depth_m=strided)), expected)
+    assert torch.equal(
+        assert_same_blocks(CONFIG, dataclasses.replace(frame, depth_m=strided)), expected
+    )
     monkeypatch.setattr(kernel, "_MAP_CELLS", 10)
     assert torch.equal(assert_same_blocks(CONFIG, frame), expected)
 
@@ -67,7 +80,10 @@ def test_what_the_kernel_does_not_take_goes_to_the_reference(make_frames, monkey
 def test_a_bad_pose_is_refused(make_frames):
     frame = make_frames(40, 30, n=1)[0]
     with use_backend("numba"), pytest.raises(ValueError, match="T_WC must be finite"):
-        band_blocks(TsdfVolume(CONFIG), dataclasses.replace(frame, T_WC=frame.T_WC * float("nan")))
+        band_blocks(
+            TsdfVolume(CONFIG),
+            dataclasses.replace(frame, T_WC=frame.T_WC * float("nan")),
+        )
 
 
 def test_any_number_of_threads_gives_the_same(make_frames):

@@ -1,4 +1,5 @@
-"""Operations check what they are given before they touch memory, with the same sentence on every backend."""
+"""Operations check what they are given before they touch memory, with the same sentence on every
+backend."""
 
 import json
 import os
@@ -21,7 +22,10 @@ from gsfusion_nb.types import GaussianParams, Seeds
 SCRIPT = Path(__file__).with_name("bad_operands.py")
 
 
-def outcomes(*backends: str, **environment: str) -> dict[str, dict[str, str | list[list[float]]]]:
+def outcomes(
+    *backends: str,
+    **environment: str,
+) -> dict[str, dict[str, str | list[list[float]]]]:
     """What ``bad_operands.py`` printed; the process must have lived to the end."""
     done = subprocess.run(
         [sys.executable, "-P", "-W", "ignore", str(SCRIPT), *backends],
@@ -36,7 +40,8 @@ def outcomes(*backends: str, **environment: str) -> dict[str, dict[str, str | li
 
 @pytest.fixture(scope="module")
 def on_the_processor():
-    """Backend -> its outcomes, of one process for all: starting takes as long as the cases of one."""
+    """Backend -> its outcomes, of one process for all: starting takes as long as the cases of
+    one."""
     return outcomes("reference", "numba")
 
 
@@ -54,21 +59,34 @@ def differences(found: dict, expected: dict, share: float = 1e-3) -> list[str]:
             same = value == wanted
         else:
             pairs = list(zip(value, wanted, strict=True))
-            same = all(n == m and abs(a - b) <= share * max(1.0, abs(b)) for (n, a), (m, b) in pairs)
+            same = all(
+                n == m and abs(a - b) <= share * max(1.0, abs(b)) for (n, a), (m, b) in pairs
+            )
         if not same:
             wrong.append(f"{case}: {value}, expected {wanted}")
     return wrong
 
 
 def test_every_mistake_is_refused_in_one_sentence(expected):
-    """Nothing but ValueError, and the sentence begins with the operation wherever the operation says it."""
+    """Nothing but ValueError, and the sentence begins with the operation wherever the operation
+    says it."""
     assert len(expected) > 900
-    assert not [case for case, said in expected.items() if isinstance(said, str) and "and no ValueError" in said]
+    assert not [
+        case
+        for case, said in expected.items()
+        if isinstance(said, str) and "and no ValueError" in said
+    ]
     for case in (c for c in expected if c.endswith(": as it should be")):
         operation = case.split(":")[0]
         assert not isinstance(expected[case], str), case
-        with_gaps = {c: v for c, v in expected.items() if c.startswith(f"{operation}: ") and c.endswith("with gaps")}
-        assert not differences(with_gaps, dict.fromkeys(with_gaps, expected[case])), "gaps change nothing"
+        with_gaps = {
+            c: v
+            for c, v in expected.items()
+            if c.startswith(f"{operation}: ") and c.endswith("with gaps")
+        }
+        assert not differences(with_gaps, dict.fromkeys(with_gaps, expected[case])), (
+            "gaps change nothing"
+        )
 
 
 def test_same_on_numba(expected, on_the_processor):
@@ -93,29 +111,58 @@ def test_broken_gaussians_are_not_drawn_and_have_no_gradient(backend):
     with use_backend(backend):
         for given in (params, whole[torch.arange(n, len(whole))]):
             out, saved = render_forward(given, frame.camera, frame.T_WC)
-            results.append((out.rgb, render_vjp(saved, torch.ones_like(out.rgb), torch.ones_like(out.depth_m))))
-    torch.testing.assert_close(results[0][0], results[1][0], rtol=1e-5, atol=1e-6)
+            results.append(
+                (
+                    out.rgb,
+                    render_vjp(
+                        saved,
+                        torch.ones_like(out.rgb),
+                        torch.ones_like(out.depth_m),
+                    ),
+                )
+            )
+    torch.testing.assert_close(
+        results[0][0],
+        results[1][0],
+        rtol=1e-5,
+        atol=1e-6,
+    )
     for name, gradient in vars(results[0][1]).items():
         assert not gradient[:n].any(), name
-        torch.testing.assert_close(gradient[n:], getattr(results[1][1], name), rtol=1e-4, atol=1e-3)
+        torch.testing.assert_close(
+            gradient[n:],
+            getattr(results[1][1], name),
+            rtol=1e-4,
+            atol=1e-3,
+        )
 
 
 def test_too_many_pairs_are_refused(monkeypatch):
     module = pytest.importorskip("gsfusion_nb.kernels.binning.layout")
     monkeypatch.setattr(module, "MOST_PAIRS", 10)
     frame = make_frame()
-    with use_backend("numba"), pytest.raises(ValueError, match=r"pairs are more than 2\^31; draw a smaller image"):
+    with (
+        use_backend("numba"),
+        pytest.raises(ValueError, match=r"pairs are more than 2\^31; draw a smaller image"),
+    ):
         render_forward(make_params(0, "cpu"), frame.camera, frame.T_WC)
 
 
 def test_a_gradient_of_another_map_changes_nothing():
     """All columns are looked at before the first one is updated."""
     model = GaussianModel(sh_degree=0)
-    model.append(Seeds.isotropic(torch.ones(4, 3), torch.rand(4, 3), torch.full((4,), 0.1)), 0)
+    model.append(
+        Seeds.isotropic(torch.ones(4, 3), torch.rand(4, 3), torch.full((4,), 0.1)),
+        0,
+    )
     before = {name: column.clone() for name, column in vars(model.params).items()}
     gradients = {name: torch.ones_like(column) for name, column in before.items()}
     with pytest.raises(ValueError, match=r"sh must be \[4, 1, 3\], got \[3, 1, 3\]"):
-        adam_step(model, _unchecked(gradients | {"sh": gradients["sh"][:3]}), OptimConfig())
+        adam_step(
+            model,
+            _unchecked(gradients | {"sh": gradients["sh"][:3]}),
+            OptimConfig(),
+        )
     assert all(torch.equal(column, before[name]) for name, column in vars(model.params).items())
     assert model.step_count == 0
 

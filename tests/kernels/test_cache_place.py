@@ -21,7 +21,9 @@ def _numba_has_no_place(monkeypatch, tmp_path):
     writable = cache_place._is_writable
     monkeypatch.setattr(config, "CACHE_DIR", "")
     monkeypatch.setattr(
-        cache_place, "_is_writable", lambda folder: folder.is_relative_to(tmp_path) and writable(folder)
+        cache_place,
+        "_is_writable",
+        lambda folder: folder.is_relative_to(tmp_path) and writable(folder),
     )
     monkeypatch.setattr(cache_place.tempfile, "gettempdir", lambda: str(tmp_path / "tmp"))
 

@@ -1,4 +1,5 @@
-"""Without a GPU the CUDA kernels are compiled for the CPU, where fibres stand in for the threads of a block."""
+"""Without a GPU the CUDA kernels are compiled for the CPU, where fibres stand in for the threads of
+a block."""
 
 import importlib.util
 import os
@@ -15,7 +16,11 @@ from gsfusion_nb.render import render_forward
 from gsfusion_nb.types import Camera, GaussianParams
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("tests/kernels/cuda", "tests/kernels/gpu", "tests/kernels/test_parity.py::test_same_as_the_reference")
+FOLDERS = (
+    "tests/kernels/cuda",
+    "tests/kernels/gpu",
+    "tests/kernels/test_parity.py::test_same_as_the_reference",
+)
 
 
 def run_emulated(library: Path, **environment: str) -> str:
@@ -34,7 +39,9 @@ def run_emulated(library: Path, **environment: str) -> str:
 
 
 @pytest.mark.ci
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU: tests/kernels/cuda run on it")
+@pytest.mark.skipif(
+    torch.cuda.is_available(), reason="there is a GPU: tests/kernels/cuda run on it"
+)
 def test_kernels_on_the_cpu(emulator_library):
     assert " passed" in run_emulated(emulator_library)
 
@@ -50,7 +57,14 @@ def test_kernels_stay_inside_their_arrays(emulator, emulator_library, tmp_path):
 def test_without_a_gpu_it_says_so(monkeypatch):
     """Asked for by name; ``auto`` goes on without."""
     monkeypatch.delenv("GSFUSION_CUDA_EMULATOR", raising=False)
-    camera = Camera(width=4, height=4, fx=4.0, fy=4.0, cx=2.0, cy=2.0)
+    camera = Camera(
+        width=4,
+        height=4,
+        fx=4.0,
+        fy=4.0,
+        cx=2.0,
+        cy=2.0,
+    )
     params = GaussianParams(
         xyz_W=torch.zeros(1, 3),
         log_scale=torch.zeros(1, 3),
@@ -78,6 +92,8 @@ print([backends.automatic(name, "cuda") for name in operations])
 def test_on_an_amd_gpu_the_reference_takes_their_place():
     """Each operation asks, and each is refused."""
     environment = {k: v for k, v in os.environ.items() if k not in backends._EMULATED_BY.values()}
-    done = subprocess.run([sys.executable, "-c", ON_AN_AMD_GPU], capture_output=True, text=True, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", ON_AN_AMD_GPU], capture_output=True, text=True, env=environment
+    )
     triton = "triton" if importlib.util.find_spec("triton") else "reference"
     assert done.stdout.strip() == str(["reference", "reference", "reference", triton]), done.stderr

@@ -22,7 +22,10 @@ def scene(n: int, generator: torch.Generator) -> GaussianParams:
     def normal(*size: int):
         return torch.randn(*size, generator=generator)
 
-    in_camera = torch.stack([1.2 * normal(n), 1.2 * normal(n), 2.0 + 1.5 * normal(n)], dim=-1)
+    in_camera = torch.stack(
+        [1.2 * normal(n), 1.2 * normal(n), 2.0 + 1.5 * normal(n)],
+        dim=-1,
+    )
     return GaussianParams(
         xyz_W=se3.apply(T_WC, in_camera),
         log_scale=math.log(0.1) + 0.5 * normal(n, 3),
@@ -33,7 +36,14 @@ def scene(n: int, generator: torch.Generator) -> GaussianParams:
 
 
 def view(width: int, height: int) -> Camera:
-    return Camera(width=width, height=height, fx=0.8 * width, fy=0.9 * width, cx=0.45 * width, cy=0.6 * height)
+    return Camera(
+        width=width,
+        height=height,
+        fx=0.8 * width,
+        fy=0.9 * width,
+        cx=0.45 * width,
+        cy=0.6 * height,
+    )
 
 
 @pytest.mark.parametrize(("n", "width", "height"), SIZES)
@@ -70,17 +80,36 @@ def layers(*opacity: float) -> GaussianParams:
 
 @pytest.mark.parametrize("backend", ["reference", "numba"])
 def test_a_finished_pixel_still_finds_its_hit(backend):
-    """Ten half-transparent layers leave 1e-3 of the light, thirteen 1.2e-4; the next may not leave less than 1e-4.
+    """Ten half-transparent layers leave 1e-3 of the light, thirteen 1.2e-4; the next may not leave
+    less than 1e-4.
 
     Colour ends there; the hit is the first opaque Gaussian wherever it is (RTG-SLAM, section 3.1).
     """
-    camera = Camera(width=17, height=17, fx=17.0, fy=17.0, cx=8.5, cy=8.5)
+    camera = Camera(
+        width=17,
+        height=17,
+        fx=17.0,
+        fy=17.0,
+        cx=8.5,
+        cy=8.5,
+    )
     half = (0.5,) * 10
-    cases = {(*half, 0.7): 10, (*half, 0.95): 10, (*half, *half, 0.7): 20, (0.7, *half, 0.7): 0, (*half, *half): -1}
+    cases = {
+        (*half, 0.7): 10,
+        (*half, 0.95): 10,
+        (*half, *half, 0.7): 20,
+        (0.7, *half, 0.7): 0,
+        (*half, *half): -1,
+    }
     cases[(*half, *half, *half, *half, 0.55, 0.95)] = 41
     with use_backend(backend):
         for opacity, row in cases.items():
-            found, _ = render_forward(layers(*opacity), camera, torch.eye(4), opaque_alpha=0.6)
+            found, _ = render_forward(
+                layers(*opacity),
+                camera,
+                torch.eye(4),
+                opaque_alpha=0.6,
+            )
             assert found.hit_index[8, 8] == row, opacity
             plain, _ = render_forward(layers(*opacity), camera, torch.eye(4))
             assert torch.equal(found.rgb, plain.rgb)
@@ -88,15 +117,22 @@ def test_a_finished_pixel_still_finds_its_hit(backend):
 
 
 def test_a_plane_met_behind_the_camera_gives_the_centre():
-    """Normal at 80 degrees from the axis: rays on one side of the image meet the plane behind the camera."""
+    """Normal at 80 degrees from the axis: rays on one side of the image meet the plane behind the
+    camera."""
     angle = math.radians(40)
-    params = GaussianParams(**{**vars(layers(0.9)), "quat": torch.tensor([[math.cos(angle), 0, math.sin(angle), 0]])})
+    params = GaussianParams(
+        **{**vars(layers(0.9)), "quat": torch.tensor([[math.cos(angle), 0, math.sin(angle), 0]])}
+    )
     params = GaussianParams(**{**vars(params), "log_scale": torch.tensor([[0.5, 0.5, 0.01]]).log()})
     camera, hit_index = view(33, 17), torch.zeros(17, 33, dtype=torch.int64)
     depths = []
     for backend in ("reference", "numba"):
         with use_backend(backend):
-            depths.append(disc_depth(params, camera, torch.eye(4), hit_index, max_offset=None, min_cosine=0.05).depth_m)
+            depths.append(
+                disc_depth(
+                    params, camera, torch.eye(4), hit_index, max_offset=None, min_cosine=0.05
+                ).depth_m
+            )
     torch.testing.assert_close(*depths, rtol=1e-4, atol=0)
     X = (torch.arange(33) + 0.5 - camera.cx) / camera.fx
     behind = 1 + X * math.tan(math.radians(80)) < 0
@@ -117,4 +153,7 @@ def test_equal_scales_take_the_first_axis(generator):
     torch.testing.assert_close(*normals, atol=1e-5, rtol=0)
     axis = quaternion.to_matrix(params.quat)[:, :, 0]
     hit = hit_index >= 0
-    torch.testing.assert_close((normals[1][hit] * axis[hit_index[hit]]).sum(-1).abs(), torch.ones(int(hit.sum())))
+    torch.testing.assert_close(
+        (normals[1][hit] * axis[hit_index[hit]]).sum(-1).abs(),
+        torch.ones(int(hit.sum())),
+    )

@@ -21,7 +21,9 @@ def pair(frame, camera: Camera, factor: int = 1):
         depth_m=frame.depth_m,
         normal_C=depth_to_normals(frame.camera, frame.depth_m),
     )
-    depth_m = torch.nn.functional.interpolate(frame.depth_m[None, None], (camera.height, camera.width))[0, 0]
+    depth_m = torch.nn.functional.interpolate(
+        frame.depth_m[None, None], (camera.height, camera.width)
+    )[0, 0]
     normal_W = se3.rotate(frame.T_WC, depth_to_normals(camera, depth_m))
     return (
         level,
@@ -44,7 +46,12 @@ def assert_same(expected, found):
     if expected.n_inliers == found.n_inliers and expected.n_overlap == found.n_overlap:
         scale = float(expected.H.abs().max())
         torch.testing.assert_close(found.H, expected.H, rtol=1e-5, atol=1e-5 * scale)
-        torch.testing.assert_close(found.b, expected.b, rtol=1e-5, atol=1e-5 * float(expected.b.abs().max()) + 1e-9)
+        torch.testing.assert_close(
+            found.b,
+            expected.b,
+            rtol=1e-5,
+            atol=1e-5 * float(expected.b.abs().max()) + 1e-9,
+        )
         assert found.sum_squares_m2 == pytest.approx(expected.sum_squares_m2, rel=1e-5)
         assert found.sum_weights == pytest.approx(expected.sum_weights, rel=1e-5)
         return True
@@ -52,12 +59,18 @@ def assert_same(expected, found):
 
 
 @pytest.mark.parametrize("even_to_m", [None, 1.0])
-@pytest.mark.parametrize(("width", "height"), [(1, 1), (7, 5), (61, 47), (160, 121)])
+@pytest.mark.parametrize(
+    ("width", "height"),
+    [(1, 1), (7, 5), (61, 47), (160, 121)],
+)
 def test_same_sums(make_frames, width, height, even_to_m):
     exact = []
     for frame in make_frames(width, height):
         camera = frame.camera.resized(max(1, width * 3 // 2), height)
-        for gates in ({"max_distance_m": 0.1, "min_cosine": 0.5}, {"max_distance_m": 10.0, "min_cosine": -1.1}):
+        for gates in (
+            {"max_distance_m": 0.1, "min_cosine": 0.5},
+            {"max_distance_m": 10.0, "min_cosine": -1.1},
+        ):
             exact.append(assert_same(*both(*pair(frame, camera), **gates, even_to_m=even_to_m)))
     assert any(exact)
 

@@ -28,22 +28,33 @@ def both(config, frames):
 
 
 D_ROUNDING = 4e-6
-"""Up to 4 m away the distance of a voxel is the sum of two float32 numbers: 2.6e-7 m, of a truncation of 0.08 m."""
+"""Up to 4 m away the distance of a voxel is the sum of two float32 numbers: 2.6e-7 m, of a
+truncation of 0.08 m."""
 
 
 def assert_same(volumes, flips=2e-5):
-    """Equal to rounding but for voxels that project within rounding of a pixel's border or of the band's end."""
+    """Equal to rounding but for voxels that project within rounding of a pixel's border or of the
+    band's end."""
     a, b = volumes
     assert torch.equal(a.block_coords, b.block_coords)
-    off = (a.W != b.W) | ((a.D - b.D).abs() > D_ROUNDING) | ((a.rgb_planes - b.rgb_planes).abs().amax(1) > 2e-6)
+    off = (
+        (a.W != b.W)
+        | ((a.D - b.D).abs() > D_ROUNDING)
+        | ((a.rgb_planes - b.rgb_planes).abs().amax(1) > 2e-6)
+    )
     assert bool(torch.isfinite(b.D).all())
     assert bool(torch.isfinite(b.rgb_planes).all())
-    assert float(off.double().sum()) <= flips * max(1, off.numel()), f"{int(off.sum())} of {off.numel()} voxels differ"
+    assert float(off.double().sum()) <= flips * max(1, off.numel()), (
+        f"{int(off.sum())} of {off.numel()} voxels differ"
+    )
 
 
 @pytest.mark.parametrize("sdf", ["z", "ray"])
 @pytest.mark.parametrize("eight_bit", [True, False])
-@pytest.mark.parametrize(("width", "height"), [(160, 120), (37, 29), (16, 1), (1, 1)])
+@pytest.mark.parametrize(
+    ("width", "height"),
+    [(160, 120), (37, 29), (16, 1), (1, 1)],
+)
 def test_same_voxels(width, height, eight_bit, sdf, make_frames):
     frames = make_frames(width, height, n=5, eight_bit=eight_bit)
     volumes, reports = both(dataclasses.replace(CONFIG, sdf=sdf, near_m=0.0), frames)
@@ -54,12 +65,17 @@ def test_same_voxels(width, height, eight_bit, sdf, make_frames):
     assert width < 100 or float(volumes[1].W.max()) == 3.0
 
 
-@pytest.mark.parametrize(("band", "by_distance"), [(1.5, True), (1.5, False), (0.0, True)])
+@pytest.mark.parametrize(
+    ("band", "by_distance"),
+    [(1.5, True), (1.5, False), (0.0, True)],
+)
 @pytest.mark.parametrize("eight_bit", [True, False])
 def test_weighted_colours(eight_bit, band, by_distance, make_frames):
     """A distance that is off by its rounding changes a weight by at most that part of the band."""
     frames, rounding = make_frames(160, 120, n=5, eight_bit=eight_bit), 1e-5
-    config = dataclasses.replace(CONFIG, colour_band_voxels=band, colour_by_distance=by_distance, max_weight=100.0)
+    config = dataclasses.replace(
+        CONFIG, colour_band_voxels=band, colour_by_distance=by_distance, max_weight=100.0
+    )
     (a, b), _ = both(config, frames)
     off = (a.W_rgb - b.W_rgb).abs() > len(frames) * rounding
     moved = (a.rgb_planes - b.rgb_planes).abs().amax(1) * a.W_rgb.clamp(max=1.0)
@@ -71,21 +87,34 @@ def test_weighted_colours(eight_bit, band, by_distance, make_frames):
 
 
 def test_equal_weights_of_colours(make_frames):
-    """As with falling weights, but a distance that is off by its rounding may change which side of the border it is."""
-    colours = {"colour_band_voxels": 1.0, "colour_weights": "equal", "colour_by_distance": False, "max_weight": 100.0}
+    """As with falling weights, but a distance that is off by its rounding may change which side of
+    the border it is."""
+    colours = {
+        "colour_band_voxels": 1.0,
+        "colour_weights": "equal",
+        "colour_by_distance": False,
+        "max_weight": 100.0,
+    }
     frames = make_frames(160, 120, n=5)
     (a, b), _ = both(dataclasses.replace(CONFIG, **colours), frames)
     assert float((a.W_rgb != b.W_rgb).double().mean()) < 2e-5
     weights = b.W_rgb[b.W_rgb >= 1]
-    assert float((weights - weights.round()).abs().max()) < 0.1  # with a thousandth of each from outside the band
-    falling, _ = both(dataclasses.replace(CONFIG, **colours | {"colour_weights": "falling"}), frames)
+    assert (
+        float((weights - weights.round()).abs().max()) < 0.1
+    )  # with a thousandth of each from outside the band
+    falling, _ = both(
+        dataclasses.replace(CONFIG, **colours | {"colour_weights": "falling"}), frames
+    )
     assert float((falling[1].W_rgb < b.W_rgb).double().mean()) > 1e-3
 
 
 @pytest.mark.parametrize("average", ["eq9", "int16"])
 @pytest.mark.parametrize("max_weight", [3.0, 255.0])
 def test_published_averages(average, max_weight, make_frames):
-    config, frames = dataclasses.replace(CONFIG, average=average, max_weight=max_weight), make_frames(160, 120, n=5)
+    config, frames = (
+        dataclasses.replace(CONFIG, average=average, max_weight=max_weight),
+        make_frames(160, 120, n=5),
+    )
     (a, b), _ = both(config, frames)
     if average == "eq9":
         assert_same((a, b))
@@ -93,14 +122,20 @@ def test_published_averages(average, max_weight, make_frames):
         assert float(((a.D - b.D).abs() > 1 / 32767 + D_ROUNDING).double().mean()) < 2e-5
         assert float(((a.D - b.D).abs() > D_ROUNDING).double().mean()) < 0.02
     mean, _ = both(dataclasses.replace(config, average="mean"), frames)
-    assert not torch.allclose(mean[1].D, b.D, atol=D_ROUNDING, rtol=0)
+    assert not torch.allclose(
+        mean[1].D,
+        b.D,
+        atol=D_ROUNDING,
+        rtol=0,
+    )
     assert torch.equal(mean[1].W, b.W)
     assert torch.equal(mean[1].rgb_planes, b.rgb_planes)
 
 
 @pytest.mark.parametrize("average", ["eq9", "int16"])
 def test_published_averages_of_equal_distances(average):
-    """16,000 voxels of every weight, whole-number D of either sign, and distances on and off whole numbers."""
+    """16,000 voxels of every weight, whole-number D of either sign, and distances on and off whole
+    numbers."""
     from numba import njit
 
     from gsfusion_nb.kernels.integrate.numba import _AVERAGES, _as_published
@@ -109,7 +144,11 @@ def test_published_averages_of_equal_distances(average):
     @njit
     def fold(D, d, W, W_k, code, out):
         for i in range(0, len(D), 16):
-            store(out, i, _as_published(load(D, i), load(d, i), load(W, i), load(W_k, i), code))
+            store(
+                out,
+                i,
+                _as_published(load(D, i), load(d, i), load(W, i), load(W_k, i), code),
+            )
 
     g = torch.Generator().manual_seed(0)
     D, d = (torch.randint(-32767, 32768, (16_000,), generator=g) / 32767 for _ in range(2))
@@ -119,18 +158,32 @@ def test_published_averages_of_equal_distances(average):
     d.clamp_(min=-0.999)
     expected, W_k = tsdf_update(D, W, d, truncation_m=1.0, max_weight=255.0, average=average)
     got = torch.empty_like(D)
-    fold(D.numpy(), d.numpy(), W.numpy(), W_k.numpy(), _AVERAGES[average], got.numpy())
+    fold(
+        D.numpy(),
+        d.numpy(),
+        W.numpy(),
+        W_k.numpy(),
+        _AVERAGES[average],
+        got.numpy(),
+    )
     torch.testing.assert_close(got, expected, rtol=0, atol=5e-7)
 
 
 def test_a_camera_inside_the_map(make_frames):
-    """Blocks around and behind the camera: nothing behind it is updated, and nothing is divided by zero."""
+    """Blocks around and behind the camera: nothing behind it is updated, and nothing is divided by
+    zero."""
     frame = make_frames(64, 47, n=1)[0]
-    frame = dataclasses.replace(frame, T_WC=torch.eye(4), depth_m=torch.full((47, 64), 1.0))
+    frame = dataclasses.replace(
+        frame,
+        T_WC=torch.eye(4),
+        depth_m=torch.full((47, 64), 1.0),
+    )
     axis = torch.arange(-4, 5)
     volumes = [TsdfVolume(CONFIG) for _ in range(2)]
     for volume in volumes:
-        volume.add_blocks(torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).view(-1, 3))
+        volume.add_blocks(
+            torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).view(-1, 3)
+        )
     fuse_frame_.reference(volumes[0], frame)
     with use_backend("numba"):
         updated = fuse_frame_(volumes[1], frame)

@@ -16,7 +16,8 @@ from gsfusion_nb import backends
 from gsfusion_nb.backends import BackendUnavailable, use_backend
 
 EMULATES = [b for b, variable in backends._EMULATED_BY.items() if os.environ.get(variable)]
-"""Backends for GPUs that this session of pytest runs on the processor; it is started for them alone."""
+"""Backends for GPUs that this session of pytest runs on the processor; it is started for them
+alone."""
 
 GPU_BACKENDS = ("triton", "cuda") if torch.cuda.is_available() and not EMULATES else ()
 
@@ -33,7 +34,12 @@ def reference_of(case, dtype: torch.dtype) -> dict[str, torch.Tensor]:
 def runs(cases) -> list:
     """(case, backend, dtype) for every backend that offers the case's operations."""
     return [
-        pytest.param(case, backend, dtype, id=f"{backend}-{'+'.join(case.operations)}-{case.name}-{str(dtype)[6:]}")
+        pytest.param(
+            case,
+            backend,
+            dtype,
+            id=f"{backend}-{'+'.join(case.operations)}-{case.name}-{str(dtype)[6:]}",
+        )
         for case in cases
         for backend in backends.BACKENDS[1:]
         if any(backend in backends.offered(operation) for operation in case.operations)
@@ -54,7 +60,15 @@ def check(case, backend: str, dtype: torch.dtype, compare_on) -> None:
     assert list(found) == list(expected)
     tolerance = case.tolerance if dtype == torch.float32 else FLOAT64_TOLERANCE
     for name, value in found.items():
-        compare_on(backend, "+".join(case.operations), name, value, expected[name], tolerance, case.flips)
+        compare_on(
+            backend,
+            "+".join(case.operations),
+            name,
+            value,
+            expected[name],
+            tolerance,
+            case.flips,
+        )
 
 
 @pytest.mark.parametrize(("case", "backend", "dtype"), runs(all_cases()))
@@ -67,11 +81,17 @@ def test_same_as_the_reference(case, backend, dtype, compare_on):
         pytest.skip(str(e))
 
 
-ONE_OF_EACH = {case.operations: case for case in all_cases() if "numba" in backends.offered(case.operations[0])}
+ONE_OF_EACH = {
+    case.operations: case for case in all_cases() if "numba" in backends.offered(case.operations[0])
+}
 """The last case of every set of operations."""
 
 
-@pytest.mark.parametrize("case", ONE_OF_EACH.values(), ids=lambda case: "+".join(case.operations))
+@pytest.mark.parametrize(
+    "case",
+    ONE_OF_EACH.values(),
+    ids=lambda case: "+".join(case.operations),
+)
 def test_threads_do_not_change_a_bit(case):
     results = []
     for threads in (1, 2):
@@ -90,7 +110,8 @@ def test_every_offered_operation_has_a_case():
 
 @pytest.fixture
 def made_kernels(tmp_path, monkeypatch):
-    """A package of kernels with one folder, ``halve``, whose operation is declared; the folder to write into."""
+    """A package of kernels with one folder, ``halve``, whose operation is declared; the folder to
+    write into."""
     monkeypatch.setattr(backends, "_OPS", dict(backends._OPS))
     monkeypatch.setattr(backends, "_FOLDERS", dict(backends._FOLDERS))
     monkeypatch.setattr(backends, "_KERNELS", "made_kernels")
@@ -113,7 +134,10 @@ def made_kernels(tmp_path, monkeypatch):
     backends.look_again()
 
 
-def run_halve(device: torch.device, dtype: torch.dtype) -> dict[str, torch.Tensor]:
+def run_halve(
+    device: torch.device,
+    dtype: torch.dtype,
+) -> dict[str, torch.Tensor]:
     made: Any = torch
     return {"half": made.halve_of_the_test(torch.arange(5, device=device, dtype=dtype))}
 
@@ -122,7 +146,10 @@ def test_a_new_backend_is_one_file(made_kernels, compare_on):
     """Written into a folder: parity finds it."""
     (made_kernels / "numba.py").write_text("def halve(x):\n    return 0.5 * x\n")
     backends.look_again()
-    found = [param.values for param in runs([Case(name="counting", operations=("halve",), run=run_halve)])]
+    found = [
+        param.values
+        for param in runs([Case(name="counting", operations=("halve",), run=run_halve)])
+    ]
     assert [(case.name, backend) for case, backend, _ in found] == [("counting", "numba")] * 2
     for case, backend, dtype in found:
         check(case, backend, dtype, compare_on)

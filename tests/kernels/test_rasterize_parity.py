@@ -18,13 +18,22 @@ IMAGES = ("rgb", "depth_m", "alpha", "first_index", "dominant_index", "hit_index
 T_WC = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.2, -0.3, 0.1]))
 
 
-def scene(n: int, degree: int, generator: torch.Generator, spread: float = 1.2) -> GaussianParams:
-    """Gaussians in front of, beside and behind the camera; some nearly opaque, some below one grey level."""
+def scene(
+    n: int,
+    degree: int,
+    generator: torch.Generator,
+    spread: float = 1.2,
+) -> GaussianParams:
+    """Gaussians in front of, beside and behind the camera; some nearly opaque, some below one grey
+    level."""
 
     def normal(*size: int):
         return torch.randn(*size, generator=generator)
 
-    in_camera = torch.stack([spread * normal(n), spread * normal(n), 2.0 + 1.5 * normal(n)], dim=-1)
+    in_camera = torch.stack(
+        [spread * normal(n), spread * normal(n), 2.0 + 1.5 * normal(n)],
+        dim=-1,
+    )
     return GaussianParams(
         xyz_W=se3.apply(T_WC, in_camera),
         log_scale=math.log(0.08) + 0.5 * normal(n, 3),
@@ -39,18 +48,35 @@ def images(camera: Camera, generator: torch.Generator) -> list[torch.Tensor]:
     return [torch.randn(shape, generator=generator) for shape in ((*size, 3), size, size)]
 
 
-def masks(height: int, width: int, generator: torch.Generator) -> list[torch.Tensor]:
+def masks(
+    height: int,
+    width: int,
+    generator: torch.Generator,
+) -> list[torch.Tensor]:
     """None, all, one, rectangles that cut tiles, and a third of the pixels at random."""
     blobs = torch.zeros(height, width, dtype=torch.bool)
     blobs[height // 3 : height // 2, : width // 3] = True
     blobs[: height // 4, width // 2 : width // 2 + 5] = True
     one = torch.zeros_like(blobs)
     one[height // 2, width // 2] = True
-    return [one & False, one | True, one, blobs, torch.rand(height, width, generator=generator) < 0.33]
+    return [
+        one & False,
+        one | True,
+        one,
+        blobs,
+        torch.rand(height, width, generator=generator) < 0.33,
+    ]
 
 
 def odd_view(width: int, height: int) -> Camera:
-    return Camera(width=width, height=height, fx=0.8 * width, fy=0.9 * width, cx=0.45 * width, cy=0.6 * height)
+    return Camera(
+        width=width,
+        height=height,
+        fx=0.8 * width,
+        fy=0.9 * width,
+        cx=0.45 * width,
+        cy=0.6 * height,
+    )
 
 
 def both(params: GaussianParams, camera: Camera, v: list[torch.Tensor]):
@@ -63,10 +89,13 @@ def both(params: GaussianParams, camera: Camera, v: list[torch.Tensor]):
 
 
 def assert_close_but_for_flips(ours: torch.Tensor, theirs: torch.Tensor, share: float, atol: float):
-    """A pair within rounding of the 1/255 cut or the 1e-4 stop may fall on either side, at a ``share`` of pixels."""
+    """A pair within rounding of the 1/255 cut or the 1e-4 stop may fall on either side, at a
+    ``share`` of pixels."""
     off = (ours - theirs).abs() > atol
     worst = float((ours - theirs).abs().max())
-    assert off.double().mean() <= share, f"{int(off.sum())} of {off.numel()} differ, the worst by {worst}"
+    assert off.double().mean() <= share, (
+        f"{int(off.sum())} of {off.numel()} differ, the worst by {worst}"
+    )
     assert worst < 0.02
 
 
@@ -89,7 +118,14 @@ def test_picture_and_gradients(n, width, height, degree, generator):
 
 
 def test_results_repeat_bit_for_bit_on_any_number_of_threads(generator):
-    camera = Camera(width=95, height=61, fx=80.0, fy=80.0, cx=47.0, cy=30.0)
+    camera = Camera(
+        width=95,
+        height=61,
+        fx=80.0,
+        fy=80.0,
+        cx=47.0,
+        cy=30.0,
+    )
     params, v = scene(900, 3, generator), images(camera, generator)
     results = []
     with use_backend("numba"):
@@ -121,25 +157,47 @@ def test_masked_gradients(n, width, height, generator):
     v = images(camera, generator)
     rows = torch.rand(n, generator=generator) < 0.4
     for pixels in masks(height, width, generator):
-        v_nonsense = [torch.where(pixels[..., None] if x.ndim == 3 else pixels, x, torch.nan) for x in v]
+        v_nonsense = [
+            torch.where(
+                pixels[..., None] if x.ndim == 3 else pixels,
+                x,
+                torch.nan,
+            )
+            for x in v
+        ]
         v_masked = [x * (pixels[..., None] if x.ndim == 3 else pixels) for x in v]
         with use_backend("reference"):
-            slow = render_vjp(render_forward(params, camera, T_WC, pixels=pixels)[1], *v, rows=rows)
+            slow = render_vjp(
+                render_forward(params, camera, T_WC, pixels=pixels)[1],
+                *v,
+                rows=rows,
+            )
         with use_backend("numba"):
             whole = render_vjp(render_forward(params, camera, T_WC)[1], *v_masked)
             _, saved = render_forward(params, camera, T_WC, pixels=pixels)
             full, some = render_vjp(saved, *v_nonsense), render_vjp(saved, *v, rows=rows)
         for name in NAMES:
             w, f, s, e = (getattr(g, name) for g in (whole, full, some, slow))
-            torch.testing.assert_close(f, w, rtol=1e-5, atol=1e-6 * float(w.abs().max()) if n else 0)
-            torch.testing.assert_close(s[rows], f[rows], rtol=1e-5, atol=1e-6 * float(w.abs().max()) if n else 0)
+            torch.testing.assert_close(
+                f,
+                w,
+                rtol=1e-5,
+                atol=1e-6 * float(w.abs().max()) if n else 0,
+            )
+            torch.testing.assert_close(
+                s[rows],
+                f[rows],
+                rtol=1e-5,
+                atol=1e-6 * float(w.abs().max()) if n else 0,
+            )
             assert not s[~rows].any()
             # worst seen 3e-3, where one pair flips at the 1/255 cut
             assert (s - e).norm() <= 1e-2 * e.norm() + 1e-6, name
 
 
 def test_large_gaussians_off_the_image_are_drawn(generator):
-    """Centres up to ten image widths away; what is listed must not depend on where the centre is."""
+    """Centres up to ten image widths away; what is listed must not depend on where the centre
+    is."""
     n, camera = 250, odd_view(159, 121)
     p = scene(n, 0, generator, spread=8.0)
     params = GaussianParams(**{**vars(p), "log_scale": p.log_scale + math.log(20.0)})
@@ -152,13 +210,29 @@ def test_large_gaussians_off_the_image_are_drawn(generator):
         assert (x - y).norm() <= 1e-2 * x.norm() + 1e-6, name
 
 
-@pytest.mark.parametrize(("long_m", "ratio"), [(0.3, 100.0), (0.3, 1000.0), (1.0, 1000.0)])
+@pytest.mark.parametrize(
+    ("long_m", "ratio"),
+    [(0.3, 100.0), (0.3, 1000.0), (1.0, 1000.0)],
+)
 def test_gradients_of_needles_keep_their_digits(long_m, ratio, generator):
-    """Against float64: -Q v_Q Q of a needle has entries as large as 1 / blur^2, which cancel along the needle."""
-    n, camera = 15, Camera(width=80, height=60, fx=300.0, fy=300.0, cx=40.0, cy=30.0)
+    """Against float64: -Q v_Q Q of a needle has entries as large as 1 / blur^2, which cancel along
+    the needle."""
+    n, camera = (
+        15,
+        Camera(
+            width=80,
+            height=60,
+            fx=300.0,
+            fy=300.0,
+            cx=40.0,
+            cy=30.0,
+        ),
+    )
     log_scale = torch.full((n, 3), math.log(long_m / ratio))
     log_scale[:, 0] = math.log(long_m)
-    place = torch.rand(n, 3, generator=generator) * torch.tensor([0.4, 0.3, 0.5]) + torch.tensor([-0.2, -0.15, 2.0])
+    place = torch.rand(n, 3, generator=generator) * torch.tensor([0.4, 0.3, 0.5]) + torch.tensor(
+        [-0.2, -0.15, 2.0]
+    )
     params = GaussianParams(
         xyz_W=place,
         log_scale=log_scale,
@@ -169,7 +243,10 @@ def test_gradients_of_needles_keep_their_digits(long_m, ratio, generator):
     v_rgb = torch.randn(camera.height, camera.width, 3, generator=generator)
     exact = GaussianParams(**{name: value.double() for name, value in vars(params).items()})
     with use_backend("reference"):
-        expected = render_vjp(render_forward(exact, camera, torch.eye(4, dtype=torch.float64))[1], v_rgb.double())
+        expected = render_vjp(
+            render_forward(exact, camera, torch.eye(4, dtype=torch.float64))[1],
+            v_rgb.double(),
+        )
     with use_backend("numba"):
         found = render_vjp(render_forward(params, camera, torch.eye(4))[1], v_rgb)
     for name in ("log_scale", "quat", "xyz_W"):

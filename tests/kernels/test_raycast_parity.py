@@ -28,18 +28,24 @@ def numba_raycast(volume, camera, T_WC):
 
 
 def assert_same_picture(volume, camera, T_WC, share=2e-3):
-    """Marching branches on a sign: a step within rounding of it may go the other way, at a ``share`` of the pixels."""
+    """Marching branches on a sign: a step within rounding of it may go the other way, at a
+    ``share`` of the pixels."""
     ours, theirs = numba_raycast(volume, camera, T_WC), raycast.reference(volume, camera, T_WC)
     for name, tolerance in (("depth_m", 1e-5), ("normal_W", 1e-3), ("rgb", 1e-3)):
         a, b = getattr(ours, name), getattr(theirs, name)
         assert a.shape == b.shape
         assert bool(torch.isfinite(a).all())
         off = ((a - b).abs() > tolerance).double()
-        assert float(off.mean()) <= share, f"{name}: {int(off.sum())} of {off.numel()} values differ"
+        assert float(off.mean()) <= share, (
+            f"{name}: {int(off.sum())} of {off.numel()} values differ"
+        )
     return ours
 
 
-@pytest.mark.parametrize(("width", "height"), [(160, 120), (37, 29), (1, 1), (17, 3)])
+@pytest.mark.parametrize(
+    ("width", "height"),
+    [(160, 120), (37, 29), (1, 1), (17, 3)],
+)
 def test_same_picture(width, height, mapped):
     volume, frames = mapped
     camera = frames[0].camera.resized(width, height)
@@ -56,7 +62,11 @@ def test_many_rays_and_few_stop_at_observed_voxels_only(width, copied, mapped, m
     volume, frames = mapped
     volume.W[:, ::7] = 0.0
     look_up, ways = numba.look_up, []
-    monkeypatch.setattr(numba, "look_up", lambda *args: ways.append(look_up(*args)) or ways[-1])
+    monkeypatch.setattr(
+        numba,
+        "look_up",
+        lambda *args: ways.append(look_up(*args)) or ways[-1],
+    )
     camera = frames[0].camera.resized(width, width * 3 // 4)
     assert_same_picture(volume, camera, frames[0].T_WC, share=1e-2)
     assert ways == [copied]
@@ -87,13 +97,19 @@ def test_no_size_of_tile_loses_a_surface(tile_px, mapped, monkeypatch):
         moved = 0.4 * torch.randn(6, generator=generator)
         T_WC = frame.T_WC @ se3.exp(moved)
         ours, theirs = numba_raycast(volume, camera, T_WC), raycast.reference(volume, camera, T_WC)
-        lost, gained = (ours.depth_m == 0) & (theirs.depth_m > 0), (ours.depth_m > 0) & (theirs.depth_m == 0)
+        lost, gained = (
+            (ours.depth_m == 0) & (theirs.depth_m > 0),
+            (ours.depth_m > 0) & (theirs.depth_m == 0),
+        )
         assert bool((theirs.depth_m > 0).any())
-        assert int(lost.sum()) + int(gained.sum()) <= 3, f"{int(lost.sum())} surfaces lost, {int(gained.sum())} gained"
+        assert int(lost.sum()) + int(gained.sum()) <= 3, (
+            f"{int(lost.sum())} surfaces lost, {int(gained.sum())} gained"
+        )
 
 
 def test_walls_beside_the_camera_do_not_make_rays_start_at_it(mapped):
-    """Blocks that no ray can meet do not count: all rays start at the nearest block of their tile, or never."""
+    """Blocks that no ray can meet do not count: all rays start at the nearest block of their tile,
+    or never."""
     from gsfusion_nb.kernels.raycast.numba import NEAR_END, look_up
     from gsfusion_nb.kernels.runtime.arguments import lens_of
     from gsfusion_nb.kernels.runtime.numba.blocks import blocks_in_view

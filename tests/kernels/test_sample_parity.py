@@ -25,7 +25,9 @@ def test_samples_are_the_same(n, generator):
     results = []
     for backend in ("reference", "numba"):
         with use_backend(backend):
-            results.append(sample_voxels(volume, points[2 if backend == "reference" and n > 3 else 0 :]))
+            results.append(
+                sample_voxels(volume, points[2 if backend == "reference" and n > 3 else 0 :])
+            )
     a, b = results
     skip = 2 if n > 3 else 0
     for name in ("D", "W", "rgb"):

@@ -1,4 +1,5 @@
-"""Several processes that compile the same functions at the same time: each is compiled once, and none is lost."""
+"""Several processes that compile the same functions at the same time: each is compiled once, and
+none is lost."""
 
 import itertools
 import os
@@ -61,15 +62,19 @@ def write_trial(folder, start=0):
 
 
 def run(folder, *types_of_each):
-    """Names of the functions that each of several processes compiled, which begin at the same time."""
+    """Names of the functions that each of several processes compiled, which begin at the same
+    time."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(folder / "cache")}
     started = [
         subprocess.Popen(
             [sys.executable, "-c", _PROCESS, str(folder), *types],
-            env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
         )
         for types in types_of_each
-    ]  # fmt: skip
+    ]
     for process in started:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"

@@ -14,18 +14,29 @@ def _exp(x, y):
 @numba.njit
 def _mixture(x, y, out):
     a, b = simd.load(x, 0), simd.load(y, 0)
-    chosen = simd.select(a < b, simd.minimum(a, b) + simd.splat(np.float32(1)), simd.negative_abs(simd.maximum(a, b)))
+    chosen = simd.select(
+        a < b,
+        simd.minimum(a, b) + simd.splat(np.float32(1)),
+        simd.negative_abs(simd.maximum(a, b)),
+    )
     simd.store(out, 0, chosen)
     return simd.any_lane(a > b), simd.any_lane((a > b) & (a < b)), simd.reduce_add(simd.iota() * a)
 
 
-@pytest.mark.parametrize(("low", "high", "tolerance"), [(-6.0, 0.0, 6e-7), (-86.0, -6.0, 5e-6)])
+@pytest.mark.parametrize(
+    ("low", "high", "tolerance"),
+    [(-6.0, 0.0, 6e-7), (-86.0, -6.0, 5e-6)],
+)
 def test_exp_is_accurate(low, high, tolerance):
     """A splat is cut at ln(1/255) = -5.5; beyond, the rounding of x log2(e) grows with |x|."""
     for x in np.linspace(low, high, 320, dtype=np.float32).reshape(20, 16):
         y = np.empty(16, np.float32)
         _exp(np.ascontiguousarray(x), y)
-        np.testing.assert_allclose(y, np.exp(x.astype(np.float64)), rtol=tolerance)
+        np.testing.assert_allclose(
+            y,
+            np.exp(x.astype(np.float64)),
+            rtol=tolerance,
+        )
 
 
 def test_lane_operations():
@@ -33,7 +44,10 @@ def test_lane_operations():
     x, y = rng.normal(size=(2, 16)).astype(np.float32)
     out = np.empty(16, np.float32)
     greater, never, total = _mixture(x, y, out)
-    np.testing.assert_array_equal(out, np.where(x < y, np.minimum(x, y) + 1, -np.abs(np.maximum(x, y))))
+    np.testing.assert_array_equal(
+        out,
+        np.where(x < y, np.minimum(x, y) + 1, -np.abs(np.maximum(x, y))),
+    )
     assert greater == bool((x > y).any())
     assert not never
     assert total == pytest.approx(float((np.arange(16) * x).sum()), rel=1e-5)

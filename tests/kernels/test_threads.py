@@ -30,7 +30,9 @@ print(kernel_threads()[0], numba.threading_layer(), bits.hexdigest())
 
 def _run(**environment: str) -> list[str]:
     environment = {**os.environ, "OMP_NUM_THREADS": "2", **environment}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], capture_output=True, text=True, env=environment
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     return done.stdout.split()
 

@@ -1,4 +1,5 @@
-"""Without a GPU the Triton kernels run under Triton's interpreter, which has to be chosen before Python starts."""
+"""Without a GPU the Triton kernels run under Triton's interpreter, which has to be chosen before
+Python starts."""
 
 import os
 import subprocess
@@ -13,7 +14,9 @@ FOLDERS = ("tests/kernels/triton", "tests/kernels/test_parity.py::test_same_as_t
 
 
 @pytest.mark.ci
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU: tests/kernels/triton run on it")
+@pytest.mark.skipif(
+    torch.cuda.is_available(), reason="there is a GPU: tests/kernels/triton run on it"
+)
 def test_kernels_under_the_interpreter():
     pytest.importorskip("triton", reason="triton is not installed (pip install 'gsfusion-nb[gpu]')")
     if "TRITON_INTERPRET" in os.environ:

@@ -1,4 +1,5 @@
-"""Rules that edit the map after gradient steps: what they are told, what an error undoes; nothing else changes."""
+"""Rules that edit the map after gradient steps: what they are told, what an error undoes; nothing
+else changes."""
 
 import copy
 import signal
@@ -35,14 +36,23 @@ def frames() -> list[Any]:
 
 def settings(system: str, **more: Any) -> Any:
     if system == "gsfusion":
-        optim = {"optim__frame_iterations": 2, "optim__keyframe_iterations": 3, "optim__random_keyframe_iterations": 1}
+        optim = {
+            "optim__frame_iterations": 2,
+            "optim__keyframe_iterations": 3,
+            "optim__random_keyframe_iterations": 1,
+        }
         tsdf = {"tsdf__voxel_size_m": 0.08, "tsdf__truncation_voxels": 3.0}
         return gsfusion("replica", sh_degree=1, keyframe_every=2, **optim, **tsdf, **more)
     if system == "gps_slam":
         schedule = {"every_frames": 2, "window_every": 2, "iterations": 6}
         tsdf = {"voxel_size_m": 0.08, "truncation_voxels": 3.0}
         return gps_slam("replica", sh_degree=1, schedule=schedule, tsdf=tsdf, **more)
-    small = {"window__every_frames": 2, "window__iterations": 4, "keyframes__iterations": 3, "sh_degree": 1}
+    small = {
+        "window__every_frames": 2,
+        "window__iterations": 4,
+        "keyframes__iterations": 3,
+        "sh_degree": 1,
+    }
     return replace(rtg_slam("room", data__width=0, data__height=0), **small, **more)
 
 
@@ -56,14 +66,16 @@ class Base(MapRule):
 
 
 def editing(broken: dict[str, int]) -> type[MapRule]:
-    """A rule that uses every kind of edit, random numbers, its memory and numbers for each row; it raises at the call
-    whose number is in ``broken``."""
+    """A rule that uses every kind of edit, random numbers, its memory and numbers for each row; it
+    raises at the call whose number is in ``broken``."""
 
     @dataclass(frozen=True, kw_only=True)
     class edits_all(Base):
         needs: ClassVar[frozenset[str]] = frozenset({"visibility", "image_gradients"})
 
-        def after_step(self, ctx: SeedContext, stats: StepStats, memory: dict[str, Any]) -> Edit | None:
+        def after_step(
+            self, ctx: SeedContext, stats: StepStats, memory: dict[str, Any]
+        ) -> Edit | None:
             memory["calls"] = memory.get("calls", 0) + 1
             ctx.gaussians.row_memory("seen").add_(stats.visible)
             n, drawn = len(ctx.map), torch.rand(len(ctx.map), generator=ctx.generator)
@@ -86,14 +98,16 @@ def editing(broken: dict[str, int]) -> type[MapRule]:
 
 
 def state_of(mapper: Any) -> dict[str, Any]:
-    """Everything but which of two equal rules it has, which differ in a number that they refer to."""
+    """Everything but which of two equal rules it has, which differ in a number that they refer
+    to."""
     state = copy.deepcopy(mapper.state_dict())
     return state | {"rule": {"memory": state["rule"]["memory"]}}
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_an_error_after_a_step_undoes_the_frame_and_it_can_be_given_again(system, frames, same):
-    """In the second call of a frame in the middle: what the first call did to the map is undone, too."""
+    """In the second call of a frame in the middle: what the first call did to the map is undone,
+    too."""
     calls = {}
     counted = make_mapper(settings(system), seeding=editing(calls))
     per_frame = []
@@ -141,7 +155,13 @@ def test_a_resumed_run_goes_on_as_if_it_had_not_stopped(system, frames, same):
 
 @pytest.mark.parametrize(
     "needs",
-    [(), ("visibility",), ("image_gradients",), ("abs_image_gradients", "image_gradients"), ("visibility", "render")],
+    [
+        (),
+        ("visibility",),
+        ("image_gradients",),
+        ("abs_image_gradients", "image_gradients"),
+        ("visibility", "render"),
+    ],
 )
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_what_a_rule_is_told_and_that_asking_changes_nothing(system, needs, frames, same):
@@ -163,7 +183,9 @@ def test_what_a_rule_is_told_and_that_asking_changes_nothing(system, needs, fram
     list(deaf.global_optimise(1))
     same(deaf.maps(), mapper.maps())
     assert {stats.stage for stats in told[:online]} == {"online"}
-    assert {(s.stage, s.step_in_frame, s.steps_in_frame) for s in told[online:]} == {("passes", 1, 1)}
+    assert {(s.stage, s.step_in_frame, s.steps_in_frame) for s in told[online:]} == {
+        ("passes", 1, 1)
+    }
     assert [float(s.loss) for s in told[online:]] == optimised
     numbers = [stats.step for stats in told]
     assert numbers == sorted(set(numbers))
@@ -217,7 +239,9 @@ def test_statistics_of_each_row_are_sums_over_the_steps(frames):
     length = torch.stack([(s.v_uv * half).norm(dim=1) for s in told]).sum(0) / times.clamp_min(1)
     assert torch.equal(model.memory["times_visible"], times)
     torch.testing.assert_close(image_gradient(model), length)
-    abs_length = torch.stack([(s.v_uv_abs * half).norm(dim=1) for s in told]).sum(0) / times.clamp_min(1)
+    abs_length = torch.stack([(s.v_uv_abs * half).norm(dim=1) for s in told]).sum(
+        0
+    ) / times.clamp_min(1)
     torch.testing.assert_close(abs_image_gradient(model), abs_length)
     context = mapper.seed_context(frames[1])
     assert torch.equal(context.map.times_visible, times)
@@ -226,7 +250,10 @@ def test_statistics_of_each_row_are_sums_over_the_steps(frames):
     seen = footprints(model.params, frames[0].camera, frames[0].T_WC)
     assert float((seen.visible == told[-1].visible).float().mean()) > 0.95
     restart_statistics(model)
-    assert not any(model.memory[name].any() for name in ("times_visible", "image_gradient", "abs_image_gradient"))
+    assert not any(
+        model.memory[name].any()
+        for name in ("times_visible", "image_gradient", "abs_image_gradient")
+    )
 
 
 def stop_in(monkeypatch: pytest.MonkeyPatch, mapper: Any, at: int, act: Any) -> None:
@@ -255,7 +282,9 @@ def test_between_two_gradient_steps_a_frame_can_be_given_up(frames, monkeypatch,
     before = copy.deepcopy(mapper.state_dict())
     with monkeypatch.context() as patch:
         if kind == "stop":
-            stop_in(patch, mapper, at, lambda: patch.setattr(mapper.guard, "stop_wanted", lambda: True))
+            stop_in(
+                patch, mapper, at, lambda: patch.setattr(mapper.guard, "stop_wanted", lambda: True)
+            )
         else:
             stop_in(patch, mapper, at, lambda: signal.raise_signal(signal.SIGINT))
         with pytest.raises(FrameUndone if kind == "stop" else KeyboardInterrupt):

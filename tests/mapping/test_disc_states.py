@@ -1,4 +1,5 @@
-"""The states of RTG-SLAM's Gaussians over a run: when they occur, whatever the schedule, and what is said of them."""
+"""The states of RTG-SLAM's Gaussians over a run: when they occur, whatever the schedule, and what
+is said of them."""
 
 import html
 import json
@@ -31,13 +32,23 @@ def mapped(config: RtgSlamConfig, frames: list[Frame]) -> list[StepReport]:
 
 def first_with(steps: list[StepReport], *names: str) -> int | None:
     """Index of the first frame after which a Gaussian has one of the states."""
-    return next((i for i, step in enumerate(steps) if any(step.counts[name] for name in names)), None)
+    return next(
+        (i for i, step in enumerate(steps) if any(step.counts[name] for name in names)),
+        None,
+    )
 
 
 def step(n_gaussians: int, stabilised: int = 0, **counts: int) -> StepReport:
     """A report with these counts of states; the others are 0."""
     states = dict.fromkeys(STATES, 0) | counts | {"stabilised": stabilised}
-    return StepReport(frame_index=0, n_seeds=0, n_gaussians=n_gaussians, is_keyframe=False, losses=(), counts=states)
+    return StepReport(
+        frame_index=0,
+        n_seeds=0,
+        n_gaussians=n_gaussians,
+        is_keyframe=False,
+        losses=(),
+        counts=states,
+    )
 
 
 def test_shares_are_means_over_the_frames_that_have_gaussians():
@@ -71,7 +82,8 @@ def test_a_run_without_stable_gaussians_says_what_is_missing():
 
 
 def test_stable_and_transparent_gaussians_occur_on_a_short_walk(walk):
-    """Windows follow frames 0, 7, 15, 23; the third makes discs stable that were seen in nearly all of its steps."""
+    """Windows follow frames 0, 7, 15, 23; the third makes discs stable that were seen in nearly all
+    of its steps."""
     steps = mapped(rtg_slam("room"), walk)
     assert first_with(steps, "stable_opaque") == 15
     assert all(n_stable(step) > 0.1 * step.n_gaussians for step in steps[15:])
@@ -101,20 +113,35 @@ def test_a_published_step_has_confidence_1(preset, fidelity):
 
 
 def test_a_run_says_the_share_of_each_state_or_that_none_was_stable(tmp_path, capsys):
-    few: dict[str, Any] = {"window__every_frames": 2, "window__iterations": 10, "keyframes__iterations": 2}
-    few |= {"data__stop": 7, "data__width": 0, "data__height": 0, "final__passes": 1, "mesh_voxel_m": 0.1}
+    few: dict[str, Any] = {
+        "window__every_frames": 2,
+        "window__iterations": 10,
+        "keyframes__iterations": 2,
+    }
+    few |= {
+        "data__stop": 7,
+        "data__width": 0,
+        "data__height": 0,
+        "final__passes": 1,
+        "mesh_voxel_m": 0.1,
+    }
     for name, limit in (("alive", 40.0), ("dead", 1e6)):
         config = rtg_slam("room", **few, states__stable_confidence=limit)
         run = run_mapping("room", config, folder=tmp_path / name, n_frames=120, **SMALL)
         stored = json.loads((run.folder / "metrics.json").read_text())
-        shares = {key: value for key, value in stored["metrics"].items() if key.startswith("share_")}
+        shares = {
+            key: value for key, value in stored["metrics"].items() if key.startswith("share_")
+        }
         assert shares == state_shares(run.run.steps)
         assert (shares["share_stable"] > 0.1) == (name == "alive")
         assert print_result(run) == 0
-        text, page = capsys.readouterr().out, html.unescape((run.folder / "report.html").read_text())
+        text, page = (
+            capsys.readouterr().out,
+            html.unescape((run.folder / "report.html").read_text()),
+        )
         assert f"Stable                       {100 * shares['share_stable']:.1f}" in text
         assert "States of the Gaussians" in page
         for said in (text, page, " ".join(stored["warnings"])):
-            assert (f"RTG-SLAM's stable state never occurred: in {len(run.run.steps)} frames" in said) == (
-                name == "dead"
-            )
+            assert (
+                f"RTG-SLAM's stable state never occurred: in {len(run.run.steps)} frames" in said
+            ) == (name == "dead")

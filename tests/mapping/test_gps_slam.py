@@ -1,4 +1,5 @@
-"""GPS-SLAM: its presets, rounds, holes, and that Gaussians over a surface are better than the surface alone."""
+"""GPS-SLAM: its presets, rounds, holes, and that Gaussians over a surface are better than the
+surface alone."""
 
 import dataclasses
 from typing import Any
@@ -18,12 +19,21 @@ from gsfusion_nb.runs.outputs import score
 from gsfusion_nb.seeding.rules.gps_slam import gps_slam as gps_slam_rule
 
 ROOM: dict[str, Any] = {"path_or_name": "room", "n_frames": 240, "width": 64, "height": 48}
-SMALL: dict[str, Any] = {"data__width": 0, "data__height": 0, "tsdf__voxel_size_m": 0.04, "final__passes": 1}
+SMALL: dict[str, Any] = {
+    "data__width": 0,
+    "data__height": 0,
+    "tsdf__voxel_size_m": 0.04,
+    "final__passes": 1,
+}
 
 
 def mapped(n: int, **changes: Any) -> MappingRun:
     config = gps_slam("room", **{"data__stop": n, "data__hold_out_every": 8, **SMALL, **changes})
-    run = MappingRun(open_sequence(**ROOM, data=config.data), make_mapper(config), source=ROOM)
+    run = MappingRun(
+        open_sequence(**ROOM, data=config.data),
+        make_mapper(config),
+        source=ROOM,
+    )
     list(run.online())
     return run
 
@@ -31,20 +41,42 @@ def mapped(n: int, **changes: Any) -> MappingRun:
 @pytest.fixture(scope="module")
 def run() -> MappingRun:
     """At 64x48 there are few pixels, so more of them are seeded than usual."""
-    return mapped(30, seeding__options={"colour_error": 0.03, "share": 0.25, "max_weight": 1.0, "in_holes": True})
+    return mapped(
+        30,
+        seeding__options={"colour_error": 0.03, "share": 0.25, "max_weight": 1.0, "in_holes": True},
+    )
 
 
 def test_the_released_numbers():
     c = gps_slam("replica", "code")
-    assert (c.tsdf.voxel_size_m, c.tsdf.truncation_m, c.tsdf.max_weight) == (0.005, pytest.approx(0.02), 100)
+    assert (c.tsdf.voxel_size_m, c.tsdf.truncation_m, c.tsdf.max_weight) == (
+        0.005,
+        pytest.approx(0.02),
+        100,
+    )
     assert (c.base.holes, c.base.resolution, c.base.behind_m) == ("black", "full", 0.1)
     s, r = c.schedule, c.residual
-    assert (s.every_frames, s.iterations, s.window_every, s.keyframes, s.recalled) == (10, 20, 5, 7, 7)
+    assert (s.every_frames, s.iterations, s.window_every, s.keyframes, s.recalled) == (
+        10,
+        20,
+        5,
+        7,
+        7,
+    )
     assert (r.lr_xyz, r.lr_log_scale, r.lr_opacity_logit) == (1.6e-4, 5e-3, 5e-2)
     assert (r.lr_sh_dc, r.lr_sh_rest, r.min_radius_m, r.max_radius_m) == (2.5e-3, 5e-4, 0.003, 0.1)
-    assert (c.views.rotation_deg, c.views.translation_m, c.final.passes, c.sh_degree) == (30, 0.3, 0, 3)
+    assert (c.views.rotation_deg, c.views.translation_m, c.final.passes, c.sh_degree) == (
+        30,
+        0.3,
+        0,
+        3,
+    )
     assert (c.tsdf.average, c.seeding.options["only_with_depth"]) == ("int16", False)
-    assert (c.tsdf.colour_band_voxels, c.tsdf.colour_weights, c.tsdf.colour_by_distance) == (1.0, "equal", False)
+    assert (c.tsdf.colour_band_voxels, c.tsdf.colour_weights, c.tsdf.colour_by_distance) == (
+        1.0,
+        "equal",
+        False,
+    )
     rule = SETTINGS_OF_THE_RULE | c.seeding.options
     assert (rule["max_weight"], rule["max_radius_m"], rule["surface"]) == (5.0, 0.01, "tsdf")
 
@@ -56,8 +88,18 @@ def test_the_numbers_of_the_paper():
     """arXiv 2509.11574 v2: sections 3.2 and 4.1, A.1, App. C, Eq. 6 to 8."""
     c = gps_slam("replica", "paper")
     rule = SETTINGS_OF_THE_RULE | c.seeding.options
-    assert (rule["colour_error"], rule["max_weight"], rule["share"], rule["most"]) == (0.05, 4.0, 0.25, 1.0)
-    assert (rule["surface"], rule["max_radius_m"], rule["opacity"], rule["in_holes"]) == ("tsdf", 0.1, 0.5, False)
+    assert (rule["colour_error"], rule["max_weight"], rule["share"], rule["most"]) == (
+        0.05,
+        4.0,
+        0.25,
+        1.0,
+    )
+    assert (rule["surface"], rule["max_radius_m"], rule["opacity"], rule["in_holes"]) == (
+        "tsdf",
+        0.1,
+        0.5,
+        False,
+    )
     s, r = c.schedule, c.residual
     assert (s.every_frames, s.iterations, s.spread) == (10, 20, False)
     assert (c.views.rotation_deg, c.views.translation_m, c.views.every_frames) == (30, 0.3, 0)
@@ -82,7 +124,9 @@ def test_a_round_has_its_steps_however_they_are_spread():
         even = ViewRound(ScheduleConfig(every_frames=every, iterations=steps))
         assert sum(even.steps_in(n) for n in range(3 * every)) == 3 * steps
         burst = ViewRound(ScheduleConfig(every_frames=every, iterations=steps, spread=False))
-        assert [burst.steps_in(n) for n in range(2 * every + 1)].count(steps) == (2 if every > 1 else 2 * every)
+        assert [burst.steps_in(n) for n in range(2 * every + 1)].count(steps) == (
+            2 if every > 1 else 2 * every
+        )
         assert burst.steps_in(0) == 0
 
 
@@ -93,7 +137,10 @@ def test_the_passes_improve_the_map_beyond_the_surface(run):
     for name in ("psnr_held_out_db", "psnr_mapped_db"):
         assert after[name] > before[name] + 0.3
     frame = run.sequence.mapping[12]
-    both, below = mapper.render(frame.camera, frame.T_WC), mapper.below(frame.camera, frame.T_WC).base
+    both, below = (
+        mapper.render(frame.camera, frame.T_WC),
+        mapper.below(frame.camera, frame.T_WC).base,
+    )
     error, base_error = (float((x - frame.rgb).square().mean()) for x in (both.rgb, below.rgb))
     assert len(mapper.gaussians) > 50
     assert error < 0.95 * base_error
@@ -101,8 +148,11 @@ def test_the_passes_improve_the_map_beyond_the_surface(run):
 
 
 def test_each_pass_ends_with_the_removal_of_small_large_and_transparent_rows(run):
-    """With the published limits few rows are beyond them; with narrow ones many become so in the passes."""
-    narrow = mapped(30, seeding__options=dict(run.mapper.config.seeding.options), residual__max_radius_m=0.012)
+    """With the published limits few rows are beyond them; with narrow ones many become so in the
+    passes."""
+    narrow = mapped(
+        30, seeding__options=dict(run.mapper.config.seeding.options), residual__max_radius_m=0.012
+    )
     mapper, limits = narrow.mapper, narrow.mapper.config.residual
     n_before = len(mapper.gaussians)
     list(mapper.global_optimise(3))
@@ -118,13 +168,18 @@ def test_a_keyframe_is_more_than_30_cm_or_30_degrees_away(run):
     mapper = GPSSLAM(gps_slam("room", "code", data__width=0, data__height=0))
     frame = run.sequence.mapping[0]
     mapper.keyframes.append(frame)
-    for moved, expected in (([0.299, 0, 0, 0, 0, 0], False), ([0, 0.301, 0, 0, 0, 0], True), ([0] * 5 + [0.53], True)):
+    for moved, expected in (
+        ([0.299, 0, 0, 0, 0, 0], False),
+        ([0, 0.301, 0, 0, 0, 0], True),
+        ([0] * 5 + [0.53], True),
+    ):
         T_WC = frame.T_WC @ se3.exp(torch.tensor(moved, dtype=torch.float32))
         assert mapper.is_next_keyframe(dataclasses.replace(frame, T_WC=T_WC)) == expected
 
 
 def test_looking_again_adds_few_keyframes_and_few_gaussians(run, monkeypatch):
-    """The same walk back and forth: numbers after the first walk and at the end, and where nothing counts as seen."""
+    """The same walk back and forth: numbers after the first walk and at the end, and where nothing
+    counts as seen."""
     frames = list(run.sequence.mapping)[:24]
     monkeypatch.setattr(tsdf_mapping, "LATEST", 3)
 
@@ -132,7 +187,11 @@ def test_looking_again_adds_few_keyframes_and_few_gaussians(run, monkeypatch):
         mapper, found = make_mapper(run.mapper.config), []
         for walk in (frames, frames[::-1], frames, frames[::-1]):
             for frame in walk:
-                mapper.step(dataclasses.replace(frame, index=mapper.n_frames, timestamp_s=float(mapper.n_frames)))
+                mapper.step(
+                    dataclasses.replace(
+                        frame, index=mapper.n_frames, timestamp_s=float(mapper.n_frames)
+                    )
+                )
             found.append((len(mapper.keyframes), len(mapper.gaussians)))
         return [found[0], found[-1]]
 
@@ -149,15 +208,27 @@ def test_holes_are_filled_black_or_without_weight():
     rgb, depth_m = torch.full((8, 12, 3), 0.6), torch.full((8, 12), 2.0)
     rgb[2:5, 3:7], depth_m[2:5, 3:7] = 0.0, 0.0
     hole = depth_m == 0
-    views = {holes: base_view(rgb, depth_m, (8, 12), holes, 0.1) for holes in ("filled", "black", "gaussians")}
+    views = {
+        holes: base_view(rgb, depth_m, (8, 12), holes, 0.1)
+        for holes in ("filled", "black", "gaussians")
+    }
     assert all(torch.equal(view.base.depth_m, depth_m) for view in views.values())
-    torch.testing.assert_close(views["filled"].base.rgb, torch.full((8, 12, 3), 0.6))
+    torch.testing.assert_close(
+        views["filled"].base.rgb,
+        torch.full((8, 12, 3), 0.6),
+    )
     torch.testing.assert_close(views["black"].depth_everywhere_m, torch.full((8, 12), 2.0))
     assert not views["black"].base.rgb[hole].any()
     assert not views["gaussians"].base.weight[hole].any()
     assert views["black"].base.weight.all()
     assert views["gaussians"].base.weight[~hole].all()
-    nothing = base_view(torch.zeros(8, 12, 3), torch.zeros(8, 12), (8, 12), "filled", 0.1)
+    nothing = base_view(
+        torch.zeros(8, 12, 3),
+        torch.zeros(8, 12),
+        (8, 12),
+        "filled",
+        0.1,
+    )
     assert not nothing.base.rgb.any()
 
 
@@ -167,7 +238,12 @@ def test_a_disturbed_pose_is_found_again_though_the_surface_has_no_gradient(run)
     for axis in (0, 1, 5):
         xi = torch.zeros(6)
         xi[axis] = 0.01
-        fit = fit_pose_by_flow(mapper.render, frame.camera, picture, frame.T_WC @ se3.exp(xi))
+        fit = fit_pose_by_flow(
+            mapper.render,
+            frame.camera,
+            picture,
+            frame.T_WC @ se3.exp(xi),
+        )
         assert fit.mse_after < 0.1 * fit.mse_before
         turned, moved = se3.log(se3.inverse(frame.T_WC) @ fit.T_WC).split(3)[::-1]
         assert float((turned**2).sum() + (moved**2).sum()) < float((xi**2).sum())

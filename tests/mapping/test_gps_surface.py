@@ -20,10 +20,18 @@ ROOM: dict[str, Any] = {"n_frames": 480, "width": 80, "height": 60}
 def run(tmp_path_factory) -> FinishedRun:
     """Few pixels, so more of them are seeded than usual."""
     config = gps_slam(
-        "room", data__width=0, data__height=0, data__stop=14, data__hold_out_every=0, tsdf__voxel_size_m=0.03,
-        final__passes=0, seeding__options={"colour_error": 0.03, "share": 0.25, "max_weight": 1.0, "in_holes": True},
-    )  # fmt: skip
-    return run_mapping("room", config, folder=tmp_path_factory.mktemp("baked") / "run", evaluate=False, **ROOM)
+        "room",
+        data__width=0,
+        data__height=0,
+        data__stop=14,
+        data__hold_out_every=0,
+        tsdf__voxel_size_m=0.03,
+        final__passes=0,
+        seeding__options={"colour_error": 0.03, "share": 0.25, "max_weight": 1.0, "in_holes": True},
+    )
+    return run_mapping(
+        "room", config, folder=tmp_path_factory.mktemp("baked") / "run", evaluate=False, **ROOM
+    )
 
 
 def test_the_discs_show_the_surface_and_a_fit_shows_it_better(run):
@@ -36,7 +44,10 @@ def test_the_discs_show_the_surface_and_a_fit_shows_it_better(run):
     seen = wanted.sum(-1) > 0
 
     def db(params):
-        return psnr(render(params, CAMERA, poses[3]).rgb[seen][None], wanted[seen][None])
+        return psnr(
+            render(params, CAMERA, poses[3]).rgb[seen][None],
+            wanted[seen][None],
+        )
 
     plain = db(rows)
     assert plain > db(mapper.gaussians.params) + 5
@@ -62,5 +73,9 @@ def test_discs_lie_flat_on_the_mesh(run):
     discs = surface_discs(mesh, 0.03)
     assert 0.2 * len(mesh.vertices_W) < len(discs) < len(mesh.vertices_W)
     assert discs.log_scale[:, 2].max() < discs.log_scale[:, 0].min()
-    empty = Mesh(vertices_W=torch.zeros(0, 3), faces=torch.zeros(0, 3, dtype=torch.int32), rgb=torch.zeros(0, 3))
+    empty = Mesh(
+        vertices_W=torch.zeros(0, 3),
+        faces=torch.zeros(0, 3, dtype=torch.int32),
+        rgb=torch.zeros(0, 3),
+    )
     assert len(surface_discs(empty, 0.03)) == 0

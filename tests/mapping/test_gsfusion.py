@@ -22,7 +22,9 @@ def test_maps_a_room_and_global_optimisation_improves_it(split, config):
     first = reports[0]
     assert first.is_keyframe
     assert first.n_seeds == first.n_gaussians > config.keyframe_min_seeds
-    assert [r.n_gaussians for r in reports] == torch.tensor([r.n_seeds for r in reports]).cumsum(0).tolist()
+    assert [r.n_gaussians for r in reports] == torch.tensor([r.n_seeds for r in reports]).cumsum(
+        0
+    ).tolist()
     assert sum(r.is_keyframe for r in reports) == len(mapper.keyframes)
     assert all(r.psnr_after_db > r.psnr_before_db for r in reports if r.is_keyframe)
     assert set(first.seconds) == {"tracking", "tsdf", "quadtree", "seeding", "optimise"}
@@ -36,7 +38,11 @@ def test_maps_a_room_and_global_optimisation_improves_it(split, config):
 
 def test_steps_per_frame_follow_the_paper(split, config):
     """m on a keyframe, n on another frame, random revisits only on the latter (III-B.3)."""
-    optim = {"optim__keyframe_iterations": 4, "optim__frame_iterations": 2, "optim__random_keyframe_iterations": 3}
+    optim = {
+        "optim__keyframe_iterations": 4,
+        "optim__frame_iterations": 2,
+        "optim__random_keyframe_iterations": 3,
+    }
     mapper = GSFusion(replace(config, **optim, keyframe_min_seeds=30))
     steps_before = 0
     kinds = set()
@@ -63,10 +69,15 @@ def test_a_camera_that_sees_nothing_new_makes_keyframes_too(split, config):
 
 def test_a_voxel_holds_at_most_one_gaussian(split, config):
     """Nothing moves here, so the voxels of the map are those of the seeds."""
-    still = {f"optim__{name}": 0 for name in ("keyframe_iterations", "frame_iterations", "random_keyframe_iterations")}
+    still = {
+        f"optim__{name}": 0
+        for name in ("keyframe_iterations", "frame_iterations", "random_keyframe_iterations")
+    }
     counts = {}
     for single in (False, True):
-        mapper = GSFusion(replace(config, **still, tsdf__voxel_size_m=0.15, seeding__one_per_voxel=single))
+        mapper = GSFusion(
+            replace(config, **still, tsdf__voxel_size_m=0.15, seeding__one_per_voxel=single)
+        )
         for frame in split.mapping:
             mapper.step(frame)
         voxels = mapper.seed_context(frame).voxel_index(mapper.gaussians.params.xyz_W)
@@ -86,7 +97,9 @@ def test_same_seed_same_map_and_state_goes_on_where_it_was(split, config):
     for frame in frames[4:]:
         resumed.step(frame)
     for name in ("xyz_W", "sh", "opacity_logit"):
-        assert torch.equal(getattr(whole.gaussians.params, name), getattr(resumed.gaussians.params, name))
+        assert torch.equal(
+            getattr(whole.gaussians.params, name), getattr(resumed.gaussians.params, name)
+        )
     assert torch.equal(whole.volume.W, resumed.volume.W)
 
 
@@ -105,13 +118,18 @@ def test_a_depth_loss_brings_the_rendered_depth_closer(split, config):
 
 
 def test_a_rule_for_keyframes_needs_keyframes_that_do_not_depend_on_its_seeds(config):
-    assert GSFusion(replace(config, keyframe_every=5), seeding="monogs").rule_in_use.when.only_keyframes
-    with pytest.raises(ValueError, match=r"'monogs' is asked in keyframes only, .* set keyframe_every, such as 5"):
+    assert GSFusion(
+        replace(config, keyframe_every=5), seeding="monogs"
+    ).rule_in_use.when.only_keyframes
+    with pytest.raises(
+        ValueError, match=r"'monogs' is asked in keyframes only, .* set keyframe_every, such as 5"
+    ):
         GSFusion(replace(config, keyframe_every=0), seeding="monogs")
 
 
 def test_a_map_with_hardly_any_gaussians_says_why(small_room):
-    """At 80x60 the published threshold cuts almost nothing; both settings that are named then do."""
+    """At 80x60 the published threshold cuts almost nothing; both settings that are named then
+    do."""
 
     def mapped(**changes) -> MappingRun:
         config = gsfusion("replica", data__stop=14, optim__global_iterations=1, **changes)
@@ -127,7 +145,10 @@ def test_a_map_with_hardly_any_gaussians_says_why(small_room):
     late = run.mapper.run_notes(run.steps)
     for said in (early[0], late[0]):
         assert "no frame added more than 50 (keyframe_min_seeds)" in said
-        assert "at 80 x 60 pixels the quadtree cuts only cells whose colours vary by 43 of 255 or more" in said
+        assert (
+            "at 80 x 60 pixels the quadtree cuts only cells whose colours vary by 43 of 255 or more"
+            in said
+        )
         assert "--seeding.quadtree-threshold 0.00059" in said
     for change in ({"seeding__quadtree_contrast": "std"}, {"seeding__quadtree_threshold": 0.00059}):
         better = mapped(**change)

@@ -26,14 +26,20 @@ from gsfusion_nb.types import Camera, Frame
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
 def test_a_jump_in_a_real_recording_is_noticed_and_the_way_back_is_found(shared_sequence, system):
     """Frames 16 to 39 are missing; a fit a metre away passes all limits, but looks different."""
-    sequence = open_sequence(shared_sequence("redkitchen_mini48"), data=DataConfig(hold_out_every=0)).mapping
-    mapper = make_mapper(replace(get_system(system).preset("replica"), tracking__poses="tracked"), device="cpu")
+    sequence = open_sequence(
+        shared_sequence("redkitchen_mini48"), data=DataConfig(hold_out_every=0)
+    ).mapping
+    mapper = make_mapper(
+        replace(get_system(system).preset("replica"), tracking__poses="tracked"), device="cpu"
+    )
     lost, off_m = [], []
     for k, i in enumerate([*range(16), 40, 42, 30, 28, 26]):
         frame = dataclasses.replace(sequence[i], index=k, timestamp_s=k / 30)
         try:
             mapper.step(frame)
-            off_m.append(float(se3.motion(mapper.localiser.poses[-1].double(), frame.T_WC.double())[1]))
+            off_m.append(
+                float(se3.motion(mapper.localiser.poses[-1].double(), frame.T_WC.double())[1])
+            )
         except BadFrameError:
             lost.append(i)
     assert lost == [40, 42]
@@ -51,18 +57,30 @@ FAR = [
 @pytest.mark.parametrize(("seconds", "frames", "most_m", "most_deg"), FAR)
 def test_what_a_camera_can_move_grows_with_frames_and_with_time(seconds, frames, most_m, most_deg):
     stand = {"index": 7, "timestamp_s": 100.0, "T_WC": torch.eye(4)}
-    camera = Camera(width=2, height=2, fx=1.0, fy=1.0, cx=1.0, cy=1.0)
+    camera = Camera(
+        width=2,
+        height=2,
+        fx=1.0,
+        fy=1.0,
+        cx=1.0,
+        cy=1.0,
+    )
 
     def said(moved_m, turned_deg, at=100.0 + seconds):
         xi = torch.tensor([0.0, 0.0, 0.0, 0.0, math.radians(turned_deg), 0.0])
         T_WC = se3.exp(xi)
         T_WC[0, 3] = moved_m
         images: dict[str, Any] = {"rgb": torch.zeros(2, 2, 3), "depth_m": torch.ones(2, 2)}
-        return jump_from(stand, Frame(index=7 + frames, timestamp_s=at, camera=camera, T_WC=T_WC, **images))
+        return jump_from(
+            stand,
+            Frame(index=7 + frames, timestamp_s=at, camera=camera, T_WC=T_WC, **images),
+        )
 
     assert said(0.99 * most_m, 0.0) == ""
     assert f"{1.01 * most_m:.3g} m" in said(1.01 * most_m, 0.0)
     if most_deg < 175:
         assert said(0.0, 0.99 * most_deg) == ""
         assert "degrees" in said(0.0, 1.01 * most_deg)
-    assert said(0.99 * frames * FARTHEST_STEP_M, 0.0, at=50.0) == ""  # a clock that goes back counts no time
+    assert (
+        said(0.99 * frames * FARTHEST_STEP_M, 0.0, at=50.0) == ""
+    )  # a clock that goes back counts no time

@@ -1,4 +1,5 @@
-"""Maps of which a view shows a part: rows that lie out of view for long, and the steps that they miss."""
+"""Maps of which a view shows a part: rows that lie out of view for long, and the steps that they
+miss."""
 
 import copy
 import dataclasses
@@ -21,8 +22,17 @@ APART_M = 25.0
 """From one place to the next: no camera sees two of them."""
 
 QUICK = {
-    "gsfusion": {"tsdf__voxel_size_m": 0.08, "optim__random_keyframe_iterations": 1, "optim__global_iterations": 1},
-    "rtg_slam": {"window__every_frames": 2, "window__iterations": 4, "keyframes__iterations": 2, "final__passes": 1},
+    "gsfusion": {
+        "tsdf__voxel_size_m": 0.08,
+        "optim__random_keyframe_iterations": 1,
+        "optim__global_iterations": 1,
+    },
+    "rtg_slam": {
+        "window__every_frames": 2,
+        "window__iterations": 4,
+        "keyframes__iterations": 2,
+        "final__passes": 1,
+    },
     "gps_slam": {
         "tsdf__voxel_size_m": 0.08,
         "schedule__every_frames": 2,
@@ -30,7 +40,8 @@ QUICK = {
         "final__passes": 2,
     },
 }
-"""Short rounds; the rule of ``settings`` is asked in every frame, so a few frames hold several rounds."""
+"""Short rounds; the rule of ``settings`` is asked in every frame, so a few frames hold several
+rounds."""
 
 
 HERE_ONLY = {
@@ -95,20 +106,31 @@ def test_rows_that_lie_out_of_view_for_long_stay_finite(system, fidelity, small_
 @pytest.mark.slow
 @pytest.mark.parametrize(("system", "fidelity"), FOLLOWED)
 def test_a_long_walk_through_three_places_stays_finite(system, fidelity, small_room):
-    """With the steps of the fidelity and the system's own rule; 10 frames are a round of GPS-SLAM."""
+    """With the steps of the fidelity and the system's own rule; 10 frames are a round of
+    GPS-SLAM."""
     coarse = {"tsdf__voxel_size_m": 0.04} if hasattr(SYSTEMS[system].config_type(), "tsdf") else {}
     config = replace(SYSTEMS[system].preset("room", fidelity), **coarse, tracking__pose_jumps="map")
-    mapper = mapped(config, small_room, places=(0, 1, 2, 1, 2, 0, 1), n=12)
+    mapper = mapped(
+        config,
+        small_room,
+        places=(0, 1, 2, 1, 2, 0, 1),
+        n=12,
+    )
     assert mapper.lost.total == 0
     assert bool(finite_rows(mapper.gaussians.params).all())
 
 
 @pytest.fixture
 def half_stepped(small_room):
-    """Of each system with Adam on rows of the map: a map of two places, of which the first misses steps."""
+    """Of each system with Adam on rows of the map: a map of two places, of which the first misses
+    steps."""
 
     def make(system):
-        mapper = mapped(settings(system, "measured", **HERE_ONLY[system]), small_room, (0, 1))
+        mapper = mapped(
+            settings(system, "measured", **HERE_ONLY[system]),
+            small_room,
+            (0, 1),
+        )
         assert missing(mapper) > 0
         finished = copy.deepcopy(mapper.gaussians)
         take_missed_steps(finished, mapper.row_optim)
@@ -119,7 +141,9 @@ def half_stepped(small_room):
 
 
 @pytest.mark.parametrize("system", ["gsfusion", "gps_slam"])
-def test_what_is_shown_written_or_given_to_a_rule_has_the_missed_steps(system, half_stepped, small_room, same):
+def test_what_is_shown_written_or_given_to_a_rule_has_the_missed_steps(
+    system, half_stepped, small_room, same
+):
     mapper, finished = half_stepped(system)
     before = mapper.state_dict()
     frame = next(walk([small_room[0]], [0], 1))
@@ -162,13 +186,19 @@ def test_the_files_of_a_run_hold_the_map_without_missed_steps(system, tmp_path):
     assert run.metrics["n_not_finite"] == 0
     assert missing(mapper) == 0
     for name in ("xyz_W", "log_scale", "opacity_logit"):
-        torch.testing.assert_close(getattr(stored, name), getattr(mapper.gaussians.params, name), atol=1e-6, rtol=1e-6)
+        torch.testing.assert_close(
+            getattr(stored, name),
+            getattr(mapper.gaussians.params, name),
+            atol=1e-6,
+            rtol=1e-6,
+        )
     if system == "rtg_slam":
         assert int(mapper._final.adam.clock.missed.sum()) == 0
 
 
 def test_discs_have_their_missed_steps_between_two_passes(small_room):
-    """RTG-SLAM's passes step the discs in view; the others catch up when they are drawn or written."""
+    """RTG-SLAM's passes step the discs in view; the others catch up when they are drawn or
+    written."""
     mapper = mapped(settings("rtg_slam", "code"), small_room, (0, 1))
     steps = mapper.global_optimise(2)
     next(steps)
@@ -185,7 +215,10 @@ def test_discs_have_their_missed_steps_between_two_passes(small_room):
         assert torch.equal(getattr(mapper.gaussians.params, name), column)
 
 
-@pytest.mark.parametrize(("system", "fidelity"), [("gsfusion", "code"), ("gps_slam", "code"), ("gps_slam", "paper")])
+@pytest.mark.parametrize(
+    ("system", "fidelity"),
+    [("gsfusion", "code"), ("gps_slam", "code"), ("gps_slam", "paper")],
+)
 def test_three_places_by_view_are_those_of_the_whole_map(system, fidelity, small_room, monkeypatch):
     maps, shares, part_in_view = [], [], Mapper.part_in_view
 
@@ -199,13 +232,19 @@ def test_three_places_by_view_are_those_of_the_whole_map(system, fidelity, small
     for whole_below in (10**9, 0):
         monkeypatch.setattr(in_view, "WHOLE_BELOW", whole_below)
         shares.clear()
-        mapper = mapped(settings(system, fidelity, **HERE_ONLY[system]), small_room, (0, 1, 2, 0))
+        mapper = mapped(
+            settings(system, fidelity, **HERE_ONLY[system]),
+            small_room,
+            (0, 1, 2, 0),
+        )
         assert mapper.config.all_in_view
         assert (min(shares) < 0.6) == (whole_below == 0)
         maps.append(mapper)
     assert len(maps[0].gaussians) == len(maps[1].gaussians)
     whole, by_view = (mapper.params_now() for mapper in maps)
-    for name, column in vars(whole).items():  # Adam makes the sign of a gradient of nearly 0 a whole step
+    for name, column in vars(
+        whole
+    ).items():  # Adam makes the sign of a gradient of nearly 0 a whole step
         assert float((column - getattr(by_view, name)).abs().mean()) < 1e-5, name
     for frame in walk([small_room[1]], (0, 1, 2), 1):
         pictures = [mapper.render(frame.camera, frame.T_WC).rgb for mapper in maps]
@@ -234,7 +273,11 @@ def test_gaussians_that_become_nan_are_counted_and_said_once(system, small_room,
 
     monkeypatch.setattr(VJPS[system], vjp)
     mapper, told, counted = make_mapper(settings(system, "measured")), [], []
-    for frame in walk([small_room[i] for i in range(6)], [0], 6):
+    for frame in walk(
+        [small_room[i] for i in range(6)],
+        [0],
+        6,
+    ):
         broken[:] = [1] if frame.index in (3, 5) else []
         report = mapper.step(frame)
         counted.append(report.n_not_finite)
@@ -243,7 +286,9 @@ def test_gaussians_that_become_nan_are_counted_and_said_once(system, small_room,
     assert [n > 0 for n in counted] == [False] * 3 + [True, False, True]
     said = [sentence for sentence in told if "NaN" in sentence]
     assert len(said) == 1
-    assert said[0].startswith(f"frame 3: {counted[3]} Gaussians became NaN or infinite in gradient steps and were")
+    assert said[0].startswith(
+        f"frame 3: {counted[3]} Gaussians became NaN or infinite in gradient steps and were"
+    )
     assert mapper.lost.total == sum(counted)
     again = type(mapper).from_state_dict(mapper.state_dict())
     assert again.lost.total == sum(counted)
@@ -251,5 +296,7 @@ def test_gaussians_that_become_nan_are_counted_and_said_once(system, small_room,
     run = MappingRun(apply_options(small_room, mapper.config.data), mapper)
     list(run.optimise())
     assert mapper.lost.total > sum(counted)
-    assert [w.partition(":")[0] for w in run.warnings if "NaN" in w] == ["pass 1 over the keyframes"]
+    assert [w.partition(":")[0] for w in run.warnings if "NaN" in w] == [
+        "pass 1 over the keyframes"
+    ]
     assert bool(finite_rows(mapper.gaussians.params).all())

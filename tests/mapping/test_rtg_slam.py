@@ -1,4 +1,5 @@
-"""The RTG-SLAM mapper on the first frames of a slow walk through the room, and on made-up frames."""
+"""The RTG-SLAM mapper on the first frames of a slow walk through the room, and on made-up
+frames."""
 
 import copy
 import math
@@ -41,13 +42,19 @@ def mapped(walk) -> tuple[RTGSLAM, list[StepReport]]:
     return mapper, [mapper.step(frame) for frame in walk]
 
 
-def run(frames: list[Frame], config: RtgSlamConfig, **options: Any) -> tuple[RTGSLAM, list[StepReport]]:
+def run(
+    frames: list[Frame], config: RtgSlamConfig, **options: Any
+) -> tuple[RTGSLAM, list[StepReport]]:
     mapper = RTGSLAM(config, **options)
     return mapper, [mapper.step(frame) for frame in frames]
 
 
 def quick(fidelity: str = "measured", **overrides: Any) -> RtgSlamConfig:
-    return rtg_slam("room", fidelity, **QUICK | {"states__stable_confidence": STABLE_AFTER[fidelity]} | overrides)
+    return rtg_slam(
+        "room",
+        fidelity,
+        **QUICK | {"states__stable_confidence": STABLE_AFTER[fidelity]} | overrides,
+    )
 
 
 def rows(mapper: RTGSLAM) -> dict[str, torch.Tensor]:
@@ -80,7 +87,9 @@ def test_a_long_walk_has_as_many_views_in_the_mesh_as_it_needs(mapped, walk, mon
     assert mapper.mesh_share == 1.0
     fused = []
     monkeypatch.setattr(rtg_slam_module, "MESH_VIEWS", 1)  # as if the walk were 60 times as long
-    monkeypatch.setattr(rtg_slam_module, "integrate", lambda *given: fused.append(integrate(*given)))
+    monkeypatch.setattr(
+        rtg_slam_module, "integrate", lambda *given: fused.append(integrate(*given))
+    )
     few_views = mapper.mesh()
     assert 2 <= len(fused) < len(walk) / 2  # by its number alone it would be one
     assert mapper.mesh_share > 0.95
@@ -139,7 +148,10 @@ def test_a_keyframe_may_take_the_place_of_the_window(small_walk, monkeypatch):
     every: Any = {"window__every_frames": 2, "window__iterations": 7}
     assert optimised_frames(quick(**every), small_walk[:6]) == [0, 1, 3, 5]
     replaced = quick(**every, keyframes__instead_of_window=True)
-    assert optimised_frames(replaced, small_walk[:6]) == [0, 1]  # 14 steps > 12: stable after frame 1
+    assert optimised_frames(replaced, small_walk[:6]) == [
+        0,
+        1,
+    ]  # 14 steps > 12: stable after frame 1
     slow = replace(replaced, states__stable_confidence=1000.0)
     assert optimised_frames(slow, small_walk[:6]) == [0, 1, 3, 5]
 
@@ -150,7 +162,9 @@ def test_the_end_of_a_scan(small_walk):
     centres = mapper.gaussians.params.xyz_W.clone()
 
     def quality() -> float:
-        return sum(float(psnr(mapper.render(k.camera, k.T_WC).rgb, k.rgb)) for k in keyframes) / len(keyframes)
+        return sum(
+            float(psnr(mapper.render(k.camera, k.T_WC).rgb, k.rgb)) for k in keyframes
+        ) / len(keyframes)
 
     before = quality()
     steps = list(mapper.global_optimise(4))

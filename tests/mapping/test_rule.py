@@ -1,4 +1,5 @@
-"""The rule of a mapper: its options, its state, when it is asked, and the settings that it brings."""
+"""The rule of a mapper: its options, its state, when it is asked, and the settings that it
+brings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -35,14 +36,19 @@ def every_nth(ctx: SeedContext, *, nth: int = 3) -> Seeds:
 
 def test_the_settings_hold_the_rule_and_the_options_in_use(config):
     mapper = GSFusion(replace(config, seeding__options={"fraction": 0.1}), seeding="uniform")
-    assert (mapper.config.seeding.rule, mapper.config.seeding.options) == ("uniform", {"fraction": 0.1})
+    assert (mapper.config.seeding.rule, mapper.config.seeding.options) == (
+        "uniform",
+        {"fraction": 0.1},
+    )
     own = rtg_slam("room")
     assert own.seeding.options  # for its own rule
     assert RTGSLAM(own, seeding=every_nth).config.seeding.options == {}
     given = replace(own, seeding__options={"nth": 5})
     assert RTGSLAM(given, seeding=every_nth).config.seeding.options == {"nth": 5}
     neither = replace(own, seeding__options={"speed": 5})
-    assert settings_with_rule(neither, every_nth).seeding.options == {"speed": 5}  # refused by the first frame
+    assert settings_with_rule(neither, every_nth).seeding.options == {
+        "speed": 5
+    }  # refused by the first frame
     assert settings_with_rule(own, get_rule("rtg_slam")) == own
 
 
@@ -82,7 +88,9 @@ def test_a_rule_that_keeps_something_cannot_be_resumed(config, frames):
     fresh = mapper.state_dict()
     mapper.step(frames[0])
     assert fresh["rule"]["fingerprint"] == mapper.state_dict()["rule"]["fingerprint"]
-    with pytest.raises(ValueError, match="'fewer_each_time' stores something from one frame to the next"):
+    with pytest.raises(
+        ValueError, match="'fewer_each_time' stores something from one frame to the next"
+    ):
         GSFusion.from_state_dict(mapper.state_dict(), seeding=fewer_each_time)
 
 
@@ -141,7 +149,10 @@ class Remembering(MapRule):
 
 
 @pytest.mark.parametrize("system", [GSFusion, RTGSLAM])
-@pytest.mark.parametrize(("when", "asked"), [(every(2), [0, 2]), (submaps(3), [0, 3])])
+@pytest.mark.parametrize(
+    ("when", "asked"),
+    [(every(2), [0, 2]), (submaps(3), [0, 3])],
+)
 def test_a_rule_is_asked_only_when_it_is_due(system, when, asked, walk, config):
     settings = config if system is GSFusion else small_rtg_slam()
     mapper = make_mapper(settings, seeding=rule_due(when))
@@ -227,11 +238,16 @@ def test_what_the_user_and_a_data_set_set_counts_more_than_the_rule_and_a_fideli
     used = settings_with_rule(gsfusion("room", keyframe_every=3, optim__lr_xyz=1.6e-4), rule)
     assert (used.keyframe_every, used.optim.lr_xyz, used.optim.frame_iterations) == (3, 1.6e-4, 7)
     assert settings_with_rule(gsfusion("tum"), rule).optim.frame_iterations == 7
-    assert settings_with_rule(gsfusion("tum", "code"), rule).optim.frame_iterations == 5  # published for TUM
+    assert (
+        settings_with_rule(gsfusion("tum", "code"), rule).optim.frame_iterations == 5
+    )  # published for TUM
     rule = bringing(window__lr_sh_dc=1e-4, keyframe_every=5)
     for fidelity in ("measured", "paper", "code"):
         assert RTGSLAM(rtg_slam("room", fidelity), seeding=rule).config.window.lr_sh_dc == 1e-4
-    assert RTGSLAM(rtg_slam("room", window__lr_sh_dc=2e-3), seeding=rule).config.window.lr_sh_dc == 2e-3
+    assert (
+        RTGSLAM(rtg_slam("room", window__lr_sh_dc=2e-3), seeding=rule).config.window.lr_sh_dc
+        == 2e-3
+    )
 
 
 @pytest.mark.parametrize(
@@ -251,7 +267,10 @@ def test_a_setting_that_cannot_be_brought_is_named(overrides, name):
         GSFusion(GSFusionConfig(), seeding=bringing(**overrides))
 
 
-@pytest.mark.parametrize(("stride", "used"), [(1, 5), (2, 2), (6, 1)])
+@pytest.mark.parametrize(
+    ("stride", "used"),
+    [(1, 5), (2, 2), (6, 1)],
+)
 def test_a_rules_own_interval_of_keyframes_counts_frames_of_the_recording(stride, used):
     rule = bringing(keyframe_every=5)
     found = settings_with_rule(gsfusion("room", data__stride=stride), rule)

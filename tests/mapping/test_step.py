@@ -10,7 +10,14 @@ import torch
 
 from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.data import BadFrameError, apply_options
-from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, FrameUndone, GSFusion, HalfMappedError, make_mapper
+from gsfusion_nb.mapping import (
+    GPSSLAM,
+    RTGSLAM,
+    FrameUndone,
+    GSFusion,
+    HalfMappedError,
+    make_mapper,
+)
 from gsfusion_nb.mapping.step import BLACK, FrameGuard, check_frame
 from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun
@@ -46,7 +53,9 @@ def settings(system, config, poses="given"):
     tracking = {"poses": poses, "back_end": False}
     if system == "gps_slam":
         schedule = {"every_frames": 2, "window_every": 2, "iterations": 4}
-        return gps_slam("room", data=data, tracking=tracking, schedule=schedule, tsdf__voxel_size_m=0.04)
+        return gps_slam(
+            "room", data=data, tracking=tracking, schedule=schedule, tsdf__voxel_size_m=0.04
+        )
     return rtg_slam("room", data=data, tracking=tracking)
 
 
@@ -57,7 +66,9 @@ def maps_of(mapper) -> dict[str, Any]:
 
 @pytest.mark.parametrize("poses", POSES)
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_a_rule_that_fails_changes_nothing_and_the_frame_can_be_given_again(system, poses, small_room, config, same):
+def test_a_rule_that_fails_changes_nothing_and_the_frame_can_be_given_again(
+    system, poses, small_room, config, same
+):
     config = settings(system, config, poses)
     frames = list(apply_options(small_room, config.data).mapping)[:6]
     rules = [Breaking(at=frames[3].index), Breaking(at=10**6)]
@@ -127,7 +138,9 @@ def test_the_view_before_fusing_finds_what_is_there_after(small_room, config, ge
 
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_a_map_with_half_a_frame_takes_no_more(system, small_room, config, monkeypatch):
-    mapper: Any = {"gsfusion": GSFusion, "rtg_slam": RTGSLAM, "gps_slam": GPSSLAM}[system](settings(system, config))
+    mapper: Any = {"gsfusion": GSFusion, "rtg_slam": RTGSLAM, "gps_slam": GPSSLAM}[system](
+        settings(system, config)
+    )
     mapper.step(small_room[0])
 
     def full(*_):
@@ -137,11 +150,15 @@ def test_a_map_with_half_a_frame_takes_no_more(system, small_room, config, monke
     with pytest.raises(MemoryError, match="no room"):
         mapper.step(small_room[1])
     monkeypatch.undo()
-    with pytest.raises(HalfMappedError, match=r"frame 1 was only half mapped \(MemoryError: no room\)"):
+    with pytest.raises(
+        HalfMappedError, match=r"frame 1 was only half mapped \(MemoryError: no room\)"
+    ):
         mapper.step(small_room[1])
 
 
-def test_ctrl_c_while_the_map_changes_waits_until_the_frame_is_counted(small_room, config, monkeypatch, same):
+def test_ctrl_c_while_the_map_changes_waits_until_the_frame_is_counted(
+    small_room, config, monkeypatch, same
+):
     run = MappingRun(apply_options(small_room, config.data), GSFusion(config))
     step = GSFusion._optimise_online
 
@@ -189,12 +206,24 @@ def test_a_good_frame_comes_back():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"T_WC": torch.diag(torch.tensor([-1.0, 1, 1, 1]))}, "T_WC of frame 7 must be rigid: .* mirrors the world"),
+        (
+            {"T_WC": torch.diag(torch.tensor([-1.0, 1, 1, 1]))},
+            "T_WC of frame 7 must be rigid: .* mirrors the world",
+        ),
         ({"T_WC": torch.full((4, 4), torch.nan)}, "T_WC of frame 7 must be finite"),
-        ({"T_WC": shifted(1e6)}, r"T_WC of frame 7 must be within 10 km of the origin, got \(0, 1e\+06, 0\) m"),
+        (
+            {"T_WC": shifted(1e6)},
+            r"T_WC of frame 7 must be within 10 km of the origin, got \(0, 1e\+06, 0\) m",
+        ),
         ({"T_WC": shifted(1e30)}, "T_WC of frame 7 must be within 10 km of the origin"),
-        ({"camera": dataclasses.replace(GOOD.camera, fx=1e12)}, "its camera: fx must be between 0.2 and 400"),
-        ({"camera": dataclasses.replace(GOOD.camera, cx=-500.0)}, "its camera: cx must be between -4 and 8"),
+        (
+            {"camera": dataclasses.replace(GOOD.camera, fx=1e12)},
+            "its camera: fx must be between 0.2 and 400",
+        ),
+        (
+            {"camera": dataclasses.replace(GOOD.camera, cx=-500.0)},
+            "its camera: cx must be between -4 and 8",
+        ),
         ({"depth_m": torch.full((3, 4), torch.inf)}, "depth_m of frame 7 must be finite"),
         ({"rgb": torch.full((3, 4, 3), torch.nan)}, "rgb of frame 7 must be finite"),
         ({"rgb": torch.full((3, 4, 3), 128.0)}, r"rgb of frame 7 must be in 0\.\.1, got 128"),
@@ -236,7 +265,10 @@ def test_what_fails_before_the_changes_leaves_the_guard_open():
     assert guard.half_mapped == ""
     with pytest.raises(MemoryError, match="no room"):
         mapped(guard, 2, guard.changes_begin, fails(MemoryError("no room")))
-    with pytest.raises(HalfMappedError, match=r"frame 2 was only half mapped \(MemoryError: no room\); this map takes"):
+    with pytest.raises(
+        HalfMappedError,
+        match=r"frame 2 was only half mapped \(MemoryError: no room\); this map takes",
+    ):
         mapped(guard, 3)
 
 
@@ -258,7 +290,14 @@ def test_a_frame_is_undone_once_and_only_until_its_changes_stay():
         mapped(guard, 1, stop, begin, stop)  # at first there is nothing to undo
     assert done == ["undone", True]
     assert guard.half_mapped == ""
-    mapped(guard, 2, begin, guard.changes_stay, stop, lambda: done.append(guard.undo()))
+    mapped(
+        guard,
+        2,
+        begin,
+        guard.changes_stay,
+        stop,
+        lambda: done.append(guard.undo()),
+    )
     mapped(guard, 3, lambda: done.append(guard.undo()))  # nothing has changed
     assert done == ["undone", True, False, True]
 

@@ -1,4 +1,5 @@
-"""The gradient that is applied is that of the printed loss; what is frozen stays; transparent rows are held."""
+"""The gradient that is applied is that of the printed loss; what is frozen stays; transparent rows
+are held."""
 
 import dataclasses
 
@@ -14,7 +15,14 @@ from gsfusion_nb.mapping.surfel_optimiser import WEIGHT_DEPTH, SurfelOptimiser, 
 from gsfusion_nb.render import disc_depth, render_forward
 from gsfusion_nb.types import Camera, GaussianParams, Seeds
 
-CAMERA = Camera(width=24, height=18, fx=22.0, fy=22.0, cx=12.0, cy=9.0)
+CAMERA = Camera(
+    width=24,
+    height=18,
+    fx=22.0,
+    fy=22.0,
+    cx=12.0,
+    cy=9.0,
+)
 POSE = se3.exp(torch.tensor([0.05, -0.02, 0.1, 0.1, -0.2, 0.05]))
 NAMES = ("xyz_W", "log_scale", "quat", "sh")
 WINDOW = WindowConfig(weight_colour=0.8, depth_behind_m=None)
@@ -27,7 +35,8 @@ def _reference():
 
 
 def scene(generator, n: int = 14) -> SurfelModel:
-    """Leaning discs before the camera, every fourth transparent; all moved away from their anchor."""
+    """Leaning discs before the camera, every fourth transparent; all moved away from their
+    anchor."""
 
     def uniform(*shape: int, low=0.0, high=1.0):
         return low + (high - low) * torch.rand(*shape, generator=generator)
@@ -86,9 +95,11 @@ def when_hit(discs: DiscConfig) -> dict[str, float | None]:
     return {"max_offset": discs.max_offset, "min_cosine": discs.min_cosine}
 
 
-def written_out(params, seen: TrainingView, window: WindowConfig, discs: DiscConfig, hit, known, held, anchor) -> float:
-    """w_c mean |C - C^| + w_d mean |D - D^| + w_reg (MSE(p) + MSE(log s) + MSE(q)) in float64, which pixel hits which
-    disc, and which pixels have a depth loss, held fixed."""
+def written_out(
+    params, seen: TrainingView, window: WindowConfig, discs: DiscConfig, hit, known, held, anchor
+) -> float:
+    """w_c mean |C - C^| + w_d mean |D - D^| + w_reg (MSE(p) + MSE(log s) + MSE(q)) in float64,
+    which pixel hits which disc, and which pixels have a depth loss, held fixed."""
     out, _ = render_forward(params, seen.camera, seen.T_WC, opaque_alpha=discs.opaque_alpha)
     if discs.depth == "disc":
         depth_m = disc_depth(params, seen.camera, seen.T_WC, hit, **when_hit(discs)).depth_m
@@ -96,9 +107,14 @@ def written_out(params, seen: TrainingView, window: WindowConfig, discs: DiscCon
         depth_m = out.depth_m / out.alpha
     colour = (out.rgb - seen.rgb.double())[seen.pixels].abs().mean()
     depth = (depth_m - seen.depth_m.double())[known].abs().mean()
-    regulariser = sum((getattr(params, name)[held] - value.double()).square().mean() for name, value in anchor.items())
+    regulariser = sum(
+        (getattr(params, name)[held] - value.double()).square().mean()
+        for name, value in anchor.items()
+    )
     return float(
-        window.weight_colour * colour + WEIGHT_DEPTH * depth + surfel_optimiser.WEIGHT_REGULARISER * regulariser
+        window.weight_colour * colour
+        + WEIGHT_DEPTH * depth
+        + surfel_optimiser.WEIGHT_REGULARISER * regulariser
     )
 
 
@@ -113,7 +129,9 @@ def test_the_gradient_is_that_of_the_whole_printed_loss(generator, depth):
     start = double(optimiser.params)
     output, _ = render_forward(optimiser.params, CAMERA, POSE, opaque_alpha=discs.opaque_alpha)
     if depth == "disc":
-        rendered_m = disc_depth(optimiser.params, CAMERA, POSE, output.hit_index, **when_hit(discs)).depth_m
+        rendered_m = disc_depth(
+            optimiser.params, CAMERA, POSE, output.hit_index, **when_hit(discs)
+        ).depth_m
     else:
         rendered_m = torch.where(output.alpha >= 0.5, output.depth_m / output.alpha, 0.0)
     known = seen.pixels & (rendered_m > 0) & (seen.depth_m > 0)
@@ -123,7 +141,9 @@ def test_the_gradient_is_that_of_the_whole_printed_loss(generator, depth):
     anchor = {name: value[rows][held] for name, value in model.anchor.items()}
     assert len(held) >= 2
     fixed = (seen, WINDOW, discs, output.hit_index, known, held, anchor)
-    assert loss.total == pytest.approx(written_out(start, *fixed) - _regulariser(start, held, anchor), rel=1e-4)
+    assert loss.total == pytest.approx(
+        written_out(start, *fixed) - _regulariser(start, held, anchor), rel=1e-4
+    )
 
     n, h = int(trained.sum()), 1e-6
     for name in NAMES:
@@ -133,7 +153,9 @@ def test_the_gradient_is_that_of_the_whole_printed_loss(generator, depth):
             direction = torch.zeros_like(value)
             direction[:n] = torch.randn(gradient.shape, generator=generator, dtype=torch.float64)
             ends = [
-                written_out(dataclasses.replace(start, **{name: value + sign * h * direction}), *fixed)
+                written_out(
+                    dataclasses.replace(start, **{name: value + sign * h * direction}), *fixed
+                )
                 for sign in (1, -1)
             ]
             expected = (ends[0] - ends[1]) / (2 * h)
@@ -143,7 +165,10 @@ def test_the_gradient_is_that_of_the_whole_printed_loss(generator, depth):
 
 
 def _regulariser(params, held, anchor) -> float:
-    terms = [(getattr(params, name)[held] - value.double()).square().mean() for name, value in anchor.items()]
+    terms = [
+        (getattr(params, name)[held] - value.double()).square().mean()
+        for name, value in anchor.items()
+    ]
     return surfel_optimiser.WEIGHT_REGULARISER * float(sum(terms))
 
 
@@ -161,7 +186,9 @@ def test_frozen_rows_do_not_move_and_the_map_changes_on_write_back_only(generato
         optimiser.step(seen)
     for name, value in frozen.items():
         assert torch.equal(getattr(optimiser.params, name)[optimiser.n :], value), name
-    assert all(torch.equal(a, b) for a, b in zip(snapshot(model).values(), before.values(), strict=True))
+    assert all(
+        torch.equal(a, b) for a, b in zip(snapshot(model).values(), before.values(), strict=True)
+    )
     optimiser.write_back()
     after = snapshot(model)
     for name in after:
@@ -173,10 +200,14 @@ def test_frozen_rows_do_not_move_and_the_map_changes_on_write_back_only(generato
 
 def test_view_dependent_colour_learns_at_a_twentieth_of_the_base_colour(generator):
     model = scene(generator)
-    optimiser = SurfelOptimiser(model, torch.ones(len(model), dtype=torch.bool), WINDOW, DiscConfig())
+    optimiser = SurfelOptimiser(
+        model, torch.ones(len(model), dtype=torch.bool), WINDOW, DiscConfig()
+    )
     before = optimiser.trained.sh.clone()
     optimiser.step(view(generator))
-    moved = (optimiser.trained.sh - before).abs()  # Adam's first step is the rate, whatever the gradient
+    moved = (
+        optimiser.trained.sh - before
+    ).abs()  # Adam's first step is the rate, whatever the gradient
     assert float(moved[:, 0].max()) == pytest.approx(WINDOW.lr_sh_dc, rel=1e-3)
     assert float(moved[:, 1:].max()) == pytest.approx(WINDOW.lr_sh_dc / 20, rel=1e-2)
 
@@ -185,7 +216,9 @@ def test_view_dependent_colour_learns_at_a_twentieth_of_the_base_colour(generato
 def test_transparent_rows_are_held_by_the_regulariser(generator, weight, monkeypatch):
     model, seen = scene(generator), view(generator)
     monkeypatch.setattr(surfel_optimiser, "WEIGHT_REGULARISER", weight)
-    optimiser = SurfelOptimiser(model, torch.ones(len(model), dtype=torch.bool), WINDOW, DiscConfig())
+    optimiser = SurfelOptimiser(
+        model, torch.ones(len(model), dtype=torch.bool), WINDOW, DiscConfig()
+    )
     clear = model.is_transparent
     for _ in range(60):
         optimiser.step(seen)
@@ -198,7 +231,9 @@ def test_transparent_rows_are_held_by_the_regulariser(generator, weight, monkeyp
 def test_anchors_of_this_window_instead_of_birth(generator):
     model, seen = scene(generator), view(generator)
     window = dataclasses.replace(WINDOW, anchor="window")
-    optimiser = SurfelOptimiser(model, torch.ones(len(model), dtype=torch.bool), window, DiscConfig())
+    optimiser = SurfelOptimiser(
+        model, torch.ones(len(model), dtype=torch.bool), window, DiscConfig()
+    )
     clear = model.is_transparent
     for _ in range(30):
         optimiser.step(seen)

@@ -9,7 +9,15 @@ from gsfusion_nb.config import GpsSlamConfig, GSFusionConfig, RtgSlamConfig
 from gsfusion_nb.config.gsfusion import presets
 from gsfusion_nb.data.room import room
 from gsfusion_nb.files import BadFrameError
-from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, SYSTEMS, GSFusion, get_system, make_mapper, system_of
+from gsfusion_nb.mapping import (
+    GPSSLAM,
+    RTGSLAM,
+    SYSTEMS,
+    GSFusion,
+    get_system,
+    make_mapper,
+    system_of,
+)
 
 
 @pytest.mark.parametrize(
@@ -44,12 +52,15 @@ def test_one_default(system):
 def test_every_system_has_every_preset(system, preset):
     for fidelity in SYSTEMS[system].fidelities:
         config = SYSTEMS[system].preset(preset, fidelity)
-        first = next(f for f in SYSTEMS[system].fidelities if SYSTEMS[system].preset(preset, f) == config)
+        first = next(
+            f for f in SYSTEMS[system].fidelities if SYSTEMS[system].preset(preset, f) == config
+        )
         assert SYSTEMS[system].fidelity_of(config) == first
 
 
 def placed(frame, index, right_m):
-    """``frame`` as the one with another number, a tenth of a second a frame, from a pose to the right of its own."""
+    """``frame`` as the one with another number, a tenth of a second a frame, from a pose to the
+    right of its own."""
     T_WC = frame.T_WC.clone()
     T_WC[0, 3] += right_m
     return dataclasses.replace(frame, index=index, timestamp_s=0.1 * index, T_WC=T_WC)
@@ -77,7 +88,9 @@ def test_a_jump_that_no_camera_makes_is_not_mapped(system, view):
     for index, right_m in enumerate((0.0, 1000.0)):
         frame = placed(view, index, right_m)
         report = asked.step(frame)
-    assert any("although its pose is 1e+03 m" in warning for warning in asked.step_warnings(frame, report))
+    assert any(
+        "although its pose is 1e+03 m" in warning for warning in asked.step_warnings(frame, report)
+    )
 
 
 def test_after_a_jump_the_frames_that_go_on_are_mapped_also_after_a_pause(view):
@@ -92,7 +105,10 @@ def test_after_a_jump_the_frames_that_go_on_are_mapped_also_after_a_pause(view):
 
 
 def test_a_depth_that_no_camera_measures_is_told_once(view):
-    mapper, far = small("gsfusion"), dataclasses.replace(view, depth_m=torch.full_like(view.depth_m, 65.5))
+    mapper, far = (
+        small("gsfusion"),
+        dataclasses.replace(view, depth_m=torch.full_like(view.depth_m, 65.5)),
+    )
     frames = [placed(frame, i, 0.0) for i, frame in enumerate((view, far, far))]
     told = [mapper.step_warnings(frame, mapper.step(frame)) for frame in frames]
     assert [len(warnings) for warnings in told] == [0, 1, 0]

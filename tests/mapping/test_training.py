@@ -22,9 +22,13 @@ from gsfusion_nb.types import Camera, RenderOutput
 
 SMALL: dict[str, Any] = {"data__width": 40, "data__height": 30, "data__stop": 6}
 SYSTEMS = {
-    "gsfusion": gsfusion("room", tsdf__voxel_size_m=0.05, seeding__quadtree_threshold=0.002, **SMALL),
+    "gsfusion": gsfusion(
+        "room", tsdf__voxel_size_m=0.05, seeding__quadtree_threshold=0.002, **SMALL
+    ),
     "rtg_slam": rtg_slam("room", **SMALL),
-    "gps_slam": gps_slam("room", data__width=64, data__height=48, data__stop=16, tsdf__voxel_size_m=0.04),
+    "gps_slam": gps_slam(
+        "room", data__width=64, data__height=48, data__stop=16, tsdf__voxel_size_m=0.04
+    ),
 }
 
 
@@ -35,7 +39,11 @@ def own_l1(rendered, view):
 
 
 def charbonnier(rendered, view, eps=1e-3):
-    gap = torch.where(view.pixels[..., None], rendered.rgb - view.rgb, 0.0)
+    gap = torch.where(
+        view.pixels[..., None],
+        rendered.rgb - view.rgb,
+        0.0,
+    )
     root, n = (gap.square() + eps**2).sqrt(), 3 * view.pixels.sum().clamp_min(1)
     return ViewLoss(value=root.sum() / n, v_rgb=gap / root / n)
 
@@ -45,7 +53,17 @@ def sgd(param, gradient, m, v, steps, *, lr):
 
 
 def own_adam(param, gradient, m, v, steps, *, lr):
-    adam_update(param, gradient, m, v, None, lr=lr, beta1=BETA1, beta2=BETA2, eps=EPS)
+    adam_update(
+        param,
+        gradient,
+        m,
+        v,
+        None,
+        lr=lr,
+        beta1=BETA1,
+        beta2=BETA2,
+        eps=EPS,
+    )
 
 
 def mapped(name, **given):
@@ -57,7 +75,11 @@ def mapped(name, **given):
 
 
 def equal(a, b):
-    columns = zip(vars(a.gaussians.params).values(), vars(b.gaussians.params).values(), strict=True)
+    columns = zip(
+        vars(a.gaussians.params).values(),
+        vars(b.gaussians.params).values(),
+        strict=True,
+    )
     return all(torch.equal(x, y) for x, y in columns)
 
 
@@ -65,14 +87,22 @@ def test_the_systems_own_functions_given_from_outside_give_the_same_map_bit_for_
     """GSFusion's L1 and its Adam without bias correction."""
     config = replace(SYSTEMS["gsfusion"], optim__online_ssim_weight=0.0, optim__depth_weight=0.0)
     assert config.optim.adam_steps == "none"
-    mappers = [make_mapper(config), make_mapper(config, loss=own_l1), make_mapper(config, optimiser=own_adam)]
+    mappers = [
+        make_mapper(config),
+        make_mapper(config, loss=own_l1),
+        make_mapper(config, optimiser=own_adam),
+    ]
     for frame in open_sequence("room", data=config.data).mapping:
         for mapper in mappers:
             mapper.step(frame)
     assert len(mappers[0].gaussians) > 20
     assert equal(mappers[0], mappers[1])
     assert equal(mappers[0], mappers[2])
-    assert [m.training.names for m in mappers] == [{}, {"loss": "own_l1"}, {"optimiser": "own_adam"}]
+    assert [m.training.names for m in mappers] == [
+        {},
+        {"loss": "own_l1"},
+        {"optimiser": "own_adam"},
+    ]
 
 
 @pytest.mark.parametrize("name", list(SYSTEMS))
@@ -146,7 +176,12 @@ def test_with_more_frames_the_passes_begin_again_and_an_undo_restores_all_counts
     assert not mapper.passes.begun
 
     def counts():
-        return mapper.lost.total, mapper.after_steps.taken, mapper._steps_missed, len(mapper.keyframes)
+        return (
+            mapper.lost.total,
+            mapper.after_steps.taken,
+            mapper._steps_missed,
+            len(mapper.keyframes),
+        )
 
     before, undo = counts(), mapper._undo()
     mapper.lost.total += 5
@@ -163,7 +198,9 @@ def maps_of(mapper):
     return {name: value for name, value in mapper.state_dict().items() if name != "training"}
 
 
-def visits(passes: KeyframePasses, n: int, keyframes: int, generator, limit: int | None = None) -> list[int]:
+def visits(
+    passes: KeyframePasses, n: int, keyframes: int, generator, limit: int | None = None
+) -> list[int]:
     seen: list[int] = []
 
     def optimise(i: int) -> torch.Tensor:
@@ -201,9 +238,14 @@ def test_going_on_after_a_stop_is_the_same_as_no_stop(stop):
 
 def mapped_exposures(frames, **optim):
     config = gsfusion(
-        "replica", tsdf__voxel_size_m=0.04, seeding__quadtree_threshold=0.03, seeding__quadtree_contrast="std",
-        keyframe_every=1, optim__global_iterations=5, **{f"optim__{name}": value for name, value in optim.items()},
-    )  # fmt: skip
+        "replica",
+        tsdf__voxel_size_m=0.04,
+        seeding__quadtree_threshold=0.03,
+        seeding__quadtree_contrast="std",
+        keyframe_every=1,
+        optim__global_iterations=5,
+        **{f"optim__{name}": value for name, value in optim.items()},
+    )
     mapper = GSFusion(config)
     for frame in frames:
         mapper.step(frame)
@@ -225,7 +267,12 @@ def test_relative_exposures_are_found_and_their_mean_is_one(flicker):
     for _ in mapper.global_optimise():
         pass
     gains = torch.stack([k.gain for k in mapper.keyframes if k.gain is not None])
-    torch.testing.assert_close(gains.log().mean(0), torch.zeros(3), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        gains.log().mean(0),
+        torch.zeros(3),
+        atol=1e-6,
+        rtol=0,
+    )
     found = gains[1::2].log().mean(0) - gains[::2].log().mean(0)
     torch.testing.assert_close(found.exp(), dark, atol=0.03, rtol=0)
 
@@ -257,7 +304,8 @@ SMALL: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def walk():
-    """Frames with poses that are off by 1 cm and 0.6 degrees about each axis, and the true poses."""
+    """Frames with poses that are off by 1 cm and 0.6 degrees about each axis, and the true
+    poses."""
     sequence, generator = room(n_frames=240, width=80, height=60), torch.Generator().manual_seed(0)
     off = [se3.exp(0.01 * torch.randn(6, generator=generator)) for _ in range(12)]
     frames = [dataclasses.replace(sequence[i], T_WC=sequence.pose(i) @ off[i]) for i in range(12)]
@@ -320,7 +368,12 @@ def test_the_mean_motion_is_taken_back_from_map_and_keyframes(walk):
     mapper.fits.end_pass(mapper.keyframes, mapper.gaussians)
     torch.testing.assert_close(mapper.gaussians.params.xyz_W, xyz_W, atol=1e-5, rtol=0)
     for k in mapper.keyframes:
-        torch.testing.assert_close(k.T_WC, frames[k.index].T_WC, atol=1e-5, rtol=0)
+        torch.testing.assert_close(
+            k.T_WC,
+            frames[k.index].T_WC,
+            atol=1e-5,
+            rtol=0,
+        )
 
 
 def keeps_its_own(param, gradient, m, v, steps, *, lr):
@@ -341,9 +394,21 @@ def gives_back(param, gradient, m, v, steps, *, lr):
     [
         ({"loss": torch.nn.L1Loss}, TypeError, "loss must be a function, got .*L1Loss"),
         ({"optimiser": torch.optim.Adam}, TypeError, "optimiser must be a function, got .*Adam"),
-        ({"optimiser": gives_back}, TypeError, "'gives_back' must change param in place and return nothing, got"),
-        ({"optimiser": keeps_its_own}, ValueError, r"'keeps_its_own' must change param in place \(param -= "),
-        ({"optimiser": divides_by_zero}, ValueError, "'divides_by_zero' makes NaN or infinity from a gradient of 1"),
+        (
+            {"optimiser": gives_back},
+            TypeError,
+            "'gives_back' must change param in place and return nothing, got",
+        ),
+        (
+            {"optimiser": keeps_its_own},
+            ValueError,
+            r"'keeps_its_own' must change param in place \(param -= ",
+        ),
+        (
+            {"optimiser": divides_by_zero},
+            ValueError,
+            "'divides_by_zero' makes NaN or infinity from a gradient of 1",
+        ),
     ],
 )
 def test_functions_that_cannot_train_are_refused(given, error, sentence):
@@ -365,18 +430,40 @@ PICTURE = RenderOutput(
     [
         (0.5, TypeError, r"loss 'own' must return a ViewLoss \(gsfusion_nb.optim\), got 0.5"),
         ({"value": torch.zeros(1)}, ValueError, r"value of the loss 'own' must be \[\], got \[1\]"),
-        ({"v_rgb": torch.zeros(3, 2, 3)}, ValueError, r"v_rgb of the loss 'own' must be \[2, 3, 3\], got \[3, 2, 3\]"),
-        ({"v_rgb": torch.full((2, 3, 3), torch.nan)}, ValueError, "v_rgb of the loss 'own' must be finite, got 18 NaN"),
-        ({"v_depth_m": torch.full((2, 3), torch.inf)}, ValueError, "v_depth_m of the loss 'own' must be finite"),
-        ({"v_depth_m": torch.zeros(2, 3)}, ValueError, "'own' returned v_depth_m, but this system's depth has no"),
+        (
+            {"v_rgb": torch.zeros(3, 2, 3)},
+            ValueError,
+            r"v_rgb of the loss 'own' must be \[2, 3, 3\], got \[3, 2, 3\]",
+        ),
+        (
+            {"v_rgb": torch.full((2, 3, 3), torch.nan)},
+            ValueError,
+            "v_rgb of the loss 'own' must be finite, got 18 NaN",
+        ),
+        (
+            {"v_depth_m": torch.full((2, 3), torch.inf)},
+            ValueError,
+            "v_depth_m of the loss 'own' must be finite",
+        ),
+        (
+            {"v_depth_m": torch.zeros(2, 3)},
+            ValueError,
+            "'own' returned v_depth_m, but this system's depth has no",
+        ),
     ],
 )
 def test_what_a_loss_must_return(returned, error, sentence):
     def own(rendered, view):
         if not isinstance(returned, dict):
             return returned
-        found = ViewLoss(value=torch.zeros(()), v_rgb=torch.zeros(2, 3, 3))
-        for name, value in returned.items():  # past the type check of ViewLoss, which is off outside the tests
+        found = ViewLoss(
+            value=torch.zeros(()),
+            v_rgb=torch.zeros(2, 3, 3),
+        )
+        for (
+            name,
+            value,
+        ) in returned.items():  # past the type check of ViewLoss, which is off outside the tests
             object.__setattr__(found, name, value)
         return found
 

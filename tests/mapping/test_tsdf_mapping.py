@@ -37,9 +37,18 @@ def mapped(frames, tracking=TRACKING):
 
 
 def correct(mapper, shift_m):
-    """A loop that moves the last frame sideways, the frame before it half as far, and the first one not at all."""
+    """A loop that moves the last frame sideways, the frame before it half as far, and the first one
+    not at all."""
     old = torch.stack([mapper.localiser.poses[0], mapper.localiser.poses[-1]]).double()
-    new = torch.stack([old[0], se3.translate(old[1], torch.tensor([shift_m, 0, 0], dtype=torch.float64))])
+    new = torch.stack(
+        [
+            old[0],
+            se3.translate(
+                old[1],
+                torch.tensor([shift_m, 0, 0], dtype=torch.float64),
+            ),
+        ]
+    )
     ends = torch.tensor([mapper.localiser.frame_indices[i] for i in (0, -1)])
     found = Correction(frame_index=ends, T_WC_old=old, T_WC_new=new, loops=[])
     mapper._follow(mapper.localiser._apply(found))
@@ -58,7 +67,10 @@ def assert_fused_at(mapper, frames, poses):
 
 
 def vars_of(frame):
-    return {name: getattr(frame, name) for name in ("index", "timestamp_s", "colour", "depth_m", "camera", "T_WC")}
+    return {
+        name: getattr(frame, name)
+        for name in ("index", "timestamp_s", "colour", "depth_m", "camera", "T_WC")
+    }
 
 
 def test_the_volume_is_that_of_the_corrected_poses(frames):
@@ -68,7 +80,9 @@ def test_the_volume_is_that_of_the_corrected_poses(frames):
     assert_fused_at(mapper, frames, tracked)  # less than half a voxel
     correct(mapper, 2 * VOXEL_M)
     assert_fused_at(mapper, frames, mapper.localiser.poses)
-    moved_m = [float((a - b)[:3, 3].norm()) for a, b in zip(mapper.localiser.poses, tracked, strict=True)]
+    moved_m = [
+        float((a - b)[:3, 3].norm()) for a, b in zip(mapper.localiser.poses, tracked, strict=True)
+    ]
     assert not mapper.localiser.is_refined  # a loop is no refinement by pictures
     assert moved_m == pytest.approx([0, 1.15 * VOXEL_M, 2.3 * VOXEL_M], abs=1e-5)
 
@@ -82,10 +96,18 @@ def test_the_window_of_rtg_slam_and_the_tracker_move_with_a_loop(frames):
     correct(mapper, 0.05)
     for frame, T_WC in zip(mapper.window, mapper.localiser.poses, strict=True):
         torch.testing.assert_close(frame.T_WC, T_WC)
-    torch.testing.assert_close(mapper.localiser.poses[-1][:3, 3] - before[:3, 3], torch.tensor([0.05, 0, 0]))
+    torch.testing.assert_close(
+        mapper.localiser.poses[-1][:3, 3] - before[:3, 3],
+        torch.tensor([0.05, 0, 0]),
+    )
     last = mapper.localiser._tracker._last
     assert last is not None
-    torch.testing.assert_close(last.T_WC.float(), mapper.localiser.poses[-1], atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        last.T_WC.float(),
+        mapper.localiser.poses[-1],
+        atol=1e-5,
+        rtol=0,
+    )
 
 
 def test_a_state_goes_on_with_its_frames(frames):
@@ -112,7 +134,10 @@ class Remembering(MapRule):
         poses, indices = ctx.frame.T_WC[None], frame[:1]
         if memory:
             (old,) = memory["seen"]
-            frame, poses = torch.cat([old["frame_index"], frame]), torch.cat([memory["T_WC"], poses])
+            frame, poses = (
+                torch.cat([old["frame_index"], frame]),
+                torch.cat([memory["T_WC"], poses]),
+            )
             indices = torch.cat([memory["frame_index"], indices])
             toward = torch.cat([old["normal_W"], toward])
         xyz_W = seeds.xyz_W if not memory else torch.cat([old["xyz_W"], seeds.xyz_W])
@@ -135,11 +160,15 @@ def test_what_a_rule_remembers_of_the_world_moves_with_the_gaussians(frames):
     assert not torch.equal(seen["xyz_W"], before["seen"][0]["xyz_W"])
     poses = torch.stack(mapper.localiser.poses)
     torch.testing.assert_close(mapper.memory["T_WC"], poses)
-    torch.testing.assert_close(seen["xyz_W"] + 2 * seen["normal_W"], poses[seen["frame_index"], :3, 3])
+    torch.testing.assert_close(
+        seen["xyz_W"] + 2 * seen["normal_W"], poses[seen["frame_index"], :3, 3]
+    )
 
 
 def test_gps_slam_looks_at_the_new_volume_from_the_corrected_poses(frames):
-    mapper = GPSSLAM(gps_slam("room", tracking=TRACKING, tsdf__voxel_size_m=VOXEL_M, views__every_frames=1))
+    mapper = GPSSLAM(
+        gps_slam("room", tracking=TRACKING, tsdf__voxel_size_m=VOXEL_M, views__every_frames=1)
+    )
     for frame in frames:
         mapper.step(frame)
     old_discs = mapper.standard_gaussians().xyz_W
@@ -151,7 +180,10 @@ def test_gps_slam_looks_at_the_new_volume_from_the_corrected_poses(frames):
     discs = mapper.standard_gaussians().xyz_W
     assert discs.shape != old_discs.shape or not torch.allclose(discs, old_discs)
     for frame, T_WC in zip(frames, poses, strict=True):
-        assert torch.equal(next(k for k in mapper.keyframes if k.index == frame.index).T_WC, T_WC)
+        assert torch.equal(
+            next(k for k in mapper.keyframes if k.index == frame.index).T_WC,
+            T_WC,
+        )
     expected = mapper.surface(frames[2].camera, poses[2])
     _ = list(mapper.global_optimise(1))
     seen = mapper.below(frames[2].camera, poses[2])
@@ -178,7 +210,8 @@ def mapper_of(system: str) -> Any:
 
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam"])
 def test_a_loop_closes_and_a_loss_is_overcome(there_and_back, system, monkeypatch):
-    """After the way back the camera is covered, then shown another part of the way, half a metre away."""
+    """After the way back the camera is covered, then shown another part of the way, half a metre
+    away."""
     monkeypatch.setattr(back_end_module, "MIN_GAP", 3)
     monkeypatch.setattr(back_end_module, "KEYFRAME_DEG", 4.0)
     monkeypatch.setattr(back_end_module, "CORRECT_FROM_M", 0.0)
@@ -187,13 +220,19 @@ def test_a_loop_closes_and_a_loss_is_overcome(there_and_back, system, monkeypatc
         mapper.step(frame)
     localiser = mapper.localiser
     back_end = localiser._back_end
-    closed = [(back_end.database.index[e.j], back_end.database.index[e.i]) for e in back_end.edges if e.kind == "loop"]
+    closed = [
+        (back_end.database.index[e.j], back_end.database.index[e.i])
+        for e in back_end.edges
+        if e.kind == "loop"
+    ]
     assert any(late >= 11 and early <= 4 for late, early in closed)
     true = torch.stack([f.T_WC for f in there_and_back]).double()
     assert ate_rmse(torch.stack(localiser.poses).double(), true) < 0.01
 
     last, far = there_and_back[-1], there_and_back[6]
-    covered = dataclasses.replace(last, index=16, timestamp_s=1.6, depth_m=torch.zeros_like(last.depth_m))
+    covered = dataclasses.replace(
+        last, index=16, timestamp_s=1.6, depth_m=torch.zeros_like(last.depth_m)
+    )
     with pytest.raises(BadFrameError, match="frame 16 cannot be mapped"):
         mapper.step(covered)
     mapper.step(dataclasses.replace(far, index=17, timestamp_s=1.7))

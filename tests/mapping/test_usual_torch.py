@@ -26,7 +26,8 @@ def float64():
 
 
 def mapped(system, modes):
-    """A map of ten frames: made and taken through each of its stages in one of the modes, in turn."""
+    """A map of ten frames: made and taken through each of its stages in one of the modes, in
+    turn."""
     walk = room(n_frames=240, width=64, height=48)
     with modes[0]():
         mapper = make_mapper(SYSTEMS[system].preset("room", **STEPS[system]))
@@ -45,7 +46,11 @@ def mapped(system, modes):
 
 MODES = {
     "inference mode": [torch.inference_mode],
-    "inference mode, now and then": [contextlib.nullcontext, torch.inference_mode, contextlib.nullcontext],
+    "inference mode, now and then": [
+        contextlib.nullcontext,
+        torch.inference_mode,
+        contextlib.nullcontext,
+    ],
     "inference mode first": [torch.inference_mode, contextlib.nullcontext],
     "float64 by default": [float64],
 }

@@ -26,12 +26,20 @@ from gsfusion_nb.types import GaussianParams, Seeds
 MOMENTS = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-15}
 
 
-@pytest.mark.parametrize("shape", [(0, 3), (1,), (7, 3), (5, 16, 3)])
+@pytest.mark.parametrize(
+    "shape",
+    [(0, 3), (1,), (7, 3), (5, 16, 3)],
+)
 def test_agrees_with_torch_adam(shape, generator):
     param = torch.randn(shape, generator=generator, dtype=torch.float64)
     ours, theirs = param.clone(), param.clone().requires_grad_(True)
     m, v = torch.zeros_like(param), torch.zeros_like(param)
-    optimiser = torch.optim.Adam([theirs], lr=1e-2, betas=(0.9, 0.999), eps=1e-15)
+    optimiser = torch.optim.Adam(
+        [theirs],
+        lr=1e-2,
+        betas=(0.9, 0.999),
+        eps=1e-15,
+    )
     for t in range(1, 6):
         g = torch.randn(shape, generator=generator, dtype=torch.float64)
         theirs.grad = g.clone()
@@ -40,14 +48,25 @@ def test_agrees_with_torch_adam(shape, generator):
     torch.testing.assert_close(ours, theirs.detach())
 
 
-@pytest.mark.parametrize(("k", "multiple"), [(1, 3.162), (2, 4.250), (3, 4.950), (5, 5.797), (10, 6.528), (20, 6.241)])
+@pytest.mark.parametrize(
+    ("k", "multiple"),
+    [(1, 3.162), (2, 4.250), (3, 4.950), (5, 5.797), (10, 6.528), (20, 6.241)],
+)
 @pytest.mark.parametrize("late", [10**6, None])
 def test_newborn_rows_move_faster_without_their_own_correction(k, multiple, late):
     """(1 - 0.9^k) / sqrt(1 - 0.999^k): what the released code gives a Gaussian that joins late."""
     param, m, v = torch.zeros(3, dtype=torch.float64).split(1)
     for _ in range(k):
         before = param.clone()
-        adam_update(param, torch.ones(1, dtype=torch.float64), m, v, late, lr=1.0, **MOMENTS)
+        adam_update(
+            param,
+            torch.ones(1, dtype=torch.float64),
+            m,
+            v,
+            late,
+            lr=1.0,
+            **MOMENTS,
+        )
     assert float(before - param) == pytest.approx(multiple, abs=6e-4)
 
 
@@ -57,11 +76,22 @@ def test_per_row_steps_treat_a_late_row_like_a_first_one(generator):
     m1, v1, m2, v2 = (torch.zeros(2, 3) for _ in range(4))
     for t, g in enumerate(grads, start=1):
         adam_update(early, g, m1, v1, t, lr=0.1, **MOMENTS)
-        adam_update(late, g, m2, v2, torch.tensor([t, t], dtype=torch.int32), lr=0.1, **MOMENTS)
+        adam_update(
+            late,
+            g,
+            m2,
+            v2,
+            torch.tensor([t, t], dtype=torch.int32),
+            lr=0.1,
+            **MOMENTS,
+        )
     torch.testing.assert_close(early, late)
 
 
-@pytest.mark.parametrize(("t", "factor"), [(1, 0.316), (10, 0.153), (210, 0.435), (2000, 0.930), (16000, 1.0)])
+@pytest.mark.parametrize(
+    ("t", "factor"),
+    [(1, 0.316), (10, 0.153), (210, 0.435), (2000, 0.930), (16000, 1.0)],
+)
 @pytest.mark.parametrize("age", [0, 7])
 def test_a_shared_count_shortens_the_steps_of_new_and_old_rows_alike(t, factor, age, generator):
     """The correction is sqrt(1 - 0.999^t) / (1 - 0.9^t), whatever the age of the row."""
@@ -69,21 +99,42 @@ def test_a_shared_count_shortens_the_steps_of_new_and_old_rows_alike(t, factor, 
     v = (1 - 0.999**age) * torch.rand(4, generator=generator, dtype=torch.float64)
     gradient = torch.randn(4, generator=generator, dtype=torch.float64)
     shared, none = torch.zeros(2, 4, dtype=torch.float64)
-    adam_update(shared, gradient, m.clone(), v.clone(), t, lr=1.0, **MOMENTS)
+    adam_update(
+        shared,
+        gradient,
+        m.clone(),
+        v.clone(),
+        t,
+        lr=1.0,
+        **MOMENTS,
+    )
     adam_update(none, gradient, m, v, None, lr=1.0, **MOMENTS)
-    torch.testing.assert_close(shared / none, torch.full_like(none, factor), rtol=0, atol=6e-4)
+    torch.testing.assert_close(
+        shared / none,
+        torch.full_like(none, factor),
+        rtol=0,
+        atol=6e-4,
+    )
 
 
 @pytest.mark.parametrize("backend", ["reference", "numba"])
-@pytest.mark.parametrize("steps", [None, 3, torch.tensor([1, 200, 10**6], dtype=torch.int32)])
+@pytest.mark.parametrize(
+    "steps",
+    [None, 3, torch.tensor([1, 200, 10**6], dtype=torch.int32)],
+)
 def test_a_map_is_updated_like_its_columns(backend, steps, generator):
     """Bit for bit; coefficient 0 of SH at its own rate."""
-    rates = ColumnRates(xyz_W=1e-3, log_scale=2e-3, quat=3e-3, opacity_logit=4e-3, sh_dc=5e-3, sh_rest=6e-3)
+    rates = ColumnRates(
+        xyz_W=1e-3, log_scale=2e-3, quat=3e-3, opacity_logit=4e-3, sh_dc=5e-3, sh_rest=6e-3
+    )
     sh_rates = torch.full((4, 3), rates.sh_rest)
     sh_rates[0] = rates.sh_dc
 
     like = vars(make_params(1, "cpu", n=3))
-    maps = [GaussianParams(**{k: torch.rand(x.shape, generator=generator) for k, x in like.items()}) for _ in range(4)]
+    maps = [
+        GaussianParams(**{k: torch.rand(x.shape, generator=generator) for k, x in like.items()})
+        for _ in range(4)
+    ]
     expected = [{name: column.clone() for name, column in vars(rows).items()} for rows in maps]
     with use_backend(backend):
         adam_update_map(*maps, steps, rates=rates, **MOMENTS)
@@ -98,11 +149,23 @@ def constant_gradients(params: GaussianParams) -> GaussianParams:
     return GaussianParams(**{name: torch.ones_like(getattr(params, name)) for name in PARAMETERS})
 
 
-@pytest.mark.parametrize(("mode", "multiple"), [("shared", 1.0), ("per_row", 1.0), ("none", 0.1 / 0.001**0.5)])
+@pytest.mark.parametrize(
+    ("mode", "multiple"),
+    [("shared", 1.0), ("per_row", 1.0), ("none", 0.1 / 0.001**0.5)],
+)
 def test_each_group_moves_at_its_own_rate(mode, multiple):
     model = GaussianModel(sh_degree=3)
-    model.append(Seeds.isotropic(torch.zeros(2, 3), torch.full((2, 3), 0.5), torch.ones(2)))
-    before = dataclasses.replace(model.params, **{n: getattr(model.params, n).clone() for n in PARAMETERS})
+    model.append(
+        Seeds.isotropic(
+            torch.zeros(2, 3),
+            torch.full((2, 3), 0.5),
+            torch.ones(2),
+        )
+    )
+    before = dataclasses.replace(
+        model.params,
+        **{n: getattr(model.params, n).clone() for n in PARAMETERS},
+    )
     config = OptimConfig(
         adam_steps=mode,
         lr_xyz=1.6e-4,
@@ -116,23 +179,43 @@ def test_each_group_moves_at_its_own_rate(mode, multiple):
     moved = {n: (getattr(before, n) - getattr(model.params, n)) for n in PARAMETERS}
     expected = {"xyz_W": 1.6e-4, "log_scale": 1e-3, "quat": 2e-3, "opacity_logit": 5e-2}
     for name, lr in expected.items():
-        torch.testing.assert_close(moved[name], torch.full_like(moved[name], lr * multiple), rtol=1e-3, atol=1e-7)
-    torch.testing.assert_close(moved["sh"][:, 0], torch.full((2, 3), 2.5e-3 * multiple), rtol=1e-3, atol=1e-7)
-    torch.testing.assert_close(moved["sh"][:, 1:], torch.full((2, 15, 3), 1.25e-4 * multiple), rtol=1e-3, atol=1e-7)
+        torch.testing.assert_close(
+            moved[name],
+            torch.full_like(moved[name], lr * multiple),
+            rtol=1e-3,
+            atol=1e-7,
+        )
+    torch.testing.assert_close(
+        moved["sh"][:, 0],
+        torch.full((2, 3), 2.5e-3 * multiple),
+        rtol=1e-3,
+        atol=1e-7,
+    )
+    torch.testing.assert_close(
+        moved["sh"][:, 1:],
+        torch.full((2, 15, 3), 1.25e-4 * multiple),
+        rtol=1e-3,
+        atol=1e-7,
+    )
     assert model.step_count == 1
 
 
 def test_late_rows_in_a_shared_model(generator):
     config = OptimConfig(adam_steps="shared", lr_opacity_logit=5e-2)
     model = GaussianModel(sh_degree=0)
-    one = Seeds.isotropic(torch.zeros(1, 3), torch.full((1, 3), 0.5), torch.ones(1))
+    one = Seeds.isotropic(
+        torch.zeros(1, 3),
+        torch.full((1, 3), 0.5),
+        torch.ones(1),
+    )
     model.append(one)
     for _ in range(200):
         adam_step(model, constant_gradients(model.params), config)
     model.append(one)
     before = model.params.opacity_logit[1].item()
     adam_step(model, constant_gradients(model.params), config)
-    # bias correction of v at t = 201 is 0.182, so the first step is 0.1 / sqrt(0.001 / 0.182) = 1.35 learning rates
+    # bias correction of v at t = 201 is 0.182, so the first step is 0.1 / sqrt(0.001 / 0.182) =
+    # 1.35 learning rates
     assert before - model.params.opacity_logit[1].item() == pytest.approx(1.3497 * 5e-2, rel=1e-3)
 
 
@@ -144,7 +227,11 @@ def rows(n: int, generator: torch.Generator, dtype=torch.float32) -> GaussianPar
         return torch.randn(*shape, generator=generator, dtype=dtype)
 
     return GaussianParams(
-        xyz_W=normal(n, 3), log_scale=normal(n, 3), quat=normal(n, 4), opacity_logit=normal(n), sh=normal(n, 9, 3)
+        xyz_W=normal(n, 3),
+        log_scale=normal(n, 3),
+        quat=normal(n, 4),
+        opacity_logit=normal(n),
+        sh=normal(n, 9, 3),
     )
 
 
@@ -155,8 +242,13 @@ def copy(params: GaussianParams) -> GaussianParams:
 @pytest.mark.parametrize("n", [0, 1, 11])
 def test_twenty_steps_of_torch_adam(n, generator):
     params = rows(n, generator)
-    leaves = {name: value.clone().requires_grad_() for name, value in vars(params).items() if name != "sh"}
-    leaves |= {"sh_dc": params.sh[:, :1].clone().requires_grad_(), "sh_rest": params.sh[:, 1:].clone().requires_grad_()}
+    leaves = {
+        name: value.clone().requires_grad_() for name, value in vars(params).items() if name != "sh"
+    }
+    leaves |= {
+        "sh_dc": params.sh[:, :1].clone().requires_grad_(),
+        "sh_rest": params.sh[:, 1:].clone().requires_grad_(),
+    }
     groups = [{"params": [leaves[name]], "lr": lr} for name, lr in RATES.items()]
     theirs = torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15)
     born = params.opacity_logit.clone()
@@ -166,13 +258,30 @@ def test_twenty_steps_of_torch_adam(n, generator):
         if step % 3 == 0:
             g.xyz_W[: n // 2] = 0.0  # rows that this view does not show
         for name, leaf in leaves.items():
-            leaf.grad = {"sh_dc": g.sh[:, :1], "sh_rest": g.sh[:, 1:]}.get(name, getattr(g, name, None))
+            leaf.grad = {"sh_dc": g.sh[:, :1], "sh_rest": g.sh[:, 1:]}.get(
+                name, getattr(g, name, None)
+            )
         theirs.step()
         ours.step(g)
     for name in ("xyz_W", "log_scale", "quat"):
-        torch.testing.assert_close(getattr(params, name), leaves[name].detach(), atol=1e-6, rtol=0)
-    torch.testing.assert_close(params.sh[:, :1], leaves["sh_dc"].detach(), atol=1e-6, rtol=0)
-    torch.testing.assert_close(params.sh[:, 1:], leaves["sh_rest"].detach(), atol=1e-6, rtol=0)
+        torch.testing.assert_close(
+            getattr(params, name),
+            leaves[name].detach(),
+            atol=1e-6,
+            rtol=0,
+        )
+    torch.testing.assert_close(
+        params.sh[:, :1],
+        leaves["sh_dc"].detach(),
+        atol=1e-6,
+        rtol=0,
+    )
+    torch.testing.assert_close(
+        params.sh[:, 1:],
+        leaves["sh_rest"].detach(),
+        atol=1e-6,
+        rtol=0,
+    )
     assert torch.equal(params.opacity_logit, born)
 
 
@@ -213,12 +322,20 @@ COLUMNS = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
 def map_of(generator, n: int = 9) -> GaussianModel:
     model = GaussianModel(sh_degree=1)
     xyz, rgb = (torch.rand(n, 3, generator=generator) for _ in range(2))
-    model.append(Seeds.isotropic(xyz, rgb, torch.full((n,), 0.05)))
+    model.append(
+        Seeds.isotropic(
+            xyz,
+            rgb,
+            torch.full((n,), 0.05),
+        )
+    )
     return model
 
 
 def gradients(params: GaussianParams, generator) -> GaussianParams:
-    return GaussianParams(**{c: torch.randn(getattr(params, c).shape, generator=generator) for c in COLUMNS})
+    return GaussianParams(
+        **{c: torch.randn(getattr(params, c).shape, generator=generator) for c in COLUMNS}
+    )
 
 
 @pytest.mark.parametrize("backend", ["reference", "auto"])
@@ -226,7 +343,9 @@ def test_rows_take_their_part_of_the_step(generator, backend):
     """Against a map with another learning rate for all: 0, the same, a third and twice it."""
     factors = torch.tensor([0.0, 1, 1 / 3, 2, 0, 1, 1 / 3, 2, 1])
     model = map_of(generator)
-    all_by = {f: GaussianModel.from_state_dict(model.state_dict()) for f in factors.unique().tolist()}
+    all_by = {
+        f: GaussianModel.from_state_dict(model.state_dict()) for f in factors.unique().tolist()
+    }
     model.edit(Edit(rates=dict.fromkeys(COLUMNS, factors)), generator)
     config = OptimConfig()
     with use_backend(backend):
@@ -234,7 +353,11 @@ def test_rows_take_their_part_of_the_step(generator, backend):
             g = gradients(model.params, generator)
             adam_step(model, g, config)
             for f, other in all_by.items():
-                rates = {name: f * value for name, value in vars(config).items() if name.startswith("lr_")}
+                rates = {
+                    name: f * value
+                    for name, value in vars(config).items()
+                    if name.startswith("lr_")
+                }
                 adam_step(other, g, dataclasses.replace(config, **rates))
     for name in COLUMNS:
         for f, other in all_by.items():
@@ -249,9 +372,14 @@ def test_rows_take_their_part_of_the_step(generator, backend):
 def test_the_rows_of_a_window_take_their_part_too(generator):
     params = map_of(generator).params
     rates = {"xyz_W": 0.1, "log_scale": 0.1, "quat": 0.0, "sh_dc": 0.1, "sh_rest": 0.1}
-    whole, part = (GaussianParams(**{c: getattr(params, c).clone() for c in COLUMNS}) for _ in range(2))
+    whole, part = (
+        GaussianParams(**{c: getattr(params, c).clone() for c in COLUMNS}) for _ in range(2)
+    )
     factor = torch.tensor([0.0, 1, 0.5] * 3)
-    adams = RowAdam(whole, rates), RowAdam(part, rates, {"xyz_W": factor, "quat": factor, "sh": 0 * factor})
+    adams = (
+        RowAdam(whole, rates),
+        RowAdam(part, rates, {"xyz_W": factor, "quat": factor, "sh": 0 * factor}),
+    )
     g = gradients(params, generator)
     for adam in adams:
         adam.step(g)
@@ -259,13 +387,19 @@ def test_the_rows_of_a_window_take_their_part_too(generator):
     assert torch.equal(part.quat, params.quat)
     assert torch.equal(part.log_scale, whole.log_scale)
     moved, expected = part.xyz_W - params.xyz_W, whole.xyz_W - params.xyz_W
-    torch.testing.assert_close(moved, factor[:, None] * expected, atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        moved,
+        factor[:, None] * expected,
+        atol=1e-6,
+        rtol=0,
+    )
     assert torch.equal(moved[1::3], expected[1::3])
 
 
 @pytest.mark.parametrize("adam_steps", ["none", "shared", "per_row"])
 @pytest.mark.parametrize(
-    ("missed", "decays"), [(1, {}), (7, {}), (400, {}), (400, {"beta1": 0.98, "beta2": 0.99}), (7, {"beta1": 0.5})]
+    ("missed", "decays"),
+    [(1, {}), (7, {}), (400, {}), (400, {"beta1": 0.98, "beta2": 0.99}), (7, {"beta1": 0.5})],
 )
 def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed, decays):
     config = OptimConfig(adam_steps=adam_steps, **decays)
@@ -295,7 +429,9 @@ def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed, 
     take_missed_steps(part, config)
     for of in ("params", "exp_avg", "exp_avg_sq"):
         for name, column in vars(getattr(part, of)).items():
-            torch.testing.assert_close(column, getattr(getattr(whole, of), name), atol=1e-6, rtol=1e-4)
+            torch.testing.assert_close(
+                column, getattr(getattr(whole, of), name), atol=1e-6, rtol=1e-4
+            )
     before = part.params.xyz_W.clone()
     take_missed_steps(part, config)
     assert torch.equal(part.params.xyz_W, before)
@@ -316,7 +452,12 @@ def test_missed_steps_of_some_rows(generator):
         part.step(g[seen], seen)
     part.catch_up(torch.arange(9))
     for name in PARAMETERS:
-        torch.testing.assert_close(getattr(part.params, name), getattr(whole.params, name), atol=1e-6, rtol=1e-5)
+        torch.testing.assert_close(
+            getattr(part.params, name),
+            getattr(whole.params, name),
+            atol=1e-6,
+            rtol=1e-5,
+        )
 
 
 def test_an_optimiser_that_loses_values_is_refused(generator):
@@ -325,20 +466,32 @@ def test_an_optimiser_that_loses_values_is_refused(generator):
 
     model = map_of(generator)
     model.params.xyz_W[2, 0] = torch.nan  # lost before
-    with pytest.raises(ValueError, match="the optimiser made 1 values of xyz_W NaN or infinite; try smaller"):
+    with pytest.raises(
+        ValueError, match="the optimiser made 1 values of xyz_W NaN or infinite; try smaller"
+    ):
         adam_step(model, gradients(model.params, generator), OptimConfig(), explodes)
 
 
 def test_an_optimiser_from_outside_is_told_rates_and_ages(generator):
-    """Of a map, and of a window, whose rows are all as old as the window; a rate of 0 leaves a group alone."""
+    """Of a map, and of a window, whose rows are all as old as the window; a rate of 0 leaves a
+    group alone."""
     told = {}
 
     def notes(param, gradient, m, v, ages, *, lr):
-        told[tuple(param.shape)] = (ages.tolist(), lr if isinstance(lr, float) else lr[:, 0].tolist())
+        told[tuple(param.shape)] = (
+            ages.tolist(),
+            lr if isinstance(lr, float) else lr[:, 0].tolist(),
+        )
 
     model = map_of(generator, 3)
     model.step_count = 4
-    model.append(Seeds.isotropic(torch.zeros(1, 3), torch.zeros(1, 3), torch.ones(1)))
+    model.append(
+        Seeds.isotropic(
+            torch.zeros(1, 3),
+            torch.zeros(1, 3),
+            torch.ones(1),
+        )
+    )
     config = OptimConfig(lr_xyz=0.1, lr_sh_dc=0.2, lr_sh_rest=0.3, lr_opacity_logit=0.4)
     adam_step(model, gradients(model.params, generator), config, notes)
     assert told[4, 4, 3] == ([5, 5, 5, 1], pytest.approx([0.2, 0.3, 0.3, 0.3]))
@@ -366,15 +519,21 @@ def test_a_part_knows_whether_its_map_has_changed(generator):
     assert not part.is_current
 
 
-@pytest.mark.parametrize("still", [("xyz_W",), ("xyz_W", "log_scale", "quat"), ("sh_dc", "sh_rest")])
+@pytest.mark.parametrize(
+    "still", [("xyz_W",), ("xyz_W", "log_scale", "quat"), ("sh_dc", "sh_rest")]
+)
 def test_groups_at_rate_zero_are_left_alone(still, generator):
     params = rows(4, generator)
     before = copy(params)
     adam = RowAdam(params, RATES | dict.fromkeys(still, 0.0))
     for _ in range(5):
         adam.step(rows(4, generator))
-    unmoved = {name for name in PARAMETERS if torch.equal(getattr(params, name), getattr(before, name))}
-    expected = set(still) & set(PARAMETERS) | {"opacity_logit"} | ({"sh"} if "sh_dc" in still else set())
+    unmoved = {
+        name for name in PARAMETERS if torch.equal(getattr(params, name), getattr(before, name))
+    }
+    expected = (
+        set(still) & set(PARAMETERS) | {"opacity_logit"} | ({"sh"} if "sh_dc" in still else set())
+    )
     assert unmoved == expected
 
 
@@ -383,6 +542,10 @@ def test_no_gradient_moves_nothing(generator):
     before = copy(params)
     adam = RowAdam(params, RATES)
     for _ in range(3):
-        adam.step(GaussianParams(**{name: torch.zeros_like(value) for name, value in vars(params).items()}))
+        adam.step(
+            GaussianParams(
+                **{name: torch.zeros_like(value) for name, value in vars(params).items()}
+            )
+        )
     for name in PARAMETERS:
         assert torch.equal(getattr(params, name), getattr(before, name))

@@ -8,12 +8,26 @@ from gsfusion_nb.optim import keyframes as keyframes_module
 from gsfusion_nb.types import Camera, Frame
 from gsfusion_nb.work import MAP_MEMORY
 
-CAMERA = Camera(width=4, height=3, fx=4.0, fy=4.0, cx=2.0, cy=1.5)
+CAMERA = Camera(
+    width=4,
+    height=3,
+    fx=4.0,
+    fy=4.0,
+    cx=2.0,
+    cy=1.5,
+)
 
 
 def frame(index: int) -> Frame:
     rgb = (torch.arange(36).reshape(3, 4, 3) + index).float() / 255
-    return Frame(index=index, timestamp_s=0.0, rgb=rgb, depth_m=torch.ones(3, 4), camera=CAMERA, T_WC=torch.eye(4))
+    return Frame(
+        index=index,
+        timestamp_s=0.0,
+        rgb=rgb,
+        depth_m=torch.ones(3, 4),
+        camera=CAMERA,
+        T_WC=torch.eye(4),
+    )
 
 
 def keyframes(n: int) -> KeyframeList:
@@ -74,7 +88,12 @@ def test_a_loop_moves_each_pose_in_the_world(generator):
     before = list(k)
     k.move(T)
     for old, new, T_k in zip(before, k, T, strict=True):
-        torch.testing.assert_close(new.T_WC.double(), T_k @ old.T_WC.double(), atol=1e-6, rtol=1e-6)
+        torch.testing.assert_close(
+            new.T_WC.double(),
+            T_k @ old.T_WC.double(),
+            atol=1e-6,
+            rtol=1e-6,
+        )
         assert torch.equal(old.T_WC, torch.eye(4))
         assert new.rgb_u8 is old.rgb_u8
     assert torch.equal(k.T_WC, torch.stack([keyframe.T_WC for keyframe in k]))
@@ -84,7 +103,11 @@ def test_all_poses_follow_every_change(generator):
     k = keyframes(3)
     assert torch.equal(k.T_WC, torch.eye(4).expand(3, 4, 4))
     T, before = se3.exp(torch.randn(6, generator=generator)), k.snapshot()
-    for change in (lambda: k.set_pose(k[1].index, T), lambda: k.append(frame(1)), lambda: k.restore(before)):
+    for change in (
+        lambda: k.set_pose(k[1].index, T),
+        lambda: k.append(frame(1)),
+        lambda: k.restore(before),
+    ):
         change()
         assert torch.equal(k.T_WC, torch.stack([keyframe.T_WC for keyframe in k]))
     assert torch.equal(k.T_WC, torch.eye(4).expand(3, 4, 4))
@@ -93,7 +116,9 @@ def test_all_poses_follow_every_change(generator):
 def test_images_are_kept_where_they_are_wanted():
     keyframes = KeyframeList("meta")
     keyframes.append(frame(0), with_depth=True)
-    assert {t.device.type for t in vars(keyframes[0]).values() if isinstance(t, torch.Tensor)} == {"meta"}
+    assert {t.device.type for t in vars(keyframes[0]).values() if isinstance(t, torch.Tensor)} == {
+        "meta"
+    }
     here = KeyframeList("cpu")
     here.append(frame(0), with_depth=True)
     there = KeyframeList.from_state_dict(here.state_dict(), "meta")
@@ -102,11 +127,15 @@ def test_images_are_kept_where_they_are_wanted():
 
 
 def test_images_beyond_what_memory_may_hold_are_in_files(monkeypatch, tmp_path):
-    monkeypatch.setattr(keyframes_module, "IN_MEMORY_BYTES", 2 * 36 + 2 * 48)  # two images with their depths
+    monkeypatch.setattr(
+        keyframes_module, "IN_MEMORY_BYTES", 2 * 36 + 2 * 48
+    )  # two images with their depths
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
     in_file, written = MAP_MEMORY.in_file, []
-    monkeypatch.setattr(MAP_MEMORY, "in_file", lambda image: written.append(image) or in_file(image))
+    monkeypatch.setattr(
+        MAP_MEMORY, "in_file", lambda image: written.append(image) or in_file(image)
+    )
     k = KeyframeList()
     for i in range(4):
         k.append(frame(i), with_depth=True)
@@ -119,7 +148,8 @@ def test_images_beyond_what_memory_may_hold_are_in_files(monkeypatch, tmp_path):
 
 
 def test_a_view_without_depth_has_depth_nowhere():
-    """Of a frame, a keyframe that kept its depth, and one that did not. All pixels count unless some are given."""
+    """Of a frame, a keyframe that kept its depth, and one that did not. All pixels count unless
+    some are given."""
     k = KeyframeList()
     k.append(frame(0), with_depth=True)
     k.append(frame(1))

@@ -1,4 +1,5 @@
-"""The loss as printed, its gradient by finite differences and by autograd, and which pixels count."""
+"""The loss as printed, its gradient by finite differences and by autograd, and which pixels
+count."""
 
 import math
 
@@ -34,7 +35,9 @@ from gsfusion_nb.types import GaussianParams
 
 def pair(height: int, width: int, generator: torch.Generator, dtype=torch.float64):
     x = torch.rand(height, width, 3, generator=generator, dtype=dtype)
-    return x, (x + 0.2 * torch.randn(height, width, 3, generator=generator, dtype=dtype)).clamp(0, 1)
+    return x, (x + 0.2 * torch.randn(height, width, 3, generator=generator, dtype=dtype)).clamp(
+        0, 1
+    )
 
 
 def test_l1_by_hand():
@@ -49,7 +52,9 @@ def test_squared_loss_belongs_to_its_gradient_where_the_picture_leaves_its_range
     loss = l2_mse_vjp(rgb, target)
     assert loss.value.item() == pytest.approx((0.25 + 0.0625 + 0.25) / 3)
     assert loss.mse.item() == pytest.approx(0.0625 / 3)
-    assert loss.v_rgb.tolist() == [[[pytest.approx(1 / 3), pytest.approx(0.5 / 3), pytest.approx(-1 / 3)]]]
+    assert loss.v_rgb.tolist() == [
+        [[pytest.approx(1 / 3), pytest.approx(0.5 / 3), pytest.approx(-1 / 3)]]
+    ]
 
 
 @pytest.mark.parametrize("size", [(1, 1), (5, 4), (17, 13)])
@@ -57,8 +62,16 @@ def test_vjps_match_finite_differences(size, generator):
     height, width = size
     x, y = pair(height, width, generator)
     fast = height * width > 50  # along a random direction only, instead of one value after another
-    torch.autograd.gradcheck(lambda a: dssim(a, y), x.clone().requires_grad_(True), fast_mode=fast)
-    cases = [(l1, l1_vjp(x, y)), (dssim, dssim_vjp(x, y)[1]), (torch.nn.functional.mse_loss, mse_vjp(x, y))]
+    torch.autograd.gradcheck(
+        lambda a: dssim(a, y),
+        x.clone().requires_grad_(True),
+        fast_mode=fast,
+    )
+    cases = [
+        (l1, l1_vjp(x, y)),
+        (dssim, dssim_vjp(x, y)[1]),
+        (torch.nn.functional.mse_loss, mse_vjp(x, y)),
+    ]
     for value, v in cases:
         a = x.clone().requires_grad_(True)
         (expected,) = torch.autograd.grad(value(a, y), a)
@@ -71,15 +84,26 @@ def test_dssim_value_is_the_same_with_and_without_gradient(generator):
 
 
 def test_interior_agrees_with_kornia(generator):
-    """Kornia reflects at the border, this loss pads with zeros; 6 px inside they are the same function."""
+    """Kornia reflects at the border, this loss pads with zeros; 6 px inside they are the same
+    function."""
     x, y = pair(64, 48, generator, torch.float32)
     A1, A2, B1, B2 = _ssim_factors(x, y)
-    theirs = kornia.metrics.ssim(x.permute(2, 0, 1)[None], y.permute(2, 0, 1)[None], 11)[0].permute(1, 2, 0)
-    torch.testing.assert_close((A1 * A2 / (B1 * B2))[6:-6, 6:-6], theirs[6:-6, 6:-6], rtol=1e-5, atol=1e-5)
+    theirs = kornia.metrics.ssim(
+        x.permute(2, 0, 1)[None],
+        y.permute(2, 0, 1)[None],
+        11,
+    )[0].permute(1, 2, 0)
+    torch.testing.assert_close(
+        (A1 * A2 / (B1 * B2))[6:-6, 6:-6],
+        theirs[6:-6, 6:-6],
+        rtol=1e-5,
+        atol=1e-5,
+    )
 
 
 def test_window_is_a_gaussian_that_adds_up_to_one():
-    """By the formula, at the middle of an image and at its corner, where pixels beyond the border count as zero."""
+    """By the formula, at the middle of an image and at its corner, where pixels beyond the border
+    count as zero."""
     weight = [math.exp(-0.5 * (i / 1.5) ** 2) for i in range(-5, 6)]
     share = [w / sum(weight) for w in weight]
     image = torch.zeros(23, 23, 3, dtype=torch.float64)
@@ -89,7 +113,9 @@ def test_window_is_a_gaussian_that_adds_up_to_one():
     for i in (-5, -2, 0, 4):
         assert float(mean[11 + i, 11, 1]) == pytest.approx(share[5 + i] * share[5], rel=1e-12)
     assert float(mean[0, 0, 2]) == pytest.approx(share[5] ** 2, rel=1e-12)
-    assert float(window_mean(torch.ones_like(image))[0, 11, 0]) == pytest.approx(sum(share[5:]), rel=1e-12)
+    assert float(window_mean(torch.ones_like(image))[0, 11, 0]) == pytest.approx(
+        sum(share[5:]), rel=1e-12
+    )
 
 
 def pictures(generator, height: int = 5, width: int = 7, dtype=torch.float64):
@@ -126,11 +152,16 @@ def test_by_hand():
     rgb, target = torch.zeros(1, 2, 3), torch.tensor([[[0.3, 0.0, -0.6], [9.0, 9.0, 9.0]]])
     depth, target_m = torch.tensor([[2.5, 1.0]]), torch.tensor([[2.0, 9.0]])
     only_first = torch.tensor([[True, False]])
-    loss = rgbd_l1_vjp(rgb, depth, target, target_m, only_first, weight_colour=0.8, weight_depth=2.0)
+    loss = rgbd_l1_vjp(
+        rgb, depth, target, target_m, only_first, weight_colour=0.8, weight_depth=2.0
+    )
     assert loss.colour == pytest.approx(0.3)
     assert loss.depth_m == pytest.approx(0.5)
     assert loss.total == pytest.approx(0.8 * 0.3 + 2.0 * 0.5)
-    torch.testing.assert_close(loss.v_rgb, torch.tensor([[[-0.8 / 3, 0.0, 0.8 / 3], [0.0, 0.0, 0.0]]]))
+    torch.testing.assert_close(
+        loss.v_rgb,
+        torch.tensor([[[-0.8 / 3, 0.0, 0.8 / 3], [0.0, 0.0, 0.0]]]),
+    )
     torch.testing.assert_close(loss.v_depth_m, torch.tensor([[2.0, 0.0]]))
 
 
@@ -140,9 +171,20 @@ def test_value_and_gradient_of_the_printed_formula(generator, behind_m, weights)
     rgb, depth_m, *rest = pictures(generator)
     target_rgb, target_m, pixels = rest
     leaves = rgb.clone().requires_grad_(), depth_m.clone().requires_grad_()
-    expected = written_out(leaves[0], leaves[1], target_rgb, target_m, pixels, weights[0], weights[1], behind_m)
+    expected = written_out(
+        leaves[0],
+        leaves[1],
+        target_rgb,
+        target_m,
+        pixels,
+        weights[0],
+        weights[1],
+        behind_m,
+    )
     expected.backward()
-    loss = rgbd_l1_vjp(rgb, depth_m, *rest, weight_colour=weights[0], weight_depth=weights[1], behind_m=behind_m)
+    loss = rgbd_l1_vjp(
+        rgb, depth_m, *rest, weight_colour=weights[0], weight_depth=weights[1], behind_m=behind_m
+    )
     assert loss.total == pytest.approx(float(expected.detach()), rel=1e-12)
     torch.testing.assert_close(loss.v_rgb, leaves[0].grad)
     torch.testing.assert_close(loss.v_depth_m, leaves[1].grad)
@@ -189,7 +231,14 @@ def test_without_depth_only_colour_counts(generator, missing):
 def test_far_behind_the_measurement_does_not_count_but_far_in_front_does():
     depth, target_m = torch.tensor([[2.05, 2.2, 1.0]]), torch.full((1, 3), 2.0)
     rgb = torch.zeros(1, 3, 3)
-    loss = rgbd_l1_vjp(rgb, depth, rgb, target_m, torch.ones(1, 3, dtype=torch.bool), behind_m=0.1)
+    loss = rgbd_l1_vjp(
+        rgb,
+        depth,
+        rgb,
+        target_m,
+        torch.ones(1, 3, dtype=torch.bool),
+        behind_m=0.1,
+    )
     assert loss.depth_m == pytest.approx((0.05 + 1.0) / 2)
     torch.testing.assert_close(loss.v_depth_m, torch.tensor([[0.5, 0.0, -0.5]]))
 
@@ -233,23 +282,36 @@ def test_depth_counts_where_it_is_measured(generator):
 
 def test_penalties_are_added_to_the_gradients(generator):
     n = 5
-    shapes = {"xyz_W": (n, 3), "log_scale": (n, 3), "quat": (n, 4), "opacity_logit": (n,), "sh": (n, 1, 3)}
-    columns = [{name: torch.randn(*s, generator=generator) for name, s in shapes.items()} for _ in range(2)]
+    shapes = {
+        "xyz_W": (n, 3),
+        "log_scale": (n, 3),
+        "quat": (n, 4),
+        "opacity_logit": (n,),
+        "sh": (n, 1, 3),
+    }
+    columns = [
+        {name: torch.randn(*s, generator=generator) for name, s in shapes.items()} for _ in range(2)
+    ]
     params, before = (GaussianParams(**c) for c in columns)
     after = GaussianParams(**{name: value.clone() for name, value in columns[1].items()})
     loss = add_penalties_(after, params, isotropy=10.0, scale=0.5, opacity=2.0)
     scale, logit = params.log_scale, params.opacity_logit
     assert loss.item() == pytest.approx(
-        float(10 * anisotropy(scale) + 0.5 * mean_scale(scale) + 2 * mean_opacity(logit)), rel=1e-6
+        float(10 * anisotropy(scale) + 0.5 * mean_scale(scale) + 2 * mean_opacity(logit)),
+        rel=1e-6,
     )
     added = anisotropy_vjp(scale, 10.0) + mean_scale_vjp(scale, 0.5)
     torch.testing.assert_close(after.log_scale, before.log_scale + added)
-    torch.testing.assert_close(after.opacity_logit, before.opacity_logit + mean_opacity_vjp(logit, 2.0))
+    torch.testing.assert_close(
+        after.opacity_logit, before.opacity_logit + mean_opacity_vjp(logit, 2.0)
+    )
     assert torch.equal(after.xyz_W, before.xyz_W)
     assert add_penalties_(after, params, isotropy=0.0, scale=0.0, opacity=0.0) == 0
 
 
-def params(value: float, quat: tuple[float, ...], n: int = 1, opacity_logit: float = 0.0) -> GaussianParams:
+def params(
+    value: float, quat: tuple[float, ...], n: int = 1, opacity_logit: float = 0.0
+) -> GaussianParams:
     return GaussianParams(
         xyz_W=torch.full((n, 3), value),
         log_scale=torch.full((n, 3), value - 5),

@@ -12,7 +12,9 @@ Change = Callable[[Sequence[Frame]], list[Frame]]
 
 
 def _posed(change: Callable[[torch.Tensor], torch.Tensor]) -> Change:
-    return lambda frames: [dataclasses.replace(f, T_WC=change(f.T_WC.double()).float()) for f in frames]
+    return lambda frames: [
+        dataclasses.replace(f, T_WC=change(f.T_WC.double()).float()) for f in frames
+    ]
 
 
 def _seen_by(change: Callable[[dict[str, float]], dict[str, float]]) -> Change:
@@ -28,7 +30,8 @@ def _depth_times(factor: float) -> Change:
 
 
 def _in_another_order(*names: str) -> Change:
-    """Images of frames that are not neighbours: each ninth of a recording, or of a dozen each fifth."""
+    """Images of frames that are not neighbours: each ninth of a recording, or of a dozen each
+    fifth."""
 
     def changed(frames: Sequence[Frame]) -> list[Frame]:
         n = len(frames)
@@ -52,7 +55,9 @@ def repeats(*names: str) -> Change:
 
     def changed(frames: Sequence[Frame]) -> list[Frame]:
         same = {name: getattr(frames[5], name) for name in names}
-        return [dataclasses.replace(f, **same) if i in (6, 7, 8) else f for i, f in enumerate(frames)]
+        return [
+            dataclasses.replace(f, **same) if i in (6, 7, 8) else f for i, f in enumerate(frames)
+        ]
 
     return changed
 

@@ -1,8 +1,9 @@
 """jaxtyping that checks the first calls of each function in each test, instead of every call.
 
-Checking every call doubled the time of the tests. What is checked is made at the first call, because a process calls
-fewer than half of the package's functions. Functions inside functions are not checked: they would be made anew in every
-call. The name begins with jaxtyping for ``gsfusion_nb.course.learner_code``, which looks past such frames.
+Checking every call doubled the time of the tests. What is checked is made at the first call,
+because a process calls fewer than half of the package's functions. Functions inside functions are
+not checked: they would be made anew in every call. The name begins with jaxtyping for
+``gsfusion_nb.course.learner_code``, which looks past such frames.
 """
 
 import dataclasses
@@ -25,7 +26,8 @@ def next_test() -> None:
 
 
 def jaxtyped(thing: Any = None, *, typechecker: Callable) -> Any:
-    """As ``jaxtyping.jaxtyped``, which it replaces; also for a dataclass, of which ``__init__`` is checked."""
+    """As ``jaxtyping.jaxtyped``, which it replaces; also for a dataclass, of which ``__init__`` is
+    checked."""
     if thing is None:
         return functools.partial(jaxtyped, typechecker=typechecker)
     if isinstance(thing, type):

@@ -10,9 +10,23 @@ from gsfusion_nb.geometry import quaternion
 TUM_START_S = 1305031102.0
 
 
-def tum_layout(root, box, *, n=4, rgb_lag=0.012, gt_step=0.01, gt_end=1.0, camera=None, camera_scale=5000):
+def tum_layout(
+    root,
+    box,
+    *,
+    n=4,
+    rgb_lag=0.012,
+    gt_step=0.01,
+    gt_end=1.0,
+    camera=None,
+    camera_scale=5000,
+):
     """The public layout: three lists with comments, images named by their time stamps."""
-    rgb_lines, depth_lines, gt_lines = ["# color images", "# timestamp filename"], ["# depth maps"], ["# ground truth"]
+    rgb_lines, depth_lines, gt_lines = (
+        ["# color images", "# timestamp filename"],
+        ["# depth maps"],
+        ["# ground truth"],
+    )
     for i in range(n):
         t_depth = 0.1 + i / 30
         t_rgb = t_depth + rgb_lag
@@ -29,7 +43,9 @@ def tum_layout(root, box, *, n=4, rgb_lag=0.012, gt_step=0.01, gt_end=1.0, camer
         T = box.pose_at(k * gt_step + 0.003)
         w, x, y, z = quaternion.from_matrix(T[:3, :3]).tolist()
         values = [*T[:3, 3].tolist(), x, y, z, w]
-        gt_lines.append(f"{TUM_START_S + k * gt_step + 0.003:.4f} " + " ".join(f"{v:.9f}" for v in values))
+        gt_lines.append(
+            f"{TUM_START_S + k * gt_step + 0.003:.4f} " + " ".join(f"{v:.9f}" for v in values)
+        )
     for name, lines in (("rgb", rgb_lines), ("depth", depth_lines), ("groundtruth", gt_lines)):
         (root / f"{name}.txt").write_text("\n".join([*lines, ""]))
     return root
@@ -56,11 +72,16 @@ def scannetpp_layout(root, box, suffix="_2", **changes):
         frames[name] = {"file_path": name, "transform_matrix": gl.tolist(), "is_bad": False}
     values = {"fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height}
     values |= {"camera_model": "PINHOLE", "k1": 0.0}
-    values |= {"frames": [frames[n] for n in sorted(TRAIN)], "test_frames": [frames[n] for n in TEST]}
+    values |= {
+        "frames": [frames[n] for n in sorted(TRAIN)],
+        "test_frames": [frames[n] for n in TEST],
+    }
     (dslr / "nerfstudio").mkdir(exist_ok=True)
     values = {k: v for k, v in (values | changes).items() if v is not None}
     (dslr / f"nerfstudio/transforms_undistorted{suffix}.json").write_text(json.dumps(values))
-    (dslr / "train_test_lists.json").write_text(json.dumps({"train": TRAIN, "test": TEST, "has_masks": False}))
+    (dslr / "train_test_lists.json").write_text(
+        json.dumps({"train": TRAIN, "test": TEST, "has_masks": False})
+    )
     return root
 
 

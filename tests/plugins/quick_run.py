@@ -1,4 +1,5 @@
-"""The quick version of a chapter: the pieces of code that a cell's metadata names are replaced by smaller ones."""
+"""The quick version of a chapter: the pieces of code that a cell's metadata names are replaced by
+smaller ones."""
 
 import copy
 from typing import Any
@@ -16,8 +17,11 @@ def quick(notebook: dict[str, Any]) -> dict[str, Any]:
 
 
 def on_one_thread(notebook: dict[str, Any]) -> dict[str, Any]:
-    """A copy of a notebook whose cell of settings lets torch use one thread, for a browser beside it."""
+    """A copy of a notebook whose cell of settings lets torch use one thread, for a browser beside
+    it."""
     changed = copy.deepcopy(notebook)
-    settings = next(cell for cell in changed["cells"] if "parameters" in cell["metadata"].get("tags", []))
+    settings = next(
+        cell for cell in changed["cells"] if "parameters" in cell["metadata"].get("tags", [])
+    )
     settings["source"] = "import torch; torch.set_num_threads(1)\n" + "".join(settings["source"])
     return changed

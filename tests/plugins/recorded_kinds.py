@@ -1,7 +1,8 @@
-"""Small recordings as the documentation of cameras, apps and data sets describes them, made of the built-in room.
+"""Small recordings as the documentation of cameras, apps and data sets describes them, made of the
+built-in room.
 
-Each maker writes one into a folder and returns what is given to ``convert``. ``docs/formats.md`` lists the kinds with
-the source of each.
+Each maker writes one into a folder and returns what is given to ``convert``. ``docs/formats.md``
+lists the kinds with the source of each.
 """
 
 import json
@@ -33,7 +34,13 @@ def camera_names(takes: Any) -> dict[str, float]:
     return {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
 
 
-def write_images(root: Path, takes: Any, colour: str, depth: str, scale: float = 1000.0) -> Path:
+def write_images(
+    root: Path,
+    takes: Any,
+    colour: str,
+    depth: str,
+    scale: float = 1000.0,
+) -> Path:
     """Files of all frames; {} is the number of a frame, {t} its time."""
     for i, t in enumerate(takes.times_s):
         picture = takes.png(i) if colour.endswith("png") else takes.jpeg(i)
@@ -73,11 +80,12 @@ def tum_lists(root: Path, takes: Any, scale: float = 5000.0) -> Path:
     return root
 
 
-# ---- Phones ----------------------------------------------------------------------------------------------------------
+# ---- Phones --------------------------------------------------------------------------------------
 
 
 def stray(root: Path, takes: Any, colour: bool = True) -> Path:
-    """StrayScanner: depth and confidence by number, camera_matrix.csv, odometry.csv; colour is a video."""
+    """StrayScanner: depth and confidence by number, camera_matrix.csv, odometry.csv; colour is a
+    video."""
     write_images(root, takes, "rgb/{:06d}.jpg", "depth/{:06d}.png")
     if not colour:
         for file in (root / "rgb").iterdir():
@@ -88,9 +96,15 @@ def stray(root: Path, takes: Any, colour: bool = True) -> Path:
         confident = np.full(takes.depth_m[i].shape, 2, np.uint8)
         takes.write(root / f"confidence/{i:06d}.png", cv2.imencode(".png", confident)[1].tobytes())
     np.savetxt(root / "camera_matrix.csv", matrix(takes), delimiter=", ")
-    rows = [f"{1000.5 + i / 60:.6f}, {i:06d}, {', '.join(map(str, takes.tum_row(i)))}" for i in range(len(takes))]
+    rows = [
+        f"{1000.5 + i / 60:.6f}, {i:06d}, {', '.join(map(str, takes.tum_row(i)))}"
+        for i in range(len(takes))
+    ]
     write_text(root / "odometry.csv", ["timestamp, frame, x, y, z, qx, qy, qz, qw", *rows])
-    write_text(root / "imu.csv", ["timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z", "1000.5, 0, 0, 9.8, 0, 0, 0"])
+    write_text(
+        root / "imu.csv",
+        ["timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z", "1000.5, 0, 0, 9.8, 0, 0, 0"],
+    )
     return root
 
 
@@ -107,7 +121,11 @@ def polycam(root: Path, takes: Any, corrected: bool = False) -> Path:
         pose = T @ GL
         values = {f"t_{row}{column}": pose[row, column] for row in range(3) for column in range(4)}
         values |= names | {"cx": names["cx"] + 0.5, "cy": names["cy"] + 0.5}
-        values |= {"width": takes.camera.width, "height": takes.camera.height, "timestamp": 1000 * i}
+        values |= {
+            "width": takes.camera.width,
+            "height": takes.camera.height,
+            "timestamp": 1000 * i,
+        }
         values |= {"blur_score": 130.0, "manual_keyframe": False, "neighbors": []}
         takes.write(folder / f"cameras/{i}000.json", json.dumps(values).encode())
         confident = np.full(takes.depth_m[i].shape, 255, np.uint8)
@@ -137,7 +155,9 @@ def scanner_app(root: Path, takes: Any) -> Path:
         for number in (6 * i, 6 * i + 1):
             takes.write(root / f"depth_{number:05d}.png", takes.depth_png(i))
             confident = np.full(takes.depth_m[i].shape, 2, np.uint8)
-            takes.write(root / f"conf_{number:05d}.png", cv2.imencode(".png", confident)[1].tobytes())
+            takes.write(
+                root / f"conf_{number:05d}.png", cv2.imencode(".png", confident)[1].tobytes()
+            )
     (root / "info.json").write_text("{}")
     return root
 
@@ -155,11 +175,15 @@ def scannetpp_iphone(root: Path, takes: Any) -> Path:
 
 
 def arkitscenes(root: Path, takes: Any) -> Path:
-    """lowres_wide, lowres_depth, a .pincam for each image and a .traj: time, axis times angle, translation."""
+    """lowres_wide, lowres_depth, a .pincam for each image and a .traj: time, axis times angle,
+    translation."""
     from scipy.spatial.transform import Rotation
 
     folder = write_images(
-        root / "41048190", takes, "lowres_wide/41048190_{t:.3f}.png", "lowres_depth/41048190_{t:.3f}.png"
+        root / "41048190",
+        takes,
+        "lowres_wide/41048190_{t:.3f}.png",
+        "lowres_depth/41048190_{t:.3f}.png",
     )
     c = takes.camera
     for t in takes.times_s:
@@ -174,15 +198,25 @@ def arkitscenes(root: Path, takes: Any) -> Path:
     return folder
 
 
-# ---- Programs of cameras ---------------------------------------------------------------------------------------------
+# ---- Programs of cameras -------------------------------------------------------------------------
 
 
 def azure_open3d(root: Path, takes: Any) -> Path:
-    """What Open3D's azure_kinect_mkv_reader writes: intrinsic.json has the matrix column by column."""
+    """What Open3D's azure_kinect_mkv_reader writes: intrinsic.json has the matrix column by
+    column."""
     write_images(root, takes, "color/{:05d}.jpg", "depth/{:05d}.png")
     c = takes.camera
-    values = {"color_mode": "MJPG_720P", "depth_mode": "NFOV_UNBINNED", "height": c.height, "width": c.width}
-    values |= {"intrinsic_matrix": matrix(takes).T.ravel().tolist(), "serial_number_": "0", "stream_length_usec": 9}
+    values = {
+        "color_mode": "MJPG_720P",
+        "depth_mode": "NFOV_UNBINNED",
+        "height": c.height,
+        "width": c.width,
+    }
+    values |= {
+        "intrinsic_matrix": matrix(takes).T.ravel().tolist(),
+        "serial_number_": "0",
+        "stream_length_usec": 9,
+    }
     (root / "intrinsic.json").write_text(json.dumps(values))
     return root
 
@@ -199,7 +233,9 @@ def k4a_calibration(root: Path, takes: Any) -> Path:
         {"Intrinsics": lens, "Purpose": f"CALIBRATION_Camera{kind}", "SensorWidth": 4096}
         for kind in ("Depth", "PhotoVideo")
     ]
-    (root / "calibration.json").write_text(json.dumps({"CalibrationInformation": {"Cameras": cameras}}))
+    (root / "calibration.json").write_text(
+        json.dumps({"CalibrationInformation": {"Cameras": cameras}})
+    )
     return root
 
 
@@ -213,11 +249,18 @@ def rtabmap_database(root: Path, takes: Any) -> Path:
 
 
 def rtabmap_calibration(takes: Any) -> str:
-    """As OpenCV writes it; local_transform turns the axes of the robot's base to those of the camera."""
+    """As OpenCV writes it; local_transform turns the axes of the robot's base to those of the
+    camera."""
     c = takes.camera
     values = {"camera_matrix": matrix(takes), "distortion_coefficients": np.zeros((1, 5))}
     values |= {"local_transform": np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0]])}
-    lines = ["%YAML:1.0", "---", f"image_width: {c.width}", f"image_height: {c.height}", "distortion_model: plumb_bob"]
+    lines = [
+        "%YAML:1.0",
+        "---",
+        f"image_width: {c.width}",
+        f"image_height: {c.height}",
+        "distortion_model: plumb_bob",
+    ]
     for name, value in values.items():
         rows, columns = value.shape
         data = ", ".join(f"{v:.9f}" for v in value.ravel())
@@ -226,7 +269,8 @@ def rtabmap_calibration(takes: Any) -> str:
 
 
 def rtabmap_export(root: Path, takes: Any, poses_of: str = "camera_poses") -> Path:
-    """rtabmap-export --images_id --poses_camera: names are node numbers with gaps, poses have them behind."""
+    """rtabmap-export --images_id --poses_camera: names are node numbers with gaps, poses have them
+    behind."""
     numbers = [1, 4, 5, 9]
     for i, number in enumerate(numbers):
         takes.write(root / f"rtabmap_rgb/{number}.jpg", takes.jpeg(i))
@@ -274,7 +318,9 @@ def oak_calibration(root: Path, takes: Any) -> Path:
     camera = {"cameraType": 0, "distortionCoeff": [0.0] * 14, "height": c.height, "width": c.width}
     colour = camera | {"intrinsicMatrix": matrix(takes).tolist()}
     grey = camera | {"intrinsicMatrix": (matrix(takes) * [[2], [2], [1]]).tolist()}
-    (root / "calib.json").write_text(json.dumps({"boardName": "DM9098", "cameraData": [[2, grey], [0, colour]]}))
+    (root / "calib.json").write_text(
+        json.dumps({"boardName": "DM9098", "cameraData": [[2, grey], [0, colour]]})
+    )
     return root
 
 
@@ -282,23 +328,32 @@ def airsim(root: Path, takes: Any) -> Path:
     """AirSim: images/img_*.pfm of depth in metres, airsim_rec.txt."""
     for i in range(len(takes)):
         takes.write(root / f"images/img_{i}_rgb.png", takes.png(i))
-        takes.write(root / f"images/img_{i}_depth.pfm", cv2.imencode(".pfm", takes.depth_m[i])[1].tobytes())
+        takes.write(
+            root / f"images/img_{i}_depth.pfm", cv2.imencode(".pfm", takes.depth_m[i])[1].tobytes()
+        )
     header = "VehicleName\tTimeStamp\tPOS_X\tPOS_Y\tPOS_Z\tQ_W\tQ_X\tQ_Y\tQ_Z\tImageFile"
-    rows = [f"\t{i}\t0\t0\t0\t1\t0\t0\t0\timg_{i}_rgb.png;img_{i}_depth.pfm" for i in range(len(takes))]
+    rows = [
+        f"\t{i}\t0\t0\t0\t1\t0\t0\t0\timg_{i}_rgb.png;img_{i}_depth.pfm" for i in range(len(takes))
+    ]
     write_text(root / "airsim_rec.txt", [header, *rows])
     return root
 
 
-# ---- Data sets -------------------------------------------------------------------------------------------------------
+# ---- Data sets -----------------------------------------------------------------------------------
 
 
 def scannet_exported(root: Path, takes: Any, extrinsic: np.ndarray | None = None) -> Path:
     """The exporter's folders; the second pose is lost."""
     write_images(root, takes, "color/{}.jpg", "depth/{}.png")
     for i, T in enumerate(poses(takes)):
-        write_text(root / f"pose/{i}.txt", [words(row) for row in (np.full((4, 4), -np.inf) if i == 1 else T)])
+        write_text(
+            root / f"pose/{i}.txt",
+            [words(row) for row in (np.full((4, 4), -np.inf) if i == 1 else T)],
+        )
     for kind in ("color", "depth"):
-        write_text(root / f"intrinsic/intrinsic_{kind}.txt", [words(row) for row in matrix(takes, 4)])
+        write_text(
+            root / f"intrinsic/intrinsic_{kind}.txt", [words(row) for row in matrix(takes, 4)]
+        )
         of_kind = np.eye(4) if kind == "color" or extrinsic is None else extrinsic
         write_text(root / f"intrinsic/extrinsic_{kind}.txt", [words(row) for row in of_kind])
     return root
@@ -322,15 +377,24 @@ def scannet_25k(root: Path, takes: Any) -> Path:
 
 
 def three_d_match(root: Path, takes: Any) -> Path:
-    """3DMatch: names of 7-Scenes, the calibration beside the sequence, 65535 where depth is missing."""
+    """3DMatch: names of 7-Scenes, the calibration beside the sequence, 65535 where depth is
+    missing."""
     folder = root / "7-scenes-redkitchen"
     for i, T in enumerate(poses(takes)):
         stored = takes.depth_raw(i)
         stored[:4, :5] = 65535
         takes.write(folder / f"seq-01/frame-{i:06d}.color.png", takes.png(i))
-        takes.write(folder / f"seq-01/frame-{i:06d}.depth.png", cv2.imencode(".png", stored)[1].tobytes())
-        write_text(folder / f"seq-01/frame-{i:06d}.pose.txt", ["\t".join(f"{v:.9e}" for v in row) + "\t" for row in T])
-    write_text(folder / "camera-intrinsics.txt", ["\t".join(f"{v:.6f}" for v in row) for row in matrix(takes)])
+        takes.write(
+            folder / f"seq-01/frame-{i:06d}.depth.png", cv2.imencode(".png", stored)[1].tobytes()
+        )
+        write_text(
+            folder / f"seq-01/frame-{i:06d}.pose.txt",
+            ["\t".join(f"{v:.9e}" for v in row) + "\t" for row in T],
+        )
+    write_text(
+        folder / "camera-intrinsics.txt",
+        ["\t".join(f"{v:.6f}" for v in row) for row in matrix(takes)],
+    )
     return folder
 
 
@@ -358,11 +422,16 @@ def sun3d(root: Path, takes: Any) -> Path:
         millimetres = takes.depth_raw(i)
         turned = ((millimetres << 3) | (millimetres >> 13)).astype(np.uint16)
         takes.write(root / f"image/{i + 1:07d}-{33369 * i:012d}.jpg", takes.jpeg(i))
-        takes.write(root / f"depth/{i + 1:07d}-{33369 * i + 400:012d}.png", cv2.imencode(".png", turned)[1].tobytes())
+        takes.write(
+            root / f"depth/{i + 1:07d}-{33369 * i + 400:012d}.png",
+            cv2.imencode(".png", turned)[1].tobytes(),
+        )
     write_text(root / "intrinsics.txt", [words(row) for row in matrix(takes)])
     rows = [words(row) for T in poses(takes) for row in T[:3]]
     write_text(root / "extrinsics/20140808220511.txt", rows)
-    write_text(root / "extrinsics/20130512130736.txt", ["1 0 0 0", "0 1 0 0", "0 0 1 0"] * len(takes))
+    write_text(
+        root / "extrinsics/20130512130736.txt", ["1 0 0 0", "0 1 0 0", "0 0 1 0"] * len(takes)
+    )
     return root
 
 
@@ -371,7 +440,11 @@ def redwood(root: Path, takes: Any) -> Path:
     for i in range(len(takes)):
         takes.write(root / f"rgb/{i + 1:07d}-{33369 * i:012d}.jpg", takes.jpeg(i))
         takes.write(root / f"depth/{i + 1:07d}-{33369 * i:012d}.png", takes.depth_png(i))
-    lines = [line for i, T in enumerate(poses(takes)) for line in (f"{i} {i} {i + 1}", *(words(row) for row in T))]
+    lines = [
+        line
+        for i, T in enumerate(poses(takes))
+        for line in (f"{i} {i} {i + 1}", *(words(row) for row in T))
+    ]
     write_text(root / "trajectory.log", lines)
     return root
 
@@ -379,8 +452,14 @@ def redwood(root: Path, takes: Any) -> Path:
 def eth3d(root: Path, takes: Any) -> Path:
     """ETH3D SLAM: TUM's lists, associated.txt and calibration.txt of four numbers."""
     tum_lists(root, takes)
-    write_text(root / "calibration.txt", [" ".join(map(str, camera_names(takes).values()))])
-    write_text(root / "associated.txt", [f"{t:.6f} rgb/{t:.6f}.png {t:.6f} depth/{t:.6f}.png" for t in takes.times_s])
+    write_text(
+        root / "calibration.txt",
+        [" ".join(map(str, camera_names(takes).values()))],
+    )
+    write_text(
+        root / "associated.txt",
+        [f"{t:.6f} rgb/{t:.6f}.png {t:.6f} depth/{t:.6f}.png" for t in takes.times_s],
+    )
     return root
 
 
@@ -400,7 +479,11 @@ def neural_rgbd(root: Path, takes: Any) -> Path:
     """Neural RGB-D: one focal length, OpenGL axes, NaN where there is no pose."""
     write_images(root, takes, "images/img{}.png", "depth/depth{}.png")
     c = takes.camera
-    rows = [words(row) for i, T in enumerate(poses(takes)) for row in (T @ GL if i != 2 else np.full((4, 4), np.nan))]
+    rows = [
+        words(row)
+        for i, T in enumerate(poses(takes))
+        for row in (T @ GL if i != 2 else np.full((4, 4), np.nan))
+    ]
     write_text(root / "poses.txt", rows)
     write_text(root / "trainval_poses.txt", rows)
     write_text(root / "focal.txt", [f"{c.fx:.9f}"])
@@ -414,7 +497,10 @@ def tartanair(root: Path, takes: Any) -> Path:
         (root / "depth_left").mkdir(exist_ok=True)
         stored = takes.depth_m[i].astype(np.float32)
         np.save(root / f"depth_left/{i:06d}_left_depth.npy", stored)
-    write_text(root / "pose_left.txt", [words(row_of(NED @ T @ NED.T)) for T in poses(takes)])
+    write_text(
+        root / "pose_left.txt",
+        [words(row_of(NED @ T @ NED.T)) for T in poses(takes)],
+    )
     return root
 
 
@@ -423,13 +509,20 @@ def tartanair_2(root: Path, takes: Any) -> Path:
     for i in range(len(takes)):
         takes.write(root / f"image_lcam_front/{i:06d}_lcam_front.png", takes.png(i))
         packed = takes.depth_m[i].astype("<f4")[..., None].view(np.uint8)
-        takes.write(root / f"depth_lcam_front/{i:06d}_lcam_front_depth.png", cv2.imencode(".png", packed)[1].tobytes())
-    write_text(root / "pose_lcam_front.txt", [words(row_of(NED @ T @ NED.T)) for T in poses(takes)])
+        takes.write(
+            root / f"depth_lcam_front/{i:06d}_lcam_front_depth.png",
+            cv2.imencode(".png", packed)[1].tobytes(),
+        )
+    write_text(
+        root / "pose_lcam_front.txt",
+        [words(row_of(NED @ T @ NED.T)) for T in poses(takes)],
+    )
     return root
 
 
 def bop(root: Path, takes: Any) -> Path:
-    """BOP (T-LESS, YCB-V): scene_camera.json, depth in tenths of a millimetre, poses world-to-camera in millimetres."""
+    """BOP (T-LESS, YCB-V): scene_camera.json, depth in tenths of a millimetre, poses
+    world-to-camera in millimetres."""
     write_images(root / "000001", takes, "rgb/{:06d}.png", "depth/{:06d}.png", 10_000)
     values = {}
     for i, T in enumerate(poses(takes)):
@@ -451,7 +544,8 @@ def semantic_nerf(root: Path, takes: Any) -> Path:
 
 
 def nice_slam(root: Path, takes: Any) -> Path:
-    """Folders as Replica's with cam_params.json, whose scale is the unit of depth, but names of their own."""
+    """Folders as Replica's with cam_params.json, whose scale is the unit of depth, but names of
+    their own."""
     write_images(root, takes, "color/{}.png", "depth/{}.png", 6553.5)
     c, names = takes.camera, camera_names(takes)
     (root / "cam_params.json").write_text(
@@ -464,9 +558,12 @@ def nice_slam(root: Path, takes: Any) -> Path:
 def nyu_raw(root: Path, takes: Any) -> Path:
     """NYU Depth V2, raw: disparity with its bytes swapped, in a dump of another clock."""
     for i, t in enumerate(takes.times_s):
-        takes.write(root / f"r-{t:.6f}-{1000 + i}.ppm", cv2.imencode(".ppm", takes.rgb[i])[1].tobytes())
         takes.write(
-            root / f"d-{t:.6f}-{1500 + i}.pgm", cv2.imencode(".pgm", takes.depth_raw(i).byteswap())[1].tobytes()
+            root / f"r-{t:.6f}-{1000 + i}.ppm", cv2.imencode(".ppm", takes.rgb[i])[1].tobytes()
+        )
+        takes.write(
+            root / f"d-{t:.6f}-{1500 + i}.pgm",
+            cv2.imencode(".pgm", takes.depth_raw(i).byteswap())[1].tobytes(),
         )
         takes.write(root / f"a-{t:.6f}-{1700 + i}.dump", b"\0")
     return root
@@ -479,7 +576,10 @@ def euroc(root: Path, takes: Any) -> Path:
             takes.write(root / f"mav0/{cam}/data/{int(1e9 * t)}.png", takes.png(i))
         write_text(
             root / f"mav0/{cam}/data.csv",
-            ["#timestamp [ns],filename", *(f"{int(1e9 * t)},{int(1e9 * t)}.png" for t in takes.times_s)],
+            [
+                "#timestamp [ns],filename",
+                *(f"{int(1e9 * t)},{int(1e9 * t)}.png" for t in takes.times_s),
+            ],
         )
     return root
 
@@ -487,8 +587,13 @@ def euroc(root: Path, takes: Any) -> Path:
 def hypersim(root: Path, takes: Any) -> Path:
     """Hypersim: distances from the camera as HDF5."""
     for i in range(len(takes)):
-        takes.write(root / f"images/scene_cam_00_final_preview/frame.{i:04d}.tonemap.jpg", takes.jpeg(i))
-        takes.write(root / f"images/scene_cam_00_geometry_hdf5/frame.{i:04d}.depth_meters.hdf5", b"\x89HDF\r\n\x1a\n")
+        takes.write(
+            root / f"images/scene_cam_00_final_preview/frame.{i:04d}.tonemap.jpg", takes.jpeg(i)
+        )
+        takes.write(
+            root / f"images/scene_cam_00_geometry_hdf5/frame.{i:04d}.depth_meters.hdf5",
+            b"\x89HDF\r\n\x1a\n",
+        )
     return root
 
 
@@ -501,18 +606,24 @@ def matterport(root: Path, takes: Any) -> Path:
 
 
 def colmap(root: Path, takes: Any, second_line: str = "") -> Path:
-    """A COLMAP model as text: two cameras of several models, numbers with gaps, images in another order."""
+    """A COLMAP model as text: two cameras of several models, numbers with gaps, images in another
+    order."""
     write_images(root, takes, "images/{:04d}.png", "depth/{:04d}.png")
     c = takes.camera
     cameras = [
         f"3 PINHOLE {c.width} {c.height} {c.fx} {c.fy} {c.cx} {c.cy}",
         f"7 OPENCV {c.width} {c.height} {c.fx} {c.fy} {c.cx} {c.cy} 0 0 0 0",
     ]
-    write_text(root / "sparse/0/cameras.txt", ["# Camera list with one line of data per camera:", *cameras])
+    write_text(
+        root / "sparse/0/cameras.txt", ["# Camera list with one line of data per camera:", *cameras]
+    )
     lines = ["# Image list with two lines of data per image:"]
     for i in (2, 0, 3, 1):
         x, y, z, qx, qy, qz, qw = row_of(np.linalg.inv(poses(takes)[i]))
-        lines += [f"{11 + 5 * i} {words([qw, qx, qy, qz, x, y, z])} {(3, 7)[i % 2]} {i:04d}.png", second_line]
+        lines += [
+            f"{11 + 5 * i} {words([qw, qx, qy, qz, x, y, z])} {(3, 7)[i % 2]} {i:04d}.png",
+            second_line,
+        ]
     write_text(root / "sparse/0/images.txt", lines)
     write_text(root / "sparse/0/points3D.txt", ["# 3D point list with one line of data per point:"])
     return root
@@ -540,10 +651,26 @@ def nerfstudio(root: Path, takes: Any, **extra: Any) -> Path:
     for i, T in enumerate(poses(takes)):
         moved = np.vstack([A, [0, 0, 0, 1]]) @ T @ GL
         moved[:3, 3] = (scaled @ moved)[:3, 3]
-        frame = {"file_path": f"images/frame_{i:05d}.png", "depth_file_path": f"depth/frame_{i:05d}.png"}
+        frame = {
+            "file_path": f"images/frame_{i:05d}.png",
+            "depth_file_path": f"depth/frame_{i:05d}.png",
+        }
         frames.append(frame | {"transform_matrix": moved.tolist(), "mask_path": f"masks/{i}.png"})
-    values = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "camera_model": "OPENCV"}
-    values |= {"depth_unit_scale_factor": 1e-4, "applied_transform": A.tolist(), "applied_scale": 0.5, "frames": frames}
+    values = {
+        "w": c.width,
+        "h": c.height,
+        "fl_x": c.fx,
+        "fl_y": c.fy,
+        "cx": c.cx,
+        "cy": c.cy,
+        "camera_model": "OPENCV",
+    }
+    values |= {
+        "depth_unit_scale_factor": 1e-4,
+        "applied_transform": A.tolist(),
+        "applied_scale": 0.5,
+        "frames": frames,
+    }
     (root / "transforms.json").write_text(json.dumps(values | extra))
     return root
 
@@ -556,10 +683,15 @@ def realsense_db3(root: Path, takes: Any) -> Path:
     """A recording of librealsense 2.58 and newer: a ROS 2 database without metadata.yaml."""
     root.mkdir(parents=True)
     with sqlite3.connect(root / "20260330.db3") as database:
-        database.execute("CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
-        database.execute("CREATE TABLE messages (id INTEGER, topic_id INTEGER, timestamp INTEGER, data BLOB)")
         database.execute(
-            "INSERT INTO topics VALUES (1, '/device_0/sensor_0/Depth_0/image/data', 'sensor_msgs/msg/Image', 'cdr')"
+            "CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT)"
+        )
+        database.execute(
+            "CREATE TABLE messages (id INTEGER, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        )
+        database.execute(
+            "INSERT INTO topics VALUES (1, '/device_0/sensor_0/Depth_0/image/data', "
+            "'sensor_msgs/msg/Image', 'cdr')"
         )
     database.close()
     return root / "20260330.db3"

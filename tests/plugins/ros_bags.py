@@ -24,7 +24,9 @@ class Bag:
 
     def __enter__(self):
         self.store = get_typestore(Stores.ROS1_NOETIC if self.version == 1 else Stores.ROS2_HUMBLE)
-        tf = get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
+        tf = get_types_from_msg(
+            "geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"
+        )
         self.store.register(tf)
         plugin = self.storage or StoragePlugin.SQLITE3
         self.writer = (
@@ -53,24 +55,66 @@ class Bag:
         if topic not in self.connections:
             self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
         pack = self.store.serialize_ros1 if self.version == 1 else self.store.serialize_cdr
-        self.writer.write(self.connections[topic], round(time_s * 1e9), bytes(pack(message, kind)) + tail)
+        self.writer.write(
+            self.connections[topic],
+            round(time_s * 1e9),
+            bytes(pack(message, kind)) + tail,
+        )
 
-    def image(self, topic, time_s, frame, encoding, pixels, *, pad=0, big=False, tail=b""):
+    def image(
+        self,
+        topic,
+        time_s,
+        frame,
+        encoding,
+        pixels,
+        *,
+        pad=0,
+        big=False,
+        tail=b"",
+    ):
         rows = np.ascontiguousarray(pixels.astype(pixels.dtype.newbyteorder(">" if big else "<")))
         rows = rows.reshape(len(rows), -1).view(np.uint8)
-        rows = np.concatenate([rows, np.full((len(rows), pad), 99, np.uint8)], axis=1)
+        rows = np.concatenate(
+            [rows, np.full((len(rows), pad), 99, np.uint8)],
+            axis=1,
+        )
         h, w = pixels.shape[:2]
-        fields = {"height": h, "width": w, "encoding": encoding, "is_bigendian": int(big), "step": rows.shape[1]}
+        fields = {
+            "height": h,
+            "width": w,
+            "encoding": encoding,
+            "is_bigendian": int(big),
+            "step": rows.shape[1],
+        }
         header = self.header(time_s, frame)
-        self.put(topic, self.make("sensor_msgs/msg/Image", header=header, data=rows.flatten(), **fields), time_s, tail)
+        self.put(
+            topic,
+            self.make("sensor_msgs/msg/Image", header=header, data=rows.flatten(), **fields),
+            time_s,
+            tail,
+        )
 
     def compressed(self, topic, time_s, frame, format, data):
         array = np.frombuffer(data, np.uint8)
         header = self.header(time_s, frame)
-        message = self.make("sensor_msgs/msg/CompressedImage", header=header, format=format, data=array)
+        message = self.make(
+            "sensor_msgs/msg/CompressedImage", header=header, format=format, data=array
+        )
         self.put(topic, message, time_s)
 
-    def info(self, topic, time_s, frame, c: Camera, D=(0.0,) * 5, *, model="plumb_bob", roi=(0, 0, 0, 0), zeros=False):
+    def info(
+        self,
+        topic,
+        time_s,
+        frame,
+        c: Camera,
+        D=(0.0,) * 5,
+        *,
+        model="plumb_bob",
+        roi=(0, 0, 0, 0),
+        zeros=False,
+    ):
         K = np.array([c.fx, 0, c.cx - 0.5, 0, c.fy, c.cy - 0.5, 0, 0, 1])
         K = np.zeros(9) if zeros else K
         P = np.insert(K.reshape(3, 3), 3, 0, axis=1).flatten()
@@ -115,7 +159,11 @@ class Bag:
 
     def pose(self, topic, time_s, T):
         header = self.header(time_s, "map")
-        self.put(topic, self.make("geometry_msgs/msg/PoseStamped", header=header, pose=self.pose_of(T)), time_s)
+        self.put(
+            topic,
+            self.make("geometry_msgs/msg/PoseStamped", header=header, pose=self.pose_of(T)),
+            time_s,
+        )
 
     def odometry(self, topic, time_s, child, T):
         zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
@@ -125,7 +173,11 @@ class Bag:
             "nav_msgs/msg/Odometry",
             header=self.header(time_s, "odom"),
             child_frame_id=child,
-            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=self.pose_of(T), **with_covariance),
-            twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, **with_covariance),
+            pose=self.make(
+                "geometry_msgs/msg/PoseWithCovariance", pose=self.pose_of(T), **with_covariance
+            ),
+            twist=self.make(
+                "geometry_msgs/msg/TwistWithCovariance", twist=twist, **with_covariance
+            ),
         )
         self.put(topic, message, time_s)

@@ -1,4 +1,5 @@
-"""Three Gaussians over a slanted surface with a hole, whose picture and gradients were derived by hand."""
+"""Three Gaussians over a slanted surface with a hole, whose picture and gradients were derived by
+hand."""
 
 import math
 from typing import NamedTuple
@@ -28,10 +29,22 @@ def three_gaussians(dtype: torch.dtype) -> Scene:
         return torch.tensor(rows, dtype=dtype)
 
     cos, sin = math.cos(math.radians(10)), math.sin(math.radians(10))
-    T_CW = values([cos, 0, sin, 0.05], [0, 1, 0, -0.02], [-sin, 0, cos, 0.1], [0, 0, 0, 1])
-    y, x = torch.meshgrid(torch.arange(12, dtype=dtype), torch.arange(16, dtype=dtype), indexing="ij")
+    T_CW = values(
+        [cos, 0, sin, 0.05],
+        [0, 1, 0, -0.02],
+        [-sin, 0, cos, 0.1],
+        [0, 0, 0, 1],
+    )
+    y, x = torch.meshgrid(
+        torch.arange(12, dtype=dtype),
+        torch.arange(16, dtype=dtype),
+        indexing="ij",
+    )
     depth_m = 2 + 0.02 * (x - 8)
-    rgb = torch.stack([0.3 + 0.02 * x, 0.5 + 0.01 * y, torch.full_like(x, 0.4)], dim=-1)
+    rgb = torch.stack(
+        [0.3 + 0.02 * x, 0.5 + 0.01 * y, torch.full_like(x, 0.4)],
+        dim=-1,
+    )
     depth_m[:3, :4], rgb[:3, :4] = 0.0, 0.0
     params = GaussianParams(
         xyz_W=values([0.10, -0.05, 2.0], [-0.2, 0.1, 1.8], [0.15, 0.05, 2.05]),

@@ -36,7 +36,11 @@ def test_images_are_kept_bit_for_bit_with_their_poses(shared_sequence, tmp_path,
     assert part.timestamps_s == whole.timestamps_s[EVERY_THIRD] or name == "redkitchen_mini48"
     images = [*whole.rgb_files[EVERY_THIRD], *whole.depth_files[EVERY_THIRD]]
     assert same_files(source, tmp_path / name, images)
-    assert sum(1 for _ in (tmp_path / name).rglob("*.png")) + sum(1 for _ in (tmp_path / name).rglob("*.jpg")) == 8
+    assert (
+        sum(1 for _ in (tmp_path / name).rglob("*.png"))
+        + sum(1 for _ in (tmp_path / name).rglob("*.jpg"))
+        == 8
+    )
 
 
 def test_lists_and_arrays_keep_the_chosen_frames(shared_sequence, tmp_path):
@@ -51,7 +55,12 @@ def test_lists_and_arrays_keep_the_chosen_frames(shared_sequence, tmp_path):
     (source / "K.txt").write_text("265.7 0 159.0\n0 265.7 118.4\n0 0 1\n")
     assert main(["excerpt", str(source), str(tmp_path / "part"), "--frames", "1:11:3"]) == 0
     assert np.array_equal(np.load(tmp_path / "part/poses.npy"), poses[EVERY_THIRD])
-    assert {p.name for p in (tmp_path / "part/rgb_images").iterdir()} == {"1.jpg", "4.jpg", "7.jpg", "10.jpg"}
+    assert {p.name for p in (tmp_path / "part/rgb_images").iterdir()} == {
+        "1.jpg",
+        "4.jpg",
+        "7.jpg",
+        "10.jpg",
+    }
     assert (tmp_path / "part/K.txt").read_text() == (source / "K.txt").read_text()
 
 
@@ -67,7 +76,9 @@ def test_lists_of_another_camera_and_a_recording_of_another_program(shared_seque
     )
 
 
-@pytest.mark.parametrize(("frames", "said"), [("5", "must be A:B"), ("100:", "has 48 frames; --frames chooses none")])
+@pytest.mark.parametrize(
+    ("frames", "said"), [("5", "must be A:B"), ("100:", "has 48 frames; --frames chooses none")]
+)
 def test_frames_that_are_not_there(shared_sequence, tmp_path, capsys, frames, said):
     source = str(shared_sequence("redkitchen_mini48"))
     assert main(["excerpt", source, str(tmp_path / "out"), "--frames", frames]) == 1

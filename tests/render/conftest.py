@@ -9,11 +9,26 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.types import Camera, GaussianParams
 
-CAMERA = Camera(width=27, height=19, fx=30.0, fy=28.0, cx=12.8, cy=10.1)
+CAMERA = Camera(
+    width=27,
+    height=19,
+    fx=30.0,
+    fy=28.0,
+    cx=12.8,
+    cy=10.1,
+)
 POSE = se3.exp(torch.tensor([0.1, -0.05, 0.2, 0.2, -0.3, 0.1], dtype=torch.float64))
 
 
-def random_map(generator, n, *, degree=0, dtype=torch.float64, opacity=(0.3, 0.9), scale=0.12) -> GaussianParams:
+def random_map(
+    generator,
+    n,
+    *,
+    degree=0,
+    dtype=torch.float64,
+    opacity=(0.3, 0.9),
+    scale=0.12,
+) -> GaussianParams:
     """``n`` Gaussians in front of ``CAMERA`` at ``POSE``, some beyond the image's border."""
 
     def uniform(*shape, low=0.0, high=1.0):
@@ -35,9 +50,11 @@ COLUMNS = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
 
 
 def finite_difference_check(forward, vjp, inputs, generator):
-    """float64 gradcheck of ``vjp`` against central differences of two random sums of what ``forward`` returns."""
+    """float64 gradcheck of ``vjp`` against central differences of two random sums of what
+    ``forward`` returns."""
     weights = [
-        [torch.randn(o.shape, generator=generator, dtype=torch.float64) for o in forward(*inputs)] for _ in range(2)
+        [torch.randn(o.shape, generator=generator, dtype=torch.float64) for o in forward(*inputs)]
+        for _ in range(2)
     ]
 
     class Bound(torch.autograd.Function):
@@ -45,20 +62,33 @@ def finite_difference_check(forward, vjp, inputs, generator):
         def forward(ctx, *x):
             ctx.x = x
             out = forward(*x)
-            sums = [torch.stack([(o * v).sum() for o, v in zip(out, vs, strict=True)]).sum() for vs in weights]
+            sums = [
+                torch.stack([(o * v).sum() for o, v in zip(out, vs, strict=True)]).sum()
+                for vs in weights
+            ]
             return torch.stack(sums)
 
         @staticmethod
         def backward(ctx, v_sums):
-            return vjp(ctx.x, *(v_sums[0] * a + v_sums[1] * b for a, b in zip(*weights, strict=True)))
+            return vjp(
+                ctx.x,
+                *(v_sums[0] * a + v_sums[1] * b for a, b in zip(*weights, strict=True)),
+            )
 
     leaves = [x.detach().clone().requires_grad_() for x in inputs]
-    assert torch.autograd.gradcheck(Bound.apply, leaves, eps=1e-6, atol=1e-6, rtol=1e-5)
+    assert torch.autograd.gradcheck(
+        Bound.apply,
+        leaves,
+        eps=1e-6,
+        atol=1e-6,
+        rtol=1e-5,
+    )
 
 
 @pytest.fixture(autouse=True)
 def _reference():
-    """Here the reference is tested; tests/kernels compares fast backends with it. One thread: the images are tiny."""
+    """Here the reference is tested; tests/kernels compares fast backends with it. One thread: the
+    images are tiny."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     with use_backend("reference"):

@@ -14,7 +14,14 @@ from gsfusion_nb.optim import Keyframe, PartOfMap, adam_step
 from gsfusion_nb.render import Boxes, drawn_in_part, farthest_depth, in_view, render, rows_in_view
 from gsfusion_nb.types import Camera, GaussianParams
 
-CAMERA = Camera(width=64, height=48, fx=50.0, fy=55.0, cx=30.0, cy=27.0)
+CAMERA = Camera(
+    width=64,
+    height=48,
+    fx=50.0,
+    fy=55.0,
+    cx=30.0,
+    cy=27.0,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +35,10 @@ def cloud(generator):
     """A walk through 10 x 10 x 3 m, as a mapper adds Gaussians: neighbours are near each other."""
     n = 20 * in_view.CHUNK + 7
     at = torch.linspace(0, 6.28, n)
-    middle = 4 * torch.stack([at.cos(), (2 * at).sin(), 0.3 * at.sin()], 1)
+    middle = 4 * torch.stack(
+        [at.cos(), (2 * at).sin(), 0.3 * at.sin()],
+        1,
+    )
     return GaussianParams(
         xyz_W=middle + 0.5 * torch.randn(n, 3, generator=generator),
         log_scale=-3 + 0.7 * torch.randn(n, 3, generator=generator),
@@ -59,7 +69,13 @@ def test_the_picture_of_the_part_is_that_of_the_map(cloud, generator):
         left_out[rows] = False
         assert not (rows_in_view(cloud, CAMERA, T_WC) & left_out).any()
         whole = render(cloud, CAMERA, T_WC)
-        part = drawn_in_part(lambda p, T=T_WC: render(p, CAMERA, T), cloud, boxes, CAMERA, T_WC)
+        part = drawn_in_part(
+            lambda p, T=T_WC: render(p, CAMERA, T),
+            cloud,
+            boxes,
+            CAMERA,
+            T_WC,
+        )
         for name in ("rgb", "depth_m", "alpha", "first_index", "dominant_index"):
             assert torch.equal(getattr(part, name), getattr(whole, name))
     assert sum(shares) / len(shares) < 0.7
@@ -82,9 +98,12 @@ def test_chunks_behind_a_wall_are_left_out_where_its_depth_is_known(generator):
     spread = 0.05 * torch.rand(3 * n, 3, generator=generator)
     z = torch.tensor([2.0, 2.3, 4.0]).repeat_interleave(n)
     cloud = GaussianParams(
-        xyz_W=spread + torch.stack([0 * z, 0 * z, z], 1), log_scale=torch.full((3 * n, 3), -5.0),
-        quat=torch.ones(3 * n, 4), opacity_logit=torch.zeros(3 * n), sh=torch.zeros(3 * n, 1, 3),
-    )  # fmt: skip
+        xyz_W=spread + torch.stack([0 * z, 0 * z, z], 1),
+        log_scale=torch.full((3 * n, 3), -5.0),
+        quat=torch.ones(3 * n, 4),
+        opacity_logit=torch.zeros(3 * n),
+        sh=torch.zeros(3 * n, 1, 3),
+    )
     wall = torch.full((48, 64), 2.0)
     hole = wall.clone()
     hole[20:36, 20:44] = 0.0
@@ -114,12 +133,18 @@ def test_boxes_follow_the_map(cloud, generator):
     part.write_back()
     known = boxes._of
     for T_WC in poses(generator, 5):
-        assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))
+        assert torch.equal(
+            chosen(boxes, model.params, T_WC),
+            chosen(Boxes(), model.params, T_WC),
+        )
     assert boxes._of == known  # was not made anew
     model.params.xyz_W[0].add_(50.0)
     model.keep(torch.arange(len(model)) != 9)
     for T_WC in poses(generator, 5):
-        assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))
+        assert torch.equal(
+            chosen(boxes, model.params, T_WC),
+            chosen(Boxes(), model.params, T_WC),
+        )
 
 
 @pytest.mark.parametrize("backend", ["reference", "numba"])
@@ -132,7 +157,10 @@ def test_boxes_follow_steps_on_the_whole_map(cloud, generator, backend):
     for _ in range(3):
         with use_backend(backend):
             adam_step(model, gradients, OptimConfig(lr_xyz=0.03, adam_steps="none"))
-        assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))
+        assert torch.equal(
+            chosen(boxes, model.params, T_WC),
+            chosen(Boxes(), model.params, T_WC),
+        )
     assert not torch.equal(chosen(boxes, model.params, T_WC), before)
 
 
@@ -169,7 +197,10 @@ def test_a_step_leaves_what_no_view_shows_as_it_is(small_room, cloud):
     assert steps > 0
     n = len(far) // in_view.CHUNK * in_view.CHUNK  # the last chunk has new rows, too
     for name in vars(far):
-        assert torch.equal(getattr(mapper.gaussians.params, name)[:n], getattr(far, name)[:n])
+        assert torch.equal(
+            getattr(mapper.gaussians.params, name)[:n],
+            getattr(far, name)[:n],
+        )
     assert (mapper.gaussians.exp_avg.sh[len(far) :] != 0).any()
 
 
@@ -182,7 +213,10 @@ def test_boxes_grow_with_the_map(cloud, generator, start):
         model.extend(cloud[start:])
     known = boxes._of
     for T_WC in poses(generator, 5):
-        assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))
+        assert torch.equal(
+            chosen(boxes, model.params, T_WC),
+            chosen(Boxes(), model.params, T_WC),
+        )
     assert boxes._of == known
     with boxes.appending(model):
         pass
@@ -190,7 +224,10 @@ def test_boxes_grow_with_the_map(cloud, generator, start):
     with boxes.appending(model):
         model.extend(cloud[:3])
     for T_WC in poses(generator, 5):
-        assert torch.equal(chosen(boxes, model.params, T_WC), chosen(Boxes(), model.params, T_WC))
+        assert torch.equal(
+            chosen(boxes, model.params, T_WC),
+            chosen(Boxes(), model.params, T_WC),
+        )
 
 
 def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_room, cloud):
@@ -206,7 +243,9 @@ def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_roo
     part.write_back()
     assert not torch.equal(before["xyz_W"], mapper.gaussians.params.xyz_W)
     undo()
-    assert all(torch.equal(before[name], column) for name, column in mapper.gaussians.columns.items())
+    assert all(
+        torch.equal(before[name], column) for name, column in mapper.gaussians.columns.items()
+    )
     assert mapper.part_in_view(frame, optim) is not part
 
 
@@ -215,12 +254,28 @@ def test_steps_on_several_views_share_one_part(small_room, cloud):
     mapper.begin_with(cloud)
     optim, params = mapper.config.optim, mapper.gaussians.params
     views = [Keyframe.of(small_room[i]) for i in (0, 4, 8)]
-    seen = [chosen(mapper.boxes, params, view.T_WC, view.camera, view.farthest_m) for view in views]
+    seen = [
+        chosen(
+            mapper.boxes,
+            params,
+            view.T_WC,
+            view.camera,
+            view.farthest_m,
+        )
+        for view in views
+    ]
     part = mapper.part_in_view(views[0], optim, views[1:])
     assert isinstance(part, PartOfMap)
     assert torch.equal(part.rows, torch.cat(seen).unique())
     assert mapper.part_in_view(views[1], optim, views[2:]) is part
-    assert mapper.part_in_view(views[1], optim, [Keyframe.of(small_room[1])]) is not part
+    assert (
+        mapper.part_in_view(
+            views[1],
+            optim,
+            [Keyframe.of(small_room[1])],
+        )
+        is not part
+    )
 
 
 def test_no_part_is_kept_from_one_frame_to_the_next(small_room, cloud):
@@ -237,7 +292,14 @@ def test_no_part_is_kept_from_one_frame_to_the_next(small_room, cloud):
 
 
 @pytest.mark.parametrize(
-    "rule", [{}, {"seeding__rule": "default_strategy", "seeding__options": {"seeds_by": "uniform", "share": 0.02}}]
+    "rule",
+    [
+        {},
+        {
+            "seeding__rule": "default_strategy",
+            "seeding__options": {"seeds_by": "uniform", "share": 0.02},
+        },
+    ],
 )
 def test_steps_of_gps_slam_in_parts_are_those_on_the_whole_map(rule, small_room, monkeypatch):
     maps = []
@@ -251,7 +313,12 @@ def test_steps_of_gps_slam_in_parts_are_those_on_the_whole_map(rule, small_room,
     assert maps[0].step_count == maps[1].step_count > 4
     assert len(maps[0]) == len(maps[1]) > 0
     for name, column in vars(maps[0].params).items():
-        torch.testing.assert_close(getattr(maps[1].params, name), column, atol=1e-3, rtol=1e-3)
+        torch.testing.assert_close(
+            getattr(maps[1].params, name),
+            column,
+            atol=1e-3,
+            rtol=1e-3,
+        )
 
 
 def test_a_picture_by_depth_has_nothing_far_behind_it(generator):
@@ -259,11 +326,20 @@ def test_a_picture_by_depth_has_nothing_far_behind_it(generator):
     z = torch.tensor([2.0, 4.0]).repeat_interleave(n)
     cloud = GaussianParams(
         xyz_W=torch.stack([0 * z, 0 * z, z], 1) + 0.05 * torch.rand(2 * n, 3, generator=generator),
-        log_scale=torch.full((2 * n, 3), -4.0), quat=torch.ones(2 * n, 4), opacity_logit=torch.zeros(2 * n),
+        log_scale=torch.full((2 * n, 3), -4.0),
+        quat=torch.ones(2 * n, 4),
+        opacity_logit=torch.zeros(2 * n),
         sh=torch.zeros(2 * n, 1, 3),
-    )  # fmt: skip
+    )
     wall, T_WC = torch.full((48, 64), 2.0), torch.eye(4)
-    shown = drawn_in_part(lambda p: render(p, CAMERA, T_WC), cloud, Boxes(), CAMERA, T_WC, wall)
+    shown = drawn_in_part(
+        lambda p: render(p, CAMERA, T_WC),
+        cloud,
+        Boxes(),
+        CAMERA,
+        T_WC,
+        wall,
+    )
     assert torch.equal(shown.rgb, render(cloud[:n], CAMERA, T_WC).rgb)
     assert shown.first_index is not None
     assert int(shown.first_index.max()) < n

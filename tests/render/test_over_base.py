@@ -1,4 +1,5 @@
-"""Gaussians over a base, blended without order: values in closed form, the gradient three ways, any order."""
+"""Gaussians over a base, blended without order: values in closed form, the gradient three ways, any
+order."""
 
 import dataclasses
 
@@ -9,7 +10,13 @@ from three_gaussians import three_gaussians
 from gsfusion_nb.geometry.spherical_harmonics import SH_C0
 from gsfusion_nb.render import Base, render_over_base, render_over_base_vjp
 from gsfusion_nb.render.composite import pixel_offsets, splat_alpha, splat_alpha_vjp
-from gsfusion_nb.render.over_base import base_view, blend_with_base, blend_with_base_vjp, enlarge, fill
+from gsfusion_nb.render.over_base import (
+    base_view,
+    blend_with_base,
+    blend_with_base_vjp,
+    enlarge,
+    fill,
+)
 from gsfusion_nb.types import Camera, GaussianParams
 
 BEHIND_M = 0.1
@@ -22,7 +29,10 @@ def f64(*values):
 def picture(camera, generator, depth_m=2.0):
     """A base with a hole, in which half of the pixels have no weight."""
     size = (camera.height, camera.width)
-    rgb, depth = torch.rand(*size, 3, generator=generator, dtype=torch.float64), torch.full(size, depth_m).double()
+    rgb, depth = (
+        torch.rand(*size, 3, generator=generator, dtype=torch.float64),
+        torch.full(size, depth_m).double(),
+    )
     weight = torch.ones_like(depth)
     depth[:4, :6], weight[:4, :3] = 0.0, 0.0
     return Base(rgb=rgb, depth_m=depth, weight=weight)
@@ -33,11 +43,29 @@ def columns(params):
 
 
 def test_one_pixel_with_four_gaussians_and_its_gradient_in_numbers():
-    """C_s = (.2, .4, .6), D_s = 2, I = (.5, .35, .1), L = mean |C - I|; the fourth Gaussian is 0.2 m behind."""
+    """C_s = (.2, .4, .6), D_s = 2, I = (.5, .35, .1), L = mean |C - I|; the fourth Gaussian is 0.2
+    m behind."""
     uv, z = f64([10.9, 7.2], [9.0, 8.5], [11.5, 7.0], [10.5, 7.5]), f64(1.95, 2.05, 2.099, 2.2)
-    conic, o = f64([0.5, 0.1, 0.8], [0.2, -0.05, 0.3], [1, 0, 1], [0.4, 0, 0.4]), f64(0.5, 0.8, 0.9, 0.95)
-    c = f64([0.9, 0.1, 0.1], [0.2, 0.8, 0.3], [0.4, 0.4, 1.2], [1, 1, 1])
-    dx, dy = pixel_offsets(uv, torch.tensor([10]), torch.tensor([7]))
+    conic, o = (
+        f64(
+            [0.5, 0.1, 0.8],
+            [0.2, -0.05, 0.3],
+            [1, 0, 1],
+            [0.4, 0, 0.4],
+        ),
+        f64(0.5, 0.8, 0.9, 0.95),
+    )
+    c = f64(
+        [0.9, 0.1, 0.1],
+        [0.2, 0.8, 0.3],
+        [0.4, 0.4, 1.2],
+        [1, 1, 1],
+    )
+    dx, dy = pixel_offsets(
+        uv,
+        torch.tensor([10]),
+        torch.tensor([7]),
+    )
     alpha = splat_alpha(dx, dy, conic, o)
     w = torch.where(z[:, None] > 2.0 + BEHIND_M, 0.0, alpha)
     assert w[:, 0].tolist() == pytest.approx([0.469002500, 0.510102521, 0.481735286, 0], abs=1e-9)
@@ -45,9 +73,22 @@ def test_one_pixel_with_four_gaussians_and_its_gradient_in_numbers():
     C, W = blend_with_base(w, c, f64([0.2, 0.4, 0.6]), b)
     assert float(W) == pytest.approx(1.460840307, abs=1e-9)
     assert C[0].tolist() == pytest.approx([0.372562521, 0.425739280, 0.559976747], abs=1e-9)
-    v_w, v_c = blend_with_base_vjp(w, c, C, b, (C - target).sign() / 3)
+    v_w, v_c = blend_with_base_vjp(
+        w,
+        c,
+        C,
+        b,
+        (C - target).sign() / 3,
+    )
     assert v_c[:, 1].tolist() == pytest.approx([0.063528774, 0.069095980, 0.065253494, 0], abs=1e-9)
-    v_uv, v_conic, v_o = splat_alpha_vjp(dx, dy, conic, o, alpha, torch.where(w > 0, v_w, 0.0))
+    v_uv, v_conic, v_o = splat_alpha_vjp(
+        dx,
+        dy,
+        conic,
+        o,
+        alpha,
+        torch.where(w > 0, v_w, 0.0),
+    )
     assert v_o.tolist() == pytest.approx([-0.166846063, 0.024774925, 0.042548649, 0], abs=1e-9)
     assert v_uv[:3].flatten().tolist() == pytest.approx(
         [0.014181915, -0.016684606, 0.006936979, -0.007432477, -0.038293784, 0.019146892], abs=1e-9
@@ -67,7 +108,9 @@ def test_three_gaussians_in_a_small_picture_and_every_gradient_in_numbers():
     params, camera, T_WC, base, target = three_gaussians(torch.float64)
     out, saved = render_over_base(params, camera, T_WC, base, behind_m=BEHIND_M)
     assert float(out.weight.sum()) == pytest.approx(16.249486960, abs=1e-7)
-    assert out.rgb[6, 8].tolist() == pytest.approx([0.367692344, 0.590253845, 0.408757275], abs=2e-9)
+    assert out.rgb[6, 8].tolist() == pytest.approx(
+        [0.367692344, 0.590253845, 0.408757275], abs=2e-9
+    )
     assert out.rgb[1, 1].tolist() == [0, 0, 0]
     assert float((out.rgb - target).abs().mean()) == pytest.approx(0.100033292, abs=1e-9)
     g = render_over_base_vjp(saved, (out.rgb - target).sign() / target.numel())
@@ -90,7 +133,13 @@ def test_three_gaussians_in_a_small_picture_and_every_gradient_in_numbers():
         "opacity_logit": f64(7.537970e-4, 8.594780e-4, -1.602534e-3),
     }
     for name, values in expected.items():
-        torch.testing.assert_close(getattr(g, name), values, atol=2e-9, rtol=0, msg=lambda m, n=name: f"{n}: {m}")
+        torch.testing.assert_close(
+            getattr(g, name),
+            values,
+            atol=2e-9,
+            rtol=0,
+            msg=lambda m, n=name: f"{n}: {m}",
+        )
     v_colour = (g.sh[:, 0] / SH_C0).flatten().tolist()
     assert v_colour[:3] == pytest.approx([0.003187185, 0.001282770, -0.003294591], abs=1e-9)
 
@@ -98,7 +147,14 @@ def test_three_gaussians_in_a_small_picture_and_every_gradient_in_numbers():
 @pytest.mark.parametrize(("degree", "n"), [(0, 5), (3, 2)])
 def test_every_parameter_by_finite_differences(scene, generator, degree, n):
     params = scene.random_map(generator, n, degree=degree, scale=0.3)
-    camera = Camera(width=9, height=7, fx=10.0, fy=10.0, cx=4.4, cy=3.6)
+    camera = Camera(
+        width=9,
+        height=7,
+        fx=10.0,
+        fy=10.0,
+        cx=4.4,
+        cy=3.6,
+    )
     base = picture(camera, generator)
 
     def pass_of(values):
@@ -120,25 +176,38 @@ def test_the_gradient_is_that_of_autograd_on_the_formula(scene, generator):
 
     params, camera = scene.random_map(generator, 30, degree=1, opacity=(0.3, 0.999)), scene.camera
     base = picture(camera, generator)
-    leaves = GaussianParams(**{n: getattr(params, n).clone().requires_grad_() for n in scene.columns})
-    p, c = project_gaussians(leaves, camera, scene.pose), sh_to_rgb(leaves.sh, leaves.xyz_W, scene.pose[:3, 3])
-    y, x = (at.flatten() for at in torch.meshgrid(torch.arange(19), torch.arange(27), indexing="ij"))
+    leaves = GaussianParams(
+        **{n: getattr(params, n).clone().requires_grad_() for n in scene.columns}
+    )
+    p, c = (
+        project_gaussians(leaves, camera, scene.pose),
+        sh_to_rgb(leaves.sh, leaves.xyz_W, scene.pose[:3, 3]),
+    )
+    y, x = (
+        at.flatten() for at in torch.meshgrid(torch.arange(19), torch.arange(27), indexing="ij")
+    )
     alpha = splat_alpha(*pixel_offsets(p.uv, x, y), p.conic, p.opacity)
     D = base.depth_m.flatten()
     w = alpha * ~((D > 0) & (p.depth_m.detach()[:, None] > D + BEHIND_M))
     total = base.weight.flatten() + w.sum(0)
-    C = (base.weight.flatten()[:, None] * base.rgb.flatten(0, 1) + w.T @ c) / total.clamp_min(1e-300)[:, None]
+    C = (base.weight.flatten()[:, None] * base.rgb.flatten(0, 1) + w.T @ c) / total.clamp_min(
+        1e-300
+    )[:, None]
     v_rgb = torch.randn(19, 27, 3, generator=generator, dtype=torch.float64)
     expected = torch.autograd.grad((C * v_rgb.flatten(0, 1)).sum(), columns(leaves))
     out, saved = render_over_base(params, camera, scene.pose, base, behind_m=BEHIND_M)
     torch.testing.assert_close(out.rgb.flatten(0, 1), C.detach())
-    for name, g, e in zip(scene.columns, columns(render_over_base_vjp(saved, v_rgb)), expected, strict=True):
-        torch.testing.assert_close(g, e, atol=1e-9, rtol=1e-8, msg=lambda m, name=name: f"{name}: {m}")
+    for name, g, e in zip(
+        scene.columns, columns(render_over_base_vjp(saved, v_rgb)), expected, strict=True
+    ):
+        torch.testing.assert_close(
+            g, e, atol=1e-9, rtol=1e-8, msg=lambda m, name=name: f"{name}: {m}"
+        )
 
 
 def test_holes_are_filled_by_halving_and_interpolating_by_hand():
-    """A row a ? ? b: halved it is a b, halved again (a + b) / 2; going back up nothing of a b is missing, and the two
-    pixels in the middle lie at a quarter and three quarters of the way."""
+    """A row a ? ? b: halved it is a b, halved again (a + b) / 2; going back up nothing of a b is
+    missing, and the two pixels in the middle lie at a quarter and three quarters of the way."""
     row = torch.tensor([[[1.0, 8.0], [0.0, 0.0], [0.0, 0.0], [3.0, 0.0]]])
     known = torch.tensor([[True, False, False, True]])
     filled = fill(row, known)
@@ -147,16 +216,25 @@ def test_holes_are_filled_by_halving_and_interpolating_by_hand():
     assert not fill(row, torch.zeros_like(known)).any()
     one = torch.zeros(5, 7, dtype=torch.bool)
     one[3, 2] = True
-    torch.testing.assert_close(fill(torch.full((5, 7, 1), 0.3), one), torch.full((5, 7, 1), 0.3))
+    torch.testing.assert_close(
+        fill(torch.full((5, 7, 1), 0.3), one),
+        torch.full((5, 7, 1), 0.3),
+    )
 
 
 def test_enlarging_one_surface_is_bilinear(generator):
     """9/16, 3/16, 3/16 and 1/16 are what PyTorch's interpolation takes; the border is repeated."""
     image = torch.rand(5, 7, 4, generator=generator)
     image[..., 3] = 2 + 0.001 * image[..., 3]
-    large, known = enlarge(image, torch.ones(5, 7, dtype=torch.bool), (9, 14))
+    large, known = enlarge(
+        image,
+        torch.ones(5, 7, dtype=torch.bool),
+        (9, 14),
+    )
     chw = image.permute(2, 0, 1)[None]
-    expected = torch.nn.functional.interpolate(chw, scale_factor=2, mode="bilinear", align_corners=False)
+    expected = torch.nn.functional.interpolate(
+        chw, scale_factor=2, mode="bilinear", align_corners=False
+    )
     torch.testing.assert_close(large, expected[0].permute(1, 2, 0)[:9])
     assert known.shape == (9, 14)
     assert known.all()
@@ -179,15 +257,25 @@ def test_colours_do_not_run_over_an_edge(edge):
 
 
 @pytest.mark.parametrize(
-    ("holes", "colour", "weight"), [("filled", 0.8, 1.0), ("black", 0.0, 1.0), ("gaussians", 0.0, 0.0)]
+    ("holes", "colour", "weight"),
+    [("filled", 0.8, 1.0), ("black", 0.0, 1.0), ("gaussians", 0.0, 0.0)],
 )
 def test_a_hole_in_the_base_is_what_was_asked_for(holes, colour, weight):
     depth_m = torch.full((4, 4), 2.0)
     depth_m[1, 2] = 0.0
-    view = base_view(torch.full((4, 4, 3), 0.8), depth_m, (4, 4), holes, 0.05)
+    view = base_view(
+        torch.full((4, 4, 3), 0.8),
+        depth_m,
+        (4, 4),
+        holes,
+        0.05,
+    )
     hole = torch.zeros(4, 4, dtype=torch.bool)
     hole[1, 2] = True
-    torch.testing.assert_close(view.base.rgb, torch.where(hole[..., None], colour, 0.8).expand(-1, -1, 3))
+    torch.testing.assert_close(
+        view.base.rgb,
+        torch.where(hole[..., None], colour, 0.8).expand(-1, -1, 3),
+    )
     torch.testing.assert_close(view.base.weight, torch.where(hole, weight, 1.0))
     assert torch.equal(view.base.depth_m, depth_m)
     torch.testing.assert_close(view.depth_everywhere_m, torch.full((4, 4), 2.0))
@@ -205,7 +293,13 @@ def test_a_hole_in_the_base_is_what_was_asked_for(holes, colour, weight):
 )
 def test_a_base_that_does_not_fit_is_refused(size, holes, behind_m, sentence):
     with pytest.raises(ValueError, match=sentence):
-        base_view(torch.zeros(4, 4, 3), torch.ones(4, 4), size, holes, behind_m)
+        base_view(
+            torch.zeros(4, 4, 3),
+            torch.ones(4, 4),
+            size,
+            holes,
+            behind_m,
+        )
 
 
 def test_only_rows_that_are_asked_for_have_a_gradient():
@@ -213,7 +307,10 @@ def test_only_rows_that_are_asked_for_have_a_gradient():
     out, saved = render_over_base(params, camera, T_WC, base, behind_m=BEHIND_M)
     v_rgb = (out.rgb - target).sign()
     rows = torch.tensor([True, False, True])
-    v_uv, v_uv_some = torch.zeros(3, 2, dtype=torch.float64), torch.full((3, 2), torch.nan, dtype=torch.float64)
+    v_uv, v_uv_some = (
+        torch.zeros(3, 2, dtype=torch.float64),
+        torch.full((3, 2), torch.nan, dtype=torch.float64),
+    )
     everything = render_over_base_vjp(saved, v_rgb, v_uv=v_uv)
     some = render_over_base_vjp(saved, v_rgb, rows=rows, v_uv=v_uv_some)
     pairs = [*zip(columns(everything), columns(some), strict=True), (v_uv, v_uv_some)]

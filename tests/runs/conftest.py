@@ -11,9 +11,12 @@ def _few_samples_of_surfaces(monkeypatch):
 
 @pytest.fixture(scope="session")
 def whole_run(config, tmp_path_factory) -> FinishedRun:
-    """A run of ``config`` on the frames of ``small_room``, without scores; nothing stopped it. Not to be changed."""
+    """A run of ``config`` on the frames of ``small_room``, without scores; nothing stopped it. Not
+    to be changed."""
     folder = tmp_path_factory.mktemp("whole") / "run"
-    return run_mapping("room", config, folder=folder, evaluate=False, n_frames=120, width=80, height=60)
+    return run_mapping(
+        "room", config, folder=folder, evaluate=False, n_frames=120, width=80, height=60
+    )
 
 
 @pytest.fixture

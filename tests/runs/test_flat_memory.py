@@ -29,8 +29,14 @@ def written(root: Path, walk: RoomSequence, positions: list[int]) -> RecordedSeq
     poses = []
     for k, i in enumerate(positions + positions[-2:0:-1]):
         frame = walk[i]
-        assert cv2.imwrite(str(root / f"rgb/{k:06d}.png"), frame.rgb_u8.numpy()[..., ::-1])
-        assert cv2.imwrite(str(root / f"depth/{k:06d}.png"), np.rint(frame.depth_m.numpy() * 5000).astype(np.uint16))
+        assert cv2.imwrite(
+            str(root / f"rgb/{k:06d}.png"),
+            frame.rgb_u8.numpy()[..., ::-1],
+        )
+        assert cv2.imwrite(
+            str(root / f"depth/{k:06d}.png"),
+            np.rint(frame.depth_m.numpy() * 5000).astype(np.uint16),
+        )
         poses.append(" ".join(f"{v:.9f}" for v in frame.T_WC.flatten().tolist()))
     (root / "poses.txt").write_text("\n".join([*poses, ""]))
     values = dataclasses.asdict(walk.camera) | {"depth_scale": 5000, "pixel_centre": 0.5}
@@ -67,7 +73,11 @@ def bytes_per_frame(curve: np.ndarray) -> float:
 
 
 def make_run(kind: str, sequence: RecordedSequence, config) -> MappingRun:
-    few = {"optim__keyframe_iterations": 2, "optim__frame_iterations": 1, "optim__random_keyframe_iterations": 1}
+    few = {
+        "optim__keyframe_iterations": 2,
+        "optim__frame_iterations": 1,
+        "optim__random_keyframe_iterations": 1,
+    }
     settings = replace(config, data__stop=0, data__hold_out_every=8, **few)
     if kind == "stream":
         return StreamRun((frame for frame in sequence), make_mapper(settings))

@@ -1,4 +1,5 @@
-"""A run says in one line where its frames do not agree with each other, and of right frames it says nothing."""
+"""A run says in one line where its frames do not agree with each other, and of right frames it says
+nothing."""
 
 import dataclasses
 import json
@@ -71,7 +72,9 @@ def test_a_fault_is_said_in_one_line(frames, fault):
     assert "\n" not in said
 
 
-@pytest.mark.parametrize("fault", ["world-to-camera poses", "focal length 1.5 times too long", "shuffled depth"])
+@pytest.mark.parametrize(
+    "fault", ["world-to-camera poses", "focal length 1.5 times too long", "shuffled depth"]
+)
 def test_a_short_recording_is_judged_at_its_end(frames, fault):
     assert said_of(frames[:6]) == ""
     assert said_of(FAULTS[fault][0](frames[:6])).endswith(ADVICE)
@@ -90,7 +93,14 @@ def test_a_camera_that_begins_at_rest_is_judged_when_it_moves():
 def test_pictures_without_anything_to_see_prove_nothing(frames):
     white = [dataclasses.replace(f, colour=torch.full_like(f.rgb_u8, 200)) for f in frames]
     dark = [dataclasses.replace(f, colour=f.rgb_u8 // 30) for f in frames]
-    wall = [dataclasses.replace(f, depth_m=torch.full_like(f.depth_m, 2.0), T_WC=torch.eye(4)) for f in white]
+    wall = [
+        dataclasses.replace(
+            f,
+            depth_m=torch.full_like(f.depth_m, 2.0),
+            T_WC=torch.eye(4),
+        )
+        for f in white
+    ]
     for right in (white, dark, wall):
         assert said_of(right) == ""
 
@@ -107,7 +117,14 @@ def test_along_a_flat_wall_standing_still_is_no_better_reading(frames):
 
 
 def test_a_camera_that_stands_still_may_repeat_its_images(frames):
-    still = [dataclasses.replace(frames[0], index=i, T_WC=frames[0].T_WC.clone()) for i in range(N_FRAMES)]
+    still = [
+        dataclasses.replace(
+            frames[0],
+            index=i,
+            T_WC=frames[0].T_WC.clone(),
+        )
+        for i in range(N_FRAMES)
+    ]
     assert said_of(still) == ""
     tracked = [dataclasses.replace(f, T_WC=frames[i].T_WC) for i, f in enumerate(still)]
     assert "has the colour and depth of frame 0" in said_of(tracked)
@@ -116,7 +133,10 @@ def test_a_camera_that_stands_still_may_repeat_its_images(frames):
 
 
 def test_a_pause_and_what_the_mapper_tells_are_no_jumps(frames):
-    paused = [dataclasses.replace(f, timestamp_s=f.timestamp_s + 60.0 * (i > 5)) for i, f in enumerate(frames)]
+    paused = [
+        dataclasses.replace(f, timestamp_s=f.timestamp_s + 60.0 * (i > 5))
+        for i, f in enumerate(frames)
+    ]
     assert "the pose jumps" in said_of(FAULTS["a jump of 1.7 m"][0](frames))
     assert "the pose jumps" not in said_of(FAULTS["a jump of 1.7 m"][0](paused))
     away = torch.eye(4)
@@ -138,9 +158,13 @@ def test_frames_without_depth_or_of_another_camera_do_not_stop_it(frames):
 
 
 @pytest.mark.parametrize("n", [2, 5, 12, 13])
-@pytest.mark.parametrize("fault", ["world-to-camera poses", "a jump of 1.7 m", "three repeated frames"])
+@pytest.mark.parametrize(
+    "fault", ["world-to-camera poses", "a jump of 1.7 m", "three repeated frames"]
+)
 def test_after_a_checkpoint_it_goes_on_where_it_was(frames, n, fault, monkeypatch):
-    monkeypatch.setattr(frame_watch, "BETTER", 0.5 if n >= 12 else frame_watch.BETTER)  # not said before
+    monkeypatch.setattr(
+        frame_watch, "BETTER", 0.5 if n >= 12 else frame_watch.BETTER
+    )  # not said before
     changed = FAULTS[fault][0](frames)
     poses = [f.T_WC for f in changed]
     earlier = FrameWatch(is_tracking=False)
@@ -154,7 +178,10 @@ def test_after_a_checkpoint_it_goes_on_where_it_was(frames, n, fault, monkeypatc
 
 MISREAD = {
     "inverted poses": (se3.inverse, 1000.0),
-    "OpenGL axes": (lambda T: T @ torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64)), 1000.0),
+    "OpenGL axes": (
+        lambda T: T @ torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64)),
+        1000.0,
+    ),
     "a depth scale that was 1000 instead of 5000": (lambda T: T, 200.0),
     "a depth scale that was 5000 instead of 1000": (lambda T: T, 5000.0),
 }
@@ -163,9 +190,15 @@ MISREAD = {
 @pytest.mark.parametrize("mistake", [None, *MISREAD])
 def test_a_folder_that_means_something_else(tmp_path, mistake):
     box = Box()
-    root = box.folder(tmp_path, n=14, depth_scale=MISREAD[mistake][1] if mistake else 1000.0)
+    root = box.folder(
+        tmp_path,
+        n=14,
+        depth_scale=MISREAD[mistake][1] if mistake else 1000.0,
+    )
     if mistake:
-        lines = [" ".join(map(repr, MISREAD[mistake][0](T).flatten().tolist())) for T in box.poses(14)]
+        lines = [
+            " ".join(map(repr, MISREAD[mistake][0](T).flatten().tolist())) for T in box.poses(14)
+        ]
         (root / "poses.txt").write_text("\n".join(lines))
     assert bool(said_of(folder(root))) == (mistake is not None)
 
@@ -215,15 +248,23 @@ def test_the_line_is_in_the_terminal_the_numbers_and_the_page(wrong_run):
     (line,) = [sentence for sentence in finished.run.warnings if sentence.endswith(ADVICE)]
     assert "with inverted poses" in line
     assert logged.count(line) == 1
-    assert line in json.loads((finished.folder / "metrics.json").read_text(encoding="utf-8"))["warnings"]
+    assert (
+        line
+        in json.loads((finished.folder / "metrics.json").read_text(encoding="utf-8"))["warnings"]
+    )
     assert line in (finished.folder / "report.html").read_text(encoding="utf-8")
 
 
-def test_the_maps_are_those_of_a_run_that_nobody_watches(wrong_run, config, frames, tmp_path, monkeypatch):
+def test_the_maps_are_those_of_a_run_that_nobody_watches(
+    wrong_run, config, frames, tmp_path, monkeypatch
+):
     monkeypatch.setattr(QuietWatch, "look", lambda *_: None)
     settings = replace(config, data__stop=6, data__hold_out_every=0)
     alone = run_mapping(
-        Sequence(FAULTS["world-to-camera poses"][0](frames)), settings, folder=tmp_path / "run", evaluate=False
+        Sequence(FAULTS["world-to-camera poses"][0](frames)),
+        settings,
+        folder=tmp_path / "run",
+        evaluate=False,
     )
     assert alone.run.hashes == wrong_run[0].run.hashes
     assert not any(sentence.endswith(ADVICE) for sentence in alone.run.warnings)
@@ -238,5 +279,6 @@ def test_a_watch_that_fails_ends_no_run(config, frames, tmp_path, monkeypatch):
     finished = run_mapping(Sequence(frames), settings, folder=tmp_path / "run", evaluate=False)
     assert finished.run.status == "complete"
     assert [s for s in finished.run.warnings if s.endswith(ADVICE)] == [
-        f"whether the frames agree is not watched any further (ZeroDivisionError: nothing); {ADVICE}"
+        "whether the frames agree is not watched any further (ZeroDivisionError: nothing); "
+        f"{ADVICE}"
     ]

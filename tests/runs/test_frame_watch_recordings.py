@@ -1,6 +1,8 @@
-"""On real recordings, in all systems, a run says nothing of right frames, and of each fault one line.
+"""On real recordings, in all systems, a run says nothing of right frames, and of each fault one
+line.
 
-``pytest -m slow -s tests/runs/test_frame_watch_recordings.py`` prints what docs/check.md tells of both.
+``pytest -m slow -s tests/runs/test_frame_watch_recordings.py`` prints what docs/check.md tells of
+both.
 """
 
 import importlib.util
@@ -15,7 +17,14 @@ from gsfusion_nb.data import apply_options, open_sequence
 from gsfusion_nb.data.adjust.first_frames import SmallFrame, agreement_of
 from gsfusion_nb.mapping import SYSTEMS, get_system, make_mapper
 from gsfusion_nb.recordings.convert import ConvertOptions, convert
-from gsfusion_nb.runs.frame_watch import ADVICE, BETTER, LEAST_OVERLAP, LEAST_SHARE, MOST_COLOUR, FrameWatch
+from gsfusion_nb.runs.frame_watch import (
+    ADVICE,
+    BETTER,
+    LEAST_OVERLAP,
+    LEAST_SHARE,
+    MOST_COLOUR,
+    FrameWatch,
+)
 from gsfusion_nb.runs.mapping_run import MappingRun
 
 pytestmark = pytest.mark.slow
@@ -51,12 +60,17 @@ ROOMS = {
 }
 TOO_HARD = {
     "replica_office0_keyframes81": "its frames are too far apart to be tracked",
-    "record3d_door_excerpt": "two systems lose a flat door at this size, which the line says rightly",
+    "record3d_door_excerpt": "two systems lose a flat door at this size, which the line says "
+    "rightly",
 }
 """Recording -> why its camera is not tracked here."""
 QUIET = {
-    # three degrees about the camera's own centre: neither the middle of the picture nor the unit of depth matters
-    "rgbd_dataset_freiburg1_rpy_excerpt": {"principal point a quarter to the right", "depth five times too far"},
+    # three degrees about the camera's own centre: neither the middle of the picture nor the unit of
+    # depth matters
+    "rgbd_dataset_freiburg1_rpy_excerpt": {
+        "principal point a quarter to the right",
+        "depth five times too far",
+    },
 }
 """Recording -> faults that its first frames cannot show."""
 
@@ -69,7 +83,9 @@ def opened(tmp_path_factory):
     def open_(name, folder):
         if name in ROOMS:
             options = {"n_frames": 200, **ROOMS[name]}
-            return open_sequence("room", data=replace(DATA, width=0), width=80, height=60, **options)
+            return open_sequence(
+                "room", data=replace(DATA, width=0), width=80, height=60, **options
+            )
         if name == "record3d_door_excerpt":
             pytest.importorskip("OpenEXR", reason="its depth is in EXR files")
         if name in CONVERTED and name not in converted:
@@ -115,14 +131,20 @@ class Sequence:
 
 def warned(frames, system, poses, *, has_poses=True):
     """What the watch says in a run without passes."""
-    return [line for line in warnings_of(frames, system, poses, has_poses=has_poses) if line.endswith(ADVICE)]
+    return [
+        line
+        for line in warnings_of(frames, system, poses, has_poses=has_poses)
+        if line.endswith(ADVICE)
+    ]
 
 
 def warnings_of(frames, system, poses, *, has_poses=True):
     """All warnings of a run without passes."""
     kind = get_system(system)
     config = replace(kind.preset("room"), tracking__poses=poses, data__hold_out_every=0)
-    run = MappingRun(apply_options(Sequence(frames, has_poses=has_poses), config.data), make_mapper(config))
+    run = MappingRun(
+        apply_options(Sequence(frames, has_poses=has_poses), config.data), make_mapper(config)
+    )
     list(run.online())
     return run.warnings
 
@@ -150,7 +172,9 @@ def test_every_system_says_of_every_fault(opened, system, fault):
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
-@pytest.mark.parametrize("fault", ["shuffled depth", "shuffled colour", "three repeated depth images"])
+@pytest.mark.parametrize(
+    "fault", ["shuffled depth", "shuffled colour", "three repeated depth images"]
+)
 def test_where_poses_are_tracked_images_that_do_not_belong_together_are_told(opened, system, fault):
     change, _ = FAULTS[fault]
     warnings = warnings_of(change(first(opened("room", None))), system, "tracked")
@@ -175,17 +199,25 @@ def test_whole_recordings_are_right(opened, shared_sequence, name):
 
 
 def measured(opened, shared_sequence):
-    """Fault, or "right" -> what is measured of a dozen frames, of all recordings, the first and wider spaced ones."""
-    changes = {"right": list} | {fault: change for fault, (change, _) in FAULTS.items() if "repeated" not in fault}
+    """Fault, or "right" -> what is measured of a dozen frames, of all recordings, the first and
+    wider spaced ones."""
+    changes = {"right": list} | {
+        fault: change for fault, (change, _) in FAULTS.items() if "repeated" not in fault
+    }
     rows = {fault: [] for fault in changes}
-    recordings = [name for name in POSED if name not in CONVERTED or importlib.util.find_spec("OpenEXR")]
+    recordings = [
+        name for name in POSED if name not in CONVERTED or importlib.util.find_spec("OpenEXR")
+    ]
     for name in [*recordings, *ROOMS]:
         sequence = opened(name, None if name in ROOMS else shared_sequence(name))
         for spacing in (1, 2, 4, 8):
             frames = first(sequence, spacing)[:12]
             for fault, change in changes.items() if len(frames) > 6 else ():
                 changed = change(frames)
-                found = agreement_of([SmallFrame.of(f) for f in changed], [f.T_WC for f in changed])
+                found = agreement_of(
+                    [SmallFrame.of(f) for f in changed],
+                    [f.T_WC for f in changed],
+                )
                 if found.overlap >= LEAST_OVERLAP:
                     rows[fault].append((found.gain, found.share / found.overlap, found.colour))
     return rows
@@ -197,7 +229,9 @@ def test_the_table_of_right_and_wrong(opened, shared_sequence, request):
     writer.line("\n(least, middle, largest) gain of another reading; share that agrees; colour")
     rows = measured(opened, shared_sequence)
     for fault, values in rows.items():
-        columns = [sorted(x for x in column if not math.isnan(x)) for column in zip(*values, strict=True)]
+        columns = [
+            sorted(x for x in column if not math.isnan(x)) for column in zip(*values, strict=True)
+        ]
         cells = [f"{x[0]:.3f} {x[len(x) // 2]:.3f} {x[-1]:.3f}" for x in columns if x]
         writer.line(f"{fault:40} {len(values):4}  {'; '.join(cells)}")
     right = rows["right"]

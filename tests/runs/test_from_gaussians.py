@@ -1,4 +1,5 @@
-"""A map that begins with Gaussians of a file: they are seen, optimised, and named in the notes of the run."""
+"""A map that begins with Gaussians of a file: they are seen, optimised, and named in the notes of
+the run."""
 
 import dataclasses
 
@@ -22,14 +23,20 @@ def test_the_map_goes_on_where_the_file_ends(whole_run, config, tmp_path):
     assert f"the map began with {len(began):,} Gaussians of gaussians.ply" in run.run.warnings
     assert (rows.birth_frame[: len(began)] == -1).all()
     assert len(rows) == len(began) + sum(step.n_seeds for step in run.run.steps)
-    assert not torch.equal(rows.params.sh[: len(began)], began.sh[:, : rows.params.sh.shape[1]])  # optimised
+    assert not torch.equal(
+        rows.params.sh[: len(began)],
+        began.sh[:, : rows.params.sh.shape[1]],
+    )  # optimised
 
 
 def test_what_cannot_begin_a_map(config, tmp_path):
     bad = GaussianParams(
-        xyz_W=torch.full((2, 3), float("nan")), log_scale=torch.zeros(2, 3), quat=torch.zeros(2, 4),
-        opacity_logit=torch.zeros(2), sh=torch.zeros(2, 1, 3),
-    )  # fmt: skip
+        xyz_W=torch.full((2, 3), float("nan")),
+        log_scale=torch.zeros(2, 3),
+        quat=torch.zeros(2, 4),
+        opacity_logit=torch.zeros(2),
+        sh=torch.zeros(2, 1, 3),
+    )
     from gsfusion_nb.mapping import make_mapper
 
     mapper = make_mapper(config)
@@ -39,4 +46,10 @@ def test_what_cannot_begin_a_map(config, tmp_path):
     with pytest.raises(ValueError, match="RTG-SLAM cannot begin with Gaussians of another program"):
         make_mapper(rtg_slam("replica")).begin_with(bad)
     with pytest.raises(FileNotFoundError, match=r"none\.ply does not exist"):
-        run_mapping("room", config, folder=tmp_path / "run", from_gaussians=tmp_path / "none.ply", n_frames=120)
+        run_mapping(
+            "room",
+            config,
+            folder=tmp_path / "run",
+            from_gaussians=tmp_path / "none.ply",
+            n_frames=120,
+        )

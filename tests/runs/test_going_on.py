@@ -34,23 +34,35 @@ def stopped_after(frames: int, folder, monkeypatch, **changes):
     requests: list[StopRequest] = []
     begin = StopRequest.__init__
     with monkeypatch.context() as patch:
-        patch.setattr(StopRequest, "__init__", lambda self: (begin(self), requests.append(self))[0])
+        patch.setattr(
+            StopRequest,
+            "__init__",
+            lambda self: (begin(self), requests.append(self))[0],
+        )
         patch.setattr(MappingRun, "_next_step", asked)
-        return run_mapping("room", gsfusion("room", **SMALL, **changes), folder=folder, evaluate=False, **ROOM)
+        return run_mapping(
+            "room", gsfusion("room", **SMALL, **changes), folder=folder, evaluate=False, **ROOM
+        )
 
 
 def warnings_of(folder) -> list[str]:
     return json.loads((folder / "metrics.json").read_text())["warnings"]
 
 
-def test_another_backend_or_version_is_said_in_the_terminal_the_numbers_and_the_report(tmp_path, monkeypatch, caplog):
+def test_another_backend_or_version_is_said_in_the_terminal_the_numbers_and_the_report(
+    tmp_path, monkeypatch, caplog
+):
     run = stopped_after(2, tmp_path / "out", monkeypatch)
     assert json.loads((run.folder / "metrics.json").read_text())["ran_on"]["backend"] == "auto"
     monkeypatch.setattr(ran_on, "__version__", "9.9")
     caplog.clear()
     with use_backend("reference"):
         again = resume_mapping(tmp_path / "out")
-    said = [w for w in warnings_of(again.folder) if "after 2 frames and 0 passes the run continued with" in w]
+    said = [
+        w
+        for w in warnings_of(again.folder)
+        if "after 2 frames and 0 passes the run continued with" in w
+    ]
     assert len(said) == 1
     assert "gsfusion_nb 9.9 instead of" in said[0]
     assert "backend reference instead of auto" in said[0]
@@ -60,12 +72,17 @@ def test_another_backend_or_version_is_said_in_the_terminal_the_numbers_and_the_
 
 
 def test_the_same_program_says_nothing_and_endings_are_forgotten(tmp_path, monkeypatch):
-    """After two frames without a seed the map is empty; after four it is not, and no word of that is left."""
+    """After two frames without a seed the map is empty; after four it is not, and no word of that
+    is left."""
 
     @seeding_rule
     def late(ctx):
         """Seeds from the third frame on."""
-        return apply_rule("uniform", ctx, {"fraction": 0.2}) if ctx.frame.index > 1 else Seeds.empty(ctx.frame.depth_m)
+        return (
+            apply_rule("uniform", ctx, {"fraction": 0.2})
+            if ctx.frame.index > 1
+            else Seeds.empty(ctx.frame.depth_m)
+        )
 
     run = stopped_after(2, tmp_path / "out", monkeypatch, seeding__rule="late", seeding__options={})
     said = warnings_of(run.folder)

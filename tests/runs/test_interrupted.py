@@ -1,4 +1,5 @@
-"""Ctrl-C at any place, as in a notebook, and then the same call again: the maps have the same bits."""
+"""Ctrl-C at any place, as in a notebook, and then the same call again: the maps have the same
+bits."""
 
 import contextlib
 import itertools
@@ -22,7 +23,9 @@ from gsfusion_nb.runs import MappingRun, outputs, run_mapping
 from gsfusion_nb.seeding import context
 
 PACKAGE = Path(interrupts.__file__).parent
-WATCHED = tuple(str(PACKAGE / name) for name in ("mapping", "runs", "optim", "gaussians", "interrupts.py"))
+WATCHED = tuple(
+    str(PACKAGE / name) for name in ("mapping", "runs", "optim", "gaussians", "interrupts.py")
+)
 VARIANTS = ["gsfusion", "gsfusion_fits", "rtg_slam", "gps_slam"]
 
 
@@ -36,9 +39,16 @@ def settings(variant: str, config: Any) -> Any:
     data = {"width": 0, "height": 0, "hold_out_every": 4, "hold_out_offset": 2, "stop": 9}
     if variant == "gps_slam":
         schedule = {"every_frames": 2, "window_every": 2, "iterations": 4}
-        extra = {"final__passes": 2, "tsdf__voxel_size_m": 0.04, "seeding__rule": "uniform", "seeding__options": {}}
+        extra = {
+            "final__passes": 2,
+            "tsdf__voxel_size_m": 0.04,
+            "seeding__rule": "uniform",
+            "seeding__options": {},
+        }
         return gps_slam("room", data=data, schedule=schedule, **extra)
-    return rtg_slam("room", data=data, final__passes=2, window__every_frames=2, tracking__poses="tracked")
+    return rtg_slam(
+        "room", data=data, final__passes=2, window__every_frames=2, tracking__poses="tracked"
+    )
 
 
 def new_run(variant: str, config: Any, room: Any) -> MappingRun:
@@ -48,7 +58,8 @@ def new_run(variant: str, config: Any, room: Any) -> MappingRun:
 
 @contextlib.contextmanager
 def ctrl_c_at(place: int):
-    """Ctrl-C at the ``place``-th line, call or return of the package's code; yields a list with the number of those."""
+    """Ctrl-C at the ``place``-th line, call or return of the package's code; yields a list with the
+    number of those."""
     seen = [0]
 
     def traced(frame: Any, event: str, _: Any) -> Any:
@@ -69,7 +80,8 @@ def ctrl_c_at(place: int):
 
 @pytest.fixture(scope="module")
 def whole(config, small_room):
-    """``whole(variant)``: hashes of a run that nobody interrupted, and its number of events online and in passes."""
+    """``whole(variant)``: hashes of a run that nobody interrupted, and its number of events online
+    and in passes."""
     done: dict[str, Any] = {}
 
     def of(variant: str) -> Any:
@@ -92,7 +104,9 @@ def is_quiet() -> bool:
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_passes_that_are_interrupted_anywhere_and_called_again_end_in_the_same_map(variant, whole, config, small_room):
+def test_passes_that_are_interrupted_anywhere_and_called_again_end_in_the_same_map(
+    variant, whole, config, small_room
+):
     hashes, _, n_events, losses = whole(variant)
     run, draw, n_interrupts = new_run(variant, config, small_room), random.Random(variant), 0
     list(run.online())
@@ -112,7 +126,9 @@ def test_passes_that_are_interrupted_anywhere_and_called_again_end_in_the_same_m
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_mapping_that_is_interrupted_anywhere_and_called_again_ends_in_the_same_map(variant, whole, config, small_room):
+def test_mapping_that_is_interrupted_anywhere_and_called_again_ends_in_the_same_map(
+    variant, whole, config, small_room
+):
     hashes, n_events, _, _ = whole(variant)
     run, draw, n_interrupts = new_run(variant, config, small_room), random.Random(variant), 0
     for attempt in itertools.count(1):
@@ -136,9 +152,17 @@ def test_mapping_that_is_interrupted_anywhere_and_called_again_ends_in_the_same_
 
 PLACES = {
     "gsfusion": [(gsfusion, "render_forward"), (gsfusion, "render_vjp"), (gsfusion, "adam_step")],
-    "gps_slam": [(PartOfMap, "write_back"), (gaussians.StepClock, "write_back"), (optim.adam, "adam_update_map")],
+    "gps_slam": [
+        (PartOfMap, "write_back"),
+        (gaussians.StepClock, "write_back"),
+        (optim.adam, "adam_update_map"),
+    ],
     "rtg_slam": [(RowAdam, "step"), (RowAdam, "catch_up"), (gaussians.StepClock, "step")],
-    "gsfusion_fits": [(training.KeyframeFits, "move"), (gaussians.GaussianModel, "move"), (training, "fit_gain")],
+    "gsfusion_fits": [
+        (training.KeyframeFits, "move"),
+        (gaussians.GaussianModel, "move"),
+        (training, "fit_gain"),
+    ],
 }
 
 
@@ -180,7 +204,9 @@ def test_a_step_after_the_scan_that_fails_in_any_operation_can_be_repeated(
     assert outputs.map_hashes(run) == outputs.map_hashes(still)
 
 
-def test_ctrl_c_while_a_kernel_is_compiled_ends_the_first_frame_as_if_it_had_not_begun(config, small_room, whole):
+def test_ctrl_c_while_a_kernel_is_compiled_ends_the_first_frame_as_if_it_had_not_begun(
+    config, small_room, whole
+):
     """At any place of it, also after the Gaussians were changed and while the depth is fused."""
     for name in ("quadtree", "render_forward", "fuse_frame_"):
         run = new_run("gsfusion_fits", config, small_room)
@@ -189,7 +215,11 @@ def test_ctrl_c_while_a_kernel_is_compiled_ends_the_first_frame_as_if_it_had_not
             with pytest.raises(KeyboardInterrupt):
                 list(run.online())
         assert is_quiet()
-        assert (run.mapper.n_frames, len(run.mapper.gaussians), run.mapper.volume.n_blocks) == (0, 0, 0)
+        assert (run.mapper.n_frames, len(run.mapper.gaussians), run.mapper.volume.n_blocks) == (
+            0,
+            0,
+            0,
+        )
         list(run.online())
         list(run.optimise())
         assert outputs.map_hashes(run) == whole("gsfusion_fits")[0], name
@@ -213,7 +243,12 @@ def test_a_stop_is_heard_while_kernels_of_the_first_frame_are_compiled(tmp_path,
     data = {"data__stop": 3, "tsdf__voxel_size_m": 0.1}
     with pytest.raises(KeyboardInterrupt):
         run_mapping(
-            "room", gsfusion_settings("room", **data), folder=tmp_path / "out", n_frames=120, width=32, height=24
+            "room",
+            gsfusion_settings("room", **data),
+            folder=tmp_path / "out",
+            n_frames=120,
+            width=32,
+            height=24,
         )
     assert is_quiet()
     assert {p.name for p in (tmp_path / "out").iterdir()} <= {".lock"}

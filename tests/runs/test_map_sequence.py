@@ -61,7 +61,12 @@ def test_a_run_leaves_all_files_and_the_numbers_agree(tmp_path, config, run_file
     assert len(mesh.faces) == run.metrics["n_triangles"] > 500
     stamps, poses = read_trajectory_tum(run.folder / "trajectory.txt")
     assert len(stamps) == len(poses) == run.metrics["n_frames"] == 9
-    torch.testing.assert_close(poses[3].float(), run.run.poses[3], atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        poses[3].float(),
+        run.run.poses[3],
+        atol=1e-5,
+        rtol=0,
+    )
     metrics = json.loads((run.folder / "metrics.json").read_text())
     assert metrics["status"] == "complete"
     assert len(metrics["frames"]) == 9
@@ -92,20 +97,29 @@ def test_a_bad_frame_in_the_middle_is_skipped_and_named(tmp_path, small_room, co
     run = run_mapping(Damaged(small_room, {3, 4}), config, folder=tmp_path / "out")
     assert run.run.status == "complete"
     assert len(run.run.steps) == 7
-    assert run.run.warnings[0] == "skipped a frame: rgb/000003.png is truncated; expected a whole PNG"
+    assert (
+        run.run.warnings[0] == "skipped a frame: rgb/000003.png is truncated; expected a whole PNG"
+    )
     assert "rgb/000004.png" in (run.folder / "report.html").read_text()
     assert json.loads((run.folder / "metrics.json").read_text())["warnings"] == run.run.warnings
 
 
 def test_a_recording_that_breaks_off_keeps_what_was_mapped(tmp_path, small_room, config):
     long = replace(config, data__stop=60)
-    run = run_mapping(Damaged(small_room, set(range(5, 60))), long, folder=tmp_path / "out", evaluate=False)
+    run = run_mapping(
+        Damaged(small_room, set(range(5, 60))),
+        long,
+        folder=tmp_path / "out",
+        evaluate=False,
+    )
     assert run.run.status == "stopped"
     assert "stopped after 21 unusable frames in a row" in run.run.warnings[-1]
     assert len(read_gaussian_ply(run.folder / "gaussians.ply")) == len(run.mapper.gaussians) > 0
 
 
-def test_ctrl_c_saves_everything_and_the_run_can_go_on(tmp_path, small_room, config, monkeypatch, run_files, whole_run):
+def test_ctrl_c_saves_everything_and_the_run_can_go_on(
+    tmp_path, small_room, config, monkeypatch, run_files, whole_run
+):
     open_small(monkeypatch, Interrupting(small_room, {5}))
     stopped = run_mapping("room", config, folder=tmp_path / "out", **ROOM)
     assert stopped.run.status == "interrupted"
@@ -126,10 +140,14 @@ def open_small(monkeypatch, sequence):
     from gsfusion_nb.runs import map_sequence, resume
 
     for module in (map_sequence, resume):
-        monkeypatch.setattr(module, "open_sequence", lambda path_or_name, data, **_: apply_options(sequence, data))
+        monkeypatch.setattr(
+            module, "open_sequence", lambda path_or_name, data, **_: apply_options(sequence, data)
+        )
 
 
-def test_a_pass_cut_short_goes_on_where_it_was(tmp_path, small_room, config, monkeypatch, whole_run):
+def test_a_pass_cut_short_goes_on_where_it_was(
+    tmp_path, small_room, config, monkeypatch, whole_run
+):
     open_small(monkeypatch, small_room)
     step, calls = GSFusion._optimise_view, []
 
@@ -170,7 +188,9 @@ def test_a_rule_that_fails_in_the_middle_loses_nothing(tmp_path, small_room, con
 
 
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
-def test_a_full_memory_ends_the_run_with_everything_saved(system, tmp_path, small_room, monkeypatch):
+def test_a_full_memory_ends_the_run_with_everything_saved(
+    system, tmp_path, small_room, monkeypatch
+):
     """The mesh does not fit any more either: it is left out."""
     mapper = {"gsfusion": GSFusion, "rtg_slam": RTGSLAM, "gps_slam": GPSSLAM}[system]
     step = mapper.step
@@ -184,23 +204,40 @@ def test_a_full_memory_ends_the_run_with_everything_saved(system, tmp_path, smal
     monkeypatch.setattr(mapper, "step", fails_later)
     monkeypatch.setattr(mapper, "mesh", full)
     data = {"width": 0, "height": 0, "hold_out_every": 0}
-    config = {"gsfusion": gsfusion, "rtg_slam": rtg_slam, "gps_slam": gps_slam}[system]("room", data=data)
+    config = {"gsfusion": gsfusion, "rtg_slam": rtg_slam, "gps_slam": gps_slam}[system](
+        "room", data=data
+    )
     with pytest.raises(MemoryError) as failure:
         run_mapping(small_room, config, folder=tmp_path / "out")
     message = str(failure.value)
-    knobs = ["the memory of cpu is full", "Gaussians", "keyframes", "data.width", "keyframes_on = 'cpu'"]
+    knobs = [
+        "the memory of cpu is full",
+        "Gaussians",
+        "keyframes",
+        "data.width",
+        "keyframes_on = 'cpu'",
+    ]
     voxels = ["voxel blocks", "tsdf.voxel_size_m"]
-    own = {"gsfusion": [*voxels, "quadtree_threshold"], "rtg_slam": ["share"], "gps_slam": voxels}[system]
-    assert all(part in message for part in [*knobs, *own, "The 4 frames mapped before are saved in"]), message
+    own = {"gsfusion": [*voxels, "quadtree_threshold"], "rtg_slam": ["share"], "gps_slam": voxels}[
+        system
+    ]
+    assert all(
+        part in message for part in [*knobs, *own, "The 4 frames mapped before are saved in"]
+    ), message
     # GPS-SLAM makes its first Gaussians in the eleventh frame
-    assert (len(read_gaussian_ply(tmp_path / "out" / "gaussians.ply")) > 0) == (system != "gps_slam")
+    assert (len(read_gaussian_ply(tmp_path / "out" / "gaussians.ply")) > 0) == (
+        system != "gps_slam"
+    )
     assert (tmp_path / "out" / "trajectory.txt").read_text().count("\n") >= 3
     assert b"element face 0" in (tmp_path / "out" / "mesh.ply").read_bytes()
     assert json.loads((tmp_path / "out" / "metrics.json").read_text())["status"] == "failed"
 
 
 def test_when_no_frame_can_be_used_the_first_reason_is_the_error(tmp_path, small_room, config):
-    with pytest.raises(SequenceError, match=r"none of the 9 frames could be mapped, the first because rgb/000000\.png"):
+    with pytest.raises(
+        SequenceError,
+        match=r"none of the 9 frames could be mapped, the first because rgb/000000\.png",
+    ):
         run_mapping(Damaged(small_room, set(range(12))), config, folder=tmp_path / "out")
 
 
@@ -219,11 +256,18 @@ class Odd(Damaged):
 
 
 def test_depth_out_of_range_is_named(tmp_path, small_room, config):
-    run = run_mapping(Odd(small_room, set(), 1000.0), config, folder=tmp_path / "out", evaluate=False)
-    assert any("no depth between tsdf.near_m 0.4 and tsdf.far_m 6 m (its median is" in w for w in run.run.warnings)
+    run = run_mapping(
+        Odd(small_room, set(), 1000.0), config, folder=tmp_path / "out", evaluate=False
+    )
+    assert any(
+        "no depth between tsdf.near_m 0.4 and tsdf.far_m 6 m (its median is" in w
+        for w in run.run.warnings
+    )
 
 
-def test_a_view_whose_render_has_a_nan_is_said_everywhere(tmp_path, small_room, config, split, monkeypatch):
+def test_a_view_whose_render_has_a_nan_is_said_everywhere(
+    tmp_path, small_room, config, split, monkeypatch
+):
     """In the numbers, the warnings and the report."""
 
     def scored(view, frame, **options):
@@ -243,12 +287,19 @@ def test_a_view_whose_render_has_a_nan_is_said_everywhere(tmp_path, small_room, 
 
 
 def test_a_camera_too_far_away_is_skipped_by_both_systems(tmp_path, small_room, config):
-    data: dict[str, Any] = {"data__stop": 6, "data__hold_out_every": 0, "data__width": 0, "data__height": 0}
+    data: dict[str, Any] = {
+        "data__stop": 6,
+        "data__hold_out_every": 0,
+        "data__width": 0,
+        "data__height": 0,
+    }
     for settings in (replace(config, **data), rtg_slam("room", **data)):
         folder = tmp_path / type(settings).__name__
         run = run_mapping(Odd(small_room, {4}), settings, folder=folder, evaluate=False)
         assert len(run.run.steps) == 5
-        assert "frame 4 cannot be mapped: T_WC of frame 4 must be within 10 km" in run.run.warnings[0]
+        assert (
+            "frame 4 cannot be mapped: T_WC of frame 4 must be within 10 km" in run.run.warnings[0]
+        )
 
 
 def test_an_empty_map_says_why(tmp_path, small_room, config):
@@ -258,7 +309,10 @@ def test_an_empty_map_says_why(tmp_path, small_room, config):
 
     short = replace(config, data__stop=3)
     run = run_mapping(small_room, short, folder=tmp_path / "a", seeding=nothing)
-    assert "no Gaussians: the seeding rule 'nothing' proposed none for any of the" in run.run.warnings[-1]
+    assert (
+        "no Gaussians: the seeding rule 'nothing' proposed none for any of the"
+        in run.run.warnings[-1]
+    )
     assert run.run.warnings[-1] in (tmp_path / "a" / "metrics.json").read_text()
 
 
@@ -271,16 +325,25 @@ def test_pressing_twice_does_not_lose_the_map(tmp_path, small_room, config):
                 signal.raise_signal(signal.SIGINT)
             return super().__getitem__(i)
 
-    run = run_mapping(Impatient(small_room, {5}), config, folder=tmp_path / "out", evaluate=False)
+    run = run_mapping(
+        Impatient(small_room, {5}),
+        config,
+        folder=tmp_path / "out",
+        evaluate=False,
+    )
     assert run.run.status == "interrupted"
     assert (run.folder / "checkpoint").exists()
 
 
-def test_rescoring_an_interrupted_run_scores_what_was_mapped(tmp_path, small_room, config, monkeypatch):
+def test_rescoring_an_interrupted_run_scores_what_was_mapped(
+    tmp_path, small_room, config, monkeypatch
+):
     open_small(monkeypatch, Interrupting(small_room, {5}))
     run = run_mapping("room", config, folder=tmp_path / "out")
     module = importlib.import_module("gsfusion_nb.runs.rescore")
-    monkeypatch.setattr(module, "open_sequence", lambda path_or_name, data: apply_options(small_room, data))
+    monkeypatch.setattr(
+        module, "open_sequence", lambda path_or_name, data: apply_options(small_room, data)
+    )
     again = rescore(run.folder)
     assert again["n_views_mapped"] == 5
     assert again["psnr_mapped_db"] == run.metrics["psnr_mapped_db"]
@@ -304,11 +367,22 @@ def test_an_earlier_run_is_never_overwritten(tmp_path, config):
         resume_mapping(tmp_path)
 
 
-def test_an_option_that_the_rule_does_not_have_is_refused_before_there_is_a_folder(tmp_path, config, capsys):
+def test_an_option_that_the_rule_does_not_have_is_refused_before_there_is_a_folder(
+    tmp_path, config, capsys
+):
     from gsfusion_nb.cli import main
 
     folder = tmp_path / "run"
-    command = ["map", "room", "--seeding.rule", "uniform", "--rule-options", "fration=0.2", "--out", str(folder)]
+    command = [
+        "map",
+        "room",
+        "--seeding.rule",
+        "uniform",
+        "--rule-options",
+        "fration=0.2",
+        "--out",
+        str(folder),
+    ]
     assert main(command) == 1
     said = capsys.readouterr().err
     assert "'uniform' has no options ['fration']; known: ['coverage', 'fraction'" in said

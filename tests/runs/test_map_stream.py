@@ -1,4 +1,5 @@
-"""Streams that go wrong while poses are tracked: said, survived, or ended with everything mapped so far kept."""
+"""Streams that go wrong while poses are tracked: said, survived, or ended with everything mapped so
+far kept."""
 
 import contextlib
 import dataclasses
@@ -79,7 +80,13 @@ def test_a_stream_gives_the_same_maps_as_the_sequence(tmp_path, small_room, conf
     for name in ("xyz_W", "sh", "opacity_logit"):
         torch.testing.assert_close(getattr(ours, name), getattr(theirs, name))
     assert {p.name for p in stream.folder.iterdir()} == run_files
-    names = ("psnr_held_out_db", "psnr_mapped_db", "ssim_held_out_online", "n_frames", "n_views_held_out")
+    names = (
+        "psnr_held_out_db",
+        "psnr_mapped_db",
+        "ssim_held_out_online",
+        "n_frames",
+        "n_views_held_out",
+    )
     for name in names:
         assert stream.metrics[name] == pytest.approx(whole.metrics[name], abs=1e-6)
     assert stream.run.timestamps_s == whole.run.timestamps_s
@@ -91,7 +98,9 @@ def test_a_stream_gives_the_same_maps_as_the_sequence(tmp_path, small_room, conf
 
 
 def test_anything_iterable_can_be_mapped(tmp_path, frames, config):
-    run = map_stream((f for f in frames), make_mapper(config), folder=tmp_path / "out", evaluate=False)
+    run = map_stream(
+        (f for f in frames), make_mapper(config), folder=tmp_path / "out", evaluate=False
+    )
     assert run.metrics["n_frames"] == 9
     assert run.run.sequence.name == "stream"
     assert len(read_trajectory_tum(run.folder / "trajectory.txt")[0]) == 9
@@ -112,7 +121,13 @@ def test_a_mapper_goes_on_with_its_maps(tmp_path, frames, config):
 
 def test_unusable_frames_are_named_and_counted(tmp_path, frames, config):
     black = dataclasses.replace(frames[3], rgb=torch.zeros_like(frames[3].rgb))
-    items = [frames[0], BadFrameError("depth/000001.png is truncated"), frames[2], black, *frames[4:10]]
+    items = [
+        frames[0],
+        BadFrameError("depth/000001.png is truncated"),
+        frames[2],
+        black,
+        *frames[4:10],
+    ]
     run = map_stream(Source(items), make_mapper(config), policy="all", folder=tmp_path / "out")
     assert run.run.warnings[0] == "skipped a frame: depth/000001.png is truncated"
     assert "black" in run.run.warnings[1]
@@ -121,11 +136,15 @@ def test_unusable_frames_are_named_and_counted(tmp_path, frames, config):
     assert saved(run.folder)["warnings"] == run.run.warnings
 
 
-def test_a_source_that_breaks_off_ends_it_with_everything_saved(tmp_path, frames, config, run_files):
+def test_a_source_that_breaks_off_ends_it_with_everything_saved(
+    tmp_path, frames, config, run_files
+):
     source = Source(frames[:6], broke_off="the camera was disconnected: cable")
     run = map_stream(source, make_mapper(config), folder=tmp_path / "out")
     assert run.run.status == "stopped"
-    assert run.run.warnings == ["the camera was disconnected: cable; everything mapped before is kept"]
+    assert run.run.warnings == [
+        "the camera was disconnected: cable; everything mapped before is kept"
+    ]
     assert {p.name for p in run.folder.iterdir()} == run_files
     assert source.stopped.is_set()
 
@@ -133,7 +152,9 @@ def test_a_source_that_breaks_off_ends_it_with_everything_saved(tmp_path, frames
 def test_an_exception_of_the_source_is_raised_after_saving(tmp_path, frames, config):
     with pytest.raises(RuntimeError, match="the driver crashed") as e:
         map_stream(
-            Source([*frames[:6], RuntimeError("the driver crashed")]), make_mapper(config), folder=tmp_path / "out"
+            Source([*frames[:6], RuntimeError("the driver crashed")]),
+            make_mapper(config),
+            folder=tmp_path / "out",
         )
     assert "frames mapped before are saved in" in e.value.__notes__[0]
     assert len(read_gaussian_ply(tmp_path / "out" / "gaussians.ply")) > 0
@@ -143,8 +164,12 @@ def test_an_exception_of_the_source_is_raised_after_saving(tmp_path, frames, con
 def test_a_stream_without_a_usable_frame_says_why(tmp_path, frames, config):
     with pytest.raises(SequenceError, match="no frame came from source"):
         map_stream(Source([]), make_mapper(config), folder=tmp_path / "a")
-    with pytest.raises(SequenceError, match=r"no frame of source could be mapped, the first because it is torn"):
-        map_stream(Source([BadFrameError("it is torn")]), make_mapper(config), folder=tmp_path / "b")
+    with pytest.raises(
+        SequenceError, match=r"no frame of source could be mapped, the first because it is torn"
+    ):
+        map_stream(
+            Source([BadFrameError("it is torn")]), make_mapper(config), folder=tmp_path / "b"
+        )
 
 
 def step_then(monkeypatch, after):
@@ -179,8 +204,12 @@ def test_ctrl_c_while_no_frame_comes(tmp_path, frames, config, monkeypatch, on_s
     source = Waiting(frames[:6])
     source.all_mapped = threading.Event()
     step_then(monkeypatch, lambda frame: source.all_mapped.set() if frame.index == 5 else None)
-    run = map_stream(source, make_mapper(config), policy="all", folder=tmp_path / "out", on_stop=on_stop)
-    assert {p.name for p in run.folder.iterdir()} == run_files  # a stream cannot be resumed: no checkpoint
+    run = map_stream(
+        source, make_mapper(config), policy="all", folder=tmp_path / "out", on_stop=on_stop
+    )
+    assert {
+        p.name for p in run.folder.iterdir()
+    } == run_files  # a stream cannot be resumed: no checkpoint
     if on_stop == "save":
         assert run.run.status == "interrupted"
         assert not run.run.global_losses
@@ -198,7 +227,8 @@ def test_ctrl_c_while_no_frame_comes(tmp_path, frames, config, monkeypatch, on_s
 def test_what_happens_to_frames_that_come_while_the_first_is_mapped(
     tmp_path, frames, config, monkeypatch, policy, mapped, dropped
 ):
-    """Seven frames come at once while frame 0 is being mapped, and none later: no clock is involved."""
+    """Seven frames come at once while frame 0 is being mapped, and none later: no clock is
+    involved."""
     mapping, given = threading.Event(), threading.Event()
 
     def source():
@@ -214,7 +244,9 @@ def test_what_happens_to_frames_that_come_while_the_first_is_mapped(
 
     step_then(monkeypatch, after)
     every = replace(config, data__hold_out_every=0)
-    run = map_stream(source(), make_mapper(every), policy=policy, folder=tmp_path / "out", evaluate=False)
+    run = map_stream(
+        source(), make_mapper(every), policy=policy, folder=tmp_path / "out", evaluate=False
+    )
     assert [s.frame_index for s in run.run.steps] == mapped
     assert run.metrics["n_frames_received"] == 8
     assert run.metrics["n_frames_dropped"] == dropped
@@ -225,7 +257,9 @@ def test_what_happens_to_frames_that_come_while_the_first_is_mapped(
 def test_without_poses_the_settings_must_ask_to_track(frames, config):
     source = Source(frames)
     source.has_poses = False
-    with pytest.raises(SequenceError, match=r"source has no poses; set tracking\.poses = 'tracked'"):
+    with pytest.raises(
+        SequenceError, match=r"source has no poses; set tracking\.poses = 'tracked'"
+    ):
         StreamRun(source, make_mapper(config))
 
 
@@ -314,7 +348,13 @@ def config(system):
         return gsfusion("room", data=vars(DATA), tracking__poses="tracked", tsdf__voxel_size_m=0.03)
     if system == "gps_slam":
         return gps_slam("room", data=vars(DATA), tracking__poses="tracked", tsdf__voxel_size_m=0.03)
-    return rtg_slam("room", data=vars(DATA), tracking__poses="tracked", window__iterations=8, keyframes__iterations=4)
+    return rtg_slam(
+        "room",
+        data=vars(DATA),
+        tracking__poses="tracked",
+        window__iterations=8,
+        keyframes__iterations=4,
+    )
 
 
 def mapped(frames, system):
@@ -333,7 +373,9 @@ def open_stream(frames):
 def errors_m(run, frames):
     truth = {i: f.T_WC for i, f in enumerate(frames) if isinstance(f, Frame)}
     indices = run.mapper.localiser.frame_indices
-    return [float((p[:3, 3] - truth[i][:3, 3]).norm()) for i, p in zip(indices, run.poses, strict=True)]
+    return [
+        float((p[:3, 3] - truth[i][:3, 3]).norm()) for i, p in zip(indices, run.poses, strict=True)
+    ]
 
 
 def without_depth(frame):
@@ -346,7 +388,13 @@ def black(frame):
 
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
 def test_frames_that_cannot_be_used_are_named_and_the_path_goes_on(room, system):
-    frames = [*room[:8], without_depth(room[8]), black(room[9]), BadFrameError("frame 10 is torn"), *room[11:20]]
+    frames = [
+        *room[:8],
+        without_depth(room[8]),
+        black(room[9]),
+        BadFrameError("frame 10 is torn"),
+        *room[11:20],
+    ]
     run = mapped(frames, system)
     assert run.mapper.localiser.frame_indices == [0, 1, 2, 3, 4, 5, 6, 7, *range(11, 20)]
     assert len(run.warnings) >= 3

@@ -11,8 +11,13 @@ from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
 from gsfusion_nb.runs import run_mapping
 
 SIZES = {"gsfusion": (48, 36), "rtg_slam": (80, 60), "gps_slam": (48, 36)}
-"""Of the pictures: RTG-SLAM's discs, a pixel wide at first, need more of them to cover the walls."""
-FOUR_FRAMES: dict[str, Any] = {"data__stop": 4, "data__hold_out_offset": 2, "data__hold_out_every": 4}
+"""Of the pictures: RTG-SLAM's discs, a pixel wide at first, need more of them to cover the
+walls."""
+FOUR_FRAMES: dict[str, Any] = {
+    "data__stop": 4,
+    "data__hold_out_offset": 2,
+    "data__hold_out_every": 4,
+}
 CONFIGS = {
     "gsfusion": gsfusion(
         "replica",
@@ -27,13 +32,25 @@ CONFIGS = {
         **FOUR_FRAMES,
     ),
     "rtg_slam": rtg_slam(
-        "replica", window__every_frames=2, window__iterations=3, keyframes__iterations=3, final__passes=1, **FOUR_FRAMES
+        "replica",
+        window__every_frames=2,
+        window__iterations=3,
+        keyframes__iterations=3,
+        final__passes=1,
+        **FOUR_FRAMES,
     ),
     "gps_slam": gps_slam(
-        "replica", tsdf__voxel_size_m=0.05, seeding__rule="uniform", seeding__options={}, schedule__every_frames=2,
-        schedule__window_every=2, schedule__iterations=4, final__passes=1, **FOUR_FRAMES,
+        "replica",
+        tsdf__voxel_size_m=0.05,
+        seeding__rule="uniform",
+        seeding__options={},
+        schedule__every_frames=2,
+        schedule__window_every=2,
+        schedule__iterations=4,
+        final__passes=1,
+        **FOUR_FRAMES,
     ),
-}  # fmt: skip
+}
 
 
 @pytest.fixture
@@ -43,7 +60,12 @@ def used(monkeypatch):
 
     def note(name, args, kwargs):
         implementation = select(name, args, kwargs)
-        found.add(next((b for b in backends.BACKENDS[1:] if implementation.__module__.endswith(f".{b}")), "reference"))
+        found.add(
+            next(
+                (b for b in backends.BACKENDS[1:] if implementation.__module__.endswith(f".{b}")),
+                "reference",
+            )
+        )
         return implementation
 
     monkeypatch.setattr(backends, "_select", note)
@@ -54,7 +76,14 @@ def used(monkeypatch):
 def test_from_the_first_frame_to_the_report(system, tmp_path, used):
     width, height = SIZES[system]
     with use_backend("reference"):
-        run = run_mapping("room", CONFIGS[system], folder=tmp_path / "out", n_frames=120, width=width, height=height)
+        run = run_mapping(
+            "room",
+            CONFIGS[system],
+            folder=tmp_path / "out",
+            n_frames=120,
+            width=width,
+            height=height,
+        )
     assert used == {"reference"}
     numbers = json.loads((run.folder / "metrics.json").read_text())
     assert numbers["status"] == "complete"

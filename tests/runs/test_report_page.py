@@ -1,4 +1,5 @@
-"""The report page: parses, loads nothing from outside, shows the numbers, survives whatever is missing."""
+"""The report page: parses, loads nothing from outside, shows the numbers, survives whatever is
+missing."""
 
 import math
 from html.parser import HTMLParser
@@ -30,7 +31,9 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         values = dict(attrs)
-        self.references += [values[k] for k in ("src", "href", "xlink:href", "data", "action") if values.get(k)]
+        self.references += [
+            values[k] for k in ("src", "href", "xlink:href", "data", "action") if values.get(k)
+        ]
         if tag == "img" and values.get("src"):
             self.images.append(values)
         if tag not in VOID:
@@ -95,15 +98,24 @@ def row(index, **changes):
 
 def test_the_whole_page(generator, tmp_path):
     cells = SimpleNamespace(
-        x0=torch.tensor([0, 22]), y0=torch.tensor([0, 0]), width=torch.tensor([22, 22]),
-        height=torch.tensor([30, 30]), level=torch.tensor([1, 1]),
-    )  # fmt: skip
+        x0=torch.tensor([0, 22]),
+        y0=torch.tensor([0, 0]),
+        width=torch.tensor([22, 22]),
+        height=torch.tensor([30, 30]),
+        level=torch.tensor([1, 1]),
+    )
     run = ReportData(
         title="GSFusion on a <room>",
         subtitle="48 frames",
         metrics={
-            "psnr_held_out_db": 23.678, "ssim_held_out": 0.8123, "n_gaussians": 8386, "fps_total": 3.21, "n_frames": 42,
-            "lpips_held_out": NotComputed("package 'lpips' is not installed"), "mesh_accuracy_m": 0.0072, "my_own": 1.5,
+            "psnr_held_out_db": 23.678,
+            "ssim_held_out": 0.8123,
+            "n_gaussians": 8386,
+            "fps_total": 3.21,
+            "n_frames": 42,
+            "lpips_held_out": NotComputed("package 'lpips' is not installed"),
+            "mesh_accuracy_m": 0.0072,
+            "my_own": 1.5,
         },
         config={"tsdf": {"voxel_size_m": 0.01, "sdf": "ray"}, "seed": 0, "options": {}},
         frames=[row(i) for i in range(6)],
@@ -113,15 +125,31 @@ def test_the_whole_page(generator, tmp_path):
         warnings=["Stopped at frame 5: depth is truncated."],
         environment={"torch": "2.x", "threads": 1},
         files={"gaussians.ply": "8,386 Gaussians", "notes.txt": "own"},
-    )  # fmt: skip
+    )
     page = page_of(run, tmp_path)
     for text in (
-        "GSFusion on a <room>", "Stopped at frame 5", "23.68 dB", "SSIM 0.812", "8,386", "3.21 frames/s",
+        "GSFusion on a <room>",
+        "Stopped at frame 5",
+        "23.68 dB",
+        "SSIM 0.812",
+        "8,386",
+        "3.21 frames/s",
         "of 42 frames",
-        "not computed: package 'lpips' is not installed", "0.72 cm", "my_own", "tsdf.voxel_size_m", "0.01", "threads",
-        "SuperSplat", "notes.txt", "PSNR 21.50 dB · SSIM 0.710", "Quadtree", "2 cells", "2.00 m", "10 cm or more",
+        "not computed: package 'lpips' is not installed",
+        "0.72 cm",
+        "my_own",
+        "tsdf.voxel_size_m",
+        "0.01",
+        "threads",
+        "SuperSplat",
+        "notes.txt",
+        "PSNR 21.50 dB · SSIM 0.710",
+        "Quadtree",
+        "2 cells",
+        "2.00 m",
+        "10 cm or more",
         "All 6 frames",
-    ):  # fmt: skip
+    ):
         assert text in page.words, text
     assert len(page.images) == 6 + 6 + 1 + 1 + 5  # the last ones are graphs
     assert page.words.index("Frame 4") < page.words.index("Frame 7")
@@ -158,7 +186,10 @@ def test_views_with_holes(generator, tmp_path, changes):
     "frames",
     [
         [row(0)],
-        [row(i, psnr_after_db=math.nan, psnr_before_db=math.nan, losses=(), is_keyframe=False) for i in range(3)],
+        [
+            row(i, psnr_after_db=math.nan, psnr_before_db=math.nan, losses=(), is_keyframe=False)
+            for i in range(3)
+        ],
     ],
 )
 def test_frames_with_holes(tmp_path, frames):
@@ -167,10 +198,30 @@ def test_frames_with_holes(tmp_path, frames):
 
 
 def test_panel_of_a_frame_scores_the_render(generator):
-    camera = Camera(width=8, height=8, fx=8.0, fy=8.0, cx=4.0, cy=4.0)
-    rgb, depth, index = torch.rand(8, 8, 3, generator=generator), torch.ones(8, 8), torch.zeros(8, 8, dtype=torch.int64)
-    frame = Frame(index=12, timestamp_s=0.0, rgb=rgb, depth_m=depth, camera=camera, T_WC=torch.eye(4))
-    view = RenderOutput(rgb=rgb, depth_m=depth * 0.8, alpha=depth * 0.8, first_index=index, dominant_index=index)
+    camera = Camera(
+        width=8,
+        height=8,
+        fx=8.0,
+        fy=8.0,
+        cx=4.0,
+        cy=4.0,
+    )
+    rgb, depth, index = (
+        torch.rand(8, 8, 3, generator=generator),
+        torch.ones(8, 8),
+        torch.zeros(8, 8, dtype=torch.int64),
+    )
+    frame = Frame(
+        index=12,
+        timestamp_s=0.0,
+        rgb=rgb,
+        depth_m=depth,
+        camera=camera,
+        T_WC=torch.eye(4),
+    )
+    view = RenderOutput(
+        rgb=rgb, depth_m=depth * 0.8, alpha=depth * 0.8, first_index=index, dominant_index=index
+    )
     made = ReportView.of(frame, view, held_out=True)
     assert (made.name, made.psnr, made.ssim) == ("Frame 12", math.inf, 1.0)
     assert torch.allclose(made.render_depth_m, depth)
@@ -179,11 +230,20 @@ def test_panel_of_a_frame_scores_the_render(generator):
 def test_two_systems_side_by_side(config, tmp_path):
     configs = {"one": config, "other": replace(gps_slam("room", final__passes=0), data=config.data)}
     runs = [
-        run_mapping("room", c, folder=tmp_path / name, n_frames=120, width=80, height=60) for name, c in configs.items()
+        run_mapping("room", c, folder=tmp_path / name, n_frames=120, width=80, height=60)
+        for name, c in configs.items()
     ]
     page = Page(write_side_by_side(tmp_path / "report.html", runs).read_text(encoding="utf-8"))
-    assert {ref for ref in page.references if not ref.startswith("data:")} == {"one/report.html", "other/report.html"}
+    assert {ref for ref in page.references if not ref.startswith("data:")} == {
+        "one/report.html",
+        "other/report.html",
+    }
     assert all((tmp_path / name / "report.html").is_file() for name in configs)
     assert "GSFusion and GPS-SLAM on room" in page.words
     for run in runs:
-        assert format_metric("psnr_held_out_db", run.metrics["psnr_held_out_db"]).replace("\u00a0", " ") in page.words
+        assert (
+            format_metric("psnr_held_out_db", run.metrics["psnr_held_out_db"]).replace(
+                "\u00a0", " "
+            )
+            in page.words
+        )

@@ -1,4 +1,5 @@
-"""Checkpoints whose checksums are right and whose content no run can have come to: each is refused with a sentence."""
+"""Checkpoints whose checksums are right and whose content no run can have come to: each is refused
+with a sentence."""
 
 import copy
 import itertools
@@ -24,19 +25,30 @@ DATA: dict[str, Any] = {"data__stop": 5, "data__hold_out_every": 0}
 FEW: dict[str, Any] = {"window__iterations": 2, "keyframes__iterations": 2}
 SETTINGS = {
     "gsfusion": gsfusion(
-        "online", **DATA, tsdf__voxel_size_m=0.1, sh_degree=1, keyframe_min_seeds=5, optim__global_iterations=2
+        "online",
+        **DATA,
+        tsdf__voxel_size_m=0.1,
+        sh_degree=1,
+        keyframe_min_seeds=5,
+        optim__global_iterations=2,
     ),
     "rtg_slam": rtg_slam("room", data__width=0, data__height=0, **DATA, **FEW),
     "tracked": rtg_slam(
-        "room", data__width=0, data__height=0, **DATA, **FEW, tracking__poses="tracked",
+        "room",
+        data__width=0,
+        data__height=0,
+        **DATA,
+        **FEW,
+        tracking__poses="tracked",
         tracking__back_end=True,
     ),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
 def states(tmp_path_factory):
-    """What checkpoints of interrupted runs hold: each with a step of the optimisation after the scan."""
+    """What checkpoints of interrupted runs hold: each with a step of the optimisation after the
+    scan."""
     found = {}
     for name, config in SETTINGS.items():
         folder = tmp_path_factory.mktemp(name)
@@ -84,7 +96,9 @@ def less(value):
 
 
 def more(value):
-    return torch.cat([value, value[-1:]]) if isinstance(value, torch.Tensor) else [*value, value[-1]]
+    return (
+        torch.cat([value, value[-1:]]) if isinstance(value, torch.Tensor) else [*value, value[-1]]
+    )
 
 
 def in_double(value):
@@ -97,28 +111,68 @@ def doubled(value):
 
 CHANGES = {
     "gsfusion": [
-        (put(*ROWS, "xyz_W", value=filled((3, 1), float("nan"))), "rows/xyz_W must be finite numbers, got NaN"),
-        (put(*ROWS, "exp_avg.sh", value=filled((0, 0, 0), float("inf"))), "rows/exp_avg.sh must be finite numbers"),
-        (put(*ROWS, "xyz_W", value=in_double), r"rows/xyz_W must be .* of float32, got .* of float64"),
+        (
+            put(*ROWS, "xyz_W", value=filled((3, 1), float("nan"))),
+            "rows/xyz_W must be finite numbers, got NaN",
+        ),
+        (
+            put(
+                *ROWS,
+                "exp_avg.sh",
+                value=filled((0, 0, 0), float("inf")),
+            ),
+            "rows/exp_avg.sh must be finite numbers",
+        ),
+        (
+            put(*ROWS, "xyz_W", value=in_double),
+            r"rows/xyz_W must be .* of float32, got .* of float64",
+        ),
         (put(*ROWS, "quat", value=less), "rows/|size|expanded"),
         (put(*ROWS, "tag", value=more), "rows/|size|expanded"),
         (put(*ROWS, "opacity_logit", value=lambda x: x[:1]), "opacity_logit must be a tensor"),
         (put(*ROWS, "last_step", value=filled(2, 99)), "last_step"),
-        (put(*ROWS, "birth_frame", value=filled(2, -7)), "birth_frame of the Gaussians must be from -1"),
-        (put("mapper", "gaussians", "step_count", value=float("nan")), "step_count must be a whole number"),
-        (put("mapper", "gaussians", "step_count", value=[3]), "step_count must be one value, got a list"),
-        (put("mapper", "gaussians", "more", value=1), "mapper/gaussians/more must be nothing of this name"),
+        (
+            put(*ROWS, "birth_frame", value=filled(2, -7)),
+            "birth_frame of the Gaussians must be from -1",
+        ),
+        (
+            put("mapper", "gaussians", "step_count", value=float("nan")),
+            "step_count must be a whole number",
+        ),
+        (
+            put("mapper", "gaussians", "step_count", value=[3]),
+            "step_count must be one value, got a list",
+        ),
+        (
+            put("mapper", "gaussians", "more", value=1),
+            "mapper/gaussians/more must be nothing of this name",
+        ),
         (put("mapper", "n_frames", value=4), "4 frames of the mapper, 5 poses"),
         (put("mapper", "n_frames", value=-5), "n_frames must be a whole number of at least 0"),
-        (put("mapper", "localiser", "poses", value=filled((2, 0, 0), 9.0)), "poses must be camera-to-world poses, got"),
+        (
+            put("mapper", "localiser", "poses", value=filled((2, 0, 0), 9.0)),
+            "poses must be camera-to-world poses, got",
+        ),
         (put("mapper", "localiser", "poses", value=less), "5 frames of the mapper, 4 poses"),
         (put("mapper", "localiser", "poses", value=in_double), "poses|dtype"),
-        (put("mapper", "localiser", "frame_indices", value=filled(0, -3)), "index -3, expected at least 0"),
-        (put("mapper", "keyframes", value=less), "keyframe . of the reports of a state is not among its keyframes"),
+        (
+            put("mapper", "localiser", "frame_indices", value=filled(0, -3)),
+            "index -3, expected at least 0",
+        ),
+        (
+            put("mapper", "keyframes", value=less),
+            "keyframe . of the reports of a state is not among its keyframes",
+        ),
         (put("mapper", "keyframes", value=more), "a state has a keyframe twice"),
         (put(*FIRST_KEYFRAME, "T_WC", value=doubled), "T_WC must be camera-to-world poses"),
-        (put(*FIRST_KEYFRAME, "rgb_u8", value=less), r"rgb_u8 must be an image of 96 x 72 pixels .*got a tensor \[71"),
-        (put(*FIRST_KEYFRAME, "rgb_u8", value=lambda x: x.int()), "rgb_u8 must be an image .* of torch.uint8"),
+        (
+            put(*FIRST_KEYFRAME, "rgb_u8", value=less),
+            r"rgb_u8 must be an image of 96 x 72 pixels .*got a tensor \[71",
+        ),
+        (
+            put(*FIRST_KEYFRAME, "rgb_u8", value=lambda x: x.int()),
+            "rgb_u8 must be an image .* of torch.uint8",
+        ),
         (put(*FIRST_KEYFRAME, "index", value=77), "keyframe"),
         (put(*FIRST_KEYFRAME, "gain", value=torch.zeros(2)), "gain must be three brightnesses"),
         (put(*FIRST_KEYFRAME, "camera", "fx", value=float("inf")), "fx must be a finite number"),
@@ -130,22 +184,35 @@ CHANGES = {
         (put("run", "is_optimised", value="yes"), "is_optimised"),
         (put("run", "global_losses", value=3.0), "global_losses must be a list"),
         (put("run", "online_scores", value=[1.0]), "online_scores must be a dictionary"),
-        (put("run", "seconds_global", value=float("nan")), "seconds_global must be a finite number"),
+        (
+            put("run", "seconds_global", value=float("nan")),
+            "seconds_global must be a finite number",
+        ),
         (put("run", "warnings", value="a word"), "can only concatenate str"),
         (put("run", "bad_in_a_row", value=1 << 70), "bad_in_a_row must be a whole number"),
         (put("random", "python", 0, value=9), "python|version|state"),
-        (put(*VOLUME, "W", value=filled((0, 3), -1.0)), "W must be at least 0 in every voxel, got -1"),
-        (put("run", "next_position", value=9), "interrupted after 9 frames, but room has 5 now; expected"),
+        (
+            put(*VOLUME, "W", value=filled((0, 3), -1.0)),
+            "W must be at least 0 in every voxel, got -1",
+        ),
+        (
+            put("run", "next_position", value=9),
+            "interrupted after 9 frames, but room has 5 now; expected",
+        ),
     ],
     "settings": [
-        (put(*DATA_SETTINGS, "repair", "cx", value=30.0), "was mapped with the camera .*, but room"),
+        (
+            put(*DATA_SETTINGS, "repair", "cx", value=30.0),
+            "was mapped with the camera .*, but room",
+        ),
         (put("mapper", "config", "seeding", "options", value={"a": 1}), "has no options"),
     ],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(
-    ("name", "change", "sentence"), [(name, *rest) for name, changes in CHANGES.items() for rest in changes]
+    ("name", "change", "sentence"),
+    [(name, *rest) for name, changes in CHANGES.items() for rest in changes],
 )
 def test_what_no_run_can_have_come_to_is_refused(states, tmp_path, name, change, sentence):
     state = copy.deepcopy(states["gsfusion" if name == "settings" else name])
@@ -216,9 +283,14 @@ def _killed(scene, tmp_path, monkeypatch, rule):
         patch.setattr(map_sequence, "_rescue", lambda *_: None)
         with pytest.raises(Killed):
             run_mapping(
-                tmp_path / "wall", config, folder=tmp_path / "run", evaluate=False, watch=Watch(),
-                checkpoints=CheckpointEvery(seconds=0, frames=1), seeding=rule,
-            )  # fmt: skip
+                tmp_path / "wall",
+                config,
+                folder=tmp_path / "run",
+                evaluate=False,
+                watch=Watch(),
+                checkpoints=CheckpointEvery(seconds=0, frames=1),
+                seeding=rule,
+            )
     return tmp_path / "run", tmp_path / "wall"
 
 
@@ -243,7 +315,9 @@ def one_digit(wall):
 def one_more(wall):
     for kind in ("rgb", "depth"):
         shutil.copyfile(wall / f"{kind}/000006.png", wall / f"{kind}/000007.png")
-    (wall / "poses.txt").write_text((wall / "poses.txt").read_text() + "1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1\n")
+    (wall / "poses.txt").write_text(
+        (wall / "poses.txt").read_text() + "1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1\n"
+    )
 
 
 def one_less(wall):
@@ -257,7 +331,10 @@ CHANGES_CHANGED_DATA = {
     "the intrinsics": (lambda wall: edit_intrinsics(wall, "fx", 1.01), "intrinsics.json (changed)"),
     "a frame more": (one_more, "poses.txt (changed)"),
     "a frame less": (one_less, "rgb/000006.png (deleted)"),
-    "a held-out image": (lambda wall: (wall / "depth/000006.png").write_bytes(b""), "depth/000006.png (changed)"),
+    "a held-out image": (
+        lambda wall: (wall / "depth/000006.png").write_bytes(b""),
+        "depth/000006.png (changed)",
+    ),
 }
 
 
@@ -287,7 +364,9 @@ def test_a_rule_goes_on_with_the_modules_beside_its_file_and_no_others(killed_wi
     assert kept.read_text() == "STEP = 3\n"
     kept.write_text("STEP = 4\n")
     with pytest.raises(SequenceError, match=r"not as it was when .* began; different: .*file thin"):
-        resume_mapping(tmp_path / "copy", seeding=f"{tmp_path / 'copy' / 'rule.py'}:thinned", evaluate=False)
+        resume_mapping(
+            tmp_path / "copy", seeding=f"{tmp_path / 'copy' / 'rule.py'}:thinned", evaluate=False
+        )
 
 
 def test_the_same_data_go_on(killed):

@@ -1,4 +1,5 @@
-"""A run with a class rule: its memory goes through a checkpoint on disk, and the settings that it brings are stored."""
+"""A run with a class rule: its memory goes through a checkpoint on disk, and the settings that it
+brings are stored."""
 
 import itertools
 import json
@@ -19,7 +20,12 @@ from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, When, every
 
 ROOM: dict[str, Any] = {"n_frames": 120, "width": 48, "height": 36}
 SETTINGS = gsfusion(
-    "online", data__stop=5, data__hold_out_every=4, data__hold_out_offset=2, tsdf__voxel_size_m=0.1, sh_degree=0
+    "online",
+    data__stop=5,
+    data__hold_out_every=4,
+    data__hold_out_offset=2,
+    tsdf__voxel_size_m=0.1,
+    sh_degree=0,
 )
 
 
@@ -42,7 +48,9 @@ class thinning(MapRule):
 def new_run() -> MappingRun:
     source = {"path_or_name": "room", **ROOM}
     return MappingRun(
-        open_sequence(**source, data=SETTINGS.data), make_mapper(SETTINGS, seeding=thinning), source=source
+        open_sequence(**source, data=SETTINGS.data),
+        make_mapper(SETTINGS, seeding=thinning),
+        source=source,
     )
 
 
@@ -61,12 +69,16 @@ def test_a_run_continues_from_disk_with_the_memory_of_its_rule(tmp_path):
     hashes = [hash_of(vars(run.mapper.gaussians.params)) for run in (whole, resumed)]
     assert hashes[0] == hashes[1]
     assert resumed.mapper.memory["calls"] == whole.mapper.memory["calls"] == 2
-    with pytest.raises(ValueError, match=r"the seeding rule 'thinning' of this run is not known here; .* rule\.py"):
+    with pytest.raises(
+        ValueError, match=r"the seeding rule 'thinning' of this run is not known here; .* rule\.py"
+    ):
         load_run(tmp_path)
 
 
 def test_settings_of_the_rule_are_stored_and_the_report_names_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(outputs, "score_mesh", lambda run, mesh: {})  # the room's true surface takes long
+    monkeypatch.setattr(
+        outputs, "score_mesh", lambda run, mesh: {}
+    )  # the room's true surface takes long
     finished = run_mapping("room", SETTINGS, seeding=thinning, folder=tmp_path / "out", **ROOM)
     stored = json.loads((finished.folder / "config.json").read_text())["config"]
     assert stored == json.loads(json.dumps(to_dict(finished.mapper.config)))
@@ -74,6 +86,8 @@ def test_settings_of_the_rule_are_stored_and_the_report_names_it(tmp_path, monke
     assert "class thinning(MapRule):" in (finished.folder / "rule.py").read_text()
     assert "rule thinning" in (finished.folder / "report.html").read_text()
     before = {name: value for name, value in finished.metrics.items() if name.startswith("psnr")}
-    assert {name: value for name, value in rescore(finished.folder).items() if name in before} == before
+    assert {
+        name: value for name, value in rescore(finished.folder).items() if name in before
+    } == before
     frames = json.loads((finished.folder / "metrics.json").read_text())["frames"]
     assert [frame["n_steps"] > 0 for frame in frames] == [True] * 4

@@ -38,7 +38,12 @@ def test_a_stage_inside_another_counts_for_itself_alone():
         ticks.time += 16
         raise KeyError
     found = clock.metrics()
-    wanted = dict.fromkeys(STAGES, 0.0) | {"other": 1.0, "view_scores": 10.0, "reading": 4.0, "mesh": 16.0}
+    wanted = dict.fromkeys(STAGES, 0.0) | {
+        "other": 1.0,
+        "view_scores": 10.0,
+        "reading": 4.0,
+        "mesh": 16.0,
+    }
     assert found == {f"seconds_{stage}": s for stage, s in wanted.items()} | {"seconds_total": 31.0}
     assert clock.cpu_seconds == {stage: s / 2 for stage, s in wanted.items()}
 
@@ -71,9 +76,15 @@ def test_a_continued_run_adds_to_the_times_before():
 
 @pytest.fixture(scope="module")
 def counted(tmp_path_factory) -> tuple[FinishedRun, Counter[int], Counter[str]]:
-    """A scored run of GPS-SLAM, how often it read each frame, and how often it cast rays for its scores."""
+    """A scored run of GPS-SLAM, how often it read each frame, and how often it cast rays for its
+    scores."""
     reads, looks = Counter[int](), Counter[str]()
-    data = {"data__width": 0, "data__height": 0, "data__hold_out_every": 4, "data__hold_out_offset": 1}
+    data = {
+        "data__width": 0,
+        "data__height": 0,
+        "data__hold_out_every": 4,
+        "data__hold_out_offset": 1,
+    }
     config = gps_slam("room", tsdf__voxel_size_m=0.04, final__passes=1, **data)
     with pytest.MonkeyPatch.context() as patch:
         read, cast, stored = RoomSequence.__getitem__, gps_surface.raycast, gps_surface.as_stored
@@ -105,10 +116,13 @@ def test_a_run_reads_each_frame_once(counted):
 
 
 def test_views_are_looked_at_once_for_all_scores(counted):
-    """Eight views are scored before and after the passes; the report draws five of them from the map as it is."""
+    """Eight views are scored before and after the passes; the report draws five of them from the
+    map as it is."""
     done, _, looks = counted
     assert looks["rounded"] == 1
-    assert looks["rays"] == done.metrics["n_views_held_out"] + done.metrics["n_views_mapped"] + 5 == 13
+    assert (
+        looks["rays"] == done.metrics["n_views_held_out"] + done.metrics["n_views_mapped"] + 5 == 13
+    )
     assert done.mapper._stored_looks.n_bytes == 0, "given back at the end"
     assert done.run.sequence.kept is not None
     assert len(done.run.sequence.kept) == 0
@@ -120,5 +134,8 @@ def test_the_stages_of_a_run_add_up_to_its_time(counted):
     stages = [stored[f"seconds_{stage}"] for stage in STAGES]
     assert sum(stages) == pytest.approx(stored["seconds_total"])
     assert stored["seconds_mapping"] >= stored["seconds_online"] > 0
-    assert all(stored[f"seconds_{stage}"] > 0 for stage in ("reading", "passes", "mesh", "view_scores", "mesh_scores"))
+    assert all(
+        stored[f"seconds_{stage}"] > 0
+        for stage in ("reading", "passes", "mesh", "view_scores", "mesh_scores")
+    )
     assert "Time of the whole run" in (done.folder / "report.html").read_text()

@@ -67,16 +67,24 @@ def files_of_at_most(size: int):
 def test_checkpoints_that_do_not_fit_do_not_end_the_run(tmp_path, small_room, config, caplog):
     with files_of_at_most(3_000_000):
         run = run_mapping(
-            "room", config, folder=tmp_path / "out", evaluate=False, checkpoints=CheckpointEvery(seconds=0, frames=2),
-            n_frames=120, width=80, height=60,
-        )  # fmt: skip
+            "room",
+            config,
+            folder=tmp_path / "out",
+            evaluate=False,
+            checkpoints=CheckpointEvery(seconds=0, frames=2),
+            n_frames=120,
+            width=80,
+            height=60,
+        )
     assert run.run.status == "complete"
     assert "this checkpoint could not be saved" in caplog.text
     assert "state cannot be written" in caplog.text
     assert (run.folder / "gaussians.ply").exists()
 
 
-def test_maps_that_fit_are_kept_and_the_run_goes_on_when_there_is_room(tmp_path, config, monkeypatch, whole_run):
+def test_maps_that_fit_are_kept_and_the_run_goes_on_when_there_is_room(
+    tmp_path, config, monkeypatch, whole_run
+):
     from gsfusion_nb.runs import outputs
 
     every = CheckpointEvery(seconds=0, frames=3)
@@ -86,8 +94,12 @@ def test_maps_that_fit_are_kept_and_the_run_goes_on_when_there_is_room(tmp_path,
         raise DiskFullError(errno.ENOSPC, f"{path} cannot be written: the disk is full")
 
     monkeypatch.setattr(outputs, "write_gaussian_ply", full)
-    with pytest.raises(DiskFullError, match=r"gaussians\.ply cannot be written: the disk is full") as failure:
-        run_mapping("room", config, folder=tmp_path / "out", evaluate=False, checkpoints=every, **SMALL)
+    with pytest.raises(
+        DiskFullError, match=r"gaussians\.ply cannot be written: the disk is full"
+    ) as failure:
+        run_mapping(
+            "room", config, folder=tmp_path / "out", evaluate=False, checkpoints=every, **SMALL
+        )
     monkeypatch.setattr(outputs, "write_gaussian_ply", write_gaussians)
     assert "gsfusion-nb map --resume" in " ".join(failure.value.__notes__)
     assert (tmp_path / "out" / "trajectory.txt").exists()
@@ -102,20 +114,28 @@ def small_disk(tmp_path):
     place = tmp_path / "disk"
     place.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(place)]
-    made = subprocess.run(command, capture_output=True, text=True) if shutil.which("mount") else None
+    made = (
+        subprocess.run(command, capture_output=True, text=True) if shutil.which("mount") else None
+    )
     if made is None or made.returncode != 0:
-        pytest.skip(f"no disk can be mounted here: {made.stderr.strip() if made else 'there is no command mount'}")
+        pytest.skip(
+            "no disk can be mounted here: "
+            f"{made.stderr.strip() if made else 'there is no command mount'}"
+        )
     yield place
     subprocess.run(["umount", "-l", str(place)], check=True)
 
 
 def test_a_disk_that_is_really_full(small_disk, config, caplog, whole_run):
-    """The run goes to its end, what fits is kept, and with room again the maps are those of any other disk."""
+    """The run goes to its end, what fits is kept, and with room again the maps are those of any
+    other disk."""
     every = CheckpointEvery(seconds=0, frames=3)
     filler = small_disk / "filler"
     filler.write_bytes(bytes(2_600_000))
     with pytest.raises(DiskFullError, match=r"cannot be written: the disk is full") as full:
-        run_mapping("room", config, folder=small_disk / "out", evaluate=False, checkpoints=every, **SMALL)
+        run_mapping(
+            "room", config, folder=small_disk / "out", evaluate=False, checkpoints=every, **SMALL
+        )
     assert str(small_disk) in str(full.value)
     assert "this checkpoint could not be saved" in caplog.text
     kept = {p.name for p in (small_disk / "out").iterdir()}

@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.config import DataConfig, RepairConfig, TrackingConfig, gps_slam, gsfusion, replace, rtg_slam
+from gsfusion_nb.config import (
+    DataConfig,
+    RepairConfig,
+    TrackingConfig,
+    gps_slam,
+    gsfusion,
+    replace,
+    rtg_slam,
+)
 from gsfusion_nb.data import (
     BadFrameError,
     SequenceError,
@@ -25,10 +33,22 @@ from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping.localiser import Localiser
 from gsfusion_nb.runs import MappingRun, rescore, run_mapping
 from gsfusion_nb.runs.outputs import report_views, score_trajectory
-from gsfusion_nb.runs.scored_views import frames_in_map, ground_truth_poses, read_views, readable_frames
+from gsfusion_nb.runs.scored_views import (
+    frames_in_map,
+    ground_truth_poses,
+    read_views,
+    readable_frames,
+)
 from gsfusion_nb.types import Camera, Frame
 
-CAMERA = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)
+CAMERA = Camera(
+    width=8,
+    height=6,
+    fx=8.0,
+    fy=8.0,
+    cx=4.0,
+    cy=3.0,
+)
 
 
 class Walk:
@@ -49,12 +69,21 @@ class Walk:
         if i == self.damaged:
             raise BadFrameError(f"frame {i} is damaged")
         picture = torch.full((6, 8, 3), 0.5)
-        return Frame(index=i, timestamp_s=0.0, rgb=picture, depth_m=torch.ones(6, 8), camera=CAMERA, T_WC=self.pose(i))
+        return Frame(
+            index=i,
+            timestamp_s=0.0,
+            rgb=picture,
+            depth_m=torch.ones(6, 8),
+            camera=CAMERA,
+            T_WC=self.pose(i),
+        )
 
 
 @pytest.fixture
 def views():
-    return apply_options(Walk(), DataConfig(hold_out_every=4, hold_out_offset=2))  # 2 and 6 are held out
+    return apply_options(
+        Walk(), DataConfig(hold_out_every=4, hold_out_offset=2)
+    )  # 2 and 6 are held out
 
 
 def localiser(poses: str, moved: dict[int, torch.Tensor]) -> Localiser:
@@ -79,7 +108,9 @@ def test_given_poses_stay(views):
 def test_a_mapped_frame_has_its_tracked_pose_and_others_follow_the_nearest(views):
     """The tracked world is the data's, moved; so every frame comes out moved alike."""
     tracked = {i: MOTION @ Walk().pose(i) for i in (0, 1, 3, 5, 8)}
-    tracked[8] = tracked[8] @ se3.exp(torch.tensor([0.01, 0.0, 0.0, 0.0, 0.0, 0.0]))  # an error of tracking
+    tracked[8] = tracked[8] @ se3.exp(
+        torch.tensor([0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+    )  # an error of tracking
     found = localiser("tracked", tracked)
     for frame in frames_in_map(views.mapping, found, views.mapping):
         if frame.index in tracked:
@@ -87,9 +118,16 @@ def test_a_mapped_frame_has_its_tracked_pose_and_others_follow_the_nearest(views
     by_index = {f.index: f.T_WC for f in frames_in_map(views.held_out, found, views.mapping)}
     assert set(by_index) == {2, 6}
     for i, T_WC in by_index.items():
-        torch.testing.assert_close(T_WC, MOTION @ Walk().pose(i), atol=1e-5, rtol=0)
+        torch.testing.assert_close(
+            T_WC,
+            MOTION @ Walk().pose(i),
+            atol=1e-5,
+            rtol=0,
+        )
     late = {f.index: f.T_WC for f in frames_in_map(views.mapping, found, views.mapping)}
-    expected = tracked[8] @ se3.inverse(Walk().pose(8)) @ Walk().pose(9)  # nearest is 8, with its error
+    expected = (
+        tracked[8] @ se3.inverse(Walk().pose(8)) @ Walk().pose(9)
+    )  # nearest is 8, with its error
     torch.testing.assert_close(late[9], expected, atol=1e-5, rtol=0)
 
 
@@ -97,7 +135,10 @@ def test_ground_truth_poses_of_the_mapped_frames(views):
     found = localiser("tracked", dict.fromkeys((0, 3, 9), MOTION))
     truth = ground_truth_poses(found, views.mapping)
     assert truth is not None
-    assert torch.equal(truth, torch.stack([Walk().pose(i) for i in (0, 3, 9)]))
+    assert torch.equal(
+        truth,
+        torch.stack([Walk().pose(i) for i in (0, 3, 9)]),
+    )
 
 
 def test_the_true_poses_count_more_than_those_of_the_data(views):
@@ -108,35 +149,49 @@ def test_the_true_poses_count_more_than_those_of_the_data(views):
         true_pose = Walk.pose
 
     for source in (Wrong(), repaired(Wrong(), RepairConfig(depth_factor=2.0))):
-        truth = ground_truth_poses(localiser("given", {0: MOTION}), dataclasses.replace(views.mapping, source=source))
+        truth = ground_truth_poses(
+            localiser("given", {0: MOTION}), dataclasses.replace(views.mapping, source=source)
+        )
         assert truth is not None
         assert torch.equal(truth[0], Walk().pose(0))
 
 
 def test_only_poses_that_moved_have_a_trajectory_error(views):
-    found = localiser("given", {i: MOTION @ Walk().pose(i) for i in (0, 1, 3, 5)})
+    found = localiser(
+        "given",
+        {i: MOTION @ Walk().pose(i) for i in (0, 1, 3, 5)},
+    )
     found.given = list(found.poses)
     run = object.__new__(MappingRun)
     run.mapper, run.sequence, run.steps = SimpleNamespace(localiser=found), views, []
     assert score_trajectory(run) == {}
-    found.refine(2, MOTION @ Walk().pose(3) @ se3.exp(torch.tensor([0.0, 0.04, 0.0, 0.0, 0.0, 0.0])))
+    found.refine(
+        2,
+        MOTION @ Walk().pose(3) @ se3.exp(torch.tensor([0.0, 0.04, 0.0, 0.0, 0.0, 0.0])),
+    )
     assert score_trajectory(run)["ate_mean_m"] == pytest.approx(0.01, abs=0.008)
 
 
 def test_a_recording_without_poses_is_tracked_from_the_identity(tmp_path):
-    sequence = open_sequence("room", data=DataConfig(width=160, height=120, hold_out_every=0), n_frames=480)
+    sequence = open_sequence(
+        "room", data=DataConfig(width=160, height=120, hold_out_every=0), n_frames=480
+    )
     frames = [sequence[i] for i in range(8)]
     write_recording(tmp_path / "scan", frames)
     with pytest.raises(SequenceNotFoundError, match=r"lacks poses.txt.*--reader poses=false"):
         open_sequence(tmp_path / "scan", format="folder")
-    config = gsfusion("online", tracking__poses="tracked", data__hold_out_every=4, data__hold_out_offset=2)
+    config = gsfusion(
+        "online", tracking__poses="tracked", data__hold_out_every=4, data__hold_out_offset=2
+    )
     with pytest.raises(SequenceError, match="has no poses"):
         run_mapping(tmp_path / "scan", gsfusion("online"), folder=tmp_path / "no", poses=False)
     done = run_mapping(tmp_path / "scan", config, folder=tmp_path / "run", poses=False)
     assert done.metrics["n_frames"] == 6
     assert "ate_rmse_m" not in done.metrics
     assert done.metrics["psnr_mapped_db"] > 18
-    assert any("has no poses: each held-out frame is scored" in warning for warning in done.run.warnings)
+    assert any(
+        "has no poses: each held-out frame is scored" in warning for warning in done.run.warnings
+    )
     assert done.metrics["n_views_held_out"] == 2
     assert done.metrics["psnr_held_out_db"] > 18
     start = frames[0].T_WC.inverse()
@@ -153,22 +208,35 @@ def test_a_recording_without_poses_is_tracked_from_the_identity(tmp_path):
 
 
 def test_a_held_out_frame_that_is_nowhere_in_the_map_is_not_scored(tmp_path):
-    sequence = open_sequence("room", data=DataConfig(width=160, height=120, hold_out_every=0), n_frames=480)
+    sequence = open_sequence(
+        "room", data=DataConfig(width=160, height=120, hold_out_every=0), n_frames=480
+    )
     frames = [sequence[i] for i in (0, 1, 2, 3, 4, 5, 240, 7)]  # frame 6 is of another place
     write_recording(tmp_path / "scan", frames)
-    config = gsfusion("online", tracking__poses="tracked", data__hold_out_every=4, data__hold_out_offset=2)
+    config = gsfusion(
+        "online", tracking__poses="tracked", data__hold_out_every=4, data__hold_out_offset=2
+    )
     done = run_mapping(tmp_path / "scan", config, folder=tmp_path / "run", poses=False)
     assert done.metrics["n_views_held_out"] == 1
     told = [warning for warning in done.run.warnings if "could not be found in the map" in warning]
-    assert told == ["1 of 2 held-out frames could not be found in the map and are not scored, the first is frame 6"]
+    assert told == [
+        "1 of 2 held-out frames could not be found in the map and are not scored, the first is "
+        "frame 6"
+    ]
 
 
 def write_recording(folder, frames):
     for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True)
     for i, frame in enumerate(frames):
-        cv2.imwrite(str(folder / "rgb" / f"{i:06d}.png"), frame.rgb_u8.numpy()[..., ::-1])
-        cv2.imwrite(str(folder / "depth" / f"{i:06d}.png"), (frame.depth_m * 1000).round().numpy().astype(np.uint16))
+        cv2.imwrite(
+            str(folder / "rgb" / f"{i:06d}.png"),
+            frame.rgb_u8.numpy()[..., ::-1],
+        )
+        cv2.imwrite(
+            str(folder / "depth" / f"{i:06d}.png"),
+            (frame.depth_m * 1000).round().numpy().astype(np.uint16),
+        )
     camera = vars(frames[0].camera) | {"depth_scale": 1000.0, "pixel_centre": 0.5}
     (folder / "intrinsics.json").write_text(json.dumps(camera))
 
@@ -187,7 +255,12 @@ SETTINGS = {
     ),
     "rtg_slam": rtg_slam("room", data__width=0, data__height=0, **DATA),
     "gps_slam": gps_slam(
-        "room", data__width=0, data__height=0, **DATA, data__align_held_out=True, tsdf__voxel_size_m=0.04
+        "room",
+        data__width=0,
+        data__height=0,
+        **DATA,
+        data__align_held_out=True,
+        tsdf__voxel_size_m=0.04,
     ),
 }
 SCORES = ("psnr_", "ssim_", "depth_l1_", "n_views_")
@@ -205,7 +278,8 @@ def mapped_once() -> dict[tuple[str, str], tuple[Path, dict]]:
 
 @pytest.fixture
 def scored_run(mapped_once, tmp_path, tmp_path_factory):
-    """``scored_run(system, poses)``: folder and numbers of a complete run; the folder is a copy for this test."""
+    """``scored_run(system, poses)``: folder and numbers of a complete run; the folder is a copy for
+    this test."""
 
     def copied(system: str, poses: str) -> tuple[Path, dict]:
         if (system, poses) not in mapped_once:
@@ -230,7 +304,11 @@ def scored_run(mapped_once, tmp_path, tmp_path_factory):
 def test_scoring_again_gives_the_same_numbers(system, poses, scored_run, caplog):
     folder, _ = scored_run(system, poses)
     before = (folder / "metrics.json").read_text()
-    own = {name: value for name, value in json.loads(before)["metrics"].items() if name.startswith(SCORES)}
+    own = {
+        name: value
+        for name, value in json.loads(before)["metrics"].items()
+        if name.startswith(SCORES)
+    }
     assert own["n_views_held_out"] == 2
     assert own["n_views_mapped"] == 6
     aligned = system != "rtg_slam"
@@ -241,12 +319,16 @@ def test_scoring_again_gives_the_same_numbers(system, poses, scored_run, caplog)
     again = rescore(folder)
     assert {name: again[name] for name in own} == own
     assert (folder / "metrics.json").read_text() == before
-    assert [r.getMessage() for r in caplog.records if not r.name.endswith(".announce")] == []  # that kernels compile
+    assert [
+        r.getMessage() for r in caplog.records if not r.name.endswith(".announce")
+    ] == []  # that kernels compile
     assert not list(folder.glob("metrics-*"))
 
 
 def test_views_between_fitted_exposures_are_shown_with_theirs_and_scored_again_alike(tmp_path):
-    config = replace(SETTINGS["gsfusion"], keyframe_every=1, optim__fit_exposure=True, data__align_held_out=False)
+    config = replace(
+        SETTINGS["gsfusion"], keyframe_every=1, optim__fit_exposure=True, data__align_held_out=False
+    )
     config = replace(config, optim__global_iterations=3)
     reader = {**ROOM, "exposure_stops": 1.0}
     run = run_mapping("room", config, folder=tmp_path / "run", **reader)
@@ -261,7 +343,10 @@ def test_views_between_fitted_exposures_are_shown_with_theirs_and_scored_again_a
         rescore(run.folder)
 
 
-@pytest.mark.parametrize(("scored", "n"), [(0, 6), (3, 3), (1, 1)])
+@pytest.mark.parametrize(
+    ("scored", "n"),
+    [(0, 6), (3, 3), (1, 1)],
+)
 def test_as_many_mapped_views_are_scored_as_the_settings_say(scored, n, tmp_path):
     config = replace(SETTINGS["gsfusion"], data__scored_views=scored)
     run = run_mapping("room", config, folder=tmp_path / "run", **ROOM)
@@ -271,7 +356,9 @@ def test_as_many_mapped_views_are_scored_as_the_settings_say(scored, n, tmp_path
 
 def test_a_run_that_was_not_scored_gets_its_numbers_later(scored_run, tmp_path):
     _, scored = scored_run("gsfusion", "tracked")
-    plain = run_mapping("room", with_poses("gsfusion", "tracked"), folder=tmp_path / "plain", evaluate=False, **ROOM)
+    plain = run_mapping(
+        "room", with_poses("gsfusion", "tracked"), folder=tmp_path / "plain", evaluate=False, **ROOM
+    )
     assert "psnr_mapped_db" not in plain.metrics
     later = rescore(plain.folder)
     for name in ("psnr_mapped_db", "psnr_held_out_db", "depth_l1_held_out_m"):
@@ -296,7 +383,9 @@ def test_numbers_that_differ_are_named(scored_run, caplog):
 def test_a_run_without_its_views_is_refused(scored_run):
     folder, _ = scored_run("gsfusion", "given")
     (folder / "views.json").unlink()
-    with pytest.raises(FileNotFoundError, match=r"views.json does not exist, so the views to score"):
+    with pytest.raises(
+        FileNotFoundError, match=r"views.json does not exist, so the views to score"
+    ):
         rescore(folder)
     (folder / "views.json").write_text('{"mapped": [{"frame": 0}]}')
     with pytest.raises(ValueError, match=r"views.json is damaged: KeyError 'T_WC'"):

@@ -13,7 +13,14 @@ from gsfusion_nb.config import gsfusion, rtg_slam
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.mapping import GSFusion, make_mapper
 from gsfusion_nb.mapping.step import FrameGuard
-from gsfusion_nb.runs import CheckpointEvery, StreamRun, map_sequence, outputs, resume_mapping, run_mapping
+from gsfusion_nb.runs import (
+    CheckpointEvery,
+    StreamRun,
+    map_sequence,
+    outputs,
+    resume_mapping,
+    run_mapping,
+)
 from gsfusion_nb.runs.run_folder import Autosave, is_complete
 
 
@@ -22,7 +29,9 @@ def small(monkeypatch, small_room):
     """ "room" opens the small room."""
     for name in ("map_sequence", "resume"):
         module = importlib.import_module(f"gsfusion_nb.runs.{name}")
-        monkeypatch.setattr(module, "open_sequence", lambda path_or_name, data, **_: apply_options(small_room, data))
+        monkeypatch.setattr(
+            module, "open_sequence", lambda path_or_name, data, **_: apply_options(small_room, data)
+        )
     return small_room
 
 
@@ -55,8 +64,11 @@ def test_a_stop_while_scoring_leaves_a_report_and_the_run_can_be_scored_again(
     assert not (run.folder / "checkpoint").exists()
 
 
-def test_killed_while_the_maps_are_written_or_scored_a_run_goes_on(tmp_path, small, config, monkeypatch, whole_run):
-    """Also before its first checkpoint by time; metrics.json says "complete" only when nothing is left to do."""
+def test_killed_while_the_maps_are_written_or_scored_a_run_goes_on(
+    tmp_path, small, config, monkeypatch, whole_run
+):
+    """Also before its first checkpoint by time; metrics.json says "complete" only when nothing is
+    left to do."""
 
     class Killed(BaseException):
         pass
@@ -86,7 +98,9 @@ def test_killed_while_the_maps_are_written_or_scored_a_run_goes_on(tmp_path, sma
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and users")
-def test_a_folder_that_may_not_be_written_is_named_before_anything_is_mapped(tmp_path, small, config):
+def test_a_folder_that_may_not_be_written_is_named_before_anything_is_mapped(
+    tmp_path, small, config
+):
     """As another user, because root may write everywhere."""
     (tmp_path / "closed").mkdir()
     (tmp_path / "closed").chmod(0o555)
@@ -115,9 +129,22 @@ def test_a_folder_that_may_not_be_written_is_named_before_anything_is_mapped(tmp
 def test_sigterm_between_two_gradient_steps_undoes_the_frame_and_the_run_resumes(
     tmp_path, small, monkeypatch, at_frame
 ):
-    """RTG-SLAM takes many steps for a frame. The first frame is mapped to its end, so that there is a map."""
-    data: dict[str, Any] = {"data__width": 32, "data__height": 24, "data__stop": 5, "data__hold_out_every": 0}
-    config = rtg_slam("room", window__every_frames=1, window__iterations=6, final__passes=1, mesh_voxel_m=0.1, **data)
+    """RTG-SLAM takes many steps for a frame. The first frame is mapped to its end, so that there is
+    a map."""
+    data: dict[str, Any] = {
+        "data__width": 32,
+        "data__height": 24,
+        "data__stop": 5,
+        "data__hold_out_every": 0,
+    }
+    config = rtg_slam(
+        "room",
+        window__every_frames=1,
+        window__iterations=6,
+        final__passes=1,
+        mesh_voxel_m=0.1,
+        **data,
+    )
     may_stop, looks = FrameGuard.may_stop, []
 
     def stopped(guard):
@@ -131,7 +158,9 @@ def test_sigterm_between_two_gradient_steps_undoes_the_frame_and_the_run_resumes
         run = run_mapping("room", config, folder=tmp_path / "out", evaluate=False)
     assert run.run.status == "interrupted"
     assert looks.count(at_frame) == (3 if at_frame else 7)
-    assert len(run.run.steps) == run.run.mapper.n_frames == run.run.next_position == max(at_frame, 1)
+    assert (
+        len(run.run.steps) == run.run.mapper.n_frames == run.run.next_position == max(at_frame, 1)
+    )
     assert (run.folder / "checkpoint").is_dir()
     assert not run.run.mapper.guard.stop_wanted()
     assert run.run.mapper.guard.half_mapped == ""
@@ -142,7 +171,9 @@ def test_sigterm_between_two_gradient_steps_undoes_the_frame_and_the_run_resumes
         assert again.run.hashes == whole.run.hashes
 
 
-def test_the_checkpoint_comes_before_the_maps_and_scoring_is_cut_short(tmp_path, small, config, monkeypatch):
+def test_the_checkpoint_comes_before_the_maps_and_scoring_is_cut_short(
+    tmp_path, small, config, monkeypatch
+):
     score, write_maps, seen = outputs.score, outputs.write_maps, []
 
     def stopped(run, suffix=""):
@@ -173,7 +204,9 @@ def test_a_stream_that_was_killed_keeps_its_map(tmp_path, small_room, config):
     assert after.mapper.n_frames == len(run.steps) == 8
     assert len(after.run.global_losses) == 2
     assert after.metrics["n_views_held_out"] == 2
-    assert after.run.warnings == ["the stream was interrupted after 8 frames, when its process was killed"]
+    assert after.run.warnings == [
+        "the stream was interrupted after 8 frames, when its process was killed"
+    ]
     assert {"gaussians.ply", "mesh.ply", "report.html"} <= {p.name for p in tmp_path.iterdir()}
     list(run.optimise())
     assert torch.equal(run.mapper.gaussians.params.sh, after.mapper.gaussians.params.sh)

@@ -1,4 +1,5 @@
-"""The plug-in of VSLAM-LAB: its command line, and a sequence in that program's format tracked and mapped."""
+"""The plug-in of VSLAM-LAB: its command line, and a sequence in that program's format tracked and
+mapped."""
 
 import csv
 import shlex
@@ -21,7 +22,11 @@ def plugin(monkeypatch):
 
     class Base:
         def __init__(self, name, folder, parameters):
-            self.baseline_name, self.baseline_folder, self.default_parameters = name, folder, parameters
+            self.baseline_name, self.baseline_folder, self.default_parameters = (
+                name,
+                folder,
+                parameters,
+            )
 
     package, base = ModuleType("Baselines"), ModuleType("Baselines.BaselineVSLAMLab")
     base.BaselineVSLAMLab = Base  # pyright: ignore[reportAttributeAccessIssue]
@@ -41,14 +46,21 @@ def written(frames, folder: Path) -> None:
     rows = ["ts_rgb_0 (ns),path_rgb_0,ts_depth_0 (ns),path_depth_0"]
     for i, frame in enumerate(frames):
         ns, file = 10**18 + round(1e9 * frame.timestamp_s), f"{i:04}.png"
-        cv2.imwrite(str(folder / "rgb_0" / file), cv2.cvtColor(frame.rgb_u8.numpy(), cv2.COLOR_RGB2BGR))
-        cv2.imwrite(str(folder / "depth_0" / file), (frame.depth_m * 5000).round().to(torch.uint16).numpy())
+        cv2.imwrite(
+            str(folder / "rgb_0" / file),
+            cv2.cvtColor(frame.rgb_u8.numpy(), cv2.COLOR_RGB2BGR),
+        )
+        cv2.imwrite(
+            str(folder / "depth_0" / file),
+            (frame.depth_m * 5000).round().to(torch.uint16).numpy(),
+        )
         rows.append(f"{ns},rgb_0/{file},{ns},depth_0/{file}")
     (folder / "rgb_exp.csv").write_text("\n".join(rows) + "\n")
     (folder / "calibration.yaml").write_text(
-        "%YAML:1.0\ncameras:\n- {cam_name: rgb_0, cam_type: rgb+depth, depth_name: depth_0, cam_model: pinhole, "
-        f"focal_length: [{camera.fx}, {camera.fy}], principal_point: [{camera.cx - 0.5}, {camera.cy - 0.5}], "
-        f"image_dimension: [{camera.width}, {camera.height}], depth_factor: 5000.0, fps: 30.0}}\n"
+        "%YAML:1.0\ncameras:\n- {cam_name: rgb_0, cam_type: rgb+depth, depth_name: depth_0, "
+        f"cam_model: pinhole, focal_length: [{camera.fx}, {camera.fy}], principal_point: "
+        f"[{camera.cx - 0.5}, {camera.cy - 0.5}], image_dimension: [{camera.width}, "
+        f"{camera.height}], depth_factor: 5000.0, fps: 30.0}}\n"
     )
 
 
@@ -67,10 +79,14 @@ def test_a_sequence_of_vslam_lab_is_tracked(plugin, tmp_path):
     assert plugin.main(arguments) == 0
     with open(folder / "00003_KeyFrameTrajectory.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert [int(row["ts (ns)"]) for row in rows] == [10**18 + round(1e9 * f.timestamp_s) for f in frames]
+    assert [int(row["ts (ns)"]) for row in rows] == [
+        10**18 + round(1e9 * f.timestamp_s) for f in frames
+    ]
     found = torch.eye(4, dtype=torch.float64).repeat(8, 1, 1)
     found[:, :3, 3] = torch.tensor([[float(row[f"t{a} (m)"]) for a in "xyz"] for row in rows])
-    found[:, :3, :3] = to_matrix(torch.tensor([[float(row[f"q{a}"]) for a in "wxyz"] for row in rows]).double())
+    found[:, :3, :3] = to_matrix(
+        torch.tensor([[float(row[f"q{a}"]) for a in "wxyz"] for row in rows]).double()
+    )
     truth = torch.stack([f.T_WC for f in frames]).double()
     assert trajectory_scores(found, truth)["ate_rmse_m"] < 0.02
     assert (folder / "00003_gps_slam" / "gaussians.ply").is_file()

@@ -12,7 +12,16 @@ import torch
 from gsfusion_nb.gaussians import Edit, GaussianModel
 from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, check_rule, registered
 
-SEED_WHAT_IS_MAPPED = ("gs_icp", "gs_slam", "hf_slam", "monogs", "monogs_like", "photo_slam", "vg_mapping", "vings")
+SEED_WHAT_IS_MAPPED = (
+    "gs_icp",
+    "gs_slam",
+    "hf_slam",
+    "monogs",
+    "monogs_like",
+    "photo_slam",
+    "vg_mapping",
+    "vings",
+)
 """Rules that look for errors where the map is, or do not look at it at all."""
 
 
@@ -93,13 +102,20 @@ def camera_frame(ctx):
 def ignores_holes(ctx):
     n = 5
     ahead = ctx.frame.T_WC[:3, 3] + ctx.frame.T_WC[:3, 2]
-    return Seeds.isotropic(ahead.expand(n, 3), torch.full((n, 3), 0.5), torch.full((n,), 0.01))
+    return Seeds.isotropic(
+        ahead.expand(n, 3),
+        torch.full((n, 3), 0.5),
+        torch.full((n,), 0.01),
+    )
 
 
 @pytest.mark.parametrize(
     ("rule", "sentence"),
     [
-        (brightens_frame, r"'brightens_frame', scene 'new': it changed frame\.rgb in place; work on a copy"),
+        (
+            brightens_frame,
+            r"'brightens_frame', scene 'new': it changed frame\.rgb in place; work on a copy",
+        ),
         (moves_map, r"'moves_map', scene '[\w ]+': it changed map\.xyz_W in place"),
         (moves_real_map_as_array, r"scene 'half seen': it changed map\.xyz_W in place"),
         (every_tenth, "scene 'new': it keeps something from one frame to the next"),
@@ -184,9 +200,21 @@ class KeepsTheFrame(MapRule):
 @pytest.mark.parametrize(
     ("rule", "error", "sentence"),
     [
-        (HidesState, AssertionError, r"it keeps something from one frame to the next .*: keep it in ctx\.memory"),
-        (TellsTheTime, AssertionError, "two runs on the same input left different values in its memory"),
-        (MovesOldGaussians, AssertionError, r"scene 'walk', frame 2: it changed map\.opacity_logit in place"),
+        (
+            HidesState,
+            AssertionError,
+            r"it keeps something from one frame to the next .*: keep it in ctx\.memory",
+        ),
+        (
+            TellsTheTime,
+            AssertionError,
+            "two runs on the same input left different values in its memory",
+        ),
+        (
+            MovesOldGaussians,
+            AssertionError,
+            r"scene 'walk', frame 2: it changed map\.opacity_logit in place",
+        ),
         (KeepsTheFrame, TypeError, r"'KeepsTheFrame' keeps a Frame in its memory\['frame'\]"),
     ],
 )
@@ -241,7 +269,11 @@ class RemovesTooMany(AfterSteps):
 @pytest.mark.parametrize(
     ("rule", "error", "sentence"),
     [
-        (KeepsTheFrameAfterSteps, TypeError, r"'KeepsTheFrameAfterSteps' keeps a Frame in its memory\['frame'\]"),
+        (
+            KeepsTheFrameAfterSteps,
+            TypeError,
+            r"'KeepsTheFrameAfterSteps' keeps a Frame in its memory\['frame'\]",
+        ),
         (ReturnsAMask, TypeError, "after_step must return an Edit or None, got"),
         (RemovesAtRandom, AssertionError, "global generator|gave different edits"),
         (RemovesTooMany, (AssertionError, ValueError), "keep"),

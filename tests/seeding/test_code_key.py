@@ -1,6 +1,8 @@
-"""The key of a rule: each way to change what it does without changing its own text is seen, or it cannot be kept.
+"""The key of a rule: each way to change what it does without changing its own text is seen, or it
+cannot be kept.
 
-Every case gives the same thing twice, and another thing once: the first two have one key, the third another.
+Every case gives the same thing twice, and another thing once: the first two have one key, the third
+another.
 """
 
 import array
@@ -39,7 +41,13 @@ from gsfusion_nb import backends
 from gsfusion_nb.seeding import SeedContext, code_key, installed, is_built_in, registered
 from gsfusion_nb.seeding.code_key import differing, loaded_values
 from gsfusion_nb.seeding.code_values import ValueHash
-from gsfusion_nb.seeding.patches import changed_values, changes_since, library_state, patches, switches
+from gsfusion_nb.seeding.patches import (
+    changed_values,
+    changes_since,
+    library_state,
+    patches,
+    switches,
+)
 from gsfusion_nb.seeding.rule_code import load_rule_file
 
 
@@ -120,7 +128,16 @@ class Mode(enum.Enum):
 class Net(torch.nn.Module):
     """A network whose forward depends on more than its parameters."""
 
-    def __init__(self, step=2, weight=1.0, buffer=0.0, *, training=True, hook=None, unsaved=0.0):
+    def __init__(
+        self,
+        step=2,
+        weight=1.0,
+        buffer=0.0,
+        *,
+        training=True,
+        hook=None,
+        unsaved=0.0,
+    ):
         super().__init__()
         self.step = step
         self.layer = torch.nn.Linear(2, 2)
@@ -219,7 +236,11 @@ def property_of(step):
 
 
 def static_of(step):
-    return type("Made", (), {"step": staticmethod(lambda: step), "other": classmethod(lambda cls: step)})
+    return type(
+        "Made",
+        (),
+        {"step": staticmethod(lambda: step), "other": classmethod(lambda cls: step)},
+    )
 
 
 def cached_of(step):
@@ -288,7 +309,11 @@ VALUES: dict[str, Any] = {
     "frozenset": (frozenset({1, 2}), frozenset({2, 1}), frozenset({1, 3})),
     "set of functions": ({doubled, tripled}, {tripled, doubled}, {doubled}),
     "list in itself": (circle(1), circle(1), circle(2)),
-    "SimpleNamespace": (types.SimpleNamespace(s=20), types.SimpleNamespace(s=20), types.SimpleNamespace(s=5)),
+    "SimpleNamespace": (
+        types.SimpleNamespace(s=20),
+        types.SimpleNamespace(s=20),
+        types.SimpleNamespace(s=5),
+    ),
     "mapping proxy": (*(types.MappingProxyType({"a": v}) for v in (1, 1, 2)),),
     "ChainMap": (*(collections.ChainMap({"a": v}, {"b": 0}) for v in (1, 1, 2)),),
     "deque": (collections.deque([1]), collections.deque([1]), collections.deque([1], maxlen=4)),
@@ -310,7 +335,11 @@ VALUES: dict[str, Any] = {
     "object": (Plain(3), Plain(3), Plain(4)),
     "object with slots": (Slots(3), Slots(3), Slots(4)),
     "object that hides its state": (Hides(3), Hides(3), Hides(4)),
-    "object with slots that hides its state": (SlotsThatHide(3), SlotsThatHide(3), SlotsThatHide(4)),
+    "object with slots that hides its state": (
+        SlotsThatHide(3),
+        SlotsThatHide(3),
+        SlotsThatHide(4),
+    ),
     "object that is pickled by a name": (Named(3), Named(3), Named(4)),
     "callable object": (Called(3), Called(3), Called(4)),
     "object in an object": (Plain(Plain(3)), Plain(Plain(3)), Plain(Plain(4))),
@@ -366,7 +395,7 @@ VALUES: dict[str, Any] = {
     "property": (property_of(1), property_of(1), property_of(2)),
     "static method": (static_of(1), static_of(1), static_of(2)),
     "descriptor": (descriptor_of(1), descriptor_of(1), descriptor_of(2)),
-}  # fmt: skip
+}
 
 
 def rule_with(value):
@@ -410,7 +439,11 @@ def test_what_cannot_be_hashed_is_said_with_its_place(make, reason):
 
 def test_lookups_by_name_in_a_notebook_are_no_key(monkeypatch):
     cell = types.ModuleType("__main__")
-    exec("STEP = 3\ndef rule(ctx):\n    return globals()['STEP']\ndef net(ctx):\n    return ctx.eval()\n", vars(cell))
+    exec(
+        "STEP = 3\ndef rule(ctx):\n    return globals()['STEP']\ndef net(ctx):\n    return "
+        "ctx.eval()\n",
+        vars(cell),
+    )
     monkeypatch.setitem(sys.modules, "__main__", cell)
     assert "looks names up by globals()" in code_key(cell.rule).reason
     assert code_key(cell.net).reason == ""
@@ -429,12 +462,15 @@ class Grid:
         return self.step
 GRID = Grid()
 """
-RULE = "{imports}\ndef rule(ctx):\n    {inside}\n    return ctx.seeds_at(ctx.pixels()[::{use}], 1.0)\n"
+RULE = (
+    "{imports}\ndef rule(ctx):\n    {inside}\n    return ctx.seeds_at(ctx.pixels()[::{use}], 1.0)\n"
+)
 
 
 @pytest.fixture
 def files(tmp_path):
-    """``files(name=text, ...)`` writes modules beside ``rule.py`` and gives the rule, loaded anew."""
+    """``files(name=text, ...)`` writes modules beside ``rule.py`` and gives the rule, loaded
+    anew."""
 
     def write(**texts):
         for name, text in texts.items():
@@ -455,12 +491,24 @@ IMPORTS = {
     "inside": ("", "import helper", "helper.radius(1)"),
     "by getattr": ("import helper", "pass", "getattr(helper, 'ST' + 'EP')"),
     "by vars": ("import helper", "pass", "vars(helper)['STEP']"),
-    "by import_module": ("import importlib", "helper = importlib.import_module('helper')", "helper.STEP"),
-    "if it is there": ("try:\n    import helper\nexcept ImportError:\n    helper = None", "pass", "helper.STEP"),
+    "by import_module": (
+        "import importlib",
+        "helper = importlib.import_module('helper')",
+        "helper.STEP",
+    ),
+    "if it is there": (
+        "try:\n    import helper\nexcept ImportError:\n    helper = None",
+        "pass",
+        "helper.STEP",
+    ),
 }
 
 
-@pytest.mark.parametrize(("imports", "inside", "use"), IMPORTS.values(), ids=IMPORTS)
+@pytest.mark.parametrize(
+    ("imports", "inside", "use"),
+    IMPORTS.values(),
+    ids=IMPORTS,
+)
 def test_an_edited_helper_is_seen_however_it_is_imported(files, imports, inside, use):
     text = RULE.format(imports=imports, inside=inside, use=use)
     first = code_key(files(rule=text, helper=HELPER))
@@ -476,11 +524,20 @@ CHANGES_OF_A_LOADED_MODULE = {
     "function": ("helper.radius(1)", lambda helper: setattr(helper, "radius", lambda x: x + 9)),
     "method": ("helper.GRID.size()", lambda helper: setattr(helper.Grid, "size", lambda self: 9)),
     "attribute of a class": ("helper.GRID.size()", lambda helper: setattr(helper.Grid, "step", 9)),
-    "attribute of an object": ("helper.GRID.size()", lambda helper: setattr(helper.GRID, "step", 9)),
+    "attribute of an object": (
+        "helper.GRID.size()",
+        lambda helper: setattr(helper.GRID, "step", 9),
+    ),
     "global of a function": ("helper.radius(1)", lambda helper: setattr(helper, "STEP", 9)),
-    "name that is made": ("getattr(helper, 'ST' + 'EP')", lambda helper: setattr(helper, "STEP", 9)),
+    "name that is made": (
+        "getattr(helper, 'ST' + 'EP')",
+        lambda helper: setattr(helper, "STEP", 9),
+    ),
     "code of a function": ("helper.radius(1)", lambda helper: set_code(helper.radius)),
-    "default of a function": ("helper.radius(1)", lambda helper: setattr(helper.radius, "__defaults__", (9,))),
+    "default of a function": (
+        "helper.radius(1)",
+        lambda helper: setattr(helper.radius, "__defaults__", (9,)),
+    ),
 }
 
 
@@ -488,10 +545,15 @@ def set_code(function):
     function.__code__ = (lambda x: x + 9).__code__
 
 
-@pytest.mark.parametrize(("use", "change"), CHANGES_OF_A_LOADED_MODULE.values(), ids=CHANGES_OF_A_LOADED_MODULE)
+@pytest.mark.parametrize(
+    ("use", "change"), CHANGES_OF_A_LOADED_MODULE.values(), ids=CHANGES_OF_A_LOADED_MODULE
+)
 def test_a_change_of_a_loaded_module_is_seen(files, use, change):
     """As a worker has it that loaded an older file, or a notebook that sets a value."""
-    rule = files(rule=RULE.format(imports="import helper", inside="pass", use=use), helper=HELPER)
+    rule = files(
+        rule=RULE.format(imports="import helper", inside="pass", use=use),
+        helper=HELPER,
+    )
     before = code_key(rule)
     change(vars(sys.modules[rule.__module__])["helper"])
     after = code_key(rule)
@@ -508,29 +570,50 @@ def NAME(f):
     return g
 """
 MODULES = {
-    "helper of a helper": {"helper": "import deeper\nSTEP = deeper.STEP\n", "deeper": "STEP = {}\n"},
-    "package": {"helper": "from parts.deep import STEP\n", "parts/__init__": "", "parts/deep": "STEP = {}\n"},
-    "relative import": {"helper": "from parts import STEP\n", "parts/__init__": "from .deep import STEP\n",
-                        "parts/deep": "STEP = {}\n"},
-    "beginning of a package": {"helper": "from parts.deep import STEP\n", "parts/__init__": "X = {}\n",
-                               "parts/deep": "STEP = 3\n"},
-    "folder without a beginning": {"helper": "from loose.deep import STEP\n", "loose/deep": "STEP = {}\n"},
+    "helper of a helper": {
+        "helper": "import deeper\nSTEP = deeper.STEP\n",
+        "deeper": "STEP = {}\n",
+    },
+    "package": {
+        "helper": "from parts.deep import STEP\n",
+        "parts/__init__": "",
+        "parts/deep": "STEP = {}\n",
+    },
+    "relative import": {
+        "helper": "from parts import STEP\n",
+        "parts/__init__": "from .deep import STEP\n",
+        "parts/deep": "STEP = {}\n",
+    },
+    "beginning of a package": {
+        "helper": "from parts.deep import STEP\n",
+        "parts/__init__": "X = {}\n",
+        "parts/deep": "STEP = 3\n",
+    },
+    "folder without a beginning": {
+        "helper": "from loose.deep import STEP\n",
+        "loose/deep": "STEP = {}\n",
+    },
     "import in a function that is not called": {
         "helper": "STEP = 3\ndef f():\n    import deeper\n",
         "deeper": "X = {}\n",
     },
-    "modules that import each other": {"helper": "import deeper\nSTEP = 3\n", "deeper": "import helper\nX = {}\n"},
+    "modules that import each other": {
+        "helper": "import deeper\nSTEP = 3\n",
+        "deeper": "import helper\nX = {}\n",
+    },
     "decorator in a helper": {
         "helper": "from deco import more\n@more\ndef f():\n    return 3\nSTEP = f()\n",
         "deco": DECORATOR.replace("NAME", "more").replace("ARGS", "").replace("RESULT", "f() + {}"),
     },
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("modules", MODULES.values(), ids=MODULES)
 def test_all_modules_that_are_imported_are_seen(tmp_path, modules):
     keys = []
-    (tmp_path / "rule.py").write_text(RULE.format(imports="import helper", inside="pass", use="helper.STEP"))
+    (tmp_path / "rule.py").write_text(
+        RULE.format(imports="import helper", inside="pass", use="helper.STEP")
+    )
     for value in (1, 1, 2):
         for name, text in modules.items():
             path = tmp_path / f"{name}.py"
@@ -541,8 +624,12 @@ def test_all_modules_that_are_imported_are_seen(tmp_path, modules):
 
 
 def test_a_decorator_of_the_rule_itself_is_seen(files):
-    deco = DECORATOR.replace("NAME", "thin").replace("ARGS", "ctx").replace("RESULT", "f(ctx)[::{}]")
-    text = "from deco import thin\n@thin\ndef rule(ctx):\n    return ctx.seeds_at(ctx.pixels(), 1.0)\n"
+    deco = (
+        DECORATOR.replace("NAME", "thin").replace("ARGS", "ctx").replace("RESULT", "f(ctx)[::{}]")
+    )
+    text = (
+        "from deco import thin\n@thin\ndef rule(ctx):\n    return ctx.seeds_at(ctx.pixels(), 1.0)\n"
+    )
     keys = [code_key(files(rule=text, deco=deco.format(n))).parts["values"] for n in (2, 2, 3)]
     assert keys[0] == keys[1] != keys[2]
 
@@ -588,14 +675,18 @@ def test_two_folders_may_have_modules_of_one_name(tmp_path):
 
 
 def test_a_module_that_appears_is_seen(files):
-    text = "try:\n    import not_there_yet\nexcept ImportError:\n    pass\ndef rule(ctx):\n    return None\n"
+    text = (
+        "try:\n    import not_there_yet\nexcept ImportError:\n    pass\ndef rule(ctx):\n    "
+        "return None\n"
+    )
     before = code_key(files(rule=text))
     assert "missing not_there_yet" in before.parts
     assert code_key(files(not_there_yet="X = 1\n")).digest != before.digest
 
 
 REFUSED_IMPORTS = {
-    "import_module": "import importlib\ndef rule(ctx):\n    return importlib.import_module(ctx.name)\n",
+    "import_module": "import importlib\ndef rule(ctx):\n    return "
+    "importlib.import_module(ctx.name)\n",
     "__import__": "def rule(ctx):\n    return __import__('hel' + ctx.name)\n",
     "run_path": "import runpy\ndef rule(ctx):\n    return runpy.run_path(ctx.name)\n",
 }
@@ -623,17 +714,33 @@ def site(tmp_path, monkeypatch):
         info = folder / f"{name}-{version}.dist-info"
         info.mkdir()
         needs = "".join(f"Requires-Dist: {other}\n" for other in requires)
-        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n{needs}")
-        digest = base64.urlsafe_b64encode(hashlib.sha256(file.read_bytes()).digest()).rstrip(b"=").decode()
+        (info / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n{needs}"
+        )
+        digest = (
+            base64.urlsafe_b64encode(hashlib.sha256(file.read_bytes()).digest())
+            .rstrip(b"=")
+            .decode()
+        )
         (info / "RECORD").write_text(f"{name}.py,sha256={digest},{len(text)}\n")
-        for cache in (installed._records, installed.distribution_of, installed._requirements, installed.state_of):
+        for cache in (
+            installed._records,
+            installed.distribution_of,
+            installed._requirements,
+            installed.state_of,
+        ):
             cache.cache_clear()
         importlib.invalidate_caches()
         sys.modules.pop(name, None)
         return file
 
     yield install
-    for cache in (installed._records, installed.distribution_of, installed._requirements, installed.state_of):
+    for cache in (
+        installed._records,
+        installed.distribution_of,
+        installed._requirements,
+        installed.state_of,
+    ):
         cache.cache_clear()
     for name in ("bought", "needed"):
         sys.modules.pop(name, None)
@@ -656,11 +763,15 @@ def test_the_version_of_what_a_package_requires_is_seen(files, site):
     site("needed", version="2.0")
     before = code_key(files(rule=USES_BOUGHT))
     site("needed", version="2.1")
-    assert differing(before.parts, code_key(files(rule=USES_BOUGHT)).parts) == "package needed (2.0, 2.1)"
+    assert (
+        differing(before.parts, code_key(files(rule=USES_BOUGHT)).parts)
+        == "package needed (2.0, 2.1)"
+    )
 
 
 def test_an_edited_file_of_an_installed_package_is_seen(files, site):
-    """The process may have loaded the file as it was, so the key is one that no other process has."""
+    """The process may have loaded the file as it was, so the key is one that no other process
+    has."""
     file = site("bought")
     before = code_key(files(rule=USES_BOUGHT))
     file.write_text("X = 2\n")
@@ -700,7 +811,11 @@ PATCHES = {
 }
 
 
-@pytest.mark.parametrize(("owner", "name", "value"), PATCHES.values(), ids=PATCHES)
+@pytest.mark.parametrize(
+    ("owner", "name", "value"),
+    PATCHES.values(),
+    ids=PATCHES,
+)
 def test_a_function_of_a_library_that_is_replaced_is_seen(monkeypatch, owner, name, value):
     before = patches()
     monkeypatch.setattr(owner, name, value)
@@ -718,7 +833,11 @@ SWAPS = {
 }
 
 
-@pytest.mark.parametrize(("owner", "name", "value"), SWAPS.values(), ids=SWAPS)
+@pytest.mark.parametrize(
+    ("owner", "name", "value"),
+    SWAPS.values(),
+    ids=SWAPS,
+)
 def test_a_name_of_a_library_that_leads_elsewhere_is_seen(monkeypatch, owner, name, value):
     before = library_state("torch.", "math.", "gsfusion_nb.seeding.", "gsfusion_nb.backends.")
     monkeypatch.setattr(owner, name, value, raising=False)
@@ -794,13 +913,24 @@ print(json.dumps(dict(code_key(load_rule_file(sys.argv[1])).parts)))
 
 def test_the_key_is_the_same_in_every_process(files, tmp_path):
     """Sets of words have another order in each process, and identities are others."""
-    helper = HELPER + "WORDS = {'a', 'b', 'c', 'd'}\nMIXED = {radius, math.sin, torch.sum}\nKINDS = [Grid(), Grid()]\n"
+    helper = (
+        HELPER
+        + "WORDS = {'a', 'b', 'c', 'd'}\nMIXED = {radius, math.sin, torch.sum}\nKINDS = [Grid(), "
+        "Grid()]\n"
+    )
     imports = f"import helper{A_DATACLASS}"
     use = "helper.STEP + len(helper.WORDS | helper.MIXED) + MADE.a + len(helper.KINDS)"
-    here = code_key(files(rule=RULE.format(imports=imports, inside="pass", use=use), helper=helper)).parts
+    here = code_key(
+        files(
+            rule=RULE.format(imports=imports, inside="pass", use=use),
+            helper=helper,
+        )
+    ).parts
     environment = {**os.environ, "PYTHONHASHSEED": "7"}
     command = [sys.executable, "-c", KEY_OF_A_FILE, f"{tmp_path / 'rule.py'}:rule"]
-    there = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    there = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=True
+    ).stdout
     assert json.loads(there) == here
 
 

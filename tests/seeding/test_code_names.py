@@ -28,9 +28,18 @@ def cell(monkeypatch):
 USES = {
     "a name with underscores": ("__STEP", lambda notebook: vars(notebook).update({"__STEP": 5})),
     "a builtin of one's own": ("MAGIC", lambda notebook: setattr(builtins, "MAGIC", 5)),
-    "a value in a library": ("torch.MINE['step']", lambda notebook: vars(torch)["MINE"].update(step=5)),
-    "an object in a library": ("torch.OBJECT.step", lambda notebook: setattr(notebook.kept, "step", 5)),
-    "the notebook as a module": ("__import__('__main__').STEP", lambda notebook: setattr(notebook, "STEP", 5)),
+    "a value in a library": (
+        "torch.MINE['step']",
+        lambda notebook: vars(torch)["MINE"].update(step=5),
+    ),
+    "an object in a library": (
+        "torch.OBJECT.step",
+        lambda notebook: setattr(notebook.kept, "step", 5),
+    ),
+    "the notebook as a module": (
+        "__import__('__main__').STEP",
+        lambda notebook: setattr(notebook, "STEP", 5),
+    ),
 }
 
 
@@ -38,8 +47,14 @@ USES = {
 def test_what_a_notebook_sets_is_seen(cell, monkeypatch, use, change):
     monkeypatch.setattr(builtins, "MAGIC", 3, raising=False)
     monkeypatch.setattr(torch, "MINE", {"step": 3}, raising=False)
-    body = f"    return {use}\n" if "__main__" not in use else "    import __main__\n    return __main__.STEP\n"
-    source = "import torch\n__STEP = STEP = 3\nclass Kept:\n    pass\nkept = Kept()\nkept.step = 3\n"
+    body = (
+        f"    return {use}\n"
+        if "__main__" not in use
+        else "    import __main__\n    return __main__.STEP\n"
+    )
+    source = (
+        "import torch\n__STEP = STEP = 3\nclass Kept:\n    pass\nkept = Kept()\nkept.step = 3\n"
+    )
     notebook = cell(f"{source}def rule(ctx):\n{body}")
     monkeypatch.setattr(torch, "OBJECT", notebook.kept, raising=False)
     keys = [code_key(notebook.rule), code_key(notebook.rule)]
@@ -99,7 +114,9 @@ def __getattr__(name):
 @pytest.mark.parametrize(("before", "use"), WAYS.values(), ids=WAYS)
 def test_a_change_of_a_module_is_seen_however_the_rule_got_it(tmp_path, before, use):
     (tmp_path / "helper.py").write_text(HELPER)
-    (tmp_path / "rule.py").write_text(f"import helper\n{before}\ndef rule(ctx):\n    return {use}\n")
+    (tmp_path / "rule.py").write_text(
+        f"import helper\n{before}\ndef rule(ctx):\n    return {use}\n"
+    )
     rule = load_rule_file(f"{tmp_path / 'rule.py'}:rule")
     helper = vars(sys.modules[rule.__module__])["helper"]
     keys = [code_key(rule), code_key(rule)]
@@ -143,6 +160,8 @@ def test_code_with_sets_is_known(function):
 
 def test_code_without_sets_is_known():
     assert not walks_sets((lambda x: [x + 1, {"a": x}, (x, "a")]).__code__)
-    assert not walks_sets((lambda mask, other: (mask & ~other) | (mask ^ other)).__code__)  # of images
+    assert not walks_sets(
+        (lambda mask, other: (mask & ~other) | (mask ^ other)).__code__
+    )  # of images
     assert code_key(lambda: MADE).walks_sets is False
     assert code_key(lambda held=(frozenset("ab"),): held).walks_sets is True

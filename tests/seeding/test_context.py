@@ -14,7 +14,12 @@ from gsfusion_nb.seeding import SeedContext, check_contexts
 from gsfusion_nb.types import Camera, Frame, Seeds
 
 
-def frame(depth_m: torch.Tensor, rgb: torch.Tensor | None = None, fx: float = 600.0, T_WC=None) -> Frame:
+def frame(
+    depth_m: torch.Tensor,
+    rgb: torch.Tensor | None = None,
+    fx: float = 600.0,
+    T_WC=None,
+) -> Frame:
     H, W = depth_m.shape
     return Frame(
         index=0,
@@ -49,7 +54,9 @@ def test_published_size_of_a_cell():
 
 
 def test_depth_and_colour_come_from_the_pixel_that_contains_the_middle():
-    depth = torch.arange(1.0, 7.0).reshape(2, 3)  # one leaf, 3 x 2, middle (1.5, 1.0): column 1, row 1
+    depth = torch.arange(1.0, 7.0).reshape(
+        2, 3
+    )  # one leaf, 3 x 2, middle (1.5, 1.0): column 1, row 1
     rgb = torch.arange(18.0).reshape(2, 3, 3) / 20
     seeds = SeedContext(frame(depth, rgb)).cells()
     assert seeds.xyz_W[0, 2].item() == 5.0
@@ -74,9 +81,19 @@ def test_seeds_are_placed_in_the_world():
     T_WC = se3.exp(torch.tensor([0.1, 0.2, 0.3, 0.5, -0.4, 0.3]))
     ctx = SeedContext(frame(torch.full((6, 8), 1.5), T_WC=T_WC))
     uv = torch.tensor([[0.2, 0.4], [7.9, 5.9]])
-    seeds = ctx.seeds_at(uv, torch.tensor([1.0, 2.0]), opacity=0.7, tag=torch.tensor([4, 5]))
+    seeds = ctx.seeds_at(
+        uv,
+        torch.tensor([1.0, 2.0]),
+        opacity=0.7,
+        tag=torch.tensor([4, 5]),
+    )
     xyz_C = se3.apply(se3.inverse(T_WC), seeds.xyz_W)
-    torch.testing.assert_close(project(ctx.camera, xyz_C), uv, atol=1e-3, rtol=0)
+    torch.testing.assert_close(
+        project(ctx.camera, xyz_C),
+        uv,
+        atol=1e-3,
+        rtol=0,
+    )
     torch.testing.assert_close(xyz_C[:, 2], torch.tensor([1.5, 1.5]))
     torch.testing.assert_close(seeds.scale_m[:, 0], torch.tensor([1.5, 3.0]) / 600)
     assert seeds.tag.tolist() == [4, 5]
@@ -87,7 +104,13 @@ def test_map_view_of_a_gaussian_map():
     model = GaussianModel(sh_degree=0)
     scale_m = torch.tensor([[0.01, 0.03, 0.05], [0.02, 0.02, 0.02]])
     xyz = torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    round_ones = Seeds.isotropic(xyz, xyz / 10, scale_m[:, 0], opacity=0.25, tag=torch.tensor([7, 8]))
+    round_ones = Seeds.isotropic(
+        xyz,
+        xyz / 10,
+        scale_m[:, 0],
+        opacity=0.25,
+        tag=torch.tensor([7, 8]),
+    )
     model.append(dataclasses.replace(round_ones, scale_m=scale_m))
     view = SeedContext(frame(torch.ones(2, 2)), gaussians=model).map
     assert len(view) == 2
@@ -114,8 +137,16 @@ def test_render_shows_the_map_where_it_is():
 def test_normals_face_the_camera_and_turn_with_the_pose():
     T_WC = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, math.pi / 2, 0.0]))
     ctx = SeedContext(frame(torch.full((5, 5), 1.0), T_WC=T_WC))
-    torch.testing.assert_close(ctx.normals()[2, 2], torch.tensor([0.0, 0.0, -1.0]))
-    torch.testing.assert_close(ctx.normals_W()[2, 2], torch.tensor([-1.0, 0.0, 0.0]), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        ctx.normals()[2, 2],
+        torch.tensor([0.0, 0.0, -1.0]),
+    )
+    torch.testing.assert_close(
+        ctx.normals_W()[2, 2],
+        torch.tensor([-1.0, 0.0, 0.0]),
+        atol=1e-6,
+        rtol=0,
+    )
     assert ctx.normals() is ctx.normals()
 
 

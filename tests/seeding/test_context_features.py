@@ -1,4 +1,5 @@
-"""What a context offers beyond frame, volume and map: picture features, questions about points, the past, raycasts."""
+"""What a context offers beyond frame, volume and map: picture features, questions about points, the
+past, raycasts."""
 
 import dataclasses
 
@@ -36,7 +37,10 @@ def square() -> SeedContext:
 
 def with_map(xyz_W: torch.Tensor, **more) -> SeedContext:
     model = GaussianModel(sh_degree=0)
-    model.append(Seeds.isotropic(xyz_W, torch.full_like(xyz_W, 0.25), torch.full((len(xyz_W),), 0.1)), 3)
+    model.append(
+        Seeds.isotropic(xyz_W, torch.full_like(xyz_W, 0.25), torch.full((len(xyz_W),), 0.1)),
+        3,
+    )
     model.step_count = 50
     return SeedContext(frame(index=7), gaussians=model, **more)
 
@@ -55,7 +59,11 @@ def test_nearest_neighbours_and_the_usual_size():
     ctx = with_map(torch.tensor([[0.0, 0.0, 1.0]]))
     new = torch.tensor([[1.0, 0.0, 1.0], [3.0, 0.0, 1.0], [3.0, 0.0, 1.0]])
     among_new = ctx.nearest(new)
-    assert among_new.distance_m.tolist() == [[2.0, 2.0, torch.inf], [0.0, 2.0, torch.inf], [0.0, 2.0, torch.inf]]
+    assert among_new.distance_m.tolist() == [
+        [2.0, 2.0, torch.inf],
+        [0.0, 2.0, torch.inf],
+        [0.0, 2.0, torch.inf],
+    ]
     assert among_new.row[:, 2].tolist() == [-1, -1, -1]
     assert among_new.spacing_m.tolist() == pytest.approx([2.0, 2**0.5, 2**0.5])
     both = ctx.nearest(new, among="new and map")
@@ -83,7 +91,10 @@ def test_draws():
 
 
 def test_orientations_from_normals():
-    normal = torch.nn.functional.normalize(torch.randn(50, 3, generator=torch.Generator().manual_seed(1)), dim=1)
+    normal = torch.nn.functional.normalize(
+        torch.randn(50, 3, generator=torch.Generator().manual_seed(1)),
+        dim=1,
+    )
     special = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]])
     quat = SeedContext(frame()).quat_from_normals(torch.cat([normal, special]))
     torch.testing.assert_close(quat.norm(dim=1), torch.ones(53))
@@ -120,10 +131,19 @@ def test_directions_need_a_window_with_a_middle(window_px):
 @pytest.mark.parametrize(
     ("ask", "sentence"),
     [
-        (lambda ctx: ctx.voxel_weight(torch.zeros(1, 3)), "voxel_weight needs a TSDF volume, .* pass volume="),
+        (
+            lambda ctx: ctx.voxel_weight(torch.zeros(1, 3)),
+            "voxel_weight needs a TSDF volume, .* pass volume=",
+        ),
         (lambda ctx: ctx.surface(), "surface.* needs a Gaussian map, .* pass gaussians="),
-        (lambda ctx: ctx.quadtree_cells(depth=1), r"unknown settings \['depth'\]; known: \['contrast', 'min_cell_px'"),
-        (lambda ctx: ctx.quadtree_cells(contrast="mean"), "contrast must be 'released' or 'std', got 'mean'"),
+        (
+            lambda ctx: ctx.quadtree_cells(depth=1),
+            r"unknown settings \['depth'\]; known: \['contrast', 'min_cell_px'",
+        ),
+        (
+            lambda ctx: ctx.quadtree_cells(contrast="mean"),
+            "contrast must be 'released' or 'std', got 'mean'",
+        ),
         (lambda ctx: ctx.quadtree_cells(min_cell_px=0), "min_cell_px must be >= 1, got 0"),
         (lambda ctx: ctx.quadtree_cells(threshold=-0.1), "threshold must be >= 0, got -0.1"),
     ],
@@ -173,7 +193,9 @@ def test_outliers_are_far_from_all_others():
 
 
 def test_first_in_a_voxel_and_voxels_that_are_held():
-    points = torch.tensor([[0.01, 0, 0], [0.09, 0, 0], [-0.01, 0, 0], [0.11, 0, 0], [0.19, 0.05, 0.09]])
+    points = torch.tensor(
+        [[0.01, 0, 0], [0.09, 0, 0], [-0.01, 0, 0], [0.11, 0, 0], [0.19, 0.05, 0.09]]
+    )
     ctx = with_map(torch.tensor([[0.05, 0.05, 0.05], [-0.05, 0.15, 0.0]]))
     assert ctx.first_in_voxel(points, 0.1).tolist() == [True, False, True, True, False]
     assert ctx.occupied(points, 0.1).tolist() == [True, True, False, False, False]
@@ -181,10 +203,22 @@ def test_first_in_a_voxel_and_voxels_that_are_held():
 
 
 def test_the_laplacian_of_a_parabola_and_of_a_dot():
-    u, v = torch.meshgrid(torch.arange(9.0), torch.arange(7.0), indexing="xy")
-    rgb = torch.stack([0.01 * u * u, -0.02 * v * v, 0.1 * u + 0.2 * v], dim=-1)
+    u, v = torch.meshgrid(
+        torch.arange(9.0),
+        torch.arange(7.0),
+        indexing="xy",
+    )
+    rgb = torch.stack(
+        [0.01 * u * u, -0.02 * v * v, 0.1 * u + 0.2 * v],
+        dim=-1,
+    )
     inside = absolute_laplacian(rgb)[1:-1, 1:-1]
-    torch.testing.assert_close(inside, torch.full((5, 7), 0.02 + 0.04), atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        inside,
+        torch.full((5, 7), 0.02 + 0.04),
+        atol=1e-5,
+        rtol=0,
+    )
     dot = torch.zeros(5, 5, 3)
     dot[2, 2, 0] = 1.0
     expected = torch.zeros(5, 5)
@@ -205,10 +239,17 @@ def test_blurs_of_a_dot_are_their_windows():
     box = box_blur(dot[..., None], 5)[..., 0]
     assert int((box > 0).sum()) == 25
     assert float(box[4, 4]) == pytest.approx(1 / 25)
-    torch.testing.assert_close(box_blur(torch.full((4, 6, 2), 0.3), 3), torch.full((4, 6, 2), 0.3))
+    torch.testing.assert_close(
+        box_blur(torch.full((4, 6, 2), 0.3), 3),
+        torch.full((4, 6, 2), 0.3),
+    )
 
 
 def test_a_step_halved_and_enlarged():
-    """Columns 0 to 3 black, 4 to 7 white: halved it is still a step, enlarged one of 0, 1/4, 3/4 and 1."""
+    """Columns 0 to 3 black, 4 to 7 white: halved it is still a step, enlarged one of 0, 1/4, 3/4
+    and 1."""
     rgb = (torch.arange(8) >= 4).float()[None, :, None].expand(6, 8, 3).contiguous()
-    torch.testing.assert_close(halved(rgb)[0, :, 0], torch.tensor([0.0, 0, 0, 0.25, 0.75, 1, 1, 1]))
+    torch.testing.assert_close(
+        halved(rgb)[0, :, 0],
+        torch.tensor([0.0, 0, 0, 0.25, 0.75, 1, 1, 1]),
+    )

@@ -1,4 +1,5 @@
-"""Rules that edit the map: what they remove and add after steps, and the settings that they bring."""
+"""Rules that edit the map: what they remove and add after steps, and the settings that they
+bring."""
 
 import dataclasses
 from typing import Any
@@ -32,7 +33,11 @@ def frame() -> Frame:
 def model_with(opacity: list[float], scale_m: list[float]) -> GaussianModel:
     model = GaussianModel(sh_degree=0)
     n = len(opacity)
-    seeds = Seeds.isotropic(torch.zeros(n, 3), torch.full((n, 3), 0.5), torch.tensor(scale_m))
+    seeds = Seeds.isotropic(
+        torch.zeros(n, 3),
+        torch.full((n, 3), 0.5),
+        torch.tensor(scale_m),
+    )
     model.append(dataclasses.replace(seeds, opacity=torch.tensor(opacity)))
     return model
 
@@ -57,12 +62,20 @@ def test_splatam_like_seeds_as_splatam_and_remembers_the_radius(frame):
 
 
 def test_monogs_like_clones_splits_and_removes_every_150_steps(frame):
-    model = model_with([0.9] * 4 + [0.6, 0.9, 0.9], [0.005, 0.02, 0.005, 0.02, 0.005, 0.11, 0.005])
-    large = torch.tensor([3e-4, 3e-4, 1e-4, 1e-4, 3e-4, 3e-4, 3e-4])  # mean length, in units of half the image
+    model = model_with(
+        [0.9] * 4 + [0.6, 0.9, 0.9],
+        [0.005, 0.02, 0.005, 0.02, 0.005, 0.11, 0.005],
+    )
+    large = torch.tensor(
+        [3e-4, 3e-4, 1e-4, 1e-4, 3e-4, 3e-4, 3e-4]
+    )  # mean length, in units of half the image
     v_uv = torch.stack([large / 4.0, torch.zeros(7)], dim=1)  # half the width is 4 pixels
     add_up(model, torch.ones(7, dtype=torch.bool), v_uv, frame.camera)
     rule, ctx = monogs_like(), SeedContext(frame, gaussians=model)
-    seen = {"visible": torch.ones(7, dtype=torch.bool), "radius_px": torch.tensor([5.0] * 6 + [21.0])}
+    seen = {
+        "visible": torch.ones(7, dtype=torch.bool),
+        "radius_px": torch.tensor([5.0] * 6 + [21.0]),
+    }
     assert rule.after_step(ctx, stats_of(frame, step=149, **seen), {}) is None
     narrow = seen | {"radius_px": torch.full((7,), 5.0)}  # the largest radius is remembered
     edit = rule.after_step(ctx, stats_of(frame, step=150, **narrow), {})
@@ -82,16 +95,23 @@ def placed(opacity: list[float], z: list[float]) -> GaussianModel:
     """Large Gaussians in the middle of the view, at these depths."""
     model = GaussianModel(sh_degree=0)
     xyz_W = torch.tensor([[0.0, 0.0, depth] for depth in z])
-    seeds = Seeds.isotropic(xyz_W, torch.full_like(xyz_W, 0.9), torch.full((len(z),), 2.0))
+    seeds = Seeds.isotropic(
+        xyz_W,
+        torch.full_like(xyz_W, 0.9),
+        torch.full((len(z),), 2.0),
+    )
     model.append(dataclasses.replace(seeds, opacity=torch.tensor(opacity)))
     return model
 
 
 @pytest.mark.parametrize(
-    ("values", "prunes"), [({}, True), ({"step_in_frame": 2}, False), ({"stage": "passes"}, False)]
+    ("values", "prunes"),
+    [({}, True), ({"step_in_frame": 2}, False), ({"stage": "passes"}, False)],
 )
 def test_vg_mapping_removes_what_the_frame_sees_through(frame, values, prunes):
-    ctx = SeedContext(frame, gaussians=placed([0.5] * 4, [2.98, 2.99, 3.1, 1.0]))  # the wall is 3 m away
+    ctx = SeedContext(
+        frame, gaussians=placed([0.5] * 4, [2.98, 2.99, 3.1, 1.0])
+    )  # the wall is 3 m away
     edit = vg_mapping().after_step(ctx, stats_of(frame, **values), {})
     assert (edit is not None) == prunes
     if edit is not None and edit.keep is not None:
@@ -108,9 +128,12 @@ def test_vg_mapping_removes_what_the_frame_sees_through(frame, values, prunes):
     ],
 )
 def test_game_removes_faint_ones_halfway_and_stale_ones_at_the_end(frame, values, kept):
-    """The map's picture is brighter than the wall. The second is 6 cm before it, the fourth 4 cm, the third is faint
-    and far behind."""
-    ctx = SeedContext(frame, gaussians=placed([0.5, 0.9, 0.09, 0.9], [3.5, 2.94, 9.0, 2.96]))
+    """The map's picture is brighter than the wall. The second is 6 cm before it, the fourth 4 cm,
+    the third is faint and far behind."""
+    ctx = SeedContext(
+        frame,
+        gaussians=placed([0.5, 0.9, 0.09, 0.9], [3.5, 2.94, 9.0, 2.96]),
+    )
     edit = game().after_step(ctx, stats_of(frame, **values), {})
     assert (edit and edit.keep is not None and edit.keep.tolist()) == kept
 
@@ -126,7 +149,11 @@ def test_game_keeps_what_has_the_right_colour(frame):
     ("values", "share", "kept"),
     [
         ({"step_in_frame": 21}, 1.0, [True, False, False, True]),
-        ({"step_in_frame": 21}, 0.25, [True, False, True, True]),  # four times as few, twice as large
+        (
+            {"step_in_frame": 21},
+            0.25,
+            [True, False, True, True],
+        ),  # four times as few, twice as large
         ({"step_in_frame": 20}, 1.0, None),
         ({"step_in_frame": 21, "stage": "passes"}, 1.0, None),
     ],
@@ -134,12 +161,20 @@ def test_game_keeps_what_has_the_right_colour(frame):
 def test_splatam_like_removes_faint_and_large_ones(frame, values, share, kept):
     """A tenth of a radius of 2 m is the limit of size, 0.005 that of opacity."""
     assert 21 in PRUNED_AFTER
-    ctx = SeedContext(frame, gaussians=model_with([0.5, 0.0049, 0.5, 0.0051], [0.19, 0.1, 0.21, 0.1]))
-    edit = splatam_like(share=share).after_step(ctx, stats_of(frame, **values), {"scene_radius_m": 2.0})
+    ctx = SeedContext(
+        frame,
+        gaussians=model_with([0.5, 0.0049, 0.5, 0.0051], [0.19, 0.1, 0.21, 0.1]),
+    )
+    edit = splatam_like(share=share).after_step(
+        ctx, stats_of(frame, **values), {"scene_radius_m": 2.0}
+    )
     assert (edit and edit.keep is not None and edit.keep.tolist()) == kept
 
 
-@pytest.mark.parametrize(("step", "kept"), [(100, [True, False, True]), (300, [True, False, True]), (101, None)])
+@pytest.mark.parametrize(
+    ("step", "kept"),
+    [(100, [True, False, True]), (300, [True, False, True]), (101, None)],
+)
 def test_cone_gs_removes_faint_ones_every_100_steps(frame, step, kept):
     ctx = SeedContext(frame, gaussians=model_with([0.5, 0.0049, 0.0051], [0.1] * 3))
     edit = cone_gs().after_step(ctx, stats_of(frame, step=step), {})
@@ -161,7 +196,9 @@ def test_monogs_like_gives_hidden_ones_an_opacity_of_their_own(frame, values, re
     model = model_with([0.9, 0.8, 0.7], [0.01] * 3)
     seen = {"visible": torch.tensor([True, False, False]), "radius_px": torch.zeros(3)}
     rule = monogs_like(reset_every=reset_every)
-    edit = rule.after_step(SeedContext(frame, gaussians=model), stats_of(frame, **values, **seen), {})
+    edit = rule.after_step(
+        SeedContext(frame, gaussians=model), stats_of(frame, **values, **seen), {}
+    )
     if set_to is None:
         assert edit is None
     else:

@@ -1,4 +1,5 @@
-"""Rules that are classes: how they are written, their options, when they are asked, and what they remember."""
+"""Rules that are classes: how they are written, their options, when they are asked, and what they
+remember."""
 
 import linecache
 from collections.abc import Mapping
@@ -75,7 +76,11 @@ def test_when_a_rule_is_due(when, due, starts):
 
 
 def test_memory_holds_what_a_checkpoint_can_save(ctx):
-    memory = {"seen": torch.zeros(2, 3), "n": 3, "deep": {"list": [1.5, None, "x", (True, torch.ones(1))]}}
+    memory = {
+        "seen": torch.zeros(2, 3),
+        "n": 3,
+        "deep": {"list": [1.5, None, "x", (True, torch.ones(1))]},
+    }
     check_memory("mine", memory)
     copied = copy_memory(memory)
     memory["seen"] += 1
@@ -84,7 +89,8 @@ def test_memory_holds_what_a_checkpoint_can_save(ctx):
     assert len(copied["deep"]["list"]) == 4
     assert isinstance(copied["deep"]["list"][3], tuple)
     with pytest.raises(
-        TypeError, match=r"'mine' keeps a set in its memory\['deep'\]\['s'\], which a checkpoint cannot"
+        TypeError,
+        match=r"'mine' keeps a set in its memory\['deep'\]\['s'\], which a checkpoint cannot",
     ):
         check_memory("mine", {"deep": {"s": {1}}})
     with pytest.raises(TypeError, match="'mine': the keys of its memory must be words, got 1"):
@@ -119,18 +125,28 @@ def helper(seeds, n):
 
 
 def run_cell(**values) -> Any:
-    """The class that a notebook cell defines: a module without a file, whose lines only linecache knows."""
+    """The class that a notebook cell defines: a module without a file, whose lines only linecache
+    knows."""
     name, text = "<ipython-input-7>", CELL.format(**{"n": 1, "when": 1, "least": 0} | values)
     linecache.cache[name] = (len(text), None, text.splitlines(keepends=True), name)
-    space = {"__name__": "__main__", **{k: globals()[k] for k in ("seeding_rule", "dataclass", "MapRule", "every")}}
-    exec(compile(text, name, "exec"), space | {"ClassVar": ClassVar, "When": type(every(1)), "Mapping": Mapping}, space)
+    space = {
+        "__name__": "__main__",
+        **{k: globals()[k] for k in ("seeding_rule", "dataclass", "MapRule", "every")},
+    }
+    exec(
+        compile(text, name, "exec"),
+        space | {"ClassVar": ClassVar, "When": type(every(1)), "Mapping": Mapping},
+        space,
+    )
     return space["of_a_cell"]
 
 
 def test_the_fingerprint_of_a_class_sees_options_checks_and_when():
     first = rule_fingerprint(run_cell())
     assert rule_fingerprint(run_cell()) == first
-    changed = [rule_fingerprint(run_cell(**change)) for change in ({"n": 2}, {"when": 2}, {"least": -1})]
+    changed = [
+        rule_fingerprint(run_cell(**change)) for change in ({"n": 2}, {"when": 2}, {"least": -1})
+    ]
     assert len({first, *changed}) == 4
 
 
@@ -156,7 +172,9 @@ def test_a_class_is_asked_with_its_options_and_the_memory_of_the_context(ctx):
     sizes = [len(apply_rule(Thinning, ctx, {"first": 2})) for _ in range(2)]
     assert sizes == [-(-n // 2), -(-n // 3)]
     assert ctx.memory == {"calls": 3}
-    with pytest.raises(TypeError, match=r"'Thinning' has no options \['last'\]; known: \['first', 'side'\]"):
+    with pytest.raises(
+        TypeError, match=r"'Thinning' has no options \['last'\]; known: \['first', 'side'\]"
+    ):
         apply_rule(Thinning, ctx, {"last": 2})
     ctx.memory.clear()
 

@@ -1,4 +1,5 @@
-"""The published rules choose what their publications say, counted on a wall with a map whose rendering is given."""
+"""The published rules choose what their publications say, counted on a wall with a map whose
+rendering is given."""
 
 import dataclasses
 import importlib
@@ -45,7 +46,11 @@ class Staged(SeedContext):
         return self.view
 
 
-def wall(rgb: torch.Tensor | None = None, depth_m: torch.Tensor | None = None, fy: float = F) -> Frame:
+def wall(
+    rgb: torch.Tensor | None = None,
+    depth_m: torch.Tensor | None = None,
+    fy: float = F,
+) -> Frame:
     """A grey wall 2 m away, seen straight on by 64 x 48 pixels."""
     return Frame(
         index=0,
@@ -60,7 +65,13 @@ def wall(rgb: torch.Tensor | None = None, depth_m: torch.Tensor | None = None, f
 def model_of(xyz_W: torch.Tensor, scale_m: float = 0.02) -> GaussianModel:
     """A map with round Gaussians at these places."""
     model = GaussianModel(sh_degree=0)
-    model.append(Seeds.isotropic(xyz_W, torch.full_like(xyz_W, 0.5), torch.full((len(xyz_W),), scale_m)))
+    model.append(
+        Seeds.isotropic(
+            xyz_W,
+            torch.full_like(xyz_W, 0.5),
+            torch.full((len(xyz_W),), scale_m),
+        )
+    )
     return model
 
 
@@ -77,13 +88,18 @@ def staged(
     xyz_W: torch.Tensor | None = None,
     **more: Any,
 ) -> SeedContext:
-    """A context whose map shows these images; its Gaussians are elsewhere unless their places are given."""
+    """A context whose map shows these images; its Gaussians are elsewhere unless their places are
+    given."""
 
     def image(value: torch.Tensor | float, *channels: int) -> torch.Tensor:
         return torch.as_tensor(value, dtype=torch.float32).expand(H, W, *channels)
 
     view = RenderOutput(
-        rgb=image(rgb, 3), depth_m=image(depth_m), alpha=image(alpha), first_index=None, dominant_index=None
+        rgb=image(rgb, 3),
+        depth_m=image(depth_m),
+        alpha=image(alpha),
+        first_index=None,
+        dominant_index=None,
     )
     places = torch.tensor([[0.0, 0.0, -5.0]]) if xyz_W is None else xyz_W
     return Staged(frame or wall(), gaussians=model_of(places), view=view, **more)
@@ -91,7 +107,11 @@ def staged(
 
 def some(count: int, where: str = "left") -> torch.Tensor:
     """A mask of the first ``count`` pixels of the left or right half, column by column."""
-    column, row = torch.meshgrid(torch.arange(W), torch.arange(H), indexing="xy")
+    column, row = torch.meshgrid(
+        torch.arange(W),
+        torch.arange(H),
+        indexing="xy",
+    )
     order = (column if where == "left" else W - 1 - column) * H + row
     return order < count
 
@@ -114,11 +134,14 @@ def pixels_of(ctx: SeedContext, seeds: Seeds) -> torch.Tensor:
 
 
 def half_wrong() -> SeedContext:
-    """A quarter is not covered (768 pixels), 40 pixels are covered by 0.55 only, 20 are 1 m wrong, of these 12 too far
-    away; the rest is wrong by 1 cm, so that is the median."""
+    """A quarter is not covered (768 pixels), 40 pixels are covered by 0.55 only, 20 are 1 m wrong,
+    of these 12 too far away; the rest is wrong by 1 cm, so that is the median."""
     bare, thin, far, near = some(768, "right"), some(40), some(52) & ~some(40), some(60) & ~some(52)
     alpha = with_values(1.0, (bare, 0.0), (thin, 0.55))
-    return staged(alpha=alpha, depth_m=with_values(2.01, (bare, 0.0), (far, 3.0), (near, 1.0)))
+    return staged(
+        alpha=alpha,
+        depth_m=with_values(2.01, (bare, 0.0), (far, 3.0), (near, 1.0)),
+    )
 
 
 @pytest.mark.parametrize(
@@ -152,21 +175,43 @@ def test_hf_slam_looks_at_colours_and_at_depth_relative_to_the_distance():
     rgb = torch.full((H, W, 3), 0.05)
     rgb[red] = 0.66  # 0.61 more; 0.6 is the limit
     far = some(70) & ~red
-    depth = with_values(2.0, (some(110) & ~some(70), 2.19), (far, 2.21))  # 10 % are the limit
-    ctx = staged(wall(rgb=torch.full((H, W, 3), 0.05)), depth_m=depth, rgb=rgb)
-    assert torch.equal(pixels_of(ctx, apply_rule("hf_slam", ctx, {"as_released": False})), red | far)
+    depth = with_values(
+        2.0,
+        (some(110) & ~some(70), 2.19),
+        (far, 2.21),
+    )  # 10 % are the limit
+    ctx = staged(
+        wall(rgb=torch.full((H, W, 3), 0.05)),
+        depth_m=depth,
+        rgb=rgb,
+    )
+    assert torch.equal(
+        pixels_of(ctx, apply_rule("hf_slam", ctx, {"as_released": False})), red | far
+    )
 
 
-@pytest.mark.parametrize(("preset", "one_in", "point_size"), [("replica", 64, 0.05), ("tum", 128, 0.02)])
+@pytest.mark.parametrize(
+    ("preset", "one_in", "point_size"),
+    [("replica", 64, 0.05), ("tum", 128, 0.02)],
+)
 def test_monogs_draws_a_share_whatever_is_mapped(preset, one_in, point_size):
     assert len(apply_rule("monogs", first(), {"preset": preset})) == N // 32
     ctx = staged()
     seeds = apply_rule("monogs", ctx, {"preset": preset})
     assert len(seeds) == N // one_in
-    assert len(apply_rule("monogs", staged(), {"preset": preset, "density": 2.0})) == 2 * N // one_in
-    near = torch.cdist(seeds.xyz_W.double(), seeds.xyz_W.double()).topk(4, largest=False).values[:, 1:]
+    assert (
+        len(apply_rule("monogs", staged(), {"preset": preset, "density": 2.0})) == 2 * N // one_in
+    )
+    near = (
+        torch.cdist(seeds.xyz_W.double(), seeds.xyz_W.double()).topk(4, largest=False).values[:, 1:]
+    )
     wanted = (near.square().mean(dim=1) * point_size).sqrt()
-    torch.testing.assert_close(seeds.scale_m[:, 0].double(), wanted, atol=1e-6, rtol=1e-4)
+    torch.testing.assert_close(
+        seeds.scale_m[:, 0].double(),
+        wanted,
+        atol=1e-6,
+        rtol=1e-4,
+    )
 
 
 def test_gaussian_slam_starts_a_submap_with_random_pixels_gradients_and_edges():
@@ -181,15 +226,20 @@ def test_gaussian_slam_starts_a_submap_with_random_pixels_gradients_and_edges():
     assert not (chosen & ((column < W // 2 - 2) | (column > W // 2 + 1))).any()
 
 
-@pytest.mark.parametrize(("preset", "least_m"), [("replica", 1e-7**0.5), ("tum", 0.01), ("scannetpp", 1e-4)])
+@pytest.mark.parametrize(
+    ("preset", "least_m"),
+    [("replica", 1e-7**0.5), ("tum", 0.01), ("scannetpp", 1e-4)],
+)
 def test_gaussian_slam_rejects_points_close_to_the_map(preset, least_m):
-    """In the middle row the map has Gaussians a little nearer than the least distance to 8 of the points, and a little
-    farther than it to 8 others."""
+    """In the middle row the map has Gaussians a little nearer than the least distance to 8 of the
+    points, and a little farther than it to 8 others."""
     everywhere = apply_rule("gaussian_slam", first(), {"preset": preset})
     middle = W * (H // 2) + W // 2
     near, far = slice(middle - 20, middle - 12), slice(middle + 8, middle + 16)
     aside = torch.tensor([0.0, least_m, 0.0])
-    places = torch.cat([everywhere.xyz_W[near] + 0.99 * aside, everywhere.xyz_W[far] + 1.01 * aside])
+    places = torch.cat(
+        [everywhere.xyz_W[near] + 0.99 * aside, everywhere.xyz_W[far] + 1.01 * aside]
+    )
     ctx = staged(alpha=0.0, depth_m=0.0, xyz_W=places)
     seeds = apply_rule("gaussian_slam", ctx, {"preset": preset, "restart": False})
     rejected = torch.cdist(everywhere.xyz_W.double(), seeds.xyz_W.double()).amin(dim=1) > 1e-6
@@ -198,21 +248,37 @@ def test_gaussian_slam_rejects_points_close_to_the_map(preset, least_m):
 
 
 def test_sizes_by_neighbours_are_capped_at_a_multiple_of_their_mean():
-    """Four points in a row, 1 cm apart, and one 1 m away: with the root mean square distances to the 3 nearest."""
+    """Four points in a row, 1 cm apart, and one 1 m away: with the root mean square distances to
+    the 3 nearest."""
     x = torch.tensor([0.0, 0.01, 0.02, 0.03, 1.03])
     points = torch.stack([x, torch.zeros(5), torch.ones(5)], dim=1)
-    seeds = Seeds.isotropic(points, torch.full((5, 3), 0.5), torch.ones(5))
+    seeds = Seeds.isotropic(
+        points,
+        torch.full((5, 3), 0.5),
+        torch.ones(5),
+    )
     end, inner = (14e-4 / 3) ** 0.5, (6e-4 / 3) ** 0.5  # 1, 2, 3 cm and 1, 1, 2 cm
     alone = ((1.01**2 + 1.02**2 + 1) / 3) ** 0.5
     size = torch.tensor([end, inner, inner, end, alone])
-    torch.testing.assert_close(sized_by_neighbours(first(), seeds).scale_m, size[:, None].expand(-1, 3))
+    torch.testing.assert_close(
+        sized_by_neighbours(first(), seeds).scale_m,
+        size[:, None].expand(-1, 3),
+    )
     capped = sized_by_neighbours(first(), seeds, factor=2.0, max_of_mean=1.5)
-    torch.testing.assert_close(capped.scale_m[:, 1], 2 * size.clamp(max=1.5 * float(size.mean())))
+    torch.testing.assert_close(
+        capped.scale_m[:, 1],
+        2 * size.clamp(max=1.5 * float(size.mean())),
+    )
     assert float(capped.scale_m[4, 0]) < 0.4 * 2 * alone
 
 
 def test_photo_slam_takes_every_corner_with_depth():
-    rgb = torch.rand(H // 4, W // 4, 3, generator=torch.Generator().manual_seed(0))
+    rgb = torch.rand(
+        H // 4,
+        W // 4,
+        3,
+        generator=torch.Generator().manual_seed(0),
+    )
     frame = wall(rgb=rgb.repeat_interleave(4, 0).repeat_interleave(4, 1))
     corners = first(frame).corners(1000)
     assert len(corners) > 20
@@ -234,14 +300,54 @@ def test_gs_icp_adds_the_whole_grid_or_nothing():
         0.98 * math.ceil(W / 7) * math.ceil(H / 7)
     )
     enough = grid[: math.ceil(0.81 * count)]
-    assert len(apply_rule("gs_icp", staged(xyz_W=enough, past_T_WC=poses(29)), tum)) == 0
-    assert len(apply_rule("gs_icp", staged(xyz_W=enough, past_T_WC=poses(30)), tum)) == count
+    assert (
+        len(
+            apply_rule(
+                "gs_icp",
+                staged(xyz_W=enough, past_T_WC=poses(29)),
+                tum,
+            )
+        )
+        == 0
+    )
+    assert (
+        len(
+            apply_rule(
+                "gs_icp",
+                staged(xyz_W=enough, past_T_WC=poses(30)),
+                tum,
+            )
+        )
+        == count
+    )
     memory: dict[str, Any] = {}
-    too_few = staged(xyz_W=grid[: count // 2], past_T_WC=poses(7), memory=memory)
+    too_few = staged(
+        xyz_W=grid[: count // 2],
+        past_T_WC=poses(7),
+        memory=memory,
+    )
     assert len(apply_rule("gs_icp", too_few, tum)) == count
     assert list(memory.values()) == [7]
-    assert len(apply_rule("gs_icp", staged(xyz_W=enough, past_T_WC=poses(30), memory=memory), tum)) == 0
-    assert len(apply_rule("gs_icp", staged(xyz_W=enough, past_T_WC=poses(37), memory=memory), tum)) == count
+    assert (
+        len(
+            apply_rule(
+                "gs_icp",
+                staged(xyz_W=enough, past_T_WC=poses(30), memory=memory),
+                tum,
+            )
+        )
+        == 0
+    )
+    assert (
+        len(
+            apply_rule(
+                "gs_icp",
+                staged(xyz_W=enough, past_T_WC=poses(37), memory=memory),
+                tum,
+            )
+        )
+        == count
+    )
 
 
 def poses(n: int) -> tuple[torch.Tensor, ...]:
@@ -258,18 +364,24 @@ def test_two_dgs_slam_seeds_empty_voxels_only():
     assert len(seeds) == int((ctx.seeds_at(ctx.pixels(), 1.0).xyz_W[:, 0] >= -0.05).sum())
     assert seeds.opacity[0].item() == pytest.approx(1 / (1 + math.exp(-0.999)))
     torch.testing.assert_close(seeds.scale_m[:, 2], 0.1 * seeds.scale_m[:, 0])
-    assert apply_rule("two_dgs_slam", ctx, {"as_released": False}).opacity[0].item() == pytest.approx(0.999)
+    assert apply_rule("two_dgs_slam", ctx, {"as_released": False}).opacity[
+        0
+    ].item() == pytest.approx(0.999)
     one = apply_rule("two_dgs_slam", ctx, {"one_per_voxel": True, "share": 1.0})
     assert len(one) == len((one.xyz_W / 0.05).floor().unique(dim=0)) < N
 
 
 class SeenVolume:
-    """A TSDF whose surface is 3 m away on the left half of the view, with the wall's colour but on some pixels."""
+    """A TSDF whose surface is 3 m away on the left half of the view, with the wall's colour but on
+    some pixels."""
 
     config = TsdfConfig()
 
     def sample_nearest(self, xyz_W: torch.Tensor) -> Any:
-        return SimpleNamespace(D=xyz_W[:, 0] * 0, W=xyz_W[:, 0] * 0 + 1)
+        return SimpleNamespace(
+            D=xyz_W[:, 0] * 0,
+            W=xyz_W[:, 0] * 0 + 1,
+        )
 
     def raycast(self, camera: Camera, T_WC: torch.Tensor) -> RaycastOutput:
         rgb = torch.full((H, W, 3), 0.5)
@@ -284,10 +396,15 @@ def test_gps_slam_seeds_the_surface_of_the_tsdf_where_the_colour_is_wrong():
     ctx = first(volume=SeenVolume())
     seeds = apply_rule("gps_slam", ctx)
     assert len(seeds) == N // 2 // 4
-    torch.testing.assert_close(seeds.xyz_W[:, 2], torch.full((len(seeds),), 3.0))
+    torch.testing.assert_close(
+        seeds.xyz_W[:, 2],
+        torch.full((len(seeds),), 3.0),
+    )
     assert seeds.scale_m[:, 0].max().item() == pytest.approx(0.01)
     torch.testing.assert_close(seeds.scale_m[:, 2], 0.1 * seeds.scale_m[:, 0])
-    assert quaternion.to_matrix(seeds.quat)[0, :, 2].tolist() == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
+    assert quaternion.to_matrix(seeds.quat)[0, :, 2].tolist() == pytest.approx(
+        [1.0, 0.0, 0.0], abs=1e-6
+    )
     assert len(apply_rule("gps_slam", ctx, {"base": "tsdf"})) == 25
     assert len(apply_rule("gps_slam", first(), {"surface": "depth"})) == N // 4
     shown = staged(rgb=0.56, volume=SeenVolume())
@@ -317,8 +434,14 @@ def test_gaus_slam_divides_the_depth_by_the_opacity():
     alpha = with_values(1.0, (some(N // 2, "right"), 0.7))
     ctx = staged(alpha=alpha, depth_m=alpha * with_values(2.0, (far, 3.0)))
     assert torch.equal(pixels_of(ctx, apply_rule("gaus_slam", ctx)), far)
-    near = staged(wall(depth_m=torch.full((H, W), 1.5)), alpha=0.7, depth_m=0.7 * 2.0)
-    assert len(apply_rule("gaus_slam", near, {"median_factor": 0.5})) == N  # 1.4 m, undivided, is in front of 1.5 m
+    near = staged(
+        wall(depth_m=torch.full((H, W), 1.5)),
+        alpha=0.7,
+        depth_m=0.7 * 2.0,
+    )
+    assert (
+        len(apply_rule("gaus_slam", near, {"median_factor": 0.5})) == N
+    )  # 1.4 m, undivided, is in front of 1.5 m
     assert len(apply_rule("splatam", near, {"median_factor": 0.5})) == 0
 
 
@@ -335,7 +458,16 @@ def test_on_the_fly_nvs_seeds_detail_that_the_picture_lacks():
     column = pixels_of(first(fine), seeds).all(dim=0)
     assert column[3:61].all()  # the outer stripes have one edge
     assert len(apply_rule("on_the_fly_nvs", first())) == 0  # a plain wall
-    assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=halved(fine.rgb)), everything)) == 0  # nothing is lacking
+    assert (
+        len(
+            apply_rule(
+                "on_the_fly_nvs",
+                staged(fine, rgb=halved(fine.rgb)),
+                everything,
+            )
+        )
+        == 0
+    )  # nothing is lacking
     assert len(apply_rule("on_the_fly_nvs", staged(fine, rgb=0.5), everything)) == len(seeds)
 
 
@@ -347,22 +479,46 @@ def test_cone_gs_draws_pixels_by_their_colour_error():
     seeds = apply_rule("cone_gs", ctx, {"share": 2.0})
     assert len(seeds) == 80  # 2 x 100 x 0.4
     assert not (pixels_of(ctx, seeds) & ~red).any()
-    assert len(apply_rule("cone_gs", ctx, {"share": 2.0, "max_points": 11})) == 10  # there is one Gaussian
+    assert (
+        len(apply_rule("cone_gs", ctx, {"share": 2.0, "max_points": 11})) == 10
+    )  # there is one Gaussian
 
 
 def test_vg_mapping_seeds_what_is_new_or_looks_different():
     fine = stripes()
-    seen = SimpleNamespace(config=TsdfConfig(), sample_nearest=lambda xyz: SimpleNamespace(W=xyz[:, 0] * 0 + 5))
+    seen = SimpleNamespace(
+        config=TsdfConfig(),
+        sample_nearest=lambda xyz: SimpleNamespace(W=xyz[:, 0] * 0 + 5),
+    )
     new = SimpleNamespace(
-        config=TsdfConfig(), sample_nearest=lambda xyz: SimpleNamespace(W=(xyz[:, 0] < 0).float() * 4)
+        config=TsdfConfig(),
+        sample_nearest=lambda xyz: SimpleNamespace(W=(xyz[:, 0] < 0).float() * 4),
     )
     settings = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
     count = len(first(fine, config=settings).cells())
-    assert len(apply_rule("vg_mapping", staged(fine, rgb=fine.rgb, volume=seen, config=settings))) == 0
-    half = apply_rule("vg_mapping", staged(fine, rgb=fine.rgb, volume=new, config=settings))
+    assert (
+        len(apply_rule("vg_mapping", staged(fine, rgb=fine.rgb, volume=seen, config=settings))) == 0
+    )
+    half = apply_rule(
+        "vg_mapping",
+        staged(
+            fine,
+            rgb=fine.rgb,
+            volume=new,
+            config=settings,
+        ),
+    )
     assert 0 < len(half) < count
     assert bool((half.xyz_W[:, 0] >= 0).all())
-    assert len(apply_rule("vg_mapping", staged(fine, rgb=1 - fine.rgb, volume=seen, config=settings))) > count // 2
+    assert (
+        len(
+            apply_rule(
+                "vg_mapping",
+                staged(fine, rgb=1 - fine.rgb, volume=seen, config=settings),
+            )
+        )
+        > count // 2
+    )
 
 
 def test_which_errors_are_large_depends_on_sides_and_median():
@@ -370,12 +526,20 @@ def test_which_errors_are_large_depends_on_sides_and_median():
     assert int(unmapped_pixels(ctx, 0.5, 50.0).sum()) == 768 + 12
     assert int(unmapped_pixels(ctx, 0.5, 50.0, sides="both").sum()) == 768 + 20
     assert int(unmapped_pixels(ctx, 0.6, 50.0).sum()) == 768 + 40 + 12
-    holes = with_values(2.0, (some(2000, "right"), 0.0))  # most pixels have no depth: the median of all is 0
-    beside = staged(wall(depth_m=holes), depth_m=with_values(2.01, (some(30), 2.2)))
+    holes = with_values(
+        2.0, (some(2000, "right"), 0.0)
+    )  # most pixels have no depth: the median of all is 0
+    beside = staged(
+        wall(depth_m=holes),
+        depth_m=with_values(2.01, (some(30), 2.2)),
+    )
     assert int(unmapped_pixels(beside, 0.5, 10.0).sum()) == N - 2000
     assert torch.equal(unmapped_pixels(beside, 0.5, 10.0, median_of="measured"), some(30))
     assert torch.equal(unmapped_pixels(first(wall(depth_m=holes)), 0.5, 10.0), holes > 0)
-    torch.testing.assert_close(depth_error_m(beside), with_values(0.01, (some(30), 0.2), (some(2000, "right"), 0.0)))
+    torch.testing.assert_close(
+        depth_error_m(beside),
+        with_values(0.01, (some(30), 0.2), (some(2000, "right"), 0.0)),
+    )
 
 
 def test_one_pixel_seeds_of_a_grid_and_of_a_share():
@@ -403,7 +567,8 @@ def test_one_pixel_seeds_of_a_grid_and_of_a_share():
 
 
 def test_what_lies_in_front_of_the_measured_depth():
-    """The wall is 2 m away and 64 x 48 pixels with f = 60 wide: from -1.067 to 1.067 and from -0.8 to 0.8 metres."""
+    """The wall is 2 m away and 64 x 48 pixels with f = 60 wide: from -1.067 to 1.067 and from -0.8
+    to 0.8 metres."""
     places = {
         (0.0, 0.0, 1.89): True,
         (0.0, 0.0, 1.91): False,  # within the margin
@@ -421,7 +586,9 @@ def test_what_lies_in_front_of_the_measured_depth():
     ctx = staged(wall(depth_m=depth_m), xyz_W=torch.tensor(list(places)))
     assert in_front(ctx, 0.1).tolist() == list(places.values())
     left = torch.arange(W).expand(H, W) < W // 2
-    assert in_front(ctx, 0.1, left).tolist() == [seen and x < 0 for (x, _, _), seen in places.items()]
+    assert in_front(ctx, 0.1, left).tolist() == [
+        seen and x < 0 for (x, _, _), seen in places.items()
+    ]
 
 
 def test_pushed_back_discs_face_the_camera_where_there_is_no_normal():
@@ -429,26 +596,57 @@ def test_pushed_back_discs_face_the_camera_where_there_is_no_normal():
     T_WC[:3, 3] = torch.tensor([1.0, 0.0, 0.0])
     ctx = first(dataclasses.replace(wall(), T_WC=T_WC))
     xyz = torch.tensor([[1.0, 0.0, 2.0], [3.0, 0.0, 2.0]])
-    seeds = Seeds.isotropic(xyz, torch.full((2, 3), 0.5), torch.tensor([0.1, 0.2]))
+    seeds = Seeds.isotropic(
+        xyz,
+        torch.full((2, 3), 0.5),
+        torch.tensor([0.1, 0.2]),
+    )
     far = pushed_back(ctx, seeds, 1.5)
-    torch.testing.assert_close(far.xyz_W, torch.tensor([[1.0, 0.0, 3.0], [4.0, 0.0, 3.0]]))
-    torch.testing.assert_close(far.scale_m, torch.tensor([[0.15] * 3, [0.3] * 3]))
-    discs = as_discs(ctx, seeds, torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), 0.2)
+    torch.testing.assert_close(
+        far.xyz_W,
+        torch.tensor([[1.0, 0.0, 3.0], [4.0, 0.0, 3.0]]),
+    )
+    torch.testing.assert_close(
+        far.scale_m,
+        torch.tensor([[0.15] * 3, [0.3] * 3]),
+    )
+    discs = as_discs(
+        ctx,
+        seeds,
+        torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),
+        0.2,
+    )
     axes = quaternion.to_matrix(discs.quat)[:, :, 2]
-    torch.testing.assert_close(axes, torch.tensor([[1.0, 0.0, 0.0], [-(0.5**0.5), 0.0, -(0.5**0.5)]]))
-    torch.testing.assert_close(discs.scale_m, torch.tensor([[0.1, 0.1, 0.02], [0.2, 0.2, 0.04]]))
+    torch.testing.assert_close(
+        axes,
+        torch.tensor([[1.0, 0.0, 0.0], [-(0.5**0.5), 0.0, -(0.5**0.5)]]),
+    )
+    torch.testing.assert_close(
+        discs.scale_m,
+        torch.tensor([[0.1, 0.1, 0.02], [0.2, 0.2, 0.04]]),
+    )
 
 
 def test_monogs_leaves_out_black_and_sees_points_by_their_depth():
-    """The size of a point is c times the median depth, at most 0.05: 0.05 m at 1 m and beyond for Replica."""
+    """The size of a point is c times the median depth, at most 0.05: 0.05 m at 1 m and beyond for
+    Replica."""
     assert monogs_presets == {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}
     rgb = torch.full((H, W, 3), 0.5)
     rgb[:, : W // 2] = 0.003  # R + G + B is 0.009
     seeds = apply_rule("monogs", first(wall(rgb=rgb)), {"density": 32.0})
-    assert torch.equal(pixels_of(first(), seeds), torch.arange(W).expand(H, W) >= W // 2)
-    near = apply_rule("monogs", first(wall(depth_m=torch.full((H, W), 0.5))), {"density": 32.0})
+    assert torch.equal(
+        pixels_of(first(), seeds),
+        torch.arange(W).expand(H, W) >= W // 2,
+    )
+    near = apply_rule(
+        "monogs",
+        first(wall(depth_m=torch.full((H, W), 0.5))),
+        {"density": 32.0},
+    )
     far = apply_rule("monogs", first(), {"density": 32.0})
-    ratio = float((near.scale_m[0, 0] / far.scale_m[0, 0]) ** 2)  # points four times as close, point size half as large
+    ratio = float(
+        (near.scale_m[0, 0] / far.scale_m[0, 0]) ** 2
+    )  # points four times as close, point size half as large
     assert ratio == pytest.approx((0.5 / 2.0) ** 2 * 0.025 / 0.05, rel=1e-4)
 
 
@@ -458,15 +656,21 @@ def test_every_pixel_of_the_first_frame_as_large_as_a_pixel(rule):
     seeds = apply_rule(rule, ctx)
     assert pixels_of(ctx, seeds).all()
     assert len(seeds) == N
-    torch.testing.assert_close(seeds.scale_m[:, 0], torch.full((N,), 2.0 / 45.0))  # z over the mean of 60 and 30
+    torch.testing.assert_close(
+        seeds.scale_m[:, 0], torch.full((N,), 2.0 / 45.0)
+    )  # z over the mean of 60 and 30
     assert (seeds.opacity == 0.5).all()
 
 
 @pytest.mark.parametrize("rule", ["splatam", "mm3dgs", "gaus_slam", "vtgaussian"])
 def test_with_holes_the_median_over_all_pixels_is_zero(rule):
-    """Of 1,200 pixels with depth, 1,100 are 1 cm too far away and 100 1 cm too near; 1,872 have no depth."""
+    """Of 1,200 pixels with depth, 1,100 are 1 cm too far away and 100 1 cm too near; 1,872 have no
+    depth."""
     hole, near = some(N - 1200, "right"), some(100)
-    ctx = staged(wall(depth_m=with_values(2.0, (hole, 0.0))), depth_m=with_values(2.01, (near, 1.99)))
+    ctx = staged(
+        wall(depth_m=with_values(2.0, (hole, 0.0))),
+        depth_m=with_values(2.01, (near, 1.99)),
+    )
     assert len(apply_rule(rule, ctx)) == (1200 if rule == "mm3dgs" else 1100)
     assert len(apply_rule(rule, ctx, {"median_of": "measured"})) == 0
 
@@ -478,14 +682,27 @@ def test_gaussian_slam_reseeds_where_a_submap_starts():
     assert len(apply_rule("gaussian_slam", again, {"restart": False})) == 0
 
 
-@pytest.mark.parametrize(("preset", "left"), [("replica", N), ("tum", N - 100), ("scannetpp", N)])
+@pytest.mark.parametrize(
+    ("preset", "left"),
+    [("replica", N), ("tum", N - 100), ("scannetpp", N)],
+)
 def test_gaussian_slam_pushes_back_and_rejects_what_is_near(preset, left):
     everything = apply_rule("gaussian_slam", first())
-    torch.testing.assert_close(everything.xyz_W[:, 2], torch.full((N,), 2.0 * 1.005))
+    torch.testing.assert_close(
+        everything.xyz_W[:, 2],
+        torch.full((N,), 2.0 * 1.005),
+    )
     spacing = 2.0 * 1.005 / F
     inside = everything.scale_m[:, 0].view(H, W)[2:-2, 2:-2]
-    torch.testing.assert_close(inside, torch.full_like(inside, spacing), atol=1e-5, rtol=0)
-    beside = everything.xyz_W[:100] + torch.tensor([0.0, 0.0, 0.005])  # 5 mm: between the limits 0.3 mm and 1 cm
+    torch.testing.assert_close(
+        inside,
+        torch.full_like(inside, spacing),
+        atol=1e-5,
+        rtol=0,
+    )
+    beside = everything.xyz_W[:100] + torch.tensor(
+        [0.0, 0.0, 0.005]
+    )  # 5 mm: between the limits 0.3 mm and 1 cm
     ctx = staged(alpha=0.0, xyz_W=beside)
     module = importlib.import_module("gsfusion_nb.seeding.rules.gaussian_slam")
     kept = dataclasses.replace(module.PRESETS[preset], removes_outliers=False, frame_points=0)
@@ -500,11 +717,17 @@ def pair() -> torch.Tensor:
 
 
 def test_cg_slam_measures_distances_to_the_map_as_well():
-    bare = staged(alpha=with_values(1.0, (some(1, "right"), 0.0)), xyz_W=first().seeds_at(pair(), 1.0).xyz_W)
+    bare = staged(
+        alpha=with_values(1.0, (some(1, "right"), 0.0)),
+        xyz_W=first().seeds_at(pair(), 1.0).xyz_W,
+    )
     seeds = apply_rule("cg_slam", bare)
     assert len(seeds) == 1
     distances = (bare.map.xyz_W - seeds.xyz_W).norm(dim=1)
-    torch.testing.assert_close(seeds.scale_m[0, 0], distances.square().mean().sqrt())
+    torch.testing.assert_close(
+        seeds.scale_m[0, 0],
+        distances.square().mean().sqrt(),
+    )
 
 
 def test_gs_icp_takes_the_shape_of_the_neighbourhood():
@@ -519,29 +742,58 @@ def test_gs_icp_takes_the_shape_of_the_neighbourhood():
 
 
 def test_hf_slam_sums_opacities_behind_each_gaussian():
-    """Two Gaussians over the whole view, of opacity a: a (1 - a) + a (1 - a)^2 in place of a + (1 - a) a."""
+    """Two Gaussians over the whole view, of opacity a: a (1 - a) + a (1 - a)^2 in place of a + (1 -
+    a) a."""
     model = GaussianModel(sh_degree=0)
     centres = torch.tensor([[0.0, 0.0, 2.0], [0.0, 0.0, 3.0]])
-    model.append(Seeds.isotropic(centres, torch.full_like(centres, 0.5), torch.full((2,), 1e3), opacity=0.6))
+    model.append(
+        Seeds.isotropic(
+            centres,
+            torch.full_like(centres, 0.5),
+            torch.full((2,), 1e3),
+            opacity=0.6,
+        )
+    )
     ctx = SeedContext(wall(), gaussians=model)
-    torch.testing.assert_close(ctx.render().alpha, torch.full((H, W), 0.84), atol=1e-4, rtol=0)
-    torch.testing.assert_close(alpha_behind(ctx), torch.full((H, W), 0.24 + 0.096), atol=1e-4, rtol=0)
+    torch.testing.assert_close(
+        ctx.render().alpha,
+        torch.full((H, W), 0.84),
+        atol=1e-4,
+        rtol=0,
+    )
+    torch.testing.assert_close(
+        alpha_behind(ctx),
+        torch.full((H, W), 0.24 + 0.096),
+        atol=1e-4,
+        rtol=0,
+    )
     assert len(apply_rule("hf_slam", ctx)) == N  # 0.336 is below 0.5
 
 
-@pytest.mark.parametrize(("z", "opacity", "hidden"), [(1.9, 0.98, True), (2.1, 0.98, False), (1.5, 0.5, False)])
+@pytest.mark.parametrize(
+    ("z", "opacity", "hidden"),
+    [(1.9, 0.98, True), (2.1, 0.98, False), (1.5, 0.5, False)],
+)
 def test_on_the_fly_nvs_drops_what_the_map_hides(z, opacity, hidden):
     """A Gaussian over the whole view at z: hidden is 2 m >= z / opacity."""
     model = GaussianModel(sh_degree=0)
     centre = torch.tensor([[0.0, 0.0, z]])
-    model.append(Seeds.isotropic(centre, torch.full_like(centre, 0.5), torch.full((1,), 1e3), opacity=opacity))
+    model.append(
+        Seeds.isotropic(
+            centre,
+            torch.full_like(centre, 0.5),
+            torch.full((1,), 1e3),
+            opacity=opacity,
+        )
+    )
     ctx = SeedContext(stripes(), gaussians=model)
     assert (len(apply_rule("on_the_fly_nvs", ctx)) == 0) == hidden
     assert len(apply_rule("on_the_fly_nvs", ctx, {"drop_hidden": False})) > 0
 
 
 def test_the_numbers_of_gaussian_slams_release():
-    """Points of a submap's first frame and of others, least distance (squared), outlier filter, by data set."""
+    """Points of a submap's first frame and of others, least distance (squared), outlier filter, by
+    data set."""
     presets = {name: tuple(vars(preset).values()) for name, preset in gaussian_slam_presets.items()}
     assert presets == {
         "replica": (600_000, 0, 1e-7, False),
@@ -550,6 +802,9 @@ def test_the_numbers_of_gaussian_slams_release():
     }
 
 
-@pytest.mark.parametrize(("max_points", "count"), [(0, 614), (700, 614), (614, 614), (100, 100)])
+@pytest.mark.parametrize(
+    ("max_points", "count"),
+    [(0, 614), (700, 614), (614, 614), (100, 100)],
+)
 def test_cone_gs_keeps_to_its_budget_in_the_first_frame(max_points, count):
     assert len(apply_rule("cone_gs", first(), {"share": 0.2, "max_points": max_points})) == count

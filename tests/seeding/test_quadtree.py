@@ -23,7 +23,13 @@ FULLY_CUT = [
 
 
 def noise(width: int, height: int, generator: torch.Generator) -> torch.Tensor:
-    return torch.randint(0, 256, (height, width, 3), generator=generator, dtype=torch.uint8)
+    return torch.randint(
+        0,
+        256,
+        (height, width, 3),
+        generator=generator,
+        dtype=torch.uint8,
+    )
 
 
 def landscape(width: int, height: int) -> torch.Tensor:
@@ -31,7 +37,10 @@ def landscape(width: int, height: int) -> torch.Tensor:
     y, x = np.mgrid[0:height, 0:width] / max(width, height)
     grey = 120 + 90 * np.tanh(20 * (y - 0.3 - 0.1 * np.sin(9 * x)))
     texture = 30 * np.sin(300 * x) * np.sin(200 * y) * ((x - 0.6) ** 2 + (y - 0.5) ** 2 < 0.02)
-    rgb = np.stack([grey + texture, 0.8 * grey, 200 - 0.5 * grey + texture], axis=-1)
+    rgb = np.stack(
+        [grey + texture, 0.8 * grey, 200 - 0.5 * grey + texture],
+        axis=-1,
+    )
     return torch.from_numpy(rgb.clip(0, 255).astype(np.uint8))
 
 
@@ -70,9 +79,20 @@ def test_odd_sizes_give_the_floor_to_the_left_and_the_top(generator):
 
 
 @pytest.mark.parametrize(("width", "height", "sizes", "shallowest", "deepest"), FULLY_CUT)
-def test_fully_cut_image_has_the_leaves_of_the_released_code(width, height, sizes, shallowest, deepest, generator):
+def test_fully_cut_image_has_the_leaves_of_the_released_code(
+    width, height, sizes, shallowest, deepest, generator
+):
     cells = quadtree(noise(width, height, generator), threshold=1e-6)
-    assert Counter(zip(cells.width.tolist(), cells.height.tolist(), strict=True)) == sizes
+    assert (
+        Counter(
+            zip(
+                cells.width.tolist(),
+                cells.height.tolist(),
+                strict=True,
+            )
+        )
+        == sizes
+    )
     assert (int(cells.level.min()), int(cells.level.max())) == (shallowest, deepest)
 
 
@@ -98,7 +118,10 @@ def test_flat_sides_are_never_cut(generator):
 
 @pytest.mark.parametrize(
     ("sequence", "image", "released", "strict"),
-    [("redkitchen_mini48", "000000.jpg", 4825, 9487), ("redkitchen250", "000100.jpg", 14818, 37033)],
+    [
+        ("redkitchen_mini48", "000000.jpg", 4825, 9487),
+        ("redkitchen250", "000100.jpg", 14818, 37033),
+    ],
 )
 def test_real_photograph(sequence, image, released, strict, shared_sequence):
     import cv2
@@ -106,7 +129,8 @@ def test_real_photograph(sequence, image, released, strict, shared_sequence):
     bgr = cv2.imread(str(shared_sequence(sequence) / "rgb" / image))
     assert bgr is not None
     rgb = torch.from_numpy(np.ascontiguousarray(bgr[..., ::-1]))
-    # counts of this function, exact for one JPEG decoder; another may move a few cells across the threshold
+    # counts of this function, exact for one JPEG decoder; another may move a few cells across the
+    # threshold
     assert len(quadtree(rgb)) == pytest.approx(released, rel=0.01)
     assert len(quadtree(rgb, threshold=0.01)) == pytest.approx(strict, rel=0.01)
     assert rows(quadtree(rgb)) == rows(quadtree.reference(rgb))
@@ -121,4 +145,6 @@ def test_the_reference_cuts_by_variance_or_by_its_root():
         for contrast, limit in (("released", V * 16 / 9e7), ("std", V**0.5 / 255)):
             assert len(quadtree(image, threshold=0.99 * limit, contrast=contrast)) == 4
             assert len(quadtree(image, threshold=1.01 * limit, contrast=contrast)) == 1
-            assert len(quadtree(image, threshold=0.99 * limit, contrast=contrast, min_cell_px=2)) == 1
+            assert (
+                len(quadtree(image, threshold=0.99 * limit, contrast=contrast, min_cell_px=2)) == 1
+            )

@@ -1,4 +1,5 @@
-"""What a rule may only read cannot be changed by it, with torch, with NumPy, or by giving it another value."""
+"""What a rule may only read cannot be changed by it, with torch, with NumPy, or by giving it
+another value."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -24,7 +25,9 @@ def ctx(real):
     """A frame with a map, a volume and a keyframe."""
     frame = real.frame
     images = {name: getattr(frame, name).clone() for name in ("rgb_u8", "depth_m", "T_WC")}
-    return dataclasses.replace(real, keyframes=(SimpleNamespace(index=0, camera=frame.camera, **images),))
+    return dataclasses.replace(
+        real, keyframes=(SimpleNamespace(index=0, camera=frame.camera, **images),)
+    )
 
 
 def fill(tensor):
@@ -43,11 +46,17 @@ WRITES = {
     "TSDF by torch": ("volume.D", lambda ctx: ctx.volume.D.mul_(1)),
     "keyframe by NumPy": ("keyframes[0].rgb_u8", lambda ctx: fill(ctx.keyframes[0].rgb_u8)),
     "keyframe by OpenCV": ("keyframes[0].depth_m", lambda ctx: blurred(ctx.keyframes[0].depth_m)),
-    "another image of a keyframe": ("keyframes[0].depth_m", lambda ctx: vars(ctx.keyframes[0]).update(depth_m=None)),
+    "another image of a keyframe": (
+        "keyframes[0].depth_m",
+        lambda ctx: vars(ctx.keyframes[0]).update(depth_m=None),
+    ),
     "map by NumPy": ("map.xyz_W", lambda ctx: fill(ctx.gaussians.params.xyz_W)),
     "a Gaussian more": ("map.xyz_W", lambda ctx: ctx.gaussians.append(ctx.cells(), 5)),
     "frame by NumPy": ("frame.depth_m", lambda ctx: fill(ctx.frame.depth_m)),
-    "another image of the frame": ("frame.extra['x']", lambda ctx: ctx.frame.extra.update(x=torch.ones(1))),
+    "another image of the frame": (
+        "frame.extra['x']",
+        lambda ctx: ctx.frame.extra.update(x=torch.ones(1)),
+    ),
 }
 
 

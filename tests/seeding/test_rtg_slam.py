@@ -23,7 +23,14 @@ from gsfusion_nb.seeding.rules.rtg_slam import (
 from gsfusion_nb.types import Camera, Frame, Seeds
 
 W, H = 64, 24
-CAMERA = Camera(width=W, height=H, fx=60.0, fy=60.0, cx=W / 2, cy=H / 2)
+CAMERA = Camera(
+    width=W,
+    height=H,
+    fx=60.0,
+    fy=60.0,
+    cx=W / 2,
+    cy=H / 2,
+)
 LEFT, MIDDLE, RIGHT = slice(3, 13), slice(27, 37), slice(51, 61)
 """Columns well inside the three patches of the wall below."""
 
@@ -40,7 +47,8 @@ def wall(z: float = 2.0, grey: float = 0.5) -> Frame:
 
 
 def patches(*, stable: bool = True) -> SurfelModel:
-    """Three wide discs side by side: as the wall is; 0.3 m before it; of another colour. Gaps of new area between."""
+    """Three wide discs side by side: as the wall is; 0.3 m before it; of another colour. Gaps of
+    new area between."""
     x = torch.tensor([-0.8, 0.0, 0.8])
     z = torch.tensor([2.0, 1.7, 2.0])
     model = SurfelModel(sh_degree=0)
@@ -60,7 +68,9 @@ def patches(*, stable: bool = True) -> SurfelModel:
 
 
 def context(model, frame: Frame | None = None, seed: int = 0) -> SeedContext:
-    return SeedContext(frame or wall(), gaussians=model, generator=torch.Generator().manual_seed(seed))
+    return SeedContext(
+        frame or wall(), gaussians=model, generator=torch.Generator().manual_seed(seed)
+    )
 
 
 def columns(ctx: SeedContext, seeds: Seeds) -> torch.Tensor:
@@ -90,7 +100,10 @@ def test_a_pixel_has_the_first_kind_that_applies():
     T, depth, grey, _ = zip(*by_hand, strict=True)
     camera = dataclasses.replace(CAMERA, width=len(by_hand), height=1)
     frame = dataclasses.replace(
-        wall(), camera=camera, rgb=torch.full((1, len(T), 3), 0.5), depth_m=torch.full((1, len(T)), 2.0)
+        wall(),
+        camera=camera,
+        rgb=torch.full((1, len(T), 3), 0.5),
+        depth_m=torch.full((1, len(T)), 2.0),
     )
     none = torch.full((1, len(T)), -1)
     view = SurfaceView(
@@ -105,7 +118,9 @@ def test_a_pixel_has_the_first_kind_that_applies():
     usable = torch.ones(1, len(T), dtype=torch.bool)
     kinds = wrong_pixels(ctx, view, usable, 0.5, 0.1, 0.1, "measured")
     for i, (*_, kind) in enumerate(by_hand):
-        assert [k for k, mask in kinds.items() if mask[0, i]] == ([] if kind is None else [kind]), by_hand[i]
+        assert [k for k, mask in kinds.items() if mask[0, i]] == ([] if kind is None else [kind]), (
+            by_hand[i]
+        )
     pooled = wrong_pixels(ctx, view, usable, 0.5, 0.1, 0.1, "code")
     assert torch.equal(pooled[NEW_AREA], kinds[NEW_AREA])
     assert torch.equal(pooled[DEPTH_ERROR], kinds[DEPTH_ERROR] | kinds[COLOUR_ERROR])
@@ -124,11 +139,19 @@ def test_without_a_map_every_pixel_is_new_and_disc_lies_in_the_surface():
         assert len(seeds) == round(0.2 * known)
         assert seeds.tag.eq(NEW_AREA).all()
         assert seeds.opacity.unique().tolist() == [pytest.approx(0.99)]
-        uv = project(ctx.camera, se3.apply(se3.inverse(ctx.frame.T_WC), seeds.xyz_W))
+        uv = project(
+            ctx.camera,
+            se3.apply(se3.inverse(ctx.frame.T_WC), seeds.xyz_W),
+        )
         i, j = uv.floor().long().unbind(-1)
         torch.testing.assert_close(uv, uv.floor() + 0.5, atol=1e-3, rtol=0)
         normal = quaternion.to_matrix(seeds.quat)[:, :, 2]
-        torch.testing.assert_close(normal, ctx.normals_W()[j, i], atol=1e-5, rtol=0)
+        torch.testing.assert_close(
+            normal,
+            ctx.normals_W()[j, i],
+            atol=1e-5,
+            rtol=0,
+        )
         assert torch.equal(seeds.rgb, ctx.frame.rgb[j, i])
         torch.testing.assert_close(seeds.scale_m[:, 1], seeds.scale_m[:, 0])
         torch.testing.assert_close(seeds.scale_m[:, 2], 0.1 * seeds.scale_m[:, 0])
@@ -144,7 +167,9 @@ def test_stable_discs_get_a_transparent_one_over_their_wrong_colour():
     assert (seeds.tag[clear] == COLOUR_ERROR).all()
     assert (seeds.tag[~clear] != COLOUR_ERROR).all()
     i, j = project(ctx.camera, seeds.xyz_W).floor().long().unbind(-1)
-    asked = masks(ctx)[COLOUR_ERROR] & (ctx.surface().hit_index >= 0)  # also the rims, dim before the black behind them
+    asked = masks(ctx)[COLOUR_ERROR] & (
+        ctx.surface().hit_index >= 0
+    )  # also the rims, dim before the black behind them
     assert asked[j[clear], i[clear]].all()
     assert (u[clear] > RIGHT.start).sum() > 20
     assert seeds.scale_m[clear].max() <= 0.01 + 1e-7
@@ -157,9 +182,15 @@ def test_stable_discs_get_a_transparent_one_over_their_wrong_colour():
 
 
 def test_transparent_discs_are_not_piled_up():
-    """One of radius 0.1 m in the middle of the wrong colour covers 0.3 m; in the paper it covers nothing."""
+    """One of radius 0.1 m in the middle of the wrong colour covers 0.3 m; in the paper it covers
+    nothing."""
     ctx = context(patches())
-    one = Seeds.isotropic(torch.tensor([[0.8, 0.0, 2.0]]), torch.full((1, 3), 0.5), torch.tensor([0.1]), opacity=0.1)
+    one = Seeds.isotropic(
+        torch.tensor([[0.8, 0.0, 2.0]]),
+        torch.full((1, 3), 0.5),
+        torch.tensor([0.1]),
+        opacity=0.1,
+    )
     assert ctx.gaussians is not None
     ctx.gaussians.append(one)
     before, after = patches(), ctx.gaussians
@@ -175,7 +206,13 @@ def test_transparent_discs_are_not_piled_up():
     assert 0.3 <= distances(after, "measured").min() < 0.4
 
 
-def small_discs(n_side: int, z: float, radius_m: float, rgb: tuple[float, float, float], stable: bool) -> SurfelModel:
+def small_discs(
+    n_side: int,
+    z: float,
+    radius_m: float,
+    rgb: tuple[float, float, float],
+    stable: bool,
+) -> SurfelModel:
     """A sheet of discs three and a half radii apart, all over the view."""
     step = 3.5 * radius_m
     a = (torch.arange(n_side) - (n_side - 1) / 2) * step
@@ -217,10 +254,16 @@ def test_code_near_the_plane_of_a_stable_disc_is_transparent():
 
 @pytest.mark.parametrize("stable", [False, True])
 def test_code_adds_nothing_within_six_tenths_of_a_radius_of_an_unstable_disc(stable):
-    """A faint disc of radius 0.3 m in the wall lets through enough light for every pixel to be new. Most of its pixels
-    have other pixels for their three nearest neighbours, so no gap forbids them: only the disc's own state does."""
+    """A faint disc of radius 0.3 m in the wall lets through enough light for every pixel to be new.
+    Most of its pixels have other pixels for their three nearest neighbours, so no gap forbids them:
+    only the disc's own state does."""
     model = SurfelModel(sh_degree=0)
-    disc = Seeds.isotropic(torch.tensor([[0.0, 0.0, 2.0]]), torch.full((1, 3), 0.5), torch.ones(1), opacity=0.3)
+    disc = Seeds.isotropic(
+        torch.tensor([[0.0, 0.0, 2.0]]),
+        torch.full((1, 3), 0.5),
+        torch.ones(1),
+        opacity=0.3,
+    )
     model.append(dataclasses.replace(disc, scale_m=torch.tensor([[0.3, 0.3, 0.001]])))
     model.state.fill_(STABLE if stable else UNSTABLE)
     seeds = apply_rule("rtg_slam", context(model), {"share": 1.0, "fidelity": "code"})
@@ -232,7 +275,11 @@ def test_code_adds_nothing_within_six_tenths_of_a_radius_of_an_unstable_disc(sta
 def test_by_hand_with_an_existing_disc():
     """Points at x = 0, 0.1, 0.3; a disc of radius 0.03 at x = 0.14 covers 0.05 .. 0.23."""
     xyz = torch.tensor([[0.0, 0, 0], [0.1, 0, 0], [0.3, 0, 0]])
-    gaps = gaps_around(xyz, torch.tensor([[0.14, 0.0, 0.0]]), torch.tensor([0.03]))
+    gaps = gaps_around(
+        xyz,
+        torch.tensor([[0.14, 0.0, 0.0]]),
+        torch.tensor([0.03]),
+    )
     expected = [[0.05, 0.1, 0.3], [-0.05, 0.1, 0.2], [0.07, 0.2, 0.3]]
     torch.testing.assert_close(gaps.gap_m.sort(dim=1).values, torch.tensor(expected))
     assert gaps.overlaps.tolist() == [False, True, False]
@@ -253,13 +300,18 @@ def brute_force(xyz, other, radius, reach: float, k: int) -> torch.Tensor:
     return torch.tensor(rows)
 
 
-@pytest.mark.parametrize(("m", "n"), [(2, 5), (30, 0), (25, 40)])
+@pytest.mark.parametrize(
+    ("m", "n"),
+    [(2, 5), (30, 0), (25, 40)],
+)
 def test_agrees_with_a_loop_over_all_pairs(generator, m, n):
     xyz = torch.rand(m, 3, generator=generator) * 0.3
     other = torch.rand(n, 3, generator=generator) * 0.6 - 0.15
     radius = torch.rand(n, generator=generator) * 0.03
     gaps = gaps_around(xyz, other, radius)
-    torch.testing.assert_close(gaps.gap_m, brute_force(xyz, other, radius, 3.0, 3), atol=1e-6, rtol=1e-5)
+    torch.testing.assert_close(
+        gaps.gap_m, brute_force(xyz, other, radius, 3.0, 3), atol=1e-6, rtol=1e-5
+    )
 
 
 NONE = torch.zeros(0, 3), torch.zeros(0)
@@ -267,12 +319,18 @@ NONE = torch.zeros(0, 3), torch.zeros(0)
 
 def grid(n: int, spacing: float) -> torch.Tensor:
     a = torch.arange(n) * spacing
-    return torch.stack([*torch.meshgrid(a, a, indexing="ij"), torch.zeros(n, n)], dim=-1).reshape(-1, 3)
+    return torch.stack(
+        [*torch.meshgrid(a, a, indexing="ij"), torch.zeros(n, n)],
+        dim=-1,
+    ).reshape(-1, 3)
 
 
 def test_the_middle_of_a_grid_is_as_wide_as_its_spacing():
     size = gaps_around(grid(5, 0.02), *NONE).size_m.view(5, 5)
-    torch.testing.assert_close(size[1:-1, 1:-1], torch.full((3, 3), 0.02))
+    torch.testing.assert_close(
+        size[1:-1, 1:-1],
+        torch.full((3, 3), 0.02),
+    )
     # a corner has neighbours at 1, 1 and sqrt(2) spacings: sqrt((1 + 1 + 2) / 3)
     assert float(size[0, 0]) == pytest.approx(0.02 * math.sqrt(4 / 3), rel=1e-5)
 
@@ -288,7 +346,11 @@ def test_duplicates_are_each_others_neighbours_and_never_their_own(copies):
 
 def test_distant_discs_do_not_count():
     """One 6 cm beyond the points' box, however large."""
-    gaps = gaps_around(torch.tensor([[0.0, 0, 0], [0.1, 0, 0]]), torch.tensor([[0.161, 0.0, 0.0]]), torch.ones(1))
+    gaps = gaps_around(
+        torch.tensor([[0.0, 0, 0], [0.1, 0, 0]]),
+        torch.tensor([[0.161, 0.0, 0.0]]),
+        torch.ones(1),
+    )
     torch.testing.assert_close(gaps.gap_m, torch.full((2, 1), 0.1))
 
 
@@ -313,15 +375,21 @@ def test_a_share_of_each_kind_is_drawn(share):
 
 
 def test_measured_leaves_out_opaque_discs_in_the_reach_of_others():
-    """On a sheet of discs in the wall, of another colour; a sheet 20 cm before the wall reaches nothing there."""
+    """On a sheet of discs in the wall, of another colour; a sheet 20 cm before the wall reaches
+    nothing there."""
 
     def near(fidelity: str, z: float) -> tuple[int, int, int]:
-        """Seeds within three radii of a disc that are opaque, all that are transparent, depth errors."""
+        """Seeds within three radii of a disc that are opaque, all that are transparent, depth
+        errors."""
         model = small_discs(6, z, 0.03, (0.95, 0.05, 0.05), stable=True)
         seeds = apply_rule("rtg_slam", context(model), {"share": 0.03, "fidelity": fidelity})
         away = torch.cdist(seeds.xyz_W, model.params.xyz_W).amin(1)
         opaque = seeds.opacity > 0.5
-        return int((opaque & (away < 0.09)).sum()), int((~opaque).sum()), int((seeds.tag == DEPTH_ERROR).sum())
+        return (
+            int((opaque & (away < 0.09)).sum()),
+            int((~opaque).sum()),
+            int((seeds.tag == DEPTH_ERROR).sum()),
+        )
 
     (in_reach, clear, _), (left, clear_too, wrong_too) = near("paper", 2.0), near("measured", 2.0)
     assert in_reach > left == wrong_too == 0
@@ -330,7 +398,15 @@ def test_measured_leaves_out_opaque_discs_in_the_reach_of_others():
 
 
 def test_code_adds_nothing_near_unstable_discs_nor_in_reach_of_any():
-    ctx = context(small_discs(24, 2.0, 0.01, (0.95, 0.05, 0.05), stable=False))
+    ctx = context(
+        small_discs(
+            24,
+            2.0,
+            0.01,
+            (0.95, 0.05, 0.05),
+            stable=False,
+        )
+    )
     seeds = apply_rule("rtg_slam", ctx, CODE)
     away = torch.cdist(seeds.xyz_W, ctx.map.xyz_W).amin(1)
     assert away.min() > 0.03  # three radii
@@ -342,5 +418,9 @@ def test_code_draws_its_own_share_of_wrong_pixels():
     ctx = context(patches())
     kinds = masks(ctx, "code")
     seeds = apply_rule("rtg_slam", ctx, {"share": 1.0, "fidelity": "code"})
-    assert 0 < int((seeds.tag == DEPTH_ERROR).sum()) <= round(ERROR_SHARE * int(kinds[DEPTH_ERROR].sum()))
+    assert (
+        0
+        < int((seeds.tag == DEPTH_ERROR).sum())
+        <= round(ERROR_SHARE * int(kinds[DEPTH_ERROR].sum()))
+    )
     assert not (seeds.tag == COLOUR_ERROR).any()

@@ -32,7 +32,11 @@ def ctx() -> SeedContext:
 
 def some_seeds(n: int = 3) -> Seeds:
     xyz = torch.arange(3.0 * n).reshape(n, 3) / 10
-    return Seeds.isotropic(xyz, torch.full((n, 3), 0.5), torch.full((n,), 0.01))
+    return Seeds.isotropic(
+        xyz,
+        torch.full((n, 3), 0.5),
+        torch.full((n,), 0.01),
+    )
 
 
 def test_registered_by_function_name_and_replaced_by_running_the_cell_again():
@@ -82,12 +86,20 @@ def free_word(ctx, *, where="near"):
 @pytest.mark.parametrize(
     ("bad", "sentence"),
     [
-        (no_context, r"def no_context\(ctx, \*, number=default, ...\) -> Seeds; this one does not take the context"),
+        (
+            no_context,
+            r"def no_context\(ctx, \*, number=default, ...\) -> Seeds; this one does not take the "
+            r"context",
+        ),
         (star, "does not take the context as its first argument"),
         (positional, "'depth_m=1.0' must be keyword-only: put it after a bare"),
         (no_default, "option 'depth_m' has no default"),
         (any_keyword, "must be keyword-only"),
-        (listed, r"default of option 'sizes' must be a number, True/False, a text or a Path, got \(1, 2\)"),
+        (
+            listed,
+            r"default of option 'sizes' must be a number, True/False, a text or a Path, got \(1, "
+            r"2\)",
+        ),
         (free_word, r'where: Literal\["near", ...\] = "near"'),
         (lambda ctx: some_seeds(), "'<lambda>' is not a name: use def"),
     ],
@@ -99,7 +111,13 @@ def test_bad_signatures_are_refused_with_a_sentence(bad, sentence):
     assert registered() == before
 
 
-def switches(ctx, *, n: int = 3, far: bool = False, where: Literal["near", "far"] = "near") -> Seeds:
+def switches(
+    ctx,
+    *,
+    n: int = 3,
+    far: bool = False,
+    where: Literal["near", "far"] = "near",
+) -> Seeds:
     return some_seeds(n)
 
 
@@ -133,13 +151,33 @@ def test_wrong_options_are_refused(options, sentence, ctx):
             r"'faulty' returned invalid seeds: expected Seeds, got NoneType \(is there a ret",
         ),
         (lambda: [1, 2], TypeError, "expected Seeds, got list"),
-        (lambda: {"scale_m": torch.zeros(3, 3)}, ValueError, "scale_m must be above 0 .*, got 0 to 0"),
+        (
+            lambda: {"scale_m": torch.zeros(3, 3)},
+            ValueError,
+            "scale_m must be above 0 .*, got 0 to 0",
+        ),
         (lambda: {"scale_m": torch.ones(3)}, ValueError, r"scale_m must be \[3, 3\], got \[3\]"),
-        (lambda: {"rgb": torch.full((3, 3), 128.0)}, ValueError, "rgb must be in 0..1, got 128 to 128"),
-        (lambda: {"opacity": torch.ones(3)}, ValueError, "opacity must be strictly between 0 and 1"),
+        (
+            lambda: {"rgb": torch.full((3, 3), 128.0)},
+            ValueError,
+            "rgb must be in 0..1, got 128 to 128",
+        ),
+        (
+            lambda: {"opacity": torch.ones(3)},
+            ValueError,
+            "opacity must be strictly between 0 and 1",
+        ),
         (lambda: {"quat": torch.zeros(3, 4)}, ValueError, "length of quat must be above 0"),
-        (lambda: {"xyz_W": torch.full((3, 3), float("nan"))}, ValueError, "xyz_W must be finite, got 9 NaN"),
-        (lambda: {"xyz_W": torch.ones(3, 3).long()}, ValueError, "xyz_W must be floating point, got torch.int64"),
+        (
+            lambda: {"xyz_W": torch.full((3, 3), float("nan"))},
+            ValueError,
+            "xyz_W must be finite, got 9 NaN",
+        ),
+        (
+            lambda: {"xyz_W": torch.ones(3, 3).long()},
+            ValueError,
+            "xyz_W must be floating point, got torch.int64",
+        ),
     ],
 )
 def test_unusable_results_name_the_rule_and_what_came(make, error, sentence, ctx):
@@ -149,7 +187,10 @@ def test_unusable_results_name_the_rule_and_what_came(make, error, sentence, ctx
         if not isinstance(value, dict):
             return value
         seeds = some_seeds()
-        for name, column in value.items():  # past the type check of Seeds, which is off outside the tests
+        for (
+            name,
+            column,
+        ) in value.items():  # past the type check of Seeds, which is off outside the tests
             object.__setattr__(seeds, name, column)
         return seeds
 
@@ -160,7 +201,12 @@ def test_unusable_results_name_the_rule_and_what_came(make, error, sentence, ctx
 def test_one_per_voxel_keeps_the_largest_and_of_equals_the_first():
     voxel = torch.tensor([[0, 0, 0], [5, 0, 0], [0, 0, 0], [5, 0, 0], [-1, 0, 0], [5, 0, 0]])
     size = torch.tensor([1.0, 2.0, 3.0, 2.0, 0.5, 1.0])
-    seeds = Seeds.isotropic(voxel.float(), torch.zeros(6, 3), size, tag=torch.arange(6))
+    seeds = Seeds.isotropic(
+        voxel.float(),
+        torch.zeros(6, 3),
+        size,
+        tag=torch.arange(6),
+    )
     assert keep_one_per_voxel(seeds, voxel).tag.tolist() == [1, 2, 4]
     assert len(keep_one_per_voxel(seeds[:0], voxel[:0])) == 0
 
@@ -171,7 +217,12 @@ def test_the_page_marks_the_rules_that_their_publication_trains_otherwise():
     marked = {name: words for name, words in said.items() if words}
     assert {"vtgaussian", "gaussian_slam", "rtg_slam"} <= set(marked)
     assert set(re.findall(r"(?m)^\| \[`(\w+)`\]\([^)]*\) † \|", page)) == set(marked)
-    assert dict(re.findall(r"(?m)^\| `(\w+)` \| (.*) \|$", page.split("how its publication trains")[1])) == marked
+    assert (
+        dict(
+            re.findall(r"(?m)^\| `(\w+)` \| (.*) \|$", page.split("how its publication trains")[1])
+        )
+        == marked
+    )
 
 
 def test_a_rule_made_from_a_marked_one_is_not_marked():
@@ -185,7 +236,11 @@ def test_a_rule_made_from_a_marked_one_is_not_marked():
 @pytest.mark.parametrize(
     ("register", "given", "sentence"),
     [
-        (seeding_rule, 3, "@seeding_rule decorates a function, got int; write it without parentheses"),
+        (
+            seeding_rule,
+            3,
+            "@seeding_rule decorates a function, got int; write it without parentheses",
+        ),
         (get_rule, 3, "a seeding rule is a name or a function, got int"),
         (
             get_rule,
@@ -209,7 +264,12 @@ def test_one_per_voxel_through_apply_rule(ctx):
 
 def test_one_per_voxel_counts_the_gaussians_of_the_map():
     voxel = torch.tensor([[0, 0, 0], [5, 0, 0], [-1, 0, 0], [5, 0, 0]])
-    seeds = Seeds.isotropic(voxel.float(), torch.zeros(4, 3), torch.ones(4), tag=torch.arange(4))
+    seeds = Seeds.isotropic(
+        voxel.float(),
+        torch.zeros(4, 3),
+        torch.ones(4),
+        tag=torch.arange(4),
+    )
     taken = torch.tensor([[5, 0, 0], [0, 0, 1], [5, 0, 0]])
     assert keep_one_per_voxel(seeds, voxel, taken).tag.tolist() == [0, 2]
     assert len(keep_one_per_voxel(seeds, voxel, voxel)) == 0
@@ -217,7 +277,9 @@ def test_one_per_voxel_counts_the_gaussians_of_the_map():
     assert len(keep_one_per_voxel(seeds[:0], voxel[:0], taken)) == 0
 
 
-def from_files(ctx, *, weights: Path = Path("weights.pt"), label: str = "none", n: int = 3) -> Seeds:
+def from_files(
+    ctx, *, weights: Path = Path("weights.pt"), label: str = "none", n: int = 3
+) -> Seeds:
     return some_seeds(n)
 
 

@@ -1,9 +1,16 @@
-"""Rules from files: options and source; what a file registers stays in it; mistakes with file and line."""
+"""Rules from files: options and source; what a file registers stays in it; mistakes with file and
+line."""
 
 import pytest
 
 from gsfusion_nb.seeding import is_built_in, registered, rule_fingerprint, rule_options, rule_source
-from gsfusion_nb.seeding.rule_code import file_source, find_rule, is_rule_file, load_rule_file, rule_of_source
+from gsfusion_nb.seeding.rule_code import (
+    file_source,
+    find_rule,
+    is_rule_file,
+    load_rule_file,
+    rule_of_source,
+)
 
 FILE = '''"""Two rules."""
 from dataclasses import dataclass
@@ -51,7 +58,9 @@ def test_a_rule_of_a_file(path):
 
 def test_the_same_source_is_the_same_rule_wherever_it_comes_from(path):
     rule = load_rule_file(f"{path}:uniform")
-    assert rule_fingerprint(rule) == rule_fingerprint(rule_of_source(FILE, "uniform", "elsewhere/rule.py"))
+    assert rule_fingerprint(rule) == rule_fingerprint(
+        rule_of_source(FILE, "uniform", "elsewhere/rule.py")
+    )
     edited = rule_of_source(FILE.replace("[::2]", "[::4]"), "uniform")
     assert rule_fingerprint(edited) != rule_fingerprint(rule)
 
@@ -59,7 +68,11 @@ def test_the_same_source_is_the_same_rule_wherever_it_comes_from(path):
 @pytest.mark.parametrize(
     ("source", "name", "message"),
     [
-        (FILE, "uniforn", r"mine.py has no seeding rule 'uniforn'; it defines: uniform, every_other"),
+        (
+            FILE,
+            "uniforn",
+            r"mine.py has no seeding rule 'uniforn'; it defines: uniform, every_other",
+        ),
         ("x = 1 +\n", "a", r"mine.py, line 1: SyntaxError: invalid syntax"),
         ("import torch\nx = 1 / 0\n", "a", r"mine.py, line 2: ZeroDivisionError: division by zero"),
         ("a = 3\n", "a", r"mine.py has no seeding rule 'a'; it defines: none"),

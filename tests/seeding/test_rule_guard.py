@@ -1,4 +1,5 @@
-"""What a rule reads besides its context is refused unless an option names it: files, environment, other programs."""
+"""What a rule reads besides its context is refused unless an option names it: files, environment,
+other programs."""
 
 import _thread
 import contextlib
@@ -58,7 +59,9 @@ def started_thread(folder):
 
 
 def connected(folder):
-    urllib.request.build_opener(urllib.request.ProxyHandler({})).open("http://127.0.0.1:9", timeout=1)
+    urllib.request.build_opener(urllib.request.ProxyHandler({})).open(
+        "http://127.0.0.1:9", timeout=1
+    )
 
 
 def written(folder):
@@ -89,7 +92,10 @@ READS = {
     "np.loadtxt": (lambda folder: np.loadtxt(folder / "text"), "text"),
     "np.fromfile": (lambda folder: np.fromfile(folder / "text", dtype=np.uint8), "text"),
     "np.memmap": (lambda folder: np.memmap(folder / "text", mode="r").sum(), "text"),
-    "torch.load": (lambda folder: torch.load(folder / "weights.pt", weights_only=True), "weights.pt"),
+    "torch.load": (
+        lambda folder: torch.load(folder / "weights.pt", weights_only=True),
+        "weights.pt",
+    ),
     "a folder that was there": (made_again, "text"),
     "sqlite3": (database, "table.db"),
     "an error that it catches": (caught, "text"),
@@ -109,20 +115,39 @@ READS = {
     "whether a file exists": (lambda folder: (folder / "text").exists(), "asks for .*text"),
     "whether a file is missing": (lambda folder: os.path.exists(folder / "no"), "asks for .*no "),
     "whether it is a file": (lambda folder: os.path.isfile(folder / "text"), "asks for .*text"),
-    "whether it may be read": (lambda folder: os.access(folder / "text", os.R_OK), "asks for .*text"),
+    "whether it may be read": (
+        lambda folder: os.access(folder / "text", os.R_OK),
+        "asks for .*text",
+    ),
     "date of a file": (lambda folder: os.path.getmtime(folder / "text"), "asks for .*text"),
     "size of a file": (lambda folder: (folder / "text").stat().st_size, "asks for .*text"),
     "link": (lambda folder: (folder / "text").is_symlink(), "asks for .*text"),
     "OpenCV": (lambda folder: cv2.imread(str(folder / "picture.png")), r"picture\.png"),
-    "OpenCV's files": (lambda folder: cv2.FileStorage(str(folder / "text"), 0).release(), "reads .*text"),
-    "torch.from_file": (lambda folder: torch.from_file(str(folder / "text"), size=1, dtype=torch.uint8), "text"),
+    "OpenCV's files": (
+        lambda folder: cv2.FileStorage(str(folder / "text"), 0).release(),
+        "reads .*text",
+    ),
+    "torch.from_file": (
+        lambda folder: torch.from_file(
+            str(folder / "text"),
+            size=1,
+            dtype=torch.uint8,
+        ),
+        "text",
+    ),
     "torch.jit.load": (lambda folder: torch.jit.load(str(folder / "text")), "reads .*text"),
     "a library of C": (lambda folder: ctypes.CDLL(str(folder / "text")), "reads .*text"),
     "removing": (lambda folder: (folder / "text").unlink(), "changes .*text"),
     "renaming": (lambda folder: (folder / "text").rename(folder / "other"), "changes .*text"),
     "another process": (forked, "starts a program"),
-    "thread without threading": (lambda folder: _thread.start_new_thread(int, ()), "starts a thread"),
-    "pool of threads": (lambda folder: list(ThreadPoolExecutor(1).map(int, "3")), "starts a thread"),
+    "thread without threading": (
+        lambda folder: _thread.start_new_thread(int, ()),
+        "starts a thread",
+    ),
+    "pool of threads": (
+        lambda folder: list(ThreadPoolExecutor(1).map(int, "3")),
+        "starts a thread",
+    ),
     "network": (connected, "uses the network"),
     "thread": (started_thread, "starts a thread"),
 }
@@ -134,7 +159,11 @@ ITS_OWN = (OSError, RuntimeError, Warning, cv2.error)
 
 @pytest.mark.parametrize(("read", "what"), READS.values(), ids=READS)
 def test_what_no_option_names_is_refused_with_its_name(folder, read, what):
-    with pytest.raises(UndeclaredError, match=what), only_declared("mine"), contextlib.suppress(*ITS_OWN):
+    with (
+        pytest.raises(UndeclaredError, match=what),
+        only_declared("mine"),
+        contextlib.suppress(*ITS_OWN),
+    ):
         read(folder)
 
 
@@ -182,7 +211,12 @@ def test_what_decides_nothing_or_is_declared_is_allowed(folder, read):
 
 
 def test_the_environment_is_as_before_afterwards():
-    names = [(type(os.environ), "__getitem__"), (os, "stat"), (cv2, "imread"), (threading.Thread, "start")]
+    names = [
+        (type(os.environ), "__getitem__"),
+        (os, "stat"),
+        (cv2, "imread"),
+        (threading.Thread, "start"),
+    ]
     before = [getattr(owner, name) for owner, name in names]
     with only_declared("mine"):
         assert os.stat is not before[1]
@@ -191,12 +225,17 @@ def test_the_environment_is_as_before_afterwards():
 
 def test_check_rule_refuses_a_rule_that_reads_what_no_option_names(folder):
     def reads(ctx):
-        return ctx.seeds_at(ctx.pixels()[:: int((folder / "text").read_text())], 1.0)
+        return ctx.seeds_at(
+            ctx.pixels()[:: int((folder / "text").read_text())],
+            1.0,
+        )
 
     def declares(ctx, *, file: Path = folder / "text"):
         return ctx.seeds_at(ctx.pixels()[:: int(file.read_text())], 1.0)
 
-    with pytest.raises(AssertionError, match=r"'reads' reads .*text, which none of its options names"):
+    with pytest.raises(
+        AssertionError, match=r"'reads' reads .*text, which none of its options names"
+    ):
         check_rule(reads)
     assert check_rule(declares).seeds["new"] > 0
 
@@ -205,7 +244,9 @@ def test_what_a_file_reads_while_it_is_loaded_is_noted(tmp_path):
     from gsfusion_nb.seeding.rule_code import refuse_undeclared
 
     (tmp_path / "step.txt").write_text("3")
-    (tmp_path / "helper.py").write_text(f"STEP = int(open({str(tmp_path / 'step.txt')!r}).read())\n")
+    (tmp_path / "helper.py").write_text(
+        f"STEP = int(open({str(tmp_path / 'step.txt')!r}).read())\n"
+    )
     (tmp_path / "rule.py").write_text("import helper\ndef rule(ctx):\n    return helper.STEP\n")
     with pytest.warns(ResourceWarning):
         rule = load_rule_file(f"{tmp_path / 'rule.py'}:rule")

@@ -62,7 +62,10 @@ def test_uniform_draws_the_fraction_without_replacement():
         assert len(seeds) == round(fraction * 61 * 47)
         assert len(torch.unique(seeds.xyz_W, dim=0)) == len(seeds)
         z = xyz_C(ctx, seeds)[:, 2]
-        torch.testing.assert_close(seeds.scale_m[:, 0] * ctx.camera.fx / z, torch.full_like(z, (0.5 / fraction) ** 0.5))
+        torch.testing.assert_close(
+            seeds.scale_m[:, 0] * ctx.camera.fx / z,
+            torch.full_like(z, (0.5 / fraction) ** 0.5),
+        )
 
 
 def mapped(*frames) -> SeedContext:
@@ -77,7 +80,9 @@ def mapped(*frames) -> SeedContext:
 def test_a_surface_that_appears_in_voxels_seen_empty_is_never_seeded():
     """The consequence of "weight == 1" that the rule's description warns of."""
     frame = check_contexts()["new"].frame
-    nearer = dataclasses.replace(frame, depth_m=(frame.depth_m - 0.1).clamp_min(0.5))  # inside the 0.16 m band in front
+    nearer = dataclasses.replace(
+        frame, depth_m=(frame.depth_m - 0.1).clamp_min(0.5)
+    )  # inside the 0.16 m band in front
     fresh = apply_rule("gsfusion", mapped(nearer))
     after = apply_rule("gsfusion", mapped(frame, nearer))
     assert len(after) < 0.2 * len(fresh)
@@ -121,7 +126,10 @@ CASES: dict[str, Case] = {
     "vg_mapping": Case(  # n = 1 / (1 + (0, 0, 1)) = (1, 1, 1/2), |n| = 3/2
         sigma=disc(Z * HALF_DIAGONAL_PX / FX * 2 / 3, 0.5), at=(32.0, 24.0)
     ),
-    "uniform": Case(sigma=ball(Z * sqrt(1 / (2 * 0.05)) / FX), options={"coverage": False}),
+    "uniform": Case(
+        sigma=ball(Z * sqrt(1 / (2 * 0.05)) / FX),
+        options={"coverage": False},
+    ),
     "dense": Case(sigma=ball(Z / FX)),
     "splatam": Case(sigma=ball(SPLATAM)),
     "splatam_like": Case(sigma=ball(SPLATAM)),
@@ -129,15 +137,23 @@ CASES: dict[str, Case] = {
     "hf_slam": Case(sigma=ball(SPLATAM)),
     "gaus_slam": Case(sigma=disc(SPLATAM)),
     "vtgaussian": Case(sigma=ball(1.005 * SPLATAM), z=1.005 * Z),
-    "vtgaussian, fine": Case(sigma=ball(1.005 * SPLATAM / 2), at=(32.25, 24.25), z=1.005 * Z, picture="step"),
-    "monogs": Case(sigma=ball(sqrt(0.05) * D3), options={"density": 32.0}),  # 1/32 in the first frame
+    "vtgaussian, fine": Case(
+        sigma=ball(1.005 * SPLATAM / 2),
+        at=(32.25, 24.25),
+        z=1.005 * Z,
+        picture="step",
+    ),
+    "monogs": Case(
+        sigma=ball(sqrt(0.05) * D3), options={"density": 32.0}
+    ),  # 1/32 in the first frame
     "monogs_like": Case(sigma=ball(sqrt(0.05) * D3), options={"density": 32.0}),
     "gaussian_slam": Case(sigma=ball(1.005 * D3), z=1.005 * Z),
     "gs_slam": Case(sigma=ball(D3), options={"first_share": 1.0}),
     "cg_slam": Case(sigma=ball(D3)),
     "game": Case(sigma=ball(sqrt(0.05) * D3), options=ALL),
     "photo_slam": Case(sigma=ball(10 * D3), opacity=0.1, picture="corners"),
-    "gs_icp": Case(  # 3 x 3 points of a grid of 4 pixels: variance 2/3 of the distance squared; 2 z^1.5 = 5.657
+    # 3 x 3 points of a grid of 4 pixels: variance 2/3 of the distance squared; 2 z^1.5 = 5.657
+    "gs_icp": Case(
         sigma=(1e-7**0.5, sqrt(2 / 3) * 4 * WIDTH / 5.656854, sqrt(2 / 3) * 4 * HEIGHT / 5.656854),
         opacity=0.1,
         options={"density": 6.25, "neighbours": 9},
@@ -147,17 +163,33 @@ CASES: dict[str, Case] = {
     "gps_slam": Case(sigma=disc(0.01), options=ALL | {"surface": "depth"}),
     "vings": Case(sigma=disc(D3), opacity=0.1, options=ALL),
     "vings, later": Case(sigma=disc(D3), opacity=0.8, options=ALL, mapped=True),
-    "on_the_fly_nvs": Case(sigma=ball(Z / FX), opacity=0.07, picture="step", at=(31.5, 24.5)),  # P = 1.05: one pixel
+    "on_the_fly_nvs": Case(
+        sigma=ball(Z / FX), opacity=0.07, picture="step", at=(31.5, 24.5)
+    ),  # P = 1.05: one pixel
     "on_the_fly_nvs, sparse": Case(
-        sigma=ball(Z / FX / sqrt(2 * STEP_P)), opacity=0.07, picture="step", at=(30.5, 24.5)
+        sigma=ball(Z / FX / sqrt(2 * STEP_P)),
+        opacity=0.07,
+        picture="step",
+        at=(30.5, 24.5),
     ),
-    "edge_discs": Case(sigma=disc(0.7 * 4 * Z / FX, 0.2), opacity=0.9, at=(33.0, 22.784610)),
-    "edge_strokes": Case(sigma=disc(0.7 * 4 * Z / FX, 0.2), opacity=0.9, at=(33.0, 22.784610)),
+    "edge_discs": Case(
+        sigma=disc(0.7 * 4 * Z / FX, 0.2),
+        opacity=0.9,
+        at=(33.0, 22.784610),
+    ),
+    "edge_strokes": Case(
+        sigma=disc(0.7 * 4 * Z / FX, 0.2),
+        opacity=0.9,
+        at=(33.0, 22.784610),
+    ),
     "default_strategy": Case(sigma=ball(SPLATAM / sqrt(0.05))),
     "mcmc": Case(sigma=ball(SPLATAM / sqrt(0.05))),
     "cone_gs": Case(sigma=ball(D3), opacity=0.1, options=ALL),
     "cone_gs, later": Case(  # the diameter of a pixel's cone
-        sigma=ball((WIDTH + HEIGHT) / 2), opacity=0.1, options={"share": 1e3}, mapped=True
+        sigma=ball((WIDTH + HEIGHT) / 2),
+        opacity=0.1,
+        options={"share": 1e3},
+        mapped=True,
     ),
 }
 """Rule, with a word on the case where there are several -> what it seeds."""
@@ -168,7 +200,11 @@ class WithCorners(SeedContext):
     """A context whose corners are every 10th pixel."""
 
     def corners(self, count: int = 1000) -> torch.Tensor:
-        u, v = torch.meshgrid(torch.arange(2.5, W, 10), torch.arange(4.5, H, 10), indexing="xy")
+        u, v = torch.meshgrid(
+            torch.arange(2.5, W, 10),
+            torch.arange(4.5, H, 10),
+            indexing="xy",
+        )
         return torch.stack([u, v], dim=-1).reshape(-1, 2)
 
 
@@ -189,7 +225,13 @@ def context(case: Case) -> SeedContext:
     model = GaussianModel(sh_degree=0)
     if case.mapped:
         behind = torch.tensor([[0.0, 0.0, -5.0]])
-        model.append(Seeds.isotropic(behind, torch.full_like(behind, 0.5), torch.tensor([0.02])))
+        model.append(
+            Seeds.isotropic(
+                behind,
+                torch.full_like(behind, 0.5),
+                torch.tensor([0.02]),
+            )
+        )
     kind = WithCorners if case.picture == "corners" else SeedContext
     return kind(frame, volume, model)
 
@@ -200,7 +242,10 @@ def test_place_size_and_opacity(name):
     ctx = context(case)
     seeds = apply_rule(name.partition(",")[0], ctx, case.options)
     z = seeds.xyz_W[:, 2]
-    uv = torch.stack([seeds.xyz_W[:, 0] / z * FX + W / 2, seeds.xyz_W[:, 1] / z * FY + H / 2], dim=1)
+    uv = torch.stack(
+        [seeds.xyz_W[:, 0] / z * FX + W / 2, seeds.xyz_W[:, 1] / z * FY + H / 2],
+        dim=1,
+    )
     off = (uv - torch.tensor(case.at)).norm(dim=1)
     drawn = case.options.get("density", 1) <= 1 and name in ("uniform", "default_strategy", "mcmc")
     row = int(off.argmin())
@@ -221,7 +266,10 @@ def test_depth_is_the_mean_of_the_four_sides_by_the_square_of_their_nearness():
     depth_m[1, 6] = 9.0
     filled = depth_from_sides(depth_m, depth_m > 0)
     assert filled[2, 2].item() == 3.0  # three sides at a distance of 2
-    torch.testing.assert_close(filled[2, 1], torch.tensor((2.0 + 4.0 / 9) / (1 + 1 / 9)))
+    torch.testing.assert_close(
+        filled[2, 1],
+        torch.tensor((2.0 + 4.0 / 9) / (1 + 1 / 9)),
+    )
     assert filled[2, 4].item() == 4.0  # itself
     assert filled[4, 5].item() == 0.0  # nothing known in its row or column
 
@@ -238,12 +286,16 @@ def test_cells_in_the_hole_get_a_gaussian_at_the_depth_around_it(small_walk):
     seeds = cells_without_depth(ctx)
     assert len(seeds) > 10
     xyz_C = se3.apply(se3.inverse(frame.T_WC), seeds.xyz_W)
-    uv = project(frame.camera, xyz_C).mul(2).round() / 2  # middles of cells lie at whole and half pixels
+    uv = (
+        project(frame.camera, xyz_C).mul(2).round() / 2
+    )  # middles of cells lie at whole and half pixels
     i, j = uv.floor().long().unbind(-1)
     assert (frame.depth_m[j, i] == 0).all()
     assert ((xyz_C[:, 2] / small_walk[0].depth_m[j, i]).log().abs() < 0.5).all()
     torch.testing.assert_close(seeds.rgb, frame.rgb[j, i])
-    assert (seeds.scale_m[:, 0] * frame.camera.fx / xyz_C[:, 2] > 1.9).all()  # no cell narrower than 3 pixels
+    assert (
+        seeds.scale_m[:, 0] * frame.camera.fx / xyz_C[:, 2] > 1.9
+    ).all()  # no cell narrower than 3 pixels
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -255,17 +307,31 @@ class Shown(SeedContext):
     def render(self) -> RenderOutput:
         zero = torch.zeros_like(self.alpha)
         return RenderOutput(
-            rgb=zero[..., None].expand(-1, -1, 3), depth_m=zero, alpha=self.alpha, first_index=None, dominant_index=None
+            rgb=zero[..., None].expand(-1, -1, 3),
+            depth_m=zero,
+            alpha=self.alpha,
+            first_index=None,
+            dominant_index=None,
         )
 
 
-@pytest.mark.parametrize(("covered", "seeded"), [(0.0, True), (0.49, True), (0.5, False), (1.0, False)])
+@pytest.mark.parametrize(
+    ("covered", "seeded"),
+    [(0.0, True), (0.49, True), (0.5, False), (1.0, False)],
+)
 def test_cells_in_the_hole_that_the_map_shows_already_get_none(small_walk, covered, seeded):
-    """The right half of the picture is covered by so much, the left half not at all; from 0.5 on a pixel is shown."""
+    """The right half of the picture is covered by so much, the left half not at all; from 0.5 on a
+    pixel is shown."""
     frame = holed(small_walk[0])
     model = GaussianModel(sh_degree=0)
     behind = torch.tensor([[0.0, 0.0, -5.0]])
-    model.append(Seeds.isotropic(behind, torch.full_like(behind, 0.5), torch.tensor([0.02])))
+    model.append(
+        Seeds.isotropic(
+            behind,
+            torch.full_like(behind, 0.5),
+            torch.tensor([0.02]),
+        )
+    )
     alpha = torch.zeros_like(frame.depth_m)
     alpha[:, 40:] = covered
     ctx = Shown(frame, gaussians=model, config=FINE, alpha=alpha)
@@ -282,7 +348,9 @@ def columns(ctx: SeedContext, seeds: Seeds) -> torch.Tensor:
 
 @pytest.mark.parametrize("fraction", [0.0, -0.1, 1.01, float("nan")])
 def test_uniform_refuses_what_is_no_share(fraction):
-    with pytest.raises(ValueError, match=f"uniform: fraction must be above 0 and at most 1, got {fraction}"):
+    with pytest.raises(
+        ValueError, match=f"uniform: fraction must be above 0 and at most 1, got {fraction}"
+    ):
         apply_rule("uniform", check_contexts()["new"], {"fraction": fraction})
 
 
@@ -304,8 +372,11 @@ def test_a_fine_gaussian_comes_besides_the_coarse_one():
 
 
 def test_the_euclidean_gradient_is_the_shorter_one():
-    """A diagonal step of 30 grey levels: |gx| + |gy| is above OpenCV's 100, the root of the squares is not."""
-    step = (torch.arange(W)[None] + torch.arange(H)[:, None] >= 55).float()[..., None].expand(H, W, 3)
+    """A diagonal step of 30 grey levels: |gx| + |gy| is above OpenCV's 100, the root of the squares
+    is not."""
+    step = (
+        (torch.arange(W)[None] + torch.arange(H)[:, None] >= 55).float()[..., None].expand(H, W, 3)
+    )
     ctx = context(CASES["dense"])
     ctx = SeedContext(dataclasses.replace(ctx.frame, rgb=0.3 + step * 18 / 255))
     assert ctx.edges(100.0, 100.0).any()
@@ -316,8 +387,18 @@ def test_none_where_the_map_shows_something_or_nothing_is_missing(small_walk):
     frame = holed(small_walk[0])
     whole = SeedContext(small_walk[0], config=FINE)
     assert len(cells_without_depth(whole)) == 0
-    assert len(cells_without_depth(SeedContext(dataclasses.replace(frame, depth_m=torch.zeros(60, 80))))) == 0
-    opaque = dataclasses.replace(whole.cells(), opacity=torch.full((len(whole.cells()),), 0.95))
+    assert (
+        len(
+            cells_without_depth(
+                SeedContext(dataclasses.replace(frame, depth_m=torch.zeros(60, 80)))
+            )
+        )
+        == 0
+    )
+    opaque = dataclasses.replace(
+        whole.cells(),
+        opacity=torch.full((len(whole.cells()),), 0.95),
+    )
     half = opaque[whole.quadtree_cells().centre_uv[:, 0] < 40]
     gaussians = GaussianModel(0)
     gaussians.append(half, 0)

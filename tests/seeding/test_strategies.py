@@ -1,4 +1,5 @@
-"""gsplat's strategies as rules: which rows change, by hand and against gsplat itself; and that they run online."""
+"""gsplat's strategies as rules: which rows change, by hand and against gsplat itself; and that they
+run online."""
 
 import dataclasses
 import math
@@ -10,7 +11,13 @@ import torch
 
 from gsfusion_nb.data.room import room
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.seeding import SeedContext, StepStats, abs_image_gradient, image_gradient, restart_statistics
+from gsfusion_nb.seeding import (
+    SeedContext,
+    StepStats,
+    abs_image_gradient,
+    image_gradient,
+    restart_statistics,
+)
 from gsfusion_nb.seeding.points import add_up
 from gsfusion_nb.seeding.rules import default_strategy, mcmc
 from gsfusion_nb.types import Seeds
@@ -25,7 +32,8 @@ def frame() -> Any:
 
 @pytest.fixture
 def model(generator) -> GaussianModel:
-    """Rows of all sizes and opacities, each visible in four steps, with gradients around the threshold."""
+    """Rows of all sizes and opacities, each visible in four steps, with gradients around the
+    threshold."""
     made = GaussianModel(sh_degree=1)
     seeds = Seeds.isotropic(
         torch.rand(N, 3, generator=generator),
@@ -53,23 +61,38 @@ def told(frame: Any, step: int, **more: Any) -> StepStats:
     )
 
 
-def seen(model: GaussianModel, frame: Any, generator: torch.Generator, steps: int = 4) -> torch.Tensor:
+def seen(
+    model: GaussianModel, frame: Any, generator: torch.Generator, steps: int = 4
+) -> torch.Tensor:
     """Statistics of some steps; returns the gradients [steps, N, 2], in units of half the image."""
     restart_statistics(model)
     half = torch.tensor([frame.camera.width / 2, frame.camera.height / 2])
     gradients = 4e-4 * torch.rand(steps, N, 2, generator=generator)
     for g in gradients:
-        add_up(model, torch.ones(N, dtype=torch.bool), g / half, frame.camera)
+        add_up(
+            model,
+            torch.ones(N, dtype=torch.bool),
+            g / half,
+            frame.camera,
+        )
     return gradients
 
 
-def refined(rule: Any, model: GaussianModel, frame: Any, step: int, generator: torch.Generator, **more) -> Any:
+def refined(
+    rule: Any, model: GaussianModel, frame: Any, step: int, generator: torch.Generator, **more
+) -> Any:
     ctx = SeedContext(frame, gaussians=model, generator=generator)
-    return rule.after_step(ctx, told(frame, step, **more), {"step": step - 2})
+    return rule.after_step(
+        ctx,
+        told(frame, step, **more),
+        {"step": step - 2},
+    )
 
 
 @pytest.mark.parametrize("absgrad", [False, True])
-def test_small_ones_are_copied_large_ones_split_faint_ones_removed(model, frame, generator, absgrad):
+def test_small_ones_are_copied_large_ones_split_faint_ones_removed(
+    model, frame, generator, absgrad
+):
     seen(model, frame, generator)
     decides, other = ("image_gradient", "abs_image_gradient")[:: -1 if absgrad else 1]
     model.row_memory(other).fill_(1.0)
@@ -85,7 +108,9 @@ def test_small_ones_are_copied_large_ones_split_faint_ones_removed(model, frame,
     edit = refined(rule, model, frame, 701, generator)
     assert edit is not None
     assert edit.clone.nonzero()[:, 0].tolist() == [0]
-    assert edit.split.nonzero()[:, 0].tolist() == [1]  # the halves of row 2 would still be too large
+    assert edit.split.nonzero()[:, 0].tolist() == [
+        1
+    ]  # the halves of row 2 would still be too large
     assert (~edit.keep).nonzero()[:, 0].tolist() == [2, 3]
     assert not model.memory[decides].any()
     assert edit.reset_opacity is None
@@ -116,36 +141,68 @@ def test_when_it_refines_and_resets(model, frame, generator, step, grows, resets
 def gsplat() -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return pytest.importorskip("gsplat.strategy", reason="gsplat is not installed: pip install gsplat==1.5.3")
+        return pytest.importorskip(
+            "gsplat.strategy", reason="gsplat is not installed: pip install gsplat==1.5.3"
+        )
 
 
 def theirs(model: GaussianModel) -> tuple[Any, dict[str, torch.optim.Optimizer]]:
     p = model.params
-    columns = {"means": p.xyz_W, "scales": p.log_scale, "quats": p.quat, "opacities": p.opacity_logit, "sh": p.sh}
-    params = torch.nn.ParameterDict({name: torch.nn.Parameter(column.clone()) for name, column in columns.items()})
+    columns = {
+        "means": p.xyz_W,
+        "scales": p.log_scale,
+        "quats": p.quat,
+        "opacities": p.opacity_logit,
+        "sh": p.sh,
+    }
+    params = torch.nn.ParameterDict(
+        {name: torch.nn.Parameter(column.clone()) for name, column in columns.items()}
+    )
     return params, {name: torch.optim.Adam([param], lr=0.0) for name, param in params.items()}
 
 
 def assert_same(model: GaussianModel, params: Any, n_drawn: int = 0) -> None:
-    """Equal rows; the centres of the last ``n_drawn`` were drawn at random, by each from other numbers."""
+    """Equal rows; the centres of the last ``n_drawn`` were drawn at random, by each from other
+    numbers."""
     p = model.params
-    columns = {"means": p.xyz_W, "scales": p.log_scale, "quats": p.quat, "opacities": p.opacity_logit, "sh": p.sh}
+    columns = {
+        "means": p.xyz_W,
+        "scales": p.log_scale,
+        "quats": p.quat,
+        "opacities": p.opacity_logit,
+        "sh": p.sh,
+    }
     for name, column in columns.items():
         assert column.shape == params[name].shape
         rows = slice(len(column) - n_drawn if name == "means" else None)
-        torch.testing.assert_close(column[rows], params[name].data[rows], atol=1e-5, rtol=1e-5)
+        torch.testing.assert_close(
+            column[rows],
+            params[name].data[rows],
+            atol=1e-5,
+            rtol=1e-5,
+        )
 
 
 @pytest.mark.parametrize("sizes_in_2d", [0, 10_000])
 @pytest.mark.parametrize("revised", [False, True])
 @pytest.mark.parametrize("step", [700, 3200])
-def test_grows_and_prunes_the_same_rows_as_gsplat(gsplat, model, frame, generator, step, revised, sizes_in_2d):
-    options = {"revised_opacity": revised, "refine_scale2d_stop_iter": sizes_in_2d, "prune_scale3d": 0.015}
+def test_grows_and_prunes_the_same_rows_as_gsplat(
+    gsplat, model, frame, generator, step, revised, sizes_in_2d
+):
+    options = {
+        "revised_opacity": revised,
+        "refine_scale2d_stop_iter": sizes_in_2d,
+        "prune_scale3d": 0.015,
+    }
     rule = default_strategy(scene_scale_m=1.3, grow_grad2d=2.5e-4, **options)
     gradients, large = seen(model, frame, generator), model.scale_m.amax(dim=1) > 0.013
     radius_px = torch.where(large, 8 * torch.rand(N, generator=generator), 0.0)
     strategy = gsplat.DefaultStrategy(grow_grad2d=2.5e-4, **options)
-    state = {"grad2d": gradients.norm(dim=2).sum(0), "count": torch.full((N,), 4.0), "scene_scale": 1.3}
+    state = {
+        "grad2d": gradients.norm(dim=2).sum(0),
+        "count": torch.full((N,), 4.0),
+        "scene_scale": 1.3,
+    }
     if sizes_in_2d:
         state["radii"] = radius_px / 32
     params, optimisers = theirs(model)
@@ -167,11 +224,19 @@ def test_moves_and_adds_the_same_rows_as_gsplat(gsplat, model, frame, monkeypatc
 
         return shared(opacities, scales, ratios, 1e-9)
 
-    monkeypatch.setattr(ops, "compute_relocation", relocation)  # its formula: tests/gaussians/test_edit.py
+    monkeypatch.setattr(
+        ops, "compute_relocation", relocation
+    )  # its formula: tests/gaussians/test_edit.py
     strategy = gsplat.MCMCStrategy(min_opacity=0.01, cap_max=41)
     params, optimisers = theirs(model)
     ours = torch.Generator().manual_seed(3)
-    edit = refined(mcmc(min_opacity=0.01, cap_max=41, noise_lr=0.0), model, frame, 601, ours)
+    edit = refined(
+        mcmc(min_opacity=0.01, cap_max=41, noise_lr=0.0),
+        model,
+        frame,
+        601,
+        ours,
+    )
     assert edit is not None
     model.edit(edit, ours)
     torch.manual_seed(3)
@@ -183,7 +248,9 @@ def test_moves_and_adds_the_same_rows_as_gsplat(gsplat, model, frame, monkeypatc
     assert_same(model, params)
 
 
-def _with_moments(params: Any, optimisers: dict[str, torch.optim.Optimizer]) -> dict[str, torch.optim.Optimizer]:
+def _with_moments(
+    params: Any, optimisers: dict[str, torch.optim.Optimizer]
+) -> dict[str, torch.optim.Optimizer]:
     for name, optimiser in optimisers.items():
         params[name].grad = torch.zeros_like(params[name])
         optimiser.step()
@@ -231,12 +298,16 @@ def test_gradients_are_summed_up_as_in_gsplat(gsplat, model, frame, generator, a
         means2d.grad, means2d.absgrad = v_uv[None].clone(), v_uv_abs[None].clone()
         size = {"width": frame.camera.width, "height": frame.camera.height, "n_cameras": 1}
         radii = (visible[:, None] * torch.tensor([2, 3]))[None]
-        strategy._update_state(params, state, size | {"means2d": means2d, "radii": radii, "gaussian_ids": None})
+        strategy._update_state(
+            params, state, size | {"means2d": means2d, "radii": radii, "gaussian_ids": None}
+        )
     found = abs_image_gradient(model) if absgrad else image_gradient(model)
     torch.testing.assert_close(found, state["grad2d"] / state["count"].clamp_min(1))
 
 
-def test_motion_is_large_only_for_transparent_ones_and_has_the_shape_of_the_gaussian(model, frame, generator):
+def test_motion_is_large_only_for_transparent_ones_and_has_the_shape_of_the_gaussian(
+    model, frame, generator
+):
     model.params.opacity_logit.copy_(torch.where(torch.arange(N) < 20, -9.0, 2.0))
     model.params.log_scale.copy_(torch.tensor([0.1, 0.001, 0.001]).log().expand(N, 3))
     model.params.quat.copy_(torch.tensor([1.0, 0, 0, 0]).expand(N, 4))
@@ -264,7 +335,8 @@ def test_the_scene_is_as_large_as_the_way_of_the_camera(frame, model):
 
 
 def test_steps_that_are_told_twice_refine_once(frame, model, generator):
-    """The memory says what was done; a window of several steps that passes a multiple refines at its end."""
+    """The memory says what was done; a window of several steps that passes a multiple refines at
+    its end."""
     rule, memory = default_strategy(scene_scale_m=1.0, refine_every=100), {"step": 640}
     ctx = SeedContext(frame, gaussians=model, generator=generator)
     seen(model, frame, generator)

@@ -7,12 +7,24 @@ from gsfusion_nb.geometry import pixel_grid, rays, se3
 from gsfusion_nb.tracking import Surface
 from gsfusion_nb.types import Camera, Frame
 
-CAMERA = Camera(width=160, height=120, fx=110.0, fy=110.0, cx=80.0, cy=60.0)
+CAMERA = Camera(
+    width=160,
+    height=120,
+    fx=110.0,
+    fy=110.0,
+    cx=80.0,
+    cy=60.0,
+)
 
 PLANES = {
     "wall": [((0.0, 0.0, -1.0), 2.0)],
     "edge": [((0.6, 0.0, -0.8), 2.0), ((-0.6, 0.0, -0.8), 2.0)],
-    "corridor": [((1.0, 0.0, 0.0), 1.0), ((-1.0, 0.0, 0.0), 1.0), ((0.0, -1.0, 0.0), 1.2), ((0.0, 1.0, 0.0), 1.2)],
+    "corridor": [
+        ((1.0, 0.0, 0.0), 1.0),
+        ((-1.0, 0.0, 0.0), 1.0),
+        ((0.0, -1.0, 0.0), 1.2),
+        ((0.0, 1.0, 0.0), 1.2),
+    ],
     "corner": [((0.6, 0.0, -0.8), 2.0), ((-0.6, 0.0, -0.8), 2.0), ((0.0, -0.8, -0.6), 1.2)],
 }
 """Unit normals towards the camera n and distances d: points with n . x + d = 0."""
@@ -42,21 +54,43 @@ class PlaneScene:
         normal = normal.where(depth[..., None] > 0, 0.0)
         xyz_W = T_WC[:3, 3].double() + depth[..., None] * direction
         rgb = self.paint(xyz_W).float() if self.painted else None
-        return Surface(depth_m=depth.float(), normal_W=normal.float(), camera=camera, T_WC=T_WC, rgb=rgb)
+        return Surface(
+            depth_m=depth.float(),
+            normal_W=normal.float(),
+            camera=camera,
+            T_WC=T_WC,
+            rgb=rgb,
+        )
 
     @staticmethod
     def paint(xyz_W: torch.Tensor) -> torch.Tensor:
         """Colours of the points: waves of 30 to 60 cm."""
-        waves = torch.tensor([[11.0, 3.0, -7.0], [-5.0, 13.0, 9.0], [17.0, -9.0, 4.0]], dtype=torch.float64)
+        waves = torch.tensor(
+            [[11.0, 3.0, -7.0], [-5.0, 13.0, 9.0], [17.0, -9.0, 4.0]],
+            dtype=torch.float64,
+        )
         return 0.4 + 0.3 * torch.sin(xyz_W @ waves.T)
 
-    def frame(self, T_WC: torch.Tensor, index: int = 0, timestamp_s: float | None = None) -> Frame:
+    def frame(
+        self,
+        T_WC: torch.Tensor,
+        index: int = 0,
+        timestamp_s: float | None = None,
+    ) -> Frame:
         """What a camera measures."""
         seen = PlaneScene.__call__(self, CAMERA, T_WC)
-        depth_m, rgb = seen.depth_m, torch.zeros(*seen.depth_m.shape, 3) if seen.rgb is None else seen.rgb
+        depth_m, rgb = (
+            seen.depth_m,
+            torch.zeros(*seen.depth_m.shape, 3) if seen.rgb is None else seen.rgb,
+        )
         time = float(index) if timestamp_s is None else timestamp_s
         return Frame(
-            index=index, timestamp_s=time, rgb=rgb, depth_m=depth_m, camera=CAMERA, T_WC=T_WC.to(torch.float32)
+            index=index,
+            timestamp_s=time,
+            rgb=rgb,
+            depth_m=depth_m,
+            camera=CAMERA,
+            T_WC=T_WC.to(torch.float32),
         )
 
 
@@ -70,9 +104,17 @@ def plane_scene():
 def assert_pose():
     """``assert_pose(T, expected, metres, degrees)``."""
 
-    def check(T: torch.Tensor, expected: torch.Tensor, metres: float, degrees: float) -> None:
+    def check(
+        T: torch.Tensor,
+        expected: torch.Tensor,
+        metres: float,
+        degrees: float,
+    ) -> None:
         miss = se3.inverse(expected.double()) @ T.double()
-        off_m, off_deg = float(miss[:3, 3].norm()), float(se3.rotation_angle(miss[:3, :3]).rad2deg())
+        off_m, off_deg = (
+            float(miss[:3, 3].norm()),
+            float(se3.rotation_angle(miss[:3, :3]).rad2deg()),
+        )
         assert off_m < metres, f"{off_m * 1e3:.3f} mm off"
         assert off_deg < degrees, f"{off_deg:.4f} degrees off"
 

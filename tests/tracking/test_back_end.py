@@ -1,4 +1,5 @@
-"""The back end on simulated walks with injected drift: loops close, false ones do not, odd input is survived."""
+"""The back end on simulated walks with injected drift: loops close, false ones do not, odd input is
+survived."""
 
 import dataclasses
 import math
@@ -15,14 +16,30 @@ from gsfusion_nb.tracking import back_end as back_end_module
 from gsfusion_nb.tracking.back_end import BackEnd, Correction
 from gsfusion_nb.types import Camera, Frame
 
-CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
+CAMERA = Camera(
+    width=320,
+    height=240,
+    fx=208.0,
+    fy=208.0,
+    cx=160.0,
+    cy=120.0,
+)
 
 
 def on_the_circle(angle_deg):
     """Outwards from a circle of 0.9 m in the middle of the room."""
     angle = math.radians(angle_deg)
-    eye = torch.tensor([0.9 * math.cos(angle), 0.7 * math.sin(angle), 1.5], dtype=torch.float64).numpy()
-    target = eye + torch.tensor([2 * math.cos(angle), 2 * math.sin(angle), -0.5], dtype=torch.float64).numpy()
+    eye = torch.tensor(
+        [0.9 * math.cos(angle), 0.7 * math.sin(angle), 1.5],
+        dtype=torch.float64,
+    ).numpy()
+    target = (
+        eye
+        + torch.tensor(
+            [2 * math.cos(angle), 2 * math.sin(angle), -0.5],
+            dtype=torch.float64,
+        ).numpy()
+    )
     return torch.from_numpy(look_at(eye, target)).float()
 
 
@@ -33,7 +50,16 @@ def circle():
     for i in range(36):
         T_WC = on_the_circle(12.0 * i)
         rgb, depth_m = render_room(CAMERA, T_WC)
-        frames.append(Frame(index=3 * i, timestamp_s=float(i), rgb=rgb, depth_m=depth_m, camera=CAMERA, T_WC=T_WC))
+        frames.append(
+            Frame(
+                index=3 * i,
+                timestamp_s=float(i),
+                rgb=rgb,
+                depth_m=depth_m,
+                camera=CAMERA,
+                T_WC=T_WC,
+            )
+        )
     return frames
 
 
@@ -49,9 +75,15 @@ def odometry(true, generator, *, share=0.005, degrees=0.2, bias_deg=0.0):
 
 
 def drive(back_end, frames, steps, start):
-    """The front end's part, each frame a keyframe: poses as tracked, as they drift alone, and the corrections."""
+    """The front end's part, each frame a keyframe: poses as tracked, as they drift alone, and the
+    corrections."""
     back_end.add(frames[0], start.double())
-    return drive_on(back_end, frames[1:], steps, (start.double()[None], start.double()[None], []))
+    return drive_on(
+        back_end,
+        frames[1:],
+        steps,
+        (start.double()[None], start.double()[None], []),
+    )
 
 
 def drive_on(back_end, frames, steps, before):
@@ -70,8 +102,8 @@ def drive_on(back_end, frames, steps, before):
 
 @pytest.fixture(scope="module")
 def walked(circle, tmp_path_factory):
-    """A drifting walk along all of the circle, with what ``drive`` gave, and a store of the back end's state before
-    the last four keyframes; not to be changed."""
+    """A drifting walk along all of the circle, with what ``drive`` gave, and a store of the back
+    end's state before the last four keyframes; not to be changed."""
     true = torch.stack([f.T_WC for f in circle])
     back_end, store = BackEnd(CAMERA), CheckpointStore(tmp_path_factory.mktemp("walked"))
     steps = odometry(true, torch.Generator().manual_seed(0), bias_deg=0.2)
@@ -93,8 +125,8 @@ def test_a_drifting_walk_around_the_room_closes(circle, walked):
 
 
 def test_a_slip_of_the_front_end_is_mended(circle, generator):
-    """Landmarks are found again although the front end's pose is 25 cm off, and outweigh it, however precise its other
-    steps are."""
+    """Landmarks are found again although the front end's pose is 25 cm off, and outweigh it,
+    however precise its other steps are."""
     true = torch.stack([f.T_WC for f in circle[:16]])
     steps = odometry(true, generator, share=0.001, degrees=0.02)
     steps[8] = steps[8] @ se3.exp(torch.tensor([0.25, 0, 0, 0, 0, 0], dtype=torch.float64))
@@ -108,7 +140,12 @@ def test_a_slip_of_the_front_end_is_mended(circle, generator):
 def test_state_goes_on_where_it_was(circle, walked):
     one, store, steps, (tracked, drifted, corrections), _ = walked
     two = BackEnd.from_state_dict(CAMERA, store.load().state)
-    again, _, _ = drive_on(two, circle[32:], steps[31:], (tracked[:32], drifted[:32], corrections))
+    again, _, _ = drive_on(
+        two,
+        circle[32:],
+        steps[31:],
+        (tracked[:32], drifted[:32], corrections),
+    )
     two.finish()
     torch.testing.assert_close(again, tracked, atol=1e-9, rtol=0)
     torch.testing.assert_close(one.T_WC, two.T_WC, atol=1e-9, rtol=0)
@@ -125,7 +162,9 @@ def test_wants_a_keyframe_after_enough_motion(circle):
         ([0, 0, 0, 0, 0.25, 0], False),
     ):
         assert back_end.wants(T_WC @ se3.exp(torch.tensor(twist, dtype=torch.float64))) == wanted
-    assert back_end.wants((T_WC @ se3.exp(torch.tensor([0, 0, 0, 0, 0.27, 0.0], dtype=torch.float64))).float())
+    assert back_end.wants(
+        (T_WC @ se3.exp(torch.tensor([0, 0, 0, 0, 0.27, 0.0], dtype=torch.float64))).float()
+    )
 
 
 def test_wallpaper_closes_no_loop(monkeypatch):
@@ -134,20 +173,26 @@ def test_wallpaper_closes_no_loop(monkeypatch):
     back_end = BackEnd(CAMERA)
     generator = torch.Generator().manual_seed(5)
     tile = torch.rand(24, 32, 3, generator=generator)
-    tile = torch.nn.functional.interpolate(tile.permute(2, 0, 1)[None], scale_factor=2)[0].permute(1, 2, 0)
+    tile = torch.nn.functional.interpolate(tile.permute(2, 0, 1)[None], scale_factor=2)[0].permute(
+        1, 2, 0
+    )
     wall = tile.repeat(5, 12, 1).contiguous()  # one period is 64 pixels: 0.615 m at 2 m
     for i in range(12):
         rgb = wall[:, 22 * i : 22 * i + 320].contiguous()
         T_WC = torch.eye(4)
         T_WC[0, 3] = 22 * i * 2.0 / 208.0
-        back_end.add(_frame(3 * i, rgb, torch.full((240, 320), 2.0), T_WC), T_WC)
+        back_end.add(
+            _frame(3 * i, rgb, torch.full((240, 320), 2.0), T_WC),
+            T_WC,
+        )
     assert back_end.loops == []
     drift = back_end.T_WC[:, 0, 3] - torch.arange(12, dtype=torch.float64) * 22 * 2.0 / 208.0
     assert float(drift.abs().max()) < 1e-6
 
 
 def test_two_rooms_that_look_the_same_are_two_rooms(circle, monkeypatch):
-    """After a corridor without features, 12 m further, the same room again: nothing but the path tells them apart."""
+    """After a corridor without features, 12 m further, the same room again: nothing but the path
+    tells them apart."""
     monkeypatch.setattr(back_end_module, "MIN_GAP", 3)
     back_end = BackEnd(CAMERA)
     for frame in circle[:4]:
@@ -156,7 +201,12 @@ def test_two_rooms_that_look_the_same_are_two_rooms(circle, monkeypatch):
     for i in range(4):
         shift = torch.eye(4)
         shift[0, 3] = 3.0 * (i + 1)
-        grey = _frame(20 + i, torch.full((240, 320, 3), 0.5), torch.full((240, 320), 2.0), circle[3].T_WC)
+        grey = _frame(
+            20 + i,
+            torch.full((240, 320, 3), 0.5),
+            torch.full((240, 320), 2.0),
+            circle[3].T_WC,
+        )
         back_end.add(grey, shift @ circle[3].T_WC)
     for frame in circle[3::-1]:
         same = dataclasses.replace(frame, index=100 - frame.index)
@@ -183,7 +233,14 @@ def test_bad_keyframes_are_survived(circle, kind, monkeypatch):
 
 
 def _frame(index, rgb, depth_m, T_WC):
-    return Frame(index=index, timestamp_s=float(index), rgb=rgb, depth_m=depth_m, camera=CAMERA, T_WC=T_WC)
+    return Frame(
+        index=index,
+        timestamp_s=float(index),
+        rgb=rgb,
+        depth_m=depth_m,
+        camera=CAMERA,
+        T_WC=T_WC,
+    )
 
 
 def poses(*twists):
@@ -192,7 +249,10 @@ def poses(*twists):
 
 def correction(old, new, index=(10, 20, 40)):
     return Correction(
-        frame_index=torch.tensor(index[: len(old)], dtype=torch.int64), T_WC_old=old, T_WC_new=new, loops=[]
+        frame_index=torch.tensor(index[: len(old)], dtype=torch.int64),
+        T_WC_old=old,
+        T_WC_new=new,
+        loops=[],
     )
 
 
@@ -203,17 +263,28 @@ NEW = [(0.0, 0, 0, 0, 0, 0), (1.0, 0.1, 0, 0, 0.15, 0), (2.0, 0.3, 0, 0, 0.3, 0.
 def test_at_keyframes_it_is_new_times_old_inverse():
     old, new = poses(*OLD), poses(*NEW)
     D = correction(old, new).transform_of(torch.tensor([40, 10, 20]))
-    torch.testing.assert_close(D @ old[[2, 0, 1]], new[[2, 0, 1]], atol=1e-9, rtol=0)
+    torch.testing.assert_close(
+        D @ old[[2, 0, 1]],
+        new[[2, 0, 1]],
+        atol=1e-9,
+        rtol=0,
+    )
 
 
 def test_between_two_turns_it_turns_half_about_the_camera():
-    """Both keyframes stand at the same place far from the origin; only the later one turns, about itself."""
+    """Both keyframes stand at the same place far from the origin; only the later one turns, about
+    itself."""
     old = torch.eye(4, dtype=torch.float64).repeat(2, 1, 1)
     old[:, :3, 3] = torch.tensor([100.0, 0, 0])
     new = old.clone()
     new[1] = old[1] @ poses((0, 0, 0, 0, 0, 0.2))[0]
     D = correction(old, new).transform_of(torch.tensor([15]))[0]
-    torch.testing.assert_close(D @ old[0], old[0] @ poses((0, 0, 0, 0, 0, 0.1))[0], atol=1e-9, rtol=0)
+    torch.testing.assert_close(
+        D @ old[0],
+        old[0] @ poses((0, 0, 0, 0, 0, 0.1))[0],
+        atol=1e-9,
+        rtol=0,
+    )
 
 
 def test_exactly_the_identity_where_nothing_moved():
@@ -221,4 +292,7 @@ def test_exactly_the_identity_where_nothing_moved():
     new = old.clone()
     new[2] = poses(NEW[2])[0]
     D = correction(old, new).transform_of(torch.arange(0, 21))
-    assert torch.equal(D, torch.eye(4, dtype=torch.float64).expand(21, 4, 4))
+    assert torch.equal(
+        D,
+        torch.eye(4, dtype=torch.float64).expand(21, 4, 4),
+    )

@@ -1,4 +1,5 @@
-"""The brightness error that joins ICP: its derivative, its exposure, and what it finds where depth slides."""
+"""The brightness error that joins ICP: its derivative, its exposure, and what it finds where depth
+slides."""
 
 import dataclasses
 
@@ -21,7 +22,11 @@ from gsfusion_nb.tracking import (
 
 from .conftest import CAMERA
 
-EXACT = TrackingConfig(even_to_m=None, pyramid=(4, 2, 1), iterations=(10, 10, 10))
+EXACT = TrackingConfig(
+    even_to_m=None,
+    pyramid=(4, 2, 1),
+    iterations=(10, 10, 10),
+)
 NEARBY = torch.tensor([0.02, 0.03, -0.04, 0.01, 0.01, 0.02]).double()
 
 
@@ -43,7 +48,9 @@ def test_the_best_exposure_is_put_in(generator):
     rows = torch.cat([m, torch.ones(40, 1).double()], dim=1)
     system = BrightnessSystem(gram=rows.T @ (w[:, None] * rows), n=40)
     assert system.offset == pytest.approx(float((w * r).sum() / w.sum()))
-    assert system.rms == pytest.approx(float(((w * (r - system.offset) ** 2).sum() / w.sum()).sqrt()))
+    assert system.rms == pytest.approx(
+        float(((w * (r - system.offset) ** 2).sum() / w.sum()).sqrt())
+    )
     H, b = system.normal_equations()
     with_exposure = torch.cat([J, -torch.ones(40, 1).double()], dim=1)
     root = w.sqrt()[:, None]
@@ -53,11 +60,18 @@ def test_the_best_exposure_is_put_in(generator):
 
 @pytest.mark.parametrize("backend", ["reference", "auto"])
 def test_a_painted_wall_is_found_although_its_depth_slides(plane_scene, assert_pose, backend):
-    """In another exposure, too. Depth alone leaves the two translations along the wall and the roll to the start."""
-    scene, T_WC = plane_scene("wall", painted=True), se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.05, 0.1, -0.05]).double())
+    """In another exposure, too. Depth alone leaves the two translations along the wall and the roll
+    to the start."""
+    scene, T_WC = (
+        plane_scene("wall", painted=True),
+        se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.05, 0.1, -0.05]).double()),
+    )
     frame = scene.frame(T_WC)
     frame = dataclasses.replace(frame, rgb=frame.rgb + 0.1)
-    surface, levels = scene(CAMERA, se3.exp(0.5 * NEARBY) @ T_WC), depth_pyramid(frame.depth_m, CAMERA, EXACT.pyramid)
+    surface, levels = (
+        scene(CAMERA, se3.exp(0.5 * NEARBY) @ T_WC),
+        depth_pyramid(frame.depth_m, CAMERA, EXACT.pyramid),
+    )
     pictures = Pictures.of(brightness_levels(frame.rgb, EXACT.pyramid), surface)
     assert pictures is not None
     with use_backend(backend):

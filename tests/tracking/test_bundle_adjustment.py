@@ -14,7 +14,14 @@ from gsfusion_nb.tracking.landmarks import Observations
 from gsfusion_nb.tracking.pose_graph import Edge, odometry_information
 from gsfusion_nb.types import Camera
 
-CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=161.0, cy=119.0)
+CAMERA = Camera(
+    width=320,
+    height=240,
+    fx=208.0,
+    fy=210.0,
+    cx=161.0,
+    cy=119.0,
+)
 HELD = torch.tensor([True] + [False] * 4)
 
 
@@ -25,15 +32,25 @@ def off(T_WC, true):
 
 @pytest.fixture
 def scene(generator):
-    """Five views along a path and 60 points; every view sees two of three points; a tenth of the depths are missing."""
-    points = torch.rand(60, 3, generator=generator, dtype=torch.float64) * 2 + torch.tensor([-1.0, -1.0, 2.0])
+    """Five views along a path and 60 points; every view sees two of three points; a tenth of the
+    depths are missing."""
+    points = torch.rand(60, 3, generator=generator, dtype=torch.float64) * 2 + torch.tensor(
+        [-1.0, -1.0, 2.0]
+    )
     step = torch.tensor([0.1, 0.02, 0.03, 0.01, -0.04, 0.02], dtype=torch.float64)
     T_WC = torch.stack([se3.exp(k * step) for k in range(5)])
-    keyframe, landmark = (x.flatten() for x in torch.meshgrid(torch.arange(5), torch.arange(60), indexing="ij"))
+    keyframe, landmark = (
+        x.flatten() for x in torch.meshgrid(torch.arange(5), torch.arange(60), indexing="ij")
+    )
     observed = (keyframe + landmark) % 3 > 0
     keyframe = keyframe[observed]
     landmark = landmark[observed]
-    xyz_C = torch.stack([se3.apply(se3.inverse(T_WC[k]), points[m]) for k, m in zip(keyframe, landmark, strict=True)])
+    xyz_C = torch.stack(
+        [
+            se3.apply(se3.inverse(T_WC[k]), points[m])
+            for k, m in zip(keyframe, landmark, strict=True)
+        ]
+    )
     seen = Observations(
         keyframe=keyframe,
         landmark=landmark,
@@ -67,19 +84,42 @@ def test_exact_observations_bring_poses_and_points_back(scene, generator):
 def test_with_fixed_poses_only_points_move(scene, generator):
     T_WC, seen = scene
     _, start = disturbed(scene, generator)
-    found = adjust(CAMERA, T_WC, start, [], torch.ones(5, dtype=torch.bool), iterations=20)
+    found = adjust(
+        CAMERA,
+        T_WC,
+        start,
+        [],
+        torch.ones(5, dtype=torch.bool),
+        iterations=20,
+    )
     assert torch.equal(found.T_WC, T_WC)
     torch.testing.assert_close(found.xyz_W, seen.xyz_W, atol=1e-4, rtol=0)
 
 
 def test_wrong_matches_are_outweighed(scene, generator):
-    """A tenth of the pixels are anywhere: that costs less than half of the accuracy that there is without them."""
+    """A tenth of the pixels are anywhere: that costs less than half of the accuracy that there is
+    without them."""
     T_WC, _ = scene
     start, seen = disturbed(scene, generator)
     uv = seen.uv + 0.5 * torch.randn(len(seen), 2, generator=generator, dtype=torch.float64)
     wrong = uv.clone()
-    wrong[::10] += 40 * torch.randn(len(uv[::10]), 2, generator=generator, dtype=torch.float64)
-    good, bad = (adjust(CAMERA, start, dataclasses.replace(seen, uv=x), [], HELD, iterations=20) for x in (uv, wrong))
+    wrong[::10] += 40 * torch.randn(
+        len(uv[::10]),
+        2,
+        generator=generator,
+        dtype=torch.float64,
+    )
+    good, bad = (
+        adjust(
+            CAMERA,
+            start,
+            dataclasses.replace(seen, uv=x),
+            [],
+            HELD,
+            iterations=20,
+        )
+        for x in (uv, wrong)
+    )
     assert off(good.T_WC, T_WC)[0] < 0.02
     assert off(bad.T_WC, T_WC)[0] < 1.5 * off(good.T_WC, T_WC)[0]
 
@@ -90,7 +130,9 @@ T_TRUE = se3.exp(torch.tensor([0.4, -0.3, 0.2, 0.3, -0.8, 0.2], dtype=torch.floa
 @pytest.fixture
 def rows(generator):
     """40 exact landmarks; every fourth without depth."""
-    xyz_C = torch.rand(40, 3, generator=generator, dtype=torch.float64) * 2 + torch.tensor([-1.0, -1.0, 1.5])
+    xyz_C = torch.rand(40, 3, generator=generator, dtype=torch.float64) * 2 + torch.tensor(
+        [-1.0, -1.0, 1.5]
+    )
     inverse = 1 / xyz_C[:, 2] * (torch.arange(40) % 4 > 0)
     return LandmarkRows(
         camera=CAMERA,
@@ -104,7 +146,9 @@ def rows(generator):
 @pytest.mark.parametrize("backend", ["reference", "auto"])
 def test_the_gradient_is_that_of_the_robust_errors(rows, backend):
     """b = 1/2 d/dxi of c^2 ln(1 + |e|^2 / c^2), for a twist about any point."""
-    T_WC = T_TRUE @ se3.exp(torch.tensor([0.02, 0.01, -0.03, 0.01, 0.02, -0.01], dtype=torch.float64))
+    T_WC = T_TRUE @ se3.exp(
+        torch.tensor([0.02, 0.01, -0.03, 0.01, 0.02, -0.01], dtype=torch.float64)
+    )
     centre = torch.tensor([0.3, 0.1, -0.2], dtype=torch.float64)
 
     def cost(xi):
@@ -115,7 +159,10 @@ def test_the_gradient_is_that_of_the_robust_errors(rows, backend):
     with use_backend(backend):
         sums = landmark_sums(rows, T_WC, centre)
     steps = 1e-6 * torch.eye(6, dtype=torch.float64)
-    slope = torch.tensor([(cost(s) - cost(-s)) / 2e-6 for s in steps], dtype=torch.float64)
+    slope = torch.tensor(
+        [(cost(s) - cost(-s)) / 2e-6 for s in steps],
+        dtype=torch.float64,
+    )
     torch.testing.assert_close(2 * sums.b, slope, rtol=1e-5, atol=1e-3)
     assert float(torch.linalg.eigvalsh(sums.H)[0]) > 0
 
@@ -123,9 +170,15 @@ def test_the_gradient_is_that_of_the_robust_errors(rows, backend):
 def test_the_pose_survives_wrong_matches(rows, generator, assert_pose):
     uv = rows.uv.copy()
     uv[:12] += 15 * torch.randn(12, 2, generator=generator).numpy()
-    start = T_TRUE @ se3.exp(torch.tensor([0.03, -0.02, 0.04, 0.02, 0.03, -0.03], dtype=torch.float64))
+    start = T_TRUE @ se3.exp(
+        torch.tensor([0.03, -0.02, 0.04, 0.02, 0.03, -0.03], dtype=torch.float64)
+    )
     spoiled = LandmarkRows(
-        camera=CAMERA, xyz_W=rows.xyz_W, uv=uv, inverse_depth=rows.inverse_depth, sigma_px=rows.sigma_px
+        camera=CAMERA,
+        xyz_W=rows.xyz_W,
+        uv=uv,
+        inverse_depth=rows.inverse_depth,
+        sigma_px=rows.sigma_px,
     )
     found = landmark_pose(spoiled, start)
     assert_pose(found, T_TRUE, 4e-3, 0.2)
@@ -138,11 +191,25 @@ def test_relative_poses_hold_what_no_landmark_sees(scene, generator):
     T_WC, _ = scene
     start, seen = disturbed(scene, generator)
     kept = seen.keyframe < 4
-    columns = {name: getattr(seen, name)[kept] for name in ("keyframe", "landmark", "uv", "depth_m", "sigma_px")}
+    columns = {
+        name: getattr(seen, name)[kept]
+        for name in ("keyframe", "landmark", "uv", "depth_m", "sigma_px")
+    }
     edge = Edge(
-        i=3, j=4, T_ij=se3.inverse(T_WC[3]) @ T_WC[4], information=odometry_information(0.2, 0.01), kind="odometry"
+        i=3,
+        j=4,
+        T_ij=se3.inverse(T_WC[3]) @ T_WC[4],
+        information=odometry_information(0.2, 0.01),
+        kind="odometry",
     )
-    found = adjust(CAMERA, start, dataclasses.replace(seen, **columns), [edge], HELD, iterations=20)
+    found = adjust(
+        CAMERA,
+        start,
+        dataclasses.replace(seen, **columns),
+        [edge],
+        HELD,
+        iterations=20,
+    )
     assert max(off(found.T_WC, T_WC)) < 1e-4
 
 
@@ -152,7 +219,14 @@ def test_without_any_landmark_the_edges_decide(scene):
     none = Observations(**{name: column[:0] for name, column in vars(seen).items()})
     near = odometry_information(0.2, 0.01)
     edges = [
-        Edge(i=k, j=k + 1, T_ij=se3.inverse(T_WC[k]) @ T_WC[k + 1], information=near, kind="odometry") for k in range(4)
+        Edge(
+            i=k,
+            j=k + 1,
+            T_ij=se3.inverse(T_WC[k]) @ T_WC[k + 1],
+            information=near,
+            kind="odometry",
+        )
+        for k in range(4)
     ]
     start = T_WC.clone()
     start[4, :3, 3] += 0.1

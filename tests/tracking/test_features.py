@@ -10,7 +10,14 @@ from gsfusion_nb.geometry import project
 from gsfusion_nb.tracking.features import extract_features
 from gsfusion_nb.types import Camera, Frame
 
-CAMERA = Camera(width=160, height=120, fx=130.0, fy=125.0, cx=81.0, cy=58.5)
+CAMERA = Camera(
+    width=160,
+    height=120,
+    fx=130.0,
+    fy=125.0,
+    cx=81.0,
+    cy=58.5,
+)
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +26,14 @@ def view():
 
 
 def frame(rgb, depth_m, camera=CAMERA):
-    return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=torch.eye(4))
+    return Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=rgb,
+        depth_m=depth_m,
+        camera=camera,
+        T_WC=torch.eye(4),
+    )
 
 
 def noise(generator, height=120, width=160):
@@ -27,8 +41,13 @@ def noise(generator, height=120, width=160):
 
 
 def test_a_mirrored_image_has_mirrored_features_on_every_level(view):
-    """Pixel edges are the same edges after mirroring, so u -> W - u; a wrong half pixel would show as its double."""
-    mirrored = dataclasses.replace(view, rgb=view.rgb.flip(1).contiguous(), depth_m=view.depth_m.flip(1).contiguous())
+    """Pixel edges are the same edges after mirroring, so u -> W - u; a wrong half pixel would show
+    as its double."""
+    mirrored = dataclasses.replace(
+        view,
+        rgb=view.rgb.flip(1).contiguous(),
+        depth_m=view.depth_m.flip(1).contiguous(),
+    )
     a = extract_features(view, count=1000, levels=8)
     b = extract_features(mirrored, count=1000, levels=8)
     uv = b.uv.clone()
@@ -46,7 +65,12 @@ def test_points_project_back_onto_their_pixels(view):
     f = extract_features(view, count=500, levels=8)
     known = f.has_depth
     assert known.float().mean() > 0.6
-    torch.testing.assert_close(project(view.camera, f.xyz_C[known]), f.uv[known], atol=1e-3, rtol=0)
+    torch.testing.assert_close(
+        project(view.camera, f.xyz_C[known]),
+        f.uv[known],
+        atol=1e-3,
+        rtol=0,
+    )
     assert (f.xyz_C[~known] == 0).all()
 
 
@@ -59,17 +83,30 @@ def test_depth_on_a_slanted_plane_is_exact(generator):
     def depth(u, v):
         return d / (n[0] * (u - CAMERA.cx) / CAMERA.fx + n[1] * (v - CAMERA.cy) / CAMERA.fy + n[2])
 
-    f = extract_features(frame(noise(generator), depth(u[None, :], v[:, None]).float()), count=300, levels=4)
+    f = extract_features(
+        frame(noise(generator), depth(u[None, :], v[:, None]).float()),
+        count=300,
+        levels=4,
+    )
     assert f.has_depth.sum() > 100
     at = f.uv[f.has_depth].double()
-    torch.testing.assert_close(f.xyz_C[f.has_depth, 2].double(), depth(at[:, 0], at[:, 1]), atol=2e-5, rtol=0)
+    torch.testing.assert_close(
+        f.xyz_C[f.has_depth, 2].double(),
+        depth(at[:, 0], at[:, 1]),
+        atol=2e-5,
+        rtol=0,
+    )
 
 
 def test_a_poster_does_not_take_all_features(generator):
     """Strong texture on a quarter of the width, weak texture elsewhere."""
     rgb = 0.5 + 0.15 * (noise(generator) - 0.5)
     rgb[:, :40] = noise(generator, 120, 40)
-    f = extract_features(frame(rgb, torch.ones(120, 160)), count=200, levels=2)
+    f = extract_features(
+        frame(rgb, torch.ones(120, 160)),
+        count=200,
+        levels=2,
+    )
     assert len(f) == 200
     assert (f.uv[:, 0] > 40).float().mean() > 0.5
 
@@ -87,21 +124,39 @@ def test_no_depth_at_edges_and_holes(generator):
     assert not f.has_depth[at_edge | in_hole].any()
     clear = ((u - 80).abs() > 3) & ((v < 57) | (v > 67)) & (u > 3) & (u < 157)
     assert f.has_depth[clear].all()
-    torch.testing.assert_close(f.xyz_C[clear, 2], torch.where(u[clear] < 80, 1.0, 2.0))
+    torch.testing.assert_close(
+        f.xyz_C[clear, 2],
+        torch.where(u[clear] < 80, 1.0, 2.0),
+    )
 
 
 @pytest.mark.parametrize("size", [(8, 8), (9, 70), (120, 160)])
 def test_plain_black_and_tiny_frames_have_none(size):
     height, width = size
-    camera = Camera(width=width, height=height, fx=50.0, fy=50.0, cx=width / 2, cy=height / 2)
-    f = extract_features(frame(torch.zeros(height, width, 3), torch.zeros(height, width), camera), count=100, levels=8)
+    camera = Camera(
+        width=width,
+        height=height,
+        fx=50.0,
+        fy=50.0,
+        cx=width / 2,
+        cy=height / 2,
+    )
+    f = extract_features(
+        frame(torch.zeros(height, width, 3), torch.zeros(height, width), camera),
+        count=100,
+        levels=8,
+    )
     assert len(f) == 0
     assert f.descriptors.shape == (0, 32)
     assert f.xyz_C.shape == (0, 3)
 
 
 def test_without_depth_features_stay(generator):
-    f = extract_features(frame(noise(generator), torch.zeros(120, 160)), count=100, levels=4)
+    f = extract_features(
+        frame(noise(generator), torch.zeros(120, 160)),
+        count=100,
+        levels=4,
+    )
     assert len(f) == 100
     assert not f.has_depth.any()
 

@@ -22,7 +22,11 @@ def known(sequence):
     """Every sixth frame of the first part of the walk."""
     database = KeyframeDatabase(sequence.camera)
     for i in range(0, 120, 6):
-        database.add(i, sequence.pose(i), extract_features(sequence[i], count=1000, levels=8))
+        database.add(
+            i,
+            sequence.pose(i),
+            extract_features(sequence[i], count=1000, levels=8),
+        )
     return database
 
 
@@ -83,13 +87,22 @@ def test_views_without_features_can_be_kept_and_asked_about(sequence):
     assert database.relocalise(features) == []
     database.add(1, sequence.pose(0), features)
     database.add(2, torch.eye(4), no_features())
-    torch.testing.assert_close(database.relocalise(features)[0], sequence.pose(0).double(), atol=1e-4, rtol=0)
+    torch.testing.assert_close(
+        database.relocalise(features)[0],
+        sequence.pose(0).double(),
+        atol=1e-4,
+        rtol=0,
+    )
 
 
 def test_corrected_poses_move_what_is_found(known, sequence):
     database = KeyframeDatabase(sequence.camera)
     for row in range(3):
-        database.add(known.index[row], known.T_WC[row], known.features[row])
+        database.add(
+            known.index[row],
+            known.T_WC[row],
+            known.features[row],
+        )
     shift = torch.eye(4, dtype=torch.float64)
     shift[0, 3] = 1.0
     before = database.relocalise(known.features[1])[0]
@@ -107,7 +120,11 @@ def test_another_camera_is_refused(known):
 def test_among_300_keyframes_the_copies_of_the_same_view_come_first(known):
     database = KeyframeDatabase(known.camera)
     for row in range(300):
-        database.add(row, known.T_WC[row % len(known)], known.features[row % len(known)])
+        database.add(
+            row,
+            known.T_WC[row % len(known)],
+            known.features[row % len(known)],
+        )
     rows = database.similar(known.features[5], 16)
     copies = list(range(5, 300, len(known)))
     assert sorted(row for row, _ in rows[:-1]) == copies

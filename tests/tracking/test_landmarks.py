@@ -17,7 +17,14 @@ from gsfusion_nb.tracking.landmarks import CULL_VIEWS, NO_LANDMARK, Landmarks
 from gsfusion_nb.tracking.matching import hamming
 from gsfusion_nb.types import Camera
 
-CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
+CAMERA = Camera(
+    width=320,
+    height=240,
+    fx=208.0,
+    fy=208.0,
+    cx=160.0,
+    cy=120.0,
+)
 
 
 def seen(T_WC, xyz_W, descriptors, has_depth=None):
@@ -34,8 +41,16 @@ def seen(T_WC, xyz_W, descriptors, has_depth=None):
 
 @pytest.fixture
 def points(generator):
-    xyz_W = torch.rand(40, 3, generator=generator, dtype=torch.float64) * 2 + torch.tensor([-1.0, -1.0, 2.0])
-    return xyz_W, torch.randint(0, 256, (40, 32), generator=generator, dtype=torch.uint8)
+    xyz_W = torch.rand(40, 3, generator=generator, dtype=torch.float64) * 2 + torch.tensor(
+        [-1.0, -1.0, 2.0]
+    )
+    return xyz_W, torch.randint(
+        0,
+        256,
+        (40, 32),
+        generator=generator,
+        dtype=torch.uint8,
+    )
 
 
 def moved(x):
@@ -72,7 +87,11 @@ def three_views(points):
     T = [moved(0.0), moved(0.1), moved(0.2)]
     known = torch.stack([torch.arange(40)] * 2, 1)
     views = [seen(t, xyz_W, descriptors) for t in T]
-    return landmarks_of((T[0], views[0], NO_PAIRS), (T[1], views[1], known), (T[2], views[2], NO_PAIRS))
+    return landmarks_of(
+        (T[0], views[0], NO_PAIRS),
+        (T[1], views[1], known),
+        (T[2], views[2], NO_PAIRS),
+    )
 
 
 def test_observations_and_loops(points):
@@ -88,8 +107,18 @@ def test_observations_and_loops(points):
     assert len(joined.xyz_W) == 40
     T_CW = torch.stack([se3.inverse(T) for T in landmarks.database.T_WC])[joined.keyframe]
     xyz_C = (T_CW[:, :3, :3] @ joined.xyz_W[joined.landmark][:, :, None])[:, :, 0] + T_CW[:, :3, 3]
-    torch.testing.assert_close(project(CAMERA, xyz_C), joined.uv, atol=1e-3, rtol=0)
-    torch.testing.assert_close(xyz_C[:, 2], joined.depth_m, atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        project(CAMERA, xyz_C),
+        joined.uv,
+        atol=1e-3,
+        rtol=0,
+    )
+    torch.testing.assert_close(
+        xyz_C[:, 2],
+        joined.depth_m,
+        atol=1e-5,
+        rtol=0,
+    )
 
 
 def test_refined_positions_move_with_their_keyframe(points):
@@ -98,14 +127,20 @@ def test_refined_positions_move_with_their_keyframe(points):
     better[4] = float("nan")
     landmarks.refine(torch.arange(40, 45), better)  # born in the last view
     torch.testing.assert_close(landmarks.positions(torch.arange(40, 44)), better[:4])
-    torch.testing.assert_close(landmarks.positions(torch.tensor([44])), points[0][4:5], atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        landmarks.positions(torch.tensor([44])),
+        points[0][4:5],
+        atol=1e-6,
+        rtol=0,
+    )
     landmarks.database.move(torch.stack([moved(0.0), moved(0.1), moved(1.2)]))
     shift = torch.tensor([1.0, 0, 0], dtype=torch.float64)
     torch.testing.assert_close(landmarks.positions(torch.arange(40, 44)), better[:4] + shift)
 
 
 def test_a_loop_makes_one_landmark_of_two(points):
-    """The older name stays, in every keyframe; a feature that would double it in its keyframe has none."""
+    """The older name stays, in every keyframe; a feature that would double it in its keyframe has
+    none."""
     landmarks = three_views(points)
     landmarks.fuse([(2, torch.tensor([[0, 0], [1, 1], [2, 1]]))])
     assert landmarks.of_feature[2][:4].tolist() == [0, 1, -1, 43]
@@ -123,7 +158,9 @@ def sequence():
 
 @pytest.fixture(scope="module")
 def views(sequence):
-    return {i: extract_features(sequence[i], count=1000, levels=8) for i in (*KEYFRAMES, 51, 57, 300)}
+    return {
+        i: extract_features(sequence[i], count=1000, levels=8) for i in (*KEYFRAMES, 51, 57, 300)
+    }
 
 
 def mapped(sequence, views):
@@ -144,18 +181,27 @@ def known(sequence, views):
     return mapped(sequence, views)
 
 
-@pytest.mark.parametrize("twist", [[0, 0, 0, 0, 0, 0], [0.03, -0.02, 0.02, 0.02, -0.02, 0.03], [0, 0, 0, 0, 0.6, 0]])
+@pytest.mark.parametrize(
+    "twist",
+    [[0, 0, 0, 0, 0, 0], [0.03, -0.02, 0.02, 0.02, -0.02, 0.03], [0, 0, 0, 0, 0.6, 0]],
+)
 def test_a_view_is_seen_from_a_wrong_prediction(known, sequence, views, assert_pose, twist):
-    """The last one, 34 degrees off, predicts nearly nothing into the view: the last keyframe's match helps. Corners are
-    found to a pixel, which is 1 cm at 2 m."""
+    """The last one, 34 degrees off, predicts nearly nothing into the view: the last keyframe's
+    match helps. Corners are found to a pixel, which is 1 cm at 2 m."""
     true = sequence.pose(57).double()
-    seen = seen_by(known, views[57], true @ se3.exp(torch.tensor(twist, dtype=torch.float64)))
+    seen = seen_by(
+        known,
+        views[57],
+        true @ se3.exp(torch.tensor(twist, dtype=torch.float64)),
+    )
     assert_pose(seen.T_WC, true, 0.02, 0.4)
     assert len(seen.pairs) == len(seen.rows) > 100
     assert set(seen.pairs[:, 1]) <= set(seen.expected)
 
 
-def test_landmarks_of_several_keyframes_confirm_what_one_cannot(known, views, sequence, assert_pose):
+def test_landmarks_of_several_keyframes_confirm_what_one_cannot(
+    known, views, sequence, assert_pose
+):
     """With 80 corners one keyframe has too few matches to be believed."""
     some = torch.randperm(len(views[51]), generator=torch.Generator().manual_seed(1))[:80]
     few = views[51][some]
@@ -169,7 +215,10 @@ def test_landmarks_of_several_keyframes_confirm_what_one_cannot(known, views, se
 def test_landmarks_count_only_against_a_pose_that_they_contradict(known, sequence, views):
     seen = seen_by(known, views[57], sequence.pose(57))
     rows = seen.extra
-    near, far = (seen.T_WC @ se3.exp(torch.tensor([x, 0, 0, 0, 0, 0], dtype=torch.float64)) for x in (0.001, 0.2))
+    near, far = (
+        seen.T_WC @ se3.exp(torch.tensor([x, 0, 0, 0, 0, 0], dtype=torch.float64))
+        for x in (0.001, 0.2)
+    )
     assert not any(x.any() for x in rows(near))
     H, b = rows(far)
     every = landmark_sums(seen.rows, far)
@@ -201,10 +250,17 @@ def test_a_lookalike_beside_it_is_not_guessed(points):
 def test_new_landmarks_need_depth(points):
     xyz_W, descriptors = points
     has_depth = torch.arange(40) % 2 == 0
-    landmarks = landmarks_of((moved(0.0), seen(moved(0.0), xyz_W, descriptors, has_depth), NO_PAIRS))
+    landmarks = landmarks_of(
+        (moved(0.0), seen(moved(0.0), xyz_W, descriptors, has_depth), NO_PAIRS)
+    )
     assert len(landmarks) == 20
     assert (landmarks.of_feature[0][1::2] == -1).all()
-    torch.testing.assert_close(landmarks.positions(torch.arange(20)), xyz_W[::2], atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        landmarks.positions(torch.arange(20)),
+        xyz_W[::2],
+        atol=1e-6,
+        rtol=0,
+    )
 
 
 def test_shared_landmarks(points):
@@ -225,7 +281,15 @@ def test_the_longest_tracks_are_kept(points):
 
 def test_nothing_to_observe():
     empty = landmarks_of(
-        (moved(0.0), seen(moved(0.0), torch.zeros(0, 3).double(), torch.zeros((0, 32), dtype=torch.uint8)), NO_PAIRS)
+        (
+            moved(0.0),
+            seen(
+                moved(0.0),
+                torch.zeros(0, 3).double(),
+                torch.zeros((0, 32), dtype=torch.uint8),
+            ),
+            NO_PAIRS,
+        )
     )
     assert len(empty) == 0
     assert len(empty.observations(per_keyframe=10)) == 0
@@ -237,7 +301,10 @@ def test_landmarks_move_with_the_keyframe_they_were_born_in(points):
     before = landmarks.positions(torch.tensor([3, 50]))
     landmarks.database.move(torch.stack([moved(0.0), moved(0.1), moved(1.2)]))
     after = landmarks.positions(torch.tensor([3, 50]))
-    torch.testing.assert_close(after - before, torch.tensor([[0.0, 0, 0], [1, 0, 0]], dtype=torch.float64))
+    torch.testing.assert_close(
+        after - before,
+        torch.tensor([[0.0, 0, 0], [1, 0, 0]], dtype=torch.float64),
+    )
 
 
 def test_what_is_looked_for_in_vain_is_no_longer_looked_for(points):
@@ -245,7 +312,10 @@ def test_what_is_looked_for_in_vain_is_no_longer_looked_for(points):
     everything, never, rarely = np.arange(80), 3, 7
     for k in range(CULL_VIEWS):
         assert landmarks.is_good(everything).all()
-        landmarks.count_views(np.array([never, rarely, 50]), np.array([rarely, 50] if k == 0 else [50]))
+        landmarks.count_views(
+            np.array([never, rarely, 50]),
+            np.array([rarely, 50] if k == 0 else [50]),
+        )
     assert np.flatnonzero(~landmarks.is_good(everything)).tolist() == [never]
     for _ in range(CULL_VIEWS):  # found once in 30 times: less than 5 %
         landmarks.count_views(np.array([rarely]), np.array([], int))

@@ -7,7 +7,12 @@ import torch
 
 from gsfusion_nb.data.room import render_room, room
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.tracking.back_end import depth_agreement, depth_thumbnail, may_drift, why_not_same_place
+from gsfusion_nb.tracking.back_end import (
+    depth_agreement,
+    depth_thumbnail,
+    may_drift,
+    why_not_same_place,
+)
 from gsfusion_nb.tracking.features import extract_features
 from gsfusion_nb.tracking.matching import relative_pose
 
@@ -59,7 +64,9 @@ def test_a_true_loop_passes_and_others_say_why(pair):
         a.camera,
     )
     _, depth_m = render_room(a.camera, b.T_WC @ turned(80.0).float())
-    assert "depths agree" in why_not_same_place(pose, query, (thumbnails[0], depth_thumbnail(depth_m)), a.camera)
+    assert "depths agree" in why_not_same_place(
+        pose, query, (thumbnails[0], depth_thumbnail(depth_m)), a.camera
+    )
 
 
 def test_the_path_bounds_the_drift():

@@ -16,7 +16,14 @@ from gsfusion_nb.tracking.matching import (
 )
 from gsfusion_nb.types import Camera
 
-CAMERA = Camera(width=320, height=240, fx=208.0, fy=210.0, cx=160.0, cy=121.0)
+CAMERA = Camera(
+    width=320,
+    height=240,
+    fx=208.0,
+    fy=210.0,
+    cx=160.0,
+    cy=121.0,
+)
 
 
 def features(descriptors, uv=None, xyz_C=None):
@@ -31,12 +38,20 @@ def features(descriptors, uv=None, xyz_C=None):
 
 
 def random_descriptors(n, generator):
-    return torch.randint(0, 256, (n, 32), generator=generator, dtype=torch.uint8)
+    return torch.randint(
+        0,
+        256,
+        (n, 32),
+        generator=generator,
+        dtype=torch.uint8,
+    )
 
 
 def two_views(n, generator, T_RQ):
     """Random points in front of a reference camera, seen exactly by both."""
-    xyz_R = torch.rand(n, 3, generator=generator, dtype=torch.float64) * torch.tensor([2.0, 1.5, 2.0])
+    xyz_R = torch.rand(n, 3, generator=generator, dtype=torch.float64) * torch.tensor(
+        [2.0, 1.5, 2.0]
+    )
     xyz_R = xyz_R + torch.tensor([-1.0, -0.75, 1.5])
     xyz_Q = se3.apply(se3.inverse(T_RQ), xyz_R)
     return xyz_R, xyz_Q
@@ -49,8 +64,13 @@ def T_RQ():
 
 def rows_at(xyz_R, uv, depth_m):
     inverse = torch.where(depth_m > 0, 1 / depth_m, 0.0)
-    return LandmarkRows(camera=CAMERA, xyz_W=xyz_R.numpy(), uv=uv.numpy(), inverse_depth=inverse.numpy(),
-                        sigma_px=torch.ones(len(uv), dtype=torch.float64).numpy())  # fmt: skip
+    return LandmarkRows(
+        camera=CAMERA,
+        xyz_W=xyz_R.numpy(),
+        uv=uv.numpy(),
+        inverse_depth=inverse.numpy(),
+        sigma_px=torch.ones(len(uv), dtype=torch.float64).numpy(),
+    )
 
 
 def test_refinement_reaches_the_exact_pose_despite_outliers(generator, T_RQ):
@@ -73,7 +93,11 @@ def test_information_is_the_inverse_covariance(generator, T_RQ):
     informations = []
     for _ in range(60):
         noise = torch.randn(80, 2, generator=generator, dtype=torch.float64)
-        seen = rows_at(xyz_R, project(CAMERA, xyz_Q) + noise, torch.zeros(80, dtype=torch.float64))
+        seen = rows_at(
+            xyz_R,
+            project(CAMERA, xyz_Q) + noise,
+            torch.zeros(80, dtype=torch.float64),
+        )
         pose = refine_pose(seen, T_RQ, rows)
         assert pose is not None
         step = se3.inverse(T_RQ) @ pose.T_RQ
@@ -89,11 +113,17 @@ def test_relative_pose_from_descriptors_alone(generator, T_RQ):
     """100 points in both views, 60 unrelated ones besides."""
     xyz_R, xyz_Q = two_views(100, generator, T_RQ)
     same = random_descriptors(100, generator)
-    other = torch.rand(60, 3, generator=generator, dtype=torch.float64) + torch.tensor([-0.5, -0.5, 1.5])
+    other = torch.rand(60, 3, generator=generator, dtype=torch.float64) + torch.tensor(
+        [-0.5, -0.5, 1.5]
+    )
     query_xyz, reference_xyz = torch.cat([xyz_Q, other]), torch.cat([xyz_R, other])
-    query = features(torch.cat([same, random_descriptors(60, generator)]), project(CAMERA, query_xyz), query_xyz)
+    query = features(
+        torch.cat([same, random_descriptors(60, generator)]), project(CAMERA, query_xyz), query_xyz
+    )
     reference = features(
-        torch.cat([same, random_descriptors(60, generator)]), project(CAMERA, reference_xyz), reference_xyz
+        torch.cat([same, random_descriptors(60, generator)]),
+        project(CAMERA, reference_xyz),
+        reference_xyz,
     )
     pose = relative_pose(CAMERA, query, reference)
     assert pose is not None
@@ -117,7 +147,8 @@ def test_match_by_hand():
 
 @pytest.mark.parametrize("first", [0, 1])
 def test_clear_and_mutual_by_hand(first):
-    """Of the candidates of a, the nearest, unless another is nearly as near, or it is nearer to another of a."""
+    """Of the candidates of a, the nearest, unless another is nearly as near, or it is nearer to
+    another of a."""
     a = np.array([0, 0, 1, 2, 2, 3, 4]) + first
     b = np.array([0, 1, 2, 3, 4, 3, 5])
     distance = np.array([10, 40, 20, 30, 31, 5, MAX_HAMMING + 1])
@@ -125,7 +156,10 @@ def test_clear_and_mutual_by_hand(first):
     assert sorted(found.tolist()) == [0, 2, 5]
 
 
-@pytest.mark.parametrize(("n", "m"), [(0, 5), (5, 0), (1, 1), (1, 5)])
+@pytest.mark.parametrize(
+    ("n", "m"),
+    [(0, 5), (5, 0), (1, 1), (1, 5)],
+)
 def test_too_few_to_match(n, m, generator):
     a, b = features(random_descriptors(n, generator)), features(random_descriptors(m, generator))
     assert match_features(a, b).shape == (0, 2)

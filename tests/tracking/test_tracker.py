@@ -24,7 +24,8 @@ def path(n, start=0):
 def track_all(tracker, scene, poses, times=None):
     times = times or range(len(poses))
     return [
-        tracker.track(scene.frame(T, i, float(t)), scene) for i, (T, t) in enumerate(zip(poses, times, strict=True))
+        tracker.track(scene.frame(T, i, float(t)), scene)
+        for i, (T, t) in enumerate(zip(poses, times, strict=True))
     ]
 
 
@@ -46,8 +47,16 @@ def test_the_first_pose_is_the_datas_and_no_other(plane_scene, assert_pose):
     scene, tracker = plane_scene("corner"), Tracker()
     first = scene.frame(path(1)[0])
     assert torch.equal(tracker.track(first, scene).T_WC, first.T_WC)
-    nonsense = dataclasses.replace(scene.frame(path(2)[1], 1), T_WC=torch.zeros(4, 4))
-    assert_pose(tracker.track(nonsense, scene).T_WC, path(2)[1], 5e-4, 0.03)
+    nonsense = dataclasses.replace(
+        scene.frame(path(2)[1], 1),
+        T_WC=torch.zeros(4, 4),
+    )
+    assert_pose(
+        tracker.track(nonsense, scene).T_WC,
+        path(2)[1],
+        5e-4,
+        0.03,
+    )
 
 
 def test_prediction_carries_the_motion_on_in_proportion_to_time(plane_scene, assert_pose):
@@ -56,7 +65,12 @@ def test_prediction_carries_the_motion_on_in_proportion_to_time(plane_scene, ass
         tracker.predict(0.0)
     track_all(tracker, plane_scene("corner"), path(3), times=[0.0, 0.1, 0.2])
     for ahead, motions in ((0.1, 1), (0.2, 2), (0.0, 1), (10.0, 4)):
-        assert_pose(tracker.predict(0.2 + ahead), se3.exp((2 + motions) * VELOCITY), 4e-3, 0.3)
+        assert_pose(
+            tracker.predict(0.2 + ahead),
+            se3.exp((2 + motions) * VELOCITY),
+            4e-3,
+            0.3,
+        )
     still = Tracker(TrackingConfig(prior="previous"))
     track_all(still, plane_scene("corner"), path(3))
     assert_pose(still.predict(9.0), path(3)[2], 5e-4, 0.03)
@@ -72,7 +86,11 @@ def test_the_landmarks_pose_is_tried_first(plane_scene, assert_pose):
     assert (report.status, report.start) == ("ok", "the landmarks")
     assert_pose(report.T_WC, jump, 5e-4, 0.03)
     tracker.standing = before
-    report = tracker.track(scene.frame(path(4)[3], 3), scene, guess=se3.exp(5 * VELOCITY) @ jump)
+    report = tracker.track(
+        scene.frame(path(4)[3], 3),
+        scene,
+        guess=se3.exp(5 * VELOCITY) @ jump,
+    )
     assert (report.status, report.start) == ("recovered", "the predicted pose")
     assert_pose(report.T_WC, path(4)[3], 5e-4, 0.03)
 
@@ -85,7 +103,9 @@ def test_along_an_edge_the_prediction_decides(plane_scene):
         T[2, 3] = 0.01 * k
     scene, tracker = plane_scene("edge"), Tracker()
     track_all(tracker, scene, steps[:2])
-    assert float(tracker.predict(2.0)[1, 3]) == pytest.approx(0.0, abs=2e-3)  # the start knew no motion
+    assert float(tracker.predict(2.0)[1, 3]) == pytest.approx(
+        0.0, abs=2e-3
+    )  # the start knew no motion
     report = tracker.track(scene.frame(steps[2], 2), scene)
     assert report.icp is not None
     assert (report.status, report.icp.degenerate) == ("degenerate", 1)
@@ -99,7 +119,10 @@ def test_a_jump_is_lost_and_found_when_the_stream_returns(plane_scene, assert_po
     elsewhere = torch.eye(4).double()
     elsewhere[2, 3] = 1.0
     for i in range(3):
-        with pytest.raises(TrackingLostError, match=r"frame 1\d cannot be tracked: from the .* pose .*%.*wide limits"):
+        with pytest.raises(
+            TrackingLostError,
+            match=r"frame 1\d cannot be tracked: from the .* pose .*%.*wide limits",
+        ):
             tracker.track(other.frame(elsewhere, 10 + i), corner)
     assert tracker.lost_in_a_row == 3
     back = path(1, start=5)[0]
@@ -123,7 +146,10 @@ class KnownPoses:
 
 def test_poses_by_appearance_are_tried_last_and_judged_by_their_fit(plane_scene, assert_pose):
     rolled = se3.exp(torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 1.8]).double())
-    known = KnownPoses(se3.exp(torch.tensor([9.0, 0, 0, 0, 3, 0]).double()), rolled)
+    known = KnownPoses(
+        se3.exp(torch.tensor([9.0, 0, 0, 0, 3, 0]).double()),
+        rolled,
+    )
     corner, tracker = plane_scene("corner"), Tracker()
     track_all(tracker, corner, path(3))
     assert known.asked == []
@@ -154,7 +180,10 @@ def test_correct_moves_the_frame_that_a_hybrid_target_is_mixed_with(plane_scene,
     track_all(tracker, scene, path(1))
     change = se3.exp(torch.tensor([1.0, 2.0, 3.0, 0.5, 0.0, 0.1]).double())
     tracker.correct(change)
-    tracker._target(scene)(scene.frame(path(1)[0], 1).camera, torch.eye(4))
+    tracker._target(scene)(
+        scene.frame(path(1)[0], 1).camera,
+        torch.eye(4),
+    )
     assert_pose(scene.rendered[-1], change @ path(1)[0], 1e-6, 1e-4)
 
 
@@ -201,22 +230,44 @@ def test_the_clearly_better_fit_is_taken(plane_scene):
     surface = scene(frame.camera, path(2)[1])
     sight = Sight.of(frame, config)
     right = icp(frame.depth_m, frame.camera, surface, T_WC, config)
-    wrong, almost = (dataclasses.replace(right, T_WC=se3.exp(k * VELOCITY) @ T_WC) for k in (0.5, 0.01))
-    tries = {name: Attempt(Start(name, T_WC), surface, result) for name, result in
-             (("right", right), ("wrong", wrong), ("almost", almost))}  # fmt: skip
-    for order, best in ((("wrong", "right"), "right"), (("right", "wrong"), "right"), (("wrong",), "wrong")):
+    wrong, almost = (
+        dataclasses.replace(right, T_WC=se3.exp(k * VELOCITY) @ T_WC) for k in (0.5, 0.01)
+    )
+    tries = {
+        name: Attempt(Start(name, T_WC), surface, result)
+        for name, result in (("right", right), ("wrong", wrong), ("almost", almost))
+    }
+    for order, best in (
+        (("wrong", "right"), "right"),
+        (("right", "wrong"), "right"),
+        (("wrong",), "wrong"),
+    ):
         assert best_of(sight, [tries[name] for name in order], config).start.name == best
-    assert best_of(sight, [tries["almost"], tries["right"]], config).start.name == "almost"
+    assert (
+        best_of(
+            sight,
+            [tries["almost"], tries["right"]],
+            config,
+        ).start.name
+        == "almost"
+    )
 
 
 def test_a_frozen_frame_does_not_move(plane_scene, assert_pose):
-    reports = track_all(Tracker(), plane_scene("corner"), [*path(3), *[path(3)[2]] * 4])
+    reports = track_all(
+        Tracker(),
+        plane_scene("corner"),
+        [*path(3), *[path(3)[2]] * 4],
+    )
     for report in reports[2:]:
         assert_pose(report.T_WC, path(3)[2], 5e-4, 0.03)
 
 
 def test_a_wrong_prediction_falls_back_to_the_last_pose(plane_scene, assert_pose):
-    scene, tracker = plane_scene("corner"), Tracker(TrackingConfig(max_distance_m=0.02, iterations=(3, 1, 1)))
+    scene, tracker = (
+        plane_scene("corner"),
+        Tracker(TrackingConfig(max_distance_m=0.02, iterations=(3, 1, 1))),
+    )
     leap = se3.exp(torch.tensor([0.3, 0.25, 0.2, 0.1, 0.2, 0.0]).double())
     state = tracker.state_dict() | {
         "before": {"T_WC": leap, "timestamp_s": 0.0},
@@ -229,17 +280,23 @@ def test_a_wrong_prediction_falls_back_to_the_last_pose(plane_scene, assert_pose
 
 
 def test_a_motion_beyond_the_limit_is_refused(plane_scene):
-    scene, tracker = plane_scene("corner"), Tracker(TrackingConfig(max_step_m=0.01, max_step_deg=45.0))
+    scene, tracker = (
+        plane_scene("corner"),
+        Tracker(TrackingConfig(max_step_m=0.01, max_step_deg=45.0)),
+    )
     tracker.track(scene.frame(torch.eye(4).double()), scene)
     T = torch.eye(4).double()
     T[2, 3] = 0.05
-    with pytest.raises(TrackingLostError, match=r"moved 0\.05 m and turned 0 degrees .* \(at most 0\.01 m and 45 deg"):
+    with pytest.raises(
+        TrackingLostError,
+        match=r"moved 0\.05 m and turned 0 degrees .* \(at most 0\.01 m and 45 deg",
+    ):
         tracker.track(scene.frame(T, 1), scene)
 
 
 def test_many_corrections_leave_the_path_rigid(plane_scene):
-    """Each is made of the last pose, as the back end makes it; without care the rounding of the first would be 1 % in
-    the twentieth."""
+    """Each is made of the last pose, as the back end makes it; without care the rounding of the
+    first would be 1 % in the twentieth."""
     tracker = Tracker()
     track_all(tracker, plane_scene("corner"), path(3))
     for k in range(25):

@@ -1,5 +1,6 @@
-"""Analytic depth images and fields: a sphere, planes and the built-in room, seen by cameras that are exact by
-construction. What is tested here is the reference; tests/kernels compare every other backend with it."""
+"""Analytic depth images and fields: a sphere, planes and the built-in room, seen by cameras that
+are exact by construction. What is tested here is the reference; tests/kernels compare every other
+backend with it."""
 
 import pytest
 import torch
@@ -21,7 +22,14 @@ def _on_the_reference():
 @pytest.fixture
 def camera():
     """Not square, and its principal point not in the middle."""
-    return Camera(width=160, height=120, fx=140.0, fy=150.0, cx=83.0, cy=57.5)
+    return Camera(
+        width=160,
+        height=120,
+        fx=140.0,
+        fy=150.0,
+        cx=83.0,
+        cy=57.5,
+    )
 
 
 @pytest.fixture
@@ -48,30 +56,46 @@ def make_frame():
     def frame(depth_m, camera, T_WC=None, rgb=None):
         if rgb is None:
             uv = pixel_grid(camera)
-            rgb = torch.stack([uv[..., 0] / camera.width, uv[..., 1] / camera.height, uv[..., 0] * 0 + 0.25], dim=-1)
+            rgb = torch.stack(
+                [uv[..., 0] / camera.width, uv[..., 1] / camera.height, uv[..., 0] * 0 + 0.25],
+                dim=-1,
+            )
         T_WC = torch.eye(4) if T_WC is None else T_WC
-        return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T_WC)
+        return Frame(
+            index=0,
+            timestamp_s=0.0,
+            rgb=rgb,
+            depth_m=depth_m,
+            camera=camera,
+            T_WC=T_WC,
+        )
 
     return frame
 
 
 @pytest.fixture
 def sphere_depth():
-    """``sphere_depth(camera, T_WC, centre, radius)``: z-depth of a sphere, 0 where the ray misses it."""
+    """``sphere_depth(camera, T_WC, centre, radius)``: z-depth of a sphere, 0 where the ray misses
+    it."""
 
     def depth(camera, T_WC, centre=(0.0, 0.0, 0.0), radius=0.5):
         c = (torch.tensor(centre).double() - T_WC[:3, 3].double()) @ T_WC[:3, :3].double()
         d = rays(camera, pixel_grid(camera, dtype=torch.float64))
         a, b, e = (d * d).sum(-1), d @ c, c @ c - radius**2
         disc = b * b - a * e
-        return torch.where(disc > 0, (b - disc.clamp_min(0).sqrt()) / a, 0.0).float()
+        return torch.where(
+            disc > 0,
+            (b - disc.clamp_min(0).sqrt()) / a,
+            0.0,
+        ).float()
 
     return depth
 
 
 @pytest.fixture
 def filled_volume():
-    """``filled_volume(sdf, low, high, config)``: blocks of a box, D from a function of position, all observed."""
+    """``filled_volume(sdf, low, high, config)``: blocks of a box, D from a function of position,
+    all observed."""
 
     def fill(sdf, low, high, config=None):
         volume = TsdfVolume(config or TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0))

@@ -13,7 +13,8 @@ CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
 
 
 def check_closed(mesh):
-    """Every side is used once in each direction: closed, manifold along edges, consistently turned."""
+    """Every side is used once in each direction: closed, manifold along edges, consistently
+    turned."""
     F = mesh.faces
     sides = torch.cat([F[:, [0, 1]], F[:, [1, 2]], F[:, [2, 0]]])
     key = sides[:, 0] * mesh.vertices_W.shape[0] + sides[:, 1]
@@ -33,7 +34,13 @@ def sphere(p, centre=(0.03, -0.02, 0.01), radius=0.3):
 
 
 def test_sphere_is_closed_round_and_turned_outwards(filled_volume):
-    mesh = extract_mesh(filled_volume(sphere, (-3, -3, -3), (3, 3, 3)))
+    mesh = extract_mesh(
+        filled_volume(
+            sphere,
+            (-3, -3, -3),
+            (3, 3, 3),
+        )
+    )
     check_closed(mesh)
     V, F = mesh.vertices_W, mesh.faces
     assert V.shape[0] - 3 * F.shape[0] // 2 + F.shape[0] == 2  # Euler: one sphere
@@ -48,7 +55,11 @@ def test_sphere_is_closed_round_and_turned_outwards(filled_volume):
 
 def test_random_field_is_closed(filled_volume, generator):
     """Noise has every case, and faces whose corners alternate."""
-    volume = filled_volume(lambda p: torch.randn(p.shape[:-1], generator=generator).double(), (-2, -1, 0), (1, 2, 2))
+    volume = filled_volume(
+        lambda p: torch.randn(p.shape[:-1], generator=generator).double(),
+        (-2, -1, 0),
+        (1, 2, 2),
+    )
     border = TsdfVolume(CONFIG)
     low, high = volume.block_coords.amin(0) - 1, volume.block_coords.amax(0) + 2
     axes = [torch.arange(int(a), int(b)) for a, b in zip(low, high, strict=True)]
@@ -70,9 +81,15 @@ def test_only_where_all_corners_were_observed(camera, make_frame):
     assert float((mesh.vertices_W[:, 2] - 1.01).abs().max()) < 0.001
     a, b, c = mesh.vertices_W[mesh.faces].unbind(1)
     assert bool((torch.linalg.cross(b - a, c - a)[:, 2] < 0).all())
-    # The colour runs with the image: red to the right (x), green downwards (y). Nothing is mirrored.
+    # The colour runs with the image: red to the right (x), green downwards (y). Nothing is
+    # mirrored.
     uv = mesh.vertices_W[:, :2] / 1.01 * torch.tensor([140.0, 150.0]) + torch.tensor([83.0, 57.5])
-    torch.testing.assert_close(mesh.rgb[:, :2], uv / torch.tensor([160.0, 120.0]), atol=0.01, rtol=0)
+    torch.testing.assert_close(
+        mesh.rgb[:, :2],
+        uv / torch.tensor([160.0, 120.0]),
+        atol=0.01,
+        rtol=0,
+    )
     assert extract_mesh(volume, min_weight=2.0).faces.shape == (0, 3)
 
 
@@ -100,15 +117,29 @@ def test_vertices_are_those_of_vtk(filled_volume):
         x, y, z = (p - torch.tensor([0.013, 0.004, -0.007], dtype=p.dtype)).unbind(-1)
         return (((x * x + y * y).sqrt() - 0.2) ** 2 + z * z).sqrt() - 0.07
 
-    volume = filled_volume(torus, (-2, -2, -1), (2, 2, 1))
+    volume = filled_volume(
+        torus,
+        (-2, -2, -1),
+        (2, 2, 1),
+    )
     mesh = extract_mesh(volume)
     check_closed(mesh)
     dense = torch.ones(32, 32, 16)
-    for (x, y, z), D in zip((volume.block_coords + torch.tensor([2, 2, 1])).tolist(), volume.D, strict=True):
+    for (x, y, z), D in zip(
+        (volume.block_coords + torch.tensor([2, 2, 1])).tolist(),
+        volume.D,
+        strict=True,
+    ):
         dense[8 * x : 8 * x + 8, 8 * y : 8 * y + 8, 8 * z : 8 * z + 8] = D.view(8, 8, 8)
-    grid = pyvista.ImageData(dimensions=(32, 32, 16), spacing=(0.02,) * 3, origin=(-0.31, -0.31, -0.15))
+    grid = pyvista.ImageData(
+        dimensions=(32, 32, 16),
+        spacing=(0.02,) * 3,
+        origin=(-0.31, -0.31, -0.15),
+    )
     grid["D"] = dense.permute(2, 1, 0).reshape(-1).numpy()
-    theirs = torch.from_numpy(grid.contour([0.0], scalars="D", method="marching_cubes").points).double()
+    theirs = torch.from_numpy(
+        grid.contour([0.0], scalars="D", method="marching_cubes").points
+    ).double()
     ours = mesh.vertices_W.double()
     assert theirs.shape == ours.shape
     distance = torch.cdist(ours, theirs)
@@ -124,7 +155,8 @@ def test_one_corner_by_hand():
     table, count = triangle_table()
     assert count[0] == count[255] == 0
     assert count[1] == count[254] == 1
-    # Corner 0 inside: the triangle joins the x, y and z edges at it, counter-clockwise seen from (1, 1, 1).
+    # Corner 0 inside: the triangle joins the x, y and z edges at it, counter-clockwise seen from
+    # (1, 1, 1).
     x, y, z = EDGES.index((0, 0)), EDGES.index((1, 0)), EDGES.index((2, 0))
     assert table[1, 0].tolist() in ([x, y, z], [y, z, x], [z, x, y])
     assert table[254, 0].tolist() in ([x, z, y], [z, y, x], [y, x, z])
@@ -134,13 +166,18 @@ def test_triangles_use_every_cut_edge_and_no_other():
     table, count = triangle_table()
     assert table.shape == (256, 5, 3)
     for case in range(256):
-        cut = {e for e, (axis, low) in enumerate(EDGES) if inside(case, low) != inside(case, low | 1 << axis)}
+        cut = {
+            e
+            for e, (axis, low) in enumerate(EDGES)
+            if inside(case, low) != inside(case, low | 1 << axis)
+        }
         assert set(table[case, : count[case]].flatten().tolist()) == cut
         assert {e for loop in loops(case) for e in loop} == cut
 
 
 def test_open_border_lies_in_the_faces_and_nothing_else_does():
-    """Sides used once bound the patch and lie in cube faces; sides used twice run through the interior only."""
+    """Sides used once bound the patch and lie in cube faces; sides used twice run through the
+    interior only."""
     table, count = triangle_table()
     corners = [{low, low | 1 << axis} for axis, low in EDGES]
     faces = [{c for c in range(8) if (c >> a & 1) == s} for a in range(3) for s in (0, 1)]
@@ -155,7 +192,8 @@ def test_open_border_lies_in_the_faces_and_nothing_else_does():
 
 
 def test_neighbouring_cubes_agree_on_their_face():
-    """Directed sides in the shared face run in opposite directions, whatever the other corners are."""
+    """Directed sides in the shared face run in opposite directions, whatever the other corners
+    are."""
     table, count = triangle_table()
 
     def border(case, axis, side):
@@ -185,7 +223,11 @@ def test_neighbouring_cubes_agree_on_their_face():
 
 def test_a_vertex_has_the_colour_of_its_place(filled_volume):
     """Colour runs linearly through space, so between two voxels it must be that of the point."""
-    volume = filled_volume(sphere, (-3, -3, -3), (3, 3, 3))
+    volume = filled_volume(
+        sphere,
+        (-3, -3, -3),
+        (3, 3, 3),
+    )
 
     def colour(p):
         return 0.5 + p @ torch.tensor([[0.4, 0.1, 0.0], [-0.2, 0.5, 0.1], [0.1, 0.0, -0.6]])
@@ -193,20 +235,33 @@ def test_a_vertex_has_the_colour_of_its_place(filled_volume):
     centres = (volume.voxel_at(torch.arange(volume.n_blocks * 512)) + 0.5) * 0.02
     volume.rgb_planes.copy_(colour(centres).view(-1, 512, 3).transpose(1, 2))
     mesh = extract_mesh(volume)
-    torch.testing.assert_close(mesh.rgb, colour(mesh.vertices_W), atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        mesh.rgb,
+        colour(mesh.vertices_W),
+        atol=1e-5,
+        rtol=0,
+    )
 
 
 def test_sphere_far_away_with_negative_coordinates(filled_volume):
     centre = (-70.0, 33.0, -12.5)
     low = [int((c - 0.4) // 0.16) for c in centre]
-    volume = filled_volume(lambda p: sphere(p, centre), low, [b + 6 for b in low])
+    volume = filled_volume(
+        lambda p: sphere(p, centre),
+        low,
+        [b + 6 for b in low],
+    )
     mesh = extract_mesh(volume)
     check_closed(mesh)
     assert float(sphere(mesh.vertices_W.double(), centre).abs().max()) < 2e-4  # h^2 / 8 R again
 
 
 def test_chunks_do_not_show(filled_volume, monkeypatch):
-    volume = filled_volume(sphere, (-3, -3, -3), (3, 3, 3))
+    volume = filled_volume(
+        sphere,
+        (-3, -3, -3),
+        (3, 3, 3),
+    )
     whole = extract_mesh(volume)
     module = importlib.import_module("gsfusion_nb.tsdf.marching_cubes")
     monkeypatch.setattr(module, "BLOCKS_AT_A_TIME", 7)

@@ -15,12 +15,24 @@ def insert(index, coords):
 def test_insert_and_find():
     index = BlockIndex()
     assert index.find(torch.tensor([[0, 0, 0]])).tolist() == [-1]
-    rows = insert(index, torch.tensor([[1, 0, 0], [0, 0, 0], [1, 0, 0]]))
+    rows = insert(
+        index,
+        torch.tensor([[1, 0, 0], [0, 0, 0], [1, 0, 0]]),
+    )
     assert rows.tolist() == [1, 0, 1]  # Morton order decides, duplicates share
-    assert insert(index, torch.tensor([[-5, 2, 9], [0, 0, 0]])).tolist() == [2, 0]
-    assert index.find(torch.tensor([[0, 0, 0], [-5, 2, 9], [1, 0, 0], [0, 1, 0], [500, 0, 0]])).tolist() == [
-        0, 2, 1, -1, -1,
-    ]  # fmt: skip
+    assert insert(
+        index,
+        torch.tensor([[-5, 2, 9], [0, 0, 0]]),
+    ).tolist() == [2, 0]
+    assert index.find(
+        torch.tensor([[0, 0, 0], [-5, 2, 9], [1, 0, 0], [0, 1, 0], [500, 0, 0]])
+    ).tolist() == [
+        0,
+        2,
+        1,
+        -1,
+        -1,
+    ]
     assert bool((index.codes.diff() > 0).all())
     assert len(index) == 3
 
@@ -41,11 +53,21 @@ def test_against_a_dictionary(generator):
 def test_missing_blocks_are_new_sorted_and_different(generator):
     index, edge = BlockIndex(), octree.OFFSET
     insert(index, torch.randint(-9, 9, (300, 3), generator=generator))
-    coords = torch.randint(-12, 12, (500, 3), generator=generator)  # old and new ones, and some twice
+    coords = torch.randint(
+        -12, 12, (500, 3), generator=generator
+    )  # old and new ones, and some twice
     coords = torch.cat([coords, torch.tensor([[edge - 1] * 3, [-edge] * 3])])
     for given in (coords, coords.to(torch.int32), coords[:0]):
         new, before = index.missing(given), len(index)
-        wanted = {tuple(c) for c, row in zip(given.tolist(), index.find(given).tolist(), strict=True) if row < 0}
+        wanted = {
+            tuple(c)
+            for c, row in zip(
+                given.tolist(),
+                index.find(given).tolist(),
+                strict=True,
+            )
+            if row < 0
+        }
         assert sorted(map(tuple, new.coords.tolist())) == sorted(wanted)
         assert len(new) == len(wanted)
         assert torch.equal(new.codes, octree.encode(new.coords))
@@ -67,8 +89,13 @@ def test_a_table_grows_as_if_it_had_been_made_at_once(generator):
         coords = torch.randint(-size, size, (200, 3), generator=generator)
         insert(grown, coords)
         at_once = BlockIndex.of_blocks(octree.decode(grown.codes))
-        query = torch.cat([torch.randint(-60, 60, (3000, 3), generator=generator), coords, coords + 1])
-        assert torch.equal(grown.rows[at_once.find(query)].where(at_once.find(query) >= 0, -1), grown.find(query))
+        query = torch.cat(
+            [torch.randint(-60, 60, (3000, 3), generator=generator), coords, coords + 1]
+        )
+        assert torch.equal(
+            grown.rows[at_once.find(query)].where(at_once.find(query) >= 0, -1),
+            grown.find(query),
+        )
         assert torch.equal(grown.find(query), grown._search(octree.encode(query)))
 
 
@@ -88,14 +115,20 @@ def test_a_far_block_costs_one_node(far, generator):
 
 def test_a_map_far_from_the_origin_has_a_small_table():
     index = BlockIndex()
-    insert(index, torch.tensor([[1_000_000, -1_000_000, 12], [1_000_001, -1_000_000, 12]]))
+    insert(
+        index,
+        torch.tensor([[1_000_000, -1_000_000, 12], [1_000_001, -1_000_000, 12]]),
+    )
     assert index.table is not None
     assert index.table.nodes.numel() < 100
 
 
 def test_a_map_too_large_for_a_table_is_searched_by_code_and_says_so(generator, caplog):
     coords = torch.cat(
-        [torch.randint(-20, 20, (300, 3), generator=generator), torch.tensor([[1_000_000, -1_000_000, 12]])]
+        [
+            torch.randint(-20, 20, (300, 3), generator=generator),
+            torch.tensor([[1_000_000, -1_000_000, 12]]),
+        ]
     )
     index = BlockIndex()
     rows = insert(index, coords)

@@ -45,7 +45,9 @@ def test_boxes_of_blocks_follow_the_pool(generator):
     for n in (5, 59, 1, 0, 200):
         volume.add_blocks(torch.randint(-400, 400, (n, 3), generator=generator))
         parts = volume.block_coords.split(BLOCKS_IN_BOX)
-        assert volume.block_boxes.tolist() == [[x.amin(0).tolist(), x.amax(0).tolist()] for x in parts]
+        assert volume.block_boxes.tolist() == [
+            [x.amin(0).tolist(), x.amax(0).tolist()] for x in parts
+        ]
     loaded = TsdfVolume(CONFIG)
     loaded.load_state_dict(volume.state_dict())
     assert loaded.block_boxes.tolist() == volume.block_boxes.tolist()
@@ -53,7 +55,9 @@ def test_boxes_of_blocks_follow_the_pool(generator):
 
 @pytest.mark.parametrize("limit", [None, 10_000])
 def test_the_pool_is_copied_seldom_also_near_the_limit(limit):
-    volume = TsdfVolume(CONFIG, memory_limit_bytes=limit and estimate_memory(limit, weighs_colours=True))
+    volume = TsdfVolume(
+        CONFIG, memory_limit_bytes=limit and estimate_memory(limit, weighs_colours=True)
+    )
     pools = set()
     for i in range(95):
         volume.add_blocks(torch.tensor([[x, i, 0] for x in range(100)]))
@@ -70,7 +74,10 @@ def test_refuses_to_outgrow_memory():
     assert volume.index.find(torch.tensor([[0, 1, 0]])).tolist() == [-1]
 
 
-@pytest.mark.parametrize("block", [(0, 0, 0), (-4, 3, -60), (9000, -9000, 2)])
+@pytest.mark.parametrize(
+    "block",
+    [(0, 0, 0), (-4, 3, -60), (9000, -9000, 2)],
+)
 def test_sample_nearest(block):
     volume = TsdfVolume(CONFIG)
     row = int(volume.add_blocks(torch.tensor([block]))[0])
@@ -79,11 +86,16 @@ def test_sample_nearest(block):
     volume.rgb[row, :, 1] = torch.arange(512.0) / 512
     corner = torch.tensor(block).double() * volume.block_size_m
     # Voxel (1, 2, 3) spans [1, 2) x [2, 3) x [3, 4) voxels and is number 64 + 16 + 3.
-    inside = torch.tensor([[1.1, 2.1, 3.1], [1.9, 2.9, 3.9], [8.5, 0.5, 0.5]]).double() * 0.02 + corner
+    inside = (
+        torch.tensor([[1.1, 2.1, 3.1], [1.9, 2.9, 3.9], [8.5, 0.5, 0.5]]).double() * 0.02 + corner
+    )
     s = volume.sample_nearest(inside.float())
     assert s.D.tolist() == [83.0, 83.0, 1.0]
     assert s.W.tolist() == [2.0, 2.0, 0.0]
-    torch.testing.assert_close(s.rgb[:, 1], torch.tensor([83 / 512, 83 / 512, 0.0]))
+    torch.testing.assert_close(
+        s.rgb[:, 1],
+        torch.tensor([83 / 512, 83 / 512, 0.0]),
+    )
     assert volume.sample_nearest(torch.zeros(0, 3)).rgb.shape == (0, 3)
 
 
@@ -91,25 +103,45 @@ def test_interpolation_is_exact_on_a_linear_field(filled_volume, generator):
     def field(p):
         return 0.02 * (p[..., 0] - 2 * p[..., 1] + 0.5 * p[..., 2]) + 0.004
 
-    volume = filled_volume(field, (-2, -2, -2), (2, 2, 2))
+    volume = filled_volume(
+        field,
+        (-2, -2, -2),
+        (2, 2, 2),
+    )
     p = (torch.rand(500, 3, generator=generator) * 2 - 1) * 0.3
     D, valid = volume.interpolate(p)
     assert bool(valid.all())
-    torch.testing.assert_close(D * CONFIG.truncation_m, field(p), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        D * CONFIG.truncation_m,
+        field(p),
+        atol=1e-6,
+        rtol=0,
+    )
 
 
 def test_interpolation_needs_eight_observed_voxels(filled_volume):
-    volume = filled_volume(lambda p: p[..., 0] * 0.1, (0, 0, 0), (2, 2, 2))
+    volume = filled_volume(
+        lambda p: p[..., 0] * 0.1,
+        (0, 0, 0),
+        (2, 2, 2),
+    )
     volume.W[0, 0] = 0.0
-    centre = torch.tensor([[0.01, 0.01, 0.01], [0.031, 0.031, 0.031], [0.005, 0.1, 0.1], [0.16, 0.16, 0.16]])
+    centre = torch.tensor(
+        [[0.01, 0.01, 0.01], [0.031, 0.031, 0.031], [0.005, 0.1, 0.1], [0.16, 0.16, 0.16]]
+    )
     D, valid = volume.interpolate(centre)
-    # beside the unobserved voxel; one voxel on; at the edge of the allocated box; where eight blocks meet
+    # beside the unobserved voxel; one voxel on; at the edge of the allocated box; where eight
+    # blocks meet
     assert valid.tolist() == [False, True, False, True]
     assert D[[0, 2]].tolist() == [1.0, 1.0]
 
 
 def test_state_round_trip(filled_volume):
-    volume = filled_volume(lambda p: p[..., 2] - 0.05, (-3, 0, -1), (1, 2, 2))
+    volume = filled_volume(
+        lambda p: p[..., 2] - 0.05,
+        (-3, 0, -1),
+        (1, 2, 2),
+    )
     copy = TsdfVolume(CONFIG)
     copy.load_state_dict(volume.state_dict())
     for name in ("D", "W", "rgb", "block_coords"):
@@ -127,7 +159,10 @@ def test_centres_and_corners_by_hand():
     volume.add_blocks(torch.tensor([[-1, 0, 2]]))
     centres = volume.voxel_centres(torch.tensor([0]))
     assert centres.dtype == torch.float64
-    torch.testing.assert_close(centres[0, 83], torch.tensor([-0.16 + 0.03, 0.05, 0.32 + 0.07]).double())
+    torch.testing.assert_close(
+        centres[0, 83],
+        torch.tensor([-0.16 + 0.03, 0.05, 0.32 + 0.07]).double(),
+    )
     coords = volume.voxel_coords(torch.tensor([0]))
     assert coords[0, 83].tolist() == [-8 + 1, 2, 16 + 3]
     assert volume.find_voxels(coords[0]).tolist() == list(range(512))
@@ -140,17 +175,23 @@ def test_weights_of_a_cell_and_their_derivatives(generator):
     f = torch.rand(20, 3, generator=generator, dtype=torch.float64, requires_grad=True)
     weights = corner_weights(f)
     torch.testing.assert_close(weights.sum(1), torch.ones(20).double())
-    torch.testing.assert_close(weights[:, 0b110], (1 - f[:, 0]) * f[:, 1] * f[:, 2])
+    torch.testing.assert_close(
+        weights[:, 0b110],
+        (1 - f[:, 0]) * f[:, 1] * f[:, 2],
+    )
     for corner in range(8):
         (expected,) = torch.autograd.grad(weights[:, corner].sum(), f, retain_graph=True)
         torch.testing.assert_close(corner_gradients(f)[:, corner], expected)
 
 
 @pytest.mark.parametrize(
-    ("by_distance", "band_voxels", "weighs_colours"), [(False, 0.0, False), (True, 0.0, True), (False, 1.5, True)]
+    ("by_distance", "band_voxels", "weighs_colours"),
+    [(False, 0.0, False), (True, 0.0, True), (False, 1.5, True)],
 )
 def test_memory_is_what_the_tensors_take(by_distance, band_voxels, weighs_colours):
-    config = dataclasses.replace(CONFIG, colour_by_distance=by_distance, colour_band_voxels=band_voxels)
+    config = dataclasses.replace(
+        CONFIG, colour_by_distance=by_distance, colour_band_voxels=band_voxels
+    )
     volume = TsdfVolume(config)
     volume.add_blocks(torch.tensor([[i, 0, 0] for i in range(10)]))
     tensors = [x for x in volume.state_dict().values() if isinstance(x, torch.Tensor)]
@@ -161,7 +202,9 @@ def test_memory_is_what_the_tensors_take(by_distance, band_voxels, weighs_colour
 def test_how_much_memory_is_needed_and_allowed():
     """2,000 blocks of 512 voxels of 24 bytes, and 12 bytes for their place: 24.6 million bytes."""
     volume = TsdfVolume(CONFIG, memory_limit_bytes=20_400_000)
-    with pytest.raises(MemoryError, match=r"needs 25 MB for 2000 blocks .* of 0.02 m, but only 20 MB may be used"):
+    with pytest.raises(
+        MemoryError, match=r"needs 25 MB for 2000 blocks .* of 0.02 m, but only 20 MB may be used"
+    ):
         volume.add_blocks(torch.tensor([[i, 0, 0] for i in range(2000)]))
     assert volume.n_blocks == 0
 
@@ -182,5 +225,7 @@ def test_a_damaged_map_is_refused(name, change, sentence):
     state = volume.state_dict()
     with pytest.raises(ValueError, match=sentence):
         TsdfVolume(CONFIG).load_state_dict(state | {name: change(state[name])})
-    with pytest.raises(ValueError, match=r"the saved map was made with .*0.02.*, this volume has .*0.03"):
+    with pytest.raises(
+        ValueError, match=r"the saved map was made with .*0.02.*, this volume has .*0.03"
+    ):
         TsdfVolume(dataclasses.replace(CONFIG, voxel_size_m=0.03)).load_state_dict(state)

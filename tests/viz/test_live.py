@@ -17,7 +17,9 @@ def decoded(data):
 def shown_frame(live):
     """Which frame of the sequence the first panel looks like."""
     shown = decoded(live.images["input"].value).astype(int)
-    return int(np.argmin([np.abs(shown - f.rgb.numpy() * 255).mean() for f in live.run.sequence.mapping]))
+    return int(
+        np.argmin([np.abs(shown - f.rgb.numpy() * 255).mean() for f in live.run.sequence.mapping])
+    )
 
 
 def wait_for(condition, seconds=20.0):
@@ -97,7 +99,9 @@ def listen(viewer, monkeypatch):
     """Somebody looks at the viewer; how many rows the map had at each message."""
     monkeypatch.setattr("gsfusion_nb.viz.splat_viewer.MIN_INTERVAL_S", 0.0)
     sizes = []
-    monkeypatch.setattr(viewer, "send", lambda content, buffers=(): sizes.append(content["head"]["n"]))
+    monkeypatch.setattr(
+        viewer, "send", lambda content, buffers=(): sizes.append(content["head"]["n"])
+    )
     viewer._heard(viewer, {"kind": "ready"}, [])
     return sizes
 
@@ -107,7 +111,9 @@ def test_the_splat_viewer_follows_the_map_and_knows_its_time(make_run, monkeypat
     live = LiveMapper(run)
     viewer = live.splats(width=96)
     assert (viewer.width, viewer.height) == (96, 72)
-    assert viewer.T_WC.equal(run.sequence.mapping[0].T_WC)  # nothing is mapped yet: where the camera will start
+    assert viewer.T_WC.equal(
+        run.sequence.mapping[0].T_WC
+    )  # nothing is mapped yet: where the camera will start
     sizes = listen(viewer, monkeypatch)
     live.run_sync(1)
     wait_for(lambda: sizes and sizes[-1] == len(run.mapper.gaussians))
@@ -129,7 +135,10 @@ def test_the_splat_viewer_follows_the_map_and_knows_its_time(make_run, monkeypat
 def test_it_starts_where_the_first_keyframe_was_and_the_last_viewer_follows(make_run):
     live = LiveMapper(make_run())
     live.run_sync(2)
-    earlier, viewer = live.splats(), live.splats(colour_by="depth", T_WC=live.run.sequence.mapping[3].T_WC)
+    earlier, viewer = (
+        live.splats(),
+        live.splats(colour_by="depth", T_WC=live.run.sequence.mapping[3].T_WC),
+    )
     assert earlier.T_WC.equal(live.run.mapper.keyframes[0].T_WC)
     assert viewer.T_WC.equal(live.run.sequence.mapping[3].T_WC)
     assert live.viewer is viewer
@@ -157,7 +166,13 @@ class Counting:
 
 def make_loop(**options):
     work = Counting(**options)
-    return work, LiveLoop(work.steps, work.picture, {"count": work.values}, n_steps=work.n, width=240)
+    return work, LiveLoop(
+        work.steps,
+        work.picture,
+        {"count": work.values},
+        n_steps=work.n,
+        width=240,
+    )
 
 
 def test_run_sync_then_buttons_go_on():

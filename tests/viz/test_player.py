@@ -36,7 +36,11 @@ def wait_for(condition, seconds=10.0):
 
 def test_start_runs_to_the_end_on_another_thread():
     work, seen, rests = Work(), [], []
-    player = Player(work.steps, on_step=seen.append, on_rest=lambda: rests.append(player.state))
+    player = Player(
+        work.steps,
+        on_step=seen.append,
+        on_rest=lambda: rests.append(player.state),
+    )
     assert player.state == "ready"
     player.start()
     assert player.join(10)
@@ -98,7 +102,10 @@ def test_run_sync_works_here_and_takes_over_from_the_thread():
 def test_an_error_is_kept_and_the_work_can_go_on():
     work = Work(fail_at=4)
     rests = []
-    player = Player(work.steps, on_rest=lambda: rests.append((player.state, str(player.error))))
+    player = Player(
+        work.steps,
+        on_rest=lambda: rests.append((player.state, str(player.error))),
+    )
     player.start()
     assert player.join(10)
     assert rests == [("failed", "broke at 4")]

@@ -1,4 +1,5 @@
-"""Rows on their way to the browser: what a record holds, and that the changes sent add up to the map."""
+"""Rows on their way to the browser: what a record holds, and that the changes sent add up to the
+map."""
 
 import dataclasses
 
@@ -15,9 +16,12 @@ def random_map(n, generator, harmonics=4):
         return torch.randn(*shape, generator=generator)
 
     return GaussianParams(
-        xyz_W=3 * normal(n, 3), log_scale=normal(n, 3) - 4, quat=normal(n, 4), opacity_logit=2 * normal(n),
+        xyz_W=3 * normal(n, 3),
+        log_scale=normal(n, 3) - 4,
+        quat=normal(n, 4),
+        opacity_logit=2 * normal(n),
         sh=0.3 * normal(n, harmonics, 3),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("n", [0, 1, 7])
@@ -30,10 +34,17 @@ def test_round_trip(n, generator):
     assert (rows["xyz_W"] == params.xyz_W.numpy()).all()
     assert (rows["columns"] == columns).all()
     for name, value in (
-        ("quat", params.quat), ("log_scale", params.log_scale), ("sh", params.sh),
+        ("quat", params.quat),
+        ("log_scale", params.log_scale),
+        ("sh", params.sh),
         ("opacity", params.opacity_logit.sigmoid()),
-    ):  # fmt: skip
-        np.testing.assert_allclose(rows[name].astype(np.float32), value.numpy(), rtol=2**-11, atol=1e-6)  # float16
+    ):
+        np.testing.assert_allclose(
+            rows[name].astype(np.float32),
+            value.numpy(),
+            rtol=2**-11,
+            atol=1e-6,
+        )  # float16
 
 
 def test_rows_with_nan_or_infinity_are_hidden_and_keep_their_place(generator):
@@ -60,7 +71,11 @@ def test_huge_maps_leave_the_higher_harmonics_at_home(generator, monkeypatch):
 
 
 def packed(params):
-    return pack_rows(params, np.zeros((len(params), 0), np.float32), layout_for(params, 0))
+    return pack_rows(
+        params,
+        np.zeros((len(params), 0), np.float32),
+        layout_for(params, 0),
+    )
 
 
 def applied(old, packet, n):
@@ -89,7 +104,11 @@ def test_changed_rows_travel_and_unchanged_ones_do_not(generator):
 def test_everything_travels_where_parts_are_no_cheaper(generator):
     params = random_map(50, generator)
     old, nothing = packed(params), packed(params[:0])
-    other = (packed(params[5:]), packed(random_map(50, generator)), packed(random_map(50, generator, harmonics=1)))
+    other = (
+        packed(params[5:]),
+        packed(random_map(50, generator)),
+        packed(random_map(50, generator, harmonics=1)),
+    )
     for before, new in (*((old, new) for new in other), (None, old), (old, nothing)):
         packet = packet_between(before, new)
         assert packet is not None

@@ -1,4 +1,5 @@
-"""The splat viewer without a browser: what is sent, what a pick tells, what a stored notebook shows."""
+"""The splat viewer without a browser: what is sent, what a pick tells, what a stored notebook
+shows."""
 
 import dataclasses
 
@@ -13,7 +14,14 @@ from gsfusion_nb.render import render
 from gsfusion_nb.types import Camera, Seeds
 from gsfusion_nb.viz import SplatViewer, orbit_camera
 
-CAMERA = Camera(width=64, height=48, fx=60.0, fy=60.0, cx=32.0, cy=24.0)
+CAMERA = Camera(
+    width=64,
+    height=48,
+    fx=60.0,
+    fy=60.0,
+    cx=32.0,
+    cy=24.0,
+)
 FRONT = orbit_camera((0, 0, 0), -90, 0, 2.0)
 
 
@@ -47,7 +55,12 @@ def say_ready(viewer):
 
 
 def more(model, n=1):
-    seeds = Seeds.isotropic(torch.rand(n, 3), torch.rand(n, 3), torch.full((n,), 0.1), tag=torch.full((n,), 2))
+    seeds = Seeds.isotropic(
+        torch.rand(n, 3),
+        torch.rand(n, 3),
+        torch.full((n,), 0.1),
+        tag=torch.full((n,), 2),
+    )
     model.append(seeds, 9)
 
 
@@ -129,10 +142,14 @@ def test_the_picture_is_our_renderers(viewer, model):
     assert np.abs(viewer.picture() - expected).max() < 1
     seen = [viewer.picture()]
     for changes in (
-        {"colour_by": "depth"}, {"colour_by": "tag"}, {"colour_by": "opacity"}, {"colour_by": "rgb", "size": 2.0},
-        {"size": 1.0, "opacity": 0.5}, {"opacity": 1.0, "background": "#4060ff"},
+        {"colour_by": "depth"},
+        {"colour_by": "tag"},
+        {"colour_by": "opacity"},
+        {"colour_by": "rgb", "size": 2.0},
+        {"size": 1.0, "opacity": 0.5},
+        {"opacity": 1.0, "background": "#4060ff"},
         {"background": "#000000", "born_until": 3.0},
-    ):  # fmt: skip
+    ):
         viewer.set_state(changes)
         seen.append(viewer.picture())
     assert len({p.tobytes() for p in seen}) == len(seen)
@@ -149,20 +166,30 @@ def test_the_map_is_not_part_of_the_saved_state(viewer):
 def test_bad_rows_are_left_out_with_a_sentence(model):
     xyz = model.params.xyz_W.clone()
     xyz[0] = float("nan")
-    viewer = SplatViewer(dataclasses.replace(model.params, xyz_W=xyz), camera=CAMERA, T_WC=FRONT)
+    viewer = SplatViewer(
+        dataclasses.replace(model.params, xyz_W=xyz),
+        camera=CAMERA,
+        T_WC=FRONT,
+    )
     assert viewer.notice == "1 of the rows hold NaN or infinite numbers and are not drawn"
     assert viewer.picture()[24, :32, 0].max() < 10  # the red one
     assert viewer.picture()[24, 32:, 1].max() > 200
 
 
 def test_wrong_input_is_refused_with_a_sentence(model, viewer):
-    with pytest.raises(TypeError, match="needs a mapper, a GaussianModel or GaussianParams, got dict"):
+    with pytest.raises(
+        TypeError, match="needs a mapper, a GaussianModel or GaussianParams, got dict"
+    ):
         SplatViewer({})
-    with pytest.raises(ValueError, match=r"extras\['error'\] must hold one number per Gaussian, \[2\], got \[3\]"):
+    with pytest.raises(
+        ValueError, match=r"extras\['error'\] must hold one number per Gaussian, \[2\], got \[3\]"
+    ):
         SplatViewer(model, extras={"error": torch.zeros(3)})
     with pytest.raises(ValueError, match="cannot be named 'depth'"):
         SplatViewer(model, extras={"depth": torch.zeros(2)})
-    with pytest.raises(KeyError, match="no colour_by 'level'; known: birth_frame, depth, opacity, rgb, tag"):
+    with pytest.raises(
+        KeyError, match="no colour_by 'level'; known: birth_frame, depth, opacity, rgb, tag"
+    ):
         SplatViewer(model, colour_by="level")
     with pytest.raises(KeyError, match="no colour_by 'state'"):
         viewer.colour_by = "state"

@@ -10,30 +10,56 @@ from gsfusion_nb.geometry import camera, se3
 from gsfusion_nb.types import Camera
 from gsfusion_nb.viz.viewpoint import extent, orbit_camera
 
-CAMERA = Camera(width=320, height=240, fx=200.0, fy=200.0, cx=160.0, cy=120.0)
+CAMERA = Camera(
+    width=320,
+    height=240,
+    fx=200.0,
+    fy=200.0,
+    cx=160.0,
+    cy=120.0,
+)
 
 
 def pixel(T_WC, point):
-    return camera.project(CAMERA, se3.apply(se3.inverse(T_WC), torch.tensor([point], dtype=torch.float32)))[0]
+    return camera.project(
+        CAMERA,
+        se3.apply(se3.inverse(T_WC), torch.tensor([point], dtype=torch.float32)),
+    )[0]
 
 
 def test_by_hand_with_z_up():
     T = orbit_camera((0, 0, 0), 0, 0, 2.0)
     assert T[:3, 3].tolist() == [2, 0, 0]
-    expected = torch.tensor([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]])  # right = +y, down = -z, forward = -x
+    expected = torch.tensor(
+        [[0.0, 0, -1], [1, 0, 0], [0, -1, 0]]
+    )  # right = +y, down = -z, forward = -x
     assert torch.allclose(T[:3, :3], expected, atol=1e-7)
-    assert torch.allclose(orbit_camera((0, 0, 1), 90, 0, 2.0)[:3, 3], torch.tensor([0.0, 2, 1]), atol=1e-6)
-    assert torch.allclose(orbit_camera((0, 0, 0), 0, 30, 2.0)[2, 3], torch.tensor(1.0))
+    assert torch.allclose(
+        orbit_camera((0, 0, 1), 90, 0, 2.0)[:3, 3],
+        torch.tensor([0.0, 2, 1]),
+        atol=1e-6,
+    )
+    assert torch.allclose(
+        orbit_camera((0, 0, 0), 0, 30, 2.0)[2, 3],
+        torch.tensor(1.0),
+    )
 
 
-@pytest.mark.parametrize("up", [(0, 0, 1), (0, -1, 0), (0, 0, -2), (1, 2, 3)])
+@pytest.mark.parametrize(
+    "up",
+    [(0, 0, 1), (0, -1, 0), (0, 0, -2), (1, 2, 3)],
+)
 @pytest.mark.parametrize("elevation", [-90, -20, 0, 45, 90])
 @pytest.mark.parametrize("azimuth", [-170, 0, 33])
 def test_target_in_the_middle_and_the_picture_upright(up, elevation, azimuth):
     target = torch.tensor([0.3, -0.2, 1.0])
     T = orbit_camera(target, azimuth, elevation, 3.0, up)
     check_pose("T", T)
-    assert torch.allclose(pixel(T, target.tolist()), torch.tensor([160.0, 120.0]), atol=1e-3)
+    assert torch.allclose(
+        pixel(T, target.tolist()),
+        torch.tensor([160.0, 120.0]),
+        atol=1e-3,
+    )
     assert (T[:3, 3] - target).norm() == pytest.approx(3.0, abs=1e-5)
     unit = torch.nn.functional.normalize(torch.tensor(up, dtype=torch.float32), dim=0)
     assert abs(float(T[:3, 0] @ unit)) < 1e-6  # the horizon is level

@@ -29,20 +29,30 @@ def missing() -> list[str]:
     return [name for name in NEEDED if find_spec(name) is None]
 
 
-def build(root: Path, out: Path, files: str, quiz: Mapping[int, Sequence[Question]]) -> None:
+def build(
+    root: Path,
+    out: Path,
+    files: str,
+    quiz: Mapping[int, Sequence[Question]],
+) -> None:
     """Build the book.
 
     Args:
         root: The project.
         out: The site; replaced. Work is kept in the folder ``.OUT_work`` beside it.
-        files: Address below which a repository shows its files, with a slash at its end; "" without a repository.
+        files: Address below which a repository shows its files, with a slash at its end; "" without
+            a repository.
         quiz: Questions by chapter.
 
     Raises:
-        RuntimeError: the extra is not installed, or Sphinx failed or warned, as of a link that leads nowhere.
+        RuntimeError: the extra is not installed, or Sphinx failed or warned, as of a link that
+            leads nowhere.
     """
     if lacking := missing():
-        raise RuntimeError(f"the book needs {', '.join(lacking)}; install them with: pip install 'gsfusion-nb[book]'")
+        raise RuntimeError(
+            f"the book needs {', '.join(lacking)}; install them with: pip install "
+            "'gsfusion-nb[book]'"
+        )
     work = out.parent / f".{out.name}_work"
     pages, extra, static = work / "pages", work / "extra", work / "static"
     Assembly(places_of(root, files), pages, extra, quiz).write()
@@ -53,7 +63,8 @@ def build(root: Path, out: Path, files: str, quiz: Mapping[int, Sequence[Questio
 
 
 def _write_static(folder: Path) -> None:
-    """Style sheets, scripts, and MathJax with its fonts, so that no page loads anything from elsewhere."""
+    """Style sheets, scripts, and MathJax with its fonts, so that no page loads anything from
+    elsewhere."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     for file in (Path(__file__).parent / "static").iterdir():
@@ -68,7 +79,14 @@ def _write_static(folder: Path) -> None:
         (shutil.copytree if (mathjax / name).is_dir() else shutil.copyfile)(mathjax / name, target)
 
 
-def _sphinx(root: Path, pages: Path, extra: Path, static: Path, doctrees: Path, out: Path) -> None:
+def _sphinx(
+    root: Path,
+    pages: Path,
+    extra: Path,
+    static: Path,
+    doctrees: Path,
+    out: Path,
+) -> None:
     from gsfusion_nb import __version__
 
     shutil.rmtree(out, ignore_errors=True)
@@ -79,15 +97,33 @@ def _sphinx(root: Path, pages: Path, extra: Path, static: Path, doctrees: Path, 
         "GSNB_BOOK_EXTRA": str(extra.resolve()),
     }
     options = ["project=gsfusion_nb", f"release={__version__}", "html_title=gsfusion_nb"]
-    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-d", str(doctrees)]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-q",
+        "-W",
+        "--keep-going",
+        "-b",
+        "html",
+        "-d",
+        str(doctrees),
+    ]
     command += ["-c", str(root / "docs/book")]
     command += [part for option in options for part in ("-D", option)]
-    done = subprocess.run([*command, str(pages), str(out)], env=environment, text=True, stderr=subprocess.PIPE)
+    done = subprocess.run(
+        [*command, str(pages), str(out)],
+        env=environment,
+        text=True,
+        stderr=subprocess.PIPE,
+    )
     for line in done.stderr.splitlines():
         log.warning("%s", line)
     if done.returncode:
         raise RuntimeError("Sphinx could not build the book; its messages are above")
-    (out / ".nojekyll").touch()  # GitHub Pages would leave out folders that begin with an underscore
+    (
+        out / ".nojekyll"
+    ).touch()  # GitHub Pages would leave out folders that begin with an underscore
 
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -96,16 +132,25 @@ _ROOT = Path(__file__).resolve().parents[2]
 def main(arguments: list[str] | None = None) -> int:
     """Build the book; 1 if it could not be built."""
     parser = argparse.ArgumentParser(prog="python -m book", description="Builds the web book.")
-    parser.add_argument("out", type=Path, nargs="?", default=Path("runs/book"), help="folder of the site; replaced")
-    parser.add_argument("--installed", action="store_true", help="only say whether the extra 'book' is installed")
-    parser.add_argument("--repository", default="", help="address of the repository, for links to source files")
+    parser.add_argument(
+        "out", type=Path, nargs="?", default=Path("runs/book"), help="folder of the site; replaced"
+    )
+    parser.add_argument(
+        "--installed", action="store_true", help="only say whether the extra 'book' is installed"
+    )
+    parser.add_argument(
+        "--repository", default="", help="address of the repository, for links to source files"
+    )
     options = parser.parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     if options.installed:
         return 1 if missing() else 0
     try:
         if options.repository and not options.repository.startswith("http"):
-            raise ValueError(f"expected an address such as https://github.com/OWNER/NAME, got {options.repository!r}")
+            raise ValueError(
+                "expected an address such as https://github.com/OWNER/NAME, got "
+                f"{options.repository!r}"
+            )
         files = f"{options.repository.rstrip('/')}/blob/HEAD/" if options.repository else ""
         build(_ROOT, options.out, files, by_chapter(bank()))
     except (RuntimeError, ValueError, OSError) as e:

@@ -1,4 +1,5 @@
-"""The folder of pages that Sphinx reads, and the folder of files that the site holds beside them."""
+"""The folder of pages that Sphinx reads, and the folder of files that the site holds beside
+them."""
 
 import ast
 import dataclasses
@@ -19,7 +20,9 @@ from gsfusion_nb.course.short_path import SHORT_PATH, short_path
 
 from .chapters import Chapter, Places, in_the_book, raw
 
-MOVING_MAP = '<div class="gsnb-moving-map"></div><script defer src="../_static/moving_map.js"></script>'
+MOVING_MAP = (
+    '<div class="gsnb-moving-map"></div><script defer src="../_static/moving_map.js"></script>'
+)
 """At the top of the first chapter: ``moving_map.py``."""
 
 
@@ -39,42 +42,75 @@ def opening_bar(notebook: str) -> str:
 
 
 def quiz_page(chapter: int, questions: Sequence[Question]) -> str:
-    """The questions of a chapter with options to choose; the checker's sentence comes after the right choice."""
+    """The questions of a chapter with options to choose; the checker's sentence comes after the
+    right choice."""
     parts = [f"# Quiz, chapter {chapter}: {TITLES[chapter]}\n\n{INTRODUCTION}"]
     for q in questions:
         rows = "".join(
-            f'<label><input type="radio" name="{q.name}" value="{key}"><span>{key}. {escape(text)}</span></label>'
+            f'<label><input type="radio" name="{q.name}" value="{key}"><span>{key}. '
+            f"{escape(text)}</span></label>"
             for key, text in zip("ABCD", q.options, strict=True)
         )
         form = (
-            f'<form class="gsnb-quiz" data-right="{"ABCD"[q.answer]}"><fieldset><legend>{PROMPT}</legend>{rows}'
-            f'</fieldset><p role="status"></p><p class="gsnb-said" hidden>The checker says: {escape(q.said)}</p></form>'
+            '<form class="gsnb-quiz" '
+            f'data-right="{"ABCD"[q.answer]}"><fieldset><legend>{PROMPT}</legend>{rows}'
+            '</fieldset><p role="status"></p><p class="gsnb-said" hidden>The checker says: '
+            f"{escape(q.said)}</p></form>"
         )
         parts.append(f"## {q.name}\n\n{escape(q.title)}\n\n```python\n{q.code}\n```\n{raw(form)}")
     return "\n\n".join(parts) + "\n"
 
 
 ROOMS = (
-    "types", "config", "geometry", "tsdf", "gaussians", "render", "seeding", "optim", "tracking", "export",
-    "evaluation", "mapping", "data", "recordings", "runs", "viz", "course", "compare", "backends",
-)  # fmt: skip
+    "types",
+    "config",
+    "geometry",
+    "tsdf",
+    "gaussians",
+    "render",
+    "seeding",
+    "optim",
+    "tracking",
+    "export",
+    "evaluation",
+    "mapping",
+    "data",
+    "recordings",
+    "runs",
+    "viz",
+    "course",
+    "compare",
+    "backends",
+)
 """Rooms whose names a reader uses, in the order of the floors; the other rooms serve these."""
 
 
 def api_page(room: str, package: Path) -> str:
-    """A page in Markdown for one room: the names that it passes on (``from .a import b as b``) or defines."""
+    """A page in Markdown for one room: the names that it passes on (``from .a import b as b``) or
+    defines."""
     path = package / room / "__init__.py"
     name = f"gsfusion_nb.{room}"
     module = importlib.import_module(name)
     if path.exists():
-        imports = [n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.ImportFrom)]
-        names = [alias.name for node in imports for alias in node.names if node.level and alias.asname]
+        imports = [
+            n
+            for n in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(n, ast.ImportFrom)
+        ]
+        names = [
+            alias.name for node in imports for alias in node.names if node.level and alias.asname
+        ]
     else:
         names = [n for n, thing in vars(module).items() if getattr(thing, "__module__", "") == name]
     parts = [f"# {name}", "", inspect.cleandoc(module.__doc__ or "").partition("\n\n")[0]]
-    for entry in sorted({n for n in names if not n.startswith("_")}, key=lambda n: (n.islower(), n.lower())):
+    for entry in sorted(
+        {n for n in names if not n.startswith("_")},
+        key=lambda n: (n.islower(), n.lower()),
+    ):
         thing = getattr(module, entry)
-        home = (thing.__name__ if inspect.ismodule(thing) else getattr(thing, "__module__", name)).split(".")[1:2]
+        home = (
+            thing.__name__ if inspect.ismodule(thing) else getattr(thing, "__module__", name)
+        ).split(".")[1:2]
         if home != [room] and home and home[0] in ROOMS:
             continue  # passed on from another room
         if inspect.ismodule(thing):
@@ -95,8 +131,9 @@ def api_index() -> str:
     """The page that lists the rooms."""
     listed = "\n".join(ROOMS)
     return (
-        "# API reference\n\nThe public names of each room, from their docstrings: shapes in brackets, units in the "
-        "names, the source of a formula with its number.\nWhat a room is for: [architecture](../ARCHITECTURE.md).\n\n"
+        "# API reference\n\nThe public names of each room, from their docstrings: shapes in "
+        "brackets, units in the names, the source of a formula with its number.\nWhat a room is "
+        "for: [architecture](../ARCHITECTURE.md).\n\n"
         f"```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n"
     )
 
@@ -120,7 +157,13 @@ class Assembly:
         quiz: Questions by chapter.
     """
 
-    def __init__(self, places: Places, pages: Path, extra: Path, quiz: Mapping[int, Sequence[Question]]):
+    def __init__(
+        self,
+        places: Places,
+        pages: Path,
+        extra: Path,
+        quiz: Mapping[int, Sequence[Question]],
+    ):
         self.quiz = {f"{QUIZ}/chapter_{n:02}.md": quiz_page(n, own) for n, own in quiz.items()}
         self.places = dataclasses.replace(places, files=places.files | {*self.quiz, _SHORT})
         self.pages, self.extra = pages, extra
@@ -139,14 +182,18 @@ class Assembly:
             elif path.startswith("docs/images/") and path.endswith(_PICTURES):
                 self._put(self.pages / path, (self.places.root / path).read_bytes())
         for room in ROOMS:
-            self._put(self.pages / f"api/{room}.md", api_page(room, self.places.root / "gsfusion_nb"))
+            self._put(
+                self.pages / f"api/{room}.md", api_page(room, self.places.root / "gsfusion_nb")
+            )
         self._put(self.pages / "api/index.md", api_index())
         text = (self.places.root / "docs/book/index.md").read_text(encoding="utf-8")
         self._put(self.pages / "index.md", in_the_book(text, "index.md", self.places))
 
     def _chapter(self, path: str) -> None:
         file = self.places.root / path
-        content = json.dumps(short_path(file.parent)).encode() if path == _SHORT else file.read_bytes()
+        content = (
+            json.dumps(short_path(file.parent)).encode() if path == _SHORT else file.read_bytes()
+        )
         bar = (MOVING_MAP if path.endswith(FIRST) else "") + opening_bar(path)
         chapter = Chapter(json.loads(content), path, self.places, bar=bar)
         self._put(self.pages / f"{path.removesuffix('.ipynb')}.md", chapter.markdown())

@@ -1,4 +1,5 @@
-"""A notebook as a page: text, code, stored outputs, hints, solutions to unfold, predictions before what came."""
+"""A notebook as a page: text, code, stored outputs, hints, solutions to unfold, predictions before
+what came."""
 
 import ast
 import base64
@@ -32,7 +33,8 @@ class Places:
     files: frozenset[str]
     """Paths of the project's files, below ``root``."""
     repository: str = ""
-    """Address below which a repository shows its files, with a slash at its end; "" without a repository."""
+    """Address below which a repository shows its files, with a slash at its end; "" without a
+    repository."""
 
     def is_page(self, path: str) -> bool:
         """Whether a file is a page of the book; a notebook is."""
@@ -46,7 +48,9 @@ class Places:
 
 def places_of(root: Path, repository: str = "") -> Places:
     """The files that git knows in a project."""
-    listed = subprocess.run(["git", "-C", str(root), "ls-files"], capture_output=True, text=True, check=True)
+    listed = subprocess.run(
+        ["git", "-C", str(root), "ls-files"], capture_output=True, text=True, check=True
+    )
     files = frozenset(f for f in listed.stdout.splitlines() if (root / f).is_file())
     return Places(root=root, files=files, repository=repository)
 
@@ -58,7 +62,9 @@ _EQUATION = re.compile(r"^\$\$(.+?)\$\$[ ]*$", re.MULTILINE | re.DOTALL)
 
 
 def _outside_code(text: str, change: Callable[[str], str]) -> str:
-    return "".join(piece if piece.startswith("```") else change(piece) for piece in _FENCE.split(text))
+    return "".join(
+        piece if piece.startswith("```") else change(piece) for piece in _FENCE.split(text)
+    )
 
 
 def in_the_book(text: str, page: str, places: Places) -> str:
@@ -85,15 +91,21 @@ def in_the_book(text: str, page: str, places: Places) -> str:
 
 
 def numbered(text: str, chapter: str, count: Callable[[], int]) -> str:
-    """Equations that stand alone get a number, unless they have one of a paper, and a place that a link can name."""
+    """Equations that stand alone get a number, unless they have one of a paper, and a place that a
+    link can name."""
 
     def number(match: re.Match[str]) -> str:
         name = f"{chapter}.{count()}"
         body = match[1].strip()
         tag = "" if r"\tag{" in body else rf" \tag{{{name}}}"
         anchor = f"eq-{name.replace('.', '-')}"
-        link = f'<a href="#{anchor}" title="Link to equation {name}">#<span>equation {name}</span></a>'
-        formula = f'<div class="math notranslate nohighlight">\\[{escape(body, quote=False)}{tag}\\]</div>'
+        link = (
+            f'<a href="#{anchor}" title="Link to equation {name}">#<span>equation {name}</span></a>'
+        )
+        formula = (
+            '<div class="math notranslate '
+            f'nohighlight">\\[{escape(body, quote=False)}{tag}\\]</div>'
+        )
         return raw(f'<div class="gsnb-equation" id="{anchor}">{link}</div>{formula}')
 
     return _outside_code(text, lambda piece: _EQUATION.sub(number, piece))
@@ -109,7 +121,8 @@ _SOURCE = re.compile(r'<a href="(?:\.\./)+([\w/.-]+)#line=(\d+)"[^>]*>(.*?)</a>'
 
 
 def source_links(html: str, places: Places) -> str:
-    """Links of a notebook to lines of files lead to the repository, or become text; JupyterLab counts lines from 0."""
+    """Links of a notebook to lines of files lead to the repository, or become text; JupyterLab
+    counts lines from 0."""
 
     def link(match: re.Match[str]) -> str:
         url = places.source_url(match[1], int(match[2]) + 1)
@@ -118,14 +131,19 @@ def source_links(html: str, places: Places) -> str:
     return _SOURCE.sub(link, html)
 
 
-def picture_html(address: str, content: bytes, metadata: Mapping[str, Any], suffix: str) -> str:
+def picture_html(
+    address: str,
+    content: bytes,
+    metadata: Mapping[str, Any],
+    suffix: str,
+) -> str:
     """An image with its size, so that the page does not move when it is loaded."""
     width, height = Image.open(io.BytesIO(content)).size
     wide = int(metadata.get("width", width))
     drawing = ' class="gsnb-figure"' if suffix == "png" else ""
     return (
-        f'<img{drawing} src="{address}" width="{wide}" height="{round(wide * height / width)}" loading="lazy" '
-        f'alt="{escape(str(metadata.get("alt", "")) or "picture")}">'
+        f'<img{drawing} src="{address}" width="{wide}" height="{round(wide * height / width)}" '
+        f'loading="lazy" alt="{escape(str(metadata.get("alt", "")) or "picture")}">'
     )
 
 
@@ -134,7 +152,8 @@ _ATTACHED = re.compile(r"!\[[^\]]*\]\(attachment:[^)]*\)\s*")
 _DRAWING = ("show", "show_figure", "show_mesh")
 """A cell that ends in one of these is there for its picture."""
 _STILL = (
-    '<p class="gsnb-still">A stored picture. Its buttons and sliders are in the notebook: <code>make lab</code></p>'
+    '<p class="gsnb-still">A stored picture. Its buttons and sliders are in the notebook: '
+    "<code>make lab</code></p>"
 )
 _SOLUTION = re.compile(r"^### (BEGIN|END) SOLUTION\n*", re.MULTILINE)
 _EMPTY = re.compile(r"^def (\w+)\(", re.MULTILINE)
@@ -150,7 +169,14 @@ class Chapter:
         bar: HTML under the title: how to open the chapter.
     """
 
-    def __init__(self, notebook: Mapping[str, Any], page: str, places: Places, *, bar: str = ""):
+    def __init__(
+        self,
+        notebook: Mapping[str, Any],
+        page: str,
+        places: Places,
+        *,
+        bar: str = "",
+    ):
         self.cells, self.page, self.places, self.bar = notebook["cells"], page, places, bar
         self.stem = page.rpartition("/")[2].removesuffix(".ipynb")
         self.files: dict[str, bytes] = {}
@@ -160,15 +186,23 @@ class Chapter:
 
     def markdown(self) -> str:
         """The page in Markdown; its pictures are then in ``files``."""
-        parts = [self._text(c) if c["cell_type"] == "markdown" else self._code(c) for c in self.cells]
+        parts = [
+            self._text(c) if c["cell_type"] == "markdown" else self._code(c) for c in self.cells
+        ]
         text = "\n\n".join(part for part in parts if part)
         title, _, rest = text.partition("\n")
         return f"{title}\n\n{raw(self.bar) if self.bar else ''}\n\n{rest}\n"
 
     def _text(self, cell: Mapping[str, Any]) -> str:
-        if self._came:  # the outputs between what came and the next text wait for the prediction, too
+        if (
+            self._came
+        ):  # the outputs between what came and the next text wait for the prediction, too
             self._asked, self._came = "", False
-        text = in_the_book(_ATTACHED.sub("", "".join(cell["source"])), self.page, self.places)
+        text = in_the_book(
+            _ATTACHED.sub("", "".join(cell["source"])),
+            self.page,
+            self.places,
+        )
         number = self.stem.partition("_")[0].removeprefix("0")
         return numbered(text, number, lambda: next(self._equations))
 
@@ -189,40 +223,68 @@ class Chapter:
         if call is not None and _called(call) == "came":
             self._came = True
             right = _right(call)
-            return raw(f'<div class="gsnb-came" data-prediction="{asked}" data-right="{right}">{"".join(shown)}</div>')
+            return raw(
+                f'<div class="gsnb-came" data-prediction="{asked}" '
+                f'data-right="{right}">{"".join(shown)}</div>'
+            )
         later = f' data-prediction="{asked}"' if asked and shown else ""
         below = f'<div class="gsnb-outputs"{later}>{"".join(shown)}</div>' if shown else ""
-        begins, ends = f'<div class="gsnb-cell" id="{cell["id"]}">', f"{below}</div>{_hints(source)}"
-        folded = cell["metadata"].get("jupyter", {}).get("source_hidden") or (call and _called(call) in _DRAWING)
+        begins, ends = (
+            f'<div class="gsnb-cell" id="{cell["id"]}">',
+            f"{below}</div>{_hints(source)}",
+        )
+        folded = cell["metadata"].get("jupyter", {}).get("source_hidden") or (
+            call and _called(call) in _DRAWING
+        )
         if folded:
-            begins, ends = f'{begins}<details class="gsnb-code"><summary>Code</summary>', f"</details>{ends}"
+            begins, ends = (
+                f'{begins}<details class="gsnb-code"><summary>Code</summary>',
+                f"</details>{ends}",
+            )
         return f"{raw(begins)}\n{_python(source)}\n{raw(ends + panel_html(cell['id']))}"
 
     def _outputs(self, cell: Mapping[str, Any]) -> list[str]:
         """HTML of each output of a cell; what it printed in a row is one."""
         found: list[str] = []
-        for is_stream, own in groupby(cell.get("outputs", []), key=lambda output: output["output_type"] == "stream"):
+        for is_stream, own in groupby(
+            cell.get("outputs", []), key=lambda output: output["output_type"] == "stream"
+        ):
             if is_stream:
                 found.append(_printed("".join("".join(output["text"]) for output in own).rstrip()))
             else:
-                found += [self._shown(output, f"{cell['id']}-{len(found) + k}") for k, output in enumerate(own)]
+                found += [
+                    self._shown(output, f"{cell['id']}-{len(found) + k}")
+                    for k, output in enumerate(own)
+                ]
         return [html for html in found if html]
 
     def _shown(self, output: Mapping[str, Any], name: str) -> str:
         data, metadata = output.get("data", {}), output.get("metadata", {})
         if "text/html" in data:
-            return f'<div class="gsnb-html">{source_links("".join(data["text/html"]), self.places)}</div>'
+            return (
+                "<div "
+                f'class="gsnb-html">{source_links("".join(data["text/html"]), self.places)}</div>'
+            )
         for kind, suffix in _PICTURES.items():
             if kind in data:
                 address = f"{self.stem}_files/{name}.{suffix}"
                 self.files[address] = base64.b64decode("".join(data[kind]))
-                still = "" if "".join(data.get("text/plain", "<IPython")).startswith("<IPython") else _STILL
-                return picture_html(address, self.files[address], metadata.get(kind, {}), suffix) + still
+                still = (
+                    ""
+                    if "".join(data.get("text/plain", "<IPython")).startswith("<IPython")
+                    else _STILL
+                )
+                return (
+                    picture_html(address, self.files[address], metadata.get(kind, {}), suffix)
+                    + still
+                )
         return _printed("".join(data.get("text/plain", output.get("traceback", ""))))
 
 
 def _printed(text: str) -> str:
-    return f'<pre class="gsnb-printed" tabindex="0">{escape(text, quote=False)}</pre>' if text else ""
+    return (
+        f'<pre class="gsnb-printed" tabindex="0">{escape(text, quote=False)}</pre>' if text else ""
+    )
 
 
 def _python(code: str) -> str:
@@ -246,27 +308,48 @@ def _last_call(source: str) -> ast.Call | None:
 def _right(call: ast.Call) -> str:
     """The right choice where the cell names it."""
     given = [k.value for k in call.keywords if k.arg == "right"]
-    return escape(str(ast.literal_eval(given[0]))) if given and isinstance(given[0], ast.Constant) else ""
+    return (
+        escape(str(ast.literal_eval(given[0])))
+        if given and isinstance(given[0], ast.Constant)
+        else ""
+    )
 
 
 def question_html(call: ast.Call) -> str:
     """The form of a call of ``predict``; ``book.js`` shows what came after an answer."""
-    given = dict(zip(("name", "question", "choices"), map(ast.literal_eval, call.args), strict=False))
+    given = dict(
+        zip(
+            ("name", "question", "choices"),
+            map(ast.literal_eval, call.args),
+            strict=False,
+        )
+    )
     given |= {k.arg: ast.literal_eval(k.value) for k in call.keywords}
     name, unit = escape(given["name"]), given.get("unit", "")
 
     def words(choice: Any) -> str:
-        number = f"{choice:,}" if isinstance(choice, int) else f"{choice:,.4g}" if isinstance(choice, float) else ""
+        number = (
+            f"{choice:,}"
+            if isinstance(choice, int)
+            else f"{choice:,.4g}"
+            if isinstance(choice, float)
+            else ""
+        )
         return escape(f"{number} {unit}".strip() if number else choice)
 
     inputs = [
-        f'<label><input type="radio" name="{name}" value="{escape(str(choice))}"> {words(choice)}</label>'
+        f'<label><input type="radio" name="{name}" value="{escape(str(choice))}"> '
+        f"{words(choice)}</label>"
         for choice in given.get("choices", ())
-    ] or [f'<label>your number, {escape(unit) or "any"}: <input type="number" step="any" name="{name}"></label>']
+    ] or [
+        f'<label>your number, {escape(unit) or "any"}: <input type="number" step="any" '
+        f'name="{name}"></label>'
+    ]
     return (
         f'<form class="gsnb-question" data-prediction="{name}"><fieldset><legend><b>Predict.</b> '
         f'{escape(given["question"])}</legend><div class="gsnb-choices">{"".join(inputs)}</div>'
-        '<button type="submit">See what came</button> <button type="button" class="gsnb-skip">Show without a '
+        '<button type="submit">See what came</button> <button type="button" class="gsnb-skip">Show '
+        "without a "
         'prediction</button></fieldset><p role="status"></p></form>'
     )
 
@@ -278,8 +361,13 @@ def _hints(source: str) -> str:
     every = exercises()
     found = ""
     for name in _EMPTY.findall(source):
-        for number, hint in reversed(list(enumerate(every[name].hints if name in every else (), 1))):
+        for number, hint in reversed(
+            list(enumerate(every[name].hints if name in every else (), 1))
+        ):
             later = found if number < len(every[name].hints) else ""
             of = f"Hint {number} of {len(every[name].hints)}"
-            found = f'<details class="gsnb-hint"><summary>{of}</summary><p>{escape(hint)}</p>{later}</details>'
+            found = (
+                "<details "
+                f'class="gsnb-hint"><summary>{of}</summary><p>{escape(hint)}</p>{later}</details>'
+            )
     return found

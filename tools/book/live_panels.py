@@ -23,18 +23,26 @@ def panel_html(cell: str) -> str:
         return ""
     text = (_FOLDER / f"{PANELS[cell]}.html").read_text(encoding="utf-8")
     script = f'<script defer src="../_static/live_{PANELS[cell]}.js"></script>'
-    return f'<section class="gsnb-live" id="live-{PANELS[cell]}">{text}<div></div></section>{script}'
+    return (
+        f'<section class="gsnb-live" id="live-{PANELS[cell]}">{text}<div></div></section>{script}'
+    )
 
 
 def panel_script(name: str) -> str:
     """What draws a panel: the formulas, the controls, the panel's own part, and its numbers."""
     data = f"const DATA = {json.dumps(panel_data(name))};\n"
-    parts = [(_FOLDER / f"{part}.js").read_text(encoding="utf-8") for part in ("formulas", "panel", name)]
-    return f"(() => {{\n{data}{''.join(parts)}start(document.querySelector('#live-{name} > div'));\n}})();\n"
+    parts = [
+        (_FOLDER / f"{part}.js").read_text(encoding="utf-8") for part in ("formulas", "panel", name)
+    ]
+    return (
+        f"(() => {{\n{data}{''.join(parts)}start(document.querySelector('#live-{name} > "
+        f"div'));\n}})();\n"
+    )
 
 
 def panel_data(name: str) -> dict[str, object]:
-    """Frames of the built-in room, depth in 0.1 mm; of "fusion" the first one's exact depth, then those of a Kinect."""
+    """Frames of the built-in room, depth in 0.1 mm; of "fusion" the first one's exact depth, then
+    those of a Kinect."""
     n_frames, width = {"pixel": (60, 160), "fusion": (240, 80), "quadtree": (60, 320)}[name]
     room = RoomSequence(n_frames=n_frames, width=width, height=width * 3 // 4)
     noisy = RoomSequence(n_frames=n_frames, width=width, height=width * 3 // 4, noise="kinect")

@@ -10,17 +10,27 @@ from gsfusion_nb.viz import SplatViewer
 
 
 def moving_map() -> str:
-    """A script that puts the map, seen from above, into every element of the class ``gsnb-moving-map``."""
-    options = {"data__width": 240, "data__height": 180, "tsdf__voxel_size_m": 0.04, "optim__global_iterations": 6}
+    """A script that puts the map, seen from above, into every element of the class
+    ``gsnb-moving-map``."""
+    options = {
+        "data__width": 240,
+        "data__height": 180,
+        "tsdf__voxel_size_m": 0.04,
+        "optim__global_iterations": 6,
+    }
     config = gsfusion("room", sh_degree=0, seeding__quadtree_threshold=0.02, **options)
     run = MappingRun(open_sequence("room", data=config.data, n_frames=60), GSFusion(config))
     for _ in (*run.online(), *run.optimise()):
         pass
     viewer, sent = SplatViewer(run.mapper, width=480, height=360).look_from("above"), []
-    viewer.send = lambda content, buffers: sent.extend((content["head"], *buffers))  # what the page would get
+    viewer.send = lambda content, buffers: sent.extend(
+        (content["head"], *buffers)
+    )  # what the page would get
     viewer._heard(None, {"kind": "ready"}, [])
     state = {
-        name: value for name, value in viewer.get_state().items() if name[0] != "_" and name in SplatViewer.__dict__
+        name: value
+        for name, value in viewer.get_state().items()
+        if name[0] != "_" and name in SplatViewer.__dict__
     }
     rows = base64.b64encode(sent[1]).decode("ascii")
     values = {"STYLE": str(viewer._css), "STATE": state, "HEAD": sent[0], "ROWS": rows}

@@ -1,4 +1,5 @@
-"""``gsfusion-nb bench``: time and memory of the operations on this machine; results are kept if it is interrupted."""
+"""``gsfusion-nb bench``: time and memory of the operations on this machine; results are kept if it
+is interrupted."""
 
 import dataclasses
 import functools
@@ -47,19 +48,21 @@ _WALK = 200
 class BenchOptions:
     """Measure the speed of the toolkit on this machine and print a table."""
 
-    what: Annotated[str, tyro.conf.Positional] = named("all", lambda: ("all (but growth)", *SECTIONS))
-    """What to time: raster is the rasteriser, tsdf TSDF integration, map the whole mapper, growth the three systems in
-    a building of 64 rooms, a quarter of an hour."""
+    what: Annotated[str, tyro.conf.Positional] = named(
+        "all", lambda: ("all (but growth)", *SECTIONS)
+    )
+    """What to time: raster is the rasteriser, tsdf TSDF integration, map the whole mapper, growth
+    the three systems in a building of 64 rooms, a quarter of an hour."""
     data: str = "room"
     """Folder of the sequence used by tsdf and map, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
-    """Image sizes of the sequence, for example 320x240 640x480. Default: the size of the recording, 320x240 for the
-    room."""
+    """Image sizes of the sequence, for example 320x240 640x480. Default: the size of the recording,
+    320x240 for the room."""
     frames: int = 0
     """Number of frames of the sequence to use. 0: 60, or 8 with --quick."""
     backend: tuple[str, ...] = named((), lambda: TIMED_BACKENDS)
-    """Backends of gsfusion-nb to time. Where none is given: all that run on this machine except reference, which is
-    slow because it is written for reading."""
+    """Backends of gsfusion-nb to time. Where none is given: all that run on this machine except
+    reference, which is slow because it is written for reading."""
     threads: int = 1
     """Number of threads for every method."""
     quick: bool = False
@@ -70,7 +73,11 @@ class BenchOptions:
     @property
     def sections(self) -> tuple[str, ...]:
         """Sections to run, in order."""
-        return tuple(name for name in SECTIONS if name != "growth") if self.what == "all" else (self.what,)
+        return (
+            tuple(name for name in SECTIONS if name != "growth")
+            if self.what == "all"
+            else (self.what,)
+        )
 
     @property
     def n_frames(self) -> int:
@@ -119,8 +126,15 @@ def open_frames(options: BenchOptions, size: tuple[int, int]) -> OpenedSequence:
         options: Of the command.
         size: Width and height; 0: as recorded.
     """
-    data = DataConfig(width=size[0], height=size[1], stop=options.n_frames, hold_out_every=0)
-    room: dict[str, Any] = {"n_frames": max(_WALK, options.n_frames)} if options.data == "room" else {}
+    data = DataConfig(
+        width=size[0],
+        height=size[1],
+        stop=options.n_frames,
+        hold_out_every=0,
+    )
+    room: dict[str, Any] = (
+        {"n_frames": max(_WALK, options.n_frames)} if options.data == "room" else {}
+    )
     return open_sequence(options.data, data=data, **room)
 
 
@@ -137,7 +151,9 @@ def our_backends(options: BenchOptions, *operations: str) -> list[str]:
     """
     working = {(name, backend) for name, backend, state in backends.report() if state == "ok"}
     usable = [b for b in backends.BACKENDS if all((name, b) in working for name in operations)]
-    asked = [b for b in usable if b in options.backend or (not options.backend and b != "reference")]
+    asked = [
+        b for b in usable if b in options.backend or (not options.backend and b != "reference")
+    ]
     return [b for b in asked if DEVICES[b] == "cpu" or torch.cuda.is_available()]
 
 
@@ -167,9 +183,11 @@ GSPLAT = "gsplat (CUDA)"
 
 
 def raster_rows(options: BenchOptions) -> Iterator[BenchRow]:
-    """Random scenes, forward, and forward with the gradient of every parameter; on a GPU one large scene more, beside
-    gsplat; the note is the PSNR of its picture against ours."""
-    counts, sizes, degrees = (COUNTS[:2], SIZES[:1], (3,)) if options.quick else (COUNTS, SIZES, SH_DEGREES)
+    """Random scenes, forward, and forward with the gradient of every parameter; on a GPU one large
+    scene more, beside gsplat; the note is the PSNR of its picture against ours."""
+    counts, sizes, degrees = (
+        (COUNTS[:2], SIZES[:1], (3,)) if options.quick else (COUNTS, SIZES, SH_DEGREES)
+    )
     cases = [(n, *size, degree, "cpu") for degree in degrees for size in sizes for n in counts]
     cases += [ON_A_GPU] if torch.cuda.is_available() else []
     for n, width, height, degree, device in cases:
@@ -183,9 +201,19 @@ def raster_rows(options: BenchOptions) -> Iterator[BenchRow]:
                 on = DEVICES.get(method, "cuda")
                 here = scene.to(on)
                 draw = by_gsplat if method == GSPLAT else functools.partial(_draw, method)
-                timing = measure(lambda d=draw, s=here, v=backward: d(s, v), options.budget_s, on)
-                note = f"{psnr(draw(here, False), _draw(methods[0], here, False)):.0f} dB" if method == GSPLAT else ""
-                yield BenchRow(section="raster", case=title, method=method, timing=timing, note=note)
+                timing = measure(
+                    lambda d=draw, s=here, v=backward: d(s, v),
+                    options.budget_s,
+                    on,
+                )
+                note = (
+                    f"{psnr(draw(here, False), _draw(methods[0], here, False)):.0f} dB"
+                    if method == GSPLAT
+                    else ""
+                )
+                yield BenchRow(
+                    section="raster", case=title, method=method, timing=timing, note=note
+                )
 
 
 def _draw(backend: str, scene: RandomScene, backward: bool) -> Tensor:
@@ -197,7 +225,8 @@ def _draw(backend: str, scene: RandomScene, backward: bool) -> Tensor:
 
 
 def has_gsplat() -> bool:
-    """Whether gsplat is installed with its CUDA kernels, which it compiles with nvcc on first use."""
+    """Whether gsplat is installed with its CUDA kernels, which it compiles with nvcc on first
+    use."""
     try:
         return importlib.import_module("gsplat.cuda._backend")._C is not None
     except (ImportError, RuntimeError, OSError):
@@ -205,17 +234,34 @@ def has_gsplat() -> bool:
 
 
 def by_gsplat(scene: RandomScene, backward: bool) -> Tensor:
-    """The picture that gsplat draws and, with ``backward``, dL/d of every parameter by its autograd."""
+    """The picture that gsplat draws and, with ``backward``, dL/d of every parameter by its
+    autograd."""
     from gsplat import rasterization  # pyright: ignore[reportMissingImports]
 
-    p = GaussianParams(**{name: x.detach().requires_grad_(backward) for name, x in vars(scene.params).items()})
+    p = GaussianParams(
+        **{name: x.detach().requires_grad_(backward) for name, x in vars(scene.params).items()}
+    )
     pictures, _, _ = rasterization(
-        means=p.xyz_W, quats=p.quat, scales=p.log_scale.exp(), opacities=p.opacity_logit.sigmoid(), colors=p.sh,
-        viewmats=se3.inverse(scene.T_WC)[None], Ks=scene.camera.K.to(p.xyz_W)[None], width=scene.camera.width,
-        height=scene.camera.height, near_plane=NEAR_PLANE_M, eps2d=SCREEN_BLUR_PX2, sh_degree=p.sh_degree, packed=False,
-    )  # fmt: skip
+        means=p.xyz_W,
+        quats=p.quat,
+        scales=p.log_scale.exp(),
+        opacities=p.opacity_logit.sigmoid(),
+        colors=p.sh,
+        viewmats=se3.inverse(scene.T_WC)[None],
+        Ks=scene.camera.K.to(p.xyz_W)[None],
+        width=scene.camera.width,
+        height=scene.camera.height,
+        near_plane=NEAR_PLANE_M,
+        eps2d=SCREEN_BLUR_PX2,
+        sh_degree=p.sh_degree,
+        packed=False,
+    )
     if backward:
-        torch.autograd.grad(pictures[0], list(vars(p).values()), scene.v_rgb)
+        torch.autograd.grad(
+            pictures[0],
+            list(vars(p).values()),
+            scene.v_rgb,
+        )
     return pictures[0].detach()
 
 
@@ -227,12 +273,15 @@ LOOK_EVERY = 4
 
 
 def tsdf_rows(options: BenchOptions) -> Iterator[BenchRow]:
-    """Integration with colour: decoded frames are fused one after another into an empty volume; then raycasts."""
+    """Integration with colour: decoded frames are fused one after another into an empty volume;
+    then raycasts."""
     for size in options.sizes:
         opened = open_frames(options, size)
         decoded = [opened[i] for i in range(len(opened))]
         for voxel_m in VOXEL_SIZES_M[:1] if options.quick else VOXEL_SIZES_M:
-            config = TsdfConfig(voxel_size_m=voxel_m, truncation_voxels=TRUNCATION_VOXELS, near_m=0.0, far_m=FAR_M)
+            config = TsdfConfig(
+                voxel_size_m=voxel_m, truncation_voxels=TRUNCATION_VOXELS, near_m=0.0, far_m=FAR_M
+            )
             for backend in our_backends(options, "band_blocks", "fuse_frame_"):
                 device, updated = DEVICES[backend], []
                 frames = [frame.to(device) for frame in decoded]
@@ -244,27 +293,54 @@ def tsdf_rows(options: BenchOptions) -> Iterator[BenchRow]:
                     with PeakMemory(device) as memory:
                         volume = TsdfVolume(config, device=device)
                         laps = [
-                            lap(lambda v=volume, f=f, u=updated: u.append(integrate(v, f).updated_voxels), device)
+                            lap(
+                                lambda v=volume, f=f, u=updated: u.append(
+                                    integrate(v, f).updated_voxels
+                                ),
+                                device,
+                            )
                             for f in frames
                         ]
-                    looks = [lap(lambda v=volume, c=camera, T=T: raycast(v, c, T), device) for T in poses]
-                timing, case = summary(laps, memory.peak_mb), f"{_case_name(opened)} {100 * voxel_m:g} cm"
-                values = {"frames": len(frames), "blocks": volume.n_blocks,
-                          "updated_voxels_per_frame": sum(updated) / len(frames)}  # fmt: skip
-                yield BenchRow(section="tsdf", case=case, method=backend, timing=timing, values=values)
-                yield BenchRow(section="tsdf", case=f"{case} / raycast", method=backend, timing=summary(looks))
+                    looks = [
+                        lap(
+                            lambda v=volume, c=camera, T=T: raycast(v, c, T),
+                            device,
+                        )
+                        for T in poses
+                    ]
+                timing, case = (
+                    summary(laps, memory.peak_mb),
+                    f"{_case_name(opened)} {100 * voxel_m:g} cm",
+                )
+                values = {
+                    "frames": len(frames),
+                    "blocks": volume.n_blocks,
+                    "updated_voxels_per_frame": sum(updated) / len(frames),
+                }
+                yield BenchRow(
+                    section="tsdf", case=case, method=backend, timing=timing, values=values
+                )
+                yield BenchRow(
+                    section="tsdf", case=f"{case} / raycast", method=backend, timing=summary(looks)
+                )
 
 
 STAGES = {
-    "read": "read", "tsdf": "TSDF", "quadtree": "quadtree", "seeding": "seeding", "optimise": "optimisation",
-}  # fmt: skip
+    "read": "read",
+    "tsdf": "TSDF",
+    "quadtree": "quadtree",
+    "seeding": "seeding",
+    "optimise": "optimisation",
+}
 """Stage of the step's report -> its name in the table."""
 
 
 def map_rows(options: BenchOptions) -> Iterator[BenchRow]:
-    """The whole mapper by stage: the reference, if it is asked for, then the fastest backend of each operation.
+    """The whole mapper by stage: the reference, if it is asked for, then the fastest backend of
+    each operation.
 
-    On a GPU the time of a stage ends when its work is queued; the time of the whole step includes its execution.
+    On a GPU the time of a stage ends when its work is queued; the time of the whole step includes
+    its execution.
     """
     found = our_backends(options, "render_forward", "render_vjp")
     methods = [(b, b, "cpu") for b in found if b == "reference"]
@@ -277,7 +353,9 @@ def map_rows(options: BenchOptions) -> Iterator[BenchRow]:
 
 def _mapper_rows(frames: OpenedSequence, method: str, device: str) -> Iterator[BenchRow]:
     config, n = gsfusion("online"), len(frames)
-    GSFusion(config, device=device).step(frames[0])  # compiles, and renders the first image of the room
+    GSFusion(config, device=device).step(
+        frames[0]
+    )  # compiles, and renders the first image of the room
     for i in range(n):
         frames[i]  # images of the room are rendered once and kept
     seconds, cpu_s = dict.fromkeys(STAGES, 0.0), 0.0
@@ -295,12 +373,31 @@ def _mapper_rows(frames: OpenedSequence, method: str, device: str) -> Iterator[B
     step_s = sum(took for stage, took in seconds.items() if stage != "read")
     values = {"frames": n, "frames_per_second": n / step_s, "n_gaussians": len(mapper.gaussians)}
     case, note = _case_name(frames), f"{n / step_s:.1f}/s, {len(mapper.gaussians) / 1e3:.1f}k"
-    total = Timing(wall_ms=1e3 * step_s / n, cpu_ms=1e3 * cpu_s / n, runs=n, peak_mb=memory.peak_mb)
-    yield BenchRow(section="map", case=case, method=method, timing=total, note=note, values=values)
+    total = Timing(
+        wall_ms=1e3 * step_s / n,
+        cpu_ms=1e3 * cpu_s / n,
+        runs=n,
+        peak_mb=memory.peak_mb,
+    )
+    yield BenchRow(
+        section="map",
+        case=case,
+        method=method,
+        timing=total,
+        note=note,
+        values=values,
+    )
     for stage, name in STAGES.items():
-        each = Timing(wall_ms=1e3 * seconds[stage] / n, cpu_ms=0.0, runs=n, peak_mb=None)
+        each = Timing(
+            wall_ms=1e3 * seconds[stage] / n,
+            cpu_ms=0.0,
+            runs=n,
+            peak_mb=None,
+        )
         share = "not counted" if stage == "read" else f"{100 * seconds[stage] / step_s:.0f} %"
-        yield BenchRow(section="map", case=f"{case} / {name}", method=method, timing=each, note=share)
+        yield BenchRow(
+            section="map", case=f"{case} / {name}", method=method, timing=each, note=share
+        )
 
 
 ROOMS, ROOM_SIZE, ROOM_FRAMES = 64, (160, 120), 20
@@ -309,20 +406,31 @@ _GROWTH_VOXEL_M = 0.04
 
 
 def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
-    """A square building of equal rooms through which the camera walks, room by room: the mean time of a frame in each.
+    """A square building of equal rooms through which the camera walks, room by room: the mean time
+    of a frame in each.
 
-    Rooms 1, 2, 3 to 4, 5 to 8 and so on have a row, the median of these rooms. The last note of a system has the
-    exponent b of  time = a rooms^b  by least squares over all rooms. It is 0 if the size of the map does not matter.
+    Rooms 1, 2, 3 to 4, 5 to 8 and so on have a row, the median of these rooms. The last note of a
+    system has the exponent b of  time = a rooms^b  by least squares over all rooms. It is 0 if the
+    size of the map does not matter.
     """
     if options.data != "room":
-        raise ValueError(f"the building of growth is made of the built-in room; leave out --data {options.data}")
-    n_rooms, n_frames = 4 if options.quick else ROOMS, options.frames or (3 if options.quick else ROOM_FRAMES)
+        raise ValueError(
+            f"the building of growth is made of the built-in room; leave out --data {options.data}"
+        )
+    n_rooms, n_frames = (
+        4 if options.quick else ROOMS,
+        options.frames or (3 if options.quick else ROOM_FRAMES),
+    )
     width, height = options.sizes[0] if options.size else ROOM_SIZE
     building = RoomSequence(n_frames=n_frames, rooms=n_rooms, width=width, height=height)
     case = f"room {width}x{height}, rooms"
     for name, system in SYSTEMS.items():
         config, laps = system.preset("room"), list[Lap]()
-        config = replace(config, tsdf__voxel_size_m=_GROWTH_VOXEL_M) if hasattr(config, "tsdf") else config
+        config = (
+            replace(config, tsdf__voxel_size_m=_GROWTH_VOXEL_M)
+            if hasattr(config, "tsdf")
+            else config
+        )
         warm, mapper = system(config), system(config)
         for i in range(n_frames):
             warm.step(building[i])  # loads kernels
@@ -333,28 +441,50 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
                 laps.append(Lap(took.wall_s / n_frames, took.cpu_s / n_frames))
                 if n < n_rooms and n & (n - 1) == 0:
                     yield _growth_row(case, name, len(mapper.gaussians), laps)
-        b = np.polyfit(np.log(np.arange(1, n_rooms + 1)), np.log([x.cpu_s for x in laps]), 1)[0]
-        yield _growth_row(case, name, len(mapper.gaussians), laps, f", exponent {b:.2f}", memory.peak_mb)
+        b = np.polyfit(
+            np.log(np.arange(1, n_rooms + 1)),
+            np.log([x.cpu_s for x in laps]),
+            1,
+        )[0]
+        yield _growth_row(
+            case, name, len(mapper.gaussians), laps, f", exponent {b:.2f}", memory.peak_mb
+        )
 
 
-def _growth_row(case: str, name: str, n: int, laps: list[Lap], more: str = "", mb: float | None = None) -> BenchRow:
+def _growth_row(
+    case: str,
+    name: str,
+    n: int,
+    laps: list[Lap],
+    more: str = "",
+    mb: float | None = None,
+) -> BenchRow:
     half = len(laps) // 2
     case, note = f"{case} {half + 1} to {len(laps)}", f"{n / 1e3:.1f}k{more}"
     timing, values = summary(laps[half:], mb), {"n_gaussians": n}
-    return BenchRow(section="growth", case=case, method=name, timing=timing, note=note, values=values)
+    return BenchRow(
+        section="growth", case=case, method=name, timing=timing, note=note, values=values
+    )
 
 
 SECTIONS: dict[str, tuple[str, Callable[[BenchOptions], Iterator[BenchRow]]]] = {
     "raster": ("Gaussian rasteriser", raster_rows),
     "tsdf": ("integration with colour, truncation 4 voxels; raycasts", tsdf_rows),
-    "map": ("GSFusion, Replica settings, means over the frames; note: frames/s, number of Gaussians", map_rows),
-    "growth": ("a building, room by room, means over the frames; note: number of Gaussians", growth_rows),
+    "map": (
+        "GSFusion, Replica settings, means over the frames; note: frames/s, number of Gaussians",
+        map_rows,
+    ),
+    "growth": (
+        "a building, room by room, means over the frames; note: number of Gaussians",
+        growth_rows,
+    ),
 }
 _HEADINGS = ("case", "method", "wall ms", "CPU ms", "GPU ms", "MB", "runs", "note")
 
 
 def main(options: BenchOptions) -> int:
-    """Run, print the table and write the JSON file. Returns 0, or 130 after Ctrl-C with the measurements so far.
+    """Run, print the table and write the JSON file. Returns 0, or 130 after Ctrl-C with the
+    measurements so far.
 
     Raises:
         KeyError, ValueError, OSError: invalid options; raised before anything is run.
@@ -374,12 +504,26 @@ def main(options: BenchOptions) -> int:
     print("\n".join(header(machine)))
     for section in options.sections:
         cells = [_cells(row) for row in rows if row.section == section]
-        print("\n".join(["", f"**{section}**: {SECTIONS[section][0]}", "", *_aligned([_HEADINGS, *cells])]))
-    print("\nMedians of several runs. CPU ms: all threads together. GPU ms: between two events in its queue.")
+        print(
+            "\n".join(
+                ["", f"**{section}**: {SECTIONS[section][0]}", "", *_aligned([_HEADINGS, *cells])]
+            )
+        )
+    print(
+        "\nMedians of several runs. CPU ms: all threads together. GPU ms: between two events in "
+        "its queue."
+    )
     if options.json:
-        document = {"machine": machine, "options": dataclasses.asdict(options), "interrupted": interrupted,
-                    "rows": [dataclasses.asdict(row) for row in rows]}  # fmt: skip
-        write_file(Path(options.json).expanduser(), json.dumps(document, indent=1) + "\n")
+        document = {
+            "machine": machine,
+            "options": dataclasses.asdict(options),
+            "interrupted": interrupted,
+            "rows": [dataclasses.asdict(row) for row in rows],
+        }
+        write_file(
+            Path(options.json).expanduser(),
+            json.dumps(document, indent=1) + "\n",
+        )
         print(f"All numbers: {options.json}")
     if interrupted:
         print("Interrupted.")
@@ -388,7 +532,10 @@ def main(options: BenchOptions) -> int:
 
 def _cells(row: BenchRow) -> tuple[str, ...]:
     t = row.timing
-    times = ("" if not ms else f"{ms:.0f}" if ms >= 100 else f"{ms:.2f}" for ms in (t.wall_ms, t.cpu_ms, t.device_ms))
+    times = (
+        "" if not ms else f"{ms:.0f}" if ms >= 100 else f"{ms:.2f}"
+        for ms in (t.wall_ms, t.cpu_ms, t.device_ms)
+    )
     memory = "" if t.peak_mb is None else f"{t.peak_mb:.0f}"
     return (row.case, row.method, *times, memory, str(t.runs), row.note)
 
@@ -396,5 +543,8 @@ def _cells(row: BenchRow) -> tuple[str, ...]:
 def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
     """Lines of a Markdown table, headings first, whose columns are also aligned in a terminal."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = [f"| {' | '.join(cell.ljust(w) for cell, w in zip(row, widths, strict=True))} |" for row in rows]
+    lines = [
+        f"| {' | '.join(cell.ljust(w) for cell, w in zip(row, widths, strict=True))} |"
+        for row in rows
+    ]
     return [lines[0], f"|{'|'.join('-' * (w + 2) for w in widths)}|", *lines[1:]]

@@ -1,4 +1,5 @@
-"""A random scene of Gaussians, about as slow to render as a dense map: the same number of them on every pixel."""
+"""A random scene of Gaussians, about as slow to render as a dense map: the same number of them on
+every pixel."""
 
 import math
 from dataclasses import dataclass
@@ -19,7 +20,8 @@ SCALE_SPREAD = 0.45
 """Standard deviation of the logarithm of a scale."""
 
 _CAMERA_TWIST = (0.12, -0.08, 0.15, 0.11, -0.14, 0.06)
-"""Translation (metres) and rotation vector (radians) of the camera, so that no matrix is trivially the identity."""
+"""Translation (metres) and rotation vector (radians) of the camera, so that no matrix is trivially
+the identity."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,17 +38,28 @@ class RandomScene:
         """The same scene with its tensors on ``device``."""
         columns = {name: value.to(device) for name, value in vars(self.params).items()}
         return RandomScene(
-            params=GaussianParams(**columns), camera=self.camera, T_WC=self.T_WC.to(device), v_rgb=self.v_rgb.to(device)
+            params=GaussianParams(**columns),
+            camera=self.camera,
+            T_WC=self.T_WC.to(device),
+            v_rgb=self.v_rgb.to(device),
         )
 
 
 def random_scene(
-    n: int, width: int, height: int, *, sh_degree: int = 0, per_pixel: float = 30.0, seed: int = 0
+    n: int,
+    width: int,
+    height: int,
+    *,
+    sh_degree: int = 0,
+    per_pixel: float = 30.0,
+    seed: int = 0,
 ) -> RandomScene:
-    """``n`` Gaussians in the view frustum between 2 and 6 m, about ``per_pixel`` of them visible at each pixel.
+    """``n`` Gaussians in the view frustum between 2 and 6 m, about ``per_pixel`` of them visible at
+    each pixel.
 
-    Pixels of the centres and depths are uniform, opacities uniform in 0.1..0.95, orientations uniform, scales
-    log-normal. A Gaussian of screen size s is above alpha = 1/255 on 2 pi s^2 ln(255 o) pixels; s follows from that.
+    Pixels of the centres and depths are uniform, opacities uniform in 0.1..0.95, orientations
+    uniform, scales log-normal. A Gaussian of screen size s is above alpha = 1/255 on 2 pi s^2
+    ln(255 o) pixels; s follows from that.
 
     Args:
         n: Number of Gaussians.
@@ -58,18 +71,32 @@ def random_scene(
     """
     g = torch.Generator().manual_seed(seed)
     focal = 0.78 * width
-    camera = Camera(width=width, height=height, fx=focal, fy=focal, cx=width / 2, cy=height / 2)
+    camera = Camera(
+        width=width,
+        height=height,
+        fx=focal,
+        fy=focal,
+        cx=width / 2,
+        cy=height / 2,
+    )
     twist = torch.tensor(_CAMERA_TWIST, dtype=torch.float64)
     T_WC = se3.exp(twist).float()
     z = 2 + 4 * torch.rand(n, generator=g)
     spread = 1 + 2 * BORDER
     uv = (spread * torch.rand(n, 2, generator=g) - BORDER) * torch.tensor([width, height])
-    xyz_C = torch.cat([(uv - torch.tensor([width, height]) / 2) / focal * z[:, None], z[:, None]], dim=1)
+    xyz_C = torch.cat(
+        [(uv - torch.tensor([width, height]) / 2) / focal * z[:, None], z[:, None]],
+        dim=1,
+    )
     opacity = 0.1 + 0.85 * torch.rand(n, generator=g)
     pixels_per_gaussian = per_pixel * width * height * spread**2 / max(n, 1)
-    size_px = math.sqrt(pixels_per_gaussian / (2 * math.pi * float((opacity / ALPHA_MIN).log().mean() if n else 1.0)))
+    size_px = math.sqrt(
+        pixels_per_gaussian
+        / (2 * math.pi * float((opacity / ALPHA_MIN).log().mean() if n else 1.0))
+    )
     jitter = SCALE_SPREAD * torch.randn(n, 3, generator=g)
-    # The area is a product of two scales, whose mean is exp(spread^2); dividing by it gives per_pixel on average.
+    # The area is a product of two scales, whose mean is exp(spread^2); dividing by it gives
+    # per_pixel on average.
     log_scale = (size_px * z / focal).log()[:, None] + jitter - SCALE_SPREAD**2 / 2
     sh = 0.1 * torch.randn(n, (sh_degree + 1) ** 2, 3, generator=g)
     sh[:, 0] = rgb_to_sh_dc(torch.rand(n, 3, generator=g))

@@ -1,4 +1,5 @@
-"""Timing: wall and CPU time as medians over several runs, the additional memory, and the machine that was measured."""
+"""Timing: wall and CPU time as medians over several runs, the additional memory, and the machine
+that was measured."""
 
 import contextlib
 import datetime
@@ -59,7 +60,11 @@ def lap(work: Callable[[], object], device: str = "cpu") -> Lap:
         events[1].record()
     _wait(device)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    return Lap(wall, cpu, 1e-3 * events[0].elapsed_time(events[1]) if events else None)
+    return Lap(
+        wall,
+        cpu,
+        1e-3 * events[0].elapsed_time(events[1]) if events else None,
+    )
 
 
 def _wait(device: str) -> None:
@@ -67,11 +72,15 @@ def _wait(device: str) -> None:
         torch.cuda.synchronize()
 
 
-def measure(work: Callable[[], object], budget_s: float = 1.0, device: str = "cpu") -> Timing:
+def measure(
+    work: Callable[[], object],
+    budget_s: float = 1.0,
+    device: str = "cpu",
+) -> Timing:
     """Repeat ``work`` for about ``budget_s`` and take medians.
 
-    An untimed first run compiles and fills caches; the first timed run also measures memory. Work that takes longer
-    than ``LONG_RUN_S`` is timed only once.
+    An untimed first run compiles and fills caches; the first timed run also measures memory. Work
+    that takes longer than ``LONG_RUN_S`` is timed only once.
 
     Args:
         work: Function to time; its result is discarded.
@@ -83,7 +92,9 @@ def measure(work: Callable[[], object], budget_s: float = 1.0, device: str = "cp
     with PeakMemory(device) as memory:
         laps = [lap(work, device)]
     if warm.wall_s < LONG_RUN_S:
-        while len(laps) < LEAST_RUNS or (time.perf_counter() - start < budget_s and len(laps) < MOST_RUNS):
+        while len(laps) < LEAST_RUNS or (
+            time.perf_counter() - start < budget_s and len(laps) < MOST_RUNS
+        ):
             laps.append(lap(work, device))
     return summary(laps, memory.peak_mb)
 
@@ -132,14 +143,20 @@ def describe(threads: int) -> dict[str, Any]:
 def header(machine: dict[str, Any]) -> list[str]:
     """``describe`` in a few lines of text."""
     gpu = f", {machine['gpu']}" if machine["gpu"] else ""
-    threads = f"{machine['threads']} thread{'s' if machine['threads'] > 1 else ''} of {machine['cores']} cores"
+    threads = (
+        f"{machine['threads']} thread{'s' if machine['threads'] > 1 else ''} of "
+        f"{machine['cores']} cores"
+    )
     lines = [
         f"{machine['processor']}{gpu}; {threads}; {machine['date'][:16].replace('T', ' ')}",
         ", ".join(f"{name} {v}" for name, v in machine["versions"].items()),
     ]
     load = machine["load_average"]
     if load is not None and load > 0.5:
-        lines.append(f"Other programs used {load:.1f} cores just before; this affects wall time more than CPU time.")
+        lines.append(
+            f"Other programs used {load:.1f} cores just before; this affects wall time more than "
+            "CPU time."
+        )
     return lines
 
 

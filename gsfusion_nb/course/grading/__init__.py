@@ -1,1 +1,2 @@
-"""Marks for a class: every submission runs in a process of its own, without the solutions, and is judged in another."""
+"""Marks for a class: every submission runs in a process of its own, without the solutions, and is
+judged in another."""

@@ -1,6 +1,7 @@
 """The chapters as assignments for nbgrader: points, solution cells and tests.
 
-nbgrader is not needed for the export. It then marks as it does any notebook, by the checks of the course.
+nbgrader is not needed for the export. It then marks as it does any notebook, by the checks of the
+course.
 """
 
 import copy
@@ -31,7 +32,8 @@ c.Execute.timeout = 600  # seconds, of a cell
 
 
 def export_course(notebooks: list[Path], target: Path) -> list[Path]:
-    """Write a course folder of nbgrader, with ``source`` and ``nbgrader_config.py``. Returns the files written.
+    """Write a course folder of nbgrader, with ``source`` and ``nbgrader_config.py``. Returns the
+    files written.
 
     Args:
         notebooks: The solved chapters.
@@ -50,16 +52,23 @@ def export_course(notebooks: list[Path], target: Path) -> list[Path]:
         cells = assignment_cells(notebook["cells"])
         if len(cells) == 0 or not any(_named(cell) for cell in notebook["cells"]):
             raise ValueError(f"{path} has no exercise")
-        exported = {**notebook, "cells": [{"id": f"export-{i}", **cell} for i, cell in enumerate(cells)]}
+        exported = {
+            **notebook,
+            "cells": [{"id": f"export-{i}", **cell} for i, cell in enumerate(cells)],
+        }
         written.append(target / "source" / path.stem / path.name)
-        write_file(written[-1], json.dumps(exported, indent=1, ensure_ascii=False) + "\n")
+        write_file(
+            written[-1],
+            json.dumps(exported, indent=1, ensure_ascii=False) + "\n",
+        )
     written.append(target / "nbgrader_config.py")
     write_file(written[-1], _NBGRADER_CONFIG)
     return written
 
 
 def assignment_cells(cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The cells of a solved chapter with the solutions, tests and points marked as nbgrader wants them."""
+    """The cells of a solved chapter with the solutions, tests and points marked as nbgrader wants
+    them."""
     made: list[dict[str, Any]] = []
     for cell in copy.deepcopy(cells):
         source = "".join(cell["source"])
@@ -76,7 +85,8 @@ def assignment_cells(cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _without_told_solutions(notebook: dict[str, Any]) -> dict[str, Any]:
-    """The notebook without solutions in its text cells; those in code cells are for nbgrader to take out."""
+    """The notebook without solutions in its text cells; those in code cells are for nbgrader to
+    take out."""
     text = [cell for cell in notebook["cells"] if cell["cell_type"] != "code"]
     left = {cell.get("id"): cell for cell in without_solutions({"cells": text})["cells"]}
     cells = [c if c["cell_type"] == "code" else left.get(c.get("id")) for c in notebook["cells"]]
@@ -93,20 +103,38 @@ def _join_to_stub(made: list[dict[str, Any]], solution: str) -> None:
     """Put a solution into the cell above in which the student writes the function."""
     defined = re.search(r"^def (\w+)\(", solution, re.MULTILINE)
     for cell in reversed(made):
-        if defined and cell["cell_type"] == "code" and f"def {defined[1]}(" in "".join(cell["source"]):
+        if (
+            defined
+            and cell["cell_type"] == "code"
+            and f"def {defined[1]}(" in "".join(cell["source"])
+        ):
             cell["source"] = "".join(cell["source"]).rstrip("\n") + "\n\n\n" + solution
             return
-    raise ValueError(f"there is no cell in which the solution {defined[1] if defined else ''} is to be written")
+    raise ValueError(
+        f"there is no cell in which the solution {defined[1] if defined else ''} is to be written"
+    )
 
 
-def _nbgrader_test(made: list[dict[str, Any]], cell: dict[str, Any], name: str) -> dict[str, Any]:
+def _nbgrader_test(
+    made: list[dict[str, Any]],
+    cell: dict[str, Any],
+    name: str,
+) -> dict[str, Any]:
     """The cell with the tests of an exercise; marks the cell of its answer."""
     common = {"schema_version": 3, "task": False}
     answer = {"grade": False, "grade_id": f"answer-{name}", "locked": False, "solution": True}
-    (*_, stub) = (c for c in made if c["cell_type"] == "code" and f"def {name}(" in "".join(c["source"]))
+    (*_, stub) = (
+        c for c in made if c["cell_type"] == "code" and f"def {name}(" in "".join(c["source"])
+    )
     stub["metadata"]["nbgrader"] = answer | common
     most = BY_DIFFICULTY[exercises()[name].difficulty]
-    test = {"grade": True, "grade_id": f"test-{name}", "locked": True, "solution": False, "points": most}
+    test = {
+        "grade": True,
+        "grade_id": f"test-{name}",
+        "locked": True,
+        "solution": False,
+        "points": most,
+    }
     cell["metadata"]["nbgrader"] = test | common
     cell["source"] = f"assert check.{name}({name}), check.{name}({name})"
     return cell

@@ -34,23 +34,32 @@ class Mark:
     """What was returned and what was expected, or why nothing could be judged."""
 
 
-def exercises_of(chapters: Sequence[int], names: Sequence[str], submissions: Sequence[Submission]) -> tuple[str, ...]:
-    """The exercises to mark: those named, those of the chapters, or of every chapter that a submission has a part of.
+def exercises_of(
+    chapters: Sequence[int], names: Sequence[str], submissions: Sequence[Submission]
+) -> tuple[str, ...]:
+    """The exercises to mark: those named, those of the chapters, or of every chapter that a
+    submission has a part of.
 
     Raises:
-        ValueError: no such exercise or chapter, or nothing in the submissions to recognise a chapter by.
+        ValueError: no such exercise or chapter, or nothing in the submissions to recognise a
+            chapter by.
     """
     every = exercises()
     unknown = {*names} - {*every} or {*chapters} - {e.chapter for e in every.values()}
     if unknown:
-        raise ValueError(f"no exercise or chapter with exercises {unknown}; there are: {', '.join(every)}")
+        raise ValueError(
+            f"no exercise or chapter with exercises {unknown}; there are: {', '.join(every)}"
+        )
     wanted = set(chapters)
     if not names and not chapters:
         codes = [read_code(file) for each in submissions for file in each.files]
         wanted = {e.chapter for e in every.values() if any(defines(code, e.name) for code in codes)}
     found = tuple(e.name for e in every.values() if e.name in names or e.chapter in wanted)
     if not found:
-        raise ValueError("no submission defines a function of an exercise; name exercises or chapters to mark zeros")
+        raise ValueError(
+            "no submission defines a function of an exercise; name exercises or chapters to mark "
+            "zeros"
+        )
     return found
 
 
@@ -86,22 +95,35 @@ def _marks(submission: Submission, names: Sequence[str], limits: Limits) -> list
     every = exercises()
     codes = [read_code(file) for file in submission.files]
     chosen = {name: choose(codes, name, every[name].chapter) for name in names}
-    found = verdicts({name: code.cells for name, code in chosen.items() if code is not None}, limits)
+    found = verdicts(
+        {name: code.cells for name, code in chosen.items() if code is not None}, limits
+    )
     problem = next((code.problem for code in codes if code.problem), "")
     marks = []
     for name in names:
         most = BY_DIFFICULTY[every[name].difficulty]
-        message = problem or f"there is no function {name} in {', '.join(code.file.name for code in codes)}"
+        message = (
+            problem
+            or f"there is no function {name} in {', '.join(code.file.name for code in codes)}"
+        )
         prop, message = why(found[name]) if name in found else ("it is submitted", message)
         right = name in found and bool(found[name])
         marks.append(
-            Mark(student=submission.student, exercise=name, points=most * right, most=most, prop=prop, message=message)
+            Mark(
+                student=submission.student,
+                exercise=name,
+                points=most * right,
+                most=most,
+                prop=prop,
+                message=message,
+            )
         )
     return marks
 
 
 def why(verdict: Verdict) -> tuple[str, str]:
-    """The property that failed, and what was returned and expected; both empty for a right answer."""
+    """The property that failed, and what was returned and expected; both empty for a right
+    answer."""
     if verdict:
         return "", ""
     if verdict.state == "not written":
@@ -110,12 +132,15 @@ def why(verdict: Verdict) -> tuple[str, str]:
 
 
 def as_csv(marks: Iterable[Mark]) -> str:
-    """The table of marks, one line for each exercise of each student; no cell of it is a formula."""
+    """The table of marks, one line for each exercise of each student; no cell of it is a
+    formula."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(COLUMNS)
     for m in marks:
-        student, exercise, prop, message = map(plain_cell, (m.student, m.exercise, m.prop, m.message))
+        student, exercise, prop, message = map(
+            plain_cell, (m.student, m.exercise, m.prop, m.message)
+        )
         table.writerow([student, exercise, f"{m.points:g}", f"{m.most:g}", prop, message])
     return text.getvalue()
 

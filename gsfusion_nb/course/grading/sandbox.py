@@ -1,7 +1,9 @@
-"""The sandbox: the functions of one student are judged in a process of their own, with limits of time and memory.
+"""The sandbox: the functions of one student are judged in a process of their own, with limits of
+time and memory.
 
-``python -m gsfusion_nb.course.grading.sandbox`` is the program of that process. Behind bubblewrap (``bwrap``) it can
-write in a folder of its own only, has no network, and ends with all that it started.
+``python -m gsfusion_nb.course.grading.sandbox`` is the program of that process. Behind bubblewrap
+(``bwrap``) it can write in a folder of its own only, has no network, and ends with all that it
+started.
 """
 
 import ast
@@ -28,13 +30,25 @@ from ..exercise import exercises
 from .submission import Cell, needed
 
 _BUBBLEWRAP = (
-    "bwrap", "--ro-bind", "/", "/", "--dev", "/dev", "--proc", "/proc", "--unshare-pid", "--unshare-net",
+    "bwrap",
+    "--ro-bind",
+    "/",
+    "/",
+    "--dev",
+    "/dev",
+    "--proc",
+    "/proc",
+    "--unshare-pid",
+    "--unshare-net",
     "--die-with-parent",
-)  # fmt: skip
+)
 _ENVIRONMENT = {
-    "GSFUSION_BACKEND": "reference", "GSNB_VIEW": "static", "MPLBACKEND": "agg", "OMP_NUM_THREADS": "1",
+    "GSFUSION_BACKEND": "reference",
+    "GSNB_VIEW": "static",
+    "MPLBACKEND": "agg",
+    "OMP_NUM_THREADS": "1",
     "NUMBA_NUM_THREADS": "1",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +61,10 @@ class Limits:
     """Of the process, with Python and torch."""
 
 
-def verdicts(cells: Mapping[str, Sequence[Cell]], limits: Limits) -> dict[str, Verdict]:
+def verdicts(
+    cells: Mapping[str, Sequence[Cell]],
+    limits: Limits,
+) -> dict[str, Verdict]:
     """The verdicts on the functions of one submission; nothing is kept or noted.
 
     Args:
@@ -61,25 +78,48 @@ def verdicts(cells: Mapping[str, Sequence[Cell]], limits: Limits) -> dict[str, V
         raise ValueError("grading needs Linux, macOS, or the Windows Subsystem for Linux")
     found: dict[str, Verdict] = {}
     while left := [name for name in cells if name not in found]:
-        task = {"cells": {name: [[c.label, c.source] for c in cells[name]] for name in left}, **asdict(limits)}
+        task = {
+            "cells": {name: [[c.label, c.source] for c in cells[name]] for name in left},
+            **asdict(limits),
+        }
         said, code, error = _run(json.dumps(task))
         found |= {verdict["exercise"]: Verdict(**verdict) for verdict in map(json.loads, said)}
         if len(said) < len(left):  # it ended while it judged the next one
             late = code in (-signal.SIGALRM, 128 + signal.SIGALRM)
-            detail = f"it had not ended after {limits.seconds:g} s" if late else f"its process ended: {error}"
+            detail = (
+                f"it had not ended after {limits.seconds:g} s"
+                if late
+                else f"its process ended: {error}"
+            )
             next_one = left[len(said)]
-            found[next_one] = Verdict(exercise=next_one, state="failed", prop="it returns an answer", detail=detail)
+            found[next_one] = Verdict(
+                exercise=next_one, state="failed", prop="it returns an answer", detail=detail
+            )
     return found
 
 
 def _run(task: str) -> tuple[list[str], int, str]:
-    """Lines that the process of the sandbox wrote, its exit status, and the end of what it said on errors."""
+    """Lines that the process of the sandbox wrote, its exit status, and the end of what it said on
+    errors."""
     with tempfile.TemporaryDirectory(prefix="gsnb-grade-", ignore_cleanup_errors=True) as folder:
-        wall = [] if why_no_bubblewrap() else [*_BUBBLEWRAP, "--bind", folder, folder, "--chdir", folder]
-        own = {"HOME": folder, "TMPDIR": folder, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        wall = (
+            []
+            if why_no_bubblewrap()
+            else [*_BUBBLEWRAP, "--bind", folder, folder, "--chdir", folder]
+        )
+        own = {
+            "HOME": folder,
+            "TMPDIR": folder,
+            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+        }
         command = [*wall, sys.executable, "-m", __name__]
         done = subprocess.run(
-            command, input=task, capture_output=True, text=True, cwd=folder, env=os.environ | _ENVIRONMENT | own
+            command,
+            input=task,
+            capture_output=True,
+            text=True,
+            cwd=folder,
+            env=os.environ | _ENVIRONMENT | own,
         )
     last = (done.stderr.strip().splitlines() or ["it crashed"])[-1]
     return done.stdout.splitlines(), done.returncode, last
@@ -91,7 +131,9 @@ def why_no_bubblewrap() -> str:
     if shutil.which("bwrap") is None:
         return "bubblewrap (bwrap) is not installed"
     tried = subprocess.run([*_BUBBLEWRAP, "true"], capture_output=True, text=True)
-    return f"bubblewrap does not work here ({tried.stderr.strip()[-200:]})" if tried.returncode else ""
+    return (
+        f"bubblewrap does not work here ({tried.stderr.strip()[-200:]})" if tried.returncode else ""
+    )
 
 
 def main() -> None:
@@ -123,11 +165,23 @@ def _judged(name: str, cells: Sequence[Cell]) -> Verdict:
         return Verdict(exercise=name, state="failed", prop=e.prop, detail=e.detail)
 
 
-def _define(cells: Sequence[Cell], name: str, namespace: dict[str, Any]) -> None:
+def _define(
+    cells: Sequence[Cell],
+    name: str,
+    namespace: dict[str, Any],
+) -> None:
     for cell, node in needed(cells, name):
-        linecache.cache[cell.label] = (len(cell.source), None, cell.source.splitlines(keepends=True), cell.label)
+        linecache.cache[cell.label] = (
+            len(cell.source),
+            None,
+            cell.source.splitlines(keepends=True),
+            cell.label,
+        )
         try:
-            exec(compile(ast.Module(body=[node], type_ignores=[]), cell.label, "exec"), namespace)
+            exec(
+                compile(ast.Module(body=[node], type_ignores=[]), cell.label, "exec"),
+                namespace,
+            )
         except Exception as e:
             detail = f"line {node.lineno} of {cell.label} raised {type(e).__name__}: {e}"
             raise Failed("the lines that it needs run", "", detail) from None

@@ -1,4 +1,5 @@
-"""Submissions on disk: whose they are, the code in them, and the statements of it that a function needs."""
+"""Submissions on disk: whose they are, the code in them, and the statements of it that a function
+needs."""
 
 import ast
 import re
@@ -45,17 +46,23 @@ class Code:
 def find_submissions(paths: Sequence[Path]) -> list[Submission]:
     """The submissions, by student.
 
-    One folder is that of a class: a file in it belongs to the student whom its sub-folder names, else its own name. Of
-    several folders, each belongs to the student whom its name says. A file with the name of a chapter
-    (``02_tsdf_fusion.ipynb``) belongs to whom its folder names.
+    One folder is that of a class: a file in it belongs to the student whom its sub-folder names,
+    else its own name. Of several folders, each belongs to the student whom its name says. A file
+    with the name of a chapter (``02_tsdf_fusion.ipynb``) belongs to whom its folder names.
 
     Raises:
         ValueError: there is nothing at a path, or no notebook and no .py file in it.
     """
     files: dict[str, list[Path]] = {}
     for path in paths:
-        found = [path] if path.is_file() else sorted(f for kind in ("*.ipynb", "*.py") for f in path.rglob(kind))
-        found = [file for file in found if not any(part.startswith((".", "__")) for part in file.parts)]
+        found = (
+            [path]
+            if path.is_file()
+            else sorted(f for kind in ("*.ipynb", "*.py") for f in path.rglob(kind))
+        )
+        found = [
+            file for file in found if not any(part.startswith((".", "__")) for part in file.parts)
+        ]
         if not found:
             raise ValueError(f"there is no notebook and no .py file at {path}")
         for file in found:
@@ -63,14 +70,19 @@ def find_submissions(paths: Sequence[Path]) -> list[Submission]:
             own = file.resolve().parent.name if _OF_CHAPTER.match(file.name) else file.stem
             student = path.name if inner and len(paths) > 1 else inner[0] if len(inner) > 1 else own
             files.setdefault(student, []).append(file)
-    return [Submission(student=student, files=tuple(sorted(files[student]))) for student in sorted(files)]
+    return [
+        Submission(student=student, files=tuple(sorted(files[student])))
+        for student in sorted(files)
+    ]
 
 
 def read_code(file: Path) -> Code:
     """The code cells of a notebook, or a .py file as one cell; nothing is run."""
     try:
         if file.suffix == ".ipynb":
-            return Code(file=file, cells=_cells(read_object(file, "a notebook", at_most=_LARGEST_BYTES)))
+            return Code(
+                file=file, cells=_cells(read_object(file, "a notebook", at_most=_LARGEST_BYTES))
+            )
         source = read_bytes(file, "a Python file", at_most=_LARGEST_BYTES).decode("utf-8-sig")
         return Code(file=file, cells=(Cell(file.name, source),))
     except (SequenceError, ValueError, OSError) as e:
@@ -81,7 +93,9 @@ def _cells(notebook: dict[str, Any]) -> tuple[Cell, ...]:
     """The code cells, numbered from 1 among all cells."""
     try:
         numbered = enumerate(notebook["cells"], start=1)
-        return tuple(Cell(f"cell {n}", "".join(c["source"])) for n, c in numbered if c["cell_type"] == "code")
+        return tuple(
+            Cell(f"cell {n}", "".join(c["source"])) for n, c in numbered if c["cell_type"] == "code"
+        )
     except (KeyError, TypeError):
         raise ValueError("it is not a notebook of format 4") from None
 
@@ -92,14 +106,19 @@ def defines(code: Code, name: str) -> bool:
 
 
 def choose(codes: Iterable[Code], name: str, chapter: int) -> Code | None:
-    """Of a student's files, the one that defines ``name``; of several, that of the chapter, else the last."""
+    """Of a student's files, the one that defines ``name``; of several, that of the chapter, else
+    the last."""
     having = [code for code in codes if defines(code, name)]
     of_chapter = [code for code in having if code.file.name.startswith(f"{chapter:02}_")]
     return (of_chapter or having or [None])[-1]
 
 
-def needed(cells: Sequence[Cell], name: str) -> list[tuple[Cell, ast.stmt]]:
-    """The top-level statements that give ``name`` its value, and those that they need, in order; with their cells.
+def needed(
+    cells: Sequence[Cell],
+    name: str,
+) -> list[tuple[Cell, ast.stmt]]:
+    """The top-level statements that give ``name`` its value, and those that they need, in order;
+    with their cells.
 
     So panels, long fits and a cell that raises do not matter. The last definition counts.
 
@@ -128,7 +147,11 @@ def needed(cells: Sequence[Cell], name: str) -> list[tuple[Cell, ast.stmt]]:
 def _names(node: ast.stmt) -> tuple[set[str], set[str]]:
     """Global names that a statement binds, and those that it, and the functions in it, read."""
     module = symtable.symtable(ast.unparse(node), "cell", "exec")
-    binds = {s.get_name() for s in module.get_symbols() if s.is_assigned() or s.is_imported() or s.is_namespace()}
+    binds = {
+        s.get_name()
+        for s in module.get_symbols()
+        if s.is_assigned() or s.is_imported() or s.is_namespace()
+    }
     reads, scopes = set[str](), [module]
     while scopes:
         scope = scopes.pop()

@@ -1,4 +1,5 @@
-"""Which Gaussian is in which row: every Gaussian has a number of its own from its birth to its end."""
+"""Which Gaussian is in which row: every Gaussian has a number of its own from its birth to its
+end."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -33,7 +34,8 @@ class Birth:
     uv: tuple[float, float] | None = None
     """Pixel that it was seeded from."""
     cell: tuple[int, int, int, int, int] | None = None
-    """Quadtree leaf around that pixel: first column, first row, width, height, level. ``None`` without a quadtree."""
+    """Quadtree leaf around that pixel: first column, first row, width, height, level. ``None``
+    without a quadtree."""
     parent: int | None = None
     """Identity of the Gaussian that it is a copy or a half of."""
     tag: int = 0
@@ -66,7 +68,8 @@ class Event:
 
 
 class Identities:
-    """The identities of the rows of one map. They move with the rows, in a column that no one else uses.
+    """The identities of the rows of one map. They move with the rows, in a column that no one else
+    uses.
 
     Memory: about 60 bytes for each Gaussian that was ever in the map.
     """
@@ -75,7 +78,8 @@ class Identities:
         self.model = model
         self.count = 0
         self._births: list[tuple[int, dict[str, Any], dict[str, Tensor]]] = []
-        """Of Gaussians with consecutive numbers: the first number, what they share, and what each has of its own."""
+        """Of Gaussians with consecutive numbers: the first number, what they share, and what each
+        has of its own."""
         self.events: list[Event] = []
         self._final: Int[Tensor, " N"] | None = None
         model.trace_ids()  # from now on the map has the column, also while it is empty
@@ -93,7 +97,8 @@ class Identities:
         return int(rows[0]) if len(rows) else None
 
     def birth(self, i: int) -> Birth:
-        """How a Gaussian came into the map. Raises ``IndexError`` for a number that no Gaussian has."""
+        """How a Gaussian came into the map. Raises ``IndexError`` for a number that no Gaussian
+        has."""
         if not 0 <= i < self.count:
             raise IndexError(f"no Gaussian has the number {i}; there have been {self.count}")
         first, shared, columns = next(births for births in reversed(self._births) if births[0] <= i)
@@ -109,14 +114,31 @@ class Identities:
         """What happened to a Gaussian besides optimisation, in order."""
         return [event for event in self.events if i in event.ids]
 
-    def number(self, rows: Int[Tensor, " n"], cause: str, frame_index: int | None, rule: str, **own: Tensor) -> None:
-        """Give rows that are new, or copies, numbers of their own; ``own``: fields of ``Birth``, a row of each."""
+    def number(
+        self,
+        rows: Int[Tensor, " n"],
+        cause: str,
+        frame_index: int | None,
+        rule: str,
+        **own: Tensor,
+    ) -> None:
+        """Give rows that are new, or copies, numbers of their own; ``own``: fields of ``Birth``, a
+        row of each."""
         if not len(rows):
             return
         ids, tag = self.model.trace_ids(), self.model.tag[rows].cpu().clone()
-        shared = {"cause": cause, "frame_index": frame_index, "rule": rule, "step": self.model.step_count}
+        shared = {
+            "cause": cause,
+            "frame_index": frame_index,
+            "rule": rule,
+            "step": self.model.step_count,
+        }
         self._births.append((self.count, shared, {"tag": tag, **own}))
-        ids[rows] = torch.arange(self.count + 1, self.count + len(rows) + 1, device=ids.device).to(ids)
+        ids[rows] = torch.arange(
+            self.count + 1,
+            self.count + len(rows) + 1,
+            device=ids.device,
+        ).to(ids)
         self.count += len(rows)
 
     def edited(
@@ -133,12 +155,16 @@ class Identities:
         Args:
             edit: With row numbers.
             ids: Identity of each row before it.
-            count: Gaussians that there had been before it; those that it added are numbered already.
+            count: Gaussians that there had been before it; those that it added are numbered
+                already.
             origin: Row before of each row now, -1 for new ones.
             numbers: ``serial`` and ``frame_index``.
             rule: Name of the seeding rule.
         """
-        now, split = self.now(), torch.zeros(0, dtype=torch.int64) if edit.split is None else edit.split.cpu()
+        now, split = (
+            self.now(),
+            torch.zeros(0, dtype=torch.int64) if edit.split is None else edit.split.cpu(),
+        )
         copies = ((origin.cpu() < 0) & (now < count)).nonzero()[:, 0]
         halves = torch.isin(now[copies], ids[split])
         for rows, cause in ((copies[~halves], "clone"), (copies[halves], "split")):
@@ -146,14 +172,19 @@ class Identities:
         kept = torch.isin(ids, self.now())
         kept[split] = True
         happened = [("split in two", ids[split]), ("removed by the rule", ids[~kept])]
-        happened += [(f"{name} set by the rule", ids[rows.cpu()]) for name, (rows, _) in (edit.set or {}).items()]
+        happened += [
+            (f"{name} set by the rule", ids[rows.cpu()])
+            for name, (rows, _) in (edit.set or {}).items()
+        ]
         if edit.reset_opacity is not None:
             happened.append((f"opacity at most {edit.reset_opacity:g}", ids))
         if edit.relocate is not None:
             happened.append(("relocated to a copy of another", ids[edit.relocate[0].cpu()]))
         if edit.clone is not None:
             happened.append(("cloned", ids[edit.clone.cpu()].unique()))
-        self.events += [Event(**numbers, what=what, ids=tuple(of.tolist())) for what, of in happened if len(of)]
+        self.events += [
+            Event(**numbers, what=what, ids=tuple(of.tolist())) for what, of in happened if len(of)
+        ]
 
     def close(self) -> None:
         """Forget the rows' numbers; births and events stay known."""
@@ -162,23 +193,44 @@ class Identities:
 
 
 def origin_of(frame: Frame, cells: Any, seeds: Seeds) -> dict[str, Tensor]:
-    """Where each of n seeds of a frame comes from: the pixel ``uv`` [n, 2], and the quadtree leaf around it, ``cell``
-    [n, 5] (width 0: none).
+    """Where each of n seeds of a frame comes from: the pixel ``uv`` [n, 2], and the quadtree leaf
+    around it, ``cell`` [n, 5] (width 0: none).
 
     A seed belongs to the pixel to which its centre projects.
     """
     T_CW = se3.inverse(frame.T_WC.cpu().double())
-    uv = project(frame.camera, se3.apply(T_CW, seeds.xyz_W.cpu().double())).float()
-    return {"uv": uv} if cells is None else {"uv": uv, "cell": _cells_around(cells, frame.camera, uv)}
+    uv = project(
+        frame.camera,
+        se3.apply(T_CW, seeds.xyz_W.cpu().double()),
+    ).float()
+    return (
+        {"uv": uv} if cells is None else {"uv": uv, "cell": _cells_around(cells, frame.camera, uv)}
+    )
 
 
-def _cells_around(cells: Any, camera: Camera, uv: Float[Tensor, "n 2"]) -> Int[Tensor, "n 5"]:
-    owner = torch.full((camera.height, camera.width), -1, dtype=torch.int64)
+def _cells_around(
+    cells: Any,
+    camera: Camera,
+    uv: Float[Tensor, "n 2"],
+) -> Int[Tensor, "n 5"]:
+    owner = torch.full(
+        (camera.height, camera.width),
+        -1,
+        dtype=torch.int64,
+    )
     columns = [getattr(cells, name).cpu() for name in ("x0", "y0", "width", "height", "level")]
     table = torch.stack([*columns], dim=1).long()
     for k, (x, y, w, h, _) in enumerate(table.tolist()):
         owner[y : y + h, x : x + w] = k
     i, j = uv.floor().long().unbind(1)
     inside = (i >= 0) & (i < camera.width) & (j >= 0) & (j < camera.height)
-    at = torch.where(inside, owner[j.clamp(0, camera.height - 1), i.clamp(0, camera.width - 1)], -1)
-    return torch.where((at >= 0)[:, None], table[at.clamp(min=0)], 0)
+    at = torch.where(
+        inside,
+        owner[j.clamp(0, camera.height - 1), i.clamp(0, camera.width - 1)],
+        -1,
+    )
+    return torch.where(
+        (at >= 0)[:, None],
+        table[at.clamp(min=0)],
+        0,
+    )

@@ -1,7 +1,8 @@
 """What a trace holds of each operation, and what that says about one Gaussian or one voxel.
 
-A record holds references to the tensors that the program made, and copies of those that it changes afterwards. A moment
-is its part that concerns what is followed: numbers with names, a picture with marks, and the line of code.
+A record holds references to the tensors that the program made, and copies of those that it changes
+afterwards. A moment is its part that concerns what is followed: numbers with names, a picture with
+marks, and the line of code.
 """
 
 import dataclasses
@@ -41,7 +42,8 @@ class Operation:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AdamColumn:
-    """One parameter in one step of Adam: of all Gaussians, [R, ...] each, or of one: xyz_W [3], sh [K, 3], ..."""
+    """One parameter in one step of Adam: of all Gaussians, [R, ...] each, or of one: xyz_W [3], sh
+    [K, 3], ..."""
 
     before: Tensor
     gradient: Tensor
@@ -57,9 +59,17 @@ class AdamColumn:
     def of_row(self, r: int) -> "AdamColumn":
         """The step of one Gaussian."""
         before, gradient, after, m0, m1, v0, v1 = (
-            x[r].detach().cpu().clone() for x in (self.before, self.gradient, self.after, *self.m, *self.v)
+            x[r].detach().cpu().clone()
+            for x in (self.before, self.gradient, self.after, *self.m, *self.v)
         )
-        return AdamColumn(before=before, gradient=gradient, after=after, m=(m0, m1), v=(v0, v1), lr=self.lr)
+        return AdamColumn(
+            before=before,
+            gradient=gradient,
+            after=after,
+            m=(m0, m1),
+            v=(v0, v1),
+            lr=self.lr,
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,7 +188,9 @@ def table(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     """Rows of text under their heads, aligned to the right."""
     lines = [list(heads), *(list(row) for row in rows)]
     widths = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
-    return "\n".join("  ".join(f"{cell:>{w}}" for cell, w in zip(line, widths, strict=True)) for line in lines)
+    return "\n".join(
+        "  ".join(f"{cell:>{w}}" for cell, w in zip(line, widths, strict=True)) for line in lines
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -204,7 +216,10 @@ class TilePlace:
             return words
         best = int(self.weight.argmax())
         u, v = self.pixels[best].tolist()
-        parts = f"α {self.alpha[best]:.4f} × T {self.transmittance[best]:.4f} = w {self.weight[best]:.4f}"
+        parts = (
+            f"α {self.alpha[best]:.4f} × T {self.transmittance[best]:.4f} = w "
+            f"{self.weight[best]:.4f}"
+        )
         return f"{words}; most at ({u}, {v}): {parts}"
 
 
@@ -240,7 +255,10 @@ class GaussianStep(Moment):
     @property
     def title(self) -> str:
         """What happened, in a few words."""
-        return f"{super().title}, step {self.serial} on the view of frame {self.view_index} ({self.stage})"
+        return (
+            f"{super().title}, step {self.serial} on the view of frame {self.view_index} "
+            f"({self.stage})"
+        )
 
     @property
     def boxes(self) -> dict[str, list[Box]]:
@@ -273,20 +291,39 @@ class GaussianStep(Moment):
         out += [("sum of weights", f"{self.weight:.4f} over {self.n_pixels} pixels")]
         for name, a in self.adam.items():
             label, n = ("sh 0", 3) if name == "sh" else (name, a.after.numel())
-            gradient, m, v, before, after = (x.flatten()[:n] for x in (a.gradient, a.m[1], a.v[1], a.before, a.after))
-            out += [(f"{label}: dL/d", numbers(gradient)), ("   m, v after", f"{numbers(m)} | {numbers(v)}")]
+            gradient, m, v, before, after = (
+                x.flatten()[:n] for x in (a.gradient, a.m[1], a.v[1], a.before, a.after)
+            )
+            out += [
+                (f"{label}: dL/d", numbers(gradient)),
+                ("   m, v after", f"{numbers(m)} | {numbers(v)}"),
+            ]
             out += [("   before → after", f"{numbers(before, 6)} → {numbers(after, 6)}")]
         return out
 
     def cells(self) -> list[str]:
         """Its row in the table of a story."""
         a = self.adam["xyz_W"]
-        depth, opacity = (f"{self.depth_m:.3f}", f"{self.opacity:.3f}") if self.tiles else ("not drawn", "")
-        frame, moved_m = "-" if self.frame_index is None else str(self.frame_index), float((a.after - a.before).norm())
+        depth, opacity = (
+            (f"{self.depth_m:.3f}", f"{self.opacity:.3f}") if self.tiles else ("not drawn", "")
+        )
+        frame, moved_m = (
+            "-" if self.frame_index is None else str(self.frame_index),
+            float((a.after - a.before).norm()),
+        )
         return [
-            str(self.serial), frame, str(self.view_index), self.stage, str(self.row), depth, str(self.n_pixels),
-            f"{self.weight:.3f}", f"{float(a.gradient.norm()):.2e}", f"{1e3 * moved_m:.3f}", opacity,
-        ]  # fmt: skip
+            str(self.serial),
+            frame,
+            str(self.view_index),
+            self.stage,
+            str(self.row),
+            depth,
+            str(self.n_pixels),
+            f"{self.weight:.3f}",
+            f"{float(a.gradient.norm()):.2e}",
+            f"{1e3 * moved_m:.3f}",
+            opacity,
+        ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -311,7 +348,11 @@ class GaussianSeeded(Moment):
 
     def lines(self) -> list[tuple[str, str]]:
         """Names and values, rounded for reading."""
-        return [("number", str(self.birth.id)), ("birth", str(self.birth)), ("tag", str(self.birth.tag))]
+        return [
+            ("number", str(self.birth.id)),
+            ("birth", str(self.birth)),
+            ("tag", str(self.birth.tag)),
+        ]
 
 
 def gaussian_moment(record: Record, i: int) -> GaussianStep | None:
@@ -320,31 +361,51 @@ def gaussian_moment(record: Record, i: int) -> GaussianStep | None:
         return None
     r, s = int(at[0]), record.screen
     return GaussianStep(
-        serial=record.serial, frame_index=record.frame_index, camera=record.camera, image=record.rgb,
-        stage=record.stage, view_index=record.view_index, row=int(record.rows[r]), loss=float(record.loss),
-        uv=s.uv[r].cpu().clone(), conic=s.conic[r].cpu().clone(), depth_m=float(s.depth_m[r]),
-        opacity=float(s.opacity[r]), rgb=s.rgb[r].cpu().clone(),
+        serial=record.serial,
+        frame_index=record.frame_index,
+        camera=record.camera,
+        image=record.rgb,
+        stage=record.stage,
+        view_index=record.view_index,
+        row=int(record.rows[r]),
+        loss=float(record.loss),
+        uv=s.uv[r].cpu().clone(),
+        conic=s.conic[r].cpu().clone(),
+        depth_m=float(s.depth_m[r]),
+        opacity=float(s.opacity[r]),
+        rgb=s.rgb[r].cpu().clone(),
         tiles=tuple(_in_tile(s, record.camera, tile, place) for tile, place in s.tiles_with(r)),
         adam={name: column.of_row(r) for name, column in record.adam.items()},
         t=int(record.t[r]) if isinstance(record.t, Tensor) else record.t,
-    )  # fmt: skip
+    )
 
 
 def _in_tile(screen: ScreenGaussians, camera: Camera, tile: int, place: int) -> TilePlace:
     x, y = screen.pixels_of(tile, camera)
-    blend, row, column = screen.blend(tile, x, y), tile // screen.tiles.tiles_x, tile % screen.tiles.tiles_x
+    blend, row, column = (
+        screen.blend(tile, x, y),
+        tile // screen.tiles.tiles_x,
+        tile % screen.tiles.tiles_x,
+    )
     alpha, T, w = (a[place].cpu() for a in (blend.alpha, blend.transmittance, blend.weight))
     pixels, coloured = torch.stack([x, y], dim=1).cpu(), w > 0
     (x0, y0), (x1, y1) = pixels[0].tolist(), pixels[-1].tolist()
     return TilePlace(
-        tile=(column, row), box=(x0, y0, x1 - x0 + 1, y1 - y0 + 1), place=place, length=len(blend.gaussian),
-        pixels=pixels[coloured], alpha=alpha[coloured], transmittance=T[coloured], weight=w[coloured],
-    )  # fmt: skip
+        tile=(column, row),
+        box=(x0, y0, x1 - x0 + 1, y1 - y0 + 1),
+        place=place,
+        length=len(blend.gaussian),
+        pixels=pixels[coloured],
+        alpha=alpha[coloured],
+        transmittance=T[coloured],
+        weight=w[coloured],
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GaussianTrace:
-    """Everything that is known of one Gaussian, in order. ``print(t)`` shows a table, ``print(t.steps[0])`` a step."""
+    """Everything that is known of one Gaussian, in order. ``print(t)`` shows a table,
+    ``print(t.steps[0])`` a step."""
 
     id: int
     """Number of the Gaussian, from its birth to its end."""
@@ -354,7 +415,8 @@ class GaussianTrace:
     moments: tuple[Moment, ...]
     events: tuple[Event, ...]
     n_dropped: int
-    """Operations of the whole trace that are no longer held; what they did is known only to those who asked before."""
+    """Operations of the whole trace that are no longer held; what they did is known only to those
+    who asked before."""
 
     @property
     def steps(self) -> tuple[GaussianStep, ...]:
@@ -366,8 +428,23 @@ class GaussianTrace:
         out = [f"Gaussian {self.id}, {now}", f"  born: {self.birth}"]
         out += [f"  {event}" for event in self.events]
         if self.n_dropped:
-            out.append(f"  {self.n_dropped} operations are no longer held: give the trace more memory, or ask earlier")
-        heads = ("step", "frame", "view", "stage", "row", "depth m", "pixels", "Σw", "|dL/dxyz|", "moved mm", "opacity")
+            out.append(
+                f"  {self.n_dropped} operations are no longer held: give the trace more memory, or "
+                "ask earlier"
+            )
+        heads = (
+            "step",
+            "frame",
+            "view",
+            "stage",
+            "row",
+            "depth m",
+            "pixels",
+            "Σw",
+            "|dL/dxyz|",
+            "moved mm",
+            "opacity",
+        )
         rows = [step.cells() for step in self.steps]
         return "\n".join([*out, table(heads, rows) if rows else "  no optimisation step is held"])
 
@@ -393,10 +470,11 @@ class VoxelFused(Moment):
     depth_m: float
     """Measured at the pixel that contains ``uv``; 0: none, or outside the image."""
     sdf_m: float
-    """Signed distance that the frame measures, metres, by the plain formula; NaN where there is none."""
+    """Signed distance that the frame measures, metres, by the plain formula; NaN where there is
+    none."""
     D: tuple[float, float]
-    """In the volume, before and after the frame. 1 where not allocated. Of a block that is not in view the values of
-    the last frame that is held in which it was."""
+    """In the volume, before and after the frame. 1 where not allocated. Of a block that is not in
+    view the values of the last frame that is held in which it was."""
     W: tuple[float, float]
     """Observation count, before and after."""
 
@@ -429,18 +507,35 @@ class VoxelFused(Moment):
     def lines(self) -> list[tuple[str, str]]:
         """Names and values, rounded for reading."""
         out = [("voxel", str(self.ijk)), ("centre m", " ".join(f"{x:.4f}" for x in self.centre_W))]
-        out += [("projects to u, v", f"{self.uv[0]:.2f}, {self.uv[1]:.2f}"), ("z m", f"{self.z_m:.4f}")]
-        out += [("depth measured m", f"{self.depth_m:.4f}"), ("signed distance m", f"{self.sdf_m:.4f}")]
-        out += [("D", f"{self.D[0]:.5f} → {self.D[1]:.5f}"), ("W", f"{self.W[0]:g} → {self.W[1]:g}")]
+        out += [
+            ("projects to u, v", f"{self.uv[0]:.2f}, {self.uv[1]:.2f}"),
+            ("z m", f"{self.z_m:.4f}"),
+        ]
+        out += [
+            ("depth measured m", f"{self.depth_m:.4f}"),
+            ("signed distance m", f"{self.sdf_m:.4f}"),
+        ]
+        out += [
+            ("D", f"{self.D[0]:.5f} → {self.D[1]:.5f}"),
+            ("W", f"{self.W[0]:g} → {self.W[1]:g}"),
+        ]
         return [*out, ("", self.verdict)]
 
     def cells(self) -> list[str]:
         """Its row in the table of a story."""
         return [
-            str(self.frame_index), f"{self.uv[0]:.1f}", f"{self.uv[1]:.1f}", f"{self.z_m:.3f}", f"{self.depth_m:.3f}",
-            f"{self.sdf_m:.4f}", f"{self.D[0]:.5f}", f"{self.D[1]:.5f}", f"{self.W[0]:g}", f"{self.W[1]:g}",
+            str(self.frame_index),
+            f"{self.uv[0]:.1f}",
+            f"{self.uv[1]:.1f}",
+            f"{self.z_m:.3f}",
+            f"{self.depth_m:.3f}",
+            f"{self.sdf_m:.4f}",
+            f"{self.D[0]:.5f}",
+            f"{self.D[1]:.5f}",
+            f"{self.W[0]:g}",
+            f"{self.W[1]:g}",
             self.verdict,
-        ]  # fmt: skip
+        ]
 
 
 def voxel_moment(record: Record, ijk: Voxel) -> VoxelFused | None:
@@ -456,18 +551,35 @@ def voxel_moment(record: Record, ijk: Voxel) -> VoxelFused | None:
     sdf_m = depth_m - z if depth_m > 0 and depth_m >= config.near_m else float("nan")
     if config.sdf == "ray":
         sdf_m *= (x * x + y * y + z * z) ** 0.5 / z
-    block = torch.tensor([c // BLOCK_VOXELS for c in ijk], dtype=record.coords.dtype, device=record.coords.device)
+    block = torch.tensor(
+        [c // BLOCK_VOXELS for c in ijk],
+        dtype=record.coords.dtype,
+        device=record.coords.device,
+    )
     at = (record.coords == block).all(1).nonzero()[:, 0]
     D, W = (1.0, 1.0), (0.0, 0.0)
     if len(at):
         i, j, k = (c % BLOCK_VOXELS for c in ijk)
-        D0, D1, W0, W1 = (float(column[at[0], 64 * i + 8 * j + k]) for column in (*record.D, *record.W))
+        D0, D1, W0, W1 = (
+            float(column[at[0], 64 * i + 8 * j + k]) for column in (*record.D, *record.W)
+        )
         D, W = (D0, D1), (W0, W1)
     return VoxelFused(
-        serial=record.serial, frame_index=record.frame_index, camera=camera, image=frame.colour, ijk=ijk,
-        centre_W=tuple(centre.tolist()), allocated=len(at) > 0, uv=(u, v), inside=inside, z_m=z, depth_m=depth_m,
-        sdf_m=sdf_m, D=D, W=W,
-    )  # fmt: skip
+        serial=record.serial,
+        frame_index=record.frame_index,
+        camera=camera,
+        image=frame.colour,
+        ijk=ijk,
+        centre_W=tuple(centre.tolist()),
+        allocated=len(at) > 0,
+        uv=(u, v),
+        inside=inside,
+        z_m=z,
+        depth_m=depth_m,
+        sdf_m=sdf_m,
+        D=D,
+        W=W,
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -481,5 +593,17 @@ class VoxelTrace:
     """Operations of the whole trace that are no longer held."""
 
     def __str__(self) -> str:
-        heads = ("frame", "u", "v", "z m", "depth m", "sdf m", "D before", "D after", "W before", "W after", "")
+        heads = (
+            "frame",
+            "u",
+            "v",
+            "z m",
+            "depth m",
+            "sdf m",
+            "D before",
+            "D after",
+            "W before",
+            "W after",
+            "",
+        )
         return "\n".join([f"voxel {self.ijk}", table(heads, [m.cells() for m in self.moments])])

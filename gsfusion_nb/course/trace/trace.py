@@ -33,7 +33,12 @@ class Recorder:
         add: Takes each record.
     """
 
-    def __init__(self, mapper: Any, identities: Identities, add: Callable[[Record], None]):
+    def __init__(
+        self,
+        mapper: Any,
+        identities: Identities,
+        add: Callable[[Record], None],
+    ):
         self.mapper, self.identities, self._add = mapper, identities, add
         self.serial = 0
         self._last: dict[str, list[Tensor]] = {}
@@ -50,7 +55,13 @@ class Recorder:
         }
         self.begin(None)
 
-    def __call__(self, name: str, f: Call, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    def __call__(
+        self,
+        name: str,
+        f: Call,
+        args: tuple[Any, ...],
+        kwargs: dict[str, Any],
+    ) -> Any:
         """Run ``f`` and record what it did."""
         handler = self._handlers.get(name)
         return f(*args, **kwargs) if handler is None else handler(f, args, kwargs)
@@ -74,7 +85,12 @@ class Recorder:
     def _apply_rule(self, f: Call, args: tuple, kwargs: dict) -> Any:
         self._cells = None
         seeds = f(*args, **kwargs)
-        self._seeding = SeedingRecord(**self._next(), frame=args[1].frame, cells=self._cells, seeds=seeds)
+        self._seeding = SeedingRecord(
+            **self._next(),
+            frame=args[1].frame,
+            cells=self._cells,
+            seeds=seeds,
+        )
         self._add(self._seeding)
         return seeds
 
@@ -88,7 +104,9 @@ class Recorder:
         if asked is not None and asked.seeds is seeds and len(seeds) > 0:
             own = origin_of(asked.frame, asked.cells, seeds)
         rule, cause = rule_name(self.mapper.rule), "added by the rule" if self._editing else "seed"
-        self.identities.number(torch.arange(before, len(model)), cause, self.frame_index, rule, **own)
+        self.identities.number(
+            torch.arange(before, len(model)), cause, self.frame_index, rule, **own
+        )
         return out
 
     def _apply_edit(self, f: Call, args: tuple, kwargs: dict) -> Any:
@@ -102,7 +120,14 @@ class Recorder:
             origin = f(*args, **kwargs)
         finally:
             self._editing = False
-        self.identities.edited(plain, ids, count, origin, self._next(), rule_name(self.mapper.rule))
+        self.identities.edited(
+            plain,
+            ids,
+            count,
+            origin,
+            self._next(),
+            rule_name(self.mapper.rule),
+        )
         return origin
 
     def _optimise_view(self, f: Call, args: tuple, kwargs: dict) -> Any:
@@ -110,11 +135,22 @@ class Recorder:
         if mapper is not self.mapper:
             return f(*args, **kwargs)
         ids = self.identities.now()
-        self._step = step = {"ids": ids, "rows": torch.arange(len(ids)), "rates": {}, "t": None} | self._next()
+        self._step = step = {
+            "ids": ids,
+            "rows": torch.arange(len(ids)),
+            "rates": {},
+            "t": None,
+        } | self._next()
         loss, mse = f(*args, **kwargs)
         self._step, at = None, view.index
         if "screen" in step and "adam" in step:
-            stage = "passes" if self.frame_index is None else "frame" if at == self.frame_index else "keyframe"
+            stage = (
+                "passes"
+                if self.frame_index is None
+                else "frame"
+                if at == self.frame_index
+                else "keyframe"
+            )
             self._add(StepRecord(stage=stage, view_index=at, loss=loss, **step))
         return loss, mse
 
@@ -127,14 +163,22 @@ class Recorder:
     def _adam_step(self, f: Call, args: tuple, kwargs: dict) -> Any:
         model, gradients = args[:2]
         part = model if isinstance(model, PartOfMap) else None
-        if self._step is None or (model if part is None else part.model) is not self.mapper.gaussians:
+        if (
+            self._step is None
+            or (model if part is None else part.model) is not self.mapper.gaussians
+        ):
             return f(*args, **kwargs)
         if part is not None:
             rows = part.rows.cpu()
             self._step |= {"rows": rows, "ids": self._step["ids"][rows]}
         before = _copies(model)
-        for name, last in self._last.items():  # what did not change since the last step is held once
-            before[name] = [b if torch.equal(a, b) else a for a, b in zip(before[name], last, strict=True)]
+        for (
+            name,
+            last,
+        ) in self._last.items():  # what did not change since the last step is held once
+            before[name] = [
+                b if torch.equal(a, b) else a for a, b in zip(before[name], last, strict=True)
+            ]
         out = f(*args, **kwargs)
         self._last = after = _copies(model)
         self._step["adam"] = columns = {}
@@ -142,7 +186,14 @@ class Recorder:
         for name, gradient in vars(gradients).items():
             (p0, m0, v0), (p1, m1, v1) = before[name], after[name]
             lr = rates.get(name, float("nan"))  # NaN: another function than Adam takes the step
-            columns[name] = operations.AdamColumn(before=p0, gradient=gradient, m=(m0, m1), v=(v0, v1), after=p1, lr=lr)
+            columns[name] = operations.AdamColumn(
+                before=p0,
+                gradient=gradient,
+                m=(m0, m1),
+                v=(v0, v1),
+                after=p1,
+                lr=lr,
+            )
         return out
 
     def _adam_update_map(self, f: Call, args: tuple, kwargs: dict) -> Any:
@@ -161,10 +212,14 @@ class Recorder:
         out = f(*args, **kwargs)
         self._add(
             FusionRecord(
-                **self._next(), frame=frame, config=volume.config, coords=volume.block_coords[rows].clone(),
-                D=(D, volume.D[rows]), W=(W, volume.W[rows]),
+                **self._next(),
+                frame=frame,
+                config=volume.config,
+                coords=volume.block_coords[rows].clone(),
+                D=(D, volume.D[rows]),
+                W=(W, volume.W[rows]),
             )
-        )  # fmt: skip
+        )
         return out
 
 
@@ -184,17 +239,19 @@ Pick = int | Voxel
 class Trace:
     """Records what a mapper computes from now on, and answers for one Gaussian or voxel.
 
-    The operations of the mapper are observed while they run: their arguments and results are held, and a copy of what
-    they change in place. No number of the map changes. The newest operations are held, up to ``memory_bytes``; from the
-    older ones only the part that concerns what was picked before stays. What is asked for once is picked from then on,
-    so pick before mapping to follow something through a long run. Where a Gaussian comes from and when it left the map
-    is known for all of them (about 60 bytes each).
+    The operations of the mapper are observed while they run: their arguments and results are held,
+    and a copy of what they change in place. No number of the map changes. The newest operations are
+    held, up to ``memory_bytes``; from the older ones only the part that concerns what was picked
+    before stays. What is asked for once is picked from then on, so pick before mapping to follow
+    something through a long run. Where a Gaussian comes from and when it left the map is known for
+    all of them (about 60 bytes each).
 
-    What was computed for a frame that is undone stays in the trace. A trace is not saved in checkpoints; a resumed
-    mapper needs a new one.
+    What was computed for a frame that is undone stays in the trace. A trace is not saved in
+    checkpoints; a resumed mapper needs a new one.
 
     Args:
-        mapper: Of other systems than GSFusion, frames that are fused and seeds are recorded, and no steps.
+        mapper: Of other systems than GSFusion, frames that are fused and seeds are recorded, and no
+            steps.
         memory_bytes: Limit; the last operation is held even if it alone takes more.
 
     Raises:
@@ -226,8 +283,11 @@ class Trace:
         """Memory of the operations that are held, bytes."""
         return operations.memory_of(self._held)
 
-    def gaussian(self, row: int | None = None, *, id: int | None = None) -> operations.GaussianTrace:
-        """The Gaussian in a row of the map as it is now, or the one with a number (also one that has left the map).
+    def gaussian(
+        self, row: int | None = None, *, id: int | None = None
+    ) -> operations.GaussianTrace:
+        """The Gaussian in a row of the map as it is now, or the one with a number (also one that
+        has left the map).
 
         Raises:
             IndexError: no such row or number. ValueError: not exactly one of the two is given.
@@ -242,16 +302,24 @@ class Trace:
         birth = self.identities.birth(id)
         moments: list[Moment] = self._moments(id)
         if birth.cause != "before the trace":
-            held = (r for r in self._held if isinstance(r, SeedingRecord) and r.frame_index == birth.frame_index)
+            held = (
+                r
+                for r in self._held
+                if isinstance(r, SeedingRecord) and r.frame_index == birth.frame_index
+            )
             of = next(held, None)
             picture = {} if of is None else {"camera": of.frame.camera, "image": of.frame.colour}
             serial = -1 if of is None else of.serial
             seeded = {"serial": serial, "frame_index": birth.frame_index, "birth": birth, **picture}
             moments.insert(0, operations.GaussianSeeded(**seeded))
         return operations.GaussianTrace(
-            id=id, row=self.identities.row_of(id), birth=birth, moments=tuple(moments),
-            events=tuple(self.identities.of(id)), n_dropped=self.n_dropped,
-        )  # fmt: skip
+            id=id,
+            row=self.identities.row_of(id),
+            birth=birth,
+            moments=tuple(moments),
+            events=tuple(self.identities.of(id)),
+            n_dropped=self.n_dropped,
+        )
 
     def voxel(self, x: int, y: int, z: int) -> operations.VoxelTrace:
         """The voxel with these integer coordinates (``volume.voxel_index(xyz_W)``)."""
@@ -265,8 +333,8 @@ class Trace:
         return operations.VoxelTrace(ijk=ijk, moments=tuple(fused), n_dropped=self.n_dropped)
 
     def gaussian_at(self, u: int, v: int, serial: int | None = None) -> int:
-        """Number of the Gaussian with the largest weight at pixel (u, v): in the held step nearest to operation
-        ``serial`` that has one there, by default in the newest.
+        """Number of the Gaussian with the largest weight at pixel (u, v): in the held step nearest
+        to operation ``serial`` that has one there, by default in the newest.
 
         Raises:
             ValueError: there is none.
@@ -274,14 +342,17 @@ class Trace:
         for record in self._nearest(StepRecord, serial):
             s = record.screen
             if u < record.camera.width and v < record.camera.height:
-                blend = s.blend(s.tile_of(u, v), *torch.tensor([[u], [v]], device=s.uv.device))
+                blend = s.blend(
+                    s.tile_of(u, v),
+                    *torch.tensor([[u], [v]], device=s.uv.device),
+                )
                 if bool((blend.weight > 0).any()):
                     return int(record.ids[int(blend.gaussian[blend.weight[:, 0].argmax()])])
         raise ValueError(f"no Gaussian is known at pixel ({u}, {v})")
 
     def voxel_at(self, u: int, v: int, serial: int | None = None) -> Voxel:
-        """The voxel of the surface measured at the centre of pixel (u, v): in the held frame nearest to operation
-        ``serial`` that has depth there, by default in the newest.
+        """The voxel of the surface measured at the centre of pixel (u, v): in the held frame
+        nearest to operation ``serial`` that has depth there, by default in the newest.
 
         Raises:
             ValueError: there is none.
@@ -290,7 +361,11 @@ class Trace:
             frame = record.frame
             if u < frame.camera.width and v < frame.camera.height and frame.depth_m[v, u] > 0:
                 uv = torch.tensor([u + 0.5, v + 0.5], dtype=torch.float64)
-                xyz_C = backproject(frame.camera, uv, frame.depth_m[v, u].cpu().double())
+                xyz_C = backproject(
+                    frame.camera,
+                    uv,
+                    frame.depth_m[v, u].cpu().double(),
+                )
                 xyz_W = se3.apply(frame.T_WC.cpu().double(), xyz_C[None])[0]
                 x, y, z = (xyz_W / record.config.voxel_size_m).floor().long().tolist()
                 return x, y, z
@@ -303,23 +378,32 @@ class Trace:
             self.identities.close()
 
     def _nearest(self, kind: type, serial: int | None) -> list[Any]:
-        """The held records of a kind, the one nearest to an operation first; by default the newest first."""
+        """The held records of a kind, the one nearest to an operation first; by default the newest
+        first."""
         at = self._recorder.serial if serial is None else serial
-        return sorted((r for r in self._held if isinstance(r, kind)), key=lambda r: abs(r.serial - at))
+        return sorted(
+            (r for r in self._held if isinstance(r, kind)), key=lambda r: abs(r.serial - at)
+        )
 
     def _moments(self, pick: Pick) -> list[Any]:
         kept = self._picks.setdefault(pick, [])
-        return [*kept, *(moment for record in self._held if (moment := _moment(record, pick)) is not None)]
+        return [
+            *kept,
+            *(moment for record in self._held if (moment := _moment(record, pick)) is not None),
+        ]
 
     def _hold(self, record: Record) -> None:
-        """Hold a record; of the oldest ones, if they are too large, only what concerns what was picked."""
+        """Hold a record; of the oldest ones, if they are too large, only what concerns what was
+        picked."""
         self._held.append(record)
         while len(self._held) > 1 and self.memory_bytes > self._limit_bytes:
             oldest = self._held.popleft()
             self.n_dropped += 1
             for pick, kept in self._picks.items():
                 if (moment := _moment(oldest, pick)) is not None:
-                    kept.append(dataclasses.replace(moment, image=None))  # it takes most of the memory
+                    kept.append(
+                        dataclasses.replace(moment, image=None)
+                    )  # it takes most of the memory
 
     @contextlib.contextmanager
     def _watch(self, frame_index: int | None) -> Iterator[None]:
@@ -330,7 +414,8 @@ class Trace:
 
 @contextlib.contextmanager
 def tracing(mapper: Any, **options: Any) -> Iterator[Trace]:
-    """``with tracing(mapper) as trace:`` records in the block; afterwards the trace can still be asked."""
+    """``with tracing(mapper) as trace:`` records in the block; afterwards the trace can still be
+    asked."""
     trace = Trace(mapper, **options)
     try:
         yield trace
@@ -339,4 +424,8 @@ def tracing(mapper: Any, **options: Any) -> Iterator[Trace]:
 
 
 def _moment(record: Record, pick: Pick) -> Moment | None:
-    return operations.gaussian_moment(record, pick) if isinstance(pick, int) else operations.voxel_moment(record, pick)
+    return (
+        operations.gaussian_moment(record, pick)
+        if isinstance(pick, int)
+        else operations.voxel_moment(record, pick)
+    )

@@ -1,5 +1,5 @@
-"""How well the depth of one frame predicts that of another: points of one depth image are moved into another under one
-or many relative poses.
+"""How well the depth of one frame predicts that of another: points of one depth image are moved
+into another under one or many relative poses.
 """
 
 from dataclasses import dataclass, replace
@@ -12,7 +12,8 @@ from ...geometry import depth_to_points, project, se3
 from ...types import Camera, Frame
 
 AGREES = 0.03
-"""A point agrees when its depth differs by less than this share: a Kinect's noise at 4 m is 1 to 2 per cent."""
+"""A point agrees when its depth differs by less than this share: a Kinect's noise at 4 m is 1 to 2
+per cent."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -20,26 +21,37 @@ class DepthConsistency:
     """How well two depth images agree under one or each of K relative poses."""
 
     agreeing: Float[Tensor, "*K"]
-    """Share of ``a``'s points that fall on a depth of ``b`` which differs by less than 3 per cent."""
+    """Share of ``a``'s points that fall on a depth of ``b`` which differs by less than 3 per
+    cent."""
     overlap: Float[Tensor, "*K"]
     """Share of ``a``'s points that fall on a valid depth of ``b``."""
     median_m: Float[Tensor, "*K"]
     """Median absolute difference of z-depth over those points, metres; NaN if there are none."""
     score: Float[Tensor, "*K"]
-    """Mean of max(0, 1 - difference / 3 per cent) over all points: 1 for exact agreement everywhere."""
+    """Mean of max(0, 1 - difference / 3 per cent) over all points: 1 for exact agreement
+    everywhere."""
 
 
-def sparse_points(camera: Camera, depth_m: Float[Tensor, "H W"], step: int) -> Float[Tensor, "N 3"]:
-    """Points of every ``step``-th pixel in both directions that has depth, in the camera's frame, metres."""
+def sparse_points(
+    camera: Camera,
+    depth_m: Float[Tensor, "H W"],
+    step: int,
+) -> Float[Tensor, "N 3"]:
+    """Points of every ``step``-th pixel in both directions that has depth, in the camera's frame,
+    metres."""
     sparse = slice(step // 2, None, step)
     points = depth_to_points(camera, depth_m)[sparse, sparse].reshape(-1, 3)
     return points[points[:, 2] > 0]
 
 
 def depth_consistency(
-    xyz_a: Float[Tensor, "N 3"], depth_b: Float[Tensor, "H W"], camera: Camera, T_ba: Float[Tensor, "*K 4 4"]
+    xyz_a: Float[Tensor, "N 3"],
+    depth_b: Float[Tensor, "H W"],
+    camera: Camera,
+    T_ba: Float[Tensor, "*K 4 4"],
 ) -> DepthConsistency:
-    """Move the points of ``a`` into ``b`` under each pose and compare with the depth of the pixel they fall on.
+    """Move the points of ``a`` into ``b`` under each pose and compare with the depth of the pixel
+    they fall on.
 
     Args:
         xyz_a: Points in the frame of camera ``a``, metres (``sparse_points``). [N, 3]
@@ -53,7 +65,10 @@ def depth_consistency(
     P = xyz_a @ R.mT + t
     z = P[..., 2]
     front = z > 1e-6
-    uv = project(camera, torch.where(front[..., None], P, torch.ones_like(P)))
+    uv = project(
+        camera,
+        torch.where(front[..., None], P, torch.ones_like(P)),
+    )
     u, v = uv.floor().unbind(-1)
     in_width = (u >= 0) & (u < camera.width)
     in_height = (v >= 0) & (v < camera.height)
@@ -77,8 +92,11 @@ def depth_consistency(
     )
 
 
-def thinned(camera: Camera, depth_m: Float[Tensor, "H W"], step: int) -> tuple[Camera, Float[Tensor, "h w"]]:
-    """Every ``step``-th pixel of a depth image as a smaller image with the same rays; nothing is interpolated."""
+def thinned(
+    camera: Camera, depth_m: Float[Tensor, "H W"], step: int
+) -> tuple[Camera, Float[Tensor, "h w"]]:
+    """Every ``step``-th pixel of a depth image as a smaller image with the same rays; nothing is
+    interpolated."""
     first = (step - 1) // 2
     small = depth_m[first::step, first::step]
     height, width = small.shape
@@ -94,7 +112,9 @@ def thinned(camera: Camera, depth_m: Float[Tensor, "H W"], step: int) -> tuple[C
     return small_camera, small
 
 
-def relative_poses(T_WA: Float[Tensor, "*K 4 4"], T_WB: Float[Tensor, "*K 4 4"]) -> Float[Tensor, "*K 4 4"]:
+def relative_poses(
+    T_WA: Float[Tensor, "*K 4 4"], T_WB: Float[Tensor, "*K 4 4"]
+) -> Float[Tensor, "*K 4 4"]:
     """Transforms from camera A to camera B. [*K, 4, 4]"""
     return se3.inverse(T_WB) @ T_WA
 
@@ -107,4 +127,9 @@ def depth_agreement(a: Frame, b: Frame, *, step: int = 4) -> DepthConsistency:
         step: Every step-th pixel of ``a`` in both directions is used.
     """
     T_ba = relative_poses(a.T_WC.double(), b.T_WC.double())
-    return depth_consistency(sparse_points(b.camera, a.depth_m, step), b.depth_m, b.camera, T_ba)
+    return depth_consistency(
+        sparse_points(b.camera, a.depth_m, step),
+        b.depth_m,
+        b.camera,
+        T_ba,
+    )

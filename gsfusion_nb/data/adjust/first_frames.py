@@ -1,4 +1,5 @@
-"""How well a few frames of a recording agree with each other, as they are read and as they might be read otherwise."""
+"""How well a few frames of a recording agree with each other, as they are read and as they might be
+read otherwise."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -15,7 +16,14 @@ from ...geometry import pixel_grid
 from ...types import Camera, Frame
 from .depth_agreement import AGREES, relative_poses, thinned
 from .poses import axis_matrix, reread_poses
-from .reprojection import FEWEST_GREYS, Reprojection, gain_stops, greys_at, is_usable_grey, reproject_depth
+from .reprojection import (
+    FEWEST_GREYS,
+    Reprojection,
+    gain_stops,
+    greys_at,
+    is_usable_grey,
+    reproject_depth,
+)
 from .small_images import small_grey, without_speckle
 
 WIDTH = 160
@@ -27,12 +35,14 @@ POINTS = 300
 MOVED_PX = 2.0
 """Where points moved by less, pixels of a copy, pictures do not show whether they moved."""
 _LEAST_CONTRAST = 4.0
-"""Grey levels by which two pictures differ on average where nothing is moved: with less there is nothing to see."""
+"""Grey levels by which two pictures differ on average where nothing is moved: with less there is
+nothing to see."""
 _MOST_DIFFERENCE = 40.0
 """Larger differences of grey levels count as this: something hides the point."""
 _LEAST_COLOUR_PAIRS = 3
 NEAR_MIDDLE = 0.05
-"""A principal point within this share of the image's width and height of its middle is usual: of a Kinect 0.04."""
+"""A principal point within this share of the image's width and height of its middle is usual: of a
+Kinect 0.04."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,9 +58,13 @@ class SmallFrame:
     @staticmethod
     def of(frame: Frame) -> "SmallFrame":
         """Copies of ``frame``, which do not hold its images in memory."""
-        camera, depth_m = thinned(frame.camera, frame.depth_m, max(1, round(frame.camera.width / WIDTH)))
+        camera, depth_m = thinned(
+            frame.camera, frame.depth_m, max(1, round(frame.camera.width / WIDTH))
+        )
         filled = torch.from_numpy(without_speckle(depth_m.cpu().numpy()))
-        return SmallFrame(index=frame.index, camera=camera, depth_m=filled, grey=small_grey(frame, WIDTH))
+        return SmallFrame(
+            index=frame.index, camera=camera, depth_m=filled, grey=small_grey(frame, WIDTH)
+        )
 
 
 class Pairs(NamedTuple):
@@ -65,14 +79,21 @@ class Pairs(NamedTuple):
     T_WB: Float[Tensor, "P 4 4"]
     """Camera-to-world poses, float64."""
 
-    def moved(self, T_ba: Float[Tensor, "P 4 4"] | None = None, camera: Camera | None = None) -> Reprojection:
-        """The points of the first frames in the second ones, as read or by another motion or camera."""
+    def moved(
+        self, T_ba: Float[Tensor, "P 4 4"] | None = None, camera: Camera | None = None
+    ) -> Reprojection:
+        """The points of the first frames in the second ones, as read or by another motion or
+        camera."""
         T_ba = relative_poses(self.T_WA, self.T_WB) if T_ba is None else T_ba
-        return reproject_depth(camera or self.camera, self.uv_a, self.depth_a, self.depth_b, T_ba.float())
+        return reproject_depth(
+            camera or self.camera, self.uv_a, self.depth_a, self.depth_b, T_ba.float()
+        )
 
 
 def pairs_of(
-    frames: Sequence[SmallFrame], poses: Sequence[Float[Tensor, "4 4"]], places: Sequence[tuple[int, int]]
+    frames: Sequence[SmallFrame],
+    poses: Sequence[Float[Tensor, "4 4"]],
+    places: Sequence[tuple[int, int]],
 ) -> Pairs:
     """The pairs of ``frames`` at ``places``, with their camera-to-world poses."""
     camera = frames[0].camera
@@ -122,7 +143,13 @@ def _depth_times(factor: float) -> Reading:
 def _focal_times(factor: float, *, with_centre: bool = False) -> Reading:
     def moved(pairs: Pairs) -> Reprojection:
         c, of_centre = pairs.camera, factor if with_centre else 1.0
-        changed = replace(c, fx=c.fx * factor, fy=c.fy * factor, cx=c.cx * of_centre, cy=c.cy * of_centre)
+        changed = replace(
+            c,
+            fx=c.fx * factor,
+            fy=c.fy * factor,
+            cx=c.cx * of_centre,
+            cy=c.cy * of_centre,
+        )
         return pairs.moved(camera=changed)
 
     return moved
@@ -132,26 +159,39 @@ def _centred(pairs: Pairs) -> Reprojection:
     """With the principal point in the middle; as read if it is near: nothing is measured then."""
     c = pairs.camera
     middle = replace(c, cx=c.width / 2, cy=c.height / 2)
-    is_near = abs(c.cx - middle.cx) < NEAR_MIDDLE * c.width and abs(c.cy - middle.cy) < NEAR_MIDDLE * c.height
+    is_near = (
+        abs(c.cx - middle.cx) < NEAR_MIDDLE * c.width
+        and abs(c.cy - middle.cy) < NEAR_MIDDLE * c.height
+    )
     return pairs.moved(camera=c if is_near else middle)
 
 
 READINGS: dict[str, Reading] = {
     "inverted poses": _poses_as(RepairConfig(poses="world_to_camera")),
     "inverted rotations": _poses_as(RepairConfig(poses="rotation_inverted")),
-    **{f"the camera axes of {name}": _poses_as(RepairConfig(axes=name)) for name in ("opengl", "ros", "unity")},
+    **{
+        f"the camera axes of {name}": _poses_as(RepairConfig(axes=name))
+        for name in ("opengl", "ros", "unity")
+    },
     "a camera that stands still": stands_still,
     "the principal point in the middle of the image": _centred,
-    **{f"focal lengths {k:.3g} times as long": _focal_times(k) for k in (1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2)},
+    **{
+        f"focal lengths {k:.3g} times as long": _focal_times(k)
+        for k in (1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2)
+    },
     **{f"intrinsics {k:.3g} times as large": _focal_times(k, with_centre=True) for k in (1 / 2, 2)},
-    **{f"depth {k:g} times as large": _depth_times(k) for k in (0.001, 0.1, 0.2, 0.25, 4.0, 5.0, 10.0, 1000.0)},
+    **{
+        f"depth {k:g} times as large": _depth_times(k)
+        for k in (0.001, 0.1, 0.2, 0.25, 4.0, 5.0, 10.0, 1000.0)
+    },
 }
 """What a recording may mean other than it was read, in words -> how it would agree."""
 
 
 class FirstAgreement(NamedTuple):
-    """How well frames agree. An agreement is the mean of max(0, 1 - difference / tolerance) over all points with depth,
-    where the tolerance is three times the median of their relative differences in depth, 0.2 to 6 per cent."""
+    """How well frames agree. An agreement is the mean of max(0, 1 - difference / tolerance) over
+    all points with depth, where the tolerance is three times the median of their relative
+    differences in depth, 0.2 to 6 per cent."""
 
     share: float
     """Share of the points that differ by less than 3 per cent in depth."""
@@ -162,17 +202,20 @@ class FirstAgreement(NamedTuple):
     other: float
     """Agreement under the other reading that gains most."""
     gain: float
-    """What it gains, over all points and over those that fall on a measured depth, whichever is less: a camera that
-    moves along a wall loses points at the edge of its view, and one that stands still would not."""
+    """What it gains, over all points and over those that fall on a measured depth, whichever is
+    less: a camera that moves along a wall loses points at the edge of its view, and one that stands
+    still would not."""
     reading: str
     """That reading, in words."""
     colour: float
-    """Mean difference of brightness between the points that agree in depth, relative to that between the pixels in the
-    same place: near 0 where pictures move as depth does, 1 where they do not; NaN where nothing moves or can be
-    seen."""
+    """Mean difference of brightness between the points that agree in depth, relative to that
+    between the pixels in the same place: near 0 where pictures move as depth does, 1 where they do
+    not; NaN where nothing moves or can be seen."""
 
 
-def agreement_of(frames: Sequence[SmallFrame], poses: Sequence[Float[Tensor, "4 4"]]) -> FirstAgreement:
+def agreement_of(
+    frames: Sequence[SmallFrame], poses: Sequence[Float[Tensor, "4 4"]]
+) -> FirstAgreement:
     """Measure how well frames with the same camera agree with each other, in pairs ``GAPS`` apart.
 
     Args:
@@ -194,7 +237,9 @@ def agreement_of(frames: Sequence[SmallFrame], poses: Sequence[Float[Tensor, "4 
 
     as_read, of_known = agreement(found)
     others = {words: agreement(read(pairs)) for words, read in READINGS.items()}
-    gains = {words: min(whole - as_read, known - of_known) for words, (whole, known) in others.items()}
+    gains = {
+        words: min(whole - as_read, known - of_known) for words, (whole, known) in others.items()
+    }
     reading = max(gains, key=lambda words: gains[words])
     agrees = found.known & (error < AGREES)
     return FirstAgreement(
@@ -232,5 +277,8 @@ def _colour(
     return float(np.mean(moved) / np.mean(still))
 
 
-def _difference(a: Float[np.ndarray, " N"], b: Float[np.ndarray, " N"]) -> float:
+def _difference(
+    a: Float[np.ndarray, " N"],
+    b: Float[np.ndarray, " N"],
+) -> float:
     return float(np.minimum(np.abs(b / 2 ** gain_stops(a, b) - a), _MOST_DIFFERENCE).mean())

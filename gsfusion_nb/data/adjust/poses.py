@@ -1,4 +1,5 @@
-"""Stored poses: from another convention (direction, axes, order of numbers, unit) to ours, and between their times."""
+"""Stored poses: from another convention (direction, axes, order of numbers, unit) to ours, and
+between their times."""
 
 import contextlib
 from typing import Any
@@ -12,15 +13,24 @@ from ...geometry import quaternion, se3
 from ..sequence import BadFrameError, Sequence, SequenceError
 
 _DIRECTION = {
-    "right": (1.0, 0.0, 0.0), "left": (-1.0, 0.0, 0.0), "down": (0.0, 1.0, 0.0), "up": (0.0, -1.0, 0.0),
-    "forward": (0.0, 0.0, 1.0), "back": (0.0, 0.0, -1.0),
-}  # fmt: skip
+    "right": (1.0, 0.0, 0.0),
+    "left": (-1.0, 0.0, 0.0),
+    "down": (0.0, 1.0, 0.0),
+    "up": (0.0, -1.0, 0.0),
+    "forward": (0.0, 0.0, 1.0),
+    "back": (0.0, 0.0, -1.0),
+}
 _ORDER = {"wxyz": [1, 2, 3, 0], "xyzw": [3, 0, 1, 2]}
 
 
 def stored_poses(sequence: Sequence) -> Float[Tensor, "L 4 4"]:
-    """Poses of all frames as the sequence gives them, float64; NaN where it raises ``BadFrameError``."""
-    poses = torch.full((len(sequence), 4, 4), torch.nan, dtype=torch.float64)
+    """Poses of all frames as the sequence gives them, float64; NaN where it raises
+    ``BadFrameError``."""
+    poses = torch.full(
+        (len(sequence), 4, 4),
+        torch.nan,
+        dtype=torch.float64,
+    )
     for i in range(len(sequence)):
         with contextlib.suppress(BadFrameError):
             poses[i] = sequence.pose(i).double()
@@ -28,11 +38,12 @@ def stored_poses(sequence: Sequence) -> Float[Tensor, "L 4 4"]:
 
 
 def reread_poses(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:
-    """Camera-to-world poses, OpenCV axes, metres, from matrices stored in the convention of ``repair``.
+    """Camera-to-world poses, OpenCV axes, metres, from matrices stored in the convention of
+    ``repair``.
 
-    In this order: order of the 16 numbers, nearest rotation, order of the quaternion, direction, axes, unit of length.
-    With the stored camera's axes, expressed in OpenCV's, as the columns of M, T_WC = T M^T; if the axes are mirrored
-    (det M = -1), so is the world, and T_WC = M T M^T.
+    In this order: order of the 16 numbers, nearest rotation, order of the quaternion, direction,
+    axes, unit of length. With the stored camera's axes, expressed in OpenCV's, as the columns of M,
+    T_WC = T M^T; if the axes are mirrored (det M = -1), so is the world, and T_WC = M T M^T.
 
     Args:
         stored: Matrices as they were read. [N, 4, 4]
@@ -62,14 +73,18 @@ def axis_matrix(repair: RepairConfig) -> Float[Tensor, "4 4"]:
     Transforms from camera to camera become M T M^T, whether M mirrors or not.
     """
     M = torch.eye(4, dtype=torch.float64)
-    M[:3, :3] = torch.tensor([_DIRECTION[word] for word in repair.axis_words], dtype=torch.float64).T
+    M[:3, :3] = torch.tensor(
+        [_DIRECTION[word] for word in repair.axis_words], dtype=torch.float64
+    ).T
     return M
 
 
 def raw_matrices(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:
-    """The corrections that make 16 numbers a rigid matrix: their order, and the nearest rotation (by SVD).
+    """The corrections that make 16 numbers a rigid matrix: their order, and the nearest rotation
+    (by SVD).
 
-    Matrices with NaN are not changed. A scale factor common to rotation and bottom right entry is divided out.
+    Matrices with NaN are not changed. A scale factor common to rotation and bottom right entry is
+    divided out.
     """
     T = stored.transpose(1, 2) if repair.matrices == "column_major" else stored
     if repair.nearest_rotation:
@@ -84,11 +99,18 @@ def raw_matrices(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[
     return T
 
 
-def pose_between(T_a: Float[Tensor, "*B 4 4"], T_b: Float[Tensor, "*B 4 4"], t: float) -> Float[Tensor, "*B 4 4"]:
-    """The pose at ``t`` from 0 (``T_a``) to 1 (``T_b``): linear in position, spherical in orientation."""
+def pose_between(
+    T_a: Float[Tensor, "*B 4 4"], T_b: Float[Tensor, "*B 4 4"], t: float
+) -> Float[Tensor, "*B 4 4"]:
+    """The pose at ``t`` from 0 (``T_a``) to 1 (``T_b``): linear in position, spherical in
+    orientation."""
     a = quaternion.from_matrix(T_a[..., :3, :3])
     b = quaternion.from_matrix(T_b[..., :3, :3])
-    turned = quaternion.slerp(a, b, a.new_full(a.shape[:-1], t))
+    turned = quaternion.slerp(
+        a,
+        b,
+        a.new_full(a.shape[:-1], t),
+    )
     from_a = T_a[..., :3, 3]
     to_b = T_b[..., :3, 3]
     T = T_a.clone()
@@ -97,7 +119,10 @@ def pose_between(T_a: Float[Tensor, "*B 4 4"], T_b: Float[Tensor, "*B 4 4"], t: 
     return T
 
 
-def _with_rotation(T: Float[Tensor, "N 4 4"], R: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 4 4"]:
+def _with_rotation(
+    T: Float[Tensor, "N 4 4"],
+    R: Float[Tensor, "N 3 3"],
+) -> Float[Tensor, "N 4 4"]:
     T = T.clone()
     T[:, :3, :3] = R
     return T
@@ -111,9 +136,10 @@ _LONGEST_GAP = 4.0
 class PosePath:
     """Poses at any time, interpolated on SE(3).
 
-    Between the poses T_k and T_k+1 the path is T_k exp(xi(s)), where xi is the cubic in the time s since T_k that also
-    goes through T_k+1, the pose before and the one after: a parabola makes a tremor of 5 Hz at 30 frames a second a
-    sixth too slow, and two parabolas do not meet. At the ends of the recording, and beside a gap, through fewer.
+    Between the poses T_k and T_k+1 the path is T_k exp(xi(s)), where xi is the cubic in the time s
+    since T_k that also goes through T_k+1, the pose before and the one after: a parabola makes a
+    tremor of 5 Hz at 30 frames a second a sixth too slow, and two parabolas do not meet. At the
+    ends of the recording, and beside a gap, through fewer.
 
     Args:
         times_s: Increasing times. [L]
@@ -128,7 +154,9 @@ class PosePath:
         self.step_s = float(steps.median()) if len(steps) else 0.0
         """Median time from one pose to the next, seconds; 0 with fewer than two poses."""
         far = (steps > _LONGEST_GAP * self.step_s).long()
-        self._piece = torch.cat([far.new_zeros(1), far.cumsum(0)])  # poses of one piece have no gap between them
+        self._piece = torch.cat(
+            [far.new_zeros(1), far.cumsum(0)]
+        )  # poses of one piece have no gap between them
 
     def at(self, times_s: Float[Tensor, " N"]) -> Float[Tensor, "N 4 4"]:
         """Camera-to-world poses; NaN farther than one median step from every pose. [N, 4, 4]"""
@@ -150,7 +178,9 @@ class PosePath:
         at_s = self._times[near] - self._times[k, None]
         xi = torch.zeros(len(k), 6, dtype=torch.float64)
         for j in range(len(_NEIGHBOURS)):
-            share = s / at_s[:, j]  # Lagrange's polynomial: 1 at this neighbour, 0 at the others and at T_k
+            share = (
+                s / at_s[:, j]
+            )  # Lagrange's polynomial: 1 at this neighbour, 0 at the others and at T_k
             for m in set(range(len(_NEIGHBOURS))) - {j}:
                 factor = (s - at_s[:, m]) / (at_s[:, j] - at_s[:, m])
                 share = share * factor.where(known[:, m], 1.0)
@@ -163,7 +193,8 @@ class PosePath:
 
 
 def times_of(source: Any) -> Float[Tensor, " L"] | None:
-    """The times of the frames of a sequence or of a part of one, seconds; None where it has none."""
+    """The times of the frames of a sequence or of a part of one, seconds; None where it has
+    none."""
     if hasattr(source, "positions"):
         times = times_of(source.source)
         return None if times is None else times[source.positions]

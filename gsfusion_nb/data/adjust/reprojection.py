@@ -1,4 +1,5 @@
-"""Points of one depth image moved into another: the pixels they fall on, and how depth and brightness differ there.
+"""Points of one depth image moved into another: the pixels they fall on, and how depth and
+brightness differ there.
 
 What a check-up fits and what a run watches is measured by these functions.
 """
@@ -22,11 +23,13 @@ class Reprojection(NamedTuple):
     """Points of the first frames of P pairs in the second frames."""
 
     uv_b: Float[Tensor, "P N 2"]
-    """Pixels of the second frames' camera; continuous, the centre of pixel (i, j) is (i + 0.5, j + 0.5)."""
+    """Pixels of the second frames' camera; continuous, the centre of pixel (i, j) is (i + 0.5, j +
+    0.5)."""
     residual: Float[Tensor, "P N"]
     """Relative depth difference (predicted - measured) / measured, 0 where it is unknown."""
     known: Bool[Tensor, "P N"]
-    """Whether the point is in front of the camera and falls on a measured depth, between four pixels of one surface."""
+    """Whether the point is in front of the camera and falls on a measured depth, between four
+    pixels of one surface."""
 
 
 def reproject_depth(
@@ -40,7 +43,8 @@ def reproject_depth(
 ) -> Reprojection:
     """Move points from frame to frame and compare with the depth that is measured there.
 
-    The measured depth is interpolated between four pixels of one surface; points between two surfaces are not compared.
+    The measured depth is interpolated between four pixels of one surface; points between two
+    surfaces are not compared.
 
     Args:
         camera: Of all frames.
@@ -58,7 +62,10 @@ def reproject_depth(
     ok = (depth_a > 0) & (Q[..., 2] > 1e-6) & torch.isfinite(Q).all(-1)
     Q = Q.where(ok[..., None], 1.0)
     xb, yb = Q[..., 0] / Q[..., 2], Q[..., 1] / Q[..., 2]
-    uv_b = torch.stack([camera.fx * xb + camera.cx, camera.fy * yb + camera.cy], -1)
+    uv_b = torch.stack(
+        [camera.fx * xb + camera.cx, camera.fy * yb + camera.cy],
+        -1,
+    )
     measured, known = _interpolated(depth_b, uv_b[..., 0], uv_b[..., 1])
     if is_ray:
         measured = measured / (1 + xb * xb + yb * yb).sqrt()
@@ -68,9 +75,12 @@ def reproject_depth(
 
 
 def _interpolated(
-    depth: Float[Tensor, "P H W"], u: Float[Tensor, "P N"], v: Float[Tensor, "P N"]
+    depth: Float[Tensor, "P H W"],
+    u: Float[Tensor, "P N"],
+    v: Float[Tensor, "P N"],
 ) -> tuple[Float[Tensor, "P N"], Bool[Tensor, "P N"]]:
-    """Depth between pixel centres, bilinear in 1 / z (exact on planes); whether the four pixels are on one surface."""
+    """Depth between pixel centres, bilinear in 1 / z (exact on planes); whether the four pixels are
+    on one surface."""
     n, h, w = depth.shape
     x, y = u - 0.5, v - 0.5
     known = (x >= 0) & (y >= 0) & (x <= w - 1.001) & (y <= h - 1.001)
@@ -88,11 +98,16 @@ def _interpolated(
     return 1 / (top + fy * (bottom - top)), known
 
 
-def greys_at(grey: UInt8[np.ndarray, "h w"], uv: Float[Tensor, "N 2"], width: int) -> Float[np.ndarray, " N"]:
-    """Grey levels 0..255 of a picture at pixels of another size of it, which is ``width`` pixels wide."""
+def greys_at(
+    grey: UInt8[np.ndarray, "h w"], uv: Float[Tensor, "N 2"], width: int
+) -> Float[np.ndarray, " N"]:
+    """Grey levels 0..255 of a picture at pixels of another size of it, which is ``width`` pixels
+    wide."""
     scale = grey.shape[1] / width
     i, j = ((uv[:, k].numpy() * scale).astype(int) for k in (0, 1))
-    return grey[np.clip(j, 0, grey.shape[0] - 1), np.clip(i, 0, grey.shape[1] - 1)].astype(np.float64)
+    return grey[np.clip(j, 0, grey.shape[0] - 1), np.clip(i, 0, grey.shape[1] - 1)].astype(
+        np.float64
+    )
 
 
 def is_usable_grey(*levels: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
@@ -101,6 +116,10 @@ def is_usable_grey(*levels: Float[np.ndarray, " N"]) -> Bool[np.ndarray, " N"]:
     return np.logical_and.reduce([(level > low) & (level < high) for level in levels])
 
 
-def gain_stops(a: Float[np.ndarray, " N"], b: Float[np.ndarray, " N"]) -> float:
-    """Brightness of the same points in the second / first picture, log2, from their usable grey levels."""
+def gain_stops(
+    a: Float[np.ndarray, " N"],
+    b: Float[np.ndarray, " N"],
+) -> float:
+    """Brightness of the same points in the second / first picture, log2, from their usable grey
+    levels."""
     return float(np.median(np.log2(b / a)))

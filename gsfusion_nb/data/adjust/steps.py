@@ -1,4 +1,5 @@
-"""From one frame to the next: is an image repeated while the camera moves, and do poses jump where depth does not?"""
+"""From one frame to the next: is an image repeated while the camera moves, and do poses jump where
+depth does not?"""
 
 import numpy as np
 import torch
@@ -14,19 +15,21 @@ _JUMP_BASE_DEG, _JUMP_BASE_M = 1.0, 0.03
 _JUMP_OF_MEDIAN = 1.5
 """A jump is longer than this many times the median of the steps around, ..."""
 JUMP_ERROR, _JUMP_ERROR_OF_USUAL = 0.01, 4.0
-"""... and depth then differs by this share and this many times the usual difference; the worst of 250 steps of a
-hand-held Kinect differs by 0.6 per cent, twice the usual."""
+"""... and depth then differs by this share and this many times the usual difference; the worst of
+250 steps of a hand-held Kinect differs by 0.6 per cent, twice the usual."""
 _JUMP_UNSEEN = 4.0
-"""If two frames have nothing in common, a step is a jump if it is at least this many times the median."""
+"""If two frames have nothing in common, a step is a jump if it is at least this many times the
+median."""
 STEPS_AROUND = 10
 """Steps before and after one that it is compared with."""
 
 
 def repeated_image(a: Frame, b: Frame) -> str:
-    """Which image of ``b`` is that of ``a``, pixel by pixel: "colour", "depth", "colour and depth", or "" for none.
+    """Which image of ``b`` is that of ``a``, pixel by pixel: "colour", "depth", "colour and depth",
+    or "" for none.
 
-    An image of one value, as of a white wall or without any depth, is the same wherever the camera is, and proves
-    nothing.
+    An image of one value, as of a white wall or without any depth, is the same wherever the camera
+    is, and proves nothing.
     """
     same = {"colour": _is_same(a.colour, b.colour), "depth": _is_same(a.depth_m, b.depth_m)}
     return " and ".join(name for name, is_same in same.items() if is_same)
@@ -42,11 +45,13 @@ def find_jumps(
     error: Float[np.ndarray, " F"],
     frozen: Bool[np.ndarray, " F"],
 ) -> set[int]:
-    """The steps that the depth images do not confirm: much longer than those around, and depth does not fit.
+    """The steps that the depth images do not confirm: much longer than those around, and depth does
+    not fit.
 
     Args:
         turned_deg, moved_m: How far the camera turned and moved in each step; NaN: unknown.
-        error: Median relative depth difference between the two frames of each step; NaN if they see nothing in common.
+        error: Median relative depth difference between the two frames of each step; NaN if they see
+            nothing in common.
         frozen: Steps from or to a repeated image, which cannot confirm poses.
     """
     step = np.maximum(turned_deg / _JUMP_BASE_DEG, moved_m / _JUMP_BASE_M)
@@ -55,7 +60,10 @@ def find_jumps(
     for i in np.flatnonzero(np.isfinite(step)):
         around = step[max(0, i - STEPS_AROUND) : i + STEPS_AROUND + 1]
         times = step[i] / max(np.nanmedian(around), 1e-9)
-        disagrees = error[i] > max(JUMP_ERROR, _JUMP_ERROR_OF_USUAL * usual_error) and times > _JUMP_OF_MEDIAN
+        disagrees = (
+            error[i] > max(JUMP_ERROR, _JUMP_ERROR_OF_USUAL * usual_error)
+            and times > _JUMP_OF_MEDIAN
+        )
         unseen = np.isnan(error[i]) and times > _JUMP_UNSEEN
         if step[i] > 1 and (disagrees or unseen) and not frozen[i]:
             jumps.add(int(i))

@@ -22,8 +22,9 @@ Keys of ``intrinsics.json``: those seven, and optionally
 | ``fps`` | 30 | frames per second, for the time stamps where there is no times.txt |
 | ``pose_convention`` | "camera-to-world" | must begin with that; any comment may follow |
 
-Poses: camera-to-world, OpenCV axes (x right, y down, z forward), metres. Images sort naturally (2 before 10). Where
-lines of poses.txt begin with names, an image may be missing; else there are as many poses as images.
+Poses: camera-to-world, OpenCV axes (x right, y down, z forward), metres. Images sort naturally (2
+before 10). Where lines of poses.txt begin with names, an image may be missing; else there are as
+many poses as images.
 """
 
 from pathlib import Path
@@ -46,8 +47,8 @@ _OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "pose_convention")
 def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
     """Read a sequence in the plain layout (module docstring).
 
-    Depth scale: ``depth_scale`` of the JSON. Poses: camera-to-world, OpenCV axes. Pixel centres: ``pixel_centre`` of
-    the JSON, integers by default, so 0.5 is added to ``cx`` and ``cy``.
+    Depth scale: ``depth_scale`` of the JSON. Poses: camera-to-world, OpenCV axes. Pixel centres:
+    ``pixel_centre`` of the JSON, integers by default, so 0.5 is added to ``cx`` and ``cy``.
 
     Args:
         path: Folder of the sequence.
@@ -55,14 +56,18 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
 
     Raises:
         SequenceNotFoundError: the folder or one of its parts is missing.
-        SequenceError: no images, a colour image without depth, an image whose pose is missing or not known by name,
-            number or count, or an unknown, missing or impossible key.
+        SequenceError: no images, a colour image without depth, an image whose pose is missing or
+            not known by name, number or count, or an unknown, missing or impossible key.
     """
     root = Path(path)
-    require(root, (*LOOKS_FOR, "poses.txt") if poses else LOOKS_FOR, "folder", without_poses="poses.txt")
+    require(
+        root, (*LOOKS_FOR, "poses.txt") if poses else LOOKS_FOR, "folder", without_poses="poses.txt"
+    )
     values = read_intrinsics(root / "intrinsics.json")
     rgb_files = images_in(root / "rgb")
-    depth_files = pair_by_stem(rgb_files, images_in(root / "depth", (".png", ".tif", ".tiff", ".pgm")))
+    depth_files = pair_by_stem(
+        rgb_files, images_in(root / "depth", (".png", ".tif", ".tiff", ".pgm"))
+    )
     poses_file = root / "poses.txt"
     T_WC = poses_of_images(poses_file, rgb_files) if poses else no_poses(len(rgb_files))
     times, no_times = times_of_images(root / TIMES, rgb_files)
@@ -71,8 +76,11 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
         values,
         rgb_files=rgb_files,
         depth_files=depth_files,
-        timestamps_s=[t for t, _ in times or []] or [i / values.get("fps", 30.0) for i in range(len(rgb_files))],
-        depth_times_s=[t for _, t in times] if times and any(t != t_depth for t, t_depth in times) else None,
+        timestamps_s=[t for t, _ in times or []]
+        or [i / values.get("fps", 30.0) for i in range(len(rgb_files))],
+        depth_times_s=[t for _, t in times]
+        if times and any(t != t_depth for t, t_depth in times)
+        else None,
         no_times="" if "fps" in values else no_times,
         poses=T_WC,
         pose_sources=[f"{poses_file} pose {i}" for i in range(len(T_WC))],
@@ -81,7 +89,8 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
 
 
 def recording_of(root: Path, values: dict[str, Any], **frames: Any) -> RecordedSequence:
-    """A recording with the camera and the depth scale of ``values``, the content of ``intrinsics.json``."""
+    """A recording with the camera and the depth scale of ``values``, the content of
+    ``intrinsics.json``."""
     shift = 0.5 - values.get("pixel_centre", 0.0)
     return RecordedSequence(
         name=given_name(root),
@@ -98,21 +107,27 @@ def read_intrinsics(path: Path) -> dict[str, Any]:
     unknown = sorted(set(values) - {*_REQUIRED, *_OPTIONAL})
     if unknown:
         raise SequenceError(
-            f"{path} has unknown keys {', '.join(unknown)}; known: {', '.join((*_REQUIRED, *_OPTIONAL))}"
+            f"{path} has unknown keys {', '.join(unknown)}; known: "
+            f"{', '.join((*_REQUIRED, *_OPTIONAL))}"
         )
     numbers(values, _REQUIRED, path)
     numbers(values, tuple(k for k in ("fps",) if k in values), path)
     if values.get("fps", 30.0) < 1e-3:
         raise SequenceError(f"{path}: fps must be at least 0.001, got {shown(values['fps'])}")
     if number(values, "pixel_centre", 0.0, path) not in (0.0, 0.5):
-        raise SequenceError(f"{path}: pixel_centre must be 0.0 or 0.5, got {shown(values['pixel_centre'])}")
+        raise SequenceError(
+            f"{path}: pixel_centre must be 0.0 or 0.5, got {shown(values['pixel_centre'])}"
+        )
     invalid = values.get("depth_invalid", 0)
     if isinstance(invalid, bool) or not isinstance(invalid, int) or not 0 <= invalid <= 65535:
-        raise SequenceError(f"{path}: depth_invalid must be an integer between 0 and 65535, got {shown(invalid)}")
+        raise SequenceError(
+            f"{path}: depth_invalid must be an integer between 0 and 65535, got {shown(invalid)}"
+        )
     convention = values.get("pose_convention", "camera-to-world")
     if not str(convention).startswith("camera-to-world"):
         raise SequenceError(
-            f"{path}: pose_convention must begin with 'camera-to-world', got {shown(convention)}; invert the poses"
+            f"{path}: pose_convention must begin with 'camera-to-world', got {shown(convention)}; "
+            "invert the poses"
         )
     return values
 

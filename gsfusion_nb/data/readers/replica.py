@@ -1,4 +1,5 @@
-"""Replica as rendered for NICE-SLAM (Sucar et al. 2021, Zhu et al. 2022): 1200x680, perfect depth and poses.
+"""Replica as rendered for NICE-SLAM (Sucar et al. 2021, Zhu et al. 2022): 1200x680, perfect depth
+and poses.
 
 office0/
   results/frame000000.jpg ...    8-bit colour
@@ -19,7 +20,14 @@ from ..sequence import SequenceError
 
 LOOKS_FOR = ("results/", "traj.txt")
 DEPTH_SCALE = 6553.5
-DEFAULT_CAMERA = Camera(width=1200, height=680, fx=600.0, fy=600.0, cx=600.0, cy=340.0)
+DEFAULT_CAMERA = Camera(
+    width=1200,
+    height=680,
+    fx=600.0,
+    fy=600.0,
+    cx=600.0,
+    cy=340.0,
+)
 """600, 600, 599.5, 339.5 as published, pixel centres at integers there."""
 
 _KEYS = ("w", "h", "fx", "fy", "cx", "cy")
@@ -28,10 +36,10 @@ _KEYS = ("w", "h", "fx", "fy", "cx", "cy")
 def replica(path: str | Path) -> RecordedSequence:
     """Read a Replica scene in NICE-SLAM's rendering (module docstring).
 
-    Depth scale: ``scale`` of ``cam_params.json``, else 6553.5. Poses: camera-to-world, OpenCV axes. Pixel centres:
-    integers in the file, so 0.5 is added to ``cx`` and ``cy``. Without ``cam_params.json`` the camera is 600, 600,
-    599.5, 339.5 at 1200x680. The number in an image's name is its line in ``traj.txt``, so a copy with only some of the
-    frames can be read too.
+    Depth scale: ``scale`` of ``cam_params.json``, else 6553.5. Poses: camera-to-world, OpenCV axes.
+    Pixel centres: integers in the file, so 0.5 is added to ``cx`` and ``cy``. Without
+    ``cam_params.json`` the camera is 600, 600, 599.5, 339.5 at 1200x680. The number in an image's
+    name is its line in ``traj.txt``, so a copy with only some of the frames can be read too.
 
     Args:
         path: Folder of the scene.
@@ -45,12 +53,17 @@ def replica(path: str | Path) -> RecordedSequence:
     frames = [p for p in images_in(root / "results") if re.fullmatch(r"frame\d+", p.stem)]
     order = [int(p.stem.removeprefix("frame")) for p in frames]
     if not frames:
-        raise SequenceError(f"{root / 'results'} holds no images frame000000 and so on; expected those of a scene")
+        raise SequenceError(
+            f"{root / 'results'} holds no images frame000000 and so on; expected those of a scene"
+        )
     poses_file = root / "traj.txt"
-    poses = read_rows(poses_file, 16, "16 row-major numbers of a camera-to-world pose per line").reshape(-1, 4, 4)
+    poses = read_rows(
+        poses_file, 16, "16 row-major numbers of a camera-to-world pose per line"
+    ).reshape(-1, 4, 4)
     if order[-1] >= len(poses):
         raise SequenceError(
-            f"{poses_file} holds {len(poses)} poses; expected at least {order[-1] + 1}, up to {frames[-1]}"
+            f"{poses_file} holds {len(poses)} poses; expected at least {order[-1] + 1}, up to "
+            f"{frames[-1]}"
         )
     scene_camera, depth_scale = _calibration(root)
     return RecordedSequence(
@@ -71,8 +84,13 @@ def _calibration(root: Path) -> tuple[Camera, float]:
         if file.is_file():
             values = read_object(file, "Replica's camera").get("camera")
             if not isinstance(values, dict):
-                raise SequenceError(f"{file} lacks the key camera; expected an object with {', '.join(_KEYS)}, scale")
-            return camera(values, _KEYS, file, shift=0.5), numbers(values, ("scale",), file)["scale"]
+                raise SequenceError(
+                    f"{file} lacks the key camera; expected an object with {', '.join(_KEYS)}, "
+                    "scale"
+                )
+            return camera(values, _KEYS, file, shift=0.5), numbers(values, ("scale",), file)[
+                "scale"
+            ]
     return DEFAULT_CAMERA, DEPTH_SCALE
 
 

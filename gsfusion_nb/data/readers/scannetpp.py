@@ -1,4 +1,5 @@
-"""ScanNet++ (Yeshwanth et al. 2023): DSLR images, undistorted, with depth rendered from the laser scan.
+"""ScanNet++ (Yeshwanth et al. 2023): DSLR images, undistorted, with depth rendered from the laser
+scan.
 
     <scene>/dslr/
       nerfstudio/transforms_undistorted.json     or transforms_undistorted_2.json (half resolution)
@@ -6,8 +7,9 @@
       undistorted_depths/DSC00001.png            or undistorted_depths_2/     16-bit, 1000 per metre
       train_test_lists.json                      {"train": ["DSC00001.JPG", ...], "test": [...]}
 
-The data set holds no depth for these images: render it from the scan's mesh with the ScanNet++ toolbox, then undistort
-it. The world is that of the JSON, which has the mesh's x and y swapped and z negated.
+The data set holds no depth for these images: render it from the scan's mesh with the ScanNet++
+toolbox, then undistort it. The world is that of the JSON, which has the mesh's x and y swapped and
+z negated.
 """
 
 import logging
@@ -32,23 +34,27 @@ DEPTH_SCALE = 1000.0
 _SUFFIX = {"half": "_2", "full": ""}
 
 
-def scannetpp(path: str | Path, *, split: str = "all", resolution: str = "auto") -> RecordedSequence:
+def scannetpp(
+    path: str | Path, *, split: str = "all", resolution: str = "auto"
+) -> RecordedSequence:
     """Read a ScanNet++ scene in the nerfstudio layout (module docstring).
 
-    Depth scale: 1000 per metre. Poses: ``transform_matrix`` is camera-to-world with OpenGL axes (y up, z backward); it
-    is converted to OpenCV axes by C2W diag(1, -1, -1, 1). Pixel centres: at (i + 0.5, j + 0.5) already (COLMAP), so
-    nothing is added. Intrinsics, image size included, come from the JSON. Frames are in the order of
-    ``train_test_lists.json``.
+    Depth scale: 1000 per metre. Poses: ``transform_matrix`` is camera-to-world with OpenGL axes (y
+    up, z backward); it is converted to OpenCV axes by C2W diag(1, -1, -1, 1). Pixel centres: at (i
+    + 0.5, j + 0.5) already (COLMAP), so nothing is added. Intrinsics, image size included, come
+    from the JSON. Frames are in the order of ``train_test_lists.json``.
 
     Args:
         path: Folder of the scene, or its ``dslr`` folder.
-        split: "train", "test", or "all": the training frames, then the test frames, which are marked as novel views.
-        resolution: "half" reads the ``_2`` variant, "full" the other; "auto" prefers "half", as GSFusion does.
+        split: "train", "test", or "all": the training frames, then the test frames, which are
+            marked as novel views.
+        resolution: "half" reads the ``_2`` variant, "full" the other; "auto" prefers "half", as
+            GSFusion does.
 
     Raises:
         SequenceNotFoundError: the folder or one of its parts is missing.
-        SequenceError: most listed images lack a pose or depth, or a missing or impossible key. Single ones without are
-            left out, and the number is logged.
+        SequenceError: most listed images lack a pose or depth, or a missing or impossible key.
+            Single ones without are left out, and the number is logged.
     """
     if split not in ("train", "test", "all"):
         raise SequenceError(f"split must be train, test or all, got {split!r}")
@@ -61,9 +67,15 @@ def scannetpp(path: str | Path, *, split: str = "all", resolution: str = "auto")
     images, depths = root / f"undistorted_images{suffix}", root / f"undistorted_depths{suffix}"
     for folder in (images, depths):
         if not folder.is_dir():
-            raise SequenceNotFoundError(f"{folder} does not exist; expected the images that {json_file.name} describes")
+            raise SequenceNotFoundError(
+                f"{folder} does not exist; expected the images that {json_file.name} describes"
+            )
     listed = names
-    names = [n for n in listed if n in matrices and is_file(images / n) and is_file(depths / f"{Path(n).stem}.png")]
+    names = [
+        n
+        for n in listed
+        if n in matrices and is_file(images / n) and is_file(depths / f"{Path(n).stem}.png")
+    ]
     n_train = sum(name in names for name in listed[:n_train])
     _tell_of_lacking(json_file, listed, names)
     scene = root.resolve()
@@ -95,12 +107,14 @@ def _tell_of_lacking(json_file: Path, listed: list[str], names: list[str]) -> No
     lacking = [name for name in listed if name not in set(names)]
     if len(lacking) > _MOST_LACKING * len(listed):
         raise SequenceError(
-            f"{json_file}: {len(lacking)} of the {len(listed)} images of train_test_lists.json have no pose, no image "
+            f"{json_file}: {len(lacking)} of the {len(listed)} images of train_test_lists.json "
+            "have no pose, no image "
             f"or no depth, the first is {lacking[0]}; expected all three for most of them"
         )
     if lacking:
         log.warning(
-            "%s: %d of %d listed images are left out, without a pose, an image or its depth, the first is %s",
+            "%s: %d of %d listed images are left out, without a pose, an image or its depth, the "
+            "first is %s",
             *(json_file, len(lacking), len(listed), lacking[0]),
         )
 
@@ -136,7 +150,10 @@ def _names(path: Path, split: str) -> tuple[list[str], int]:
     return names, len(lists["train"]) if "train" in wanted else 0
 
 
-def frame_matrices(values: dict[str, Any], path: Path) -> dict[str, Float[Tensor, "4 4"]]:
+def frame_matrices(
+    values: dict[str, Any],
+    path: Path,
+) -> dict[str, Float[Tensor, "4 4"]]:
     """OpenGL camera-to-world matrix of every image, by file name."""
     found = {}
     with parsing(path, "frames, each with file_path and a transform_matrix of 4x4 numbers"):
@@ -152,9 +169,15 @@ def _camera(values: dict[str, Any], path: Path) -> Camera:
     bent = [name for name in coefficients if values.get(name, 0.0) != 0.0]
     if model not in ("PINHOLE", "OPENCV") or bent:
         raise SequenceError(
-            f"{path} describes a distorted {model} camera; expected the undistorted images' PINHOLE camera"
+            f"{path} describes a distorted {model} camera; expected the undistorted images' "
+            "PINHOLE camera"
         )
-    return camera(values, ("w", "h", "fl_x", "fl_y", "cx", "cy"), path, shift=0.0)
+    return camera(
+        values,
+        ("w", "h", "fl_x", "fl_y", "cx", "cy"),
+        path,
+        shift=0.0,
+    )
 
 
 LAYOUT = Layout(read=scannetpp, looks_for=LOOKS_FOR, locate=scene_folder)

@@ -5,7 +5,8 @@
       frame-000000.depth.png    16-bit, 1000 per metre; 0 and 65535 = missing
       frame-000000.pose.txt     4x4 camera-to-world matrix of the depth camera
 
-Colour comes from another camera about 2 cm to the side with another focal length: 10 to 20 pixels off.
+Colour comes from another camera about 2 cm to the side with another focal length: 10 to 20 pixels
+off.
 """
 
 import logging
@@ -27,13 +28,22 @@ LOOKS_FOR = ("frame-*.color.*", "frame-*.depth.png", "frame-*.pose.txt")
 DEPTH_SCALE = 1000.0
 DEPTH_INVALID = 65535
 
-DEPTH_CAMERA = Camera(width=640, height=480, fx=585.0, fy=585.0, cx=320.5, cy=240.5)
+DEPTH_CAMERA = Camera(
+    width=640,
+    height=480,
+    fx=585.0,
+    fy=585.0,
+    cx=320.5,
+    cy=240.5,
+)
 """585, 585, 320, 240 as published, pixel centres at integers there."""
 
 COLOUR_LENS = CameraModel(
-    Camera(width=640, height=480, fx=531.4116, fy=531.4116, cx=318.9184, cy=237.7222), (-0.024, 0.0, 0.0, 0.0, 0.0)
+    Camera(width=640, height=480, fx=531.4116, fy=531.4116, cx=318.9184, cy=237.7222),
+    (-0.024, 0.0, 0.0, 0.0, 0.0),
 )
-"""The colour camera, estimated by jointly refining poses and calibration on RedKitchen (not published by Microsoft)."""
+"""The colour camera, estimated by jointly refining poses and calibration on RedKitchen (not
+published by Microsoft)."""
 
 _ROLL = 0.0076046
 """Rotation of the colour camera about the depth camera's z axis, radians; same source."""
@@ -50,37 +60,42 @@ T_DEPTH_COLOUR = torch.tensor(
 """Pose of the colour camera in the depth camera's frame, metres; same source."""
 
 
-def seven_scenes(path: str | Path, *, register: bool = False, camera: Camera | None = None) -> RecordedSequence:
+def seven_scenes(
+    path: str | Path, *, register: bool = False, camera: Camera | None = None
+) -> RecordedSequence:
     """Read a sequence of 7-Scenes (module docstring).
 
-    Depth scale: 1000 per metre, 0 and 65535 missing. Poses: camera-to-world of the depth camera, OpenCV axes. Pixel
-    centres: integers, so 0.5 is added to ``cx`` and ``cy``.
+    Depth scale: 1000 per metre, 0 and 65535 missing. Poses: camera-to-world of the depth camera,
+    OpenCV axes. Pixel centres: integers, so 0.5 is added to ``cx`` and ``cy``.
 
     Args:
         path: A ``seq-XX`` folder, or a scene with a single one.
-        register: False: frames are those of the depth camera (f = 585), and colour is used as if it were the same
-            camera's, so geometry is right and texture is 10 to 20 pixels off. True: frames are those of the colour
-            camera; colour is undistorted, depth is warped into it with a z-buffer, poses are moved. Uses the
-            calibration estimated on RedKitchen, which is right for other scenes only if they were recorded with the
-            same Kinect.
-        camera: Another camera than that of 7-Scenes, for colour and depth, which are then taken as registered.
+        register: False: frames are those of the depth camera (f = 585), and colour is used as if it
+            were the same camera's, so geometry is right and texture is 10 to 20 pixels off. True:
+            frames are those of the colour camera; colour is undistorted, depth is warped into it
+            with a z-buffer, poses are moved. Uses the calibration estimated on RedKitchen, which is
+            right for other scenes only if they were recorded with the same Kinect.
+        camera: Another camera than that of 7-Scenes, for colour and depth, which are then taken as
+            registered.
 
     Raises:
         SequenceNotFoundError: the folder or a frame's pose is missing.
-        SequenceError: no frames, several sequences, a pose file that does not hold 16 numbers, or a calibration beside
-            the images, as 3DMatch, BundleFusion and other recordings with these names have: 7-Scenes has none.
+        SequenceError: no frames, several sequences, a pose file that does not hold 16 numbers, or a
+            calibration beside the images, as 3DMatch, BundleFusion and other recordings with these
+            names have: 7-Scenes has none.
     """
     root = _only_sequence(Path(path))
     require(root, LOOKS_FOR, "seven_scenes")
     calibration = calibration_in(*calibrated_folders(root))
     if calibration is not None and camera is None:
         raise SequenceError(
-            f"{root} has the names of 7-Scenes, but a calibration of its own, {calibration}; it is read by gsfusion-nb "
-            f"convert {root} OUT"
+            f"{root} has the names of 7-Scenes, but a calibration of its own, {calibration}; it is "
+            f"read by gsfusion-nb convert {root} OUT"
         )
     if register and camera is not None:
         raise SequenceError(
-            f"{root}: register is the calibration of 7-Scenes, so it cannot be used with another camera"
+            f"{root}: register is the calibration of 7-Scenes, so it cannot be used with another "
+            "camera"
         )
     colour = sorted(root.glob("frame-*.color.*"))
     stems = [path.name.partition(".")[0] for path in colour]
@@ -89,7 +104,8 @@ def seven_scenes(path: str | Path, *, register: bool = False, camera: Camera | N
     registration = Undistorter(COLOUR_LENS, DEPTH_CAMERA, T_DEPTH_COLOUR) if register else None
     if registration is None and camera is None:
         log.warning(
-            "%s: colour is not registered to depth in 7-Scenes (10 to 20 pixels off); --reader register=true aligns it",
+            "%s: colour is not registered to depth in 7-Scenes (10 to 20 pixels off); --reader "
+            "register=true aligns it",
             root,
         )
     return RecordedSequence(
@@ -112,7 +128,8 @@ def first_sequence(path: Path) -> Path:
 
 
 def calibrated_folders(path: Path) -> list[Path]:
-    """Folders that may hold the calibration of a folder of images: itself, and the scene around a ``seq-XX``."""
+    """Folders that may hold the calibration of a folder of images: itself, and the scene around a
+    ``seq-XX``."""
     folder = first_sequence(path)
     whole = folder.resolve()
     around = [whole.parent] if whole.name.startswith("seq-") else []
@@ -122,15 +139,21 @@ def calibrated_folders(path: Path) -> list[Path]:
 def _only_sequence(path: Path) -> Path:
     sequences = sorted(p.name for p in path.glob("seq-*") if p.is_dir())
     if len(sequences) > 1:
-        raise SequenceError(f"{path} holds several sequences; expected one of {', '.join(sequences)}")
+        raise SequenceError(
+            f"{path} holds several sequences; expected one of {', '.join(sequences)}"
+        )
     return first_sequence(path)
 
 
 def _read_pose(path: Path) -> torch.Tensor:
     rows = read_rows(path, 4, "a 4x4 camera-to-world matrix")
     if rows.shape != (4, 4):
-        raise SequenceError(f"{path} must hold a 4x4 camera-to-world matrix, got {len(rows)} rows of 4")
+        raise SequenceError(
+            f"{path} must hold a 4x4 camera-to-world matrix, got {len(rows)} rows of 4"
+        )
     return rows
 
 
-LAYOUT = Layout(read=seven_scenes, looks_for=LOOKS_FOR, locate=first_sequence, registration={"register": True})
+LAYOUT = Layout(
+    read=seven_scenes, looks_for=LOOKS_FOR, locate=first_sequence, registration={"register": True}
+)

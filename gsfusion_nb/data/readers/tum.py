@@ -33,46 +33,70 @@ MAX_POSE_GAP_S = 0.2
 
 def _kinect(fx: float, fy: float, cx: float, cy: float) -> Camera:
     # the benchmark's calibration has pixel centres at integers
-    return Camera(width=640, height=480, fx=fx, fy=fy, cx=cx + 0.5, cy=cy + 0.5)
+    return Camera(
+        width=640,
+        height=480,
+        fx=fx,
+        fy=fy,
+        cx=cx + 0.5,
+        cy=cy + 0.5,
+    )
 
 
 LENSES = {
-    "freiburg1": CameraModel(_kinect(517.3, 516.5, 318.6, 255.3), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)),
-    "freiburg2": CameraModel(_kinect(520.9, 521.0, 325.1, 249.7), (0.2312, -0.7849, -0.0033, -0.0001, 0.9172)),
+    "freiburg1": CameraModel(
+        _kinect(517.3, 516.5, 318.6, 255.3), (0.2624, -0.9531, -0.0054, 0.0026, 1.1633)
+    ),
+    "freiburg2": CameraModel(
+        _kinect(520.9, 521.0, 325.1, 249.7),
+        (0.2312, -0.7849, -0.0033, -0.0001, 0.9172),
+    ),
     "freiburg3": CameraModel(_kinect(535.4, 539.2, 320.1, 247.6)),
 }
 """Calibration of the three Kinects, from the benchmark's page; the third is already undistorted."""
 
 
 def tum(
-    path: str | Path, *, camera: str | Camera = "auto", undistort: bool = True, poses: bool = True
+    path: str | Path,
+    *,
+    camera: str | Camera = "auto",
+    undistort: bool = True,
+    poses: bool = True,
 ) -> RecordedSequence:
     """Read a sequence of the TUM RGB-D benchmark (module docstring).
 
-    Depth scale: 5000 per metre. Poses: camera-to-world, OpenCV axes. Pixel centres: integers in the benchmark's
-    calibration, so 0.5 is added to ``cx`` and ``cy``. Each depth image goes with the colour image nearest in time, at
-    most 0.02 s away, each used once; the pose is interpolated at the colour image's time between ground-truth poses at
-    most 0.2 s apart, and ``open_sequence`` moves the depth from its own time to it. Depth images without one of them
-    are dropped, and the number is logged.
+    Depth scale: 5000 per metre. Poses: camera-to-world, OpenCV axes. Pixel centres: integers in the
+    benchmark's calibration, so 0.5 is added to ``cx`` and ``cy``. Each depth image goes with the
+    colour image nearest in time, at most 0.02 s away, each used once; the pose is interpolated at
+    the colour image's time between ground-truth poses at most 0.2 s apart, and ``open_sequence``
+    moves the depth from its own time to it. Depth images without one of them are dropped, and the
+    number is logged.
 
-    Undistortion: fr1 and fr2 images are distorted, and colour and depth correspond pixel by pixel, because the driver
-    registers depth to the distorted colour image; so both are undistorted, or neither. Without undistortion a pixel is
-    4.8 (fr1) or 4.7 (fr2) pixels off in the median and 12 or 10 at the 95th percentile: 1.9 and 4.5 cm at 2 m. The
-    released GSFusion does not undistort; ``undistort=False`` does the same.
+    Undistortion: fr1 and fr2 images are distorted, and colour and depth correspond pixel by pixel,
+    because the driver registers depth to the distorted colour image; so both are undistorted, or
+    neither. Without undistortion a pixel is 4.8 (fr1) or 4.7 (fr2) pixels off in the median and 12
+    or 10 at the 95th percentile: 1.9 and 4.5 cm at 2 m. The released GSFusion does not undistort;
+    ``undistort=False`` does the same.
 
     Args:
         path: Folder of the sequence.
-        camera: "freiburg1", "freiburg2" or "freiburg3"; "auto" finds it in the name of a folder without a calibration
-            of its own; or your own pinhole.
+        camera: "freiburg1", "freiburg2" or "freiburg3"; "auto" finds it in the name of a folder
+            without a calibration of its own; or your own pinhole.
         poses: False for a recording without ``groundtruth.txt``; the camera must then be tracked.
-        undistort: Remove the lens distortion of fr1 and fr2 from colour and depth. The field of view shrinks by 5 %.
+        undistort: Remove the lens distortion of fr1 and fr2 from colour and depth. The field of
+            view shrinks by 5 %.
 
     Raises:
         SequenceNotFoundError: the folder or one of its lists is missing.
         SequenceError: unknown camera, a damaged list, or no frame with colour, depth and pose.
     """
     root = Path(path)
-    require(root, (*LOOKS_FOR, "groundtruth.txt") if poses else LOOKS_FOR, "tum", without_poses="groundtruth.txt")
+    require(
+        root,
+        (*LOOKS_FOR, "groundtruth.txt") if poses else LOOKS_FOR,
+        "tum",
+        without_poses="groundtruth.txt",
+    )
     lens = _lens(root, camera)
     undistorter = Undistorter(lens) if undistort and lens.distortion else None
     rgb_s, rgb_files = _stream(root / "rgb.txt")
@@ -86,12 +110,18 @@ def tum(
         posed, T_WC = [(*frame, None) for frame in timed], no_poses(len(timed))
     if not posed:
         raise SequenceError(
-            f"{root}: none of {len(depth_files)} depth images has a colour image within {MAX_TIME_DIFFERENCE_S} s and "
-            f"poses around it at most {MAX_POSE_GAP_S} s apart; expected the time stamps of the three lists to overlap"
+            f"{root}: none of {len(depth_files)} depth images has a colour image within "
+            f"{MAX_TIME_DIFFERENCE_S} s and poses around it at most {MAX_POSE_GAP_S} s apart; "
+            "expected the time stamps of the three lists to overlap"
         )
     if len(posed) < len(depth_files):
         unpaired, unposed = len(depth_files) - len(pairs), len(pairs) - len(posed)
-        log.warning("%s: dropped %d depth images without colour and %d without pose", root.name, unpaired, unposed)
+        log.warning(
+            "%s: dropped %d depth images without colour and %d without pose",
+            root.name,
+            unpaired,
+            unposed,
+        )
     return RecordedSequence(
         name=given_name(root),
         camera=lens.camera if undistorter is None else undistorter.camera,
@@ -115,8 +145,9 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
         name = benchmark_camera(root)
         if not name:
             raise SequenceError(
-                f"{root}: the folder's name holds none of {', '.join(LENSES)}, or it has a calibration file; if it "
-                f"is the benchmark's: --reader camera=freiburg1; if another camera's: gsfusion-nb convert {root} OUT"
+                f"{root}: the folder's name holds none of {', '.join(LENSES)}, or it has a "
+                "calibration file; if it is the benchmark's: --reader camera=freiburg1; if "
+                f"another camera's: gsfusion-nb convert {root} OUT"
             )
     if name not in LENSES:
         raise SequenceError(f"{root}: no TUM camera {shown(name)}; known: {', '.join(LENSES)}")
@@ -124,8 +155,8 @@ def _lens(root: Path, camera: str | Camera) -> CameraModel:
 
 
 def benchmark_camera(folder: Path) -> str:
-    """Which of ``LENSES`` the name of a folder holds, also in short (fr1); a link's own name counts. Empty if none, or
-    if the folder holds a calibration of its own."""
+    """Which of ``LENSES`` the name of a folder holds, also in short (fr1); a link's own name
+    counts. Empty if none, or if the folder holds a calibration of its own."""
     if calibration_in(folder) is not None:
         return ""
     names = (given_name(folder), folder.resolve().name)
@@ -138,10 +169,13 @@ def benchmark_camera(folder: Path) -> str:
 
 
 def _stream(path: Path) -> tuple[list[float], list[Path]]:
-    """Times and files of a list with lines "timestamp filename"; those of a copy with only some of the images."""
+    """Times and files of a list with lines "timestamp filename"; those of a copy with only some of
+    the images."""
     listed = [(t, file) for ((t, file),) in read_image_list(path) if is_file(file)]
     if not listed:
-        raise SequenceNotFoundError(f"{path} names no image that is there; expected the images beside it")
+        raise SequenceNotFoundError(
+            f"{path} names no image that is there; expected the images beside it"
+        )
     stamps = [t for t, _ in listed]
     files = [file for _, file in listed]
     if note := told_outside(path.parent, files):
@@ -149,14 +183,17 @@ def _stream(path: Path) -> tuple[list[float], list[Path]]:
     judged = judge_stamps(stamps, names=[natural_order(f) for f in files], unit="s")
     if judged.times_s is None:
         raise SequenceError(
-            f"{path}: the numbers are not times in seconds: {judged.why_not}; gsfusion-nb convert {path.parent} OUT "
-            "takes the frames in the order of the list"
+            f"{path}: the numbers are not times in seconds: {judged.why_not}; gsfusion-nb convert "
+            f"{path.parent} OUT takes the frames in the order of the list"
         )
     return stamps, files
 
 
-def _with_poses(path: Path, frames: list[tuple[float, int, int]]) -> list[tuple[float, int, int, Float[Tensor, " 7"]]]:
-    """Frames whose time has a ground-truth pose, with that pose. Rows with NaN or infinities count as no pose."""
+def _with_poses(
+    path: Path, frames: list[tuple[float, int, int]]
+) -> list[tuple[float, int, int, Float[Tensor, " 7"]]]:
+    """Frames whose time has a ground-truth pose, with that pose. Rows with NaN or infinities count
+    as no pose."""
     table, notes = checked_rows(read_rows(path, 8, "timestamp tx ty tz qx qy qz qw"), path)
     for note in notes:
         log.warning("%s", note)

@@ -15,17 +15,27 @@ from ..sequence import SequenceError, SequenceNotFoundError
 
 
 def given_name(folder: Path) -> str:
-    """Name of a folder as it was given: of a symbolic link its own, not that of the folder it leads to."""
+    """Name of a folder as it was given: of a symbolic link its own, not that of the folder it leads
+    to."""
     return os.path.basename(os.path.abspath(folder))
 
 
-def require(root: Path, names: tuple[str, ...], layout: str, *, without_poses: str = "") -> None:
+def require(
+    root: Path,
+    names: tuple[str, ...],
+    layout: str,
+    *,
+    without_poses: str = "",
+) -> None:
     """Raise ``SequenceNotFoundError`` unless ``root`` is a folder that holds all of ``names``.
 
-    If only the file ``without_poses`` is missing, the message says how to read the sequence without poses.
+    If only the file ``without_poses`` is missing, the message says how to read the sequence without
+    poses.
     """
     if not root.is_dir():
-        raise SequenceNotFoundError(f"{root} is not a folder; expected a sequence in the {layout!r} layout")
+        raise SequenceNotFoundError(
+            f"{root} is not a folder; expected a sequence in the {layout!r} layout"
+        )
     lacking = missing(root, names)
     if lacking:
         advice = (
@@ -34,7 +44,8 @@ def require(root: Path, names: tuple[str, ...], layout: str, *, without_poses: s
             else ("; to estimate the poses instead: --tracking.poses tracked --reader poses=false")
         )
         raise SequenceNotFoundError(
-            f"{root} lacks {', '.join(lacking)}; the {layout!r} layout is expected to have {', '.join(names)}{advice}"
+            f"{root} lacks {', '.join(lacking)}; the {layout!r} layout is expected to have "
+            f"{', '.join(names)}{advice}"
         )
 
 
@@ -78,21 +89,35 @@ def calibration_in(*folders: Path) -> Path | None:
     return next(found, None)
 
 
-def first_of(folder: Path, patterns: Iterable[str], suffixes: Collection[str]) -> Path | None:
-    """The first file, or folder, that a pattern finds and that has one of the suffixes, those of earlier patterns
-    first; None if there is none."""
-    found = (p for pattern in patterns for p in sorted(folder.glob(pattern)) if p.suffix.lower() in suffixes)
+def first_of(
+    folder: Path,
+    patterns: Iterable[str],
+    suffixes: Collection[str],
+) -> Path | None:
+    """The first file, or folder, that a pattern finds and that has one of the suffixes, those of
+    earlier patterns first; None if there is none."""
+    found = (
+        p
+        for pattern in patterns
+        for p in sorted(folder.glob(pattern))
+        if p.suffix.lower() in suffixes
+    )
     return next(found, None)
 
 
-def images_in(folder: Path, suffixes: tuple[str, ...] = (".jpg", ".jpeg", ".png", ".webp")) -> list[Path]:
-    """Images of a folder in natural order (2 before 10); hidden files are skipped. At least one, or an error."""
+def images_in(
+    folder: Path, suffixes: tuple[str, ...] = (".jpg", ".jpeg", ".png", ".webp")
+) -> list[Path]:
+    """Images of a folder in natural order (2 before 10); hidden files are skipped. At least one, or
+    an error."""
     if not folder.is_dir():
         raise SequenceNotFoundError(f"{folder} is not a folder; expected one with images")
     shown_files = (p for p in folder.iterdir() if not p.name.startswith("."))
     found = [p for p in shown_files if p.suffix.lower() in suffixes]
     if not found:
-        raise SequenceError(f"{folder} holds no images; expected files ending in {', '.join(suffixes)}")
+        raise SequenceError(
+            f"{folder} holds no images; expected files ending in {', '.join(suffixes)}"
+        )
     return sorted(found, key=natural_order)
 
 
@@ -100,49 +125,71 @@ def pair_by_stem(rgb_files: list[Path], depth_files: list[Path]) -> list[Path]:
     """Depth file of every colour file, by name without suffix.
 
     Raises:
-        SequenceError: a colour file without depth, or depth without colour; the message names the first.
+        SequenceError: a colour file without depth, or depth without colour; the message names the
+            first.
     """
     depth_of = {p.stem: p for p in depth_files}
     for p in rgb_files:
         if p.stem not in depth_of:
-            raise SequenceError(f"{depth_files[0].parent} has no depth image {p.stem}.png; expected one for {p}")
+            raise SequenceError(
+                f"{depth_files[0].parent} has no depth image {p.stem}.png; expected one for {p}"
+            )
     stems = {p.stem for p in rgb_files}
     for p in depth_files:
         if p.stem not in stems:
-            raise SequenceError(f"{rgb_files[0].parent} has no colour image {p.stem}; expected one for {p}")
+            raise SequenceError(
+                f"{rgb_files[0].parent} has no colour image {p.stem}; expected one for {p}"
+            )
     return [depth_of[p.stem] for p in rgb_files]
 
 
 def told_outside(folder: Path, files: Iterable[Path]) -> str:
     """A sentence on listed files that are not in the folder of their list; empty if all are.
 
-    A list of somebody else's can name any file of this machine, whose content would then stand in a map.
+    A list of somebody else's can name any file of this machine, whose content would then stand in a
+    map.
     """
     root = Path(os.path.abspath(folder))
     outside = [file for file in files if not Path(os.path.abspath(file)).is_relative_to(root)]
     if not outside:
         return ""
-    return f"{len(outside)} of the listed images lie outside of {folder}, the first is {os.path.abspath(outside[0])}"
+    return (
+        f"{len(outside)} of the listed images lie outside of {folder}, the first is "
+        f"{os.path.abspath(outside[0])}"
+    )
 
 
 def natural_order(path: Path) -> list[tuple[int, int | Decimal | str]]:
-    """Sorting key of a file's name: 2 before 10, and of names that end in a decimal number 7.03 before 7.1."""
+    """Sorting key of a file's name: 2 before 10, and of names that end in a decimal number 7.03
+    before 7.1."""
     decimal = re.fullmatch(r"(\D*)(\d+\.\d+)", path.stem)
     if decimal is not None:
-        return [(1, decimal[1]), (0, Decimal(decimal[2]))] if decimal[1] else [(0, Decimal(decimal[2]))]
+        return (
+            [(1, decimal[1]), (0, Decimal(decimal[2]))]
+            if decimal[1]
+            else [(0, Decimal(decimal[2]))]
+        )
     parts = re.split(r"(\d+)", path.name)
     return [(0, int(part)) if part.isdigit() else (1, part) for part in parts if part]
 
 
-def numbers(values: dict[str, Any], keys: tuple[str, ...], path: Path) -> dict[str, float]:
-    """The values of ``keys``, which must all be there and be numbers; all except ``cx`` and ``cy`` must be positive.
+def numbers(
+    values: dict[str, Any],
+    keys: tuple[str, ...],
+    path: Path,
+) -> dict[str, float]:
+    """The values of ``keys``, which must all be there and be numbers; all except ``cx`` and ``cy``
+    must be positive.
 
     Raises:
-        SequenceError: a missing key, a value that is not a number or is out of range; the message names the file.
+        SequenceError: a missing key, a value that is not a number or is out of range; the message
+            names the file.
     """
     lacking = [k for k in keys if k not in values]
     if lacking:
-        raise SequenceError(f"{path} lacks {', '.join(lacking)}; expected the keys {', '.join(keys)}")
+        raise SequenceError(
+            f"{path} lacks {', '.join(lacking)}; expected the keys {', '.join(keys)}"
+        )
     checked = {k: number(values, k, 0, path) for k in keys}
     for k in keys:
         if checked[k] <= 0 and k not in ("cx", "cy"):
@@ -150,8 +197,14 @@ def numbers(values: dict[str, Any], keys: tuple[str, ...], path: Path) -> dict[s
     return checked
 
 
-def number(values: dict[str, Any], key: str, default: float | int, source: str | Path) -> float:
-    """The number at ``key``, or ``default`` where there is none. Raises ``SequenceError`` for anything else."""
+def number(
+    values: dict[str, Any],
+    key: str,
+    default: float | int,
+    source: str | Path,
+) -> float:
+    """The number at ``key``, or ``default`` where there is none. Raises ``SequenceError`` for
+    anything else."""
     value = values.get(key, default)
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not math.isfinite(value):
@@ -159,18 +212,25 @@ def number(values: dict[str, Any], key: str, default: float | int, source: str |
     return float(value)
 
 
-def camera(values: dict[str, Any], keys: tuple[str, str, str, str, str, str], path: Path, *, shift: float) -> Camera:
+def camera(
+    values: dict[str, Any],
+    keys: tuple[str, str, str, str, str, str],
+    path: Path,
+    *,
+    shift: float,
+) -> Camera:
     """Camera of a JSON object.
 
     Args:
         values: The object.
         keys: Its keys for width, height, fx, fy, cx and cy.
         path: Its file, for messages.
-        shift: Added to cx and cy: 0.5 where the file puts the centre of the first pixel at 0, 0 where at 0.5, pixels.
+        shift: Added to cx and cy: 0.5 where the file puts the centre of the first pixel at 0, 0
+            where at 0.5, pixels.
 
     Raises:
-        SequenceError: a missing key, a value that is not a number or is out of range, or a size that is not a whole
-            number.
+        SequenceError: a missing key, a value that is not a number or is out of range, or a size
+            that is not a whole number.
     """
     checked = numbers(values, keys, path)
     for k in keys[:2]:
@@ -178,4 +238,11 @@ def camera(values: dict[str, Any], keys: tuple[str, str, str, str, str, str], pa
             raise SequenceError(f"{path}: {k} must be a whole number of pixels, got {checked[k]}")
     width, height, fx, fy, cx, cy = (checked[k] for k in keys)
     with refusing(f"{path}: "):
-        return Camera(width=int(width), height=int(height), fx=fx, fy=fy, cx=cx + shift, cy=cy + shift)
+        return Camera(
+            width=int(width),
+            height=int(height),
+            fx=fx,
+            fy=fy,
+            cx=cx + shift,
+            cy=cy + shift,
+        )

@@ -1,4 +1,5 @@
-"""Colour and depth images: their size by their header, whether they are complete, and decoding them.
+"""Colour and depth images: their size by their header, whether they are complete, and decoding
+them.
 
 OpenCV is imported on first use."""
 
@@ -19,16 +20,20 @@ from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
 log = logging.getLogger(__name__)
 
 MAX_PIXELS = 40_000_000
-"""More than any camera has; a small file can claim, and a decoder would allocate, a thousand times as many."""
+"""More than any camera has; a small file can claim, and a decoder would allocate, a thousand times
+as many."""
 LOST_PRECISION = (
-    "precision was lost when this was written; export depth again as 16-bit PNG in millimetres, or in floating point"
+    "precision was lost when this was written; export depth again as 16-bit PNG in "
+    "millimetres, or in floating point"
 )
 _EXR_WINDOW = re.compile(rb"dataWindow\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
-"""Left, top, right and bottom pixel of a part of an OpenEXR file, all inside ("OpenEXR File Layout")."""
+"""Left, top, right and bottom pixel of a part of an OpenEXR file, all inside ("OpenEXR File
+Layout")."""
 
 
 def read_rgb(path: Path) -> np.ndarray:
-    """8-bit colour image as stored (EXIF orientation is ignored, because the intrinsics refer to the stored pixels).
+    """8-bit colour image as stored (EXIF orientation is ignored, because the intrinsics refer to
+    the stored pixels).
 
     Grey images become colour, an alpha channel is dropped, 16-bit images are reduced to 8 bits.
 
@@ -48,7 +53,8 @@ def read_rgb(path: Path) -> np.ndarray:
 def _tell_of_turned(folder: Path) -> None:
     """Say once for a folder what is done with images that viewers show turned."""
     log.warning(
-        "%s: images say (EXIF orientation) that they are to be shown turned; they are used as stored, as depth images "
+        "%s: images say (EXIF orientation) that they are to be shown turned; they are used as "
+        "stored, as depth images "
         "and intrinsics are. If those belong to the turned images, turn the files first",
         folder,
     )
@@ -66,8 +72,8 @@ def _is_png_of_16_bits(data: bytes) -> bool:
 def _tell_of_dark(folder: Path) -> None:
     """Say once for a folder that its images of 16 bits may be of a camera with fewer."""
     log.warning(
-        "%s: colour images of 16 bits use 12 or fewer of them, and are taken as they are; if the camera has 12 bits, "
-        "they are 16 times too dark: multiply the values by 16",
+        "%s: colour images of 16 bits use 12 or fewer of them, and are taken as they are; if the "
+        "camera has 12 bits, they are 16 times too dark: multiply the values by 16",
         folder,
     )
 
@@ -80,7 +86,12 @@ def decode_rgb(data: bytes, source: Path | str) -> np.ndarray:
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
 
-def read_depth(path: Path, *, scale: float, invalid: tuple[int, ...] = ()) -> np.ndarray:
+def read_depth(
+    path: Path,
+    *,
+    scale: float,
+    invalid: tuple[int, ...] = (),
+) -> np.ndarray:
     """z-depth in metres from a 16-bit image.
 
     Args:
@@ -92,7 +103,8 @@ def read_depth(path: Path, *, scale: float, invalid: tuple[int, ...] = ()) -> np
         Depth in metres, 0 where missing, float32. [H, W]
 
     Raises:
-        BadFrameError: the file is missing, truncated, not 16-bit single-channel, or holds no valid pixel.
+        BadFrameError: the file is missing, truncated, not 16-bit single-channel, or holds no valid
+            pixel.
     """
     raw = decode_depth(path, (np.uint16,))
     depth_m = raw.astype(np.float32)
@@ -102,33 +114,41 @@ def read_depth(path: Path, *, scale: float, invalid: tuple[int, ...] = ()) -> np
             depth_m[raw == value] = 0.0
     if not depth_m.any():
         raise BadFrameError(
-            f"{path} holds no valid depth: every pixel is {' or '.join(map(str, sorted({0, *invalid})))}"
+            f"{path} holds no valid depth: every pixel is "
+            f"{' or '.join(map(str, sorted({0, *invalid})))}"
         )
     return depth_m
 
 
 def decode_depth(path: Path, types: tuple[Any, ...]) -> np.ndarray:
-    """Stored values of a depth image. Raises ``BadFrameError`` unless it has one channel and one of these types."""
+    """Stored values of a depth image. Raises ``BadFrameError`` unless it has one channel and one of
+    these types."""
     raw = decode_image(read_image_bytes(path, "depth"), cv2.IMREAD_UNCHANGED, path, "depth")
     if raw.dtype == np.uint8 and raw.ndim == 3:
         raise BadFrameError(
-            f"{path} is a colour image of {raw.shape[2]} channels with 8 bits; expected depth of one channel; unpack "
-            "depth first that is packed into the channels (CARLA, RLBench)"
+            f"{path} is a colour image of {raw.shape[2]} channels with 8 bits; expected depth of "
+            "one channel; unpack depth first that is packed into the channels (CARLA, RLBench)"
         )
     if raw.dtype == np.uint8:
         raise BadFrameError(f"{path} holds depth in 8 bits, so {LOST_PRECISION}")
     if raw.ndim != 2 or raw.dtype not in types:
         wanted = "16-bit" if types == (np.uint16,) else "16-bit or floating-point"
-        raise BadFrameError(f"{path} must be a {wanted} depth image of one channel, got {raw.dtype} {list(raw.shape)}")
+        raise BadFrameError(
+            f"{path} must be a {wanted} depth image of one channel, got {raw.dtype} "
+            f"{list(raw.shape)}"
+        )
     return raw
 
 
 def read_image_bytes(path: Path, kind: str) -> bytes:
-    """Content of an image file. Raises ``BadFrameError`` when it is missing, unreadable, empty or far too large."""
+    """Content of an image file. Raises ``BadFrameError`` when it is missing, unreadable, empty or
+    far too large."""
     try:
         data = read_bytes(path, f"a {kind} image", at_most=IMAGE_BYTES)
     except SequenceNotFoundError:
-        raise BadFrameError(f"{path} does not exist; expected the {kind} image of this frame") from None
+        raise BadFrameError(
+            f"{path} does not exist; expected the {kind} image of this frame"
+        ) from None
     except SequenceError as e:
         raise BadFrameError(str(e)) from None
     if not data:
@@ -136,10 +156,18 @@ def read_image_bytes(path: Path, kind: str) -> bytes:
     return data
 
 
-def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.ndarray:
-    """Pixels of an encoded image, as ``cv2.imdecode`` returns them. Raises ``BadFrameError`` naming ``source``."""
+def decode_image(
+    data: bytes,
+    flags: int,
+    source: Path | str,
+    kind: str,
+) -> np.ndarray:
+    """Pixels of an encoded image, as ``cv2.imdecode`` returns them. Raises ``BadFrameError`` naming
+    ``source``."""
     if _is_cut(data):
-        raise BadFrameError(f"{source} is truncated; expected a whole {kind} image, but its end mark is missing")
+        raise BadFrameError(
+            f"{source} is truncated; expected a whole {kind} image, but its end mark is missing"
+        )
     check_image_size(data, source, kind)
     try:
         with parsing(source, f"a {kind} image", BadFrameError):
@@ -148,29 +176,35 @@ def decode_image(data: bytes, flags: int, source: Path | str, kind: str) -> np.n
         image = None
     if image is None:
         raise BadFrameError(
-            f"{source} cannot be decoded: it is truncated, damaged or not an image; expected a {kind} image"
+            f"{source} cannot be decoded: it is truncated, damaged or not an image; expected a "
+            f"{kind} image"
         )
     return image
 
 
 def check_image_size(data: bytes, source: Path | str, kind: str) -> None:
-    """Raise ``BadFrameError`` before an image is decoded that is of no known kind or claims too many pixels."""
+    """Raise ``BadFrameError`` before an image is decoded that is of no known kind or claims too
+    many pixels."""
     size = image_size(data)
     if size is None:
         raise BadFrameError(
-            f"{source} cannot be decoded: it is truncated, damaged or not an image, or claims far too many pixels; "
-            f"expected a {kind} image, as PNG, JPEG, TIFF, PNM, BMP or WebP"
+            f"{source} cannot be decoded: it is truncated, damaged or not an image, or claims far "
+            f"too many pixels; expected a {kind} image, as PNG, JPEG, TIFF, PNM, BMP or WebP"
         )
     width, height = size
     if width * height > MAX_PIXELS:
-        raise BadFrameError(f"{source} claims {width}x{height} pixels; expected a {kind} image of at most 40 million")
+        raise BadFrameError(
+            f"{source} claims {width}x{height} pixels; expected a {kind} image of at most 40 "
+            "million"
+        )
 
 
 def _is_cut(data: bytes) -> bool:
-    """A PNG or JPEG without the mark that ends it: decoders fill the missing part with grey or black and do not fail.
+    """A PNG or JPEG without the mark that ends it: decoders fill the missing part with grey or
+    black and do not fail.
 
-    Entropy-coded data of a JPEG never contain FF D9, but an embedded thumbnail does, so the mark must come after the
-    last scan (PNG, W3C 2003, 11.2.5; JPEG, ITU-T T.81, B.1.1.3).
+    Entropy-coded data of a JPEG never contain FF D9, but an embedded thumbnail does, so the mark
+    must come after the last scan (PNG, W3C 2003, 11.2.5; JPEG, ITU-T T.81, B.1.1.3).
     """
     if data[:2] == b"\xff\xd8":
         return data.rfind(b"\xff\xd9") <= data.rfind(b"\xff\xda")
@@ -191,14 +225,17 @@ def is_to_be_turned(data: bytes) -> bool:
     from PIL import Image
 
     try:
-        found = b"Exif\0\0" in data[: 1 << 16] and Image.open(io.BytesIO(data), formats=("JPEG",)).getexif().get(274, 1)
+        found = b"Exif\0\0" in data[: 1 << 16] and Image.open(
+            io.BytesIO(data), formats=("JPEG",)
+        ).getexif().get(274, 1)
         return found in range(2, 9)
     except Exception:  # whatever follows from damaged tags
         return False
 
 
 def image_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height that the header of a PNG, JPEG, TIFF, PNM, BMP, WebP or OpenEXR file claims; None for others."""
+    """Width and height that the header of a PNG, JPEG, TIFF, PNM, BMP, WebP or OpenEXR file claims;
+    None for others."""
     if data[:4] == b"v/1\x01":
         header = data[: 1 << 20]
         windows = [struct.unpack("<iiii", found) for found in _EXR_WINDOW.findall(header)]
@@ -207,6 +244,8 @@ def image_size(data: bytes) -> tuple[int, int] | None:
     from PIL import Image
 
     try:
-        return Image.open(io.BytesIO(data), formats=("PNG", "JPEG", "TIFF", "PPM", "BMP", "WEBP")).size
+        return Image.open(
+            io.BytesIO(data), formats=("PNG", "JPEG", "TIFF", "PPM", "BMP", "WEBP")
+        ).size
     except Exception:  # a damaged header leads to any exception
         return None

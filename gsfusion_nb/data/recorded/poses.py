@@ -1,4 +1,5 @@
-"""Camera poses from text, checked rigid: one matrix per line or file, lines that name an image, and poses by time."""
+"""Camera poses from text, checked rigid: one matrix per line or file, lines that name an image, and
+poses by time."""
 
 import re
 from pathlib import Path
@@ -16,39 +17,51 @@ from ..sequence import BadFrameError, SequenceError
 GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 """T GL_TO_CV is a camera-to-world pose in OpenCV axes, where T has OpenGL's (y up, z backward)."""
 MAX_RIGIDITY_ERROR = 1e-3
-"""Largest entry of R R^T - I that still counts as a rotation: poses printed with 4 decimals pass."""
+"""Largest entry of R R^T - I that still counts as a rotation: poses printed with 4 decimals
+pass."""
 REPEATED_POSE_M = 0.02
 REPEATED_POSE_DEG = 2.0
-"""Two poses at one time that differ by no more are measurements of one pose, as in TUM's freiburg2_desk (1.2 mm)."""
+"""Two poses at one time that differ by no more are measurements of one pose, as in TUM's
+freiburg2_desk (1.2 mm)."""
 
 
 def read_rows(path: Path, columns: int, what: str) -> Float[Tensor, "N C"]:
-    """Numbers of a text file, one row per line; empty lines and lines starting with ``#`` are skipped. float64. [N, C]
+    """Numbers of a text file, one row per line; empty lines and lines starting with ``#`` are
+    skipped. float64. [N, C]
 
     NaN and infinities are kept: they mark a pose as lost.
 
     Raises:
-        SequenceNotFoundError: no such file. SequenceError: no rows, a row of another length, or text that is not a
-            number.
+        SequenceNotFoundError: no such file. SequenceError: no rows, a row of another length, or
+            text that is not a number.
     """
     rows = []
     for number, words in read_words(path, what):
         if len(words) != columns:
-            raise SequenceError(f"{path} line {number} must hold {columns} numbers ({what}), got {len(words)}")
+            raise SequenceError(
+                f"{path} line {number} must hold {columns} numbers ({what}), got {len(words)}"
+            )
         try:
             rows.append([float(w) for w in words])
         except ValueError:
-            raise SequenceError(f"{path} line {number} must hold {columns} numbers ({what}), got text") from None
+            raise SequenceError(
+                f"{path} line {number} must hold {columns} numbers ({what}), got text"
+            ) from None
     return torch.tensor(rows, dtype=torch.float64)
 
 
-def read_words(path: Path, what: str) -> list[tuple[int, list[str]]]:
-    """Line number and words of every line that is neither empty nor a ``#`` comment. At least one, or an error."""
+def read_words(
+    path: Path,
+    what: str,
+) -> list[tuple[int, list[str]]]:
+    """Line number and words of every line that is neither empty nor a ``#`` comment. At least one,
+    or an error."""
     return [(number, line.replace(",", " ").split()) for number, line in read_lines(path, what)]
 
 
 def read_lines(path: Path, what: str) -> list[tuple[int, str]]:
-    """Line number and text of every line that is neither empty nor a ``#`` comment. At least one, or an error."""
+    """Line number and text of every line that is neither empty nor a ``#`` comment. At least one,
+    or an error."""
     lines = []
     for number, line in enumerate(read_text(path, what).splitlines(), 1):
         line = line.strip()
@@ -64,9 +77,13 @@ _DECIMAL_COMMAS = re.compile(r"(-?\d+(,\d+(e[-+]?\d+)?)?[\s;]+){3,}-?\d+(,\d+(e[
 
 
 def check_decimal_points(line: str, path: Path) -> None:
-    """Raise ``SequenceError`` for a line of numbers with decimal commas: read as separators they double the numbers."""
+    """Raise ``SequenceError`` for a line of numbers with decimal commas: read as separators they
+    double the numbers."""
     if "," in line and _DECIMAL_COMMAS.fullmatch(line.strip()):
-        raise SequenceError(f"{path} has decimal commas, {shown(line[:40])}; write decimal points, 1.5 instead of 1,5")
+        raise SequenceError(
+            f"{path} has decimal commas, {shown(line[:40])}; write decimal points, 1.5 instead of "
+            "1,5"
+        )
 
 
 def write_pose_lines(path: Path, T_WC: Float[Tensor, "N 4 4"]) -> None:
@@ -80,12 +97,13 @@ def checked_pose(T_WC: Float[Tensor, "4 4"], source: str) -> Float[Tensor, "4 4"
     """``T_WC`` as float32 if it is a rigid transform.
 
     Raises:
-        BadFrameError: NaN, infinite (ScanNet marks lost tracking with -inf), not rigid, or too far away to be mapped;
-            names ``source``.
+        BadFrameError: NaN, infinite (ScanNet marks lost tracking with -inf), not rigid, or too far
+            away to be mapped; names ``source``.
     """
     if not bool(torch.isfinite(T_WC).all()):
         raise BadFrameError(
-            f"{source} has NaN or infinite entries; expected a camera-to-world pose (tracking was lost?)"
+            f"{source} has NaN or infinite entries; expected a camera-to-world pose (tracking was "
+            "lost?)"
         )
     with refusing(f"{source} is not a rigid camera-to-world pose: ", BadFrameError):
         check_pose("the pose", T_WC, MAX_RIGIDITY_ERROR)
@@ -97,13 +115,15 @@ def checked_pose(T_WC: Float[Tensor, "4 4"], source: str) -> Float[Tensor, "4 4"
 def checked_rows(
     table: Float[Tensor, "N 8"], path: Path, *, ordered: bool = False
 ) -> tuple[Float[Tensor, "M 8"], list[str]]:
-    """Rows ``t tx ty tz qx qy qz qw`` in order of time, each time once, and sentences on what was left out.
+    """Rows ``t tx ty tz qx qy qz qw`` in order of time, each time once, and sentences on what was
+    left out.
 
     Where several rows have one time, the first counts: published trajectories hold such rows.
 
     Raises:
-        SequenceError: a quaternion whose length is not 1 within 1e-2, two poses at one time that are farther apart than
-            ``REPEATED_POSE_M`` or ``REPEATED_POSE_DEG``, or, if they must be ``ordered``, times that go back.
+        SequenceError: a quaternion whose length is not 1 within 1e-2, two poses at one time that
+            are farther apart than ``REPEATED_POSE_M`` or ``REPEATED_POSE_DEG``, or, if they must be
+            ``ordered``, times that go back.
     """
     finite = torch.isfinite(table).all(dim=1)
     lost = int((~finite).sum())
@@ -113,16 +133,17 @@ def checked_rows(
     if len(back) and ordered:
         i = int(back[0])
         raise SequenceError(
-            f"{path}: the time {float(table[i + 1, 0]):.9g} comes after {float(table[i, 0]):.9g}; expected increasing "
-            "times: sort the file by its first column, and split it if it holds several trajectories"
+            f"{path}: the time {float(table[i + 1, 0]):.9g} comes after {float(table[i, 0]):.9g}; "
+            "expected increasing times: sort the file by its first column, and split it if it "
+            "holds several trajectories"
         )
     length = table[:, 4:].norm(dim=1)
     bad = ((length - 1).abs() > 1e-2).nonzero()
     if len(bad):
         t, wrong = float(table[int(bad[0]), 0]), float(length[int(bad[0])])
         raise SequenceError(
-            f"{path}: the pose at {t:.16g} must hold a unit quaternion, got one of length {wrong:.3g}; expected the "
-            "columns t tx ty tz qx qy qz qw"
+            f"{path}: the pose at {t:.16g} must hold a unit quaternion, got one of length "
+            f"{wrong:.3g}; expected the columns t tx ty tz qx qy qz qw"
         )
     table = table[table[:, 0].argsort(stable=True)]
     repeats = table[1:, 0] == table[:-1, 0]
@@ -132,7 +153,11 @@ def checked_rows(
     return (table[first_of_its_time] if len(table) else table), notes
 
 
-def _note_on_repeats(table: Float[Tensor, "N 8"], repeats: Bool[Tensor, " M"], path: Path) -> str:
+def _note_on_repeats(
+    table: Float[Tensor, "N 8"],
+    repeats: Bool[Tensor, " M"],
+    path: Path,
+) -> str:
     """A sentence on the rows that have the time of the row before.
 
     Raises:
@@ -147,9 +172,9 @@ def _note_on_repeats(table: Float[Tensor, "N 8"], repeats: Bool[Tensor, " M"], p
     if bool(apart.any()):
         i = int(apart.nonzero()[0])
         raise SequenceError(
-            f"{path} has two poses at the time {float(earlier[i, 0]):.16g}, {float(moved_m[i]):.3g} m and "
-            f"{float(turned_deg[i]):.3g} degrees apart; expected one at each time: split the file if it holds several "
-            "trajectories"
+            f"{path} has two poses at the time {float(earlier[i, 0]):.16g}, "
+            f"{float(moved_m[i]):.3g} m and {float(turned_deg[i]):.3g} degrees apart; expected one "
+            "at each time: split the file if it holds several trajectories"
         )
     rows = f"{len(earlier)} rows have" if len(earlier) > 1 else "1 row has"
     note = f"{path}: {rows} the time of another row, the first at {float(earlier[0, 0]):.16g}"
@@ -168,7 +193,11 @@ def matrices(rows: Float[Tensor, "N 7"]) -> Float[Tensor, "N 4 4"]:
 
 
 def interpolate_rows(
-    stamps_s: Float[Tensor, " N"], rows: Float[Tensor, "N 7"], at_s: float, *, max_gap_s: float
+    stamps_s: Float[Tensor, " N"],
+    rows: Float[Tensor, "N 7"],
+    at_s: float,
+    *,
+    max_gap_s: float,
 ) -> Float[Tensor, " 7"] | None:
     """Pose ``tx ty tz qx qy qz qw`` at time ``at_s``: linear in position, spherical in orientation.
 
@@ -179,7 +208,8 @@ def interpolate_rows(
         max_gap_s: Largest time between the two surrounding poses, seconds.
 
     Returns:
-        The pose, or None where it is unknown: outside the recorded time, or in a gap longer than ``max_gap_s``.
+        The pose, or None where it is unknown: outside the recorded time, or in a gap longer than
+        ``max_gap_s``.
     """
     after = int(torch.searchsorted(stamps_s, at_s))
     if after < len(stamps_s) and float(stamps_s[after]) == at_s:
@@ -191,7 +221,11 @@ def interpolate_rows(
         return None
     t = torch.tensor((at_s - float(stamps_s[after - 1])) / gap, dtype=rows.dtype)
     a, b = rows[after - 1], rows[after]
-    quat = quaternion.slerp(a[[6, 3, 4, 5]], b[[6, 3, 4, 5]], t)
+    quat = quaternion.slerp(
+        a[[6, 3, 4, 5]],
+        b[[6, 3, 4, 5]],
+        t,
+    )
     return torch.cat([a[:3] + t * (b[:3] - a[:3]), quat[[1, 2, 3, 0]]])
 
 
@@ -218,7 +252,8 @@ def split_name(line: str) -> tuple[str | None, list[str]]:
 
 
 def parsed_pose(words: list[str]) -> Float[Tensor, "4 4"]:
-    """A matrix of 16 words; float64, not yet checked. Raises ``ValueError`` if they are not 16 numbers."""
+    """A matrix of 16 words; float64, not yet checked. Raises ``ValueError`` if they are not 16
+    numbers."""
     values = [float(word) for word in words]
     if len(values) != 16:
         raise ValueError(f"expected 16 numbers, got {len(values)}")
@@ -239,12 +274,12 @@ def image_number(image: Path) -> int | None:
 def poses_of_images(path: Path, images: list[Path]) -> Float[Tensor, "N 4 4"]:
     """The pose of each image in a finished ``poses.txt``; float64, not yet checked. [N, 4, 4]
 
-    Lines that begin with a name belong to the image of that name. Lines of numbers alone belong to the images in order,
-    one each.
+    Lines that begin with a name belong to the image of that name. Lines of numbers alone belong to
+    the images in order, one each.
 
     Raises:
-        SequenceError: a line that is not 16 numbers, an image without line, two lines of one name, or, where lines go
-            by order, another number of lines than of images.
+        SequenceError: a line that is not 16 numbers, an image without line, two lines of one name,
+            or, where lines go by order, another number of lines than of images.
     """
     lines = [(number, split_name(" ".join(words))) for number, words in read_words(path, POSE_LINE)]
     names, rows = [], []
@@ -253,24 +288,32 @@ def poses_of_images(path: Path, images: list[Path]) -> Float[Tensor, "N 4 4"]:
             rows.append(parsed_pose(words))
         except ValueError:
             got = f"{len(words)} words" if len(words) != 16 else "text"
-            raise SequenceError(f"{path} line {number} must hold 16 numbers ({POSE_LINE}), got {got}") from None
+            raise SequenceError(
+                f"{path} line {number} must hold 16 numbers ({POSE_LINE}), got {got}"
+            ) from None
         names.append(name)
     table = torch.stack(rows)
     if any(name is not None for name in names):
         return table[_lines_by_name(path, names, images)]
     if len(rows) != len(images):
         raise SequenceError(
-            f"{path} holds {len(rows)} poses; expected {len(images)}, one per image in {images[0].parent}; if images "
-            "are missing, put the name of its image before each pose"
+            f"{path} holds {len(rows)} poses; expected {len(images)}, one per image in "
+            f"{images[0].parent}; if images are missing, put the name of its image before each pose"
         )
     return table
 
 
-def _lines_by_name(path: Path, names: list[str | None], images: list[Path]) -> list[int]:
+def _lines_by_name(
+    path: Path,
+    names: list[str | None],
+    images: list[Path],
+) -> list[int]:
     line_of: dict[str, int] = {}
     for i, name in enumerate(names):
         if name is None:
-            raise SequenceError(f"{path}: pose {i} has no name, but others have; expected a name on each line")
+            raise SequenceError(
+                f"{path}: pose {i} has no name, but others have; expected a name on each line"
+            )
         if image_key(name) in line_of:
             raise SequenceError(f"{path} holds two poses of {name}; expected one per image")
         line_of[image_key(name)] = i

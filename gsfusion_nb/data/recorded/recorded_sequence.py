@@ -1,4 +1,5 @@
-"""A recording on disk as a sequence, which is what every reader returns, and what a reader says about its layout."""
+"""A recording on disk as a sequence, which is what every reader returns, and what a reader says
+about its layout."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -26,8 +27,8 @@ Rectify = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 class RecordedSequence:
     """Files, poses and times of a recorded sequence (a ``Sequence``).
 
-    Frame ``i`` has index ``i``. A frame whose image is damaged, whose depth is all missing or whose pose is not rigid
-    raises ``BadFrameError``; the other frames stay readable.
+    Frame ``i`` has index ``i``. A frame whose image is damaged, whose depth is all missing or whose
+    pose is not rigid raises ``BadFrameError``; the other frames stay readable.
 
     Raises:
         SequenceError: an impossible camera or depth scale (``gsfusion_nb.geometry.operands``).
@@ -61,7 +62,8 @@ class RecordedSequence:
     novel: frozenset[int] = field(default_factory=frozenset)
     """Frames that the data set publishes as test views: never mapped."""
     read_from: tuple[Path, ...] = ()
-    """Every file that was read to open the recording: poses, intrinsics, lists. ``open_sequence`` notes them."""
+    """Every file that was read to open the recording: poses, intrinsics, lists. ``open_sequence``
+    notes them."""
 
     def __post_init__(self):
         with refusing():
@@ -82,17 +84,20 @@ class RecordedSequence:
     def depth_image(self, i: int) -> Float[Tensor, "H W"]:
         """z-depth of frame ``i``, metres, the same as ``sequence[i].depth_m``.
 
-        The colour image is decoded only where both are rectified together, or its size is to be compared with the
-        camera's; a damaged one therefore does not matter here.
+        The colour image is decoded only where both are rectified together, or its size is to be
+        compared with the camera's; a damaged one therefore does not matter here.
         """
         i = position(i, len(self))
         if self.rectify is not None:
             return self[i].depth_m
-        depth_m = read_depth(self.depth_files[i], scale=self.depth_scale, invalid=self.depth_invalid)
+        depth_m = read_depth(
+            self.depth_files[i], scale=self.depth_scale, invalid=self.depth_invalid
+        )
         size = depth_m.shape[1::-1]
         if size != (self.camera.width, self.camera.height):
             raise BadFrameError(
-                f"{self.depth_files[i]} is {_wxh(size)}; expected {_wxh((self.camera.width, self.camera.height))}"
+                f"{self.depth_files[i]} is {_wxh(size)}; expected "
+                f"{_wxh((self.camera.width, self.camera.height))}"
             )
         return torch.from_numpy(depth_m)
 
@@ -100,7 +105,9 @@ class RecordedSequence:
         i = position(i, len(self))
         T_WC = self.pose(i)
         rgb = read_rgb(self.rgb_files[i])
-        depth_m = read_depth(self.depth_files[i], scale=self.depth_scale, invalid=self.depth_invalid)
+        depth_m = read_depth(
+            self.depth_files[i], scale=self.depth_scale, invalid=self.depth_invalid
+        )
         if self.fit_sizes:
             rgb = resize_colour(rgb, self.camera.width, self.camera.height)
         self._check_sizes(i, rgb, depth_m)
@@ -119,13 +126,15 @@ class RecordedSequence:
         rgb_size, depth_size = rgb.shape[1::-1], depth_m.shape[1::-1]
         if rgb_size != depth_size:
             raise BadFrameError(
-                f"{self.depth_files[i]} is {_wxh(depth_size)} but {self.rgb_files[i]} is {_wxh(rgb_size)}; "
+                f"{self.depth_files[i]} is {_wxh(depth_size)} but {self.rgb_files[i]} is "
+                f"{_wxh(rgb_size)}; "
                 "expected colour and depth of the same size, registered to each other"
             )
         expected = (self.camera.width, self.camera.height)
         if rgb_size != expected:
             raise BadFrameError(
-                f"{self.rgb_files[i]} is {_wxh(rgb_size)}; expected {_wxh(expected)}, as the intrinsics say"
+                f"{self.rgb_files[i]} is {_wxh(rgb_size)}; expected {_wxh(expected)}, as the "
+                "intrinsics say"
             )
 
 
@@ -138,9 +147,11 @@ class Layout:
     """One way to lay out a sequence on disk."""
 
     read: Callable[..., Sequence]
-    """Reads the folder; its keyword arguments are the options of ``open_sequence`` and of ``--reader``."""
+    """Reads the folder; its keyword arguments are the options of ``open_sequence`` and of
+    ``--reader``."""
     looks_for: tuple[str, ...]
-    """Files and folders by which the layout is recognised, patterns allowed; a folder ends in "/"."""
+    """Files and folders by which the layout is recognised, patterns allowed; a folder ends in
+    "/"."""
     locate: Callable[[Path], Path] = lambda path: path
     """The given folder, or the one inside it that holds these files."""
     registration: Mapping[str, Any] = field(default_factory=dict)

@@ -1,4 +1,5 @@
-"""Times of images: whether numbers are times and in which unit, ``times.txt``, and pairing two streams by time."""
+"""Times of images: whether numbers are times and in which unit, ``times.txt``, and pairing two
+streams by time."""
 
 import bisect
 import itertools
@@ -18,11 +19,14 @@ from .poses import image_key, read_lines, read_words
 TIMES = "times.txt"
 
 
-def associate(first_s: list[float], second_s: list[float], *, max_difference_s: float = 0.02) -> list[tuple[int, int]]:
-    """Pairs (i, j) of the entries of two streams that are nearest in time, each entry used at most once.
+def associate(
+    first_s: list[float], second_s: list[float], *, max_difference_s: float = 0.02
+) -> list[tuple[int, int]]:
+    """Pairs (i, j) of the entries of two streams that are nearest in time, each entry used at most
+    once.
 
-    Candidates are taken in order of their time difference, so a worse pair never uses an entry of a better one (Sturm
-    et al. 2012, the association of the TUM RGB-D benchmark).
+    Candidates are taken in order of their time difference, so a worse pair never uses an entry of a
+    better one (Sturm et al. 2012, the association of the TUM RGB-D benchmark).
 
     Args:
         first_s: Times of the first stream, seconds, any order.
@@ -36,7 +40,9 @@ def associate(first_s: list[float], second_s: list[float], *, max_difference_s: 
     times = [second_s[j] for j in order]
     candidates = []
     for i, t in enumerate(first_s):
-        k = bisect.bisect_left(times, t - 2 * max_difference_s)  # wider, so that rounding excludes no candidate
+        k = bisect.bisect_left(
+            times, t - 2 * max_difference_s
+        )  # wider, so that rounding excludes no candidate
         while k < len(times) and times[k] <= t + 2 * max_difference_s:
             if abs(times[k] - t) <= max_difference_s:
                 candidates.append((abs(times[k] - t), i, order[k]))
@@ -54,11 +60,16 @@ _LISTED = r"""([-+]?[\d.]+(?:[eE][-+]?\d+)?)[\s,]+("[^"]+"|'[^']+'|\S.*?)"""
 """A number, and the name of a file, which may stand in quotes or hold spaces."""
 
 
-def read_image_list(path: Path, *, per_line: int = 1) -> list[list[tuple[float, Path]]]:
-    """Number and file of each image of a list, which may have several images in a line: "timestamp filename".
+def read_image_list(
+    path: Path,
+    *,
+    per_line: int = 1,
+) -> list[list[tuple[float, Path]]]:
+    """Number and file of each image of a list, which may have several images in a line: "timestamp
+    filename".
 
-    The numbers are finite, but not yet judged to be times. A name may hold spaces or stand in quotes, and its folders
-    may be separated by backslashes, as Windows writes them.
+    The numbers are finite, but not yet judged to be times. A name may hold spaces or stand in
+    quotes, and its folders may be separated by backslashes, as Windows writes them.
 
     Args:
         path: The list; names are relative to its folder.
@@ -93,17 +104,25 @@ def _listed_file(folder: Path, name: str) -> Path:
     """The file that a list names; of several ways to read the name the first that is there."""
     name = name.strip().strip("\"'")
     ways = (name, name.replace("\\", "/"), name.split()[0].replace("\\", "/"))
-    return next((folder / way for way in ways if is_file(folder / way)), folder / ways[1])
+    return next(
+        (folder / way for way in ways if is_file(folder / way)),
+        folder / ways[1],
+    )
 
 
-def times_of_images(path: Path, images: list[Path]) -> tuple[list[tuple[float, float]] | None, str]:
-    """Seconds of each image and of its depth, by its name, from lines "name seconds" or "name seconds depth_seconds".
+def times_of_images(
+    path: Path,
+    images: list[Path],
+) -> tuple[list[tuple[float, float]] | None, str]:
+    """Seconds of each image and of its depth, by its name, from lines "name seconds" or "name
+    seconds depth_seconds".
 
     Returns:
         The times, or ``None`` and the reason why there are none.
 
     Raises:
-        SequenceError: a line that is not a name and one or two numbers, or an image that is not in the file.
+        SequenceError: a line that is not a name and one or two numbers, or an image that is not in
+            the file.
     """
     if not path.is_file():
         return None, f"there is no {path.name}"
@@ -116,7 +135,9 @@ def times_of_images(path: Path, images: list[Path]) -> tuple[list[tuple[float, f
             (depth_value,) = of_depth or [value]
             time_of[image_key(name)] = float(value), float(depth_value)
         except ValueError:
-            raise SequenceError(f"{path} line {number} must be 'name seconds', got {shown(' '.join(words))}") from None
+            raise SequenceError(
+                f"{path} line {number} must be 'name seconds', got {shown(' '.join(words))}"
+            ) from None
     lacking = [image for image in images if image_key(image.stem) not in time_of]
     if lacking:
         raise SequenceError(f"{path} has no time of {lacking[0]}; expected one per image")
@@ -132,14 +153,16 @@ LONGEST_STEP_S = 60.0
 
 
 def _check_seconds(times: list[float], path: Path) -> None:
-    """Raise ``SequenceError`` for times that are not seconds; the message names the unit that they have."""
+    """Raise ``SequenceError`` for times that are not seconds; the message names the unit that they
+    have."""
     ordered = sorted(times)
     unit = time_unit(ordered)
     step = _median_step(ordered)
     if unit == "s" or (not date_unit(ordered[-1]) and step <= LONGEST_STEP_S):
         return
     raise SequenceError(
-        f"{path} must hold seconds, but as seconds there would be one frame in {step:g} s; as {unit} it is one in "
+        f"{path} must hold seconds, but as seconds there would be one frame in {step:g} s; as "
+        f"{unit} it is one in "
         f"{step / PER_SECOND[unit]:.3g} s: divide the times by {PER_SECOND[unit]:g}"
     )
 
@@ -147,8 +170,8 @@ def _check_seconds(times: list[float], path: Path) -> None:
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "100ns": 1e7, "ns": 1e9}
 """Units of times; "100ns" are the ticks of Windows and .NET."""
 LARGEST_STEP = {"s": 5.0, "ms": 5e3, "us": 5e5, "ns": float("inf")}
-"""A median step above this belongs to the next finer unit: 5 s, 5 s, and 0.5 s, since 5e5 ns are 2 kHz. Ticks are known
-by their dates alone."""
+"""A median step above this belongs to the next finer unit: 5 s, 5 s, and 0.5 s, since 5e5 ns are 2
+kHz. Ticks are known by their dates alone."""
 DATES = (
     ("s", 1e9, 1e10),
     ("ms", 1e12, 1e13),
@@ -157,18 +180,20 @@ DATES = (
     ("100ns", 1.26e17, 1.6e17),
     ("100ns", 6.3e17, 6.7e17),
 )
-"""Unit, first and last of numbers that are dates: from 2001 to 2286 since 1970, or, in ticks, from 2000 to 2107 since
-1601 (Windows), and from 1997 to 2124 since the year 1 (.NET)."""
+"""Unit, first and last of numbers that are dates: from 2001 to 2286 since 1970, or, in ticks, from
+2000 to 2107 since 1601 (Windows), and from 1997 to 2124 since the year 1 (.NET)."""
 MOST_PER_SECOND = 1000.0
-"""No depth camera takes more frames per second: numbers that are nearer to each other are not times."""
+"""No depth camera takes more frames per second: numbers that are nearer to each other are not
+times."""
 _REPEATED = 0.1
 """Share of equal neighbours above which numbers are not times."""
 _COUNTER_BELOW = 1e6
 _COUNTER_STEP = 20
-"""Whole numbers below the first with a constant step below the second count frames; a clock has larger numbers, and in
-milliseconds larger steps."""
+"""Whole numbers below the first with a constant step below the second count frames; a clock has
+larger numbers, and in milliseconds larger steps."""
 _LEAST_STEP_MS = 15.0
-"""Whole numbers of a clock in milliseconds have a larger median step: no more than 66 frames a second."""
+"""Whole numbers of a clock in milliseconds have a larger median step: no more than 66 frames a
+second."""
 
 
 @dataclass(frozen=True)
@@ -203,9 +228,10 @@ def judge_stamps(
 
     Args:
         numbers: Finite numbers, in the order of the list or file.
-        names: Sorting keys of the images' names; empty where nothing but the numbers tells an order.
-        unit: One of ``PER_SECOND`` where the file's format or the user fixes it; "none": they are not times; "auto"
-            finds it by the numbers.
+        names: Sorting keys of the images' names; empty where nothing but the numbers tells an
+            order.
+        unit: One of ``PER_SECOND`` where the file's format or the user fixes it; "none": they are
+            not times; "auto" finds it by the numbers.
         common: For "auto", the unit of all lists of the recording, ``common_unit``.
         padded: They are written with leading zeros, as counters are.
     """
@@ -235,16 +261,21 @@ def judge_stamps(
 
 def date_unit(value: float) -> str:
     """The unit in which a number is a date of today; empty if it is none."""
-    return next((unit for unit, first, last in DATES if first <= abs(value) < last), "")
+    return next(
+        (unit for unit, first, last in DATES if first <= abs(value) < last),
+        "",
+    )
 
 
 def time_unit(increasing: abc.Sequence[float]) -> str:
-    """Unit in which times are dates of today (``DATES``), or in which the median step is that of a camera."""
+    """Unit in which times are dates of today (``DATES``), or in which the median step is that of a
+    camera."""
     return date_unit(increasing[-1]) or _unit_of_step(_median_step(increasing))
 
 
 def common_unit(lists: abc.Iterable[abc.Sequence[float]]) -> str:
-    """The unit of several lists of one recording: that of their dates, or that of the list with the smallest steps."""
+    """The unit of several lists of one recording: that of their dates, or that of the list with the
+    smallest steps."""
     ordered = [sorted(numbers) for numbers in lists if len(numbers)]
     if not ordered:
         return "s"
@@ -277,7 +308,10 @@ def _no_times(ordered: list[float], per_second: float) -> str:
         return f"{repeated} of {n} repeat another"
     rate = per_second / statistics.median(steps)
     if rate > MOST_PER_SECOND:
-        return f"sorted, they are far closer together than the frames of a camera, at {ordered[0]:g} to {ordered[-1]:g}"
+        return (
+            "sorted, they are far closer together than the frames of a camera, at "
+            f"{ordered[0]:g} to {ordered[-1]:g}"
+        )
     return ""
 
 
@@ -288,7 +322,11 @@ def _counter(ordered: list[float], *, padded: bool) -> str:
         return ""
     span = f"from {ordered[0]:g} to {ordered[-1]:g}"
     low = min(steps)
-    if 0 < low < _COUNTER_STEP and statistics.median(steps) == low and all(step % low == 0 for step in steps):
+    if (
+        0 < low < _COUNTER_STEP
+        and statistics.median(steps) == low
+        and all(step % low == 0 for step in steps)
+    ):
         return f"they count the frames, {span}"
     if padded:
         return f"they number the frames, with leading zeros, {span}"

@@ -1,7 +1,8 @@
-"""The built-in scene: a furnished room with procedural textures and lighting, and exact depth, poses, distance field
-and mesh.
+"""The built-in scene: a furnished room with procedural textures and lighting, and exact depth,
+poses, distance field and mesh.
 
-World frame: z up, origin on the floor in the middle of the room, metres; 5 m along x, 4 m along y, 2.6 m high.
+World frame: z up, origin on the floor in the middle of the room, metres; 5 m along x, 4 m along y,
+2.6 m high.
 """
 
 from .camera import kinect_depth as kinect_depth

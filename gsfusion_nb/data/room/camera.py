@@ -1,5 +1,5 @@
-"""The camera that is carried through the room: its walk, and what a real one gets wrong: depth, poses, brightness,
-surfaces without depth. The truth stays known.
+"""The camera that is carried through the room: its walk, and what a real one gets wrong: depth,
+poses, brightness, surfaces without depth. The truth stays known.
 """
 
 import numpy as np
@@ -16,48 +16,76 @@ _TURN_RAD_S = np.radians(38.0)
 
 _MAPPING = [  # places of the camera, and of what it looks at, metres
     # From the middle of the room, looking outwards at every wall.
-    ((0.0, -0.9, 1.50), (-2.4, 0.4, 1.0)), ((0.1, 0.2, 1.50), (-2.4, 0.4, 1.1)),
-    ((0.2, 0.9, 1.50), (-2.2, 1.6, 1.1)), ((0.0, 0.3, 1.45), (-1.0, 2.0, 1.4)),
-    ((0.0, -0.3, 1.45), (0.3, 2.0, 1.3)), ((-0.3, -0.6, 1.50), (1.6, 1.9, 1.2)),
-    ((-0.5, -0.3, 1.50), (2.4, 0.6, 1.2)), ((-0.4, 0.3, 1.50), (2.4, -0.6, 1.2)),
-    ((-0.3, 0.9, 1.50), (2.0, -1.9, 0.9)), ((-0.2, 1.2, 1.50), (0.9, -2.0, 1.1)),
-    ((0.1, 1.1, 1.50), (-0.4, -2.0, 1.4)), ((0.3, 0.8, 1.50), (-1.7, -2.0, 1.2)),
+    ((0.0, -0.9, 1.50), (-2.4, 0.4, 1.0)),
+    ((0.1, 0.2, 1.50), (-2.4, 0.4, 1.1)),
+    ((0.2, 0.9, 1.50), (-2.2, 1.6, 1.1)),
+    ((0.0, 0.3, 1.45), (-1.0, 2.0, 1.4)),
+    ((0.0, -0.3, 1.45), (0.3, 2.0, 1.3)),
+    ((-0.3, -0.6, 1.50), (1.6, 1.9, 1.2)),
+    ((-0.5, -0.3, 1.50), (2.4, 0.6, 1.2)),
+    ((-0.4, 0.3, 1.50), (2.4, -0.6, 1.2)),
+    ((-0.3, 0.9, 1.50), (2.0, -1.9, 0.9)),
+    ((-0.2, 1.2, 1.50), (0.9, -2.0, 1.1)),
+    ((0.1, 1.1, 1.50), (-0.4, -2.0, 1.4)),
+    ((0.3, 0.8, 1.50), (-1.7, -2.0, 1.2)),
     ((0.3, 0.2, 1.60), (-2.4, -1.2, 0.9)),
     # Around the furniture, looking down at it.
-    ((-0.2, -0.4, 1.50), (-1.6, -0.3, 0.5)), ((-0.6, -0.9, 1.45), (-2.2, -1.0, 0.5)),
-    ((-1.0, -1.1, 1.40), (-2.0, 0.4, 0.5)), ((-0.3, -1.2, 1.40), (-0.6, 0.4, 0.0)),
-    ((0.1, -1.10, 1.40), (1.5, -0.2, 0.6)), ((0.5, -1.05, 1.40), (1.9, -1.6, 1.0)),
-    ((0.7, -1.05, 1.40), (0.9, -2.0, 1.2)), ((1.0, -1.05, 1.40), (1.2, -2.0, 0.5)),
-    ((1.5, -1.15, 1.45), (2.2, -1.7, 0.3)), ((1.2, -1.0, 1.50), (1.7, 0.4, 0.7)),
-    ((0.7, -0.5, 1.50), (1.6, 0.5, 0.7)), ((0.5, 0.5, 1.45), (1.7, 0.6, 0.7)),
-    ((0.6, 1.15, 1.45), (1.7, 0.5, 0.6)), ((1.0, 1.3, 1.50), (2.2, 1.4, 0.7)),
-    ((0.6, 1.2, 1.40), (0.6, 0.0, 0.0)), ((0.3, 1.1, 1.40), (-0.9, 0.5, 0.4)),
-    ((0.1, 1.0, 1.40), (-1.3, 1.5, 0.6)), ((-0.1, 0.9, 1.40), (-0.3, 1.95, 0.6)),
-    ((-0.9, 1.2, 1.40), (-2.0, 1.4, 0.6)), ((-0.9, 1.1, 1.40), (-1.0, 0.2, 0.4)),
+    ((-0.2, -0.4, 1.50), (-1.6, -0.3, 0.5)),
+    ((-0.6, -0.9, 1.45), (-2.2, -1.0, 0.5)),
+    ((-1.0, -1.1, 1.40), (-2.0, 0.4, 0.5)),
+    ((-0.3, -1.2, 1.40), (-0.6, 0.4, 0.0)),
+    ((0.1, -1.10, 1.40), (1.5, -0.2, 0.6)),
+    ((0.5, -1.05, 1.40), (1.9, -1.6, 1.0)),
+    ((0.7, -1.05, 1.40), (0.9, -2.0, 1.2)),
+    ((1.0, -1.05, 1.40), (1.2, -2.0, 0.5)),
+    ((1.5, -1.15, 1.45), (2.2, -1.7, 0.3)),
+    ((1.2, -1.0, 1.50), (1.7, 0.4, 0.7)),
+    ((0.7, -0.5, 1.50), (1.6, 0.5, 0.7)),
+    ((0.5, 0.5, 1.45), (1.7, 0.6, 0.7)),
+    ((0.6, 1.15, 1.45), (1.7, 0.5, 0.6)),
+    ((1.0, 1.3, 1.50), (2.2, 1.4, 0.7)),
+    ((0.6, 1.2, 1.40), (0.6, 0.0, 0.0)),
+    ((0.3, 1.1, 1.40), (-0.9, 0.5, 0.4)),
+    ((0.1, 1.0, 1.40), (-1.3, 1.5, 0.6)),
+    ((-0.1, 0.9, 1.40), (-0.3, 1.95, 0.6)),
+    ((-0.9, 1.2, 1.40), (-2.0, 1.4, 0.6)),
+    ((-0.9, 1.1, 1.40), (-1.0, 0.2, 0.4)),
     # Once around the upper walls and the ceiling.
-    ((-0.3, 0.5, 1.40), (-2.3, 0.5, 2.15)), ((0.0, -0.2, 1.40), (-1.0, 1.9, 2.30)),
-    ((0.0, -0.7, 1.40), (0.8, 1.9, 2.35)), ((-0.5, -0.8, 1.40), (1.8, 0.4, 2.35)),
-    ((-0.9, -0.1, 1.40), (1.6, -0.9, 2.40)), ((-0.3, 0.6, 1.40), (0.7, -1.9, 2.35)),
-    ((0.4, 0.7, 1.45), (-0.6, -1.9, 2.35)), ((0.5, 0.3, 1.50), (-1.9, -1.1, 2.20)),
+    ((-0.3, 0.5, 1.40), (-2.3, 0.5, 2.15)),
+    ((0.0, -0.2, 1.40), (-1.0, 1.9, 2.30)),
+    ((0.0, -0.7, 1.40), (0.8, 1.9, 2.35)),
+    ((-0.5, -0.8, 1.40), (1.8, 0.4, 2.35)),
+    ((-0.9, -0.1, 1.40), (1.6, -0.9, 2.40)),
+    ((-0.3, 0.6, 1.40), (0.7, -1.9, 2.35)),
+    ((0.4, 0.7, 1.45), (-0.6, -1.9, 2.35)),
+    ((0.5, 0.3, 1.50), (-1.9, -1.1, 2.20)),
     ((0.2, -0.4, 1.50), (-2.3, 0.2, 1.40)),
-]  # fmt: skip
+]
 
 _NOVEL = [
-    ((1.0, -1.0, 1.65), (-1.5, 0.5, 0.8)), ((0.3, -1.1, 1.35), (-0.5, 1.8, 1.2)),
-    ((-0.9, -1.1, 1.60), (1.2, 0.5, 0.8)), ((-1.4, -0.6, 1.65), (1.5, -0.3, 1.0)),
-    ((-1.2, 0.4, 1.60), (1.0, -1.9, 1.2)), ((-1.0, 1.1, 1.65), (1.8, -0.5, 0.9)),
-    ((-0.2, 1.25, 1.40), (-0.6, -1.9, 1.3)), ((0.6, 0.9, 1.65), (-1.8, -0.3, 0.8)),
-    ((0.7, 0.2, 1.45), (-2.4, 1.0, 1.2)), ((0.2, -0.3, 1.30), (2.3, 0.6, 1.2)),
-]  # fmt: skip
+    ((1.0, -1.0, 1.65), (-1.5, 0.5, 0.8)),
+    ((0.3, -1.1, 1.35), (-0.5, 1.8, 1.2)),
+    ((-0.9, -1.1, 1.60), (1.2, 0.5, 0.8)),
+    ((-1.4, -0.6, 1.65), (1.5, -0.3, 1.0)),
+    ((-1.2, 0.4, 1.60), (1.0, -1.9, 1.2)),
+    ((-1.0, 1.1, 1.65), (1.8, -0.5, 0.9)),
+    ((-0.2, 1.25, 1.40), (-0.6, -1.9, 1.3)),
+    ((0.6, 0.9, 1.65), (-1.8, -0.3, 0.8)),
+    ((0.7, 0.2, 1.45), (-2.4, 1.0, 1.2)),
+    ((0.2, -0.3, 1.30), (2.3, 0.6, 1.2)),
+]
 
 TRAJECTORIES = {"mapping": _MAPPING, "novel": _NOVEL}
 
 
-def walk(trajectory: str, n_frames: int, seed: int, *, delay_s: float = 0.0) -> tuple[ndarray, ndarray]:
+def walk(
+    trajectory: str, n_frames: int, seed: int, *, delay_s: float = 0.0
+) -> tuple[ndarray, ndarray]:
     """Poses and times of a walk whose length in seconds does not depend on ``n_frames``.
 
     Args:
-        trajectory: "mapping" (the whole room) or "novel" (another path, for views that were never mapped).
+        trajectory: "mapping" (the whole room) or "novel" (another path, for views that were never
+            mapped).
         n_frames: Number of frames, spread evenly over the walk.
         seed: Seed of the hand's tremor.
         delay_s: The poses are those of this much later; the camera rests at the end of the walk.
@@ -67,15 +95,22 @@ def walk(trajectory: str, n_frames: int, seed: int, *, delay_s: float = 0.0) -> 
     """
     from scipy.interpolate import PchipInterpolator
 
-    eyes, targets = (_rounded(np.array(points)) for points in zip(*TRAJECTORIES[trajectory], strict=True))
+    eyes, targets = (
+        _rounded(np.array(points)) for points in zip(*TRAJECTORIES[trajectory], strict=True)
+    )
     knots = np.arange(len(eyes))
-    # Monotone cubics do not overshoot a waypoint, so the path keeps its distance from the furniture.
+    # Monotone cubics do not overshoot a waypoint, so the path keeps its distance from the
+    # furniture.
     path = PchipInterpolator(knots, np.concatenate([eyes, targets], 1))
     fine = np.linspace(0.0, knots[-1], 60 * len(knots))
     arrival = _pace(path(fine))
     times = np.linspace(0.0, arrival[-1], n_frames)
     at = times + delay_s
-    eye, target = np.split(path(np.interp(at, arrival, fine)), 2, axis=1)
+    eye, target = np.split(
+        path(np.interp(at, arrival, fine)),
+        2,
+        axis=1,
+    )
     rng = np.random.default_rng([seed, 4])
     eye += _tremor(at, 0.008, rng)
     target += _tremor(at, 0.02, rng)
@@ -95,13 +130,18 @@ def look_at(eye_W: ndarray, target_W: ndarray) -> ndarray:
 
 
 def _pace(points: ndarray) -> ndarray:
-    """Arrival times along finely sampled (eye, target) at a slow walking and turning speed, seconds. [n, 6] -> [n]"""
+    """Arrival times along finely sampled (eye, target) at a slow walking and turning speed,
+    seconds. [n, 6] -> [n]"""
     eyes, targets = np.split(points, 2, axis=1)
     look = targets - eyes
     look /= np.linalg.norm(look, axis=1, keepdims=True)
     turn = np.linalg.norm(np.diff(look, axis=0), axis=1) / _TURN_RAD_S
     step = np.linalg.norm(np.diff(eyes, axis=0), axis=1) / _SPEED_M_S
-    pace = np.convolve(np.pad(np.maximum(turn, step), 20, mode="edge"), np.ones(41) / 41, mode="valid")
+    pace = np.convolve(
+        np.pad(np.maximum(turn, step), 20, mode="edge"),
+        np.ones(41) / 41,
+        mode="valid",
+    )
     return np.concatenate([[0.0], np.cumsum(pace)])
 
 
@@ -136,9 +176,11 @@ def wandering(times_s: ndarray, channels: int, rng: np.random.Generator) -> ndar
     return np.sqrt(2 / 8) * np.sin(2 * np.pi * times_s[None, :, None] / period + phase).sum(0)
 
 
-def disturbed_poses(T_WC: ndarray, times_s: ndarray, sigma_m: float, sigma_deg: float, seed: int) -> ndarray:
-    """Poses T_WC exp(xi) with an error xi that wanders: in each direction of the camera ``sigma_m`` and ``sigma_deg``.
-    [n, 4, 4]"""
+def disturbed_poses(
+    T_WC: ndarray, times_s: ndarray, sigma_m: float, sigma_deg: float, seed: int
+) -> ndarray:
+    """Poses T_WC exp(xi) with an error xi that wanders: in each direction of the camera ``sigma_m``
+    and ``sigma_deg``. [n, 4, 4]"""
     from scipy.spatial.transform import Rotation
 
     xi = wandering(times_s, 6, np.random.default_rng([seed, 5]))
@@ -149,21 +191,30 @@ def disturbed_poses(T_WC: ndarray, times_s: ndarray, sigma_m: float, sigma_deg: 
 
 
 def exposure_gains(times_s: ndarray, sigma_stops: float, seed: int) -> ndarray:
-    """Factors of red, green and blue of the linear light in each frame: the brightness wanders by ``sigma_stops``, each
-    colour by a fifth of that on its own (white balance). [n, 3]"""
+    """Factors of red, green and blue of the linear light in each frame: the brightness wanders by
+    ``sigma_stops``, each colour by a fifth of that on its own (white balance). [n, 3]"""
     wander = wandering(times_s, 4, np.random.default_rng([seed, 6]))
     return 2.0 ** (sigma_stops * (wander[:, :1] + 0.2 * wander[:, 1:]))
 
 
 def exposed(rgb_u8: ndarray, gain: ndarray) -> ndarray:
-    """The picture with another exposure: its light, colour ** 2.2, times ``gain``; what is too bright is white."""
-    levels = np.clip((np.arange(256) / 255.0)[:, None] * gain ** (1 / 2.2), 0, 1)
+    """The picture with another exposure: its light, colour ** 2.2, times ``gain``; what is too
+    bright is white."""
+    levels = np.clip(
+        (np.arange(256) / 255.0)[:, None] * gain ** (1 / 2.2),
+        0,
+        1,
+    )
     table = np.rint(255 * levels).astype(np.uint8)
-    return np.stack([table[rgb_u8[..., c], c] for c in range(3)], axis=-1)
+    return np.stack(
+        [table[rgb_u8[..., c], c] for c in range(3)],
+        axis=-1,
+    )
 
 
 def without_depth(xyz_W: ndarray, share: float, seed: int) -> ndarray:
-    """Which points lie in a cube of 40 cm whose surface gives no depth, seen from anywhere: this share of the cubes."""
+    """Which points lie in a cube of 40 cm whose surface gives no depth, seen from anywhere: this
+    share of the cubes."""
     cube = np.floor(xyz_W / _CUBE_M).astype(np.int64) + 512
     chance = np.random.default_rng([seed, 7]).uniform(size=1 << 14)
     hashed = (cube[..., 0] * 73856093) ^ (cube[..., 1] * 19349663) ^ (cube[..., 2] * 83492791)
@@ -171,13 +222,15 @@ def without_depth(xyz_W: ndarray, share: float, seed: int) -> ndarray:
 
 
 FOCAL_BASELINE_PX_M = 580.0 * 0.075
-"""Focal length (pixels of a 640-pixel-wide sensor) times baseline, as of the first Kinect: disparity = this / depth."""
+"""Focal length (pixels of a 640-pixel-wide sensor) times baseline, as of the first Kinect:
+disparity = this / depth."""
 
 DISPARITY_STEP_PX = 1.0 / 8.0
 """Disparities are multiples of an eighth of a pixel."""
 
 DISPARITY_SIGMA_PX = 0.06
-"""With the steps' own error this gives a depth deviation near 1.6e-3 z^2 (Khoshelham & Elberink 2012: 4 cm at 5 m)."""
+"""With the steps' own error this gives a depth deviation near 1.6e-3 z^2 (Khoshelham & Elberink
+2012: 4 cm at 5 m)."""
 
 RANGE_M = (0.4, 5.0)
 """Nothing is measured outside."""
@@ -187,12 +240,15 @@ _GRAZING_COS = (0.12, 0.30)
 """Below the first cosine of incidence nothing is measured, above the second everything is."""
 
 
-def kinect_depth(depth_m: Float[Tensor, "H W"], camera: Camera, *, rng: np.random.Generator) -> Float[Tensor, "H W"]:
+def kinect_depth(
+    depth_m: Float[Tensor, "H W"], camera: Camera, *, rng: np.random.Generator
+) -> Float[Tensor, "H W"]:
     """Depth as a Kinect-like camera would measure it; 0 where it measures nothing.
 
-    Disparity d = f b / z gets Gaussian noise and is rounded to eighths of a pixel, so that the error grows with z^2.
-    Pixels at depth edges take a neighbour's depth at random. Holes: out of range, grazing incidence, the part hidden
-    from the projector 7.5 cm to the right, some edge pixels, and a few at random.
+    Disparity d = f b / z gets Gaussian noise and is rounded to eighths of a pixel, so that the
+    error grows with z^2. Pixels at depth edges take a neighbour's depth at random. Holes: out of
+    range, grazing incidence, the part hidden from the projector 7.5 cm to the right, some edge
+    pixels, and a few at random.
 
     Args:
         depth_m: True z-depth, metres; 0 where there is none. [H, W]
@@ -202,16 +258,27 @@ def kinect_depth(depth_m: Float[Tensor, "H W"], camera: Camera, *, rng: np.rando
     Returns:
         Measured z-depth, metres. [H, W]
 
-    Differentiable: no. Source: Khoshelham & Elberink 2012, "Accuracy and resolution of Kinect depth data".
+    Differentiable: no. Source: Khoshelham & Elberink 2012, "Accuracy and resolution of Kinect depth
+    data".
     """
     H, W = depth_m.shape
     z = depth_m.detach().cpu().double().numpy()
     hole = _holes(depth_m, z, camera, rng)
     sigma_px = 0.5 * W / 640
-    rows = np.clip(np.arange(H)[:, None] + np.rint(rng.normal(0, sigma_px, (H, W))).astype(int), 0, H - 1)
-    cols = np.clip(np.arange(W)[None] + np.rint(rng.normal(0, sigma_px, (H, W))).astype(int), 0, W - 1)
+    rows = np.clip(
+        np.arange(H)[:, None] + np.rint(rng.normal(0, sigma_px, (H, W))).astype(int),
+        0,
+        H - 1,
+    )
+    cols = np.clip(
+        np.arange(W)[None] + np.rint(rng.normal(0, sigma_px, (H, W))).astype(int),
+        0,
+        W - 1,
+    )
     seen = z[rows, cols]
-    disparity = FOCAL_BASELINE_PX_M / np.maximum(seen, 1e-3) + rng.normal(0, DISPARITY_SIGMA_PX, (H, W))
+    disparity = FOCAL_BASELINE_PX_M / np.maximum(seen, 1e-3) + rng.normal(
+        0, DISPARITY_SIGMA_PX, (H, W)
+    )
     disparity = np.maximum(np.rint(disparity / DISPARITY_STEP_PX), 1) * DISPARITY_STEP_PX
     measured = FOCAL_BASELINE_PX_M / disparity
     hole |= (seen <= 0) | (measured < RANGE_M[0]) | (measured > RANGE_M[1])
@@ -219,17 +286,28 @@ def kinect_depth(depth_m: Float[Tensor, "H W"], camera: Camera, *, rng: np.rando
     return torch.from_numpy(measured).to(depth_m.device, depth_m.dtype)
 
 
-def _holes(depth_m: Tensor, z: np.ndarray, camera: Camera, rng: np.random.Generator) -> np.ndarray:
+def _holes(
+    depth_m: Tensor,
+    z: np.ndarray,
+    camera: Camera,
+    rng: np.random.Generator,
+) -> np.ndarray:
     normal = depth_to_normals(camera, depth_m, max_jump=0.1)
     ray = rays(camera, pixel_grid(camera, device=depth_m.device, dtype=depth_m.dtype))
     cosine = -(normal * ray).sum(-1) / ray.norm(dim=-1)
     known = (normal.abs().sum(-1) > 0).cpu().numpy()
     chance = rng.uniform(size=z.shape)
     low, high = _GRAZING_COS
-    returned = np.clip((cosine.cpu().numpy() - low) / (high - low), 0, 1)
+    returned = np.clip(
+        (cosine.cpu().numpy() - low) / (high - low),
+        0,
+        1,
+    )
     hole = known & (chance > 0.02 + 0.98 * returned)
     edge = ~known
-    edge[[0, -1], :] = edge[:, [0, -1]] = False  # the image border has no normals either, but is not an edge
+    edge[[0, -1], :] = edge[:, [0, -1]] = (
+        False  # the image border has no normals either, but is not an edge
+    )
     hole |= edge & (chance < 0.45)
     hole |= rng.uniform(size=z.shape) < 0.002
     return hole | _projector_shadow(z, camera)
@@ -238,8 +316,8 @@ def _holes(depth_m: Tensor, z: np.ndarray, camera: Camera, rng: np.random.Genera
 def _projector_shadow(z: np.ndarray, camera: Camera) -> np.ndarray:
     """Points whose line to the projector is blocked by something to their right in the same row.
 
-    The projector sees column u at u - f b / z. It cannot see a point if a point further right is projected to the left
-    of it.
+    The projector sees column u at u - f b / z. It cannot see a point if a point further right is
+    projected to the left of it.
     """
     column = np.arange(z.shape[1])[None] - camera.fx * _BASELINE_M / np.maximum(z, 1e-3)
     leftmost = np.minimum.accumulate(column[:, ::-1], axis=1)[:, ::-1]

@@ -1,5 +1,5 @@
-"""Furniture and small objects: each function returns one piece as solids around the point it stands on, front towards
--y."""
+"""Furniture and small objects: each function returns one piece as solids around the point it stands
+on, front towards -y."""
 
 from functools import partial
 from itertools import product
@@ -20,38 +20,148 @@ def sofa() -> list[Solid]:
     cloth = drawn(0.003, draw.fabric, (0.33, 0.46, 0.50))
     rough = drawn(0.008, draw.fabric, (0.31, 0.43, 0.47))
     solids: list[Solid] = [
-        box((0, 0.02, 0.24), (1.86, 0.82, 0.24), rough, radius=0.03, hide="y+"),
-        box((0, 0.36, 0.55), (1.86, 0.2, 0.6), cloth, radius=0.06, hide="y+ z-"),
-        box((-0.86, -0.02, 0.4), (0.2, 0.88, 0.5), cloth, radius=0.06, special={"y+": rough}),
-        box((0.86, -0.02, 0.4), (0.2, 0.88, 0.5), cloth, radius=0.06, special={"y+": rough}),
+        box(
+            (0, 0.02, 0.24),
+            (1.86, 0.82, 0.24),
+            rough,
+            radius=0.03,
+            hide="y+",
+        ),
+        box(
+            (0, 0.36, 0.55),
+            (1.86, 0.2, 0.6),
+            cloth,
+            radius=0.06,
+            hide="y+ z-",
+        ),
+        box(
+            (-0.86, -0.02, 0.4),
+            (0.2, 0.88, 0.5),
+            cloth,
+            radius=0.06,
+            special={"y+": rough},
+        ),
+        box(
+            (0.86, -0.02, 0.4),
+            (0.2, 0.88, 0.5),
+            cloth,
+            radius=0.06,
+            special={"y+": rough},
+        ),
     ]
     for x in (-0.375, 0.375):
-        solids.append(box((x, -0.08, 0.42), (0.745, 0.7, 0.18), cloth, radius=0.05, hide="z-"))
-        solids.append(box((x, 0.21, 0.68), (0.73, 0.18, 0.42), cloth, radius=0.07, turn=(0, 0, -12), hide="z-"))
-    cream, mustard = (0.85, 0.82, 0.74), drawn(0.002, draw.fabric, (0.83, 0.62, 0.22), contrast=0.14)
-    bands = drawn(0.002, draw.stripes, [cream, (0.70, 0.28, 0.22), cream, (0.2, 0.25, 0.38)], 0.03)
-    word = drawn(0.0015, draw.lettered_cushion, "HOME", (0.88, 0.86, 0.8), (0.25, 0.22, 0.3))
+        solids.append(
+            box(
+                (x, -0.08, 0.42),
+                (0.745, 0.7, 0.18),
+                cloth,
+                radius=0.05,
+                hide="z-",
+            )
+        )
+        solids.append(
+            box(
+                (x, 0.21, 0.68),
+                (0.73, 0.18, 0.42),
+                cloth,
+                radius=0.07,
+                turn=(0, 0, -12),
+                hide="z-",
+            )
+        )
+    cream, mustard = (
+        (0.85, 0.82, 0.74),
+        drawn(0.002, draw.fabric, (0.83, 0.62, 0.22), contrast=0.14),
+    )
+    bands = drawn(
+        0.002,
+        draw.stripes,
+        [cream, (0.70, 0.28, 0.22), cream, (0.2, 0.25, 0.38)],
+        0.03,
+    )
+    word = drawn(
+        0.0015,
+        draw.lettered_cushion,
+        "HOME",
+        (0.88, 0.86, 0.8),
+        (0.25, 0.22, 0.3),
+    )
     for centre, size, paint, turn, special in (
         ((-0.58, 0.03, 0.70), (0.4, 0.12, 0.4), mustard, (14, 0, -24), {}),
         ((0.2, 0.04, 0.68), (0.42, 0.12, 0.34), bands, (-6, 0, -24), {}),
         ((0.6, 0.02, 0.70), (0.4, 0.12, 0.4), mustard, (-16, 0, -22), {"y-": word}),
     ):
-        solids.append(box(centre, size, paint, radius=0.055, turn=turn, special=special))
+        solids.append(
+            box(
+                centre,
+                size,
+                paint,
+                radius=0.055,
+                turn=turn,
+                special=special,
+            )
+        )
     leg, corners = plain(0.25, 0.17, 0.11), product((-0.84, 0.84), (-0.32, 0.34))
-    return [*solids, *(cone((x, y, 0), 0.13, (0.018, 0.028), leg, hide="bottom top") for x, y in corners)]
+    return [
+        *solids,
+        *(
+            cone(
+                (x, y, 0),
+                0.13,
+                (0.018, 0.028),
+                leg,
+                hide="bottom top",
+            )
+            for x, y in corners
+        ),
+    ]
 
 
-def table(width: float = 1.4, depth: float = 0.8, height: float = 0.74) -> list[Solid]:
+def table(
+    width: float = 1.4,
+    depth: float = 0.8,
+    height: float = 0.74,
+) -> list[Solid]:
     """A wooden table with tapered legs and an apron."""
     top, side = drawn(0.0025, draw.wood, _OAK), drawn(0.006, draw.wood, _OAK)
-    solids: list[Solid] = [box((0, 0, height - 0.018), (width, depth, 0.036), side, radius=0.006, special={"z+": top})]
+    solids: list[Solid] = [
+        box(
+            (0, 0, height - 0.018),
+            (width, depth, 0.036),
+            side,
+            radius=0.006,
+            special={"z+": top},
+        )
+    ]
     x, y = 0.5 * width - 0.07, 0.5 * depth - 0.07
     for i, j in product((-1, 1), repeat=2):
-        solids.append(cone((i * x, j * y, 0), height - 0.036, (0.02, 0.034), side, hide="bottom top"))
+        solids.append(
+            cone(
+                (i * x, j * y, 0),
+                height - 0.036,
+                (0.02, 0.034),
+                side,
+                hide="bottom top",
+            )
+        )
     z, h = height - 0.036 - 0.04, 0.08
     for s in (-1, 1):
-        solids.append(box((0, s * y, z), (2 * x, 0.022, h), side, hide="x- x+ z+"))
-        solids.append(box((s * x, 0, z), (0.022, 2 * y, h), side, hide="y- y+ z+"))
+        solids.append(
+            box(
+                (0, s * y, z),
+                (2 * x, 0.022, h),
+                side,
+                hide="x- x+ z+",
+            )
+        )
+        solids.append(
+            box(
+                (s * x, 0, z),
+                (0.022, 2 * y, h),
+                side,
+                hide="y- y+ z+",
+            )
+        )
     return solids
 
 
@@ -61,46 +171,159 @@ def chair(seat: Colour) -> list[Solid]:
     pad = drawn(0.0025, draw.fabric, seat, contrast=0.15)
     solids: list[Solid] = [
         box((0, 0, 0.43), (0.42, 0.42, 0.03), slat),
-        box((0, -0.01, 0.46), (0.39, 0.38, 0.045), pad, radius=0.02, hide="z-"),
+        box(
+            (0, -0.01, 0.46),
+            (0.39, 0.38, 0.045),
+            pad,
+            radius=0.02,
+            hide="z-",
+        ),
     ]
     for x in (-0.18, 0.18):
-        solids.append(cone((x, -0.18, 0), 0.42, (0.014, 0.02), frame, hide="bottom top"))
-        solids.append(rod((x, 0.21, 0), (x, 0.18, 0.45), 0.018, frame, hide="bottom"))
-        solids.append(rod((x, 0.18, 0.43), (x, 0.25, 0.9), 0.017, frame))
+        solids.append(
+            cone(
+                (x, -0.18, 0),
+                0.42,
+                (0.014, 0.02),
+                frame,
+                hide="bottom top",
+            )
+        )
+        solids.append(
+            rod(
+                (x, 0.21, 0),
+                (x, 0.18, 0.45),
+                0.018,
+                frame,
+                hide="bottom",
+            )
+        )
+        solids.append(
+            rod(
+                (x, 0.18, 0.43),
+                (x, 0.25, 0.9),
+                0.017,
+                frame,
+            )
+        )
     for z, y in ((0.84, 0.24), (0.70, 0.22), (0.58, 0.20)):
-        solids.append(box((0, y, z), (0.35, 0.018, 0.07), slat, turn=(0, 0, -8)))
+        solids.append(
+            box(
+                (0, y, z),
+                (0.35, 0.018, 0.07),
+                slat,
+                turn=(0, 0, -8),
+            )
+        )
     return solids
 
 
 _TITLES = [
-    "OCTREES", "LINEAR ALGEBRA", "OPTICS", "FIELD NOTES", "GEOMETRY", "RAYS", "KALMAN", "BIRDS", "JAZZ", "SPLINES",
-    "COOKING", "ATLAS", "RUST", "NORDIC SEA", "CHESS", "TRAVELS", "POEMS", "VOXELS", "GARDENS", "DESIGN", "PRIMES",
-    "MAPS", "THE HOUSE", "BRIDGES", "LIGHT", "SIGNALS", "NIGHT TRAIN", "ESSAYS", "GAUSS", "STATISTICS", "MOUNTAINS",
-]  # fmt: skip
+    "OCTREES",
+    "LINEAR ALGEBRA",
+    "OPTICS",
+    "FIELD NOTES",
+    "GEOMETRY",
+    "RAYS",
+    "KALMAN",
+    "BIRDS",
+    "JAZZ",
+    "SPLINES",
+    "COOKING",
+    "ATLAS",
+    "RUST",
+    "NORDIC SEA",
+    "CHESS",
+    "TRAVELS",
+    "POEMS",
+    "VOXELS",
+    "GARDENS",
+    "DESIGN",
+    "PRIMES",
+    "MAPS",
+    "THE HOUSE",
+    "BRIDGES",
+    "LIGHT",
+    "SIGNALS",
+    "NIGHT TRAIN",
+    "ESSAYS",
+    "GAUSS",
+    "STATISTICS",
+    "MOUNTAINS",
+]
 _CLOTHS = [
-    (0.55, 0.14, 0.14), (0.13, 0.25, 0.42), (0.16, 0.36, 0.26), (0.80, 0.68, 0.42), (0.22, 0.22, 0.25),
-    (0.74, 0.42, 0.18), (0.86, 0.84, 0.78), (0.42, 0.20, 0.36), (0.24, 0.48, 0.56), (0.62, 0.60, 0.28),
-    (0.88, 0.72, 0.20), (0.35, 0.27, 0.20),
-]  # fmt: skip
+    (0.55, 0.14, 0.14),
+    (0.13, 0.25, 0.42),
+    (0.16, 0.36, 0.26),
+    (0.80, 0.68, 0.42),
+    (0.22, 0.22, 0.25),
+    (0.74, 0.42, 0.18),
+    (0.86, 0.84, 0.78),
+    (0.42, 0.20, 0.36),
+    (0.24, 0.48, 0.56),
+    (0.62, 0.60, 0.28),
+    (0.88, 0.72, 0.20),
+    (0.35, 0.27, 0.20),
+]
 
 
-def _book(centre: Vector, size: Vector, rng: np.random.Generator, lean_deg: float = 0.0) -> Solid:
+def _book(
+    centre: Vector,
+    size: Vector,
+    rng: np.random.Generator,
+    lean_deg: float = 0.0,
+) -> Solid:
     colour = _CLOTHS[rng.integers(len(_CLOTHS))]
     ink = (0.95, 0.9, 0.75) if sum(colour) < 1.6 else (0.15, 0.12, 0.12)
-    back = drawn(0.0014, draw.spine, _TITLES[rng.integers(len(_TITLES))], colour, ink)
-    paper = drawn(0.004, draw.stripes, [(0.93, 0.91, 0.84), (0.83, 0.81, 0.74)], 0.002)
+    back = drawn(
+        0.0014,
+        draw.spine,
+        _TITLES[rng.integers(len(_TITLES))],
+        colour,
+        ink,
+    )
+    paper = drawn(
+        0.004,
+        draw.stripes,
+        [(0.93, 0.91, 0.84), (0.83, 0.81, 0.74)],
+        0.002,
+    )
     faces = {"y-": back, "z+": paper}
-    return box(centre, size, plain(*colour), turn=(0, -lean_deg, 0), hide="z- y+", special=faces)
+    return box(
+        centre,
+        size,
+        plain(*colour),
+        turn=(0, -lean_deg, 0),
+        hide="z- y+",
+        special=faces,
+    )
 
 
-def _book_row(x0: float, x1: float, z: float, depth: float, tall: float, rng: np.random.Generator) -> list[Solid]:
+def _book_row(
+    x0: float,
+    x1: float,
+    z: float,
+    depth: float,
+    tall: float,
+    rng: np.random.Generator,
+) -> list[Solid]:
     """Upright books from x0 towards x1 on a board at height z; the last one may lean."""
     books, x = [], x0
     while True:
-        thick, high, deep = rng.uniform(0.02, 0.05), rng.uniform(0.68, 0.95) * tall, rng.uniform(0.62, 0.85) * depth
+        thick, high, deep = (
+            rng.uniform(0.02, 0.05),
+            rng.uniform(0.68, 0.95) * tall,
+            rng.uniform(0.62, 0.85) * depth,
+        )
         if x + thick > x1:
             return books
-        books.append(_book((x + thick / 2, -0.5 * depth + 0.02 + deep / 2, z + high / 2), (thick, deep, high), rng))
+        books.append(
+            _book(
+                (x + thick / 2, -0.5 * depth + 0.02 + deep / 2, z + high / 2),
+                (thick, deep, high),
+                rng,
+            )
+        )
         x += thick + rng.uniform(0.0005, 0.002)
         if x1 - x > 0.12 and rng.uniform() < 0.09:
             lean, thick, high = 14.0, 0.03, 0.7 * tall
@@ -110,20 +333,49 @@ def _book_row(x0: float, x1: float, z: float, depth: float, tall: float, rng: np
             x += high * s + thick * c + 0.006
 
 
-def bookshelf(rng: np.random.Generator, width: float = 1.6, height: float = 2.0, depth: float = 0.28) -> list[Solid]:
+def bookshelf(
+    rng: np.random.Generator,
+    width: float = 1.6,
+    height: float = 2.0,
+    depth: float = 0.28,
+) -> list[Solid]:
     """Two columns of five cells with books and a few other objects."""
     board, upright = drawn(0.005, draw.wood, _OAK), drawn(0.005, draw.wood, _OAK, "v")
     back, b = drawn(0.008, draw.wood, (0.66, 0.49, 0.32), "v"), 0.022
     solids: list[Solid] = [
-        box((0, depth / 2 - 0.006, height / 2), (width, 0.012, height), back, hide="y+ x- x+ z- z+"),
-        box((0, 0, height - b / 2), (width, depth, b), board, hide="y+"),
+        box(
+            (0, depth / 2 - 0.006, height / 2),
+            (width, 0.012, height),
+            back,
+            hide="y+ x- x+ z- z+",
+        ),
+        box(
+            (0, 0, height - b / 2),
+            (width, depth, b),
+            board,
+            hide="y+",
+        ),
     ]
     for x in (-(width - b) / 2, 0.0, (width - b) / 2):
-        solids.append(box((x, 0, (height - b) / 2), (b, depth, height - b), upright, hide="y+ z- z+"))
+        solids.append(
+            box(
+                (x, 0, (height - b) / 2),
+                (b, depth, height - b),
+                upright,
+                hide="y+ z- z+",
+            )
+        )
     cell = (height - b - 0.06) / 5
     for row, (col, x0) in product(range(5), enumerate((-width / 2 + b, b / 2))):
         x1, z = x0 + width / 2 - 1.5 * b, 0.06 + row * cell
-        solids.append(box(((x0 + x1) / 2, 0, z - b / 2), (x1 - x0, depth, b), board, hide="y+ x- x+"))
+        solids.append(
+            box(
+                ((x0 + x1) / 2, 0, z - b / 2),
+                (x1 - x0, depth, b),
+                board,
+                hide="y+ x- x+",
+            )
+        )
         first, last, before, after = x0 + 0.004, x1, [], []
         if (col, row) == (0, 3):
             first, before = x0 + 0.34, _vase(x0 + 0.16, z)
@@ -138,26 +390,77 @@ def bookshelf(rng: np.random.Generator, width: float = 1.6, height: float = 2.0,
 
 
 def _vase(x: float, z: float) -> list[Solid]:
-    glaze = drawn(0.003, draw.speckled, (0.30, 0.48, 0.62), (0.85, 0.88, 0.9), 0.006)
+    glaze = drawn(
+        0.003,
+        draw.speckled,
+        (0.30, 0.48, 0.62),
+        (0.85, 0.88, 0.9),
+        0.006,
+    )
     return [
-        cone((x, 0, z), 0.1, (0.045, 0.085), glaze, hide="bottom top"),
-        cone((x, 0, z + 0.1), 0.12, (0.085, 0.03), glaze, hide="bottom"),
+        cone(
+            (x, 0, z),
+            0.1,
+            (0.045, 0.085),
+            glaze,
+            hide="bottom top",
+        ),
+        cone(
+            (x, 0, z + 0.1),
+            0.12,
+            (0.085, 0.03),
+            glaze,
+            hide="bottom",
+        ),
     ]
 
 
 def _photo(centre: Vector) -> Solid:
     dark = (0.15, 0.13, 0.12)
-    photo = drawn(0.0015, draw.framed, partial(draw.landscape, sunset=True), dark, 0.015, 0.015)
-    return box(centre, (0.3, 0.02, 0.23), plain(*dark), turn=(0, 0, -10), special={"y-": photo})
+    photo = drawn(
+        0.0015,
+        draw.framed,
+        partial(draw.landscape, sunset=True),
+        dark,
+        0.015,
+        0.015,
+    )
+    return box(
+        centre,
+        (0.3, 0.02, 0.23),
+        plain(*dark),
+        turn=(0, 0, -10),
+        special={"y-": photo},
+    )
 
 
 def _crate(x: float, z: float) -> list[Solid]:
-    weave = drawn(0.003, draw.stripes, [(0.74, 0.6, 0.4), (0.6, 0.46, 0.28)], 0.015, "v")
-    words, colours = ["tape", "string", "bulbs"], ((0.93, 0.9, 0.82), (0.2, 0.2, 0.2), (0.6, 0.2, 0.15))
+    weave = drawn(
+        0.003,
+        draw.stripes,
+        [(0.74, 0.6, 0.4), (0.6, 0.46, 0.28)],
+        0.015,
+        "v",
+    )
+    words, colours = (
+        ["tape", "string", "bulbs"],
+        ((0.93, 0.9, 0.82), (0.2, 0.2, 0.2), (0.6, 0.2, 0.15)),
+    )
     label, white = drawn(0.0015, draw.text_poster, "TOOLS", words, *colours), plain(0.9, 0.9, 0.85)
     return [
-        box((x, 0.01, z + 0.1), (0.34, 0.22, 0.2), weave, hide="z-"),
-        box((x, -0.102, z + 0.11), (0.12, 0.004, 0.1), white, hide="y+", special={"y-": label}),
+        box(
+            (x, 0.01, z + 0.1),
+            (0.34, 0.22, 0.2),
+            weave,
+            hide="z-",
+        ),
+        box(
+            (x, -0.102, z + 0.11),
+            (0.12, 0.004, 0.1),
+            white,
+            hide="y+",
+            special={"y-": label},
+        ),
     ]
 
 
@@ -165,9 +468,27 @@ def floor_lamp() -> list[Solid]:
     """A shade on a thin pole, 1.6 m high."""
     metal = plain(0.16, 0.15, 0.15)
     return [
-        cone((0, 0, 0), 0.025, (0.14, 0.13), metal, hide="bottom"),
-        cone((0, 0, 0.025), 1.32, (0.011, 0.011), metal, hide="bottom top"),
-        cone((0, 0, 1.34), 0.26, (0.19, 0.13), plain(1.0, 0.88, 0.68, glow=0.97), occludes=False),
+        cone(
+            (0, 0, 0),
+            0.025,
+            (0.14, 0.13),
+            metal,
+            hide="bottom",
+        ),
+        cone(
+            (0, 0, 0.025),
+            1.32,
+            (0.011, 0.011),
+            metal,
+            hide="bottom top",
+        ),
+        cone(
+            (0, 0, 1.34),
+            0.26,
+            (0.19, 0.13),
+            plain(1.0, 0.88, 0.68, glow=0.97),
+            occludes=False,
+        ),
     ]
 
 
@@ -175,32 +496,85 @@ def pendant(length: float = 0.62) -> list[Solid]:
     """A lamp that hangs from its origin on the ceiling."""
     metal, inside, z = plain(0.82, 0.45, 0.25), plain(1.0, 0.95, 0.85, glow=1.0), -length
     return [
-        cone((0, 0, -0.025), 0.025, (0.05, 0.05), WHITE, hide="top"),
-        cone((0, 0, z + 0.16), length - 0.18, (0.004, 0.004), plain(0.1, 0.1, 0.1), hide="bottom top"),
-        cone((0, 0, z), 0.16, (0.17, 0.035), metal, special={"bottom": inside}, occludes=False),
+        cone(
+            (0, 0, -0.025),
+            0.025,
+            (0.05, 0.05),
+            WHITE,
+            hide="top",
+        ),
+        cone(
+            (0, 0, z + 0.16),
+            length - 0.18,
+            (0.004, 0.004),
+            plain(0.1, 0.1, 0.1),
+            hide="bottom top",
+        ),
+        cone(
+            (0, 0, z),
+            0.16,
+            (0.17, 0.035),
+            metal,
+            special={"bottom": inside},
+            occludes=False,
+        ),
         ball((0, 0, z), 0.05, inside, occludes=False),
     ]
 
 
 def plant(rng: np.random.Generator, leaves: int = 26) -> list[Solid]:
     """A potted plant: leaves on stems that lean outwards."""
-    clay = drawn(0.005, draw.speckled, (0.72, 0.42, 0.29), (0.62, 0.34, 0.23), 0.02, 0.3)
+    clay = drawn(
+        0.005,
+        draw.speckled,
+        (0.72, 0.42, 0.29),
+        (0.62, 0.34, 0.23),
+        0.02,
+        0.3,
+    )
     solids: list[Solid] = [
-        cone((0, 0, 0), 0.28, (0.12, 0.17), clay, hide="bottom", special={"top": SOIL}),
-        cone((0, 0, 0.25), 0.04, (0.18, 0.185), clay, special={"top": SOIL}),
+        cone(
+            (0, 0, 0),
+            0.28,
+            (0.12, 0.17),
+            clay,
+            hide="bottom",
+            special={"top": SOIL},
+        ),
+        cone(
+            (0, 0, 0.25),
+            0.04,
+            (0.18, 0.185),
+            clay,
+            special={"top": SOIL},
+        ),
     ]
     stem = plain(0.33, 0.45, 0.2)
     for k in range(leaves):
-        turn, z = 137.5 * k + rng.uniform(-15, 15), 0.36 + 0.82 * k / leaves + rng.uniform(-0.04, 0.04)
+        turn, z = (
+            137.5 * k + rng.uniform(-15, 15),
+            0.36 + 0.82 * k / leaves + rng.uniform(-0.04, 0.04),
+        )
         reach, drop = 0.2 - 0.12 * k / leaves + rng.uniform(0, 0.05), rng.uniform(-25, 35)
         c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
         foot, tip = (0.02 * c, 0.02 * s, 0.28), (reach * c, reach * s, z)
         half, p = rng.uniform(0.085, 0.13), np.radians(drop)
-        centre = (tip[0] + half * c * np.cos(p), tip[1] + half * s * np.cos(p), tip[2] - half * np.sin(p))
+        centre = (
+            tip[0] + half * c * np.cos(p),
+            tip[1] + half * s * np.cos(p),
+            tip[2] - half * np.sin(p),
+        )
         tone = rng.uniform(0.8, 1.15)
         green = drawn(0.004, draw.leaf, (0.22 * tone, 0.46 * tone, 0.18 * tone))
         solids.append(rod(foot, tip, 0.004, stem, hide="bottom top"))
-        solids.append(ball(centre, (half, 0.4 * half, 0.006), green, turn=(turn, drop, rng.uniform(-20, 20))))
+        solids.append(
+            ball(
+                centre,
+                (half, 0.4 * half, 0.006),
+                green,
+                turn=(turn, drop, rng.uniform(-20, 20)),
+            )
+        )
     return solids
 
 
@@ -210,7 +584,12 @@ def curtain(width: float, height: float, colour: Colour) -> list[Solid]:
     n = round(width / 0.062)
     radii = [0.036 if k % 2 == 0 else 0.028 for k in range(n)]
     return [
-        cone(((k + 0.5) * width / n - width / 2, 0.012 * (-1) ** k, 0), height, (r, 0.9 * r), cloth)
+        cone(
+            ((k + 0.5) * width / n - width / 2, 0.012 * (-1) ** k, 0),
+            height,
+            (r, 0.9 * r),
+            cloth,
+        )
         for k, r in enumerate(radii)
     ]
 
@@ -219,23 +598,64 @@ def coffee_table() -> list[Solid]:
     """A low round table on three splayed legs."""
     top, side = drawn(0.0025, draw.wood, _WALNUT), drawn(0.006, draw.wood, _WALNUT)
     leg, solids = drawn(0.006, draw.wood, _WALNUT, "v"), []
-    solids.append(cone((0, 0, 0.38), 0.035, (0.36, 0.37), side, special={"top": top}))
+    solids.append(
+        cone(
+            (0, 0, 0.38),
+            0.035,
+            (0.36, 0.37),
+            side,
+            special={"top": top},
+        )
+    )
     for a in (90, 210, 330):
         c, s = np.cos(np.radians(a)), np.sin(np.radians(a))
-        solids.append(rod((0.3 * c, 0.3 * s, 0), (0.22 * c, 0.22 * s, 0.38), 0.018, leg, hide="bottom top"))
+        solids.append(
+            rod(
+                (0.3 * c, 0.3 * s, 0),
+                (0.22 * c, 0.22 * s, 0.38),
+                0.018,
+                leg,
+                hide="bottom top",
+            )
+        )
     return solids
 
 
 def radiator(width: float = 1.2) -> list[Solid]:
     """A ribbed radiator."""
     n = round(width / 0.06)
-    ribs = [cone(((k + 0.5) * width / n - width / 2, 0, 0.14), 0.56, (0.025, 0.025), WHITE) for k in range(n)]
-    return [*ribs, *(box((0, 0.01, z), (width, 0.04, 0.05), WHITE, hide="x- x+") for z in (0.2, 0.64))]
+    ribs = [
+        cone(
+            ((k + 0.5) * width / n - width / 2, 0, 0.14),
+            0.56,
+            (0.025, 0.025),
+            WHITE,
+        )
+        for k in range(n)
+    ]
+    return [
+        *ribs,
+        *(box((0, 0.01, z), (width, 0.04, 0.05), WHITE, hide="x- x+") for z in (0.2, 0.64)),
+    ]
 
 
-def picture(width: float, height: float, paint: Paint, depth: float = 0.025, edge=(0.2, 0.17, 0.15)) -> list[Solid]:
+def picture(
+    width: float,
+    height: float,
+    paint: Paint,
+    depth: float = 0.025,
+    edge=(0.2, 0.17, 0.15),
+) -> list[Solid]:
     """A flat picture whose back touches the wall at its origin."""
-    return [box((0, -depth / 2, 0), (width, depth, height), plain(*edge), hide="y+", special={"y-": paint})]
+    return [
+        box(
+            (0, -depth / 2, 0),
+            (width, depth, height),
+            plain(*edge),
+            hide="y+",
+            special={"y-": paint},
+        )
+    ]
 
 
 def mug(text: str, colour: Colour, ink: Colour) -> list[Solid]:
@@ -243,7 +663,14 @@ def mug(text: str, colour: Colour, ink: Colour) -> list[Solid]:
     print_ = drawn(0.0012, draw.mug, text, colour, ink)
     glaze, coffee = plain(*colour, texel_m=0.008), plain(0.16, 0.09, 0.05, texel_m=0.008)
     return [
-        cone((0, 0, 0), 0.095, (0.038, 0.041), print_, hide="bottom", special={"top": coffee}),
+        cone(
+            (0, 0, 0),
+            0.095,
+            (0.038, 0.041),
+            print_,
+            hide="bottom",
+            special={"top": coffee},
+        ),
         rod((0.035, 0, 0.075), (0.07, 0, 0.072), 0.006, glaze),
         rod((0.07, 0, 0.078), (0.068, 0, 0.024), 0.006, glaze),
         rod((0.035, 0, 0.02), (0.07, 0, 0.028), 0.006, glaze),
@@ -252,21 +679,68 @@ def mug(text: str, colour: Colour, ink: Colour) -> list[Solid]:
 
 def fruit_bowl(rng: np.random.Generator) -> list[Solid]:
     """A wide bowl filled with oranges and apples."""
-    glaze = drawn(0.003, draw.speckled, (0.90, 0.88, 0.82), (0.45, 0.4, 0.38), 0.005, 0.08)
+    glaze = drawn(
+        0.003,
+        draw.speckled,
+        (0.90, 0.88, 0.82),
+        (0.45, 0.4, 0.38),
+        0.005,
+        0.08,
+    )
     solids: list[Solid] = [
-        cone((0, 0, 0), 0.015, (0.06, 0.06), glaze, hide="bottom top"),
-        cone((0, 0, 0.012), 0.075, (0.065, 0.15), glaze, hide="bottom"),
+        cone(
+            (0, 0, 0),
+            0.015,
+            (0.06, 0.06),
+            glaze,
+            hide="bottom top",
+        ),
+        cone(
+            (0, 0, 0.012),
+            0.075,
+            (0.065, 0.15),
+            glaze,
+            hide="bottom",
+        ),
     ]
     skins = [
-        drawn(0.002, draw.speckled, (0.95, 0.55, 0.12), (0.85, 0.43, 0.08), 0.003, 0.2),
-        drawn(0.002, draw.speckled, (0.72, 0.13, 0.12), (0.86, 0.55, 0.25), 0.012, 0.15),
-        drawn(0.002, draw.speckled, (0.62, 0.72, 0.22), (0.72, 0.78, 0.4), 0.006, 0.15),
+        drawn(
+            0.002,
+            draw.speckled,
+            (0.95, 0.55, 0.12),
+            (0.85, 0.43, 0.08),
+            0.003,
+            0.2,
+        ),
+        drawn(
+            0.002,
+            draw.speckled,
+            (0.72, 0.13, 0.12),
+            (0.86, 0.55, 0.25),
+            0.012,
+            0.15,
+        ),
+        drawn(
+            0.002,
+            draw.speckled,
+            (0.62, 0.72, 0.22),
+            (0.72, 0.78, 0.4),
+            0.006,
+            0.15,
+        ),
     ]
     for k in range(6):
         a = 2 * np.pi * k / 5
         at = (0.082 * np.cos(a), 0.082 * np.sin(a), 0.105) if k < 5 else (0.0, 0.0, 0.15)
         size = rng.uniform(0.036, 0.042)
-        solids.append(ball(at, (size, size, 0.93 * size), skins[k % 3], turn=(0, rng.uniform(-20, 20), 0)))
+        solids.append(
+            ball(
+                at,
+                (size, size, 0.93 * size),
+                skins[k % 3],
+                turn=(0, rng.uniform(-20, 20), 0),
+            )
+        )
     return solids
 
 
@@ -275,9 +749,26 @@ def globe() -> list[Solid]:
     metal, tilt = plain(0.55, 0.42, 0.2, texel_m=0.01), np.radians(23)
     axis, centre = np.array([np.sin(tilt), 0, np.cos(tilt)]) * 0.155, np.array([0, 0, 0.235])
     return [
-        cone((0, 0, 0), 0.02, (0.085, 0.07), metal, hide="bottom"),
-        cone((0, 0, 0.02), 0.08, (0.012, 0.012), metal, hide="bottom top"),
-        ball(centre, 0.14, drawn(0.002, draw.globe), turn=(0, 23, 0)),
+        cone(
+            (0, 0, 0),
+            0.02,
+            (0.085, 0.07),
+            metal,
+            hide="bottom",
+        ),
+        cone(
+            (0, 0, 0.02),
+            0.08,
+            (0.012, 0.012),
+            metal,
+            hide="bottom top",
+        ),
+        ball(
+            centre,
+            0.14,
+            drawn(0.002, draw.globe),
+            turn=(0, 23, 0),
+        ),
         rod(centre - axis, centre + axis, 0.006, metal),
     ]
 
@@ -285,7 +776,13 @@ def globe() -> list[Solid]:
 def book_stack(rng: np.random.Generator) -> list[Solid]:
     """A stack of four books, each rotated a little; the cover of the top one is visible."""
     light, dark = (0.95, 0.92, 0.82), (0.2, 0.15, 0.1)
-    pages = drawn(0.002, draw.stripes, [(0.93, 0.91, 0.84), (0.82, 0.8, 0.73)], 0.003, "v")
+    pages = drawn(
+        0.002,
+        draw.stripes,
+        [(0.93, 0.91, 0.84), (0.82, 0.8, 0.73)],
+        0.003,
+        "v",
+    )
     books = (
         ("ATLAS", (0.14, 0.27, 0.44), light),
         ("OPTICS", (0.56, 0.16, 0.14), light),
@@ -295,9 +792,23 @@ def book_stack(rng: np.random.Generator) -> list[Solid]:
     solids, z = [], 0.0
     for k, book in enumerate(books):
         thick, front = rng.uniform(0.022, 0.04), drawn(0.0015, draw.cover, *book)
-        faces = {"y-": drawn(0.0015, draw.lying_spine, *book), "x+": pages, "x-": pages, "y+": pages}
+        faces = {
+            "y-": drawn(0.0015, draw.lying_spine, *book),
+            "x+": pages,
+            "x-": pages,
+            "y+": pages,
+        }
         size, turn = (0.24 - 0.015 * k, 0.17 - 0.01 * k, thick), (rng.uniform(-14, 14), 0, 0)
-        solids.append(box((0, 0, z + thick / 2), size, front, turn=turn, hide="z-", special=faces))
+        solids.append(
+            box(
+                (0, 0, z + thick / 2),
+                size,
+                front,
+                turn=turn,
+                hide="z-",
+                special=faces,
+            )
+        )
         z += thick
     return solids
 
@@ -307,7 +818,15 @@ def open_book() -> list[Solid]:
     solids, size, paper = [], (0.166, 0.23, 0.016), plain(0.9, 0.88, 0.8)
     for side, heading in ((-1, "CHAPTER 3"), (1, "EQUATION 9")):
         page = {"z+": drawn(0.0012, draw.print_page, heading)}
-        solids.append(box((side * 0.082, 0, 0.012), size, paper, turn=(0, side * 2.5, 0), special=page))
+        solids.append(
+            box(
+                (side * 0.082, 0, 0.012),
+                size,
+                paper,
+                turn=(0, side * 2.5, 0),
+                special=page,
+            )
+        )
     return solids
 
 
@@ -316,15 +835,35 @@ def laptop() -> list[Solid]:
     shell = plain(0.62, 0.63, 0.66)
     keys, display = drawn(0.0015, draw.keyboard), drawn(0.0012, draw.screen)
     return [
-        box((0, 0, 0.009), (0.34, 0.24, 0.018), shell, hide="z-", special={"z+": keys}),
-        box((0, 0.155, 0.125), (0.34, 0.01, 0.23), shell, turn=(0, 0, -15), special={"y-": display}),
+        box(
+            (0, 0, 0.009),
+            (0.34, 0.24, 0.018),
+            shell,
+            hide="z-",
+            special={"z+": keys},
+        ),
+        box(
+            (0, 0.155, 0.125),
+            (0.34, 0.01, 0.23),
+            shell,
+            turn=(0, 0, -15),
+            special={"y-": display},
+        ),
     ]
 
 
 def carton(size: tuple[float, float, float], text: str) -> list[Solid]:
     """A cardboard box."""
     side, lid = drawn(0.002, draw.cardboard, text), drawn(0.003, draw.cardboard, "")
-    return [box((0, 0, size[2] / 2), size, side, hide="z-", special={"z+": lid})]
+    return [
+        box(
+            (0, 0, size[2] / 2),
+            size,
+            side,
+            hide="z-",
+            special={"z+": lid},
+        )
+    ]
 
 
 def toy_blocks() -> list[Solid]:
@@ -336,7 +875,15 @@ def toy_blocks() -> list[Solid]:
         ("C", 0.0, 0.005, 0.07, 5, (0.85, 0.65, 0.15)),
     ):
         face, hidden = drawn(0.0015, draw.letter, letter, colour), "z-" if z == 0 else ""
-        solids.append(box((x, y, z + 0.035), size, face, turn=(turn, 0, 0), hide=hidden))
+        solids.append(
+            box(
+                (x, y, z + 0.035),
+                size,
+                face,
+                turn=(turn, 0, 0),
+                hide=hidden,
+            )
+        )
     return solids
 
 
@@ -344,4 +891,11 @@ def beach_ball(radius: float = 0.15) -> list[Solid]:
     """A ball with coloured gores."""
     white = (0.95, 0.95, 0.92)
     gores = [(0.85, 0.2, 0.18), white, (0.15, 0.45, 0.75), white, (0.95, 0.75, 0.15), white]
-    return [ball((0, 0, radius), radius, drawn(0.003, draw.ball, gores), turn=(30, 35, 20))]
+    return [
+        ball(
+            (0, 0, radius),
+            radius,
+            drawn(0.003, draw.ball, gores),
+            turn=(30, 35, 20),
+        )
+    ]

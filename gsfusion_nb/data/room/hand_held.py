@@ -17,11 +17,14 @@ from .sequence import RoomSequence
 
 
 def write_rgb(path: Path, rgb: np.ndarray) -> None:
-    """Write an RGB image, uint8 [H, W, 3], as ``.jpg`` (quality 97, colour at full resolution) or ``.png``."""
+    """Write an RGB image, uint8 [H, W, 3], as ``.jpg`` (quality 97, colour at full resolution) or
+    ``.png``."""
     path.parent.mkdir(parents=True, exist_ok=True)
     jpeg = path.suffix.lower() == ".jpg"
     whole_colour = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    options = [cv2.IMWRITE_JPEG_QUALITY, 97, *whole_colour] if jpeg else [cv2.IMWRITE_PNG_COMPRESSION, 3]
+    options = (
+        [cv2.IMWRITE_JPEG_QUALITY, 97, *whole_colour] if jpeg else [cv2.IMWRITE_PNG_COMPRESSION, 3]
+    )
     path.write_bytes(cv2.imencode(".jpg" if jpeg else ".png", rgb[..., ::-1], options)[1].tobytes())
 
 
@@ -40,7 +43,8 @@ POSES_PER_IMAGE = 4
 
 @dataclass(frozen=True, kw_only=True)
 class HandHeld:
-    """A short hand-held recording of the room, and what is wrong with it. The usual values have every mistake."""
+    """A short hand-held recording of the room, and what is wrong with it. The usual values have
+    every mistake."""
 
     n_images: int = 40
     width: int = 160
@@ -54,7 +58,8 @@ class HandHeld:
     depth_units: float = 1000.0
     """Stored value of one metre. The TUM layout means 5000."""
     pose_delay_s: float = 0.15
-    """The clock of the poses is this late: an image belongs to the pose with a time stamp that is later by this."""
+    """The clock of the poses is this late: an image belongs to the pose with a time stamp that is
+    later by this."""
     colour_shift_px: tuple[float, float] = (5.0, -3.0)
     """Colour is not registered to depth: its content lies this far to the right and down."""
     dark_after: float = 0.7
@@ -66,9 +71,16 @@ class HandHeld:
 
     @property
     def sequence(self) -> RoomSequence:
-        """The room without the mistakes, seen at the time of every pose; image k is frame ``POSES_PER_IMAGE * k``."""
+        """The room without the mistakes, seen at the time of every pose; image k is frame
+        ``POSES_PER_IMAGE * k``."""
         n = POSES_PER_IMAGE * self.images_per_walk
-        return RoomSequence(n_frames=n, width=self.width, height=self.height, noise=self.noise, seed=self.seed)
+        return RoomSequence(
+            n_frames=n,
+            width=self.width,
+            height=self.height,
+            noise=self.noise,
+            seed=self.seed,
+        )
 
     @property
     def camera(self) -> Camera:
@@ -88,7 +100,9 @@ def write_hand_held(folder: str | Path, recording: HandHeld | None = None) -> Pa
     """
     made, root = recording or HandHeld(), Path(folder)
     if not 2 <= made.n_images <= made.images_per_walk:
-        raise ValueError(f"n_images must be between 2 and {made.images_per_walk}, got {made.n_images}")
+        raise ValueError(
+            f"n_images must be between 2 and {made.images_per_walk}, got {made.n_images}"
+        )
     root.mkdir(parents=True)
     sequence = made.sequence
     lists: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
@@ -101,7 +115,9 @@ def write_hand_held(folder: str | Path, recording: HandHeld | None = None) -> Pa
         lists["depth"].append(f"{time_s} depth/{time_s}.png")
     lists["groundtruth"] = _pose_lines(sequence, made)
     for name, lines in lists.items():
-        (root / f"{name}.txt").write_text("\n".join(["# a hand-held recording", *lines, ""]), encoding="utf-8")
+        (root / f"{name}.txt").write_text(
+            "\n".join(["# a hand-held recording", *lines, ""]), encoding="utf-8"
+        )
     return root
 
 
@@ -127,4 +143,9 @@ def _photographed(rgb: np.ndarray, k: int, made: HandHeld) -> np.ndarray:
         linear = (image / 255.0) ** 2.2 * 2.0**-made.dark_stops
         image = np.rint(linear ** (1 / 2.2) * 255).astype(np.uint8)
     move = np.array([[1.0, 0.0, made.colour_shift_px[0]], [0.0, 1.0, made.colour_shift_px[1]]])
-    return cv2.warpAffine(image, move, (made.width, made.height), borderMode=cv2.BORDER_REPLICATE)
+    return cv2.warpAffine(
+        image,
+        move,
+        (made.width, made.height),
+        borderMode=cv2.BORDER_REPLICATE,
+    )

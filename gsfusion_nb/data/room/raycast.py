@@ -1,12 +1,13 @@
-"""Exact first hits of a pinhole camera's rays on the room's surface pieces: flat ones (rectangles, discs) as arrays,
-curved ones (cones, ellipsoids) one by one.
+"""Exact first hits of a pinhole camera's rays on the room's surface pieces: flat ones (rectangles,
+discs) as arrays, curved ones (cones, ellipsoids) one by one.
 
-A ray is t r with r = (x, y, 1) in the camera frame, so t is z-depth. It meets the plane n.P = k at inverse depth
-w = 1 / t = (n.r) / k, and the four edges of a rectangle on it are linear in r too: each row of pixels meets a rectangle
-in one closed-form interval. Curved patches are solved as quadratics in float64. The larger w is nearer.
+A ray is t r with r = (x, y, 1) in the camera frame, so t is z-depth. It meets the plane n.P = k at
+inverse depth w = 1 / t = (n.r) / k, and the four edges of a rectangle on it are linear in r too:
+each row of pixels meets a rectangle in one closed-form interval. Curved patches are solved as
+quadratics in float64. The larger w is nearer.
 
-Box faces and caps are flat patches. A rounded box is the union of its flat faces, edge cylinders and corner spheres, so
-it becomes those patches, all textured through the box's own charts.
+Box faces and caps are flat patches. A rounded box is the union of its flat faces, edge cylinders
+and corner spheres, so it becomes those patches, all textured through the box's own charts.
 """
 
 from collections.abc import Sequence
@@ -49,18 +50,22 @@ class CurvedPatch:
     charts: ndarray
     """Chart number by face number of ``solid``; -1 where the face has no paint."""
     guard_normals: ndarray | None = None
-    """The patch can be seen only from beyond one of these planes (rounded edges and corners). [k, 3]"""
+    """The patch can be seen only from beyond one of these planes (rounded edges and corners). [k,
+    3]"""
     guard_offsets: ndarray | None = None
 
     def may_face(self, eye_W: ndarray) -> bool:
         """Whether the patch can be visible from ``eye_W``."""
-        return self.guard_normals is None or bool((self.guard_normals @ eye_W > self.guard_offsets).any())
+        return self.guard_normals is None or bool(
+            (self.guard_normals @ eye_W > self.guard_offsets).any()
+        )
 
 
 def compile_patches(
     solids: Sequence[Solid], chart_of: dict[tuple[int, str], int]
 ) -> tuple[FlatPatches, list[CurvedPatch]]:
-    """All visible surface pieces of ``solids``; ``chart_of[(solid number, face)]`` is the chart of a painted face."""
+    """All visible surface pieces of ``solids``; ``chart_of[(solid number, face)]`` is the chart of
+    a painted face."""
     flat: list[tuple] = []
     curved: list[CurvedPatch] = []
     for i, solid in enumerate(solids):
@@ -76,7 +81,18 @@ def compile_patches(
         else:
             curved.append(CurvedPatch(shape=solid, solid=solid, charts=charts))
     columns = [np.array(c) for c in zip(*flat, strict=True)]
-    names = ("centre", "right", "up", "normal", "half_w", "half_h", "disc", "chart", "chart_w", "chart_h")
+    names = (
+        "centre",
+        "right",
+        "up",
+        "normal",
+        "half_w",
+        "half_h",
+        "disc",
+        "chart",
+        "chart_w",
+        "chart_h",
+    )
     return FlatPatches(**dict(zip(names, columns, strict=True))), curved
 
 
@@ -101,12 +117,15 @@ def _caps(frustum: Frustum, charts: ndarray) -> list[tuple]:
             continue
         R = frustum.R
         centre = frustum.t + R[:, 2] * (sign * frustum.half_height)
-        rows.append((centre, sign * R[:, 0], R[:, 1], sign * R[:, 2], r, r, True, chart, 2 * r, 2 * r))
+        rows.append(
+            (centre, sign * R[:, 0], R[:, 1], sign * R[:, 2], r, r, True, chart, 2 * r, 2 * r)
+        )
     return rows
 
 
 def _rounded_edges(box: Box, charts: ndarray) -> list[CurvedPatch]:
-    """Twelve edge cylinders and eight corner spheres; pieces between faces without paint are omitted."""
+    """Twelve edge cylinders and eight corner spheres; pieces between faces without paint are
+    omitted."""
     pieces = []
     for signs in product((-1, 0, 1), repeat=3):
         s = np.array(signs)
@@ -118,12 +137,28 @@ def _rounded_edges(box: Box, charts: ndarray) -> list[CurvedPatch]:
         normals = np.stack([box.R[:, axis] * s[axis] for axis in range(3) if s[axis]])
         offsets = normals @ box.t + box.inner[s != 0]
         t, r = box.t + box.R @ (s * box.inner), box.radius
-        shape: Frustum | Ellipsoid = Ellipsoid(t=t, R=box.R, paints={}, semi=np.full(3, r))
+        shape: Frustum | Ellipsoid = Ellipsoid(
+            t=t,
+            R=box.R,
+            paints={},
+            semi=np.full(3, r),
+        )
         if np.count_nonzero(s) == 2:
             axis = int(np.flatnonzero(s == 0)[0])
             R = box.R[:, [(axis + 1) % 3, (axis + 2) % 3, axis]]
-            shape = Frustum(t=t, R=R, paints={}, half_height=float(box.inner[axis]), r_bottom=r, r_top=r)
-        pieces.append(CurvedPatch(shape=shape, solid=box, charts=charts, guard_normals=normals, guard_offsets=offsets))
+            shape = Frustum(
+                t=t,
+                R=R,
+                paints={},
+                half_height=float(box.inner[axis]),
+                r_bottom=r,
+                r_top=r,
+            )
+        pieces.append(
+            CurvedPatch(
+                shape=shape, solid=box, charts=charts, guard_normals=normals, guard_offsets=offsets
+            )
+        )
     return pieces
 
 
@@ -133,7 +168,9 @@ _NEAR_M = 0.02
 class RoomView:
     """The patches in the frame of one camera: linear forms in (x, y, 1)."""
 
-    def __init__(self, flat: FlatPatches, curved: Sequence[CurvedPatch], camera: Camera, T_WC: ndarray):
+    def __init__(
+        self, flat: FlatPatches, curved: Sequence[CurvedPatch], camera: Camera, T_WC: ndarray
+    ):
         self.flat, self.curved, self.camera = flat, curved, camera
         self.R, self.eye = T_WC[:3, :3].astype(float), T_WC[:3, 3].astype(float)
         self.x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
@@ -148,23 +185,32 @@ class RoomView:
         """Coordinate along the patch's right axis, metres, times w. [n, 3]"""
         self.B = flat.up @ self.R - (flat.up * to_centre).sum(-1)[:, None] * self.W
 
-    def local_rays(self, patch: CurvedPatch, x: ndarray, y: ndarray) -> tuple[ndarray, list[ndarray]]:
+    def local_rays(
+        self, patch: CurvedPatch, x: ndarray, y: ndarray
+    ) -> tuple[ndarray, list[ndarray]]:
         """Origin and direction components of rays through (x, y, 1) in a curved patch's frame."""
         shape = patch.shape
         M = shape.R.T @ self.R
-        return (self.eye - shape.t) @ shape.R, [M[i, 0] * x + M[i, 1] * y + M[i, 2] for i in range(3)]
+        return (self.eye - shape.t) @ shape.R, [
+            M[i, 0] * x + M[i, 1] * y + M[i, 2] for i in range(3)
+        ]
 
     def bounds(self, corners_C: ndarray) -> ndarray:
-        """Pixel rectangles (row0, row1, column0, column1) of convex hulls of camera-frame points; empty if not visible.
+        """Pixel rectangles (row0, row1, column0, column1) of convex hulls of camera-frame points;
+        empty if not visible.
 
-        [n, k, 3] -> [n, 4]. A hull that crosses the near plane is cut there, pair by pair (a superset of its edges).
+        [n, k, 3] -> [n, 4]. A hull that crosses the near plane is cut there, pair by pair (a
+        superset of its edges).
         """
         cam = self.camera
         z = corners_C[..., 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             u = cam.fx * corners_C[..., 0] / z + cam.cx
             v = cam.fy * corners_C[..., 1] / z + cam.cy
-        low_high = np.stack([v.min(1) - 1, v.max(1) + 2, u.min(1) - 1, u.max(1) + 2], 1)
+        low_high = np.stack(
+            [v.min(1) - 1, v.max(1) + 2, u.min(1) - 1, u.max(1) + 2],
+            1,
+        )
         nearest, farthest = z.min(1), z.max(1)
         for i in np.flatnonzero((nearest < _NEAR_M) & (farthest > _NEAR_M)):
             near = z[i] < _NEAR_M
@@ -180,8 +226,9 @@ class RoomView:
 
 
 def cast(view: RoomView) -> tuple[ndarray, ndarray]:
-    """Inverse z-depth of the first patch that each pixel centre's ray meets (1/metres, 0 if there is none, [H, W]
-    float32), and its number (flat ones first, -1 if there is none, [H, W] int32)."""
+    """Inverse z-depth of the first patch that each pixel centre's ray meets (1/metres, 0 if there
+    is none, [H, W] float32), and its number (flat ones first, -1 if there is none, [H, W]
+    int32)."""
     w = np.zeros((view.camera.height, view.camera.width), np.float32)
     patch = np.full(w.shape, -1, np.int32)
     _cast_flat(view, w, patch)
@@ -192,7 +239,10 @@ def cast(view: RoomView) -> tuple[ndarray, ndarray]:
 def _cast_flat(view: RoomView, w: ndarray, patch: ndarray) -> None:
     flat = view.flat
     right, up = flat.right * flat.half_w[:, None], flat.up * flat.half_h[:, None]
-    corners = np.stack([flat.centre + a * right + b * up for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))], 1)
+    corners = np.stack(
+        [flat.centre + a * right + b * up for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))],
+        1,
+    )
     corners = (corners - view.eye) @ view.R
     bounds = view.bounds(corners)
     seen = view.front & (bounds[:, 0] < bounds[:, 1]) & (bounds[:, 2] < bounds[:, 3])
@@ -206,18 +256,28 @@ def _cast_flat(view: RoomView, w: ndarray, patch: ndarray) -> None:
         mask = (j >= first[:, None]) & (j <= last[:, None])
         area = (slice(row0, row1), slice(col0, col1))
         W = view.W[i]
-        w_here = (W[0] * view.x[col0:col1]).astype(np.float32) + (W[1] * view.y[row0:row1] + W[2]).astype(np.float32)[
-            :, None
-        ]
+        w_here = (W[0] * view.x[col0:col1]).astype(np.float32) + (
+            W[1] * view.y[row0:row1] + W[2]
+        ).astype(np.float32)[:, None]
         mask &= w_here > w[area]
         if flat.disc[i]:
-            mask &= _inside_disc(view, i, view.x[None, col0:col1], view.y[row0:row1, None])
+            mask &= _inside_disc(
+                view,
+                i,
+                view.x[None, col0:col1],
+                view.y[row0:row1, None],
+            )
         np.copyto(w[area], w_here, where=mask)
         np.copyto(patch[area], np.int32(i), where=mask)
 
 
-def _row_intervals(view: RoomView, i: int | np.intp, y: ndarray) -> tuple[ndarray, ndarray]:
-    """First and last pixel column inside rectangle ``i`` on each row: the four edges |A.r| <= h_w w, |B.r| <= h_h w."""
+def _row_intervals(
+    view: RoomView,
+    i: int | np.intp,
+    y: ndarray,
+) -> tuple[ndarray, ndarray]:
+    """First and last pixel column inside rectangle ``i`` on each row: the four edges |A.r| <= h_w
+    w, |B.r| <= h_h w."""
     W, a, b = view.W[i], view.A[i], view.B[i]
     half_w, half_h = view.flat.half_w[i], view.flat.half_h[i]
     low, high = np.full(y.shape, -1e9), np.full(y.shape, 1e9)
@@ -231,18 +291,38 @@ def _row_intervals(view: RoomView, i: int | np.intp, y: ndarray) -> tuple[ndarra
             np.minimum(high, -rest / E[0], out=high)
     cam = view.camera
     # Faces that share an edge must not both miss a ray through it: widen by far less than a pixel.
-    first = np.ceil(np.clip(low * cam.fx + cam.cx - 0.5 - 1e-7, -1, cam.width + 1))
-    last = np.floor(np.clip(high * cam.fx + cam.cx - 0.5 + 1e-7, -2, cam.width))
+    first = np.ceil(
+        np.clip(
+            low * cam.fx + cam.cx - 0.5 - 1e-7,
+            -1,
+            cam.width + 1,
+        )
+    )
+    last = np.floor(
+        np.clip(
+            high * cam.fx + cam.cx - 0.5 + 1e-7,
+            -2,
+            cam.width,
+        )
+    )
     return first.astype(np.int64), last.astype(np.int64)
 
 
-def _inside_disc(view: RoomView, i: int | np.intp, x: ndarray, y: ndarray) -> ndarray:
+def _inside_disc(
+    view: RoomView,
+    i: int | np.intp,
+    x: ndarray,
+    y: ndarray,
+) -> ndarray:
     W, a, b = view.W[i], view.A[i], view.B[i]
     aw, bw, w = (c[0] * x + c[1] * y + c[2] for c in (a, b, W))
     return aw * aw + bw * bw <= (view.flat.half_w[i] * w) ** 2
 
 
-_BOX_CORNERS = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
+_BOX_CORNERS = np.array(
+    [[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)],
+    float,
+)
 
 
 def _cast_curved(view: RoomView, w: ndarray, patch: ndarray) -> None:
@@ -262,7 +342,11 @@ def _cast_curved(view: RoomView, w: ndarray, patch: ndarray) -> None:
         rows, cols = np.nonzero(w_area < 1.0 / nearest[i])
         if rows.size == 0:
             continue
-        o, d = view.local_rays(piece, view.x[col0:col1][cols], view.y[row0:row1][rows])
+        o, d = view.local_rays(
+            piece,
+            view.x[col0:col1][cols],
+            view.y[row0:row1][rows],
+        )
         w_here = (1.0 / piece.shape.intersect(o, d)).astype(np.float32)
         closer = w_here > w_area[rows, cols]
         rows, cols = rows[closer], cols[closer]

@@ -1,13 +1,16 @@
-"""The room ready to be rendered: solids, patches, and the textured and lit atlas, with its cache on disk.
+"""The room ready to be rendered: solids, patches, and the textured and lit atlas, with its cache on
+disk.
 
-The atlas holds all charts in one image with its mip levels, so that one ``cv2.remap`` textures a whole view. Level 0
-fills the left part; level l, reduced by 2^l, is in the column to its right. Every chart is surrounded by at least
-``GUTTER`` texels that repeat (or, around a cone or ellipsoid, wrap) its border, in a cell aligned to 2^LEVELS: half a
-texel of the coarsest level, which is what bilinear lookups reach, so no level mixes neighbouring charts.
+The atlas holds all charts in one image with its mip levels, so that one ``cv2.remap`` textures a
+whole view. Level 0 fills the left part; level l, reduced by 2^l, is in the column to its right.
+Every chart is surrounded by at least ``GUTTER`` texels that repeat (or, around a cone or ellipsoid,
+wrap) its border, in a cell aligned to 2^LEVELS: half a texel of the coarsest level, which is what
+bilinear lookups reach, so no level mixes neighbouring charts.
 
-The light is baked: lamps with soft shadows, daylight from the window, and ambient light that is darker near contacts.
-Shadows and ambient occlusion are cones traced through a coarse distance grid: the narrowest clearance along a cone,
-relative to its width, is the share of it that is free. The result is smooth, as light from large sources is.
+The light is baked: lamps with soft shadows, daylight from the window, and ambient light that is
+darker near contacts. Shadows and ambient occlusion are cones traced through a coarse distance grid:
+the narrowest clearance along a cone, relative to its width, is the share of it that is free. The
+result is smooth, as light from large sources is.
 """
 
 import functools
@@ -48,14 +51,31 @@ class Light:
     """Irradiance at a distance of 1 m, linear."""
     axis: tuple[float, float, float] = (0.0, 0.0, -1.0)
     backward: float = 1.0
-    """Brightness opposite to the axis relative to that along it; 1 is the same in all directions."""
+    """Brightness opposite to the axis relative to that along it; 1 is the same in all
+    directions."""
 
 
 LIGHTS = (
-    Light(position=(1.5, 0.35, 1.93), radius_m=0.16, colour=(1.55, 1.32, 1.02), backward=0.12),
-    Light(position=(-2.1, 1.62, 1.47), radius_m=0.16, colour=(0.62, 0.48, 0.31), backward=1.0),
+    Light(
+        position=(1.5, 0.35, 1.93),
+        radius_m=0.16,
+        colour=(1.55, 1.32, 1.02),
+        backward=0.12,
+    ),
+    Light(
+        position=(-2.1, 1.62, 1.47),
+        radius_m=0.16,
+        colour=(0.62, 0.48, 0.31),
+        backward=1.0,
+    ),
     *(
-        Light(position=(x, 1.86, z), radius_m=0.3, colour=(0.93, 1.03, 1.14), axis=(0.0, -1.0, -0.25), backward=0.0)
+        Light(
+            position=(x, 1.86, z),
+            radius_m=0.3,
+            colour=(0.93, 1.03, 1.14),
+            axis=(0.0, -1.0, -0.25),
+            backward=0.0,
+        )
         for x in (-0.25, 0.65)
         for z in (1.3, 1.85)
     ),
@@ -80,12 +100,25 @@ class DistanceGrid:
 
     def _include(self, solid: Solid) -> None:
         reach = np.abs(solid.R) @ solid.extent + _REACH_M
-        low = np.clip(np.floor((solid.t - reach - self.origin) / _VOXEL_M).astype(int), 0, self.shape)
-        high = np.clip(np.ceil((solid.t + reach - self.origin) / _VOXEL_M).astype(int) + 1, 0, self.shape)
+        low = np.clip(
+            np.floor((solid.t - reach - self.origin) / _VOXEL_M).astype(int),
+            0,
+            self.shape,
+        )
+        high = np.clip(
+            np.ceil((solid.t + reach - self.origin) / _VOXEL_M).astype(int) + 1,
+            0,
+            self.shape,
+        )
         axes = [self.origin[k] + _VOXEL_M * np.arange(low[k], high[k]) for k in range(3)]
         xyz = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
         block = self.values[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
-        np.minimum(block, solid.sdf(solid.to_local(xyz)), out=block, casting="unsafe")
+        np.minimum(
+            block,
+            solid.sdf(solid.to_local(xyz)),
+            out=block,
+            casting="unsafe",
+        )
 
     def __call__(self, xyz: ndarray) -> ndarray:
         """Trilinear distance at world points. [N, 3] -> [N]"""
@@ -112,17 +145,29 @@ def _direct(grid: DistanceGrid, light: Light, start: ndarray, normal: ndarray) -
     direction = to_light / np.maximum(distance, 1e-6)[:, None]
     # A source as large as seen from here wraps around the horizon of the surface a little.
     wrap = light.radius_m / np.maximum(distance, 2 * light.radius_m)
-    cosine = np.clip(((direction * normal).sum(1) + wrap) / (1 + wrap), 0, 1)
+    cosine = np.clip(
+        ((direction * normal).sum(1) + wrap) / (1 + wrap),
+        0,
+        1,
+    )
     axis = np.array(light.axis) / np.linalg.norm(light.axis)
     along = 0.5 - 0.5 * (direction @ axis)
     lobe = light.backward + (1 - light.backward) * np.clip(2.4 * along - 0.9, 0, 1)
     strength = cosine * lobe / (distance**2 + 0.25)
     lit = np.flatnonzero(strength > 1e-4)
-    strength[lit] *= _shadow(grid, light, start[lit], direction[lit], distance[lit])
+    strength[lit] *= _shadow(
+        grid,
+        light,
+        start[lit],
+        direction[lit],
+        distance[lit],
+    )
     return strength[:, None] * np.array(light.colour)
 
 
-def _shadow(grid: DistanceGrid, light: Light, start: ndarray, direction: ndarray, distance: ndarray) -> ndarray:
+def _shadow(
+    grid: DistanceGrid, light: Light, start: ndarray, direction: ndarray, distance: ndarray
+) -> ndarray:
     """Free share of the cone from each point to the light. [N]"""
     free = np.ones(len(start), np.float32)
     s = np.full(len(start), 0.03)
@@ -141,30 +186,42 @@ def _shadow(grid: DistanceGrid, light: Light, start: ndarray, direction: ndarray
 
 def _openness(grid: DistanceGrid, start: ndarray, normal: ndarray) -> ndarray:
     """Free share of the hemisphere, from one cone along the normal and five around it. [N]"""
-    helper = np.where(np.abs(normal[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    helper = np.where(
+        np.abs(normal[:, 2:]) < 0.9,
+        [[0.0, 0.0, 1.0]],
+        [[1.0, 0.0, 0.0]],
+    )
     tangent = np.cross(helper, normal)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     other = np.cross(normal, tangent)
     total = np.zeros(len(start))
     for k in range(6):
         tilt, turn = (0.0, 0.0) if k == 0 else (np.radians(58), 2 * np.pi * k / 5)
-        direction = np.cos(tilt) * normal + np.sin(tilt) * (np.cos(turn) * tangent + np.sin(turn) * other)
+        direction = np.cos(tilt) * normal + np.sin(tilt) * (
+            np.cos(turn) * tangent + np.sin(turn) * other
+        )
         free = np.ones(len(start))
         for s in (0.04, 0.09, 0.18, 0.32):
             p = start + s * direction
             h = np.minimum(grid(p), shell_distance(p) + 0.02)
-            free = np.minimum(free, np.clip((h + 0.25 * s) / (0.75 * s), 0, 1))
+            free = np.minimum(
+                free,
+                np.clip((h + 0.25 * s) / (0.75 * s), 0, 1),
+            )
         total += free * (0.25 if k == 0 else 0.15)
     return 0.12 + 0.88 * total
 
 
 def cached(
-    path: Path | None, make: Callable[[], dict[str, ndarray]], fits: Callable[[dict[str, ndarray]], bool] = bool
+    path: Path | None,
+    make: Callable[[], dict[str, ndarray]],
+    fits: Callable[[dict[str, ndarray]], bool] = bool,
 ) -> dict[str, ndarray]:
-    """The arrays of the archive ``path``; made and stored where it is absent or damaged, or its arrays do not fit.
+    """The arrays of the archive ``path``; made and stored where it is absent or damaged, or its
+    arrays do not fit.
 
-    Two processes may store the same file at once: each writes its own temporary file, and the last one moved is kept.
-    Without a path nothing is stored.
+    Two processes may store the same file at once: each writes its own temporary file, and the last
+    one moved is kept. Without a path nothing is stored.
     """
     found = _load(path) if path else None
     if found is None or not fits(found):
@@ -175,7 +232,8 @@ def cached(
 
 
 def _store(path: Path, arrays: dict[str, ndarray]) -> None:
-    """Save arrays in one archive with checksums, uint8 and uint16 ones as PNGs; failing to write is only logged."""
+    """Save arrays in one archive with checksums, uint8 and uint16 ones as PNGs; failing to write is
+    only logged."""
 
     def encoded(v: ndarray) -> ndarray:
         is_image = v.dtype in (np.uint8, np.uint16)
@@ -183,7 +241,11 @@ def _store(path: Path, arrays: dict[str, ndarray]) -> None:
 
     try:
         with atomic_file(path) as temporary:
-            np.savez(temporary, allow_pickle=False, **{k: encoded(v) for k, v in arrays.items()})
+            np.savez(
+                temporary,
+                allow_pickle=False,
+                **{k: encoded(v) for k, v in arrays.items()},
+            )
     except OSError as e:
         _warn_once(str(path.parent), str(e))
 
@@ -198,7 +260,10 @@ def _load(path: Path) -> dict[str, ndarray] | None:
     try:
         with np.load(io.BytesIO(read_bytes(path, "cached arrays")), allow_pickle=False) as archive:
             arrays: dict[str, Any] = {name: archive[name] for name in archive.files}
-        arrays = {k: cv2.imdecode(v, cv2.IMREAD_UNCHANGED) if v.dtype == np.uint8 else v for k, v in arrays.items()}
+        arrays = {
+            k: cv2.imdecode(v, cv2.IMREAD_UNCHANGED) if v.dtype == np.uint8 else v
+            for k, v in arrays.items()
+        }
         if any(v is None for v in arrays.values()):
             raise ValueError("a picture is not a PNG")
         return arrays
@@ -228,12 +293,18 @@ class AtlasLayout:
     """Rows of the picture."""
 
 
-def pack(sizes_px: Sequence[tuple[int, int]], texel_m: Sequence[float]) -> AtlasLayout:
+def pack(
+    sizes_px: Sequence[tuple[int, int]],
+    texel_m: Sequence[float],
+) -> AtlasLayout:
     """Place charts of the given (width, height) in rows, tallest first."""
     step = 2**LEVELS
     n = len(sizes_px)
     x, y = np.zeros(n, int), np.zeros(n, int)
-    order = sorted(range(n), key=lambda i: (-sizes_px[i][1], i))
+    order = sorted(
+        range(n),
+        key=lambda i: (-sizes_px[i][1], i),
+    )
     shelf_y, shelf_h, cursor = 0, 0, 0
     for i in order:
         outer_w, outer_h = (-(-(s + 2 * GUTTER) // step) * step for s in sizes_px[i])
@@ -243,27 +314,53 @@ def pack(sizes_px: Sequence[tuple[int, int]], texel_m: Sequence[float]) -> Atlas
         x[i], y[i] = cursor + GUTTER, shelf_y + GUTTER
         cursor += outer_w
     w, h = np.array(sizes_px).T
-    return AtlasLayout(x=x, y=y, w=w, h=h, texel_m=np.array(texel_m, float), height=shelf_y + shelf_h)
+    return AtlasLayout(
+        x=x,
+        y=y,
+        w=w,
+        h=h,
+        texel_m=np.array(texel_m, float),
+        height=shelf_y + shelf_h,
+    )
 
 
-def paste(level0: ndarray, layout: AtlasLayout, i: int, picture: ndarray, wraps: bool) -> None:
+def paste(
+    level0: ndarray,
+    layout: AtlasLayout,
+    i: int,
+    picture: ndarray,
+    wraps: bool,
+) -> None:
     """Write chart ``i`` and its gutter into the level-0 picture (in place)."""
     step = 2**LEVELS
     x, y, w, h = (int(a[i]) for a in (layout.x, layout.y, layout.w, layout.h))
     right, bottom = (-(-(s + 2 * GUTTER) // step) * step - s - GUTTER for s in (w, h))
-    padded = np.pad(picture, ((GUTTER, bottom), (0, 0), (0, 0)), mode="edge")
-    padded = np.pad(padded, ((0, 0), (GUTTER, right), (0, 0)), mode="wrap" if wraps else "edge")
+    padded = np.pad(
+        picture,
+        ((GUTTER, bottom), (0, 0), (0, 0)),
+        mode="edge",
+    )
+    padded = np.pad(
+        padded,
+        ((0, 0), (GUTTER, right), (0, 0)),
+        mode="wrap" if wraps else "edge",
+    )
     level0[y - GUTTER : y + h + bottom, x - GUTTER : x + w + right] = padded
 
 
 def with_mips(level0: ndarray) -> ndarray:
-    """The level-0 picture [H, WIDTH, 3] with its box-filtered mip levels beside it. [H, 1.5 WIDTH, 3]"""
+    """The level-0 picture [H, WIDTH, 3] with its box-filtered mip levels beside it. [H, 1.5 WIDTH,
+    3]"""
     height = level0.shape[0]
     out = np.zeros((height, WIDTH + WIDTH // 2, 3), np.uint8)
     out[:, :WIDTH] = level0
     y, level = 0, level0
     for _ in range(LEVELS):
-        level = cv2.resize(level, (level.shape[1] // 2, level.shape[0] // 2), interpolation=cv2.INTER_AREA)
+        level = cv2.resize(
+            level,
+            (level.shape[1] // 2, level.shape[0] // 2),
+            interpolation=cv2.INTER_AREA,
+        )
         out[y : y + level.shape[0], WIDTH : WIDTH + level.shape[1]] = level
         y += level.shape[0]
     return out
@@ -289,7 +386,8 @@ def texels(atlas: ndarray, x: ndarray, y: ndarray) -> ndarray:
 
 
 SCENE_VERSION = 2
-"""Increased whenever the appearance or shape of the room changes, so that caches of older versions are not used."""
+"""Increased whenever the appearance or shape of the room changes, so that caches of older versions
+are not used."""
 
 _LIGHT_TEXEL_M = 0.04
 
@@ -320,9 +418,12 @@ class Scene:
 
 @functools.lru_cache(maxsize=2)
 def load_scene(seed: int, cache: bool = True) -> Scene:
-    """The room for ``seed``; its atlas is baked once (seconds) and then read from the disk cache."""
+    """The room for ``seed``; its atlas is baked once (seconds) and then read from the disk
+    cache."""
     solids = interior(seed)
-    charts = [Chart(solid=i, face=f, paint=p) for i, s in enumerate(solids) for f, p in s.paints.items()]
+    charts = [
+        Chart(solid=i, face=f, paint=p) for i, s in enumerate(solids) for f, p in s.paints.items()
+    ]
     layout = _lay_out(solids, charts)
     number = {(c.solid, c.face): k for k, c in enumerate(charts)}
     flat, curved = compile_patches(solids, number)
@@ -364,14 +465,36 @@ def _painted(solids, charts, layout: AtlasLayout, seed: int) -> ndarray:
     level0 = np.zeros((layout.height, WIDTH, 3), np.uint8)
     light = _light_maps(solids, charts)
     for k, chart in enumerate(charts):
-        picture = _picture(chart.paint, int(layout.w[k]), int(layout.h[k]), layout.texel_m[k], [seed, 2, k])
-        paste(level0, layout, k, _lit(picture, chart.paint, light[k]), chart.face in ("side", "skin"))
+        picture = _picture(
+            chart.paint,
+            int(layout.w[k]),
+            int(layout.h[k]),
+            layout.texel_m[k],
+            [seed, 2, k],
+        )
+        paste(
+            level0,
+            layout,
+            k,
+            _lit(picture, chart.paint, light[k]),
+            chart.face in ("side", "skin"),
+        )
     return level0
 
 
-def _picture(paint: Paint, w: int, h: int, texel_m: float, seed: list[int]) -> ndarray:
+def _picture(
+    paint: Paint,
+    w: int,
+    h: int,
+    texel_m: float,
+    seed: list[int],
+) -> ndarray:
     if paint.draw is None:
-        return np.full((h, w, 3), np.round(255 * np.array(paint.colour)), np.uint8)
+        return np.full(
+            (h, w, 3),
+            np.round(255 * np.array(paint.colour)),
+            np.uint8,
+        )
     return paint.draw(w, h, texel_m, np.random.default_rng(seed))
 
 
@@ -380,8 +503,14 @@ def _light_maps(solids: Sequence[Solid], charts: Sequence[Chart]) -> list[ndarra
     points, normals, shapes = [], [], []
     for chart in charts:
         solid = solids[chart.solid]
-        w, h = (max(2, round(s / max(_LIGHT_TEXEL_M, chart.paint.texel_m))) for s in solid.face_size_m(chart.face))
-        u, v = np.meshgrid((np.arange(w) + 0.5) / w, (np.arange(h) + 0.5) / h)
+        w, h = (
+            max(2, round(s / max(_LIGHT_TEXEL_M, chart.paint.texel_m)))
+            for s in solid.face_size_m(chart.face)
+        )
+        u, v = np.meshgrid(
+            (np.arange(w) + 0.5) / w,
+            (np.arange(h) + 0.5) / h,
+        )
         p, n = solid.surface(chart.face, u.ravel(), v.ravel())
         points.append(p @ solid.R.T + solid.t)
         normals.append(n @ solid.R.T)
@@ -389,15 +518,27 @@ def _light_maps(solids: Sequence[Solid], charts: Sequence[Chart]) -> list[ndarra
     grid = DistanceGrid(solids[SHELL_SOLIDS:])
     light = irradiance(grid, np.concatenate(points), np.concatenate(normals))
     cuts = np.cumsum([h * w for h, w, _ in shapes])[:-1]
-    return [part.reshape(shape) for part, shape in zip(np.split(_exposed(light), cuts), shapes, strict=True)]
+    return [
+        part.reshape(shape)
+        for part, shape in zip(
+            np.split(_exposed(light), cuts),
+            shapes,
+            strict=True,
+        )
+    ]
 
 
 def _exposed(light: ndarray) -> ndarray:
-    """Convert linear light to a factor on sRGB values: compress it near 1, then apply the display's gamma.
+    """Convert linear light to a factor on sRGB values: compress it near 1, then apply the display's
+    gamma.
 
     Without the compression, the product of gamma-encoded values is the gamma-encoded product.
     """
-    bright = np.where(light > 0.7, 0.7 + 0.45 * np.tanh((light - 0.7) / 0.45), light)
+    bright = np.where(
+        light > 0.7,
+        0.7 + 0.45 * np.tanh((light - 0.7) / 0.45),
+        light,
+    )
     return (bright ** (1 / 2.2)).astype(np.float32)
 
 

@@ -21,21 +21,36 @@ from ...geometry import backproject, pixel_grid, se3
 from ...types import Camera, Frame, Mesh
 from ...work import MAP_MEMORY
 from . import raycast, shade
-from .camera import TRAJECTORIES, disturbed_poses, exposed, exposure_gains, kinect_depth, walk, without_depth
+from .camera import (
+    TRAJECTORIES,
+    disturbed_poses,
+    exposed,
+    exposure_gains,
+    kinect_depth,
+    walk,
+    without_depth,
+)
 from .interior import SHELL_SOLIDS, furnishing
 from .scene import LEVELS, Scene, cached, level_offsets, load_scene, texels, version
 from .solids import signed_distance
 
 _LIFT_M = 0.002
 _CLEAR_M = 0.0012
-"""A surface point counts as free if the point 2 mm above it is more than this far from every other solid."""
+"""A surface point counts as free if the point 2 mm above it is more than this far from every other
+solid."""
 
 
-def room_sdf(xyz_W: Float[Tensor, "*N 3"], *, seed: int = 0) -> Float[Tensor, "*N"]:
-    """Signed distance to the room's surfaces, metres: positive in free space, negative inside solids and outside.
+def room_sdf(
+    xyz_W: Float[Tensor, "*N 3"],
+    *,
+    seed: int = 0,
+) -> Float[Tensor, "*N"]:
+    """Signed distance to the room's surfaces, metres: positive in free space, negative inside
+    solids and outside.
 
-    Exact in free space, because it is the minimum of exact distances to convex solids and to the shell; inside solids
-    its magnitude is a lower bound on the distance to the surface of their union.
+    Exact in free space, because it is the minimum of exact distances to convex solids and to the
+    shell; inside solids its magnitude is a lower bound on the distance to the surface of their
+    union.
 
     Args:
         xyz_W: World points, metres (z up, origin on the floor in the middle). [*N, 3]
@@ -51,11 +66,16 @@ def room_sdf(xyz_W: Float[Tensor, "*N 3"], *, seed: int = 0) -> Float[Tensor, "*
     return distance.reshape(xyz_W.shape[:-1]).to(xyz_W.device, xyz_W.dtype)
 
 
-def room_mesh(resolution_m: float = 0.02, *, seed: int = 0, cache: bool = True) -> Mesh:
+def room_mesh(
+    resolution_m: float = 0.02,
+    *,
+    seed: int = 0,
+    cache: bool = True,
+) -> Mesh:
     """The visible surface of the room, coloured, as ground truth for reconstructed meshes.
 
-    Every painted face is triangulated in its own coordinates, with vertices exactly on the surface. Parts covered by
-    other solids (the floor below a box) are cut away along the contact.
+    Every painted face is triangulated in its own coordinates, with vertices exactly on the surface.
+    Parts covered by other solids (the floor below a box) are cut away along the contact.
 
     Args:
         resolution_m: Largest edge along a face's axes, metres.
@@ -69,7 +89,9 @@ def room_mesh(resolution_m: float = 0.02, *, seed: int = 0, cache: bool = True) 
         ValueError: ``resolution_m`` is not positive.
     """
     check_positive("resolution_m", resolution_m)
-    key = hashlib.sha256(f"mesh {version()} {seed} {float(resolution_m)!r}".encode()).hexdigest()[:16]
+    key = hashlib.sha256(f"mesh {version()} {seed} {float(resolution_m)!r}".encode()).hexdigest()[
+        :16
+    ]
     path = cache_folder() / "room" / f"mesh-{key}.npz" if cache else None
     arrays = cached(path, lambda: _made(resolution_m, seed, cache))
     return Mesh(
@@ -90,7 +112,11 @@ def _made(resolution_m: float, seed: int, cache: bool) -> dict[str, ndarray]:
     faces = faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-10]
     used, faces = np.unique(faces, return_inverse=True)
     rgb = _colours(scene, chart[used], uv[used], resolution_m)
-    return {"xyz": xyz[used].astype(np.float32), "faces": faces.reshape(-1, 3).astype(np.int32), "rgb": rgb}
+    return {
+        "xyz": xyz[used].astype(np.float32),
+        "faces": faces.reshape(-1, 3).astype(np.int32),
+        "rgb": rgb,
+    }
 
 
 def _tessellate(scene: Scene, resolution_m: float) -> tuple[ndarray, ndarray, ndarray]:
@@ -126,7 +152,11 @@ def _points(scene: Scene, chart: ndarray, uv: ndarray) -> tuple[ndarray, ndarray
         if rows.size:
             k = scene.charts[chart[rows[0]]]
             solid = scene.solids[k.solid]
-            p, n = solid.surface(k.face, uv[rows, 0], uv[rows, 1])
+            p, n = solid.surface(
+                k.face,
+                uv[rows, 0],
+                uv[rows, 1],
+            )
             xyz[rows], normal[rows] = p @ solid.R.T + solid.t, n @ solid.R.T
     return xyz, normal
 
@@ -143,7 +173,9 @@ def _clearance(scene: Scene, seed: int) -> Callable[[ndarray, ndarray], ndarray]
     return clearance
 
 
-def _cut(chart: ndarray, uv: ndarray, faces: ndarray, clearance: Callable) -> tuple[ndarray, ndarray, ndarray]:
+def _cut(
+    chart: ndarray, uv: ndarray, faces: ndarray, clearance: Callable
+) -> tuple[ndarray, ndarray, ndarray]:
     """Remove covered parts; triangles that cross the contact line are cut along it."""
     free = clearance(chart, uv) > 0
     n_free = free[faces].sum(1)
@@ -159,12 +191,19 @@ def _cut(chart: ndarray, uv: ndarray, faces: ndarray, clearance: Callable) -> tu
     parts = [
         whole,
         np.stack([one[:, 0], new_one[0], new_one[1]], 1),
-        np.stack([new_two[0], two[:, 1], two[:, 2]], 1),
+        np.stack(
+            [new_two[0], two[:, 1], two[:, 2]],
+            1,
+        ),
         np.stack([new_two[0], two[:, 2], new_two[1]], 1),
     ]
     cut_chart = chart[pairs[:, 0]]
     a, b = uv[pairs[:, 0]], uv[pairs[:, 1]].copy()
-    b[:, 0] += np.where(np.abs(b[:, 0] - a[:, 0]) > 0.5, np.sign(a[:, 0] - b[:, 0]), 0)  # the seam of a wrapped chart
+    b[:, 0] += np.where(
+        np.abs(b[:, 0] - a[:, 0]) > 0.5,
+        np.sign(a[:, 0] - b[:, 0]),
+        0,
+    )  # the seam of a wrapped chart
     low, high = np.zeros(len(pairs)), np.ones(len(pairs))
     for _ in range(9):
         middle = 0.5 * (low + high)
@@ -177,7 +216,11 @@ def _cut(chart: ndarray, uv: ndarray, faces: ndarray, clearance: Callable) -> tu
 def _turned(faces: ndarray, odd: ndarray) -> ndarray:
     """Triangles rotated so that their one ``odd`` corner comes first."""
     first = odd[faces].argmax(1)
-    return np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, 1)
+    return np.take_along_axis(
+        faces,
+        (first[:, None] + np.arange(3)) % 3,
+        1,
+    )
 
 
 def _colours(scene: Scene, chart: ndarray, uv: ndarray, resolution_m: float) -> ndarray:
@@ -194,45 +237,61 @@ _FOCAL_PER_WIDTH = 0.65
 """A horizontal field of view of 75 degrees."""
 
 _DEPTH_UNIT_M = 1e-4
-"""Stored depth counts tenths of a millimetre in uint16, up to 6.55 m: the farthest z-depth in the room is 6.41 m."""
+"""Stored depth counts tenths of a millimetre in uint16, up to 6.55 m: the farthest z-depth in the
+room is 6.41 m."""
 
 ROOM_DISTANCE_M, ROOM_TIME_S = 10.0, 60.0
 """Between the rooms of a building, and between their first frames."""
 
-_IMPERFECT = {"exposure_stops": 3, "pose_error_m": 0.2, "pose_error_deg": 10, "pose_delay_s": 5, "holes": 1}
-"""Options that add the mistakes of a recording, and their largest values. They come after the cache."""
+_IMPERFECT = {
+    "exposure_stops": 3,
+    "pose_error_m": 0.2,
+    "pose_error_deg": 10,
+    "pose_delay_s": 5,
+    "holes": 1,
+}
+"""Options that add the mistakes of a recording, and their largest values. They come after the
+cache."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoomSequence:
-    """The built-in scene: a furnished room of 5 x 4 x 2.6 m, seen by a hand-held camera that walks through it.
+    """The built-in scene: a furnished room of 5 x 4 x 2.6 m, seen by a hand-held camera that walks
+    through it.
 
-    World frame: z up, origin on the floor in the middle of the room, metres. Everything is procedural; the same options
-    give the same frames. Colour has 8 bits and depth has steps of 0.1 mm, whether a frame is rendered or read from the
-    cache (``$GSFUSION_CACHE``, or the user's cache folder). Noise is added after the cache. ``room`` is the same class.
+    World frame: z up, origin on the floor in the middle of the room, metres. Everything is
+    procedural; the same options give the same frames. Colour has 8 bits and depth has steps of 0.1
+    mm, whether a frame is rendered or read from the cache (``$GSFUSION_CACHE``, or the user's cache
+    folder). Noise is added after the cache. ``room`` is the same class.
 
     Raises:
         ValueError: an option outside its range. IndexError: no such frame.
     """
 
     n_frames: int = 200
-    """Number of frames of a room, spread over the same walk of about a minute: fewer frames are farther apart."""
+    """Number of frames of a room, spread over the same walk of about a minute: fewer frames are
+    farther apart."""
     rooms: int = 1
-    """Number of rooms: a square building of equal rooms, 10 m apart, which are walked through one after another."""
+    """Number of rooms: a square building of equal rooms, 10 m apart, which are walked through one
+    after another."""
     width: int = 640
     height: int = 480
     trajectory: str = "mapping"
-    """"mapping" sees the whole room; "novel" is another path through it, for views that were never mapped."""
+    """"mapping" sees the whole room; "novel" is another path through it, for views that were never
+    mapped."""
     noise: str = "none"
     """"none": exact depth; "kinect": with the errors of a Kinect."""
     exposure_stops: float = 0.0
-    """Auto exposure: the brightness wanders by this many stops (standard deviation), white balance by a fifth."""
+    """Auto exposure: the brightness wanders by this many stops (standard deviation), white balance
+    by a fifth."""
     pose_error_m: float = 0.0
-    """The poses that are given wander about the true ones by this much in each direction (standard deviation)."""
+    """The poses that are given wander about the true ones by this much in each direction (standard
+    deviation)."""
     pose_error_deg: float = 0.0
     """The same for their rotation about each axis."""
     pose_delay_s: float = 0.0
-    """Poses and images are not of the same time: an image comes with the pose that the camera has this much later."""
+    """Poses and images are not of the same time: an image comes with the pose that the camera has
+    this much later."""
     holes: float = 0.0
     """Share of the room's surface that never gives depth, 0 to 1, in pieces of up to 40 cm."""
     seed: int = 0
@@ -241,13 +300,21 @@ class RoomSequence:
     """Store rendered frames on disk."""
 
     def __post_init__(self):
-        for name, least in (("n_frames", 1), ("rooms", 1), ("width", 8), ("height", 8), ("seed", 0)):
+        for name, least in (
+            ("n_frames", 1),
+            ("rooms", 1),
+            ("width", 8),
+            ("height", 8),
+            ("seed", 0),
+        ):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
                 raise ValueError(f"room: {name} must be a whole number >= {least}, got {value!r}")
         for name, known in (("trajectory", tuple(TRAJECTORIES)), ("noise", ("none", "kinect"))):
             if getattr(self, name) not in known:
-                raise ValueError(f"room: {name} must be one of {', '.join(known)}, got {getattr(self, name)!r}")
+                raise ValueError(
+                    f"room: {name} must be one of {', '.join(known)}, got {getattr(self, name)!r}"
+                )
         for name, most in _IMPERFECT.items():
             check_number(f"room: {name}", getattr(self, name), 0, most)
 
@@ -260,14 +327,22 @@ class RoomSequence:
     def camera(self) -> Camera:
         """Intrinsics of every frame."""
         focal = _FOCAL_PER_WIDTH * self.width
-        return Camera(width=self.width, height=self.height, fx=focal, fy=focal, cx=self.width / 2, cy=self.height / 2)
+        return Camera(
+            width=self.width,
+            height=self.height,
+            fx=focal,
+            fy=focal,
+            cx=self.width / 2,
+            cy=self.height / 2,
+        )
 
     def pose(self, i: int) -> Float[Tensor, "4 4"]:
         """Camera-to-world pose of frame ``i`` as it is given, without rendering it."""
         return torch.from_numpy(self._given_poses[self._index(i)]).float()
 
     def true_pose(self, i: int) -> Float[Tensor, "4 4"]:
-        """Camera-to-world pose that frame ``i`` was taken at: ``pose(i)`` without its error and delay."""
+        """Camera-to-world pose that frame ``i`` was taken at: ``pose(i)`` without its error and
+        delay."""
         return torch.from_numpy(self._walk[0][self._index(i)]).float()
 
     def mesh(self) -> Mesh:
@@ -275,9 +350,17 @@ class RoomSequence:
         room, device = room_mesh(0.03, seed=self.seed, cache=self.cache), torch.device("cpu")
         n, m = len(room.vertices_W), len(room.faces)
         vertices_W, rgb = (MAP_MEMORY.rows(self.rooms * n, 3, device=device) for _ in range(2))
-        faces = MAP_MEMORY.rows(self.rooms * m, 3, dtype=room.faces.dtype, device=device)
+        faces = MAP_MEMORY.rows(
+            self.rooms * m,
+            3,
+            dtype=room.faces.dtype,
+            device=device,
+        )
         for k, away_m in enumerate(torch.from_numpy(self._rooms_W).float()):
-            vertices_W[k * n : (k + 1) * n], rgb[k * n : (k + 1) * n] = room.vertices_W + away_m, room.rgb
+            vertices_W[k * n : (k + 1) * n], rgb[k * n : (k + 1) * n] = (
+                room.vertices_W + away_m,
+                room.rgb,
+            )
             faces[k * m : (k + 1) * m] = room.faces + k * n
             MAP_MEMORY.give_back()
         return Mesh(vertices_W=vertices_W, faces=faces, rgb=rgb)
@@ -293,15 +376,20 @@ class RoomSequence:
         return repr(dataclasses.asdict(self) | {"cache": "", "version": version()})
 
     def moments(self, frames: range) -> list[str]:
-        """What the walk from the first to the last of ``frames`` shows, as one text for each frame and each tenth of a
-        second: equal for all rooms with this seed and walk, whatever their number of frames, size, noise and errors."""
+        """What the walk from the first to the last of ``frames`` shows, as one text for each frame
+        and each tenth of a second: equal for all rooms with this seed and walk, whatever their
+        number of frames, size, noise and errors."""
         times_s = self._walk[1][: self.n_frames]
         name = f"room {self.seed}, {self.trajectory}"
         found = [f"{name}, {times_s[i % self.n_frames]:.3f} s" for i in frames]
-        for room in range(frames[0] // self.n_frames, frames[-1] // self.n_frames + 1):  # all look the same
+        for room in range(
+            frames[0] // self.n_frames, frames[-1] // self.n_frames + 1
+        ):  # all look the same
             inside = [i - room * self.n_frames for i in frames if i // self.n_frames == room]
             first, last = (10 * times_s[i] for i in (inside[0], inside[-1]))
-            found += [f"{name}, {tenth} tenths" for tenth in range(math.ceil(first), math.floor(last) + 1)]
+            found += [
+                f"{name}, {tenth} tenths" for tenth in range(math.ceil(first), math.floor(last) + 1)
+            ]
         return list(dict.fromkeys(found))
 
     def __len__(self) -> int:
@@ -310,11 +398,17 @@ class RoomSequence:
     def __getitem__(self, i: int) -> Frame:
         i = self._index(i)
         of_room = i % self.n_frames
-        images = cached(self._path(of_room) if self.cache else None, lambda: self._render(of_room), self._fits)
+        images = cached(
+            self._path(of_room) if self.cache else None,
+            lambda: self._render(of_room),
+            self._fits,
+        )
         depth_m = torch.from_numpy(images["depth"].astype(np.float32) * np.float32(_DEPTH_UNIT_M))
         rgb, lost = images["rgb"], self._without_depth(depth_m, i)
         if self.noise == "kinect":
-            depth_m = kinect_depth(depth_m, self.camera, rng=np.random.default_rng([self.seed, 3, i]))
+            depth_m = kinect_depth(
+                depth_m, self.camera, rng=np.random.default_rng([self.seed, 3, i])
+            )
         if lost is not None:
             depth_m[lost] = 0.0
         if self.exposure_stops:
@@ -350,23 +444,40 @@ class RoomSequence:
     def _given_poses(self) -> np.ndarray:
         poses, times_s = self._walk
         if self.pose_delay_s:
-            poses = self._in_all_rooms(walk(self.trajectory, self.n_frames, self.seed, delay_s=self.pose_delay_s)[0])
+            poses = self._in_all_rooms(
+                walk(self.trajectory, self.n_frames, self.seed, delay_s=self.pose_delay_s)[0]
+            )
         if self.pose_error_m or self.pose_error_deg:
-            poses = disturbed_poses(poses, times_s, self.pose_error_m, self.pose_error_deg, self.seed)
+            poses = disturbed_poses(
+                poses, times_s, self.pose_error_m, self.pose_error_deg, self.seed
+            )
         return poses
 
-    def _without_depth(self, depth_m: Float[Tensor, "H W"], i: int) -> Bool[Tensor, "H W"] | None:
+    def _without_depth(
+        self,
+        depth_m: Float[Tensor, "H W"],
+        i: int,
+    ) -> Bool[Tensor, "H W"] | None:
         if not self.holes:
             return None
-        xyz_W = se3.apply(self.true_pose(i), backproject(self.camera, pixel_grid(self.camera), depth_m))
+        xyz_W = se3.apply(
+            self.true_pose(i), backproject(self.camera, pixel_grid(self.camera), depth_m)
+        )
         return torch.from_numpy(without_depth(xyz_W.numpy(), self.holes, self.seed))
 
     @functools.cached_property
     def _folder(self) -> Path:
         walk_W = self._walk[0][: self.n_frames].round(6)  # another walk needs other images
         poses = hashlib.sha256(walk_W.tobytes()).hexdigest()
-        options = dataclasses.asdict(self) | {"noise": "", "cache": "", "version": version(), "walk": poses}
-        options = {name: value for name, value in options.items() if name not in (*_IMPERFECT, "rooms")}
+        options = dataclasses.asdict(self) | {
+            "noise": "",
+            "cache": "",
+            "version": version(),
+            "walk": poses,
+        }
+        options = {
+            name: value for name, value in options.items() if name not in (*_IMPERFECT, "rooms")
+        }
         key = hashlib.sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()[:16]
         return cache_folder() / "room" / f"{self.name}-{self.width}x{self.height}-{key}"
 
@@ -384,7 +495,12 @@ class RoomSequence:
         return {k: (v.shape, v.dtype) for k, v in images.items()} == wanted
 
     def _render(self, i: int) -> dict[str, np.ndarray]:
-        rgb, depth_m = render_room(self.camera, self.true_pose(i), seed=self.seed, cache=self.cache)
+        rgb, depth_m = render_room(
+            self.camera,
+            self.true_pose(i),
+            seed=self.seed,
+            cache=self.cache,
+        )
         return {
             "rgb": np.rint(rgb.numpy() * 255).astype(np.uint8),
             "depth": np.rint(depth_m.numpy() / _DEPTH_UNIT_M).astype(np.uint16),
@@ -392,12 +508,16 @@ class RoomSequence:
 
 
 def render_room(
-    camera: Camera, T_WC: Float[Tensor, "4 4"], *, seed: int = 0, cache: bool = True
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    *,
+    seed: int = 0,
+    cache: bool = True,
 ) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:
     """Colour and depth of the room from any pose.
 
-    Depth is that of the exact first hit of the ray through the pixel's centre; colour is the mean of 2x2 points per
-    pixel. Both are 0 where a ray from outside the room misses it.
+    Depth is that of the exact first hit of the ray through the pixel's centre; colour is the mean
+    of 2x2 points per pixel. Both are 0 where a ray from outside the room misses it.
 
     Args:
         camera: Intrinsics.
@@ -415,10 +535,20 @@ def render_room(
     """
     check_pose("T_WC", T_WC)
     scene = load_scene(seed, cache)
-    view = raycast.RoomView(scene.flat, scene.curved, camera, T_WC.detach().cpu().double().numpy())
+    view = raycast.RoomView(
+        scene.flat,
+        scene.curved,
+        camera,
+        T_WC.detach().cpu().double().numpy(),
+    )
     w, patch = raycast.cast(view)
     rgb = shade.colour(scene, view, w, patch)
-    depth_m = np.divide(1.0, w, out=np.zeros_like(w), where=patch >= 0)
+    depth_m = np.divide(
+        1.0,
+        w,
+        out=np.zeros_like(w),
+        where=patch >= 0,
+    )
     return torch.from_numpy(rgb), torch.from_numpy(depth_m)
 
 

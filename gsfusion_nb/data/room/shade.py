@@ -1,7 +1,8 @@
 """Colour of a view from its hits: mip-mapped texture lookups at 2x2 points per pixel.
 
-Inside a patch the four points lie on the patch's tangent plane at the pixel centre (exact on flat patches). Where
-neighbouring pixels belong to different patches, the four points are intersected with those patches again.
+Inside a patch the four points lie on the patch's tangent plane at the pixel centre (exact on flat
+patches). Where neighbouring pixels belong to different patches, the four points are intersected
+with those patches again.
 """
 
 import numpy as np
@@ -10,11 +11,15 @@ from numpy import ndarray
 from .raycast import RoomView
 from .scene import LEVELS, Scene, level_offsets, texels
 
-_POINTS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]], np.float32)
+_POINTS = np.array(
+    [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]],
+    np.float32,
+)
 """Sample points in a pixel, from its centre, pixels."""
 
 _DITHER = np.array([0.125, 0.625, 0.875, 0.375], np.float32)
-"""Added to the mip level before rounding down: over the four points this blends neighbouring levels."""
+"""Added to the mip level before rounding down: over the four points this blends neighbouring
+levels."""
 
 
 def colour(scene: Scene, view: RoomView, inverse_depth: ndarray, patches: ndarray) -> ndarray:
@@ -64,26 +69,43 @@ class _TextureLookup:
         order = np.argsort(number, kind="stable")
         number, on_curved = number[order], on_curved[order]
         starts = np.flatnonzero(np.diff(number, prepend=-1))
-        return [(int(number[s]), part) for s, part in zip(starts, np.split(on_curved, starts[1:]), strict=False)]
+        return [
+            (int(number[s]), part)
+            for s, part in zip(
+                starts,
+                np.split(on_curved, starts[1:]),
+                strict=False,
+            )
+        ]
 
     def sample(
         self, patch: ndarray, x: ndarray, y: ndarray, w: ndarray, offsets: ndarray
     ) -> tuple[ndarray, ndarray, ndarray]:
-        """Level-0 texel coordinates [S, N] at ``offsets`` [S, 2] from the rays (x, y) that meet ``patch`` at 1/w, and
-        the mip level [N]. The points between rays lie on the tangent plane n.P = k, where w = n.r / k."""
+        """Level-0 texel coordinates [S, N] at ``offsets`` [S, 2] from the rays (x, y) that meet
+        ``patch`` at 1/w, and the mip level [N]. The points between rays lie on the tangent plane
+        n.P = k, where w = n.r / k."""
         row = np.minimum(patch, self.n_flat - 1)
         wx, wy = self.w[0][row], self.w[1][row]
         parts = self.segments(patch)
         for i, at in parts:
             wx[at], wy[at] = self._tangent(i, x[at], y[at], w[at])
         xs, ys = x + offsets[:, :1], y + offsets[:, 1:]
-        inv = 1.0 / np.maximum(w + offsets[:, :1] * wx + offsets[:, 1:] * wy, 1e-3)
+        inv = 1.0 / np.maximum(
+            w + offsets[:, :1] * wx + offsets[:, 1:] * wy,
+            1e-3,
+        )
         U, V = ((f[0][row] * xs + f[1][row] * ys + f[2][row]) * inv for f in (self.u, self.v))
         for i, at in parts:
             U[:, at], V[:, at] = self._curved_texels(i, xs[:, at], ys[:, at], inv[:, at])
         return U, V, self.level(patch, x, y, w, wx, wy)
 
-    def _tangent(self, i: int, x: ndarray, y: ndarray, w: ndarray) -> tuple[ndarray, ndarray]:
+    def _tangent(
+        self,
+        i: int,
+        x: ndarray,
+        y: ndarray,
+        w: ndarray,
+    ) -> tuple[ndarray, ndarray]:
         """Gradient of w along the tangent plane of curved patch ``i``."""
         piece = self.view.curved[i]
         o, d = self.view.local_rays(piece, x, y)
@@ -93,7 +115,13 @@ class _TextureLookup:
         k = np.minimum(k, -0.02 * t)  # at the silhouette the ray lies in the tangent plane
         return n[:, 0] / k, n[:, 1] / k
 
-    def _curved_texels(self, i: int, x: ndarray, y: ndarray, t: ndarray) -> tuple[ndarray, ndarray]:
+    def _curved_texels(
+        self,
+        i: int,
+        x: ndarray,
+        y: ndarray,
+        t: ndarray,
+    ) -> tuple[ndarray, ndarray]:
         piece, layout = self.view.curved[i], self.scene.layout
         o, d = self.view.local_rays(piece, x, y)
         p = o + np.stack(d, -1) * t[..., None]
@@ -104,7 +132,15 @@ class _TextureLookup:
         chart = np.where(chart < 0, piece.charts.max(), chart)
         return layout.x[chart] + layout.w[chart] * u, layout.y[chart] + layout.h[chart] * v
 
-    def level(self, patch: ndarray, x: ndarray, y: ndarray, w: ndarray, wx: ndarray, wy: ndarray) -> ndarray:
+    def level(
+        self,
+        patch: ndarray,
+        x: ndarray,
+        y: ndarray,
+        w: ndarray,
+        wx: ndarray,
+        wy: ndarray,
+    ) -> ndarray:
         """Mip level at which a texel is about half the pixel's larger footprint on the surface.
 
         P = t r gives |dP/dx| = t sqrt(1 - 2 g x + g^2 |r|^2) with g = t dw/dx.
@@ -121,7 +157,11 @@ class _TextureLookup:
         """Bilinear texels of the rounded-down level. [N, 3] uint8"""
         at = np.minimum(level.astype(np.uint8), LEVELS)
         scale = self.scales[at]
-        return texels(self.scene.atlas, U * scale + self.cols[at], V * scale + self.rows[at])
+        return texels(
+            self.scene.atlas,
+            U * scale + self.cols[at],
+            V * scale + self.rows[at],
+        )
 
 
 def _edge_pixels(patch: ndarray) -> ndarray:
@@ -136,22 +176,38 @@ def _edge_pixels(patch: ndarray) -> ndarray:
 
 
 def _edge_colour(
-    lookup: _TextureLookup, inverse_depth: ndarray, patches: ndarray, edges: ndarray, offsets: ndarray
+    lookup: _TextureLookup,
+    inverse_depth: ndarray,
+    patches: ndarray,
+    edges: ndarray,
+    offsets: ndarray,
 ) -> ndarray:
     """Sum of the four points' colours on edge pixels. [E, 3] uint16"""
     view, (H, W) = lookup.view, patches.shape
     row, col = np.divmod(edges, W)
     centre = patches[row, col]
     shifts = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
-    near = np.stack([patches[np.clip(row + i, 0, H - 1), np.clip(col + j, 0, W - 1)] for i, j in shifts], 1)
+    near = np.stack(
+        [patches[np.clip(row + i, 0, H - 1), np.clip(col + j, 0, W - 1)] for i, j in shifts],
+        1,
+    )
     near.sort(axis=1)
-    fresh = np.concatenate([np.ones((len(edges), 1), bool), near[:, 1:] != near[:, :-1]], 1)
+    fresh = np.concatenate(
+        [np.ones((len(edges), 1), bool), near[:, 1:] != near[:, :-1]],
+        1,
+    )
     pixel, slot = np.nonzero(fresh)
     x = view.x[col][:, None] + offsets[:, 0].astype(float)
     y = view.y[row][:, None] + offsets[:, 1].astype(float)
     w = np.full((len(edges), near.shape[1], 4), -1.0)
     candidate = near[pixel, slot]
-    w[pixel, slot] = _inverse_depth(lookup, view, candidate, x[pixel], y[pixel])
+    w[pixel, slot] = _inverse_depth(
+        lookup,
+        view,
+        candidate,
+        x[pixel],
+        y[pixel],
+    )
     best = w.argmax(1)
     w_best = np.take_along_axis(w, best[:, None], 1)[:, 0]
     patch = np.take_along_axis(near, best, 1)
@@ -160,21 +216,36 @@ def _edge_colour(
     w_best = np.where(missed, inverse_depth[row, col][:, None], w_best)
     x, y, w_best = (a.astype(np.float32).ravel() for a in (x, y, w_best))
     patch = patch.ravel()
-    U, V, level = lookup.sample(patch, x, y, w_best, np.zeros((1, 2), np.float32))
+    U, V, level = lookup.sample(
+        patch,
+        x,
+        y,
+        w_best,
+        np.zeros((1, 2), np.float32),
+    )
     level += np.tile(_DITHER, len(edges))
     return lookup.fetch(U[0], V[0], level).reshape(-1, 4, 3).sum(1, dtype=np.uint16)
 
 
-def _inverse_depth(lookup: _TextureLookup, view: RoomView, patch: ndarray, x: ndarray, y: ndarray) -> ndarray:
+def _inverse_depth(
+    lookup: _TextureLookup, view: RoomView, patch: ndarray, x: ndarray, y: ndarray
+) -> ndarray:
     """Inverse depth of rays [N, 4] on given patches [N]; -1 where they miss."""
     row = np.minimum(patch, lookup.n_flat - 1)
     flat = view.flat
-    w, a, b = (f[row, 0, None] * x + f[row, 1, None] * y + f[row, 2, None] for f in (view.W, view.A, view.B))
+    w, a, b = (
+        f[row, 0, None] * x + f[row, 1, None] * y + f[row, 2, None]
+        for f in (view.W, view.A, view.B)
+    )
     reach_w, reach_h = flat.half_w[row, None] * w, flat.half_h[row, None] * w
     inside = (np.abs(a) <= reach_w * (1 + 1e-9)) & (np.abs(b) <= reach_h * (1 + 1e-9))
     inside &= ~flat.disc[row, None] | (a * a + b * b <= reach_w**2)
     w = np.where(inside, w, -1.0)
     for i, at in lookup.segments(patch):
-        o, d = view.local_rays(view.curved[i], x[at], y[at])
+        o, d = view.local_rays(
+            view.curved[i],
+            x[at],
+            y[at],
+        )
         w[at] = 1.0 / view.curved[i].shape.intersect(o, d)
     return np.where(w > 0, w, -1.0)

@@ -1,9 +1,9 @@
-"""The convex solids the room is made of: shape, placement, exact signed distance, and the charts on their faces; short
-constructors of painted ones.
+"""The convex solids the room is made of: shape, placement, exact signed distance, and the charts on
+their faces; short constructors of painted ones.
 
-The local frame of a solid is at its centre; a local point p is at ``R @ p + t`` in the world. A face has a paint and
-chart coordinates (u to the right, v down, both 0..1, seen from outside with local +z up), so that text is never
-mirrored.
+The local frame of a solid is at its centre; a local point p is at ``R @ p + t`` in the world. A
+face has a paint and chart coordinates (u to the right, v down, both 0..1, seen from outside with
+local +z up), so that text is never mirrored.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +27,8 @@ class Paint:
     """The surface of one face."""
 
     draw: Callable[[int, int, float, np.random.Generator], ndarray] | None = None
-    """(width_px, height_px, texel_m, rng) -> uint8 [height_px, width_px, 3] albedo; None for the plain ``colour``."""
+    """(width_px, height_px, texel_m, rng) -> uint8 [height_px, width_px, 3] albedo; None for the
+    plain ``colour``."""
     colour: Colour = (0.8, 0.8, 0.8)
     """Albedo as an sRGB value, 0..1, if nothing is drawn."""
     texel_m: float = 0.03
@@ -40,10 +41,11 @@ class Paint:
 class Placed:
     """What all solids have.
 
-    Each also has ``faces`` (their names), ``extent`` (half size of the local bounding box, metres [3]), ``sdf`` (signed
-    distance of local points, metres, exact outside), ``face_size_m`` (width and height of a face's chart on the
-    surface, metres), ``surface`` (local points and outward unit normals at chart coordinates) and ``chart`` (face
-    number and chart coordinates of local points on curved faces). Cones and ellipsoids can be hit by rays.
+    Each also has ``faces`` (their names), ``extent`` (half size of the local bounding box, metres
+    [3]), ``sdf`` (signed distance of local points, metres, exact outside), ``face_size_m`` (width
+    and height of a face's chart on the surface, metres), ``surface`` (local points and outward unit
+    normals at chart coordinates) and ``chart`` (face number and chart coordinates of local points
+    on curved faces). Cones and ellipsoids can be hit by rays.
     """
 
     t: ndarray
@@ -87,7 +89,12 @@ class Box(Placed):
         right, up, _ = face_axes(face)
         return 2 * float(np.abs(right) @ self.half), 2 * float(np.abs(up) @ self.half)
 
-    def surface(self, face: str, u: ndarray, v: ndarray) -> tuple[ndarray, ndarray]:
+    def surface(
+        self,
+        face: str,
+        u: ndarray,
+        v: ndarray,
+    ) -> tuple[ndarray, ndarray]:
         right, up, normal = face_axes(face)
         a = (u - 0.5)[..., None] * right + (0.5 - v)[..., None] * up
         q = (2 * a + normal) * self.half
@@ -103,7 +110,8 @@ class Box(Placed):
         e = p - core
         axis = np.abs(e).argmax(-1)
         main = np.take_along_axis(e, axis[..., None], -1)
-        # The rounding is seen from its own core: moving e out to the sharp outer box gives the point of the chart.
+        # The rounding is seen from its own core: moving e out to the sharp outer box gives the
+        # point of the chart.
         q = core + e * (self.radius / np.maximum(np.abs(main), 1e-12))
         face = 2 * axis + (main[..., 0] > 0)
         right, up = _RIGHT[face], _UP[face]
@@ -114,7 +122,8 @@ class Box(Placed):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frustum(Placed):
-    """A capped cone about local z, from radius ``r_bottom`` at -half_height to ``r_top`` at +half_height."""
+    """A capped cone about local z, from radius ``r_bottom`` at -half_height to ``r_top`` at
+    +half_height."""
 
     half_height: float
     r_bottom: float
@@ -133,12 +142,17 @@ class Frustum(Placed):
         return np.array([r, r, self.half_height])
 
     def sdf(self, p: ndarray) -> ndarray:
-        """Distance in the half plane (radius, height) to the profile's two caps and its slanted side."""
+        """Distance in the half plane (radius, height) to the profile's two caps and its slanted
+        side."""
         rho, z, h = np.hypot(p[..., 0], p[..., 1]), p[..., 2], self.half_height
         cap_radius = np.where(z < 0, self.r_bottom, self.r_top)
         cap_r, cap_z = np.maximum(rho - cap_radius, 0.0), np.abs(z) - h
         dr, dz = self.r_top - self.r_bottom, 2 * h
-        s = np.clip(((rho - self.r_bottom) * dr + (z + h) * dz) / (dr * dr + dz * dz), 0.0, 1.0)
+        s = np.clip(
+            ((rho - self.r_bottom) * dr + (z + h) * dz) / (dr * dr + dz * dz),
+            0.0,
+            1.0,
+        )
         side_r, side_z = rho - self.r_bottom - s * dr, z + h - s * dz
         d = np.sqrt(np.minimum(cap_r**2 + cap_z**2, side_r**2 + side_z**2))
         inside = (cap_z < 0) & (rho < self.r_bottom + (z + h) * self.slope)
@@ -151,12 +165,20 @@ class Frustum(Placed):
         d = 2 * (self.r_bottom if face == "bottom" else self.r_top)
         return d, d
 
-    def surface(self, face: str, u: ndarray, v: ndarray) -> tuple[ndarray, ndarray]:
+    def surface(
+        self,
+        face: str,
+        u: ndarray,
+        v: ndarray,
+    ) -> tuple[ndarray, ndarray]:
         if face != "side":
             sign, r = (-1.0, self.r_bottom) if face == "bottom" else (1.0, self.r_top)
             x, y = 2 * u - 1, 1 - 2 * v
             shrink = np.maximum(np.hypot(x, y), 1.0)  # the chart's corners lie outside the disc
-            p = np.stack([sign * r * x / shrink, r * y / shrink, np.full_like(x, sign * self.half_height)], -1)
+            p = np.stack(
+                [sign * r * x / shrink, r * y / shrink, np.full_like(x, sign * self.half_height)],
+                -1,
+            )
             return p, np.broadcast_to(np.array([0.0, 0.0, sign]), p.shape)
         angle, z = 2 * np.pi * u, self.half_height * (1 - 2 * v)
         r = 0.5 * (self.r_bottom + self.r_top) + self.slope * z
@@ -171,7 +193,10 @@ class Frustum(Placed):
     def normal(self, p: ndarray) -> ndarray:
         """Outward unit normals at local points of the side. [N, 3]"""
         rho = np.maximum(np.hypot(p[..., 0], p[..., 1]), 1e-12)
-        n = np.stack([p[..., 0] / rho, p[..., 1] / rho, np.full_like(rho, -self.slope)], -1)
+        n = np.stack(
+            [p[..., 0] / rho, p[..., 1] / rho, np.full_like(rho, -self.slope)],
+            -1,
+        )
         return n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-12)
 
     def intersect(self, o: ndarray, d: Sequence[ndarray]) -> ndarray:
@@ -210,10 +235,11 @@ class Ellipsoid(Placed):
         return self.semi
 
     def sdf(self, p: ndarray) -> ndarray:
-        """Distance to the nearest point x_i = e_i^2 y_i / (t + e_i^2); t solves sum (e_i y_i / (t + e_i^2))^2 = 1.
+        """Distance to the nearest point x_i = e_i^2 y_i / (t + e_i^2); t solves sum (e_i y_i / (t +
+        e_i^2))^2 = 1.
 
-        Left of the root the function is convex and decreasing, so Newton's method started there never passes the root
-        (Eberly, "Distance from a point to an ellipse, an ellipsoid", 2013).
+        Left of the root the function is convex and decreasing, so Newton's method started there
+        never passes the root (Eberly, "Distance from a point to an ellipse, an ellipsoid", 2013).
         """
         e2, y = self.semi**2, np.abs(p)
         if np.ptp(self.semi) == 0:
@@ -234,9 +260,17 @@ class Ellipsoid(Placed):
         a, b, c = self.semi
         return np.pi * float(a + b), 0.5 * np.pi * float(max(a, b) + c)
 
-    def surface(self, face: str, u: ndarray, v: ndarray) -> tuple[ndarray, ndarray]:
+    def surface(
+        self,
+        face: str,
+        u: ndarray,
+        v: ndarray,
+    ) -> tuple[ndarray, ndarray]:
         lon, colat = 2 * np.pi * u, np.pi * v
-        unit = np.stack([np.sin(colat) * np.cos(lon), np.sin(colat) * np.sin(lon), np.cos(colat)], -1)
+        unit = np.stack(
+            [np.sin(colat) * np.cos(lon), np.sin(colat) * np.sin(lon), np.cos(colat)],
+            -1,
+        )
         n = unit / self.semi
         return unit * self.semi, n / np.linalg.norm(n, axis=-1, keepdims=True)
 
@@ -271,19 +305,31 @@ Solid = Box | Frustum | Ellipsoid
 
 
 def face_axes(face: str) -> tuple[ndarray, ndarray, ndarray]:
-    """Right, up and outward normal of a box face, local frame: right = up x normal, as a viewer outside sees it."""
+    """Right, up and outward normal of a box face, local frame: right = up x normal, as a viewer
+    outside sees it."""
     i = BOX_FACES.index(face)
     return _RIGHT[i], _UP[i], _NORMAL[i]
 
 
-_NORMAL = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]], float)
-_UP = np.array([[0, 0, 1]] * 4 + [[0, 1, 0]] * 2, float)
+_NORMAL = np.array(
+    [[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]],
+    float,
+)
+_UP = np.array(
+    [[0, 0, 1]] * 4 + [[0, 1, 0]] * 2,
+    float,
+)
 _RIGHT = np.cross(_UP, _NORMAL)
 
 
-def rotation(yaw_deg: int | float = 0.0, pitch_deg: int | float = 0.0, roll_deg: int | float = 0.0) -> ndarray:
-    """Rotation about z by yaw, then about the turned y by pitch, then about the turned x by roll. [3, 3]"""
-    (cy, cp, cr), (sy, sp, sr) = (f(np.radians([yaw_deg, pitch_deg, roll_deg])) for f in (np.cos, np.sin))
+def rotation(
+    yaw_deg: int | float = 0.0, pitch_deg: int | float = 0.0, roll_deg: int | float = 0.0
+) -> ndarray:
+    """Rotation about z by yaw, then about the turned y by pitch, then about the turned x by roll.
+    [3, 3]"""
+    (cy, cp, cr), (sy, sp, sr) = (
+        f(np.radians([yaw_deg, pitch_deg, roll_deg])) for f in (np.cos, np.sin)
+    )
     Rz = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
     Ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
     Rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
@@ -294,18 +340,24 @@ _POINTS_AT_ONCE = 4096
 
 
 def shell_distance(xyz_W: ndarray) -> ndarray:
-    """Distance to the nearest of floor, walls and ceiling; negative outside the room. [N, 3] -> [N]"""
+    """Distance to the nearest of floor, walls and ceiling; negative outside the room. [N, 3] ->
+    [N]"""
     half = 0.5 * np.array(SIZE_M)
     return (half - np.abs(xyz_W - [0.0, 0.0, half[2]])).min(-1)
 
 
 def signed_distance(
-    furnishing: Sequence[Solid], xyz_W: ndarray, owner: ndarray | None = None, *, at_most: float = np.inf
+    furnishing: Sequence[Solid],
+    xyz_W: ndarray,
+    owner: ndarray | None = None,
+    *,
+    at_most: float = np.inf,
 ) -> ndarray:
-    """Distance to the union of shell and ``furnishing``: the minimum over convex solids, exact in free space. [N]
+    """Distance to the union of shell and ``furnishing``: the minimum over convex solids, exact in
+    free space. [N]
 
-    With ``owner`` [N], each point leaves out the solid of that number (-1: the shell). Larger distances than
-    ``at_most`` become ``at_most``; a small value saves looking at distant solids.
+    With ``owner`` [N], each point leaves out the solid of that number (-1: the shell). Larger
+    distances than ``at_most`` become ``at_most``; a small value saves looking at distant solids.
     """
     out = np.empty(len(xyz_W))
     centres = np.array([s.t for s in furnishing])
@@ -319,7 +371,9 @@ def signed_distance(
             best[owner[part] == -1] = np.inf
         best = np.minimum(best, at_most)
         gap = np.maximum(xyz.min(0) - centres - boxes, centres - boxes - xyz.max(0)).max(1)
-        lower = np.where(gap > 0, gap, -np.inf)  # a solid may be this close to the box around the points
+        lower = np.where(
+            gap > 0, gap, -np.inf
+        )  # a solid may be this close to the box around the points
         for i in np.argsort(lower):
             if lower[i] > best.max():
                 break
@@ -335,56 +389,150 @@ def signed_distance(
     return out
 
 
-def plain(*colour: int | float, texel_m: float = 0.02, glow: float = 0.0) -> Paint:
+def plain(
+    *colour: int | float,
+    texel_m: float = 0.02,
+    glow: float = 0.0,
+) -> Paint:
     """One colour."""
     r, g, b = colour
     return Paint(colour=(r, g, b), texel_m=texel_m, glow=glow)
 
 
-def drawn(texel_m: float, draw: Callable[..., ndarray], *options, glow: float = 0.0, **more) -> Paint:
+def drawn(
+    texel_m: float, draw: Callable[..., ndarray], *options, glow: float = 0.0, **more
+) -> Paint:
     """A texture ``draw(width_px, height_px, texel_m, rng, *options)``, one of ``drawings``."""
-    return Paint(draw=lambda *size: draw(*size, *options, **more), texel_m=texel_m, glow=glow)
+    return Paint(
+        draw=lambda *size: draw(*size, *options, **more),
+        texel_m=texel_m,
+        glow=glow,
+    )
 
 
 def _painted(
-    kind: type[Solid], paint: Paint, hide: str = "", special: Mapping[str, Paint] | None = None, **shape
+    kind: type[Solid],
+    paint: Paint,
+    hide: str = "",
+    special: Mapping[str, Paint] | None = None,
+    **shape,
 ) -> Solid:
-    """A solid with ``paint`` on its faces, except those that ``special`` paints, and those in ``hide``: never seen."""
+    """A solid with ``paint`` on its faces, except those that ``special`` paints, and those in
+    ``hide``: never seen."""
     faces: Any = kind.faces
-    return kind(paints={f: (special or {}).get(f, paint) for f in faces if f not in hide.split()}, **shape)
+    return kind(
+        paints={f: (special or {}).get(f, paint) for f in faces if f not in hide.split()},
+        **shape,
+    )
 
 
-def box(centre: Vector, size: Vector, paint: Paint, *, radius: float = 0.0, turn: Vector = (0, 0, 0), **more) -> Solid:
+def box(
+    centre: Vector,
+    size: Vector,
+    paint: Paint,
+    *,
+    radius: float = 0.0,
+    turn: Vector = (0, 0, 0),
+    **more,
+) -> Solid:
     """A box of full ``size``; for ``more`` see ``_painted``."""
     half = 0.5 * np.array(size, float)
-    return _painted(Box, paint, t=np.array(centre, float), R=rotation(*turn), half=half, radius=radius, **more)
+    return _painted(
+        Box,
+        paint,
+        t=np.array(centre, float),
+        R=rotation(*turn),
+        half=half,
+        radius=radius,
+        **more,
+    )
 
 
-def cone(base: Vector, height: float, radii: Vector, paint: Paint, *, turn: Vector = (0, 0, 0), **more) -> Solid:
+def cone(
+    base: Vector,
+    height: float,
+    radii: Vector,
+    paint: Paint,
+    *,
+    turn: Vector = (0, 0, 0),
+    **more,
+) -> Solid:
     """A capped cone standing on ``base``: ``radii`` at the bottom and at the top."""
     R, half = rotation(*turn), 0.5 * height
     t = np.array(base, float) + R[:, 2] * (0.5 * height)
-    return _painted(Frustum, paint, t=t, R=R, half_height=half, r_bottom=radii[0], r_top=radii[1], **more)
+    return _painted(
+        Frustum,
+        paint,
+        t=t,
+        R=R,
+        half_height=half,
+        r_bottom=radii[0],
+        r_top=radii[1],
+        **more,
+    )
 
 
-def rod(p: Vector, q: Vector, radius: float, paint: Paint, hide: str = "") -> Solid:
+def rod(
+    p: Vector,
+    q: Vector,
+    radius: float,
+    paint: Paint,
+    hide: str = "",
+) -> Solid:
     """A cylinder from ``p`` to ``q``."""
     start, end = np.array(p, float), np.array(q, float)
     length = float(np.linalg.norm(end - start))
     z = (end - start) / length
-    x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
+    x = np.cross(
+        [0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0],
+        z,
+    )
     x /= np.linalg.norm(x)
     t, R, half = 0.5 * (start + end), np.stack([x, np.cross(z, x), z], 1), 0.5 * length
-    return _painted(Frustum, paint, hide, t=t, R=R, half_height=half, r_bottom=radius, r_top=radius)
+    return _painted(
+        Frustum,
+        paint,
+        hide,
+        t=t,
+        R=R,
+        half_height=half,
+        r_bottom=radius,
+        r_top=radius,
+    )
 
 
-def ball(centre: Vector, semi: float | Vector, paint: Paint, *, turn: Vector = (0, 0, 0), **more) -> Solid:
+def ball(
+    centre: Vector,
+    semi: float | Vector,
+    paint: Paint,
+    *,
+    turn: Vector = (0, 0, 0),
+    **more,
+) -> Solid:
     """A sphere, or an ellipsoid with three semi-axes."""
     axes = np.full(3, semi) if isinstance(semi, (int, float)) else np.array(semi, float)
-    return _painted(Ellipsoid, paint, t=np.array(centre, float), R=rotation(*turn), semi=axes, **more)
+    return _painted(
+        Ellipsoid,
+        paint,
+        t=np.array(centre, float),
+        R=rotation(*turn),
+        semi=axes,
+        **more,
+    )
 
 
-def placed(solids: Sequence[Solid], at: Vector, yaw_deg: int | float = 0.0) -> list[Solid]:
+def placed(
+    solids: Sequence[Solid],
+    at: Vector,
+    yaw_deg: int | float = 0.0,
+) -> list[Solid]:
     """A piece of furniture rotated about z and moved; without rotation its front faces -y."""
     R, t = rotation(yaw_deg), np.array(at, float)
-    return [replace(s, R=R @ s.R, t=R @ s.t + t) for s in solids]
+    return [
+        replace(
+            s,
+            R=R @ s.R,
+            t=R @ s.t + t,
+        )
+        for s in solids
+    ]

@@ -28,13 +28,14 @@ class CameraNotFoundError(SequenceNotFoundError):
 class RealSense(LiveSource):
     """Frames of a RealSense camera, depth aligned to colour by the driver. Poses must be tracked.
 
-    Iterating starts the camera; at the end, or when the iteration is aborted, the camera is switched off. Frames
-    without colour or depth are left out. A camera that is unplugged, or sends nothing for ``MAX_TIMEOUTS`` waits, ends
-    the iteration; ``broke_off`` then says why.
+    Iterating starts the camera; at the end, or when the iteration is aborted, the camera is
+    switched off. Frames without colour or depth are left out. A camera that is unplugged, or sends
+    nothing for ``MAX_TIMEOUTS`` waits, ends the iteration; ``broke_off`` then says why.
 
-    Intrinsics: those of the colour stream; librealsense puts the centre of the first pixel at 0, so 0.5 is added to
-    ``cx`` and ``cy``. Distortion: current drivers align and deproject "inverse" and plain Brown-Conrady alike by
-    OpenCV's forward model (librealsense issue 13824); it is removed from both images.
+    Intrinsics: those of the colour stream; librealsense puts the centre of the first pixel at 0, so
+    0.5 is added to ``cx`` and ``cy``. Distortion: current drivers align and deproject "inverse" and
+    plain Brown-Conrady alike by OpenCV's forward model (librealsense issue 13824); it is removed
+    from both images.
 
     Args:
         width, height: Size of both streams, pixels; the camera must offer it.
@@ -44,7 +45,8 @@ class RealSense(LiveSource):
         timeout_s: How long to wait for a frame, seconds.
 
     Raises:
-        CameraNotFoundError: while iterating, no such camera is connected, or its driver is not installed.
+        CameraNotFoundError: while iterating, no such camera is connected, or its driver is not
+            installed.
     """
 
     name = "realsense"
@@ -70,7 +72,9 @@ class RealSense(LiveSource):
         self.broke_off = ""
         pipeline, profile = self._started()
         try:
-            lens = _lens(profile.get_stream(self._rs.stream.color).as_video_stream_profile().get_intrinsics())
+            lens = _lens(
+                profile.get_stream(self._rs.stream.color).as_video_stream_profile().get_intrinsics()
+            )
             undistorter = Undistorter(lens) if any(abs(k) > 1e-9 for k in lens.distortion) else None
             self.camera = lens.camera if undistorter is None else undistorter.camera
             depth_scale = np.float32(profile.get_device().first_depth_sensor().get_depth_scale())
@@ -80,7 +84,9 @@ class RealSense(LiveSource):
                     rgb = np.asanyarray(colour.get_data()).copy()
                     depth_m = np.asanyarray(depth.get_data()).astype(np.float32) * depth_scale
                     images = (rgb, depth_m) if undistorter is None else undistorter(rgb, depth_m)
-                    rgb, depth_m = (torch.from_numpy(np.ascontiguousarray(image)) for image in images)
+                    rgb, depth_m = (
+                        torch.from_numpy(np.ascontiguousarray(image)) for image in images
+                    )
                     yield Frame(
                         index=index,
                         timestamp_s=colour.get_timestamp() / 1000.0,
@@ -106,19 +112,32 @@ class RealSense(LiveSource):
             rs = self._rs = importlib.import_module("pyrealsense2")
         except ImportError as e:
             raise CameraNotFoundError(
-                f"this camera needs the package pyrealsense2 ({e}): pip install 'gsfusion-nb[realsense]'"
+                f"this camera needs the package pyrealsense2 ({e}): pip install "
+                "'gsfusion-nb[realsense]'"
             ) from None
         config, pipeline = rs.config(), rs.pipeline()
         if self.serial:
             config.enable_device(self.serial)
-        config.enable_stream(rs.stream.color, self.width, self.height, rs.format.rgb8, self.fps)
-        config.enable_stream(rs.stream.depth, self.width, self.height, rs.format.z16, self.fps)
+        config.enable_stream(
+            rs.stream.color,
+            self.width,
+            self.height,
+            rs.format.rgb8,
+            self.fps,
+        )
+        config.enable_stream(
+            rs.stream.depth,
+            self.width,
+            self.height,
+            rs.format.z16,
+            self.fps,
+        )
         try:
             return pipeline, pipeline.start(config)
         except RuntimeError as e:
             raise CameraNotFoundError(
-                f"no RealSense camera {self.serial} streams {self.width}x{self.height} at {self.fps} fps ({e}); "
-                "expected one on a USB 3 port"
+                f"no RealSense camera {self.serial} streams {self.width}x{self.height} at "
+                f"{self.fps} fps ({e}); expected one on a USB 3 port"
             ) from None
 
     def _pairs(self, pipeline: Any) -> Iterator[tuple[Any, Any]]:
@@ -153,5 +172,7 @@ def _lens(intrinsics: Any) -> CameraModel:
     distortion = tuple(float(k) for k in intrinsics.coeffs)
     model = str(intrinsics.model).rsplit(".", 1)[-1].lower()
     if any(distortion) and model not in _BROWN_CONRADY:
-        raise SequenceError(f"the RealSense colour camera has distortion {model!r}; expected a Brown-Conrady lens")
+        raise SequenceError(
+            f"the RealSense colour camera has distortion {model!r}; expected a Brown-Conrady lens"
+        )
     return CameraModel(camera, distortion)

@@ -1,4 +1,5 @@
-"""Frames that arrive over time: their source, a thread that reads them ahead, and selecting them."""
+"""Frames that arrive over time: their source, a thread that reads them ahead, and selecting
+them."""
 
 import abc
 import contextvars
@@ -26,10 +27,12 @@ POLICIES: dict[Policy, str] = {
 
 
 class LiveSource(abc.ABC):
-    """Frames that arrive over time: iterate over it, from any thread; ``stop`` ends the iteration from another.
+    """Frames that arrive over time: iterate over it, from any thread; ``stop`` ends the iteration
+    from another.
 
-    A frame that cannot be used raises ``BadFrameError`` and the iteration can continue; other errors end it. A source
-    that is interrupted (a camera that is unplugged) ends like a finished one, and ``broke_off`` says why.
+    A frame that cannot be used raises ``BadFrameError`` and the iteration can continue; other
+    errors end it. A source that is interrupted (a camera that is unplugged) ends like a finished
+    one, and ``broke_off`` says why.
     """
 
     name: str = "stream"
@@ -59,12 +62,14 @@ JOIN_S = 5.0
 class BackgroundFrames:
     """Frames of any iterable, read on a separate thread (itself an iterator; ``close`` it).
 
-    For a frame that cannot be used its error is raised, and the iteration can continue. Any other exception of the
-    source is raised here after the frames that came before it. The thread starts with the first ``next``.
+    For a frame that cannot be used its error is raised, and the iteration can continue. Any other
+    exception of the source is raised here after the frames that came before it. The thread starts
+    with the first ``next``.
 
     Args:
         frames: What to read. If it has a method ``stop``, it is called by ``close``.
-        policy: Which frames are dropped when they arrive faster than they are taken, see ``POLICIES``.
+        policy: Which frames are dropped when they arrive faster than they are taken, see
+            ``POLICIES``.
         size: Frames that may wait with "all".
         until: Called while no frame is available; True ends the iteration.
         bad: Types of errors after which the source can continue.
@@ -93,8 +98,12 @@ class BackgroundFrames:
         self._changed = threading.Condition()
         self._ended = self._closed = False
         self._error: BaseException | None = None
-        context = contextvars.copy_context()  # a new thread does not take over the chosen backend by itself
-        self._thread = threading.Thread(target=context.run, args=(self._work,), name="frames", daemon=True)
+        context = (
+            contextvars.copy_context()
+        )  # a new thread does not take over the chosen backend by itself
+        self._thread = threading.Thread(
+            target=context.run, args=(self._work,), name="frames", daemon=True
+        )
 
     def __iter__(self) -> "BackgroundFrames":
         return self
@@ -129,7 +138,9 @@ class BackgroundFrames:
         if self._thread.ident and self._thread is not threading.current_thread():
             self._thread.join(JOIN_S)
             if self._thread.is_alive():
-                log.warning("the source of frames did not end within %g s; its thread is abandoned", JOIN_S)
+                log.warning(
+                    "the source of frames did not end within %g s; its thread is abandoned", JOIN_S
+                )
 
     def _work(self) -> None:
         error, iterator = None, None
@@ -166,7 +177,8 @@ class BackgroundFrames:
 
 
 class FramesInOrder:
-    """The frames of a sequence from a position on; the iteration can continue after a frame that raises an error."""
+    """The frames of a sequence from a position on; the iteration can continue after a frame that
+    raises an error."""
 
     def __init__(self, sequence: Sequence, start: int = 0):
         self._sequence, self._next = sequence, start
@@ -185,37 +197,51 @@ class FramesInOrder:
         self._next = len(self._sequence)
 
 
-def read_ahead(sequence: Sequence, *, start: int = 0, depth: int = 4) -> BackgroundFrames | FramesInOrder:
+def read_ahead(
+    sequence: Sequence, *, start: int = 0, depth: int = 4
+) -> BackgroundFrames | FramesInOrder:
     """The frames of a sequence in order, decoded on another thread while earlier ones are in use.
 
-    At most ``depth + 2`` frames are in memory: those that wait, the one being decoded and the one in use. ``close`` it
-    if not all frames are taken.
+    At most ``depth + 2`` frames are in memory: those that wait, the one being decoded and the one
+    in use. ``close`` it if not all frames are taken.
 
     Args:
         sequence: Any sequence whose frames may be read from another thread.
         start: First position.
-        depth: Frames that may wait; 0 decodes each frame when it is asked for, on the caller's thread.
+        depth: Frames that may wait; 0 decodes each frame when it is asked for, on the caller's
+            thread.
     """
     frames = FramesInOrder(sequence, start)
     return BackgroundFrames(frames, size=depth, bad=SequenceError) if depth else frames
 
 
 class SelectedFrames:
-    """Frames of a stream, numbered by arrival, selected, resized and with depth limits (an iterator).
+    """Frames of a stream, numbered by arrival, selected, resized and with depth limits (an
+    iterator).
 
-    ``start``, ``stop`` and ``stride`` count arrivals, unusable frames included; ``hold_out_every`` is the mapper's.
+    ``start``, ``stop`` and ``stride`` count arrivals, unusable frames included; ``hold_out_every``
+    is the mapper's.
 
     Raises:
         SequenceError: ``data.repair`` asks for corrections, which are possible only for recordings.
     """
 
     def __init__(
-        self, frames: Iterable[Frame] | Sequence, data: DataConfig, *, name: str = "stream", first_index: int = 0
+        self,
+        frames: Iterable[Frame] | Sequence,
+        data: DataConfig,
+        *,
+        name: str = "stream",
+        first_index: int = 0,
     ):
         if data.repair.changes.keys() - {"depth_pose"}:  # a stream's images have one time
-            raise SequenceError(f"{name}: data.repair corrects recordings; a stream cannot be corrected")
+            raise SequenceError(
+                f"{name}: data.repair corrects recordings; a stream cannot be corrected"
+            )
         if 0 < data.stop <= data.start:
-            raise SequenceError(f"{name}: data.stop must be above data.start {data.start}, or 0, got {data.stop}")
+            raise SequenceError(
+                f"{name}: data.stop must be above data.start {data.start}, or 0, got {data.stop}"
+            )
         self._source, self._data, self._name, self._first_index = frames, data, name, first_index
         self._frames: Iterator[Frame] | None = None
         self._arrived = 0
@@ -253,6 +279,8 @@ class SelectedFrames:
             close()
 
     def _prepared(self, frame: Frame, position: int) -> Frame:
-        frame = resize_frame(frame, resized_camera(frame.camera, self._data.width, self._data.height))
+        frame = resize_frame(
+            frame, resized_camera(frame.camera, self._data.width, self._data.height)
+        )
         frame = dataclasses.replace(frame, index=self._first_index + position)
         return within_depth(frame, self._data.depth_min_m, self._data.depth_max_m, name=self._name)

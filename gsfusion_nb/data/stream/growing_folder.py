@@ -23,17 +23,19 @@ _SUFFIXES = {"rgb": (".jpg", ".jpeg", ".png"), "depth": (".png",)}
 
 
 class GrowingFolder(LiveSource):
-    """Frames of a folder in the plain layout (``gsfusion_nb.data.readers.folder``) as they are written.
+    """Frames of a folder in the plain layout (``gsfusion_nb.data.readers.folder``) as they are
+    written.
 
-    A frame counts when both its images end as PNG and JPEG files do, and, unless the camera is to be tracked, its line
-    of ``poses.txt`` is written. A line "name r00 r01 ... r33" belongs to the image of that name; lines of numbers alone
-    belong to images by the number in their names, from 0 on, so that a missing image does not shift the poses. Frames
-    come in natural order of their names. One whose images stay incomplete for ``patience_s`` while later ones are there
-    raises ``BadFrameError``, and so does a later file that sorts before the frames already taken; poses are waited
-    for.
+    A frame counts when both its images end as PNG and JPEG files do, and, unless the camera is to
+    be tracked, its line of ``poses.txt`` is written. A line "name r00 r01 ... r33" belongs to the
+    image of that name; lines of numbers alone belong to images by the number in their names, from 0
+    on, so that a missing image does not shift the poses. Frames come in natural order of their
+    names. One whose images stay incomplete for ``patience_s`` while later ones are there raises
+    ``BadFrameError``, and so does a later file that sorts before the frames already taken; poses
+    are waited for.
 
-    The iteration ends after the last frame when a file named ``stop_file`` is in the folder or nothing new has come for
-    ``idle_s``, or immediately with ``stop``.
+    The iteration ends after the last frame when a file named ``stop_file`` is in the folder or
+    nothing new has come for ``idle_s``, or immediately with ``stop``.
 
     Args:
         path: The folder; it may still be empty, but must exist.
@@ -45,8 +47,8 @@ class GrowingFolder(LiveSource):
         wait: Function that waits for a number of seconds; for tests.
 
     Raises:
-        SequenceNotFoundError: no such folder. SequenceError, while iterating: it is not clear which line of
-            ``poses.txt`` belongs to an image.
+        SequenceNotFoundError: no such folder. SequenceError, while iterating: it is not clear which
+            line of ``poses.txt`` belongs to an image.
     """
 
     policy: Policy = "all"
@@ -94,19 +96,26 @@ class GrowingFolder(LiveSource):
                     self._done.add(head.stem)
                     self._waiting.pop(0)
                     raise BadFrameError(
-                        f"{head} came after later frames were taken; expected files in order of their names"
+                        f"{head} came after later frames were taken; expected files in order of "
+                        "their names"
                     )
                 lacks = self._lacks_image(head)
                 if not lacks and (line := self._line(head)) is not None:
                     return self._take(head, line)
-                if self._ending or (lacks and len(self._waiting) > 1 and self._head_s > self._patience_s):
+                if self._ending or (
+                    lacks and len(self._waiting) > 1 and self._head_s > self._patience_s
+                ):
                     self._leave(head)
-                    raise BadFrameError(f"{lacks or f'{self._poses_file} has no pose for {head}'}; it is left out")
+                    raise BadFrameError(
+                        f"{lacks or f'{self._poses_file} has no pose for {head}'}; it is left out"
+                    )
             elif self._ending:
                 break
             self._round()
         if not self._values and not self._stopping.is_set():
-            read_intrinsics(self.root / "intrinsics.json")  # raises an error that describes the damage
+            read_intrinsics(
+                self.root / "intrinsics.json"
+            )  # raises an error that describes the damage
         raise StopIteration
 
     def stop(self) -> None:
@@ -132,14 +141,18 @@ class GrowingFolder(LiveSource):
             with contextlib.suppress(SequenceError):
                 self._values = read_intrinsics(self.root / "intrinsics.json")
         before = self._waiting
-        self._waiting = sorted((p for p in self._files("rgb") if p.stem not in self._done), key=natural_order)
+        self._waiting = sorted(
+            (p for p in self._files("rgb") if p.stem not in self._done), key=natural_order
+        )
         self._depth = {p.stem: p for p in self._files("depth") if p.stem not in self._done}
         return (self.has_poses and self._read_poses(final)) or self._waiting != before
 
     def _files(self, kind: str) -> list[Path]:
         folder = self.root / kind
         found = folder.iterdir() if folder.is_dir() else ()
-        return [p for p in found if p.suffix.lower() in _SUFFIXES[kind] and not p.name.startswith(".")]
+        return [
+            p for p in found if p.suffix.lower() in _SUFFIXES[kind] and not p.name.startswith(".")
+        ]
 
     def _read_poses(self, final: bool) -> bool:
         """Read the lines of ``poses.txt`` that have their end, and ``final`` the last one, too."""
@@ -165,7 +178,8 @@ class GrowingFolder(LiveSource):
         return f"{torn} is truncated; expected a whole image" if torn else ""
 
     def _line(self, image: Path) -> str | None:
-        """The pose of an image as it is written, empty if there are no poses; None if it is not there yet."""
+        """The pose of an image as it is written, empty if there are no poses; None if it is not
+        there yet."""
         if not self.has_poses:
             return ""
         if self._line_of_name:
@@ -180,8 +194,8 @@ class GrowingFolder(LiveSource):
         number = image_number(image)
         if number is None or (number != 0 and not self._done):
             raise SequenceError(
-                f"it is not clear which line of {self._poses_file} belongs to {image}; begin each line with the name "
-                "of its image"
+                f"it is not clear which line of {self._poses_file} belongs to {image}; begin each "
+                "line with the name of its image"
             )
         return number
 

@@ -1,4 +1,5 @@
-"""The check-up of a recording: read frames, examine each property, try the alternatives, combine the repairs."""
+"""The check-up of a recording: read frames, examine each property, try the alternatives, combine
+the repairs."""
 
 import time
 from collections import abc
@@ -15,7 +16,14 @@ from ...drawing.page import PageGraph
 from .colour import fit_colour, registration_findings
 from .explain import explain, pairs_of
 from .fit import CalibrationCorrection, FitData
-from .frames import exposure_finding, gains, graphs_of, image_findings, jump_finding, measure_over_frames
+from .frames import (
+    exposure_finding,
+    gains,
+    graphs_of,
+    image_findings,
+    jump_finding,
+    measure_over_frames,
+)
 from .judge_fit import agreement_finding, fit_findings
 from .pictures import path_from_above, pictures_of
 from .report import CheckupReport, Finding, flags_of, reader_flags
@@ -32,18 +40,19 @@ def check_recording(
     pictures: bool = True,
     **reader_options: Any,
 ) -> CheckupReport:
-    """Examine a recording: units, conventions, intrinsics, registration, times, images; and find the options that
-    repair it.
+    """Examine a recording: units, conventions, intrinsics, registration, times, images; and find
+    the options that repair it.
 
-    A property with alternatives is tried with all of them. The report names the alternative under which the depth
-    images predict each other best (reprojection from frame to frame), and the options of ``gsfusion-nb map`` that
-    select it.
+    A property with alternatives is tried with all of them. The report names the alternative under
+    which the depth images predict each other best (reprojection from frame to frame), and the
+    options of ``gsfusion-nb map`` that select it.
 
     Args:
         sequence_or_path: Folder of a recording, "room", or any ``Sequence``.
-        data: Range, depth limits and corrections to start from, for example those of an earlier report. Held-out frames
-            are examined too, but no repair is estimated from them.
-        frames: Approximate number of frames to read; a longer recording is read in windows of 31 consecutive frames.
+        data: Range, depth limits and corrections to start from, for example those of an earlier
+            report. Held-out frames are examined too, but no repair is estimated from them.
+        frames: Approximate number of frames to read; a longer recording is read in windows of 31
+            consecutive frames.
         pictures: Also make the pictures of the page.
         reader_options: For ``open_sequence``: ``format``, options of the reader.
 
@@ -53,7 +62,11 @@ def check_recording(
     started = time.perf_counter()
     given = data or DataConfig()
     base, hint = _opened(sequence_or_path, reader_options)
-    raw, findings = examine_files(base, given.repair) if isinstance(base, RecordedSequence) else (RepairConfig(), [])
+    raw, findings = (
+        examine_files(base, given.repair)
+        if isinstance(base, RecordedSequence)
+        else (RepairConfig(), [])
+    )
     given = combined(given, DataConfig(repair=raw))
     trials, sequence = Trials(base, given), apply_options(base, replace(given, hold_out_every=0))
     sample = read_sample(sequence, frames=frames)
@@ -76,7 +89,11 @@ def check_recording(
     found, more, together = trials.judged(found, more, registered) if posed else (found, more, "")
     reader = reader if any(f.repair == reader_flags(reader) for f in found) else {}
     mended = combined(given, more)
-    again = apply_options(base, replace(mended, hold_out_every=0)) if more != DataConfig() and posed else None
+    again = (
+        apply_options(base, replace(mended, hold_out_every=0))
+        if more != DataConfig() and posed
+        else None
+    )
     return replace(
         report,
         findings=[*report.findings, *found],
@@ -90,13 +107,18 @@ def check_recording(
 
 
 def _examine(
-    sample: Sample, pairs: abc.Sequence[tuple[int, int]], hint: dict[str, Any], posed: bool, trials: Trials
+    sample: Sample,
+    pairs: abc.Sequence[tuple[int, int]],
+    hint: dict[str, Any],
+    posed: bool,
+    trials: Trials,
 ) -> tuple[list[Finding], DataConfig, dict[str, Any], list[PageGraph]]:
-    """All findings that come from the frames read; without poses (``posed`` False) those on the images alone.
+    """All findings that come from the frames read; without poses (``posed`` False) those on the
+    images alone.
 
     Returns:
-        The findings, the repairs that are added to those the recording was read with, the options of the reader that
-        repair it, and the graphs.
+        The findings, the repairs that are added to those the recording was read with, the options
+        of the reader that repair it, and the graphs.
     """
     codes, code_finding = clear_codes(sample.frames, getattr(trials.base, "depth_scale", None))
     if posed:
@@ -106,18 +128,33 @@ def _examine(
         lens = getattr(getattr(trials.base, "rectify", None), "lens", None)
         about = fit_findings(e, sample.camera, lens and lens.camera)
         over = measure_over_frames(sample, e.interpretation, e.correction)
-        piece, jumps = jump_finding(over, 1 + max(int(over.number.max()), sample.length - 1))
+        piece, jumps = jump_finding(
+            over,
+            1 + max(int(over.number.max()), sample.length - 1),
+        )
         last = [jumps]
         graphs += graphs_of(over)
     else:
-        (repair, unit), graphs, piece, last = unit_finding(trials.mapped(sample), trials.base), [], DataConfig(), []
+        (repair, unit), graphs, piece, last = (
+            unit_finding(trials.mapped(sample), trials.base),
+            [],
+            DataConfig(),
+            [],
+        )
         about = [unit]
         text = "The recording has no poses: whatever needs them is not judged."
-        first = Finding("poses", "unknown", text, repair="--tracking.poses tracked --reader poses=false")
+        first = Finding(
+            "poses", "unknown", text, repair="--tracking.poses tracked --reader poses=false"
+        )
         over = measure_over_frames(sample, RepairConfig(), CalibrationCorrection(), posed=False)
-    colour, colour_findings = registration_findings(fit_colour(trials.mapped(sample)), sample.camera)
+    colour, colour_findings = registration_findings(
+        fit_colour(trials.mapped(sample)), sample.camera
+    )
     related, reader = colour_findings[0].verdict != "wrong" or bool(colour.changes), {}
-    if hint and colour_findings[0].verdict in ("doubtful", "wrong"):  # a calibration is better than a shift
+    if hint and colour_findings[0].verdict in (
+        "doubtful",
+        "wrong",
+    ):  # a calibration is better than a shift
         colour, reader, related = RepairConfig(), hint, True
         colour_findings[0] = replace(colour_findings[0], repair=reader_flags(hint))
     if posed and related:
@@ -132,14 +169,19 @@ def _examine(
         limits = replace(limits, **{name: round(factor * value_m * repair.depth_factor, 4)})
     code_finding = replace(code_finding, repair=flags_of(limits))
     data = combined(DataConfig(repair=repair), DataConfig(repair=colour))
-    data = combined(combined(data, limits), combined(piece, DataConfig(repair=RepairConfig(skip=skip))))
+    data = combined(
+        combined(data, limits), combined(piece, DataConfig(repair=RepairConfig(skip=skip)))
+    )
     coverage = missing_finding(sample.frames, repair.depth_factor)
     findings = [first, coverage, code_finding, *about, *colour_findings, *images, *last]
     return findings, data, reader, graphs
 
 
-def _opened(sequence_or_path: str | Path | Sequence, reader_options: dict[str, Any]) -> tuple[Sequence, dict[str, Any]]:
-    """The sequence as its reader returns it, and the option of the reader that registers colour to depth."""
+def _opened(
+    sequence_or_path: str | Path | Sequence, reader_options: dict[str, Any]
+) -> tuple[Sequence, dict[str, Any]]:
+    """The sequence as its reader returns it, and the option of the reader that registers colour to
+    depth."""
     if not isinstance(sequence_or_path, (str, Path)):
         return sequence_or_path, {}
     source = as_read(open_sequence(sequence_or_path, **reader_options).source)
@@ -147,19 +189,26 @@ def _opened(sequence_or_path: str | Path | Sequence, reader_options: dict[str, A
     if layout == "auto" and isinstance(source, RecordedSequence):
         layout = detect_layout(Path(sequence_or_path).expanduser())
     registration = known_layouts()[layout].registration if layout in known_layouts() else {}
-    return source, {} if any(reader_options.get(name) for name in registration) else dict(registration)
+    return source, {} if any(reader_options.get(name) for name in registration) else dict(
+        registration
+    )
 
 
 def _readable_finding(sample: Sample, given: RepairConfig) -> Finding:
     tried = len(sample.frames) + len(sample.unreadable)
     # a shift in time leaves these frames without a pose
     ends = max(
-        abs(given.pose_shift_frames), abs(given.rgb_shift_frames), bool(given.pose_offset_s or given.depth_offset_s)
+        abs(given.pose_shift_frames),
+        abs(given.rgb_shift_frames),
+        bool(given.pose_offset_s or given.depth_offset_s),
     )
     bad = {i: why for i, why in sample.unreadable.items() if ends <= i <= sample.length - 1 - ends}
     if not bad:
         return Finding("frames", "ok", f"All {tried} frames read are usable.")
-    text = f"{len(bad)} of {tried} frames cannot be used and are left out of the map, the first because "
+    text = (
+        f"{len(bad)} of {tried} frames cannot be used and are left out of the map, the first "
+        "because "
+    )
     text += f"{next(iter(bad.values()))}."
     if len(sample.frames) >= 2 and len(bad) <= tried / 2:
         return Finding("frames", "doubtful", text)

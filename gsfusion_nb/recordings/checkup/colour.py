@@ -1,5 +1,5 @@
-"""Whether colour edges lie on depth edges; searched over shift, scale, mirroring and whole frames of time; and the
-findings on it.
+"""Whether colour edges lie on depth edges; searched over shift, scale, mirroring and whole frames
+of time; and the findings on it.
 """
 
 import math
@@ -42,20 +42,22 @@ class ColourFit:
     shift_frames: int
     """The colour of frame i + this number fits the depth of frame i."""
     score: float
-    """Mean colour contrast on the depth edges under the best of all these, relative to the neighbourhood."""
+    """Mean colour contrast on the depth edges under the best of all these, relative to the
+    neighbourhood."""
     peak: float
     """How many standard deviations the best shift is above the others."""
     pixel: float
     """Size of a compared pixel, pixels of the full image."""
     may_be_time: bool = False
-    """Whether a time offset of up to half a frame explains the shifts of the single frames as well."""
+    """Whether a time offset of up to half a frame explains the shifts of the single frames as
+    well."""
 
 
 def fit_colour(sample: Sample) -> ColourFit | None:
     """Find the position of colour relative to depth; None with fewer than 60 edge pixels per frame.
 
-    A shift is measured where the image moves slowly, and a time where it moves fast: in one stretch of even motion both
-    look the same.
+    A shift is measured where the image moves slowly, and a time where it moves fast: in one stretch
+    of even motion both look the same.
     """
     slow, fast = _anchors(sample)
     edges = [depth_edges(f.depth_m.numpy()) for f in slow]
@@ -69,7 +71,9 @@ def fit_colour(sample: Sample) -> ColourFit | None:
     for name, flip in (("x", np.s_[:, ::-1]), ("y", np.s_[::-1]), ("xy", np.s_[::-1, ::-1])):
         surface = _surface(edges, _transforms([g[flip] for g in plain]))
         options.append((*peak_of(surface), 1.0, name))
-    score, peak, shift, scale, mirror = max(options, key=lambda o: o[0] * (1 if o[4] == "none" else 0.7))
+    score, peak, shift, scale, mirror = max(
+        options, key=lambda o: o[0] * (1 if o[4] == "none" else 0.7)
+    )
     near, _, at_near = peak_of(spatial, reach=1)
     frames = 0
     if mirror == "none" and score < _BETTER * near:  # within the noise: keep as read
@@ -93,33 +97,55 @@ def fit_colour(sample: Sample) -> ColourFit | None:
     )
 
 
-def _may_be_time(shifts: list[tuple[float, float]], speeds: list[np.ndarray]) -> bool:
-    """Whether shifts in single frames are as near to a multiple of the image's speed as to their median."""
+def _may_be_time(
+    shifts: list[tuple[float, float]],
+    speeds: list[np.ndarray],
+) -> bool:
+    """Whether shifts in single frames are as near to a multiple of the image's speed as to their
+    median."""
     s, v = np.array(shifts), np.array(speeds)
-    lag = np.clip((s * v).sum() / max((v * v).sum(), 1e-9), -0.5, 0.5)
-    off_time, off_shift = (np.median(np.linalg.norm(s - x, axis=1)) for x in (lag * v, np.median(s, axis=0)))
+    lag = np.clip(
+        (s * v).sum() / max((v * v).sum(), 1e-9),
+        -0.5,
+        0.5,
+    )
+    off_time, off_shift = (
+        np.median(np.linalg.norm(s - x, axis=1)) for x in (lag * v, np.median(s, axis=0))
+    )
     return bool(off_time < _AS_WELL * max(off_shift, 0.5))
 
 
-def _speed(f: FrameFacts, there: dict[int, FrameFacts]) -> Float[np.ndarray, " 2"]:
-    """Motion of the image's content from this frame to the next by phase correlation, pixels of the depth images."""
+def _speed(
+    f: FrameFacts,
+    there: dict[int, FrameFacts],
+) -> Float[np.ndarray, " 2"]:
+    """Motion of the image's content from this frame to the next by phase correlation, pixels of the
+    depth images."""
     before, after = _neighbours(f, there)
     a, b = (cv2.GaussianBlur(g.grey.astype(np.float32), (0, 0), 1.5) for g in (before, after))
-    moved = cv2.phaseCorrelate(a, b, cv2.createHanningWindow(a.shape[1::-1], cv2.CV_32F))[0]
+    moved = cv2.phaseCorrelate(
+        a,
+        b,
+        cv2.createHanningWindow(a.shape[1::-1], cv2.CV_32F),
+    )[0]
     return np.array(moved) * (f.depth_m.shape[1] / a.shape[1])
 
 
 def _neighbours(f: FrameFacts, there: dict[int, FrameFacts]) -> tuple[FrameFacts, FrameFacts]:
-    """The frame and the next, or the one before and the frame if the next was not read; itself twice without both."""
+    """The frame and the next, or the one before and the frame if the next was not read; itself
+    twice without both."""
     if f.place + 1 in there:
         return f, there[f.place + 1]
     return there.get(f.place - 1, f), f
 
 
 def _anchors(sample: Sample) -> tuple[list[FrameFacts], list[FrameFacts]]:
-    """Of each of a few stretches the frame in which the image moves slowest, and the one in which it moves fastest."""
+    """Of each of a few stretches the frame in which the image moves slowest, and the one in which
+    it moves fastest."""
     there = sample.by_place
-    inner = [f for f in sample.frames if all(f.place + k in there for k in (-TIME_REACH, TIME_REACH))]
+    inner = [
+        f for f in sample.frames if all(f.place + k in there for k in (-TIME_REACH, TIME_REACH))
+    ]
     chosen = inner or sample.frames
 
     def motion(f: FrameFacts) -> float:
@@ -134,7 +160,8 @@ def _anchors(sample: Sample) -> tuple[list[FrameFacts], list[FrameFacts]]:
 def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """1 on pixels that are nearer than a neighbour by a depth jump, else 0.
 
-    First, narrow holes are filled with the farther of their two sides: beside an object a structured-light camera does
+    First, narrow holes are filled with the farther of their two sides: beside an object a
+    structured-light camera does
         not measure the background, and the edge belongs to the object.
     """
     found = np.zeros(depth_m.shape, bool)
@@ -147,28 +174,54 @@ def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     return found.astype(np.float32)
 
 
-def colour_contrast(grey: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> Float[np.ndarray, "h w"]:
-    """Gradient of the grey image divided by its mean in the neighbourhood (so that texture has little weight), at most
-    4."""
+def colour_contrast(
+    grey: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]
+) -> Float[np.ndarray, "h w"]:
+    """Gradient of the grey image divided by its mean in the neighbourhood (so that texture has
+    little weight), at most 4."""
     image = grey.astype(np.float32)
     if image.shape != tuple(shape):
-        image = cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_AREA)
+        image = cv2.resize(
+            image,
+            (shape[1], shape[0]),
+            interpolation=cv2.INTER_AREA,
+        )
     image = cv2.GaussianBlur(image, (0, 0), 0.8)
-    size = np.hypot(cv2.Sobel(image, cv2.CV_32F, 1, 0), cv2.Sobel(image, cv2.CV_32F, 0, 1))
-    return np.asarray(np.minimum(size / (cv2.blur(size, (31, 31)) + 4), 4), dtype=np.float32)
+    size = np.hypot(
+        cv2.Sobel(image, cv2.CV_32F, 1, 0),
+        cv2.Sobel(image, cv2.CV_32F, 0, 1),
+    )
+    return np.asarray(
+        np.minimum(size / (cv2.blur(size, (31, 31)) + 4), 4),
+        dtype=np.float32,
+    )
 
 
-def on_edges(edges: abc.Sequence[np.ndarray], frames: abc.Sequence[FrameFacts]) -> float:
+def on_edges(
+    edges: abc.Sequence[np.ndarray],
+    frames: abc.Sequence[FrameFacts],
+) -> float:
     """Mean colour contrast of frames on depth edges, above that of all their pixels."""
     contrasts = [(E, colour_contrast(f.grey, E.shape)) for E, f in zip(edges, frames, strict=True)]
-    return sum(float((E * (G - G.mean())).sum() / max(E.sum(), 1)) for E, G in contrasts) / len(contrasts)
+    return sum(float((E * (G - G.mean())).sum() / max(E.sum(), 1)) for E, G in contrasts) / len(
+        contrasts
+    )
 
 
 def _closed(depth_m: np.ndarray, reach: int = 5) -> np.ndarray:
-    """Depth in which holes of at most ``2 * reach`` pixels in a row are filled with the farther side."""
-    closed = cv2.morphologyEx(depth_m, cv2.MORPH_CLOSE, np.ones((1, 2 * reach + 1)))
+    """Depth in which holes of at most ``2 * reach`` pixels in a row are filled with the farther
+    side."""
+    closed = cv2.morphologyEx(
+        depth_m,
+        cv2.MORPH_CLOSE,
+        np.ones((1, 2 * reach + 1)),
+    )
     narrow = (depth_m <= 0) & (closed > 0)
-    return np.where(narrow, cv2.dilate(depth_m, np.ones((1, 4 * reach + 1))), depth_m)
+    return np.where(
+        narrow,
+        cv2.dilate(depth_m, np.ones((1, 4 * reach + 1))),
+        depth_m,
+    )
 
 
 def _transforms(contrast: list[np.ndarray]) -> list[np.ndarray]:
@@ -180,17 +233,26 @@ def _size(shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(cv2.getOptimalDFTSize(n + 2 * REACH_PX) for n in shape)
 
 
-def _surface(edges: list[np.ndarray], transforms: list[np.ndarray]) -> np.ndarray:
-    """Mean contrast on the edges for every shift of the contrast images, minus the mean contrast of all pixels. [2R+1,
-    2R+1]"""
+def _surface(
+    edges: list[np.ndarray],
+    transforms: list[np.ndarray],
+) -> np.ndarray:
+    """Mean contrast on the edges for every shift of the contrast images, minus the mean contrast of
+    all pixels. [2R+1, 2R+1]"""
     R, size = REACH_PX, _size(edges[0].shape)
     products = [np.conj(np.fft.rfft2(E, size)) * G for E, G in zip(edges, transforms, strict=True)]
     total = np.fft.irfft2(sum(products), size)
-    return np.roll(total, (R, R), (0, 1))[: 2 * R + 1, : 2 * R + 1] / max(sum(float(E.sum()) for E in edges), 1.0)
+    return np.roll(total, (R, R), (0, 1))[: 2 * R + 1, : 2 * R + 1] / max(
+        sum(float(E.sum()) for E in edges), 1.0
+    )
 
 
-def peak_of(surface: np.ndarray, reach: int = REACH_PX) -> tuple[float, float, tuple[float, float]]:
-    """Height, height in standard deviations, and position of the highest peak, to fractions of a pixel by parabolas.
+def peak_of(
+    surface: np.ndarray,
+    reach: int = REACH_PX,
+) -> tuple[float, float, tuple[float, float]]:
+    """Height, height in standard deviations, and position of the highest peak, to fractions of a
+    pixel by parabolas.
 
     Only shifts of at most ``reach`` pixels are searched.
     """
@@ -203,7 +265,17 @@ def peak_of(surface: np.ndarray, reach: int = REACH_PX) -> tuple[float, float, t
         d = 0.0
         if 0 < at < len(line) - 1:
             bend = line[at - 1] - 2 * line[at] + line[at + 1]
-            d = float(np.clip(0.5 * (line[at - 1] - line[at + 1]) / bend, -1, 1)) if bend < 0 else 0.0
+            d = (
+                float(
+                    np.clip(
+                        0.5 * (line[at - 1] - line[at + 1]) / bend,
+                        -1,
+                        1,
+                    )
+                )
+                if bend < 0
+                else 0.0
+            )
         place.append(float(at + d - REACH_PX))
     return float(surface[j, i]), peak, (place[0], place[1])
 
@@ -218,7 +290,10 @@ def _scaled_peak(
 
     best = max((at(s) for s in _SCALES), key=lambda t: t[0])
     for step in (0.02, 0.01, 0.005):
-        best = max((best, at(best[3] - step), at(best[3] + step)), key=lambda t: t[0])
+        best = max(
+            (best, at(best[3] - step), at(best[3] + step)),
+            key=lambda t: t[0],
+        )
     return best
 
 
@@ -235,8 +310,12 @@ def _scaled(E: np.ndarray, scale: float) -> np.ndarray:
     return out
 
 
-def _best_time(anchors: list[FrameFacts], there: dict[int, FrameFacts]) -> tuple[int, float, float]:
-    """The frame whose colour fits best without a shift in the image, its score, and that of the frame itself."""
+def _best_time(
+    anchors: list[FrameFacts],
+    there: dict[int, FrameFacts],
+) -> tuple[int, float, float]:
+    """The frame whose colour fits best without a shift in the image, its score, and that of the
+    frame itself."""
     edges = {f.place: depth_edges(f.depth_m.numpy()) for f in anchors}
     scores = {0: 0.0}
     for k in range(-TIME_REACH, TIME_REACH + 1):
@@ -248,19 +327,23 @@ def _best_time(anchors: list[FrameFacts], there: dict[int, FrameFacts]) -> tuple
 
 
 SHIFT_LIMITS = ((3.0, 1.2), (5.0, 2.0))
-"""Shifts from which a recording is doubtful and wrong, in 640ths of the image width, and in compared pixels (the larger
-counts). Registered Kinects measure up to 2: their depth edges are ragged."""
+"""Shifts from which a recording is doubtful and wrong, in 640ths of the image width, and in
+compared pixels (the larger counts). Registered Kinects measure up to 2: their depth edges are
+ragged."""
 SCALE_DOUBTFUL = 0.015
 """Registered recordings measure 0 to 0.005."""
 _CLEAR_PEAK = 5.0
 """Smallest peak, in standard deviations, that counts as a shift; real ones have 6 and more."""
 _UNRELATED_SCORE = 0.4
-"""With no clear peak either, colour has no edges on the depth edges under any shift: wrongly paired frames give up to
-4 and 0.2, registered ones 6 to 10 and 0.9 to 1.4."""
+"""With no clear peak either, colour has no edges on the depth edges under any shift: wrongly paired
+frames give up to 4 and 0.2, registered ones 6 to 10 and 0.9 to 1.4."""
 
 
-def registration_findings(fit: ColourFit | None, camera: Camera) -> tuple[RepairConfig, list[Finding]]:
-    """Findings on the position of colour relative to depth, in space and in time; ``camera`` is that of the images."""
+def registration_findings(
+    fit: ColourFit | None, camera: Camera
+) -> tuple[RepairConfig, list[Finding]]:
+    """Findings on the position of colour relative to depth, in space and in time; ``camera`` is
+    that of the images."""
     none, names = RepairConfig(), ("registration", "colour time")
     if fit is None:
         text = "Cannot be known from these frames: too few depth edges to compare with colour."
@@ -269,30 +352,41 @@ def registration_findings(fit: ColourFit | None, camera: Camera) -> tuple[Repair
     clear = fit.peak >= _CLEAR_PEAK
     if not clear and fit.score < _UNRELATED_SCORE:
         text = (
-            "The colour images do not lie on the depth images under any shift, scale, mirroring or time: they are "
-            "those of other frames, or of a second camera that is not registered."
+            "The colour images do not lie on the depth images under any shift, scale, mirroring or "
+            "time: they are those of other frames, or of a second camera that is not registered."
         )
-        repair = "pair every depth image with the colour image of its time; register the cameras with their calibration"
+        repair = (
+            "pair every depth image with the colour image of its time; register the cameras "
+            "with their calibration"
+        )
         return none, [Finding("registration", "wrong", text, repair)]
     time = Finding("colour time", "ok", "Colour and depth belong to the same frame.")
     repair = none
     if fit.shift_frames:
         repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
         side = "later" if fit.shift_frames > 0 else "earlier"
-        text = f"A frame's depth image belongs to the colour image recorded {abs(fit.shift_frames)} frames {side}."
+        text = (
+            "A frame's depth image belongs to the colour image recorded "
+            f"{abs(fit.shift_frames)} frames {side}."
+        )
         time = Finding("colour time", "wrong", text, repair.flags)
     if not clear:
-        text = "Cannot be known from these frames: the edges of colour and depth are too few or too similar to compare."
+        text = (
+            "Cannot be known from these frames: the edges of colour and depth are too few or "
+            "too similar to compare."
+        )
         return repair, [Finding("registration", "unknown", text), time]
-    doubtful, wrong = (max(limit * camera.width / 640, pixels * fit.pixel) for limit, pixels in SHIFT_LIMITS)
+    doubtful, wrong = (
+        max(limit * camera.width / 640, pixels * fit.pixel) for limit, pixels in SHIFT_LIMITS
+    )
     changed = fit.mirror != "none" or abs(fit.scale - 1) > SCALE_DOUBTFUL
     if not changed and shift < doubtful:
         text = f"Colour edges lie on depth edges within {shift:.1f} pixels."
         return repair, [Finding("registration", "ok", text), time]
     if not changed and fit.may_be_time:
         text = (
-            f"Cannot be known from these frames: colour edges lie {shift:.1f} pixels beside depth edges, but in so few "
-            "kinds of motion a shift and a time offset look alike."
+            f"Cannot be known from these frames: colour edges lie {shift:.1f} pixels beside depth "
+            "edges, but in so few kinds of motion a shift and a time offset look alike."
         )
         return repair, [Finding("registration", "unknown", text), time]
     repair, text = _registration_repair(fit, shift >= doubtful)
@@ -309,7 +403,22 @@ def _registration_repair(fit: ColourFit, shifted: bool) -> tuple[RepairConfig, s
         rgb_shift_y_px=round(y, 1),
         rgb_scale=fit.scale if scaled else 1.0,
     )
-    mirrors = {"none": "", "x": "mirrored left to right", "y": "upside down", "xy": "rotated by 180 degrees"}
-    sides = f"{abs(x):.1f} pixels to the {'right' if x > 0 else 'left'} and {abs(y):.1f} {'down' if y > 0 else 'up'}"
-    words = [mirrors[fit.mirror], f"{fit.scale:.2f} times as large" * scaled, f"shifted by {sides}" * bool(x or y)]
-    return repair, f"The colour image is {', '.join(filter(None, words))} compared with the depth image."
+    mirrors = {
+        "none": "",
+        "x": "mirrored left to right",
+        "y": "upside down",
+        "xy": "rotated by 180 degrees",
+    }
+    sides = (
+        f"{abs(x):.1f} pixels to the {'right' if x > 0 else 'left'} and {abs(y):.1f} "
+        f"{'down' if y > 0 else 'up'}"
+    )
+    words = [
+        mirrors[fit.mirror],
+        f"{fit.scale:.2f} times as large" * scaled,
+        f"shifted by {sides}" * bool(x or y),
+    ]
+    return (
+        repair,
+        f"The colour image is {', '.join(filter(None, words))} compared with the depth image.",
+    )

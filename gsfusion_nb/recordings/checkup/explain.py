@@ -1,5 +1,5 @@
-"""The explanation that fits depth and poses best: an interpretation of the poses, then corrections that parts of the
-recording confirm.
+"""The explanation that fits depth and poses best: an interpretation of the poses, then corrections
+that parts of the recording confirm.
 """
 
 import itertools
@@ -22,15 +22,30 @@ from . import fit
 from .sample import WINDOW, Sample
 
 GAPS = (1, 2, 4, 8, 16, 30)
-"""Distances in frames between the two of a pair: near frames overlap in any recording, far ones show small errors."""
+"""Distances in frames between the two of a pair: near frames overlap in any recording, far ones
+show small errors."""
 PAIRS_PER_GAP = 6
 DEPTH_FACTORS = (
-    0.2, 5.0, 0.1, 10.0, 0.01, 100.0, 0.001, 1000.0, 1000 / 6553.5, 6.5535, 5 / 6.5535, 6.5535 / 5, 0.25, 4.0,
-)  # fmt: skip
-"""Ratios between the scales of public data sets, of metres, centimetres and millimetres, of 5000 and 6553.5, and of
-sensors that store quarter millimetres."""
+    0.2,
+    5.0,
+    0.1,
+    10.0,
+    0.01,
+    100.0,
+    0.001,
+    1000.0,
+    1000 / 6553.5,
+    6.5535,
+    5 / 6.5535,
+    6.5535 / 5,
+    0.25,
+    4.0,
+)
+"""Ratios between the scales of public data sets, of metres, centimetres and millimetres, of 5000
+and 6553.5, and of sensors that store quarter millimetres."""
 PRICE = 0.01
-"""Required gain in score for each change; of two that fit equally well the simpler interpretation is chosen."""
+"""Required gain in score for each change; of two that fit equally well the simpler interpretation
+is chosen."""
 
 _ROUGH_POINTS, _FINE_POINTS = 120, 800
 _ROUGH_PAIRS = 10
@@ -39,7 +54,8 @@ _POSES_AT_ONCE = 512
 
 
 class ScoredInterpretation(NamedTuple):
-    """An interpretation of the recording, and how well the depth images agree with it, as mean over the pairs."""
+    """An interpretation of the recording, and how well the depth images agree with it, as mean over
+    the pairs."""
 
     repair: RepairConfig
     """Direction, axes and quaternion order of the poses, and a factor on depth."""
@@ -53,21 +69,28 @@ class ScoredInterpretation(NamedTuple):
 
 
 def pairs_of(sample: Sample) -> list[tuple[int, int]]:
-    """Positions of the frames to compare: for each distance a few pairs, spread over the frames read."""
+    """Positions of the frames to compare: for each distance a few pairs, spread over the frames
+    read."""
     found = []
     there = sample.by_place
     for gap in GAPS:
         firsts = [f.place for f in sample.frames if f.place + gap in there]
         if firsts:
-            chosen = np.linspace(0, len(firsts) - 1, min(PAIRS_PER_GAP, len(firsts))).round().astype(int)
+            chosen = (
+                np.linspace(0, len(firsts) - 1, min(PAIRS_PER_GAP, len(firsts))).round().astype(int)
+            )
             found += [(firsts[i], firsts[i] + gap) for i in sorted(set(chosen.tolist()))]
     return found
 
 
 def _scored(
-    sample: Sample, pairs: abc.Sequence[tuple[int, int]], interpretations: abc.Sequence[RepairConfig], points: int
+    sample: Sample,
+    pairs: abc.Sequence[tuple[int, int]],
+    interpretations: abc.Sequence[RepairConfig],
+    points: int,
 ) -> list[ScoredInterpretation]:
-    """Score each interpretation on the pairs, with about ``points`` points of each; the best first."""
+    """Score each interpretation on the pairs, with about ``points`` points of each; the best
+    first."""
     there, camera = sample.by_place, sample.depth_camera
     T_a = torch.stack([there[a].T_stored for a, _ in pairs])
     T_b = torch.stack([there[b].T_stored for _, b in pairs])
@@ -77,16 +100,26 @@ def _scored(
     for i, (a, b) in enumerate(pairs):
         xyz_a, depth_b = sparse_points(camera, there[a].depth_m, step), there[b].depth_m
         parts = relative[:, i].split(_POSES_AT_ONCE)
-        scores.append(torch.cat([depth_consistency(xyz_a, depth_b, camera, T_ba).score for T_ba in parts]))
+        scores.append(
+            torch.cat([depth_consistency(xyz_a, depth_b, camera, T_ba).score for T_ba in parts])
+        )
     mean = torch.stack(scores).mean(0).tolist()
     return sorted(map(ScoredInterpretation, interpretations, mean), key=lambda t: -t.worth)
 
 
-def best_interpretation(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> list[ScoredInterpretation]:
-    """Score all pose conventions with all depth scales on few points, and the best ones again on more; best first."""
+def best_interpretation(
+    sample: Sample, pairs: abc.Sequence[tuple[int, int]]
+) -> list[ScoredInterpretation]:
+    """Score all pose conventions with all depth scales on few points, and the best ones again on
+    more; best first."""
     names = {words: name for name, words in NAMED_AXES.items()}
     interpretations = [
-        RepairConfig(quaternions=q, poses=p, axes=names.get(words, words), depth_factor=f)
+        RepairConfig(
+            quaternions=q,
+            poses=p,
+            axes=names.get(words, words),
+            depth_factor=f,
+        )
         for q, p, words, f in itertools.product(
             ("as_read", "wxyz", "xyzw"),
             ("camera_to_world", "world_to_camera", "rotation_inverted"),
@@ -94,19 +127,25 @@ def best_interpretation(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) ->
             (1.0, *DEPTH_FACTORS),
         )
     ]
-    middle = [pairs[i] for i in sorted({int(i) for i in np.linspace(0, len(pairs) - 1, _ROUGH_PAIRS).round()})]
+    middle = [
+        pairs[i]
+        for i in sorted({int(i) for i in np.linspace(0, len(pairs) - 1, _ROUGH_PAIRS).round()})
+    ]
     rough = _scored(sample, middle, interpretations, _ROUGH_POINTS)[:_KEPT]
     kept = [t.repair for t in rough if t.repair.changes]
     return _scored(sample, pairs, [RepairConfig(), *kept], _FINE_POINTS)
 
 
 def _relatives(
-    T_a: Float[Tensor, "P 4 4"], T_b: Float[Tensor, "P 4 4"], interpretations: abc.Sequence[RepairConfig]
+    T_a: Float[Tensor, "P 4 4"],
+    T_b: Float[Tensor, "P 4 4"],
+    interpretations: abc.Sequence[RepairConfig],
 ) -> Float[Tensor, "K P 4 4"]:
-    """Transforms from camera a to camera b under every interpretation, in units of the depth as read.
+    """Transforms from camera a to camera b under every interpretation, in units of the depth as
+    read.
 
-    A factor on depth scales all points and keeps directions, so the translation is divided by it instead.
-    Interpretations that differ only in axes and depth factor share the rest.
+    A factor on depth scales all points and keeps directions, so the translation is divided by it
+    instead. Interpretations that differ only in axes and depth factor share the rest.
     """
     known: dict[tuple[str, str], Float[Tensor, "P 4 4"]] = {}
     axes: dict[str, Float[Tensor, "4 4"]] = {}
@@ -117,25 +156,33 @@ def _relatives(
         if r.axes not in axes:
             axes[r.axes] = axis_matrix(r)
     M = torch.stack([axes[r.axes] for r in interpretations])[:, None]
-    relative = M @ torch.stack([known[r.quaternions, r.poses] for r in interpretations]) @ M.transpose(2, 3)
+    relative = (
+        M
+        @ torch.stack([known[r.quaternions, r.poses] for r in interpretations])
+        @ M.transpose(2, 3)
+    )
     factors = torch.tensor([r.depth_factor for r in interpretations], dtype=relative.dtype)
     relative[..., :3, 3] /= factors[:, None, None]
     return relative
 
 
 WORTH_TRYING = 0.03
-"""Another interpretation is examined further if it scores this much higher than as read. In a clean recording the best
-other one scores at least 0.06 lower (0.9 against 0.8 over 30 frames with little motion)."""
+"""Another interpretation is examined further if it scores this much higher than as read. In a clean
+recording the best other one scores at least 0.06 lower (0.9 against 0.8 over 30 frames with little
+motion)."""
 SLOWEST_WRONG_STEP_M = 0.7
-"""A median step between frames above this is not a hand-held camera: the unit of the positions is wrong."""
+"""A median step between frames above this is not a hand-held camera: the unit of the positions is
+wrong."""
 PLAUSIBLE_DEPTH_M = (0.15, 20.0)
 
 
 _PARTS, _LEAST_PAIRS = 3, 3
 _INTRINSICS = ("focal length", "fx / fy", "principal point")
-"""What a time offset leaves behind can look like these; in less than a window that cannot be told apart."""
+"""What a time offset leaves behind can look like these; in less than a window that cannot be told
+apart."""
 _AGREE = 0.6
-"""A part confirms a correction if its own differs by at most this share of it, or by its own uncertainty."""
+"""A part confirms a correction if its own differs by at most this share of it, or by its own
+uncertainty."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,10 +209,11 @@ class Explanation:
 
 
 def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation:
-    """Correct the sequence as read and the best other interpretation; return the one that fits better in the end.
+    """Correct the sequence as read and the best other interpretation; return the one that fits
+    better in the end.
 
-    A wrong focal length or time offset can make a wrong interpretation score higher than the right one; only the
-    comparison after all corrections shows it.
+    A wrong focal length or time offset can make a wrong interpretation score higher than the right
+    one; only the comparison after all corrections shows it.
     """
     tried = best_interpretation(sample, pairs)
     as_read = next(t for t in tried if not t.repair.changes)
@@ -176,7 +224,15 @@ def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation
         data = fit.FitData.of(sample, far, t.repair)
         adopted, last = fit.correct(data)
         share = fit.agreement(data, fit.together(adopted)).share
-        followed.append((share - PRICE * (len(t.repair.changes) + 2 * len(adopted)), t.repair, adopted, last, data))
+        followed.append(
+            (
+                share - PRICE * (len(t.repair.changes) + 2 * len(adopted)),
+                t.repair,
+                adopted,
+                last,
+                data,
+            )
+        )
     _, interpretation, adopted, last, data = max(followed, key=lambda f: f[0])
     contradicted = _contradicted(adopted, sample, far, interpretation)
     kept = [f for f in adopted if f.kind not in contradicted]
@@ -188,8 +244,12 @@ def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation
         adopted={f.kind: f for f in kept},
         contradicted=contradicted,
         fits={f.kind: f for f in (*last, *kept)},
-        as_read=fit.agreement(fit.FitData.of(sample, far, RepairConfig()), fit.CalibrationCorrection()),
-        repaired=repaired._replace(median_m=repaired.median_m * units.depth_factor / interpretation.depth_factor),
+        as_read=fit.agreement(
+            fit.FitData.of(sample, far, RepairConfig()), fit.CalibrationCorrection()
+        ),
+        repaired=repaired._replace(
+            median_m=repaired.median_m * units.depth_factor / interpretation.depth_factor
+        ),
         data=data,
         tried=tried,
         repair=repair_of(correction, sample.camera, units),
@@ -202,10 +262,12 @@ def _contradicted(
     pairs: abc.Sequence[tuple[int, int]],
     interpretation: RepairConfig,
 ) -> frozenset[str]:
-    """Kinds of corrections that a third of the recording, fitted alone, contradicts, or that fewer than two know.
+    """Kinds of corrections that a third of the recording, fitted alone, contradicts, or that fewer
+    than two know.
 
-    A wrong focal length or principal point is the same in every part. What rotation, a time offset or a rolling shutter
-    do to the depth images changes with the motion, and in one stretch of it a wrong intrinsic can imitate it.
+    A wrong focal length or principal point is the same in every part. What rotation, a time offset
+    or a rolling shutter do to the depth images changes with the motion, and in one stretch of it a
+    wrong intrinsic can imitate it.
     """
     ordered = sorted(pairs, key=sum)
     cuts = [round(k * len(ordered) / _PARTS) for k in range(_PARTS + 1)]
@@ -220,7 +282,12 @@ def _contradicted(
         wanted, knowing, agreeing = one.added[field], 0, True
         for data in (fit.FitData.of(sample, part, interpretation) for part in parts):
             cost = fit.cost_of(data, whole)
-            best, spread = fit.search(cost, start, kind, data.thinning * data.camera.width / 640)
+            best, spread = fit.search(
+                cost,
+                start,
+                kind,
+                data.thinning * data.camera.width / 640,
+            )
             best = min(best, whole, key=cost)  # the search may end in another valley
             knowing += spread < abs(wanted)
             value = getattr(best, field) - getattr(start, field)
@@ -230,8 +297,11 @@ def _contradicted(
     return frozenset(found)
 
 
-def repair_of(c: fit.CalibrationCorrection, camera: Camera, interpretation: RepairConfig) -> RepairConfig:
-    """An interpretation and a correction as the options of a reader, rounded to the precision of the measurement."""
+def repair_of(
+    c: fit.CalibrationCorrection, camera: Camera, interpretation: RepairConfig
+) -> RepairConfig:
+    """An interpretation and a correction as the options of a reader, rounded to the precision of
+    the measurement."""
     found: dict = {}
     if c.log_scale:
         found["depth_factor"] = snapped(interpretation.depth_factor * math.exp(c.log_scale))
@@ -244,7 +314,10 @@ def repair_of(c: fit.CalibrationCorrection, camera: Camera, interpretation: Repa
         found["fx"] = round(camera.fx * math.exp(c.log_focal + c.log_aspect), 1)
         found["fy"] = round(camera.fy * math.exp(c.log_focal - c.log_aspect), 1)
     if c.cx_px or c.cy_px:
-        found |= {"cx": max(0.0, round(camera.cx + c.cx_px, 1)), "cy": max(0.0, round(camera.cy + c.cy_px, 1))}
+        found |= {
+            "cx": max(0.0, round(camera.cx + c.cx_px, 1)),
+            "cy": max(0.0, round(camera.cy + c.cy_px, 1)),
+        }
     return replace(interpretation, **found)
 
 
@@ -261,11 +334,15 @@ def with_units(interpretation: RepairConfig, sample: Sample) -> RepairConfig:
     """
     if interpretation.depth_factor == 1.0 or not sample.frames:
         return interpretation
-    known = [f.depth_m[f.depth_m > 0].median() for f in sample.frames if bool((f.depth_m > 0).any())]
+    known = [
+        f.depth_m[f.depth_m > 0].median() for f in sample.frames if bool((f.depth_m > 0).any())
+    ]
     depth_m = float(sorted(known)[len(known) // 2])
     steps = (sample.stored_poses[1:, :3, 3] - sample.stored_poses[:-1, :3, 3]).norm(dim=1)
     step_m = float(steps.nanmedian()) if len(steps) else 0.0
     low, high = PLAUSIBLE_DEPTH_M
     if low < depth_m < high and step_m > SLOWEST_WRONG_STEP_M:
-        return replace(interpretation, depth_factor=1.0, translation_factor=1 / interpretation.depth_factor)
+        return replace(
+            interpretation, depth_factor=1.0, translation_factor=1 / interpretation.depth_factor
+        )
     return interpretation

@@ -1,5 +1,6 @@
-"""How well depth images predict each other under small corrections of scale, time, focal length, principal point, and
-the search for these corrections: each kind is fitted alone, the best is adopted, and the search is repeated.
+"""How well depth images predict each other under small corrections of scale, time, focal length,
+principal point, and the search for these corrections: each kind is fitted alone, the best is
+adopted, and the search is repeated.
 """
 
 import math
@@ -27,7 +28,8 @@ PosesAtShift = Callable[[float], Float[Tensor, "F 4 4"]]
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationCorrection:
-    """Changes that are applied before points are moved from frame to frame. Zeros change nothing."""
+    """Changes that are applied before points are moved from frame to frame. Zeros change
+    nothing."""
 
     log_scale: float = 0.0
     """Logarithm of a factor on depth."""
@@ -63,7 +65,11 @@ class FitData:
 
     @staticmethod
     def of(
-        sample: Sample, pairs: abc.Sequence[tuple[int, int]], interpretation: RepairConfig, *, points: int = 800
+        sample: Sample,
+        pairs: abc.Sequence[tuple[int, int]],
+        interpretation: RepairConfig,
+        *,
+        points: int = 800,
     ) -> "FitData":
         """Data of the pairs with poses and depth scale interpreted by ``interpretation``."""
         camera = sample.depth_camera
@@ -97,12 +103,20 @@ class FitData:
 
 
 def reproject(data: FitData, c: CalibrationCorrection) -> Reprojection:
-    """Move all points of the first frames into the second frames of the pairs, under a correction."""
+    """Move all points of the first frames into the second frames of the pairs, under a
+    correction."""
     camera = data.corrected_camera(c)
     T = data.path(c.shift_frames).to(data.uv_a.dtype)
     T_ba = relative_poses(T[data.rows[0]], T[data.rows[1]])
     T_ba[:, :3, 3] *= math.exp(-c.log_scale)
-    return reproject_depth(camera, data.uv_a, data.depth_a, data.depth_b, T_ba, is_ray=bool(c.ray))
+    return reproject_depth(
+        camera,
+        data.uv_a,
+        data.depth_a,
+        data.depth_b,
+        T_ba,
+        is_ray=bool(c.ray),
+    )
 
 
 class Agreement(NamedTuple):
@@ -122,7 +136,10 @@ def agreement(data: FitData, c: CalibrationCorrection) -> Agreement:
     there = (posed[data.rows[0]] & posed[data.rows[1]])[:, None] & (data.depth_a > 0)
     share = float(((r < AGREES) & known).sum() / there.sum().clamp_min(1))
     error = (r * data.depth_a)[known]
-    return Agreement(share, float(error.median()) * math.exp(c.log_scale) if len(error) else math.nan)
+    return Agreement(
+        share,
+        float(error.median()) * math.exp(c.log_scale) if len(error) else math.nan,
+    )
 
 
 def median_error(data: FitData, c: CalibrationCorrection) -> float:
@@ -146,7 +163,10 @@ def _path(poses: Float[Tensor, "L 4 4"], frames: list[int]) -> PosesAtShift:
     return shifted
 
 
-def _rows(poses: Float[Tensor, "L 4 4"], places: list[int]) -> Float[Tensor, "F 4 4"]:
+def _rows(
+    poses: Float[Tensor, "L 4 4"],
+    places: list[int],
+) -> Float[Tensor, "F 4 4"]:
     """Poses at ``places``; NaN outside."""
     at = torch.tensor(places)
     inside = (at >= 0) & (at < len(poses))
@@ -154,8 +174,8 @@ def _rows(poses: Float[Tensor, "L 4 4"], places: list[int]) -> Float[Tensor, "F 
 
 
 HELPS = 0.95
-"""A correction is adopted if it reduces the cost below this share. The largest gain measured on a clean recording, by a
-correction larger than ``least``, is 0.99."""
+"""A correction is adopted if it reduces the cost below this share. The largest gain measured on a
+clean recording, by a correction larger than ``least``, is 0.99."""
 CLEAR = 0.90
 """Below this share of the cost the recording is called wrong, above it doubtful."""
 _SIZES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
@@ -193,19 +213,26 @@ class FittedCorrection:
     ratio: float
     """Cost with the correction / cost without it; 1 means no gain."""
     uncertainty: float
-    """Half the range in which the cost is within 2 per cent of its minimum, in the first field's unit."""
+    """Half the range in which the cost is within 2 per cent of its minimum, in the first field's
+    unit."""
 
 
 def together(fitted: abc.Iterable[FittedCorrection]) -> CalibrationCorrection:
     """All these corrections in one."""
     c = CalibrationCorrection()
     for f in fitted:
-        c = replace(c, **{name: getattr(c, name) + value for name, value in f.added.items()})
+        c = replace(
+            c,
+            **{name: getattr(c, name) + value for name, value in f.added.items()},
+        )
     return c
 
 
-def correct(data: FitData, *, rounds: int = 3) -> tuple[list[FittedCorrection], list[FittedCorrection]]:
-    """Adopt the kind of correction with the largest gain until none has any, or for so many ``rounds``.
+def correct(
+    data: FitData, *, rounds: int = 3
+) -> tuple[list[FittedCorrection], list[FittedCorrection]]:
+    """Adopt the kind of correction with the largest gain until none has any, or for so many
+    ``rounds``.
 
     Returns:
         The corrections adopted, in order, and the fits of all kinds in the last round.
@@ -214,7 +241,11 @@ def correct(data: FitData, *, rounds: int = 3) -> tuple[list[FittedCorrection], 
     last: list[FittedCorrection] = []
     for _ in range(rounds):
         last = _fit_all(data, together(adopted))
-        helpful = [f for f in last if f.ratio < HELPS and max(map(abs, f.added.values())) > KINDS[f.kind].least]
+        helpful = [
+            f
+            for f in last
+            if f.ratio < HELPS and max(map(abs, f.added.values())) > KINDS[f.kind].least
+        ]
         if not helpful:
             break
         adopted.append(min(helpful, key=lambda f: f.ratio))
@@ -231,10 +262,14 @@ def _fit_all(data: FitData, start: CalibrationCorrection) -> list[FittedCorrecti
             best, spread = search(f, start, kind, data.thinning * data.camera.width / 640)
         else:
             sizes = [_resized(data, start, k) for k in _SIZES]
-            best = min([replace(start, ray=1.0 - start.ray)] if name == "depth kind" else sizes, key=f)
+            best = min(
+                [replace(start, ray=1.0 - start.ray)] if name == "depth kind" else sizes, key=f
+            )
             spread = math.nan
         added = {x: getattr(best, x) - getattr(start, x) for x in kind.fields}
-        fitted.append(FittedCorrection(kind=name, added=added, ratio=f(best) / before, uncertainty=spread))
+        fitted.append(
+            FittedCorrection(kind=name, added=added, ratio=f(best) / before, uncertainty=spread)
+        )
     return fitted
 
 
@@ -242,13 +277,19 @@ def _resized(data: FitData, c: CalibrationCorrection, k: float) -> CalibrationCo
     """``c`` with all four intrinsics multiplied by ``k``."""
     full = (data.camera.cx * data.thinning, data.camera.cy * data.thinning)
     return replace(
-        c, log_focal=c.log_focal + math.log(k), cx_px=c.cx_px + (k - 1) * full[0], cy_px=c.cy_px + (k - 1) * full[1]
+        c,
+        log_focal=c.log_focal + math.log(k),
+        cx_px=c.cx_px + (k - 1) * full[0],
+        cy_px=c.cy_px + (k - 1) * full[1],
     )
 
 
-def cost_of(data: FitData, start: CalibrationCorrection) -> Callable[[CalibrationCorrection], float]:
-    """The cost of a correction: mean of min(|residual| / tolerance, 1) over the points that fall on a valid depth, 1 if
-    none does; the tolerance is three times their median at ``start``, 0.2 to 6 per cent."""
+def cost_of(
+    data: FitData, start: CalibrationCorrection
+) -> Callable[[CalibrationCorrection], float]:
+    """The cost of a correction: mean of min(|residual| / tolerance, 1) over the points that fall on
+    a valid depth, 1 if none does; the tolerance is three times their median at ``start``, 0.2 to 6
+    per cent."""
     tolerance = min(max(3 * median_error(data, start), 0.002), 0.06)
 
     def cost(c: CalibrationCorrection) -> float:
@@ -260,16 +301,27 @@ def cost_of(data: FitData, start: CalibrationCorrection) -> Callable[[Calibratio
 
 
 def search(
-    f: Callable[[CalibrationCorrection], float], start: CalibrationCorrection, kind: CorrectionKind, pixels: float
+    f: Callable[[CalibrationCorrection], float],
+    start: CalibrationCorrection,
+    kind: CorrectionKind,
+    pixels: float,
 ) -> tuple[CalibrationCorrection, float]:
-    """Minimum of the cost over the fields of ``kind``, one after another, in narrowing rounds; and its width."""
+    """Minimum of the cost over the fields of ``kind``, one after another, in narrowing rounds; and
+    its width."""
     is_centre = "cx_px" in kind.fields
     width = kind.width * (pixels if is_centre else 1.0)
     best, value = start, f(start)
     seen: list[tuple[float, float]] = []
     for part in (1.0, 0.25, 0.06) if is_centre else (1.0,):
         for name in kind.fields:
-            best, value, tried = _line(f, best, value, name, width * part, 3 if is_centre else 4)
+            best, value, tried = _line(
+                f,
+                best,
+                value,
+                name,
+                width * part,
+                3 if is_centre else 4,
+            )
             if name == kind.fields[0]:
                 seen += tried
     near = [x for x, v in seen if v <= 1.02 * value + 1e-9]
@@ -284,8 +336,8 @@ def _line(
     width: float,
     levels: int,
 ) -> tuple[CalibrationCorrection, float, list[tuple[float, float]]]:
-    """Try nine values of a field around the best and refine ``levels`` times; returns the best, its cost, and all
-    tried."""
+    """Try nine values of a field around the best and refine ``levels`` times; returns the best, its
+    cost, and all tried."""
     tried = [(getattr(c, name), value)]
     for _ in range(levels):
         for x in getattr(c, name) + width * np.linspace(-1, 1, 9):

@@ -1,4 +1,5 @@
-"""From frame to frame: depth agreement, motion, exposure, sharpness, repeated images; and the findings on them."""
+"""From frame to frame: depth agreement, motion, exposure, sharpness, repeated images; and the
+findings on them."""
 
 import itertools
 from collections import abc
@@ -47,14 +48,21 @@ class OverFrames:
 
 
 def measure_over_frames(
-    sample: Sample, interpretation: RepairConfig, correction: CalibrationCorrection, *, posed: bool = True
+    sample: Sample,
+    interpretation: RepairConfig,
+    correction: CalibrationCorrection,
+    *,
+    posed: bool = True,
 ) -> OverFrames:
     """Compare every frame with the next under the adopted interpretation and correction.
 
     Without poses (``posed`` False) only the images are compared; what needs poses is NaN.
     """
     frames, there = sample.frames, sample.by_place
-    out = {name: np.full(len(frames), np.nan) for name in ("error", "turned_deg", "moved_m", "gain_stops")}
+    out = {
+        name: np.full(len(frames), np.nan)
+        for name in ("error", "turned_deg", "moved_m", "gain_stops")
+    }
     same = np.zeros(len(frames), bool)
     with_next = [(i, f, there[f.place + 1]) for i, f in enumerate(frames) if f.place + 1 in there]
     poses = reread_poses(sample.stored_poses, interpretation)
@@ -99,17 +107,24 @@ def graphs_of(over: OverFrames) -> list[PageGraph]:
 
 
 def gains(
-    sample: Sample, pairs: abc.Sequence[tuple[int, int]], data: FitData, correction: CalibrationCorrection
+    sample: Sample,
+    pairs: abc.Sequence[tuple[int, int]],
+    data: FitData,
+    correction: CalibrationCorrection,
 ) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
-    """Brightness of the same points in the second / first frame of each pair, log2, without those near black or white;
-    the median relative difference of their depths; and the share of all points that agree in depth and, apart from that
-    ratio, in brightness.
+    """Brightness of the same points in the second / first frame of each pair, log2, without those
+    near black or white; the median relative difference of their depths; and the share of all points
+    that agree in depth and, apart from that ratio, in brightness.
 
-    With too few points that meet a depth the first two are NaN. The share is then 0 where the points leave the image,
-    and NaN, not measured, where they meet pixels without depth."""
+    With too few points that meet a depth the first two are NaN. The share is then 0 where the
+    points leave the image, and NaN, not measured, where they meet pixels without depth."""
     uv_b, residual, all_known = reproject(data, correction)
     there, residual = sample.by_place, residual.abs()
-    stops, errors, shares = np.full(len(pairs), np.nan), np.full(len(pairs), np.nan), np.zeros(len(pairs))
+    stops, errors, shares = (
+        np.full(len(pairs), np.nan),
+        np.full(len(pairs), np.nan),
+        np.zeros(len(pairs)),
+    )
     for j, (first, second) in enumerate(pairs):
         known = all_known[j]
         if int(known.sum()) < _FEWEST_POINTS:
@@ -119,16 +134,29 @@ def gains(
             continue
         errors[j] = float(residual[j][known].median())
         agrees = known & (residual[j] < _AGREES_FOR_COLOUR)
-        a = greys_at(there[first].grey, data.uv_a[j][agrees], data.camera.width)
-        b = greys_at(there[second].grey, uv_b[j][agrees], data.camera.width)
+        a = greys_at(
+            there[first].grey,
+            data.uv_a[j][agrees],
+            data.camera.width,
+        )
+        b = greys_at(
+            there[second].grey,
+            uv_b[j][agrees],
+            data.camera.width,
+        )
         good = is_usable_grey(a, b)
         if good.sum() >= FEWEST_GREYS:
             stops[j] = gain_stops(a[good], b[good])
-            shares[j] = (np.abs(b / 2 ** stops[j] - a) < _SAME_GREY).sum() / int((data.depth_a[j] > 0).sum())
+            shares[j] = (np.abs(b / 2 ** stops[j] - a) < _SAME_GREY).sum() / int(
+                (data.depth_a[j] > 0).sum()
+            )
     return stops, errors, shares
 
 
-def _is_inside(uv: Float[torch.Tensor, "N 2"], camera: Camera) -> Bool[torch.Tensor, " N"]:
+def _is_inside(
+    uv: Float[torch.Tensor, "N 2"],
+    camera: Camera,
+) -> Bool[torch.Tensor, " N"]:
     return (uv[:, 0] > 0) & (uv[:, 0] < camera.width) & (uv[:, 1] > 0) & (uv[:, 1] < camera.height)
 
 
@@ -140,19 +168,21 @@ def _relative(values: list[float], reach: int = 5) -> np.ndarray:
 
 
 STEP_STOPS, SPREAD_STOPS = 0.3, 1.0
-"""Changes of brightness that are reported, log2: between neighbours (a hand-held Kinect with automatic exposure: 0.19
-at most), and between frames up to 30 apart (the same: 0.68)."""
+"""Changes of brightness that are reported, log2: between neighbours (a hand-held Kinect with
+automatic exposure: 0.19 at most), and between frames up to 30 apart (the same: 0.68)."""
 FIT_STOPS = 0.15
-"""From this difference within 30 frames on, fitted exposures gain: 0.7 dB at 0.19, nothing at 0.01."""
+"""From this difference within 30 frames on, fitted exposures gain: 0.7 dB at 0.19, nothing at
+0.01."""
 _BLURRED = 0.3
-"""Share of the neighbours' sharpness below which a frame is blurred; the worst of 250 frames of a hand-held Kinect has
-0.38."""
+"""Share of the neighbours' sharpness below which a frame is blurred; the worst of 250 frames of a
+hand-held Kinect has 0.38."""
 _NAMED = 12
 """Largest number of frames that a finding names."""
 
 
 def _jumps(over: OverFrames) -> tuple[list[int], list[int]]:
-    """Frames far from both neighbours, and frames after which the path continues at another place."""
+    """Frames far from both neighbours, and frames after which the path continues at another
+    place."""
     frozen = over.same | np.roll(over.same, 1)
     jumps = find_jumps(over.turned_deg, over.moved_m, over.error, frozen)
     alone = sorted(int(over.number[i + 1]) for i in jumps if i + 1 in jumps)
@@ -161,12 +191,15 @@ def _jumps(over: OverFrames) -> tuple[list[int], list[int]]:
 
 
 def jump_finding(over: OverFrames, length: int) -> tuple[DataConfig, Finding]:
-    """Finding: do the poses jump where the depth images do not? And the range to keep of ``length`` frames."""
+    """Finding: do the poses jump where the depth images do not? And the range to keep of ``length``
+    frames."""
     alone, cuts = _jumps(over)
     turned, moved = (float(np.nanmax(x, initial=0.0)) for x in (over.turned_deg, over.moved_m))
     extent = f"steps of at most {turned:.1f} degrees and {100 * moved:.1f} cm"
     if not alone and not cuts:
-        return DataConfig(), Finding("pose jumps", "ok", f"No frame is off the path of its neighbours: {extent}.")
+        return DataConfig(), Finding(
+            "pose jumps", "ok", f"No frame is off the path of its neighbours: {extent}."
+        )
     piece = DataConfig(repair=RepairConfig(skip=tuple(alone)))
     if cuts:  # the longest piece between cuts, which lie after their frames
         ends = [0, *(c + 1 for c in cuts), length]
@@ -174,7 +207,10 @@ def jump_finding(over: OverFrames, length: int) -> tuple[DataConfig, Finding]:
         piece = replace(piece, start=start, stop=stop)
     parts = [f"frame {_list(alone)} is off the path of its neighbours"] * bool(alone)
     parts += [f"the path is interrupted after frame {_list(cuts)}"] * bool(cuts)
-    text = f"{' and '.join(parts).capitalize()} ({extent}), but the depth images do not change with it."
+    text = (
+        f"{' and '.join(parts).capitalize()} ({extent}), but the depth images do not change "
+        "with it."
+    )
     return piece, Finding("pose jumps", "wrong", text, flags_of(piece))
 
 
@@ -184,8 +220,8 @@ def exposure_finding(over: OverFrames, far_gains: np.ndarray) -> Finding:
     step = float(np.abs(over.gain_stops[known]).max(initial=0.0))
     spread = float(np.nanmax(np.abs(far_gains), initial=0.0))
     text = (
-        f"The brightness of the same points differs by at most {step:.2f} stops from frame to frame and {spread:.2f} "
-        "within 30 frames."
+        f"The brightness of the same points differs by at most {step:.2f} stops from frame to "
+        f"frame and {spread:.2f} within 30 frames."
     )
     if step < STEP_STOPS and spread < SPREAD_STOPS:
         hint = " Map with --optim.fit-exposure." if spread > FIT_STOPS else ""
@@ -194,24 +230,40 @@ def exposure_finding(over: OverFrames, far_gains: np.ndarray) -> Finding:
     return Finding("exposure", "doubtful", text, repair)
 
 
-def image_findings(over: OverFrames, *, posed: bool = True) -> tuple[tuple[int, ...], list[Finding]]:
-    """Findings: are single frames blurred, and are images repeated while the camera moves? And the frames to leave out.
+def image_findings(
+    over: OverFrames, *, posed: bool = True
+) -> tuple[tuple[int, ...], list[Finding]]:
+    """Findings: are single frames blurred, and are images repeated while the camera moves? And the
+    frames to leave out.
 
     Without poses (``posed`` False) nothing says that the camera moved.
     """
     least = float(over.sharpness.min(initial=1.0))
     blurred = over.number[over.sharpness < _BLURRED].tolist()
-    text = f"No frame is much less sharp than its neighbours (the least sharp has {least:.2f} of their sharpness)."
+    text = (
+        f"No frame is much less sharp than its neighbours (the least sharp has {least:.2f} of "
+        "their sharpness)."
+    )
     sharp = Finding("sharpness", "ok", text)
     if blurred:
-        text, flags = f"More blurred than their neighbours: frame {_list(blurred)}.", RepairConfig(skip=tuple(blurred))
+        text, flags = (
+            f"More blurred than their neighbours: frame {_list(blurred)}.",
+            RepairConfig(skip=tuple(blurred)),
+        )
         sharp = Finding("sharpness", "doubtful", text, flags.flags)
     moved = (over.turned_deg > STILL_DEG) | (over.moved_m > STILL_M) | (not posed)
     frozen = [int(over.number[i + 1]) for i in np.flatnonzero(over.same & moved)]
     live = Finding("frozen frames", "ok", "No image is repeated while the camera moves.")
     if frozen:
-        text = f"Colour or depth is that of the previous frame, pixel by pixel, in frame {_list(frozen)}"
-        text += ", although the pose changed." if posed else "; whether the camera moved cannot be known without poses."
+        text = (
+            "Colour or depth is that of the previous frame, pixel by pixel, in frame "
+            f"{_list(frozen)}"
+        )
+        text += (
+            ", although the pose changed."
+            if posed
+            else "; whether the camera moved cannot be known without poses."
+        )
         flags = RepairConfig(skip=tuple(frozen)).flags
         live = Finding("frozen frames", "wrong" if posed else "doubtful", text, flags)
     return tuple(sorted({*blurred, *frozen})), [sharp, live]

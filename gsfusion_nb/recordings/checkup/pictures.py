@@ -1,4 +1,5 @@
-"""Pictures of a check-up: depth of one frame compared with another, depth edges on colour, the path from above."""
+"""Pictures of a check-up: depth of one frame compared with another, depth edges on colour, the path
+from above."""
 
 from collections import abc
 from typing import Any
@@ -24,16 +25,24 @@ _GAP = 8
 
 
 def pictures_of(
-    as_read: Sequence, repaired: Sequence | None, pairs: abc.Sequence[tuple[int, int]], *, posed: bool
+    as_read: Sequence,
+    repaired: Sequence | None,
+    pairs: abc.Sequence[tuple[int, int]],
+    *,
+    posed: bool,
 ) -> dict[str, Picture]:
     """Depth errors and edges of a pair in the middle of the recording, as read and repaired.
 
     Args:
-        as_read, repaired: The recording before and after its repair; the second may have fewer frames.
+        as_read, repaired: The recording before and after its repair; the second may have fewer
+            frames.
         pairs: Positions of the frames compared, in the first.
         posed: Whether there are poses; without them only edges are drawn.
     """
-    wanted = sorted(pairs, key=lambda p: (abs(p[1] - p[0] - _GAP), abs(p[0] - len(as_read) // 2)))
+    wanted = sorted(
+        pairs,
+        key=lambda p: (abs(p[1] - p[0] - _GAP), abs(p[0] - len(as_read) // 2)),
+    )
     before = getattr(as_read, "positions", range(len(as_read)))
     found: dict[str, Picture] = {}
     for label, sequence in (("as read", as_read), ("repaired", repaired)):
@@ -47,7 +56,10 @@ def pictures_of(
                 continue
             i, j = first.index, second.index
             if posed:
-                title = f"Depth of frame {i} in frame {j}, {label}: difference to the depth measured there"
+                title = (
+                    f"Depth of frame {i} in frame {j}, {label}: difference to the depth "
+                    "measured there"
+                )
                 found[title] = depth_error(first, second)
             found[f"Frame {j}, {label}: depth edges (green) on colour"] = edge_overlay(second)
             break
@@ -55,7 +67,8 @@ def pictures_of(
 
 
 def depth_error(first: Frame, second: Frame) -> Picture:
-    """Depth of ``first`` moved into ``second``, compared with the depth there; light yellow: 10 cm or more."""
+    """Depth of ``first`` moved into ``second``, compared with the depth there; light yellow: 10 cm
+    or more."""
     # sparse points leave holes, so the target has half the resolution
     step = max(1, round(first.camera.width / (_WIDTH / 2)))
     camera, depth_b = thinned(second.camera, second.depth_m, step)
@@ -69,10 +82,25 @@ def depth_error(first: Frame, second: Frame) -> Picture:
 def edge_overlay(frame: Frame) -> Picture:
     """The colour image with the depth image's edges drawn in."""
     picture = fit_width(frame.colour, _WIDTH)
-    _, depth_m = thinned(frame.camera, frame.depth_m, max(1, round(frame.camera.width / 320)))
+    _, depth_m = thinned(
+        frame.camera,
+        frame.depth_m,
+        max(1, round(frame.camera.width / 320)),
+    )
     h, w = picture.shape[:2]
-    painted = cv2.resize(picture, (_WIDTH, round(h * _WIDTH / w)), interpolation=cv2.INTER_LINEAR)
-    mask = cv2.resize(depth_edges(depth_m.numpy()), painted.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
+    painted = cv2.resize(
+        picture,
+        (_WIDTH, round(h * _WIDTH / w)),
+        interpolation=cv2.INTER_LINEAR,
+    )
+    mask = (
+        cv2.resize(
+            depth_edges(depth_m.numpy()),
+            painted.shape[1::-1],
+            interpolation=cv2.INTER_NEAREST,
+        )
+        > 0
+    )
     painted[mask] = EDGE_COLOUR
     return painted
 

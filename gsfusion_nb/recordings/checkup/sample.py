@@ -38,7 +38,8 @@ class FrameFacts:
     missing: float
     """Share of pixels without depth."""
     sharpness: float
-    """Mean squared Laplacian of the grey image divided by its variance, which makes it independent of exposure."""
+    """Mean squared Laplacian of the grey image divided by its variance, which makes it independent
+    of exposure."""
     repeats: bool = False
     """Whether every pixel of the colour or of the depth image is that of the frame before."""
 
@@ -67,7 +68,8 @@ class Sample:
 
 
 def places(length: int, frames: int) -> list[int]:
-    """Positions to read: all, or windows of consecutive frames that are spread over the sequence."""
+    """Positions to read: all, or windows of consecutive frames that are spread over the
+    sequence."""
     if length <= frames:
         return list(range(length))
     windows = max(1, frames // WINDOW)
@@ -75,8 +77,14 @@ def places(length: int, frames: int) -> list[int]:
     return sorted({int(s) + k for s in starts for k in range(WINDOW)})
 
 
-def read_sample(sequence: Sequence, *, frames: int = 250, at: list[int] | None = None) -> Sample:
-    """Read up to about ``frames`` frames, or those of the positions ``at``, one at a time; keep small copies."""
+def read_sample(
+    sequence: Sequence,
+    *,
+    frames: int = 250,
+    at: list[int] | None = None,
+) -> Sample:
+    """Read up to about ``frames`` frames, or those of the positions ``at``, one at a time; keep
+    small copies."""
     camera = sequence.camera
     step = max(1, round(camera.width / DEPTH_WIDTH))
     depth_camera, _ = thinned(camera, torch.zeros(camera.height, camera.width), step)
@@ -114,5 +122,6 @@ def _facts(frame: Frame, place: int, step: int) -> FrameFacts:
         grey=grey,
         depth_m=torch.from_numpy(depth_m),
         missing=float((stored <= 0).float().mean()),
-        sharpness=float(np.mean(np.square(laplacian.astype(np.float32)))) / (float(grey.var()) + 1.0),
+        sharpness=float(np.mean(np.square(laplacian.astype(np.float32))))
+        / (float(grey.var()) + 1.0),
     )

@@ -1,4 +1,5 @@
-"""What files and values say: image sizes, pose matrices, time stamps, missing depth, codes for it, and its unit."""
+"""What files and values say: image sizes, pose matrices, time stamps, missing depth, codes for it,
+and its unit."""
 
 import contextlib
 import itertools
@@ -31,7 +32,9 @@ _TIME_GAP = 5.0
 """A gap in time is reported if it is this many times the usual step."""
 
 
-def examine_files(source: RecordedSequence, given: RepairConfig) -> tuple[RepairConfig, list[Finding]]:
+def examine_files(
+    source: RecordedSequence, given: RepairConfig
+) -> tuple[RepairConfig, list[Finding]]:
     """Findings on sizes, matrices and times, and what must be repaired before frames can be read.
 
     Errors that ``given`` already repairs are not reported.
@@ -54,10 +57,14 @@ def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
         return RepairConfig(), Finding("image size", "ok", "No pair of images could be read.")
     sizes = {"colour": rgb_size, "depth": depth_size, "the intrinsics": expected}
     if len(set(sizes.values())) == 1:
-        return RepairConfig(), Finding("image size", "ok", f"All have {expected[0]}x{expected[1]} pixels.")
+        return RepairConfig(), Finding(
+            "image size", "ok", f"All have {expected[0]}x{expected[1]} pixels."
+        )
     text = f"The sizes differ: {', '.join(f'{name} {w}x{h}' for name, (w, h) in sizes.items())}."
     if not all(same_proportions(size, expected) for size in sizes.values()):
-        flags = "write colour, depth and intrinsics of one view (gsfusion-nb convert registers depth)"
+        flags = (
+            "write colour, depth and intrinsics of one view (gsfusion-nb convert registers depth)"
+        )
         text += " They have other proportions, so they are not one view at several resolutions."
         return RepairConfig(), Finding("image size", "wrong", text, repair=flags)
     repair = RepairConfig(fit_sizes=source.rectify is None)
@@ -66,7 +73,8 @@ def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
 
 
 def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding]:
-    """Finding: are the matrices rigid, or do they become so when read by columns or with the nearest rotation?"""
+    """Finding: are the matrices rigid, or do they become so when read by columns or with the
+    nearest rotation?"""
     n, name = len(stored), "pose matrices"
     known = stored[torch.isfinite(stored).all(dim=(1, 2))]
     lost = n - len(known)
@@ -81,14 +89,21 @@ def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding
     nearly = (_off_rotation(R / size[:, None, None]) < 0.2) & (determinant > 0)
     if not rigid.all() and nearly.all():
         repair = replace(repair, nearest_rotation=True)
-    text = f"{float(rigid.float().mean()):.0%} of {n} poses are rigid" + (f", {lost} are missing" if lost else "")
+    text = f"{float(rigid.float().mean()):.0%} of {n} poses are rigid" + (
+        f", {lost} are missing" if lost else ""
+    )
     if repair.changes:
-        words = {"matrices": "stored column by column", "nearest_rotation": "scaled or rough rotations"}
+        words = {
+            "matrices": "stored column by column",
+            "nearest_rotation": "scaled or rough rotations",
+        }
         reasons = " and ".join(words[change] for change in repair.changes)
         return repair, Finding(name, "wrong", f"{text}; they are {reasons}.", repair.flags)
     if rigid.all() and not lost:
         return repair, Finding(name, "ok", f"{text}.")
-    return repair, Finding(name, "doubtful", f"{text}. Frames without a pose are left out of the map.")
+    return repair, Finding(
+        name, "doubtful", f"{text}. Frames without a pose are left out of the map."
+    )
 
 
 def _off_rotation(R: Float[Tensor, "N 3 3"]) -> Float[Tensor, " N"]:
@@ -108,42 +123,59 @@ def time_stamps(source: RecordedSequence) -> list[Finding]:
     backward = [i for i, dt in enumerate(steps) if dt <= 0]
     gaps = sum(usual > 0 and dt > _TIME_GAP * usual for dt in steps)
     if backward:
-        text = f"Time does not increase after {len(backward)} of {len(times)} frames, first {backward[0]}."
+        text = (
+            f"Time does not increase after {len(backward)} of {len(times)} frames, first "
+            f"{backward[0]}."
+        )
         return [Finding(name, "wrong", text, "sort the frames by time in the recording's lists")]
     if gaps:
         place = f"the longest {longest:.3g} s after frame {steps.index(longest)}"
         text = f"{gaps} gaps in time, {place} (usual step {usual:.3g} s)."
-        repair = "nothing if there are no pose jumps; otherwise map the pieces separately: --data.start, --data.stop"
+        repair = (
+            "nothing if there are no pose jumps; otherwise map the pieces separately: "
+            "--data.start, --data.stop"
+        )
         return [Finding(name, "doubtful", text, repair)]
     return [Finding(name, "ok", f"Times increase without gaps, one frame in {usual:.3g} s.")]
 
 
-def _stored_sizes(source: RecordedSequence) -> tuple[tuple[int, int] | None, tuple[int, int] | None]:
+def _stored_sizes(
+    source: RecordedSequence,
+) -> tuple[tuple[int, int] | None, tuple[int, int] | None]:
     """(width, height) of the first colour and depth image that can be read."""
 
-    def first(files: abc.Sequence[Path], read: Callable[[Path], Any]) -> tuple[int, int] | None:
+    def first(
+        files: abc.Sequence[Path],
+        read: Callable[[Path], Any],
+    ) -> tuple[int, int] | None:
         for path in files[:_TRIES]:
             with contextlib.suppress(BadFrameError):
                 height, width = read(path).shape[:2]
                 return width, height
         return None
 
-    return first(source.rgb_files, read_rgb), first(source.depth_files, partial(read_depth, scale=source.depth_scale))
+    return first(source.rgb_files, read_rgb), first(
+        source.depth_files, partial(read_depth, scale=source.depth_scale)
+    )
 
 
 _CODE_SHARE = 5e-4
-"""A value at the end of the range with this share of the valid pixels, far from all others, is a code."""
+"""A value at the end of the range with this share of the valid pixels, far from all others, is a
+code."""
 _CODE_GAP = 1.3
 """A code at the far end is at least this many times the 99th percentile of the other depths."""
 _MANY_MISSING, _MOST_MISSING = 0.5, 0.85
 _LEAST_IN_RANGE = 0.25
-"""Share of the depth in the range that is mapped by default; hand-held recordings of rooms have 0.9 and more."""
+"""Share of the depth in the range that is mapped by default; hand-held recordings of rooms have 0.9
+and more."""
 DepthCode = tuple[float, bool]
 
 
-def clear_codes(frames: abc.Sequence[FrameFacts], depth_scale: float | None) -> tuple[list[DepthCode], Finding]:
-    """Find values at either end of the range that many pixels have and that are far from all others: they mean
-    "missing", and are set to missing in place.
+def clear_codes(
+    frames: abc.Sequence[FrameFacts], depth_scale: float | None
+) -> tuple[list[DepthCode], Finding]:
+    """Find values at either end of the range that many pixels have and that are far from all
+    others: they mean "missing", and are set to missing in place.
 
     Returns:
         Each code in metres, with whether it is at the far end, and the finding.
@@ -170,33 +202,43 @@ def clear_codes(frames: abc.Sequence[FrameFacts], depth_scale: float | None) -> 
             frame.missing += float(coded.float().mean())
     if not codes:
         return codes, Finding("depth codes", "ok", 'No value but 0 stands for "missing".')
-    stored = " and ".join(f"{v * depth_scale:.0f}" if depth_scale else f"{v:.4g} m" for v, _ in codes)
-    text = f'{total:.1%} of the pixels with depth hold {stored}: a code for "missing", not a distance.'
+    stored = " and ".join(
+        f"{v * depth_scale:.0f}" if depth_scale else f"{v:.4g} m" for v, _ in codes
+    )
+    text = (
+        f'{total:.1%} of the pixels with depth hold {stored}: a code for "missing", not a distance.'
+    )
     return codes, Finding("depth codes", "wrong", text)
 
 
 def missing_finding(frames: abc.Sequence[FrameFacts], depth_factor: float = 1.0) -> Finding:
-    """Finding: how much depth is missing, or outside of the range that is mapped after depth is multiplied by
-    ``depth_factor``?"""
+    """Finding: how much depth is missing, or outside of the range that is mapped after depth is
+    multiplied by ``depth_factor``?"""
     shares = sorted(f.missing for f in frames)
     middle, most = shares[len(shares) // 2], shares[-1]
     values = torch.cat([f.depth_m[f.depth_m > 0] for f in frames])
     near, median, far = (_percentile(values, q) for q in (0.01, 0.5, 0.99))
     text = (
-        f"{middle:.0%} of the pixels have no depth (at most {most:.0%} in a frame); depths {near:.2f} to {far:.2f} m, "
-        f"median {median:.2f} m."
+        f"{middle:.0%} of the pixels have no depth (at most {most:.0%} in a frame); depths "
+        f"{near:.2f} to {far:.2f} m, median {median:.2f} m."
     )
     range_finding = _range_finding(values * depth_factor, text)
     if range_finding is not None:
         return range_finding
     if middle <= _MANY_MISSING:
         return Finding("depth coverage", "ok", text)
-    repair = "stay within the sensor's range when recording; sunlight, glass and black surfaces give no depth"
-    return Finding("depth coverage", "wrong" if middle > _MOST_MISSING else "doubtful", text, repair)
+    repair = (
+        "stay within the sensor's range when recording; sunlight, glass and black surfaces "
+        "give no depth"
+    )
+    return Finding(
+        "depth coverage", "wrong" if middle > _MOST_MISSING else "doubtful", text, repair
+    )
 
 
 def _range_finding(depths_m: torch.Tensor, text: str) -> Finding | None:
-    """A finding where little of the depth is in the range that is mapped by default; ``text`` is its beginning."""
+    """A finding where little of the depth is in the range that is mapped by default; ``text`` is
+    its beginning."""
     mapped = TsdfConfig()
     in_range = (depths_m > mapped.near_m) & (depths_m < mapped.far_m)
     share = float(in_range.float().mean()) if len(depths_m) else 1.0
@@ -204,10 +246,15 @@ def _range_finding(depths_m: torch.Tensor, text: str) -> Finding | None:
         return None
     near_m = 0.9 * _percentile(depths_m, 0.01)
     far_m = 1.1 * _percentile(depths_m, 0.99)
-    text += f" Only {share:.0%} of it lies between {mapped.near_m:g} and {mapped.far_m:g} m, where depth is mapped."
+    text += (
+        f" Only {share:.0%} of it lies between {mapped.near_m:g} and {mapped.far_m:g} m, where "
+        "depth is mapped."
+    )
     ranged = f"--tsdf.near-m {near_m:.2g} --tsdf.far-m {far_m:.2g}"
     voxel_m = max(0.001, far_m / _VOXELS_ACROSS)
-    return Finding("depth coverage", "doubtful", text, f"map with {ranged} --tsdf.voxel-size-m {voxel_m:.1g}")
+    return Finding(
+        "depth coverage", "doubtful", text, f"map with {ranged} --tsdf.voxel-size-m {voxel_m:.1g}"
+    )
 
 
 _VOXELS_ACROSS = 600
@@ -229,6 +276,11 @@ def unit_finding(sample: Sample, base: Sequence) -> tuple[RepairConfig, Finding]
         text = f"The unit of depth cannot be known without poses; {text}, which is plausible."
         return RepairConfig(), Finding("depth scale", "unknown", text)
     text = f"The unit of depth is not plausible for a hand-held camera: {text}."
-    factor = next((scale / s for s in USUAL if s != scale and plausible_range(s, stored)), 1.0)
+    factor = next(
+        (scale / s for s in USUAL if s != scale and plausible_range(s, stored)),
+        1.0,
+    )
     repair = RepairConfig(depth_factor=factor)
-    return repair, Finding("depth scale", "doubtful", text, repair.flags or "give the unit in which depth is stored")
+    return repair, Finding(
+        "depth scale", "doubtful", text, repair.flags or "give the unit in which depth is stored"
+    )

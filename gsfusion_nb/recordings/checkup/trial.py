@@ -1,4 +1,5 @@
-"""Repairs tried before they are advised: the recording is read with them, and its frames are compared again."""
+"""Repairs tried before they are advised: the recording is read with them, and its frames are
+compared again."""
 
 import itertools
 import math
@@ -22,11 +23,13 @@ from .stored_values import clear_codes
 
 LIMITS = ("start", "stop", "depth_min_m", "depth_max_m")
 _LEAST_GAIN = 0.001
-"""A repair is advised if this share more of the points agree, which the digits that are shown can show, ..."""
+"""A repair is advised if this share more of the points agree, which the digits that are shown can
+show, ..."""
 _LEAST_CONTRAST = 1.02
 """... or if colour has so many times the contrast on depth edges, and ..."""
 _MOST_LOSS = 0.01
-"""... at most this share less of the points agree: what registers colour hardly changes how frames agree."""
+"""... at most this share less of the points agree: what registers colour hardly changes how frames
+agree."""
 _SAME_TIME = 0.2
 """A share of a time offset below this, in frames, is none."""
 
@@ -35,8 +38,8 @@ class Trial(NamedTuple):
     """How well the frames agree, as they were read."""
 
     share: float
-    """Share of the points of a frame that agree with another frame in depth (3 per cent) and in brightness; NaN: not
-    measured, since too few points meet a depth."""
+    """Share of the points of a frame that agree with another frame in depth (3 per cent) and in
+    brightness; NaN: not measured, since too few points meet a depth."""
     contrast: float
     """Contrast of colour on the depth edges, relative to the neighbourhood."""
 
@@ -45,26 +48,28 @@ class Trial(NamedTuple):
         return not math.isnan(self.share) and not math.isnan(before.share)
 
     def gains(self, before: "Trial") -> bool:
-        """Whether this is better than ``before``, or cannot be compared with it: what was not measured is no reason
-        against a repair."""
+        """Whether this is better than ``before``, or cannot be compared with it: what was not
+        measured is no reason against a repair."""
         if not self.is_measured(before):
             return True
         sharper = self.contrast > _LEAST_CONTRAST * before.contrast
-        return self.share > before.share + _LEAST_GAIN or (sharper and self.share > before.share - _MOST_LOSS)
+        return self.share > before.share + _LEAST_GAIN or (
+            sharper and self.share > before.share - _MOST_LOSS
+        )
 
     def beside(self, before: "Trial") -> str:
         """Both in words, without the repair first."""
         if not self.is_measured(before):
             return "too few points meet a depth in the other frame to measure how many agree"
         return (
-            f"{before.share:.1%} -> {self.share:.1%} of the points agree in depth and brightness, contrast on depth "
-            f"edges {before.contrast:.2f} -> {self.contrast:.2f}"
+            f"{before.share:.1%} -> {self.share:.1%} of the points agree in depth and brightness, "
+            f"contrast on depth edges {before.contrast:.2f} -> {self.contrast:.2f}"
         )
 
 
 def combined(first: DataConfig, second: DataConfig) -> DataConfig:
-    """One correction equal to ``first`` followed by ``second``: factors are multiplied, shifts added, other values
-    replaced."""
+    """One correction equal to ``first`` followed by ``second``: factors are multiplied, shifts
+    added, other values replaced."""
     a, b = first.repair, second.repair
     changes = dict(b.changes)
     for name in ("depth_factor", "translation_factor", "rgb_scale"):
@@ -79,8 +84,15 @@ def combined(first: DataConfig, second: DataConfig) -> DataConfig:
 def without(more: DataConfig, fields: abc.Collection[str]) -> DataConfig:
     """The same with the defaults of these fields."""
     default = DataConfig()
-    parts = [{x: getattr(part, x) for x in fields if hasattr(part, x)} for part in (default, default.repair)]
-    return replace(more, **parts[0], repair=replace(more.repair, **parts[1]))
+    parts = [
+        {x: getattr(part, x) for x in fields if hasattr(part, x)}
+        for part in (default, default.repair)
+    ]
+    return replace(
+        more,
+        **parts[0],
+        repair=replace(more.repair, **parts[1]),
+    )
 
 
 class Trials:
@@ -99,12 +111,23 @@ class Trials:
         self._known: dict[str, Trial] = {}
 
     def mapped(self, sample: Sample) -> Sample:
-        """The sample with only those of its frames that are mapped: repairs are estimated from these."""
+        """The sample with only those of its frames that are mapped: repairs are estimated from
+        these."""
         return replace(sample, frames=[f for f in sample.frames if f.number in self._mapped])
 
-    def of(self, more: DataConfig, base: Sequence | None = None, among: list[tuple[int, int]] | None = None) -> Trial:
-        """The trial of a repair, or of another reading ``base`` of the recording, ``among`` other pairs."""
-        data, base, among = combined(self._given, more), base or self.base, self.pairs if among is None else among
+    def of(
+        self,
+        more: DataConfig,
+        base: Sequence | None = None,
+        among: list[tuple[int, int]] | None = None,
+    ) -> Trial:
+        """The trial of a repair, or of another reading ``base`` of the recording, ``among`` other
+        pairs."""
+        data, base, among = (
+            combined(self._given, more),
+            base or self.base,
+            self.pairs if among is None else among,
+        )
         key = repr((data, id(base), among))
         if key not in self._known:
             sequence = apply_options(base, data)
@@ -114,7 +137,12 @@ class Trials:
             pairs = [pair for pair in pairs if sample.by_place.keys() >= {*pair}]
             self._known[key] = Trial(0.0, 0.0)
             if pairs:
-                shares = gains(sample, pairs, FitData.of(sample, pairs, RepairConfig()), CalibrationCorrection())[2]
+                shares = gains(
+                    sample,
+                    pairs,
+                    FitData.of(sample, pairs, RepairConfig()),
+                    CalibrationCorrection(),
+                )[2]
                 edges = [depth_edges(f.depth_m.numpy()) for f in sample.frames]
                 measured = shares[~np.isnan(shares)]
                 share = float(measured.mean()) if len(measured) else math.nan
@@ -122,10 +150,12 @@ class Trials:
         return self._known[key]
 
     def in_time(self, e: Explanation, sample: Sample) -> tuple[Explanation, Sample]:
-        """The explanation with offsets of both sensors instead of a shift of the poses, and the sample read with them.
+        """The explanation with offsets of both sensors instead of a shift of the poses, and the
+        sample read with them.
 
-        Depth shows how late it is beside the poses. What share of that the pictures have, too, is where most points
-        agree, by the parabola through none, half and all of it. Without times both are as they were.
+        Depth shows how late it is beside the poses. What share of that the pictures have, too, is
+        where most points agree, by the parabola through none, half and all of it. Without times
+        both are as they were.
         """
         times, late = times_of(self.base), e.repair.pose_shift_frames
         if times is None or not late or self._given.repair.pose_shift_frames:
@@ -133,30 +163,51 @@ class Trials:
         late_s, rest = late * float(times.diff().median()), replace(e.repair, pose_shift_frames=0.0)
 
         def offsets(share: float) -> RepairConfig:
-            share = next((whole for whole in (0.0, 1.0) if abs(late * (share - whole)) < _SAME_TIME), share)
-            return replace(rest, pose_offset_s=round(share * late_s, 4), depth_offset_s=round((1 - share) * late_s, 4))
+            share = next(
+                (whole for whole in (0.0, 1.0) if abs(late * (share - whole)) < _SAME_TIME),
+                share,
+            )
+            return replace(
+                rest,
+                pose_offset_s=round(share * late_s, 4),
+                depth_offset_s=round((1 - share) * late_s, 4),
+            )
 
-        none, half, whole = (self.of(DataConfig(repair=offsets(share))).share for share in (0.0, 0.5, 1.0))
+        none, half, whole = (
+            self.of(DataConfig(repair=offsets(share))).share for share in (0.0, 0.5, 1.0)
+        )
         bend = none - 2 * half + whole
         best = 0.5 + (none - whole) / (4 * bend) if bend < 0 else float(whole > none)
         repair = offsets(min(max(best, 0.0), 1.0))
-        only = RepairConfig(pose_offset_s=repair.pose_offset_s, depth_offset_s=repair.depth_offset_s)
+        only = RepairConfig(
+            pose_offset_s=repair.pose_offset_s, depth_offset_s=repair.depth_offset_s
+        )
         data = combined(self._given, DataConfig(repair=only))
-        read = read_sample(apply_options(self.base, data), at=[f.place for f in sample.frames])
+        read = read_sample(
+            apply_options(self.base, data),
+            at=[f.place for f in sample.frames],
+        )
         clear_codes(read.frames, None)
         return replace(e, repair=repair, correction=replace(e.correction, shift_frames=0.0)), read
 
     def judged(
         self, found: list[Finding], more: DataConfig, registered: Sequence | None
     ) -> tuple[list[Finding], DataConfig, str]:
-        """The findings with what their repairs gain beside all others, the repairs that gain, and what these gain
-        together. ``registered`` is the recording with the reader's option that registers it, if that is advised."""
+        """The findings with what their repairs gain beside all others, the repairs that gain, and
+        what these gain together. ``registered`` is the recording with the reader's option that
+        registers it, if that is advised."""
         left_out = {*more.repair.skip, more.start, more.stop} - {0}
         around = [(n + k - 1, n + k) for n in sorted(left_out) for k in (-1, 0, 1, 2)]
         kept, judged, read = more, [], self.base
         for f in found:
-            options = [word.removeprefix("--data.") for word in f.repair.split() if word.startswith("--data.")]
-            rest = without(kept, [option.removeprefix("repair.").replace("-", "_") for option in options])
+            options = [
+                word.removeprefix("--data.")
+                for word in f.repair.split()
+                if word.startswith("--data.")
+            ]
+            rest = without(
+                kept, [option.removeprefix("repair.").replace("-", "_") for option in options]
+            )
             other = registered if f.repair.startswith("--reader") else None
             if other is not None or rest != kept:
                 among = around if {"start", "stop", "repair.skip"} & {*options} else None
@@ -179,9 +230,11 @@ class Trials:
 
 
 def _vetoed(f: Finding, options: list[str], beside: str) -> Finding:
-    """A finding whose repair gains nothing: what a fit took for wrong is not known; what was seen in the images stays
-    true."""
-    sentence = f"Cannot be known from these frames: {f.repair} was tried, and is no better: {beside}."
+    """A finding whose repair gains nothing: what a fit took for wrong is not known; what was seen
+    in the images stays true."""
+    sentence = (
+        f"Cannot be known from these frames: {f.repair} was tried, and is no better: {beside}."
+    )
     if {*options} & {"repair.skip", *(limit.replace("_", "-") for limit in LIMITS)}:
         sentence = f"{f.sentence} Tried, and no better: {beside}."
     return replace(f, verdict="unknown", sentence=sentence, repair="")

@@ -1,4 +1,5 @@
-"""Recordings in other formats, written as the plain ``folder`` layout that can be checked and mapped."""
+"""Recordings in other formats, written as the plain ``folder`` layout that can be checked and
+mapped."""
 
 from .formats import detect_format as detect_format
 from .formats import known_formats as known_formats

@@ -1,4 +1,5 @@
-"""Calibration files as trees of names and values: JSON, YAML of OpenCV and ORB-SLAM too, and lines "name: value"."""
+"""Calibration files as trees of names and values: JSON, YAML of OpenCV and ORB-SLAM too, and lines
+"name: value"."""
 
 import re
 from collections.abc import Mapping
@@ -11,9 +12,9 @@ from ...config.values import nested
 from ...files import parsing, read_object, read_text
 
 WAYS = (
-    "'fx fy cx cy [k1 k2 p1 p2 [k3 ...]]', the focal length alone, a 3x3 or 4x4 matrix, lines such as 'fx: 525', "
-    "JSON (Open3D's, RealSense's, or fx fy cx cy), YAML (ORB-SLAM's, OpenCV's, ROS's, Kalibr's, RTAB-Map's), or "
-    "ARKitScenes' .pincam"
+    "'fx fy cx cy [k1 k2 p1 p2 [k3 ...]]', the focal length alone, a 3x3 or 4x4 matrix, lines such "
+    "as 'fx: 525', JSON (Open3D's, RealSense's, or fx fy cx cy), YAML (ORB-SLAM's, OpenCV's, "
+    "ROS's, Kalibr's, RTAB-Map's), or ARKitScenes' .pincam"
 )
 
 Tree = Mapping[str, Any]
@@ -46,7 +47,8 @@ for _tag in ("opencv-matrix", "opencv-nd-matrix"):
 
 
 def _yaml_tree(path: Path) -> Tree:
-    """Names and values of a YAML file, also of one that OpenCV or ORB-SLAM wrote; names with dots become groups."""
+    """Names and values of a YAML file, also of one that OpenCV or ORB-SLAM wrote; names with dots
+    become groups."""
     text = re.sub(r"^%YAML:[\d.]+", "", read_text(path, WAYS))
     with parsing(path, f"the camera's intrinsics as {WAYS}"):
         try:
@@ -63,7 +65,8 @@ _SECTION = re.compile(r"^\s*\[([^\]]*[A-Za-z][^\]]*)\]\s*$")
 
 
 def _named_values(text: str, path: Path) -> Tree:
-    """Names and numbers of lines such as "fx: 525", in sections such as "[rgb]"; empty where nothing has a name.
+    """Names and numbers of lines such as "fx: 525", in sections such as "[rgb]"; empty where
+    nothing has a name.
 
     Names with dots become groups: "Camera.fx: 525" is fx in the group Camera.
     """

@@ -1,7 +1,7 @@
 """What the files of a recording say about its depth: the camera, where it stands, and the unit.
 
-BundleFusion's and ScanNet's info.txt, ScanNet's exported ``intrinsic/``, ``scale`` of Replica's cam_params.json,
-``DepthMapFactor`` of ORB-SLAM, ``depth_scale`` of several programs.
+BundleFusion's and ScanNet's info.txt, ScanNet's exported ``intrinsic/``, ``scale`` of Replica's
+cam_params.json, ``DepthMapFactor`` of ORB-SLAM, ``depth_scale`` of several programs.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,17 +31,27 @@ _OF_DEPTH = (
 )
 _PLACES = ("intrinsic/extrinsic_{}.txt", "extrinsic_{}.txt")
 """ScanNet's files of the colour and of the depth camera; {} is color or depth."""
-_UNITS_PER_METRE = ("m_depthShift", "DepthMapFactor", "depth_map_factor", "png_depth_scale", "depth_factor")
-"""Names of the stored depth of one metre: BundleFusion's, ORB-SLAM's, and those of SLAM systems with Gaussians."""
+_UNITS_PER_METRE = (
+    "m_depthShift",
+    "DepthMapFactor",
+    "depth_map_factor",
+    "png_depth_scale",
+    "depth_factor",
+)
+"""Names of the stored depth of one metre: BundleFusion's, ORB-SLAM's, and those of SLAM systems
+with Gaussians."""
 _AMBIGUOUS = ("depth_scale", "scale")
 """Of several programs, with several meanings."""
 _LEAST_PER_METRE, _MOST_METRES = 10.0, 0.02
-"""A larger number is units per metre, a smaller one metres per unit (RealSense), between are millimetres (BOP)."""
+"""A larger number is units per metre, a smaller one metres per unit (RealSense), between are
+millimetres (BOP)."""
 _POSSIBLE_M = (0.05, 200.0)
 """Medians of depth that a unit may give."""
 
 
-def told_unit(tree: Tree, source: str, stored: Sequence[np.ndarray]) -> tuple[DepthUnit | None, list[str]]:
+def told_unit(
+    tree: Tree, source: str, stored: Sequence[np.ndarray]
+) -> tuple[DepthUnit | None, list[str]]:
     """The unit of depth that a calibration names, and a note where it names one that cannot be.
 
     Args:
@@ -49,18 +59,26 @@ def told_unit(tree: Tree, source: str, stored: Sequence[np.ndarray]) -> tuple[De
         source: The file.
         stored: Some depth images as stored, 0 = missing. [H, W] each
     """
-    found = {name: scale for name, value in _numbers_in(tree) if (scale := _units_per_metre(name, value))}
+    found = {
+        name: scale for name, value in _numbers_in(tree) if (scale := _units_per_metre(name, value))
+    }
     values = np.concatenate([image[image > 0].ravel() for image in stored] or [np.zeros(0)])
     if not found or not len(values):
         return None, []
     if len(set(found.values())) > 1:
         told = ", ".join(f"{name} {scale:g}" for name, scale in found.items())
-        raise SequenceError(f"{source} names several units of depth, {told} per metre; give --depth-scale")
+        raise SequenceError(
+            f"{source} names several units of depth, {told} per metre; give --depth-scale"
+        )
     ((name, scale), *_) = found.items()
     middle_m = float(np.median(values)) / scale
     if not _POSSIBLE_M[0] <= middle_m <= _POSSIBLE_M[1]:
-        return None, [f"{name} of {source} would make the median depth {middle_m:.3g} m, so it is not used"]
-    return DepthUnit(scale, f"depth was taken as {scale:g} units a metre, as {name} of {source} says"), []
+        return None, [
+            f"{name} of {source} would make the median depth {middle_m:.3g} m, so it is not used"
+        ]
+    return DepthUnit(
+        scale, f"depth was taken as {scale:g} units a metre, as {name} of {source} says"
+    ), []
 
 
 def _numbers_in(tree: Tree) -> Iterator[tuple[str, float]]:
@@ -90,16 +108,19 @@ def _units_per_metre(name: str, value: float) -> float:
 def depth_camera_beside(
     path: Path, tree: Tree, source: str, size: tuple[int, int]
 ) -> tuple[CameraModel | None, Float[Tensor, "4 4"] | None, list[str]]:
-    """Camera of the depth images and its transform to the colour camera, as files beside the images say.
+    """Camera of the depth images and its transform to the colour camera, as files beside the images
+    say.
 
     Args:
         path: Folder of the recording.
-        tree: Names and values of the colour camera's calibration file, which may hold that of depth, too.
+        tree: Names and values of the colour camera's calibration file, which may hold that of
+            depth, too.
         source: This file.
         size: Width and height of the depth images, pixels.
 
     Returns:
-        The camera, None: depth is registered to colour; the transform, None: both stand at one place; and notes.
+        The camera, None: depth is registered to colour; the transform, None: both stand at one
+        place; and notes.
 
     Raises:
         SequenceError: the colour camera is not at the place of the poses.
@@ -110,9 +131,14 @@ def depth_camera_beside(
         model = read_intrinsics(str(own_file), size)
         notes.append(f"intrinsics of depth from {own_file}")
     elif "m_calibrationDepthIntrinsic" in tree:
-        stored_size = (round(tree.get("m_depthWidth", size[0])), round(tree.get("m_depthHeight", size[1])))
+        stored_size = (
+            round(tree.get("m_depthWidth", size[0])),
+            round(tree.get("m_depthHeight", size[1])),
+        )
         matrix = [float(value) for value in np.ravel(tree["m_calibrationDepthIntrinsic"])]
-        model = model_of_matrix(matrix, stored_size, f"{source}: m_calibrationDepthIntrinsic", centre=0.0)
+        model = model_of_matrix(
+            matrix, stored_size, f"{source}: m_calibrationDepthIntrinsic", centre=0.0
+        )
         notes.append(f"intrinsics of depth from {source}")
     places = [_place(path, tree, kind) for kind in ("color", "depth")]
     if any(place is not None for place in places):
@@ -124,27 +150,46 @@ def depth_camera_beside(
 
 
 def poses_of_a_robot(poses: Path, tree: Tree) -> str:
-    """A sentence on poses of RTAB-Map that are those of the robot, not of its camera; empty for others."""
-    is_rtabmaps = "local_transform" in tree and poses.name.endswith("poses.txt") and "camera" not in poses.name
+    """A sentence on poses of RTAB-Map that are those of the robot, not of its camera; empty for
+    others."""
+    is_rtabmaps = (
+        "local_transform" in tree
+        and poses.name.endswith("poses.txt")
+        and "camera" not in poses.name
+    )
     if not is_rtabmaps:
         return ""
     return (
-        f"{poses} holds the poses of the robot's base, beside a calibration of RTAB-Map with a local_transform; export "
-        "those of the camera with rtabmap-export --poses_camera, or say that they are the camera's: --poses FILE"
+        f"{poses} holds the poses of the robot's base, beside a calibration of RTAB-Map with a "
+        "local_transform; export those of the camera with rtabmap-export --poses_camera, or say "
+        "that they are the camera's: --poses FILE"
     )
 
 
-def _place(path: Path, tree: Tree, kind: str) -> Float[Tensor, "4 4"] | None:
+def _place(
+    path: Path,
+    tree: Tree,
+    kind: str,
+) -> Float[Tensor, "4 4"] | None:
     """From a camera to the rig that the poses are of."""
-    file = next((path / name.format(kind) for name in _PLACES if (path / name.format(kind)).is_file()), None)
+    file = next(
+        (path / name.format(kind) for name in _PLACES if (path / name.format(kind)).is_file()),
+        None,
+    )
     if file is not None:
         return read_matrix(file)
     values: Any = tree.get(f"m_calibration{kind.capitalize()}Extrinsic")
-    return None if values is None else torch.tensor(np.ravel(values).tolist(), dtype=torch.float64).reshape(4, 4)
+    return (
+        None
+        if values is None
+        else torch.tensor(np.ravel(values).tolist(), dtype=torch.float64).reshape(4, 4)
+    )
 
 
 def _between(
-    T_rig_colour: Float[Tensor, "4 4"] | None, T_rig_depth: Float[Tensor, "4 4"] | None, source: str
+    T_rig_colour: Float[Tensor, "4 4"] | None,
+    T_rig_depth: Float[Tensor, "4 4"] | None,
+    source: str,
 ) -> Float[Tensor, "4 4"] | None:
     """From the depth camera to the colour camera; None where they are at one place."""
     one = torch.eye(4, dtype=torch.float64)
@@ -152,7 +197,8 @@ def _between(
     depth = one if T_rig_depth is None else T_rig_depth
     if not torch.allclose(colour, one, atol=1e-5):
         raise SequenceError(
-            f"{source}: the colour camera is not where the poses are, as its extrinsic matrix says; give that matrix "
+            f"{source}: the colour camera is not where the poses are, as its extrinsic matrix "
+            "says; give that matrix "
             "with --T-body-cam FILE, and that from depth to colour with --T-colour-depth FILE"
         )
     T = se3.inverse(colour) @ depth

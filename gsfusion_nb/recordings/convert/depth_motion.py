@@ -1,7 +1,8 @@
-"""The unit of depth by the camera's motion: the one with which depth images predict each other under the given poses.
+"""The unit of depth by the camera's motion: the one with which depth images predict each other
+under the given poses.
 
-A camera that moves by 10 cm sees a wall at 1 m grow, and one at 2 m half as much: of all units only the right one makes
-the points of one depth image fall on the surface in another.
+A camera that moves by 10 cm sees a wall at 1 m grow, and one at 2 m half as much: of all units only
+the right one makes the points of one depth image fall on the surface in another.
 """
 
 import contextlib
@@ -45,8 +46,8 @@ _TELLS = 0.1
 """A pair tells the unit if its score, 0 to 1, differs by more between the units."""
 _LEAST_SCORE = 0.2
 _CLEAR = 0.85
-"""Of the best score all units that differ by more than ``_NEAR`` stay below this share, and in the coarse comparison
-those that are not tried closely below ``_CLEAR_FAR``."""
+"""Of the best score all units that differ by more than ``_NEAR`` stay below this share, and in the
+coarse comparison those that are not tried closely below ``_CLEAR_FAR``."""
 _CLEAR_FAR = 0.95
 _NEAR = 1.2
 _SNAPS = 1.1
@@ -66,14 +67,16 @@ class PosedDepth:
 
 
 def measured_unit(recording: Recording, options: ConvertOptions) -> DepthUnit | None:
-    """The unit of depth that the poses tell; None where there are none, or where they do not tell it.
+    """The unit of depth that the poses tell; None where there are none, or where they do not tell
+    it.
 
     Args:
         recording: Depth is read in its ``depth_scale``.
         options: How it is read.
 
     Raises:
-        OptionNeeded: the poses or the camera are missing, or the motion tells a unit that no program writes.
+        OptionNeeded: the poses or the camera are missing, or the motion tells a unit that no
+            program writes.
     """
     poses = FramePoses(recording, options)
     if poses.none:
@@ -84,7 +87,9 @@ def measured_unit(recording: Recording, options: ConvertOptions) -> DepthUnit | 
     for place, frame in enumerate(recording.frames()):
         if place in places and (posed := _posed(poses, place, frame, recording, options)):
             there[place] = posed
-    pairs = [(there[a], there[a + gap]) for a in anchors for gap in _GAPS if {a, a + gap} <= there.keys()]
+    pairs = [
+        (there[a], there[a + gap]) for a in anchors for gap in _GAPS if {a, a + gap} <= there.keys()
+    ]
     best = units_per_metre(pairs)
     if best is None:
         return None
@@ -94,20 +99,23 @@ def measured_unit(recording: Recording, options: ConvertOptions) -> DepthUnit | 
     known = min(KNOWN, key=lambda scale: abs(np.log(scale / best)))
     if max(known / best, best / known) > _SNAPS:
         raise OptionNeeded(
-            f"{recording.name}: by the camera's motion one metre is {best:.4g} units of depth, which no program "
-            "writes; if the poses are right: --depth-scale with that number; else the unit, and gsfusion-nb check",
+            f"{recording.name}: by the camera's motion one metre is {best:.4g} units of depth, "
+            "which no program writes; if the poses are right: --depth-scale with that number; "
+            "else the unit, and gsfusion-nb check",
             option="depth_scale",
-            question=f"By the camera's motion one metre is {best:.4g} units of depth. Which stored depth is one metre?",
+            question=f"By the camera's motion one metre is {best:.4g} units of depth. Which stored "
+            "depth is one metre?",
         )
     sentence = (
-        f"depth was taken as {known:g} units a metre, measured by the camera's motion on {len(pairs)} pairs of frames "
-        f"({best:.4g}; --depth-scale)"
+        f"depth was taken as {known:g} units a metre, measured by the camera's motion on "
+        f"{len(pairs)} pairs of frames ({best:.4g}; --depth-scale)"
     )
     return DepthUnit(known, sentence)
 
 
 def units_per_metre(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> float | None:
-    """Stored depth of one metre under which the first image of each pair predicts the second; None: unclear."""
+    """Stored depth of one metre under which the first image of each pair predicts the second; None:
+    unclear."""
     if not pairs:
         return None
     curves = torch.stack([_coarse_scores(first, second) for first, second in pairs])
@@ -123,8 +131,13 @@ def units_per_metre(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> float | N
         return None
     close = _fit_data([pairs[i] for i in chosen.tolist()])
     _, residual, known = reproject(close, _correction(best))
-    precise = min(max(3 * float(residual[known].abs().median()), 0.002), _TOLERANCE)
-    scores = np.array([float(_scores(close, best * math.exp(step), precise).mean()) for step in _AROUND])
+    precise = min(
+        max(3 * float(residual[known].abs().median()), 0.002),
+        _TOLERANCE,
+    )
+    scores = np.array(
+        [float(_scores(close, best * math.exp(step), precise).mean()) for step in _AROUND]
+    )
     top = int(scores.argmax())
     far = np.abs(_AROUND - _AROUND[top]) > math.log(_NEAR)
     if scores[top] < _LEAST_SCORE or scores[far].max() > _CLEAR * scores[top]:
@@ -133,7 +146,8 @@ def units_per_metre(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> float | N
 
 
 def _coarse_scores(first: PosedDepth, second: PosedDepth) -> Float[Tensor, " S"]:
-    """How well an image predicts another in each of ``_SCALES``, 0 to 1, by the nearest pixels. [S]"""
+    """How well an image predicts another in each of ``_SCALES``, 0 to 1, by the nearest pixels.
+    [S]"""
     step = max(1, round(math.sqrt(first.stored.numel() / _POINTS)))
     points = sparse_points(first.camera, first.stored, step)
     if not len(points):
@@ -174,7 +188,8 @@ def _correction(units_per_m: float) -> CalibrationCorrection:
 
 
 def _scores(data: FitData, units_per_m: float, tolerance: float) -> Float[Tensor, " P"]:
-    """How well the first image of each pair predicts the second in a unit: 0, nowhere, to 1, everywhere exactly."""
+    """How well the first image of each pair predicts the second in a unit: 0, nowhere, to 1,
+    everywhere exactly."""
     _, residual, known = reproject(data, _correction(units_per_m))
     each = (1 - residual.abs() / tolerance).clamp_min(0) * known
     return each.sum(1) / (data.depth_a > 0).sum(1).clamp_min(1)
@@ -186,9 +201,14 @@ def _anchors(n_frames: int) -> list[int]:
 
 
 def _posed(
-    poses: FramePoses, place: int, frame: RecordedFrame, recording: Recording, options: ConvertOptions
+    poses: FramePoses,
+    place: int,
+    frame: RecordedFrame,
+    recording: Recording,
+    options: ConvertOptions,
 ) -> PosedDepth | None:
-    """A frame with its pose and its depth as stored; None where one of them is missing or damaged."""
+    """A frame with its pose and its depth as stored; None where one of them is missing or
+    damaged."""
     with contextlib.suppress(BadFrameError):
         T_WC, _ = poses.of(place, poses.timed(frame))
         if T_WC is None:
@@ -209,7 +229,8 @@ def _camera(
     recording: Recording,
     options: ConvertOptions,
 ) -> Camera | None:
-    """The pinhole of the depth image, whose lens may be left out for this; None if depth shows another view."""
+    """The pinhole of the depth image, whose lens may be left out for this; None if depth shows
+    another view."""
     if options.depth_intrinsics not in ("", "colour"):
         model = read_intrinsics(options.depth_intrinsics, size, centre=options.pixel_centre)
     elif frame.depth_model is not None and not options.depth_intrinsics:

@@ -1,8 +1,9 @@
 """How many stored units are a metre: what the depths say about it.
 
-A 16-bit depth image does not say its unit. Recordings in the TUM layout have 5000 units a metre (the benchmark's own),
-most cameras' software 1000, and some programs 10,000, 6553.5, 4000 or 2000, which the range of the depths cannot tell
-apart. So the range only gives a guess, and the camera's motion decides where poses are given (``depth_motion``).
+A 16-bit depth image does not say its unit. Recordings in the TUM layout have 5000 units a metre
+(the benchmark's own), most cameras' software 1000, and some programs 10,000, 6553.5, 4000 or 2000,
+which the range of the depths cannot tell apart. So the range only gives a guess, and the camera's
+motion decides where poses are given (``depth_motion``).
 """
 
 from collections import abc
@@ -17,10 +18,12 @@ from .recording import DepthUnit, OptionNeeded, read_depth_file
 
 USUAL = (1000.0, 5000.0)
 KNOWN = (1000.0, 5000.0, 10_000.0, 6553.5, 4000.0, 2000.0, 512.0, 256.0, 100.0, 1.0)
-"""Units that programs write, the usual ones first: 10,000 (BOP, other tenths of a millimetre), 6553.5 (Replica of
-NICE-SLAM), 4000 (Matterport3D), 512 (2D-3D-S), 256 (KITTI), centimetres and metres."""
+"""Units that programs write, the usual ones first: 10,000 (BOP, other tenths of a millimetre),
+6553.5 (Replica of NICE-SLAM), 4000 (Matterport3D), 512 (2D-3D-S), 256 (KITTI), centimetres and
+metres."""
 NEAREST_M, FARTHEST_MEDIAN_M, FARTHEST_M = 0.2, 5.0, 12.0
-"""Depths of a hand-held camera: the first percentile is not nearer, the median and the 95th percentile not farther."""
+"""Depths of a hand-held camera: the first percentile is not nearer, the median and the 95th
+percentile not farther."""
 NEAREST_TUM_M = 0.35
 """5000 units a metre come from cameras of the Kinect's kind, which measure nothing nearer."""
 
@@ -33,7 +36,8 @@ def find_depth_unit(folder: Path, stored: abc.Sequence[np.ndarray]) -> DepthUnit
     """Guess the stored value of one metre from the range of the depths.
 
     Args:
-        folder: Of the recording; the benchmark's cameras are known by its name, and their unit is no guess.
+        folder: Of the recording; the benchmark's cameras are known by its name, and their unit is
+            no guess.
         stored: Some depth images as stored, 0 = missing. [H, W] each
 
     Raises:
@@ -43,18 +47,26 @@ def find_depth_unit(folder: Path, stored: abc.Sequence[np.ndarray]) -> DepthUnit
         return DepthUnit(DEPTH_SCALE, "depth was taken in the benchmark's 5000 units a metre")
     values = np.concatenate([image[image > 0].ravel() for image in stored] or [np.zeros(0)])
     if not len(values):
-        raise SequenceError(f"{folder}: the depth images tried hold no depth; give --depth-scale, units per metre")
+        raise SequenceError(
+            f"{folder}: the depth images tried hold no depth; give --depth-scale, units per metre"
+        )
     metric = (1.0,) if (np.mod(values[:10_000], 1) != 0).any() else ()
     if not metric and values.max() <= WHOLE_METRES:
-        raise SequenceError(f"{folder} holds depths in whole metres up to {values.max():g}, so {LOST_PRECISION}")
+        raise SequenceError(
+            f"{folder} holds depths in whole metres up to {values.max():g}, so {LOST_PRECISION}"
+        )
     usual = [s for s in (*USUAL, *metric) if plausible_range(s, values)]
     middle = float(np.median(values))
     if len(usual) == 1:
-        return DepthUnit(usual[0], f"depth was taken as {usual[0]:g} units a metre{_doubt(usual[0], values)}", True)
+        return DepthUnit(
+            usual[0],
+            f"depth was taken as {usual[0]:g} units a metre{_doubt(usual[0], values)}",
+            True,
+        )
     medians = ", ".join(f"{middle / s:.2f} m with {s:g}" for s in USUAL)
     question = OptionNeeded(
-        f"{folder}: the unit of depth cannot be known from the files: the median depth is {medians}; give "
-        "--depth-scale, the stored value of one metre",
+        f"{folder}: the unit of depth cannot be known from the files: the median depth is "
+        f"{medians}; give --depth-scale, the stored value of one metre",
         option="depth_scale",
         question=f"Which stored depth is one metre? The median depth is {medians}.",
     )
@@ -82,7 +94,10 @@ def plausible_range(scale: float, values: np.ndarray) -> bool:
     return near >= nearest_m and middle <= FARTHEST_MEDIAN_M and far <= FARTHEST_M
 
 
-def some_depths(files: abc.Sequence[Path], n: int = 8) -> list[np.ndarray]:
+def some_depths(
+    files: abc.Sequence[Path],
+    n: int = 8,
+) -> list[np.ndarray]:
     """A few depth images as stored, spread over the recording; damaged ones are left out.
 
     Raises:

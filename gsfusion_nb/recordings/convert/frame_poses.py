@@ -1,4 +1,5 @@
-"""The pose of every frame: as recorded, or from a file, one per frame or interpolated at the frame's time."""
+"""The pose of every frame: as recorded, or from a file, one per frame or interpolated at the
+frame's time."""
 
 import contextlib
 from dataclasses import replace
@@ -19,8 +20,8 @@ from .trajectory import Trajectory, camera_in_body, frame_key, read_trajectory
 
 
 class FramePoses:
-    """Pose of each frame: the recorded one, or one from a file, by its place or at its time; scaled to metres and
-    checked."""
+    """Pose of each frame: the recorded one, or one from a file, by its place or at its time; scaled
+    to metres and checked."""
 
     def __init__(self, recording: Recording, options: ConvertOptions):
         self.trajectory: Trajectory | None = None
@@ -36,7 +37,9 @@ class FramePoses:
             self._per_frame = None if per_frame is None else per_frame[0]
             self.notes += [] if per_frame is None else per_frame[1]
         if file and self._per_frame is not None:
-            self.notes.append(f"{file}: one pose per frame, taken as camera-to-world, OpenCV axes, metres")
+            self.notes.append(
+                f"{file}: one pose per frame, taken as camera-to-world, OpenCV axes, metres"
+            )
         elif file:
             self.trajectory = read_trajectory(
                 Path(file),
@@ -48,10 +51,12 @@ class FramePoses:
             self.notes += self.trajectory.notes
         elif not self.none and not recording.has_poses:
             raise OptionNeeded(
-                f"{recording.name} holds no poses; give a trajectory with --poses FILE (TUM, OKVIS2, ORB-SLAM3, "
+                f"{recording.name} holds no poses; give a trajectory with --poses FILE (TUM, "
+                "OKVIS2, ORB-SLAM3, "
                 "EuRoC, or one pose per frame), or --poses none to track the camera later",
                 option="poses",
-                question="Which file holds the poses? none: they are estimated by tracking the camera",
+                question="Which file holds the poses? none: they are estimated by tracking the "
+                "camera",
             )
         self._scale = 1.0 if self.none else self._metres_per_unit(options)
 
@@ -61,14 +66,22 @@ class FramePoses:
         return self._per_frame is not None
 
     def timed(self, frame: RecordedFrame) -> RecordedFrame:
-        """The frame with the time that the trajectory gives for its number, where the recording has no times."""
+        """The frame with the time that the trajectory gives for its number, where the recording has
+        no times."""
         trajectory = self.trajectory
         if trajectory is None or frame.time_s is not None or trajectory.counts_frames:
             return frame
-        return replace(frame, time_s=trajectory.time_of_frame.get(frame_key(Path(frame.source).stem)))
+        return replace(
+            frame, time_s=trajectory.time_of_frame.get(frame_key(Path(frame.source).stem))
+        )
 
-    def of(self, place: int, frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
-        """Pose of the frame at a place of the recording, or None and why there is none; float64, metres."""
+    def of(
+        self,
+        place: int,
+        frame: RecordedFrame,
+    ) -> tuple[Float[Tensor, "4 4"] | None, str]:
+        """Pose of the frame at a place of the recording, or None and why there is none; float64,
+        metres."""
         if self._per_frame is not None:
             T, reason = self._per_frame.get(place), "no pose of its name"
             T = self._per_frame.get(frame_key(Path(frame.source).stem)) if T is None else T
@@ -86,17 +99,23 @@ class FramePoses:
         checked_pose(T, f"the pose of {frame.source}")
         return T, ""
 
-    def _of_trajectory(self, trajectory: "Trajectory", frame: RecordedFrame) -> tuple[Float[Tensor, "4 4"] | None, str]:
+    def _of_trajectory(
+        self, trajectory: "Trajectory", frame: RecordedFrame
+    ) -> tuple[Float[Tensor, "4 4"] | None, str]:
         """The pose at the time of a frame, or, where the frame has no time, of its number."""
         if frame.time_s is not None:
-            return trajectory.pose_at(frame.time_s + self._offset_s), "the trajectory has no pose around its time"
+            return trajectory.pose_at(
+                frame.time_s + self._offset_s
+            ), "the trajectory has no pose around its time"
         if not trajectory.time_of_frame:
             raise SequenceError(
-                f"{trajectory.path} gives poses by time, but {frame.source} has none; expected image names or "
-                "lists with times; --poses none tracks the camera later"
+                f"{trajectory.path} gives poses by time, but {frame.source} has none; expected "
+                "image names or lists with times; --poses none tracks the camera later"
             )
         time_s = trajectory.time_of_frame.get(frame_key(Path(frame.source).stem))
-        return None if time_s is None else trajectory.pose_at(time_s), "the trajectory has no pose of its number"
+        return None if time_s is None else trajectory.pose_at(
+            time_s
+        ), "the trajectory has no pose of its number"
 
     def _metres_per_unit(self, options: ConvertOptions) -> float:
         if options.scale:
@@ -108,7 +127,8 @@ class FramePoses:
         if self._recording.measured_scale is not None:
             scale, sentence = self._recording.measured_scale()
         self.notes.append(
-            f"these poses have no unit of length; one unit is taken as {scale:.6g} m ({sentence}; --scale)"
+            f"these poses have no unit of length; one unit is taken as {scale:.6g} m ({sentence}; "
+            "--scale)"
         )
         return scale
 

@@ -1,8 +1,9 @@
-"""Camera intrinsics as other programs write them: numbers, matrices, JSON, YAML, and lines that name values.
+"""Camera intrinsics as other programs write them: numbers, matrices, JSON, YAML, and lines that
+name values.
 
-Every way is first made a tree of names and values (``calibration_tree``), and one function takes the camera out of it
-(``model_of_tree``). A name that looks like a part of the lens and is not known is refused, because leaving it out would
-change the camera.
+Every way is first made a tree of names and values (``calibration_tree``), and one function takes
+the camera out of it (``model_of_tree``). A name that looks like a part of the lens and is not known
+is refused, because leaving it out would change the camera.
 """
 
 import math
@@ -24,17 +25,21 @@ from .recording import ConvertOptions, OptionNeeded, RecordedFrame, read_array
 from .trajectory import read_numbers
 
 
-def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float = 0.0) -> CameraModel:
+def read_intrinsics(
+    text_or_file: str, size: tuple[int, int], *, centre: float = 0.0
+) -> CameraModel:
     """Camera of an option: numbers, or a file.
 
     Args:
         text_or_file: One of ``WAYS``.
-        size: Width and height of the colour images, pixels; a file with a size of its own overrides it.
-        centre: Where the intrinsics put the centre of the first pixel, 0 or 0.5; JSON may say ``pixel_centre``.
+        size: Width and height of the colour images, pixels; a file with a size of its own overrides
+            it.
+        centre: Where the intrinsics put the centre of the first pixel, 0 or 0.5; JSON may say
+            ``pixel_centre``.
 
     Raises:
-        SequenceError: none of these, a focal length that is not positive, several cameras of which none is said to be
-            colour, or a part of the lens that is not known.
+        SequenceError: none of these, a focal length that is not positive, several cameras of which
+            none is said to be colour, or a part of the lens that is not known.
     """
     path = Path(text_or_file)
     try:
@@ -55,10 +60,18 @@ def read_intrinsics(text_or_file: str, size: tuple[int, int], *, centre: float =
         return model_of_matrix(values, size, source, centre=centre)
     if len(values) not in (4, 8, 9, 12, 16, 18):
         raise SequenceError(f"{source} must be {WAYS}, got {len(values)} numbers")
-    return model_of(values[:4], size, source, centre=centre, distortion=tuple(values[4:]))
+    return model_of(
+        values[:4],
+        size,
+        source,
+        centre=centre,
+        distortion=tuple(values[4:]),
+    )
 
 
-def intrinsics_of_frame(frame: RecordedFrame, size: tuple[int, int], name: str, options: ConvertOptions) -> CameraModel:
+def intrinsics_of_frame(
+    frame: RecordedFrame, size: tuple[int, int], name: str, options: ConvertOptions
+) -> CameraModel:
     """Camera of a colour image: that of the options, or its own.
 
     Args:
@@ -77,8 +90,8 @@ def intrinsics_of_frame(frame: RecordedFrame, size: tuple[int, int], name: str, 
             f"{name} does not contain the camera's intrinsics; give --intrinsics 'fx fy cx cy' "
             "(pixels), the focal length alone, or a file with them",
             option="intrinsics",
-            question=f"What is the focal length of images of {size[0]}x{size[1]} in pixels? Or fx fy cx cy, or a "
-            "file with them. estimate: it is measured on the images",
+            question=f"What is the focal length of images of {size[0]}x{size[1]} in pixels? Or fx "
+            "fy cx cy, or a file with them. estimate: it is measured on the images",
         )
     return frame.model
 
@@ -93,14 +106,26 @@ def model_of(
     fisheye: bool = False,
 ) -> CameraModel:
     """Camera of fx, fy, cx, cy and its distortion in OpenCV's order."""
-    if not all(math.isfinite(v) for v in (*values, *distortion)) or values[0] <= 0 or values[1] <= 0:
+    if (
+        not all(math.isfinite(v) for v in (*values, *distortion))
+        or values[0] <= 0
+        or values[1] <= 0
+    ):
         raise SequenceError(
-            f"{source}: the focal lengths must be > 0 and all intrinsics finite, got {values[0]:g} and {values[1]:g}"
+            f"{source}: the focal lengths must be > 0 and all intrinsics finite, got {values[0]:g} "
+            f"and {values[1]:g}"
         )
     fx, fy, cx, cy = values
     shift = 0.5 - centre
     with refusing(f"{source}: "):
-        camera = Camera(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx + shift, cy=cy + shift)
+        camera = Camera(
+            width=size[0],
+            height=size[1],
+            fx=fx,
+            fy=fy,
+            cx=cx + shift,
+            cy=cy + shift,
+        )
     return CameraModel(camera, distortion if any(distortion) or fisheye else (), fisheye)
 
 
@@ -113,19 +138,27 @@ def model_of_matrix(
     distortion: tuple[float, ...] = (),
     fisheye: bool = False,
 ) -> CameraModel:
-    """Camera of a row-major 3x3 or 4x4 matrix with fx, fy on the diagonal and cx, cy in the third column."""
+    """Camera of a row-major 3x3 or 4x4 matrix with fx, fy on the diagonal and cx, cy in the third
+    column."""
     n = 3 if len(values) == 9 else 4
     if len(values) != n * n or abs(values[n * n - 1] - 1) > 1e-9:
-        raise SequenceError(f"{source} must be a 3x3 or 4x4 matrix with fx 0 cx / 0 fy cy / 0 0 1, row by row")
-    if abs(values[1]) > 1e-3 * abs(values[0]) or abs(values[2 * n]) > 1e-6 or abs(values[2 * n + 1]) > 1e-6:
         raise SequenceError(
-            f"{source} must be a matrix with fx 0 cx / 0 fy cy / 0 0 1, row by row; this one looks transposed or skewed"
+            f"{source} must be a 3x3 or 4x4 matrix with fx 0 cx / 0 fy cy / 0 0 1, row by row"
+        )
+    if (
+        abs(values[1]) > 1e-3 * abs(values[0])
+        or abs(values[2 * n]) > 1e-6
+        or abs(values[2 * n + 1]) > 1e-6
+    ):
+        raise SequenceError(
+            f"{source} must be a matrix with fx 0 cx / 0 fy cy / 0 0 1, row by row; this one looks "
+            "transposed or skewed"
         )
     pinhole = [values[0], values[n + 1], values[2], values[n + 2]]
     return model_of(pinhole, size, source, centre=centre, distortion=distortion, fisheye=fisheye)
 
 
-# ---- A camera in a tree of names and values --------------------------------------------------------------------------
+# ---- A camera in a tree of names and values ------------------------------------------------------
 
 _PINHOLES = (("fx", "fy", "cx", "cy"), ("fx", "fy", "ppx", "ppy"), ("fl_x", "fl_y", "cx", "cy"))
 _MATRICES = ("K", "camera_matrix", "cameraMatrix", "m_calibrationColorIntrinsic", "intrinsicMatrix")
@@ -134,7 +167,12 @@ _OPEN3D = "intrinsic_matrix"
 """The matrix of Open3D, column by column."""
 _FOUR = "intrinsics"
 """Kalibr's fx, fy, cx, cy."""
-_SIZES = (("width", "height"), ("image_width", "image_height"), ("w", "h"), ("m_colorWidth", "m_colorHeight"))
+_SIZES = (
+    ("width", "height"),
+    ("image_width", "image_height"),
+    ("w", "h"),
+    ("m_colorWidth", "m_colorHeight"),
+)
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _FISHEYE_COEFFICIENTS = ("k1", "k2", "k3", "k4")
 _LISTS = (
@@ -161,7 +199,9 @@ _BROWN = (
     "simple_pinhole",
 )
 _FISHEYE = ("equidistant", "equi", "fisheye", "kannalabrandt8", "kannala_brandt4", "opencv_fisheye")
-_OF_A_LENS = re.compile(r"k\d+|p\d+|xi|alpha|beta|skew|s|radial\w*|tangential\w*|distort\w*|is_fisheye|fisheye")
+_OF_A_LENS = re.compile(
+    r"k\d+|p\d+|xi|alpha|beta|skew|s|radial\w*|tangential\w*|distort\w*|is_fisheye|fisheye"
+)
 """Names of what changes a camera."""
 _REALSENSE = (
     "none",
@@ -175,22 +215,27 @@ _REALSENSE = (
 _SAYS_COLOUR = re.compile(r"(?i)rgb|colou?r")
 
 
-def model_of_tree(tree: Tree, size: tuple[int, int] | None, source: str, *, centre: float) -> CameraModel:
+def model_of_tree(
+    tree: Tree, size: tuple[int, int] | None, source: str, *, centre: float
+) -> CameraModel:
     """The camera among names and values, which may be in groups.
 
     Args:
         tree: Of a file.
         size: Width and height of the images, where the tree has none; None: it must have them.
         source: The file, for messages.
-        centre: Where it puts the centre of the first pixel, 0 or 0.5, unless it says ``pixel_centre`` itself.
+        centre: Where it puts the centre of the first pixel, 0 or 0.5, unless it says
+            ``pixel_centre`` itself.
 
     Raises:
-        SequenceError: no camera, several of which none is said to be colour, or a part of a lens that is not known.
+        SequenceError: no camera, several of which none is said to be colour, or a part of a lens
+            that is not known.
     """
     if "CalibrationInformation" in tree:
         raise SequenceError(
-            f"{source} is the raw calibration of an Azure Kinect, which holds for its whole sensors, not for images; "
-            "Open3D's azure_kinect_mkv_reader writes intrinsic.json, which is read; or give 'fx fy cx cy'"
+            f"{source} is the raw calibration of an Azure Kinect, which holds for its whole "
+            "sensors, not for images; Open3D's azure_kinect_mkv_reader writes intrinsic.json, "
+            "which is read; or give 'fx fy cx cy'"
         )
     if "cameraData" in tree:
         tree = _cameras_of_depthai(tree)
@@ -201,19 +246,24 @@ def model_of_tree(tree: Tree, size: tuple[int, int] | None, source: str, *, cent
         found = {name: found[name] for name in colour} if len(colour) == 1 else found
     if not found:
         names = ", ".join(map(str, tree)) or "nothing"
-        raise SequenceError(f"{source} holds no camera in a way that is known, but {shown(names)}; known: {WAYS}")
+        raise SequenceError(
+            f"{source} holds no camera in a way that is known, but {shown(names)}; known: {WAYS}"
+        )
     if len(found) > 1:
         raise SequenceError(
-            f"{source} holds {len(found)} cameras, {', '.join(found)}; give that of the colour images as "
-            "--intrinsics 'fx fy cx cy [k1 k2 p1 p2 k3]'"
+            f"{source} holds {len(found)} cameras, {', '.join(found)}; give that of the colour "
+            "images as --intrinsics 'fx fy cx cy [k1 k2 p1 p2 k3]'"
         )
     ((_, values),) = found.items()
     with parsing(source, f"a camera's intrinsics as {WAYS}"):
         return _model_of_values(values, size, source, centre)
 
 
-def _cameras(tree: Tree, path: str, outer: Tree = MappingProxyType({})) -> Iterator[tuple[str, Tree]]:
-    """Path and values of each group that holds a camera, with the single values of the groups around it.
+def _cameras(
+    tree: Tree, path: str, outer: Tree = MappingProxyType({})
+) -> Iterator[tuple[str, Tree]]:
+    """Path and values of each group that holds a camera, with the single values of the groups
+    around it.
 
     ORB-SLAM3 has the focal lengths in Camera1 and the size of the images in Camera.
     """
@@ -233,26 +283,41 @@ def _cameras(tree: Tree, path: str, outer: Tree = MappingProxyType({})) -> Itera
 
 
 def _cameras_of_depthai(tree: Tree) -> Tree:
-    """Cameras of OAK's calibration, a list of pairs of a socket and its camera; socket 0 is colour."""
+    """Cameras of OAK's calibration, a list of pairs of a socket and its camera; socket 0 is
+    colour."""
     with parsing("cameraData", "pairs of a socket and a camera"):
-        return {f"colour socket {n}" if n == 0 else f"socket {n}": camera for n, camera in tree["cameraData"]}
+        return {
+            f"colour socket {n}" if n == 0 else f"socket {n}": camera
+            for n, camera in tree["cameraData"]
+        }
 
 
 _WIDTHS_OF_ZED = {"2K": 2208, "FHD": 1920, "HD": 1280, "VGA": 672}
 
 
-def _left_of_zed(found: Mapping[str, Tree], size: tuple[int, int] | None) -> dict[str, Tree]:
-    """Of the cameras of a ZED's calibration the left one for images of this width; empty for other files."""
-    name = next((n for n, width in _WIDTHS_OF_ZED.items() if size is not None and size[0] == width), "")
+def _left_of_zed(
+    found: Mapping[str, Tree],
+    size: tuple[int, int] | None,
+) -> dict[str, Tree]:
+    """Of the cameras of a ZED's calibration the left one for images of this width; empty for other
+    files."""
+    name = next(
+        (n for n, width in _WIDTHS_OF_ZED.items() if size is not None and size[0] == width),
+        "",
+    )
     camera = found.get(f"LEFT_CAM_{name}")
     return {} if camera is None else {f"LEFT_CAM_{name}": camera}
 
 
 def _single_values(tree: Tree) -> dict[str, Any]:
-    return {name: value for name, value in tree.items() if not isinstance(value, Mapping | list | tuple)}
+    return {
+        name: value for name, value in tree.items() if not isinstance(value, Mapping | list | tuple)
+    }
 
 
-def _model_of_values(values: Tree, size: tuple[int, int] | None, source: str, centre: float) -> CameraModel:
+def _model_of_values(
+    values: Tree, size: tuple[int, int] | None, source: str, centre: float
+) -> CameraModel:
     stored_size = _size(values) or size
     if stored_size is None:
         raise SequenceError(f"{source} lacks the size of the images; expected width and height")
@@ -262,15 +327,21 @@ def _model_of_values(values: Tree, size: tuple[int, int] | None, source: str, ce
     lens = {"distortion": coefficients, "fisheye": fisheye}
     names = next((names for names in _PINHOLES if set(names) <= values.keys()), None)
     if names is not None:
-        return model_of([float(values[name]) for name in names], stored_size, source, centre=centre, **lens)
+        return model_of(
+            [float(values[name]) for name in names], stored_size, source, centre=centre, **lens
+        )
     if _OPEN3D in values:
         column_major = _list_of(values[_OPEN3D])
         matrix = np.array(column_major).reshape(3, 3).T.ravel().tolist()
-        return model_of_matrix(matrix, stored_size, f"{source}: {_OPEN3D} (column by column)", centre=centre, **lens)
+        return model_of_matrix(
+            matrix, stored_size, f"{source}: {_OPEN3D} (column by column)", centre=centre, **lens
+        )
     matrix_name = next((name for name in _MATRICES if name in values), None)
     if matrix_name is not None:
         matrix = _list_of(values[matrix_name])
-        return model_of_matrix(matrix, stored_size, f"{source}: {matrix_name}", centre=centre, **lens)
+        return model_of_matrix(
+            matrix, stored_size, f"{source}: {matrix_name}", centre=centre, **lens
+        )
     return model_of(_list_of(values[_FOUR]), stored_size, source, centre=centre, **lens)
 
 
@@ -279,7 +350,9 @@ def _size(values: Tree) -> tuple[int, int] | None:
     if isinstance(resolution, list | tuple) and len(resolution) == 2:
         return round(float(resolution[0])), round(float(resolution[1]))
     names = next((names for names in _SIZES if set(names) <= values.keys()), None)
-    return None if names is None else (round(float(values[names[0]])), round(float(values[names[1]])))
+    return (
+        None if names is None else (round(float(values[names[0]])), round(float(values[names[1]])))
+    )
 
 
 def _list_of(value: Any) -> list[float]:
@@ -290,44 +363,55 @@ def _list_of(value: Any) -> list[float]:
 
 
 def _is_fisheye(values: Tree, source: str) -> bool:
-    """Whether the lens is a fisheye. Raises ``SequenceError`` for one that OpenCV's two models are not."""
+    """Whether the lens is a fisheye. Raises ``SequenceError`` for one that OpenCV's two models are
+    not."""
     if values.get("is_fisheye") or values.get("fisheye"):
         return True
-    names = [_lens_name(values[name]) for name in _LENSES if isinstance(values.get(name), str | int)]
+    names = [
+        _lens_name(values[name]) for name in _LENSES if isinstance(values.get(name), str | int)
+    ]
     if any(name in _FISHEYE for name in names):
         return True
     unknown = [name for name in names if name not in _BROWN]
     named = [values.get(name, 0.0) for name in _COEFFICIENTS]
     if unknown and (any(_listed_coefficients(values)) or any(map(_is_not_zero, named))):
         raise SequenceError(
-            f"{source}: the lens {shown(unknown[0])} with other coefficients than 0 cannot be undistorted; known: "
-            f"{', '.join(name for name in (*_BROWN, *_FISHEYE) if name)}"
+            f"{source}: the lens {shown(unknown[0])} with other coefficients than 0 cannot be "
+            f"undistorted; known: {', '.join(name for name in (*_BROWN, *_FISHEYE) if name)}"
         )
     return False
 
 
 def _lens_name(value: str | int) -> str:
-    """The name of a lens in small letters: "distortion.brown_conrady" and librealsense's 4 are one."""
+    """The name of a lens in small letters: "distortion.brown_conrady" and librealsense's 4 are
+    one."""
     if isinstance(value, int):
         return _REALSENSE[value] if 0 <= value < len(_REALSENSE) else f"number {value}"
     return value.lower().rsplit(".", 1)[-1]
 
 
-def _coefficients(values: Tree, source: str, *, fisheye: bool) -> tuple[float, ...]:
+def _coefficients(
+    values: Tree,
+    source: str,
+    *,
+    fisheye: bool,
+) -> tuple[float, ...]:
     """The distortion in OpenCV's order; () where there is none."""
     names = _FISHEYE_COEFFICIENTS if fisheye else _COEFFICIENTS
     for name, value in values.items():
         known = name in names or name in _LISTS or name in ("is_fisheye", "fisheye", *_LENSES)
         if _OF_A_LENS.fullmatch(str(name)) and not known and _is_not_zero(value):
             raise SequenceError(
-                f"{source}: {name} = {shown(value)} changes the camera in a way that is not known here; undistort the "
-                f"images first; known: {', '.join(names)}"
+                f"{source}: {name} = {shown(value)} changes the camera in a way that is not known "
+                f"here; undistort the images first; known: {', '.join(names)}"
             )
     listed = _listed_coefficients(values)
     named = [float(values.get(name, 0.0)) for name in names]
     if any(listed):
         if fisheye and len(listed) != len(_FISHEYE_COEFFICIENTS):
-            raise SequenceError(f"{source}: a fisheye must have the coefficients k1 k2 k3 k4, got {len(listed)}")
+            raise SequenceError(
+                f"{source}: a fisheye must have the coefficients k1 k2 k3 k4, got {len(listed)}"
+            )
         return tuple(listed)
     while len(named) > 5 and not named[-1]:
         named.pop()
@@ -352,4 +436,8 @@ def _is_not_zero(value: Any) -> bool:
 
 
 def _numbers_of(path: Path) -> list[float]:
-    return read_array(path, WAYS).ravel().tolist() if path.suffix == ".npy" else read_numbers(path, WAYS)
+    return (
+        read_array(path, WAYS).ravel().tolist()
+        if path.suffix == ".npy"
+        else read_numbers(path, WAYS)
+    )

@@ -26,15 +26,16 @@ _PER_FRAME = {4: "4x4 numbers", 7: "tx ty tz qx qy qz qw", 12: "3x4 numbers", 16
 def poses_per_frame(
     path: Path, recording: Recording, options: ConvertOptions
 ) -> tuple[dict[Any, Float[Tensor, "4 4"]], list[str]] | None:
-    """Camera-to-world poses, float64, by the place of the frame or by ``frame_key`` of its image, and notes; None for a
-    file with times.
+    """Camera-to-world poses, float64, by the place of the frame or by ``frame_key`` of its image,
+    and notes; None for a file with times.
 
-    Rows of a file hold 16 or 12 numbers of a matrix, "tx ty tz qx qy qz qw", or the name of the image and 16 numbers; a
-    matrix may take four rows. A folder has a file with a matrix for each image.
+    Rows of a file hold 16 or 12 numbers of a matrix, "tx ty tz qx qy qz qw", or the name of the
+    image and 16 numbers; a matrix may take four rows. A folder has a file with a matrix for each
+    image.
 
     Raises:
-        SequenceError: another number of poses than of frames, of which neither the numbers of the images nor the
-            options say whose they are, or a quaternion whose length is not 1.
+        SequenceError: another number of poses than of frames, of which neither the numbers of the
+            images nor the options say whose they are, or a quaternion whose length is not 1.
     """
     if path.suffix == ARKIT_SUFFIX:
         return None
@@ -55,14 +56,22 @@ def poses_per_frame(
         if {len(row) for row in rows} - set(_PER_FRAME):
             return None
     with parsing(path, what):
-        table = torch.tensor([[float(value) for value in row] for row in rows], dtype=torch.float64)
+        table = torch.tensor(
+            [[float(value) for value in row] for row in rows],
+            dtype=torch.float64,
+        )
         if table.shape[1] == 7:
             poses = matrices(_checked_quaternions(table, path))
         else:
             poses = table.reshape(-1, 3 if table.shape[1] == 12 else 4, 4)
-            poses = torch.cat([poses[:, :3], torch.eye(4).double()[3:].expand(len(poses), 1, 4)], 1)
+            poses = torch.cat(
+                [poses[:, :3], torch.eye(4).double()[3:].expand(len(poses), 1, 4)],
+                1,
+            )
     if names:
-        return {frame_key(Path(name).stem): pose for name, pose in zip(names, poses, strict=True)}, []
+        return {
+            frame_key(Path(name).stem): pose for name, pose in zip(names, poses, strict=True)
+        }, []
     if len(poses) == recording.n_frames:
         return dict(enumerate(poses)), []
     rows_of, note = _rows_of_frames(path, len(poses), recording, options)
@@ -72,7 +81,8 @@ def poses_per_frame(
 def _rows_of_frames(
     path: Path, n_poses: int, recording: Recording, options: ConvertOptions
 ) -> tuple[dict[int, int], str]:
-    """Place of a frame -> place of its pose, where there are more or fewer poses than frames, and a note.
+    """Place of a frame -> place of its pose, where there are more or fewer poses than frames, and a
+    note.
 
     Raises:
         SequenceError: neither the frames that are converted nor the numbers of the images say it.
@@ -80,22 +90,30 @@ def _rows_of_frames(
     n_frames = recording.n_frames
     converted = range(options.start, options.stop or n_frames, options.every)
     if len(converted) == n_poses and converted != range(n_frames):
-        told = f"{path}: {n_poses} poses, as many as frames are converted, so each goes to one of these in order"
+        told = (
+            f"{path}: {n_poses} poses, as many as frames are converted, so each goes to one of "
+            "these in order"
+        )
         return {place: row for row, place in enumerate(converted)}, told
     numbers = frame_numbers([Path(frame.source).stem for frame in recording.frames()])
     rows = None if numbers is None else _rows_by_number(numbers, n_poses)
     if rows is not None and numbers is not None:
         told = (
-            f"{path}: {n_poses} poses for {n_frames} frames, so each image has the pose of its number, image "
-            f"{numbers[0]} that of row {rows[0]}, counted from 0"
+            f"{path}: {n_poses} poses for {n_frames} frames, so each image has the pose of its "
+            f"number, image {numbers[0]} that of row {rows[0]}, counted from 0"
         )
         return dict(enumerate(rows)), told
     every = n_frames // n_poses
-    regular = f"; of every {every}th frame: --every {every}" if every > 1 and n_frames % n_poses == 0 else ""
+    regular = (
+        f"; of every {every}th frame: --every {every}"
+        if every > 1 and n_frames % n_poses == 0
+        else ""
+    )
     raise SequenceError(
-        f"{path} holds {n_poses} poses; expected {n_frames}, one per frame, and neither names nor numbers say whose "
-        f"these are; if they are those of the first frames: --stop {n_poses}{regular}; else put the name of its image "
-        "before each pose; --poses none tracks the camera later"
+        f"{path} holds {n_poses} poses; expected {n_frames}, one per frame, and neither names nor "
+        "numbers say whose these are; if they are those of the first frames: --stop "
+        f"{n_poses}{regular}; else put the name of its image before each pose; --poses none tracks "
+        "the camera later"
     )
 
 
@@ -117,26 +135,37 @@ def _rows_by_number(numbers: list[int], n_poses: int) -> list[int] | None:
 
 
 def frame_numbers(stems: list[str]) -> list[int] | None:
-    """The number in the name of each image, of several the one that is not the same in all names; None without one."""
+    """The number in the name of each image, of several the one that is not the same in all names;
+    None without one."""
     keys = [frame_key(stem) for stem in stems]
-    if not keys or not all(isinstance(key, tuple) for key in keys) or len({len(key) for key in keys}) != 1:
+    if (
+        not keys
+        or not all(isinstance(key, tuple) for key in keys)
+        or len({len(key) for key in keys}) != 1
+    ):
         return None
     varying = [column for column in zip(*keys, strict=True) if len(set(column)) == len(keys)]
     return [int(n) for n in varying[0]] if len(varying) == 1 else None
 
 
 def _checked_quaternions(rows: Float[Tensor, "N 7"], path: Path) -> Float[Tensor, "N 7"]:
-    """Rows "tx ty tz qx qy qz qw". Raises ``SequenceError`` where the last four are no unit quaternion."""
+    """Rows "tx ty tz qx qy qz qw". Raises ``SequenceError`` where the last four are no unit
+    quaternion."""
     length = rows[:, 3:].norm(dim=1)
     wrong = ((length - 1).abs() > 1e-2) & torch.isfinite(length)
     if bool(wrong.any()):
         i = int(wrong.nonzero()[0])
         raise SequenceError(
-            f"{path}: pose {i} must be tx ty tz qx qy qz qw with a quaternion of length 1, got one of length "
-            f"{float(length[i]):.3g}; ARKitScenes' times and axes are read from a file that ends in {ARKIT_SUFFIX}"
+            f"{path}: pose {i} must be tx ty tz qx qy qz qw with a quaternion of length 1, got one "
+            f"of length {float(length[i]):.3g}; ARKitScenes' times and axes are read from a file "
+            f"that ends in {ARKIT_SUFFIX}"
         )
     return rows
 
 
 def _numbers_of(path: Path, what: str) -> list[float]:
-    return read_array(path, what).ravel().tolist() if path.suffix == ".npy" else read_numbers(path, what)
+    return (
+        read_array(path, what).ravel().tolist()
+        if path.suffix == ".npy"
+        else read_numbers(path, what)
+    )

@@ -1,4 +1,5 @@
-"""What a reader of a foreign format takes and returns: options, frames, and images that are decoded on request."""
+"""What a reader of a foreign format takes and returns: options, frames, and images that are decoded
+on request."""
 
 import importlib.util
 import math
@@ -22,14 +23,16 @@ from .confidence import DepthConfidence
 
 @dataclass(frozen=True, kw_only=True)
 class RosOptions:
-    """Topics and frames of a ROS bag; each is found automatically where there is only one candidate."""
+    """Topics and frames of a ROS bag; each is found automatically where there is only one
+    candidate."""
 
     colour_topic: str = ""
     """Colour images (sensor_msgs/Image or CompressedImage)."""
     depth_topic: str = ""
     """Depth images (16UC1 in millimetres, 32FC1 in metres, or compressedDepth)."""
     pose_topic: str = ""
-    """PoseStamped, PoseWithCovarianceStamped, TransformStamped or Odometry; "tf" takes the transform tree."""
+    """PoseStamped, PoseWithCovarianceStamped, TransformStamped or Odometry; "tf" takes the
+    transform tree."""
     world_frame: str = ""
     """World frame in the transform tree; its root by default."""
 
@@ -37,7 +40,14 @@ class RosOptions:
 class OptionNeeded(SequenceError):
     """A recording does not say something that an option of the conversion can tell."""
 
-    def __init__(self, message: str, *, option: str, question: str, choices: tuple[str, ...] = ()):
+    def __init__(
+        self,
+        message: str,
+        *,
+        option: str,
+        question: str,
+        choices: tuple[str, ...] = (),
+    ):
         """
         Args:
             message: Names the option, for those who cannot be asked.
@@ -58,7 +68,8 @@ class DepthUnit:
     is_guess: bool = False
     """Nothing in the files tells it, but the camera's motion may."""
     question: OptionNeeded | None = None
-    """What is asked where the motion does not tell it, either; None: the guess is good enough to go on with."""
+    """What is asked where the motion does not tell it, either; None: the guess is good enough to go
+    on with."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,48 +77,56 @@ class ConvertOptions(Settings):
     """How a recording is read and written."""
 
     poses: str = ""
-    """File with the camera's trajectory, if the recording has none; poses are interpolated at the frames' times: TUM
-    text, OKVIS2 or EuRoC csv, ORB-SLAM3 in seconds or nanoseconds. Or one pose per frame, as text or NumPy: 16 or 12
-    numbers of a camera-to-world matrix, or "tx ty tz qx qy qz qw". "none" writes no poses at all, for a camera that is
-    to be tracked."""
+    """File with the camera's trajectory, if the recording has none; poses are interpolated at the
+    frames' times: TUM text, OKVIS2 or EuRoC csv, ORB-SLAM3 in seconds or nanoseconds. Or one pose
+    per frame, as text or NumPy: 16 or 12 numbers of a camera-to-world matrix, or "tx ty tz qx qy qz
+    qw". "none" writes no poses at all, for a camera that is to be tracked."""
     pose_time_unit: Literal["auto", "s", "ms", "us", "100ns", "ns"] = "auto"
-    """Unit of the trajectory's times; "auto" takes the one in which they are dates of today, or in which they span the
-    times of the frames, or in which their steps are those of a camera."""
+    """Unit of the trajectory's times; "auto" takes the one in which they are dates of today, or in
+    which they span the times of the frames, or in which their steps are those of a camera."""
     image_time_unit: Literal["auto", "none", "s", "ms", "us", "100ns", "ns"] = "auto"
-    """Unit of the numbers in the names or lists of images. "none": they only number the frames; "auto" decides by the
-    numbers and says how."""
+    """Unit of the numbers in the names or lists of images. "none": they only number the frames;
+    "auto" decides by the numbers and says how."""
     max_gap_s: float = within(0.2, 0)
-    """Largest time between the two poses around a frame; a frame in a longer gap is dropped, seconds."""
+    """Largest time between the two poses around a frame; a frame in a longer gap is dropped,
+    seconds."""
     time_offset_s: float = within(0.0, -math.inf)
     """Added to the time of each frame before its pose is interpolated, seconds."""
     T_cam_body: str = ""
-    """File of 16 numbers: body to camera (Kalibr's T_cam_imu), if the trajectory is that of a body or IMU."""
+    """File of 16 numbers: body to camera (Kalibr's T_cam_imu), if the trajectory is that of a body
+    or IMU."""
     T_body_cam: str = ""
     """The inverse: camera to body (EuRoC's T_BS, OKVIS's T_SC)."""
     scale: float = within(0.0, 0)
-    """Metres per unit of the poses. 0: measured on the depth images for COLMAP, whose poses have no unit; 1 for all
-    other formats."""
+    """Metres per unit of the poses. 0: measured on the depth images for COLMAP, whose poses have no
+    unit; 1 for all other formats."""
     depth: str = ""
-    """Folder of the depth images if they are not part of the recording; same names as the colour images."""
+    """Folder of the depth images if they are not part of the recording; same names as the colour
+    images."""
     colour: str = ""
     """Folder of the colour images, where a folder of images holds several that may be meant."""
     depth_scale: float = within(0.0, 0)
-    """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none; folders of images:
-    that of their calibration, else measured by the camera's motion, else guessed from the depths, or asked for."""
+    """Stored depth value of one metre. 0: that of the format, or 1000 (millimetres) if it has none;
+    folders of images: that of their calibration, else measured by the camera's motion, else guessed
+    from the depths, or asked for."""
     intrinsics: str = ""
-    """Intrinsics to use instead of those of the recording: "fx fy cx cy [k1 k2 p1 p2 k3]", the focal length alone, or a
-    file with these numbers, a matrix, or JSON. "estimate" measures the focal length of a folder of images."""
+    """Intrinsics to use instead of those of the recording: "fx fy cx cy [k1 k2 p1 p2 k3]", the
+    focal length alone, or a file with these numbers, a matrix, or JSON. "estimate" measures the
+    focal length of a folder of images."""
     depth_intrinsics: str = ""
-    """Intrinsics of the depth images, given as those of colour are, where depth is that of another camera and the
-    recording does not say so. "colour": depth is registered to colour, whatever the recording says."""
+    """Intrinsics of the depth images, given as those of colour are, where depth is that of another
+    camera and the recording does not say so. "colour": depth is registered to colour, whatever the
+    recording says."""
     T_colour_depth: str = ""
-    """File of 16 numbers: from the depth camera's frame to the colour camera's. Without it what the recording says,
-    or both are at one place."""
+    """File of 16 numbers: from the depth camera's frame to the colour camera's. Without it what the
+    recording says, or both are at one place."""
     pixel_centre: float = 0.0
-    """Coordinate of the first pixel's centre in these intrinsics: 0 as in OpenCV and ROS, 0.5 as in COLMAP."""
+    """Coordinate of the first pixel's centre in these intrinsics: 0 as in OpenCV and ROS, 0.5 as in
+    COLMAP."""
     width: int = within(0, 0)
-    """Width of the images to write, pixels. 0: in proportion to the height, or that of the colour images; if these have
-    more than 16 times as many pixels as the depth, 640 for the longer side."""
+    """Width of the images to write, pixels. 0: in proportion to the height, or that of the colour
+    images; if these have more than 16 times as many pixels as the depth, 640 for the longer
+    side."""
     height: int = within(0, 0)
     """Height of the images to write, pixels. 0: as for the width."""
     start: int = within(0, 0)
@@ -117,8 +136,8 @@ class ConvertOptions(Settings):
     every: int = within(1, 1)
     """Convert every n-th frame."""
     confidence: int = within(1, 0, 2)
-    """Recordings of phones with a confidence of each depth pixel (Record3D, Polycam, StrayScanner, ARKitScenes): the
-    smallest at which it is kept, 0 (all), 1 (medium) or 2 (high)."""
+    """Recordings of phones with a confidence of each depth pixel (Record3D, Polycam, StrayScanner,
+    ARKitScenes): the smallest at which it is kept, 0 (all), 1 (medium) or 2 (high)."""
     ros: RosOptions = RosOptions()
 
     def __post_init__(self):
@@ -128,7 +147,9 @@ class ConvertOptions(Settings):
         if self.T_cam_body and self.T_body_cam:
             raise SequenceError("give T_cam_body or its inverse T_body_cam, not both")
         if self.T_colour_depth and self.depth_intrinsics == "colour":
-            raise SequenceError("give T_colour_depth, or say that depth is registered to colour, not both")
+            raise SequenceError(
+                "give T_colour_depth, or say that depth is registered to colour, not both"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,11 +179,13 @@ class RecordedFrame:
     model: CameraModel | None
     """Camera of the colour image; None if the format has none; then the user must give it."""
     load: Callable[[], RgbdImages]
-    """Decode the images. Raises ``BadFrameError``; valid only until the iterator goes on to the next frame."""
+    """Decode the images. Raises ``BadFrameError``; valid only until the iterator goes on to the
+    next frame."""
     T_WC: Float[Tensor, "4 4"] | None = None
     """Camera-to-world, OpenCV axes, as stored; None where it is unknown."""
     depth_model: CameraModel | None = None
-    """Camera of the depth image; None: depth is registered to the colour image, whatever its size."""
+    """Camera of the depth image; None: depth is registered to the colour image, whatever its
+    size."""
     T_colour_depth: Float[Tensor, "4 4"] | None = None
     """From the depth camera's frame to the colour camera's; None: they are one camera."""
     depth_time_s: float | None = None
@@ -198,7 +221,8 @@ class Recording:
     up_to_scale: bool = False
     """Whether the poses have no unit of length."""
     measured_scale: Callable[[], tuple[float, str]] | None = None
-    """Metres per unit of the poses, found on the depth images, with a sentence on how certain that is."""
+    """Metres per unit of the poses, found on the depth images, with a sentence on how certain that
+    is."""
     dropped: dict[str, int] = field(default_factory=dict)
     """Frames that the reader already left out, by reason."""
     notes: tuple[str, ...] = ()
@@ -227,11 +251,13 @@ def read_depth_file(path: Path, scale: float) -> np.ndarray:
 
 
 _LARGEST_OF_16_BITS = 65535
-"""Means "missing" or "farther than can be stored" in 16 bits (7-Scenes, 2D-3D-S, Replica): no distance."""
+"""Means "missing" or "farther than can be stored" in 16 bits (7-Scenes, 2D-3D-S, Replica): no
+distance."""
 
 
 def metres(raw: np.ndarray, scale: float) -> np.ndarray:
-    """Stored depth as metres; NaN, infinities, negative values and 65535 in 16 bits become 0 (missing), float32."""
+    """Stored depth as metres; NaN, infinities, negative values and 65535 in 16 bits become 0
+    (missing), float32."""
     depth_m = raw.astype(np.float32) * np.float32(1.0 / scale)
     if raw.dtype == np.uint16:
         depth_m[raw == _LARGEST_OF_16_BITS] = 0.0
@@ -239,8 +265,11 @@ def metres(raw: np.ndarray, scale: float) -> np.ndarray:
     return depth_m
 
 
-def load_pair(colour: Path, depth: Path, scale: float, confidence: DepthConfidence | None = None) -> RgbdImages:
-    """Colour and depth of two files. Raises ``BadFrameError`` naming the one that cannot be used."""
+def load_pair(
+    colour: Path, depth: Path, scale: float, confidence: DepthConfidence | None = None
+) -> RgbdImages:
+    """Colour and depth of two files. Raises ``BadFrameError`` naming the one that cannot be
+    used."""
     depth_m = read_depth_file(depth, scale)
     if confidence is not None:
         depth_m = confidence.without_doubtful(depth_m)
@@ -258,7 +287,8 @@ def is_picture_file(data: bytes) -> bool:
 
 
 def find_depth(folder: Path, stem: str) -> Path:
-    """Depth file of the colour image ``stem``: the same name with any known suffix. The file may be missing."""
+    """Depth file of the colour image ``stem``: the same name with any known suffix. The file may be
+    missing."""
     found = (folder / f"{stem}{s}" for s in DEPTH_SUFFIXES)
     return next((p for p in found if is_file(p)), folder / f"{stem}.png")
 
@@ -274,18 +304,21 @@ def _numpy_array(path: Path) -> np.ndarray:
     with parsing(path, "a NumPy array of depth", BadFrameError):
         array = np.squeeze(read_array(path, "a NumPy array of depth"))
     if array.ndim != 2:
-        raise BadFrameError(f"{path} must hold a depth image [H, W], got the shape {list(array.shape)}")
+        raise BadFrameError(
+            f"{path} must hold a depth image [H, W], got the shape {list(array.shape)}"
+        )
     if array.dtype.kind not in "fui":
         raise BadFrameError(f"{path} must hold depth as numbers, got the type {array.dtype}")
     return array
 
 
 def check_exr(path: Path) -> None:
-    """Raise ``SequenceError`` if this is an OpenEXR file and the package that reads it is missing."""
+    """Raise ``SequenceError`` if this is an OpenEXR file and the package that reads it is
+    missing."""
     if path.suffix.lower() == ".exr" and importlib.util.find_spec("OpenEXR") is None:
         raise SequenceError(
-            f"{path} is an OpenEXR file, which needs the package OpenEXR: pip install 'gsfusion-nb[exr]', or pip "
-            "install OpenEXR"
+            f"{path} is an OpenEXR file, which needs the package OpenEXR: pip install "
+            "'gsfusion-nb[exr]', or pip install OpenEXR"
         )
 
 
@@ -296,7 +329,12 @@ def _exr_channel(path: Path) -> np.ndarray:
     check_image_size(read_image_bytes(path, "depth"), path, "depth")
     with parsing(path, "depth as OpenEXR", BadFrameError), OpenEXR.File(str(path)) as file:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-    array = next((channels[n] for n in ("Z", "Y", "R", "RGB", "RGBA") if n in channels), None)
+    array = next(
+        (channels[n] for n in ("Z", "Y", "R", "RGB", "RGBA") if n in channels),
+        None,
+    )
     if array is None:
-        raise BadFrameError(f"{path} has the channels {', '.join(channels)}; expected depth in Z, Y or R")
+        raise BadFrameError(
+            f"{path} has the channels {', '.join(channels)}; expected depth in Z, Y or R"
+        )
     return array if array.ndim == 2 else array[..., 0]

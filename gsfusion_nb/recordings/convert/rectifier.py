@@ -7,19 +7,29 @@ import numpy as np
 import torch
 
 from ...data.adjust.resize import resize_colour
-from ...data.lens import TIE, CameraModel, pixel_map, register_depth, same_proportions, same_rays, z_of_range
+from ...data.lens import (
+    TIE,
+    CameraModel,
+    pixel_map,
+    register_depth,
+    same_proportions,
+    same_rays,
+    z_of_range,
+)
 from ...types import Camera
 from .recording import OptionNeeded, RecordedFrame, RgbdImages
 
 _map = lru_cache(maxsize=4)(pixel_map)
-"""A recording with another focal length in every frame makes as many maps as frames; few are kept."""
+"""A recording with another focal length in every frame makes as many maps as frames; few are
+kept."""
 
 
 def _depth_model(frame: RecordedFrame, colour: CameraModel, width: int, height: int) -> CameraModel:
     """Camera of the depth image, at its size.
 
     Raises:
-        OptionNeeded: depth is to be registered to colour, but has other proportions, so it shows another view.
+        OptionNeeded: depth is to be registered to colour, but has other proportions, so it shows
+            another view.
         SequenceError: depth has other proportions than its own camera.
     """
     if frame.depth_model is not None:
@@ -28,21 +38,21 @@ def _depth_model(frame: RecordedFrame, colour: CameraModel, width: int, height: 
     if same_proportions((width, height), size):
         return colour.resized(width, height)
     raise OptionNeeded(
-        f"{frame.source}: depth is {width}x{height} and colour {size[0]}x{size[1]}, of other proportions, so they are "
-        "not of one view; give the intrinsics of the depth images with --depth-intrinsics 'fx fy cx cy', and with "
-        "--T-colour-depth where their camera stands",
+        f"{frame.source}: depth is {width}x{height} and colour {size[0]}x{size[1]}, of other "
+        "proportions, so they are not of one view; give the intrinsics of the depth images with "
+        "--depth-intrinsics 'fx fy cx cy', and with --T-colour-depth where their camera stands",
         option="depth_intrinsics",
-        question=f"Depth ({width}x{height}) is not registered to colour ({size[0]}x{size[1]}). What are the "
-        "intrinsics of the depth images, fx fy cx cy, or which file holds them?",
+        question=f"Depth ({width}x{height}) is not registered to colour ({size[0]}x{size[1]}). "
+        "What are the intrinsics of the depth images, fx fy cx cy, or which file holds them?",
     )
 
 
 class Rectifier:
     """Converts colour and depth to what ``camera`` would see.
 
-    Colour is undistorted at its own size (interpolated), then averaged down. Depth is taken from the nearest pixel and
-    never interpolated; if the depth camera is at another place, every pixel of depth is moved to the pixels that it
-    covers (``register_depth``).
+    Colour is undistorted at its own size (interpolated), then averaged down. Depth is taken from
+    the nearest pixel and never interpolated; if the depth camera is at another place, every pixel
+    of depth is moved to the pixels that it covers (``register_depth``).
     """
 
     def __init__(self, camera: Camera, *, along_ray: bool = False):
@@ -50,7 +60,8 @@ class Rectifier:
         self._along_ray = along_ray
 
     def __call__(self, frame: RecordedFrame, model: CameraModel, images: RgbdImages) -> RgbdImages:
-        """The images of ``frame``, taken by ``model``. ``encoded`` is empty unless colour is unchanged."""
+        """The images of ``frame``, taken by ``model``. ``encoded`` is empty unless colour is
+        unchanged."""
         height, width = images.rgb.shape[:2]
         model = model.fitted(width, height, frame.source)
         rgb = self._colour(images.rgb, model)
@@ -60,7 +71,9 @@ class Rectifier:
     def _colour(self, rgb: np.ndarray, model: CameraModel) -> np.ndarray:
         native = self.camera.resized(model.camera.width, model.camera.height)
         if not same_rays(model, native):
-            rgb = cv2.remap(rgb, *_map(model, native), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            rgb = cv2.remap(
+                rgb, *_map(model, native), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
         return resize_colour(rgb, self.camera.width, self.camera.height)
 
     def _depth(self, depth_m: np.ndarray, colour: CameraModel, frame: RecordedFrame) -> np.ndarray:
@@ -78,4 +91,10 @@ class Rectifier:
         if same_rays(model, camera):
             return depth_m
         u, v = _map(model, camera)
-        return cv2.remap(depth_m, u - np.float32(TIE), v - np.float32(TIE), cv2.INTER_NEAREST, borderValue=0)
+        return cv2.remap(
+            depth_m,
+            u - np.float32(TIE),
+            v - np.float32(TIE),
+            cv2.INTER_NEAREST,
+            borderValue=0,
+        )

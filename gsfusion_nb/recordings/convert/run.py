@@ -29,10 +29,12 @@ from .trajectory import read_matrix
 
 MILLIMETRES = 1000.0
 _FINEST, _COARSEST = 20000.0, 200.0
-"""Depth scales of a recording that are kept; others (metres, floating point) are written in millimetres."""
+"""Depth scales of a recording that are kept; others (metres, floating point) are written in
+millimetres."""
 
 _PIXELS_PER_DEPTH, _LONG_SIDE = 16, 640
-"""Images with more colour pixels than this for each of the depth (iPhone: 56) are written with this long side."""
+"""Images with more colour pixels than this for each of the depth (iPhone: 56) are written with this
+long side."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,13 +60,15 @@ class ConvertReport:
         c = self.camera
         lines = [
             f"{self.frames} of {self.frames_read} frames ({self.format}) in {self.out}",
-            f"  camera {c.width}x{c.height}, fx {c.fx:.2f} fy {c.fy:.2f} cx {c.cx:.2f} cy {c.cy:.2f}, pixel centre 0.5",
+            f"  camera {c.width}x{c.height}, fx {c.fx:.2f} fy {c.fy:.2f} cx {c.cx:.2f} cy "
+            f"{c.cy:.2f}, pixel centre 0.5",
             f"  depth in 16-bit PNG, {self.depth_scale:g} per metre, 0 = missing; "
             + ("poses camera-to-world in metres" if self.has_poses else "no poses"),
             *(f"  left out {n}: {reason}" for reason, n in self.dropped.items()),
             *(f"    {example}" for example in self.examples),
             *(f"  note: {note}" for note in self.notes),
-            f"Next: gsfusion-nb check {self.out}{'' if self.has_poses else ' --reader poses=false'}",
+            "Next: gsfusion-nb check "
+            f"{self.out}{'' if self.has_poses else ' --reader poses=false'}",
         ]
         return "\n".join(lines)
 
@@ -77,11 +81,12 @@ def convert(
     options: ConvertOptions | None = None,
     progress: bool = False,
 ) -> ConvertReport:
-    """Write a recording in another format as a ``folder`` sequence (``gsfusion_nb.data.readers.folder``).
+    """Write a recording in another format as a ``folder`` sequence
+    (``gsfusion_nb.data.readers.folder``).
 
-    Frames are read and written one by one, and ``OUT`` appears when all is done: after an error, or Ctrl-C, nothing is
-    left. Colour images that need no change are copied. Frames without pose, with damaged images or without depth are
-    left out and counted.
+    Frames are read and written one by one, and ``OUT`` appears when all is done: after an error, or
+    Ctrl-C, nothing is left. Colour images that need no change are copied. Frames without pose, with
+    damaged images or without depth are left out and counted.
 
     Args:
         source: File or folder of the recording.
@@ -91,7 +96,8 @@ def convert(
         progress: Show a progress bar.
 
     Raises:
-        SequenceError: the recording cannot be read, needs an option that is not given, or no frame of it is usable.
+        SequenceError: the recording cannot be read, needs an option that is not given, or no frame
+            of it is usable.
         FileExistsError: ``out`` is a file, or a folder that is not empty.
         KeyError: unknown format.
     """
@@ -104,15 +110,20 @@ def convert(
         with parsing(path, what):
             recording = _read(name, path, options)
         conversion = _Conversion(recording, options, folder)
-        with ProgressDisplay("converting", total=recording.n_frames, unit="frame", shown=progress) as display:
+        with ProgressDisplay(
+            "converting", total=recording.n_frames, unit="frame", shown=progress
+        ) as display:
             frames = display.over(_read_on(recording, what))
-            for place, frame in itertools.islice(enumerate(frames), options.start, options.stop or None, options.every):
+            for place, frame in itertools.islice(
+                enumerate(frames), options.start, options.stop or None, options.every
+            ):
                 conversion.add(place, frame)
         return conversion.finish(name, out)
 
 
 def _read(name: str, path: Path, options: ConvertOptions) -> Recording:
-    """The recording in a format, with the unit of its depth measured where the files do not tell it.
+    """The recording in a format, with the unit of its depth measured where the files do not tell
+    it.
 
     Raises:
         OptionNeeded: neither the files nor the camera's motion tell it.
@@ -127,7 +138,9 @@ def _read(name: str, path: Path, options: ConvertOptions) -> Recording:
     if measured is None:
         return dataclasses.replace(recording, notes=(*recording.notes, unit.sentence))
     if measured.scale != recording.depth_scale:
-        recording = FORMATS[name].read(path, dataclasses.replace(options, depth_scale=measured.scale))
+        recording = FORMATS[name].read(
+            path, dataclasses.replace(options, depth_scale=measured.scale)
+        )
     return dataclasses.replace(recording, notes=(*recording.notes, measured.sentence))
 
 
@@ -139,7 +152,8 @@ def _without_depth(source: str, depth_m: np.ndarray, scale: float) -> str:
     middle = float(np.median(known))
     usual = ", and --depth-scale 1000 if it is in millimetres" if 100 < middle < 20_000 else ""
     return (
-        f"{source} holds no depth that can be written: the median is {middle:g} m, and the limit of 16 bits "
+        f"{source} holds no depth that can be written: the median is {middle:g} m, and the limit "
+        "of 16 bits "
         f"{65535 / scale:.1f} m; give --depth-scale, the stored value of one metre{usual}"
     )
 
@@ -151,12 +165,15 @@ def _read_on(recording: Recording, what: str) -> Iterator[RecordedFrame]:
 
 
 class _Conversion:
-    """One pass over the frames of a recording: images are written at once, poses and times at the end."""
+    """One pass over the frames of a recording: images are written at once, poses and times at the
+    end."""
 
     def __init__(self, recording: Recording, options: ConvertOptions, folder: Path):
         self._recording, self._options, self._folder = recording, options, folder
         self._poses = FramePoses(recording, options)
-        self._T_colour_depth = read_matrix(Path(options.T_colour_depth)) if options.T_colour_depth else None
+        self._T_colour_depth = (
+            read_matrix(Path(options.T_colour_depth)) if options.T_colour_depth else None
+        )
         scale = options.depth_scale or recording.depth_scale
         self._depth_scale = scale if _COARSEST <= scale <= _FINEST else MILLIMETRES
         self._rectifier: Rectifier | None = None
@@ -178,7 +195,9 @@ class _Conversion:
         if not self._poses.none:
             try:
                 T_WC, reason = self._poses.of(place, frame)
-                if T_WC is None and frame.depth_time_s is not None:  # poses may have the stamps of depth
+                if (
+                    T_WC is None and frame.depth_time_s is not None
+                ):  # poses may have the stamps of depth
                     frame = dataclasses.replace(frame, time_s=frame.depth_time_s)
                     T_WC, reason = self._poses.of(place, frame)
             except BadFrameError as e:
@@ -200,7 +219,9 @@ class _Conversion:
         far = stored > 65535
         depth = np.where(far, 0, stored)
         if not depth.any():
-            return self._drop("no depth", _without_depth(frame.source, rectified.depth_m, self._depth_scale))
+            return self._drop(
+                "no depth", _without_depth(frame.source, rectified.depth_m, self._depth_scale)
+            )
         name, lossless = f"{len(self._times):06d}", not images.encoded.startswith(b"\xff\xd8")
         colour = self._folder / f"rgb/{name}{'.png' if lossless else '.jpg'}"
         if rectified.encoded:
@@ -220,25 +241,31 @@ class _Conversion:
         """Write intrinsics, poses, times and the report."""
         dropped = dict(Counter(self._recording.dropped) + self._dropped)
         if not self._times or self._rectifier is None:
-            told = "; ".join([*(f"{n} left out: {reason}" for reason, n in dropped.items()), *self._errors[:1]])
+            told = "; ".join(
+                [*(f"{n} left out: {reason}" for reason, n in dropped.items()), *self._errors[:1]]
+            )
             raise SequenceError(
-                f"{self._recording.name}: no frame can be used ({told or 'it has none'}){self._time_hint()}; expected "
-                "at least one"
+                f"{self._recording.name}: no frame can be used "
+                f"({told or 'it has none'}){self._time_hint()}; expected at least one"
             )
         stamps = judge_stamps([t for t in self._times if t is not None], unit="s")
         notes = [*self._recording.notes, *self._poses.notes, *self._smaller]
         if self._far_pixels:
             limit = 65535 / self._depth_scale
             notes.append(
-                f"{self._far_pixels} pixels beyond {limit:.1f} m, the limit of 16-bit depth, were set to missing"
+                f"{self._far_pixels} pixels beyond {limit:.1f} m, the limit of 16-bit depth, were "
+                "set to missing"
             )
         if len(self._lines) > 2 and len(set(self._lines)) == 1:
             notes.append(
-                f"all {len(self._lines)} poses are equal: the camera stood still, or nobody knew them; --poses none "
-                "tracks the camera later"
+                f"all {len(self._lines)} poses are equal: the camera stood still, or nobody knew "
+                "them; --poses none tracks the camera later"
             )
         if stamps.times_s is None:
-            notes.append(f"the recorded times are not times: {stamps.why_not}; no times or frame rate are written")
+            notes.append(
+                f"the recorded times are not times: {stamps.why_not}; no times or frame rate are "
+                "written"
+            )
             self._times = self._depth_times = [None] * len(self._times)
         elif not stamps.times_s:
             notes.append("the recording has no times: no times or frame rate are written")
@@ -265,7 +292,10 @@ class _Conversion:
         apart = self._depth_times != self._times
         times = {"time_s": self._times} | ({"depth_time_s": self._depth_times} if apart else {})
         table = zip(*times.values(), strict=True)
-        rows = (" ".join([f"{i:06d}", *("nan" if t is None else repr(t) for t in row)]) for i, row in enumerate(table))
+        rows = (
+            " ".join([f"{i:06d}", *("nan" if t is None else repr(t) for t in row)])
+            for i, row in enumerate(table)
+        )
         if self._lines:
             (self._folder / "poses.txt").write_text("\n".join([*self._lines, ""]))
         (self._folder / "times.txt").write_text("\n".join([" ".join(["frame", *times]), *rows, ""]))
@@ -285,12 +315,15 @@ class _Conversion:
         if self._rectifier is None:
             pinhole = model.fitted(width, height, frame.source).pinhole()
             h, w = images.depth_m.shape
-            size, coarse = (self._options.width, self._options.height), width * height > _PIXELS_PER_DEPTH * h * w
+            size, coarse = (
+                (self._options.width, self._options.height),
+                width * height > _PIXELS_PER_DEPTH * h * w,
+            )
             if coarse and not any(size) and max(width, height) > _LONG_SIDE:
                 size = (_LONG_SIDE, 0) if width >= height else (0, _LONG_SIDE)
                 self._smaller = [
-                    f"colour is {width}x{height}, depth {w}x{h}: written with {_LONG_SIDE} pixels on the "
-                    f"longer side, --width {width} writes all of them"
+                    f"colour is {width}x{height}, depth {w}x{h}: written with {_LONG_SIDE} pixels "
+                    f"on the longer side, --width {width} writes all of them"
                 ]
             camera = resized_camera(pinhole, *size)
             self._rectifier = Rectifier(camera, along_ray=self._recording.depth_along_ray)
@@ -302,7 +335,11 @@ class _Conversion:
         if given == "colour":
             return dataclasses.replace(frame, depth_model=None, T_colour_depth=None)
         if given:
-            model = read_intrinsics(given, (shape[1], shape[0]), centre=self._options.pixel_centre)
+            model = read_intrinsics(
+                given,
+                (shape[1], shape[0]),
+                centre=self._options.pixel_centre,
+            )
             frame = dataclasses.replace(frame, depth_model=model)
         return frame if T is None else dataclasses.replace(frame, T_colour_depth=T)
 
@@ -313,4 +350,7 @@ class _Conversion:
             return ""
         first, last = float(trajectory.stamps_s[0]), float(trajectory.stamps_s[-1])
         frame = next(iter(self._recording.frames()))
-        return f"; the trajectory spans {first:.3f} to {last:.3f} s, the first frame is at {frame.time_s} s"
+        return (
+            f"; the trajectory spans {first:.3f} to {last:.3f} s, the first frame is at "
+            f"{frame.time_s} s"
+        )

@@ -1,4 +1,5 @@
-"""Trajectories: poses with times, interpolated at the frames' times, as other programs write them."""
+"""Trajectories: poses with times, interpolated at the frames' times, as other programs write
+them."""
 
 import re
 from collections.abc import Mapping
@@ -26,23 +27,31 @@ from ...geometry import quaternion, se3
 
 
 def frame_key(name: str) -> tuple[int, ...] | str:
-    """What the names of one frame's files have in common: the numbers in them, or the name where there are none."""
+    """What the names of one frame's files have in common: the numbers in them, or the name where
+    there are none."""
     return tuple(int(n) for n in re.findall(r"\d+", name)) or name
 
 
 ARKIT_SUFFIX = ".traj"
-"""Of ARKitScenes: time, rotation as axis times angle in radians, and translation, all world-to-camera."""
+"""Of ARKitScenes: time, rotation as axis times angle in radians, and translation, all
+world-to-camera."""
 
 
 def _rows_of_arkit(rows: Float[Tensor, "N 7"]) -> Float[Tensor, "N 8"]:
     """Rows t tx ty tz qx qy qz qw of the camera-to-world poses."""
     angle = rows[:, 1:4].norm(dim=1, keepdim=True)
     half_sinc = 0.5 * torch.sinc(0.5 * angle / torch.pi)
-    quat_CW = torch.cat([torch.cos(0.5 * angle), half_sinc * rows[:, 1:4]], 1)
+    quat_CW = torch.cat(
+        [torch.cos(0.5 * angle), half_sinc * rows[:, 1:4]],
+        1,
+    )
     R_WC = quaternion.to_matrix(quat_CW).transpose(1, 2)
     t_WC = -(R_WC @ rows[:, 4:, None])[..., 0]
     quat_WC = quat_CW * quat_CW.new_tensor([1.0, -1.0, -1.0, -1.0])
-    return torch.cat([rows[:, :1], t_WC, quat_WC[:, [1, 2, 3, 0]]], 1)
+    return torch.cat(
+        [rows[:, :1], t_WC, quat_WC[:, [1, 2, 3, 0]]],
+        1,
+    )
 
 
 _TUM = [0, 1, 2, 3, 4, 5, 6, 7]
@@ -65,12 +74,14 @@ class Trajectory:
     max_gap_s: float
     notes: tuple[str, ...] = ()
     time_of_frame: Mapping[Any, float] = field(default_factory=dict)
-    """``frame_key`` of an image -> time of its pose, seconds, where the file says which image a pose belongs to."""
+    """``frame_key`` of an image -> time of its pose, seconds, where the file says which image a
+    pose belongs to."""
     counts_frames: bool = False
     """The times only number the frames."""
 
     def pose_at(self, time_s: float) -> Float[Tensor, "4 4"] | None:
-        """Camera-to-world pose, or None outside the recorded time and in a gap longer than ``max_gap_s``."""
+        """Camera-to-world pose, or None outside the recorded time and in a gap longer than
+        ``max_gap_s``."""
         row = interpolate_rows(self.stamps_s, self.rows, time_s, max_gap_s=self.max_gap_s)
         return None if row is None else matrices(row[None])[0] @ self.T_body_cam
 
@@ -85,32 +96,40 @@ def read_trajectory(
 ) -> Trajectory:
     """Read poses ``T_world_body`` with times.
 
-    Known: TUM text and ORB-SLAM3 ("t tx ty tz qx qy qz qw", seconds or nanoseconds), OKVIS2 csv (header, nanoseconds,
-    xyzw), EuRoC csv (header, nanoseconds, wxyz), StrayScanner's odometry.csv, whose column "frame" numbers the images,
-    and the world-to-camera poses of ARKitScenes (files ending in .traj). A header decides on the order of the columns.
-    Rows with NaN or infinities are left out: tracking was lost.
+    Known: TUM text and ORB-SLAM3 ("t tx ty tz qx qy qz qw", seconds or nanoseconds), OKVIS2 csv
+    (header, nanoseconds, xyzw), EuRoC csv (header, nanoseconds, wxyz), StrayScanner's odometry.csv,
+    whose column "frame" numbers the images, and the world-to-camera poses of ARKitScenes (files
+    ending in .traj). A header decides on the order of the columns. Rows with NaN or infinities are
+    left out: tracking was lost.
 
     Args:
         path: The file.
-        time_unit: Unit of its times; "auto" takes the unit in which they are dates of today, or in which they span
-            ``frame_time_s``, or else the one in which the steps are those of a camera.
+        time_unit: Unit of its times; "auto" takes the unit in which they are dates of today, or in
+            which they span ``frame_time_s``, or else the one in which the steps are those of a
+            camera.
         max_gap_s: Largest gap to interpolate over, seconds.
-        T_body_cam: From the camera's frame to the body's; the identity if the poses are those of the camera.
+        T_body_cam: From the camera's frame to the body's; the identity if the poses are those of
+            the camera.
         frame_time_s: When the first frame was taken, seconds; None: unknown.
 
     Raises:
-        SequenceError: no such file, no rows, a row that is not numeric, times that go back, two poses at one time that
-            are far apart, or a quaternion whose length is not 1.
+        SequenceError: no such file, no rows, a row that is not numeric, times that go back, two
+            poses at one time that are far apart, or a quaternion whose length is not 1.
     """
     if path.suffix == ARKIT_SUFFIX:
-        stored, frames = _rows_of_arkit(read_rows(path, 7, "time, axis times angle and translation, 7 numbers")), {}
+        stored, frames = (
+            _rows_of_arkit(read_rows(path, 7, "time, axis times angle and translation, 7 numbers")),
+            {},
+        )
     else:
         stored, frames = _table(path)
     table, notes = checked_rows(stored, path, ordered=True)
     if not len(table):
         raise SequenceError(f"{path} holds no finite pose; expected rows 't tx ty tz qx qy qz qw'")
     stamps = judge_stamps(table[:, 0].tolist())
-    counts_frames = time_unit == "auto" and frame_time_s is None and stamps.counts_frames and not frames
+    counts_frames = (
+        time_unit == "auto" and frame_time_s is None and stamps.counts_frames and not frames
+    )
     unit = time_unit
     if time_unit == "auto":
         unit = _unit_of(table[:, 0].tolist(), frame_time_s)
@@ -118,9 +137,15 @@ def read_trajectory(
     if counts_frames:
         unit = "s"
         time_of_frame = {(int(t),): t for t in table[:, 0].tolist()}
-        notes.append(f"{path}: {len(table)} poses, whose times number the frames: each goes to the image of its number")
+        notes.append(
+            f"{path}: {len(table)} poses, whose times number the frames: each goes to the image of "
+            "its number"
+        )
     elif frames:
-        notes.append(f"{path}: {len(table)} poses, times read as {unit}; its column of frames says whose they are")
+        notes.append(
+            f"{path}: {len(table)} poses, times read as {unit}; its column of frames says whose "
+            "they are"
+        )
     else:
         notes.append(f"{path}: {len(table)} poses, times read as {unit}")
     return Trajectory(
@@ -136,8 +161,8 @@ def read_trajectory(
 
 
 def _unit_of(times: list[float], frame_time_s: float | None) -> str:
-    """Unit of increasing times: that of their dates, the only one in which they are about a frame's time, or that of
-    their steps."""
+    """Unit of increasing times: that of their dates, the only one in which they are about a frame's
+    time, or that of their steps."""
     dated = date_unit(times[-1])
     if dated or frame_time_s is None:
         return dated or find_time_unit(times)
@@ -149,7 +174,8 @@ def _unit_of(times: list[float], frame_time_s: float | None) -> str:
 
 
 def _table(path: Path) -> tuple[Float[Tensor, "N 8"], dict[Any, float]]:
-    """Rows t tx ty tz qx qy qz qw in the file's unit of time, float64, and the time of each frame that they name."""
+    """Rows t tx ty tz qx qy qz qw in the file's unit of time, float64, and the time of each frame
+    that they name."""
     lines = read_text(path, "rows 't tx ty tz qx qy qz qw'").splitlines()
     columns, frame_column = None, None
     rows: list[list[float]] = []
@@ -157,13 +183,19 @@ def _table(path: Path) -> tuple[Float[Tensor, "N 8"], dict[Any, float]]:
     for number, line in enumerate(lines, 1):
         check_decimal_points(line, path)
         words = [w for w in re.split(r"[,\s]+", line.strip()) if w]
-        if not words or line.lstrip().startswith(("#", "%")) or (not rows and words[0][:1].isalpha()):
+        if (
+            not words
+            or line.lstrip().startswith(("#", "%"))
+            or (not rows and words[0][:1].isalpha())
+        ):
             if columns is None:
                 columns = _columns_of_header(line)
                 frame_column = _frame_column(line) if columns else None
             continue
         columns = columns or (_EUROC if len(words) == _EUROC_COLUMNS else _TUM)
-        with parsing(f"{path} line {number}", "a time, a position and a quaternion in at least 8 numbers"):
+        with parsing(
+            f"{path} line {number}", "a time, a position and a quaternion in at least 8 numbers"
+        ):
             rows.append([float(words[c]) for c in columns])
             if frame_column is not None:
                 time_of_frame[frame_key(Path(words[frame_column]).stem)] = rows[-1][0]
@@ -182,15 +214,27 @@ def _columns_of_header(line: str) -> list[int] | None:
     """Columns of time, position and quaternion xyzw that a header names, if it names them all."""
     names = _names_in(line)
     patterns = [*(rf"(t|p|p_.*_|){a}" for a in "xyz"), *(rf"q(_|_.*_|){a}" for a in "xyzw")]
-    found = [next((i for i, n in enumerate(names) if re.fullmatch(p, n)), None) for p in patterns]
+    found = [
+        next(
+            (i for i, n in enumerate(names) if re.fullmatch(p, n)),
+            None,
+        )
+        for p in patterns
+    ]
     return None if None in found else [0, *(i for i in found if i is not None)]
 
 
 def _frame_column(line: str) -> int | None:
-    """The column in which a header says that the number or name of an image stands (StrayScanner, RTAB-Map)."""
+    """The column in which a header says that the number or name of an image stands (StrayScanner,
+    RTAB-Map)."""
     names = _names_in(line)
     return next(
-        (i for i, n in enumerate(names) if re.fullmatch(r"(frame|image|node)(_?(id|number|index|name))?|id", n)), None
+        (
+            i
+            for i, n in enumerate(names)
+            if re.fullmatch(r"(frame|image|node)(_?(id|number|index|name))?|id", n)
+        ),
+        None,
     )
 
 
@@ -204,10 +248,15 @@ def camera_in_body(T_cam_body: str, T_body_cam: str) -> Float[Tensor, "4 4"] | N
 
 
 def read_matrix(path: Path) -> Float[Tensor, "4 4"]:
-    """A rigid 4x4 matrix of 16 numbers, row-major, whatever the brackets and commas around them. float64."""
-    T = torch.tensor(read_numbers(path, "16 row-major numbers of a rigid transform"), dtype=torch.float64)
+    """A rigid 4x4 matrix of 16 numbers, row-major, whatever the brackets and commas around them.
+    float64."""
+    T = torch.tensor(
+        read_numbers(path, "16 row-major numbers of a rigid transform"), dtype=torch.float64
+    )
     if T.numel() != 16:
-        raise SequenceError(f"{path} must hold 16 row-major numbers of a rigid transform, got {T.numel()}")
+        raise SequenceError(
+            f"{path} must hold 16 row-major numbers of a rigid transform, got {T.numel()}"
+        )
     with refusing(f"{path} is not a rigid transform: "):
         check_pose("the transform", T.reshape(4, 4))
     return T.reshape(4, 4)

@@ -29,21 +29,23 @@ def edge_discs(
     required_weight: float = 1.0,
     coverage: bool = True,
 ) -> Seeds:
-    """Discs on a regular grid of pixels, in voxels observed for the first time, stretched along the picture's edges.
+    """Discs on a regular grid of pixels, in voxels observed for the first time, stretched along the
+    picture's edges.
 
-    Colour changes little along an edge, so a Gaussian that is long in this direction and narrow across it represents
-    more of the picture than a round one. With the coherence c of the structure tensor (0 to 1) the two standard
-    deviations in the surface are s sqrt(f) and s / sqrt(f), with f = 1 + (stretch - 1) c and s = z radius spacing_px /
-    fx: the area stays the same.
+    Colour changes little along an edge, so a Gaussian that is long in this direction and narrow
+    across it represents more of the picture than a round one. With the coherence c of the structure
+    tensor (0 to 1) the two standard deviations in the surface are s sqrt(f) and s / sqrt(f), with f
+    = 1 + (stretch - 1) c and s = z radius spacing_px / fx: the area stays the same.
 
     Args:
         ctx: Frame and volume.
-        spacing_px: Distance between the Gaussians in a row, pixels; every second row is shifted by half of it. Larger:
+        spacing_px: Distance between the Gaussians in a row, pixels; every second row is shifted by
+            half of it. Larger:
             fewer and larger Gaussians.
         radius: s as a share of the spacing.
         stretch: How much longer than wide a Gaussian on a straight edge is; 1: round discs.
-        colour_window: The colour is the mean over a square of this many spacings, so that a single pixel does not
-            decide for the whole area; 0: the pixel's own.
+        colour_window: The colour is the mean over a square of this many spacings, so that a single
+            pixel does not decide for the whole area; 0: the pixel's own.
         opacity: Peak opacity.
         thickness: Standard deviation along the normal, as a share of s.
         required_weight: Observation count that the voxel must have, as in the rule ``gsfusion``.
@@ -61,38 +63,63 @@ def edge_discs(
     edge = ctx.edge_direction(odd(spacing_px))
     colours = box_blur(ctx.frame.rgb, odd(colour_window * spacing_px))
     f = 1 + (stretch - 1) * ctx.values_at(edge.coherence, uv)
-    shape = torch.stack([f.sqrt(), f.rsqrt(), torch.full_like(f, thickness)], dim=1)
+    shape = torch.stack(
+        [f.sqrt(), f.rsqrt(), torch.full_like(f, thickness)],
+        dim=1,
+    )
     seeds = dataclasses.replace(
         seeds,
         rgb=ctx.values_at(colours, uv).clamp(0, 1),
         scale_m=seeds.scale_m * shape,
-        quat=quat_along(ctx.values_at(edge.along, uv), ctx.values_at(ctx.normals(), uv), ctx.frame.T_WC),
+        quat=quat_along(
+            ctx.values_at(edge.along, uv), ctx.values_at(ctx.normals(), uv), ctx.frame.T_WC
+        ),
     )
     return seeds[ctx.voxel_weight(seeds.xyz_W) == required_weight] if coverage else seeds
 
 
 def hexagonal_grid(camera: Camera, spacing_px: float) -> Float[Tensor, "N 2"]:
-    """Positions in the image, each with six neighbours at about the same distance: rows sqrt(3) / 2 spacings apart,
-    every second one shifted by half a spacing. Continuous pixel coordinates. [N, 2]"""
-    v = torch.arange(min(spacing_px, camera.height) / 2, camera.height, spacing_px * 3**0.5 / 2)
+    """Positions in the image, each with six neighbours at about the same distance: rows sqrt(3) / 2
+    spacings apart, every second one shifted by half a spacing. Continuous pixel coordinates. [N,
+    2]"""
+    v = torch.arange(
+        min(spacing_px, camera.height) / 2,
+        camera.height,
+        spacing_px * 3**0.5 / 2,
+    )
     u = torch.arange(min(spacing_px, camera.width) / 4, camera.width, spacing_px)
     shift = (torch.arange(len(v)) % 2) * (spacing_px / 2)
-    grid = torch.stack([u + shift[:, None], v[:, None].expand(-1, len(u))], dim=2).reshape(-1, 2)
+    grid = torch.stack(
+        [u + shift[:, None], v[:, None].expand(-1, len(u))],
+        dim=2,
+    ).reshape(-1, 2)
     return grid[grid[:, 0] < camera.width]
 
 
 def quat_along(
-    along: Float[Tensor, "N 2"], normal_C: Float[Tensor, "N 3"], T_WC: Float[Tensor, "4 4"]
+    along: Float[Tensor, "N 2"],
+    normal_C: Float[Tensor, "N 3"],
+    T_WC: Float[Tensor, "4 4"],
 ) -> Float[Tensor, "N 4"]:
-    """Orientation, wxyz, whose z axis is the normal and whose x axis is the direction in the surface that appears as
-    ``along`` in an image taken from straight ahead; where the normal is zero, the surface faces the camera."""
+    """Orientation, wxyz, whose z axis is the normal and whose x axis is the direction in the
+    surface that appears as ``along`` in an image taken from straight ahead; where the normal is
+    zero, the surface faces the camera."""
     facing = torch.zeros_like(normal_C)
     facing[:, 2] = -1.0
-    z = torch.where((normal_C != 0).any(dim=1, keepdim=True), normal_C, facing)
+    z = torch.where(
+        (normal_C != 0).any(dim=1, keepdim=True),
+        normal_C,
+        facing,
+    )
     in_image = torch.cat([along, torch.zeros_like(along[:, :1])], dim=1)
     x = in_image - (in_image * z).sum(dim=1, keepdim=True) * z
-    across = torch.linalg.cross(z, torch.stack([-along[:, 1], along[:, 0], torch.zeros_like(along[:, 0])], dim=1))
-    x = torch.where(x.norm(dim=1, keepdim=True) > 1e-3, x, across)  # the surface is seen from the side
+    across = torch.linalg.cross(
+        z,
+        torch.stack([-along[:, 1], along[:, 0], torch.zeros_like(along[:, 0])], dim=1),
+    )
+    x = torch.where(
+        x.norm(dim=1, keepdim=True) > 1e-3, x, across
+    )  # the surface is seen from the side
     x = x / x.norm(dim=1, keepdim=True)
     axes = torch.stack([x, torch.linalg.cross(z, x), z], dim=2)
     return quaternion.from_matrix(se3.rotate(T_WC, axes.mT).mT)
@@ -108,10 +135,11 @@ def odd(window: float) -> int:
 class edge_strokes(MapRule):
     """``edge_discs`` with learning rates of size and orientation that fit a map of few Gaussians.
 
-    Adam moves a value by about its learning rate in a step. With the published 0.001 the size of a Gaussian that gets
-    50 steps changes by about 5 per cent. That is enough where a Gaussian covers a pixel or two, but not where it covers
-    a few dozen. With 0.004 sizes and directions follow the picture. The rule needs a system with the settings
-    ``optim.lr_log_scale`` and ``optim.lr_quat``, such as GSFusion.
+    Adam moves a value by about its learning rate in a step. With the published 0.001 the size of a
+    Gaussian that gets 50 steps changes by about 5 per cent. That is enough where a Gaussian covers
+    a pixel or two, but not where it covers a few dozen. With 0.004 sizes and directions follow the
+    picture. The rule needs a system with the settings ``optim.lr_log_scale`` and ``optim.lr_quat``,
+    such as GSFusion.
 
     Args:
         spacing_px: As in ``edge_discs``.

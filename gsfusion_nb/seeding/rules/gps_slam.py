@@ -17,48 +17,56 @@ from ..sampling import as_discs, sized_by_neighbours
 MAX_DEPTH_M = 5.0
 THICKNESS = 0.1
 ERROR_SEEN_BEFORE = 3.0
-"""Where the map had its chance, in a view that was seen before, the error must be so many times as large."""
+"""Where the map had its chance, in a view that was seen before, the error must be so many times as
+large."""
 
 
 @trained_otherwise("a residual over the TSDF's colours, 20 steps every 10 frames")
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class gps_slam(MapRule):
-    """GPS-SLAM: every 10 frames, discs on the TSDF's surface for a quarter of the pixels whose colour is wrong.
+    """GPS-SLAM: every 10 frames, discs on the TSDF's surface for a quarter of the pixels whose
+    colour is wrong.
 
-    A random 25 % of the pixels whose mean colour error is above 0.05, where the TSDF has a surface nearer than 5 m and
-    the weights of the Gaussians there add up to less than 5. Discs on that surface, along its normal, as large as the
-    root mean square distance to their 3 nearest neighbours among the new ones, but at most 1 cm; 0.1 of that thick.
+    A random 25 % of the pixels whose mean colour error is above 0.05, where the TSDF has a surface
+    nearer than 5 m and the weights of the Gaussians there add up to less than 5. Discs on that
+    surface, along its normal, as large as the root mean square distance to their 3 nearest
+    neighbours among the new ones, but at most 1 cm; 0.1 of that thick.
 
-    In the system gps_slam the error is that of its picture, the TSDF's colour and the Gaussians over it. In the other
-    systems opacities do not sum to more than 1, so the test of the weights is left out, and ``base`` says what the
-    error is measured against.
+    In the system gps_slam the error is that of its picture, the TSDF's colour and the Gaussians
+    over it. In the other systems opacities do not sum to more than 1, so the test of the weights is
+    left out, and ``base`` says what the error is measured against.
 
     Args:
-        colour_error: Mean over R, G, B of |C^ - C| (0..1) above which a pixel is a candidate. Release: 0.05.
+        colour_error: Mean over R, G, B of |C^ - C| (0..1) above which a pixel is a candidate.
+            Release: 0.05.
         share: Share of the candidates that is drawn at random, 0..1. Release: 0.25.
-        most: At most this share of the image's pixels is drawn, 0..1. Smaller: where poses or depth are noisy, so that
-            colours are wrong nearly everywhere, Gaussians stay as few as elsewhere. Release: no limit.
-        max_weight: Only in the system gps_slam: no discs where the weights add up to this or more. Larger: more
-            Gaussians. Paper 4, release 5, RRG-SLAM 3; 1 needs the fewest.
-        in_holes: Only in the system gps_slam: also seed where the TSDF has no surface, at the measured depth, or
-            without one at the depth around the hole. The release does not.
+        most: At most this share of the image's pixels is drawn, 0..1. Smaller: where poses or depth
+            are noisy, so that colours are wrong nearly everywhere, Gaussians stay as few as
+            elsewhere. Release: no limit.
+        max_weight: Only in the system gps_slam: no discs where the weights add up to this or more.
+            Larger: more Gaussians. Paper 4, release 5, RRG-SLAM 3; 1 needs the fewest.
+        in_holes: Only in the system gps_slam: also seed where the TSDF has no surface, at the
+            measured depth, or without one at the depth around the hole. The release does not.
         opacity: Opacity of the discs. Release: 0.5.
-        max_radius_m: Largest standard deviation, metres. Paper: 0.1. Release: 0.01, at 1200 x 680 pixels; at 320 x 240
-            most discs would be larger.
+        max_radius_m: Largest standard deviation, metres. Paper: 0.1. Release: 0.01, at 1200 x 680
+            pixels; at 320 x 240 most discs would be larger.
         max_radius_px: A disc may also be this many pixels large, if that is more. Release: 0.
-        base: What the error is measured against. "map": the picture of the Gaussians alone, since a mapper here draws
-            nothing else; "tsdf": with the TSDF's colour where the Gaussians do not cover, as the release, whose picture
-            is made of both.
-        surface: "tsdf": positions and normals of the raycast TSDF, as in paper and release; "depth": of the depth image
-            (as in the same group's next paper, RRG-SLAM), which needs no TSDF.
-        only_with_depth: Leave out pixels without measured depth. The release seeds them where the TSDF has a surface.
+        base: What the error is measured against. "map": the picture of the Gaussians alone, since a
+            mapper here draws nothing else; "tsdf": with the TSDF's colour where the Gaussians do
+            not cover, as the release, whose picture is made of both.
+        surface: "tsdf": positions and normals of the raycast TSDF, as in paper and release;
+            "depth": of the depth image (as in the same group's next paper, RRG-SLAM), which needs
+            no TSDF.
+        only_with_depth: Leave out pixels without measured depth. The release seeds them where the
+            TSDF has a surface.
 
-    Left out: removal of discs that are small (3 mm), large (10 cm) or transparent (0.005), which the system does. In
-    the system gps_slam normals come from differences of the surface's points, as in the release, but of those beside
-    the pixel instead of Sobel's 3x3; in the other systems from the TSDF's gradient, with ``surface`` "tsdf". A view
-    that an earlier keyframe shows (``SeedContext.seen_before``) needs three times the error, which is not released.
-    Source: Peng et al. 2025 (GPS-SLAM) and its released code.
+    Left out: removal of discs that are small (3 mm), large (10 cm) or transparent (0.005), which
+    the system does. In the system gps_slam normals come from differences of the surface's points,
+    as in the release, but of those beside the pixel instead of Sobel's 3x3; in the other systems
+    from the TSDF's gradient, with ``surface`` "tsdf". A view that an earlier keyframe shows
+    (``SeedContext.seen_before``) needs three times the error, which is not released. Source: Peng
+    et al. 2025 (GPS-SLAM) and its released code.
     """
 
     colour_error: float = 0.05
@@ -82,11 +90,16 @@ class gps_slam(MapRule):
         if self.only_with_depth and not self.in_holes:
             chosen &= ctx.has_depth()
         row, column = chosen.nonzero(as_tuple=True)
-        drawn = ctx.draw(len(row), int(min(self.share * len(row), self.most * chosen.numel())))
+        drawn = ctx.draw(
+            len(row),
+            int(min(self.share * len(row), self.most * chosen.numel())),
+        )
         row, column = row[drawn], column[drawn]
         uv = torch.stack([column, row], dim=-1) + 0.5
         seeds = ctx.seeds_at(uv, 1.0, depth_m=depth_m, opacity=self.opacity)
-        most_m = (seeds.scale_m[:, 0] * self.max_radius_px).clamp(min=self.max_radius_m)  # 1 px before it is sized
+        most_m = (seeds.scale_m[:, 0] * self.max_radius_px).clamp(
+            min=self.max_radius_m
+        )  # 1 px before it is sized
         seeds = sized_by_neighbours(ctx, seeds)
         seeds = dataclasses.replace(seeds, scale_m=torch.minimum(seeds.scale_m, most_m[:, None]))
         if normal_W is None:
@@ -96,14 +109,17 @@ class gps_slam(MapRule):
         return as_discs(ctx, seeds, normals, THICKNESS)
 
     def _surface(
-        self, ctx: SeedContext
+        self,
+        ctx: SeedContext,
     ) -> tuple[Float[Tensor, "H W"], Bool[Tensor, "H W"], Float[Tensor, "H W 3"] | None]:
-        """Depth of the surface that discs lie on, the candidates, and the surface's normals; None: those of its
-        depth."""
+        """Depth of the surface that discs lie on, the candidates, and the surface's normals; None:
+        those of its depth."""
         if ctx.below is None:
             found = ctx.raycast() if self.surface == "tsdf" else None
             depth_m, normal_W = (
-                (ctx.frame.depth_m, ctx.normals_W()) if found is None else (found.depth_m, found.normal_W)
+                (ctx.frame.depth_m, ctx.normals_W())
+                if found is None
+                else (found.depth_m, found.normal_W)
             )
             return depth_m, self._error(ctx) > self.colour_error, normal_W
         picture, below = ctx.over_base(), ctx.below
@@ -111,7 +127,9 @@ class gps_slam(MapRule):
         least = self.colour_error * (ERROR_SEEN_BEFORE if ctx.seen_before else 1.0)
         chosen = (error > least) & (picture.weight < self.max_weight)
         depth_m = ctx.frame.depth_m if self.surface == "depth" else below.base.depth_m
-        if self.in_holes and bool((below.base.depth_m > 0).any()):  # not while there is no surface at all
+        if self.in_holes and bool(
+            (below.base.depth_m > 0).any()
+        ):  # not while there is no surface at all
             there = torch.where(ctx.has_depth(), ctx.frame.depth_m, below.depth_everywhere_m)
             depth_m = torch.where(depth_m > 0, depth_m, there)
         else:

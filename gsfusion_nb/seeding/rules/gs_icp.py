@@ -1,4 +1,5 @@
-"""GS-ICP SLAM's rule: a grid of pixels where the map no longer overlaps with the view, and every thirty frames."""
+"""GS-ICP SLAM's rule: a grid of pixels where the map no longer overlaps with the view, and every
+thirty frames."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -13,7 +14,8 @@ from ..rule import MapRule, seeding_rule, trained_otherwise
 from ..sampling import MIN_SPACING_M
 
 PRESETS = {"replica": (10, 5e-4, 0.7), "tum": (5, 1e-3, 0.81)}
-"""Distance of the grid's pixels; distance up to which a point overlaps with the map; share of them in a keyframe."""
+"""Distance of the grid's pixels; distance up to which a point overlaps with the map; share of them
+in a keyframe."""
 LAST = "last_tracking_keyframe"
 OPACITY = 0.1
 
@@ -22,27 +24,31 @@ OPACITY = 0.1
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class gs_icp(MapRule):
-    """GS-ICP SLAM: a grid of pixels, where the map overlaps too little with the view, and every 30 frames.
+    """GS-ICP SLAM: a grid of pixels, where the map overlaps too little with the view, and every 30
+    frames.
 
-    In a frame that is a keyframe, all points of the grid (every 10th pixel of every 10th row) with depth. It is one for
-    tracking if less than 70 % of its grid points are near a Gaussian of the map, and one for mapping every 30 frames
-    after the last one for tracking. A Gaussian has the shape of its neighbourhood: its axes and standard deviations are
-    those of the covariance of the nearest grid points, the standard deviations divided by max(2 z^1.5, 1) with the
-    depth z in metres. Opacity 0.1.
+    In a frame that is a keyframe, all points of the grid (every 10th pixel of every 10th row) with
+    depth. It is one for tracking if less than 70 % of its grid points are near a Gaussian of the
+    map, and one for mapping every 30 frames after the last one for tracking. A Gaussian has the
+    shape of its neighbourhood: its axes and standard deviations are those of the covariance of the
+    nearest grid points, the standard deviations divided by max(2 z^1.5, 1) with the depth z in
+    metres. Opacity 0.1.
 
     Args:
-        preset: Grid and thresholds of the release: "replica" (10 pixels, 5e-4, 70 %), "tum" (5 pixels, 1e-3, 81 %).
-        density: Multiplies the number of points: those of a grid that is as fine as needed, of these as many as needed,
-            drawn at random. Release: 1.
+        preset: Grid and thresholds of the release: "replica" (10 pixels, 5e-4, 70 %), "tum" (5
+            pixels, 1e-3, 81 %).
+        density: Multiplies the number of points: those of a grid that is as fine as needed, of
+            these as many as needed, drawn at random. Release: 1.
         keyframe_frames: A keyframe for mapping after this many frames; 0: none. Release: 30.
-        neighbours: Number of points whose covariance is taken, the point itself included. 20 is usual in generalised
-            ICP and is chosen here.
-        squared: Whether the thresholds 5e-4 and 1e-3 are squared distances in m^2 (2.2 and 3.2 cm), or metres. Not
-            known of the release; grid points are centimetres apart, so squared is taken.
+        neighbours: Number of points whose covariance is taken, the point itself included. 20 is
+            usual in generalised ICP and is chosen here.
+        squared: Whether the thresholds 5e-4 and 1e-3 are squared distances in m^2 (2.2 and 3.2 cm),
+            or metres. Not known of the release; grid points are centimetres apart, so squared is
+            taken.
 
-    Left out: tracking by generalised ICP, the second overlap test, which only decides what tracking uses, and pruning
-    every 200 steps (opacity 0.005, scale 0.1 of the extent). Standard deviations are at least 0.3 mm.
-    Source: Ha et al. 2024 (GS-ICP SLAM) and its released code.
+    Left out: tracking by generalised ICP, the second overlap test, which only decides what tracking
+    uses, and pruning every 200 steps (opacity 0.005, scale 0.1 of the extent). Standard deviations
+    are at least 0.3 mm. Source: Ha et al. 2024 (GS-ICP SLAM) and its released code.
     """
 
     preset: Literal["replica", "tum"] = "replica"
@@ -65,7 +71,10 @@ class gs_icp(MapRule):
             return seeds
         if not ctx.has_map or self._overlap(ctx, seeds, near) < share:
             memory[LAST] = ctx.frame_number
-        elif not self.keyframe_frames or (ctx.frame_number - memory.get(LAST, 0)) % self.keyframe_frames:
+        elif (
+            not self.keyframe_frames
+            or (ctx.frame_number - memory.get(LAST, 0)) % self.keyframe_frames
+        ):
             return seeds[:0]
         return shaped_by_neighbours(ctx, seeds, self.neighbours)
 
@@ -76,7 +85,8 @@ class gs_icp(MapRule):
 
 
 def shaped_by_neighbours(ctx: SeedContext, seeds: Seeds, neighbours: int) -> Seeds:
-    """The same seeds with axes and standard deviations of the points around each; fewer than 4 points stay round."""
+    """The same seeds with axes and standard deviations of the points around each; fewer than 4
+    points stay round."""
     k = min(neighbours, len(seeds)) - 1
     if k < 3:
         return seeds

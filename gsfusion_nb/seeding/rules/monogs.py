@@ -10,7 +10,15 @@ from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
 from ..points import restart_statistics
-from ..rule import KEYFRAMES, KeyframeRule, MapRule, StepStats, When, seeding_rule, trained_otherwise
+from ..rule import (
+    KEYFRAMES,
+    KeyframeRule,
+    MapRule,
+    StepStats,
+    When,
+    seeding_rule,
+    trained_otherwise,
+)
 from ..sampling import as_discs, drawn_pixels, sized_by_neighbours
 
 PRESETS = {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}
@@ -24,19 +32,21 @@ FIRST_SHARE, MAX_POINT_SIZE, MIN_COLOUR_SUM = 1 / 32, 0.05, 0.01
 class monogs(KeyframeRule):
     """MonoGS: in keyframes, a small random share of all pixels, whatever is mapped.
 
-    1/64 of the pixels with depth, in the first frame 1/32. Round Gaussians of standard deviation sqrt(d^2 p): d^2 is
-    the mean squared distance to the 3 nearest of the new points, p = min(0.05, c median(D)) the point size. Black
-    pixels (R + G + B <= 0.01) are left out.
+    1/64 of the pixels with depth, in the first frame 1/32. Round Gaussians of standard deviation
+    sqrt(d^2 p): d^2 is the mean squared distance to the 3 nearest of the new points, p = min(0.05,
+    c median(D)) the point size. Black pixels (R + G + B <= 0.01) are left out.
 
     Args:
-        preset: "replica": 1/64, c = 0.05; "tum": 1/128, c = 0.01, as in the release for these data sets.
+        preset: "replica": 1/64, c = 0.05; "tum": 1/128, c = 0.01, as in the release for these data
+            sets.
         density: Multiplies the number of points; the sizes follow from their distances. Release: 1.
 
-    The median of the depth is taken over the pixels that have depth. Left out because the optimiser does it: 3DGS's
-    densification, opacity resets, covisibility pruning and the isotropy loss (``monogs_like`` has some of it). MonoGS
-    chooses keyframes by overlap and motion, at least every 4th frame (Replica) or 5th (TUM); here every 5th mapped
-    frame is one unless the settings say otherwise. Its mode without depth is left out.
-    Source: Matsuki et al. 2024 (MonoGS) and its released code.
+    The median of the depth is taken over the pixels that have depth. Left out because the optimiser
+    does it: 3DGS's densification, opacity resets, covisibility pruning and the isotropy loss
+    (``monogs_like`` has some of it). MonoGS chooses keyframes by overlap and motion, at least every
+    4th frame (Replica) or 5th (TUM); here every 5th mapped frame is one unless the settings say
+    otherwise. Its mode without depth is left out. Source: Matsuki et al. 2024 (MonoGS) and its
+    released code.
     """
 
     preset: Literal["replica", "tum"] = "replica"
@@ -52,14 +62,18 @@ class monogs(KeyframeRule):
         seeds = seeds[seeds.rgb.sum(dim=1) > MIN_COLOUR_SUM]
         if len(seeds) == 0:
             return seeds
-        point_size = min(MAX_POINT_SIZE, c * float(ctx.frame.depth_m[ctx.has_depth()].median()))
+        point_size = min(
+            MAX_POINT_SIZE,
+            c * float(ctx.frame.depth_m[ctx.has_depth()].median()),
+        )
         return sized_by_neighbours(ctx, seeds, factor=point_size**0.5)
 
 
 LARGEST = "largest_radius_px"
 """For each row: its largest radius in a picture since the last densification."""
 SMALL_SHARE, LARGE_SHARE = 0.01, 0.1
-"""3DGS: Gaussians below the first share of the extent are cloned and not split; above the second they are removed."""
+"""3DGS: Gaussians below the first share of the extent are cloned and not split; above the second
+they are removed."""
 RESET_OPACITY = 0.4
 
 
@@ -67,29 +81,33 @@ RESET_OPACITY = 0.4
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class monogs_like(MapRule):
-    """MonoGS-like mapping in GSFusion's frame step: seeding in keyframes, isotropy loss, 3DGS's densification.
+    """MonoGS-like mapping in GSFusion's frame step: seeding in keyframes, isotropy loss, 3DGS's
+    densification.
 
-    Seeds as the rule ``monogs``. Every 150 steps, Gaussians whose centre has a mean gradient in the image of at least
-    2e-4 are cloned if they are smaller than 0.01 of the extent (1 m), else split; and Gaussians with an opacity below
-    0.7, larger than 0.1 of the extent, or with a radius above 20 pixels in a picture since the last time are removed.
-    Every 2001 steps, Gaussians that are not visible get the opacity 0.4.
+    Seeds as the rule ``monogs``. Every 150 steps, Gaussians whose centre has a mean gradient in the
+    image of at least 2e-4 are cloned if they are smaller than 0.01 of the extent (1 m), else split;
+    and Gaussians with an opacity below 0.7, larger than 0.1 of the extent, or with a radius above
+    20 pixels in a picture since the last time are removed. Every 2001 steps, Gaussians that are not
+    visible get the opacity 0.4.
 
     Args:
         preset: As for ``monogs``.
         density: As for ``monogs``.
         densify_every: Number of steps between densifications. Release: 150.
-        min_gradient: Mean gradient from which on Gaussians are densified, in units of half the image. Release: 2e-4.
+        min_gradient: Mean gradient from which on Gaussians are densified, in units of half the
+            image. Release: 2e-4.
         min_opacity: Gaussians with a lower opacity are removed. Release: 0.7.
         extent_m: Extent of the scene, metres. Release: 1.
         max_radius_px: Largest radius in a picture, pixels. Release: 20.
         reset_every: Number of steps between resets of the opacity; 0: never. Release: 2001.
 
-    The weight of the isotropy loss is 10. Here every 5th recorded frame is a keyframe, with 30 steps on each frame (on
-    others than keyframes 20, and up to 10 on earlier keyframes), so that 150 steps fall on a keyframe; these numbers
-    are chosen here. "Not visible" is judged by the view of that step; a radius reaches to where alpha is 1/255. Left
-    out: the window of covisible keyframes, its loss on depth (0.05, beside 0.95 of the colour), pruning by
-    covisibility, which takes effect only without depth, and 26,000 steps of colour refinement after the scan.
-    Source: Matsuki et al. 2024 (MonoGS) and its released code; Kerbl et al. 2023 (3DGS), section 5.2.
+    The weight of the isotropy loss is 10. Here every 5th recorded frame is a keyframe, with 30
+    steps on each frame (on others than keyframes 20, and up to 10 on earlier keyframes), so that
+    150 steps fall on a keyframe; these numbers are chosen here. "Not visible" is judged by the view
+    of that step; a radius reaches to where alpha is 1/255. Left out: the window of covisible
+    keyframes, its loss on depth (0.05, beside 0.95 of the colour), pruning by covisibility, which
+    takes effect only without depth, and 26,000 steps of colour refinement after the scan. Source:
+    Matsuki et al. 2024 (MonoGS) and its released code; Kerbl et al. 2023 (3DGS), section 5.2.
     """
 
     preset: Literal["replica", "tum"] = "replica"
@@ -116,7 +134,12 @@ class monogs_like(MapRule):
         """MonoGS's seeds of one keyframe."""
         return monogs(preset=self.preset, density=self.density).seeds(ctx, memory)
 
-    def after_step(self, ctx: SeedContext, stats: StepStats, memory: dict[str, Any]) -> Edit | None:
+    def after_step(
+        self,
+        ctx: SeedContext,
+        stats: StepStats,
+        memory: dict[str, Any],
+    ) -> Edit | None:
         """Densify, prune and reset when it is time to."""
         assert stats.visible is not None
         assert stats.radius_px is not None
@@ -127,7 +150,11 @@ class monogs_like(MapRule):
         densify = stats.step % self.densify_every == 0
         reset = self.reset_every > 0 and stats.step % self.reset_every == 0
         hidden = ~stats.visible
-        settings = {"opacity": (hidden, torch.full_like(ctx.map.opacity[hidden], RESET_OPACITY))} if reset else {}
+        settings = (
+            {"opacity": (hidden, torch.full_like(ctx.map.opacity[hidden], RESET_OPACITY))}
+            if reset
+            else {}
+        )
         if not densify:
             return Edit(set=settings) if settings else None
         edit = self._densified(ctx, largest > self.max_radius_px, settings)
@@ -135,8 +162,14 @@ class monogs_like(MapRule):
         restart_statistics(ctx.gaussians)
         return edit
 
-    def _densified(self, ctx: SeedContext, wide: torch.Tensor, settings: dict[str, Any]) -> Edit:
-        """Clone, split and remove as 3DGS does, where copies of what is removed would be removed as well."""
+    def _densified(
+        self,
+        ctx: SeedContext,
+        wide: torch.Tensor,
+        settings: dict[str, Any],
+    ) -> Edit:
+        """Clone, split and remove as 3DGS does, where copies of what is removed would be removed as
+        well."""
         size = ctx.map.scale_m.amax(dim=1)
         keep = (ctx.map.opacity >= self.min_opacity) & (size <= LARGE_SHARE * self.extent_m) & ~wide
         assert ctx.map.image_gradient is not None
@@ -151,19 +184,21 @@ class monogs_like(MapRule):
 class photo_slam(KeyframeRule):
     """Photo-SLAM: in keyframes, a Gaussian for each ORB corner with depth, whatever is mapped.
 
-    Round Gaussians as large as the root mean square distance to their 3 nearest neighbours among the new ones; opacity
-    0.1.
+    Round Gaussians as large as the root mean square distance to their 3 nearest neighbours among
+    the new ones; opacity 0.1.
 
     Args:
-        corners: Number of corners per keyframe, at most. The release takes all those of its tracker; 1000 is usual.
-        max_depth_m: Corners farther away are left out, metres; 0: no limit. Nearer than ``ctx.near_m`` are left out,
-            too.
+        corners: Number of corners per keyframe, at most. The release takes all those of its
+            tracker; 1000 is usual.
+        max_depth_m: Corners farther away are left out, metres; 0: no limit. Nearer than
+            ``ctx.near_m`` are left out, too.
 
-    Left out: the map points of ORB-SLAM3, which the release seeds as well; the delay of 10 keyframes until new points
-    are added; 3DGS's densification and the training on an image pyramid, which belong to the optimiser. The corners
-    here are not spread over the image as ORB-SLAM3 spreads them. Every 5th recorded frame is a keyframe unless the
-    settings say otherwise.
-    Source: Huang et al. 2024 (Photo-SLAM) and its released code ("inactive geometry densification").
+    Left out: the map points of ORB-SLAM3, which the release seeds as well; the delay of 10
+    keyframes until new points are added; 3DGS's densification and the training on an image pyramid,
+    which belong to the optimiser. The corners here are not spread over the image as ORB-SLAM3
+    spreads them. Every 5th recorded frame is a keyframe unless the settings say otherwise.
+    Source: Huang et al. 2024 (Photo-SLAM) and its released code ("inactive geometry
+    densification").
     """
 
     corners: int = 1000
@@ -188,23 +223,24 @@ MAX_OF_MEAN = 3.0
 class two_dgs_slam(KeyframeRule):
     """2DGS-SLAM: in keyframes, discs for random pixels in voxels of 5 cm that hold no Gaussian yet.
 
-    A random 10 % of the pixels with depth (0.1 to 10 m), of those the ones in voxels of 5 cm that hold no Gaussian of
-    the map. Discs along the normals of the depth image, as large as the root mean square distance to their 3 nearest
-    neighbours among all drawn points, also those in occupied voxels, but at most 3 times the mean of these.
+    A random 10 % of the pixels with depth (0.1 to 10 m), of those the ones in voxels of 5 cm that
+    hold no Gaussian of the map. Discs along the normals of the depth image, as large as the root
+    mean square distance to their 3 nearest neighbours among all drawn points, also those in
+    occupied voxels, but at most 3 times the mean of these.
 
     Args:
         share: Share of the pixels that is drawn at random, 0..1. Release: 0.1.
         voxel_size_m: Edge length of a voxel, metres. Release: 0.05.
-        one_per_voxel: Of the new points that share a voxel keep only the first. As far as known the release keeps all,
-            because it looks up only voxels that were occupied before.
-        thickness: Third standard deviation as a share of the other two. The release has flat Gaussians without one; 0.1
-            is chosen here.
-        as_released: The release uses its setting ``initial_opacity: 0.999`` directly as a logit, so the opacity is
-            sigmoid(0.999) = 0.73. False: 0.999.
+        one_per_voxel: Of the new points that share a voxel keep only the first. As far as known the
+            release keeps all, because it looks up only voxels that were occupied before.
+        thickness: Third standard deviation as a share of the other two. The release has flat
+            Gaussians without one; 0.1 is chosen here.
+        as_released: The release uses its setting ``initial_opacity: 0.999`` directly as a logit, so
+            the opacity is sigmoid(0.999) = 0.73. False: 0.999.
 
-    Depth below ``ctx.near_m`` counts as missing here. Left out because the optimiser does it: pruning by contribution,
-    splitting and cloning where errors are large. Every 5th recorded frame is a keyframe unless the settings say
-    otherwise.
+    Depth below ``ctx.near_m`` counts as missing here. Left out because the optimiser does it:
+    pruning by contribution, splitting and cloning where errors are large. Every 5th recorded frame
+    is a keyframe unless the settings say otherwise.
     Source: the released code of 2DGS-SLAM (PRBonn).
     """
 
@@ -223,5 +259,12 @@ class two_dgs_slam(KeyframeRule):
         free = ~ctx.occupied(seeds.xyz_W, self.voxel_size_m)
         if self.one_per_voxel:
             free &= ctx.first_in_voxel(seeds.xyz_W, self.voxel_size_m)
-        seeds = sized_by_neighbours(ctx, seeds, max_of_mean=MAX_OF_MEAN)[free]  # sized before the voxel filter
-        return as_discs(ctx, seeds, ctx.values_at(ctx.normals_W(), uv[free]), self.thickness)
+        seeds = sized_by_neighbours(ctx, seeds, max_of_mean=MAX_OF_MEAN)[
+            free
+        ]  # sized before the voxel filter
+        return as_discs(
+            ctx,
+            seeds,
+            ctx.values_at(ctx.normals_W(), uv[free]),
+            self.thickness,
+        )

@@ -1,4 +1,5 @@
-"""RTG-SLAM's rule: opaque discs where the surface is new or wrong, transparent ones where only the colour is wrong."""
+"""RTG-SLAM's rule: opaque discs where the surface is new or wrong, transparent ones where only the
+colour is wrong."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -21,7 +22,8 @@ NEW_AREA, DEPTH_ERROR, COLOUR_ERROR = 1, 2, 3
 
 OPAQUE_OPACITY, TRANSPARENT_OPACITY = 0.99, 0.1
 ERROR_SHARE = 0.05
-"""Released code: share of the pixels with errors that is drawn, independent of the share of new pixels."""
+"""Released code: share of the pixels with errors that is drawn, independent of the share of new
+pixels."""
 UNSTABLE_REACH = 0.6
 """Released code: nothing is added within this many radii of an unstable Gaussian."""
 NEIGHBOURS = 3
@@ -48,33 +50,39 @@ def rtg_slam(
     thickness: float = 0.1,
     fidelity: Literal["measured", "paper", "code"] = "measured",
 ) -> Seeds:
-    """Discs for three kinds of pixels with depth: newly seen, wrong in depth, wrong in colour only (Eq. 6).
+    """Discs for three kinds of pixels with depth: newly seen, wrong in depth, wrong in colour only
+    (Eq. 6).
 
         M_s = { T > delta_T  or  |D^ - D| > delta_d },   M_c = { |C^ - C| > delta_c } \\ M_s
 
-    A share of each is drawn at random. Those of M_s become opaque discs. For one of M_c the disc that its ray hits
-    decides: if it is unstable, nothing is added; if it is stable, a transparent disc is added to correct the colour.
-    Discs lie in the measured surface and are as wide as the gap to their neighbours.
+    A share of each is drawn at random. Those of M_s become opaque discs. For one of M_c the disc
+    that its ray hits decides: if it is unstable, nothing is added; if it is stable, a transparent
+    disc is added to correct the colour. Discs lie in the measured surface and are as wide as the
+    gap to their neighbours.
 
     Args:
         ctx: Frame and Gaussian map; without a map every pixel is new.
-        share: Share of the pixels of each kind that is drawn, 0..1; with "code" only of newly seen pixels, and 0.05 of
-            the others. Larger: more Gaussians, denser map.
-        min_transmittance: delta_T: a pixel is newly seen if more than this share of its light passes the map.
+        share: Share of the pixels of each kind that is drawn, 0..1; with "code" only of newly seen
+            pixels, and 0.05 of the others. Larger: more Gaussians, denser map.
+        min_transmittance: delta_T: a pixel is newly seen if more than this share of its light
+            passes the map.
         depth_error_m: delta_d: larger depth errors count as wrong, metres.
         colour_error: delta_c: larger mean absolute differences over R, G, B (0..1) count as wrong.
         transparent: False adds no transparent discs (the ablation of Fig. 6).
-        transparent_radius_m: Largest radius of a transparent disc, metres (paper; the code has no such limit).
+        transparent_radius_m: Largest radius of a transparent disc, metres (paper; the code has no
+            such limit).
         min_radius_m: Smallest radius of any disc, metres.
         max_radius_m: Largest radius of any disc, metres.
         thickness: Smallest standard deviation, as a share of the radius.
-        fidelity: "paper": as above; a pixel that hits no disc is wrong in depth. "code": pixels of the two error kinds
-            are one kind; nothing is added near an unstable disc, nor within 3 radii of any disc; a new disc on a stable
-            disc's plane is transparent, whatever its kind. "measured": as the paper, but a pixel without a hit has no
-            depth error, no opaque disc is added within 3 radii of an existing opaque one, and no transparent disc
-            within 3 radii of a transparent one, if the map has states.
+        fidelity: "paper": as above; a pixel that hits no disc is wrong in depth. "code": pixels of
+            the two error kinds are one kind; nothing is added near an unstable disc, nor within 3
+            radii of any disc; a new disc on a stable disc's plane is transparent, whatever its
+            kind. "measured": as the paper, but a pixel without a hit has no depth error, no opaque
+            disc is added within 3 radii of an existing opaque one, and no transparent disc within 3
+            radii of a transparent one, if the map has states.
 
-    Source: Peng et al. 2024, section 3.2, "Gaussians adding"; sizes and "code" from the released code.
+    Source: Peng et al. 2024, section 3.2, "Gaussians adding"; sizes and "code" from the released
+    code.
     """
     if not 0 < share <= 1:
         raise ValueError(f"rtg_slam: share must be above 0 and at most 1, got {share}")
@@ -83,7 +91,9 @@ def rtg_slam(
     view = None
     if ctx.gaussians is not None and len(ctx.map):
         view = ctx.surface()
-        kinds = wrong_pixels(ctx, view, usable, min_transmittance, depth_error_m, colour_error, fidelity)
+        kinds = wrong_pixels(
+            ctx, view, usable, min_transmittance, depth_error_m, colour_error, fidelity
+        )
     shares = {NEW_AREA: share} | dict.fromkeys(
         (DEPTH_ERROR, COLOUR_ERROR), ERROR_SHARE if fidelity == "code" else share
     )
@@ -112,14 +122,24 @@ def wrong_pixels(
 ) -> dict[int, Bool[Tensor, "H W"]]:
     """Pixels by kind, no pixel in two (Eq. 6).
 
-    A pixel that hits no disc has no rendered depth and so is wrong in depth in the paper; otherwise it has no depth
-    error, as in the released code.
+    A pixel that hits no disc has no rendered depth and so is wrong in depth in the paper; otherwise
+    it has no depth error, as in the released code.
     """
     depth_m = ctx.frame.depth_m
-    seen_m = view.depth_m if fidelity == "paper" else torch.where(view.depth_m > 0, view.depth_m, depth_m)
+    seen_m = (
+        view.depth_m
+        if fidelity == "paper"
+        else torch.where(view.depth_m > 0, view.depth_m, depth_m)
+    )
     limits = (min_transmittance, depth_error_m, colour_error)
-    surface, colour = adding_masks(view.transmittance, seen_m, depth_m, view.rgb, ctx.frame.rgb, *limits)
-    surface, colour, unseen = usable & surface, usable & colour, view.transmittance > min_transmittance
+    surface, colour = adding_masks(
+        view.transmittance, seen_m, depth_m, view.rgb, ctx.frame.rgb, *limits
+    )
+    surface, colour, unseen = (
+        usable & surface,
+        usable & colour,
+        view.transmittance > min_transmittance,
+    )
     new, depth = surface & unseen, surface & ~unseen
     if fidelity == "code":
         return {NEW_AREA: new, DEPTH_ERROR: depth | colour}
@@ -137,12 +157,15 @@ def adding_masks(
     depth_error_m: float,
     colour_error: float,
 ) -> tuple[Bool[Tensor, "H W"], Bool[Tensor, "H W"]]:
-    """The masks M_s, where the surface is new or wrong, and M_c, where only the colour is wrong (Eq. 6).
+    """The masks M_s, where the surface is new or wrong, and M_c, where only the colour is wrong
+    (Eq. 6).
 
     Args:
-        transmittance, seen_m, seen_rgb: What the camera sees of the map: T^, depth D^ in metres, colour C^.
+        transmittance, seen_m, seen_rgb: What the camera sees of the map: T^, depth D^ in metres,
+            colour C^.
         depth_m, rgb: Measured depth D, metres, 0 where missing, and colour C.
-        min_transmittance, depth_error_m, colour_error: delta_T, delta_d, delta_c, all to be exceeded.
+        min_transmittance, depth_error_m, colour_error: delta_T, delta_d, delta_c, all to be
+            exceeded.
 
     Source: Peng et al. 2024, Eq. 6.
     """
@@ -153,14 +176,24 @@ def adding_masks(
     return surface, colour
 
 
-def draw_share(ctx: SeedContext, mask: Bool[Tensor, "H W"], share: float) -> Int[Tensor, " M"]:
-    """Indices into the flat image of a random share of the pixels, without replacement, in image order."""
+def draw_share(
+    ctx: SeedContext,
+    mask: Bool[Tensor, "H W"],
+    share: float,
+) -> Int[Tensor, " M"]:
+    """Indices into the flat image of a random share of the pixels, without replacement, in image
+    order."""
     pixel = mask.flatten().nonzero().squeeze(1)
     return pixel[ctx.draw(len(pixel), round(share * len(pixel)))]
 
 
-def discs_at(ctx: SeedContext, pixel: Int[Tensor, " M"], tag: Int[Tensor, " M"]) -> Seeds:
-    """Opaque discs on the measured surface, their thin axis z along the normal, with sizes still to be set."""
+def discs_at(
+    ctx: SeedContext,
+    pixel: Int[Tensor, " M"],
+    tag: Int[Tensor, " M"],
+) -> Seeds:
+    """Opaque discs on the measured surface, their thin axis z along the normal, with sizes still to
+    be set."""
     uv = pixel_grid(ctx.camera, device=pixel.device).view(-1, 2)[pixel]
     normal_W = ctx.normals_W().reshape(-1, 3)[pixel]
     z = torch.zeros_like(normal_W)
@@ -180,13 +213,22 @@ def sized(
 ) -> Seeds:
     """Give every disc its radius; leave out those that overlap others too much."""
     has_map = ctx.gaussians is not None and len(ctx.map) > 0
-    xyz, radius = (ctx.map.xyz_W, ctx.map.radius_m) if has_map else (seeds.xyz_W[:0], seeds.opacity[:0])
-    solid = ctx.map.opacity > 0.5 if fidelity != "code" and has_map else None  # only opaque discs cover a surface
+    xyz, radius = (
+        (ctx.map.xyz_W, ctx.map.radius_m) if has_map else (seeds.xyz_W[:0], seeds.opacity[:0])
+    )
+    solid = (
+        ctx.map.opacity > 0.5 if fidelity != "code" and has_map else None
+    )  # only opaque discs cover a surface
     is_transparent = seeds.opacity < 0.5
     gaps = gaps_around(seeds.xyz_W, xyz, radius, counted=solid)
     size = gaps.size_m.clamp(min_radius_m, max_radius_m)
-    size = torch.where(is_transparent, size.clamp(max=max(transparent_radius_m, min_radius_m)), size)
-    seeds = dataclasses.replace(seeds, scale_m=torch.stack([size, size, thickness * size], dim=1))
+    size = torch.where(
+        is_transparent, size.clamp(max=max(transparent_radius_m, min_radius_m)), size
+    )
+    seeds = dataclasses.replace(
+        seeds,
+        scale_m=torch.stack([size, size, thickness * size], dim=1),
+    )
     if fidelity == "code":
         return seeds[~gaps.overlaps]
     if fidelity == "measured":
@@ -195,7 +237,8 @@ def sized(
 
 
 def _on_transparent(ctx: SeedContext, seeds: Seeds) -> Bool[Tensor, " M"]:
-    """Whether each new disc lies within the reach of a transparent one of a map whose rows have states."""
+    """Whether each new disc lies within the reach of a transparent one of a map whose rows have
+    states."""
     if ctx.gaussians is None or ctx.map.state is None:
         return torch.zeros_like(seeds.opacity, dtype=torch.bool)
     rows = (ctx.map.opacity < 0.5).nonzero().squeeze(1)
@@ -208,10 +251,13 @@ def _on_transparent(ctx: SeedContext, seeds: Seeds) -> Bool[Tensor, " M"]:
 def _decide_by_hit(
     ctx: SeedContext, view: SurfaceView, seeds: Seeds, pixel: Tensor, depth_error_m: float
 ) -> Float[Tensor, " M"]:
-    """Opacity by the disc that the pixel's ray hits: transparent on a stable disc, 0 (none) on an unstable one."""
+    """Opacity by the disc that the pixel's ray hits: transparent on a stable disc, 0 (none) on an
+    unstable one."""
     hit = view.hit_index.flatten()[pixel]
     state = ctx.map.state
-    stable = torch.ones_like(hit, dtype=torch.bool) if state is None else state[hit.clamp_min(0)] == 1
+    stable = (
+        torch.ones_like(hit, dtype=torch.bool) if state is None else state[hit.clamp_min(0)] == 1
+    )
     over = torch.where((hit >= 0) & stable, TRANSPARENT_OPACITY, 0.0).to(seeds.opacity)
     return torch.where(seeds.tag == COLOUR_ERROR, over, seeds.opacity)
 
@@ -219,8 +265,11 @@ def _decide_by_hit(
 def _decide_by_plane(
     ctx: SeedContext, view: SurfaceView, seeds: Seeds, pixel: Tensor, depth_error_m: float
 ) -> Float[Tensor, " M"]:
-    """Opacity as the released code decides: 0 near an unstable disc; transparent near a stable disc's plane."""
-    unstable = torch.zeros(len(ctx.map), dtype=torch.bool) if ctx.map.state is None else ctx.map.state == 0
+    """Opacity as the released code decides: 0 near an unstable disc; transparent near a stable
+    disc's plane."""
+    unstable = (
+        torch.zeros(len(ctx.map), dtype=torch.bool) if ctx.map.state is None else ctx.map.state == 0
+    )
     unstable = unstable.to(pixel.device)
     distance, row = nearest(seeds.xyz_W, ctx.map.xyz_W[unstable])
     one_more = seeds.opacity.new_zeros(1)  # without any disc, ``nearest`` names row 0
@@ -245,7 +294,8 @@ class Gaps:
     """Free space around new points."""
 
     gap_m: Float[Tensor, "M K"]
-    """Distance to each of the nearest neighbours minus the radius that it covers; negative inside it, metres."""
+    """Distance to each of the nearest neighbours minus the radius that it covers; negative inside
+    it, metres."""
 
     @property
     def overlaps(self) -> Bool[Tensor, " M"]:
@@ -267,7 +317,8 @@ def gaps_around(
     reach: float = REACH,
     neighbours: int = NEIGHBOURS,
 ) -> Gaps:
-    """d_i = |x - x_i| - reach r_i for the nearest centres x_i, other new points (r = 0) and existing discs alike.
+    """d_i = |x - x_i| - reach r_i for the nearest centres x_i, other new points (r = 0) and
+    existing discs alike.
 
     Args:
         xyz_W: New points, metres.
@@ -277,13 +328,18 @@ def gaps_around(
         reach: An existing disc covers the space within this many of its radii.
         neighbours: Number of nearest neighbours; fewer if there are fewer points.
 
-    Differentiable: no. Source: the released code (the paper says "cover the scene ... with little overlapping").
+    Differentiable: no. Source: the released code (the paper says "cover the scene ... with little
+    overlapping").
     """
     M = len(xyz_W)
     if M == 0:
         return Gaps(gap_m=xyz_W.new_zeros(0, neighbours))
     low, high = xyz_W.amin(0) - BORDER_M, xyz_W.amax(0) + BORDER_M
-    near = torch.ones(len(neighbour_xyz_W), dtype=torch.bool, device=xyz_W.device) if counted is None else counted
+    near = (
+        torch.ones(len(neighbour_xyz_W), dtype=torch.bool, device=xyz_W.device)
+        if counted is None
+        else counted
+    )
     for x, least, most in zip(neighbour_xyz_W.unbind(1), low, high, strict=True):
         near = near & (x >= least) & (x <= most)
     k = min(neighbours, M + int(near.sum()) - 1)
@@ -297,6 +353,7 @@ def gaps_around(
 def nearest(
     xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], neighbours: int = NEIGHBOURS
 ) -> tuple[Float[Tensor, "M K"], Tensor]:
-    """Distance to the nearest of ``others_W``, metres, and their rows; infinite, and row 0, if there are fewer."""
+    """Distance to the nearest of ``others_W``, metres, and their rows; infinite, and row 0, if
+    there are fewer."""
     distance, row = k_nearest(xyz_W, others_W, neighbours)
     return distance, row.masked_fill(row == len(others_W), 0)

@@ -1,4 +1,5 @@
-"""SplaTAM's rule and those derived from it: Gaussians of one pixel where the map covers nothing or is wrong."""
+"""SplaTAM's rule and those derived from it: Gaussians of one pixel where the map covers nothing or
+is wrong."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -36,25 +37,29 @@ def splatam(
     every_px: int = 1,
     median_of: Literal["all", "measured"] = "all",
 ) -> Seeds:
-    """SplaTAM: a Gaussian of one pixel wherever the map does not cover the view, or lies behind the measured surface.
+    """SplaTAM: a Gaussian of one pixel wherever the map does not cover the view, or lies behind the
+    measured surface.
 
     Round, with standard deviation z / f, f = (fx + fy) / 2, for each pixel with depth where
 
         A < 0.5   or   ( D^ > D  and  |D^ - D| > 50 median |D^ - D| )
 
-    with the map's accumulated opacity A and its blended depth D^, which is not divided by A. In the first frame every
-    pixel with depth.
+    with the map's accumulated opacity A and its blended depth D^, which is not divided by A. In the
+    first frame every pixel with depth.
 
     Args:
         ctx: Frame and Gaussian map.
         min_alpha: Pixels with a smaller A are seeded. Publication and release: 0.5.
         median_factor: How many medians a depth error must exceed. Publication and release: 50.
-        share: Share of the pixels that is drawn at random, 0..1, with sizes 1 / sqrt(share) times as large. Release: 1.
-        every_px: Only every n-th pixel of every n-th row, n times as large. Release: 1; its variant SplaTAM-S: 2.
-        median_of: The median over "all" pixels counts missing depth as an error of 0, as in the release.
+        share: Share of the pixels that is drawn at random, 0..1, with sizes 1 / sqrt(share) times
+            as large. Release: 1.
+        every_px: Only every n-th pixel of every n-th row, n times as large. Release: 1; its variant
+            SplaTAM-S: 2.
+        median_of: The median over "all" pixels counts missing depth as an error of 0, as in the
+            release.
 
-    Left out because the optimiser does it: pruning (``splatam_like`` has it), and tracking. Colours are stored as here,
-    without view dependence.
+    Left out because the optimiser does it: pruning (``splatam_like`` has it), and tracking. Colours
+    are stored as here, without view dependence.
     Source: Keetha et al. 2024 (SplaTAM) and its released code.
     """
     chosen = unmapped_pixels(ctx, min_alpha, median_factor, median_of=median_of)
@@ -70,27 +75,30 @@ PRUNED_AFTER = (1, 21)
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class splatam_like(MapRule):
-    """SplaTAM-like mapping in GSFusion's frame step: seeding, losses, learning rates, number of steps, pruning.
+    """SplaTAM-like mapping in GSFusion's frame step: seeding, losses, learning rates, number of
+    steps, pruning.
 
-    Seeds as the rule ``splatam``. Loss: depth L1 + 0.5 (0.8 L1 + 0.2 (1 - SSIM)), here twice that. Adam's rates:
-    centres 1e-4, colours 0.0025, opacity logits 0.05, log-scales 0.001, rotations 0.001. 60 steps a frame. After the
-    1st and the 21st step of a frame, Gaussians with an opacity below 0.005 or a standard deviation above 0.1 of the
-    scene's radius are removed. The radius is a third of the largest depth of the first frame.
+    Seeds as the rule ``splatam``. Loss: depth L1 + 0.5 (0.8 L1 + 0.2 (1 - SSIM)), here twice that.
+    Adam's rates: centres 1e-4, colours 0.0025, opacity logits 0.05, log-scales 0.001, rotations
+    0.001. 60 steps a frame. After the 1st and the 21st step of a frame, Gaussians with an opacity
+    below 0.005 or a standard deviation above 0.1 of the scene's radius are removed. The radius is a
+    third of the largest depth of the first frame.
 
     Args:
         min_alpha: As for ``splatam``.
         median_factor: As for ``splatam``.
         share: As for ``splatam``.
         min_opacity: Gaussians with a lower opacity are removed. Release: 0.005.
-        max_extent: Largest standard deviation as a share of the scene's radius. Release: 0.1. With a ``share`` below 1,
-            1 / sqrt(share) times that, as the sizes of the seeds.
-        radius_share: The scene's radius as a share of the largest depth of the first frame. Release: 1/3 (TUM: 1/2).
+        max_extent: Largest standard deviation as a share of the scene's radius. Release: 0.1. With
+            a ``share`` below 1, 1 / sqrt(share) times that, as the sizes of the seeds.
+        radius_share: The scene's radius as a share of the largest depth of the first frame.
+            Release: 1/3 (TUM: 1/2).
 
-    The release takes 30 steps a frame on TUM. It draws the views of its steps from frames that overlap; here, on a
-    keyframe (every 5th frame) all 60 steps are on the frame, on others 30 are, and up to 30 on earlier keyframes drawn
-    at random. Colours are SH coefficients of degree 0, and their rate is divided by the factor between the two. There
-    are no steps after the scan. Left out: tracking.
-    Source: Keetha et al. 2024 (SplaTAM) and its released code.
+    The release takes 30 steps a frame on TUM. It draws the views of its steps from frames that
+    overlap; here, on a keyframe (every 5th frame) all 60 steps are on the frame, on others 30 are,
+    and up to 30 on earlier keyframes drawn at random. Colours are SH coefficients of degree 0, and
+    their rate is divided by the factor between the two. There are no steps after the scan. Left
+    out: tracking. Source: Keetha et al. 2024 (SplaTAM) and its released code.
     """
 
     min_alpha: float = 0.5
@@ -120,9 +128,16 @@ class splatam_like(MapRule):
         """SplaTAM's seeds of one frame."""
         if RADIUS not in memory:
             memory[RADIUS] = self.radius_share * float((ctx.frame.depth_m * ctx.has_depth()).max())
-        return splatam(ctx, min_alpha=self.min_alpha, median_factor=self.median_factor, share=self.share)
+        return splatam(
+            ctx, min_alpha=self.min_alpha, median_factor=self.median_factor, share=self.share
+        )
 
-    def after_step(self, ctx: SeedContext, stats: StepStats, memory: dict[str, Any]) -> Edit | None:
+    def after_step(
+        self,
+        ctx: SeedContext,
+        stats: StepStats,
+        memory: dict[str, Any],
+    ) -> Edit | None:
         """Remove transparent and large Gaussians."""
         if stats.stage != "online" or stats.step_in_frame not in PRUNED_AFTER:
             return None
@@ -141,25 +156,34 @@ def mm3dgs(
     share: float = 1.0,
     median_of: Literal["all", "measured"] = "all",
 ) -> Seeds:
-    """MM3DGS: a Gaussian of one pixel wherever the map does not cover the view, or its depth is wrong by far.
+    """MM3DGS: a Gaussian of one pixel wherever the map does not cover the view, or its depth is
+    wrong by far.
 
-    Round, with standard deviation z / f, f = (fx + fy) / 2, for each pixel with depth where A < 0.5 or |D^ - D| > 10
-    median |D^ - D|, whether the measured surface lies in front of the map's or behind it.
+    Round, with standard deviation z / f, f = (fx + fy) / 2, for each pixel with depth where A < 0.5
+    or |D^ - D| > 10 median |D^ - D|, whether the measured surface lies in front of the map's or
+    behind it.
 
     Args:
         ctx: Frame and Gaussian map.
-        method: "own": as above; "splatam": the other method of the release: 50 medians, and only in front.
+        method: "own": as above; "splatam": the other method of the release: 50 medians, and only in
+            front.
         min_alpha: Pixels with a smaller accumulated opacity are seeded. Release: 0.5.
-        share: Share of the pixels that is drawn at random, 0..1, with sizes 1 / sqrt(share) times as large. Release: 1.
-        median_of: The median over "all" pixels counts missing depth as an error of 0, as in the release.
+        share: Share of the pixels that is drawn at random, 0..1, with sizes 1 / sqrt(share) times
+            as large. Release: 1.
+        median_of: The median over "all" pixels counts missing depth as an error of 0, as in the
+            release.
 
-    Left out because the optimiser does it: 3DGS's densification and pruning every 50 steps. D^ is the blended depth
-    that is not divided by A, as in the release.
+    Left out because the optimiser does it: 3DGS's densification and pruning every 50 steps. D^ is
+    the blended depth that is not divided by A, as in the release.
     Source: the released code of MM3DGS.
     """
     own = method == "own"
     chosen = unmapped_pixels(
-        ctx, min_alpha, 10.0 if own else 50.0, sides="both" if own else "in front", median_of=median_of
+        ctx,
+        min_alpha,
+        10.0 if own else 50.0,
+        sides="both" if own else "in front",
+        median_of=median_of,
     )
     return one_pixel_seeds(ctx, chosen, share=share)
 
@@ -175,7 +199,8 @@ def gaus_slam(
     thickness: float = 0.1,
     median_of: Literal["all", "measured"] = "all",
 ) -> Seeds:
-    """GauS-SLAM: a disc of one pixel wherever the map does not cover the view, or lies behind the measured surface.
+    """GauS-SLAM: a disc of one pixel wherever the map does not cover the view, or lies behind the
+    measured surface.
 
     Thin along the normal of the depth image, for each pixel with depth where
 
@@ -185,16 +210,18 @@ def gaus_slam(
         ctx: Frame and Gaussian map.
         min_alpha: Pixels with a smaller accumulated opacity A are seeded. Release: 0.6.
         median_factor: How many medians a depth error must exceed. Release: 50.
-        share: Share of the pixels that is drawn at random, 0..1, with sizes 1 / sqrt(share) times as large. Release: 1.
-        thickness: Third standard deviation as a share of the other two. The release has flat Gaussians without one;
-            0.1 is chosen here.
-        median_of: The median over "all" pixels counts missing depth as an error of 0, as in the release.
+        share: Share of the pixels that is drawn at random, 0..1, with sizes 1 / sqrt(share) times
+            as large. Release: 1.
+        thickness: Third standard deviation as a share of the other two. The release has flat
+            Gaussians without one; 0.1 is chosen here.
+        median_of: The median over "all" pixels counts missing depth as an error of 0, as in the
+            release.
 
-    A disc without a normal (at edges and borders of the depth image) faces the camera. D^ is the blended depth divided
-    by A, as in the release (``use_weight_norm``). Left out: its choice of keyframes (more than 1 % of the pixels have A
-    < 0.5), pruning (opacity below 0.05, mean scale below 0.0005 or above 0.1), local maps, and growth into depth holes,
-    which the release has switched off.
-    Source: the released code of GauS-SLAM.
+    A disc without a normal (at edges and borders of the depth image) faces the camera. D^ is the
+    blended depth divided by A, as in the release (``use_weight_norm``). Left out: its choice of
+    keyframes (more than 1 % of the pixels have A < 0.5), pruning (opacity below 0.05, mean scale
+    below 0.0005 or above 0.1), local maps, and growth into depth holes, which the release has
+    switched off. Source: the released code of GauS-SLAM.
     """
     chosen = unmapped_pixels(ctx, min_alpha, median_factor, median_of=median_of, divided=True)
     uv = drawn_pixels(ctx, chosen, share)
@@ -207,27 +234,33 @@ PUSH_BACK = 1.005
 QUARTERS = torch.tensor([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
 
 
-@trained_otherwise("centres and rotations fixed, 100 steps a frame, a map of its own for each 40 frames")
+@trained_otherwise(
+    "centres and rotations fixed, 100 steps a frame, a map of its own for each 40 frames"
+)
 @seeding_rule
 @dataclass(frozen=True, kw_only=True)
 class vtgaussian(MapRule):
-    """VTGaussian-SLAM: SplaTAM's pixels, four finer ones besides where the colour varies; Gaussians that do not move.
+    """VTGaussian-SLAM: SplaTAM's pixels, four finer ones besides where the colour varies; Gaussians
+    that do not move.
 
-    A round Gaussian of one pixel for each pixel with depth where A < 0.5, or D^ > D and |D^ - D| > 50 medians. Near
-    edges of the picture (Canny 50/200 of the Euclidean gradient, dilated 3 x 3) there are four more of half a pixel, at
-    the centres of its quarters. Depth is multiplied by 1.005. Centres and rotations are not optimised ("view-tied").
+    A round Gaussian of one pixel for each pixel with depth where A < 0.5, or D^ > D and |D^ - D| >
+    50 medians. Near edges of the picture (Canny 50/200 of the Euclidean gradient, dilated 3 x 3)
+    there are four more of half a pixel, at the centres of its quarters. Depth is multiplied by
+    1.005. Centres and rotations are not optimised ("view-tied").
 
     Args:
         min_alpha: Pixels with a smaller accumulated opacity A are seeded. Release: 0.5.
         median_factor: How many medians a depth error must exceed. Release: 50.
         fine: Whether there are finer Gaussians near edges. Release: True.
-        share: Share of the Gaussians that is drawn at random, 0..1, with sizes 1 / sqrt(share) times as large. Release:
+        share: Share of the Gaussians that is drawn at random, 0..1, with sizes 1 / sqrt(share)
+            times as large. Release:
             1.
-        median_of: The median over "all" pixels counts missing depth as an error of 0, as in the release.
+        median_of: The median over "all" pixels counts missing depth as an error of 0, as in the
+            release.
 
-    The release reads depth and colour of the quarters from images of twice the size; here they are those of the pixel.
-    Left out: sections of 40 frames, each with its own Gaussians, and tracking against them.
-    Source: Hu and Han 2025 (VTGaussian-SLAM) and its released code.
+    The release reads depth and colour of the quarters from images of twice the size; here they are
+    those of the pixel. Left out: sections of 40 frames, each with its own Gaussians, and tracking
+    against them. Source: Hu and Han 2025 (VTGaussian-SLAM) and its released code.
     """
 
     min_alpha: float = 0.5
@@ -262,25 +295,30 @@ def hf_slam(
     share: float = 1.0,
     as_released: bool = True,
 ) -> Seeds:
-    """HF-SLAM: a Gaussian of one pixel wherever the map does not cover the view, or its colour or depth is wrong.
+    """HF-SLAM: a Gaussian of one pixel wherever the map does not cover the view, or its colour or
+    depth is wrong.
 
     Round, with standard deviation z / f, f = (fx + fy) / 2, for each pixel with depth where
 
         A < 0.5   or   mean over R, G, B of |C^ - C| > 0.6   or   |D^ - D| / D > 0.1
 
-    with the map's accumulated opacity A, picture C^ and blended depth D^ (not divided by A, as in SplaTAM, from which
-    HF-SLAM is derived). Unlike SplaTAM's, the depth test is relative to the distance and has no median.
+    with the map's accumulated opacity A, picture C^ and blended depth D^ (not divided by A, as in
+    SplaTAM, from which HF-SLAM is derived). Unlike SplaTAM's, the depth test is relative to the
+    distance and has no median.
 
-    The release sums the opacity with the transmittance behind each Gaussian, A = sum alpha_k T_{k+1}, T_{k+1} = T_k
-    (1 - alpha_k), in place of alpha_k T_k. So one Gaussian adds at most 0.25, and opaque ones next to nothing: pixels
-    that are covered by opaque Gaussians are seeded again in every frame.
+    The release sums the opacity with the transmittance behind each Gaussian, A = sum alpha_k
+    T_{k+1}, T_{k+1} = T_k (1 - alpha_k), in place of alpha_k T_k. So one Gaussian adds at most
+    0.25, and opaque ones next to nothing: pixels that are covered by opaque Gaussians are seeded
+    again in every frame.
 
     Args:
         ctx: Frame and Gaussian map.
         min_alpha: Pixels with a smaller A are seeded. Release: 0.5.
         colour_error: Mean absolute colour error (0..1) above which a pixel is seeded. Release: 0.6.
-        relative_depth_error: Depth error as a share of the depth above which a pixel is seeded. Release: 0.1.
-        share: Share of the pixels that is drawn at random, 0..1, with sizes 1 / sqrt(share) times as large. Release: 1.
+        relative_depth_error: Depth error as a share of the depth above which a pixel is seeded.
+            Release: 0.1.
+        share: Share of the pixels that is drawn at random, 0..1, with sizes 1 / sqrt(share) times
+            as large. Release: 1.
         as_released: A as the release sums it; False: as everywhere else, sum alpha_k T_k.
 
     The release neither prunes nor densifies; so nothing of its optimiser is left out.
@@ -297,8 +335,14 @@ def hf_slam(
 
 
 def alpha_behind(ctx: SeedContext) -> Float[Tensor, "H W"]:
-    """sum_k alpha_k T_{k+1}, with the light that is left behind each Gaussian in place of in front of it. [H, W]"""
-    screen = render_forward(ctx.params(), ctx.camera, ctx.frame.T_WC, with_indices=False)[1].screen
+    """sum_k alpha_k T_{k+1}, with the light that is left behind each Gaussian in place of in front
+    of it. [H, W]"""
+    screen = render_forward(
+        ctx.params(),
+        ctx.camera,
+        ctx.frame.T_WC,
+        with_indices=False,
+    )[1].screen
     A = torch.zeros_like(ctx.frame.depth_m)
     for tile in range(screen.tiles.tiles_x * screen.tiles.tiles_y):
         x, y = screen.pixels_of(tile, ctx.camera)

@@ -1,4 +1,5 @@
-"""Panels about surfaces that carry Gaussians: disc depth, the masks of RTG-SLAM's Eq. 6, GPS-SLAM's two parts."""
+"""Panels about surfaces that carry Gaussians: disc depth, the masks of RTG-SLAM's Eq. 6, GPS-SLAM's
+two parts."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -22,7 +23,14 @@ from ...types import Camera, Frame, GaussianParams
 from ..map_pictures import CAUSES
 from .panel import Choice, Drawn, Number, Panel, Slider
 
-STAGE_CAMERA = Camera(width=96, height=60, fx=80.0, fy=80.0, cx=48.0, cy=30.0)
+STAGE_CAMERA = Camera(
+    width=96,
+    height=60,
+    fx=80.0,
+    fy=80.0,
+    cx=48.0,
+    cy=30.0,
+)
 NEAR_M = 1.2
 """The right edge of the front board is at x = 0 and this far away, metres."""
 MID_AIR_M = 0.03
@@ -45,7 +53,8 @@ class DiscScene:
     rgb: Float[Tensor, "H W 3"]
 
     def errors_m(self, name: str) -> Float[Tensor, " M"]:
-        """|depth - truth| on the board where there is a depth; ``name`` is "disc_m" or "blended_m"."""
+        """|depth - truth| on the board where there is a depth; ``name`` is "disc_m" or
+        "blended_m"."""
         depth = getattr(self, name)
         return (depth - self.truth_m)[(depth > 0) & (self.truth_m == self.planes_m[0])].abs()
 
@@ -57,9 +66,14 @@ class DiscScene:
 
 
 def disc_scene(
-    *, lean_deg: float | int = 30, gap_m: float | int = 0.6, spacing_m: float | int = 0.1, opaque_alpha: float = 0.3
+    *,
+    lean_deg: float | int = 30,
+    gap_m: float | int = 0.6,
+    spacing_m: float | int = 0.1,
+    opaque_alpha: float = 0.3,
 ) -> DiscScene:
-    """A tilted board in front of a wall, both covered with discs of standard deviation spacing / 1.5.
+    """A tilted board in front of a wall, both covered with discs of standard deviation spacing /
+    1.5.
 
     Args:
         lean_deg: Rotation of the front board about the vertical, degrees.
@@ -69,48 +83,100 @@ def disc_scene(
     """
     camera, T_WC = STAGE_CAMERA, torch.eye(4)
     lean = np.radians(float(lean_deg))
-    front = _board(lean, NEAR_M, (-_HALF_M, 0.0 if gap_m > 0 else _HALF_M), float(spacing_m), (0.93, 0.62, 0.36))
+    front = _board(
+        lean,
+        NEAR_M,
+        (-_HALF_M, 0.0 if gap_m > 0 else _HALF_M),
+        float(spacing_m),
+        (0.93, 0.62, 0.36),
+    )
     parts = [front]
     if gap_m > 0:
-        parts.append(_board(0.0, NEAR_M + gap_m, (-1.4, 1.4), float(spacing_m) * 1.3, (0.36, 0.55, 0.75)))
+        parts.append(
+            _board(
+                0.0,
+                NEAR_M + gap_m,
+                (-1.4, 1.4),
+                float(spacing_m) * 1.3,
+                (0.36, 0.55, 0.75),
+            )
+        )
     params = GaussianParams(**{k: torch.cat([vars(p)[k] for p in parts]) for k in vars(front)})
     config = DiscConfig(opaque_alpha=opaque_alpha, min_cosine=0.17, max_offset=3.0)
     seen = view_surface(params, camera, T_WC, config)
     blended = view_surface(params, camera, T_WC, dataclasses.replace(config, depth="blended"))
     planes = _planes(camera, lean, float(gap_m))
     return DiscScene(
-        params=params, truth_m=_truth(camera, lean, planes), planes_m=planes, disc_m=seen.depth_m,
-        blended_m=blended.depth_m, rgb=seen.rgb,
-    )  # fmt: skip
+        params=params,
+        truth_m=_truth(camera, lean, planes),
+        planes_m=planes,
+        disc_m=seen.depth_m,
+        blended_m=blended.depth_m,
+        rgb=seen.rgb,
+    )
 
 
 def disc_panel() -> Panel:
-    """Sliders over ``disc_scene``: picture, both depths, and the middle row of pixels from above."""
+    """Sliders over ``disc_scene``: picture, both depths, and the middle row of pixels from
+    above."""
 
     def draw(*, lean_deg: Number, gap_m: Number, spacing_m: Number, opaque_alpha: float) -> Drawn:
-        scene = disc_scene(lean_deg=lean_deg, gap_m=gap_m, spacing_m=spacing_m, opaque_alpha=opaque_alpha)
+        scene = disc_scene(
+            lean_deg=lean_deg, gap_m=gap_m, spacing_m=spacing_m, opaque_alpha=opaque_alpha
+        )
         return disc_scene_picture(scene), _scene_words(scene)
 
     controls = {
-        "lean_deg": Slider(value=30, low=0, high=75, step=1, label="board tilt, °"),
-        "gap_m": Slider(value=0.6, low=0.0, high=1.2, step=0.05, label="wall behind, m"),
-        "spacing_m": Slider(value=0.1, low=0.05, high=0.3, step=0.01, label="disc spacing, m"),
-        "opaque_alpha": Slider(value=0.3, low=0.1, high=0.95, step=0.05, label="hit from δ_α"),
+        "lean_deg": Slider(
+            value=30,
+            low=0,
+            high=75,
+            step=1,
+            label="board tilt, °",
+        ),
+        "gap_m": Slider(
+            value=0.6,
+            low=0.0,
+            high=1.2,
+            step=0.05,
+            label="wall behind, m",
+        ),
+        "spacing_m": Slider(
+            value=0.1,
+            low=0.05,
+            high=0.3,
+            step=0.01,
+            label="disc spacing, m",
+        ),
+        "opaque_alpha": Slider(
+            value=0.3,
+            low=0.1,
+            high=0.95,
+            step=0.05,
+            label="hit from δ_α",
+        ),
     }
     return Panel(draw, controls, name="disc", text="disc depth against blended depth")
 
 
 def disc_scene_picture(scene: DiscScene) -> Picture:
-    """Render, disc depth and blended depth in a row; below, the middle row of pixels as points seen from above."""
+    """Render, disc depth and blended depth in a row; below, the middle row of pixels as points seen
+    from above."""
     far = _far_m(scene) + 0.1
-    images = [to_uint8(scene.rgb), *(colour_depth(d, 0.5, far) for d in (scene.disc_m, scene.blended_m))]
+    images = [
+        to_uint8(scene.rgb),
+        *(colour_depth(d, 0.5, far) for d in (scene.disc_m, scene.blended_m)),
+    ]
     images = [i.repeat(3, 0).repeat(3, 1) for i in images]
-    top = side_by_side(images, ["render", "disc depth (Eq. 5)", f"blended; blue 0.5 m, red {far:.1f} m"])
+    top = side_by_side(
+        images, ["render", "disc depth (Eq. 5)", f"blended; blue 0.5 m, red {far:.1f} m"]
+    )
     return np.concatenate([top, disc_scene_plan(scene, top.shape[1])])
 
 
 def disc_scene_plan(scene: DiscScene, width: int, height: int = 300) -> Picture:
-    """The scene from above, the camera below: discs near the middle row, the depths of its rays as points."""
+    """The scene from above, the camera below: discs near the middle row, the depths of its rays as
+    points."""
     figure, (axes,) = card_figure(width, height)
     far, camera = _far_m(scene), STAGE_CAMERA
     x_over_z = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
@@ -118,7 +184,13 @@ def disc_scene_plan(scene: DiscScene, width: int, height: int = 300) -> Picture:
     near = scene.params.xyz_W[:, 1].abs() < 0.6 * float(scales.max())
     centre, side = scene.params.xyz_W[near], R[near, :, 0] * scales[near, :1]
     ends = torch.stack([centre - side, centre + side])[..., [0, 2]].numpy()
-    axes.plot(ends[..., 0], ends[..., 1], color=CARD_INK, alpha=0.4, linewidth=4)
+    axes.plot(
+        ends[..., 0],
+        ends[..., 1],
+        color=CARD_INK,
+        alpha=0.4,
+        linewidth=4,
+    )
     for depth, name, ink, size in (
         (scene.blended_m, "blended depth", PALETTE[1], 4),
         (scene.disc_m, "disc depth", PALETTE[0], 4),
@@ -126,18 +198,38 @@ def disc_scene_plan(scene: DiscScene, width: int, height: int = 300) -> Picture:
     ):
         z = depth[camera.height // 2].numpy()
         shown = (z > 0) & (z <= far + 0.05)
-        axes.plot((x_over_z * z)[shown], z[shown], "o", color=ink, markersize=size, label=name)
+        axes.plot(
+            (x_over_z * z)[shown],
+            z[shown],
+            "o",
+            color=ink,
+            markersize=size,
+            label=name,
+        )
     low = max(0.0, float(scene.truth_m[scene.truth_m > 0].min()) - 0.25)
-    axes.set(ylim=(low, far + 0.05), xlim=(-0.6 * far, 0.6 * far))
+    axes.set(
+        ylim=(low, far + 0.05),
+        xlim=(-0.6 * far, 0.6 * far),
+    )
     axes.set_aspect("equal", adjustable="box")
-    style(axes, x="x, m", y="z, m", title="from above, middle row of pixels; the camera is below", ink=CARD_INK)
+    style(
+        axes,
+        x="x, m",
+        y="z, m",
+        title="from above, middle row of pixels; the camera is below",
+        ink=CARD_INK,
+    )
     axes.legend(frameon=False, labelcolor=CARD_INK, fontsize=8)
     return figure_picture(figure)
 
 
 def _far_m(scene: DiscScene) -> float:
-    """Largest depth that is drawn: some rays meet a tilted plane far behind its last disc, or never."""
-    return min(float(scene.truth_m.max()), float(scene.params.xyz_W[:, 2].max()))
+    """Largest depth that is drawn: some rays meet a tilted plane far behind its last disc, or
+    never."""
+    return min(
+        float(scene.truth_m.max()),
+        float(scene.params.xyz_W[:, 2].max()),
+    )
 
 
 def _scene_words(scene: DiscScene) -> str:
@@ -152,36 +244,60 @@ def _scene_words(scene: DiscScene) -> str:
 
 
 def _board(
-    lean: float, z_m: float, x_m: tuple[float, float], spacing_m: float, rgb: tuple[float, ...]
+    lean: float,
+    z_m: float,
+    x_m: tuple[float, float],
+    spacing_m: float,
+    rgb: tuple[float, ...],
 ) -> GaussianParams:
-    """Discs on a plane through (0, 0, z) that is turned by ``lean`` about the vertical; the left side is farther."""
+    """Discs on a plane through (0, 0, z) that is turned by ``lean`` about the vertical; the left
+    side is farther."""
     u = torch.arange(x_m[0] + spacing_m / 2, x_m[1], spacing_m)
     v = torch.arange(-_ROWS_M, _ROWS_M + spacing_m / 2, spacing_m)
     u, v = (a.flatten() for a in torch.meshgrid(u, v, indexing="ij"))
-    along = torch.tensor([np.cos(lean), 0.0, -np.sin(lean)], dtype=torch.float32)
-    normal = torch.tensor([-np.sin(lean), 0.0, -np.cos(lean)], dtype=torch.float32)
-    xyz = u[:, None] * along + v[:, None] * torch.tensor([0.0, 1.0, 0.0]) + torch.tensor([0.0, 0.0, z_m])
+    along = torch.tensor(
+        [np.cos(lean), 0.0, -np.sin(lean)],
+        dtype=torch.float32,
+    )
+    normal = torch.tensor(
+        [-np.sin(lean), 0.0, -np.cos(lean)],
+        dtype=torch.float32,
+    )
+    xyz = (
+        u[:, None] * along
+        + v[:, None] * torch.tensor([0.0, 1.0, 0.0])
+        + torch.tensor([0.0, 0.0, z_m])
+    )
     n = len(u)
     checks = 0.82 + 0.18 * ((u / spacing_m).round() + (v / spacing_m).round()).remainder(2)
     colour = checks[:, None] * torch.tensor(rgb)
     up = torch.tensor([0.0, 0.0, 1.0]).expand(n, 3)
     sigma = spacing_m / 1.5
     return GaussianParams(
-        xyz_W=xyz, log_scale=torch.tensor([sigma, sigma, 0.1 * sigma]).log().expand(n, 3).clone(),
+        xyz_W=xyz,
+        log_scale=torch.tensor([sigma, sigma, 0.1 * sigma]).log().expand(n, 3).clone(),
         quat=quaternion.shortest_arc(up, normal.expand(n, 3)),
-        opacity_logit=torch.full((n,), float(torch.logit(torch.tensor(OPAQUE)))), sh=rgb_to_sh_dc(colour)[:, None],
-    )  # fmt: skip
+        opacity_logit=torch.full((n,), float(torch.logit(torch.tensor(OPAQUE)))),
+        sh=rgb_to_sh_dc(colour)[:, None],
+    )
 
 
-def _planes(camera: Camera, lean: float, gap_m: float) -> tuple[Float[Tensor, "H W"], ...]:
+def _planes(
+    camera: Camera,
+    lean: float,
+    gap_m: float,
+) -> tuple[Float[Tensor, "H W"], ...]:
     """z-depth of the board's plane, x tan(lean) + z = z0, and of the wall's along the rays."""
     x = ((torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx).expand(camera.height, -1)
     board = (NEAR_M / (1 + x * float(np.tan(lean)))).contiguous()
     return (board, torch.full_like(board, NEAR_M + gap_m)) if gap_m > 0 else (board,)
 
 
-def _truth(camera: Camera, lean: float, planes: tuple[Float[Tensor, "H W"], ...]) -> Float[Tensor, "H W"]:
-    """z-depth of the boards: the front one is between x = -0.7 cos(lean) and 0 if there is a wall."""
+def _truth(
+    camera: Camera, lean: float, planes: tuple[Float[Tensor, "H W"], ...]
+) -> Float[Tensor, "H W"]:
+    """z-depth of the boards: the front one is between x = -0.7 cos(lean) and 0 if there is a
+    wall."""
     board, wall = planes[0], planes[-1]
     x_m = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx * board
     on_board = (board > 0) & (x_m <= 0) & (x_m >= -_HALF_M * float(np.cos(lean)))
@@ -189,15 +305,22 @@ def _truth(camera: Camera, lean: float, planes: tuple[Float[Tensor, "H W"], ...]
 
 
 def masks_by_cause(
-    view: SurfaceView, frame: Frame, min_transmittance: float, depth_error_m: float, colour_error: float
+    view: SurfaceView,
+    frame: Frame,
+    min_transmittance: float,
+    depth_error_m: float,
+    colour_error: float,
 ) -> dict[int, Tensor]:
-    """The pixels where Gaussians are added, by cause (RTG-SLAM Eq. 6), keys as in ``CAUSES``; no pixel is in two.
+    """The pixels where Gaussians are added, by cause (RTG-SLAM Eq. 6), keys as in ``CAUSES``; no
+    pixel is in two.
 
     A pixel without a disc has no depth error, as in the library's default.
     """
     seen_m = torch.where(view.depth_m > 0, view.depth_m, frame.depth_m)
     limits = (min_transmittance, depth_error_m, colour_error)
-    surface, colour = adding_masks(view.transmittance, seen_m, frame.depth_m, view.rgb, frame.rgb, *limits)
+    surface, colour = adding_masks(
+        view.transmittance, seen_m, frame.depth_m, view.rgb, frame.rgb, *limits
+    )
     unseen = view.transmittance > min_transmittance
     return {1: surface & unseen, 2: surface & ~unseen, 3: colour}
 
@@ -214,7 +337,11 @@ def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
 
     def draw(*, min_transmittance: float, depth_error_m: float, colour_error: float) -> Drawn:
         masks = masks_by_cause(view, frame, min_transmittance, depth_error_m, colour_error)
-        picture = np.repeat(0.25 * 255 + 0.5 * photo.mean(-1, keepdims=True), 3, axis=-1)
+        picture = np.repeat(
+            0.25 * 255 + 0.5 * photo.mean(-1, keepdims=True),
+            3,
+            axis=-1,
+        )
         count, rows = Markup('<span class="gsnb-adding-{}">{:,} pixels</span>'), []
         for cause, mask in masks.items():
             share = f"{float(mask.float().mean()):.1%}"
@@ -228,20 +355,44 @@ def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
         return np.concatenate([top, low]), html_table(rows)
 
     controls = {
-        "min_transmittance": Slider(value=0.5, low=0.05, high=0.95, step=0.05, label="δ_T"),
-        "depth_error_m": Slider(value=0.1, low=0.01, high=0.3, step=0.01, label="δ_d, m"),
-        "colour_error": Slider(value=0.1, low=0.01, high=0.3, step=0.01, label="δ_c"),
+        "min_transmittance": Slider(
+            value=0.5,
+            low=0.05,
+            high=0.95,
+            step=0.05,
+            label="δ_T",
+        ),
+        "depth_error_m": Slider(
+            value=0.1,
+            low=0.01,
+            high=0.3,
+            step=0.01,
+            label="δ_d, m",
+        ),
+        "colour_error": Slider(
+            value=0.1,
+            low=0.01,
+            high=0.3,
+            step=0.01,
+            label="δ_c",
+        ),
     }
     return Panel(draw, controls, name="adding", text="the masks of Eq. 6")
 
 
 def surface_panel(
-    pictures: Mapping[str, tuple[AnyImage, AnyImage]], photo: AnyImage, *, label: str = "voxels", scale: int = 2
+    pictures: Mapping[str, tuple[AnyImage, AnyImage]],
+    photo: AnyImage,
+    *,
+    label: str = "voxels",
+    scale: int = 2,
 ) -> Panel:
-    """A choice of maps; of each, the surface, what the Gaussians add (grey: nothing), the sum, and its error.
+    """A choice of maps; of each, the surface, what the Gaussians add (grey: nothing), the sum, and
+    its error.
 
     Args:
-        pictures: Name of the map -> its surface and its whole picture, of the size of ``photo``. At least one.
+        pictures: Name of the map -> its surface and its whole picture, of the size of ``photo``. At
+            least one.
         photo: The photograph that all of them should look like.
         label: What the names are.
         scale: Screen pixels for each pixel.
@@ -251,9 +402,16 @@ def surface_panel(
     def draw(choice: str) -> Drawn:
         surface, whole = (to_uint8(x) for x in pictures[choice])
         added = ((whole.astype(int) - surface) + 128).clip(0, 255).astype("uint8")
-        parts = [part.repeat(scale, 0).repeat(scale, 1) for part in (surface, added, whole, error_map(whole, photo))]
-        words = f"{label} {choice}: the surface alone, what the Gaussians add, the sum, and its error"
-        return side_by_side(parts, ["surface", "added by Gaussians", "sum", "|sum - photograph|"]), words
+        parts = [
+            part.repeat(scale, 0).repeat(scale, 1)
+            for part in (surface, added, whole, error_map(whole, photo))
+        ]
+        words = (
+            f"{label} {choice}: the surface alone, what the Gaussians add, the sum, and its error"
+        )
+        return side_by_side(
+            parts, ["surface", "added by Gaussians", "sum", "|sum - photograph|"]
+        ), words
 
     controls = {"choice": Choice(value=names[-1], options=names, label=label)}
     return Panel(draw, controls, name="surface", text="Surface, corrections and sum")

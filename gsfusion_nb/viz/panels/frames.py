@@ -33,10 +33,11 @@ def point_view(
     colours: Picture | None = None,
     point_px: int = 1,
 ) -> Picture:
-    """The frame's pixels, lifted to points (GSFusion Eq. 10) and projected (Eq. 4) into a camera at ``T_WC``.
+    """The frame's pixels, lifted to points (GSFusion Eq. 10) and projected (Eq. 4) into a camera at
+    ``T_WC``.
 
-    A pixel shows the nearest point. It is black if there is none, because the frame never saw that place, or because
-    the new camera is closer and the points are far apart.
+    A pixel shows the nearest point. It is black if there is none, because the frame never saw that
+    place, or because the new camera is closer and the points are far apart.
 
     Args:
         frame: Where the points come from.
@@ -58,7 +59,9 @@ def point_view(
     for dx in range(point_px):
         for dy in range(point_px):
             i, j = corner[:, 0] + dx, corner[:, 1] + dy
-            inside = ((i >= 0) & (i < target.width) & (j >= 0) & (j < target.height)).nonzero()[:, 0]
+            inside = ((i >= 0) & (i < target.width) & (j >= 0) & (j < target.height)).nonzero()[
+                :, 0
+            ]
             at = j[inside].long() * target.width + i[inside].long()
             nearest.scatter_reduce_(0, at, z[inside], "amin")
             first = z[inside] <= nearest[at]
@@ -67,13 +70,15 @@ def point_view(
 
 
 def normal_colours(normal: Float[Tensor, "H W 3"]) -> Picture:
-    """Unit normals as colour: x, y, z from -1..1 to red, green, blue 0..1; black where the normal is zero."""
+    """Unit normals as colour: x, y, z from -1..1 to red, green, blue 0..1; black where the normal
+    is zero."""
     known = normal.norm(dim=-1, keepdim=True) > 0.5
     return to_uint8((0.5 + 0.5 * normal) * known)
 
 
 def point_colours(frame: Frame, show: str) -> Picture:
-    """The colours that ``point_view`` gives to the frame's pixels; ``show`` is one of ``POINT_COLOURS``."""
+    """The colours that ``point_view`` gives to the frame's pixels; ``show`` is one of
+    ``POINT_COLOURS``."""
     if show == "colour":
         return to_uint8(frame.colour)
     if show == "depth":
@@ -82,9 +87,13 @@ def point_colours(frame: Frame, show: str) -> Picture:
 
 
 def displaced_pose(
-    T_WC: Float[Tensor, "4 4"], sideways_m: float | int, turn_deg: float | int, forward_m: float | int = 0.0
+    T_WC: Float[Tensor, "4 4"],
+    sideways_m: float | int,
+    turn_deg: float | int,
+    forward_m: float | int = 0.0,
 ) -> Float[Tensor, "4 4"]:
-    """The pose after a step along the camera's own axes, then a turn about its vertical axis, float64.
+    """The pose after a step along the camera's own axes, then a turn about its vertical axis,
+    float64.
 
     Args:
         T_WC: Where it starts.
@@ -92,7 +101,10 @@ def displaced_pose(
         turn_deg: To the right, degrees.
         forward_m: Along the viewing direction, metres.
     """
-    turn = torch.tensor([0.0, 0.0, 0.0, 0.0, math.radians(turn_deg), 0.0], dtype=torch.float64)
+    turn = torch.tensor(
+        [0.0, 0.0, 0.0, 0.0, math.radians(turn_deg), 0.0],
+        dtype=torch.float64,
+    )
     step = torch.eye(4, dtype=torch.float64)
     step[0, 3] = float(sideways_m)
     step[2, 3] = float(forward_m)
@@ -102,8 +114,8 @@ def displaced_pose(
 def point_panel(frame: Frame) -> Panel:
     """A pixel of ``frame`` as numbers, and a camera that moves away from where the frame was taken.
 
-    Click a pixel of the frame at the left: its depth, its point, and where that point is in the other view. Drag the
-    view at the right to turn the camera. Or use the sliders.
+    Click a pixel of the frame at the left: its depth, its point, and where that point is in the
+    other view. Drag the view at the right to turn the camera. Or use the sliders.
     """
     near_m, far_m = depth_range_m(frame.depth_m)
     colours = functools.cache(lambda show: point_colours(frame, show))
@@ -112,16 +124,30 @@ def point_panel(frame: Frame) -> Panel:
         "normals": "<br>x, y, z of the normal in the camera frame as red, green, blue",
     }
 
-    def draw(*, u: int, v: int, right_m: float, forward_m: float, turn_deg: float, show: str, point_px: int) -> Drawn:
+    def draw(
+        *,
+        u: int,
+        v: int,
+        right_m: float,
+        forward_m: float,
+        turn_deg: float,
+        show: str,
+        point_px: int,
+    ) -> Drawn:
         T_WC = displaced_pose(frame.T_WC, right_m, turn_deg, forward_m).float()
         picture = point_view(frame, T_WC, colours=colours(show), point_px=point_px)
         empty = 1 - float(((picture[..., 0] | picture[..., 1] | picture[..., 2]) > 0).mean())
         place, about = pixel_story(frame, T_WC, u, v)
         left = draw_cross(colours(show), (u + 0.5, v + 0.5))
         right = picture if place is None else draw_cross(picture, place)
-        pair = side_by_side([left, right], ["the frame: click a pixel", "its points from the new pose: drag"])
+        pair = side_by_side(
+            [left, right], ["the frame: click a pixel", "its points from the new pose: drag"]
+        )
         x, y, z = T_WC[:3, 3].tolist()
-        words = f"{about}<br>camera at ({x:.2f}, {y:.2f}, {z:.2f}) m; no point on {empty:.0%} of the pixels"
+        words = (
+            f"{about}<br>camera at ({x:.2f}, {y:.2f}, {z:.2f}) m; no point on {empty:.0%} of "
+            "the pixels"
+        )
         return pair, words + legend.get(show, "")
 
     def touch(stroke: Stroke, values: dict[str, Any]) -> dict[str, Number]:
@@ -132,18 +158,43 @@ def point_panel(frame: Frame) -> Panel:
 
     controls = {
         **pixel_sliders(frame.camera),
-        "right_m": Slider(value=0.0, low=-1.0, high=1.0, step=0.02, label="right, m"),
-        "forward_m": Slider(value=0.0, low=-1.0, high=1.0, step=0.02, label="forward, m"),
-        "turn_deg": Slider(value=0.0, low=-90, high=90, step=1.0, label="turn right, °", readout=".0f"),
+        "right_m": Slider(
+            value=0.0,
+            low=-1.0,
+            high=1.0,
+            step=0.02,
+            label="right, m",
+        ),
+        "forward_m": Slider(
+            value=0.0,
+            low=-1.0,
+            high=1.0,
+            step=0.02,
+            label="forward, m",
+        ),
+        "turn_deg": Slider(
+            value=0.0, low=-90, high=90, step=1.0, label="turn right, °", readout=".0f"
+        ),
         "show": Choice(value="colour", options=POINT_COLOURS, label="show"),
-        "point_px": Slider(value=1, low=1, high=4, step=1, label="point size, px"),
+        "point_px": Slider(
+            value=1,
+            low=1,
+            high=4,
+            step=1,
+            label="point size, px",
+        ),
     }
-    return Panel(draw, controls, name="points", text="A frame and its points from another pose", touch=touch)
+    return Panel(
+        draw, controls, name="points", text="A frame and its points from another pose", touch=touch
+    )
 
 
-def pixel_story(frame: Frame, T_new: Float[Tensor, "4 4"], u: int, v: int) -> tuple[tuple[float, float] | None, str]:
-    """A pixel's depth, its point in the frame of the camera (GSFusion Eq. 10) and of the world, and where another
-    camera at ``T_new`` sees that point (Eq. 4); ``None`` where it does not. The text is HTML."""
+def pixel_story(
+    frame: Frame, T_new: Float[Tensor, "4 4"], u: int, v: int
+) -> tuple[tuple[float, float] | None, str]:
+    """A pixel's depth, its point in the frame of the camera (GSFusion Eq. 10) and of the world, and
+    where another camera at ``T_new`` sees that point (Eq. 4); ``None`` where it does not. The text
+    is HTML."""
     depth_m = float(frame.depth_m[v, u])
     head = f"pixel ({u}, {v}), centre ({u + 0.5:g}, {v + 0.5:g}): "
     if depth_m <= 0:
@@ -153,13 +204,17 @@ def pixel_story(frame: Frame, T_new: Float[Tensor, "4 4"], u: int, v: int) -> tu
     xyz_W = se3.apply(frame.T_WC, xyz_C)
     seen = se3.apply(se3.inverse(T_new), xyz_W)
     c, w = (", ".join(f"{x:.3f}" for x in p[0].tolist()) for p in (xyz_C, xyz_W))
-    words = f"{head}z = <b>{depth_m:.3f} m</b><br>x<sub>C</sub> = ({c}) m, x<sub>W</sub> = ({w}) m<br>"
+    words = (
+        f"{head}z = <b>{depth_m:.3f} m</b><br>x<sub>C</sub> = ({c}) m, x<sub>W</sub> = ({w}) m<br>"
+    )
     if float(seen[0, 2]) <= 0:
         return None, words + "behind the moved camera"
     place = project(frame.camera, seen)[0].tolist()
     inside = 0 <= place[0] < frame.camera.width and 0 <= place[1] < frame.camera.height
     at = f"in the moved camera at ({place[0]:.1f}, {place[1]:.1f}), z = {float(seen[0, 2]):.3f} m"
-    return (place[0], place[1]) if inside else None, words + (at if inside else at + ": outside its picture")
+    return (place[0], place[1]) if inside else None, words + (
+        at if inside else at + ": outside its picture"
+    )
 
 
 _HEIGHT_PX = 270
@@ -168,8 +223,9 @@ _HEIGHT_PX = 270
 def repair_panel(sequence: Sequence, first: int, second: int) -> Panel:
     """Sliders for depth scale, time of the poses, focal length and position of the colour image.
 
-    Left: the depth of frame ``first``, moved into frame ``second`` with the poses, minus the depth there (dark: equal,
-    light yellow: 10 cm and more). Right: frame ``second`` with the depth image's edges in green.
+    Left: the depth of frame ``first``, moved into frame ``second`` with the poses, minus the depth
+    there (dark: equal, light yellow: 10 cm and more). Right: frame ``second`` with the depth
+    image's edges in green.
 
     Args:
         sequence: The recording as it is read.
@@ -183,24 +239,55 @@ def repair_panel(sequence: Sequence, first: int, second: int) -> Panel:
             raise IndexError(f"{name} must be 0..{len(sequence) - 1}, got {at}")
     camera = sequence.camera
 
-    def draw(*, depth_factor: Number, pose_shift: Number, focal: Number, right_px: Number, down_px: Number) -> Drawn:
+    def draw(
+        *,
+        depth_factor: Number,
+        pose_shift: Number,
+        focal: Number,
+        right_px: Number,
+        down_px: Number,
+    ) -> Drawn:
         repair = RepairConfig(
-            depth_factor=float(depth_factor), pose_shift_frames=float(pose_shift), fx=float(focal * camera.fx),
-            fy=float(focal * camera.fy), rgb_shift_x_px=float(right_px), rgb_shift_y_px=float(down_px),
-        )  # fmt: skip
+            depth_factor=float(depth_factor),
+            pose_shift_frames=float(pose_shift),
+            fx=float(focal * camera.fx),
+            fy=float(focal * camera.fy),
+            rgb_shift_x_px=float(right_px),
+            rgb_shift_y_px=float(down_px),
+        )
         mended = repaired(sequence, repair)
         a, b = mended[first], mended[second]
         found = depth_agreement(a, b, step=2)
-        parts = [resize_to_height(np.asarray(p), _HEIGHT_PX) for p in (depth_error(a, b), edge_overlay(b))]
-        labels = [f"frame {first} in frame {second}: error of depth", f"frame {second}: edges of depth on colour"]
+        parts = [
+            resize_to_height(np.asarray(p), _HEIGHT_PX)
+            for p in (depth_error(a, b), edge_overlay(b))
+        ]
+        labels = [
+            f"frame {first} in frame {second}: error of depth",
+            f"frame {second}: edges of depth on colour",
+        ]
         words = f"<b>{found.agreeing:.0%}</b> of the points agree within 3 %; median difference "
         return side_by_side(parts, labels), f"{words}{100 * found.median_m:.1f} cm"
 
     controls = {
-        "depth_factor": Slider(value=1.0, low=0.1, high=10.0, step=0.005, label="depth ×", log=True),
-        "pose_shift": Slider(value=0.0, low=-3, high=3, step=0.1, label="poses later, frames", readout=".1f"),
-        "focal": Slider(value=1.0, low=0.8, high=1.2, step=0.01, label="focal length ×"),
-        "right_px": Slider(value=0.0, low=-10, high=10, step=0.5, label="colour right, px", readout=".1f"),
-        "down_px": Slider(value=0.0, low=-10, high=10, step=0.5, label="colour down, px", readout=".1f"),
+        "depth_factor": Slider(
+            value=1.0, low=0.1, high=10.0, step=0.005, label="depth ×", log=True
+        ),
+        "pose_shift": Slider(
+            value=0.0, low=-3, high=3, step=0.1, label="poses later, frames", readout=".1f"
+        ),
+        "focal": Slider(
+            value=1.0,
+            low=0.8,
+            high=1.2,
+            step=0.01,
+            label="focal length ×",
+        ),
+        "right_px": Slider(
+            value=0.0, low=-10, high=10, step=0.5, label="colour right, px", readout=".1f"
+        ),
+        "down_px": Slider(
+            value=0.0, low=-10, high=10, step=0.5, label="colour down, px", readout=".1f"
+        ),
     }
     return Panel(draw, controls, name="repair", text="A recording, repaired by hand")

@@ -1,6 +1,8 @@
-"""Click a pixel to see its gradient for each Gaussian; click a Gaussian to see its gradient from each pixel.
+"""Click a pixel to see its gradient for each Gaussian; click a Gaussian to see its gradient from
+each pixel.
 
-The terms of the renderer's gradient, with v_C = dL/dC at a pixel (``render.composite`` has the derivation):
+The terms of the renderer's gradient, with v_C = dL/dC at a pixel (``render.composite`` has the
+derivation):
 
     dL/dc_k     = w_k v_C
     dL/dalpha_k = T_k (c_k . v_C) - S_k / (1 - alpha_k),   S_k = sum_{j>k} w_j (c_j . v_C)
@@ -37,7 +39,9 @@ def gradient_terms(
     splats: Splats, blend: Blend, v_colour: Float[Tensor, "P 3"]
 ) -> tuple[Float[Tensor, "P K"], Float[Tensor, "P K 2"]]:
     """dL/dalpha_k and dL/d(u_k, v_k) of every Gaussian from every pixel, not summed."""
-    rgb, v_C = (pad(colour, (0, 2)) for colour in (splats.rgb[blend.row], v_colour))  # neither depth nor opacity
+    rgb, v_C = (
+        pad(colour, (0, 2)) for colour in (splats.rgb[blend.row], v_colour)
+    )  # neither depth nor opacity
     v_alpha = blend_vjp(blend.alpha.T, rgb, v_C)[0].T
     A, B, C = splats.projection.conic[blend.row].unbind(-1)
     dx, dy = blend.offset_px.unbind(-1)
@@ -56,21 +60,32 @@ class PixelGradient:
     v_uv: Float[Tensor, "K 2"]
 
 
-def pixel_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], u: int, v: int) -> PixelGradient:
+def pixel_gradient(
+    splats: Splats,
+    v_rgb: Float[Tensor, "H W 3"],
+    u: int,
+    v: int,
+) -> PixelGradient:
     """The gradient from pixel (column ``u``, row ``v``) for each Gaussian that made it.
 
     Args:
         splats: The Gaussians on the screen.
         v_rgb: dL/d of the rendered image.
     """
-    blend = stacks.blend_at(splats, splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]]))
+    blend = stacks.blend_at(
+        splats,
+        splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]]),
+    )
     stack = stacks.pixel_stack(splats, u, v, blend)
     v_C = v_rgb[v, u].to(stack.rgb)
     v_alpha, v_uv = gradient_terms(splats, blend, v_C[None])
     return PixelGradient(
-        stack=stack, v_rgb=stack.weight[:, None] * v_C, v_alpha=v_alpha[0],
-        v_opacity=v_alpha[0] * stack.alpha / splats.projection.opacity[stack.row], v_uv=v_uv[0],
-    )  # fmt: skip
+        stack=stack,
+        v_rgb=stack.weight[:, None] * v_C,
+        v_alpha=v_alpha[0],
+        v_opacity=v_alpha[0] * stack.alpha / splats.projection.opacity[stack.row],
+        v_uv=v_uv[0],
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,11 +122,29 @@ def gaussian_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], row: int) -
     last = (high - 0.5).floor().minimum(size - 1)
     if not bool(p.visible[row]) or bool((last < first).any()):
         raise ValueError(f"Gaussian {row} is not in the picture")
-    crossing = (p.visible & ((p.uv - p.extent_px) < high).all(1) & ((p.uv + p.extent_px) > low).all(1)).sum()
+    crossing = (
+        p.visible & ((p.uv - p.extent_px) < high).all(1) & ((p.uv + p.extent_px) > low).all(1)
+    ).sum()
     n_pixels = float((last - first + 1).prod())
     stride = max(1, round((n_pixels * float(crossing) / FIELD_WORK) ** 0.5))
-    x = torch.arange(int(first[0]), int(last[0]) + 1, stride, device=low.device) + 0.5
-    y = torch.arange(int(first[1]), int(last[1]) + 1, stride, device=low.device) + 0.5
+    x = (
+        torch.arange(
+            int(first[0]),
+            int(last[0]) + 1,
+            stride,
+            device=low.device,
+        )
+        + 0.5
+    )
+    y = (
+        torch.arange(
+            int(first[1]),
+            int(last[1]) + 1,
+            stride,
+            device=low.device,
+        )
+        + 0.5
+    )
     v, u = torch.meshgrid(y, x, indexing="ij")
     uv = torch.stack([u, v], -1).to(p.uv)
     blend = stacks.blend_at(splats, uv.view(-1, 2))
@@ -120,9 +153,13 @@ def gaussian_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], row: int) -
     mine = (blend.row == row).to(p.uv)  # all zero if no pixel of the grid sees it
     shape = uv.shape[:2]
     return GaussianGradient(
-        row=row, uv=uv, stride=stride, weight=(blend.weight @ mine).view(shape), v_alpha=(v_alpha @ mine).view(shape),
+        row=row,
+        uv=uv,
+        stride=stride,
+        weight=(blend.weight @ mine).view(shape),
+        v_alpha=(v_alpha @ mine).view(shape),
         v_uv=torch.einsum("pkc,k->pc", v_uv, mine).view(*shape, 2),
-    )  # fmt: skip
+    )
 
 
 def pixel_gradient_table(gradient: PixelGradient, unit: float | int) -> str:
@@ -130,17 +167,40 @@ def pixel_gradient_table(gradient: PixelGradient, unit: float | int) -> str:
 
     Args:
         gradient: From ``pixel_gradient``.
-        unit: Numbers are divided by this: 1 / (number of values) turns an L1 gradient into +1 and -1.
+        unit: Numbers are divided by this: 1 / (number of values) turns an L1 gradient into +1 and
+            -1.
     """
     s = gradient.stack
-    heads = ("k", "row", "w", "dL/dα", "descent makes it", "dL/do", "dL/du", "dL/dv", "c now", "dL/dr, dL/dg, dL/db")
+    heads = (
+        "k",
+        "row",
+        "w",
+        "dL/dα",
+        "descent makes it",
+        "dL/do",
+        "dL/du",
+        "dL/dv",
+        "c now",
+        "dL/dr, dL/dg, dL/db",
+    )
     lines = []
     for k in s.weight.argsort(descending=True)[: stacks.TABLE_ROWS].sort().values.tolist():
-        a, o, u, v = (float(x) / unit for x in (gradient.v_alpha[k], gradient.v_opacity[k], *gradient.v_uv[k]))
+        a, o, u, v = (
+            float(x) / unit for x in (gradient.v_alpha[k], gradient.v_opacity[k], *gradient.v_uv[k])
+        )
         wish = "no change" if abs(a) < 1e-9 else ("more opaque" if a < 0 else "less opaque")
         rgb = " ".join(f"{x:+.3f}" for x in (gradient.v_rgb[k] / unit).tolist())
         numbers = (f"{a:+.3f}", wish, f"{o:+.3f}", f"{u:+.3f}", f"{v:+.3f}")
-        lines.append((str(k), str(int(s.row[k])), f"{float(s.weight[k]):.3f}", *numbers, stacks.swatch(s.rgb[k]), rgb))
+        lines.append(
+            (
+                str(k),
+                str(int(s.row[k])),
+                f"{float(s.weight[k]):.3f}",
+                *numbers,
+                stacks.swatch(s.rgb[k]),
+                rgb,
+            )
+        )
     return stacks.numbers_table(heads, lines, n=len(s))
 
 
@@ -149,17 +209,28 @@ MORE, LESS = "#1a7f37", "#c62828"
 _SHOWN = 8
 
 
-def pixel_gradient_picture(image: AnyImage, splats: Splats, gradient: PixelGradient, *, size: int = 300) -> Picture:
-    """The Gaussians with the largest weights at a pixel, ellipses green (descent makes them more opaque) or red (less).
+def pixel_gradient_picture(
+    image: AnyImage, splats: Splats, gradient: PixelGradient, *, size: int = 300
+) -> Picture:
+    """The Gaussians with the largest weights at a pixel, ellipses green (descent makes them more
+    opaque) or red (less).
 
-    An arrow points along -(dL/du, dL/dv), where descent moves the centre; the longest has a fixed length.
+    An arrow points along -(dL/du, dL/dv), where descent moves the centre; the longest has a fixed
+    length.
     """
     s = gradient.stack
     top = s.weight.argsort(descending=True)[:_SHOWN]
     uv = splats.projection.uv[s.row[top]].double().numpy()
     far = np.abs(uv - (s.u + 0.5, s.v + 0.5)).max(initial=0.0)
-    figure, axes = stacks.lens_figure(image, (s.u, s.v), int(min(max(far * 1.15 + 2, 6), 40)), size)
-    inks = [stacks.INK if x == 0 else MORE if x < 0 else LESS for x in gradient.v_alpha[top].tolist()]
+    figure, axes = stacks.lens_figure(
+        image,
+        (s.u, s.v),
+        int(min(max(far * 1.15 + 2, 6), 40)),
+        size,
+    )
+    inks = [
+        stacks.INK if x == 0 else MORE if x < 0 else LESS for x in gradient.v_alpha[top].tolist()
+    ]
     stacks.draw_ellipses(axes, splats, s.row[top], inks)
     _arrows(axes, uv, -gradient.v_uv[top].double().numpy(), 0.16)
     return figure_picture(figure)
@@ -168,19 +239,34 @@ def pixel_gradient_picture(image: AnyImage, splats: Splats, gradient: PixelGradi
 def gaussian_gradient_picture(
     image: AnyImage, splats: Splats, gradient: GaussianGradient, *, size: int = 300
 ) -> Picture:
-    """The pixels under a Gaussian: green where descent makes it more opaque, red where less; arrows where it moves it.
+    """The pixels under a Gaussian: green where descent makes it more opaque, red where less; arrows
+    where it moves it.
 
-    Small arrows are -(dL/du, dL/dv) of single pixels, averaged over a grid of at most 11 x 11; the thick one is their
-    sum, not to the same scale.
+    Small arrows are -(dL/du, dL/dv) of single pixels, averaged over a grid of at most 11 x 11; the
+    thick one is their sum, not to the same scale.
     """
     centre = splats.projection.uv[gradient.row].double().numpy()
     uv, push = gradient.uv.double().numpy(), -gradient.v_uv.double().numpy()
-    reach = min(max(float(np.abs(uv - centre).max(initial=4.0)) + 2, 5), 60)
+    reach = min(
+        max(float(np.abs(uv - centre).max(initial=4.0)) + 2, 5),
+        60,
+    )
     grey = to_uint8(image).mean(2, keepdims=True) * 0.5 + 110
     window = (centre[0] - reach, centre[0] + reach, centre[1] - reach, centre[1] + reach)
-    figure, axes = image_figure(grey.repeat(3, 2).clip(0, 255).astype(np.uint8), (size, size), window)
+    figure, axes = image_figure(
+        grey.repeat(3, 2).clip(0, 255).astype(np.uint8),
+        (size, size),
+        window,
+    )
     strength = (gradient.v_alpha / gradient.v_alpha.abs().max().clamp_min(1e-30)).numpy()
-    colour = np.where(strength[..., None] < 0, rgb_of(MORE), rgb_of(LESS)) / 255
+    colour = (
+        np.where(
+            strength[..., None] < 0,
+            rgb_of(MORE),
+            rgb_of(LESS),
+        )
+        / 255
+    )
     half = gradient.stride / 2
     extent = (uv[0, 0, 0] - half, uv[-1, -1, 0] + half, uv[-1, -1, 1] + half, uv[0, 0, 1] - half)
     shade = np.concatenate([colour, 0.85 * np.abs(strength)[..., None] ** 0.5], 2)
@@ -188,18 +274,49 @@ def gaussian_gradient_picture(
     axes.set(xlim=window[:2], ylim=window[:1:-1])
     stacks.draw_ellipses(axes, splats, torch.tensor([gradient.row]), "white")
     step = -(-max(uv.shape[:2]) // 11)
-    blocks = [np.s_[y : y + step, x : x + step] for y in range(0, len(uv), step) for x in range(0, uv.shape[1], step)]
+    blocks = [
+        np.s_[y : y + step, x : x + step]
+        for y in range(0, len(uv), step)
+        for x in range(0, uv.shape[1], step)
+    ]
     starts, pushes = (np.array([a[block].mean((0, 1)) for block in blocks]) for a in (uv, push))
     _arrows(axes, starts, pushes, 0.075, width=0.006)
-    _arrows(axes, centre[None], push.sum((0, 1))[None], 0.2, color="#283cc8", width=0.016)
+    _arrows(
+        axes,
+        centre[None],
+        push.sum((0, 1))[None],
+        0.2,
+        color="#283cc8",
+        width=0.016,
+    )
     return figure_picture(figure)
 
 
-def _arrows(axes: "Axes", start: np.ndarray, push: np.ndarray, longest: float, **how: Any) -> None:
+def _arrows(
+    axes: "Axes",
+    start: np.ndarray,
+    push: np.ndarray,
+    longest: float,
+    **how: Any,
+) -> None:
     """Arrows in the image; the longest has this share of the picture's width."""
-    scale = max(float(np.linalg.norm(push, axis=1).max(initial=0.0)), 1e-30) / longest
+    scale = (
+        max(
+            float(np.linalg.norm(push, axis=1).max(initial=0.0)),
+            1e-30,
+        )
+        / longest
+    )
     looks = {"color": stacks.INK, "width": 0.009, "edgecolor": "white", "linewidth": 0.6, **how}
-    axes.quiver(*start.T, *push.T, angles="xy", scale_units="width", scale=scale, zorder=4, **looks)
+    axes.quiver(
+        *start.T,
+        *push.T,
+        angles="xy",
+        scale_units="width",
+        scale=scale,
+        zorder=4,
+        **looks,
+    )
 
 
 PICKS = ("pixel", "Gaussian")
@@ -211,9 +328,10 @@ PICTURE_PX = 222
 class GradientMicroscope(Panel):
     """The gradient of L1 of one image, split into the terms of single pixels and Gaussians.
 
-    Click the rendered picture. With "pixel", every Gaussian of the pixel's stack shows its dL/dalpha and an arrow
-    along -dL/d(u, v). With "Gaussian", the one with the largest weight there shows the term of each pixel and their
-    sum, which is the renderer's gradient. From Python: ``set(u=u, v=v, pick="Gaussian")``.
+    Click the rendered picture. With "pixel", every Gaussian of the pixel's stack shows its
+    dL/dalpha and an arrow along -dL/d(u, v). With "Gaussian", the one with the largest weight there
+    shows the term of each pixel and their sum, which is the renderer's gradient. From Python:
+    ``set(u=u, v=v, pick="Gaussian")``.
 
     Args:
         params, camera, T_WC: The map, and the camera and pose that it is seen from.
@@ -234,14 +352,18 @@ class GradientMicroscope(Panel):
         self._read(params, camera, T_WC)
         pick = Choice(value=PICKS[0], options=PICKS, label="a click picks")
         super().__init__(
-            self._draw, {"pick": pick, **pixel_sliders(camera, pixel)}, name="gradient", kind="png",
+            self._draw,
+            {"pick": pick, **pixel_sliders(camera, pixel)},
+            name="gradient",
+            kind="png",
             text="A rendered map, its photograph, and the direction of descent",
             touch=lambda stroke, _: touched_pixel(stroke, camera, PICTURE_PX / camera.height),
-        )  # fmt: skip
+        )
 
     @property
     def row(self) -> int | None:
-        """The Gaussian with the largest weight at the chosen pixel, ``None`` where there is none."""
+        """The Gaussian with the largest weight at the chosen pixel, ``None`` where there is
+        none."""
         stack = self.of_pixel.stack
         return int(stack.row[stack.weight.argmax()]) if len(stack) else None
 
@@ -258,11 +380,18 @@ class GradientMicroscope(Panel):
             lens = gaussian_gradient_picture(self.rendered, self.splats, field, size=PICTURE_PX)
             table = self._gaussian_table(field.row, 1 / n)
         else:
-            lens = pixel_gradient_picture(self.rendered, self.splats, self.of_pixel, size=PICTURE_PX)
+            lens = pixel_gradient_picture(
+                self.rendered, self.splats, self.of_pixel, size=PICTURE_PX
+            )
             table = pixel_gradient_table(self.of_pixel, 1 / n)
-        pair = [stacks.with_cross(self.rendered, u, v, PICTURE_PX), stacks.resize_to_height(self.target, PICTURE_PX)]
+        pair = [
+            stacks.with_cross(self.rendered, u, v, PICTURE_PX),
+            stacks.resize_to_height(self.target, PICTURE_PX),
+        ]
         unit = f"numbers are multiples of 1/{n:,}: L1 gives ±1 per pixel and channel"
-        return side_by_side([*pair, lens], ["rendered: click", "target", "descent"]), f"pixel ({u}, {v}); {unit}{table}"
+        return side_by_side(
+            [*pair, lens], ["rendered: click", "target", "descent"]
+        ), f"pixel ({u}, {v}); {unit}{table}"
 
     def _read(self, params: GaussianParams, camera: Camera, T_WC: Tensor) -> None:
         """Render, and compute the gradient with respect to the projected Gaussians."""
@@ -270,7 +399,16 @@ class GradientMicroscope(Panel):
             self.splats = stacks.project_splats(params, camera, T_WC)
             p = self.splats.projection
             tiles = tile_intersections(p, camera)
-            out = composite(p.uv, p.conic, p.opacity, self.splats.rgb, p.depth_m, tiles, camera, with_indices=False)
+            out = composite(
+                p.uv,
+                p.conic,
+                p.opacity,
+                self.splats.rgb,
+                p.depth_m,
+                tiles,
+                camera,
+                with_indices=False,
+            )
             self.v_rgb = l1_vjp(out.rgb, self.target)
             self.rendered = to_uint8(out.rgb)
             self.total = composite_vjp(out.saved, self.v_rgb)
@@ -279,4 +417,6 @@ class GradientMicroscope(Panel):
         g = self.total
         numbers = [*g.uv[row].tolist(), float(g.opacity[row]), *g.rgb[row].tolist()]
         heads = (f"Gaussian {row}", "dL/du", "dL/dv", "dL/do", "dL/dr", "dL/dg", "dL/db")
-        return stacks.numbers_table(heads, [("sum over all pixels", *(f"{x / unit:+.2f}" for x in numbers))], n=1)
+        return stacks.numbers_table(
+            heads, [("sum over all pixels", *(f"{x / unit:+.2f}" for x in numbers))], n=1
+        )

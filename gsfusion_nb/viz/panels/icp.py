@@ -1,4 +1,5 @@
-"""Panels about ICP: every step of one alignment, the starting poses from which it succeeds, and paths from above."""
+"""Panels about ICP: every step of one alignment, the starting poses from which it succeeds, and
+paths from above."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -8,7 +9,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import TrackingConfig
-from ...drawing.curves import CARD, CARD_INK, PALETTE, card_figure, figure_picture, small_curves, style
+from ...drawing.curves import (
+    CARD,
+    CARD_INK,
+    PALETTE,
+    card_figure,
+    figure_picture,
+    small_curves,
+    style,
+)
 from ...drawing.pictures import Picture, side_by_side, to_uint8
 from ...geometry import depth_to_normals, se3
 from ...tracking import IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane
@@ -28,13 +37,23 @@ SUCCESS_M, SUCCESS_DEG = 0.02, 1.0
 
 
 def frame_surface(frame: Frame, T_WC: Float[Tensor, "4 4"] | None = None) -> Surface:
-    """A depth frame as the surface that another frame is aligned with (frame to frame, without a model)."""
+    """A depth frame as the surface that another frame is aligned with (frame to frame, without a
+    model)."""
     T = frame.T_WC if T_WC is None else T_WC.to(frame.depth_m)
     normal_W = se3.rotate(T, depth_to_normals(frame.camera, frame.depth_m))
-    return Surface(depth_m=frame.depth_m, normal_W=normal_W, camera=frame.camera, T_WC=T, rgb=frame.rgb)
+    return Surface(
+        depth_m=frame.depth_m,
+        normal_W=normal_W,
+        camera=frame.camera,
+        T_WC=T,
+        rgb=frame.rgb,
+    )
 
 
-def pose_error(T_WC: Float[Tensor, "4 4"], T_true: Float[Tensor, "4 4"]) -> tuple[float, float]:
+def pose_error(
+    T_WC: Float[Tensor, "4 4"],
+    T_true: Float[Tensor, "4 4"],
+) -> tuple[float, float]:
     """Distance of the camera centres, metres, and angle between the axes, degrees."""
     turned_deg, moved_m = se3.motion(T_WC, T_true)
     return moved_m, turned_deg
@@ -42,20 +61,33 @@ def pose_error(T_WC: Float[Tensor, "4 4"], T_true: Float[Tensor, "4 4"]) -> tupl
 
 def single_level_config(config: TrackingConfig) -> TrackingConfig:
     """The same settings and number of steps, with the finest level only."""
-    return dataclasses.replace(config, pyramid=config.pyramid[-1:], iterations=(sum(config.iterations),))
+    return dataclasses.replace(
+        config, pyramid=config.pyramid[-1:], iterations=(sum(config.iterations),)
+    )
 
 
-def residual_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"], config: TrackingConfig) -> Picture:
-    """Point-to-plane residual of the finest level: red behind the surface, white on it, blue in front of it.
+def residual_picture(
+    frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"], config: TrackingConfig
+) -> Picture:
+    """Point-to-plane residual of the finest level: red behind the surface, white on it, blue in
+    front of it.
 
-    Grey pixels fall on the surface but are rejected by distance or angle; dark ones do not fall on it.
+    Grey pixels fall on the surface but are rejected by distance or angle; dark ones do not fall on
+    it.
     """
     level = depth_pyramid(frame.depth_m, frame.camera, config.pyramid[-1:])[0]
     found = associate(
-        level, T_WC, surface,
-        max_distance_m=config.max_distance_m, min_cosine=float(np.cos(np.radians(config.max_angle_deg))),
-    )  # fmt: skip
-    r, _ = point_to_plane(found.xyz.flatten(0, 1), found.surface_xyz.flatten(0, 1), found.surface_normal.flatten(0, 1))
+        level,
+        T_WC,
+        surface,
+        max_distance_m=config.max_distance_m,
+        min_cosine=float(np.cos(np.radians(config.max_angle_deg))),
+    )
+    r, _ = point_to_plane(
+        found.xyz.flatten(0, 1),
+        found.surface_xyz.flatten(0, 1),
+        found.surface_normal.flatten(0, 1),
+    )
     picture = distance_colours(r.view(found.inlier.shape) / RESIDUAL_M)
     picture[~found.inlier.numpy()] = _REJECTED
     picture[~found.overlap.numpy()] = _OUTSIDE
@@ -63,20 +95,34 @@ def residual_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"],
 
 
 def overlay_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"]) -> Picture:
-    """The frame's colours, projected with the pose, mixed with the surface's; a wrong pose shows double edges."""
-    base = np.zeros((*surface.depth_m.shape, 3), np.uint8) if surface.rgb is None else to_uint8(surface.rgb)
+    """The frame's colours, projected with the pose, mixed with the surface's; a wrong pose shows
+    double edges."""
+    base = (
+        np.zeros((*surface.depth_m.shape, 3), np.uint8)
+        if surface.rgb is None
+        else to_uint8(surface.rgb)
+    )
     moved = dataclasses.replace(frame, T_WC=T_WC.float())
     warped = point_view(moved, surface.T_WC, camera=surface.camera)
-    return np.where(warped.any(-1, keepdims=True), (base.astype(np.uint16) + warped) // 2, base).astype(np.uint8)
+    return np.where(
+        warped.any(-1, keepdims=True),
+        (base.astype(np.uint16) + warped) // 2,
+        base,
+    ).astype(np.uint8)
 
 
-def _icp_picture(frame: Frame, surface: Surface, config: TrackingConfig, result: IcpResult, step: int) -> Picture:
-    """What ICP sees before its step number ``step``, and the curves of the whole alignment up to there."""
+def _icp_picture(
+    frame: Frame, surface: Surface, config: TrackingConfig, result: IcpResult, step: int
+) -> Picture:
+    """What ICP sees before its step number ``step``, and the curves of the whole alignment up to
+    there."""
     poses = [h.T_WC for h in result.history] + [result.T_WC]
     T_WC = poses[min(step, len(poses) - 1)]
     pictures = overlay_picture(frame, surface, T_WC), residual_picture(frame, surface, T_WC, config)
     parts = [resize_to_height(p, ROWS) for p in pictures]
-    top = side_by_side(parts, ["surface and frame, mixed", "residual: red behind, blue in front, 3 cm"])
+    top = side_by_side(
+        parts, ["surface and frame, mixed", "residual: red behind, blue in front, 3 cm"]
+    )
     errors = [pose_error(T, frame.T_WC) for T in poses[: step + 1]]
     rms = [h.rms_m for h in result.history] + [result.rms_m]
     series = {
@@ -84,12 +130,17 @@ def _icp_picture(frame: Frame, surface: Surface, config: TrackingConfig, result:
         "position error, cm": [100 * e[0] for e in errors],
         "angle error, deg": [e[1] for e in errors],
     }
-    curves = small_curves(series, n_x=sum(config.iterations) + 1, width=top.shape[1])
+    curves = small_curves(
+        series,
+        n_x=sum(config.iterations) + 1,
+        width=top.shape[1],
+    )
     return np.concatenate([top, curves])
 
 
 def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = None) -> Panel:
-    """Sliders for the starting pose and for the step of an alignment whose true pose is ``frame.T_WC``.
+    """Sliders for the starting pose and for the step of an alignment whose true pose is
+    ``frame.T_WC``.
 
     Args:
         frame: The frame to align.
@@ -111,18 +162,41 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
         off_m, off_deg = pose_error(result.T_WC, frame.T_WC)
         well = off_m < SUCCESS_M and off_deg < SUCCESS_DEG
         at = result.history[step] if step < n else None
-        when = f"before step {step + 1} of {n}, {at.factor} × {at.factor} px" if at else f"after all {n} steps"
+        when = (
+            f"before step {step + 1} of {n}, {at.factor} × {at.factor} px"
+            if at
+            else f"after all {n} steps"
+        )
         fits = at or result
         words = (
-            f"{when}: {fits.n_inliers:,} of {fits.n_overlap:,} fit<br><b>{'converged' if well else 'not converged'}</b>"
+            f"{when}: {fits.n_inliers:,} of {fits.n_overlap:,} "
+            f"fit<br><b>{'converged' if well else 'not converged'}</b>"
             f": final error {off_m * 100:.1f} cm and {off_deg:.2f}°"
         )
         return _icp_picture(frame, surface, configs[pyramid], result, min(step, n)), words
 
     controls = {
-        "step": Slider(value=0, low=0, high=sum(settings.iterations), step=1, label="step"),
-        "sideways_cm": Slider(value=15, low=-60, high=60, step=1, label="start: right cm"),
-        "turn_deg": Slider(value=-5, low=-20, high=20, step=1, label="start: turn °"),
+        "step": Slider(
+            value=0,
+            low=0,
+            high=sum(settings.iterations),
+            step=1,
+            label="step",
+        ),
+        "sideways_cm": Slider(
+            value=15,
+            low=-60,
+            high=60,
+            step=1,
+            label="start: right cm",
+        ),
+        "turn_deg": Slider(
+            value=-5,
+            low=-20,
+            high=20,
+            step=1,
+            label="start: turn °",
+        ),
         "pyramid": Switch(value=True, label="coarse to fine"),
     }
     return Panel(draw, controls, name="icp", text="ICP, step by step")
@@ -135,7 +209,8 @@ def convergence_basin(
     turns_deg: Sequence[float],
     config: TrackingConfig | None = None,
 ) -> Float[np.ndarray, "R C"]:
-    """Final distance from the true pose ``frame.T_WC``, metres; rows are turns, columns sideways displacements."""
+    """Final distance from the true pose ``frame.T_WC``, metres; rows are turns, columns sideways
+    displacements."""
     config = config or TrackingConfig()
     rows = []
     for turn in turns_deg:
@@ -148,18 +223,36 @@ def convergence_basin(
 def basin_picture(
     errors_m: Float[np.ndarray, "R C"], sideways_m: Sequence[float], turns_deg: Sequence[float]
 ) -> Picture:
-    """Green: from this start ICP ended within 2 cm of the true pose; yellow to red: up to 20 cm and more."""
+    """Green: from this start ICP ended within 2 cm of the true pose; yellow to red: up to 20 cm and
+    more."""
     from matplotlib.colors import ListedColormap
 
     R, C = errors_m.shape
     figure, (axes,) = card_figure(30 * C + 80, 30 * R + 80)
     worse = np.log(np.maximum(errors_m, 1e-4) / SUCCESS_M) / np.log(10)
-    stops = np.linspace((244, 205, 90), (209, 73, 91), 32) / 255
-    axes.pcolormesh(worse, cmap=ListedColormap(stops).with_extremes(under="#3a9d6a"), vmin=0, vmax=1, edgecolor=CARD)
+    stops = (
+        np.linspace(
+            (244, 205, 90),
+            (209, 73, 91),
+            32,
+        )
+        / 255
+    )
+    axes.pcolormesh(
+        worse,
+        cmap=ListedColormap(stops).with_extremes(under="#3a9d6a"),
+        vmin=0,
+        vmax=1,
+        edgecolor=CARD,
+    )
     x, y = (0, C // 2, C - 1), (0, R // 2, R - 1)
     axes.set_xticks([j + 0.5 for j in x], [f"{sideways_m[j] * 100:+.0f} cm" for j in x])
     axes.set_yticks([i + 0.5 for i in y], [f"{turns_deg[i]:+.0f}°" for i in y])
-    style(axes, title=f"{float((errors_m < SUCCESS_M).mean()):.0%} of the starts converge", ink=CARD_INK)
+    style(
+        axes,
+        title=f"{float((errors_m < SUCCESS_M).mean()):.0%} of the starts converge",
+        ink=CARD_INK,
+    )
     return figure_picture(figure)
 
 
@@ -181,12 +274,25 @@ def path_picture(
     figure, (axes,) = card_figure(width, width)
     xy = {name: np.array([T[:2, 3].tolist() for T in path]) for name, path in paths.items()}
     for pair in links:
-        axes.plot(*xy[linked][list(pair)].T, color=CARD_INK, linewidth=0.6, alpha=0.5)
+        axes.plot(
+            *xy[linked][list(pair)].T,
+            color=CARD_INK,
+            linewidth=0.6,
+            alpha=0.5,
+        )
     for (name, points), ink in zip(xy.items(), PALETTE, strict=False):
         axes.plot(*points.T, color=ink, label=name)
         axes.plot(*points[0], "o", color=ink)
-        axes.plot(*points[-1], "o", color=ink, fillstyle="none", markersize=10)
+        axes.plot(
+            *points[-1],
+            "o",
+            color=ink,
+            fillstyle="none",
+            markersize=10,
+        )
     axes.set_aspect("equal", adjustable="datalim")
     style(axes, x="x, m", y="y, m", ink=CARD_INK)
-    figure.legend(loc="outside lower center", ncols=2, frameon=False, labelcolor=CARD_INK, fontsize=8)
+    figure.legend(
+        loc="outside lower center", ncols=2, frameon=False, labelcolor=CARD_INK, fontsize=8
+    )
     return figure_picture(figure)

@@ -41,19 +41,23 @@ def gaussian_row(
 
 
 def orientation_from_angles(turn_deg: float | int, lean_deg: float | int) -> Float[Tensor, "4"]:
-    """Orientation: ``turn_deg`` about the viewing axis z after ``lean_deg`` about the vertical axis y."""
+    """Orientation: ``turn_deg`` about the viewing axis z after ``lean_deg`` about the vertical axis
+    y."""
     turn, lean = math.radians(turn_deg) / 2, math.radians(lean_deg) / 2
     about_z = torch.tensor([math.cos(turn), 0.0, 0.0, math.sin(turn)])
     about_y = torch.tensor([math.cos(lean), 0.0, math.sin(lean), 0.0])
     return quaternion.multiply(about_z, about_y)
 
 
-def projection_picture(params: GaussianParams, camera: Camera, *, zoom: int = 6) -> tuple[Picture, Splats]:
-    """One Gaussian, rendered by a camera at the origin; its ellipses; and points drawn from it, projected exactly.
+def projection_picture(
+    params: GaussianParams, camera: Camera, *, zoom: int = 6
+) -> tuple[Picture, Splats]:
+    """One Gaussian, rendered by a camera at the origin; its ellipses; and points drawn from it,
+    projected exactly.
 
-    The blue blob is what the renderer draws, white are the ellipses of one and two standard deviations, orange are the
-    exact projections of 400 points of the 3D Gaussian, the same each time. Where points and ellipse disagree, the
-    linearisation of EWA fails.
+    The blue blob is what the renderer draws, white are the ellipses of one and two standard
+    deviations, orange are the exact projections of 400 points of the 3D Gaussian, the same each
+    time. Where points and ellipse disagree, the linearisation of EWA fails.
 
     Args:
         params: One row.
@@ -66,11 +70,23 @@ def projection_picture(params: GaussianParams, camera: Camera, *, zoom: int = 6)
     splats = project_splats(params, camera, torch.eye(4))
     view = to_uint8(0.12 + 0.88 * render(params, camera, torch.eye(4)).rgb)
     figure, axes = image_figure(view, (zoom * camera.width, zoom * camera.height))
-    axes.plot(*_cloud_uv(params, camera, 400).T, "o", color="#ff9628", markersize=1.5)
+    axes.plot(
+        *_cloud_uv(params, camera, 400).T,
+        "o",
+        color="#ff9628",
+        markersize=1.5,
+    )
     if bool(splats.projection.visible[0]):
-        ring, centre = outlines(splats, torch.tensor([0]))[0], splats.projection.uv[0].double().numpy()
+        ring, centre = (
+            outlines(splats, torch.tensor([0]))[0],
+            splats.projection.uv[0].double().numpy(),
+        )
         for k in (1, 2):
-            axes.plot(*(centre + k * (ring - centre)).T, color="white", linewidth=0.8)
+            axes.plot(
+                *(centre + k * (ring - centre)).T,
+                color="white",
+                linewidth=0.8,
+            )
     return figure_picture(figure), splats
 
 
@@ -84,17 +100,19 @@ def projection_caption(splats: Splats) -> str:
     uu, uv, vv = C / det, -B / det, A / det
     n = len(tile_intersections(p, splats.camera).gaussian)
     return (
-        f"cov<sub>2D</sub> = [{uu:.1f} {uv:.1f}; {uv:.1f} {vv:.1f}] px²<br>"
-        f"centre ({p.uv[0, 0]:.1f}, {p.uv[0, 1]:.1f}) px, area of 1σ {math.pi / math.sqrt(det):.0f} px²<br>"
-        f"in the lists of {n} tiles"
+        f"cov<sub>2D</sub> = [{uu:.1f} {uv:.1f}; {uv:.1f} {vv:.1f}] px²<br>centre "
+        f"({p.uv[0, 0]:.1f}, {p.uv[0, 1]:.1f}) px, area of 1σ {math.pi / math.sqrt(det):.0f} "
+        f"px²<br>in the lists of {n} tiles"
     )
 
 
 def sh_ball(sh: Float[Tensor, "K 3"], size: int = 160) -> Picture:
-    """The colour of one Gaussian from all sides, painted on a ball: each point has the colour seen from that side.
+    """The colour of one Gaussian from all sides, painted on a ball: each point has the colour seen
+    from that side.
 
-    The ball is seen by a camera that looks along +z, x to the right, y down. A viewer in the direction of the normal n
-    looks along d = -n, which is the direction that the harmonics are evaluated at.
+    The ball is seen by a camera that looks along +z, x to the right, y down. A viewer in the
+    direction of the normal n looks along d = -n, which is the direction that the harmonics are
+    evaluated at.
     """
     n, inside = _ball_normals(size)
     degree = round(sh.shape[0] ** 0.5) - 1
@@ -105,26 +123,42 @@ def sh_ball(sh: Float[Tensor, "K 3"], size: int = 160) -> Picture:
 
 
 def basis_atlas(size: int = 104) -> Picture:
-    """The 16 basis functions on balls, one row per degree: red where positive, blue where negative."""
+    """The 16 basis functions on balls, one row per degree: red where positive, blue where
+    negative."""
     from matplotlib.figure import Figure
 
     n, inside = _ball_normals(size)
     Y = sh_basis(-n, 3)
     figure = Figure(figsize=(0.07 * size, 0.04 * size), dpi=100, facecolor=CARD)
-    grid = figure.add_gridspec(4, 7, left=0, right=1, bottom=0, top=1, wspace=0, hspace=0)
+    grid = figure.add_gridspec(
+        4,
+        7,
+        left=0,
+        right=1,
+        bottom=0,
+        top=1,
+        wspace=0,
+        hspace=0,
+    )
     for k in range(16):
         degree = math.isqrt(k)
         tile = np.full(size * size, np.nan)
         tile[inside] = Y[:, k]
         axes = figure.add_subplot(grid[degree, 3 - degree + k - degree * degree])
-        axes.imshow(tile.reshape(size, size), cmap="bwr", vmin=-0.9, vmax=0.9)
+        axes.imshow(
+            tile.reshape(size, size),
+            cmap="bwr",
+            vmin=-0.9,
+            vmax=0.9,
+        )
         axes.set_axis_off()
         axes.text(3, 13, f"Y{k}", color=CARD_INK, fontsize=8)
     return figure_picture(figure)
 
 
 def _cloud_uv(params: GaussianParams, camera: Camera, n: int) -> np.ndarray:
-    """Exact projections of points drawn from the first Gaussian; those behind the camera are left out."""
+    """Exact projections of points drawn from the first Gaussian; those behind the camera are left
+    out."""
     unit = torch.randn(n, 3, generator=torch.Generator().manual_seed(0))
     R = quaternion.to_matrix(params.quat[0])
     xyz = params.xyz_W[0] + (unit * params.log_scale[0].exp()) @ R.T
@@ -140,11 +174,17 @@ def _ball_normals(size: int) -> tuple[Tensor, Tensor]:
     y, x = torch.meshgrid(i, i, indexing="ij")
     inside = (x * x + y * y < 1).flatten()
     x, y = x.flatten()[inside], y.flatten()[inside]
-    return torch.stack([x, y, -(1 - x * x - y * y).sqrt()], -1), inside
+    return torch.stack(
+        [x, y, -(1 - x * x - y * y).sqrt()],
+        -1,
+    ), inside
 
 
-def tile_picture(image: AnyImage, tiles: TileLists, *, scale: int = 2, strength: float = 0.62) -> Picture:
-    """Length of every tile's list as colour (viridis: yellow is the longest) over the picture, with a colour bar.
+def tile_picture(
+    image: AnyImage, tiles: TileLists, *, scale: int = 2, strength: float = 0.62
+) -> Picture:
+    """Length of every tile's list as colour (viridis: yellow is the longest) over the picture, with
+    a colour bar.
 
     Args:
         image: What was rendered. [H, W, 3]
@@ -156,9 +196,14 @@ def tile_picture(image: AnyImage, tiles: TileLists, *, scale: int = 2, strength:
     height, width = image.shape[:2]
     figure, axes = image_figure(image, (scale * width, scale * height))
     axes.pcolormesh(
-        np.arange(tiles.tiles_x + 1) * tiles.tile_px, np.arange(tiles.tiles_y + 1) * tiles.tile_px, count,
-        vmin=0, alpha=strength, edgecolor="#00000080", linewidth=0.5,
-    )  # fmt: skip
+        np.arange(tiles.tiles_x + 1) * tiles.tile_px,
+        np.arange(tiles.tiles_y + 1) * tiles.tile_px,
+        count,
+        vmin=0,
+        alpha=strength,
+        edgecolor="#00000080",
+        linewidth=0.5,
+    )
     bar = axes.inset_axes((0.02, 0.03, 0.4, 0.03))
     figure.colorbar(axes.collections[0], cax=bar, orientation="horizontal")
     style(bar, title=f"Gaussians in one tile of {tiles.tile_px} x {tiles.tile_px} px", ink="white")
@@ -169,7 +214,8 @@ _BALL_PX = 280
 
 
 def one_gaussian_panel(camera: Camera, *, zoom: int = 6) -> Panel:
-    """Move, turn and stretch one Gaussian in front of a camera of few pixels (``projection_picture``).
+    """Move, turn and stretch one Gaussian in front of a camera of few pixels
+    (``projection_picture``).
 
     Drag its middle, or the end of an axis; or use the sliders.
     """
@@ -178,44 +224,93 @@ def one_gaussian_panel(camera: Camera, *, zoom: int = 6) -> Panel:
         xyz = torch.tensor([float(values[k]) for k in ("x_m", "y_m", "z_m")])
         scale = torch.tensor([float(values["long_m"]), float(values["thick_m"]), 0.02])
         orientation = orientation_from_angles(values["turn_deg"], values["lean_deg"])
-        picture, splats = projection_picture(gaussian_row(xyz, scale, orientation), camera, zoom=zoom)
-        return draw_handles(picture, gaussian_handles(values, camera, zoom)), projection_caption(splats)
+        picture, splats = projection_picture(
+            gaussian_row(xyz, scale, orientation), camera, zoom=zoom
+        )
+        return draw_handles(picture, gaussian_handles(values, camera, zoom)), projection_caption(
+            splats
+        )
 
     controls = {
-        "x_m": Slider(value=0.0, low=-1.5, high=1.5, step=0.01, label="x, m"),
-        "y_m": Slider(value=0.0, low=-1.5, high=1.5, step=0.01, label="y, m"),
-        "z_m": Slider(value=1.5, low=0.3, high=6.0, step=0.1, label="z, m", readout=".1f"),
-        "long_m": Slider(value=0.3, low=0.01, high=0.6, step=0.01, label="long axis, m"),
-        "thick_m": Slider(value=0.1, low=0.002, high=0.3, step=0.002, label="short axis, m", readout=".3f"),
-        "turn_deg": Slider(value=30, low=-180, high=180, step=1, label="turn, °", tip="about the viewing axis"),
-        "lean_deg": Slider(value=0, low=-90, high=90, step=1, label="lean, °", tip="about the vertical axis"),
+        "x_m": Slider(
+            value=0.0,
+            low=-1.5,
+            high=1.5,
+            step=0.01,
+            label="x, m",
+        ),
+        "y_m": Slider(
+            value=0.0,
+            low=-1.5,
+            high=1.5,
+            step=0.01,
+            label="y, m",
+        ),
+        "z_m": Slider(
+            value=1.5,
+            low=0.3,
+            high=6.0,
+            step=0.1,
+            label="z, m",
+            readout=".1f",
+        ),
+        "long_m": Slider(
+            value=0.3,
+            low=0.01,
+            high=0.6,
+            step=0.01,
+            label="long axis, m",
+        ),
+        "thick_m": Slider(
+            value=0.1, low=0.002, high=0.3, step=0.002, label="short axis, m", readout=".3f"
+        ),
+        "turn_deg": Slider(
+            value=30, low=-180, high=180, step=1, label="turn, °", tip="about the viewing axis"
+        ),
+        "lean_deg": Slider(
+            value=0, low=-90, high=90, step=1, label="lean, °", tip="about the vertical axis"
+        ),
     }
     text = "One Gaussian and its image"
     touch = functools.partial(touch_gaussian, camera=camera, zoom=zoom)
     return Panel(draw, controls, name="one-gaussian", text=text, touch=touch)
 
 
-def gaussian_handles(values: Mapping[str, Any], camera: Camera, zoom: int) -> dict[str, Point]:
-    """Middle and ends of the two axes in the enlarged picture, pixels; of a leaning axis without the perspective."""
+def gaussian_handles(
+    values: Mapping[str, Any],
+    camera: Camera,
+    zoom: int,
+) -> dict[str, Point]:
+    """Middle and ends of the two axes in the enlarged picture, pixels; of a leaning axis without
+    the perspective."""
     x, y, z = (float(values[k]) for k in ("x_m", "y_m", "z_m"))
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
     turn, thick = math.radians(values["turn_deg"]), values["thick_m"]
     long = values["long_m"] * math.cos(math.radians(values["lean_deg"]))
     ends = {"long": (long, 0.0), "thick": (0.0, thick), "middle": (0.0, 0.0)}
     c, s = math.cos(turn) / z, math.sin(turn) / z
-    places = {name: (u + camera.fx * (c * a - s * b), v + camera.fy * (s * a + c * b)) for name, (a, b) in ends.items()}
+    places = {
+        name: (u + camera.fx * (c * a - s * b), v + camera.fy * (s * a + c * b))
+        for name, (a, b) in ends.items()
+    }
     return {name: (zoom * a, zoom * b) for name, (a, b) in places.items()}
 
 
-def touch_gaussian(stroke: Stroke, values: Mapping[str, Any], camera: Camera, zoom: int) -> dict[str, float]:
-    """What a drag changes: the place, or the length of an axis and for the long one its direction too."""
+def touch_gaussian(
+    stroke: Stroke, values: Mapping[str, Any], camera: Camera, zoom: int
+) -> dict[str, float]:
+    """What a drag changes: the place, or the length of an axis and for the long one its direction
+    too."""
     (du, dv), z = stroke.moved, values["z_m"]
     handles = gaussian_handles(values, camera, zoom)
     held = nearest_handle(handles, stroke.start)
     if held is None:
         return {}
     if held == "middle":
-        return {"x_m": values["x_m"] + du * z / camera.fx / zoom, "y_m": values["y_m"] + dv * z / camera.fy / zoom}
+        return {
+            "x_m": values["x_m"] + du * z / camera.fx / zoom,
+            "y_m": values["y_m"] + dv * z / camera.fy / zoom,
+        }
     (u, v), (mid_u, mid_v) = handles[held], handles["middle"]
     dx, dy = (u + du - mid_u) * z / camera.fx / zoom, (v + dv - mid_v) * z / camera.fy / zoom
     if held == "thick":
@@ -228,16 +323,35 @@ def touch_gaussian(stroke: Stroke, values: Mapping[str, Any], camera: Camera, zo
 def sh_ball_panel() -> Panel:
     """One coefficient of one basis function of the colour, painted on a ball (``sh_ball``)."""
 
-    def draw(k: int, red: float | int, green: float | int, blue: float | int) -> Drawn:
+    def draw(
+        k: int,
+        red: float | int,
+        green: float | int,
+        blue: float | int,
+    ) -> Drawn:
         sh = torch.zeros(16, 3)
         sh[k] = torch.tensor([red, green, blue], dtype=torch.float32)
         return sh_ball(sh, _BALL_PX), f"all coefficients are 0 but sh<sub>{k}</sub>"
 
     controls = {
-        "k": Slider(value=3, low=0, high=15, step=1, label="function k"),
+        "k": Slider(
+            value=3,
+            low=0,
+            high=15,
+            step=1,
+            label="function k",
+        ),
         **{
-            name: Slider(value=start, low=-1.5, high=1.5, step=0.05, label=f"sh_k, {name}")
+            name: Slider(
+                value=start,
+                low=-1.5,
+                high=1.5,
+                step=0.05,
+                label=f"sh_k, {name}",
+            )
             for name, start in (("red", 0.6), ("green", 0.0), ("blue", -0.6))
         },
     }
-    return Panel(draw, controls, name="sh-ball", kind="png", text="A Gaussian's colour from all sides")
+    return Panel(
+        draw, controls, name="sh-ball", kind="png", text="A Gaussian's colour from all sides"
+    )

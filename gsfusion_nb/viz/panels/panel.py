@@ -1,4 +1,5 @@
-"""A panel for a notebook: controls beside one picture that a plain function makes from their values.
+"""A panel for a notebook: controls beside one picture that a plain function makes from their
+values.
 
 The picture can be touched: a function turns a drag over it into new values of the controls.
 """
@@ -29,7 +30,8 @@ class Slider:
     low: Number
     high: Number
     step: Number
-    """Distance between two positions, or between their base-10 logarithms with ``log``. An int: whole numbers."""
+    """Distance between two positions, or between their base-10 logarithms with ``log``. An int:
+    whole numbers."""
     label: str
     log: bool = False
     readout: str = ".2f"
@@ -58,25 +60,29 @@ Control = Slider | Choice | Switch
 Drawn = tuple[Picture, str]
 """A picture and a line of text under the controls."""
 Touch = Callable[[Stroke, dict[str, Any]], Mapping[str, Any]]
-"""A drag in pixels of the picture, and the controls' values when it began -> the values that change."""
+"""A drag in pixels of the picture, and the controls' values when it began -> the values that
+change."""
 
 
 class Panel(LiveOutput):
-    """Shows ``draw(**values)`` and draws again when a control moves. The last line of a cell shows it.
+    """Shows ``draw(**values)`` and draws again when a control moves. The last line of a cell shows
+    it.
 
-    ``draw`` is called in the thread in which the notebook handles the control, one call at a time, always with the
-    newest values. If it raises, the error is shown instead of the text, and the last picture stays.
+    ``draw`` is called in the thread in which the notebook handles the control, one call at a time,
+    always with the newest values. If it raises, the error is shown instead of the text, and the
+    last picture stays.
 
     Args:
         draw: Control values by name -> picture and text.
         controls: Name -> control, from top to bottom.
         buttons: Label -> function; the picture is drawn again after it.
-        name: Part of the CSS classes: ``gsnb-NAME`` for the panel, ``gsnb-NAME-image``, ``gsnb-NAME-text``, and one
-            for every control.
+        name: Part of the CSS classes: ``gsnb-NAME`` for the panel, ``gsnb-NAME-image``,
+            ``gsnb-NAME-text``, and one for every control.
         kind: "jpeg" for photographs, "png" for drawings.
-        text: What the panel is; shown where neither widgets nor pictures can be shown, and with the line of text under
-            the controls the picture's description for screen readers.
-        touch: What a drag over the picture changes; the sliders move along. Without it the picture is only looked at.
+        text: What the panel is; shown where neither widgets nor pictures can be shown, and with the
+            line of text under the controls the picture's description for screen readers.
+        touch: What a drag over the picture changes; the sliders move along. Without it the picture
+            is only looked at.
     """
 
     def __init__(
@@ -118,10 +124,21 @@ class Panel(LiveOutput):
         self.redraw()
         return self
 
-    def drag(self, start: tuple[Number, Number], *way: tuple[Number, Number]) -> "Panel":
-        """Drag the picture from a point over others, (u, v) in pixels of ``picture()``; with only a start, a click."""
+    def drag(
+        self,
+        start: tuple[Number, Number],
+        *way: tuple[Number, Number],
+    ) -> "Panel":
+        """Drag the picture from a point over others, (u, v) in pixels of ``picture()``; with only a
+        start, a click."""
         for now in (start, *way):
-            self._touched(Stroke(number=self._stroke + (now is start), start=start, now=now))
+            self._touched(
+                Stroke(
+                    number=self._stroke + (now is start),
+                    start=start,
+                    now=now,
+                )
+            )
         return self
 
     def press(self, label: str) -> "Panel":
@@ -144,31 +161,51 @@ class Panel(LiveOutput):
                 self._show_error(e)
                 return
             self.image.width = self._picture.shape[1]
-            self.image.alt = f"{self.text}: {_spoken(words.partition('<table')[0]) or _spoken(words)}"
+            self.image.alt = (
+                f"{self.text}: {_spoken(words.partition('<table')[0]) or _spoken(words)}"
+            )
             self.image.show(self._picture)
             self.caption.value = words
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         self.redraw()
-        return with_picture(self.widget._repr_mimebundle_(**kwargs), self._picture, self.text, alt=self.image.alt)
+        return with_picture(
+            self.widget._repr_mimebundle_(**kwargs),
+            self._picture,
+            self.text,
+            alt=self.image.alt,
+        )
 
-    def _build(self, controls: Mapping[str, Control], buttons: dict[str, Callable[[], Any]]) -> None:
+    def _build(
+        self,
+        controls: Mapping[str, Control],
+        buttons: dict[str, Callable[[], Any]],
+    ) -> None:
         import ipywidgets as w
 
         self.controls = {name: _widget(control) for name, control in controls.items()}
         for name, control in self.controls.items():
             control.add_class(f"gsnb-{self.name}-{name}")
             control.observe(self._changed, names="value")
-        self.buttons = {label: w.Button(description=label, layout=w.Layout(width="auto")) for label in buttons}
+        self.buttons = {
+            label: w.Button(description=label, layout=w.Layout(width="auto")) for label in buttons
+        }
         for label, button in self.buttons.items():
             button.add_class(f"gsnb-{self.name}-{label.lower().replace(' ', '-')}")
             button.on_click(lambda _, act=buttons[label]: self._pressed(act))
-        self.image = ClickImage(format=self.kind, alt=self.text, touch="stroke" if self._touch else "")
+        self.image = ClickImage(
+            format=self.kind, alt=self.text, touch="stroke" if self._touch else ""
+        )
         self.image.add_class(f"gsnb-{self.name}-image")
         self.image.on_stroke(self._touched)
         self.caption = w.HTML()
         self.caption.add_class(f"gsnb-{self.name}-text")
-        self.widget = beside(self.image, list(self.controls.values()), list(self.buttons.values()), self.caption)
+        self.widget = beside(
+            self.image,
+            list(self.controls.values()),
+            list(self.buttons.values()),
+            self.caption,
+        )
         self.widget.add_class(f"gsnb-{self.name}")
 
     def _show_error(self, error: Exception) -> None:
@@ -198,12 +235,23 @@ class Panel(LiveOutput):
             self.redraw()
 
 
-def beside(picture: Any, controls: Sequence[Any], buttons: Sequence[Any], words: Any) -> Any:
-    """A picture with its controls beside it, or below it in columns where the page is too narrow."""
+def beside(
+    picture: Any,
+    controls: Sequence[Any],
+    buttons: Sequence[Any],
+    words: Any,
+) -> Any:
+    """A picture with its controls beside it, or below it in columns where the page is too
+    narrow."""
     import ipywidgets as w
 
     wrapped = w.Layout(flex_flow="row wrap")
-    parts = [w.HBox(list(controls), layout=wrapped), w.HBox(list(buttons), layout=wrapped), words, LostNotice()]
+    parts = [
+        w.HBox(list(controls), layout=wrapped),
+        w.HBox(list(buttons), layout=wrapped),
+        words,
+        LostNotice(),
+    ]
     side = w.VBox(parts, layout=w.Layout(flex="1 1 310px", min_width="310px"))
     row = w.Layout(flex_flow="row wrap", align_items="flex-start", grid_gap="8px")
     return w.HBox([picture, side], layout=row)
@@ -227,31 +275,70 @@ def _widget(control: Control) -> Any:
 
     place = {"style": {"description_width": "110px"}, "layout": w.Layout(width="300px")}
     if isinstance(control, Choice):
-        return w.Dropdown(options=list(control.options), value=control.value, description=control.label, **place)
+        return w.Dropdown(
+            options=list(control.options), value=control.value, description=control.label, **place
+        )
     if isinstance(control, Switch):
         return w.Checkbox(value=control.value, description=control.label, **place)
     c = control
-    shared = {"value": c.value, "step": c.step, "description": c.label, "tooltip": c.tip, "continuous_update": True}
+    shared = {
+        "value": c.value,
+        "step": c.step,
+        "description": c.label,
+        "tooltip": c.tip,
+        "continuous_update": True,
+    }
     if c.log:
         return w.FloatLogSlider(
-            min=math.log10(c.low), max=math.log10(c.high), base=10, readout_format=c.readout, **shared, **place
+            min=math.log10(c.low),
+            max=math.log10(c.high),
+            base=10,
+            readout_format=c.readout,
+            **shared,
+            **place,
         )
     if isinstance(c.step, int) and isinstance(c.value, int):
         return w.IntSlider(min=c.low, max=c.high, **shared, **place)
-    return w.FloatSlider(min=c.low, max=c.high, readout_format=c.readout, **shared, **place)
+    return w.FloatSlider(
+        min=c.low,
+        max=c.high,
+        readout_format=c.readout,
+        **shared,
+        **place,
+    )
 
 
-def pixel_sliders(camera: Camera, pixel: tuple[int, int] | None = None) -> dict[str, Slider]:
+def pixel_sliders(
+    camera: Camera,
+    pixel: tuple[int, int] | None = None,
+) -> dict[str, Slider]:
     """Sliders ``u`` and ``v`` for a pixel of a picture, which start in its middle by default."""
     u, v = pixel or (camera.width // 2, camera.height // 2)
     return {
-        "u": Slider(value=u, low=0, high=camera.width - 1, step=1, label="pixel column u"),
-        "v": Slider(value=v, low=0, high=camera.height - 1, step=1, label="pixel row v"),
+        "u": Slider(
+            value=u,
+            low=0,
+            high=camera.width - 1,
+            step=1,
+            label="pixel column u",
+        ),
+        "v": Slider(
+            value=v,
+            low=0,
+            high=camera.height - 1,
+            step=1,
+            label="pixel row v",
+        ),
     }
 
 
-def touched_pixel(stroke: Stroke, camera: Camera, zoom: float = 1.0) -> dict[str, Number]:
-    """Values of ``pixel_sliders`` under the pointer, for a labelled image that is ``zoom`` times as large.
+def touched_pixel(
+    stroke: Stroke,
+    camera: Camera,
+    zoom: float = 1.0,
+) -> dict[str, Number]:
+    """Values of ``pixel_sliders`` under the pointer, for a labelled image that is ``zoom`` times as
+    large.
 
     Empty if the drag began outside it.
     """
@@ -276,7 +363,8 @@ def draw_handles(picture: Picture, handles: Mapping[str, Point]) -> Picture:
 
 
 def nearest_handle(handles: Mapping[str, Point], at: Point) -> str | None:
-    """Name of the handle nearest to a point, ``None`` if all are farther than ``REACH_PX``; the first of equal ones."""
+    """Name of the handle nearest to a point, ``None`` if all are farther than ``REACH_PX``; the
+    first of equal ones."""
     apart = {name: ((u - at[0]) ** 2 + (v - at[1]) ** 2) ** 0.5 for name, (u, v) in handles.items()}
     name = min(apart, key=lambda k: apart[k], default=None)
     return name if name is not None and apart[name] <= REACH_PX else None

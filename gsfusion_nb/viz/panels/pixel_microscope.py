@@ -26,9 +26,11 @@ OUTLINED = 12
 
 
 class PixelMicroscope(Panel):
-    """A picture to click, the pixel's neighbourhood enlarged, and the pixel's stack as a graph and as a table.
+    """A picture to click, the pixel's neighbourhood enlarged, and the pixel's stack as a graph and
+    as a table.
 
-    Click or drag on the picture, or move the sliders; from Python: ``set(u=u, v=v)``. ``stack`` is what is shown.
+    Click or drag on the picture, or move the sliders; from Python: ``set(u=u, v=v)``. ``stack`` is
+    what is shown.
 
     Args:
         params: The map.
@@ -44,15 +46,28 @@ class PixelMicroscope(Panel):
         *,
         pixel: tuple[int, int] | None = None,
     ):
-        self._open(stacks.project_splats(params, camera, T_WC), to_uint8(render(params, camera, T_WC).rgb), pixel)
+        self._open(
+            stacks.project_splats(params, camera, T_WC),
+            to_uint8(render(params, camera, T_WC).rgb),
+            pixel,
+        )
 
-    def _open(self, splats: Splats, image: Picture, pixel: tuple[int, int] | None) -> None:
+    def _open(
+        self,
+        splats: Splats,
+        image: Picture,
+        pixel: tuple[int, int] | None,
+    ) -> None:
         self.splats, self.rendered = splats, image
         camera = splats.camera
         super().__init__(
-            self._draw, pixel_sliders(camera, pixel), name="microscope", kind="png", text="A rendered map",
+            self._draw,
+            pixel_sliders(camera, pixel),
+            name="microscope",
+            kind="png",
+            text="A rendered map",
             touch=lambda stroke, _: touched_pixel(stroke, camera, PICTURE_PX / camera.height),
-        )  # fmt: skip
+        )
 
     def _stack_at(self, u: int, v: int) -> Any:
         return stacks.pixel_stack(self.splats, u, v)
@@ -60,7 +75,13 @@ class PixelMicroscope(Panel):
     def _draw(self, u: int, v: int) -> Drawn:
         self.stack = s = self._stack_at(u, v)
         heaviest = s.row[s.weight.argsort(descending=True)[:OUTLINED]]
-        lens = stacks.lens_picture(self.rendered, self.splats, (u, v), heaviest, size=PICTURE_PX)
+        lens = stacks.lens_picture(
+            self.rendered,
+            self.splats,
+            (u, v),
+            heaviest,
+            size=PICTURE_PX,
+        )
         picture = stacks.with_cross(self.rendered, u, v, PICTURE_PX)
         top = side_by_side([picture, lens], ["rendered: click a pixel", "enlarged, with ellipses"])
         rendered = " ".join(f"{x / 255:.3f}" for x in self.rendered[v, u])
@@ -70,7 +91,8 @@ class PixelMicroscope(Panel):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelMix:
-    """The surface and the K Gaussians of one pixel, with their weights. A notebook shows it as a table."""
+    """The surface and the K Gaussians of one pixel, with their weights. A notebook shows it as a
+    table."""
 
     u: int
     """Pixel column."""
@@ -105,7 +127,8 @@ class PixelMix:
 
     @property
     def running(self) -> Float[Tensor, "M 3"]:
-        """The colour of the surface, then with the first Gaussian, and so on to the pixel's. [K + 1, 3]"""
+        """The colour of the surface, then with the first Gaussian, and so on to the pixel's. [K +
+        1, 3]"""
         weight, rgb = self.samples
         return (weight[:, None] * rgb).cumsum(0) / weight.cumsum(0).clamp_min(1e-9)[:, None]
 
@@ -128,24 +151,52 @@ class PixelMix:
         return dataclasses.replace(self, **parts)
 
     def graph(self, size: tuple[int, int]) -> Picture:
-        """A bar for each weight, the surface first, and the mean of the samples so far, in two orders."""
+        """A bar for each weight, the surface first, and the mean of the samples so far, in two
+        orders."""
         other = self.shuffled(torch.Generator().manual_seed(self.u + 1000 * self.v))
         weight, rgb = self.samples
         title = "weights: surface, then Gaussians; below: mean so far, and in another order"
-        return stacks.weights_graph(size, rgb, weight, {"mean": self.running, "shuffled": other.running}, title=title)
+        return stacks.weights_graph(
+            size, rgb, weight, {"mean": self.running, "shuffled": other.running}, title=title
+        )
 
     def _repr_html_(self) -> str:
         share = 1 / max(self.base_weight + self.total, 1e-9)
 
-        def line(k: str, row: str, depth: str, weight: float, rgb: Tensor) -> tuple[str, ...]:
-            return k, row, depth, f"{weight:.3f}", f"{weight * share:.0%}", stacks.swatch(rgb), stacks.rgb_text(rgb)
+        def line(
+            k: str,
+            row: str,
+            depth: str,
+            weight: float,
+            rgb: Tensor,
+        ) -> tuple[str, ...]:
+            return (
+                k,
+                row,
+                depth,
+                f"{weight:.3f}",
+                f"{weight * share:.0%}",
+                stacks.swatch(rgb),
+                stacks.rgb_text(rgb),
+            )
 
         lines = [line("", "surface", "", self.base_weight, self.base_rgb)]
         for k in range(min(len(self), stacks.TABLE_ROWS)):
             numbers = (f"{self.depth_m[k]:.3f}", float(self.weight[k]), self.rgb[k])
-            lines.append(line(str(k), str(int(self.row[k])), *numbers))
+            lines.append(
+                line(
+                    str(k),
+                    str(int(self.row[k])),
+                    *numbers,
+                )
+            )
         mean = line("", "mean", "", self.base_weight + self.total, self.colour)
-        return stacks.numbers_table(("k", "row", "depth m", "weight", "share", "", "colour"), lines, mean, n=len(self))
+        return stacks.numbers_table(
+            ("k", "row", "depth m", "weight", "share", "", "colour"),
+            lines,
+            mean,
+            n=len(self),
+        )
 
 
 def pixel_mix(splats: Splats, below: BaseView, u: int, v: int) -> PixelMix:
@@ -156,21 +207,35 @@ def pixel_mix(splats: Splats, below: BaseView, u: int, v: int) -> PixelMix:
     """
     p, base = splats.projection, below.base
     row, alpha = stacks.reaching(splats, u, v)
-    w = not_behind(alpha[:, None], p.depth_m[row], base.depth_m[v, u][None], below.behind_m)[:, 0]
+    w = not_behind(
+        alpha[:, None],
+        p.depth_m[row],
+        base.depth_m[v, u][None],
+        below.behind_m,
+    )[:, 0]
     order = w.argsort(descending=True, stable=True)[: int((w > 0).sum())]
     hidden = len(row) - len(order)
     row, w = row[order], w[order]
     return PixelMix(
-        u=u, v=v, base_rgb=base.rgb[v, u], base_weight=float(base.weight[v, u]), row=row, depth_m=p.depth_m[row],
-        weight=w, rgb=splats.rgb[row], hidden=hidden,
-    )  # fmt: skip
+        u=u,
+        v=v,
+        base_rgb=base.rgb[v, u],
+        base_weight=float(base.weight[v, u]),
+        row=row,
+        depth_m=p.depth_m[row],
+        weight=w,
+        rgb=splats.rgb[row],
+        hidden=hidden,
+    )
 
 
 class MixMicroscope(PixelMicroscope):
-    """A picture to click, the pixel's neighbourhood enlarged, and what is mixed in it as a graph and as a table.
+    """A picture to click, the pixel's neighbourhood enlarged, and what is mixed in it as a graph
+    and as a table.
 
-    The graph has a bar for each weight, the surface first, and two strips: the mean of all samples so far, from left to
-    right, once with the heaviest Gaussian first and once in a random order. Both end in the same colour.
+    The graph has a bar for each weight, the surface first, and two strips: the mean of all samples
+    so far, from left to right, once with the heaviest Gaussian first and once in a random order.
+    Both end in the same colour.
 
     Args:
         mapper: Of GPS-SLAM, or anything with its ``gaussians``, ``below`` and ``render``.
@@ -179,7 +244,12 @@ class MixMicroscope(PixelMicroscope):
     """
 
     def __init__(
-        self, mapper: Any, camera: Camera, T_WC: Float[Tensor, "4 4"], *, pixel: tuple[int, int] | None = None
+        self,
+        mapper: Any,
+        camera: Camera,
+        T_WC: Float[Tensor, "4 4"],
+        *,
+        pixel: tuple[int, int] | None = None,
     ):
         self.below = mapper.below(camera, T_WC)
         splats = stacks.project_splats(mapper.params_now(), camera, T_WC)

@@ -41,9 +41,9 @@ def quadtree_picture(
 ) -> tuple[Picture, Cells]:
     """The leaves of an image's quadtree drawn, and the leaves themselves.
 
-    "cells": borders over the image, coarse purple to fine yellow; "mean colours": every cell filled with its mean;
-    "Gaussians": a disc of one standard deviation (half the cell's diagonal, GSFusion III-B.2) in the colour of the
-    pixel in the middle, smaller discs over larger ones.
+    "cells": borders over the image, coarse purple to fine yellow; "mean colours": every cell filled
+    with its mean; "Gaussians": a disc of one standard deviation (half the cell's diagonal, GSFusion
+    III-B.2) in the colour of the pixel in the middle, smaller discs over larger ones.
 
     Args:
         rgb: Colour, 0..1 or bytes. [H, W, 3]
@@ -57,17 +57,29 @@ def quadtree_picture(
     if show not in QUADTREE_SHOWS:
         raise ValueError(f"show must be one of {', '.join(QUADTREE_SHOWS)}, got {show!r}")
     photo = to_uint8(rgb)
-    cells = quadtree(torch.from_numpy(photo), threshold=float(threshold), min_cell_px=min_cell_px, contrast=contrast)
+    cells = quadtree(
+        torch.from_numpy(photo),
+        threshold=float(threshold),
+        min_cell_px=min_cell_px,
+        contrast=contrast,
+    )
     if show == "cells":
         return paint_cells(photo, cells, scale=scale), cells
-    picture = cell_means(torch.from_numpy(photo), cells).numpy() if show == "mean colours" else _discs(photo, cells)
+    picture = (
+        cell_means(torch.from_numpy(photo), cells).numpy()
+        if show == "mean colours"
+        else _discs(photo, cells)
+    )
     return picture.repeat(scale, 0).repeat(scale, 1), cells
 
 
 def cell_means(rgb_u8: UInt8[Tensor, "H W 3"], cells: Cells) -> UInt8[Tensor, "H W 3"]:
     """The image with every cell filled by its mean colour."""
     image = rgb_u8.numpy().copy()
-    for x, y, w, h in zip(*(a.tolist() for a in (cells.x0, cells.y0, cells.width, cells.height)), strict=True):
+    for x, y, w, h in zip(
+        *(a.tolist() for a in (cells.x0, cells.y0, cells.width, cells.height)),
+        strict=True,
+    ):
         cell = image[y : y + h, x : x + w]
         cell[:] = np.rint(cell.mean((0, 1)))
     return torch.from_numpy(image)
@@ -79,12 +91,27 @@ def _discs(photo: Picture, cells: Cells) -> Picture:
     for k in cells.half_diagonal_px.argsort(descending=True).tolist():  # the largest first
         (u, v), radius = centres[k], radii[k]
         ink = photo[int(v), int(u)].tolist()  # OpenCV's pixel centres are whole numbers
-        cv2.circle(picture, (round(16 * (u - 0.5)), round(16 * (v - 0.5))), round(16 * radius), ink, -1, cv2.LINE_8, 4)
+        cv2.circle(
+            picture,
+            (round(16 * (u - 0.5)), round(16 * (v - 0.5))),
+            round(16 * radius),
+            ink,
+            -1,
+            cv2.LINE_8,
+            4,
+        )
     return picture
 
 
-def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: int = 1, scale: int = 1) -> Panel:
-    """Sliders for threshold and smallest cell over an image, with the number of leaves at each level.
+def quadtree_panel(
+    rgb: AnyImage,
+    *,
+    threshold: float | int = 0.1,
+    min_cell_px: int = 1,
+    scale: int = 1,
+) -> Panel:
+    """Sliders for threshold and smallest cell over an image, with the number of leaves at each
+    level.
 
     Args:
         rgb: The image. [H, W, 3]
@@ -96,23 +123,37 @@ def quadtree_panel(rgb: AnyImage, *, threshold: float | int = 0.1, min_cell_px: 
     def draw(*, threshold: float, min_cell_px: int, contrast: Any, show: str) -> Drawn:
         settings = {"threshold": threshold, "min_cell_px": min_cell_px, "contrast": contrast}
         picture, cells = quadtree_picture(photo, **settings, show=show, scale=scale)
-        rows = [(str(level), f"{int(n):,}") for level, n in enumerate(torch.bincount(cells.level.long())) if n]
+        rows = [
+            (str(level), f"{int(n):,}")
+            for level, n in enumerate(torch.bincount(cells.level.long()))
+            if n
+        ]
         each = f"one for every {photo.shape[0] * photo.shape[1] / len(cells):.0f} pixels"
         count = f'<b class="gsnb-quadtree-count">{len(cells):,}</b> cells, {each}'
         return picture, count + html_table(rows, heads=("level", "cells"))
 
     controls = {
         "threshold": Slider(
-            value=threshold, low=0.001, high=10, step=0.02, label="threshold", log=True, readout=".3g",
+            value=threshold,
+            low=0.001,
+            high=10,
+            step=0.02,
+            label="threshold",
+            log=True,
+            readout=".3g",
             tip="a cell is split if its contrast is above this",
         ),
         "min_cell_px": Slider(
-            value=min_cell_px, low=1, high=32, step=1, label="min half size, px",
+            value=min_cell_px,
+            low=1,
+            high=32,
+            step=1,
+            label="min half size, px",
             tip="a cell is split only if half its size is above this",
         ),
         "contrast": Choice(value="released", options=CONTRASTS, label="contrast"),
         "show": Choice(value="cells", options=QUADTREE_SHOWS, label="show"),
-    }  # fmt: skip
+    }
     return Panel(draw, controls, name="quadtree", kind="png", text="quadtree panel")
 
 
@@ -122,53 +163,86 @@ REACH = 20.0
 
 
 def rule_controls(
-    rule: str | SeedingRule, ranges: Mapping[str, tuple[float | int, float | int]] | None = None
+    rule: str | SeedingRule,
+    ranges: Mapping[str, tuple[float | int, float | int]] | None = None,
 ) -> dict[str, Control]:
     """A control for each option of a rule, at its default.
 
-    A bool becomes a check box, a word a menu of the allowed words, an int a slider up to 4 times its default, a
-    positive float a slider from 1/20 to 20 times its default, any other float a slider from default - 1 to default + 1.
-    Paths and free texts have no control and keep their defaults.
+    A bool becomes a check box, a word a menu of the allowed words, an int a slider up to 4 times
+    its default, a positive float a slider from 1/20 to 20 times its default, any other float a
+    slider from default - 1 to default + 1. Paths and free texts have no control and keep their
+    defaults.
 
     Args:
         rule: Name or function.
-        ranges: Option -> its smallest and largest value, where the default range does not fit; two ints give whole
-            steps.
+        ranges: Option -> its smallest and largest value, where the default range does not fit; two
+            ints give whole steps.
 
     Raises:
         KeyError: no such rule, or ``ranges`` names no option of it.
     """
-    options, words, ranges = seeding.rule_options(rule), seeding.rule_choices(rule), dict(ranges or {})
+    options, words, ranges = (
+        seeding.rule_options(rule),
+        seeding.rule_choices(rule),
+        dict(ranges or {}),
+    )
     unknown = sorted(set(ranges) - set(options))
     if unknown:
-        raise KeyError(f"rule {rule_name(rule)!r} has no options {unknown}; known: {sorted(options)}")
+        raise KeyError(
+            f"rule {rule_name(rule)!r} has no options {unknown}; known: {sorted(options)}"
+        )
     return {
-        name: _control(name, default, words.get(name, ()), ranges.get(name))
+        name: _control(
+            name,
+            default,
+            words.get(name, ()),
+            ranges.get(name),
+        )
         for name, default in options.items()
         if name in words or isinstance(default, bool | int | float)
     }
 
 
-def _control(name: str, default: Any, words: Sequence[str], limits: tuple[float | int, float | int] | None) -> Control:
+def _control(
+    name: str,
+    default: Any,
+    words: Sequence[str],
+    limits: tuple[float | int, float | int] | None,
+) -> Control:
     if isinstance(default, bool):
         return Switch(value=default, label=name)
     if isinstance(default, str):
         return Choice(value=default, options=words, label=name)
     if isinstance(default, int):
         low, high = limits or (min(default, 1), max(4, 4 * default))
-        return Slider(value=default, low=int(low), high=int(high), step=1, label=name)
+        return Slider(
+            value=default,
+            low=int(low),
+            high=int(high),
+            step=1,
+            label=name,
+        )
     usual = (default / REACH, default * REACH) if default > 0 else (default - 1, default + 1)
     low, high = limits or usual
     whole = bool(limits) and all(isinstance(limit, int) for limit in limits or ())
     log = low > 0 and not whole
     step = 1.0 if whole else 0.02 if log else (high - low) / 100
-    return Slider(value=default, low=low, high=high, step=step, label=name, log=log, readout=".3g")
+    return Slider(
+        value=default,
+        low=low,
+        high=high,
+        step=step,
+        label=name,
+        log=log,
+        readout=".3g",
+    )
 
 
 def rule_context(mapper: GSFusion, frame: Frame) -> SeedContext:
     """What a rule would see if ``mapper`` mapped ``frame`` next; the mapper is not changed.
 
-    The volume is copied and the frame is fused into the copy: a rule sees the volume with the new frame in it.
+    The volume is copied and the frame is fused into the copy: a rule sees the volume with the new
+    frame in it.
     """
     volume = TsdfVolume(mapper.config.tsdf, device=mapper.device)
     volume.load_state_dict(copy.deepcopy(mapper.volume.state_dict()))
@@ -195,13 +269,14 @@ def rule_picture(
 ) -> tuple[Picture, Seeds]:
     """The seeds that a rule proposes for a frame, drawn, and the seeds themselves.
 
-    "places": red dots over the darkened photograph; "new Gaussians": the seeds alone, rendered; "map and new": the
-    seeds rendered together with the map of the context, which is where the optimisation starts.
+    "places": red dots over the darkened photograph; "new Gaussians": the seeds alone, rendered;
+    "map and new": the seeds rendered together with the map of the context, which is where the
+    optimisation starts.
 
     Args:
         rule: Name or function.
-        ctx: The frame, and what was mapped before. Its generator is seeded with 0 first, and its memory is restored
-            afterwards, so the picture repeats.
+        ctx: The frame, and what was mapped before. Its generator is seeded with 0 first, and its
+            memory is restored afterwards, so the picture repeats.
         options: Keyword arguments for the rule.
         show: What is drawn, one of ``RULE_SHOWS``.
         scale: Enlargement.
@@ -219,10 +294,16 @@ def rule_picture(
         ctx.memory.clear()
         ctx.memory.update(memory)
     if show != "places":
-        return _rendered(ctx, seeds, with_map=show == "map and new").repeat(scale, 0).repeat(scale, 1), seeds
+        return _rendered(ctx, seeds, with_map=show == "map and new").repeat(scale, 0).repeat(
+            scale, 1
+        ), seeds
     picture = (to_uint8(ctx.frame.colour).repeat(scale, 0).repeat(scale, 1) * 0.5).astype(np.uint8)
     xyz_C = se3.apply(se3.inverse(ctx.frame.T_WC), seeds.xyz_W)
-    paint_points(picture, project(ctx.camera, xyz_C[xyz_C[:, 2] > 0]) * scale - 1, SEED_COLOUR)
+    paint_points(
+        picture,
+        project(ctx.camera, xyz_C[xyz_C[:, 2] > 0]) * scale - 1,
+        SEED_COLOUR,
+    )
     return picture, seeds
 
 
@@ -243,16 +324,34 @@ def rule_panel(
     """
     scenes = {"frame": contexts} if isinstance(contexts, SeedContext) else dict(contexts)
     own = rule_controls(rule, ranges)
-    extra: dict[str, Control] = {"show": Choice(value=RULE_SHOWS[0], options=RULE_SHOWS, label="show")}
+    extra: dict[str, Control] = {
+        "show": Choice(value=RULE_SHOWS[0], options=RULE_SHOWS, label="show")
+    }
     if len(scenes) > 1:
-        extra = {"scene": Choice(value=next(iter(scenes)), options=list(scenes), label="scene"), **extra}
+        extra = {
+            "scene": Choice(
+                value=next(iter(scenes)),
+                options=list(scenes),
+                label="scene",
+            ),
+            **extra,
+        }
     taken = sorted(set(own) & {"scene", "show"})
     if taken:
-        raise ValueError(f"rule {rule_name(rule)!r} has an option named {taken[0]!r}, which the panel needs itself")
+        raise ValueError(
+            f"rule {rule_name(rule)!r} has an option named {taken[0]!r}, which the panel needs "
+            "itself"
+        )
 
     def draw(**values: Any) -> Drawn:
         ctx = scenes[values.pop("scene", next(iter(scenes)))]
-        picture, seeds = rule_picture(rule, ctx, values, show=values.pop("show"), scale=scale)
+        picture, seeds = rule_picture(
+            rule,
+            ctx,
+            values,
+            show=values.pop("show"),
+            scale=scale,
+        )
         pixels = int(ctx.has_depth().sum())
         each = f", one for every {pixels / len(seeds):.0f} pixels with depth" if len(seeds) else ""
         sizes = f"<br>{_sizes(seeds)}" if len(seeds) else ""
@@ -272,9 +371,13 @@ def _rendered(ctx: SeedContext, seeds: Seeds, *, with_map: bool) -> Picture:
     if with_map and ctx.gaussians is not None and len(ctx.map):
         known = ctx.map
         old = Seeds(
-            xyz_W=known.xyz_W, rgb=ctx.gaussians.rgb.clamp(0, 1), scale_m=known.scale_m, quat=known.quat,
-            opacity=known.opacity.clamp(1e-4, 1 - 1e-4), tag=torch.zeros(len(known), dtype=torch.int32),
-        )  # fmt: skip
+            xyz_W=known.xyz_W,
+            rgb=ctx.gaussians.rgb.clamp(0, 1),
+            scale_m=known.scale_m,
+            quat=known.quat,
+            opacity=known.opacity.clamp(1e-4, 1 - 1e-4),
+            tag=torch.zeros(len(known), dtype=torch.int32),
+        )
         model.append(old)
     model.append(dataclasses.replace(seeds, tag=seeds.tag.to(torch.int32)))
     if len(model) == 0:

@@ -1,4 +1,5 @@
-"""How the time of a frame divides into stages, and a panel that speeds up single stages (Amdahl's law)."""
+"""How the time of a frame divides into stages, and a panel that speeds up single stages (Amdahl's
+law)."""
 
 from collections.abc import Iterable, Mapping
 
@@ -10,7 +11,11 @@ from ...optim import Keyframe
 from .panel import Drawn, Panel, Slider
 
 
-def stage_means(seconds: list[dict[str, float]], *, least_share: float = 0.002) -> dict[str, float]:
+def stage_means(
+    seconds: list[dict[str, float]],
+    *,
+    least_share: float = 0.002,
+) -> dict[str, float]:
     """Mean time of each stage over the frames, seconds; very short stages are left out.
 
     Args:
@@ -23,7 +28,11 @@ def stage_means(seconds: list[dict[str, float]], *, least_share: float = 0.002) 
     return {name: value for name, value in means.items() if value > least_share * total}
 
 
-def stage_bars(runs: Mapping[str, Mapping[str, float]], *, width: int = 720) -> Picture:
+def stage_bars(
+    runs: Mapping[str, Mapping[str, float]],
+    *,
+    width: int = 720,
+) -> Picture:
     """One bar for each run, cut into its stages, all to the same scale.
 
     Args:
@@ -35,23 +44,50 @@ def stage_bars(runs: Mapping[str, Mapping[str, float]], *, width: int = 720) -> 
     figure, (axes,) = card_figure(width, 70 * len(runs) + 60)
     longest = max(sum(run.values()) for run in runs.values()) or 1.0
     left = dict.fromkeys(runs, 0.0)
-    for stage, ink in zip(dict.fromkeys(stage for run in runs.values() for stage in run), PALETTE * 3, strict=False):
+    for stage, ink in zip(
+        dict.fromkeys(stage for run in runs.values() for stage in run),
+        PALETTE * 3,
+        strict=False,
+    ):
         ms = [1e3 * run.get(stage, 0.0) for run in runs.values()]
-        bars = axes.barh(list(runs), ms, left=list(left.values()), color=ink, label=stage)
+        bars = axes.barh(
+            list(runs),
+            ms,
+            left=list(left.values()),
+            color=ink,
+            label=stage,
+        )
         inside = [_short(x) if x > 60 * longest else "" for x in ms]
         axes.bar_label(bars, inside, label_type="center", color="white", fontsize=8)
         left = {label: left[label] + x for label, x in zip(runs, ms, strict=True)}
     rates = [f" {_short(x)} ms, {_short(1e3 / x)} frames/s" if x else "" for x in left.values()]
     for row, rate in enumerate(rates):
-        axes.text(list(left.values())[row], row, rate, color=CARD_INK, fontsize=8, va="center")
+        axes.text(
+            list(left.values())[row],
+            row,
+            rate,
+            color=CARD_INK,
+            fontsize=8,
+            va="center",
+        )
     axes.set_xlim(0, 1250 * longest)
     axes.invert_yaxis()
     style(axes, x="ms per frame", ink=CARD_INK)
-    figure.legend(loc="outside lower left", ncols=8, frameon=False, labelcolor=CARD_INK, fontsize=8, handlelength=1)
+    figure.legend(
+        loc="outside lower left",
+        ncols=8,
+        frameon=False,
+        labelcolor=CARD_INK,
+        fontsize=8,
+        handlelength=1,
+    )
     return figure_picture(figure)
 
 
-def sped_up(seconds: Mapping[str, float], factors: Mapping[str, float | int]) -> dict[str, float]:
+def sped_up(
+    seconds: Mapping[str, float],
+    factors: Mapping[str, float | int],
+) -> dict[str, float]:
     """The stages' times if each were ``factors[stage]`` times as fast."""
     return {stage: value / factors.get(stage, 1.0) for stage, value in seconds.items()}
 
@@ -70,13 +106,22 @@ def amdahl_panel(seconds: Mapping[str, float], *, width: int = 720) -> Panel:
         gain = sum(before.values()) / sum(after.values())
         largest = max(after, key=lambda stage: after[stage])
         words = (
-            f'<b class="gsnb-amdahl-gain">{gain:.2f}</b> times as fast<br>largest remaining stage: {largest}, '
+            f'<b class="gsnb-amdahl-gain">{gain:.2f}</b> times as fast<br>largest remaining stage: '
+            f"{largest}, "
             f"{100 * after[largest] / sum(after.values()):.0f} %"
         )
         return stage_bars({"now": before, "then": after}, width=width), words
 
     controls = {
-        stage: Slider(value=1.0, low=1.0, high=1000.0, step=0.05, label=f"{stage}, times", log=True, readout=".1f")
+        stage: Slider(
+            value=1.0,
+            low=1.0,
+            high=1000.0,
+            step=0.05,
+            label=f"{stage}, times",
+            log=True,
+            readout=".1f",
+        )
         for stage in before
     }
     return Panel(draw, controls, name="amdahl", kind="png", text="Amdahl panel")
@@ -87,7 +132,13 @@ def _short(number: float) -> str:
     return f"{number:.3g}" if number < 1000 else f"{number:,.0f}"
 
 
-def keyframe_strip(keyframes: Iterable[Keyframe], *, columns: int = 10, width: int = 900, most: int = 40) -> Picture:
+def keyframe_strip(
+    keyframes: Iterable[Keyframe],
+    *,
+    columns: int = 10,
+    width: int = 900,
+    most: int = 40,
+) -> Picture:
     """Thumbnails in rows, in the order they were taken, each with its frame number above it.
 
     Args:
@@ -108,4 +159,6 @@ def keyframe_strip(keyframes: Iterable[Keyframe], *, columns: int = 10, width: i
     tiles += [blank] * (-len(tiles) % columns)
     names = [str(shown[k].index) for k in picked] + [""] * (len(tiles) - len(picked))
     starts = range(0, len(tiles), columns)
-    return np.concatenate([side_by_side(tiles[i : i + columns], names[i : i + columns]) for i in starts])
+    return np.concatenate(
+        [side_by_side(tiles[i : i + columns], names[i : i + columns]) for i in starts]
+    )

@@ -1,4 +1,5 @@
-"""A panel of a trace: a slider over everything that happened to a Gaussian or a voxel, forwards and back."""
+"""A panel of a trace: a slider over everything that happened to a Gaussian or a voxel, forwards and
+back."""
 
 from typing import Any
 
@@ -21,17 +22,19 @@ INKS = {"tile": "#409cff", "cell": "#ff5050", "pixel": CROSS}
 
 
 class TracePanel(Panel):
-    """Everything that happened to one Gaussian or voxel: a slider over the moments, a picture, numbers, code.
+    """Everything that happened to one Gaussian or voxel: a slider over the moments, a picture,
+    numbers, code.
 
-    The picture is that of the operation: blue frames are tiles, the red one is the quadtree cell, the yellow mark is
-    the pixel, and the ellipse is the Gaussian at one standard deviation. A click on the picture (or the arrow keys)
-    follows what *click follows* says: the Gaussian with the largest weight there, or the voxel of the surface there.
-    From Python: ``look_at(gaussian=7)``, ``look_at(id=7)``, ``look_at(voxel=(x, y, z))``, and ``go_to(k)``. ``story``
-    is what is shown.
+    The picture is that of the operation: blue frames are tiles, the red one is the quadtree cell,
+    the yellow mark is the pixel, and the ellipse is the Gaussian at one standard deviation. A click
+    on the picture (or the arrow keys) follows what *click follows* says: the Gaussian with the
+    largest weight there, or the voxel of the surface there. From Python: ``look_at(gaussian=7)``,
+    ``look_at(id=7)``, ``look_at(voxel=(x, y, z))``, and ``go_to(k)``. ``story`` is what is shown.
 
     Args:
-        trace: The ``gsfusion_nb.course.trace.Trace`` of a mapper. Its answers are stories with ``moments``, in
-            order; each has ``title``, ``lines()``, ``source_line()``, ``image``, ``boxes`` and ``ellipse``.
+        trace: The ``gsfusion_nb.course.trace.Trace`` of a mapper. Its answers are stories with
+            ``moments``, in order; each has ``title``, ``lines()``, ``source_line()``, ``image``,
+            ``boxes`` and ``ellipse``.
         what: As for ``look_at``.
 
     Raises:
@@ -43,15 +46,29 @@ class TracePanel(Panel):
         self.story, self.name_of_story = self._told(**what)
         start = "voxel" if "voxel" in what else "Gaussian"
         controls = {
-            "moment": Slider(value=0, low=0, high=len(self.story.moments) - 1, step=1, label="moment"),
+            "moment": Slider(
+                value=0,
+                low=0,
+                high=len(self.story.moments) - 1,
+                step=1,
+                label="moment",
+            ),
             "follows": Choice(value=start, options=FOLLOWS, label="click follows"),
         }
-        buttons = {"Previous": lambda: self.go_to(self.moment - 1), "Next": lambda: self.go_to(self.moment + 1)}
+        buttons = {
+            "Previous": lambda: self.go_to(self.moment - 1),
+            "Next": lambda: self.go_to(self.moment + 1),
+        }
         text = "The picture of an operation; click a pixel to follow it"
         super().__init__(
-            self._draw, controls, buttons=buttons, name="trace", kind="png", text=text,
+            self._draw,
+            controls,
+            buttons=buttons,
+            name="trace",
+            kind="png",
+            text=text,
             touch=lambda stroke, _: self._clicked(stroke),
-        )  # fmt: skip
+        )
 
     @property
     def moment(self) -> int:
@@ -59,7 +76,8 @@ class TracePanel(Panel):
         return self.values["moment"]
 
     def look_at(self, **what: Any) -> Any:
-        """Follow the Gaussian in a row of the map, ``gaussian=``, the one with a number, ``id=``, or a ``voxel=``.
+        """Follow the Gaussian in a row of the map, ``gaussian=``, the one with a number, ``id=``,
+        or a ``voxel=``.
 
         Raises:
             ValueError: not exactly one of them is given, or nothing is known of it.
@@ -94,7 +112,12 @@ class TracePanel(Panel):
             story = self.look_at(voxel=self.trace.voxel_at(*at))
         else:
             story = self.look_at(id=self.trace.gaussian_at(*at))
-        self.go_to(min(range(len(story.moments)), key=lambda k: abs(story.moments[k].serial - now.serial)))
+        self.go_to(
+            min(
+                range(len(story.moments)),
+                key=lambda k: abs(story.moments[k].serial - now.serial),
+            )
+        )
         return {}
 
     def _told(self, **what: Any) -> tuple[Any, str]:
@@ -120,14 +143,23 @@ class TracePanel(Panel):
     def _draw(self, moment: int, follows: str) -> Drawn:
         now, n = self.story.moments[moment], len(self.story.moments)
         place, code = now.source_line()
-        head = Markup("<b>{}</b>, {} of {}: {}").format(self.name_of_story, moment + 1, n, now.title)
-        table = Markup(html_table(now.lines(), style="font-size:12px", cell_style="text-align:left;padding:1px 6px"))
-        line = Markup('<div style="font-size:12px;overflow-wrap:anywhere">{}: <code>{}</code></div>')
+        head = Markup("<b>{}</b>, {} of {}: {}").format(
+            self.name_of_story, moment + 1, n, now.title
+        )
+        table = Markup(
+            html_table(
+                now.lines(), style="font-size:12px", cell_style="text-align:left;padding:1px 6px"
+            )
+        )
+        line = Markup(
+            '<div style="font-size:12px;overflow-wrap:anywhere">{}: <code>{}</code></div>'
+        )
         return moment_picture(now), str(head + table + line.format(place, code))
 
 
 def moment_picture(moment: Any, width: int = WIDTH_PX) -> Picture:
-    """The image of a moment, enlarged to ``width`` pixels, with its marks; grey if the image is no longer held."""
+    """The image of a moment, enlarged to ``width`` pixels, with its marks; grey if the image is no
+    longer held."""
     from matplotlib.patches import Polygon, Rectangle
 
     camera = moment.camera
@@ -136,8 +168,24 @@ def moment_picture(moment: Any, width: int = WIDTH_PX) -> Picture:
     figure, axes = image_figure(image, (width, round(rows * width / columns)))
     for kind, places in moment.boxes.items():
         for x, y, w, h in places:
-            axes.add_patch(Rectangle((x, y), w, h, fill=False, edgecolor=INKS[kind], linewidth=1.5))
+            axes.add_patch(
+                Rectangle(
+                    (x, y),
+                    w,
+                    h,
+                    fill=False,
+                    edgecolor=INKS[kind],
+                    linewidth=1.5,
+                )
+            )
     if moment.ellipse is not None:
         uv, conic = moment.ellipse
-        axes.add_patch(Polygon(ellipse_outlines(uv[None], conic[None])[0], fill=False, edgecolor=CROSS, linewidth=1.5))
+        axes.add_patch(
+            Polygon(
+                ellipse_outlines(uv[None], conic[None])[0],
+                fill=False,
+                edgecolor=CROSS,
+                linewidth=1.5,
+            )
+        )
     return figure_picture(figure)

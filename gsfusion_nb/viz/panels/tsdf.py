@@ -43,9 +43,10 @@ def slice_picture(
 ) -> Picture:
     """The horizontal plane z = ``height_m`` from above, x to the right and y up.
 
-    "distance": D from red (-1, behind a surface) over white (0, on it) to blue (+1, free); "weight": the observation
-    count from dark (1) to bright (``max_weight`` and more); "colour": the mean colour. Voxels never observed, and where
-    there are none, are striped grey. Each pixel shows the voxel that contains it, without interpolation.
+    "distance": D from red (-1, behind a surface) over white (0, on it) to blue (+1, free);
+    "weight": the observation count from dark (1) to bright (``max_weight`` and more); "colour": the
+    mean colour. Voxels never observed, and where there are none, are striped grey. Each pixel shows
+    the voxel that contains it, without interpolation.
 
     Args:
         volume: The map.
@@ -64,7 +65,10 @@ def slice_picture(
     x = x_m[0] + (torch.arange(width) + 0.5) / px_per_m
     y = y_m[1] - (torch.arange(height) + 0.5) / px_per_m
     xy = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1).view(-1, 2)
-    points = torch.cat([xy, torch.full_like(xy[:, :1], float(height_m))], dim=1)
+    points = torch.cat(
+        [xy, torch.full_like(xy[:, :1], float(height_m))],
+        dim=1,
+    )
     sample = volume.sample_nearest(points.to(volume.device))
     D, W = (a.cpu().numpy().reshape(height, width) for a in (sample.D, sample.W))
     if quantity == "distance":
@@ -74,28 +78,54 @@ def slice_picture(
     else:
         image = to_uint8(sample.rgb.view(height, width, 3))
     stripes = (np.add.outer(np.arange(height), np.arange(width)) // 4) % 2
-    return np.where((W > 0)[..., None], image, np.where(stripes, *_UNSEEN)[..., None]).astype(np.uint8)
+    return np.where(
+        (W > 0)[..., None],
+        image,
+        np.where(stripes, *_UNSEEN)[..., None],
+    ).astype(np.uint8)
 
 
 def distance_colours(D: Float[np.ndarray, "H W"] | Float[Tensor, "H W"]) -> Picture:
     """Truncated signed distance as colour: red -1, white 0, blue +1."""
     d = np.clip(np.asarray(D, dtype=np.float32), -1, 1)[..., None]
     behind, zero, free = (np.array(c, np.float32) for c in (_BEHIND, _ZERO, _FREE))
-    colour = np.where(d < 0, zero + (zero - behind) * d, zero + (free - zero) * d)
+    colour = np.where(
+        d < 0,
+        zero + (zero - behind) * d,
+        zero + (free - zero) * d,
+    )
     return (colour + 0.5).astype(np.uint8)
 
 
-def draw_camera(picture: Picture, camera: Camera, T_WC: Float[Tensor, "4 4"], *, reach_m: float | int = 1.2) -> Picture:
-    """A copy of a slice of the usual extent with a dot at the camera, and the left and right edge of what it sees."""
+def draw_camera(
+    picture: Picture,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    *,
+    reach_m: float | int = 1.2,
+) -> Picture:
+    """A copy of a slice of the usual extent with a dot at the camera, and the left and right edge
+    of what it sees."""
     T = T_WC.detach().cpu().double().numpy()
-    edges = [np.array([(u - camera.cx) / camera.fx, 0.0, 1.0]) * reach_m for u in (0.0, float(camera.width))]
+    edges = [
+        np.array([(u - camera.cx) / camera.fx, 0.0, 1.0]) * reach_m
+        for u in (0.0, float(camera.width))
+    ]
     points = [slice_pixel(*p[:2]) for p in (T[:3, 3], *(T[:3, :3] @ e + T[:3, 3] for e in edges))]
     place, left, right = ((round(16 * u), round(16 * v)) for u, v in points)
     image = picture.copy()
     for ink, thickness in (((30, 30, 30), 4), (_CAMERA, 2)):
         cv2.line(image, place, left, ink, thickness, cv2.LINE_AA, 4)
         cv2.line(image, place, right, ink, thickness, cv2.LINE_AA, 4)
-        cv2.circle(image, place, (3 + thickness) * 16, ink, -1, cv2.LINE_AA, 4)
+        cv2.circle(
+            image,
+            place,
+            (3 + thickness) * 16,
+            ink,
+            -1,
+            cv2.LINE_AA,
+            4,
+        )
     return image
 
 
@@ -116,7 +146,11 @@ ARM_M = 0.9
 
 
 def level_pose(
-    x_m: float | int, y_m: float | int, height_m: float | int, heading_deg: float | int, tilt_deg: float | int = 0.0
+    x_m: float | int,
+    y_m: float | int,
+    height_m: float | int,
+    heading_deg: float | int,
+    tilt_deg: float | int = 0.0,
 ) -> Float[Tensor, "4 4"]:
     """T_WC of an upright camera in a world whose z points up.
 
@@ -136,17 +170,25 @@ def shape_picture(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]
 
 
 def camera_handles(x_m: float, y_m: float, heading_deg: float) -> dict[str, Point]:
-    """In a slice, pixels: the handle that moves the camera, and the one in front of it that turns it."""
+    """In a slice, pixels: the handle that moves the camera, and the one in front of it that turns
+    it."""
     h = math.radians(heading_deg)
     ahead = (x_m + ARM_M * math.cos(h), y_m + ARM_M * math.sin(h))
     return {"place": slice_pixel(x_m, y_m), "heading": slice_pixel(*ahead)}
 
 
-def touch_camera(stroke: Stroke, values: dict[str, Any], camera: Camera) -> dict[str, float]:
-    """What a drag over the panel's picture changes: a handle in the slice, or the direction of view in the view."""
+def touch_camera(
+    stroke: Stroke,
+    values: dict[str, Any],
+    camera: Camera,
+) -> dict[str, float]:
+    """What a drag over the panel's picture changes: a handle in the slice, or the direction of view
+    in the view."""
     du, dv = stroke.moved
     width, height = slice_pixel(X_M[1], Y_M[0])
-    if stroke.start[0] >= width:  # the scene in the view, which is as high as the slice, follows the pointer
+    if (
+        stroke.start[0] >= width
+    ):  # the scene in the view, which is as high as the slice, follows the pointer
         turn = math.degrees(camera.height / height / camera.fx)
         heading = wrapped_deg(values["heading_deg"] + du * turn)
         return {"heading_deg": heading, "tilt_deg": values["tilt_deg"] + dv * turn}
@@ -166,11 +208,17 @@ def wrapped_deg(angle_deg: float) -> float:
 
 
 def tsdf_fill_panel(
-    volume: TsdfVolume, camera: Camera, sensor: DepthSensor, *, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    volume: TsdfVolume,
+    camera: Camera,
+    sensor: DepthSensor,
+    *,
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Panel:
-    """Move a camera, press *measure*, and see the volume fill. Moving alone does not change the map.
+    """Move a camera, press *measure*, and see the volume fill. Moving alone does not change the
+    map.
 
-    Drag the camera in the slice, the handle in front of it to turn it, or the view to look around; or use the sliders.
+    Drag the camera in the slice, the handle in front of it to turn it, or the view to look around;
+    or use the sliders.
 
     Args:
         volume: Filled in place; *forget* empties it.
@@ -185,7 +233,9 @@ def tsdf_fill_panel(
         fused[0] += 1
 
     def pose(values: dict[str, Any]) -> Float[Tensor, "4 4"]:
-        return level_pose(values["x_m"], values["y_m"], 1.3, values["heading_deg"], values["tilt_deg"])
+        return level_pose(
+            values["x_m"], values["y_m"], 1.3, values["heading_deg"], values["tilt_deg"]
+        )
 
     def measure() -> None:
         measured(pose(panel.values))
@@ -194,31 +244,78 @@ def tsdf_fill_panel(
         volume.load_state_dict(TsdfVolume(volume.config, volume.device).state_dict())
         fused[0] = 0
 
-    def draw(*, height_m: float, quantity: str, at_every_move: bool, **where: float) -> Drawn:
+    def draw(
+        *,
+        height_m: float,
+        quantity: str,
+        at_every_move: bool,
+        **where: float,
+    ) -> Drawn:
         T_WC = pose(where)
         if at_every_move:
             measured(T_WC)
-        flat = draw_camera(slice_picture(volume, height_m=height_m, quantity=quantity), camera, T_WC)
+        flat = draw_camera(
+            slice_picture(volume, height_m=height_m, quantity=quantity), camera, T_WC
+        )
         seen = draw_handles(flat, camera_handles(where["x_m"], where["y_m"], where["heading_deg"]))
-        titles = [f"{quantity}, slice at z = {height_m:.2f} m{LEGENDS[quantity]}", "the map, seen from the camera"]
+        titles = [
+            f"{quantity}, slice at z = {height_m:.2f} m{LEGENDS[quantity]}",
+            "the map, seen from the camera",
+        ]
         text = (
-            f'<b class="gsnb-fill-frames">{fused[0]}</b> measurements, <b>{volume.n_blocks:,}</b> blocks of 8&sup3; '
+            f'<b class="gsnb-fill-frames">{fused[0]}</b> measurements, <b>{volume.n_blocks:,}</b> '
+            "blocks of 8&sup3; "
             f"voxels, {int((volume.W > 0).sum()):,} voxels observed"
         )
         return side_by_side([seen, shape_picture(volume, camera, T_WC)], titles), text
 
     x_m, y_m, turn_deg = map(float, start)
     controls = {
-        "x_m": Slider(value=x_m, low=-2.2, high=2.2, step=0.05, label="x, m"),
-        "y_m": Slider(value=y_m, low=-1.7, high=1.7, step=0.05, label="y, m"),
-        "heading_deg": Slider(value=turn_deg, low=-180, high=180, step=1.0, label="heading, °", readout=".0f"),
-        "tilt_deg": Slider(value=0.0, low=-60, high=60, step=1.0, label="tilt, °", readout=".0f"),
-        "height_m": Slider(value=1.0, low=0.0, high=2.6, step=0.02, label="slice at z, m"),
+        "x_m": Slider(
+            value=x_m,
+            low=-2.2,
+            high=2.2,
+            step=0.05,
+            label="x, m",
+        ),
+        "y_m": Slider(
+            value=y_m,
+            low=-1.7,
+            high=1.7,
+            step=0.05,
+            label="y, m",
+        ),
+        "heading_deg": Slider(
+            value=turn_deg, low=-180, high=180, step=1.0, label="heading, °", readout=".0f"
+        ),
+        "tilt_deg": Slider(
+            value=0.0,
+            low=-60,
+            high=60,
+            step=1.0,
+            label="tilt, °",
+            readout=".0f",
+        ),
+        "height_m": Slider(
+            value=1.0,
+            low=0.0,
+            high=2.6,
+            step=0.02,
+            label="slice at z, m",
+        ),
         "quantity": Choice(value="distance", options=QUANTITIES, label="show"),
         "at_every_move": Switch(value=False, label="measure at every move"),
     }
     buttons = {"measure": measure, "forget": forget}
     text = "A slice of a TSDF volume with the camera in it, and what the camera sees of the map"
     touch = functools.partial(touch_camera, camera=camera)
-    panel = Panel(draw, controls, buttons=buttons, name="fill", kind="png", text=text, touch=touch)
+    panel = Panel(
+        draw,
+        controls,
+        buttons=buttons,
+        name="fill",
+        kind="png",
+        text=text,
+        touch=touch,
+    )
     return panel

@@ -1,1 +1,2 @@
-"""Steppers: an algorithm one line at a time, with the line, a picture and the numbers of the plain code as it ran."""
+"""Steppers: an algorithm one line at a time, with the line, a picture and the numbers of the plain
+code as it ran."""

@@ -1,4 +1,5 @@
-"""A stepper through the blending of one pixel, front to back: alpha, the light that is left, weight, colour so far."""
+"""A stepper through the blending of one pixel, front to back: alpha, the light that is left,
+weight, colour so far."""
 
 import dataclasses
 from typing import TYPE_CHECKING, Any
@@ -23,10 +24,26 @@ WATCH = {
     composite: {
         "composite": ("alpha", "w", "C[y, x]"),
         "splat_alpha": ("dx", "dy", "sigma", "alpha", "opacity"),
-        "blend_weights": ("alpha", "T_behind", "T", "torch.where(T_behind >= TRANSMITTANCE_MIN, alpha * T, 0.0)"),
+        "blend_weights": (
+            "alpha",
+            "T_behind",
+            "T",
+            "torch.where(T_behind >= TRANSMITTANCE_MIN, alpha * T, 0.0)",
+        ),
         "blend": ("w", "c"),
         "composite_vjp": ("v_c", "v_uv", "v_opacity", "v_alpha_k"),
-        "blend_vjp": ("T", "w", "c_dot_v", "S", "moves", "v_alpha_k", "w @ v_C", "alpha", "c", "v_C"),
+        "blend_vjp": (
+            "T",
+            "w",
+            "c_dot_v",
+            "S",
+            "moves",
+            "v_alpha_k",
+            "w @ v_C",
+            "alpha",
+            "c",
+            "v_C",
+        ),
         "splat_alpha_vjp": ("v_opacity", "v_sigma", "v_uv"),
     }
 }
@@ -51,7 +68,8 @@ def record_pixel(
     pixel: tuple[int, int],
     v_rgb: Float[Tensor, "3"] | None = None,
 ) -> PixelRun:
-    """``composite`` of an image that is this one pixel, and then ``composite_vjp`` if ``v_rgb`` is given: a recording.
+    """``composite`` of an image that is this one pixel, and then ``composite_vjp`` if ``v_rgb`` is
+    given: a recording.
 
     Raises:
         ValueError: the pixel is outside the image, or no Gaussian reaches it.
@@ -61,20 +79,48 @@ def record_pixel(
     uv, rows = p.uv - p.uv.new_tensor(pixel), rows[p.depth_m[rows].argsort(stable=True)]
     if not len(rows):
         raise ValueError(f"no Gaussian reaches pixel {pixel}")
-    one = dataclasses.replace(camera, width=1, height=1, cx=camera.cx - pixel[0], cy=camera.cy - pixel[1])
-    lists = TileLists(gaussian=rows, offset=torch.tensor([0, len(rows)]), tile_px=TILE_PX, tiles_x=1, tiles_y=1)
+    one = dataclasses.replace(
+        camera,
+        width=1,
+        height=1,
+        cx=camera.cx - pixel[0],
+        cy=camera.cy - pixel[1],
+    )
+    lists = TileLists(
+        gaussian=rows,
+        offset=torch.tensor([0, len(rows)]),
+        tile_px=TILE_PX,
+        tiles_x=1,
+        tiles_y=1,
+    )
 
     def run() -> Any:
-        output = composite(uv, p.conic, p.opacity, splats.rgb, p.depth_m, lists, one)
+        output = composite(
+            uv,
+            p.conic,
+            p.opacity,
+            splats.rgb,
+            p.depth_m,
+            lists,
+            one,
+        )
         return output, None if v_rgb is None else composite_vjp(output.saved, v_rgb.view(1, 1, 3))
 
-    return PixelRun(recording=record(run, WATCH), row=rows, rgb=splats.rgb[rows])
+    return PixelRun(
+        recording=record(run, WATCH),
+        row=rows,
+        rgb=splats.rgb[rows],
+    )
 
 
 def compositing_stepper(
-    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], pixel: tuple[int, int]
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    pixel: tuple[int, int],
 ) -> Stepper:
-    """Press Next through the Gaussians of one pixel, nearest first: alpha, the light that is left, weight and colour.
+    """Press Next through the Gaussians of one pixel, nearest first: alpha, the light that is left,
+    weight and colour.
 
     Bars: alpha pale, weight in the Gaussian's colour; red steps: T; the square: the colour so far.
 
@@ -93,7 +139,10 @@ def compositing_stepper(
         lines.at("T_behind = (1 - alpha).cumprod")[0],
     )
     weights, end = lines.at("torch.where(T_behind >=")[0], lines.at("C[y, x] = blend")[0]
-    sigma, alpha = (alphas[name][:, 0] if name == "sigma" else alphas["return"][:, 0] for name in ("sigma", "alpha"))
+    sigma, alpha = (
+        alphas[name][:, 0] if name == "sigma" else alphas["return"][:, 0]
+        for name in ("sigma", "alpha")
+    )
     T, behind, w = weights["T"][:, 0], behinds["T_behind"][:, 0], weights[WEIGHTS][:, 0]
     K = shown(w)
     steps, colour = [], torch.zeros(3)
@@ -101,30 +150,69 @@ def compositing_stepper(
         scene = {"k": k, "alpha": alpha[: k + 1], "w": w[:k], "T": T[:k], "colour": colour}
         who = f"Gaussian {k + 1} of {len(w)}, row {int(run.row[k])}"
         offset = f"({float(alphas['dx'][k]):.2f}, {float(alphas['dy'][k]):.2f}) px"
-        numbers = [("(dx, dy)", offset), ("opacity", text_of(alphas["opacity"][k])), ("sigma", text_of(sigma[k]))]
-        steps.append(Step(alphas, f"{who}: alpha at this pixel.", [*numbers, ("alpha", text_of(alpha[k]))], scene))
+        numbers = [
+            ("(dx, dy)", offset),
+            ("opacity", text_of(alphas["opacity"][k])),
+            ("sigma", text_of(sigma[k])),
+        ]
+        steps.append(
+            Step(
+                alphas,
+                f"{who}: alpha at this pixel.",
+                [*numbers, ("alpha", text_of(alpha[k]))],
+                scene,
+            )
+        )
         numbers = [("T, light in front of it", text_of(T[k])), ("1 − alpha", text_of(1 - alpha[k]))]
         scene = scene | {"T": T[: k + 1]}
         passes = f"{100 * float(behind[k]):.3g} % of the light is left behind Gaussian {k + 1}."
-        steps.append(Step(behinds, passes, [*numbers, ("T behind it", text_of(behind[k]))], scene))
+        steps.append(
+            Step(
+                behinds,
+                passes,
+                [*numbers, ("T behind it", text_of(behind[k]))],
+                scene,
+            )
+        )
         colour = colour + w[k] * run.rgb[k]
         scene = scene | {"w": w[: k + 1], "colour": colour}
         title = f"Its weight is alpha T = {float(w[k]):.4f}."
         if not w[k]:
-            title = "T behind it would be below 1e-4: the pixel is finished, and the weight is 0 from here on."
-        numbers = [("w", text_of(w[k])), ("c", text_of(run.rgb[k], 3)), ("colour so far", text_of(colour, 3))]
+            title = (
+                "T behind it would be below 1e-4: the pixel is finished, and the weight is 0 "
+                "from here on."
+            )
+        numbers = [
+            ("w", text_of(w[k])),
+            ("c", text_of(run.rgb[k], 3)),
+            ("colour so far", text_of(colour, 3)),
+        ]
         steps.append(Step(weights, title, numbers, scene))
     C = end["C[y, x]"][0]
-    numbers = [("C, colour", text_of(C[:3])), ("depth", f"{float(C[3]):.4f} m"), ("sum of the weights", text_of(C[4]))]
-    steps.append(Step(end, f"The pixel is the sum of w c over its {len(w)} Gaussians.", numbers, steps[-1].scene))
+    numbers = [
+        ("C, colour", text_of(C[:3])),
+        ("depth", f"{float(C[3]):.4f} m"),
+        ("sum of the weights", text_of(C[4])),
+    ]
+    steps.append(
+        Step(
+            end,
+            f"The pixel is the sum of w c over its {len(w)} Gaussians.",
+            numbers,
+            steps[-1].scene,
+        )
+    )
     return Stepper(
-        steps, lambda figure, scene: _forward_picture(figure, scene, run.rgb[:K]), name="compositing",
+        steps,
+        lambda figure, scene: _forward_picture(figure, scene, run.rgb[:K]),
+        name="compositing",
         label=f"Compositing of pixel {pixel}",
-    )  # fmt: skip
+    )
 
 
 def shown(w: Tensor) -> int:
-    """How many Gaussians have steps: those with a weight, and a few behind the place where blending stops."""
+    """How many Gaussians have steps: those with a weight, and a few behind the place where blending
+    stops."""
     used = int((w > 0).nonzero().max()) + 1 if bool((w > 0).any()) else 0
     return min(len(w), used + _BEHIND_THE_STOP)
 
@@ -133,24 +221,49 @@ def _bars(axes: Any, height: Tensor, rgb: Tensor, **how: Any) -> None:
     """Bars over the Gaussians of a pixel, nearest first; the first ones of ``rgb``."""
     n = len(height)
     axes.bar(
-        range(1, n + 1), height.numpy(), color=rgb[:n].clamp(0, 1).numpy(), edgecolor=BETWEEN, linewidth=0.6, **how
+        range(1, n + 1),
+        height.numpy(),
+        color=rgb[:n].clamp(0, 1).numpy(),
+        edgecolor=BETWEEN,
+        linewidth=0.6,
+        **how,
     )
     axes.set_xlim(0.3, len(rgb) + 0.7)
     axes.locator_params(axis="x", integer=True)
 
 
 def _forward_picture(figure: "Figure", scene: dict[str, Any], rgb: Tensor) -> None:
-    axes, corner = figure.add_axes((0.11, 0.13, 0.70, 0.79)), figure.add_axes((0.84, 0.13, 0.13, 0.17))
+    axes, corner = (
+        figure.add_axes((0.11, 0.13, 0.70, 0.79)),
+        figure.add_axes((0.84, 0.13, 0.13, 0.17)),
+    )
     style(axes, x="Gaussian, nearest first", y="w, alpha, T", title="alpha, weight, and T (red)")
     style(corner, title="colour")
-    corner.imshow(scene["colour"].clamp(0, 1).numpy().reshape(1, 1, 3), aspect="auto")
+    corner.imshow(
+        scene["colour"].clamp(0, 1).numpy().reshape(1, 1, 3),
+        aspect="auto",
+    )
     corner.set(xticks=[], yticks=[])
     axes.set_ylim(0, 1.05)
     _bars(axes, scene["alpha"], rgb, width=0.8, alpha=0.35)
     _bars(axes, scene["w"], rgb, width=0.5)
     T = scene["T"].numpy()
-    axes.plot(range(1, len(T) + 1), T, ".-", drawstyle="steps-mid", color=PALETTE[3], linewidth=1.8)
-    axes.plot(scene["k"] + 1, 1.03, "v", color=PALETTE[3], markersize=7, clip_on=False)
+    axes.plot(
+        range(1, len(T) + 1),
+        T,
+        ".-",
+        drawstyle="steps-mid",
+        color=PALETTE[3],
+        linewidth=1.8,
+    )
+    axes.plot(
+        scene["k"] + 1,
+        1.03,
+        "v",
+        color=PALETTE[3],
+        markersize=7,
+        clip_on=False,
+    )
 
 
 def compositing_gradient_stepper(
@@ -160,7 +273,8 @@ def compositing_gradient_stepper(
     pixel: tuple[int, int],
     v_rgb: Float[Tensor, "3"],
 ) -> Stepper:
-    """Press Next through the Gaussians of one pixel, farthest first: S, dL/dalpha, and what follows from it.
+    """Press Next through the Gaussians of one pixel, farthest first: S, dL/dalpha, and what follows
+    from it.
 
     Above: the weights, with the Gaussian in question framed; below: dL/dalpha of each.
 
@@ -174,9 +288,17 @@ def compositing_gradient_stepper(
     run = record_pixel(params, camera, T_WC, pixel, v_rgb)
     lines = run.recording
     dot, sums = lines.at("c_dot_v = c @ v_C.T")[0], lines.at("S = _sum_behind")[0]
-    slope, colours = lines.at("v_alpha_k = torch.where(moves")[0], lines.at("return v_alpha_k, w @ v_C")[0]
-    opacities, centres = lines.at("v_opacity = (v_alpha * alpha)")[0], lines.at("v_uv = -torch.stack")[0]
-    T, w, c_dot_v, S, v_alpha = (slope[name][:, 0] for name in ("T", "w", "c_dot_v", "S", "v_alpha_k"))
+    slope, colours = (
+        lines.at("v_alpha_k = torch.where(moves")[0],
+        lines.at("return v_alpha_k, w @ v_C")[0],
+    )
+    opacities, centres = (
+        lines.at("v_opacity = (v_alpha * alpha)")[0],
+        lines.at("v_uv = -torch.stack")[0],
+    )
+    T, w, c_dot_v, S, v_alpha = (
+        slope[name][:, 0] for name in ("T", "w", "c_dot_v", "S", "v_alpha_k")
+    )
     K = shown(w)
     steps: list[Step] = []
     for k in reversed(range(K)):
@@ -189,36 +311,59 @@ def compositing_gradient_stepper(
         steps.append(Step(dot, title, numbers, scene))
         numbers = [("S, sum over those behind", text_of(S[k]))]
         behind = "there are none" if k == len(w) - 1 else "what this one hides"
-        steps.append(Step(sums, f"S sums w (c . v_C) over the Gaussians behind it: {behind}.", numbers, scene))
+        steps.append(
+            Step(
+                sums, f"S sums w (c . v_C) over the Gaussians behind it: {behind}.", numbers, scene
+            )
+        )
         scene = scene | {"v_alpha": torch.where(torch.arange(K) == k, v_alpha[:K], seen)}
         numbers = [
             ("T (c . v_C)", text_of(T[k] * c_dot_v[k])),
             ("S / (1 − alpha)", text_of(S[k] / (1 - slope["alpha"][k, 0]))),
             ("dL/dalpha", text_of(v_alpha[k])),
-        ]  # fmt: skip
+        ]
         steps.append(Step(slope, _direction(float(v_alpha[k])), numbers, scene))
         numbers = [
-            ("dL/dc = w v_C", text_of(colours["w @ v_C"][k, :3])), ("dL/dopacity", text_of(opacities["v_opacity"][k])),
+            ("dL/dc = w v_C", text_of(colours["w @ v_C"][k, :3])),
+            ("dL/dopacity", text_of(opacities["v_opacity"][k])),
             ("dL/d(u, v)", text_of(centres["v_uv"][k])),
-        ]  # fmt: skip
-        title = "From dL/dalpha follow the gradients of its opacity and position; from w that of its colour."
+        ]
+        title = (
+            "From dL/dalpha follow the gradients of its opacity and position; from w that of "
+            "its colour."
+        )
         steps.append(Step(opacities, title, numbers, scene))
     most = float(v_alpha[:K].abs().max()) or 1.0
     words = f"weights; dL/dC = {text_of(v_rgb, 3)}"
     return Stepper(
-        steps, lambda figure, scene: _backward_picture(figure, scene, w[:K], run.rgb[:K], most, words),
-        name="compositing-gradient", label=f"Gradient of pixel {pixel}",
-    )  # fmt: skip
+        steps,
+        lambda figure, scene: _backward_picture(figure, scene, w[:K], run.rgb[:K], most, words),
+        name="compositing-gradient",
+        label=f"Gradient of pixel {pixel}",
+    )
 
 
 def _direction(v_alpha: float) -> str:
     if v_alpha == 0:
         return "dL/dalpha is 0: this Gaussian is not blended, or its alpha is at the limit of 0.99."
-    return f"dL/dalpha is {'positive: less' if v_alpha > 0 else 'negative: more'} of this Gaussian lowers the loss."
+    return (
+        f"dL/dalpha is {'positive: less' if v_alpha > 0 else 'negative: more'} of this Gaussian "
+        "lowers the loss."
+    )
 
 
-def _backward_picture(figure: "Figure", scene: dict[str, Any], w: Tensor, rgb: Tensor, most: float, words: str) -> None:
-    above, below = figure.add_axes((0.15, 0.60, 0.82, 0.32)), figure.add_axes((0.15, 0.13, 0.82, 0.38))
+def _backward_picture(
+    figure: "Figure",
+    scene: dict[str, Any],
+    w: Tensor,
+    rgb: Tensor,
+    most: float,
+    words: str,
+) -> None:
+    above, below = (
+        figure.add_axes((0.15, 0.60, 0.82, 0.32)),
+        figure.add_axes((0.15, 0.13, 0.82, 0.38)),
+    )
     style(above, y="weight", title=words)
     style(below, x="Gaussian, nearest first", y="dL/dalpha")
     _bars(above, w, rgb, width=0.7)
@@ -228,4 +373,11 @@ def _backward_picture(figure: "Figure", scene: dict[str, Any], w: Tensor, rgb: T
     below.axhline(0, color=BETWEEN, linewidth=0.8)
     for axes in (above, below):
         mark = 0.92 * axes.get_ylim()[1]
-        axes.plot(scene["k"] + 1, mark, "v", color=PALETTE[3], markersize=7, clip_on=False)
+        axes.plot(
+            scene["k"] + 1,
+            mark,
+            "v",
+            color=PALETTE[3],
+            markersize=7,
+            clip_on=False,
+        )

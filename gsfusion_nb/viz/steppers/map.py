@@ -1,4 +1,5 @@
-"""Steppers through the growing map: the quadtree that places Gaussians, and Adam on rows that join later."""
+"""Steppers through the growing map: the quadtree that places Gaussians, and Adam on rows that join
+later."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -25,7 +26,18 @@ RELEASED, STD = "V * (H * W) / QUADTREE_NORMALISER", "V**0.5 / 255"
 """The two contrasts, as the code writes them."""
 QUADTREE_WATCH = {
     quadtree: {
-        "is_cut": ("x0", "y0", "w", "h", "V", "min_cell_px", "threshold", "contrast", RELEASED, STD),
+        "is_cut": (
+            "x0",
+            "y0",
+            "w",
+            "h",
+            "V",
+            "min_cell_px",
+            "threshold",
+            "contrast",
+            RELEASED,
+            STD,
+        ),
         "leaves": ("cell", "level"),
         "quadtree": (),
     }
@@ -39,7 +51,8 @@ def quadtree_stepper(
     min_cell_px: int = 1,
     contrast: Literal["released", "std"] = "released",
 ) -> Stepper:
-    """Press Next through ``quadtree``: two steps for each cell, its contrast and what follows from it.
+    """Press Next through ``quadtree``: two steps for each cell, its contrast and what follows from
+    it.
 
     The cell that is looked at has a red border, finished leaves have blue ones.
 
@@ -49,7 +62,9 @@ def quadtree_stepper(
     """
     photo = to_uint8(rgb)
     settings = {"threshold": float(threshold), "min_cell_px": min_cell_px, "contrast": contrast}
-    steps = _quadtree_steps(record(lambda: quadtree(torch.from_numpy(photo), **settings), QUADTREE_WATCH))
+    steps = _quadtree_steps(
+        record(lambda: quadtree(torch.from_numpy(photo), **settings), QUADTREE_WATCH)
+    )
     height = round(450 * photo.shape[0] / photo.shape[1])
     label = f"Quadtree of a picture of {photo.shape[1]} x {photo.shape[0]} pixels"
     draw = lambda figure, scene: _quadtree_picture(figure, scene, photo)  # noqa: E731
@@ -66,22 +81,42 @@ def _quadtree_steps(recording: Recording) -> list[Step]:
         cell, waiting = tuple(look[name] for name in ("x0", "y0", "w", "h")), waiting - 1
         is_cut, end = look[RETURNED], ends[look.call]
         scene = {"cell": cell, "leaves": tuple(leaves), "cut": False}
-        steps.append(Step(look, _seen(look, end["level"]), _numbers(look), scene))
+        steps.append(
+            Step(
+                look,
+                _seen(look, end["level"]),
+                _numbers(look),
+                scene,
+            )
+        )
         if is_cut:
             waiting += 4
             title = "Split: its four parts are looked at one after the other, top left first."
         else:
             leaves.append(cell)
             title = "Not split: this cell is a leaf."
-        counts = [("leaves so far", str(len(leaves))), ("cells that wait", str(waiting)), ("level", str(end["level"]))]
+        counts = [
+            ("leaves so far", str(len(leaves))),
+            ("cells that wait", str(waiting)),
+            ("level", str(end["level"])),
+        ]
         scene = {"cell": cell, "leaves": tuple(leaves), "cut": is_cut}
         steps.append(Step(end, title, counts, scene))
     cells = recording.result
     last = recording.at("return Cells(")[0]
-    counts = [(f"level {k}", str(int(n))) for k, n in enumerate(torch.bincount(cells.level.long())) if n]
+    counts = [
+        (f"level {k}", str(int(n))) for k, n in enumerate(torch.bincount(cells.level.long())) if n
+    ]
     scene = {"cell": None, "leaves": tuple(leaves), "cut": False}
     done = f"Every cell has been looked at: {len(cells)} leaves."
-    steps.append(Step(last, done, [("leaves", str(len(cells))), *counts], scene))
+    steps.append(
+        Step(
+            last,
+            done,
+            [("leaves", str(len(cells))), *counts],
+            scene,
+        )
+    )
     return steps
 
 
@@ -100,9 +135,12 @@ def _numbers(look: Line) -> list[tuple[str, str]]:
         return [halves]
     contrast = look[RELEASED if look["contrast"] == "released" else STD]
     return [
-        halves, ("V, variance of the luma", text_of(look["V"])), ("contrast", text_of(contrast)),
-        ("threshold", text_of(look["threshold"])), ("split", text_of(look[RETURNED])),
-    ]  # fmt: skip
+        halves,
+        ("V, variance of the luma", text_of(look["V"])),
+        ("contrast", text_of(contrast)),
+        ("threshold", text_of(look["threshold"])),
+        ("split", text_of(look[RETURNED])),
+    ]
 
 
 def _quadtree_picture(figure: "Figure", scene: dict[str, Any], photo: Picture) -> None:
@@ -112,13 +150,28 @@ def _quadtree_picture(figure: "Figure", scene: dict[str, Any], photo: Picture) -
     axes = figure.add_axes((0.005, 0.005, 0.99, 0.99))
     axes.imshow(photo, extent=(0, W, H, 0), interpolation="nearest")
     axes.set_axis_off()
-    axes.add_collection(LineCollection([_outline(cell) for cell in scene["leaves"]], colors=PALETTE[0], linewidths=1.0))
+    axes.add_collection(
+        LineCollection(
+            [_outline(cell) for cell in scene["leaves"]], colors=PALETTE[0], linewidths=1.0
+        )
+    )
     if scene["cell"]:
-        axes.plot(*zip(*_outline(scene["cell"]), strict=True), color=PALETTE[3], linewidth=2.6)
+        axes.plot(
+            *zip(*_outline(scene["cell"]), strict=True),
+            color=PALETTE[3],
+            linewidth=2.6,
+        )
     if scene["cut"]:
         x0, y0, w, h = scene["cell"]
         x, y = x0 + w // 2, y0 + h // 2
-        axes.plot([x, x], [y0, y0 + h], [x0, x0 + w], [y, y], color=PALETTE[3], linewidth=1.4)
+        axes.plot(
+            [x, x],
+            [y0, y0 + h],
+            [x0, x0 + w],
+            [y, y],
+            color=PALETTE[3],
+            linewidth=1.4,
+        )
 
 
 def _outline(cell: tuple[int, ...]) -> list[tuple[int, int]]:
@@ -131,14 +184,30 @@ COUNTS: tuple[Count, ...] = ("per_row", "shared", "none")
 ADAM_WATCH = {
     adam_update: {
         "adam_step": ("t", "steps", "model.birth_step"),
-        "adam_update": ("param", "gradient", "exp_avg", "exp_avg_sq", "m", "v", "steps", "m_hat", "v_hat", "lr"),
+        "adam_update": (
+            "param",
+            "gradient",
+            "exp_avg",
+            "exp_avg_sq",
+            "m",
+            "v",
+            "steps",
+            "m_hat",
+            "v_hat",
+            "lr",
+        ),
     },
     GaussianModel: {"append": ("start", "stop")},
 }
 
 
 def record_adam(
-    gradient: Sequence[float | int], config: OptimConfig, *, before: int, after: int, earlier_steps: int = 0
+    gradient: Sequence[float | int],
+    config: OptimConfig,
+    *,
+    before: int,
+    after: int,
+    earlier_steps: int = 0,
 ) -> Recording:
     """``adam_step`` on a map whose last row is added after ``before`` steps: a recording.
 
@@ -148,7 +217,12 @@ def record_adam(
     model.clock.advance(earlier_steps)
 
     def seeds(n: int) -> Seeds:
-        return Seeds.isotropic(torch.zeros(n, 3), torch.full((n, 3), 0.5), torch.full((n,), 0.1), opacity=0.5)
+        return Seeds.isotropic(
+            torch.zeros(n, 3),
+            torch.full((n, 3), 0.5),
+            torch.full((n,), 0.1),
+            opacity=0.5,
+        )
 
     def run() -> None:
         model.append(seeds(len(gradient) - 1))
@@ -172,8 +246,9 @@ def adam_stepper(
 ) -> Stepper:
     """Press Next through steps of Adam on a map to which a Gaussian is added in between.
 
-    Shown are the opacities; the gradient of each row is the same at all steps. Above: the length of each step, in
-    learning rates; the last row is orange, and its steps with the two other counts are dashed. Below: the values.
+    Shown are the opacities; the gradient of each row is the same at all steps. Above: the length of
+    each step, in learning rates; the last row is orange, and its steps with the two other counts
+    are dashed. Below: the values.
 
     Args:
         gradient: dL/d opacity_logit of each row; the last row is added later.
@@ -186,28 +261,42 @@ def adam_stepper(
         ValueError: there are fewer than two rows, or no steps.
     """
     if len(gradient) < 2 or before < 1 or after < 1:
-        raise ValueError("two rows or more, and at least one step before and after the last one is added, are needed")
+        raise ValueError(
+            "two rows or more, and at least one step before and after the last one is added, are "
+            "needed"
+        )
     how = {"before": before, "after": after, "earlier_steps": earlier_steps}
     config = dataclasses.replace(OptimConfig(), adam_steps=adam_steps)
     lengths = {
-        name: _lengths(record_adam(gradient, dataclasses.replace(config, adam_steps=name), **how)) for name in COUNTS
+        name: _lengths(record_adam(gradient, dataclasses.replace(config, adam_steps=name), **how))
+        for name in COUNTS
     }
     steps = _adam_steps(record_adam(gradient, config, **how), len(gradient), adam_steps)
     others = {name: lengths[name][before:] for name in COUNTS if name != adam_steps}
     last = steps[-1].scene["history"]
     draw = lambda figure, scene: _adam_picture(figure, scene["history"], last, others, before)  # noqa: E731
-    return Stepper(steps, draw, name="adam", label=f"Adam on a growing map, count {adam_steps}", size=(450, 360))
+    return Stepper(
+        steps,
+        draw,
+        name="adam",
+        label=f"Adam on a growing map, count {adam_steps}",
+        size=(450, 360),
+    )
 
 
 def _of_opacity(recording: Recording, part: str) -> list[Line]:
-    """The lines of ``adam_update`` that belong to the opacities, the only column of one number per row."""
+    """The lines of ``adam_update`` that belong to the opacities, the only column of one number per
+    row."""
     return [line for line in recording.at(part) if line["param"].ndim == 1]
 
 
 def _lengths(recording: Recording) -> list[float]:
     """Length of each step of the last row that there is, in learning rates."""
     before, after = _of_opacity(recording, "m = beta1 *"), _of_opacity(recording, "param.copy_(")
-    return [float((b["param"] - a["param"]).abs()[-1] / a["lr"]) for a, b in zip(before, after, strict=True)]
+    return [
+        float((b["param"] - a["param"]).abs()[-1] / a["lr"])
+        for a, b in zip(before, after, strict=True)
+    ]
 
 
 def _adam_steps(recording: Recording, rows: int, adam_steps: Count) -> list[Step]:
@@ -236,7 +325,9 @@ def _adam_steps(recording: Recording, rows: int, adam_steps: Count) -> list[Step
                 scene = {"history": [tuple(h) for h in history], "step": now}
             if (shown := _shown(line, start)) is not None:
                 title, columns = shown
-                table = [(str(k), *cells) for k, cells in enumerate(zip(*columns.values(), strict=True))]
+                table = [
+                    (str(k), *cells) for k, cells in enumerate(zip(*columns.values(), strict=True))
+                ]
                 steps.append(Step(line, title, table, scene, ("row", *columns)))
     return steps
 
@@ -246,20 +337,29 @@ ADAM_LINES = {
         "m moves one tenth of the way to the gradient g.",
         {"g": "gradient", "m before": "exp_avg", "m": "m"},
     ),
-    "v = beta2": ("v moves one thousandth of the way to g².", {"g": "gradient", "v before": "exp_avg_sq", "v": "v"}),
+    "v = beta2": (
+        "v moves one thousandth of the way to g².",
+        {"g": "gradient", "v before": "exp_avg_sq", "v": "v"},
+    ),
     "m_hat, v_hat": (
         "Bias correction: m and v started at 0, so they are divided by 1 − b^t.",
         {"t": "steps", "m hat": "m_hat", "v hat": "v_hat"},
     ),
 }
-"""Beginning of a line -> what it does, and the columns of its table: heading -> watched expression."""
+"""Beginning of a line -> what it does, and the columns of its table: heading -> watched
+expression."""
 
 
-def _shown(line: Line, start: torch.Tensor) -> tuple[str, dict[str, list[str]]] | None:
+def _shown(
+    line: Line,
+    start: torch.Tensor,
+) -> tuple[str, dict[str, list[str]]] | None:
     """Title and columns of the table of a line, if it is shown."""
 
     def column(value: Any) -> list[str]:
-        return [text_of(x) for x in (value if isinstance(value, torch.Tensor) else [value] * len(start))]
+        return [
+            text_of(x) for x in (value if isinstance(value, torch.Tensor) else [value] * len(start))
+        ]
 
     if line.text.startswith("param.copy_"):
         moved = [f"{text_of(x, 3)} lr" for x in (line["param"] - start) / line["lr"]]
@@ -272,26 +372,69 @@ def _shown(line: Line, start: torch.Tensor) -> tuple[str, dict[str, list[str]]] 
 
 
 def _adam_picture(
-    figure: "Figure", history: list[Any], last: list[Any], others: dict[str, list[float]], before: int
+    figure: "Figure",
+    history: list[Any],
+    last: list[Any],
+    others: dict[str, list[float]],
+    before: int,
 ) -> None:
-    above, below = figure.add_axes((0.12, 0.57, 0.86, 0.36)), figure.add_axes((0.12, 0.12, 0.86, 0.36))
+    above, below = (
+        figure.add_axes((0.12, 0.57, 0.86, 0.36)),
+        figure.add_axes((0.12, 0.12, 0.86, 0.36)),
+    )
     style(above, y="lr", title="length of each step, in learning rates (orange: the new row)")
     style(below, x="step", y="lr", title="how far each row has moved")
-    count, moved = len(last[0]), [sum(by for _, _, by in row[: k + 1]) for row in last for k in range(len(row))]
-    above.set_ylim(
-        0, 1.15 * max([x for row in last for _, x, _ in row] + [x for other in others.values() for x in other])
+    count, moved = (
+        len(last[0]),
+        [sum(by for _, _, by in row[: k + 1]) for row in last for k in range(len(row))],
     )
-    below.set_ylim(min(0.0, *moved) * 1.15 - 0.1, max(0.0, *moved) * 1.15 + 0.1)
+    above.set_ylim(
+        0,
+        1.15
+        * max(
+            [x for row in last for _, x, _ in row] + [x for other in others.values() for x in other]
+        ),
+    )
+    below.set_ylim(
+        min(0.0, *moved) * 1.15 - 0.1,
+        max(0.0, *moved) * 1.15 + 0.1,
+    )
     for axes in (above, below):
         axes.set_xlim(0.5, count + 0.5)
         axes.locator_params(axis="x", integer=True)
         axes.tick_params(labelbottom=axes is below)
         axes.axvline(before + 0.5, color=BETWEEN, linewidth=0.8, linestyle=":")
     for name, other in others.items():
-        above.plot(range(before + 1, before + 1 + len(other)), other, "--", color=PALETTE[1], alpha=0.55, linewidth=1)
-        above.annotate(name, (count, other[-1]), color=BETWEEN, fontsize=7, ha="right", va="bottom")
+        above.plot(
+            range(before + 1, before + 1 + len(other)),
+            other,
+            "--",
+            color=PALETTE[1],
+            alpha=0.55,
+            linewidth=1,
+        )
+        above.annotate(
+            name,
+            (count, other[-1]),
+            color=BETWEEN,
+            fontsize=7,
+            ha="right",
+            va="bottom",
+        )
     inks = [PALETTE[2 * (k % 4)] for k in range(len(last) - 1)] + [PALETTE[1]]
     for row, ink in zip(history, inks, strict=True):
         at = [step for step, _, _ in row]
-        above.plot(at, [x for _, x, _ in row], ".-", color=ink, markersize=6)
-        below.plot(at, np.cumsum([by for _, _, by in row]), ".-", color=ink, markersize=6)
+        above.plot(
+            at,
+            [x for _, x, _ in row],
+            ".-",
+            color=ink,
+            markersize=6,
+        )
+        below.plot(
+            at,
+            np.cumsum([by for _, _, by in row]),
+            ".-",
+            color=ink,
+            markersize=6,
+        )

@@ -1,7 +1,8 @@
-"""Recording plain functions while they run: which line ran, and what chosen expressions were after it.
+"""Recording plain functions while they run: which line ran, and what chosen expressions were after
+it.
 
-A stepper shows these numbers. They are those of the program and not of a copy of it, and the text of the line is read
-from the file, so neither can differ from the code.
+A stepper shows these numbers. They are those of the program and not of a copy of it, and the text
+of the line is read from the file, so neither can differ from the code.
 """
 
 import ast
@@ -36,7 +37,8 @@ class Line:
     last: int
     """Number of its last line."""
     values: Mapping[str, Any]
-    """Watched expression -> value after the statement. Expressions with names that are not yet defined are missing."""
+    """Watched expression -> value after the statement. Expressions with names that are not yet
+    defined are missing."""
 
     @property
     def text(self) -> str:
@@ -47,14 +49,17 @@ class Line:
     def place(self) -> str:
         """File and line, from the folder of the package on."""
         parts = self.path.parts
-        return f"{'/'.join(parts[len(parts) - 1 - parts[::-1].index('gsfusion_nb') :])}:{self.first}"
+        return (
+            f"{'/'.join(parts[len(parts) - 1 - parts[::-1].index('gsfusion_nb') :])}:{self.first}"
+        )
 
     def __getitem__(self, expression: str) -> Any:
         return self.values[expression]
 
 
 class Recording(list[Line]):
-    """The lines that ran, in the order in which they ended, and ``result``, what the recorded call returned."""
+    """The lines that ran, in the order in which they ended, and ``result``, what the recorded call
+    returned."""
 
     def __init__(self, lines: Iterable[Line], result: Any):
         super().__init__(lines)
@@ -73,7 +78,8 @@ class Recording(list[Line]):
 
 
 Watch = Mapping[Callable[..., Any], Mapping[str, Sequence[str]]]
-"""Any function of a file -> name of a function in that file -> expressions, evaluated in its frame after each line."""
+"""Any function of a file -> name of a function in that file -> expressions, evaluated in its frame
+after each line."""
 
 
 def record(run: Callable[[], Any], watch: Watch) -> Recording:
@@ -101,7 +107,9 @@ class _Recorder:
         for anyone, functions in watch.items():
             file = str(inspect.getsourcefile(inspect.unwrap(anyone)))
             for name, expressions in functions.items():
-                self._watched[file, name] = [(e, compile(e, "<watched>", "eval")) for e in expressions]
+                self._watched[file, name] = [
+                    (e, compile(e, "<watched>", "eval")) for e in expressions
+                ]
 
     def enter(self, frame: FrameType, event: str, _argument: Any) -> Any:
         code = frame.f_code
@@ -132,7 +140,14 @@ class _Recorder:
                 continue
         first, last = statement(code.co_filename, self._pending[frame])
         path, call = Path(code.co_filename), self._number[frame]
-        line = Line(function=code.co_name, call=call, path=path, first=first, last=last, values=values)
+        line = Line(
+            function=code.co_name,
+            call=call,
+            path=path,
+            first=first,
+            last=last,
+            values=values,
+        )
         self.lines.append(line)
 
 
@@ -143,14 +158,18 @@ def file_lines(path: Path) -> tuple[str, ...]:
 
 
 def statement(file: str, line: int) -> tuple[int, int]:
-    """First and last line of the statement at ``line``; of one with a body, such as a loop, only its head."""
+    """First and last line of the statement at ``line``; of one with a body, such as a loop, only
+    its head."""
     return _statements(file).get(line, (line, line))
 
 
 @functools.cache
 def _statements(file: str) -> dict[int, tuple[int, int]]:
     found: dict[int, tuple[int, int]] = {}
-    for first, last in sorted(_spans(ast.parse("\n".join(file_lines(Path(file))))), key=lambda s: s[0] - s[1]):
+    for first, last in sorted(
+        _spans(ast.parse("\n".join(file_lines(Path(file))))),
+        key=lambda s: s[0] - s[1],
+    ):
         for line in range(first, last + 1):
             found[line] = (first, last)  # the smallest span comes last
     return found
@@ -160,7 +179,11 @@ def _spans(tree: ast.AST) -> Iterator[tuple[int, int]]:
     for node in ast.walk(tree):
         if isinstance(node, ast.stmt):
             body = getattr(node, "body", None)
-            last = body[0].lineno - 1 if isinstance(body, list) and body else node.end_lineno or node.lineno
+            last = (
+                body[0].lineno - 1
+                if isinstance(body, list) and body
+                else node.end_lineno or node.lineno
+            )
             yield node.lineno, max(last, node.lineno)
 
 

@@ -1,4 +1,5 @@
-"""The widget of a stepper: press Next, and see the line that runs, a picture of it, and its numbers."""
+"""The widget of a stepper: press Next, and see the line that runs, a picture of it, and its
+numbers."""
 
 import io
 import textwrap
@@ -47,7 +48,8 @@ Draw = Callable[["Figure", Any], None]
 
 
 class Stepper(LiveOutput, anywidget.AnyWidget):
-    """Shows one step at a time: its line of code, a picture, its numbers. Buttons, arrow keys and a slider move.
+    """Shows one step at a time: its line of code, a picture, its numbers. Buttons, arrow keys and a
+    slider move.
 
     ``step`` is the number of the step, from 0; ``steps`` are all of them.
 
@@ -75,15 +77,32 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
     shown = synced(t.Int(0))
     """Counts the pictures; the page draws when it changes."""
 
-    def __init__(self, steps: Sequence[Step], draw: Draw, *, name: str, label: str, size: tuple[int, int] = (450, 340)):
+    def __init__(
+        self,
+        steps: Sequence[Step],
+        draw: Draw,
+        *,
+        name: str,
+        label: str,
+        size: tuple[int, int] = (450, 340),
+    ):
         from matplotlib.figure import Figure
 
         if not steps:
             raise ValueError(f"{label}: there is no step to show")
-        super().__init__(count=len(steps), name=name, label=label, width=size[0])
+        super().__init__(
+            count=len(steps),
+            name=name,
+            label=label,
+            width=size[0],
+        )
         self.steps, self._draw = tuple(steps), draw
         self._lock = threading.RLock()  # the page's messages may be handled in another thread
-        self._figure = Figure(figsize=(size[0] / 100, size[1] / 100), dpi=100 * SHARPNESS, facecolor="none")
+        self._figure = Figure(
+            figsize=(size[0] / 100, size[1] / 100),
+            dpi=100 * SHARPNESS,
+            facecolor="none",
+        )
         self.observe(lambda _: self._show(), "step")
         self._show()
 
@@ -117,28 +136,56 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
             self.shown += 1
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
-        stills = [self.steps[k] for k in sorted({round(i * (self.count - 1) / 3) for i in range(1, 4)})]
+        stills = [
+            self.steps[k] for k in sorted({round(i * (self.count - 1) / 3) for i in range(1, 4)})
+        ]
         still = self._stored(stills)
         alt = f"{self.label}, steps of {self.count}: {'; '.join(step.title for step in stills)}"
         words = {"width": round(still.shape[1] / SHARPNESS), "alt": alt}
         text = f"{self.label}: {self.count} steps"
-        return with_stored(super()._repr_mimebundle_(**kwargs), "image/png", _palette_png(still), text, words)
+        return with_stored(
+            super()._repr_mimebundle_(**kwargs), "image/png", _palette_png(still), text, words
+        )
 
     def _stored(self, steps: Sequence[Step]) -> np.ndarray:
-        """Some steps below each other, each with its title, line and numbers: what a notebook stores."""
+        """Some steps below each other, each with its title, line and numbers: what a notebook
+        stores."""
         from matplotlib.figure import Figure
 
         pictures = [self._drawn(step) for step in steps]
         height, width = pictures[0].shape[:2]
-        figure = Figure(figsize=(2 * width / 100, height * len(steps) / 100), dpi=100, facecolor="none")
+        figure = Figure(
+            figsize=(2 * width / 100, height * len(steps) / 100),
+            dpi=100,
+            facecolor="none",
+        )
         for k, (picture, step) in enumerate(zip(pictures, steps, strict=True)):
-            figure.figimage(picture, 0, height * (len(steps) - 1 - k), origin="upper")
-            rows = [[step.title], [step.line.place], ["> " + step.line.text], [], step.heads, *step.numbers]
+            figure.figimage(
+                picture,
+                0,
+                height * (len(steps) - 1 - k),
+                origin="upper",
+            )
+            rows = [
+                [step.title],
+                [step.line.place],
+                ["> " + step.line.text],
+                [],
+                step.heads,
+                *step.numbers,
+            ]
             words = "\n".join(textwrap.fill("   ".join(row), 62) for row in rows)
             figure.text(
-                0.51, 1 - (k + 0.04) / len(steps), words, color=BETWEEN, fontsize=7.4 * SHARPNESS, family="monospace",
-                va="top", parse_math=False, linespacing=1.35,
-            )  # fmt: skip
+                0.51,
+                1 - (k + 0.04) / len(steps),
+                words,
+                color=BETWEEN,
+                fontsize=7.4 * SHARPNESS,
+                family="monospace",
+                va="top",
+                parse_math=False,
+                linespacing=1.35,
+            )
         return figure_picture(figure, channels=4)
 
 
@@ -155,7 +202,9 @@ def code_html(line: Line) -> str:
     for number, code in enumerate(shown, first):
         tag = Markup("mark") if line.first <= number <= line.last else Markup("div")
         rows.append(Markup("<{}><i>{:4d} </i>{}</{}>").format(tag, number, code, tag))
-    return str(Markup('<p class="gsnb-stepper-place">{}</p>').format(line.place) + Markup("").join(rows))
+    return str(
+        Markup('<p class="gsnb-stepper-place">{}</p>').format(line.place) + Markup("").join(rows)
+    )
 
 
 def text_of(value: Any, digits: int = 4) -> str:
@@ -176,5 +225,7 @@ def _palette_png(rgba: np.ndarray) -> bytes:
     from PIL import Image
 
     buffer = io.BytesIO()
-    Image.fromarray(rgba).quantize(128, method=Image.Quantize.FASTOCTREE).save(buffer, "PNG", optimize=True)
+    Image.fromarray(rgba).quantize(128, method=Image.Quantize.FASTOCTREE).save(
+        buffer, "PNG", optimize=True
+    )
     return buffer.getvalue()

@@ -24,14 +24,26 @@ if TYPE_CHECKING:
 
 ICP_WATCH = {
     icp_system: {
-        "associate": ("xyz", "u", "v", "row", "column", "surface_xyz", "surface_normal", "overlap", "near", "aligned",
-                      "inlier", "max_distance_m"),
+        "associate": (
+            "xyz",
+            "u",
+            "v",
+            "row",
+            "column",
+            "surface_xyz",
+            "surface_normal",
+            "overlap",
+            "near",
+            "aligned",
+            "inlier",
+            "max_distance_m",
+        ),
         "point_to_plane": ("r", "J"),
         "icp_system": ("r", "J", "w", "rows"),
     },
     align: {"align": ("T_WC", "system", "step")},
     solve_step: {"solve_step": ("H", "b", "eigenvalues", "known", "y")},
-}  # fmt: skip
+}
 
 
 def icp_stepper(
@@ -44,10 +56,12 @@ def icp_stepper(
     factor: int = 4,
     pixels: int = 3,
 ) -> Stepper:
-    """Press Next through one iteration of ``align``: some pixels one by one, then the sums over all of them.
+    """Press Next through one iteration of ``align``: some pixels one by one, then the sums over all
+    of them.
 
-    Left: the residual of every pixel that passes the gates, red behind the surface and blue in front of it; the pixel
-    in question is framed. Right: its point p, its partner q, and the plane of q. Below: H.
+    Left: the residual of every pixel that passes the gates, red behind the surface and blue in
+    front of it; the pixel in question is framed. Right: its point p, its partner q, and the plane
+    of q. Below: H.
 
     Args:
         depth_m, camera: The frame.
@@ -55,12 +69,17 @@ def icp_stepper(
         T_WC_start: Camera-to-world pose before the iteration.
         config: Limits of correspondences and damping; the defaults if left out.
         factor: Reduction of the frame; about 40 x 30 pixels are left then of one of 160 x 120.
-        pixels: How many pixels are shown one by one; the last of them is one that a gate refuses, if there is any.
+        pixels: How many pixels are shown one by one; the last of them is one that a gate refuses,
+            if there is any.
 
     Raises:
         ValueError: no pixel of the frame passes the gates.
     """
-    once = dataclasses.replace(config or TrackingConfig(), pyramid=(factor,), iterations=(1,))
+    once = dataclasses.replace(
+        config or TrackingConfig(),
+        pyramid=(factor,),
+        iterations=(1,),
+    )
     levels = depth_pyramid(depth_m, camera, once.pyramid)
     recording = record(lambda: align(levels, surface, T_WC_start, once), ICP_WATCH)
     found = recording.at("inlier = overlap & near & aligned")[0]
@@ -83,7 +102,8 @@ def _some_pixels(found: Line, count: int) -> list[tuple[int, int]]:
 
 
 def _residuals(recording: Recording, nth: int) -> np.ndarray:
-    """Point-to-plane distances of the pixels that pass the gates in the n-th system; NaN elsewhere."""
+    """Point-to-plane distances of the pixels that pass the gates in the n-th system; NaN
+    elsewhere."""
     inlier = recording.at("inlier = overlap & near & aligned")[nth]["inlier"]
     image = torch.full(inlier.shape, torch.nan)
     image[inlier] = recording.at("r = ((xyz - surface_xyz)")[nth]["r"].float()
@@ -91,57 +111,121 @@ def _residuals(recording: Recording, nth: int) -> np.ndarray:
 
 
 def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
-    moved, falls = recording.at("xyz = se3.apply(T, depth_to_points")[0], recording.at("column = u.where")[0]
-    partner, gate = recording.at("surface_normal = surface.normal_W")[0], recording.at("inlier = overlap &")[0]
-    r_line, J_line = recording.at("r = ((xyz - surface_xyz)")[0], recording.at("J = torch.cat([surface_normal")[0]
+    moved, falls = (
+        recording.at("xyz = se3.apply(T, depth_to_points")[0],
+        recording.at("column = u.where")[0],
+    )
+    partner, gate = (
+        recording.at("surface_normal = surface.normal_W")[0],
+        recording.at("inlier = overlap &")[0],
+    )
+    r_line, J_line = (
+        recording.at("r = ((xyz - surface_xyz)")[0],
+        recording.at("J = torch.cat([surface_normal")[0],
+    )
     p, q, n = moved["xyz"][at], partner["surface_xyz"][at], partner["surface_normal"][at]
-    scene = {"residual": _residuals(recording, 0), "pixel": at, "p": p.numpy(), "q": None, "n": None, "H": None}
+    scene = {
+        "residual": _residuals(recording, 0),
+        "pixel": at,
+        "p": p.numpy(),
+        "q": None,
+        "n": None,
+        "H": None,
+    }
     whole = scene | {"q": q.numpy(), "n": n.numpy()}
     name = f"Pixel ({at[1]}, {at[0]})"
     steps = [
-        Step(moved, f"{name}: its point p, moved with the assumed pose.", [("p", text_of(p) + " m")], scene),
-        Step(falls, "p is projected into the camera of the surface: the pixel on which it falls.", [
-            ("u, v", f"{float(falls['u'][at]):.2f}, {float(falls['v'][at]):.2f}"),
-            ("row, column", f"{int(falls['row'][at])}, {int(falls['column'][at])}"),
-        ], scene),
-        Step(partner, "The surface's point q and normal n at that pixel: its partner, a guess.", [
-            ("q", text_of(q) + " m"), ("n", text_of(n, 3)), ("|p − q|", f"{1000 * float((p - q).norm()):.1f} mm"),
-        ], whole),
-    ]  # fmt: skip
+        Step(
+            moved,
+            f"{name}: its point p, moved with the assumed pose.",
+            [("p", text_of(p) + " m")],
+            scene,
+        ),
+        Step(
+            falls,
+            "p is projected into the camera of the surface: the pixel on which it falls.",
+            [
+                ("u, v", f"{float(falls['u'][at]):.2f}, {float(falls['v'][at]):.2f}"),
+                ("row, column", f"{int(falls['row'][at])}, {int(falls['column'][at])}"),
+            ],
+            scene,
+        ),
+        Step(
+            partner,
+            "The surface's point q and normal n at that pixel: its partner, a guess.",
+            [
+                ("q", text_of(q) + " m"),
+                ("n", text_of(n, 3)),
+                ("|p − q|", f"{1000 * float((p - q).norm()):.1f} mm"),
+            ],
+            whole,
+        ),
+    ]
     near, aligned, inlier = (bool(gate[key][at]) for key in ("near", "aligned", "inlier"))
     verdict = "this pair is used" if inlier else "this pair is refused and has no residual"
     gates = [
         ("distance", f"{'within' if near else 'above'} {100 * gate['max_distance_m']:.0f} cm"),
-        ("normals agree", text_of(aligned)), ("used", text_of(inlier)),
-    ]  # fmt: skip
-    steps.append(Step(gate, f"The gates, distance and angle of the normals: {verdict}.", gates, whole))
+        ("normals agree", text_of(aligned)),
+        ("used", text_of(inlier)),
+    ]
+    steps.append(
+        Step(gate, f"The gates, distance and angle of the normals: {verdict}.", gates, whole)
+    )
     if inlier:
         index = int(gate["inlier"].flatten()[: at[0] * gate["inlier"].shape[1] + at[1]].sum())
         r, J = r_line["r"][index], J_line["J"][index]
         title = "Only the distance to the plane of q counts."
         steps.append(Step(r_line, title, [("r = (p − q) . n", f"{1000 * float(r):.2f} mm")], whole))
         rows = [("n", text_of(J[:3], 3)), ("p x n", text_of(J[3:], 3))]
-        steps.append(Step(J_line, "How r changes with a small motion: this pixel's row of J.", rows, whole))
+        steps.append(
+            Step(J_line, "How r changes with a small motion: this pixel's row of J.", rows, whole)
+        )
     return steps
 
 
 def _sums(recording: Recording) -> list[Step]:
     system, solve = recording.at("return IcpSystem(")[0], recording.at("y = -directions")[0]
     H, b = system["return"].H, system["return"].b
-    step, poses = recording.at("step = _step(")[0]["step"], recording.at("T_WC = se3.translate(next_pose(")[0]
-    scene = {"residual": _residuals(recording, 0), "pixel": None, "p": None, "q": None, "n": None, "H": H.numpy()}
+    step, poses = (
+        recording.at("step = _step(")[0]["step"],
+        recording.at("T_WC = se3.translate(next_pose(")[0],
+    )
+    scene = {
+        "residual": _residuals(recording, 0),
+        "pixel": None,
+        "p": None,
+        "q": None,
+        "n": None,
+        "H": H.numpy(),
+    }
     names = ("x", "y", "z", "about x", "about y", "about z")
     rows = [(name, text_of(x)) for name, x in zip(names, b, strict=True)]
-    title = f"H = sum w J^T J and b = sum w J^T r over the {system['return'].n_inliers} pairs: six equations."
+    title = (
+        f"H = sum w J^T J and b = sum w J^T r over the {system['return'].n_inliers} pairs: six "
+        "equations."
+    )
     steps = [Step(system, title, rows, scene, ("", "b"))]
     known = [text_of(bool(k)) for k in solve["known"]]
-    rows = [(str(k), text_of(e), s) for k, (e, s) in enumerate(zip(solve["eigenvalues"], known, strict=True), 1)]
+    rows = [
+        (str(k), text_of(e), s)
+        for k, (e, s) in enumerate(zip(solve["eigenvalues"], known, strict=True), 1)
+    ]
     title = "Solved along the principal directions, and only along those that the scene determines."
     steps.append(Step(solve, title, rows, scene, ("direction", "information", "determined")))
-    xi = [(name, f"{1000 * float(x):.2f} mm" if k < 3 else f"{float(x.rad2deg()):.3f}°")
-          for k, (name, x) in enumerate(zip(names, step.xi, strict=True))]  # fmt: skip
+    xi = [
+        (name, f"{1000 * float(x):.2f} mm" if k < 3 else f"{float(x.rad2deg()):.3f}°")
+        for k, (name, x) in enumerate(zip(names, step.xi, strict=True))
+    ]
     moved = scene | {"residual": _residuals(recording, 1)}
-    steps.append(Step(poses, "The pose is moved by exp(xi); all residuals change.", xi, moved, ("motion", "xi")))
+    steps.append(
+        Step(
+            poses,
+            "The pose is moved by exp(xi); all residuals change.",
+            xi,
+            moved,
+            ("motion", "xi"),
+        )
+    )
     last = recording.at("return IcpResult(")[0]
     before, after = recording.at("system, joined = rows.at(level,")[0]["system"], last["system"]
     rows = [
@@ -156,26 +240,71 @@ def _sums(recording: Recording) -> list[Step]:
 
 def _icp_picture(figure: "Figure", scene: dict[str, Any]) -> None:
     left = figure.add_axes((0.01, 0.30, 0.57, 0.60))
-    sketch, matrix = figure.add_axes((0.63, 0.52, 0.35, 0.40)), figure.add_axes((0.66, 0.03, 0.32, 0.36))
+    sketch, matrix = (
+        figure.add_axes((0.63, 0.52, 0.35, 0.40)),
+        figure.add_axes((0.66, 0.03, 0.32, 0.36)),
+    )
     style(left, title=f"residual, ±{1000 * RESIDUAL_M:.0f} mm (red −, blue +)")
     style(sketch, title="p, q and the plane of q")
     style(matrix, title="H (blue +, red −)")
     left.imshow(_coloured(scene["residual"] / RESIDUAL_M), interpolation="nearest", aspect="auto")
     if scene["pixel"]:
-        left.plot(*scene["pixel"][::-1], "s", color=PALETTE[1], markersize=9, fillstyle="none", mew=2)
+        left.plot(
+            *scene["pixel"][::-1],
+            "s",
+            color=PALETTE[1],
+            markersize=9,
+            fillstyle="none",
+            mew=2,
+        )
     sketch.set(xlim=(-1, 1), ylim=(-1, 1))
     if scene["q"] is not None:
         p, q, n = _flat(scene["p"], scene["q"], scene["n"])
         foot = p - n * float((p - q) @ n)
-        sketch.plot([-0.95, 0.95], [q[1], q[1]], color=PALETTE[0], linewidth=2)
-        sketch.plot([q[0], q[0]], [q[1], q[1] + 0.6], color=PALETTE[2], linewidth=1.6)
-        sketch.plot([p[0], foot[0]], [p[1], foot[1]], "--", color=PALETTE[3], linewidth=1.6)
-        sketch.plot([p[0], q[0]], [p[1], q[1]], "o", color=PALETTE[1], markersize=7)
-        for name, at in zip("pqn", (p, q, q + 0.6 * n), strict=True):
-            sketch.text(at[0] + 0.08, at[1] + 0.03, name, color=BETWEEN, fontsize=9)
+        sketch.plot(
+            [-0.95, 0.95],
+            [q[1], q[1]],
+            color=PALETTE[0],
+            linewidth=2,
+        )
+        sketch.plot(
+            [q[0], q[0]],
+            [q[1], q[1] + 0.6],
+            color=PALETTE[2],
+            linewidth=1.6,
+        )
+        sketch.plot(
+            [p[0], foot[0]],
+            [p[1], foot[1]],
+            "--",
+            color=PALETTE[3],
+            linewidth=1.6,
+        )
+        sketch.plot(
+            [p[0], q[0]],
+            [p[1], q[1]],
+            "o",
+            color=PALETTE[1],
+            markersize=7,
+        )
+        for name, at in zip(
+            "pqn",
+            (p, q, q + 0.6 * n),
+            strict=True,
+        ):
+            sketch.text(
+                at[0] + 0.08,
+                at[1] + 0.03,
+                name,
+                color=BETWEEN,
+                fontsize=9,
+            )
     H = scene["H"]
     if H is not None:
-        matrix.imshow(_coloured(H / np.sqrt(np.outer(H.diagonal(), H.diagonal()))), interpolation="nearest")
+        matrix.imshow(
+            _coloured(H / np.sqrt(np.outer(H.diagonal(), H.diagonal()))),
+            interpolation="nearest",
+        )
     for axes in (left, sketch, matrix):
         axes.set(xticks=[], yticks=[])
 
@@ -187,13 +316,22 @@ def _coloured(values: np.ndarray) -> np.ndarray:
     return np.concatenate([rgb, shown[..., None].astype(float)], axis=2)
 
 
-def _flat(p: np.ndarray, q: np.ndarray, n: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """p and q in the plane of p - q and n, with n upwards and the longer of both distances 1.2 wide."""
+def _flat(
+    p: np.ndarray,
+    q: np.ndarray,
+    n: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """p and q in the plane of p - q and n, with n upwards and the longer of both distances 1.2
+    wide."""
     along = float((p - q) @ n)
     across = float(np.linalg.norm((p - q) - along * n))
     size = max(abs(along), across, 1e-6) / 0.8
     low = -0.4 if along > 0 else 0.2
-    return np.array([across / size - 0.4, low + along / size]), np.array([-0.4, low]), np.array([0.0, 1.0])
+    return (
+        np.array([across / size - 0.4, low + along / size]),
+        np.array([-0.4, low]),
+        np.array([0.0, 1.0]),
+    )
 
 
 GRAPH_WATCH = {
@@ -210,8 +348,8 @@ _DEGREES = 180 / torch.pi
 def pose_graph_stepper(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Stepper:
     """Press Next through the first step of ``optimise_poses`` on a small graph.
 
-    Left: the cameras from above, the first one fixed; loops are orange, the edge in question is red. Right: the size of
-    the blocks of H, one row for each pose.
+    Left: the cameras from above, the first one fixed; loops are orange, the edge in question is
+    red. Right: the size of the blocks of H, one row for each pose.
 
     Args:
         T_WC: Camera-to-world poses to start from, four to eight of them. [K, 4, 4]
@@ -221,7 +359,9 @@ def pose_graph_stepper(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Stepp
         ValueError: there are fewer than two poses, or no edges.
     """
     if len(T_WC) < 2 or not edges:
-        raise ValueError(f"two poses and an edge are needed, got {len(T_WC)} poses and {len(edges)} edges")
+        raise ValueError(
+            f"two poses and an edge are needed, got {len(T_WC)} poses and {len(edges)} edges"
+        )
     recording = record(lambda: optimise_poses(T_WC, edges, iterations=1), GRAPH_WATCH)
     steps = [*_errors(recording, edges), *_system(recording, edges), *_update(recording)]
     proposed = _first(recording, "proposed = pose_graph_step")["proposed"]
@@ -250,20 +390,32 @@ def _errors(recording: Recording, edges: list[Edge]) -> list[Step]:
     steps = []
     for k, edge in enumerate(edges):
         e = error["e"][k]
-        length = float((e[[3, 4, 5, 0, 1, 2]] @ edge.information.double() @ e[[3, 4, 5, 0, 1, 2]]).sqrt())
-        title = f"Edge {k + 1}, {edge.kind} from pose {edge.i} to {edge.j}: how far the poses are from it."
+        length = float(
+            (e[[3, 4, 5, 0, 1, 2]] @ edge.information.double() @ e[[3, 4, 5, 0, 1, 2]]).sqrt()
+        )
+        title = (
+            f"Edge {k + 1}, {edge.kind} from pose {edge.i} to {edge.j}: how far the poses are "
+            "from it."
+        )
         numbers = [
             ("translation of e", text_of(100 * e[:3], 3) + " cm"),
             ("rotation of e", text_of(_DEGREES * e[3:], 3) + "°"),
             ("length", f"{length:.2f} standard deviations"),
-        ]  # fmt: skip
+        ]
         steps.append(Step(error, title, numbers, _start(recording) | {"edge": k}))
-    norms = [(str(k + 1), text_of(float((J - torch.eye(6)).norm()))) for k, J in enumerate(slope["J"])]
-    title = "The derivative of each e with respect to pose j. For small errors it is nearly the identity I."
+    norms = [
+        (str(k + 1), text_of(float((J - torch.eye(6)).norm()))) for k, J in enumerate(slope["J"])
+    ]
+    title = (
+        "The derivative of each e with respect to pose j. For small errors it is nearly the "
+        "identity I."
+    )
     steps.append(Step(slope, title, norms, _start(recording), ("edge", "|J − I|")))
     shares = [
         (str(k + 1), edge.kind, f"{float((w * edge_i).sum() / (edge_i * edge_i).sum()):.3f}")
-        for k, (edge, w, edge_i) in enumerate(zip(edges, weights["return"], _informations(edges), strict=True))
+        for k, (edge, w, edge_i) in enumerate(
+            zip(edges, weights["return"], _informations(edges), strict=True)
+        )
     ]
     title = "Robust weights: an edge that is many standard deviations off counts less."
     heads = ("edge", "kind", "weight")
@@ -285,7 +437,10 @@ def _system(recording: Recording, edges: list[Edge]) -> list[Step]:
         if k % 2 == 0:
             side = sides[k // 2]
             rows = [(str(p), text_of(b, 3)) for p, b in enumerate(side["b"])]
-            title = f"b gets J^T Omega e of pose {'ij'[k // 2]} of every edge: the slope of the error at each pose."
+            title = (
+                f"b gets J^T Omega e of pose {'ij'[k // 2]} of every edge: the slope of the "
+                "error at each pose."
+            )
             steps.append(Step(side, title, rows, dict(scene), ("pose", "b")))
         norm = line["H"].to_dense().flatten(2).norm(dim=2)
         scene = scene | {"H": norm}
@@ -296,14 +451,22 @@ def _system(recording: Recording, edges: list[Edge]) -> list[Step]:
 
 
 def _update(recording: Recording) -> list[Step]:
-    solve, move = _first(recording, "xi = torch.from_numpy(splu("), _first(recording, "return torch.cat([T_WC[:1]")
+    solve, move = (
+        _first(recording, "xi = torch.from_numpy(splu("),
+        _first(recording, "return torch.cat([T_WC[:1]"),
+    )
     before = _first(recording, "error = graph.robust_error(e, robust)")
     after = _first(recording, "after = graph.robust_error(there[0], robust)")
     last = [line for line in recording.at("H = H + torch.sparse_coo_tensor(") if line.call == 0][-1]
     H = last["H"].to_dense().flatten(2).norm(dim=2)
     scene = _start(recording) | {"H": H}
-    rows = [(str(k), text_of(100 * xi[:3], 3), text_of(_DEGREES * xi[3:], 3)) for k, xi in enumerate(solve["xi"], 1)]
-    title = "Solve H xi = −b for all poses but the first, which is fixed: where each pose should move."
+    rows = [
+        (str(k), text_of(100 * xi[:3], 3), text_of(_DEGREES * xi[3:], 3))
+        for k, xi in enumerate(solve["xi"], 1)
+    ]
+    title = (
+        "Solve H xi = −b for all poses but the first, which is fixed: where each pose should move."
+    )
     steps = [Step(solve, title, rows, scene, ("pose", "cm", "degrees"))]
     T = move["return"]
     rows = [(str(k), text_of(t, 4)) for k, t in enumerate(T[:, :3, 3])]
@@ -312,28 +475,73 @@ def _update(recording: Recording) -> list[Step]:
     steps.append(Step(move, title, rows, moved, ("pose", "position, m")))
     numbers = [("error before", text_of(before["error"])), ("error after", text_of(after["after"]))]
     fell = after["after"] <= before["error"]
-    title = "The robust error has fallen: the step is taken." if fell else "The error has grown: the step is halved."
+    title = (
+        "The robust error has fallen: the step is taken."
+        if fell
+        else "The error has grown: the step is halved."
+    )
     steps.append(Step(after, title, numbers, moved))
     return steps
 
 
-def _graph_picture(figure: "Figure", scene: dict[str, Any], start: Tensor, edges: list[Edge], every: Tensor) -> None:
-    left, right = figure.add_axes((0.13, 0.15, 0.47, 0.75)), figure.add_axes((0.66, 0.30, 0.32, 0.48))
+def _graph_picture(
+    figure: "Figure",
+    scene: dict[str, Any],
+    start: Tensor,
+    edges: list[Edge],
+    every: Tensor,
+) -> None:
+    left, right = (
+        figure.add_axes((0.13, 0.15, 0.47, 0.75)),
+        figure.add_axes((0.66, 0.30, 0.32, 0.48)),
+    )
     style(left, x="x, m", y="y, m", title="cameras from above")
     style(right, title="blocks of H")
     low, high = every.amin(0), every.amax(0)
     (x, y), half = ((low + high) / 2).tolist(), 0.7 * float((high - low).max().clamp_min(0.1))
-    left.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
+    left.set(
+        xlim=(x - half, x + half),
+        ylim=(y - half, y + half),
+    )
     K, at = len(start), scene["T_WC"][:, :2, 3].numpy()
-    left.plot(*start[:, :2, 3].numpy().T, "o", color=BETWEEN, markersize=4, alpha=0.6)
+    left.plot(
+        *start[:, :2, 3].numpy().T,
+        "o",
+        color=BETWEEN,
+        markersize=4,
+        alpha=0.6,
+    )
     for k, edge in enumerate(edges):
-        ink, wide = (PALETTE[3], 3.5) if k == scene["edge"] else (PALETTE[1 if edge.kind == "loop" else 0], 1.6)
-        left.plot(*at[[edge.i, edge.j]].T, color=ink, linewidth=wide)
+        ink, wide = (
+            (PALETTE[3], 3.5)
+            if k == scene["edge"]
+            else (PALETTE[1 if edge.kind == "loop" else 0], 1.6)
+        )
+        left.plot(
+            *at[[edge.i, edge.j]].T,
+            color=ink,
+            linewidth=wide,
+        )
     ends = at + 0.25 * half * scene["T_WC"][:, :2, 2].numpy()
-    left.plot(*np.stack([at, ends]).transpose(2, 0, 1), color=PALETTE[2], linewidth=1.2)
+    left.plot(
+        *np.stack([at, ends]).transpose(2, 0, 1),
+        color=PALETTE[2],
+        linewidth=1.2,
+    )
     left.plot(*at.T, "o", color=PALETTE[2], markersize=7)
     for k in range(K):
-        left.text(at[k, 0] + 0.04 * half, at[k, 1] + 0.04 * half, str(k), color=BETWEEN, fontsize=8)
+        left.text(
+            at[k, 0] + 0.04 * half,
+            at[k, 1] + 0.04 * half,
+            str(k),
+            color=BETWEEN,
+            fontsize=8,
+        )
     H = torch.zeros(K, K) if scene["H"] is None else scene["H"]
-    right.imshow((H / H.max().clamp_min(1e-12)).sqrt().numpy(), cmap="Blues", vmin=0, vmax=1)
+    right.imshow(
+        (H / H.max().clamp_min(1e-12)).sqrt().numpy(),
+        cmap="Blues",
+        vmin=0,
+        vmax=1,
+    )
     right.set(xticks=range(K), yticks=range(K))

@@ -1,4 +1,5 @@
-"""Steppers through a TSDF volume: marching cubes on one cell or a row of cells, and the march along one ray."""
+"""Steppers through a TSDF volume: marching cubes on one cell or a row of cells, and the march along
+one ray."""
 
 import dataclasses
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,18 @@ CELL_WATCH = {
     extract_mesh: {
         "extract_mesh": ("edges", "faces", "vertices_W"),
         "_numbered": ("triangles", "edges", "numbers"),
-        "_triangles": ("corner", "D", "weight", "usable", "case", "count", "cube", "nth", "axis", "lower"),
+        "_triangles": (
+            "corner",
+            "D",
+            "weight",
+            "usable",
+            "case",
+            "count",
+            "cube",
+            "nth",
+            "axis",
+            "lower",
+        ),
         "_vertices": ("D0", "D1", "t", "xyz_W"),
     }
 }
@@ -37,18 +49,23 @@ CLEAR = 0.1
 
 
 def row_of_cells(volume: TsdfVolume, cells: int = 1) -> Voxel:
-    """The lowest corner of ``cells`` cells beside each other along x with many triangles each, but no more than four.
+    """The lowest corner of ``cells`` cells beside each other along x with many triangles each, but
+    no more than four.
 
-    A smooth surface cuts a cell in up to four triangles; more are at edges and in noise. Cells with a vertex near a
-    corner are left out.
+    A smooth surface cuts a cell in up to four triangles; more are at edges and in noise. Cells with
+    a vertex near a corner are left out.
 
     Raises:
         ValueError: the surface of the volume has no such row.
     """
     mesh = extract_mesh(volume)
     corners = mesh.vertices_W.double()[mesh.faces] / volume.config.voxel_size_m - 0.5
-    place, cell, count = corners.mean(1).floor().long().unique(dim=0, return_inverse=True, return_counts=True)
-    apart = (corners - corners.round()).abs().amax(-1).amin(-1)  # of a triangle's vertices from the cell's corners
+    place, cell, count = (
+        corners.mean(1).floor().long().unique(dim=0, return_inverse=True, return_counts=True)
+    )
+    apart = (
+        (corners - corners.round()).abs().amax(-1).amin(-1)
+    )  # of a triangle's vertices from the cell's corners
     smallest = apart.new_full((len(place),), torch.inf).scatter_reduce(0, cell, apart, "amin")
     clear = [n if a > CLEAR else 5 for n, a in zip(count.tolist(), smallest.tolist(), strict=True)]
     triangles = dict(zip(map(tuple, place.tolist()), clear, strict=True))
@@ -57,19 +74,28 @@ def row_of_cells(volume: TsdfVolume, cells: int = 1) -> Voxel:
         return [triangles.get((start[0] + k, start[1], start[2]), 0) for k in range(cells)]
 
     rows = [start for start in triangles if min(of_row(start)) > 0 and max(of_row(start)) <= 4]
-    best = max(rows, key=lambda start: (min(of_row(start)), sum(of_row(start))), default=None)
+    best = max(
+        rows,
+        key=lambda start: (min(of_row(start)), sum(of_row(start))),
+        default=None,
+    )
     if best is None:
         raise ValueError(f"no {cells} cells in a row have triangles")
     return best
 
 
 def cut_out(volume: TsdfVolume, start: Voxel, cells: int) -> TsdfVolume:
-    """A volume in which only the corners of ``cells`` cells along x from ``start`` were observed, as in ``volume``.
+    """A volume in which only the corners of ``cells`` cells along x from ``start`` were observed,
+    as in ``volume``.
 
     Raises:
         ValueError: a corner is not allocated.
     """
-    grid = torch.cartesian_prod(torch.arange(cells + 1), torch.arange(2), torch.arange(2))
+    grid = torch.cartesian_prod(
+        torch.arange(cells + 1),
+        torch.arange(2),
+        torch.arange(2),
+    )
     ijk = (torch.tensor(start) + grid).to(volume.device)
     there = volume.find_voxels(ijk)
     if bool((there < 0).any()):
@@ -83,14 +109,17 @@ def cut_out(volume: TsdfVolume, start: Voxel, cells: int) -> TsdfVolume:
     return small
 
 
-def marching_cubes_stepper(volume: TsdfVolume, start: Voxel | None = None, *, cells: int = 1) -> Stepper:
+def marching_cubes_stepper(
+    volume: TsdfVolume, start: Voxel | None = None, *, cells: int = 1
+) -> Stepper:
     """Press Next through ``extract_mesh`` on one cell, or on a row of cells along x.
 
     Corners inside the surface (D < 0) are red, the others blue; vertices are orange.
 
     Args:
         volume: The map.
-        start: The voxel of the lowest corner of the first cell; by default that of ``row_of_cells``.
+        start: The voxel of the lowest corner of the first cell; by default that of
+            ``row_of_cells``.
         cells: Number of cells.
 
     Raises:
@@ -100,12 +129,20 @@ def marching_cubes_stepper(volume: TsdfVolume, start: Voxel | None = None, *, ce
     small = cut_out(volume, start, cells)
     recording = record(lambda: extract_mesh(small), CELL_WATCH)
     corner = recording.at("weight = volume.W.view(-1)")[0]["corner"]
-    first = small.find_voxels(torch.tensor([[start[0] + k, *start[1:]] for k in range(cells)]).to(small.device))
+    first = small.find_voxels(
+        torch.tensor([[start[0] + k, *start[1:]] for k in range(cells)]).to(small.device)
+    )
     rows = [int((corner[:, 0] == at).nonzero()[0]) for at in first]
     steps: list[Step] = []
     scene: dict[str, Any] = {"D": {}, "cut": (), "points": np.zeros((0, 3)), "faces": (), "cell": 0}
     for k, row in enumerate(rows):
-        steps += _of_cell(recording, row, k, steps[-1].scene | {"cell": k} if steps else scene, cells)
+        steps += _of_cell(
+            recording,
+            row,
+            k,
+            steps[-1].scene | {"cell": k} if steps else scene,
+            cells,
+        )
     steps += _of_vertices(recording, start, volume.config.voxel_size_m, steps[-1].scene)
     name = "one cell" if cells == 1 else f"a row of {cells} cells"
     label = f"Marching cubes on {name}"
@@ -113,52 +150,124 @@ def marching_cubes_stepper(volume: TsdfVolume, start: Voxel | None = None, *, ce
     return Stepper(steps, draw, name=f"marching-cubes-{cells}", label=label, size=(450, 330))
 
 
-def _of_cell(recording: Recording, row: int, k: int, scene: dict[str, Any], cells: int) -> list[Step]:
+def _of_cell(
+    recording: Recording, row: int, k: int, scene: dict[str, Any], cells: int
+) -> list[Step]:
     values = recording.at("weight = volume.W.view(-1)")[0]
     usable = recording.at("usable = ((corner")[0]
     cased, listed = recording.at("case = ((D <")[0], recording.at("cube, nth = ")[0]
     edged = recording.at("axis, lower = ")[0]
     D, case = values["D"][row], int(cased["case"][row])
     mine = (listed["cube"] == row).nonzero().squeeze(1)
-    edges = [list(zip(edged["axis"][i].tolist(), edged["lower"][i].tolist(), strict=True)) for i in mine]
+    edges = [
+        list(
+            zip(
+                edged["axis"][i].tolist(),
+                edged["lower"][i].tolist(),
+                strict=True,
+            )
+        )
+        for i in mine
+    ]
     scene = scene | {"D": scene["D"] | {k: D.numpy()}}
     which = f"Cell {k + 1} of {cells}: t" if cells > 1 else "T"
-    corners = [(f"{c} at {text_of(tuple(CORNERS[c].tolist()))}", f"{float(D[c]):+.3f}".replace("-", "−"),
-                "inside" if D[c] < 0 else "") for c in range(8)]  # fmt: skip
-    steps = [Step(values, f"{which}he D of the eight corners; negative is behind the surface.", corners, scene,
-                   ("corner", "D", ""))]  # fmt: skip
+    corners = [
+        (
+            f"{c} at {text_of(tuple(CORNERS[c].tolist()))}",
+            f"{float(D[c]):+.3f}".replace("-", "−"),
+            "inside" if D[c] < 0 else "",
+        )
+        for c in range(8)
+    ]
+    steps = [
+        Step(
+            values,
+            f"{which}he D of the eight corners; negative is behind the surface.",
+            corners,
+            scene,
+            ("corner", "D", ""),
+        )
+    ]
     if cells == 1:
-        seen = [("smallest W", text_of(usable["weight"][row].min())), ("usable", text_of(bool(usable["usable"][row])))]
-        steps.append(Step(usable, "All eight corners must have been observed, or there is no triangle.", seen, scene))
+        seen = [
+            ("smallest W", text_of(usable["weight"][row].min())),
+            ("usable", text_of(bool(usable["usable"][row]))),
+        ]
+        steps.append(
+            Step(
+                usable,
+                "All eight corners must have been observed, or there is no triangle.",
+                seen,
+                scene,
+            )
+        )
     bits = " + ".join(str(2**c) for c in range(8) if D[c] < 0) or "0"
     title = f"The case: one bit for each corner inside. {bits} = {case}."
     steps.append(Step(cased, title, [("case", f"{case} = {case:08b} in binary")], scene))
     title = f"The table has {len(mine)} triangle{'s' if len(mine) != 1 else ''} for case {case}."
-    steps.append(Step(listed, title, [("triangles", str(len(mine)))], scene))
+    steps.append(
+        Step(
+            listed,
+            title,
+            [("triangles", str(len(mine)))],
+            scene,
+        )
+    )
     cut = scene["cut"] + tuple((k, axis, lower) for triangle in edges for axis, lower in triangle)
-    text = [(str(i + 1), ", ".join(str(EDGES.index(e)) for e in triangle)) for i, triangle in enumerate(edges)]
-    title = "Each triangle is three cut edges; an edge is an axis and its lower corner. One end is inside, one outside."
-    steps.append(Step(edged, title, text, scene | {"cut": cut}, ("triangle", "edges")))
+    text = [
+        (str(i + 1), ", ".join(str(EDGES.index(e)) for e in triangle))
+        for i, triangle in enumerate(edges)
+    ]
+    title = (
+        "Each triangle is three cut edges; an edge is an axis and its lower corner. One end is "
+        "inside, one outside."
+    )
+    steps.append(
+        Step(
+            edged,
+            title,
+            text,
+            scene | {"cut": cut},
+            ("triangle", "edges"),
+        )
+    )
     return steps
 
 
-def _of_vertices(recording: Recording, start: Voxel, voxel_m: float, scene: dict[str, Any]) -> list[Step]:
-    joined, crossing = recording.at("edges, numbers = triangles.unique")[0], recording.at("t = (D0 / (D0 - D1))")[0]
+def _of_vertices(
+    recording: Recording, start: Voxel, voxel_m: float, scene: dict[str, Any]
+) -> list[Step]:
+    joined, crossing = (
+        recording.at("edges, numbers = triangles.unique")[0],
+        recording.at("t = (D0 / (D0 - D1))")[0],
+    )
     placed = recording.at("xyz_W = zero_crossing(")[0]
     faces, n = joined["numbers"], len(joined["edges"])
     ends = 3 * len(faces)
-    numbers = [("triangles", str(len(faces))), ("their corners", str(ends)), ("different edges", str(n))]
-    title = f"An edge that several triangles cut has one vertex: {ends} corners of triangles, {n} vertices."
+    numbers = [
+        ("triangles", str(len(faces))),
+        ("their corners", str(ends)),
+        ("different edges", str(n)),
+    ]
+    title = (
+        f"An edge that several triangles cut has one vertex: {ends} corners of triangles, {n} "
+        "vertices."
+    )
     steps = [Step(joined, title, numbers, scene)]
     points = (placed["xyz_W"].cpu().numpy() / voxel_m - 0.5) - np.array(start)
     for v in range(n):
         D0, D1, t = (float(crossing[name].flatten()[v]) for name in ("D0", "D1", "t"))
         scene = scene | {"points": points[: v + 1]}
         numbers = [
-            ("D at the lower end", text_of(D0)), ("D at the upper end", text_of(D1)), ("t", text_of(t)),
+            ("D at the lower end", text_of(D0)),
+            ("D at the upper end", text_of(D1)),
+            ("t", text_of(t)),
             ("vertex", text_of(placed["xyz_W"][v]) + " m"),
-        ]  # fmt: skip
-        title = f"Vertex {v + 1} of {n}: where D, linear along the edge, is zero: t = {t:.3f} of the way."
+        ]
+        title = (
+            f"Vertex {v + 1} of {n}: where D, linear along the edge, is zero: t = {t:.3f} of "
+            "the way."
+        )
         steps.append(Step(crossing, title, numbers, scene))
     done = recording.at("return Mesh(")[0]
     scene = scene | {"faces": tuple(tuple(face) for face in faces.tolist())}
@@ -179,7 +288,11 @@ def _cell_picture(figure: "Figure", scene: dict[str, Any], cells: int) -> None:
 
     axes, now = figure.add_axes((0.01, 0.01, 0.98, 0.98)), scene["cell"]
     axes.set_axis_off()
-    axes.set(aspect="equal", xlim=(-0.25, cells + 0.7), ylim=(-0.2, 1.5))
+    axes.set(
+        aspect="equal",
+        xlim=(-0.25, cells + 0.7),
+        ylim=(-0.2, 1.5),
+    )
     corners = [CORNERS.numpy() + np.array((k, 0, 0)) for k in range(cells)]
 
     def edge(k: int, axis: int, lower: int) -> np.ndarray:
@@ -187,34 +300,80 @@ def _cell_picture(figure: "Figure", scene: dict[str, Any], cells: int) -> None:
 
     for k in range(cells):
         wide = 1.8 if k == now and cells > 1 else 0.8
-        axes.add_collection(LineCollection([edge(k, *e) for e in EDGES], colors=BETWEEN, linewidths=wide, alpha=0.7))
+        axes.add_collection(
+            LineCollection(
+                [edge(k, *e) for e in EDGES],
+                colors=BETWEEN,
+                linewidths=wide,
+                alpha=0.7,
+            )
+        )
     points = _flat(scene["points"]) if len(scene["points"]) else np.zeros((0, 2))
     triangles = [points[list(face)] for face in scene["faces"]]
-    axes.add_collection(PolyCollection(triangles, facecolors=PALETTE[2], edgecolors=PALETTE[2], alpha=0.55))
-    axes.add_collection(LineCollection([edge(*cut) for cut in scene["cut"]], colors=PALETTE[1], linewidths=2.4))
+    axes.add_collection(
+        PolyCollection(triangles, facecolors=PALETTE[2], edgecolors=PALETTE[2], alpha=0.55)
+    )
+    axes.add_collection(
+        LineCollection(
+            [edge(*cut) for cut in scene["cut"]],
+            colors=PALETTE[1],
+            linewidths=2.4,
+        )
+    )
     for k, D in scene["D"].items():
         at = _flat(corners[k])
-        axes.scatter(*at.T, s=64, c=[PALETTE[3] if d < 0 else PALETTE[0] for d in D], zorder=3)
+        axes.scatter(
+            *at.T,
+            s=64,
+            c=[PALETTE[3] if d < 0 else PALETTE[0] for d in D],
+            zorder=3,
+        )
         for i in range(8 if cells == 1 else 0):
-            axes.text(at[i, 0] + 0.05, at[i, 1] + 0.05, f"{i}: {D[i]:+.3f}", color=BETWEEN, fontsize=8)
+            axes.text(
+                at[i, 0] + 0.05,
+                at[i, 1] + 0.05,
+                f"{i}: {D[i]:+.3f}",
+                color=BETWEEN,
+                fontsize=8,
+            )
     axes.plot(*points.T, "D", color=PALETTE[1], markersize=5)
 
 
 RAY_WATCH = {
     raycast: {
         "raycast": ("depth_m", "normal_W", "rgb"),
-        "_surface_depths": ("z", "point_W", "D", "allocated", "D_before", "enters", "leaves", "step"),
-        "_distance_at": ("volume.voxel_index(point_W)", "voxel", "volume.W.view(-1)[voxel]", "close"),
+        "_surface_depths": (
+            "z",
+            "point_W",
+            "D",
+            "allocated",
+            "D_before",
+            "enters",
+            "leaves",
+            "step",
+        ),
+        "_distance_at": (
+            "volume.voxel_index(point_W)",
+            "voxel",
+            "volume.W.view(-1)[voxel]",
+            "close",
+        ),
         "_zero_crossing": ("z", "z0", "z1", "D0", "D1", "D"),
     }
 }
 
 
-def raycast_stepper(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"], pixel: tuple[int, int]) -> Stepper:
-    """Press Next along one ray: the voxel, its D and W, how far to the next sample, the sign change, the depth.
+def raycast_stepper(
+    volume: TsdfVolume,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    pixel: tuple[int, int],
+) -> Stepper:
+    """Press Next along one ray: the voxel, its D and W, how far to the next sample, the sign
+    change, the depth.
 
-    Above: D in a plane through the ray, red behind a surface, blue in front of it, empty where nothing is known.
-    Below: the D that the ray met so far.
+    Above: D in a plane through the ray, red behind a surface, blue in front of it, empty where
+    nothing is known. Below: the D that the ray met so far.
 
     Args:
         volume: The map.
@@ -225,7 +384,13 @@ def raycast_stepper(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4
         ValueError: the pixel is outside the image, or the volume is empty.
     """
     check_pixel(camera, *pixel)
-    one = dataclasses.replace(camera, width=1, height=1, cx=camera.cx - pixel[0], cy=camera.cy - pixel[1])
+    one = dataclasses.replace(
+        camera,
+        width=1,
+        height=1,
+        cx=camera.cx - pixel[0],
+        cy=camera.cy - pixel[1],
+    )
     recording = record(lambda: raycast(volume, one, T_WC), RAY_WATCH)
     steps = [*_march(recording), *_interpolate(recording)]
     end = recording.at("return RaycastOutput")[0]
@@ -233,7 +398,12 @@ def raycast_stepper(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4
     found = f"the surface is at z = {depth_m:.4f} m" if depth_m else "this ray meets no surface"
     numbers = [("depth z", f"{depth_m:.5f} m"), ("normal", text_of(end["normal_W"][0], 3))]
     steps.append(Step(end, f"The result of this pixel: {found}.", numbers, steps[-1].scene))
-    plane = _plane(volume, one, T_WC, max(float(s.scene["z"]) for s in steps) + 0.25)
+    plane = _plane(
+        volume,
+        one,
+        T_WC,
+        max(float(s.scene["z"]) for s in steps) + 0.25,
+    )
     return Stepper(
         steps,
         lambda figure, scene: _ray_picture(figure, scene, plane),
@@ -244,21 +414,34 @@ def raycast_stepper(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4
 
 def _march(recording: Recording) -> list[Step]:
     steps, z_met, D_met = [], [], []
-    looks = [line for line in recording if line.function == "_distance_at" and "return" in line.values]
+    looks = [
+        line for line in recording if line.function == "_distance_at" and "return" in line.values
+    ]
     samples = recording.at("D, allocated = _distance_at")
     turns = recording.at("leaves = ")
     advances = recording.at("step = torch.where")
     for look, sample, turn, advance in zip(looks, samples, turns, advances, strict=True):
         z, D = float(sample["z"]), float(sample["D"])
-        known, voxel = bool(sample["allocated"]), tuple(look["volume.voxel_index(point_W)"][0].tolist())
+        known, voxel = (
+            bool(sample["allocated"]),
+            tuple(look["volume.voxel_index(point_W)"][0].tolist()),
+        )
         z_met, D_met = [*z_met, z], [*D_met, D]
         scene = {"z": z, "z_met": z_met, "D_met": D_met, "next": None, "bracket": None}
         W = float(look["volume.W.view(-1)[voxel]"]) if known else 0.0
         numbers = [
-            ("depth z", f"{z:.4f} m"), ("point", text_of(sample["point_W"][0]) + " m"), ("voxel", str(voxel)),
-            ("block", "allocated" if known else "not allocated"), ("W", text_of(W)), ("D", text_of(D)),
-        ]  # fmt: skip
-        what = "no block is allocated here: nothing is known" if not known else f"D = {D:.3f}, W = {W:.0f}"
+            ("depth z", f"{z:.4f} m"),
+            ("point", text_of(sample["point_W"][0]) + " m"),
+            ("voxel", str(voxel)),
+            ("block", "allocated" if known else "not allocated"),
+            ("W", text_of(W)),
+            ("D", text_of(D)),
+        ]
+        what = (
+            "no block is allocated here: nothing is known"
+            if not known
+            else f"D = {D:.3f}, W = {W:.0f}"
+        )
         if known and not W:
             what = "its block is allocated, but this voxel was never observed"
         elif bool(look["close"]):
@@ -266,36 +449,61 @@ def _march(recording: Recording) -> list[Step]:
         steps.append(Step(sample, f"Sample {len(z_met)}: {what}.", numbers, scene))
         D_before = text_of(float(turn["D_before"]))
         if bool(turn["enters"]) or bool(turn["leaves"]):
-            where = "from + to −: a surface" if bool(turn["enters"]) else "from − to +: the back of a surface"
+            where = (
+                "from + to −: a surface"
+                if bool(turn["enters"])
+                else "from − to +: the back of a surface"
+            )
             signs = [("D before", D_before), ("D", text_of(D))]
-            steps.append(Step(turn, f"D changes {where} is between these two samples.", signs, scene))
+            steps.append(
+                Step(turn, f"D changes {where} is between these two samples.", signs, scene)
+            )
             break
         step, at = float(advance["step"]), scene | {"next": z + float(advance["step"])}
-        how = "0.7 of the stored distance, at least one voxel" if known else "to where the ray leaves this block"
+        how = (
+            "0.7 of the stored distance, at least one voxel"
+            if known
+            else "to where the ray leaves this block"
+        )
         ahead = [("step", f"{step:.4f} m"), ("next z", f"{z + step:.4f} m"), ("D before", D_before)]
-        steps.append(Step(advance, f"No sign change. Advance by {100 * step:.1f} cm: {how}.", ahead, at))
+        steps.append(
+            Step(advance, f"No sign change. Advance by {100 * step:.1f} cm: {how}.", ahead, at)
+        )
     return steps
 
 
 def _interpolate(recording: Recording) -> list[Step]:
     """The linear interpolation and its refinements; none for a ray that met no surface."""
-    lines = [line for line in recording if line.text.startswith("z = z0 + (z1 - z0)") and len(line["z"])]
+    lines = [
+        line for line in recording if line.text.startswith("z = z0 + (z1 - z0)") and len(line["z"])
+    ]
     last = recording.at("D, allocated = _distance_at")
     z_met, D_met = [float(s["z"]) for s in last], [float(s["D"]) for s in last]
     steps = []
     for k, line in enumerate(lines):
         z0, z1, D0, D1 = (float(line[name]) for name in ("z0", "z1", "D0", "D1"))
-        scene = {"z": float(line["z"]), "z_met": z_met, "D_met": D_met, "next": None, "bracket": (z0, z1, D0, D1)}
+        scene = {
+            "z": float(line["z"]),
+            "z_met": z_met,
+            "D_met": D_met,
+            "next": None,
+            "bracket": (z0, z1, D0, D1),
+        }
         names = [("z0, z1", f"{z0:.4f}, {z1:.4f} m"), ("D0, D1", f"{text_of(D0)}, {text_of(D1)}")]
         how = "A straight line through the two samples is zero here"
         if k:
-            how = f"Refinement {k}: the interpolated D at the last guess replaces the end that has the same sign"
+            how = (
+                f"Refinement {k}: the interpolated D at the last guess replaces the end that has "
+                "the same sign"
+            )
             names.append(("D at the last guess", text_of(float(line["D"]))))
         steps.append(Step(line, f"{how}.", [*names, ("z", f"{scene['z']:.5f} m")], scene))
     return steps
 
 
-def _plane(volume: TsdfVolume, one: Camera, T_WC: Tensor, far_m: float, half_m: float = 0.3) -> dict[str, Any]:
+def _plane(
+    volume: TsdfVolume, one: Camera, T_WC: Tensor, far_m: float, half_m: float = 0.3
+) -> dict[str, Any]:
     """D in the plane of the ray and the camera's y axis: the image and its extent."""
     ray_C = rays(one, torch.tensor([0.5, 0.5]))
     z, y = torch.linspace(0, far_m, 450), torch.linspace(-half_m, half_m, 100)
@@ -303,11 +511,21 @@ def _plane(volume: TsdfVolume, one: Camera, T_WC: Tensor, far_m: float, half_m: 
     found = volume.sample_nearest(se3.apply(T_WC.float(), points_C).view(-1, 3).to(volume.device))
     D, W = found.D.view(100, 450).cpu().numpy(), found.W.view(100, 450).cpu().numpy()
     ground = np.where(W > 0, 255, 0).astype(np.uint8)[..., None]
-    return {"X": np.concatenate([distance_colours(D), ground], axis=2), "extent": (0.0, far_m, half_m, -half_m)}
+    return {
+        "X": np.concatenate([distance_colours(D), ground], axis=2),
+        "extent": (0.0, far_m, half_m, -half_m),
+    }
 
 
-def _ray_picture(figure: "Figure", scene: dict[str, Any], plane: dict[str, Any]) -> None:
-    above, below = figure.add_axes((0.12, 0.66, 0.86, 0.28)), figure.add_axes((0.12, 0.13, 0.86, 0.43))
+def _ray_picture(
+    figure: "Figure",
+    scene: dict[str, Any],
+    plane: dict[str, Any],
+) -> None:
+    above, below = (
+        figure.add_axes((0.12, 0.66, 0.86, 0.28)),
+        figure.add_axes((0.12, 0.13, 0.86, 0.43)),
+    )
     above.imshow(**plane, aspect="auto", interpolation="nearest")
     style(above, title="D in a plane through the ray (red −, blue +)")
     style(below, x="depth z, m", y="D")
@@ -318,10 +536,32 @@ def _ray_picture(figure: "Figure", scene: dict[str, Any], plane: dict[str, Any])
     for axes, height in ((above, 0), (below, 1)):
         axes.axhline(0, color=BETWEEN, linewidth=0.8)
         axes.plot(scene["z_met"], height * met, "o", color=orange, markersize=4)
-        axes.plot(z, height * D, "o", color=red, markersize=8, fillstyle="none", mew=2)
+        axes.plot(
+            z,
+            height * D,
+            "o",
+            color=red,
+            markersize=8,
+            fillstyle="none",
+            mew=2,
+        )
         if scene["next"]:
-            axes.plot([z, scene["next"]], [height * np.nan_to_num(D)] * 2, color=orange, linewidth=2)
+            axes.plot(
+                [z, scene["next"]],
+                [height * np.nan_to_num(D)] * 2,
+                color=orange,
+                linewidth=2,
+            )
     if bracket:
-        below.plot(bracket[:2], bracket[2:], "--", color=red, linewidth=1.4)
+        below.plot(
+            bracket[:2],
+            bracket[2:],
+            "--",
+            color=red,
+            linewidth=1.4,
+        )
     far = plane["extent"][1]
-    below.set(ylim=(-1.1, 1.1), xlim=(bracket[0] - 0.02, bracket[1] + 0.02) if bracket else (0.0, far))
+    below.set(
+        ylim=(-1.1, 1.1),
+        xlim=(bracket[0] - 0.02, bracket[1] + 0.02) if bracket else (0.0, far),
+    )

@@ -1,4 +1,5 @@
-"""Loading compiled kernels and starting them through the CUDA driver, in the context and on the stream of torch."""
+"""Loading compiled kernels and starting them through the CUDA driver, in the context and on the
+stream of torch."""
 
 import ctypes
 import functools
@@ -26,11 +27,19 @@ def library() -> ctypes.CDLL:
     try:
         return ctypes.CDLL(name)
     except OSError:
-        raise BackendUnavailable(f"backend 'cuda' needs NVIDIA's driver ({name}), which is not installed") from None
+        raise BackendUnavailable(
+            f"backend 'cuda' needs NVIDIA's driver ({name}), which is not installed"
+        ) from None
 
 
 def start(
-    operation: str, stem: str, kernel: str, grid: Size, block: int, device: torch.device, pointers: ctypes.Array
+    operation: str,
+    stem: str,
+    kernel: str,
+    grid: Size,
+    block: int,
+    device: torch.device,
+    pointers: ctypes.Array,
 ) -> None:
     """Run a kernel of ``<stem>.cu`` on torch's current stream of ``device``; nothing waits for it.
 
@@ -57,7 +66,9 @@ def start(
 @functools.cache
 def _function(operation: str, stem: str, kernel: str, index: int) -> ctypes.c_void_p:
     driver, function = library(), ctypes.c_void_p()
-    found = driver.cuModuleGetFunction(ctypes.byref(function), _module(operation, stem, index), kernel.encode())
+    found = driver.cuModuleGetFunction(
+        ctypes.byref(function), _module(operation, stem, index), kernel.encode()
+    )
     _check(operation, driver, found)
     return function
 
@@ -68,7 +79,9 @@ def _module(operation: str, stem: str, index: int) -> ctypes.c_void_p:
     image = compile_source(stem, torch.cuda.get_device_capability(index))
     status = driver.cuModuleLoadData(ctypes.byref(module), image)
     if status and status != _OUT_OF_MEMORY:
-        raise BackendUnavailable(f"{operation}: {stem}.cu cannot be loaded: the driver says {_words(status)}")
+        raise BackendUnavailable(
+            f"{operation}: {stem}.cu cannot be loaded: the driver says {_words(status)}"
+        )
     _check(operation, driver, status)
     return module
 
@@ -82,14 +95,19 @@ _threads = threading.local()
 
 
 def _enter_context(operation: str, driver: ctypes.CDLL, index: int) -> None:
-    """Torch makes its context current in a thread when it first needs it there; a launch may come before."""
+    """Torch makes its context current in a thread when it first needs it there; a launch may come
+    before."""
     if getattr(_threads, "device", None) == index:
         return
     context = ctypes.c_void_p()
     _check(operation, driver, driver.cuCtxGetCurrent(ctypes.byref(context)))
     if not context.value:
         torch.cuda.init()
-        _check(operation, driver, driver.cuDevicePrimaryCtxRetain(ctypes.byref(context), _device(index)))
+        _check(
+            operation,
+            driver,
+            driver.cuDevicePrimaryCtxRetain(ctypes.byref(context), _device(index)),
+        )
         _check(operation, driver, driver.cuCtxSetCurrent(context))
     _threads.device = index
 

@@ -1,4 +1,5 @@
-"""Starting a kernel with torch tensors: which tensors are taken, what their arguments become, where it runs."""
+"""Starting a kernel with torch tensors: which tensors are taken, what their arguments become, where
+it runs."""
 
 import ctypes
 import functools
@@ -32,7 +33,9 @@ def _why_unavailable() -> str | None:
     return None
 
 
-if _reason := _why_unavailable():  # here and not in the package: every kernel imports this module, and is refused again
+if (
+    _reason := _why_unavailable()
+):  # here and not in the package: every kernel imports this module, and is refused again
     raise BackendUnavailable(_reason)
 
 
@@ -44,11 +47,19 @@ def device_of(operation: str, tensor: Tensor) -> torch.device:
     """
     device = tensor.device
     if device.type != ("cpu" if _EMULATOR else "cuda"):
-        raise BackendUnavailable(f"{operation}: backend 'cuda' takes CUDA tensors, got tensors on {device}")
+        raise BackendUnavailable(
+            f"{operation}: backend 'cuda' takes CUDA tensors, got tensors on {device}"
+        )
     return device
 
 
-def launch(operation: str, source: str, grid: int | tuple[int, int], block: int, *args) -> None:
+def launch(
+    operation: str,
+    source: str,
+    grid: int | tuple[int, int],
+    block: int,
+    *args,
+) -> None:
     """Run a kernel; an empty grid is allowed.
 
     Args:
@@ -56,8 +67,8 @@ def launch(operation: str, source: str, grid: int | tuple[int, int], block: int,
         source: "file:kernel" of ``<file>.cu``.
         grid: Blocks along x, or along x and y.
         block: Threads of a block.
-        args: In the kernel's order: tensors for addresses (``None`` is the null pointer), numbers, and for a struct a
-            dictionary with its fields.
+        args: In the kernel's order: tensors for addresses (``None`` is the null pointer), numbers,
+            and for a struct a dictionary with its fields.
 
     Raises:
         ValueError: a tensor has gaps, or a number is too large. RuntimeError: the driver refuses.
@@ -83,7 +94,13 @@ def _emulator() -> ctypes.CDLL:
     return ctypes.CDLL(_EMULATOR)
 
 
-def _emulate(operation: str, kernel: str, grid: tuple[int, int], block: int, pointers: ctypes.Array) -> None:
+def _emulate(
+    operation: str,
+    kernel: str,
+    grid: tuple[int, int],
+    block: int,
+    pointers: ctypes.Array,
+) -> None:
     run = getattr(_emulator(), f"emulate_{kernel}")
     run.restype = ctypes.c_char_p
     if problem := run(grid[0], grid[1], block, pointers):

@@ -1,7 +1,8 @@
-"""Compiling CUDA C++ at run time through NVRTC, the library that torch's wheels bring along; results are cached.
+"""Compiling CUDA C++ at run time through NVRTC, the library that torch's wheels bring along;
+results are cached.
 
-``torch.cuda._compile_kernel`` does a similar thing, but keeps nothing on disk, compiles a source again for each of its
-kernels, needs setuptools, and has no header files and no 64-bit arguments.
+``torch.cuda._compile_kernel`` does a similar thing, but keeps nothing on disk, compiles a source
+again for each of its kernels, needs setuptools, and has no header files and no 64-bit arguments.
 """
 
 import ctypes
@@ -22,12 +23,19 @@ log = logging.getLogger(__name__)
 
 KERNELS = Path(__file__).parents[2]
 
-_NUMBERS = ("NEAR_PLANE_M", "SCREEN_BLUR_PX2", "ALPHA_MAX", "ALPHA_MIN", "TRANSMITTANCE_MIN", "FARTHEST_PX")
+_NUMBERS = (
+    "NEAR_PLANE_M",
+    "SCREEN_BLUR_PX2",
+    "ALPHA_MAX",
+    "ALPHA_MIN",
+    "TRANSMITTANCE_MIN",
+    "FARTHEST_PX",
+)
 
 OPTIONS = (
     "-std=c++17",
-    # A multiplication and an addition become one operation only where the source says fmaf: counting and listing, and
-    # forward and backward, have to round alike.
+    # A multiplication and an addition become one operation only where the source says fmaf:
+    # counting and listing, and forward and backward, have to round alike.
     "--fmad=false",
     *(f"-DGS_{name}={getattr(constants, name):.9g}f" for name in _NUMBERS),
 )
@@ -35,7 +43,8 @@ OPTIONS = (
 
 
 def compile_source(stem: str, capability: tuple[int, int]) -> bytes:
-    """Machine code of ``<stem>.cu`` for a GPU of that compute capability (PTX if it is newer than the compiler).
+    """Machine code of ``<stem>.cu`` for a GPU of that compute capability (PTX if it is newer than
+    the compiler).
 
     Raises:
         BackendUnavailable: the source does not compile; the compiler's words are in the message.
@@ -43,7 +52,9 @@ def compile_source(stem: str, capability: tuple[int, int]) -> bytes:
     """
     nvrtc = library()
     source = (KERNELS / stem / f"{stem}.cu").read_text(encoding="utf-8")
-    headers = {path.name: path.read_text(encoding="utf-8") for path in sorted(KERNELS.glob("*/*.cuh"))}
+    headers = {
+        path.name: path.read_text(encoding="utf-8") for path in sorted(KERNELS.glob("*/*.cuh"))
+    }
     options = (f"--gpu-architecture={_architecture(nvrtc, capability)}", *OPTIONS)
     text = "\0".join([source, *headers.values(), *options, str(_version(nvrtc))])
     key = hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -73,7 +84,8 @@ def library() -> ctypes.CDLL:
         except OSError:
             continue
     raise BackendUnavailable(
-        f"backend 'cuda' needs NVRTC ({name}), which is neither in torch's packages nor in the system; "
+        f"backend 'cuda' needs NVRTC ({name}), which is neither in torch's packages nor in the "
+        "system; "
         f"'pip install nvidia-cuda-nvrtc{'' if int(major) > 12 else '-cu' + major}' brings it"
     )
 
@@ -87,11 +99,19 @@ def _in_wheels(name: str) -> list[str]:
     return [str(folder / name) for folder in folders if (folder / name).exists()]
 
 
-def _compile(nvrtc: ctypes.CDLL, name: str, source: str, headers: dict[str, str], options: tuple[str, ...]) -> bytes:
+def _compile(
+    nvrtc: ctypes.CDLL,
+    name: str,
+    source: str,
+    headers: dict[str, str],
+    options: tuple[str, ...],
+) -> bytes:
     program = ctypes.c_void_p()
     texts = (ctypes.c_char_p * len(headers))(*(text.encode() for text in headers.values()))
     names = (ctypes.c_char_p * len(headers))(*(header.encode() for header in headers))
-    made = nvrtc.nvrtcCreateProgram(ctypes.byref(program), source.encode(), name.encode(), len(headers), texts, names)
+    made = nvrtc.nvrtcCreateProgram(
+        ctypes.byref(program), source.encode(), name.encode(), len(headers), texts, names
+    )
     _check(nvrtc, name, made)
     try:
         flags = (ctypes.c_char_p * len(options))(*(option.encode() for option in options))
@@ -104,7 +124,12 @@ def _compile(nvrtc: ctypes.CDLL, name: str, source: str, headers: dict[str, str]
         nvrtc.nvrtcDestroyProgram(ctypes.byref(program))
 
 
-def _fetch(nvrtc: ctypes.CDLL, name: str, program: ctypes.c_void_p, kind: str) -> bytes:
+def _fetch(
+    nvrtc: ctypes.CDLL,
+    name: str,
+    program: ctypes.c_void_p,
+    kind: str,
+) -> bytes:
     size = ctypes.c_size_t()
     _check(nvrtc, name, getattr(nvrtc, f"nvrtcGet{kind}Size")(program, ctypes.byref(size)))
     buffer = ctypes.create_string_buffer(size.value)
@@ -122,7 +147,8 @@ def _architecture(nvrtc: ctypes.CDLL, capability: tuple[int, int]) -> str:
     older = [arch for arch in known if arch < wanted]
     if not older:
         raise BackendUnavailable(
-            f"backend 'cuda' needs a GPU of compute capability {min(known) / 10:.1f} or more, got {wanted / 10:.1f}"
+            f"backend 'cuda' needs a GPU of compute capability {min(known) / 10:.1f} or more, got "
+            f"{wanted / 10:.1f}"
         )
     return f"compute_{max(older)}"
 

@@ -1,7 +1,8 @@
-"""What a kernel is given, as its source says: its parameters, and the fields of the structs among them.
+"""What a kernel is given, as its source says: its parameters, and the fields of the structs among
+them.
 
-How they lie in memory is worked out at a kernel's first launch; after that they are packed in one go, because making an
-object of ``ctypes`` for each costs the host more than starting the kernel.
+How they lie in memory is worked out at a kernel's first launch; after that they are packed in one
+go, because making an object of ``ctypes`` for each costs the host more than starting the kernel.
 """
 
 import ctypes
@@ -29,11 +30,15 @@ class Signature:
 
     def __init__(self, stem: str, kernel: str):
         text = _source(f"{stem}.cu")
-        (parameters,) = re.findall(rf"__global__ void [^;{{]*?{kernel}\((.*?)\) \{{", text, re.DOTALL)
+        (parameters,) = re.findall(
+            rf"__global__ void [^;{{]*?{kernel}\((.*?)\) \{{", text, re.DOTALL
+        )
         declared = _declared(text, parameters.replace(",", ";"))
         everything: Any = type("Everything", (ctypes.Structure,), {"_fields_": declared})
         self._offsets = [getattr(everything, name).offset for name, _ in declared]
-        self._groups = [[field[0] for field in getattr(kind, "_fields_", ())] for _, kind in declared]
+        self._groups = [
+            [field[0] for field in getattr(kind, "_fields_", ())] for _, kind in declared
+        ]
         layout, end = "=", 0
         for offset, code, size in _leaves(everything, 0):
             layout, end = f"{layout}{offset - end}x{code}", offset + size
@@ -51,7 +56,8 @@ class Signature:
         return flat
 
     def pack(self, operation: str, values: list[Any]) -> tuple[Any, Any]:
-        """The addresses of the packed arguments, valid as long as the second result lives. ``values``: from ``flat``.
+        """The addresses of the packed arguments, valid as long as the second result lives.
+        ``values``: from ``flat``.
 
         Raises:
             ValueError: a tensor has gaps, or a number does not fit in its bits.
@@ -62,7 +68,10 @@ class Signature:
                 numbers.append(0)
             elif isinstance(value, Tensor):
                 if not value.is_contiguous():
-                    raise ValueError(f"{operation}: tensors without gaps were expected, got strides {value.stride()}")
+                    raise ValueError(
+                        f"{operation}: tensors without gaps were expected, got strides "
+                        f"{value.stride()}"
+                    )
                 numbers.append(value.data_ptr())
             elif isinstance(value, (list, tuple)):
                 numbers += value
@@ -71,7 +80,9 @@ class Signature:
         try:
             packed = ctypes.create_string_buffer(self._format.pack(*numbers), self._format.size)
         except (struct.error, OverflowError) as e:
-            raise ValueError(f"{operation}: a number does not fit in the kernel's parameter ({e})") from None
+            raise ValueError(
+                f"{operation}: a number does not fit in the kernel's parameter ({e})"
+            ) from None
         start = ctypes.addressof(packed)
         return self._pointers(*[start + offset for offset in self._offsets]), packed
 
@@ -80,14 +91,19 @@ def _source(name: str) -> str:
     """A source and all that it includes, without comments."""
     (path,) = KERNELS.glob(f"*/{name}")
     text = re.sub(r"//.*", "", path.read_text(encoding="utf-8"))
-    return text + "".join(_source(included) for included in dict.fromkeys(re.findall(r'#include "(.+?)"', text)))
+    return text + "".join(
+        _source(included) for included in dict.fromkeys(re.findall(r'#include "(.+?)"', text))
+    )
 
 
 def _declared(text: str, declarations: str) -> list[tuple[str, Any]]:
-    """Name and type of each variable in declarations such as ``const float *D, *W; int size[3]``."""
+    """Name and type of each variable in declarations such as
+    ``const float *D, *W; int size[3]``."""
     found = []
     for declaration in filter(str.strip, declarations.split(";")):
-        found_type = re.match(r"\s*(?:const )?((?:(?:un)?signed )?(?:long long|\w+))(.*)", declaration, re.DOTALL)
+        found_type = re.match(
+            r"\s*(?:const )?((?:(?:un)?signed )?(?:long long|\w+))(.*)", declaration, re.DOTALL
+        )
         assert found_type is not None
         kind, names = found_type.groups()
         for part in names.split(","):
@@ -111,7 +127,9 @@ def _leaves(kind: Any, start: int) -> list[tuple[int, str, int]]:
     if issubclass(kind, ctypes.Array):
         array: Any = kind
         size = ctypes.sizeof(array._type_)
-        return [leaf for i in range(array._length_) for leaf in _leaves(array._type_, start + i * size)]
+        return [
+            leaf for i in range(array._length_) for leaf in _leaves(array._type_, start + i * size)
+        ]
     return [(start, _CODES[kind], ctypes.sizeof(kind))]
 
 

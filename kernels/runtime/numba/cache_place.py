@@ -1,7 +1,9 @@
-"""Where numba keeps compiled kernels: where it wants to, else in the toolkit's cache, else in a temporary folder.
+"""Where numba keeps compiled kernels: where it wants to, else in the toolkit's cache, else in a
+temporary folder.
 
-Numba keeps them beside their sources, or in the user's own cache. In a container whose packages are read-only and whose
-user has no home both fail, and numba then refuses to make a function that is to be kept.
+Numba keeps them beside their sources, or in the user's own cache. In a container whose packages are
+read-only and whose user has no home both fail, and numba then refuses to make a function that is to
+be kept.
 """
 
 import contextlib
@@ -27,20 +29,30 @@ def choose_place() -> str:
     """
     if config.CACHE_DIR:  # pyright: ignore[reportAttributeAccessIssue]
         return ""
-    of_numba = (_KERNELS / "__pycache__", Path(AppDirs(appname="numba", appauthor=False).user_cache_dir))
+    of_numba = (
+        _KERNELS / "__pycache__",
+        Path(AppDirs(appname="numba", appauthor=False).user_cache_dir),
+    )
     if any(_is_writable(folder) for folder in of_numba):
         return ""
-    chosen = next((folder for folder in _own_places() if _is_writable(folder) and _is_own(folder)), None)
+    chosen = next(
+        (folder for folder in _own_places() if _is_writable(folder) and _is_own(folder)), None
+    )
     if chosen is None:
         return ""
-    log.warning("compiled kernels are kept in %s, since neither the package nor a home can be written", chosen)
+    log.warning(
+        "compiled kernels are kept in %s, since neither the package nor a home can be written",
+        chosen,
+    )
     config.CACHE_DIR = str(chosen)  # pyright: ignore[reportAttributeAccessIssue]
     return str(chosen)
 
 
 def _own_places() -> tuple[Path, ...]:
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
-    return cache_folder() / "kernels", Path(tempfile.gettempdir()) / f"gsfusion_nb-{user}" / "kernels"
+    return cache_folder() / "kernels", Path(
+        tempfile.gettempdir()
+    ) / f"gsfusion_nb-{user}" / "kernels"
 
 
 def _is_writable(folder: Path) -> bool:

@@ -20,16 +20,18 @@ _TBB = ("libtbb.so.12", "tbb12.dll")
 
 
 def _load_tbb() -> None:
-    """Load oneTBB from its wheel, which puts it where the system does not look; without a wheel nothing happens."""
+    """Load oneTBB from its wheel, which puts it where the system does not look; without a wheel
+    nothing happens."""
     with contextlib.suppress(importlib.metadata.PackageNotFoundError, OSError):
         for file in importlib.metadata.files("tbb") or ():
             if file.name in _TBB:
                 ctypes.CDLL(str(file.locate()))
 
 
-# Threads of oneTBB start a task after 20 microseconds; those of numba's own workqueue, which are all woken for
-# each task, after 150 (a virtual machine with two cores; a frame of a map has dozens of tasks). The idle threads of
-# both sleep. OpenMP's spin, and with another program on the cores a map then takes ten times as long.
+# Threads of oneTBB start a task after 20 microseconds; those of numba's own workqueue, which are
+# all woken for each task, after 150 (a virtual machine with two cores; a frame of a map has dozens
+# of tasks). The idle threads of both sleep. OpenMP's spin, and with another program on the cores a
+# map then takes ten times as long.
 if numba.config.THREADING_LAYER == "default":
     _load_tbb()
     numba.config.THREADING_LAYER_PRIORITY = ["tbb", "workqueue", "omp"]
@@ -53,9 +55,11 @@ _BUFFERS: dict[str, np.ndarray] = {}
 
 
 def scratch(name: str, size: int) -> np.ndarray:
-    """``size`` float32 of memory that is used again by the next call of this name; only inside ``launching``.
+    """``size`` float32 of memory that is used again by the next call of this name; only inside
+    ``launching``.
 
-    An optimisation step asks for the same few megabytes again and again; fresh ones cost a page fault per 4 kB.
+    An optimisation step asks for the same few megabytes again and again; fresh ones cost a page
+    fault per 4 kB.
     """
     buffer = _BUFFERS.get(name)
     if buffer is None or buffer.size < size:
@@ -65,7 +69,8 @@ def scratch(name: str, size: int) -> np.ndarray:
 
 @contextlib.contextmanager
 def launching() -> Iterator[None]:
-    """Hold the kernels for this thread: numba's workqueue ends the process when two launch at once."""
+    """Hold the kernels for this thread: numba's workqueue ends the process when two launch at
+    once."""
     with _LOCK:
         numba.set_num_threads(min(torch.get_num_threads(), numba.config.NUMBA_NUM_THREADS))
         yield

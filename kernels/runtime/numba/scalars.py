@@ -25,7 +25,8 @@ SMALL = 1e-4
 
 @njit(cache=True, error_model="numpy")
 def solve_into(H, b, x):
-    """Write the solution of H x = b to ``x``: Cholesky, H symmetric and positive definite; H is overwritten."""
+    """Write the solution of H x = b to ``x``: Cholesky, H symmetric and positive definite; H is
+    overwritten."""
     n = b.shape[0]
     for i in range(n):
         for j in range(i + 1):
@@ -46,11 +47,16 @@ def solve_into(H, b, x):
 
 @njit(cache=True, error_model="numpy")
 def turn_about_camera(T, xi):
-    """Replace the pose T [3, 4] by that after a twist about its camera along the world's axes, translation first."""
+    """Replace the pose T [3, 4] by that after a twist about its camera along the world's axes,
+    translation first."""
     a, b, c = xi[3], xi[4], xi[5]
     t2 = a * a + b * b + c * c
     if t2 < SMALL:
-        A, B, C = 1.0 - t2 / 6.0 + t2 * t2 / 120.0, 0.5 - t2 / 24.0 + t2 * t2 / 720.0, 1.0 / 6.0 - t2 / 120.0
+        A, B, C = (
+            1.0 - t2 / 6.0 + t2 * t2 / 120.0,
+            0.5 - t2 / 24.0 + t2 * t2 / 720.0,
+            1.0 / 6.0 - t2 / 120.0,
+        )
         C += t2 * t2 / 5040.0
     else:
         t = np.sqrt(t2)

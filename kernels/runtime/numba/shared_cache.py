@@ -1,12 +1,13 @@
-"""Numba's cache on disk, shared by several processes: one compiles a function, the others wait and read what it saved.
+"""Numba's cache on disk, shared by several processes: one compiles a function, the others wait and
+read what it saved.
 
-Without it two processes would compile the same function side by side, and when they compile it for different types at
-the same time, its index could lose one of the two, or name the other's machine code: numba chooses the name of a data
-file before it writes it. So a process that does not find a function in the cache holds a lock beside the function's
-index until it has saved it.
+Without it two processes would compile the same function side by side, and when they compile it for
+different types at the same time, its index could lose one of the two, or name the other's machine
+code: numba chooses the name of a data file before it writes it. So a process that does not find a
+function in the cache holds a lock beside the function's index until it has saved it.
 
-A function is compiled again when its file has changed, as in numba, and also when a file has that it imports: numbers
-and functions of other files are compiled into it.
+A function is compiled again when its file has changed, as in numba, and also when a file has that
+it imports: numbers and functions of other files are compiled into it.
 """
 
 import ast
@@ -27,16 +28,19 @@ _KERNELS = __name__.split(".runtime.")[0]
 _TOOLKIT = _KERNELS.split(".")[0]
 
 WAIT_S = 120.0
-"""A process that holds a lock longer than this has probably been stopped: the function is then compiled here, too."""
+"""A process that holds a lock longer than this has probably been stopped: the function is then
+compiled here, too."""
 _POLL_S = 0.02
 
 _HELD: dict[Path, list[int]] = {}
-"""Lock file -> open handles, the first of which has the lock; the others stand for nested calls of this process."""
+"""Lock file -> open handles, the first of which has the lock; the others stand for nested calls of
+this process."""
 
 
 @functools.cache
 def imported_files(module: str) -> tuple[Path, ...]:
-    """The files of a module of kernels, of all kernels that it imports, and of what these import from plain modules."""
+    """The files of a module of kernels, of all kernels that it imports, and of what these import
+    from plain modules."""
     found, todo = set(), [module]
     while todo:
         name = todo.pop()
@@ -61,10 +65,14 @@ class SharedCache(FunctionCache):
     """The cache of one function."""
 
     def load_overload(self, sig, target_context):
-        """What is in the cache, or None, and then the lock is held until ``save_overload`` or ``release``."""
+        """What is in the cache, or None, and then the lock is held until ``save_overload`` or
+        ``release``."""
         if self._py_func.__module__.startswith(_KERNELS):
             stamp = self._impl.locator.get_source_stamp()
-            self._cache_file._source_stamp = (*stamp, newest(imported_files(self._py_func.__module__)))
+            self._cache_file._source_stamp = (
+                *stamp,
+                newest(imported_files(self._py_func.__module__)),
+            )
         found = self._saved(sig, target_context)
         if found is None and self._py_func.__module__.startswith(_KERNELS):
             self._hold()
@@ -74,7 +82,8 @@ class SharedCache(FunctionCache):
         return found
 
     def _saved(self, sig, target_context):
-        """What is in the cache, or None; an index that names types of a module that is gone is emptied."""
+        """What is in the cache, or None; an index that names types of a module that is gone is
+        emptied."""
         try:
             return super().load_overload(sig, target_context)
         except (ImportError, AttributeError):
@@ -96,7 +105,9 @@ class SharedCache(FunctionCache):
 
     def _hold(self) -> None:
         handles = _HELD.setdefault(self._lock, [])
-        with contextlib.suppress(OSError):  # a folder that cannot be written to keeps no functions either
+        with contextlib.suppress(
+            OSError
+        ):  # a folder that cannot be written to keeps no functions either
             self._impl.locator.ensure_cache_path()
             handles.append(os.open(self._lock, os.O_RDWR | os.O_CREAT, 0o644))
             until = time.monotonic() + WAIT_S

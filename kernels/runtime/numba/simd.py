@@ -1,11 +1,13 @@
-"""Sixteen lanes as one value inside numba functions, so that vector code does not hang on the auto-vectoriser.
+"""Sixteen lanes as one value inside numba functions, so that vector code does not hang on the
+auto-vectoriser.
 
-``f32x16`` is an LLVM ``<16 x float>``: one register with AVX-512, two with AVX2, four with SSE or NEON; LLVM splits it
-by itself. Comparison gives a mask (``<16 x i1>``). ``i32x16`` are integers beside them: indices, lookups through them,
-and marks in a byte map. Operators ``+ - * <, >=, &`` work between vectors; a scalar is made a vector with ``splat``.
+``f32x16`` is an LLVM ``<16 x float>``: one register with AVX-512, two with AVX2, four with SSE or
+NEON; LLVM splits it by itself. Comparison gives a mask (``<16 x i1>``). ``i32x16`` are integers
+beside them: indices, lookups through them, and marks in a byte map. Operators ``+ - * <, >=, &``
+work between vectors; a scalar is made a vector with ``splat``.
 
-Bounds are the caller's everywhere; a lookup reads no lane that its mask excludes. The lookups need opaque pointers,
-that is numba 0.62 (llvmlite 0.45) or later.
+Bounds are the caller's everywhere; a lookup reads no lane that its mask excludes. The lookups need
+opaque pointers, that is numba 0.62 (llvmlite 0.45) or later.
 """
 
 import operator
@@ -73,7 +75,8 @@ def iota(typingctx):
 
 
 def _address(context, builder, sig, args, of):
-    """Where ``array[index]``, the first two arguments, is: the address of a value of the type ``of``."""
+    """Where ``array[index]``, the first two arguments, is: the address of a value of the type
+    ``of``."""
     array = context.make_array(sig.args[0])(context, builder, args[0])
     index = context.cast(builder, args[1], sig.args[1], types.intp)
     return builder.bitcast(builder.gep(array.data, [index], inbounds=True), of.as_pointer())
@@ -81,7 +84,8 @@ def _address(context, builder, sig, args, of):
 
 @intrinsic
 def load(typingctx, array, index):
-    """Lanes from 16 consecutive elements of a one-dimensional contiguous float32 array; the bounds are the caller's."""
+    """Lanes from 16 consecutive elements of a one-dimensional contiguous float32 array; the bounds
+    are the caller's."""
     sig = f32x16(array, index)
 
     def codegen(context, builder, sig, args):
@@ -116,7 +120,8 @@ def _binary(emit, result):
 maximum = _binary(lambda b, x, y: b.select(b.fcmp_ordered(">", x, y), x, y), f32x16)
 minimum = _binary(lambda b, x, y: b.select(b.fcmp_ordered("<", x, y), x, y), f32x16)
 times = _binary(lambda b, x, y: b.fmul(x, y), f32x16)
-"""A product rounded by itself, never fused with a following addition: for results that must repeat the reference's."""
+"""A product rounded by itself, never fused with a following addition: for results that must repeat
+the reference's."""
 either = _binary(lambda b, x, y: b.or_(x, y), mask16)
 but_not = _binary(lambda b, x, y: b.and_(x, b.not_(y)), mask16)
 """``a`` and not ``b``, two masks."""
@@ -125,7 +130,8 @@ below = _binary(lambda b, x, y: b.icmp_unsigned("<", x, y), mask16)
 
 
 def _let(symbol, argument, operation):
-    """Let the operator ``symbol`` between two vectors of the type ``argument`` mean ``operation``."""
+    """Let the operator ``symbol`` between two vectors of the type ``argument`` mean
+    ``operation``."""
 
     @overload(symbol)
     def _(a, b):
@@ -171,7 +177,9 @@ def _unary(name):
     def operation(typingctx, vector):
         def codegen(context, builder, sig, args):
             kind = ir.FunctionType(_FLOATS, [_FLOATS])
-            function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f32")
+            function = cgutils.get_or_insert_function(
+                builder.module, kind, f"llvm.{name}.v{LANES}f32"
+            )
             return builder.call(function, args)
 
         return f32x16(vector), codegen
@@ -232,12 +240,14 @@ _EXP2_POLYNOMIAL = (
     6.931471880262287e-1,
     1.000000075454897,
 )
-"""2^f, highest power first: the polynomial through 2^f at the six Chebyshev nodes of |f| <= 1/2; 1e-7 relative."""
+"""2^f, highest power first: the polynomial through 2^f at the six Chebyshev nodes of |f| <= 1/2;
+1e-7 relative."""
 
 
 @intrinsic
 def exp(typingctx, vector):
-    """e^x for -87 < x <= 0, relative error 5e-7 down to -6 and 5e-6 at the end; below, meaningless bits.
+    """e^x for -87 < x <= 0, relative error 5e-7 down to -6 and 5e-6 at the end; below, meaningless
+    bits.
 
     x log2(e) = n + f with n an integer; 2^f by polynomial, 2^n by adding n to the exponent bits.
     """
@@ -247,7 +257,9 @@ def exp(typingctx, vector):
             builder.module, ir.FunctionType(_FLOATS, [_FLOATS] * 3), f"llvm.fma.v{LANES}f32"
         )
         t = builder.fmul(args[0], _constant(1.4426950408889634))
-        magic = _constant(12582912.0)  # 1.5 * 2^23: adding it rounds to an integer held in the low mantissa bits
+        magic = _constant(
+            12582912.0
+        )  # 1.5 * 2^23: adding it rounds to an integer held in the low mantissa bits
         shifted = builder.fadd(t, magic)
         f = builder.fsub(t, builder.fsub(shifted, magic))
         p = _constant(_EXP2_POLYNOMIAL[0])
@@ -267,7 +279,8 @@ def truncate(typingctx, vector):
 
 
 def _gathered(context, builder, sig, args, scalar, otherwise):
-    """``array[index]`` of the first three arguments, an array of ``scalar``: ``otherwise`` where the mask is false."""
+    """``array[index]`` of the first three arguments, an array of ``scalar``: ``otherwise`` where
+    the mask is false."""
     vector, pointers = otherwise.type, ir.VectorType(ir.PointerType(), LANES)
     data = context.make_array(sig.args[0])(context, builder, args[0]).data
     at = builder.gep(data, [args[1]], inbounds=True, source_etype=scalar)
@@ -291,12 +304,14 @@ def _gather(scalar, result):
 
 
 gather, gather_int = _gather(_FLOAT, f32x16), _gather(_INT, i32x16)
-"""``gather(array, index, mask, otherwise)``: ``array[index]`` where the mask is true; a flat array of 32 bits."""
+"""``gather(array, index, mask, otherwise)``: ``array[index]`` where the mask is true; a flat array
+of 32 bits."""
 
 
 @intrinsic
 def gather_pairs(typingctx, array, index, mask, otherwise):
-    """Both halves of ``array[index]`` of a contiguous uint64 array: low 32 bits as float lanes, high 32 as int lanes.
+    """Both halves of ``array[index]`` of a contiguous uint64 array: low 32 bits as float lanes,
+    high 32 as int lanes.
 
     Where the mask is false: ``otherwise`` and 0. One lookup of 64 bits costs as much as one of 32.
     """
@@ -307,7 +322,9 @@ def gather_pairs(typingctx, array, index, mask, otherwise):
         fallback = builder.zext(builder.bitcast(args[3], _INTS), wides)
         pair = _gathered(context, builder, sig, args, _WIDE, fallback)
         low = builder.bitcast(builder.trunc(pair, _INTS), _FLOATS)
-        high = builder.trunc(builder.lshr(pair, ir.Constant(wides, [ir.Constant(_WIDE, 32)] * LANES)), _INTS)
+        high = builder.trunc(
+            builder.lshr(pair, ir.Constant(wides, [ir.Constant(_WIDE, 32)] * LANES)), _INTS
+        )
         return context.make_tuple(builder, sig.return_type, (low, high))
 
     return sig, codegen
@@ -337,7 +354,8 @@ def _shuffle(builder, a, b, picks):
 
 @intrinsic
 def byte_triples(typingctx, array, index):
-    """Sixteen pixels of a flat uint8 picture as words, red + green << 8 + blue << 16, from ``array[index]`` on."""
+    """Sixteen pixels of a flat uint8 picture as words, red + green << 8 + blue << 16, from
+    ``array[index]`` on."""
     sig = i32x16(array, index)
 
     def codegen(context, builder, sig, args):
@@ -353,7 +371,8 @@ def byte_triples(typingctx, array, index):
 
 @intrinsic
 def store_pairs(typingctx, array, index, low, high):
-    """Write 16 words to a contiguous uint64 array: float lanes as their low halves, int lanes as their high ones."""
+    """Write 16 words to a contiguous uint64 array: float lanes as their low halves, int lanes as
+    their high ones."""
     sig = types.void(array, index, low, high)
 
     def codegen(context, builder, sig, args):
@@ -368,7 +387,8 @@ def store_pairs(typingctx, array, index, low, high):
 
 @intrinsic
 def mark(typingctx, array, index):
-    """``array[index] = 1`` for every lane, in a one-dimensional contiguous uint8 array; the bounds are the caller's."""
+    """``array[index] = 1`` for every lane, in a one-dimensional contiguous uint8 array; the bounds
+    are the caller's."""
     sig = types.void(array, i32x16)
 
     def codegen(context, builder, sig, args):
@@ -384,7 +404,9 @@ def mark(typingctx, array, index):
 @intrinsic
 def float_bits(typingctx, scalar):
     """The 32 bits of a float32 as uint32."""
-    return types.uint32(types.float32), lambda context, builder, sig, args: builder.bitcast(args[0], _INT)
+    return types.uint32(types.float32), lambda context, builder, sig, args: builder.bitcast(
+        args[0], _INT
+    )
 
 
 @intrinsic

@@ -2,8 +2,8 @@
 
 Reading and writing vectors of three and four numbers, quaternions and poses.
 
-A pose is a matrix [4, 4], row by row: its rotation has the entries 0 to 2, 4 to 6 and 8 to 10, its position 3, 7
-and 11.
+A pose is a matrix [4, 4], row by row: its rotation has the entries 0 to 2, 4 to 6 and 8 to 10, its
+position 3, 7 and 11.
 """
 
 import torch
@@ -42,7 +42,8 @@ def device_of(operation: str, tensor: Tensor) -> torch.device:
 
 
 def launch(kernel, programs: int, device: torch.device, /, **arguments) -> None:
-    """Run ``programs`` programs of a kernel on ``device``; none is allowed. Its arguments are given by name."""
+    """Run ``programs`` programs of a kernel on ``device``; none is allowed. Its arguments are given
+    by name."""
     if programs == 0:
         return
     if device.type == "cuda" and device.index not in (None, torch.cuda.current_device()):
@@ -52,7 +53,8 @@ def launch(kernel, programs: int, device: torch.device, /, **arguments) -> None:
         kernel[(programs,)](**arguments)
 
 
-# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false, reportIndexIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false,
+# reportIndexIssue=false
 
 
 @triton.jit
@@ -100,19 +102,32 @@ def rotation(w, x, y, z):
     w, x, y, z = w / norm, x / norm, y / norm, z / norm
     return (
         norm,
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    )  # fmt: skip
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    )
 
 
 @triton.jit
 def load_rotation(T):
     """R_WC of a pose, row by row."""
     return (
-        tl.load(T), tl.load(T + 1), tl.load(T + 2), tl.load(T + 4), tl.load(T + 5), tl.load(T + 6),
-        tl.load(T + 8), tl.load(T + 9), tl.load(T + 10),
-    )  # fmt: skip
+        tl.load(T),
+        tl.load(T + 1),
+        tl.load(T + 2),
+        tl.load(T + 4),
+        tl.load(T + 5),
+        tl.load(T + 6),
+        tl.load(T + 8),
+        tl.load(T + 9),
+        tl.load(T + 10),
+    )
 
 
 @triton.jit

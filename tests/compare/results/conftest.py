@@ -15,8 +15,26 @@ from gsfusion_nb.compare.run_all import ResultStore
 def made_run():
     """A function that makes the result of one run from its place and a few numbers."""
 
-    def make(label, scene="room", seed=0, psnr=24.0, *, budget=None, failed="", notes=(), pictures=None, **metrics):
-        spec = RunSpec(rule="uniform", label=label, scene=scene, data="room", seed=seed, budget=budget or Budget())
+    def make(
+        label,
+        scene="room",
+        seed=0,
+        psnr=24.0,
+        *,
+        budget=None,
+        failed="",
+        notes=(),
+        pictures=None,
+        **metrics,
+    ):
+        spec = RunSpec(
+            rule="uniform",
+            label=label,
+            scene=scene,
+            data="room",
+            seed=seed,
+            budget=budget or Budget(),
+        )
         if failed:
             return RunResult(spec=spec, status="failed", reason=failed)
         numbers = {
@@ -26,10 +44,16 @@ def made_run():
             "n_steps": 200.0,
         }
         return RunResult(
-            spec=spec, status="done", metrics=numbers | metrics, notes=list(notes), pictures=pictures or {},
-            map_hash=f"map-{label}-{scene}-{seed}", data_hash=f"data-{scene}", rule_source=f"def {label}(ctx): ...",
+            spec=spec,
+            status="done",
+            metrics=numbers | metrics,
+            notes=list(notes),
+            pictures=pictures or {},
+            map_hash=f"map-{label}-{scene}-{seed}",
+            data_hash=f"data-{scene}",
+            rule_source=f"def {label}(ctx): ...",
             versions={"gsfusion_nb": "0.1.0", "torch": "2.6"},
-        )  # fmt: skip
+        )
 
     return make
 
@@ -47,26 +71,44 @@ def made_runs(made_run):
 
 @pytest.fixture(scope="session")
 def made_results(made_run):
-    """A function from a folder to 3 rules x 2 scenes x 3 seeds x 2 budgets in it, with pictures; one run has failed."""
-    rules = {"quadtree": (24.8, 3000), "uniform": (24.4, 1500), "every <pixel> & more": (22.0, 9000)}
+    """A function from a folder to 3 rules x 2 scenes x 3 seeds x 2 budgets in it, with pictures;
+    one run has failed."""
+    rules = {
+        "quadtree": (24.8, 3000),
+        "uniform": (24.4, 1500),
+        "every <pixel> & more": (22.0, 9000),
+    }
 
     def make(folder):
         folder.mkdir(parents=True, exist_ok=True)
         noise, results = np.random.default_rng(0), []
         for budget, scene, label, seed in itertools.product(
-            (Budget(gaussians=4000), Budget(steps="own")), ("room", "kitchen"), rules, range(3)
+            (Budget(gaussians=4000), Budget(steps="own")),
+            ("room", "kitchen"),
+            rules,
+            range(3),
         ):
             psnr, n = rules[label]
             if (label, scene, seed) == ("uniform", "kitchen", 2):
-                results.append(made_run(label, scene, seed, budget=budget, failed="ValueError: <no> seeds"))
+                results.append(
+                    made_run(label, scene, seed, budget=budget, failed="ValueError: <no> seeds")
+                )
                 continue
             size = 4000 + noise.integers(-100, 100) if budget.gaussians else n + 10 * seed
             stem = f"{label.split()[0]}-{scene}-{budget.steps}"
             run = made_run(
-                label, scene, seed, psnr + float(noise.normal(0, 0.05)), budget=budget, n_gaussians=float(size),
-                ms_per_frame=40 + n / 200 + float(noise.normal(0, 2)), ssim_held_out=0.8, depth_l1_held_out_m=0.021,
-                peak_memory_mb=1200.0, pictures={} if seed else _pictures(folder, stem, psnr),
-            )  # fmt: skip
+                label,
+                scene,
+                seed,
+                psnr + float(noise.normal(0, 0.05)),
+                budget=budget,
+                n_gaussians=float(size),
+                ms_per_frame=40 + n / 200 + float(noise.normal(0, 2)),
+                ssim_held_out=0.8,
+                depth_l1_held_out_m=0.021,
+                peak_memory_mb=1200.0,
+                pictures={} if seed else _pictures(folder, stem, psnr),
+            )
             results.append(run)
         return results
 
@@ -91,9 +133,19 @@ def _pictures(folder, stem, psnr):
     names, noise = {}, np.random.default_rng(1)
     columns, rows = np.meshgrid(np.linspace(40, 200, 64), np.linspace(60, 220, 48))
     for view in (4, 9):
-        truth = np.stack([columns, rows, np.full((48, 64), 20.0 * view)], axis=2)
-        render = truth + noise.normal(0, 255 * 10 ** (-psnr / 20), truth.shape)
+        truth = np.stack(
+            [columns, rows, np.full((48, 64), 20.0 * view)],
+            axis=2,
+        )
+        render = truth + noise.normal(
+            0,
+            255 * 10 ** (-psnr / 20),
+            truth.shape,
+        )
         for name, image in ((f"truth {view}", truth), (f"held_out {view}", render)):
             names[name] = f"{stem}-{name.replace(' ', '-')}.jpg"
-            cv2.imwrite(str(folder / names[name]), np.clip(image, 0, 255).astype(np.uint8))
+            cv2.imwrite(
+                str(folder / names[name]),
+                np.clip(image, 0, 255).astype(np.uint8),
+            )
     return names

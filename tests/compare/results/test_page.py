@@ -1,4 +1,5 @@
-"""The lab's page: that it holds everything, loads nothing, and that texts from outside stay texts."""
+"""The lab's page: that it holds everything, loads nothing, and that texts from outside stay
+texts."""
 
 import json
 import re
@@ -41,13 +42,21 @@ def page(text):
 
 
 def test_it_loads_nothing(text, page):
-    addresses = [a[name] for _, a in page.found for name in ("src", "href", "xlink:href") if name in a]
+    addresses = [
+        a[name] for _, a in page.found for name in ("src", "href", "xlink:href") if name in a
+    ]
     assert all(address.startswith(("data:", "#")) for address in addresses)
-    assert not re.search(r"@import|url\((?!#)|fetch\(|XMLHttpRequest|import\(", re.sub(r'"data:[^"]*"', "", text))
+    assert not re.search(
+        r"@import|url\((?!#)|fetch\(|XMLHttpRequest|import\(", re.sub(r'"data:[^"]*"', "", text)
+    )
 
 
 def test_tables_of_each_budget_and_scene_and_the_ranks(page):
-    shown = [(a["data-budget"], a["data-scene"]) for a in page.all("div") if a.get("class") == "one-table"]
+    shown = [
+        (a["data-budget"], a["data-scene"])
+        for a in page.all("div")
+        if a.get("class") == "one-table"
+    ]
     equal, own = "4,000 Gaussians, equal steps", "own size, own steps"
     assert shown == [(b, s) for b in (equal, own) for s in ("", "room", "kitchen")]
     assert {a["data-label"] for a in page.all("tr") if "data-label" in a} == {
@@ -64,14 +73,20 @@ def test_everything_has_a_name_for_screen_readers(page):
     assert {a["id"] for a in page.all("select")} <= labelled
     assert all(a.get("scope") for a in page.all("th"))
     assert all(a.get("alt") for a in page.all("img") if a.get("src"))
-    assert all(a.get("aria-label") and a.get("tabindex") == "0" for a in page.all("div") if a.get("role") == "region")
+    assert all(
+        a.get("aria-label") and a.get("tabindex") == "0"
+        for a in page.all("div")
+        if a.get("role") == "region"
+    )
     assert all(a["aria-labelledby"] in ids for a in page.all("section"))
 
 
 def test_pictures_are_stored_once_and_named_by_view(page):
     data = json.loads(page.scripts[0])
     assert len({(s["label"], s["scene"], s["budget"]) for s in data["shots"]}) == 12
-    assert len(data["pictures"]) == 2 + 3 * 2 * 2  # the truth of two views; three rules, everywhere the same
+    assert (
+        len(data["pictures"]) == 2 + 3 * 2 * 2
+    )  # the truth of two views; three rules, everywhere the same
     shot = next(s for s in data["shots"] if s["label"] == "uniform" and s["scene"] == "kitchen")
     assert [view["name"] for view in shot["views"]] == ["4", "9"]
     assert shot["seed"] == 0
@@ -96,7 +111,11 @@ def test_comparisons_and_failures_are_there(text, page):
 
 def test_a_page_without_results_or_pictures(made_run, tmp_path):
     lost = made_run("a", pictures={"held_out 4": "gone.png", "truth 4": "gone-too.png"})
-    for runs, words in (([], "0 runs"), ([made_run("a", failed="no memory")], "1 run failed"), ([lost], "1 runs")):
+    for runs, words in (
+        ([], "0 runs"),
+        ([made_run("a", failed="no memory")], "1 run failed"),
+        ([lost], "1 runs"),
+    ):
         Results(runs=runs).write(tmp_path)
         text = (tmp_path / "page.html").read_text()
         assert words in text
@@ -109,5 +128,7 @@ def test_the_error_is_that_of_the_pictures(made_results, tmp_path):
     assert frame == "4"
     assert view["error"].shape == view["truth"].shape == (48, 64, 3)
     (tmp_path / result.pictures["held_out 4"]).write_bytes(b"damaged")
-    cv2.imwrite(str(tmp_path / result.pictures["held_out 9"]), view["render"][:20])  # of another size
+    cv2.imwrite(
+        str(tmp_path / result.pictures["held_out 9"]), view["render"][:20]
+    )  # of another size
     assert list(views_of(result, tmp_path)) == []

@@ -24,11 +24,21 @@ def test_agreement_of_exact_data(tmp_path, box):
     same = depth_agreement(seq[0], seq[0], step=1)
     assert same.median_m < 1e-6
     assert same.overlap == same.agreeing == 1.0
-    away = dataclasses.replace(seq[1], T_WC=torch.diag(torch.tensor([-1.0, 1, -1, 1])))
+    away = dataclasses.replace(
+        seq[1],
+        T_WC=torch.diag(torch.tensor([-1.0, 1, -1, 1])),
+    )
     assert depth_agreement(seq[0], away).overlap == 0.0
 
 
-CAMERA = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)
+CAMERA = Camera(
+    width=8,
+    height=6,
+    fx=8.0,
+    fy=8.0,
+    cx=4.0,
+    cy=3.0,
+)
 
 
 def test_a_wall_by_hand():
@@ -39,7 +49,12 @@ def test_a_wall_by_hand():
     nearer[2, 3] = -0.03  # 1.5 % of 2 m: half of what counts as agreeing
     aside[0, 3] = 1.0  # a pixel is 0.25 m wide there: four of eight columns leave
     behind[2, 3] = -3.0
-    found = depth_consistency(xyz_a, wall, CAMERA, torch.stack([still, nearer, aside, behind]))
+    found = depth_consistency(
+        xyz_a,
+        wall,
+        CAMERA,
+        torch.stack([still, nearer, aside, behind]),
+    )
     assert found.agreeing.tolist() == [1.0, 1.0, 0.5, 0.0]
     assert found.overlap.tolist() == [1.0, 1.0, 0.5, 0.0]
     assert found.score.tolist() == pytest.approx([1.0, 0.5, 0.5, 0.0], abs=1e-5)
@@ -49,7 +64,9 @@ def test_a_wall_by_hand():
 
 def test_missing_depth_is_no_point():
     depth_m = torch.zeros(6, 8)
-    found = depth_consistency(sparse_points(CAMERA, depth_m, 1), depth_m, CAMERA, torch.eye(4)[None])
+    found = depth_consistency(
+        sparse_points(CAMERA, depth_m, 1), depth_m, CAMERA, torch.eye(4)[None]
+    )
     assert found.agreeing.tolist() == found.score.tolist() == [0.0]
     assert found.median_m.isnan().all()
 

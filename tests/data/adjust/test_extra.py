@@ -1,4 +1,5 @@
-"""Further images of a frame: from a function or a reader, resized with it, seen by rules, part of the key."""
+"""Further images of a frame: from a function or a reader, resized with it, seen by rules, part of
+the key."""
 
 import dataclasses
 
@@ -12,7 +13,14 @@ from gsfusion_nb.seeding import SeedContext, apply_rule, check_rule
 from gsfusion_nb.types import Camera, Frame
 
 WIDTH, HEIGHT = 8, 6
-CAMERA = Camera(width=WIDTH, height=HEIGHT, fx=8.0, fy=8.0, cx=4.0, cy=3.0)
+CAMERA = Camera(
+    width=WIDTH,
+    height=HEIGHT,
+    fx=8.0,
+    fy=8.0,
+    cx=4.0,
+    cy=3.0,
+)
 
 
 class Plain:
@@ -28,10 +36,21 @@ class Plain:
 
     def __getitem__(self, i):
         depth_m = torch.full((HEIGHT, WIDTH), 2.0)
-        rgb = torch.rand(HEIGHT, WIDTH, 3, generator=torch.Generator().manual_seed(i))
+        rgb = torch.rand(
+            HEIGHT,
+            WIDTH,
+            3,
+            generator=torch.Generator().manual_seed(i),
+        )
         extra = {"sigma": torch.arange(HEIGHT * WIDTH, dtype=torch.float32).reshape(HEIGHT, WIDTH)}
         return Frame(
-            index=i, timestamp_s=float(i), rgb=rgb, depth_m=depth_m, camera=CAMERA, T_WC=torch.eye(4), extra=extra
+            index=i,
+            timestamp_s=float(i),
+            rgb=rgb,
+            depth_m=depth_m,
+            camera=CAMERA,
+            T_WC=torch.eye(4),
+            extra=extra,
         )
 
 
@@ -46,10 +65,16 @@ def not_labelled(ctx: SeedContext):
 
 
 def test_extra_images_are_resized_with_the_frame():
-    frame = apply_options(Plain(), DataConfig(width=4, height=3), labels).mapping[0]
+    frame = apply_options(
+        Plain(),
+        DataConfig(width=4, height=3),
+        labels,
+    ).mapping[0]
     assert {name: tuple(image.shape) for name, image in frame.extra.items()} == {
-        "sigma": (3, 4), "labels": (3, 4), "flow": (3, 4, 2)
-    }  # fmt: skip
+        "sigma": (3, 4),
+        "labels": (3, 4),
+        "flow": (3, 4, 2),
+    }
     assert frame.extra["labels"].dtype == torch.int64
     assert frame.extra["labels"].tolist() == [[0, 0, 7, 7]] * 3  # no class between two classes
     assert frame.extra["sigma"][0].tolist() == [0, 2, 4, 6]  # of the nearest pixels
@@ -65,10 +90,20 @@ def test_a_rule_sees_labels_and_drops_a_class():
     assert bool((seeds.xyz_W[:, 0] < 0).all())
     with pytest.raises(KeyError, match=r"labels.*sigma"):
         apply_rule(not_labelled, SeedContext(Plain()[0]))
-    check_rule(not_labelled, extra=lambda frame: {"labels": (frame.rgb[..., 0] > 0.5).int()})
+    check_rule(
+        not_labelled,
+        extra=lambda frame: {"labels": (frame.rgb[..., 0] > 0.5).int()},
+    )
 
 
-@pytest.mark.parametrize("bad", [np.zeros((3, 3)), np.full((HEIGHT, WIDTH), np.nan)])
+@pytest.mark.parametrize(
+    "bad",
+    [np.zeros((3, 3)), np.full((HEIGHT, WIDTH), np.nan)],
+)
 def test_a_bad_extra_image_is_refused_with_its_name(bad):
     with pytest.raises(ValueError, match="labels"):
-        _ = apply_options(Plain(), DataConfig(), lambda frame: {"labels": bad}).mapping[0]
+        _ = apply_options(
+            Plain(),
+            DataConfig(),
+            lambda frame: {"labels": bad},
+        ).mapping[0]

@@ -1,4 +1,5 @@
-"""Poses and pictures of different times: the path between the poses, and the repair by a known offset."""
+"""Poses and pictures of different times: the path between the poses, and the repair by a known
+offset."""
 
 from typing import Any, cast
 
@@ -30,7 +31,9 @@ def test_a_path_goes_through_its_poses_and_is_exact_for_even_motion():
     path = PosePath(times_s, poses)
     between = torch.tensor([-0.05, 0.03, 0.1, 0.18, 0.38], dtype=torch.float64)
     torch.testing.assert_close(path.at(between), se3.exp(between[:, None] * velocity))
-    torch.testing.assert_close(path.at(times_s[-1:] + 0.05), poses[-1:])  # nothing near says how it moves there
+    torch.testing.assert_close(
+        path.at(times_s[-1:] + 0.05), poses[-1:]
+    )  # nothing near says how it moves there
     assert bool(path.at(torch.tensor([1.0], dtype=torch.float64)).isnan().all())
 
 
@@ -45,5 +48,7 @@ def test_a_known_offset_brings_the_true_poses_back(late):
     assert errors["mended"][1] < errors["given"][1] / 3
     with pytest.raises(ValueError, match=r"pose_offset_s or repair.pose_shift_frames, not both"):
         RepairConfig(pose_offset_s=0.01, pose_shift_frames=1.0)
-    with pytest.raises(ValueError, match=r"repair.pose_offset_s must be between -10 and 10, got 99"):
+    with pytest.raises(
+        ValueError, match=r"repair.pose_offset_s must be between -10 and 10, got 99"
+    ):
         RepairConfig(pose_offset_s=99.0)

@@ -1,4 +1,5 @@
-"""Corrections of a recording while it is read: each undoes its mistake, and DataConfig carries them."""
+"""Corrections of a recording while it is read: each undoes its mistake, and DataConfig carries
+them."""
 
 import dataclasses
 
@@ -22,7 +23,9 @@ def poses(generator):
 
 
 def write_poses(root, poses):
-    (root / "poses.txt").write_text("\n".join(" ".join(map(repr, T.flatten().tolist())) for T in poses))
+    (root / "poses.txt").write_text(
+        "\n".join(" ".join(map(repr, T.flatten().tolist())) for T in poses)
+    )
 
 
 def test_nothing_changes_nothing(tmp_path, box):
@@ -35,9 +38,16 @@ def test_nothing_changes_nothing(tmp_path, box):
 
 def test_axes_by_hand(poses):
     gl = reread_poses(poses, RepairConfig(axes="opengl"))
-    assert torch.allclose(gl, poses @ torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64)))
-    ros = reread_poses(torch.eye(4, dtype=torch.float64)[None], RepairConfig(axes="ros"))[0]
-    # a body at the origin, x forward and z up: the camera looks along the world's x, its y down is the world's -z
+    assert torch.allclose(
+        gl,
+        poses @ torch.diag(torch.tensor([1.0, -1, -1, 1], dtype=torch.float64)),
+    )
+    ros = reread_poses(
+        torch.eye(4, dtype=torch.float64)[None],
+        RepairConfig(axes="ros"),
+    )[0]
+    # a body at the origin, x forward and z up: the camera looks along the world's x, its y down is
+    # the world's -z
     assert ros[:3, 2].tolist() == [1, 0, 0]
     assert ros[:3, 1].tolist() == [0, 0, -1]
     assert len(set(AXES)) == 48
@@ -48,7 +58,11 @@ def test_axes_by_hand(poses):
 def test_all_axes_give_rigid_poses(poses, axes):
     T = reread_poses(poses, RepairConfig(axes=axes))
     eye = torch.eye(3, dtype=torch.float64)
-    assert torch.allclose(T[:, :3, :3] @ T[:, :3, :3].transpose(1, 2), eye.expand(20, 3, 3), atol=1e-12)
+    assert torch.allclose(
+        T[:, :3, :3] @ T[:, :3, :3].transpose(1, 2),
+        eye.expand(20, 3, 3),
+        atol=1e-12,
+    )
     assert (torch.linalg.det(T[:, :3, :3]) > 0.999).all()
 
 
@@ -66,8 +80,14 @@ def test_each_mistake_is_undone(poses):
     mistakes = [
         (se3.inverse(poses), RepairConfig(poses="world_to_camera")),
         (with_rotation(poses[:, :3, :3].transpose(1, 2)), RepairConfig(poses="rotation_inverted")),
-        (with_rotation(quaternion.to_matrix(quat[:, [3, 0, 1, 2]])), RepairConfig(quaternions="wxyz")),
-        (with_rotation(quaternion.to_matrix(quat[:, [1, 2, 3, 0]])), RepairConfig(quaternions="xyzw")),
+        (
+            with_rotation(quaternion.to_matrix(quat[:, [3, 0, 1, 2]])),
+            RepairConfig(quaternions="wxyz"),
+        ),
+        (
+            with_rotation(quaternion.to_matrix(quat[:, [1, 2, 3, 0]])),
+            RepairConfig(quaternions="xyzw"),
+        ),
         (poses.transpose(1, 2), RepairConfig(matrices="column_major")),
         (scaled, RepairConfig(nearest_rotation=True)),
         (millimetres, RepairConfig(translation_factor=0.001)),
@@ -79,15 +99,23 @@ def test_each_mistake_is_undone(poses):
 
 def test_pose_between_follows_a_screw_halfway(poses):
     halfway = pose_between(poses[0], poses[1], 0.5)
-    assert torch.allclose(halfway[:3, 3], (poses[0] + poses[1])[:3, 3] / 2)
+    assert torch.allclose(
+        halfway[:3, 3],
+        (poses[0] + poses[1])[:3, 3] / 2,
+    )
     angles = [se3.rotation_angle(poses[i, :3, :3].T @ halfway[:3, :3]) for i in (0, 1)]
     assert torch.allclose(angles[0], angles[1])
 
 
 def test_depth_poses_and_intrinsics_of_a_recording(tmp_path, box):
     root = box.folder(tmp_path, n=6, depth_scale=200.0)
-    write_poses(root, torch.stack([torch.linalg.inv(T) for T in box.poses(6)]))
-    config = DataConfig(repair=RepairConfig(depth_factor=0.2, poses="world_to_camera"), hold_out_every=0)
+    write_poses(
+        root,
+        torch.stack([torch.linalg.inv(T) for T in box.poses(6)]),
+    )
+    config = DataConfig(
+        repair=RepairConfig(depth_factor=0.2, poses="world_to_camera"), hold_out_every=0
+    )
     for frame in open_sequence(root, data=config):
         assert box.off_wall_m(frame) < 0.002
     pixels = RepairConfig(depth_factor=0.2, fx=30.0, cx=10.0, pixel_shift=0.5)
@@ -110,12 +138,19 @@ def test_depth_along_the_ray(tmp_path, box):
 def test_shifts_in_time(tmp_path, box):
     sequence = folder(box.folder(tmp_path, n=5))
     later = repaired(sequence, RepairConfig(pose_shift_frames=1.5, rgb_shift_frames=-1))
-    assert torch.allclose(later.pose(1), pose_between(sequence.pose(2), sequence.pose(3), 0.5), atol=1e-6)
+    assert torch.allclose(
+        later.pose(1),
+        pose_between(sequence.pose(2), sequence.pose(3), 0.5),
+        atol=1e-6,
+    )
     frame = later[1]
     assert torch.equal(frame.rgb, sequence[0].rgb)
     assert torch.equal(frame.depth_m, sequence[1].depth_m)
     assert frame.index == 1
-    with pytest.raises(BadFrameError, match=r"frame 3 has no pose: .* needs that of frame 4.5, expected one of 0 to 4"):
+    with pytest.raises(
+        BadFrameError,
+        match=r"frame 3 has no pose: .* needs that of frame 4.5, expected one of 0 to 4",
+    ):
         later.pose(3)
     with pytest.raises(BadFrameError, match=r"frame 0 has no colour: .* frame -1"):
         later[0]
@@ -126,7 +161,10 @@ def test_colour_is_moved_back(tmp_path, box):
     rgb = sequence[0].rgb.numpy()
     h, w = rgb.shape[:2]
     matrix = np.array([[0.9, 0, 0.1 * (w - 1) / 2 + 4], [0, 0.9, 0.1 * (h - 1) / 2 - 3]])
-    moved = dataclasses.replace(sequence[0], rgb=torch.from_numpy(cv2.warpAffine(rgb, matrix, (w, h))))
+    moved = dataclasses.replace(
+        sequence[0],
+        rgb=torch.from_numpy(cv2.warpAffine(rgb, matrix, (w, h))),
+    )
 
     class Moved:
         name, camera = "moved", sequence.camera
@@ -151,11 +189,23 @@ def test_colour_is_moved_back(tmp_path, box):
 
 
 def test_sizes_are_fitted_to_depth(tmp_path, box):
-    root = box.folder(tmp_path, n=2, width=128, height=96, fx=120.0, fy=116.0, cx=62.1, cy=49.3)
+    root = box.folder(
+        tmp_path,
+        n=2,
+        width=128,
+        height=96,
+        fx=120.0,
+        fy=116.0,
+        cx=62.1,
+        cy=49.3,
+    )
     with pytest.raises(BadFrameError, match="expected 128x96, as the intrinsics say"):
         folder(root)[0]
     for f in (root / "rgb").iterdir():
-        cv2.imwrite(str(f), cv2.resize(np.asarray(cv2.imread(str(f))), (96, 72)))
+        cv2.imwrite(
+            str(f),
+            cv2.resize(np.asarray(cv2.imread(str(f))), (96, 72)),
+        )
     frame = open_sequence(root, data=DataConfig(repair=RepairConfig(fit_sizes=True)))[0]
     assert (frame.camera.width, frame.camera.height) == (64, 48)
     assert (frame.camera.fx, frame.camera.fy) == (60.0, 58.0)
@@ -167,22 +217,29 @@ def test_depth_of_another_view_is_not_fitted(tmp_path, box):
     root = box.folder(tmp_path, n=2)
     for f in (root / "depth").iterdir():
         cv2.imwrite(str(f), np.full((48, 48), 1000, np.uint16))
-    with pytest.raises(SequenceError, match=r"48x48, but the intrinsics are for 64x48, of other proportions"):
+    with pytest.raises(
+        SequenceError, match=r"48x48, but the intrinsics are for 64x48, of other proportions"
+    ):
         open_sequence(root, data=DataConfig(repair=RepairConfig(fit_sizes=True)))
 
 
 def test_frames_left_out_keep_their_numbers(tmp_path, box):
     root = box.folder(tmp_path, n=6)
-    view = open_sequence(root, data=DataConfig(repair=RepairConfig(skip=(0, 3)), hold_out_every=2, hold_out_offset=0))
+    view = open_sequence(
+        root,
+        data=DataConfig(repair=RepairConfig(skip=(0, 3)), hold_out_every=2, hold_out_offset=0),
+    )
     assert [f.index for f in view.mapping] == [2, 5]
     assert [f.index for f in view.held_out] == [1, 4]
 
 
 def test_flags_name_what_differs():
-    repair = RepairConfig(depth_factor=0.2, poses="world_to_camera", fit_sizes=True, skip=(3, 4), fx=525.25)
+    repair = RepairConfig(
+        depth_factor=0.2, poses="world_to_camera", fit_sizes=True, skip=(3, 4), fx=525.25
+    )
     assert repair.flags == (
-        "--data.repair.depth-factor 0.2 --data.repair.poses world_to_camera --data.repair.fit-sizes "
-        "--data.repair.fx 525.25 --data.repair.skip 3 4"
+        "--data.repair.depth-factor 0.2 --data.repair.poses world_to_camera "
+        "--data.repair.fit-sizes --data.repair.fx 525.25 --data.repair.skip 3 4"
     )
     saved = to_dict(DataConfig(repair=repair))
     saved["repair"]["skip"] = [3, 4]  # as JSON gives it back

@@ -4,11 +4,23 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.data.adjust.reprojection import gain_stops, greys_at, is_usable_grey, reproject_depth
+from gsfusion_nb.data.adjust.reprojection import (
+    gain_stops,
+    greys_at,
+    is_usable_grey,
+    reproject_depth,
+)
 from gsfusion_nb.geometry import pixel_grid
 from gsfusion_nb.types import Camera
 
-CAMERA = Camera(width=32, height=24, fx=30.0, fy=30.0, cx=16.0, cy=12.0)
+CAMERA = Camera(
+    width=32,
+    height=24,
+    fx=30.0,
+    fy=30.0,
+    cx=16.0,
+    cy=12.0,
+)
 
 
 def moved(x=0.0, y=0.0, z=0.0):
@@ -26,11 +38,21 @@ def of_plane(T_ba, *, slope=0.0, is_ray=False):
     first, second = 2 / (1 - slope * ray_x), (2 + z - slope * x) / (1 - slope * ray_x)
     length = (1 + ray_x**2 + ray_y**2).sqrt() if is_ray else torch.ones_like(ray_x)
     u, v = uv[0].long().unbind(-1)
-    return reproject_depth(CAMERA, uv, (first * length)[v, u][None], (second * length)[None], T_ba, is_ray=is_ray)
+    return reproject_depth(
+        CAMERA,
+        uv,
+        (first * length)[v, u][None],
+        (second * length)[None],
+        T_ba,
+        is_ray=is_ray,
+    )
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.4])
-@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.03, -0.04, 0.1)])
+@pytest.mark.parametrize(
+    "shift",
+    [(0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.03, -0.04, 0.1)],
+)
 def test_a_plane_agrees_exactly(slope, shift):
     found = of_plane(moved(*shift), slope=slope)
     assert found.known.all()
@@ -39,13 +61,22 @@ def test_a_plane_agrees_exactly(slope, shift):
 
 def test_pixels_move_by_focal_length_times_step_over_depth():
     found = of_plane(moved(x=0.2))
-    assert torch.allclose(found.uv_b[..., 0] - pixel_grid(CAMERA)[4:20, 4:28, 0].reshape(1, -1), torch.tensor(3.0))
+    assert torch.allclose(
+        found.uv_b[..., 0] - pixel_grid(CAMERA)[4:20, 4:28, 0].reshape(1, -1),
+        torch.tensor(3.0),
+    )
 
 
 def test_the_length_of_the_ray_is_no_depth():
     assert of_plane(moved(x=0.1), is_ray=True).residual.abs().max() < 1e-3
     uv = pixel_grid(CAMERA)[12, 16][None, None]
-    found = reproject_depth(CAMERA, uv, torch.tensor([[2.0]]), torch.full((1, 24, 32), 2.5), moved())
+    found = reproject_depth(
+        CAMERA,
+        uv,
+        torch.tensor([[2.0]]),
+        torch.full((1, 24, 32), 2.5),
+        moved(),
+    )
     assert float(found.residual) == pytest.approx(-0.2)
 
 

@@ -21,14 +21,22 @@ def frame(width, height, generator):
 def test_halving_by_hand(generator):
     f = frame(6, 4, generator)
     out = resize_frame(f, f.camera.resized(3, 2))
-    assert torch.allclose(out.rgb, f.rgb.reshape(2, 2, 3, 2, 3).mean(dim=(1, 3)), atol=1e-6)
+    assert torch.allclose(
+        out.rgb,
+        f.rgb.reshape(2, 2, 3, 2, 3).mean(dim=(1, 3)),
+        atol=1e-6,
+    )
     assert torch.equal(out.depth_m, f.depth_m[::2, ::2])
     assert (out.camera.fx, out.camera.cx) == (5.0, 1.5)
 
 
-@pytest.mark.parametrize("size", [(5, 3), (7, 5), (4, 4), (1, 1), (13, 9), (9, 7)])
+@pytest.mark.parametrize(
+    "size",
+    [(5, 3), (7, 5), (4, 4), (1, 1), (13, 9), (9, 7)],
+)
 def test_area_average_and_nearest_depth(generator, size):
-    """Witness: overlap of the pixels' intervals along each axis, and a search for the nearest centre."""
+    """Witness: overlap of the pixels' intervals along each axis, and a search for the nearest
+    centre."""
     f = frame(9, 7, generator)
     out = resize_frame(f, f.camera.resized(*size))
     assert out.rgb.shape == (size[1], size[0], 3)

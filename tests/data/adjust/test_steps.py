@@ -7,11 +7,25 @@ import torch
 from gsfusion_nb.data.adjust.steps import find_jumps, repeated_image
 from gsfusion_nb.types import Camera, Frame
 
-CAMERA = Camera(width=8, height=6, fx=8.0, fy=8.0, cx=4.0, cy=3.0)
+CAMERA = Camera(
+    width=8,
+    height=6,
+    fx=8.0,
+    fy=8.0,
+    cx=4.0,
+    cy=3.0,
+)
 
 
 def frame_of(index, *, colour, depth_m):
-    return Frame(index=index, timestamp_s=0.0, rgb=colour, depth_m=depth_m, camera=CAMERA, T_WC=torch.eye(4))
+    return Frame(
+        index=index,
+        timestamp_s=0.0,
+        rgb=colour,
+        depth_m=depth_m,
+        camera=CAMERA,
+        T_WC=torch.eye(4),
+    )
 
 
 @pytest.mark.parametrize(
@@ -27,21 +41,42 @@ def test_repeated_images_are_named(generator, what, expected):
     colours = torch.rand(2, 6, 8, 3, generator=generator)
     depths = torch.rand(2, 6, 8, generator=generator) + 1
     a = frame_of(0, colour=colours[0], depth_m=depths[0])
-    b = frame_of(1, colour=colours[0 if what[0] else 1], depth_m=depths[0 if what[1] else 1])
+    b = frame_of(
+        1,
+        colour=colours[0 if what[0] else 1],
+        depth_m=depths[0 if what[1] else 1],
+    )
     assert repeated_image(a, b) == expected
 
 
 def test_images_of_one_value_prove_nothing(generator):
     red = torch.tensor([0.8, 0.1, 0.1]).expand(6, 8, 3).clone()
     wall = torch.full((6, 8), 2.0)
-    assert repeated_image(frame_of(0, colour=red, depth_m=wall), frame_of(1, colour=red, depth_m=wall)) == ""
+    assert (
+        repeated_image(
+            frame_of(0, colour=red, depth_m=wall),
+            frame_of(1, colour=red, depth_m=wall),
+        )
+        == ""
+    )
     none = torch.zeros(6, 8)
-    assert repeated_image(frame_of(0, colour=red, depth_m=none), frame_of(1, colour=red, depth_m=none)) == ""
+    assert (
+        repeated_image(
+            frame_of(0, colour=red, depth_m=none),
+            frame_of(1, colour=red, depth_m=none),
+        )
+        == ""
+    )
 
 
 def steps(**changes):
-    """Twenty steps of 2 degrees and 4 cm in which depth differs by 0.3 per cent, some of them changed."""
-    values = {"turned_deg": np.full(20, 2.0), "moved_m": np.full(20, 0.04), "error": np.full(20, 0.003)}
+    """Twenty steps of 2 degrees and 4 cm in which depth differs by 0.3 per cent, some of them
+    changed."""
+    values = {
+        "turned_deg": np.full(20, 2.0),
+        "moved_m": np.full(20, 0.04),
+        "error": np.full(20, 0.003),
+    }
     for name, (rows, value) in changes.items():
         values[name][rows] = value
     return values | {"frozen": np.zeros(20, bool)}

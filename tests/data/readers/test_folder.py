@@ -26,15 +26,23 @@ def test_reads_what_was_written(tmp_path, box):
         assert frame.index == i
         assert frame.timestamp_s == pytest.approx(i / 30)
         assert frame.rgb.dtype == frame.depth_m.dtype == frame.T_WC.dtype == torch.float32
-        assert np.abs(frame.rgb.numpy() * 255 - rgb).mean() < 3  # JPEG; swapped channels give far more
+        assert (
+            np.abs(frame.rgb.numpy() * 255 - rgb).mean() < 3
+        )  # JPEG; swapped channels give far more
         assert np.abs(frame.depth_m.numpy() - depth_m).max() < 0.00051
-        assert torch.allclose(frame.T_WC.double(), box.poses(4)[i], atol=1e-6)
+        assert torch.allclose(
+            frame.T_WC.double(),
+            box.poses(4)[i],
+            atol=1e-6,
+        )
         assert torch.equal(frame.T_WC, seq.pose(i))
         assert box.off_wall_m(frame) < 0.0005
 
 
 def test_depth_scale_invalid_value_and_fps(tmp_path, box):
-    root = box.folder(tmp_path, depth_invalid=777, fps=10, pose_convention="camera-to-world, made by hand")
+    root = box.folder(
+        tmp_path, depth_invalid=777, fps=10, pose_convention="camera-to-world, made by hand"
+    )
     raw = np.full((48, 64), 2000, np.uint16)
     raw[0, 0] = 0
     raw[1, 1] = 777
@@ -52,7 +60,9 @@ def test_poses_by_name_and_by_number(tmp_path, box):
         (root / kind / f"000002.{suffix}").unlink()
     expect(SequenceError, r"holds 6 poses; expected 5, .*name of its image", lambda: folder(root))
     wanted = whole.poses[[0, 1, 3, 4, 5]]
-    (root / "poses.txt").write_text("".join(f"{i:06d} {line}" for i, line in reversed(list(enumerate(lines)))))
+    (root / "poses.txt").write_text(
+        "".join(f"{i:06d} {line}" for i, line in reversed(list(enumerate(lines))))
+    )
     assert torch.equal(folder(root).poses, wanted)
     (root / "poses.txt").write_text("".join(lines[:5]))
     assert len(folder(root)) == 5  # as many lines as images: taken by order
@@ -89,15 +99,27 @@ def expect(error, pattern, act):
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("fz", 1.0), ("fx", None), ("fx", "525"), ("fx", 0), ("depth_scale", -1000), ("pixel_centre", 0.25),
-     ("depth_invalid", 70000), ("fps", 0), ("fps", 1e-320), ("pose_convention", "world-to-camera")],
-)  # fmt: skip
+    [
+        ("fz", 1.0),
+        ("fx", None),
+        ("fx", "525"),
+        ("fx", 0),
+        ("depth_scale", -1000),
+        ("pixel_centre", 0.25),
+        ("depth_invalid", 70000),
+        ("fps", 0),
+        ("fps", 1e-320),
+        ("pose_convention", "world-to-camera"),
+    ],
+)
 def test_bad_intrinsics(tmp_path, box, key, value):
     root = box.folder(tmp_path, **{key: value})
     expect(SequenceError, rf"intrinsics\.json.*{key}", lambda: folder(root))
 
 
-@pytest.mark.parametrize("lines", ["", "1 2 3\n", "# c\n" + "x " * 16 + "\n", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3])
+@pytest.mark.parametrize(
+    "lines", ["", "1 2 3\n", "# c\n" + "x " * 16 + "\n", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 3]
+)
 def test_bad_pose_files(tmp_path, box, lines):
     root = box.folder(tmp_path)
     (root / "poses.txt").write_text(lines)
@@ -109,7 +131,10 @@ def test_bad_pose_files(tmp_path, box, lines):
     [
         ("nan " * 16, "pose 1 has NaN or infinite entries"),
         ("-inf " * 16, "pose 1 has NaN or infinite entries.*tracking was lost"),
-        ("2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1", "pose 1 is not a rigid camera-to-world pose: .*misses R R\\^T = I"),
+        (
+            "2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1",
+            "pose 1 is not a rigid camera-to-world pose: .*misses R R\\^T = I",
+        ),
         ("1 0 0 0 0 1 0 0 0 0 -1 0 0 0 0 1", "pose 1 is not a rigid .*determinant -1"),
         ("1 0 0 0 0 1 0 0 0 0 1 0 1 2 3 1", "pose 1 is not a rigid .*end in the row"),
     ],
@@ -133,7 +158,11 @@ def test_truncated_images(tmp_path, box, name, keep):
     whole = (root / name).read_bytes()
     (root / name).write_bytes(whole[: int(keep * len(whole))])
     seq = folder(root)
-    expect(BadFrameError, name + r" (is empty|is truncated|cannot be decoded).*expected a", lambda: seq[1])
+    expect(
+        BadFrameError,
+        name + r" (is empty|is truncated|cannot be decoded).*expected a",
+        lambda: seq[1],
+    )
     assert seq[2].index == 2
 
 
@@ -141,14 +170,26 @@ def test_wrong_sizes(tmp_path, box):
     root = box.folder(tmp_path)
     box.write_depth(root / "depth/000001.png", np.ones((24, 32)), 1000)
     seq = folder(root)
-    expect(BadFrameError, r"000001\.png is 32x24 but .*000001\.jpg is 64x48; expected .* same size", lambda: seq[1])
+    expect(
+        BadFrameError,
+        r"000001\.png is 32x24 but .*000001\.jpg is 64x48; expected .* same size",
+        lambda: seq[1],
+    )
     box.write_rgb(root / "rgb/000001.jpg", np.zeros((24, 32, 3), np.uint8))
-    expect(BadFrameError, r"000001\.jpg is 32x24; expected 64x48, as the intrinsics say", lambda: seq[1])
+    expect(
+        BadFrameError,
+        r"000001\.jpg is 32x24; expected 64x48, as the intrinsics say",
+        lambda: seq[1],
+    )
 
 
 @pytest.mark.parametrize(
     "image",
-    [np.full((48, 64), 200, np.uint8), np.full((48, 64, 3), 200, np.uint16), np.full((48, 64), 777, np.uint16)],
+    [
+        np.full((48, 64), 200, np.uint8),
+        np.full((48, 64, 3), 200, np.uint16),
+        np.full((48, 64), 777, np.uint16),
+    ],
 )
 def test_bad_depth_images(tmp_path, box, image):
     root = box.folder(tmp_path, depth_invalid=777)
@@ -160,9 +201,14 @@ def test_bad_depth_images(tmp_path, box, image):
 
 def test_a_colour_image_is_no_depth(tmp_path, box):
     root = box.folder(tmp_path)
-    cv2.imwrite(str(root / "depth/000001.png"), np.full((48, 64, 3), 200, np.uint8))
+    cv2.imwrite(
+        str(root / "depth/000001.png"),
+        np.full((48, 64, 3), 200, np.uint8),
+    )
     seq = folder(root)
-    expect(BadFrameError, r"000001\.png is a colour image of 3 channels .* packed into", lambda: seq[1])
+    expect(
+        BadFrameError, r"000001\.png is a colour image of 3 channels .* packed into", lambda: seq[1]
+    )
 
 
 def test_dark_colour_of_16_bits_is_told(tmp_path, box, caplog):
@@ -174,7 +220,11 @@ def test_dark_colour_of_16_bits_is_told(tmp_path, box, caplog):
         cv2.imwrite(str(root / "rgb/000001.png"), grey * factor)
         with caplog.at_level(logging.WARNING):
             rgb = folder(root)[1].rgb
-        assert torch.allclose(rgb[0, :, 0] * 255, torch.from_numpy(grey[0] * factor // 256).float(), atol=1)
+        assert torch.allclose(
+            rgb[0, :, 0] * 255,
+            torch.from_numpy(grey[0] * factor // 256).float(),
+            atol=1,
+        )
         assert ("use 12 or fewer" in caplog.text) == told
 
 
@@ -196,9 +246,14 @@ def test_webp_is_colour(tmp_path, box):
 def test_neighbouring_frames_of_real_sequences_agree(shared_sequence, name, width):
     seq = open_sequence(shared_sequence(name), data=DataConfig(width=width))
     assert len(seq) == REAL[name]
-    # measured at worst: synthetic depth 0.8 mm at 640x480 and 3.0 mm at 160x120; Kinect 8 mm, its own noise
+    # measured at worst: synthetic depth 0.8 mm at 640x480 and 3.0 mm at 160x120; Kinect 8 mm, its
+    # own noise
     bound_m = 0.004 if name == "livingroom1_clean211" else 0.009
-    for i in range(0, len(seq) - 1, max(1, len(seq) // 6)):
+    for i in range(
+        0,
+        len(seq) - 1,
+        max(1, len(seq) // 6),
+    ):
         agreement = depth_agreement(seq[i], seq[i + 1])
         assert agreement.median_m < bound_m
         assert agreement.agreeing > 0.85
@@ -207,10 +262,24 @@ def test_neighbouring_frames_of_real_sequences_agree(shared_sequence, name, widt
 @pytest.mark.parametrize("orientation", [1, 6])
 def test_turned_pictures_are_used_as_stored_and_that_is_said(tmp_path, box, caplog, orientation):
     root = box.folder(tmp_path / "scan")
-    tiff = b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 274, 3, 1, orientation, 0, 0)
+    tiff = b"II*\0" + struct.pack(
+        "<IHHHIHHI",
+        8,
+        1,
+        274,
+        3,
+        1,
+        orientation,
+        0,
+        0,
+    )
     body = b"Exif\0\0" + tiff
     for path in (root / "rgb").iterdir():
         data = path.read_bytes()
-        path.write_bytes(data[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + data[2:])
+        path.write_bytes(
+            data[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + data[2:]
+        )
     assert [tuple(frame.colour.shape) for frame in folder(root)] == [(48, 64, 3)] * 4
-    assert len([record for record in caplog.records if "EXIF" in record.getMessage()]) == (orientation != 1)
+    assert len([record for record in caplog.records if "EXIF" in record.getMessage()]) == (
+        orientation != 1
+    )

@@ -1,4 +1,5 @@
-"""Data sets that are offered open as they are published, and as they lie on disks: marks, line ends, lost rows."""
+"""Data sets that are offered open as they are published, and as they lie on disks: marks, line
+ends, lost rows."""
 
 import json
 
@@ -95,5 +96,7 @@ def test_a_scene_of_which_nothing_is_left(tmp_path, box):
     root = scannetpp_layout(tmp_path / "scan", box)
     for file in (root / "dslr/undistorted_depths_2").iterdir():
         file.unlink()
-    with pytest.raises(SequenceError, match=r"4 of the 4 images .* have no pose, no image or no depth"):
+    with pytest.raises(
+        SequenceError, match=r"4 of the 4 images .* have no pose, no image or no depth"
+    ):
         open_sequence(root)

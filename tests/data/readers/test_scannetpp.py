@@ -14,7 +14,11 @@ def test_reads_what_was_written(tmp_path, box):
     assert (seq.name, len(seq)) == ("8b5caf3398", 4)
     assert seq.camera == box.camera  # edge pixel centres: nothing added
     for frame, name in zip(seq, [*TRAIN, *TEST], strict=True):
-        assert torch.allclose(frame.T_WC.double(), box.poses(6)[int(name[3:8])], atol=1e-6)
+        assert torch.allclose(
+            frame.T_WC.double(),
+            box.poses(6)[int(name[3:8])],
+            atol=1e-6,
+        )
         assert box.off_wall_m(frame) < 0.0005
     assert seq.novel == {3}
     assert len(scannetpp(tmp_path / "8b5caf3398" / "dslr")) == 4
@@ -49,15 +53,26 @@ def test_resolutions(tmp_path, box):
     assert scannetpp(root, resolution="full").rgb_files[0].parent.name == "undistorted_images"
     only_full = write(tmp_path / "other", box, suffix="")
     assert len(scannetpp(only_full)) == 4
-    with pytest.raises(SequenceNotFoundError, match=r"transforms_undistorted_2\.json does not exist.*half resolution"):
+    with pytest.raises(
+        SequenceNotFoundError,
+        match=r"transforms_undistorted_2\.json does not exist.*half resolution",
+    ):
         scannetpp(only_full, resolution="half")
 
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("fl_x", None), ("w", 63.5), ("frames", None), ("frames", []), ("frames", [{"file_path": "a.JPG"}]),
-     ("frames", [{"file_path": "a.JPG", "transform_matrix": [[1]]}]), ("k1", 0.01), ("camera_model", "FISHEYE")],
-)  # fmt: skip
+    [
+        ("fl_x", None),
+        ("w", 63.5),
+        ("frames", None),
+        ("frames", []),
+        ("frames", [{"file_path": "a.JPG"}]),
+        ("frames", [{"file_path": "a.JPG", "transform_matrix": [[1]]}]),
+        ("k1", 0.01),
+        ("camera_model", "FISHEYE"),
+    ],
+)
 def test_bad_json(tmp_path, box, key, value):
     with pytest.raises(SequenceError, match=r"transforms_undistorted_2\.json"):
         scannetpp(write(tmp_path / "scene", box, **{key: value}))

@@ -21,14 +21,23 @@ CAMERA = [1305031102.17 + i / 30 for i in range(12)]
 @pytest.mark.parametrize(
     ("numbers", "why"),
     [
-        ([0.0058, 0.0070, 0.0154, 0.0148, 0.0163, 0.0331, 0.0057], "2 of 7 are smaller than the one before"),
-        ([0.0331, 0.0333, 0.0329, 0.0334, 0.0330, 0.0335], "far closer together than the frames of a camera"),
+        (
+            [0.0058, 0.0070, 0.0154, 0.0148, 0.0163, 0.0331, 0.0057],
+            "2 of 7 are smaller than the one before",
+        ),
+        (
+            [0.0331, 0.0333, 0.0329, 0.0334, 0.0330, 0.0335],
+            "far closer together than the frames of a camera",
+        ),
         ([7.5] * 6, "all 6 are 7.5"),
         ([1.0, 1.0, 1.0, 2.0, 2.0, 2.0], "4 of 6 repeat another"),
         ([-0.1, 0.0, 0.1, 0.2], "1 of 4 are negative"),
         ([0.0, 1.0, 2.0, 3.0, 4.0], "they count the frames, from 0 to 4"),
         ([0.0, 5.0, 10.0, 20.0, 25.0, 30.0], "they count the frames"),
-        ([0.0, 9.0, 22.0, 31.0, 45.0, 52.0], "they number the frames, from 0 to 52: in milliseconds they would be too"),
+        (
+            [0.0, 9.0, 22.0, 31.0, 45.0, 52.0],
+            "they number the frames, from 0 to 52: in milliseconds they would be too",
+        ),
         ([*CAMERA[6:], *CAMERA[:6]], "1 of 12 are smaller than the one before"),
         ([0.05, 0.21, 0.12, 0.30, 0.08, 0.17], "2 of 6 are smaller than the one before"),
     ],
@@ -60,7 +69,9 @@ def test_ticks_of_windows_and_dotnet_are_known_by_their_dates():
         found = judge_stamps([ticks + round(i / 30 * 1e7) for i in range(6)])
         assert found.unit == "100ns"
         assert found.times_s is not None
-        assert [t - found.times_s[0] for t in found.times_s] == pytest.approx([i / 30 for i in range(6)], abs=1e-5)
+        assert [t - found.times_s[0] for t in found.times_s] == pytest.approx(
+            [i / 30 for i in range(6)], abs=1e-5
+        )
 
 
 def test_lists_of_one_recording_have_one_unit():
@@ -75,13 +86,18 @@ def test_lists_of_one_recording_have_one_unit():
     assert common_unit([[1.7e18 + 1e9 * i for i in range(4)], [5.0]]) == "ns"
 
 
-@pytest.mark.parametrize(("unit", "per_s"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9), ("100ns", 1e7)])
+@pytest.mark.parametrize(
+    ("unit", "per_s"),
+    [("ms", 1e3), ("us", 1e6), ("ns", 1e9), ("100ns", 1e7)],
+)
 def test_times_of_the_plain_layout_are_seconds(tmp_path, unit, per_s):
     images = [tmp_path / f"{i:06d}.png" for i in range(4)]
     start = 13276915200 if unit == "100ns" else 1700000000
     lines = [f"{image.stem} {int((start + i / 15) * per_s)}" for i, image in enumerate(images)]
     (tmp_path / "times.txt").write_text("\n".join(lines))
-    with pytest.raises(SequenceError, match=rf"must hold seconds, .* as {unit} it is one in 0\.06\d* s"):
+    with pytest.raises(
+        SequenceError, match=rf"must hold seconds, .* as {unit} it is one in 0\.06\d* s"
+    ):
         times_of_images(tmp_path / "times.txt", images)
 
 
@@ -101,7 +117,9 @@ def test_decimal_names_are_in_the_order_of_their_numbers():
     assert [path.name for path in sorted(shuffled, key=natural_order)] == names
 
 
-@pytest.mark.parametrize("line", ["rgb\\a b.png", "rgb/a b.png", '"rgb/a b.png"', "'rgb\\a b.png'", "rgb/a b.png  "])
+@pytest.mark.parametrize(
+    "line", ["rgb\\a b.png", "rgb/a b.png", '"rgb/a b.png"', "'rgb\\a b.png'", "rgb/a b.png  "]
+)
 def test_listed_names_with_spaces_backslashes_and_quotes(tmp_path, line):
     image = tmp_path / "rgb/a b.png"
     image.parent.mkdir()
@@ -119,7 +137,10 @@ def test_bad_lines_of_lists(tmp_path, line):
         read_image_list(tmp_path / "list.txt")
 
 
-@pytest.mark.parametrize(("unit", "per_s"), [("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+@pytest.mark.parametrize(
+    ("unit", "per_s"),
+    [("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)],
+)
 @pytest.mark.parametrize("start", [0.0, 1305031102.25])
 def test_the_unit_is_found(unit, per_s, start):
     times = [start + i / 30 for i in range(8)]
@@ -138,7 +159,15 @@ def test_names_may_confirm_another_order_than_the_list():
 
 def test_nearest_within_the_limit():
     assert associate([0.0, 1.0, 2.0], [0.01, 1.03, 1.99]) == [(0, 0), (2, 2)]
-    assert associate([0.0, 1.0, 2.0], [0.01, 1.03, 1.99], max_difference_s=0.05) == [(0, 0), (1, 1), (2, 2)]
+    assert associate(
+        [0.0, 1.0, 2.0],
+        [0.01, 1.03, 1.99],
+        max_difference_s=0.05,
+    ) == [
+        (0, 0),
+        (1, 1),
+        (2, 2),
+    ]
 
 
 def test_each_entry_is_used_once_and_the_best_pair_wins():
@@ -151,7 +180,12 @@ def test_against_exhaustive_search():
     first = [0.033 * i + 0.004 * ((7 * i) % 5) for i in range(60)]
     second = [0.0335 * i + 0.003 * ((11 * i) % 7) for i in range(60)]
     pairs = associate(first, second)
-    left = {(i, j): abs(a - b) for i, a in enumerate(first) for j, b in enumerate(second) if abs(a - b) <= 0.02}
+    left = {
+        (i, j): abs(a - b)
+        for i, a in enumerate(first)
+        for j, b in enumerate(second)
+        if abs(a - b) <= 0.02
+    }
     expected = []
     while left:
         i, j = min(left, key=lambda pair: (left[pair], pair))

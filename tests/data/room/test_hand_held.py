@@ -8,7 +8,13 @@ from gsfusion_nb.data import repaired, tum
 from gsfusion_nb.data.room.hand_held import POSES_PER_IMAGE, HandHeld, write_hand_held
 
 SMALL = HandHeld(
-    n_images=8, width=32, height=24, noise="none", blurred=(2,), dark_after=0.7, colour_shift_px=(2.0, -1.0)
+    n_images=8,
+    width=32,
+    height=24,
+    noise="none",
+    blurred=(2,),
+    dark_after=0.7,
+    colour_shift_px=(2.0, -1.0),
 )
 
 
@@ -27,13 +33,18 @@ def test_its_depth_is_in_millimetres_and_its_poses_are_late(recording):
     true = room[POSES_PER_IMAGE * (lost + 2)]
     frame = mended[2]
     assert np.abs(frame.depth_m.numpy() - true.depth_m.numpy()).max() <= 0.0006
-    assert (frame.T_WC - true.T_WC).abs().max() < 3e-3  # interpolated half-way between poses of 0.1 s
+    assert (
+        frame.T_WC - true.T_WC
+    ).abs().max() < 3e-3  # interpolated half-way between poses of 0.1 s
     assert (recording[2].T_WC - true.T_WC).abs().max() > 5e-3
 
 
 def test_its_colour_is_moved_dark_at_the_end_and_blurred(recording):
     lost = SMALL.n_images - len(recording)
-    room = [SMALL.sequence[POSES_PER_IMAGE * (i + lost)].rgb_u8.numpy().astype(float) for i in range(len(recording))]
+    room = [
+        SMALL.sequence[POSES_PER_IMAGE * (i + lost)].rgb_u8.numpy().astype(float)
+        for i in range(len(recording))
+    ]
     seen = [recording[i].rgb_u8.numpy().astype(float) for i in range(len(recording))]
     inner = np.abs(seen[1][4:-4, 6:-4] - room[1][5:-3, 4:-6]).mean()
     assert inner < 6 < np.abs(seen[1] - room[1]).mean()

@@ -1,6 +1,7 @@
 """A stand-in for ``pyrealsense2`` with the part of its API that is used, replaying given pictures.
 
-``plan`` lists what each wait gives: a number (that picture), "timeout", "no depth", "no colour", or "unplug".
+``plan`` lists what each wait gives: a number (that picture), "timeout", "no depth", "no colour", or
+"unplug".
 """
 
 import types
@@ -12,8 +13,22 @@ import numpy as np
 class Replay:
     """What the device behind the driver does."""
 
-    def __init__(self, pictures, plan, *, K, size, coeffs=(0.0,) * 8):
-        self.pictures, self.plan, self.K, self.size, self.coeffs = pictures, list(plan), K, size, coeffs
+    def __init__(
+        self,
+        pictures,
+        plan,
+        *,
+        K,
+        size,
+        coeffs=(0.0,) * 8,
+    ):
+        self.pictures, self.plan, self.K, self.size, self.coeffs = (
+            pictures,
+            list(plan),
+            K,
+            size,
+            coeffs,
+        )
         self.connected = True
         self.running = False
         self.log: list[Any] = []
@@ -83,7 +98,14 @@ def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_co
             replay.running = True
             K, (width, height) = replay.K, replay.size
             intrinsics = types.SimpleNamespace(
-                width=width, height=height, fx=K[0], fy=K[1], ppx=K[2], ppy=K[3], model=model, coeffs=replay.coeffs[:5]
+                width=width,
+                height=height,
+                fx=K[0],
+                fy=K[1],
+                ppx=K[2],
+                ppy=K[3],
+                model=model,
+                coeffs=replay.coeffs[:5],
             )
             video = types.SimpleNamespace(get_intrinsics=lambda: intrinsics)
             stream = types.SimpleNamespace(as_video_stream_profile=lambda: video)
@@ -102,7 +124,8 @@ def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_co
             at = 1000.0 + replay.n * 1000 / 30
             depth = np.rint(depth_m / scale).astype(np.uint16)
             return _Frames(
-                None if entry == "no colour" else _Data(rgb, at), None if entry == "no depth" else _Data(depth, at)
+                None if entry == "no colour" else _Data(rgb, at),
+                None if entry == "no depth" else _Data(depth, at),
             )
 
         def stop(self):

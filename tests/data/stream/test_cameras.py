@@ -10,7 +10,9 @@ import torch
 from gsfusion_nb.data.stream import BackgroundFrames, CameraNotFoundError, RealSense
 from gsfusion_nb.types import Frame
 
-_spec = importlib.util.spec_from_file_location("fake_drivers", Path(__file__).with_name("fake_drivers.py"))
+_spec = importlib.util.spec_from_file_location(
+    "fake_drivers", Path(__file__).with_name("fake_drivers.py")
+)
 assert _spec is not None
 assert _spec.loader is not None
 fake_drivers = importlib.util.module_from_spec(_spec)
@@ -28,14 +30,22 @@ class Device:
         """Plug it in; ``plan`` is what its driver gives."""
         c = self.box.camera
         self.replay = fake_drivers.Replay(
-            self.pictures, plan, K=(c.fx, c.fy, c.cx - 0.5, c.cy - 0.5), size=(c.width, c.height), coeffs=coeffs
+            self.pictures,
+            plan,
+            K=(c.fx, c.fy, c.cx - 0.5, c.cy - 0.5),
+            size=(c.width, c.height),
+            coeffs=coeffs,
         )
         self.monkeypatch.setitem(sys.modules, "pyrealsense2", fake_drivers.realsense(self.replay))
         return self
 
     def camera(self, **options):
         options = {"warm_up": 0, "timeout_s": 0.5, **options}
-        return RealSense(width=self.box.camera.width, height=self.box.camera.height, **options)
+        return RealSense(
+            width=self.box.camera.width,
+            height=self.box.camera.height,
+            **options,
+        )
 
 
 @pytest.fixture
@@ -56,8 +66,13 @@ def test_frames_are_those_that_the_device_saw(device, box):
     for i, frame in enumerate(frames):
         assert frame.index == i
         assert frame.camera == camera.camera
-        torch.testing.assert_close(frame.rgb, torch.from_numpy(device.pictures[i][0] / 255).float())
-        assert float((frame.depth_m - torch.from_numpy(device.pictures[i][1])).abs().max()) < 0.00051
+        torch.testing.assert_close(
+            frame.rgb,
+            torch.from_numpy(device.pictures[i][0] / 255).float(),
+        )
+        assert (
+            float((frame.depth_m - torch.from_numpy(device.pictures[i][1])).abs().max()) < 0.00051
+        )
         torch.testing.assert_close(frame.T_WC, torch.eye(4))
     steps = np.diff([f.timestamp_s for f in frames])
     np.testing.assert_allclose(steps, 1 / 30, atol=1e-5)
@@ -66,7 +81,8 @@ def test_frames_are_those_that_the_device_saw(device, box):
 
 
 def test_pixel_centres_are_ours(device, box):
-    """The fake's intrinsics count centres from 0; points lie on the walls only if half a pixel is added."""
+    """The fake's intrinsics count centres from 0; points lie on the walls only if half a pixel is
+    added."""
     import dataclasses
 
     camera = device.plugged([0]).camera()
@@ -100,28 +116,43 @@ def test_a_silent_camera_is_given_up(device):
 
 
 def test_lens_distortion_is_removed_from_both_images(device, box):
-    """Pictures of a distorting lens, made by warping the pinhole's; undistorted they show the walls where they are."""
+    """Pictures of a distorting lens, made by warping the pinhole's; undistorted they show the walls
+    where they are."""
     import cv2
 
     c, k = box.camera, np.array([0.4, -0.1, 0.01, -0.01, 0.05])
     K = np.array([[c.fx, 0, c.cx - 0.5], [0, c.fy, c.cy - 0.5], [0, 0, 1]])
-    uv = np.stack(np.meshgrid(np.arange(c.width), np.arange(c.height)), -1).reshape(-1, 1, 2).astype(np.float64)
+    uv = (
+        np.stack(
+            np.meshgrid(np.arange(c.width), np.arange(c.height)),
+            -1,
+        )
+        .reshape(-1, 1, 2)
+        .astype(np.float64)
+    )
     ideal = cv2.undistortPoints(uv, K, k, P=K).reshape(c.height, c.width, 2).astype(np.float32)
     T = box.poses(1)[0]
     rgb, depth_m = box.render(T)
-    device.pictures = [tuple(cv2.remap(x, ideal[..., 0], ideal[..., 1], cv2.INTER_LINEAR) for x in (rgb, depth_m))]
-    [stored] = some(device.plugged([0]).camera(), 1)  # with the driver's word that there is no distortion
+    device.pictures = [
+        tuple(cv2.remap(x, ideal[..., 0], ideal[..., 1], cv2.INTER_LINEAR) for x in (rgb, depth_m))
+    ]
+    [stored] = some(
+        device.plugged([0]).camera(), 1
+    )  # with the driver's word that there is no distortion
     [frame] = some(device.plugged([0], tuple(k)).camera(), 1)
 
     def off(frame: Frame) -> tuple[float, float]:
-        """Mean difference from what a pinhole with the frame's intrinsics sees: colour 0..1, depth in metres."""
+        """Mean difference from what a pinhole with the frame's intrinsics sees: colour 0..1, depth
+        in metres."""
         rgb, depth_m = box.render(T, frame.camera)
         colour = (frame.rgb - torch.from_numpy(rgb / 255)).abs().mean()
         return float(colour), float((frame.depth_m - torch.from_numpy(depth_m)).abs().mean())
 
     (colour, depth_m), (colour_before, depth_before_m) = off(frame), off(stored)
     assert 10 * colour < colour_before
-    assert 3 * depth_m < depth_before_m  # taken from the nearest pixel, which is up to half a pixel off
+    assert (
+        3 * depth_m < depth_before_m
+    )  # taken from the nearest pixel, which is up to half a pixel off
 
 
 def test_the_streams_are_those_that_were_asked_for(device):

@@ -97,8 +97,19 @@ def test_reading_ahead_gives_the_same_frames_and_errors_in_order(sequence, depth
     counting = Counting(sequence, bad={2, 7})
     found = frames_of(read_ahead(counting, depth=depth))
     assert [f if isinstance(f, str) else f.index for f in found] == [
-        0, 1, "frame 2 is torn", 3, 0, 1, 2, "frame 7 is torn", 0, 1, 2, 3,
-    ]  # fmt: skip
+        0,
+        1,
+        "frame 2 is torn",
+        3,
+        0,
+        1,
+        2,
+        "frame 7 is torn",
+        0,
+        1,
+        2,
+        3,
+    ]
     assert counting.threads == {"frames" if depth else "MainThread"}
     first = found[0]
     assert isinstance(first, Frame)
@@ -163,7 +174,13 @@ def test_the_chosen_backend_reaches_the_thread(sequence):
 
 def test_selection_counts_arrivals_and_resizes(sequence):
     data = DataConfig(start=2, stride=3, stop=9, width=32, depth_max_m=10.0)
-    found = list(SelectedFrames((f for _ in range(3) for f in sequence), data, first_index=100))
+    found = list(
+        SelectedFrames(
+            (f for _ in range(3) for f in sequence),
+            data,
+            first_index=100,
+        )
+    )
     assert [f.index for f in found] == [102, 105, 108]
     assert [f.timestamp_s for f in found] == [sequence[i].timestamp_s for i in (2, 1, 0)]
     assert found[0].camera == sequence.camera.resized(32, 24)

@@ -1,4 +1,5 @@
-"""The CUDA kernels against the reference: on a GPU where there is one, else on CPU tensors in the emulator."""
+"""The CUDA kernels against the reference: on a GPU where there is one, else on CPU tensors in the
+emulator."""
 
 import pytest
 

@@ -1,4 +1,5 @@
-"""Build the kernels as a library for the CPU: the same .cu files, compiled by g++ with ``emulate.h`` in front."""
+"""Build the kernels as a library for the CPU: the same .cu files, compiled by g++ with
+``emulate.h`` in front."""
 
 import re
 import subprocess
@@ -11,7 +12,8 @@ KERNELS = Path(__file__).resolve().parents[3] / "kernels"
 
 
 def options() -> list[str]:
-    """The definitions that ``runtime/cuda/nvrtc.py`` gives to the GPU's compiler, read there without importing it."""
+    """The definitions that ``runtime/cuda/nvrtc.py`` gives to the GPU's compiler, read there
+    without importing it."""
     text = (KERNELS / "runtime" / "cuda" / "nvrtc.py").read_text(encoding="utf-8")
     names = re.findall(r'"(\w+)"', re.search(r"_NUMBERS = \((.*?)\)", text, re.DOTALL)[1])  # pyright: ignore[reportOptionalSubscript]
     return [f"-DGS_{name}={getattr(constants, name):.9g}f" for name in names]
@@ -34,9 +36,13 @@ def kernels_of(source: Path) -> list[str]:
 
 
 def sanitizer() -> tuple[dict[str, str], tuple[str, ...]]:
-    """Environment and compiler options that end the process at a step outside an array or undefined arithmetic."""
+    """Environment and compiler options that end the process at a step outside an array or undefined
+    arithmetic."""
     ask = [["g++", f"-print-file-name={name}"] for name in ("libasan.so", "libubsan.so")]
-    libraries = [subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() for command in ask]
+    libraries = [
+        subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+        for command in ask
+    ]
     options = "detect_leaks=0:detect_stack_use_after_return=0"
     flags = ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-g")
     return {"LD_PRELOAD": " ".join(libraries), "ASAN_OPTIONS": options}, flags
@@ -51,13 +57,33 @@ def build(folder: Path, extra: tuple[str, ...] = ()) -> Path:
     units = []
     for source in sources():
         unit = folder / f"{source.stem}.cpp"
-        lines = ['#include "emulate.h"', f"namespace {source.stem}_ {{", f'#include "{source}"', "}"]
+        lines = [
+            '#include "emulate.h"',
+            f"namespace {source.stem}_ {{",
+            f'#include "{source}"',
+            "}",
+        ]
         lines += [f"using {source.stem}_::{name};\nEMULATE({name})" for name in kernels_of(source)]
         unit.write_text("\n".join(lines) + "\n", encoding="utf-8")
         units.append(str(unit))
     library = folder / "libemulator.so"
-    flags = ["-std=c++20", "-O1", "-ffp-contract=off", "-fPIC", "-shared", "-Wall", "-Wextra", "-Werror"]
-    flags += ["-Wno-unknown-pragmas", "-Wno-unused-parameter", "-fno-strict-aliasing", *extra, *options()]
+    flags = [
+        "-std=c++20",
+        "-O1",
+        "-ffp-contract=off",
+        "-fPIC",
+        "-shared",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+    ]
+    flags += [
+        "-Wno-unknown-pragmas",
+        "-Wno-unused-parameter",
+        "-fno-strict-aliasing",
+        *extra,
+        *options(),
+    ]
     command = ["g++", *flags, f"-I{HERE}", *includes(), *units, "-o", str(library)]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:

@@ -11,13 +11,18 @@ from gsfusion_nb.tsdf import TsdfVolume, band_blocks
 from gsfusion_nb.tsdf.integrate import fuse_frame_
 
 CONFIG = TsdfConfig(
-    voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0, colour_band_voxels=0.0, colour_by_distance=False
+    voxel_size_m=0.02,
+    truncation_voxels=4.0,
+    max_weight=3.0,
+    colour_band_voxels=0.0,
+    colour_by_distance=False,
 )
 
 
 @pytest.fixture
 def assert_same_blocks(device):
-    """The same set in the same order, but for blocks that a ray only touches to rounding: none on the processor."""
+    """The same set in the same order, but for blocks that a ray only touches to rounding: none on
+    the processor."""
 
     def check(config, frame, share):
         with use_backend("cuda"):
@@ -44,8 +49,8 @@ def test_bands_of_any_length_anywhere(truncation_voxels, shift, make_frames, ass
 
 @pytest.fixture
 def fuse_both(device):
-    """``fuse_both(config, frames)``: the reference's volume and ours after the frames, on the blocks of the reference;
-    observed voxels of each."""
+    """``fuse_both(config, frames)``: the reference's volume and ours after the frames, on the
+    blocks of the reference; observed voxels of each."""
 
     def fuse(config, frames):
         volumes, updated = [TsdfVolume(config), TsdfVolume(config, device)], [[], []]
@@ -61,12 +66,14 @@ def fuse_both(device):
 
 
 D_ROUNDING = 4e-6
-"""Up to 4 m away the distance of a voxel is the sum of two float32 numbers: 2.6e-7 m, of a truncation of 0.08 m."""
+"""Up to 4 m away the distance of a voxel is the sum of two float32 numbers: 2.6e-7 m, of a
+truncation of 0.08 m."""
 
 
 @pytest.fixture
 def assert_same_voxels(compare):
-    """Equal to rounding but for voxels that project within rounding of a pixel's border or of the band's end."""
+    """Equal to rounding but for voxels that project within rounding of a pixel's border or of the
+    band's end."""
 
     def check(volumes, flips=1e-4):
         a, b = volumes
@@ -91,7 +98,8 @@ def test_same_voxels(width, height, sdf, make_frames, fuse_both, assert_same_vox
 
 @pytest.mark.parametrize("weights", ["falling", "equal"])
 def test_weights_of_colours(weights, make_frames, fuse_both, compare):
-    """A distance that is off by its rounding moves a falling weight as much, and an equal one over the band's end."""
+    """A distance that is off by its rounding moves a falling weight as much, and an equal one over
+    the band's end."""
     colours = {"colour_band_voxels": 1.0, "colour_weights": weights, "max_weight": 100.0}
     (a, b), _ = fuse_both(dataclasses.replace(CONFIG, **colours), make_frames(64, 47, n=4))
     compare("fuse_frame_", "W_rgb", b.W_rgb, a.W_rgb, 1e-4, share=1e-4)
@@ -107,12 +115,19 @@ def test_voxels_anywhere_in_the_world(shift, make_frames, fuse_both, assert_same
 
 
 def test_a_camera_inside_the_map(make_frames, device, copy_to, assert_same_voxels):
-    """Blocks around and behind the camera: nothing behind it is updated, and nothing is divided by zero."""
+    """Blocks around and behind the camera: nothing behind it is updated, and nothing is divided by
+    zero."""
     frame = make_frames(64, 47, n=1)[0]
-    frame = dataclasses.replace(frame, T_WC=torch.eye(4), depth_m=torch.full((47, 64), 1.0))
+    frame = dataclasses.replace(
+        frame,
+        T_WC=torch.eye(4),
+        depth_m=torch.full((47, 64), 1.0),
+    )
     axis = torch.arange(-3, 4)
     volume = TsdfVolume(CONFIG)
-    volume.add_blocks(torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).view(-1, 3))
+    volume.add_blocks(
+        torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).view(-1, 3)
+    )
     ours = copy_to(volume)
     fuse_frame_.reference(volume, frame)
     with use_backend("cuda"):

@@ -1,4 +1,5 @@
-"""The hash set of the allocation, single voxels, and meshing; the rest is in ``test_cuda_fusion.py``."""
+"""The hash set of the allocation, single voxels, and meshing; the rest is in
+``test_cuda_fusion.py``."""
 
 import dataclasses
 import importlib
@@ -29,7 +30,8 @@ def test_a_set_that_is_too_small_grows(make_frames, device, monkeypatch):
 
 @pytest.mark.parametrize("sdf", ["z", "ray"])
 def test_the_preview_is_what_the_fusion_writes(sdf, make_frames, device, generator):
-    """To the last bit: in old and in new blocks, in blocks that are not needed, and where no block can be."""
+    """To the last bit: in old and in new blocks, in blocks that are not needed, and where no block
+    can be."""
     config = dataclasses.replace(CONFIG, sdf=sdf)
     volume = TsdfVolume(config, device=device)
     changed = 0
@@ -63,7 +65,8 @@ def assert_same_mesh(volume, copy_to, compare, min_weight=1.0) -> Mesh:
 
 @pytest.mark.parametrize("missing", [0.0, 0.02, 0.5])
 def test_random_signs_make_every_case(missing, generator, copy_to, compare):
-    """Noise has all 256 cases, across every kind of block border; blocks are missing and so are voxels."""
+    """Noise has all 256 cases, across every kind of block border; blocks are missing and so are
+    voxels."""
     axis = torch.arange(-1, 2)
     coords = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"), dim=-1).view(-1, 3)
     volume = TsdfVolume(CONFIG)

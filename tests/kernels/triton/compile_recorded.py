@@ -1,6 +1,8 @@
-"""Compile the kernel launches given on standard input, without a GPU, and print what each takes: run as a script.
+"""Compile the kernel launches given on standard input, without a GPU, and print what each takes:
+run as a script.
 
-Input: JSON, ``[{"module", "kernel", "types": {argument: type}, "constants": {name: value}, "num_warps"}, ...]``.
+Input: JSON,
+``[{"module", "kernel", "types": {argument: type}, "constants": {name: value}, "num_warps"}, ...]``.
 Arguments: compute capabilities, 90 for sm_90. Output: one line per kernel, then "compiled N".
 """
 
@@ -30,7 +32,11 @@ def source(launch: dict, target: GPUTarget) -> ASTSource:
     if not hasattr(backend, "parse_attr"):  # triton 3.2
         return ASTSource(kernel, types, constants)
     aligned = backend.parse_attr("D")
-    attrs = {(kernel.arg_names.index(name),): aligned for name, kind in types.items() if kind.startswith("*")}
+    attrs = {
+        (kernel.arg_names.index(name),): aligned
+        for name, kind in types.items()
+        if kind.startswith("*")
+    }
     signature = {name: types.get(name, "constexpr") for name in kernel.arg_names}
     return ASTSource(fn=kernel, signature=signature, constexprs=constants, attrs=attrs)
 
@@ -54,7 +60,10 @@ def main() -> None:
             options = {"num_warps": launch["num_warps"]}
             done = triton.compile(source(launch, target), target=target, options=options)
             flags = " ".join(f"{k}={v}" for k, v in launch["constants"].items())
-            print(f"sm_{capability} {launch['kernel']} [{flags}] {resources(done.asm['cubin'])}", flush=True)
+            print(
+                f"sm_{capability} {launch['kernel']} [{flags}] {resources(done.asm['cubin'])}",
+                flush=True,
+            )
     print(f"compiled {len(launches)}")
 
 

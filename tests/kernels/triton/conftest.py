@@ -1,4 +1,5 @@
-"""The Triton kernels against the reference: on a GPU where there is one, else on CPU tensors under the interpreter."""
+"""The Triton kernels against the reference: on a GPU where there is one, else on CPU tensors under
+the interpreter."""
 
 import pytest
 

@@ -1,5 +1,5 @@
-"""Every kernel compiles to machine code, in the variants that the operations launch: the interpreter takes more than
-the compiler does, which needs no GPU."""
+"""Every kernel compiles to machine code, in the variants that the operations launch: the
+interpreter takes more than the compiler does, which needs no GPU."""
 
 import importlib
 import inspect
@@ -22,7 +22,9 @@ from gsfusion_nb.render import disc_depth, disc_depth_vjp, render_forward
 from gsfusion_nb.tracking import DepthLevel, Surface, icp_system
 from gsfusion_nb.tsdf import TsdfVolume, integrate, raycast
 
-pytestmark = pytest.mark.skipif(torch.cuda.is_available(), reason="on a GPU the other tests compile the kernels")
+pytestmark = pytest.mark.skipif(
+    torch.cuda.is_available(), reason="on a GPU the other tests compile the kernels"
+)
 
 SCRIPT = Path(__file__).with_name("compile_recorded.py")
 TYPES = {
@@ -88,12 +90,16 @@ def run_everything(scene, camera, images, pose, frame) -> None:
         rgbd_l1_vjp(out.rgb, out.depth_m, images[0], images[1], pixels)
         normal = depth_to_normals(frame.camera, frame.depth_m)
         level = DepthLevel(factor=1, camera=frame.camera, depth_m=frame.depth_m, normal_C=normal)
-        surface = Surface(depth_m=seen.depth_m, normal_W=seen.normal_W, camera=frame.camera, T_WC=frame.T_WC)
+        surface = Surface(
+            depth_m=seen.depth_m, normal_W=seen.normal_W, camera=frame.camera, T_WC=frame.T_WC
+        )
         icp_system(level, frame.T_WC.double(), surface, max_distance_m=0.1, min_cosine=0.5)
 
 
 @pytest.mark.parametrize("capability", [90, pytest.param(80, marks=pytest.mark.slow)])
-def test_every_kernel_compiles(capability, launches, make_scene, make_camera, make_images, make_frames, pose, tmp_path):
+def test_every_kernel_compiles(
+    capability, launches, make_scene, make_camera, make_images, make_frames, pose, tmp_path
+):
     camera, frame = make_camera(16, 8), make_frames(12, 9, n=1)[0]
     run_everything(make_scene(5, 3), camera, make_images(camera), pose, frame)
     kernels = Path(importlib.import_module("gsfusion_nb.kernels").__file__ or "").parent
@@ -111,5 +117,9 @@ def test_every_kernel_compiles(capability, launches, make_scene, make_camera, ma
     )
     assert done.returncode == 0, done.stderr[-3000:]
     assert f"compiled {len(launches)}" in done.stdout
-    spilled = [line for line in done.stdout.splitlines() if int(re.findall(r"STACK:(\d+)|$", line)[0] or 0) > 32]
+    spilled = [
+        line
+        for line in done.stdout.splitlines()
+        if int(re.findall(r"STACK:(\d+)|$", line)[0] or 0) > 32
+    ]
     assert not spilled, f"kernels that spill registers: {spilled}"

@@ -13,19 +13,34 @@ from gsfusion_nb.optim import dssim_vjp
 
 
 def test_tensors_on_two_devices_are_refused(device):
-    with use_backend("triton"), pytest.raises(ValueError, match=r"dssim_vjp: target must be on .*, got a tensor on "):
-        dssim_vjp(torch.zeros(4, 4, 3, device=device), torch.zeros(4, 4, 3, device="meta"))
+    with (
+        use_backend("triton"),
+        pytest.raises(ValueError, match=r"dssim_vjp: target must be on .*, got a tensor on "),
+    ):
+        dssim_vjp(
+            torch.zeros(4, 4, 3, device=device),
+            torch.zeros(4, 4, 3, device="meta"),
+        )
 
 
 def test_cuda_tensors_are_found_wherever_they_are(make_scene, make_camera, pose, monkeypatch):
     """A map or a frame is on its tensors' device; a pose may be anywhere."""
     monkeypatch.setitem(backends._PREFERRED, "meta", ("triton",))
-    monkeypatch.setattr(backends, "automatic", backends.automatic.__wrapped__)  # nothing is remembered
+    monkeypatch.setattr(
+        backends, "automatic", backends.automatic.__wrapped__
+    )  # nothing is remembered
     scene = make_scene(2, 0)
     there = type(scene)(**{name: value.to("meta") for name, value in vars(scene).items()})
     chosen = backends._select("disc_depth", (there, make_camera(4, 4), pose), {})
     assert chosen is backends.load("disc_depth", "triton")
-    assert backends._select("disc_depth", (scene, make_camera(4, 4), pose), {}) is not chosen
+    assert (
+        backends._select(
+            "disc_depth",
+            (scene, make_camera(4, 4), pose),
+            {},
+        )
+        is not chosen
+    )
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
@@ -34,8 +49,15 @@ def test_without_gpu_and_interpreter_it_says_so():
     code = (
         "import torch\nfrom gsfusion_nb.backends import BackendUnavailable, use_backend\n"
         "from gsfusion_nb.optim import dssim_vjp\n"
-        "try:\n    with use_backend('triton'): dssim_vjp(torch.zeros(4, 4, 3), torch.zeros(4, 4, 3))\n"
+        "try:\n    with use_backend('triton'): dssim_vjp(torch.zeros(4, 4, 3), torch.zeros(4, 4, "
+        "3))\n"
         "except BackendUnavailable as e: print(e)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+    )
     assert "backend 'triton' needs an NVIDIA GPU, and torch sees none" in done.stdout

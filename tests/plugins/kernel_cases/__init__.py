@@ -1,4 +1,5 @@
-"""Small pieces of work that call an operation: the parity tests compare their results between backends.
+"""Small pieces of work that call an operation: the parity tests compare their results between
+backends.
 
 Each folder of ``kernels`` has a file of its name here, with a function ``cases()``.
 """
@@ -21,8 +22,9 @@ WIDTH, HEIGHT = 64, 48
 class Case:
     """One call, or a forward call with its gradient.
 
-    ``run(device, dtype)`` makes its inputs the same way each time, calls the operations through their public names, so
-    that the backend in use answers, and returns every result as a named tensor.
+    ``run(device, dtype)`` makes its inputs the same way each time, calls the operations through
+    their public names, so that the backend in use answers, and returns every result as a named
+    tensor.
     """
 
     name: str
@@ -33,9 +35,11 @@ class Case:
     dtypes: tuple[torch.dtype, ...] = (torch.float32, torch.float64)
     """Types of numbers that the operation takes."""
     tolerance: float = 1e-5
-    """Largest difference between backends in float32, as a share of the largest value of the same tensor."""
+    """Largest difference between backends in float32, as a share of the largest value of the same
+    tensor."""
     flips: float = 0.0
-    """Share of the elements that may differ by more: those that lie within rounding of a threshold."""
+    """Share of the elements that may differ by more: those that lie within rounding of a
+    threshold."""
 
 
 def all_cases() -> Iterator[Case]:
@@ -44,21 +48,48 @@ def all_cases() -> Iterator[Case]:
         yield from importlib.import_module(f"{__name__}.{file.name}").cases()
 
 
-def make_frame(device: torch.device | str = "cpu", *, whole_numbers: bool = True, shift_m: float = 0.0) -> Frame:
-    """A checked, slanted wall 1.5 m away, 64 x 48 pixels; colours as from 8 bits, or between them."""
-    v, u = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
-    levels = torch.stack([(u // 7 + v // 5) % 2 * 200, u * 3, v * 4], dim=-1)
+def make_frame(
+    device: torch.device | str = "cpu", *, whole_numbers: bool = True, shift_m: float = 0.0
+) -> Frame:
+    """A checked, slanted wall 1.5 m away, 64 x 48 pixels; colours as from 8 bits, or between
+    them."""
+    v, u = torch.meshgrid(
+        torch.arange(HEIGHT),
+        torch.arange(WIDTH),
+        indexing="ij",
+    )
+    levels = torch.stack(
+        [(u // 7 + v // 5) % 2 * 200, u * 3, v * 4],
+        dim=-1,
+    )
     rgb = levels.byte() if whole_numbers else (levels + 0.4) / 255
-    camera = Camera(width=WIDTH, height=HEIGHT, fx=50.0, fy=50.0, cx=WIDTH / 2, cy=HEIGHT / 2)
+    camera = Camera(
+        width=WIDTH,
+        height=HEIGHT,
+        fx=50.0,
+        fy=50.0,
+        cx=WIDTH / 2,
+        cy=HEIGHT / 2,
+    )
     T_WC = torch.eye(4)
     T_WC[0, 3] = shift_m
     depth_m = 1.5 + 0.004 * u.float()
-    frame = Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=T_WC)
+    frame = Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=rgb,
+        depth_m=depth_m,
+        camera=camera,
+        T_WC=T_WC,
+    )
     return frame.to(device)
 
 
 def make_params(
-    sh_degree: int, device: torch.device | str, dtype: torch.dtype = torch.float32, n: int = 50
+    sh_degree: int,
+    device: torch.device | str,
+    dtype: torch.dtype = torch.float32,
+    n: int = 50,
 ) -> GaussianParams:
     """``n`` Gaussians of all shapes and opacities in front of the camera of ``make_frame``."""
     g = torch.Generator().manual_seed(0)
@@ -73,7 +104,8 @@ def make_params(
 
 
 def make_sighted_points(n: int) -> tuple[Camera, Tensor, Tensor]:
-    """The camera of ``make_frame``, ``n`` points [n, 3] and where it sees them, with noise [n, 2]; float64.
+    """The camera of ``make_frame``, ``n`` points [n, 3] and where it sees them, with noise [n, 2];
+    float64.
 
     A quarter is seen 20 pixels off, and a tenth lies behind the camera.
     """

@@ -1,7 +1,7 @@
 """Which voxel blocks a frame's depth touches.
 
-Cases of ``band_blocks`` and ``new_band_blocks``: both distances, isolated pixels, nothing measured, and a camera far
-from the origin.
+Cases of ``band_blocks`` and ``new_band_blocks``: both distances, isolated pixels, nothing measured,
+and a camera far from the origin.
 """
 
 import dataclasses
@@ -38,22 +38,44 @@ def cases() -> Iterator[Case]:
     )
     for name, change, config in ways:
 
-        def run(device: torch.device, dtype: torch.dtype, change=change, config=config) -> dict[str, Tensor]:
+        def run(
+            device: torch.device, dtype: torch.dtype, change=change, config=config
+        ) -> dict[str, Tensor]:
             frame = _frame(**change).to(device)
-            volume = TsdfVolume(TsdfConfig(**{"voxel_size_m": 0.02, "truncation_voxels": 4.0, **config}), device)
+            volume = TsdfVolume(
+                TsdfConfig(**{"voxel_size_m": 0.02, "truncation_voxels": 4.0, **config}), device
+            )
             return {"marked": _marked(band_blocks(volume, frame), volume, frame)}
 
-        yield Case(name=name, operations=("band_blocks",), run=run, dtypes=(torch.float32,), flips=1e-4)
+        yield Case(
+            name=name,
+            operations=("band_blocks",),
+            run=run,
+            dtypes=(torch.float32,),
+            flips=1e-4,
+        )
         for known in ("none", "some", "all", "far apart"):
             run_new = functools.partial(_run_new, known=known, change=change, config=config)
             named = f"{name}, {known} known"
-            yield Case(name=named, operations=("new_band_blocks",), run=run_new, dtypes=(torch.float32,), flips=1e-4)
+            yield Case(
+                name=named,
+                operations=("new_band_blocks",),
+                run=run_new,
+                dtypes=(torch.float32,),
+                flips=1e-4,
+            )
 
 
 def _run_new(
-    device: torch.device, dtype: torch.dtype, *, known: str, change: dict[str, Any], config: dict[str, Any]
+    device: torch.device,
+    dtype: torch.dtype,
+    *,
+    known: str,
+    change: dict[str, Any],
+    config: dict[str, Any],
 ) -> dict[str, Tensor]:
-    """``known``: which of the blocks exist already; far apart: in a map that is too large for a table."""
+    """``known``: which of the blocks exist already; far apart: in a map that is too large for a
+    table."""
     frame = _frame(**change)
     volume = TsdfVolume(TsdfConfig(**{"voxel_size_m": 0.02, "truncation_voxels": 4.0, **config}))
     with use_backend("reference"):
@@ -75,18 +97,26 @@ def _run_new(
     }
 
 
-def _frame(*, isolated: bool = False, depth_m: float | None = None, offset_m: float = 0.0) -> Frame:
+def _frame(
+    *,
+    isolated: bool = False,
+    depth_m: float | None = None,
+    offset_m: float = 0.0,
+) -> Frame:
     frame = make_frame()
     depth = frame.depth_m.clone() if depth_m is None else torch.full_like(frame.depth_m, depth_m)
     if isolated:
         depth[::9, ::7] = 0.7
-    T_WC = se3.exp(torch.tensor([0.11, -0.23, 0.31, 0.2, -0.3, 0.1]))  # no wall of a block along an axis of the image
+    T_WC = se3.exp(
+        torch.tensor([0.11, -0.23, 0.31, 0.2, -0.3, 0.1])
+    )  # no wall of a block along an axis of the image
     T_WC[:3, 3] += offset_m
     return dataclasses.replace(frame, depth_m=depth, T_WC=T_WC)
 
 
 def _marked(blocks: Tensor, volume: TsdfVolume, frame: Frame) -> Tensor:
-    """Which blocks around the camera were found; a block that a ray touches to rounding is one element."""
+    """Which blocks around the camera were found; a block that a ray touches to rounding is one
+    element."""
     own = (frame.T_WC[:3, 3].double() / volume.block_size_m).floor().long()
     marked = torch.zeros([2 * _REACH + 1] * 3, device=blocks.device)
     marked[tuple((blocks - own + _REACH).unbind(1))] = 1.0

@@ -1,6 +1,7 @@
 """The base of a picture: holes of a surface filled, half a picture enlarged.
 
-Cases of ``base_view``: every way with holes, at the picture's size and at half of it, odd sizes, no surface.
+Cases of ``base_view``: every way with holes, at the picture's size and at half of it, odd sizes, no
+surface.
 """
 
 import functools
@@ -17,7 +18,12 @@ from . import Case
 
 def cases() -> Iterator[Case]:
     """Sizes, then ways with holes."""
-    for size, small in (((24, 32), (24, 32)), ((24, 32), (12, 16)), ((23, 33), (12, 17)), ((1, 1), (1, 1))):
+    for size, small in (
+        ((24, 32), (24, 32)),
+        ((24, 32), (12, 16)),
+        ((23, 33), (12, 17)),
+        ((1, 1), (1, 1)),
+    ):
         yield _case(f"{size} from {small}", size, small)
     for holes in ("black", "gaussians"):
         yield _case(f"holes {holes}", (24, 32), (12, 16), holes=holes)
@@ -25,9 +31,19 @@ def cases() -> Iterator[Case]:
     yield _case("no surface", (24, 32), (12, 16), share=1.0)
 
 
-def _case(name: str, size: tuple[int, int], small: tuple[int, int], **options: Any) -> Case:
+def _case(
+    name: str,
+    size: tuple[int, int],
+    small: tuple[int, int],
+    **options: Any,
+) -> Case:
     run = functools.partial(_run, size, small, **options)
-    return Case(name=name, operations=("base_view",), run=run, dtypes=(torch.float32,))
+    return Case(
+        name=name,
+        operations=("base_view",),
+        run=run,
+        dtypes=(torch.float32,),
+    )
 
 
 def _run(
@@ -44,5 +60,11 @@ def _run(
     rgb, steps = torch.rand(*small, 3, generator=g), torch.randint(1, 3, small, generator=g)
     known = torch.rand(small, generator=g) >= share
     depth_m = (steps + 0.01 * torch.rand(small, generator=g)) * known
-    view = base_view((rgb * known[..., None]).to(device, dtype), depth_m.to(device, dtype), size, holes, 0.1)
+    view = base_view(
+        (rgb * known[..., None]).to(device, dtype),
+        depth_m.to(device, dtype),
+        size,
+        holes,
+        0.1,
+    )
     return vars(view.base) | {"depth_everywhere_m": view.depth_everywhere_m}

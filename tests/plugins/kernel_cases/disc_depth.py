@@ -1,6 +1,7 @@
 """Depth of the first opaque disc at each pixel, and its gradient (RTG-SLAM).
 
-Cases of ``disc_depth`` and ``disc_depth_vjp``: discs that are met, planes too steep or too far away, no hits.
+Cases of ``disc_depth`` and ``disc_depth_vjp``: discs that are met, planes too steep or too far
+away, no hits.
 """
 
 import functools
@@ -16,7 +17,8 @@ from . import HEIGHT, WIDTH, Case, make_frame, make_params
 
 
 def cases() -> Iterator[Case]:
-    """With and without the test of the offset; lenient angles; some rows; equal scales; one Gaussian and none."""
+    """With and without the test of the offset; lenient angles; some rows; equal scales; one
+    Gaussian and none."""
     yield _case("usual")
     yield _case("without the test of the offset", max_offset=None)
     yield _case("any angle", max_offset=None, min_cosine=0.05)
@@ -27,9 +29,16 @@ def cases() -> Iterator[Case]:
 
 
 def _case(name: str, **options) -> Case:
-    # an angle or an offset within rounding of its limit may fall on either side; a steep plane is met far away
+    # an angle or an offset within rounding of its limit may fall on either side; a steep plane is
+    # met far away
     operations = ("disc_depth", "disc_depth_vjp")
-    return Case(name=name, operations=operations, run=functools.partial(_run, **options), tolerance=5e-5, flips=2e-3)
+    return Case(
+        name=name,
+        operations=operations,
+        run=functools.partial(_run, **options),
+        tolerance=5e-5,
+        flips=2e-3,
+    )
 
 
 def _run(
@@ -41,17 +50,25 @@ def _run(
     equal_scales: bool = False,
     **options,
 ) -> dict[str, Tensor]:
-    """Every pixel hits a Gaussian at random, or none: far from the disc the offset is tested, too."""
+    """Every pixel hits a Gaussian at random, or none: far from the disc the offset is tested,
+    too."""
     params, frame = make_params(0, device, dtype, n), make_frame(device)
     log_scale = params.log_scale + 2.0
     if equal_scales:
         log_scale = log_scale[:, :1].expand(n, 3)
     params = GaussianParams(**{**vars(params), "log_scale": log_scale})
     g = torch.Generator().manual_seed(1)
-    hit_index = torch.randint(-1, max(n, 1), (HEIGHT, WIDTH), generator=g).to(device)
+    hit_index = torch.randint(
+        -1,
+        max(n, 1),
+        (HEIGHT, WIDTH),
+        generator=g,
+    ).to(device)
     hit_index = torch.where(hit_index < n, hit_index, -1)
     v = torch.randn(HEIGHT, WIDTH, generator=g).to(device, dtype)
     rows = (torch.rand(n, generator=g) < 0.5).to(device) if some_rows else None
     disc = disc_depth(params, frame.camera, frame.T_WC, hit_index, **options)
-    v_xyz_W, v_quat = disc_depth_vjp(params, frame.camera, frame.T_WC, hit_index, v, rows=rows, **options)
+    v_xyz_W, v_quat = disc_depth_vjp(
+        params, frame.camera, frame.T_WC, hit_index, v, rows=rows, **options
+    )
     return vars(disc) | {"v_xyz_W": v_xyz_W, "v_quat": v_quat}

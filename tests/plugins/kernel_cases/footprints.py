@@ -1,6 +1,7 @@
 """Which Gaussians a camera sees, and how large they are in its image.
 
-Cases of ``footprints``: Gaussians before, beside and behind the camera, some that are not drawn, and none.
+Cases of ``footprints``: Gaussians before, beside and behind the camera, some that are not drawn,
+and none.
 """
 
 import functools
@@ -17,11 +18,24 @@ from .rasterize import break_rows
 
 def cases() -> Iterator[Case]:
     """One with everything, and one of an empty map."""
-    yield Case(name="all around", operations=("footprints",), run=functools.partial(_run, 600), flips=2e-3)
-    yield Case(name="0 Gaussians", operations=("footprints",), run=functools.partial(_run, 0))
+    yield Case(
+        name="all around",
+        operations=("footprints",),
+        run=functools.partial(_run, 600),
+        flips=2e-3,
+    )
+    yield Case(
+        name="0 Gaussians",
+        operations=("footprints",),
+        run=functools.partial(_run, 0),
+    )
 
 
-def _run(n: int, device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
+def _run(
+    n: int,
+    device: torch.device,
+    dtype: torch.dtype,
+) -> dict[str, Tensor]:
     params, frame = make_params(1, device, dtype, n), make_frame(device)
     if n:
         params.xyz_W.mul_(3.0)

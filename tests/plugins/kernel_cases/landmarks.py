@@ -1,7 +1,7 @@
 """Least squares of landmarks for the pose of a camera.
 
-Cases of ``landmark_sums`` and ``landmark_pose``: landmarks in front of and behind the camera, with and without
-depth, some of them wrong, and none.
+Cases of ``landmark_sums`` and ``landmark_pose``: landmarks in front of and behind the camera, with
+and without depth, some of them wrong, and none.
 """
 
 import functools
@@ -23,12 +23,26 @@ def cases() -> Iterator[Case]:
     """Few and many landmarks, and none."""
     for n in (0, 4, 300):
         run, operations = functools.partial(_results, n), ("landmark_sums", "landmark_pose")
-        yield Case(name=f"{n} landmarks", operations=operations, run=run, dtypes=(torch.float32,), tolerance=_ROUNDING)
+        yield Case(
+            name=f"{n} landmarks",
+            operations=operations,
+            run=run,
+            dtypes=(torch.float32,),
+            tolerance=_ROUNDING,
+        )
 
 
-def _results(n: int, device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
+def _results(
+    n: int,
+    device: torch.device,
+    dtype: torch.dtype,
+) -> dict[str, Tensor]:
     camera, xyz_C, uv = make_sighted_points(n)
-    inverse = torch.where(torch.arange(n) % 3 > 0, 1 / xyz_C[:, 2].abs(), 0.0)
+    inverse = torch.where(
+        torch.arange(n) % 3 > 0,
+        1 / xyz_C[:, 2].abs(),
+        0.0,
+    )
     T_WC = se3.exp(torch.tensor([0.4, -0.3, 0.2, 0.3, -0.8, 0.2]).double())
     rows = LandmarkRows(
         camera=camera,

@@ -1,6 +1,7 @@
 """Triangle mesh of the TSDF's zero level.
 
-Cases of ``extract_mesh``: the map of a wall, every case of the triangle table, and maps without a surface.
+Cases of ``extract_mesh``: the map of a wall, every case of the triangle table, and maps without a
+surface.
 """
 
 from collections.abc import Iterator
@@ -33,7 +34,13 @@ def _case(name: str, make, *, min_weight: float = 1.0) -> Case:
         mesh = extract_mesh(volume, min_weight=min_weight)
         return {"vertices_W": mesh.vertices_W, "faces": mesh.faces, "rgb": mesh.rgb}
 
-    return Case(name=name, operations=("extract_mesh",), run=run, dtypes=(torch.float32,), tolerance=1e-6)
+    return Case(
+        name=name,
+        operations=("extract_mesh",),
+        run=run,
+        dtypes=(torch.float32,),
+        tolerance=1e-6,
+    )
 
 
 def _wall() -> TsdfVolume:
@@ -41,7 +48,8 @@ def _wall() -> TsdfVolume:
 
 
 def _noise(*, missing: float) -> TsdfVolume:
-    """All 256 cases, across every kind of border between blocks; every fourth block is not there."""
+    """All 256 cases, across every kind of border between blocks; every fourth block is not
+    there."""
     g = torch.Generator().manual_seed(0)
     volume = TsdfVolume(TsdfConfig(voxel_size_m=0.05))
     axis = torch.arange(-1, 2)

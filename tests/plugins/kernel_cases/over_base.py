@@ -1,6 +1,7 @@
 """Gaussians over a picture of the surface, blended without order, and the gradient.
 
-Cases of ``render_over_base`` and its gradient: holes, hidden Gaussians, no weight of the base, and every option.
+Cases of ``render_over_base`` and its gradient: holes, hidden Gaussians, no weight of the base, and
+every option.
 """
 
 import functools
@@ -55,7 +56,10 @@ def _run(
     depth_m[:10, :20] = 0.0
     rgb = make_frame().rgb.to(device, dtype)  # a GPU divides bytes by 255 with other rounding
     base = Base(rgb=rgb, depth_m=depth_m, weight=weight.to(device, dtype))
-    v_rgb, rows = torch.randn(*size, 3, generator=g).to(device, dtype), (torch.rand(n, generator=g) < 0.5).to(device)
+    v_rgb, rows = (
+        torch.randn(*size, 3, generator=g).to(device, dtype),
+        (torch.rand(n, generator=g) < 0.5).to(device),
+    )
     out, saved = render_over_base(params, frame.camera, frame.T_WC, base, behind_m=0.1)
     names = ("v_uv", "v_uv_abs") if with_centres else ()
     centres = {name: torch.full((n, 2), torch.nan, dtype=dtype, device=device) for name in names}

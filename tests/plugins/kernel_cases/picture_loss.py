@@ -21,7 +21,11 @@ def cases() -> Iterator[Case]:
         yield Case(name=name, operations=("l1_mse_vjp", "l2_mse_vjp"), run=run)
 
 
-def _run(planes: bool, device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
+def _run(
+    planes: bool,
+    device: torch.device,
+    dtype: torch.dtype,
+) -> dict[str, Tensor]:
     results = {}
     for height, width in ((1, 1), (37, 53), (240, 320)):
         g = torch.Generator().manual_seed(0)
@@ -31,5 +35,8 @@ def _run(planes: bool, device: torch.device, dtype: torch.dtype) -> dict[str, Te
         rgb = rgb.permute(2, 0, 1).contiguous().permute(1, 2, 0) if planes else rgb
         for loss in (l1_mse_vjp, l2_mse_vjp):
             found = loss(rgb.to(device, dtype), target.to(device, dtype))
-            results |= {f"{loss.__name__}, {name} {height}x{width}": value for name, value in vars(found).items()}
+            results |= {
+                f"{loss.__name__}, {name} {height}x{width}": value
+                for name, value in vars(found).items()
+            }
     return results

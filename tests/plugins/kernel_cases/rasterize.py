@@ -1,6 +1,7 @@
 """Picture of a Gaussian map and its gradient.
 
-Cases of ``render_forward`` and ``render_vjp``: every degree and option, and maps of no, one and fifty Gaussians.
+Cases of ``render_forward`` and ``render_vjp``: every degree and option, and maps of no, one and
+fifty Gaussians.
 """
 
 import functools
@@ -24,26 +25,45 @@ def cases() -> Iterator[Case]:
     for degree in (0, 3):
         yield _case(f"SH {degree}, without indices", degree=degree, with_indices=False)
     for degree in (0, 3):
-        yield _case(f"SH {degree}, gradient of colour only", degree=degree, with_indices=False, gradients=1)
+        yield _case(
+            f"SH {degree}, gradient of colour only", degree=degree, with_indices=False, gradients=1
+        )
     yield _case("gradients of colour and depth", gradients=2)
     yield _case("hits", opaque_alpha=OPAQUE)
     yield _case("hits, without indices", opaque_alpha=OPAQUE, with_indices=False)
     yield _case("centres in the image", with_centres=True)
-    yield _case("centres in the image, some pixels and rows", with_centres=True, masked=True, some_rows=True)
+    yield _case(
+        "centres in the image, some pixels and rows", with_centres=True, masked=True, some_rows=True
+    )
     yield _case("some pixels", masked=True)
     yield _case("some rows", some_rows=True)
-    yield _case("some pixels and rows, hits", degree=3, masked=True, some_rows=True, opaque_alpha=OPAQUE)
     yield _case(
-        "rows with NaN, infinities and overflows", degree=1, broken=True, with_centres=True, opaque_alpha=OPAQUE
+        "some pixels and rows, hits", degree=3, masked=True, some_rows=True, opaque_alpha=OPAQUE
+    )
+    yield _case(
+        "rows with NaN, infinities and overflows",
+        degree=1,
+        broken=True,
+        with_centres=True,
+        opaque_alpha=OPAQUE,
     )
     for n in (0, 1):
-        yield _case(f"{n} Gaussians", n=n, masked=True, some_rows=True, with_centres=True, opaque_alpha=OPAQUE)
+        yield _case(
+            f"{n} Gaussians",
+            n=n,
+            masked=True,
+            some_rows=True,
+            with_centres=True,
+            opaque_alpha=OPAQUE,
+        )
 
 
 def _case(name: str, **options) -> Case:
     # a pair within rounding of the 1/255 cut or of the 1e-4 stop may fall on either side
     run = functools.partial(_run, **options)
-    return Case(name=name, operations=("render_forward", "render_vjp"), run=run, tolerance=2e-5, flips=2e-3)
+    return Case(
+        name=name, operations=("render_forward", "render_vjp"), run=run, tolerance=2e-5, flips=2e-3
+    )
 
 
 def _run(
@@ -59,17 +79,22 @@ def _run(
     with_centres: bool = False,
     **options,
 ) -> dict[str, Tensor]:
-    """``gradients``: how many of colour, depth and alpha have one. ``broken``: some rows must not be drawn.
-    ``with_centres``: also the gradient of the centres in the image, and the sum of its absolute values."""
+    """``gradients``: how many of colour, depth and alpha have one. ``broken``: some rows must not
+    be drawn. ``with_centres``: also the gradient of the centres in the image, and the sum of its
+    absolute values."""
     params, frame = make_params(degree, device, dtype, n), make_frame(device)
     if broken:
         break_rows(params)
     g = torch.Generator().manual_seed(1)
-    v = [torch.randn(HEIGHT, WIDTH, *size, generator=g).to(device, dtype) for size in ((3,), (), ())]
+    v = [
+        torch.randn(HEIGHT, WIDTH, *size, generator=g).to(device, dtype) for size in ((3,), (), ())
+    ]
     pixels = torch.rand(HEIGHT, WIDTH, generator=g) < 0.3
     pixels[: HEIGHT // 2, : WIDTH // 2] = False  # and whole tiles without any
     pixels, rows = pixels.to(device), (torch.rand(n, generator=g) < 0.5).to(device)
-    out, saved = render_forward(params, frame.camera, frame.T_WC, pixels=pixels if masked else None, **options)
+    out, saved = render_forward(
+        params, frame.camera, frame.T_WC, pixels=pixels if masked else None, **options
+    )
     names = ("v_uv", "v_uv_abs") if with_centres else ()
     centres = {name: torch.full((n, 2), torch.nan, dtype=dtype, device=device) for name in names}
     gradient = render_vjp(saved, *v[:gradients], rows=rows if some_rows else None, **centres)

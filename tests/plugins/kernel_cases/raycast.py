@@ -1,6 +1,7 @@
 """Surface of the TSDF seen from a camera.
 
-Cases of ``raycast``: the map of a wall from several places, with unobserved voxels, and an empty map.
+Cases of ``raycast``: the map of a wall from several places, with unobserved voxels, and an empty
+map.
 """
 
 from collections.abc import Iterator
@@ -34,7 +35,13 @@ def cases() -> Iterator[Case]:
     yield _case("an empty map", _POSES["from where it was seen"], empty=True)
 
 
-def _case(name: str, twist: tuple[float, ...], *, gaps: bool = False, empty: bool = False) -> Case:
+def _case(
+    name: str,
+    twist: tuple[float, ...],
+    *,
+    gaps: bool = False,
+    empty: bool = False,
+) -> Case:
     def run(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
         with use_backend("reference"):
             volume = make_map([wall()], torch.device("cpu")).to(device)
@@ -43,8 +50,19 @@ def _case(name: str, twist: tuple[float, ...], *, gaps: bool = False, empty: boo
         if empty:
             volume = TsdfVolume(TsdfConfig(), device)
         camera = wall().camera.resized(24, 18)
-        seen = raycast(volume, camera, se3.exp(torch.tensor(twist)).to(device))
+        seen = raycast(
+            volume,
+            camera,
+            se3.exp(torch.tensor(twist)).to(device),
+        )
         return {"depth_m": seen.depth_m, "normal_W": seen.normal_W, "rgb": seen.rgb}
 
     # a ray whose step ends within rounding of a surface may take another way
-    return Case(name=name, operations=("raycast",), run=run, dtypes=(torch.float32,), tolerance=1e-4, flips=1e-2)
+    return Case(
+        name=name,
+        operations=("raycast",),
+        run=run,
+        dtypes=(torch.float32,),
+        tolerance=1e-4,
+        flips=1e-2,
+    )

@@ -1,7 +1,8 @@
 """Voxels that contain given points, as they are and as a frame will change them.
 
-Cases of ``sample_voxels`` and ``sample_fused_voxels``: points inside and outside of a map, on its borders, and none;
-for the second also blocks that are only about to be allocated, and both distances.
+Cases of ``sample_voxels`` and ``sample_fused_voxels``: points inside and outside of a map, on its
+borders, and none; for the second also blocks that are only about to be allocated, and both
+distances.
 """
 
 from collections.abc import Iterator
@@ -30,7 +31,9 @@ def cases() -> Iterator[Case]:
     yield _case("on borders of blocks", borders)
     yield _case("no points", spread[:0])
     yield _case("an empty map", spread[:7], empty=True)
-    near = torch.rand(2000, 3, generator=g) * torch.tensor([2.4, 1.8, 0.9]) - torch.tensor([1.2, 0.9, -1.2])
+    near = torch.rand(2000, 3, generator=g) * torch.tensor([2.4, 1.8, 0.9]) - torch.tensor(
+        [1.2, 0.9, -1.2]
+    )
     for sdf in ("z", "ray"):
         yield _fused(f"{sdf}, old and new blocks", near, sdf=sdf)
     yield _fused("outside of the map", spread)
@@ -48,10 +51,23 @@ def _case(name: str, xyz_W: Tensor, *, empty: bool = False) -> Case:
         volume = TsdfVolume(TsdfConfig(), device) if empty else volume
         return _columns(sample_voxels(volume, xyz_W.to(device)))
 
-    return Case(name=name, operations=("sample_voxels",), run=run, dtypes=(torch.float32,), tolerance=0.0)
+    return Case(
+        name=name,
+        operations=("sample_voxels",),
+        run=run,
+        dtypes=(torch.float32,),
+        tolerance=0.0,
+    )
 
 
-def _fused(name: str, xyz_W: Tensor, *, empty: bool = False, nothing_new: bool = False, **config: Any) -> Case:
+def _fused(
+    name: str,
+    xyz_W: Tensor,
+    *,
+    empty: bool = False,
+    nothing_new: bool = False,
+    **config: Any,
+) -> Case:
     def run(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
         frame = wall(shift_m=0.03)
         with use_backend("reference"):
@@ -60,9 +76,17 @@ def _fused(name: str, xyz_W: Tensor, *, empty: bool = False, nothing_new: bool =
             needed = band_blocks(volume, frame)
         volume = volume.to(device)
         missing = volume.make_room((needed[:0] if nothing_new else needed).to(device))
-        return _columns(FusedView(volume, frame.to(device), missing).sample_nearest(xyz_W.to(device)))
+        return _columns(
+            FusedView(volume, frame.to(device), missing).sample_nearest(xyz_W.to(device))
+        )
 
-    return Case(name=name, operations=("sample_fused_voxels",), run=run, dtypes=(torch.float32,), flips=_FLIPS)
+    return Case(
+        name=name,
+        operations=("sample_fused_voxels",),
+        run=run,
+        dtypes=(torch.float32,),
+        flips=_FLIPS,
+    )
 
 
 def _columns(sample: TsdfSample) -> dict[str, Tensor]:

@@ -39,7 +39,11 @@ class Recording:
             np.savetxt(self.root / "poses.txt", poses.reshape(-1, 16), fmt="%.9f")
         (self.root / "intrinsics.json").write_text(json.dumps(self.intrinsics | intrinsics))
 
-    def change_images(self, kind: str, change: Callable[[int, list[np.ndarray]], np.ndarray]) -> None:
+    def change_images(
+        self,
+        kind: str,
+        change: Callable[[int, list[np.ndarray]], np.ndarray],
+    ) -> None:
         """Replace image i by ``change(i, all images)``; ``kind`` is rgb or depth."""
         files = sorted((self.root / kind).iterdir())
         images: list[Any] = [cv2.imread(str(f), cv2.IMREAD_UNCHANGED) for f in files]
@@ -82,15 +86,30 @@ def _wxyz_as_xyzw(T: np.ndarray) -> np.ndarray:
 
 def _later(k: int) -> Callable[[Recording], None]:
     """Poses of k frames later."""
-    return lambda r: r.write(poses=r.poses[np.clip(np.arange(len(r.poses)) + k, 0, len(r.poses) - 1)])
+    return lambda r: r.write(
+        poses=r.poses[
+            np.clip(
+                np.arange(len(r.poses)) + k,
+                0,
+                len(r.poses) - 1,
+            )
+        ]
+    )
 
 
-def _moved_colour(x: float, y: float, scale: float) -> Callable[[Recording], None]:
+def _moved_colour(
+    x: float,
+    y: float,
+    scale: float,
+) -> Callable[[Recording], None]:
     def change(i: int, images: list[np.ndarray]) -> np.ndarray:
         h, w = images[i].shape[:2]
         k = w / 640
         matrix = np.array(
-            [[scale, 0, (1 - scale) * (w - 1) / 2 + k * x], [0, scale, (1 - scale) * (h - 1) / 2 + k * y]]
+            [
+                [scale, 0, (1 - scale) * (w - 1) / 2 + k * x],
+                [0, scale, (1 - scale) * (h - 1) / 2 + k * y],
+            ]
         )
         return cv2.warpAffine(images[i], matrix, (w, h), borderMode=cv2.BORDER_REPLICATE)
 
@@ -101,7 +120,10 @@ def _ray_depth(r: Recording) -> None:
     k = r.intrinsics
     u, v = np.meshgrid(np.arange(k["width"]), np.arange(k["height"]))
     length = np.sqrt(1 + ((u - k["cx"]) / k["fx"]) ** 2 + ((v - k["cy"]) / k["fy"]) ** 2)
-    r.change_images("depth", lambda i, d: np.rint(d[i] * length).clip(0, 65535).astype(np.uint16))
+    r.change_images(
+        "depth",
+        lambda i, d: np.rint(d[i] * length).clip(0, 65535).astype(np.uint16),
+    )
 
 
 def _coded(i: int, depth: list[np.ndarray]) -> np.ndarray:
@@ -144,11 +166,18 @@ def _freeze(r: Recording) -> None:
 
 def _other_size(r: Recording) -> None:
     k = r.intrinsics
-    r.write(**{n: 2 * k[n] for n in ("width", "height", "fx", "fy")}, cx=2 * k["cx"] + 0.5, cy=2 * k["cy"] + 0.5)
+    r.write(
+        **{n: 2 * k[n] for n in ("width", "height", "fx", "fy")},
+        cx=2 * k["cx"] + 0.5,
+        cy=2 * k["cy"] + 0.5,
+    )
 
 
 def _colour_ahead(r: Recording) -> None:
-    r.change_images("rgb", lambda i, c: c[min(i + 2, len(c) - 1)])
+    r.change_images(
+        "rgb",
+        lambda i, c: c[min(i + 2, len(c) - 1)],
+    )
     for folder in ("rgb", "depth"):
         for f in sorted((r.root / folder).iterdir())[-2:]:
             f.unlink()
@@ -162,16 +191,30 @@ _MIRROR = np.diag([1.0, -1, 1, 1])
 BREAKAGES = {
     "clean": Breakage(lambda r: None, set()),
     "depth 5000 as 1000": Breakage(_scale_depth(5), {"depth scale"}, {"depth_factor": 0.2}),
-    "depth 4 % off": Breakage(_scale_depth(1.04), {"depth scale"}, {"depth_factor": (1 / 1.04, 0.012)}),
+    "depth 4 % off": Breakage(
+        _scale_depth(1.04), {"depth scale"}, {"depth_factor": (1 / 1.04, 0.012)}
+    ),
     "mm poses": Breakage(
         _poses(lambda T: T * np.array([[1, 1, 1, 1000.0]] * 3 + [[1, 1, 1, 1]])),
         {"depth scale"},
         {"translation_factor": 0.001},
     ),
     "inverted": Breakage(_poses(np.linalg.inv), {"pose direction"}, {"poses": "world_to_camera"}),
-    "opengl": Breakage(_poses(lambda T: T @ _GL), {"pose axes"}, {"axes": "opengl"}),
-    "ros": Breakage(_poses(lambda T: T @ _ROS.T), {"pose axes"}, {"axes": "ros"}),
-    "unity": Breakage(_poses(lambda T: _MIRROR @ T @ _MIRROR), {"pose axes"}, {"axes": "unity"}),
+    "opengl": Breakage(
+        _poses(lambda T: T @ _GL),
+        {"pose axes"},
+        {"axes": "opengl"},
+    ),
+    "ros": Breakage(
+        _poses(lambda T: T @ _ROS.T),
+        {"pose axes"},
+        {"axes": "ros"},
+    ),
+    "unity": Breakage(
+        _poses(lambda T: _MIRROR @ T @ _MIRROR),
+        {"pose axes"},
+        {"axes": "unity"},
+    ),
     "opengl view matrices": Breakage(
         _poses(lambda T: np.linalg.inv(T @ _GL)),
         {"pose direction", "pose axes"},
@@ -198,22 +241,46 @@ BREAKAGES = {
         {"fx": ("fx", 0.01), "cx": ("cx", 0.02)},
     ),
     "other size": Breakage(_other_size, {"image size"}, {"fit_sizes": True}),
-    "half a pixel": Breakage(lambda r: r.write(pixel_centre=0.5), {"principal point"}, {"cx": ("cx", 0.002)}),
-    "ray depth": Breakage(_ray_depth, {"depth kind"}, {"depth_kind": "ray"}),
-    "65535": Breakage(lambda r: r.change_images("depth", _coded), {"depth codes"}, {"depth_max_m": ("code", 0.02)}),
-    "colour moved": Breakage(
-        _moved_colour(10, -6, 1.0), {"registration"}, {"rgb_shift_x_px": (10, 2.0), "rgb_shift_y_px": (-6, 2.0)}
+    "half a pixel": Breakage(
+        lambda r: r.write(pixel_centre=0.5),
+        {"principal point"},
+        {"cx": ("cx", 0.002)},
     ),
-    "other camera": Breakage(_moved_colour(-12, 4, 0.91), {"registration"}, {"rgb_scale": (0.91, 0.015)}),
+    "ray depth": Breakage(_ray_depth, {"depth kind"}, {"depth_kind": "ray"}),
+    "65535": Breakage(
+        lambda r: r.change_images("depth", _coded),
+        {"depth codes"},
+        {"depth_max_m": ("code", 0.02)},
+    ),
+    "colour moved": Breakage(
+        _moved_colour(10, -6, 1.0),
+        {"registration"},
+        {"rgb_shift_x_px": (10, 2.0), "rgb_shift_y_px": (-6, 2.0)},
+    ),
+    "other camera": Breakage(
+        _moved_colour(-12, 4, 0.91), {"registration"}, {"rgb_scale": (0.91, 0.015)}
+    ),
     "mirrored": Breakage(
-        lambda r: r.change_images("rgb", lambda i, c: c[i][:, ::-1]), {"registration"}, {"rgb_mirror": "x"}
+        lambda r: r.change_images("rgb", lambda i, c: c[i][:, ::-1]),
+        {"registration"},
+        {"rgb_mirror": "x"},
     ),
     "colour ahead": Breakage(_colour_ahead, {"colour time"}, {"rgb_shift_frames": -2}),
     "mixed up": Breakage(
-        lambda r: r.change_images("rgb", lambda i, c: c[(i * 7 + 3) % len(c)]), {"registration"}, mends=False
+        lambda r: r.change_images("rgb", lambda i, c: c[(i * 7 + 3) % len(c)]),
+        {"registration"},
+        mends=False,
     ),
-    "exposure": Breakage(lambda r: r.change_images("rgb", _exposure), {"exposure"}, mends=False),
-    "blur": Breakage(lambda r: r.change_images("rgb", _blur), {"sharpness"}, {"skip": (7, 18)}),
+    "exposure": Breakage(
+        lambda r: r.change_images("rgb", _exposure),
+        {"exposure"},
+        mends=False,
+    ),
+    "blur": Breakage(
+        lambda r: r.change_images("rgb", _blur),
+        {"sharpness"},
+        {"skip": (7, 18)},
+    ),
     "frozen": Breakage(_freeze, {"frozen frames"}, {"skip": (10, 11)}),
 }
 
@@ -238,7 +305,9 @@ def write_clean(source: str, root: Path, folder: Path | None) -> Recording:
             shutil.copy(f, root / kind / f"{i:06d}{f.suffix}")
     recording = Recording(root)
     (root / "intrinsics.json").write_text((folder / "intrinsics.json").read_text())
-    recording.write(poses=np.loadtxt(folder / "poses.txt").reshape(-1, 4, 4)[first : first + N_FRAMES])
+    recording.write(
+        poses=np.loadtxt(folder / "poses.txt").reshape(-1, 4, 4)[first : first + N_FRAMES]
+    )
     return recording
 
 
@@ -248,10 +317,24 @@ def _write_room(root: Path, width: int, height: int) -> Recording:
     sequence = room(n_frames=200, width=width, height=height)
     for i in range(N_FRAMES):
         frame = sequence[i]
-        cv2.imwrite(str(root / f"rgb/{i:06d}.jpg"), frame.rgb_u8.numpy()[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])
-        cv2.imwrite(str(root / f"depth/{i:06d}.png"), np.rint(frame.depth_m.numpy() * 5000).astype(np.uint16))
+        cv2.imwrite(
+            str(root / f"rgb/{i:06d}.jpg"),
+            frame.rgb_u8.numpy()[..., ::-1],
+            [cv2.IMWRITE_JPEG_QUALITY, 95],
+        )
+        cv2.imwrite(
+            str(root / f"depth/{i:06d}.png"),
+            np.rint(frame.depth_m.numpy() * 5000).astype(np.uint16),
+        )
     c = sequence.camera
-    values = {"width": c.width, "height": c.height, "fx": c.fx, "fy": c.fy, "cx": c.cx - 0.5, "cy": c.cy - 0.5}
+    values = {
+        "width": c.width,
+        "height": c.height,
+        "fx": c.fx,
+        "fy": c.fy,
+        "cx": c.cx - 0.5,
+        "cy": c.cy - 0.5,
+    }
     (root / "intrinsics.json").write_text(json.dumps(values | {"depth_scale": 5000.0}))
     recording = Recording(root)
     recording.write(poses=np.stack([sequence[i].T_WC.double().numpy() for i in range(N_FRAMES)]))
@@ -276,7 +359,9 @@ def broken(tmp_path, clean_recordings, request):
     """``broken(source, breakage)`` is a copy broken so, and the clean one's intrinsics."""
 
     def get(source: str, breakage: str) -> tuple[Recording, dict]:
-        folder = None if source in ROOM_SIZES else request.getfixturevalue("shared_sequence")(source)
+        folder = (
+            None if source in ROOM_SIZES else request.getfixturevalue("shared_sequence")(source)
+        )
         clean = clean_recordings(source, folder)
         root = tmp_path / "scan"
         shutil.copytree(clean.root, root)

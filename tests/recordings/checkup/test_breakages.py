@@ -8,10 +8,26 @@ from gsfusion_nb.recordings.checkup import check_recording
 FAST = ("clean", "depth 5000 as 1000", "opengl")
 IN_CI = ("focal", "colour ahead", "inverted", "wxyz", "pose jump", "65535", "colour moved")
 SLOW = (
-    "depth 4 % off", "mm poses", "ros", "unity", "opengl view matrices",
-    "path is interrupted", "poses early", "poses late", "cx cy", "half intrinsics", "half a pixel",
-    "other size", "ray depth", "other camera", "mirrored", "mixed up", "exposure", "blur", "frozen",
-)  # fmt: skip
+    "depth 4 % off",
+    "mm poses",
+    "ros",
+    "unity",
+    "opengl view matrices",
+    "path is interrupted",
+    "poses early",
+    "poses late",
+    "cx cy",
+    "half intrinsics",
+    "half a pixel",
+    "other size",
+    "ray depth",
+    "other camera",
+    "mirrored",
+    "mixed up",
+    "exposure",
+    "blur",
+    "frozen",
+)
 REAL = ("redkitchen250", "livingroom1_clean211", "redkitchen_mini48")
 TOO_NOISY = ("half a pixel",)
 """Not to be seen through a Kinect's noise."""
@@ -22,7 +38,8 @@ def test_all_breakages_are_listed(breakages):
 
 
 def expected_value(value, intrinsics):
-    """Number and tolerance of an expected repair; a name stands for the clean recording's intrinsics."""
+    """Number and tolerance of an expected repair; a name stands for the clean recording's
+    intrinsics."""
     number, tolerance = value
     if number == "code":
         return 65535 / intrinsics["depth_scale"], tolerance
@@ -45,7 +62,9 @@ def examine(broken, breakages, source, name):
             if field.startswith("rgb_shift"):
                 value = (value[0] * intrinsics["width"] / 640, value[1])
             number, tolerance = expected_value(value, intrinsics)
-            assert found == pytest.approx(number, abs=tolerance if field != "depth_max_m" else 0.02 * number)
+            assert found == pytest.approx(
+                number, abs=tolerance if field != "depth_max_m" else 0.02 * number
+            )
         else:
             assert found == value
     return recording, report
@@ -70,7 +89,10 @@ def test_the_room_in_every_way(broken, breakages, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("source", REAL)
-@pytest.mark.parametrize("name", [n for n in (*FAST, *IN_CI, *SLOW) if n != "clean"])
+@pytest.mark.parametrize(
+    "name",
+    [n for n in (*FAST, *IN_CI, *SLOW) if n != "clean"],
+)
 def test_real_sequences(broken, breakages, source, name):
     if name in TOO_NOISY and source.startswith("redkitchen"):
         recording, _ = broken(source, name)

@@ -1,4 +1,5 @@
-"""Colour edges against depth edges; a shift of colour is not taken for a time offset, nor the other way round."""
+"""Colour edges against depth edges; a shift of colour is not taken for a time offset, nor the other
+way round."""
 
 import dataclasses
 
@@ -19,7 +20,14 @@ from gsfusion_nb.recordings.checkup.colour import (
 from gsfusion_nb.recordings.checkup.sample import read_sample
 from gsfusion_nb.types import Camera, Frame
 
-CAMERA = Camera(width=320, height=240, fx=300.0, fy=300.0, cx=160.0, cy=120.0)
+CAMERA = Camera(
+    width=320,
+    height=240,
+    fx=300.0,
+    fy=300.0,
+    cx=160.0,
+    cy=120.0,
+)
 
 
 def test_edges_belong_to_the_nearer_side():
@@ -57,7 +65,8 @@ def test_contrast_is_the_same_in_weak_light():
 class Pan:
     """Crops of one large picture of boxes before a wall: what a turning camera sees of a far scene.
 
-    ``speeds`` are pixels per frame, right and down; colour is that of ``lag`` frames later, moved by ``shift``.
+    ``speeds`` are pixels per frame, right and down; colour is that of ``lag`` frames later, moved
+    by ``shift``.
     """
 
     name = "pan"
@@ -107,7 +116,11 @@ ONE_WAY = [(10.0, 1.0)] * 30
         (Pan(THERE_AND_BACK), "ok", (0, 0)),
         (Pan(THERE_AND_BACK, lag=0.5), "ok", (0, 0)),
         (Pan(THERE_AND_BACK, shift=(8, -6)), "wrong", (8, -6)),
-        (Pan(ONE_WAY, lag=0.5), "unknown", (0, 0)),  # in one kind of motion they cannot be told apart
+        (
+            Pan(ONE_WAY, lag=0.5),
+            "unknown",
+            (0, 0),
+        ),  # in one kind of motion they cannot be told apart
     ],
     ids=["clean", "late", "moved", "late, one way"],
 )
@@ -118,17 +131,22 @@ def test_a_late_colour_is_not_a_shift(sequence, verdict, shift):
 
 
 def test_a_late_colour_of_whole_frames_is_a_time():
-    repair, (_, time) = registration_findings(fit_colour(read_sample(Pan(THERE_AND_BACK, lag=2))), CAMERA)
+    repair, (_, time) = registration_findings(
+        fit_colour(read_sample(Pan(THERE_AND_BACK, lag=2))), CAMERA
+    )
     assert time.verdict == "wrong"
     assert repair.changes == {"rgb_shift_frames": -2}
 
 
 class OtherHeldOut(Pan):
-    """The same, but every 8th picture, which is held out by default, is the next one: the camera seems to stand."""
+    """The same, but every 8th picture, which is held out by default, is the next one: the camera
+    seems to stand."""
 
     def __getitem__(self, i):
         frame = super().__getitem__(i)
-        return dataclasses.replace(frame, rgb=super().__getitem__(i + 1).rgb) if i % 8 == 4 else frame
+        return (
+            dataclasses.replace(frame, rgb=super().__getitem__(i + 1).rgb) if i % 8 == 4 else frame
+        )
 
 
 @pytest.mark.parametrize("has_poses", [True, False])
@@ -152,7 +170,15 @@ def test_a_frame_beside_one_that_was_not_read_is_no_slow_one():
 
 
 def test_colour_that_lies_nowhere_is_of_other_frames_or_of_another_camera():
-    fit = ColourFit(shift_px=(0.0, 0.0), scale=1.0, mirror="none", shift_frames=0, score=0.1, peak=3.0, pixel=1.0)
+    fit = ColourFit(
+        shift_px=(0.0, 0.0),
+        scale=1.0,
+        mirror="none",
+        shift_frames=0,
+        score=0.1,
+        peak=3.0,
+        pixel=1.0,
+    )
     repair, (finding,) = registration_findings(fit, CAMERA)
     assert finding.verdict == "wrong"
     assert not repair.changes

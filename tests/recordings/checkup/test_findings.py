@@ -1,4 +1,5 @@
-"""Single findings: what files say before frames are made of them; the brightness of the same points."""
+"""Single findings: what files say before frames are made of them; the brightness of the same
+points."""
 
 import dataclasses
 import math
@@ -17,7 +18,12 @@ from gsfusion_nb.recordings.checkup import check_recording
 from gsfusion_nb.recordings.checkup.frames import OverFrames, exposure_finding
 from gsfusion_nb.recordings.checkup.report import Finding
 from gsfusion_nb.recordings.checkup.sample import read_sample
-from gsfusion_nb.recordings.checkup.stored_values import image_size, missing_finding, pose_matrices, time_stamps
+from gsfusion_nb.recordings.checkup.stored_values import (
+    image_size,
+    missing_finding,
+    pose_matrices,
+    time_stamps,
+)
 from gsfusion_nb.recordings.checkup.trial import Trial, Trials
 
 
@@ -82,27 +88,41 @@ def test_times(broken):
         (times[:10] + [t + 1 for t in times[10:]], "doubtful"),
         ([*times[:5], *times[4:-1]], "wrong"),
     ):
-        assert time_stamps(dataclasses.replace(sequence, timestamps_s=changed))[0].verdict == verdict
+        assert (
+            time_stamps(dataclasses.replace(sequence, timestamps_s=changed))[0].verdict == verdict
+        )
 
 
 @pytest.mark.parametrize(
     ("step", "spread", "verdict", "fit"),
-    [(0.02, 0.1, "ok", False), (0.1, 0.2, "ok", True), (0.1, 1.2, "doubtful", True), (0.4, 0.4, "doubtful", True)],
+    [
+        (0.02, 0.1, "ok", False),
+        (0.1, 0.2, "ok", True),
+        (0.1, 1.2, "doubtful", True),
+        (0.4, 0.4, "doubtful", True),
+    ],
 )
 def test_fitting_exposures_is_advised_where_it_pays(step, spread, verdict, fit):
     nan = np.full(3, np.nan)
     same = np.zeros(3, bool)
     over = OverFrames(
-        number=np.arange(3), error=nan, turned_deg=nan, moved_m=nan, gain_stops=np.array([0.0, -step, np.nan]),
-        sharpness=nan, missing=nan, same=same,
-    )  # fmt: skip
+        number=np.arange(3),
+        error=nan,
+        turned_deg=nan,
+        moved_m=nan,
+        gain_stops=np.array([0.0, -step, np.nan]),
+        sharpness=nan,
+        missing=nan,
+        same=same,
+    )
     finding = exposure_finding(over, np.array([np.nan, spread, -0.05]))
     assert finding.verdict == verdict
     assert ("--optim.fit-exposure" in finding.sentence + finding.repair) == fit
 
 
 class Speckled:
-    """Frames of the built-in room with single pixels of depth missing everywhere, ten times too far."""
+    """Frames of the built-in room with single pixels of depth missing everywhere, ten times too
+    far."""
 
     def __init__(self, valid: float):
         source = room(n_frames=120, width=160, height=120)
@@ -119,7 +139,11 @@ class Speckled:
 
     def __getitem__(self, i):
         there = torch.rand(120, 160, generator=torch.Generator().manual_seed(i)) < self.valid
-        return dataclasses.replace(self.frames[i], index=i, depth_m=10 * self.frames[i].depth_m * there)
+        return dataclasses.replace(
+            self.frames[i],
+            index=i,
+            depth_m=10 * self.frames[i].depth_m * there,
+        )
 
     def pose(self, i):
         return self.frames[i].T_WC
@@ -140,7 +164,9 @@ def test_only_speckle_is_filled(generator):
     speckled = slope * (torch.rand(48, 64, generator=generator) < 0.5)
     filled = without_speckle(speckled.numpy())
     assert (filled > 0).mean() > 0.99
-    assert np.abs(filled - slope.numpy())[filled > 0].max() < 0.04  # two columns of the slope, and a little
+    assert (
+        np.abs(filled - slope.numpy())[filled > 0].max() < 0.04
+    )  # two columns of the slope, and a little
     assert np.array_equal(filled[speckled > 0], speckled[speckled > 0])
     with_hole = slope.clone()
     with_hole[10:30, 20:40] = 0
@@ -148,10 +174,17 @@ def test_only_speckle_is_filled(generator):
     assert not without_speckle(np.zeros((8, 8), np.float32)).any()
 
 
-@pytest.mark.parametrize(("factor", "verdict"), [(1.0, "ok"), (20.0, "doubtful"), (0.04, "doubtful")])
+@pytest.mark.parametrize(
+    ("factor", "verdict"),
+    [(1.0, "ok"), (20.0, "doubtful"), (0.04, "doubtful")],
+)
 def test_depth_outside_of_the_mapped_range_is_told(factor, verdict):
-    """A street, and what an endoscope sees: in order as it is, but nothing of it is mapped by default."""
-    frames = [dataclasses.replace(f, depth_m=factor * f.depth_m) for f in read_sample(Speckled(1.0)).frames]
+    """A street, and what an endoscope sees: in order as it is, but nothing of it is mapped by
+    default."""
+    frames = [
+        dataclasses.replace(f, depth_m=factor * f.depth_m)
+        for f in read_sample(Speckled(1.0)).frames
+    ]
     finding = missing_finding(frames, depth_factor=0.1)
     assert finding.verdict == verdict
     assert ("--tsdf.far-m" in finding.repair) == (verdict == "doubtful")
@@ -170,17 +203,39 @@ def test_what_was_not_measured_is_no_reason_against_a_repair():
 
 def test_what_gains_nothing_is_not_said_to_be_wrong(monkeypatch):
     trials = Trials(room(n_frames=200, width=32, height=24), DataConfig())
-    monkeypatch.setattr(trials, "of", lambda *_, **__: Trial(share=0.499, contrast=1.0))
+    monkeypatch.setattr(
+        trials,
+        "of",
+        lambda *_, **__: Trial(share=0.499, contrast=1.0),
+    )
     found = [
-        Finding("focal length", "wrong", "The focal lengths are wrong: fx 500.0, but ...", "--data.repair.fx 520.0"),
-        Finding("frozen frames", "wrong", "Colour or depth is that of the previous frame.", "--data.repair.skip 3"),
+        Finding(
+            "focal length",
+            "wrong",
+            "The focal lengths are wrong: fx 500.0, but ...",
+            "--data.repair.fx 520.0",
+        ),
+        Finding(
+            "frozen frames",
+            "wrong",
+            "Colour or depth is that of the previous frame.",
+            "--data.repair.skip 3",
+        ),
     ]
     more = DataConfig(repair=RepairConfig(fx=520.0, skip=(3,)))
     (focal, frozen), kept, _ = trials.judged(found, more, None)
     assert kept == DataConfig()
-    assert (focal.verdict, focal.repair, frozen.verdict, frozen.repair) == ("unknown", "", "unknown", "")
+    assert (focal.verdict, focal.repair, frozen.verdict, frozen.repair) == (
+        "unknown",
+        "",
+        "unknown",
+        "",
+    )
     assert focal.sentence == (
-        "Cannot be known from these frames: --data.repair.fx 520.0 was tried, and is no better: 49.9% -> 49.9% of the "
+        "Cannot be known from these frames: --data.repair.fx 520.0 was tried, and is no better: "
+        "49.9% -> 49.9% of the "
         "points agree in depth and brightness, contrast on depth edges 1.00 -> 1.00."
     )
-    assert frozen.sentence.startswith("Colour or depth is that of the previous frame. Tried, and no better: 49.9%")
+    assert frozen.sentence.startswith(
+        "Colour or depth is that of the previous frame. Tried, and no better: 49.9%"
+    )

@@ -14,7 +14,9 @@ def test_fast_rotation_is_no_wrong_calibration(shared_sequence):
     report = check_recording(shared_sequence(RPY), pictures=False)
     assert set(report.data.repair.changes) <= {"pose_offset_s", "depth_offset_s"}
     # by optical flow depth is 24 ms late, and the pictures agree with the motion capture
-    assert report.data.repair.pose_offset_s + report.data.repair.depth_offset_s == pytest.approx(-0.024, abs=0.005)
+    assert report.data.repair.pose_offset_s + report.data.repair.depth_offset_s == pytest.approx(
+        -0.024, abs=0.005
+    )
     assert abs(report.data.repair.pose_offset_s) < 0.01
     assert "Tried: " in report["pose time"].sentence
     assert "the lens has 517.3 and 516.5" in report["focal length"].sentence
@@ -41,9 +43,14 @@ def test_a_second_check_of_late_depth_finds_little_more(shared_sequence):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("start", "stop"), [(0, 31), (15, 46), (30, 61), (40, 61)])
+@pytest.mark.parametrize(
+    ("start", "stop"),
+    [(0, 31), (15, 46), (30, 61), (40, 61)],
+)
 def test_no_window_of_it_asks_for_another_camera(shared_sequence, start, stop):
-    report = check_recording(shared_sequence(RPY), data=DataConfig(start=start, stop=stop), pictures=False)
+    report = check_recording(
+        shared_sequence(RPY), data=DataConfig(start=start, stop=stop), pictures=False
+    )
     assert set(report.data.repair.changes) <= {"pose_offset_s", "depth_offset_s"}
     assert all(f.name == "pose time" for f in report.trouble)
 

@@ -17,13 +17,23 @@ from gsfusion_nb.recordings.checkup import CheckupReport, Finding, check_recordi
 def small_report() -> CheckupReport:
     findings = [
         Finding(
-            name="depth scale", verdict="wrong", sentence="Depth <b> must.", repair="--data.repair.depth-factor 0.2"
+            name="depth scale",
+            verdict="wrong",
+            sentence="Depth <b> must.",
+            repair="--data.repair.depth-factor 0.2",
         ),
         Finding(name="sharpness", verdict="doubtful", sentence="Blurred."),
         Finding(name="frames", verdict="ok", sentence="All."),
     ]
     data = DataConfig(depth_max_m=9.5, repair=RepairConfig(depth_factor=0.2, skip=(3, 4)))
-    return CheckupReport(name="scan", findings=findings, data=data, length=9, frames_read=9, reader={"register": True})
+    return CheckupReport(
+        name="scan",
+        findings=findings,
+        data=data,
+        length=9,
+        frames_read=9,
+        reader={"register": True},
+    )
 
 
 def test_a_report_as_text_and_html():
@@ -54,7 +64,10 @@ def test_the_command_writes_a_page_and_its_flags_are_accepted(broken, tmp_path, 
     flags = text.split("All repairs together: ")[1].splitlines()[0].split()
     assert main(["check", str(recording.root), "--out", str(page), *flags]) == 0
     assert "is in order" in capsys.readouterr().out
-    small = "--data.width 80 --data.height 60 --data.stop 4 --tsdf.voxel-size-m 0.05 --sh-degree 0 --no-evaluate"
+    small = (
+        "--data.width 80 --data.height 60 --data.stop 4 --tsdf.voxel-size-m 0.05 --sh-degree 0 "
+        "--no-evaluate"
+    )
     out = tmp_path / "run"
     assert main(["map", str(recording.root), *small.split(), *flags, "--out", str(out)]) == 0
     saved = json.loads((out / "config.json").read_text())["config"]
@@ -69,7 +82,9 @@ def test_pictures_of_a_repair_that_leaves_frames_out(broken):
     assert report.data.stop == 20
     repaired = [title for title in report.pictures if "repaired" in title]
     assert len(repaired) == 2
-    assert all(int(number) < 20 for title in repaired for number in re.findall(r"rame (\d+)", title))
+    assert all(
+        int(number) < 20 for title in repaired for number in re.findall(r"rame (\d+)", title)
+    )
 
 
 def test_without_poses_no_poses_are_judged(broken):
@@ -77,8 +92,21 @@ def test_without_poses_no_poses_are_judged(broken):
     (recording.root / "poses.txt").unlink()
     report = check_recording(recording.root, poses=False)
     assert report.ok
-    assert report["poses"].verdict == report["depth scale"].verdict == report["time stamps"].verdict == "unknown"
-    posed = {"pose time", "pose direction", "pose matrices", "focal length", "agreement", "pose jumps", "exposure"}
+    assert (
+        report["poses"].verdict
+        == report["depth scale"].verdict
+        == report["time stamps"].verdict
+        == "unknown"
+    )
+    posed = {
+        "pose time",
+        "pose direction",
+        "pose matrices",
+        "focal length",
+        "agreement",
+        "pose jumps",
+        "exposure",
+    }
     assert not posed & {f.name for f in report.findings}
     assert "cannot be known from it" in report.summary
     assert report._repr_html_().count('<td class="v unknown">') == 3
@@ -97,7 +125,10 @@ def test_frozen_frames_are_found_pixel_by_pixel(broken):
     found = check_recording(recording.root, pictures=False, poses=False)["frozen frames"]
     assert (found.verdict, found.repair) == ("doubtful", "--data.repair.skip 10 11")
     poses.write_text(kept)
-    recording.change_images("depth", lambda i, d: d[i] + (d[i] > 0).astype(d[i].dtype) * i)  # noise of a live sensor
+    recording.change_images(
+        "depth",
+        lambda i, d: d[i] + (d[i] > 0).astype(d[i].dtype) * i,
+    )  # noise of a live sensor
     report = check_recording(recording.root, pictures=False)
     assert report["frozen frames"].verdict == "wrong"
     assert set(report.data.repair.skip) == {10, 11}
@@ -138,14 +169,17 @@ def test_few_or_damaged_frames(broken):
 
 @pytest.mark.slow
 def test_seven_scenes_is_told_to_register(shared_sequence, tmp_path):
-    """Colour of a second camera, in the layout of 7-Scenes: the reader has a better repair than a shift."""
+    """Colour of a second camera, in the layout of 7-Scenes: the reader has a better repair than a
+    shift."""
     import cv2
 
     from gsfusion_nb.data import seven_scenes
     from gsfusion_nb.data.lens import warp_depth
     from gsfusion_nb.data.readers.seven_scenes import DEPTH_CAMERA, T_DEPTH_COLOUR
 
-    view = open_sequence(shared_sequence("redkitchen250"), data=DataConfig(start=200, stop=230, hold_out_every=0))
+    view = open_sequence(
+        shared_sequence("redkitchen250"), data=DataConfig(start=200, stop=230, hold_out_every=0)
+    )
     for i, frame in enumerate(view):
         stem = tmp_path / f"seq-01/frame-{i:06d}"
         stem.parent.mkdir(exist_ok=True)
@@ -153,9 +187,13 @@ def test_seven_scenes_is_told_to_register(shared_sequence, tmp_path):
         cv2.imwrite(f"{stem}.color.png", frame.rgb_u8.numpy()[..., ::-1])
         cv2.imwrite(f"{stem}.depth.png", (depth_m.numpy() * 1000).astype("uint16"))
         T: Any = frame.T_WC.double() @ torch.linalg.inv(T_DEPTH_COLOUR)
-        (tmp_path / f"seq-01/frame-{i:06d}.pose.txt").write_text("\n".join(" ".join(map(str, r)) for r in T.tolist()))
+        (tmp_path / f"seq-01/frame-{i:06d}.pose.txt").write_text(
+            "\n".join(" ".join(map(str, r)) for r in T.tolist())
+        )
     assert len(seven_scenes(tmp_path)) == 30
     report = check_recording(tmp_path, pictures=False)
     assert [f.name for f in report.trouble] == ["registration"]
     assert report.flags == "--reader register=true"
-    assert check_recording(tmp_path, pictures=False, **report.reader)["registration"].verdict == "ok"
+    assert (
+        check_recording(tmp_path, pictures=False, **report.reader)["registration"].verdict == "ok"
+    )

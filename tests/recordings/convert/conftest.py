@@ -1,4 +1,5 @@
-"""A few frames of the built-in room, to be written in the real format of other programs and read back."""
+"""A few frames of the built-in room, to be written in the real format of other programs and read
+back."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +36,11 @@ class Takes:
         return cv2.imencode(".png", self.rgb[i][..., ::-1])[1].tobytes()
 
     def jpeg(self, i: int) -> bytes:
-        return cv2.imencode(".jpg", self.rgb[i][..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 97])[1].tobytes()
+        return cv2.imencode(
+            ".jpg",
+            self.rgb[i][..., ::-1],
+            [cv2.IMWRITE_JPEG_QUALITY, 97],
+        )[1].tobytes()
 
     def depth_raw(self, i: int, scale: float = 1000.0) -> np.ndarray:
         return np.rint(self.depth_m[i] * scale).astype(np.uint16)
@@ -53,8 +58,18 @@ class Takes:
         path.write_bytes(data)
         return path
 
-    def check(self, out: Path, frames=None, *, depth_m=5.1e-4, rgb=0, pose=1e-6, camera=None) -> None:
-        """The folder holds these frames: same pixels, depth within ``depth_m`` metres, camera and poses equal."""
+    def check(
+        self,
+        out: Path,
+        frames=None,
+        *,
+        depth_m=5.1e-4,
+        rgb=0,
+        pose=1e-6,
+        camera=None,
+    ) -> None:
+        """The folder holds these frames: same pixels, depth within ``depth_m`` metres, camera and
+        poses equal."""
         sequence = folder(out)
         frames = range(len(self)) if frames is None else frames
         wanted = camera or self.camera

@@ -52,12 +52,16 @@ def test_what_nothing_decides_is_asked_for(folder):
 
 
 def test_whole_metres_have_lost_their_precision(folder):
-    with pytest.raises(SequenceError, match=r"whole metres up to 4, so precision was lost .* export depth again"):
+    with pytest.raises(
+        SequenceError, match=r"whole metres up to 4, so precision was lost .* export depth again"
+    ):
         find_depth_unit(folder("scan"), depths(0.6, 4.0, 1))
 
 
 def test_no_plausible_unit_is_asked_for(folder):
-    assert "give --depth-scale" in str(find_depth_unit(folder("scan"), depths(0.02, 0.1, 1000)).question)
+    assert "give --depth-scale" in str(
+        find_depth_unit(folder("scan"), depths(0.02, 0.1, 1000)).question
+    )
     with pytest.raises(SequenceError, match="hold no depth"):
         find_depth_unit(folder("empty"), [np.zeros((4, 4), np.float32)])
 
@@ -79,7 +83,9 @@ def test_the_motion_of_a_kinect_tells_the_unit(walk, scale):
     def posed(frame):
         return PosedDepth(frame.depth_m * scale, frame.camera, frame.T_WC.double())
 
-    assert units_per_metre([(posed(a), posed(b)) for a, b in walk]) == pytest.approx(scale, rel=0.05)
+    assert units_per_metre([(posed(a), posed(b)) for a, b in walk]) == pytest.approx(
+        scale, rel=0.05
+    )
 
 
 @pytest.mark.parametrize("wrong", ["inverted", "opengl"])
@@ -89,14 +95,21 @@ def test_wrong_poses_tell_no_unit(walk, wrong):
 
     def posed(frame):
         T = frame.T_WC.double()
-        return PosedDepth(1000 * frame.depth_m, frame.camera, torch.linalg.inv(T) if wrong == "inverted" else T @ flip)
+        return PosedDepth(
+            1000 * frame.depth_m,
+            frame.camera,
+            torch.linalg.inv(T) if wrong == "inverted" else T @ flip,
+        )
 
     assert units_per_metre([(posed(a), posed(b)) for a, b in walk]) is None
 
 
 def test_a_camera_that_stands_tells_no_unit(walk):
     still = torch.eye(4, dtype=torch.float64)
-    pairs = [(PosedDepth(a.depth_m, a.camera, still), PosedDepth(a.depth_m, a.camera, still)) for a, _ in walk]
+    pairs = [
+        (PosedDepth(a.depth_m, a.camera, still), PosedDepth(a.depth_m, a.camera, still))
+        for a, _ in walk
+    ]
     assert units_per_metre(pairs) is None
     assert units_per_metre([]) is None
 
@@ -125,7 +138,21 @@ def test_a_unit_that_cannot_be_is_named_and_not_used():
     """ORB-SLAM's nodes for ROS have a factor of 1, since their depth comes in metres."""
     unit, notes = told_unit({"DepthMapFactor": 1.0}, "camera.yaml", depths(0.6, 3.0, 1000))
     assert unit is None
-    assert "DepthMapFactor of camera.yaml would make the median depth 1.8e+03 m, so it is not used" in notes[0]
-    assert told_unit({"scale": 1.0, "fps": 30.0}, "camera.yaml", depths(0.6, 3.0, 1000)) == (None, [])
-    with pytest.raises(SequenceError, match="several units of depth, m_depthShift 1000, DepthMapFactor 5000"):
-        told_unit({"m_depthShift": 1000.0, "DepthMapFactor": 5000.0}, "info.txt", depths(0.6, 3.0, 1000))
+    assert (
+        "DepthMapFactor of camera.yaml would make the median depth 1.8e+03 m, so it is not used"
+        in notes[0]
+    )
+    assert told_unit(
+        {"scale": 1.0, "fps": 30.0},
+        "camera.yaml",
+        depths(0.6, 3.0, 1000),
+    ) == (
+        None,
+        [],
+    )
+    with pytest.raises(
+        SequenceError, match="several units of depth, m_depthShift 1000, DepthMapFactor 5000"
+    ):
+        told_unit(
+            {"m_depthShift": 1000.0, "DepthMapFactor": 5000.0}, "info.txt", depths(0.6, 3.0, 1000)
+        )

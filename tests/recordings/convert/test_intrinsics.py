@@ -34,9 +34,15 @@ Camera.RGB: 1
 ThDepth: 40.0
 DepthMapFactor: 5000.0
 """
-ORB_BROWN = ORB.format(type="PinHole", k=BROWN, p="Camera.p1: -0.005\nCamera.p2: 0.0026\nCamera.k3: 1.16")
+ORB_BROWN = ORB.format(
+    type="PinHole", k=BROWN, p="Camera.p1: -0.005\nCamera.p2: 0.0026\nCamera.k3: 1.16"
+)
 ORB_FISHEYE = ORB.format(type="KannalaBrandt8", k=FISHEYE, p="Camera.k3: 0.003\nCamera.k4: -0.004")
-ORB_3 = ORB_BROWN.replace("Camera.f", "Camera1.f").replace("Camera.c", "Camera1.c").replace("Camera.k", "Camera1.k")
+ORB_3 = (
+    ORB_BROWN.replace("Camera.f", "Camera1.f")
+    .replace("Camera.c", "Camera1.c")
+    .replace("Camera.k", "Camera1.k")
+)
 ORB_3 = ORB_3.replace("Camera.p", "Camera1.p").replace("Camera1.fps", "Camera.fps")
 KALIBR = """cam0:
   cam_overlaps: []
@@ -68,7 +74,11 @@ projection_matrix:
 ROS_BROWN = ROS.format(model="plumb_bob", n=5, coefficients=list(BROWN))
 OPENCV_HEAD = "%YAML:1.0\n---\n"
 REALSENSE = {"width": 320, "height": 240, "fx": 208.5, "fy": 209.5, "ppx": 159.0, "ppy": 119.25}
-OPEN3D = {"width": 320, "height": 240, "intrinsic_matrix": [208.5, 0, 0, 0, 209.5, 0, 159.0, 119.25, 1]}
+OPEN3D = {
+    "width": 320,
+    "height": 240,
+    "intrinsic_matrix": [208.5, 0, 0, 0, 209.5, 0, 159.0, 119.25, 1],
+}
 BUNDLE_FUSION = """m_versionNumber = 4
 m_colorWidth = 320
 m_colorHeight = 240
@@ -82,7 +92,10 @@ def opencv_yaml(path):
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     file.write("image_width", 320)
     file.write("image_height", 240)
-    file.write("camera_matrix", np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]]))
+    file.write(
+        "camera_matrix",
+        np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]]),
+    )
     file.write("distortion_coefficients", np.array([BROWN]))
     file.release()
 
@@ -93,21 +106,48 @@ def opencv_yaml(path):
         ("orb.yaml", ORB_BROWN, BROWN, False),
         ("orb.yaml", ORB_FISHEYE, FISHEYE, True),
         ("orb3.yaml", ORB_3, BROWN, False),
-        ("camchain.yaml", KALIBR.format(coefficients=list(BROWN[:4]), model="radtan"), BROWN[:4], False),
-        ("camchain.yaml", KALIBR.format(coefficients=list(FISHEYE), model="equidistant"), FISHEYE, True),
+        (
+            "camchain.yaml",
+            KALIBR.format(coefficients=list(BROWN[:4]), model="radtan"),
+            BROWN[:4],
+            False,
+        ),
+        (
+            "camchain.yaml",
+            KALIBR.format(coefficients=list(FISHEYE), model="equidistant"),
+            FISHEYE,
+            True,
+        ),
         ("ros.yaml", ROS_BROWN, BROWN, False),
         ("rtabmap.yaml", OPENCV_HEAD + ROS_BROWN, BROWN, False),
-        ("fisheye.yaml", ROS.format(model="equidistant", n=4, coefficients=list(FISHEYE)), FISHEYE, True),
+        (
+            "fisheye.yaml",
+            ROS.format(model="equidistant", n=4, coefficients=list(FISHEYE)),
+            FISHEYE,
+            True,
+        ),
         ("opencv.yaml", opencv_yaml, BROWN, False),
-        ("rs.json", json.dumps(REALSENSE | {"model": "distortion.brown_conrady", "coeffs": BROWN}), BROWN, False),
+        (
+            "rs.json",
+            json.dumps(REALSENSE | {"model": "distortion.brown_conrady", "coeffs": BROWN}),
+            BROWN,
+            False,
+        ),
         ("rs.json", json.dumps(REALSENSE | {"model": 4, "coeffs": BROWN}), BROWN, False),
         (
             "rs.json",
-            json.dumps(REALSENSE | {"model": "distortion.inverse_brown_conrady", "coeffs": [0] * 5}),
+            json.dumps(
+                REALSENSE | {"model": "distortion.inverse_brown_conrady", "coeffs": [0] * 5}
+            ),
             (),
             False,
         ),
-        ("two.json", json.dumps({"depth": REALSENSE | {"fx": 145.6}, "color": REALSENSE}), (), False),
+        (
+            "two.json",
+            json.dumps({"depth": REALSENSE | {"fx": 145.6}, "color": REALSENSE}),
+            (),
+            False,
+        ),
         ("open3d.json", json.dumps(OPEN3D), (), False),
         (
             "K.json",
@@ -118,7 +158,8 @@ def opencv_yaml(path):
         ("lines.txt", "fx: 2.085e+02\nfy = 209.5\ncx 159.0, cy: 1.1925e2\n", (), False),
         (
             "sections.txt",
-            "[rgb]\nfx 208.5\nfy 209.5\ncx 159\ncy 119.25\n[depth]\nfx 145.6\nfy 145.6\ncx 80\ncy 60\n",
+            "[rgb]\nfx 208.5\nfy 209.5\ncx 159\ncy 119.25\n[depth]\nfx 145.6\nfy 145.6\ncx 80\ncy "
+            "60\n",
             (),
             False,
         ),
@@ -151,14 +192,34 @@ def test_a_size_in_the_file_counts(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "why"),
     [
-        ("two.yaml", "cam0: {fx: 1, fy: 1, cx: 1, cy: 1}\ncam1: {fx: 2, fy: 2, cx: 2, cy: 2}", "2 cameras, cam0, cam1"),
+        (
+            "two.yaml",
+            "cam0: {fx: 1, fy: 1, cx: 1, cy: 1}\ncam1: {fx: 2, fy: 2, cx: 2, cy: 2}",
+            "2 cameras, cam0, cam1",
+        ),
         ("rs.json", json.dumps(REALSENSE | {"model": 2, "coeffs": BROWN}), "inverse_brown_conrady"),
-        ("omni.yaml", KALIBR.format(coefficients=list(FISHEYE), model="fov"), "the lens 'fov' with other coefficients"),
+        (
+            "omni.yaml",
+            KALIBR.format(coefficients=list(FISHEYE), model="fov"),
+            "the lens 'fov' with other coefficients",
+        ),
         ("lens.txt", "fx 208\nfy 208\ncx 159\ncy 119\nk9 0.5\n", "k9 = 0.5 changes the camera"),
-        ("skew.json", json.dumps({"fx": 1, "fy": 1, "cx": 1, "cy": 1, "skew": 0.1}), "skew = 0.1 changes the camera"),
-        ("what.yaml", "focal: 525\nsensor: [1, 2]\n", "holds no camera in a way that is known, but 'focal, sensor'"),
+        (
+            "skew.json",
+            json.dumps({"fx": 1, "fy": 1, "cx": 1, "cy": 1, "skew": 0.1}),
+            "skew = 0.1 changes the camera",
+        ),
+        (
+            "what.yaml",
+            "focal: 525\nsensor: [1, 2]\n",
+            "holds no camera in a way that is known, but 'focal, sensor'",
+        ),
         ("what.yaml", "- 1\n- 2\n", "holds no camera in a way that is known"),
-        ("five.yaml", ROS.format(model="equidistant", n=5, coefficients=list(BROWN)), "must have the coefficients k1"),
+        (
+            "five.yaml",
+            ROS.format(model="equidistant", n=5, coefficients=list(BROWN)),
+            "must have the coefficients k1",
+        ),
     ],
 )
 def test_what_would_change_the_camera_is_refused_by_name(tmp_path, name, text, why):
@@ -178,7 +239,9 @@ def test_a_name_that_is_a_value_and_a_group_is_one_sentence(tmp_path, name):
 
 
 def test_yaml_runs_no_code(tmp_path):
-    (tmp_path / "camera.yaml").write_text("fx: !!python/object/apply:os.system ['touch here']\nfy: 1\ncx: 1\ncy: 1\n")
+    (tmp_path / "camera.yaml").write_text(
+        "fx: !!python/object/apply:os.system ['touch here']\nfy: 1\ncx: 1\ncy: 1\n"
+    )
     with pytest.raises(SequenceError):
         read_intrinsics(str(tmp_path / "camera.yaml"), SIZE)
 
@@ -188,7 +251,13 @@ def test_the_camera_of_a_zed_is_the_left_one_of_the_images_size(tmp_path):
     lines = []
     for side, more in (("LEFT", 0.0), ("RIGHT", 5.0)):
         for name, focal in sizes.items():
-            lines += [f"[{side}_CAM_{name}]", f"fx={focal + more}", f"fy={focal + more}", "cx=600.5", "cy=350.5"]
+            lines += [
+                f"[{side}_CAM_{name}]",
+                f"fx={focal + more}",
+                f"fy={focal + more}",
+                "cx=600.5",
+                "cy=350.5",
+            ]
     (tmp_path / "SN1.conf").write_text("\n".join(lines))
     model = read_intrinsics(str(tmp_path / "SN1.conf"), (1280, 720))
     assert (model.camera.fx, model.camera.cx) == (529.0, 601.0)

@@ -1,4 +1,5 @@
-"""Recordings as the documentation of cameras, apps and data sets describes them: read right, or refused by name.
+"""Recordings as the documentation of cameras, apps and data sets describes them: read right, or
+refused by name.
 
 The table is ``docs/formats.md``, and each of its rows is a test here.
 """
@@ -48,37 +49,68 @@ READ = {
     "RTAB-Map, exported": Kind(kinds.rtabmap_export, r"its column of frames says whose they are"),
     "ZED, exported": Kind(kinds.zed_export, r"1000 units a metre", WITHOUT_POSES, camera=False),
     "OAK, images with calib.json": Kind(kinds.oak_calibration, r"calib\.json", WITHOUT_POSES),
-    "RealSense by rs-convert": Kind(kinds.realsense_convert, r"times were read as ms", WITHOUT_POSES, camera=False),
+    "RealSense by rs-convert": Kind(
+        kinds.realsense_convert, r"times were read as ms", WITHOUT_POSES, camera=False
+    ),
     "ScanNet, exported": Kind(kinds.scannet_exported, r"1000 per metre", frames=(0, 2, 3)),
-    "ScanNet, depth beside colour": Kind(kinds.scannet_extrinsic, r"50\.0 mm", frames=(0, 2, 3), moved=True),
-    "ScanNet, 25k frames": Kind(kinds.scannet_25k, r"depth from .*intrinsics_depth\.txt", moved=True),
-    "BundleFusion": Kind(kinds.bundlefusion, r"5000 units a metre, as m_depthShift of .*info\.txt says"),
+    "ScanNet, depth beside colour": Kind(
+        kinds.scannet_extrinsic, r"50\.0 mm", frames=(0, 2, 3), moved=True
+    ),
+    "ScanNet, 25k frames": Kind(
+        kinds.scannet_25k, r"depth from .*intrinsics_depth\.txt", moved=True
+    ),
+    "BundleFusion": Kind(
+        kinds.bundlefusion, r"5000 units a metre, as m_depthShift of .*info\.txt says"
+    ),
     "SUN3D": Kind(kinds.sun3d, r"bits of depth were turned back"),
     "Redwood": Kind(kinds.redwood, camera=False),
     "ETH3D SLAM": Kind(kinds.eth3d, r"calibration\.txt"),
     "Bonn": Kind(kinds.bonn, r"5000 units a metre", camera=False),
     "CoRBS": Kind(kinds.corbs, r"groundtruth_H1\.txt", camera=False),
-    "Neural RGB-D": Kind(kinds.neural_rgbd, r"from OpenGL's axes", camera=False, frames=(0, 1, 3)),
+    "Neural RGB-D": Kind(
+        kinds.neural_rgbd,
+        r"from OpenGL's axes",
+        camera=False,
+        frames=(0, 1, 3),
+    ),
     "TartanAir": Kind(kinds.tartanair, r"camera left; poses were turned", camera=False),
     "TartanAir V2": Kind(kinds.tartanair_2, r"camera lcam_front", camera=False),
     "BOP": Kind(kinds.bop, r"10000 per metre, as depth_scale"),
     "Replica of Semantic-NeRF": Kind(kinds.semantic_nerf, r"one pose per frame", camera=False),
-    "Replica's camera, other names": Kind(kinds.nice_slam, r"6553\.5 units a metre, as scale of .*cam_params"),
+    "Replica's camera, other names": Kind(
+        kinds.nice_slam, r"6553\.5 units a metre, as scale of .*cam_params"
+    ),
     "COLMAP, several cameras": Kind(kinds.colmap, r"no unit of length; one unit is taken as 1 m"),
-    "nerfstudio": Kind(kinds.nerfstudio, r"applied_scale 0\.5 was undone.*masks are not used.*10000 per metre"),
-    "nerfstudio, fisheye cropped": Kind(kinds.nerfstudio_crop, r"fisheye_crop_radius is not used", moved=True),
+    "nerfstudio": Kind(
+        kinds.nerfstudio, r"applied_scale 0\.5 was undone.*masks are not used.*10000 per metre"
+    ),
+    "nerfstudio, fisheye cropped": Kind(
+        kinds.nerfstudio_crop, r"fisheye_crop_radius is not used", moved=True
+    ),
     "Matterport3D": Kind(
-        kinds.matterport, r"nothing proves it: 4000 would be .*--depth-scale", WITHOUT_POSES, camera=False, moved=True
+        kinds.matterport,
+        r"nothing proves it: 4000 would be .*--depth-scale",
+        WITHOUT_POSES,
+        camera=False,
+        moved=True,
     ),
 }
 REFUSED = {
-    "StrayScanner, as recorded": Kind(kinds.stray_video, r"rgb\.mp4 is a video.*ffmpeg -i rgb\.mp4"),
-    "Azure Kinect, raw calibration": Kind(kinds.k4a_calibration, r"raw calibration of an Azure Kinect", WITHOUT_POSES),
+    "StrayScanner, as recorded": Kind(
+        kinds.stray_video, r"rgb\.mp4 is a video.*ffmpeg -i rgb\.mp4"
+    ),
+    "Azure Kinect, raw calibration": Kind(
+        kinds.k4a_calibration, r"raw calibration of an Azure Kinect", WITHOUT_POSES
+    ),
     "Azure Kinect, .mkv": Kind(kinds.file_of("a.mkv"), r"azure_kinect_mkv_reader"),
-    "RTAB-Map, database": Kind(kinds.rtabmap_database, r"RTAB-Map.*rtabmap-export --images_id --poses_camera"),
+    "RTAB-Map, database": Kind(
+        kinds.rtabmap_database, r"RTAB-Map.*rtabmap-export --images_id --poses_camera"
+    ),
     "RTAB-Map, poses of the robot": Kind(kinds.rtabmap_base_poses, r"robot's base.*--poses_camera"),
     "ZED, .svo2": Kind(kinds.file_of("a.svo2"), r"ZED_SVO_Export"),
-    "ZED, calibration of other sizes": Kind(kinds.zed_calibration, r"holds 4 cameras, LEFT_CAM_2K", WITHOUT_POSES),
+    "ZED, calibration of other sizes": Kind(
+        kinds.zed_calibration, r"holds 4 cameras, LEFT_CAM_2K", WITHOUT_POSES
+    ),
     "RealSense, .db3": Kind(kinds.realsense_db3, r"RealSense SDK of 2026.*rs-convert"),
     "OpenNI, .oni": Kind(kinds.file_of("a.oni"), r"OpenNI"),
     "ElasticFusion, .klg": Kind(kinds.file_of("a.klg"), r"Kintinuous or ElasticFusion"),
@@ -96,7 +128,9 @@ REFUSED = {
 
 def test_the_table_of_the_documentation_has_these_kinds():
     page = (Path(__file__).parents[3] / "docs/formats.md").read_text()
-    read, refused = (re.findall(r"^\| (.+?) \|", part, re.MULTILINE) for part in page.split("Refused, by name"))
+    read, refused = (
+        re.findall(r"^\| (.+?) \|", part, re.MULTILINE) for part in page.split("Refused, by name")
+    )
     assert [name for name in read if name != "kind"] == list(READ)
     assert [name for name in refused if name != "kind"] == list(REFUSED)
 
@@ -142,17 +176,23 @@ def test_the_largest_number_of_16_bits_is_no_distance(tmp_path, takes):
 
 
 def test_depth_of_a_camera_beside_colour_is_where_a_sens_file_puts_it(tmp_path, takes):
-    """The folders of ScanNet's exporter say what its .sens file says, so both become the same images."""
+    """The folders of ScanNet's exporter say what its .sens file says, so both become the same
+    images."""
     convert(kinds.scannet_extrinsic(tmp_path / "scan", takes), tmp_path / "out")
     frame = folder(tmp_path / "out")[0]
     fx = takes.camera.fx
     z = takes.depth_m[0]
     row = 20
-    moved = np.arange(z.shape[1]) + 0.5 + fx * 0.05 / z[row]  # a point at u is seen 5 cm to the right of there
+    moved = (
+        np.arange(z.shape[1]) + 0.5 + fx * 0.05 / z[row]
+    )  # a point at u is seen 5 cm to the right of there
     found = frame.depth_m.numpy()[row]
     inside = moved < z.shape[1] - 1
     near = np.array(
-        [np.abs(found[max(0, int(u) - 1) : int(u) + 2] - d).min() for u, d in zip(moved, z[row], strict=True)]
+        [
+            np.abs(found[max(0, int(u) - 1) : int(u) + 2] - d).min()
+            for u, d in zip(moved, z[row], strict=True)
+        ]
     )
     assert np.median(near[inside]) < 2e-3
 
@@ -163,9 +203,13 @@ def test_doubtful_pixels_are_left_out(tmp_path, takes):
     levels[:10] = 0
     levels[10:20] = 1
     for i in range(len(takes)):
-        takes.write(root / f"confidence/{i:06d}.png", kinds.cv2.imencode(".png", levels)[1].tobytes())
+        takes.write(
+            root / f"confidence/{i:06d}.png", kinds.cv2.imencode(".png", levels)[1].tobytes()
+        )
     for least, first_row in ((0, 0), (1, 10), (2, 20)):
         convert(root, tmp_path / f"out{least}", options=ConvertOptions(confidence=least))
         depth_m = folder(tmp_path / f"out{least}")[0].depth_m.numpy()
         assert not depth_m[:first_row].any()
-        assert np.count_nonzero(depth_m[first_row:]) == np.count_nonzero(takes.depth_m[0][first_row:])
+        assert np.count_nonzero(depth_m[first_row:]) == np.count_nonzero(
+            takes.depth_m[0][first_row:]
+        )

@@ -1,4 +1,5 @@
-"""Separate trajectories: every way of writing them, interpolation, gaps, extrinsics, and what is refused."""
+"""Separate trajectories: every way of writing them, interpolation, gaps, extrinsics, and what is
+refused."""
 
 import math
 from dataclasses import replace
@@ -19,7 +20,9 @@ ROWS = [(10.0, 0, 0, 0, 0, 0, 0, 1), (11.0, 1, 0, 0, 0, 0, HALF, HALF)]
 
 def in_ns(order):
     def lines(rows):
-        return "\n".join(", ".join([str(round(r[0] * 1e9)), *(str(r[1 + k]) for k in order)]) for r in rows)
+        return "\n".join(
+            ", ".join([str(round(r[0] * 1e9)), *(str(r[1 + k]) for k in order)]) for r in rows
+        )
 
     return lines
 
@@ -27,7 +30,8 @@ def in_ns(order):
 XYZW, WXYZ = (0, 1, 2, 3, 4, 5, 6), (0, 1, 2, 6, 3, 4, 5)
 OKVIS = "timestamp, p_WS_W_x, p_WS_W_y, p_WS_W_z, q_WS_x, q_WS_y, q_WS_z, q_WS_w, v_WS_W_x, b_g_x\n"
 EUROC = (
-    "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v_RS_R_x []\n"
+    "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], "
+    "q_RS_z [], v_RS_R_x []\n"
 )
 
 
@@ -61,15 +65,23 @@ def test_formats_and_interpolation(tmp_path, write):
     assert trajectory.stamps_s.tolist() == [10.0, 11.0]
     T = trajectory.pose_at(10.5)  # half way: half a metre, an eighth of a turn
     assert T is not None
-    eighth = torch.tensor([[HALF, -HALF, 0], [HALF, HALF, 0], [0, 0, 1]], dtype=torch.float64)
+    eighth = torch.tensor(
+        [[HALF, -HALF, 0], [HALF, HALF, 0], [0, 0, 1]],
+        dtype=torch.float64,
+    )
     assert torch.allclose(T[:3, :3], eighth, atol=1e-6)
-    assert torch.allclose(T[:3, 3], torch.tensor([0.5, 0, 0], dtype=torch.float64), atol=1e-6)
+    assert torch.allclose(
+        T[:3, 3],
+        torch.tensor([0.5, 0, 0], dtype=torch.float64),
+        atol=1e-6,
+    )
     assert trajectory.pose_at(9.99) is None
     assert trajectory.pose_at(11.01) is None
 
 
 def test_axis_and_angle_of_arkitscenes(tmp_path, takes):
-    """Time, axis times angle and translation, world-to-camera; OpenCV's Rodrigues is the witness of the rotation."""
+    """Time, axis times angle and translation, world-to-camera; OpenCV's Rodrigues is the witness of
+    the rotation."""
     T_CW = se3.inverse(takes.T_WC)
     lines = []
     for i in range(len(takes)):
@@ -86,8 +98,14 @@ def test_axis_and_angle_of_arkitscenes(tmp_path, takes):
     convert(tmp_path / "scan", tmp_path / "out")
     takes.check(tmp_path / "out", pose=1e-6)
     (tmp_path / "poses.txt").write_text("\n".join(lines))
-    with pytest.raises(SequenceError, match=r"a quaternion of length 1, got one of length .*ARKitScenes"):
-        convert(tmp_path / "scan", tmp_path / "other", options=ConvertOptions(poses=str(tmp_path / "poses.txt")))
+    with pytest.raises(
+        SequenceError, match=r"a quaternion of length 1, got one of length .*ARKitScenes"
+    ):
+        convert(
+            tmp_path / "scan",
+            tmp_path / "other",
+            options=ConvertOptions(poses=str(tmp_path / "poses.txt")),
+        )
 
 
 def test_the_unit_of_a_trajectory_is_the_one_that_spans_the_frames(tmp_path):
@@ -105,7 +123,9 @@ def test_decimal_commas_are_named(tmp_path, separator):
     row = separator.join(f"{v:.3f}".replace(".", ",") for v in ROWS[1])
     (tmp_path / "p.txt").write_text(f"{row}\n{row}\n")
     for read in (read_trajectory, lambda path: poses_of_images(path, [path])):
-        with pytest.raises(SequenceError, match=r"p\.txt has decimal commas, '11,000.*write decimal points"):
+        with pytest.raises(
+            SequenceError, match=r"p\.txt has decimal commas, '11,000.*write decimal points"
+        ):
             read(tmp_path / "p.txt")
     whole = "1,2,3,4,5,6,7,8"  # commas that separate
     (tmp_path / "p.txt").write_text(f"{whole}\n")
@@ -120,7 +140,10 @@ def test_lost_poses_are_left_out(tmp_path):
     assert "1 of 3 poses are NaN and count as lost" in trajectory.notes[0]
 
 
-@pytest.mark.parametrize("text", ["", tum(ROWS[::-1]), "1 2 3\n", "1 0 0 0 0 0 0 2\n", tum([(1.0, *[math.nan] * 7)])])
+@pytest.mark.parametrize(
+    "text",
+    ["", tum(ROWS[::-1]), "1 2 3\n", "1 0 0 0 0 0 0 2\n", tum([(1.0, *[math.nan] * 7)])],
+)
 def test_bad_files(tmp_path, text):
     (tmp_path / "p.txt").write_text(text)
     with pytest.raises(SequenceError, match=r"p\.txt"):
@@ -132,30 +155,47 @@ def tum_folder(root, takes):
         takes.write(root / f"rgb/{t:.6f}.png", takes.png(i))
         takes.write(root / f"depth/{t:.6f}.png", takes.depth_png(i, 5000))
     c = takes.camera
-    return ConvertOptions(intrinsics=f"{c.fx} {c.fy} {c.cx} {c.cy}", pixel_centre=0.5, poses=str(root / "p.txt"))
+    return ConvertOptions(
+        intrinsics=f"{c.fx} {c.fy} {c.cx} {c.cy}", pixel_centre=0.5, poses=str(root / "p.txt")
+    )
 
 
 @pytest.mark.parametrize("option", ["T_cam_body", "T_body_cam"])
 def test_extrinsics_take_the_body_to_the_camera(tmp_path, takes, option):
-    """Poses of a body at the frames' times, and between them, where the body's are known exactly."""
+    """Poses of a body at the frames' times, and between them, where the body's are known
+    exactly."""
     options = tum_folder(tmp_path, takes)
     T_CB = se3.exp(torch.tensor([0.1, -0.2, 0.05, 0.3, 1.2, -0.4], dtype=torch.float64))
-    moved = type(takes)(takes.camera, takes.rgb, takes.depth_m, takes.T_WC @ T_CB, takes.times_s)
+    moved = type(takes)(
+        takes.camera,
+        takes.rgb,
+        takes.depth_m,
+        takes.T_WC @ T_CB,
+        takes.times_s,
+    )
     rows = [(t, *moved.tum_row(i)) for i, t in enumerate(takes.times_s)]
     (tmp_path / "p.txt").write_text("\n".join(" ".join(f"{v:.12f}" for v in r) for r in rows))
     stored = T_CB if option == "T_cam_body" else se3.inverse(T_CB)
     (tmp_path / "T.txt").write_text(str(stored.tolist()))
-    convert(tmp_path, tmp_path / "out", options=replace(options, **{option: str(tmp_path / "T.txt")}))
+    convert(
+        tmp_path, tmp_path / "out", options=replace(options, **{option: str(tmp_path / "T.txt")})
+    )
     takes.check(tmp_path / "out", depth_m=1.1e-4)
 
 
 def test_frames_outside_and_in_gaps_are_dropped_and_counted(tmp_path, takes):
     options = tum_folder(tmp_path, takes)
     t = takes.times_s
-    (tmp_path / "p.txt").write_text(tum([(t[0] + s, s, 0, 0, 0, 0, 0, 1) for s in (0.15, 0.25, 0.35, 0.52)]))
+    (tmp_path / "p.txt").write_text(
+        tum([(t[0] + s, s, 0, 0, 0, 0, 0, 1) for s in (0.15, 0.25, 0.35, 0.52)])
+    )
     report = convert(tmp_path, tmp_path / "out", options=options)
     assert report.frames == 2  # 0.2 and 0.4 s; 0 lies before, 0.6 behind
     assert report.dropped == {"the trajectory has no pose around its time": 2}
-    report = convert(tmp_path, tmp_path / "b", options=replace(options, max_gap_s=0.15, time_offset_s=0.05))
-    assert report.frames == 1  # 0.05 lies before, 0.25 in a step of 0.1 s, 0.45 in one of 0.17 s, 0.65 behind
+    report = convert(
+        tmp_path, tmp_path / "b", options=replace(options, max_gap_s=0.15, time_offset_s=0.05)
+    )
+    assert (
+        report.frames == 1
+    )  # 0.05 lies before, 0.25 in a step of 0.1 s, 0.45 in one of 0.17 s, 0.65 behind
     assert report.dropped == {"the trajectory has no pose around its time": 3}

@@ -37,20 +37,41 @@ def test_every_end_of_the_sliders_draws(lean_deg, gap_m, spacing_m):
 @pytest.fixture
 def scene():
     """Four pixels: fine, new, 20 cm too far, wrong colour; the last is new and wrong at once."""
-    camera = Camera(width=5, height=1, fx=5.0, fy=5.0, cx=2.5, cy=0.5)
+    camera = Camera(
+        width=5,
+        height=1,
+        fx=5.0,
+        fy=5.0,
+        cx=2.5,
+        cy=0.5,
+    )
     grey, other = torch.full((1, 5, 3), 0.5), torch.full((1, 5, 3), 0.5)
     other[0, 3:] = 0.9
     index = torch.zeros(1, 5, dtype=torch.int32)
     view = SurfaceView(
-        rgb=other, transmittance=torch.tensor([[0.0, 0.9, 0.0, 0.0, 0.9]]),
-        depth_m=torch.tensor([[2.0, 0.0, 2.2, 2.0, 2.9]]), normal_W=torch.zeros(1, 5, 3), hit_index=index,
+        rgb=other,
+        transmittance=torch.tensor([[0.0, 0.9, 0.0, 0.0, 0.9]]),
+        depth_m=torch.tensor([[2.0, 0.0, 2.2, 2.0, 2.9]]),
+        normal_W=torch.zeros(1, 5, 3),
+        hit_index=index,
         dominant_index=index,
-    )  # fmt: skip
-    frame = Frame(index=0, timestamp_s=0.0, rgb=grey, depth_m=torch.full((1, 5), 2.0), camera=camera, T_WC=torch.eye(4))
+    )
+    frame = Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=grey,
+        depth_m=torch.full((1, 5), 2.0),
+        camera=camera,
+        T_WC=torch.eye(4),
+    )
     return view, frame
 
 
 def test_masks_by_hand(scene):
     view, frame = scene
     masks = masks_by_cause(view, frame, 0.5, 0.1, 0.1)
-    assert {cause: mask.nonzero()[:, 1].tolist() for cause, mask in masks.items()} == {1: [1, 4], 2: [2], 3: [3]}
+    assert {cause: mask.nonzero()[:, 1].tolist() for cause, mask in masks.items()} == {
+        1: [1, 4],
+        2: [2],
+        3: [3],
+    }

@@ -13,18 +13,33 @@ from gsfusion_nb.types import Camera, Frame
 from gsfusion_nb.viz import point_panel, repair_panel
 from gsfusion_nb.viz.panels.frames import displaced_pose, pixel_story, point_view
 
-CAMERA = Camera(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
+CAMERA = Camera(
+    width=64,
+    height=48,
+    fx=50.0,
+    fy=50.0,
+    cx=32.0,
+    cy=24.0,
+)
 
 
 @pytest.fixture
 def frame():
-    """A grey wall at 2 m with a red square at 1 m in the middle; no depth in the lowest row; some pose."""
+    """A grey wall at 2 m with a red square at 1 m in the middle; no depth in the lowest row; some
+    pose."""
     rgb, depth_m = torch.full((48, 64, 3), 0.5), torch.full((48, 64), 2.0)
     rgb[20:28, 28:36] = torch.tensor([1.0, 0.0, 0.0])
     depth_m[20:28, 28:36] = 1.0
     depth_m[-1] = 0
     T_WC = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.4, -0.7, 0.2]))
-    return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=CAMERA, T_WC=T_WC)
+    return Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=rgb,
+        depth_m=depth_m,
+        camera=CAMERA,
+        T_WC=T_WC,
+    )
 
 
 def red(picture):
@@ -63,12 +78,29 @@ def test_a_click_on_the_frame_lifts_its_pixel(frame):
     W, H = frame.camera.width, frame.camera.height
     panel.drag((20.4, 26 + 30.7))
     assert (panel.values["u"], panel.values["v"]) == (20, 30)
-    xyz = backproject(frame.camera, torch.tensor([[20.5, 30.5]]), frame.depth_m[30, 20].view(1))[0]
+    xyz = backproject(
+        frame.camera,
+        torch.tensor([[20.5, 30.5]]),
+        frame.depth_m[30, 20].view(1),
+    )[0]
     assert "pixel (20, 30)" in panel.caption.value
     assert ", ".join(f"{x:.3f}" for x in xyz.tolist()) in panel.caption.value
-    panel.drag((W + 6 + 10, 26 + 9), (W + 6 + 10 - frame.camera.fx * np.radians(8), 26 + 9))
-    assert panel.values["turn_deg"] == 8  # the picture follows the pointer: to the left, when the camera turns right
-    assert pixel_story(frame, displaced_pose(frame.T_WC, 0.0, 170.0).float(), W // 2, H // 2)[0] is None
+    panel.drag(
+        (W + 6 + 10, 26 + 9),
+        (W + 6 + 10 - frame.camera.fx * np.radians(8), 26 + 9),
+    )
+    assert (
+        panel.values["turn_deg"] == 8
+    )  # the picture follows the pointer: to the left, when the camera turns right
+    assert (
+        pixel_story(
+            frame,
+            displaced_pose(frame.T_WC, 0.0, 170.0).float(),
+            W // 2,
+            H // 2,
+        )[0]
+        is None
+    )
     place, words = pixel_story(frame, frame.T_WC, W // 2, H // 2)
     assert place == pytest.approx((W // 2 + 0.5, H // 2 + 0.5), abs=1e-3)
     assert "no depth" not in words

@@ -1,4 +1,5 @@
-"""Gradients of one pixel and of one Gaussian: autograd, the renderer's own sum, and the widget without a browser."""
+"""Gradients of one pixel and of one Gaussian: autograd, the renderer's own sum, and the widget
+without a browser."""
 
 import pytest
 import torch
@@ -20,13 +21,21 @@ from gsfusion_nb.viz.panels.gradient_microscope import (
 )
 from gsfusion_nb.viz.panels.pixel_stack import project_splats
 
-CAMERA = Camera(width=32, height=24, fx=26.0, fy=26.0, cx=16.0, cy=12.0)
+CAMERA = Camera(
+    width=32,
+    height=24,
+    fx=26.0,
+    fy=26.0,
+    cx=16.0,
+    cy=12.0,
+)
 EYE = torch.eye(4)
 
 
 def random_map(n, generator, opacity=0.0):
     return GaussianParams(
-        xyz_W=torch.rand(n, 3, generator=generator) * torch.tensor([2.4, 1.8, 2.0]) + torch.tensor([-1.2, -0.9, 1.0]),
+        xyz_W=torch.rand(n, 3, generator=generator) * torch.tensor([2.4, 1.8, 2.0])
+        + torch.tensor([-1.2, -0.9, 1.0]),
         log_scale=torch.randn(n, 3, generator=generator) * 0.4 - 2.5,
         quat=torch.randn(n, 4, generator=generator),
         opacity_logit=torch.randn(n, generator=generator) + opacity,
@@ -40,7 +49,15 @@ def scene(request, generator):
     params = random_map(120, generator, request.param)
     splats = project_splats(params, CAMERA, EYE)
     p, rgb = splats.projection, sh_to_rgb(params.sh, params.xyz_W, EYE[:3, 3])
-    out = composite(p.uv, p.conic, p.opacity, rgb, p.depth_m, tile_intersections(p, CAMERA), CAMERA)
+    out = composite(
+        p.uv,
+        p.conic,
+        p.opacity,
+        rgb,
+        p.depth_m,
+        tile_intersections(p, CAMERA),
+        CAMERA,
+    )
     v_rgb = l1_vjp(out.rgb, torch.rand(24, 32, 3, generator=generator))
     return splats, v_rgb, composite_vjp(out.saved, v_rgb)
 
@@ -55,7 +72,12 @@ def test_the_field_of_a_gaussian_sums_up_to_the_renderers_gradient(scene):
         except ValueError:
             continue
         assert field.stride == 1
-        torch.testing.assert_close(field.v_uv.sum((0, 1)), total.uv[row], rtol=1e-3, atol=1e-5 * scale)
+        torch.testing.assert_close(
+            field.v_uv.sum((0, 1)),
+            total.uv[row],
+            rtol=1e-3,
+            atol=1e-5 * scale,
+        )
         seen += 1
     assert seen > 10
 
@@ -71,7 +93,12 @@ def test_all_pixels_together_give_the_renderers_gradient(scene):
             rgb.index_add_(0, g.stack.row, g.v_rgb)
             opacity.index_add_(0, g.stack.row, g.v_opacity)
     for mine, theirs in ((uv, total.uv), (rgb, total.rgb), (opacity, total.opacity)):
-        torch.testing.assert_close(mine, theirs, rtol=1e-3, atol=1e-5 * float(theirs.abs().max()))
+        torch.testing.assert_close(
+            mine,
+            theirs,
+            rtol=1e-3,
+            atol=1e-5 * float(theirs.abs().max()),
+        )
 
 
 def test_one_pixel_against_autograd(generator):
@@ -87,9 +114,12 @@ def test_one_pixel_against_autograd(generator):
 def one_dot():
     """A grey dot in the middle, which the pixels want white."""
     return GaussianParams(
-        xyz_W=torch.tensor([[0.0, 0.0, 2.0]]), log_scale=torch.full((1, 3), -1.5), quat=torch.tensor([[1.0, 0, 0, 0]]),
-        opacity_logit=torch.zeros(1), sh=torch.zeros(1, 1, 3),
-    )  # fmt: skip
+        xyz_W=torch.tensor([[0.0, 0.0, 2.0]]),
+        log_scale=torch.full((1, 3), -1.5),
+        quat=torch.tensor([[1.0, 0, 0, 0]]),
+        opacity_logit=torch.zeros(1),
+        sh=torch.zeros(1, 1, 3),
+    )
 
 
 def test_green_is_more_opaque_and_red_less():
@@ -101,13 +131,20 @@ def test_green_is_more_opaque_and_red_less():
             pixel_gradient_picture(image, splats, pixel_gradient(splats, v_rgb, 17, 12)),
             gaussian_gradient_picture(image, splats, gaussian_gradient(splats, v_rgb, 0)),
         ):
-            counts = [(abs(picture.astype(int) - rgb_of(c)).max(2) < 60).sum() for c in (ink, other)]
+            counts = [
+                (abs(picture.astype(int) - rgb_of(c)).max(2) < 60).sum() for c in (ink, other)
+            ]
             assert counts[0] > 50
             assert counts[0] > 5 * counts[1]
 
 
 def test_a_click_and_the_choice_change_what_is_shown(generator):
-    m = GradientMicroscope(random_map(400, generator), CAMERA, EYE, torch.rand(24, 32, 3, generator=generator))
+    m = GradientMicroscope(
+        random_map(400, generator),
+        CAMERA,
+        EYE,
+        torch.rand(24, 32, 3, generator=generator),
+    )
     first = m.picture(), m.caption.value
     m.drag((10.5 * 222 / 24, LABEL_PX + 12.5 * 222 / 24))
     second = m.picture(), m.caption.value

@@ -33,12 +33,22 @@ def test_a_start_is_off_by_what_was_asked(pair):
     start = displaced_pose(frame.T_WC, 0.1, 0)
     assert pose_error(start, frame.T_WC) == pytest.approx((0.1, 0.0), abs=1e-4)
     right = start[:3, 3] - frame.T_WC[:3, 3].double()
-    assert torch.allclose(right / right.norm(), frame.T_WC[:3, 0].double(), atol=1e-4)
-    assert pose_error(displaced_pose(frame.T_WC, 0, 5), frame.T_WC) == pytest.approx((0.0, 5.0), abs=1e-3)
+    assert torch.allclose(
+        right / right.norm(),
+        frame.T_WC[:3, 0].double(),
+        atol=1e-4,
+    )
+    assert pose_error(displaced_pose(frame.T_WC, 0, 5), frame.T_WC) == pytest.approx(
+        (0.0, 5.0), abs=1e-3
+    )
 
 
 def test_a_point_behind_the_surface_is_red_and_one_before_it_blue(pair):
-    wall = dataclasses.replace(pair[0], depth_m=torch.full((60, 80), 2.0), T_WC=torch.eye(4))
+    wall = dataclasses.replace(
+        pair[0],
+        depth_m=torch.full((60, 80), 2.0),
+        T_WC=torch.eye(4),
+    )
     surface = frame_surface(wall)
     for z, reddish in ((0.02, True), (-0.02, False)):
         T = torch.eye(4).double()
@@ -62,7 +72,9 @@ def test_the_panel_converges_from_near_and_not_from_afar(pair):
     assert "after all" in panel.caption.value
     panel.set(sideways_cm=60, turn_deg=20)
     assert "not converged" in panel.caption.value
-    assert "after all 0 steps" in panel.caption.value  # nothing corresponds: there is no step to take
+    assert (
+        "after all 0 steps" in panel.caption.value
+    )  # nothing corresponds: there is no step to take
     panel.set(step=0, pyramid=False, sideways_cm=3, turn_deg=1)
     assert "2 × 2 px" in panel.caption.value
 

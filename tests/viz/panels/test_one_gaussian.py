@@ -19,21 +19,38 @@ from gsfusion_nb.viz.panels.one_gaussian import (
     tile_picture,
 )
 
-CAMERA = Camera(width=80, height=60, fx=52.0, fy=52.0, cx=40.0, cy=30.0)
+CAMERA = Camera(
+    width=80,
+    height=60,
+    fx=52.0,
+    fy=52.0,
+    cx=40.0,
+    cy=30.0,
+)
 EYE = torch.eye(4)
 
 
 def ball(z=2.0, scale=0.1):
-    return gaussian_row(torch.tensor([0.0, 0.0, z]), torch.full((3,), scale), orientation_from_angles(0, 0))
+    return gaussian_row(
+        torch.tensor([0.0, 0.0, z]),
+        torch.full((3,), scale),
+        orientation_from_angles(0, 0),
+    )
 
 
 def test_turns_are_about_the_cameras_axes():
     x = torch.tensor([1.0, 0.0, 0.0])
     torch.testing.assert_close(
-        quaternion.to_matrix(orientation_from_angles(90, 0)) @ x, torch.tensor([0.0, 1.0, 0.0]), atol=1e-6, rtol=0
+        quaternion.to_matrix(orientation_from_angles(90, 0)) @ x,
+        torch.tensor([0.0, 1.0, 0.0]),
+        atol=1e-6,
+        rtol=0,
     )
     torch.testing.assert_close(
-        quaternion.to_matrix(orientation_from_angles(0, 90)) @ x, torch.tensor([0.0, 0.0, -1.0]), atol=1e-6, rtol=0
+        quaternion.to_matrix(orientation_from_angles(0, 90)) @ x,
+        torch.tensor([0.0, 0.0, -1.0]),
+        atol=1e-6,
+        rtol=0,
     )
 
 
@@ -61,7 +78,11 @@ def test_degree_one_along_z_is_brightest_for_a_camera_that_looks_along_z():
 def test_the_longest_list_is_yellow(generator):
     params = ball(scale=0.02)
     p = project_gaussians(params, CAMERA, EYE)
-    picture = tile_picture(torch.zeros(60, 80, 3), tile_intersections(p, CAMERA), scale=2)
+    picture = tile_picture(
+        torch.zeros(60, 80, 3),
+        tile_intersections(p, CAMERA),
+        scale=2,
+    )
     assert picture.shape == (120, 160, 3)
     middle, corner = picture[58, 78].astype(int), picture[4, 4].astype(int)
     assert middle[0] > 120  # viridis ends in yellow
@@ -69,7 +90,9 @@ def test_the_longest_list_is_yellow(generator):
     assert corner[2] > corner[1]  # and begins in violet
 
 
-@pytest.mark.parametrize("make", [lambda: one_gaussian_panel(CAMERA), sh_ball_panel], ids=["one", "ball"])
+@pytest.mark.parametrize(
+    "make", [lambda: one_gaussian_panel(CAMERA), sh_ball_panel], ids=["one", "ball"]
+)
 def test_every_control_changes_the_picture(make):
     panel = make()
     start = panel.values
@@ -91,14 +114,21 @@ def test_the_gaussian_is_dragged_by_its_middle_and_by_the_ends_of_its_axes():
     ends = [(np.array(handles[k]) - handles["middle"]) / 6 for k in ("long", "thick")]
     thin = cov - torch.tensor(sum(np.outer(e, e) for e in ends))  # only the thin third axis is left
     assert float(thin.abs().max()) < 1.0
-    panel.drag(handles["middle"], (handles["middle"][0] + 6 * 52 * 0.2 / 1.5, handles["middle"][1]))
+    panel.drag(
+        handles["middle"],
+        (handles["middle"][0] + 6 * 52 * 0.2 / 1.5, handles["middle"][1]),
+    )
     assert panel.values["x_m"] == pytest.approx(0.3)
     u, v = gaussian_handles(panel.set(lean_deg=20).values, CAMERA, 6)["long"]
     panel.drag((u, v), (u + 12, v + 40))
     after = gaussian_handles(panel.values, CAMERA, 6)["long"]
-    assert after == pytest.approx((u + 12, v + 40), abs=3.5)  # the handle stays under the pointer, up to a slider step
+    assert after == pytest.approx(
+        (u + 12, v + 40), abs=3.5
+    )  # the handle stays under the pointer, up to a slider step
     thick = panel.values["thick_m"]
-    (u, v), (mid_u, mid_v) = (gaussian_handles(panel.values, CAMERA, 6)[k] for k in ("thick", "middle"))
+    (u, v), (mid_u, mid_v) = (
+        gaussian_handles(panel.values, CAMERA, 6)[k] for k in ("thick", "middle")
+    )
     panel.drag((u, v), (2 * u - mid_u, 2 * v - mid_v))
     assert panel.values["thick_m"] == pytest.approx(2 * thick, abs=0.003)
 

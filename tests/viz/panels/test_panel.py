@@ -9,7 +9,9 @@ from gsfusion_nb.viz.panels.panel import Choice, Panel, Slider, Switch
 
 
 def shown(panel):
-    return np.asarray(cv2.imdecode(np.frombuffer(panel.image.value, np.uint8), cv2.IMREAD_COLOR))[..., ::-1]
+    return np.asarray(cv2.imdecode(np.frombuffer(panel.image.value, np.uint8), cv2.IMREAD_COLOR))[
+        ..., ::-1
+    ]
 
 
 @pytest.fixture
@@ -21,14 +23,26 @@ def panel():
         calls.append((level, word, flip))
         if level == 13:
             raise ValueError("13 brings <bad> luck")
-        return np.full((4, 6, 3), 255 - level if flip else level, np.uint8), f"{word} {level}"
+        return np.full(
+            (4, 6, 3),
+            255 - level if flip else level,
+            np.uint8,
+        ), f"{word} {level}"
 
     controls = {
-        "level": Slider(value=100, low=0, high=255, step=1, label="level"),
+        "level": Slider(
+            value=100,
+            low=0,
+            high=255,
+            step=1,
+            label="level",
+        ),
         "word": Choice(value="grey", options=("grey", "gray"), label="word"),
         "flip": Switch(value=False, label="flip"),
     }
-    panel = Panel(draw, controls, buttons={"brighter now": lambda: more(panel)}, kind="png", name="test")
+    panel = Panel(
+        draw, controls, buttons={"brighter now": lambda: more(panel)}, kind="png", name="test"
+    )
     panel.calls = calls  # pyright: ignore[reportAttributeAccessIssue]
     return panel
 
@@ -84,7 +98,13 @@ def test_a_drag_moves_sliders_from_where_they_were_when_it_began():
         return np.full((4, 6, 3), level, np.uint8), f"<b>grey</b>&nbsp;{level}, {flip}"
 
     controls = {
-        "level": Slider(value=10, low=0, high=40, step=2, label="level"),
+        "level": Slider(
+            value=10,
+            low=0,
+            high=40,
+            step=2,
+            label="level",
+        ),
         "flip": Switch(value=False, label="f"),
     }
     panel = Panel(draw, controls, touch=touch, text="A grey")
@@ -98,7 +118,11 @@ def test_a_drag_moves_sliders_from_where_they_were_when_it_began():
 
 
 @pytest.mark.parametrize(
-    ("words", "said"), [("<p>3 of 4</p><table><td>1</td></table>", "3 of 4"), ("<table><td>7 cm</td></table>", "7 cm")]
+    ("words", "said"),
+    [
+        ("<p>3 of 4</p><table><td>1</td></table>", "3 of 4"),
+        ("<table><td>7 cm</td></table>", "7 cm"),
+    ],
 )
 def test_a_table_is_spoken_only_where_there_is_nothing_else(words, said):
     def draw():

@@ -33,7 +33,10 @@ def photo():
 def test_cells_are_filled_with_their_mean(photo):
     cells = quadtree(torch.from_numpy(photo), threshold=0.02)
     means = cell_means(torch.from_numpy(photo), cells).numpy()
-    for x, y, w, h in zip(*(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)), strict=True):
+    for x, y, w, h in zip(
+        *(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)),
+        strict=True,
+    ):
         expected = photo[y : y + h, x : x + w].reshape(-1, 3).mean(0).round()
         assert (means[y : y + h, x : x + w] == expected).all()
 
@@ -55,7 +58,13 @@ CONFIG = gsfusion("room", tsdf__voxel_size_m=0.04)
 
 
 def every_kind(
-    ctx, *, share: float = 0.1, count: int = 8, offset: float = 0.0, on: bool = True, word: Literal["a", "b"] = "a"
+    ctx,
+    *,
+    share: float = 0.1,
+    count: int = 8,
+    offset: float = 0.0,
+    on: bool = True,
+    word: Literal["a", "b"] = "a",
 ) -> Seeds:
     return ctx.cells()
 

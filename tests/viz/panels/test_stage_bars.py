@@ -12,7 +12,9 @@ SECONDS = {"tsdf": 0.05, "optimise": 0.05}
 
 
 def test_means_leave_out_what_takes_nothing():
-    means = stage_means([{"tsdf": 1.0, "tracking": 0.0}, {"tsdf": 3.0, "tracking": 0.0, "seeding": 2.0}])
+    means = stage_means(
+        [{"tsdf": 1.0, "tracking": 0.0}, {"tsdf": 3.0, "tracking": 0.0, "seeding": 2.0}]
+    )
     assert means == {"tsdf": 2.0, "seeding": 1.0}
 
 
@@ -32,12 +34,22 @@ def test_a_bar_is_as_long_as_its_time():
     assert blue[:70].max() == pytest.approx(2 * blue[90:150].max(), abs=3)
 
 
-CAMERA = Camera(width=128, height=96, fx=120.0, fy=120.0, cx=64.0, cy=48.0)
+CAMERA = Camera(
+    width=128,
+    height=96,
+    fx=120.0,
+    fy=120.0,
+    cx=64.0,
+    cy=48.0,
+)
 
 
 def keyframes(n):
     shades = [torch.full((96, 128, 3), 5 * k, dtype=torch.uint8) for k in range(n)]
-    return [Keyframe(index=k, rgb_u8=shade, camera=CAMERA, T_WC=torch.eye(4)) for k, shade in enumerate(shades)]
+    return [
+        Keyframe(index=k, rgb_u8=shade, camera=CAMERA, T_WC=torch.eye(4))
+        for k, shade in enumerate(shades)
+    ]
 
 
 def test_pictures_in_rows():

@@ -1,4 +1,5 @@
-"""A slice shows every voxel in its place; moving a camera changes nothing in the map, and measuring does."""
+"""A slice shows every voxel in its place; moving a camera changes nothing in the map, and measuring
+does."""
 
 import numpy as np
 import pytest
@@ -22,10 +23,14 @@ VIEW = {"x_m": (0.0, 1.6), "y_m": (0.0, 0.8), "px_per_m": 100}
 
 @pytest.fixture
 def volume():
-    """One block of 10 cm voxels at the origin; voxel (1, 2, 3) has D = -1, W = 5 and is green; (4, 0, 3) has D = 1."""
+    """One block of 10 cm voxels at the origin; voxel (1, 2, 3) has D = -1, W = 5 and is green; (4,
+    0, 3) has D = 1."""
     volume = TsdfVolume(TsdfConfig(voxel_size_m=0.1))
     volume.add_blocks(torch.tensor([[0, 0, 0]]))
-    for (x, y, z), D, W, rgb in (((1, 2, 3), -1.0, 5.0, (0.0, 1.0, 0.0)), ((4, 0, 3), 1.0, 10.0, (1.0, 0.0, 0.0))):
+    for (x, y, z), D, W, rgb in (
+        ((1, 2, 3), -1.0, 5.0, (0.0, 1.0, 0.0)),
+        ((4, 0, 3), 1.0, 10.0, (1.0, 0.0, 0.0)),
+    ):
         n = 64 * x + 8 * y + z
         volume.D[0, n] = D
         volume.W[0, n] = W
@@ -43,7 +48,9 @@ def test_x_goes_right_and_y_goes_up(volume):
     assert (seen == expected).all()
     assert image[55, 15].argmax() == 0  # behind is red
     assert image[75, 45].argmax() == 2  # free is blue
-    assert (slice_picture(volume, height_m=0.45, **VIEW).std(-1) == 0).all()  # another layer: nothing observed
+    assert (
+        slice_picture(volume, height_m=0.45, **VIEW).std(-1) == 0
+    ).all()  # another layer: nothing observed
 
 
 def test_weight_and_colour(volume):
@@ -57,7 +64,14 @@ def test_weight_and_colour(volume):
 
 
 def test_the_camera_is_drawn_where_it_stands():
-    camera = Camera(width=20, height=10, fx=20.0, fy=20.0, cx=10.0, cy=5.0)
+    camera = Camera(
+        width=20,
+        height=10,
+        fx=20.0,
+        fy=20.0,
+        cx=10.0,
+        cy=5.0,
+    )
     blank = np.zeros((252, 312, 3), np.uint8)
     image = draw_camera(blank, camera, level_pose(0.4, 0.4, 0.3, 0.0), reach_m=0.8)
     assert (blank == 0).all()
@@ -68,7 +82,14 @@ def test_the_camera_is_drawn_where_it_stands():
     assert abs(orange[:, 0].mean() - v) < 1.5  # the edges are symmetric about its row
 
 
-CAMERA = Camera(width=320, height=240, fx=208.0, fy=208.0, cx=160.0, cy=120.0)
+CAMERA = Camera(
+    width=320,
+    height=240,
+    fx=208.0,
+    fy=208.0,
+    cx=160.0,
+    cy=120.0,
+)
 SMALL = CAMERA.resized(160, 120)
 
 
@@ -76,9 +97,13 @@ def look(T_WC):
     """A flat wall 1.5 m ahead of wherever the camera stands."""
     size = (SMALL.height, SMALL.width)
     return Frame(
-        index=0, timestamp_s=0.0, rgb=torch.full((*size, 3), 0.5), depth_m=torch.full(size, 1.5), camera=SMALL,
+        index=0,
+        timestamp_s=0.0,
+        rgb=torch.full((*size, 3), 0.5),
+        depth_m=torch.full(size, 1.5),
+        camera=SMALL,
         T_WC=T_WC,
-    )  # fmt: skip
+    )
 
 
 def blue(picture):
@@ -89,7 +114,9 @@ def blue(picture):
 
 @pytest.fixture
 def panel():
-    return tsdf_fill_panel(TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0)), CAMERA, look)
+    return tsdf_fill_panel(
+        TsdfVolume(TsdfConfig(voxel_size_m=0.04, truncation_voxels=4.0)), CAMERA, look
+    )
 
 
 def test_the_pose_is_rigid_upright_and_looks_along_its_heading():
@@ -98,7 +125,11 @@ def test_the_pose_is_rigid_upright_and_looks_along_its_heading():
     assert T[:3, 2].tolist() == pytest.approx([0, 3**0.5 / 2, 0.5], abs=1e-6)  # towards +y and up
     assert T[:3, 0].tolist() == pytest.approx([1, 0, 0], abs=1e-6)  # its right is +x
     assert T[2, 1] < 0  # its down is down
-    assert torch.allclose(T[:3, :3] @ T[:3, :3].T, torch.eye(3, dtype=torch.float64), atol=1e-6)
+    assert torch.allclose(
+        T[:3, :3] @ T[:3, :3].T,
+        torch.eye(3, dtype=torch.float64),
+        atol=1e-6,
+    )
     assert float(torch.linalg.det(T[:3, :3])) == pytest.approx(1)
 
 
@@ -122,10 +153,20 @@ def test_the_camera_is_dragged_in_the_slice_and_turned_by_its_handle(panel):
     panel.set(x_m=0.5, y_m=0.0, heading_deg=0.0)
     at = camera_handles(0.5, 0.0, 0.0)
     u, v = at["place"][0], at["place"][1] + LABEL_PX
-    panel.drag((u, v), (u + 10, v), (u - 30, v - 60))
-    assert (panel.values["x_m"], panel.values["y_m"]) == (0.0, 1.0)  # 60 pixels are a metre, y is up
+    panel.drag(
+        (u, v),
+        (u + 10, v),
+        (u - 30, v - 60),
+    )
+    assert (panel.values["x_m"], panel.values["y_m"]) == (
+        0.0,
+        1.0,
+    )  # 60 pixels are a metre, y is up
     u, v = camera_handles(0.0, 1.0, 0.0)["heading"]
-    panel.drag((u, v + LABEL_PX), (slice_pixel(0.0, 1.6)[0], slice_pixel(0.0, 1.6)[1] + LABEL_PX))
+    panel.drag(
+        (u, v + LABEL_PX),
+        (slice_pixel(0.0, 1.6)[0], slice_pixel(0.0, 1.6)[1] + LABEL_PX),
+    )
     assert panel.values["heading_deg"] == 90
     assert panel.values["x_m"] == 0.0
     before = panel.values

@@ -1,4 +1,5 @@
-"""What the steppers of these tests step through: a frame of a wavy wall, and the volume that it was fused into."""
+"""What the steppers of these tests step through: a frame of a wavy wall, and the volume that it was
+fused into."""
 
 import itertools
 
@@ -14,12 +15,34 @@ from gsfusion_nb.types import Camera, Frame
 @pytest.fixture(scope="session")
 def frame():
     """A wavy wall about 1.3 m away, striped in its middle."""
-    camera = Camera(width=48, height=36, fx=40.0, fy=40.0, cx=24.0, cy=18.0)
-    v, u = torch.meshgrid(torch.arange(36.0), torch.arange(48.0), indexing="ij")
+    camera = Camera(
+        width=48,
+        height=36,
+        fx=40.0,
+        fy=40.0,
+        cx=24.0,
+        cy=18.0,
+    )
+    v, u = torch.meshgrid(
+        torch.arange(36.0),
+        torch.arange(48.0),
+        indexing="ij",
+    )
     depth_m = 1.2 + 0.12 * torch.sin(u / 7) * torch.cos(v / 5) + 0.004 * u
-    stripes = torch.where((u - 24).abs() < 9, (u.long() // 3 % 2).float(), 0.5)
+    stripes = torch.where(
+        (u - 24).abs() < 9,
+        (u.long() // 3 % 2).float(),
+        0.5,
+    )
     rgb = torch.stack([stripes, 0.5 + 0 * u, v / 36], dim=2)
-    return Frame(index=0, timestamp_s=0.0, rgb=rgb, depth_m=depth_m, camera=camera, T_WC=torch.eye(4))
+    return Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=rgb,
+        depth_m=depth_m,
+        camera=camera,
+        T_WC=torch.eye(4),
+    )
 
 
 @pytest.fixture(scope="session")
@@ -32,7 +55,8 @@ def volume(frame):
 
 @pytest.fixture
 def press():
-    """Go to some steps of a stepper; each has a picture with something on it, a line, and an alt text.
+    """Go to some steps of a stepper; each has a picture with something on it, a line, and an alt
+    text.
 
     Returns the titles and numbers of all steps.
     """
@@ -48,7 +72,9 @@ def press():
             assert f"step {k + 1} of {stepper.count}" in stepper.alt
             pictures.append(picture)
         assert any((a != b).any() for a, b in itertools.pairwise(pictures))
-        return [(step.title, {str(row[0]): row[-1] for row in step.numbers}) for step in stepper.steps]
+        return [
+            (step.title, {str(row[0]): row[-1] for row in step.numbers}) for step in stepper.steps
+        ]
 
     return through
 

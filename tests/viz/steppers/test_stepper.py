@@ -17,7 +17,9 @@ from gsfusion_nb.viz.steppers.recording import file_lines, record
 
 def test_lines_carry_the_values_after_them_and_the_text_of_the_file():
     rgb = torch.arange(27, dtype=torch.uint8).view(3, 3, 3)
-    recording = record(lambda: luma_variance(rgb), {luma_variance: {"luma_variance": ("r", "g + b", "unknown")}})
+    recording = record(
+        lambda: luma_variance(rgb), {luma_variance: {"luma_variance": ("r", "g + b", "unknown")}}
+    )
     first, last = recording
     assert first.text.startswith("r, g, b = rgb.double()")
     assert first.text == file_lines(first.path)[first.first - 1].strip()
@@ -59,7 +61,9 @@ def test_a_stored_notebook_keeps_some_steps_as_one_picture(stepper, monkeypatch)
     monkeypatch.setenv("GSNB_VIEW", "static")
     data, metadata = stepper._repr_mimebundle_()
     assert WIDGET_MIME not in data
-    png = cv2.imdecode(np.frombuffer(base64.b64decode(data["image/png"]), np.uint8), cv2.IMREAD_UNCHANGED)
+    png = cv2.imdecode(
+        np.frombuffer(base64.b64decode(data["image/png"]), np.uint8), cv2.IMREAD_UNCHANGED
+    )
     assert png is not None
     assert png.shape[2] == 4
     assert (png[..., 3] == 0).mean() > 0.3

@@ -1,4 +1,5 @@
-"""One iteration of ICP and one step on a pose graph: the recorded numbers are those of the operation."""
+"""One iteration of ICP and one step on a pose graph: the recorded numbers are those of the
+operation."""
 
 import dataclasses
 import math
@@ -39,16 +40,39 @@ def test_icp_ends_with_the_pose_of_one_iteration(frame, press):
 
 @pytest.fixture
 def loop():
-    """Five poses around a square and the first corner again, with a bend in the odometry that the loop contradicts."""
-    turn = torch.tensor([1.0, 0, 0, 0, 0, math.pi / 2], dtype=torch.float64)
-    step, bend = se3.exp(turn), se3.exp(torch.tensor([0.04, 0.02, 0, 0, 0, 0.05], dtype=torch.float64))
+    """Five poses around a square and the first corner again, with a bend in the odometry that the
+    loop contradicts."""
+    turn = torch.tensor(
+        [1.0, 0, 0, 0, 0, math.pi / 2],
+        dtype=torch.float64,
+    )
+    step, bend = (
+        se3.exp(turn),
+        se3.exp(torch.tensor([0.04, 0.02, 0, 0, 0, 0.05], dtype=torch.float64)),
+    )
     poses, edges = [torch.eye(4).double()], []
     for k in range(4):
         T_ij = step @ bend
-        edges.append(Edge(i=k, j=k + 1, T_ij=T_ij, information=odometry_information(3.0, 0.05), kind="odometry"))
+        edges.append(
+            Edge(
+                i=k,
+                j=k + 1,
+                T_ij=T_ij,
+                information=odometry_information(3.0, 0.05),
+                kind="odometry",
+            )
+        )
         poses.append(poses[-1] @ T_ij)
     T_loop = se3.inverse(poses[0]) @ torch.linalg.matrix_power(step, 4)
-    edges.append(Edge(i=0, j=4, T_ij=T_loop, information=odometry_information(1.0, 0.02), kind="loop"))
+    edges.append(
+        Edge(
+            i=0,
+            j=4,
+            T_ij=T_loop,
+            information=odometry_information(1.0, 0.02),
+            kind="loop",
+        )
+    )
     return torch.stack(poses), edges
 
 
@@ -62,9 +86,9 @@ def test_pose_graph_ends_with_the_poses_of_one_step(loop, press):
     once = optimise_poses(T_WC, without_loops, iterations=1)
     alone = pose_graph_stepper(T_WC, without_loops)
     torch.testing.assert_close(alone.steps[-1].scene["T_WC"], once.T_WC)
-    assert float({row[0]: row[1] for row in alone.steps[-1].numbers}["error after"]) == pytest.approx(
-        once.error_after, rel=1e-3
-    )
+    assert float(
+        {row[0]: row[1] for row in alone.steps[-1].numbers}["error after"]
+    ) == pytest.approx(once.error_after, rel=1e-3)
     H = stepper.steps[find(stepper, "Solve H xi")].scene["H"] > 0
     joined = torch.eye(5, dtype=torch.bool)
     for e in edges:

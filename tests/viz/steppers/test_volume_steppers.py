@@ -23,8 +23,13 @@ def test_marching_cubes_has_the_vertices_of_the_mesh(volume, press, cells):
     steps = press(stepper)
     with use_backend("reference"):
         mesh, whole = extract_mesh(cut_out(volume, start, cells)), extract_mesh(volume)
-    assert steps[-1][1] == {"vertices": str(len(mesh.vertices_W)), "triangles": str(len(mesh.faces))}
-    points = (stepper.steps[-1].scene["points"] + np.array(start) + 0.5) * volume.config.voxel_size_m
+    assert steps[-1][1] == {
+        "vertices": str(len(mesh.vertices_W)),
+        "triangles": str(len(mesh.faces)),
+    }
+    points = (
+        stepper.steps[-1].scene["points"] + np.array(start) + 0.5
+    ) * volume.config.voxel_size_m
     np.testing.assert_allclose(points, mesh.vertices_W.numpy(), atol=1e-6)
     assert (torch.cdist(mesh.vertices_W.double(), whole.vertices_W.double()).amin(1) < 1e-6).all()
     cased = [numbers["case"] for title, numbers in steps if title.startswith("The case")]
@@ -44,7 +49,9 @@ def test_raycast_ends_at_the_depth_of_the_pixel(volume, frame, press):
     v, u = (int(x) for x in (depth_m > 0).nonzero()[200])
     stepper = raycast_stepper(volume, frame.camera, frame.T_WC, (u, v))
     steps = press(stepper)
-    assert float(steps[-1][1]["depth z"].removesuffix(" m")) == pytest.approx(float(depth_m[v, u]), abs=1e-5)
+    assert float(steps[-1][1]["depth z"].removesuffix(" m")) == pytest.approx(
+        float(depth_m[v, u]), abs=1e-5
+    )
     change = find(stepper, "D changes from + to −")
     assert stepper.steps[change].line.text.startswith("leaves =")
     last = stepper.steps[change].scene["D_met"]
@@ -56,12 +63,21 @@ def test_raycast_ends_at_the_depth_of_the_pixel(volume, frame, press):
 @pytest.mark.parametrize("contrast", ["released", "std"])
 def test_quadtree_ends_with_the_leaves_of_the_operation(frame, press, contrast):
     rgb_u8 = (255 * frame.rgb).to(torch.uint8)
-    settings = {"threshold": 0.02 if contrast == "released" else 0.06, "min_cell_px": 4, "contrast": contrast}
+    settings = {
+        "threshold": 0.02 if contrast == "released" else 0.06,
+        "min_cell_px": 4,
+        "contrast": contrast,
+    }
     stepper = quadtree_stepper(rgb_u8, **settings)
     press(stepper)
     with use_backend("reference"):
         cells = quadtree(rgb_u8, **settings)
-    expected = list(zip(*(getattr(cells, k).tolist() for k in ("x0", "y0", "width", "height")), strict=True))
+    expected = list(
+        zip(
+            *(getattr(cells, k).tolist() for k in ("x0", "y0", "width", "height")),
+            strict=True,
+        )
+    )
     assert list(stepper.steps[-1].scene["leaves"]) == expected
     looked = [step for step in stepper.steps if step.title.endswith("above the threshold.")]
     for step in looked:

@@ -44,8 +44,8 @@ FORMATS = {
     "tum": tum,
     "images": images,
 }
-"""Formats by name, in the order in which they are tried. The module of a format has ``recognise(path)``,
-``read(path, options)``, and ``LOOKS_FOR``, which says what identifies it."""
+"""Formats by name, in the order in which they are tried. The module of a format has
+``recognise(path)``, ``read(path, options)``, and ``LOOKS_FOR``, which says what identifies it."""
 
 
 def known_formats() -> dict[str, str]:
@@ -56,14 +56,16 @@ def known_formats() -> dict[str, str]:
 def readable_layout(path: Path) -> str:
     """Layout in which a folder can be opened as it is; empty where it must be converted first.
 
-    That is so for lists and images as the TUM benchmark and 7-Scenes have them, but of another camera, and for a plain
-    folder without the unit of its depth.
+    That is so for lists and images as the TUM benchmark and 7-Scenes have them, but of another
+    camera, and for a plain folder without the unit of its depth.
     """
     try:
         layout = detect_layout(path) if path.is_dir() else ""
     except SequenceError:
         return ""
-    if layout == "folder" and "depth_scale" not in read_object(path / "intrinsics.json", "the camera's intrinsics"):
+    if layout == "folder" and "depth_scale" not in read_object(
+        path / "intrinsics.json", "the camera's intrinsics"
+    ):
         return ""
     if layout == "seven_scenes" and calibration_in(*calibrated_folders(path)) is not None:
         return ""
@@ -74,11 +76,17 @@ def detect_format(path: Path) -> str:
     """Name of the first format that ``path`` looks like.
 
     Raises:
-        SequenceError: nothing is there, or no format fits; the message lists what each format looks for.
+        SequenceError: nothing is there, or no format fits; the message lists what each format looks
+            for.
     """
     if not path.exists():
-        raise SequenceNotFoundError(f"{path} does not exist; expected the file or folder of a recording")
-    name = next((name for name, f in FORMATS.items() if f.recognise(path)), None)
+        raise SequenceNotFoundError(
+            f"{path} does not exist; expected the file or folder of a recording"
+        )
+    name = next(
+        (name for name, f in FORMATS.items() if f.recognise(path)),
+        None,
+    )
     if name in (None, "images") and (told := unread_recording(path)):
         raise SequenceError(told)
     if name is None:

@@ -1,8 +1,10 @@
-"""A scene of the BOP benchmark (T-LESS, YCB-V, LM-O and others): ``rgb/``, ``depth/``, ``scene_camera.json``.
+"""A scene of the BOP benchmark (T-LESS, YCB-V, LM-O and others): ``rgb/``, ``depth/``,
+``scene_camera.json``.
 
-For each image the JSON holds the matrix ``cam_K``, ``depth_scale``, which makes millimetres of the stored depth when
-multiplied (elsewhere the word means units per metre, or metres per unit), and where known the pose ``cam_R_w2c``,
-``cam_t_w2c``, world-to-camera in millimetres. OpenCV axes, pixel centres at integers. ("BOP dataset format".)
+For each image the JSON holds the matrix ``cam_K``, ``depth_scale``, which makes millimetres of the
+stored depth when multiplied (elsewhere the word means units per metre, or metres per unit), and
+where known the pose ``cam_R_w2c``, ``cam_t_w2c``, world-to-camera in millimetres. OpenCV axes,
+pixel centres at integers. ("BOP dataset format".)
 """
 
 from collections.abc import Iterator
@@ -37,13 +39,16 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     """A scene of BOP (module docstring). A frame without pose is left out where others have one.
 
     Raises:
-        SequenceError: an image that the JSON does not name, or an entry that is not as the format says.
+        SequenceError: an image that the JSON does not name, or an entry that is not as the format
+            says.
     """
     file = path / _FILE
     cameras = read_object(file, "the cameras of BOP's images")
     colour = images_in(path / "rgb")
     entries = [_entry(cameras, image, file) for image in colour]
-    scales = [options.depth_scale or 1000.0 / number(entry, "depth_scale", 1.0, file) for entry in entries]
+    scales = [
+        options.depth_scale or 1000.0 / number(entry, "depth_scale", 1.0, file) for entry in entries
+    ]
     has_poses = any("cam_R_w2c" in entry for entry in entries)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
@@ -65,11 +70,18 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         n_frames=len(colour),
         depth_scale=scales[0],
         has_poses=has_poses,
-        notes=(f"BOP: depth read as {scales[0]:g} per metre, as depth_scale (millimetres per unit) says",),
+        notes=(
+            f"BOP: depth read as {scales[0]:g} per metre, as depth_scale (millimetres per unit) "
+            "says",
+        ),
     )
 
 
-def _entry(cameras: dict[str, Any], image: Path, file: Path) -> dict[str, Any]:
+def _entry(
+    cameras: dict[str, Any],
+    image: Path,
+    file: Path,
+) -> dict[str, Any]:
     key = str(int(image.stem)) if image.stem.isdecimal() else image.stem
     entry = cameras.get(key)
     if not isinstance(entry, dict) or "cam_K" not in entry:
@@ -83,7 +95,10 @@ def _model(entry: dict[str, Any], image: Path, file: Path) -> CameraModel:
     return model_of_matrix(matrix, size_of_colour(image), f"{file}: cam_K", centre=0.0)
 
 
-def _pose(entry: dict[str, Any], source: str) -> Float[Tensor, "4 4"] | None:
+def _pose(
+    entry: dict[str, Any],
+    source: str,
+) -> Float[Tensor, "4 4"] | None:
     if "cam_R_w2c" not in entry or "cam_t_w2c" not in entry:
         return None
     T_CW = torch.eye(4, dtype=torch.float64)

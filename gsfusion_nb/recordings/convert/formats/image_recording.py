@@ -1,4 +1,5 @@
-"""What a folder tells beside its images: the cameras, where depth stands, the unit of depth, and the poses."""
+"""What a folder tells beside its images: the cameras, where depth stands, the unit of depth, and
+the poses."""
 
 import contextlib
 import itertools
@@ -22,7 +23,15 @@ from ..depth_camera import depth_camera_beside, poses_of_a_robot, told_unit
 from ..depth_unit import find_depth_unit, some_depths
 from ..focal_length import estimated_model
 from ..intrinsics import read_intrinsics
-from ..recording import ConvertOptions, DepthUnit, RecordedFrame, Recording, check_exr, load_pair, read_depth_file
+from ..recording import (
+    ConvertOptions,
+    DepthUnit,
+    RecordedFrame,
+    Recording,
+    check_exr,
+    load_pair,
+    read_depth_file,
+)
 from .pairing import FrameFiles
 
 _POSES = (
@@ -48,12 +57,14 @@ def recording_of(
     model: CameraModel | None = None,
     T_WC: Sequence[Float[Tensor, "4 4"] | None] = (),
 ) -> Recording:
-    """The recording of pairs of images, with the camera, the poses and the unit of depth that the folder tells.
+    """The recording of pairs of images, with the camera, the poses and the unit of depth that the
+    folder tells.
 
     Args:
         path, found, options: The folder, its frames, and how to read them.
         model: The camera, if the folder tells none.
-        T_WC: Pose of each frame, None where it is unknown; by default those of a file in the folder.
+        T_WC: Pose of each frame, None where it is unknown; by default those of a file in the
+            folder.
     """
     check_exr(found.pairs[0][1])
     file = _calibration(path, options)
@@ -62,18 +73,33 @@ def recording_of(
     scale = options.depth_scale if unit is None else unit.scale
     of_folder, about = _model(path, found, scale, options)
     model = of_folder or model
-    depth_model, T_colour_depth, about_depth = depth_camera_beside(path, tree, str(file), _size_of_depth(found))
+    depth_model, T_colour_depth, about_depth = depth_camera_beside(
+        path, tree, str(file), _size_of_depth(found)
+    )
     sure = confidence_of(found.pairs[0][1], options.confidence)
     if sure is not None:
-        about_depth.append(f"depth of confidence {options.confidence} and above, by {sure.file.parent} (--confidence)")
+        about_depth.append(
+            f"depth of confidence {options.confidence} and above, by {sure.file.parent} "
+            "(--confidence)"
+        )
     images = found.pairs[0][0].parent
-    poses = str(first_of(path, _POSES, (".txt", ".csv", ".npy", ".traj", "")) or "")  # folders have no suffix
+    poses = str(
+        first_of(path, _POSES, (".txt", ".csv", ".npy", ".traj", "")) or ""
+    )  # folders have no suffix
     poses = poses or str(images) * any(images.glob("*pose.txt"))
     if not options.poses and not T_WC and (told := poses_of_a_robot(Path(poses), tree)):
         raise SequenceError(told)
     outside = told_outside(path, itertools.chain(*found.pairs))
     unknown = [None] * len(found.pairs)
-    frames = [*zip(found.pairs, found.times_s or unknown, found.depth_times_s or unknown, T_WC or unknown, strict=True)]
+    frames = [
+        *zip(
+            found.pairs,
+            found.times_s or unknown,
+            found.depth_times_s or unknown,
+            T_WC or unknown,
+            strict=True,
+        )
+    ]
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for (colour, depth), time_s, depth_time_s, T in frames:
@@ -85,7 +111,9 @@ def recording_of(
                 depth_model=depth_model,
                 T_colour_depth=T_colour_depth,
                 T_WC=T,
-                load=partial(load_pair, colour, depth, scale, confidence_of(depth, options.confidence)),
+                load=partial(
+                    load_pair, colour, depth, scale, confidence_of(depth, options.confidence)
+                ),
             )
 
     return Recording(
@@ -118,7 +146,8 @@ def _calibration(path: Path, options: ConvertOptions) -> Path | None:
 def _unit(
     path: Path, found: FrameFiles, tree: Tree, source: str, options: ConvertOptions
 ) -> tuple[DepthUnit | None, list[str]]:
-    """The unit of depth that the calibration tells, or a guess; None if the options say it. And notes."""
+    """The unit of depth that the calibration tells, or a guess; None if the options say it. And
+    notes."""
     if options.depth_scale:
         return None, []
     stored = some_depths([depth for _, depth in found.pairs])
@@ -129,7 +158,10 @@ def _unit(
 
 def _size_of_depth(found: FrameFiles) -> tuple[int, int]:
     """Width and height of the first depth image that is there."""
-    depth = next((depth for _, depth in found.pairs if is_file(depth)), found.pairs[0][1])
+    depth = next(
+        (depth for _, depth in found.pairs if is_file(depth)),
+        found.pairs[0][1],
+    )
     height, width = read_depth_file(depth, 1.0).shape
     return width, height
 
@@ -143,7 +175,8 @@ def size_of_colour(colour: Path) -> tuple[int, int]:
 def _model(
     path: Path, found: FrameFiles, scale: float, options: ConvertOptions
 ) -> tuple[CameraModel | None, list[str]]:
-    """Camera of the options, of a calibration file or of the benchmark, if any, and a sentence that names it."""
+    """Camera of the options, of a calibration file or of the benchmark, if any, and a sentence that
+    names it."""
     file = options.intrinsics or str(calibration_in(*calibrated_folders(path)) or "")
     if options.intrinsics == "estimate":
         model, sentence = estimated_model(found.pairs, scale)

@@ -1,8 +1,10 @@
-"""Any folder of colour and depth images: which is which, pairs, poses and intrinsics under the usual names.
+"""Any folder of colour and depth images: which is which, pairs, poses and intrinsics under the
+usual names.
 
-Images of one kind have a folder, or a beginning or end of their names: color/ and depth/, or frame-000000.color.jpg and
-frame-000000.depth.png. They are paired by the times or the numbers in their names, else in order. Depth is 16-bit,
-floating point, NumPy or OpenEXR, registered to colour. Where several kinds fit, an option decides.
+Images of one kind have a folder, or a beginning or end of their names: color/ and depth/, or
+frame-000000.color.jpg and frame-000000.depth.png. They are paired by the times or the numbers in
+their names, else in order. Depth is 16-bit, floating point, NumPy or OpenEXR, registered to colour.
+Where several kinds fit, an option decides.
 """
 
 import re
@@ -24,7 +26,9 @@ _LARGEST_MATRIX = 16
 """Rows; a NumPy file with fewer is no image."""
 _NEITHER = re.compile(r"conf|mask|label|semantic|instance|normal|preview|thumb")
 
-LOOKS_FOR = "images in folders such as color/ and depth/, or named such as color_0.png and depth_0.png"
+LOOKS_FOR = (
+    "images in folders such as color/ and depth/, or named such as color_0.png and depth_0.png"
+)
 
 
 def recognise(path: Path) -> bool:
@@ -37,7 +41,11 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     kinds = _kinds(path)
     depth = _numbered(path, "depth", kinds["depth"], options.depth)
     rgb = _numbered(path, "colour", kinds["colour"], options.colour)
-    return recording_of(path, paired(path, *judged([rgb, depth], options.image_time_unit)), options)
+    return recording_of(
+        path,
+        paired(path, *judged([rgb, depth], options.image_time_unit)),
+        options,
+    )
 
 
 def _kinds(path: Path) -> dict[str, dict[str, list[Path]]]:
@@ -46,17 +54,27 @@ def _kinds(path: Path) -> dict[str, dict[str, list[Path]]]:
     for level in ("*", "*/*", "*/*/*"):
         for file in sorted(path.glob(level), key=natural_order):
             name = file.relative_to(path).as_posix()
-            if file.suffix.lower() in {*COLOUR_SUFFIXES, *DEPTH_SUFFIXES} and not re.search(r"(^|/)\.", name):
+            if file.suffix.lower() in {*COLOUR_SUFFIXES, *DEPTH_SUFFIXES} and not re.search(
+                r"(^|/)\.", name
+            ):
                 groups[re.sub(r"\d+([._]\d+)*", "*", name)].append(file)
-    groups = {n: files for n, files in groups.items() if len(files) > 1 and not _NEITHER.search(n.lower())}
+    groups = {
+        n: files for n, files in groups.items() if len(files) > 1 and not _NEITHER.search(n.lower())
+    }
     stored = {n for n, files in groups.items() if _is_stored_depth(files[0])}
     named = {n for n in groups if _SAYS["depth"].search(n.lower())}
     fits = {"depth": stored or named, "colour": groups.keys() - stored - named}
-    return {kind: {n: groups[n] for n in _likely(names, _SAYS[kind])} for kind, names in fits.items()}
+    return {
+        kind: {n: groups[n] for n in _likely(names, _SAYS[kind])} for kind, names in fits.items()
+    }
 
 
-def _likely(names: Set[str], says: re.Pattern[str]) -> Set[str]:
-    """Of several names those that say what they are, and of these the ones in the fewest folders."""
+def _likely(
+    names: Set[str],
+    says: re.Pattern[str],
+) -> Set[str]:
+    """Of several names those that say what they are, and of these the ones in the fewest
+    folders."""
     names = {n for n in names if says.search(n.lower())} or names
     return {n for n in names if n.count("/") == min(m.count("/") for m in names)}
 
@@ -71,7 +89,12 @@ def _is_stored_depth(file: Path) -> bool:
         return False
 
 
-def _numbered(path: Path, kind: str, fits: dict[str, list[Path]], given: str) -> Numbered:
+def _numbered(
+    path: Path,
+    kind: str,
+    fits: dict[str, list[Path]],
+    given: str,
+) -> Numbered:
     """The images of one kind: those that the option names, or the only ones that fit."""
     if given:
         folder = path / given if (path / given).is_dir() else Path(given)
@@ -86,7 +109,9 @@ def _numbered(path: Path, kind: str, fits: dict[str, list[Path]], given: str) ->
             f"{path} holds {'no images' if not fits else ', '.join(names)} that may be {kind}; "
             f"give --{kind} with a folder{' or one of these' if fits else ''}",
             option=kind,
-            question=f"Which of these is {kind}?" if fits else f"Which folder holds the {kind} images?",
+            question=f"Which of these is {kind}?"
+            if fits
+            else f"Which folder holds the {kind} images?",
             choices=names,
         )
     source = str(path / given)
@@ -98,12 +123,15 @@ def _numbered(path: Path, kind: str, fits: dict[str, list[Path]], given: str) ->
 
 
 def _varying_numbers(stems: list[str]) -> list[str] | None:
-    """The number in each name, as written; of several numbers the one that is not the same in all names.
+    """The number in each name, as written; of several numbers the one that is not the same in all
+    names.
 
     None where the names do not hold one such number each.
     """
     columns = [re.findall(r"\d+(?:\.\d+)?", stem) for stem in stems]
     if len({len(texts) for texts in columns}) != 1:
         return None
-    varying = [texts for texts in zip(*columns, strict=True) if len(set(texts)) > 1 or len(columns[0]) == 1]
+    varying = [
+        texts for texts in zip(*columns, strict=True) if len(set(texts)) > 1 or len(columns[0]) == 1
+    ]
     return list(varying[0]) if len(varying) == 1 else None

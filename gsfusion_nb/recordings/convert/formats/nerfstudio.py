@@ -1,10 +1,11 @@
-"""Nerfstudio's ``transforms.json``, also as written by instant-ngp, NeRFCapture, Polycam and similar programs, with the
-depth image of each frame in ``depth_file_path`` or ``depth_path``.
+"""Nerfstudio's ``transforms.json``, also as written by instant-ngp, NeRFCapture, Polycam and
+similar programs, with the depth image of each frame in ``depth_file_path`` or ``depth_path``.
 
-Poses are camera-to-world with OpenGL axes (y up, z backward), converted to OpenCV axes by C2W diag(1, -1, -1, 1). Pixel
-centres at 0.5. Intrinsics are global or per frame; k1..k4, p1, p2 are removed. ``applied_transform`` and
-``applied_scale``, which say how the world was moved and scaled, are undone, so that depth and poses have the same unit.
-Depth is in millimetres unless ``depth_scale``, ``integer_depth_scale`` or ``depth_unit_scale_factor`` say otherwise.
+Poses are camera-to-world with OpenGL axes (y up, z backward), converted to OpenCV axes by C2W
+diag(1, -1, -1, 1). Pixel centres at 0.5. Intrinsics are global or per frame; k1..k4, p1, p2 are
+removed. ``applied_transform`` and ``applied_scale``, which say how the world was moved and scaled,
+are undone, so that depth and poses have the same unit. Depth is in millimetres unless
+``depth_scale``, ``integer_depth_scale`` or ``depth_unit_scale_factor`` say otherwise.
 """
 
 import math
@@ -33,7 +34,9 @@ _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHE
 
 _DEPTH_KEYS = ("depth_file_path", "depth_path")
 """Of nerfstudio, and of instant-ngp and NeRFCapture."""
-_OTHER_LENS = re.compile(r"(is_)?(equirectangular|latlong|orthographic|ftheta)\w*|ftheta_\w+|lens|xi")
+_OTHER_LENS = re.compile(
+    r"(is_)?(equirectangular|latlong|orthographic|ftheta)\w*|ftheta_\w+|lens|xi"
+)
 """Names of lenses that are neither a pinhole nor OpenCV's fisheye."""
 
 LOOKS_FOR = "transforms.json"
@@ -61,7 +64,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     scale = options.depth_scale or _depth_scale(values, file)
     notes += _notes_on_unused(values, frames)
     keys = ("file_path", *_DEPTH_KEYS)
-    outside = told_outside(file.parent, (file.parent / frame[key] for frame in frames for key in keys if key in frame))
+    outside = told_outside(
+        file.parent,
+        (file.parent / frame[key] for frame in frames for key in keys if key in frame),
+    )
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for frame in frames:
@@ -85,7 +91,9 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
 def _file(path: Path) -> Path | None:
     if path.is_file():
-        return path if path.suffix.lower() == ".json" and path.name.startswith("transforms") else None
+        return (
+            path if path.suffix.lower() == ".json" and path.name.startswith("transforms") else None
+        )
     return path / "transforms.json" if (path / "transforms.json").is_file() else None
 
 
@@ -97,18 +105,29 @@ _UNUSED = {
 """Keys that say which pixels or frames to leave out -> what is said about them."""
 
 
-def _notes_on_unused(values: dict[str, Any], frames: list[dict[str, Any]]) -> list[str]:
-    return [note for key, note in _UNUSED.items() if any(entry.get(key) for entry in (values, *frames))]
+def _notes_on_unused(
+    values: dict[str, Any],
+    frames: list[dict[str, Any]],
+) -> list[str]:
+    return [
+        note for key, note in _UNUSED.items() if any(entry.get(key) for entry in (values, *frames))
+    ]
 
 
-def _undo(values: dict[str, Any], file: Path) -> tuple[Float[Tensor, "4 4"], list[str]]:
+def _undo(
+    values: dict[str, Any],
+    file: Path,
+) -> tuple[Float[Tensor, "4 4"], list[str]]:
     """Matrix that undoes the motion and scaling of the world: S^-1 then A^-1."""
     notes = []
     back = torch.eye(4, dtype=torch.float64)
     if "applied_transform" in values:
         A = _matrix(values["applied_transform"], f"{file}: applied_transform")
         if abs(float(torch.linalg.det(A[:3, :3])) - 1) > 1e-3:
-            raise SequenceError(f"{file}: applied_transform must be a rotation and a translation; it scales or mirrors")
+            raise SequenceError(
+                f"{file}: applied_transform must be a rotation and a translation; it scales or "
+                "mirrors"
+            )
         back = se3.inverse(A)
         notes.append("applied_transform was undone")
     applied = number(values, "applied_scale", 1.0, file)
@@ -118,7 +137,11 @@ def _undo(values: dict[str, Any], file: Path) -> tuple[Float[Tensor, "4 4"], lis
     return back, notes
 
 
-def _pose(frame: dict[str, Any], world: Float[Tensor, "4 4"], file: Path) -> Float[Tensor, "4 4"]:
+def _pose(
+    frame: dict[str, Any],
+    world: Float[Tensor, "4 4"],
+    file: Path,
+) -> Float[Tensor, "4 4"]:
     T = _matrix(frame["transform_matrix"], f"{file}: transform_matrix of {frame['file_path']}")
     moved = world @ T
     moved[:3, :3] = world[:3, :3] / torch.linalg.det(world[:3, :3]).abs() ** (1 / 3) @ T[:3, :3]
@@ -137,11 +160,18 @@ def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
     """Camera of a frame: its own values where it has them, else the global ones."""
     name = values.get("camera_model", "OPENCV")
     if name not in _MODELS:
-        raise SequenceError(f"{file}: cannot undistort camera_model {shown(name)}; known: {', '.join(_MODELS)}")
+        raise SequenceError(
+            f"{file}: cannot undistort camera_model {shown(name)}; known: {', '.join(_MODELS)}"
+        )
     source = f"{file}: the camera of {colour.name}"
-    other = next((key for key, value in values.items() if value and _OTHER_LENS.fullmatch(key)), None)
+    other = next(
+        (key for key, value in values.items() if value and _OTHER_LENS.fullmatch(key)), None
+    )
     if other is not None:
-        raise SequenceError(f"{source} has {other}, a lens that cannot be undistorted here; undistort the images first")
+        raise SequenceError(
+            f"{source} has {other}, a lens that cannot be undistorted here; undistort the images "
+            "first"
+        )
     if "w" in values and "h" in values:
         width, height = (int(number(values, key, 0, source)) for key in ("w", "h"))
     else:
@@ -151,16 +181,28 @@ def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
             fx, fy = float(values["fl_x"]), float(values.get("fl_y", values["fl_x"]))
         else:
             fx = 0.5 * width / math.tan(0.5 * float(values["camera_angle_x"]))
-            fy = 0.5 * height / math.tan(0.5 * float(values["camera_angle_y"])) if "camera_angle_y" in values else fx
+            fy = (
+                0.5 * height / math.tan(0.5 * float(values["camera_angle_y"]))
+                if "camera_angle_y" in values
+                else fx
+            )
         cx, cy = (float(values.get(k, half)) for k, half in (("cx", width / 2), ("cy", height / 2)))
         k = [float(values.get(key, 0.0)) for key in ("k1", "k2", "p1", "p2", "k3", "k4")]
     fisheye = name == "OPENCV_FISHEYE" or bool(values.get("is_fisheye"))
     if not fisheye and k[5]:  # a numerator term in nerfstudio, a denominator term in OpenCV
         raise SequenceError(
-            f"{source} has k4 = {k[5]:g}, which only a fisheye may have here; undistort the images first"
+            f"{source} has k4 = {k[5]:g}, which only a fisheye may have here; undistort the images "
+            "first"
         )
     distortion = (k[0], k[1], k[4], k[5]) if fisheye else tuple(k[:5])
-    return model_of([fx, fy, cx, cy], (width, height), source, centre=0.5, distortion=distortion, fisheye=fisheye)
+    return model_of(
+        [fx, fy, cx, cy],
+        (width, height),
+        source,
+        centre=0.5,
+        distortion=distortion,
+        fisheye=fisheye,
+    )
 
 
 def _image(path: Path) -> Path:
@@ -169,7 +211,12 @@ def _image(path: Path) -> Path:
     return next((p for p in found if is_file(p)), path)
 
 
-def _depth(frame: dict[str, Any], file: Path, colour: Path, options: ConvertOptions) -> Path:
+def _depth(
+    frame: dict[str, Any],
+    file: Path,
+    colour: Path,
+    options: ConvertOptions,
+) -> Path:
     if options.depth:
         return find_depth(Path(options.depth), colour.stem)
     named = next((frame[key] for key in _DEPTH_KEYS if key in frame), None)
@@ -179,7 +226,10 @@ def _depth(frame: dict[str, Any], file: Path, colour: Path, options: ConvertOpti
 
 
 def _depth_scale(values: dict[str, Any], file: Path) -> float:
-    key = next((k for k in ("integer_depth_scale", "depth_unit_scale_factor") if k in values), "depth_scale")
+    key = next(
+        (k for k in ("integer_depth_scale", "depth_unit_scale_factor") if k in values),
+        "depth_scale",
+    )
     unit = number(values, key, 1e-3, file)
     return 1.0 / unit
 

@@ -1,7 +1,9 @@
-"""Neural RGB-D's scenes: ``images/img0.png``, ``depth/depth0.png``, ``poses.txt`` and ``focal.txt``.
+"""Neural RGB-D's scenes: ``images/img0.png``, ``depth/depth0.png``, ``poses.txt`` and
+``focal.txt``.
 
-Poses are camera-to-world with OpenGL axes (y up, z backward), four rows for each image, NaN where there is none. Depth
-is in millimetres. There is one focal length in pixels, and the centre is that of the image.
+Poses are camera-to-world with OpenGL axes (y up, z backward), four rows for each image, NaN where
+there is none. Depth is in millimetres. There is one focal length in pixels, and the centre is that
+of the image.
 """
 
 from dataclasses import replace
@@ -24,11 +26,16 @@ LOOKS_FOR = "images/, depth/, focal.txt and poses.txt"
 def recognise(path: Path) -> bool:
     """A scene of Neural RGB-D."""
     has_folders = (path / "images").is_dir() and (path / _DEPTH).is_dir()
-    return has_folders and (path / "focal.txt").is_file() and any((path / name).is_file() for name in _POSES)
+    return (
+        has_folders
+        and (path / "focal.txt").is_file()
+        and any((path / name).is_file() for name in _POSES)
+    )
 
 
 def read(path: Path, options: ConvertOptions) -> Recording:
-    """A scene of Neural RGB-D (module docstring); ``options.depth`` may be another of its folders of depth.
+    """A scene of Neural RGB-D (module docstring); ``options.depth`` may be another of its folders
+    of depth.
 
     Raises:
         SequenceError: an image without four rows of a pose.
@@ -42,9 +49,14 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     numbers = [image_number(rgb) for rgb, _ in pairs]
     places = [place if n is None else n for place, n in enumerate(numbers)]
     if len(poses) % 4 or 4 * max(places) >= len(poses):
-        raise SequenceError(f"{file} holds {len(poses)} rows; expected 4 for each image up to {pairs[-1][0].name}")
+        raise SequenceError(
+            f"{file} holds {len(poses)} rows; expected 4 for each image up to {pairs[-1][0].name}"
+        )
     T_WC = poses.reshape(-1, 4, 4) @ GL_TO_CV
-    note = "Neural RGB-D: poses were turned from OpenGL's axes (y up, z backward); depth read as 1000 per metre"
+    note = (
+        "Neural RGB-D: poses were turned from OpenGL's axes (y up, z backward); depth read as "
+        "1000 per metre"
+    )
     return recording_of(
         path,
         FrameFiles(pairs, None, notes=(note,)),

@@ -1,8 +1,9 @@
-"""Open3D's reconstruction system and the Redwood data: color/, depth/, ``trajectory.log``, ``camera_intrinsic.json``.
+"""Open3D's reconstruction system and the Redwood data: color/, depth/, ``trajectory.log``,
+``camera_intrinsic.json``.
 
-The log holds camera-to-world matrices in blocks of five lines, the first of which begins with the frame's number; a
-``PinholeCameraTrajectory`` JSON holds column-major world-to-camera ones, with intrinsics. Axes are OpenCV's, pixel
-centres at integers, depth in millimetres.
+The log holds camera-to-world matrices in blocks of five lines, the first of which begins with the
+frame's number; a ``PinholeCameraTrajectory`` JSON holds column-major world-to-camera ones, with
+intrinsics. Axes are OpenCV's, pixel centres at integers, depth in millimetres.
 """
 
 import re
@@ -25,7 +26,13 @@ from .image_recording import recording_of
 from .pairing import FrameFiles, paired_by_name
 
 _COLOUR = ("color", "image", "rgb", "images")
-_TRAJECTORIES = ("trajectory.log", "scene/trajectory.log", "scene/integrated.log", "*.log", "trajectory.json")
+_TRAJECTORIES = (
+    "trajectory.log",
+    "scene/trajectory.log",
+    "scene/integrated.log",
+    "*.log",
+    "trajectory.json",
+)
 
 LOOKS_FOR = "trajectory.log or .json, color/ and depth/"
 
@@ -39,33 +46,53 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     """Images and the poses of a log (module docstring)."""
     colour_folder = next((path / n for n in _COLOUR if (path / n).is_dir()), None)
     if colour_folder is None or not (path / "depth").is_dir():
-        raise SequenceNotFoundError(f"{path} lacks color/ or depth/; expected both beside trajectory.log")
+        raise SequenceNotFoundError(
+            f"{path} lacks color/ or depth/; expected both beside trajectory.log"
+        )
     colour, depth = images_in(colour_folder), images_in(path / "depth", DEPTH_SUFFIXES)
     found = paired_by_name(path, colour, depth)
     # Redwood's names continue with the time: 0000001-000000033369.png
     numbers = [int(match[0]) for c, _ in found if (match := re.search(r"\d+", c.stem))]
-    numbers = [n - numbers[0] for n in numbers] if len({*numbers}) == len(found) else range(len(found))
+    numbers = (
+        [n - numbers[0] for n in numbers] if len({*numbers}) == len(found) else range(len(found))
+    )
     pairs = dict(zip(numbers, found, strict=True))
     file = _trajectory(path)
     poses, model = ({}, None) if file is None else read_trajectory_file(file)
-    if len(poses) == len(pairs) <= max(pairs) and max(poses) < len(pairs):  # one pose per image: counted alike
+    if len(poses) == len(pairs) <= max(pairs) and max(poses) < len(
+        pairs
+    ):  # one pose per image: counted alike
         poses = dict(zip(pairs, poses.values(), strict=True))
     beyond = [i for i in poses if i > max(pairs)]
     if beyond:
-        raise SequenceError(f"{file} has a pose of frame {beyond[0]}, but {path} holds {len(pairs)} images, from 0")
+        raise SequenceError(
+            f"{file} has a pose of frame {beyond[0]}, but {path} holds {len(pairs)} images, from 0"
+        )
     options = replace(options, depth_scale=options.depth_scale or 1000.0)
     frames = FrameFiles([*pairs.values()], [i / 30 for i in pairs])
-    return recording_of(path, frames, options, model=model, T_WC=[poses.get(i) for i in pairs] if poses else ())
+    return recording_of(
+        path,
+        frames,
+        options,
+        model=model,
+        T_WC=[poses.get(i) for i in pairs] if poses else (),
+    )
 
 
 def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
-    """Camera-to-world poses by frame number of a .log or PinholeCameraTrajectory .json, and the latter's camera."""
+    """Camera-to-world poses by frame number of a .log or PinholeCameraTrajectory .json, and the
+    latter's camera."""
     if path.suffix.lower() == ".json":
         return _read_json(path)
-    lines = [line.split() for line in read_text(path, "Open3D's trajectory.log").splitlines() if line.strip()]
+    lines = [
+        line.split()
+        for line in read_text(path, "Open3D's trajectory.log").splitlines()
+        if line.strip()
+    ]
     if not lines or len(lines) % 5:
         raise SequenceError(
-            f"{path} has {len(lines)} lines; expected blocks of five, 'i i i+1' and four rows; is the file truncated?"
+            f"{path} has {len(lines)} lines; expected blocks of five, 'i i i+1' and four rows; is "
+            "the file truncated?"
         )
     poses = {}
     with parsing(path, "blocks of 'i i i+1' and four rows of four numbers"):
@@ -78,14 +105,32 @@ def read_trajectory_file(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], C
 
 
 def _read_json(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel | None]:
-    with parsing(path, "an Open3D PinholeCameraTrajectory, extrinsics of 16 numbers column by column"):
+    with parsing(
+        path, "an Open3D PinholeCameraTrajectory, extrinsics of 16 numbers column by column"
+    ):
         entries: Any = read_object(path, "an Open3D PinholeCameraTrajectory")["parameters"]
-        extrinsics = torch.tensor([entry["extrinsic"] for entry in entries], dtype=torch.float64).reshape(-1, 4, 4)
+        extrinsics = torch.tensor(
+            [entry["extrinsic"] for entry in entries], dtype=torch.float64
+        ).reshape(-1, 4, 4)
         poses = dict(enumerate(se3.inverse(extrinsics.mT)))
         intrinsic = entries[0].get("intrinsic")
-        return poses, None if intrinsic is None else model_of_tree(intrinsic, None, str(path), centre=0.0)
+        return poses, None if intrinsic is None else model_of_tree(
+            intrinsic, None, str(path), centre=0.0
+        )
 
 
 def _trajectory(path: Path) -> Path | None:
-    found = (p for pattern in _TRAJECTORIES for p in sorted(path.glob(pattern), key=natural_order) if p.is_file())
-    return next((p for p in found if p.suffix != ".json" or b'"parameters"' in read_bytes(p, "a trajectory")), None)
+    found = (
+        p
+        for pattern in _TRAJECTORIES
+        for p in sorted(path.glob(pattern), key=natural_order)
+        if p.is_file()
+    )
+    return next(
+        (
+            p
+            for p in found
+            if p.suffix != ".json" or b'"parameters"' in read_bytes(p, "a trajectory")
+        ),
+        None,
+    )

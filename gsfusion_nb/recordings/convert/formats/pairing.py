@@ -1,4 +1,5 @@
-"""Frames of colour and depth images: by the times or the numbers in their names or lists, else one by one."""
+"""Frames of colour and depth images: by the times or the numbers in their names or lists, else one
+by one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +14,8 @@ from ..trajectory import frame_key
 
 @dataclass(frozen=True)
 class Numbered:
-    """Images of one kind, and the numbers in their names or beside them in a list, which may be times."""
+    """Images of one kind, and the numbers in their names or beside them in a list, which may be
+    times."""
 
     source: str
     """The list, or the folder."""
@@ -27,7 +29,8 @@ class Numbered:
 
 
 def judged(kinds: Sequence[Numbered], unit: str) -> list["Stream"]:
-    """Streams of images, whose numbers are all times of one unit, or which of them are no times and why.
+    """Streams of images, whose numbers are all times of one unit, or which of them are no times and
+    why.
 
     Args:
         kinds: The images of each kind.
@@ -37,7 +40,9 @@ def judged(kinds: Sequence[Numbered], unit: str) -> list["Stream"]:
     streams = []
     for kind in kinds:
         if kind.numbers is None:
-            streams.append(Stream(kind.source, kind.files, Stamps(None, "names do not hold one number each")))
+            streams.append(
+                Stream(kind.source, kind.files, Stamps(None, "names do not hold one number each"))
+            )
             continue
         order = range(len(kind.files))
         if not kind.is_list:
@@ -80,7 +85,8 @@ class Stream:
 
 
 def paired(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
-    """Frames of a colour and a depth image each: by their times, or by name where one kind has none.
+    """Frames of a colour and a depth image each: by their times, or by name where one kind has
+    none.
 
     Raises:
         SequenceError: neither times nor names pair them.
@@ -96,7 +102,8 @@ def paired(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
 
 
 def _have_common_numbers(rgb: Stream, depth: Stream) -> bool:
-    """Whether numbers that may be times or those of frames are mostly the same for both kinds of images."""
+    """Whether numbers that may be times or those of frames are mostly the same for both kinds of
+    images."""
     rgb_s = set(rgb.stamps.times_s or [])
     depth_s = set(depth.stamps.times_s or [])
     may_count = rgb.stamps.is_guess and depth.stamps.is_guess
@@ -106,7 +113,11 @@ def _have_common_numbers(rgb: Stream, depth: Stream) -> bool:
 def _paired_by_number(rgb: Stream, depth: Stream) -> FrameFiles:
     """Frames whose images have one number: a tolerance would pair images of different frames."""
     colour_at = dict(zip(rgb.stamps.times_s or [], rgb.files, strict=True))
-    found = [(t, file) for t, file in zip(depth.stamps.times_s or [], depth.files, strict=True) if t in colour_at]
+    found = [
+        (t, file)
+        for t, file in zip(depth.stamps.times_s or [], depth.files, strict=True)
+        if t in colour_at
+    ]
     return FrameFiles(
         [(colour_at[t], file) for t, file in found],
         [t for t, _ in found],
@@ -115,11 +126,15 @@ def _paired_by_number(rgb: Stream, depth: Stream) -> FrameFiles:
     )
 
 
-def without_times(pairs: list[tuple[Path, Path]], source: str, stamps: Stamps) -> FrameFiles:
+def without_times(
+    pairs: list[tuple[Path, Path]],
+    source: str,
+    stamps: Stamps,
+) -> FrameFiles:
     """Frames whose numbers are no times."""
     note = (
-        f"the numbers of {source} are not times: {stamps.why_not}; so frames are in the order of the list or folder "
-        "(--image-time-unit)"
+        f"the numbers of {source} are not times: {stamps.why_not}; so frames are in the order of "
+        "the list or folder (--image-time-unit)"
     )
     return FrameFiles(pairs, None, notes=(note,))
 
@@ -139,13 +154,15 @@ def notes_on_times(stream: Stream) -> tuple[str, ...]:
     notes = []
     if stamps.is_guess:
         notes.append(
-            f"{stream.source}: the numbers are taken as times in {stamps.unit}; if they only number the frames: "
-            "--image-time-unit none"
+            f"{stream.source}: the numbers are taken as times in {stamps.unit}; if they only "
+            "number the frames: --image-time-unit none"
         )
     elif stamps.unit != "s":
         notes.append(f"{stream.source}: times were read as {stamps.unit}")
     if stamps.unordered:
-        notes.append(f"{stream.source} was sorted by time, which is also the order of its file names")
+        notes.append(
+            f"{stream.source} was sorted by time, which is also the order of its file names"
+        )
     return tuple(notes)
 
 
@@ -154,7 +171,8 @@ def _paired_by_time(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
     found = associate(depth_s, rgb_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
     if not found:
         raise SequenceError(
-            f"{path}: none of {len(depth_s)} depth images has a colour image within {MAX_TIME_DIFFERENCE_S} s; "
+            f"{path}: none of {len(depth_s)} depth images has a colour image within "
+            f"{MAX_TIME_DIFFERENCE_S} s; "
             "expected both to be named or listed with the times of one clock"
         )
     alone = len(depth_s) - len(found)
@@ -167,7 +185,11 @@ def _paired_by_time(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
     )
 
 
-def paired_by_name(path: Path, rgb: list[Path], depth: list[Path]) -> list[tuple[Path, Path]]:
+def paired_by_name(
+    path: Path,
+    rgb: list[Path],
+    depth: list[Path],
+) -> list[tuple[Path, Path]]:
     """Pairs in the order of the depth images: by the numbers in their names, else one by one."""
     colour_of = {frame_key(p.stem): p for p in rgb}
     pairs = [(colour_of[frame_key(p.stem)], p) for p in depth if frame_key(p.stem) in colour_of]
@@ -175,7 +197,7 @@ def paired_by_name(path: Path, rgb: list[Path], depth: list[Path]) -> list[tuple
         return pairs
     if len(rgb) != len(depth):
         raise SequenceError(
-            f"{path} has {len(rgb)} colour and {len(depth)} depth images without times, and their names do not pair "
-            "them; expected associations.txt with lines 'time rgb time depth'"
+            f"{path} has {len(rgb)} colour and {len(depth)} depth images without times, and their "
+            "names do not pair them; expected associations.txt with lines 'time rgb time depth'"
         )
     return list(zip(rgb, depth, strict=True))

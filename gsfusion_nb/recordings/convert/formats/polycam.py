@@ -1,9 +1,11 @@
-"""Polycam's raw data: ``keyframes/`` with ``images/``, ``depth/``, ``confidence/`` and ``cameras/``, one JSON an image.
+"""Polycam's raw data: ``keyframes/`` with ``images/``, ``depth/``, ``confidence/`` and
+``cameras/``, one JSON an image.
 
-The JSON holds fx, fy, cx, cy and the size of the image, and the rows ``t_00`` to ``t_23`` of the camera-to-world matrix
-with ARKit's axes (OpenGL: y up, z backward). Depth is in millimetres, smaller than colour and registered to it; pixels
-from the corner of the image. ``corrected_cameras/`` and ``corrected_images/`` are those after Polycam closed the loops
-and removed the lens, and are preferred. (nerfstudio's ``polycam_utils``, which also turns the world.)
+The JSON holds fx, fy, cx, cy and the size of the image, and the rows ``t_00`` to ``t_23`` of the
+camera-to-world matrix with ARKit's axes (OpenGL: y up, z backward). Depth is in millimetres,
+smaller than colour and registered to it; pixels from the corner of the image.
+``corrected_cameras/`` and ``corrected_images/`` are those after Polycam closed the loops and
+removed the lens, and are preferred. (nerfstudio's ``polycam_utils``, which also turns the world.)
 """
 
 from collections.abc import Iterator
@@ -48,7 +50,9 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             yield RecordedFrame(
                 source=str(image),
                 time_s=None,
-                model=None if options.intrinsics else model_of_tree(values, None, str(file), centre=0.5),
+                model=None
+                if options.intrinsics
+                else model_of_tree(values, None, str(file), centre=0.5),
                 T_WC=_pose(values, file),
                 load=partial(load_pair, image, depth, scale, sure),
             )
@@ -59,8 +63,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         n_frames=len(colour),
         depth_scale=scale,
         notes=(
-            f"Polycam: {'corrected' if corrected else 'uncorrected'} images and cameras; depth read as {scale:g} per "
-            f"metre, of confidence {options.confidence} and above",
+            f"Polycam: {'corrected' if corrected else 'uncorrected'} images and cameras; depth "
+            f"read as {scale:g} per metre, of confidence {options.confidence} and above",
         ),
     )
 

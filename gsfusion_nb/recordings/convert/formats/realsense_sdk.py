@@ -1,10 +1,12 @@
-"""What a recording of the RealSense SDK (RealSense Viewer, rs-record) says, and where: a ROS 1 bag with its own topics.
+"""What a recording of the RealSense SDK (RealSense Viewer, rs-record) says, and where: a ROS 1 bag
+with its own topics.
 
-``/device_0/sensor_1/Color_0/image/data`` holds the images of a stream, ``info/camera_info`` below the stream its
-camera, and ``tf/0`` a Transform that takes points of the reference of group 0, the depth stream, to those of the
-stream: p_stream = R p_reference + t (a D435i: x = 0.015 for colour). ``option/Depth Units/value`` below the sensor is
-the metres per unit of depth; files of version 2 have it among the values of ``property``, newer ones also behind the
-pixels of each image. All frames of such a file have the name "0" or "1", and depth is never aligned in it.
+``/device_0/sensor_1/Color_0/image/data`` holds the images of a stream, ``info/camera_info`` below
+the stream its camera, and ``tf/0`` a Transform that takes points of the reference of group 0, the
+depth stream, to those of the stream: p_stream = R p_reference + t (a D435i: x = 0.015 for colour).
+``option/Depth Units/value`` below the sensor is the metres per unit of depth; files of version 2
+have it among the values of ``property``, newer ones also behind the pixels of each image. All
+frames of such a file have the name "0" or "1", and depth is never aligned in it.
 """
 
 import math
@@ -27,7 +29,8 @@ _PROPERTIES = re.compile(r"(/device_\d+/sensor_\d+)/property$")
 
 
 def stream_of(topic: str) -> str:
-    """The part of a topic that names the stream of the SDK, such as /device_0/sensor_1/Color_0; empty for others."""
+    """The part of a topic that names the stream of the SDK, such as /device_0/sensor_1/Color_0;
+    empty for others."""
     match = _STREAM.match(topic)
     return match[0] if match else ""
 
@@ -63,7 +66,8 @@ class SdkCalibration:
             self._add_units(match[1], metres_per_unit)
 
     def transform(self, source: str, target: str) -> Float[Tensor, "4 4"] | None:
-        """From the stream of the topic ``source`` to that of ``target``, float64; None where the file lacks one."""
+        """From the stream of the topic ``source`` to that of ``target``, float64; None where the
+        file lacks one."""
         places = [self._places.get(stream_of(topic)) for topic in (source, target)]
         if places[0] is None or places[1] is None or places[0][0] != places[1][0]:
             return None
@@ -84,8 +88,8 @@ class SdkCalibration:
         if len(values) > 1 or not 0 < values[0] < math.inf:
             told = ", ".join(f"{value:g}" for value in values)
             raise SequenceError(
-                f"{source}: Depth Units of {topic} are {told}; expected one length, in metres; give --depth-scale, the "
-                "stored value of one metre"
+                f"{source}: Depth Units of {topic} are {told}; expected one length, in metres; "
+                "give --depth-scale, the stored value of one metre"
             )
         return 1.0 / values[0]
 

@@ -1,9 +1,10 @@
 """Record3D (iPhone, iPad): a .r3d archive, its unpacked folder, or the "EXR + JPG sequence" export.
 
-.r3d is a zip with ``metadata`` (JSON) and rgbd/N.jpg, N.depth, N.conf; depth is float32 metres and confidence uint8,
-both packed with Apple's LZFSE and smaller than colour. Poses ``qx qy qz qw tx ty tz`` are camera-to-world with ARKit's
-axes (OpenGL: y up, z backward). Intrinsics are column-major ``K``, or fx fy cx cy per frame, at the colour's size, from
-the corner of the image.
+.r3d is a zip with ``metadata`` (JSON) and rgbd/N.jpg, N.depth, N.conf; depth is float32 metres and
+confidence uint8, both packed with Apple's LZFSE and smaller than colour. Poses
+``qx qy qz qw tx ty tz`` are camera-to-world with ARKit's axes (OpenGL: y up, z backward).
+Intrinsics are column-major ``K``, or fx fy cx cy per frame, at the colour's size, from the corner
+of the image.
 """
 
 import re
@@ -24,7 +25,15 @@ from ....data.recorded.files import number
 from ....data.recorded.images import read_image_bytes
 from ....data.recorded.poses import GL_TO_CV, matrices
 from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
-from ....files import IMAGE_BYTES, TEXT_BYTES, open_archive, parse_json, parsing, read_bytes, read_member
+from ....files import (
+    IMAGE_BYTES,
+    TEXT_BYTES,
+    open_archive,
+    parse_json,
+    parsing,
+    read_bytes,
+    read_member,
+)
 from ..intrinsics import model_of
 from ..recording import (
     ConvertOptions,
@@ -35,7 +44,7 @@ from ..recording import (
     load_pair,
     metres,
     with_colour,
-)  # fmt: skip
+)
 
 _SIZES = ((192, 256), (256, 192), (640, 480), (480, 640))
 """Heights and widths of LiDAR and TrueDepth images, for files without this information."""
@@ -62,7 +71,9 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     else:
         file = _metadata_file(path)
         if file is None:
-            raise SequenceNotFoundError(f"{path} lacks metadata.json; expected an unpacked .r3d or the EXR export")
+            raise SequenceNotFoundError(
+                f"{path} lacks metadata.json; expected an unpacked .r3d or the EXR export"
+            )
         names = {str(p.relative_to(path)) for p in path.glob("rgb*/*")}
         fetch = partial(_file, path)
         metadata = _object(read_bytes(file, "Record3D's metadata"), str(file))
@@ -92,7 +103,11 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     if not numbers:
         expected = "rgbd/0.jpg" if path.is_file() else "rgbd/0.jpg, or rgb/0.jpg of the EXR export,"
         raise SequenceError(f"{path} holds no frames; expected {expected} and so on")
-    note = "confidence is not in this export" if exported else f"depth of confidence {options.confidence} and above"
+    note = (
+        "confidence is not in this export"
+        if exported
+        else f"depth of confidence {options.confidence} and above"
+    )
     return Recording(
         name=str(path),
         frames=recorded_frames,
@@ -107,7 +122,8 @@ def lzfse_unpacked(data: bytes, source: str) -> bytes:
     """Content of an LZFSE stream; uncompressed blocks need no library.
 
     Raises:
-        SequenceError: it is compressed, and the package ``pyliblzfse`` is missing. BadFrameError: it is damaged.
+        SequenceError: it is compressed, and the package ``pyliblzfse`` is missing. BadFrameError:
+            it is damaged.
     """
     stored, at = [], 0
     while data[at : at + 4] == b"bvx-" and len(data) >= at + 8:
@@ -122,19 +138,28 @@ def lzfse_unpacked(data: bytes, source: str) -> bytes:
         import liblzfse  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise SequenceError(
-            f"{source} is packed with Apple's LZFSE, which needs the package pyliblzfse: pip install pyliblzfse"
+            f"{source} is packed with Apple's LZFSE, which needs the package pyliblzfse: pip "
+            "install pyliblzfse"
         ) from None
     with parsing(source, "an LZFSE stream", BadFrameError):
         return liblzfse.decompress(data)
 
 
-def _load(fetch: Fetch, name: str, metadata: dict[str, Any], least: int, source: str) -> RgbdImages:
+def _load(
+    fetch: Fetch,
+    name: str,
+    metadata: dict[str, Any],
+    least: int,
+    source: str,
+) -> RgbdImages:
     packed = lzfse_unpacked(fetch(f"{name}.depth"), f"{source}.depth")
     values = np.frombuffer(packed, "<f4")
     depth_m = metres(values.reshape(_depth_size(metadata, len(values), f"{source}.depth")), 1.0)
     if least > 0:
         try:
-            confidence = np.frombuffer(lzfse_unpacked(fetch(f"{name}.conf"), f"{source}.conf"), np.uint8)
+            confidence = np.frombuffer(
+                lzfse_unpacked(fetch(f"{name}.conf"), f"{source}.conf"), np.uint8
+            )
         except BadFrameError:  # TrueDepth captures have none
             confidence = None
         if confidence is not None and confidence.size == depth_m.size:
@@ -142,18 +167,32 @@ def _load(fetch: Fetch, name: str, metadata: dict[str, Any], least: int, source:
     return with_colour(fetch(f"{name}.jpg"), f"{source}.jpg", depth_m)
 
 
-def _depth_size(metadata: dict[str, Any], n: int, source: str) -> tuple[int, int]:
+def _depth_size(
+    metadata: dict[str, Any],
+    n: int,
+    source: str,
+) -> tuple[int, int]:
     size = (int(number(metadata, "dh", 0, source)), int(number(metadata, "dw", 0, source)))
     if min(size) > 0 and size[0] * size[1] == n:
         return size
     portrait = number(metadata, "h", 1, source) > number(metadata, "w", 0, source)
-    found = next((s for s in _SIZES if s[0] * s[1] == n and (s[0] > s[1]) == portrait), None)
+    found = next(
+        (s for s in _SIZES if s[0] * s[1] == n and (s[0] > s[1]) == portrait),
+        None,
+    )
     if found is None:
-        raise BadFrameError(f"{source} unpacks to {n} numbers; expected dw x dh = {size[1]}x{size[0]} of the metadata")
+        raise BadFrameError(
+            f"{source} unpacks to {n} numbers; expected dw x dh = {size[1]}x{size[0]} of the "
+            "metadata"
+        )
     return found
 
 
-def _poses(metadata: dict[str, Any], n: int, path: Path) -> Float[Tensor, "N 4 4"] | None:
+def _poses(
+    metadata: dict[str, Any],
+    n: int,
+    path: Path,
+) -> Float[Tensor, "N 4 4"] | None:
     rows = metadata.get("poses")
     if not rows:
         return None
@@ -173,17 +212,26 @@ def _model(metadata: dict[str, Any], i: int, path: Path) -> CameraModel:
         size = (int(metadata["w"]), int(metadata["h"]))
         frames = metadata.get("perFrameIntrinsicCoeffs") or []
         K = metadata["K"] if i >= len(frames) else None
-        fx, fy, cx, cy = (float(v) for v in (frames[i][:4] if K is None else (K[0], K[4], K[6], K[7])))
+        fx, fy, cx, cy = (
+            float(v) for v in (frames[i][:4] if K is None else (K[0], K[4], K[6], K[7]))
+        )
     return model_of([fx, fy, cx, cy], size, f"{path}: the metadata", centre=0.5)
 
 
 def _time(metadata: dict[str, Any], i: int, path: Path) -> float:
     stamps = metadata.get("frameTimestamps") or []
-    return float(stamps[i]) if i < len(stamps) else i / number(metadata, "fps", 30, f"{path}: the metadata")
+    return (
+        float(stamps[i])
+        if i < len(stamps)
+        else i / number(metadata, "fps", 30, f"{path}: the metadata")
+    )
 
 
 def _metadata_file(path: Path) -> Path | None:
-    return next((p for p in (path / "metadata", path / "metadata.json") if p.is_file()), None)
+    return next(
+        (p for p in (path / "metadata", path / "metadata.json") if p.is_file()),
+        None,
+    )
 
 
 def _object(data: bytes, source: str) -> dict[str, Any]:
@@ -196,7 +244,9 @@ def _object(data: bytes, source: str) -> dict[str, Any]:
 
 def _member(archive: zipfile.ZipFile, path: Path, name: str) -> bytes:
     try:
-        return read_member(archive, name, path, at_most=TEXT_BYTES if name == "metadata" else IMAGE_BYTES)
+        return read_member(
+            archive, name, path, at_most=TEXT_BYTES if name == "metadata" else IMAGE_BYTES
+        )
     except KeyError:
         error = SequenceError if name == "metadata" else BadFrameError
         raise error(f"{path} lacks {name}; expected it in a .r3d archive") from None

@@ -1,8 +1,10 @@
-"""ROS 1 bags and ROS 2 bags (sqlite3, mcap), read with the pure-Python package ``rosbags``; no ROS is needed.
+"""ROS 1 bags and ROS 2 bags (sqlite3, mcap), read with the pure-Python package ``rosbags``; no ROS
+is needed.
 
-Colour and depth are paired by the times in their headers; poses come from tf or a topic of poses, interpolated at the
-depth image's time. Depth is 16UC1 in millimetres or 32FC1 in metres (REP 118), pixel centres at integers, the image's
-frame has OpenCV axes (REP 103 "optical"). Recordings of the RealSense SDK are such bags too (``realsense_sdk``).
+Colour and depth are paired by the times in their headers; poses come from tf or a topic of poses,
+interpolated at the depth image's time. Depth is 16UC1 in millimetres or 32FC1 in metres (REP 118),
+pixel centres at integers, the image's frame has OpenCV axes (REP 103 "optical"). Recordings of the
+RealSense SDK are such bags too (``realsense_sdk``).
 """
 
 import re
@@ -48,23 +50,26 @@ LOOKS_FOR = "a .bag or .mcap file, or a folder with metadata.yaml"
 
 def recognise(path: Path) -> bool:
     """A .bag or .mcap file, or the folder of a ROS 2 bag."""
-    return path.suffix in (".bag", ".mcap", ".db3") if path.is_file() else (path / METADATA).is_file()
+    return (
+        path.suffix in (".bag", ".mcap", ".db3") if path.is_file() else (path / METADATA).is_file()
+    )
 
 
 def read(path: Path, options: ConvertOptions) -> Recording:
     """Colour and depth of a bag (module docstring).
 
     Raises:
-        SequenceError: the package ``rosbags`` is missing, the bag is damaged, a topic is missing or ambiguous (the
-            message lists the candidates), no depth image has a colour image near in time, or the bag does not say how
-            depth or poses belong to the colour camera.
+        SequenceError: the package ``rosbags`` is missing, the bag is damaged, a topic is missing or
+            ambiguous (the message lists the candidates), no depth image has a colour image near in
+            time, or the bag does not say how depth or poses belong to the colour camera.
     """
     bag = _first_pass(path, options)
     pairs = associate(bag.depth_s, bag.colour_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
     if not pairs:
         raise SequenceError(
-            f"{path}: none of {len(bag.depth_s)} images of {bag.depth} has an image of {bag.colour} within "
-            f"{MAX_TIME_DIFFERENCE_S} s; expected the header stamps of both cameras to come from one clock"
+            f"{path}: none of {len(bag.depth_s)} images of {bag.depth} has an image of "
+            f"{bag.colour} within {MAX_TIME_DIFFERENCE_S} s; expected the header stamps of both "
+            "cameras to come from one clock"
         )
     cameras = bag.calibration.cameras(bag.colour, bag.depth, options)
     notes = [cameras.note]
@@ -82,7 +87,9 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     def recorded_frames() -> Iterator[RecordedFrame]:
         for d, colour, depth in _second_pass(bag, pairs):
             time_s, depth_time_s = seconds(colour.header.stamp), bag.depth_s[d]
-            if pose_at is not None and pose_at(time_s) is None:  # poses may have the stamps of depth
+            if (
+                pose_at is not None and pose_at(time_s) is None
+            ):  # poses may have the stamps of depth
                 time_s = depth_time_s
             source = f"{path}: {bag.depth} image {d}"
             yield RecordedFrame(
@@ -104,7 +111,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         depth_scale=scale or (1000.0 if bag.millimetres else 1.0),
         has_poses=pose_at is not None,
         dropped={"no colour image near in time": alone} if alone else {},
-        notes=(f"colour {bag.colour}, depth {bag.depth}, poses {source_of_poses or 'none'}", *notes),
+        notes=(
+            f"colour {bag.colour}, depth {bag.depth}, poses {source_of_poses or 'none'}",
+            *notes,
+        ),
     )
 
 
@@ -116,7 +126,9 @@ def _sdk_scale(bag: _Bag, notes: list[str]) -> float:
     if scale:
         notes.append(f"depth read as {scale:g} per metre, as Depth Units say")
     else:
-        notes.append("depth read as 1000 per metre, since the recording has no Depth Units (--depth-scale)")
+        notes.append(
+            "depth read as 1000 per metre, since the recording has no Depth Units (--depth-scale)"
+        )
     return scale
 
 
@@ -132,7 +144,9 @@ def _first_pass(path: Path, options: ConvertOptions) -> _Bag:
         types = {c.topic: c.msgtype for c in reader.connections}
         _choose_topics(bag, types, options)
         images = (bag.colour, bag.depth)
-        wanted = [c for c in reader.connections if c.topic in images or _is_told(c.topic, c.msgtype)]
+        wanted = [
+            c for c in reader.connections if c.topic in images or _is_told(c.topic, c.msgtype)
+        ]
         for connection, _, raw in reader.messages(wanted):
             _take(bag, connection, *message_of(reader, connection, raw))
     return bag
@@ -174,29 +188,57 @@ def _choose_topics(bag: _Bag, types: dict[str, str], options: ConvertOptions) ->
     aligned = [t for t in depth if any(word in t for word in ("aligned", "registered"))]
     colour = [t for t in images if t not in depth and not _NO_COLOUR.search(t)]
     colour = [t for t in colour if _SAYS_COLOUR.search(t)] or colour
-    bag.depth = _one(options.ros.depth_topic, aligned or depth, images, "depth image", "--ros.depth-topic", bag.path)
-    bag.colour = _one(options.ros.colour_topic, colour, images, "colour image", "--ros.colour-topic", bag.path)
+    bag.depth = _one(
+        options.ros.depth_topic,
+        aligned or depth,
+        images,
+        "depth image",
+        "--ros.depth-topic",
+        bag.path,
+    )
+    bag.colour = _one(
+        options.ros.colour_topic, colour, images, "colour image", "--ros.colour-topic", bag.path
+    )
 
 
-def _one(wanted: str, candidates: list[str], known: list[str], what: str, option: str, path: Path) -> str:
-    """The requested topic, or the only candidate; where there is a raw and a compressed one, the raw one."""
+def _one(
+    wanted: str,
+    candidates: list[str],
+    known: list[str],
+    what: str,
+    option: str,
+    path: Path,
+) -> str:
+    """The requested topic, or the only candidate; where there is a raw and a compressed one, the
+    raw one."""
     if wanted:
         if wanted not in known:
             raise SequenceError(
-                f"{path} has no {what} topic {shown(wanted)}; it has {', '.join(sorted(known)) or 'none'}"
+                f"{path} has no {what} topic {shown(wanted)}; it has "
+                f"{', '.join(sorted(known)) or 'none'}"
             )
         return wanted
     raw = [t for t in candidates if not any(t != o and t.startswith(f"{o}/") for o in candidates)]
     if len(raw) == 1:
         return raw[0]
-    listed = ", ".join(sorted(candidates)) or f"none among {', '.join(sorted(known)) or 'no image topics at all'}"
-    raise SequenceError(f"{path} must have one {what} topic, found: {listed}; name one with {option}")
+    listed = (
+        ", ".join(sorted(candidates))
+        or f"none among {', '.join(sorted(known)) or 'no image topics at all'}"
+    )
+    raise SequenceError(
+        f"{path} must have one {what} topic, found: {listed}; name one with {option}"
+    )
 
 
-def _second_pass(bag: _Bag, pairs: list[tuple[int, int]]) -> Iterator[tuple[int, Any, Any]]:
-    """Depth number and both messages of every pair, in the order in which pairs become complete in the bag.
+def _second_pass(
+    bag: _Bag,
+    pairs: list[tuple[int, int]],
+) -> Iterator[tuple[int, Any, Any]]:
+    """Depth number and both messages of every pair, in the order in which pairs become complete in
+    the bag.
 
-    Only messages whose partner has not been read yet are kept: as many as one stream is behind the other.
+    Only messages whose partner has not been read yet are kept: as many as one stream is behind the
+    other.
     """
     partner = [{c: d for d, c in pairs}, {d: d for d, _ in pairs}]
     waiting: dict[int, tuple[int, Any]] = {}

@@ -1,6 +1,8 @@
-"""The cameras of a ROS bag: intrinsics of colour and depth, and whether depth is registered to colour.
+"""The cameras of a ROS bag: intrinsics of colour and depth, and whether depth is registered to
+colour.
 
-Names of frames prove something only where they name a frame: two empty names, or "0" everywhere, are no evidence.
+Names of frames prove something only where they name a frame: two empty names, or "0" everywhere,
+are no evidence.
 """
 
 import re
@@ -60,20 +62,30 @@ class RosCalibration:
         own = infos[depth] if infos[depth] is not infos[colour] else None
         model = None if options.intrinsics else self._model(infos[colour], colour)
         if options.depth_intrinsics == "colour":
-            return RosCameras(model, note="depth is taken as registered to colour (--depth-intrinsics)")
+            return RosCameras(
+                model, note="depth is taken as registered to colour (--depth-intrinsics)"
+            )
         if options.depth_intrinsics or options.T_colour_depth:
             depth_model = None if options.depth_intrinsics else self._model(own, depth)
             T = None if options.T_colour_depth else self._place(depth, colour)
-            return RosCameras(model, depth_model, T, "depth was registered to colour with the camera of the options")
+            return RosCameras(
+                model,
+                depth_model,
+                T,
+                "depth was registered to colour with the camera of the options",
+            )
         if any(word in depth for word in _ALIGNED):
-            return RosCameras(model, note="depth is taken as registered to colour (its topic says so)")
+            return RosCameras(
+                model, note="depth is taken as registered to colour (its topic says so)"
+            )
         depth_model = self._model(own, depth)
         if stream_of(colour) and stream_of(depth):
             return self._of_sdk(model, depth_model, colour, depth)
         return self._of_frames(model, depth_model, colour, depth)
 
     def _place(self, depth: str, colour: str) -> Float[Tensor, "4 4"] | None:
-        """From the camera of depth to that of colour, as the bag says it; None where it does not."""
+        """From the camera of depth to that of colour, as the bag says it; None where it does
+        not."""
         if stream_of(colour) and stream_of(depth):
             return self.sdk.transform(depth, colour)
         frames = [self.frames.get(topic, "") for topic in (depth, colour)]
@@ -81,23 +93,40 @@ class RosCalibration:
             return None
         return self.tree.between(*frames)
 
-    def _of_sdk(self, model: CameraModel | None, own: CameraModel | None, colour: str, depth: str) -> RosCameras:
+    def _of_sdk(
+        self, model: CameraModel | None, own: CameraModel | None, colour: str, depth: str
+    ) -> RosCameras:
         T = self._place(depth, colour)
         if own is None:
-            raise self._needed("depth_intrinsics", f"is not aligned to colour, and {depth} has no camera_info")
+            raise self._needed(
+                "depth_intrinsics", f"is not aligned to colour, and {depth} has no camera_info"
+            )
         if T is None:
-            raise self._needed("T_colour_depth", "is not aligned to colour, and the tf of the streams is missing")
-        note = f"depth ({stream_of(depth)}) was registered to colour ({stream_of(colour)}), as tf says"
+            raise self._needed(
+                "T_colour_depth", "is not aligned to colour, and the tf of the streams is missing"
+            )
+        note = (
+            f"depth ({stream_of(depth)}) was registered to colour ({stream_of(colour)}), as tf says"
+        )
         return RosCameras(model, own, T, note)
 
-    def _of_frames(self, model: CameraModel | None, own: CameraModel | None, colour: str, depth: str) -> RosCameras:
+    def _of_frames(
+        self, model: CameraModel | None, own: CameraModel | None, colour: str, depth: str
+    ) -> RosCameras:
         of_colour, of_depth = (self.frames.get(topic, "") for topic in (colour, depth))
         told = is_frame_name(of_colour) and is_frame_name(of_depth)
         T = self._place(depth, colour)
         if T is not None and own is not None:
-            return RosCameras(model, own, T, f"depth ({of_depth}) was registered to colour ({of_colour}) by tf_static")
+            return RosCameras(
+                model,
+                own,
+                T,
+                f"depth ({of_depth}) was registered to colour ({of_colour}) by tf_static",
+            )
         if own is not None and model is not None and _are_one(own, model):
-            return RosCameras(model, note="depth is taken as registered to colour (the cameras of both are equal)")
+            return RosCameras(
+                model, note="depth is taken as registered to colour (the cameras of both are equal)"
+            )
         if told and of_colour == of_depth:
             note = f"depth is taken as registered to colour (both are in the frame {of_colour})"
             if own is not None:
@@ -106,27 +135,35 @@ class RosCalibration:
         if own is not None:
             why = "tf_static lacks it" if told else "the frames of the images have no names"
             note = (
-                f"depth ({of_depth}) was registered to colour ({of_colour}) WITHOUT their offset, since {why}; "
-                "--T-colour-depth gives it"
+                f"depth ({of_depth}) was registered to colour ({of_colour}) WITHOUT their offset, "
+                f"since {why}; --T-colour-depth gives it"
             )
             return RosCameras(model, own, note=note)
         if told:
             frames = f"is in the frame {shown(of_depth)} and colour in {shown(of_colour)}"
-            raise self._needed("depth_intrinsics", f"{frames}, and no camera_info tells depth's camera")
+            raise self._needed(
+                "depth_intrinsics", f"{frames}, and no camera_info tells depth's camera"
+            )
         note = (
-            "depth is taken as registered to colour, which nothing in the bag says; if it is not, give "
-            "--depth-intrinsics and --T-colour-depth"
+            "depth is taken as registered to colour, which nothing in the bag says; if it is not, "
+            "give --depth-intrinsics and --T-colour-depth"
         )
         return RosCameras(model, note=note)
 
     def _needed(self, option: str, why: str) -> OptionNeeded:
         what, question = {
-            "depth_intrinsics": ("'fx fy cx cy' of the depth images", "What are the intrinsics of the depth images?"),
-            "T_colour_depth": ("a file of 16 numbers", "Which file holds the transform from depth to colour?"),
+            "depth_intrinsics": (
+                "'fx fy cx cy' of the depth images",
+                "What are the intrinsics of the depth images?",
+            ),
+            "T_colour_depth": (
+                "a file of 16 numbers",
+                "Which file holds the transform from depth to colour?",
+            ),
         }[option]
         return OptionNeeded(
-            f"{self.path}: depth {why}; give --{option.replace('_', '-')} {what}, or --depth-intrinsics colour if it "
-            "is registered to colour",
+            f"{self.path}: depth {why}; give --{option.replace('_', '-')} {what}, or "
+            "--depth-intrinsics colour if it is registered to colour",
             option=option,
             question=f"Depth {why}. {question}",
         )
@@ -142,35 +179,57 @@ class RosCalibration:
         return next(iter(self.info.values())) if len(self.info) == 1 else None
 
     def _model(self, info: Any, topic: str) -> CameraModel | None:
-        """Camera of a CameraInfo; of a rectified topic, of its projection matrix P. None for an uncalibrated one."""
+        """Camera of a CameraInfo; of a rectified topic, of its projection matrix P. None for an
+        uncalibrated one."""
         if info is None:
             return None
         source = f"{self.path}: the camera_info of {topic}"
-        K, D, P = ([float(v) for v in getattr(info, n, getattr(info, n.lower(), ()))] for n in ("K", "D", "P"))
+        K, D, P = (
+            [float(v) for v in getattr(info, n, getattr(info, n.lower(), ()))]
+            for n in ("K", "D", "P")
+        )
         if len(D) > MOST_DISTORTION:
-            raise SequenceError(f"{source} has {len(D)} numbers of distortion; expected at most {MOST_DISTORTION}")
+            raise SequenceError(
+                f"{source} has {len(D)} numbers of distortion; expected at most {MOST_DISTORTION}"
+            )
         if re.search(r"(^|[/_])rect", topic) and P[0] > 0:
-            return model_of(*_cropped([P[0], P[5], P[2], P[6]], info), source, centre=0.0)
+            return model_of(
+                *_cropped([P[0], P[5], P[2], P[6]], info),
+                source,
+                centre=0.0,
+            )
         if not any(K[:6]):
             return None
         kind = info.distortion_model.lower()
         if any(D) and kind in _EITHER_WAY:
             raise OptionNeeded(
-                f"{source} has the distortion model {shown(info.distortion_model)} with the numbers "
-                f"{' '.join(f'{v:g}' for v in D)}, which programs apply in either direction; give --intrinsics 'fx fy "
-                "cx cy k1 k2 p1 p2 k3' as OpenCV has them, or without the last five",
+                f"{source} has the distortion model {shown(info.distortion_model)} with the "
+                f"numbers {' '.join(f'{v:g}' for v in D)}, which programs apply in either "
+                "direction; give --intrinsics 'fx fy cx cy k1 k2 p1 p2 k3' as OpenCV has them, or "
+                "without the last five",
                 option="intrinsics" if "depth" not in topic.lower() else "depth_intrinsics",
-                question=f"What is the camera of {topic}, fx fy cx cy [k1 k2 p1 p2 k3] as in OpenCV?",
+                question=f"What is the camera of {topic}, fx fy cx cy [k1 k2 p1 p2 k3] as in "
+                "OpenCV?",
             )
         if any(D) and kind not in (*_BROWN, *_FISHEYE):
             known = ", ".join(("plumb_bob", "rational_polynomial", "equidistant"))
             raise SequenceError(
-                f"{source} has the distortion model {shown(info.distortion_model)}; known: {known}; or give "
-                "--intrinsics"
+                f"{source} has the distortion model {shown(info.distortion_model)}; known: "
+                f"{known}; or give --intrinsics"
             )
         fisheye = kind in _FISHEYE and any(D)
-        values, size = _cropped([K[0], K[4], K[2], K[5]], info)
-        return model_of(values, size, source, centre=0.0, distortion=tuple(D[:4] if fisheye else D), fisheye=fisheye)
+        values, size = _cropped(
+            [K[0], K[4], K[2], K[5]],
+            info,
+        )
+        return model_of(
+            values,
+            size,
+            source,
+            centre=0.0,
+            distortion=tuple(D[:4] if fisheye else D),
+            fisheye=fisheye,
+        )
 
 
 def is_frame_name(name: str) -> bool:
@@ -178,8 +237,12 @@ def is_frame_name(name: str) -> bool:
     return bool(name) and not name.isdecimal()
 
 
-def _cropped(values: list[float], info: Any) -> tuple[list[float], tuple[int, int]]:
-    """fx, fy, cx, cy and the size of the part of the sensor that the images show: K is of the whole of it (REP 104)."""
+def _cropped(
+    values: list[float],
+    info: Any,
+) -> tuple[list[float], tuple[int, int]]:
+    """fx, fy, cx, cy and the size of the part of the sensor that the images show: K is of the whole
+    of it (REP 104)."""
     roi, size = info.roi, (int(info.width), int(info.height))
     if roi.width and roi.height:
         values = [values[0], values[1], values[2] - roi.x_offset, values[3] - roi.y_offset]

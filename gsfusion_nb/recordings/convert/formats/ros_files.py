@@ -35,16 +35,23 @@ def opened_bag(path: Path) -> Iterator[Any]:
             f"{path} is a ROS bag, which needs the package rosbags: pip install 'gsfusion-nb[ros]'"
         ) from None
     if not path.exists():
-        raise SequenceNotFoundError(f"{path} does not exist; expected a .bag file or the folder of a ROS 2 bag")
+        raise SequenceNotFoundError(
+            f"{path} does not exist; expected a .bag file or the folder of a ROS 2 bag"
+        )
     place = path.parent if path.suffix == ".db3" else path
-    types = get_typestore(Stores.ROS2_HUMBLE)  # ROS 2 bags before Iron do not contain their message types
+    types = get_typestore(
+        Stores.ROS2_HUMBLE
+    )  # ROS 2 bags before Iron do not contain their message types
     types.register(get_types_from_msg(_TF_MESSAGE, "tf2_msgs/msg/TFMessage"))
     files = [place] if place.is_file() else _files_of(place, path)
     for file in files:
         open_regular(file, _WHAT).close()
         if file.suffix == ".db3":
             check_tables(file)
-    what = "a ROS bag; if it is truncated or was not closed after recording, try 'rosbag reindex' or 'ros2 bag reindex'"
+    what = (
+        "a ROS bag; if it is truncated or was not closed after recording, try 'rosbag reindex' "
+        "or 'ros2 bag reindex'"
+    )
     with (
         bounded(path, most_bytes(files)),
         parsing(path, what),
@@ -63,46 +70,61 @@ def _files_of(folder: Path, given: Path) -> list[Path]:
     what = f"the {METADATA} of a ROS 2 bag"
     if not listed.exists() and _is_of_realsense(given):
         raise SequenceError(
-            f"{given} is a recording of the RealSense SDK of 2026 or later, which is not read; rs-convert -i "
-            f"{given.name} -p images/ writes its images, which are read, as are the .bag files of older SDKs"
+            f"{given} is a recording of the RealSense SDK of 2026 or later, which is not read; "
+            f"rs-convert -i {given.name} -p images/ writes its images, which are read, as are the "
+            ".bag files of older SDKs"
         )
     if not listed.exists():
         raise SequenceNotFoundError(
-            f"{listed} does not exist; a ROS 2 bag in sqlite needs it, and 'ros2 bag reindex' makes one"
+            f"{listed} does not exist; a ROS 2 bag in sqlite needs it, and 'ros2 bag reindex' "
+            "makes one"
         )
     with parsing(listed, what):
         content = yaml.safe_load(read_text(listed, what))
-        names = [Path(name).name for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
+        names = [
+            Path(name).name
+            for name in content["rosbag2_bagfile_information"]["relative_file_paths"]
+        ]
     if given.is_file() and given.name not in names:
-        raise SequenceError(f"{listed} does not name {given.name}; it is of the bag {', '.join(names)}")
+        raise SequenceError(
+            f"{listed} does not name {given.name}; it is of the bag {', '.join(names)}"
+        )
     return [listed, *(folder / name for name in names)]
 
 
 def _is_of_realsense(file: Path) -> bool:
-    """Whether a database holds the topics of the RealSense SDK, which writes no ``metadata.yaml``."""
+    """Whether a database holds the topics of the RealSense SDK, which writes no
+    ``metadata.yaml``."""
     address = f"{file.resolve().as_uri()}?mode=ro"
     names: list[str] = []
-    with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(address, uri=True)) as database:
+    with (
+        contextlib.suppress(sqlite3.Error),
+        contextlib.closing(sqlite3.connect(address, uri=True)) as database,
+    ):
         names = [str(name) for (name,) in database.execute("SELECT name FROM topics LIMIT 1000")]
     return any(name.startswith("/device_") for name in names)
 
 
 def message_of(reader: Any, connection: Any, raw: Any) -> tuple[Any, float]:
-    """A message, and the metres per unit of depth that newer RealSense SDKs append to an image; 0 where there is none.
+    """A message, and the metres per unit of depth that newer RealSense SDKs append to an image; 0
+    where there is none.
 
-    The SDK marks such an image by the frame "1", and its definition of the message does not have this number, a float32
-    behind the last byte of the pixels.
+    The SDK marks such an image by the frame "1", and its definition of the message does not have
+    this number, a float32 behind the last byte of the pixels.
     """
     if stream_of(connection.topic) and connection.msgtype.endswith("/Image"):
         try:
             return reader.deserialize(raw, connection.msgtype), 0.0
         except Exception:  # of rosbags: the message is longer than its definition
-            return reader.deserialize(raw[:-4], connection.msgtype), struct.unpack("<f", bytes(raw[-4:]))[0]
+            return reader.deserialize(raw[:-4], connection.msgtype), struct.unpack(
+                "<f", bytes(raw[-4:])
+            )[0]
     return reader.deserialize(raw, connection.msgtype), 0.0
 
 
 class _BagPath(type(Path())):
-    """A path whose file gives no more bytes than it has, also where a damaged bag asks for four gigabytes.
+    """A path whose file gives no more bytes than it has, also where a damaged bag asks for four
+    gigabytes.
 
     Python's own files first take the memory that is asked for, and then see how much there is.
     """
@@ -116,5 +138,8 @@ class _BagPath(type(Path())):
 class _BagFile(io.BufferedReader):
     def read(self, size: int | None = -1, /) -> bytes:
         if size is not None and size > _LARGE_BYTES:
-            size = max(0, min(size, os.fstat(self.fileno()).st_size - self.tell()))
+            size = max(
+                0,
+                min(size, os.fstat(self.fileno()).st_size - self.tell()),
+            )
         return super().read(size)

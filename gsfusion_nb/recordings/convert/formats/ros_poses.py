@@ -51,11 +51,13 @@ class RosPoses:
     """What was taken is added to these sentences."""
 
     def find(self) -> tuple[PoseAt | None, str]:
-        """The poses, and where they come from: "tf" or a topic. None without any, or where others are given.
+        """The poses, and where they come from: "tf" or a topic. None without any, or where others
+        are given.
 
         Raises:
             OptionNeeded: there are poses, and the bag does not say how they belong to the camera.
-            SequenceError: the topic or the world of the options is not in the bag, or several topics may be meant.
+            SequenceError: the topic or the world of the options is not in the bag, or several
+                topics may be meant.
         """
         wanted = self.options.ros.pose_topic
         if self.options.poses:
@@ -77,8 +79,8 @@ class RosPoses:
         way = self.tree.best_path(self.camera, worlds, times_s, self.options.max_gap_s)
         if way is None and given:
             raise SequenceError(
-                f"{self.path}: tf does not lead from the camera's frame {shown(self.camera)} to {shown(given)}; its "
-                f"frames: {', '.join(sorted(self.tree.frames)) or 'none'}"
+                f"{self.path}: tf does not lead from the camera's frame {shown(self.camera)} to "
+                f"{shown(given)}; its frames: {', '.join(sorted(self.tree.frames)) or 'none'}"
             )
         return way
 
@@ -90,7 +92,10 @@ class RosPoses:
             note += f" ({way}); it also leads to {also} (--ros.world-frame)"
         self.notes.append(note)
         if not self.tree.moves(way):
-            self.notes.append(f"no transform between {shown(self.camera)} and {shown(way.world)} changes: it stands")
+            self.notes.append(
+                f"no transform between {shown(self.camera)} and {shown(way.world)} changes: it "
+                "stands"
+            )
         self._note_conflicts(self.tree.conflicts(way), "transforms")
         return lambda time_s: self.tree.along(way, time_s, self.options.max_gap_s)
 
@@ -98,20 +103,26 @@ class RosPoses:
         """The topic of poses to take where the transform tree has none of the camera."""
         names = sorted(self.topics)
         bodies = {name: self.topics[name].body for name in names}
-        linked = [name for name in names if bodies[name] and self._T_body_cam(bodies[name]) is not None]
+        linked = [
+            name for name in names if bodies[name] and self._T_body_cam(bodies[name]) is not None
+        ]
         if len(linked) == 1:
             return linked[0]
-        described = ", ".join(f"{name} (of {bodies[name]})" if bodies[name] else name for name in names)
+        described = ", ".join(
+            f"{name} (of {bodies[name]})" if bodies[name] else name for name in names
+        )
         if len(names) > 1 and not self.tree.has_motion:
             raise SequenceError(
-                f"{self.path} must have one pose topic, found: {described}; name one with --ros.pose-topic"
+                f"{self.path} must have one pose topic, found: {described}; name one with "
+                "--ros.pose-topic"
             )
         is_given = bool(self.options.T_body_cam or self.options.T_cam_body)
         if not self.tree.has_motion and (is_given or not bodies[names[0]]):
             return names[0]
         if not self.tree.has_motion:
             raise self._needed(
-                f"{self.path} does not say where the colour camera, {shown(self.camera)}, is in the body of {described}"
+                f"{self.path} does not say where the colour camera, {shown(self.camera)}, is in "
+                f"the body of {described}"
             )
         place = "does not know" if self.camera not in self.tree.frames else "does not move"
         raise self._needed(
@@ -121,11 +132,11 @@ class RosPoses:
 
     def _needed(self, why: str) -> OptionNeeded:
         return OptionNeeded(
-            f"{why}; take a topic of poses with --ros.pose-topic, and say where the camera is in its body with "
-            "--T-body-cam; or --poses none tracks the camera later",
+            f"{why}; take a topic of poses with --ros.pose-topic, and say where the camera is in "
+            "its body with --T-body-cam; or --poses none tracks the camera later",
             option="poses",
-            question=f"{why} (--ros.pose-topic, --T-body-cam). Which file holds the poses? none: they are estimated by "
-            "tracking the camera",
+            question=f"{why} (--ros.pose-topic, --T-body-cam). Which file holds the poses? none: "
+            "they are estimated by tracking the camera",
         )
 
     def _of_topic(self, name: str) -> PoseAt | None:
@@ -142,8 +153,8 @@ class RosPoses:
         if T_body_cam is None:
             whose = f" of {shown(topic.body)}" if topic.body else ""
             self.notes.append(
-                f"the poses of {name}{whose} are taken as those of the colour camera (OpenCV axes); if they are poses "
-                "of a body, give --T-body-cam"
+                f"the poses of {name}{whose} are taken as those of the colour camera (OpenCV "
+                "axes); if they are poses of a body, give --T-body-cam"
             )
             T_body_cam = torch.eye(4, dtype=torch.float64)
         self._note_conflicts(ordered.conflicts, f"poses of {name}")
@@ -156,11 +167,18 @@ class RosPoses:
         ).pose_at
 
     def _T_body_cam(self, body: str) -> Float[Tensor, "4 4"] | None:
-        """Pose of the camera in the body, from transforms that do not change; None where it is unknown."""
+        """Pose of the camera in the body, from transforms that do not change; None where it is
+        unknown."""
         if not body:
             return None
-        return torch.eye(4, dtype=torch.float64) if body == self.camera else self.tree.between(self.camera, body)
+        return (
+            torch.eye(4, dtype=torch.float64)
+            if body == self.camera
+            else self.tree.between(self.camera, body)
+        )
 
     def _note_conflicts(self, n: int, what: str) -> None:
         if n:
-            self.notes.append(f"{n} {what} have the time of another one and differ from it; the first was taken")
+            self.notes.append(
+                f"{n} {what} have the time of another one and differ from it; the first was taken"
+            )

@@ -1,7 +1,7 @@
 """Transforms between frames over time (tf), and poses from topics.
 
-A transform is known by its frame and the parent that it is given in. Two publishers may give one frame two parents,
-such as odometry and localisation: these are two transforms, of two worlds.
+A transform is known by its frame and the parent that it is given in. Two publishers may give one
+frame two parents, such as odometry and localisation: these are two transforms, of two worlds.
 """
 
 from collections import deque
@@ -28,7 +28,8 @@ class TimedRows:
     times_s: Float[Tensor, " N"]
     rows: Float[Tensor, "N 7"]
     conflicts: int = 0
-    """Rows that were left out, because another one of the same time says something else and came first."""
+    """Rows that were left out, because another one of the same time says something else and came
+    first."""
 
 
 @dataclass
@@ -59,7 +60,11 @@ class _Transform:
         rows = self.ordered.rows
         return not self.is_static and float((rows - rows[:1]).abs().max()) > _STILL
 
-    def covers(self, times_s: Float[Tensor, " T"], max_gap_s: float) -> Bool[Tensor, " T"]:
+    def covers(
+        self,
+        times_s: Float[Tensor, " T"],
+        max_gap_s: float,
+    ) -> Bool[Tensor, " T"]:
         """Whether it is known at each of the times."""
         if not self.moves:
             return torch.ones_like(times_s, dtype=torch.bool)
@@ -74,7 +79,9 @@ class _Transform:
         """Its row at a time, the last one if it does not move; None where it is unknown."""
         if not self.moves:
             return self.ordered.rows[-1]
-        return interpolate_rows(self.ordered.times_s, self.ordered.rows, time_s, max_gap_s=max_gap_s)
+        return interpolate_rows(
+            self.ordered.times_s, self.ordered.rows, time_s, max_gap_s=max_gap_s
+        )
 
 
 @dataclass(frozen=True)
@@ -108,7 +115,9 @@ class TransformTree:
             child, parent = (name.lstrip("/") for name in (t.child_frame_id, t.header.frame_id))
             known = self._transforms.setdefault((child, parent), _Transform(static))
             known.is_static &= static
-            known.add(seconds(t.header.stamp), row_of(t.transform.translation, t.transform.rotation))
+            known.add(
+                seconds(t.header.stamp), row_of(t.transform.translation, t.transform.rotation)
+            )
 
     @property
     def frames(self) -> set[str]:
@@ -122,7 +131,9 @@ class TransformTree:
 
     def worlds(self, frame: str) -> list[str]:
         """The frames above ``frame`` that have no parent, and itself where it has none."""
-        return list(dict.fromkeys(path.world for path in self.paths(frame) if not self._parents(path.world)))
+        return list(
+            dict.fromkeys(path.world for path in self.paths(frame) if not self._parents(path.world))
+        )
 
     def paths(self, frame: str, world: str | None = None) -> list[TransformPath]:
         """Every way from ``frame`` upwards, or every one that ends at ``world``."""
@@ -131,23 +142,35 @@ class TransformTree:
         while waiting:
             frames = waiting.popleft()
             found.append(TransformPath(frames))
-            waiting.extend((*frames, parent) for parent in self._parents(frames[-1]) if parent not in frames)
+            waiting.extend(
+                (*frames, parent) for parent in self._parents(frames[-1]) if parent not in frames
+            )
         return [path for path in found if world in (None, path.world)]
 
     def best_path(
-        self, frame: str, worlds: Sequence[str], times_s: Float[Tensor, " T"], max_gap_s: float
+        self,
+        frame: str,
+        worlds: Sequence[str],
+        times_s: Float[Tensor, " T"],
+        max_gap_s: float,
     ) -> TransformPath | None:
-        """The way to one of the worlds on which the frame moves, and is known at the most of the times; None without
-        any. Of equal ways the one with the most transforms."""
+        """The way to one of the worlds on which the frame moves, and is known at the most of the
+        times; None without any. Of equal ways the one with the most transforms."""
 
         def rank(path: TransformPath) -> tuple[bool, int, int]:
             steps = [self._transforms[edge] for edge in path.edges()]
             known = torch.ones_like(times_s, dtype=torch.bool)
             for step in steps:
                 known &= step.covers(times_s, max_gap_s)
-            return any(step.moves for step in steps), int(known.sum()), sum(len(step.rows) for step in steps)
+            return (
+                any(step.moves for step in steps),
+                int(known.sum()),
+                sum(len(step.rows) for step in steps),
+            )
 
-        ways = [path for world in worlds for path in self.paths(frame, world) if len(path.frames) > 1]
+        ways = [
+            path for world in worlds for path in self.paths(frame, world) if len(path.frames) > 1
+        ]
         return max(ways, key=rank, default=None)
 
     def moves(self, path: TransformPath) -> bool:
@@ -155,11 +178,19 @@ class TransformTree:
         return any(self._transforms[edge].moves for edge in path.edges())
 
     def conflicts(self, path: TransformPath) -> int:
-        """Transforms on the way that were left out, because another one of the same time came first."""
-        return sum(self._transforms[edge].ordered.conflicts for edge in path.edges() if self._transforms[edge].moves)
+        """Transforms on the way that were left out, because another one of the same time came
+        first."""
+        return sum(
+            self._transforms[edge].ordered.conflicts
+            for edge in path.edges()
+            if self._transforms[edge].moves
+        )
 
-    def along(self, path: TransformPath, time_s: float, max_gap_s: float) -> Float[Tensor, "4 4"] | None:
-        """Transform from the lowest frame of the way to its world; None where it is unknown at that time. float64."""
+    def along(
+        self, path: TransformPath, time_s: float, max_gap_s: float
+    ) -> Float[Tensor, "4 4"] | None:
+        """Transform from the lowest frame of the way to its world; None where it is unknown at that
+        time. float64."""
         T = torch.eye(4, dtype=torch.float64)
         for edge in path.edges():
             row = self._transforms[edge].at(time_s, max_gap_s)
@@ -169,7 +200,8 @@ class TransformTree:
         return T
 
     def between(self, frame: str, other: str) -> Float[Tensor, "4 4"] | None:
-        """Transform from ``frame`` to ``other`` through transforms that do not change, float64; or None."""
+        """Transform from ``frame`` to ``other`` through transforms that do not change, float64; or
+        None."""
         found, waiting = {frame: torch.eye(4, dtype=torch.float64)}, deque([frame])
         while waiting and other not in found:
             here = waiting.popleft()
@@ -188,20 +220,30 @@ class TransformTree:
 
 
 def pose_rows(message: Any) -> tuple[list[float], str]:
-    """``tx ty tz qx qy qz qw`` of a pose message, and the frame whose pose it is ("" where the message has none)."""
+    """``tx ty tz qx qy qz qw`` of a pose message, and the frame whose pose it is ("" where the
+    message has none)."""
     if hasattr(message, "transform"):
-        return row_of(message.transform.translation, message.transform.rotation), message.child_frame_id.lstrip("/")
+        return row_of(
+            message.transform.translation, message.transform.rotation
+        ), message.child_frame_id.lstrip("/")
     pose = message.pose
     pose = pose.pose if hasattr(pose, "pose") else pose
-    return row_of(pose.position, pose.orientation), getattr(message, "child_frame_id", "").lstrip("/")
+    return row_of(pose.position, pose.orientation), getattr(message, "child_frame_id", "").lstrip(
+        "/"
+    )
 
 
 def in_order(times_s: list[float], rows: list[list[float]]) -> TimedRows:
     """Finite rows by increasing time, each time once (messages may arrive out of order). float64"""
-    t, table = torch.tensor(times_s, dtype=torch.float64), torch.tensor(rows, dtype=torch.float64).reshape(-1, 7)
+    t, table = (
+        torch.tensor(times_s, dtype=torch.float64),
+        torch.tensor(rows, dtype=torch.float64).reshape(-1, 7),
+    )
     usable = torch.isfinite(table).all(dim=1) & ((table[:, 3:].norm(dim=1) - 1).abs() < 1e-2)
     if not bool(usable.any()):
-        raise SequenceError("every pose of the bag is NaN or has no unit quaternion; expected geometry_msgs poses")
+        raise SequenceError(
+            "every pose of the bag is NaN or has no unit quaternion; expected geometry_msgs poses"
+        )
     t, table = t[usable], table[usable]
     order = t.argsort(stable=True)
     t, table = t[order], table[order]

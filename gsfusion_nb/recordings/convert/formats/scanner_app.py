@@ -1,8 +1,10 @@
-"""3D Scanner App (iPhone, iPad), all data: ``frame_00000.jpg``, ``frame_00000.json``, ``depth_00000.png``, ``conf_*``.
+"""3D Scanner App (iPhone, iPad), all data: ``frame_00000.jpg``, ``frame_00000.json``,
+``depth_00000.png``, ``conf_*``.
 
-The JSON of a frame holds ``intrinsics``, nine numbers for the colour image row by row, ``cameraPoseARFrame``, the
-camera-to-world matrix row by row with ARKit's axes (OpenGL: y up, z backward), and ``time``. Depth is in millimetres,
-smaller than colour and registered to it. Only some frames have a colour image.
+The JSON of a frame holds ``intrinsics``, nine numbers for the colour image row by row,
+``cameraPoseARFrame``, the camera-to-world matrix row by row with ARKit's axes (OpenGL: y up, z
+backward), and ``time``. Depth is in millimetres, smaller than colour and registered to it. Only
+some frames have a colour image.
 """
 
 from collections.abc import Iterator
@@ -40,7 +42,9 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     """
     colour = _colour_images(path)
     if not colour:
-        raise SequenceError(f"{path} holds no frame with a colour image, a JSON and depth; expected {LOOKS_FOR}")
+        raise SequenceError(
+            f"{path} holds no frame with a colour image, a JSON and depth; expected {LOOKS_FOR}"
+        )
     scale = options.depth_scale or 1000.0
     n_depth = sum(1 for _ in path.glob("depth_*.png"))
 
@@ -53,7 +57,13 @@ def read(path: Path, options: ConvertOptions) -> Recording:
                 time_s=number(values, "time", 0.0, file) if "time" in values else None,
                 model=None if options.intrinsics else _model(values, image, file),
                 T_WC=_pose(values, file),
-                load=partial(load_pair, image, _of(image, "depth"), scale, _confidence(image, options.confidence)),
+                load=partial(
+                    load_pair,
+                    image,
+                    _of(image, "depth"),
+                    scale,
+                    _confidence(image, options.confidence),
+                ),
             )
 
     alone = n_depth - len(colour)
@@ -63,7 +73,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         n_frames=len(colour),
         depth_scale=scale,
         dropped={"no colour image of its number": alone} if alone > 0 else {},
-        notes=(f"3D Scanner App: depth read as {scale:g} per metre, of confidence {options.confidence} and above",),
+        notes=(
+            f"3D Scanner App: depth read as {scale:g} per metre, of confidence "
+            f"{options.confidence} and above",
+        ),
     )
 
 

@@ -1,7 +1,9 @@
-"""ScanNet: a .sens file, or the folders that its exporter makes (color/, depth/, pose/, intrinsic/).
+"""ScanNet: a .sens file, or the folders that its exporter makes (color/, depth/, pose/,
+intrinsic/).
 
-Poses are camera-to-world with OpenCV axes, -inf where tracking was lost. Depth is in millimetres (a .sens file holds
-its own scale); depth images are smaller than colour and have their own intrinsics; pixel centres at integers.
+Poses are camera-to-world with OpenCV axes, -inf where tracking was lost. Depth is in millimetres (a
+.sens file holds its own scale); depth images are smaller than colour and have their own intrinsics;
+pixel centres at integers.
 """
 
 import math
@@ -24,7 +26,15 @@ from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundErro
 from ....files import inflate, open_regular, read_exactly
 from ....geometry import se3
 from ..intrinsics import model_of_matrix
-from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, find_depth, metres, with_colour
+from ..recording import (
+    ConvertOptions,
+    RecordedFrame,
+    Recording,
+    RgbdImages,
+    find_depth,
+    metres,
+    with_colour,
+)
 from .image_recording import recording_of
 from .pairing import FrameFiles
 
@@ -42,13 +52,22 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     root = _root(path)
     if root is None:
         if sens is None:
-            raise SequenceNotFoundError(f"{path} holds neither a .sens file nor color/, depth/ and pose/")
+            raise SequenceNotFoundError(
+                f"{path} holds neither a .sens file nor color/, depth/ and pose/"
+            )
         return read_sens(sens, options)
-    pairs = [(colour, find_depth(root / "depth", colour.stem)) for colour in images_in(root / "color")]
-    numbers = [image_number(colour) for colour, _ in pairs]  # a missing image must not shift the later times
+    pairs = [
+        (colour, find_depth(root / "depth", colour.stem)) for colour in images_in(root / "color")
+    ]
+    numbers = [
+        image_number(colour) for colour, _ in pairs
+    ]  # a missing image must not shift the later times
     times_s = [(place if n is None else n) / FRAMES_PER_S for place, n in enumerate(numbers)]
     options = replace(options, depth_scale=options.depth_scale or 1000.0)
-    note = f"depth read as {options.depth_scale:g} per metre; times are frame numbers at {FRAMES_PER_S:g} Hz"
+    note = (
+        f"depth read as {options.depth_scale:g} per metre; times are frame numbers at "
+        f"{FRAMES_PER_S:g} Hz"
+    )
     return recording_of(root, FrameFiles(pairs, times_s, notes=(note,)), options)
 
 
@@ -97,13 +116,19 @@ def read_sens(path: Path, options: ConvertOptions) -> Recording:
     scale = options.depth_scale or header.units_per_m
     T_rig_colour = header.extrinsic_colour
     T_colour_depth = se3.inverse(T_rig_colour) @ header.extrinsic_depth
-    is_one_camera = torch.allclose(T_colour_depth, torch.eye(4, dtype=torch.float64), atol=1e-5)
+    is_one_camera = torch.allclose(
+        T_colour_depth,
+        torch.eye(4, dtype=torch.float64),
+        atol=1e-5,
+    )
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         with open_regular(path, "a ScanNet .sens file") as file:
             file.seek(header.frames_at)
             for i in range(header.n_frames):
-                *pose, colour_us, _, colour_bytes, depth_bytes = _FRAME.unpack(read_exactly(file, _FRAME.size, path))
+                *pose, colour_us, _, colour_bytes, depth_bytes = _FRAME.unpack(
+                    read_exactly(file, _FRAME.size, path)
+                )
                 source = f"{path} frame {i}"
                 data = read_exactly(file, colour_bytes, path), read_exactly(file, depth_bytes, path)
                 yield RecordedFrame(
@@ -129,22 +154,32 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     version, length = struct.unpack("<IQ", read_exactly(file, 12, path))
     if version != _VERSION or length > 4096:
         raise SequenceError(
-            f"{path} begins with version {version}; expected a ScanNet .sens file of version {_VERSION}"
+            f"{path} begins with version {version}; expected a ScanNet .sens file of version "
+            f"{_VERSION}"
         )
     read_exactly(file, length, path)
     matrices = [list(struct.unpack("<16f", read_exactly(file, 64, path))) for _ in range(4)]
     colour, depth = struct.unpack("<ii", read_exactly(file, 8, path))
-    if _COLOUR.get(colour) not in ("jpeg", "png") or _DEPTH.get(depth) not in ("zlib_ushort", "raw_ushort"):
+    if _COLOUR.get(colour) not in ("jpeg", "png") or _DEPTH.get(depth) not in (
+        "zlib_ushort",
+        "raw_ushort",
+    ):
         raise SequenceError(
-            f"{path} packs colour as {_COLOUR.get(colour, colour)} and depth as {_DEPTH.get(depth, depth)}; expected "
-            "jpeg or png, and zlib_ushort or raw_ushort"
+            f"{path} packs colour as {_COLOUR.get(colour, colour)} and depth as "
+            f"{_DEPTH.get(depth, depth)}; expected jpeg or png, and zlib_ushort or raw_ushort"
         )
     *sizes, units, n_frames = struct.unpack("<4IfQ", read_exactly(file, 28, path))
     if not 0 < units < math.inf:
-        raise SequenceError(f"{path} says that one metre is {units} in depth; expected a number above 0")
-    extrinsic_colour, extrinsic_depth = (torch.tensor(matrices[i], dtype=torch.float64).reshape(4, 4) for i in (1, 3))
+        raise SequenceError(
+            f"{path} says that one metre is {units} in depth; expected a number above 0"
+        )
+    extrinsic_colour, extrinsic_depth = (
+        torch.tensor(matrices[i], dtype=torch.float64).reshape(4, 4) for i in (1, 3)
+    )
     return _Header(
-        model_of_matrix(matrices[0], (sizes[0], sizes[1]), f"{path}: colour intrinsics", centre=0.0),
+        model_of_matrix(
+            matrices[0], (sizes[0], sizes[1]), f"{path}: colour intrinsics", centre=0.0
+        ),
         model_of_matrix(matrices[2], (sizes[2], sizes[3]), f"{path}: depth intrinsics", centre=0.0),
         extrinsic_colour,
         extrinsic_depth,
@@ -155,14 +190,20 @@ def _read_header(file: BinaryIO, path: Path) -> _Header:
     )
 
 
-def _load(data: tuple[bytes, bytes], header: _Header, scale: float, source: str) -> RgbdImages:
+def _load(
+    data: tuple[bytes, bytes],
+    header: _Header,
+    scale: float,
+    source: str,
+) -> RgbdImages:
     camera = header.depth.camera
     packed = data[1]
     if header.compression == "zlib_ushort":
         packed = inflate(packed, f"{source}: depth", at_most=2 * camera.width * camera.height)
     if len(packed) != 2 * camera.width * camera.height:
         raise BadFrameError(
-            f"{source}: depth has {len(packed)} bytes; expected {camera.width}x{camera.height} of 2 each"
+            f"{source}: depth has {len(packed)} bytes; expected {camera.width}x{camera.height} of "
+            "2 each"
         )
     raw = np.frombuffer(packed, "<u2").reshape(camera.height, camera.width)
     return with_colour(data[0], source, metres(raw, scale))

@@ -1,8 +1,9 @@
 """SUN3D: ``image/``, ``depth/``, ``intrinsics.txt`` and ``extrinsics/``.
 
-The 16 bits of depth are turned to the left by 3, so that read as they are the values are eight times the millimetres.
-Names are a number and microseconds. The newest file of ``extrinsics/`` holds three rows of a camera-to-world matrix for
-each colour image, OpenCV axes, metres. Pixel centres at integers. (``depthRead.m`` of SUN3Dsfm.)
+The 16 bits of depth are turned to the left by 3, so that read as they are the values are eight
+times the millimetres. Names are a number and microseconds. The newest file of ``extrinsics/`` holds
+three rows of a camera-to-world matrix for each colour image, OpenCV axes, metres. Pixel centres at
+integers. (``depthRead.m`` of SUN3Dsfm.)
 """
 
 import re
@@ -39,7 +40,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     """A place of SUN3D (module docstring).
 
     Raises:
-        SequenceError: names without a time, no depth near the colour images, or another number of poses.
+        SequenceError: names without a time, no depth near the colour images, or another number of
+            poses.
     """
     colour = images_in(path / "image")
     depth = images_in(path / "depth")
@@ -48,7 +50,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     pairs = associate(depth_s, colour_s, max_difference_s=_MAX_TIME_DIFFERENCE_S)
     if not pairs:
         raise SequenceError(
-            f"{path}: none of {len(depth)} depth images has a colour image within {_MAX_TIME_DIFFERENCE_S} s"
+            f"{path}: none of {len(depth)} depth images has a colour image within "
+            f"{_MAX_TIME_DIFFERENCE_S} s"
         )
     poses_file = max((path / "extrinsics").glob("*.txt"), default=None)
     T_WC = None if poses_file is None else _poses(poses_file, len(colour))
@@ -73,7 +76,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         depth_scale=scale,
         has_poses=T_WC is not None,
         dropped={"no colour image near in time": alone} if alone else {},
-        notes=(f"SUN3D: the bits of depth were turned back by {_TURNED_BITS}; poses of {poses_file or 'no file'}",),
+        notes=(
+            f"SUN3D: the bits of depth were turned back by {_TURNED_BITS}; poses of "
+            f"{poses_file or 'no file'}",
+        ),
     )
 
 
@@ -82,7 +88,8 @@ def _seconds(file: Path) -> float:
     found = re.fullmatch(r"\d+-(\d+)", file.stem)
     if found is None:
         raise SequenceError(
-            f"{file} is not named as in SUN3D; expected a number and microseconds: 0000001-000000033369"
+            f"{file} is not named as in SUN3D; expected a number and microseconds: "
+            "0000001-000000033369"
         )
     return int(found[1]) / 1e6
 
@@ -90,7 +97,9 @@ def _seconds(file: Path) -> float:
 def _poses(file: Path, n_images: int) -> torch.Tensor:
     rows = read_rows(file, 4, "three rows of a camera-to-world matrix for each image")
     if len(rows) != 3 * n_images:
-        raise SequenceError(f"{file} holds {len(rows)} rows; expected 3 for each of {n_images} images in image/")
+        raise SequenceError(
+            f"{file} holds {len(rows)} rows; expected 3 for each of {n_images} images in image/"
+        )
     last = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=rows.dtype).expand(n_images, 1, 4)
     return torch.cat([rows.reshape(n_images, 3, 4), last], 1)
 

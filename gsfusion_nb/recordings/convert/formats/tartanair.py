@@ -1,8 +1,10 @@
-"""TartanAir and TartanAir V2, rendered with AirSim: ``image_left/``, ``depth_left/``, ``pose_left.txt``.
+"""TartanAir and TartanAir V2, rendered with AirSim: ``image_left/``, ``depth_left/``,
+``pose_left.txt``.
 
-In V2 the cameras have names such as ``lcam_front``. Poses ``tx ty tz qx qy qz qw`` are camera-to-world in AirSim's axes
-(x forward, y right, z down), for the camera and the world. Depth is z-depth in metres, NumPy or, in V2, float32 in the
-four channels of a PNG. The field of view is 90 degrees: fx = width / 2, centre in the middle.
+In V2 the cameras have names such as ``lcam_front``. Poses ``tx ty tz qx qy qz qw`` are
+camera-to-world in AirSim's axes (x forward, y right, z down), for the camera and the world. Depth
+is z-depth in metres, NumPy or, in V2, float32 in the four channels of a PNG. The field of view is
+90 degrees: fx = width / 2, centre in the middle.
 """
 
 from collections.abc import Iterator
@@ -35,7 +37,8 @@ from .pairing import paired_by_name
 _CAMERAS = ("left", "lcam_front", "right", "rcam_front")
 """Those that are looked for first."""
 _NED_OF_CV = torch.tensor(
-    [[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]], dtype=torch.float64
+    [[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]],
+    dtype=torch.float64,
 )
 """From OpenCV's axes to AirSim's."""
 
@@ -48,7 +51,8 @@ def recognise(path: Path) -> bool:
 
 
 def read(path: Path, options: ConvertOptions) -> Recording:
-    """A trajectory of TartanAir (module docstring); ``options.colour`` chooses another camera than the first.
+    """A trajectory of TartanAir (module docstring); ``options.colour`` chooses another camera than
+    the first.
 
     Raises:
         SequenceError: images and poses do not belong together.
@@ -62,7 +66,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     file = path / f"pose_{camera}.txt"
     T_ned = matrices(read_rows(file, 7, "tx ty tz qx qy qz qw"))
     if len(T_ned) != len(colour):
-        raise SequenceError(f"{file} holds {len(T_ned)} poses; expected {len(colour)}, one per image of image_{camera}")
+        raise SequenceError(
+            f"{file} holds {len(T_ned)} poses; expected {len(colour)}, one per image of "
+            f"image_{camera}"
+        )
     T_WC = dict(zip(colour, _NED_OF_CV.T @ T_ned @ _NED_OF_CV, strict=True))
     scale = options.depth_scale or 1.0
 
@@ -82,7 +89,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         frames=recorded_frames,
         n_frames=len(pairs),
         depth_scale=scale,
-        notes=(f"TartanAir's camera {camera}{others}; poses were turned from AirSim's axes (x forward, z down)",),
+        notes=(
+            f"TartanAir's camera {camera}{others}; poses were turned from AirSim's axes (x "
+            "forward, z down)",
+        ),
     )
 
 
@@ -90,13 +100,24 @@ def _cameras(path: Path) -> list[str]:
     """Names of the cameras with images, depth and poses."""
     found = sorted(file.stem.removeprefix("pose_") for file in path.glob("pose_*.txt"))
     whole = [n for n in found if (path / f"image_{n}").is_dir() and (path / f"depth_{n}").is_dir()]
-    return sorted(whole, key=lambda name: _CAMERAS.index(name) if name in _CAMERAS else len(_CAMERAS))
+    return sorted(
+        whole, key=lambda name: _CAMERAS.index(name) if name in _CAMERAS else len(_CAMERAS)
+    )
 
 
 def _model(colour: Path) -> CameraModel:
     width, height = size_of_colour(colour)
     half = width / 2
-    return CameraModel(Camera(width=width, height=height, fx=half, fy=half, cx=half, cy=height / 2))
+    return CameraModel(
+        Camera(
+            width=width,
+            height=height,
+            fx=half,
+            fy=half,
+            cx=half,
+            cy=height / 2,
+        )
+    )
 
 
 def _load(colour: Path, depth: Path, scale: float) -> RgbdImages:
@@ -104,6 +125,8 @@ def _load(colour: Path, depth: Path, scale: float) -> RgbdImages:
         return load_pair(colour, depth, scale)
     packed = decode_image(read_image_bytes(depth, "depth"), cv2.IMREAD_UNCHANGED, depth, "depth")
     if packed.dtype != np.uint8 or packed.ndim != 3 or packed.shape[2] != 4:
-        raise BadFrameError(f"{depth} must hold float32 depth in four channels of 8 bits, got {list(packed.shape)}")
+        raise BadFrameError(
+            f"{depth} must hold float32 depth in four channels of 8 bits, got {list(packed.shape)}"
+        )
     depth_m = metres(packed.view("<f4")[..., 0], scale)
     return with_colour(read_image_bytes(colour, "colour"), str(colour), depth_m)

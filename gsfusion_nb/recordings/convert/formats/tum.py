@@ -1,9 +1,10 @@
-"""Folders like those of the TUM RGB-D benchmark: rgb.txt, depth.txt, groundtruth.txt, or associations.txt.
+"""Folders like those of the TUM RGB-D benchmark: rgb.txt, depth.txt, groundtruth.txt, or
+associations.txt.
 
-Depth is 16-bit, 5000 per metre in the benchmark; in other recordings the unit is inferred (``convert.depth_unit``).
-Poses "t tx ty tz qx qy qz qw" are camera-to-world with OpenCV axes. The format holds no intrinsics. Those of the
-benchmark's cameras are known by the folder's name; for other recordings they come from ``calibration.txt`` /
-``camera.txt`` or the option.
+Depth is 16-bit, 5000 per metre in the benchmark; in other recordings the unit is inferred
+(``convert.depth_unit``). Poses "t tx ty tz qx qy qz qw" are camera-to-world with OpenCV axes. The
+format holds no intrinsics. Those of the benchmark's cameras are known by the folder's name; for
+other recordings they come from ``calibration.txt`` / ``camera.txt`` or the option.
 """
 
 import os
@@ -15,14 +16,23 @@ from ..recording import ConvertOptions, Recording
 from .image_recording import recording_of
 from .pairing import FrameFiles, Numbered, judged, notes_on_times, paired, without_times
 
-_ASSOCIATIONS = ("associations.txt", "association.txt", "associated.txt", "associate.txt", "assoc.txt")
+_ASSOCIATIONS = (
+    "associations.txt",
+    "association.txt",
+    "associated.txt",
+    "associate.txt",
+    "assoc.txt",
+)
 
 LOOKS_FOR = "rgb.txt and depth.txt, or associations.txt"
 
 
 def recognise(path: Path) -> bool:
     """Lists of images."""
-    return all((path / n).is_file() for n in ("rgb.txt", "depth.txt")) or associations_of(path) is not None
+    return (
+        all((path / n).is_file() for n in ("rgb.txt", "depth.txt"))
+        or associations_of(path) is not None
+    )
 
 
 def read(path: Path, options: ConvertOptions) -> Recording:
@@ -38,8 +48,8 @@ def associations_of(path: Path) -> Path | None:
 def frames_of(path: Path, unit: str = "auto") -> FrameFiles:
     """The frames of a folder with lists.
 
-    Numbers that are not times (``recorded.times``) neither sort nor pair the images: the list's order does, or that of
-    the images' names.
+    Numbers that are not times (``recorded.times``) neither sort nor pair the images: the list's
+    order does, or that of the images' names.
 
     Args:
         path: The folder.
@@ -56,7 +66,8 @@ def frames_of(path: Path, unit: str = "auto") -> FrameFiles:
 
 
 def _associated(file: Path, unit: str) -> FrameFiles:
-    """Frames of lines "time file time file"; the file in a folder named depth is the depth image, else the second."""
+    """Frames of lines "time file time file"; the file in a folder named depth is the depth image,
+    else the second."""
     rows = []
     for first, second in read_image_list(file, per_line=2):
         first_is_depth = "depth" in os.path.relpath(first[1], file.parent).lower()
@@ -83,4 +94,9 @@ def _numbered(file: Path) -> Numbered:
 
 
 def _numbered_lines(file: Path, lines: Sequence[tuple[float, Path]]) -> Numbered:
-    return Numbered(str(file), [image for _, image in lines], [number for number, _ in lines], is_list=True)
+    return Numbered(
+        str(file),
+        [image for _, image in lines],
+        [number for number, _ in lines],
+        is_list=True,
+    )

@@ -1,7 +1,7 @@
 """How much memory the packed parts of a ROS bag may ask for.
 
-``rosbags`` unpacks a chunk of bz2, lz4 or zstd into as much memory as it takes: 19 kB of bz2 are 2.6 GB of zeros. While
-a bag is open here, its unpackers stop at a limit.
+``rosbags`` unpacks a chunk of bz2, lz4 or zstd into as much memory as it takes: 19 kB of bz2 are
+2.6 GB of zeros. While a bag is open here, its unpackers stop at a limit.
 """
 
 import bz2
@@ -23,15 +23,23 @@ _ZSTD = "compression.zstd" if importlib.util.find_spec("compression") else "back
 
 def most_bytes(files: list[Path]) -> int:
     """How many bytes a chunk of a bag of these files may unpack to."""
-    return max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * sum(file.stat().st_size for file in files))
+    return max(
+        LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * sum(file.stat().st_size for file in files)
+    )
 
 
-def unpack(data: bytes, make: Callable[[], Any], at_most: int, source: str | Path) -> bytes:
+def unpack(
+    data: bytes,
+    make: Callable[[], Any],
+    at_most: int,
+    source: str | Path,
+) -> bytes:
     """Unpacked content of one or more streams behind each other.
 
     Args:
         data: Packed.
-        make: Makes the object that unpacks a stream, with ``decompress(data, max_length)``, ``eof``, ``unused_data``.
+        make: Makes the object that unpacks a stream, with ``decompress(data, max_length)``,
+            ``eof``, ``unused_data``.
         at_most: Bytes that it may unpack to.
         source: Name for messages.
 
@@ -45,8 +53,8 @@ def unpack(data: bytes, make: Callable[[], Any], at_most: int, source: str | Pat
         size += len(parts[-1])
         if size > at_most:
             raise SequenceError(
-                f"{source}: {len(data)} packed bytes unpack to more than {at_most / 1e6:.0f} MB; expected at most "
-                f"{MOST_MEMORY_PER_BYTE} times the size of the bag"
+                f"{source}: {len(data)} packed bytes unpack to more than {at_most / 1e6:.0f} MB; "
+                f"expected at most {MOST_MEMORY_PER_BYTE} times the size of the bag"
             )
         if not unpacker.eof:
             raise SequenceError(f"{source}: a packed part of it is truncated; copy it again")
@@ -81,7 +89,9 @@ def bounded(source: Path, at_most: int) -> Iterator[None]:
     with ExitStack() as stack:
         stack.enter_context(mock.patch.dict(bag1.decompressors, {"bz2": of_bz2, "lz4": of_lz4}))
         stack.enter_context(mock.patch.dict(mcap.DECOMPRESSORS, chunks))
-        stack.enter_context(mock.patch.object(bag2, "zstd", SimpleNamespace(decompress=of_zstd, open=whole_file)))
+        stack.enter_context(
+            mock.patch.object(bag2, "zstd", SimpleNamespace(decompress=of_zstd, open=whole_file))
+        )
         yield
 
 
@@ -95,7 +105,9 @@ class _Counted:
         data = self._file.read(min(size, self._left + 1) if size >= 0 else self._left + 1)
         self._left -= len(data)
         if self._left < 0:
-            raise SequenceError(f"{self._source} unpacks to more than {MOST_MEMORY_PER_BYTE} times its size")
+            raise SequenceError(
+                f"{self._source} unpacks to more than {MOST_MEMORY_PER_BYTE} times its size"
+            )
         return data
 
 
@@ -105,7 +117,8 @@ _TABLES = ("messages", "topics", "schema", "metadata", "message_definitions")
 def check_tables(path: Path) -> None:
     """Check that a ROS 2 bag in sqlite stores its rows.
 
-    A view, a virtual table or a generated column makes rows when it is read, as many and as long as it likes.
+    A view, a virtual table or a generated column makes rows when it is read, as many and as long as
+    it likes.
 
     Raises:
         SequenceError: it has one of these, or is no such file.
@@ -117,8 +130,13 @@ def check_tables(path: Path) -> None:
         bag.execute("PRAGMA trusted_schema = OFF")
         for kind, name, text in bag.execute("SELECT type, name, sql FROM sqlite_master").fetchall():
             if kind in ("view", "trigger") or " virtual " in f"{text or ''} ".lower():
-                raise SequenceError(f"{path} has the {kind} {name!r}, which stores nothing; expected only tables")
+                raise SequenceError(
+                    f"{path} has the {kind} {name!r}, which stores nothing; expected only tables"
+                )
         for name in _TABLES:
             for column in bag.execute(f"PRAGMA table_xinfo({name})").fetchall():
                 if column[-1] in (2, 3):
-                    raise SequenceError(f"{path} computes the column {column[1]!r} of {name}; expected stored values")
+                    raise SequenceError(
+                        f"{path} computes the column {column[1]!r} of {name}; expected stored "
+                        "values"
+                    )

@@ -27,16 +27,22 @@ IDS = {
 
 
 def poses(takes):
-    """wxyz and translation of world-to-camera in the reconstruction's unit, out of order as COLMAP's are."""
+    """wxyz and translation of world-to-camera in the reconstruction's unit, out of order as
+    COLMAP's are."""
     T_CW = se3.inverse(takes.T_WC)
-    rows = torch.cat([quaternion.from_matrix(T_CW[:, :3, :3]), T_CW[:, :3, 3] / UNIT_M], dim=1).tolist()
+    rows = torch.cat(
+        [quaternion.from_matrix(T_CW[:, :3, :3]), T_CW[:, :3, 3] / UNIT_M],
+        dim=1,
+    ).tolist()
     return [(i, rows[i]) for i in (2, 0, 3, 1) if i < len(rows)]
 
 
 def sparse_points(takes, i):
     """Pixels of a frame and their points in the reconstruction's unit."""
     c = takes.camera
-    uv = torch.tensor([[x + 0.5, y + 0.5] for x in range(3, c.width, 9) for y in range(3, c.height, 9)]).double()
+    uv = torch.tensor(
+        [[x + 0.5, y + 0.5] for x in range(3, c.width, 9) for y in range(3, c.height, 9)]
+    ).double()
     depth = torch.from_numpy(takes.depth_m[i]).double()[uv[:, 1].long(), uv[:, 0].long()]
     return uv.tolist(), (se3.apply(takes.T_WC[i], backproject(c, uv, depth)) / UNIT_M).tolist()
 
@@ -47,7 +53,9 @@ def write_colmap(root, takes, suffix, *, model="PINHOLE", params=None, points=Tr
     sparse = root / "sparse/0"
     sparse.mkdir(parents=True)
     seen = {i: sparse_points(takes, i) for i in range(len(takes))}
-    (write_txt if suffix == ".txt" else write_bin)(sparse, takes, (IDS[model], model, params), seen, points)
+    (write_txt if suffix == ".txt" else write_bin)(
+        sparse, takes, (IDS[model], model, params), seen, points
+    )
     for i in range(len(takes)):
         takes.write(root / f"images/left/frame{i + 8}.png", takes.png(i))
         takes.write(root / f"depth/left/frame{i + 8}.png", takes.depth_png(i))
@@ -57,15 +65,27 @@ def write_colmap(root, takes, suffix, *, model="PINHOLE", params=None, points=Tr
 def test_of_several_models_the_largest_is_taken(tmp_path, takes):
     root = write_colmap(tmp_path / "scan", takes, ".bin")
     (root / "sparse/0").rename(root / "sparse/1")
-    part = type(takes)(takes.camera, takes.rgb[:3], takes.depth_m[:3], takes.T_WC[:3], takes.times_s[:3])
+    part = type(takes)(
+        takes.camera,
+        takes.rgb[:3],
+        takes.depth_m[:3],
+        takes.T_WC[:3],
+        takes.times_s[:3],
+    )
     write_colmap(tmp_path / "part", part, ".txt")
     (tmp_path / "part/sparse/0").rename(root / "sparse/0")
     report = convert(root, tmp_path / "out", options=ConvertOptions(scale=UNIT_M))
     assert report.frames == 4
     assert any(
-        "sparse/1 is the largest model, of 4 images" in note and "sparse/0 has 3" in note for note in report.notes
+        "sparse/1 is the largest model, of 4 images" in note and "sparse/0 has 3" in note
+        for note in report.notes
     )
-    assert convert(root / "sparse/0", tmp_path / "other", options=ConvertOptions(depth=str(root / "depth"))).frames == 3
+    assert (
+        convert(
+            root / "sparse/0", tmp_path / "other", options=ConvertOptions(depth=str(root / "depth"))
+        ).frames
+        == 3
+    )
 
 
 def write_txt(sparse, takes, camera, seen, points):
@@ -88,7 +108,14 @@ def write_txt(sparse, takes, camera, seen, points):
 
 def write_bin(sparse, takes, camera, seen, points):
     c = takes.camera
-    head = struct.pack("<QIiQQ", 1, 1, camera[0], c.width, c.height)
+    head = struct.pack(
+        "<QIiQQ",
+        1,
+        1,
+        camera[0],
+        c.width,
+        c.height,
+    )
     (sparse / "cameras.bin").write_bytes(head + struct.pack(f"<{len(camera[2])}d", *camera[2]))
     images, rows, n = struct.pack("<Q", len(takes)), b"", 0
     for i, pose in poses(takes):
@@ -97,7 +124,18 @@ def write_bin(sparse, takes, camera, seen, points):
         images += struct.pack("<Q", len(seen_here) + 1) + struct.pack("<ddQ", 7.0, 7.0, 2**64 - 1)
         for k, ((x, y), p) in enumerate(seen_here, 1):
             images += struct.pack("<ddQ", x, y, n)
-            rows += struct.pack("<QdddBBBdQII", n, *p, 10, 20, 30, 0.5, 1, i + 1, k)
+            rows += struct.pack(
+                "<QdddBBBdQII",
+                n,
+                *p,
+                10,
+                20,
+                30,
+                0.5,
+                1,
+                i + 1,
+                k,
+            )
             n += 1
     (sparse / "images.bin").write_bytes(images)
     if points:
@@ -116,19 +154,31 @@ def test_reads_what_was_written_and_measures_the_scale(tmp_path, takes, suffix):
 
 
 def test_inverse_depth_is_refused(tmp_path, takes):
-    """As prepared for the depth regularisation of 3D Gaussian splatting; and without the file that says so."""
+    """As prepared for the depth regularisation of 3D Gaussian splatting; and without the file that
+    says so."""
     root = write_colmap(tmp_path / "scan", takes, ".txt")
     (root / "depth").rename(root / "depths")
     for i in range(len(takes)):
-        inverse = np.where(takes.depth_m[i] > 0, 1 / np.maximum(takes.depth_m[i], 0.1), 0)
+        inverse = np.where(
+            takes.depth_m[i] > 0,
+            1 / np.maximum(takes.depth_m[i], 0.1),
+            0,
+        )
         file = root / f"depths/left/frame{i + 8}.png"
-        cv2.imwrite(str(file), np.rint(inverse / inverse.max() * 60000).astype(np.uint16))
+        cv2.imwrite(
+            str(file),
+            np.rint(inverse / inverse.max() * 60000).astype(np.uint16),
+        )
     params = root / "sparse/0/depth_params.json"
     params.write_text("{}")
-    with pytest.raises(SequenceError, match=r"depth_params\.json says that .*depths holds inverse depth"):
+    with pytest.raises(
+        SequenceError, match=r"depth_params\.json says that .*depths holds inverse depth"
+    ):
         convert(root, tmp_path / "out")
     params.unlink()
-    with pytest.raises(SequenceError, match=r"does not hold the depth of this model: .* must within 30 %"):
+    with pytest.raises(
+        SequenceError, match=r"does not hold the depth of this model: .* must within 30 %"
+    ):
         convert(root, tmp_path / "out")
 
 
@@ -151,30 +201,79 @@ BENT = {
 
 @pytest.mark.parametrize("model", list(BENT))
 def test_distortion_is_removed(tmp_path, takes, box, model):
-    """A picture whose colours are a smooth function of the point on the wall, taken through the lens."""
-    c = Camera(width=160, height=120, fx=120.0, fy=118.0, cx=78.0, cy=61.0)
+    """A picture whose colours are a smooth function of the point on the wall, taken through the
+    lens."""
+    c = Camera(
+        width=160,
+        height=120,
+        fx=120.0,
+        fy=118.0,
+        cx=78.0,
+        cy=61.0,
+    )
     params, D = BENT[model]
     lens = CameraModel(c, D, model == "OPENCV_FISHEYE")
-    wide = Camera(width=640, height=480, fx=200.0, fy=200.0, cx=320.0, cy=240.0)
+    wide = Camera(
+        width=640,
+        height=480,
+        fx=200.0,
+        fy=200.0,
+        cx=320.0,
+        cy=240.0,
+    )
     rgb, depth_m = box.render(box.pose_at(0.0), wide)
     u, v = np.meshgrid(np.arange(c.width) + 0.5, np.arange(c.height) + 0.5)
-    rays = unproject_witness(np.stack([u, v], -1), c, np.array(D), lens.fisheye)
+    rays = unproject_witness(
+        np.stack([u, v], -1),
+        c,
+        np.array(D),
+        lens.fisheye,
+    )
     at = project(wide, torch.from_numpy(rays)).float().numpy() - 0.5
-    bent_rgb = cv2.remap(rgb, at[..., 0].copy(), at[..., 1].copy(), cv2.INTER_LINEAR)
-    bent_z = cv2.remap(depth_m.astype(np.float32), at[..., 0].copy(), at[..., 1].copy(), cv2.INTER_LINEAR)
-    one = type(takes)(c, [bent_rgb] * 4, [bent_z] * 4, box.pose_at(0.0).expand(4, 4, 4), takes.times_s)
-    root = write_colmap(tmp_path / "scan", one, ".bin", model=model, params=[c.fx, c.fy, c.cx, c.cy, *params])
+    bent_rgb = cv2.remap(
+        rgb,
+        at[..., 0].copy(),
+        at[..., 1].copy(),
+        cv2.INTER_LINEAR,
+    )
+    bent_z = cv2.remap(
+        depth_m.astype(np.float32),
+        at[..., 0].copy(),
+        at[..., 1].copy(),
+        cv2.INTER_LINEAR,
+    )
+    one = type(takes)(
+        c,
+        [bent_rgb] * 4,
+        [bent_z] * 4,
+        box.pose_at(0.0).expand(4, 4, 4),
+        takes.times_s,
+    )
+    root = write_colmap(
+        tmp_path / "scan",
+        one,
+        ".bin",
+        model=model,
+        params=[c.fx, c.fy, c.cx, c.cy, *params],
+    )
     convert(root, tmp_path / "out", options=ConvertOptions(scale=UNIT_M))
     frame = folder(tmp_path / "out")[0]
     straight, z = box.render(box.pose_at(0.0), frame.camera)
-    assert np.abs(frame.rgb_u8.numpy().astype(int) - straight).mean() < 1.5  # measured 0.6; 6 and more if bent
-    assert np.median(np.abs(frame.depth_m.numpy() - z)) < 0.006  # nearest pixel of a 1.3 px/degree image
+    assert (
+        np.abs(frame.rgb_u8.numpy().astype(int) - straight).mean() < 1.5
+    )  # measured 0.6; 6 and more if bent
+    assert (
+        np.median(np.abs(frame.depth_m.numpy() - z)) < 0.006
+    )  # nearest pixel of a 1.3 px/degree image
     assert box.off_wall_m(frame) < 0.006
 
 
 def unproject_witness(uv, c, D, fisheye):
     """Rays of pixels by fixed-point iteration on the published formulas, without OpenCV."""
-    xd = np.stack([(uv[..., 0] - c.cx) / c.fx, (uv[..., 1] - c.cy) / c.fy], -1)
+    xd = np.stack(
+        [(uv[..., 0] - c.cx) / c.fx, (uv[..., 1] - c.cy) / c.fy],
+        -1,
+    )
     xy = xd.copy()
     D = np.concatenate([D, np.zeros(8 - len(D))])
     for _ in range(200):
@@ -185,10 +284,16 @@ def unproject_witness(uv, c, D, fisheye):
             factor = t * (1 + D[0] * t**2 + D[1] * t**4 + D[2] * t**6 + D[3] * t**8) / r
             xy = xd / factor[..., None]
             continue
-        factor = (1 + D[0] * r2 + D[1] * r2**2 + D[4] * r2**3) / (1 + D[5] * r2 + D[6] * r2**2 + D[7] * r2**3)
+        factor = (1 + D[0] * r2 + D[1] * r2**2 + D[4] * r2**3) / (
+            1 + D[5] * r2 + D[6] * r2**2 + D[7] * r2**3
+        )
         x, y = xy[..., 0], xy[..., 1]
         tangential = np.stack(
-            [2 * D[2] * x * y + D[3] * (r2 + 2 * x * x), D[2] * (r2 + 2 * y * y) + 2 * D[3] * x * y], -1
+            [
+                2 * D[2] * x * y + D[3] * (r2 + 2 * x * x),
+                D[2] * (r2 + 2 * y * y) + 2 * D[3] * x * y,
+            ],
+            -1,
         )
         xy = (xd - tangential) / factor[..., None]
     return np.concatenate([xy, np.ones_like(xy[..., :1])], -1)

@@ -9,21 +9,35 @@ from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
 from gsfusion_nb.types import Camera
 
-CAMERA = Camera(width=640, height=480, fx=481.2, fy=480.0, cx=320.0, cy=240.0)
+CAMERA = Camera(
+    width=640,
+    height=480,
+    fx=481.2,
+    fy=480.0,
+    cx=320.0,
+    cy=240.0,
+)
 
 
 @pytest.fixture(scope="module")
 def left_handed():
-    """A scene made in ICL-NUIM's own convention, without any of our matrices: a box, y up, seen with fy = -480.
+    """A scene made in ICL-NUIM's own convention, without any of our matrices: a box, y up, seen
+    with fy = -480.
 
-    Pixel (u, v) of pose (R, t): ray ((u - 319.5) / 481.2, (v - 239.5) / -480, 1), point R (z ray) + t.
+    Pixel (u, v) of pose (R, t): ray ((u - 319.5) / 481.2, (v - 239.5) / -480, 1), point R (z ray) +
+    t.
     """
     half = np.array([2.0, 1.5, 2.5])
     u, v = np.meshgrid(np.arange(640.0), np.arange(480.0))
-    rays = np.stack([(u - 319.5) / 481.2, (v - 239.5) / -480.0, np.ones_like(u)], -1)
+    rays = np.stack(
+        [(u - 319.5) / 481.2, (v - 239.5) / -480.0, np.ones_like(u)],
+        -1,
+    )
     frames = []
     for i in range(1, 3):
-        quat = quaternion.normalise(torch.tensor([1.0, 0.1, 0.2 + 0.05 * i, -0.05], dtype=torch.float64))
+        quat = quaternion.normalise(
+            torch.tensor([1.0, 0.1, 0.2 + 0.05 * i, -0.05], dtype=torch.float64)
+        )
         R, t = quaternion.to_matrix(quat).numpy(), np.array([0.3, -0.2, 0.1 * i])
         d = rays @ R.T
         z = ((np.sign(d) * half - t) / d).min(-1)
@@ -42,7 +56,10 @@ def write(root, takes, frames, kind):
         png = cv2.imencode(".png", rgb[..., ::-1])[1].tobytes()
         if kind == "png":
             takes.write(root / f"rgb/{i}.png", png)
-            takes.write(root / f"depth/{i}.png", cv2.imencode(".png", np.rint(z * 5000).astype(np.uint16))[1].tobytes())
+            takes.write(
+                root / f"depth/{i}.png",
+                cv2.imencode(".png", np.rint(z * 5000).astype(np.uint16))[1].tobytes(),
+            )
         else:
             takes.write(root / f"scene_00_{i:04d}.png", png)
             text = " ".join(f"{v:.5f}" for v in distance.flatten())
@@ -66,7 +83,11 @@ def test_world_and_camera_become_right_handed(tmp_path, takes, left_handed, kind
     for frame, (_, rgb, z, row, _) in zip(sequence, frames, strict=True):
         assert np.array_equal(frame.rgb_u8.numpy(), rgb)
         assert np.abs(frame.depth_m.numpy() - z).max() < 6e-4
-        assert torch.allclose(frame.T_WC[:3, 3].double(), torch.tensor([row[0], -row[1], row[2]]).double(), atol=1e-6)
+        assert torch.allclose(
+            frame.T_WC[:3, 3].double(),
+            torch.tensor([row[0], -row[1], row[2]]).double(),
+            atol=1e-6,
+        )
         point = se3.apply(frame.T_WC.double(), depth_to_points(CAMERA, frame.depth_m).double())
         off = (torch.from_numpy(half) - point.abs()).abs().min(-1).values
         assert float(off.max()) < 2e-3  # on the walls of the mirrored box

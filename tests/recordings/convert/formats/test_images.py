@@ -48,11 +48,15 @@ def one_file_each(root, T):
 
 
 def named_rows(root, T):
-    lines = [f"{i}.jpg {' '.join(str(v) for v in pose.ravel())}" for i, pose in reversed([*enumerate(T)])]
+    lines = [
+        f"{i}.jpg {' '.join(str(v) for v in pose.ravel())}" for i, pose in reversed([*enumerate(T)])
+    ]
     (root / "poses.txt").write_text("\n".join(lines))
 
 
-@pytest.mark.parametrize("write_poses", [poses_txt, traj_txt, four_rows, pos_npy, one_file_each, named_rows])
+@pytest.mark.parametrize(
+    "write_poses", [poses_txt, traj_txt, four_rows, pos_npy, one_file_each, named_rows]
+)
 def test_poses(tmp_path, takes, write_poses):
     root = write(tmp_path / "scan", takes)
     write_poses(root, takes.T_WC.numpy())
@@ -63,7 +67,8 @@ def test_poses(tmp_path, takes, write_poses):
 
 
 def test_frame_numbers_pair_images_and_are_no_times(tmp_path, takes):
-    """Frames chosen out of a video, of which one colour and another depth image are lost: nothing else pairs them."""
+    """Frames chosen out of a video, of which one colour and another depth image are lost: nothing
+    else pairs them."""
     numbers = ["000112", "000120", "000133", "000141"]
     root = tmp_path / "scan"
     for i, number in enumerate(numbers):
@@ -72,7 +77,8 @@ def test_frame_numbers_pair_images_and_are_no_times(tmp_path, takes):
         if i != 1:
             takes.write(root / f"depth/frame_{number}.png", takes.depth_png(i))
     lines = [
-        f"frame_{n}.png {' '.join(str(v) for v in T.ravel())}" for n, T in zip(numbers, takes.T_WC.numpy(), strict=True)
+        f"frame_{n}.png {' '.join(str(v) for v in T.ravel())}"
+        for n, T in zip(numbers, takes.T_WC.numpy(), strict=True)
     ]
     (root / "poses.txt").write_text("\n".join(lines))
     np.savetxt(root / "K.txt", K(takes))
@@ -83,7 +89,8 @@ def test_frame_numbers_pair_images_and_are_no_times(tmp_path, takes):
 
 
 def test_numbers_that_may_be_times_are_not_paired_by_a_tolerance(tmp_path, takes):
-    """Names 30 apart, without leading zeros: milliseconds, or frames. That is said, and only equal numbers pair."""
+    """Names 30 apart, without leading zeros: milliseconds, or frames. That is said, and only equal
+    numbers pair."""
     root = tmp_path / "scan"
     for i, number in enumerate((100, 130, 161, 190)):
         takes.write(root / f"rgb/{number}.png", takes.png(i))
@@ -91,16 +98,26 @@ def test_numbers_that_may_be_times_are_not_paired_by_a_tolerance(tmp_path, takes
     np.savetxt(root / "K.txt", K(takes))
     report = convert(root, tmp_path / "out", options=ConvertOptions(poses="none"))
     assert report.frames == 3
-    assert any("taken as times in ms" in note and "--image-time-unit none" in note for note in report.notes)
+    assert any(
+        "taken as times in ms" in note and "--image-time-unit none" in note for note in report.notes
+    )
 
 
 def test_the_column_of_frames_says_whose_a_pose_is(tmp_path, takes):
-    """StrayScanner's odometry.csv: times that the images do not have, and the number of each image."""
+    """StrayScanner's odometry.csv: times that the images do not have, and the number of each
+    image."""
     root = write(tmp_path / "scan", takes, colour="rgb/00000{}.png", depth="depth/00000{}.png")
-    rows = [f"{1000.5 + i / 60:.6f}, {i:06d}, {', '.join(map(str, takes.tum_row(i)))}" for i in range(len(takes))]
-    (root / "odometry.csv").write_text("\n".join(["timestamp, frame, x, y, z, qx, qy, qz, qw", *rows]))
+    rows = [
+        f"{1000.5 + i / 60:.6f}, {i:06d}, {', '.join(map(str, takes.tum_row(i)))}"
+        for i in range(len(takes))
+    ]
+    (root / "odometry.csv").write_text(
+        "\n".join(["timestamp, frame, x, y, z, qx, qy, qz, qw", *rows])
+    )
     np.savetxt(root / "K.txt", K(takes))
-    report = convert(root, tmp_path / "out", options=ConvertOptions(poses=str(root / "odometry.csv")))
+    report = convert(
+        root, tmp_path / "out", options=ConvertOptions(poses=str(root / "odometry.csv"))
+    )
     takes.check(tmp_path / "out", pose=1e-5)
     times = [frame.timestamp_s for frame in folder(tmp_path / "out")]
     assert times == pytest.approx([1000.5 + i / 60 for i in range(4)])
@@ -108,12 +125,20 @@ def test_the_column_of_frames_says_whose_a_pose_is(tmp_path, takes):
 
 
 def numbers(root, matrix):
-    (root / "intrinsics.txt").write_text(f"{matrix[0, 0]} {matrix[1, 1]} {matrix[0, 2]} {matrix[1, 2]}")
+    (root / "intrinsics.txt").write_text(
+        f"{matrix[0, 0]} {matrix[1, 1]} {matrix[0, 2]} {matrix[1, 2]}"
+    )
 
 
 def named(root, matrix):
-    lines = zip(("fx", "fy", "cx", "cy"), (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]), strict=True)
-    (root / "camera.yaml").write_text("%YAML:1.0\n" + "\n".join(f"Camera.{name}: {value}" for name, value in lines))
+    lines = zip(
+        ("fx", "fy", "cx", "cy"),
+        (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]),
+        strict=True,
+    )
+    (root / "camera.yaml").write_text(
+        "%YAML:1.0\n" + "\n".join(f"Camera.{name}: {value}" for name, value in lines)
+    )
 
 
 def array(root, matrix):
@@ -165,15 +190,21 @@ def test_fewer_poses_than_frames_belong_to_nobody(tmp_path, takes):
     root = write(tmp_path / "scan", takes)
     pos_npy(root, takes.T_WC.numpy()[:3])
     with pytest.raises(
-        SequenceError, match=r"pos\.npy holds 3 poses; expected 4, one per frame.*--stop 3;.*--poses none"
+        SequenceError,
+        match=r"pos\.npy holds 3 poses; expected 4, one per frame.*--stop 3;.*--poses none",
     ):
         convert(root, tmp_path / "out", options=ConvertOptions(intrinsics="40"))
     pos_npy(root, takes.T_WC.numpy()[::2])
-    with pytest.raises(SequenceError, match=r"holds 2 poses.*--stop 2; of every 2th frame: --every 2"):
+    with pytest.raises(
+        SequenceError, match=r"holds 2 poses.*--stop 2; of every 2th frame: --every 2"
+    ):
         convert(root, tmp_path / "out", options=ConvertOptions(intrinsics="40"))
 
 
-@pytest.mark.parametrize(("chosen", "frames"), [({"stop": 2}, (0, 1)), ({"every": 2}, (0, 2)), ({"start": 2}, (2, 3))])
+@pytest.mark.parametrize(
+    ("chosen", "frames"),
+    [({"stop": 2}, (0, 1)), ({"every": 2}, (0, 2)), ({"start": 2}, (2, 3))],
+)
 def test_as_many_poses_as_frames_are_converted(tmp_path, takes, chosen, frames):
     """200 poses of 1000 images: only the user can know whose they are."""
     root = write(tmp_path / "scan", takes)
@@ -184,7 +215,10 @@ def test_as_many_poses_as_frames_are_converted(tmp_path, takes, chosen, frames):
     assert any("2 poses, as many as frames are converted" in note for note in report.notes)
 
 
-@pytest.mark.parametrize(("first", "n_poses", "row"), [(5, 20, 5), (17, 20, 16)])
+@pytest.mark.parametrize(
+    ("first", "n_poses", "row"),
+    [(5, 20, 5), (17, 20, 16)],
+)
 def test_numbers_of_images_choose_among_more_poses(tmp_path, takes, first, n_poses, row):
     """Images 5 to 8 of 20 poses count from 0, 17 to 20 from 1."""
     root = tmp_path / "scan"
@@ -219,7 +253,9 @@ def test_pictures_alone_and_confidences_are_no_depth(tmp_path, takes):
 
 def test_the_package_for_openexr_is_named_before_anything_is_read(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(SequenceError, match=r"0\.exr is an OpenEXR file.*pip install 'gsfusion-nb\[exr\]'"):
+    with pytest.raises(
+        SequenceError, match=r"0\.exr is an OpenEXR file.*pip install 'gsfusion-nb\[exr\]'"
+    ):
         check_exr(tmp_path / "0.exr")
 
 
@@ -227,7 +263,9 @@ def test_the_package_for_openexr_is_named_before_anything_is_read(tmp_path, monk
     ("name", "focal_px", "scale"),
     [("redkitchen_mini48", 265.7, 1000.0), ("rgbd_dataset_freiburg1_xyz_excerpt", 517, 5000.0)],
 )
-def test_the_focal_length_of_real_recordings_is_estimated(shared_sequence, tmp_path, name, focal_px, scale):
+def test_the_focal_length_of_real_recordings_is_estimated(
+    shared_sequence, tmp_path, name, focal_px, scale
+):
     options = ConvertOptions(poses="none", intrinsics="estimate", depth_scale=scale, every=12)
     report = convert(shared_sequence(name), tmp_path / "out", options=options)
     assert report.camera.fx == pytest.approx(focal_px, rel=0.05)

@@ -72,7 +72,9 @@ def test_is_fisheye_is_a_fisheye(tmp_path, takes):
     switched = write_nerfstudio(tmp_path / "b", takes, **{"is_fisheye": True} | lens)
     convert(named, tmp_path / "named")
     convert(switched, tmp_path / "switched")
-    assert (tmp_path / "named/intrinsics.json").read_text() == (tmp_path / "switched/intrinsics.json").read_text()
+    assert (tmp_path / "named/intrinsics.json").read_text() == (
+        tmp_path / "switched/intrinsics.json"
+    ).read_text()
     depth_files = [tmp_path / name / "depth/000001.png" for name in ("named", "switched")]
     assert depth_files[0].read_bytes() == depth_files[1].read_bytes() != takes.depth_png(1)
 
@@ -85,12 +87,17 @@ def test_other_lenses_are_refused_by_name(tmp_path, takes, key):
 
 
 def test_applied_transform_and_scale_are_undone(tmp_path, takes):
-    A = torch.tensor([[0, 1, 0, 0.3], [1, 0, 0, -0.2], [0, 0, -1, 0.1], [0, 0, 0, 1]], dtype=torch.float64)
+    A = torch.tensor(
+        [[0, 1, 0, 0.3], [1, 0, 0, -0.2], [0, 0, -1, 0.1], [0, 0, 0, 1]],
+        dtype=torch.float64,
+    )
     scale = torch.diag(torch.tensor([2.5, 2.5, 2.5, 1.0], dtype=torch.float64))
     moved = write_nerfstudio(tmp_path / "a", takes, A, applied_transform=A[:3].tolist())
     convert(moved, tmp_path / "out")
     takes.check(tmp_path / "out")
-    root = write_nerfstudio(tmp_path / "b", takes, A, applied_transform=A[:3].tolist(), applied_scale=2.5)
+    root = write_nerfstudio(
+        tmp_path / "b", takes, A, applied_transform=A[:3].tolist(), applied_scale=2.5
+    )
     values = json.loads((root / "transforms.json").read_text())
     for frame in values["frames"]:
         T = torch.tensor(frame["transform_matrix"], dtype=torch.float64)
@@ -105,7 +112,8 @@ def test_applied_transform_and_scale_are_undone(tmp_path, takes):
 def test_field_of_view_instead_of_focal_length(tmp_path, takes):
     c = takes.camera
     angles = {
-        f"camera_angle_{a}": 2 * math.atan(n / 2 / f) for a, n, f in (("x", c.width, c.fx), ("y", c.height, c.fy))
+        f"camera_angle_{a}": 2 * math.atan(n / 2 / f)
+        for a, n, f in (("x", c.width, c.fx), ("y", c.height, c.fy))
     }
     changes: dict = {"fl_x": None, "fl_y": None, "w": None, "h": None, **angles}
     root = write_nerfstudio(tmp_path / "scan", takes, **changes)

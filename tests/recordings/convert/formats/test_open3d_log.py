@@ -22,7 +22,9 @@ def write_open3d(root, takes, frames=(0, 1, 2, 3)):
     text = ""
     for i in frames:
         text += (
-            f"{i} {i} {i + 1}\n" + "\n".join(" ".join(f"{v:.9f}" for v in row) for row in takes.T_WC[i].tolist()) + "\n"
+            f"{i} {i} {i + 1}\n"
+            + "\n".join(" ".join(f"{v:.9f}" for v in row) for row in takes.T_WC[i].tolist())
+            + "\n"
         )
     (root / "trajectory.log").write_text(text)
     (root / "camera_intrinsic.json").write_text(json.dumps(intrinsic(takes)))
@@ -62,7 +64,10 @@ def test_json_trajectory(tmp_path, takes):
     root = write_open3d(tmp_path / "scan", takes)
     (root / "trajectory.log").unlink()
     (root / "camera_intrinsic.json").unlink()
-    parameters = [{"extrinsic": se3.inverse(T).T.flatten().tolist(), "intrinsic": intrinsic(takes)} for T in takes.T_WC]
+    parameters = [
+        {"extrinsic": se3.inverse(T).T.flatten().tolist(), "intrinsic": intrinsic(takes)}
+        for T in takes.T_WC
+    ]
     (root / "trajectory.json").write_text(
         json.dumps({"class_name": "PinholeCameraTrajectory", "parameters": parameters})
     )
@@ -80,7 +85,9 @@ def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
             convert(root, tmp_path / "out")
     (root / "trajectory.log").write_text(log)
     values = intrinsic(takes)
-    values["intrinsic_matrix"] = [values["intrinsic_matrix"][i] for i in (0, 3, 6, 1, 4, 7, 2, 5, 8)]  # row by row
+    values["intrinsic_matrix"] = [
+        values["intrinsic_matrix"][i] for i in (0, 3, 6, 1, 4, 7, 2, 5, 8)
+    ]  # row by row
     (root / "camera_intrinsic.json").write_text(json.dumps(values))
     with pytest.raises(SequenceError, match=r"camera_intrinsic\.json"):
         convert(root, tmp_path / "out")

@@ -1,4 +1,5 @@
-"""Recordings of RealSense Viewer and rs-record: topics, calibration and unit where the SDK writes them."""
+"""Recordings of RealSense Viewer and rs-record: topics, calibration and unit where the SDK writes
+them."""
 
 import struct
 
@@ -17,13 +18,33 @@ from ros_bags import Bag
 
 DEPTH = "/device_0/sensor_0/Depth_0"
 COLOUR = "/device_0/sensor_1/Color_0"
-WIDE = Camera(width=90, height=68, fx=52.0, fy=50.0, cx=45.6, cy=33.4)
+WIDE = Camera(
+    width=90,
+    height=68,
+    fx=52.0,
+    fy=50.0,
+    cx=45.6,
+    cy=33.4,
+)
 """The depth camera sees more than colour, at a lower resolution."""
-T_COLOUR_DEPTH = se3.exp(torch.tensor([0.015, 0.0002, 0.0004, 0.003, 0.004, 0.012], dtype=torch.float64))
+T_COLOUR_DEPTH = se3.exp(
+    torch.tensor([0.015, 0.0002, 0.0004, 0.003, 0.004, 0.012], dtype=torch.float64)
+)
 """As a D435i says it in Color_0/tf/0: x = 0.015014, the transform of points of depth to colour."""
 
 
-def write(path, box, *, units=0.001, said="option", tf=True, depth_info=True, version="0", model="Brown Conrady", D=()):
+def write(
+    path,
+    box,
+    *,
+    units=0.001,
+    said="option",
+    tf=True,
+    depth_info=True,
+    version="0",
+    model="Brown Conrady",
+    D=(),
+):
     """Four frames of the box, as the SDK records them."""
     numbers = tuple(D) or (0.0,) * 5
     with Bag(path, 1) as bag:
@@ -47,9 +68,20 @@ def write(path, box, *, units=0.001, said="option", tf=True, depth_info=True, ve
             raw = np.rint(depth_m / units).astype(np.uint16)
             tail = struct.pack("<f", units) if version == "1" else b""
             bag.image(f"{DEPTH}/image/data", t, version, "mono16", raw, tail=tail)
-            bag.image(f"{COLOUR}/image/data", t + 0.001, version, "rgb8", box.render(T)[0], tail=tail and b"\0" * 4)
-            bag.image("/device_0/sensor_0/Infrared_1/image/data", t, "0", "mono8", raw.astype(np.uint8))
-            bag.image("/device_0/sensor_0/Confidence_0/image/data", t, "0", "mono8", raw.astype(np.uint8))
+            bag.image(
+                f"{COLOUR}/image/data",
+                t + 0.001,
+                version,
+                "rgb8",
+                box.render(T)[0],
+                tail=tail and b"\0" * 4,
+            )
+            bag.image(
+                "/device_0/sensor_0/Infrared_1/image/data", t, "0", "mono8", raw.astype(np.uint8)
+            )
+            bag.image(
+                "/device_0/sensor_0/Confidence_0/image/data", t, "0", "mono8", raw.astype(np.uint8)
+            )
     return path
 
 
@@ -67,9 +99,15 @@ def check(out, box):
 
 @pytest.mark.parametrize(
     ("units", "said", "version"),
-    [(0.001, "option", "0"), (0.00025, "option", "0"), (0.0001, "newer", "0"), (0.00025, "property", "0"),
-     (0.00025, "image", "1"), (0.001, "option", "1")],
-)  # fmt: skip
+    [
+        (0.001, "option", "0"),
+        (0.00025, "option", "0"),
+        (0.0001, "newer", "0"),
+        (0.00025, "property", "0"),
+        (0.00025, "image", "1"),
+        (0.001, "option", "1"),
+    ],
+)
 def test_depth_is_registered_and_in_its_unit(tmp_path, box, units, said, version):
     path = write(tmp_path / "rs.bag", box, units=units, said=said, version=version)
     report = convert(path, tmp_path / "out", options=ConvertOptions(poses="none"))
@@ -80,7 +118,8 @@ def test_depth_is_registered_and_in_its_unit(tmp_path, box, units, said, version
 
 
 def test_frames_named_0_prove_nothing(tmp_path, box):
-    """Without the place of the cameras, or depth's camera, the bag is refused: no frame of it is aligned."""
+    """Without the place of the cameras, or depth's camera, the bag is refused: no frame of it is
+    aligned."""
     none = ConvertOptions(poses="none")
     with pytest.raises(OptionNeeded, match=r"tf of the streams is missing; give --T-colour-depth"):
         convert(write(tmp_path / "a.bag", box, tf=False), tmp_path / "out", options=none)
@@ -105,17 +144,36 @@ def test_units_that_change_are_refused(tmp_path, box):
         value = bag.store.types["std_msgs/msg/Float32"]
         for units in (0.001, 0.00025):
             bag.put("/device_0/sensor_0/option/Depth Units/value", value(data=units), 1.0)
-        bag.image(f"{DEPTH}/image/data", 1.0, "0", "mono16", np.ones((4, 4), np.uint16))
-        bag.image(f"{COLOUR}/image/data", 1.0, "0", "rgb8", np.ones((4, 4, 3), np.uint8))
+        bag.image(
+            f"{DEPTH}/image/data",
+            1.0,
+            "0",
+            "mono16",
+            np.ones((4, 4), np.uint16),
+        )
+        bag.image(
+            f"{COLOUR}/image/data",
+            1.0,
+            "0",
+            "rgb8",
+            np.ones((4, 4, 3), np.uint8),
+        )
     given = ConvertOptions(poses="none", intrinsics="4", depth_intrinsics="colour")
-    with pytest.raises(SequenceError, match=r"Depth Units of .* are 0\.001, 0\.00025; expected one length"):
+    with pytest.raises(
+        SequenceError, match=r"Depth Units of .* are 0\.001, 0\.00025; expected one length"
+    ):
         convert(tmp_path / "two.bag", tmp_path / "out", options=given)
     assert path.is_file()
 
 
 @pytest.mark.parametrize("model", ["Inverse Brown Conrady", "Modified Brown Conrady"])
 def test_a_lens_that_is_read_in_either_direction_is_asked_for(tmp_path, box, model):
-    path = write(tmp_path / "rs.bag", box, model=model, D=(-0.05, 0.06, -0.0006, 0.0004, -0.02))
+    path = write(
+        tmp_path / "rs.bag",
+        box,
+        model=model,
+        D=(-0.05, 0.06, -0.0006, 0.0004, -0.02),
+    )
     none = ConvertOptions(poses="none")
     with pytest.raises(OptionNeeded, match=r"in either direction; give --intrinsics") as asked:
         convert(path, tmp_path / "out", options=none)

@@ -16,13 +16,20 @@ GL = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 
 
 def stored(data: bytes) -> bytes:
-    """An LZFSE stream of one block that is not packed, as Apple's encoder writes what does not shrink."""
+    """An LZFSE stream of one block that is not packed, as Apple's encoder writes what does not
+    shrink."""
     return b"bvx-" + struct.pack("<I", len(data)) + data + b"bvx$"
 
 
 def members(takes, pack=stored, **changes):
     c = takes.camera
-    turned = type(takes)(c, takes.rgb, takes.depth_m, takes.T_WC @ GL, takes.times_s)
+    turned = type(takes)(
+        c,
+        takes.rgb,
+        takes.depth_m,
+        takes.T_WC @ GL,
+        takes.times_s,
+    )
     rows = [turned.tum_row(i) for i in range(4)]
     metadata = {
         "w": c.width,
@@ -67,8 +74,13 @@ def check(out, takes, holes):
 def test_poses_of_zeros_are_no_poses(tmp_path, takes):
     """Some captures hold zeros where ARKit did not know: no rotation, and not the identity."""
     poses = json.loads(members(takes)["metadata"])["poses"]
-    some = write_r3d(tmp_path / "some.r3d", members(takes, poses=[poses[0], [0] * 7, *poses[2:]]))
-    assert convert(some, tmp_path / "out").dropped == {"tracking was lost (pose is NaN or infinite)": 1}
+    some = write_r3d(
+        tmp_path / "some.r3d",
+        members(takes, poses=[poses[0], [0] * 7, *poses[2:]]),
+    )
+    assert convert(some, tmp_path / "out").dropped == {
+        "tracking was lost (pose is NaN or infinite)": 1
+    }
     none = write_r3d(tmp_path / "none.r3d", members(takes, poses=[[0] * 7] * 4))
     with pytest.raises(SequenceError, match=r"holds no poses.*--poses none"):
         convert(none, tmp_path / "again")
@@ -76,7 +88,10 @@ def test_poses_of_zeros_are_no_poses(tmp_path, takes):
 
 def test_equal_poses_prove_nothing(tmp_path, takes):
     poses = json.loads(members(takes)["metadata"])["poses"]
-    report = convert(write_r3d(tmp_path / "scan.r3d", members(takes, poses=poses[:1] * 4)), tmp_path / "out")
+    report = convert(
+        write_r3d(tmp_path / "scan.r3d", members(takes, poses=poses[:1] * 4)),
+        tmp_path / "out",
+    )
     assert any("all 4 poses are equal" in note and "--poses none" in note for note in report.notes)
 
 
@@ -97,7 +112,9 @@ def test_reads_what_was_written(tmp_path, takes, packed):
 def test_a_missing_image_does_not_shift_poses_and_times(tmp_path, takes):
     files = members(takes)
     whole = write_r3d(tmp_path / "whole.r3d", files)
-    rest = write_r3d(tmp_path / "rest.r3d", {name: data for name, data in files.items() if "/1." not in name})
+    rest = write_r3d(
+        tmp_path / "rest.r3d", {name: data for name, data in files.items() if "/1." not in name}
+    )
     convert(whole, tmp_path / "a")
     convert(rest, tmp_path / "b")
     a, b = folder(tmp_path / "a"), folder(tmp_path / "b")
@@ -105,9 +122,16 @@ def test_a_missing_image_does_not_shift_poses_and_times(tmp_path, takes):
     assert b.timestamps_s == pytest.approx([5.0, 5.2, 5.3])
 
 
-@pytest.mark.parametrize(("least", "holes"), [(0, []), (2, [(1, 1), (1, 2)])])
+@pytest.mark.parametrize(
+    ("least", "holes"),
+    [(0, []), (2, [(1, 1), (1, 2)])],
+)
 def test_confidence(tmp_path, takes, least, holes):
-    convert(write_r3d(tmp_path / "a.r3d", members(takes)), tmp_path / "out", options=ConvertOptions(confidence=least))
+    convert(
+        write_r3d(tmp_path / "a.r3d", members(takes)),
+        tmp_path / "out",
+        options=ConvertOptions(confidence=least),
+    )
     check(tmp_path / "out", takes, [(0, 0), *holes])
 
 
@@ -120,7 +144,11 @@ def test_focal_length_of_every_frame(tmp_path, takes):
     sequence = folder(tmp_path / "out")
     assert vars(sequence.camera) == pytest.approx(vars(c))
     shrunk, same = sequence[2].depth_m.numpy(), takes.depth_m[2]
-    for v, u in ((10, 20), (24, 32), (30, 45)):  # pixel centres move towards the principal point by 1.5
+    for v, u in (
+        (10, 20),
+        (24, 32),
+        (30, 45),
+    ):  # pixel centres move towards the principal point by 1.5
         at = [round((x + 0.5 - p) * 1.5 + p - 0.5 - 1e-3) for x, p in ((v, c.cy), (u, c.cx))]
         assert shrunk[v, u] == pytest.approx(same[at[0], at[1]], abs=6e-4)
     assert np.abs(sequence[3].depth_m.numpy() - takes.depth_m[3])[2:].max() < 6e-4
@@ -140,12 +168,17 @@ def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
     for source in (
         path,
         write_r3d(tmp_path / "c.r3d", members(takes, w=None)),
-        write_r3d(tmp_path / "d.r3d", members(takes, poses=[[0, 0, 0, 1, 0, 0, 0]])),
+        write_r3d(
+            tmp_path / "d.r3d",
+            members(takes, poses=[[0, 0, 0, 1, 0, 0, 0]]),
+        ),
     ):
         with pytest.raises(SequenceError, match=source.name):
             convert(source, tmp_path / "out")
     empty = write_r3d(tmp_path / "f.r3d", {"metadata": members(takes)["metadata"]})
-    with pytest.raises(SequenceError, match=r"f\.r3d holds no frames; expected rgbd/0\.jpg and so on"):
+    with pytest.raises(
+        SequenceError, match=r"f\.r3d holds no frames; expected rgbd/0\.jpg and so on"
+    ):
         convert(empty, tmp_path / "out")
     files = members(takes) | {"rgbd/2.depth": b"garbage"}
     report = convert(write_r3d(tmp_path / "e.r3d", files), tmp_path / "out")

@@ -23,10 +23,17 @@ T_BASE_CAM = se3.exp(torch.tensor([0.1, -0.05, 0.2, 1.2, -1.1, 1.25], dtype=torc
 
 
 def write_tf(bag, takes):
-    """map -> base moves, base -> optical is fixed; poses half a step before, at and behind the frames."""
+    """map -> base moves, base -> optical is fixed; poses half a step before, at and behind the
+    frames."""
     bag.tf("/tf_static", takes.times_s[0], "base_link", "camera_optical", T_BASE_CAM)
     for i, t in enumerate(takes.times_s):
-        bag.tf("/tf", t, "map", "base_link", takes.T_WC[i] @ se3.inverse(T_BASE_CAM))
+        bag.tf(
+            "/tf",
+            t,
+            "map",
+            "base_link",
+            takes.T_WC[i] @ se3.inverse(T_BASE_CAM),
+        )
 
 
 def write_bag(
@@ -52,11 +59,16 @@ def write_bag(
             if poses == "pose":
                 bag.pose("/slam/pose", t, takes.T_WC[i])
             if colour == "png":
-                bag.compressed("/camera/color/image_raw/compressed", t, "camera_optical", "png", takes.png(i))
+                bag.compressed(
+                    "/camera/color/image_raw/compressed", t, "camera_optical", "png", takes.png(i)
+                )
             else:
                 pixels = {"rgb8": rgb, "bgr8": rgb[..., ::-1]}.get(colour)
                 if colour == "bgra8":
-                    pixels = np.concatenate([rgb[..., ::-1], np.full_like(rgb[..., :1], 7)], -1)
+                    pixels = np.concatenate(
+                        [rgb[..., ::-1], np.full_like(rgb[..., :1], 7)],
+                        -1,
+                    )
                 pixels = rgb if pixels is None else pixels
                 bag.image("/camera/color/image_raw", t, "camera_optical", colour, pixels, pad=pad)
     return path
@@ -65,9 +77,25 @@ def write_bag(
 def put_depth(bag, takes, i, depth, pad, big):
     t, topic, frame = takes.times_s[i] + 0.004, "/camera/depth/image_raw", "camera_optical"
     if depth == "16UC1":
-        bag.image(topic, t, frame, depth, takes.depth_raw(i), pad=pad, big=big)
+        bag.image(
+            topic,
+            t,
+            frame,
+            depth,
+            takes.depth_raw(i),
+            pad=pad,
+            big=big,
+        )
     elif depth == "32FC1":
-        bag.image(topic, t, frame, depth, takes.depth_m[i].astype(np.float32), pad=pad, big=big)
+        bag.image(
+            topic,
+            t,
+            frame,
+            depth,
+            takes.depth_m[i].astype(np.float32),
+            pad=pad,
+            big=big,
+        )
     elif depth == "16UC1; compressedDepth png":
         data = struct.pack("<iff", 0, 0, 0) + takes.depth_png(i)
         bag.compressed(f"{topic}/compressedDepth", t, frame, depth, data)
@@ -75,8 +103,13 @@ def put_depth(bag, takes, i, depth, pad, big):
         # compressed_depth_image_transport: a = z_q (z_q + 1), b = 1 - a / z_max; q = a / z + b
         a = 100.0 * 101.0
         b = 1.0 - a / 10.0
-        q = cv2.imencode(".png", np.rint(a / takes.depth_m[i] + b).astype(np.uint16))[1].tobytes()
-        bag.compressed(f"{topic}/compressedDepth", t, frame, depth, struct.pack("<iff", 0, a, b) + q)
+        q = cv2.imencode(
+            ".png",
+            np.rint(a / takes.depth_m[i] + b).astype(np.uint16),
+        )[1].tobytes()
+        bag.compressed(
+            f"{topic}/compressedDepth", t, frame, depth, struct.pack("<iff", 0, a, b) + q
+        )
     else:
         bag.compressed(f"{topic}/compressedDepth", t, frame, depth, b"\0" * 40)
 
@@ -84,7 +117,11 @@ def put_depth(bag, takes, i, depth, pad, big):
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize(
     ("colour", "depth", "poses"),
-    [("rgb8", "16UC1", "tf"), ("bgr8", "32FC1", "pose"), ("png", "16UC1; compressedDepth png", "tf")],
+    [
+        ("rgb8", "16UC1", "tf"),
+        ("bgr8", "32FC1", "pose"),
+        ("png", "16UC1; compressedDepth png", "tf"),
+    ],
 )
 def test_reads_what_was_written(tmp_path, takes, version, colour, depth, poses):
     path = tmp_path / ("scan.bag" if version == 1 else "scan")
@@ -94,7 +131,10 @@ def test_reads_what_was_written(tmp_path, takes, version, colour, depth, poses):
     takes.check(tmp_path / "out", pose=2e-6)
     assert report.dropped == {}
     rows = (tmp_path / "out/times.txt").read_text().splitlines()[1:]
-    colour_s, depth_s = zip(*([float(t) for t in row.split()[1:]] for row in rows), strict=True)
+    colour_s, depth_s = zip(
+        *([float(t) for t in row.split()[1:]] for row in rows),
+        strict=True,
+    )
     assert colour_s == pytest.approx(takes.times_s, abs=1e-6)
     assert depth_s == pytest.approx([t + 0.004 for t in takes.times_s], abs=1e-6)
 
@@ -117,19 +157,31 @@ def test_ros2_bag_that_does_not_say_what_its_types_are(tmp_path, takes):
 
 
 def test_padded_rows_and_byte_order(tmp_path, takes):
-    convert(write_bag(tmp_path / "scan.bag", takes, 1, colour="bgra8", pad=3, big=True), tmp_path / "out")
+    convert(
+        write_bag(tmp_path / "scan.bag", takes, 1, colour="bgra8", pad=3, big=True),
+        tmp_path / "out",
+    )
     takes.check(tmp_path / "out", pose=2e-6)
 
 
 def test_quantised_inverse_depth(tmp_path, takes):
     path = write_bag(tmp_path / "scan.bag", takes, 1, depth="32FC1; compressedDepth png")
     convert(path, tmp_path / "out")
-    takes.check(tmp_path / "out", depth_m=2e-3, pose=2e-6)  # half a step is z^2 / 2a = 1 mm at 4.5 m
+    takes.check(
+        tmp_path / "out", depth_m=2e-3, pose=2e-6
+    )  # half a step is z^2 / 2a = 1 mm at 4.5 m
 
 
 def test_depth_camera_beside_the_colour_camera(tmp_path, takes, box):
     """Unregistered depth of another size: tf_static says where its camera stands."""
-    depth_camera = Camera(width=128, height=96, fx=110.0, fy=111.0, cx=62.0, cy=47.0)
+    depth_camera = Camera(
+        width=128,
+        height=96,
+        fx=110.0,
+        fy=111.0,
+        cx=62.0,
+        cy=47.0,
+    )
     T_CD = se3.exp(torch.tensor([0.05, 0.01, -0.01, 0.02, -0.04, 0.01], dtype=torch.float64))
     poses = box.poses(4)
     with Bag(tmp_path / "scan.bag", 1) as bag:
@@ -167,7 +219,8 @@ def test_several_topics_have_to_be_named(tmp_path, takes):
 
 
 @pytest.mark.parametrize(
-    ("options", "named"), [({"depth": "16UC1; compressedDepth rvl"}, "RVL"), ({"colour": "8SC3"}, "8SC3")]
+    ("options", "named"),
+    [({"depth": "16UC1; compressedDepth rvl"}, "RVL"), ({"colour": "8SC3"}, "8SC3")],
 )
 def test_packings_that_cannot_be_read_are_named(tmp_path, takes, options, named):
     with pytest.raises(SequenceError, match=named):

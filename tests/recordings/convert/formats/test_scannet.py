@@ -1,4 +1,5 @@
-"""ScanNet: the .sens container byte by byte, and the exporter's folders; colour larger than depth."""
+"""ScanNet: the .sens container byte by byte, and the exporter's folders; colour larger than
+depth."""
 
 import struct
 import zlib
@@ -24,19 +25,45 @@ def matrix(c):
     return K
 
 
-def write_sens(path, takes, *, lost=(), depth=None, depth_camera=None, extrinsic=None, version=4):
+def write_sens(
+    path,
+    takes,
+    *,
+    lost=(),
+    depth=None,
+    depth_camera=None,
+    extrinsic=None,
+    version=4,
+):
     """uint32 version ... as in sensorData.h."""
     c, d = takes.camera, depth_camera or takes.camera
     depth = depth or takes.depth_m
     out = struct.pack("<IQ", version, 8) + b"StructIO"
     for M in (matrix(c), np.eye(4) if extrinsic is None else extrinsic, matrix(d), np.eye(4)):
         out += struct.pack("<16f", *M.flatten())
-    out += struct.pack("<ii4IfQ", 2, 1, c.width, c.height, d.width, d.height, 1000.0, len(takes))
+    out += struct.pack(
+        "<ii4IfQ",
+        2,
+        1,
+        c.width,
+        c.height,
+        d.width,
+        d.height,
+        1000.0,
+        len(takes),
+    )
     for i in range(len(takes)):
         T = LOST if i in lost else takes.T_WC[i].numpy()
         colour = takes.jpeg(i)
         packed = zlib.compress(np.rint(depth[i] * 1000).astype("<u2").tobytes())
-        out += struct.pack("<16f4Q", *T.flatten(), 1000000 + 33333 * i, 1000000 + 33333 * i, len(colour), len(packed))
+        out += struct.pack(
+            "<16f4Q",
+            *T.flatten(),
+            1000000 + 33333 * i,
+            1000000 + 33333 * i,
+            len(colour),
+            len(packed),
+        )
         out += colour + packed
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(out + struct.pack("<Q", 0))
@@ -48,7 +75,11 @@ def write_exported(root, takes, *, lost=()):
         takes.write(root / f"color/{i}.jpg", takes.jpeg(i))
         takes.write(root / f"depth/{i}.png", takes.depth_png(i))
         (root / "pose").mkdir(exist_ok=True)
-        np.savetxt(root / f"pose/{i}.txt", LOST if i in lost else takes.T_WC[i].numpy(), fmt="%f")
+        np.savetxt(
+            root / f"pose/{i}.txt",
+            LOST if i in lost else takes.T_WC[i].numpy(),
+            fmt="%f",
+        )
     (root / "intrinsic").mkdir()
     for kind in ("color", "depth"):
         np.savetxt(root / f"intrinsic/intrinsic_{kind}.txt", matrix(takes.camera), fmt="%f")
@@ -85,7 +116,14 @@ def depth_views(takes, box, camera, offset=None):
 
 @pytest.mark.parametrize("width", [0, 40])
 def test_smaller_depth_with_intrinsics_of_its_own(tmp_path, takes, box, width):
-    camera = Camera(width=40, height=30, fx=42.0, fy=43.0, cx=19.1, cy=16.2)
+    camera = Camera(
+        width=40,
+        height=30,
+        fx=42.0,
+        fy=43.0,
+        cx=19.1,
+        cy=16.2,
+    )
     views, depth = depth_views(takes, box, camera)
     path = write_sens(tmp_path / "a.sens", views, depth=depth, depth_camera=camera)
     convert(path, tmp_path / "out", options=ConvertOptions(width=width))
@@ -101,13 +139,34 @@ def test_smaller_depth_with_intrinsics_of_its_own(tmp_path, takes, box, width):
 
 
 def test_depth_camera_beside_the_colour_camera(tmp_path, takes, box):
-    camera = Camera(width=128, height=96, fx=110.0, fy=111.0, cx=62.0, cy=47.0)
-    T_rig_colour = se3.exp(torch.tensor([0.06, 0.01, -0.02, 0.02, -0.05, 0.01], dtype=torch.float64))
+    camera = Camera(
+        width=128,
+        height=96,
+        fx=110.0,
+        fy=111.0,
+        cx=62.0,
+        cy=47.0,
+    )
+    T_rig_colour = se3.exp(
+        torch.tensor([0.06, 0.01, -0.02, 0.02, -0.05, 0.01], dtype=torch.float64)
+    )
     views, depth = depth_views(takes, box, camera, se3.inverse(T_rig_colour))
-    rig = type(takes)(views.camera, views.rgb, views.depth_m, box.poses(4) @ se3.inverse(T_rig_colour), takes.times_s)
-    path = write_sens(tmp_path / "a.sens", rig, depth=depth, depth_camera=camera, extrinsic=T_rig_colour.numpy())
+    rig = type(takes)(
+        views.camera,
+        views.rgb,
+        views.depth_m,
+        box.poses(4) @ se3.inverse(T_rig_colour),
+        takes.times_s,
+    )
+    path = write_sens(
+        tmp_path / "a.sens", rig, depth=depth, depth_camera=camera, extrinsic=T_rig_colour.numpy()
+    )
     convert(path, tmp_path / "out")
-    for frame, T in zip(folder(tmp_path / "out"), box.poses(4), strict=True):
+    for frame, T in zip(
+        folder(tmp_path / "out"),
+        box.poses(4),
+        strict=True,
+    ):
         assert torch.allclose(frame.T_WC.double(), T, atol=1e-5)
         assert float((frame.depth_m > 0).float().mean()) > 0.8
         assert box.off_wall_m(frame) < 0.02

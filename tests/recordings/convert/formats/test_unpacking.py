@@ -1,4 +1,5 @@
-"""Packed chunks of ROS bags: a small file cannot ask for much memory, and rows of sqlite are stored, not made."""
+"""Packed chunks of ROS bags: a small file cannot ask for much memory, and rows of sqlite are
+stored, not made."""
 
 import bz2
 import resource
@@ -78,8 +79,14 @@ def test_the_unpackers_of_the_library_are_its_own_again(tmp_path):
 @pytest.mark.parametrize(
     ("sql", "sentence"),
     [
-        ("CREATE VIEW messages AS SELECT 1 AS id, zeroblob(1000000000) AS data", "has the view 'messages'"),
-        ("CREATE TABLE messages (id INTEGER, data BLOB AS (zeroblob(1000000000)))", "computes the column 'data'"),
+        (
+            "CREATE VIEW messages AS SELECT 1 AS id, zeroblob(1000000000) AS data",
+            "has the view 'messages'",
+        ),
+        (
+            "CREATE TABLE messages (id INTEGER, data BLOB AS (zeroblob(1000000000)))",
+            "computes the column 'data'",
+        ),
         ("CREATE VIRTUAL TABLE messages USING fts5(data)", "which stores nothing"),
     ],
 )
