@@ -49,7 +49,10 @@ SEQUENCES = [
     for depth in ("clean", "simulated")
 ]
 """With exact depth, or depth with sensor errors."""
-COLOUR_BYTES, DEPTH_BYTES, CLOUD_BYTES, POSES_BYTES = 400_000_000, 500_000_000, 100_000_000, 600_000
+COLOUR_BYTES = 400_000_000
+DEPTH_BYTES = 500_000_000
+CLOUD_BYTES = 100_000_000
+POSES_BYTES = 600_000
 """Estimated."""
 PRIMESENSE = {
     "width": 640,

@@ -402,14 +402,16 @@ def _run_counted(
     """Call the learner's function for ``name``, or ``reference``, and count the call."""
     inside = _thread.__dict__.setdefault("seconds_of_called", [])
     inside.append(0.0)
-    began, is_own = time.perf_counter(), False
+    began = time.perf_counter()
+    is_own = False
     try:
         own = FUNCTIONS.get(name)
         result = NotImplemented if own is None else own(*args, **kwargs)
         is_own = result is not NotImplemented
         return result if is_own else reference(*args, **kwargs)
     finally:
-        took, of_called = time.perf_counter() - began, inside.pop()
+        took = time.perf_counter() - began
+        of_called = inside.pop()
         if inside:
             inside[-1] += took
         calls = CALLS.setdefault(name, Calls())

@@ -92,7 +92,8 @@ def check_pose(name: str, T: Tensor, tolerance: float = 1e-3) -> None:
     )  # on so few numbers torch takes more than twice as long
     if not np.isfinite(numbers).all():
         check_finite(name, T)
-    R, bottom = numbers[:3, :3], numbers[3]
+    R = numbers[:3, :3]
+    bottom = numbers[3]
     error = float(np.abs(R @ R.T - np.eye(3)).max())
     if error > tolerance:
         raise ValueError(

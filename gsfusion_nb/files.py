@@ -354,7 +354,8 @@ class _Known:
 
     def __init__(self, folder: str):
         name = hashlib.blake2b(folder.encode(errors="surrogateescape"), digest_size=16).hexdigest()
-        self._path, self._changed = cache_folder() / "hashes" / f"{name}.json", False
+        self._path = cache_folder() / "hashes" / f"{name}.json"
+        self._changed = False
         self._rows: dict[str, Any] = {}
         with contextlib.suppress(ValueError, OSError):  # none yet, or damaged: hashed again
             rows = json.loads(self._path.read_text(encoding="utf-8"))
@@ -419,7 +420,8 @@ def is_file(path: Path) -> bool:
 def noting_files() -> Iterator[list[Path]]:
     """A block in which every file that is opened by this module is added to the list that it
     gives."""
-    noted, outer = [], _noted.get()
+    noted = []
+    outer = _noted.get()
     token = _noted.set(noted)
     try:
         yield noted

@@ -123,7 +123,8 @@ class DelayedInterrupt:
             self._call(number, frame)
 
     def _call(self, number: int, frame: FrameType | None) -> None:
-        waits, self._waits = self._waits, True
+        waits = self._waits
+        self._waits = True
         self._handlers[number](number, frame)
         self._waits = waits  # the handler has not raised
 

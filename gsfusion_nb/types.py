@@ -14,7 +14,8 @@ from torch import Tensor
 
 from .checks import check_number, check_positive, check_shape
 
-MAX_SIDE_PX, MAX_PIXELS = 1 << 16, 1 << 27
+MAX_SIDE_PX = 1 << 16
+MAX_PIXELS = 1 << 27
 """Larger images would not fit into memory, and into the 32-bit numbers that kernels count pixels
 with."""
 
@@ -84,7 +85,8 @@ class Camera:
     def resized(self, width: int, height: int) -> "Camera":
         """The same view on another pixel grid (edges stay edges, so the principal point scales
         without a shift)."""
-        sx, sy = width / self.width, height / self.height
+        sx = width / self.width
+        sy = height / self.height
         return Camera(
             width=width,
             height=height,

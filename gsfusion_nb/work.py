@@ -122,7 +122,8 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-_SHARED_BYTES, _ALIGNED_BYTES = 1 << 26, 64
+_SHARED_BYTES = 1 << 26
+_ALIGNED_BYTES = 64
 _PRIVATE: Any = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if os.name == "posix" else {}
 """Memory in small pages, of which those that are not used take none. numpy asks for huge ones, and
 a map that grows waits for each of them: in a building of 64 rooms GPS-SLAM's frames took a quarter
@@ -185,10 +186,8 @@ class MapMemory:
             raise ValueError(
                 f"the limit of memory must be above 0 GB and the system not Windows, got {gb} GB"
             )
-        self.limit_bytes, self._next_bytes = (
-            None if gb is None else int(gb * 1e9),
-            int((gb or 0) * 1e9),
-        )
+        self.limit_bytes = None if gb is None else int(gb * 1e9)
+        self._next_bytes = int((gb or 0) * 1e9)
 
     def is_in_files(self, device: "torch.device") -> bool:
         """Whether new tensors on this device are in files."""
@@ -241,10 +240,12 @@ class MapMemory:
         import torch
 
         if self._shared is None or self._used + values.nbytes > len(self._shared):
-            self._shared, self._used = (
-                self._mapped(_File(), max(values.nbytes, _SHARED_BYTES), torch.uint8),
-                0,
+            self._shared = self._mapped(
+                _File(),
+                max(values.nbytes, _SHARED_BYTES),
+                torch.uint8,
             )
+            self._used = 0
         place = self._shared[self._used : self._used + values.nbytes]
         self._used += -(-values.nbytes // _ALIGNED_BYTES) * _ALIGNED_BYTES
         return place.view(values.dtype).view(values.shape).copy_(values)

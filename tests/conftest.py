@@ -29,7 +29,10 @@ from gsfusion_nb.types import Camera
 from gsfusion_nb.work import usable_cores
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
-WIDTH, HEIGHT, DEPTH_M, STEP_PX = 48, 36, 1.5, 6
+WIDTH = 48
+HEIGHT = 36
+DEPTH_M = 1.5
+STEP_PX = 6
 """Of the small scene on disk."""
 MOST_PROCESSES = 8
 """More only wait for the longest tests."""

@@ -40,7 +40,9 @@ def test_the_examples_run():
     known: dict = {}
     for block in blocks:
         exec(compile(block, str(PAGE), "exec"), known)
-    true, start, found = known["frame"].T_WC, known["T_start"], known["T_found"]
+    true = known["frame"].T_WC
+    start = known["T_start"]
+    found = known["T_found"]
     assert (found - true).norm() < 0.25 * (start - true).norm()
     assert known["mapper"].training.names == {"loss": "charbonnier", "optimiser": "sgd"}
     assert len(known["mapper"].gaussians) > 100

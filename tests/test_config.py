@@ -71,7 +71,9 @@ def test_measured_is_the_default():
 
 @pytest.mark.parametrize("preset", presets())
 def test_measured_has_its_loss_on_all_data_and_its_steps_where_views_are_close(preset):
-    ours, papers, default = gsfusion(preset), gsfusion(preset, "paper_steps"), gsfusion()
+    ours = gsfusion(preset)
+    papers = gsfusion(preset, "paper_steps")
+    default = gsfusion()
     assert (ours.optim.depth_weight, ours.keyframe_max_gap) == (0.2, 5)
     assert replace(ours, optim=papers.optim, keyframe_max_gap=0) == papers
     assert ours.optim.global_iterations == {"tum": 20, "online": 0}.get(preset, 10)

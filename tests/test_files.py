@@ -56,7 +56,8 @@ def fill(path, temporary, error=None):
 
 
 def test_folder_is_removed_after_a_failure(tmp_path):
-    path, temporary = tmp_path / "new" / "a", tmp_path / "work" / "a"
+    path = tmp_path / "new" / "a"
+    temporary = tmp_path / "work" / "a"
     with pytest.raises(ZeroDivisionError):
         fill(path, temporary, ZeroDivisionError)
     assert not list(tmp_path.iterdir())  # nor the folders that were made for it
@@ -68,7 +69,8 @@ def test_folder_is_removed_after_a_failure(tmp_path):
 
 
 def test_an_unfinished_folder_of_an_earlier_program_is_removed(tmp_path):
-    path, temporary = tmp_path / "a", tmp_path / "work"
+    path = tmp_path / "a"
+    temporary = tmp_path / "work"
     temporary.mkdir()
     (temporary / "half").write_text("x")
     fill(path, temporary)

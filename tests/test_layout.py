@@ -170,7 +170,8 @@ class ImportGraph:
         )
 
     def _reached(self, module: str) -> set[str]:
-        seen, waiting = set(), [*self.edges[module]]
+        seen = set()
+        waiting = [*self.edges[module]]
         while waiting:
             if (other := waiting.pop()) not in seen:
                 seen.add(other)

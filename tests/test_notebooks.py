@@ -227,7 +227,8 @@ def not_from_setup() -> list[str]:
 
 def run_quickly(notebook: dict, name: str, tmp_path: Path) -> Path:
     """Execute in an empty folder without network, in smoke mode; the executed copy."""
-    folder, site = tmp_path / "empty", tmp_path / "site"
+    folder = tmp_path / "empty"
+    site = tmp_path / "site"
     folder.mkdir()
     site.mkdir()
     kept_out = _NO_EXTRAS.format(absent=not_from_setup())

@@ -94,7 +94,8 @@ def test_a_limit_that_is_none_is_refused(gb):
 def test_the_memory_of_a_map_is_known_before_it_is_made():
     config = replace(gsfusion("room"), data__width=64, data__height=48)
     sequence = open_sequence("room", data=config.data, n_frames=30)
-    needed, mapper = memory_needed_gb(sequence, config), make_mapper(config)
+    needed = memory_needed_gb(sequence, config)
+    mapper = make_mapper(config)
     for i in range(len(sequence.mapping)):
         mapper.step(sequence.mapping[i])
     assert needed["voxel blocks"] == pytest.approx(mapper.volume.memory_bytes / 1e9, rel=1e-6)

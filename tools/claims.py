@@ -126,7 +126,8 @@ def quoted(
     """
     if cell_id not in shown:
         raise ValueError(f"there is no code cell {cell_id!r}")
-    names, pattern = [], ""
+    names = []
+    pattern = ""
     for i, part in enumerate(_BLANK.split(quote)):
         if i % 2:
             names.append(part)

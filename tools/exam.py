@@ -20,7 +20,8 @@ from gsfusion_nb.types import Camera, Frame
 
 log = logging.getLogger(__name__)
 
-FIRST, N_FRAMES = 40, 24
+FIRST = 40
+N_FRAMES = 24
 """The part of the walk that the examination uses."""
 
 
@@ -74,7 +75,9 @@ def write(letter: str, path: Path) -> None:
 def read(path: Path) -> list[Frame]:
     """The frames of a file that ``write`` wrote."""
     with np.load(path, allow_pickle=False) as arrays:
-        rgb, depth, poses = arrays["rgb"], arrays["depth_m"], arrays["T_WC"]
+        rgb = arrays["rgb"]
+        depth = arrays["depth_m"]
+        poses = arrays["T_WC"]
         fx, fy, cx, cy = arrays["intrinsics"].tolist()
     camera = Camera(
         width=rgb.shape[2],

@@ -283,7 +283,8 @@ def records_of(
     if program not in ("gsfusion-nb", "python"):
         raise MeasuredError(f"expected a command of gsfusion-nb or python, got {command!r}")
     with tempfile.TemporaryDirectory() as folder:
-        out, bench = written or Path(folder) / "out", Path(folder) / "bench.json"
+        out = written or Path(folder) / "out"
+        bench = Path(folder) / "bench.json"
         call = [sys.executable, "-m", "gsfusion_nb", what, *rest]
         call += ["--json", str(bench)] if what == "bench" else ["--out", str(out)]
         if program == "python":
@@ -421,7 +422,8 @@ def made(
     values: Mapping[str, list[Record]],
 ) -> dict[str, Any]:
     """Columns, rows and texts of a table from the records of its runs."""
-    rows, cells = recipe["rows"], recipe.get("cells")
+    rows = recipe["rows"]
+    cells = recipe.get("cells")
     if isinstance(rows, str):  # a run: a row for each of its labels
         marks = {r["label"]: r.get("mark", "") for r in values[rows]}
         rows = [[f"`{label}` {mark}".strip(), f"{rows}; {label}"] for label, mark in marks.items()]

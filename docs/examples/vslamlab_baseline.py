@@ -29,10 +29,8 @@ class GSFUSIONNB_baseline(BaselineVSLAMLab):
 
     def build_execute_command(self, exp_it, exp, dataset, sequence_name) -> str:
         """The command line of one run."""
-        sequence, folder = (
-            dataset.dataset_path / sequence_name,
-            Path(exp.folder) / dataset.dataset_folder,
-        )
+        sequence = dataset.dataset_path / sequence_name
+        folder = Path(exp.folder) / dataset.dataset_folder
         folder /= sequence_name
         given = {
             name: exp.parameters.get(name, value) for name, value in self.default_parameters.items()
@@ -81,11 +79,9 @@ def read_sequence(args: argparse.Namespace):
             f"{args.calibration_yaml}: expected a camera of type rgb+depth, radtan or equid; got "
             f"{told}"
         )
-    (width, height), (fx, fy), (cx, cy) = (
-        told["image_dimension"],
-        told["focal_length"],
-        told["principal_point"],
-    )
+    width, height = told["image_dimension"]
+    fx, fy = told["focal_length"]
+    cx, cy = told["principal_point"]
     pinhole = Camera(
         width=int(width),
         height=int(height),
@@ -99,7 +95,9 @@ def read_sequence(args: argparse.Namespace):
     )
     undistorter = None if lens.is_pinhole else Undistorter(lens)
     with open(args.rgb_csv, newline="", encoding="utf-8") as file:
-        rows, rgb, depth = list(csv.DictReader(file)), told["cam_name"], told["depth_name"]
+        rows = list(csv.DictReader(file))
+        rgb = told["cam_name"]
+        depth = told["depth_name"]
     return RecordedSequence(
         name=args.sequence_path.name,
         camera=undistorter.camera if undistorter else pinhole,

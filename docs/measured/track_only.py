@@ -20,7 +20,9 @@ sequence = open_sequence(
 found = {}
 for name, brightness_m in (("depth", None), ("both", TrackingConfig().brightness_m)):
     tracker = Tracker(TrackingConfig(poses="tracked", brightness_m=brightness_m))
-    volume, poses, true = TsdfVolume(gsfusion("replica").tsdf), [], []
+    volume = TsdfVolume(gsfusion("replica").tsdf)
+    poses = []
+    true = []
     for i in range(len(sequence.mapping)):
         frame = sequence.mapping[i]
         poses.append(tracker.track(frame, tsdf_surface(volume)).T_WC)

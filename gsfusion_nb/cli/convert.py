@@ -35,7 +35,8 @@ def convert_or_ask(
         OptionNeeded: nobody can be asked; the message names the option that answers the question.
         SequenceError, FileExistsError, KeyError: as ``convert``.
     """
-    options, asked = options or ConvertOptions(), None
+    options = options or ConvertOptions()
+    asked = None
     while True:
         try:
             return convert(source, out, format=format, options=options, progress=True)

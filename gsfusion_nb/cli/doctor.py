@@ -114,7 +114,8 @@ def warm() -> int:
         "Compiling the fast kernels once, so that programs and notebooks start faster (about a "
         "minute) ..."
     )
-    start, todo = time.perf_counter(), _examples()
+    start = time.perf_counter()
+    todo = _examples()
     with (
         ProgressDisplay("compiling", total=len(todo), unit="map") as display,
         backends.use_backend("auto"),
@@ -169,7 +170,8 @@ def _opencv_twins() -> EnvironmentCheck:
 
 
 def _torch() -> list[EnvironmentCheck]:
-    (layer, _), n = backends.kernel_threads(), torch.get_num_threads()
+    layer, _ = backends.kernel_threads()
+    n = torch.get_num_threads()
     threads = EnvironmentCheck(
         "threads",
         layer == "tbb",
@@ -206,10 +208,8 @@ def _drawing() -> EnvironmentCheck:
 def _examples() -> list[SystemConfig]:
     """Settings that together use every operation; the rule asks for gradients of centres in the
     image."""
-    coarse, tracked = (
-        {"voxel_size_m": 0.05},
-        {"poses": "tracked", "landmarks": True, "back_end": True},
-    )
+    coarse = {"voxel_size_m": 0.05}
+    tracked = {"poses": "tracked", "landmarks": True, "back_end": True}
     rules = [
         {"rule": "default_strategy", "options": {"absgrad": absolute}} for absolute in (False, True)
     ]

@@ -56,7 +56,8 @@ def run(arguments: list[str]) -> int:
     up, how = _up(options)
     print(f"Up is {_named(up)} in the map: {how}.")
     R = turn_to_minus_y_up(up) if options.upright else torch.eye(3).double()
-    suffix, written = options.out.suffix.lower(), []
+    suffix = options.out.suffix.lower()
+    written = []
     if suffix == ".glb" or not suffix:
         written.append(options.out if suffix else options.out / "map.glb")
         write_map_glb(written[0], gaussians, mesh if options.mesh else None, up=up)

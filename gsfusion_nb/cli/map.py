@@ -101,7 +101,8 @@ def run(arguments: list[str]) -> int:
                 "expected the folder of a sequence or the name of a built-in scene: gsfusion-nb "
                 "map room"
             )
-        settings, (data, reader) = options.settings(), recording_to_open(options, options.data)
+        settings = options.settings()
+        data, reader = recording_to_open(options, options.data)
         if data != options.data and reader.get("poses") is False:
             settings = replace(settings, tracking__poses="tracked")
         if options.estimate_memory:
@@ -159,7 +160,8 @@ def _refuse_more(options: MapOptions, arguments: list[str]) -> None:
         )
 
 
-_COUNTED_VIEWS, _TRIAL = 200, 8
+_COUNTED_VIEWS = 200
+_TRIAL = 8
 """Frames of which the blocks are counted, and frames that are mapped, both evenly spread."""
 _PROCESS_GB = 0.5
 """Of a process without a map."""
@@ -189,7 +191,8 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
     from ..tsdf import TsdfVolume
     from ..tsdf.allocate import new_band_blocks
 
-    frames, n = sequence.mapping, len(sequence.mapping)
+    frames = sequence.mapping
+    n = len(sequence.mapping)
     if not has_poses(frames):
         raise SequenceError(
             f"{sequence.name} has no poses, so what its frames see together is not known beforehand"
@@ -201,7 +204,8 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
         if has_volume
         else TsdfConfig(voxel_size_m=getattr(config, "mesh_voxel_m", 0.04))
     )
-    whole, part = TsdfVolume(settings), TsdfVolume(settings)
+    whole = TsdfVolume(settings)
+    part = TsdfVolume(settings)
 
     def view(limit: int) -> "SequenceView":
         return dataclasses.replace(
@@ -213,8 +217,10 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
     for frame in readable_frames(view(_TRIAL)):
         part.index.add(new_band_blocks(part, frame))
         mapper.step(frame)
-    columns, share = mapper.gaussians.columns.values(), whole.n_blocks / max(1, part.n_blocks)
-    pixels, mesh = sequence.camera.width * sequence.camera.height, mapper.mesh()
+    columns = mapper.gaussians.columns.values()
+    share = whole.n_blocks / max(1, part.n_blocks)
+    pixels = sequence.camera.width * sequence.camera.height
+    mesh = mapper.mesh()
     mesh_gb = share * len(mesh.faces) * _BYTES_PER_TRIANGLE / 1e9
     volume_gb = whole.memory_bytes / 1e9
     return {

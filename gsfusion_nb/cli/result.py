@@ -20,7 +20,8 @@ def print_result(run: "FinishedRun") -> int:
     print(f"Files in {run.folder}:")
     for path in sorted(path for path in run.folder.iterdir() if path.name[0] != "."):
         print(f"  {path.name:<16} {path.stat().st_size / 1e6:8.2f} MB")
-    interrupted, lost = run.run.status == "interrupted", run.run.mapper.localiser.frames_lost
+    interrupted = run.run.status == "interrupted"
+    lost = run.run.mapper.localiser.frames_lost
     if lost and not interrupted:
         print(f"Tracking was lost and not found again: the last {lost} frames are not in the map.")
     if interrupted and run.run.resumable:

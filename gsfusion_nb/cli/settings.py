@@ -224,10 +224,8 @@ def _start(arguments: list[str], preset: str) -> SystemConfig:
     if path:
         return _read_settings(Path(path), rule=_value_of(arguments, "--seeding.rule"))
     system = get_system(_value_of(arguments, "--system") or "gsfusion")
-    preset, fidelity = (
-        _value_of(arguments, "--preset") or preset,
-        _value_of(arguments, "--fidelity"),
-    )
+    preset = _value_of(arguments, "--preset") or preset
+    fidelity = _value_of(arguments, "--fidelity")
     if fidelity and fidelity not in system.fidelities:
         raise ValueError(
             f"{system.title} has no --fidelity {fidelity}; known: "
@@ -282,7 +280,8 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
     from ..seeding.rule_code import is_rule_file
 
     document = read_object(path, "the config.json of a run", objects=("config",))
-    name, values = document.get("rule"), document["config"]
+    name = document.get("rule")
+    values = document["config"]
     seeding = values.get("seeding")
     in_settings = seeding.get("rule") if isinstance(seeding, dict) else None
     if isinstance(in_settings, str) and is_rule_file(in_settings):

@@ -64,7 +64,8 @@ def admission(entry: Entry, folder: Path) -> Admission:
     found = _run(entry, rule)
     if found.get("walks_sets") and not found["refused"]:
         found = _run_in_other_orders(entry, rule, found)
-    here, there = dict(spec.code or {}), found["code"]
+    here = dict(spec.code or {})
+    there = found["code"]
     changed = differing(*({"values": parts.get("values", "")} for parts in (here, there)))
     not_kept = ""
     if not found["refused"] and not spec.not_kept and changed:
@@ -127,7 +128,8 @@ def _run(
     """What ``fresh_check`` writes about a rule. ``order`` decides that of texts in sets
     (PYTHONHASHSEED)."""
     with tempfile.TemporaryDirectory(prefix="gsfusion-check-") as place:
-        job, spec = Path(place) / "job", entry.spec
+        job = Path(place) / "job"
+        spec = entry.spec
         try:
             job.write_bytes(_job(entry, rule))
         except Exception as e:  # whatever an object's own method raises

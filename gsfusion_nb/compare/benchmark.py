@@ -114,7 +114,8 @@ def scenes_in(folder: Path, format: str) -> dict[str, Path]:
     Raises:
         FileNotFoundError: there is none; the message says what the layout looks for.
     """
-    layout, found = known_layouts()[format], dict[str, Path]()
+    layout = known_layouts()[format]
+    found = dict[str, Path]()
     for place, below, _ in os.walk(folder, followlinks=True):
         inside = Path(place).relative_to(folder)
         if not missing(layout.locate(Path(place)), layout.looks_for):
@@ -144,7 +145,8 @@ def benchmark_specs(
     variants = {get_system(name).title: {"system": name} for name in options.systems}
     preset = dataclasses.replace(options, preset=options.preset or asked.preset)
     reader: dict[str, Any] = {"format": asked.format, **asked.reader}
-    specs, unread = list[RunSpec](), list[str]()
+    specs = list[RunSpec]()
+    unread = list[str]()
     for scene, place in scenes_in(Path(options.folder).expanduser(), asked.format).items():
         fields = {"common": asked.settings, "scene": scene, "online": True, "reader": reader}
         try:
@@ -172,7 +174,8 @@ def report(
         unread: Sentences about scenes that cannot be read.
     """
     heads = ["system", *(heading for heading, *_ in COLUMNS.values()), "source"]
-    rows, cards = [], []
+    rows = []
+    cards = []
     units = scene_units(results)
     for label in dict.fromkeys(r.spec.label for r in results):
         own = [r for r in results if r.spec.label == label and r.status == "done"]

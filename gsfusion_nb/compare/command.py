@@ -104,11 +104,14 @@ def run_and_write(
         FileExistsError: another command is writing to ``folder``. KeyError: no such row to test
             against, or no such test.
     """
-    table, results = _as_asked(table or Table(specs=list(specs)), options), dict[int, RunResult]()
+    table = _as_asked(table or Table(specs=list(specs)), options)
+    results = dict[int, RunResult]()
     with RunFolder(folder):
         store = ResultStore(None if options.cache else folder)
         began = renewed_s = time.perf_counter()
-        interrupted, lost, work = False, "", 0.0
+        interrupted = False
+        lost = ""
+        work = 0.0
         todo = {i: TUNED_RUNS if is_tuned(spec) else 1.0 for i, spec in enumerate(specs)}
         try:
             missing = {spec.key for spec in specs if store.find(spec) is None}
@@ -158,7 +161,8 @@ def _as_asked(table: Table, options: WhereOptions) -> Table:
     Raises:
         KeyError: there are no such ones.
     """
-    reference, tests = options.reference or table.reference, options.tests or table.tests
+    reference = options.reference or table.reference
+    tests = options.tests or table.tests
     if reference:
         check_name("row", reference, dict.fromkeys(spec.label for spec in table.specs))
     check_name("test", tests, TESTS)
@@ -178,7 +182,8 @@ def _left(work: float, done: float, elapsed_s: float) -> str:
 
 def describe(result: RunResult) -> str:
     """One line about a run."""
-    spec, numbers = result.spec, result.metrics
+    spec = result.spec
+    numbers = result.metrics
     name = f"{spec.scene}, {spec.label}, seed {spec.seed}, {spec.budget}"
     if result.status == "failed":
         return f"{name}: failed: {result.reason}"

@@ -157,7 +157,8 @@ def _fields_of_scene(scene: str | OpenedSequence) -> dict[str, Any]:
 def _extra_hash(scene: OpenedSequence) -> str:
     """A hash of ``frame.extra`` of all frames that are mapped; empty where the first has none and
     nothing gives any."""
-    digest, found = hashlib.blake2b(digest_size=16), False
+    digest = hashlib.blake2b(digest_size=16)
+    found = False
     for i in range(len(scene.mapping)):
         with contextlib.suppress(SequenceError):
             frame = scene.mapping[i]
@@ -390,7 +391,8 @@ def _made(
 ) -> list[Any]:
     """What ``make`` gives for the checked values of each table [[name]]; no two have the same
     ``label``, if one is named."""
-    found, tables = [], top.get(name, [])
+    found = []
+    tables = top.get(name, [])
     if required and not tables:
         raise TableError(
             f"{path}: expected at least one table [[{name}]] with {required} = ..., got none"

@@ -142,7 +142,8 @@ class InProcess:
     def __init__(
         self, on_step: "Callable[[Task, StepReport | None], object]" = lambda task, report: None
     ):
-        self._tasks, self._on_step = list[tuple[bool, int, Task]](), on_step
+        self._tasks = list[tuple[bool, int, Task]]()
+        self._on_step = on_step
 
     def put(self, number: int, task: Task) -> None:
         """Add a task."""
@@ -169,7 +170,8 @@ class OnFutures:
         submit: Callable[[Task], Any],
         wait: Callable[..., Any],
     ):
-        self._submit, self._wait = submit, wait
+        self._submit = submit
+        self._wait = wait
         self._numbers: dict[Any, int] = {}
 
     def put(self, number: int, task: Task) -> None:
@@ -180,7 +182,8 @@ class OnFutures:
         """Wait for the next answer."""
         done = self._wait(list(self._numbers), return_when="FIRST_COMPLETED").done
         future = min(done, key=lambda future: self._numbers[future])
-        number, error = self._numbers.pop(future), future.exception()
+        number = self._numbers.pop(future)
+        error = future.exception()
         if error is None:
             return number, future.result()
         return number, Answer(reason=f"its process was lost: {type(error).__name__}: {error}")

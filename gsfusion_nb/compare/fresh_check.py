@@ -157,7 +157,9 @@ class _clock_is_watched:
             self._asked = f"{module}.{name}"
 
 
-_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
+_CREATE_RULESET = 444
+_ADD_RULE = 445
+_RESTRICT_SELF = 446
 """System calls of Landlock, on every processor."""
 _READ_FILE = 1 << 2
 _BENEATH = 1

@@ -61,11 +61,16 @@ class LiveTable(LiveOutput):
         self._about = Table(specs=[entry.spec for entry in self.entries], reference=reference)
         if reference:
             check_name("rule", reference, dict.fromkeys(spec.label for spec in self._about.specs))
-        self.folder, self.store = Path(folder), store or ResultStore()
+        self.folder = Path(folder)
+        self.store = store or ResultStore()
         self._found: dict[int, RunResult] = {}
-        self._go, self._given_up, self._resting, self._now = threading.Event(), False, False, ""
+        self._go = threading.Event()
+        self._given_up = False
+        self._resting = False
+        self._now = ""
         self._go.set()
-        self._writing, self._next_write_s = threading.RLock(), 0.0
+        self._writing = threading.RLock()
+        self._next_write_s = 0.0
         self.player = Player(
             self._runs,
             on_step=lambda _: self._show(),
@@ -170,7 +175,8 @@ class LiveTable(LiveOutput):
         Raises:
             _Stopped: the run is to be given up.
         """
-        spec, kind = task.spec, "tuning " if task.kind == "tune" else ""
+        spec = task.spec
+        kind = "tuning " if task.kind == "tune" else ""
         work = "optimising and scoring" if report is None else f"frame {report.frame_index}"
         self._now = f"{kind}{spec.label}, {spec.scene}, {spec.budget}, seed {spec.seed}, {work}"
         self._resting = not self._go.is_set()
@@ -213,7 +219,8 @@ class LiveTable(LiveOutput):
             max=max(len(self.entries), 1),
             layout=w.Layout(width="260px"),
         )
-        self.status, self.tables = w.HTML(), w.HTML()
+        self.status = w.HTML()
+        self.tables = w.HTML()
         self.status.add_class("gsnb-lab-status")
         controls = w.HBox(
             [*self.buttons.values(), self.progress],

@@ -209,7 +209,9 @@ def map_scene(
         if entry.spec.not_kept:
             notes.append(f"not kept for later commands: {entry.spec.not_kept}")
         notes += _asked(mapper, len(sequence.mapping))
-        run, cpu_s, n_steps = MappingRun(sequence, mapper), [], 0
+        run = MappingRun(sequence, mapper)
+        cpu_s = []
+        n_steps = 0
         frames = run.online()
         while True:
             began = time.process_time()
@@ -258,7 +260,8 @@ def budgeted(spec: RunSpec) -> SystemConfig:
 
 def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
     """A mapper with the rule of ``entry``, and notes on the settings that the rule brings."""
-    spec, notes = entry.spec, []
+    spec = entry.spec
+    notes = []
     own = original(entry.found_rule())
     refuse_other_code(spec, own)
     rule = _asked_at_its_pace(entry.found_rule(), spec, config)
@@ -270,7 +273,8 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
         refuse_undeclared(own, files)
         places = [*option_paths(own, spec.options).values(), *files]
         mapper.rule_in_use.watched = lambda: only_declared(spec.rule_name, places)
-    used, given = flat_settings(mapper.config), flat_settings(config)
+    used = flat_settings(mapper.config)
+    given = flat_settings(config)
     for name, value in getattr(rule, "overrides", {}).items():
         if (
             dotted(name) not in used
@@ -295,7 +299,8 @@ def refuse_other_code(spec: RunSpec, rule: SeedingRule) -> None:
     """
     if spec.code is None:
         return
-    wanted, here = dict(spec.code), dict(spec.with_code(rule).code or {})
+    wanted = dict(spec.code)
+    here = dict(spec.with_code(rule).code or {})
     for parts in (wanted, here):
         parts.pop(ONLY_NOW, None)
     if wanted != here:
@@ -338,7 +343,8 @@ def _asked_at_its_pace(rule: SeedingRule, spec: RunSpec, config: SystemConfig) -
 
 def _asked(mapper: Mapper, n_mapped: int) -> list[str]:
     """A note on when a rule is asked, if that is not in every frame."""
-    when, stride = mapper.rule_in_use.when, mapper.config.source_stride
+    when = mapper.rule_in_use.when
+    stride = mapper.config.source_stride
     if when.only_keyframes or when.frames == 1:
         return []
     n = sum(when.is_due(i, None, stride=stride) for i in range(n_mapped))

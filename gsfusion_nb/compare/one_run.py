@@ -102,7 +102,8 @@ def _result(
     tuned: dict[str, Any],
     folder: Path | None,
 ) -> RunResult:
-    run, views = mapped.run, scored_views(mapped.run)
+    views = scored_views(mapped.run)
+    run = mapped.run
     content = (
         entry.spec.content if entry.sequence is not None else sequence_fingerprint(run.sequence)
     )
@@ -148,7 +149,8 @@ def _result(
 def _training(entry: Entry) -> str:
     """``published_training`` of the rule, unless this run follows it: the system of that name, or
     its own steps."""
-    spec, rule = entry.spec, entry.found_rule()
+    spec = entry.spec
+    rule = entry.found_rule()
     own_steps = any("iterations" in name for name in getattr(rule, "overrides", {}))
     if spec.rule_name == spec.system or (own_steps and spec.budget.steps == "own"):
         return ""
@@ -228,7 +230,8 @@ def _pictures(
 ) -> dict[str, str]:
     """Save some held-out views as rendered and as recorded. Returns name -> file, relative to
     ``folder``."""
-    run, n = mapped.run, len(views.positions)
+    run = mapped.run
+    n = len(views.positions)
     picks = (
         sorted({round(i * (n - 1) / (MOST_PICTURES - 1)) for i in range(MOST_PICTURES)})
         if n

@@ -255,9 +255,11 @@ class Results:
         }
 
     def _budget_json(self, groups: Sequence[Group]) -> dict[str, Any]:
-        budget, scenes = groups[0].budget, list(dict.fromkeys(g.scene for g in groups))
+        budget = groups[0].budget
+        scenes = list(dict.fromkeys(g.scene for g in groups))
         units = scene_units(self.runs)
-        tested, reference = self.tested(budget), self.reference
+        tested = self.tested(budget)
+        reference = self.reference
         against = {
             test.a: test for test in (c.towards(reference) for c in tested) if test.b == reference
         }
@@ -327,7 +329,8 @@ def as_csv(results: Sequence[RunResult]) -> str:
     ``same_map_as`` has the labels of the rows that made the same map, and ``unit`` the scenes that
     count as one with that of the row.
     """
-    units, equal = scene_units(results), equal_maps(results)
+    units = scene_units(results)
+    equal = equal_maps(results)
     rows = [
         {
             **_row(result),

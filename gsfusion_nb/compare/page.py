@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ON_FRONT, BEATEN = "#d1495b", "#3d85c6"
+ON_FRONT = "#d1495b"
+BEATEN = "#3d85c6"
 COSTS = {
     "n_gaussians": "Gaussians (fewer is better)",
     "ms_per_frame": "time per frame, ms (less is better)",
@@ -45,7 +46,8 @@ def pareto_front(cost: np.ndarray, quality: np.ndarray) -> np.ndarray:
     Returns:
         Whether each candidate is on the front; two equal ones both are. [N] bool
     """
-    cost, quality = np.asarray(cost, float), np.asarray(quality, float)
+    cost = np.asarray(cost, float)
+    quality = np.asarray(quality, float)
     as_good = (cost[:, None] <= cost) & (quality[:, None] >= quality)
     better = (cost[:, None] < cost) | (quality[:, None] > quality)
     return np.logical_not((as_good & better).any(axis=0))
@@ -59,7 +61,8 @@ def figure_of(results: Iterable[RunResult]) -> "Figure":
     from matplotlib.figure import Figure
 
     groups = group_runs(results)
-    costs, scenes = costs_of(groups), list(dict.fromkeys(g.scene for g in groups)) or [""]
+    costs = costs_of(groups)
+    scenes = list(dict.fromkeys(g.scene for g in groups)) or [""]
     size = (6.4 * len(costs), 4.0 * len(scenes))
     figure = Figure(figsize=size, dpi=100, facecolor=PAPER, layout="constrained")
     FigureCanvasAgg(figure)
@@ -180,10 +183,8 @@ def views_of(
         if match is None:
             continue
         try:
-            render, truth = (
-                _read(folder / file),
-                _read(folder / result.pictures[f"truth {match[1]}"]),
-            )
+            render = _read(folder / file)
+            truth = _read(folder / result.pictures[f"truth {match[1]}"])
         except (
             BadFrameError,
             KeyError,
@@ -211,11 +212,9 @@ def page_html(
         tables: Of these runs.
         warnings: Sentences above the tables.
     """
-    groups, pictures, copied = (
-        group_runs(results),
-        {},
-        sum(bool(run.copied_from) for run in results),
-    )
+    groups = group_runs(results)
+    pictures = {}
+    copied = sum(bool(run.copied_from) for run in results)
     shots = [_shots(group, Path(folder), pictures) for group in groups]
     data = {"pictures": list(pictures), "shots": shots, "sentences": _pair_sentences(results)}
     graph = PageGraph("Quality and cost", figure_of(results))

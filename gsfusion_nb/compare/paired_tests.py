@@ -124,7 +124,8 @@ class Comparison:
 
     def _pairs(self) -> str:
         """How many pairs of runs there are, and why they count as fewer."""
-        n_units, seeds = len(self.differences), sum(map(len, self.differences.values()))
+        n_units = len(self.differences)
+        seeds = sum(map(len, self.differences.values()))
         words = f"{self.n_pairs} pairs of runs on {self.n_scenes} scene{'s' * (self.n_scenes > 1)}"
         if n_units < self.n_scenes:
             words += f", which share frames and count as {n_units}"
@@ -166,7 +167,8 @@ def compare(
     units = scene_units(results) if units is None else units
     of_label: dict[str, dict[tuple[str, str, int], RunResult]] = {}
     for result in results:
-        spec, value = result.spec, result.metrics.get(metric, math.nan)
+        spec = result.spec
+        value = result.metrics.get(metric, math.nan)
         own = of_label.setdefault(spec.label, {})
         if math.isfinite(value) and budget in (None, str(spec.budget)):
             own[spec.scene, str(spec.budget), spec.seed] = result
@@ -251,7 +253,8 @@ def against_reference(
         The comparisons; none if the reference has no completed run at this budget.
     """
     reference = reference or named_reference(result.spec for result in results)
-    labels, units = _labels(results, budget), scene_units(results)
+    labels = _labels(results, budget)
+    units = scene_units(results)
     if reference not in labels:
         return []
     others = [label for label in labels if label != reference]

@@ -35,7 +35,8 @@ _ROW = {"xyz_W": (3,), "log_scale": (3,), "quat": (4,), "opacity_logit": (), "sh
 FLOATS_PER_GAUSSIAN = sum(math.prod(shape) for shape in _ROW.values())
 """Centre, log scale, quaternion, opacity, SH of degree 3."""
 
-ADAM_FLOPS, ADAM_FLOATS = 12, 7
+ADAM_FLOPS = 12
+ADAM_FLOATS = 7
 """Per number. m: 3, v: 4, step: sqrt, +, /, x, - = 5. Read value, gradient, m, v; write value, m,
 v."""
 FORWARD_FLOPS = 30
@@ -46,10 +47,12 @@ BACKWARD_FLOPS = 70
 SSIM_FLOPS = 5 * 2 * 11 * 2 + 3 * 2 * 11 * 2 + 40
 """Per number: five maps blurred forwards and three backwards, each with an 11-tap filter twice, and
 the quotient."""
-L1_FLOPS, L1_FLOATS = 9, 3
+L1_FLOPS = 9
+L1_FLOATS = 3
 """Per number: difference, size, sign, clamp, square, two sums. Read picture and photograph, write
 the gradient."""
-TSDF_FLOPS, TSDF_FLOATS = 40, 10
+TSDF_FLOPS = 40
+TSDF_FLOATS = 10
 """Per observed voxel: projection 12, distance along the ray 10, three running means 18. Read and
 write distance, weight and colour."""
 
@@ -164,7 +167,8 @@ def mapping_work(
         device: Where the tensors are.
     """
     scene = random_scene(n, width, height, sh_degree=3, per_pixel=per_pixel).to(device)
-    pixels, numbers = width * height, n * FLOATS_PER_GAUSSIAN
+    pixels = width * height
+    numbers = n * FLOATS_PER_GAUSSIAN
     pairs = per_pixel * pixels
     g = torch.Generator().manual_seed(0)
     rows = 5 * n  # too much for a cache
@@ -297,7 +301,8 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     known = [p.intensity for p in points] or [roofs.ridge]
-    low, high = min(*known, 0.2) / 2, max(*known, roofs.ridge) * 4
+    low = min(*known, 0.2) / 2
+    high = max(*known, roofs.ridge) * 4
     x = [low * (high / low) ** (i / 100) for i in range(101)]
     axes.plot(
         x,
@@ -321,7 +326,8 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
         fontsize=9,
     )
     for backend in dict.fromkeys(p.backend for p in points):
-        own, colour = [p for p in points if p.backend == backend], _COLOURS.get(backend, "#6a9e1f")
+        own = [p for p in points if p.backend == backend]
+        colour = _COLOURS.get(backend, "#6a9e1f")
         inside = "none" if backend == "reference" else colour
         axes.scatter(
             [p.intensity for p in own],

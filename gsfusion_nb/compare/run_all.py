@@ -197,7 +197,9 @@ class _Plan:
     """Tuning first; then the runs that waited for it."""
 
     def __init__(self, entries: Sequence[Entry], store: ResultStore, executor: Executor):
-        self._entries, self._store, self._executor = entries, store, executor
+        self._entries = entries
+        self._store = store
+        self._executor = executor
         self._waiting: dict[int, list[int]] = {}
         """Number of a tuning -> the runs that wait for it."""
 

@@ -79,7 +79,8 @@ def study_names() -> list[str]:
     ]
 
 
-RULE, OPTION = "seeding.rule", "rule."
+RULE = "seeding.rule"
+OPTION = "rule."
 """The setting whose values are rules, and the beginning of the names of a rule's options."""
 
 
@@ -238,7 +239,8 @@ def recording_specs(
     """
     check_whole("seeds", options.seeds, 1)
     place = data if data == "room" else str(Path(data).expanduser().resolve())
-    shared, reader = {**(common or {}), **named_values(options.set)}, named_values(options.reader)
+    shared = {**(common or {}), **named_values(options.set)}
+    reader = named_values(options.reader)
     fields = {"scene": Path(data).name, "data": place, "preset": options.preset} | fields
     fields["reader"] = {**fields.get("reader", {}), **reader}
     specs = [spec_with({**shared, **values}, label, **fields) for label, values in variants.items()]
@@ -291,7 +293,8 @@ def spec_with(values: Values, label: str, **fields: Any) -> RunSpec:
         ValueError: the file of a rule cannot be read. FileNotFoundError: it does not exist.
     """
     values = dict(values)
-    system, fidelity = values.pop("system", "gsfusion"), values.pop("fidelity", "")
+    system = values.pop("system", "gsfusion")
+    fidelity = values.pop("fidelity", "")
     base = RunSpec(
         rule=system,
         label=label,
@@ -391,7 +394,8 @@ class PaperComparison:
     def __init__(self, number: str, ours: Mapping[str, Row]):
         tables = {study.paper.number: study.paper for study in STUDIES.values() if study.paper}
         check_name("ablation table", number, tables)
-        self.paper, self.ours = tables[number], dict(ours)
+        self.paper = tables[number]
+        self.ours = dict(ours)
         self.columns = list(dict.fromkeys(c for row in self.paper.rows.values() for c in row))
         if any("Gaussians" in row for row in self.ours.values()):
             self.columns.append("Gaussians")
@@ -409,7 +413,8 @@ class PaperComparison:
         settings = _in_order(list(dict.fromkeys([*self.paper.rows, *self.ours])))
         rows = [[self.paper.title, *self.columns]]
         for setting in settings:
-            mine, theirs = self.ours.get(setting, {}), self.paper.rows.get(setting, {})
+            mine = self.ours.get(setting, {})
+            theirs = self.paper.rows.get(setting, {})
             rows.append([setting, *(_cell(c, mine, theirs) for c in self.columns)])
         return rows
 

@@ -162,8 +162,10 @@ def _scenes_table(
     units: Mapping[str, str],
 ) -> ResultTable:
     """The rules of one budget with the scenes as columns, best mean over the scenes first."""
-    column, order = COLUMNS[FIRST_METRIC], standings(groups, units)
-    labels, scenes = [s.label for s in order], list(dict.fromkeys(g.scene for g in groups))
+    column = COLUMNS[FIRST_METRIC]
+    order = standings(groups, units)
+    labels = [s.label for s in order]
+    scenes = list(dict.fromkeys(g.scene for g in groups))
     n_units = len({units[scene] for scene in scenes})
     found = {(g.label, g.scene): g.summary(FIRST_METRIC) for g in groups}
     nothing = Summary(math.nan, math.nan, 0)
@@ -257,7 +259,8 @@ def _test_cells(test: Comparison | None) -> tuple[Cell, Cell]:
     """Difference with its interval, and corrected p; dashes for the reference itself."""
     if test is None or math.isnan(test.mean):
         return Cell(text="–"), Cell(text="–")
-    column, p = COLUMNS[test.metric], test.p if math.isnan(test.corrected) else test.corrected
+    column = COLUMNS[test.metric]
+    p = test.p if math.isnan(test.corrected) else test.corrected
     low, high = (column.text(v) for v in test.interval)
     words = f"{column.text(test.mean)} ({low} to {high})"
     p_words = p_text(p).removeprefix("p ").removeprefix("= ")
@@ -275,7 +278,8 @@ def _notes(groups: Sequence[Group]) -> list[str]:
         _seeds_note(groups),
         *(f"{g.label}: {len(g.runs)} of {most} runs" for g in groups if len(g.runs) < most),
     ]
-    budget, parts = runs[0].spec.budget, []
+    budget = runs[0].spec.budget
+    parts = []
     for metric, noun, own in (
         ("n_gaussians", "Gaussians", budget.gaussians is None),
         ("n_steps", "gradient steps", budget.steps == "own"),

@@ -196,7 +196,8 @@ def search(
         return min(inside, key=lambda v: abs(v - value)) if inside else a
 
     def beyond() -> Number:
-        a, b = min(counts), max(counts)
+        a = min(counts)
+        b = max(counts)
         if a == b:  # as if the count were proportional to the value
             value = moved(a, ratio(target, counts[a]))
             return value if value != a else moved(a, -ratio(target, counts[a]))
@@ -292,15 +293,17 @@ def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
     Raises:
         NotReachedError: the budget cannot be reached. ValueError: the rule has no size option.
     """
-    spec, rule, used = entry.spec, entry.found_rule(), set()
-    option, config = size_option(spec, rule), budgeted(spec)
-    start, target, tolerance = (
-        start_value(spec, rule, option),
-        spec.budget.gaussians,
-        spec.budget.tolerance,
-    )
+    spec = entry.spec
+    rule = entry.found_rule()
+    used = set()
+    option = size_option(spec, rule)
+    config = budgeted(spec)
+    start = start_value(spec, rule, option)
+    target = spec.budget.gaussians
+    tolerance = spec.budget.tolerance
     assert target is not None
-    whole, has_steps = isinstance(start, int), without_steps(config) != config
+    whole = isinstance(start, int)
+    has_steps = without_steps(config) != config
     entry = dataclasses.replace(entry, rule=observed(rule, used))
     limits: dict[str, Any] = {"low": option.low, "high": option.high, "whole": whole}
 
@@ -314,7 +317,8 @@ def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
 
         return count
 
-    count, first = counter(without_steps), min(max(float(start), option.low), option.high)
+    count = counter(without_steps)
+    first = min(max(float(start), option.low), option.high)
     first = round(first) if whole else first
     counts: dict[Number, Number] = {first: count(first)}  # which tells what the rule reads
     rough = 4 if used and has_steps else 1  # only a start for the search with all steps
@@ -349,7 +353,8 @@ def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
 def _count(entry: Entry, config: SystemConfig, most: float, on_step: OnStep) -> int:
     """Gaussians in the map of a scratch run; extrapolated from a run that is given up, at more than
     ``most``."""
-    steps, n_frames = map_scene(entry, config, scratch=True), len(entry.opened().mapping)
+    steps = map_scene(entry, config, scratch=True)
+    n_frames = len(entry.opened().mapping)
     for done in itertools.count(1):
         try:
             report = next(steps)

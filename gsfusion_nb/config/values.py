@@ -432,7 +432,8 @@ def _only(
 ) -> type[T]:
     """A dataclass for a help text: the fields of ``options`` that have these dotted names, with
     their defaults."""
-    hints, fields = typing.get_type_hints(options, include_extras=True), []
+    hints = typing.get_type_hints(options, include_extras=True)
+    fields = []
     for f in dataclasses.fields(options):  # pyright: ignore[reportArgumentType]
         value = f.default if default is None else getattr(default, f.name)
         if value is dataclasses.MISSING and f.default_factory is not dataclasses.MISSING:

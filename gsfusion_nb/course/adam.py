@@ -13,7 +13,8 @@ Step = tuple[Tensor, Tensor, Tensor]
 def _adam(param, gradient, m, v, t, lr, beta1, beta2, eps) -> Step:
     m = beta1 * m + (1 - beta1) * gradient
     v = beta2 * v + (1 - beta2) * gradient**2
-    m_hat, v_hat = m / (1 - beta1**t), v / (1 - beta2**t)
+    m_hat = m / (1 - beta1**t)
+    v_hat = v / (1 - beta2**t)
     return param - lr * m_hat / (v_hat.sqrt() + eps), m, v
 
 
@@ -132,9 +133,11 @@ def _as_adam_update(
 )
 def adam(attempt: Attempt) -> None:
     """One step of Adam (Kingma & Ba 2015): new parameter, m and v."""
-    names, f64 = ("param", "m", "v"), torch.float64
+    names = ("param", "m", "v")
+    f64 = torch.float64
     rest = (0.01, 0.9, 0.999, 1e-15)
-    zero, g = torch.zeros(2, 1, dtype=f64), torch.tensor([[2.0], [-0.5]], dtype=f64)
+    zero = torch.zeros(2, 1, dtype=f64)
+    g = torch.tensor([[2.0], [-0.5]], dtype=f64)
     attempt.on("gradients 2 and -0.5 at the first step, lr = 0.01")
     param, m, v = attempt.unpack(attempt(zero, g, zero, zero, 1, *rest), names)
     attempt.close(
@@ -155,10 +158,8 @@ def adam(attempt: Attempt) -> None:
     )
     generator = torch.Generator().manual_seed(4)
     param, g, m = (torch.randn(5, 3, generator=generator, dtype=f64) for _ in range(3))
-    v, lr = (
-        torch.rand(5, 3, generator=generator, dtype=f64),
-        torch.tensor([0.1, 0.2, 0.3], dtype=f64),
-    )
+    v = torch.rand(5, 3, generator=generator, dtype=f64)
+    lr = torch.tensor([0.1, 0.2, 0.3], dtype=f64)
     given = (param, g, m, v)
     got = attempt.unpack(
         attempt.on("random numbers at step 7, lr = 0.05")(*given, 7, 0.05, 0.9, 0.99, 1e-15), names

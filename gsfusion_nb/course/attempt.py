@@ -56,10 +56,8 @@ class Attempt:
         return self
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        given, named = (
-            [argument_copy(a) for a in args],
-            {k: argument_copy(a) for k, a in kwargs.items()},
-        )
+        given = [argument_copy(a) for a in args]
+        named = {k: argument_copy(a) for k, a in kwargs.items()}
         on = self.words or describe([*args, *kwargs.values()])
         try:
             with calls_of_library(self.function) as calls:
@@ -139,7 +137,8 @@ class Attempt:
                 answer.
         """
         on = self.words
-        right, mine = as_tensor(expected), _numbers(got, prop, on)
+        right = as_tensor(expected)
+        mine = _numbers(got, prop, on)
         if mine.shape != right.shape:
             raise Failed(prop, on, f"the shape is {list(mine.shape)}, expected {list(right.shape)}")
         if not torch.isfinite(mine).eq(torch.isfinite(right)).all():

@@ -146,7 +146,8 @@ def adam_traffic(attempt: Attempt) -> None:
 
 
 def _average_loop(D, W, d, max_weight):
-    new_D, new_W = D.copy(), W.copy()
+    new_D = D.copy()
+    new_W = W.copy()
     for i in range(len(D)):
         if d[i] == d[i] and d[i] >= -1.0:
             new_W[i] = min(W[i] + 1, max_weight)
@@ -155,7 +156,8 @@ def _average_loop(D, W, d, max_weight):
 
 
 def _average_of_everything(D, W, d, max_weight):
-    new_D, new_W = D.copy(), W.copy()
+    new_D = D.copy()
+    new_W = W.copy()
     for i in range(len(D)):
         new_W[i] = min(W[i] + 1, max_weight)
         new_D[i] = (D[i] * (new_W[i] - 1) + min(d[i], 1.0)) / new_W[i]
@@ -176,7 +178,8 @@ def _average_uncapped(D, W, d, max_weight):
 
 
 def _average_unclamped(D, W, d, max_weight):
-    new_D, new_W = D.copy(), W.copy()
+    new_D = D.copy()
+    new_W = W.copy()
     for i in range(len(D)):
         if d[i] == d[i] and d[i] >= -1.0:
             new_W[i] = min(W[i] + 1, max_weight)
@@ -185,7 +188,8 @@ def _average_unclamped(D, W, d, max_weight):
 
 
 def _average_of_more_than_the_cap(D, W, d, max_weight):
-    new_D, new_W = D.copy(), W.copy()
+    new_D = D.copy()
+    new_W = W.copy()
     for i in range(len(D)):
         if d[i] == d[i] and d[i] >= -1.0:
             new_D[i] = (D[i] * W[i] + min(d[i], 1.0)) / (W[i] + 1)

@@ -31,7 +31,8 @@ def _cut_worst(
         if w < 2 or h < 2:
             done.append((x, y, w, h))
             continue
-        a, b = w // 2, h // 2
+        a = w // 2
+        b = h // 2
         for part in (
             (x, y, a, b),
             (x, y + b, a, h - b),

@@ -84,7 +84,8 @@ def without_solutions(
     kept = []
     for number, cell in enumerate(student["cells"]):
         lines = "".join(cell["source"]).splitlines(keepends=True)
-        left, inside = [], False
+        left = []
+        inside = False
         for line in lines:
             if line.strip() in (_END if inside else _BEGIN):
                 inside = not inside
@@ -119,7 +120,8 @@ def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: a marker of a solution without its partner; the message names the cell.
     """
-    marked, unknown = copy.deepcopy(notebook), set()
+    marked = copy.deepcopy(notebook)
+    unknown = set()
     for cell in marked["cells"]:
         if cell["cell_type"] != "code":
             continue
@@ -198,7 +200,8 @@ def copy_for_learner(target: Path, *, short: bool = False) -> list[Path]:
     """
     if target.exists() and not target.is_dir():
         raise NotADirectoryError(f"{target} is a file; expected a folder for the notebooks")
-    docs, notebooks = docs_folder(), notebooks_folder()
+    docs = docs_folder()
+    notebooks = notebooks_folder()
     in_clone = docs is not None and target.resolve().parent == docs.parent == notebooks.parent
     pages = None if in_clone or docs is None else documentation_pages(docs)
     return hand_out(notebooks, target, pages, short=short)

@@ -135,7 +135,8 @@ def _lift_with_one_focal_length(camera: Camera, uv: Tensor, depth_m: Tensor) -> 
 )
 def lift_pixels(attempt: Attempt) -> None:
     """Lift pixels with depth to camera-frame points (Eq. 10)."""
-    uv, depth = torch.tensor([[7.5, 5.5]]), torch.tensor([2.0])
+    uv = torch.tensor([[7.5, 5.5]])
+    depth = torch.tensor([2.0])
     point = attempt.on("a corner pixel at depth 2 m")(_CAMERA, uv, depth)
     attempt.close(_last(point), [2.0], "the depth is z, not the distance to the camera")
     for where, pixel, expected, prop in (
@@ -381,7 +382,8 @@ def halve_intrinsics(attempt: Attempt) -> None:
     )
     attempt.on("a point off the axis, projected at both sizes")
     half = attempt.unpack(attempt(525.0, 520.0, 310.2, 251.7), names)
-    x, y = 0.3, -0.2
+    x = 0.3
+    y = -0.2
     full = (525.0 * x + 310.2 + 0.5, 520.0 * y + 251.7 + 0.5)
     small = (half[0] * x + half[2] + 0.5, half[1] * y + half[3] + 0.5)
     prop = "measured from the image's edge, the point is half as far"

@@ -16,15 +16,11 @@ Ellipse = tuple[Tensor, Tensor, Tensor]
 def _tangent(camera: Camera, xyz_C: Tensor) -> Tensor:
     """J at a point, its direction limited to 1.3 times the half angle of view."""
     x, y, z = xyz_C
-    limit_x, limit_y = (
-        FRUSTUM_CLAMP * camera.width / 2 / camera.fx,
-        FRUSTUM_CLAMP * camera.height / 2 / camera.fy,
-    )
-    tx, ty, o = (
-        (x / z).clamp(-limit_x, limit_x),
-        (y / z).clamp(-limit_y, limit_y),
-        torch.zeros_like(z),
-    )
+    limit_x = FRUSTUM_CLAMP * camera.width / 2 / camera.fx
+    limit_y = FRUSTUM_CLAMP * camera.height / 2 / camera.fy
+    tx = (x / z).clamp(-limit_x, limit_x)
+    ty = (y / z).clamp(-limit_y, limit_y)
+    o = torch.zeros_like(z)
     rows = [
         torch.stack([camera.fx / z, o, -camera.fx * tx / z]),
         torch.stack([o, camera.fy / z, -camera.fy * ty / z]),
@@ -108,12 +104,11 @@ def _as_project_gaussians(
     T_CW = se3.inverse(T_WC.to(params.xyz_W))
     depth_m, asked = _in_front(params, T_CW)
     opacity = params.opacity_logit.sigmoid()
-    uv, conic = depth_m.new_zeros(len(params), 2), depth_m.new_zeros(len(params), 3)
-    extent_px, turned, none = (
-        torch.zeros_like(uv),
-        T_CW.double(),
-        torch.zeros((), dtype=torch.float64),
-    )
+    uv = depth_m.new_zeros(len(params), 2)
+    conic = depth_m.new_zeros(len(params), 3)
+    extent_px = torch.zeros_like(uv)
+    turned = T_CW.double()
+    none = torch.zeros((), dtype=torch.float64)
     for k in asked.nonzero()[:, 0].tolist():
         given = (params.xyz_W[k].double(), params.log_scale[k].double(), params.quat[k].double())
         like = {"uv": uv[k].double(), "conic": conic[k].double(), "depth_m": none}
@@ -125,7 +120,9 @@ def _as_project_gaussians(
                 (camera, T_CW, *given),
             )
         reach = 2 * (opacity[k].double() / ALPHA_MIN).clamp_min(1.0).log()
-        uv[k], conic[k], depth_m[k] = centre, torch.stack([A, B, C]), z
+        uv[k] = centre
+        conic[k] = torch.stack([A, B, C])
+        depth_m[k] = z
         extent_px[k] = (reach * torch.stack([C, A]) / determinant).sqrt()
     finite = depth_m.isfinite() & ((uv.abs() < FARTHEST_PX) & (extent_px < FARTHEST_PX)).all(1)
     values = {
@@ -183,11 +180,10 @@ def project_gaussian(attempt: Attempt) -> None:
     """From a row of the map to an ellipse in the picture: centre, conic and depth of one
     Gaussian."""
     f64 = torch.float64
-    eye, ahead = torch.eye(4, dtype=f64), torch.tensor([0.0, 0.0, 2.0], dtype=f64)
-    ball, upright = (
-        torch.full((3,), 0.1, dtype=f64).log(),
-        torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=f64),
-    )
+    eye = torch.eye(4, dtype=f64)
+    ahead = torch.tensor([0.0, 0.0, 2.0], dtype=f64)
+    ball = torch.full((3,), 0.1, dtype=f64).log()
+    upright = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=f64)
 
     def ask(on: str, T_CW: Tensor, *row: Tensor) -> Ellipse:
         return attempt.unpack(attempt.on(on)(_CAMERA, T_CW, *row), _NAMES)
@@ -210,10 +206,8 @@ def project_gaussian(attempt: Attempt) -> None:
         "the conic of J W R S S^T R^T W^T J^T + 0.3 I, with S = diag(exp(log_scale))",
         why=why,
     )
-    needle, tilted = (
-        torch.tensor([0.3, 0.05, 0.02], dtype=f64).log(),
-        torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64),
-    )
+    needle = torch.tensor([0.3, 0.05, 0.02], dtype=f64).log()
+    tilted = torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64)
     turned = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.3, -0.4, 0.8], dtype=f64))
     uv, conic, depth_m = ask(
         "a tilted needle before a turned camera", turned, ahead, needle, tilted
@@ -242,18 +236,23 @@ def project_gaussian(attempt: Attempt) -> None:
 
 
 def _project_vjp(camera, T_CW, xyz_W, log_scale, quat, v_uv, v_conic, v_depth_m) -> Ellipse:
-    W, R, s = T_CW[:3, :3], quaternion.to_matrix(quat), log_scale.exp()
+    W = T_CW[:3, :3]
+    R = quaternion.to_matrix(quat)
+    s = log_scale.exp()
     x, y, z = xyz_C = W @ xyz_W + T_CW[:3, 3]
-    J, B = _tangent(camera, xyz_C), W @ R @ torch.diag(s)
+    J = _tangent(camera, xyz_C)
+    B = W @ R @ torch.diag(s)
     M = J @ B
     Q = (M @ M.T + SCREEN_BLUR_PX2 * torch.eye(2).to(M)).inverse()
     v_A, v_B, v_C = v_conic
     v_Q = torch.stack([torch.stack([v_A, v_B / 2]), torch.stack([v_B / 2, v_C])])
     v_M = 2 * (-Q @ v_Q @ Q) @ M
-    v_J, v_shape = v_M @ B.T, J.T @ v_M
+    v_J = v_M @ B.T
+    v_shape = J.T @ v_M
     v_log_scale = s * ((W @ R) * v_shape).sum(0)
     v_quat = quaternion.to_matrix_vjp(quat, W.T @ v_shape @ torch.diag(s))
-    free_x, free_y = J[0, 2] == -camera.fx * (x / z) / z, J[1, 2] == -camera.fy * (y / z) / z
+    free_x = J[0, 2] == -camera.fx * (x / z) / z
+    free_y = J[1, 2] == -camera.fy * (y / z) / z
     v_x = camera.fx / z * v_uv[0] - torch.where(free_x, camera.fx / z**2 * v_J[0, 2], 0.0)
     v_y = camera.fy / z * v_uv[1] - torch.where(free_y, camera.fy / z**2 * v_J[1, 2], 0.0)
     v_z = v_depth_m - (x * v_x + y * v_y + (J * v_J).sum()) / z
@@ -346,20 +345,17 @@ def _as_project_gaussians_vjp(
 def project_gaussian_vjp(attempt: Attempt) -> None:
     """Gradient of the projection of one Gaussian: from centre, conic and depth to its row of the
     map."""
-    f64, names = torch.float64, ("v_xyz_W", "v_log_scale", "v_quat")
+    f64 = torch.float64
+    names = ("v_xyz_W", "v_log_scale", "v_quat")
     turned = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.3, -0.4, 0.8], dtype=f64))
     ahead = se3.apply(
         se3.inverse(turned),
         torch.tensor([0.3, -0.2, 2.0], dtype=f64),
     )
-    needle, tilted = (
-        torch.tensor([0.3, 0.05, 0.1], dtype=f64).log(),
-        torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64),
-    )
-    v_uv, v_conic = (
-        torch.tensor([0.7, -0.4], dtype=f64),
-        torch.tensor([20.0, 30.0, -10.0], dtype=f64),
-    )
+    needle = torch.tensor([0.3, 0.05, 0.1], dtype=f64).log()
+    tilted = torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64)
+    v_uv = torch.tensor([0.7, -0.4], dtype=f64)
+    v_conic = torch.tensor([20.0, 30.0, -10.0], dtype=f64)
     v_depth_m = torch.tensor(0.5, dtype=f64)
 
     def both(on: str, xyz_W: Tensor, *v: Tensor) -> tuple[tuple, tuple]:

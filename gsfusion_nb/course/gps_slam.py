@@ -80,7 +80,8 @@ def _as_not_behind(
 )
 def weights_over(attempt: Attempt) -> None:
     """Weights of the Gaussians of one pixel: alpha, and 0 for what is hidden behind the surface."""
-    D_s, eps = torch.tensor(2.0, dtype=F64), 0.25
+    D_s = torch.tensor(2.0, dtype=F64)
+    eps = 0.25
 
     def ask(
         on: str,
@@ -148,9 +149,11 @@ def _added(w: Tensor, c: Tensor, C_s: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _front_to_back(w: Tensor, c: Tensor, C_s: Tensor) -> tuple[Tensor, Tensor]:
-    C, T = torch.zeros_like(C_s), 1.0
+    C = torch.zeros_like(C_s)
+    T = 1.0
     for w_i, c_i in zip(w, c, strict=True):
-        C, T = C + T * w_i * c_i, T * (1 - w_i)
+        C = C + T * w_i * c_i
+        T = T * (1 - w_i)
     return C + T * C_s, w.sum()
 
 
@@ -213,7 +216,9 @@ def _as_blend_with_base(
 def blend_over(attempt: Attempt) -> None:
     """Blend the Gaussians of one pixel with the surface below them, in any order."""
     names = ("colour", "sum of the weights")
-    grey, red, green = torch.full((3,), 0.4, dtype=F64), [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
+    grey = torch.full((3,), 0.4, dtype=F64)
+    red = [1.0, 0.0, 0.0]
+    green = [0.0, 1.0, 0.0]
     attempt.on("no Gaussian over grey 0.4")
     C, W = attempt.unpack(
         attempt(torch.zeros(0, dtype=F64), torch.zeros(0, 3, dtype=F64), grey),
@@ -236,15 +241,14 @@ def blend_over(attempt: Attempt) -> None:
         "a mean, not a sum: equal colours stay as they are",
         why="divide by all weights, 1 + W",
     )
-    w, c = torch.tensor([0.5, 0.5], dtype=F64), torch.tensor([red, green], dtype=F64)
+    w = torch.tensor([0.5, 0.5], dtype=F64)
+    c = torch.tensor([red, green], dtype=F64)
     C, W = attempt.unpack(
         attempt.on("red and green, both of weight 0.5, over grey 0.4")(w, c, grey), names
     )
     r, g = (float(x) for x in torch.as_tensor(C)[:2])
-    prop, detail = (
-        "there is no order: equal weights count equally",
-        f"red is {r:.3g} and green {g:.3g}",
-    )
+    prop = "there is no order: equal weights count equally"
+    detail = f"red is {r:.3g} and green {g:.3g}"
     attempt.holds(abs(r - g) < 1e-6, prop, detail=detail)
     prop = "the surface keeps its weight 1, whatever lies over it"
     attempt.close(
@@ -260,10 +264,8 @@ def blend_over(attempt: Attempt) -> None:
     attempt.close(C, grey / 5.5, prop, why="0.4 / (1 + 4.5)")
     attempt.close(W, 4.5, prop)
     generator = torch.Generator().manual_seed(5)
-    w, c = (
-        torch.rand(7, generator=generator, dtype=F64),
-        torch.rand(7, 3, generator=generator, dtype=F64),
-    )
+    w = torch.rand(7, generator=generator, dtype=F64)
+    c = torch.rand(7, 3, generator=generator, dtype=F64)
     C, W = attempt.unpack(attempt.on("seven random Gaussians")(w, c, grey), names)
     expected, total = _blend_over(w, c, grey)
     attempt.close(C, expected, "C = (C_s + sum of w_i c_i) / (1 + W)")
@@ -336,7 +338,8 @@ def _as_blend_with_base_vjp(
     left to the reference."""
     if not bool((b == 1).all()):
         return NotImplemented
-    v_w, v_c = torch.zeros_like(w), torch.zeros_like(c)
+    v_w = torch.zeros_like(w)
+    v_c = torch.zeros_like(c)
     rows = {p: (w[:, p] > 0).nonzero()[:, 0] for p in v_C.any(1).nonzero()[:, 0].tolist()}
     calls = [(w[k, p], c[k], C[p], v_C[p]) for p, k in rows.items()]
     gives = [{"v_w": each_w, "v_c": each_c} for each_w, each_c, _, _ in calls]
@@ -372,11 +375,9 @@ def blend_over_vjp(attempt: Attempt) -> None:
     """Gradient of the blending with a surface: from dL/dC to dL/dw and dL/dc."""
     names = ("v_w", "v_c")
     attempt.on("one white Gaussian of weight 1 over black, dL/dC = (1, 0, 0)")
-    w, c, C = (
-        torch.ones(1, dtype=F64),
-        torch.ones(1, 3, dtype=F64),
-        torch.full((3,), 0.5, dtype=F64),
-    )
+    w = torch.ones(1, dtype=F64)
+    c = torch.ones(1, 3, dtype=F64)
+    C = torch.full((3,), 0.5, dtype=F64)
     v_w, v_c = attempt.unpack(
         attempt(w, c, C, torch.tensor([1.0, 0.0, 0.0], dtype=F64)),
         names,
@@ -400,10 +401,8 @@ def blend_over_vjp(attempt: Attempt) -> None:
     prop = "the divisor grows with w, too: the pixel's own colour changes nothing"
     attempt.close(v_w, [0.0], prop, why="c - C is 0")
     attempt.on("two Gaussians of weight 0.2 and 0.8, dL/dC = (1, 1, 1)")
-    w, c = (
-        torch.tensor([0.2, 0.8], dtype=F64),
-        torch.tensor([[0.9, 0.1, 0.5], [0.3, 0.6, 0.0]], dtype=F64),
-    )
+    w = torch.tensor([0.2, 0.8], dtype=F64)
+    c = torch.tensor([[0.9, 0.1, 0.5], [0.3, 0.6, 0.0]], dtype=F64)
     C = _blend_over(
         w,
         c,

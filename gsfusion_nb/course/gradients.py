@@ -190,7 +190,8 @@ def _moves_x(loss: Loss, x: Tensor, h: float) -> Tensor:
 def slope(attempt: Attempt) -> None:
     """Gradient of a function by central differences."""
     f64 = torch.float64
-    x, a = torch.tensor([1.0, -2.0, 0.5], dtype=f64), torch.tensor([3.0, -1.0, 2.0], dtype=f64)
+    x = torch.tensor([1.0, -2.0, 0.5], dtype=f64)
+    a = torch.tensor([3.0, -1.0, 2.0], dtype=f64)
     attempt.on("the straight line 3 x0 - x1 + 2 x2")
     attempt.close(
         attempt(lambda p: a @ p, x, 1e-3), a, "the slope of a straight line is its coefficients"
@@ -261,7 +262,8 @@ def l1_gradient(attempt: Attempt) -> None:
         attempt(dark, dark), torch.zeros(2, 2, 3), "where nothing differs the gradient is 0"
     )
     generator = torch.Generator().manual_seed(1)
-    a, b = torch.rand(3, 5, 3, generator=generator), torch.rand(3, 5, 3, generator=generator)
+    a = torch.rand(3, 5, 3, generator=generator)
+    b = torch.rand(3, 5, 3, generator=generator)
     attempt.on("random pictures of 3 x 5 pixels")
     attempt.close(attempt(a, b), _l1_gradient(a, b), "dL/drgb = sign(rgb - target) / n")
 
@@ -302,10 +304,8 @@ def _forwards(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
 def pinhole_vjp(attempt: Attempt) -> None:
     """Gradient of the pinhole projection: from dL/d(u, v) to dL/d(x, y, z)."""
     f64 = torch.float64
-    ahead, aside = (
-        torch.tensor([0.0, 0.0, 2.0], dtype=f64),
-        torch.tensor([1.0, -0.5, 2.0], dtype=f64),
-    )
+    ahead = torch.tensor([0.0, 0.0, 2.0], dtype=f64)
+    aside = torch.tensor([1.0, -0.5, 2.0], dtype=f64)
     attempt.on("a point 2 m straight ahead, dL/du = 1, fx = 100")
     got = attempt(
         ahead,
@@ -335,7 +335,8 @@ def pinhole_vjp(attempt: Attempt) -> None:
         why=why,
     )
     attempt.on("another point")
-    xyz, v = torch.tensor([-0.7, 0.3, 1.3], dtype=f64), torch.tensor([0.4, -1.7], dtype=f64)
+    xyz = torch.tensor([-0.7, 0.3, 1.3], dtype=f64)
+    v = torch.tensor([0.4, -1.7], dtype=f64)
     attempt.close(
         attempt(xyz, 90.0, 110.0, v), _pinhole_vjp(xyz, 90.0, 110.0, v), "v_xyz = J^T v_uv"
     )
@@ -398,7 +399,8 @@ def _blend(alpha: Tensor, rgb: Tensor) -> Tensor:
 
 def _blend_vjp(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Tensor, Tensor]:
     T = torch.cat([torch.ones_like(alpha[:1]), (1 - alpha[:-1]).cumprod(0)])
-    w, c_dot_v = alpha * T, rgb @ v_colour
+    w = alpha * T
+    c_dot_v = rgb @ v_colour
     behind = (w * c_dot_v).flip(0).cumsum(0).flip(0) - w * c_dot_v
     return T * c_dot_v - behind / (1 - alpha), w[:, None] * v_colour
 
@@ -418,7 +420,9 @@ def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
     if v_C[:, 3:].any():
         return NotImplemented
     _, w = blend_weights(alpha)
-    v_alpha, v_c, rgb = torch.zeros_like(alpha), torch.zeros_like(c), c[:, :3]
+    v_alpha = torch.zeros_like(alpha)
+    v_c = torch.zeros_like(c)
+    rgb = c[:, :3]
     rows = {p: (w[:, p] > 0).nonzero()[:, 0] for p in v_C.any(1).nonzero()[:, 0].tolist()}
     calls = [(alpha[k, p], rgb[k], v_C[p, :3]) for p, k in rows.items()]
     gives = [{"v_alpha": a, "v_rgb": each} for a, each, _ in calls]
@@ -449,11 +453,10 @@ def _as_blend_vjp(yours: Yours, alpha: Tensor, c: Tensor, v_C: Tensor) -> Any:
 )
 def blend_vjp(attempt: Attempt) -> None:
     """Gradient of the blending of one pixel: from dL/dC to dL/dalpha and dL/dc."""
-    f64, names = torch.float64, ("v_alpha", "v_rgb")
-    alpha, rgb = (
-        torch.tensor([0.5, 0.8], dtype=f64),
-        torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=f64),
-    )
+    f64 = torch.float64
+    names = ("v_alpha", "v_rgb")
+    alpha = torch.tensor([0.5, 0.8], dtype=f64)
+    rgb = torch.tensor([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=f64)
     attempt.on("red 0.5 in front of green 0.8, dL/dC = (1, 0, 0)")
     v_alpha, v_rgb = attempt.unpack(
         attempt(alpha, rgb, torch.tensor([1.0, 0.0, 0.0], dtype=f64)),
@@ -475,12 +478,11 @@ def blend_vjp(attempt: Attempt) -> None:
     attempt.close(v_alpha, [-0.8, 0.5], "what stands behind gets darker: -S / (1 - alpha)", why=why)
     generator = torch.Generator().manual_seed(2)
     alpha = 0.9 * torch.rand(9, generator=generator, dtype=f64)
-    rgb, v = (
-        torch.rand(9, 3, generator=generator, dtype=f64),
-        torch.randn(3, generator=generator, dtype=f64),
-    )
+    rgb = torch.rand(9, 3, generator=generator, dtype=f64)
+    v = torch.randn(3, generator=generator, dtype=f64)
     v_alpha, v_rgb = attempt.unpack(attempt.on("nine random Gaussians")(alpha, rgb, v), names)
-    a, c = alpha.clone().requires_grad_(), rgb.clone().requires_grad_()
+    a = alpha.clone().requires_grad_()
+    c = rgb.clone().requires_grad_()
     expected = torch.autograd.grad(_blend(a, c) @ v, (a, c))
     attempt.close(v_rgb, expected[1], "v_rgb agrees with autograd")
     attempt.close(v_alpha, expected[0], "v_alpha agrees with autograd")

@@ -139,11 +139,10 @@ class Board:
         head = f"{'operation':26} {'whose':10} {'calls':>8} {'ms':>9} {'ms/call':>8}  exercise"
         rows = []
         for row in self.rows:
-            n, s = row.calls.own + row.calls.reference, row.calls.seconds
-            whose, each = (
-                "YOURS" if row.code == "yours" else row.whose,
-                f"{1e3 * s / n:.3g}" if n else "-",
-            )
+            n = row.calls.own + row.calls.reference
+            s = row.calls.seconds
+            whose = "YOURS" if row.code == "yours" else row.whose
+            each = f"{1e3 * s / n:.3g}" if n else "-"
             rows.append(
                 f"{row.operation:26} {whose:10} {n:8,} {1e3 * s:9.1f} {each:>8}  {row.exercise}"
             )

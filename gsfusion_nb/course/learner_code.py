@@ -46,7 +46,9 @@ class Failed(Exception):
 
     def __init__(self, prop: str, on: str, detail: str):
         super().__init__(f"{prop} (on {on}): {detail}")
-        self.prop, self.on, self.detail = prop, on, detail
+        self.prop = prop
+        self.on = on
+        self.detail = detail
 
 
 def line_of_error(error: BaseException, function: Callable[..., Any]) -> str:
@@ -56,7 +58,8 @@ def line_of_error(error: BaseException, function: Callable[..., Any]) -> str:
     A notebook has one file for each cell, so helper functions of the same cell are found too.
     """
     code = getattr(inspect.unwrap(function), "__code__", None)
-    line, trace = 0, error.__traceback__
+    line = 0
+    trace = error.__traceback__
     while trace is not None:
         if code is not None and trace.tb_frame.f_code.co_filename == code.co_filename:
             line = trace.tb_lineno
@@ -280,10 +283,8 @@ def with_reference(
     def call(*args: Any, **kwargs: Any) -> Any:
         nonlocal failed
         if not failed:
-            copies, named = (
-                map(argument_copy, args),
-                {name: argument_copy(value) for name, value in kwargs.items()},
-            )
+            copies = map(argument_copy, args)
+            named = {name: argument_copy(value) for name, value in kwargs.items()}
             try:
                 return plain_value(function(*copies, **named))
             except Exception as e:
@@ -324,7 +325,8 @@ def functions_of_earlier_chapters() -> dict[str, Callable[..., Any]]:
     """
     made = {}
     for exercise, entry in read_section(SECTION).items():
-        source, file = str(entry.get("source")), f"<your {exercise}>"
+        source = str(entry.get("source"))
+        file = f"<your {exercise}>"
         linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
         namespace: dict[str, Any] = {"__name__": "__main__"}
         try:

@@ -47,7 +47,9 @@ class Yours:
     """
 
     def __init__(self, exercise: str, operation: str, function: Callable[..., Any]):
-        self.exercise, self.operation, self.function = exercise, operation, function
+        self.exercise = exercise
+        self.operation = operation
+        self.function = function
 
     def __call__(
         self,

@@ -337,7 +337,8 @@ def _map_forgetting(mapper: GSFusion, frame: Frame, optimise) -> int:
 )
 def map_frame(attempt: Attempt) -> None:
     """The whole step: fuse, seed, optimise, revisit (Fig. 2)."""
-    theirs, ours = _small_mapper(), _small_mapper()
+    theirs = _small_mapper()
+    ours = _small_mapper()
     log = Log(theirs)
     first = _wall(0)
     expected = _map_frame(ours, first, lambda view: None)

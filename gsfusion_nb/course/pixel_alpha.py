@@ -78,13 +78,15 @@ def _as_splat_alpha(
 )
 def splat_alpha(attempt: Attempt) -> None:
     """Opacity of one Gaussian at many pixels: the bell, capped at 0.99 and cut at 1/255."""
-    zero, round_one = torch.zeros(1), torch.tensor([0.25, 0.0, 0.25])
+    zero = torch.zeros(1)
+    round_one = torch.tensor([0.25, 0.0, 0.25])
     got = attempt.on("the centre of a Gaussian of opacity 0.6")(
         zero, zero, round_one, torch.tensor(0.6)
     )
     attempt.close(got, [0.6], "in its centre it is as opaque as opacity says")
     attempt.on("2 px to the right, and 1 px down, of a round Gaussian of standard deviation 2 px")
-    dx, dy = torch.tensor([2.0, 0.0]), torch.tensor([0.0, 1.0])
+    dx = torch.tensor([2.0, 0.0])
+    dy = torch.tensor([0.0, 1.0])
     expected = 0.6 * torch.exp(-torch.tensor([0.5, 0.125]))
     attempt.close(
         attempt(dx, dy, round_one, torch.tensor(0.6)), expected, "alpha = opacity exp(-sigma)"
@@ -179,11 +181,9 @@ def _as_splat_alpha_vjp(
     v_alpha: Tensor,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Yours for each Gaussian that some pixel moves."""
-    v_uv, v_conic, v_opacity = (
-        dx.new_zeros(len(dx), 2),
-        torch.zeros_like(conic),
-        torch.zeros_like(opacity),
-    )
+    v_uv = dx.new_zeros(len(dx), 2)
+    v_conic = torch.zeros_like(conic)
+    v_opacity = torch.zeros_like(opacity)
     for k in v_alpha.any(1).nonzero()[:, 0].tolist():
         gives = {"v_uv": v_uv[k], "v_conic": v_conic[k], "v_opacity": v_opacity[k]}
         v_uv[k], v_conic[k], v_opacity[k] = yours(
@@ -226,8 +226,10 @@ def _as_splat_alpha_vjp(
 )
 def splat_alpha_vjp(attempt: Attempt) -> None:
     """Gradient of a Gaussian's opacity at many pixels: dL/d of its centre, conic and opacity."""
-    f64, names = torch.float64, ("v_uv", "v_conic", "v_opacity")
-    one, conic = torch.ones(1, dtype=f64), torch.tensor([0.25, 0.0, 0.25], dtype=f64)
+    f64 = torch.float64
+    names = ("v_uv", "v_conic", "v_opacity")
+    one = torch.ones(1, dtype=f64)
+    conic = torch.tensor([0.25, 0.0, 0.25], dtype=f64)
     attempt.on("one pixel 1 px to the right of a round Gaussian, opacity 0.5, dL/dalpha = -1")
     o = torch.tensor(0.5, dtype=f64)
     v_uv, _, v_opacity = attempt.unpack(attempt(one, 0 * one, conic, o, -one), names)
@@ -276,12 +278,11 @@ def splat_alpha_vjp(attempt: Attempt) -> None:
     )
     attempt.on("forty random pixels around a tilted Gaussian")
     generator = torch.Generator().manual_seed(6)
-    uv, tilted = (
-        torch.zeros(2, dtype=f64, requires_grad=True),
-        torch.tensor([0.3, 0.1, 0.2], dtype=f64),
-    )
+    uv = torch.zeros(2, dtype=f64, requires_grad=True)
+    tilted = torch.tensor([0.3, 0.1, 0.2], dtype=f64)
     pixel, v = (torch.randn(40, n, generator=generator, dtype=f64) for n in (2, 1))
-    c, a = tilted.clone().requires_grad_(), torch.tensor(0.7, dtype=f64, requires_grad=True)
+    c = tilted.clone().requires_grad_()
+    a = torch.tensor(0.7, dtype=f64, requires_grad=True)
     dx, dy = (2 * pixel - uv).unbind(1)
     expected = torch.autograd.grad(
         _splat_alpha(dx, dy, c, a) @ v[:, 0],

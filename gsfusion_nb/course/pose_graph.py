@@ -51,10 +51,8 @@ def _as_relative_pose_error(
     yours: Yours, T_i: Tensor, T_j: Tensor, T_ij: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Yours for each edge."""
-    shape, ends = (
-        T_ij.shape[:-2],
-        [T.expand(T_ij.shape).reshape(-1, 4, 4) for T in (T_i, T_j, T_ij)],
-    )
+    ends = [T.expand(T_ij.shape).reshape(-1, 4, 4) for T in (T_i, T_j, T_ij)]
+    shape = T_ij.shape[:-2]
     J = torch.eye(6).to(T_ij)
     given = {"e": J[0], "J_i": J, "J_j": J}
     rows = [yours(*edge, gives=given) for edge in zip(*ends, strict=True)]
@@ -161,7 +159,8 @@ def _graph_step(
     information: Tensor,
 ) -> Tensor:
     n = 6 * len(poses)
-    H, b = torch.zeros(n, n).to(poses), torch.zeros(n).to(poses)
+    H = torch.zeros(n, n).to(poses)
+    b = torch.zeros(n).to(poses)
     for k in range(len(e)):
         ends = ((6 * int(i[k]), J_i[k]), (6 * int(j[k]), J_j[k]))
         for a, J_a in ends:
@@ -229,7 +228,8 @@ def graph_step(attempt: Attempt) -> None:
     """One Gauss-Newton step on all poses of a pose graph."""
     line = torch.eye(4, dtype=F64).repeat(3, 1, 1)
     line[:, 0, 3] = torch.tensor([0.0, 1.0, 2.0])
-    i, j = torch.tensor([0, 1, 0]), torch.tensor([1, 2, 2])
+    i = torch.tensor([0, 1, 0])
+    j = torch.tensor([1, 2, 2])
     measured = torch.eye(4, dtype=F64).repeat(3, 1, 1)
     measured[:, 0, 3] = torch.tensor([1.0, 1.0, 2.3])
     even = _ones(3)
@@ -264,7 +264,8 @@ def graph_step(attempt: Attempt) -> None:
     )
     generator = torch.Generator().manual_seed(9)
     turned = se3.exp(torch.randn(4, 6, generator=generator, dtype=F64))
-    i, j = torch.tensor([0, 1, 2, 0, 3]), torch.tensor([1, 2, 3, 3, 1])
+    i = torch.tensor([0, 1, 2, 0, 3])
+    j = torch.tensor([1, 2, 3, 3, 1])
     noise = se3.exp(0.05 * torch.randn(5, 6, generator=generator, dtype=F64))
     measured = se3.inverse(turned[i]) @ turned[j] @ noise
     on = "four turned poses and five edges, one of them from a later pose to an earlier one"

@@ -40,7 +40,10 @@ class Prediction(LiveOutput):
         choices: Sequence[Answer],
         unit: str,
     ):
-        self.name, self.question, self.choices, self.unit = name, question, list(choices), unit
+        self.name = name
+        self.question = question
+        self.choices = list(choices)
+        self.unit = unit
 
     def answer(self, value: Answer) -> str:
         """Record an answer and return a sentence about it.
@@ -185,12 +188,14 @@ def came(name: str, value: Any, *, right: Answer | None = None) -> Outcome:
     """
     value = value if isinstance(value, (str, int, float)) else float(value)
     entry = _entry(name)
-    unit, answer = str(entry.get("unit", "")), entry.get("answer")
+    unit = str(entry.get("unit", ""))
+    answer = entry.get("answer")
     if "answer" in entry:
         _note(name, came=value)
     if answer is None:
         return Outcome(predicted="You made no prediction.", came=_shown(value, unit), right=None)
-    verdict, words = None, ""
+    verdict = None
+    words = ""
     if right is not None:
         verdict = answer == right
         words = "" if verdict else f"Right was: {_shown(right, unit)}."

@@ -122,7 +122,8 @@ def _split(
     width: int,
     height: int,
 ) -> list[Cell]:
-    w, h = width // 2, height // 2
+    w = width // 2
+    h = height // 2
     return [
         (x0, y0, w, h),
         (x0, y0 + h, w, height - h),
@@ -137,7 +138,8 @@ def _split_all_floor(
     width: int,
     height: int,
 ) -> list[Cell]:
-    w, h = width // 2, height // 2
+    w = width // 2
+    h = height // 2
     return [(x0 + i * w, y0 + j * h, w, h) for i in (0, 1) for j in (0, 1)]
 
 
@@ -317,7 +319,8 @@ def quadtree_leaves(attempt: Attempt) -> None:
     attempt.holds(
         not small, prop, detail=f"there is a leaf of {small[0][2:] if small else ''} pixels"
     )
-    wide, tall = "an image half grey, half noise", "the same image, turned by 90 degrees"
+    wide = "an image half grey, half noise"
+    tall = "the same image, turned by 90 degrees"
     above = (
         "a cell is split where its contrast is above the threshold, and its four parts are "
         "those of split_cell"
@@ -367,7 +370,8 @@ def _gaussian(
     T_WC: Tensor,
 ) -> tuple[Tensor, float]:
     x0, y0, w, h = cell
-    u, v = x0 + w / 2, y0 + h / 2
+    u = x0 + w / 2
+    v = y0 + h / 2
     z = depth_m[int(v), int(u)]
     xyz_C = torch.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z])
     return se3.apply(T_WC, xyz_C), float(z) * math.hypot(w / 2, h / 2) / camera.fx

@@ -110,7 +110,8 @@ def _other_sign(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
 def _least_difference(image_motion: Tensor, pose_motion: Tensor, reach: int) -> int:
     def difference(k: int) -> float:
         n = len(image_motion)
-        x, y = image_motion[max(0, -k) : n - max(0, k)], pose_motion[max(0, k) : n - max(0, -k)]
+        x = image_motion[max(0, -k) : n - max(0, k)]
+        y = pose_motion[max(0, k) : n - max(0, -k)]
         return float((x - y).square().mean())
 
     return min(range(-reach, reach + 1), key=difference)
@@ -219,7 +220,8 @@ def _tell_apart(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
 
     if rms_m(T_ba[:3, :3], T_ba[:3, 3]) < 3 * noise_m:
         return "fits"
-    from_mean_a, from_mean_b = a - a.mean(0), b - b.mean(0)
+    from_mean_a = a - a.mean(0)
+    from_mean_b = b - b.mean(0)
     U, _, Vt = torch.linalg.svd(from_mean_a.T @ from_mean_b)
     no_mirror = torch.ones(3).to(a)
     no_mirror[2] = torch.sign(torch.linalg.det(Vt.T @ U.T))

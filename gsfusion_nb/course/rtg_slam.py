@@ -10,8 +10,12 @@ from ..gaussians import surfels
 from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 MIN_COSINE = 0.5
-MIN_TRANSMITTANCE, DEPTH_ERROR_M, COLOUR_ERROR = 0.5, 0.1, 0.1
-STABLE_CONFIDENCE, ERROR_COUNT, UNSTABLE_FRAMES = 100, 10, 120
+MIN_TRANSMITTANCE = 0.5
+DEPTH_ERROR_M = 0.1
+COLOUR_ERROR = 0.1
+STABLE_CONFIDENCE = 100
+ERROR_COUNT = 10
+UNSTABLE_FRAMES = 120
 
 
 def _disc_hit(r: Tensor, p: Tensor, n: Tensor) -> Tensor:
@@ -77,7 +81,8 @@ def _as_disc_hit(
 )
 def disc_hit(attempt: Attempt) -> None:
     """Depth at which a ray meets a disc (Eq. 4-5)."""
-    ahead, back = torch.tensor([0.0, 0.0, 2.0]), torch.tensor([0.0, 0.0, -1.0])
+    ahead = torch.tensor([0.0, 0.0, 2.0])
+    back = torch.tensor([0.0, 0.0, -1.0])
     attempt.on("a disc 2 m ahead that faces the camera, ray (0.3, 0, 1)")
     ray = torch.tensor([0.3, 0.0, 1.0])
     attempt.close(attempt(ray, ahead, back), 2.0, "depth is z, not the distance along the ray")
@@ -126,7 +131,8 @@ def disc_hit(attempt: Attempt) -> None:
     attempt.close(
         got, 2.0, "beyond 60 degrees the depth of the centre is used: its z, not its distance"
     )
-    side, straight = torch.tensor([0.2, 0.0, 2.0]), torch.tensor([0.0, 0.0, 1.0])
+    side = torch.tensor([0.2, 0.0, 2.0])
+    straight = torch.tensor([0.0, 0.0, 1.0])
     for degrees, expected in ((57, 2.0 + 0.2 * math.tan(math.radians(57))), (63, 2.0)):
         tilt = math.radians(degrees)
         for length in (0.3, 1.0, 3.0):
@@ -329,12 +335,10 @@ def adding_masks(attempt: Attempt) -> None:
     )
 
 
-STAYS, BECOMES_STABLE, BECOMES_UNSTABLE, DELETED = (
-    "stays",
-    "becomes stable",
-    "becomes unstable",
-    "is deleted",
-)
+STAYS = "stays"
+BECOMES_STABLE = "becomes stable"
+BECOMES_UNSTABLE = "becomes unstable"
+DELETED = "is deleted"
 
 
 def _next_state(stable: bool, eta: int, errors: int, age: int) -> str:
@@ -484,7 +488,8 @@ def _as_fuse(
     in the library. The reference, where the weight of the past has a limit (released code)."""
     if history_max_weight != 1:
         return NotImplemented
-    rows, fused = eta_after > 0, after.clone()
+    rows = eta_after > 0
+    fused = after.clone()
     given = (before[rows], after[rows], eta_before[rows], eta_after[rows])
     fused[rows] = yours(*given, gives={"the fused values": given[1]})
     return fused
@@ -511,7 +516,8 @@ def _as_fuse(
 )
 def fuse(attempt: Attempt) -> None:
     """Merge the values after an optimisation window with those before it (Eq. 9)."""
-    before, after = torch.tensor([[0.0, 4.0]]), torch.tensor([[1.0, 0.0]])
+    before = torch.tensor([[0.0, 4.0]])
+    after = torch.tensor([[1.0, 0.0]])
     got = attempt.on("eta 0 before, 20 after")(
         before,
         after,

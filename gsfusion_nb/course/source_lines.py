@@ -32,10 +32,8 @@ class SourceLines:
         )
 
     def _repr_html_(self) -> str:
-        up, link = (
-            _up(),
-            Markup('<a href="{}/{}#line={}">{}:{}</a>'),
-        )  # JupyterLab counts lines from 0
+        up = _up()  # JupyterLab counts lines from 0
+        link = Markup('<a href="{}/{}#line={}">{}:{}</a>')
         rows = [
             (
                 what,

@@ -77,10 +77,8 @@ def covariance_2d(attempt: Attempt) -> None:
     attempt.close(
         got, 25.3 * torch.eye(2), "a ball straight ahead gives a circle of (f s / z)^2 + 0.3"
     )
-    needle, right = (
-        torch.diag(torch.tensor([0.0, 0.0, 0.04], dtype=f64)),
-        torch.tensor([1.0, 0.0, 2.0], dtype=f64),
-    )
+    needle = torch.diag(torch.tensor([0.0, 0.0, 0.04], dtype=f64))
+    right = torch.tensor([1.0, 0.0, 2.0], dtype=f64)
     got = attempt.on("a needle along z, 1 m to the right")(right, needle, 100.0, 100.0)
     why = "J needs its third column, du/dz = -fx x / z^2"
     attempt.close(
@@ -126,7 +124,8 @@ def _as_blend(yours: Yours, alpha: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
     """Yours for each pixel: its colour, and alpha = 1 - the light left. The reference blends the
     depth, and blending ends where it ends there."""
     _, w = blend_weights(alpha)
-    C, rgb = w.T @ c, c[:, :3]
+    C = w.T @ c
+    rgb = c[:, :3]
     rows = [(column > 0).nonzero()[:, 0] for column in w.T]
     calls = [(alpha[k, p], rgb[k]) for p, k in enumerate(rows)]
     pixels = yours.many(
@@ -162,7 +161,8 @@ def _as_blend(yours: Yours, alpha: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
 def composite_pixel(attempt: Attempt) -> None:
     """Blend the sorted Gaussians of one pixel, nearest first."""
     names = ("colour", "light left")
-    red, green = [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]
+    red = [1.0, 0.0, 0.0]
+    green = [0.0, 1.0, 0.0]
     attempt.on("one red Gaussian of alpha 0.5")
     colour, left = attempt.unpack(
         attempt(torch.tensor([0.5]), torch.tensor([red])),
@@ -200,7 +200,8 @@ def composite_pixel(attempt: Attempt) -> None:
     attempt.close(colour, [0.0, 0.0, 0.0], "an empty pixel is black")
     attempt.close(left, 1.0, "an empty pixel keeps all its light")
     generator = torch.Generator().manual_seed(3)
-    alpha, rgb = torch.rand(7, generator=generator), torch.rand(7, 3, generator=generator)
+    alpha = torch.rand(7, generator=generator)
+    rgb = torch.rand(7, 3, generator=generator)
     colour, left = attempt.unpack(attempt.on("seven random Gaussians")(alpha, rgb), names)
     expected, T = _composite_pixel(alpha, rgb)
     attempt.close(colour, expected, "C = sum of alpha_k T_k c_k")
@@ -244,10 +245,8 @@ def _last_one_missing(
 def _unclamped(
     u: Number, v: Number, extent_px: Number, width: int, height: int, tile_px: int
 ) -> Box:
-    low, high = (
-        [math.floor((c - extent_px) / tile_px) for c in (u, v)],
-        [math.floor((c + extent_px) / tile_px) + 1 for c in (u, v)],
-    )
+    low = [math.floor((c - extent_px) / tile_px) for c in (u, v)]
+    high = [math.floor((c + extent_px) / tile_px) + 1 for c in (u, v)]
     return low[0], high[0], low[1], high[1]
 
 
@@ -268,7 +267,8 @@ def _as_tile_intersections(
     pixels: Tensor | None = None,
 ) -> TileLists:
     """Lists from the box of yours around each Gaussian, nearest first."""
-    tiles_x, tiles_y = -(-camera.width // tile_px), -(-camera.height // tile_px)
+    tiles_x = -(-camera.width // tile_px)
+    tiles_y = -(-camera.height // tile_px)
     lists: list[list[int]] = [[] for _ in range(tiles_x * tiles_y)]
     four = torch.zeros(4, dtype=torch.int64)
     nearest_first = projection.depth_m.argsort(stable=True)
@@ -285,7 +285,8 @@ def _as_tile_intersections(
             lists[tile].append(k)
     if pixels is not None:
         for tile, listed in enumerate(lists):
-            y, x = tile // tiles_x * tile_px, tile % tiles_x * tile_px
+            y = tile // tiles_x * tile_px
+            x = tile % tiles_x * tile_px
             if not pixels[y : y + tile_px, x : x + tile_px].any():
                 listed.clear()
     gaussian = torch.tensor(
@@ -329,10 +330,8 @@ def tiles_touched(attempt: Attempt) -> None:
     names = ("x0", "x1", "y0", "y1")
 
     half_open = "the ranges are half open: the end is one past the last tile"
-    outside, beyond = (
-        "tiles outside the picture do not exist",
-        "the last tile may reach beyond the picture's border",
-    )
+    outside = "tiles outside the picture do not exist"
+    beyond = "the last tile may reach beyond the picture's border"
     for u, v, extent, width, height, prop, why in (
         (12, 20, 2, 64, 48, "a splat inside one tile is in that tile", half_open),
         (31, 39, 1, 64, 48, "a coordinate belongs to the tile below it: floor, not round", ""),
@@ -444,7 +443,8 @@ def _as_sh_to_rgb(yours: Yours, sh: Tensor, xyz_W: Tensor, camera_centre_W: Tens
 )
 def view_colour(attempt: Attempt) -> None:
     """Colour of a Gaussian of SH degree 1, seen from a camera centre."""
-    origin, ahead = torch.zeros(3), torch.tensor([0.0, 0.0, 1.0])
+    origin = torch.zeros(3)
+    ahead = torch.tensor([0.0, 0.0, 1.0])
     attempt.on("coefficients all zero")
     attempt.close(
         attempt(torch.zeros(4, 3), ahead, origin),

@@ -136,7 +136,8 @@ def _as_next_pose(yours: Yours, T: Tensor, system: IcpSystem, step: Step) -> Any
 
     Where the scene leaves a direction open, the reference takes the step.
     """
-    H, b = system.H.cpu(), system.b.cpu()
+    H = system.H.cpu()
+    b = system.b.cpu()
     L, failed = torch.linalg.cholesky_ex(H)
     if step.degenerate or failed:
         return NotImplemented

@@ -49,9 +49,11 @@ def _as_signed_distance_m(
     """Distances in metres from yours; -inf where yours says that nothing was observed."""
     z = centres_C[..., 2]
     asked = (z > 0) & depth_m.isfinite()
-    depth, z = depth_m[asked].to(z), z[asked]
+    depth = depth_m[asked].to(z)
+    z = z[asked]
     if config.sdf == "ray":  # the same equation with lengths along the ray
-        depth, z = depth * centres_C[asked].norm(dim=-1) / z, centres_C[asked].norm(dim=-1)
+        depth = depth * centres_C[asked].norm(dim=-1) / z
+        z = centres_C[asked].norm(dim=-1)
     d, observed = yours(
         depth,
         z,
@@ -91,7 +93,8 @@ def signed_distance(attempt: Attempt) -> None:
         depth_m: float,
         z_m: list[float],
     ) -> tuple[Tensor, Tensor]:
-        depth, z = torch.full((len(z_m),), depth_m), torch.tensor(z_m)
+        depth = torch.full((len(z_m),), depth_m)
+        z = torch.tensor(z_m)
         d, observed = attempt.unpack(attempt.on(on)(depth, z, 0.1), names)
         return torch.as_tensor(d), torch.as_tensor(observed)
 
@@ -124,7 +127,8 @@ def signed_distance(attempt: Attempt) -> None:
         not observed.any(), "depth 0 means missing: nothing is observed", detail="observed is true"
     )
     attempt.on("a surface at 40 cm and voxels at 20, 35, 45 and 80 cm, truncation 25 cm")
-    z, depth = torch.tensor([0.2, 0.35, 0.45, 0.8]), torch.full((4,), 0.4)
+    z = torch.tensor([0.2, 0.35, 0.45, 0.8])
+    depth = torch.full((4,), 0.4)
     d, observed = (torch.as_tensor(part) for part in attempt.unpack(attempt(depth, z, 0.25), names))
     prop = "a near surface is observed like any other, and the band is as wide as truncation_m says"
     attempt.close(observed.double(), [1, 1, 1, 0], prop)
@@ -173,7 +177,8 @@ def _as_tsdf_update(
     if average != "mean":
         return NotImplemented
     observed = sdf_m > -truncation_m
-    before, weight = D[observed], W[observed]
+    before = D[observed]
+    weight = W[observed]
     d = (sdf_m[observed] / truncation_m).clamp(-1.0, 1.0)
     new_D, new_W = yours(
         before,
@@ -211,7 +216,8 @@ def running_average(attempt: Attempt) -> None:
     attempt.close(D, [0.2], "the first observation replaces the initial value")
     attempt.close(W, [1.0], "W counts the observations")
     attempt.on("observations 0.2, 0.4, 0.6 one after the other")
-    D, W = torch.ones(1), torch.zeros(1)
+    D = torch.ones(1)
+    W = torch.zeros(1)
     for d in (0.2, 0.4, 0.6):
         D, W = (
             torch.as_tensor(a)
@@ -228,7 +234,8 @@ def running_average(attempt: Attempt) -> None:
         D, [0.4], "at max_weight a new observation still moves D: it counts 1 / max_weight"
     )
     g = torch.Generator().manual_seed(1)
-    D, W = torch.rand(64, generator=g), torch.randint(0, 12, (64,), generator=g).float()
+    D = torch.rand(64, generator=g)
+    W = torch.randint(0, 12, (64,), generator=g).float()
     d = torch.rand(64, generator=g) * 2 - 1
     expected = tsdf_update(D, W, d * 0.1, truncation_m=0.1, max_weight=10.0)
     D, W = attempt.unpack(attempt.on("64 random voxels")(D, W, d, 10.0), names)
@@ -426,7 +433,8 @@ def _as_zero_crossing(
 )
 def zero_crossing(attempt: Attempt) -> None:
     """Where the surface cuts an edge between two voxel centres."""
-    p0, p1 = torch.tensor([[0.0, 0.0, 0.0]]), torch.tensor([[0.1, 0.0, 0.0]])
+    p0 = torch.tensor([[0.0, 0.0, 0.0]])
+    p1 = torch.tensor([[0.1, 0.0, 0.0]])
 
     def ask(on: str, D0: float, D1: float) -> Tensor:
         return torch.as_tensor(
@@ -457,10 +465,8 @@ def zero_crossing(attempt: Attempt) -> None:
     attempt.on(
         "two edges, neither at the origin: along y from (1, 2, 3) and along z from (-1, 0.5, 2)"
     )
-    starts, ends = (
-        torch.tensor([[1.0, 2, 3], [-1, 0.5, 2]]),
-        torch.tensor([[1.0, 2.1, 3], [-1, 0.5, 2.1]]),
-    )
+    starts = torch.tensor([[1.0, 2, 3], [-1, 0.5, 2]])
+    ends = torch.tensor([[1.0, 2.1, 3], [-1, 0.5, 2.1]])
     got = attempt(
         starts,
         ends,

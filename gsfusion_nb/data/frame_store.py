@@ -27,7 +27,8 @@ class FrameStore:
         limit_bytes: int,
         timed: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
     ) -> None:
-        self.limit_bytes, self.timed = limit_bytes, timed
+        self.limit_bytes = limit_bytes
+        self.timed = timed
         self.wanted: frozenset[int] = frozenset()
         """Positions of frames that will be read again for certain."""
         self.n_bytes = 0
@@ -60,7 +61,8 @@ class FrameStore:
         """Keep nothing more: no frame will be read again."""
         with self._lock:
             self._frames.clear()
-            self.n_bytes, self.limit_bytes = 0, 0
+            self.n_bytes = 0
+            self.limit_bytes = 0
 
     def _make_room(self, size: int, is_wanted: bool) -> bool:
         others = [p for p in self._frames if p not in self.wanted] if is_wanted else []

@@ -371,7 +371,9 @@ class Undistorter:
         depth_camera: Camera | None = None,
         T_depth_colour: Float[Tensor, "4 4"] | None = None,
     ):
-        self.lens, self.camera, self.depth_camera = lens, lens.pinhole(), depth_camera
+        self.depth_camera = depth_camera
+        self.camera = lens.pinhole()
+        self.lens = lens
         self._u, self._v = pixel_map(lens, self.camera)
         self._T_colour_depth = (
             torch.eye(4) if T_depth_colour is None else se3.inverse(T_depth_colour)

@@ -92,7 +92,8 @@ def colour_depth(depth_m: MapLike, near_m: float, far_m: float) -> Picture:
 def error_map(rgb: ImageLike, reference: ImageLike, *, limit: float = ERROR_LIMIT) -> Picture:
     """Mean |rgb - reference| over the channels as colour (inferno): black is none, light yellow
     ``limit`` or more."""
-    a, b = to_uint8(rgb), to_uint8(reference)
+    a = to_uint8(rgb)
+    b = to_uint8(reference)
     if a.shape != b.shape:
         raise ValueError(
             f"rgb and reference must have one shape, got {list(a.shape)} and {list(b.shape)}"
@@ -109,7 +110,8 @@ def depth_error_map(
 ) -> Picture:
     """|depth - reference| as colour (inferno: light yellow is ``limit_m`` or more), striped where
     one is missing."""
-    a, b = _numpy(depth_m), _numpy(reference_m)
+    a = _numpy(depth_m)
+    b = _numpy(reference_m)
     if a.shape != b.shape:
         raise ValueError(
             f"depth_m and reference_m must have one shape, got {list(a.shape)} and {list(b.shape)}"
@@ -146,7 +148,8 @@ def paint_cells(
         np.asarray(_numpy(getattr(cells, name)), dtype=np.int32)
         for name in ("x0", "y0", "width", "height", "level")
     )
-    x1, y1 = x0 + width, y0 + height
+    x1 = x0 + width
+    y1 = y0 + height
     corners = (
         np.stack(
             [np.stack([x0, x1, x1, x0], 1), np.stack([y0, y0, y1, y1], 1)],
@@ -302,7 +305,8 @@ def _label(text: str, width: int) -> np.ndarray:
     """A dark strip with light text, made smaller until it fits: readable on a light and on a dark
     page."""
     strip = np.full((LABEL_PX, width, 3), CARD, np.uint8)
-    font, size = cv2.FONT_HERSHEY_SIMPLEX, 0.5
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    size = 0.5
     (text_width, _), _ = cv2.getTextSize(text, font, size, 1)
     size *= min(1.0, (width - 8) / max(text_width, 1))
     cv2.putText(
@@ -318,7 +322,8 @@ def _label(text: str, width: int) -> np.ndarray:
     return strip
 
 
-CARD, CARD_INK = (43, 48, 57), (233, 237, 242)
+CARD = (43, 48, 57)
+CARD_INK = (233, 237, 242)
 """Ground and text of pictures in a row; the same on every page."""
 BETWEEN = (118, 128, 141)
 """Text and lines on an unknown ground; the contrast is about 4 to white and 5 to a dark page."""

@@ -32,7 +32,8 @@ SAMPLES_PER_M2 = 10_000
 """One point per cm^2, as GSFusion's released evaluation draws on the mesh."""
 BEHIND_M = 0.05
 """How far behind the measured depth a point still counts as seen, metres."""
-FACES_AT_A_TIME, SAMPLES_AT_A_TIME = 1 << 20, 1 << 20
+FACES_AT_A_TIME = 1 << 20
+SAMPLES_AT_A_TIME = 1 << 20
 """Limit the memory for intermediate results."""
 POINTS_AT_A_TIME = 2_000
 """Of those whose distances to triangles are found together: the intermediate results stay in the
@@ -68,7 +69,8 @@ def _sampled(
 ) -> tuple[Float[Tensor, "n 3"], Int[Tensor, " n"]]:
     """As ``sample_surface``; ``upto``: running sums of the areas of the faces."""
     face, draw = _drawn_by_area(upto, n, generator)
-    r, s = draw[:, 1:2].sqrt(), draw[:, 2:3]
+    r = draw[:, 1:2].sqrt()
+    s = draw[:, 2:3]
     a, b, c = _corners(mesh, face).unbind(1)
     return (1 - r) * a + r * ((1 - s) * b + s * c), face
 
@@ -124,10 +126,8 @@ def mesh_scores(
     check_positive("n_samples", n_samples)
     if len(mesh.faces) == 0:
         return NotComputed("the reconstructed mesh has no faces")
-    ours, truth = (
-        sample_surface(mesh, n_samples, generator),
-        sample_surface(reference, n_samples, generator),
-    )
+    ours = sample_surface(mesh, n_samples, generator)
+    truth = sample_surface(reference, n_samples, generator)
     return _scores(
         _distance(ours[0], reference, truth),
         _distance(truth[0], mesh, ours),
@@ -151,10 +151,12 @@ def sample_discs(
     scale, axis = solid.log_scale.double().exp().sort(dim=1, descending=True)
     upto = (scale[:, 0] * scale[:, 1]).cumsum(0)
     row, draw = _drawn_by_area(upto, n, generator)
-    r, angle = draw[:, 1].sqrt(), 2 * torch.pi * draw[:, 2]
+    r = draw[:, 1].sqrt()
+    angle = 2 * torch.pi * draw[:, 2]
     R = quaternion.to_matrix(solid.quat.double())[row]
     a, b = (R.gather(2, axis[row, k, None, None].expand(-1, 3, 1)).squeeze(2) for k in (0, 1))
-    along_a, along_b = scale[row, 0] * r * angle.cos(), scale[row, 1] * r * angle.sin()
+    along_a = scale[row, 0] * r * angle.cos()
+    along_b = scale[row, 1] * r * angle.sin()
     return solid.xyz_W.double()[row] + along_a[:, None] * a + along_b[:, None] * b
 
 
@@ -213,10 +215,12 @@ def centres_to_own_mesh(
     if lost := int((~params.xyz_W.isfinite().all(1)).sum()):
         return NotComputed(f"the centres of {lost} Gaussians are not finite")
     areas = _areas(mesh)
-    n, upto = int(areas.sum() * SAMPLES_PER_M2), areas.cumsum(0)
+    n = int(areas.sum() * SAMPLES_PER_M2)
+    upto = areas.cumsum(0)
     if n == 0:
         return NotComputed("the run's mesh is smaller than 1 cm^2")
-    xyz, distance = params.xyz_W.double(), torch.full((len(params),), math.inf, dtype=torch.float64)
+    xyz = params.xyz_W.double()
+    distance = torch.full((len(params),), math.inf, dtype=torch.float64)
     for start in range(0, n, SAMPLES_AT_A_TIME):
         samples = _sampled(mesh, upto, min(SAMPLES_AT_A_TIME, n - start), generator)[0]
         distance = torch.minimum(distance, _to_nearest(xyz, samples))
@@ -239,7 +243,8 @@ def mesh_psnr(mesh: Mesh, frames: Iterable[Frame]) -> float | NotComputed:
 
     Differentiable: no.
     """
-    scores, chunks = [], chunks_of_points(mesh.vertices_W)
+    scores = []
+    chunks = chunks_of_points(mesh.vertices_W)
     for frame in frames:
         frame = frame.to(mesh.vertices_W.device)
         rows, z_m, at = _in_view(mesh.vertices_W, chunks, frame)
@@ -265,7 +270,8 @@ def _in_view(
 ) -> tuple[Int[Tensor, " M"], Float[Tensor, " M"], tuple[Tensor, Tensor]]:
     """Points inside the image of a frame, without those in ``but``, their depths, rows and columns
     of their pixels."""
-    T_CW, camera = se3.inverse(frame.T_WC.to(xyz_W)), frame.camera
+    T_CW = se3.inverse(frame.T_WC.to(xyz_W))
+    camera = frame.camera
     seen = seen_chunks(chunks, camera, frame.T_WC, frame.depth_m)
     rows = rows_of_chunks(seen, len(xyz_W)).to(xyz_W.device)
     rows = rows if but is None else rows[~but[rows]]
@@ -294,10 +300,8 @@ def seen_by(
 
     Differentiable: no.
     """
-    seen, chunks = (
-        torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device),
-        chunks_of_points(xyz_W),
-    )
+    seen = torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device)
+    chunks = chunks_of_points(xyz_W)
     for frame in frames:
         if bool(seen.all()):
             break
@@ -366,7 +370,8 @@ def point_triangle_distance(
     """
     a, b, c = triangle.unbind(-2)
     normal = torch.linalg.cross(b - a, c - a)
-    x, n = xyz.unbind(-1), normal.unbind(-1)
+    x = xyz.unbind(-1)
+    n = normal.unbind(-1)
     corners = [corner.unbind(-1) for corner in (a, b, c)]
     squared = torch.full_like(x[0], math.inf)
     inside = _dot(n, n) > 0
@@ -375,7 +380,8 @@ def point_triangle_distance(
         corners[1:] + corners[:1],
         strict=True,
     ):
-        edge, way = _difference(q, p), _difference(x, p)
+        edge = _difference(q, p)
+        way = _difference(x, p)
         along = (_dot(way, edge) / _dot(edge, edge).clamp_min(1e-300)).clamp(0, 1)
         off = _difference(
             x,
@@ -481,11 +487,15 @@ def _scores(to_truth: Tensor, to_ours: Tensor, threshold_m: float) -> dict[str, 
 def _distance(xyz: Tensor, mesh: Mesh, samples: tuple[Tensor, Tensor]) -> Tensor:
     """Distance of each point to ``mesh``, found through its ``samples`` and centroids, some faces
     after others."""
-    xyz, points, of_face = xyz.cpu(), samples[0].cpu(), samples[1].cpu()
+    xyz = xyz.cpu()
+    points = samples[0].cpu()
+    of_face = samples[1].cpu()
     nearest = _to_nearest(xyz, points)  # not more than this
     for start in range(0, len(mesh.faces), FACES_AT_A_TIME):
         corners = _corners(mesh, slice(start, start + FACES_AT_A_TIME)).cpu()
-        low, high, middle = corners.amin((0, 1)), corners.amax((0, 1)), corners.mean(1)
+        low = corners.amin((0, 1))
+        high = corners.amax((0, 1))
+        middle = corners.mean(1)
         near = ((xyz - xyz.clamp(low, high)).norm(dim=1) <= nearest).nonzero()[:, 0]
         near = near[nearest[near].argsort()]  # those of a part have similar bounds
         extent = float((corners - middle[:, None]).norm(dim=2).max())

@@ -21,9 +21,11 @@ from ..geometry import sum_rows
 from ..types import Camera, Frame, RenderOutput
 from .metrics import NotComputed
 
-WINDOW_PX, SIGMA_PX = 11, 1.5
+WINDOW_PX = 11
+SIGMA_PX = 1.5
 """SSIM's Gaussian window and its standard deviation, pixels."""
-C1, C2 = 0.01**2, 0.03**2
+C1 = 0.01**2
+C2 = 0.03**2
 """SSIM's constants for images in 0..1."""
 BORDER_PX = 5
 """Half of SSIM's window of 11 pixels, rounded down: nearer to the border the window is cut."""
@@ -121,7 +123,9 @@ def _ssim_map(
     mean_a, mean_b, mean_aa, mean_bb, mean_ab = (
         filtered(image) for image in (a, b, a * a, b * b, a * b)
     )
-    aa, bb, ab = mean_a * mean_a, mean_b * mean_b, mean_a * mean_b
+    aa = mean_a * mean_a
+    bb = mean_b * mean_b
+    ab = mean_a * mean_b
     variances = (mean_aa - aa) + (mean_bb - bb)
     return (2 * ab + C1) * (2 * (mean_ab - ab) + C2) / ((aa + bb + C1) * (variances + C2))
 
@@ -362,7 +366,8 @@ def score_view(view: RenderOutput, frame: Frame, *, with_lpips: bool = False) ->
     ``score_views``."""
     frame = frame.to(view.rgb.device)
     images = (view.rgb, frame.rgb)
-    prepared, side = _prepared(*images), min(frame.rgb.shape[:2])
+    prepared = _prepared(*images)
+    side = min(frame.rgb.shape[:2])
     l1_m, _ = depth_l1_m(expected_depth_m(view), frame.depth_m)
     similarity = _ssim_map(*prepared) if side >= 6 else torch.full((1, 1, 3), math.nan)
     not_requested = NotComputed("not requested")

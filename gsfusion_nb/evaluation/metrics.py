@@ -55,7 +55,8 @@ def _index(label: str, meaning: str) -> Metric:
 def _image_metrics(suffix: str) -> dict[str, Metric]:
     released = "as GSFusion's evaluation"
     psnr = "Mean of the per-image PSNR, 8-bit images. Higher is better."
-    border, bgr = "Without a border of 5 pixels.", "From BGR in 0..1."
+    border = "Without a border of 5 pixels."
+    bgr = "From BGR in 0..1."
     return {
         f"psnr_{suffix}_db": Metric("PSNR", "dB", 2, 1.0, psnr),
         f"ssim_{suffix}": _index(
@@ -250,7 +251,8 @@ def format_metric(name: str, value: Any) -> str:
     metric = METRICS.get(name)
     if metric is None or isinstance(value, (str, bool)):
         return format_value(value)
-    number, unit = float(value) * metric.scale, metric.unit
+    number = float(value) * metric.scale
+    unit = metric.unit
     text = "∞" if math.isinf(number) else f"{number:,.{metric.digits}f}"
     return f"{text}{NBSP}{unit}" if unit and unit not in "°" else f"{text}{unit}"
 

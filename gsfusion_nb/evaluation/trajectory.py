@@ -33,8 +33,10 @@ def align_umeyama(
     check_shape("source", source, tuple(target.shape))
     if len(source) < 3:
         raise ValueError(f"an alignment needs at least 3 positions, got {len(source)}")
-    x, y = source.double(), target.double()
-    mean_x, mean_y = x.mean(0), y.mean(0)
+    x = source.double()
+    y = target.double()
+    mean_x = x.mean(0)
+    mean_y = y.mean(0)
     U, _, Vh = torch.linalg.svd((y - mean_y).T @ (x - mean_x) / len(x))
     S = torch.ones(3, dtype=torch.float64, device=x.device)
     if torch.linalg.det(U) * torch.linalg.det(Vh) < 0:
@@ -74,7 +76,8 @@ def _distances(
     reference: Tensor,
     align: bool = True,
 ) -> Float[Tensor, " N"]:
-    x, y = estimate[:, :3, 3].double(), reference[:, :3, 3].double()
+    x = estimate[:, :3, 3].double()
+    y = reference[:, :3, 3].double()
     if align:
         R, t = align_umeyama(x, y)
         x = x @ R.T + t
@@ -98,7 +101,8 @@ def rpe(
     Differentiable: no. Source: Sturm et al. 2012, section V-B.
     """
     _check_paths(estimate, reference)
-    P, Q = estimate.double(), reference.double()
+    P = estimate.double()
+    Q = reference.double()
     E = se3.inverse(se3.inverse(Q[:-1]) @ Q[1:]) @ (se3.inverse(P[:-1]) @ P[1:])
     angle = torch.rad2deg(se3.rotation_angle(E[:, :3, :3]))
     return float(E[:, :3, 3].square().sum(1).mean().sqrt()), float(angle.square().mean().sqrt())

@@ -41,8 +41,10 @@ from ..work import MAP_MEMORY
 
 FORMAT = "gsfusion_nb checkpoint"
 VERSION = 7
-_CONSTANT, _PARTS = "$constant", "$parts"
-_COPIED_BYTES, _PART_BYTES = 1 << 16, 1 << 23
+_CONSTANT = "$constant"
+_PARTS = "$parts"
+_COPIED_BYTES = 1 << 16
+_PART_BYTES = 1 << 23
 """Of larger tensors the memory is written as it is; still larger ones are written in parts of this
 size."""
 _NAME = re.compile(r"\d{6}\.(state|constants)")
@@ -96,8 +98,11 @@ class CheckpointStore:
             TypeError: Another type in ``state``; the message names the place.
             DiskFullError: The disk is full; the previous checkpoint is still valid.
         """
-        number, fresh = self._number + 1, {}
-        constants, used, parts = {id(tensor) for tensor in constant}, {}, dict[str, str]()
+        number = self._number + 1
+        fresh = {}
+        constants = {id(tensor) for tensor in constant}
+        used = {}
+        parts = dict[str, str]()
 
         def stored(tensor: Tensor) -> Any:
             if id(tensor) not in constants:
@@ -143,7 +148,10 @@ class CheckpointStore:
         write_file(self.folder / f"{number:06d}.json", json.dumps(document))
         wanted = {*document["files"], f"{number:06d}.json"}
         self._remove_all_but(_with_copies(wanted | self._before))
-        self._number, self._constants, self._files, self._before = number, used, files, wanted
+        self._number = number
+        self._constants = used
+        self._files = files
+        self._before = wanted
         self._parts = self._worth_keeping(parts, number, len(fresh))
 
     def _worth_keeping(
@@ -353,7 +361,8 @@ def _parts_of(tensor: Tensor) -> Sequence[Tensor]:
 
 
 def _joined(parts: list[Tensor]) -> Tensor:
-    sizes, first = [len(part) for part in parts], parts[0]
+    sizes = [len(part) for part in parts]
+    first = parts[0]
     whole = MAP_MEMORY.rows(
         sum(sizes),
         *first.shape[1:],

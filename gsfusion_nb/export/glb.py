@@ -36,7 +36,8 @@ _MATERIAL = {
 """Of colours that already contain the lighting."""
 _CODES = {"u1": 5121, "u4": 5125, "f4": 5126}
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-_VERTICES, _INDICES = 34962, 34963
+_VERTICES = 34962
+_INDICES = 34963
 """What an array is for: attributes of points, numbers of vertices."""
 
 
@@ -64,7 +65,10 @@ def write_map_glb(
         ValueError: a Gaussian with NaN or infinities.
     """
     check_gaussians(gaussians)
-    arrays, nodes, meshes, used = _Arrays(), [], [], []
+    arrays = _Arrays()
+    nodes = []
+    meshes = []
+    used = []
     if len(gaussians):
         nodes.append({"name": "Gaussians", "mesh": len(meshes)})
         meshes.append({"primitives": [_splats(arrays, gaussians)]})
@@ -141,7 +145,8 @@ class _Arrays:
         ``bounds`` also stores the smallest and largest value of each column, as glTF wants it for
         positions.
         """
-        code, width = _CODES[values.dtype.str[1:]], 1 if values.ndim == 1 else values.shape[1]
+        code = _CODES[values.dtype.str[1:]]
+        width = 1 if values.ndim == 1 else values.shape[1]
         entry = {
             "bufferView": len(self.views),
             "componentType": code,
@@ -188,7 +193,8 @@ def _surface(arrays: _Arrays, mesh: Mesh) -> dict[str, Any]:
 
 
 def _splats(arrays: _Arrays, g: GaussianParams) -> dict[str, Any]:
-    opacity, sh = g.opacity_logit.double().sigmoid(), g.sh
+    opacity = g.opacity_logit.double().sigmoid()
+    sh = g.sh
     colour = linear_rgb(sh[:, 0].double() * SH_C0 + 0.5)
     points = np.concatenate(
         [colour, opacity.cpu().numpy()[:, None]], axis=1

@@ -92,7 +92,8 @@ def read_mesh_ply(path: str | Path) -> Mesh:
         FileNotFoundError: The file does not exist. ValueError: The file is not a PLY file of a
             triangle mesh, contains NaN or infinities, or has faces with vertices that do not exist.
     """
-    path, what = Path(path), "a PLY file of a mesh"
+    path = Path(path)
+    what = "a PLY file of a mesh"
     ply = read_ply(path, what, known_list_len={"face": dict.fromkeys(_FACE_LISTS, 3)})
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names or ()):
         raise ValueError(

@@ -29,10 +29,12 @@ from ..tsdf import TsdfVolume
 from ..tsdf.block_pool import VOXELS_PER_BLOCK
 
 WHAT = "the TSDF of a run, written by write_tsdf"
-D_LEVELS, RGB_LEVELS = 32767.0, 255.0
+D_LEVELS = 32767.0
+RGB_LEVELS = 255.0
 _FAST: dict[str, Any] = {"compression": zipfile.ZIP_DEFLATED, "compresslevel": 1}
 """As ``np.savez_compressed`` writes, but in a third of the time."""
-_LEAST_W, _MOST_W = 2.0**-14, 65504.0
+_LEAST_W = 2.0**-14
+_MOST_W = 65504.0
 """Half-precision weights stay positive and finite."""
 
 
@@ -161,7 +163,8 @@ def _check_arrays(path: Path, archive: Any) -> None:
         raise SequenceError(
             f"{path} marks {n_observed} voxels as observed, but has the values of {sizes['V']}"
         )
-    D, W = archive["D"], archive["W"]
+    D = archive["D"]
+    W = archive["W"]
     if D.size and D.min() < -D_LEVELS:
         raise SequenceError(
             f"{path}: D must be at least {-D_LEVELS:g}, got {D.min()}; expected {WHAT}"

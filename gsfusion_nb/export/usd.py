@@ -84,7 +84,8 @@ def write_map_usda(
 
 
 def _splats(g: GaussianParams) -> Iterator[str]:
-    scale, degree = g.log_scale.double().exp(), round(g.sh.shape[1] ** 0.5) - 1
+    scale = g.log_scale.double().exp()
+    degree = round(g.sh.shape[1] ** 0.5) - 1
     reach = 3 * scale.amax(1, keepdim=True)
     ends = torch.stack([(g.xyz_W - reach).amin(0), (g.xyz_W + reach).amax(0)])
     yield '\n    def ParticleField3DGaussianSplat "Gaussians"\n    {\n'
@@ -122,8 +123,10 @@ def _camera(
 ) -> Iterator[str]:
     """USD's cameras look along -z with y up; a ray of pixel (u, v) goes through the film at
     distance focalLength."""
-    c, focal = camera, APERTURE * camera.fx / camera.width
-    across, along = focal / c.fx, focal / c.fy  # of a pixel on the film
+    c = camera
+    focal = APERTURE * camera.fx / camera.width
+    across = focal / c.fx  # of a pixel on the film
+    along = focal / c.fy
     T_usd = poses.double().cpu() @ torch.diag(
         torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)
     )

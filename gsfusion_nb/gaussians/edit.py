@@ -162,7 +162,8 @@ def _checked_set(
         raise ValueError(
             f"set: {name} must be a pair (rows, values) of tensors, got {type(pair).__name__}"
         )
-    rows, values = _numbers(f"set: rows of {name}", pair[0], sh), pair[1]
+    rows = _numbers(f"set: rows of {name}", pair[0], sh)
+    values = pair[1]
     width = sh.shape[1:] if name == "sh" else STORED.get(name, ACTIVATED.get(name, ()))
     check_shape(f"set: {name}", values, (len(rows), *width))
     if values.is_floating_point() == (name in ("tag", "state")) or values.dtype == torch.bool:
@@ -229,7 +230,8 @@ def _numbers(name: str, rows: Any, like: Tensor) -> Tensor:
     """Row numbers of a mask over the rows of ``like``, or those given, on its device."""
     if not isinstance(rows, Tensor) or rows.is_floating_point() or rows.ndim != 1:
         raise ValueError(f"{name} must be row numbers [M] or a mask [N], got {shown(rows)}")
-    n, rows = len(like), rows.to(like.device)
+    n = len(like)
+    rows = rows.to(like.device)
     if rows.dtype == torch.bool:
         check_shape(f"{name}, as a mask", rows, (n,))
         return rows.nonzero()[:, 0]
@@ -378,7 +380,8 @@ def _clone(model: Any, rows: Tensor, shares: bool, min_opacity: float) -> None:
 
 def _split(model: Any, rows: Tensor, shares: bool, generator: torch.Generator) -> None:
     params = model.params
-    scale_m, R = params.log_scale[rows].exp(), quaternion.to_matrix(params.quat[rows])
+    scale_m = params.log_scale[rows].exp()
+    R = quaternion.to_matrix(params.quat[rows])
     drawn = torch.randn(
         2,
         len(rows),
@@ -387,7 +390,8 @@ def _split(model: Any, rows: Tensor, shares: bool, generator: torch.Generator) -
         device=generator.device,
     ).to(scale_m)
     away = torch.einsum("nij,nj,bnj->bni", R, scale_m, drawn)
-    centres, logit = params.xyz_W[rows] + away, params.opacity_logit[rows]
+    centres = params.xyz_W[rows] + away
+    logit = params.opacity_logit[rows]
     new = torch.arange(
         len(model),
         len(model) + 2 * len(rows),

@@ -145,7 +145,8 @@ class GaussianModel(GrowingRows):
             raise ValueError(
                 f"Gaussians to begin with must be finite, got NaN or infinities: {bad}"
             )
-        start, stop = self._count, self._count + len(params)
+        start = self._count
+        stop = self._count + len(params)
         self._reserve(stop)
         for name in (*PARAMETERS[:-1], *self._moment_names()):
             self._columns[name][start:stop] = getattr(params, name) if name in PARAMETERS else 0.0
@@ -186,7 +187,8 @@ class GaussianModel(GrowingRows):
                 "new Gaussians need numbers that are not NaN, scales >= 0 and opacities in 0..1, "
                 f"got {getattr(seeds, name)[row].tolist()} as {name} of row {row}"
             )
-        start, stop = self._count, self._count + n
+        start = self._count
+        stop = self._count + n
         self._reserve(stop)
         new = self._columns
         new["xyz_W"][start:stop] = seeds.xyz_W
@@ -252,7 +254,8 @@ class GaussianModel(GrowingRows):
 
     def log_changes(self) -> Callable[[], None]:
         """Also the number of steps is brought back."""
-        undo_rows, count = super().log_changes(), self.step_count
+        undo_rows = super().log_changes()
+        count = self.step_count
 
         def undo() -> None:
             undo_rows()

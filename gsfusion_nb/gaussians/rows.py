@@ -85,7 +85,8 @@ class UndoLog:
     """
 
     def __init__(self, count: int, names: set[str]):
-        self.count, self.names = count, names
+        self.count = count
+        self.names = names
         self.kept: list[dict[str, Tensor] | tuple[Tensor, dict[str, Tensor]]] = []
         """Rows and their values, or a whole ``snapshot``, in the order of the changes."""
         self.is_kept: Tensor | None = None
@@ -168,7 +169,8 @@ class GrowingRows:
 
     def copy_rows(self, rows: Int[Tensor, " M"]) -> None:
         """Append a copy of each of these rows; row numbers may repeat."""
-        start, stop = self._count, self._count + len(rows)
+        start = self._count
+        stop = self._count + len(rows)
         self._reserve(stop)
         for column in self._columns.values():
             column[start:stop] = column[rows]
@@ -264,7 +266,8 @@ class GrowingRows:
                 self._columns[prefix + name][rows] = value
 
     def _in_use(self, count: int) -> None:
-        self._count, self._most = count, max(self._most, count)
+        self._most = max(self._most, count)
+        self._count = count
 
     @property
     def _capacity(self) -> int:

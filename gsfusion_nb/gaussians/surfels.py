@@ -23,7 +23,8 @@ OPAQUE = 0.99
 """Opacity of a Gaussian that represents the surface and its main colour."""
 TRANSPARENT = 0.1
 """Opacity of a Gaussian that only corrects the remaining colour."""
-UNSTABLE, STABLE = 0, 1
+UNSTABLE = 0
+STABLE = 1
 
 _ANCHOR = ("xyz_W", "log_scale", "quat")
 _AT_LEAST_0 = ("state", "confidence", "colour_errors", "depth_errors", "frames_in_view")
@@ -155,7 +156,8 @@ class SurfelModel(GaussianModel):
 
 def state_counts(model: SurfelModel) -> dict[str, int]:
     """Rows by state and kind, for reports."""
-    stable, transparent = model.is_stable, model.is_transparent
+    stable = model.is_stable
+    transparent = model.is_transparent
     kinds = {
         "stable_opaque": stable & ~transparent,
         "stable_transparent": stable & transparent,
@@ -168,7 +170,10 @@ def state_counts(model: SurfelModel) -> dict[str, int]:
     return dict(zip(kinds, counts, strict=True))
 
 
-STAYS, BECOMES_STABLE, BECOMES_UNSTABLE, DELETED = 0, 1, 2, 3
+STAYS = 0
+BECOMES_STABLE = 1
+BECOMES_UNSTABLE = 2
+DELETED = 3
 """What happens to a row at the end of a frame."""
 
 

@@ -114,7 +114,8 @@ def normals_at(
     inside_rows = (row > 0) & (row < H - 1)
     inside_columns = (column > 0) & (column < W - 1)
     inside = inside_rows & inside_columns
-    depths, points = [], []
+    depths = []
+    points = []
     for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         y = (row + down).clamp(0, H - 1)
         x = (column + right).clamp(0, W - 1)

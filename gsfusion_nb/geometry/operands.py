@@ -73,7 +73,8 @@ def check_gaussians(params: Any, like: GaussianParams | None = None) -> None:
             dtypes=(first.dtype,),
             device=first.device,
         )
-    n, K = len(first), "K" if like is None else like.sh.shape[1]
+    n = len(first)
+    K = "K" if like is None else like.sh.shape[1]
     for name, shape in (
         ("log_scale", (n, 3)),
         ("quat", (n, 4)),
@@ -175,7 +176,9 @@ LEAST_SIDE_PX = 2
 
 def check_plausible_camera(source: str, camera: Camera) -> None:
     """Raise ``ValueError`` for an impossible camera; the sentence begins with ``source``."""
-    c, (near, far), (first, last) = camera, FOCAL_PER_SIDE, CENTRE_SIDES
+    c = camera
+    near, far = FOCAL_PER_SIDE
+    first, last = CENTRE_SIDES
     for name, value, low, high in (
         ("the image's smaller side", min(c.width, c.height), LEAST_SIDE_PX, math.inf),
         ("fx", c.fx, near * c.width, far * c.width),

@@ -127,7 +127,8 @@ def slerp(
     t: Float[Tensor, "*B"],
 ) -> Float[Tensor, "*B 4"]:
     """Spherical interpolation along the shorter arc: ``a`` at t = 0, ``b`` at t = 1."""
-    a, b = normalise(a), normalise(b)
+    a = normalise(a)
+    b = normalise(b)
     dot = (a * b).sum(-1, keepdim=True)
     b = torch.where(dot < 0, -b, b)
     angle = dot.abs().clamp(max=1.0).acos()
@@ -148,8 +149,10 @@ def multiply(
     b: Float[Tensor, "*B 4"],
 ) -> Float[Tensor, "*B 4"]:
     """Hamilton product: the rotation of ``b`` followed by that of ``a``. Differentiable: yes."""
-    w, u = a[..., :1], a[..., 1:]
-    x, v = b[..., :1], b[..., 1:]
+    w = a[..., :1]
+    u = a[..., 1:]
+    x = b[..., :1]
+    v = b[..., 1:]
     scalar = w * x - (u * v).sum(-1, keepdim=True)
     return torch.cat(
         [scalar, w * v + x * u + torch.linalg.cross(u, v)],

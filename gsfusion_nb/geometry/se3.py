@@ -60,7 +60,8 @@ def hat(omega: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
 def adjoint(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 6 6"]:
     """Ad(T) = [[R, hat(t) R], [0, R]]: T exp(xi) = exp(Ad(T) xi) T, translation first.
     Differentiable: yes."""
-    R, t = T[..., :3, :3], T[..., :3, 3]
+    R = T[..., :3, :3]
+    t = T[..., :3, 3]
     top = torch.cat([R, hat(t) @ R], dim=-1)
     bottom = torch.cat([torch.zeros_like(R), R], dim=-1)
     return torch.cat([top, bottom], dim=-2)
@@ -69,7 +70,8 @@ def adjoint(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 6 6"]:
 def small_adjoint(xi: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 6 6"]:
     """ad(xi) = [[hat(omega), hat(rho)], [0, hat(omega)]], with matrix exponential Ad(exp(xi)).
     Differentiable: yes."""
-    rho, omega = hat(xi[..., :3]), hat(xi[..., 3:])
+    rho = hat(xi[..., :3])
+    omega = hat(xi[..., 3:])
     top = torch.cat([omega, rho], dim=-1)
     bottom = torch.cat([torch.zeros_like(rho), omega], dim=-1)
     return torch.cat([top, bottom], dim=-2)
@@ -82,7 +84,8 @@ def exp(xi: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 4 4"]:
     Source: the closed form with A = sin t / t, B = (1 - cos t) / t^2, C = (t - sin t) / t^3 and
     their series near zero.
     """
-    rho, omega = xi[..., :3], xi[..., 3:]
+    rho = xi[..., :3]
+    omega = xi[..., 3:]
     t2 = (omega * omega).sum(-1)[..., None, None]
     small = t2 < 1e-4  # below it (t - sin t) loses too many digits, also in float32
     safe2 = torch.where(
@@ -145,7 +148,8 @@ def log(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 6"]:
     Differentiable: yes, below pi.
     """
     quat = quaternion.from_matrix(T[..., :3, :3])
-    w, v = quat[..., :1], quat[..., 1:]
+    w = quat[..., :1]
+    v = quat[..., 1:]
     v2 = (v * v).sum(-1, keepdim=True)
     small = v2 < 1e-8
     norm = torch.where(small, torch.ones_like(v2), v2).sqrt()  # two wheres, as in exp

@@ -48,7 +48,9 @@ def sh_basis(dirs: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, "N K"]:
     if degree >= 1:
         Y += [-C1 * y, C1 * z, -C1 * x]
     if degree >= 2:
-        xx, yy, zz = x * x, y * y, z * z
+        xx = x * x
+        yy = y * y
+        zz = z * z
         Y += [
             C2[0] * x * y,
             -C2[0] * y * z,
@@ -57,7 +59,9 @@ def sh_basis(dirs: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, "N K"]:
             C2[2] * (xx - yy),
         ]
     if degree >= 3:
-        xx, yy, zz = x * x, y * y, z * z
+        xx = x * x
+        yy = y * y
+        zz = z * z
         Y += [
             -C3[0] * y * (3 * xx - yy),
             C3[1] * x * y * z,
@@ -88,7 +92,9 @@ def sh_basis_gradient(dirs: Float[Tensor, "N 3"], degree: int) -> Float[Tensor, 
             (2 * C2[2] * x, -2 * C2[2] * y, o),
         ]
     if degree >= 3:
-        xx, yy, zz = x * x, y * y, z * z
+        xx = x * x
+        yy = y * y
+        zz = z * z
         dY += [
             (-6 * C3[0] * x * y, -3 * C3[0] * (xx - yy), o),
             (C3[1] * y * z, C3[1] * x * z, C3[1] * x * y),
@@ -200,7 +206,8 @@ def turned_harmonics(
     )
     d = d / d.norm(dim=1, keepdim=True)
     R = R.detach().to("cpu", torch.float64)
-    before, after = sh_basis(d, degree), sh_basis(d @ R.T, degree)
+    before = sh_basis(d, degree)
+    after = sh_basis(d @ R.T, degree)
     out = [sh[:, :1]]
     for l in range(1, degree + 1):  # noqa: E741
         band = slice(l * l, (l + 1) * (l + 1))

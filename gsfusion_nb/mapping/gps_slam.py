@@ -75,11 +75,10 @@ class GPSSLAM(TsdfMapping):
         see of the surface is without it. The first frame is therefore only fused, unless the rule
         needs no surface.
         """
-        schedule, is_keyframe = self.config.schedule, self.is_next_keyframe(frame)
-        seeds_now, in_window = (
-            self.rule_is_due(is_keyframe),
-            self.n_frames % schedule.window_every == 0,
-        )
+        schedule = self.config.schedule
+        is_keyframe = self.is_next_keyframe(frame)
+        seeds_now = self.rule_is_due(is_keyframe)
+        in_window = self.n_frames % schedule.window_every == 0
         with self.clock("tsdf"):
             missing = self._make_room(frame)
         with self.clock("base"):
@@ -89,10 +88,8 @@ class GPSSLAM(TsdfMapping):
                 else None
             )
         with self.clock("seeding"):
-            below, preview = (
-                None if now is None else now.below,
-                FusedView(self.volume, frame, missing),
-            )
+            below = None if now is None else now.below
+            preview = FusedView(self.volume, frame, missing)
             context = self._context(frame, volume=preview, below=below)
             seeds = self.propose_seeds(context)
         with self.changes(undoable=self.views.steps_in(self.n_frames) > 0):
@@ -210,7 +207,8 @@ class GPSSLAM(TsdfMapping):
         made, discs = self._discs
         n = len(self.gaussians)
         if self.n_frames > made + made // 10:
-            made, discs = self.n_frames, None
+            made = self.n_frames
+            discs = None
         rows = plain_gaussians(self.volume, self.params_now(), discs)
         self._discs = made, rows[n:]
         return rows
@@ -242,7 +240,8 @@ class GPSSLAM(TsdfMapping):
         self.views.load_state_dict(state["views"], self.config.base, self.device)
 
     def _undo(self) -> Callable[[], None]:
-        undo, views = super()._undo(), self.views.snapshot()
+        undo = super()._undo()
+        views = self.views.snapshot()
 
         def undo_all() -> None:
             undo()
@@ -272,14 +271,16 @@ class GPSSLAM(TsdfMapping):
             views.add_frame(now)
         if not self.config.schedule.spread and views.steps_in(self.n_frames):
             views.look_again(self._look)
-        n, n_new = views.recalls_in(self.n_frames), views.new_in(self.n_frames)
+        n = views.recalls_in(self.n_frames)
+        n_new = views.new_in(self.n_frames)
         views.recall(self.keyframes, self._look, self.random.keyframes, n, n_new)
 
     def _prune(self) -> None:
         """Remove Gaussians that have become too small, too large or transparent."""
         self.take_missed_steps()
         self.remove_lost()
-        limits, params = self.config.residual, self.gaussians.params
+        limits = self.config.residual
+        params = self.gaussians.params
         radius_m = params.log_scale.amax(dim=1).exp()
         kept = (radius_m >= limits.min_radius_m) & (radius_m <= limits.max_radius_m)
         kept &= params.opacity_logit.sigmoid() >= LEAST_OPACITY
@@ -333,8 +334,11 @@ class GPSSLAM(TsdfMapping):
         rule looks at it.
         """
         self.guard.may_stop()
-        keyframe, below = view.keyframe, view.below
-        camera, T_WC, target = keyframe.camera, keyframe.T_WC, keyframe.rgb
+        keyframe = view.keyframe
+        below = view.below
+        camera = keyframe.camera
+        T_WC = keyframe.T_WC
+        target = keyframe.rgb
         part = self.part_in_view(
             keyframe,
             self.config.residual.adam,
@@ -346,12 +350,14 @@ class GPSSLAM(TsdfMapping):
         )
         of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp
         pixels = of_pixels(output.rgb, target)
-        loss, v_rgb = pixels.value, pixels.v_rgb
+        loss = pixels.value
+        v_rgb = pixels.v_rgb
         if self.training.loss is not None:
             given = self.training.view_loss(
                 output.as_render_output(below.base), keyframe, with_depth=False
             )
-            loss, v_rgb = given.value, given.v_rgb
+            loss = given.value
+            v_rgb = given.v_rgb
         gradients = render_over_base_vjp(saved, v_rgb, **watched.outputs)
         adam_step(part, gradients, self.config.residual.adam, self.training.optimiser)
         self.lost.stepped(part.params)

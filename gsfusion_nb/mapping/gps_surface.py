@@ -105,7 +105,8 @@ def fit_to_pictures(
     degree = math.isqrt(gaussians.sh.shape[1]) - 1
     model = GaussianModel(degree, device=gaussians.xyz_W.device)
     model.extend(gaussians)
-    generator, turns = torch.Generator().manual_seed(0), list[int]()
+    generator = torch.Generator().manual_seed(0)
+    turns = list[int]()
     for _ in range(steps):
         turns = turns or torch.randperm(len(poses), generator=generator).tolist()
         T_WC = poses[turns.pop()].to(gaussians.xyz_W)
@@ -130,11 +131,9 @@ def surface_discs(mesh: Mesh, voxel_size_m: float, coefficients: int = 1) -> Gau
         voxel,
         n,
     )
-    centre, rgb, normal = (
-        mean[:, :3],
-        mean[:, 3:6],
-        torch.nn.functional.normalize(mean[:, 6:], dim=1),
-    )
+    centre = mean[:, :3]
+    rgb = mean[:, 3:6]
+    normal = torch.nn.functional.normalize(mean[:, 6:], dim=1)
     sh = xyz.new_zeros(n, coefficients, 3)
     sh[:, 0] = rgb_to_sh_dc(rgb)
     size_m = voxel_size_m * torch.tensor([DISC_VOXELS, DISC_VOXELS, THIN_VOXELS]).to(xyz)
@@ -150,7 +149,8 @@ def surface_discs(mesh: Mesh, voxel_size_m: float, coefficients: int = 1) -> Gau
 def in_front(volume: TsdfVolume, params: GaussianParams) -> GaussianParams:
     """The Gaussians with the opacities of (1), moved along the surface's normal until they are in
     front of it."""
-    voxel_m, truncation_m = volume.config.voxel_size_m, volume.config.truncation_m
+    voxel_m = volume.config.voxel_size_m
+    truncation_m = volume.config.truncation_m
     D, known = volume.interpolate(params.xyz_W)
     at, f = volume.cell_corners(params.xyz_W[known])
     gradient = (volume.D.view(-1)[at][..., None] * corner_gradients(f)).sum(1)
@@ -238,7 +238,9 @@ class StoredLooks:
 
     def forget(self) -> None:
         """Keep nothing."""
-        self._state, self._seen, self.n_bytes = (None, 0), {}, 0
+        self._state = (None, 0)
+        self._seen = {}
+        self.n_bytes = 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -255,7 +257,8 @@ class OverSurface:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
         if self.look is None:
             seen = raycast(self.volume, camera, T_WC.to(self.volume.device))
-            rgb, depth_m = seen.rgb, seen.depth_m
+            rgb = seen.rgb
+            depth_m = seen.depth_m
         else:
             rgb, depth_m = self.look(camera, T_WC)
         return base_view(

@@ -21,7 +21,8 @@ WINDOW_TURNS = 2 / 7
 """Turns of the latest frames for each turn of a keyframe, as with the 2 frames and 7 keyframes of
 the release."""
 
-LOOK_STEPS, SEEDING_STEPS = 1.5, 2.0
+LOOK_STEPS = 1.5
+SEEDING_STEPS = 2.0
 """Gradient steps that take as long as a look at the TSDF, and as seeding; measured at 320 x 240."""
 
 
@@ -74,7 +75,8 @@ def small(camera: Camera, config: BaseConfig) -> Camera:
     pixel more."""
     if config.resolution == "full":
         return camera
-    width, height = (camera.width + 1) // 2, (camera.height + 1) // 2
+    width = (camera.width + 1) // 2
+    height = (camera.height + 1) // 2
     return replace(camera.resized(2 * width, 2 * height), **_lens(camera)).resized(width, height)
 
 
@@ -169,20 +171,25 @@ class ViewRound:
                     self._turns_of_window + self.config.keyframes, generator=generator
                 ).tolist()
             turn = self._turns.pop(0)
-            kind, position = self.window, turn % WINDOW
+            kind = self.window
+            position = turn % WINDOW
             if turn >= self._turns_of_window:
-                kind, position = self.recalled, turn - self._turns_of_window
+                kind = self.recalled
+                position = turn - self._turns_of_window
             if position < len(kind):
                 return kind[position]
 
     def forget(self) -> None:
         """Leave out all views, because their poses have changed."""
-        self.window, self.recalled = [], []
+        self.window = []
+        self.recalled = []
 
     def snapshot(self) -> "ViewRound":
         """The same views and turns."""
         copy = ViewRound(self.config)
-        copy.window, copy.recalled, copy._turns = self.window, self.recalled, list(self._turns)
+        copy.window = self.window
+        copy.recalled = self.recalled
+        copy._turns = list(self._turns)
         return copy
 
     def constant_tensors(self) -> list[Tensor]:

@@ -106,13 +106,12 @@ class GSFusion(TsdfMapping):
     def is_next_keyframe(self, frame: Frame) -> bool | None:
         """Whether this frame, mapped next, becomes a keyframe; None if that depends on the number
         of its seeds."""
-        every, gap = self.config.keyframe_every, self.config.keyframe_max_gap
+        every = self.config.keyframe_every
+        gap = self.config.keyframe_max_gap
         if every:
             return self.n_frames % every == 0
-        mapped, last = (
-            self.localiser.frame_indices,
-            self.keyframes[-1].index if len(self.keyframes) else None,
-        )
+        mapped = self.localiser.frame_indices
+        last = self.keyframes[-1].index if len(self.keyframes) else None
         overdue = gap and last is not None and len(mapped) - bisect.bisect_left(mapped, last) >= gap
         return True if overdue and not self._seen_before(frame) else None
 
@@ -139,7 +138,8 @@ class GSFusion(TsdfMapping):
         return [*super().run_notes(steps), *([why] if why else [])]
 
     def _why_few(self) -> str:
-        n_gaussians, n_keyframes = len(self.gaussians), len(self.keyframes)
+        n_gaussians = len(self.gaussians)
+        n_keyframes = len(self.keyframes)
         return why_few(self.config, self._camera, self.n_frames, n_gaussians, n_keyframes)
 
     def quadtree_cells(self, frame: Frame) -> Cells:
@@ -149,11 +149,9 @@ class GSFusion(TsdfMapping):
     def _plan(self, frame: Frame, n_seeds: int) -> tuple[bool, int, int]:
         """``plan_frame`` by the settings; where it is known whether the frame is a keyframe, its
         seeds do not count."""
-        optim, least, known = (
-            self.config.optim,
-            self.config.keyframe_min_seeds,
-            self.is_next_keyframe(frame),
-        )
+        optim = self.config.optim
+        least = self.config.keyframe_min_seeds
+        known = self.is_next_keyframe(frame)
         return plan_frame(
             n_seeds if known is None else known * (least + 1),
             len(self.keyframes) + self.config.keep_all_frames,
@@ -222,7 +220,8 @@ class GSFusion(TsdfMapping):
         would leave a GPU idle.
         """
         self.guard.may_stop()
-        view, optim = view.to(self.device), self.config.optim
+        view = view.to(self.device)
+        optim = self.config.optim
         fit = self.fits if fits else None
         keyframe: Any = view  # where poses and exposures are fitted
         part = self.part_in_view(view, optim)
@@ -232,7 +231,8 @@ class GSFusion(TsdfMapping):
         found, mse = self._loss(shown, view, ssim_weight)
         v_rgb = found.v_rgb if fit is None else fit.expose_vjp(output, found.v_rgb)
         gradients = render_vjp(saved, v_rgb, found.v_depth_m, **watched.outputs)
-        loss, penalties = found.value, self._penalties
+        loss = found.value
+        penalties = self._penalties
         if penalties:
             loss = loss + add_penalties_(gradients, part.params, **penalties)
         adam_step(part, gradients, optim, self.training.optimiser)
@@ -260,10 +260,13 @@ class GSFusion(TsdfMapping):
         """L1 (Eq. 12), with D-SSIM and depth where the settings say so, or the given loss; and the
         MSE."""
         target = view.rgb  # of a keyframe, made from bytes each time
-        pixels, optim = l1_mse_vjp(rendered.rgb, target), self.config.optim
+        pixels = l1_mse_vjp(rendered.rgb, target)
+        optim = self.config.optim
         if self.training.loss is not None:
             return self.training.view_loss(rendered, view), pixels.mse
-        loss, v_rgb, v_depth_m = pixels.value, pixels.v_rgb, None
+        loss = pixels.value
+        v_rgb = pixels.v_rgb
+        v_depth_m = None
         if ssim_weight > 0:
             structural, v_structural = dssim_vjp(rendered.rgb, target)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural

@@ -22,9 +22,11 @@ OFF_M = 0.02
 OFF_DEG = 1.0
 """ICP starts from the landmarks' pose where it differs by more than this from the predicted one."""
 
-FASTEST_M_S, FASTEST_DEG_S = 20.0, 1500.0
+FASTEST_M_S = 20.0
+FASTEST_DEG_S = 1500.0
 """No camera in a hand, on a robot or on a slow car moves or turns faster."""
-FARTHEST_STEP_M, FARTHEST_STEP_DEG = 2.0, 120.0
+FARTHEST_STEP_M = 2.0
+FARTHEST_STEP_DEG = 120.0
 """Up to this for each frame between them two poses are no jump at any speed: time stamps may be
 missing or wrong."""
 
@@ -47,7 +49,8 @@ class Localiser:
         self.given: list[Float[Tensor, "4 4"]] = []
         """The same poses before pictures refined them; the same tensors where none did."""
         self.frame_indices: list[int] = []
-        self._block, self._n_kept = torch.zeros(_BLOCK, 4, 4), 0
+        self._block = torch.zeros(_BLOCK, 4, 4)
+        self._n_kept = 0
         self.report: dict[str, Any] = {}
         """How the last frame was tracked: status, rms_m, inlier_share. Empty for given poses."""
         self.jump = ""
@@ -164,7 +167,8 @@ class Localiser:
                 is a jump that no camera makes, both from the last mapped frame and from a frame
                 just refused.
         """
-        self.report, self._found = {}, None
+        self.report = {}
+        self._found = None
         if not self.is_tracking:
             self._check_jump(frame)
             return frame
@@ -217,7 +221,8 @@ class Localiser:
         self.given.append(self.poses[-1])
         self.frame_indices.append(frame.index)
         if not self.is_tracking:
-            self._mapped, self._refused = _stand_of(frame), None
+            self._mapped = _stand_of(frame)
+            self._refused = None
             return None
         return self._remember(frame)
 
@@ -244,7 +249,8 @@ class Localiser:
         self._view = None
         if self._map is None or not self.config.landmarks or frame.camera != self._map.camera:
             return None, None
-        features, predicted = self._features(frame), self._tracker.predict(frame.timestamp_s)
+        features = self._features(frame)
+        predicted = self._tracker.predict(frame.timestamp_s)
         seen = self._map.see(features, predicted)
         self._view = frame.index, features, seen
         if seen is None:
@@ -312,7 +318,8 @@ class Localiser:
         if correction is None:
             return None
         moves = correction.transform_of(torch.tensor(self.frame_indices)).float()
-        old, self.poses = self.poses, [T @ pose for T, pose in zip(moves, self.poses, strict=True)]
+        old = self.poses
+        self.poses = [T @ pose for T, pose in zip(moves, self.poses, strict=True)]
         pairs = zip(moves, self.poses, old, self.given, strict=True)
         self.given = [new if given is pose else T @ given for T, new, pose, given in pairs]
         self._tracker.correct(moves[-1])
@@ -346,7 +353,8 @@ class Localiser:
         self._mapped, self._refused = state["stands"]
         self._tracker = tracking.Tracker.from_state_dict(self.config, state["tracker"])
         if state["camera"] is not None:
-            camera, saved = Camera(**state["camera"]), state["back_end"]
+            camera = Camera(**state["camera"])
+            saved = state["back_end"]
             self._use(
                 camera, None if saved is None else tracking.BackEnd.from_state_dict(camera, saved)
             )
@@ -364,10 +372,8 @@ def jump_from(stand: dict[str, Any], frame: Frame) -> str:
     """How far the pose of a frame is from ``stand`` of an earlier one, in words, if no camera moves
     so fast."""
     turned_deg, moved_m = (float(x) for x in se3.motion(stand["T_WC"], frame.T_WC_cpu))
-    seconds, frames = (
-        max(frame.timestamp_s - stand["timestamp_s"], 0.0),
-        max(abs(frame.index - stand["index"]), 1),
-    )
+    seconds = max(frame.timestamp_s - stand["timestamp_s"], 0.0)
+    frames = max(abs(frame.index - stand["index"]), 1)
     most_m = max(FARTHEST_STEP_M * frames, FASTEST_M_S * seconds)
     most_deg = max(FARTHEST_STEP_DEG * frames, FASTEST_DEG_S * seconds)
     if moved_m <= most_m and turned_deg <= most_deg:
@@ -387,7 +393,8 @@ def between(
     after = int(torch.searchsorted(indices, index).clamp(1, max(len(indices) - 1, 1)))
     if len(indices) == 1:
         return values[0]
-    first, last = int(indices[after - 1]), int(indices[after])
+    first = int(indices[after - 1])
+    last = int(indices[after])
     share = min(max((index - first) / max(last - first, 1), 0.0), 1.0)
     return (1 - share) * values[after - 1] + share * values[after]
 

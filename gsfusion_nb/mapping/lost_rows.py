@@ -48,7 +48,8 @@ class LostRows:
         Returns:
             Which rows are finite; None: all of them. [N]
         """
-        sums, self._sums = self._sums, []
+        sums = self._sums
+        self._sums = []
         if not sums or bool(torch.stack(sums).isfinite().all()):
             return None
         finite = finite_rows(params)

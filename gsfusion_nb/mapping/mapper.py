@@ -240,7 +240,8 @@ class Mapper(ABC):
     def _mapped_whole(self, frame: Frame) -> StepReport:
         """Map a frame; if what comes before ``changes`` fails, or an undoable change, all is as it
         was before."""
-        random_numbers, memory = self.random.state_dict(), copy_memory(self.memory)
+        random_numbers = self.random.state_dict()
+        memory = copy_memory(self.memory)
         try:
             DelayedInterrupt.allow()
             self.clock = StageClock()
@@ -429,7 +430,8 @@ class Mapper(ABC):
         The steps of a frame on one view take the same rows, as long as nothing else changes the
         map. So do the steps on ``later`` views, whose rows are taken together with these.
         """
-        views, (last_views, last) = (view, *later), self._last_part
+        views = (view, *later)
+        last_views, last = self._last_part
         if (
             last is not None
             and last.is_current
@@ -492,11 +494,9 @@ class Mapper(ABC):
 
     def _undo_of_global_step(self) -> Callable[[], None]:
         """A function that undoes the next step of the optimisation after the scan."""
-        undo, passes, random_numbers = (
-            self._undo(),
-            self.passes.state_dict(),
-            self.random.state_dict(),
-        )
+        undo = self._undo()
+        passes = self.passes.state_dict()
+        random_numbers = self.random.state_dict()
         memory = copy_memory(self.memory) if self.after_steps.edits else None
 
         def undo_all() -> None:
@@ -544,12 +544,11 @@ class Mapper(ABC):
     def _undo(self) -> Callable[[], None]:
         """A function that undoes what a frame changes in the map, from now on; a subclass extends
         it."""
-        undo_rows, taken = self.gaussians.log_changes(), self.after_steps.taken
-        keyframes, lost, steps_missed = (
-            self.keyframes.snapshot(),
-            self.lost.counts,
-            self._steps_missed,
-        )
+        undo_rows = self.gaussians.log_changes()
+        taken = self.after_steps.taken
+        keyframes = self.keyframes.snapshot()
+        lost = self.lost.counts
+        steps_missed = self._steps_missed
 
         def undo() -> None:
             undo_rows()
@@ -732,7 +731,8 @@ class Mapper(ABC):
     def _load(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` saved; a subclass extends both."""
         self.localiser.load_state_dict(state["localiser"])
-        self.n_frames, self.after_steps.taken = state["n_frames"], state["steps_taken"]
+        self.n_frames = state["n_frames"]
+        self.after_steps.taken = state["steps_taken"]
         self.lost.total = state.get("n_not_finite", 0)
         self.random.load_state_dict(state["random"])
         self.gaussians = self.model_type.from_state_dict(state["gaussians"], self.device)
@@ -803,7 +803,8 @@ class Mapper(ABC):
 
     def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
         """Warnings for the user about the step that gave ``report``, as sentences."""
-        warnings, depth_m = [], frame.depth_m[::8, ::8]
+        warnings = []
+        depth_m = frame.depth_m[::8, ::8]
         if (
             report.n_not_finite and report.n_not_finite == self.lost.total
         ):  # the first; all are counted

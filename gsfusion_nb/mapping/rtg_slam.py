@@ -40,7 +40,8 @@ MESH_VIEWS = 60
 """Fewest views whose rendered depth is fused to the mesh, if there are as many; a long walk has
 more."""
 
-KEYFRAME_DEG, KEYFRAME_M = 30.0, 0.3
+KEYFRAME_DEG = 30.0
+KEYFRAME_M = 0.3
 """A frame becomes a keyframe when the camera has turned, or its centre has moved, by this since the
 last one."""
 
@@ -103,10 +104,8 @@ class RTGSLAM(Mapper):
             before = _psnr_db(context.surface().rgb, frame) if len(self.gaussians) else math.nan
             seeds = self.propose_seeds(context)  # RTG-SLAM Eq. 6
         is_keyframe = self.is_next_keyframe(frame)
-        window_is_due, keyframes_are_due = (
-            self._window_is_due(is_keyframe),
-            is_keyframe and self.n_frames > 0,
-        )
+        window_is_due = self._window_is_due(is_keyframe)
+        keyframes_are_due = is_keyframe and self.n_frames > 0
         with self.changes(undoable=window_is_due or keyframes_are_due):
             with self.boxes.appending(self.gaussians):
                 self.gaussians.append(seeds, frame.index)
@@ -175,7 +174,8 @@ class RTGSLAM(Mapper):
     def _optimise_window(self) -> list[float]:
         """Optimise the unstable Gaussians against the last frames, then fuse them with the old
         values (Eq. 7-9)."""
-        config, model = self.config.window, self.gaussians
+        config = self.config.window
+        model = self.gaussians
         trained = ~model.is_stable if config.only_unstable else torch.ones_like(model.is_stable)
         seen = self._seen(self.window)
         if not (trained & seen).any():
@@ -193,7 +193,8 @@ class RTGSLAM(Mapper):
         ]
         newest_from = config.iterations / 2 if config.draw == "newest_half" else math.inf
         losses, last = self._take_steps(optimiser, views, config.iterations, newest_from)
-        was, most = model.confidence[optimiser.rows], config.history_max_weight
+        was = model.confidence[optimiser.rows]
+        most = config.history_max_weight
         now = was + optimiser.steps_seen
         fused = fuse_with_history(
             before, optimiser.trained, was, now, history_max_weight=most
@@ -209,7 +210,8 @@ class RTGSLAM(Mapper):
 
         Returns the number of gradient steps.
         """
-        config, model = self.config.keyframes, self.gaussians
+        config = self.config.keyframes
+        model = self.gaussians
         n = len(self.keyframes)
         latest = list(range(max(0, n - config.latest), n))
         earlier = torch.randperm(n - len(latest), generator=self.random.keyframes)[
@@ -251,7 +253,8 @@ class RTGSLAM(Mapper):
         Returns the losses before them; and the number of the view, the loss and what was collected
         of the last step.
         """
-        losses, last = [], None
+        losses = []
+        last = None
         for step in range(n):
             self.guard.may_stop()
             i = len(views) - 1 if step >= newest_from else self._draw(len(views))
@@ -281,7 +284,8 @@ class RTGSLAM(Mapper):
 
     def _seen(self, views: Iterable[Frame | Keyframe]) -> Bool[Tensor, " N"]:
         """Rows that any of the views may show."""
-        params, seen = self.gaussians.params, torch.zeros_like(self.gaussians.is_stable)
+        params = self.gaussians.params
+        seen = torch.zeros_like(self.gaussians.is_stable)
         for view in views:
             depth_m = None if self.config.all_in_view else view.depth_m
             part = self.boxes.rows(params, view.camera, view.T_WC, depth_m)
@@ -326,11 +330,13 @@ class RTGSLAM(Mapper):
         are left."""
         if self._final is not None:
             self.gaussians.state.fill_(STABLE)
-            earlier, self._final = self._final, self._final_optimiser()
+            earlier = self._final
+            self._final = self._final_optimiser()
             self._final.take_over(earlier, before)
 
     def _final_optimiser(self) -> SurfelOptimiser:
-        config, everything = self.config.final, torch.ones_like(self.gaussians.is_stable)
+        config = self.config.final
+        everything = torch.ones_like(self.gaussians.is_stable)
         return SurfelOptimiser(
             self.gaussians,
             everything,
@@ -348,12 +354,15 @@ class RTGSLAM(Mapper):
 
     def _undo(self) -> Callable[[], None]:
         """Also the window and the optimiser of the final passes."""
-        undo_map, window, final = super()._undo(), list(self.window), self._final
+        undo_map = super()._undo()
+        window = list(self.window)
+        final = self._final
         undo_adam = None if final is None else final.adam.log_changes()
 
         def undo() -> None:
             undo_map()
-            self.window, self._final = deque(window, maxlen=self.window.maxlen), final
+            self.window = deque(window, maxlen=self.window.maxlen)
+            self._final = final
             if final is not None and undo_adam is not None:
                 undo_adam()
                 final.adam.end_log()
@@ -440,12 +449,12 @@ class RTGSLAM(Mapper):
         settings = TsdfConfig(
             voxel_size_m=self.config.mesh_voxel_m, truncation_voxels=4.0, near_m=0.2
         )
-        volume, poses, camera = (
-            TsdfVolume(settings, device=self.device),
-            self.localiser.poses,
-            self.camera,
-        )
-        stride, taken, near = max(1, len(poses) // MESH_VIEWS), [], (0.0, 0.0)
+        volume = TsdfVolume(settings, device=self.device)
+        poses = self.localiser.poses
+        camera = self.camera
+        stride = max(1, len(poses) // MESH_VIEWS)
+        taken = []
+        near = (0.0, 0.0)
         for index, T_WC in enumerate(poses):
             assert camera is not None
             moved = (
@@ -456,7 +465,8 @@ class RTGSLAM(Mapper):
             if moved[0] < near[0] and moved[1] < near[1]:
                 continue
             view = self.surface(camera, T_WC)
-            rgb, pose = view.rgb.clamp(0, 1), T_WC.to(self.device)
+            rgb = view.rgb.clamp(0, 1)
+            pose = T_WC.to(self.device)
             frame = Frame(
                 index=index,
                 timestamp_s=0.0,
@@ -485,7 +495,8 @@ class RTGSLAM(Mapper):
         """Whether the voxel of each surface point seen from a pose was observed; of every 16th
         pixel with depth."""
         assert self.camera is not None
-        depth_m, T = self.surface(self.camera, T_WC).depth_m, T_WC.to(self.device)
+        depth_m = self.surface(self.camera, T_WC).depth_m
+        T = T_WC.to(self.device)
         xyz_W = se3.apply(T, depth_to_points(self.camera, depth_m))
         return volume.sample_nearest(xyz_W[depth_m > 0][::16].contiguous()).W > 0
 

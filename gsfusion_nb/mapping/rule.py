@@ -137,7 +137,8 @@ class RuleInUse:
 def check_known(state: dict[str, Any]) -> None:
     """Raise ``SequenceError`` if the rule of a checkpoint is not the one that is registered here by
     its name."""
-    name, known = state["name"], registered().get(state["name"])
+    name = state["name"]
+    known = registered().get(state["name"])
     if known is None or rule_fingerprint(known) != state["fingerprint"]:
         what = "is not known here"
         if known is not None:
@@ -200,10 +201,12 @@ def _changes_by(rule: SeedingRule, config: SystemConfig) -> dict[str, Any]:
 
 
 def _with_options(config: S, rule: SeedingRule) -> S:
-    name, seeding = rule_name(rule), config.seeding
+    name = rule_name(rule)
+    seeding = config.seeding
     if name == seeding.rule:
         return config
-    options, own = seeding.options, registered().get(seeding.rule)
+    options = seeding.options
+    own = registered().get(seeding.rule)
     if (
         own is not None
         and not options.keys() <= rule_options(rule).keys()
@@ -293,7 +296,8 @@ class AfterSteps:
     def __init__(self, rule: RuleInUse):
         made = rule.map_rule
         self._used = rule
-        self._rule, self._name = made, rule_name(rule.rule)
+        self._rule = made
+        self._name = rule_name(rule.rule)
         self._needs: frozenset[str] = frozenset() if made is None else made.statistics()
         check_needs(self._needs, f"seeding rule {self._name!r}: statistics()")
         self.edits = made is not None and type(made).after_step is not MapRule.after_step
@@ -303,11 +307,14 @@ class AfterSteps:
         self.taken = 0
         """Number of gradient steps so far; counted only if ``is_used``."""
         self._context: SeedContext | None = None
-        self._steps_in_frame, self._first = 1, 0
+        self._steps_in_frame = 1
+        self._first = 0
 
     def frame_begins(self, context: SeedContext, n_steps: int) -> None:
         """The frame of ``context`` will be optimised with ``n_steps`` gradient steps."""
-        self._context, self._steps_in_frame, self._first = context, n_steps, self.taken
+        self._context = context
+        self._steps_in_frame = n_steps
+        self._first = self.taken
 
     def frame_ends(self) -> None:
         """Further steps belong to the passes after the scan."""
@@ -414,7 +421,8 @@ class AfterSteps:
             )
             return
         ctx = mapper.seed_context(_as_frame(view))
-        memory, random_numbers = copy_memory(ctx.memory), ctx.generator.get_state()
+        memory = copy_memory(ctx.memory)
+        random_numbers = ctx.generator.get_state()
         try:
             self._edit(mapper, ctx, self._stats(step, view, loss, rgb))
         except BaseException:
@@ -426,7 +434,8 @@ class AfterSteps:
     def _stats(
         self, step: WatchedStep, view: Frame | Keyframe, loss: Tensor, rgb: Tensor
     ) -> StepStats:
-        online, seen = self._context is not None, step.footprints
+        online = self._context is not None
+        seen = step.footprints
         return StepStats(
             step=self.taken,
             stage="online" if online else "passes",
@@ -476,7 +485,8 @@ def _as_frame(view: Frame | Keyframe) -> Frame:
     """A keyframe as a frame: at time 0, and without depth if it has none."""
     if isinstance(view, Frame):
         return view
-    size, depth_m = view.rgb_u8.shape[:2], view.depth_m
+    size = view.rgb_u8.shape[:2]
+    depth_m = view.depth_m
     depth_m = torch.zeros(size, device=view.rgb_u8.device) if depth_m is None else depth_m
     return Frame(
         index=view.index,

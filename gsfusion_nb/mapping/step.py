@@ -156,7 +156,8 @@ def _check_images(frame: Frame, needs_depth: bool) -> None:
     )
     depth_low, depth_high, low, high = extremes.tolist()  # NaN if any value is
     if frame.is_8_bit:
-        low, high = low / 255, high / 255
+        low = low / 255
+        high = high / 255
     if not (math.isfinite(depth_low) and math.isfinite(depth_high)):
         check_finite(f"depth_m of frame {frame.index}", frame.depth_m)
     check_colours(f"rgb of frame {frame.index}", frame.colour, (low, high))
@@ -193,7 +194,8 @@ class FrameGuard:
         self.half_mapped = ""
         """Which frame was only half mapped, and why; empty if none was."""
         self._lock = threading.Lock()
-        self._index, self._changing = -1, False
+        self._index = -1
+        self._changing = False
         self._undo: Callable[[], None] | None = None
 
     @contextlib.contextmanager
@@ -218,7 +220,9 @@ class FrameGuard:
                     f"{self.half_mapped}; this map takes no more frames: continue from the run's "
                     "last checkpoint (resume_mapping), or with a new mapper"
                 )
-            self._index, self._changing, self._undo = index, False, None
+            self._index = index
+            self._changing = False
+            self._undo = None
             with DelayedInterrupt() as interrupt:
                 interrupt.allow()
                 try:
@@ -249,7 +253,8 @@ class FrameGuard:
                 self.undo()
                 raise
             finally:
-                self._changing, self._undo = False, None
+                self._changing = False
+                self._undo = None
 
     @contextlib.contextmanager
     def _heard_while_compiling(self) -> Iterator[None]:
@@ -275,7 +280,8 @@ class FrameGuard:
         """Declare that the frame changes the map from here on; ``undo`` would bring back the map of
         now."""
         DelayedInterrupt.delay()
-        self._changing, self._undo = True, undo
+        self._changing = True
+        self._undo = undo
 
     def may_stop(self) -> None:
         """Called between two gradient steps. If the frame can be undone, Ctrl-C and SIGTERM take

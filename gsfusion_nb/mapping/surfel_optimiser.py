@@ -80,13 +80,16 @@ class SurfelOptimiser:
         training: Training | None = None,
     ):
         self.training = training or Training()
-        self.config, self.discs, self.weight_depth = window, discs, weight_depth
+        self.config = window
+        self.discs = discs
+        self.weight_depth = weight_depth
         self._all_in_view = all_in_view
         self._model = model
         others = ~trained if drawn is None else drawn & ~trained
         self._n_anchored = int((trained & model.is_transparent).sum())
         if seen is not None:
-            trained, others = trained & seen, others & seen
+            trained = trained & seen
+            others = others & seen
         self.rows = trained.nonzero().squeeze(1)
         """Rows of the map that are optimised."""
         self.n = len(self.rows)
@@ -142,13 +145,16 @@ class SurfelOptimiser:
             outputs: ``v_uv`` and ``v_uv_abs`` of ``render_vjp``, to be filled for the ``drawn``
                 rows. [R, 2]
         """
-        discs, params, is_trained = self.discs, self.params, self._is_trained
+        discs = self.discs
+        params = self.params
+        is_trained = self._is_trained
         whole = any(wanted is not None for wanted in outputs.values())
         depth_m = None if self._all_in_view else view.depth_m
         part = None if whole else self._boxes.rows(params, view.camera, view.T_WC, depth_m)
         if part is not None:
             self.adam.catch_up(part[part < self.n])
-            params, is_trained = params[part], is_trained[part]
+            params = params[part]
+            is_trained = is_trained[part]
         output, saved = render_forward(
             params,
             view.camera,
@@ -186,10 +192,8 @@ class SurfelOptimiser:
 
     def _loss(self, rendered: RenderOutput, view: TrainingView) -> RgbdLoss:
         if self.training.loss is not None:
-            found, unknown = (
-                self.training.view_loss(rendered, view),
-                rendered.depth_m.new_tensor(math.nan),
-            )
+            found = self.training.view_loss(rendered, view)
+            unknown = rendered.depth_m.new_tensor(math.nan)
             v_depth_m = (
                 torch.zeros_like(rendered.depth_m) if found.v_depth_m is None else found.v_depth_m
             )
@@ -253,7 +257,8 @@ class SurfelOptimiser:
         """
         if not len(self._anchored):
             return
-        rows, which = self._anchored, slice(None)
+        rows = self._anchored
+        which = slice(None)
         if stepped is not None:
             which = torch.isin(rows, stepped, assume_unique=True)
             rows = torch.searchsorted(stepped, rows[which])

@@ -56,7 +56,8 @@ class Training:
     """
 
     def __init__(self, loss: LossFunction | None = None, optimiser: UpdateFunction | None = None):
-        self.loss, self.optimiser = loss, optimiser
+        self.loss = loss
+        self.optimiser = optimiser
         self._given = given_functions(loss, optimiser)
         for name, f in self._given.items():
             if isinstance(f, type) or not callable(f):
@@ -86,7 +87,8 @@ class Training:
         """
         assert self.loss is not None
         view = source if isinstance(source, TrainingView) else TrainingView.of(source)
-        found, name = self.loss(rendered, view), f"loss {self.names['loss']!r}"
+        found = self.loss(rendered, view)
+        name = f"loss {self.names['loss']!r}"
         if not isinstance(found, ViewLoss):
             raise TypeError(
                 f"{name} must return a ViewLoss (gsfusion_nb.optim), got {shown(found)}"
@@ -119,7 +121,8 @@ class Training:
         Raises:
             SequenceError: the checkpoint was made with a function that is not given now.
         """
-        notes, now = [], self.state_dict()
+        notes = []
+        now = self.state_dict()
         for kind in ("loss", "optimiser"):
             if kind in state and kind not in now:
                 raise SequenceError(
@@ -138,7 +141,9 @@ class Training:
 def _try_out(optimiser: UpdateFunction, name: str) -> None:
     """Take one step, late enough that a warm-up is over, on two rows with gradient 1."""
     name = f"optimiser {name!r}"
-    param, m, v = torch.zeros(2, 3), torch.zeros(2, 3), torch.zeros(2, 3)
+    param = torch.zeros(2, 3)
+    m = torch.zeros(2, 3)
+    v = torch.zeros(2, 3)
     returned: Any = optimiser(
         param,
         torch.ones(2, 3),
@@ -190,7 +195,8 @@ class KeyframePasses:
         A pass that was interrupted is finished first and counts as one of them.
         """
         begun = len(self.queue) > 0
-        n_steps, step = (passes - begun) * n_keyframes + len(self.queue), 0
+        n_steps = (passes - begun) * n_keyframes + len(self.queue)
+        step = 0
         for pass_index in range(passes if n_keyframes else 0):
             if not self.queue:
                 self.queue = torch.randperm(n_keyframes, generator=generator).tolist()
@@ -206,7 +212,8 @@ class KeyframePasses:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` saved."""
-        self.done, self.queue = state["done"], list(state["queue"])
+        self.done = state["done"]
+        self.queue = list(state["queue"])
 
 
 class KeyframeFits:
@@ -224,7 +231,8 @@ class KeyframeFits:
     """
 
     def __init__(self, optim: OptimConfig, localiser: Localiser):
-        self._optim, self._localiser = optim, localiser
+        self._optim = optim
+        self._localiser = localiser
         sigma = [optim.pose_sigma_m] * 3 + [radians(optim.pose_sigma_deg)] * 3
         self._sigma = torch.tensor(sigma, dtype=torch.float64)
         self._exposure: Tensor | None = None
@@ -275,7 +283,8 @@ class KeyframeFits:
     def _take_back_motion(self, keyframes: KeyframeList, gaussians: GaussianModel) -> None:
         """Where all keyframes move together by G, T_i = G T_i(given), the pictures do not change:
         nothing holds G."""
-        poses, given = self._localiser.poses, self._localiser.given
+        poses = self._localiser.poses
+        given = self._localiser.given
         rows = sorted(self._localiser.frame_indices.index(k.index) for k in keyframes)
         T_WC, T_given = (torch.stack([p[r] for r in rows]).double() for p in (poses, given))
         back = se3.exp(-se3.log(T_WC @ se3.inverse(T_given)).mean(0))

@@ -29,7 +29,9 @@ from .step import StepReport
 MOVED_VOXELS = 0.5
 """The volume is made again when a frame's surface has moved by more than this many voxels."""
 
-SEEN_WITHIN_M, SEEN_WITHIN_DEG, LATEST = 0.1, 10.0, 10
+SEEN_WITHIN_M = 0.1
+SEEN_WITHIN_DEG = 10.0
+LATEST = 10
 """A frame shows nothing new if a keyframe was taken from a pose so near to its own, which is not
 one of the latest."""
 
@@ -115,7 +117,8 @@ class FusedFrames:
 def _camera_and_corners(frame: Frame) -> Float[Tensor, "5 3"]:
     """The camera's centre and the corners of its view at the median depth, in the camera's frame,
     float64."""
-    some, camera = frame.depth_m[::4, ::4], frame.camera
+    some = frame.depth_m[::4, ::4]
+    camera = frame.camera
     known = some[some > 0]
     z = known.median().double() if len(known) else torch.zeros((), dtype=torch.float64)
     corners = torch.tensor(
@@ -183,7 +186,8 @@ class TsdfMapping(Mapper):
         warnings = super().step_warnings(frame, report)
         if self.n_frames > 1 or report.n_blocks:
             return warnings
-        tsdf, known = self.config.tsdf, frame.depth_m[frame.depth_m > 0]
+        tsdf = self.config.tsdf
+        known = frame.depth_m[frame.depth_m > 0]
         median = (
             f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
         )
@@ -200,7 +204,8 @@ class TsdfMapping(Mapper):
 
     def _seen_before(self, frame: Frame) -> bool:
         """Whether an earlier keyframe shows what the frame shows."""
-        T_WC, earlier = frame.T_WC.cpu(), self.keyframes.T_WC[:-LATEST]
+        earlier = self.keyframes.T_WC[:-LATEST]
+        T_WC = frame.T_WC.cpu()
         near = earlier[(earlier[:, :3, 3] - T_WC[:3, 3]).norm(dim=1) <= SEEN_WITHIN_M]
         return bool(
             (
@@ -227,7 +232,8 @@ class TsdfMapping(Mapper):
 
     def _undo(self) -> Callable[[], None]:
         """Of the first frame also the TSDF, which is fused last."""
-        undo_rows, was_empty = super()._undo(), not self.n_frames
+        undo_rows = super()._undo()
+        was_empty = not self.n_frames
 
         def undo() -> None:
             undo_rows()

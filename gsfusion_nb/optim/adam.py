@@ -26,7 +26,9 @@ the usual decays, since (0.9 / sqrt(0.999))^200 is 8e-10."""
 _ROWS_AT_A_TIME = 1 << 16
 """Of a map whose missed steps are taken in a copy, which limits the memory."""
 
-BETA1, BETA2, EPS = 0.9, 0.999, 1e-15
+BETA1 = 0.9
+BETA2 = 0.999
+EPS = 1e-15
 """Of ``RowAdam``: the values of the released code of RTG-SLAM, which are those of 3D Gaussian
 splatting."""
 
@@ -125,7 +127,8 @@ def adam_update(
     """
     m = beta1 * exp_avg + (1 - beta1) * gradient
     v = beta2 * exp_avg_sq + (1 - beta2) * gradient**2
-    m_hat, v_hat = m / _bias(beta1, steps, m), v / _bias(beta2, steps, v)
+    m_hat = m / _bias(beta1, steps, m)
+    v_hat = v / _bias(beta2, steps, v)
     param.copy_(param - lr * m_hat / (v_hat.sqrt() + eps))
     exp_avg.copy_(m)
     exp_avg_sq.copy_(v)
@@ -253,7 +256,9 @@ class PartOfMap:
     """
 
     def __init__(self, model: GaussianModel, rows: Int[Tensor, " R"], boxes: Boxes):
-        self.model, self.rows, self._boxes = model, rows, boxes
+        self.model = model
+        self.rows = rows
+        self._boxes = boxes
         self.params, self.exp_avg, self.exp_avg_sq = (
             x[rows] for x in (model.params, model.exp_avg, model.exp_avg_sq)
         )
@@ -322,7 +327,9 @@ def adam_step(
     steps: int | Tensor | None = {"none": None, "shared": t}.get(config.adam_steps)
     if config.adam_steps == "per_row":
         steps = t - model.birth_step
-    rates, m, v = _rates_of(config), model.exp_avg, model.exp_avg_sq
+    rates = _rates_of(config)
+    m = model.exp_avg
+    v = model.exp_avg_sq
     with at_row_rates(model.params, model.rates):
         if update is None:
             decay = {"beta1": config.beta1, "beta2": config.beta2, "eps": config.eps}
@@ -423,7 +430,8 @@ class MissedSteps:
         beta2: float,
         eps: float,
     ):
-        self.eps, ratio = eps, beta1 / math.sqrt(beta2)
+        self.eps = eps
+        ratio = beta1 / math.sqrt(beta2)
         self.decay1, self.decay2 = (beta ** missed.double() for beta in (beta1, beta2))
         if start is None:
             self.distance = ratio * (1 - ratio ** missed.double()) / (1 - ratio)
@@ -431,7 +439,8 @@ class MissedSteps:
             enough = math.ceil(math.log(_NOTHING_LEFT) / math.log(ratio)) if ratio else 1
             k = missed.clamp_max(enough)
             pairs, which = torch.unique(start.long() * (enough + 1) + k, return_inverse=True)
-            first, last = pairs[:, None] // (enough + 1), pairs[:, None] % (enough + 1)
+            first = pairs[:, None] // (enough + 1)
+            last = pairs[:, None] % (enough + 1)
             j = torch.arange(
                 1,
                 int(k.max()) + 1,
@@ -535,7 +544,8 @@ class RowAdam:
         factors: Mapping[str, Tensor] = MappingProxyType({}),
         update: UpdateFunction | None = None,
     ):
-        self.params, self._update = params, update
+        self.params = params
+        self._update = update
         self._factors = factors
         sh_rates = params.sh.new_full((params.sh.shape[1], 1), rates["sh_rest"])
         sh_rates[0] = rates["sh_dc"]
@@ -648,7 +658,8 @@ class RowAdam:
             for name, lr in self._rates.items():
                 moments = self._moments[name]
                 m, v = moments if rows is None else (moment[rows] for moment in moments)
-                param, gradient = getattr(params, name), getattr(gradients, name)[:n]
+                param = getattr(params, name)
+                gradient = getattr(gradients, name)[:n]
                 if self._update is None:
                     adam_update(
                         param,

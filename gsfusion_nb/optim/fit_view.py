@@ -76,14 +76,16 @@ def pose_system(output: RenderOutput, target: Float[Tensor, "H W 3"], camera: Ca
     """
     every = max(2, camera.width // ACROSS)
     some = (slice(None, None, every), slice(None, None, every))
-    r, alpha = (output.rgb - target)[some], output.alpha[some]
+    r = (output.rgb - target)[some]
+    alpha = output.alpha[some]
     shown = alpha >= SHOWN_ALPHA
     gx, gy = image_gradient((output.rgb + target) / 2, every)
     w = shown[..., None] / r.abs().clamp_min(SMALL_RESIDUAL)
     n = shown.sum().clamp_min(1)
     error = (r.abs() * shown[..., None]).sum() / (3 * n)
     along_u, along_v = flow_of_motion(output.depth_m[some] / alpha.clamp_min(1e-6), camera, every)
-    a, b = along_u.view(-1, 6), along_v.view(-1, 6)
+    a = along_u.view(-1, 6)
+    b = along_v.view(-1, 6)
 
     def summed(x: Tensor) -> Tensor:
         return x.sum(-1).view(-1, 1)
@@ -130,8 +132,10 @@ def image_gradient(
 ) -> tuple[Float[Tensor, "h w 3"], Float[Tensor, "h w 3"]]:
     """Central differences along u and v, per pixel; 0 at the border. Of every n-th pixel of every
     n-th row."""
-    rows, columns = rgb[::every], rgb[:, ::every]
-    gx, gy = torch.zeros_like(rows), torch.zeros_like(columns)
+    rows = rgb[::every]
+    columns = rgb[:, ::every]
+    gx = torch.zeros_like(rows)
+    gy = torch.zeros_like(columns)
     gx[:, 1:-1] = (rows[:, 2:] - rows[:, :-2]) / 2
     gy[1:-1] = (columns[2:] - columns[:-2]) / 2
     return gx[:, ::every], gy[::every]
@@ -286,7 +290,8 @@ def fit_pose_by_flow(
     """
     check_whole("steps", steps, 1)
     sigma = torch.full((6,), SIGMA, dtype=torch.float64)
-    here, tried = T_WC, list[tuple[float, Tensor]]()
+    here = T_WC
+    tried = list[tuple[float, Tensor]]()
     for _ in range(steps):
         output = draw(camera, here)
         tried.append((float((output.rgb - rgb).square().mean()), here))
@@ -344,6 +349,7 @@ def fit_gain(
     """
     some = (slice(None, None, EVERY), slice(None, None, EVERY))
     used = (shown[some] & (target[some].amax(-1) < WHITE))[..., None]
-    r, t = torch.where(used, rgb[some].clamp(0, 1), 0.0), torch.where(used, target[some], 0.0)
+    r = torch.where(used, rgb[some].clamp(0, 1), 0.0)
+    t = torch.where(used, target[some], 0.0)
     prior = PRIOR_PIXELS / 4 / EVERY**2
     return ((r * t).sum((0, 1)) + prior) / ((r * r).sum((0, 1)) + prior)

@@ -64,7 +64,8 @@ class ViewLoss:
 
     def detached(self, like: Tensor) -> "ViewLoss":
         """Without an autograd graph, in the type and on the device of ``like``."""
-        value, v_rgb = self.value.detach().to(like), self.v_rgb.detach().to(like)
+        value = self.value.detach().to(like)
+        v_rgb = self.v_rgb.detach().to(like)
         v_depth_m = None if self.v_depth_m is None else self.v_depth_m.detach().to(like)
         return ViewLoss(value=value, v_rgb=v_rgb, v_depth_m=v_depth_m)
 
@@ -163,7 +164,8 @@ def dssim_vjp(
     SSIM depends on x = rgb through mu_x = G x, q = G x^2 and r = G (x y), where G is the window
     average. G is its own transpose, so  v_x = G v_mu + 2 x G v_q + y G v_r.
     """
-    mu_x, mu_y = window_mean(rgb), window_mean(target)
+    mu_x = window_mean(rgb)
+    mu_y = window_mean(target)
     A1, A2, B1, B2 = _ssim_factors(rgb, target)
     S = A1 * A2 / (B1 * B2)
     v_S = -v_loss / rgb.numel()
@@ -176,8 +178,10 @@ def dssim_vjp(
 
 def _ssim_factors(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """The two factors of SSIM's numerator and the two of its denominator, each [H, W, 3]."""
-    mu_x, mu_y = window_mean(x), window_mean(y)
-    variance_x, variance_y = window_mean(x * x) - mu_x**2, window_mean(y * y) - mu_y**2
+    mu_x = window_mean(x)
+    mu_y = window_mean(y)
+    variance_x = window_mean(x * x) - mu_x**2
+    variance_y = window_mean(y * y) - mu_y**2
     covariance = window_mean(x * y) - mu_x * mu_y
     return (
         2 * mu_x * mu_y + C1,
@@ -191,7 +195,8 @@ def window_mean(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
     """Average around each pixel, weighted by the window; pixels outside the image count as zero."""
     from kornia.filters import gaussian_blur2d
 
-    size, sigma = (WINDOW_PX, WINDOW_PX), (WINDOW_SIGMA_PX, WINDOW_SIGMA_PX)
+    size = (WINDOW_PX, WINDOW_PX)
+    sigma = (WINDOW_SIGMA_PX, WINDOW_SIGMA_PX)
     return gaussian_blur2d(
         image.permute(2, 0, 1)[None],
         size,
@@ -260,10 +265,12 @@ def rgbd_l1_vjp(
     """
     behind_m = math.inf if behind_m is None else behind_m
     known = pixels & (depth_m > 0) & (target_depth_m > 0) & (depth_m - target_depth_m < behind_m)
-    n, n_known = (3 * pixels.sum()).clamp_min(1), known.sum().clamp_min(1)
+    n = (3 * pixels.sum()).clamp_min(1)
+    n_known = known.sum().clamp_min(1)
     colour_gap = torch.where(pixels[..., None], rgb - target_rgb, 0.0)
     depth_gap = torch.where(known, depth_m - target_depth_m, 0.0)
-    colour, depth = colour_gap.abs().sum() / n, depth_gap.abs().sum() / n_known  # RTG-SLAM Eq. 7
+    colour = colour_gap.abs().sum() / n  # RTG-SLAM Eq. 7
+    depth = depth_gap.abs().sum() / n_known
     return RgbdLoss(
         colour=colour,
         depth_m=depth,

@@ -59,7 +59,8 @@ def excerpt_command(arguments: list[str]) -> str:
     """
     options = parse_options(ExcerptOptions, prog="gsfusion-nb excerpt", arguments=arguments)
     chosen = _slice(options.frames)
-    source, out = options.source.expanduser(), options.out
+    source = options.source.expanduser()
+    out = options.out
     n = write_excerpt(source, out, chosen, **named_values(options.reader))
     camera = benchmark_camera(source)
     reader = f" --reader camera={camera}" if camera and not benchmark_camera(out) else ""
@@ -103,10 +104,8 @@ def write_excerpt(source: Path, out: Path, chosen: slice, **reader: Any) -> int:
     places = range(len(images))[chosen]
     if not places:
         raise SequenceError(f"{source} has {len(images)} frames; --frames chooses none of them")
-    wanted, every = (
-        {f for place in places for f in images[place]},
-        {f for files in images for f in files},
-    )
+    wanted = {f for place in places for f in images[place]}
+    every = {f for files in images for f in files}
     parts = _Parts(
         {f.name for f in wanted},
         {f.name for f in every},
@@ -142,7 +141,8 @@ def _files_of_format(
     """Files of the whole recording, and those of each frame."""
     with noting_files() as shared, parsing(source, f"a recording in the format {format}"):
         recording = FORMATS[format].read(source, ConvertOptions(depth_scale=1000.0))
-    frames, images = recording.frames(), []
+    frames = recording.frames()
+    images = []
     for _ in range(recording.n_frames):
         with noting_files() as files, contextlib.suppress(BadFrameError):
             next(frames).load()

@@ -89,7 +89,8 @@ class SequenceOnDisk:
             SequenceError: the reader refuses it.
         """
         sequence = open_sequence(folder / self.path, **self.reader)
-        first, last = sequence[0], sequence[len(sequence) - 1]
+        first = sequence[0]
+        last = sequence[len(sequence) - 1]
         depth_m = first.depth_m[first.depth_m > 0]
         seen = float((last.depth_m > 0).float().mean())
         return (

@@ -186,7 +186,8 @@ def composite(
     C = uv.new_zeros(camera.height, camera.width, 5)
     first, dominant, hit = (tiles.gaussian.new_full(C.shape[:2], -1) for _ in range(3))
     for tile in range(tiles.tiles_x * tiles.tiles_y):
-        k, (y, x) = tiles.gaussians_of(tile), tiles.pixels_of(tile, camera)
+        k = tiles.gaussians_of(tile)
+        y, x = tiles.pixels_of(tile, camera)
         if len(k) == 0:
             continue
         dx, dy = pixel_offsets(uv[k], x, y)
@@ -230,7 +231,10 @@ def composite_vjp(
             are ignored.
         with_uv_abs: Also sum up the absolute values of the pixels' dL/du and dL/dv.
     """
-    uv, conic, opacity, c = saved.uv, saved.conic, saved.opacity, saved.c
+    uv = saved.uv
+    conic = saved.conic
+    opacity = saved.opacity
+    c = saved.c
     v_depth_m, v_alpha = (
         torch.zeros_like(v_rgb[..., 0]) if v is None else v for v in (v_depth_m, v_alpha)
     )
@@ -241,7 +245,8 @@ def composite_vjp(
     v_uv, v_conic, v_opacity, v_c = (torch.zeros_like(value) for value in (uv, conic, opacity, c))
     v_uv_abs = torch.zeros_like(uv) if with_uv_abs else None
     for tile in range(saved.tiles.tiles_x * saved.tiles.tiles_y):
-        k, (y, x) = saved.tiles.gaussians_of(tile), saved.tiles.pixels_of(tile, saved.camera)
+        k = saved.tiles.gaussians_of(tile)
+        y, x = saved.tiles.pixels_of(tile, saved.camera)
         dx, dy = pixel_offsets(uv[k], x, y)
         alpha = splat_alpha(dx, dy, conic[k], opacity[k])
         v_alpha_k, v_c_k = blend_vjp(alpha, c[k], v_image[y, x])

@@ -122,8 +122,10 @@ def disc_depth(
     """
     m = _meet(params, camera, T_WC, hit_index, max_offset, min_cosine)
     hit = hit_index >= 0
-    depth_m, on_plane = params.xyz_W.new_zeros(hit.shape), torch.zeros_like(hit)
-    depth_m[hit], on_plane[hit] = m.z, m.on_plane
+    depth_m = params.xyz_W.new_zeros(hit.shape)
+    on_plane = torch.zeros_like(hit)
+    depth_m[hit] = m.z
+    on_plane[hit] = m.on_plane
     with torch.no_grad():
         normal_W = params.xyz_W.new_zeros(*hit.shape, 3)
         away = (m.p * m.n).sum(-1, keepdim=True) > 0
@@ -159,7 +161,8 @@ def disc_depth_vjp(
     """
     with torch.no_grad():
         m = _meet(params, camera, T_WC, hit_index, max_offset, min_cosine)
-        v_z, on_plane = v_depth_m.to(m.z)[hit_index >= 0, None], m.on_plane[:, None]
+        v_z = v_depth_m.to(m.z)[hit_index >= 0, None]
+        on_plane = m.on_plane[:, None]
         # on the plane z = (p . n) / (r . n), else z = p_z
         v_p = torch.where(
             on_plane,
@@ -244,13 +247,16 @@ def _meet(
     min_cosine: float,
 ) -> _Meeting:
     T_WC = T_WC.to(params.xyz_W)
-    T_CW, row = se3.inverse(T_WC), hit_index[hit_index >= 0].long()
+    T_CW = se3.inverse(T_WC)
+    row = hit_index[hit_index >= 0].long()
     e = torch.nn.functional.one_hot(params.log_scale.argmin(dim=1), 3).to(params.xyz_W)
     n_W = (quaternion.to_matrix(params.quat) @ e[:, :, None]).squeeze(-1)
     r = rays(camera, pixel_grid(camera, device=row.device, dtype=T_WC.dtype))[hit_index >= 0]
-    p, n = se3.apply(T_CW, params.xyz_W)[row], se3.rotate(T_CW, n_W)[row]
+    p = se3.apply(T_CW, params.xyz_W)[row]
+    n = se3.rotate(T_CW, n_W)[row]
 
-    z, on_plane = disc_hit(r, p, n, min_cosine), _is_steep(r, n, min_cosine)
+    z = disc_hit(r, p, n, min_cosine)
+    on_plane = _is_steep(r, n, min_cosine)
     rn = torch.where(on_plane, (r * n).sum(-1), 1.0)
     on_plane = on_plane & (z > 0)
     if max_offset is not None:
@@ -313,7 +319,8 @@ def view_surface(
     config = config or PUBLISHED_DISCS
     only = {} if pixels is None else {"pixels": pixels}
     output, _ = render_forward(params, camera, T_WC, opaque_alpha=config.opaque_alpha, **only)
-    hit, dominant = output.hit_index, output.dominant_index
+    hit = output.hit_index
+    dominant = output.dominant_index
     assert hit is not None
     assert dominant is not None
     disc = disc_depth(

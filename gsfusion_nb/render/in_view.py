@@ -28,7 +28,8 @@ from .constants import ALPHA_MIN, FRUSTUM_CLAMP, SCREEN_BLUR_PX2
 CHUNK = 256
 """Rows in a box."""
 
-WHOLE_BELOW, WHOLE_BELOW_ON_GPU = 10_000, 1_000_000
+WHOLE_BELOW = 10_000
+WHOLE_BELOW_ON_GPU = 1_000_000
 """A map with fewer rows is drawn, and stepped, as a whole, as it is published. A GPU has to wait
 for the boxes: on an H200, steps by part took 17 ms a frame with up to 325,000 rows, where an H100
 took 6 without parts."""
@@ -98,7 +99,8 @@ class Boxes:
         if n < (WHOLE_BELOW if params.xyz_W.device.type == "cpu" else WHOLE_BELOW_ON_GPU):
             return None
         if self._of != _state(params):
-            self._chunks, self._of = _chunks_of(params), _state(params)
+            self._chunks = _chunks_of(params)
+            self._of = _state(params)
         seen = seen_chunks(self._chunks, camera, T_WC, depth_m)
         if len(seen) > MOSTLY_SEEN * len(self._chunks.low):
             return None
@@ -108,7 +110,8 @@ class Boxes:
     def appending(self, model: Any) -> Iterator[None]:
         """Context in which rows are only added at the end of a map: the boxes of the others
         stay."""
-        start, known = len(model.params) // CHUNK, self._of == _state(model.params)
+        start = len(model.params) // CHUNK
+        known = self._of == _state(model.params)
         yield
         if known and self._of != _state(model.params):
             more = _chunks_of(model.params[start * CHUNK :])
@@ -212,13 +215,16 @@ def chunks_in_view(
         (0.0, 0.0, -1.0, 0.0)
     ]  # normal in the camera frame, and factor of reach_m: seen if n . x <= k reach_m
     for axis, f, c, size in _axes(camera):
-        h, limit = size / 2, FRUSTUM_CLAMP * size / (2 * f)
+        h = size / 2
+        limit = FRUSTUM_CLAMP * size / (2 * f)
         for sign in (1.0, -1.0):
             n = [0.0, 0.0, sign * (c - h) - h - _MORE * _REACH * math.sqrt(SCREEN_BLUR_PX2)]
             n[axis] = sign * f
             planes.append((n[0], n[1], n[2], _MORE * f * math.sqrt(1 + limit**2)))
-    normal, factor = np.array(planes)[:, :3] @ T_CW[:3], np.array(planes)[:, 3:]
-    middle, half = (chunks.low + chunks.high) / 2, (chunks.high - chunks.low) / 2
+    normal = np.array(planes)[:, :3] @ T_CW[:3]
+    factor = np.array(planes)[:, 3:]
+    middle = (chunks.low + chunks.high) / 2
+    half = (chunks.high - chunks.low) / 2
     nearest = normal[:, :3] @ middle.T + normal[:, 3:] - np.abs(normal[:, :3]) @ half.T  # [5, C]
     outside: Any = (nearest > factor * chunks.reach_m).any(0)
     return ~outside
@@ -266,13 +272,12 @@ def chunks_behind(
     xyz = corners @ T_CW[:3, :3].T + T_CW[:3, 3]  # [C, 8, 3]
     nearest_m = xyz[..., 2].min(1) - reach_m
     in_front = nearest_m > 0
-    z, spread = (
-        np.where(in_front[:, None], xyz[..., 2], 1.0),
-        reach_m / np.where(in_front, nearest_m, 1.0),
-    )
+    z = np.where(in_front[:, None], xyz[..., 2], 1.0)
+    spread = reach_m / np.where(in_front, nearest_m, 1.0)
     touched = np.ones((len(low), *GRID), bool)
     for axis, f, c, size in _axes(camera):
-        uv, cells = f * xyz[..., axis] / z + c, GRID[1 - axis]
+        uv = f * xyz[..., axis] / z + c
+        cells = GRID[1 - axis]
         more_px = f * (1 + FRUSTUM_CLAMP * size / (2 * f)) * spread + _REACH
         first, last = (
             np.floor(edge * cells / size) for edge in (uv.min(1) - more_px, uv.max(1) + more_px)

@@ -122,7 +122,8 @@ def check_over_base(
     check_view(camera, T_WC, params.xyz_W.device)
     if not isinstance(base, Base):
         raise ValueError(f"base must be a Base, got {type(base).__name__}")
-    size, like = (camera.height, camera.width), params.xyz_W
+    size = (camera.height, camera.width)
+    like = params.xyz_W
     for name, shape in (("rgb", (*size, 3)), ("depth_m", size), ("weight", size)):
         check_operand(
             f"base.{name}",
@@ -144,7 +145,8 @@ def check_over_base_vjp(
 ) -> None:
     """Raise ``ValueError`` for arguments that ``render_over_base_vjp`` refuses."""
     check_record(saved, "render_over_base", "behind_m")
-    like, camera = saved.params.xyz_W, saved.camera
+    like = saved.params.xyz_W
+    camera = saved.camera
     check_operand(
         "v_rgb",
         v_rgb,
@@ -192,7 +194,8 @@ def render_over_base(
             torch.zeros_like(image) for image in (base.rgb, base.depth_m, base.weight)
         )
         for tile in range(screen.tiles.tiles_x * screen.tiles.tiles_y):
-            k, (y, x) = screen.tiles.gaussians_of(tile), screen.tiles.pixels_of(tile, camera)
+            k = screen.tiles.gaussians_of(tile)
+            y, x = screen.tiles.pixels_of(tile, camera)
             _, w = weights_in_front(screen, k, x, y, base, behind_m)
             rgb[y, x], weight[y, x] = blend_with_base(
                 w,
@@ -236,16 +239,21 @@ def render_over_base_vjp(
         Gradients, in the shape of the parameters; zero for a Gaussian that is not seen or is
         frozen.
     """
-    params, screen, camera, base = saved.params, saved.screen, saved.camera, saved.base
+    params = saved.params
+    screen = saved.screen
+    camera = saved.camera
+    base = saved.base
     v = {
         name: torch.zeros_like(getattr(screen, name)) for name in ("uv", "conic", "opacity", "rgb")
     }
     v_abs = torch.zeros_like(screen.uv)
     with torch.no_grad():
         for tile in range(screen.tiles.tiles_x * screen.tiles.tiles_y):
-            k, (y, x) = screen.tiles.gaussians_of(tile), screen.tiles.pixels_of(tile, camera)
+            k = screen.tiles.gaussians_of(tile)
+            y, x = screen.tiles.pixels_of(tile, camera)
             alpha, w = weights_in_front(screen, k, x, y, base, saved.behind_m)
-            C, b = saved.output.rgb[y, x], base.weight[y, x]
+            C = saved.output.rgb[y, x]
+            b = base.weight[y, x]
             v_w, v_c = blend_with_base_vjp(
                 w,
                 screen.rgb[k],
@@ -256,7 +264,8 @@ def render_over_base_vjp(
             v_alpha = torch.where(
                 (w > 0) & (alpha < ALPHA_MAX), v_w, 0.0
             )  # w = alpha, 0 where hidden: (1)
-            (dx, dy), conic = pixel_offsets(screen.uv[k], x, y), screen.conic[k]
+            dx, dy = pixel_offsets(screen.uv[k], x, y)
+            conic = screen.conic[k]
             v_uv_k, v_conic_k, v_opacity_k = splat_alpha_vjp(
                 dx, dy, conic, screen.opacity[k], alpha, v_alpha
             )
@@ -440,7 +449,8 @@ def fill(
     four. Push: back up, each unknown pixel takes the value that is interpolated from the smaller
     picture. Zero if nothing is known.
     """
-    x, w = image.permute(2, 0, 1)[None], known[None, None].to(image)
+    x = image.permute(2, 0, 1)[None]
+    w = known[None, None].to(image)
     levels = [(x, w)]
     while max(x.shape[2:]) > 1:
         both = avg_pool2d(
@@ -450,7 +460,8 @@ def fill(
             count_include_pad=False,
         )
         total = both[:, -1:]
-        x, w = both[:, :-1] / total.clamp_min(1e-6), (total > 0).to(image)
+        x = both[:, :-1] / total.clamp_min(1e-6)
+        w = (total > 0).to(image)
         levels.append((x, w))
     filled = x * w
     for x, w in reversed(levels[:-1]):
@@ -488,10 +499,12 @@ def enlarge(
         )[0, 0]
         > 0
     )
-    z, out = image[..., -1], image.new_empty(2 * h, 2 * w, image.shape[-1])
+    z = image[..., -1]
+    out = image.new_empty(2 * h, 2 * w, image.shape[-1])
     for down in (0, 1):
         for right in (0, 1):
-            total, sum_ = torch.full_like(z, 9.0), 9.0 * image
+            total = torch.full_like(z, 9.0)
+            sum_ = 9.0 * image
             for i, j, share in (
                 (2 * down, 1, 3.0),
                 (1, 2 * right, 3.0),

@@ -149,7 +149,8 @@ def project_gaussians_vjp(
     v_y = (camera.fy * v_uv[:, 1] + torch.where(s.ty == s.y / s.z, v_ty, 0.0)) / s.z
     v_z = v_depth_m - (s.x * v_x + s.y * v_y + (s.J * v_J).sum((1, 2))) / s.z
     v_xyz_W = torch.stack([v_x, v_y, v_z], dim=-1) @ s.W  # x_C = W x_W + t
-    in_front, opacity = s.in_front[:, None], params.opacity_logit.sigmoid()
+    in_front = s.in_front[:, None]
+    opacity = params.opacity_logit.sigmoid()
     return ProjectionGradient(
         xyz_W=torch.where(in_front, v_xyz_W, 0.0),
         log_scale=torch.where(in_front, v_log_scale, 0.0),
@@ -193,21 +194,23 @@ def _splat(params: GaussianParams, camera: Camera, T_WC: Tensor) -> _Splat:
 
     limit_x = FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx
     limit_y = FRUSTUM_CLAMP * 0.5 * camera.height / camera.fy
-    tx, ty, o = (
-        (x / z).clamp(-limit_x, limit_x),
-        (y / z).clamp(-limit_y, limit_y),
-        torch.zeros_like(z),
-    )
+    tx = (x / z).clamp(-limit_x, limit_x)
+    ty = (y / z).clamp(-limit_y, limit_y)
+    o = torch.zeros_like(z)
     J = _matrix([[camera.fx / z, o, -camera.fx * tx / z], [o, camera.fy / z, -camera.fy * ty / z]])
 
-    R, S = quaternion.to_matrix(params.quat), params.log_scale.exp().diag_embed()
+    R = quaternion.to_matrix(params.quat)
+    S = params.log_scale.exp().diag_embed()
     # Sigma = R S S^T R^T (Kerbl Eq. 6),  Sigma' = J W Sigma W^T J^T (Kerbl Eq. 5)
     M = J @ W @ R @ S  # so that Sigma' = M M^T: GSFusion Eq. 2 and 5
     cov = M @ M.mT + SCREEN_BLUR_PX2 * torch.eye(2).to(M)
-    uu, uv, vv = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
+    uu = cov[:, 0, 0]
+    uv = cov[:, 0, 1]
+    vv = cov[:, 1, 1]
     # det(M M^T + e I) = |m_u x m_v|^2 + e tr(M M^T) + e^2: for a needle, uu vv - uv^2 would lose
     # all digits in float32
-    cross, trace = torch.linalg.cross(M[:, 0], M[:, 1]), (M * M).sum((1, 2))
+    cross = torch.linalg.cross(M[:, 0], M[:, 1])
+    trace = (M * M).sum((1, 2))
     det = (cross * cross).sum(-1) + SCREEN_BLUR_PX2 * trace + SCREEN_BLUR_PX2**2
     Q = _matrix([[vv, -uv], [-uv, uu]]) / det[:, None, None]
     return _Splat(
@@ -250,7 +253,8 @@ def pose_vjp(
         Gradient with respect to the twist in the frame of the camera, translation (per metre)
         first, then rotation (per radian), as ``geometry.se3.exp`` takes it. [6]
     """
-    R_WC, centre_W = T_WC[:3, :3].to(params.xyz_W), T_WC[:3, 3].to(params.xyz_W)
+    R_WC = T_WC[:3, :3].to(params.xyz_W)
+    centre_W = T_WC[:3, 3].to(params.xyz_W)
     arm = params.xyz_W - centre_W
     v_x = v_params.xyz_W  # a camera that moves by rho: dx = -rho
     v_turn = v_x
@@ -263,8 +267,10 @@ def pose_vjp(
     # a camera that turns by omega: dx = -omega x arm, so  dL = -omega . (arm x dL/dx)
     v_omega_W = -torch.linalg.cross(arm, v_turn).sum(0)
     # dq = -1/2 (0, omega) q; the vector part of v q* is what all (0, omega) share
-    w, v = params.quat[:, :1], params.quat[:, 1:]
-    v_w, v_v = v_params.quat[:, :1], v_params.quat[:, 1:]
+    w = params.quat[:, :1]
+    v = params.quat[:, 1:]
+    v_w = v_params.quat[:, :1]
+    v_v = v_params.quat[:, 1:]
     v_omega_W = v_omega_W - 0.5 * (w * v_v - v_w * v + torch.linalg.cross(v, v_v)).sum(0)
     return torch.cat([v_rho_W @ R_WC, v_omega_W @ R_WC])
 

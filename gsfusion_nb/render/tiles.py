@@ -64,7 +64,8 @@ class TileLists:
             drawn = torch.ones(
                 camera.height, camera.width, dtype=torch.bool, device=self.gaussian.device
             )
-        top, left = tile // self.tiles_x * self.tile_px, tile % self.tiles_x * self.tile_px
+        top = tile // self.tiles_x * self.tile_px
+        left = tile % self.tiles_x * self.tile_px
         y, x = drawn[top : top + self.tile_px, left : left + self.tile_px].nonzero().unbind(-1)
         return top + y, left + x
 

@@ -63,7 +63,8 @@ _EXPLAINED = 0.5
 depth."""
 _SETTLED = 3
 """Steps after one before it is judged."""
-_CHANGE, _CHANGE_OF_USUAL = 0.02, 3.0
+_CHANGE = 0.02
+_CHANGE_OF_USUAL = 3.0
 """Depth that differs from that of the frame before, pixel by pixel, by less than this share, or
 this many times the usual difference, has not changed as at another place."""
 _LEAST_POINTS = 50
@@ -104,7 +105,8 @@ class FrameWatch:
             if self._last_small is not None and self._last_small.camera != small.camera:
                 self._begin_again()
             said = self._step(frame, small, poses)
-            self._last, self._last_small = frame, small
+            self._last = frame
+            self._last_small = small
             return said or self._keep(number, small, poses)
 
     def look_again(
@@ -121,7 +123,9 @@ class FrameWatch:
             read: Number among all mapped frames -> the frame.
             poses: Camera-to-world poses of all mapped frames.
         """
-        first, spacing, judged = len(poses) - n, 1, -1
+        first = len(poses) - n
+        spacing = 1
+        judged = -1
         while n > (COMPARED - 1) * spacing:
             judged = (COMPARED - 1) * spacing
             spacing *= 2
@@ -133,10 +137,13 @@ class FrameWatch:
                 small = SmallFrame.of(frame)
                 if i in latest:
                     self._step(frame, small, poses[: first + i + 1])
-                    self._last, self._last_small = frame, small
+                    self._last = frame
+                    self._last_small = small
                 if i in compared:
                     self._compared.append((first + i, small))
-        self._n, self._spacing, self._is_judged = n, spacing, max(compared, default=0) <= judged
+        self._n = n
+        self._spacing = spacing
+        self._is_judged = max(compared, default=0) <= judged
 
     def end(self, poses: list[Float[Tensor, "4 4"]]) -> str:
         """No more frames will come; returns a sentence for the user, or ""."""
@@ -144,8 +151,13 @@ class FrameWatch:
             return self._jump(settled=0) or ("" if self._is_judged else self._judge(poses))
 
     def _begin_again(self) -> None:
-        self._compared, self._spacing, self._n, self._is_judged = [], 1, 0, False
-        self._last, self._last_small, self._steps = None, None, []
+        self._compared = []
+        self._spacing = 1
+        self._n = 0
+        self._is_judged = False
+        self._last = None
+        self._last_small = None
+        self._steps = []
 
     def _keep(
         self,
@@ -326,7 +338,8 @@ class QuietWatch:
                 f"{e}); {ADVICE}"
             )
         if said:
-            self._is_over, self._watch = True, None
+            self._is_over = True
+            self._watch = None
             run.warn_once(said)
 
     def _look(self, run: WatchedRun, frame: Frame | None) -> str:

@@ -97,7 +97,8 @@ def run_mapping(
             }
             sequence = open_sequence(**source, data=settings.data)
         else:
-            source, sequence = {}, apply_options(data, settings.data)
+            source = {}
+            sequence = apply_options(data, settings.data)
         mapper = make_mapper(
             settings, seeding=seeding, device=device, loss=loss, optimiser=optimiser
         )
@@ -367,7 +368,8 @@ def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:
 
 def _with_progress(run: MappingRun, stop: StopRequest) -> None:
     """Map the frames that are left; of a stream it is not known how many there are."""
-    total, seconds = len(run.sequence.mapping) if run.resumable else None, 0.0
+    total = len(run.sequence.mapping) if run.resumable else None
+    seconds = 0.0
     with (
         ProgressDisplay("mapping", total=total, unit="frame", done=run.next_position) as progress,
         contextlib.closing(run.online()) as reports,
@@ -448,7 +450,8 @@ def map_stream(
 
 def _why_empty(run: MappingRun) -> str:
     """A sentence that explains why the map has no Gaussians after at least one frame."""
-    n_seeds, rule = sum(step.n_seeds for step in run.steps), rule_name(run.mapper.rule)
+    n_seeds = sum(step.n_seeds for step in run.steps)
+    rule = rule_name(run.mapper.rule)
     if n_seeds:
         why = (
             f"all {n_seeds:,} that were created were removed again (see the settings under states)"

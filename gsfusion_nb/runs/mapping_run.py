@@ -279,7 +279,8 @@ class MappingRun:
 
     def mapped_views(self, limit: int) -> SequenceView:
         """At most ``limit`` of the frames mapped so far, evenly spread; 0 means all."""
-        mapped, n = self.sequence.mapping, self.next_position
+        mapped = self.sequence.mapping
+        n = self.next_position
         return dataclasses.replace(
             mapped, positions=[mapped.positions[i] for i in evenly(n, limit)]
         )
@@ -287,8 +288,10 @@ class MappingRun:
     def covering_views(self, least: int) -> SequenceView:
         """At least this many mapped frames, evenly spread, and those where the camera has moved by
         1 m or turned by 30 degrees since the last one, so that neighbours overlap on any walk."""
-        localiser, taken = self.mapper.localiser, list[int]()
-        poses, stride = localiser.poses, max(1, len(localiser.poses) // least)
+        localiser = self.mapper.localiser
+        taken = list[int]()
+        stride = max(1, len(localiser.poses) // least)
+        poses = localiser.poses
         for i, T_WC in enumerate(poses):
             turned_deg, moved_m = (
                 se3.motion(poses[taken[-1]], T_WC) if i % stride else (math.inf, math.inf)
@@ -307,7 +310,8 @@ class MappingRun:
         """Run the remaining passes of the global optimisation, continuing an interrupted pass."""
         steps = self.mapper.global_optimise(self.mapper.n_passes - self.mapper.passes.done)
         lost = self.mapper.lost
-        n_lost, said = lost.total, False
+        n_lost = lost.total
+        said = False
         try:
             while (step := self._next_global_step(steps)) is not None:
                 if lost.total > n_lost and not self.mapper.passes.queue and not said:
@@ -346,7 +350,8 @@ class MappingRun:
         if MAP_MEMORY.limit_bytes is not None:
             limit_bytes = min(limit_bytes, MAP_MEMORY.limit_bytes // 8)
         kept = FrameStore(limit_bytes, lambda: self.clock("reading"))
-        mapped, limit = self.sequence.mapping.positions, self.mapper.config.data.scored_views
+        mapped = self.sequence.mapping.positions
+        limit = self.mapper.config.data.scored_views
         scored = [mapped[i] for i in evenly(len(mapped), limit)]
         kept.wanted = frozenset([*scored, *self.sequence.held_out.positions])
         self.sequence = self.sequence.keeping(kept)

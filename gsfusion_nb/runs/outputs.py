@@ -80,7 +80,8 @@ def score(
     with_lpips: bool = False,
 ) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error of the current map on mapped and held-out views."""
-    mapper, params = run.mapper, run.mapper.params_now()
+    params = run.mapper.params_now()
+    mapper = run.mapper
     with run.clock("view_scores"):
         draw = mapper.drawn_as_stored()
         wanted = mapper.config.data.align_held_out and not suffix
@@ -247,7 +248,8 @@ def write_numbers(
 
 def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
     """Write report.html."""
-    config, fidelity = run.mapper.config, run.mapper.fidelity_of(run.mapper.config)
+    fidelity = run.mapper.fidelity_of(run.mapper.config)
+    config = run.mapper.config
     about = [
         f"{len(run.steps)} frames",
         f"SH degree {config.sh_degree}",

@@ -142,7 +142,8 @@ def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The main numbers, shown at the top."""
     boxes = []
     for name, label, second, line in HEADLINE if metrics else ():
-        value, more = metrics.get(name), ""
+        value = metrics.get(name)
+        more = ""
         if reason_missing(metrics.get(second)) is None:
             more = line.format(format_metric(second, metrics[second]))
         missing = reason_missing(value) is not None
@@ -171,9 +172,11 @@ def _views(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
 
 
 def _pictures(panel: ReportView) -> list[dict[str, Any]]:
-    measured, rendered = panel.depth_m, panel.render_depth_m
+    measured = panel.depth_m
+    rendered = panel.render_depth_m
     near, far = pictures.depth_range_m(measured, rendered)
-    error, depth = pictures.ERROR_COLOURS, pictures.DEPTH_COLOURS
+    error = pictures.ERROR_COLOURS
+    depth = pictures.DEPTH_COLOURS
     light = ColourBar(colours=error, low="0", high=f"{pictures.ERROR_LIMIT:g} or more, of 1")
     metres = ColourBar(colours=depth, low=f"{near:.2f}{NBSP}m", high=f"{far:.2f}{NBSP}m")
     off = ColourBar(

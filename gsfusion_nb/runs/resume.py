@@ -44,7 +44,8 @@ def load_run(
         ValueError: All checkpoints are damaged, the run's sequence was in memory, or its files have
             changed.
     """
-    path, store = Path(folder), CheckpointStore(Path(folder) / CHECKPOINTS)
+    path = Path(folder)
+    store = CheckpointStore(Path(folder) / CHECKPOINTS)
     if not store.exists:
         why = (
             "the run is complete, and there is nothing to continue"
@@ -158,7 +159,8 @@ def _rule_of(
     """
     if not document["rule_from_file"]:
         return given
-    own, name = path / RULE, document["mapper"]["rule"]["name"]
+    own = path / RULE
+    name = document["mapper"]["rule"]["name"]
     stored, _ = read_rule_file(f"{own}:{name}")
     if given is None:
         rule = f"{own}:{name}"
@@ -192,13 +194,15 @@ def _run_of(
     device: torch.device | str,
     given: dict[str, Any],
 ) -> MappingRun:
-    source, state = document["source"], document["run"]
+    source = document["source"]
+    state = document["run"]
     if not source:
         raise SequenceError(
             f"{path} was mapped from a sequence in memory; only runs on a sequence opened by path "
             "or name can resume"
         )
-    rule, system = _rule_of(path, document, seeding), get_system(document["system"])
+    rule = _rule_of(path, document, seeding)
+    system = get_system(document["system"])
     mapper = system.from_state_dict(document["mapper"], seeding=rule, device=device, **given)
     changes = mapper.rule_in_use.difference(document["mapper"]["rule"])
     if changes and _is_own(path, seeding):

@@ -38,7 +38,8 @@ class RunClock:
         now: Callable[[], float] = time.perf_counter,
         cpu: Callable[[], float] = time.process_time,
     ):
-        self._now, self._cpu = now, cpu
+        self._now = now
+        self._cpu = cpu
         self.seconds = dict.fromkeys(STAGES, 0.0)
         """Stage -> wall time so far, seconds."""
         self.cpu_seconds = dict.fromkeys(STAGES, 0.0)
@@ -86,7 +87,8 @@ class RunClock:
 
     def _count(self) -> None:
         """Add the time since the last change to the stage that is open."""
-        now, cpu = self._now(), self._cpu()
+        now = self._now()
+        cpu = self._cpu()
         stage = self._inside[-1]
         self.seconds[stage] += now - self._since[0]
         self.cpu_seconds[stage] += cpu - self._since[1]

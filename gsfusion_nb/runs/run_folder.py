@@ -159,8 +159,12 @@ class Autosave:
         every: CheckpointEvery,
         clock: Callable[[], float] = time.monotonic,
     ):
-        self._mapper, self._save, self._every, self._clock = mapper, save, every, clock
-        self._next_s, self._steps = clock() + every.seconds, 0
+        self._mapper = mapper
+        self._save = save
+        self._every = every
+        self._clock = clock
+        self._next_s = clock() + every.seconds
+        self._steps = 0
         self.n_saved = 0
         self.seconds = 0.0
         """Total time spent on checkpoints."""
@@ -276,7 +280,8 @@ class StopRequest:
         return self.wanted
 
     def _handle(self, signum, frame) -> None:
-        first, self.wanted = not self.wanted, True
+        first = not self.wanted
+        self.wanted = True
         if first:
             self._since = time.monotonic()
         if self.saving:
@@ -301,7 +306,8 @@ class StopRequest:
     @contextlib.contextmanager
     def held_back(self) -> Iterator[None]:
         """A block that no signal interrupts, for writing files."""
-        before, self.saving = self.saving, True
+        before = self.saving
+        self.saving = True
         try:
             yield
         finally:

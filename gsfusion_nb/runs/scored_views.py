@@ -63,7 +63,8 @@ def poses_in_map(
         T_WC: Tensor | None = localiser.poses[nearest]
         if int(mapped[nearest]) != index:
             at = position.get(int(mapped[nearest])) if has_poses(mapping) else None
-            there, here = None if at is None else _data_pose(mapping, at), _data_pose(view, i)
+            there = None if at is None else _data_pose(mapping, at)
+            here = _data_pose(view, i)
             T_WC = (
                 None
                 if there is None or here is None
@@ -193,7 +194,8 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
     time, as the group held_out_between, each moved as the mapped views before and after it were,
     and with an exposure between theirs; their own pictures are not used.
     """
-    localiser, mapping = run.mapper.localiser, run.sequence.mapping
+    localiser = run.mapper.localiser
+    mapping = run.sequence.mapping
     mapped = run.mapped_views(run.mapper.config.data.scored_views)
     refused = set(mapped.positions) - set(localiser.frame_indices)  # read, but not mapped
     mapped = dataclasses.replace(
@@ -270,7 +272,8 @@ def _gains_between(
 
     Of a mapped view that is no keyframe it is fitted here, from its picture.
     """
-    mapper, mapped = run.mapper, run.sequence.mapping
+    mapper = run.mapper
+    mapped = run.sequence.mapping
     fitted = {k.index: k.gain for k in mapper.keyframes if k.gain is not None}
     if not fitted:
         return {}

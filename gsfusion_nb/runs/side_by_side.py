@@ -40,7 +40,8 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
     Returns:
         The path written.
     """
-    path, names = Path(path), [run.mapper.title for run in runs]
+    path = Path(path)
+    names = [run.mapper.title for run in runs]
     of_frames = {
         name: [step.psnr_after_db for step in run.run.steps]
         for name, run in zip(names, runs, strict=True)
@@ -94,10 +95,8 @@ def _views(
 ) -> list[dict[str, Any]]:
     """Each view that all runs held out: what was recorded, and of each run the picture and the
     error of its depth."""
-    shown, held_out = (
-        [],
-        [{view.name: view for view in views if view.held_out} for views in of_runs],
-    )
+    shown = []
+    held_out = [{view.name: view for view in views if view.held_out} for views in of_runs]
     for first in held_out[0].values():
         panels = [views[first.name] for views in held_out if first.name in views]
         if len(panels) < len(held_out):

@@ -91,7 +91,8 @@ MAY_BE_NAN = frozenset(
 """Scores, losses and places of features that could not be measured, and the times of frames that
 have none."""
 POSES = frozenset({"T_WC", "poses", "given"})
-_BYTES, _FLOATS = torch.uint8, torch.float32
+_BYTES = torch.uint8
+_FLOATS = torch.float32
 IMAGES = {
     "colour": (_BYTES, _FLOATS),
     "depth_m": (_FLOATS,),
@@ -170,8 +171,10 @@ def check_agreement(run: Any) -> None:
     Raises:
         SequenceError: with the two that do not.
     """
-    mapper, n = run.mapper, len(run.steps)
-    localiser, keyframes = mapper.localiser, mapper.keyframes
+    mapper = run.mapper
+    n = len(run.steps)
+    localiser = mapper.localiser
+    keyframes = mapper.keyframes
     sizes = {
         "frames of the mapper": mapper.n_frames,
         "poses": len(localiser.poses),
@@ -315,7 +318,8 @@ def _check_images(values: dict[str, Any], where: tuple[str, ...]) -> None:
 def _check_same_tensor(state: Tensor, again: Tensor, where: tuple[str, ...]) -> None:
     if state.dtype != again.dtype or state.shape != again.shape:
         raise _refusal(where, _kind(again), _kind(state))
-    mine, theirs = state.cpu(), again.cpu()
+    mine = state.cpu()
+    theirs = again.cpu()
     if not torch.equal(mine, theirs):
         both_nan = (
             mine.isnan() & theirs.isnan()

@@ -103,17 +103,16 @@ class StreamRun(MappingRun):
         cls, source: dict[str, Any], mapper: Mapper, state: dict[str, Any]
     ) -> "StreamRun":
         """The run of a stream whose process was killed; it gets no more frames."""
-        nothing, passes = KeptFrames(source["stream"], has_poses=source["has_poses"]), mapper.passes
+        nothing = KeptFrames(source["stream"], has_poses=source["has_poses"])
+        passes = mapper.passes
         run = cls(nothing, mapper, policy=source["policy"])
         mapper.passes = passes
         run.load_state_dict(state)
         run.kept.load_state_dict(state["kept"])
         counts = state["counts"]
-        run._n_taken, run.n_unusable, run._n_earlier = (
-            counts["n_taken"],
-            counts["n_unusable"],
-            counts["n_earlier"],
-        )
+        run._n_taken = counts["n_taken"]
+        run.n_unusable = counts["n_unusable"]
+        run._n_earlier = counts["n_earlier"]
         run.sequence = run.kept.opened()
         run._warn(
             f"the stream was interrupted after {len(run.steps)} frames, when its process was killed"
@@ -217,7 +216,9 @@ class KeptFrames:
     """
 
     def __init__(self, name: str, *, has_poses: bool = True, most: int = MOST_VIEWS):
-        self.name, self.has_poses, self.camera = name, has_poses, _UNKNOWN
+        self.name = name
+        self.has_poses = has_poses
+        self.camera = _UNKNOWN
         self.mapped: list[int] = []
         """Indices of all mapped frames."""
         self.kept_mapped = _EvenSample(most)
@@ -298,7 +299,9 @@ class _EvenSample:
 
     def __init__(self, most: int):
         self.items: list[Frame] = []
-        self._most, self._step, self._n = most, 1, 0
+        self._most = most
+        self._step = 1
+        self._n = 0
 
     def add(self, frame: Frame) -> None:
         if self._n % self._step == 0:
@@ -318,4 +321,5 @@ class _EvenSample:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.items = [Frame.of_state(values) for values in state["items"]]
-        self._step, self._n = state["step"], state["n"]
+        self._step = state["step"]
+        self._n = state["n"]

@@ -114,7 +114,8 @@ def _check_world(rule: str, memory: dict[str, Any], name: str) -> None:
     """Raise ``TypeError`` for values in world coordinates without the frame of each row, by which
     they are moved."""
     for key in _WORLD.keys() & memory.keys():
-        value, frame = memory[key], memory.get("frame_index")
+        value = memory[key]
+        frame = memory.get("frame_index")
         n = (
             len(frame)
             if isinstance(frame, Tensor) and frame.ndim == 1 and not frame.is_floating_point()
@@ -210,7 +211,8 @@ def keep_one_per_voxel(
             return_inverse=True,
         )
         free = ~torch.isin(group[: len(seeds)], group[len(seeds) :])
-        seeds, voxel = seeds[free], voxel[free]
+        seeds = seeds[free]
+        voxel = voxel[free]
     if len(seeds) == 0:
         return seeds
     size = seeds.scale_m.amax(dim=-1)
@@ -238,10 +240,8 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
             raise ValueError(f"{name} must be floating point, got {column.dtype}")
     if n == 0:
         return
-    far, columns = (
-        f"{MAX_DISTANCE_M:,.0f} m",
-        {name: getattr(seeds, name) for name in _COLUMNS if name != "tag"},
-    )
+    far = f"{MAX_DISTANCE_M:,.0f} m"
+    columns = {name: getattr(seeds, name) for name in _COLUMNS if name != "tag"}
     columns["length of quat"] = seeds.quat.norm(dim=-1)
     extremes = torch.stack([x for column in columns.values() for x in torch.aminmax(column)])
     values = extremes.tolist()  # a GPU is waited for once; the extremes of a NaN are NaN

@@ -78,7 +78,8 @@ def check_contexts() -> dict[str, SeedContext]:
     config = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
     contexts = {}
     for name, frame in frames.items():
-        volume, gaussians = TsdfVolume(_TSDF), GaussianModel(sh_degree=0)
+        volume = TsdfVolume(_TSDF)
+        gaussians = GaussianModel(sh_degree=0)
         integrate(volume, frame)
         contexts[name] = ctx = SeedContext(frame, volume, gaussians, config=config)
         if name == "half seen":
@@ -94,7 +95,8 @@ def check_contexts() -> dict[str, SeedContext]:
 def _real_map(frame: Frame, config: SeedingConfig) -> SeedContext:
     """Maps as a mapper has them: one frame fused and seeded, then a second one from 15 cm beside it
     fused."""
-    volume, gaussians = TsdfVolume(_TSDF), GaussianModel(sh_degree=0)
+    volume = TsdfVolume(_TSDF)
+    gaussians = GaussianModel(sh_degree=0)
     integrate(volume, frame)
     gaussians.append(SeedContext(frame, volume, config=config).cells(), frame.index)
     beside = _scene_frame(61, 47, shift_m=0.15)
@@ -139,11 +141,9 @@ class Walk:
         """Add seeds to the map."""
         before = len(self.gaussians)
         self.gaussians.append(seeds, self._frames[-1].index)
-        params, n, g = (
-            self.gaussians.params,
-            len(self.gaussians) - before,
-            torch.Generator().manual_seed(before),
-        )
+        params = self.gaussians.params
+        n = len(self.gaussians) - before
+        g = torch.Generator().manual_seed(before)
         for column, size in (
             (params.log_scale, 0.3),
             (params.quat, 0.2),
@@ -192,8 +192,11 @@ def _scene_images(
     ray = rays(camera, pixel_grid(camera))
     wall = ray.new_tensor(_WALL[0])
     z_wall = (_WALL[1] - wall @ eye) / (ray @ wall)
-    centre, radius = ray.new_tensor(_SPHERE[0]) - eye, _SPHERE[1]
-    a, b, c = (ray * ray).sum(-1), ray @ centre, centre @ centre - radius**2
+    centre = ray.new_tensor(_SPHERE[0]) - eye
+    radius = _SPHERE[1]
+    a = (ray * ray).sum(-1)
+    b = ray @ centre
+    c = centre @ centre - radius**2
     root = b * b - a * c
     z_sphere = torch.where(
         root > 0,
@@ -268,7 +271,8 @@ def check_rule(
         AssertionError: a property does not hold; the message names rule, scene and property.
         TypeError, ValueError: wrong signature, or invalid seeds.
     """
-    function, name = get_rule(rule), rule_name(rule)
+    function = get_rule(rule)
+    name = rule_name(rule)
     tested = _Tested(function, dict(options or {}))
     scenes = check_contexts() if contexts is None else contexts
     try:
@@ -327,7 +331,8 @@ def _counts(
     gave."""
     counts = {}
     all_given = ValueHash(strict=False)
-    name, kept = rule_name(tested.rule), loaded_values(tested.rule)
+    name = rule_name(tested.rule)
+    kept = loaded_values(tested.rule)
     for scene, given in scenes.items():
         ctx = _with_extra(given, extra)
         where = f"seeding rule {name!r}, scene {scene!r}"
@@ -396,10 +401,13 @@ def _check_walk(
 ) -> int:
     """Several frames in which a map grows from the rule's own seeds; the map and the memory at the
     end are added to ``all_given``. Returns the number of seeds."""
-    total, memory, rule = 0, {}, tested.rule
+    total = 0
+    memory = {}
+    rule = tested.rule
     walk = Walk()
     for number in range(walk.n_frames):
-        here, ctx = f"{where}, frame {number}", _with_extra(walk.context(number, memory), extra)
+        here = f"{where}, frame {number}"
+        ctx = _with_extra(walk.context(number, memory), extra)
         first = _run_unchanged(tested, ctx, here)
         after = _check_randomness(tested, ctx, first, here)
         _check_in_front(first, ctx.frame, here)
@@ -413,7 +421,8 @@ def _check_walk(
                 )
                 ctx = dataclasses.replace(ctx, memory=after)
             _check_nothing_kept(rule, kept, here)
-        total, memory = total + len(first), after
+        total = total + len(first)
+        memory = after
     all_given.add((vars(walk.gaussians.params), memory))
     return total
 
@@ -424,7 +433,9 @@ def _check_after_step(
     """``after_step`` changes nothing but its memory, returns the same twice, and its edit fits the
     map, which then has it. Returns the memory afterwards."""
     given = _step_stats(rule, ctx, step, stage)
-    edits, memories, second = [], [], copy.deepcopy(ctx.gaussians)  # statistics may be restarted
+    edits = []  # statistics may be restarted
+    memories = []
+    second = copy.deepcopy(ctx.gaussians)
     for seed, model in ((1, ctx.gaussians), (2, second)):
         fresh = _fresh(ctx, gaussians=model)
         with _unchanged(fresh, where), _other_generators(seed):
@@ -456,7 +467,9 @@ def _step_stats(
     rule: MapRule, ctx: SeedContext, step: int, stage: Literal["online", "passes"]
 ) -> StepStats:
     """Statistics that the rule asks for, with random gradients."""
-    needs, model, frame = rule.statistics(), ctx.gaussians, ctx.frame
+    needs = rule.statistics()
+    model = ctx.gaussians
+    frame = ctx.frame
     check_needs(needs, f"seeding rule {rule_name(type(rule))!r}: statistics()")
     seen = footprints(model.params, frame.camera, frame.T_WC) if needs - {"render"} else None
     drawn = 1e-3 * torch.randn(

@@ -499,10 +499,8 @@ class ValueHash:
 
     def _by_reference(self, x: Any) -> bool:
         """Whether an object of a library can be found by its name, and was hashed by it."""
-        module, name = (
-            getattr(x, "__module__", None),
-            getattr(x, "__qualname__", None) or getattr(x, "__name__", None),
-        )
+        module = getattr(x, "__module__", None)
+        name = getattr(x, "__qualname__", None) or getattr(x, "__name__", None)
         if isinstance(x, types.BuiltinFunctionType) and isinstance(
             x.__self__, types.ModuleType | type
         ):

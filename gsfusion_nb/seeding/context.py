@@ -186,7 +186,8 @@ class SeedContext:
         """
         leaves = self.quadtree_cells(**overrides)
         kept, pixel = self._measured(leaves.centre_uv, self.frame.depth_m)
-        leaves, depth_m = leaves[kept], self.frame.depth_m
+        leaves = leaves[kept]
+        depth_m = self.frame.depth_m
         xyz_W, scale_m = cell_gaussians(self.camera, leaves, depth_m, self.frame.T_WC)
         rgb = self.frame.rgb.flatten(0, 1)[pixel]
         return Seeds.isotropic(xyz_W, rgb, scale_m, opacity=0.5, tag=leaves.level)
@@ -219,7 +220,8 @@ class SeedContext:
         """
         depth_m = self.frame.depth_m if depth_m is None else depth_m
         kept, pixel = self._measured(uv, depth_m)
-        uv, z = uv[kept], depth_m.flatten()[pixel]
+        uv = uv[kept]
+        z = depth_m.flatten()[pixel]
         size = radius_px[kept] if isinstance(radius_px, Tensor) else radius_px
         xyz_W = se3.apply(
             self.frame.T_WC, backproject(self.camera, uv.to(z.dtype), z)
@@ -237,7 +239,8 @@ class SeedContext:
     ) -> tuple[Int[Tensor, " M"], Int[Tensor, " M"]]:
         """Which image positions have depth, and the number of the pixel around each of these."""
         i, j = uv.floor().long().unbind(-1)
-        column, row = i.clamp(0, self.camera.width - 1), j.clamp(0, self.camera.height - 1)
+        column = i.clamp(0, self.camera.width - 1)
+        row = j.clamp(0, self.camera.height - 1)
         pixel = torch.add(column, row, alpha=self.camera.width)
         kept = ((i == column) & (j == row) & self._is_used(depth_m.flatten()[pixel])).nonzero()[
             :, 0
@@ -331,7 +334,8 @@ class SeedContext:
                 "over_base() needs a mapper whose picture is a surface with Gaussians over it "
                 "(gps_slam)"
             )
-        params, below = self._need_gaussians("over_base()"), self.below
+        params = self._need_gaussians("over_base()")
+        below = self.below
 
         def draw() -> OverBaseOutput:
             view = self.camera, self.frame.T_WC

@@ -15,7 +15,8 @@ from .quadtree import LUMA_WEIGHTS
 
 NO_GRADIENT = 0.01
 """Gradients of the brightness well below this are noise, per pixel."""
-SMALLEST_LEVEL_PX, BORDER_PX = 8, 4
+SMALLEST_LEVEL_PX = 8
+BORDER_PX = 4
 """Corners are looked for on image sizes down to this many pixels, and not closer to the border than
 this."""
 

@@ -55,15 +55,11 @@ def k_nearest(
     neighbours. On the device of the points; differentiable: no."""
     from scipy.spatial import KDTree
 
-    M, N, far = (
-        len(xyz_W),
-        len(others_W),
-        1e30,
-    )  # far is for what is not finite: its square overflows in float32
-    points, others = (
-        xyz_W.nan_to_num(-far, -far, -far).cpu(),
-        others_W.nan_to_num(far, far, far).cpu(),
-    )
+    M = len(xyz_W)  # far is for what is not finite: its square overflows in float32
+    N = len(others_W)
+    far = 1e30
+    points = xyz_W.nan_to_num(-far, -far, -far).cpu()
+    others = others_W.nan_to_num(far, far, far).cpu()
     tree = KDTree(
         others.numpy(), balanced_tree=False, compact_nodes=False
     )  # built in half the time
@@ -108,7 +104,9 @@ def voxel_keys(xyz_W: Float[Tensor, "N 3"], voxel_size_m: float) -> Int[Tensor, 
     return (x << 2 * _BITS) | (y << _BITS) | z
 
 
-VISIBLE, GRADIENT, ABS_GRADIENT = "times_visible", "image_gradient", "abs_image_gradient"
+VISIBLE = "times_visible"
+GRADIENT = "image_gradient"
+ABS_GRADIENT = "abs_image_gradient"
 """Names of the numbers that are summed up for each row: steps in which it was visible, and lengths
 of its ``v_uv`` and of its ``v_uv_abs``."""
 

@@ -156,7 +156,8 @@ def cut(
 ) -> list[Cell]:
     """The four parts of a cell: top left, bottom left, top right, bottom right. Left and top get
     the floor of half."""
-    w, h = width // 2, height // 2
+    w = width // 2
+    h = height // 2
     return [
         (x0, y0, w, h),
         (x0, y0 + h, w, height - h),

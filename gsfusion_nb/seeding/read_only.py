@@ -34,7 +34,8 @@ def read_only(named: Iterable[tuple[str, Tensor]]) -> Iterator[list[str]]:
     before = getattr(_now, "places", {}), getattr(_now, "made", [])
     made: list[str] = []
     with _replaced():
-        _now.places, _now.made = places, made
+        _now.places = places
+        _now.made = made
         try:
             yield made
         finally:

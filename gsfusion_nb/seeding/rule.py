@@ -414,18 +414,20 @@ def check_options(rule: SeedingRule, options: Mapping[str, Any]) -> None:
     for name, value in options.items():
         default = known[name].default
         if words := isinstance(default, str) and typing.get_args(known[name].annotation):
-            fits, wanted = value in words, words
+            fits = value in words
+            wanted = words
         elif isinstance(default, Path):
-            fits, wanted = isinstance(value, str | Path), "the path of a file or folder"
+            fits = isinstance(value, str | Path)
+            wanted = "the path of a file or folder"
         elif isinstance(default, str):
-            fits, wanted = isinstance(value, str), "a text"
+            fits = isinstance(value, str)
+            wanted = "a text"
         elif isinstance(default, bool):
-            fits, wanted = isinstance(value, bool), "True or False"
+            fits = isinstance(value, bool)
+            wanted = "True or False"
         else:
-            fits, wanted = (
-                isinstance(value, int | float) and not isinstance(value, bool),
-                "a number",
-            )
+            fits = isinstance(value, int | float) and not isinstance(value, bool)
+            wanted = "a number"
         if not fits:
             raise TypeError(
                 f"seeding rule {rule_name(rule)!r}: option {name!r} must be {wanted}, got "

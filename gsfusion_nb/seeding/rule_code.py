@@ -105,7 +105,8 @@ def path_hash(path: Path) -> str:
     Raises:
         OSError: a file cannot be read.
     """
-    digest, files = hashlib.blake2b(digest_size=16), [path]
+    digest = hashlib.blake2b(digest_size=16)
+    files = [path]
     if path.is_dir():
         walked = os.walk(path, followlinks=True)
         files = sorted(
@@ -236,7 +237,8 @@ def refuse_undeclared(rule: SeedingRule, files: Iterable[Path]) -> None:
     refuse(rule_name(rule), getattr(module, _READ, ""), imported - set(files))
 
 
-_READ, _IMPORTED = "__undeclared__", "__imported_files__"
+_READ = "__undeclared__"
+_IMPORTED = "__imported_files__"
 """Names in the module of a rule's file: what it read while it was loaded, and the files that it
 imported."""
 

@@ -88,7 +88,8 @@ def in_front(
         where: Only centres at these pixels; by default all pixels with depth.
     """
     xyz = se3.apply(se3.inverse(ctx.frame.T_WC), ctx.map.xyz_W)
-    uv, z = project(ctx.camera, xyz), xyz[:, 2]
+    uv = project(ctx.camera, xyz)
+    z = xyz[:, 2]
     inside = (
         (z > 0)
         & (uv >= 0).all(dim=1)
@@ -249,7 +250,8 @@ def cells_without_depth(ctx: SeedContext) -> Seeds:
 
     Differentiable: no. Source: ours; docs/quality.md has what it changes.
     """
-    depth_m, known = ctx.frame.depth_m, ctx.has_depth()
+    depth_m = ctx.frame.depth_m
+    known = ctx.has_depth()
     if not (depth_m <= 0).any() or not known.any():
         return Seeds.empty(depth_m)
     leaves = ctx.quadtree_cells(min_cell_px=max(LEAST_HALF_PX, ctx.config.quadtree_min_cell_px))
@@ -259,10 +261,14 @@ def cells_without_depth(ctx: SeedContext) -> Seeds:
         chosen &= ctx.render().alpha[j, i] < SHOWN_ALPHA
     if not chosen.any():
         return Seeds.empty(depth_m)
-    leaves, i, j = leaves[chosen], i[chosen], j[chosen]
+    leaves = leaves[chosen]
+    i = i[chosen]
+    j = j[chosen]
     filled = depth_from_sides(depth_m, known)
     placed = filled[j, i] > 0
-    leaves, i, j = leaves[placed], i[placed], j[placed]
+    leaves = leaves[placed]
+    i = i[placed]
+    j = j[placed]
     xyz_W, scale_m = cell_gaussians(ctx.camera, leaves, filled, ctx.frame.T_WC)
     return Seeds.isotropic(
         xyz_W,
@@ -285,7 +291,8 @@ def depth_from_sides(
         depth_m: z-depth, metres. [H, W]
         known: Pixels whose depth is used. [H, W]
     """
-    total, weights = torch.zeros_like(depth_m), torch.zeros_like(depth_m)
+    total = torch.zeros_like(depth_m)
+    weights = torch.zeros_like(depth_m)
     for dim in (0, 1):
         for backwards in (False, True):
             d, k = (depth_m.flip(dim), known.flip(dim)) if backwards else (depth_m, known)
@@ -299,5 +306,6 @@ def depth_from_sides(
                 0.0,
             )
             near, weight = (near.flip(dim), weight.flip(dim)) if backwards else (near, weight)
-            total, weights = total + weight * near, weights + weight
+            total = total + weight * near
+            weights = weights + weight
     return torch.where(weights > 0, total / weights.clamp_min(1e-30), 0.0)

@@ -86,7 +86,8 @@ def attempt(
             used.
         config: Pyramid levels and limits.
     """
-    T_WC, camera = start.T_WC, sight.frame.camera
+    T_WC = start.T_WC
+    camera = sight.frame.camera
     if start.wide:
         surface = source(camera, T_WC.float())
         T_WC = align(
@@ -224,7 +225,8 @@ def cost(sight: Sight, result: IcpResult, against: Attempt, config: TrackingConf
     Every usable pixel of the frame counts, those that fit nothing with ``COST_GATE_M``, so that
     poses can be compared.
     """
-    level, surface = sight.levels[-1], against.surface
+    level = sight.levels[-1]
+    surface = against.surface
     T_WC = result.T_WC.to(surface.depth_m.device)
     gates = {
         "max_distance_m": COST_GATE_M,

@@ -170,7 +170,8 @@ class LoopFinder:
     """Finds loops from the keyframes of ``database``, by appearance, landmarks and depth."""
 
     def __init__(self, database: KeyframeDatabase, landmarks: Landmarks):
-        self.database, self.landmarks = database, landmarks
+        self.database = database
+        self.landmarks = landmarks
         self.thumbnails: list[Tensor] = []
         """Small depth images of the keyframes, in the order of the database."""
 
@@ -202,7 +203,8 @@ class LoopFinder:
     def _pose(self, row: int, earlier: int) -> RelativePose | None:
         """Pose of one keyframe relative to another: from their features, then from all landmarks
         around the other."""
-        features, camera = self.database.features[row], self.database.camera
+        features = self.database.features[row]
+        camera = self.database.camera
         pose = self.database.compare(features, earlier)
         if pose is None or len(pose.rows) < MIN_INLIERS:
             return None
@@ -217,7 +219,8 @@ class LoopFinder:
 
     def _is_true(self, row: int, earlier: int, pose: RelativePose) -> bool:
         thumbnails = (self.thumbnails[row], self.thumbnails[earlier])
-        features, camera = self.database.features[row], self.database.camera
+        features = self.database.features[row]
+        camera = self.database.camera
         reason = why_not_same_place(pose, features, thumbnails, camera)
         poses = self.database.T_WC
         drift = se3.inverse(pose.T_RQ) @ se3.inverse(poses[earlier]) @ poses[row]
@@ -259,14 +262,16 @@ class Correction:
         """
         keyframe = self.frame_index
         before = torch.searchsorted(keyframe, frame_index.to(keyframe), right=True) - 1
-        a, b = before.clamp_min(0), (before + 1).clamp_max(len(keyframe) - 1)
+        a = before.clamp_min(0)
+        b = (before + 1).clamp_max(len(keyframe) - 1)
         a = torch.where(before < 0, b.clamp_max(0), a)
         b = torch.where(before < 0, a, b)
         gap = (keyframe[b] - keyframe[a]).clamp_min(1)
         passed = (frame_index.to(keyframe) - keyframe[a]).double()
         t = (passed / gap).clamp(0, 1) * (a != b)
         motion = _motion(self.T_WC_old, self.T_WC_new)
-        D_a, D_b = motion[a], motion[b]
+        D_a = motion[a]
+        D_b = motion[b]
         quat_a = quaternion.from_matrix(D_a[:, :3, :3])
         quat_b = quaternion.from_matrix(D_b[:, :3, :3])
         R = quaternion.to_matrix(quaternion.slerp(quat_a, quat_b, t))
@@ -316,15 +321,18 @@ LOOP_MAX_SIGMA = 5.0
 are not used."""
 
 
-KEYFRAME_DEG, KEYFRAME_M = 15.0, 0.15
+KEYFRAME_DEG = 15.0
+KEYFRAME_M = 0.15
 """The graph gets a new keyframe when the camera has turned, or moved, by more than this since the
 last one. Larger: a smaller graph, faster, but fewer chances to find a loop."""
 
-CORRECT_FROM_M, CORRECT_FROM_DEG = 0.02, 0.5
+CORRECT_FROM_M = 0.02
+CORRECT_FROM_DEG = 0.5
 """A loop corrects the trajectory at once if they disagree by more than this; smaller differences
 are corrected at the end of the scan."""
 
-ODOMETRY_SIGMA_DEG, ODOMETRY_SIGMA_M = 0.5, 0.02
+ODOMETRY_SIGMA_DEG = 0.5
+ODOMETRY_SIGMA_M = 0.02
 """Largest standard deviation of the tracked motion between two keyframes, per axis; it is trusted
 more where it agrees with the landmarks (``fit_odometry``)."""
 
@@ -357,7 +365,8 @@ class BackEnd:
         self.camera = camera
         self.map = LandmarkMap(camera, count=features, levels=levels)
         """Keyframes and landmarks; the front end uses it, too."""
-        self.database, self.landmarks = self.map.database, self.map.landmarks
+        self.database = self.map.database
+        self.landmarks = self.map.landmarks
         self._finder = LoopFinder(self.database, self.landmarks)
         self.edges: list[Edge] = []
         self.loops: list[tuple[int, Tensor]] = []
@@ -474,7 +483,8 @@ class BackEnd:
         if landmarks:
             self._with_landmarks()
         self.map.collect()
-        fresh, self._fresh_loops = self._fresh_loops, []
+        fresh = self._fresh_loops
+        self._fresh_loops = []
         return Correction(
             frame_index=torch.tensor(self.database.index),
             T_WC_old=old,
@@ -484,7 +494,8 @@ class BackEnd:
 
     def _true_loops(self) -> list[tuple[int, Tensor]]:
         """The loops that the present poses agree with."""
-        loops, T_WC = [e for e in self.edges if e.kind == "loop"], self.T_WC
+        loops = [e for e in self.edges if e.kind == "loop"]
+        T_WC = self.T_WC
         return [
             loop
             for loop, e in zip(self.loops, loops, strict=True)

@@ -174,7 +174,8 @@ def brightness_system(
     xyz = se3.apply(T, depth_to_points(level.camera, level.depth_m)).view(-1, 3)
     xyz_S = xyz @ R_WS
     u, v = project(picture.camera, xyz_S).unbind(-1)
-    H, W = picture.camera.height, picture.camera.width
+    H = picture.camera.height
+    W = picture.camera.width
     ahead = (level.depth_m.view(-1) > 0) & (xyz_S[:, 2] > 0)
     in_width = (u >= 0) & (u < W)
     in_height = (v >= 0) & (v < H)
@@ -213,7 +214,8 @@ class Pictures:
     pyramid."""
 
     def __init__(self, frame: dict[int, Tensor], surface: dict[int, Picture]):
-        self.frame, self.surface = frame, surface
+        self.frame = frame
+        self.surface = surface
         self.offset = 0.0
         """How much brighter the surface is than the frame, from the last step."""
 

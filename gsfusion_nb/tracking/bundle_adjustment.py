@@ -76,7 +76,8 @@ def adjust(
     Differentiable: no.
     """
     problem = _Problem(camera, seen, edges, fixed)
-    T_WC, xyz = T_WC.double(), seen.xyz_W.double().numpy()
+    T_WC = T_WC.double()
+    xyz = seen.xyz_W.double().numpy()
     before = error = problem.error(T_WC, xyz)
     damping = FIRST_DAMPING
     system = problem.system(T_WC, xyz)
@@ -142,7 +143,8 @@ class _System(_Points):
         """Twists of the poses and shifts of the landmarks."""
         from scipy.sparse import coo_matrix
 
-        K, L = len(self.b_p), len(self.V)
+        K = len(self.b_p)
+        L = len(self.V)
         V_inv = self.V_inv(damping)
         Y = self.W @ V_inv[self.landmark]  # the blocks of W V^-1
         rows = 6 * self.keyframe[:, None] + np.arange(6)
@@ -174,10 +176,12 @@ class _Problem:
         fixed: Tensor,
     ):
         self.camera = camera
-        self.keyframe, self.landmark = seen.keyframe.numpy(), seen.landmark.numpy()
+        self.keyframe = seen.keyframe.numpy()
+        self.landmark = seen.landmark.numpy()
         self.of_keyframe = _members(self.keyframe, len(fixed))
         self.of_landmark = _members(self.landmark, len(seen.xyz_W))
-        self.uv, self.sigma_px = seen.uv.numpy(), seen.sigma_px.numpy()
+        self.uv = seen.uv.numpy()
+        self.sigma_px = seen.sigma_px.numpy()
         self.inverse = inverse_or_zero(seen.depth_m.numpy())
         self.sigma_inverse = np.sqrt(
             DEPTH_SIGMA_PER_M**2 + (self.sigma_px * self.inverse / camera.fx) ** 2
@@ -197,7 +201,8 @@ class _Problem:
     def system(self, T_WC: Tensor, xyz: ndarray) -> _Points:
         """The normal equations with the weights of this state."""
         e, by_y, y, R = self._errors(T_WC, xyz)
-        w, K = robust_weight(e), len(T_WC)
+        w = robust_weight(e)
+        K = len(T_WC)
         J_x = by_y @ R.transpose(0, 2, 1)
         wJ_x = w[:, None, None] * J_x
         V = _added(self.of_landmark, wJ_x.transpose(0, 2, 1) @ J_x)

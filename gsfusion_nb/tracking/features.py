@@ -16,7 +16,8 @@ from ..geometry import backproject
 from ..geometry.operands import check_operand
 from ..types import Frame
 
-FEATURES, LEVELS = 1000, 8
+FEATURES = 1000
+LEVELS = 8
 """Features of a view, and levels of their pyramid. More features: more reliable loops and
 relocalisation, slower."""
 
@@ -209,7 +210,8 @@ def _depth_at(depth_m: ndarray, uv: ndarray) -> tuple[ndarray, ndarray]:
     ``EDGE_SHARE``.
     """
     height, width = depth_m.shape
-    x, y = uv[:, 0] - 0.5, uv[:, 1] - 0.5
+    x = uv[:, 0] - 0.5
+    y = uv[:, 1] - 0.5
     x0 = np.clip(
         np.floor(x).astype(int),
         0,
@@ -224,7 +226,8 @@ def _depth_at(depth_m: ndarray, uv: ndarray) -> tuple[ndarray, ndarray]:
     rows = np.clip(y0 + around, 0, height - 1)
     columns = np.clip(x0 + around, 0, width - 1)
     patch = depth_m[rows[:, None], columns[None]].astype(float)  # [4, 4, M]
-    low, high = patch.min((0, 1)), patch.max((0, 1))
+    low = patch.min((0, 1))
+    high = patch.max((0, 1))
     trusted = (low > 0) & (high - low <= EDGE_SHARE * low)
     inverse = 1.0 / np.where(patch > 0, patch, 1.0)[1:3, 1:3]
     fx = np.clip(x - x0, 0, 1)

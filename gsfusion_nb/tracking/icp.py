@@ -136,7 +136,8 @@ def associate(
     xyz = se3.apply(T, depth_to_points(level.camera, level.depth_m))
     xyz_S = xyz @ R_WS
     u, v = project(surface.camera, xyz_S).unbind(-1)
-    H, W = surface.camera.height, surface.camera.width
+    H = surface.camera.height
+    W = surface.camera.width
     ahead = (level.depth_m > 0) & (xyz_S[..., 2] > 0)
     in_width = (u >= 0) & (u < W)
     in_height = (v >= 0) & (v < H)
@@ -474,7 +475,8 @@ class _Rows:
         self, level: DepthLevel, T_WC: Tensor, max_distance_m: float
     ) -> tuple[IcpSystem, IcpSystem]:
         """The system of depth alone at a pose, and that of all rows."""
-        config, there = self.config, T_WC.to(self.surface.depth_m.device)
+        config = self.config
+        there = T_WC.to(self.surface.depth_m.device)
         min_cosine = math.cos(math.radians(config.max_angle_deg))
         gates = {
             "max_distance_m": max_distance_m,

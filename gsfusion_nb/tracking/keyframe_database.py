@@ -44,7 +44,9 @@ class KeyframeDatabase:
             count: Number of features to extract from a frame.
             levels: Number of pyramid levels for these features.
         """
-        self.camera, self.count, self.levels = camera, count, levels
+        self.camera = camera
+        self.count = count
+        self.levels = levels
         self.index: list[int] = []
         """Frame index of every row."""
         self.T_WC: list[Tensor] = []
@@ -191,7 +193,10 @@ class KeyframeDatabase:
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Replace the keyframes by those of ``state_dict``."""
-        self.index, self.T_WC, self.features, self._words = [], [], [], []
+        self.index = []
+        self.T_WC = []
+        self.features = []
+        self._words = []
         self._frequency[:] = 0
         for index, T_WC, features in zip(
             state["index"], state["T_WC"], state["features"], strict=True

@@ -117,7 +117,8 @@ def check_rows(rows: Any, T_WC: Any, centre: Any = None) -> None:
     if not isinstance(rows, LandmarkRows):
         raise ValueError(f"rows must be LandmarkRows, got {type(rows).__name__}")
     check_camera(rows.camera)
-    n, f64 = len(rows.uv), np.float64
+    n = len(rows.uv)
+    f64 = np.float64
     for name, shape in (
         ("xyz_W", (n, 3)),
         ("uv", (n, 2)),

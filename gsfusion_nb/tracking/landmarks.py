@@ -183,7 +183,8 @@ class Landmarks:
     def shared(self, row_a: int, row_b: int) -> Int[Tensor, "P 2"]:
         """Features of two keyframes that are the same landmark and have depth in b: (feature of a,
         feature of b)."""
-        a, b = self.of_feature[row_a], self.of_feature[row_b]
+        a = self.of_feature[row_a]
+        b = self.of_feature[row_b]
         common, at_a, at_b = np.intersect1d(a, b, return_indices=True)
         at_a = at_a[common >= 0]
         at_b = at_b[common >= 0]

@@ -70,7 +70,8 @@ def match_features(query: Features, reference: Features) -> Int[Tensor, "P 2"]:
     nothing = torch.zeros((0, 2), dtype=torch.int64)
     if len(query) < 2 or len(reference) < 2:
         return nothing
-    a, b = query.descriptors.numpy(), reference.descriptors.numpy()
+    a = query.descriptors.numpy()
+    b = reference.descriptors.numpy()
     distance, nearest = _nearest(a, b, 2)
     first, second = distance.T
     clear = (first <= MAX_HAMMING) & (first < RATIO * second)
@@ -239,7 +240,8 @@ def found_near(
     near = KDTree(uv[point]).sparse_distance_matrix(
         KDTree(features.uv.numpy()), radius_px, output_type="ndarray"
     )
-    a, b = point[near["i"]], near["j"].astype(np.int64)
+    a = point[near["i"]]
+    b = near["j"].astype(np.int64)
     distance = hamming(descriptors[a], features.descriptors.numpy()[b])
     kept = _clear_and_mutual(a, b, distance)
     return np.stack([b[kept], a[kept]], 1)
@@ -271,7 +273,8 @@ def _clear_and_mutual(a: ndarray, b: ndarray, distance: ndarray) -> ndarray:
     """Which candidate pairs are mutually best, close enough, and clearly better than the second
     best match of a."""
     order = np.lexsort((distance, a))
-    a_sorted, d_sorted = a[order], distance[order]
+    a_sorted = a[order]
+    d_sorted = distance[order]
     first = np.diff(a_sorted, prepend=-1) != 0
     place = first.nonzero()[0]
     after = np.minimum(place + 1, len(order) - 1)

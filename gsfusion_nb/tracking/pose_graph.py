@@ -230,14 +230,12 @@ def pose_graph_step(
     from scipy.sparse.linalg import splu
 
     K = len(T_WC)
-    H, b = (
-        torch.zeros(
-            (K, K, 6, 6),
-            dtype=T_WC.dtype,
-            layout=torch.sparse_coo,
-        ),
-        T_WC.new_zeros(K, 6),
+    H = torch.zeros(
+        (K, K, 6, 6),
+        dtype=T_WC.dtype,
+        layout=torch.sparse_coo,
     )
+    b = T_WC.new_zeros(K, 6)
     for a, J_a in ((i, J_i), (j, J_j)):
         weighted = J_a.mT @ information
         b.index_add_(

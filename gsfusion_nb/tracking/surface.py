@@ -97,7 +97,8 @@ def reduce_depth(depth_m: Float[Tensor, "H W"], factor: int) -> Float[Tensor, "h
     if factor == 1:
         return depth_m
     H, W = depth_m.shape
-    h, w = -(-H // factor), -(-W // factor)
+    h = -(-H // factor)
+    w = -(-W // factor)
     to_right = w * factor - W
     to_bottom = h * factor - H
     padded = torch.nn.functional.pad(depth_m, (0, to_right, 0, to_bottom))

@@ -148,7 +148,9 @@ class Tracker:
             return TrackingReport(status="first", T_WC=frame.T_WC)
         failures: list[str] = []
         fits: list[Attempt] = []
-        mixed, doubt, first_try = self._target(surface), "", False
+        mixed = self._target(surface)
+        doubt = ""
+        first_try = False
         for start in self._starts(frame, relocalise, fits, guess):
             with_rows = dataclasses.replace(sight, extra=start.extra or extra)
             found = attempt(with_rows, surface, mixed, start, self.config)
@@ -232,10 +234,8 @@ class Tracker:
             raise ValueError("no pose can be predicted before the first frame has been tracked")
         if self.config.prior == "previous" or self._before is None:
             return self._last.T_WC
-        taken, ahead = (
-            self._last.timestamp_s - self._before.timestamp_s,
-            timestamp_s - self._last.timestamp_s,
-        )
+        taken = self._last.timestamp_s - self._before.timestamp_s
+        ahead = timestamp_s - self._last.timestamp_s
         ratio = min(ahead / taken, MAX_TIME_RATIO) if taken > 0 and ahead > 0 else 1.0
         return constant_velocity(self._before.T_WC, self._last.T_WC, ratio)
 

@@ -55,7 +55,8 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
         ValueError: the pose is not rigid, or the camera impossible: its rays would cross millions
             of blocks.
     """
-    config, depth_m = volume.config, frame.depth_m
+    config = volume.config
+    depth_m = frame.depth_m
     used = (depth_m > 0) & (depth_m >= config.near_m) & (depth_m <= config.far_m)
     if config.outlier_guard:
         used &= has_support(depth_m)
@@ -123,12 +124,10 @@ def crossed_cells(
         t_wall = ((wall - origin) / direction).where(direction != 0, torch.inf)
         t, axis = t_wall.min(dim=1)
         goes_on = t < t_last
-        cell, direction, axis, t_last = (
-            cell[goes_on],
-            direction[goes_on],
-            axis[goes_on],
-            t_last[goes_on],
-        )
+        cell = cell[goes_on]
+        direction = direction[goes_on]
+        axis = axis[goes_on]
+        t_last = t_last[goes_on]
         cell = cell + direction.sign() * torch.nn.functional.one_hot(axis, 3)
         crossed.append(cell)
     return _distinct(torch.cat(crossed).long())

@@ -69,12 +69,11 @@ class BlockPool:
     def boxes(self, n_blocks: int) -> Int[np.ndarray, "C 2 3"]:
         """Lowest and highest ``coords`` in each ``BLOCKS_IN_BOX`` of the first ``n_blocks`` rows,
         on a CPU."""
-        boxes, start = self._boxes, BLOCKS_IN_BOX * len(self._boxes)
+        boxes = self._boxes
+        start = BLOCKS_IN_BOX * len(self._boxes)
         if start < n_blocks:
-            coords, first = (
-                self.coords[start:n_blocks].numpy(),
-                np.arange(0, n_blocks - start, BLOCKS_IN_BOX),
-            )
+            coords = self.coords[start:n_blocks].numpy()
+            first = np.arange(0, n_blocks - start, BLOCKS_IN_BOX)
             more = np.stack(
                 [extreme.reduceat(coords, first) for extreme in (np.minimum, np.maximum)], 1
             )

@@ -268,7 +268,8 @@ def fuse_voxels(
         frame: Depth and colour.
         config: Range, truncation, and definition of the distance.
     """
-    camera, z = frame.camera, centres_C[..., 2]
+    camera = frame.camera
+    z = centres_C[..., 2]
     u, v = project(camera, centres_C).unbind(-1)  # Eq. 4
     in_width = (u >= 0) & (u < camera.width)
     in_height = (v >= 0) & (v < camera.height)
@@ -288,7 +289,8 @@ def fuse_voxels(
     }
     D_k, W_k = tsdf_update(before.D, before.W, sdf_m, **band)
     observed = sdf_m > -config.truncation_m
-    W_rgb, step = W_k, 1.0 / W_k  # the mean; the paper does not define colour
+    W_rgb = W_k  # the mean; the paper does not define colour
+    step = 1.0 / W_k
     if config.weighs_colours:
         w = colour_weight(sdf_m, z, before.W_rgb, config).where(observed, 0.0)
         W_rgb = (before.W_rgb + w).clamp(max=config.max_weight)
@@ -316,7 +318,9 @@ class FusedView:
 
     def __init__(self, volume: TsdfVolume, frame: Frame, missing: NewBlocks):
         self.config = volume.config
-        self._volume, self._frame, self._missing = volume, frame, missing
+        self._volume = volume
+        self._frame = frame
+        self._missing = missing
 
     def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
         """Values that the voxels containing the points will have.

@@ -47,7 +47,8 @@ def _faces() -> list[list[int]]:
     """Corners of the six faces, counter-clockwise seen from outside the cube."""
     faces = []
     for axis in range(3):
-        b, c = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
+        b = 1 << (axis + 1) % 3
+        c = 1 << (axis + 2) % 3
         square = [0, b, b | c, c]
         faces += [square[::-1], [corner | 1 << axis for corner in square]]
     return faces
@@ -151,7 +152,8 @@ def triangle_table() -> tuple[Tensor, Tensor]:
     return table, count
 
 
-BLOCKS_AT_A_TIME, EDGES_AT_A_TIME = 256, 1 << 18
+BLOCKS_AT_A_TIME = 256
+EDGES_AT_A_TIME = 1 << 18
 """Limit the memory for intermediate results, independent of the size of the map."""
 
 
@@ -180,7 +182,8 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
 
     Differentiable: no.
     """
-    parts, keep = [], MAP_MEMORY.in_file if MAP_MEMORY.is_in_files(volume.device) else Tensor.detach
+    parts = []
+    keep = MAP_MEMORY.in_file if MAP_MEMORY.is_in_files(volume.device) else Tensor.detach
     for n, part in enumerate(
         torch.arange(volume.n_blocks, device=volume.device).split(BLOCKS_AT_A_TIME), start=1
     ):
@@ -188,10 +191,8 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
         MAP_MEMORY.give_back()
         if n % 64 == 0:
             return_free_memory()  # the small results lie between large intermediate ones
-    edges, sizes = (
-        torch.cat([cut for cut, _ in parts]).unique(),
-        [len(triangles) for _, triangles in parts],
-    )
+    edges = torch.cat([cut for cut, _ in parts]).unique()
+    sizes = [len(triangles) for _, triangles in parts]
     faces = MAP_MEMORY.rows(
         sum(sizes),
         3,
@@ -267,7 +268,8 @@ def _mixed(
     neighbour: Int[Tensor, "B 8"],
 ) -> Bool[Tensor, "B 512"]:
     """Cubes with corners inside and outside; what is not allocated counts as outside."""
-    n, side = len(neighbour), BLOCK_VOXELS
+    n = len(neighbour)
+    side = BLOCK_VOXELS
     inside = torch.zeros(
         n,
         side + 1,
@@ -298,11 +300,13 @@ def _vertices(
 ) -> tuple[Float[Tensor, "V 3"], Float[Tensor, "V 3"]]:
     """Positions and colours of the points on edges where D, linear between the two voxel centres,
     is zero."""
-    first, axis = edges // 3, edges % 3
+    first = edges // 3
+    axis = edges % 3
     along = torch.eye(3, dtype=torch.int64, device=edges.device)[axis]
     ijk = volume.voxel_at(first)
     second = volume.find_voxels(ijk + along)
-    D0, D1 = volume.D.view(-1)[first], volume.D.view(-1)[second]
+    D0 = volume.D.view(-1)[first]
+    D1 = volume.D.view(-1)[second]
     t = (D0 / (D0 - D1))[:, None]
     centre = ijk.double() + 0.5
     xyz_W = zero_crossing(centre, centre + along, D0, D1) * volume.config.voxel_size_m

@@ -176,7 +176,8 @@ class BlockTable:
             )
         )
         cell, number, _ = self._place(new.coords)
-        node, parent = self.nodes.view(-1)[cell].long(), new.codes >> 3 * NODE_BITS
+        node = self.nodes.view(-1)[cell].long()
+        parent = new.codes >> 3 * NODE_BITS
         first = (
             parent.diff(prepend=parent.new_full((1,), -1)) != 0
         )  # blocks of a node are neighbours in Morton order
@@ -329,10 +330,12 @@ class BlockIndex:
         counts = torch.stack([present.sum(), (codes.diff() == 0).sum()])
         *box, n, equal = torch.cat([*torch.aminmax(coords, dim=0), counts]).tolist()
         check_range(min(box), max(box))
-        codes, order = codes[n:], order[n:]
+        codes = codes[n:]
+        order = order[n:]
         if equal > max(n - 1, 0):  # a block was given twice
             first = codes.diff(prepend=codes.new_full((1,), -1)) != 0
-            codes, order = codes[first], order[first]
+            codes = codes[first]
+            order = order[first]
         return NewBlocks(
             coords=coords[order],
             codes=codes,
@@ -349,7 +352,8 @@ class BlockIndex:
         left until the codes are asked for: where blocks are found through the table, that is not in
         every frame.
         """
-        n, M = len(self), len(new)
+        n = len(self)
+        M = len(new)
         if not M:
             return
         self._added.append(new.codes)
@@ -359,7 +363,8 @@ class BlockIndex:
     def _merge_added(self) -> None:
         if not self._added:
             return
-        fresh, n = torch.cat(self._added), len(self._codes)
+        fresh = torch.cat(self._added)
+        n = len(self._codes)
         rows = torch.arange(n, n + len(fresh), device=fresh.device)
         if len(self._added) > 1:
             fresh, order = fresh.sort()

@@ -81,7 +81,9 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> R
     Differentiable: no.
     """
     T_WC = T_WC.to(volume.device, torch.float32)
-    H, W, n = camera.height, camera.width, camera.height * camera.width
+    H = camera.height
+    W = camera.width
+    n = camera.height * camera.width
     depth_m, normal_W, rgb = (
         torch.zeros(n, *channels, device=volume.device) for channels in ((), (3,), (3,))
     )
@@ -111,18 +113,17 @@ def _surface_depths(
 ) -> Float[Tensor, " R"]:
     """Depth at which each ray first changes from the free side of a surface to its inside, NaN
     where none does."""
-    origin_W, voxel_m, truncation_m = (
-        T_WC[:3, 3],
-        volume.config.voxel_size_m,
-        volume.config.truncation_m,
-    )
+    origin_W = T_WC[:3, 3]
+    voxel_m = volume.config.voxel_size_m
+    truncation_m = volume.config.truncation_m
     T_CW = se3.inverse(T_WC.double())
     z_blocks = se3.apply(T_CW, volume.block_corners())[..., 2]
     z_last = float(z_blocks.max())
     depth = ray_W.new_full((len(ray_W),), torch.nan)
     ray = torch.arange(len(ray_W), device=ray_W.device)  # those that are still on their way
     z = ray_W.new_full((len(ray_W),), max(float(z_blocks.min()), 0.0))
-    z_before, D_before = z, torch.full_like(z, torch.nan)
+    z_before = z
+    D_before = torch.full_like(z, torch.nan)
     while len(ray):
         r = ray_W[ray]
         point_W = origin_W + z[:, None] * r
@@ -136,7 +137,10 @@ def _surface_depths(
             allocated, free_m / r.norm(dim=1), _to_block_exit(volume, point_W, r)
         )  # (1)
         goes_on = ~enters & ~leaves & (z + step < z_last)
-        ray, z_before, D_before, z = ray[goes_on], z[goes_on], D[goes_on], (z + step)[goes_on]
+        ray = ray[goes_on]
+        z_before = z[goes_on]
+        D_before = D[goes_on]
+        z = (z + step)[goes_on]
     return depth
 
 
@@ -184,8 +188,11 @@ def _zero_crossing(
     z = z0 + (z1 - z0) * D0 / (D0 - D1)
     for _ in range(REFINEMENTS):
         D, valid = volume.interpolate(origin_W + z[:, None] * ray_W)
-        before, behind = valid & (D >= 0), valid & (D < 0)
-        z0, D0 = z.where(before, z0), D.where(before, D0)
-        z1, D1 = z.where(behind, z1), D.where(behind, D1)
+        before = valid & (D >= 0)
+        behind = valid & (D < 0)
+        z0 = z.where(before, z0)
+        D0 = D.where(before, D0)
+        z1 = z.where(behind, z1)
+        D1 = D.where(behind, D1)
         z = z0 + (z1 - z0) * D0 / (D0 - D1)
     return z

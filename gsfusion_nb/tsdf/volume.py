@@ -211,7 +211,8 @@ class TsdfVolume:
     def voxel_at(self, flat: Int[Tensor, " N"]) -> Int[Tensor, "N 3"]:
         """Integer coordinates of allocated voxels, given by their position in the flattened pool.
         int64"""
-        row, number = flat // VOXELS_PER_BLOCK, flat % VOXELS_PER_BLOCK
+        row = flat // VOXELS_PER_BLOCK
+        number = flat % VOXELS_PER_BLOCK
         return BLOCK_VOXELS * self.block_coords[row].long() + VOXELS.to(self.device)[number]
 
     def voxel_coords(self, rows: Int[Tensor, " B"]) -> Int[Tensor, "B 512 3"]:
@@ -328,7 +329,8 @@ class TsdfVolume:
         """Replace the blocks by those of ``_tensors``, which may be on another device, whose memory
         may be full."""
         coords = tensors["block_coords"].to(self.device)
-        n, self._pool = coords.shape[0], self._empty_pool()
+        n = coords.shape[0]
+        self._pool = self._empty_pool()
         self._reserve(n)
         self.index = BlockIndex.of_blocks(coords)
         pool = self._pool
@@ -355,7 +357,8 @@ class TsdfVolume:
         return BlockPool(0, self.device, weighs_colours=self.config.weighs_colours)
 
     def _reserve(self, n_blocks: int) -> None:
-        limit, voxel_size_m = self.memory_limit_bytes, self.config.voxel_size_m
+        limit = self.memory_limit_bytes
+        voxel_size_m = self.config.voxel_size_m
         self._pool = self._pool.with_room_for(
             n_blocks, limit_bytes=limit, voxel_size_m=voxel_size_m
         )
@@ -410,17 +413,14 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample
     """Values of the voxels that contain the points; the operation behind
     ``TsdfVolume.sample_nearest``."""
     at = volume.find_voxels(volume.voxel_index(xyz_W))
-    known, at = at >= 0, at[at >= 0]
-    D, W, rgb = (
-        xyz_W.new_ones(len(known)),
-        xyz_W.new_zeros(len(known)),
-        xyz_W.new_zeros(len(known), 3),
-    )
+    known = at >= 0
+    at = at[at >= 0]
+    D = xyz_W.new_ones(len(known))
+    W = xyz_W.new_zeros(len(known))
+    rgb = xyz_W.new_zeros(len(known), 3)
     W_rgb = torch.zeros_like(W)
-    D[known], W[known], rgb[known] = (
-        volume.D.view(-1)[at],
-        volume.W.view(-1)[at],
-        volume.voxel_rgb(at),
-    )
+    D[known] = volume.D.view(-1)[at]
+    W[known] = volume.W.view(-1)[at]
+    rgb[known] = volume.voxel_rgb(at)
     W_rgb[known] = volume.W_rgb.view(-1)[at]
     return TsdfSample(D=D, W=W, rgb=rgb, W_rgb=W_rgb)

@@ -53,9 +53,12 @@ class LiveView(LiveOutput):
     ):
         import ipywidgets as w
 
-        self._n_steps, self._panel_width, self._columns = n_steps, width, columns_for(len(captions))
+        self._n_steps = n_steps
+        self._panel_width = width
+        self._columns = columns_for(len(captions))
         self._width = self._columns * width
-        self._next_draw_s, self._shown = 0.0, 0
+        self._next_draw_s = 0.0
+        self._shown = 0
         self._writing = threading.RLock()
         self.player = Player(make_steps, on_step=self._on_step, on_rest=self.store_output)
         self.lock = self.player.lock
@@ -66,7 +69,8 @@ class LiveView(LiveOutput):
             max=n_steps,
             layout=w.Layout(width="260px"),
         )
-        self.status, self.error = w.HTML(), w.HTML()
+        self.status = w.HTML()
+        self.error = w.HTML()
         self.status.add_class(f"gsnb-{name}-status")
         self.images = {
             key: ClickImage(width=width, alt=caption) for key, caption in captions.items()
@@ -107,7 +111,8 @@ class LiveView(LiveOutput):
     def picture(self) -> Picture:
         """The pictures with the curves below, as a stored notebook shows them."""
         with self.lock:
-            picture, curves = self._mosaic(), self._curves(self._width)
+            picture = self._mosaic()
+            curves = self._curves(self._width)
         if picture is None:
             return curves
         size = (self._width, round(picture.shape[0] * self._width / picture.shape[1]))
@@ -201,7 +206,9 @@ class LiveLoop(LiveView):
         n_steps: int,
         width: int = 720,
     ):
-        self._picture, self._values, self._kept = picture, curves, -1
+        self._picture = picture
+        self._values = curves
+        self._kept = -1
         captions = {"image": "the picture of this step"}
         super().__init__(
             make_steps, captions, name="live-loop", what="step", n_steps=n_steps, width=width
@@ -255,7 +262,8 @@ class LiveMapper(LiveView):
         """The splat viewer made by ``splats``; it is updated together with the panels."""
         self.panels: dict[str, Picture] = {}
         self._kept = run.next_position
-        n, captions = len(run.sequence.mapping), captions_of(run.mapper)
+        n = len(run.sequence.mapping)
+        captions = captions_of(run.mapper)
         super().__init__(
             run.online, captions, name="live", what="frame", n_steps=n, width=panel_width
         )
@@ -321,7 +329,8 @@ class LiveMapper(LiveView):
         return dataclasses.replace(frame, T_WC=mapped.poses[-1].to(frame.T_WC))
 
     def _words(self) -> list[str]:
-        run, self.progress.value = self.run, self.run.next_position
+        self.progress.value = self.run.next_position
+        run = self.run
         fidelity = run.mapper.fidelity_of(run.mapper.config)
         words = [
             f"{run.mapper.title} ({html.escape(fidelity)})" if fidelity else run.mapper.title,
@@ -330,7 +339,8 @@ class LiveMapper(LiveView):
         at = len(run.steps) if self.scrubber.following else self._shown
         if not at:
             return words
-        last, recent = run.steps[at - 1], run.steps[max(at - 10, 0) : at]
+        last = run.steps[at - 1]
+        recent = run.steps[max(at - 10, 0) : at]
         back = "" if at == len(run.steps) else "looking back at "
         measured = not math.isnan(last.psnr_before_db + last.psnr_after_db)
         return [

@@ -135,7 +135,9 @@ def depth_picture(view: RenderOutput) -> Picture:
 def _with_scale(picture: Picture, colours: np.ndarray, low: str, high: str) -> Picture:
     """A colour bar with the values at its ends, over a dark strip in the lower left corner."""
     height, width = picture.shape[:2]
-    font, size, bar = cv2.FONT_HERSHEY_SIMPLEX, 0.4, min(110, width // 3)
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    size = 0.4
+    bar = min(110, width // 3)
     ends = [cv2.getTextSize(text, font, size, 1)[0][0] for text in (low, high)]
     total = bar + sum(ends) + 20
     if total > width or height < 2 * _BAR_PX:
@@ -246,7 +248,8 @@ def paint_points(
     at = np.floor(at[np.isfinite(at).all(1)]).clip(-9, 1e6).astype(int)
     for dx in (0, 1):
         for dy in (0, 1):
-            x, y = at[:, 0] + dx, at[:, 1] + dy
+            x = at[:, 0] + dx
+            y = at[:, 1] + dy
             inside = (x >= 0) & (y >= 0) & (x < picture.shape[1]) & (y < picture.shape[0])
             picture[y[inside], x[inside]] = ink
 
@@ -272,7 +275,8 @@ def _below(step: MappedFrame) -> Tensor:
 
 
 def _with_new_gaussians(picture: Picture, step: MappedFrame) -> Picture:
-    model, frame = step.mapper.gaussians, step.frame
+    model = step.mapper.gaussians
+    frame = step.frame
     paint_rows(
         picture, model, model.birth_frame == frame.index, SEED_COLOUR, frame.camera, frame.T_WC
     )
@@ -340,7 +344,8 @@ def mosaic(
     scale: int = 1,
 ) -> Picture:
     """Pictures of one size, two or three in a row, with labels; ``scale`` enlarges them."""
-    names, wide = list(pictures), columns_for(len(pictures))
+    names = list(pictures)
+    wide = columns_for(len(pictures))
     big = {name: picture.repeat(scale, 0).repeat(scale, 1) for name, picture in pictures.items()}
     labels = {name: captions[name].replace("−", "-") for name in names}
     rows = [names[i : i + wide] for i in range(0, len(names), wide)]

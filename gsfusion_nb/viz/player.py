@@ -45,7 +45,9 @@ class Player:
         on_step: Callable[[Any], None] = lambda _: None,
         on_rest: Callable[[], None] = lambda: None,
     ):
-        self._make_steps, self._on_step, self._on_rest = make_steps, on_step, on_rest
+        self._make_steps = make_steps
+        self._on_step = on_step
+        self._on_rest = on_rest
         self._steps: Iterator[Any] | None = None
         self.lock = threading.RLock()
         self.on_state: Callable[[], None] = lambda: None
@@ -125,7 +127,9 @@ class Player:
                 "the worker thread is still in a step after 30 s; call run_sync again a little "
                 "later"
             )
-        done, self.error, self.state = 0, None, "running"
+        done = 0
+        self.error = None
+        self.state = "running"
         try:
             while (n is None or done < n) and self._advance():
                 done += 1
@@ -142,13 +146,13 @@ class Player:
     def _ask(self, steps: float | int, then: State = "paused") -> None:
         with self._asking:
             more = self._wanted if self._wanted < math.inf and steps == 1 else 0
-            self._wanted, self._then = steps + more, then
+            self._wanted = steps + more
+            self._then = then
             if steps and not self._serving and self.state != "finished":
-                self.error, self._serving = None, True
-                context, threads = (
-                    contextvars.copy_context(),
-                    torch.get_num_threads(),
-                )  # a new thread inherits neither
+                self.error = None
+                self._serving = True
+                context = contextvars.copy_context()  # a new thread inherits neither
+                threads = torch.get_num_threads()
                 self._thread = threading.Thread(
                     target=context.run, args=(self._work, threads, self._thread), daemon=True
                 )
@@ -209,7 +213,8 @@ class Player:
     def _fail(self, error: BaseException) -> None:
         self._steps = None  # a generator that raised cannot continue
         self._wanted = 0
-        self.error, self.state = error, "failed"
+        self.error = error
+        self.state = "failed"
         with self.lock:
             try:
                 self._on_rest()
@@ -267,7 +272,8 @@ def player_buttons(commands: Any, css_prefix: str, player: Player) -> dict[str, 
 
     def enable() -> None:
         with writing:  # two threads change the state: who writes last has read last
-            over, runs = player.state == "finished", player.keeps_running
+            over = player.state == "finished"
+            runs = player.keeps_running
             stands = over or not (runs or player.state in ("running", "paused"))
             useless = {
                 "Start": over or runs,
@@ -309,8 +315,10 @@ class Scrubber:
         self._show = show
         self.entries: list[Any] = []
         """What is kept, oldest first."""
-        self._stride, self._seen = 1, 0
-        self.following, self._moving = True, False
+        self._stride = 1
+        self._seen = 0
+        self.following = True
+        self._moving = False
         """Whether the newest step is shown; false while the slider is at an earlier one."""
         self.widget = w.IntSlider(
             min=0,
@@ -340,7 +348,8 @@ class Scrubber:
         if last < 0:
             return
         self._moving = True
-        self.widget.max, self.widget.disabled = last, last == 0
+        self.widget.max = last
+        self.widget.disabled = last == 0
         if self.following:
             self.widget.value = last
         self._moving = False

@@ -151,7 +151,9 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         lock: Any = None,
         colour_by: str = "rgb",
     ):
-        self._source, self._extras, self._lock = source, dict(extras or {}), lock or nullcontext()
+        self._source = source
+        self._extras = dict(extras or {})
+        self._lock = lock or nullcontext()
         keyframes = list(getattr(source, "keyframes", ()))
         poses = [k.T_WC for k in keyframes] or ([] if T_WC is None else [T_WC])
         up = torch.as_tensor(world_up(poses) if up_W is None else up_W).float()
@@ -160,7 +162,8 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         )
         self._sending = threading.RLock()
         self._sent: np.ndarray | None = None
-        self._listening, self._displayed = False, False
+        self._listening = False
+        self._displayed = False
         self._timer: threading.Timer | None = None
         self._last_sent_s = -1e9
         with self._lock:
@@ -254,7 +257,8 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         with self._lock:
             if (view := self._surface_view()) is not None:
                 return depth_picture(view) if self.colour_by == "depth" else to_uint8(view.rgb)
-            rows, T_WC = splat_rows.finite_rows(self._params), self.T_WC
+            rows = splat_rows.finite_rows(self._params)
+            T_WC = self.T_WC
             if self.cut_m > 0:
                 to_W = T_WC.to(self._params.xyz_W)
                 rows &= (self._params.xyz_W - to_W[:3, 3]) @ to_W[:3, 2] > self.cut_m
@@ -333,11 +337,13 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
             raise TypeError(
                 f"SplatViewer needs a mapper, a GaussianModel or GaussianParams, got {kind}"
             )
-        columns, n = splat_rows.columns_of(held, len(params), self._extras), len(params)
+        columns = splat_rows.columns_of(held, len(params), self._extras)
+        n = len(params)
         if _draws_surface(self._source):  # the surface as discs, behind the map's own rows
             params = self._source.standard_gaussians()
             columns = splat_rows.with_surface(columns, n, len(params))
-        self._params, self._columns = params, columns
+        self._params = params
+        self._columns = columns
 
     def _describe(self) -> None:
         """Send the front end the columns, and a warning if the map has invalid rows."""
@@ -396,7 +402,8 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         """The front end has opened, or has missed a message."""
         if content.get("kind") == "ready":
             with self._lock, self._sending:
-                self._listening, self._sent = True, None
+                self._listening = True
+                self._sent = None
                 self._refresh()
 
 

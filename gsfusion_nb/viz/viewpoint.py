@@ -56,7 +56,8 @@ def orbit_camera(
     axis = torch.nn.functional.one_hot(up.abs().argmin(), 3).double()
     e1 = torch.nn.functional.normalize(axis - (axis @ up) * up, dim=0)
     e2 = torch.linalg.cross(up, e1)
-    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    azimuth = math.radians(azimuth_deg)
+    elevation = math.radians(elevation_deg)
     r = math.cos(azimuth) * e1 + math.sin(azimuth) * e2
     outwards = math.cos(elevation) * r + math.sin(elevation) * up
     right = torch.linalg.cross(up, r)
@@ -93,7 +94,8 @@ def viewing_camera(camera: Camera | None, width: int | None, height: int | None)
     x 360.
     """
     if camera is None:
-        w, h = width or 480, height or 360
+        w = width or 480
+        h = height or 360
         return Camera(
             width=w,
             height=h,

@@ -56,14 +56,16 @@ def adam_update_map(
             eps=eps,
         )
         return
-    N, K = len(params), params.sh.shape[1]
+    N = len(params)
+    K = params.sh.shape[1]
     blocks = (
         2 * parts(3 * N, _NUMBERS)
         + parts(4 * N, _NUMBERS)
         + parts(N, _NUMBERS)
         + parts(3 * K * N, _NUMBERS)
     )
-    counts, decay = _steps(steps, beta1, beta2), _decay(beta1, beta2, eps)
+    counts = _steps(steps, beta1, beta2)
+    decay = _decay(beta1, beta2, eps)
     launch(
         operation, "adam:update_map", blocks, _BLOCK, *groups, rates._asdict(), counts, decay, N, K
     )
@@ -84,7 +86,8 @@ def adam_update(
     eps: float,
 ) -> None:
     """See ``gsfusion_nb.optim.adam_update``. ``lr`` may be on any device."""
-    device, total = device_of("adam_update", param), param.numel()
+    device = device_of("adam_update", param)
+    total = param.numel()
     column = {"param": param, "gradient": gradient, "exp_avg": exp_avg, "exp_avg_sq": exp_avg_sq}
     if not is_simple(*column.values()) or total > _MOST_NUMBERS:
         reference.reference(**column, steps=steps, lr=lr, beta1=beta1, beta2=beta2, eps=eps)
@@ -94,11 +97,9 @@ def adam_update(
         if isinstance(lr, Tensor)
         else (None, float(lr))
     )
-    counts, decay, width = (
-        _steps(steps, beta1, beta2),
-        _decay(beta1, beta2, eps),
-        total // max(len(param), 1),
-    )
+    counts = _steps(steps, beta1, beta2)
+    decay = _decay(beta1, beta2, eps)
+    width = total // max(len(param), 1)
     blocks = parts(total, _NUMBERS)
     launch(
         "adam_update",

@@ -70,8 +70,12 @@ def _update(tensors, corrections, rate, decay):
     for part in prange((N + chunk - 1) // chunk):
         for i in range(part * chunk, min(N, part * chunk + chunk)):
             row = i if per_row else 0
-            c1, c2 = correction_1[row], correction_2[row]
-            p, g, m, v = param[i], gradient[i], exp_avg[i], exp_avg_sq[i]
+            c1 = correction_1[row]
+            c2 = correction_2[row]
+            p = param[i]
+            g = gradient[i]
+            m = exp_avg[i]
+            v = exp_avg_sq[i]
             for j in range(width):
                 m[j] = beta1 * m[j] + rest1 * g[j]
                 v[j] = beta2 * v[j] + rest2 * g[j] * g[j]

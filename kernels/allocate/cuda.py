@@ -18,13 +18,21 @@ from ..runtime.arguments import check_dtype, packed, parts
 from ..runtime.cuda.launch import device_of, launch
 from ..sample.cuda import table_of
 
-_EDGE, _BLOCK = 16, 128
-_PROGRAMS, _WIDE_BLOCK = 64, 256
+_EDGE = 16
+_BLOCK = 128
+_PROGRAMS = 64
+_WIDE_BLOCK = 256
 """Blocks of threads that look for missing blocks among the keys, whose number only the GPU knows,
 and their size."""
-_KEYS, _INSUFFICIENT, _MISSING, _LOWEST, _HIGHEST, _COUNTS = 0, 1, 2, 3, 6, 9
+_KEYS = 0
+_INSUFFICIENT = 1
+_MISSING = 2
+_LOWEST = 3
+_HIGHEST = 6
+_COUNTS = 9
 """Places of the counts; as in ``allocate.cu``."""
-_FIRST_SLOTS, _MOST_SLOTS = 1 << 17, 1 << 26
+_FIRST_SLOTS = 1 << 17
+_MOST_SLOTS = 1 << 26
 """Size of the hash set: a power of two, at most half full, eight times larger when it was too
 small."""
 
@@ -67,7 +75,9 @@ def _entered(
     is large enough."""
     device = device_of(operation, volume.D)
     check_dtype(operation, torch.float32, depth_m=frame.depth_m)
-    config, camera, T = volume.config, frame.camera, frame.T_WC_cpu.double().numpy()
+    config = volume.config
+    camera = frame.camera
+    T = frame.T_WC_cpu.double().numpy()
     position = T[:3, 3] / volume.block_size_m
     base = np.floor(position)
     if np.abs(base).max() >= OFFSET:

@@ -66,14 +66,17 @@ class BlockBox:
 def block_box(volume: TsdfVolume, frame: Frame, z_near: float, z_far: float) -> BlockBox:
     """All blocks that the view frustum of ``frame`` can meet between two depths, with one to spare
     on each side."""
-    camera, T_WC = frame.camera, frame.T_WC.double()
+    camera = frame.camera
+    T_WC = frame.T_WC.double()
     position = T_WC[:3, 3] / volume.block_size_m
     base = position.floor()
     R = (T_WC[:3, :3] / volume.block_size_m).tolist()
     xs = ((0 - camera.cx) / camera.fx, (camera.width - camera.cx) / camera.fx)
     ys = ((0 - camera.cy) / camera.fy, (camera.height - camera.cy) / camera.fy)
     corners = [(x * z, y * z, z) for x in xs for y in ys for z in (z_near, z_far)]
-    low, size, origin = [], [], []
+    low = []
+    size = []
+    origin = []
     for o, (rx, ry, rz) in zip((position - base).tolist(), R, strict=True):
         along = [o + rx * x + ry * y + rz * z for x, y, z in corners]
         low.append(math.floor(min(along)) - 1)
@@ -88,7 +91,11 @@ def block_box(volume: TsdfVolume, frame: Frame, z_near: float, z_far: float) -> 
 
 
 f32 = np.float32
-_ZERO, _HALF, _ONE, _TWO, _INFINITE = f32(0.0), f32(0.5), f32(1.0), f32(2.0), f32(np.inf)
+_ZERO = f32(0.0)
+_HALF = f32(0.5)
+_ONE = f32(1.0)
+_TWO = f32(2.0)
+_INFINITE = f32(np.inf)
 _MORE_THAN_ONE = f32(1.5)
 _NOT_USED = f32(-1.0)
 _ROWS = 16
@@ -106,10 +113,13 @@ length, metres."""
 
 def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
     """See ``gsfusion_nb.tsdf.band_blocks``."""
-    depth_m, config, camera = frame.depth_m, volume.config, frame.camera
+    depth_m = frame.depth_m
+    config = volume.config
+    camera = frame.camera
     if depth_m.dtype != torch.float32 or depth_m.device.type != "cpu":
         return reference.reference(volume, frame)
-    width, height = camera.width, camera.height
+    width = camera.width
+    height = camera.height
     x, y = ray_slopes(camera)
     slopes = np.zeros(-(-width // 16) * 16, np.float32), y.numpy()
     slopes[0][:width] = x.numpy()
@@ -127,7 +137,8 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Tensor:
             depth,
             extents,
         )
-        z_near, z_far = float(extents[:, _NEAREST].min()), float(extents[:, _FARTHEST].max())
+        z_near = float(extents[:, _NEAREST].min())
+        z_far = float(extents[:, _FARTHEST].max())
         if z_far < 0:
             return torch.zeros(0, 3, dtype=torch.int64)
         box = block_box(volume, frame, z_near, z_far)
@@ -178,22 +189,23 @@ def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
     height, width = depth.shape
     stride = result.shape[1]
     for task in prange(extents.shape[0]):
-        first, last = task * _ROWS, min(height, task * _ROWS + _ROWS)
+        first = task * _ROWS
+        last = min(height, task * _ROWS + _ROWS)
         line = stride + 32
         lines = np.full((_ROWS + 2) * line, -np.float32(1e9), np.float32)
         for i in range(max(first - 1, 0), min(last + 1, height)):
             start = (i - first + 1) * line + 16
             for j in range(width):
                 lines[start + j] = depth[i, j]
-        nearest, farthest = splat(_INFINITE), splat(_NOT_USED)
+        nearest = splat(_INFINITE)
+        farthest = splat(_NOT_USED)
         longest = farthest
-        zero, not_used = splat(_ZERO), splat(_NOT_USED)
-        near_m, far_m, truncation, ratio = (
-            splat(limits[0]),
-            splat(limits[1]),
-            splat(limits[2]),
-            splat(limits[3]),
-        )
+        zero = splat(_ZERO)
+        not_used = splat(_NOT_USED)
+        near_m = splat(limits[0])
+        far_m = splat(limits[1])
+        truncation = splat(limits[2])
+        ratio = splat(limits[3])
         for i in range(first, last):
             row = result[i]
             for j in range(0, stride, 16):
@@ -228,11 +240,17 @@ def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
     R, origin = view
     n = size[0] * size[1] * size[2]
     for task in prange((height + _ROWS - 1) // _ROWS):
-        zero, nowhere, band = splat(_ZERO), splat(f32(n)), splat(truncation)
-        ox, oy, oz = splat(origin[0]), splat(origin[1]), splat(origin[2])
-        stride_x, stride_y = splat(f32(size[1] * size[2])), splat(f32(size[2]))
+        zero = splat(_ZERO)
+        nowhere = splat(f32(n))
+        band = splat(truncation)
+        ox = splat(origin[0])
+        oy = splat(origin[1])
+        oz = splat(origin[2])
+        stride_x = splat(f32(size[1] * size[2]))
+        stride_y = splat(f32(size[2]))
         for i in range(task * _ROWS, min(height, task * _ROWS + _ROWS)):
-            row, slope_y = depth[i], splat(y[i])
+            row = depth[i]
+            slope_y = splat(y[i])
             for j in range(0, stride, 16):
                 d = load(row, j)
                 used = d > zero
@@ -243,17 +261,27 @@ def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
                 dx = times(splat(R[0, 0]), sx) + times(splat(R[0, 1]), slope_y) + splat(R[0, 2])
                 dy = times(splat(R[1, 0]), sx) + times(splat(R[1, 1]), slope_y) + splat(R[1, 2])
                 dz = times(splat(R[2, 0]), sx) + times(splat(R[2, 1]), slope_y) + splat(R[2, 2])
-                px, py, pz = times(dx, near) + ox, times(dy, near) + oy, times(dz, near) + oz
-                cx, cy, cz = floor(px), floor(py), floor(pz)
+                px = times(dx, near) + ox
+                py = times(dy, near) + oy
+                pz = times(dz, near) + oz
+                cx = floor(px)
+                cy = floor(py)
+                cz = floor(pz)
                 number = select(used, cx * stride_x + cy * stride_y + cz, nowhere)
                 _mark(marks, number, nowhere)
                 for k in range(1, pieces + 1):
                     z = times(far - near, splat(f32(k / pieces))) + near
-                    qx, qy, qz = times(dx, z) + ox, times(dy, z) + oy, times(dz, z) + oz
-                    ex, ey, ez = floor(qx), floor(qy), floor(qz)
+                    qx = times(dx, z) + ox
+                    qy = times(dy, z) + oy
+                    qz = times(dz, z) + oz
+                    ex = floor(qx)
+                    ey = floor(qy)
+                    ez = floor(qz)
                     number = select(used, ex * stride_x + ey * stride_y + ez, nowhere)
                     _mark(marks, number, nowhere)
-                    mx, my, mz = ex - cx, ey - cy, ez - cz
+                    mx = ex - cx
+                    my = ey - cy
+                    mz = ez - cz
                     diagonal = used & (
                         absolute(mx) + absolute(my) + absolute(mz) > splat(_MORE_THAN_ONE)
                     )
@@ -268,7 +296,12 @@ def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
                             (stride_x, stride_y),
                             nowhere,
                         )
-                    px, py, pz, cx, cy, cz = qx, qy, qz, ex, ey, ez
+                    px = qx
+                    py = qy
+                    pz = qz
+                    cx = ex
+                    cy = ey
+                    cz = ez
     marks[n] = 0
 
 
@@ -283,25 +316,32 @@ def _mark_between(marks, piece, cell, step, diagonal, strides, nowhere):
     cx, cy, cz = cell
     mx, my, mz = step
     stride_x, stride_y = strides
-    zero, half, late, early = splat(_ZERO), splat(_HALF), splat(_TWO), splat(_NOT_USED)
-    tx, ty, tz = _wall(px, qx, cx, mx), _wall(py, qy, cy, my), _wall(pz, qz, cz, mz)
-    stays_x, stays_y, stays_z = absolute(mx) < half, absolute(my) < half, absolute(mz) < half
-    ux, uy, uz = select(stays_x, late, tx), select(stays_y, late, ty), select(stays_z, late, tz)
+    zero = splat(_ZERO)
+    half = splat(_HALF)
+    late = splat(_TWO)
+    early = splat(_NOT_USED)
+    tx = _wall(px, qx, cx, mx)
+    ty = _wall(py, qy, cy, my)
+    tz = _wall(pz, qz, cz, mz)
+    stays_x = absolute(mx) < half
+    stays_y = absolute(my) < half
+    stays_z = absolute(mz) < half
+    ux = select(stays_x, late, tx)
+    uy = select(stays_y, late, ty)
+    uz = select(stays_z, late, tz)
     entry = minimum(minimum(ux, uy), uz)
-    kx, ky, kz = (
-        select(entry >= ux, mx, zero),
-        select(entry >= uy, my, zero),
-        select(entry >= uz, mz, zero),
-    )
+    kx = select(entry >= ux, mx, zero)
+    ky = select(entry >= uy, my, zero)
+    kz = select(entry >= uz, mz, zero)
     number = (cx + kx) * stride_x + (cy + ky) * stride_y + (cz + kz)
     _mark(marks, select(diagonal, number, nowhere), nowhere)
-    ux, uy, uz = select(stays_x, early, tx), select(stays_y, early, ty), select(stays_z, early, tz)
+    ux = select(stays_x, early, tx)
+    uy = select(stays_y, early, ty)
+    uz = select(stays_z, early, tz)
     leave = maximum(maximum(ux, uy), uz)
-    kx, ky, kz = (
-        select(leave > ux, mx, zero),
-        select(leave > uy, my, zero),
-        select(leave > uz, mz, zero),
-    )
+    kx = select(leave > ux, mx, zero)
+    ky = select(leave > uy, my, zero)
+    kz = select(leave > uz, mz, zero)
     number = (cx + kx) * stride_x + (cy + ky) * stride_y + (cz + kz)
     _mark(marks, select(diagonal, number, nowhere), nowhere)
 

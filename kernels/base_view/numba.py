@@ -12,7 +12,11 @@ from gsfusion_nb.render.over_base import base_view as reference
 from ..runtime.numba.launch import launching
 
 f32 = np.float32
-_ZERO, _HALF, _ONE, _THREE, _NINE = f32(0.0), f32(0.5), f32(1.0), f32(3.0), f32(9.0)
+_ZERO = f32(0.0)
+_HALF = f32(0.5)
+_ONE = f32(1.0)
+_THREE = f32(3.0)
+_NINE = f32(9.0)
 _SAME = f32(SAME_SURFACE)
 
 _DEPTH = 3
@@ -48,8 +52,10 @@ def _fill(image, known):
     if max(height, width) == 1:
         image[:] = _ZERO
         return
-    h, w = (height + 1) // 2, (width + 1) // 2
-    small, there = np.zeros((h, w, 4), np.float32), np.zeros((h, w), np.bool_)
+    h = (height + 1) // 2
+    w = (width + 1) // 2
+    small = np.zeros((h, w, 4), np.float32)
+    there = np.zeros((h, w), np.bool_)
     complete = True
     for i in range(h):
         for j in range(w):
@@ -66,15 +72,19 @@ def _fill(image, known):
                 small[i, j, c] /= max(n, _ONE)
     if not complete:
         _fill(small, there)
-    down, across = f32(h) / f32(height), f32(w) / f32(width)
+    down = f32(h) / f32(height)
+    across = f32(w) / f32(width)
     for y in range(height):
         for x in range(width):
             if not known[y, x]:
                 v = max((f32(y) + _HALF) * down - _HALF, _ZERO)
                 u = max((f32(x) + _HALF) * across - _HALF, _ZERO)
-                i, j = min(int(v), h - 1), min(int(u), w - 1)
-                k, m = min(i + 1, h - 1), min(j + 1, w - 1)
-                b, a = v - f32(i), u - f32(j)
+                i = min(int(v), h - 1)
+                j = min(int(u), w - 1)
+                k = min(i + 1, h - 1)
+                m = min(j + 1, w - 1)
+                b = v - f32(i)
+                a = u - f32(j)
                 for c in range(4):
                     above = small[i, j, c] * (_ONE - a) + small[i, m, c] * a
                     under = small[k, j, c] * (_ONE - a) + small[k, m, c] * a
@@ -107,9 +117,12 @@ def _write(image, known, same_size, filled, weightless, out):
 def _mean_around(image, known, y, x, value):
     """The value of a large pixel: see ``base_image.enlarge``."""
     h, w = known.shape
-    i, j = y // 2, x // 2
-    up, side = min(max(i + 2 * (y % 2) - 1, 0), h - 1), min(max(j + 2 * (x % 2) - 1, 0), w - 1)
-    z, total = image[i, j, _DEPTH], _NINE
+    i = y // 2
+    j = x // 2
+    up = min(max(i + 2 * (y % 2) - 1, 0), h - 1)
+    side = min(max(j + 2 * (x % 2) - 1, 0), w - 1)
+    z = image[i, j, _DEPTH]
+    total = _NINE
     for c in range(4):
         value[c] = _NINE * image[i, j, c]
     for k in range(3):

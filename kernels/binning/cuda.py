@@ -63,7 +63,8 @@ def list_tiles(
     Raises:
         ValueError: there are more pairs than an int32 can number.
     """
-    N, device = len(splats), splats.device
+    N = len(splats)
+    device = splats.device
     tiles_x = parts(camera.width, TILE)
     grid = {"width": camera.width, "height": camera.height, "tiles_x": tiles_x}
     n_tiles = tiles_x * parts(camera.height, TILE)

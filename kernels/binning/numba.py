@@ -13,7 +13,8 @@ from .layout import FIRST_X, FIRST_Y, LAST_X, LAST_Y, TileWindows
 @njit(cache=True, error_model="numpy")
 def tile_windows(pixels, width, height):
     """Where there are pixels to be drawn. pixels: bool [H, W], or [0, 0] for all."""
-    tiles_x, tiles_y = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
+    tiles_x = (width + TILE - 1) // TILE
+    tiles_y = (height + TILE - 1) // TILE
     masked = pixels.shape[0] > 0
     windows = np.empty((tiles_x * tiles_y if masked else 0, 4), np.int32)
     windows[:, FIRST_X] = width
@@ -43,14 +44,17 @@ def depth_order(splats, count):
     n = 0
     for i in range(count.shape[0]):
         n += count[i] > 0
-    rows, keys = np.empty(n, np.int32), np.empty(n, np.uint32)
+    rows = np.empty(n, np.int32)
+    keys = np.empty(n, np.uint32)
     depth_bits = splats[:, DEPTH].copy().view(np.uint32)
     j = 0
     for i in range(count.shape[0]):
         if count[i] > 0:
-            rows[j], keys[j] = i, depth_bits[i]
+            rows[j] = i
+            keys[j] = depth_bits[i]
             j += 1
-    other_rows, other_keys = np.empty_like(rows), np.empty_like(keys)
+    other_rows = np.empty_like(rows)
+    other_keys = np.empty_like(keys)
     for shift in (np.uint32(0), np.uint32(11), np.uint32(22)):
         histogram = np.zeros(2049, np.int64)
         for j in range(n):
@@ -61,7 +65,8 @@ def depth_order(splats, count):
             b = (keys[j] >> shift) & np.uint32(2047)
             place = histogram[b]
             histogram[b] += 1
-            other_rows[place], other_keys[place] = rows[j], keys[j]
+            other_rows[place] = rows[j]
+            other_keys[place] = keys[j]
         rows, other_rows = other_rows, rows
         keys, other_keys = other_keys, keys
     return rows
@@ -77,7 +82,8 @@ def list_tiles(splats, start, noted, width, height, windows, pair_tile):
         part = cyclic_task(k_part, n_parts)
         if part >= n_parts:
             continue
-        first, end = part * CHUNK, min(N, part * CHUNK + CHUNK)
+        first = part * CHUNK
+        end = min(N, part * CHUNK + CHUNK)
         n = start[end] - start[first]
         if n <= NOTED_PER_CHUNK:
             pair_tile[start[first] : start[end]] = noted[
@@ -101,10 +107,12 @@ def sort_pairs(order, start, pair_tile, n_tiles):
     for t in range(n_tiles):
         offset[t + 1] += offset[t]
     cursor = offset[:-1].copy()
-    ids, slot = np.empty(pair_tile.shape[0], np.int32), np.empty(pair_tile.shape[0], np.int32)
+    ids = np.empty(pair_tile.shape[0], np.int32)
+    slot = np.empty(pair_tile.shape[0], np.int32)
     for row in order:
         for k in range(start[row], start[row + 1]):
             place = cursor[pair_tile[k]]
             cursor[pair_tile[k]] += 1
-            ids[place], slot[place] = row, k
+            ids[place] = row
+            slot[place] = k
     return PairLists(ids, offset, slot)

@@ -21,12 +21,16 @@ from ..runtime.arguments import lens_of
 from ..runtime.numba.launch import launching
 
 f32 = np.float32
-_N_COLUMNS, _N_SUMS = 8, 36
+_N_COLUMNS = 8
+_N_SUMS = 36
 _BEFORE = [sum(range(8, 8 - i, -1)) - i for i in range(8)]
 _ENTRIES = torch.tensor([[_BEFORE[min(i, j)] + max(i, j) for j in range(8)] for i in range(8)])
 """Where among the sums each entry of the Gram matrix is; they are its rows from the diagonal on."""
-_ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
-_FLAT_SQUARE, _PER_ERROR = f32(FLAT) * f32(FLAT), f32(1.0 / USUAL_ERROR)
+_ZERO = f32(0.0)
+_HALF = f32(0.5)
+_ONE = f32(1.0)
+_FLAT_SQUARE = f32(FLAT) * f32(FLAT)
+_PER_ERROR = f32(1.0 / USUAL_ERROR)
 
 
 def brightness_system(
@@ -65,38 +69,46 @@ def _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns
     of the picture.
     """
     depth, brightness, picture_depth, picture, gradient = seen
-    T, R = poses.T_WC, poses.R_WS
+    T = poses.T_WC
+    R = poses.R_WS
     height, width = picture.shape
-    fx, fy, cx, cy = picture_lens.fx, picture_lens.fy, picture_lens.cx, picture_lens.cy
+    fx = picture_lens.fx
+    fy = picture_lens.fy
+    cx = picture_lens.cx
+    cy = picture_lens.cy
     y = (f32(j) + _HALF - lens.cy) / lens.fy
     k = 0
     for i in range(depth.shape[1]):
         z = depth[j, i]
         if not z > _ZERO:
             continue
-        X, Y = z * ((f32(i) + _HALF - lens.cx) / lens.fx), z * y
+        X = z * ((f32(i) + _HALF - lens.cx) / lens.fx)
+        Y = z * y
         p0 = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * z + T[0, 3]
         p1 = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * z + T[1, 3]
         p2 = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * z + T[2, 3]
         s2 = R[0, 2] * p0 + R[1, 2] * p1 + R[2, 2] * p2
         if not s2 > _ZERO:
             continue
-        s0, s1 = (
-            R[0, 0] * p0 + R[1, 0] * p1 + R[2, 0] * p2,
-            R[0, 1] * p0 + R[1, 1] * p1 + R[2, 1] * p2,
-        )
-        u, v = fx * (s0 / s2) + cx, fy * (s1 / s2) + cy
+        s0 = R[0, 0] * p0 + R[1, 0] * p1 + R[2, 0] * p2
+        s1 = R[0, 1] * p0 + R[1, 1] * p1 + R[2, 1] * p2
+        u = fx * (s0 / s2) + cx
+        v = fy * (s1 / s2) + cy
         if not (u >= _ZERO and u < f32(width) and v >= _ZERO and v < f32(height)):
             continue
-        column, row = int(u), int(v)
-        d, a, b = picture_depth[row, column], gradient[row, column, 0], gradient[row, column, 1]
+        column = int(u)
+        row = int(v)
+        d = picture_depth[row, column]
+        a = gradient[row, column, 0]
+        b = gradient[row, column, 1]
         if not (d > _ZERO and abs(s2 - d) <= max_distance_m and a * a + b * b >= _FLAT_SQUARE):
             continue
         r = picture[row, column] + a * (u - f32(column) - _HALF) + b * (v - f32(row) - _HALF)
         r -= brightness[j, i]
         off = (r - offset) * _PER_ERROR
         w = np.sqrt(_ONE / (_ONE + off * off))
-        a, b = w * (a * fx / s2), w * (b * fy / s2)
+        a = w * (a * fx / s2)
+        b = w * (b * fy / s2)
         c = -(a * s0 + b * s1) / s2
         g0 = R[0, 0] * a + R[0, 1] * b + R[0, 2] * c
         g1 = R[1, 0] * a + R[1, 1] * b + R[1, 2] * c
@@ -117,11 +129,13 @@ def _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns
 def _sum_rows(seen, poses, lens, picture_lens, max_distance_m, offset):
     """The sums for each row of pixels [H, 36], and the number of pixels [H]."""
     height, width = seen[0].shape
-    sums, count = np.empty((height, _N_SUMS)), np.empty(height, np.int64)
+    sums = np.empty((height, _N_SUMS))
+    count = np.empty(height, np.int64)
     for j in prange(height):
         columns = np.empty((_N_COLUMNS, width), np.float32)
         n = _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns)
-        count[j], at = n, 0
+        count[j] = n
+        at = 0
         for a in range(_N_COLUMNS):
             for b in range(a, _N_COLUMNS):
                 sums[j, at] = dot(columns[a], columns[b], n)

@@ -51,9 +51,12 @@ from . import layout as pair
 PIXELS = pair.TILE * pair.TILE
 
 f32 = np.float32
-HALF, ONE, ZERO = f32(0.5), f32(1.0), f32(0.0)
+HALF = f32(0.5)
+ONE = f32(1.0)
+ZERO = f32(0.0)
 CEILING = f32(ALPHA_MAX)
-_LOG_ALPHA_MIN, _T_MIN = f32(np.log(ALPHA_MIN)), f32(TRANSMITTANCE_MIN)
+_LOG_ALPHA_MIN = f32(np.log(ALPHA_MIN))
+_T_MIN = f32(TRANSMITTANCE_MIN)
 
 
 @njit(cache=True, error_model="numpy")
@@ -70,7 +73,8 @@ def zeros(size):
 def open_pixels(state, rows_open, pixels, x0, y0, width, height):
     """T in front of the first splat: 1 at the tile's pixels that are to be drawn, else -1. Returns
     the open rows."""
-    tile_width, tile_height = min(pair.TILE, width - x0), min(pair.TILE, height - y0)
+    tile_width = min(pair.TILE, width - x0)
+    tile_height = min(pair.TILE, height - y0)
     masked = pixels.shape[0] > 0
     if not masked and tile_width == pair.TILE and tile_height == pair.TILE:
         state[:PIXELS] = ONE
@@ -143,7 +147,8 @@ _SUM_RED, _SUM_GREEN, _SUM_BLUE, _SUM_DEPTH, _HEAVIEST, _DOMINANT, _FIRST, _HIT 
 """Where the planes of the forward pass begin in a tile's state, after T: sums of w c, the largest
 w, indices."""
 
-_FORWARD_STATE, _FORWARD_STATE_WITHOUT_HITS = 9 * PIXELS, 8 * PIXELS
+_FORWARD_STATE = 9 * PIXELS
+_FORWARD_STATE_WITHOUT_HITS = 8 * PIXELS
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
@@ -154,9 +159,11 @@ def composite_forward(splats, lists, pixels, image, indices, opaque):
     all. opaque: a hit is the first splat with at least this alpha, even behind the one that
     finishes the pixel.
     """
-    ids, offset = lists.ids, lists.offset
+    ids = lists.ids
+    offset = lists.offset
     height, width = image.depth.shape
-    with_index, with_hit = indices.first.shape[0] > 0, indices.hit.shape[0] > 0
+    with_index = indices.first.shape[0] > 0
+    with_hit = indices.hit.shape[0] > 0
     tiles_x = (width + pair.TILE - 1) // pair.TILE
     tiles_y = (height + pair.TILE - 1) // pair.TILE
     n_tiles = tiles_x * tiles_y
@@ -164,7 +171,8 @@ def composite_forward(splats, lists, pixels, image, indices, opaque):
         tile = cyclic_task(k_tile, n_tiles)
         if tile >= n_tiles:
             continue
-        x0, y0 = (tile % tiles_x) * pair.TILE, (tile // tiles_x) * pair.TILE
+        x0 = (tile % tiles_x) * pair.TILE
+        y0 = (tile // tiles_x) * pair.TILE
         if offset[tile] == offset[tile + 1]:
             _clear(x0, y0, image, indices)
             continue
@@ -180,7 +188,8 @@ def composite_forward(splats, lists, pixels, image, indices, opaque):
         for k in range(offset[tile], offset[tile + 1]):
             if n_open == 0:
                 break
-            s, number = splats[ids[k]], splat(f32(ids[k]))  # as float32 lanes: exact below 2^24
+            s = splats[ids[k]]  # as float32 lanes: exact below 2^24
+            number = splat(f32(ids[k]))
             first_row, end_row = rows_of(s, y0, height)
             _, q0, q1 = across(s, x0)
             for r in range(first_row, end_row):
@@ -234,7 +243,8 @@ def _add_colour(state, o, w, s):
 @njit(inline="always")
 def _note_indices(state, o, w, number):
     """Keep the number of the splat where it is the heaviest so far, and where it is the first."""
-    heaviest, first = load(state, _HEAVIEST + o), load(state, _FIRST + o)
+    heaviest = load(state, _HEAVIEST + o)
+    first = load(state, _FIRST + o)
     heavier = w > heaviest
     store(state, _HEAVIEST + o, select(heavier, w, heaviest))
     store(state, _DOMINANT + o, select(heavier, number, load(state, _DOMINANT + o)))
@@ -255,11 +265,13 @@ def _note_hit(state, o, solid, number):
 def _write_tile(state, x0, y0, image, indices, pixels):
     """The tile's sums and indices into the images."""
     height, width = image.depth.shape
-    with_index, with_hit = indices.first.shape[0] > 0, indices.hit.shape[0] > 0
+    with_index = indices.first.shape[0] > 0
+    with_hit = indices.hit.shape[0] > 0
     for r in range(min(pair.TILE, height - y0)):
         for i in range(min(pair.TILE, width - x0)):
             o = r * pair.TILE + i
-            y, x = y0 + r, x0 + i
+            y = y0 + r
+            x = x0 + i
             image.rgb[y, x, 0] = state[_SUM_RED + o]
             image.rgb[y, x, 1] = state[_SUM_GREEN + o]
             image.rgb[y, x, 2] = state[_SUM_BLUE + o]
@@ -293,7 +305,9 @@ def composite_backward(splats, lists, wanted, image, v_image, pair_sums, abs_sum
     (1 - alpha_k). The last sum starts as the whole pixel's, C . v_rgb + D v_depth + alpha v_alpha,
     and loses w_k p_k at each step.
     """
-    ids, offset, slot = lists.ids, lists.offset, lists.slot
+    ids = lists.ids
+    offset = lists.offset
+    slot = lists.slot
     pixels, trained = wanted
     all_trained = trained.shape[0] == 0
     height, width = image.depth.shape
@@ -304,7 +318,8 @@ def composite_backward(splats, lists, wanted, image, v_image, pair_sums, abs_sum
         tile = cyclic_task(k_tile, n_tiles)
         if tile >= n_tiles:
             continue
-        x0, y0 = (tile % tiles_x) * pair.TILE, (tile // tiles_x) * pair.TILE
+        x0 = (tile % tiles_x) * pair.TILE
+        y0 = (tile // tiles_x) * pair.TILE
         end = offset[tile + 1]
         while end > offset[tile] and not (all_trained or trained[ids[end - 1]]):
             end -= 1
@@ -336,7 +351,9 @@ def _read_gradients(state, x0, y0, image, v_image, masked):
     height, width = image.depth.shape
     for r in range(min(pair.TILE, height - y0)):
         for i in range(min(pair.TILE, width - x0)):
-            o, y, x = r * pair.TILE + i, y0 + r, x0 + i
+            o = r * pair.TILE + i
+            y = y0 + r
+            x = x0 + i
             total = ZERO
             for c in range(3):
                 state[_V_RED + c * PIXELS + o] = v_image.rgb[y, x, c]
@@ -377,11 +394,21 @@ def _add_up(state, rows_open, s, place, out, abs_sums, slot):
     x0, y0, height = place
     first_row, end_row = rows_of(s, y0, height)
     dx, q0, q1 = across(s, x0)
-    zero, one = splat(ZERO), splat(ONE)
-    red, green, blue, z = splat(s[RED]), splat(s[GREEN]), splat(s[BLUE]), splat(s[DEPTH])
-    sum_g, sum_gy, sum_gyy = zero, zero, zero
-    sum_r, sum_b, sum_gr, sum_z = zero, zero, zero, zero
-    minus_u, minus_v = zero, zero
+    zero = splat(ZERO)
+    one = splat(ONE)
+    red = splat(s[RED])
+    green = splat(s[GREEN])
+    blue = splat(s[BLUE])
+    z = splat(s[DEPTH])
+    sum_g = zero
+    sum_gy = zero
+    sum_gyy = zero
+    sum_r = zero
+    sum_b = zero
+    sum_gr = zero
+    sum_z = zero
+    minus_u = zero
+    minus_v = zero
     finished = 0
     for r in range(first_row, end_row):
         if rows_open[r] == 0:

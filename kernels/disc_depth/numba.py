@@ -33,7 +33,10 @@ DISC = 11
 """Numbers in a row."""
 
 f32 = np.float32
-_ZERO, _HALF, _ONE, _TWO = f32(0.0), f32(0.5), f32(1.0), f32(2.0)
+_ZERO = f32(0.0)
+_HALF = f32(0.5)
+_ONE = f32(1.0)
+_TWO = f32(2.0)
 _CHUNK = 256
 _ALL_ROWS = np.empty(0, np.bool_)
 
@@ -68,8 +71,11 @@ def disc_depth(
     min_cosine: float = DISC_MIN_COSINE,
 ) -> reference.DiscDepth:
     """See ``gsfusion_nb.render.disc_depth``."""
-    arrays, view, hit = _arrays(params), _view(camera, T_WC), hit_index.long().contiguous().numpy()
-    depth, normal = torch.empty(hit.shape), torch.empty(*hit.shape, 3)
+    arrays = _arrays(params)
+    view = _view(camera, T_WC)
+    hit = hit_index.long().contiguous().numpy()
+    depth = torch.empty(hit.shape)
+    normal = torch.empty(*hit.shape, 3)
     on_plane = torch.empty(hit.shape, dtype=torch.bool)
     with launching():
         discs = _list_discs(*arrays, view, _offset(max_offset), _ALL_ROWS)
@@ -92,9 +98,12 @@ def disc_depth_vjp(
 ) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.render.disc_depth_vjp``."""
     trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
-    arrays, view, hit = _arrays(params), _view(camera, T_WC), hit_index.long().contiguous().numpy()
+    arrays = _arrays(params)
+    view = _view(camera, T_WC)
+    hit = hit_index.long().contiguous().numpy()
     v_depth = v_depth_m.detach().float().contiguous().numpy()
-    v_xyz, v_quat = torch.empty(len(params), 3), torch.empty(len(params), 4)
+    v_xyz = torch.empty(len(params), 3)
+    v_quat = torch.empty(len(params), 4)
     with launching():
         discs = _list_discs(*arrays, view, _offset(max_offset), trained)
         pixel, start = _pixels_by_row(hit.reshape(-1), len(params), trained)
@@ -148,7 +157,8 @@ def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
     for all rows."""
     N = xyz.shape[0]
     all_wanted = wanted.shape[0] == 0
-    R, centre = view.R_WC, view.centre_W
+    R = view.R_WC
+    centre = view.centre_W
     discs = np.empty((N, DISC), np.float32)
     n_parts = (N + _CHUNK - 1) // _CHUNK
     for k_part in prange(cyclic_size(n_parts)):
@@ -162,24 +172,20 @@ def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
             _, w, x, y, z = _unit(quat[i])
             axis = _thin_axis(log_scale[i])
             if axis == 0:
-                n0, n1, n2 = (
-                    _ONE - _TWO * (y * y + z * z),
-                    _TWO * (x * y + w * z),
-                    _TWO * (x * z - w * y),
-                )
+                n0 = _ONE - _TWO * (y * y + z * z)
+                n1 = _TWO * (x * y + w * z)
+                n2 = _TWO * (x * z - w * y)
             elif axis == 1:
-                n0, n1, n2 = (
-                    _TWO * (x * y - w * z),
-                    _ONE - _TWO * (x * x + z * z),
-                    _TWO * (y * z + w * x),
-                )
+                n0 = _TWO * (x * y - w * z)
+                n1 = _ONE - _TWO * (x * x + z * z)
+                n2 = _TWO * (y * z + w * x)
             else:
-                n0, n1, n2 = (
-                    _TWO * (x * z + w * y),
-                    _TWO * (y * z - w * x),
-                    _ONE - _TWO * (x * x + y * y),
-                )
-            p0, p1, p2 = xyz[i, 0] - centre[0], xyz[i, 1] - centre[1], xyz[i, 2] - centre[2]
+                n0 = _TWO * (x * z + w * y)
+                n1 = _TWO * (y * z - w * x)
+                n2 = _ONE - _TWO * (x * x + y * y)
+            p0 = xyz[i, 0] - centre[0]
+            p1 = xyz[i, 1] - centre[1]
+            p2 = xyz[i, 2] - centre[2]
             for k in range(3):
                 d[P_X + k] = R[0, k] * p0 + R[1, k] * p1 + R[2, k] * p2
                 d[N_X + k] = R[0, k] * n0 + R[1, k] * n1 + R[2, k] * n2
@@ -212,7 +218,8 @@ def _meet_all(discs, hit, view, min_cosine, depth, normal, on_plane):
     for j in prange(H):
         y = (f32(j) + _HALF - view.cy) / view.fy
         for i in range(W):
-            depth[j, i], on_plane[j, i] = _ZERO, False
+            depth[j, i] = _ZERO
+            on_plane[j, i] = False
             normal[j, i, 0] = _ZERO
             normal[j, i, 1] = _ZERO
             normal[j, i, 2] = _ZERO
@@ -254,7 +261,9 @@ def _pixels_by_row(hit, N, wanted):
 def _meet_all_vjp(discs, log_scale, quat, lists, view, min_cosine, v_depth, v_xyz, v_quat):
     """Each row's sum over its pixels, in float64, carried to centre and quaternion; every row is
     written."""
-    pixel, start, width = lists.pixel, lists.start, lists.width
+    pixel = lists.pixel
+    start = lists.start
+    width = lists.width
     R = view.R_WC
     N = discs.shape[0]
     n_parts = (N + _CHUNK - 1) // _CHUNK
@@ -262,13 +271,20 @@ def _meet_all_vjp(discs, log_scale, quat, lists, view, min_cosine, v_depth, v_xy
         part = cyclic_task(k_part, n_parts)
         if part >= n_parts:
             continue
-        v_p, v_n, e = np.empty(3), np.empty(3), np.empty(3)
+        v_p = np.empty(3)
+        v_n = np.empty(3)
+        e = np.empty(3)
         for i in range(part * _CHUNK, min(N, part * _CHUNK + _CHUNK)):
-            v_xyz[i], v_quat[i] = _ZERO, _ZERO
+            v_xyz[i] = _ZERO
+            v_quat[i] = _ZERO
             if start[i] == start[i + 1]:
                 continue
             d = discs[i]
-            at_centre, at_plane, n0, n1, n2 = 0.0, 0.0, 0.0, 0.0, 0.0
+            at_centre = 0.0
+            at_plane = 0.0
+            n0 = 0.0
+            n1 = 0.0
+            n2 = 0.0
             for k in range(start[i], start[i + 1]):
                 o = pixel[k]
                 x = (f32(o % width) + _HALF - view.cx) / view.fx
@@ -283,7 +299,9 @@ def _meet_all_vjp(discs, log_scale, quat, lists, view, min_cosine, v_depth, v_xy
                 else:
                     at_centre += v_depth[o]
             for k in range(3):  # to the world frame: v_p = at_plane n + at_centre (0, 0, 1)
-                a, b, c = R[k, 0], R[k, 1], R[k, 2]
+                a = R[k, 0]
+                b = R[k, 1]
+                c = R[k, 2]
                 v_p[k] = at_plane * (a * d[N_X] + b * d[N_Y] + c * d[N_Z]) + at_centre * c
                 v_n[k] = a * n0 + b * n1 + c * n2
                 v_xyz[i, k] = v_p[k]
@@ -299,7 +317,9 @@ def _axis_vjp(quat, e, v, out):
     ue = x * e[0] + y * e[1] + z * e[2]
     uv = x * v[0] + y * v[1] + z * v[2]
     ev = e[0] * v[0] + e[1] * v[1] + e[2] * v[2]
-    c0, c1, c2 = y * e[2] - z * e[1], z * e[0] - x * e[2], x * e[1] - y * e[0]
+    c0 = y * e[2] - z * e[1]
+    c1 = z * e[0] - x * e[2]
+    c2 = x * e[1] - y * e[0]
     v_w = 2.0 * (w * ev + v[0] * c0 + v[1] * c1 + v[2] * c2)
     v_x = 2.0 * (ue * v[0] + uv * e[0] - ev * x + w * (e[1] * v[2] - e[2] * v[1]))
     v_y = 2.0 * (ue * v[1] + uv * e[1] - ev * y + w * (e[2] * v[0] - e[0] * v[2]))

@@ -83,7 +83,8 @@ def disc_depth_vjp(
 ) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.render.disc_depth_vjp``."""
     device = device_of("disc_depth_vjp", params.xyz_W)
-    discs, N = _discs_of(params, T_WC, device), len(params)
+    discs = _discs_of(params, T_WC, device)
+    N = len(params)
     v_disc = torch.zeros(N, _V_DISC.value, dtype=torch.float32, device=device)
     v_xyz, v_quat = (torch.empty(N, n, dtype=torch.float32, device=device) for n in (3, 4))
     launch(
@@ -156,11 +157,15 @@ def _discs(xyz, log_scale, quat, T, g, mask):
     axis = _thin_axis(l0, l1, l2)
     q0, q1, q2, q3 = load4(quat, g, mask)
     _, r0, r1, r2, r3, r4, r5, r6, r7, r8 = rotation(q0, q1, q2, q3)
-    n0, n1, n2 = _pick(axis, r0, r1, r2), _pick(axis, r3, r4, r5), _pick(axis, r6, r7, r8)
+    n0 = _pick(axis, r0, r1, r2)
+    n1 = _pick(axis, r3, r4, r5)
+    n2 = _pick(axis, r6, r7, r8)
     c0, c3, c6, c1, c4, c7, c2, c5, c8 = load_rotation(T)  # rows of R_CW
     X, Y, Z = load3(xyz, g, mask)
     C_x, C_y, C_z = load_position(T)
-    X, Y, Z = X - C_x, Y - C_y, Z - C_z
+    X = X - C_x
+    Y = Y - C_y
+    Z = Z - C_z
     return (
         c0 * X + c1 * Y + c2 * Z,
         c3 * X + c4 * Y + c5 * Z,
@@ -225,7 +230,8 @@ def _meet_all(
     g = tl.load(hit + at, mask=here, other=-1)
     met = (g >= 0) & (g < N)
     p0, p1, p2, m0, m1, m2, n0, n1, n2, scale = _discs(xyz, log_scale, quat, T, g, met)
-    x, y = (at % width + 0.5 - cx) / fx, (at // width + 0.5 - cy) / fy
+    x = (at % width + 0.5 - cx) / fx
+    y = (at // width + 0.5 - cy) / fy
     z, _, pn, on_plane = _meet(p0, p1, p2, m0, m1, m2, scale, x, y, max_offset, min_cosine)
     side = tl.where(met, tl.where(pn > 0, -1.0, 1.0), 0.0)
     tl.store(depth + at, tl.where(met, z, 0.0), mask=here)
@@ -263,7 +269,8 @@ def _meet_all_vjp(
     if SOME:
         met = met & (tl.load(trained + g, mask=met, other=0) != 0)
     p0, p1, p2, m0, m1, m2, _, _, _, scale = _discs(xyz, log_scale, quat, T, g, met)
-    x, y = (at % width + 0.5 - cx) / fx, (at // width + 0.5 - cy) / fy
+    x = (at % width + 0.5 - cx) / fx
+    y = (at // width + 0.5 - cy) / fy
     z, rn, _, on_plane = _meet(p0, p1, p2, m0, m1, m2, scale, x, y, max_offset, min_cosine)
     v = tl.load(v_depth + at, mask=met, other=0.0)
     v_plane = tl.where(on_plane, v / rn, 0.0)
@@ -293,23 +300,33 @@ def _axes_vjp(log_scale, quat, T, v_disc, v_xyz, v_quat, N, BLOCK: tl.constexpr)
         k6 * a0 + k7 * a1 + k8 * a2,
         row,
     )
-    v0, v1, v2 = (
-        k0 * b0 + k1 * b1 + k2 * b2,
-        k3 * b0 + k4 * b1 + k5 * b2,
-        k6 * b0 + k7 * b1 + k8 * b2,
-    )
+    v0 = k0 * b0 + k1 * b1 + k2 * b2
+    v1 = k3 * b0 + k4 * b1 + k5 * b2
+    v2 = k6 * b0 + k7 * b1 + k8 * b2
     l0, l1, l2 = load3(log_scale, i, row)
     axis = _thin_axis(l0, l1, l2)
-    e0, e1, e2 = _pick(axis, 1.0, 0.0, 0.0), _pick(axis, 0.0, 1.0, 0.0), _pick(axis, 0.0, 0.0, 1.0)
+    e0 = _pick(axis, 1.0, 0.0, 0.0)
+    e1 = _pick(axis, 0.0, 1.0, 0.0)
+    e2 = _pick(axis, 0.0, 0.0, 1.0)
     w, x, y, z = load4(quat, i, row)
     norm = tl.maximum(tl.sqrt(w * w + x * x + y * y + z * z), 1e-12)
-    w, x, y, z = w / norm, x / norm, y / norm, z / norm
-    ue, uv, ev = x * e0 + y * e1 + z * e2, x * v0 + y * v1 + z * v2, e0 * v0 + e1 * v1 + e2 * v2
-    c0, c1, c2 = y * e2 - z * e1, z * e0 - x * e2, x * e1 - y * e0
+    w = w / norm
+    x = x / norm
+    y = y / norm
+    z = z / norm
+    ue = x * e0 + y * e1 + z * e2
+    uv = x * v0 + y * v1 + z * v2
+    ev = e0 * v0 + e1 * v1 + e2 * v2
+    c0 = y * e2 - z * e1
+    c1 = z * e0 - x * e2
+    c2 = x * e1 - y * e0
     v_w = 2.0 * (w * ev + v0 * c0 + v1 * c1 + v2 * c2)
     v_x = 2.0 * (ue * v0 + uv * e0 - ev * x + w * (e1 * v2 - e2 * v1))
     v_y = 2.0 * (ue * v1 + uv * e1 - ev * y + w * (e2 * v0 - e0 * v2))
     v_z = 2.0 * (ue * v2 + uv * e2 - ev * z + w * (e0 * v1 - e1 * v0))
     along = w * v_w + x * v_x + y * v_y + z * v_z
-    v_w, v_x, v_y, v_z = v_w - w * along, v_x - x * along, v_y - y * along, v_z - z * along
+    v_w = v_w - w * along
+    v_x = v_x - x * along
+    v_y = v_y - y * along
+    v_z = v_z - z * along
     store4(v_quat, i, v_w / norm, v_x / norm, v_y / norm, v_z / norm, row)

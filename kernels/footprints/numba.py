@@ -29,7 +29,10 @@ from ..project.numba import CHUNK, _project, camera_point
 from ..runtime.numba.launch import launching
 
 f32 = np.float32
-_NEAR, _ALPHA_MIN, _ONE, _ZERO = f32(NEAR_PLANE_M), f32(ALPHA_MIN), f32(1.0), f32(0.0)
+_NEAR = f32(NEAR_PLANE_M)
+_ALPHA_MIN = f32(ALPHA_MIN)
+_ONE = f32(1.0)
+_ZERO = f32(0.0)
 
 
 def footprints(params: GaussianParams, camera: Camera, T_WC: Tensor) -> Footprints:
@@ -44,13 +47,11 @@ def footprints(params: GaussianParams, camera: Camera, T_WC: Tensor) -> Footprin
 def _radii(params, cam, radius):
     """Write half of the longer side of the box of each row, 0 where it does not reach into the
     image."""
-    xyz, log_scale, quat, logit, sh = (
-        params.xyz,
-        params.log_scale,
-        params.quat,
-        params.logit,
-        params.sh,
-    )
+    xyz = params.xyz
+    log_scale = params.log_scale
+    quat = params.quat
+    logit = params.logit
+    sh = params.sh
     N = sh.shape[0]
     for part in prange((N + CHUNK - 1) // CHUNK):
         s = np.empty(SPLAT, np.float32)

@@ -14,7 +14,11 @@ _C0 = f32(SH_C0)
 _C1 = f32(reference.C1)
 _C20, _C21, _C22 = (f32(c) for c in reference.C2)
 _C30, _C31, _C32, _C33, _C34 = (f32(c) for c in reference.C3)
-_2, _3, _4, _6, _8 = f32(2), f32(3), f32(4), f32(6), f32(8)
+_2 = f32(2)
+_3 = f32(3)
+_4 = f32(4)
+_6 = f32(6)
+_8 = f32(8)
 
 
 @njit(cache=True, error_model="numpy")
@@ -29,7 +33,9 @@ def basis_into(x, y, z, K, Y):
     Y[3] = -_C1 * x
     if K < 9:
         return
-    xx, yy, zz = x * x, y * y, z * z
+    xx = x * x
+    yy = y * y
+    zz = z * z
     Y[4] = _C20 * x * y
     Y[5] = -_C20 * y * z
     Y[6] = _C21 * (_2 * zz - xx - yy)
@@ -49,18 +55,34 @@ def basis_into(x, y, z, K, Y):
 @njit(cache=True, error_model="numpy")
 def gradient_into(x, y, z, K, w):
     """sum_k w_k grad Y_k as (d/dx, d/dy, d/dz) of the polynomials; K = 4, 9 or 16."""
-    vx, vy, vz = -_C1 * w[3], -_C1 * w[1], _C1 * w[2]
+    vx = -_C1 * w[3]
+    vy = -_C1 * w[1]
+    vz = _C1 * w[2]
     if K < 9:
         return vx, vy, vz
-    a, b, c, d, e = _C20 * w[4], _C20 * w[5], _2 * _C21 * w[6], _C20 * w[7], _2 * _C22 * w[8]
+    a = _C20 * w[4]
+    b = _C20 * w[5]
+    c = _2 * _C21 * w[6]
+    d = _C20 * w[7]
+    e = _2 * _C22 * w[8]
     vx += a * y - c * x - d * z + e * x
     vy += a * x - b * z - c * y - e * y
     vz += -b * y + _2 * c * z - d * x
     if K < 16:
         return vx, vy, vz
-    xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
-    a, b, c, d = _C30 * w[9], _C31 * w[10], _C32 * w[11], _3 * _C33 * w[12]
-    e, f, g = _C32 * w[13], _C34 * w[14], _C30 * w[15]
+    xx = x * x
+    yy = y * y
+    zz = z * z
+    xy = x * y
+    yz = y * z
+    xz = x * z
+    a = _C30 * w[9]
+    b = _C31 * w[10]
+    c = _C32 * w[11]
+    d = _3 * _C33 * w[12]
+    e = _C32 * w[13]
+    f = _C34 * w[14]
+    g = _C30 * w[15]
     vx += (
         -_6 * a * xy
         + b * yz

@@ -10,7 +10,11 @@ H_ROWS = H_0, H_1, H_2, H_3, H_4, H_5 = 0, 6, 11, 15, 18, 20
 """Where among the sums of a kernel each row of H begins: with its entry on the diagonal, for H is
 symmetric."""
 
-B, SQUARES, WEIGHTS, INLIERS, OVERLAP = 21, 27, 28, 29, 30
+B = 21
+SQUARES = 27
+WEIGHTS = 28
+INLIERS = 29
+OVERLAP = 30
 """Places of the six entries of b, the two sums and the two counts, behind those of H."""
 
 N_SUMS = 31

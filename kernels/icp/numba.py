@@ -28,7 +28,9 @@ _N_X, _N_Y, _N_Z, _M_X, _M_Y, _M_Z, _RESIDUAL, _WEIGHT = range(8)
 """Columns of a correspondence: the six of J, the normal and the moment of it about the origin, then
 r and 1."""
 _N_COLUMNS = 8
-_ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
+_ZERO = f32(0.0)
+_HALF = f32(0.5)
+_ONE = f32(1.0)
 
 
 class Poses(NamedTuple):
@@ -59,12 +61,11 @@ def icp_system(
         return reference.reference(level, T_WC, surface, **options)
     depth, normal, surface_depth, surface_normal = (t.detach().contiguous().numpy() for t in images)
     poses = poses_of(T_WC, surface.T_WC)
-    max_square_m2, even = (
-        f32(max_distance_m) * f32(max_distance_m),
-        f32(np.inf if even_to_m is None else even_to_m),
-    )
+    max_square_m2 = f32(max_distance_m) * f32(max_distance_m)
+    even = f32(np.inf if even_to_m is None else even_to_m)
     gates = max_square_m2, f32(min_cosine), even
-    frame, model = (depth, normal), (surface_depth, surface_normal)
+    frame = (depth, normal)
+    model = (surface_depth, surface_normal)
     with launching():
         sums = _sum_rows(
             frame, model, poses, lens_of(level.camera, f32), lens_of(surface.camera, f32), gates
@@ -98,19 +99,26 @@ def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
     aligned with. gates: the largest square of a distance, the least cosine, and the depth up to
     which all have the same weight.
     """
-    (depth, normal), (surface_depth, surface_normal) = frame, model
+    depth, normal = frame
+    surface_depth, surface_normal = model
     max_square_m2, min_cosine, even_to_m = gates
-    T, R = poses.T_WC, poses.R_WS
+    T = poses.T_WC
+    R = poses.R_WS
     height, width = surface_depth.shape
-    fx, fy, cx, cy = surface_lens.fx, surface_lens.fy, surface_lens.cx, surface_lens.cy
+    fx = surface_lens.fx
+    fy = surface_lens.fy
+    cx = surface_lens.cx
+    cy = surface_lens.cy
     y = (f32(j) + _HALF - lens.cy) / lens.fy
-    n_inliers, n_overlap = 0, 0
+    n_inliers = 0
+    n_overlap = 0
     for i in range(depth.shape[1]):
         z = depth[j, i]
         if not z > _ZERO:
             continue
         x = (f32(i) + _HALF - lens.cx) / lens.fx
-        X, Y = z * x, z * y
+        X = z * x
+        Y = z * y
         p0 = T[0, 0] * X + T[0, 1] * Y + T[0, 2] * z + T[0, 3]
         p1 = T[1, 0] * X + T[1, 1] * Y + T[1, 2] * z + T[1, 3]
         p2 = T[2, 0] * X + T[2, 1] * Y + T[2, 2] * z + T[2, 3]
@@ -121,23 +129,25 @@ def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
         v = fy * ((R[0, 1] * p0 + R[1, 1] * p1 + R[2, 1] * p2) / s2) + cy
         if not (u >= _ZERO and u < f32(width) and v >= _ZERO and v < f32(height)):
             continue
-        column, row = int(u), int(v)
+        column = int(u)
+        row = int(v)
         d = surface_depth[row, column]
-        n0, n1, n2 = (
-            surface_normal[row, column, 0],
-            surface_normal[row, column, 1],
-            surface_normal[row, column, 2],
-        )
+        n0 = surface_normal[row, column, 0]
+        n1 = surface_normal[row, column, 1]
+        n2 = surface_normal[row, column, 2]
         if not d > _ZERO or (n0 == _ZERO and n1 == _ZERO and n2 == _ZERO):
             continue
         n_overlap += 1
-        X, Y = d * ((f32(column) + _HALF - cx) / fx), d * ((f32(row) + _HALF - cy) / fy)
+        X = d * ((f32(column) + _HALF - cx) / fx)
+        Y = d * ((f32(row) + _HALF - cy) / fy)
         e0 = p0 - (R[0, 0] * X + R[0, 1] * Y + R[0, 2] * d)
         e1 = p1 - (R[1, 0] * X + R[1, 1] * Y + R[1, 2] * d)
         e2 = p2 - (R[2, 0] * X + R[2, 1] * Y + R[2, 2] * d)
         if not e0 * e0 + e1 * e1 + e2 * e2 <= max_square_m2:
             continue
-        a, b, c = normal[j, i, 0], normal[j, i, 1], normal[j, i, 2]
+        a = normal[j, i, 0]
+        b = normal[j, i, 1]
+        c = normal[j, i, 2]
         cosine = (
             n0 * (T[0, 0] * a + T[0, 1] * b + T[0, 2] * c)
             + n1 * (T[1, 0] * a + T[1, 1] * b + T[1, 2] * c)
@@ -152,7 +162,9 @@ def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
         k = n_inliers
         columns[_RESIDUAL, k] = w * (e0 * n0 + e1 * n1 + e2 * n2)
         columns[_WEIGHT, k] = w
-        n0, n1, n2 = w * n0, w * n1, w * n2
+        n0 = w * n0
+        n1 = w * n1
+        n2 = w * n2
         columns[_N_X, k] = n0
         columns[_N_Y, k] = n1
         columns[_N_Z, k] = n2

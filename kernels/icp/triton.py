@@ -25,16 +25,12 @@ from .host import images_of, to_system
 
 _BLOCK = 256
 _H_0, _H_1, _H_2, _H_3, _H_4, _H_5 = (tl.constexpr(place) for place in host.H_ROWS)
-_B, _SQUARES, _WEIGHTS = (
-    tl.constexpr(host.B),
-    tl.constexpr(host.SQUARES),
-    tl.constexpr(host.WEIGHTS),
-)
-_INLIERS, _OVERLAP, _N_SUMS = (
-    tl.constexpr(host.INLIERS),
-    tl.constexpr(host.OVERLAP),
-    tl.constexpr(host.N_SUMS),
-)
+_B = tl.constexpr(host.B)
+_SQUARES = tl.constexpr(host.SQUARES)
+_WEIGHTS = tl.constexpr(host.WEIGHTS)
+_INLIERS = tl.constexpr(host.INLIERS)
+_OVERLAP = tl.constexpr(host.OVERLAP)
+_N_SUMS = tl.constexpr(host.N_SUMS)
 
 
 def icp_system(
@@ -183,22 +179,26 @@ def _sum(
         T, 4, z * ((at % width + 0.5 - cx) / fx), z * ((at // width + 0.5 - cy) / fy), z
     )
     C_x, C_y, C_z = load_position(T)
-    p0, p1, p2 = p0 + C_x, p1 + C_y, p2 + C_z
+    p0 = p0 + C_x
+    p1 = p1 + C_y
+    p2 = p2 + C_z
     s0, s1, s2 = _turn_back(R_WS, p0, p1, p2)
     overlap = overlap & (s2 > 0)
     s2 = tl.where(overlap, s2, 1.0)
-    u, v = surface_fx * (s0 / s2) + surface_cx, surface_fy * (s1 / s2) + surface_cy
+    u = surface_fx * (s0 / s2) + surface_cx
+    v = surface_fy * (s1 / s2) + surface_cy
     overlap = overlap & (u >= 0) & (u < surface_width) & (v >= 0) & (v < surface_height)
-    column, row = tl.where(overlap, u, 0.0).to(tl.int32), tl.where(overlap, v, 0.0).to(tl.int32)
+    column = tl.where(overlap, u, 0.0).to(tl.int32)
+    row = tl.where(overlap, v, 0.0).to(tl.int32)
     d = tl.load(surface_depth + row * surface_width + column, mask=overlap, other=0.0)
     n0, n1, n2 = load3(surface_normal, row * surface_width + column, overlap)
     overlap = overlap & (d > 0) & ((n0 != 0) | (n1 != 0) | (n2 != 0))
-    x, y = (
-        d * ((column + 0.5 - surface_cx) / surface_fx),
-        d * ((row + 0.5 - surface_cy) / surface_fy),
-    )
+    x = d * ((column + 0.5 - surface_cx) / surface_fx)
+    y = d * ((row + 0.5 - surface_cy) / surface_fy)
     q0, q1, q2 = _turn(R_WS, 3, x, y, d)
-    e0, e1, e2 = p0 - q0, p1 - q1, p2 - q2
+    e0 = p0 - q0
+    e1 = p1 - q1
+    e2 = p2 - q2
     a, b, c = load3(normal, at, overlap)
     a, b, c = _turn(T, 4, a, b, c)
     inlier = (
@@ -211,8 +211,12 @@ def _sum(
         inlier, near * near, 0.0
     )  # the square root of the weight, on both factors of each product
     r = tl.where(inlier, w * (e0 * n0 + e1 * n1 + e2 * n2), 0.0)
-    n0, n1, n2 = w * n0, w * n1, w * n2
-    m0, m1, m2 = p1 * n2 - p2 * n1, p2 * n0 - p0 * n2, p0 * n1 - p1 * n0
+    n0 = w * n0
+    n1 = w * n1
+    n2 = w * n2
+    m0 = p1 * n2 - p2 * n1
+    m1 = p2 * n0 - p0 * n2
+    m2 = p0 * n1 - p1 * n0
     out = sums + _N_SUMS * tl.program_id(0)
     _add_row(out, _H_0, n0, n0, n1, n2, m0, m1, m2, 0)
     _add_row(out, _H_1, n1, n0, n1, n2, m0, m1, m2, 1)

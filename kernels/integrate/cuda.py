@@ -16,7 +16,8 @@ _BLOCK = 128
 _RESIDENT = 132 * 16
 """Blocks of threads: as many as an H100 has room for or more; each takes one voxel block after
 another."""
-_OBSERVED, _N_COUNTS = 1, 2
+_OBSERVED = 1
+_N_COUNTS = 2
 """Which of the counts of a frame is the number of observed voxels; as in ``integrate.cu``."""
 
 
@@ -32,7 +33,8 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
         return reference.reference(volume, frame)
     rows = torch.empty(n, dtype=torch.int32, device=device)
     count = torch.zeros(_N_COUNTS, dtype=torch.int32, device=device)
-    coords, (view, images, band) = volume.block_coords, view_of(volume, frame)
+    coords = volume.block_coords
+    view, images, band = view_of(volume, frame)
     blocks = parts(n, _BLOCK)
     launch(
         "fuse_frame_",
@@ -46,7 +48,8 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
         rows,
         count,
     )
-    blocks, voxels = min(n, _RESIDENT), voxels_of(volume)
+    blocks = min(n, _RESIDENT)
+    voxels = voxels_of(volume)
     launch(
         "fuse_frame_",
         "integrate:fuse_blocks",
@@ -68,7 +71,8 @@ def view_of(
     frame: Frame,
 ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """What ``voxel.cuh`` is given of a frame and of the settings of a volume."""
-    camera, config = frame.camera, volume.config
+    camera = frame.camera
+    config = volume.config
     view = lens_of(camera)._asdict() | {
         "T_WC": packed(frame.T_WC.to(volume.device, torch.float32)),
         "voxel": config.voxel_size_m,

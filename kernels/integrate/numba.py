@@ -60,16 +60,17 @@ from ..runtime.numba.simd import (
 
 f32 = np.float32
 _EPS = f32(1e-4)
-_ZERO, _ONE, _INFINITE = f32(0.0), f32(1.0), f32(np.inf)
+_ZERO = f32(0.0)
+_ONE = f32(1.0)
+_INFINITE = f32(np.inf)
 _GREY_LEVELS = f32(255.0)
-_LEAST, _LITTLE, _MOST_BY_DISTANCE = (
-    f32(LEAST_COLOUR_WEIGHT),
-    f32(LITTLE_COLOUR),
-    f32(NEAREST_COLOUR_M**-2),
-)
+_LEAST = f32(LEAST_COLOUR_WEIGHT)
+_LITTLE = f32(LITTLE_COLOUR)
+_MOST_BY_DISTANCE = f32(NEAREST_COLOUR_M**-2)
 _MEAN, _EQ9, _INT16 = range(3)
 _AVERAGES = {"mean": _MEAN, "eq9": _EQ9, "int16": _INT16}
-_INT16_ONE, _INT16_ULP = f32(INT16_ONE), f32(1.0 / INT16_ONE)
+_INT16_ONE = f32(INT16_ONE)
+_INT16_ULP = f32(1.0 / INT16_ONE)
 _ULP_IS_ONE = f32(2.0**23)
 """From here on float32 numbers are whole: adding and subtracting it rounds a smaller positive
 number."""
@@ -77,7 +78,8 @@ number."""
 _CHUNK = 16
 """Blocks of one parallel task."""
 
-_NO_FLOATS, _NO_BYTES = np.empty(0, np.float32), np.empty(0, np.uint8)
+_NO_FLOATS = np.empty(0, np.float32)
+_NO_BYTES = np.empty(0, np.uint8)
 
 _U, _V, _Z = range(0, 3 * VOXELS_PER_BLOCK, VOXELS_PER_BLOCK)
 """Where the planes of the voxels' offsets begin."""
@@ -149,18 +151,19 @@ def packed_image(
 @njit(parallel=True, cache=True, error_model="numpy")
 def _pack(depth, colour, near, pyramid, packed):
     """See ``packed_image``."""
-    largest, levels = pyramid.largest, pyramid.levels
+    largest = pyramid.largest
+    levels = pyramid.levels
     height, width = depth.shape
-    h, w = levels[0, _ROWS], levels[0, _COLUMNS]
-    flat_depth, has_bytes = depth.reshape(-1), len(colour) > 0
+    h = levels[0, _ROWS]
+    w = levels[0, _COLUMNS]
+    flat_depth = depth.reshape(-1)
+    has_bytes = len(colour) > 0
     for i in prange(h):
         column = np.full(w * _TILE + 16, MISSING, np.float32)
-        missing, zero, nearest, infinite = (
-            splat(MISSING),
-            splat(_ZERO),
-            splat(near),
-            splat(_INFINITE),
-        )
+        missing = splat(MISSING)
+        zero = splat(_ZERO)
+        nearest = splat(near)
+        infinite = splat(_INFINITE)
         for y in range(i * _TILE, min(height, i * _TILE + _TILE)):
             for x in range(0, width - 15, 16):
                 at = y * width + x
@@ -177,7 +180,8 @@ def _pack(depth, colour, near, pyramid, packed):
                 d = depth[y, x]
                 d = d if (d > _ZERO) & (d >= near) & (d < _INFINITE) else MISSING
                 column[x] = max(column[x], d)
-                at, word = y * width + x, uint32(0)
+                at = y * width + x
+                word = uint32(0)
                 if has_bytes:
                     for c in range(3):
                         word |= uint32(colour[3 * at + c]) << uint32(8 * c)
@@ -188,7 +192,9 @@ def _pack(depth, colour, near, pyramid, packed):
                 most = max(most, column[x])
             largest[i * w + j] = most
     for k in range(1, levels.shape[0]):
-        below, fine_h, fine_w = levels[k - 1, _FIRST], levels[k - 1, _ROWS], levels[k - 1, _COLUMNS]
+        below = levels[k - 1, _FIRST]
+        fine_h = levels[k - 1, _ROWS]
+        fine_w = levels[k - 1, _COLUMNS]
         for i in range(levels[k, _ROWS]):
             for j in range(levels[k, _COLUMNS]):
                 most = MISSING
@@ -202,15 +208,20 @@ def _pack(depth, colour, near, pyramid, packed):
 def farthest(largest, levels, box, width, height):
     """Largest known depth in a box of pixels."""
     low_u, high_u, low_v, high_v = box
-    u0, u1 = int(max(low_u, 0.0)), int(min(high_u, width - 1.0))
-    v0, v1 = int(max(low_v, 0.0)), int(min(high_v, height - 1.0))
-    level, tile = 0, _TILE
+    u0 = int(max(low_u, 0.0))
+    u1 = int(min(high_u, width - 1.0))
+    v0 = int(max(low_v, 0.0))
+    v1 = int(min(high_v, height - 1.0))
+    level = 0
+    tile = _TILE
     while (
         level < levels.shape[0] - 1
         and max(u1 // tile - u0 // tile, v1 // tile - v0 // tile) >= _SCAN
     ):
-        level, tile = level + 1, tile * 2
-    first, columns = levels[level, _FIRST], levels[level, _COLUMNS]
+        level = level + 1
+        tile = tile * 2
+    first = levels[level, _FIRST]
+    columns = levels[level, _COLUMNS]
     most = MISSING
     for i in range(v0 // tile, v1 // tile + 1):
         for j in range(u0 // tile, u1 // tile + 1):
@@ -227,23 +238,26 @@ def find_observable(coords, rows, M, axis_z, limits, size, pyramid):
     """
     seen = np.zeros(len(rows), np.bool_)
     height, width = size
-    far, truncation = limits.far, limits.truncation
-    largest, levels = pyramid.largest, pyramid.levels
+    far = limits.far
+    truncation = limits.truncation
+    largest = pyramid.largest
+    levels = pyramid.levels
     side = BLOCK_VOXELS * limits.voxel_size
     half_z = 0.5 * side * (abs(axis_z[0]) + abs(axis_z[1]) + abs(axis_z[2]))
     for i in prange(len(rows)):
         b = rows[i]
-        x, y, z = (
-            side * (coords[b, 0] + 0.5),
-            side * (coords[b, 1] + 0.5),
-            side * (coords[b, 2] + 0.5),
-        )
+        x = side * (coords[b, 0] + 0.5)
+        y = side * (coords[b, 1] + 0.5)
+        z = side * (coords[b, 2] + 0.5)
         Z = M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3]
         if Z + half_z <= 0.0 or Z - half_z >= far + truncation:
             continue
         U = M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3]
         V = M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3]
-        low_u, low_v, high_u, high_v = 0.0, 0.0, width + 1.0, height + 1.0
+        low_u = 0.0
+        low_v = 0.0
+        high_u = width + 1.0
+        high_v = height + 1.0
         if Z - half_z > 0.01:
             low_u, high_u, low_v, high_v = _box_around(M, (U, V, Z), side)
             if high_u < 1.0 or high_v < 1.0 or low_u > width + 1 or low_v > height + 1:
@@ -257,7 +271,10 @@ def find_observable(coords, rows, M, axis_z, limits, size, pyramid):
 def _box_around(M, centre, side):
     """Smallest and largest u, and v, of the corners of a block in front of the camera."""
     U, V, Z = centre
-    low_u, low_v, high_u, high_v = 1e9, 1e9, -1e9, -1e9
+    low_u = 1e9
+    low_v = 1e9
+    high_u = -1e9
+    high_v = -1e9
     for c in range(8):
         a = 0.5 * side if c & 1 else -0.5 * side
         b = 0.5 * side if c & 2 else -0.5 * side
@@ -265,8 +282,10 @@ def _box_around(M, centre, side):
         inv_z = 1.0 / (Z + M[2, 0] * a + M[2, 1] * b + M[2, 2] * d)
         u = (U + M[0, 0] * a + M[0, 1] * b + M[0, 2] * d) * inv_z
         v = (V + M[1, 0] * a + M[1, 1] * b + M[1, 2] * d) * inv_z
-        low_u, high_u = min(low_u, u), max(high_u, u)
-        low_v, high_v = min(low_v, v), max(high_v, v)
+        low_u = min(low_u, u)
+        high_u = max(high_u, u)
+        low_v = min(low_v, v)
+        high_v = max(high_v, v)
     return low_u, high_u, low_v, high_v
 
 
@@ -279,7 +298,8 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
         return reference.reference(volume, frame)
     if not volume.n_blocks:
         return 0
-    camera, config = frame.camera, volume.config
+    camera = frame.camera
+    config = volume.config
     T_CW = se3.inverse(frame.T_WC.detach().double()).numpy()
     # (U, V, Z) of a world point: one is added to the pixel so that a truncation towards zero finds
     # it.
@@ -327,11 +347,9 @@ def _offsets(T_CW, K, voxel_size):
     """(U, V, Z) of the 512 voxel centres relative to their block's corner, planes of one array."""
     out = np.empty(3 * VOXELS_PER_BLOCK, np.float32)
     for n in range(VOXELS_PER_BLOCK):
-        x, y, z = (
-            ((n >> 6) + 0.5) * voxel_size,
-            ((n >> 3 & 7) + 0.5) * voxel_size,
-            ((n & 7) + 0.5) * voxel_size,
-        )
+        x = ((n >> 6) + 0.5) * voxel_size
+        y = ((n >> 3 & 7) + 0.5) * voxel_size
+        z = ((n & 7) + 0.5) * voxel_size
         X = T_CW[0, 0] * x + T_CW[0, 1] * y + T_CW[0, 2] * z
         Y = T_CW[1, 0] * x + T_CW[1, 1] * y + T_CW[1, 2] * z
         Z = T_CW[2, 0] * x + T_CW[2, 1] * y + T_CW[2, 2] * z
@@ -346,7 +364,8 @@ def _as_published(D, d, W, W_k, average):
     """Averages "eq9" and "int16" of ``tsdf_update``."""
     if average == _EQ9:
         return (D * W + d * W_k) / (W + W_k)
-    unit, one = splat(_INT16_ONE), splat(_ONE)
+    unit = splat(_INT16_ONE)
+    one = splat(_ONE)
     total = _rounded(D * unit) * (W_k - one) + _truncated(d * unit)
     return _truncated(total / W_k) * splat(_INT16_ULP)
 
@@ -361,7 +380,8 @@ def _rounded(x):
 @njit(cache=True, error_model="numpy")
 def _truncated(x):
     """Lanes of less than 2^22 in size, rounded towards zero."""
-    zero, one = splat(_ZERO), splat(_ONE)
+    zero = splat(_ZERO)
+    one = splat(_ONE)
     whole = _rounded(x)
     whole = select((x > zero) & (whole > x), whole - one, whole)
     return select((x < zero) & (whole < x), whole + one, whole)
@@ -372,7 +392,8 @@ def _average_bytes(C, at, step, colour):
     """Move the colours of sixteen voxels by ``step`` towards 8-bit ones; ``at``: where those of the
     block begin."""
     grey_level = splat(_ONE / _GREY_LEVELS)
-    green_at, blue_at = at + VOXELS_PER_BLOCK, at + 2 * VOXELS_PER_BLOCK
+    green_at = at + VOXELS_PER_BLOCK
+    blue_at = at + 2 * VOXELS_PER_BLOCK
     store(C, at, load(C, at) + step * (first_byte(colour) * grey_level - load(C, at)))
     store(
         C,
@@ -388,9 +409,11 @@ def _average_bytes(C, at, step, colour):
 def _average_floats(C, at, step, rgb, pixel, observed):
     """The same towards the colours of pixels in a float32 image."""
     zero = splat(_ZERO)
-    green_at, blue_at = at + VOXELS_PER_BLOCK, at + 2 * VOXELS_PER_BLOCK
+    green_at = at + VOXELS_PER_BLOCK
+    blue_at = at + 2 * VOXELS_PER_BLOCK
     red = pixel * splat_int(int32(3))
-    green, blue = red + splat_int(int32(1)), red + splat_int(int32(2))
+    green = red + splat_int(int32(1))
+    blue = red + splat_int(int32(2))
     store(C, at, load(C, at) + step * (gather(rgb, red, observed, zero) - load(C, at)))
     store(
         C,
@@ -419,7 +442,9 @@ def _colour_weight(sdf, inv_z, W_rgb, inv_band, by_distance, falling):
 @njit(inline="always")
 def _corner(coords, row, side, T_CW, K):
     """A block's corner in the camera frame, times K: (u z, v z, z), each in all lanes."""
-    x, y, z = coords[row, 0] * side, coords[row, 1] * side, coords[row, 2] * side
+    x = coords[row, 0] * side
+    y = coords[row, 1] * side
+    z = coords[row, 2] * side
     X = T_CW[0, 0] * x + T_CW[0, 1] * y + T_CW[0, 2] * z + T_CW[0, 3]
     Y = T_CW[1, 0] * x + T_CW[1, 1] * y + T_CW[1, 2] * z + T_CW[1, 3]
     Z = T_CW[2, 0] * x + T_CW[2, 1] * y + T_CW[2, 2] * z + T_CW[2, 3]
@@ -443,10 +468,8 @@ def _place(corner, offset, o, end_u, end_v):
     one = splat(_ONE)
     away = corner[2] + load(offset, _Z + o)
     inv_z = one / away
-    u, v = (
-        times(corner[0] + load(offset, _U + o), inv_z),
-        times(corner[1] + load(offset, _V + o), inv_z),
-    )
+    u = times(corner[0] + load(offset, _U + o), inv_z)
+    v = times(corner[1] + load(offset, _V + o), inv_z)
     inside = (u >= one) & (u < end_u) & (v >= one) & (v < end_v) & (away >= splat(_EPS))
     return inside, inv_z, away, u, v
 
@@ -454,8 +477,10 @@ def _place(corner, offset, o, end_u, end_v):
 @njit(inline="always")
 def _update(D, W, at, sdf, observed, inv_truncation, most, average):
     """The running average of sixteen voxels, Eq. 7 to 9. Returns the share of the new value."""
-    zero, one = splat(_ZERO), splat(_ONE)
-    W_old, D_old = load(W, at), load(D, at)
+    zero = splat(_ZERO)
+    one = splat(_ONE)
+    W_old = load(W, at)
+    D_old = load(D, at)
     W_new = select(observed, minimum(W_old + one, most), W_old)  # Eq. 8
     step = select(observed, one / W_new, zero)
     d = maximum(minimum(times(sdf, inv_truncation), one), zero - one)  # Eq. 7
@@ -491,30 +516,37 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
 
     A task takes every n-th block, so that tasks cost about the same wherever the hidden blocks are.
     """
-    coords, D, W, C, W_rgb = voxels.coords, voxels.D, voxels.W, voxels.rgb, voxels.W_rgb
-    (T_CW, K), (packed, rgb) = view, image
+    coords = voxels.coords
+    D = voxels.D
+    W = voxels.W
+    C = voxels.rgb
+    W_rgb = voxels.W_rgb
+    T_CW, K = view
+    packed, rgb = image
     along_ray, average, weighs_colours, by_distance, falling = method
     inv_band_width = f32(1.0 / limits.colour_band) if limits.colour_band > 0.0 else _ZERO
     offset = _offsets(T_CW, K, limits.voxel_size)
     height, width = size
     n_tasks = updated.shape[0]
-    side, truncation, max_weight = (
-        BLOCK_VOXELS * limits.voxel_size,
-        limits.truncation,
-        limits.max_weight,
-    )
+    side = BLOCK_VOXELS * limits.voxel_size
+    truncation = limits.truncation
+    max_weight = limits.max_weight
     for task in prange(n_tasks):
-        zero, one, missing = splat(_ZERO), splat(_ONE), splat(MISSING)
-        end_u, end_v = splat(f32(width + 1)), splat(f32(height + 1))
-        stride, first_pixel = splat_int(np.int32(width)), splat_int(np.int32(width + 1))
-        behind, inv_truncation = splat(f32(-truncation)), splat(f32(1.0 / truncation))
-        most, inv_band = splat(f32(max_weight)), splat(inv_band_width)
-        fx, fy, cx, cy = (
-            splat(f32(1.0 / K[0, 0])),
-            splat(f32(1.0 / K[1, 1])),
-            splat(f32(K[0, 2])),
-            splat(f32(K[1, 2])),
-        )
+        zero = splat(_ZERO)
+        one = splat(_ONE)
+        missing = splat(MISSING)
+        end_u = splat(f32(width + 1))
+        end_v = splat(f32(height + 1))
+        stride = splat_int(np.int32(width))
+        first_pixel = splat_int(np.int32(width + 1))
+        behind = splat(f32(-truncation))
+        inv_truncation = splat(f32(1.0 / truncation))
+        most = splat(f32(max_weight))
+        inv_band = splat(inv_band_width)
+        fx = splat(f32(1.0 / K[0, 0]))
+        fy = splat(f32(1.0 / K[1, 1]))
+        cx = splat(f32(K[0, 2]))
+        cy = splat(f32(K[1, 2]))
         count = 0
         for r in range(task, len(rows), n_tasks):
             row = rows[r]

@@ -25,7 +25,8 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     """See ``gsfusion_nb.tsdf.extract_mesh``. The host waits once, for the size of the mesh."""
     device = device_of("extract_mesh", volume.D)
     check_dtype("extract_mesh", torch.float32, volume=volume.D)
-    B, coords = volume.n_blocks, volume.block_coords
+    B = volume.n_blocks
+    coords = volume.block_coords
     field = {
         "D": volume.D,
         "W": volume.W,
@@ -52,7 +53,8 @@ def extract_mesh(volume: TsdfVolume, *, min_weight: float = 1.0) -> Mesh:
     vertices, rgb = (torch.empty(V, 3, dtype=torch.float32, device=device) for _ in range(2))
     faces = torch.empty(F, 3, dtype=torch.int64, device=device)
     if F:
-        edges, voxel_size_m = {"words": words, "before": before}, volume.config.voxel_size_m
+        edges = {"words": words, "before": before}
+        voxel_size_m = volume.config.voxel_size_m
         launch(
             "extract_mesh",
             "marching_cubes:emit_vertices",

@@ -8,14 +8,17 @@ from gsfusion_nb.backends import load
 from ..runtime.arguments import packed, parts
 from ..runtime.cuda.launch import device_of, launch
 
-_BLOCK, _MOST = 128, 8
+_BLOCK = 128
+_MOST = 8
 """As in ``neighbours.cu``."""
 
 
 def k_nearest(xyz_W: Tensor, others_W: Tensor, k: int) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.seeding.points.k_nearest``; more than 8 neighbours are left to the
     reference."""
-    device, (M, N) = device_of("k_nearest", xyz_W), (len(xyz_W), len(others_W))
+    device = device_of("k_nearest", xyz_W)
+    M = len(xyz_W)
+    N = len(others_W)
     if xyz_W.dtype != torch.float32 or k > _MOST:
         return load("k_nearest", "reference")(xyz_W, others_W, k)
     distance, row = (

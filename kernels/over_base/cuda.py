@@ -106,8 +106,6 @@ def render_over_base_vjp(
     """
     name = "render_over_base_vjp"
     device_of(name, v_rgb)
-    given, centres = (
-        (saved.surface, saved.image | {"v_rgb": packed(v_rgb.float())}),
-        {"v_uv": v_uv, "v_uv_abs": v_uv_abs},
-    )
+    given = (saved.surface, saved.image | {"v_rgb": packed(v_rgb.float())})
+    centres = {"v_uv": v_uv, "v_uv_abs": v_uv_abs}
     return gradients_of(name, "over_base:over_base_backward", saved, *given, rows=rows, **centres)

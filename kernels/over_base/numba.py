@@ -123,7 +123,8 @@ def list_bands(splats, start, height):
                 offset[band + 1] += 1
     for band in range(n_bands):
         offset[band + 1] += offset[band]
-    ids, cursor = np.empty(offset[n_bands], np.int32), offset[:-1].copy()
+    ids = np.empty(offset[n_bands], np.int32)
+    cursor = offset[:-1].copy()
     for i in range(splats.shape[0]):
         if start[i] < start[i + 1]:
             first, end = row_range(splats[i], 0, height)
@@ -154,7 +155,9 @@ def _blend_band(band, splats, lists, base, behind, image):
     """Fill the rows of one band."""
     height, width = image.weight.shape
     stride = stride_of(width)
-    plane, y0, y1 = BAND * stride, band * BAND, min(height, band * BAND + BAND)
+    plane = BAND * stride
+    y0 = band * BAND
+    y1 = min(height, band * BAND + BAND)
     state = zeros(6 * plane)
     for y in range(y0, y1):
         at = _LIMIT * plane + (y - y0) * stride
@@ -175,7 +178,10 @@ def _add(state, s, place, layout):
     plane, stride = layout
     first, end = row_range(s, y0, y1)
     left, right = column_range(s, width)
-    red, green, blue, z = splat(s[RED]), splat(s[GREEN]), splat(s[BLUE]), splat(s[DEPTH])
+    red = splat(s[RED])
+    green = splat(s[GREEN])
+    blue = splat(s[BLUE])
+    z = splat(s[DEPTH])
     for x in range(left, right, LANES):
         _, q0, q1 = across(s, x)
         for y in range(first, end):
@@ -196,7 +202,9 @@ def _add(state, s, place, layout):
 def _write_row(state, o, plane, y, base, image):
     """One row of the picture from the sums that begin at ``o``."""
     for x in range(image.weight.shape[1]):
-        W, b, D = state[_WEIGHT * plane + o + x], base.weight[y, x], base.depth[y, x]
+        W = state[_WEIGHT * plane + o + x]
+        b = base.weight[y, x]
+        D = base.depth[y, x]
         image.weight[y, x] = W
         total = ONE / (b + W) if b + W > ZERO else ZERO
         image.rgb[y, x, 0] = (b * base.rgb[y, x, 0] + state[o + x]) * total
@@ -223,9 +231,12 @@ def gradient_planes(image, base, behind, v_rgb, planes):
     for y in prange(height):
         planes[:, y, width:] = ZERO
         for x in range(width):
-            total, D = base.weight[y, x] + image.weight[y, x], base.depth[y, x]
+            total = base.weight[y, x] + image.weight[y, x]
+            D = base.depth[y, x]
             per = ONE / total if total > ZERO else ZERO
-            red, green, blue = v_rgb[y, x, 0] * per, v_rgb[y, x, 1] * per, v_rgb[y, x, 2] * per
+            red = v_rgb[y, x, 0] * per
+            green = v_rgb[y, x, 1] * per
+            blue = v_rgb[y, x, 2] * per
             planes[Q_RED, y, x] = red
             planes[Q_GREEN, y, x] = green
             planes[Q_BLUE, y, x] = blue
@@ -265,12 +276,21 @@ def _add_up(s, planes, height, width, out, abs_sums, m):
     left, right = column_range(s, width)
     stride = stride_of(width)
     plane = height * stride
-    red, green, blue, z = splat(s[RED]), splat(s[GREEN]), splat(s[BLUE]), splat(s[DEPTH])
+    red = splat(s[RED])
+    green = splat(s[GREEN])
+    blue = splat(s[BLUE])
+    z = splat(s[DEPTH])
     zero = splat(ZERO)
     for x in range(left, right, LANES):
         dx, q0, q1 = across(s, x)
-        sum_g, sum_gy, sum_gyy, sum_r, sum_gr, sum_b = zero, zero, zero, zero, zero, zero
-        minus_u, minus_v = zero, zero
+        sum_g = zero
+        sum_gy = zero
+        sum_gyy = zero
+        sum_r = zero
+        sum_gr = zero
+        sum_b = zero
+        minus_u = zero
+        minus_v = zero
         for y in range(first, end):
             dy = f32(y) + HALF - s[V]
             log_alpha, seen = row_exponent(s, q0, q1, dy)
@@ -280,13 +300,18 @@ def _add_up(s, planes, height, width, out, abs_sums, m):
                 continue
             raw = exp(log_alpha)
             w = select(seen, minimum(raw, splat(CEILING)), zero)
-            q_r, q_g = load(planes, o), load(planes, Q_GREEN * plane + o)
+            q_r = load(planes, o)
+            q_g = load(planes, Q_GREEN * plane + o)
             q_b = load(planes, Q_BLUE * plane + o)
             v_w = red * q_r + green * q_g + blue * q_b + load(planes, MINUS_QC * plane + o)
             g = select(seen & (raw < splat(CEILING)), v_w * w, zero)
             gy = g * splat(dy)
-            sum_g, sum_gy, sum_gyy = sum_g + g, sum_gy + gy, sum_gyy + gy * splat(dy)
-            sum_r, sum_gr, sum_b = sum_r + w * q_r, sum_gr + w * q_g, sum_b + w * q_b
+            sum_g = sum_g + g
+            sum_gy = sum_gy + gy
+            sum_gyy = sum_gyy + gy * splat(dy)
+            sum_r = sum_r + w * q_r
+            sum_gr = sum_gr + w * q_g
+            sum_b = sum_b + w * q_b
             if abs_sums is not None:
                 minus_u = minus_u + negative_abs(
                     g * (splat(s[CONIC_A]) * dx + splat(s[CONIC_B] * dy))
@@ -335,7 +360,9 @@ def render_over_base(
 ) -> tuple[OverBaseOutput, Any]:
     """See ``gsfusion_nb.render.render_over_base``."""
     cam = pack_camera(camera, T_WC)
-    N, H, W = len(params), camera.height, camera.width
+    N = len(params)
+    H = camera.height
+    W = camera.width
     rgb, depth_m, weight = (torch.empty(H, W, *n) for n in ((3,), (), ()))
     image = Blended(rgb.numpy(), depth_m.numpy(), weight.numpy())
     with launching():
@@ -369,7 +396,8 @@ def render_over_base_vjp(
     """See ``gsfusion_nb.render.render_over_base_vjp``."""
     trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
     H, W = saved.image.weight.shape
-    drawn, stride = np.flatnonzero(np.diff(saved.start)).astype(np.int32), stride_of(W)
+    drawn = np.flatnonzero(np.diff(saved.start)).astype(np.int32)
+    stride = stride_of(W)
     with launching():
         planes = scratch("base_planes", PLANES * H * stride)
         sums = scratch("splat_sums", len(drawn) * pair.PAIR_SUMS).reshape(-1, pair.PAIR_SUMS)

@@ -10,7 +10,8 @@ from gsfusion_nb.optim.losses import PictureLoss
 from ..runtime.arguments import packed, parts
 from ..runtime.cuda.launch import device_of, launch
 
-_BLOCK, _PER_THREAD = 256, 16
+_BLOCK = 256
+_PER_THREAD = 16
 """As in ``picture_loss.cu``."""
 
 
@@ -33,7 +34,8 @@ def _loss(
 ) -> PictureLoss:
     if rgb.dtype != torch.float32 or not 0 < rgb.numel() < 1 << 31:
         return load(name, "reference")(rgb, target)
-    total, device = rgb.numel(), device_of(name, rgb)
+    total = rgb.numel()
+    device = device_of(name, rgb)
     blocks = parts(total, _BLOCK * _PER_THREAD)
     v_rgb = torch.empty(rgb.shape, dtype=torch.float32, device=device)
     partial = torch.empty(blocks, 2, dtype=torch.float64, device=device)

@@ -52,7 +52,8 @@ def _pass(rgb, target, v_rgb, scale, squared):
 @njit(cache=True, error_model="numpy", fastmath={"reassoc"})
 def _row(rgb, target, v_rgb, scale, sums):
     """The gradient of a row of absolute differences, and its sums."""
-    absolute, square = f32(0.0), f32(0.0)
+    absolute = f32(0.0)
+    square = f32(0.0)
     for i in range(len(rgb)):
         gap = rgb[i] - target[i]
         absolute += abs(gap)
@@ -66,7 +67,8 @@ def _row(rgb, target, v_rgb, scale, sums):
 @njit(cache=True, error_model="numpy", fastmath={"reassoc"})
 def _squared_row(rgb, target, v_rgb, scale, sums):
     """The same for squared differences."""
-    value, square = f32(0.0), f32(0.0)
+    value = f32(0.0)
+    square = f32(0.0)
     for i in range(len(rgb)):
         gap = rgb[i] - target[i]
         value += gap * gap

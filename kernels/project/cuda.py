@@ -18,13 +18,12 @@ _BLOCK = 128
 def project_rows(params: GaussianParams, camera: Camera, T_WC: Tensor) -> tuple[Tensor, Tensor]:
     """Splats [N, SPLAT], written only for rows that are drawn, and depths [N], infinite for the
     others."""
-    N, device = len(params), T_WC.device
+    N = len(params)
+    device = T_WC.device
     splats = torch.empty(N, SPLAT, dtype=torch.float32, device=device)
     depth = torch.empty(N, dtype=torch.float32, device=device)
-    given, size = (
-        (_arrays(params) | {"pose": T_WC}, projection_lens(camera)),
-        (camera.width, camera.height),
-    )
+    given = (_arrays(params) | {"pose": T_WC}, projection_lens(camera))
+    size = (camera.width, camera.height)
     kernel = f"project:project_{params.sh.shape[1]}"
     launch("render_forward", kernel, parts(N, _BLOCK), _BLOCK, *given, splats, depth, N, *size)
     return splats, depth
@@ -50,9 +49,15 @@ def gradients_of(
         given: Further structs for it, the last one with dL/d of the picture.
         rows, v_uv, v_uv_abs: As for ``render_vjp``.
     """
-    params, splats, depth, trained = saved.params, saved.splats, saved.depth, as_bytes(rows)
-    N, arrays, device = len(params), _arrays(params), splats.device
-    sums, tiles = torch.zeros(N, SPLAT, dtype=torch.float32, device=device), saved.lists.n_tiles
+    params = saved.params
+    splats = saved.splats
+    depth = saved.depth
+    trained = as_bytes(rows)
+    N = len(params)
+    arrays = _arrays(params)
+    device = splats.device
+    sums = torch.zeros(N, SPLAT, dtype=torch.float32, device=device)
+    tiles = saved.lists.n_tiles
     if v_uv_abs is None:
         launch(operation, kernel, tiles, _BLOCK, saved.work, *given, trained, sums)
     else:
@@ -63,7 +68,8 @@ def gradients_of(
         v_uv_abs.copy_(abs_sums)
     if v_uv is not None:
         A, B, C = (splats[:, column] for column in (CONIC_A, CONIC_B, CONIC_C))
-        g_x, g_y = sums[:, SUM_GX], sums[:, SUM_GY]
+        g_x = sums[:, SUM_GX]
+        g_y = sums[:, SUM_GY]
         drawn = depth.isfinite() if rows is None else depth.isfinite() & rows
         v_uv.copy_(
             torch.where(
@@ -71,7 +77,8 @@ def gradients_of(
             )
         )
     out = {name: torch.empty_like(array) for name, array in arrays.items()}
-    view, blocks = (arrays | {"pose": saved.T_WC}, projection_lens(saved.camera)), parts(N, _BLOCK)
+    view = (arrays | {"pose": saved.T_WC}, projection_lens(saved.camera))
+    blocks = parts(N, _BLOCK)
     kernel = f"project:project_vjp_{params.sh.shape[1]}"
     launch(operation, kernel, blocks, _BLOCK, *view, splats, depth, sums, trained, out, N)
     return GaussianParams(**out)

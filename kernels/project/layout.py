@@ -66,10 +66,8 @@ def arrays_of(params: GaussianParams) -> Params:
 def pack_camera(camera: Camera, T_WC: Tensor) -> np.ndarray:
     """The camera and its pose as one float32 array, in the order of the constants above."""
     T = T_WC.detach().double()
-    T_CW, tail = (
-        se3.inverse(T).numpy(),
-        [*projection_lens(camera).values(), camera.width, camera.height],
-    )
+    T_CW = se3.inverse(T).numpy()
+    tail = [*projection_lens(camera).values(), camera.width, camera.height]
     return np.concatenate([T_CW[:3, :3].ravel(), T_CW[:3, 3], T[:3, 3].numpy(), tail]).astype(
         np.float32
     )

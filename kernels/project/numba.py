@@ -30,12 +30,16 @@ f32 = np.float32
 _SMALL = f32(1e-12)
 _NEAR = f32(NEAR_PLANE_M)
 _BLUR = f32(SCREEN_BLUR_PX2)
-_FARTHEST, _INFINITE = f32(FARTHEST_PX), f32(np.inf)
+_FARTHEST = f32(FARTHEST_PX)
+_INFINITE = f32(np.inf)
 _ALPHA_MIN = f32(ALPHA_MIN)
 _LOG_ALPHA_MIN = f32(math.log(ALPHA_MIN))
 _BEYOND = f32(1.01 * math.sqrt(-2.0 * math.log(ALPHA_MIN)))
 """Standard deviations at which the most opaque splat is below 1/255, and a little for rounding."""
-_HALF, _ONE, _TWO, _ZERO = f32(0.5), f32(1.0), f32(2.0), f32(0.0)
+_HALF = f32(0.5)
+_ONE = f32(1.0)
+_TWO = f32(2.0)
+_ZERO = f32(0.0)
 
 CHUNK = 256
 """Rows that one thread takes at a time."""
@@ -57,7 +61,9 @@ def camera_point(cam, X, Y, Z):
 @njit(inline="always")
 def direction(cam, X, Y, Z):
     """Unit vector from the camera's centre to a point of the world, and 1 / its distance."""
-    dx, dy, dz = X - cam[col.CENTRE_X], Y - cam[col.CENTRE_Y], Z - cam[col.CENTRE_Z]
+    dx = X - cam[col.CENTRE_X]
+    dy = Y - cam[col.CENTRE_Y]
+    dz = Z - cam[col.CENTRE_Z]
     inv = _ONE / max(math.sqrt(dx * dx + dy * dy + dz * dz), _SMALL)
     return dx * inv, dy * inv, dz * inv, inv
 
@@ -66,7 +72,10 @@ def direction(cam, X, Y, Z):
 def rotation(q):
     """|q| and the entries of R(q / |q|), row by row."""
     norm = max(math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), _SMALL)
-    w, x, y, z = q[0] / norm, q[1] / norm, q[2] / norm, q[3] / norm
+    w = q[0] / norm
+    x = q[1] / norm
+    y = q[2] / norm
+    z = q[3] / norm
     return (
         norm,
         _ONE - _TWO * (y * y + z * z),
@@ -96,13 +105,11 @@ def _band(splat, y_first, y_last):
     largest value in the band is at the rightmost point's dy clamped to the band; the left edge
     likewise.
     """
-    u, v, A, B, C = (
-        splat[col.U],
-        splat[col.V],
-        splat[col.CONIC_A],
-        splat[col.CONIC_B],
-        splat[col.CONIC_C],
-    )
+    u = splat[col.U]
+    v = splat[col.V]
+    A = splat[col.CONIC_A]
+    B = splat[col.CONIC_B]
+    C = splat[col.CONIC_C]
     slack = f32(2e-3)  # for rounding: more entries, the same picture
     reach = _TWO * (splat[col.LN_OPACITY] - _LOG_ALPHA_MIN) + slack
     low = max(f32(y_first) + _HALF - v, -splat[col.EXTENT_V])
@@ -133,7 +140,8 @@ def tiles_of(splat, width, height, windows, tiles, start, room):
         left, right = _band(
             splat, max(y_first, ty * pair.TILE), min(y_last, ty * pair.TILE + pair.TILE - 1)
         )
-        left, right = max(left, 0), min(right, width - 1)
+        left = max(left, 0)
+        right = min(right, width - 1)
         if left > right:
             continue
         for tx in range(left // pair.TILE, right // pair.TILE + 1):
@@ -157,7 +165,8 @@ def centre_vjp(splats, start, trained, pair_sums, v_uv):
     """
     all_trained = trained.shape[0] == 0
     for i in range(v_uv.shape[0]):
-        g_x, g_y = np.float32(0.0), np.float32(0.0)
+        g_x = np.float32(0.0)
+        g_y = np.float32(0.0)
         v_uv[i] = g_x
         if start[i] == start[i + 1] or not (all_trained or trained[i]):
             continue
@@ -175,7 +184,8 @@ def row_sums(start, trained, abs_sums, v_uv_abs):
     ``abs_sums``: over those of each tile, from ``composite_backward``."""
     all_trained = trained.shape[0] == 0
     for i in range(v_uv_abs.shape[0]):
-        u, v = np.float32(0.0), np.float32(0.0)
+        u = np.float32(0.0)
+        v = np.float32(0.0)
         if all_trained or trained[i]:
             for slot in range(start[i], start[i + 1]):
                 u += abs_sums[slot, 0]
@@ -189,7 +199,8 @@ def project(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """``splats``, ``count`` and ``noted`` of ``project_rows``; only inside ``launching``."""
     N = len(params)
-    splats, count = np.empty((N, col.SPLAT), np.float32), np.empty(N, np.int32)
+    splats = np.empty((N, col.SPLAT), np.float32)
+    count = np.empty(N, np.int32)
     noted = scratch("noted_tiles", -(-N // CHUNK) * NOTED_PER_CHUNK).view(np.int32)
     project_rows(arrays_of(params), cam, wanted, splats, count, noted)
     return splats, count, noted
@@ -245,23 +256,24 @@ def project_rows(params, cam, wanted, splats, count, noted):
     noted: for each chunk ``NOTED_PER_CHUNK`` numbers, the tiles of its rows one after another, as
     far as they fit.
     """
-    xyz, log_scale, quat, logit, sh = (
-        params.xyz,
-        params.log_scale,
-        params.quat,
-        params.logit,
-        params.sh,
-    )
-    windows, sums = wanted.windows, wanted.sums
+    xyz = params.xyz
+    log_scale = params.log_scale
+    quat = params.quat
+    logit = params.logit
+    sh = params.sh
+    windows = wanted.windows
+    sums = wanted.sums
     N = sh.shape[0]
-    width, height = int(cam[col.WIDTH]), int(cam[col.HEIGHT])
+    width = int(cam[col.WIDTH])
+    height = int(cam[col.HEIGHT])
     n_parts = (N + CHUNK - 1) // CHUNK
     for k_part in prange(cyclic_size(n_parts)):
         part = cyclic_task(k_part, n_parts)
         if part >= n_parts:
             continue
         basis = np.empty(16, np.float32)
-        first, end = part * CHUNK, min(N, part * CHUNK + CHUNK)
+        first = part * CHUNK
+        end = min(N, part * CHUNK + CHUNK)
         count[first:end] = 0
         candidates = np.empty(CHUNK, np.int32)
         n_noted = 0
@@ -276,7 +288,8 @@ def project_rows(params, cam, wanted, splats, count, noted):
             s[col.LN_OPACITY] = math.log(opacity)
             if not _project(cam, x, y, z, log_scale[i], quat[i], s):
                 continue
-            at, room = part * NOTED_PER_CHUNK + n_noted, NOTED_PER_CHUNK - n_noted
+            at = part * NOTED_PER_CHUNK + n_noted
+            room = NOTED_PER_CHUNK - n_noted
             count[i] = tiles_of(s, width, height, windows, noted, at, room)
             if count[i] == 0:
                 continue
@@ -295,31 +308,36 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
     (``binning.tile_windows``). There is no branch: which rows pass is random to the processor, and
     a wrong guess costs as much as the test.
     """
-    fx, fy = cam[col.FX], cam[col.FY]
-    width, height = int(cam[col.WIDTH]), int(cam[col.HEIGHT])
+    fx = cam[col.FX]
+    fy = cam[col.FY]
+    width = int(cam[col.WIDTH])
+    height = int(cam[col.HEIGHT])
     far = f32(1e6)  # keeps the conversion to int defined
     n = 0
     for i in range(first, end):
-        X, Y, Z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
+        X = xyz[i, 0]
+        Y = xyz[i, 1]
+        Z = xyz[i, 2]
         x, y, z = camera_point(cam, X, Y, Z)
         inv_z = _ONE / max(z, _NEAR)
-        x, y = x * inv_z, y * inv_z
-        tx, ty = clamp(x, cam[col.LIMIT_X]), clamp(y, cam[col.LIMIT_Y])
-        u, v = fx * x + cam[col.CX], fy * y + cam[col.CY]
+        x = x * inv_z
+        y = y * inv_z
+        tx = clamp(x, cam[col.LIMIT_X])
+        ty = clamp(y, cam[col.LIMIT_Y])
+        u = fx * x + cam[col.CX]
+        v = fy * y + cam[col.CY]
         # the rows of J are fx/z sqrt(1 + tx^2) and fy/z sqrt(1 + ty^2) long
         size = math.exp(max(log_scale[i, 0], log_scale[i, 1], log_scale[i, 2])) * inv_z
         reach_u = _BEYOND * (fx * size * math.sqrt(_ONE + tx * tx) + _ONE)
         reach_v = _BEYOND * (fy * size * math.sqrt(_ONE + ty * ty) + _ONE)
-        left, right = int(max(u - reach_u, -far)), int(min(u + reach_u, far))
-        top, bottom = int(max(v - reach_v, -far)), int(min(v + reach_v, far))
-        x0, x1 = (
-            min(max(left, 0), width) // pair.TILE,
-            (min(max(right, -1), width - 1) + pair.TILE) // pair.TILE,
-        )
-        y0, y1 = (
-            min(max(top, 0), height) // pair.TILE,
-            (min(max(bottom, -1), height - 1) + pair.TILE) // pair.TILE,
-        )
+        left = int(max(u - reach_u, -far))
+        right = int(min(u + reach_u, far))
+        top = int(max(v - reach_v, -far))
+        bottom = int(min(v + reach_v, far))
+        x0 = min(max(left, 0), width) // pair.TILE
+        x1 = (min(max(right, -1), width - 1) + pair.TILE) // pair.TILE
+        y0 = min(max(top, 0), height) // pair.TILE
+        y1 = (min(max(bottom, -1), height - 1) + pair.TILE) // pair.TILE
         tiles = sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]
         found[n] = i
         n += int((z > _NEAR) & (tiles > 0))
@@ -331,22 +349,35 @@ def _project(cam, x, y, z, log_scale, quat, s):
     """Centre, conic and extent of a Gaussian at (x, y, z) in the camera frame; whether they are
     within limits."""
     inv_z = _ONE / z
-    u, v = cam[col.FX] * x * inv_z + cam[col.CX], cam[col.FY] * y * inv_z + cam[col.CY]
-    tx, ty = clamp(x * inv_z, cam[col.LIMIT_X]), clamp(y * inv_z, cam[col.LIMIT_Y])
-    a, b = cam[col.FX] * inv_z, cam[col.FY] * inv_z
+    u = cam[col.FX] * x * inv_z + cam[col.CX]
+    v = cam[col.FY] * y * inv_z + cam[col.CY]
+    tx = clamp(x * inv_z, cam[col.LIMIT_X])
+    ty = clamp(y * inv_z, cam[col.LIMIT_Y])
+    a = cam[col.FX] * inv_z
+    b = cam[col.FY] * inv_z
     _, r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(quat)
-    s0, s1, s2 = math.exp(log_scale[0]), math.exp(log_scale[1]), math.exp(log_scale[2])
+    s0 = math.exp(log_scale[0])
+    s1 = math.exp(log_scale[1])
+    s2 = math.exp(log_scale[2])
     # rows of J R_CW, then times each column of R_q S
-    jx0, jy0 = a * (cam[col.R00] - tx * cam[col.R20]), b * (cam[col.R10] - ty * cam[col.R20])
-    jx1, jy1 = a * (cam[col.R01] - tx * cam[col.R21]), b * (cam[col.R11] - ty * cam[col.R21])
-    jx2, jy2 = a * (cam[col.R02] - tx * cam[col.R22]), b * (cam[col.R12] - ty * cam[col.R22])
-    mu0, mv0 = (jx0 * r00 + jx1 * r10 + jx2 * r20) * s0, (jy0 * r00 + jy1 * r10 + jy2 * r20) * s0
-    mu1, mv1 = (jx0 * r01 + jx1 * r11 + jx2 * r21) * s1, (jy0 * r01 + jy1 * r11 + jy2 * r21) * s1
-    mu2, mv2 = (jx0 * r02 + jx1 * r12 + jx2 * r22) * s2, (jy0 * r02 + jy1 * r12 + jy2 * r22) * s2
+    jx0 = a * (cam[col.R00] - tx * cam[col.R20])
+    jy0 = b * (cam[col.R10] - ty * cam[col.R20])
+    jx1 = a * (cam[col.R01] - tx * cam[col.R21])
+    jy1 = b * (cam[col.R11] - ty * cam[col.R21])
+    jx2 = a * (cam[col.R02] - tx * cam[col.R22])
+    jy2 = b * (cam[col.R12] - ty * cam[col.R22])
+    mu0 = (jx0 * r00 + jx1 * r10 + jx2 * r20) * s0
+    mv0 = (jy0 * r00 + jy1 * r10 + jy2 * r20) * s0
+    mu1 = (jx0 * r01 + jx1 * r11 + jx2 * r21) * s1
+    mv1 = (jy0 * r01 + jy1 * r11 + jy2 * r21) * s1
+    mu2 = (jx0 * r02 + jx1 * r12 + jx2 * r22) * s2
+    mv2 = (jy0 * r02 + jy1 * r12 + jy2 * r22) * s2
     uu = mu0 * mu0 + mu1 * mu1 + mu2 * mu2
     vv = mv0 * mv0 + mv1 * mv1 + mv2 * mv2
     uv = mu0 * mv0 + mu1 * mv1 + mu2 * mv2
-    c0, c1, c2 = mu1 * mv2 - mu2 * mv1, mu2 * mv0 - mu0 * mv2, mu0 * mv1 - mu1 * mv0
+    c0 = mu1 * mv2 - mu2 * mv1
+    c1 = mu2 * mv0 - mu0 * mv2
+    c2 = mu0 * mv1 - mu1 * mv0
     cross2 = c0 * c0 + c1 * c1 + c2 * c2
     inv_det = _ONE / (cross2 + _BLUR * (uu + vv) + _BLUR * _BLUR)
     s[col.U] = u
@@ -367,7 +398,9 @@ def _colour(cam, xyz, sh, basis, s):
     K = sh.shape[0]
     dx, dy, dz, _ = direction(cam, xyz[0], xyz[1], xyz[2])
     basis_into(dx, dy, dz, K, basis)
-    red, green, blue = _HALF, _HALF, _HALF
+    red = _HALF
+    green = _HALF
+    blue = _HALF
     for k in range(K):
         red += basis[k] * sh[k, 0]
         green += basis[k] * sh[k, 1]
@@ -386,9 +419,15 @@ def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
     Rows that are not ``trained`` get zero and their pair sums are not read; an empty array stands
     for all rows.
     """
-    xyz, log_scale, quat, sh = params.xyz, params.log_scale, params.quat, params.sh
-    v_xyz, v_log_scale, v_quat = v_params.xyz, v_params.log_scale, v_params.quat
-    v_logit, v_sh = v_params.logit, v_params.sh
+    xyz = params.xyz
+    log_scale = params.log_scale
+    quat = params.quat
+    sh = params.sh
+    v_xyz = v_params.xyz
+    v_log_scale = v_params.log_scale
+    v_quat = v_params.quat
+    v_logit = v_params.logit
+    v_sh = v_params.sh
     all_trained = trained.shape[0] == 0
     N = sh.shape[0]
     n_parts = (N + CHUNK - 1) // CHUNK
@@ -397,7 +436,8 @@ def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
         if part >= n_parts:
             continue
         total = np.empty(pair.PAIR_SUMS, np.float32)
-        basis, w = np.empty(16, np.float32), np.empty(16, np.float32)
+        basis = np.empty(16, np.float32)
+        w = np.empty(16, np.float32)
         for i in range(part * CHUNK, min(N, part * CHUNK + CHUNK)):
             if start[i] == start[i + 1] or not (all_trained or trained[i]):
                 v_xyz[i] = _ZERO
@@ -428,10 +468,14 @@ def _project_vjp(cam, s, total, row, v_xyz, v_log_scale, v_quat):
     v_v = s[col.CONIC_B] * total[pair.SUM_GX] + s[col.CONIC_C] * total[pair.SUM_GY]
     x, y, _ = camera_point(cam, xyz[0], xyz[1], xyz[2])
     inv_z = _ONE / s[col.DEPTH]
-    x_z, y_z = x * inv_z, y * inv_z
-    tx, ty = clamp(x_z, cam[col.LIMIT_X]), clamp(y_z, cam[col.LIMIT_Y])
+    x_z = x * inv_z
+    y_z = y * inv_z
+    tx = clamp(x_z, cam[col.LIMIT_X])
+    ty = clamp(y_z, cam[col.LIMIT_Y])
     norm, r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(quat)
-    s0, s1, s2 = math.exp(log_scale[0]), math.exp(log_scale[1]), math.exp(log_scale[2])
+    s0 = math.exp(log_scale[0])
+    s1 = math.exp(log_scale[1])
+    s2 = math.exp(log_scale[2])
     lens = (cam[col.FX] * inv_z, cam[col.FY] * inv_z, tx, ty)
     mu0, mv0, z0 = _column(cam, lens, r00, r10, r20, s0)
     mu1, mv1, z1 = _column(cam, lens, r01, r11, r21, s1)
@@ -451,7 +495,8 @@ def _project_vjp(cam, s, total, row, v_xyz, v_log_scale, v_quat):
     v_ty = -lens[1] * (z0 * v_mv0 + z1 * v_mv1 + z2 * v_mv2)
     v_xz = cam[col.FX] * v_u + (v_tx if tx == x_z else _ZERO)
     v_yz = cam[col.FY] * v_v + (v_ty if ty == y_z else _ZERO)
-    d0, d1 = v_xz * inv_z, v_yz * inv_z
+    d0 = v_xz * inv_z
+    d1 = v_yz * inv_z
     d2 = total[pair.SUM_DEPTH] - inv_z * (
         x_z * v_xz + y_z * v_yz + l0 + l1 + l2
     )  # J is as 1/z: m . v_m in all
@@ -477,7 +522,9 @@ def _solved(mu0, mv0, mu1, mv1, mu2, mv2):
     n_j = (sum_k (m_k x m_j) (-m_kv, m_ku) + blur m_j) / det: the term of k = j, which is large for
     a needle, is zero. A mu + B mv, with the conic, would be a difference of large numbers.
     """
-    c0, c1, c2 = mu1 * mv2 - mu2 * mv1, mu2 * mv0 - mu0 * mv2, mu0 * mv1 - mu1 * mv0
+    c0 = mu1 * mv2 - mu2 * mv1
+    c1 = mu2 * mv0 - mu0 * mv2
+    c2 = mu0 * mv1 - mu1 * mv0
     trace = mu0 * mu0 + mu1 * mu1 + mu2 * mu2 + mv0 * mv0 + mv1 * mv1 + mv2 * mv2
     inv_det = _ONE / (c0 * c0 + c1 * c1 + c2 * c2 + _BLUR * trace + _BLUR * _BLUR)
     return (
@@ -502,10 +549,8 @@ def _column_vjp(s, total, n_u, n_v):
     # v_A = -SUM_GXX / 2, v_B = -SUM_GXY (two entries of Q, each half), v_C = -SUM_GYY / 2
     w_u = total[pair.SUM_GXX] * n_u + total[pair.SUM_GXY] * n_v
     w_v = total[pair.SUM_GXY] * n_u + total[pair.SUM_GYY] * n_v
-    v_mu, v_mv = (
-        s[col.CONIC_A] * w_u + s[col.CONIC_B] * w_v,
-        s[col.CONIC_B] * w_u + s[col.CONIC_C] * w_v,
-    )
+    v_mu = s[col.CONIC_A] * w_u + s[col.CONIC_B] * w_v
+    v_mv = s[col.CONIC_B] * w_u + s[col.CONIC_C] * w_v
     return n_u * w_u + n_v * w_v, v_mu, v_mv
 
 
@@ -513,7 +558,8 @@ def _column_vjp(s, total, n_u, n_v):
 def _rotation_column_vjp(cam, lens, v_mu, v_mv, scale):
     """From a column of M to that column of R_q."""
     a, b, tx, ty = lens
-    v_x, v_y = a * v_mu * scale, b * v_mv * scale
+    v_x = a * v_mu * scale
+    v_y = b * v_mv * scale
     v_z = -(tx * v_x + ty * v_y)
     return (
         cam[col.R00] * v_x + cam[col.R10] * v_y + cam[col.R20] * v_z,
@@ -526,7 +572,10 @@ def _rotation_column_vjp(cam, lens, v_mu, v_mv, scale):
 def _quaternion_vjp(quat, norm, v_R, v_quat):
     """From R, row by row, to the unit quaternion, then through its normalisation."""
     g00, g01, g02, g10, g11, g12, g20, g21, g22 = v_R
-    qw, qx, qy, qz = quat[0] / norm, quat[1] / norm, quat[2] / norm, quat[3] / norm
+    qw = quat[0] / norm
+    qx = quat[1] / norm
+    qy = quat[2] / norm
+    qz = quat[3] / norm
     v_w = _TWO * (qx * (g21 - g12) + qy * (g02 - g20) + qz * (g10 - g01))
     v_x = _TWO * (qy * (g01 + g10) + qz * (g02 + g20) + qw * (g21 - g12) - _TWO * qx * (g11 + g22))
     v_y = _TWO * (qx * (g01 + g10) + qz * (g12 + g21) + qw * (g02 - g20) - _TWO * qy * (g00 + g22))

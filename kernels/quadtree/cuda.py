@@ -20,7 +20,8 @@ _PART = 5
 """Numbers of 64 bits that go from level to level for each cell."""
 _ROOT = 3
 """Place of the number of all leaves."""
-_MOST_PIXELS, _MOST_EXTRA_LEVELS = 256, 7
+_MOST_PIXELS = 256
+_MOST_EXTRA_LEVELS = 7
 """A cell larger than this is summed in parts, as long as there are few of those."""
 
 
@@ -35,7 +36,8 @@ def quadtree(
     device = device_of("quadtree", rgb_u8)
     height, width = rgb_u8.shape[:2]
     levels = deepest_level(width, height, min_cell_px)
-    leaves, total = torch.empty(_ROOT + (4**levels - 1) // 3, dtype=torch.int32, device=device), 1
+    leaves = torch.empty(_ROOT + (4**levels - 1) // 3, dtype=torch.int32, device=device)
+    total = 1
     if levels:
         red, green, blue = LUMA_NUMERATORS
         rule = {"width": width, "height": height, "levels": levels, "min_cell_px": min_cell_px}
@@ -70,7 +72,8 @@ def _count_leaves(
     rule: dict[str, Any],
 ) -> None:
     """Leaves below every cell, from the cells of ``level`` up to the whole picture."""
-    source, kernel = rgb_u8, "sum_cells"
+    source = rgb_u8
+    kernel = "sum_cells"
     while level >= 0:
         up = min(_CLIMB[kernel], level)
         top = torch.empty(4 ** (level - up) * _PART, dtype=torch.int64, device=rgb_u8.device)
@@ -86,7 +89,9 @@ def _count_leaves(
             level,
             rule,
         )
-        source, kernel, level = top, "add_levels", level - up - 1
+        source = top
+        kernel = "add_levels"
+        level = level - up - 1
 
 
 def _summed_level(width: int, height: int, levels: int) -> int:
@@ -94,5 +99,7 @@ def _summed_level(width: int, height: int, levels: int) -> int:
     cells are small."""
     level = 0
     while level < _MOST_EXTRA_LEVELS and width * height > _MOST_PIXELS:
-        width, height, level = (width + 1) // 2, (height + 1) // 2, level + 1
+        width = (width + 1) // 2
+        height = (height + 1) // 2
+        level = level + 1
     return max(levels - 1, level)

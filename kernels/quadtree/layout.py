@@ -18,7 +18,9 @@ def deepest_level(width: int, height: int, min_cell_px: int) -> int:
     2^l)."""
     level = 0
     while width // 2 > min_cell_px and height // 2 > min_cell_px:
-        width, height, level = (width + 1) // 2, (height + 1) // 2, level + 1
+        width = (width + 1) // 2
+        height = (height + 1) // 2
+        level = level + 1
     return level
 
 

@@ -44,7 +44,8 @@ def quadtree(
     height, width = image.shape[:2]
     levels = col.deepest_level(width, height, min_cell_px)
     with launching():
-        xs, ys = _lines(width, levels), _lines(height, levels)
+        xs = _lines(width, levels)
+        ys = _lines(height, levels)
         split = np.empty(0, np.uint8)
         if levels:
             sums = np.zeros((len(ys) // 2, len(xs) // 2, _SUMS), np.int64)
@@ -76,20 +77,21 @@ def _lines(length, levels):
 def _sums(image, xs, ys, sums):
     """Add R, G, B and the luma-weighted squares of each cell between the lines to ``sums`` [Y, X,
     _SUMS]."""
-    rows, columns = ys.shape[0] - 1, xs.shape[0] - 1
+    rows = ys.shape[0] - 1
+    columns = xs.shape[0] - 1
     width = image.shape[1]
     for task in prange(rows):
         i = int64(task)
-        red, green, blue = (
-            np.zeros(width, np.int32),
-            np.zeros(width, np.int32),
-            np.zeros(width, np.int32),
-        )
+        red = np.zeros(width, np.int32)
+        green = np.zeros(width, np.int32)
+        blue = np.zeros(width, np.int32)
         squares = np.zeros(width, np.int64)
         for y in range(ys[i], ys[i + 1]):
             line = image[y]
             for x in range(width):
-                r, g, b = np.int32(line[x, 0]), np.int32(line[x, 1]), np.int32(line[x, 2])
+                r = np.int32(line[x, 0])
+                g = np.int32(line[x, 1])
+                b = np.int32(line[x, 2])
                 red[x] += r
                 green[x] += g
                 blue[x] += b
@@ -111,7 +113,8 @@ def _splits(sums, xs, ys, levels, threshold, min_cell_px, released):
     split = np.empty(((1 << 2 * levels) - 1) // 3, np.uint8)
     pixels = xs[-1] * ys[-1]
     for level in range(levels - 1, -1, -1):
-        n, step = 1 << level, 1 << (levels - level)
+        n = 1 << level
+        step = 1 << (levels - level)
         start = ((1 << 2 * level) - 1) // 3
         if level < levels - 1:
             sums = _parents(sums)
@@ -120,11 +123,9 @@ def _splits(sums, xs, ys, levels, threshold, min_cell_px, released):
             for j in range(n):
                 w = xs[(j + 1) * step] - xs[j * step]
                 area = float(h * w)
-                r, g, b = (
-                    sums[i, j, _SUM_RED] / area,
-                    sums[i, j, _SUM_GREEN] / area,
-                    sums[i, j, _SUM_BLUE] / area,
-                )
+                r = sums[i, j, _SUM_RED] / area
+                g = sums[i, j, _SUM_GREEN] / area
+                b = sums[i, j, _SUM_BLUE] / area
                 V = sums[i, j, _SUM_SQUARES] / area
                 V = V - _RED * r * r
                 V = V - _GREEN * g * g
@@ -157,10 +158,13 @@ def _leaves(split, xs, ys, levels):
         (3 * levels + 4, 3), np.int64
     )  # level, row and column of cells still to be visited
     stack[0, :] = 0
-    top, count = 1, 0
+    top = 1
+    count = 0
     while top:
         top -= 1
-        level, i, j = stack[top, 0], stack[top, 1], stack[top, 2]
+        level = stack[top, 0]
+        i = stack[top, 1]
+        j = stack[top, 2]
         start = ((1 << 2 * level) - 1) // 3
         if level < levels and split[start + (i << level) + j]:
             for k in range(4):  # the last one pushed is the first one visited

@@ -51,7 +51,8 @@ class CudaPicture(Record):
     @property
     def screen(self) -> ScreenGaussians:
         """What was blended."""
-        shape, pixels = (self.camera.height, self.camera.width), self.pixels
+        shape = (self.camera.height, self.camera.width)
+        pixels = self.pixels
         drawn = None if pixels is None else pixels.reshape(shape).bool()
         return screen_of(self.splats, self.lists.ids, self.lists.offset, self.camera, drawn)
 

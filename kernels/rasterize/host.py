@@ -40,7 +40,8 @@ def screen_of(
 ) -> ScreenGaussians:
     """What was blended: rows of ``project.layout``, the lists of the tiles, and which pixels were
     drawn."""
-    tiles_x, tiles_y = parts(camera.width, TILE), parts(camera.height, TILE)
+    tiles_x = parts(camera.width, TILE)
+    tiles_y = parts(camera.height, TILE)
     return ScreenGaussians(
         uv=splats[:, U : U + 2],
         conic=splats[:, CONIC_A : CONIC_A + 3],

@@ -76,7 +76,9 @@ def render_forward(
     """See ``gsfusion_nb.render.render_forward``."""
     drawn = _ALL_PIXELS if pixels is None else pixels.contiguous().numpy()
     cam = pack_camera(camera, T_WC)
-    N, H, W = len(params), camera.height, camera.width
+    N = len(params)
+    H = camera.height
+    W = camera.width
     out = blank(
         camera, torch.device("cpu"), with_indices=with_indices, with_hits=opaque_alpha is not None
     )
@@ -123,7 +125,8 @@ def render_vjp(
         _NO_IMAGE if v is None else v.contiguous().float().numpy()
         for v in (v_rgb, v_depth_m, v_alpha)
     )
-    wanted, n_pairs = (saved.pixels, trained), len(saved.lists.ids)
+    wanted = (saved.pixels, trained)
+    n_pairs = len(saved.lists.ids)
     with launching():
         pair_sums = scratch("pair_sums", n_pairs * PAIR_SUMS).reshape(-1, PAIR_SUMS)
         abs_sums = None if v_uv_abs is None else scratch("abs_sums", n_pairs * 2).reshape(-1, 2)

@@ -13,8 +13,11 @@ from ..runtime.arguments import lens_of, packed, parts
 from ..runtime.cuda.launch import device_of, launch
 from ..sample.cuda import table_of
 
-_BLOCK, _WARP = 128, 32
-_TILE, _WIDE, _HIGH = 16, 16, 8
+_BLOCK = 128
+_WARP = 32
+_TILE = 16
+_WIDE = 16
+_HIGH = 8
 """As in ``raycast.cu``."""
 
 _INFINITE_BITS = 0x7F800000
@@ -22,11 +25,15 @@ _INFINITE_BITS = 0x7F800000
 
 def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
     """See ``gsfusion_nb.tsdf.raycast``."""
-    device, n, coords = volume.device, volume.n_blocks, volume.block_coords
+    device = volume.device
+    n = volume.n_blocks
+    coords = volume.block_coords
     if volume.D.dtype != torch.float32 or volume.index.table is None:
         return reference.reference(volume, camera, T_WC)
     device_of("raycast", volume.D)
-    H, W, config = camera.height, camera.width, volume.config
+    H = camera.height
+    W = camera.width
+    config = volume.config
     depth, normal, rgb = (
         (torch.empty if n else torch.zeros)(H, W, *k, device=device) for k in ((), (3,), (3,))
     )
@@ -46,7 +53,8 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
         "close": CLOSE_VOXELS * config.voxel_size_m,
         "refinements": REFINEMENTS,
     }
-    tiles_x, tiles_y = parts(W, _TILE), parts(H, _TILE)
+    tiles_x = parts(W, _TILE)
+    tiles_y = parts(H, _TILE)
     first = torch.full((tiles_x * tiles_y,), _INFINITE_BITS, dtype=torch.int32, device=device)
     spans = {
         "first": first,
@@ -65,10 +73,8 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
         sizes,
         spans,
     )
-    blocks, images = (
-        parts(W, _WIDE) * parts(H, _HIGH),
-        {"depth": depth, "normal": normal, "rgb": rgb},
-    )
+    blocks = parts(W, _WIDE) * parts(H, _HIGH)
+    images = {"depth": depth, "normal": normal, "rgb": rgb}
     values = table_of(volume), voxels_of(volume)
     launch("raycast", "raycast:raycast", blocks, _BLOCK, *values, lens, sizes, spans, images)
     return out

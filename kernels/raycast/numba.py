@@ -65,8 +65,11 @@ from ..runtime.numba.simd import (
 )
 
 f32 = np.float32
-_ZERO, _HALF, _ONE = f32(0.0), f32(0.5), f32(1.0)
-_STEP, _CLOSE = f32(STEP), f32(CLOSE_VOXELS)
+_ZERO = f32(0.0)
+_HALF = f32(0.5)
+_ONE = f32(1.0)
+_STEP = f32(STEP)
+_CLOSE = f32(CLOSE_VOXELS)
 _SMALL = f32(1e-9)
 _INFINITE = f32(np.inf)
 _MARGIN = f32(0.01)
@@ -139,7 +142,8 @@ def _(table, axis, voxel):
 
     def placed(table, axis, voxel):
         strides = (table.size[1] * table.size[2], table.size[2], int32(1))
-        three, seven = splat_int(int32(3)), splat_int(int32(7))
+        three = splat_int(int32(3))
+        seven = splat_int(int32(7))
         entry = (voxel >> splat_int(int32(shift))) - splat_int(table.low[axis])
         in_entry = ((voxel >> three) & splat_int(int32(inside))) * splat_int(
             int32(1 << NODE_BITS * (2 - axis))
@@ -200,21 +204,30 @@ def cells(table, field, px, py, pz, wanted):
     Points are in voxels, less a half. Also returns which cells are observed whole, and the cells'
     lowest corners.
     """
-    one, seven = splat_int(int32(1)), splat_int(int32(7))
-    bx, by, bz = floor(px), floor(py), floor(pz)
-    x, y, z = truncate(bx), truncate(by), truncate(bz)
-    x0, y0, z0 = place(table, 0, x), place(table, 1, y), place(table, 2, z)
-    x1, y1, z1 = place(table, 0, x + one), place(table, 1, y + one), place(table, 2, z + one)
+    one = splat_int(int32(1))
+    seven = splat_int(int32(7))
+    bx = floor(px)
+    by = floor(py)
+    bz = floor(pz)
+    x = truncate(bx)
+    y = truncate(by)
+    z = truncate(bz)
+    x0 = place(table, 0, x)
+    y0 = place(table, 1, y)
+    z0 = place(table, 2, z)
+    x1 = place(table, 0, x + one)
+    y1 = place(table, 1, y + one)
+    z1 = place(table, 2, z + one)
     first = at_places(x0, y0, z0)
     row = rows_of(table, first, wanted)
     wanted = wanted & (row >= splat_int(int32(0)))
-    ox, oy, oz = (
-        wanted & ((x & seven) == seven),
-        wanted & ((y & seven) == seven),
-        wanted & ((z & seven) == seven),
-    )
+    ox = wanted & ((x & seven) == seven)
+    oy = wanted & ((y & seven) == seven)
+    oz = wanted & ((z & seven) == seven)
     none = but_not(ox, ox)
-    oxy, oxz, oyz = either(ox, oy), either(ox, oz), either(oy, oz)
+    oxy = either(ox, oy)
+    oxz = either(ox, oz)
+    oyz = either(oy, oz)
     v0, a0 = _corner(table, field, first, none, row, wanted)
     v1, a1 = _corner(table, field, at_places(x1, y0, z0), ox, row, wanted)
     v2, a2 = _corner(table, field, at_places(x0, y1, z0), oy, row, wanted)
@@ -247,9 +260,12 @@ def leaves(corner, px, py, pz, wanted):
 def blend(v, f):
     """Trilinear interpolation between corners x + 2 y + 4 z."""
     fx, fy, fz = f
-    y0, y1 = v[0] + (v[1] - v[0]) * fx, v[2] + (v[3] - v[2]) * fx
-    y2, y3 = v[4] + (v[5] - v[4]) * fx, v[6] + (v[7] - v[6]) * fx
-    z0, z1 = y0 + (y1 - y0) * fy, y2 + (y3 - y2) * fy
+    y0 = v[0] + (v[1] - v[0]) * fx
+    y1 = v[2] + (v[3] - v[2]) * fx
+    y2 = v[4] + (v[5] - v[4]) * fx
+    y3 = v[6] + (v[7] - v[6]) * fx
+    z0 = y0 + (y1 - y0) * fy
+    z1 = y2 + (y3 - y2) * fy
     return z0 + (z1 - z0) * fz
 
 
@@ -260,11 +276,9 @@ def interpolate(table, field, point, inv_voxel, wanted):
     """Trilinear D at sixteen world points, and where all eight voxels around them have been
     observed."""
     half = splat(_HALF)
-    px, py, pz = (
-        point[0] * inv_voxel - half,
-        point[1] * inv_voxel - half,
-        point[2] * inv_voxel - half,
-    )
+    px = point[0] * inv_voxel - half
+    py = point[1] * inv_voxel - half
+    pz = point[2] * inv_voxel - half
     v, _, whole, corner = cells(table, field, px, py, pz, wanted)
     return blend(v, (px - corner[0], py - corner[1], pz - corner[2])), whole
 
@@ -306,7 +320,8 @@ def look_up(blocks, rows, T_CW, lens, side, size, tile_px, marked, spans):
     """
     coords, D, W = blocks
     many = size[0] * size[1] >= FEW_RAYS * len(rows)
-    covers, depths = np.empty((len(rows), 4), np.int32), np.empty((len(rows), 2), np.float32)
+    covers = np.empty((len(rows), 4), np.int32)
+    depths = np.empty((len(rows), 2), np.float32)
     for k in prange(len(rows)):
         covers[k, _U0] = 0
         covers[k, _U1] = -1
@@ -329,19 +344,20 @@ def look_up(blocks, rows, T_CW, lens, side, size, tile_px, marked, spans):
 def near_blocks(coords, rows, most):
     """A table of the blocks in ``rows``, without entries if their box has more than ``most``
     blocks."""
-    low, high = np.full(3, 1 << 30, np.int32), np.full(3, -(1 << 30), np.int32)
+    low = np.full(3, 1 << 30, np.int32)
+    high = np.full(3, -(1 << 30), np.int32)
     for b in rows:
         for axis in range(3):
-            low[axis], high[axis] = (
-                min(low[axis], coords[b, axis]),
-                max(high[axis], coords[b, axis]),
-            )
+            low[axis] = min(low[axis], coords[b, axis])
+            high[axis] = max(high[axis], coords[b, axis])
     size = np.maximum(high - low + np.int32(1), np.int32(0))
     cells = np.int64(size[0]) * size[1] * size[2]
     table = np.full(cells if cells <= most else 0, np.int32(-1), np.int32)
     if cells <= most:
         for b in rows:
-            x, y, z = coords[b, 0] - low[0], coords[b, 1] - low[1], coords[b, 2] - low[2]
+            x = coords[b, 0] - low[0]
+            y = coords[b, 1] - low[1]
+            z = coords[b, 2] - low[2]
             table[(x * size[1] + y) * size[2] + z] = b
     return table, low, size
 
@@ -349,7 +365,8 @@ def near_blocks(coords, rows, most):
 @njit(cache=True, error_model="numpy")
 def _mark(D, W, block, marked):
     """D of a block's voxels, infinite where they have not been observed."""
-    infinite, zero = splat(_INFINITE), splat(_ZERO)
+    infinite = splat(_INFINITE)
+    zero = splat(_ZERO)
     for at in range(block * VOXELS_PER_BLOCK, (block + 1) * VOXELS_PER_BLOCK, 16):
         store(marked, at, select(load(W, at) > zero, load(D, at), infinite))
 
@@ -358,22 +375,28 @@ def _mark(D, W, block, marked):
 def _project(block, T_CW, lens, side, tile_px, tiles, cover, depth):
     """The tiles that a block covers, and its depths."""
     ny, nx = tiles
-    low_z, high_z = np.inf, -np.inf
-    low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
+    low_z = np.inf
+    high_z = -np.inf
+    low_u = np.inf
+    high_u = -np.inf
+    low_v = np.inf
+    high_v = -np.inf
     for c in range(8):
-        X, Y, Z = (
-            (block[0] + (c & 1)) * side,
-            (block[1] + (c >> 1 & 1)) * side,
-            (block[2] + (c >> 2)) * side,
-        )
+        X = (block[0] + (c & 1)) * side
+        Y = (block[1] + (c >> 1 & 1)) * side
+        Z = (block[2] + (c >> 2)) * side
         x = T_CW[0, 0] * X + T_CW[0, 1] * Y + T_CW[0, 2] * Z + T_CW[0, 3]
         y = T_CW[1, 0] * X + T_CW[1, 1] * Y + T_CW[1, 2] * Z + T_CW[1, 3]
         z = T_CW[2, 0] * X + T_CW[2, 1] * Y + T_CW[2, 2] * Z + T_CW[2, 3]
-        low_z, high_z = min(low_z, z), max(high_z, z)
+        low_z = min(low_z, z)
+        high_z = max(high_z, z)
         inv_z = 1.0 / (max(z, _NEAR) * tile_px)
-        u, v = lens.fx * x * inv_z + lens.cx / tile_px, lens.fy * y * inv_z + lens.cy / tile_px
-        low_u, high_u = min(low_u, u), max(high_u, u)
-        low_v, high_v = min(low_v, v), max(high_v, v)
+        u = lens.fx * x * inv_z + lens.cx / tile_px
+        v = lens.fy * y * inv_z + lens.cy / tile_px
+        low_u = min(low_u, u)
+        high_u = max(high_u, u)
+        low_v = min(low_v, v)
+        high_v = max(high_v, v)
     if high_z <= 0.0:
         return
     depth[NEAR_END] = max(low_z - _BEFORE * side, 0.0)
@@ -393,7 +416,9 @@ def _project(block, T_CW, lens, side, tile_px, tiles, cover, depth):
 TILE_PX = 8
 """Edge of the picture tiles whose rays start together, pixels: a multiple of 4."""
 
-_DEPTH, _NORMAL, _RGB = 0, 1, 4
+_DEPTH = 0
+_NORMAL = 1
+_RGB = 4
 """Rows of what sixteen rays bring back; normal and colour take three rows each."""
 _LANE_ROWS = 7
 
@@ -414,7 +439,8 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
         _in_fours(y).repeat_interleave(4, 1).numpy(),
         pose.to(torch.float32).numpy(),
     )
-    lens, size = lens_of(camera, f32), (camera.height, camera.width)
+    lens = lens_of(camera, f32)
+    size = (camera.height, camera.width)
     sizes = Sizes(
         *map(f32, (volume.config.voxel_size_m, volume.config.truncation_m, volume.block_size_m))
     )
@@ -458,39 +484,50 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
     and where it is."""
     ox, oy, oz = origin
     dx, dy, dz = direction
-    zero, one, infinite, small = splat(_ZERO), splat(_ONE), splat(_INFINITE), splat(_SMALL)
-    voxel, truncation, side = splat(sizes.voxel), splat(sizes.truncation), splat(sizes.block)
-    inv_voxel, inv_side = one / voxel, one / side
-    reach, close_by, margin = (
-        splat(_STEP) * truncation,
-        splat(_CLOSE) * voxel,
-        splat(_MARGIN) * voxel,
-    )
+    zero = splat(_ZERO)
+    one = splat(_ONE)
+    infinite = splat(_INFINITE)
+    small = splat(_SMALL)
+    voxel = splat(sizes.voxel)
+    truncation = splat(sizes.truncation)
+    side = splat(sizes.block)
+    inv_voxel = one / voxel
+    inv_side = one / side
+    reach = splat(_STEP) * truncation
+    close_by = splat(_CLOSE) * voxel
+    margin = splat(_MARGIN) * voxel
     block = splat_int(int32(VOXELS_PER_BLOCK))
     per_m = one / sqrt(dx * dx + dy * dy + dz * dz)
-    per_x, per_y, per_z = (
-        side / maximum(absolute(dx), small),
-        side / maximum(absolute(dy), small),
-        side / maximum(absolute(dz), small),
-    )
-    to_x, to_y, to_z = dx > zero, dy > zero, dz > zero
+    per_x = side / maximum(absolute(dx), small)
+    per_y = side / maximum(absolute(dy), small)
+    per_z = side / maximum(absolute(dz), small)
+    to_x = dx > zero
+    to_y = dy > zero
+    to_z = dz > zero
     z_start, z_end = span
-    z, z_end = splat(z_start), splat(z_end)
+    z = splat(z_start)
+    z_end = splat(z_end)
     found = but_not(alive, alive)
-    was_free, was_inside = found, found
-    z_before, D_before = z, one
-    z0, z1, D0, D1 = z, z, one, zero - one
+    was_free = found
+    was_inside = found
+    z_before = z
+    D_before = one
+    z0 = z
+    z1 = z
+    D0 = one
+    D1 = zero - one
     while any_lane(alive):
-        px, py, pz = ox + dx * z, oy + dy * z, oz + dz * z
-        i, j, k = (
-            truncate(floor(px * inv_voxel)),
-            truncate(floor(py * inv_voxel)),
-            truncate(floor(pz * inv_voxel)),
-        )
+        px = ox + dx * z
+        py = oy + dy * z
+        pz = oz + dz * z
+        i = truncate(floor(px * inv_voxel))
+        j = truncate(floor(py * inv_voxel))
+        k = truncate(floor(pz * inv_voxel))
         here_at = at_places(place(table, 0, i), place(table, 1, j), place(table, 2, k))
         row = rows_of(table, here_at, alive)
         allocated = row >= splat_int(int32(0))
-        here, step = infinite, voxel * per_m
+        here = infinite
+        step = voxel * per_m
         if any_lane(allocated):
             at = row * block + here_at[2]
             here = values(field, at, allocated)
@@ -508,15 +545,20 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
             )
             step = select(outside, ahead + margin, step)
         observed = here < infinite
-        free, inside = observed & (here >= zero), observed & (zero > here)
+        free = observed & (here >= zero)
+        inside = observed & (zero > here)
         crossing = inside & was_free
         found = either(found, crossing)
-        z0, z1 = select(crossing, z_before, z0), select(crossing, z, z1)
-        D0, D1 = select(crossing, D_before, D0), select(crossing, here, D1)
+        z0 = select(crossing, z_before, z0)
+        z1 = select(crossing, z, z1)
+        D0 = select(crossing, D_before, D0)
+        D1 = select(crossing, here, D1)
         ahead = z + step
         alive = but_not(but_not(alive, crossing), free & was_inside) & (ahead < z_end)
-        z_before, D_before = z, here
-        was_free, was_inside = free & alive, inside & alive
+        z_before = z
+        D_before = here
+        was_free = free & alive
+        was_inside = inside & alive
         z = select(alive, ahead, z)
     return (z0, z1, D0, D1), found
 
@@ -541,15 +583,19 @@ def _refined(table, field, origin, direction, voxel, bracket, found):
     points move so little that the voxels are seldom looked up again.
     """
     z0, z1, D0, D1 = bracket
-    zero, inv_voxel = splat(_ZERO), splat(_ONE) / voxel
+    zero = splat(_ZERO)
+    inv_voxel = splat(_ONE) / voxel
     z = z0 + (z1 - z0) * (D0 / (D0 - D1))
     px, py, pz = _in_voxels(origin, direction, z, inv_voxel)
     v, at, whole, corner = cells(table, field, px, py, pz, found)
     for _ in range(REFINEMENTS):
         here = blend(v, (px - corner[0], py - corner[1], pz - corner[2]))
-        before, behind = whole & (here >= zero), whole & (zero > here)
-        z0, D0 = select(before, z, z0), select(before, here, D0)
-        z1, D1 = select(behind, z, z1), select(behind, here, D1)
+        before = whole & (here >= zero)
+        behind = whole & (zero > here)
+        z0 = select(before, z, z0)
+        D0 = select(before, here, D0)
+        z1 = select(behind, z, z1)
+        D1 = select(behind, here, D1)
         z = z0 + (z1 - z0) * (D0 / (D0 - D1))
         px, py, pz = _in_voxels(origin, direction, z, inv_voxel)
         if leaves(corner, px, py, pz, found):
@@ -567,20 +613,25 @@ def _march(table, field, C, rays, sizes, spans, tile_px, depth, normal, rgb):
     """
     x, y, T = rays
     height, width = depth.shape
-    ny, nx = spans.shape[0], spans.shape[1]
+    ny = spans.shape[0]
+    nx = spans.shape[1]
     packets = tile_px // 4
     for tile in prange(ny * nx):
-        ti, tj = int64(tile) // nx, int64(tile) % nx
+        ti = int64(tile) // nx
+        tj = int64(tile) % nx
         lanes = np.empty((_LANE_ROWS, 16), np.float32)
         origin = (splat(T[0, 3]), splat(T[1, 3]), splat(T[2, 3]))
         span = (spans[ti, tj, NEAR_END], spans[ti, tj, FAR_END])
         alive = splat(span[1]) > splat(span[0])
         for part in range(packets * packets):
-            i, j = ti * packets + part // packets, tj * packets + part % packets
-            v0, u0 = 4 * i, 4 * j
+            i = ti * packets + part // packets
+            j = tj * packets + part % packets
+            v0 = 4 * i
+            u0 = 4 * j
             if v0 >= height or u0 >= width:
                 continue
-            sx, sy = load(x[j], 0), load(y[i], 0)
+            sx = load(x[j], 0)
+            sy = load(y[i], 0)
             dx = splat(T[0, 0]) * sx + splat(T[0, 1]) * sy + splat(T[0, 2])
             dy = splat(T[1, 0]) * sx + splat(T[1, 1]) * sy + splat(T[1, 2])
             dz = splat(T[2, 0]) * sx + splat(T[2, 1]) * sy + splat(T[2, 2])
@@ -593,11 +644,13 @@ def _march(table, field, C, rays, sizes, spans, tile_px, depth, normal, rgb):
             else:
                 lanes[:] = _ZERO
             for k in range(16):
-                v, u = v0 + k // 4, u0 + k % 4
+                v = v0 + k // 4
+                u = u0 + k % 4
                 if v < height and u < width:
                     depth[v, u] = lanes[_DEPTH, k]
                     for c in range(3):
-                        normal[v, u, c], rgb[v, u, c] = lanes[_NORMAL + c, k], lanes[_RGB + c, k]
+                        normal[v, u, c] = lanes[_NORMAL + c, k]
+                        rgb[v, u, c] = lanes[_RGB + c, k]
 
 
 @njit(cache=True, error_model="numpy")
@@ -606,14 +659,21 @@ def _surface_into(v, at, f, whole, z, C, lanes):
     ``lanes``."""
     fx, fy, fz = f
     zero = splat(_ZERO)
-    x00, x10, x01, x11 = v[1] - v[0], v[3] - v[2], v[5] - v[4], v[7] - v[6]
-    y00, y10, y01, y11 = v[2] - v[0], v[3] - v[1], v[6] - v[4], v[7] - v[5]
-    z00, z10, z01, z11 = v[4] - v[0], v[5] - v[1], v[6] - v[2], v[7] - v[3]
-    nx, ny, nz = (
-        _bilinear(x00, x10, x01, x11, fy, fz),
-        _bilinear(y00, y10, y01, y11, fx, fz),
-        _bilinear(z00, z10, z01, z11, fx, fy),
-    )
+    x00 = v[1] - v[0]
+    x10 = v[3] - v[2]
+    x01 = v[5] - v[4]
+    x11 = v[7] - v[6]
+    y00 = v[2] - v[0]
+    y10 = v[3] - v[1]
+    y01 = v[6] - v[4]
+    y11 = v[7] - v[5]
+    z00 = v[4] - v[0]
+    z10 = v[5] - v[1]
+    z01 = v[6] - v[2]
+    z11 = v[7] - v[3]
+    nx = _bilinear(x00, x10, x01, x11, fy, fz)
+    ny = _bilinear(y00, y10, y01, y11, fx, fz)
+    nz = _bilinear(z00, z10, z01, z11, fx, fy)
     length = maximum(sqrt(nx * nx + ny * ny + nz * nz), splat(f32(1e-12)))
     store(lanes[_DEPTH], 0, select(whole, z, zero))
     store(lanes[_NORMAL], 0, select(whole, nx / length, zero))
@@ -636,10 +696,8 @@ def _surface_into(v, at, f, whole, z, C, lanes):
 
 @njit(cache=True, error_model="numpy")
 def _colour(C, at, plane, whole):
-    row, number = (
-        at >> splat_int(int32(_BITS_OF_VOXEL)),
-        at & splat_int(int32(VOXELS_PER_BLOCK - 1)),
-    )
+    row = at >> splat_int(int32(_BITS_OF_VOXEL))
+    number = at & splat_int(int32(VOXELS_PER_BLOCK - 1))
     return gather(
         C, row * splat_int(int32(3 * VOXELS_PER_BLOCK)) + number + plane, whole, splat(_ZERO)
     )
@@ -647,5 +705,6 @@ def _colour(C, at, plane, whole):
 
 @njit(cache=True, error_model="numpy")
 def _bilinear(a, b, c, d, s, t):
-    low, high = a + (b - a) * s, c + (d - c) * s
+    low = a + (b - a) * s
+    high = c + (d - c) * s
     return low + (high - low) * t

@@ -85,10 +85,8 @@ def _gaps(rgb, depth_m, target_rgb, target_depth_m, pixels, at, total, limit):
     wanted = here & (tl.load(pixels + at, mask=here, other=0) != 0)
     r, g, b = load3(rgb, at, wanted)
     target_r, target_g, target_b = load3(target_rgb, at, wanted)
-    d, target = (
-        tl.load(depth_m + at, mask=wanted, other=0.0),
-        tl.load(target_depth_m + at, mask=wanted, other=0.0),
-    )
+    d = tl.load(depth_m + at, mask=wanted, other=0.0)
+    target = tl.load(target_depth_m + at, mask=wanted, other=0.0)
     known = wanted & (d > 0) & (target > 0) & (d - target < limit)
     return r - target_r, g - target_g, b - target_b, tl.where(known, d - target, 0.0), wanted, known
 

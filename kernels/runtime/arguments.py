@@ -60,7 +60,8 @@ class BlockTable(NamedTuple):
     @staticmethod
     def of(table: octree.BlockTable) -> "BlockTable":
         """Those of a table on the processor."""
-        low, size = np.array(table.low, np.int32), np.array(table.nodes.shape, np.int32)
+        low = np.array(table.low, np.int32)
+        size = np.array(table.nodes.shape, np.int32)
         return BlockTable(
             nodes=table.nodes.view(-1).numpy(), rows=table.rows.view(-1).numpy(), low=low, size=size
         )

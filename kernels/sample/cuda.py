@@ -21,12 +21,11 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     device_of("sample_voxels", volume.D)
     if _is_left_to_the_reference(volume, xyz_W):
         return tsdf.sample_voxels.reference(volume, xyz_W)
-    points, out = _points(xyz_W), _blank(xyz_W)
-    blocks, values, size = (
-        parts(len(xyz_W), _BLOCK),
-        (table_of(volume), voxels_of(volume)),
-        volume.config.voxel_size_m,
-    )
+    points = _points(xyz_W)
+    out = _blank(xyz_W)
+    blocks = parts(len(xyz_W), _BLOCK)
+    values = (table_of(volume), voxels_of(volume))
+    size = volume.config.voxel_size_m
     launch(
         "sample_voxels", "sample:sample_voxels", blocks, _BLOCK, points, *values, size, vars(out)
     )
@@ -38,14 +37,18 @@ def sample_fused_voxels(
 ) -> TsdfSample:
     """See ``gsfusion_nb.tsdf.sample_fused_voxels``; the published averages are left to the
     reference."""
-    name, images = "sample_fused_voxels", {"depth_m": frame.depth_m, "rgb": frame.rgb}
+    name = "sample_fused_voxels"
+    images = {"depth_m": frame.depth_m, "rgb": frame.rgb}
     device_of(name, volume.D)
     check_dtype(name, torch.float32, volume=volume.D, **images)
     if volume.config.average != "mean" or _is_left_to_the_reference(volume, xyz_W):
         return tsdf.sample_fused_voxels.reference(volume, frame, missing, xyz_W)
-    points, out = _points(xyz_W), _blank(xyz_W)
-    blocks, values = parts(len(xyz_W), _BLOCK), (table_of(volume), voxels_of(volume))
-    fresh, view = {"codes": packed(missing.codes), "count": len(missing)}, view_of(volume, frame)
+    points = _points(xyz_W)
+    out = _blank(xyz_W)
+    blocks = parts(len(xyz_W), _BLOCK)
+    values = (table_of(volume), voxels_of(volume))
+    fresh = {"codes": packed(missing.codes), "count": len(missing)}
+    view = view_of(volume, frame)
     launch(
         name, "sample:sample_fused_voxels", blocks, _BLOCK, points, *values, fresh, *view, vars(out)
     )

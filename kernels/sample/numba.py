@@ -27,7 +27,10 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
         with use_backend("reference"):
             return reference(volume, xyz_W)
     n = xyz_W.shape[0]
-    D, W, rgb, W_rgb = torch.empty(n), torch.empty(n), torch.empty(n, 3), torch.empty(n)
+    D = torch.empty(n)
+    W = torch.empty(n)
+    rgb = torch.empty(n, 3)
+    W_rgb = torch.empty(n)
     voxels = tuple(field.numpy() for field in (volume.D, volume.W, volume.rgb_planes, volume.W_rgb))
     out = tuple(field.numpy() for field in (D, W, rgb, W_rgb))
     points = xyz_W.detach().contiguous().numpy()
@@ -51,10 +54,14 @@ def _sample(table, voxels, points, voxel_size, out):
     voxels: D [B, 512], W, planes of colour [B, 3, 512] and W_rgb of the blocks in the pool. out: of
     the points.
     """
-    nodes, rows, low, size = table.nodes, table.rows, table.low, table.size
+    nodes = table.nodes
+    rows = table.rows
+    low = table.low
+    size = table.size
     field_D, field_W, field_rgb, field_W_rgb = voxels
     D, W, rgb, W_rgb = out
-    N, chunk = points.shape[0], 1024
+    N = points.shape[0]
+    chunk = 1024
     for part in prange((N + chunk - 1) // chunk):
         for i in range(part * chunk, min(N, part * chunk + chunk)):
             D[i] = f32(1)
@@ -63,27 +70,29 @@ def _sample(table, voxels, points, voxel_size, out):
             rgb[i, 0] = f32(0)
             rgb[i, 1] = f32(0)
             rgb[i, 2] = f32(0)
-            x, y, z = (
-                points[i, 0] / voxel_size,
-                points[i, 1] / voxel_size,
-                points[i, 2] / voxel_size,
-            )
+            x = points[i, 0] / voxel_size
+            y = points[i, 1] / voxel_size
+            z = points[i, 2] / voxel_size
             if not (abs(x) < _FARTHEST and abs(y) < _FARTHEST and abs(z) < _FARTHEST):
                 continue
-            vx, vy, vz = int(math.floor(x)), int(math.floor(y)), int(math.floor(z))
-            X, Y, Z = (
-                (vx >> NODE_SHIFT) - low[0],
-                (vy >> NODE_SHIFT) - low[1],
-                (vz >> NODE_SHIFT) - low[2],
-            )
+            vx = int(math.floor(x))
+            vy = int(math.floor(y))
+            vz = int(math.floor(z))
+            X = (vx >> NODE_SHIFT) - low[0]
+            Y = (vy >> NODE_SHIFT) - low[1]
+            Z = (vz >> NODE_SHIFT) - low[2]
             if not (0 <= X < size[0] and 0 <= Y < size[1] and 0 <= Z < size[2]):
                 continue
             node = int(nodes[(X * size[1] + Y) * size[2] + Z])
-            bx, by, bz = vx >> 3 & IN_NODE, vy >> 3 & IN_NODE, vz >> 3 & IN_NODE
+            bx = vx >> 3 & IN_NODE
+            by = vy >> 3 & IN_NODE
+            bz = vz >> 3 & IN_NODE
             row = rows[(((node << NODE_BITS | bx) << NODE_BITS | by) << NODE_BITS) | bz]
             if row < 0:
                 continue
             at = 64 * (vx & 7) + 8 * (vy & 7) + (vz & 7)
-            D[i], W[i], W_rgb[i] = field_D[row, at], field_W[row, at], field_W_rgb[row, at]
+            D[i] = field_D[row, at]
+            W[i] = field_W[row, at]
+            W_rgb[i] = field_W_rgb[row, at]
             for c in range(3):
                 rgb[i, c] = field_rgb[row, c, at]

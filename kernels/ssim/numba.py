@@ -23,8 +23,10 @@ from .window import window as window_weights
 f32 = np.float32
 _HALF = reference.WINDOW_PX // 2
 _REACH = 3 * _HALF
-_C1, _C2 = f32(reference.C1), f32(reference.C2)
-_1, _2 = f32(1), f32(2)
+_C1 = f32(reference.C1)
+_C2 = f32(reference.C2)
+_1 = f32(1)
+_2 = f32(2)
 
 
 def dssim_vjp(
@@ -71,7 +73,8 @@ def _average_rows(x, y, window, stride, means):
         row = np.zeros(stride + 2 * _REACH + LANES, np.float32)
         for plane in range(N_MEANS):
             for i in range(n):
-                a, b = x[r, i], y[r, i]
+                a = x[r, i]
+                b = y[r, i]
                 square = a * a if plane == XX else b * b if plane == YY else a * b
                 row[_REACH + i] = a if plane == X else b if plane == Y else square
             _average_row(row, window, stride, means[plane], r * stride)
@@ -90,7 +93,10 @@ def _differentiate(means, window, n, stride, terms, similarity):
     """SSIM of every value, summed per row, and its derivatives by mu_x, G x^2 and G x y."""
     H = similarity.shape[0]
     for r in prange(H):
-        c1, c2, two, zero = splat(_C1), splat(_C2), splat(_2), splat(f32(0))
+        c1 = splat(_C1)
+        c2 = splat(_C2)
+        two = splat(_2)
+        zero = splat(f32(0))
         total = 0.0
         for j in range(0, stride, LANES):
             mx = _average_column(means[X], window, r, H, stride, j)
@@ -98,9 +104,12 @@ def _differentiate(means, window, n, stride, terms, similarity):
             xx = _average_column(means[XX], window, r, H, stride, j)
             yy = _average_column(means[YY], window, r, H, stride, j)
             xy = _average_column(means[XY], window, r, H, stride, j)
-            A1, A2 = two * mx * my + c1, two * (xy - mx * my) + c2
-            B1, B2 = mx * mx + my * my + c1, (xx - mx * mx) + (yy - my * my) + c2
-            inverse_1, inverse_2 = splat(_1) / B1, splat(_1) / B2
+            A1 = two * mx * my + c1
+            A2 = two * (xy - mx * my) + c2
+            B1 = mx * mx + my * my + c1
+            B2 = (xx - mx * mx) + (yy - my * my) + c2
+            inverse_1 = splat(_1) / B1
+            inverse_2 = splat(_1) / B2
             both = inverse_1 * inverse_2
             inside = (splat(f32(j)) + iota()) < splat(f32(n))
             S = select(inside, A1 * A2 * both, zero)

@@ -25,9 +25,12 @@ _HALF = tl.constexpr(reference.WINDOW_PX // 2)
 _X, _Y, _XX, _YY, _XY = (
     tl.constexpr(n) for n in (planes.X, planes.Y, planes.XX, planes.YY, planes.XY)
 )
-_BY_MEAN, _BY_SQUARE = tl.constexpr(planes.BY_MEAN), tl.constexpr(planes.BY_SQUARE)
-_BY_PRODUCT, _N_TERMS = tl.constexpr(planes.BY_PRODUCT), tl.constexpr(planes.N_TERMS)
-_C1, _C2 = tl.constexpr(reference.C1), tl.constexpr(reference.C2)
+_BY_MEAN = tl.constexpr(planes.BY_MEAN)
+_BY_SQUARE = tl.constexpr(planes.BY_SQUARE)
+_BY_PRODUCT = tl.constexpr(planes.BY_PRODUCT)
+_N_TERMS = tl.constexpr(planes.N_TERMS)
+_C1 = tl.constexpr(reference.C1)
+_C2 = tl.constexpr(reference.C2)
 
 
 def dssim_vjp(
@@ -40,8 +43,10 @@ def dssim_vjp(
         return reference.dssim_vjp.reference(rgb, target, v_loss)
     device = device_of("dssim_vjp", rgb)
     window = window_weights(device)
-    x, y = rgb.detach().contiguous(), target.detach().contiguous()
-    total, stride = x.numel(), 3 * x.shape[1]
+    x = rgb.detach().contiguous()
+    y = target.detach().contiguous()
+    total = x.numel()
+    stride = 3 * x.shape[1]
     programs = parts(total, _BLOCK)
     means = torch.empty(planes.N_MEANS, total, dtype=torch.float32, device=device)
     terms = torch.empty(planes.N_TERMS, total, dtype=torch.float32, device=device)
@@ -76,20 +81,17 @@ def _rows(x, y, window, means, total, stride, BLOCK: tl.constexpr):
     """Row averages of x, y, x^2, y^2 and x y."""
     i = tl.program_id(0) * BLOCK + tl.arange(0, BLOCK)
     column = i % stride
-    mx, my, xx = (
-        tl.zeros([BLOCK], tl.float32),
-        tl.zeros([BLOCK], tl.float32),
-        tl.zeros([BLOCK], tl.float32),
-    )
-    yy, xy = tl.zeros([BLOCK], tl.float32), tl.zeros([BLOCK], tl.float32)
+    mx = tl.zeros([BLOCK], tl.float32)
+    my = tl.zeros([BLOCK], tl.float32)
+    xx = tl.zeros([BLOCK], tl.float32)
+    yy = tl.zeros([BLOCK], tl.float32)
+    xy = tl.zeros([BLOCK], tl.float32)
     for k in tl.static_range(_WINDOW):
         shift = 3 * (k - _HALF)
         here = (i < total) & (column + shift >= 0) & (column + shift < stride)
         weight = tl.load(window + k)
-        a, b = (
-            tl.load(x + i + shift, mask=here, other=0.0),
-            tl.load(y + i + shift, mask=here, other=0.0),
-        )
+        a = tl.load(x + i + shift, mask=here, other=0.0)
+        b = tl.load(y + i + shift, mask=here, other=0.0)
         mx += weight * a
         my += weight * b
         xx += weight * (a * a)
@@ -122,8 +124,10 @@ def _differentiate(means, window, terms, similarity, total, stride, BLOCK: tl.co
     xx = _column(means + _XX * total, window, i, total, stride)
     yy = _column(means + _YY * total, window, i, total, stride)
     xy = _column(means + _XY * total, window, i, total, stride)
-    A1, A2 = 2 * mx * my + _C1, 2 * (xy - mx * my) + _C2
-    B1, B2 = mx * mx + my * my + _C1, (xx - mx * mx) + (yy - my * my) + _C2
+    A1 = 2 * mx * my + _C1
+    A2 = 2 * (xy - mx * my) + _C2
+    B1 = mx * mx + my * my + _C1
+    B2 = (xx - mx * mx) + (yy - my * my) + _C2
     S = A1 * A2 / (B1 * B2)
     tl.store(
         terms + _BY_MEAN * total + i,
@@ -170,5 +174,6 @@ def _combine(
     g_mu = _column(means + _BY_MEAN * total, window, i, total, stride)
     g_q = _column(means + _BY_SQUARE * total, window, i, total, stride)
     g_r = _column(means + _BY_PRODUCT * total, window, i, total, stride)
-    a, b = tl.load(x + i, mask=here, other=0.0), tl.load(y + i, mask=here, other=0.0)
+    a = tl.load(x + i, mask=here, other=0.0)
+    b = tl.load(y + i, mask=here, other=0.0)
     tl.store(gradient + i, scale * (g_mu + 2 * a * g_q + b * g_r), mask=here)

@@ -38,7 +38,8 @@ def computed(node: str, expression: str, **values):
 @pytest.mark.parametrize(("truncation_voxels", "most"), [(1.0, 16.0), (4.0, 3.0)])
 def test_samples_of_rays_have_the_librarys_place_and_distance(node, truncation_voxels, most):
     walk = RoomSequence(n_frames=240, width=80, height=60, noise="kinect")
-    frames, camera = [walk[i] for i in range(6)], walk.camera
+    frames = [walk[i] for i in range(6)]
+    camera = walk.camera
     config = TsdfConfig(
         voxel_size_m=0.04, truncation_voxels=truncation_voxels, max_weight=most, sdf="z"
     )

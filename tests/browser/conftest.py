@@ -66,13 +66,11 @@ class Lab:
         *,
         under: str = "",
     ):
-        self.browser, self.folder, self.port, self.token, self.under = (
-            browser,
-            folder,
-            port,
-            token,
-            under,
-        )
+        self.browser = browser
+        self.folder = folder
+        self.port = port
+        self.token = token
+        self.under = under
         self.errors: list[str] = []
         """Uncaught errors of the pages."""
         self.requests: list[str] = []

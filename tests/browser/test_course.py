@@ -57,16 +57,16 @@ def test_the_chapter_runs_to_its_end_with_live_widgets(lab, page):
 
 
 def test_dragging_the_threshold_changes_picture_and_count(lab, page):
-    picture, handle = (
-        page.locator(".gsnb-quadtree-image img"),
-        page.locator(".gsnb-quadtree-threshold .noUi-handle"),
-    )
+    picture = page.locator(".gsnb-quadtree-image img")
+    handle = page.locator(".gsnb-quadtree-threshold .noUi-handle")
     picture.scroll_into_view_if_needed()
-    before, cells = lab.screenshot(picture, "quadtree_before"), count(page)
+    before = lab.screenshot(picture, "quadtree_before")
+    cells = count(page)
     assert before.std() > 20
     handle.scroll_into_view_if_needed()  # the controls may stand below the picture
     box = handle.bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    x = box["x"] + box["width"] / 2
+    y = box["y"] + box["height"] / 2
     page.mouse.move(x, y)
     page.mouse.down()
     for step in range(1, 9):

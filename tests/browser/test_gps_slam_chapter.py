@@ -16,7 +16,8 @@ def chapter(lab):
 def test_a_click_shows_what_is_mixed_there(lab, chapter):
     image = chapter.locator(".gsnb-microscope-image img")
     image.scroll_into_view_if_needed()
-    before, box = image.get_attribute("src"), image.bounding_box()
+    before = image.get_attribute("src")
+    box = image.bounding_box()
     zoom = box["width"] / image.evaluate("image => image.naturalWidth")
     chapter.mouse.click(
         box["x"] + zoom * 80.5 * 300 / 120,

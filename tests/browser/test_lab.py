@@ -45,7 +45,8 @@ live
 
 
 def results(folder):
-    noise, found = np.random.default_rng(0), []
+    noise = np.random.default_rng(0)
+    found = []
     truth = np.repeat(np.linspace(30, 220, 64)[None, :, None], 48, 0).repeat(3, 2).astype(np.uint8)
     cv2.imwrite(str(folder / "truth.png"), truth)
     for budget, scene, label, seed in itertools.product(
@@ -81,7 +82,8 @@ def file(tmp_path_factory):
 def open_page(lab, file):
     """``open_page(width, scheme)``: the page in a window of that width; no request may leave it, no
     error may come."""
-    wrong, contexts = [], []
+    wrong = []
+    contexts = []
 
     def open_it(width=1280, scheme="light", **options):
         context = lab.browser.new_context(
@@ -229,7 +231,8 @@ def test_without_scripts_all_tables_are_there(open_page):
 
 def test_the_live_table_in_a_notebook(lab):
     page = lab.open([LIVE])
-    status, table = page.locator(".gsnb-lab-status"), page.locator(".gsnb-lab-stored")
+    status = page.locator(".gsnb-lab-status")
+    table = page.locator(".gsnb-lab-stored")
     page.locator(".gsnb-lab-start").click()
     lab.wait_for(lambda: "frame" in status.inner_text(), "frames")
     page.locator(".gsnb-lab-pause").click()

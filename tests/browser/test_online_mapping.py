@@ -64,7 +64,8 @@ def test_start_pause_step_and_stop_online_mapping(lab, page):
     def mapped():
         return lab.value(page, "run.next_position")
 
-    before, picture = mapped(), source(page, ".gsnb-live-render")
+    before = mapped()
+    picture = source(page, ".gsnb-live-render")
     page.locator(".gsnb-live-start").click()
     lab.wait_for(lambda: mapped() >= before + 2, "frames to be mapped")
     lab.wait_for(lambda: source(page, ".gsnb-live-render") != picture, "a new picture")
@@ -97,14 +98,16 @@ def test_the_map_is_turned_while_it_grows(lab, page):
         lambda: lab.value(page, "splats.stats.get('pictures', 0)") > 0, "the first picture"
     )
     pixels = "document.querySelector('.gsnb-splat-software').toDataURL('image/png')"
-    before, last = page.evaluate(pixels), lab.value(page, "splats.birth_range[1]")
+    before = page.evaluate(pixels)
+    last = lab.value(page, "splats.birth_range[1]")
     lab.run(page, "live.player.start()")
     lab.wait_for(
         lambda: lab.value(page, "splats.birth_range[1]") > last, "newer Gaussians in the viewer"
     )
     lab.wait_for(lambda: page.evaluate(pixels) != before, "a picture of them")
 
-    pose, mapped = lab.value(page, "splats.pose"), lab.value(page, "run.next_position")
+    pose = lab.value(page, "splats.pose")
+    mapped = lab.value(page, "run.next_position")
     box = scene.bounding_box()
     page.mouse.move(box["x"] + 160, box["y"] + 120)
     page.mouse.down()
@@ -130,7 +133,8 @@ def test_the_map_is_turned_while_it_grows(lab, page):
 def test_a_slider_made_from_a_keyword_moves_the_seeds(lab, page):
     page.locator(".gsnb-rule").scroll_into_view_if_needed()
     lab.screenshot(page.locator(".gsnb-rule").first, "chapter_09_rule")
-    before, picture = lab.value(page, "panel.values"), source(page, ".gsnb-rule-image")
+    before = lab.value(page, "panel.values")
+    picture = source(page, ".gsnb-rule-image")
     lab.move_slider(page.locator(".gsnb-rule-max_depth_m"), -6)
     lab.wait_for(
         lambda: lab.value(page, "panel.values")["max_depth_m"] < before["max_depth_m"], "the slider"

@@ -35,7 +35,8 @@ class Scene:
     """The viewer on the page, and the kernel behind it."""
 
     def __init__(self, lab, page):
-        self.lab, self.page = lab, page
+        self.lab = lab
+        self.page = page
         self.element = page.locator(".gsnb-splat-scene")
         self.element.scroll_into_view_if_needed()
         self.lab.wait_for(

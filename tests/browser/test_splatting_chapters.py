@@ -33,7 +33,8 @@ def forward(lab):
 
 @pytest.fixture(scope="module")
 def backward(lab):
-    end, at_the_end = "gradients = GradientMicroscope(", ("loop.run_sync()\n", "at_end")
+    end = "gradients = GradientMicroscope("
+    at_the_end = ("loop.run_sync()\n", "at_end")
     cells = lab.chapter("05_splatting_gradients.ipynb", end, without=at_the_end, changes=LONG_FIT)
     page = lab.open(cells)
     yield page

@@ -87,14 +87,13 @@ def test_next_back_restart_keys_and_slider(lab):
     page = lab.open([VOLUME, RAY])
     page.set_viewport_size({"width": 1000, "height": 900})
     page.evaluate("window.jupyterapp.shell.collapseLeft()")
-    cubes, ray = (
-        page.locator(".gsnb-stepper-marching-cubes-1"),
-        page.locator(".gsnb-stepper-raycast"),
-    )
+    cubes = page.locator(".gsnb-stepper-marching-cubes-1")
+    ray = page.locator(".gsnb-stepper-raycast")
     box = cubes.bounding_box()
     assert box["x"] + box["width"] <= 1000
     lab.screenshot(cubes, "stepper_cubes")
-    image, alt = cubes.locator("img"), cubes.locator("img").get_attribute("alt")
+    image = cubes.locator("img")
+    alt = cubes.locator("img").get_attribute("alt")
     assert cubes.locator(".gsnb-stepper-back").is_disabled()
     cubes.locator(".gsnb-stepper-next").click()
     lab.wait_for(lambda: image.get_attribute("alt") != alt, "the next step")
@@ -132,7 +131,8 @@ def test_every_other_stepper_goes_to_its_end_in_a_page(lab):
     for name in OTHERS:
         stepper = page.locator(f".gsnb-stepper-{name.replace('_', '-')}")
         stepper.scroll_into_view_if_needed()
-        box, image = stepper.bounding_box(), stepper.locator("img")
+        box = stepper.bounding_box()
+        image = stepper.locator("img")
         assert box["x"] + box["width"] <= 1000, name
         first = image.get_attribute("src")
         for step in (1, 2):

@@ -104,10 +104,8 @@ CASES = {
 )
 def test_the_picture_follows_the_drag_without_a_queue(lab, page, name):
     what, start, control = CASES[name]
-    image, handle = (
-        page.locator(f".gsnb-{name}-image img").first,
-        page.locator(f".gsnb-{name}-{control} .noUi-handle"),
-    )
+    image = page.locator(f".gsnb-{name}-image img").first
+    handle = page.locator(f".gsnb-{name}-{control} .noUi-handle")
     if name == "fill":
         size = page.evaluate("(i) => [i.naturalWidth, i.naturalHeight]", image.element_handle())
         at = json.loads(
@@ -118,10 +116,8 @@ def test_the_picture_follows_the_drag_without_a_queue(lab, page, name):
             )
         )
         start = (at[0] / size[0], (at[1] + 26) / size[1])
-    before, value = (
-        lab.screenshot(image, f"touch_{name}_before"),
-        handle.get_attribute("aria-valuenow"),
-    )
+    before = lab.screenshot(image, f"touch_{name}_before")
+    value = handle.get_attribute("aria-valuenow")
     ends = [(start[0] + 0.006 * (i + 1), start[1]) for i in range(MOVES)]
     times = drag(page, image, start, ends, wait_for_each=True)
     each = [shown - moved for moved, shown in times["shown"]]

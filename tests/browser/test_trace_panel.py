@@ -26,7 +26,8 @@ def test_the_panel_follows_a_gaussian_and_a_voxel(lab):
     page = lab.open([MAP])
     page.set_viewport_size({"width": 1000, "height": 1000})
     page.evaluate("window.jupyterapp.shell.collapseLeft()")
-    root, image = page.locator(".gsnb-trace").first, page.locator("img.gsnb-click-image").first
+    root = page.locator(".gsnb-trace").first
+    image = page.locator("img.gsnb-click-image").first
     box = root.bounding_box()
     assert box["x"] + box["width"] <= 1000
     lab.screenshot(root, "trace_seeded")

@@ -131,7 +131,8 @@ def _ways(state: Any, rng: random.Random) -> list[Way]:
     """Parts of a state, each branch as likely as the others."""
     found = []
     for _ in range(8):
-        way, value = [], state
+        way = []
+        value = state
         while isinstance(value, dict | list | tuple) and value and (not way or rng.randrange(6)):
             key = rng.choice(sorted(value) if isinstance(value, dict) else range(len(value)))
             way.append(key)
@@ -148,7 +149,8 @@ def _altered(state: Any, way: Way, rng: random.Random) -> Alteration | None:
         holder = holder[key]
     if isinstance(holder, tuple):
         return None
-    value, where = holder[way[-1]], "/".join(map(str, way))
+    value = holder[way[-1]]
+    where = "/".join(map(str, way))
     if isinstance(value, Tensor) and value.dtype == torch.uint8 and _is_text(value):
         plain = unpacked(value)
         below = _ways(plain, rng)[0] if isinstance(plain, dict | list) and plain else ()

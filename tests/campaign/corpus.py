@@ -69,7 +69,8 @@ def make_takes(n: int = 4):
     poses = box.poses(n)
     poses[:, :3, :3] = quaternion.to_matrix(quaternion.from_matrix(poses[:, :3, :3]))
     views = [box.render(T, camera) for T in poses]
-    rgb, depth_m = [v[0] for v in views], [v[1].astype(np.float32) for v in views]
+    rgb = [v[0] for v in views]
+    depth_m = [v[1].astype(np.float32) for v in views]
     times_s = [1.7e9 + 0.2 * i for i in range(n)]
     return of_tests("recordings/convert/conftest.py").Takes(camera, rgb, depth_m, poses, times_s)
 
@@ -257,7 +258,8 @@ def _bags(root: Path, takes) -> list[Seed]:
 
 
 def _nerfstudio(root: Path, takes) -> Seed:
-    c, at = takes.camera, root / "nerfstudio"
+    c = takes.camera
+    at = root / "nerfstudio"
     frames = []
     for i in range(len(takes)):
         takes.write(at / f"images/{i}.png", takes.png(i))
@@ -288,7 +290,8 @@ def _nerfstudio(root: Path, takes) -> Seed:
 
 
 def _open3d(root: Path, takes) -> list[Seed]:
-    c, seeds = takes.camera, []
+    c = takes.camera
+    seeds = []
     K = [c.fx, 0, 0, 0, c.fy, 0, c.cx - 0.5, c.cy - 0.5, 1]
     camera = {"width": c.width, "height": c.height, "intrinsic_matrix": K}
     for kind in ("log", "json"):
@@ -327,7 +330,8 @@ def _icl(root: Path, takes) -> Seed:
 
 
 def _single_files(root: Path, takes) -> list[Seed]:
-    c, at = takes.camera, root / "files"
+    c = takes.camera
+    at = root / "files"
     at.mkdir()
     rows = [[t, *takes.tum_row(i)] for i, t in enumerate(takes.times_s)]
     header = (
@@ -514,7 +518,8 @@ def bombs(root: Path) -> list[Seed]:
     zeros = _deflated(BOMB_BYTES)
     scannet = of_tests("recordings/convert/formats/test_scannet.py")
     sens = scannet.write_sens(root / "bomb_sens/a.sens", takes).read_bytes()
-    head, colour = sens[: 12 + 8 + 256 + 8 + 28], takes.jpeg(0)
+    head = sens[: 12 + 8 + 256 + 8 + 28]
+    colour = takes.jpeg(0)
     frame = (
         struct.pack(
             "<16f4Q",

@@ -36,11 +36,9 @@ import targets
 SECONDS = 10
 MEMORY_BYTES = 1_000_000_000
 BATCH = 40
-CLEAN, ACCEPTED, BAD = (
-    "clean errors",
-    "accepted",
-    ("tracebacks", "crashes", "hangs", "memory", "silent acceptances"),
-)
+CLEAN = "clean errors"
+ACCEPTED = "accepted"
+BAD = ("tracebacks", "crashes", "hangs", "memory", "silent acceptances")
 
 
 @dataclass
@@ -73,7 +71,8 @@ class Campaign:
     """A corpus and a seed: input ``i`` is always the same."""
 
     def __init__(self, root: Path, seed: int, only: str = ""):
-        self.root, self.seed = root, seed
+        self.root = root
+        self.seed = seed
         (root / "corpus").mkdir(parents=True)
         (root / "bombs").mkdir()
         self.seeds = [
@@ -131,7 +130,8 @@ class Campaign:
         before = _memory("VmRSS")
         try:
             targets.TARGETS[seed.target](path)
-            kind, text = ACCEPTED, ""
+            kind = ACCEPTED
+            text = ""
             is_json = (
                 chosen is not None
                 and chosen.is_file()
@@ -141,13 +141,17 @@ class Campaign:
                 fault = targets.strict_json_fault(chosen)
                 kind, text = ("silent acceptances", fault) if fault else (kind, text)
         except Hang as e:
-            kind, text = "hangs", "".join(traceback.format_exception(e))[-900:]
+            kind = "hangs"
+            text = "".join(traceback.format_exception(e))[-900:]
         except targets.SilentAcceptance as e:
-            kind, text = "silent acceptances", str(e)
+            kind = "silent acceptances"
+            text = str(e)
         except BaseException as e:
-            kind, text = _kind_of(e, folder), "".join(traceback.format_exception(e))[-900:]
+            kind = _kind_of(e, folder)
+            text = "".join(traceback.format_exception(e))[-900:]
         if _memory("VmHWM") - before > MEMORY_BYTES:
-            kind, text = "memory", f"{(_memory('VmHWM') - before) / 1e9:.2f} GB; {text}"
+            kind = "memory"
+            text = f"{(_memory('VmHWM') - before) / 1e9:.2f} GB; {text}"
         return (
             kind,
             f"{seed.name} ({seed.target}), {chosen.name if chosen else 'made to harm'}: {text}",
@@ -220,11 +224,9 @@ def _child(campaign: Campaign, numbers: list[int], write: int) -> None:
             try:
                 kind, text = campaign.judge(i, folder)
             except Hang as e:
-                kind, text = (
-                    "hangs",
-                    "while it was made or measured: "
-                    + "".join(traceback.format_exception(e))[-900:],
-                )
+                kind = "hangs"
+                trace = "".join(traceback.format_exception(e))
+                text = f"while it was made or measured: {trace[-900:]}"
             told.write(json.dumps([i, kind, text]) + "\n")
             shutil.rmtree(folder, ignore_errors=True)
     os._exit(0)
@@ -236,7 +238,9 @@ def run(
     keep: Path | None = None,
 ) -> Figures:
     """Judge inputs by number, and keep those that did not end well."""
-    figures, start, left = Figures(), time.monotonic(), list(numbers)
+    figures = Figures()
+    start = time.monotonic()
+    left = list(numbers)
     while left:
         batch = left[:BATCH]
         read, write = os.pipe()
@@ -269,7 +273,9 @@ def run(
 
 def _listen(child: int, read: int, figures: Figures) -> int:
     """Take in the results of a child until it ends or does not answer any more; how many came."""
-    done, rest, clock = 0, b"", _Clock(child)
+    done = 0
+    rest = b""
+    clock = _Clock(child)
     try:
         while True:
             ready, _, _ = select.select([read], [], [], SECONDS / 4)
@@ -313,7 +319,9 @@ class _Clock:
         self._last = now
         if self._idle_s < SECONDS and now - self._start < SECONDS:
             return False
-        self.warned, self._idle_s, self._start = self.warned + 1, 0.0, now
+        self.warned = self.warned + 1
+        self._idle_s = 0.0
+        self._start = now
         return True
 
     def _cpu_s(self) -> tuple[float, str]:

@@ -56,7 +56,8 @@ class Presses:
     told to stop."""
 
     def __init__(self, seed: int, most_s: float):
-        self._draw, self._most_s = random.Random(seed), most_s
+        self._draw = random.Random(seed)
+        self._most_s = most_s
         self._ends = threading.Event()
         self._may = threading.Event()
         self._thread = threading.Thread(target=self._press, daemon=True)
@@ -127,7 +128,8 @@ def campaign(
     most_s: float,
 ) -> Figures:
     """Runs of all ``variants`` in turn, while Ctrl-C is pressed."""
-    figures, whole = Figures(), {}
+    figures = Figures()
+    whole = {}
     for variant in variants:
         run = new_run(VARIANTS[variant])
         began = time.monotonic()

@@ -144,7 +144,8 @@ def _run(
     torch.set_num_threads(1)
     operations = Operations(folder, kill)
     operations.watch()
-    steps, after_step = [0], mapping_run.MappingRun.__setattr__
+    steps = [0]
+    after_step = mapping_run.MappingRun.__setattr__
 
     def watched(self: Any, name: str, value: Any) -> None:
         if name == "after_step":
@@ -197,7 +198,8 @@ class Operations:
     """Counts the operations that change files in a folder, and dies at one of them."""
 
     def __init__(self, folder: Path, kill: KillPoint | None):
-        self.folder, self.n = f"{folder}{os.sep}", 0
+        self.folder = f"{folder}{os.sep}"
+        self.n = 0
         self.kill = (
             kill if kill is not None and kill.kind in ("before", "after", "within") else None
         )
@@ -249,7 +251,8 @@ class _Writing:
     """A file whose writes are counted."""
 
     def __init__(self, file: Any, operations: Operations):
-        self._file, self._operations = file, operations
+        self._file = file
+        self._operations = operations
 
     def write(self, content: Any) -> Any:
         def half() -> None:
@@ -312,7 +315,9 @@ def kill_and_resume(
 ) -> None:
     """Kill a run at each of ``kills`` in turn, let it complete, and compare it with
     ``unkilled``."""
-    expected, n_steps, n_killed = unkilled["sha256"], unkilled["steps"], 0
+    expected = unkilled["sha256"]
+    n_steps = unkilled["steps"]
+    n_killed = 0
     for kill in kills:
         seconds = kill.at if kill.kind == "time" else None
         if not finish(child(variant, folder, kill=kill), seconds):
@@ -354,16 +359,19 @@ def campaign(
     """Runs of all ``variants``, killed ``n_kills`` times in all."""
     import gsfusion_nb.runs  # noqa: F401  (imported before the forks)
 
-    draw, figures = random.Random(seed), Figures()
+    draw = random.Random(seed)
+    figures = Figures()
     results = {v: whole(v, folder / "-".join(v)) for v in variants}
     for variant in variants:
         plain = whole(variant, folder / f"plain-{'-'.join(variant)}", every=0)
         if plain["sha256"] != results[variant]["sha256"]:
             figures.failures.append(f"{variant}: checkpoints change the maps")
-    n, operation = 0, Counter()
+    n = 0
+    operation = Counter()
     while sum(figures.kills.values()) < n_kills:
         variant = variants[n % len(variants)]
-        whole_run, kills = results[variant], []
+        whole_run = results[variant]
+        kills = []
         for _ in range(draw.choice((1, 1, 2))):
             kind = draw.choice(("before", "after", "within", "step", "time"))
             apart = max(

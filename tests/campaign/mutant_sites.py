@@ -193,7 +193,8 @@ def described(
     occurrence: int,
 ) -> Mutant:
     """The mutant of an operator's n-th occurrence."""
-    before, after = source.splitlines(), mutated(source, operator, occurrence).splitlines()
+    before = source.splitlines()
+    after = mutated(source, operator, occurrence).splitlines()
     head = next(
         (i for i, (a, b) in enumerate(zip(before, after, strict=False)) if a != b),
         len(before) - 1,

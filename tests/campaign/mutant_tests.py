@@ -64,7 +64,8 @@ class Coverage:
         files = {_file(test) for test in direct}
         near = {test for test in of_module - direct if _file(test) in files}
         far = of_module - direct - near if direct else set()
-        chosen, spent = [], 0.0
+        chosen = []
+        spent = 0.0
         for test in [
             test for group in (direct, near, far) for test in self._in_order(group, mutant)
         ]:
@@ -176,7 +177,8 @@ def verdict(
     if not tests:
         return "survived"
     path = tree / mutant.file
-    source, stat = path.read_text("utf-8"), path.stat()
+    source = path.read_text("utf-8")
+    stat = path.stat()
     try:
         path.write_text(mutated(source, mutant.operator, mutant.occurrence), "utf-8")
         limit = round(20 + 5 * seconds)
@@ -261,14 +263,16 @@ class Recorder:
     is made."""
 
     def __init__(self, coverage: Any):
-        self.coverage, self.context = coverage, ""
+        self.coverage = coverage
+        self.context = ""
         self.seconds: dict[str, float] = {}
         self.failed: set[str] = set()
         self.shared: dict[str, list[str]] = {}
         """Test -> contexts of the shared fixtures that it uses."""
 
     def _switch(self, context: str) -> str:
-        before, self.context = self.context, context
+        before = self.context
+        self.context = context
         os.environ["MUTANT_CONTEXT"] = context
         self.coverage.switch_context(context)
         return before
@@ -337,8 +341,10 @@ def _measure(
     code = _pytest(folders, recorder, options=[option for option in OPTIONS if option != "-x"])
     cov.stop()
     cov.combine(keep=False)
-    data, kept = cov.get_data(), [test for test in recorder.seconds if test not in recorder.failed]
-    number, users = {test: i for i, test in enumerate(kept)}, defaultdict(list)
+    data = cov.get_data()
+    kept = [test for test in recorder.seconds if test not in recorder.failed]
+    number = {test: i for i, test in enumerate(kept)}
+    users = defaultdict(list)
     for test in kept:
         for context in (test, *recorder.shared.get(test, ())):
             users[context].append(number[test])

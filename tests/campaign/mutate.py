@@ -128,7 +128,8 @@ def _number(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
 
 def _line(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
     lines = data.split(b"\n")
-    i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
+    i = rng.randrange(len(lines))
+    j = rng.randrange(len(lines))
     way = rng.randrange(5)
     if way == 0:
         del lines[i]
@@ -148,7 +149,8 @@ def _line(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
 
 def _header(data: bytes, rng: random.Random, others: list[bytes]) -> bytes:
     end = data.find(b"end_header")
-    head, rest = data[: max(end, 0)], data[max(end, 0) :]
+    head = data[: max(end, 0)]
+    rest = data[max(end, 0) :]
     if rng.randrange(2):
         kinds = (
             b"float",

@@ -87,7 +87,8 @@ def growing(path: Path) -> None:
     from gsfusion_nb.data.stream import GrowingFolder
 
     (path / "stop").touch()
-    frames, error = GrowingFolder(path, poll_s=0.001, idle_s=0.01, patience_s=0.0), None
+    frames = GrowingFolder(path, poll_s=0.001, idle_s=0.01, patience_s=0.0)
+    error = None
     while True:
         try:
             frame = next(frames)
@@ -164,7 +165,8 @@ def mesh(path: Path) -> None:
     made = read_mesh_ply(path)
     _need(bool(torch.isfinite(made.vertices_W).all()), "a vertex is not finite")
     if made.faces.numel():
-        low, high = int(made.faces.min()), int(made.faces.max())
+        low = int(made.faces.min())
+        high = int(made.faces.max())
         _need(low >= 0 and high < len(made.vertices_W), "a face of a vertex that is not there")
 
 

@@ -52,7 +52,8 @@ def stranger(tmp_path, ran, monkeypatch):
     own.parent.mkdir()
     own.write_text(SPY.format(place=str(ran)) + "import thin\n" + RULE)
     own.with_name("thin.py").write_text(HELPER)
-    folder, original = tmp_path / "their run", MappingRun._map
+    folder = tmp_path / "their run"
+    original = MappingRun._map
 
     def interrupted(self, frame):
         if frame.index == 2:
@@ -186,7 +187,8 @@ TABLE = (
 
 
 def test_the_table_of_a_comparison_executes_nothing(tmp_path, ran, capsys, monkeypatch):
-    file, table = tmp_path / "their.py", tmp_path / "table.toml"
+    file = tmp_path / "their.py"
+    table = tmp_path / "table.toml"
     file.write_text(SPY.format(place=str(ran)) + RULE)
     table.write_text(TABLE)
     with pytest.raises(RuleNotNamedError, match="rule_files="):

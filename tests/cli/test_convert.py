@@ -12,7 +12,8 @@ from gsfusion_nb.data import SequenceError, open_sequence
 @pytest.fixture
 def scan(shared_sequence, tmp_path, monkeypatch):
     """Eight frames of a real recording in folders of other names, without poses or intrinsics."""
-    source, mini = tmp_path / "scan", shared_sequence("redkitchen_mini48")
+    source = tmp_path / "scan"
+    mini = shared_sequence("redkitchen_mini48")
     for kind, name in (("rgb", "color"), ("depth", "depth"), ("depth", "depth_raw")):
         (source / name).mkdir(parents=True)
         for file in sorted((mini / kind).iterdir())[:8]:
@@ -26,7 +27,8 @@ def terminal(monkeypatch):
     """``terminal(*answers)``: somebody answers; the list of prompts."""
 
     def at(*answers):
-        asked, answers = [], list(answers)
+        asked = []
+        answers = list(answers)
         monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
         monkeypatch.setattr("sys.stdout.isatty", lambda: True, raising=False)
         monkeypatch.setattr("builtins.input", lambda prompt: asked.append(prompt) or answers.pop(0))

@@ -47,17 +47,16 @@ def test_a_folder_has_all_files_in_one_frame(folder, tmp_path, capsys):
     assert (
         "Up is +z in the map: the mean of the up directions of 2 cameras, trajectory.txt." in said
     )
-    gaussians, mesh = (
-        read_gaussian_ply(tmp_path / "out/gaussians.ply"),
-        read_mesh_ply(tmp_path / "out/mesh.ply"),
-    )
+    gaussians = read_gaussian_ply(tmp_path / "out/gaussians.ply")
+    mesh = read_mesh_ply(tmp_path / "out/mesh.ply")
     assert gaussians.xyz_W.tolist() == [[0, -1, 2]]  # one metre above the floor: y = -1
     assert mesh.vertices_W[0].tolist() == [0, -1, 2]
     assert (tmp_path / "out/map.glb").read_bytes()[:4] == b"glTF"
 
 
 def test_from_file_to_file(folder, tmp_path):
-    first, second = folder / "gaussians.ply", tmp_path / "b.ply"
+    first = folder / "gaussians.ply"
+    second = tmp_path / "b.ply"
     assert main(["export", str(first), str(second), "--up", "+z"]) == 0
     assert torch.allclose(
         read_gaussian_ply(second).xyz_W,
@@ -107,19 +106,22 @@ def test_wrong_fields_of_the_settings_are_sentences_that_name_the_file(folder, t
         "camera": camera,
         "config": {},
     }
-    stage, cloud = str(tmp_path / "map.usda"), str(tmp_path / "map.ply")
+    stage = str(tmp_path / "map.usda")
+    cloud = str(tmp_path / "map.ply")
     said = []
 
     def check(document, *commands):
         (folder / "config.json").write_text(json.dumps(document))
         for command in commands:
-            status, text = main(list(command)), capsys.readouterr().err
+            status = main(list(command))
+            text = capsys.readouterr().err
             said.append(text)
             assert status == 1, (document, command)
             assert "unexpected error" not in text, text
             assert str(folder) in text, text
 
-    to_stage, to_cloud = ("export", str(folder), stage, "--no-mesh"), ("export", str(folder), cloud)
+    to_stage = ("export", str(folder), stage, "--no-mesh")
+    to_cloud = ("export", str(folder), cloud)
     for name in camera:
         check(
             {**good, "camera": {k: v for k, v in camera.items() if k != name}},

@@ -56,7 +56,8 @@ def help_of(
 ) -> tuple[type, dict[str, str]]:
     """The class of a command's options, and the help of each option by its name on the command
     line."""
-    classes, parse = [], tyro.cli
+    classes = []
+    parse = tyro.cli
 
     def noted(options: type, **rest: Any) -> Any:
         classes.append(options)

@@ -42,7 +42,8 @@ def hashes(folder):
 
 
 def test_the_source_goes_into_the_folder_and_repeats_the_run(rule, tmp_path, capsys):
-    first, again = tmp_path / "first", tmp_path / "again"
+    first = tmp_path / "first"
+    again = tmp_path / "again"
     options = ("--seeding.rule", f"{rule}:near", "--rule-options", "step=7")
     assert run(["room", *FAST, *options, "--out", str(first)]) == 0
     assert (first / "rule.py").read_text() == RULE
@@ -75,7 +76,8 @@ def test_a_resumed_run_uses_its_own_rule_or_refuses_another(rule, tmp_path, monk
         optim__global_iterations=0,
         seeding__rule=f"{rule}:near",
     )
-    folder, original = tmp_path / "run", MappingRun._map
+    folder = tmp_path / "run"
+    original = MappingRun._map
 
     def dies(self, frame):
         if frame.index == 2:

@@ -121,7 +121,8 @@ def test_what_a_preset_sets_besides_the_data_is_said(arguments, said):
 
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_a_run_from_before_a_setting_existed_keeps_what_it_did(tmp_path, system):
-    path, default = tmp_path / "config.json", SYSTEMS[system].config_type()
+    path = tmp_path / "config.json"
+    default = SYSTEMS[system].config_type()
     stored = to_dict(default)
     for name in BEFORE[system]:
         *group, last = name.split(".")

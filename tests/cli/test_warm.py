@@ -46,7 +46,9 @@ def watching():
 
 def test_progress_names_every_map_and_ends_at_the_total(monkeypatch, capsys):
     pytest.importorskip("numba")
-    mapped, shown, threads = [], [], torch.get_num_threads()
+    mapped = []
+    shown = []
+    threads = torch.get_num_threads()
     monkeypatch.setattr(doctor, "_map", mapped.append)
     monkeypatch.setattr(
         doctor.ProgressDisplay, "show", lambda self, done, **more: shown.append((done, more))

@@ -147,7 +147,8 @@ def test_the_scene_is_that_of_its_seed_and_fills_the_frustum_and_a_border():
     assert not torch.equal(a.params.xyz_W, other.params.xyz_W)
     scene = random_scene(5000, 320, 240)
     xyz_C = se3.apply(se3.inverse(scene.T_WC), scene.params.xyz_W)
-    z, uv = xyz_C[:, 2], project(scene.camera, xyz_C) / torch.tensor([320.0, 240.0])
+    z = xyz_C[:, 2]
+    uv = project(scene.camera, xyz_C) / torch.tensor([320.0, 240.0])
     assert torch.stack(z.aminmax()).tolist() == pytest.approx([2, 6], abs=0.05)
     assert torch.stack(uv.aminmax()).tolist() == pytest.approx([-0.05, 1.05], abs=0.005)
     assert scene.params.opacity_logit.sigmoid().aminmax() == pytest.approx((0.1, 0.95), abs=0.01)

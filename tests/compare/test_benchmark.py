@@ -94,7 +94,9 @@ def test_the_tables_of_gps_slams_paper_are_there():
         ]
         for name, asked in DATA_SETS.items()
     }
-    replica, tum, scannetpp = own["replica"][0], own["tum"][0], own["scannetpp"][0]
+    replica = own["replica"][0]
+    tum = own["tum"][0]
+    scannetpp = own["scannetpp"][0]
     assert [replica[c] for c in ("psnr", "ssim", "lpips", "fps", "memory")] == [
         37.24,
         0.960,

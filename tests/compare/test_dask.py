@@ -56,7 +56,8 @@ def test_a_worker_that_is_killed_changes_no_number(
         n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None
     )
     with cluster, distributed.Client(cluster) as client:
-        victim, there = client.run(os.getpid).popitem()[1], {}
+        victim = client.run(os.getpid).popitem()[1]
+        there = {}
         for i, result in run_all(entries, ResultStore(tmp_path / "cache b"), on_dask(client)):
             there[i] = result
             if len(there) == 2:

@@ -67,7 +67,8 @@ def test_it_starts_pauses_between_frames_goes_on_and_stops(specs, tmp_path):
     wait_for(lambda: "frame" in live._now)
     live.pause()
     wait_for(lambda: "<b>paused</b>" in live.status.value)
-    n, now = len(live.results), live._now
+    n = len(live.results)
+    now = live._now
     time.sleep(0.1)
     assert (len(live.results), live._now) == (n, now)
     live.stop()
@@ -194,7 +195,8 @@ def test_mistakes_in_a_notebook_are_found_before_anything_runs(entrant, shared, 
 
 
 def test_settings_and_open_frames_of_a_notebook(specs, tmp_path, cache):
-    config, sequence = specs[0].config(), Entry(spec=specs[0]).opened()
+    config = specs[0].config()
+    sequence = Entry(spec=specs[0]).opened()
     rules = ["uniform", Entrant("uniform", {"fraction": 0.05})]
     entries = entries_of(
         rules,

@@ -145,7 +145,8 @@ def test_what_a_result_holds(spec, tmp_path):
 def test_it_repeats_bit_for_bit_and_equal_rules_tie(spec):
     one, other = (spec(f"two.py:{name}", rule_source=TWO_RULES) for name in ("one", "other"))
     assert one.key != other.key
-    first, second = run_spec(one), run_spec(other)
+    first = run_spec(one)
+    second = run_spec(other)
     same_numbers(first, run_spec(one))
     same_numbers(first, second)
     assert first.rule_source == TWO_RULES
@@ -281,7 +282,8 @@ def test_a_run_that_misses_its_size_is_tuned_once_more_with_its_own_seed(
             budget=Budget(gaussians=1000),
         )
     )
-    seeds, left = [], iter([*errors, errors[-1]])
+    seeds = []
+    left = iter([*errors, errors[-1]])
 
     def tuned_again(entry, on_step):
         seeds.append(entry.spec.seed)

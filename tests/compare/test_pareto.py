@@ -23,7 +23,8 @@ def test_equals_are_both_on_it_and_nothing_is_fine():
 
 def test_the_definition_in_a_loop():
     g = np.random.default_rng(0)
-    cost, quality = g.integers(0, 8, 40), g.integers(0, 8, 40).astype(float)
+    cost = g.integers(0, 8, 40)
+    quality = g.integers(0, 8, 40).astype(float)
     for i, on_front in enumerate(pareto_front(cost, quality)):
         beaten = any(
             cost[j] <= cost[i]

@@ -51,7 +51,8 @@ def write_weights(path, bias):
 @pytest.fixture
 def learned(tmp_path):
     """File of the rule, and of its weights."""
-    file, weights = tmp_path / "learned_rule.py", tmp_path / "w.pt"
+    file = tmp_path / "learned_rule.py"
+    weights = tmp_path / "w.pt"
     write_weights(weights, 0.0)
     file.write_text(LEARNED.replace("{place}", str(weights)))
     return file, weights
@@ -67,7 +68,8 @@ def entry(spec):
 
 def test_retrained_weights_give_another_key_and_another_map(learned, entry, tmp_path):
     file, weights = learned
-    store, hashes = ResultStore(tmp_path / "cache"), []
+    store = ResultStore(tmp_path / "cache")
+    hashes = []
     for bias in (0.0, -0.2):
         write_weights(weights, bias)
         ((_, result),) = run_all([entry(f"{file}:learned")], store)
@@ -109,7 +111,9 @@ def test_a_helper_module_is_part_of_the_key(how, entry, tmp_path, monkeypatch):
     inside = "" if how else "    import the_helper\n"
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "the_helper", raising=False)
-    file, helper, keys = tmp_path / "rule.py", tmp_path / "the_helper.py", []
+    file = tmp_path / "rule.py"
+    helper = tmp_path / "the_helper.py"
+    keys = []
     file.write_text(
         f"{how}\n\ndef helped(ctx):\n{inside}    return ctx.seeds_at(ctx.pixels()[::7], {call})  # "
         f"{how!r}\n"

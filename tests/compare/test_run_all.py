@@ -47,7 +47,8 @@ class Counting(InProcess):
 
 
 def test_runs_are_done_once(entries, tmp_path):
-    first, store = Counting(), ResultStore(tmp_path / "cache")
+    first = Counting()
+    store = ResultStore(tmp_path / "cache")
     results = dict(run_all([*entries, entries[0]], store, first))
     assert sorted(results) == [0, 1, 2, 3, 4]
     assert sorted(first.done) == ["run", "run", "run", "tune", "tune"]
@@ -57,7 +58,8 @@ def test_runs_are_done_once(entries, tmp_path):
     assert results[2].spec.label == "quadtree"
     assert all((tmp_path / "cache" / name).is_file() for name in results[2].pictures.values())
 
-    again, other = Counting(), ResultStore(tmp_path / "cache")
+    again = Counting()
+    other = ResultStore(tmp_path / "cache")
     renamed = [Entry(spec=dataclasses.replace(entries[2].spec, label="another name"))]
     reused = dict(run_all([*entries[:2], *renamed], other, again))
     assert again.done == []
@@ -86,7 +88,8 @@ def test_a_damaged_or_altered_result_is_computed_again_and_named(entries, tmp_pa
     store = ResultStore(tmp_path / "cache")
     results = dict(run_all(entries[1:3], store))
     path = tmp_path / "cache" / "results" / f"{results[1].key}.json"
-    content, other = path.read_text(), path.with_name(f"{results[0].key}.json").read_text()
+    content = path.read_text()
+    other = path.with_name(f"{results[0].key}.json").read_text()
     found = f'"psnr_held_out_db": {results[1].metrics["psnr_held_out_db"]}'
     assert found in content
     damages = {
@@ -105,7 +108,8 @@ def test_a_damaged_or_altered_result_is_computed_again_and_named(entries, tmp_pa
     for name, (text, message) in damages.items():
         path.write_text(text)
         caplog.clear()
-        store, counting = ResultStore(tmp_path / "cache"), Counting()
+        store = ResultStore(tmp_path / "cache")
+        counting = Counting()
         assert store.find(entries[2].spec) is None
         again = dict(run_all(entries[2:3], store, counting))[0]
         assert (numbers(again), counting.done) == (numbers(results[1]), ["run"]), name
@@ -192,7 +196,8 @@ def test_two_commands_in_one_folder_and_two_on_one_cache(spec, tmp_path, monkeyp
 
 
 def test_it_is_said_how_many_runs_will_be_computed(spec, tmp_path, capsys):
-    store, runs = ResultStore(tmp_path), [spec(), spec(label="again")]
+    store = ResultStore(tmp_path)
+    runs = [spec(), spec(label="again")]
     store.keep(
         RunResult(
             spec=runs[0],

@@ -31,7 +31,8 @@ def test_every_rule_of_the_package_is_covered():
 
 @pytest.mark.parametrize("name", SIZE_OPTIONS)
 def test_the_option_exists_and_its_usual_value_is_in_range(name):
-    spec, rule = RunSpec(rule=name), registered()[name]
+    spec = RunSpec(rule=name)
+    rule = registered()[name]
     option = size_option(spec, rule)
     start = start_value(spec, rule, option)
     assert option.low <= start <= option.high

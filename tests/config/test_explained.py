@@ -49,7 +49,8 @@ CLASSES = sorted(
 
 @pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
 def test_every_setting_is_explained_with_its_unit(cls):
-    texts, default = explanations(cls), cls()
+    texts = explanations(cls)
+    default = cls()
     for f in dataclasses.fields(cls):
         if dataclasses.is_dataclass(getattr(default, f.name)):
             continue
@@ -62,7 +63,8 @@ def test_every_setting_is_explained_with_its_unit(cls):
 
 @pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
 def test_words_that_a_text_quotes_are_allowed(cls):
-    texts, kinds = explanations(cls), typing.get_type_hints(cls)
+    texts = explanations(cls)
+    kinds = typing.get_type_hints(cls)
     for f in dataclasses.fields(cls):
         if typing.get_origin(kinds[f.name]) is typing.Literal:
             quoted = set(re.findall(r'"(\w+)"', texts[f.name]))

@@ -22,8 +22,10 @@ def doubled(x):
 
 
 def split(x0, y0, width, height):
-    left, right = (x0, width // 2), (x0 + width // 2, width - width // 2)
-    upper, lower = (y0, height // 2), (y0 + height // 2, height - height // 2)
+    left = (x0, width // 2)
+    right = (x0 + width // 2, width - width // 2)
+    upper = (y0, height // 2)
+    lower = (y0 + height // 2, height - height // 2)
     return [(x, y, w, h) for x, w in (left, right) for y, h in (upper, lower)]
 
 

@@ -156,7 +156,8 @@ def near(got, expected):
 
 def test_disc_depth(generator):
     r, p, n = torch.randn(3, 40, 3, generator=generator)
-    r[:, 2], n = 1.0, n / n.norm(dim=1, keepdim=True)
+    r[:, 2] = 1.0
+    n = n / n.norm(dim=1, keepdim=True)
     near(*both(disc_hit, r, p, n, 0.5))
     near(
         *both(
@@ -257,7 +258,8 @@ def test_prediction_of_the_tracker(ratio, generator):
 
 def test_an_edge_and_a_step_of_the_pose_graph(generator):
     T = se3.exp(torch.randn(4, 6, generator=generator, dtype=F64))
-    i, j = torch.tensor([0, 1, 2, 3]), torch.tensor([1, 2, 3, 1])
+    i = torch.tensor([0, 1, 2, 3])
+    j = torch.tensor([1, 2, 3, 1])
     _, J_i, J_j = relative_pose_error(
         T[i],
         T[j],
@@ -299,7 +301,8 @@ def test_a_room_of_discs_by_the_learners_code_is_the_references():
         states__stable_confidence=15.0,
     )
     room = open_sequence("room", data=config.data, n_frames=48)
-    scores, counts = [], []
+    scores = []
+    counts = []
     for backend in ("reference", "mine"):
         with use_backend(backend):
             mapper = RTGSLAM(config)
@@ -375,8 +378,11 @@ def test_pictures_and_gradients_are_made_by_the_learner(params, weight, own):
 
 
 def test_no_gaussians_and_no_pixels():
-    none, colours, depth_m = torch.zeros(0, 4), torch.zeros(0, 3), torch.full((4,), 2.0)
-    C_s, b = torch.rand(4, 3, generator=torch.Generator().manual_seed(1)), torch.ones(4)
+    none = torch.zeros(0, 4)
+    colours = torch.zeros(0, 3)
+    depth_m = torch.full((4,), 2.0)
+    C_s = torch.rand(4, 3, generator=torch.Generator().manual_seed(1))
+    b = torch.ones(4)
     with use_backend("mine"):
         assert not_behind(none, b[:0], depth_m, 0.1).shape == (0, 4)
         assert not_behind(

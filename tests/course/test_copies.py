@@ -158,7 +158,8 @@ def test_every_chapter_has_its_pictures_and_no_solution(path):
 
 
 def test_a_notebook_that_is_there_stays(tmp_path):
-    source, target = tmp_path / "notebooks", tmp_path / "course"
+    source = tmp_path / "notebooks"
+    target = tmp_path / "course"
     write(source, CHAPTER)
     assert hand_out(source, target) == [target / "01_x.ipynb"]
     (target / "01_x.ipynb").write_text("mine")

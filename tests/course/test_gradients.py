@@ -62,7 +62,8 @@ def test_an_input_without_influence_has_zero_gradient():
 
 def test_all_solutions_pass_three_ways():
     v_C = torch.tensor([0.3, -1.0, 0.5], dtype=F64)
-    alpha, rgb = torch.tensor([0.5, 0.8, 0.3], dtype=F64), torch.rand(3, 3, dtype=F64)
+    alpha = torch.tensor([0.5, 0.8, 0.3], dtype=F64)
+    rgb = torch.rand(3, 3, dtype=F64)
     assert compare_gradients(
         gradients._blend,
         lambda v, a, c: gradients._blend_vjp(a, c, v),

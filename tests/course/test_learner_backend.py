@@ -116,7 +116,9 @@ def test_inputs_of_the_library_are_safe_from_a_function_that_changes_its_own():
         "running_average",
         lambda D, W, d, cap: (D.zero_(), W.add_(1)),
     )
-    D, W, sdf_m = torch.ones(3), torch.zeros(3), torch.tensor([0.01, -0.01, -1.0])
+    D = torch.ones(3)
+    W = torch.zeros(3)
+    sdf_m = torch.tensor([0.01, -0.01, -1.0])
     with use_backend("mine"):
         new_D, new_W = tsdf_update(D, W, sdf_m, truncation_m=0.1, max_weight=100.0)
     assert (D.tolist(), W.tolist()) == ([1.0] * 3, [0.0] * 3)
@@ -188,16 +190,14 @@ def few_gaussians(n=9):
 
 
 def test_a_picture_and_its_gradient_by_the_learners_code_are_the_references():
-    params, camera = (
-        few_gaussians(),
-        Camera(
-            width=5,
-            height=4,
-            fx=5.0,
-            fy=4.0,
-            cx=2.5,
-            cy=2.0,
-        ),
+    params = few_gaussians()
+    camera = Camera(
+        width=5,
+        height=4,
+        fx=5.0,
+        fy=4.0,
+        cx=2.5,
+        cy=2.0,
     )
     T_WC = se3.exp(torch.tensor([0.1, -0.1, 0.05, 0.1, -0.2, 0.3]))
     expected, saved = render_forward.reference(params, camera, T_WC)
@@ -237,7 +237,8 @@ def test_a_picture_and_its_gradient_by_the_learners_code_are_the_references():
 def test_adam_by_the_learners_code_is_the_references(steps):
     g = torch.Generator().manual_seed(5)
     param, gradient, m = (torch.randn(4, 2, 3, generator=g) for _ in range(3))
-    v, lr = torch.rand(4, 2, 3, generator=g), torch.tensor([[0.1], [0.2]]).expand(-1, 3)
+    v = torch.rand(4, 2, 3, generator=g)
+    lr = torch.tensor([[0.1], [0.2]]).expand(-1, 3)
     t = torch.tensor([1, 3, 1, 8]) if steps == "rows" else steps
     options = {"lr": lr, "beta1": 0.9, "beta2": 0.999, "eps": 1e-15}
     expected, got = ([x.clone() for x in (param, m, v)] for _ in range(2))
@@ -251,16 +252,14 @@ def test_adam_by_the_learners_code_is_the_references(steps):
 
 
 def test_nan_at_one_pixel_is_found_among_many():
-    params, camera = (
-        few_gaussians(),
-        Camera(
-            width=5,
-            height=4,
-            fx=5.0,
-            fy=4.0,
-            cx=2.5,
-            cy=2.0,
-        ),
+    params = few_gaussians()
+    camera = Camera(
+        width=5,
+        height=4,
+        fx=5.0,
+        fy=4.0,
+        cx=2.5,
+        cy=2.0,
     )
 
     def composite_pixel(alpha, rgb):
@@ -293,7 +292,8 @@ def test_a_room_mapped_with_the_learners_code_is_as_good_as_the_references():
     }
     config = gsfusion("room", "paper_steps", **options)
     sequence = open_sequence("room", data=config.data, n_frames=16)
-    scores, meshes = [], []
+    scores = []
+    meshes = []
     keep_all()
     for backend in ("reference", "mine"):
         with use_backend(backend):
@@ -392,7 +392,8 @@ def test_a_frame_in_which_the_learners_function_fails_is_taken_back():
         optim__keyframe_iterations=2,
         optim__frame_iterations=2,
     )
-    mapper, calls = GSFusion(config), []
+    mapper = GSFusion(config)
+    calls = []
 
     def l1_gradient(rgb, target):
         calls.append(1)

@@ -9,7 +9,8 @@ from gsfusion_nb.optim import Keyframe
 
 
 def test_the_reference_step_maps_as_the_library_does():
-    ours, theirs = mapping._small_mapper(), mapping._small_mapper()
+    ours = mapping._small_mapper()
+    theirs = mapping._small_mapper()
     for k in range(3):
         frame = mapping._wall(k)
         n = mapping._map_frame(ours, frame, ours._optimise_view)

@@ -14,7 +14,9 @@ class Cell(ast.NodeVisitor):
     """Names that a cell binds, and those that it reads from other cells."""
 
     def __init__(self, source):
-        self.bound, self.read, self.later = set(), set(), set()
+        self.bound = set()
+        self.read = set()
+        self.later = set()
         self.visit(ast.parse(source))
         self.read |= self.later - self.bound  # functions read when they are called
 

@@ -46,7 +46,8 @@ def halve_intrinsics(fx, fy, cx, cy):
 
 
 def signed_distance(depth_m, z_m, truncation_m):
-    d, observed = [], []
+    d = []
+    observed = []
     for depth, z in zip(depth_m.tolist(), z_m.tolist(), strict=True):
         d.append(max(-1.0, min(1.0, (depth - z) / truncation_m)))
         observed.append(depth > 0 and z < depth + truncation_m)
@@ -76,7 +77,8 @@ def contrast(cell_rgb, image_pixels):
 
 
 def split_cell(x0, y0, width, height):
-    xs, ys = (x0, x0 + width // 2, x0 + width), (y0, y0 + height // 2, y0 + height)
+    xs = (x0, x0 + width // 2, x0 + width)
+    ys = (y0, y0 + height // 2, y0 + height)
     return np.array(
         [(xs[i], ys[j], xs[i + 1] - xs[i], ys[j + 1] - ys[j]) for i in (0, 1) for j in (0, 1)]
     )
@@ -84,7 +86,8 @@ def split_cell(x0, y0, width, height):
 
 def quadtree_leaves(rgb_u8, threshold, min_cell_px):
     H, W = rgb_u8.shape[:2]
-    leaves, waiting = [], [(0, 0, W, H)]
+    leaves = []
+    waiting = [(0, 0, W, H)]
     while waiting:
         x, y, w, h = cell = waiting.pop()
         if (
@@ -117,7 +120,8 @@ def slope(loss, x, h):
 
 def blend_vjp(alpha, rgb, v_colour):
     n = len(alpha)
-    v_alpha, v_rgb = torch.zeros_like(alpha), torch.zeros_like(rgb)
+    v_alpha = torch.zeros_like(alpha)
+    v_rgb = torch.zeros_like(rgb)
     for k in range(n):
         T = torch.prod(1 - alpha[:k])
         v_rgb[k] = alpha[k] * T * v_colour
@@ -130,7 +134,9 @@ def blend_vjp(alpha, rgb, v_colour):
 
 def splat_alpha_vjp(dx, dy, conic, opacity, v_alpha):
     A, B, C = conic.tolist()
-    v_uv, v_conic, v_opacity = np.zeros(2), np.zeros(3), 0.0
+    v_uv = np.zeros(2)
+    v_conic = np.zeros(3)
+    v_opacity = 0.0
     for x, y, v in zip(
         dx.tolist(),
         dy.tolist(),
@@ -158,7 +164,8 @@ def frame_rate(seconds):
 
 
 def draw_keyframes(n_keyframes, count, generator):
-    left, drawn = list(range(n_keyframes)), []
+    left = list(range(n_keyframes))
+    drawn = []
     while left and len(drawn) < count:
         drawn.append(left.pop(int(torch.randint(len(left), (), generator=generator))))
     return drawn

@@ -74,7 +74,8 @@ def frames():
 def traced(frames):
     """(mapper, its trace, an equal mapper without a trace), after four frames and a pass over the
     keyframes."""
-    mapper, plain = GSFusion(settings()), GSFusion(settings())
+    mapper = GSFusion(settings())
+    plain = GSFusion(settings())
     trace = Trace(mapper)
     for frame in frames[:4]:
         mapper.step(frame)
@@ -93,7 +94,8 @@ def assert_same(a, b):
 def test_no_number_of_the_map_changes(traced):
     mapper, _, plain = traced
     assert_same(mapper, plain)
-    saved, other = mapper.gaussians.state_dict()["rows"], plain.gaussians.state_dict()["rows"]
+    saved = mapper.gaussians.state_dict()["rows"]
+    other = plain.gaussians.state_dict()["rows"]
     assert saved.keys() == other.keys()
     assert all(torch.equal(saved[name], other[name]) for name in other)
 
@@ -101,10 +103,12 @@ def test_no_number_of_the_map_changes(traced):
 def parts_of_a_step(trace, serial):
     """What each Gaussian adds to the picture of a step: number -> (weight [H, W], colour), and that
     picture."""
-    parts, image = {}, None
+    parts = {}
+    image = None
     for i in range(trace.identities.count):
         for step in (s for s in trace.gaussian(id=i).steps if s.serial == serial):
-            weight, image = torch.zeros(24, 32), step.image
+            weight = torch.zeros(24, 32)
+            image = step.image
             for tile in step.tiles:
                 x, y, w, h = tile.box
                 u, v = tile.pixels.unbind(1)
@@ -130,7 +134,8 @@ def test_the_weights_of_all_gaussians_make_the_picture_and_a_click_finds_the_lar
         atol=1e-5,
         rtol=0,
     )
-    ids, weights = list(parts), torch.stack([w for w, _ in parts.values()])
+    ids = list(parts)
+    weights = torch.stack([w for w, _ in parts.values()])
     for u, v in ((3, 4), (16, 12), (31, 23)):
         assert (
             trace.gaussian_at(u, v)
@@ -147,7 +152,9 @@ def test_adam_gives_the_next_value(traced):
     for i, step in enumerate(steps):
         assert set(step.adam) == {"xyz_W", "log_scale", "quat", "opacity_logit", "sh"}
         for name, a in step.adam.items():
-            p, m, v = a.before[None].clone(), a.m[0][None].clone(), a.v[0][None].clone()
+            p = a.before[None].clone()
+            m = a.m[0][None].clone()
+            v = a.v[0][None].clone()
             gradient = a.gradient[None]
             adam_update(
                 p,
@@ -171,7 +178,8 @@ def test_adam_gives_the_next_value(traced):
 
 
 def test_the_gradient_is_that_of_the_mapper(frames):
-    mapper, seen = GSFusion(settings()), []
+    mapper = GSFusion(settings())
+    seen = []
     trace = Trace(mapper)
     from gsfusion_nb.mapping import gsfusion as module
 
@@ -261,7 +269,8 @@ def test_memory_stays_within_the_limit_and_what_was_picked_stays(frames, traced)
         assert trace.memory_bytes <= max(100_000, newest)
         trace.gaussian(id=2)  # picked after the first frame
     assert trace.n_dropped > 10
-    kept, every = trace.voxel(*voxel).moments, whole.voxel(*voxel).moments
+    kept = trace.voxel(*voxel).moments
+    every = whole.voxel(*voxel).moments
     assert [(m.serial, m.D, m.W) for m in kept] == [(m.serial, m.D, m.W) for m in every]
     assert kept[0].image is None
     kept, every = ([s for s in t.gaussian(id=2).steps if s.frame_index] for t in (trace, whole))
@@ -329,7 +338,8 @@ def test_identity_is_followed_through_edits(frames):
 
 
 def test_a_traced_mapper_is_saved_and_resumed_without_its_trace(frames):
-    mapper, plain = GSFusion(settings()), GSFusion(settings())
+    mapper = GSFusion(settings())
+    plain = GSFusion(settings())
     trace = Trace(mapper)
     for m in (mapper, plain):
         m.step(frames[0])

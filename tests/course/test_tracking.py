@@ -13,7 +13,8 @@ def test_a_few_steps_of_the_students_icp_arrive(generator):
     n = torch.eye(3, dtype=torch.float64).repeat_interleave(20, 0)
     p = torch.rand(60, 3, generator=generator, dtype=torch.float64)
     true = se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.2, -0.1, 0.3], dtype=torch.float64))
-    q, n_W = se3.apply(true, p), n @ true[:3, :3].T
+    q = se3.apply(true, p)
+    n_W = n @ true[:3, :3].T
     T = se3.exp(torch.tensor([0.05, 0.02, -0.04, 0.1, 0.05, -0.1], dtype=torch.float64)) @ true
     for _ in range(6):
         T = SOLUTIONS["gauss_newton"](T, *SOLUTIONS["point_to_plane"](se3.apply(T, p), q, n_W))

@@ -93,7 +93,8 @@ def test_of_a_sequence_in_memory_every_pixel_counts():
     kept = [frames[i] for i in range(5)]
 
     class Listed:
-        name, camera = "listed", frames.camera
+        name = "listed"
+        camera = frames.camera
 
         def __len__(self):
             return 5
@@ -127,9 +128,11 @@ def test_frames_of_a_recording_are_known_again(wall):
     assert len(whole) == len(list((wall / "rgb").iterdir()))
     shutil.copytree(wall, wall.parent / "copy")
     assert frames_of(wall.parent / "copy", width=16, height=12) == whole
-    even, odd = frames_of(wall, stride=2), frames_of(wall, start=1, stride=2)
+    even = frames_of(wall, stride=2)
+    odd = frames_of(wall, start=1, stride=2)
     assert even & odd
-    first, last = frames_of(wall, stop=4), frames_of(wall, start=4)
+    first = frames_of(wall, stop=4)
+    last = frames_of(wall, start=4)
     assert first
     assert last
     assert not first & last
@@ -162,7 +165,8 @@ def test_of_a_sequence_in_memory_the_pictures_count():
     kept = [frames[i] for i in range(4)]
 
     class Listed:
-        name, camera = "listed", frames.camera
+        name = "listed"
+        camera = frames.camera
 
         def __init__(self, order):
             self.order = order
@@ -183,9 +187,11 @@ def test_of_a_sequence_in_memory_the_pictures_count():
 
 
 def test_a_file_is_hashed_once_until_it_changes(wall, monkeypatch):
-    hashed, plain = [], hashes._hash
+    hashed = []
+    plain = hashes._hash
     monkeypatch.setattr(hashes, "_hash", lambda path: hashed.append(path) or plain(path))
-    file, link = wall / "rgb/000000.png", wall / "link.png"
+    file = wall / "rgb/000000.png"
+    link = wall / "link.png"
     link.symlink_to(file)
     first = file_hashes([file, link])
     assert len(set(first.values())) == 1

@@ -15,7 +15,10 @@ class Counted:
     """A sequence that counts how often each frame is read."""
 
     def __init__(self, source):
-        self.source, self.name, self.camera, self.reads = source, "counted", source.camera, []
+        self.reads = []
+        self.camera = source.camera
+        self.name = "counted"
+        self.source = source
 
     def __len__(self) -> int:
         return len(self.source)
@@ -42,7 +45,8 @@ def view(
 
 def test_a_frame_that_is_kept_is_the_frame_that_was_read(counted):
     frames = view(counted, FrameStore(1 << 20))
-    first, second = list(frames), list(frames)
+    first = list(frames)
+    second = list(frames)
     assert counted.reads == [*range(6)]
     for a, b, truth in zip(first, second, view(counted, None), strict=True):
         assert (a.index, a.timestamp_s, a.camera) == (b.index, b.timestamp_s, b.camera)

@@ -108,7 +108,9 @@ class Archives:
             for name, content in files.items():
                 info = tarfile.TarInfo(name)
                 if name in links:
-                    info.type, info.linkname, content = tarfile.SYMTYPE, "/etc/passwd", b""
+                    info.type = tarfile.SYMTYPE
+                    info.linkname = "/etc/passwd"
+                    content = b""
                 info.size = len(content)
                 tar.addfile(info, io.BytesIO(content))
         return out.getvalue()

@@ -36,7 +36,8 @@ def tum_set(site, tmp_path, box, archives, writer, files):
 
 
 def test_tum(script, site, tum_set, tmp_path, capsys):
-    module, out = script("tum"), tmp_path / "data"
+    module = script("tum")
+    out = tmp_path / "data"
     assert run(module, site, out, "fr1_desk") == 0
     text = capsys.readouterr().out
     folder = out / "tum/rgbd_dataset_freiburg1_desk"
@@ -59,7 +60,8 @@ def test_nobody_agrees(script, site, tum_set, tmp_path, capsys):
 
 
 def test_seven_scenes(script, site, tmp_path, box, archives, writer, files, capsys):
-    write, inner = writer("seven_scenes"), {}
+    write = writer("seven_scenes")
+    inner = {}
     for name in ("seq-01", "seq-02"):
         root = write(tmp_path / "made" / name, box, n=2)
         inner[f"heads/{name}.zip"] = archives.zip(
@@ -119,7 +121,9 @@ def test_replica(script, site, tmp_path, box, archives, writer, files, capsys):
 def icl(script, site, tmp_path, box, archives):
     """livingroom1 with three frames, and its own checksums."""
     module = script("icl_nuim")
-    colour, depth, log = {}, {}, []
+    colour = {}
+    depth = {}
+    log = []
     camera = Camera(
         width=640,
         height=480,
@@ -129,12 +133,11 @@ def icl(script, site, tmp_path, box, archives):
         cy=240.0,
     )
     for i, T_WC in enumerate(box.poses(3)):
-        rgb_file, depth_file = tmp_path / f"made/{i:05d}.jpg", tmp_path / f"made/{i:05d}.png"
+        rgb_file = tmp_path / f"made/{i:05d}.jpg"
+        depth_file = tmp_path / f"made/{i:05d}.png"
         box.write_pair(rgb_file, depth_file, T_WC, 1000, camera)
-        colour[rgb_file.name], depth[depth_file.name] = (
-            rgb_file.read_bytes(),
-            depth_file.read_bytes(),
-        )
+        colour[rgb_file.name] = rgb_file.read_bytes()
+        depth[depth_file.name] = depth_file.read_bytes()
         log += [
             f"{i} {i} {i + 1}",
             *(" ".join(f"{value:.8f}" for value in row) for row in T_WC.tolist()),

@@ -98,7 +98,8 @@ def test_cell_borders_are_drawn_and_insides_are_not():
 
 
 def test_side_by_side_fits_heights_and_labels():
-    a, b = torch.zeros(40, 50, 3), np.full((20, 30, 3), 200, np.uint8)
+    a = torch.zeros(40, 50, 3)
+    b = np.full((20, 30, 3), 200, np.uint8)
     row = side_by_side([a, b], ["input", "a label that is much too long for its narrow picture"])
     assert row.shape == (40 + LABEL_PX, 50 + 6 + 60, 3)
     assert row.dtype == np.uint8

@@ -32,7 +32,10 @@ class Elements(HTMLParser):
 
     def __init__(self, html: str):
         super().__init__()
-        self.scripts, self.handlers, self.links, self.text = [], [], [], []
+        self.scripts = []
+        self.handlers = []
+        self.links = []
+        self.text = []
         self._in_script = False
         self.feed(html)
         self.close()

@@ -42,8 +42,10 @@ def sphere(radius, rings=60, segments=120):
         torch.arange(segments),
         indexing="ij",
     )
-    a, b = i * segments + j, i * segments + (j + 1) % segments
-    c, d = a + segments, b + segments
+    a = i * segments + j
+    b = i * segments + (j + 1) % segments
+    c = a + segments
+    d = b + segments
     return mesh_of(
         xyz,
         torch.cat(
@@ -71,7 +73,9 @@ def gaussians_at(xyz):
 
 
 def joined(*meshes):
-    offset, vertices, faces = 0, [], []
+    offset = 0
+    vertices = []
+    faces = []
     for m in meshes:
         vertices.append(m.vertices_W)
         faces.append(m.faces + offset)

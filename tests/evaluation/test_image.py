@@ -73,7 +73,8 @@ def test_psnr_of_a_constant_offset_is_minus_20_log10(offset):
 
 def test_psnr_quantises_to_bytes_with_halves_up():
     black = torch.zeros(2, 2, 3)
-    just_below, just_above = black + 0.49 / 255, black + 0.51 / 255
+    just_below = black + 0.49 / 255
+    just_above = black + 0.51 / 255
     assert psnr(just_below, black) == math.inf
     assert psnr(just_above, black) == pytest.approx(20 * math.log10(255), abs=1e-4)
 
@@ -96,9 +97,12 @@ def test_ssim_matches_its_definition_pixel_by_pixel(generator):
         x, y = (np.pad(image[..., c].numpy(), 5, mode="reflect") for image in (a, b))
         for i in range(9):
             for j in range(12):
-                p, q = x[i : i + 11, j : j + 11], y[i : i + 11, j : j + 11]
-                mp, mq = (window * p).sum(), (window * q).sum()
-                vp, vq = (window * (p - mp) ** 2).sum(), (window * (q - mq) ** 2).sum()
+                p = x[i : i + 11, j : j + 11]
+                q = y[i : i + 11, j : j + 11]
+                mp = (window * p).sum()
+                mq = (window * q).sum()
+                vp = (window * (p - mp) ** 2).sum()
+                vq = (window * (q - mq) ** 2).sum()
                 cov = (window * (p - mp) * (q - mq)).sum()
                 total += (
                     (2 * mp * mq + 1e-4)
@@ -156,7 +160,8 @@ class Network(torch.nn.Module):
 def test_each_lpips_gives_the_network_its_own_images(monkeypatch):
     network = Network()
     monkeypatch.setattr(image_module, "_lpips_network", lambda: network)
-    rgb, other = torch.zeros(8, 9, 3), torch.full((8, 9, 3), 1.0)
+    rgb = torch.zeros(8, 9, 3)
+    other = torch.full((8, 9, 3), 1.0)
     rgb[..., 0] = 51 / 255  # red
     lpips(rgb, other)
     assert network.seen[0].shape == (1, 3, 8, 9)
@@ -173,7 +178,8 @@ def test_each_lpips_gives_the_network_its_own_images(monkeypatch):
 
 
 def test_depth_error_counts_only_pixels_with_both():
-    ours, truth = torch.tensor([[1.0, 0.0, 2.0, 3.0]]), torch.tensor([[1.5, 1.0, 0.0, 2.0]])
+    ours = torch.tensor([[1.0, 0.0, 2.0, 3.0]])
+    truth = torch.tensor([[1.5, 1.0, 0.0, 2.0]])
     l1, share = depth_l1_m(ours, truth)
     assert (l1, share) == (0.75, 0.5)
     l1, share = depth_l1_m(torch.zeros(2, 2), torch.ones(2, 2))
@@ -271,7 +277,8 @@ def test_a_view_with_a_nan_is_counted_and_its_frame_is_known(generator):
 
 
 def test_a_view_without_a_depth_error_is_counted(generator):
-    rgb, ones = picture(generator), torch.ones(24, 31)
+    rgb = picture(generator)
+    ones = torch.ones(24, 31)
     broken = torch.full((24, 31), 1.5)
     broken[0, 0] = math.nan
     assert math.isnan(depth_l1_m(broken, ones)[0])
@@ -291,7 +298,8 @@ def test_a_view_without_a_depth_error_is_counted(generator):
 
 
 def test_scores_do_not_depend_on_the_number_of_threads():
-    generator, threads = torch.Generator().manual_seed(0), torch.get_num_threads()
+    generator = torch.Generator().manual_seed(0)
+    threads = torch.get_num_threads()
     rgb, other = (torch.rand(240, 320, 3, generator=generator) for _ in range(2))
     found = []
     try:
@@ -473,13 +481,15 @@ def test_ssim_needs_half_a_window(side, enough):
 
 
 def test_psnr_clamps_to_the_data_range_and_leaves_inputs_alone():
-    white, over = torch.ones(3, 3, 3), torch.full((3, 3, 3), 7.0)
+    white = torch.ones(3, 3, 3)
+    over = torch.full((3, 3, 3), 7.0)
     assert psnr(over, white) == math.inf
     assert over.max() == 7.0
 
 
 def test_ssim_in_float32_agrees_with_float64(generator):
-    a, b = picture(generator, 40, 50), picture(generator, 40, 50)
+    a = picture(generator, 40, 50)
+    b = picture(generator, 40, 50)
     assert ssim(a, b) == pytest.approx(ssim(a.double(), b.double()), abs=1e-5)
 
 

@@ -91,7 +91,8 @@ def test_ate_agrees_with_evo(generator, align):
     estimate = se3.exp(torch.tensor([0.3, 0, 1, 0, 1, 0], dtype=torch.float64)) @ perturbed(
         path, generator
     )
-    theirs_ref, theirs = evo_path(paths, path), evo_path(paths, estimate)
+    theirs_ref = evo_path(paths, path)
+    theirs = evo_path(paths, estimate)
     if align:
         theirs.align(theirs_ref)
     ape = metrics.APE(metrics.PoseRelation.translation_part)

@@ -57,7 +57,9 @@ def test_a_view_is_saved_without_the_rest_of_its_buffer(tmp_path):
 
 
 def test_what_is_constant_is_written_once(tmp_path):
-    store, image, rows = CheckpointStore(tmp_path), torch.rand(300, 300), torch.rand(300, 300)
+    store = CheckpointStore(tmp_path)
+    image = torch.rand(300, 300)
+    rows = torch.rand(300, 300)
     store.save({"image": image, "rows": [rows, image]}, constant=[image])
     before = image.clone()
     image += 1
@@ -92,10 +94,8 @@ def test_what_is_constant_is_written_once(tmp_path):
 def test_parts_of_a_large_tensor_that_did_not_change_are_not_written_again(tmp_path, monkeypatch):
     monkeypatch.setattr(checkpoint_store, "_PART_BYTES", 40_000)
     monkeypatch.setattr(checkpoint_store, "_COPIED_BYTES", 10_000)
-    store, rows = (
-        CheckpointStore(tmp_path),
-        torch.rand(100, 1000, generator=torch.Generator().manual_seed(0)),
-    )
+    store = CheckpointStore(tmp_path)
+    rows = torch.rand(100, 1000, generator=torch.Generator().manual_seed(0))
     buffer = torch.cat([rows, rows])
 
     def written() -> list[int]:
@@ -152,7 +152,8 @@ def test_a_damaged_checkpoint_is_recognised_and_the_one_before_is_used(tmp_path,
 @pytest.mark.parametrize("damage", ["truncated", "a flipped bit", "gone"])
 def test_a_damaged_file_that_all_checkpoints_need_is_read_from_its_copy(tmp_path, damage):
     """Both checkpoints would be lost with it."""
-    image, store = torch.rand(300, 300), CheckpointStore(tmp_path)
+    image = torch.rand(300, 300)
+    store = CheckpointStore(tmp_path)
     for n in range(3):
         store.save({"image": image, "n": n}, constant=[image])
     path = tmp_path / "000001.constants"

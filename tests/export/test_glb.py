@@ -41,7 +41,8 @@ def parts(path):
     data = path.read_bytes()
     magic, version, length, size, kind = struct.unpack("<4sIII4s", data[:20])
     assert (magic, version, length, kind, size % 4) == (b"glTF", 2, len(data), b"JSON", 0)
-    document, rest = json.loads(data[20 : 20 + size]), data[20 + size :]
+    document = json.loads(data[20 : 20 + size])
+    rest = data[20 + size :]
     if rest:
         assert struct.unpack("<I4s", rest[:8]) == (len(rest) - 8, b"BIN\0")
         assert document["buffers"] == [{"byteLength": len(rest) - 8}]
@@ -131,7 +132,8 @@ def test_a_moved_map_looks_the_same_from_the_moved_camera(generator, degree):
         cx=24.0,
         cy=16.0,
     )
-    R, t = turn_to_minus_y_up((0.2, 0.9, 0.4)), torch.tensor([0.5, -1.0, 2.0])
+    R = turn_to_minus_y_up((0.2, 0.9, 0.4))
+    t = torch.tensor([0.5, -1.0, 2.0])
     T = torch.eye(4)
     T[:3, :3] = R.float()
     T[:3, 3] = t

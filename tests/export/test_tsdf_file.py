@@ -57,14 +57,16 @@ def volume() -> TsdfVolume:
 def test_a_volume_comes_back_as_it_was_rounded_and_its_picture_hardly_changes(volume, tmp_path):
     path = tmp_path / "tsdf.npz"
     write_tsdf(path, volume)
-    back, rounded = read_tsdf(path, CONFIG), as_stored(volume)
+    back = read_tsdf(path, CONFIG)
+    rounded = as_stored(volume)
     for name in ("D", "W", "rgb_planes", "block_coords"):
         assert torch.equal(getattr(back, name), getattr(rounded, name)), name
     observed = volume.W > 0
     assert torch.equal(back.W, volume.W)
     assert float((back.D - volume.D)[observed].abs().max()) <= 0.5 / 32767
     assert float((back.rgb - volume.rgb)[observed].abs().max()) <= 0.501 / 255
-    before, after = raycast(volume, CAMERA, torch.eye(4)), raycast(back, CAMERA, torch.eye(4))
+    before = raycast(volume, CAMERA, torch.eye(4))
+    after = raycast(back, CAMERA, torch.eye(4))
     assert torch.equal(before.depth_m > 0, after.depth_m > 0)
     assert float((before.rgb - after.rgb).abs().max()) < 0.01
     assert path.stat().st_size < 8 * int(observed.sum())

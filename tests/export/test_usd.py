@@ -65,7 +65,8 @@ def values(prim, name):
 def test_the_numbers_are_those_of_the_map(tmp_path, gaussians):
     write_map_usda(tmp_path / "map.usda", gaussians, MESH)
     stage, prims = opened(tmp_path / "map.usda")
-    splats, surface = prims["Gaussians"], prims["Surface"]
+    splats = prims["Gaussians"]
+    surface = prims["Surface"]
     assert splats.GetTypeName() == "ParticleField3DGaussianSplat"
     assert splats.IsDefined()
     assert torch.equal(values(splats, "positions"), gaussians.xyz_W)
@@ -105,7 +106,8 @@ def test_the_root_turns_up_to_y(tmp_path, gaussians, up):
 
 
 def test_usds_camera_sees_a_point_at_our_pixel(tmp_path, gaussians, poses):
-    path, times_s = tmp_path / "map.usda", [1.5, 1700000000.125]
+    path = tmp_path / "map.usda"
+    times_s = [1.5, 1700000000.125]
     write_map_usda(path, gaussians, camera=CAMERA, poses=poses, times_s=times_s, up="+z")
     stage, prims = opened(path)
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == tuple(times_s)

@@ -123,7 +123,8 @@ def test_copies_are_equal_but_for_their_moments_and_their_age(generator):
 def test_the_copies_of_a_gaussian_together_look_as_it_did(n):
     """In the middle: 1 - (1 - o')^n = o. Of the whole: the light that n copies absorb along a line
     through the middle has the same integral, which is how the paper chooses the scale."""
-    o, s = torch.tensor([0.02, 0.4, 0.9, 0.99]), 0.3
+    o = torch.tensor([0.02, 0.4, 0.9, 0.99])
+    s = 0.3
     opacity, scale_m = shared(
         o,
         torch.full((4, 3), s),
@@ -146,7 +147,8 @@ def test_the_copies_of_a_gaussian_together_look_as_it_did(n):
 
 
 def test_of_one_copy_nothing_changes():
-    o, s = torch.tensor([0.3, 0.001]), torch.rand(2, 3)
+    o = torch.tensor([0.3, 0.001])
+    s = torch.rand(2, 3)
     opacity, scale_m = shared(o, s, torch.ones(2, dtype=torch.int64))
     torch.testing.assert_close(opacity, torch.tensor([0.3, 0.005]))
     assert torch.equal(scale_m, s)
@@ -154,7 +156,8 @@ def test_of_one_copy_nothing_changes():
 
 def test_rows_are_moved_to_others_and_share_their_opacity(generator):
     model = filled(generator)
-    before, scale_m = rows(model), model.scale_m.clone()
+    before = rows(model)
+    scale_m = model.scale_m.clone()
     model.edit(
         Edit(relocate=(torch.tensor([0, 1, 2]), torch.tensor([4, 5, 4]))),
         generator,
@@ -187,7 +190,8 @@ def test_the_halves_of_a_row(generator):
     n = 4000
     p.quat[1] = torch.tensor([math.sqrt(0.5), 0, 0, math.sqrt(0.5)])  # x goes to y
     p.log_scale[1] = torch.tensor([0.3, 0.01, 0.02]).log()
-    centre, sh = p.xyz_W[1].clone(), p.sh[1].clone()
+    centre = p.xyz_W[1].clone()
+    sh = p.sh[1].clone()
     model.edit(Edit(keep=mask(6, 1)), generator)
     model.edit(Edit(clone=torch.zeros(n - 1, dtype=torch.int64)), generator)
     origin = model.edit(Edit(split=torch.arange(n), split_shares=True), generator)
@@ -276,7 +280,8 @@ def test_numbers_of_a_rule_stay_with_their_rows(generator):
 def test_a_snapshot_brings_everything_back(generator):
     model = filled(generator)
     model.row_memory("seen").fill_(2.0)
-    before, snapshot = rows(model), model.snapshot()
+    before = rows(model)
+    snapshot = model.snapshot()
     model.append(seeds(6000, generator))
     model.edit(
         Edit(rates={"sh": torch.zeros(6006)}, keep=~mask(6006, 2)),
@@ -521,9 +526,11 @@ def ops() -> Any:
 
 def relocation_kernel(opacities, scales, ratios, binoms):
     """Line by line ``relocation_kernel`` of gsplat's Relocation.cu, in double precision."""
-    new_opacities, new_scales = torch.empty_like(opacities), torch.empty_like(scales)
+    new_opacities = torch.empty_like(opacities)
+    new_scales = torch.empty_like(scales)
     for idx, n_idx in enumerate(ratios.clamp(1, len(binoms)).tolist()):
-        new, denom_sum = 1.0 - (1.0 - float(opacities[idx])) ** (1.0 / n_idx), 0.0
+        new = 1.0 - (1.0 - float(opacities[idx])) ** (1.0 / n_idx)
+        denom_sum = 0.0
         for i in range(1, n_idx + 1):
             for k in range(i):
                 denom_sum += (
@@ -548,7 +555,8 @@ def pair(generator):
             tag=torch.zeros(N, dtype=torch.int32),
         )
     )
-    params, optimisers = torch.nn.ParameterDict(), {}
+    params = torch.nn.ParameterDict()
+    optimisers = {}
     for theirs, ours in NAMES.items():
         params[theirs] = torch.nn.Parameter(getattr(model.params, ours).clone())
         optimisers[theirs] = torch.optim.Adam([params[theirs]], lr=0.0)
@@ -617,7 +625,8 @@ def test_reset_opacity(ops, pair):
 
 def test_relocate(ops, pair):
     model, params, optimisers = pair
-    dead, alive = torch.tensor([1, 2, 8]), rows_of(1, 2, 8).logical_not().nonzero()[:, 0]
+    dead = torch.tensor([1, 2, 8])
+    alive = rows_of(1, 2, 8).logical_not().nonzero()[:, 0]
     drawn = torch.multinomial(
         model.opacity[alive],
         3,

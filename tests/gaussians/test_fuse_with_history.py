@@ -38,7 +38,8 @@ def angle_z(quat: torch.Tensor) -> float:
 
 def test_by_hand():
     """eta 30 before, 40 after: w_curr = 10 / 40, so a quarter of the way from before to after."""
-    before, after = params(0.0, about_z(10)), params(1.0, about_z(90), opacity_logit=3.0)
+    before = params(0.0, about_z(10))
+    after = params(1.0, about_z(90), opacity_logit=3.0)
     fused = fuse_with_history(before, after, counts(30), counts(40))
     torch.testing.assert_close(fused.xyz_W, torch.full((1, 3), 0.25))
     torch.testing.assert_close(fused.log_scale, torch.full((1, 3), -4.75))
@@ -49,7 +50,8 @@ def test_by_hand():
 
 def test_each_row_has_its_own_weight():
     """The released code gives scales and colours the first row's."""
-    before, after = params(0.0, about_z(0), n=3), params(1.0, about_z(80), n=3)
+    before = params(0.0, about_z(0), n=3)
+    after = params(1.0, about_z(80), n=3)
     fused = fuse_with_history(
         before,
         after,
@@ -85,7 +87,8 @@ def test_a_row_without_a_past_keeps_the_new():
 
 
 def test_the_past_can_be_capped():
-    before, after = params(0.0, about_z(0), n=2), params(1.0, about_z(60), n=2)
+    before = params(0.0, about_z(0), n=2)
+    after = params(1.0, about_z(60), n=2)
     fused = fuse_with_history(
         before, after, counts(90, 10), counts(100, 100), history_max_weight=0.5
     )
@@ -97,7 +100,8 @@ def test_orientations_meet_on_the_shorter_arc(generator):
     """q and -q are one orientation; the fused one lies between, at the weight's share of the
     angle."""
     a, b = torch.randn(2, 20, 4, generator=generator, dtype=torch.float64)
-    before, after = params(0.0, about_z(0), n=20), params(1.0, about_z(0), n=20)
+    before = params(0.0, about_z(0), n=20)
+    after = params(1.0, about_z(0), n=20)
     before, after = (
         GaussianParams(**{k: v.double() for k, v in vars(p).items()} | {"quat": q})
         for p, q in ((before, -a), (after, b))

@@ -147,7 +147,8 @@ def test_colours_of_another_degree_are_cut_or_padded(given, own, generator):
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_rows_that_are_not_finite_are_refused(value, generator):
-    source, model = GaussianModel(sh_degree=0), GaussianModel(sh_degree=0)
+    source = GaussianModel(sh_degree=0)
+    model = GaussianModel(sh_degree=0)
     source.append(seeds(4, generator))
     source.params.quat[1, 2] = value
     with pytest.raises(ValueError, match=r"must be finite, got NaN or infinities: .*'quat': 1"):
@@ -230,7 +231,8 @@ def test_bad_arguments_are_sentences():
     [("opacity", 3.0), ("scale_m", -0.1), ("xyz_W", float("nan"))],
 )
 def test_gaussians_that_are_not_numbers_are_refused(generator, name, value):
-    new, model = seeds(5, generator), GaussianModel(sh_degree=0)
+    new = seeds(5, generator)
+    model = GaussianModel(sh_degree=0)
     getattr(new, name)[2] = value
     with pytest.raises(ValueError, match=rf"got .* as {name} of row 2"):
         model.append(new)

@@ -47,7 +47,8 @@ class Twins:
         self.config = OptimConfig(adam_steps=adam_steps)
         self.random = random.Random(seed)
         self.generator = torch.Generator().manual_seed(seed)
-        self.whole, self.parts = GaussianModel(1), GaussianModel(1)
+        self.whole = GaussianModel(1)
+        self.parts = GaussianModel(1)
         self.append()
 
     @property
@@ -93,7 +94,8 @@ class Twins:
         keep[0] = True
         kept = keep.nonzero()[:, 0]
         rows = kept[torch.randperm(len(kept), generator=self.generator)[: len(kept) // 2]]
-        moved, target = rows[: len(rows) // 2], rows[len(rows) // 2 :][: len(rows) // 2]
+        moved = rows[: len(rows) // 2]
+        target = rows[len(rows) // 2 :][: len(rows) // 2]
         edit = Edit(
             clone=kept[:1],
             relocate=(moved, target),
@@ -186,7 +188,8 @@ def test_parts_with_their_missed_steps_are_the_whole_map_in_any_order(adam_steps
 def test_rows_of_discs_in_any_order(seed, generator):
     """``RowAdam`` on all rows, and on parts of them, while rows are added and removed and the run
     is resumed."""
-    chance, n = random.Random(seed), 8
+    chance = random.Random(seed)
+    n = 8
     model = GaussianModel(1)
     model.append(seeds(n, generator))
     whole, parts = (RowAdam(copy.deepcopy(model.params), RATES) for _ in range(2))
@@ -235,9 +238,11 @@ def resumed(adam):
 def test_a_row_that_was_restarted_out_of_view_moves_by_finite_steps(generator):
     """Not seen for longer than since the restart: its age before the missed steps would be below
     zero."""
-    model, config = GaussianModel(0), OptimConfig(adam_steps="per_row")
+    model = GaussianModel(0)
+    config = OptimConfig(adam_steps="per_row")
     model.append(seeds(2, generator))
-    first, second = torch.tensor([0]), torch.tensor([1])
+    first = torch.tensor([0])
+    second = torch.tensor([1])
     for rows, steps in ((first, 3), (second, 5)):
         for _ in range(steps):
             part = PartOfMap(model, rows, Mock(Boxes))
@@ -252,7 +257,8 @@ def test_a_row_that_was_restarted_out_of_view_moves_by_finite_steps(generator):
 
 def test_checkpoints_with_rows_that_began_after_their_last_step_load(generator):
     """As versions wrote them that set only ``birth_step`` when moments were forgotten."""
-    model, config = GaussianModel(0), OptimConfig(adam_steps="per_row")
+    model = GaussianModel(0)
+    config = OptimConfig(adam_steps="per_row")
     model.append(seeds(3, generator))
     model.clock.advance(40)
     state = copy.deepcopy(model.state_dict())

@@ -120,7 +120,8 @@ def test_moving_rows_moves_points_and_axes(kind, generator):
     model = kind(sh_degree=0)
     model.append(discs(30, generator))
     T = motions(30, generator).float()
-    R, xyz = T[:, :3, :3], model.params.xyz_W.clone()
+    R = T[:, :3, :3]
+    xyz = model.params.xyz_W.clone()
     before = quaternion.to_matrix(model.params.quat)
     model.move(T.double())
     torch.testing.assert_close(
@@ -160,10 +161,8 @@ def test_colours_and_moments_turn_with_their_rows(generator):
     T = torch.eye(4, dtype=torch.float64).repeat(30, 1, 1)
     T[:10] = se3.exp(torch.tensor([0, 0, 0, 0.7, 0, 0], dtype=torch.float64))
     T[10:20] = se3.exp(torch.tensor([1, 2, 3, 0, 0.4, 0.5], dtype=torch.float64))
-    R, dirs = (
-        T[:, :3, :3].float(),
-        torch.nn.functional.normalize(torch.randn(30, 3, generator=generator), dim=1),
-    )
+    R = T[:, :3, :3].float()
+    dirs = torch.nn.functional.normalize(torch.randn(30, 3, generator=generator), dim=1)
     before, old = (copy.deepcopy(vars(x)) for x in (model.exp_avg, model.params))
     square = model.exp_avg_sq.xyz_W.clone()
     model.move(T)
@@ -194,7 +193,8 @@ def test_state_round_trip(generator):
     again = SurfelModel.from_state_dict(model.state_dict())
     assert isinstance(again, SurfelModel)
     assert (len(again), again.step_count, again.sh_degree) == (5000, 17, 2)
-    saved, restored = model.state_dict()["rows"], again.state_dict()["rows"]
+    saved = model.state_dict()["rows"]
+    restored = again.state_dict()["rows"]
     assert saved.keys() == restored.keys()
     for name, column in saved.items():
         assert torch.equal(restored[name], column), name

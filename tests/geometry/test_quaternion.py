@@ -78,9 +78,11 @@ def test_matrix_is_a_rotation(generator):
 
 
 def test_slerp(generator):
-    a, b = unit(generator, (20,)), unit(generator, (20,))
+    a = unit(generator, (20,))
+    b = unit(generator, (20,))
     ends = quaternion.to_matrix(a), quaternion.to_matrix(b)
-    zero, one = torch.zeros(20, dtype=torch.float64), torch.ones(20, dtype=torch.float64)
+    zero = torch.zeros(20, dtype=torch.float64)
+    one = torch.ones(20, dtype=torch.float64)
     torch.testing.assert_close(quaternion.to_matrix(quaternion.slerp(a, b, zero)), ends[0])
     torch.testing.assert_close(quaternion.to_matrix(quaternion.slerp(a, b, one)), ends[1])
     middle = quaternion.to_matrix(quaternion.slerp(a, -b, one / 4))  # -b is the same orientation
@@ -105,7 +107,8 @@ def test_multiply_by_hand():
 
 @pytest.mark.parametrize("batch", BATCHES)
 def test_product_of_quaternions_is_the_product_of_matrices(generator, batch):
-    a, b = unit(generator, batch), unit(generator, batch)
+    a = unit(generator, batch)
+    b = unit(generator, batch)
     product = quaternion.multiply(a, b)
     torch.testing.assert_close(
         quaternion.to_matrix(product),
@@ -127,7 +130,8 @@ def directions(generator, batch):
 
 @pytest.mark.parametrize("batch", [*BATCHES, (200,)])
 def test_shortest_arc_turns_a_to_b_by_the_angle_between_them(generator, batch):
-    a, b = directions(generator, batch), directions(generator, batch)
+    a = directions(generator, batch)
+    b = directions(generator, batch)
     q = quaternion.shortest_arc(a, b)
     R = quaternion.to_matrix(q)
     torch.testing.assert_close(

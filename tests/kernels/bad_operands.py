@@ -98,10 +98,13 @@ VALUES: dict[str, dict[str, Callable[[Tensor], Tensor]]] = {
 
 def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
     """Operation -> function of named operands, and operands that it takes."""
-    frame, params = make_frame(), make_params(1, "cpu")
-    camera, T_WC = frame.camera, frame.T_WC
+    frame = make_frame()
+    params = make_params(1, "cpu")
+    camera = frame.camera
+    T_WC = frame.T_WC
     size = (camera.height, camera.width)
-    mask, rows = torch.ones(size, dtype=torch.bool), torch.ones(len(params), dtype=torch.bool)
+    mask = torch.ones(size, dtype=torch.bool)
+    rows = torch.ones(len(params), dtype=torch.bool)
     view = {"params": params, "camera": camera, "T_WC": T_WC}
     picture, saved = render_forward(**view, opaque_alpha=0.5)
     disc = view | {"hit_index": picture.hit_index}

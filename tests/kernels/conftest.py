@@ -105,7 +105,8 @@ def compare_on(note_parity):
     the first word of ``name``."""
 
     def check(backend, operation, name, ours, theirs, tolerance=1e-5, share=0.0):
-        ours, theirs = ours.detach().cpu(), theirs.detach().cpu()
+        ours = ours.detach().cpu()
+        theirs = theirs.detach().cpu()
         assert ours.shape == theirs.shape, (
             f"{operation} {name}: {tuple(ours.shape)}, not {tuple(theirs.shape)}"
         )
@@ -113,7 +114,8 @@ def compare_on(note_parity):
         if not ours.numel():
             return
         allowed = tolerance if ours.is_floating_point() else 0.0
-        ours, theirs = ours.double(), theirs.double()
+        ours = ours.double()
+        theirs = theirs.double()
         assert bool(torch.isfinite(ours).all()), f"{operation} {name} is not finite"
         scale = float(theirs.abs().max()) or 1.0
         gap = (ours - theirs).abs()
@@ -281,7 +283,9 @@ def make_frames(generator):
             T_WC = look_from((1.3 - 0.3 * i, 0.2 + 0.5 * i, 0.1 - 0.4 * i))
             centre = T_WC[:3, :3].double().T @ -T_WC[:3, 3].double()
             d = rays(camera, pixel_grid(camera, dtype=torch.float64))
-            a, b, e = (d * d).sum(-1), d @ centre, centre @ centre - 0.25
+            a = (d * d).sum(-1)
+            b = d @ centre
+            e = centre @ centre - 0.25
             root = b * b - a * e
             depth = torch.where(
                 root > 0,

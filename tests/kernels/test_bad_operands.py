@@ -105,7 +105,8 @@ def test_same_from_the_cuda_kernels_on_the_processor(emulator_library, expected)
 @pytest.mark.parametrize("backend", ["reference", "numba"])
 def test_broken_gaussians_are_not_drawn_and_have_no_gradient(backend):
     frame = make_frame()
-    params, whole = make_params(1, "cpu"), make_params(1, "cpu")
+    params = make_params(1, "cpu")
+    whole = make_params(1, "cpu")
     n = break_rows(params)
     results = []
     with use_backend(backend):

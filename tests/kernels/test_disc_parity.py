@@ -48,7 +48,8 @@ def view(width: int, height: int) -> Camera:
 
 @pytest.mark.parametrize(("n", "width", "height"), SIZES)
 def test_frozen_rows_have_no_gradient(n, width, height, generator):
-    params, camera = scene(n, generator), view(width, height)
+    params = scene(n, generator)
+    camera = view(width, height)
     v = torch.randn(height, width, generator=generator)
     rows = torch.rand(n, generator=generator) < 0.4
     with use_backend("numba"):
@@ -124,7 +125,8 @@ def test_a_plane_met_behind_the_camera_gives_the_centre():
         **{**vars(layers(0.9)), "quat": torch.tensor([[math.cos(angle), 0, math.sin(angle), 0]])}
     )
     params = GaussianParams(**{**vars(params), "log_scale": torch.tensor([[0.5, 0.5, 0.01]]).log()})
-    camera, hit_index = view(33, 17), torch.zeros(17, 33, dtype=torch.int64)
+    camera = view(33, 17)
+    hit_index = torch.zeros(17, 33, dtype=torch.int64)
     depths = []
     for backend in ("reference", "numba"):
         with use_backend(backend):

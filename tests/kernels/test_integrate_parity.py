@@ -18,7 +18,8 @@ CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0, max_weight=3.0, **
 
 def both(config, frames):
     """The two volumes after the frames, and the reports."""
-    volumes, reports = [], []
+    volumes = []
+    reports = []
     for backend in ("reference", "numba"):
         volume = TsdfVolume(config)
         with use_backend(backend):
@@ -72,7 +73,8 @@ def test_same_voxels(width, height, eight_bit, sdf, make_frames):
 @pytest.mark.parametrize("eight_bit", [True, False])
 def test_weighted_colours(eight_bit, band, by_distance, make_frames):
     """A distance that is off by its rounding changes a weight by at most that part of the band."""
-    frames, rounding = make_frames(160, 120, n=5, eight_bit=eight_bit), 1e-5
+    frames = make_frames(160, 120, n=5, eight_bit=eight_bit)
+    rounding = 1e-5
     config = dataclasses.replace(
         CONFIG, colour_band_voxels=band, colour_by_distance=by_distance, max_weight=100.0
     )
@@ -111,10 +113,8 @@ def test_equal_weights_of_colours(make_frames):
 @pytest.mark.parametrize("average", ["eq9", "int16"])
 @pytest.mark.parametrize("max_weight", [3.0, 255.0])
 def test_published_averages(average, max_weight, make_frames):
-    config, frames = (
-        dataclasses.replace(CONFIG, average=average, max_weight=max_weight),
-        make_frames(160, 120, n=5),
-    )
+    config = dataclasses.replace(CONFIG, average=average, max_weight=max_weight)
+    frames = make_frames(160, 120, n=5)
     (a, b), _ = both(config, frames)
     if average == "eq9":
         assert_same((a, b))
@@ -194,7 +194,8 @@ def test_a_camera_inside_the_map(make_frames):
 
 
 def test_what_is_beyond_far_m_is_left_alone(make_frames):
-    near, far = make_frames(64, 47, n=1)[0], make_frames(64, 47, n=1)[0]
+    near = make_frames(64, 47, n=1)[0]
+    far = make_frames(64, 47, n=1)[0]
     far = dataclasses.replace(far, depth_m=torch.full((47, 64), 30.0))
     config = dataclasses.replace(CONFIG, far_m=1.5)
     volumes, _ = both(config, [near, far])

@@ -18,7 +18,8 @@ def same_leaves(image, **settings):
     with use_backend("reference"):
         theirs = quadtree(image, **settings)
     for column in dataclasses.fields(theirs):
-        a, b = getattr(ours, column.name), getattr(theirs, column.name)
+        a = getattr(ours, column.name)
+        b = getattr(theirs, column.name)
         assert a.dtype == b.dtype
         assert torch.equal(a, b), column.name
     return ours

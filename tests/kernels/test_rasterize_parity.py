@@ -103,14 +103,16 @@ def assert_close_but_for_flips(ours: torch.Tensor, theirs: torch.Tensor, share: 
 @pytest.mark.parametrize(("n", "width", "height"), SIZES)
 def test_picture_and_gradients(n, width, height, degree, generator):
     camera = odd_view(width, height)
-    params, v = scene(n, degree, generator), images(camera, generator)
+    params = scene(n, degree, generator)
+    v = images(camera, generator)
     (a, grad_a), (b, grad_b) = both(params, camera, v)
     for name in ("rgb", "depth_m", "alpha"):
         assert_close_but_for_flips(getattr(b, name), getattr(a, name), share=2e-3, atol=2e-4)
     for name in ("first_index", "dominant_index"):
         assert (getattr(a, name) != getattr(b, name)).double().mean() <= 2e-3
     for name in NAMES:
-        x, y = getattr(grad_a, name), getattr(grad_b, name)
+        x = getattr(grad_a, name)
+        y = getattr(grad_b, name)
         assert x.shape == y.shape
         assert torch.isfinite(y).all()
         # worst seen over these cases: 3e-3, where one pair flips at the 1/255 cut
@@ -126,7 +128,8 @@ def test_results_repeat_bit_for_bit_on_any_number_of_threads(generator):
         cx=47.0,
         cy=30.0,
     )
-    params, v = scene(900, 3, generator), images(camera, generator)
+    params = scene(900, 3, generator)
+    v = images(camera, generator)
     results = []
     with use_backend("numba"):
         for threads in (1, 2, 1):
@@ -140,7 +143,8 @@ def test_results_repeat_bit_for_bit_on_any_number_of_threads(generator):
 
 @pytest.mark.parametrize(("n", "width", "height"), SIZES)
 def test_masked_picture_is_the_whole_one_bit_for_bit(n, width, height, generator):
-    params, camera = scene(n, 1, generator), odd_view(width, height)
+    params = scene(n, 1, generator)
+    camera = odd_view(width, height)
     with use_backend("numba"):
         whole, _ = render_forward(params, camera, T_WC, opaque_alpha=0.6)
         for pixels in masks(height, width, generator):
@@ -153,7 +157,8 @@ def test_masked_picture_is_the_whole_one_bit_for_bit(n, width, height, generator
 
 @pytest.mark.parametrize(("n", "width", "height"), SIZES)
 def test_masked_gradients(n, width, height, generator):
-    params, camera = scene(n, 2, generator), odd_view(width, height)
+    params = scene(n, 2, generator)
+    camera = odd_view(width, height)
     v = images(camera, generator)
     rows = torch.rand(n, generator=generator) < 0.4
     for pixels in masks(height, width, generator):
@@ -175,7 +180,8 @@ def test_masked_gradients(n, width, height, generator):
         with use_backend("numba"):
             whole = render_vjp(render_forward(params, camera, T_WC)[1], *v_masked)
             _, saved = render_forward(params, camera, T_WC, pixels=pixels)
-            full, some = render_vjp(saved, *v_nonsense), render_vjp(saved, *v, rows=rows)
+            full = render_vjp(saved, *v_nonsense)
+            some = render_vjp(saved, *v, rows=rows)
         for name in NAMES:
             w, f, s, e = (getattr(g, name) for g in (whole, full, some, slow))
             torch.testing.assert_close(
@@ -198,7 +204,8 @@ def test_masked_gradients(n, width, height, generator):
 def test_large_gaussians_off_the_image_are_drawn(generator):
     """Centres up to ten image widths away; what is listed must not depend on where the centre
     is."""
-    n, camera = 250, odd_view(159, 121)
+    n = 250
+    camera = odd_view(159, 121)
     p = scene(n, 0, generator, spread=8.0)
     params = GaussianParams(**{**vars(p), "log_scale": p.log_scale + math.log(20.0)})
     v = images(camera, generator)
@@ -206,7 +213,8 @@ def test_large_gaussians_off_the_image_are_drawn(generator):
     assert_close_but_for_flips(b.alpha, a.alpha, share=2e-3, atol=2e-4)
     assert (a.alpha > 0.5).double().mean() > 0.5
     for name in NAMES:
-        x, y = getattr(grad_a, name), getattr(grad_b, name)
+        x = getattr(grad_a, name)
+        y = getattr(grad_b, name)
         assert (x - y).norm() <= 1e-2 * x.norm() + 1e-6, name
 
 
@@ -217,16 +225,14 @@ def test_large_gaussians_off_the_image_are_drawn(generator):
 def test_gradients_of_needles_keep_their_digits(long_m, ratio, generator):
     """Against float64: -Q v_Q Q of a needle has entries as large as 1 / blur^2, which cancel along
     the needle."""
-    n, camera = (
-        15,
-        Camera(
-            width=80,
-            height=60,
-            fx=300.0,
-            fy=300.0,
-            cx=40.0,
-            cy=30.0,
-        ),
+    n = 15
+    camera = Camera(
+        width=80,
+        height=60,
+        fx=300.0,
+        fy=300.0,
+        cx=40.0,
+        cy=30.0,
     )
     log_scale = torch.full((n, 3), math.log(long_m / ratio))
     log_scale[:, 0] = math.log(long_m)
@@ -250,6 +256,7 @@ def test_gradients_of_needles_keep_their_digits(long_m, ratio, generator):
     with use_backend("numba"):
         found = render_vjp(render_forward(params, camera, torch.eye(4))[1], v_rgb)
     for name in ("log_scale", "quat", "xyz_W"):
-        value, true = getattr(found, name).double(), getattr(expected, name)
+        value = getattr(found, name).double()
+        true = getattr(expected, name)
         # worst seen: 1.4e-4; before: 0.08, 0.09 and 6.9 for log scales
         assert (value - true).abs().max() < 1e-3 * true.abs().max(), name

@@ -30,9 +30,11 @@ def numba_raycast(volume, camera, T_WC):
 def assert_same_picture(volume, camera, T_WC, share=2e-3):
     """Marching branches on a sign: a step within rounding of it may go the other way, at a
     ``share`` of the pixels."""
-    ours, theirs = numba_raycast(volume, camera, T_WC), raycast.reference(volume, camera, T_WC)
+    ours = numba_raycast(volume, camera, T_WC)
+    theirs = raycast.reference(volume, camera, T_WC)
     for name, tolerance in (("depth_m", 1e-5), ("normal_W", 1e-3), ("rgb", 1e-3)):
-        a, b = getattr(ours, name), getattr(theirs, name)
+        a = getattr(ours, name)
+        b = getattr(theirs, name)
         assert a.shape == b.shape
         assert bool(torch.isfinite(a).all())
         off = ((a - b).abs() > tolerance).double()
@@ -61,7 +63,8 @@ def test_many_rays_and_few_stop_at_observed_voxels_only(width, copied, mapped, m
 
     volume, frames = mapped
     volume.W[:, ::7] = 0.0
-    look_up, ways = numba.look_up, []
+    look_up = numba.look_up
+    ways = []
     monkeypatch.setattr(
         numba,
         "look_up",
@@ -96,11 +99,10 @@ def test_no_size_of_tile_loses_a_surface(tile_px, mapped, monkeypatch):
     for frame in frames:
         moved = 0.4 * torch.randn(6, generator=generator)
         T_WC = frame.T_WC @ se3.exp(moved)
-        ours, theirs = numba_raycast(volume, camera, T_WC), raycast.reference(volume, camera, T_WC)
-        lost, gained = (
-            (ours.depth_m == 0) & (theirs.depth_m > 0),
-            (ours.depth_m > 0) & (theirs.depth_m == 0),
-        )
+        ours = numba_raycast(volume, camera, T_WC)
+        theirs = raycast.reference(volume, camera, T_WC)
+        lost = (ours.depth_m == 0) & (theirs.depth_m > 0)
+        gained = (ours.depth_m > 0) & (theirs.depth_m == 0)
         assert bool((theirs.depth_m > 0).any())
         assert int(lost.sum()) + int(gained.sum()) <= 3, (
             f"{int(lost.sum())} surfaces lost, {int(gained.sum())} gained"
@@ -118,10 +120,12 @@ def test_walls_beside_the_camera_do_not_make_rays_start_at_it(mapped):
     beside = TsdfVolume(CONFIG)
     beside.add_blocks(torch.tensor([[10, 0, 0], [-10, 0, 0], [0, -8, 0], [0, 0, 20], [0, 0, -3]]))
     camera = frames[0].camera
-    lens, size = lens_of(camera), (camera.height, camera.width)
+    lens = lens_of(camera)
+    size = (camera.height, camera.width)
     blocks = beside.block_coords.numpy(), beside.D.view(-1).numpy(), beside.W.view(-1).numpy()
     spans = torch.empty(15, 20, 2).numpy()
-    T_CW, marked = torch.eye(4, dtype=torch.float64).numpy(), torch.empty(5 * 512).numpy()
+    T_CW = torch.eye(4, dtype=torch.float64).numpy()
+    marked = torch.empty(5 * 512).numpy()
     rows = blocks_in_view(beside, camera, T_CW, float("inf"), 0.04)
     look_up(blocks, rows, T_CW, lens, beside.block_size_m, size, 8, marked, spans)
     z = beside.block_coords[rows, 2].tolist()

@@ -97,7 +97,8 @@ def test_each_function_is_compiled_once_for_each_type(tmp_path):
 def test_a_number_that_changes_in_another_file_is_compiled_in(tmp_path):
     write_trial(tmp_path)
     assert sorted(run(tmp_path, ["int64"])[0]) == ["part", "whole"]
-    numbers, before = tmp_path / "trial_numbers.py", (tmp_path / "trial_numbers.py").stat().st_mtime
+    numbers = tmp_path / "trial_numbers.py"
+    before = (tmp_path / "trial_numbers.py").stat().st_mtime
     os.utime(numbers, (before, before + 10))
     assert sorted(run(tmp_path, ["int64"])[0]) == ["part", "whole"]
     assert run(tmp_path, ["int64"]) == [[]]

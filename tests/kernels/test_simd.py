@@ -13,7 +13,8 @@ def _exp(x, y):
 
 @numba.njit
 def _mixture(x, y, out):
-    a, b = simd.load(x, 0), simd.load(y, 0)
+    a = simd.load(x, 0)
+    b = simd.load(y, 0)
     chosen = simd.select(
         a < b,
         simd.minimum(a, b) + simd.splat(np.float32(1)),

@@ -78,7 +78,8 @@ def editing(broken: dict[str, int]) -> type[MapRule]:
         ) -> Edit | None:
             memory["calls"] = memory.get("calls", 0) + 1
             ctx.gaussians.row_memory("seen").add_(stats.visible)
-            n, drawn = len(ctx.map), torch.rand(len(ctx.map), generator=ctx.generator)
+            n = len(ctx.map)
+            drawn = torch.rand(len(ctx.map), generator=ctx.generator)
             memory["drawn"] = drawn[:3]
             if memory["calls"] == broken.get("at"):
                 raise RuntimeError("my rule is broken")
@@ -179,7 +180,8 @@ def test_what_a_rule_is_told_and_that_asking_changes_nothing(system, needs, fram
     for frame in frames[:3]:
         mapper.step(frame)
         deaf.step(frame)
-    online, optimised = len(told), [step.loss for step in mapper.global_optimise(1)]
+    online = len(told)
+    optimised = [step.loss for step in mapper.global_optimise(1)]
     list(deaf.global_optimise(1))
     same(deaf.maps(), mapper.maps())
     assert {stats.stage for stats in told[:online]} == {"online"}
@@ -234,7 +236,8 @@ def test_statistics_of_each_row_are_sums_over_the_steps(frames):
 
     mapper = make_mapper(settings("gsfusion"), seeding=listening)
     mapper.step(frames[0])
-    model, half = mapper.gaussians, torch.tensor([16.0, 12.0])
+    model = mapper.gaussians
+    half = torch.tensor([16.0, 12.0])
     times = torch.stack([s.visible for s in told]).sum(0).float()
     length = torch.stack([(s.v_uv * half).norm(dim=1) for s in told]).sum(0) / times.clamp_min(1)
     assert torch.equal(model.memory["times_visible"], times)
@@ -258,7 +261,8 @@ def test_statistics_of_each_row_are_sums_over_the_steps(frames):
 
 def stop_in(monkeypatch: pytest.MonkeyPatch, mapper: Any, at: int, act: Any) -> None:
     """Call ``act`` at the ``at``-th look for a stop."""
-    looks, may_stop = [], mapper.guard.may_stop
+    looks = []
+    may_stop = mapper.guard.may_stop
 
     def watched():
         looks.append(0)

@@ -135,10 +135,8 @@ def test_a_run_says_the_share_of_each_state_or_that_none_was_stable(tmp_path, ca
         assert shares == state_shares(run.run.steps)
         assert (shares["share_stable"] > 0.1) == (name == "alive")
         assert print_result(run) == 0
-        text, page = (
-            capsys.readouterr().out,
-            html.unescape((run.folder / "report.html").read_text()),
-        )
+        text = capsys.readouterr().out
+        page = html.unescape((run.folder / "report.html").read_text())
         assert f"Stable                       {100 * shares['share_stable']:.1f}" in text
         assert "States of the Gaussians" in page
         for said in (text, page, " ".join(stored["warnings"])):

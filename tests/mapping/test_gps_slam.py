@@ -55,7 +55,8 @@ def test_the_released_numbers():
         100,
     )
     assert (c.base.holes, c.base.resolution, c.base.behind_m) == ("black", "full", 0.1)
-    s, r = c.schedule, c.residual
+    s = c.schedule
+    r = c.residual
     assert (s.every_frames, s.iterations, s.window_every, s.keyframes, s.recalled) == (
         10,
         20,
@@ -100,7 +101,8 @@ def test_the_numbers_of_the_paper():
         0.5,
         False,
     )
-    s, r = c.schedule, c.residual
+    s = c.schedule
+    r = c.residual
     assert (s.every_frames, s.iterations, s.spread) == (10, 20, False)
     assert (c.views.rotation_deg, c.views.translation_m, c.views.every_frames) == (30, 0.3, 0)
     assert (r.loss, r.min_radius_m, r.max_radius_m) == ("l1", 0.003, 0.1)
@@ -131,16 +133,15 @@ def test_a_round_has_its_steps_however_they_are_spread():
 
 
 def test_the_passes_improve_the_map_beyond_the_surface(run):
-    before, mapper = score(run), run.mapper
+    before = score(run)
+    mapper = run.mapper
     list(mapper.global_optimise(20))
     after = score(run)
     for name in ("psnr_held_out_db", "psnr_mapped_db"):
         assert after[name] > before[name] + 0.3
     frame = run.sequence.mapping[12]
-    both, below = (
-        mapper.render(frame.camera, frame.T_WC),
-        mapper.below(frame.camera, frame.T_WC).base,
-    )
+    both = mapper.render(frame.camera, frame.T_WC)
+    below = mapper.below(frame.camera, frame.T_WC).base
     error, base_error = (float((x - frame.rgb).square().mean()) for x in (both.rgb, below.rgb))
     assert len(mapper.gaussians) > 50
     assert error < 0.95 * base_error
@@ -153,7 +154,8 @@ def test_each_pass_ends_with_the_removal_of_small_large_and_transparent_rows(run
     narrow = mapped(
         30, seeding__options=dict(run.mapper.config.seeding.options), residual__max_radius_m=0.012
     )
-    mapper, limits = narrow.mapper, narrow.mapper.config.residual
+    limits = narrow.mapper.config.residual
+    mapper = narrow.mapper
     n_before = len(mapper.gaussians)
     list(mapper.global_optimise(3))
     params = mapper.gaussians.params
@@ -184,7 +186,8 @@ def test_looking_again_adds_few_keyframes_and_few_gaussians(run, monkeypatch):
     monkeypatch.setattr(tsdf_mapping, "LATEST", 3)
 
     def sizes() -> list[tuple[int, int]]:
-        mapper, found = make_mapper(run.mapper.config), []
+        mapper = make_mapper(run.mapper.config)
+        found = []
         for walk in (frames, frames[::-1], frames, frames[::-1]):
             for frame in walk:
                 mapper.step(
@@ -205,8 +208,10 @@ def test_looking_again_adds_few_keyframes_and_few_gaussians(run, monkeypatch):
 
 
 def test_holes_are_filled_black_or_without_weight():
-    rgb, depth_m = torch.full((8, 12, 3), 0.6), torch.full((8, 12), 2.0)
-    rgb[2:5, 3:7], depth_m[2:5, 3:7] = 0.0, 0.0
+    rgb = torch.full((8, 12, 3), 0.6)
+    depth_m = torch.full((8, 12), 2.0)
+    rgb[2:5, 3:7] = 0.0
+    depth_m[2:5, 3:7] = 0.0
     hole = depth_m == 0
     views = {
         holes: base_view(rgb, depth_m, (8, 12), holes, 0.1)
@@ -233,7 +238,8 @@ def test_holes_are_filled_black_or_without_weight():
 
 
 def test_a_disturbed_pose_is_found_again_though_the_surface_has_no_gradient(run):
-    mapper, frame = run.mapper, run.sequence.mapping[12]
+    mapper = run.mapper
+    frame = run.sequence.mapping[12]
     picture = mapper.render(frame.camera, frame.T_WC).rgb
     for axis in (0, 1, 5):
         xi = torch.zeros(6)

@@ -87,7 +87,8 @@ def test_a_voxel_holds_at_most_one_gaussian(split, config):
 
 def test_same_seed_same_map_and_state_goes_on_where_it_was(split, config):
     frames = list(split.mapping)
-    whole, parted = GSFusion(config), GSFusion(config)
+    whole = GSFusion(config)
+    parted = GSFusion(config)
     for frame in frames:
         whole.step(frame)
     for frame in frames[:4]:

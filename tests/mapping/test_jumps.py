@@ -32,7 +32,8 @@ def test_a_jump_in_a_real_recording_is_noticed_and_the_way_back_is_found(shared_
     mapper = make_mapper(
         replace(get_system(system).preset("replica"), tracking__poses="tracked"), device="cpu"
     )
-    lost, off_m = [], []
+    lost = []
+    off_m = []
     for k, i in enumerate([*range(16), 40, 42, 30, 28, 26]):
         frame = dataclasses.replace(sequence[i], index=k, timestamp_s=k / 30)
         try:

@@ -79,7 +79,8 @@ def walk(frames, places, n):
 
 
 def mapped(config, room, places=(0, 1, 0), n=4):
-    mapper, frames = make_mapper(config), [room[i] for i in range(n)]
+    mapper = make_mapper(config)
+    frames = [room[i] for i in range(n)]
     for frame in walk(frames, places, n):
         mapper.step(frame)
         mapper.gaussians.clock.check()
@@ -182,7 +183,8 @@ def test_the_files_of_a_run_hold_the_map_without_missed_steps(system, tmp_path):
     config = settings(system, "measured", data__stop=6, data__width=0, data__height=0)
     room: dict[str, Any] = {"n_frames": 60, "width": 64, "height": 48}
     run = run_mapping("room", config=config, folder=tmp_path / "run", evaluate=False, **room)
-    stored, mapper = read_gaussian_ply(tmp_path / "run/gaussians.ply"), run.mapper
+    stored = read_gaussian_ply(tmp_path / "run/gaussians.ply")
+    mapper = run.mapper
     assert run.metrics["n_not_finite"] == 0
     assert missing(mapper) == 0
     for name in ("xyz_W", "log_scale", "opacity_logit"):
@@ -204,7 +206,8 @@ def test_discs_have_their_missed_steps_between_two_passes(small_room):
     next(steps)
     mapper._final.adam.clock.check()
     assert int(mapper._final.adam.clock.missed.sum()) > 0
-    now, stored = mapper.params_now(), mapper.gaussians.params
+    now = mapper.params_now()
+    stored = mapper.gaussians.params
     caught_up = copy.deepcopy(mapper._final.adam)
     caught_up.catch_up(torch.arange(len(stored)))
     for name, column in vars(caught_up.params).items():
@@ -220,7 +223,9 @@ def test_discs_have_their_missed_steps_between_two_passes(small_room):
     [("gsfusion", "code"), ("gps_slam", "code"), ("gps_slam", "paper")],
 )
 def test_three_places_by_view_are_those_of_the_whole_map(system, fidelity, small_room, monkeypatch):
-    maps, shares, part_in_view = [], [], Mapper.part_in_view
+    maps = []
+    shares = []
+    part_in_view = Mapper.part_in_view
 
     def watched(mapper, *args):
         part = part_in_view(mapper, *args)
@@ -272,7 +277,9 @@ def test_gaussians_that_become_nan_are_counted_and_said_once(system, small_room,
         return g
 
     monkeypatch.setattr(VJPS[system], vjp)
-    mapper, told, counted = make_mapper(settings(system, "measured")), [], []
+    mapper = make_mapper(settings(system, "measured"))
+    told = []
+    counted = []
     for frame in walk(
         [small_room[i] for i in range(6)],
         [0],

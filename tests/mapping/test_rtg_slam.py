@@ -62,7 +62,8 @@ def rows(mapper: RTGSLAM) -> dict[str, torch.Tensor]:
 
 
 def assert_same_map(a: RTGSLAM, b: RTGSLAM) -> None:
-    ours, theirs = rows(a), rows(b)
+    ours = rows(a)
+    theirs = rows(b)
     assert len(a.gaussians) == len(b.gaussians) > 0
     for name in ours:
         assert torch.equal(ours[name], theirs[name]), name

@@ -71,7 +71,8 @@ def test_a_rule_that_changes_the_frame_leaves_it_as_it_was(config, frames):
         ctx.frame.depth_m[ctx.frame.depth_m > 2] = 0
         return ctx.cells()
 
-    mapper, depth_m = GSFusion(config, seeding=blinds), frames[0].depth_m.clone()
+    mapper = GSFusion(config, seeding=blinds)
+    depth_m = frames[0].depth_m.clone()
     with pytest.raises(ChangedInputError, match=r"frame\.depth_m"):
         mapper.step(frames[0])
     assert torch.equal(frames[0].depth_m, depth_m)
@@ -201,7 +202,8 @@ def test_a_resumed_map_with_a_memory_is_equal_bit_for_bit(system, walk, config):
 def test_a_frame_that_fails_leaves_the_memory_as_it_was(walk, config):
     mapper = GSFusion(replace(config, seeding__options={"fail_at": 2}), seeding=Remembering)
     mapper.step(walk[0])
-    memory, voxels = mapper.memory, mapper.memory["voxels"].clone()
+    voxels = mapper.memory["voxels"].clone()
+    memory = mapper.memory
     with pytest.raises(RuntimeError, match="my rule is broken"):
         mapper.step(walk[1])
     assert mapper.memory is memory

@@ -33,7 +33,8 @@ class Breaking:
     """A rule that draws a random number and then raises, until it is repaired."""
 
     def __init__(self, at: int):
-        self.at, self.broken = at, True
+        self.at = at
+        self.broken = True
 
     def rule(self):
         def breaking(ctx: SeedContext) -> Seeds:
@@ -98,7 +99,8 @@ def test_a_frame_that_is_stopped_at_any_step_leaves_the_map_as_it_was(
     if system == "gps_slam":  # so few pictures would get no Gaussians
         config = replace(config, seeding__rule="uniform", seeding__options={})
     frames = list(apply_options(small_room, config.data).mapping)[:6]
-    mapper, never = make_mapper(config), make_mapper(config)
+    mapper = make_mapper(config)
+    never = make_mapper(config)
     n_stops = 0
     for frame in frames:
         before = copy.deepcopy(mapper.state_dict())
@@ -273,7 +275,8 @@ def test_what_fails_before_the_changes_leaves_the_guard_open():
 
 
 def test_a_frame_is_undone_once_and_only_until_its_changes_stay():
-    guard, done = FrameGuard(), []
+    guard = FrameGuard()
+    done = []
 
     def begin():
         guard.changes_begin(lambda: done.append("undone"))

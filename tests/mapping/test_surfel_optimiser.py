@@ -121,7 +121,9 @@ def written_out(
 @pytest.mark.parametrize("depth", ["disc", "blended"])
 def test_the_gradient_is_that_of_the_whole_printed_loss(generator, depth):
     """Central differences along random directions of every group of every trained row."""
-    model, seen, discs = scene(generator), view(generator), DiscConfig(depth=depth)
+    model = scene(generator)
+    seen = view(generator)
+    discs = DiscConfig(depth=depth)
     trained = torch.ones(len(model), dtype=torch.bool)
     trained[3::5] = False
     optimiser = Watched(model, trained, WINDOW, discs)
@@ -145,7 +147,8 @@ def test_the_gradient_is_that_of_the_whole_printed_loss(generator, depth):
         written_out(start, *fixed) - _regulariser(start, held, anchor), rel=1e-4
     )
 
-    n, h = int(trained.sum()), 1e-6
+    n = int(trained.sum())
+    h = 1e-6
     for name in NAMES:
         gradient = getattr(optimiser.gradients, name)[:n].double()
         value = getattr(start, name)
@@ -177,7 +180,8 @@ def snapshot(model: SurfelModel) -> dict[str, torch.Tensor]:
 
 
 def test_frozen_rows_do_not_move_and_the_map_changes_on_write_back_only(generator):
-    model, seen = scene(generator), view(generator)
+    model = scene(generator)
+    seen = view(generator)
     trained = torch.arange(len(model)) % 2 == 0
     before = snapshot(model)
     optimiser = SurfelOptimiser(model, trained, WINDOW, DiscConfig())
@@ -214,7 +218,8 @@ def test_view_dependent_colour_learns_at_a_twentieth_of_the_base_colour(generato
 
 @pytest.mark.parametrize("weight", [0.0, 1000.0])
 def test_transparent_rows_are_held_by_the_regulariser(generator, weight, monkeypatch):
-    model, seen = scene(generator), view(generator)
+    model = scene(generator)
+    seen = view(generator)
     monkeypatch.setattr(surfel_optimiser, "WEIGHT_REGULARISER", weight)
     optimiser = SurfelOptimiser(
         model, torch.ones(len(model), dtype=torch.bool), WINDOW, DiscConfig()
@@ -229,7 +234,8 @@ def test_transparent_rows_are_held_by_the_regulariser(generator, weight, monkeyp
 
 
 def test_anchors_of_this_window_instead_of_birth(generator):
-    model, seen = scene(generator), view(generator)
+    model = scene(generator)
+    seen = view(generator)
     window = dataclasses.replace(WINDOW, anchor="window")
     optimiser = SurfelOptimiser(
         model, torch.ones(len(model), dtype=torch.bool), window, DiscConfig()

@@ -105,10 +105,8 @@ def test_after_a_jump_the_frames_that_go_on_are_mapped_also_after_a_pause(view):
 
 
 def test_a_depth_that_no_camera_measures_is_told_once(view):
-    mapper, far = (
-        small("gsfusion"),
-        dataclasses.replace(view, depth_m=torch.full_like(view.depth_m, 65.5)),
-    )
+    mapper = small("gsfusion")
+    far = dataclasses.replace(view, depth_m=torch.full_like(view.depth_m, 65.5))
     frames = [placed(frame, i, 0.0) for i, frame in enumerate((view, far, far))]
     told = [mapper.step_warnings(frame, mapper.step(frame)) for frame in frames]
     assert [len(warnings) for warnings in told] == [0, 1, 0]

@@ -44,7 +44,8 @@ def charbonnier(rendered, view, eps=1e-3):
         rendered.rgb - view.rgb,
         0.0,
     )
-    root, n = (gap.square() + eps**2).sqrt(), 3 * view.pixels.sum().clamp_min(1)
+    root = (gap.square() + eps**2).sqrt()
+    n = 3 * view.pixels.sum().clamp_min(1)
     return ViewLoss(value=root.sum() / n, v_rgb=gap / root / n)
 
 
@@ -108,14 +109,16 @@ def test_the_systems_own_functions_given_from_outside_give_the_same_map_bit_for_
 @pytest.mark.parametrize("name", list(SYSTEMS))
 @pytest.mark.parametrize("given", [{"loss": charbonnier}, {"optimiser": sgd}])
 def test_every_system_optimises_with_what_is_given(name, given):
-    usual, own = mapped(name), mapped(name, **given)
+    usual = mapped(name)
+    own = mapped(name, **given)
     assert len(own.gaussians) > 0
     assert len(usual.gaussians) != len(own.gaussians) or not equal(usual, own)
     assert all(bool(x.isfinite().all()) for x in vars(own.gaussians.params).values())
     if "optimiser" in given and name == "gsfusion":  # plain gradient descent uses no moments
         assert not any(column.any() for column in vars(own.gaussians.exp_avg).values())
     else:
-        before, own_loss = usual.training.names, own.training.names
+        before = usual.training.names
+        own_loss = own.training.names
         assert (before, list(own_loss)) == ({}, list(given))
 
 
@@ -183,7 +186,8 @@ def test_with_more_frames_the_passes_begin_again_and_an_undo_restores_all_counts
             len(mapper.keyframes),
         )
 
-    before, undo = counts(), mapper._undo()
+    before = counts()
+    undo = mapper._undo()
     mapper.lost.total += 5
     mapper.after_steps.taken += 3
     mapper._steps_missed = not mapper._steps_missed
@@ -225,7 +229,8 @@ def test_each_pass_visits_all_once_in_a_new_order(generator):
 @pytest.mark.parametrize("stop", [1, 4, 5, 7])
 def test_going_on_after_a_stop_is_the_same_as_no_stop(stop):
     whole = visits(KeyframePasses(), 2, 5, torch.Generator().manual_seed(3))
-    generator, passes = torch.Generator().manual_seed(3), KeyframePasses()
+    generator = torch.Generator().manual_seed(3)
+    passes = KeyframePasses()
     first = visits(passes, 2, 5, generator, stop)
     state = passes.state_dict()
     visits(passes, 1, 5, torch.Generator())  # what was saved stays as it was
@@ -306,7 +311,8 @@ SMALL: dict[str, Any] = {
 def walk():
     """Frames with poses that are off by 1 cm and 0.6 degrees about each axis, and the true
     poses."""
-    sequence, generator = room(n_frames=240, width=80, height=60), torch.Generator().manual_seed(0)
+    sequence = room(n_frames=240, width=80, height=60)
+    generator = torch.Generator().manual_seed(0)
     off = [se3.exp(0.01 * torch.randn(6, generator=generator)) for _ in range(12)]
     frames = [dataclasses.replace(sequence[i], T_WC=sequence.pose(i) @ off[i]) for i in range(12)]
     return [sequence.pose(i) for i in range(12)], frames

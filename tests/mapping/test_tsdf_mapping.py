@@ -58,7 +58,8 @@ def assert_fused_at(mapper, frames, poses):
     expected = TsdfVolume(mapper.config.tsdf)
     for f, T_WC in zip(frames, poses, strict=True):
         integrate(expected, Frame(**{**vars_of(f), "T_WC": T_WC}))
-    rows, order = expected.index.rows, mapper.order_of_rows("tsdf")
+    rows = expected.index.rows
+    order = mapper.order_of_rows("tsdf")
     columns = {name: column[order] for name, column in mapper.maps()["tsdf"].items()}
     assert torch.equal(columns["block_coords"], expected.block_coords[rows])
     torch.testing.assert_close(columns["D"], expected.D[rows])
@@ -131,13 +132,12 @@ class Remembering(MapRule):
         seeds = ctx.cells()
         frame = torch.full((len(seeds),), ctx.frame.index)
         toward = (ctx.frame.T_WC[:3, 3] - seeds.xyz_W) / 2
-        poses, indices = ctx.frame.T_WC[None], frame[:1]
+        poses = ctx.frame.T_WC[None]
+        indices = frame[:1]
         if memory:
             (old,) = memory["seen"]
-            frame, poses = (
-                torch.cat([old["frame_index"], frame]),
-                torch.cat([memory["T_WC"], poses]),
-            )
+            frame = torch.cat([old["frame_index"], frame])
+            poses = torch.cat([memory["T_WC"], poses])
             indices = torch.cat([memory["frame_index"], indices])
             toward = torch.cat([old["normal_W"], toward])
         xyz_W = seeds.xyz_W if not memory else torch.cat([old["xyz_W"], seeds.xyz_W])
@@ -229,7 +229,8 @@ def test_a_loop_closes_and_a_loss_is_overcome(there_and_back, system, monkeypatc
     true = torch.stack([f.T_WC for f in there_and_back]).double()
     assert ate_rmse(torch.stack(localiser.poses).double(), true) < 0.01
 
-    last, far = there_and_back[-1], there_and_back[6]
+    last = there_and_back[-1]
+    far = there_and_back[6]
     covered = dataclasses.replace(
         last, index=16, timestamp_s=1.6, depth_m=torch.zeros_like(last.depth_m)
     )

@@ -32,8 +32,10 @@ MOMENTS = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-15}
 )
 def test_agrees_with_torch_adam(shape, generator):
     param = torch.randn(shape, generator=generator, dtype=torch.float64)
-    ours, theirs = param.clone(), param.clone().requires_grad_(True)
-    m, v = torch.zeros_like(param), torch.zeros_like(param)
+    ours = param.clone()
+    theirs = param.clone().requires_grad_(True)
+    m = torch.zeros_like(param)
+    v = torch.zeros_like(param)
     optimiser = torch.optim.Adam(
         [theirs],
         lr=1e-2,
@@ -72,7 +74,8 @@ def test_newborn_rows_move_faster_without_their_own_correction(k, multiple, late
 
 def test_per_row_steps_treat_a_late_row_like_a_first_one(generator):
     grads = torch.randn(4, 2, 3, generator=generator)
-    early, late = torch.zeros(2, 3), torch.zeros(2, 3)
+    early = torch.zeros(2, 3)
+    late = torch.zeros(2, 3)
     m1, v1, m2, v2 = (torch.zeros(2, 3) for _ in range(4))
     for t, g in enumerate(grads, start=1):
         adam_update(early, g, m1, v1, t, lr=0.1, **MOMENTS)
@@ -288,7 +291,8 @@ def test_twenty_steps_of_torch_adam(n, generator):
 def test_gradients_may_have_more_rows(generator):
     """The optimiser works on the first rows of the picture's Gaussians; those behind are frozen."""
     params = rows(5, generator)
-    part, alone = copy(params), copy(params[:2])
+    part = copy(params)
+    alone = copy(params[:2])
     g = rows(5, generator)
     RowAdam(part[:2], RATES).step(g)
     RowAdam(alone, RATES).step(g[:2])
@@ -300,7 +304,8 @@ def test_gradients_may_have_more_rows(generator):
 def test_state_round_trip(generator):
     params = rows(6, generator)
     gradients = [rows(6, generator) for _ in range(8)]
-    whole, parted = RowAdam(copy(params), RATES), RowAdam(copy(params), RATES)
+    whole = RowAdam(copy(params), RATES)
+    parted = RowAdam(copy(params), RATES)
     for g in gradients[:4]:
         whole.step(g)
         parted.step(g)
@@ -362,7 +367,8 @@ def test_rows_take_their_part_of_the_step(generator, backend):
     for name in COLUMNS:
         for f, other in all_by.items():
             rows = factors == f
-            found, expected = getattr(model.params, name)[rows], getattr(other.params, name)[rows]
+            found = getattr(model.params, name)[rows]
+            expected = getattr(other.params, name)[rows]
             if f in (0.0, 1.0):
                 assert torch.equal(found, expected), (name, f)
             torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-6)
@@ -386,7 +392,8 @@ def test_the_rows_of_a_window_take_their_part_too(generator):
     assert torch.equal(part.sh, params.sh)
     assert torch.equal(part.quat, params.quat)
     assert torch.equal(part.log_scale, whole.log_scale)
-    moved, expected = part.xyz_W - params.xyz_W, whole.xyz_W - params.xyz_W
+    moved = part.xyz_W - params.xyz_W
+    expected = whole.xyz_W - params.xyz_W
     torch.testing.assert_close(
         moved,
         factor[:, None] * expected,
@@ -403,7 +410,8 @@ def test_the_rows_of_a_window_take_their_part_too(generator):
 )
 def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed, decays):
     config = OptimConfig(adam_steps=adam_steps, **decays)
-    whole, part = GaussianModel(2), GaussianModel(2)
+    whole = GaussianModel(2)
+    part = GaussianModel(2)
     for n in (5, 7):  # of two ages
         more = rows(n, generator)
         for model in (whole, part):
@@ -414,7 +422,8 @@ def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed, 
             adam_step(part, g, config)
     part.set_rate("quat", torch.linspace(0, 2, 12))
     whole.set_rate("quat", torch.linspace(0, 2, 12))
-    seen, boxes = torch.tensor([0, 1, 4, 5, 6]), Mock(Boxes)
+    seen = torch.tensor([0, 1, 4, 5, 6])
+    boxes = Mock(Boxes)
     for _ in range(missed):
         g = rows(12, generator)
         hidden = [i for i in range(12) if i not in seen.tolist()]
@@ -438,8 +447,10 @@ def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed, 
 
 
 def test_missed_steps_of_some_rows(generator):
-    params, seen = rows(9, generator), torch.tensor([1, 2, 7])
-    whole, part = RowAdam(copy(params), RATES), RowAdam(copy(params), RATES)
+    params = rows(9, generator)
+    seen = torch.tensor([1, 2, 7])
+    whole = RowAdam(copy(params), RATES)
+    part = RowAdam(copy(params), RATES)
     for _ in range(3):
         g = rows(9, generator)
         whole.step(g)

@@ -186,7 +186,8 @@ def test_gradient_against_autograd_and_finite_differences():
     )
     gain = torch.tensor([0.8, 1.1, 1.3], dtype=torch.float64)
     v_rgb, v_gain = exposed_vjp(rgb, gain, v)
-    x, y = rgb.clone().requires_grad_(), gain.clone().requires_grad_()
+    x = rgb.clone().requires_grad_()
+    y = gain.clone().requires_grad_()
     torch.testing.assert_close(
         (v_rgb, v_gain),
         torch.autograd.grad((exposed(x, y) * v).sum(), (x, y)),
@@ -259,7 +260,9 @@ def test_information_is_the_weighted_square_of_what_a_motion_changes(scene):
     gx, gy = image_gradient((output.rgb + target) / 2, every)
     r = (output.rgb - target)[::2, ::2]
     shown = output.alpha[::2, ::2] >= SHOWN_ALPHA
-    H, g, total = torch.zeros(6, 6).double(), torch.zeros(6).double(), 0.0
+    H = torch.zeros(6, 6).double()
+    g = torch.zeros(6).double()
+    total = 0.0
     for v, u in shown.nonzero().tolist():
         for c in range(3):
             moves = gx[v, u, c] * a[v, u] + gy[v, u, c] * b[v, u]

@@ -54,7 +54,8 @@ def test_draws_are_distinct_seeded_and_bounded():
 
 
 def test_every_keyframe_is_drawn_about_equally():
-    k, g = keyframes(10), torch.Generator().manual_seed(0)
+    k = keyframes(10)
+    g = torch.Generator().manual_seed(0)
     hits = torch.zeros(10)
     for _ in range(2000):
         for x in k.draw(2, g):
@@ -102,7 +103,8 @@ def test_a_loop_moves_each_pose_in_the_world(generator):
 def test_all_poses_follow_every_change(generator):
     k = keyframes(3)
     assert torch.equal(k.T_WC, torch.eye(4).expand(3, 4, 4))
-    T, before = se3.exp(torch.randn(6, generator=generator)), k.snapshot()
+    T = se3.exp(torch.randn(6, generator=generator))
+    before = k.snapshot()
     for change in (
         lambda: k.set_pose(k[1].index, T),
         lambda: k.append(frame(1)),
@@ -132,7 +134,8 @@ def test_images_beyond_what_memory_may_hold_are_in_files(monkeypatch, tmp_path):
     )  # two images with their depths
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
-    in_file, written = MAP_MEMORY.in_file, []
+    in_file = MAP_MEMORY.in_file
+    written = []
     monkeypatch.setattr(
         MAP_MEMORY, "in_file", lambda image: written.append(image) or in_file(image)
     )

@@ -48,7 +48,8 @@ def test_l1_by_hand():
 
 
 def test_squared_loss_belongs_to_its_gradient_where_the_picture_leaves_its_range():
-    rgb, target = torch.tensor([[[1.5, 0.5, -0.5]]]), torch.tensor([[[1.0, 0.25, 0.0]]])
+    rgb = torch.tensor([[[1.5, 0.5, -0.5]]])
+    target = torch.tensor([[[1.0, 0.25, 0.0]]])
     loss = l2_mse_vjp(rgb, target)
     assert loss.value.item() == pytest.approx((0.25 + 0.0625 + 0.25) / 3)
     assert loss.mse.item() == pytest.approx(0.0625 / 3)
@@ -127,15 +128,18 @@ def pictures(generator, height: int = 5, width: int = 7, dtype=torch.float64):
     def holes(depth_m: torch.Tensor) -> torch.Tensor:
         return torch.where(uniform(height, width) < 0.2, 0.0, depth_m)
 
-    rgb, target_rgb = uniform(height, width, 3), uniform(height, width, 3)
-    depth_m, target_m = holes(1 + uniform(height, width)), holes(1 + uniform(height, width))
+    rgb = uniform(height, width, 3)
+    target_rgb = uniform(height, width, 3)
+    depth_m = holes(1 + uniform(height, width))
+    target_m = holes(1 + uniform(height, width))
     pixels = uniform(height, width) < 0.7
     return rgb, depth_m, target_rgb, target_m, pixels
 
 
 def written_out(rgb, depth_m, target_rgb, target_m, pixels, w_c, w_d, behind_m) -> torch.Tensor:
     """Pixel by pixel, term by term."""
-    colour, depth = [], []
+    colour = []
+    depth = []
     for y in range(rgb.shape[0]):
         for x in range(rgb.shape[1]):
             if not pixels[y, x]:
@@ -149,8 +153,10 @@ def written_out(rgb, depth_m, target_rgb, target_m, pixels, w_c, w_d, behind_m) 
 
 
 def test_by_hand():
-    rgb, target = torch.zeros(1, 2, 3), torch.tensor([[[0.3, 0.0, -0.6], [9.0, 9.0, 9.0]]])
-    depth, target_m = torch.tensor([[2.5, 1.0]]), torch.tensor([[2.0, 9.0]])
+    rgb = torch.zeros(1, 2, 3)
+    target = torch.tensor([[[0.3, 0.0, -0.6], [9.0, 9.0, 9.0]]])
+    depth = torch.tensor([[2.5, 1.0]])
+    target_m = torch.tensor([[2.0, 9.0]])
     only_first = torch.tensor([[True, False]])
     loss = rgbd_l1_vjp(
         rgb, depth, target, target_m, only_first, weight_colour=0.8, weight_depth=2.0
@@ -229,7 +235,8 @@ def test_without_depth_only_colour_counts(generator, missing):
 
 
 def test_far_behind_the_measurement_does_not_count_but_far_in_front_does():
-    depth, target_m = torch.tensor([[2.05, 2.2, 1.0]]), torch.full((1, 3), 2.0)
+    depth = torch.tensor([[2.05, 2.2, 1.0]])
+    target_m = torch.full((1, 3), 2.0)
     rgb = torch.zeros(1, 3, 3)
     loss = rgbd_l1_vjp(
         rgb,
@@ -295,7 +302,8 @@ def test_penalties_are_added_to_the_gradients(generator):
     params, before = (GaussianParams(**c) for c in columns)
     after = GaussianParams(**{name: value.clone() for name, value in columns[1].items()})
     loss = add_penalties_(after, params, isotropy=10.0, scale=0.5, opacity=2.0)
-    scale, logit = params.log_scale, params.opacity_logit
+    scale = params.log_scale
+    logit = params.opacity_logit
     assert loss.item() == pytest.approx(
         float(10 * anisotropy(scale) + 0.5 * mean_scale(scale) + 2 * mean_opacity(logit)),
         rel=1e-6,

@@ -50,7 +50,8 @@ class Box:
             -1,
         )
         T = T_WC.double().numpy()
-        d, o = ray @ T[:3, :3].T, T[:3, 3]
+        d = ray @ T[:3, :3].T
+        o = T[:3, 3]
         d = np.where(d == 0, 1e-12, d)
         t = ((np.sign(d) * HALF_SIZE_M - o) / d).min(-1)  # z of the ray is 1, so t is z-depth
         point = o + t[..., None] * d

@@ -40,13 +40,16 @@ def jaxtyped(thing: Any = None, *, typechecker: Callable) -> Any:
 
 
 def _sampled(function: Callable, typechecker: Callable) -> Callable:
-    checked, test, left = None, -1, 0
+    checked = None
+    test = -1
+    left = 0
 
     @functools.wraps(function)
     def call(*args, **kwargs):
         nonlocal checked, test, left
         if test != _test:
-            test, left = _test, CALLS
+            test = _test
+            left = CALLS
         if not left:
             return function(*args, **kwargs)
         left -= 1

@@ -22,11 +22,9 @@ def tum_layout(
     camera_scale=5000,
 ):
     """The public layout: three lists with comments, images named by their time stamps."""
-    rgb_lines, depth_lines, gt_lines = (
-        ["# color images", "# timestamp filename"],
-        ["# depth maps"],
-        ["# ground truth"],
-    )
+    rgb_lines = ["# color images", "# timestamp filename"]
+    depth_lines = ["# depth maps"]
+    gt_lines = ["# ground truth"]
     for i in range(n):
         t_depth = 0.1 + i / 30
         t_rgb = t_depth + rgb_lag

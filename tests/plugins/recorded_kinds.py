@@ -547,7 +547,8 @@ def nice_slam(root: Path, takes: Any) -> Path:
     """Folders as Replica's with cam_params.json, whose scale is the unit of depth, but names of
     their own."""
     write_images(root, takes, "color/{}.png", "depth/{}.png", 6553.5)
-    c, names = takes.camera, camera_names(takes)
+    c = takes.camera
+    names = camera_names(takes)
     (root / "cam_params.json").write_text(
         json.dumps({"camera": {"w": c.width, "h": c.height, **names, "scale": 6553.5}})
     )

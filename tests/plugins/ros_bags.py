@@ -129,7 +129,8 @@ class Bag:
     def row(self, T):
         from gsfusion_nb.geometry import quaternion
 
-        xyz, q = T[:3, 3].tolist(), quaternion.from_matrix(T[:3, :3]).tolist()
+        xyz = T[:3, 3].tolist()
+        q = quaternion.from_matrix(T[:3, :3]).tolist()
         return dict(zip("xyz", xyz, strict=True)), {"w": q[0], "x": q[1], "y": q[2], "z": q[3]}
 
     def tf(self, topic, time_s, parent, child, T, *, kind="tf2_msgs/msg/TFMessage"):

@@ -28,7 +28,8 @@ def three_gaussians(dtype: torch.dtype) -> Scene:
     def values(*rows: list[float] | float) -> Tensor:
         return torch.tensor(rows, dtype=dtype)
 
-    cos, sin = math.cos(math.radians(10)), math.sin(math.radians(10))
+    cos = math.cos(math.radians(10))
+    sin = math.sin(math.radians(10))
     T_CW = values(
         [cos, 0, sin, 0.05],
         [0, 1, 0, -0.02],
@@ -45,7 +46,8 @@ def three_gaussians(dtype: torch.dtype) -> Scene:
         [0.3 + 0.02 * x, 0.5 + 0.01 * y, torch.full_like(x, 0.4)],
         dim=-1,
     )
-    depth_m[:3, :4], rgb[:3, :4] = 0.0, 0.0
+    depth_m[:3, :4] = 0.0
+    rgb[:3, :4] = 0.0
     params = GaussianParams(
         xyz_W=values([0.10, -0.05, 2.0], [-0.2, 0.1, 1.8], [0.15, 0.05, 2.05]),
         log_scale=values([0.12, 0.08, 0.02], [0.1, 0.15, 0.03], [0.2, 0.1, 0.05]).log(),

@@ -44,7 +44,8 @@ def test_images_are_kept_bit_for_bit_with_their_poses(shared_sequence, tmp_path,
 
 
 def test_lists_and_arrays_keep_the_chosen_frames(shared_sequence, tmp_path):
-    source, mini = tmp_path / "scan", shared_sequence("redkitchen_mini48")
+    source = tmp_path / "scan"
+    mini = shared_sequence("redkitchen_mini48")
     for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
         (source / f"{kind}_images").mkdir(parents=True)
         for i in range(12):

@@ -35,7 +35,8 @@ def random_map(
         return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
 
     z = uniform(n, low=1.0, high=3.0)
-    x, y = uniform(n, low=-0.55, high=0.55) * z, uniform(n, low=-0.45, high=0.45) * z
+    x = uniform(n, low=-0.55, high=0.55) * z
+    y = uniform(n, low=-0.45, high=0.45) * z
     rows = GaussianParams(
         xyz_W=se3.apply(POSE, torch.stack([x, y, z], dim=-1)),
         log_scale=uniform(n, 3, low=0.3, high=1.5).log() + torch.tensor(scale).log(),

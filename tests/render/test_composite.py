@@ -166,7 +166,9 @@ def test_three_gaussians_at_every_pixel():
         return torch.where(a >= 1 / 255, a, 0.0)
 
     a1, a2, a3 = (alpha(*row) for row in (near, middle, far))
-    w1, w2, w3 = a1, a2 * (1 - a1), a3 * (1 - a1) * (1 - a2)
+    w1 = a1
+    w2 = a2 * (1 - a1)
+    w3 = a3 * (1 - a1) * (1 - a2)
     colours = torch.tensor(
         [near[5], middle[5], far[5]],
         dtype=torch.float64,
@@ -265,7 +267,9 @@ def test_gradient_is_the_autograd_of_the_forward(scene, generator, kind):
     v_rgb, v_depth, v_alpha = torch.randn(
         5, 19, 27, generator=generator, dtype=torch.float64
     ).split([3, 1, 1])
-    v_rgb, v_depth, v_alpha = v_rgb.permute(1, 2, 0), v_depth[0], v_alpha[0]
+    v_rgb = v_rgb.permute(1, 2, 0)
+    v_depth = v_depth[0]
+    v_alpha = v_alpha[0]
     loss = (
         (image.rgb * v_rgb).sum() + (image.depth_m * v_depth).sum() + (image.alpha * v_alpha).sum()
     )
@@ -369,7 +373,8 @@ def test_does_not_depend_on_the_tile_size(scene, generator, tile_px):
     )
     for name in ("rgb", "depth_m", "alpha", "first_index", "dominant_index"):
         torch.testing.assert_close(getattr(other, name), getattr(usual, name))
-    g_usual, g_other = composite_vjp(usual.saved, v), composite_vjp(other.saved, v)
+    g_usual = composite_vjp(usual.saved, v)
+    g_other = composite_vjp(other.saved, v)
     for name in NAMES:
         torch.testing.assert_close(
             getattr(g_other, name), getattr(g_usual, name), atol=1e-10, rtol=1e-9
@@ -383,7 +388,8 @@ def test_inputs_are_left_alone(scene, generator):
         *splats(projection, rgb), tile_intersections(projection, scene.camera), scene.camera
     )
     v = torch.ones(19, 27, 3, dtype=torch.float64)
-    first, second = composite_vjp(image.saved, v), composite_vjp(image.saved, v)
+    first = composite_vjp(image.saved, v)
+    second = composite_vjp(image.saved, v)
     for name in NAMES:
         assert torch.equal(getattr(first, name), getattr(second, name)), (
             "the gradient can be asked for twice"

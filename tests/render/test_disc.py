@@ -225,7 +225,8 @@ def test_depth_lies_on_the_ray_and_on_the_plane(scene, generator):
     cov = R @ torch.diag_embed((2 * params.log_scale).exp()) @ R.transpose(1, 2)
     normal = torch.linalg.eigh(cov).eigenvectors[:, :, 0]
     ray = rays(scene.camera, pixel_grid(scene.camera, dtype=torch.float64)) @ scene.pose[:3, :3].T
-    on, g = disc.on_plane, hit_index[disc.on_plane]
+    on = disc.on_plane
+    g = hit_index[disc.on_plane]
     to_centre = (ray * disc.depth_m[..., None])[on] + scene.pose[:3, 3] - params.xyz_W[g]
     assert (to_centre * normal[g]).sum(-1).abs().max() < 1e-10
     torch.testing.assert_close(
@@ -447,7 +448,8 @@ def test_no_gaussians_at_all(scene, generator):
 
 
 def test_wrong_arguments_are_named():
-    params, hit = leaning_disc(0), everywhere()
+    params = leaning_disc(0)
+    hit = everywhere()
     with pytest.raises(ValueError, match="rows of the 1 Gaussians, got 1"):
         disc_depth(params, CAMERA, EYE, hit + 1)
     with pytest.raises(ValueError, match="hit_index must be"):
@@ -460,7 +462,8 @@ def test_a_flat_disc_by_hand():
     view = view_surface(discs((2.0, 0.5, 0.99)), CAMERA_SURFACE, torch.eye(4))
     seen = view.hit_index == 0
     # alpha = 0.99 exp(-d^2 / 2 (7.5^2 + 0.3)) px; a disc is hit down to exp(-0.5)
-    i, j = torch.arange(21) + 0.5 - 10.5, torch.arange(15) + 0.5 - 7.5
+    i = torch.arange(21) + 0.5 - 10.5
+    j = torch.arange(15) + 0.5 - 7.5
     d2 = i[None, :] ** 2 + j[:, None] ** 2
     alpha = 0.99 * torch.exp(-d2 / (2 * (7.5**2 + 0.3)))
     assert torch.equal(seen, alpha >= math.exp(-0.5))

@@ -61,7 +61,8 @@ def chosen(boxes, params, T_WC, camera=CAMERA, depth_m=None):
 
 
 def test_the_picture_of_the_part_is_that_of_the_map(cloud, generator):
-    boxes, shares = Boxes(), []
+    boxes = Boxes()
+    shares = []
     for T_WC in poses(generator, 25):
         rows = chosen(boxes, cloud, T_WC)
         shares.append(len(rows) / len(cloud))
@@ -123,7 +124,9 @@ def test_chunks_behind_a_wall_are_left_out_where_its_depth_is_known(generator):
 
 
 def test_boxes_follow_the_map(cloud, generator):
-    model, boxes, T_WC = GaussianModel(0), Boxes(), torch.eye(4)
+    model = GaussianModel(0)
+    boxes = Boxes()
+    T_WC = torch.eye(4)
     model.extend(cloud)
     boxes.rows(model.params, CAMERA, T_WC)
     rows = torch.arange(3 * in_view.CHUNK, 5 * in_view.CHUNK)
@@ -149,7 +152,8 @@ def test_boxes_follow_the_map(cloud, generator):
 
 @pytest.mark.parametrize("backend", ["reference", "numba"])
 def test_boxes_follow_steps_on_the_whole_map(cloud, generator, backend):
-    model, boxes = GaussianModel(0), Boxes()
+    model = GaussianModel(0)
+    boxes = Boxes()
     model.extend(cloud)
     gradients = dataclasses.replace(cloud, xyz_W=torch.randn(len(cloud), 3, generator=generator))
     T_WC = torch.eye(4)
@@ -177,7 +181,8 @@ STEPS = {"optim__keyframe_iterations": 2, "optim__frame_iterations": 2}
     ],
 )
 def test_mapping_in_parts(system, config, small_room, monkeypatch):
-    whole, parts = system(config), system(config)
+    whole = system(config)
+    parts = system(config)
     for frame in (small_room[0], small_room[1]):
         monkeypatch.setattr(in_view, "WHOLE_BELOW", 10**9)
         whole.step(frame)
@@ -206,7 +211,9 @@ def test_a_step_leaves_what_no_view_shows_as_it_is(small_room, cloud):
 
 @pytest.mark.parametrize("start", [0, 5, in_view.CHUNK, 700])
 def test_boxes_grow_with_the_map(cloud, generator, start):
-    model, boxes, T_WC = GaussianModel(0), Boxes(), torch.eye(4)
+    model = GaussianModel(0)
+    boxes = Boxes()
+    T_WC = torch.eye(4)
     model.extend(cloud[:start])
     boxes.rows(model.params, CAMERA, T_WC)
     with boxes.appending(model):
@@ -233,11 +240,13 @@ def test_boxes_grow_with_the_map(cloud, generator, start):
 def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_room, cloud):
     mapper = GSFusion(replace(gsfusion("room"), sh_degree=0, **STEPS, **COARSE))
     mapper.begin_with(cloud)
-    frame, optim = small_room[0], mapper.config.optim
+    frame = small_room[0]
+    optim = mapper.config.optim
     part = mapper.part_in_view(frame, optim)
     part.params.xyz_W.add_(1.0)
     part.write_back()
-    before, undo = mapper.gaussians.snapshot(), mapper.gaussians.log_changes()
+    before = mapper.gaussians.snapshot()
+    undo = mapper.gaussians.log_changes()
     assert mapper.part_in_view(frame, optim) is part
     part.params.xyz_W.add_(1.0)
     part.write_back()
@@ -252,7 +261,8 @@ def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_roo
 def test_steps_on_several_views_share_one_part(small_room, cloud):
     mapper = GSFusion(replace(gsfusion("room"), sh_degree=0, **STEPS, **COARSE))
     mapper.begin_with(cloud)
-    optim, params = mapper.config.optim, mapper.gaussians.params
+    optim = mapper.config.optim
+    params = mapper.gaussians.params
     views = [Keyframe.of(small_room[i]) for i in (0, 4, 8)]
     seen = [
         chosen(
@@ -331,7 +341,8 @@ def test_a_picture_by_depth_has_nothing_far_behind_it(generator):
         opacity_logit=torch.zeros(2 * n),
         sh=torch.zeros(2 * n, 1, 3),
     )
-    wall, T_WC = torch.full((48, 64), 2.0), torch.eye(4)
+    wall = torch.full((48, 64), 2.0)
+    T_WC = torch.eye(4)
     shown = drawn_in_part(
         lambda p: render(p, CAMERA, T_WC),
         cloud,

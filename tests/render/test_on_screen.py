@@ -140,10 +140,8 @@ def test_the_picture_does_not_change_without_the_others(generator, backend, dtyp
     of a colour <= 1.
     """
     columns = vars(around(generator, 3000, scale=0.03))
-    params, pose = (
-        GaussianParams(**{name: value.to(dtype) for name, value in columns.items()}),
-        torch.eye(4),
-    )
+    params = GaussianParams(**{name: value.to(dtype) for name, value in columns.items()})
+    pose = torch.eye(4)
     seen = rows_in_view(params, CAMERA_IN_VIEW, pose)
     with use_backend(backend):
         every, few = (render(p, CAMERA_IN_VIEW, pose).rgb for p in (params, params[seen]))

@@ -29,12 +29,11 @@ def f64(*values):
 def picture(camera, generator, depth_m=2.0):
     """A base with a hole, in which half of the pixels have no weight."""
     size = (camera.height, camera.width)
-    rgb, depth = (
-        torch.rand(*size, 3, generator=generator, dtype=torch.float64),
-        torch.full(size, depth_m).double(),
-    )
+    rgb = torch.rand(*size, 3, generator=generator, dtype=torch.float64)
+    depth = torch.full(size, depth_m).double()
     weight = torch.ones_like(depth)
-    depth[:4, :6], weight[:4, :3] = 0.0, 0.0
+    depth[:4, :6] = 0.0
+    weight[:4, :3] = 0.0
     return Base(rgb=rgb, depth_m=depth, weight=weight)
 
 
@@ -45,16 +44,20 @@ def columns(params):
 def test_one_pixel_with_four_gaussians_and_its_gradient_in_numbers():
     """C_s = (.2, .4, .6), D_s = 2, I = (.5, .35, .1), L = mean |C - I|; the fourth Gaussian is 0.2
     m behind."""
-    uv, z = f64([10.9, 7.2], [9.0, 8.5], [11.5, 7.0], [10.5, 7.5]), f64(1.95, 2.05, 2.099, 2.2)
-    conic, o = (
-        f64(
-            [0.5, 0.1, 0.8],
-            [0.2, -0.05, 0.3],
-            [1, 0, 1],
-            [0.4, 0, 0.4],
-        ),
-        f64(0.5, 0.8, 0.9, 0.95),
+    uv = f64(
+        [10.9, 7.2],
+        [9.0, 8.5],
+        [11.5, 7.0],
+        [10.5, 7.5],
     )
+    z = f64(1.95, 2.05, 2.099, 2.2)
+    conic = f64(
+        [0.5, 0.1, 0.8],
+        [0.2, -0.05, 0.3],
+        [1, 0, 1],
+        [0.4, 0, 0.4],
+    )
+    o = f64(0.5, 0.8, 0.9, 0.95)
     c = f64(
         [0.9, 0.1, 0.1],
         [0.2, 0.8, 0.3],
@@ -69,7 +72,8 @@ def test_one_pixel_with_four_gaussians_and_its_gradient_in_numbers():
     alpha = splat_alpha(dx, dy, conic, o)
     w = torch.where(z[:, None] > 2.0 + BEHIND_M, 0.0, alpha)
     assert w[:, 0].tolist() == pytest.approx([0.469002500, 0.510102521, 0.481735286, 0], abs=1e-9)
-    b, target = f64(1.0), f64([0.5, 0.35, 0.1])
+    b = f64(1.0)
+    target = f64([0.5, 0.35, 0.1])
     C, W = blend_with_base(w, c, f64([0.2, 0.4, 0.6]), b)
     assert float(W) == pytest.approx(1.460840307, abs=1e-9)
     assert C[0].tolist() == pytest.approx([0.372562521, 0.425739280, 0.559976747], abs=1e-9)
@@ -174,15 +178,14 @@ def test_the_gradient_is_that_of_autograd_on_the_formula(scene, generator):
     from gsfusion_nb.geometry.spherical_harmonics import sh_to_rgb
     from gsfusion_nb.render import project_gaussians
 
-    params, camera = scene.random_map(generator, 30, degree=1, opacity=(0.3, 0.999)), scene.camera
+    params = scene.random_map(generator, 30, degree=1, opacity=(0.3, 0.999))
+    camera = scene.camera
     base = picture(camera, generator)
     leaves = GaussianParams(
         **{n: getattr(params, n).clone().requires_grad_() for n in scene.columns}
     )
-    p, c = (
-        project_gaussians(leaves, camera, scene.pose),
-        sh_to_rgb(leaves.sh, leaves.xyz_W, scene.pose[:3, 3]),
-    )
+    p = project_gaussians(leaves, camera, scene.pose)
+    c = sh_to_rgb(leaves.sh, leaves.xyz_W, scene.pose[:3, 3])
     y, x = (
         at.flatten() for at in torch.meshgrid(torch.arange(19), torch.arange(27), indexing="ij")
     )
@@ -307,10 +310,8 @@ def test_only_rows_that_are_asked_for_have_a_gradient():
     out, saved = render_over_base(params, camera, T_WC, base, behind_m=BEHIND_M)
     v_rgb = (out.rgb - target).sign()
     rows = torch.tensor([True, False, True])
-    v_uv, v_uv_some = (
-        torch.zeros(3, 2, dtype=torch.float64),
-        torch.full((3, 2), torch.nan, dtype=torch.float64),
-    )
+    v_uv = torch.zeros(3, 2, dtype=torch.float64)
+    v_uv_some = torch.full((3, 2), torch.nan, dtype=torch.float64)
     everything = render_over_base_vjp(saved, v_rgb, v_uv=v_uv)
     some = render_over_base_vjp(saved, v_rgb, rows=rows, v_uv=v_uv_some)
     pairs = [*zip(columns(everything), columns(some), strict=True), (v_uv, v_uv_some)]
@@ -325,7 +326,8 @@ def test_the_absolute_gradient_of_a_centre_is_the_sum_of_what_each_pixel_contrib
     _, saved = render_over_base(params, camera, T_WC, base, behind_m=BEHIND_M)
     pixels = [(6, 8), (5, 9), (7, 7), (6, 5), (8, 10)]
     v_rgb = torch.zeros(camera.height, camera.width, 3, dtype=torch.float64)
-    total, one = torch.zeros(3, 2, dtype=torch.float64), torch.zeros(3, 2, dtype=torch.float64)
+    total = torch.zeros(3, 2, dtype=torch.float64)
+    one = torch.zeros(3, 2, dtype=torch.float64)
     for y, x in pixels:
         alone = torch.zeros_like(v_rgb)
         alone[y, x] = v_rgb[y, x] = f64(0.3, -0.2, 0.5)
@@ -344,7 +346,8 @@ def test_a_base_is_a_base():
 
 
 def test_what_it_refuses(scene, generator):
-    params, base = scene.random_map(generator, 3), picture(scene.camera, generator)
+    params = scene.random_map(generator, 3)
+    base = picture(scene.camera, generator)
     for name, bad, message in (
         ("rgb", base.rgb[1:], r"base.rgb must be \[19, 27, 3\], got \[18, 27, 3\]"),
         ("depth_m", base.depth_m.float(), "base.depth_m must be torch.float64"),

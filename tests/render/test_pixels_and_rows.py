@@ -74,7 +74,8 @@ def test_same_picture_on_the_mask_and_background_elsewhere(scene, generator, siz
     for name, pixels in masks(camera.height, camera.width, generator).items():
         out, _ = render_forward(params, camera, scene.pose, opaque_alpha=0.5, pixels=pixels)
         for image in IMAGES:
-            found, expected = getattr(out, image), getattr(whole, image)
+            found = getattr(out, image)
+            expected = getattr(whole, image)
             torch.testing.assert_close(
                 found[pixels], expected[pixels], msg=lambda m, n=name, i=image: f"{n} {i}: {m}"
             )
@@ -196,7 +197,8 @@ def test_tiles_without_a_wanted_pixel_are_empty(scene, generator):
     lists = tile_intersections(projection, scene.camera, tile_px=4, pixels=pixels)
     active = 0
     for tile in range(lists.tiles_x * lists.tiles_y):
-        y, x = 4 * (tile // lists.tiles_x), 4 * (tile % lists.tiles_x)
+        y = 4 * (tile // lists.tiles_x)
+        x = 4 * (tile % lists.tiles_x)
         a, b = (t.gaussian[t.offset[tile] : t.offset[tile + 1]] for t in (whole, lists))
         wanted = bool(pixels[y : y + 4, x : x + 4].any())
         active += wanted

@@ -92,10 +92,8 @@ def test_covariance_is_the_3d_one_through_the_derivative_of_the_projection(scene
     """The derivative of pixel by world point is found by autograd, and the 3D covariance is a sum
     over the axes."""
     params = scene.random_map(generator, 30)
-    T_CW, camera = (
-        se3.inverse(scene.pose),
-        dataclasses.replace(scene.camera, width=54, height=38),
-    )  # nothing is clamped
+    T_CW = se3.inverse(scene.pose)  # nothing is clamped
+    camera = dataclasses.replace(scene.camera, width=54, height=38)
     p = project_gaussians(params, camera, scene.pose)
     for i in range(30):
         xyz_W = params.xyz_W[i]
@@ -257,10 +255,8 @@ def found(params, scene, v):
 
 @pytest.mark.parametrize("degree", [0, 3])
 def test_equals_autograd_through_the_stages(scene, generator, degree):
-    params, v = (
-        scene.random_map(generator, 40, degree=degree, opacity=(0.3, 0.999)),
-        images_vjp(generator, scene.camera),
-    )
+    params = scene.random_map(generator, 40, degree=degree, opacity=(0.3, 0.999))
+    v = images_vjp(generator, scene.camera)
     xi = torch.zeros(6, dtype=torch.float64, requires_grad=True)
     pose = scene.pose @ se3.exp(xi)
     p = project_gaussians(params, scene.camera, pose)
@@ -285,11 +281,9 @@ def test_equals_autograd_through_the_stages(scene, generator, degree):
 
 @pytest.mark.parametrize("degree", [0, 1])
 def test_equals_central_differences_of_the_whole_picture(scene, generator, degree):
-    params, v, h = (
-        scene.random_map(generator, 12, degree=degree),
-        images_vjp(generator, scene.camera),
-        1e-6,
-    )
+    params = scene.random_map(generator, 12, degree=degree)
+    v = images_vjp(generator, scene.camera)
+    h = 1e-6
 
     def loss(xi):
         out = render(params, scene.camera, scene.pose @ se3.exp(xi))
@@ -308,10 +302,8 @@ def test_equals_central_differences_of_the_whole_picture(scene, generator, degre
 def rigid_ways(scene):
     """Ways to compute a pose near that of the scene from a leaf: twists on either side, the
     inverse, a quaternion."""
-    w, xyz = (
-        torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=torch.float64),
-        torch.zeros(3, dtype=torch.float64),
-    )
+    w = torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=torch.float64)
+    xyz = torch.zeros(3, dtype=torch.float64)
     turn = se3.inverse(se3_of(w, xyz)) @ scene.pose
     zero = torch.zeros(6, dtype=torch.float64)
     return {
@@ -333,7 +325,8 @@ def se3_of(quat, t):
 def test_autograd_reaches_a_pose_however_it_is_computed(scene, generator, way):
     """float64 gradcheck: central differences along rigid motions, of the picture, its depth and its
     alpha."""
-    params, v = scene.random_map(generator, 12, degree=1), images_vjp(generator, scene.camera)
+    params = scene.random_map(generator, 12, degree=1)
+    v = images_vjp(generator, scene.camera)
     start, pose_of = rigid_ways(scene)[way]
 
     def loss(x):
@@ -345,7 +338,8 @@ def test_autograd_reaches_a_pose_however_it_is_computed(scene, generator, way):
 
 
 def test_the_gradient_of_the_matrix_has_no_part_that_bends_it(scene, generator):
-    params, v = scene.random_map(generator, 12), images_vjp(generator, scene.camera)
+    params = scene.random_map(generator, 12)
+    v = images_vjp(generator, scene.camera)
     T_WC = scene.pose.clone().requires_grad_()
     out = render_autograd(params, scene.camera, T_WC)
     weighted((out.rgb, out.depth_m, out.alpha), v).backward()
@@ -358,10 +352,8 @@ def test_the_gradient_of_the_matrix_has_no_part_that_bends_it(scene, generator):
 
 def test_numba_gives_the_pose_the_same_gradient(scene, generator):
     """In float32, which is what "numba" computes in; relative to the largest of the six numbers."""
-    params, v = (
-        scene.random_map(generator, 30, degree=1, dtype=torch.float32),
-        images_vjp(generator, scene.camera),
-    )
+    params = scene.random_map(generator, 30, degree=1, dtype=torch.float32)
+    v = images_vjp(generator, scene.camera)
     v = [image.float() for image in v]
 
     def gradient():
@@ -400,5 +392,6 @@ def test_no_gaussians(scene, generator, dtype):
 
 
 def test_is_zero_without_gaussians(scene, generator):
-    params, v = scene.random_map(generator, 0), images_vjp(generator, scene.camera)
+    params = scene.random_map(generator, 0)
+    v = images_vjp(generator, scene.camera)
     assert torch.equal(found(params, scene, v), torch.zeros(6, dtype=torch.float64))

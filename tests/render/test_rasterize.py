@@ -75,7 +75,8 @@ def test_is_its_stages_and_the_gradient_is_their_autograd(scene, generator, degr
 def test_centres_in_the_image_by_moving_the_principal_point(scene, generator):
     """A shift of cx moves every centre by as much: dL/dcx is the sum of dL/du of all Gaussians; by
     differences."""
-    params, v = scene.random_map(generator, 20, degree=1), cotangents(generator, scene.camera)
+    params = scene.random_map(generator, 20, degree=1)
+    v = cotangents(generator, scene.camera)
 
     def loss(**shifted):
         out = render(params, dataclasses.replace(scene.camera, **shifted), scene.pose)
@@ -83,7 +84,8 @@ def test_centres_in_the_image_by_moving_the_principal_point(scene, generator):
             sum((x * y).sum() for x, y in zip((out.rgb, out.depth_m, out.alpha), v, strict=True))
         )
 
-    v_uv, h = torch.empty(20, 2, dtype=torch.float64), 1e-6
+    v_uv = torch.empty(20, 2, dtype=torch.float64)
+    h = 1e-6
     _, saved = render_forward(params, scene.camera, scene.pose)
     render_vjp(saved, *v, v_uv=v_uv)
     for name, found in zip(
@@ -96,14 +98,16 @@ def test_centres_in_the_image_by_moving_the_principal_point(scene, generator):
             (loss(**{name: at + h}) - loss(**{name: at - h})) / (2 * h),
             rel=1e-5,
         )
-    some, rows_ = torch.empty(20, 2, dtype=torch.float64), torch.arange(20) % 3 == 0
+    some = torch.empty(20, 2, dtype=torch.float64)
+    rows_ = torch.arange(20) % 3 == 0
     render_vjp(saved, *v, rows=rows_, v_uv=some)
     assert torch.equal(some, torch.where(rows_[:, None], v_uv, 0.0))
 
 
 def test_absolute_gradients_of_centres_are_those_of_the_single_pixels(scene, generator):
     """And to ask for them changes no other gradient."""
-    params, v = scene.random_map(generator, 20, degree=1), cotangents(generator, scene.camera)
+    params = scene.random_map(generator, 20, degree=1)
+    v = cotangents(generator, scene.camera)
     rows_ = torch.arange(20) % 3 > 0
     _, saved = render_forward(params, scene.camera, scene.pose)
     total, v_uv, v_uv_abs = (

@@ -17,7 +17,8 @@ def touching_pairs(projection, camera, tile_px):
     tile = (j // tile_px) * -(-camera.width // tile_px) + i // tile_px
     pairs = set()
     for n in projection.visible.nonzero().flatten().tolist():
-        dx, dy = i.double() + 0.5 - projection.uv[n, 0], j.double() + 0.5 - projection.uv[n, 1]
+        dx = i.double() + 0.5 - projection.uv[n, 0]
+        dy = j.double() + 0.5 - projection.uv[n, 1]
         A, B, C = projection.conic[n]
         alpha = projection.opacity[n] * torch.exp(-0.5 * (A * dx * dx + C * dy * dy) - B * dx * dy)
         pairs |= {(t, n) for t in tile[alpha >= 1 / 255].unique().tolist()}

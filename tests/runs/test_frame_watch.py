@@ -216,7 +216,8 @@ class Sequence:
     has_poses = True
 
     def __init__(self, frames):
-        self.frames, self.camera = frames, frames[0].camera
+        self.camera = frames[0].camera
+        self.frames = frames
 
     def __len__(self):
         return len(self.frames)

@@ -103,7 +103,8 @@ def first(sequence, spacing=1, start=0):
 
 
 def said_of(frames):
-    watch, poses = FrameWatch(is_tracking=False), []
+    watch = FrameWatch(is_tracking=False)
+    poses = []
     for frame in frames:
         poses.append(frame.T_WC)
         if said := watch.see(frame, poses):
@@ -117,7 +118,9 @@ class Sequence:
     name = "frames"
 
     def __init__(self, frames, *, has_poses=True):
-        self.frames, self.camera, self.has_poses = frames, frames[0].camera, has_poses
+        self.has_poses = has_poses
+        self.camera = frames[0].camera
+        self.frames = frames
 
     def __len__(self):
         return len(self.frames)

@@ -18,7 +18,8 @@ def test_the_map_goes_on_where_the_file_ends(whole_run, config, tmp_path):
     options = {"evaluate": False, "n_frames": 120, "width": 80, "height": 60}
     file = whole_run.folder / "gaussians.ply"
     run = run_mapping("room", config, folder=tmp_path / "on", from_gaussians=file, **options)
-    first, rows = run.run.steps[0], run.mapper.gaussians
+    first = run.run.steps[0]
+    rows = run.mapper.gaussians
     assert first.psnr_before_db > whole_run.run.steps[0].psnr_before_db + 3
     assert f"the map began with {len(began):,} Gaussians of gaussians.ply" in run.run.warnings
     assert (rows.birth_frame[: len(began)] == -1).all()

@@ -108,7 +108,9 @@ def test_passes_that_are_interrupted_anywhere_and_called_again_end_in_the_same_m
     variant, whole, config, small_room
 ):
     hashes, _, n_events, losses = whole(variant)
-    run, draw, n_interrupts = new_run(variant, config, small_room), random.Random(variant), 0
+    run = new_run(variant, config, small_room)
+    draw = random.Random(variant)
+    n_interrupts = 0
     list(run.online())
     n_keyframes = len(run.mapper.keyframes)
     assert n_keyframes > 1
@@ -130,7 +132,9 @@ def test_mapping_that_is_interrupted_anywhere_and_called_again_ends_in_the_same_
     variant, whole, config, small_room
 ):
     hashes, n_events, _, _ = whole(variant)
-    run, draw, n_interrupts = new_run(variant, config, small_room), random.Random(variant), 0
+    run = new_run(variant, config, small_room)
+    draw = random.Random(variant)
+    n_interrupts = 0
     for attempt in itertools.count(1):
         undisturbed = attempt % 8 == 0
         place = -1 if undisturbed else draw.randint(1, n_events // 7)
@@ -179,7 +183,8 @@ def test_a_step_after_the_scan_that_fails_in_any_operation_can_be_repeated(
         list(each.online())
     list(still.optimise())
     for owner, name in PLACES[variant]:
-        f, calls = getattr(owner, name), [0]
+        f = getattr(owner, name)
+        calls = [0]
 
         def failing(*args: Any, f=f, calls=calls, **options: Any) -> Any:
             calls[0] += 1

@@ -25,8 +25,10 @@ class Damaged:
     """A sequence some of whose frames cannot be read."""
 
     def __init__(self, source, bad: set[int]):
-        self.source, self.bad = source, bad
-        self.name, self.camera = "damaged", source.camera
+        self.source = source
+        self.bad = bad
+        self.name = "damaged"
+        self.camera = source.camera
 
     def __len__(self) -> int:
         return len(self.source)
@@ -131,7 +133,8 @@ def test_ctrl_c_saves_everything_and_the_run_can_go_on(
     assert resumed.run.status == "complete"
     assert not (stopped.folder / "checkpoint").exists()
     assert len(resumed.run.steps) == 9
-    ours, expected = resumed.mapper.gaussians.params, whole_run.mapper.gaussians.params
+    ours = resumed.mapper.gaussians.params
+    expected = whole_run.mapper.gaussians.params
     for name in ("xyz_W", "sh"):
         assert torch.equal(getattr(ours, name), getattr(expected, name))
 
@@ -149,7 +152,8 @@ def test_a_pass_cut_short_goes_on_where_it_was(
     tmp_path, small_room, config, monkeypatch, whole_run
 ):
     open_small(monkeypatch, small_room)
-    step, calls = GSFusion._optimise_view, []
+    step = GSFusion._optimise_view
+    calls = []
 
     def interrupting(self, view, ssim_weight=0.0, **others):
         calls.append(ssim_weight)

@@ -34,7 +34,9 @@ class Source(LiveSource):
     has_poses = True
 
     def __init__(self, items, broke_off=""):
-        self.items, self.loss, self.stopped = iter(items), broke_off, threading.Event()
+        self.items = iter(items)
+        self.loss = broke_off
+        self.stopped = threading.Event()
 
     def __iter__(self) -> "Source":
         return self
@@ -57,7 +59,8 @@ class Plain:
 
     def __init__(self, source):
         self.source = source
-        self.name, self.camera = "plain", source.camera
+        self.name = "plain"
+        self.camera = source.camera
 
     def __len__(self):
         return len(self.source)
@@ -76,7 +79,8 @@ def saved(folder) -> dict:
 def test_a_stream_gives_the_same_maps_as_the_sequence(tmp_path, small_room, config, run_files):
     stream = map_stream(Plain(small_room), make_mapper(config), folder=tmp_path / "stream")
     whole = run_mapping(Plain(small_room), config, folder=tmp_path / "whole")
-    ours, theirs = stream.mapper.gaussians.params, whole.mapper.gaussians.params
+    ours = stream.mapper.gaussians.params
+    theirs = whole.mapper.gaussians.params
     for name in ("xyz_W", "sh", "opacity_logit"):
         torch.testing.assert_close(getattr(ours, name), getattr(theirs, name))
     assert {p.name for p in stream.folder.iterdir()} == run_files
@@ -229,7 +233,8 @@ def test_what_happens_to_frames_that_come_while_the_first_is_mapped(
 ):
     """Seven frames come at once while frame 0 is being mapped, and none later: no clock is
     involved."""
-    mapping, given = threading.Event(), threading.Event()
+    mapping = threading.Event()
+    given = threading.Event()
 
     def source():
         yield frames[0]

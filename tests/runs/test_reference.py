@@ -56,7 +56,8 @@ CONFIGS = {
 @pytest.fixture
 def used(monkeypatch):
     """Backends whose implementation of an operation was used."""
-    found, select = set(), backends._select
+    found = set()
+    select = backends._select
 
     def note(name, args, kwargs):
         implementation = select(name, args, kwargs)

@@ -24,7 +24,10 @@ class Page(HTMLParser):
 
     def __init__(self, html):
         super().__init__()
-        self.open, self.text, self.references, self.images = [], [], [], []
+        self.open = []
+        self.text = []
+        self.references = []
+        self.images = []
         self.feed(html)
         self.close()
         assert self.open == []
@@ -68,7 +71,8 @@ def page_of(run, tmp_path):
 
 
 def panel(generator, held_out=False, **changes):
-    h, w = 30, 44
+    h = 30
+    w = 44
     values = {
         "name": "Frame 7",
         "held_out": held_out,
@@ -206,11 +210,9 @@ def test_panel_of_a_frame_scores_the_render(generator):
         cx=4.0,
         cy=4.0,
     )
-    rgb, depth, index = (
-        torch.rand(8, 8, 3, generator=generator),
-        torch.ones(8, 8),
-        torch.zeros(8, 8, dtype=torch.int64),
-    )
+    rgb = torch.rand(8, 8, 3, generator=generator)
+    depth = torch.ones(8, 8)
+    index = torch.zeros(8, 8, dtype=torch.int64)
     frame = Frame(
         index=12,
         timestamp_s=0.0,

@@ -55,7 +55,8 @@ def new_run() -> MappingRun:
 
 
 def test_a_run_continues_from_disk_with_the_memory_of_its_rule(tmp_path):
-    whole, half = new_run(), new_run()
+    whole = new_run()
+    half = new_run()
     list(whole.online())
     list(itertools.islice(half.online(), 2))
     half.save_checkpoint(tmp_path)

@@ -65,7 +65,8 @@ def test_what_another_thread_does_is_not_counted():
 
 def test_a_continued_run_adds_to_the_times_before():
     ticks = Ticks()
-    first, second = RunClock(now=ticks, cpu=ticks), RunClock(now=ticks, cpu=ticks)
+    first = RunClock(now=ticks, cpu=ticks)
+    second = RunClock(now=ticks, cpu=ticks)
     with first("passes"):
         ticks.time += 3
     second.load_state_dict(first.state_dict())
@@ -78,7 +79,8 @@ def test_a_continued_run_adds_to_the_times_before():
 def counted(tmp_path_factory) -> tuple[FinishedRun, Counter[int], Counter[str]]:
     """A scored run of GPS-SLAM, how often it read each frame, and how often it cast rays for its
     scores."""
-    reads, looks = Counter[int](), Counter[str]()
+    reads = Counter[int]()
+    looks = Counter[str]()
     data = {
         "data__width": 0,
         "data__height": 0,
@@ -87,7 +89,9 @@ def counted(tmp_path_factory) -> tuple[FinishedRun, Counter[int], Counter[str]]:
     }
     config = gps_slam("room", tsdf__voxel_size_m=0.04, final__passes=1, **data)
     with pytest.MonkeyPatch.context() as patch:
-        read, cast, stored = RoomSequence.__getitem__, gps_surface.raycast, gps_surface.as_stored
+        read = RoomSequence.__getitem__
+        cast = gps_surface.raycast
+        stored = gps_surface.as_stored
 
         def counted_read(self, i):
             reads[int(i)] += 1

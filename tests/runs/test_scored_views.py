@@ -88,7 +88,8 @@ def views():
 
 def localiser(poses: str, moved: dict[int, torch.Tensor]) -> Localiser:
     found = Localiser(TrackingConfig(poses=poses))  # pyright: ignore[reportArgumentType]
-    found.frame_indices, found.poses = list(moved), list(moved.values())
+    found.frame_indices = list(moved)
+    found.poses = list(moved.values())
     return found
 
 
@@ -163,7 +164,9 @@ def test_only_poses_that_moved_have_a_trajectory_error(views):
     )
     found.given = list(found.poses)
     run = object.__new__(MappingRun)
-    run.mapper, run.sequence, run.steps = SimpleNamespace(localiser=found), views, []
+    run.mapper = SimpleNamespace(localiser=found)
+    run.sequence = views
+    run.steps = []
     assert score_trajectory(run) == {}
     found.refine(
         2,

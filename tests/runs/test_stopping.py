@@ -145,7 +145,8 @@ def test_sigterm_between_two_gradient_steps_undoes_the_frame_and_the_run_resumes
         mesh_voxel_m=0.1,
         **data,
     )
-    may_stop, looks = FrameGuard.may_stop, []
+    may_stop = FrameGuard.may_stop
+    looks = []
 
     def stopped(guard):
         looks.append(guard._index)
@@ -174,7 +175,9 @@ def test_sigterm_between_two_gradient_steps_undoes_the_frame_and_the_run_resumes
 def test_the_checkpoint_comes_before_the_maps_and_scoring_is_cut_short(
     tmp_path, small, config, monkeypatch
 ):
-    score, write_maps, seen = outputs.score, outputs.write_maps, []
+    score = outputs.score
+    write_maps = outputs.write_maps
+    seen = []
 
     def stopped(run, suffix=""):
         if suffix == "_online":
@@ -220,7 +223,9 @@ class Clock:
 
 
 def test_checkpoints_come_by_time_or_by_frames_and_take_a_small_share_of_the_time(config):
-    mapper, clock, saved = GSFusion(gsfusion("room")), Clock(), []
+    mapper = GSFusion(gsfusion("room"))
+    clock = Clock()
+    saved = []
 
     def save():
         saved.append(clock.now)

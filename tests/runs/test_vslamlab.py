@@ -22,13 +22,12 @@ def plugin(monkeypatch):
 
     class Base:
         def __init__(self, name, folder, parameters):
-            self.baseline_name, self.baseline_folder, self.default_parameters = (
-                name,
-                folder,
-                parameters,
-            )
+            self.baseline_name = name
+            self.baseline_folder = folder
+            self.default_parameters = parameters
 
-    package, base = ModuleType("Baselines"), ModuleType("Baselines.BaselineVSLAMLab")
+    package = ModuleType("Baselines")
+    base = ModuleType("Baselines.BaselineVSLAMLab")
     base.BaselineVSLAMLab = Base  # pyright: ignore[reportAttributeAccessIssue]
     monkeypatch.setitem(sys.modules, "Baselines", package)
     monkeypatch.setitem(sys.modules, "Baselines.BaselineVSLAMLab", base)
@@ -45,7 +44,8 @@ def written(frames, folder: Path) -> None:
         (folder / name).mkdir(parents=True)
     rows = ["ts_rgb_0 (ns),path_rgb_0,ts_depth_0 (ns),path_depth_0"]
     for i, frame in enumerate(frames):
-        ns, file = 10**18 + round(1e9 * frame.timestamp_s), f"{i:04}.png"
+        ns = 10**18 + round(1e9 * frame.timestamp_s)
+        file = f"{i:04}.png"
         cv2.imwrite(
             str(folder / "rgb_0" / file),
             cv2.cvtColor(frame.rgb_u8.numpy(), cv2.COLOR_RGB2BGR),

@@ -14,7 +14,8 @@ from gsfusion_nb.seeding.image_features import absolute_laplacian, box_blur, dis
 from gsfusion_nb.tsdf import FusedView, TsdfVolume, fuse_frame_, new_band_blocks, raycast
 from gsfusion_nb.types import Camera, Frame
 
-W, H = 40, 30
+W = 40
+H = 30
 
 
 def frame(rgb: torch.Tensor | None = None, index: int = 0) -> Frame:
@@ -161,7 +162,8 @@ def test_detail_of_the_picture():
     assert lap[15, 8:13].tolist() == [0.0, 3.0, 3.0, 0.0, 0.0]
     assert lap[8, 10].item() == 6.0  # a corner of the square
     assert ctx.laplacian() is lap
-    thin, wide = ctx.edges(), ctx.edges(dilate_px=2)
+    thin = ctx.edges()
+    wide = ctx.edges(dilate_px=2)
     assert thin.any()
     assert not thin[12:18, 13:27].any()
     assert (wide & ~thin).any()

@@ -71,7 +71,8 @@ def test_monogs_like_clones_splits_and_removes_every_150_steps(frame):
     )  # mean length, in units of half the image
     v_uv = torch.stack([large / 4.0, torch.zeros(7)], dim=1)  # half the width is 4 pixels
     add_up(model, torch.ones(7, dtype=torch.bool), v_uv, frame.camera)
-    rule, ctx = monogs_like(), SeedContext(frame, gaussians=model)
+    rule = monogs_like()
+    ctx = SeedContext(frame, gaussians=model)
     seen = {
         "visible": torch.ones(7, dtype=torch.bool),
         "radius_px": torch.tensor([5.0] * 6 + [21.0]),

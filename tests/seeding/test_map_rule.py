@@ -127,7 +127,8 @@ def helper(seeds, n):
 def run_cell(**values) -> Any:
     """The class that a notebook cell defines: a module without a file, whose lines only linecache
     knows."""
-    name, text = "<ipython-input-7>", CELL.format(**{"n": 1, "when": 1, "least": 0} | values)
+    name = "<ipython-input-7>"
+    text = CELL.format(**{"n": 1, "when": 1, "least": 0} | values)
     linecache.cache[name] = (len(text), None, text.splitlines(keepends=True), name)
     space = {
         "__name__": "__main__",

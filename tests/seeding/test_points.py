@@ -12,10 +12,8 @@ from gsfusion_nb.seeding.points import k_nearest
     [(50, 300), (7, 2), (3, 1), (0, 5), (5, 0)],
 )
 def test_the_nearest_are_those_of_all_distances(M, N, k, generator):
-    xyz, others = (
-        torch.randn(M, 3, generator=generator) + 20,
-        torch.randn(N, 3, generator=generator) + 20,
-    )
+    xyz = torch.randn(M, 3, generator=generator) + 20
+    others = torch.randn(N, 3, generator=generator) + 20
     distance, row = k_nearest(xyz, others, k)
     assert distance.shape == row.shape == (M, k)
     assert bool((distance[:, N:] == torch.inf).all())

@@ -31,7 +31,9 @@ from gsfusion_nb.seeding.sampling import (
 from gsfusion_nb.tsdf import RaycastOutput
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
-W, H, F = 64, 48, 60.0
+W = 64
+H = 48
+F = 60.0
 N = W * H
 
 
@@ -128,7 +130,8 @@ def pixels_of(ctx: SeedContext, seeds: Seeds) -> torch.Tensor:
     """The pixels that contain the seeds, as a mask."""
     mask = torch.zeros(H, W, dtype=torch.bool)
     z = seeds.xyz_W[:, 2]
-    u, v = seeds.xyz_W[:, 0] / z * F + W / 2, seeds.xyz_W[:, 1] / z * ctx.camera.fy + H / 2
+    u = seeds.xyz_W[:, 0] / z * F + W / 2
+    v = seeds.xyz_W[:, 1] / z * ctx.camera.fy + H / 2
     mask[v.floor().long(), u.floor().long()] = True
     return mask
 
@@ -136,7 +139,10 @@ def pixels_of(ctx: SeedContext, seeds: Seeds) -> torch.Tensor:
 def half_wrong() -> SeedContext:
     """A quarter is not covered (768 pixels), 40 pixels are covered by 0.55 only, 20 are 1 m wrong,
     of these 12 too far away; the rest is wrong by 1 cm, so that is the median."""
-    bare, thin, far, near = some(768, "right"), some(40), some(52) & ~some(40), some(60) & ~some(52)
+    bare = some(768, "right")
+    thin = some(40)
+    far = some(52) & ~some(40)
+    near = some(60) & ~some(52)
     alpha = with_values(1.0, (bare, 0.0), (thin, 0.55))
     return staged(
         alpha=alpha,
@@ -235,7 +241,8 @@ def test_gaussian_slam_rejects_points_close_to_the_map(preset, least_m):
     points, and a little farther than it to 8 others."""
     everywhere = apply_rule("gaussian_slam", first(), {"preset": preset})
     middle = W * (H // 2) + W // 2
-    near, far = slice(middle - 20, middle - 12), slice(middle + 8, middle + 16)
+    near = slice(middle - 20, middle - 12)
+    far = slice(middle + 8, middle + 16)
     aside = torch.tensor([0.0, least_m, 0.0])
     places = torch.cat(
         [everywhere.xyz_W[near] + 0.99 * aside, everywhere.xyz_W[far] + 1.01 * aside]
@@ -257,7 +264,8 @@ def test_sizes_by_neighbours_are_capped_at_a_multiple_of_their_mean():
         torch.full((5, 3), 0.5),
         torch.ones(5),
     )
-    end, inner = (14e-4 / 3) ** 0.5, (6e-4 / 3) ** 0.5  # 1, 2, 3 cm and 1, 1, 2 cm
+    end = (14e-4 / 3) ** 0.5  # 1, 2, 3 cm and 1, 1, 2 cm
+    inner = (6e-4 / 3) ** 0.5
     alone = ((1.01**2 + 1.02**2 + 1) / 3) ** 0.5
     size = torch.tensor([end, inner, inner, end, alone])
     torch.testing.assert_close(
@@ -295,7 +303,8 @@ def test_gs_icp_adds_the_whole_grid_or_nothing():
     assert len(apply_rule("gs_icp", first())) == math.ceil(W / 10) * math.ceil(H / 10)
     ctx = first()
     grid = ctx.seeds_at(ctx.pixels(), 1.0).xyz_W.view(H, W, 3)[::5, ::5].reshape(-1, 3)
-    count, tum = len(grid), {"preset": "tum"}
+    count = len(grid)
+    tum = {"preset": "tum"}
     assert len(apply_rule("gs_icp", first(), tum | {"density": 0.5})) == round(
         0.98 * math.ceil(W / 7) * math.ceil(H / 7)
     )
@@ -666,7 +675,8 @@ def test_every_pixel_of_the_first_frame_as_large_as_a_pixel(rule):
 def test_with_holes_the_median_over_all_pixels_is_zero(rule):
     """Of 1,200 pixels with depth, 1,100 are 1 cm too far away and 100 1 cm too near; 1,872 have no
     depth."""
-    hole, near = some(N - 1200, "right"), some(100)
+    hole = some(N - 1200, "right")
+    near = some(100)
     ctx = staged(
         wall(depth_m=with_values(2.0, (hole, 0.0))),
         depth_m=with_values(2.01, (near, 1.99)),

@@ -120,7 +120,8 @@ def test_writing_past_numpy_is_written_to_a_copy():
 
 
 def test_arrays_are_as_before_afterwards():
-    tensor, before = torch.ones(3), (torch.Tensor.numpy, torch.Tensor.__array__)
+    tensor = torch.ones(3)
+    before = (torch.Tensor.numpy, torch.Tensor.__array__)
     with read_only([("x", tensor)]) as made:
         assert not tensor.numpy().flags.writeable
         assert torch.ones(3).numpy().flags.writeable

@@ -22,7 +22,8 @@ from gsfusion_nb.seeding.rules.rtg_slam import (
 )
 from gsfusion_nb.types import Camera, Frame, Seeds
 
-W, H = 64, 24
+W = 64
+H = 24
 CAMERA = Camera(
     width=W,
     height=H,
@@ -31,7 +32,9 @@ CAMERA = Camera(
     cx=W / 2,
     cy=H / 2,
 )
-LEFT, MIDDLE, RIGHT = slice(3, 13), slice(27, 37), slice(51, 61)
+LEFT = slice(3, 13)
+MIDDLE = slice(27, 37)
+RIGHT = slice(51, 61)
 """Columns well inside the three patches of the wall below."""
 
 
@@ -193,7 +196,8 @@ def test_transparent_discs_are_not_piled_up():
     )
     assert ctx.gaussians is not None
     ctx.gaussians.append(one)
-    before, after = patches(), ctx.gaussians
+    before = patches()
+    after = ctx.gaussians
 
     def distances(model: SurfelModel, fidelity: str) -> torch.Tensor:
         seeds = apply_rule("rtg_slam", context(model), {"share": 0.5, "fidelity": fidelity})
@@ -289,7 +293,8 @@ def test_by_hand_with_an_existing_disc():
 
 def brute_force(xyz, other, radius, reach: float, k: int) -> torch.Tensor:
     """Distances to every other centre in the padded box, less the reach of the k nearest."""
-    low, high = xyz.amin(0) - BORDER_M, xyz.amax(0) + BORDER_M
+    low = xyz.amin(0) - BORDER_M
+    high = xyz.amax(0) + BORDER_M
     rows = []
     for i in range(len(xyz)):
         found = [(float((xyz[i] - xyz[j]).norm()), 0.0) for j in range(len(xyz)) if j != i]
@@ -355,7 +360,8 @@ def test_distant_discs_do_not_count():
 
 
 def test_nearest_by_a_loop(generator):
-    xyz, other = torch.rand(20, 3, generator=generator), torch.rand(30, 3, generator=generator)
+    xyz = torch.rand(20, 3, generator=generator)
+    other = torch.rand(30, 3, generator=generator)
     distance, row = nearest(xyz, other)
     everything = (xyz[:, None] - other[None]).norm(dim=-1)
     expected = everything.sort(dim=1)
@@ -391,7 +397,8 @@ def test_measured_leaves_out_opaque_discs_in_the_reach_of_others():
             int((seeds.tag == DEPTH_ERROR).sum()),
         )
 
-    (in_reach, clear, _), (left, clear_too, wrong_too) = near("paper", 2.0), near("measured", 2.0)
+    in_reach, clear, _ = near("paper", 2.0)
+    left, clear_too, wrong_too = near("measured", 2.0)
     assert in_reach > left == wrong_too == 0
     assert min(clear, clear_too) > 0
     assert near("measured", 1.8)[2] > 0

@@ -47,7 +47,8 @@ def test_registered_by_function_name_and_replaced_by_running_the_cell_again():
 
         return near_only
 
-    first, second = make(1.0), make(2.0)
+    first = make(1.0)
+    second = make(2.0)
     assert get_rule("near_only") is second
     assert get_rule(first) is first
     assert registered()["near_only"] is second

@@ -88,8 +88,13 @@ def test_a_surface_that_appears_in_voxels_seen_empty_is_never_seeded():
     assert len(after) < 0.2 * len(fresh)
 
 
-W, H, FX, FY, Z = 64, 48, 60.0, 50.0, 2.0
-WIDTH, HEIGHT = 2 / 60, 2 / 50
+W = 64
+H = 48
+FX = 60.0
+FY = 50.0
+Z = 2.0
+WIDTH = 2 / 60
+HEIGHT = 2 / 50
 D3 = sqrt((2 * WIDTH**2 + HEIGHT**2) / 3)
 """sqrt(nn2): root mean square distance to the 3 nearest of all pixels."""
 SPLATAM = 2 / 55

@@ -195,7 +195,8 @@ def test_grows_and_prunes_the_same_rows_as_gsplat(
         "prune_scale3d": 0.015,
     }
     rule = default_strategy(scene_scale_m=1.3, grow_grad2d=2.5e-4, **options)
-    gradients, large = seen(model, frame, generator), model.scale_m.amax(dim=1) > 0.013
+    gradients = seen(model, frame, generator)
+    large = model.scale_m.amax(dim=1) > 0.013
     radius_px = torch.where(large, 8 * torch.rand(N, generator=generator), 0.0)
     strategy = gsplat.DefaultStrategy(grow_grad2d=2.5e-4, **options)
     state = {
@@ -288,14 +289,16 @@ def _covariance(quats, scales, **_):
 @pytest.mark.parametrize("absgrad", [False, True])
 def test_gradients_are_summed_up_as_in_gsplat(gsplat, model, frame, generator, absgrad):
     strategy = gsplat.DefaultStrategy(absgrad=absgrad)
-    state, (params, _) = strategy.initialize_state(), theirs(model)
+    state = strategy.initialize_state()
+    params, _ = theirs(model)
     for _ in range(3):
         visible = torch.rand(N, generator=generator) < 0.7
         v_uv = 1e-4 * torch.randn(N, 2, generator=generator)
         v_uv_abs = v_uv.abs() * (1 + torch.rand(N, 2, generator=generator))
         add_up(model, visible, v_uv, frame.camera, v_uv_abs)
         means2d: Any = torch.zeros(1, N, 2, requires_grad=True)
-        means2d.grad, means2d.absgrad = v_uv[None].clone(), v_uv_abs[None].clone()
+        means2d.grad = v_uv[None].clone()
+        means2d.absgrad = v_uv_abs[None].clone()
         size = {"width": frame.camera.width, "height": frame.camera.height, "n_cameras": 1}
         radii = (visible[:, None] * torch.tensor([2, 3]))[None]
         strategy._update_state(
@@ -337,7 +340,8 @@ def test_the_scene_is_as_large_as_the_way_of_the_camera(frame, model):
 def test_steps_that_are_told_twice_refine_once(frame, model, generator):
     """The memory says what was done; a window of several steps that passes a multiple refines at
     its end."""
-    rule, memory = default_strategy(scene_scale_m=1.0, refine_every=100), {"step": 640}
+    rule = default_strategy(scene_scale_m=1.0, refine_every=100)
+    memory = {"step": 640}
     ctx = SeedContext(frame, gaussians=model, generator=generator)
     seen(model, frame, generator)
     assert rule.after_step(ctx, told(frame, 696), memory) is None

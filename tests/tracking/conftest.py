@@ -36,7 +36,8 @@ class PlaneScene:
     """Renders planes as ``Surface`` (a ``SurfaceSource``), and frames of them."""
 
     def __init__(self, name: str, painted: bool = False):
-        self.planes, self.painted = PLANES[name], painted
+        self.planes = PLANES[name]
+        self.painted = painted
         self.rendered: list[torch.Tensor] = []
 
     def __call__(self, camera: Camera, T_WC: torch.Tensor) -> Surface:
@@ -79,10 +80,8 @@ class PlaneScene:
     ) -> Frame:
         """What a camera measures."""
         seen = PlaneScene.__call__(self, CAMERA, T_WC)
-        depth_m, rgb = (
-            seen.depth_m,
-            torch.zeros(*seen.depth_m.shape, 3) if seen.rgb is None else seen.rgb,
-        )
+        rgb = torch.zeros(*seen.depth_m.shape, 3) if seen.rgb is None else seen.rgb
+        depth_m = seen.depth_m
         time = float(index) if timestamp_s is None else timestamp_s
         return Frame(
             index=index,
@@ -111,10 +110,8 @@ def assert_pose():
         degrees: float,
     ) -> None:
         miss = se3.inverse(expected.double()) @ T.double()
-        off_m, off_deg = (
-            float(miss[:3, 3].norm()),
-            float(se3.rotation_angle(miss[:3, :3]).rad2deg()),
-        )
+        off_m = float(miss[:3, 3].norm())
+        off_deg = float(se3.rotation_angle(miss[:3, :3]).rad2deg())
         assert off_m < metres, f"{off_m * 1e3:.3f} mm off"
         assert off_deg < degrees, f"{off_deg:.4f} degrees off"
 

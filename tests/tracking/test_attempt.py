@@ -73,8 +73,10 @@ def test_negative_is_minus_one_and_noise_is_near_zero(frame, generator):
 
 
 def test_only_the_shared_surface_counts(frame):
-    rgb, depth_m = frame.rgb.clone(), frame.depth_m.clone()
-    rgb[:15], depth_m[:15] = 0.0, 2.0  # another surface in the upper half
+    rgb = frame.rgb.clone()
+    depth_m = frame.depth_m.clone()
+    rgb[:15] = 0.0  # another surface in the upper half
+    depth_m[:15] = 2.0
     assert correlation(frame, surface(rgb, depth_m)) == pytest.approx(1.0, abs=1e-5)
 
 

@@ -88,7 +88,9 @@ def drive(back_end, frames, steps, start):
 
 def drive_on(back_end, frames, steps, before):
     """``drive`` with more frames, after what it gave ``before``."""
-    tracked, drifted, corrections = list(before[0]), list(before[1]), list(before[2])
+    tracked = list(before[0])
+    drifted = list(before[1])
+    corrections = list(before[2])
     for frame, step in zip(frames, steps, strict=True):
         T_WC = tracked[-1] @ step
         drifted.append(drifted[-1] @ step)
@@ -105,7 +107,8 @@ def walked(circle, tmp_path_factory):
     """A drifting walk along all of the circle, with what ``drive`` gave, and a store of the back
     end's state before the last four keyframes; not to be changed."""
     true = torch.stack([f.T_WC for f in circle])
-    back_end, store = BackEnd(CAMERA), CheckpointStore(tmp_path_factory.mktemp("walked"))
+    back_end = BackEnd(CAMERA)
+    store = CheckpointStore(tmp_path_factory.mktemp("walked"))
     steps = odometry(true, torch.Generator().manual_seed(0), bias_deg=0.2)
     before = drive(back_end, circle[:32], steps[:31], true[0])
     store.save(back_end.state_dict())
@@ -117,7 +120,8 @@ def test_a_drifting_walk_around_the_room_closes(circle, walked):
     true = torch.stack([f.T_WC for f in circle])
     back_end, _, _, (_, drifted, corrections), last = walked
     assert last is not None
-    before, after = ate_rmse(drifted, true.double()), ate_rmse(back_end.T_WC, true.double())
+    before = ate_rmse(drifted, true.double())
+    after = ate_rmse(back_end.T_WC, true.double())
     assert before > 0.02
     assert after < before / 5
     assert corrections
@@ -261,7 +265,8 @@ NEW = [(0.0, 0, 0, 0, 0, 0), (1.0, 0.1, 0, 0, 0.15, 0), (2.0, 0.3, 0, 0, 0.3, 0.
 
 
 def test_at_keyframes_it_is_new_times_old_inverse():
-    old, new = poses(*OLD), poses(*NEW)
+    old = poses(*OLD)
+    new = poses(*NEW)
     D = correction(old, new).transform_of(torch.tensor([40, 10, 20]))
     torch.testing.assert_close(
         D @ old[[2, 0, 1]],

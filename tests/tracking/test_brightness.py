@@ -33,7 +33,8 @@ NEARBY = torch.tensor([0.02, 0.03, -0.04, 0.01, 0.01, 0.02]).double()
 def test_the_derivative_is_that_of_a_linear_picture(generator):
     R = se3.exp(torch.tensor([0, 0, 0, 0.3, -0.2, 0.1]).double())[:3, :3]
     xyz_S = torch.rand(7, 3, generator=generator).double() + torch.tensor([0.0, 0.0, 1.0])
-    xyz, slope = xyz_S @ R.T, torch.tensor([0.03, -0.05]).double()
+    xyz = xyz_S @ R.T
+    slope = torch.tensor([0.03, -0.05]).double()
 
     def brightness(xi):
         return project(CAMERA, se3.apply(se3.exp(xi), xyz) @ R) @ slope
@@ -44,7 +45,9 @@ def test_the_derivative_is_that_of_a_linear_picture(generator):
 
 def test_the_best_exposure_is_put_in(generator):
     m = torch.randn(40, 7, generator=generator).double()
-    J, r, w = m[:, :6], m[:, 6], torch.rand(40, generator=generator).double()
+    J = m[:, :6]
+    r = m[:, 6]
+    w = torch.rand(40, generator=generator).double()
     rows = torch.cat([m, torch.ones(40, 1).double()], dim=1)
     system = BrightnessSystem(gram=rows.T @ (w[:, None] * rows), n=40)
     assert system.offset == pytest.approx(float((w * r).sum() / w.sum()))
@@ -62,16 +65,12 @@ def test_the_best_exposure_is_put_in(generator):
 def test_a_painted_wall_is_found_although_its_depth_slides(plane_scene, assert_pose, backend):
     """In another exposure, too. Depth alone leaves the two translations along the wall and the roll
     to the start."""
-    scene, T_WC = (
-        plane_scene("wall", painted=True),
-        se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.05, 0.1, -0.05]).double()),
-    )
+    scene = plane_scene("wall", painted=True)
+    T_WC = se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.05, 0.1, -0.05]).double())
     frame = scene.frame(T_WC)
     frame = dataclasses.replace(frame, rgb=frame.rgb + 0.1)
-    surface, levels = (
-        scene(CAMERA, se3.exp(0.5 * NEARBY) @ T_WC),
-        depth_pyramid(frame.depth_m, CAMERA, EXACT.pyramid),
-    )
+    surface = scene(CAMERA, se3.exp(0.5 * NEARBY) @ T_WC)
+    levels = depth_pyramid(frame.depth_m, CAMERA, EXACT.pyramid)
     pictures = Pictures.of(brightness_levels(frame.rgb, EXACT.pyramid), surface)
     assert pictures is not None
     with use_backend(backend):
@@ -84,8 +83,10 @@ def test_a_painted_wall_is_found_although_its_depth_slides(plane_scene, assert_p
 
 
 def test_pixels_without_a_known_neighbour_or_behind_the_surface_say_nothing(plane_scene):
-    scene, T_WC = plane_scene("wall", painted=True), torch.eye(4).double()
-    frame, surface = scene.frame(T_WC), scene(CAMERA, T_WC)
+    scene = plane_scene("wall", painted=True)
+    T_WC = torch.eye(4).double()
+    frame = scene.frame(T_WC)
+    surface = scene(CAMERA, T_WC)
     level = depth_pyramid(frame.depth_m, CAMERA, (1,))[0]
     brightness = frame.rgb.mean(-1)
 

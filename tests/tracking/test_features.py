@@ -76,7 +76,8 @@ def test_points_project_back_onto_their_pixels(view):
 
 def test_depth_on_a_slanted_plane_is_exact(generator):
     """On n . x = d the depth behind (u, v) is d / (n . ray)."""
-    n, d = torch.tensor([0.3, -0.2, 1.0], dtype=torch.float64), 2.0
+    n = torch.tensor([0.3, -0.2, 1.0], dtype=torch.float64)
+    d = 2.0
     u = torch.arange(160, dtype=torch.float64) + 0.5
     v = torch.arange(120, dtype=torch.float64) + 0.5
 

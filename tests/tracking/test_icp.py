@@ -43,7 +43,8 @@ def perturbation(generator, metres, degrees):
 @pytest.fixture(scope="module")
 def views():
     """Frames of the built-in room, each with its own depth as the surface."""
-    sequence, found = room(width=160, height=120), []
+    sequence = room(width=160, height=120)
+    found = []
     for i in (0, 30, 60, 150):
         frame = sequence[i]
         normal_W = se3.rotate(frame.T_WC, depth_to_normals(frame.camera, frame.depth_m))
@@ -110,7 +111,8 @@ def test_further_rows_decide_what_depth_leaves_open(plane_scene):
     """A wall seen from far from the world's origin; two points of known place give the motion along
     it and the roll."""
     away = se3.exp(torch.tensor([40.0, -30.0, 20.0, 0.3, -1.2, 0.4]).double())
-    planes, T_WC = plane_scene("wall"), torch.eye(4).double()
+    planes = plane_scene("wall")
+    T_WC = torch.eye(4).double()
     frame = planes.frame(T_WC)
     seen = planes(frame.camera, T_WC)
     surface = dataclasses.replace(
@@ -121,7 +123,8 @@ def test_further_rows_decide_what_depth_leaves_open(plane_scene):
     known_C = torch.tensor([[0.5, 0.3, 2.0], [-0.6, 0.1, 2.0]]).double()
 
     def points(T):
-        J, r = [], (se3.apply(T, known_C) - se3.apply(away, known_C)).reshape(-1)
+        J = []
+        r = (se3.apply(T, known_C) - se3.apply(away, known_C)).reshape(-1)
         for p in se3.apply(T, known_C):
             J.append(
                 torch.cat(
@@ -150,7 +153,8 @@ def normals(generator, n):
 
 
 def test_one_point_by_hand():
-    xyz, at = torch.tensor([[1.0, 2.0, 3.0]]), torch.tensor([[1.0, 2.0, 2.9]])
+    xyz = torch.tensor([[1.0, 2.0, 3.0]])
+    at = torch.tensor([[1.0, 2.0, 2.9]])
     r, J = point_to_plane(
         xyz,
         at,
@@ -166,7 +170,8 @@ def test_jacobian_is_the_central_difference(generator):
     xyz, at = torch.randn(2, 50, 3, generator=generator, dtype=torch.float64)
     n = normals(generator, 50)
     J = point_to_plane(xyz, at, n)[1]
-    step, numeric = 1e-6, torch.empty_like(J)
+    step = 1e-6
+    numeric = torch.empty_like(J)
     for k in range(6):
         xi = torch.zeros(6, dtype=torch.float64)
         xi[k] = step
@@ -178,10 +183,8 @@ def test_jacobian_is_the_central_difference(generator):
 
 def pair(plane_scene, even_to_m=None):
     """A frame of the corner in float64, away from where the surface was rendered."""
-    scene, T_WC = (
-        plane_scene("corner"),
-        se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.05, 0.1, -0.05]).double()),
-    )
+    scene = plane_scene("corner")
+    T_WC = se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.05, 0.1, -0.05]).double())
     frame = scene.frame(T_WC)
     surface = scene(frame.camera, T_WC)
     level = depth_pyramid(frame.depth_m, frame.camera, (2,))[0]
@@ -235,11 +238,15 @@ def test_the_surfaces_point_is_that_of_the_pixel_it_falls_on():
         cx=2.0,
         cy=2.0,
     )
-    depth, normal = torch.zeros(4, 4), torch.zeros(4, 4, 3)
-    depth[1, 2], normal[1, 2] = 2.0, torch.tensor([0.0, 0.0, -1.0])
+    depth = torch.zeros(4, 4)
+    normal = torch.zeros(4, 4, 3)
+    depth[1, 2] = 2.0
+    normal[1, 2] = torch.tensor([0.0, 0.0, -1.0])
     level = DepthLevel(factor=1, camera=camera, depth_m=depth, normal_C=normal)
-    target, target_normal = torch.zeros(4, 4), torch.zeros(4, 4, 3)
-    target[1, 3], target_normal[1, 3] = 2.1, torch.tensor([0.0, 0.0, -1.0])
+    target = torch.zeros(4, 4)
+    target_normal = torch.zeros(4, 4, 3)
+    target[1, 3] = 2.1
+    target_normal[1, 3] = torch.tensor([0.0, 0.0, -1.0])
     T_WS = torch.eye(4)
     T_WS[0, 3] = 10.0
     surface = Surface(depth_m=target, normal_W=target_normal, camera=camera, T_WC=T_WS)
@@ -267,10 +274,8 @@ def system_of(J, r):
 
 
 def test_without_damping_it_is_least_squares(generator):
-    J, r = (
-        torch.randn(40, 6, generator=generator).double(),
-        torch.randn(40, generator=generator).double(),
-    )
+    J = torch.randn(40, 6, generator=generator).double()
+    r = torch.randn(40, generator=generator).double()
     extent = Extent(
         centre=torch.tensor([3.0, -2.0, 1.0]).double(),
         spread_m=0.7,
@@ -309,10 +314,8 @@ def test_a_wall_moves_only_along_its_normal_and_about_the_axes_in_it(generator):
 
 
 def test_damping_shortens_the_step_and_nothing_gives_no_step(generator):
-    J, r = (
-        torch.randn(40, 6, generator=generator).double(),
-        torch.randn(40, generator=generator).double(),
-    )
+    J = torch.randn(40, 6, generator=generator).double()
+    r = torch.randn(40, generator=generator).double()
     extent = Extent(centre=torch.zeros(3).double(), spread_m=1.0)
     lengths = [
         solve_step(system_of(J, r), extent, damping=d, min_eigenvalue=0.0).length_m
@@ -356,7 +359,8 @@ def test_what_the_scene_does_not_show_is_left_to_the_start(
     ]
     assert found.rms_m < 1e-4
     middle = torch.tensor([[0.0, 0.0, 2.0]]).double()
-    before, after = se3.apply(start, middle)[0], se3.apply(found.T_WC, middle)[0]
+    before = se3.apply(start, middle)[0]
+    after = se3.apply(found.T_WC, middle)[0]
     turned = se3.log(found.T_WC)[3:]
     if scene == "corner":
         assert_pose(found.T_WC, T_WC, 1e-4, 0.01)

@@ -309,7 +309,9 @@ def test_landmarks_move_with_the_keyframe_they_were_born_in(points):
 
 def test_what_is_looked_for_in_vain_is_no_longer_looked_for(points):
     landmarks = three_views(points)
-    everything, never, rarely = np.arange(80), 3, 7
+    everything = np.arange(80)
+    never = 3
+    rarely = 7
     for k in range(CULL_VIEWS):
         assert landmarks.is_good(everything).all()
         landmarks.count_views(

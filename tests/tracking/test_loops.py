@@ -33,7 +33,8 @@ def shifted(x):
 def pair():
     """Two views of the room and the true pose of the first relative to the second."""
     sequence = room(n_frames=400, width=320, height=240)
-    a, b = sequence[40], sequence[46]
+    a = sequence[40]
+    b = sequence[46]
     return a, b, se3.inverse(b.T_WC.double()) @ a.T_WC.double()
 
 

@@ -89,7 +89,8 @@ def test_refinement_reaches_the_exact_pose_despite_outliers(generator, T_RQ):
 def test_information_is_the_inverse_covariance(generator, T_RQ):
     """Poses from many noisy copies of one measurement scatter as the information says."""
     xyz_R, xyz_Q = two_views(80, generator, T_RQ)
-    spread, rows = [], torch.zeros(80, 2, dtype=torch.int64)
+    spread = []
+    rows = torch.zeros(80, 2, dtype=torch.int64)
     informations = []
     for _ in range(60):
         noise = torch.randn(80, 2, generator=generator, dtype=torch.float64)
@@ -116,7 +117,8 @@ def test_relative_pose_from_descriptors_alone(generator, T_RQ):
     other = torch.rand(60, 3, generator=generator, dtype=torch.float64) + torch.tensor(
         [-0.5, -0.5, 1.5]
     )
-    query_xyz, reference_xyz = torch.cat([xyz_Q, other]), torch.cat([xyz_R, other])
+    query_xyz = torch.cat([xyz_Q, other])
+    reference_xyz = torch.cat([xyz_R, other])
     query = features(
         torch.cat([same, random_descriptors(60, generator)]), project(CAMERA, query_xyz), query_xyz
     )
@@ -133,7 +135,8 @@ def test_relative_pose_from_descriptors_alone(generator, T_RQ):
 
 def test_match_by_hand():
     """Row 0 matches row 1. Row 1 has two equally near candidates, row 2 nothing within 64 bits."""
-    zero, one = torch.zeros(32, dtype=torch.uint8), torch.full((32,), 255, dtype=torch.uint8)
+    zero = torch.zeros(32, dtype=torch.uint8)
+    one = torch.full((32,), 255, dtype=torch.uint8)
     half = zero.clone()
     half[:16] = 255
     mixed = zero.clone()
@@ -161,6 +164,7 @@ def test_clear_and_mutual_by_hand(first):
     [(0, 5), (5, 0), (1, 1), (1, 5)],
 )
 def test_too_few_to_match(n, m, generator):
-    a, b = features(random_descriptors(n, generator)), features(random_descriptors(m, generator))
+    a = features(random_descriptors(n, generator))
+    b = features(random_descriptors(m, generator))
     assert match_features(a, b).shape == (0, 2)
     assert relative_pose(CAMERA, a, b) is None

@@ -53,7 +53,8 @@ def ring(n, generator, sigma_deg=0.2, sigma_m=0.002):
     true[:, :3, 3] = torch.stack([angle.sin(), 0 * angle, angle.cos()], 1) * 2
     scale = torch.tensor([sigma_m] * 3 + [sigma_deg / 57.3] * 3, dtype=torch.float64)
     noise = torch.randn(n, 6, generator=generator, dtype=torch.float64) * scale
-    drifted, edges = [true[0]], []
+    drifted = [true[0]]
+    edges = []
     for k in range(1, n):
         step = se3.inverse(true[k - 1]) @ true[k] @ se3.exp(noise[k])
         edges.append(edge(k - 1, k, step, odometry_information(sigma_deg, sigma_m)))
@@ -100,10 +101,8 @@ def test_a_false_loop_is_rejected(generator, wrong_m):
         precise,
         "loop",
     )
-    with_it, without = (
-        optimise_poses(drifted, [*edges, *good, false]),
-        optimise_poses(drifted, [*edges, *good]),
-    )
+    with_it = optimise_poses(drifted, [*edges, *good, false])
+    without = optimise_poses(drifted, [*edges, *good])
     assert off(with_it.T_WC, without.T_WC) < 0.005
     assert edge_error(false, with_it.T_WC) > 50
     trusting = optimise_poses(drifted, [*edges, *good, dataclasses.replace(false, kind="odometry")])
@@ -195,7 +194,8 @@ def circle(n, generator, sigma_deg=0.5, sigma_m=0.01):
     )
     scale = torch.tensor([sigma_m] * 3 + [sigma_deg / 57.3] * 3, dtype=F64)
     noise = torch.randn(n, 6, generator=generator, dtype=F64) * scale
-    drifted, edges = [true[0]], []
+    drifted = [true[0]]
+    edges = []
     for k in range(1, n):
         T_ij = se3.inverse(true[k - 1]) @ true[k] @ se3.exp(noise[k])
         edges.append(
@@ -309,7 +309,8 @@ def by_gtsam(T_WC, edges):
     are."""
     gtsam = pytest.importorskip("gtsam", reason="GTSAM, the second witness, is not installed")
     estimators = gtsam.noiseModel.mEstimator
-    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph = gtsam.NonlinearFactorGraph()
+    start = gtsam.Values()
     for k, T in enumerate(T_WC.numpy()):
         start.insert(k, gtsam.Pose3(T))
     graph.add(
@@ -363,7 +364,8 @@ def test_it_finds_the_optimum_of_gtsam(generator, false_loop):
                 kind="loop",
             )
         )
-    ours, theirs = optimise_poses(drifted, edges), by_gtsam(drifted, edges)
+    ours = optimise_poses(drifted, edges)
+    theirs = by_gtsam(drifted, edges)
     assert ours.error_before == pytest.approx(theirs.error_before, rel=1e-6)
     assert ours.error_after == pytest.approx(theirs.error_after, rel=1e-3)
     torch.testing.assert_close(ours.T_WC, theirs.T_WC, rtol=0, atol=2e-3)

@@ -44,7 +44,8 @@ def test_a_steady_motion_is_followed(plane_scene, assert_pose):
 
 
 def test_the_first_pose_is_the_datas_and_no_other(plane_scene, assert_pose):
-    scene, tracker = plane_scene("corner"), Tracker()
+    scene = plane_scene("corner")
+    tracker = Tracker()
     first = scene.frame(path(1)[0])
     assert torch.equal(tracker.track(first, scene).T_WC, first.T_WC)
     nonsense = dataclasses.replace(
@@ -79,7 +80,8 @@ def test_prediction_carries_the_motion_on_in_proportion_to_time(plane_scene, ass
 def test_the_landmarks_pose_is_tried_first(plane_scene, assert_pose):
     """A jump that no prediction reaches; a wrong guess does no harm."""
     jump = path(3)[2] @ se3.exp(torch.tensor([0.2, -0.15, 0.1, 0.2, 0.2, -0.1]).double())
-    scene, tracker = plane_scene("corner"), Tracker()
+    scene = plane_scene("corner")
+    tracker = Tracker()
     track_all(tracker, scene, path(3))
     before = tracker.standing
     report = tracker.track(scene.frame(jump, 3), scene, guess=jump)
@@ -101,7 +103,8 @@ def test_along_an_edge_the_prediction_decides(plane_scene):
     for k, T in enumerate(steps):
         T[1, 3] = 0.02 * k
         T[2, 3] = 0.01 * k
-    scene, tracker = plane_scene("edge"), Tracker()
+    scene = plane_scene("edge")
+    tracker = Tracker()
     track_all(tracker, scene, steps[:2])
     assert float(tracker.predict(2.0)[1, 3]) == pytest.approx(
         0.0, abs=2e-3
@@ -114,7 +117,9 @@ def test_along_an_edge_the_prediction_decides(plane_scene):
 
 
 def test_a_jump_is_lost_and_found_when_the_stream_returns(plane_scene, assert_pose):
-    corner, other, tracker = plane_scene("corner"), plane_scene("wall"), Tracker()
+    corner = plane_scene("corner")
+    other = plane_scene("wall")
+    tracker = Tracker()
     track_all(tracker, corner, path(4))
     elsewhere = torch.eye(4).double()
     elsewhere[2, 3] = 1.0
@@ -137,7 +142,8 @@ class KnownPoses:
     """Knows one pose, behind a wrong one."""
 
     def __init__(self, *poses):
-        self.poses, self.asked = list(poses), []
+        self.poses = list(poses)
+        self.asked = []
 
     def __call__(self, frame):
         self.asked.append(frame.index)
@@ -150,7 +156,8 @@ def test_poses_by_appearance_are_tried_last_and_judged_by_their_fit(plane_scene,
         se3.exp(torch.tensor([9.0, 0, 0, 0, 3, 0]).double()),
         rolled,
     )
-    corner, tracker = plane_scene("corner"), Tracker()
+    corner = plane_scene("corner")
+    tracker = Tracker()
     track_all(tracker, corner, path(3))
     assert known.asked == []
     there = se3.exp(torch.tensor([0.01, 0.02, 0.0, 0.0, 0.01, 0.02]).double()) @ rolled
@@ -189,7 +196,8 @@ def test_correct_moves_the_frame_that_a_hybrid_target_is_mixed_with(plane_scene,
 
 @pytest.mark.parametrize("target", ["model", "hybrid"])
 def test_state_round_trip_goes_on_the_same(plane_scene, target):
-    scene, config = plane_scene("corner"), TrackingConfig(target=target)
+    scene = plane_scene("corner")
+    config = TrackingConfig(target=target)
     tracker = Tracker(config)
     track_all(tracker, scene, path(4))
     empty = scene.frame(path(4)[3], 4)
@@ -203,7 +211,8 @@ def test_state_round_trip_goes_on_the_same(plane_scene, target):
     assert copy.lost_in_a_row == 1
     frames = [scene.frame(T, 5 + i) for i, T in enumerate(path(2, start=5))]
     for frame in frames:
-        a, b = tracker.track(frame, scene), copy.track(frame, scene)
+        a = tracker.track(frame, scene)
+        b = copy.track(frame, scene)
         assert torch.equal(a.T_WC, b.T_WC)
     fresh = Tracker.from_state_dict(config, Tracker(config).state_dict())
     assert fresh.track(frames[0], scene).status == "first"
@@ -213,7 +222,9 @@ def test_state_round_trip_goes_on_the_same(plane_scene, target):
 def test_the_room_is_tracked_against_its_tsdf(noise, limit_m):
     sequence = open_sequence("room", noise=noise, width=160, height=120)
     volume = TsdfVolume(TsdfConfig(voxel_size_m=0.03, truncation_voxels=4.0, near_m=0.2))
-    tracker, estimate, truth = Tracker(), [], []
+    tracker = Tracker()
+    estimate = []
+    truth = []
     for i in range(14):
         frame = sequence.mapping[i]
         report = tracker.track(frame, tsdf_surface(volume))
@@ -225,7 +236,9 @@ def test_the_room_is_tracked_against_its_tsdf(noise, limit_m):
 
 
 def test_the_clearly_better_fit_is_taken(plane_scene):
-    scene, T_WC, config = plane_scene("corner", painted=True), path(1)[0], TrackingConfig()
+    scene = plane_scene("corner", painted=True)
+    T_WC = path(1)[0]
+    config = TrackingConfig()
     frame = scene.frame(T_WC)
     surface = scene(frame.camera, path(2)[1])
     sight = Sight.of(frame, config)
@@ -264,10 +277,8 @@ def test_a_frozen_frame_does_not_move(plane_scene, assert_pose):
 
 
 def test_a_wrong_prediction_falls_back_to_the_last_pose(plane_scene, assert_pose):
-    scene, tracker = (
-        plane_scene("corner"),
-        Tracker(TrackingConfig(max_distance_m=0.02, iterations=(3, 1, 1))),
-    )
+    scene = plane_scene("corner")
+    tracker = Tracker(TrackingConfig(max_distance_m=0.02, iterations=(3, 1, 1)))
     leap = se3.exp(torch.tensor([0.3, 0.25, 0.2, 0.1, 0.2, 0.0]).double())
     state = tracker.state_dict() | {
         "before": {"T_WC": leap, "timestamp_s": 0.0},
@@ -280,10 +291,8 @@ def test_a_wrong_prediction_falls_back_to_the_last_pose(plane_scene, assert_pose
 
 
 def test_a_motion_beyond_the_limit_is_refused(plane_scene):
-    scene, tracker = (
-        plane_scene("corner"),
-        Tracker(TrackingConfig(max_step_m=0.01, max_step_deg=45.0)),
-    )
+    scene = plane_scene("corner")
+    tracker = Tracker(TrackingConfig(max_step_m=0.01, max_step_deg=45.0))
     tracker.track(scene.frame(torch.eye(4).double()), scene)
     T = torch.eye(4).double()
     T[2, 3] = 0.05

@@ -37,7 +37,8 @@ def look_from():
     """``look_from(position, target)``: a camera-to-world pose, OpenCV axes."""
 
     def pose(position, target=(0.0, 0.0, 0.0)):
-        position, target = torch.tensor(position).double(), torch.tensor(target).double()
+        position = torch.tensor(position).double()
+        target = torch.tensor(target).double()
         z = torch.nn.functional.normalize(target - position, dim=0)
         up = torch.tensor([0.1, -1.0, 0.2]).double()
         x = torch.nn.functional.normalize(torch.linalg.cross(z, up), dim=0)
@@ -81,7 +82,9 @@ def sphere_depth():
     def depth(camera, T_WC, centre=(0.0, 0.0, 0.0), radius=0.5):
         c = (torch.tensor(centre).double() - T_WC[:3, 3].double()) @ T_WC[:3, :3].double()
         d = rays(camera, pixel_grid(camera, dtype=torch.float64))
-        a, b, e = (d * d).sum(-1), d @ c, c @ c - radius**2
+        a = (d * d).sum(-1)
+        b = d @ c
+        e = c @ c - radius**2
         disc = b * b - a * e
         return torch.where(
             disc > 0,

@@ -49,7 +49,8 @@ def test_no_block_is_missed(sdf, truncation_voxels, camera, look_from, sphere_de
         CONFIG, sdf=sdf, truncation_voxels=truncation_voxels, outlier_guard=False
     )
     blocks = band_blocks(TsdfVolume(config), frame)
-    got, expected = set(map(tuple, blocks.tolist())), sampled_blocks(frame, config)
+    got = set(map(tuple, blocks.tolist()))
+    expected = sampled_blocks(frame, config)
     assert len(got) == blocks.shape[0]
     assert len(expected - got) <= 1  # knife edges: float32 here, float64 there
     # Dense sampling itself can miss a corner shorter than its spacing; more than a few would be
@@ -77,7 +78,8 @@ def test_depth_limits(camera, make_frame):
 
 def test_isolated_pixels_allocate_nothing(camera, make_frame):
     depth = torch.full((120, 160), 2.0)
-    clean, spotted = TsdfVolume(CONFIG), TsdfVolume(CONFIG)
+    clean = TsdfVolume(CONFIG)
+    spotted = TsdfVolume(CONFIG)
     naive = TsdfVolume(dataclasses.replace(CONFIG, outlier_guard=False))
     allocate(clean, make_frame(depth, camera))
     depth[20, 30] = 0.8
@@ -156,7 +158,8 @@ def test_shifted_world_shifts_the_blocks(camera, look_from, sphere_depth, make_f
     there = band_blocks(TsdfVolume(config), make_frame(depth, camera, moved)) - torch.tensor(
         [-8192, 4096, -2048]
     )
-    a, b = set(map(tuple, here.tolist())), set(map(tuple, there.tolist()))
+    a = set(map(tuple, here.tolist()))
+    b = set(map(tuple, there.tolist()))
     assert len(a ^ b) <= 0.01 * len(a)  # the pose itself is float32: 60 micrometres there
 
 

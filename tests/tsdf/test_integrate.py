@@ -22,7 +22,8 @@ CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
     ],
 )
 def test_averages_by_hand(average, expected):
-    D, W = torch.ones(1), torch.zeros(1)
+    D = torch.ones(1)
+    W = torch.zeros(1)
     averages = []
     for d in (0.2, 0.4, 0.6):
         D, W = tsdf_update(
@@ -45,7 +46,8 @@ def test_averages_by_hand(average, expected):
 def test_averages_where_the_weight_is_at_its_cap(average, reached):
     """A mean that is kept as a whole number no longer follows changes below 100 / 32767; Eq. 9
     follows half of each."""
-    D, W = torch.full((1,), 0.5), torch.full((1,), 100.0)
+    D = torch.full((1,), 0.5)
+    W = torch.full((1,), 100.0)
     update = {"truncation_m": 0.08, "max_weight": 100.0, "average": average}
     once, _ = tsdf_update(D, W, torch.tensor([0.502 * 0.08]), **update)
     assert float(once) == pytest.approx(
@@ -57,7 +59,8 @@ def test_averages_where_the_weight_is_at_its_cap(average, reached):
 
 
 def test_int16_truncates_towards_zero():
-    D, W = torch.tensor([-9830 / 32767]), torch.ones(1)
+    D = torch.tensor([-9830 / 32767])
+    W = torch.ones(1)
     update = {"truncation_m": 1.0, "max_weight": 100.0, "average": "int16"}
     D, _ = tsdf_update(
         D,
@@ -69,7 +72,8 @@ def test_int16_truncates_towards_zero():
 
 
 def test_update_clamps_caps_and_ignores_what_is_hidden():
-    D, W = torch.full((5,), 0.5), torch.tensor([0.0, 1.0, 1.0, 3.0, 3.0])
+    D = torch.full((5,), 0.5)
+    W = torch.tensor([0.0, 1.0, 1.0, 3.0, 3.0])
     sdf = torch.tensor([0.5, 0.04, -0.0799, -0.0801, -1e9])
     D1, W1 = tsdf_update(D, W, sdf, truncation_m=0.08, max_weight=3.0)
     torch.testing.assert_close(
@@ -237,7 +241,8 @@ def test_the_place_in_the_world_makes_no_difference(
     here, there = volumes
     rows = there.index.find(here.block_coords.long() - 640 * 8)
     assert float((rows < 0).double().mean()) < 0.01  # blocks that a ray touches at a corner
-    at_both, rows = (rows >= 0).nonzero()[:, 0], rows[rows >= 0]
+    at_both = (rows >= 0).nonzero()[:, 0]
+    rows = rows[rows >= 0]
     same = here.W[at_both] == there.W[rows]
     assert float((~same).double().mean()) < 1e-4
     error = (here.D[at_both] - there.D[rows]).abs()[same]
@@ -254,7 +259,8 @@ def test_the_rooms_distance_field(room_volume):
     assert int(seen.sum()) > 10_000
     true_m = room_sdf(volume.voxel_centres(torch.arange(volume.n_blocks))[seen])
     stored_m = volume.D[seen] * volume.config.truncation_m
-    clear, near = true_m.abs() > voxel_m, true_m.abs() < voxel_m
+    clear = true_m.abs() > voxel_m
+    near = true_m.abs() < voxel_m
     assert float((stored_m.sign() == true_m.sign())[clear].double().mean()) > 0.99
     assert float((stored_m - true_m)[near].abs().median()) < 0.5 * voxel_m
 
@@ -329,10 +335,8 @@ def test_a_camera_inside_the_map_skips_what_is_beside_it(camera, make_frame, fil
 def test_weights_of_colours_by_hand():
     """A band of 1.5 voxels of 2 cm: half of the weight 1.5 cm from the surface, none beyond 3
     cm."""
-    sdf, z = (
-        torch.tensor([0.0, 0.015, -0.015, 0.04, 0.04, 0.0]),
-        torch.tensor([2.0, 2.0, 1.0, 1.0, 1.0, 0.05]),
-    )
+    sdf = torch.tensor([0.0, 0.015, -0.015, 0.04, 0.04, 0.0])
+    z = torch.tensor([2.0, 2.0, 1.0, 1.0, 1.0, 0.05])
     had = torch.tensor([1.0, 1.0, 1.0, 1.0, 0.0, 1.0])
     weights = {"colour_band_voxels": 1.5, "colour_by_distance": True}
     w = colour_weight(sdf, z, had, dataclasses.replace(CONFIG, **weights))
@@ -353,7 +357,8 @@ def test_weights_of_colours_by_hand():
 def test_a_near_colour_counts_more_and_one_behind_the_surface_not(camera, make_frame):
     """Black from 1 m, then white from 2 m: a fifth of white. A voxel 3 cm behind, of which nothing
     nearer is seen, has the mean of both."""
-    volume, camera = TsdfVolume(dataclasses.replace(CONFIG, sdf="z")), camera.resized(16, 12)
+    volume = TsdfVolume(dataclasses.replace(CONFIG, sdf="z"))
+    camera = camera.resized(16, 12)
     back = torch.eye(4)
     back[2, 3] = -1.0
     integrate(
@@ -366,7 +371,8 @@ def test_a_near_colour_counts_more_and_one_behind_the_surface_not(camera, make_f
     )
     at = volume.sample_nearest(torch.tensor([[0.001, 0.001, 1.011], [0.001, 0.001, 1.051]]))
     assert at.W.tolist() == [2.0, 2.0]
-    near, far = 1.01**-2, 2.01**-2
+    near = 1.01**-2
+    far = 2.01**-2
     torch.testing.assert_close(
         at.rgb[:, 0],
         torch.tensor([far / (near + far), 0.5]),
@@ -398,7 +404,8 @@ def test_colour_mean_does_not_stall(camera, make_frame):
     """Two grey levels at weight 100, where 8 bits would not move at all: 0.99^50 of the difference
     is left."""
     plain = dataclasses.replace(CONFIG, sdf="z", colour_band_voxels=0.0, colour_by_distance=False)
-    volume, camera = TsdfVolume(plain), camera.resized(16, 12)
+    volume = TsdfVolume(plain)
+    camera = camera.resized(16, 12)
     depth = torch.full((12, 16), 1.0)
     integrate(volume, make_frame(depth, camera, rgb=torch.zeros(12, 16, 3)))
     volume.W[volume.W > 0] = 100.0
@@ -419,7 +426,8 @@ def test_opencv_finds_its_surface_where_ours_is(camera, make_frame, look_from, s
         pytest.skip(f"OpenCV {cv2.__version__} has no TSDF volume (5.0 and later do)")
     import numpy as np
 
-    size, voxel = 96, 0.02
+    size = 96
+    voxel = 0.02
     settings = cv2.VolumeSettings(cv2.VolumeType_TSDF)
     settings.setVoxelSize(voxel)
     settings.setTsdfTruncateDistance(4 * voxel)
@@ -434,7 +442,8 @@ def test_opencv_finds_its_surface_where_ours_is(camera, make_frame, look_from, s
     K = camera.K.numpy().astype(np.float32)
     K[:2, 2] -= 0.5  # integer pixel centres there
     settings.setCameraIntegrateIntrinsics(K)
-    theirs, ours = cv2.Volume(cv2.VolumeType_TSDF, settings), TsdfVolume(CONFIG)
+    theirs = cv2.Volume(cv2.VolumeType_TSDF, settings)
+    ours = TsdfVolume(CONFIG)
     for position in ((1.4, 0.1, 0.2), (1.2, 0.8, 0.1)):
         T_WC = look_from(position)
         depth = sphere_depth(camera, T_WC)

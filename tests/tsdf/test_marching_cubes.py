@@ -42,7 +42,8 @@ def test_sphere_is_closed_round_and_turned_outwards(filled_volume):
         )
     )
     check_closed(mesh)
-    V, F = mesh.vertices_W, mesh.faces
+    V = mesh.vertices_W
+    F = mesh.faces
     assert V.shape[0] - 3 * F.shape[0] // 2 + F.shape[0] == 2  # Euler: one sphere
     assert signed_volume(mesh) == pytest.approx(4 / 3 * torch.pi * 0.3**3, rel=0.01)
     # Linear interpolation of a distance field: h^2 / 8 R at most.
@@ -61,7 +62,8 @@ def test_random_field_is_closed(filled_volume, generator):
         (1, 2, 2),
     )
     border = TsdfVolume(CONFIG)
-    low, high = volume.block_coords.amin(0) - 1, volume.block_coords.amax(0) + 2
+    low = volume.block_coords.amin(0) - 1
+    high = volume.block_coords.amax(0) + 2
     axes = [torch.arange(int(a), int(b)) for a, b in zip(low, high, strict=True)]
     border.add_blocks(torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).view(-1, 3))
     border.W[:] = 1.0
@@ -157,7 +159,9 @@ def test_one_corner_by_hand():
     assert count[1] == count[254] == 1
     # Corner 0 inside: the triangle joins the x, y and z edges at it, counter-clockwise seen from
     # (1, 1, 1).
-    x, y, z = EDGES.index((0, 0)), EDGES.index((1, 0)), EDGES.index((2, 0))
+    x = EDGES.index((0, 0))
+    y = EDGES.index((1, 0))
+    z = EDGES.index((2, 0))
     assert table[1, 0].tolist() in ([x, y, z], [y, z, x], [z, x, y])
     assert table[254, 0].tolist() in ([x, z, y], [z, y, x], [y, x, z])
 

@@ -38,7 +38,8 @@ def test_insert_and_find():
 
 
 def test_against_a_dictionary(generator):
-    index, expected = BlockIndex(), {}
+    index = BlockIndex()
+    expected = {}
     for spread in (3, 6, 40, 10):
         coords = torch.randint(-spread, spread, (200, 3), generator=generator)
         rows = insert(index, coords)
@@ -51,14 +52,16 @@ def test_against_a_dictionary(generator):
 
 
 def test_missing_blocks_are_new_sorted_and_different(generator):
-    index, edge = BlockIndex(), octree.OFFSET
+    index = BlockIndex()
+    edge = octree.OFFSET
     insert(index, torch.randint(-9, 9, (300, 3), generator=generator))
     coords = torch.randint(
         -12, 12, (500, 3), generator=generator
     )  # old and new ones, and some twice
     coords = torch.cat([coords, torch.tensor([[edge - 1] * 3, [-edge] * 3])])
     for given in (coords, coords.to(torch.int32), coords[:0]):
-        new, before = index.missing(given), len(index)
+        new = index.missing(given)
+        before = len(index)
         wanted = {
             tuple(c)
             for c, row in zip(
@@ -102,7 +105,8 @@ def test_a_table_grows_as_if_it_had_been_made_at_once(generator):
 @pytest.mark.parametrize("far", [[3000, -1500, 12], [3000, 0, 0]])
 def test_a_far_block_costs_one_node(far, generator):
     coords = torch.randint(-20, 20, (300, 3), generator=generator)
-    near, both = BlockIndex(), BlockIndex()
+    near = BlockIndex()
+    both = BlockIndex()
     insert(near, coords)
     insert(both, coords)
     assert insert(both, torch.tensor([far])).tolist() == [len(near)]
@@ -140,7 +144,8 @@ def test_a_map_too_large_for_a_table_is_searched_by_code_and_says_so(generator, 
 
 
 def test_levels(generator):
-    index, coords = BlockIndex(), torch.randint(-9, 9, (100, 3), generator=generator)
+    index = BlockIndex()
+    coords = torch.randint(-9, 9, (100, 3), generator=generator)
     insert(index, coords)
     assert index.level(1).tolist() == (octree.encode(coords) >> 3).unique().tolist()
     assert index.level(octree.BITS).tolist() == [0]

@@ -27,7 +27,8 @@ def test_sphere(position, filled_volume, camera, look_from, sphere_depth):
     )
     out = raycast(volume, camera, T_WC)
     expected = sphere_depth(camera, T_WC, (0.03, -0.02, 0.01), 0.3)
-    hit, truth = out.depth_m > 0, expected > 0
+    hit = out.depth_m > 0
+    truth = expected > 0
     assert float((hit != truth).float().mean()) < 0.004  # rays that graze the silhouette
     both = hit & truth
     points = se3.apply(T_WC, depth_to_points(camera, out.depth_m))[hit]

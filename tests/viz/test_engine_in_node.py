@@ -283,7 +283,8 @@ def test_parts_add_up_to_the_map(ask, scene, generator):
     moved = GaussianParams(
         **{**vars(scene), "xyz_W": scene.xyz_W + 0.3 * (torch.arange(300) < 40)[:, None]}
     )
-    first, last = pack_rows(scene[:200], columns[:200], layout), pack_rows(moved, columns, layout)
+    first = pack_rows(scene[:200], columns[:200], layout)
+    last = pack_rows(moved, columns, layout)
     packet = packet_between(first, last)
     assert packet is not None
     index, records = packet
@@ -314,7 +315,8 @@ def test_the_hand_moves_the_camera_like_orbit_camera(node, tmp_path):
     """
     )
     (tmp_path / "camera.mjs").write_text(script)
-    target, up = (0.3, -0.2, 1.0), (0.0, 0.0, 1.0)
+    target = (0.3, -0.2, 1.0)
+    up = (0.0, 0.0, 1.0)
     start = orbit_camera(target, 40, 20, 2.5)
     data = json.dumps([start.flatten().tolist(), up])
     done = subprocess.run(

@@ -135,10 +135,8 @@ def test_the_splat_viewer_follows_the_map_and_knows_its_time(make_run, monkeypat
 def test_it_starts_where_the_first_keyframe_was_and_the_last_viewer_follows(make_run):
     live = LiveMapper(make_run())
     live.run_sync(2)
-    earlier, viewer = (
-        live.splats(),
-        live.splats(colour_by="depth", T_WC=live.run.sequence.mapping[3].T_WC),
-    )
+    earlier = live.splats()
+    viewer = live.splats(colour_by="depth", T_WC=live.run.sequence.mapping[3].T_WC)
     assert earlier.T_WC.equal(live.run.mapper.keyframes[0].T_WC)
     assert viewer.T_WC.equal(live.run.sequence.mapping[3].T_WC)
     assert live.viewer is viewer
@@ -149,7 +147,9 @@ class Counting:
     """Counts to ``n``; the picture gets brighter; ``broken`` is the step that raises."""
 
     def __init__(self, n=6, broken=None):
-        self.n, self.broken, self.done = n, broken, 0
+        self.n = n
+        self.broken = broken
+        self.done = 0
         self.values = []
 
     def steps(self):

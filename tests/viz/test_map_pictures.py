@@ -78,7 +78,8 @@ def rtg_run(make_run):
 
 def near(picture, u, v, colour):
     """Hue of a pixel: the shaded colour of a state points the same way as the pure one."""
-    a, b = picture[v, u].astype(float), np.array(colour, float)
+    a = picture[v, u].astype(float)
+    b = np.array(colour, float)
     return float(a @ b / np.linalg.norm(a) / np.linalg.norm(b)) > 0.999
 
 
@@ -147,10 +148,8 @@ WIDE = Camera(
     cy=60.5,
 )
 FRONT = orbit_camera((0, 0, 0), -90, 0, 2.0)
-LEFT, RIGHT = (
-    (60, 50),
-    (60, 110),
-)  # row, column of the two Gaussians seen from -y: 0.5 m aside at 2 m is 30 px
+LEFT = (60, 50)  # row, column of the two Gaussians seen from -y: 0.5 m aside at 2 m is 30 px
+RIGHT = (60, 110)
 
 
 def test_red_left_green_right_seen_from_minus_y(model):

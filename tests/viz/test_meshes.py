@@ -28,12 +28,10 @@ def sheet(
     x, y = torch.meshgrid(line, line, indexing="ij")
     vertices = torch.stack([x, y, torch.zeros_like(x)], -1).reshape(-1, 3)
     i = torch.arange(n * n).reshape(n, n)
-    a, b, c, d = (
-        i[:-1, :-1].flatten(),
-        i[1:, :-1].flatten(),
-        i[1:, 1:].flatten(),
-        i[:-1, 1:].flatten(),
-    )
+    a = i[:-1, :-1].flatten()
+    b = i[1:, :-1].flatten()
+    c = i[1:, 1:].flatten()
+    d = i[:-1, 1:].flatten()
     faces = torch.cat([torch.stack([a, b, c], 1), torch.stack([a, c, d], 1)])
     left, right = (torch.tensor(c) for c in colours)
     return Mesh(

@@ -14,8 +14,11 @@ class Work:
     """Counts to ``n``, remembering where it stands and which thread worked; may raise at a step."""
 
     def __init__(self, n=10, fail_at=None, pause_s=0.0):
-        self.n, self.fail_at, self.pause_s = n, fail_at, pause_s
-        self.done, self.threads = 0, set()
+        self.n = n
+        self.fail_at = fail_at
+        self.pause_s = pause_s
+        self.done = 0
+        self.threads = set()
 
     def steps(self):
         while self.done < self.n:
@@ -35,7 +38,9 @@ def wait_for(condition, seconds=10.0):
 
 
 def test_start_runs_to_the_end_on_another_thread():
-    work, seen, rests = Work(), [], []
+    work = Work()
+    seen = []
+    rests = []
     player = Player(
         work.steps,
         on_step=seen.append,

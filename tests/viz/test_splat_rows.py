@@ -49,7 +49,8 @@ def test_round_trip(n, generator):
 
 def test_rows_with_nan_or_infinity_are_hidden_and_keep_their_place(generator):
     params = random_map(4, generator)
-    xyz, sh = params.xyz_W.clone(), params.sh.clone()
+    xyz = params.xyz_W.clone()
+    sh = params.sh.clone()
     xyz[1, 2] = float("nan")
     sh[3, 0, 0] = float("inf")
     layout = layout_for(params, 0)
@@ -93,7 +94,8 @@ def test_changed_rows_travel_and_unchanged_ones_do_not(generator):
     params = random_map(50, generator)
     moved = params.xyz_W.clone()
     moved[[3, 17]] += 0.01
-    old, new = packed(params), packed(dataclasses.replace(params, xyz_W=moved))
+    old = packed(params)
+    new = packed(dataclasses.replace(params, xyz_W=moved))
     packet = packet_between(old, new)
     assert packet is not None
     assert np.asarray(packet[0]).tolist() == [3, 17]
@@ -103,7 +105,8 @@ def test_changed_rows_travel_and_unchanged_ones_do_not(generator):
 
 def test_everything_travels_where_parts_are_no_cheaper(generator):
     params = random_map(50, generator)
-    old, nothing = packed(params), packed(params[:0])
+    old = packed(params)
+    nothing = packed(params[:0])
     other = (
         packed(params[5:]),
         packed(random_map(50, generator)),

@@ -54,7 +54,9 @@ def build(
             "'gsfusion-nb[book]'"
         )
     work = out.parent / f".{out.name}_work"
-    pages, extra, static = work / "pages", work / "extra", work / "static"
+    pages = work / "pages"
+    extra = work / "extra"
+    static = work / "static"
     Assembly(places_of(root, files), pages, extra, quiz).write()
     _write_static(static)
     _sphinx(root, pages, extra, static, work / "doctrees", out)

@@ -166,7 +166,8 @@ class Assembly:
     ):
         self.quiz = {f"{QUIZ}/chapter_{n:02}.md": quiz_page(n, own) for n, own in quiz.items()}
         self.places = dataclasses.replace(places, files=places.files | {*self.quiz, _SHORT})
-        self.pages, self.extra = pages, extra
+        self.pages = pages
+        self.extra = extra
 
     def write(self) -> None:
         """Write all of them."""

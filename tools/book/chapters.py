@@ -177,12 +177,16 @@ class Chapter:
         *,
         bar: str = "",
     ):
-        self.cells, self.page, self.places, self.bar = notebook["cells"], page, places, bar
+        self.cells = notebook["cells"]
+        self.page = page
+        self.places = places
+        self.bar = bar
         self.stem = page.rpartition("/")[2].removesuffix(".ipynb")
         self.files: dict[str, bytes] = {}
         """Address relative to the page -> content of its pictures."""
         self._equations = count(1)
-        self._asked, self._came = "", False
+        self._asked = ""
+        self._came = False
 
     def markdown(self) -> str:
         """The page in Markdown; its pictures are then in ``files``."""
@@ -197,7 +201,8 @@ class Chapter:
         if (
             self._came
         ):  # the outputs between what came and the next text wait for the prediction, too
-            self._asked, self._came = "", False
+            self._asked = ""
+            self._came = False
         text = in_the_book(
             _ATTACHED.sub("", "".join(cell["source"])),
             self.page,
@@ -212,7 +217,8 @@ class Chapter:
             return ""
         call = _last_call(source)
         if call is not None and _called(call) == "predict" and len(call.args) > 1:
-            self._asked, self._came = ast.literal_eval(call.args[0]), False
+            self._asked = ast.literal_eval(call.args[0])
+            self._came = False
             return raw(question_html(call))
         if _SOLUTION.search(source):
             code = _SOLUTION.sub("", source).strip()
@@ -229,18 +235,14 @@ class Chapter:
             )
         later = f' data-prediction="{asked}"' if asked and shown else ""
         below = f'<div class="gsnb-outputs"{later}>{"".join(shown)}</div>' if shown else ""
-        begins, ends = (
-            f'<div class="gsnb-cell" id="{cell["id"]}">',
-            f"{below}</div>{_hints(source)}",
-        )
+        begins = f'<div class="gsnb-cell" id="{cell["id"]}">'
+        ends = f"{below}</div>{_hints(source)}"
         folded = cell["metadata"].get("jupyter", {}).get("source_hidden") or (
             call and _called(call) in _DRAWING
         )
         if folded:
-            begins, ends = (
-                f'{begins}<details class="gsnb-code"><summary>Code</summary>',
-                f"</details>{ends}",
-            )
+            begins = f'{begins}<details class="gsnb-code"><summary>Code</summary>'
+            ends = f"</details>{ends}"
         return f"{raw(begins)}\n{_python(source)}\n{raw(ends + panel_html(cell['id']))}"
 
     def _outputs(self, cell: Mapping[str, Any]) -> list[str]:
@@ -259,7 +261,8 @@ class Chapter:
         return [html for html in found if html]
 
     def _shown(self, output: Mapping[str, Any], name: str) -> str:
-        data, metadata = output.get("data", {}), output.get("metadata", {})
+        data = output.get("data", {})
+        metadata = output.get("metadata", {})
         if "text/html" in data:
             return (
                 "<div "
@@ -325,7 +328,8 @@ def question_html(call: ast.Call) -> str:
         )
     )
     given |= {k.arg: ast.literal_eval(k.value) for k in call.keywords}
-    name, unit = escape(given["name"]), given.get("unit", "")
+    name = escape(given["name"])
+    unit = given.get("unit", "")
 
     def words(choice: Any) -> str:
         number = (

@@ -22,7 +22,8 @@ def moving_map() -> str:
     run = MappingRun(open_sequence("room", data=config.data, n_frames=60), GSFusion(config))
     for _ in (*run.online(), *run.optimise()):
         pass
-    viewer, sent = SplatViewer(run.mapper, width=480, height=360).look_from("above"), []
+    viewer = SplatViewer(run.mapper, width=480, height=360).look_from("above")
+    sent = []
     viewer.send = lambda content, buffers: sent.extend(
         (content["head"], *buffers)
     )  # what the page would get

@@ -283,9 +283,11 @@ def tsdf_rows(options: BenchOptions) -> Iterator[BenchRow]:
                 voxel_size_m=voxel_m, truncation_voxels=TRUNCATION_VOXELS, near_m=0.0, far_m=FAR_M
             )
             for backend in our_backends(options, "band_blocks", "fuse_frame_"):
-                device, updated = DEVICES[backend], []
+                device = DEVICES[backend]
+                updated = []
                 frames = [frame.to(device) for frame in decoded]
-                camera, poses = frames[0].camera, [frame.T_WC for frame in frames[::LOOK_EVERY]]
+                camera = frames[0].camera
+                poses = [frame.T_WC for frame in frames[::LOOK_EVERY]]
                 with use_backend(backend):
                     volume = TsdfVolume(config, device=device)
                     integrate(volume, frames[0])  # compiles, as does the first raycast
@@ -308,10 +310,8 @@ def tsdf_rows(options: BenchOptions) -> Iterator[BenchRow]:
                         )
                         for T in poses
                     ]
-                timing, case = (
-                    summary(laps, memory.peak_mb),
-                    f"{_case_name(opened)} {100 * voxel_m:g} cm",
-                )
+                timing = summary(laps, memory.peak_mb)
+                case = f"{_case_name(opened)} {100 * voxel_m:g} cm"
                 values = {
                     "frames": len(frames),
                     "blocks": volume.n_blocks,
@@ -352,13 +352,15 @@ def map_rows(options: BenchOptions) -> Iterator[BenchRow]:
 
 
 def _mapper_rows(frames: OpenedSequence, method: str, device: str) -> Iterator[BenchRow]:
-    config, n = gsfusion("online"), len(frames)
+    config = gsfusion("online")
+    n = len(frames)
     GSFusion(config, device=device).step(
         frames[0]
     )  # compiles, and renders the first image of the room
     for i in range(n):
         frames[i]  # images of the room are rendered once and kept
-    seconds, cpu_s = dict.fromkeys(STAGES, 0.0), 0.0
+    seconds = dict.fromkeys(STAGES, 0.0)
+    cpu_s = 0.0
     with PeakMemory(device) as memory:
         mapper = GSFusion(config, device=device)
         for i in range(n):
@@ -372,7 +374,8 @@ def _mapper_rows(frames: OpenedSequence, method: str, device: str) -> Iterator[B
                 seconds[stage] = seconds.get(stage, 0.0) + took
     step_s = sum(took for stage, took in seconds.items() if stage != "read")
     values = {"frames": n, "frames_per_second": n / step_s, "n_gaussians": len(mapper.gaussians)}
-    case, note = _case_name(frames), f"{n / step_s:.1f}/s, {len(mapper.gaussians) / 1e3:.1f}k"
+    case = _case_name(frames)
+    note = f"{n / step_s:.1f}/s, {len(mapper.gaussians) / 1e3:.1f}k"
     total = Timing(
         wall_ms=1e3 * step_s / n,
         cpu_ms=1e3 * cpu_s / n,
@@ -400,7 +403,9 @@ def _mapper_rows(frames: OpenedSequence, method: str, device: str) -> Iterator[B
         )
 
 
-ROOMS, ROOM_SIZE, ROOM_FRAMES = 64, (160, 120), 20
+ROOMS = 64
+ROOM_SIZE = (160, 120)
+ROOM_FRAMES = 20
 """Rooms of the building of ``growth``; size and number of the images of each."""
 _GROWTH_VOXEL_M = 0.04
 
@@ -417,21 +422,21 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
         raise ValueError(
             f"the building of growth is made of the built-in room; leave out --data {options.data}"
         )
-    n_rooms, n_frames = (
-        4 if options.quick else ROOMS,
-        options.frames or (3 if options.quick else ROOM_FRAMES),
-    )
+    n_rooms = 4 if options.quick else ROOMS
+    n_frames = options.frames or (3 if options.quick else ROOM_FRAMES)
     width, height = options.sizes[0] if options.size else ROOM_SIZE
     building = RoomSequence(n_frames=n_frames, rooms=n_rooms, width=width, height=height)
     case = f"room {width}x{height}, rooms"
     for name, system in SYSTEMS.items():
-        config, laps = system.preset("room"), list[Lap]()
+        config = system.preset("room")
+        laps = list[Lap]()
         config = (
             replace(config, tsdf__voxel_size_m=_GROWTH_VOXEL_M)
             if hasattr(config, "tsdf")
             else config
         )
-        warm, mapper = system(config), system(config)
+        warm = system(config)
+        mapper = system(config)
         for i in range(n_frames):
             warm.step(building[i])  # loads kernels
         with PeakMemory() as memory:
@@ -460,8 +465,10 @@ def _growth_row(
     mb: float | None = None,
 ) -> BenchRow:
     half = len(laps) // 2
-    case, note = f"{case} {half + 1} to {len(laps)}", f"{n / 1e3:.1f}k{more}"
-    timing, values = summary(laps[half:], mb), {"n_gaussians": n}
+    case = f"{case} {half + 1} to {len(laps)}"
+    note = f"{n / 1e3:.1f}k{more}"
+    timing = summary(laps[half:], mb)
+    values = {"n_gaussians": n}
     return BenchRow(
         section="growth", case=case, method=name, timing=timing, note=note, values=values
     )

@@ -52,14 +52,16 @@ def lap(work: Callable[[], object], device: str = "cpu") -> Lap:
     """Time one run of ``work``; on a GPU until its queue is empty, with the time on the GPU too."""
     _wait(device)
     events = [torch.cuda.Event(enable_timing=True) for _ in range(2)] if device == "cuda" else []
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall = time.perf_counter()
+    cpu = time.process_time()
     if events:
         events[0].record()
     work()
     if events:
         events[1].record()
     _wait(device)
-    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    wall = time.perf_counter() - wall
+    cpu = time.process_time() - cpu
     return Lap(
         wall,
         cpu,

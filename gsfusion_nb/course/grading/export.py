@@ -15,7 +15,8 @@ from ..copies import without_solutions
 from ..exercise import exercises
 from .marks import BY_DIFFICULTY
 
-_BEGIN, _END = "### BEGIN SOLUTION", "### END SOLUTION"
+_BEGIN = "### BEGIN SOLUTION"
+_END = "### END SOLUTION"
 _CHECK = re.compile(r"^check\.(?P<name>\w+)\((?P=name)\)$")
 _NBGRADER_CONFIG = '''"""Settings of nbgrader for the chapters of gsfusion-nb."""
 

@@ -83,7 +83,8 @@ def grade(
 
     def of(submission: Submission) -> list[Mark]:
         marks = _marks(submission, names, limits)
-        total, most = sum(m.points for m in marks), sum(m.most for m in marks)
+        total = sum(m.points for m in marks)
+        most = sum(m.most for m in marks)
         tell(f"{submission.student}: {total:g} of {most:g} points")
         return marks
 

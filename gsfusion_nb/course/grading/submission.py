@@ -137,7 +137,8 @@ def needed(
     uses = [_names(node) for _, node in statements]
     if not any(name in binds for binds, _ in uses):
         raise Failed("it is defined", "", f"there is no function {name}")
-    wanted, kept = {name}, set[int]()
+    wanted = {name}
+    kept = set[int]()
     while more := [i for i, (binds, _) in enumerate(uses) if binds & wanted and i not in kept]:
         kept.update(more)
         wanted.update(*(uses[i][1] for i in more))
@@ -152,7 +153,8 @@ def _names(node: ast.stmt) -> tuple[set[str], set[str]]:
         for s in module.get_symbols()
         if s.is_assigned() or s.is_imported() or s.is_namespace()
     }
-    reads, scopes = set[str](), [module]
+    reads = set[str]()
+    scopes = [module]
     while scopes:
         scope = scopes.pop()
         reads |= {s.get_name() for s in scope.get_symbols() if s.is_referenced() and s.is_global()}

@@ -126,7 +126,8 @@ class Identities:
         row of each."""
         if not len(rows):
             return
-        ids, tag = self.model.trace_ids(), self.model.tag[rows].cpu().clone()
+        ids = self.model.trace_ids()
+        tag = self.model.tag[rows].cpu().clone()
         shared = {
             "cause": cause,
             "frame_index": frame_index,
@@ -161,10 +162,8 @@ class Identities:
             numbers: ``serial`` and ``frame_index``.
             rule: Name of the seeding rule.
         """
-        now, split = (
-            self.now(),
-            torch.zeros(0, dtype=torch.int64) if edit.split is None else edit.split.cpu(),
-        )
+        now = self.now()
+        split = torch.zeros(0, dtype=torch.int64) if edit.split is None else edit.split.cpu()
         copies = ((origin.cpu() < 0) & (now < count)).nonzero()[:, 0]
         halves = torch.isin(now[copies], ids[split])
         for rows, cause in ((copies[~halves], "clone"), (copies[halves], "split")):

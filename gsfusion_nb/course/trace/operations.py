@@ -307,10 +307,8 @@ class GaussianStep(Moment):
         depth, opacity = (
             (f"{self.depth_m:.3f}", f"{self.opacity:.3f}") if self.tiles else ("not drawn", "")
         )
-        frame, moved_m = (
-            "-" if self.frame_index is None else str(self.frame_index),
-            float((a.after - a.before).norm()),
-        )
+        frame = "-" if self.frame_index is None else str(self.frame_index)
+        moved_m = float((a.after - a.before).norm())
         return [
             str(self.serial),
             frame,
@@ -342,7 +340,8 @@ class GaussianSeeded(Moment):
     @property
     def boxes(self) -> dict[str, list[Box]]:
         """Its pixel and its quadtree cell."""
-        uv, cell = self.birth.uv, self.birth.cell
+        uv = self.birth.uv
+        cell = self.birth.cell
         pixels = [] if uv is None else [(int(uv[0]), int(uv[1]), 1, 1)]
         return {"cell": [] if cell is None else [cell[:4]], "pixel": pixels}
 
@@ -359,7 +358,8 @@ def gaussian_moment(record: Record, i: int) -> GaussianStep | None:
     """What a record says about Gaussian number ``i``; ``None`` if nothing."""
     if not isinstance(record, StepRecord) or not len(at := (record.ids == i).nonzero()[:, 0]):
         return None
-    r, s = int(at[0]), record.screen
+    r = int(at[0])
+    s = record.screen
     return GaussianStep(
         serial=record.serial,
         frame_index=record.frame_index,
@@ -382,14 +382,14 @@ def gaussian_moment(record: Record, i: int) -> GaussianStep | None:
 
 def _in_tile(screen: ScreenGaussians, camera: Camera, tile: int, place: int) -> TilePlace:
     x, y = screen.pixels_of(tile, camera)
-    blend, row, column = (
-        screen.blend(tile, x, y),
-        tile // screen.tiles.tiles_x,
-        tile % screen.tiles.tiles_x,
-    )
+    blend = screen.blend(tile, x, y)
+    row = tile // screen.tiles.tiles_x
+    column = tile % screen.tiles.tiles_x
     alpha, T, w = (a[place].cpu() for a in (blend.alpha, blend.transmittance, blend.weight))
-    pixels, coloured = torch.stack([x, y], dim=1).cpu(), w > 0
-    (x0, y0), (x1, y1) = pixels[0].tolist(), pixels[-1].tolist()
+    pixels = torch.stack([x, y], dim=1).cpu()
+    coloured = w > 0
+    x0, y0 = pixels[0].tolist()
+    x1, y1 = pixels[-1].tolist()
     return TilePlace(
         tile=(column, row),
         box=(x0, y0, x1 - x0 + 1, y1 - y0 + 1),
@@ -542,10 +542,13 @@ def voxel_moment(record: Record, ijk: Voxel) -> VoxelFused | None:
     """What a record says about a voxel; ``None`` if nothing."""
     if not isinstance(record, FusionRecord):
         return None
-    frame, config, camera = record.frame, record.config, record.frame.camera
+    camera = record.frame.camera
+    config = record.config
+    frame = record.frame
     centre = (torch.tensor(ijk, dtype=torch.float64) + 0.5) * config.voxel_size_m
     xyz_C = se3.apply(se3.inverse(frame.T_WC.cpu().double()), centre[None])[0]
-    (x, y, z), (u, v) = xyz_C.tolist(), project(camera, xyz_C).tolist()
+    x, y, z = xyz_C.tolist()
+    u, v = project(camera, xyz_C).tolist()
     inside = z > 0 and 0 <= u < camera.width and 0 <= v < camera.height
     depth_m = float(frame.depth_m[int(v), int(u)]) if inside else 0.0
     sdf_m = depth_m - z if depth_m > 0 and depth_m >= config.near_m else float("nan")
@@ -557,13 +560,15 @@ def voxel_moment(record: Record, ijk: Voxel) -> VoxelFused | None:
         device=record.coords.device,
     )
     at = (record.coords == block).all(1).nonzero()[:, 0]
-    D, W = (1.0, 1.0), (0.0, 0.0)
+    D = (1.0, 1.0)
+    W = (0.0, 0.0)
     if len(at):
         i, j, k = (c % BLOCK_VOXELS for c in ijk)
         D0, D1, W0, W1 = (
             float(column[at[0], 64 * i + 8 * j + k]) for column in (*record.D, *record.W)
         )
-        D, W = (D0, D1), (W0, W1)
+        D = (D0, D1)
+        W = (W0, W1)
     return VoxelFused(
         serial=record.serial,
         frame_index=record.frame_index,

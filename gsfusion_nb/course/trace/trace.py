@@ -39,7 +39,9 @@ class Recorder:
         identities: Identities,
         add: Callable[[Record], None],
     ):
-        self.mapper, self.identities, self._add = mapper, identities, add
+        self.mapper = mapper
+        self.identities = identities
+        self._add = add
         self.serial = 0
         self._last: dict[str, list[Tensor]] = {}
         self._handlers = {
@@ -100,10 +102,12 @@ class Recorder:
             return f(*args, **kwargs)
         before = len(model)
         out = f(*args, **kwargs)
-        asked, own = self._seeding, {}
+        asked = self._seeding
+        own = {}
         if asked is not None and asked.seeds is seeds and len(seeds) > 0:
             own = origin_of(asked.frame, asked.cells, seeds)
-        rule, cause = rule_name(self.mapper.rule), "added by the rule" if self._editing else "seed"
+        rule = rule_name(self.mapper.rule)
+        cause = "added by the rule" if self._editing else "seed"
         self.identities.number(
             torch.arange(before, len(model)), cause, self.frame_index, rule, **own
         )
@@ -114,7 +118,8 @@ class Recorder:
         if model is not self.identities.model:
             return f(*args, **kwargs)
         plain = edit.resolved(model.params.sh, "state" in model.columns)
-        ids, count = self.identities.now(), self.identities.count
+        ids = self.identities.now()
+        count = self.identities.count
         self._editing = True
         try:
             origin = f(*args, **kwargs)
@@ -142,7 +147,8 @@ class Recorder:
             "t": None,
         } | self._next()
         loss, mse = f(*args, **kwargs)
-        self._step, at = None, view.index
+        self._step = None
+        at = view.index
         if "screen" in step and "adam" in step:
             stage = (
                 "passes"
@@ -184,7 +190,8 @@ class Recorder:
         self._step["adam"] = columns = {}
         rates = self._step.pop("rates")
         for name, gradient in vars(gradients).items():
-            (p0, m0, v0), (p1, m1, v1) = before[name], after[name]
+            p0, m0, v0 = before[name]
+            p1, m1, v1 = after[name]
             lr = rates.get(name, float("nan"))  # NaN: another function than Adam takes the step
             columns[name] = operations.AdamColumn(
                 before=p0,
@@ -208,7 +215,8 @@ class Recorder:
         if volume is not getattr(self.mapper, "volume", None):
             return f(*args, **kwargs)
         rows = blocks_in_view(volume, frame.camera, se3.inverse(frame.T_WC.double()))
-        D, W = volume.D[rows], volume.W[rows]
+        D = volume.D[rows]
+        W = volume.W[rows]
         out = f(*args, **kwargs)
         self._add(
             FusionRecord(
@@ -266,7 +274,8 @@ class Trace:
         self.identities = Identities(mapper.gaussians)
         self.n_dropped = 0
         """Operations that are no longer held."""
-        self._limit_bytes, self._held = memory_bytes, deque[Record]()
+        self._limit_bytes = memory_bytes
+        self._held = deque[Record]()
         self._recorder = Recorder(mapper, self.identities, self._hold)
         self._picks: dict[Pick, list[Moment]] = {}
         self._usual = mapper.watch
@@ -324,11 +333,14 @@ class Trace:
     def voxel(self, x: int, y: int, z: int) -> operations.VoxelTrace:
         """The voxel with these integer coordinates (``volume.voxel_index(xyz_W)``)."""
         ijk: Voxel = (x, y, z)
-        fused, D, W = [], 1.0, 0.0
+        fused = []
+        D = 1.0
+        W = 0.0
         for moment in self._moments(ijk):
             if not moment.allocated:  # not in view: it keeps its values
                 moment = dataclasses.replace(moment, D=(D, D), W=(W, W))
-            D, W = moment.D[1], moment.W[1]
+            D = moment.D[1]
+            W = moment.W[1]
             fused.append(moment)
         return operations.VoxelTrace(ijk=ijk, moments=tuple(fused), n_dropped=self.n_dropped)
 

@@ -142,7 +142,8 @@ def _depth_times(factor: float) -> Reading:
 
 def _focal_times(factor: float, *, with_centre: bool = False) -> Reading:
     def moved(pairs: Pairs) -> Reprojection:
-        c, of_centre = pairs.camera, factor if with_centre else 1.0
+        c = pairs.camera
+        of_centre = factor if with_centre else 1.0
         changed = replace(
             c,
             fx=c.fx * factor,
@@ -261,9 +262,12 @@ def _colour(
     agrees: Tensor,
 ) -> float:
     """``FirstAgreement.colour``; of each pair the brightness is compared after its ratio."""
-    moved, still, width = [], [], pairs.camera.width
+    moved = []
+    still = []
+    width = pairs.camera.width
     for j, (first, second) in enumerate(places):
-        at, to = pairs.uv_a[j][agrees[j]], uv_b[j][agrees[j]]
+        at = pairs.uv_a[j][agrees[j]]
+        to = uv_b[j][agrees[j]]
         if not len(at) or float((to - at).norm(dim=-1).median()) < MOVED_PX:
             continue
         a = greys_at(frames[first].grey, at, width)

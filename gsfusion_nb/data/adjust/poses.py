@@ -149,7 +149,8 @@ class PosePath:
     def __init__(self, times_s: Float[Tensor, " L"], poses: Float[Tensor, "L 4 4"]):
         known = torch.isfinite(poses).all(dim=(1, 2)) & torch.isfinite(times_s)
         known[1:] &= times_s[1:] > times_s[:-1].cummax(0).values
-        self._times, self._poses = times_s[known].double(), poses[known].double()
+        self._times = times_s[known].double()
+        self._poses = poses[known].double()
         steps = self._times.diff()
         self.step_s = float(steps.median()) if len(steps) else 0.0
         """Median time from one pose to the next, seconds; 0 with fewer than two poses."""

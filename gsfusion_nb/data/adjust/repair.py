@@ -119,7 +119,8 @@ class RepairedSequence:
 
     def __getitem__(self, i: int) -> Frame:
         i = position(i, len(self))
-        frame, T_WC = self.source[i], self.pose(i)
+        frame = self.source[i]
+        T_WC = self.pose(i)
         return dataclasses.replace(
             frame,
             rgb=self._colour(frame, i),
@@ -158,7 +159,8 @@ class RepairedSequence:
     def _depth_images(self) -> list[tuple[int, float]]:
         """For each frame the one whose depth image was taken nearest to its picture, and how much
         later, seconds."""
-        stamps, offset_s = getattr(self.source, "depth_times_s", None), self.repair.depth_offset_s
+        stamps = getattr(self.source, "depth_times_s", None)
+        offset_s = self.repair.depth_offset_s
         if self.repair.depth_pose == "colour" or not self.has_poses or not (stamps or offset_s):
             return [(i, 0.0) for i in range(len(self))]
         rgb_s = self.times_s.tolist()
@@ -391,10 +393,12 @@ def apply_options(
         )
     data = data or DataConfig()
     source = repaired(source, data.repair)
-    published, skipped = set(getattr(source, "novel", ())), set(data.repair.skip)
+    published = set(getattr(source, "novel", ()))
+    skipped = set(data.repair.skip)
     novel = sorted(published - skipped)
     chosen = _selection(source, published | skipped, data)
-    every, offset = data.hold_out_every, data.hold_out_offset
+    every = data.hold_out_every
+    offset = data.hold_out_offset
     if every and not 0 <= offset < every:
         raise SequenceError(
             f"data.hold_out_offset must be between 0 and {every - 1} (hold_out_every - 1), got "

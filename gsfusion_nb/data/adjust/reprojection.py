@@ -61,7 +61,8 @@ def reproject_depth(
     Q = P @ T_ba[:, :3, :3].transpose(1, 2) + T_ba[:, None, :3, 3]
     ok = (depth_a > 0) & (Q[..., 2] > 1e-6) & torch.isfinite(Q).all(-1)
     Q = Q.where(ok[..., None], 1.0)
-    xb, yb = Q[..., 0] / Q[..., 2], Q[..., 1] / Q[..., 2]
+    xb = Q[..., 0] / Q[..., 2]
+    yb = Q[..., 1] / Q[..., 2]
     uv_b = torch.stack(
         [camera.fx * xb + camera.cx, camera.fy * yb + camera.cy],
         -1,
@@ -82,15 +83,20 @@ def _interpolated(
     """Depth between pixel centres, bilinear in 1 / z (exact on planes); whether the four pixels are
     on one surface."""
     n, h, w = depth.shape
-    x, y = u - 0.5, v - 0.5
+    x = u - 0.5
+    y = v - 0.5
     known = (x >= 0) & (y >= 0) & (x <= w - 1.001) & (y <= h - 1.001)
-    x, y = x.where(known, 0.0), y.where(known, 0.0)
-    i, j = x.floor().long(), y.floor().long()
-    fx, fy = x - i, y - j
+    x = x.where(known, 0.0)
+    y = y.where(known, 0.0)
+    i = x.floor().long()
+    j = y.floor().long()
+    fx = x - i
+    fy = y - j
     at = torch.arange(n)[:, None] * (h * w) + j * w + i
     flat = depth.reshape(-1)
     corners = torch.stack([flat[at], flat[at + 1], flat[at + w], flat[at + w + 1]])
-    near, far = corners.amin(0), corners.amax(0)
+    near = corners.amin(0)
+    far = corners.amax(0)
     known = known & (near > 0) & (far < 1.05 * near)
     inverse = 1 / corners.where(known, 1.0)
     top = inverse[0] + fx * (inverse[1] - inverse[0])

@@ -8,13 +8,16 @@ from torch import Tensor
 
 from ...types import Frame
 
-STILL_DEG, STILL_M = 0.1, 0.002
+STILL_DEG = 0.1
+STILL_M = 0.002
 """A camera that turns and moves by less from one frame to the next stands still."""
-_JUMP_BASE_DEG, _JUMP_BASE_M = 1.0, 0.03
+_JUMP_BASE_DEG = 1.0
+_JUMP_BASE_M = 0.03
 """Shorter steps are not jumps."""
 _JUMP_OF_MEDIAN = 1.5
 """A jump is longer than this many times the median of the steps around, ..."""
-JUMP_ERROR, _JUMP_ERROR_OF_USUAL = 0.01, 4.0
+JUMP_ERROR = 0.01
+_JUMP_ERROR_OF_USUAL = 4.0
 """... and depth then differs by this share and this many times the usual difference; the worst of
 250 steps of a hand-held Kinect differs by 0.6 per cent, twice the usual."""
 _JUMP_UNSEEN = 4.0

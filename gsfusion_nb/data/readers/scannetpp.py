@@ -64,7 +64,8 @@ def scannetpp(
     values = read_object(json_file, "nerfstudio transforms")
     names, n_train = _names(root / "train_test_lists.json", split)
     matrices = frame_matrices(values, json_file)
-    images, depths = root / f"undistorted_images{suffix}", root / f"undistorted_depths{suffix}"
+    images = root / f"undistorted_images{suffix}"
+    depths = root / f"undistorted_depths{suffix}"
     for folder in (images, depths):
         if not folder.is_dir():
             raise SequenceNotFoundError(

@@ -107,7 +107,8 @@ def tum(
         posed = _with_poses(root / "groundtruth.txt", timed)
         T_WC = matrices(torch.stack([row for *_, row in posed])) if posed else no_poses(0)
     else:
-        posed, T_WC = [(*frame, None) for frame in timed], no_poses(len(timed))
+        posed = [(*frame, None) for frame in timed]
+        T_WC = no_poses(len(timed))
     if not posed:
         raise SequenceError(
             f"{root}: none of {len(depth_files)} depth images has a colour image within "
@@ -115,7 +116,8 @@ def tum(
             "expected the time stamps of the three lists to overlap"
         )
     if len(posed) < len(depth_files):
-        unpaired, unposed = len(depth_files) - len(pairs), len(pairs) - len(posed)
+        unpaired = len(depth_files) - len(pairs)
+        unposed = len(pairs) - len(posed)
         log.warning(
             "%s: dropped %d depth images without colour and %d without pose",
             root.name,
@@ -197,7 +199,8 @@ def _with_poses(
     table, notes = checked_rows(read_rows(path, 8, "timestamp tx ty tz qx qy qz qw"), path)
     for note in notes:
         log.warning("%s", note)
-    stamps, rows = table[:, 0].contiguous(), table[:, 1:]
+    stamps = table[:, 0].contiguous()
+    rows = table[:, 1:]
     found = []
     for t, d, c in frames:
         row = interpolate_rows(stamps, rows, t, max_gap_s=MAX_POSE_GAP_S)

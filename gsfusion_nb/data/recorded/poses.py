@@ -140,7 +140,8 @@ def checked_rows(
     length = table[:, 4:].norm(dim=1)
     bad = ((length - 1).abs() > 1e-2).nonzero()
     if len(bad):
-        t, wrong = float(table[int(bad[0]), 0]), float(length[int(bad[0])])
+        t = float(table[int(bad[0]), 0])
+        wrong = float(length[int(bad[0])])
         raise SequenceError(
             f"{path}: the pose at {t:.16g} must hold a unit quaternion, got one of length "
             f"{wrong:.3g}; expected the columns t tx ty tz qx qy qz qw"
@@ -220,7 +221,8 @@ def interpolate_rows(
     if gap > max_gap_s:
         return None
     t = torch.tensor((at_s - float(stamps_s[after - 1])) / gap, dtype=rows.dtype)
-    a, b = rows[after - 1], rows[after]
+    a = rows[after - 1]
+    b = rows[after]
     quat = quaternion.slerp(
         a[[6, 3, 4, 5]],
         b[[6, 3, 4, 5]],
@@ -282,7 +284,8 @@ def poses_of_images(path: Path, images: list[Path]) -> Float[Tensor, "N 4 4"]:
             or, where lines go by order, another number of lines than of images.
     """
     lines = [(number, split_name(" ".join(words))) for number, words in read_words(path, POSE_LINE)]
-    names, rows = [], []
+    names = []
+    rows = []
     for number, (name, words) in lines:
         try:
             rows.append(parsed_pose(words))

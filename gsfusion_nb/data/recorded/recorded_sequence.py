@@ -123,7 +123,8 @@ class RecordedSequence:
         )
 
     def _check_sizes(self, i: int, rgb: np.ndarray, depth_m: np.ndarray) -> None:
-        rgb_size, depth_size = rgb.shape[1::-1], depth_m.shape[1::-1]
+        rgb_size = rgb.shape[1::-1]
+        depth_size = depth_m.shape[1::-1]
         if rgb_size != depth_size:
             raise BadFrameError(
                 f"{self.depth_files[i]} is {_wxh(depth_size)} but {self.rgb_files[i]} is "

@@ -85,7 +85,8 @@ def planks(
 ) -> ndarray:
     """Floor boards along u, each with its own tone, length and grain, and dark joints."""
     out = wood(w, h, texel_m, rng, colour, "u", 0.25).astype(np.float32)
-    rows, joint = max(1, round(h * texel_m / plank_m)), max(1, round(0.003 / texel_m))
+    rows = max(1, round(h * texel_m / plank_m))
+    joint = max(1, round(0.003 / texel_m))
     edges = np.linspace(0, h, rows + 1).astype(int)
     for top, bottom in pairwise(edges):
         left = -int(rng.uniform(0, length_m) / texel_m)
@@ -116,7 +117,8 @@ def brick(
     row = np.floor(v / size_m[1]).astype(int)
     u = u + 0.5 * size_m[0] * (row % 2)
     col = np.floor(u / size_m[0]).astype(int)
-    fu, fv = u - col * size_m[0] + wobble, v - row * size_m[1] + wobble
+    fu = u - col * size_m[0] + wobble
+    fv = v - row * size_m[1] + wobble
     edge = np.minimum(
         np.minimum(fu, size_m[0] - fu),
         np.minimum(fv, size_m[1] - fv),
@@ -185,7 +187,8 @@ def rug(
         np.minimum(u, w * texel_m - u),
         np.minimum(v, h * texel_m - v),
     )
-    fu, fv = np.abs(u / cell_m % 1 - 0.5), np.abs(v / cell_m % 1 - 0.5)
+    fu = np.abs(u / cell_m % 1 - 0.5)
+    fv = np.abs(v / cell_m % 1 - 0.5)
     checker = (np.floor(u / cell_m) + np.floor(v / cell_m)).astype(int) % 2
     index = np.where(fu + fv < 0.25, 2, checker)
     index = np.where(edge < border_m, 0, index)
@@ -219,7 +222,8 @@ def wallpaper(
     cell = cell_m / texel_m
     for row in range(int(h / cell) + 2):
         for col in range(-1, int(w / cell) + 2):
-            x, y = (col + 0.5 * (row % 2)) * cell, row * cell
+            x = (col + 0.5 * (row % 2)) * cell
+            y = row * cell
             cv2.line(
                 out,
                 (round(x), round(y - 0.3 * cell)),
@@ -278,7 +282,8 @@ def leaf(w, h, texel_m, rng, colour: Colour) -> ndarray:
         w,
         dtype=np.float32,
     )[None]
-    x, y = np.sin(colat) * np.cos(lon), np.abs(np.sin(colat) * np.sin(lon))
+    x = np.sin(colat) * np.cos(lon)
+    y = np.abs(np.sin(colat) * np.sin(lon))
     veins = 0.16 * np.clip(
         1 - 4 * np.abs(np.sin(12 * (x - 0.6 * y))),
         0,
@@ -312,7 +317,10 @@ def write(
     """Draw ``text`` centred in ``box`` (x, y, width, height), as large as possible."""
     font = cv2.FONT_HERSHEY_TRIPLEX if serif else cv2.FONT_HERSHEY_DUPLEX
     h, w = image.shape[:2]
-    x, y, bw, bh = box[0] * w, box[1] * h, box[2] * w, box[3] * h
+    x = box[0] * w
+    y = box[1] * h
+    bw = box[2] * w
+    bh = box[3] * h
     (tw, th), _ = cv2.getTextSize(text, font, 1.0, 1)
     scale = min(bw / max(tw, 1), bh / max(th, 1))
     thickness = max(1, round(1.6 * scale))
@@ -462,22 +470,27 @@ def eye_chart(w, h, texel_m, rng) -> ndarray:
         "D E F P O T E C",
     ]
     image = blank(w, h, (0.96, 0.96, 0.94))
-    y, height = 0.05, 0.19
+    y = 0.05
+    height = 0.19
     for row in rows:
         write(image, row, (0.1, y, 0.8, height), (0.06, 0.06, 0.07))
-        y, height = y + height + 0.028, height * 0.72
+        y = y + height + 0.028
+        height = height * 0.72
     return image
 
 
 def circles_poster(w, h, texel_m, rng) -> ndarray:
     """A grid of coloured squares with concentric circles."""
     image = blank(w, h, (0.9, 0.87, 0.8))
-    nx, ny = 4, max(2, round(4 * h / w))
+    nx = 4
+    ny = max(2, round(4 * h / w))
     for i in range(nx):
         for j in range(ny):
-            x, y = (i + 0.5) / nx, (j + 0.5) / ny
+            x = (i + 0.5) / nx
+            y = (j + 0.5) / ny
             c = rng.uniform(0.1, 0.95, (5, 3))
-            a, b = 0.48 / nx, 0.48 / ny
+            a = 0.48 / nx
+            b = 0.48 / ny
             rect(
                 image,
                 x - a,
@@ -525,7 +538,9 @@ def landscape(w, h, texel_m, rng, sunset: bool = False) -> ndarray:
             shaded(green, 0.7 if sunset else 1.0),
         )
     for _ in range(26):
-        x, y, s = rng.uniform(0, 1), rng.uniform(0.78, 0.97), rng.uniform(0.025, 0.06)
+        x = rng.uniform(0, 1)
+        y = rng.uniform(0.78, 0.97)
+        s = rng.uniform(0.025, 0.06)
         poly(
             image,
             [(x - s / 2, y), (x + s / 2, y), (x, y - 2.5 * s)],
@@ -555,7 +570,8 @@ def framed(
 ) -> ndarray:
     """``inner`` with a white mat and a frame around it."""
     image = blank(w, h, frame)
-    f, m = round(frame_m / texel_m), round((frame_m + mat_m) / texel_m)
+    f = round(frame_m / texel_m)
+    m = round((frame_m + mat_m) / texel_m)
     image[f : h - f, f : w - f] = blank(1, 1, (0.95, 0.94, 0.9))
     outline(
         image,
@@ -690,7 +706,8 @@ def keyboard(w, h, texel_m, rng) -> ndarray:
     image = blank(w, h, (0.62, 0.63, 0.66))
     for r in range(5):
         for c in range(13):
-            x, y = 0.05 + c * 0.07, 0.08 + r * 0.1
+            x = 0.05 + c * 0.07
+            y = 0.08 + r * 0.1
             rect(image, x, y, 0.055, 0.08, (0.13, 0.13, 0.14))
     rect(image, 0.35, 0.65, 0.3, 0.29, (0.52, 0.53, 0.56))
     return image
@@ -729,12 +746,10 @@ def globe(w, h, texel_m, rng) -> ndarray:
     )[None]
     land = np.zeros((h, w), np.float32)
     for _ in range(7):
-        a, b, k, m = (
-            rng.uniform(0, 6.3),
-            rng.uniform(0.5, 2.6),
-            rng.integers(1, 4),
-            rng.uniform(1.5, 4),
-        )
+        a = rng.uniform(0, 6.3)
+        b = rng.uniform(0.5, 2.6)
+        k = rng.integers(1, 4)
+        m = rng.uniform(1.5, 4)
         land += np.cos(k * lon + a) * np.sin(colat) * np.cos(m * colat + b)
     land += 0.25 * noise(w, h, w / 24, h / 12, rng)
     height = np.clip((land - 0.2) / 1.5, 0, 1)[..., None]
@@ -773,7 +788,8 @@ def clock(w, h, texel_m, rng) -> ndarray:
     dot(image, 0.5, 0.5, 0.45, (0.97, 0.96, 0.92))
     for k in range(1, 13):
         a = np.pi / 6 * k
-        x, y = 0.5 + 0.36 * np.sin(a), 0.5 - 0.36 * np.cos(a)
+        x = 0.5 + 0.36 * np.sin(a)
+        y = 0.5 - 0.36 * np.cos(a)
         write(
             image,
             str(k),

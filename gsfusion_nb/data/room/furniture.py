@@ -69,10 +69,8 @@ def sofa() -> list[Solid]:
                 hide="z-",
             )
         )
-    cream, mustard = (
-        (0.85, 0.82, 0.74),
-        drawn(0.002, draw.fabric, (0.83, 0.62, 0.22), contrast=0.14),
-    )
+    cream = (0.85, 0.82, 0.74)
+    mustard = drawn(0.002, draw.fabric, (0.83, 0.62, 0.22), contrast=0.14)
     bands = drawn(
         0.002,
         draw.stripes,
@@ -101,7 +99,8 @@ def sofa() -> list[Solid]:
                 special=special,
             )
         )
-    leg, corners = plain(0.25, 0.17, 0.11), product((-0.84, 0.84), (-0.32, 0.34))
+    leg = plain(0.25, 0.17, 0.11)
+    corners = product((-0.84, 0.84), (-0.32, 0.34))
     return [
         *solids,
         *(
@@ -123,7 +122,8 @@ def table(
     height: float = 0.74,
 ) -> list[Solid]:
     """A wooden table with tapered legs and an apron."""
-    top, side = drawn(0.0025, draw.wood, _OAK), drawn(0.006, draw.wood, _OAK)
+    top = drawn(0.0025, draw.wood, _OAK)
+    side = drawn(0.006, draw.wood, _OAK)
     solids: list[Solid] = [
         box(
             (0, 0, height - 0.018),
@@ -133,7 +133,8 @@ def table(
             special={"z+": top},
         )
     ]
-    x, y = 0.5 * width - 0.07, 0.5 * depth - 0.07
+    x = 0.5 * width - 0.07
+    y = 0.5 * depth - 0.07
     for i, j in product((-1, 1), repeat=2):
         solids.append(
             cone(
@@ -144,7 +145,8 @@ def table(
                 hide="bottom top",
             )
         )
-    z, h = height - 0.036 - 0.04, 0.08
+    z = height - 0.036 - 0.04
+    h = 0.08
     for s in (-1, 1):
         solids.append(
             box(
@@ -167,7 +169,8 @@ def table(
 
 def chair(seat: Colour) -> list[Solid]:
     """A wooden chair with a padded seat; its front faces -y."""
-    frame, slat = drawn(0.006, draw.wood, _WALNUT, "v"), drawn(0.005, draw.wood, _WALNUT)
+    frame = drawn(0.006, draw.wood, _WALNUT, "v")
+    slat = drawn(0.005, draw.wood, _WALNUT)
     pad = drawn(0.0025, draw.fabric, seat, contrast=0.15)
     solids: list[Solid] = [
         box((0, 0, 0.43), (0.42, 0.42, 0.03), slat),
@@ -308,13 +311,12 @@ def _book_row(
     rng: np.random.Generator,
 ) -> list[Solid]:
     """Upright books from x0 towards x1 on a board at height z; the last one may lean."""
-    books, x = [], x0
+    books = []
+    x = x0
     while True:
-        thick, high, deep = (
-            rng.uniform(0.02, 0.05),
-            rng.uniform(0.68, 0.95) * tall,
-            rng.uniform(0.62, 0.85) * depth,
-        )
+        thick = rng.uniform(0.02, 0.05)
+        high = rng.uniform(0.68, 0.95) * tall
+        deep = rng.uniform(0.62, 0.85) * depth
         if x + thick > x1:
             return books
         books.append(
@@ -326,8 +328,11 @@ def _book_row(
         )
         x += thick + rng.uniform(0.0005, 0.002)
         if x1 - x > 0.12 and rng.uniform() < 0.09:
-            lean, thick, high = 14.0, 0.03, 0.7 * tall
-            c, s = np.cos(np.radians(lean)), np.sin(np.radians(lean))
+            lean = 14.0
+            thick = 0.03
+            high = 0.7 * tall
+            c = np.cos(np.radians(lean))
+            s = np.sin(np.radians(lean))
             centre = (x + 0.5 * (high * s + thick * c) + 0.002, 0, z + 0.5 * (high * c + thick * s))
             books.append(_book(centre, (thick, 0.65 * depth, high), rng, lean))
             x += high * s + thick * c + 0.006
@@ -340,8 +345,10 @@ def bookshelf(
     depth: float = 0.28,
 ) -> list[Solid]:
     """Two columns of five cells with books and a few other objects."""
-    board, upright = drawn(0.005, draw.wood, _OAK), drawn(0.005, draw.wood, _OAK, "v")
-    back, b = drawn(0.008, draw.wood, (0.66, 0.49, 0.32), "v"), 0.022
+    board = drawn(0.005, draw.wood, _OAK)
+    upright = drawn(0.005, draw.wood, _OAK, "v")
+    back = drawn(0.008, draw.wood, (0.66, 0.49, 0.32), "v")
+    b = 0.022
     solids: list[Solid] = [
         box(
             (0, depth / 2 - 0.006, height / 2),
@@ -367,7 +374,8 @@ def bookshelf(
         )
     cell = (height - b - 0.06) / 5
     for row, (col, x0) in product(range(5), enumerate((-width / 2 + b, b / 2))):
-        x1, z = x0 + width / 2 - 1.5 * b, 0.06 + row * cell
+        x1 = x0 + width / 2 - 1.5 * b
+        z = 0.06 + row * cell
         solids.append(
             box(
                 ((x0 + x1) / 2, 0, z - b / 2),
@@ -376,13 +384,20 @@ def bookshelf(
                 hide="y+ x- x+",
             )
         )
-        first, last, before, after = x0 + 0.004, x1, [], []
+        first = x0 + 0.004
+        last = x1
+        before = []
+        after = []
         if (col, row) == (0, 3):
-            first, before = x0 + 0.34, _vase(x0 + 0.16, z)
+            first = x0 + 0.34
+            before = _vase(x0 + 0.16, z)
         elif (col, row) == (1, 1):
-            last, after = x0 + 0.3, [_photo((x1 - 0.2, -0.02, z + 0.12))]
+            last = x0 + 0.3
+            after = [_photo((x1 - 0.2, -0.02, z + 0.12))]
         elif (col, row) == (1, 4):
-            first, last, before = x0 + 0.4, x1 - 0.05, _crate(x0 + 0.2, z)
+            first = x0 + 0.4
+            last = x1 - 0.05
+            before = _crate(x0 + 0.2, z)
         else:
             last = x1 - rng.uniform(0.0, 0.16)
         solids += [*before, *_book_row(first, last, z, depth, cell - b, rng), *after]
@@ -442,11 +457,10 @@ def _crate(x: float, z: float) -> list[Solid]:
         0.015,
         "v",
     )
-    words, colours = (
-        ["tape", "string", "bulbs"],
-        ((0.93, 0.9, 0.82), (0.2, 0.2, 0.2), (0.6, 0.2, 0.15)),
-    )
-    label, white = drawn(0.0015, draw.text_poster, "TOOLS", words, *colours), plain(0.9, 0.9, 0.85)
+    words = ["tape", "string", "bulbs"]
+    colours = ((0.93, 0.9, 0.82), (0.2, 0.2, 0.2), (0.6, 0.2, 0.15))
+    label = drawn(0.0015, draw.text_poster, "TOOLS", words, *colours)
+    white = plain(0.9, 0.9, 0.85)
     return [
         box(
             (x, 0.01, z + 0.1),
@@ -494,7 +508,9 @@ def floor_lamp() -> list[Solid]:
 
 def pendant(length: float = 0.62) -> list[Solid]:
     """A lamp that hangs from its origin on the ceiling."""
-    metal, inside, z = plain(0.82, 0.45, 0.25), plain(1.0, 0.95, 0.85, glow=1.0), -length
+    metal = plain(0.82, 0.45, 0.25)
+    inside = plain(1.0, 0.95, 0.85, glow=1.0)
+    z = -length
     return [
         cone(
             (0, 0, -0.025),
@@ -551,14 +567,16 @@ def plant(rng: np.random.Generator, leaves: int = 26) -> list[Solid]:
     ]
     stem = plain(0.33, 0.45, 0.2)
     for k in range(leaves):
-        turn, z = (
-            137.5 * k + rng.uniform(-15, 15),
-            0.36 + 0.82 * k / leaves + rng.uniform(-0.04, 0.04),
-        )
-        reach, drop = 0.2 - 0.12 * k / leaves + rng.uniform(0, 0.05), rng.uniform(-25, 35)
-        c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-        foot, tip = (0.02 * c, 0.02 * s, 0.28), (reach * c, reach * s, z)
-        half, p = rng.uniform(0.085, 0.13), np.radians(drop)
+        turn = 137.5 * k + rng.uniform(-15, 15)
+        z = 0.36 + 0.82 * k / leaves + rng.uniform(-0.04, 0.04)
+        reach = 0.2 - 0.12 * k / leaves + rng.uniform(0, 0.05)
+        drop = rng.uniform(-25, 35)
+        c = np.cos(np.radians(turn))
+        s = np.sin(np.radians(turn))
+        foot = (0.02 * c, 0.02 * s, 0.28)
+        tip = (reach * c, reach * s, z)
+        half = rng.uniform(0.085, 0.13)
+        p = np.radians(drop)
         centre = (
             tip[0] + half * c * np.cos(p),
             tip[1] + half * s * np.cos(p),
@@ -596,8 +614,10 @@ def curtain(width: float, height: float, colour: Colour) -> list[Solid]:
 
 def coffee_table() -> list[Solid]:
     """A low round table on three splayed legs."""
-    top, side = drawn(0.0025, draw.wood, _WALNUT), drawn(0.006, draw.wood, _WALNUT)
-    leg, solids = drawn(0.006, draw.wood, _WALNUT, "v"), []
+    top = drawn(0.0025, draw.wood, _WALNUT)
+    side = drawn(0.006, draw.wood, _WALNUT)
+    leg = drawn(0.006, draw.wood, _WALNUT, "v")
+    solids = []
     solids.append(
         cone(
             (0, 0, 0.38),
@@ -608,7 +628,8 @@ def coffee_table() -> list[Solid]:
         )
     )
     for a in (90, 210, 330):
-        c, s = np.cos(np.radians(a)), np.sin(np.radians(a))
+        c = np.cos(np.radians(a))
+        s = np.sin(np.radians(a))
         solids.append(
             rod(
                 (0.3 * c, 0.3 * s, 0),
@@ -661,7 +682,8 @@ def picture(
 def mug(text: str, colour: Colour, ink: Colour) -> list[Solid]:
     """A cup of coffee with a handle."""
     print_ = drawn(0.0012, draw.mug, text, colour, ink)
-    glaze, coffee = plain(*colour, texel_m=0.008), plain(0.16, 0.09, 0.05, texel_m=0.008)
+    glaze = plain(*colour, texel_m=0.008)
+    coffee = plain(0.16, 0.09, 0.05, texel_m=0.008)
     return [
         cone(
             (0, 0, 0),
@@ -746,8 +768,10 @@ def fruit_bowl(rng: np.random.Generator) -> list[Solid]:
 
 def globe() -> list[Solid]:
     """A globe on a stand."""
-    metal, tilt = plain(0.55, 0.42, 0.2, texel_m=0.01), np.radians(23)
-    axis, centre = np.array([np.sin(tilt), 0, np.cos(tilt)]) * 0.155, np.array([0, 0, 0.235])
+    metal = plain(0.55, 0.42, 0.2, texel_m=0.01)
+    tilt = np.radians(23)
+    axis = np.array([np.sin(tilt), 0, np.cos(tilt)]) * 0.155
+    centre = np.array([0, 0, 0.235])
     return [
         cone(
             (0, 0, 0),
@@ -775,7 +799,8 @@ def globe() -> list[Solid]:
 
 def book_stack(rng: np.random.Generator) -> list[Solid]:
     """A stack of four books, each rotated a little; the cover of the top one is visible."""
-    light, dark = (0.95, 0.92, 0.82), (0.2, 0.15, 0.1)
+    light = (0.95, 0.92, 0.82)
+    dark = (0.2, 0.15, 0.1)
     pages = drawn(
         0.002,
         draw.stripes,
@@ -789,16 +814,19 @@ def book_stack(rng: np.random.Generator) -> list[Solid]:
         ("VOXELS", (0.85, 0.7, 0.3), dark),
         ("GAUSS", (0.18, 0.4, 0.34), light),
     )
-    solids, z = [], 0.0
+    solids = []
+    z = 0.0
     for k, book in enumerate(books):
-        thick, front = rng.uniform(0.022, 0.04), drawn(0.0015, draw.cover, *book)
+        thick = rng.uniform(0.022, 0.04)
+        front = drawn(0.0015, draw.cover, *book)
         faces = {
             "y-": drawn(0.0015, draw.lying_spine, *book),
             "x+": pages,
             "x-": pages,
             "y+": pages,
         }
-        size, turn = (0.24 - 0.015 * k, 0.17 - 0.01 * k, thick), (rng.uniform(-14, 14), 0, 0)
+        size = (0.24 - 0.015 * k, 0.17 - 0.01 * k, thick)
+        turn = (rng.uniform(-14, 14), 0, 0)
         solids.append(
             box(
                 (0, 0, z + thick / 2),
@@ -815,7 +843,9 @@ def book_stack(rng: np.random.Generator) -> list[Solid]:
 
 def open_book() -> list[Solid]:
     """Two facing pages."""
-    solids, size, paper = [], (0.166, 0.23, 0.016), plain(0.9, 0.88, 0.8)
+    solids = []
+    size = (0.166, 0.23, 0.016)
+    paper = plain(0.9, 0.88, 0.8)
     for side, heading in ((-1, "CHAPTER 3"), (1, "EQUATION 9")):
         page = {"z+": drawn(0.0012, draw.print_page, heading)}
         solids.append(
@@ -833,7 +863,8 @@ def open_book() -> list[Solid]:
 def laptop() -> list[Solid]:
     """An open laptop."""
     shell = plain(0.62, 0.63, 0.66)
-    keys, display = drawn(0.0015, draw.keyboard), drawn(0.0012, draw.screen)
+    keys = drawn(0.0015, draw.keyboard)
+    display = drawn(0.0012, draw.screen)
     return [
         box(
             (0, 0, 0.009),
@@ -854,7 +885,8 @@ def laptop() -> list[Solid]:
 
 def carton(size: tuple[float, float, float], text: str) -> list[Solid]:
     """A cardboard box."""
-    side, lid = drawn(0.002, draw.cardboard, text), drawn(0.003, draw.cardboard, "")
+    side = drawn(0.002, draw.cardboard, text)
+    lid = drawn(0.003, draw.cardboard, "")
     return [
         box(
             (0, 0, size[2] / 2),
@@ -868,13 +900,15 @@ def carton(size: tuple[float, float, float], text: str) -> list[Solid]:
 
 def toy_blocks() -> list[Solid]:
     """Three wooden cubes with letters, one on top of two."""
-    size, solids = (0.07, 0.07, 0.07), []
+    size = (0.07, 0.07, 0.07)
+    solids = []
     for letter, x, y, z, turn, colour in (
         ("A", -0.04, 0.0, 0.0, 12, (0.8, 0.25, 0.2)),
         ("B", 0.045, 0.015, 0.0, -18, (0.2, 0.45, 0.7)),
         ("C", 0.0, 0.005, 0.07, 5, (0.85, 0.65, 0.15)),
     ):
-        face, hidden = drawn(0.0015, draw.letter, letter, colour), "z-" if z == 0 else ""
+        face = drawn(0.0015, draw.letter, letter, colour)
+        hidden = "z-" if z == 0 else ""
         solids.append(
             box(
                 (x, y, z + 0.035),

@@ -98,7 +98,8 @@ def write_hand_held(folder: str | Path, recording: HandHeld | None = None) -> Pa
     Raises:
         FileExistsError: the folder exists. ValueError: more images than the walk has.
     """
-    made, root = recording or HandHeld(), Path(folder)
+    made = recording or HandHeld()
+    root = Path(folder)
     if not 2 <= made.n_images <= made.images_per_walk:
         raise ValueError(
             f"n_images must be between 2 and {made.images_per_walk}, got {made.n_images}"

@@ -18,8 +18,10 @@ SHELL_SOLIDS = 6
 """Number of slabs that make floor, walls and ceiling."""
 
 _SHELL_M = 1.0
-_EAST, _NORTH = 0.5 * SIZE_M[0], 0.5 * SIZE_M[1]
-_WEST, _SOUTH = -_EAST, -_NORTH
+_EAST = 0.5 * SIZE_M[0]
+_NORTH = 0.5 * SIZE_M[1]
+_WEST = -_EAST
+_SOUTH = -_NORTH
 
 
 def interior(seed: int) -> list[Solid]:
@@ -78,7 +80,8 @@ def _shell() -> list[Solid]:
 def _trim() -> list[Solid]:
     """Skirting boards, switch, sockets."""
     w, d, _ = SIZE_M
-    white, grey = plain(0.92, 0.91, 0.88), plain(0.8, 0.8, 0.78)
+    white = plain(0.92, 0.91, 0.88)
+    grey = plain(0.8, 0.8, 0.78)
     switch: list[Solid] = [
         box(
             (0, -0.006, 0),
@@ -133,9 +136,14 @@ def _trim() -> list[Solid]:
 
 def _window_side() -> list[Solid]:
     """North wall: window with sill and curtains, radiator, floor lamp, pictures in the corner."""
-    y, x, white = _NORTH, 0.2, plain(0.94, 0.94, 0.92)
-    wide, low, high = 1.7, 0.95, 2.2
-    mid, tall = (low + high) / 2, high - low
+    y = _NORTH
+    x = 0.2
+    white = plain(0.94, 0.94, 0.92)
+    wide = 1.7
+    low = 0.95
+    high = 2.2
+    mid = (low + high) / 2
+    tall = high - low
     view = {"y-": drawn(0.004, draw.landscape, glow=0.98)}
     solids = [
         box(
@@ -230,7 +238,8 @@ def _window_side() -> list[Solid]:
 
 def _sofa_side() -> list[Solid]:
     """West wall: sofa under two pictures, rug, coffee table, toys."""
-    x, z = _WEST, 0.427
+    x = _WEST
+    z = 0.427
     view = drawn(
         0.002,
         draw.framed,
@@ -298,12 +307,13 @@ def _sofa_side() -> list[Solid]:
 
 def _table_side(rng: np.random.Generator) -> list[Solid]:
     """East, in front of the brick wall: table with objects on it, chairs, lamp, pictures, plant."""
-    x, tx, ty, z = _EAST, 1.5, 0.35, 0.74
-    bowl, books, mug = (
-        f.fruit_bowl(rng),
-        f.book_stack(rng),
-        f.mug("COFFEE", (0.2, 0.3, 0.42), (0.93, 0.9, 0.82)),
-    )
+    x = _EAST
+    tx = 1.5
+    ty = 0.35
+    z = 0.74
+    bowl = f.fruit_bowl(rng)
+    books = f.book_stack(rng)
+    mug = f.mug("COFFEE", (0.2, 0.3, 0.42), (0.93, 0.9, 0.82))
     circles = drawn(
         0.002,
         draw.framed,
@@ -341,7 +351,8 @@ def _table_side(rng: np.random.Generator) -> list[Solid]:
 
 def _shelf_side(rng: np.random.Generator) -> list[Solid]:
     """South wall: bookshelf, door, clock, eye chart."""
-    white, brass = plain(0.9, 0.89, 0.85), plain(0.72, 0.58, 0.3, texel_m=0.01)
+    white = plain(0.9, 0.89, 0.85)
+    brass = plain(0.72, 0.58, 0.3, texel_m=0.01)
     door: list[Solid] = [
         box(
             (0, -0.015, 1.02),
@@ -374,7 +385,8 @@ def _shelf_side(rng: np.random.Generator) -> list[Solid]:
         0.012,
         (0.9, 0.9, 0.88),
     )
-    dial, rim = {"top": drawn(0.0018, draw.clock)}, plain(0.12, 0.12, 0.13)
+    dial = {"top": drawn(0.0018, draw.clock)}
+    rim = plain(0.12, 0.12, 0.13)
     clock = cone(
         (0, 0, 0),
         0.035,

@@ -102,7 +102,8 @@ def _box_faces(box: Box, charts: ndarray) -> list[tuple]:
         if chart < 0:
             continue
         right, up, normal = face_axes(face)
-        half_w, half_h = np.abs(right) @ box.inner, np.abs(up) @ box.inner
+        half_w = np.abs(right) @ box.inner
+        half_h = np.abs(up) @ box.inner
         centre = box.t + box.R @ (normal * box.half)
         axes = (box.R @ right, box.R @ up, box.R @ normal)
         rows.append((centre, *axes, half_w, half_h, False, chart, *box.face_size_m(face)))
@@ -136,7 +137,8 @@ def _rounded_edges(box: Box, charts: ndarray) -> list[CurvedPatch]:
             continue
         normals = np.stack([box.R[:, axis] * s[axis] for axis in range(3) if s[axis]])
         offsets = normals @ box.t + box.inner[s != 0]
-        t, r = box.t + box.R @ (s * box.inner), box.radius
+        t = box.t + box.R @ (s * box.inner)
+        r = box.radius
         shape: Frustum | Ellipsoid = Ellipsoid(
             t=t,
             R=box.R,
@@ -171,8 +173,11 @@ class RoomView:
     def __init__(
         self, flat: FlatPatches, curved: Sequence[CurvedPatch], camera: Camera, T_WC: ndarray
     ):
-        self.flat, self.curved, self.camera = flat, curved, camera
-        self.R, self.eye = T_WC[:3, :3].astype(float), T_WC[:3, 3].astype(float)
+        self.flat = flat
+        self.curved = curved
+        self.camera = camera
+        self.R = T_WC[:3, :3].astype(float)
+        self.eye = T_WC[:3, 3].astype(float)
         self.x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
         self.y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
         to_centre = flat.centre - self.eye
@@ -211,10 +216,12 @@ class RoomView:
             [v.min(1) - 1, v.max(1) + 2, u.min(1) - 1, u.max(1) + 2],
             1,
         )
-        nearest, farthest = z.min(1), z.max(1)
+        nearest = z.min(1)
+        farthest = z.max(1)
         for i in np.flatnonzero((nearest < _NEAR_M) & (farthest > _NEAR_M)):
             near = z[i] < _NEAR_M
-            p, q = corners_C[i, near][:, None], corners_C[i, ~near][None]
+            p = corners_C[i, near][:, None]
+            q = corners_C[i, ~near][None]
             s = (_NEAR_M - p[..., 2:]) / (q[..., 2:] - p[..., 2:])
             points = np.concatenate([q[0], (p + s * (q - p)).reshape(-1, 3)])
             u_i = cam.fx * points[:, 0] / points[:, 2] + cam.cx
@@ -238,7 +245,8 @@ def cast(view: RoomView) -> tuple[ndarray, ndarray]:
 
 def _cast_flat(view: RoomView, w: ndarray, patch: ndarray) -> None:
     flat = view.flat
-    right, up = flat.right * flat.half_w[:, None], flat.up * flat.half_h[:, None]
+    right = flat.right * flat.half_w[:, None]
+    up = flat.up * flat.half_h[:, None]
     corners = np.stack(
         [flat.centre + a * right + b * up for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))],
         1,
@@ -278,9 +286,13 @@ def _row_intervals(
 ) -> tuple[ndarray, ndarray]:
     """First and last pixel column inside rectangle ``i`` on each row: the four edges |A.r| <= h_w
     w, |B.r| <= h_h w."""
-    W, a, b = view.W[i], view.A[i], view.B[i]
-    half_w, half_h = view.flat.half_w[i], view.flat.half_h[i]
-    low, high = np.full(y.shape, -1e9), np.full(y.shape, 1e9)
+    W = view.W[i]
+    a = view.A[i]
+    b = view.B[i]
+    half_w = view.flat.half_w[i]
+    half_h = view.flat.half_h[i]
+    low = np.full(y.shape, -1e9)
+    high = np.full(y.shape, 1e9)
     for E in (half_w * W + a, half_w * W - a, half_h * W + b, half_h * W - b):
         rest = E[1] * y + E[2]
         if abs(E[0]) < 1e-12:
@@ -314,7 +326,9 @@ def _inside_disc(
     x: ndarray,
     y: ndarray,
 ) -> ndarray:
-    W, a, b = view.W[i], view.A[i], view.B[i]
+    W = view.W[i]
+    a = view.A[i]
+    b = view.B[i]
     aw, bw, w = (c[0] * x + c[1] * y + c[2] for c in (a, b, W))
     return aw * aw + bw * bw <= (view.flat.half_w[i] * w) ** 2
 
@@ -349,6 +363,7 @@ def _cast_curved(view: RoomView, w: ndarray, patch: ndarray) -> None:
         )
         w_here = (1.0 / piece.shape.intersect(o, d)).astype(np.float32)
         closer = w_here > w_area[rows, cols]
-        rows, cols = rows[closer], cols[closer]
+        rows = rows[closer]
+        cols = cols[closer]
         w_area[rows, cols] = w_here[closer]
         patch[row0:row1, col0:col1][rows, cols] = first + i

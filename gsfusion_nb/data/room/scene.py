@@ -300,18 +300,24 @@ def pack(
     """Place charts of the given (width, height) in rows, tallest first."""
     step = 2**LEVELS
     n = len(sizes_px)
-    x, y = np.zeros(n, int), np.zeros(n, int)
+    x = np.zeros(n, int)
+    y = np.zeros(n, int)
     order = sorted(
         range(n),
         key=lambda i: (-sizes_px[i][1], i),
     )
-    shelf_y, shelf_h, cursor = 0, 0, 0
+    shelf_y = 0
+    shelf_h = 0
+    cursor = 0
     for i in order:
         outer_w, outer_h = (-(-(s + 2 * GUTTER) // step) * step for s in sizes_px[i])
         if cursor + outer_w > WIDTH:
-            shelf_y, shelf_h, cursor = shelf_y + shelf_h, 0, 0
+            shelf_y = shelf_y + shelf_h
+            shelf_h = 0
+            cursor = 0
         shelf_h = max(shelf_h, outer_h)
-        x[i], y[i] = cursor + GUTTER, shelf_y + GUTTER
+        x[i] = cursor + GUTTER
+        y[i] = shelf_y + GUTTER
         cursor += outer_w
     w, h = np.array(sizes_px).T
     return AtlasLayout(
@@ -354,7 +360,8 @@ def with_mips(level0: ndarray) -> ndarray:
     height = level0.shape[0]
     out = np.zeros((height, WIDTH + WIDTH // 2, 3), np.uint8)
     out[:, :WIDTH] = level0
-    y, level = 0, level0
+    y = 0
+    level = level0
     for _ in range(LEVELS):
         level = cv2.resize(
             level,
@@ -451,7 +458,8 @@ def version() -> str:
 
 
 def _lay_out(solids: Sequence[Solid], charts: Sequence[Chart]) -> AtlasLayout:
-    sizes, texels = [], []
+    sizes = []
+    texels = []
     for chart in charts:
         size_m = solids[chart.solid].face_size_m(chart.face)
         w, h = (int(np.clip(round(s / chart.paint.texel_m), 4, WIDTH // 2)) for s in size_m)
@@ -500,7 +508,9 @@ def _picture(
 
 def _light_maps(solids: Sequence[Solid], charts: Sequence[Chart]) -> list[ndarray]:
     """Display-space light on a coarse raster of every chart. [h, w, 3] each"""
-    points, normals, shapes = [], [], []
+    points = []
+    normals = []
+    shapes = []
     for chart in charts:
         solid = solids[chart.solid]
         w, h = (

@@ -121,7 +121,10 @@ def _made(resolution_m: float, seed: int, cache: bool) -> dict[str, ndarray]:
 
 def _tessellate(scene: Scene, resolution_m: float) -> tuple[ndarray, ndarray, ndarray]:
     """Chart number [V], chart coordinates [V, 2] and triangles [F, 3] of all painted faces."""
-    charts, uvs, faces, count = [], [], [], 0
+    charts = []
+    uvs = []
+    faces = []
+    count = 0
     for k, chart in enumerate(scene.charts):
         size_m = scene.solids[chart.solid].face_size_m(chart.face)
         nu, nv = (max(1, int(np.ceil(s / resolution_m))) for s in size_m)
@@ -129,12 +132,16 @@ def _tessellate(scene: Scene, resolution_m: float) -> tuple[ndarray, ndarray, nd
         if wraps:
             nu = max(nu, 12)
         if chart.face in ("skin", "top", "bottom"):
-            nu, nv = max(nu, 8), max(nv, 6)
+            nu = max(nu, 8)
+            nv = max(nv, 6)
         u, v = np.meshgrid(np.arange(nu + 1) / nu, np.arange(nv + 1) / nv)
         index = np.arange((nu + 1) * (nv + 1)).reshape(nv + 1, nu + 1)
         if wraps:
             index[:, -1] = index[:, 0]
-        p00, p01, p10, p11 = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+        p00 = index[:-1, :-1]
+        p01 = index[:-1, 1:]
+        p10 = index[1:, :-1]
+        p11 = index[1:, 1:]
         quads = np.stack([p00, p10, p01, p01, p10, p11], -1).reshape(-1, 3)
         charts.append(np.full(u.size, k))
         uvs.append(np.stack([u.ravel(), v.ravel()], 1))
@@ -145,7 +152,8 @@ def _tessellate(scene: Scene, resolution_m: float) -> tuple[ndarray, ndarray, nd
 
 def _points(scene: Scene, chart: ndarray, uv: ndarray) -> tuple[ndarray, ndarray]:
     """World points and outward normals at chart coordinates."""
-    xyz, normal = np.empty((len(chart), 3)), np.empty((len(chart), 3))
+    xyz = np.empty((len(chart), 3))
+    normal = np.empty((len(chart), 3))
     order = np.argsort(chart, kind="stable")
     starts = np.flatnonzero(np.diff(chart[order], prepend=-1))
     for rows in np.split(order, starts[1:]):
@@ -157,7 +165,8 @@ def _points(scene: Scene, chart: ndarray, uv: ndarray) -> tuple[ndarray, ndarray
                 uv[rows, 0],
                 uv[rows, 1],
             )
-            xyz[rows], normal[rows] = p @ solid.R.T + solid.t, n @ solid.R.T
+            xyz[rows] = p @ solid.R.T + solid.t
+            normal[rows] = n @ solid.R.T
     return xyz, normal
 
 
@@ -180,12 +189,14 @@ def _cut(
     free = clearance(chart, uv) > 0
     n_free = free[faces].sum(1)
     whole = faces[n_free == 3]
-    one, two = _turned(faces[n_free == 1], free), _turned(faces[n_free == 2], ~free)
+    one = _turned(faces[n_free == 1], free)
+    two = _turned(faces[n_free == 2], ~free)
     # A cut triangle loses either its one odd corner or the two others.
     pairs = np.concatenate([one[:, [0, 1]], one[:, [0, 2]], two[:, [1, 0]], two[:, [2, 0]]])
     pairs, where = np.unique(pairs, axis=0, return_inverse=True)
     where = where.reshape(-1) + len(chart)
-    m, n = len(one), len(two)
+    m = len(one)
+    n = len(two)
     new_one = (where[:m], where[m : 2 * m])
     new_two = (where[2 * m : 2 * m + n], where[2 * m + n :])
     parts = [
@@ -198,17 +209,20 @@ def _cut(
         np.stack([new_two[0], two[:, 2], new_two[1]], 1),
     ]
     cut_chart = chart[pairs[:, 0]]
-    a, b = uv[pairs[:, 0]], uv[pairs[:, 1]].copy()
+    a = uv[pairs[:, 0]]
+    b = uv[pairs[:, 1]].copy()
     b[:, 0] += np.where(
         np.abs(b[:, 0] - a[:, 0]) > 0.5,
         np.sign(a[:, 0] - b[:, 0]),
         0,
     )  # the seam of a wrapped chart
-    low, high = np.zeros(len(pairs)), np.ones(len(pairs))
+    low = np.zeros(len(pairs))
+    high = np.ones(len(pairs))
     for _ in range(9):
         middle = 0.5 * (low + high)
         inside = clearance(cut_chart, a + middle[:, None] * (b - a)) > 0 if len(pairs) else low > 0
-        low, high = np.where(inside, middle, low), np.where(inside, high, middle)
+        low = np.where(inside, middle, low)
+        high = np.where(inside, high, middle)
     cut_uv = a + low[:, None] * (b - a)
     return np.concatenate([chart, cut_chart]), np.concatenate([uv, cut_uv]), np.concatenate(parts)
 
@@ -240,7 +254,8 @@ _DEPTH_UNIT_M = 1e-4
 """Stored depth counts tenths of a millimetre in uint16, up to 6.55 m: the farthest z-depth in the
 room is 6.41 m."""
 
-ROOM_DISTANCE_M, ROOM_TIME_S = 10.0, 60.0
+ROOM_DISTANCE_M = 10.0
+ROOM_TIME_S = 60.0
 """Between the rooms of a building, and between their first frames."""
 
 _IMPERFECT = {
@@ -347,8 +362,10 @@ class RoomSequence:
 
     def mesh(self) -> Mesh:
         """Ground truth of the surface, 3 cm triangles."""
-        room, device = room_mesh(0.03, seed=self.seed, cache=self.cache), torch.device("cpu")
-        n, m = len(room.vertices_W), len(room.faces)
+        room = room_mesh(0.03, seed=self.seed, cache=self.cache)
+        device = torch.device("cpu")
+        n = len(room.vertices_W)
+        m = len(room.faces)
         vertices_W, rgb = (MAP_MEMORY.rows(self.rooms * n, 3, device=device) for _ in range(2))
         faces = MAP_MEMORY.rows(
             self.rooms * m,
@@ -357,10 +374,8 @@ class RoomSequence:
             device=device,
         )
         for k, away_m in enumerate(torch.from_numpy(self._rooms_W).float()):
-            vertices_W[k * n : (k + 1) * n], rgb[k * n : (k + 1) * n] = (
-                room.vertices_W + away_m,
-                room.rgb,
-            )
+            vertices_W[k * n : (k + 1) * n] = room.vertices_W + away_m
+            rgb[k * n : (k + 1) * n] = room.rgb
             faces[k * m : (k + 1) * m] = room.faces + k * n
             MAP_MEMORY.give_back()
         return Mesh(vertices_W=vertices_W, faces=faces, rgb=rgb)
@@ -404,7 +419,8 @@ class RoomSequence:
             self._fits,
         )
         depth_m = torch.from_numpy(images["depth"].astype(np.float32) * np.float32(_DEPTH_UNIT_M))
-        rgb, lost = images["rgb"], self._without_depth(depth_m, i)
+        rgb = images["rgb"]
+        lost = self._without_depth(depth_m, i)
         if self.noise == "kinect":
             depth_m = kinect_depth(
                 depth_m, self.camera, rng=np.random.default_rng([self.seed, 3, i])
@@ -431,7 +447,8 @@ class RoomSequence:
     @property
     def _rooms_W(self) -> np.ndarray:
         """Where the rooms of the building are, world frame, metres. [rooms, 3]"""
-        room, side = np.arange(self.rooms), math.ceil(math.sqrt(self.rooms))
+        room = np.arange(self.rooms)
+        side = math.ceil(math.sqrt(self.rooms))
         return ROOM_DISTANCE_M * np.stack([room % side, room // side, 0 * room], 1)
 
     def _in_all_rooms(self, poses: np.ndarray) -> np.ndarray:

@@ -46,20 +46,21 @@ class _TextureLookup:
     """Tables of one view, one row per patch, and the lookups that use them."""
 
     def __init__(self, scene: Scene, view: RoomView):
-        self.view, self.scene = view, scene
-        flat, layout = view.flat, scene.layout
+        self.view = view
+        self.scene = scene
+        flat = view.flat
+        layout = scene.layout
         self.n_flat = len(flat.chart)
-        scale_u, scale_v = (
-            (layout.w[flat.chart] / flat.chart_w)[:, None],
-            (layout.h[flat.chart] / flat.chart_h)[:, None],
-        )
+        scale_u = (layout.w[flat.chart] / flat.chart_w)[:, None]
+        scale_v = (layout.h[flat.chart] / flat.chart_h)[:, None]
         centre_u = (layout.x + 0.5 * layout.w)[flat.chart][:, None]
         centre_v = (layout.y + 0.5 * layout.h)[flat.chart][:, None]
         forms = (view.W, centre_u * view.W + scale_u * view.A, centre_v * view.W - scale_v * view.B)
         self.w, self.u, self.v = (np.ascontiguousarray(f.T.astype(np.float32)) for f in forms)
         self.inv_texel = (1 / scene.texel_of_patch).astype(np.float32)
         cols, rows = level_offsets(layout.height)
-        self.cols, self.rows = cols - 0.5, rows - 0.5
+        self.cols = cols - 0.5
+        self.rows = rows - 0.5
         self.scales = np.float32(0.5) ** np.arange(LEVELS + 1, dtype=np.float32)
 
     def segments(self, patch: ndarray) -> list[tuple[int, ndarray]]:
@@ -67,7 +68,8 @@ class _TextureLookup:
         on_curved = np.flatnonzero(patch >= self.n_flat)
         number = (patch[on_curved] - self.n_flat).astype(np.uint16)
         order = np.argsort(number, kind="stable")
-        number, on_curved = number[order], on_curved[order]
+        number = number[order]
+        on_curved = on_curved[order]
         starts = np.flatnonzero(np.diff(number, prepend=-1))
         return [
             (int(number[s]), part)
@@ -85,11 +87,13 @@ class _TextureLookup:
         ``patch`` at 1/w, and the mip level [N]. The points between rays lie on the tangent plane
         n.P = k, where w = n.r / k."""
         row = np.minimum(patch, self.n_flat - 1)
-        wx, wy = self.w[0][row], self.w[1][row]
+        wx = self.w[0][row]
+        wy = self.w[1][row]
         parts = self.segments(patch)
         for i, at in parts:
             wx[at], wy[at] = self._tangent(i, x[at], y[at], w[at])
-        xs, ys = x + offsets[:, :1], y + offsets[:, 1:]
+        xs = x + offsets[:, :1]
+        ys = y + offsets[:, 1:]
         inv = 1.0 / np.maximum(
             w + offsets[:, :1] * wx + offsets[:, 1:] * wy,
             1e-3,
@@ -122,7 +126,8 @@ class _TextureLookup:
         y: ndarray,
         t: ndarray,
     ) -> tuple[ndarray, ndarray]:
-        piece, layout = self.view.curved[i], self.scene.layout
+        piece = self.view.curved[i]
+        layout = self.scene.layout
         o, d = self.view.local_rays(piece, x, y)
         p = o + np.stack(d, -1) * t[..., None]
         if piece.shape is not piece.solid:  # a piece of a rounded box
@@ -147,7 +152,8 @@ class _TextureLookup:
         """
         t = 1.0 / np.maximum(w, 1e-3)
         r2 = x * x + y * y + 1
-        gx, gy = wx * t, wy * t
+        gx = wx * t
+        gy = wy * t
         jx = (1 - 2 * gx * x + gx * gx * r2) / self.view.camera.fx**2
         jy = (1 - 2 * gy * y + gy * gy * r2) / self.view.camera.fy**2
         footprint = (0.5 * t * self.inv_texel[patch]) ** 2 * np.maximum(jx, jy)
@@ -167,7 +173,8 @@ class _TextureLookup:
 def _edge_pixels(patch: ndarray) -> ndarray:
     """Flat indices of pixels with a 4-neighbour on another patch."""
     edge = np.zeros(patch.shape, bool)
-    across, down = patch[:, 1:] != patch[:, :-1], patch[1:] != patch[:-1]
+    across = patch[:, 1:] != patch[:, :-1]
+    down = patch[1:] != patch[:-1]
     edge[:, 1:] |= across
     edge[:, :-1] |= across
     edge[1:] |= down
@@ -183,7 +190,8 @@ def _edge_colour(
     offsets: ndarray,
 ) -> ndarray:
     """Sum of the four points' colours on edge pixels. [E, 3] uint16"""
-    view, (H, W) = lookup.view, patches.shape
+    view = lookup.view
+    H, W = patches.shape
     row, col = np.divmod(edges, W)
     centre = patches[row, col]
     shifts = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
@@ -237,7 +245,8 @@ def _inverse_depth(
         f[row, 0, None] * x + f[row, 1, None] * y + f[row, 2, None]
         for f in (view.W, view.A, view.B)
     )
-    reach_w, reach_h = flat.half_w[row, None] * w, flat.half_h[row, None] * w
+    reach_w = flat.half_w[row, None] * w
+    reach_h = flat.half_h[row, None] * w
     inside = (np.abs(a) <= reach_w * (1 + 1e-9)) & (np.abs(b) <= reach_h * (1 + 1e-9))
     inside &= ~flat.disc[row, None] | (a * a + b * b <= reach_w**2)
     w = np.where(inside, w, -1.0)

@@ -114,7 +114,8 @@ class Box(Placed):
         # point of the chart.
         q = core + e * (self.radius / np.maximum(np.abs(main), 1e-12))
         face = 2 * axis + (main[..., 0] > 0)
-        right, up = _RIGHT[face], _UP[face]
+        right = _RIGHT[face]
+        up = _UP[face]
         u = 0.5 + 0.5 * (right * q / self.half).sum(-1)
         v = 0.5 - 0.5 * (up * q / self.half).sum(-1)
         return face, u, v
@@ -144,16 +145,21 @@ class Frustum(Placed):
     def sdf(self, p: ndarray) -> ndarray:
         """Distance in the half plane (radius, height) to the profile's two caps and its slanted
         side."""
-        rho, z, h = np.hypot(p[..., 0], p[..., 1]), p[..., 2], self.half_height
+        rho = np.hypot(p[..., 0], p[..., 1])
+        z = p[..., 2]
+        h = self.half_height
         cap_radius = np.where(z < 0, self.r_bottom, self.r_top)
-        cap_r, cap_z = np.maximum(rho - cap_radius, 0.0), np.abs(z) - h
-        dr, dz = self.r_top - self.r_bottom, 2 * h
+        cap_r = np.maximum(rho - cap_radius, 0.0)
+        cap_z = np.abs(z) - h
+        dr = self.r_top - self.r_bottom
+        dz = 2 * h
         s = np.clip(
             ((rho - self.r_bottom) * dr + (z + h) * dz) / (dr * dr + dz * dz),
             0.0,
             1.0,
         )
-        side_r, side_z = rho - self.r_bottom - s * dr, z + h - s * dz
+        side_r = rho - self.r_bottom - s * dr
+        side_z = z + h - s * dz
         d = np.sqrt(np.minimum(cap_r**2 + cap_z**2, side_r**2 + side_z**2))
         inside = (cap_z < 0) & (rho < self.r_bottom + (z + h) * self.slope)
         return np.where(inside, -d, d)
@@ -173,16 +179,19 @@ class Frustum(Placed):
     ) -> tuple[ndarray, ndarray]:
         if face != "side":
             sign, r = (-1.0, self.r_bottom) if face == "bottom" else (1.0, self.r_top)
-            x, y = 2 * u - 1, 1 - 2 * v
+            x = 2 * u - 1
+            y = 1 - 2 * v
             shrink = np.maximum(np.hypot(x, y), 1.0)  # the chart's corners lie outside the disc
             p = np.stack(
                 [sign * r * x / shrink, r * y / shrink, np.full_like(x, sign * self.half_height)],
                 -1,
             )
             return p, np.broadcast_to(np.array([0.0, 0.0, sign]), p.shape)
-        angle, z = 2 * np.pi * u, self.half_height * (1 - 2 * v)
+        angle = 2 * np.pi * u
+        z = self.half_height * (1 - 2 * v)
         r = 0.5 * (self.r_bottom + self.r_top) + self.slope * z
-        c, s = np.cos(angle), np.sin(angle)
+        c = np.cos(angle)
+        s = np.sin(angle)
         n = np.stack([c, s, np.full_like(c, -self.slope)], -1) / np.hypot(1.0, self.slope)
         return np.stack([r * c, r * s, z], -1), n
 
@@ -204,14 +213,18 @@ class Frustum(Placed):
 
         x^2 + y^2 = (rho0 + slope z)^2 with |z| <= half_height: the smaller valid root.
         """
-        rho0, slope = 0.5 * (self.r_bottom + self.r_top), self.slope
+        rho0 = 0.5 * (self.r_bottom + self.r_top)
+        slope = self.slope
         k = rho0 + slope * o[2]
         a = d[0] * d[0] + d[1] * d[1] - (slope * slope) * d[2] * d[2]
         b = o[0] * d[0] + o[1] * d[1] - (slope * k) * d[2]
         disc = b * b - a * (o[0] * o[0] + o[1] * o[1] - k * k)
         t = np.full(a.shape, np.inf)
         hit = np.flatnonzero(disc > 0)
-        a, b, dz, root = a.flat[hit], b.flat[hit], d[2].flat[hit], np.sqrt(disc.flat[hit])
+        a = a.flat[hit]
+        b = b.flat[hit]
+        dz = d[2].flat[hit]
+        root = np.sqrt(disc.flat[hit])
         a = np.where(np.abs(a) < 1e-14, 1e-14, a)
         best = np.full(hit.shape, np.inf)
         for candidate in ((-b - root) / a, (-b + root) / a):
@@ -241,7 +254,8 @@ class Ellipsoid(Placed):
         Left of the root the function is convex and decreasing, so Newton's method started there
         never passes the root (Eberly, "Distance from a point to an ellipse, an ellipsoid", 2013).
         """
-        e2, y = self.semi**2, np.abs(p)
+        e2 = self.semi**2
+        y = np.abs(p)
         if np.ptp(self.semi) == 0:
             return np.linalg.norm(p, axis=-1) - self.semi[0]
         t = (self.semi * y - e2).max(-1)
@@ -266,7 +280,8 @@ class Ellipsoid(Placed):
         u: ndarray,
         v: ndarray,
     ) -> tuple[ndarray, ndarray]:
-        lon, colat = 2 * np.pi * u, np.pi * v
+        lon = 2 * np.pi * u
+        colat = np.pi * v
         unit = np.stack(
             [np.sin(colat) * np.cos(lon), np.sin(colat) * np.sin(lon), np.cos(colat)],
             -1,
@@ -290,7 +305,8 @@ class Ellipsoid(Placed):
 
         Of the unit sphere |o + t d|^2 = 1 in units of the semi-axes, the entering root.
         """
-        o, d = o / self.semi, [c / s for c, s in zip(d, self.semi, strict=True)]
+        o = o / self.semi
+        d = [c / s for c, s in zip(d, self.semi, strict=True)]
         a = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
         b = o[0] * d[0] + o[1] * d[1] + o[2] * d[2]
         disc = b * b - a * (o @ o - 1)
@@ -377,7 +393,8 @@ def signed_distance(
         for i in np.argsort(lower):
             if lower[i] > best.max():
                 break
-            offset, reach = xyz - centres[i], (best + radii[i]).clip(min=0)
+            offset = xyz - centres[i]
+            reach = (best + radii[i]).clip(min=0)
             near = np.einsum("nk,nk->n", offset, offset) < reach * reach
             if owner is not None:
                 near &= owner[part] != i
@@ -458,7 +475,8 @@ def cone(
     **more,
 ) -> Solid:
     """A capped cone standing on ``base``: ``radii`` at the bottom and at the top."""
-    R, half = rotation(*turn), 0.5 * height
+    R = rotation(*turn)
+    half = 0.5 * height
     t = np.array(base, float) + R[:, 2] * (0.5 * height)
     return _painted(
         Frustum,
@@ -480,7 +498,8 @@ def rod(
     hide: str = "",
 ) -> Solid:
     """A cylinder from ``p`` to ``q``."""
-    start, end = np.array(p, float), np.array(q, float)
+    start = np.array(p, float)
+    end = np.array(q, float)
     length = float(np.linalg.norm(end - start))
     z = (end - start) / length
     x = np.cross(
@@ -488,7 +507,9 @@ def rod(
         z,
     )
     x /= np.linalg.norm(x)
-    t, R, half = 0.5 * (start + end), np.stack([x, np.cross(z, x), z], 1), 0.5 * length
+    t = 0.5 * (start + end)
+    R = np.stack([x, np.cross(z, x), z], 1)
+    half = 0.5 * length
     return _painted(
         Frustum,
         paint,
@@ -527,7 +548,8 @@ def placed(
     yaw_deg: int | float = 0.0,
 ) -> list[Solid]:
     """A piece of furniture rotated about z and moved; without rotation its front faces -y."""
-    R, t = rotation(yaw_deg), np.array(at, float)
+    R = rotation(yaw_deg)
+    t = np.array(at, float)
     return [
         replace(
             s,

@@ -61,8 +61,12 @@ class RealSense(LiveSource):
         warm_up: int = 30,
         timeout_s: float | int = 2.0,
     ):
-        self.width, self.height, self.fps, self.serial = width, height, fps, serial
-        self.warm_up, self.timeout_s = warm_up, timeout_s
+        self.width = width
+        self.height = height
+        self.fps = fps
+        self.serial = serial
+        self.warm_up = warm_up
+        self.timeout_s = timeout_s
         self.camera: Camera | None = None
         """Camera of the frames; known once the device is started."""
         self._stopping = threading.Event()
@@ -115,7 +119,8 @@ class RealSense(LiveSource):
                 f"this camera needs the package pyrealsense2 ({e}): pip install "
                 "'gsfusion-nb[realsense]'"
             ) from None
-        config, pipeline = rs.config(), rs.pipeline()
+        config = rs.config()
+        pipeline = rs.pipeline()
         if self.serial:
             config.enable_device(self.serial)
         config.enable_stream(
@@ -142,12 +147,14 @@ class RealSense(LiveSource):
 
     def _pairs(self, pipeline: Any) -> Iterator[tuple[Any, Any]]:
         """The driver's colour and depth frames, until the camera is stopped or lost."""
-        align, silent = self._rs.align(self._rs.stream.color), 0
+        align = self._rs.align(self._rs.stream.color)
+        silent = 0
         while not self._stopping.is_set() and not self.broke_off:
             try:
                 frames = align.process(pipeline.wait_for_frames(round(1000 * self.timeout_s)))
                 silent = 0
-                colour, depth = frames.get_color_frame(), frames.get_depth_frame()
+                colour = frames.get_color_frame()
+                depth = frames.get_depth_frame()
                 if colour and depth:
                     yield colour, depth
             except RuntimeError as e:  # the driver uses one exception class for all errors

@@ -88,12 +88,15 @@ class BackgroundFrames:
         bad: type[SequenceError] = BadFrameError,
     ):
         check_name("policy", policy, POLICIES)
-        self._waits, self._size = policy == "all", size if policy == "all" else 1
+        self._waits = policy == "all"
+        self._size = size if policy == "all" else 1
         self.n_received = 0
         """Frames that arrived, dropped ones included."""
         self.n_dropped = 0
         """Frames that were dropped."""
-        self._source, self._until, self._bad = frames, until, bad
+        self._source = frames
+        self._until = until
+        self._bad = bad
         self._waiting: deque[Frame | SequenceError] = deque()
         self._changed = threading.Condition()
         self._ended = self._closed = False
@@ -118,7 +121,8 @@ class BackgroundFrames:
             if self._closed:
                 raise StopIteration
             if not self._waiting:
-                error, self._error = self._error, None
+                error = self._error
+                self._error = None
                 raise StopIteration if error is None else error
             item = self._waiting.popleft()
             self._changed.notify_all()
@@ -143,7 +147,8 @@ class BackgroundFrames:
                 )
 
     def _work(self) -> None:
-        error, iterator = None, None
+        error = None
+        iterator = None
         try:
             iterator = iter(self._source)
             self._pass_on(iterator)
@@ -155,7 +160,8 @@ class BackgroundFrames:
         except Exception as e:
             error = error or e
         with self._changed:
-            self._ended, self._error = True, error
+            self._ended = True
+            self._error = error
             self._changed.notify_all()
 
     def _pass_on(self, frames: Iterator[Frame]) -> None:
@@ -181,7 +187,8 @@ class FramesInOrder:
     raises an error."""
 
     def __init__(self, sequence: Sequence, start: int = 0):
-        self._sequence, self._next = sequence, start
+        self._sequence = sequence
+        self._next = start
 
     def __iter__(self) -> "FramesInOrder":
         return self
@@ -242,7 +249,10 @@ class SelectedFrames:
             raise SequenceError(
                 f"{name}: data.stop must be above data.start {data.start}, or 0, got {data.stop}"
             )
-        self._source, self._data, self._name, self._first_index = frames, data, name, first_index
+        self._source = frames
+        self._data = data
+        self._name = name
+        self._first_index = first_index
         self._frames: Iterator[Frame] | None = None
         self._arrived = 0
 

@@ -69,9 +69,13 @@ class GrowingFolder(LiveSource):
             raise SequenceNotFoundError(
                 f"{self.root} is not a folder; expected one in which a recording is being written"
             )
-        self.name, self.has_poses = given_name(self.root), poses
-        self._poll_s, self._idle_s, self._patience_s = poll_s, idle_s, patience_s
-        self._stop_file, self._poses_file = self.root / stop_file, self.root / "poses.txt"
+        self.name = given_name(self.root)
+        self.has_poses = poses
+        self._poll_s = poll_s
+        self._idle_s = idle_s
+        self._patience_s = patience_s
+        self._stop_file = self.root / stop_file
+        self._poses_file = self.root / "poses.txt"
         self._stopping = threading.Event()
         self._wait = wait or self._stopping.wait
         self._values: dict[str, Any] = {}
@@ -80,7 +84,8 @@ class GrowingFolder(LiveSource):
         self._depth: dict[str, Path] = {}
         self._done: set[str] = set()
         self._last: Any = None
-        self._pose_chars, self._lines = 0, []
+        self._pose_chars = 0
+        self._lines = []
         self._line_of_name: dict[str, str] = {}
         self._ending = False
         self._idled_s = self._head_s = 0.0

@@ -68,9 +68,11 @@ def check_recording(
         else (RepairConfig(), [])
     )
     given = combined(given, DataConfig(repair=raw))
-    trials, sequence = Trials(base, given), apply_options(base, replace(given, hold_out_every=0))
+    trials = Trials(base, given)
+    sequence = apply_options(base, replace(given, hold_out_every=0))
     sample = read_sample(sequence, frames=frames)
-    pairs, posed = pairs_of(trials.mapped(sample)), getattr(base, "has_poses", True)
+    pairs = pairs_of(trials.mapped(sample))
+    posed = getattr(base, "has_poses", True)
     known = {name: value for name, value in reader_options.items() if name != "format"}
     report = CheckupReport(
         name=sample.name,
@@ -123,8 +125,10 @@ def _examine(
     codes, code_finding = clear_codes(sample.frames, getattr(trials.base, "depth_scale", None))
     if posed:
         e = explain(trials.mapped(sample), pairs)
-        first, (e, sample) = agreement_finding(e), trials.in_time(e, sample)
-        repair, graphs = e.repair, path_from_above(sample, e.interpretation)
+        first = agreement_finding(e)
+        e, sample = trials.in_time(e, sample)
+        repair = e.repair
+        graphs = path_from_above(sample, e.interpretation)
         lens = getattr(getattr(trials.base, "rectify", None), "lens", None)
         about = fit_findings(e, sample.camera, lens and lens.camera)
         over = measure_over_frames(sample, e.interpretation, e.correction)
@@ -135,12 +139,10 @@ def _examine(
         last = [jumps]
         graphs += graphs_of(over)
     else:
-        (repair, unit), graphs, piece, last = (
-            unit_finding(trials.mapped(sample), trials.base),
-            [],
-            DataConfig(),
-            [],
-        )
+        repair, unit = unit_finding(trials.mapped(sample), trials.base)
+        graphs = []
+        piece = DataConfig()
+        last = []
         about = [unit]
         text = "The recording has no poses: whatever needs them is not judged."
         first = Finding(
@@ -150,12 +152,15 @@ def _examine(
     colour, colour_findings = registration_findings(
         fit_colour(trials.mapped(sample)), sample.camera
     )
-    related, reader = colour_findings[0].verdict != "wrong" or bool(colour.changes), {}
+    related = colour_findings[0].verdict != "wrong" or bool(colour.changes)
+    reader = {}
     if hint and colour_findings[0].verdict in (
         "doubtful",
         "wrong",
     ):  # a calibration is better than a shift
-        colour, reader, related = RepairConfig(), hint, True
+        colour = RepairConfig()
+        reader = hint
+        related = True
         colour_findings[0] = replace(colour_findings[0], repair=reader_flags(hint))
     if posed and related:
         pairs = [pair for pair in pairs if sample.by_place.keys() >= {*pair}]

@@ -64,7 +64,8 @@ def fit_colour(sample: Sample) -> ColourFit | None:
     if not edges or np.mean([e.sum() for e in edges]) < _EDGES:
         return None
     plain = [colour_contrast(f.grey, e.shape) for f, e in zip(slow, edges, strict=True)]
-    transforms, speeds = _transforms(plain), [_speed(f, sample.by_place) for f in slow]
+    transforms = _transforms(plain)
+    speeds = [_speed(f, sample.by_place) for f in slow]
     spatial = _surface(edges, transforms)
     best_time, time_score, now_score = _best_time(fast, sample.by_place)
     options = [(*_scaled_peak(edges, transforms), "none")]
@@ -77,9 +78,15 @@ def fit_colour(sample: Sample) -> ColourFit | None:
     near, _, at_near = peak_of(spatial, reach=1)
     frames = 0
     if mirror == "none" and score < _BETTER * near:  # within the noise: keep as read
-        score, shift, scale = near, at_near, 1.0
+        score = near
+        shift = at_near
+        scale = 1.0
     if best_time and time_score > max(_BETTER * now_score, 0.9 * score):
-        score, shift, scale, mirror, frames = time_score, (0.0, 0.0), 1.0, "none", best_time
+        score = time_score
+        shift = (0.0, 0.0)
+        scale = 1.0
+        mirror = "none"
+        frames = best_time
     small = sample.camera.width / edges[0].shape[1]
     # a subsampled depth pixel is at the centre of its cell only if the step is odd
     offset = 0.5 if round(small) % 2 == 0 and not frames else 0.0
@@ -103,7 +110,8 @@ def _may_be_time(
 ) -> bool:
     """Whether shifts in single frames are as near to a multiple of the image's speed as to their
     median."""
-    s, v = np.array(shifts), np.array(speeds)
+    s = np.array(shifts)
+    v = np.array(speeds)
     lag = np.clip(
         (s * v).sum() / max((v * v).sum(), 1e-9),
         -0.5,
@@ -167,7 +175,8 @@ def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     found = np.zeros(depth_m.shape, bool)
     for turned, out in ((depth_m, found), (depth_m.T, found.T)):
         filled = _closed(turned)
-        a, b = filled[:, :-1], filled[:, 1:]
+        a = filled[:, :-1]
+        b = filled[:, 1:]
         known = (a > 0) & (b > 0)
         out[:, :-1] |= known & (b > a * (1 + JUMP))
         out[:, 1:] |= known & (a > b * (1 + JUMP))
@@ -239,7 +248,8 @@ def _surface(
 ) -> np.ndarray:
     """Mean contrast on the edges for every shift of the contrast images, minus the mean contrast of
     all pixels. [2R+1, 2R+1]"""
-    R, size = REACH_PX, _size(edges[0].shape)
+    R = REACH_PX
+    size = _size(edges[0].shape)
     products = [np.conj(np.fft.rfft2(E, size)) * G for E, G in zip(edges, transforms, strict=True)]
     total = np.fft.irfft2(sum(products), size)
     return np.roll(total, (R, R), (0, 1))[: 2 * R + 1, : 2 * R + 1] / max(
@@ -344,7 +354,8 @@ def registration_findings(
 ) -> tuple[RepairConfig, list[Finding]]:
     """Findings on the position of colour relative to depth, in space and in time; ``camera`` is
     that of the images."""
-    none, names = RepairConfig(), ("registration", "colour time")
+    none = RepairConfig()
+    names = ("registration", "colour time")
     if fit is None:
         text = "Cannot be known from these frames: too few depth edges to compare with colour."
         return none, [Finding(name, "unknown", text) for name in names]

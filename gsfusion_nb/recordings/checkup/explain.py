@@ -47,7 +47,8 @@ PRICE = 0.01
 """Required gain in score for each change; of two that fit equally well the simpler interpretation
 is chosen."""
 
-_ROUGH_POINTS, _FINE_POINTS = 120, 800
+_ROUGH_POINTS = 120
+_FINE_POINTS = 800
 _ROUGH_PAIRS = 10
 _KEPT = 30
 _POSES_AT_ONCE = 512
@@ -91,14 +92,16 @@ def _scored(
 ) -> list[ScoredInterpretation]:
     """Score each interpretation on the pairs, with about ``points`` points of each; the best
     first."""
-    there, camera = sample.by_place, sample.depth_camera
+    there = sample.by_place
+    camera = sample.depth_camera
     T_a = torch.stack([there[a].T_stored for a, _ in pairs])
     T_b = torch.stack([there[b].T_stored for _, b in pairs])
     relative = _relatives(T_a, T_b, interpretations)
     step = max(1, round(math.sqrt(camera.width * camera.height / points)))
     scores = []
     for i, (a, b) in enumerate(pairs):
-        xyz_a, depth_b = sparse_points(camera, there[a].depth_m, step), there[b].depth_m
+        xyz_a = sparse_points(camera, there[a].depth_m, step)
+        depth_b = there[b].depth_m
         parts = relative[:, i].split(_POSES_AT_ONCE)
         scores.append(
             torch.cat([depth_consistency(xyz_a, depth_b, camera, T_ba).score for T_ba in parts])
@@ -176,7 +179,8 @@ wrong."""
 PLAUSIBLE_DEPTH_M = (0.15, 20.0)
 
 
-_PARTS, _LEAST_PAIRS = 3, 3
+_PARTS = 3
+_LEAST_PAIRS = 3
 _INTRINSICS = ("focal length", "fx / fy", "principal point")
 """What a time offset leaves behind can look like these; in less than a window that cannot be told
 apart."""
@@ -236,7 +240,8 @@ def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation
     _, interpretation, adopted, last, data = max(followed, key=lambda f: f[0])
     contradicted = _contradicted(adopted, sample, far, interpretation)
     kept = [f for f in adopted if f.kind not in contradicted]
-    correction, units = fit.together(kept), with_units(interpretation, sample)
+    correction = fit.together(kept)
+    units = with_units(interpretation, sample)
     repaired = fit.agreement(data, correction)
     return Explanation(
         interpretation=units,
@@ -272,14 +277,18 @@ def _contradicted(
     ordered = sorted(pairs, key=sum)
     cuts = [round(k * len(ordered) / _PARTS) for k in range(_PARTS + 1)]
     parts = [ordered[a:b] for a, b in itertools.pairwise(cuts) if b - a >= _LEAST_PAIRS]
-    whole, found = fit.together(adopted), set()
+    whole = fit.together(adopted)
+    found = set()
     brief = len(sample.frames) < WINDOW and any(f.kind == "pose time" for f in adopted)
     for one in adopted if len(parts) > 1 else []:
-        kind, start = fit.KINDS[one.kind], fit.together(f for f in adopted if f is not one)
+        kind = fit.KINDS[one.kind]
+        start = fit.together(f for f in adopted if f is not one)
         if not kind.width:
             continue
         field = max(one.added, key=lambda x: abs(one.added[x]))
-        wanted, knowing, agreeing = one.added[field], 0, True
+        wanted = one.added[field]
+        knowing = 0
+        agreeing = True
         for data in (fit.FitData.of(sample, part, interpretation) for part in parts):
             cost = fit.cost_of(data, whole)
             best, spread = fit.search(

@@ -92,7 +92,8 @@ class FitData:
 
     def corrected_camera(self, c: CalibrationCorrection) -> Camera:
         """The subsampled camera with a correction."""
-        focal, aspect = math.exp(c.log_focal), math.exp(c.log_aspect)
+        focal = math.exp(c.log_focal)
+        aspect = math.exp(c.log_aspect)
         return replace(
             self.camera,
             fx=self.camera.fx * focal * aspect,
@@ -310,7 +311,8 @@ def search(
     its width."""
     is_centre = "cx_px" in kind.fields
     width = kind.width * (pixels if is_centre else 1.0)
-    best, value = start, f(start)
+    best = start
+    value = f(start)
     seen: list[tuple[float, float]] = []
     for part in (1.0, 0.25, 0.06) if is_centre else (1.0,):
         for name in kind.fields:
@@ -344,6 +346,7 @@ def _line(
             tried.append((float(x), f(replace(c, **{name: float(x)}))))
         x, least = min(tried, key=lambda t: t[1])
         if least < value:
-            c, value = replace(c, **{name: x}), least
+            c = replace(c, **{name: x})
+            value = least
         width *= 0.3
     return c, value, tried

@@ -58,7 +58,8 @@ def measure_over_frames(
 
     Without poses (``posed`` False) only the images are compared; what needs poses is NaN.
     """
-    frames, there = sample.frames, sample.by_place
+    frames = sample.frames
+    there = sample.by_place
     out = {
         name: np.full(len(frames), np.nan)
         for name in ("error", "turned_deg", "moved_m", "gain_stops")
@@ -119,12 +120,11 @@ def gains(
     With too few points that meet a depth the first two are NaN. The share is then 0 where the
     points leave the image, and NaN, not measured, where they meet pixels without depth."""
     uv_b, residual, all_known = reproject(data, correction)
-    there, residual = sample.by_place, residual.abs()
-    stops, errors, shares = (
-        np.full(len(pairs), np.nan),
-        np.full(len(pairs), np.nan),
-        np.zeros(len(pairs)),
-    )
+    there = sample.by_place
+    residual = residual.abs()
+    stops = np.full(len(pairs), np.nan)
+    errors = np.full(len(pairs), np.nan)
+    shares = np.zeros(len(pairs))
     for j, (first, second) in enumerate(pairs):
         known = all_known[j]
         if int(known.sum()) < _FEWEST_POINTS:
@@ -167,7 +167,8 @@ def _relative(values: list[float], reach: int = 5) -> np.ndarray:
     return array / np.maximum(np.array(around), 1e-6)
 
 
-STEP_STOPS, SPREAD_STOPS = 0.3, 1.0
+STEP_STOPS = 0.3
+SPREAD_STOPS = 1.0
 """Changes of brightness that are reported, log2: between neighbours (a hand-held Kinect with
 automatic exposure: 0.19 at most), and between frames up to 30 apart (the same: 0.68)."""
 FIT_STOPS = 0.15
@@ -246,10 +247,8 @@ def image_findings(
     )
     sharp = Finding("sharpness", "ok", text)
     if blurred:
-        text, flags = (
-            f"More blurred than their neighbours: frame {_list(blurred)}.",
-            RepairConfig(skip=tuple(blurred)),
-        )
+        text = f"More blurred than their neighbours: frame {_list(blurred)}."
+        flags = RepairConfig(skip=tuple(blurred))
         sharp = Finding("sharpness", "doubtful", text, flags.flags)
     moved = (over.turned_deg > STILL_DEG) | (over.moved_m > STILL_M) | (not posed)
     frozen = [int(over.number[i + 1]) for i in np.flatnonzero(over.same & moved)]

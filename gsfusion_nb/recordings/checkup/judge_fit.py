@@ -54,7 +54,8 @@ def fit_findings(
         camera: Of the frames.
         lens: Camera of the stored images, where their distortion was removed.
     """
-    r, shift = e.repair, e.repair.pose_shift_frames
+    r = e.repair
+    shift = e.repair.pose_shift_frames
     scale = f"Depth must be multiplied by {r.depth_factor:g}{_SCALES.get(r.depth_factor, '')}."
     if r.translation_factor != 1.0:
         scale = (
@@ -64,7 +65,8 @@ def fit_findings(
     side = "later" if shift > 0 else "earlier"
     late = f"A frame's depth image belongs to the pose recorded {abs(shift):.1f} frames {side}."
     if not shift:
-        rgb_ms, depth_ms = 1000 * r.pose_offset_s + 0.0, 1000 * (r.pose_offset_s + r.depth_offset_s)
+        rgb_ms = 1000 * r.pose_offset_s + 0.0
+        depth_ms = 1000 * (r.pose_offset_s + r.depth_offset_s)
         late = (
             f"Pictures were taken {rgb_ms:+.0f} ms and depth images {depth_ms:+.0f} ms after "
             "their time stamps."

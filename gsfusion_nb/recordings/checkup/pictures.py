@@ -54,7 +54,8 @@ def pictures_of(
                 first, second = (sequence[numbers.index(before[place])] for place in pair)
             except (BadFrameError, ValueError):  # the repair leaves it out
                 continue
-            i, j = first.index, second.index
+            i = first.index
+            j = second.index
             if posed:
                 title = (
                     f"Depth of frame {i} in frame {j}, {label}: difference to the depth "

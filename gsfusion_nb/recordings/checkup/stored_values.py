@@ -75,7 +75,8 @@ def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
 def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding]:
     """Finding: are the matrices rigid, or do they become so when read by columns or with the
     nearest rotation?"""
-    n, name = len(stored), "pose matrices"
+    n = len(stored)
+    name = "pose matrices"
     known = stored[torch.isfinite(stored).all(dim=(1, 2))]
     lost = n - len(known)
     if not len(known):
@@ -113,13 +114,15 @@ def _off_rotation(R: Float[Tensor, "N 3 3"]) -> Float[Tensor, " N"]:
 
 def time_stamps(source: RecordedSequence) -> list[Finding]:
     """Finding: do times increase without gaps?"""
-    name, times = "time stamps", source.timestamps_s
+    name = "time stamps"
+    times = source.timestamps_s
     if source.no_times:
         return [Finding(name, "unknown", f"There are no times: {source.no_times}.")]
     steps = [b - a for a, b in itertools.pairwise(times)]
     if not steps:
         return []
-    usual, longest = sorted(steps)[len(steps) // 2], max(steps)
+    usual = sorted(steps)[len(steps) // 2]
+    longest = max(steps)
     backward = [i for i, dt in enumerate(steps) if dt <= 0]
     gaps = sum(usual > 0 and dt > _TIME_GAP * usual for dt in steps)
     if backward:
@@ -164,7 +167,8 @@ _CODE_SHARE = 5e-4
 code."""
 _CODE_GAP = 1.3
 """A code at the far end is at least this many times the 99th percentile of the other depths."""
-_MANY_MISSING, _MOST_MISSING = 0.5, 0.85
+_MANY_MISSING = 0.5
+_MOST_MISSING = 0.85
 _LEAST_IN_RANGE = 0.25
 """Share of the depth in the range that is mapped by default; hand-held recordings of rooms have 0.9
 and more."""
@@ -188,13 +192,15 @@ def clear_codes(
             break
         end = float(values.max() if high else values.min())
         at_end = (values - end).abs() <= 1e-5 * end
-        share, others = float(at_end.float().mean()), values[~at_end]
+        share = float(at_end.float().mean())
+        others = values[~at_end]
         if share < _CODE_SHARE or not len(others):
             continue
         rest = _percentile(others, 0.99 if high else 0.01)
         if end > _CODE_GAP * rest if high else _CODE_GAP * end < rest:
             codes.append((end, high))
-            values, total = others, total + share
+            values = others
+            total = total + share
     for frame in frames:
         for value_m, _ in codes:
             coded = (frame.depth_m - value_m).abs() <= 1e-5 * value_m
@@ -215,7 +221,8 @@ def missing_finding(frames: abc.Sequence[FrameFacts], depth_factor: float = 1.0)
     """Finding: how much depth is missing, or outside of the range that is mapped after depth is
     multiplied by ``depth_factor``?"""
     shares = sorted(f.missing for f in frames)
-    middle, most = shares[len(shares) // 2], shares[-1]
+    middle = shares[len(shares) // 2]
+    most = shares[-1]
     values = torch.cat([f.depth_m[f.depth_m > 0] for f in frames])
     near, median, far = (_percentile(values, q) for q in (0.01, 0.5, 0.99))
     text = (
@@ -270,7 +277,8 @@ def unit_finding(sample: Sample, base: Sequence) -> tuple[RepairConfig, Finding]
     """Finding without poses: are the depths those of a hand-held camera in the unit as read?"""
     values = torch.cat([f.depth_m[f.depth_m > 0] for f in sample.frames]).numpy()
     scale = base.depth_scale if isinstance(base, RecordedSequence) else 1.0
-    stored, middle = values * scale, float(np.median(values)) if len(values) else math.nan
+    stored = values * scale
+    middle = float(np.median(values)) if len(values) else math.nan
     text = f"as read, the median depth is {middle:.2f} m"
     if plausible_range(scale, stored):
         text = f"The unit of depth cannot be known without poses; {text}, which is plausible."

@@ -70,7 +70,8 @@ class Trial(NamedTuple):
 def combined(first: DataConfig, second: DataConfig) -> DataConfig:
     """One correction equal to ``first`` followed by ``second``: factors are multiplied, shifts
     added, other values replaced."""
-    a, b = first.repair, second.repair
+    a = first.repair
+    b = second.repair
     changes = dict(b.changes)
     for name in ("depth_factor", "translation_factor", "rgb_scale"):
         changes[name] = getattr(a, name) * getattr(b, name)
@@ -104,7 +105,8 @@ class Trials:
     """
 
     def __init__(self, base: Sequence, given: DataConfig):
-        self.base, self._given = base, replace(given, hold_out_every=0)
+        self.base = base
+        self._given = replace(given, hold_out_every=0)
         self.pairs: list[tuple[int, int]] = []
         """Numbers of the frames that are compared."""
         self._mapped = set(apply_options(base, given).mapping.positions)
@@ -123,11 +125,9 @@ class Trials:
     ) -> Trial:
         """The trial of a repair, or of another reading ``base`` of the recording, ``among`` other
         pairs."""
-        data, base, among = (
-            combined(self._given, more),
-            base or self.base,
-            self.pairs if among is None else among,
-        )
+        data = combined(self._given, more)
+        base = base or self.base
+        among = self.pairs if among is None else among
         key = repr((data, id(base), among))
         if key not in self._known:
             sequence = apply_options(base, data)
@@ -157,10 +157,12 @@ class Trials:
         where most points agree, by the parabola through none, half and all of it. Without times
         both are as they were.
         """
-        times, late = times_of(self.base), e.repair.pose_shift_frames
+        times = times_of(self.base)
+        late = e.repair.pose_shift_frames
         if times is None or not late or self._given.repair.pose_shift_frames:
             return e, sample
-        late_s, rest = late * float(times.diff().median()), replace(e.repair, pose_shift_frames=0.0)
+        late_s = late * float(times.diff().median())
+        rest = replace(e.repair, pose_shift_frames=0.0)
 
         def offsets(share: float) -> RepairConfig:
             share = next(
@@ -198,7 +200,9 @@ class Trials:
         registers it, if that is advised."""
         left_out = {*more.repair.skip, more.start, more.stop} - {0}
         around = [(n + k - 1, n + k) for n in sorted(left_out) for k in (-1, 0, 1, 2)]
-        kept, judged, read = more, [], self.base
+        kept = more
+        judged = []
+        read = self.base
         for f in found:
             options = [
                 word.removeprefix("--data.")
@@ -211,7 +215,8 @@ class Trials:
             other = registered if f.repair.startswith("--reader") else None
             if other is not None or rest != kept:
                 among = around if {"start", "stop", "repair.skip"} & {*options} else None
-                before, after = self.of(rest, among=among), self.of(kept, other, among)
+                before = self.of(rest, among=among)
+                after = self.of(kept, other, among)
                 gained = after.gains(before)
                 if gained:
                     self.base = other or self.base
@@ -220,7 +225,8 @@ class Trials:
                         tried = f"Could not be tried: {after.beside(before)}."
                     f = replace(f, sentence=f"{f.sentence} {tried}")
                 else:
-                    kept, f = rest, _vetoed(f, options, after.beside(before))
+                    kept = rest
+                    f = _vetoed(f, options, after.beside(before))
             judged.append(f)
         if kept == DataConfig() and self.base is read:
             return judged, kept, ""

@@ -42,7 +42,8 @@ _UNITS_PER_METRE = (
 with Gaussians."""
 _AMBIGUOUS = ("depth_scale", "scale")
 """Of several programs, with several meanings."""
-_LEAST_PER_METRE, _MOST_METRES = 10.0, 0.02
+_LEAST_PER_METRE = 10.0
+_MOST_METRES = 0.02
 """A larger number is units per metre, a smaller one metres per unit (RealSense), between are
 millimetres (BOP)."""
 _POSSIBLE_M = (0.05, 200.0)
@@ -125,7 +126,9 @@ def depth_camera_beside(
     Raises:
         SequenceError: the colour camera is not at the place of the poses.
     """
-    model, T, notes = None, None, []
+    model = None
+    T = None
+    notes = []
     own_file = first_of(path, _OF_DEPTH, CALIBRATION_SUFFIXES)
     if own_file is not None:
         model = read_intrinsics(str(own_file), size)

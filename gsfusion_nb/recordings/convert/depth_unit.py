@@ -21,7 +21,9 @@ KNOWN = (1000.0, 5000.0, 10_000.0, 6553.5, 4000.0, 2000.0, 512.0, 256.0, 100.0, 
 """Units that programs write, the usual ones first: 10,000 (BOP, other tenths of a millimetre),
 6553.5 (Replica of NICE-SLAM), 4000 (Matterport3D), 512 (2D-3D-S), 256 (KITTI), centimetres and
 metres."""
-NEAREST_M, FARTHEST_MEDIAN_M, FARTHEST_M = 0.2, 5.0, 12.0
+NEAREST_M = 0.2
+FARTHEST_MEDIAN_M = 5.0
+FARTHEST_M = 12.0
 """Depths of a hand-held camera: the first percentile is not nearer, the median and the 95th
 percentile not farther."""
 NEAREST_TUM_M = 0.35
@@ -103,7 +105,8 @@ def some_depths(
     Raises:
         BadFrameError: none can be read; the reason of the first.
     """
-    found, errors = [], []
+    found = []
+    errors = []
     for i in sorted({int(i) for i in np.linspace(0, len(files) - 1, n)}):
         try:
             found.append(read_depth_file(files[i], 1.0))

@@ -26,7 +26,8 @@ from .recording import OptionNeeded, load_pair
 _GAPS = (5, 15)
 """Frames between the two of a pair."""
 _STARTS = 12
-_FEWEST_POINTS, _FEWEST_PAIRS = 30, 4
+_FEWEST_POINTS = 30
+_FEWEST_PAIRS = 4
 _RELATIVE = 0.04
 """A match is kept if its point is off by less than this share of its depth under the best affine
 motion."""
@@ -104,7 +105,8 @@ def _corners(
             "length is measured on depth that is registered to colour; give --intrinsics"
         )
     share = min(1.0, _LONG_SIDE / max(width, height))
-    w, h = round(share * width), round(share * height)
+    w = round(share * width)
+    h = round(share * height)
     frame = Frame(
         index=0,
         timestamp_s=0.0,

@@ -83,13 +83,15 @@ class FramePoses:
         """Pose of the frame at a place of the recording, or None and why there is none; float64,
         metres."""
         if self._per_frame is not None:
-            T, reason = self._per_frame.get(place), "no pose of its name"
+            T = self._per_frame.get(place)
+            reason = "no pose of its name"
             T = self._per_frame.get(frame_key(Path(frame.source).stem)) if T is None else T
             T = T if T is None or self._T_body_cam is None else T @ self._T_body_cam
         elif self.trajectory is not None:
             T, reason = self._of_trajectory(self.trajectory, frame)
         else:
-            T, reason = frame.T_WC, "no pose"
+            T = frame.T_WC
+            reason = "no pose"
         if T is None:
             return None, reason
         if not bool(torch.isfinite(T).all()):
@@ -123,7 +125,8 @@ class FramePoses:
             return options.scale
         if self.trajectory is not None or not self._recording.up_to_scale:
             return 1.0
-        scale, sentence = 1.0, "nothing to measure it on"
+        scale = 1.0
+        sentence = "nothing to measure it on"
         if self._recording.measured_scale is not None:
             scale, sentence = self._recording.measured_scale()
         self.notes.append(

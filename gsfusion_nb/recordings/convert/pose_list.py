@@ -45,14 +45,16 @@ def poses_per_frame(
         files = images_in(path, (".txt", ".npy"))
         files = [f for f in files if "pose" in f.name] or files
         values = {f.name: _numbers_of(f, what) for f in files if f.stat().st_size}
-        names, rows = [*values], [*values.values()]
+        names = [*values]
+        rows = [*values.values()]
     elif path.suffix == ".npy":
         array = read_array(path, what)
         rows = array.reshape(len(array), -1).tolist()
     else:
         rows = [words for _, words in read_words(path, what)]
         if all(len(row) == 17 and _LAST_ROW.fullmatch(" ".join(row[-4:])) for row in rows):
-            names, rows = [row[0] for row in rows], [row[1:] for row in rows]
+            names = [row[0] for row in rows]
+            rows = [row[1:] for row in rows]
         if {len(row) for row in rows} - set(_PER_FRAME):
             return None
     with parsing(path, what):

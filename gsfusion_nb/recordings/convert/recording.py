@@ -56,7 +56,9 @@ class OptionNeeded(SequenceError):
             choices: The possible answers, if they are few.
         """
         super().__init__(message)
-        self.option, self.question, self.choices = option, question, choices
+        self.option = option
+        self.question = question
+        self.choices = choices
 
 
 @dataclass(frozen=True)

@@ -28,11 +28,13 @@ from .rectifier import Rectifier
 from .trajectory import read_matrix
 
 MILLIMETRES = 1000.0
-_FINEST, _COARSEST = 20000.0, 200.0
+_FINEST = 20000.0
+_COARSEST = 200.0
 """Depth scales of a recording that are kept; others (metres, floating point) are written in
 millimetres."""
 
-_PIXELS_PER_DEPTH, _LONG_SIDE = 16, 640
+_PIXELS_PER_DEPTH = 16
+_LONG_SIDE = 640
 """Images with more colour pixels than this for each of the depth (iPhone: 56) are written with this
 long side."""
 
@@ -102,7 +104,8 @@ def convert(
         KeyError: unknown format.
     """
     options = options or ConvertOptions()
-    path, out = Path(source).expanduser(), Path(out)
+    path = Path(source).expanduser()
+    out = Path(out)
     check_name("format", format, ("auto", *FORMATS))
     with atomic_folder(out, out.with_name(f".{out.name}.partial")) as folder:
         name = detect_format(path) if format == "auto" else format
@@ -169,7 +172,9 @@ class _Conversion:
     end."""
 
     def __init__(self, recording: Recording, options: ConvertOptions, folder: Path):
-        self._recording, self._options, self._folder = recording, options, folder
+        self._recording = recording
+        self._options = options
+        self._folder = folder
         self._poses = FramePoses(recording, options)
         self._T_colour_depth = (
             read_matrix(Path(options.T_colour_depth)) if options.T_colour_depth else None
@@ -222,7 +227,8 @@ class _Conversion:
             return self._drop(
                 "no depth", _without_depth(frame.source, rectified.depth_m, self._depth_scale)
             )
-        name, lossless = f"{len(self._times):06d}", not images.encoded.startswith(b"\xff\xd8")
+        name = f"{len(self._times):06d}"
+        lossless = not images.encoded.startswith(b"\xff\xd8")
         colour = self._folder / f"rgb/{name}{'.png' if lossless else '.jpg'}"
         if rectified.encoded:
             colour.write_bytes(rectified.encoded)
@@ -315,10 +321,8 @@ class _Conversion:
         if self._rectifier is None:
             pinhole = model.fitted(width, height, frame.source).pinhole()
             h, w = images.depth_m.shape
-            size, coarse = (
-                (self._options.width, self._options.height),
-                width * height > _PIXELS_PER_DEPTH * h * w,
-            )
+            size = (self._options.width, self._options.height)
+            coarse = width * height > _PIXELS_PER_DEPTH * h * w
             if coarse and not any(size) and max(width, height) > _LONG_SIDE:
                 size = (_LONG_SIDE, 0) if width >= height else (0, _LONG_SIDE)
                 self._smaller = [
@@ -331,7 +335,8 @@ class _Conversion:
 
     def _with_depth_camera(self, frame: RecordedFrame, shape: tuple[int, ...]) -> RecordedFrame:
         """The frame with the depth camera of the options, where they give one."""
-        given, T = self._options.depth_intrinsics, self._T_colour_depth
+        given = self._options.depth_intrinsics
+        T = self._T_colour_depth
         if given == "colour":
             return dataclasses.replace(frame, depth_model=None, T_colour_depth=None)
         if given:
@@ -348,7 +353,8 @@ class _Conversion:
         trajectory = self._poses.trajectory
         if trajectory is None or not self._dropped:
             return ""
-        first, last = float(trajectory.stamps_s[0]), float(trajectory.stamps_s[-1])
+        first = float(trajectory.stamps_s[0])
+        last = float(trajectory.stamps_s[-1])
         frame = next(iter(self._recording.frames()))
         return (
             f"; the trajectory spans {first:.3f} to {last:.3f} s, the first frame is at "

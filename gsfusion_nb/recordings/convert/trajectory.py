@@ -117,10 +117,10 @@ def read_trajectory(
             poses at one time that are far apart, or a quaternion whose length is not 1.
     """
     if path.suffix == ARKIT_SUFFIX:
-        stored, frames = (
-            _rows_of_arkit(read_rows(path, 7, "time, axis times angle and translation, 7 numbers")),
-            {},
+        stored = _rows_of_arkit(
+            read_rows(path, 7, "time, axis times angle and translation, 7 numbers")
         )
+        frames = {}
     else:
         stored, frames = _table(path)
     table, notes = checked_rows(stored, path, ordered=True)
@@ -177,7 +177,8 @@ def _table(path: Path) -> tuple[Float[Tensor, "N 8"], dict[Any, float]]:
     """Rows t tx ty tz qx qy qz qw in the file's unit of time, float64, and the time of each frame
     that they name."""
     lines = read_text(path, "rows 't tx ty tz qx qy qz qw'").splitlines()
-    columns, frame_column = None, None
+    columns = None
+    frame_column = None
     rows: list[list[float]] = []
     time_of_frame: dict[Any, float] = {}
     for number, line in enumerate(lines, 1):

@@ -108,12 +108,11 @@ class gaussian_slam(MapRule):
         """The points of one mapped frame."""
         preset = PRESETS[self.preset]
         if not ctx.has_map or (self.restart and ctx.starts_submap):
-            chosen, limit = _start_of_submap(ctx, preset.submap_points), 0
+            chosen = _start_of_submap(ctx, preset.submap_points)
+            limit = 0
         else:
-            chosen, limit = (
-                unmapped_pixels(ctx, self.min_alpha, self.median_factor),
-                preset.frame_points,
-            )
+            chosen = unmapped_pixels(ctx, self.min_alpha, self.median_factor)
+            limit = preset.frame_points
         uv = ctx.pixels(chosen)
         count = round(self.share * min(len(uv), limit or len(uv)))
         seeds = pushed_back(
@@ -199,7 +198,8 @@ class game(KeyframeRule):
         memory: dict[str, Any],
     ) -> Edit | None:
         """Remove transparent Gaussians and, after the last step, stale ones."""
-        step, last = stats.step_in_frame, stats.steps_in_frame
+        step = stats.step_in_frame
+        last = stats.steps_in_frame
         if stats.stage != "online" or step not in (last // 2 + 1, last):
             return None
         keep = ctx.map.opacity >= self.min_opacity
@@ -246,7 +246,8 @@ class gs_slam(KeyframeRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The points of one keyframe."""
-        chosen, share = None, self.share * self.first_share
+        chosen = None
+        share = self.share * self.first_share
         if ctx.has_map:
             chosen = (ctx.render().alpha < self.min_alpha) | (depth_error_m(ctx) > self.depth_error)
             share = self.share

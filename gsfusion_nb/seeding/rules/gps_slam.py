@@ -94,7 +94,8 @@ class gps_slam(MapRule):
             len(row),
             int(min(self.share * len(row), self.most * chosen.numel())),
         )
-        row, column = row[drawn], column[drawn]
+        row = row[drawn]
+        column = column[drawn]
         uv = torch.stack([column, row], dim=-1) + 0.5
         seeds = ctx.seeds_at(uv, 1.0, depth_m=depth_m, opacity=self.opacity)
         most_m = (seeds.scale_m[:, 0] * self.max_radius_px).clamp(
@@ -122,7 +123,8 @@ class gps_slam(MapRule):
                 else (found.depth_m, found.normal_W)
             )
             return depth_m, self._error(ctx) > self.colour_error, normal_W
-        picture, below = ctx.over_base(), ctx.below
+        picture = ctx.over_base()
+        below = ctx.below
         error = (picture.rgb - ctx.frame.rgb).abs().mean(dim=-1)
         least = self.colour_error * (ERROR_SEEN_BEFORE if ctx.seen_before else 1.0)
         chosen = (error > least) & (picture.weight < self.max_weight)
@@ -138,10 +140,12 @@ class gps_slam(MapRule):
 
     def _error(self, ctx: SeedContext) -> Float[Tensor, "H W"]:
         """Mean absolute colour error of the picture that exists before this frame's discs."""
-        rgb, alpha = torch.zeros_like(ctx.frame.rgb), torch.zeros_like(ctx.frame.depth_m)
+        rgb = torch.zeros_like(ctx.frame.rgb)
+        alpha = torch.zeros_like(ctx.frame.depth_m)
         if ctx.has_map:
             view = ctx.render()
-            rgb, alpha = view.rgb, view.alpha
+            rgb = view.rgb
+            alpha = view.alpha
         if self.base == "tsdf":
             rgb = rgb + (1 - alpha)[..., None] * ctx.raycast().rgb
         return (rgb - ctx.frame.rgb).abs().mean(dim=-1)

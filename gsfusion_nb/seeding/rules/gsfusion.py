@@ -102,7 +102,9 @@ def uniform(
     return seeds[ctx.draw(len(seeds), round(fraction * len(seeds)))]
 
 
-SSIM_PX, SSIM_C1, SSIM_C2 = 5, 0.01**2, 0.03**2
+SSIM_PX = 5
+SSIM_C1 = 0.01**2
+SSIM_C2 = 0.03**2
 
 
 @seeding_rule
@@ -141,7 +143,8 @@ class vg_mapping(MapRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The leaves that have changed."""
-        seeds, uv = ctx.cells(), ctx.quadtree_cells().centre_uv
+        seeds = ctx.cells()
+        uv = ctx.quadtree_cells().centre_uv
         uv = uv[ctx.values_at(ctx.has_depth(), uv)]  # those of the seeds
         changed = ctx.voxel_weight(seeds.xyz_W) <= self.required_weight
         if ctx.has_map:
@@ -174,8 +177,10 @@ def similarity(
 ) -> Float[Tensor, "H W"]:
     """Structural similarity around each pixel (Wang et al. 2004), mean over the channels: 1 where
     both are equal."""
-    mean_a, mean_b = box_blur(a, SSIM_PX), box_blur(b, SSIM_PX)
-    var_a, var_b = box_blur(a * a, SSIM_PX) - mean_a**2, box_blur(b * b, SSIM_PX) - mean_b**2
+    mean_a = box_blur(a, SSIM_PX)
+    mean_b = box_blur(b, SSIM_PX)
+    var_a = box_blur(a * a, SSIM_PX) - mean_a**2
+    var_b = box_blur(b * b, SSIM_PX) - mean_b**2
     both = box_blur(a * b, SSIM_PX) - mean_a * mean_b
     light = (2 * mean_a * mean_b + SSIM_C1) / (mean_a**2 + mean_b**2 + SSIM_C1)
     return (light * (2 * both + SSIM_C2) / (var_a + var_b + SSIM_C2)).mean(dim=-1)

@@ -23,7 +23,9 @@ from ..sampling import as_discs, drawn_pixels, sized_by_neighbours
 
 PRESETS = {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}
 """Share of a keyframe's pixels; point size."""
-FIRST_SHARE, MAX_POINT_SIZE, MIN_COLOUR_SUM = 1 / 32, 0.05, 0.01
+FIRST_SHARE = 1 / 32
+MAX_POINT_SIZE = 0.05
+MIN_COLOUR_SUM = 0.01
 
 
 @trained_otherwise("isotropy in the loss, densified and pruned every 150 steps")
@@ -71,7 +73,8 @@ class monogs(KeyframeRule):
 
 LARGEST = "largest_radius_px"
 """For each row: its largest radius in a picture since the last densification."""
-SMALL_SHARE, LARGE_SHARE = 0.01, 0.1
+SMALL_SHARE = 0.01
+LARGE_SHARE = 0.1
 """3DGS: Gaussians below the first share of the extent are cloned and not split; above the second
 they are removed."""
 RESET_OPACITY = 0.4
@@ -213,7 +216,8 @@ class photo_slam(KeyframeRule):
 
 
 OPACITY = 0.999
-MIN_DEPTH_M, MAX_DEPTH_M = 0.1, 10.0
+MIN_DEPTH_M = 0.1
+MAX_DEPTH_M = 10.0
 MAX_OF_MEAN = 3.0
 
 

@@ -18,7 +18,9 @@ from ..image_features import absolute_laplacian, disc_blur, halved
 from ..rule import KeyframeRule, MapRule, StepStats, seeding_rule, trained_otherwise
 from ..sampling import sized_by_neighbours
 
-OPACITY, MIN_OPACITY, PRUNE_EVERY = 0.1, 0.005, 100
+OPACITY = 0.1
+MIN_OPACITY = 0.005
+PRUNE_EVERY = 100
 
 
 @trained_otherwise("on all pictures of a scan at once, at the depth of an Instant-NGP model")
@@ -138,7 +140,8 @@ class on_the_fly_nvs(KeyframeRule):
         """The points of one keyframe."""
         soft = halved(ctx.frame.rgb)
         P_image = self._probability(soft)
-        P, hidden = P_image, torch.zeros_like(P_image, dtype=torch.bool)
+        P = P_image
+        hidden = torch.zeros_like(P_image, dtype=torch.bool)
         if ctx.has_map:
             view = ctx.render()
             P = P_image - self._probability(view.rgb)
@@ -159,7 +162,8 @@ class on_the_fly_nvs(KeyframeRule):
 def blended_inverse_depth(ctx: SeedContext) -> Float[Tensor, "H W"]:
     """sum_k w_k / z_k of the map's Gaussians, 1/m, 0 where there is none: their picture with
     colours 1 / z. [H, W]"""
-    params, T_WC = ctx.gaussians.params, ctx.frame.T_WC
+    params = ctx.gaussians.params
+    T_WC = ctx.frame.T_WC
     z = se3.apply(se3.inverse(T_WC), params.xyz_W)[:, 2].clamp_min(
         1e-3
     )  # nearer ones are not drawn

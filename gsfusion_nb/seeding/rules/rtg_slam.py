@@ -17,10 +17,13 @@ from ..context import SeedContext
 from ..points import k_nearest, nearest_others
 from ..rule import seeding_rule, trained_otherwise
 
-NEW_AREA, DEPTH_ERROR, COLOUR_ERROR = 1, 2, 3
+NEW_AREA = 1
+DEPTH_ERROR = 2
+COLOUR_ERROR = 3
 """Tags: why a Gaussian was added."""
 
-OPAQUE_OPACITY, TRANSPARENT_OPACITY = 0.99, 0.1
+OPAQUE_OPACITY = 0.99
+TRANSPARENT_OPACITY = 0.1
 ERROR_SHARE = 0.05
 """Released code: share of the pixels with errors that is drawn, independent of the share of new
 pixels."""
@@ -135,12 +138,11 @@ def wrong_pixels(
     surface, colour = adding_masks(
         view.transmittance, seen_m, depth_m, view.rgb, ctx.frame.rgb, *limits
     )
-    surface, colour, unseen = (
-        usable & surface,
-        usable & colour,
-        view.transmittance > min_transmittance,
-    )
-    new, depth = surface & unseen, surface & ~unseen
+    surface = usable & surface
+    colour = usable & colour
+    unseen = view.transmittance > min_transmittance
+    new = surface & unseen
+    depth = surface & ~unseen
     if fidelity == "code":
         return {NEW_AREA: new, DEPTH_ERROR: depth | colour}
     return {NEW_AREA: new, DEPTH_ERROR: depth, COLOUR_ERROR: colour}
@@ -169,7 +171,8 @@ def adding_masks(
 
     Source: Peng et al. 2024, Eq. 6.
     """
-    known, unseen = depth_m > 0, transmittance > min_transmittance
+    known = depth_m > 0
+    unseen = transmittance > min_transmittance
     wrong_depth = (seen_m - depth_m).abs() > depth_error_m
     surface = known & (unseen | wrong_depth)  # RTG-SLAM Eq. 6
     colour = known & ~surface & ((seen_rgb - rgb).abs().mean(dim=-1) > colour_error)
@@ -334,7 +337,8 @@ def gaps_around(
     M = len(xyz_W)
     if M == 0:
         return Gaps(gap_m=xyz_W.new_zeros(0, neighbours))
-    low, high = xyz_W.amin(0) - BORDER_M, xyz_W.amax(0) + BORDER_M
+    low = xyz_W.amin(0) - BORDER_M
+    high = xyz_W.amax(0) + BORDER_M
     near = (
         torch.ones(len(neighbour_xyz_W), dtype=torch.bool, device=xyz_W.device)
         if counted is None

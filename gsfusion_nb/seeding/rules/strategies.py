@@ -112,15 +112,14 @@ class default_strategy(MapRule):
         memory: dict[str, Any],
     ) -> Edit | None:
         """Refine or reset, where it is time."""
-        step, last = stats.step - 1, memory.get("step", -1)  # gsplat counts from 0
+        step = stats.step - 1  # gsplat counts from 0
+        last = memory.get("step", -1)
         memory["step"] = step
         if step >= self.refine_stop_iter:
             return None
         if self.refine_scale2d_stop_iter > 0:
-            side, radius = (
-                max(stats.camera.width, stats.camera.height),
-                ctx.gaussians.row_memory(RADIUS),
-            )
+            side = max(stats.camera.width, stats.camera.height)
+            radius = ctx.gaussians.row_memory(RADIUS)
             assert stats.radius_px is not None
             torch.maximum(radius, stats.radius_px / side, out=radius)
         refines = (
@@ -140,10 +139,13 @@ class default_strategy(MapRule):
     def _refined(self, ctx: SeedContext, step: int) -> dict[str, Tensor | bool]:
         """Which rows are copied, split and removed."""
         gradient = (abs_image_gradient if self.absgrad else image_gradient)(ctx.gaussians)
-        size, scene = ctx.map.scale_m.amax(dim=1), self._scene_m(ctx)
+        size = ctx.map.scale_m.amax(dim=1)
+        scene = self._scene_m(ctx)
         assert gradient is not None
-        wanted, small = gradient > self.grow_grad2d, size <= self.grow_scale3d * scene
-        clone, split = wanted & small, wanted & ~small
+        wanted = gradient > self.grow_grad2d
+        small = size <= self.grow_scale3d * scene
+        clone = wanted & small
+        split = wanted & ~small
         if step < self.refine_scale2d_stop_iter:
             split = split | (ctx.gaussians.row_memory(RADIUS) > self.grow_scale2d)
             clone = clone & ~split
@@ -262,7 +264,8 @@ class mcmc(MapRule):
         memory: dict[str, Any],
     ) -> Edit | None:
         """A random motion of all; and move and add some, where it is time."""
-        step, last = stats.step - 1, memory.get("step", -1)  # gsplat counts from 0
+        step = stats.step - 1  # gsplat counts from 0
+        last = memory.get("step", -1)
         memory["step"] = step
         if not len(ctx.map):
             return None
@@ -291,7 +294,8 @@ class mcmc(MapRule):
     def _moved_and_added(self, ctx: SeedContext) -> dict[str, Any]:
         opacity = ctx.map.opacity.clone()
         dead = opacity <= self.min_opacity
-        moved, alive = dead.nonzero()[:, 0], (~dead).nonzero()[:, 0]
+        moved = dead.nonzero()[:, 0]
+        alive = (~dead).nonzero()[:, 0]
         edit: dict[str, Any] = {}
         if len(moved) and len(alive):
             target = alive[self._drawn(ctx, opacity[alive], len(moved))]

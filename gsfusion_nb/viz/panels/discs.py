@@ -34,7 +34,8 @@ STAGE_CAMERA = Camera(
 NEAR_M = 1.2
 """The right edge of the front board is at x = 0 and this far away, metres."""
 MID_AIR_M = 0.03
-_HALF_M, _ROWS_M = 0.7, 0.8
+_HALF_M = 0.7
+_ROWS_M = 0.8
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,7 +82,8 @@ def disc_scene(
         spacing_m: Distance of neighbouring discs, metres.
         opaque_alpha: A ray hits a disc where its alpha is at least this.
     """
-    camera, T_WC = STAGE_CAMERA, torch.eye(4)
+    camera = STAGE_CAMERA
+    T_WC = torch.eye(4)
     lean = np.radians(float(lean_deg))
     front = _board(
         lean,
@@ -178,11 +180,14 @@ def disc_scene_plan(scene: DiscScene, width: int, height: int = 300) -> Picture:
     """The scene from above, the camera below: discs near the middle row, the depths of its rays as
     points."""
     figure, (axes,) = card_figure(width, height)
-    far, camera = _far_m(scene), STAGE_CAMERA
+    far = _far_m(scene)
+    camera = STAGE_CAMERA
     x_over_z = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-    R, scales = quaternion.to_matrix(scene.params.quat), scene.params.log_scale.exp()
+    R = quaternion.to_matrix(scene.params.quat)
+    scales = scene.params.log_scale.exp()
     near = scene.params.xyz_W[:, 1].abs() < 0.6 * float(scales.max())
-    centre, side = scene.params.xyz_W[near], R[near, :, 0] * scales[near, :1]
+    centre = scene.params.xyz_W[near]
+    side = R[near, :, 0] * scales[near, :1]
     ends = torch.stack([centre - side, centre + side])[..., [0, 2]].numpy()
     axes.plot(
         ends[..., 0],
@@ -298,7 +303,8 @@ def _truth(
 ) -> Float[Tensor, "H W"]:
     """z-depth of the boards: the front one is between x = -0.7 cos(lean) and 0 if there is a
     wall."""
-    board, wall = planes[0], planes[-1]
+    board = planes[0]
+    wall = planes[-1]
     x_m = (torch.arange(camera.width) + 0.5 - camera.cx) / camera.fx * board
     on_board = (board > 0) & (x_m <= 0) & (x_m >= -_HALF_M * float(np.cos(lean)))
     return torch.where(on_board, torch.minimum(board, wall), wall)
@@ -333,7 +339,8 @@ def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
         frame: The new frame.
     """
 
-    photo, rendered = to_uint8(frame.colour), to_uint8(view.rgb)
+    photo = to_uint8(frame.colour)
+    rendered = to_uint8(view.rgb)
 
     def draw(*, min_transmittance: float, depth_error_m: float, colour_error: float) -> Drawn:
         masks = masks_by_cause(view, frame, min_transmittance, depth_error_m, colour_error)
@@ -342,7 +349,8 @@ def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
             3,
             axis=-1,
         )
-        count, rows = Markup('<span class="gsnb-adding-{}">{:,} pixels</span>'), []
+        count = Markup('<span class="gsnb-adding-{}">{:,} pixels</span>')
+        rows = []
         for cause, mask in masks.items():
             share = f"{float(mask.float().mean()):.1%}"
             rows.append((CAUSES[cause][0], count.format(cause, int(mask.sum())), share))

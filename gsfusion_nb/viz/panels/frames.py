@@ -58,7 +58,8 @@ def point_view(
     picture = torch.zeros(target.height * target.width, 3, dtype=torch.uint8)
     for dx in range(point_px):
         for dy in range(point_px):
-            i, j = corner[:, 0] + dx, corner[:, 1] + dy
+            i = corner[:, 0] + dx
+            j = corner[:, 1] + dy
             inside = ((i >= 0) & (i < target.width) & (j >= 0) & (j < target.height)).nonzero()[
                 :, 0
             ]
@@ -256,7 +257,8 @@ def repair_panel(sequence: Sequence, first: int, second: int) -> Panel:
             rgb_shift_y_px=float(down_px),
         )
         mended = repaired(sequence, repair)
-        a, b = mended[first], mended[second]
+        a = mended[first]
+        b = mended[second]
         found = depth_agreement(a, b, step=2)
         parts = [
             resize_to_height(np.asarray(p), _HEIGHT_PX)

@@ -113,10 +113,12 @@ def gaussian_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], row: int) -
     Raises:
         ValueError: there is no such row, or it is not in the picture.
     """
-    p, camera = splats.projection, splats.camera
+    p = splats.projection
+    camera = splats.camera
     if not 0 <= row < len(p.depth_m):
         raise ValueError(f"row must be 0..{len(p.depth_m) - 1}, got {row}")
-    low, high = p.uv[row] - p.extent_px[row], p.uv[row] + p.extent_px[row]
+    low = p.uv[row] - p.extent_px[row]
+    high = p.uv[row] + p.extent_px[row]
     size = low.new_tensor([camera.width, camera.height])
     first = (low - 0.5).ceil().clamp(min=0).minimum(size)
     last = (high - 0.5).floor().minimum(size - 1)
@@ -204,7 +206,8 @@ def pixel_gradient_table(gradient: PixelGradient, unit: float | int) -> str:
     return stacks.numbers_table(heads, lines, n=len(s))
 
 
-MORE, LESS = "#1a7f37", "#c62828"
+MORE = "#1a7f37"
+LESS = "#c62828"
 """Green: gradient descent makes the Gaussian more opaque there; red: less."""
 _SHOWN = 8
 
@@ -246,7 +249,8 @@ def gaussian_gradient_picture(
     thick one is their sum, not to the same scale.
     """
     centre = splats.projection.uv[gradient.row].double().numpy()
-    uv, push = gradient.uv.double().numpy(), -gradient.v_uv.double().numpy()
+    uv = gradient.uv.double().numpy()
+    push = -gradient.v_uv.double().numpy()
     reach = min(
         max(float(np.abs(uv - centre).max(initial=4.0)) + 2, 5),
         60,

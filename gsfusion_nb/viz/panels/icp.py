@@ -31,8 +31,10 @@ RESIDUAL_M = 0.03
 """Point-to-plane distance at the end of the colour scale."""
 ROWS = 270
 """Height of the two pictures of the panel, pixels."""
-_REJECTED, _OUTSIDE = (70, 74, 82), (24, 24, 28)
-SUCCESS_M, SUCCESS_DEG = 0.02, 1.0
+_REJECTED = (70, 74, 82)
+_OUTSIDE = (24, 24, 28)
+SUCCESS_M = 0.02
+SUCCESS_DEG = 1.0
 """An alignment that ends closer than this to the true pose has succeeded."""
 
 
@@ -245,7 +247,8 @@ def basin_picture(
         vmax=1,
         edgecolor=CARD,
     )
-    x, y = (0, C // 2, C - 1), (0, R // 2, R - 1)
+    x = (0, C // 2, C - 1)
+    y = (0, R // 2, R - 1)
     axes.set_xticks([j + 0.5 for j in x], [f"{sideways_m[j] * 100:+.0f} cm" for j in x])
     axes.set_yticks([i + 0.5 for i in y], [f"{turns_deg[i]:+.0f}°" for i in y])
     style(

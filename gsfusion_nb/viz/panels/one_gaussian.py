@@ -43,7 +43,8 @@ def gaussian_row(
 def orientation_from_angles(turn_deg: float | int, lean_deg: float | int) -> Float[Tensor, "4"]:
     """Orientation: ``turn_deg`` about the viewing axis z after ``lean_deg`` about the vertical axis
     y."""
-    turn, lean = math.radians(turn_deg) / 2, math.radians(lean_deg) / 2
+    turn = math.radians(turn_deg) / 2
+    lean = math.radians(lean_deg) / 2
     about_z = torch.tensor([math.cos(turn), 0.0, 0.0, math.sin(turn)])
     about_y = torch.tensor([math.cos(lean), 0.0, math.sin(lean), 0.0])
     return quaternion.multiply(about_z, about_y)
@@ -77,10 +78,8 @@ def projection_picture(
         markersize=1.5,
     )
     if bool(splats.projection.visible[0]):
-        ring, centre = (
-            outlines(splats, torch.tensor([0]))[0],
-            splats.projection.uv[0].double().numpy(),
-        )
+        ring = outlines(splats, torch.tensor([0]))[0]
+        centre = splats.projection.uv[0].double().numpy()
         for k in (1, 2):
             axes.plot(
                 *(centre + k * (ring - centre)).T,
@@ -97,7 +96,9 @@ def projection_caption(splats: Splats) -> str:
         return "<b>not drawn</b>: nearer than the near plane, or too faint"
     A, B, C = p.conic[0].double().tolist()
     det = A * C - B * B
-    uu, uv, vv = C / det, -B / det, A / det
+    uu = C / det
+    uv = -B / det
+    vv = A / det
     n = len(tile_intersections(p, splats.camera).gaussian)
     return (
         f"cov<sub>2D</sub> = [{uu:.1f} {uv:.1f}; {uv:.1f} {vv:.1f}] px²<br>centre "
@@ -173,7 +174,8 @@ def _ball_normals(size: int) -> tuple[Tensor, Tensor]:
     i = (torch.arange(size) + 0.5 - size / 2) / (0.44 * size)
     y, x = torch.meshgrid(i, i, indexing="ij")
     inside = (x * x + y * y < 1).flatten()
-    x, y = x.flatten()[inside], y.flatten()[inside]
+    x = x.flatten()[inside]
+    y = y.flatten()[inside]
     return torch.stack(
         [x, y, -(1 - x * x - y * y).sqrt()],
         -1,
@@ -284,11 +286,14 @@ def gaussian_handles(
     """Middle and ends of the two axes in the enlarged picture, pixels; of a leaning axis without
     the perspective."""
     x, y, z = (float(values[k]) for k in ("x_m", "y_m", "z_m"))
-    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    turn, thick = math.radians(values["turn_deg"]), values["thick_m"]
+    u = camera.fx * x / z + camera.cx
+    v = camera.fy * y / z + camera.cy
+    turn = math.radians(values["turn_deg"])
+    thick = values["thick_m"]
     long = values["long_m"] * math.cos(math.radians(values["lean_deg"]))
     ends = {"long": (long, 0.0), "thick": (0.0, thick), "middle": (0.0, 0.0)}
-    c, s = math.cos(turn) / z, math.sin(turn) / z
+    c = math.cos(turn) / z
+    s = math.sin(turn) / z
     places = {
         name: (u + camera.fx * (c * a - s * b), v + camera.fy * (s * a + c * b))
         for name, (a, b) in ends.items()
@@ -301,7 +306,8 @@ def touch_gaussian(
 ) -> dict[str, float]:
     """What a drag changes: the place, or the length of an axis and for the long one its direction
     too."""
-    (du, dv), z = stroke.moved, values["z_m"]
+    du, dv = stroke.moved
+    z = values["z_m"]
     handles = gaussian_handles(values, camera, zoom)
     held = nearest_handle(handles, stroke.start)
     if held is None:
@@ -311,8 +317,10 @@ def touch_gaussian(
             "x_m": values["x_m"] + du * z / camera.fx / zoom,
             "y_m": values["y_m"] + dv * z / camera.fy / zoom,
         }
-    (u, v), (mid_u, mid_v) = handles[held], handles["middle"]
-    dx, dy = (u + du - mid_u) * z / camera.fx / zoom, (v + dv - mid_v) * z / camera.fy / zoom
+    u, v = handles[held]
+    mid_u, mid_v = handles["middle"]
+    dx = (u + du - mid_u) * z / camera.fx / zoom
+    dy = (v + dv - mid_v) * z / camera.fy / zoom
     if held == "thick":
         turn = math.radians(values["turn_deg"])
         return {"thick_m": abs(dy * math.cos(turn) - dx * math.sin(turn))}

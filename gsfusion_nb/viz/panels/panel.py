@@ -97,10 +97,14 @@ class Panel(LiveOutput):
         touch: Touch | None = None,
     ):
         self.draw = draw
-        self.name, self.kind, self.text = name, kind, text
+        self.name = name
+        self.kind = kind
+        self.text = text
         self.lock = threading.RLock()
         self._quiet = False
-        self._touch, self._stroke, self._grabbed = touch, 0, dict[str, Any]()
+        self._touch = touch
+        self._stroke = 0
+        self._grabbed = dict[str, Any]()
         self._picture: Picture = np.full((1, 1, 3), 255, np.uint8)
         self._build(controls, dict(buttons or {}))
         self.redraw()
@@ -219,7 +223,8 @@ class Panel(LiveOutput):
     def _touched(self, stroke: Stroke) -> None:
         with self.lock:
             if stroke.number != self._stroke:
-                self._stroke, self._grabbed = stroke.number, self.values
+                self._stroke = stroke.number
+                self._grabbed = self.values
             if self._touch is not None:
                 try:
                     changed = self._touch(stroke, self._grabbed)

@@ -58,7 +58,8 @@ class PixelMicroscope(Panel):
         image: Picture,
         pixel: tuple[int, int] | None,
     ) -> None:
-        self.splats, self.rendered = splats, image
+        self.splats = splats
+        self.rendered = image
         camera = splats.camera
         super().__init__(
             self._draw,
@@ -205,7 +206,8 @@ def pixel_mix(splats: Splats, below: BaseView, u: int, v: int) -> PixelMix:
     Raises:
         ValueError: the pixel is not in the picture.
     """
-    p, base = splats.projection, below.base
+    p = splats.projection
+    base = below.base
     row, alpha = stacks.reaching(splats, u, v)
     w = not_behind(
         alpha[:, None],
@@ -215,7 +217,8 @@ def pixel_mix(splats: Splats, below: BaseView, u: int, v: int) -> PixelMix:
     )[:, 0]
     order = w.argsort(descending=True, stable=True)[: int((w > 0).sum())]
     hidden = len(row) - len(order)
-    row, w = row[order], w[order]
+    row = row[order]
+    w = w[order]
     return PixelMix(
         u=u,
         v=v,

@@ -90,7 +90,8 @@ def blend_at(splats: Splats, uv: Float[Tensor, "P 2"]) -> Blend:
     Differentiable: no.
     """
     p = splats.projection
-    low, high = uv.amin(0) - p.extent_px, uv.amax(0) + p.extent_px
+    low = uv.amin(0) - p.extent_px
+    high = uv.amax(0) + p.extent_px
     near = p.visible & (p.uv >= low).all(1) & (p.uv <= high).all(1)
     row = near.nonzero().squeeze(1)
     row = row[p.depth_m[row].argsort(stable=True)]
@@ -234,7 +235,8 @@ class PixelStack:
             )
             for k, wc in enumerate(self.contribution[:TABLE_ROWS])
         ]
-        left, weight = f"left {self.light_left:.3f}", f"{self.weight.sum():.3f}"
+        left = f"left {self.light_left:.3f}"
+        weight = f"{self.weight.sum():.3f}"
         total = ("", "sum", "", "", left, weight, swatch(self.colour), rgb_text(self.colour))
         return numbers_table(heads, lines, total, n=len(self))
 
@@ -289,7 +291,8 @@ def numbers_table(
     total."""
     last = [tuple(Markup("<b>{}</b>").format(x) for x in total)] if total else []
     foot = f"and {n - TABLE_ROWS} more Gaussians" if n > TABLE_ROWS else ""
-    style, cells = "font-size:12px", "text-align:right;padding:1px 8px;line-height:1.35"
+    style = "font-size:12px"
+    cells = "text-align:right;padding:1px 8px;line-height:1.35"
     return html_table(
         [*lines, *last],
         heads=heads,
@@ -315,7 +318,8 @@ def rgb_text(rgb: Tensor) -> str:
     return " ".join(f"{float(x):.3f}" for x in rgb)
 
 
-INK, CROSS = "#1c2430", "#ffd200"
+INK = "#1c2430"
+CROSS = "#ffd200"
 """Lines in pictures, and the mark at the chosen pixel."""
 
 
@@ -346,7 +350,8 @@ def weights_graph(
         gridspec_kw={"height_ratios": (7, *[1] * len(strips))},
     )
     style(bars, title=title, ink=CARD_INK)
-    at, colours = np.arange(len(rgb)), rgb.clamp(0, 1).numpy()
+    at = np.arange(len(rgb))
+    colours = rgb.clamp(0, 1).numpy()
     if alpha is not None:
         bars.bar(at, alpha.numpy(), 0.9, color=colours, alpha=0.35)
     bars.bar(
@@ -414,7 +419,8 @@ def lens_figure(
     each side."""
     from matplotlib.patches import Rectangle
 
-    (u, v), r = pixel, radius_px
+    u, v = pixel
+    r = radius_px
     figure, axes = image_figure(
         image,
         (size, size),
@@ -488,7 +494,9 @@ def with_cross(image: AnyImage, u: int, v: int, height: int) -> Picture:
 def draw_cross(picture: Picture, at: tuple[float, float]) -> Picture:
     """A copy of the picture with a small cross around a point (u, v), pixels, open in the
     middle."""
-    image, (x, y) = picture.copy(), (round(at[0] - 0.5), round(at[1] - 0.5))
+    image = picture.copy()
+    x = round(at[0] - 0.5)
+    y = round(at[1] - 0.5)
     for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
         inner, outer = ((x + r * dx, y + r * dy) for r in (4, 12))
         cv2.line(image, inner, outer, (0, 0, 0), 4)
@@ -514,7 +522,8 @@ def ellipse_picture(splats: Splats, height: int) -> Picture:
         splats: The Gaussians on the screen.
         height: Of the picture, pixels.
     """
-    p, camera = splats.projection, splats.camera
+    p = splats.projection
+    camera = splats.camera
     zoom = height / camera.height
     view = np.full(
         (height, round(camera.width * zoom), 3),

@@ -87,9 +87,11 @@ def cell_means(rgb_u8: UInt8[Tensor, "H W 3"], cells: Cells) -> UInt8[Tensor, "H
 
 def _discs(photo: Picture, cells: Cells) -> Picture:
     picture = np.zeros_like(photo)
-    centres, radii = cells.centre_uv.tolist(), cells.half_diagonal_px.tolist()
+    centres = cells.centre_uv.tolist()
+    radii = cells.half_diagonal_px.tolist()
     for k in cells.half_diagonal_px.argsort(descending=True).tolist():  # the largest first
-        (u, v), radius = centres[k], radii[k]
+        u, v = centres[k]
+        radius = radii[k]
         ink = photo[int(v), int(u)].tolist()  # OpenCV's pixel centres are whole numbers
         cv2.circle(
             picture,
@@ -181,11 +183,9 @@ def rule_controls(
     Raises:
         KeyError: no such rule, or ``ranges`` names no option of it.
     """
-    options, words, ranges = (
-        seeding.rule_options(rule),
-        seeding.rule_choices(rule),
-        dict(ranges or {}),
-    )
+    options = seeding.rule_options(rule)
+    words = seeding.rule_choices(rule)
+    ranges = dict(ranges or {})
     unknown = sorted(set(ranges) - set(options))
     if unknown:
         raise KeyError(

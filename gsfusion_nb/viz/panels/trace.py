@@ -125,7 +125,8 @@ class TracePanel(Panel):
         if len(what) != 1 or not what.keys() <= {"gaussian", "id", "voxel"}:
             raise ValueError(f"give one of gaussian, id and voxel, got {sorted(what) or 'none'}")
         if "voxel" in what:
-            story, name = self.trace.voxel(*what["voxel"]), f"voxel {what['voxel']}"
+            story = self.trace.voxel(*what["voxel"])
+            name = f"voxel {what['voxel']}"
         else:
             story = self.trace.gaussian(what.get("gaussian"), id=what.get("id"))
             name = f"Gaussian {story.id}"
@@ -141,7 +142,8 @@ class TracePanel(Panel):
                 self._show_error(error)
 
     def _draw(self, moment: int, follows: str) -> Drawn:
-        now, n = self.story.moments[moment], len(self.story.moments)
+        now = self.story.moments[moment]
+        n = len(self.story.moments)
         place, code = now.source_line()
         head = Markup("<b>{}</b>, {} of {}: {}").format(
             self.name_of_story, moment + 1, n, now.title

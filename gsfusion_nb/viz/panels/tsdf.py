@@ -22,10 +22,14 @@ from .panel import Choice, Drawn, Panel, Point, Slider, Switch, draw_handles, ne
 LEGENDS = {"distance": "; red behind, blue free", "weight": "; dark 1, bright 20", "colour": ""}
 QUANTITIES = tuple(LEGENDS)
 """What a slice can show."""
-X_M, Y_M, PX_PER_M = (-2.6, 2.6), (-2.1, 2.1), 60
+X_M = (-2.6, 2.6)
+Y_M = (-2.1, 2.1)
+PX_PER_M = 60
 """Usual extent of a slice, metres, and its scale, pixels per metre."""
 
-_BEHIND, _ZERO, _FREE = (178, 34, 52), (255, 255, 255), (44, 98, 168)
+_BEHIND = (178, 34, 52)
+_ZERO = (255, 255, 255)
+_FREE = (44, 98, 168)
 _UNSEEN = (58, 78)
 """Grey levels of the stripes where no voxel was observed."""
 _CAMERA = (255, 140, 0)

@@ -75,8 +75,10 @@ def record_pixel(
         ValueError: the pixel is outside the image, or no Gaussian reaches it.
     """
     splats = project_splats(params, camera, T_WC)
-    p, (rows, _) = splats.projection, reaching(splats, *pixel)
-    uv, rows = p.uv - p.uv.new_tensor(pixel), rows[p.depth_m[rows].argsort(stable=True)]
+    p = splats.projection
+    rows, _ = reaching(splats, *pixel)
+    uv = p.uv - p.uv.new_tensor(pixel)
+    rows = rows[p.depth_m[rows].argsort(stable=True)]
     if not len(rows):
         raise ValueError(f"no Gaussian reaches pixel {pixel}")
     one = dataclasses.replace(
@@ -134,18 +136,20 @@ def compositing_stepper(
     """
     run = record_pixel(params, camera, T_WC, pixel)
     lines = run.recording
-    alphas, behinds = (
-        lines.at("return torch.where(alpha >= ALPHA_MIN")[0],
-        lines.at("T_behind = (1 - alpha).cumprod")[0],
-    )
-    weights, end = lines.at("torch.where(T_behind >=")[0], lines.at("C[y, x] = blend")[0]
+    alphas = lines.at("return torch.where(alpha >= ALPHA_MIN")[0]
+    behinds = lines.at("T_behind = (1 - alpha).cumprod")[0]
+    weights = lines.at("torch.where(T_behind >=")[0]
+    end = lines.at("C[y, x] = blend")[0]
     sigma, alpha = (
         alphas[name][:, 0] if name == "sigma" else alphas["return"][:, 0]
         for name in ("sigma", "alpha")
     )
-    T, behind, w = weights["T"][:, 0], behinds["T_behind"][:, 0], weights[WEIGHTS][:, 0]
+    T = weights["T"][:, 0]
+    behind = behinds["T_behind"][:, 0]
+    w = weights[WEIGHTS][:, 0]
     K = shown(w)
-    steps, colour = [], torch.zeros(3)
+    steps = []
+    colour = torch.zeros(3)
     for k in range(K):
         scene = {"k": k, "alpha": alpha[: k + 1], "w": w[:k], "T": T[:k], "colour": colour}
         who = f"Gaussian {k + 1} of {len(w)}, row {int(run.row[k])}"
@@ -233,10 +237,8 @@ def _bars(axes: Any, height: Tensor, rgb: Tensor, **how: Any) -> None:
 
 
 def _forward_picture(figure: "Figure", scene: dict[str, Any], rgb: Tensor) -> None:
-    axes, corner = (
-        figure.add_axes((0.11, 0.13, 0.70, 0.79)),
-        figure.add_axes((0.84, 0.13, 0.13, 0.17)),
-    )
+    axes = figure.add_axes((0.11, 0.13, 0.70, 0.79))
+    corner = figure.add_axes((0.84, 0.13, 0.13, 0.17))
     style(axes, x="Gaussian, nearest first", y="w, alpha, T", title="alpha, weight, and T (red)")
     style(corner, title="colour")
     corner.imshow(
@@ -287,15 +289,12 @@ def compositing_gradient_stepper(
     """
     run = record_pixel(params, camera, T_WC, pixel, v_rgb)
     lines = run.recording
-    dot, sums = lines.at("c_dot_v = c @ v_C.T")[0], lines.at("S = _sum_behind")[0]
-    slope, colours = (
-        lines.at("v_alpha_k = torch.where(moves")[0],
-        lines.at("return v_alpha_k, w @ v_C")[0],
-    )
-    opacities, centres = (
-        lines.at("v_opacity = (v_alpha * alpha)")[0],
-        lines.at("v_uv = -torch.stack")[0],
-    )
+    dot = lines.at("c_dot_v = c @ v_C.T")[0]
+    sums = lines.at("S = _sum_behind")[0]
+    slope = lines.at("v_alpha_k = torch.where(moves")[0]
+    colours = lines.at("return v_alpha_k, w @ v_C")[0]
+    opacities = lines.at("v_opacity = (v_alpha * alpha)")[0]
+    centres = lines.at("v_uv = -torch.stack")[0]
     T, w, c_dot_v, S, v_alpha = (
         slope[name][:, 0] for name in ("T", "w", "c_dot_v", "S", "v_alpha_k")
     )
@@ -360,10 +359,8 @@ def _backward_picture(
     most: float,
     words: str,
 ) -> None:
-    above, below = (
-        figure.add_axes((0.15, 0.60, 0.82, 0.32)),
-        figure.add_axes((0.15, 0.13, 0.82, 0.38)),
-    )
+    above = figure.add_axes((0.15, 0.60, 0.82, 0.32))
+    below = figure.add_axes((0.15, 0.13, 0.82, 0.38))
     style(above, y="weight", title=words)
     style(below, x="Gaussian, nearest first", y="dL/dalpha")
     _bars(above, w, rgb, width=0.7)

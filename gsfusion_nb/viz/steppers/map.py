@@ -22,7 +22,8 @@ from .stepper import Step, Stepper, text_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RELEASED, STD = "V * (H * W) / QUADTREE_NORMALISER", "V**0.5 / 255"
+RELEASED = "V * (H * W) / QUADTREE_NORMALISER"
+STD = "V**0.5 / 255"
 """The two contrasts, as the code writes them."""
 QUADTREE_WATCH = {
     quadtree: {
@@ -78,8 +79,10 @@ def _quadtree_steps(recording: Recording) -> list[Step]:
     leaves: list[tuple[int, ...]] = []
     waiting = 1
     for look in sorted(looks, key=lambda line: line.call):
-        cell, waiting = tuple(look[name] for name in ("x0", "y0", "w", "h")), waiting - 1
-        is_cut, end = look[RETURNED], ends[look.call]
+        cell = tuple(look[name] for name in ("x0", "y0", "w", "h"))
+        waiting = waiting - 1
+        is_cut = look[RETURNED]
+        end = ends[look.call]
         scene = {"cell": cell, "leaves": tuple(leaves), "cut": False}
         steps.append(
             Step(
@@ -129,7 +132,8 @@ def _seen(look: Line, level: int) -> str:
 
 
 def _numbers(look: Line) -> list[tuple[str, str]]:
-    w, h = look["w"], look["h"]
+    w = look["w"]
+    h = look["h"]
     halves = ("half its size", f"{w // 2} x {h // 2}, must be above {look['min_cell_px']}")
     if "V" not in look.values:
         return [halves]
@@ -163,7 +167,8 @@ def _quadtree_picture(figure: "Figure", scene: dict[str, Any], photo: Picture) -
         )
     if scene["cut"]:
         x0, y0, w, h = scene["cell"]
-        x, y = x0 + w // 2, y0 + h // 2
+        x = x0 + w // 2
+        y = y0 + h // 2
         axes.plot(
             [x, x],
             [y0, y0 + h],
@@ -292,7 +297,8 @@ def _of_opacity(recording: Recording, part: str) -> list[Line]:
 
 def _lengths(recording: Recording) -> list[float]:
     """Length of each step of the last row that there is, in learning rates."""
-    before, after = _of_opacity(recording, "m = beta1 *"), _of_opacity(recording, "param.copy_(")
+    before = _of_opacity(recording, "m = beta1 *")
+    after = _of_opacity(recording, "param.copy_(")
     return [
         float((b["param"] - a["param"]).abs()[-1] / a["lr"])
         for a, b in zip(before, after, strict=True)
@@ -302,7 +308,8 @@ def _lengths(recording: Recording) -> list[float]:
 def _adam_steps(recording: Recording, rows: int, adam_steps: Count) -> list[Step]:
     steps: list[Step] = []
     history: list[list[tuple[int, float, float]]] = [[] for _ in range(rows)]
-    now, start = 0, torch.zeros(0)
+    now = 0
+    start = torch.zeros(0)
     counting = "steps = t - model.birth_step" if adam_steps == "per_row" else "steps: int"
     for line in recording:
         scene = {"history": [tuple(h) for h in history], "step": now}
@@ -317,7 +324,8 @@ def _adam_steps(recording: Recording, rows: int, adam_steps: Count) -> list[Step
             steps.append(Step(line, "What the bias correction counts.", numbers, scene))
         elif line.function == "adam_update" and line["param"].ndim == 1:
             if line.text.startswith("m = beta1"):
-                start, now = line["param"], now + 1
+                start = line["param"]
+                now = now + 1
             elif line.text.startswith("param.copy_"):
                 moved = (line["param"] - start) / line["lr"]
                 for k, by in enumerate(moved.tolist()):
@@ -378,16 +386,12 @@ def _adam_picture(
     others: dict[str, list[float]],
     before: int,
 ) -> None:
-    above, below = (
-        figure.add_axes((0.12, 0.57, 0.86, 0.36)),
-        figure.add_axes((0.12, 0.12, 0.86, 0.36)),
-    )
+    above = figure.add_axes((0.12, 0.57, 0.86, 0.36))
+    below = figure.add_axes((0.12, 0.12, 0.86, 0.36))
     style(above, y="lr", title="length of each step, in learning rates (orange: the new row)")
     style(below, x="step", y="lr", title="how far each row has moved")
-    count, moved = (
-        len(last[0]),
-        [sum(by for _, _, by in row[: k + 1]) for row in last for k in range(len(row))],
-    )
+    count = len(last[0])
+    moved = [sum(by for _, _, by in row[: k + 1]) for row in last for k in range(len(row))]
     above.set_ylim(
         0,
         1.15

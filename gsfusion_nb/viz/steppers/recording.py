@@ -139,7 +139,8 @@ class _Recorder:
             except NameError:  # not yet defined
                 continue
         first, last = statement(code.co_filename, self._pending[frame])
-        path, call = Path(code.co_filename), self._number[frame]
+        path = Path(code.co_filename)
+        call = self._number[frame]
         line = Line(
             function=code.co_name,
             call=call,

@@ -96,7 +96,8 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
             label=label,
             width=size[0],
         )
-        self.steps, self._draw = tuple(steps), draw
+        self.steps = tuple(steps)
+        self._draw = draw
         self._lock = threading.RLock()  # the page's messages may be handled in another thread
         self._figure = Figure(
             figsize=(size[0] / 100, size[1] / 100),
@@ -192,7 +193,8 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
 def code_html(line: Line) -> str:
     """The lines around the one that runs, which is marked."""
     text = file_lines(line.path)
-    first, last = line.first, line.last
+    first = line.first
+    last = line.last
     while first > max(1, line.first - _AROUND) and not text[first - 1].startswith("def "):
         first -= 1
     while last < min(len(text), line.last + _AROUND) and text[last : last + 2] != ("", ""):

@@ -94,7 +94,8 @@ def icp_stepper(
 
 def _some_pixels(found: Line, count: int) -> list[tuple[int, int]]:
     """Evenly spaced inliers, and a pixel that meets the surface but is refused."""
-    inliers, refused = found["inlier"].nonzero(), (found["overlap"] & ~found["inlier"]).nonzero()
+    inliers = found["inlier"].nonzero()
+    refused = (found["overlap"] & ~found["inlier"]).nonzero()
     n = count - bool(len(refused))
     chosen = [inliers[int((k + 0.5) * len(inliers) / n)] for k in range(n)]
     chosen += [refused[len(refused) // 2]] if len(refused) else []
@@ -111,19 +112,15 @@ def _residuals(recording: Recording, nth: int) -> np.ndarray:
 
 
 def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
-    moved, falls = (
-        recording.at("xyz = se3.apply(T, depth_to_points")[0],
-        recording.at("column = u.where")[0],
-    )
-    partner, gate = (
-        recording.at("surface_normal = surface.normal_W")[0],
-        recording.at("inlier = overlap &")[0],
-    )
-    r_line, J_line = (
-        recording.at("r = ((xyz - surface_xyz)")[0],
-        recording.at("J = torch.cat([surface_normal")[0],
-    )
-    p, q, n = moved["xyz"][at], partner["surface_xyz"][at], partner["surface_normal"][at]
+    moved = recording.at("xyz = se3.apply(T, depth_to_points")[0]
+    falls = recording.at("column = u.where")[0]
+    partner = recording.at("surface_normal = surface.normal_W")[0]
+    gate = recording.at("inlier = overlap &")[0]
+    r_line = recording.at("r = ((xyz - surface_xyz)")[0]
+    J_line = recording.at("J = torch.cat([surface_normal")[0]
+    p = moved["xyz"][at]
+    q = partner["surface_xyz"][at]
+    n = partner["surface_normal"][at]
     scene = {
         "residual": _residuals(recording, 0),
         "pixel": at,
@@ -173,7 +170,8 @@ def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
     )
     if inlier:
         index = int(gate["inlier"].flatten()[: at[0] * gate["inlier"].shape[1] + at[1]].sum())
-        r, J = r_line["r"][index], J_line["J"][index]
+        r = r_line["r"][index]
+        J = J_line["J"][index]
         title = "Only the distance to the plane of q counts."
         steps.append(Step(r_line, title, [("r = (p − q) . n", f"{1000 * float(r):.2f} mm")], whole))
         rows = [("n", text_of(J[:3], 3)), ("p x n", text_of(J[3:], 3))]
@@ -184,12 +182,12 @@ def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
 
 
 def _sums(recording: Recording) -> list[Step]:
-    system, solve = recording.at("return IcpSystem(")[0], recording.at("y = -directions")[0]
-    H, b = system["return"].H, system["return"].b
-    step, poses = (
-        recording.at("step = _step(")[0]["step"],
-        recording.at("T_WC = se3.translate(next_pose(")[0],
-    )
+    system = recording.at("return IcpSystem(")[0]
+    solve = recording.at("y = -directions")[0]
+    H = system["return"].H
+    b = system["return"].b
+    step = recording.at("step = _step(")[0]["step"]
+    poses = recording.at("T_WC = se3.translate(next_pose(")[0]
     scene = {
         "residual": _residuals(recording, 0),
         "pixel": None,
@@ -227,7 +225,8 @@ def _sums(recording: Recording) -> list[Step]:
         )
     )
     last = recording.at("return IcpResult(")[0]
-    before, after = recording.at("system, joined = rows.at(level,")[0]["system"], last["system"]
+    before = recording.at("system, joined = rows.at(level,")[0]["system"]
+    after = last["system"]
     rows = [
         ("rms before", f"{1000 * before.rms_m:.2f} mm, {before.n_inliers} pairs"),
         ("rms after", f"{1000 * after.rms_m:.2f} mm, {after.n_inliers} pairs"),
@@ -240,10 +239,8 @@ def _sums(recording: Recording) -> list[Step]:
 
 def _icp_picture(figure: "Figure", scene: dict[str, Any]) -> None:
     left = figure.add_axes((0.01, 0.30, 0.57, 0.60))
-    sketch, matrix = (
-        figure.add_axes((0.63, 0.52, 0.35, 0.40)),
-        figure.add_axes((0.66, 0.03, 0.32, 0.36)),
-    )
+    sketch = figure.add_axes((0.63, 0.52, 0.35, 0.40))
+    matrix = figure.add_axes((0.66, 0.03, 0.32, 0.36))
     style(left, title=f"residual, ±{1000 * RESIDUAL_M:.0f} mm (red −, blue +)")
     style(sketch, title="p, q and the plane of q")
     style(matrix, title="H (blue +, red −)")
@@ -451,10 +448,8 @@ def _system(recording: Recording, edges: list[Edge]) -> list[Step]:
 
 
 def _update(recording: Recording) -> list[Step]:
-    solve, move = (
-        _first(recording, "xi = torch.from_numpy(splu("),
-        _first(recording, "return torch.cat([T_WC[:1]"),
-    )
+    solve = _first(recording, "xi = torch.from_numpy(splu(")
+    move = _first(recording, "return torch.cat([T_WC[:1]")
     before = _first(recording, "error = graph.robust_error(e, robust)")
     after = _first(recording, "after = graph.robust_error(there[0], robust)")
     last = [line for line in recording.at("H = H + torch.sparse_coo_tensor(") if line.call == 0][-1]
@@ -491,19 +486,20 @@ def _graph_picture(
     edges: list[Edge],
     every: Tensor,
 ) -> None:
-    left, right = (
-        figure.add_axes((0.13, 0.15, 0.47, 0.75)),
-        figure.add_axes((0.66, 0.30, 0.32, 0.48)),
-    )
+    left = figure.add_axes((0.13, 0.15, 0.47, 0.75))
+    right = figure.add_axes((0.66, 0.30, 0.32, 0.48))
     style(left, x="x, m", y="y, m", title="cameras from above")
     style(right, title="blocks of H")
-    low, high = every.amin(0), every.amax(0)
-    (x, y), half = ((low + high) / 2).tolist(), 0.7 * float((high - low).max().clamp_min(0.1))
+    low = every.amin(0)
+    high = every.amax(0)
+    x, y = ((low + high) / 2).tolist()
+    half = 0.7 * float((high - low).max().clamp_min(0.1))
     left.set(
         xlim=(x - half, x + half),
         ylim=(y - half, y + half),
     )
-    K, at = len(start), scene["T_WC"][:, :2, 3].numpy()
+    K = len(start)
+    at = scene["T_WC"][:, :2, 3].numpy()
     left.plot(
         *start[:, :2, 3].numpy().T,
         "o",

@@ -155,9 +155,11 @@ def _of_cell(
 ) -> list[Step]:
     values = recording.at("weight = volume.W.view(-1)")[0]
     usable = recording.at("usable = ((corner")[0]
-    cased, listed = recording.at("case = ((D <")[0], recording.at("cube, nth = ")[0]
+    cased = recording.at("case = ((D <")[0]
+    listed = recording.at("cube, nth = ")[0]
     edged = recording.at("axis, lower = ")[0]
-    D, case = values["D"][row], int(cased["case"][row])
+    D = values["D"][row]
+    case = int(cased["case"][row])
     mine = (listed["cube"] == row).nonzero().squeeze(1)
     edges = [
         list(
@@ -237,12 +239,11 @@ def _of_cell(
 def _of_vertices(
     recording: Recording, start: Voxel, voxel_m: float, scene: dict[str, Any]
 ) -> list[Step]:
-    joined, crossing = (
-        recording.at("edges, numbers = triangles.unique")[0],
-        recording.at("t = (D0 / (D0 - D1))")[0],
-    )
+    joined = recording.at("edges, numbers = triangles.unique")[0]
+    crossing = recording.at("t = (D0 / (D0 - D1))")[0]
     placed = recording.at("xyz_W = zero_crossing(")[0]
-    faces, n = joined["numbers"], len(joined["edges"])
+    faces = joined["numbers"]
+    n = len(joined["edges"])
     ends = 3 * len(faces)
     numbers = [
         ("triangles", str(len(faces))),
@@ -286,7 +287,8 @@ def _flat(xyz: np.ndarray | Int[Tensor, "N 3"]) -> np.ndarray:
 def _cell_picture(figure: "Figure", scene: dict[str, Any], cells: int) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
 
-    axes, now = figure.add_axes((0.01, 0.01, 0.98, 0.98)), scene["cell"]
+    axes = figure.add_axes((0.01, 0.01, 0.98, 0.98))
+    now = scene["cell"]
     axes.set_axis_off()
     axes.set(
         aspect="equal",
@@ -413,7 +415,9 @@ def raycast_stepper(
 
 
 def _march(recording: Recording) -> list[Step]:
-    steps, z_met, D_met = [], [], []
+    steps = []
+    z_met = []
+    D_met = []
     looks = [
         line for line in recording if line.function == "_distance_at" and "return" in line.values
     ]
@@ -421,12 +425,12 @@ def _march(recording: Recording) -> list[Step]:
     turns = recording.at("leaves = ")
     advances = recording.at("step = torch.where")
     for look, sample, turn, advance in zip(looks, samples, turns, advances, strict=True):
-        z, D = float(sample["z"]), float(sample["D"])
-        known, voxel = (
-            bool(sample["allocated"]),
-            tuple(look["volume.voxel_index(point_W)"][0].tolist()),
-        )
-        z_met, D_met = [*z_met, z], [*D_met, D]
+        z = float(sample["z"])
+        D = float(sample["D"])
+        known = bool(sample["allocated"])
+        voxel = tuple(look["volume.voxel_index(point_W)"][0].tolist())
+        z_met = [*z_met, z]
+        D_met = [*D_met, D]
         scene = {"z": z, "z_met": z_met, "D_met": D_met, "next": None, "bracket": None}
         W = float(look["volume.W.view(-1)[voxel]"]) if known else 0.0
         numbers = [
@@ -459,7 +463,8 @@ def _march(recording: Recording) -> list[Step]:
                 Step(turn, f"D changes {where} is between these two samples.", signs, scene)
             )
             break
-        step, at = float(advance["step"]), scene | {"next": z + float(advance["step"])}
+        step = float(advance["step"])
+        at = scene | {"next": z + float(advance["step"])}
         how = (
             "0.7 of the stored distance, at least one voxel"
             if known
@@ -478,7 +483,8 @@ def _interpolate(recording: Recording) -> list[Step]:
         line for line in recording if line.text.startswith("z = z0 + (z1 - z0)") and len(line["z"])
     ]
     last = recording.at("D, allocated = _distance_at")
-    z_met, D_met = [float(s["z"]) for s in last], [float(s["D"]) for s in last]
+    z_met = [float(s["z"]) for s in last]
+    D_met = [float(s["D"]) for s in last]
     steps = []
     for k, line in enumerate(lines):
         z0, z1, D0, D1 = (float(line[name]) for name in ("z0", "z1", "D0", "D1"))
@@ -506,10 +512,12 @@ def _plane(
 ) -> dict[str, Any]:
     """D in the plane of the ray and the camera's y axis: the image and its extent."""
     ray_C = rays(one, torch.tensor([0.5, 0.5]))
-    z, y = torch.linspace(0, far_m, 450), torch.linspace(-half_m, half_m, 100)
+    z = torch.linspace(0, far_m, 450)
+    y = torch.linspace(-half_m, half_m, 100)
     points_C = z[None, :, None] * ray_C + y[:, None, None] * torch.tensor([0.0, 1.0, 0.0])
     found = volume.sample_nearest(se3.apply(T_WC.float(), points_C).view(-1, 3).to(volume.device))
-    D, W = found.D.view(100, 450).cpu().numpy(), found.W.view(100, 450).cpu().numpy()
+    D = found.D.view(100, 450).cpu().numpy()
+    W = found.W.view(100, 450).cpu().numpy()
     ground = np.where(W > 0, 255, 0).astype(np.uint8)[..., None]
     return {
         "X": np.concatenate([distance_colours(D), ground], axis=2),
@@ -522,16 +530,17 @@ def _ray_picture(
     scene: dict[str, Any],
     plane: dict[str, Any],
 ) -> None:
-    above, below = (
-        figure.add_axes((0.12, 0.66, 0.86, 0.28)),
-        figure.add_axes((0.12, 0.13, 0.86, 0.43)),
-    )
+    above = figure.add_axes((0.12, 0.66, 0.86, 0.28))
+    below = figure.add_axes((0.12, 0.13, 0.86, 0.43))
     above.imshow(**plane, aspect="auto", interpolation="nearest")
     style(above, title="D in a plane through the ray (red −, blue +)")
     style(below, x="depth z, m", y="D")
     above.set_yticks([])
-    orange, red = PALETTE[1], PALETTE[3]
-    z, bracket, met = scene["z"], scene["bracket"], np.array(scene["D_met"])
+    orange = PALETTE[1]
+    red = PALETTE[3]
+    z = scene["z"]
+    bracket = scene["bracket"]
+    met = np.array(scene["D_met"])
     D = 0.0 if bracket else met[-1]
     for axes, height in ((above, 0), (below, 1)):
         axes.axhline(0, color=BETWEEN, linewidth=0.8)

@@ -65,7 +65,8 @@ def start(
 
 @functools.cache
 def _function(operation: str, stem: str, kernel: str, index: int) -> ctypes.c_void_p:
-    driver, function = library(), ctypes.c_void_p()
+    driver = library()
+    function = ctypes.c_void_p()
     found = driver.cuModuleGetFunction(
         ctypes.byref(function), _module(operation, stem, index), kernel.encode()
     )
@@ -75,7 +76,8 @@ def _function(operation: str, stem: str, kernel: str, index: int) -> ctypes.c_vo
 
 @functools.cache
 def _module(operation: str, stem: str, index: int) -> ctypes.c_void_p:
-    driver, module = library(), ctypes.c_void_p()
+    driver = library()
+    module = ctypes.c_void_p()
     image = compile_source(stem, torch.cuda.get_device_capability(index))
     status = driver.cuModuleLoadData(ctypes.byref(module), image)
     if status and status != _OUT_OF_MEMORY:
@@ -113,7 +115,8 @@ def _enter_context(operation: str, driver: ctypes.CDLL, index: int) -> None:
 
 
 def _device(index: int) -> int:
-    device, driver = ctypes.c_int(), library()
+    device = ctypes.c_int()
+    driver = library()
     _check("cuDeviceGet", driver, driver.cuDeviceGet(ctypes.byref(device), index))
     return device.value
 

@@ -138,7 +138,8 @@ def _fetch(
 
 
 def _architecture(nvrtc: ctypes.CDLL, capability: tuple[int, int]) -> str:
-    wanted, count = 10 * capability[0] + capability[1], ctypes.c_int()
+    wanted = 10 * capability[0] + capability[1]
+    count = ctypes.c_int()
     _check(nvrtc, "NVRTC", nvrtc.nvrtcGetNumSupportedArchs(ctypes.byref(count)))
     known = (ctypes.c_int * count.value)()
     _check(nvrtc, "NVRTC", nvrtc.nvrtcGetSupportedArchs(known))
@@ -154,7 +155,8 @@ def _architecture(nvrtc: ctypes.CDLL, capability: tuple[int, int]) -> str:
 
 
 def _version(nvrtc: ctypes.CDLL) -> tuple[int, int]:
-    major, minor = ctypes.c_int(), ctypes.c_int()
+    major = ctypes.c_int()
+    minor = ctypes.c_int()
     _check(nvrtc, "NVRTC", nvrtc.nvrtcVersion(ctypes.byref(major), ctypes.byref(minor)))
     return major.value, minor.value
 

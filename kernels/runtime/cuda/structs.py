@@ -39,9 +39,11 @@ class Signature:
         self._groups = [
             [field[0] for field in getattr(kind, "_fields_", ())] for _, kind in declared
         ]
-        layout, end = "=", 0
+        layout = "="
+        end = 0
         for offset, code, size in _leaves(everything, 0):
-            layout, end = f"{layout}{offset - end}x{code}", offset + size
+            layout = f"{layout}{offset - end}x{code}"
+            end = offset + size
         self._format = struct.Struct(layout)
         self._pointers = ctypes.c_void_p * len(declared)
 

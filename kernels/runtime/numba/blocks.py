@@ -17,12 +17,11 @@ def blocks_in_view(
 ) -> np.ndarray:
     """Rows of the blocks in view up to a depth: whose bounding sphere, larger by ``more_m``, meets
     it. int32"""
-    met, coords, side = (
-        np.zeros(volume.n_blocks, np.bool_),
-        volume.block_coords.numpy(),
-        volume.block_size_m,
-    )
-    radius, size = 0.5 * side * math.sqrt(3.0) + more_m, (camera.height, camera.width)
+    met = np.zeros(volume.n_blocks, np.bool_)
+    coords = volume.block_coords.numpy()
+    side = volume.block_size_m
+    radius = 0.5 * side * math.sqrt(3.0) + more_m
+    size = (camera.height, camera.width)
     with parallel_chunksize(
         16
     ):  # blocks in view were mostly made together, so halves of all are not even
@@ -37,19 +36,22 @@ def _meet(coords, boxes, T_CW, lens, size, end, side, radius, met):
     """Set ``met`` for the blocks whose sphere meets the view; those of a box are looked at only if
     its sphere does."""
     for box in prange(len(boxes)):
-        low, high = boxes[box, 0], boxes[box, 1]
-        x, y, z = (
-            0.5 * (low[0] + high[0] + 1),
-            0.5 * (low[1] + high[1] + 1),
-            0.5 * (low[2] + high[2] + 1),
-        )
-        dx, dy, dz = high[0] - low[0], high[1] - low[1], high[2] - low[2]
+        low = boxes[box, 0]
+        high = boxes[box, 1]
+        x = 0.5 * (low[0] + high[0] + 1)
+        y = 0.5 * (low[1] + high[1] + 1)
+        z = 0.5 * (low[2] + high[2] + 1)
+        dx = high[0] - low[0]
+        dy = high[1] - low[1]
+        dz = high[2] - low[2]
         around = radius + 0.5 * side * math.sqrt(dx * dx + dy * dy + dz * dz)
         if _meets_view(
             side * x, side * y, side * z, T_CW, lens, size, end, 1.001 * around
         ):  # for rounding
             for b in range(box * BLOCKS_IN_BOX, min(len(met), (box + 1) * BLOCKS_IN_BOX)):
-                x, y, z = coords[b, 0] + 0.5, coords[b, 1] + 0.5, coords[b, 2] + 0.5
+                x = coords[b, 0] + 0.5
+                y = coords[b, 1] + 0.5
+                z = coords[b, 2] + 0.5
                 met[b] = _meets_view(side * x, side * y, side * z, T_CW, lens, size, end, radius)
 
 
@@ -57,16 +59,17 @@ def _meet(coords, boxes, T_CW, lens, size, end, side, radius, met):
 def _meets_view(X, Y, Z, T_CW, lens, size, end, radius):
     """Whether a sphere meets the view up to a depth."""
     height, width = size
-    fx, fy, cx, cy = lens.fx, lens.fy, lens.cx, lens.cy
+    fx = lens.fx
+    fy = lens.fy
+    cx = lens.cx
+    cy = lens.cy
     z = T_CW[2, 0] * X + T_CW[2, 1] * Y + T_CW[2, 2] * Z + T_CW[2, 3]
     if z < -radius or z > end + radius:
         return False
     x = T_CW[0, 0] * X + T_CW[0, 1] * Y + T_CW[0, 2] * Z + T_CW[0, 3]
     y = T_CW[1, 0] * X + T_CW[1, 1] * Y + T_CW[1, 2] * Z + T_CW[1, 3]
-    slope_u, slope_v = (
-        math.sqrt(fx * fx + max(cx, width - cx) ** 2),
-        math.sqrt(fy * fy + max(cy, height - cy) ** 2),
-    )
+    slope_u = math.sqrt(fx * fx + max(cx, width - cx) ** 2)
+    slope_v = math.sqrt(fy * fy + max(cy, height - cy) ** 2)
     aside = min(fx * x + cx * z, (width - cx) * z - fx * x)
     above = min(fy * y + cy * z, (height - cy) * z - fy * y)
     return aside >= -radius * slope_u and above >= -radius * slope_v

@@ -49,26 +49,36 @@ def solve_into(H, b, x):
 def turn_about_camera(T, xi):
     """Replace the pose T [3, 4] by that after a twist about its camera along the world's axes,
     translation first."""
-    a, b, c = xi[3], xi[4], xi[5]
+    a = xi[3]
+    b = xi[4]
+    c = xi[5]
     t2 = a * a + b * b + c * c
     if t2 < SMALL:
-        A, B, C = (
-            1.0 - t2 / 6.0 + t2 * t2 / 120.0,
-            0.5 - t2 / 24.0 + t2 * t2 / 720.0,
-            1.0 / 6.0 - t2 / 120.0,
-        )
+        A = 1.0 - t2 / 6.0 + t2 * t2 / 120.0
+        B = 0.5 - t2 / 24.0 + t2 * t2 / 720.0
+        C = 1.0 / 6.0 - t2 / 120.0
         C += t2 * t2 / 5040.0
     else:
         t = np.sqrt(t2)
-        A, B, C = np.sin(t) / t, (1.0 - np.cos(t)) / t2, (t - np.sin(t)) / (t2 * t)
+        A = np.sin(t) / t
+        B = (1.0 - np.cos(t)) / t2
+        C = (t - np.sin(t)) / (t2 * t)
     for k in range(3):  # R v = v + A w x v + B w x (w x v)
-        x, y, z = T[0, k], T[1, k], T[2, k]
-        p, q, r = b * z - c * y, c * x - a * z, a * y - b * x
+        x = T[0, k]
+        y = T[1, k]
+        z = T[2, k]
+        p = b * z - c * y
+        q = c * x - a * z
+        r = a * y - b * x
         T[0, k] = x + A * p + B * (b * r - c * q)
         T[1, k] = y + A * q + B * (c * p - a * r)
         T[2, k] = z + A * r + B * (a * q - b * p)
-    x, y, z = xi[0], xi[1], xi[2]
-    p, q, r = b * z - c * y, c * x - a * z, a * y - b * x
+    x = xi[0]
+    y = xi[1]
+    z = xi[2]
+    p = b * z - c * y
+    q = c * x - a * z
+    r = a * y - b * x
     T[0, 3] += x + B * p + C * (b * r - c * q)
     T[1, 3] += y + B * q + C * (c * p - a * r)
     T[2, 3] += z + B * r + C * (a * q - b * p)

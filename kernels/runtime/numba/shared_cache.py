@@ -41,7 +41,8 @@ this process."""
 def imported_files(module: str) -> tuple[Path, ...]:
     """The files of a module of kernels, of all kernels that it imports, and of what these import
     from plain modules."""
-    found, todo = set(), [module]
+    found = set()
+    todo = [module]
     while todo:
         name = todo.pop()
         path = Path(getattr(sys.modules.get(name), "__file__", None) or "")

@@ -20,8 +20,12 @@ from numba.core.extending import intrinsic, overload, register_model
 
 LANES = 16
 
-_FLOAT, _INT, _BYTE, _WIDE = ir.FloatType(), ir.IntType(32), ir.IntType(8), ir.IntType(64)
-_FLOATS, _INTS = ir.VectorType(_FLOAT, LANES), ir.VectorType(_INT, LANES)
+_FLOAT = ir.FloatType()
+_INT = ir.IntType(32)
+_BYTE = ir.IntType(8)
+_WIDE = ir.IntType(64)
+_FLOATS = ir.VectorType(_FLOAT, LANES)
+_INTS = ir.VectorType(_INT, LANES)
 _MASK = ir.VectorType(ir.IntType(1), LANES)
 
 
@@ -30,7 +34,9 @@ class _Lanes(types.Type):
         super().__init__(name=name)
 
 
-f32x16, i32x16, mask16 = _Lanes("f32x16"), _Lanes("i32x16"), _Lanes("mask16")
+f32x16 = _Lanes("f32x16")
+i32x16 = _Lanes("i32x16")
+mask16 = _Lanes("mask16")
 
 
 @register_model(_Lanes)
@@ -168,7 +174,8 @@ def _select(result):
     return operation
 
 
-select, select_int = _select(f32x16), _select(i32x16)
+select = _select(f32x16)
+select_int = _select(i32x16)
 """Lane of the first vector where the mask is true, else of the second."""
 
 
@@ -281,7 +288,8 @@ def truncate(typingctx, vector):
 def _gathered(context, builder, sig, args, scalar, otherwise):
     """``array[index]`` of the first three arguments, an array of ``scalar``: ``otherwise`` where
     the mask is false."""
-    vector, pointers = otherwise.type, ir.VectorType(ir.PointerType(), LANES)
+    vector = otherwise.type
+    pointers = ir.VectorType(ir.PointerType(), LANES)
     data = context.make_array(sig.args[0])(context, builder, args[0]).data
     at = builder.gep(data, [args[1]], inbounds=True, source_etype=scalar)
     at.type = pointers
@@ -303,7 +311,8 @@ def _gather(scalar, result):
     return operation
 
 
-gather, gather_int = _gather(_FLOAT, f32x16), _gather(_INT, i32x16)
+gather = _gather(_FLOAT, f32x16)
+gather_int = _gather(_INT, i32x16)
 """``gather(array, index, mask, otherwise)``: ``array[index]`` where the mask is true; a flat array
 of 32 bits."""
 
@@ -343,7 +352,9 @@ def _byte(shift):
     return operation
 
 
-first_byte, second_byte, third_byte = _byte(0), _byte(8), _byte(16)
+first_byte = _byte(0)
+second_byte = _byte(8)
+third_byte = _byte(16)
 """The lowest, second and third byte of every lane, as float lanes."""
 
 

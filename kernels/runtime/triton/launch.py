@@ -99,7 +99,10 @@ def store4(base, row, a, b, c, d, mask):
 def rotation(w, x, y, z):
     """|q|, and the entries of R(q / |q|) row by row."""
     norm = tl.maximum(tl.sqrt(w * w + x * x + y * y + z * z), 1e-12)
-    w, x, y, z = w / norm, x / norm, y / norm, z / norm
+    w = w / norm
+    x = x / norm
+    y = y / norm
+    z = z / norm
     return (
         norm,
         1 - 2 * (y * y + z * z),

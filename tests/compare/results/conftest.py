@@ -81,7 +81,8 @@ def made_results(made_run):
 
     def make(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        noise, results = np.random.default_rng(0), []
+        noise = np.random.default_rng(0)
+        results = []
         for budget, scene, label, seed in itertools.product(
             (Budget(gaussians=4000), Budget(steps="own")),
             ("room", "kitchen"),
@@ -130,7 +131,8 @@ def folder(written):
 
 def _pictures(folder, stem, psnr):
     """Two views: a coloured gradient with more or less noise, and the truth."""
-    names, noise = {}, np.random.default_rng(1)
+    names = {}
+    noise = np.random.default_rng(1)
     columns, rows = np.meshgrid(np.linspace(40, 200, 64), np.linspace(60, 220, 48))
     for view in (4, 9):
         truth = np.stack(

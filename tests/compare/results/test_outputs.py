@@ -23,7 +23,8 @@ def test_the_files(folder, written):
 
 def test_the_tables_of_all_scenes_and_budgets(folder, made_results, tmp_path):
     titles = [table.title for table in Results(runs=made_results(tmp_path)).tables()]
-    equal, own = "4,000 Gaussians, equal steps", "own size, own steps"
+    equal = "4,000 Gaussians, equal steps"
+    own = "own size, own steps"
     assert titles == [
         f"{scene}, {budget}"
         for budget in (equal, own)

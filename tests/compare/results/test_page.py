@@ -17,7 +17,8 @@ class Elements(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.found, self.scripts = [], []
+        self.found = []
+        self.scripts = []
         self.feed(text)
 
     def handle_starttag(self, tag, attrs):
@@ -57,7 +58,8 @@ def test_tables_of_each_budget_and_scene_and_the_ranks(page):
         for a in page.all("div")
         if a.get("class") == "one-table"
     ]
-    equal, own = "4,000 Gaussians, equal steps", "own size, own steps"
+    equal = "4,000 Gaussians, equal steps"
+    own = "own size, own steps"
     assert shown == [(b, s) for b in (equal, own) for s in ("", "room", "kitchen")]
     assert {a["data-label"] for a in page.all("tr") if "data-label" in a} == {
         "quadtree",

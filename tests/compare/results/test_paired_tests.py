@@ -25,7 +25,8 @@ from gsfusion_nb.compare.statistics import group_runs, standings
 def test_the_tests_by_hand():
     # mean 2, sd 1, n 3: t = 2 sqrt(3); with 2 degrees of freedom, p = 1 - t / sqrt(t^2 + 2)
     (low, high), p = paired_test([1.0, 2.0, 3.0])
-    t, quantile = 2 * math.sqrt(3), 0.95 * math.sqrt(2 / (1 - 0.95**2))
+    t = 2 * math.sqrt(3)
+    quantile = 0.95 * math.sqrt(2 / (1 - 0.95**2))
     assert p == pytest.approx(1 - t / math.sqrt(t * t + 2))
     assert (low, high) == pytest.approx((2 - quantile / math.sqrt(3), 2 + quantile / math.sqrt(3)))
     (low, high), p = paired_test([0.5] * 3)
@@ -47,7 +48,8 @@ def test_the_reference_does_not_depend_on_the_results(made_run, made_runs):
     def spec(label, rule, **options):
         return dataclasses.replace(made_run(label).spec, rule=rule, options=options)
 
-    mine, published = spec("mine", "mine.py:f"), spec("own", "gsfusion")
+    mine = spec("mine", "mine.py:f")
+    published = spec("own", "gsfusion")
     tuned = spec("tuned", "gsfusion", required_weight=2.0)
     assert named_reference([mine, tuned, published]) == "own"
     assert named_reference([mine, tuned]) == "tuned"
@@ -123,7 +125,8 @@ def test_too_little_data_says_so(made_run, made_runs):
 
 
 def test_pairs_have_scene_seed_and_budget_in_common(made_run, made_runs):
-    small, large = Budget(gaussians=10), Budget(gaussians=20)
+    small = Budget(gaussians=10)
+    large = Budget(gaussians=20)
     a = made_runs("a", {"x": (25.0, 25.0)}, budget=small) + made_runs(
         "a", {"x": (30.0, 31.0)}, budget=large
     )
@@ -239,7 +242,9 @@ def test_ranks_by_hand(made_runs, made_run):
         for run in made_runs(label, {f"scene {i}": (30.0 - rank,) for i, rank in enumerate(ranks)})
     ]
     test = rank_test(found, str(Budget()))
-    n, k, R = 6, 3, [sum(ranks) / 6 for ranks in order.values()]
+    n = 6
+    k = 3
+    R = [sum(ranks) / 6 for ranks in order.values()]
     assert (test.labels, test.ranks) == (("a", "b", "c"), pytest.approx(R))
     chi = 12 * n / (k * (k + 1)) * (sum(r * r for r in R) - k * (k + 1) ** 2 / 4)
     assert test.p == pytest.approx(chi2.sf(chi, k - 1))

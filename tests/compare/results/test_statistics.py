@@ -12,7 +12,8 @@ def test_mean_and_spread():
     summary = summarise([2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0, math.nan])
     assert (summary.mean, summary.n) == (5.0, 8)
     assert summary.sd == pytest.approx(math.sqrt(32 / 7))
-    one, none = summarise([3.0]), summarise([math.nan])
+    one = summarise([3.0])
+    none = summarise([math.nan])
     assert (one.mean, one.n, none.n) == (3.0, 1, 0)
     assert all(
         map(

@@ -12,7 +12,8 @@ from gsfusion_nb.data.adjust.repair import apply_options
 from gsfusion_nb.seeding import SeedContext, apply_rule, check_rule
 from gsfusion_nb.types import Camera, Frame
 
-WIDTH, HEIGHT = 8, 6
+WIDTH = 8
+HEIGHT = 6
 CAMERA = Camera(
     width=WIDTH,
     height=HEIGHT,
@@ -26,7 +27,8 @@ CAMERA = Camera(
 class Plain:
     """A sequence in memory; its frames have an extra image of the reader."""
 
-    name, camera = "plain", CAMERA
+    name = "plain"
+    camera = CAMERA
 
     def __len__(self):
         return 4

@@ -167,7 +167,8 @@ def test_colour_is_moved_back(tmp_path, box):
     )
 
     class Moved:
-        name, camera = "moved", sequence.camera
+        name = "moved"
+        camera = sequence.camera
 
         def __len__(self):
             return 1

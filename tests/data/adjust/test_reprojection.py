@@ -35,7 +35,8 @@ def of_plane(T_ba, *, slope=0.0, is_ray=False):
     ray_x = (pixel_grid(CAMERA)[..., 0] - CAMERA.cx) / CAMERA.fx
     ray_y = (pixel_grid(CAMERA)[..., 1] - CAMERA.cy) / CAMERA.fy
     x, _, z = T_ba[0, :3, 3].tolist()
-    first, second = 2 / (1 - slope * ray_x), (2 + z - slope * x) / (1 - slope * ray_x)
+    first = 2 / (1 - slope * ray_x)
+    second = (2 + z - slope * x) / (1 - slope * ray_x)
     length = (1 + ray_x**2 + ray_y**2).sqrt() if is_ray else torch.ones_like(ray_x)
     u, v = uv[0].long().unbind(-1)
     return reproject_depth(
@@ -103,6 +104,7 @@ def test_brightness_of_the_same_points():
     grey = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
     at = torch.tensor([[1.0, 1.0], [7.9, 5.9], [-3.0, 100.0]])
     assert greys_at(grey, at, 8).tolist() == [0.0, 220.0, 160.0]
-    a, b = np.array([10.0, 40.0, 50.0, 60.0]), np.array([20.0, 80.0, 100.0, 250.0])
+    a = np.array([10.0, 40.0, 50.0, 60.0])
+    b = np.array([20.0, 80.0, 100.0, 250.0])
     assert is_usable_grey(a, b).tolist() == [False, True, True, False]
     assert gain_stops(a[1:3], b[1:3]) == 1.0

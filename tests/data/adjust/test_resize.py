@@ -42,13 +42,15 @@ def test_area_average_and_nearest_depth(generator, size):
     assert out.rgb.shape == (size[1], size[0], 3)
     nearest = []
     for n, m in ((size[1], 7), (size[0], 9)):
-        centres, sources = (torch.arange(n) + 0.5) * m / n, torch.arange(m) + 0.5
+        centres = (torch.arange(n) + 0.5) * m / n
+        sources = torch.arange(m) + 0.5
         nearest.append((centres[:, None] - sources).abs().argmin(dim=1))
     assert torch.equal(out.depth_m, f.depth_m[nearest[0]][:, nearest[1]])
     if size[0] <= 9 and size[1] <= 7:
         weights = []
         for n, m in ((size[1], 7), (size[0], 9)):
-            low, high = torch.arange(n)[:, None] * m / n, (torch.arange(n)[:, None] + 1) * m / n
+            low = torch.arange(n)[:, None] * m / n
+            high = (torch.arange(n)[:, None] + 1) * m / n
             k = torch.arange(m)
             overlap = (torch.minimum(high, k + 1.0) - torch.maximum(low, k * 1.0)).clamp(min=0)
             weights.append(overlap / overlap.sum(dim=1, keepdim=True))
@@ -58,7 +60,8 @@ def test_area_average_and_nearest_depth(generator, size):
 
 def test_same_size_and_input_untouched(generator):
     f = frame(6, 4, generator)
-    rgb, depth_m = f.rgb.clone(), f.depth_m.clone()
+    rgb = f.rgb.clone()
+    depth_m = f.depth_m.clone()
     assert resize_frame(f, f.camera).rgb is f.rgb
     resize_frame(f, f.camera.resized(3, 2))
     assert torch.equal(f.rgb, rgb)

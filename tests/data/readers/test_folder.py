@@ -55,7 +55,8 @@ def test_depth_scale_invalid_value_and_fps(tmp_path, box):
 
 def test_poses_by_name_and_by_number(tmp_path, box):
     root = box.folder(tmp_path / "scan", n=6)
-    whole, lines = folder(root), (root / "poses.txt").read_text().splitlines(keepends=True)
+    whole = folder(root)
+    lines = (root / "poses.txt").read_text().splitlines(keepends=True)
     for kind, suffix in (("rgb", "jpg"), ("depth", "png")):
         (root / kind / f"000002.{suffix}").unlink()
     expect(SequenceError, r"holds 6 poses; expected 5, .*name of its image", lambda: folder(root))

@@ -26,7 +26,8 @@ def test_reads_what_was_written(tmp_path, box):
 
 def test_splits(tmp_path, box):
     root = write(tmp_path / "scene", box)
-    train, test = scannetpp(root, split="train"), scannetpp(root, split="test")
+    train = scannetpp(root, split="train")
+    test = scannetpp(root, split="test")
     assert [p.name for p in train.rgb_files] == TRAIN
     assert [p.name for p in test.rgb_files] == TEST
     with pytest.raises(SequenceError, match="split must be train, test or all, got 'val'"):

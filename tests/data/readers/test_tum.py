@@ -227,7 +227,8 @@ def test_damaged_lists(tmp_path, box, name, line):
 
 def brown(xy, k1, k2, p1, p2, k3):
     """Brown's distortion of normalised coordinates, written out."""
-    x, y = xy[..., 0], xy[..., 1]
+    x = xy[..., 0]
+    y = xy[..., 1]
     r2 = x * x + y * y
     radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
     return np.stack(
@@ -261,10 +262,8 @@ def test_undistortion_follows_the_lens_model_and_leaves_no_border():
         -1,
     )
     d = brown(xy, *distortion)
-    source_u, source_v = (
-        d[..., 0] * camera.fx + camera.cx - 0.5,
-        d[..., 1] * camera.fy + camera.cy - 0.5,
-    )
+    source_u = d[..., 0] * camera.fx + camera.cx - 0.5
+    source_v = d[..., 1] * camera.fy + camera.cy - 0.5
     assert np.abs(out_rgb[..., 0] - source_u)[2:-2, 2:-2].max() < 1.1
     assert np.abs(out_rgb[..., 1] - source_v)[2:-2, 2:-2].max() < 1.1
     assert (out_rgb[..., 2] == 255).all()
@@ -319,7 +318,8 @@ def test_fr1_images_are_consistent_only_when_undistorted(tmp_path, box):
         rgb, depth_m = box.render(box.pose_at(0.1 + i / 30), ideal)
         box.write_rgb(rgb_file, rgb[y, x])
         box.write_depth(depth_file, depth_m[y, x], 5000)
-    on, off = tum(root), tum(root, undistort=False)
+    on = tum(root)
+    off = tum(root, undistort=False)
     assert box.off_wall_m(on[1]) < 0.002
     assert box.off_wall_m(off[1]) > 0.005
     assert (

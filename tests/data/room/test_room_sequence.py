@@ -152,7 +152,8 @@ def test_mesh_lies_on_the_surface_and_faces_the_free_side():
     large = cross.norm(dim=1) > 1e-4
     normal = cross[large] / cross[large].norm(dim=1, keepdim=True)
     centre = xyz[large].mean(1)
-    ahead, behind = room_sdf(centre + 0.004 * normal), room_sdf(centre - 0.004 * normal)
+    ahead = room_sdf(centre + 0.004 * normal)
+    behind = room_sdf(centre - 0.004 * normal)
     assert (ahead > behind).double().mean() > 0.99
     assert mesh.rgb.std() > 0.1
 
@@ -206,10 +207,12 @@ def test_a_delay_gives_each_image_a_later_pose():
 
 
 def test_exposure_multiplies_the_colours_and_is_one_on_average():
-    clean, wandering = room(**WALK), room(**WALK, exposure_stops=0.4)
+    clean = room(**WALK)
+    wandering = room(**WALK, exposure_stops=0.4)
     ratios = []
     for i in range(0, 200, 20):
-        a, b = clean[i].rgb, wandering[i].rgb
+        a = clean[i].rgb
+        b = wandering[i].rgb
         used = (a > 0.2) & (b < 0.98)
         gain = torch.stack(
             [(b[..., c][used[..., c]] / a[..., c][used[..., c]]).median() for c in range(3)]
@@ -220,18 +223,22 @@ def test_exposure_multiplies_the_colours_and_is_one_on_average():
 
 
 def test_holes_belong_to_surfaces_and_not_to_views():
-    clean, holed = room(**WALK), room(**WALK, holes=0.3)
-    a, b = clean[50].depth_m, holed[50].depth_m
+    clean = room(**WALK)
+    holed = room(**WALK, holes=0.3)
+    a = clean[50].depth_m
+    b = holed[50].depth_m
     assert torch.equal(b[b > 0], a[b > 0])
     assert 0.15 < float((b == 0).float().mean()) < 0.5
     # a point without depth has none in the next view, either
-    camera, T = clean.camera, clean.pose(50)
+    camera = clean.camera
+    T = clean.pose(50)
     lost = se3.apply(T, backproject(camera, pixel_grid(camera), a))[(b == 0)]
     x = se3.apply(se3.inverse(clean.pose(51)), lost)
     u = camera.fx * x[:, 0] / x[:, 2] + camera.cx
     v = camera.fy * x[:, 1] / x[:, 2] + camera.cy
     inside = (u >= 0) & (u < 80) & (v >= 0) & (v < 60)
-    i, j = u[inside].long(), v[inside].long()
+    i = u[inside].long()
+    j = v[inside].long()
     visible = (clean[51].depth_m[j, i] - x[inside, 2]).abs() < 0.02
     assert (holed[51].depth_m[j, i][visible] == 0).float().mean() > 0.7
 
@@ -240,7 +247,9 @@ def test_a_building_has_the_same_room_in_each_place():
     one, building = (room(n_frames=3, rooms=n, width=32, height=24) for n in (1, 5))
     assert len(building) == 15
     for i in range(15):
-        here, there, n = one[i % 3], building[i], i // 3
+        here = one[i % 3]
+        there = building[i]
+        n = i // 3
         assert torch.equal(there.colour, here.colour)
         assert torch.equal(there.depth_m, here.depth_m)
         moved_m = there.T_WC[:3, 3] - here.T_WC[:3, 3]

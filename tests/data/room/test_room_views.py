@@ -88,14 +88,19 @@ def test_first_hits_agree_with_sphere_tracing():
 
 
 def test_points_keep_their_colour_between_views():
-    a, b = pose((0.3, -0.4, 1.5), (-2.4, 0.3, 0.9)), pose((-0.3, 0.5, 1.4), (-2.4, 0.1, 0.9))
+    a = pose((0.3, -0.4, 1.5), (-2.4, 0.3, 0.9))
+    b = pose((-0.3, 0.5, 1.4), (-2.4, 0.1, 0.9))
     camera = CAMERA.resized(160, 120)
-    (rgb_a, depth_a), (rgb_b, depth_b) = render_room(camera, a), render_room(camera, b)
+    rgb_a, depth_a = render_room(camera, a)
+    rgb_b, depth_b = render_room(camera, b)
     xyz_B = se3.apply(se3.inverse(b) @ a, depth_to_points(camera, depth_a.double())).reshape(-1, 3)
     uv = project(camera, xyz_B)
-    col, row = uv[:, 0].floor().long(), uv[:, 1].floor().long()
+    col = uv[:, 0].floor().long()
+    row = uv[:, 1].floor().long()
     inside = (col >= 0) & (col < 160) & (row >= 0) & (row < 120) & (xyz_B[:, 2] > 0)
-    col, row, z = col[inside], row[inside], xyz_B[inside, 2]
+    col = col[inside]
+    row = row[inside]
+    z = xyz_B[inside, 2]
     seen = (depth_b[row, col] - z).abs() < 0.01
     difference = (rgb_a.reshape(-1, 3)[inside][seen] - rgb_b[row, col][seen]).abs().mean(1)
     assert seen.double().mean() > 0.7
@@ -131,12 +136,11 @@ def test_text_is_not_mirrored():
         camera,
         pose((-2.475 + 1.0, -0.42, 1.6), (-2.5, -0.42, 1.6)),
     )
-    seen, wanted = rgb.mean(-1).numpy(), drawn.mean(-1)
+    seen = rgb.mean(-1).numpy()
+    wanted = drawn.mean(-1)
     assert np.corrcoef(seen.ravel(), wanted.ravel())[0, 1] > 0.97
-    odd_seen, odd_wanted = (
-        seen - seen[:, ::-1],
-        wanted - wanted[:, ::-1],
-    )  # changes sign under mirroring
+    odd_seen = seen - seen[:, ::-1]  # changes sign under mirroring
+    odd_wanted = wanted - wanted[:, ::-1]
     assert np.corrcoef(odd_seen.ravel(), odd_wanted.ravel())[0, 1] > 0.8
 
 
@@ -191,7 +195,8 @@ def test_distance_is_that_to_the_nearest_surface_point(name):
     solid = SOLIDS[name]
     u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, 241), np.linspace(0, 1, 241)))
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 3))
-    distance, brute = solid.sdf(points), np.full(40, np.inf)
+    distance = solid.sdf(points)
+    brute = np.full(40, np.inf)
     for face in solid.faces:
         surface, _ = solid.surface(face, u, v)
         np.testing.assert_allclose(solid.sdf(surface), 0.0, atol=1e-9)

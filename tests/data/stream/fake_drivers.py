@@ -22,13 +22,11 @@ class Replay:
         size,
         coeffs=(0.0,) * 8,
     ):
-        self.pictures, self.plan, self.K, self.size, self.coeffs = (
-            pictures,
-            list(plan),
-            K,
-            size,
-            coeffs,
-        )
+        self.pictures = pictures
+        self.plan = list(plan)
+        self.K = K
+        self.size = size
+        self.coeffs = coeffs
         self.connected = True
         self.running = False
         self.log: list[Any] = []
@@ -49,7 +47,8 @@ class Replay:
 
 class _Data:
     def __init__(self, array, milliseconds):
-        self._array, self._milliseconds = array, milliseconds
+        self._array = array
+        self._milliseconds = milliseconds
 
     def get_data(self):
         return self._array
@@ -60,7 +59,8 @@ class _Data:
 
 class _Frames:
     def __init__(self, colour, depth):
-        self.colour, self.depth = colour, depth
+        self.colour = colour
+        self.depth = depth
 
     def get_color_frame(self):
         return self.colour
@@ -96,7 +96,8 @@ def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_co
             if raise_later:
                 raise RuntimeError("Couldn't resolve requests")
             replay.running = True
-            K, (width, height) = replay.K, replay.size
+            K = replay.K
+            width, height = replay.size
             intrinsics = types.SimpleNamespace(
                 width=width,
                 height=height,
@@ -141,6 +142,7 @@ def realsense(replay: Replay, *, scale=0.001, model="distortion.inverse_brown_co
         def process(self, frames):
             return frames
 
-    rs.config, rs.pipeline = Config, Pipeline
+    rs.config = Config
+    rs.pipeline = Pipeline
     rs.align = Align
     return rs

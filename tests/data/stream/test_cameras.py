@@ -23,7 +23,8 @@ class Device:
     """A fake camera that shows the box room."""
 
     def __init__(self, box, monkeypatch):
-        self.box, self.monkeypatch = box, monkeypatch
+        self.box = box
+        self.monkeypatch = monkeypatch
         self.pictures = [box.render(T) for T in box.poses(4)]
 
     def plugged(self, plan, coeffs=(0.0,) * 5):
@@ -120,7 +121,8 @@ def test_lens_distortion_is_removed_from_both_images(device, box):
     where they are."""
     import cv2
 
-    c, k = box.camera, np.array([0.4, -0.1, 0.01, -0.01, 0.05])
+    c = box.camera
+    k = np.array([0.4, -0.1, 0.01, -0.01, 0.05])
     K = np.array([[c.fx, 0, c.cx - 0.5], [0, c.fy, c.cy - 0.5], [0, 0, 1]])
     uv = (
         np.stack(
@@ -148,7 +150,8 @@ def test_lens_distortion_is_removed_from_both_images(device, box):
         colour = (frame.rgb - torch.from_numpy(rgb / 255)).abs().mean()
         return float(colour), float((frame.depth_m - torch.from_numpy(depth_m)).abs().mean())
 
-    (colour, depth_m), (colour_before, depth_before_m) = off(frame), off(stored)
+    colour, depth_m = off(frame)
+    colour_before, depth_before_m = off(stored)
     assert 10 * colour < colour_before
     assert (
         3 * depth_m < depth_before_m

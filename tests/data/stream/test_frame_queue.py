@@ -51,8 +51,10 @@ class Counting:
     """A sequence that remembers which frames were read, on which thread, and how many are alive."""
 
     def __init__(self, source, bad=()):
-        self.source, self.bad = source, set(bad)
-        self.name, self.camera = "counting", source.camera
+        self.source = source
+        self.bad = set(bad)
+        self.name = "counting"
+        self.camera = source.camera
         self.read: list[int] = []
         self.threads: set[str] = set()
         self.alive: weakref.WeakSet = weakref.WeakSet()
@@ -141,7 +143,8 @@ class Silent(LiveSource):
     """A camera that gives one frame and then waits until it is stopped."""
 
     def __init__(self, frame):
-        self.frame, self.stopping = frame, threading.Event()
+        self.frame = frame
+        self.stopping = threading.Event()
 
     def __iter__(self):
         yield self.frame

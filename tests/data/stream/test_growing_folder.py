@@ -21,7 +21,8 @@ class Writer:
     the clock."""
 
     def __init__(self, source: Path, target: Path):
-        self.source, self.target = source, target
+        self.source = source
+        self.target = target
         for kind in ("rgb", "depth"):
             (target / kind).mkdir(parents=True)
         self.lines = (source / "poses.txt").read_text().splitlines(keepends=True)

@@ -53,7 +53,8 @@ def fuse_both(device):
     blocks of the reference; observed voxels of each."""
 
     def fuse(config, frames):
-        volumes, updated = [TsdfVolume(config), TsdfVolume(config, device)], [[], []]
+        volumes = [TsdfVolume(config), TsdfVolume(config, device)]
+        updated = [[], []]
         for frame in frames:
             blocks = band_blocks.reference(volumes[0], frame)
             for volume, counts, name in zip(volumes, updated, ("reference", "cuda"), strict=True):

@@ -21,7 +21,8 @@ def drawn(params, camera, pose, base, v_rgb):
 def test_long_lists_and_clamped_alphas(make_scene, make_camera, pose, to, compare):
     """More Gaussians in a tile than a block brings at a time; half of them clamped at 0.99, some
     behind the surface."""
-    camera, p = make_camera(48, 33), make_scene(800, 1, scale_m=0.12)
+    camera = make_camera(48, 33)
+    p = make_scene(800, 1, scale_m=0.12)
     logit = torch.where(p.opacity_logit > 0, 9.0, p.opacity_logit)
     params = GaussianParams(**{**vars(p), "opacity_logit": logit})
     g = torch.Generator().manual_seed(2)

@@ -16,7 +16,8 @@ def test_gradients_are_the_differences_of_the_reference_in_float64(
     make_scene, make_camera, make_images, pose, to
 ):
     """d sum(v . images) along a random direction of each parameter, by central differences."""
-    camera, params = make_camera(32, 24), make_scene(20, 1, scale_m=0.15)
+    camera = make_camera(32, 24)
+    params = make_scene(20, 1, scale_m=0.15)
     v = make_images(camera)
     with use_backend("cuda"):
         _, saved = render_forward(to(params), camera, to(pose))
@@ -74,7 +75,8 @@ def test_a_wall_stops_the_light_and_hits_go_on_behind_it(to):
 def test_large_gaussians_off_the_image(
     make_scene, make_camera, make_images, draw_both, compare, compare_gradients
 ):
-    camera, p = make_camera(70, 40), make_scene(30, 0)
+    camera = make_camera(70, 40)
+    p = make_scene(30, 0)
     params = GaussianParams(**{**vars(p), "log_scale": p.log_scale + 3.0, "xyz_W": p.xyz_W * 4.0})
     (ours, theirs), gradients, _ = draw_both(params, camera, make_images(camera))
     compare("large Gaussians", "alpha", ours.alpha, theirs.alpha, 1e-4, share=2e-3)

@@ -34,7 +34,8 @@ def assert_same_leaves(image, device, **settings):
     with use_backend("numba"):
         theirs = quadtree(image, **settings)
     for column in dataclasses.fields(theirs):
-        a, b = getattr(ours, column.name), getattr(theirs, column.name)
+        a = getattr(ours, column.name)
+        b = getattr(theirs, column.name)
         assert a.dtype == b.dtype
         assert torch.equal(a.cpu(), b), column.name
     return ours

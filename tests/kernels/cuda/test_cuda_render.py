@@ -15,7 +15,8 @@ def test_many_gaussians_in_a_tile(
 ):
     """Lists longer than the 128 entries that a block keeps, Gaussians of many tiles, and pixels
     that go dark early."""
-    camera, params = make_camera(48, 33), make_scene(800, 0, scale_m=0.12)
+    camera = make_camera(48, 33)
+    params = make_scene(800, 0, scale_m=0.12)
     pictures, gradients, saved = draw_both(params, camera, make_images(camera), opaque_alpha=0.6)
     assert int(saved.lists.offset.diff().max()) > 128
     compare_pictures(*pictures)
@@ -26,7 +27,8 @@ def test_clamped_pairs_have_no_gradient(
     make_scene, make_camera, make_images, draw_both, compare, compare_gradients
 ):
     """Half of the Gaussians are so opaque that alpha is clamped at 0.99 around their centres."""
-    camera, p = make_camera(40, 24), make_scene(40, 0, scale_m=0.4)
+    camera = make_camera(40, 24)
+    p = make_scene(40, 0, scale_m=0.4)
     params = GaussianParams(
         **{**vars(p), "opacity_logit": torch.where(p.opacity_logit > 0, 9.0, -1.0)}
     )
@@ -42,7 +44,8 @@ def test_gradient_of_the_viewing_direction(
 ):
     """Gaussians so large that the picture is flat, in strong colours: a centre matters for the
     direction only."""
-    camera, p = make_camera(20, 16), make_scene(24, degree)
+    camera = make_camera(20, 16)
+    p = make_scene(24, degree)
     flat = {
         "log_scale": torch.full((24, 3), 4.0),
         "opacity_logit": torch.full((24,), -3.0),
@@ -64,17 +67,22 @@ def test_gradient_of_the_viewing_direction(
 def test_no_tile_is_listed_in_vain_and_none_is_missing(make_scene, make_camera, pose, to):
     """A tile lists a Gaussian where its alpha reaches 1/255 at a pixel, and hardly anywhere
     else."""
-    camera, params = make_camera(96, 80), make_scene(40, 0)
+    camera = make_camera(96, 80)
+    params = make_scene(40, 0)
     with use_backend("cuda"):
         _, saved = render_forward(to(params), camera, to(pose))
-    s, lists = saved.splats.cpu(), saved.lists
-    x, y = torch.arange(96) + 0.5, torch.arange(80) + 0.5
-    listed, needed = torch.zeros(40, 30, dtype=torch.bool), torch.zeros(40, 30, dtype=torch.bool)
+    s = saved.splats.cpu()
+    lists = saved.lists
+    x = torch.arange(96) + 0.5
+    y = torch.arange(80) + 0.5
+    listed = torch.zeros(40, 30, dtype=torch.bool)
+    needed = torch.zeros(40, 30, dtype=torch.bool)
     for t in range(30):
         listed[lists.ids[lists.offset[t] : lists.offset[t + 1]].long().cpu(), t] = True
     for g in (saved.depth.cpu() < float("inf")).nonzero()[:, 0].tolist():
         u, v, A, B, C, ln_o = s[g, :6].double()
-        dx, dy = x[None] - u, y[:, None] - v
+        dx = x[None] - u
+        dy = y[:, None] - v
         seen = (
             ln_o - 0.5 * (A * dx * dx + C * dy * dy) - B * dx * dy
             > torch.tensor(1 / 255.0).double().log()
@@ -88,16 +96,14 @@ def test_no_tile_is_listed_in_vain_and_none_is_missing(make_scene, make_camera, 
 def test_gradients_of_needles_keep_their_digits(to):
     """Of 1000:1, against float64: -Q v_Q Q has entries as large as 1 / blur^2, which cancel along
     the needle."""
-    n, camera = (
-        6,
-        Camera(
-            width=40,
-            height=30,
-            fx=300.0,
-            fy=300.0,
-            cx=20.0,
-            cy=15.0,
-        ),
+    n = 6
+    camera = Camera(
+        width=40,
+        height=30,
+        fx=300.0,
+        fy=300.0,
+        cx=20.0,
+        cy=15.0,
     )
     generator = torch.Generator().manual_seed(0)
     place = torch.rand(n, 3, generator=generator) * torch.tensor([0.2, 0.15, 0.5]) + torch.tensor(
@@ -124,5 +130,6 @@ def test_gradients_of_needles_keep_their_digits(to):
             to(v_rgb),
         )
     for name in ("log_scale", "quat", "xyz_W"):
-        value, true = getattr(found, name).cpu().double(), getattr(expected, name)
+        value = getattr(found, name).cpu().double()
+        true = getattr(expected, name)
         assert (value - true).abs().max() < 1e-3 * true.abs().max(), name

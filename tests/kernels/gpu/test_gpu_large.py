@@ -13,7 +13,8 @@ from gsfusion_nb.render import disc_depth, disc_depth_vjp, render_forward, rende
 from gsfusion_nb.types import GaussianParams
 
 SIZE = (320, 240) if torch.cuda.is_available() else (80, 60)
-N_FRAMES, OPAQUE = 2, 0.6
+N_FRAMES = 2
+OPAQUE = 0.6
 
 
 @pytest.fixture(scope="module")

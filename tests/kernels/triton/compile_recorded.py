@@ -27,7 +27,8 @@ torch.cuda.is_available = lambda: True  # the package asks before it is imported
 
 def source(launch: dict, target: GPUTarget) -> ASTSource:
     kernel = getattr(importlib.import_module(launch["module"]), launch["kernel"])
-    types, constants = launch["types"], launch["constants"]
+    types = launch["types"]
+    constants = launch["constants"]
     backend = make_backend(target)
     if not hasattr(backend, "parse_attr"):  # triton 3.2
         return ASTSource(kernel, types, constants)

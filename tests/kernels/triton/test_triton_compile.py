@@ -42,7 +42,8 @@ def launches(monkeypatch):
     """What is launched, each kernel and variant once."""
     from triton.runtime.interpreter import InterpretedFunction
 
-    real, seen = InterpretedFunction.__getitem__, {}
+    real = InterpretedFunction.__getitem__
+    seen = {}
 
     def record(function, arguments):
         parameters = [*inspect.signature(function).parameters.values()]
@@ -100,7 +101,8 @@ def run_everything(scene, camera, images, pose, frame) -> None:
 def test_every_kernel_compiles(
     capability, launches, make_scene, make_camera, make_images, make_frames, pose, tmp_path
 ):
-    camera, frame = make_camera(16, 8), make_frames(12, 9, n=1)[0]
+    camera = make_camera(16, 8)
+    frame = make_frames(12, 9, n=1)[0]
     run_everything(make_scene(5, 3), camera, make_images(camera), pose, frame)
     kernels = Path(importlib.import_module("gsfusion_nb.kernels").__file__ or "").parent
     sources = "".join(path.read_text(encoding="utf-8") for path in kernels.glob("*/triton.py"))

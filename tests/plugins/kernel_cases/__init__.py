@@ -15,7 +15,8 @@ from torch import Tensor
 from gsfusion_nb.geometry import project
 from gsfusion_nb.types import Camera, Frame, GaussianParams
 
-WIDTH, HEIGHT = 64, 48
+WIDTH = 64
+HEIGHT = 48
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +110,8 @@ def make_sighted_points(n: int) -> tuple[Camera, Tensor, Tensor]:
 
     A quarter is seen 20 pixels off, and a tenth lies behind the camera.
     """
-    g, camera = torch.Generator().manual_seed(n), make_frame().camera
+    g = torch.Generator().manual_seed(n)
+    camera = make_frame().camera
     xyz_C = torch.rand(n, 3, generator=g, dtype=torch.float64) * 2 + torch.tensor([-1.0, -1.0, 1.0])
     uv = project(camera, xyz_C) + 0.5 * torch.randn(n, 2, generator=g, dtype=torch.float64)
     uv[: n // 4] += 20.0

@@ -28,7 +28,8 @@ def cases() -> Iterator[Case]:
     """For each operation one for each kind of step count, and one for the rows in use of a map's
     buffer."""
     for steps in ("none", "shared", "per_row"):
-        run, run_map = functools.partial(_parameters, steps), functools.partial(_maps, steps)
+        run = functools.partial(_parameters, steps)
+        run_map = functools.partial(_maps, steps)
         yield Case(name=f"step count {steps!r}", operations=("adam_update",), run=run)
         yield Case(name=f"map, step count {steps!r}", operations=("adam_update_map",), run=run_map)
     yield Case(name="rows of a larger buffer", operations=("adam_update",), run=_part_of_a_buffer)

@@ -84,7 +84,8 @@ def _run_new(
         volume.add_blocks(blocks if known == "all" else blocks[::2])
     if known == "far apart":
         volume.add_blocks(torch.tensor([[-100_000, 0, 0], [100_000, 7, 90_000]]))
-    frame, volume = frame.to(device), volume.to(device)
+    frame = frame.to(device)
+    volume = volume.to(device)
     new = new_band_blocks(volume, frame)
     inside = (new.coords >= torch.tensor(new.low, device=device)) & (
         new.coords <= torch.tensor(new.high, device=device)

@@ -57,7 +57,8 @@ def _run(
 ) -> dict[str, Tensor]:
     """``share``: of the pixels that have no surface."""
     g = torch.Generator().manual_seed(2)
-    rgb, steps = torch.rand(*small, 3, generator=g), torch.randint(1, 3, small, generator=g)
+    rgb = torch.rand(*small, 3, generator=g)
+    steps = torch.randint(1, 3, small, generator=g)
     known = torch.rand(small, generator=g) >= share
     depth_m = (steps + 0.01 * torch.rand(small, generator=g)) * known
     view = base_view(

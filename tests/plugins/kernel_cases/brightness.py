@@ -32,7 +32,8 @@ def _sums(limit_m: float, device, dtype) -> dict[str, Tensor]:
     )
     other = camera.resized(WIDTH * 3 // 2, HEIGHT)
     surface_m, picture = (image.to(device, dtype) for image in _wall(other))
-    normal_W, T_WS = depth_to_normals(other, surface_m), torch.eye(4, device=device)
+    normal_W = depth_to_normals(other, surface_m)
+    T_WS = torch.eye(4, device=device)
     surface = Surface(depth_m=surface_m, normal_W=normal_W, camera=other, T_WC=T_WS)
     seen = picture_of(
         surface,
@@ -53,7 +54,8 @@ def _wall(camera: Camera) -> tuple[Tensor, Tensor]:
         torch.arange(camera.width),
         indexing="ij",
     )
-    x, y = (u + 0.5) / camera.width, (v + 0.5) / camera.height
+    x = (u + 0.5) / camera.width
+    y = (v + 0.5) / camera.height
     depth_m = 1.5 + 0.1 * torch.sin(9 * x) * torch.cos(7 * y) + 0.2 * x
     depth_m[5:9, 10:20] = 0.0
     return depth_m, 0.5 + 0.3 * torch.sin(17 * x + 3 * y) * torch.cos(11 * y)

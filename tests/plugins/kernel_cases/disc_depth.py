@@ -52,7 +52,8 @@ def _run(
 ) -> dict[str, Tensor]:
     """Every pixel hits a Gaussian at random, or none: far from the disc the offset is tested,
     too."""
-    params, frame = make_params(0, device, dtype, n), make_frame(device)
+    params = make_params(0, device, dtype, n)
+    frame = make_frame(device)
     log_scale = params.log_scale + 2.0
     if equal_scales:
         log_scale = log_scale[:, :1].expand(n, 3)

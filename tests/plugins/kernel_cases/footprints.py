@@ -36,7 +36,8 @@ def _run(
     device: torch.device,
     dtype: torch.dtype,
 ) -> dict[str, Tensor]:
-    params, frame = make_params(1, device, dtype, n), make_frame(device)
+    params = make_params(1, device, dtype, n)
+    frame = make_frame(device)
     if n:
         params.xyz_W.mul_(3.0)
         params.xyz_W[::5, 2] -= 5.0

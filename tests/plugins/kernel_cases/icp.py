@@ -56,7 +56,8 @@ def _wall(camera: Camera, device, dtype, normals: str) -> dict[str, Tensor]:
         torch.arange(camera.width),
         indexing="ij",
     )
-    x, y = (u + 0.5) / camera.width, (v + 0.5) / camera.height
+    x = (u + 0.5) / camera.width
+    y = (v + 0.5) / camera.height
     depth_m = 1.5 + 0.1 * torch.sin(9 * x) * torch.cos(7 * y) + 0.2 * x
     depth_m[5:9, 10:20] = 0.0
     depth_m = depth_m.to(device, dtype)

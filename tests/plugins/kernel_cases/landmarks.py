@@ -22,7 +22,8 @@ _ROUNDING = 1e-9
 def cases() -> Iterator[Case]:
     """Few and many landmarks, and none."""
     for n in (0, 4, 300):
-        run, operations = functools.partial(_results, n), ("landmark_sums", "landmark_pose")
+        run = functools.partial(_results, n)
+        operations = ("landmark_sums", "landmark_pose")
         yield Case(
             name=f"{n} landmarks",
             operations=operations,

@@ -46,7 +46,8 @@ def _run(
     with_centres: bool = False,
 ) -> dict[str, Tensor]:
     """``weights``: of the base, from 0 to 1; 1 else. ``broken``: some rows must not be drawn."""
-    params, frame = make_params(degree, device, dtype, n), make_frame(device)
+    params = make_params(degree, device, dtype, n)
+    frame = make_frame(device)
     if broken:
         break_rows(params)
     g = torch.Generator().manual_seed(1)
@@ -56,10 +57,8 @@ def _run(
     depth_m[:10, :20] = 0.0
     rgb = make_frame().rgb.to(device, dtype)  # a GPU divides bytes by 255 with other rounding
     base = Base(rgb=rgb, depth_m=depth_m, weight=weight.to(device, dtype))
-    v_rgb, rows = (
-        torch.randn(*size, 3, generator=g).to(device, dtype),
-        (torch.rand(n, generator=g) < 0.5).to(device),
-    )
+    v_rgb = torch.randn(*size, 3, generator=g).to(device, dtype)
+    rows = (torch.rand(n, generator=g) < 0.5).to(device)
     out, saved = render_over_base(params, frame.camera, frame.T_WC, base, behind_m=0.1)
     names = ("v_uv", "v_uv_abs") if with_centres else ()
     centres = {name: torch.full((n, 2), torch.nan, dtype=dtype, device=device) for name in names}

@@ -72,7 +72,8 @@ def landscape(width: int, height: int) -> Tensor:
         torch.arange(width),
         indexing="ij",
     )
-    x, y = u / max(width, height), v / max(width, height)
+    x = u / max(width, height)
+    y = v / max(width, height)
     grey = 120 + 90 * torch.tanh(20 * (y - 0.3 - 0.1 * torch.sin(9 * x)))
     patch = ((x - 0.6) ** 2 + (y - 0.5) ** 2 < 0.02).float()
     texture = 30 * torch.sin(300 * x) * torch.sin(200 * y) * patch
@@ -87,7 +88,8 @@ def landscape(width: int, height: int) -> Tensor:
 
 
 def _smallest_cells(device: torch.device, dtype: torch.dtype) -> dict[str, Tensor]:
-    image, leaves = noise_and_ramp(123, 77).to(device), {}
+    image = noise_and_ramp(123, 77).to(device)
+    leaves = {}
     views = {
         "whole": image,
         "every second row": image[::2, ::3],

@@ -82,7 +82,8 @@ def _run(
     """``gradients``: how many of colour, depth and alpha have one. ``broken``: some rows must not
     be drawn. ``with_centres``: also the gradient of the centres in the image, and the sum of its
     absolute values."""
-    params, frame = make_params(degree, device, dtype, n), make_frame(device)
+    params = make_params(degree, device, dtype, n)
+    frame = make_frame(device)
     if broken:
         break_rows(params)
     g = torch.Generator().manual_seed(1)
@@ -91,7 +92,8 @@ def _run(
     ]
     pixels = torch.rand(HEIGHT, WIDTH, generator=g) < 0.3
     pixels[: HEIGHT // 2, : WIDTH // 2] = False  # and whole tiles without any
-    pixels, rows = pixels.to(device), (torch.rand(n, generator=g) < 0.5).to(device)
+    pixels = pixels.to(device)
+    rows = (torch.rand(n, generator=g) < 0.5).to(device)
     out, saved = render_forward(
         params, frame.camera, frame.T_WC, pixels=pixels if masked else None, **options
     )
@@ -105,7 +107,8 @@ def _run(
 
 def break_rows(params: GaussianParams) -> int:
     """Spoil the first rows in place, each in another way; returns how many."""
-    nan, inf = float("nan"), float("inf")
+    nan = float("nan")
+    inf = float("inf")
     spoilt = (
         [("xyz_W", value) for value in (nan, inf, -inf)]
         + [("log_scale", value) for value in (nan, inf, 50.0)]

@@ -22,10 +22,8 @@ def cases() -> Iterator[Case]:
         (0.0, 0.3, 1.0),
         ((1, 1), (37, 53)),
     ):
-        run, name = (
-            functools.partial(_loss, size, share, behind_m),
-            f"behind_m={behind_m}, {size}, {share:.0%}",
-        )
+        run = functools.partial(_loss, size, share, behind_m)
+        name = f"behind_m={behind_m}, {size}, {share:.0%}"
         yield Case(name=name, operations=("rgbd_l1_vjp",), run=run)
 
 
@@ -38,7 +36,8 @@ def _loss(
         torch.rand(size, generator=g) * (torch.rand(size, generator=g) > 0.2) for _ in range(2)
     )
     if size[0] > 4:
-        depth_m[3], rgb[4] = target_depth_m[3], target_rgb[4]
+        depth_m[3] = target_depth_m[3]
+        rgb[4] = target_rgb[4]
     pixels = torch.rand(size, generator=g) < share
     images = (image.to(device, dtype) for image in (rgb, depth_m, target_rgb, target_depth_m))
     loss = rgbd_l1_vjp(

@@ -84,7 +84,9 @@ class Pan:
         self.rgb = cv2.GaussianBlur(self.rgb, (0, 0), 0.7)
         self.at = np.cumsum(np.asarray(speeds, float), axis=0)
         self.at += 400 - self.at.mean(0)
-        self.speeds, self.lag, self.shift = np.asarray(speeds, float), lag, np.asarray(shift)
+        self.speeds = np.asarray(speeds, float)
+        self.lag = lag
+        self.shift = np.asarray(shift)
 
     def __len__(self):
         return len(self.at)

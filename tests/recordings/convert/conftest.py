@@ -14,7 +14,8 @@ from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.types import Camera
 
-WIDTH, HEIGHT = 60, 44
+WIDTH = 60
+HEIGHT = 44
 """Cut from 64x48, so that the principal point is not in the middle and a swap of anything shows."""
 
 

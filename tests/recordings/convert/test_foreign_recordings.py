@@ -34,7 +34,8 @@ def test_a_published_sequence_keeps_its_times_and_unit(shared_sequence, tmp_path
     source = shared_sequence("rgbd_dataset_freiburg1_rpy_excerpt")
     report = convert(source, tmp_path / "rpy", options=ConvertOptions(every=6))
     assert (report.depth_scale, report.has_poses, report.dropped) == (5000, True, {})
-    ours, theirs = folder(tmp_path / "rpy"), tum(source)
+    ours = folder(tmp_path / "rpy")
+    theirs = tum(source)
     depth_s = ours.depth_times_s or []
     assert ours.timestamps_s == theirs.timestamps_s[::6]
     assert depth_s == (theirs.depth_times_s or [])[::6]

@@ -27,7 +27,8 @@ def in_ns(order):
     return lines
 
 
-XYZW, WXYZ = (0, 1, 2, 3, 4, 5, 6), (0, 1, 2, 6, 3, 4, 5)
+XYZW = (0, 1, 2, 3, 4, 5, 6)
+WXYZ = (0, 1, 2, 6, 3, 4, 5)
 OKVIS = "timestamp, p_WS_W_x, p_WS_W_y, p_WS_W_z, q_WS_x, q_WS_y, q_WS_z, q_WS_w, v_WS_W_x, b_g_x\n"
 EUROC = (
     "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], "

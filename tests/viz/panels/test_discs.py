@@ -45,7 +45,8 @@ def scene():
         cx=2.5,
         cy=0.5,
     )
-    grey, other = torch.full((1, 5, 3), 0.5), torch.full((1, 5, 3), 0.5)
+    grey = torch.full((1, 5, 3), 0.5)
+    other = torch.full((1, 5, 3), 0.5)
     other[0, 3:] = 0.9
     index = torch.zeros(1, 5, dtype=torch.int32)
     view = SurfaceView(

@@ -27,7 +27,8 @@ CAMERA = Camera(
 def frame():
     """A grey wall at 2 m with a red square at 1 m in the middle; no depth in the lowest row; some
     pose."""
-    rgb, depth_m = torch.full((48, 64, 3), 0.5), torch.full((48, 64), 2.0)
+    rgb = torch.full((48, 64, 3), 0.5)
+    depth_m = torch.full((48, 64), 2.0)
     rgb[20:28, 28:36] = torch.tensor([1.0, 0.0, 0.0])
     depth_m[20:28, 28:36] = 1.0
     depth_m[-1] = 0
@@ -75,7 +76,8 @@ def test_the_nearest_point_wins_and_points_can_be_larger(frame):
 
 def test_a_click_on_the_frame_lifts_its_pixel(frame):
     panel = point_panel(frame)
-    W, H = frame.camera.width, frame.camera.height
+    W = frame.camera.width
+    H = frame.camera.height
     panel.drag((20.4, 26 + 30.7))
     assert (panel.values["u"], panel.values["v"]) == (20, 30)
     xyz = backproject(

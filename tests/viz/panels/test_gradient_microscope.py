@@ -48,7 +48,8 @@ def scene(request, generator):
     """Splats, dL/d of a random image, and the renderer's own gradient."""
     params = random_map(120, generator, request.param)
     splats = project_splats(params, CAMERA, EYE)
-    p, rgb = splats.projection, sh_to_rgb(params.sh, params.xyz_W, EYE[:3, 3])
+    p = splats.projection
+    rgb = sh_to_rgb(params.sh, params.xyz_W, EYE[:3, 3])
     out = composite(
         p.uv,
         p.conic,
@@ -85,7 +86,9 @@ def test_the_field_of_a_gaussian_sums_up_to_the_renderers_gradient(scene):
 def test_all_pixels_together_give_the_renderers_gradient(scene):
     splats, v_rgb, total = scene
     n = len(splats.rgb)
-    uv, rgb, opacity = torch.zeros(n, 2), torch.zeros(n, 3), torch.zeros(n)
+    uv = torch.zeros(n, 2)
+    rgb = torch.zeros(n, 3)
+    opacity = torch.zeros(n)
     for v in range(24):
         for u in range(32):
             g = pixel_gradient(splats, v_rgb, u, v)

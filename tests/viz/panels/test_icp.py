@@ -54,7 +54,8 @@ def test_a_point_behind_the_surface_is_red_and_one_before_it_blue(pair):
         T = torch.eye(4).double()
         T[2, 3] = z
         picture = residual_picture(wall, surface, T, TrackingConfig())
-        red, blue = picture[15, 20, 0], picture[15, 20, 2]
+        red = picture[15, 20, 0]
+        blue = picture[15, 20, 2]
         assert (red > blue) == reddish
 
 
@@ -81,8 +82,10 @@ def test_the_panel_converges_from_near_and_not_from_afar(pair):
 
 def test_the_basin_holds_the_truth_and_coarse_levels_widen_it(pair):
     known, frame = pair
-    surface, config = frame_surface(known), TrackingConfig()
-    sideways, turns = [-0.2, 0.0, 0.2], [-8.0, 0.0, 8.0]
+    surface = frame_surface(known)
+    config = TrackingConfig()
+    sideways = [-0.2, 0.0, 0.2]
+    turns = [-8.0, 0.0, 8.0]
     wide = convergence_basin(frame, surface, sideways, turns)
     narrow = convergence_basin(frame, surface, sideways, turns, single_level_config(config))
     assert wide.shape == (3, 3)

@@ -84,7 +84,8 @@ def test_the_longest_list_is_yellow(generator):
         scale=2,
     )
     assert picture.shape == (120, 160, 3)
-    middle, corner = picture[58, 78].astype(int), picture[4, 4].astype(int)
+    middle = picture[58, 78].astype(int)
+    corner = picture[4, 4].astype(int)
     assert middle[0] > 120  # viridis ends in yellow
     assert middle[1] > 120
     assert corner[2] > corner[1]  # and begins in violet

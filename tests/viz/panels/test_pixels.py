@@ -141,7 +141,8 @@ def test_the_microscope_shows_what_the_function_gives_at_the_clicked_pixel(param
     microscope = PixelMicroscope(params, LARGE, EYE, pixel=(10, 10))
     before = microscope.picture()
     microscope.drag((100.4 * 1.25, LABEL_PX + 60.6 * 1.25))
-    stack, expected = microscope.stack, pixel_stack(project_splats(params, LARGE, EYE), 100, 60)
+    stack = microscope.stack
+    expected = pixel_stack(project_splats(params, LARGE, EYE), 100, 60)
     assert torch.equal(stack.row, expected.row)
     assert (
         np.abs(stack.colour.clamp(0, 1).numpy() - microscope.rendered[60, 100] / 255).max() < 0.01
@@ -184,7 +185,8 @@ EYE = torch.eye(4)
 def mapper(generator):
     """200 Gaussians around a wall at 2 m, of which the left edge is a hole; some of them are far
     behind it."""
-    n, size = 200, (MIDDLE.height, MIDDLE.width)
+    n = 200
+    size = (MIDDLE.height, MIDDLE.width)
     xyz = torch.rand(n, 3, generator=generator) * torch.tensor([2.4, 1.8, 0.6]) + torch.tensor(
         [-1.2, -0.9, 1.8]
     )
@@ -195,8 +197,10 @@ def mapper(generator):
         opacity_logit=torch.randn(n, generator=generator),
         sh=torch.randn(n, 1, 3, generator=generator) * 0.3,
     )
-    depth_m, weight = torch.full(size, 2.0), torch.ones(size)
-    depth_m[:, :8], weight[:, :8] = 0.0, 0.0
+    depth_m = torch.full(size, 2.0)
+    weight = torch.ones(size)
+    depth_m[:, :8] = 0.0
+    weight[:, :8] = 0.0
     base = Base(
         rgb=torch.full((*size, 3), 0.4),
         depth_m=depth_m,

@@ -152,7 +152,8 @@ def test_only_measuring_fills_the_map(panel):
 def test_the_camera_is_dragged_in_the_slice_and_turned_by_its_handle(panel):
     panel.set(x_m=0.5, y_m=0.0, heading_deg=0.0)
     at = camera_handles(0.5, 0.0, 0.0)
-    u, v = at["place"][0], at["place"][1] + LABEL_PX
+    u = at["place"][0]
+    v = at["place"][1] + LABEL_PX
     panel.drag(
         (u, v),
         (u + 10, v),

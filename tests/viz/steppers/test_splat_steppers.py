@@ -79,7 +79,8 @@ def test_compositing_says_where_the_pixel_is_finished(press):
 
 
 def test_the_gradient_is_that_of_autograd(press):
-    params, v_rgb = stack(0.3), torch.tensor([0.2, -0.1, 0.4])
+    params = stack(0.3)
+    v_rgb = torch.tensor([0.2, -0.1, 0.4])
     stepper = compositing_gradient_stepper(params, CAMERA, T_WC, PIXEL, v_rgb)
     press(stepper)
     run = record_pixel(params, CAMERA, T_WC, PIXEL)
@@ -107,7 +108,8 @@ def test_adam_moves_the_rows_as_the_optimiser_does(press, count):
         earlier_steps=5,
     )
     steps = press(stepper)
-    model, config = GaussianModel(sh_degree=0), dataclasses.replace(OptimConfig(), adam_steps=count)
+    model = GaussianModel(sh_degree=0)
+    config = dataclasses.replace(OptimConfig(), adam_steps=count)
     model.step_count = 5
     for k, n in enumerate((2, 3)):
         if len(model) < n:

@@ -21,7 +21,8 @@ def find(stepper, title):
 
 
 def test_icp_ends_with_the_pose_of_one_iteration(frame, press):
-    surface, start = frame_surface(frame), displaced_pose(frame.T_WC, 0.03, 0.0)
+    surface = frame_surface(frame)
+    start = displaced_pose(frame.T_WC, 0.03, 0.0)
     stepper = icp_stepper(frame.depth_m, frame.camera, surface, start, factor=2, pixels=2)
     steps = press(stepper)
     once = dataclasses.replace(TrackingConfig(), pyramid=(2,), iterations=(1,))
@@ -46,11 +47,10 @@ def loop():
         [1.0, 0, 0, 0, 0, math.pi / 2],
         dtype=torch.float64,
     )
-    step, bend = (
-        se3.exp(turn),
-        se3.exp(torch.tensor([0.04, 0.02, 0, 0, 0, 0.05], dtype=torch.float64)),
-    )
-    poses, edges = [torch.eye(4).double()], []
+    step = se3.exp(turn)
+    bend = se3.exp(torch.tensor([0.04, 0.02, 0, 0, 0, 0.05], dtype=torch.float64))
+    poses = [torch.eye(4).double()]
+    edges = []
     for k in range(4):
         T_ij = step @ bend
         edges.append(

@@ -22,7 +22,8 @@ def test_marching_cubes_has_the_vertices_of_the_mesh(volume, press, cells):
     stepper = marching_cubes_stepper(volume, cells=cells)
     steps = press(stepper)
     with use_backend("reference"):
-        mesh, whole = extract_mesh(cut_out(volume, start, cells)), extract_mesh(volume)
+        mesh = extract_mesh(cut_out(volume, start, cells))
+        whole = extract_mesh(volume)
     assert steps[-1][1] == {
         "vertices": str(len(mesh.vertices_W)),
         "triangles": str(len(mesh.faces)),

@@ -99,7 +99,8 @@ def read_model(folder: Path) -> tuple[dict[int, CameraModel], list[ColmapImage]]
             f"{folder} holds no COLMAP model; expected cameras and images, both .bin or both .txt"
         )
     read = (_cameras_txt, _images_txt) if suffix == ".txt" else (_cameras_bin, _images_bin)
-    cameras, path = read[0](folder / f"cameras{suffix}"), folder / f"images{suffix}"
+    cameras = read[0](folder / f"cameras{suffix}")
+    path = folder / f"images{suffix}"
     with (
         open_regular(path, "COLMAP's images") as file,
         parsing(path, "COLMAP's images and lines of points"),
@@ -141,7 +142,8 @@ def _cameras_txt(path: Path) -> dict[int, CameraModel]:
         words = line.split()
         if words and not words[0].startswith("#"):
             with parsing(f"{path} line {number}", "'CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]'"):
-                size, values = (int(words[2]), int(words[3])), [float(w) for w in words[4:]]
+                size = (int(words[2]), int(words[3]))
+                values = [float(w) for w in words[4:]]
                 cameras[int(words[0])] = _camera(
                     words[1], size, values, f"{path} camera {words[0]}"
                 )
@@ -333,7 +335,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
     def measured() -> tuple[float, str]:
         chosen = images[:: max(1, len(images) // _MEASURED_IMAGES)]
-        points, ratios = read_points(folder), []
+        points = read_points(folder)
+        ratios = []
         for image in chosen:
             try:
                 depth_m = read_depth_file(depth_file(image), scale)

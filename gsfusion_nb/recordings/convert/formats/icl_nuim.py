@@ -31,7 +31,8 @@ from ..recording import (
 )
 from ..trajectory import read_trajectory
 
-_WIDTH, _HEIGHT = 640, 480
+_WIDTH = 640
+_HEIGHT = 480
 _MODEL = CameraModel(
     Camera(
         width=_WIDTH,

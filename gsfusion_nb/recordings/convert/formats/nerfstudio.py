@@ -178,7 +178,8 @@ def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
         height, width = read_rgb(colour).shape[:2]
     with parsing(source, "fl_x (or camera_angle_x), cx and cy as numbers"):
         if "fl_x" in values:
-            fx, fy = float(values["fl_x"]), float(values.get("fl_y", values["fl_x"]))
+            fx = float(values["fl_x"])
+            fy = float(values.get("fl_y", values["fl_x"]))
         else:
             fx = 0.5 * width / math.tan(0.5 * float(values["camera_angle_x"]))
             fy = (

@@ -49,7 +49,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         raise SequenceNotFoundError(
             f"{path} lacks color/ or depth/; expected both beside trajectory.log"
         )
-    colour, depth = images_in(colour_folder), images_in(path / "depth", DEPTH_SUFFIXES)
+    colour = images_in(colour_folder)
+    depth = images_in(path / "depth", DEPTH_SUFFIXES)
     found = paired_by_name(path, colour, depth)
     # Redwood's names continue with the time: 0000001-000000033369.png
     numbers = [int(match[0]) for c, _ in found if (match := re.search(r"\d+", c.stem))]

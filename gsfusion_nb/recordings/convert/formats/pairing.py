@@ -167,7 +167,8 @@ def notes_on_times(stream: Stream) -> tuple[str, ...]:
 
 
 def _paired_by_time(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
-    depth_s, rgb_s = depth.stamps.times_s or [], rgb.stamps.times_s or []
+    depth_s = depth.stamps.times_s or []
+    rgb_s = rgb.stamps.times_s or []
     found = associate(depth_s, rgb_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
     if not found:
         raise SequenceError(

@@ -66,7 +66,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     """A capture of Record3D (module docstring)."""
     if path.is_file():
         archive = open_archive(path, "an .r3d archive")
-        names, fetch = set(archive.namelist()), partial(_member, archive, path)
+        names = set(archive.namelist())
+        fetch = partial(_member, archive, path)
         metadata = _object(fetch("metadata"), f"{path}: metadata")
     else:
         file = _metadata_file(path)
@@ -125,7 +126,8 @@ def lzfse_unpacked(data: bytes, source: str) -> bytes:
         SequenceError: it is compressed, and the package ``pyliblzfse`` is missing. BadFrameError:
             it is damaged.
     """
-    stored, at = [], 0
+    stored = []
+    at = 0
     while data[at : at + 4] == b"bvx-" and len(data) >= at + 8:
         (n,) = struct.unpack_from("<I", data, at + 4)
         stored.append(data[at + 8 : at + 8 + n])

@@ -86,7 +86,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for d, colour, depth in _second_pass(bag, pairs):
-            time_s, depth_time_s = seconds(colour.header.stamp), bag.depth_s[d]
+            time_s = seconds(colour.header.stamp)
+            depth_time_s = bag.depth_s[d]
             if (
                 pose_at is not None and pose_at(time_s) is None
             ):  # poses may have the stamps of depth
@@ -165,7 +166,8 @@ def _is_tf(kind: str) -> bool:
 
 
 def _take(bag: _Bag, connection: Any, message: Any, metres_per_unit: float) -> None:
-    topic, told = connection.topic, bag.calibration
+    topic = connection.topic
+    told = bag.calibration
     if topic in (bag.colour, bag.depth):
         if topic not in told.frames:
             told.frames[topic] = message.header.frame_id.lstrip("/")

@@ -243,7 +243,8 @@ def _cropped(
 ) -> tuple[list[float], tuple[int, int]]:
     """fx, fy, cx, cy and the size of the part of the sensor that the images show: K is of the whole
     of it (REP 104)."""
-    roi, size = info.roi, (int(info.width), int(info.height))
+    roi = info.roi
+    size = (int(info.width), int(info.height))
     if roi.width and roi.height:
         values = [values[0], values[1], values[2] - roi.x_offset, values[3] - roi.y_offset]
         size = (int(roi.width), int(roi.height))
@@ -252,7 +253,8 @@ def _cropped(
 
 def _are_one(depth: CameraModel, colour: CameraModel) -> bool:
     """Whether both have the same rays, at whatever resolution."""
-    c, d = colour.camera, depth.camera
+    c = colour.camera
+    d = depth.camera
     if not same_proportions((c.width, c.height), (d.width, d.height)):
         return False
     if depth.distortion != colour.distortion or depth.fisheye != colour.fisheye:

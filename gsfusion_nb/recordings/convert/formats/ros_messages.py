@@ -101,9 +101,11 @@ def _compressed_depth(data: bytes, format: str, source: str, scale: float) -> np
             "uncompressed"
         )
     if data[:4] == _PNG:
-        header, png = None, data
+        header = None
+        png = data
     elif len(data) > _DEPTH_HEADER.size and data[_DEPTH_HEADER.size :][:4] == _PNG:
-        header, png = _DEPTH_HEADER.unpack_from(data), data[_DEPTH_HEADER.size :]
+        header = _DEPTH_HEADER.unpack_from(data)
+        png = data[_DEPTH_HEADER.size :]
     else:
         raise BadFrameError(
             f"{source} holds no PNG after its header of 12 bytes ({shown(format)}); expected "
@@ -133,7 +135,9 @@ def _rows(
 ) -> np.ndarray:
     """Pixels [H, W, C], without the padding at the ends of the rows, in this machine's byte
     order."""
-    height, width, step = int(message.height), int(message.width), int(message.step)
+    height = int(message.height)
+    width = int(message.width)
+    step = int(message.step)
     kind = np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<")
     used = width * channels * kind.itemsize
     data = np.asarray(message.data, dtype=np.uint8)

@@ -202,7 +202,8 @@ class TransformTree:
     def between(self, frame: str, other: str) -> Float[Tensor, "4 4"] | None:
         """Transform from ``frame`` to ``other`` through transforms that do not change, float64; or
         None."""
-        found, waiting = {frame: torch.eye(4, dtype=torch.float64)}, deque([frame])
+        found = {frame: torch.eye(4, dtype=torch.float64)}
+        waiting = deque([frame])
         while waiting and other not in found:
             here = waiting.popleft()
             for (child, parent), transform in self._transforms.items():
@@ -235,18 +236,18 @@ def pose_rows(message: Any) -> tuple[list[float], str]:
 
 def in_order(times_s: list[float], rows: list[list[float]]) -> TimedRows:
     """Finite rows by increasing time, each time once (messages may arrive out of order). float64"""
-    t, table = (
-        torch.tensor(times_s, dtype=torch.float64),
-        torch.tensor(rows, dtype=torch.float64).reshape(-1, 7),
-    )
+    t = torch.tensor(times_s, dtype=torch.float64)
+    table = torch.tensor(rows, dtype=torch.float64).reshape(-1, 7)
     usable = torch.isfinite(table).all(dim=1) & ((table[:, 3:].norm(dim=1) - 1).abs() < 1e-2)
     if not bool(usable.any()):
         raise SequenceError(
             "every pose of the bag is NaN or has no unit quaternion; expected geometry_msgs poses"
         )
-    t, table = t[usable], table[usable]
+    t = t[usable]
+    table = table[usable]
     order = t.argsort(stable=True)
-    t, table = t[order], table[order]
+    t = t[order]
+    table = table[order]
     first = torch.cat([torch.ones(1, dtype=torch.bool), t[1:] > t[:-1]])
     kept = table[first][first.cumsum(0) - 1]
     conflicts = int(((table - kept).abs().amax(dim=1) > _STILL).sum())

@@ -46,7 +46,9 @@ def unpack(
     Raises:
         SequenceError: it unpacks to more, or is truncated.
     """
-    parts, left, size = [], data, 0
+    parts = []
+    left = data
+    size = 0
     while left:
         unpacker = make()
         parts.append(unpacker.decompress(left, at_most - size + 1))
@@ -65,7 +67,8 @@ def unpack(
 @contextmanager
 def bounded(source: Path, at_most: int) -> Iterator[None]:
     """A block in which ``rosbags`` unpacks nothing to more than ``at_most`` bytes."""
-    lz4, zstd = importlib.import_module("lz4.frame"), importlib.import_module(_ZSTD)
+    lz4 = importlib.import_module("lz4.frame")
+    zstd = importlib.import_module(_ZSTD)
     bag1, bag2, mcap = (
         importlib.import_module(f"rosbags.{name}")
         for name in ("rosbag1.reader", "rosbag2.reader", "rosbag2.storage_mcap")
@@ -99,7 +102,9 @@ class _Counted:
     """A file that ends with an error once it has given too much."""
 
     def __init__(self, file: Any, at_most: int, source: Path):
-        self._file, self._left, self._source = file, at_most, source
+        self._file = file
+        self._left = at_most
+        self._source = source
 
     def read(self, size: int = -1) -> bytes:
         data = self._file.read(min(size, self._left + 1) if size >= 0 else self._left + 1)

@@ -92,7 +92,9 @@ def write_txt(sparse, takes, camera, seen, points):
     c = takes.camera
     text = f"# Camera list\n1 {camera[1]} {c.width} {c.height} {' '.join(map(repr, camera[2]))}\n"
     (sparse / "cameras.txt").write_text(text)
-    lines, rows, n = ["# Image list with two lines of data per image:"], ["# 3D point list"], 0
+    lines = ["# Image list with two lines of data per image:"]
+    rows = ["# 3D point list"]
+    n = 0
     for i, pose in poses(takes):
         lines.append(f"{i + 1} {' '.join(map(repr, pose))} 1 left/frame{i + 8}.png")
         line = ["7.0 7.0 -1"]
@@ -117,7 +119,9 @@ def write_bin(sparse, takes, camera, seen, points):
         c.height,
     )
     (sparse / "cameras.bin").write_bytes(head + struct.pack(f"<{len(camera[2])}d", *camera[2]))
-    images, rows, n = struct.pack("<Q", len(takes)), b"", 0
+    images = struct.pack("<Q", len(takes))
+    rows = b""
+    n = 0
     for i, pose in poses(takes):
         images += struct.pack("<I7dI", i + 1, *pose, 1) + f"left/frame{i + 8}.png".encode() + b"\0"
         seen_here = list(zip(*seen[i], strict=True)) if points else []
@@ -287,7 +291,8 @@ def unproject_witness(uv, c, D, fisheye):
         factor = (1 + D[0] * r2 + D[1] * r2**2 + D[4] * r2**3) / (
             1 + D[5] * r2 + D[6] * r2**2 + D[7] * r2**3
         )
-        x, y = xy[..., 0], xy[..., 1]
+        x = xy[..., 0]
+        y = xy[..., 1]
         tangential = np.stack(
             [
                 2 * D[2] * x * y + D[3] * (r2 + 2 * x * x),

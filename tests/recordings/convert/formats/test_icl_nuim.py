@@ -38,7 +38,8 @@ def left_handed():
         quat = quaternion.normalise(
             torch.tensor([1.0, 0.1, 0.2 + 0.05 * i, -0.05], dtype=torch.float64)
         )
-        R, t = quaternion.to_matrix(quat).numpy(), np.array([0.3, -0.2, 0.1 * i])
+        R = quaternion.to_matrix(quat).numpy()
+        t = np.array([0.3, -0.2, 0.1 * i])
         d = rays @ R.T
         z = ((np.sign(d) * half - t) / d).min(-1)
         point = t + z[..., None] * d

@@ -117,7 +117,8 @@ def test_a_missing_image_does_not_shift_poses_and_times(tmp_path, takes):
     )
     convert(whole, tmp_path / "a")
     convert(rest, tmp_path / "b")
-    a, b = folder(tmp_path / "a"), folder(tmp_path / "b")
+    a = folder(tmp_path / "a")
+    b = folder(tmp_path / "b")
     assert torch.equal(b.poses, a.poses[[0, 2, 3]])
     assert b.timestamps_s == pytest.approx([5.0, 5.2, 5.3])
 
@@ -143,7 +144,8 @@ def test_focal_length_of_every_frame(tmp_path, takes):
     convert(write_r3d(tmp_path / "a.r3d", files), tmp_path / "out")
     sequence = folder(tmp_path / "out")
     assert vars(sequence.camera) == pytest.approx(vars(c))
-    shrunk, same = sequence[2].depth_m.numpy(), takes.depth_m[2]
+    shrunk = sequence[2].depth_m.numpy()
+    same = takes.depth_m[2]
     for v, u in (
         (10, 20),
         (24, 32),

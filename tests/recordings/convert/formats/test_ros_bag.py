@@ -75,7 +75,9 @@ def write_bag(
 
 
 def put_depth(bag, takes, i, depth, pad, big):
-    t, topic, frame = takes.times_s[i] + 0.004, "/camera/depth/image_raw", "camera_optical"
+    t = takes.times_s[i] + 0.004
+    topic = "/camera/depth/image_raw"
+    frame = "camera_optical"
     if depth == "16UC1":
         bag.image(
             topic,

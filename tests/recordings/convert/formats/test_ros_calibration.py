@@ -36,7 +36,8 @@ def record(
     camera_info."""
     camera = depth_camera or box.camera
     T_colour_depth = of_depth.get("T", torch.eye(4, dtype=torch.float64))
-    said, roi = of_depth.get("said", camera), of_depth.get("roi", (0, 0, 0, 0))
+    said = of_depth.get("said", camera)
+    roi = of_depth.get("roi", (0, 0, 0, 0))
     with Bag(path, 1) as bag:
         for i, T in enumerate(box.poses(4)):
             t = 1.0 + 0.1 * i
@@ -44,7 +45,8 @@ def record(
                 bag.info("/cam/color/camera_info", t, frames[0], box.camera)
             if "depth" in infos:
                 bag.info("/cam/depth/camera_info", t, frames[1], said, roi=roi)
-            rgb, depth_m = box.render(T)[0], box.render(T @ T_colour_depth, camera)[1]
+            rgb = box.render(T)[0]
+            depth_m = box.render(T @ T_colour_depth, camera)[1]
             bag.image("/cam/color/image_raw", t, frames[0], "rgb8", rgb)
             bag.image(
                 "/cam/depth/image_raw",

@@ -36,7 +36,8 @@ def write_sens(
     version=4,
 ):
     """uint32 version ... as in sensorData.h."""
-    c, d = takes.camera, depth_camera or takes.camera
+    c = takes.camera
+    d = depth_camera or takes.camera
     depth = depth or takes.depth_m
     out = struct.pack("<IQ", version, 8) + b"StructIO"
     for M in (matrix(c), np.eye(4) if extrinsic is None else extrinsic, matrix(d), np.eye(4)):
