@@ -198,12 +198,10 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
             f"{sequence.name} has no poses, so what its frames see together is not known beforehand"
         )
     mapper = make_mapper(replace(config, tracking__poses="given"))
-    has_volume = hasattr(config, "tsdf")
-    settings = (
-        config.tsdf
-        if has_volume
-        else TsdfConfig(voxel_size_m=getattr(config, "mesh_voxel_m", 0.04))
-    )
+    settings = getattr(config, "tsdf", None)
+    has_volume = settings is not None
+    if settings is None:
+        settings = TsdfConfig(voxel_size_m=getattr(config, "mesh_voxel_m", 0.04))
     whole = TsdfVolume(settings)
     part = TsdfVolume(settings)
 

@@ -120,10 +120,10 @@ def _pickled(rule: SeedingRule | bytes) -> bytes:
     try:
         return pickler.dumps(rule)
     except (pickle.PicklingError, AttributeError, TypeError) as e:
+        assert not isinstance(rule, bytes)  # those can be pickled
         raise ValueError(
             f"the rule {rule_name(rule)} cannot be sent to other processes: {e}; write it to a "
-            "file and give "  # pyright: ignore
-            '"FILE.py:name", or install the extra "cluster"'
+            'file and give "FILE.py:name", or install the extra "cluster"'
         ) from None
 
 

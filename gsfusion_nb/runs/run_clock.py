@@ -40,9 +40,9 @@ class RunClock:
     ):
         self._now = now
         self._cpu = cpu
-        self.seconds = dict.fromkeys(STAGES, 0.0)
+        self.seconds: dict[str, float] = dict.fromkeys(STAGES, 0.0)
         """Stage -> wall time so far, seconds."""
-        self.cpu_seconds = dict.fromkeys(STAGES, 0.0)
+        self.cpu_seconds: dict[str, float] = dict.fromkeys(STAGES, 0.0)
         """Stage -> processor time so far, seconds, of all threads."""
         self._thread = threading.get_ident()
         self._inside = ["other"]

@@ -12,8 +12,8 @@ from gsfusion_nb.cli.settings import _read_settings
 from gsfusion_nb.compare.entries import read_table
 from gsfusion_nb.config import GSFusionConfig, from_dict, from_run, gsfusion, to_dict
 from gsfusion_nb.files import SequenceError
+from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.runs import resume_mapping, run_mapping
-from gsfusion_nb.runs.mapping_run import MappingRun
 from gsfusion_nb.runs.resume import load_run
 from gsfusion_nb.seeding.named_rules import RuleNotNamedError
 
@@ -53,7 +53,7 @@ def stranger(tmp_path, ran, monkeypatch):
     own.write_text(SPY.format(place=str(ran)) + "import thin\n" + RULE)
     own.with_name("thin.py").write_text(HELPER)
     folder = tmp_path / "their run"
-    original = MappingRun._map
+    original = GSFusion.step
 
     def interrupted(self, frame):
         if frame.index == 2:
@@ -62,7 +62,7 @@ def stranger(tmp_path, ran, monkeypatch):
 
     config = gsfusion("room", **FAST, seeding__rule=f"{own}:near")
     with monkeypatch.context() as patch:
-        patch.setattr(MappingRun, "_map", interrupted)
+        patch.setattr(GSFusion, "step", interrupted)
         with pytest.raises(KeyboardInterrupt) as end:
             run_mapping("room", config, folder=folder, evaluate=False, n_frames=20)
     named = shlex.join(
@@ -146,9 +146,10 @@ def settings_file(place, rule="near", **more):
 def test_settings_of_others_execute_nothing(tmp_path, ran, capsys, monkeypatch, way, command):
     (tmp_path / "rule.py").write_text(SPY.format(place=str(ran)) + RULE)
     beside = way == "a file beside it"
-    file = settings_file(
-        tmp_path, **({"rule_from_file": True} if beside else {"rule": f"{tmp_path}/rule.py:near"})
-    )
+    if beside:
+        file = settings_file(tmp_path, rule_from_file=True)
+    else:
+        file = settings_file(tmp_path, rule=f"{tmp_path}/rule.py:near")
     monkeypatch.setattr("sys.stdin", io.StringIO("y\n"))
     typed = [*command, "--from-config", str(file)]
     assert main(typed) == 1

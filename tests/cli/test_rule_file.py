@@ -7,8 +7,8 @@ import pytest
 
 from gsfusion_nb.cli.map import run
 from gsfusion_nb.files import SequenceError
+from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.runs import resume_mapping, run_mapping
-from gsfusion_nb.runs.mapping_run import MappingRun
 
 RULE = "def near(ctx, *, step=5):\n    return ctx.seeds_at(ctx.pixels()[::step], 1.0)\n"
 FAST = (
@@ -77,7 +77,7 @@ def test_a_resumed_run_uses_its_own_rule_or_refuses_another(rule, tmp_path, monk
         seeding__rule=f"{rule}:near",
     )
     folder = tmp_path / "run"
-    original = MappingRun._map
+    original = GSFusion.step
 
     def dies(self, frame):
         if frame.index == 2:
@@ -85,7 +85,7 @@ def test_a_resumed_run_uses_its_own_rule_or_refuses_another(rule, tmp_path, monk
         return original(self, frame)
 
     with monkeypatch.context() as patch:
-        patch.setattr(MappingRun, "_map", dies)
+        patch.setattr(GSFusion, "step", dies)
         with pytest.raises(MemoryError):
             run_mapping("room", config, folder=folder, evaluate=False, n_frames=20)
     assert (folder / "rule.py").read_text() == RULE

@@ -5,6 +5,7 @@ import json
 import threading
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -81,7 +82,7 @@ def counted(tmp_path_factory) -> tuple[FinishedRun, Counter[int], Counter[str]]:
     scores."""
     reads = Counter[int]()
     looks = Counter[str]()
-    data = {
+    data: dict[str, Any] = {
         "data__width": 0,
         "data__height": 0,
         "data__hold_out_every": 4,

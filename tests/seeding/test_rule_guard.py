@@ -194,7 +194,7 @@ ALLOWED = {
     "the full name of a file": lambda folder: Path(__file__).resolve(),
     "a source line": traced_back,
     "a library of the system": lambda folder: ctypes.CDLL(None),
-    "declared picture": lambda folder: cv2.imread(str(folder / "picture.png")).sum(),
+    "declared picture": lambda folder: cv2.imread(str(folder / "picture.png")),
     "declared file that exists": lambda folder: (folder / "text").exists(),
     "declared folder": lambda folder: (folder / "text").read_text(),
     "temporary file of its own": temporary,

@@ -2,6 +2,7 @@
 ends, lost rows."""
 
 import json
+from typing import Any
 
 import pytest
 import torch
@@ -9,6 +10,11 @@ from published_layouts import TEST, TRAIN, scannetpp_layout, seven_scenes_layout
 
 from gsfusion_nb.data import SequenceError, open_sequence
 from gsfusion_nb.data.adjust.repair import as_read
+
+
+def read(root) -> Any:
+    """What the reader of a layout returns, without the repairs around it."""
+    return as_read(open_sequence(root).source)
 
 
 def tum_folder(root, box):
@@ -48,13 +54,13 @@ def without_end(text):
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_text_files_as_other_systems_write_them(tmp_path, box, layout):
     root = LAYOUTS[layout](tmp_path / "scan", box)
-    wanted = as_read(open_sequence(root).source)
+    wanted = read(root)
     files = [file for file in (tmp_path / "scan").rglob("*") if file.suffix in (".txt", ".json")]
     texts = {file: file.read_text() for file in files}
     for change in (with_mark, of_windows, with_empty_end, without_end):
         for file, text in texts.items():
             file.write_bytes(change(text).encode())
-        found = as_read(open_sequence(root).source)
+        found = read(root)
         assert found.camera == wanted.camera, change
         assert torch.equal(found.poses, wanted.poses), change
         assert found.timestamps_s == wanted.timestamps_s, change
@@ -63,12 +69,12 @@ def test_text_files_as_other_systems_write_them(tmp_path, box, layout):
 def test_ground_truth_in_another_order_with_lost_and_repeated_rows(tmp_path, box):
     """fr2_desk repeats a time, and motion capture that lost its markers gives NaN."""
     root = tum_folder(tmp_path, box)
-    wanted = as_read(open_sequence(root).source)
+    wanted = read(root)
     file = root / "groundtruth.txt"
     comment, *rows = file.read_text().splitlines()
     lost = f"{float(rows[-1].split()[0]) + 0.002:.4f} nan nan nan nan nan nan nan"
     file.write_text("\n".join([comment, *reversed(rows), lost, rows[3], "# the end", ""]))
-    assert torch.equal(as_read(open_sequence(root).source).poses, wanted.poses)
+    assert torch.equal(read(root).poses, wanted.poses)
 
 
 @pytest.mark.parametrize("lost", ["pose", "image", "depth"])
@@ -85,7 +91,7 @@ def test_images_that_were_taken_out_of_a_release(tmp_path, box, caplog, lost):
         (root / f"dslr/undistorted_images_2/{name}").unlink()
     else:
         (root / f"dslr/undistorted_depths_2/{name.replace('JPG', 'png')}").unlink()
-    source = open_sequence(root).source
+    source: Any = open_sequence(root).source
     assert [file.name for file in source.rgb_files] == [TRAIN[0], TRAIN[2], *TEST]
     assert source.novel == {2}
     assert "1 of 4 listed images are left out" in caplog.text

@@ -3,6 +3,7 @@ points."""
 
 import dataclasses
 import math
+from typing import Any
 
 import cv2
 import numpy as np
@@ -202,7 +203,8 @@ def test_what_was_not_measured_is_no_reason_against_a_repair():
 
 
 def test_what_gains_nothing_is_not_said_to_be_wrong(monkeypatch):
-    trials = Trials(room(n_frames=200, width=32, height=24), DataConfig())
+    base: Any = room(n_frames=200, width=32, height=24)
+    trials = Trials(base, DataConfig())
     monkeypatch.setattr(
         trials,
         "of",
