@@ -87,9 +87,8 @@ def check_pose(name: str, T: Tensor, tolerance: float = 1e-3) -> None:
     """Raise ``ValueError`` unless ``T`` is a rigid 4x4 transform (finite, rotation orthonormal, no
     mirroring)."""
     check_shape(name, T, (4, 4))
-    numbers = (
-        T.detach().cpu().double().numpy()
-    )  # on so few numbers torch takes more than twice as long
+    # on so few numbers torch takes more than twice as long
+    numbers = T.detach().cpu().double().numpy()
     if not np.isfinite(numbers).all():
         check_finite(name, T)
     R = numbers[:3, :3]

@@ -146,9 +146,8 @@ class _File:
         """The file in memory, made as long as that; earlier maps of it show the same values."""
         try:
             os.truncate(self._handle, n_bytes)
-            if hasattr(
-                os, "posix_fallocate"
-            ):  # else a full disk would kill the process at the first write
+            # else a full disk would kill the process at the first write
+            if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(self._handle, 0, n_bytes)
         except OSError as e:
             raise MemoryError(
@@ -334,9 +333,8 @@ def _resident_bytes(field: str) -> int:
 
 def _reset_peak() -> bool:
     try:
-        Path("/proc/self/clear_refs").write_text(
-            "5"
-        )  # proc(5): resets VmHWM to the current resident set
+        # proc(5): resets VmHWM to the current resident set
+        Path("/proc/self/clear_refs").write_text("5")
     except OSError:
         return False
     return True

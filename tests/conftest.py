@@ -54,9 +54,8 @@ def pytest_xdist_auto_num_workers():
 
 
 def pytest_configure(config):
-    signal.signal(
-        signal.SIGINT, signal.default_int_handler
-    )  # a shell's job in the background would ignore Ctrl-C
+    # a shell's job in the background would ignore Ctrl-C
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     config.stash[PARITY] = {}
 
 

@@ -393,9 +393,8 @@ def matches(named: str, file: str) -> bool:
 def copy(tmp_path_factory) -> Path:
     """A copy of the package with all examples added."""
     root = tmp_path_factory.mktemp("copy")
-    without_kernels = shutil.ignore_patterns(
-        "*.nbc", "*.nbi", "*.lock", ".ipynb_checkpoints"
-    )  # compiled sources stay
+    # compiled sources stay
+    without_kernels = shutil.ignore_patterns("*.nbc", "*.nbi", "*.lock", ".ipynb_checkpoints")
     shutil.copytree(ROOT / "gsfusion_nb", root / "gsfusion_nb", ignore=without_kernels)
     shutil.copytree(ROOT / "kernels", root / "gsfusion_nb/kernels", ignore=without_kernels)
     (root / "kernels").symlink_to(root / "gsfusion_nb/kernels")

@@ -269,9 +269,8 @@ def test_settings_and_their_values_exist(page):
 def test_python_compiles_and_its_imports_work(page):
     for block in blocks(page, "python"):
         compile(block, page.name, "exec")
-        block = re.sub(
-            r"^import (.+)  # pip install .+$", "", block, flags=re.MULTILINE
-        )  # not a part of this package
+        # not a part of this package
+        block = re.sub(r"^import (.+)  # pip install .+$", "", block, flags=re.MULTILINE)
         imports: list[ast.stmt] = [
             n for n in ast.walk(ast.parse(block)) if isinstance(n, ast.Import | ast.ImportFrom)
         ]

@@ -292,9 +292,8 @@ def records_of(
         if written is None:
             call = [str(ROOT / part) if part.startswith("docs/") else part for part in call]
             done = subprocess.run(call, cwd=recordings, stdout=subprocess.PIPE, text=True)
-            without = (
-                what == "lab" and done.returncode == 1
-            )  # a run failed: its cell is empty, or the page says so
+            # a run failed: its cell is empty, or the page says so
+            without = what == "lab" and done.returncode == 1
             if done.returncode != 0 and not without:
                 raise MeasuredError(
                     f"ended with status {done.returncode} in {recordings}: {command}"
@@ -500,9 +499,8 @@ def without_folders(value: Any) -> Any:
         return [without_folders(inner) for inner in value]
     if not isinstance(value, str):
         return value
-    if (
-        PurePosixPath(value).is_absolute() or PureWindowsPath(value).is_absolute()
-    ):  # there may be spaces in it
+    # there may be spaces in it
+    if PurePosixPath(value).is_absolute() or PureWindowsPath(value).is_absolute():
         return PureWindowsPath(value).name
     return ABSOLUTE_PATH.sub(lambda match: PureWindowsPath(match[0]).name, value)
 

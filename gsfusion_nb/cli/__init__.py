@@ -102,17 +102,15 @@ def main(arguments: list[str] | None = None) -> int:
     ends before its recording (``print_result``), 130 interrupted, 141 nobody reads the output any
     more."""
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(
-            stream, io.TextIOWrapper
-        ):  # a path in another script ends no command on a terminal of cp1252
+        # a path in another script ends no command on a terminal of cp1252
+        if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
         status = _main(sys.argv[1:] if arguments is None else arguments)
         sys.stdout.flush()
     except BrokenPipeError:
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # Python's end says nothing, either
+        # Python's end says nothing, either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return NOBODY_READS
     return status
 

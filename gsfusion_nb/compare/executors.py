@@ -256,9 +256,8 @@ def _processes(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
     """Several processes, which divide the cores; if one dies, all tasks that are left have
     failed."""
     before = dict(os.environ)
-    os.environ.update(
-        threads_of_each(jobs)
-    )  # what is started now reads it, and nothing here does so again
+    # what is started now reads it, and nothing here does so again
+    os.environ.update(threads_of_each(jobs))
     spawn = multiprocessing.get_context("spawn")
     pool = concurrent.futures.ProcessPoolExecutor(jobs, spawn, initializer=_begin_process)
     try:

@@ -276,9 +276,8 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
     used = flat_settings(mapper.config)
     given = flat_settings(config)
     for name, value in getattr(rule, "overrides", {}).items():
-        if (
-            dotted(name) not in used
-        ):  # keyframe_every in a system that chooses its keyframes by motion
+        # keyframe_every in a system that chooses its keyframes by motion
+        if dotted(name) not in used:
             continue
         if used[dotted(name)] != value:
             notes.append(

@@ -101,9 +101,8 @@ def _draw(
     axes.grid(True, which="major", color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     title = f"{scene}\nred: on the Pareto front".strip()
-    axes.set_title(
-        title, fontsize=9, color=MUTED, loc="left", parse_math=False
-    )  # a name is no formula
+    # a name is no formula
+    axes.set_title(title, fontsize=9, color=MUTED, loc="left", parse_math=False)
     found = [(g.label, g.summary(cost_name), g.summary(FIRST_METRIC)) for g in groups]
     found = [(label, c, q) for label, c, q in found if c.n and np.isfinite(q.mean) and c.mean > 0]
     if not found:

@@ -399,9 +399,8 @@ def paired_test(differences: Sequence[float]) -> tuple[tuple[float, float], floa
         return (math.nan, math.nan), math.nan
     if not any(differences):
         return (0.0, 0.0), 1.0
-    with warnings.catch_warnings(
-        action="ignore", category=RuntimeWarning
-    ):  # about differences that are all the same
+    # about differences that are all the same
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
         t: Any = stats.ttest_1samp(differences, 0.0)
         interval: Any = t.confidence_interval(0.95)
     return (float(interval.low), float(interval.high)), float(t.pvalue)

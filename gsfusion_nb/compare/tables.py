@@ -134,9 +134,8 @@ def scene_table(groups: Sequence[Group]) -> ResultTable:
     any run has."""
     order = sorted(groups, key=lambda g: _descending(g.summary(FIRST_METRIC).mean))
     columns = [c for c in COLUMNS.values() if any(g.summary(c.metric).n for g in groups)]
-    fixed = (
-        {"n_gaussians"} if any(g.fixes_size for g in groups) else set()
-    )  # nobody is better in it
+    # nobody is better in it
+    fixed = {"n_gaussians"} if any(g.fixes_size for g in groups) else set()
     cells = [
         _cells(
             c,

@@ -327,9 +327,8 @@ def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
     )
     value = min(counts, key=_errors(counts, target).__getitem__)
     n_runs = len(counts)
-    too_few = (
-        "after_step" not in used and counts[value] < target / 2
-    )  # and seeding is most without steps
+    # and seeding is most without steps
+    too_few = "after_step" not in used and counts[value] < target / 2
     if used and has_steps and not too_few:
         counts = search(
             counter(lambda config: config), target, start=value, tolerance=tolerance / 2, **limits

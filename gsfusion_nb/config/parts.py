@@ -403,9 +403,8 @@ class SystemConfig(Settings):
 
     def __post_init__(self):
         super().__post_init__()
-        if (
-            self.tracking.poses == "tracked"
-        ):  # the data's poses may not move the depth that the tracker aligns
+        # the data's poses may not move the depth that the tracker aligns
+        if self.tracking.poses == "tracked":
             object.__setattr__(self, "data", replace(self.data, repair__depth_pose="colour"))
 
     @property

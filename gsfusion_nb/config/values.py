@@ -440,9 +440,8 @@ def _only(
             value = f.default_factory()
         kind = hints[f.name]
         if is_dataclass(value):
-            below = (
-                path if f.name == "config" else f"{path}{f.name}."
-            )  # the settings of a system are at the top
+            # the settings of a system are at the top
+            below = path if f.name == "config" else f"{path}{f.name}."
             if any(name.startswith(below) for name in names):
                 group = _only(names, type(value), value, below)
                 kind = (

@@ -235,9 +235,8 @@ def hand_out(
         if (target / name).exists():
             continue
         text = _as_text(name, learner_copy, notebook)
-        if (
-            pages is not None
-        ):  # links of stored outputs to source files become text; run, they link to installed files
+        # links of stored outputs to source files become text; run, they link to installed files
+        if pages is not None:
             text = _TO_A_SOURCE_FILE.sub(r"\1", _TO_A_PAGE.sub(f"]({DOCUMENTATION}/", text))
         write_file(target / name, text)
         written.append(target / name)

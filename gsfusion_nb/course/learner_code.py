@@ -177,9 +177,8 @@ def calls_of_library(
     usual = sys.getprofile()
 
     def watch(frame: Any, event: str, value: Any) -> None:
-        operator = frame.f_code.co_name.startswith(
-            "__"
-        )  # such as len() and [] of a value of the library
+        # such as len() and [] of a value of the library
+        operator = frame.f_code.co_name.startswith("__")
         if (
             event == "return"
             and not operator
@@ -330,9 +329,8 @@ def functions_of_earlier_chapters() -> dict[str, Callable[..., Any]]:
         linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
         namespace: dict[str, Any] = {"__name__": "__main__"}
         try:
-            exec(
-                compile(source, file, "exec"), namespace
-            )  # the learner's own code, from the learner's own file
+            # the learner's own code, from the learner's own file
+            exec(compile(source, file, "exec"), namespace)
             made[exercise] = namespace[str(entry.get("function"))]
         except Exception:
             continue

@@ -286,9 +286,8 @@ def tell_apart(attempt: Attempt) -> None:
     true = se3.exp(torch.tensor([0.3, -0.1, 0.2, 0.1, 0.5, 0.0], dtype=torch.float64))
     noise = 0.005 * torch.randn(2, 300, 3, generator=generator, dtype=torch.float64)
     b = se3.apply(true, a)
-    wide = torch.tensor(
-        [1.2, 1.2, 1.0], dtype=torch.float64
-    )  # x and y of points lifted with fx, fy too small
+    # x and y of points lifted with fx, fy too small
+    wide = torch.tensor([1.2, 1.2, 1.0], dtype=torch.float64)
     mirror = torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
     aside = true.clone()
     aside[0, 3] += 0.1

@@ -76,9 +76,8 @@ def open_sequence(
     if format == "room" or (format == "auto" and str(path_or_name) == "room"):
         from .room import room
 
-        if (
-            data is not None and data.width and data.height
-        ):  # rendered at the wanted size, not resized to it
+        # rendered at the wanted size, not resized to it
+        if data is not None and data.width and data.height:
             options = {"width": data.width, "height": data.height, **options}
         _check_options("room", room, options)
         source: Any = room(**options)

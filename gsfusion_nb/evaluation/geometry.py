@@ -508,12 +508,10 @@ def _distance(xyz: Tensor, mesh: Mesh, samples: tuple[Tensor, Tensor]) -> Tensor
         k = min(NEIGHBOURS, tree.n)
         for rows in near.split(20_000):
             rows = rows[_by_place(xyz[rows])]
-            bound = 1.001 * (
-                float(nearest[rows].max()) + extent
-            )  # a face whose middle is beyond is not nearer
-            index = tree.query(xyz[rows].numpy(), k=k, distance_upper_bound=bound)[
-                1
-            ]  # tree.n if there are fewer
+            # a face whose middle is beyond is not nearer
+            bound = 1.001 * (float(nearest[rows].max()) + extent)
+            # tree.n if there are fewer
+            index = tree.query(xyz[rows].numpy(), k=k, distance_upper_bound=bound)[1]
             candidates = faces[torch.from_numpy(index).reshape(len(rows), k)]
             for some, tried in zip(
                 rows.split(POINTS_AT_A_TIME), candidates.split(POINTS_AT_A_TIME), strict=True

@@ -380,9 +380,8 @@ def _on_disk(tensor: Tensor) -> Tensor:
     plain = tensor.detach().cpu().contiguous()
     if plain.nbytes < _COPIED_BYTES:
         return plain.clone()
-    values = torch.from_numpy(
-        plain.view(-1).view(torch.uint8).numpy()
-    )  # NumPy does not know all types
+    # NumPy does not know all types
+    values = torch.from_numpy(plain.view(-1).view(torch.uint8).numpy())
     return values.view(plain.dtype).view(plain.shape)
 
 

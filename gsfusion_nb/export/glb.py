@@ -196,9 +196,8 @@ def _splats(arrays: _Arrays, g: GaussianParams) -> dict[str, Any]:
     opacity = g.opacity_logit.double().sigmoid()
     sh = g.sh
     colour = linear_rgb(sh[:, 0].double() * SH_C0 + 0.5)
-    points = np.concatenate(
-        [colour, opacity.cpu().numpy()[:, None]], axis=1
-    )  # for programs without the extension
+    # for programs without the extension
+    points = np.concatenate([colour, opacity.cpu().numpy()[:, None]], axis=1)
     attributes = {
         "POSITION": arrays.add(_floats(g.xyz_W), bounds=True),
         "COLOR_0": arrays.add((points * 255).round().astype(np.uint8), normalized=True),

@@ -42,9 +42,8 @@ def write_tsdf(path: str | Path, volume: TsdfVolume) -> None:
     """Write the observed voxels of a volume, atomically; about 4 bytes for each."""
     observed = volume.W > 0
     place = observed.view(-1).nonzero()[:, 0]
-    in_planes = place + place // VOXELS_PER_BLOCK * (
-        2 * VOXELS_PER_BLOCK
-    )  # a block has three planes of colour
+    # a block has three planes of colour
+    in_planes = place + place // VOXELS_PER_BLOCK * (2 * VOXELS_PER_BLOCK)
     rgb = volume.rgb_planes.reshape(-1)
     planes = [rgb[in_planes + k * VOXELS_PER_BLOCK] for k in range(3)]
     columns = {

@@ -96,9 +96,8 @@ def _splats(g: GaussianParams) -> Iterator[str]:
     yield from _array("float[] opacities", g.opacity_logit.double().sigmoid())
     yield f"        uniform int radiance:sphericalHarmonicsDegree = {degree}\n"
     yield from _array("float3[] radiance:sphericalHarmonicsCoefficients", g.sh.flatten(0, 1))
-    colour = torch.from_numpy(
-        linear_rgb(g.sh[:, 0].double() * SH_C0 + 0.5)
-    )  # for programs that do not know splats
+    # for programs that do not know splats
+    colour = torch.from_numpy(linear_rgb(g.sh[:, 0].double() * SH_C0 + 0.5))
     yield from _array("color3f[] primvars:displayColor", colour, _OF_POINTS)
     yield "    }\n"
 

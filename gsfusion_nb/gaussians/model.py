@@ -177,9 +177,8 @@ class GaussianModel(GrowingRows):
         check_shape("seeds.xyz_W", seeds.xyz_W, (n, 3))
         values = {"xyz_W": seeds.xyz_W, "quat": seeds.quat, "rgb": seeds.rgb}
         values |= {"scale_m": seeds.scale_m.log(), "opacity": seeds.opacity.logit()}
-        if bool(
-            torch.cat([v.reshape(-1) for v in values.values()]).isnan().any()
-        ):  # a GPU is waited for once
+        # a GPU is waited for once
+        if bool(torch.cat([v.reshape(-1) for v in values.values()]).isnan().any()):
             name, row = next(
                 (k, int(v.isnan().nonzero()[0, 0])) for k, v in values.items() if v.isnan().any()
             )

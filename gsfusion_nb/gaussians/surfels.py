@@ -164,9 +164,8 @@ def state_counts(model: SurfelModel) -> dict[str, int]:
         "unstable_opaque": ~stable & ~transparent,
         "unstable_transparent": ~stable & transparent,
     }
-    counts = torch.stack(
-        [kind.count_nonzero() for kind in kinds.values()]
-    ).tolist()  # the host waits for a GPU once
+    # the host waits for a GPU once
+    counts = torch.stack([kind.count_nonzero() for kind in kinds.values()]).tolist()
     return dict(zip(kinds, counts, strict=True))
 
 
@@ -304,9 +303,8 @@ def change_states(
     if config.max_radius_factor is not None and len(model):
         radius = model.radius_m
         for kind in (model.is_stable, ~model.is_stable):
-            mean = (
-                sum_rows(torch.where(kind, radius, 0.0)) / kind.sum()
-            )  # NaN without rows; no radius is above NaN
+            # NaN without rows; no radius is above NaN
+            mean = sum_rows(torch.where(kind, radius, 0.0)) / kind.sum()
             oversized |= kind & (radius > config.max_radius_factor * mean)
         oversized &= ~gone
     if bool((gone | oversized).any()):

@@ -139,7 +139,6 @@ def _towards_camera(
     dx: Float[Tensor, "*N 3"],
     dy: Float[Tensor, "*N 3"],
 ) -> Float[Tensor, "*N 3"]:
-    n = torch.linalg.cross(
-        dy, dx
-    )  # y down, x right: in this order the normal points towards the camera
+    # y down, x right: in this order the normal points towards the camera
+    n = torch.linalg.cross(dy, dx)
     return n / n.norm(dim=-1, keepdim=True).clamp_min(1e-12)

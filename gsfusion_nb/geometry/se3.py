@@ -88,9 +88,8 @@ def exp(xi: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 4 4"]:
     omega = xi[..., 3:]
     t2 = (omega * omega).sum(-1)[..., None, None]
     small = t2 < 1e-4  # below it (t - sin t) loses too many digits, also in float32
-    safe2 = torch.where(
-        small, torch.ones_like(t2), t2
-    )  # two wheres: a single one still gives NaN gradients
+    # two wheres: a single one still gives NaN gradients
+    safe2 = torch.where(small, torch.ones_like(t2), t2)
     t = safe2.sqrt()
     A = torch.where(
         small,

@@ -147,9 +147,8 @@ def sh_to_rgb_vjp(
     v = torch.where(colour >= 0, v_rgb, 0.0)  # no gradient where clamped
     v_sh = Y[:, :, None] * v[:, None, :]  # dL/dsh_k = Y_k v
     v_d = torch.einsum("nkc,nc,nkx->nx", sh, v, dY)  # dL/dd = sum_k (sh_k . v) dY_k/dd
-    v_xyz_W = (
-        v_d - d * (d * v_d).sum(-1, keepdim=True)
-    ) / distance  # dd/dx = (I - d d^T) / |x - o|
+    # dd/dx = (I - d d^T) / |x - o|
+    v_xyz_W = (v_d - d * (d * v_d).sum(-1, keepdim=True)) / distance
     return v_sh, v_xyz_W
 
 
@@ -162,9 +161,8 @@ def rgb_to_sh_dc(rgb: Float[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
 def _direction(xyz_W: Tensor, camera_centre_W: Tensor) -> tuple[Tensor, Tensor]:
     """Unit vector from the camera to each Gaussian, and the distance [N, 1]."""
     offset = xyz_W - camera_centre_W
-    distance = offset.norm(dim=-1, keepdim=True).clamp_min(
-        1e-12
-    )  # a Gaussian in the camera's centre is not drawn
+    # a Gaussian in the camera's centre is not drawn
+    distance = offset.norm(dim=-1, keepdim=True).clamp_min(1e-12)
     return offset / distance, distance
 
 
@@ -212,8 +210,7 @@ def turned_harmonics(
     for l in range(1, degree + 1):  # noqa: E741
         band = slice(l * l, (l + 1) * (l + 1))
         M = torch.linalg.lstsq(after[:, band], before[:, band]).solution  # sh' = M sh
-        M = torch.where(
-            (M - M.round()).abs() < 1e-9, M.round(), M
-        )  # of a quarter turn they are 0, 1 and -1
+        # of a quarter turn they are 0, 1 and -1
+        M = torch.where((M - M.round()).abs() < 1e-9, M.round(), M)
         out.append(torch.einsum("jk,nkc->njc", M.to(sh.device), sh[:, band].double()).to(sh.dtype))
     return torch.cat(out, dim=1)

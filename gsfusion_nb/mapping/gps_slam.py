@@ -137,9 +137,8 @@ class GPSSLAM(TsdfMapping):
         return bool(due) and not self._seen_before(frame)
 
     def _seen_before(self, frame: Frame) -> bool:
-        return bool(self.config.views.every_frames) and super()._seen_before(
-            frame
-        )  # as released, nobody asks
+        # as released, nobody asks
+        return bool(self.config.views.every_frames) and super()._seen_before(frame)
 
     def below(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> BaseView:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""

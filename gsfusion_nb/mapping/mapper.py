@@ -449,9 +449,8 @@ class Mapper(ABC):
         self.gaussians.will_change(rows)
         part = self.gaussians if rows is None else PartOfMap(self.gaussians, rows, self.boxes)
         self._steps_missed |= rows is not None
-        if (
-            self.training.optimiser is None and self._steps_missed
-        ):  # else a GPU would be waited for in small maps
+        # else a GPU would be waited for in small maps
+        if self.training.optimiser is None and self._steps_missed:
             take_missed_steps(part, optim)
         self._last_part = (views, part) if isinstance(part, PartOfMap) else ((), None)
         return part
@@ -607,9 +606,8 @@ class Mapper(ABC):
             checks: Further arguments of ``apply_rule``.
         """
         when = self.rule_in_use.when
-        is_keyframe = (
-            self.is_next_keyframe(context.frame) if when.only_keyframes else None
-        )  # may wait for a GPU
+        # may wait for a GPU
+        is_keyframe = self.is_next_keyframe(context.frame) if when.only_keyframes else None
         if when.only_keyframes and is_keyframe is None:
             raise ValueError(
                 f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but "
@@ -805,9 +803,8 @@ class Mapper(ABC):
         """Warnings for the user about the step that gave ``report``, as sentences."""
         warnings = []
         depth_m = frame.depth_m[::8, ::8]
-        if (
-            report.n_not_finite and report.n_not_finite == self.lost.total
-        ):  # the first; all are counted
+        # the first; all are counted
+        if report.n_not_finite and report.n_not_finite == self.lost.total:
             warnings.append(self.lost.in_words(f"frame {frame.index}"))
         if report.tracking.get("status") == "recovered":
             warnings.append(f"frame {frame.index}: tracking was lost and has recovered")

@@ -233,9 +233,8 @@ def _brought(config: SystemConfig, rule: SeedingRule) -> dict[str, Any]:
         for name, value in brought.items()
         if name not in ONLY_IF_THERE or hasattr(config, name)
     }
-    if (
-        isinstance(every := brought.get("keyframe_every"), int) and every > 0
-    ):  # of the recording, not of mapped frames
+    # of the recording, not of mapped frames
+    if isinstance(every := brought.get("keyframe_every"), int) and every > 0:
         brought["keyframe_every"] = max(1, round(every / config.source_stride))
     for name in brought:
         if any(name == taken or name.startswith(f"{taken}.") for taken in NOT_FOR_RULES):

@@ -296,9 +296,8 @@ def fit_image(
         "replica", window__lr_xyz=1e-3, window__lr_sh_dc=5e-3, window__lr_log_scale=0.02
     )  # many steps
     depth = "disc" if method == "disc" else "blended"
-    discs = dataclasses.replace(
-        settings.discs, opaque_alpha=OPAQUE_ALPHA, depth=depth
-    )  # the surfel to 1 sigma
+    # the surfel to 1 sigma
+    discs = dataclasses.replace(settings.discs, opaque_alpha=OPAQUE_ALPHA, depth=depth)
     context = SeedContext(frame, generator=torch.Generator().manual_seed(seed), discs=discs)
     usable = int((context.has_depth() & (context.normals() != 0).any(dim=-1)).sum())
     options = {"share": min(1.0, n / max(usable, 1))}

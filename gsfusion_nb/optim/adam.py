@@ -139,9 +139,8 @@ def _bias(beta: float, steps: int | Tensor | None, moment: Tensor) -> float | Te
     correction."""
     if not isinstance(steps, Tensor):
         return 1.0 if steps is None else 1 - beta**steps
-    t = steps.double().reshape(
-        -1, *[1] * (moment.ndim - 1)
-    )  # float64: 1 - b2^t would lose its digits in float32
+    # float64: 1 - b2^t would lose its digits in float32
+    t = steps.double().reshape(-1, *[1] * (moment.ndim - 1))
     return (1 - beta**t).to(moment)
 
 

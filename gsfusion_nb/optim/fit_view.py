@@ -234,9 +234,8 @@ def fit_pose(
         tried.append((mse, here))
         v_xi = pose_vjp(params, render_vjp(saved, 2 * difference / difference.numel()), here)
         with torch.enable_grad():
-            moved = se3.log(
-                se3.inverse(here) @ T_WC
-            )  # zero: its derivative leads from the twist at ``here`` to x
+            # zero: its derivative leads from the twist at ``here`` to x
+            moved = se3.log(se3.inverse(here) @ T_WC)
         (gradient,) = torch.autograd.grad(moved, x, v_xi)
         scale = max(tried[0][0], 1e-12)
         x.grad = gradient / scale

@@ -129,9 +129,8 @@ class KeyframeList:
     @property
     def T_WC(self) -> Float[Tensor, "K 4 4"]:
         """Their camera-to-world poses, on the CPU."""
-        if len(self._poses) < len(
-            self._items
-        ):  # keyframes were added, or all poses may have changed
+        # keyframes were added, or all poses may have changed
+        if len(self._poses) < len(self._items):
             self._poses = torch.cat(
                 [self._poses, *(k.T_WC.cpu()[None] for k in self._items[len(self._poses) :])]
             )

@@ -211,9 +211,8 @@ def chunks_in_view(
         camera: as given to ``render``.
         T_CW: World-to-camera pose.
     """
-    planes = [
-        (0.0, 0.0, -1.0, 0.0)
-    ]  # normal in the camera frame, and factor of reach_m: seen if n . x <= k reach_m
+    # normal in the camera frame, and factor of reach_m: seen if n . x <= k reach_m
+    planes = [(0.0, 0.0, -1.0, 0.0)]
     for axis, f, c, size in _axes(camera):
         h = size / 2
         limit = FRUSTUM_CLAMP * size / (2 * f)

@@ -261,9 +261,8 @@ def render_over_base_vjp(
                 b,
                 v_rgb[y, x],
             )
-            v_alpha = torch.where(
-                (w > 0) & (alpha < ALPHA_MAX), v_w, 0.0
-            )  # w = alpha, 0 where hidden: (1)
+            # w = alpha, 0 where hidden: (1)
+            v_alpha = torch.where((w > 0) & (alpha < ALPHA_MAX), v_w, 0.0)
             dx, dy = pixel_offsets(screen.uv[k], x, y)
             conic = screen.conic[k]
             v_uv_k, v_conic_k, v_opacity_k = splat_alpha_vjp(

@@ -82,14 +82,12 @@ def project_gaussians(
     u = camera.fx * s.x / s.z + camera.cx  # GSFusion Eq. 4
     v = camera.fy * s.y / s.z + camera.cy
     opacity = params.opacity_logit.sigmoid()
-    reach = (
-        2 * (opacity / ALPHA_MIN).clamp_min(1.0).log()
-    )  # o exp(-sigma) = 1/255 at 2 sigma = 2 ln(255 o)
+    # o exp(-sigma) = 1/255 at 2 sigma = 2 ln(255 o)
+    reach = 2 * (opacity / ALPHA_MIN).clamp_min(1.0).log()
     extent_px = (reach[:, None] * s.cov.diagonal(dim1=1, dim2=2)).sqrt()
     uv = torch.stack([u, v], dim=-1)
-    finite = s.depth_m.isfinite() & ((uv.abs() < FARTHEST_PX) & (extent_px < FARTHEST_PX)).all(
-        1
-    )  # false for a NaN
+    # false for a NaN
+    finite = s.depth_m.isfinite() & ((uv.abs() < FARTHEST_PX) & (extent_px < FARTHEST_PX)).all(1)
     values = {
         "uv": uv,
         "conic": torch.stack(
@@ -259,9 +257,8 @@ def pose_vjp(
     v_x = v_params.xyz_W  # a camera that moves by rho: dx = -rho
     v_turn = v_x
     if params.sh.shape[1] > 1:
-        v_rgb = (
-            v_params.sh[:, 0] / SH_C0
-        )  # dL/dsh_0 = Y_0 dL/drgb, zero where the colour was clamped
+        # dL/dsh_0 = Y_0 dL/drgb, zero where the colour was clamped
+        v_rgb = v_params.sh[:, 0] / SH_C0
         v_turn = v_x - sh_to_rgb_vjp(params.sh, params.xyz_W, centre_W, v_rgb)[1]
     v_rho_W = -v_x.sum(0)
     # a camera that turns by omega: dx = -omega x arm, so  dL = -omega . (arm x dL/dx)

@@ -224,9 +224,8 @@ def drive(
             watcher.finished(run.mapper, mesh, metrics)
         run.forget_pictures()
         metrics |= run.clock.metrics()
-        outputs.write_numbers(
-            run, folder, metrics
-        )  # after all other files: its status says that they are there
+        # after all other files: its status says that they are there
+        outputs.write_numbers(run, folder, metrics)
         if run.status != "interrupted" or not run.resumable:
             CheckpointStore(folder / CHECKPOINTS).remove()
             run.store = None
@@ -376,9 +375,8 @@ def _with_progress(run: MappingRun, stop: StopRequest) -> None:
     ):
         for n, report in enumerate(reports, start=1):
             seconds += report.total_seconds
-            rate = (
-                f"{n / seconds:.1f} frames/s, " if seconds > 0 else ""
-            )  # a system may not time its stages
+            # a system may not time its stages
+            rate = f"{n / seconds:.1f} frames/s, " if seconds > 0 else ""
             dropped = run.extra_metrics().get("n_frames_dropped")
             note = f", {dropped} frames dropped" if dropped else ""
             progress.show(run.next_position, note=f"{rate}{report.in_words}{note}")

@@ -145,9 +145,8 @@ def check_same(
         for key in [*state, *again]:
             if key in state and key not in again:
                 raise _refusal((*where, str(key)), "nothing of this name", _kind(state[key]))
-            if (
-                key in state and key not in _NOT_OF_A_MAP
-            ):  # what is not in it came after it was written
+            # what is not in it came after it was written
+            if key in state and key not in _NOT_OF_A_MAP:
                 check_same(state[key], again[key], (*where, str(key)))
     elif isinstance(state, list | tuple):
         if len(state) != len(again):
@@ -207,9 +206,8 @@ def check_agreement(run: Any) -> None:
         )
     if strange := set(numbers) - set(indices):
         raise SequenceError(f"keyframe {min(strange)} of a state is not among its mapped frames")
-    if len(set(numbers)) < len(numbers) and len(set(indices)) == len(
-        indices
-    ):  # else of two recordings, one by one
+    # else of two recordings, one by one
+    if len(set(numbers)) < len(numbers) and len(set(indices)) == len(indices):
         raise SequenceError("a state has a keyframe twice")
     queue = mapper.passes.queue
     if len(set(queue)) < len(queue) or any(not 0 <= k < len(keyframes) for k in queue):

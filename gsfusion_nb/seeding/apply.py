@@ -388,9 +388,8 @@ def context_tensors(context: SeedContext) -> Iterator[tuple[str, Tensor]]:
         for name in ("rgb_u8", "depth_m", "T_WC"):
             if isinstance(value := getattr(keyframe, name, None), Tensor):
                 yield f"keyframes[{i}].{name}", value
-    yield from (
-        ("past_T_WC", T_WC) for T_WC in context.past_T_WC[-1:]
-    )  # a mapper's poses share one counter
+    # a mapper's poses share one counter
+    yield from (("past_T_WC", T_WC) for T_WC in context.past_T_WC[-1:])
     volume = getattr(context.volume, "_volume", context.volume)
     for name in ("D", "W", "rgb"):
         if isinstance(values := getattr(volume, name, None), Tensor):

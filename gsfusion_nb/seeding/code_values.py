@@ -113,9 +113,8 @@ def _is_library(module: types.ModuleType) -> bool:
     places = [getattr(module, "__file__", None), *getattr(module, "__path__", ())]
     place = next((place for place in places if isinstance(place, str)), None)
     if place is None:
-        return (
-            getattr(module, "__spec__", None) is not None
-        )  # built in; one without a spec was made by a program
+        # built in; one without a spec was made by a program
+        return getattr(module, "__spec__", None) is not None
     return is_installed(place) or place.startswith("<frozen")
 
 
@@ -344,9 +343,8 @@ class ValueHash:
         self._text(f"{x.dtype} {tuple(x.shape)} {x.stride()} {x.requires_grad} {x.device.type}")
         plain = x.detach().cpu().resolve_conj().resolve_neg().contiguous()
         flat = plain.view(-1)
-        if (
-            flat.stride(0) != 1
-        ):  # one value of a column counts as contiguous, and cannot be seen as bytes
+        # one value of a column counts as contiguous, and cannot be seen as bytes
+        if flat.stride(0) != 1:
             flat = flat.clone(memory_format=torch.contiguous_format)
         self._hash.update(flat.view(torch.uint8).numpy().tobytes())
         if type(x) not in (torch.Tensor, torch.nn.Parameter):

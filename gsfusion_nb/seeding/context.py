@@ -132,9 +132,8 @@ class SeedContext:
         return self._is_used(self.frame.depth_m)
 
     def _is_used(self, depth_m: Float[Tensor, "*N"]) -> Bool[Tensor, "*N"]:
-        near_m = max(
-            self.near_m or 0.0, torch.finfo(depth_m.dtype).tiny
-        )  # the smallest depth that is not missing
+        # the smallest depth that is not missing
+        near_m = max(self.near_m or 0.0, torch.finfo(depth_m.dtype).tiny)
         return depth_m >= near_m
 
     def normals(self) -> Float[Tensor, "H W 3"]:

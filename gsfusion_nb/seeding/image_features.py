@@ -136,9 +136,8 @@ def orb_corners(frame: Frame, count: int) -> Float[Tensor, "K 2"]:
     orb = cv2.ORB.create(nfeatures=count, scaleFactor=1.2, nlevels=levels, edgeThreshold=BORDER_PX)
     found = cv2.KeyPoint.convert(orb.detect(_grey_levels(frame), None))
     position = torch.from_numpy(np.array(found, np.float32).reshape(-1, 2))
-    pixel = torch.unique(position.round().long().flip(1), dim=0).flip(
-        1
-    )  # OpenCV counts centres as whole numbers
+    # OpenCV counts centres as whole numbers
+    pixel = torch.unique(position.round().long().flip(1), dim=0).flip(1)
     return (pixel.float() + 0.5).to(frame.depth_m.device)
 
 

@@ -155,9 +155,8 @@ def _is_change(before: Namespace, key: str, value: Any, all_of_package: bool) ->
     ):
         return True
     bases = before.owner.__mro__[1:] if isinstance(before.owner, type) else ()
-    inherited = next(
-        (vars(base)[key] for base in bases if key in vars(base)), value
-    )  # a new name of a module is lazy
+    # a new name of a module is lazy
+    inherited = next((vars(base)[key] for base in bases if key in vars(base)), value)
     was = before.names.get(key, inherited)
     if was is value:
         is_new = (
@@ -247,9 +246,8 @@ def _is_quickly_library(function: types.FunctionType) -> bool:
     names = function.__globals__
     if id(names) in _known_libraries:
         return True
-    is_made_here = (names.get("__name__") or "").startswith(
-        "namedtuple_"
-    )  # by collections, for every class
+    # by collections, for every class
+    is_made_here = (names.get("__name__") or "").startswith("namedtuple_")
     if is_made_here or is_library_code(function):
         _known_libraries[id(names)] = names
         return True

@@ -60,9 +60,8 @@ def k_nearest(
     far = 1e30
     points = xyz_W.nan_to_num(-far, -far, -far).cpu()
     others = others_W.nan_to_num(far, far, far).cpu()
-    tree = KDTree(
-        others.numpy(), balanced_tree=False, compact_nodes=False
-    )  # built in half the time
+    # built in half the time
+    tree = KDTree(others.numpy(), balanced_tree=False, compact_nodes=False)
     distance, row = (
         torch.from_numpy(x).view(M, k).to(xyz_W.device) for x in tree.query(points.numpy(), k=k)
     )

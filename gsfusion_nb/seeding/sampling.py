@@ -151,9 +151,8 @@ def drawn_pixels(
 def pixel_radius(ctx: SeedContext, share: float = 1.0) -> float:
     """The ``radius_px`` of ``ctx.seeds_at`` that gives z / ((fx + fy) / 2), times 1 /
     sqrt(share)."""
-    return (
-        2 * ctx.camera.fx / (ctx.camera.fx + ctx.camera.fy) / share**0.5
-    )  # seeds_at divides by fx
+    # seeds_at divides by fx
+    return 2 * ctx.camera.fx / (ctx.camera.fx + ctx.camera.fy) / share**0.5
 
 
 MIN_SPACING_M = 1e-7**0.5

@@ -269,9 +269,8 @@ def _members(group: ndarray, n: int) -> Any:
 
 def _added(members: Any, values: Float[ndarray, "O *S"]) -> Float[ndarray, "N *S"]:
     """The sum of ``values`` over each group."""
-    flat = values.reshape(
-        len(values), math.prod(values.shape[1:])
-    )  # -1 has no meaning where there are no rows
+    # -1 has no meaning where there are no rows
+    flat = values.reshape(len(values), math.prod(values.shape[1:]))
     return (members @ flat).reshape(members.shape[0], *values.shape[1:])
 
 

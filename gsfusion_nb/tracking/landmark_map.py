@@ -214,9 +214,8 @@ class LandmarkMap:
         """The keyframes, of the first ``before`` ones, that share most landmarks with the one in
         this row."""
         of_feature = self.landmarks.of_feature
-        seen = np.zeros(
-            len(self.landmarks) + 1, bool
-        )  # the last entry stands for features without a landmark
+        # the last entry stands for features without a landmark
+        seen = np.zeros(len(self.landmarks) + 1, bool)
         seen[of_feature[row]] = True
         seen[-1] = False
         shared = np.array([seen[f].sum() for f in of_feature[:before]], int)

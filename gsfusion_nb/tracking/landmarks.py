@@ -143,9 +143,8 @@ class Landmarks:
         oldest = np.unique(name, return_index=True)[1].astype(np.int32)
         for row, landmark in enumerate(self.of_feature):
             now = np.where(landmark >= 0, oldest[name[landmark]], NO_LANDMARK)
-            kept = np.unique(now, return_index=True)[
-                1
-            ]  # two features of one keyframe would be a wrong match
+            # two features of one keyframe would be a wrong match
+            kept = np.unique(now, return_index=True)[1]
             self.of_feature[row] = np.full_like(landmark, NO_LANDMARK)
             self.of_feature[row][kept] = now[kept]
 

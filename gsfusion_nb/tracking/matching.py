@@ -154,9 +154,8 @@ def refine_pose(
     if int(agrees.sum()) < MIN_PAIRS:
         return None
     H = landmark_sums(rows, T, T[:3, 3]).H
-    axes = torch.block_diag(
-        T[:3, :3], T[:3, :3]
-    )  # from the reference's axes to those of the query camera
+    # from the reference's axes to those of the query camera
+    axes = torch.block_diag(T[:3, :3], T[:3, :3])
     information = (axes.T @ H @ axes)[_ROTATION_FIRST][:, _ROTATION_FIRST]
     return RelativePose(
         T_RQ=T,

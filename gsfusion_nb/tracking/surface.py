@@ -52,9 +52,8 @@ def depth_pyramid(
     depth_m = torch.where(torch.isfinite(depth_m) & (depth_m > 0), depth_m, 0.0)
     reduced = {1: depth_m}
     for factor in sorted(set(factors)):
-        finer = max(
-            f for f in reduced if factor % f == 0
-        )  # reducing an already reduced image is faster
+        # reducing an already reduced image is faster
+        finer = max(f for f in reduced if factor % f == 0)
         reduced[factor] = reduce_depth(reduced[finer], factor // finer)
     return [_level(reduced[factor], reduced_camera(camera, factor), factor) for factor in factors]
 

@@ -68,9 +68,8 @@ def band_blocks(volume: TsdfVolume, frame: Frame) -> Int[Tensor, "N 3"]:
 
     direction = se3.rotate(frame.T_WC.to(z), ray_C) / volume.block_size_m
     position = frame.T_WC[:3, 3].double() / volume.block_size_m
-    own_block = (
-        position.floor()
-    )  # counted from the camera's own block, float32 is exact enough anywhere in the world
+    # counted from the camera's own block, float32 is exact enough anywhere in the world
+    own_block = position.floor()
     origin = (position - own_block).to(z)
     return (
         crossed_cells(

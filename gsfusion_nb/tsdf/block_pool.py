@@ -105,9 +105,8 @@ class BlockPool:
         for capacity in (*grown, n_blocks):
             size = estimate_memory(capacity, weighs_colours=self.W_rgb is not None)
             if (limit_bytes is None or size <= limit_bytes) and (free is None or size <= free):
-                with contextlib.suppress(
-                    RuntimeError, MemoryError
-                ):  # torch may get less than is free
+                # torch may get less than is free
+                with contextlib.suppress(RuntimeError, MemoryError):
                     return self._grown(capacity)
         allowed = [
             f"only {x / 1e6:.0f} MB may be used"

@@ -251,9 +251,8 @@ def signed_distance_m(
     z = centres_C[..., 2]
     sdf_m = depth_m - z  # Eq. 6
     if config.sdf == "ray":
-        sdf_m = (
-            sdf_m * centres_C.norm(dim=-1) / z
-        )  # not in the paper: the released code measures along the ray
+        # not in the paper: the released code measures along the ray
+        sdf_m = sdf_m * centres_C.norm(dim=-1) / z
     return sdf_m
 
 

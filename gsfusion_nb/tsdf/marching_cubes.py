@@ -79,9 +79,8 @@ def loops(case: int) -> list[Loop]:
     follows = {}
     for face, sides in _FACES:
         inside = [case >> corner & 1 for corner in face]
-        turn = [
-            inside[(i + 1) % 4] - inside[i] for i in range(4)
-        ]  # of side i: 1 goes inside, -1 comes out
+        # of side i: 1 goes inside, -1 comes out
+        turn = [inside[(i + 1) % 4] - inside[i] for i in range(4)]
         for i in range(4):
             if turn[i] == 1:
                 onwards = [(i + k) % 4 for k in (1, 2, 3)]
@@ -236,9 +235,8 @@ def _triangles(
 
     table, count = (t.to(volume.device) for t in triangle_table())
     number = torch.arange(table.shape[1], device=volume.device)
-    cube, nth = (
-        (number < count[case][:, None]).nonzero().unbind(1)
-    )  # of every triangle of every cube
+    # of every triangle of every cube
+    cube, nth = (number < count[case][:, None]).nonzero().unbind(1)
     edge = table[case[cube], nth]
     axis, lower = torch.tensor(EDGES, device=volume.device)[edge].unbind(-1)
     return 3 * corner[cube[:, None], lower] + axis
@@ -254,9 +252,8 @@ def _cube_corners(volume: TsdfVolume, rows: Int[Tensor, " B"]) -> Int[Tensor, "C
     coords = volume.block_coords[rows, None] + CORNERS.to(device)
     neighbour = volume.index.find(coords.view(-1, 3)).view(-1, 8)
     block, cube = _mixed(volume.D, neighbour).nonzero().unbind(1)
-    xyz = (VOXELS[:, None] + CORNERS).to(
-        device
-    )  # 0..8, in voxels from the corner of the block  [512, 8, 3]
+    # 0..8, in voxels from the corner of the block  [512, 8, 3]
+    xyz = (VOXELS[:, None] + CORNERS).to(device)
     which = (xyz >> 3) @ xyz.new_tensor([1, 2, 4])
     number = (xyz & 7) @ xyz.new_tensor([64, 8, 1])
     row = neighbour[block[:, None], which[cube]]

@@ -178,9 +178,8 @@ class BlockTable:
         cell, number, _ = self._place(new.coords)
         node = self.nodes.view(-1)[cell].long()
         parent = new.codes >> 3 * NODE_BITS
-        first = (
-            parent.diff(prepend=parent.new_full((1,), -1)) != 0
-        )  # blocks of a node are neighbours in Morton order
+        # blocks of a node are neighbours in Morton order
+        first = parent.diff(prepend=parent.new_full((1,), -1)) != 0
         opened = (first & (node == 0)).cumsum(0)
         node = torch.where(node == 0, self._count + opened, node)
         self._count = self._count + opened[-1]
@@ -310,9 +309,8 @@ class BlockIndex:
             ValueError: a coordinate does not fit in a Morton code.
         """
         coords = coords.to(torch.int64)
-        by_table = (
-            self.table is not None and coords.device.type == "cpu"
-        )  # a GPU would be waited for here
+        # a GPU would be waited for here
+        by_table = self.table is not None and coords.device.type == "cpu"
         if by_table:
             coords = coords[self.find(coords) < 0]
         if not len(coords):

@@ -133,9 +133,8 @@ def _surface_depths(
         bracket = [t[enters] for t in (z_before, z, D_before, D)]
         depth[ray[enters]] = _zero_crossing(volume, origin_W, r[enters], bracket)
         free_m = (STEP * truncation_m * D.abs()).nan_to_num(0.0).clamp(min=voxel_m)
-        step = torch.where(
-            allocated, free_m / r.norm(dim=1), _to_block_exit(volume, point_W, r)
-        )  # (1)
+        # (1)
+        step = torch.where(allocated, free_m / r.norm(dim=1), _to_block_exit(volume, point_W, r))
         goes_on = ~enters & ~leaves & (z + step < z_last)
         ray = ray[goes_on]
         z_before = z[goes_on]

@@ -51,9 +51,8 @@ def show(
 
     row: list[Any] = list(images) if isinstance(images, (list, tuple)) else [images]
     captions = [labels] if isinstance(labels, str) else list(labels)
-    if (
-        scale < 1 or captions
-    ):  # resized before the labels are written, so that the text keeps its size
+    # resized before the labels are written, so that the text keeps its size
+    if scale < 1 or captions:
         how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
         row = [cv2.resize(to_uint8(i), None, fx=scale, fy=scale, interpolation=how) for i in row]
         scale = 1

@@ -228,9 +228,8 @@ class LiveLoop(LiveView):
 
     def _words(self) -> list[str]:
         self.progress.value = done = self.player.n_steps
-        of = (
-            f" of {self._n_steps}" if done <= self._n_steps else ""
-        )  # several curves one after the other
+        # several curves one after the other
+        of = f" of {self._n_steps}" if done <= self._n_steps else ""
         return [
             f"step {done}{of}",
             "" if self.scrubber.following else f"looking back at step {self._shown}",
@@ -322,9 +321,8 @@ class LiveMapper(LiveView):
         """The frame mapped last, with the pose it was mapped at."""
         frame = self.run.sequence.mapping[self.run.next_position - 1]
         mapped = self.run.mapper.localiser
-        if (
-            not mapped.poses or mapped.frame_indices[-1] != frame.index
-        ):  # frames after it were skipped
+        # frames after it were skipped
+        if not mapped.poses or mapped.frame_indices[-1] != frame.index:
             return frame
         return dataclasses.replace(frame, T_WC=mapped.poses[-1].to(frame.T_WC))
 

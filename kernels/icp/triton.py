@@ -207,9 +207,8 @@ def _sum(
         & (n0 * a + n1 * b + n2 * c >= min_cosine)
     )
     near = tl.minimum(even_to / tl.where(inlier, z, 1.0), 1.0)
-    w = tl.where(
-        inlier, near * near, 0.0
-    )  # the square root of the weight, on both factors of each product
+    # the square root of the weight, on both factors of each product
+    w = tl.where(inlier, near * near, 0.0)
     r = tl.where(inlier, w * (e0 * n0 + e1 * n1 + e2 * n2), 0.0)
     n0 = w * n0
     n1 = w * n1

@@ -497,9 +497,8 @@ def _project_vjp(cam, s, total, row, v_xyz, v_log_scale, v_quat):
     v_yz = cam[col.FY] * v_v + (v_ty if ty == y_z else _ZERO)
     d0 = v_xz * inv_z
     d1 = v_yz * inv_z
-    d2 = total[pair.SUM_DEPTH] - inv_z * (
-        x_z * v_xz + y_z * v_yz + l0 + l1 + l2
-    )  # J is as 1/z: m . v_m in all
+    # J is as 1/z: m . v_m in all
+    d2 = total[pair.SUM_DEPTH] - inv_z * (x_z * v_xz + y_z * v_yz + l0 + l1 + l2)
     v_xyz[0] = cam[col.R00] * d0 + cam[col.R10] * d1 + cam[col.R20] * d2
     v_xyz[1] = cam[col.R01] * d0 + cam[col.R11] * d1 + cam[col.R21] * d2
     v_xyz[2] = cam[col.R02] * d0 + cam[col.R12] * d1 + cam[col.R22] * d2

@@ -154,9 +154,8 @@ def _parents(sums):
 def _leaves(split, xs, ys, levels):
     """The leaves (``LEAF_COLUMNS``) in the reference's depth-first order."""
     leaves = np.empty((_N_COLUMNS, 1 << 2 * levels), np.int32)
-    stack = np.empty(
-        (3 * levels + 4, 3), np.int64
-    )  # level, row and column of cells still to be visited
+    # level, row and column of cells still to be visited
+    stack = np.empty((3 * levels + 4, 3), np.int64)
     stack[0, :] = 0
     top = 1
     count = 0

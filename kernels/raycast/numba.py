@@ -269,9 +269,8 @@ def blend(v, f):
     return z0 + (z1 - z0) * fz
 
 
-@njit(
-    cache=True, error_model="numpy", forceinline=True
-)  # which products are fused must not hang on the compiler
+# which products are fused must not hang on the compiler
+@njit(cache=True, error_model="numpy", forceinline=True)
 def interpolate(table, field, point, inv_voxel, wanted):
     """Trilinear D at sixteen world points, and where all eight voxels around them have been
     observed."""

@@ -88,9 +88,8 @@ def test_a_chapter_has_text_numbers_hints_solution_and_pictures(chapter):
 
 def test_what_came_waits_for_the_prediction(chapter):
     page = chapter.markdown()
-    assert (
-        page.count('data-prediction="n"') == 4
-    )  # the question, what came, the outputs before and after it
+    # the question, what came, the outputs before and after it
+    assert page.count('data-prediction="n"') == 4
     assert '<input type="radio" name="n" value="10"> 10 px' in page
     assert page.index("See what came") < page.index("9 &lt; 10") < page.index("It came: 9.")
 

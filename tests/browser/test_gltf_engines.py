@@ -112,9 +112,8 @@ def written(tmp_path_factory):
     write_map_glb(folder / "map.glb", gaussians, mesh, up=up)
     T = torch.eye(4)
     T[:3] = turn_to_y_up(up).float() @ T_WC[:3]
-    w, x, y, z = quaternion.from_matrix(
-        T[:3, :3] * torch.tensor([1.0, -1, -1])
-    ).tolist()  # OpenGL axes of a camera
+    # OpenGL axes of a camera
+    w, x, y, z = quaternion.from_matrix(T[:3, :3] * torch.tensor([1.0, -1, -1])).tolist()
     view = {
         "file": "/files/map.glb",
         "width": CAMERA.width,

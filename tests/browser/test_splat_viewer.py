@@ -213,9 +213,8 @@ def test_webgl_shows_the_same_when_asked_for(scene, start):
     scene.page.locator(".gsnb-splat-renderer").select_option("webgl")
     scene.lab.wait_for(lambda: scene.value("viewer.renderer_used") == "webgl", "the switch")
     software = scene.pixels()
-    scene.lab.wait_for(
-        lambda: psnr(scene.pixels("gpu"), software) > 32, "the same picture"
-    )  # it blends in 8 bits
+    # it blends in 8 bits
+    scene.lab.wait_for(lambda: psnr(scene.pixels("gpu"), software) > 32, "the same picture")
     scene.screenshot("webgl")
     scene.page.locator(".gsnb-splat-renderer").select_option("auto")
     scene.lab.wait_for(

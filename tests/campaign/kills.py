@@ -374,9 +374,8 @@ def campaign(
         kills = []
         for _ in range(draw.choice((1, 1, 2))):
             kind = draw.choice(("before", "after", "within", "step", "time"))
-            apart = max(
-                1, whole_run["operations"] * len(variants) // n_kills
-            )  # few kills are spread over the run
+            # few kills are spread over the run
+            apart = max(1, whole_run["operations"] * len(variants) // n_kills)
             operation[variant] = (operation[variant] + apart - 1) % whole_run["operations"] + 1
             at = {
                 "step": draw.randint(1, whole_run["steps"]),

@@ -53,9 +53,8 @@ class Coverage:
         room = "/".join(mutant.file.split("/")[:2])
         of_module = {test for tests in lines.values() for test in tests}
         if mutant.runs_with:
-            direct = {
-                test for i in mutant.runs_with for test in lines.get(i, ())
-            } or of_module  # or an import does
+            # or an import does
+            direct = {test for i in mutant.runs_with for test in lines.get(i, ())} or of_module
         else:  # a module of constants
             modules = [
                 by_line for file, by_line in self.lines.items() if file.startswith(f"{room}/")

@@ -96,9 +96,8 @@ def test_the_room_s_own_tests_come_first_then_others_that_know_the_module():
     coverage = mutant_tests.Coverage(seconds=seconds, lines=lines)
     assert coverage.of(mutant(), 100.0) == [quick, slow, m, other, far]
     assert coverage.of(mutant(), 4.0) == [quick, m, other, far]
-    assert set(coverage.of(mutant(runs_with=(3,)), 100.0)) == set(
-        seconds
-    )  # an import may execute it
+    # an import may execute it
+    assert set(coverage.of(mutant(runs_with=(3,)), 100.0)) == set(seconds)
     assert coverage.of(mutant(file="gsfusion_nb/render/unknown.py"), 100.0) == []
     assert set(
         coverage.of(mutant(runs_with=(), file="gsfusion_nb/render/constants.py"), 100.0)

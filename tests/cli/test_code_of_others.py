@@ -77,9 +77,8 @@ def stranger(tmp_path, ran, monkeypatch):
     )
     assert any(note.endswith(named) for note in end.value.__notes__)
     assert (folder / "rule_modules/thin.py").read_text() == HELPER
-    (folder / "rule.py").write_text(
-        own.read_text() + "# theirs\n"
-    )  # another module than the one that is loaded
+    # another module than the one that is loaded
+    (folder / "rule.py").write_text(own.read_text() + "# theirs\n")
     ran.unlink()
     return folder
 
@@ -112,9 +111,8 @@ def test_a_named_file_is_compared_before_it_is_executed(stranger, ran, tmp_path)
         resume_mapping(stranger, seeding=f"{tmp_path / 'other.py'}:near")
     assert not ran.exists()
     with pytest.raises(SequenceError, match=r"not as it was when .* began; different: "):
-        resume_mapping(
-            stranger, seeding=f"{stranger / 'rule.py'}:near"
-        )  # named, but altered since the checkpoint
+        # named, but altered since the checkpoint
+        resume_mapping(stranger, seeding=f"{stranger / 'rule.py'}:near")
     assert ran.exists()
 
 

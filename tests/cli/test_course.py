@@ -164,9 +164,8 @@ def test_the_wheel_holds_the_notebooks_and_the_licence(tmp_path):
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     assert wheel.name.endswith("-py3-none-any.whl")  # nothing to compile
-    assert (
-        sum(name.startswith("gsfusion_nb/notebooks/") for name in names) == 14
-    )  # with the short path
+    # with the short path
+    assert sum(name.startswith("gsfusion_nb/notebooks/") for name in names) == 14
     assert "gsfusion_nb/docs/seeding_lab.md" in names  # what the notebooks link to
     assert any(name.endswith("/licenses/LICENSE") for name in names)
     assert "gsfusion_nb/kernels/project/numba.py" in names

@@ -27,9 +27,8 @@ def folder(tmp_path):
         sh=torch.zeros(1, 16, 3),
     )
     corners = torch.tensor([[0.0, 2.0, 1.0], [1, 0, 0], [0, 1, 0]])
-    level = torch.tensor(
-        [[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
-    )  # looks along y, its -y is z
+    # looks along y, its -y is z
+    level = torch.tensor([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     write_gaussian_ply(tmp_path / "run/gaussians.ply", one)
     mesh = Mesh(
         vertices_W=corners,
@@ -128,9 +127,8 @@ def test_wrong_fields_of_the_settings_are_sentences_that_name_the_file(folder, t
             to_stage,
         )
         for value in WRONG:
-            if not (
-                name in ("cx", "cy") and value == -1.5
-            ):  # a principal point may lie outside of the image
+            # a principal point may lie outside of the image
+            if not (name in ("cx", "cy") and value == -1.5):
                 check({**good, "camera": {**camera, name: value}}, to_stage)
     for value in WRONG:
         check({**good, "camera": value}, to_stage)

@@ -78,9 +78,8 @@ def test_the_maps_use_every_compiled_operation_and_nothing_is_compiled_again(dis
 
 def test_without_fast_backends_there_is_nothing_to_do(monkeypatch, capsys):
     monkeypatch.setattr(backends, "offered", lambda name: ())
-    monkeypatch.setattr(
-        backends, "automatic", backends.automatic.__wrapped__
-    )  # nothing is remembered
+    # nothing is remembered
+    monkeypatch.setattr(backends, "automatic", backends.automatic.__wrapped__)
     assert doctor.warm() == 1
     assert "nothing to compile" in capsys.readouterr().out
 

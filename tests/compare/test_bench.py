@@ -71,9 +71,8 @@ def test_growth(tmp_path, capsys):
         == 0
     )
     rows = json.loads(path.read_text())["rows"]
-    assert [row["method"] for row in rows] == [
-        name for name in run.SYSTEMS for _ in range(3)
-    ]  # rooms 1, 2 and 4
+    # rooms 1, 2 and 4
+    assert [row["method"] for row in rows] == [name for name in run.SYSTEMS for _ in range(3)]
     for name in run.SYSTEMS:
         sizes = [row["values"]["n_gaussians"] for row in rows if row["method"] == name]
         assert sizes == sorted(sizes)

@@ -152,8 +152,7 @@ def test_two_workers_with_caches_of_their_own_compute_what_this_process_computes
         client.wait_for_workers(2, timeout=120)
         there = dict(run_all(entries, empty, on_dask(client)))
         assert len({*client.run(os.getpid).values(), os.getpid()}) == 3
-    assert not list(
-        tmp_path.glob("cache of */**/results/*")
-    )  # where a copied result would have come from
+    # where a copied result would have come from
+    assert not list(tmp_path.glob("cache of */**/results/*"))
     assert [there[i].reason for i in range(6)] == [""] * 6
     assert {i: numbers(r) for i, r in there.items()} == {i: numbers(r) for i, r in here.items()}

@@ -55,9 +55,8 @@ def test_what_the_paper_says():
     assert (k.latest, k.random, k.rows, k.instead_of_window) == (1, 3, "all", False)
     assert c.final.passes == 10
     released = rtg_slam("replica", "code").tracking
-    assert c.tracking == dataclasses.replace(
-        released, target="model"
-    )  # the rest is not in the paper
+    # the rest is not in the paper
+    assert c.tracking == dataclasses.replace(released, target="model")
     assert c.tracking.pyramid == (4, 2, 1)
     assert not c.tracking.landmarks
 

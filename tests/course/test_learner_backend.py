@@ -316,9 +316,8 @@ def test_a_room_mapped_with_the_learners_code_is_as_good_as_the_references():
     later = {name for name, exercise in exercises().items() if exercise.chapter > 6}
     rows = [each for each in mine.board().rows if each.exercise and each.exercise not in later]
     for each in rows:
-        if each.operation not in parts | {
-            "draw_keyframes"
-        }:  # called after a frame that is no keyframe
+        # called after a frame that is no keyframe
+        if each.operation not in parts | {"draw_keyframes"}:
             assert each.calls.own > 0, each.operation
             assert each.calls.reference == 0, each.operation
 

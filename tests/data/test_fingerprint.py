@@ -197,9 +197,8 @@ def test_a_file_is_hashed_once_until_it_changes(wall, monkeypatch):
     assert len(set(first.values())) == 1
     assert len(hashed) == 2
     file_hashes([file])
-    assert (
-        len(hashed) == 3
-    )  # changed less than two seconds ago: a second change might have the same time
+    # changed less than two seconds ago: a second change might have the same time
+    assert len(hashed) == 3
     monkeypatch.setattr(hashes, "_SETTLED_NS", -(10**18))
     assert file_hashes([file]) == file_hashes([file]) == {str(file): first[str(file)]}
     assert len(hashed) == 4

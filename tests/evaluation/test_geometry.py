@@ -160,9 +160,8 @@ def test_concentric_spheres_are_their_radii_apart(generator, threshold, share):
         sphere(1.02), sphere(1.0), generator=generator, threshold_m=threshold, n_samples=8000
     )
     assert not isinstance(scores, NotComputed)
-    assert scores["accuracy_m"] == pytest.approx(
-        0.02, abs=2e-4
-    )  # facets: 1 - cos(pi / 120) = 3e-4 at most
+    # facets: 1 - cos(pi / 120) = 3e-4 at most
+    assert scores["accuracy_m"] == pytest.approx(0.02, abs=2e-4)
     assert scores["completion_m"] == pytest.approx(0.02, abs=2e-4)
     assert (scores["precision"], scores["completion_ratio"]) == (share, share)
     assert scores["f_score"] == share
@@ -174,9 +173,8 @@ def test_distance_to_the_surface_needs_no_sample_on_each_triangle(generator, rin
     mesh = sphere(1.0, rings=rings, segments=rings)
     scores = mesh_scores(mesh, mesh, generator=generator, n_samples=2000)
     assert not isinstance(scores, NotComputed)
-    assert (
-        scores["accuracy_m"] < 2e-4
-    )  # worst seen 7e-5, at the slivers around the poles; to samples it is 4e-2
+    # worst seen 7e-5, at the slivers around the poles; to samples it is 4e-2
+    assert scores["accuracy_m"] < 2e-4
 
 
 def test_half_a_surface_is_precise_but_incomplete(generator):
@@ -185,9 +183,8 @@ def test_half_a_surface_is_precise_but_incomplete(generator):
     assert not isinstance(scores, NotComputed)
     assert scores["precision"] == 1.0
     assert scores["completion_ratio"] == pytest.approx(0.55, abs=0.01)
-    assert scores["completion_m"] == pytest.approx(
-        0.25, abs=0.01
-    )  # half at 0, half uniform in 0..1
+    # half at 0, half uniform in 0..1
+    assert scores["completion_m"] == pytest.approx(0.25, abs=0.01)
     assert scores["f_score"] == pytest.approx(2 * 0.55 / 1.55, abs=0.01)
 
 

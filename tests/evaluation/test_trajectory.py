@@ -152,9 +152,8 @@ def test_scores_by_name(generator):
     assert exact["ate_mean_m"] == pytest.approx(0, abs=1e-9)
     assert exact["rpe_translation_m"] == pytest.approx(0, abs=1e-9)
     assert exact["rpe_rotation_deg"] == pytest.approx(0, abs=1e-5)
-    assert exact["drift_m"] == pytest.approx(
-        float((moved - path)[-1, :3, 3].norm())
-    )  # of the end, not aligned
+    # of the end, not aligned
+    assert exact["drift_m"] == pytest.approx(float((moved - path)[-1, :3, 3].norm()))
 
     off = path.clone()
     off[-1, :3, 3] += torch.tensor([0.03, 0.0, 0.04], dtype=torch.float64)

@@ -69,9 +69,8 @@ def test_what_is_constant_is_written_once(tmp_path):
     back = CheckpointStore(tmp_path).load().state
     assert torch.equal(back["image"], before)
     assert torch.equal(back["rows"], rows)
-    if (
-        sys.platform == "linux"
-    ):  # images are read when they are used: all together may be more than memory holds
+    # images are read when they are used: all together may be more than memory holds
+    if sys.platform == "linux":
         assert str(tmp_path / "000001.constants") in Path("/proc/self/maps").read_text()
     again = CheckpointStore(tmp_path)
     again.load()
@@ -108,9 +107,8 @@ def test_parts_of_a_large_tensor_that_did_not_change_are_not_written_again(tmp_p
             len(torch.load(path, weights_only=True))
             for path in sorted(tmp_path.glob("*.constants"))
         ]
-        assert (
-            10 <= sum(parts) <= 20 + 10
-        )  # at most twice what is needed, besides that of the checkpoint before
+        # at most twice what is needed, besides that of the checkpoint before
+        assert 10 <= sum(parts) <= 20 + 10
         return parts
 
     assert written() == [10]

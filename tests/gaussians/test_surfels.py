@@ -77,9 +77,8 @@ def test_normal_is_the_thinnest_axis_by_hand():
         one_disc((0.001, 0.02, 0.03)).normal_W,
         torch.tensor([[1.0, 0, 0]]),
     )
-    turned = one_disc(
-        (0.001, 0.02, 0.03), (half, 0.0, 0.0, half)
-    )  # a quarter turn about z: x goes to y
+    # a quarter turn about z: x goes to y
+    turned = one_disc((0.001, 0.02, 0.03), (half, 0.0, 0.0, half))
     torch.testing.assert_close(turned.normal_W, torch.tensor([[0.0, 1, 0]]))
 
 
@@ -280,9 +279,8 @@ def test_a_stable_row_in_error_more_than_ten_times_is_released(counter):
     model = surfels(4, stable=(0, 1, 2), now=1000)
     model.birth_step.fill_(990)
     model.confidence.fill_(60)
-    getattr(model, counter).copy_(
-        torch.tensor([9, 10, 11, 11])
-    )  # the last is unstable: it has no errors to answer for
+    # the last is unstable: it has no errors to answer for
+    getattr(model, counter).copy_(torch.tensor([9, 10, 11, 11]))
     before = rows(model)
     report = change_states(model, CONFIG)
     assert report == Transitions(stabilised=0, released=1, expired=0, oversized=0)

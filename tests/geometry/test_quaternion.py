@@ -27,9 +27,8 @@ def test_by_hand():
         torch.eye(3),
     )
     half = math.sqrt(0.5)
-    R = quaternion.to_matrix(
-        torch.tensor([half, 0, 0, half])
-    )  # a quarter turn about z: x goes to y
+    # a quarter turn about z: x goes to y
+    R = quaternion.to_matrix(torch.tensor([half, 0, 0, half]))
     torch.testing.assert_close(
         R @ torch.tensor([1.0, 0, 0]),
         torch.tensor([0.0, 1, 0]),

@@ -39,9 +39,8 @@ POSE = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.2, -0.3, 0.1]))
 
 
 def pytest_collection_modifyitems(items):
-    for item in (
-        items if INTERPRETED else ()
-    ):  # masked lanes are computed in numpy, which warns of their overflows
+    # masked lanes are computed in numpy, which warns of their overflows
+    for item in items if INTERPRETED else ():
         item.add_marker(pytest.mark.filterwarnings("ignore::RuntimeWarning"))
 
 

@@ -101,9 +101,8 @@ def test_equal_weights_of_colours(make_frames):
     (a, b), _ = both(dataclasses.replace(CONFIG, **colours), frames)
     assert float((a.W_rgb != b.W_rgb).double().mean()) < 2e-5
     weights = b.W_rgb[b.W_rgb >= 1]
-    assert (
-        float((weights - weights.round()).abs().max()) < 0.1
-    )  # with a thousandth of each from outside the band
+    # with a thousandth of each from outside the band
+    assert float((weights - weights.round()).abs().max()) < 0.1
     falling, _ = both(
         dataclasses.replace(CONFIG, **colours | {"colour_weights": "falling"}), frames
     )

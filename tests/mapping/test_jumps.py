@@ -82,6 +82,5 @@ def test_what_a_camera_can_move_grows_with_frames_and_with_time(seconds, frames,
     if most_deg < 175:
         assert said(0.0, 0.99 * most_deg) == ""
         assert "degrees" in said(0.0, 1.01 * most_deg)
-    assert (
-        said(0.99 * frames * FARTHEST_STEP_M, 0.0, at=50.0) == ""
-    )  # a clock that goes back counts no time
+    # a clock that goes back counts no time
+    assert said(0.99 * frames * FARTHEST_STEP_M, 0.0, at=50.0) == ""

@@ -247,9 +247,8 @@ def test_three_places_by_view_are_those_of_the_whole_map(system, fidelity, small
         maps.append(mapper)
     assert len(maps[0].gaussians) == len(maps[1].gaussians)
     whole, by_view = (mapper.params_now() for mapper in maps)
-    for name, column in vars(
-        whole
-    ).items():  # Adam makes the sign of a gradient of nearly 0 a whole step
+    # Adam makes the sign of a gradient of nearly 0 a whole step
+    for name, column in vars(whole).items():
         assert float((column - getattr(by_view, name)).abs().mean()) < 1e-5, name
     for frame in walk([small_room[1]], (0, 1, 2), 1):
         pictures = [mapper.render(frame.camera, frame.T_WC).rgb for mapper in maps]

@@ -46,9 +46,8 @@ def test_the_settings_hold_the_rule_and_the_options_in_use(config):
     given = replace(own, seeding__options={"nth": 5})
     assert RTGSLAM(given, seeding=every_nth).config.seeding.options == {"nth": 5}
     neither = replace(own, seeding__options={"speed": 5})
-    assert settings_with_rule(neither, every_nth).seeding.options == {
-        "speed": 5
-    }  # refused by the first frame
+    # refused by the first frame
+    assert settings_with_rule(neither, every_nth).seeding.options == {"speed": 5}
     assert settings_with_rule(own, get_rule("rtg_slam")) == own
 
 
@@ -240,9 +239,8 @@ def test_what_the_user_and_a_data_set_set_counts_more_than_the_rule_and_a_fideli
     used = settings_with_rule(gsfusion("room", keyframe_every=3, optim__lr_xyz=1.6e-4), rule)
     assert (used.keyframe_every, used.optim.lr_xyz, used.optim.frame_iterations) == (3, 1.6e-4, 7)
     assert settings_with_rule(gsfusion("tum"), rule).optim.frame_iterations == 7
-    assert (
-        settings_with_rule(gsfusion("tum", "code"), rule).optim.frame_iterations == 5
-    )  # published for TUM
+    # published for TUM
+    assert settings_with_rule(gsfusion("tum", "code"), rule).optim.frame_iterations == 5
     rule = bringing(window__lr_sh_dc=1e-4, keyframe_every=5)
     for fidelity in ("measured", "paper", "code"):
         assert RTGSLAM(rtg_slam("room", fidelity), seeding=rule).config.window.lr_sh_dc == 1e-4

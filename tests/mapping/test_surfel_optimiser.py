@@ -209,9 +209,8 @@ def test_view_dependent_colour_learns_at_a_twentieth_of_the_base_colour(generato
     )
     before = optimiser.trained.sh.clone()
     optimiser.step(view(generator))
-    moved = (
-        optimiser.trained.sh - before
-    ).abs()  # Adam's first step is the rate, whatever the gradient
+    # Adam's first step is the rate, whatever the gradient
+    moved = (optimiser.trained.sh - before).abs()
     assert float(moved[:, 0].max()) == pytest.approx(WINDOW.lr_sh_dc, rel=1e-3)
     assert float(moved[:, 1:].max()) == pytest.approx(WINDOW.lr_sh_dc / 20, rel=1e-2)
 

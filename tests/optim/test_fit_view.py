@@ -331,9 +331,8 @@ def test_gain_is_the_least_squares_fit_with_a_prior_of_ten_grey_pixels():
     shown[2, 4] = shown[4, 2] = True
     gains = []
     for c in range(3):
-        above = below = (
-            10 / 4 / 4
-        )  # a quarter is the square of grey, a quarter of the pixels is used
+        # a quarter is the square of grey, a quarter of the pixels is used
+        above = below = 10 / 4 / 4
         for v in range(0, 6, 2):
             for u in range(0, 8, 2):
                 if shown[v, u] and float(target[v, u].max()) < 0.98:

@@ -129,9 +129,8 @@ def test_images_are_kept_where_they_are_wanted():
 
 
 def test_images_beyond_what_memory_may_hold_are_in_files(monkeypatch, tmp_path):
-    monkeypatch.setattr(
-        keyframes_module, "IN_MEMORY_BYTES", 2 * 36 + 2 * 48
-    )  # two images with their depths
+    # two images with their depths
+    monkeypatch.setattr(keyframes_module, "IN_MEMORY_BYTES", 2 * 36 + 2 * 48)
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
     in_file = MAP_MEMORY.in_file

@@ -85,9 +85,8 @@ def test_hit_ends_where_alpha_falls_below_the_threshold():
     out, _ = render_forward(params, CAMERA, EYE, opaque_alpha=OPAQUE_ALPHA)
     reach = math.sqrt(2 * math.log(0.95 / OPAQUE_ALPHA) * (1.5**2 + 0.3))
     offset = (torch.arange(33) + 0.5 - 16.2).abs()
-    assert (
-        (out.hit_index[4] == 0) == (offset < reach)
-    ).all()  # the row's centre is 0.1 px from the disc's
+    # the row's centre is 0.1 px from the disc's
+    assert ((out.hit_index[4] == 0) == (offset < reach)).all()
     disc = disc_depth(params, CAMERA, EYE, out.hit_index)
     missed = out.hit_index < 0
     assert (out.hit_index[missed] == -1).all()

@@ -49,9 +49,8 @@ EYE = torch.eye(4, dtype=torch.float64)
 def test_isotropic_on_the_axis_by_hand():
     p = project_gaussians(one_on_the_axis(), CAMERA_600, EYE)
     assert p.uv.tolist() == [[10.5, 10.5]]
-    torch.testing.assert_close(
-        1 / p.conic[0, 0], torch.tensor(9.3, dtype=torch.float64)
-    )  # (600 * 0.01 / 2)^2 + 0.3
+    # (600 * 0.01 / 2)^2 + 0.3
+    torch.testing.assert_close(1 / p.conic[0, 0], torch.tensor(9.3, dtype=torch.float64))
     assert p.conic[0, 1] == 0
     assert p.depth_m.item() == 2
     assert p.opacity.item() == 0.5
@@ -132,9 +131,8 @@ def test_axes_of_a_turned_gaussian_by_hand():
         quat=torch.tensor([[half, 0, 0, half]], dtype=torch.float64),
     )
     p = project_gaussians(params, CAMERA_600, EYE)
-    expected = torch.tensor(
-        [[1 / 36.3, 0, 1 / 9.3]], dtype=torch.float64
-    )  # (600 * 0.02 / 2)^2 + 0.3
+    # (600 * 0.02 / 2)^2 + 0.3
+    expected = torch.tensor([[1 / 36.3, 0, 1 / 9.3]], dtype=torch.float64)
     torch.testing.assert_close(p.conic, expected)
 
 

@@ -45,9 +45,8 @@ def test_lists_are_complete_sorted_and_tight(scene, generator, tile_px, scale):
     assert len(set(found)) == len(found)
     needed = touching_pairs(projection, scene.camera, tile_px)
     assert needed <= set(found)
-    for tile, n in (
-        set(found) - needed
-    ):  # the ellipse misses these tiles, the box around it does not
+    # the ellipse misses these tiles, the box around it does not
+    for tile, n in set(found) - needed:
         corner = torch.tensor([tile % lists.tiles_x, tile // lists.tiles_x]) * tile_px
         assert (projection.uv[n] - projection.extent_px[n] < corner + tile_px).all()
         assert (projection.uv[n] + projection.extent_px[n] > corner).all()

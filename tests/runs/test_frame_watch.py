@@ -162,9 +162,8 @@ def test_frames_without_depth_or_of_another_camera_do_not_stop_it(frames):
     "fault", ["world-to-camera poses", "a jump of 1.7 m", "three repeated frames"]
 )
 def test_after_a_checkpoint_it_goes_on_where_it_was(frames, n, fault, monkeypatch):
-    monkeypatch.setattr(
-        frame_watch, "BETTER", 0.5 if n >= 12 else frame_watch.BETTER
-    )  # not said before
+    # not said before
+    monkeypatch.setattr(frame_watch, "BETTER", 0.5 if n >= 12 else frame_watch.BETTER)
     changed = FAULTS[fault][0](frames)
     poses = [f.T_WC for f in changed]
     earlier = FrameWatch(is_tracking=False)

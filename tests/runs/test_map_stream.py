@@ -211,9 +211,8 @@ def test_ctrl_c_while_no_frame_comes(tmp_path, frames, config, monkeypatch, on_s
     run = map_stream(
         source, make_mapper(config), policy="all", folder=tmp_path / "out", on_stop=on_stop
     )
-    assert {
-        p.name for p in run.folder.iterdir()
-    } == run_files  # a stream cannot be resumed: no checkpoint
+    # a stream cannot be resumed: no checkpoint
+    assert {p.name for p in run.folder.iterdir()} == run_files
     if on_stop == "save":
         assert run.run.status == "interrupted"
         assert not run.run.global_losses

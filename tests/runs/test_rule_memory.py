@@ -77,9 +77,8 @@ def test_a_run_continues_from_disk_with_the_memory_of_its_rule(tmp_path):
 
 
 def test_settings_of_the_rule_are_stored_and_the_report_names_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        outputs, "score_mesh", lambda run, mesh: {}
-    )  # the room's true surface takes long
+    # the room's true surface takes long
+    monkeypatch.setattr(outputs, "score_mesh", lambda run, mesh: {})
     finished = run_mapping("room", SETTINGS, seeding=thinning, folder=tmp_path / "out", **ROOM)
     stored = json.loads((finished.folder / "config.json").read_text())["config"]
     assert stored == json.loads(json.dumps(to_dict(finished.mapper.config)))

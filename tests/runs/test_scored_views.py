@@ -81,9 +81,8 @@ class Walk:
 
 @pytest.fixture
 def views():
-    return apply_options(
-        Walk(), DataConfig(hold_out_every=4, hold_out_offset=2)
-    )  # 2 and 6 are held out
+    # 2 and 6 are held out
+    return apply_options(Walk(), DataConfig(hold_out_every=4, hold_out_offset=2))
 
 
 def localiser(poses: str, moved: dict[int, torch.Tensor]) -> Localiser:
@@ -109,9 +108,8 @@ def test_given_poses_stay(views):
 def test_a_mapped_frame_has_its_tracked_pose_and_others_follow_the_nearest(views):
     """The tracked world is the data's, moved; so every frame comes out moved alike."""
     tracked = {i: MOTION @ Walk().pose(i) for i in (0, 1, 3, 5, 8)}
-    tracked[8] = tracked[8] @ se3.exp(
-        torch.tensor([0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
-    )  # an error of tracking
+    # an error of tracking
+    tracked[8] = tracked[8] @ se3.exp(torch.tensor([0.01, 0.0, 0.0, 0.0, 0.0, 0.0]))
     found = localiser("tracked", tracked)
     for frame in frames_in_map(views.mapping, found, views.mapping):
         if frame.index in tracked:
@@ -126,9 +124,8 @@ def test_a_mapped_frame_has_its_tracked_pose_and_others_follow_the_nearest(views
             rtol=0,
         )
     late = {f.index: f.T_WC for f in frames_in_map(views.mapping, found, views.mapping)}
-    expected = (
-        tracked[8] @ se3.inverse(Walk().pose(8)) @ Walk().pose(9)
-    )  # nearest is 8, with its error
+    # nearest is 8, with its error
+    expected = tracked[8] @ se3.inverse(Walk().pose(8)) @ Walk().pose(9)
     torch.testing.assert_close(late[9], expected, atol=1e-5, rtol=0)
 
 
@@ -322,9 +319,8 @@ def test_scoring_again_gives_the_same_numbers(system, poses, scored_run, caplog)
     again = rescore(folder)
     assert {name: again[name] for name in own} == own
     assert (folder / "metrics.json").read_text() == before
-    assert [
-        r.getMessage() for r in caplog.records if not r.name.endswith(".announce")
-    ] == []  # that kernels compile
+    # that kernels compile
+    assert [r.getMessage() for r in caplog.records if not r.name.endswith(".announce")] == []
     assert not list(folder.glob("metrics-*"))
 
 

@@ -160,8 +160,7 @@ def test_code_with_sets_is_known(function):
 
 def test_code_without_sets_is_known():
     assert not walks_sets((lambda x: [x + 1, {"a": x}, (x, "a")]).__code__)
-    assert not walks_sets(
-        (lambda mask, other: (mask & ~other) | (mask ^ other)).__code__
-    )  # of images
+    # of images
+    assert not walks_sets((lambda mask, other: (mask & ~other) | (mask ^ other)).__code__)
     assert code_key(lambda: MADE).walks_sets is False
     assert code_key(lambda held=(frozenset("ab"),): held).walks_sets is True

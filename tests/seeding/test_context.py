@@ -54,9 +54,8 @@ def test_published_size_of_a_cell():
 
 
 def test_depth_and_colour_come_from_the_pixel_that_contains_the_middle():
-    depth = torch.arange(1.0, 7.0).reshape(
-        2, 3
-    )  # one leaf, 3 x 2, middle (1.5, 1.0): column 1, row 1
+    # one leaf, 3 x 2, middle (1.5, 1.0): column 1, row 1
+    depth = torch.arange(1.0, 7.0).reshape(2, 3)
     rgb = torch.arange(18.0).reshape(2, 3, 3) / 20
     seeds = SeedContext(frame(depth, rgb)).cells()
     assert seeds.xyz_W[0, 2].item() == 5.0

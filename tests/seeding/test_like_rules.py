@@ -66,9 +66,8 @@ def test_monogs_like_clones_splits_and_removes_every_150_steps(frame):
         [0.9] * 4 + [0.6, 0.9, 0.9],
         [0.005, 0.02, 0.005, 0.02, 0.005, 0.11, 0.005],
     )
-    large = torch.tensor(
-        [3e-4, 3e-4, 1e-4, 1e-4, 3e-4, 3e-4, 3e-4]
-    )  # mean length, in units of half the image
+    # mean length, in units of half the image
+    large = torch.tensor([3e-4, 3e-4, 1e-4, 1e-4, 3e-4, 3e-4, 3e-4])
     v_uv = torch.stack([large / 4.0, torch.zeros(7)], dim=1)  # half the width is 4 pixels
     add_up(model, torch.ones(7, dtype=torch.bool), v_uv, frame.camera)
     rule = monogs_like()
@@ -110,9 +109,8 @@ def placed(opacity: list[float], z: list[float]) -> GaussianModel:
     [({}, True), ({"step_in_frame": 2}, False), ({"stage": "passes"}, False)],
 )
 def test_vg_mapping_removes_what_the_frame_sees_through(frame, values, prunes):
-    ctx = SeedContext(
-        frame, gaussians=placed([0.5] * 4, [2.98, 2.99, 3.1, 1.0])
-    )  # the wall is 3 m away
+    # the wall is 3 m away
+    ctx = SeedContext(frame, gaussians=placed([0.5] * 4, [2.98, 2.99, 3.1, 1.0]))
     edit = vg_mapping().after_step(ctx, stats_of(frame, **values), {})
     assert (edit is not None) == prunes
     if edit is not None and edit.keep is not None:

@@ -448,9 +448,8 @@ def test_gaus_slam_divides_the_depth_by_the_opacity():
         alpha=0.7,
         depth_m=0.7 * 2.0,
     )
-    assert (
-        len(apply_rule("gaus_slam", near, {"median_factor": 0.5})) == N
-    )  # 1.4 m, undivided, is in front of 1.5 m
+    # 1.4 m, undivided, is in front of 1.5 m
+    assert len(apply_rule("gaus_slam", near, {"median_factor": 0.5})) == N
     assert len(apply_rule("splatam", near, {"median_factor": 0.5})) == 0
 
 
@@ -488,9 +487,8 @@ def test_cone_gs_draws_pixels_by_their_colour_error():
     seeds = apply_rule("cone_gs", ctx, {"share": 2.0})
     assert len(seeds) == 80  # 2 x 100 x 0.4
     assert not (pixels_of(ctx, seeds) & ~red).any()
-    assert (
-        len(apply_rule("cone_gs", ctx, {"share": 2.0, "max_points": 11})) == 10
-    )  # there is one Gaussian
+    # there is one Gaussian
+    assert len(apply_rule("cone_gs", ctx, {"share": 2.0, "max_points": 11})) == 10
 
 
 def test_vg_mapping_seeds_what_is_new_or_looks_different():
@@ -535,9 +533,8 @@ def test_which_errors_are_large_depends_on_sides_and_median():
     assert int(unmapped_pixels(ctx, 0.5, 50.0).sum()) == 768 + 12
     assert int(unmapped_pixels(ctx, 0.5, 50.0, sides="both").sum()) == 768 + 20
     assert int(unmapped_pixels(ctx, 0.6, 50.0).sum()) == 768 + 40 + 12
-    holes = with_values(
-        2.0, (some(2000, "right"), 0.0)
-    )  # most pixels have no depth: the median of all is 0
+    # most pixels have no depth: the median of all is 0
+    holes = with_values(2.0, (some(2000, "right"), 0.0))
     beside = staged(
         wall(depth_m=holes),
         depth_m=with_values(2.01, (some(30), 2.2)),
@@ -653,9 +650,8 @@ def test_monogs_leaves_out_black_and_sees_points_by_their_depth():
         {"density": 32.0},
     )
     far = apply_rule("monogs", first(), {"density": 32.0})
-    ratio = float(
-        (near.scale_m[0, 0] / far.scale_m[0, 0]) ** 2
-    )  # points four times as close, point size half as large
+    # points four times as close, point size half as large
+    ratio = float((near.scale_m[0, 0] / far.scale_m[0, 0]) ** 2)
     assert ratio == pytest.approx((0.5 / 2.0) ** 2 * 0.025 / 0.05, rel=1e-4)
 
 
@@ -665,9 +661,8 @@ def test_every_pixel_of_the_first_frame_as_large_as_a_pixel(rule):
     seeds = apply_rule(rule, ctx)
     assert pixels_of(ctx, seeds).all()
     assert len(seeds) == N
-    torch.testing.assert_close(
-        seeds.scale_m[:, 0], torch.full((N,), 2.0 / 45.0)
-    )  # z over the mean of 60 and 30
+    # z over the mean of 60 and 30
+    torch.testing.assert_close(seeds.scale_m[:, 0], torch.full((N,), 2.0 / 45.0))
     assert (seeds.opacity == 0.5).all()
 
 
@@ -710,9 +705,8 @@ def test_gaussian_slam_pushes_back_and_rejects_what_is_near(preset, left):
         atol=1e-5,
         rtol=0,
     )
-    beside = everything.xyz_W[:100] + torch.tensor(
-        [0.0, 0.0, 0.005]
-    )  # 5 mm: between the limits 0.3 mm and 1 cm
+    # 5 mm: between the limits 0.3 mm and 1 cm
+    beside = everything.xyz_W[:100] + torch.tensor([0.0, 0.0, 0.005])
     ctx = staged(alpha=0.0, xyz_W=beside)
     module = importlib.import_module("gsfusion_nb.seeding.rules.gaussian_slam")
     kept = dataclasses.replace(module.PRESETS[preset], removes_outliers=False, frame_points=0)

@@ -170,9 +170,8 @@ def test_stable_discs_get_a_transparent_one_over_their_wrong_colour():
     assert (seeds.tag[clear] == COLOUR_ERROR).all()
     assert (seeds.tag[~clear] != COLOUR_ERROR).all()
     i, j = project(ctx.camera, seeds.xyz_W).floor().long().unbind(-1)
-    asked = masks(ctx)[COLOUR_ERROR] & (
-        ctx.surface().hit_index >= 0
-    )  # also the rims, dim before the black behind them
+    # also the rims, dim before the black behind them
+    asked = masks(ctx)[COLOUR_ERROR] & (ctx.surface().hit_index >= 0)
     assert asked[j[clear], i[clear]].all()
     assert (u[clear] > RIGHT.start).sum() > 20
     assert seeds.scale_m[clear].max() <= 0.01 + 1e-7

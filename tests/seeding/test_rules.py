@@ -80,9 +80,8 @@ def mapped(*frames) -> SeedContext:
 def test_a_surface_that_appears_in_voxels_seen_empty_is_never_seeded():
     """The consequence of "weight == 1" that the rule's description warns of."""
     frame = check_contexts()["new"].frame
-    nearer = dataclasses.replace(
-        frame, depth_m=(frame.depth_m - 0.1).clamp_min(0.5)
-    )  # inside the 0.16 m band in front
+    # inside the 0.16 m band in front
+    nearer = dataclasses.replace(frame, depth_m=(frame.depth_m - 0.1).clamp_min(0.5))
     fresh = apply_rule("gsfusion", mapped(nearer))
     after = apply_rule("gsfusion", mapped(frame, nearer))
     assert len(after) < 0.2 * len(fresh)
@@ -126,6 +125,8 @@ def disc(sigma: float, thickness: float = 0.1) -> tuple[float, float, float]:
 ALL = {"share": 1.0}
 HALF_DIAGONAL_PX = 40.0  # sqrt(32^2 + 24^2): a plain picture is one leaf of the quadtree
 STEP_P = 0.75 * 22 / 37  # B |Laplacian| 1.5 pixels left of a step (test_a_step_halved_and_enlarged)
+# 1/32 in the first frame
+# P = 1.05: one pixel
 CASES: dict[str, Case] = {
     "gsfusion": Case(sigma=ball(Z * HALF_DIAGONAL_PX / FX), at=(32.0, 24.0)),
     "vg_mapping": Case(  # n = 1 / (1 + (0, 0, 1)) = (1, 1, 1/2), |n| = 3/2
@@ -148,9 +149,7 @@ CASES: dict[str, Case] = {
         z=1.005 * Z,
         picture="step",
     ),
-    "monogs": Case(
-        sigma=ball(sqrt(0.05) * D3), options={"density": 32.0}
-    ),  # 1/32 in the first frame
+    "monogs": Case(sigma=ball(sqrt(0.05) * D3), options={"density": 32.0}),
     "monogs_like": Case(sigma=ball(sqrt(0.05) * D3), options={"density": 32.0}),
     "gaussian_slam": Case(sigma=ball(1.005 * D3), z=1.005 * Z),
     "gs_slam": Case(sigma=ball(D3), options={"first_share": 1.0}),
@@ -168,9 +167,7 @@ CASES: dict[str, Case] = {
     "gps_slam": Case(sigma=disc(0.01), options=ALL | {"surface": "depth"}),
     "vings": Case(sigma=disc(D3), opacity=0.1, options=ALL),
     "vings, later": Case(sigma=disc(D3), opacity=0.8, options=ALL, mapped=True),
-    "on_the_fly_nvs": Case(
-        sigma=ball(Z / FX), opacity=0.07, picture="step", at=(31.5, 24.5)
-    ),  # P = 1.05: one pixel
+    "on_the_fly_nvs": Case(sigma=ball(Z / FX), opacity=0.07, picture="step", at=(31.5, 24.5)),
     "on_the_fly_nvs, sparse": Case(
         sigma=ball(Z / FX / sqrt(2 * STEP_P)),
         opacity=0.07,
@@ -291,16 +288,14 @@ def test_cells_in_the_hole_get_a_gaussian_at_the_depth_around_it(small_walk):
     seeds = cells_without_depth(ctx)
     assert len(seeds) > 10
     xyz_C = se3.apply(se3.inverse(frame.T_WC), seeds.xyz_W)
-    uv = (
-        project(frame.camera, xyz_C).mul(2).round() / 2
-    )  # middles of cells lie at whole and half pixels
+    # middles of cells lie at whole and half pixels
+    uv = project(frame.camera, xyz_C).mul(2).round() / 2
     i, j = uv.floor().long().unbind(-1)
     assert (frame.depth_m[j, i] == 0).all()
     assert ((xyz_C[:, 2] / small_walk[0].depth_m[j, i]).log().abs() < 0.5).all()
     torch.testing.assert_close(seeds.rgb, frame.rgb[j, i])
-    assert (
-        seeds.scale_m[:, 0] * frame.camera.fx / xyz_C[:, 2] > 1.9
-    ).all()  # no cell narrower than 3 pixels
+    # no cell narrower than 3 pixels
+    assert (seeds.scale_m[:, 0] * frame.camera.fx / xyz_C[:, 2] > 1.9).all()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

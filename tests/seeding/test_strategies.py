@@ -108,9 +108,8 @@ def test_small_ones_are_copied_large_ones_split_faint_ones_removed(
     edit = refined(rule, model, frame, 701, generator)
     assert edit is not None
     assert edit.clone.nonzero()[:, 0].tolist() == [0]
-    assert edit.split.nonzero()[:, 0].tolist() == [
-        1
-    ]  # the halves of row 2 would still be too large
+    # the halves of row 2 would still be too large
+    assert edit.split.nonzero()[:, 0].tolist() == [1]
     assert (~edit.keep).nonzero()[:, 0].tolist() == [2, 3]
     assert not model.memory[decides].any()
     assert edit.reset_opacity is None
@@ -225,9 +224,8 @@ def test_moves_and_adds_the_same_rows_as_gsplat(gsplat, model, frame, monkeypatc
 
         return shared(opacities, scales, ratios, 1e-9)
 
-    monkeypatch.setattr(
-        ops, "compute_relocation", relocation
-    )  # its formula: tests/gaussians/test_edit.py
+    # its formula: tests/gaussians/test_edit.py
+    monkeypatch.setattr(ops, "compute_relocation", relocation)
     strategy = gsplat.MCMCStrategy(min_opacity=0.01, cap_max=41)
     params, optimisers = theirs(model)
     ours = torch.Generator().manual_seed(3)

@@ -161,9 +161,8 @@ def test_one_point_by_hand():
         torch.tensor([[0.0, 0.0, -1.0]]),
     )
     assert r.tolist() == pytest.approx([-0.1])
-    assert J.tolist() == [
-        [0.0, 0.0, -1.0, -2.0, 1.0, 0.0]
-    ]  # p x n = (2 * -1 - 0, 3 * 0 - 1 * -1, 0)
+    # p x n = (2 * -1 - 0, 3 * 0 - 1 * -1, 0)
+    assert J.tolist() == [[0.0, 0.0, -1.0, -2.0, 1.0, 0.0]]
 
 
 def test_jacobian_is_the_central_difference(generator):
@@ -364,9 +363,8 @@ def test_what_the_scene_does_not_show_is_left_to_the_start(
     turned = se3.log(found.T_WC)[3:]
     if scene == "corner":
         assert_pose(found.T_WC, T_WC, 1e-4, 0.01)
-    if (
-        scene == "edge"
-    ):  # what is in the middle of the view stays where the start put it along the edge
+    # what is in the middle of the view stays where the start put it along the edge
+    if scene == "edge":
         assert float(after[1]) == pytest.approx(float(before[1]), abs=1e-3)
         assert float(after[[0, 2]].sub(middle[0, [0, 2]]).abs().max()) < 1e-3
         assert float(turned.abs().max()) < 1e-3

@@ -106,9 +106,8 @@ def test_along_an_edge_the_prediction_decides(plane_scene):
     scene = plane_scene("edge")
     tracker = Tracker()
     track_all(tracker, scene, steps[:2])
-    assert float(tracker.predict(2.0)[1, 3]) == pytest.approx(
-        0.0, abs=2e-3
-    )  # the start knew no motion
+    # the start knew no motion
+    assert float(tracker.predict(2.0)[1, 3]) == pytest.approx(0.0, abs=2e-3)
     report = tracker.track(scene.frame(steps[2], 2), scene)
     assert report.icp is not None
     assert (report.status, report.icp.degenerate) == ("degenerate", 1)

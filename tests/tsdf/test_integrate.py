@@ -233,9 +233,8 @@ def test_the_place_in_the_world_makes_no_difference(
             T_WC = look_from(position)
             depth = sphere_depth(camera, T_WC)
             depth[:, 100:110] = 3.0  # something far behind
-            T_WC[:3, 3] = (
-                T_WC[:3, 3] * 2**13
-            ).round() / 2**13 + offset_m  # exact in float32, here and there
+            # exact in float32, here and there
+            T_WC[:3, 3] = (T_WC[:3, 3] * 2**13).round() / 2**13 + offset_m
             integrate(volume, make_frame(depth, camera, T_WC))
         volumes.append(volume)
     here, there = volumes
@@ -266,9 +265,8 @@ def test_the_rooms_distance_field(room_volume):
 
 
 def test_sphere_surface(camera, look_from, sphere_depth, make_frame):
-    volume = TsdfVolume(
-        dataclasses.replace(CONFIG, truncation_voxels=8.0)
-    )  # seen at up to 55 degrees
+    # seen at up to 55 degrees
+    volume = TsdfVolume(dataclasses.replace(CONFIG, truncation_voxels=8.0))
     for position in (
         (1.6, 0, 0),
         (0, 1.6, 0),
@@ -285,14 +283,12 @@ def test_sphere_surface(camera, look_from, sphere_depth, make_frame):
     )
     inner, ok_in = volume.interpolate(d * 0.48)
     outer, ok_out = volume.interpolate(d * 0.52)
-    assert (
-        float(ok_in.float().mean()) > 0.95
-    )  # the rest is seen at 70 degrees, and ends behind the band
+    # the rest is seen at 70 degrees, and ends behind the band
+    assert float(ok_in.float().mean()) > 0.95
     assert float(ok_out.float().mean()) > 0.95
     assert float((inner[ok_in] < 0).float().mean()) > 0.99
-    assert (
-        float((outer[ok_out] > 0).float().mean()) > 0.97
-    )  # behind a silhouette the outside looks hidden
+    # behind a silhouette the outside looks hidden
+    assert float((outer[ok_out] > 0).float().mean()) > 0.97
 
 
 def test_plane_and_free_space(camera, make_frame):
@@ -479,9 +475,8 @@ def test_frames_that_change_nothing(camera, make_frame):
     assert report.updated_voxels == 0
     hidden = integrate(volume, make_frame(torch.full((120, 160), 0.5), camera))
     assert torch.equal(state["W"], volume.W[: state["W"].shape[0]]) or hidden.updated_voxels > 0
-    assert (
-        float(volume.sample_nearest(torch.tensor([[0.0, 0.0, 0.99]])).W) == 1.0
-    )  # behind what the last frame saw
+    # behind what the last frame saw
+    assert float(volume.sample_nearest(torch.tensor([[0.0, 0.0, 0.99]])).W) == 1.0
 
 
 def test_inputs_are_not_modified(camera, make_frame):

@@ -55,9 +55,8 @@ def test_missing_blocks_are_new_sorted_and_different(generator):
     index = BlockIndex()
     edge = octree.OFFSET
     insert(index, torch.randint(-9, 9, (300, 3), generator=generator))
-    coords = torch.randint(
-        -12, 12, (500, 3), generator=generator
-    )  # old and new ones, and some twice
+    # old and new ones, and some twice
+    coords = torch.randint(-12, 12, (500, 3), generator=generator)
     coords = torch.cat([coords, torch.tensor([[edge - 1] * 3, [-edge] * 3])])
     for given in (coords, coords.to(torch.int32), coords[:0]):
         new = index.missing(given)

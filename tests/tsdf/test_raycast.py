@@ -105,9 +105,8 @@ def test_the_room_from_where_no_frame_was_taken(room_volume):
     assert float(hit.double().mean()) > 0.8
     error = (out.depth_m - truth)[hit].abs()
     assert float(error.median()) < 0.006
-    assert (
-        float((error < 0.08).double().mean()) > 0.95
-    )  # the rest are edges, where the camera sees past them
+    # the rest are edges, where the camera sees past them
+    assert float((error < 0.08).double().mean()) > 0.95
 
 
 def test_nothing_to_see(camera, look_from, filled_volume):

@@ -166,9 +166,8 @@ def test_ellipses_are_those_of_the_renderer(ask, scene):
         & (y + ey > 0)
         & (y - ey < CAMERA.height)
     )
-    assert (
-        torch.zeros(len(scene), dtype=torch.bool).index_fill(0, row, True) != inside
-    ).sum() <= 1  # on the border
+    # on the border
+    assert (torch.zeros(len(scene), dtype=torch.bool).index_fill(0, row, True) != inside).sum() <= 1
     for names, expected in (
         (("u", "v"), ours.uv),
         (("A", "B", "C"), ours.conic),
@@ -177,9 +176,8 @@ def test_ellipses_are_those_of_the_renderer(ask, scene):
         (("halfWidth", "halfHeight"), ours.extent_px),
     ):
         got = torch.stack([theirs[n] for n in names], dim=1)
-        torch.testing.assert_close(
-            got, expected[row], rtol=2e-3, atol=1e-3
-        )  # worst seen: 4e-4 of a conic
+        # worst seen: 4e-4 of a conic
+        torch.testing.assert_close(got, expected[row], rtol=2e-3, atol=1e-3)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -193,9 +191,8 @@ def test_the_picture_is_the_renderers(ask, scene, degree):
     )
     (answer,) = ask(params, {"kind": "draw"})["answers"]
     expected = render(params, CAMERA, T_WC)
-    assert (
-        psnr(pixels(answer)[..., :3], as_bytes(expected.rgb)) > 45
-    )  # 52 dB seen: bytes are rounded
+    # 52 dB seen: bytes are rounded
+    assert psnr(pixels(answer)[..., :3], as_bytes(expected.rgb)) > 45
     assert (answer["drawn"], answer["thinned"], answer["mark"]) == (
         len(ask(params)["projected"]["row"]),
         None,

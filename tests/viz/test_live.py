@@ -111,9 +111,8 @@ def test_the_splat_viewer_follows_the_map_and_knows_its_time(make_run, monkeypat
     live = LiveMapper(run)
     viewer = live.splats(width=96)
     assert (viewer.width, viewer.height) == (96, 72)
-    assert viewer.T_WC.equal(
-        run.sequence.mapping[0].T_WC
-    )  # nothing is mapped yet: where the camera will start
+    # nothing is mapped yet: where the camera will start
+    assert viewer.T_WC.equal(run.sequence.mapping[0].T_WC)
     sizes = listen(viewer, monkeypatch)
     live.run_sync(1)
     wait_for(lambda: sizes and sizes[-1] == len(run.mapper.gaussians))

@@ -30,9 +30,8 @@ def pixel(T_WC, point):
 def test_by_hand_with_z_up():
     T = orbit_camera((0, 0, 0), 0, 0, 2.0)
     assert T[:3, 3].tolist() == [2, 0, 0]
-    expected = torch.tensor(
-        [[0.0, 0, -1], [1, 0, 0], [0, -1, 0]]
-    )  # right = +y, down = -z, forward = -x
+    # right = +y, down = -z, forward = -x
+    expected = torch.tensor([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]])
     assert torch.allclose(T[:3, :3], expected, atol=1e-7)
     assert torch.allclose(
         orbit_camera((0, 0, 1), 90, 0, 2.0)[:3, 3],

@@ -123,9 +123,8 @@ def _sphinx(
         log.warning("%s", line)
     if done.returncode:
         raise RuntimeError("Sphinx could not build the book; its messages are above")
-    (
-        out / ".nojekyll"
-    ).touch()  # GitHub Pages would leave out folders that begin with an underscore
+    # GitHub Pages would leave out folders that begin with an underscore
+    (out / ".nojekyll").touch()
 
 
 _ROOT = Path(__file__).resolve().parents[2]

@@ -198,9 +198,8 @@ class Chapter:
         return f"{title}\n\n{raw(self.bar) if self.bar else ''}\n\n{rest}\n"
 
     def _text(self, cell: Mapping[str, Any]) -> str:
-        if (
-            self._came
-        ):  # the outputs between what came and the next text wait for the prediction, too
+        # the outputs between what came and the next text wait for the prediction, too
+        if self._came:
             self._asked = ""
             self._came = False
         text = in_the_book(

@@ -24,9 +24,8 @@ def moving_map() -> str:
         pass
     viewer = SplatViewer(run.mapper, width=480, height=360).look_from("above")
     sent = []
-    viewer.send = lambda content, buffers: sent.extend(
-        (content["head"], *buffers)
-    )  # what the page would get
+    # what the page would get
+    viewer.send = lambda content, buffers: sent.extend((content["head"], *buffers))
     viewer._heard(None, {"kind": "ready"}, [])
     state = {
         name: value

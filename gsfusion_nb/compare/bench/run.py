@@ -354,9 +354,8 @@ def map_rows(options: BenchOptions) -> Iterator[BenchRow]:
 def _mapper_rows(frames: OpenedSequence, method: str, device: str) -> Iterator[BenchRow]:
     config = gsfusion("online")
     n = len(frames)
-    GSFusion(config, device=device).step(
-        frames[0]
-    )  # compiles, and renders the first image of the room
+    # compiles, and renders the first image of the room
+    GSFusion(config, device=device).step(frames[0])
     for i in range(n):
         frames[i]  # images of the room are rendered once and kept
     seconds = dict.fromkeys(STAGES, 0.0)

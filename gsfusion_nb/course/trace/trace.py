@@ -413,9 +413,8 @@ class Trace:
             self.n_dropped += 1
             for pick, kept in self._picks.items():
                 if (moment := _moment(oldest, pick)) is not None:
-                    kept.append(
-                        dataclasses.replace(moment, image=None)
-                    )  # it takes most of the memory
+                    # it takes most of the memory
+                    kept.append(dataclasses.replace(moment, image=None))
 
     @contextlib.contextmanager
     def _watch(self, frame_index: int | None) -> Iterator[None]:

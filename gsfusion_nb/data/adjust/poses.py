@@ -155,9 +155,8 @@ class PosePath:
         self.step_s = float(steps.median()) if len(steps) else 0.0
         """Median time from one pose to the next, seconds; 0 with fewer than two poses."""
         far = (steps > _LONGEST_GAP * self.step_s).long()
-        self._piece = torch.cat(
-            [far.new_zeros(1), far.cumsum(0)]
-        )  # poses of one piece have no gap between them
+        # poses of one piece have no gap between them
+        self._piece = torch.cat([far.new_zeros(1), far.cumsum(0)])
 
     def at(self, times_s: Float[Tensor, " N"]) -> Float[Tensor, "N 4 4"]:
         """Camera-to-world poses; NaN farther than one median step from every pose. [N, 4, 4]"""
@@ -179,9 +178,8 @@ class PosePath:
         at_s = self._times[near] - self._times[k, None]
         xi = torch.zeros(len(k), 6, dtype=torch.float64)
         for j in range(len(_NEIGHBOURS)):
-            share = (
-                s / at_s[:, j]
-            )  # Lagrange's polynomial: 1 at this neighbour, 0 at the others and at T_k
+            # Lagrange's polynomial: 1 at this neighbour, 0 at the others and at T_k
+            share = s / at_s[:, j]
             for m in set(range(len(_NEIGHBOURS))) - {j}:
                 factor = (s - at_s[:, m]) / (at_s[:, j] - at_s[:, m])
                 share = share * factor.where(known[:, m], 1.0)

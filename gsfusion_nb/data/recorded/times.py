@@ -40,9 +40,8 @@ def associate(
     times = [second_s[j] for j in order]
     candidates = []
     for i, t in enumerate(first_s):
-        k = bisect.bisect_left(
-            times, t - 2 * max_difference_s
-        )  # wider, so that rounding excludes no candidate
+        # wider, so that rounding excludes no candidate
+        k = bisect.bisect_left(times, t - 2 * max_difference_s)
         while k < len(times) and times[k] <= t + 2 * max_difference_s:
             if abs(times[k] - t) <= max_difference_s:
                 candidates.append((abs(times[k] - t), i, order[k]))

@@ -397,9 +397,8 @@ class RoomSequence:
         times_s = self._walk[1][: self.n_frames]
         name = f"room {self.seed}, {self.trajectory}"
         found = [f"{name}, {times_s[i % self.n_frames]:.3f} s" for i in frames]
-        for room in range(
-            frames[0] // self.n_frames, frames[-1] // self.n_frames + 1
-        ):  # all look the same
+        # all look the same
+        for room in range(frames[0] // self.n_frames, frames[-1] // self.n_frames + 1):
             inside = [i - room * self.n_frames for i in frames if i // self.n_frames == room]
             first, last = (10 * times_s[i] for i in (inside[0], inside[-1]))
             found += [

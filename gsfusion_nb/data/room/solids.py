@@ -387,9 +387,8 @@ def signed_distance(
             best[owner[part] == -1] = np.inf
         best = np.minimum(best, at_most)
         gap = np.maximum(xyz.min(0) - centres - boxes, centres - boxes - xyz.max(0)).max(1)
-        lower = np.where(
-            gap > 0, gap, -np.inf
-        )  # a solid may be this close to the box around the points
+        # a solid may be this close to the box around the points
+        lower = np.where(gap > 0, gap, -np.inf)
         for i in np.argsort(lower):
             if lower[i] > best.max():
                 break

@@ -101,9 +101,8 @@ class BackgroundFrames:
         self._changed = threading.Condition()
         self._ended = self._closed = False
         self._error: BaseException | None = None
-        context = (
-            contextvars.copy_context()
-        )  # a new thread does not take over the chosen backend by itself
+        # a new thread does not take over the chosen backend by itself
+        context = contextvars.copy_context()
         self._thread = threading.Thread(
             target=context.run, args=(self._work,), name="frames", daemon=True
         )

@@ -118,9 +118,8 @@ class GrowingFolder(LiveSource):
                 break
             self._round()
         if not self._values and not self._stopping.is_set():
-            read_intrinsics(
-                self.root / "intrinsics.json"
-            )  # raises an error that describes the damage
+            # raises an error that describes the damage
+            read_intrinsics(self.root / "intrinsics.json")
         raise StopIteration
 
     def stop(self) -> None:

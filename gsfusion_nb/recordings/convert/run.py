@@ -200,9 +200,8 @@ class _Conversion:
         if not self._poses.none:
             try:
                 T_WC, reason = self._poses.of(place, frame)
-                if (
-                    T_WC is None and frame.depth_time_s is not None
-                ):  # poses may have the stamps of depth
+                # poses may have the stamps of depth
+                if T_WC is None and frame.depth_time_s is not None:
                     frame = dataclasses.replace(frame, time_s=frame.depth_time_s)
                     T_WC, reason = self._poses.of(place, frame)
             except BadFrameError as e:

@@ -117,9 +117,8 @@ def quat_along(
         z,
         torch.stack([-along[:, 1], along[:, 0], torch.zeros_like(along[:, 0])], dim=1),
     )
-    x = torch.where(
-        x.norm(dim=1, keepdim=True) > 1e-3, x, across
-    )  # the surface is seen from the side
+    # the surface is seen from the side
+    x = torch.where(x.norm(dim=1, keepdim=True) > 1e-3, x, across)
     x = x / x.norm(dim=1, keepdim=True)
     axes = torch.stack([x, torch.linalg.cross(z, x), z], dim=2)
     return quaternion.from_matrix(se3.rotate(T_WC, axes.mT).mT)

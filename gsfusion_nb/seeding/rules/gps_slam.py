@@ -98,9 +98,8 @@ class gps_slam(MapRule):
         column = column[drawn]
         uv = torch.stack([column, row], dim=-1) + 0.5
         seeds = ctx.seeds_at(uv, 1.0, depth_m=depth_m, opacity=self.opacity)
-        most_m = (seeds.scale_m[:, 0] * self.max_radius_px).clamp(
-            min=self.max_radius_m
-        )  # 1 px before it is sized
+        # 1 px before it is sized
+        most_m = (seeds.scale_m[:, 0] * self.max_radius_px).clamp(min=self.max_radius_m)
         seeds = sized_by_neighbours(ctx, seeds)
         seeds = dataclasses.replace(seeds, scale_m=torch.minimum(seeds.scale_m, most_m[:, None]))
         if normal_W is None:
@@ -129,9 +128,8 @@ class gps_slam(MapRule):
         least = self.colour_error * (ERROR_SEEN_BEFORE if ctx.seen_before else 1.0)
         chosen = (error > least) & (picture.weight < self.max_weight)
         depth_m = ctx.frame.depth_m if self.surface == "depth" else below.base.depth_m
-        if self.in_holes and bool(
-            (below.base.depth_m > 0).any()
-        ):  # not while there is no surface at all
+        # not while there is no surface at all
+        if self.in_holes and bool((below.base.depth_m > 0).any()):
             there = torch.where(ctx.has_depth(), ctx.frame.depth_m, below.depth_everywhere_m)
             depth_m = torch.where(depth_m > 0, depth_m, there)
         else:

@@ -263,9 +263,8 @@ class two_dgs_slam(KeyframeRule):
         free = ~ctx.occupied(seeds.xyz_W, self.voxel_size_m)
         if self.one_per_voxel:
             free &= ctx.first_in_voxel(seeds.xyz_W, self.voxel_size_m)
-        seeds = sized_by_neighbours(ctx, seeds, max_of_mean=MAX_OF_MEAN)[
-            free
-        ]  # sized before the voxel filter
+        # sized before the voxel filter
+        seeds = sized_by_neighbours(ctx, seeds, max_of_mean=MAX_OF_MEAN)[free]
         return as_discs(
             ctx,
             seeds,

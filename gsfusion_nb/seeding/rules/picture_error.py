@@ -72,9 +72,8 @@ class cone_gs(MapRule):
                 self._room(ctx, round(self.share * float(error.sum()))),
             )
         ]
-        return ctx.seeds_at(
-            uv, (1 + ctx.camera.fx / ctx.camera.fy) / 2, opacity=OPACITY
-        )  # seeds_at divides by fx
+        # seeds_at divides by fx
+        return ctx.seeds_at(uv, (1 + ctx.camera.fx / ctx.camera.fy) / 2, opacity=OPACITY)
 
     def after_step(
         self,
@@ -164,8 +163,7 @@ def blended_inverse_depth(ctx: SeedContext) -> Float[Tensor, "H W"]:
     colours 1 / z. [H, W]"""
     params = ctx.gaussians.params
     T_WC = ctx.frame.T_WC
-    z = se3.apply(se3.inverse(T_WC), params.xyz_W)[:, 2].clamp_min(
-        1e-3
-    )  # nearer ones are not drawn
+    # nearer ones are not drawn
+    z = se3.apply(se3.inverse(T_WC), params.xyz_W)[:, 2].clamp_min(1e-3)
     sh = ((1 / z - 0.5) / SH_C0)[:, None, None].expand(-1, 1, 3)
     return render(dataclasses.replace(params, sh=sh), ctx.camera, T_WC).rgb[..., 0]

@@ -219,9 +219,8 @@ def sized(
     xyz, radius = (
         (ctx.map.xyz_W, ctx.map.radius_m) if has_map else (seeds.xyz_W[:0], seeds.opacity[:0])
     )
-    solid = (
-        ctx.map.opacity > 0.5 if fidelity != "code" and has_map else None
-    )  # only opaque discs cover a surface
+    # only opaque discs cover a surface
+    solid = ctx.map.opacity > 0.5 if fidelity != "code" and has_map else None
     is_transparent = seeds.opacity < 0.5
     gaps = gaps_around(seeds.xyz_W, xyz, radius, counted=solid)
     size = gaps.size_m.clamp(min_radius_m, max_radius_m)

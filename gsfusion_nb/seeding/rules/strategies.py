@@ -192,9 +192,8 @@ def strategy_seeds(ctx: SeedContext, seeds_by: str, share: float) -> Seeds:
         return uniform(ctx, fraction=share)
     if seeds_by == "gsfusion":
         return gsfusion(ctx)
-    if (
-        seeds_by == "edge_discs"
-    ):  # a hexagonal grid of spacing s has 1 / (s^2 sqrt(3) / 2) points per pixel
+    # a hexagonal grid of spacing s has 1 / (s^2 sqrt(3) / 2) points per pixel
+    if seeds_by == "edge_discs":
         return edge_discs(ctx, spacing_px=max((share * 3**0.5 / 2) ** -0.5, 1.0))
     return one_pixel_seeds(ctx, unmapped_pixels(ctx, 0.5, torch.inf), share=share)
 

@@ -39,9 +39,8 @@ def gradient_terms(
     splats: Splats, blend: Blend, v_colour: Float[Tensor, "P 3"]
 ) -> tuple[Float[Tensor, "P K"], Float[Tensor, "P K 2"]]:
     """dL/dalpha_k and dL/d(u_k, v_k) of every Gaussian from every pixel, not summed."""
-    rgb, v_C = (
-        pad(colour, (0, 2)) for colour in (splats.rgb[blend.row], v_colour)
-    )  # neither depth nor opacity
+    # neither depth nor opacity
+    rgb, v_C = (pad(colour, (0, 2)) for colour in (splats.rgb[blend.row], v_colour))
     v_alpha = blend_vjp(blend.alpha.T, rgb, v_C)[0].T
     A, B, C = splats.projection.conic[blend.row].unbind(-1)
     dx, dy = blend.offset_px.unbind(-1)

@@ -190,9 +190,8 @@ def touch_camera(
     in the view."""
     du, dv = stroke.moved
     width, height = slice_pixel(X_M[1], Y_M[0])
-    if (
-        stroke.start[0] >= width
-    ):  # the scene in the view, which is as high as the slice, follows the pointer
+    # the scene in the view, which is as high as the slice, follows the pointer
+    if stroke.start[0] >= width:
         turn = math.degrees(camera.height / height / camera.fx)
         heading = wrapped_deg(values["heading_deg"] + du * turn)
         return {"heading_deg": heading, "tilt_deg": values["tilt_deg"] + dv * turn}

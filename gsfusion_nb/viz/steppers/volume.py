@@ -63,9 +63,8 @@ def row_of_cells(volume: TsdfVolume, cells: int = 1) -> Voxel:
     place, cell, count = (
         corners.mean(1).floor().long().unique(dim=0, return_inverse=True, return_counts=True)
     )
-    apart = (
-        (corners - corners.round()).abs().amax(-1).amin(-1)
-    )  # of a triangle's vertices from the cell's corners
+    # of a triangle's vertices from the cell's corners
+    apart = (corners - corners.round()).abs().amax(-1).amin(-1)
     smallest = apart.new_full((len(place),), torch.inf).scatter_reduce(0, cell, apart, "amin")
     clear = [n if a > CLEAR else 5 for n, a in zip(count.tolist(), smallest.tolist(), strict=True)]
     triangles = dict(zip(map(tuple, place.tolist()), clear, strict=True))

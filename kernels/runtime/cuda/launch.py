@@ -33,9 +33,8 @@ def _why_unavailable() -> str | None:
     return None
 
 
-if (
-    _reason := _why_unavailable()
-):  # here and not in the package: every kernel imports this module, and is refused again
+# here and not in the package: every kernel imports this module, and is refused again
+if _reason := _why_unavailable():
     raise BackendUnavailable(_reason)
 
 

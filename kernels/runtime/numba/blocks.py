@@ -22,9 +22,8 @@ def blocks_in_view(
     side = volume.block_size_m
     radius = 0.5 * side * math.sqrt(3.0) + more_m
     size = (camera.height, camera.width)
-    with parallel_chunksize(
-        16
-    ):  # blocks in view were mostly made together, so halves of all are not even
+    # blocks in view were mostly made together, so halves of all are not even
+    with parallel_chunksize(16):
         _meet(
             coords, volume.block_boxes, T_CW, lens_of(camera), size, float(end_m), side, radius, met
         )
@@ -45,9 +44,8 @@ def _meet(coords, boxes, T_CW, lens, size, end, side, radius, met):
         dy = high[1] - low[1]
         dz = high[2] - low[2]
         around = radius + 0.5 * side * math.sqrt(dx * dx + dy * dy + dz * dz)
-        if _meets_view(
-            side * x, side * y, side * z, T_CW, lens, size, end, 1.001 * around
-        ):  # for rounding
+        # for rounding
+        if _meets_view(side * x, side * y, side * z, T_CW, lens, size, end, 1.001 * around):
             for b in range(box * BLOCKS_IN_BOX, min(len(met), (box + 1) * BLOCKS_IN_BOX)):
                 x = coords[b, 0] + 0.5
                 y = coords[b, 1] + 0.5

@@ -106,9 +106,8 @@ class SharedCache(FunctionCache):
 
     def _hold(self) -> None:
         handles = _HELD.setdefault(self._lock, [])
-        with contextlib.suppress(
-            OSError
-        ):  # a folder that cannot be written to keeps no functions either
+        # a folder that cannot be written to keeps no functions either
+        with contextlib.suppress(OSError):
             self._impl.locator.ensure_cache_path()
             handles.append(os.open(self._lock, os.O_RDWR | os.O_CREAT, 0o644))
             until = time.monotonic() + WAIT_S

@@ -264,9 +264,8 @@ def exp(typingctx, vector):
             builder.module, ir.FunctionType(_FLOATS, [_FLOATS] * 3), f"llvm.fma.v{LANES}f32"
         )
         t = builder.fmul(args[0], _constant(1.4426950408889634))
-        magic = _constant(
-            12582912.0
-        )  # 1.5 * 2^23: adding it rounds to an integer held in the low mantissa bits
+        # 1.5 * 2^23: adding it rounds to an integer held in the low mantissa bits
+        magic = _constant(12582912.0)
         shifted = builder.fadd(t, magic)
         f = builder.fsub(t, builder.fsub(shifted, magic))
         p = _constant(_EXP2_POLYNOMIAL[0])

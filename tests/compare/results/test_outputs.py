@@ -33,9 +33,8 @@ def test_the_tables_of_all_scenes_and_budgets(folder, made_results, tmp_path):
     text = (folder / "table.md").read_text()
     assert all(f"### {title}\n" in text for title in titles)
     assert "not equal between the rules: 1,510 to 9,010 Gaussians" in text
-    assert (
-        "- uniform, kitchen, own size, own steps, seed 2: ValueError: \\<no> seeds" in text
-    )  # else an element, not seen
+    # else an element, not seen
+    assert "- uniform, kitchen, own size, own steps, seed 2: ValueError: \\<no> seeds" in text
 
 
 def test_the_numbers_for_other_programs(made_run):
@@ -101,9 +100,8 @@ def test_other_tests_are_in_all_files(made_run, tests):
         )
     else:
         assert budget["ranks"]["mean_ranks"] == {"a": 1.0, "b": 2.0, "c": 3.0}
-        assert budget["ranks"]["p"] == pytest.approx(
-            math.exp(-8.0)
-        )  # chi^2 of 16 with 2 degrees of freedom
+        # chi^2 of 16 with 2 degrees of freedom
+        assert budget["ranks"]["p"] == pytest.approx(math.exp(-8.0))
         assert {row["test"] for row in budget["rows"]} == {None}
         assert "Friedman's test of 3 rules on 8 scenes: p < 0.001, they are not all equal" in text
 

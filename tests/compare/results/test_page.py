@@ -86,9 +86,8 @@ def test_everything_has_a_name_for_screen_readers(page):
 def test_pictures_are_stored_once_and_named_by_view(page):
     data = json.loads(page.scripts[0])
     assert len({(s["label"], s["scene"], s["budget"]) for s in data["shots"]}) == 12
-    assert (
-        len(data["pictures"]) == 2 + 3 * 2 * 2
-    )  # the truth of two views; three rules, everywhere the same
+    # the truth of two views; three rules, everywhere the same
+    assert len(data["pictures"]) == 2 + 3 * 2 * 2
     shot = next(s for s in data["shots"] if s["label"] == "uniform" and s["scene"] == "kitchen")
     assert [view["name"] for view in shot["views"]] == ["4", "9"]
     assert shot["seed"] == 0
@@ -130,7 +129,6 @@ def test_the_error_is_that_of_the_pictures(made_results, tmp_path):
     assert frame == "4"
     assert view["error"].shape == view["truth"].shape == (48, 64, 3)
     (tmp_path / result.pictures["held_out 4"]).write_bytes(b"damaged")
-    cv2.imwrite(
-        str(tmp_path / result.pictures["held_out 9"]), view["render"][:20]
-    )  # of another size
+    # of another size
+    cv2.imwrite(str(tmp_path / result.pictures["held_out 9"]), view["render"][:20])
     assert list(views_of(result, tmp_path)) == []

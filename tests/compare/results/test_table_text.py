@@ -124,9 +124,8 @@ def test_the_scenes_as_columns(made_run):
     )
     in_pairs = all_tables(runs, reference="a", tests="pairs")[0]
     assert in_pairs.rows[1].cells[6].text == "-0.05 (-0.79 to 0.69)"
-    assert (
-        in_pairs.rows[2].cells[7].value > table.rows[2].cells[7].value
-    )  # corrected for more comparisons
+    # corrected for more comparisons
+    assert in_pairs.rows[2].cells[7].value > table.rows[2].cells[7].value
     in_ranks = all_tables(runs, tests="nemenyi")[0]
     assert [c.name for c in in_ranks.columns][-1] == "Mean rank"
     nothing = all_tables(runs, reference="nobody")[0]

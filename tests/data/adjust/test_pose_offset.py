@@ -31,9 +31,8 @@ def test_a_path_goes_through_its_poses_and_is_exact_for_even_motion():
     path = PosePath(times_s, poses)
     between = torch.tensor([-0.05, 0.03, 0.1, 0.18, 0.38], dtype=torch.float64)
     torch.testing.assert_close(path.at(between), se3.exp(between[:, None] * velocity))
-    torch.testing.assert_close(
-        path.at(times_s[-1:] + 0.05), poses[-1:]
-    )  # nothing near says how it moves there
+    # nothing near says how it moves there
+    torch.testing.assert_close(path.at(times_s[-1:] + 0.05), poses[-1:])
     assert bool(path.at(torch.tensor([1.0], dtype=torch.float64)).isnan().all())
 
 

@@ -26,9 +26,8 @@ def test_reads_what_was_written(tmp_path, box):
         assert frame.index == i
         assert frame.timestamp_s == pytest.approx(i / 30)
         assert frame.rgb.dtype == frame.depth_m.dtype == frame.T_WC.dtype == torch.float32
-        assert (
-            np.abs(frame.rgb.numpy() * 255 - rgb).mean() < 3
-        )  # JPEG; swapped channels give far more
+        # JPEG; swapped channels give far more
+        assert np.abs(frame.rgb.numpy() * 255 - rgb).mean() < 3
         assert np.abs(frame.depth_m.numpy() - depth_m).max() < 0.00051
         assert torch.allclose(
             frame.T_WC.double(),

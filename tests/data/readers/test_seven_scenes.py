@@ -101,9 +101,8 @@ def test_warp_keeps_the_nearest_and_invents_nothing():
     depth_m = torch.tensor([[0.0, 2.0, 1.0, 0.0]])
     eye = torch.eye(4)
     assert torch.equal(warp_depth(depth_m, camera, camera, eye), depth_m)
-    narrow = Camera(
-        width=1, height=1, fx=0.2, fy=0.2, cx=0.5, cy=0.5
-    )  # everything falls into one pixel
+    # everything falls into one pixel
+    narrow = Camera(width=1, height=1, fx=0.2, fy=0.2, cx=0.5, cy=0.5)
     assert warp_depth(depth_m, camera, narrow, eye).tolist() == [[1.0]]
     nearer = eye.clone()
     nearer[2, 3] = -1.5  # what was at 1 m is now behind the target

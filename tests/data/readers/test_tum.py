@@ -26,9 +26,8 @@ def test_reads_what_was_written(tmp_path, box):
     for i, frame in enumerate(seq):
         t = 0.112 + i / 30
         assert frame.timestamp_s == pytest.approx(T0 + t, abs=1e-5)  # the colour image's time
-        assert torch.allclose(
-            frame.T_WC.double(), box.pose_at(t), atol=2e-5
-        )  # the pose at that time, between two records
+        # the pose at that time, between two records
+        assert torch.allclose(frame.T_WC.double(), box.pose_at(t), atol=2e-5)
     same = tum(write(tmp_path / "same", box, rgb_lag=0.0), camera=box.camera)
     assert all(box.off_wall_m(frame) < 0.0002 for frame in same)
     opened = open_sequence(tmp_path / "same", camera=box.camera)
@@ -295,9 +294,8 @@ def test_fr1_images_are_consistent_only_when_undistorted(tmp_path, box):
     )
     xy = target.copy()
     for _ in range(60):
-        xy += target - brown(
-            xy, *lens.distortion
-        )  # fixed point: the ray that the lens bends to this pixel
+        # fixed point: the ray that the lens bends to this pixel
+        xy += target - brown(xy, *lens.distortion)
     x = np.clip(
         (xy[..., 0] * ideal.fx + ideal.cx).astype(int),
         0,
@@ -322,6 +320,5 @@ def test_fr1_images_are_consistent_only_when_undistorted(tmp_path, box):
     off = tum(root, undistort=False)
     assert box.off_wall_m(on[1]) < 0.002
     assert box.off_wall_m(off[1]) > 0.005
-    assert (
-        depth_agreement(on[0], on[1]).median_m < 0.003
-    )  # two roundings to whole pixels on slanted walls
+    # two roundings to whole pixels on slanted walls
+    assert depth_agreement(on[0], on[1]).median_m < 0.003

@@ -33,9 +33,8 @@ def test_its_depth_is_in_millimetres_and_its_poses_are_late(recording):
     true = room[POSES_PER_IMAGE * (lost + 2)]
     frame = mended[2]
     assert np.abs(frame.depth_m.numpy() - true.depth_m.numpy()).max() <= 0.0006
-    assert (
-        frame.T_WC - true.T_WC
-    ).abs().max() < 3e-3  # interpolated half-way between poses of 0.1 s
+    # interpolated half-way between poses of 0.1 s
+    assert (frame.T_WC - true.T_WC).abs().max() < 3e-3
     assert (recording[2].T_WC - true.T_WC).abs().max() > 5e-3
 
 

@@ -174,25 +174,22 @@ def test_poses_wander_about_the_truth_by_the_given_deviation():
     off = room(**WALK, pose_error_m=0.01, pose_error_deg=0.5)
     assert torch.equal(off.true_pose(7), clean.pose(7))
     assert torch.equal(off[7].T_WC, off.pose(7))
-    pictures = [
-        sequence._render(7)["rgb"] for sequence in (off, clean)
-    ]  # what the cache would store
+    # what the cache would store
+    pictures = [sequence._render(7)["rgb"] for sequence in (off, clean)]
     assert (pictures[0] == pictures[1]).all()
     xi = twists(off)
     assert xi[:, :3].std().item() == pytest.approx(0.01, rel=0.2)
     assert xi[:, 3:].std().rad2deg().item() == pytest.approx(0.5, rel=0.2)
-    assert (xi[1:] - xi[:-1]).norm(dim=1).median() < xi.norm(
-        dim=1
-    ).median()  # white noise: 1.4 times
+    # white noise: 1.4 times
+    assert (xi[1:] - xi[:-1]).norm(dim=1).median() < xi.norm(dim=1).median()
 
 
 def test_a_delay_gives_each_image_a_later_pose():
     later = room(**WALK, pose_delay_s=0.5)
     times = later.times_s
     step_s = float(times[1] - times[0])
-    fine = room(
-        n_frames=1 + round(199 * step_s / 0.05), width=80, height=60
-    )  # a frame about every 0.05 s
+    # a frame about every 0.05 s
+    fine = room(n_frames=1 + round(199 * step_s / 0.05), width=80, height=60)
     i = 40
     expected = walk("mapping", 200, 0, delay_s=0.5)[0][i]
     torch.testing.assert_close(

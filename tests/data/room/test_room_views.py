@@ -81,9 +81,8 @@ def test_first_hits_agree_with_sphere_tracing():
         z += room_sdf(origin + z[:, None] * ray) / ray.norm(dim=1)
     for n in (slice(0, len(uv)), slice(len(uv), None)):
         assert (room_sdf(origin[n] + z[n, None] * ray[n]) < 1e-5).double().mean() > 0.97
-        assert (
-            (z - found)[n].abs() < 1e-3
-        ).double().mean() > 0.97  # grazing rays have not arrived yet
+        # grazing rays have not arrived yet
+        assert ((z - found)[n].abs() < 1e-3).double().mean() > 0.97
         assert (z <= found + 1e-4)[n].all()
 
 
@@ -205,9 +204,8 @@ def test_distance_is_that_to_the_nearest_surface_point(name):
             brute = np.minimum(brute, gaps.min(1))
     outside = distance > 0
     assert outside.sum() > 20
-    np.testing.assert_allclose(
-        distance[outside], brute[outside], atol=4e-4
-    )  # brute force has gaps of 3 mm
+    # brute force has gaps of 3 mm
+    np.testing.assert_allclose(distance[outside], brute[outside], atol=4e-4)
 
 
 @pytest.mark.parametrize("name", ["rounded box", "cylinder", "cone", "sphere", "leaf"])

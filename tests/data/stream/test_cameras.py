@@ -138,9 +138,8 @@ def test_lens_distortion_is_removed_from_both_images(device, box):
     device.pictures = [
         tuple(cv2.remap(x, ideal[..., 0], ideal[..., 1], cv2.INTER_LINEAR) for x in (rgb, depth_m))
     ]
-    [stored] = some(
-        device.plugged([0]).camera(), 1
-    )  # with the driver's word that there is no distortion
+    # with the driver's word that there is no distortion
+    [stored] = some(device.plugged([0]).camera(), 1)
     [frame] = some(device.plugged([0], tuple(k)).camera(), 1)
 
     def off(frame: Frame) -> tuple[float, float]:
@@ -153,9 +152,8 @@ def test_lens_distortion_is_removed_from_both_images(device, box):
     colour, depth_m = off(frame)
     colour_before, depth_before_m = off(stored)
     assert 10 * colour < colour_before
-    assert (
-        3 * depth_m < depth_before_m
-    )  # taken from the nearest pixel, which is up to half a pixel off
+    # taken from the nearest pixel, which is up to half a pixel off
+    assert 3 * depth_m < depth_before_m
 
 
 def test_the_streams_are_those_that_were_asked_for(device):

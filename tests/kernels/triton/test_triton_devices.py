@@ -26,9 +26,8 @@ def test_tensors_on_two_devices_are_refused(device):
 def test_cuda_tensors_are_found_wherever_they_are(make_scene, make_camera, pose, monkeypatch):
     """A map or a frame is on its tensors' device; a pose may be anywhere."""
     monkeypatch.setitem(backends._PREFERRED, "meta", ("triton",))
-    monkeypatch.setattr(
-        backends, "automatic", backends.automatic.__wrapped__
-    )  # nothing is remembered
+    # nothing is remembered
+    monkeypatch.setattr(backends, "automatic", backends.automatic.__wrapped__)
     scene = make_scene(2, 0)
     there = type(scene)(**{name: value.to("meta") for name, value in vars(scene).items()})
     chosen = backends._select("disc_depth", (there, make_camera(4, 4), pose), {})

@@ -108,9 +108,8 @@ def _frame(
     depth = frame.depth_m.clone() if depth_m is None else torch.full_like(frame.depth_m, depth_m)
     if isolated:
         depth[::9, ::7] = 0.7
-    T_WC = se3.exp(
-        torch.tensor([0.11, -0.23, 0.31, 0.2, -0.3, 0.1])
-    )  # no wall of a block along an axis of the image
+    # no wall of a block along an axis of the image
+    T_WC = se3.exp(torch.tensor([0.11, -0.23, 0.31, 0.2, -0.3, 0.1]))
     T_WC[:3, 3] += offset_m
     return dataclasses.replace(frame, depth_m=depth, T_WC=T_WC)
 

@@ -165,9 +165,8 @@ def test_only_speckle_is_filled(generator):
     speckled = slope * (torch.rand(48, 64, generator=generator) < 0.5)
     filled = without_speckle(speckled.numpy())
     assert (filled > 0).mean() > 0.99
-    assert (
-        np.abs(filled - slope.numpy())[filled > 0].max() < 0.04
-    )  # two columns of the slope, and a little
+    # two columns of the slope, and a little
+    assert np.abs(filled - slope.numpy())[filled > 0].max() < 0.04
     assert np.array_equal(filled[speckled > 0], speckled[speckled > 0])
     with_hole = slope.clone()
     with_hole[10:30, 20:40] = 0

@@ -183,9 +183,8 @@ def test_depth_of_a_camera_beside_colour_is_where_a_sens_file_puts_it(tmp_path, 
     fx = takes.camera.fx
     z = takes.depth_m[0]
     row = 20
-    moved = (
-        np.arange(z.shape[1]) + 0.5 + fx * 0.05 / z[row]
-    )  # a point at u is seen 5 cm to the right of there
+    # a point at u is seen 5 cm to the right of there
+    moved = np.arange(z.shape[1]) + 0.5 + fx * 0.05 / z[row]
     found = frame.depth_m.numpy()[row]
     inside = moved < z.shape[1] - 1
     near = np.array(

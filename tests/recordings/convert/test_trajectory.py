@@ -196,7 +196,6 @@ def test_frames_outside_and_in_gaps_are_dropped_and_counted(tmp_path, takes):
     report = convert(
         tmp_path, tmp_path / "b", options=replace(options, max_gap_s=0.15, time_offset_s=0.05)
     )
-    assert (
-        report.frames == 1
-    )  # 0.05 lies before, 0.25 in a step of 0.1 s, 0.45 in one of 0.17 s, 0.65 behind
+    # 0.05 lies before, 0.25 in a step of 0.1 s, 0.45 in one of 0.17 s, 0.65 behind
+    assert report.frames == 1
     assert report.dropped == {"the trajectory has no pose around its time": 3}

@@ -91,9 +91,8 @@ def test_a_click_on_the_frame_lifts_its_pixel(frame):
         (W + 6 + 10, 26 + 9),
         (W + 6 + 10 - frame.camera.fx * np.radians(8), 26 + 9),
     )
-    assert (
-        panel.values["turn_deg"] == 8
-    )  # the picture follows the pointer: to the left, when the camera turns right
+    # the picture follows the pointer: to the left, when the camera turns right
+    assert panel.values["turn_deg"] == 8
     assert (
         pixel_story(
             frame,

@@ -73,9 +73,8 @@ def test_the_panel_converges_from_near_and_not_from_afar(pair):
     assert "after all" in panel.caption.value
     panel.set(sideways_cm=60, turn_deg=20)
     assert "not converged" in panel.caption.value
-    assert (
-        "after all 0 steps" in panel.caption.value
-    )  # nothing corresponds: there is no step to take
+    # nothing corresponds: there is no step to take
+    assert "after all 0 steps" in panel.caption.value
     panel.set(step=0, pyramid=False, sideways_cm=3, turn_deg=1)
     assert "2 × 2 px" in panel.caption.value
 

@@ -123,9 +123,8 @@ def test_the_gaussian_is_dragged_by_its_middle_and_by_the_ends_of_its_axes():
     u, v = gaussian_handles(panel.set(lean_deg=20).values, CAMERA, 6)["long"]
     panel.drag((u, v), (u + 12, v + 40))
     after = gaussian_handles(panel.values, CAMERA, 6)["long"]
-    assert after == pytest.approx(
-        (u + 12, v + 40), abs=3.5
-    )  # the handle stays under the pointer, up to a slider step
+    # the handle stays under the pointer, up to a slider step
+    assert after == pytest.approx((u + 12, v + 40), abs=3.5)
     thick = panel.values["thick_m"]
     (u, v), (mid_u, mid_v) = (
         gaussian_handles(panel.values, CAMERA, 6)[k] for k in ("thick", "middle")

@@ -48,9 +48,8 @@ def test_x_goes_right_and_y_goes_up(volume):
     assert (seen == expected).all()
     assert image[55, 15].argmax() == 0  # behind is red
     assert image[75, 45].argmax() == 2  # free is blue
-    assert (
-        slice_picture(volume, height_m=0.45, **VIEW).std(-1) == 0
-    ).all()  # another layer: nothing observed
+    # another layer: nothing observed
+    assert (slice_picture(volume, height_m=0.45, **VIEW).std(-1) == 0).all()
 
 
 def test_weight_and_colour(volume):

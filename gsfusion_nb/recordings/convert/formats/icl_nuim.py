@@ -65,9 +65,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     pov = sorted(path.glob("*.depth"))
     pairs = _pairs(path, pov)
     file = _ground_truth(path) or _ground_truth(path.parent)
-    poses = (
-        read_trajectory(file, time_unit="s", max_gap_s=0.0) if file else None
-    )  # numbers of frames, not times
+    # numbers of frames, not times
+    poses = read_trajectory(file, time_unit="s", max_gap_s=0.0) if file else None
     scale = options.depth_scale or (1.0 if pov else _DEPTH_SCALE)
 
     def recorded_frames() -> Iterator[RecordedFrame]:

@@ -83,9 +83,8 @@ def recording_of(
             "(--confidence)"
         )
     images = found.pairs[0][0].parent
-    poses = str(
-        first_of(path, _POSES, (".txt", ".csv", ".npy", ".traj", "")) or ""
-    )  # folders have no suffix
+    # folders have no suffix
+    poses = str(first_of(path, _POSES, (".txt", ".csv", ".npy", ".traj", "")) or "")
     poses = poses or str(images) * any(images.glob("*pose.txt"))
     if not options.poses and not T_WC and (told := poses_of_a_robot(Path(poses), tree)):
         raise SequenceError(told)

@@ -60,9 +60,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     pairs = dict(zip(numbers, found, strict=True))
     file = _trajectory(path)
     poses, model = ({}, None) if file is None else read_trajectory_file(file)
-    if len(poses) == len(pairs) <= max(pairs) and max(poses) < len(
-        pairs
-    ):  # one pose per image: counted alike
+    # one pose per image: counted alike
+    if len(poses) == len(pairs) <= max(pairs) and max(poses) < len(pairs):
         poses = dict(zip(pairs, poses.values(), strict=True))
     beyond = [i for i in poses if i > max(pairs)]
     if beyond:

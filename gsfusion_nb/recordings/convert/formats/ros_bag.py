@@ -88,9 +88,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         for d, colour, depth in _second_pass(bag, pairs):
             time_s = seconds(colour.header.stamp)
             depth_time_s = bag.depth_s[d]
-            if (
-                pose_at is not None and pose_at(time_s) is None
-            ):  # poses may have the stamps of depth
+            # poses may have the stamps of depth
+            if pose_at is not None and pose_at(time_s) is None:
                 time_s = depth_time_s
             source = f"{path}: {bag.depth} image {d}"
             yield RecordedFrame(

@@ -39,9 +39,8 @@ def opened_bag(path: Path) -> Iterator[Any]:
             f"{path} does not exist; expected a .bag file or the folder of a ROS 2 bag"
         )
     place = path.parent if path.suffix == ".db3" else path
-    types = get_typestore(
-        Stores.ROS2_HUMBLE
-    )  # ROS 2 bags before Iron do not contain their message types
+    # ROS 2 bags before Iron do not contain their message types
+    types = get_typestore(Stores.ROS2_HUMBLE)
     types.register(get_types_from_msg(_TF_MESSAGE, "tf2_msgs/msg/TFMessage"))
     files = [place] if place.is_file() else _files_of(place, path)
     for file in files:

@@ -59,9 +59,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     pairs = [
         (colour, find_depth(root / "depth", colour.stem)) for colour in images_in(root / "color")
     ]
-    numbers = [
-        image_number(colour) for colour, _ in pairs
-    ]  # a missing image must not shift the later times
+    # a missing image must not shift the later times
+    numbers = [image_number(colour) for colour, _ in pairs]
     times_s = [(place if n is None else n) / FRAMES_PER_S for place, n in enumerate(numbers)]
     options = replace(options, depth_scale=options.depth_scale or 1000.0)
     note = (

@@ -263,12 +263,10 @@ def test_distortion_is_removed(tmp_path, takes, box, model):
     convert(root, tmp_path / "out", options=ConvertOptions(scale=UNIT_M))
     frame = folder(tmp_path / "out")[0]
     straight, z = box.render(box.pose_at(0.0), frame.camera)
-    assert (
-        np.abs(frame.rgb_u8.numpy().astype(int) - straight).mean() < 1.5
-    )  # measured 0.6; 6 and more if bent
-    assert (
-        np.median(np.abs(frame.depth_m.numpy() - z)) < 0.006
-    )  # nearest pixel of a 1.3 px/degree image
+    # measured 0.6; 6 and more if bent
+    assert np.abs(frame.rgb_u8.numpy().astype(int) - straight).mean() < 1.5
+    # nearest pixel of a 1.3 px/degree image
+    assert np.median(np.abs(frame.depth_m.numpy() - z)) < 0.006
     assert box.off_wall_m(frame) < 0.006
 
 

@@ -169,9 +169,8 @@ def test_padded_rows_and_byte_order(tmp_path, takes):
 def test_quantised_inverse_depth(tmp_path, takes):
     path = write_bag(tmp_path / "scan.bag", takes, 1, depth="32FC1; compressedDepth png")
     convert(path, tmp_path / "out")
-    takes.check(
-        tmp_path / "out", depth_m=2e-3, pose=2e-6
-    )  # half a step is z^2 / 2a = 1 mm at 4.5 m
+    # half a step is z^2 / 2a = 1 mm at 4.5 m
+    takes.check(tmp_path / "out", depth_m=2e-3, pose=2e-6)
 
 
 def test_depth_camera_beside_the_colour_camera(tmp_path, takes, box):
