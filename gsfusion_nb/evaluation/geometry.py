@@ -497,6 +497,8 @@ def _distance(xyz: Tensor, mesh: Mesh, samples: tuple[Tensor, Tensor]) -> Tensor
         high = corners.amax((0, 1))
         middle = corners.mean(1)
         near = ((xyz - xyz.clamp(low, high)).norm(dim=1) <= nearest).nonzero()[:, 0]
+        if not len(near):
+            continue
         near = near[nearest[near].argsort()]  # those of a part have similar bounds
         extent = float((corners - middle[:, None]).norm(dim=2).max())
         here = (of_face >= start) & (of_face < start + len(corners))

@@ -10,6 +10,7 @@ from gsfusion_nb.evaluation import (
     centres_to_own_mesh,
     cull_unseen,
     disc_scores,
+    geometry,
     mesh_scores,
     sample_discs,
     sample_surface,
@@ -175,6 +176,16 @@ def test_distance_to_the_surface_needs_no_sample_on_each_triangle(generator, rin
     assert not isinstance(scores, NotComputed)
     # worst seen 7e-5, at the slivers around the poles; to samples it is 4e-2
     assert scores["accuracy_m"] < 2e-4
+
+
+def test_a_part_of_the_mesh_that_is_far_from_all_points(generator, monkeypatch):
+    """The truth is searched two faces at a time, and the second square is nobody's neighbour."""
+    monkeypatch.setattr(geometry, "FACES_AT_A_TIME", 2)
+    truth = joined(square(), square(x=50.0))
+    scores = mesh_scores(square(z=0.01), truth, generator=generator, n_samples=500)
+    assert not isinstance(scores, NotComputed)
+    assert scores["accuracy_m"] == pytest.approx(0.01, abs=1e-6)
+    assert scores["completion_ratio"] == pytest.approx(0.5, abs=0.1)
 
 
 def test_half_a_surface_is_precise_but_incomplete(generator):
