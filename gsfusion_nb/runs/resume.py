@@ -22,7 +22,7 @@ from ..seeding.rule_code import (
 from .mapping_run import MappingRun
 from .ran_on import difference, ran_on
 from .run_folder import CHECKPOINTS, RULE, is_complete, load_random_state, random_state, unpacked
-from .sound_state import check_agreement, check_same, check_values
+from .sound_state import check_agreement, check_names, check_same, check_values
 from .stream_run import StreamRun
 
 
@@ -56,6 +56,7 @@ def load_run(
     loaded = store.load()
     try:
         check_values({name: loaded.state[name] for name in ("run", "mapper")})
+        check_names(loaded.state.get("ran_on"), "ran_on")
         check_values(_reports(loaded.state["run"]), ("run", "steps"))
         run = _run_of(loaded.state, path, seeding, device, given)
         load_random_state(loaded.state["random"])

@@ -102,8 +102,10 @@ IMAGES = {
     "seen_rgb": (_FLOATS,),
 }
 """Names of images, and the types of their pixels."""
-_NOT_OF_A_MAP = ("clock", "config", "rule", "training", "warnings", "data_files")
+_NOT_OF_A_MAP = ("config", "rule", "training", "warnings", "data_files")
 """What is checked where it is read, and what goes on while it is looked at: times, sentences."""
+_GOES_ON = (*_NOT_OF_A_MAP, "clock")
+"""What is another when the same state is written again."""
 _MOST = 1 << 53
 """Largest whole number: what a float64 counts exactly."""
 
@@ -146,7 +148,7 @@ def check_same(
             if key in state and key not in again:
                 raise _refusal((*where, str(key)), "nothing of this name", _kind(state[key]))
             # what is not in it came after it was written
-            if key in state and key not in _NOT_OF_A_MAP:
+            if key in state and key not in _GOES_ON:
                 check_same(state[key], again[key], (*where, str(key)))
     elif isinstance(state, list | tuple):
         if len(state) != len(again):
@@ -159,6 +161,15 @@ def check_same(
         isinstance(state, float) and math.isnan(state) and math.isnan(again)
     ):
         raise _refusal(where, shown(again), shown(state))
+
+
+def check_names(values: Any, where: str) -> None:
+    """Raise ``SequenceError`` unless ``values`` are texts by name, or None."""
+    if values is None:
+        return
+    texts = (*values, *values.values()) if isinstance(values, dict) else (values, None)
+    if not all(isinstance(text, str) for text in texts):
+        raise _refusal((where,), "texts by name", _kind(values))
 
 
 def check_agreement(run: Any) -> None:
@@ -266,6 +277,11 @@ def _check_tensor(value: Tensor, where: tuple[str, ...]) -> None:
     finite = value.isfinite().all() if value.is_floating_point() and value.numel() else True
     if not (finite or MAY_BE_NAN & set(where)):
         raise _refusal(where, "finite numbers", "NaN or infinity")
+    if value.is_complex() or (where[-1] in POSES and not value.is_floating_point()):
+        raise _refusal(where, "floating-point numbers", _kind(value))
+    of_keyframe = "keyframes" in where and "database" not in where
+    if where[-1] == "T_WC" and of_keyframe and value.dtype != torch.float32:
+        raise _refusal(where, "a pose of float32", _kind(value))
     if where[-1] in POSES and value.ndim >= 2:
         for T in value.reshape(-1, *value.shape[-2:]):
             try:

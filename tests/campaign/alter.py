@@ -165,6 +165,8 @@ def _altered(state: Any, way: Way, rng: random.Random) -> Alteration | None:
         del holder[way[-1]]
     else:
         holder[way[-1]] = new
+    if way[0] == "ran_on" and what in ("an unknown key", "nothing") and len(way) == 1:
+        wrong = False  # another program, which a run says
     return Alteration(where, what, wrong and not (_is_settings(way) and what in _OTHER_SETTINGS))
 
 
