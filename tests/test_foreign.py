@@ -72,6 +72,7 @@ ALLOWED = {
     "recordings/convert/recording.py": "an array that is mapped, and so is not larger than its "
     "file",
     "recordings/convert/formats/ros_files.py": "a file that gives no more bytes than it has",
+    "recordings/convert/formats/unpacking.py": "a file that gives no more bytes than it may have",
     "recordings/fetch.py": "downloads, and unpacking into a new folder within a limit",
     "course/grading/sandbox.py": "tasks and verdicts of its own",
     "viz/steppers/recording.py": "source files of this package",

@@ -97,7 +97,10 @@ def _changed(path: Path, **columns: Any) -> None:
             lambda path: _changed(path, voxel_size_m=np.float64(0.01)),
             "but the settings of the run say 0.05",
         ),
-        (lambda path: _changed(path, D=np.zeros(3, np.int16)), "not readable as the TSDF of a run"),
+        (
+            lambda path: _changed(path, D=np.zeros(3, np.int16)),
+            "W is .* of float16, expected .3. of float16",
+        ),
         (lambda path: _changed(path, W=np.load(path)["W"] * np.float16("nan")), "W"),
         (
             lambda path: _changed(path, block_coords=np.load(path)["block_coords"] * 0),
