@@ -67,6 +67,7 @@ def test_a_worker_that_is_killed_changes_no_number(
     assert {i: numbers(r) for i, r in there.items()} == {i: numbers(r) for i, r in here.items()}
 
 
+@pytest.mark.ci
 def test_a_cluster_that_loses_its_last_worker_ends_with_a_sentence(
     distributed, same_torch_everywhere, spec, tmp_path, monkeypatch, capsys
 ):

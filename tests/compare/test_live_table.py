@@ -61,6 +61,7 @@ def test_rows_appear_as_runs_end(live):
     )
 
 
+@pytest.mark.ci
 def test_it_starts_pauses_between_frames_goes_on_and_stops(specs, tmp_path):
     live = LiveTable(specs, tmp_path, store=ResultStore(tmp_path / "cache"))  # nothing is known yet
     live.start()
@@ -81,6 +82,7 @@ def test_it_starts_pauses_between_frames_goes_on_and_stops(specs, tmp_path):
     assert len(live.results) == 4
 
 
+@pytest.mark.ci
 def test_another_table_stops_this_one_and_finds_its_results(live, specs, cache, tmp_path):
     live.run_sync(2)
     live.start()
@@ -107,6 +109,7 @@ def test_a_stored_notebook_has_table_and_picture(live, monkeypatch):
     assert bundle["text/plain"] == repr(live)
 
 
+@pytest.mark.ci
 def test_interrupting_the_kernel_keeps_what_is_done(specs, tmp_path, monkeypatch):
     live = LiveTable(specs[:2], tmp_path, store=ResultStore(tmp_path / "cache"))
     live.run_sync(1)
@@ -194,6 +197,7 @@ def test_mistakes_in_a_notebook_are_found_before_anything_runs(entrant, shared, 
     assert message in str(error.value)
 
 
+@pytest.mark.ci
 def test_settings_and_open_frames_of_a_notebook(specs, tmp_path, cache):
     config = specs[0].config()
     sequence = Entry(spec=specs[0]).opened()

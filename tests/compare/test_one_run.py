@@ -54,6 +54,7 @@ def same_numbers(a, b):
     assert a.map_hash == b.map_hash
 
 
+@pytest.mark.ci
 def test_every_rule_takes_the_same_steps(spec):
     frugal, rich = (run_spec(spec("uniform", options={"fraction": f})) for f in (0.01, 0.9))
     classy = run_entry(Entry(spec=spec("brings_settings"), rule=brings_settings))

@@ -166,6 +166,7 @@ def test_the_key_has_the_versions_of_the_libraries(monkeypatch):
     assert program.run_key() != before
 
 
+@pytest.mark.ci
 def test_two_commands_in_one_folder_and_two_on_one_cache(spec, tmp_path, monkeypatch):
     """The second of two in one folder is refused; two on one cache at the same time give the same
     results."""

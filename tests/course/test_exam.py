@@ -3,11 +3,13 @@
 from itertools import islice
 
 import exam
+import pytest
 import torch
 
 from gsfusion_nb.geometry import se3
 
 
+@pytest.mark.ci
 def test_a_recording_has_its_fault(tmp_path, monkeypatch):
     monkeypatch.setattr(exam, "N_FRAMES", 2)
     exam.write("c", tmp_path / "c.npz")

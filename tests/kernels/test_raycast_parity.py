@@ -75,6 +75,7 @@ def test_many_rays_and_few_stop_at_observed_voxels_only(width, copied, mapped, m
     assert ways == [copied]
 
 
+@pytest.mark.ci
 def test_a_view_of_too_many_blocks_is_the_same_through_the_table_of_nodes(mapped, monkeypatch):
     from gsfusion_nb.kernels.raycast import numba
 

@@ -37,6 +37,7 @@ def _run(**environment: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.ci
 @pytest.mark.skipif(not HAS_TBB, reason="tbb is not installed: it has no wheel for this machine")
 def test_maps_of_both_kinds_of_threads_have_the_same_bits():
     ours, used, bits = _run()

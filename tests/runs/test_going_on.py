@@ -49,6 +49,7 @@ def warnings_of(folder) -> list[str]:
     return json.loads((folder / "metrics.json").read_text())["warnings"]
 
 
+@pytest.mark.ci
 def test_another_backend_or_version_is_said_in_the_terminal_the_numbers_and_the_report(
     tmp_path, monkeypatch, caplog
 ):

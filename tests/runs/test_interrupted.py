@@ -26,7 +26,12 @@ PACKAGE = Path(interrupts.__file__).parent
 WATCHED = tuple(
     str(PACKAGE / name) for name in ("mapping", "runs", "optim", "gaussians", "interrupts.py")
 )
-VARIANTS = ["gsfusion", "gsfusion_fits", "rtg_slam", "gps_slam"]
+VARIANTS = [
+    "gsfusion",
+    "gsfusion_fits",
+    pytest.param("rtg_slam", marks=pytest.mark.ci),
+    "gps_slam",
+]
 
 
 def settings(variant: str, config: Any) -> Any:

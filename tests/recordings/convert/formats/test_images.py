@@ -259,6 +259,7 @@ def test_the_package_for_openexr_is_named_before_anything_is_read(tmp_path, monk
         check_exr(tmp_path / "0.exr")
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize(
     ("name", "focal_px", "scale"),
     [("redkitchen_mini48", 265.7, 1000.0), ("rgbd_dataset_freiburg1_xyz_excerpt", 517, 5000.0)],
