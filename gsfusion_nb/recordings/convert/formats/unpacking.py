@@ -21,6 +21,10 @@ _ZSTD = "compression.zstd" if importlib.util.find_spec("compression") else "back
 """Where Python's zstd is; of the package before Python 3.14."""
 
 
+SLICE_BYTES = 16 << 20
+"""Unpacked at once: an unpacker needs twice the memory of what it returns."""
+
+
 def most_bytes(files: list[Path]) -> int:
     """How many bytes a chunk of a bag of these files may unpack to."""
     return max(
@@ -39,7 +43,7 @@ def unpack(
     Args:
         data: Packed.
         make: Makes the object that unpacks a stream, with ``decompress(data, max_length)``,
-            ``eof``, ``unused_data``.
+            ``eof``, ``needs_input``, ``unused_data``.
         at_most: Bytes that it may unpack to.
         source: Name for messages.
 
@@ -51,15 +55,20 @@ def unpack(
     size = 0
     while left:
         unpacker = make()
-        parts.append(unpacker.decompress(left, at_most - size + 1))
-        size += len(parts[-1])
-        if size > at_most:
-            raise SequenceError(
-                f"{source}: {len(data)} packed bytes unpack to more than {at_most / 1e6:.0f} MB; "
-                f"expected at most {MOST_MEMORY_PER_BYTE} times the size of the bag"
-            )
-        if not unpacker.eof:
-            raise SequenceError(f"{source}: a packed part of it is truncated; copy it again")
+        packed = left
+        while not unpacker.eof:
+            part = unpacker.decompress(packed, min(SLICE_BYTES, at_most - size + 1))
+            packed = b""
+            size += len(part)
+            if size > at_most:
+                raise SequenceError(
+                    f"{source}: {len(data)} packed bytes unpack to more than "
+                    f"{at_most / 1e6:.0f} MB; expected at most {MOST_MEMORY_PER_BYTE} times the "
+                    "size of the bag"
+                )
+            if not part and not unpacker.eof and unpacker.needs_input:
+                raise SequenceError(f"{source}: a packed part of it is truncated; copy it again")
+            parts.append(part)
         left = unpacker.unused_data or b""
     return b"".join(parts)
 
