@@ -14,15 +14,14 @@ FLOORS = {
     **dict.fromkeys(("types", "config", "checks", "files", "interrupts", "work"), 0),
     "backends": 0,
     **dict.fromkeys(("geometry", "drawing"), 1),
-    **dict.fromkeys(("tsdf", "gaussians", "render"), 2),
+    **dict.fromkeys(("data", "tsdf", "gaussians", "render"), 2),
     **dict.fromkeys(("seeding", "optim", "tracking", "export", "evaluation"), 3),
     "mapping": 4,
-    "data": 5,
-    **dict.fromkeys(("recordings", "runs"), 6),
-    **dict.fromkeys(("viz", "course"), 7),
-    "compare": 8,
-    "cli": 9,
-    "__main__": 10,
+    **dict.fromkeys(("recordings", "runs"), 5),
+    **dict.fromkeys(("viz", "course"), 6),
+    "compare": 7,
+    "cli": 8,
+    "__main__": 9,
 }
 
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
