@@ -61,7 +61,7 @@ class Localiser:
         """Index, time and given pose of the frame mapped last, and of one refused since: the next
         may go on there."""
         self._tracker = tracking.Tracker(config)
-        self._found: Any = None
+        self._state_before: Any = None
         """State of the tracker before the frame that it was given last, until that frame is
         recorded or refused."""
         self._back_end: tracking.BackEnd | None = None
@@ -168,29 +168,29 @@ class Localiser:
                 just refused.
         """
         self.report = {}
-        self._found = None
+        self._state_before = None
         if not self.is_tracking:
             self._check_jump(frame)
             return frame
-        self._found = self._tracker.standing
+        self._state_before = self._tracker.standing
         seen, guess = self._see(frame)
         try:
             if seen is None:
-                found = self._tracker.track(frame, surface, self._relocalise)
+                pose = self._tracker.track(frame, surface, self._relocalise)
             else:
                 extra = seen.extra
-                found = self._tracker.track(frame, surface, self._relocalise, extra, guess)
+                pose = self._tracker.track(frame, surface, self._relocalise, extra, guess)
         except tracking.TrackingLostError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
-        fit = found.icp
+        fit = pose.icp
         self.report = {
-            "status": found.status,
+            "status": pose.status,
             "rms_m": fit.rms_m if fit else 0.0,
             "inlier_share": fit.inlier_share if fit else 0.0,
         }
-        if found.doubt:
-            self.report["doubt"] = found.doubt
-        return dataclasses.replace(frame, T_WC=found.T_WC.to(frame.T_WC))
+        if pose.doubt:
+            self.report["doubt"] = pose.doubt
+        return dataclasses.replace(frame, T_WC=pose.T_WC.to(frame.T_WC))
 
     def _check_jump(self, frame: Frame) -> None:
         self.jump = "" if self._mapped is None else jump_from(self._mapped, frame)
@@ -209,14 +209,14 @@ class Localiser:
             was_refused: The frame cannot be used. A frame that could not be tracked then counts as
                 lost.
         """
-        if self._found is not None and not (was_refused and not self.report):
-            self._tracker.standing = self._found
-        self._found = None
+        if self._state_before is not None and not (was_refused and not self.report):
+            self._tracker.standing = self._state_before
+        self._state_before = None
 
     def record(self, frame: Frame) -> tracking.Correction | None:
         """Add a mapped frame to the trajectory. If it closed a loop, returns the correction
         (applied to ``poses``)."""
-        self._found = None
+        self._state_before = None
         self.poses.append(self._kept(frame.T_WC_cpu))
         self.given.append(self.poses[-1])
         self.frame_indices.append(frame.index)

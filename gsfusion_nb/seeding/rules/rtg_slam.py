@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ...backends import piece
+from ...gaussians import STABLE, UNSTABLE
 from ...geometry import pixel_grid, quaternion
 from ...render import SurfaceView
 from ...types import Seeds
@@ -258,7 +259,9 @@ def _decide_by_hit(
     hit = view.hit_index.flatten()[pixel]
     state = ctx.map.state
     stable = (
-        torch.ones_like(hit, dtype=torch.bool) if state is None else state[hit.clamp_min(0)] == 1
+        torch.ones_like(hit, dtype=torch.bool)
+        if state is None
+        else state[hit.clamp_min(0)] == STABLE
     )
     over = torch.where((hit >= 0) & stable, TRANSPARENT_OPACITY, 0.0).to(seeds.opacity)
     return torch.where(seeds.tag == COLOUR_ERROR, over, seeds.opacity)
@@ -270,7 +273,9 @@ def _decide_by_plane(
     """Opacity as the released code decides: 0 near an unstable disc; transparent near a stable
     disc's plane."""
     unstable = (
-        torch.zeros(len(ctx.map), dtype=torch.bool) if ctx.map.state is None else ctx.map.state == 0
+        torch.zeros(len(ctx.map), dtype=torch.bool)
+        if ctx.map.state is None
+        else ctx.map.state == UNSTABLE
     )
     unstable = unstable.to(pixel.device)
     distance, row = nearest(seeds.xyz_W, ctx.map.xyz_W[unstable])
