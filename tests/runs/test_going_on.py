@@ -3,6 +3,8 @@
 import json
 from typing import Any
 
+import pytest
+
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.runs import MappingRun, ran_on, resume_mapping, run_mapping
