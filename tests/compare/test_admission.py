@@ -326,6 +326,7 @@ def test_the_images_of_a_run_are_its_own(scene):
     assert torch.equal(again.colour, kept.colour)
 
 
+@pytest.mark.ci
 def test_a_process_that_loaded_an_older_module_refuses(entry, file):
     """A Dask worker: the files are those of the comparison, but what it has loaded is not."""
     import sys

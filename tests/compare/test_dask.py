@@ -30,6 +30,7 @@ def numbers(result):
     return {k: v for k, v in result.metrics.items() if k not in MEASURED}, result.map_hash
 
 
+@pytest.mark.ci
 def test_a_cluster_gives_the_numbers_of_this_process(distributed, spec, tmp_path):
     entries = [Entry(spec=spec("uniform")), Entry(spec=spec("nonsense"))]
     here = dict(run_all(entries, ResultStore(tmp_path / "cache a")))

@@ -75,6 +75,7 @@ def test_the_key_of_a_run_is_its_content(sequence):
     assert len({*base, *others}) == 8
 
 
+@pytest.mark.ci
 def test_equal_budgets_and_several_seeds(sequence):
     rules = [Entrant("uniform", {"fraction": 0.02}), Entrant("dense", size_option="thin")]
     equal = compare_rules(rules, sequence, CONFIG, budget=Budget(gaussians=200), seeds=2)

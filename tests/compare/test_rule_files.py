@@ -66,6 +66,7 @@ def entry(spec):
     return lambda rule, options=None: Entrant(rule, options or {}).entry(**fields)
 
 
+@pytest.mark.ci
 def test_retrained_weights_give_another_key_and_another_map(learned, entry, tmp_path):
     file, weights = learned
     store = ResultStore(tmp_path / "cache")

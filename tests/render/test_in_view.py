@@ -305,10 +305,13 @@ def test_no_part_is_kept_from_one_frame_to_the_next(small_room, cloud):
     "rule",
     [
         {},
-        {
-            "seeding__rule": "default_strategy",
-            "seeding__options": {"seeds_by": "uniform", "share": 0.02},
-        },
+        pytest.param(
+            {
+                "seeding__rule": "default_strategy",
+                "seeding__options": {"seeds_by": "uniform", "share": 0.02},
+            },
+            marks=pytest.mark.ci,
+        ),
     ],
 )
 def test_steps_of_gps_slam_in_parts_are_those_on_the_whole_map(rule, small_room, monkeypatch):

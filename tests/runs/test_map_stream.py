@@ -408,7 +408,14 @@ def test_frames_that_cannot_be_used_are_named_and_the_path_goes_on(room, system)
     assert max(errors_m(run, frames)) < 0.02
 
 
-@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
+@pytest.mark.parametrize(
+    "system",
+    [
+        "gsfusion",
+        pytest.param("rtg_slam", marks=pytest.mark.ci),
+        pytest.param("gps_slam", marks=pytest.mark.ci),
+    ],
+)
 def test_a_jump_loses_the_camera_until_it_returns(room, system):
     away = [room[-10 + i % 6] for i in range(24)]  # another corner of the room, never mapped
     frames = room[:14] + away + room[10:20]

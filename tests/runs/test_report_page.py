@@ -229,6 +229,7 @@ def test_panel_of_a_frame_scores_the_render(generator):
     assert torch.allclose(made.render_depth_m, depth)
 
 
+@pytest.mark.ci
 def test_two_systems_side_by_side(config, tmp_path):
     configs = {"one": config, "other": replace(gps_slam("room", final__passes=0), data=config.data)}
     runs = [
