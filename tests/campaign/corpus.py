@@ -39,6 +39,8 @@ class Seed:
     root: Path
     entry: str = ""
     """What is opened, below ``root``; the folder itself by default."""
+    beside: tuple[str, ...] = ()
+    """Patterns of files that are rightly not read, such as poses that later ones replace."""
 
 
 def of_tests(path: str) -> ModuleType:
@@ -219,6 +221,13 @@ _KINDS = (
 """Recordings of apps and data sets that the tests of kinds write."""
 
 
+_BESIDE = {
+    "polycam_corrected": ("cameras/*.json", "mesh_info.json"),
+    "scanner_app": ("info.json",),
+}
+"""Kind -> files of it that no reader needs; a damage in them changes nothing."""
+
+
 def _kinds(root: Path, takes) -> list[Seed]:
     makers = of_tests("plugins/recorded_kinds.py")
     seeds = []
@@ -231,6 +240,7 @@ def _kinds(root: Path, takes) -> list[Seed]:
                 "convert",
                 folder,
                 made.relative_to(folder).as_posix(),
+                beside=_BESIDE.get(name, ()),
             )
         )
     return seeds

@@ -136,6 +136,7 @@ class Campaign:
                 chosen is not None
                 and chosen.is_file()
                 and chosen.name.endswith((".json", "metadata"))
+                and not any(chosen.match(pattern) for pattern in seed.beside)
             )
             if chosen is not None and is_json and seed.target not in targets.CORRECTED:
                 fault = targets.strict_json_fault(chosen)
