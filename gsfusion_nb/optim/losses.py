@@ -142,7 +142,7 @@ def dssim(
     rgb: Float[Tensor, "H W 3"],
     target: Float[Tensor, "H W 3"],
 ) -> Float[Tensor, ""]:
-    """1 - mean SSIM with an 11 px Gaussian window of sigma 1.5, zero padding, channel by channel.
+    """1 - mean SSIM with an 11 px Gaussian window of sigma 1.5, zero padding, channel by channel::
 
                (2 mu_x mu_y + C1)      (2 sigma_xy + C2)
         SSIM = ----------------------  ----------------------------

@@ -286,9 +286,8 @@ def splat_alpha(
 ) -> Float[Tensor, "K P"]:
     """alpha of K Gaussians at P pixels (RTG-SLAM Eq. 2): at most 0.99, and 0 below 1/255."""
     A, B, C = conic[:, :, None].unbind(1)
-    sigma = (
-        A * dx * dx + C * dy * dy
-    ) / 2 + B * dx * dy  # (u - mu)^T Sigma'^-1 (u - mu) / 2: GSFusion Eq. 3
+    # (u - mu)^T Sigma'^-1 (u - mu) / 2
+    sigma = (A * dx * dx + C * dy * dy) / 2 + B * dx * dy  # GSFusion Eq. 3
     alpha = (opacity[:, None] * torch.exp(-sigma)).clamp(max=ALPHA_MAX)  # RTG-SLAM Eq. 2
     return torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
 
