@@ -284,6 +284,7 @@ def _server(home: Path, root: Path | None = None):
         "JUPYTER_RUNTIME_DIR": "runtime",
         "JUPYTERLAB_SETTINGS_DIR": "settings",
         "JUPYTERLAB_WORKSPACES_DIR": "workspaces",
+        "GSNB_COURSE_FILE": "course.json",
     }
     env = {k: v for k, v in os.environ.items() if k not in ("GSNB_VIEW", "GSNB_SMOKE")}
     env |= {name: str(home / folder) for name, folder in places.items()}
