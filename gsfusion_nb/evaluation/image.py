@@ -164,8 +164,7 @@ def lpips(
 
     Returns:
         The distance, or the reason why there is none: the optional package ``lpips`` or AlexNet's
-        weights are missing.
-            Nothing is downloaded.
+        weights are missing. Nothing is downloaded.
 
     Differentiable: no. Source: Zhang et al. 2018, linear weights of release 0.1.
     """

@@ -74,9 +74,9 @@ class Sighting:
         """The rows for ICP, which count only as far as its pose contradicts them.
 
         At the true pose the sum of squared errors is larger than at the landmarks' own pose, its
-        minimum, by d, which has a chi-squared distribution with 6 degrees of freedom. The factor 1
-        - 6 / d is 0 up to its mean: depth with little noise is more exact than landmarks, and then
-          decides alone. (The discrepancy principle, Morozov 1966.)
+        minimum, by d, which has a chi-squared distribution with 6 degrees of freedom. The factor
+        1 - 6 / d is 0 up to its mean: depth with little noise is more exact than landmarks, and
+        then decides alone. (The discrepancy principle, Morozov 1966.)
         """
         least = landmark_sums(self.rows, self.T_WC).cost
 
