@@ -267,8 +267,8 @@ def shared(
         min_opacity: Smallest o' that is returned; s' is that of the exact o'.
 
     Differentiable: no.
-    Source: Kheradmand et al. 2024, Eq. 9; there the sum is written twice, over i <= n of C(i - 1, j
-    - 1).
+    Source: Kheradmand et al. 2024, Eq. 9; there the sum is written twice, over i <= n of
+    C(i - 1, j - 1).
     """
     n = copies.clamp(1, MOST_COPIES).double()
     j = torch.arange(1, MOST_COPIES + 1, dtype=torch.float64, device=opacity.device)

@@ -223,8 +223,8 @@ _MIRRORED_AXES = {"none": (), "x": (1,), "y": (0,), "xy": (0, 1)}
 
 
 def shifted_colour(rgb: Shaped[Tensor, "H W 3"], repair: RepairConfig) -> Shaped[Tensor, "H W 3"]:
-    """Colour moved back by the shift and scale of ``repair``: pixel u takes the colour at m + s (u
-    - m) + shift, with m the image centre.
+    """Colour moved back by the shift and scale of ``repair``: pixel u takes the colour at
+    m + s (u - m) + shift, with m the image centre.
 
     The shift is the same for all depths: exact for a rotated or wrongly cropped colour image,
     approximate for a second
