@@ -210,7 +210,7 @@ def test_it_is_said_how_many_runs_will_be_computed(spec, tmp_path, capsys):
     assert "0 of 2 runs to compute" in capsys.readouterr().out
 
 
-@pytest.mark.slow  # in a process that also drives a browser, the key of the program is another
+@pytest.mark.ci
 def test_processes_give_the_same_numbers(same_torch_everywhere, entries, tmp_path):
     with executor(2) as two:
         there = dict(run_all(entries, ResultStore(tmp_path / "cache a"), two))
@@ -219,7 +219,7 @@ def test_processes_give_the_same_numbers(same_torch_everywhere, entries, tmp_pat
     assert all((tmp_path / "cache a" / name).is_file() for name in there[2].pictures.values())
 
 
-@pytest.mark.slow  # in a process that also drives a browser, the key of the program is another
+@pytest.mark.ci
 def test_a_process_that_dies_is_a_reason(same_torch_everywhere, spec, tmp_path):
     source = f"""import os
 
