@@ -170,5 +170,6 @@ def test_the_command_writes_everything(table, tmp_path, capsys):
     assert origin["table"] == path.read_text()
     assert "[  2/2]" in text
     assert "2 of 2 runs in" in text
-    assert main(LabOptions(table=str(path), out=str(out))) == 0
+    again = LabOptions(table=str(path), out=str(out), rule_file=(str(tmp_path / "mine.py"),))
+    assert main(again) == 0
     assert "2 of 2 runs in " in capsys.readouterr().out
