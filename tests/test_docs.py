@@ -15,7 +15,8 @@ import tyro
 
 from gsfusion_nb import cli
 from gsfusion_nb.config import gsfusion, replace, to_dict
-from gsfusion_nb.config.values import leaves, parse_value
+from gsfusion_nb.config.options import parse_value
+from gsfusion_nb.config.values import leaves
 from gsfusion_nb.mapping import SYSTEMS
 
 ROOT = Path(__file__).resolve().parents[1]

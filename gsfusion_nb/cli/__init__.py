@@ -15,8 +15,9 @@ import tyro
 
 from ..backends import BackendUnavailable, backend_names, from_environment, use_backend
 from ..config import DataConfig, gps_slam, gsfusion
-from ..config.values import named, parse_options
+from ..config.options import named
 from ..files import is_foreseen, unforeseen
+from .options import parse_options
 from .result import print_metrics, print_result
 from .settings import layout_names, recording_to_open
 
@@ -161,9 +162,10 @@ def _convert(arguments: list[str]) -> int:
 
 
 def _excerpt(arguments: list[str]) -> int:
-    from ..recordings.excerpt import excerpt_command
+    from ..recordings.excerpt import ExcerptOptions, excerpt
 
-    print(excerpt_command(arguments))
+    options = parse_options(ExcerptOptions, prog="gsfusion-nb excerpt", arguments=arguments)
+    print(excerpt(options))
     return 0
 
 

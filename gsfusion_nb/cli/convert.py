@@ -9,13 +9,14 @@ from typing import Annotated
 
 import tyro
 
-from ..config.values import named, parse_options, parse_value
+from ..config.options import named, parse_value
 from ..data.sequence import SequenceError
 from ..files import read_object
 from ..recordings.convert.formats import FORMATS, known_formats, readable_layout
 from ..recordings.convert.formats.unread import unread_recording
 from ..recordings.convert.recording import ConvertOptions, OptionNeeded
 from ..recordings.convert.run import ConvertReport, convert
+from .options import parse_options
 
 CONVERTED = Path("converted")
 """Where ``mappable`` writes, below the current folder."""

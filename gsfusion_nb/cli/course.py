@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ..config.values import parse_options
+from .options import parse_options
 
 
 @dataclass(frozen=True, kw_only=True)

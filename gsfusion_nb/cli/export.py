@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import torch
 import tyro
 
-from ..config.values import parse_options
 from ..types import Camera, GaussianParams, Mesh
+from .options import parse_options
 
 _AS_IN_FILES = "-y"
 """Up in files of Gaussians that come without a trajectory: most trainers start from the first

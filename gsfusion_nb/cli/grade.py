@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from ..config.values import parse_options
+from .options import parse_options
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ import tyro
 
 from ..backends import use_backend
 from ..config import TsdfConfig, replace
-from ..config.values import named
+from ..config.options import named
 from ..seeding.named_rules import RuleNotNamedError
 from ..seeding.rule_code import is_rule_file
 from ..work import MAP_MEMORY

@@ -16,8 +16,10 @@ import tyro
 from ..backends import backend_names, from_environment
 from ..checks import shown
 from ..config import SystemConfig, from_run, presets, to_dict
-from ..config.values import EVERYDAY, leaves, named, named_values, parse_options, with_own_settings
+from ..config.options import named, named_values
+from ..config.values import leaves, with_own_settings
 from ..files import read_object, reason_of
+from .options import EVERYDAY, parse_options
 
 if TYPE_CHECKING:
     from ..seeding.named_rules import RuleNotNamedError

@@ -12,7 +12,7 @@ import tyro
 
 from ..backends import use_backend
 from ..checks import check_name
-from ..config.values import named, named_values, read_packaged
+from ..config.options import named, named_values
 from ..data.open import known_layouts
 from ..data.recorded.files import missing
 from ..files import SequenceError, write_file
@@ -23,7 +23,7 @@ from .scene_units import scene_units, shared_frames
 from .schedule import flat_settings
 from .spec import RunResult, RunSpec
 from .statistics import group_runs, over_units
-from .studies import RecordingOptions, recording_specs
+from .studies import RecordingOptions, read_packaged, recording_specs
 
 DEEPEST = 3
 """Scenes are looked for in so many levels of folders."""

@@ -12,7 +12,7 @@ import tyro
 
 from ..backends import backend_names, from_environment, use_backend
 from ..checks import check_name
-from ..config.values import named
+from ..config.options import named
 from ..files import write_file
 from ..runs.run_folder import RunFolder
 from .entries import EXAMPLE, read_table

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from ..config import SystemConfig, from_dict, to_dict
-from ..config.values import leaves, nested, with_own_settings
+from ..config.values import leaves, tree_of, with_own_settings
 
 C = TypeVar("C")
 
@@ -21,7 +21,7 @@ def with_settings(config: C, values: Mapping[str, Any]) -> C:
     Raises:
         ValueError: no such setting, or an invalid value.
     """
-    tree = nested(
+    tree = tree_of(
         {name.replace("-", "_"): value for name, value in values.items()},
         ".",
     )

@@ -7,6 +7,7 @@ project asked itself.
 
 import dataclasses
 import itertools
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ import tyro
 from ..backends import use_backend
 from ..checks import check_name, check_whole, shown
 from ..config import presets
-from ..config.values import named, named_values, parse_value, read_packaged
+from ..config.options import named, named_values, parse_value
 from ..mapping import SYSTEMS, get_system
 from ..seeding import check_options
 from ..seeding.rule_code import is_rule_file, read_rule_file, rule_folder
@@ -60,6 +61,18 @@ class Study:
     """Views that this table scores: held_out or mapped."""
     about: str = ""
     """A sentence under the table."""
+
+
+def read_packaged(path: Path) -> dict[str, Any]:
+    """Values of a TOML file of this package; the text "None" stands for no value, which TOML
+    lacks."""
+    return _with_none(tomllib.loads(path.read_text(encoding="utf-8")))
+
+
+def _with_none(values: Any) -> Any:
+    if isinstance(values, dict):
+        return {name: _with_none(value) for name, value in values.items()}
+    return None if values == "None" else values
 
 
 def _read_studies() -> Iterator[tuple[str, Study]]:

@@ -14,11 +14,11 @@ from .gsfusion import gsfusion_fidelities as gsfusion_fidelities
 from .gsfusion import gsfusion_fidelity as gsfusion_fidelity
 from .gsfusion import presets as presets
 from .parts import DataConfig as DataConfig
-from .parts import RepairConfig as RepairConfig
 from .parts import SeedingConfig as SeedingConfig
 from .parts import SystemConfig as SystemConfig
 from .parts import TrackingConfig as TrackingConfig
 from .parts import TsdfConfig as TsdfConfig
+from .repair import RepairConfig as RepairConfig
 from .rtg_slam import DiscConfig as DiscConfig
 from .rtg_slam import RtgSlamConfig as RtgSlamConfig
 from .rtg_slam import StateConfig as StateConfig

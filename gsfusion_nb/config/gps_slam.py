@@ -11,7 +11,8 @@ from typing import Any, Literal
 
 from .gsfusion import OptimConfig
 from .parts import SeedingConfig, SystemConfig, TsdfConfig
-from .values import Presets, Settings, setting, within
+from .presets import Presets
+from .values import Settings, setting, with_values, within
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +157,79 @@ class GpsSlamConfig(SystemConfig):
     reflections), as released."""
 
 
-_PRESETS = Presets("gps_slam", GpsSlamConfig())
+def _measured_settings(preset: str) -> GpsSlamConfig:
+    return GpsSlamConfig()
+
+
+def _code(preset: str) -> GpsSlamConfig:
+    """The release has settings for Replica and one Azure Kinect only, which are the same but for
+    the data; the presets of other systems mean the same data here."""
+    return with_values(
+        GpsSlamConfig(),
+        all_in_view=True,
+        sh_degree=3,
+        seeding={"options": {"only_with_depth": False}},
+        tsdf={
+            "average": "int16",
+            "voxel_size_m": 0.005,
+            "near_m": 0.2,
+            "far_m": 10.0,
+            "sdf": "z",
+            "outlier_guard": False,
+            "colour_band_voxels": 1.0,
+            "colour_weights": "equal",
+            "colour_by_distance": False,
+        },
+        base={"holes": "black", "resolution": "full"},
+        residual={
+            "lr_xyz": 1.6e-4,
+            "lr_sh_dc": 2.5e-3,
+            "lr_sh_rest": 5e-4,
+            "lr_log_scale": 5e-3,
+            "loss": "l1",
+            "restart_adam": True,
+            "min_radius_m": 0.003,
+            "max_radius_m": 0.1,
+        },
+        schedule={"spread": False, "keyframes": 7, "recalled": 7, "recalled_new": 0},
+        views={"every_frames": 0},
+        final={"passes": 0},
+    )
+
+
+def _paper(preset: str) -> GpsSlamConfig:
+    """As the code, where the paper says nothing else."""
+    options = {"only_with_depth": False, "max_weight": 4.0, "max_radius_m": 0.1}
+    return with_values(
+        _code(preset),
+        seeding={"options": options},
+        # "a small positive threshold"; RRG-SLAM 2026 cites it as the truncation distance
+        base={"behind_m": 0.02},
+    )
+
+
+def _rrg(preset: str) -> GpsSlamConfig:
+    """As the code, but for what the same group's next paper, RRG-SLAM 2026, says of this method."""
+    options = {"only_with_depth": False, "max_weight": 3.0, "surface": "depth"}
+    return with_values(
+        _code(preset),
+        seeding={"options": options},
+        base={"behind_m": 0.02},
+        schedule={"iterations": 30},
+    )
+
+
+_PRESETS = Presets(
+    fidelities={"measured": _measured_settings, "paper": _paper, "rrg": _rrg, "code": _code},
+    data_sets={
+        "replica": {},
+        "scannetpp": {"data": {"hold_out_every": 0}},
+        "tum": {},
+        "azure": {},
+        "room": {"data": {"width": 320, "height": 240}},
+        "online": {"final": {"passes": 0}},
+    },
+)
 
 
 def gps_slam(

@@ -4,11 +4,13 @@ Where the paper and the released code differ, the field says what each does;
 ``rtg_slam(fidelity=...)`` sets them all.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from .parts import DataConfig, SeedingConfig, SystemConfig, TrackingConfig
-from .values import Presets, Settings, positive, setting, within
+from .presets import Changes, Presets
+from .values import Settings, positive, replace, setting, with_values, within
 
 PUBLISHED_LR_XYZ_M = 1e-3
 """``window.lr_xyz`` of the released code on every data set, metres per step; a step of this size
@@ -183,7 +185,128 @@ class RtgSlamConfig(SystemConfig):
     data: DataConfig = field(default_factory=lambda: DataConfig(depth_min_m=0.3, depth_max_m=5.0))
 
 
-_PRESETS = Presets("rtg_slam", RtgSlamConfig())
+_PUBLISHED_FOR: dict[str, Changes] = {
+    "tum": {
+        "window": {"every_frames": 4, "lr_sh_dc": 0.001, "lr_log_scale": 0.02},
+        "states": {"stable_confidence": 200.0},
+    },
+    "scannetpp": {
+        "window": {"every_frames": 3, "iterations": 75, "frames": 1},
+        "states": {"stable_confidence": 400.0},
+        "keyframes": {"iterations": 75},
+    },
+    "azure": {
+        "window": {"every_frames": 8, "frames": 3, "lr_sh_dc": 0.001, "lr_log_scale": 0.002},
+        "states": {"stable_confidence": 250.0},
+    },
+}
+"""Preset -> what was published for its data, where it is not as on Replica."""
+
+
+def _measured_settings(preset: str) -> RtgSlamConfig:
+    return RtgSlamConfig()
+
+
+def _published_settings(preset: str) -> RtgSlamConfig:
+    """What paper and released code have in common. The paper gives neither pyramid nor angle nor
+    where ICP starts: these are the released code's."""
+    config = with_values(
+        RtgSlamConfig(),
+        all_in_view=True,
+        window={
+            "every_frames": 6,
+            "frames": 5,
+            "iterations": 50,
+            "lr_xyz": PUBLISHED_LR_XYZ_M,
+            "lr_sh_dc": 5e-4,
+            "lr_log_scale": 4e-3,
+        },
+        states={"stable_confidence": 100.0, "age": "all"},
+        keyframes={"iterations": 50},
+        final={"lr_factor": 1.0},
+        tracking={
+            "pyramid": (4, 2, 1),
+            "max_angle_deg": 20.0,
+            "even_to_m": None,
+            "brightness_m": None,
+            "prior": "previous",
+            "landmarks": False,
+        },
+    )
+    return replace(config, **_PUBLISHED_FOR.get(preset, {}))
+
+
+def _paper(preset: str) -> RtgSlamConfig:
+    return with_values(
+        _published_settings(preset),
+        seeding={"options": {"fidelity": "paper"}},
+        discs={
+            "opaque_alpha": math.exp(-0.5),
+            "min_cosine": 0.5,  # 60 degrees
+            "max_offset": None,
+        },
+        window={"draw": "random", "depth_behind_m": None},
+        states={
+            "error_count": 10,
+            "colour_error": 0.1,
+            "depth_error_m": 0.1,
+            "max_radius_factor": None,
+        },
+        tracking={"target": "model"},
+    )
+
+
+def _code(preset: str) -> RtgSlamConfig:
+    config = with_values(
+        _published_settings(preset),
+        seeding={"options": {"fidelity": "code"}},
+        discs={"opaque_alpha": 0.6, "min_cosine": 0.5, "max_offset": 1.0},
+        window={
+            "weight_colour": 0.8,
+            "anchor": "window",
+            "draw": "newest_half",
+            "history_max_weight": 0.5,
+        },
+        states={
+            "error_count": 9,
+            "colour_error": 0.2 / 3,  # 0.2 of the sum over R, G, B
+            "depth_error_m": 0.2,
+            "on_error": "delete",
+        },
+        keyframes={"latest": 3, "random": 0, "rows": "stable", "instead_of_window": True},
+        final={"weight_depth": 0.0},
+        tracking={"target": "hybrid"},
+    )
+    return with_values(config, **_CODE_FOR.get(preset, {}))
+
+
+_CODE_FOR: dict[str, Changes] = {
+    "replica": {"final": {"passes": 20, "lr_factor": 4.0}},
+    # 50,000 of 640x480 pixels
+    "tum": {"seeding": {"options": {"fidelity": "code", "share": 50_000 / (640 * 480)}}},
+    "scannetpp": {
+        # 68,620 of 1752x1168 pixels
+        "seeding": {"options": {"fidelity": "code", "share": 68_620 / (1752 * 1168)}},
+        "keyframes": {"instead_of_window": False},
+    },
+}
+"""Preset -> what only the released code has for its data."""
+
+
+_PRESETS = Presets(
+    fidelities={"measured": _measured_settings, "paper": _paper, "code": _code},
+    data_sets={
+        "replica": {},
+        "tum": {"states": {"unstable_frames": 150}},
+        "scannetpp": {
+            "states": {"unstable_frames": 200},
+            "data": {"depth_max_m": 10.0, "hold_out_every": 0},
+        },
+        "azure": {"states": {"unstable_frames": 400}, "data": {"depth_max_m": 2.5}},
+        "room": {"data": {"width": 320, "height": 240}},
+        "online": {"final": {"passes": 0}},
+    },
+)
 
 
 def rtg_slam(

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..checks import shown
 from ..config import SystemConfig, from_dict
-from ..config.values import NOT_FOR_RULES, nested, with_own_settings
+from ..config.values import NOT_FOR_RULES, tree_of, with_own_settings
 from ..files import SequenceError
 from ..gaussians import Edit, GaussianModel
 from ..optim import Keyframe, TrainingView
@@ -181,7 +181,7 @@ def settings_with_rule(config: S, rule: SeedingRule) -> S:
             _value(config, name),
         )
     try:
-        return from_dict(type(config), nested(changes, "."), start=config)
+        return from_dict(type(config), tree_of(changes, "."), start=config)
     except (TypeError, ValueError, KeyError) as e:
         raise ValueError(
             f"the seeding rule {rule_name(rule)!r} brings settings that are refused: {e}"

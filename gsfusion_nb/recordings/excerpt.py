@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from ..config.values import named_values, parse_options
+from ..config.options import named_values
 from ..data.adjust.repair import as_read
 from ..data.open import open_sequence
 from ..data.readers.tum import benchmark_camera
@@ -51,13 +51,12 @@ class ExcerptOptions:
     """Options of the layout's reader, name=value, such as poses=false."""
 
 
-def excerpt_command(arguments: list[str]) -> str:
-    """Cut as the arguments of ``gsfusion-nb excerpt`` say; a sentence on what was written.
+def excerpt(options: ExcerptOptions) -> str:
+    """Cut as the options of ``gsfusion-nb excerpt`` say; a sentence on what was written.
 
     Raises:
         SequenceError: the recording cannot be read, or it has none of these frames.
     """
-    options = parse_options(ExcerptOptions, prog="gsfusion-nb excerpt", arguments=arguments)
     chosen = _slice(options.frames)
     source = options.source.expanduser()
     out = options.out

@@ -21,7 +21,7 @@ from ... import backends, seeding  # noqa: F401  (importing the rooms declares t
 from ...backends import use_backend
 from ...checks import check_name, check_whole
 from ...config import DataConfig, TsdfConfig, gsfusion, replace
-from ...config.values import named
+from ...config.options import named
 from ...data import OpenedSequence, open_sequence
 from ...data.room import RoomSequence
 from ...evaluation.image import psnr

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import RepairConfig
-from ...config.parts import AXES, NAMED_AXES
+from ...config.repair import AXES, NAMED_AXES
 from ...data.adjust.depth_agreement import depth_consistency, relative_poses, sparse_points
 from ...data.adjust.poses import axis_matrix, reread_poses
 from ...types import Camera

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from ...config import RepairConfig
-from ...config.parts import NAMED_AXES
+from ...config.repair import NAMED_AXES
 from ...types import Camera
 from .explain import Explanation
 from .fit import CLEAR, median_error

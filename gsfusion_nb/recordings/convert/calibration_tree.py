@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from ...config.values import nested
+from ...config.values import tree_of
 from ...files import parsing, read_object, read_text
 
 WAYS = (
@@ -56,7 +56,7 @@ def _yaml_tree(path: Path) -> Tree:
         except yaml.YAMLError:
             tree = None
         if isinstance(tree, Mapping):
-            return nested({str(name): value for name, value in tree.items()}, ".")
+            return tree_of({str(name): value for name, value in tree.items()}, ".")
     return _named_values(text, path)
 
 
@@ -82,7 +82,7 @@ def _named_values(text: str, path: Path) -> Tree:
             if named and not line.lstrip().startswith(("#", "//")):
                 values[section + named[1]] = _value(named[2])
     with parsing(path, f"the camera's intrinsics as {WAYS}"):
-        return nested(values, ".")
+        return tree_of(values, ".")
 
 
 def _value(text: str) -> Any:

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import DataConfig, RepairConfig, from_dict, to_dict
-from gsfusion_nb.config.parts import AXES, NAMED_AXES
+from gsfusion_nb.config.repair import AXES, NAMED_AXES
 from gsfusion_nb.data import BadFrameError, SequenceError, folder, open_sequence, repaired
 from gsfusion_nb.data.adjust.poses import pose_between, reread_poses
 from gsfusion_nb.data.adjust.repair import shifted_colour
