@@ -36,6 +36,7 @@ from typing import Any, TypeVar
 import torch
 
 from .checks import check_name
+from .errors import ArgumentError, ForeseenError
 from .interrupts import as_interrupt
 from .types import GaussianParams
 
@@ -77,7 +78,7 @@ _choice: ContextVar[str | None] = ContextVar("gsfusion_backend", default=None)
 _logged: set[tuple[str, str]] = set()
 
 
-class BackendUnavailable(RuntimeError):
+class BackendUnavailable(ForeseenError, RuntimeError):
     """A backend was asked for by name and cannot run; the message says what is missing."""
 
 
@@ -116,7 +117,7 @@ def op(
                 try:
                     check(*args, **kwargs)
                 except ValueError as e:
-                    raise ValueError(f"{name}: {e}") from None
+                    raise ArgumentError(f"{name}: {e}") from None
             if chosen() not in ("reference", MINE) and _is_double(args, kwargs):
                 return plain(*args, **kwargs)
             try:

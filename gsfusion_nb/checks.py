@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .errors import ArgumentError, UnknownNameError
+
 SAVED_RIGIDITY_ERROR = 1e-2
 """Largest entry of R R^T - I in a pose of a checkpoint; tracking multiplies poses, so it may grow a
 little."""
@@ -36,7 +38,7 @@ def check_shape(
     Example: ``check_shape("depth_m", depth_m, ("H", "W"))``.
     """
     if not isinstance(value, Tensor):
-        raise ValueError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
+        raise ArgumentError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
     _check_size(name, tuple(value.shape), expected)
 
 
@@ -49,9 +51,9 @@ def check_array(
     """Raise ``ValueError`` unless ``value`` is a NumPy array of this shape and type; a string
     stands for any length."""
     if not isinstance(value, np.ndarray):
-        raise ValueError(f"{name} must be a numpy.ndarray, got {type(value).__name__}")
+        raise ArgumentError(f"{name} must be a numpy.ndarray, got {type(value).__name__}")
     if value.dtype != dtype:
-        raise ValueError(
+        raise ArgumentError(
             f"{name} must be {np.dtype(dtype)}, got {value.dtype}; convert it with .astype()"
         )
     _check_size(name, value.shape, expected)
@@ -68,7 +70,7 @@ def _check_size(
         isinstance(e, int) and e != g for e, g in zip(expected, got, strict=True)
     ):
         wanted = ", ".join(str(e) for e in expected)
-        raise ValueError(f"{name} must be [{wanted}], got {list(got)}")
+        raise ArgumentError(f"{name} must be [{wanted}], got {list(got)}")
 
 
 def check_finite(name: str, value: Tensor) -> None:
@@ -77,7 +79,7 @@ def check_finite(name: str, value: Tensor) -> None:
     bad = ~torch.isfinite(value)
     if bad.any():
         first = [int(i) for i in bad.nonzero()[0]]
-        raise ValueError(
+        raise ArgumentError(
             f"{name} must be finite, got {int(bad.sum())} NaN or infinite values, the first at "
             f"{first}"
         )
@@ -95,16 +97,16 @@ def check_pose(name: str, T: Tensor, tolerance: float = 1e-3) -> None:
     bottom = numbers[3]
     error = float(np.abs(R @ R.T - np.eye(3)).max())
     if error > tolerance:
-        raise ValueError(
+        raise ArgumentError(
             f"{name} must be rigid: its rotation misses R R^T = I by {error:.2g} (allowed "
             f"{tolerance:.0e})"
         )
     if np.linalg.det(R) < 0:
-        raise ValueError(
+        raise ArgumentError(
             f"{name} must be rigid: its rotation has determinant -1, so it mirrors the world"
         )
     if np.abs(bottom - [0.0, 0.0, 0.0, 1.0]).max() > tolerance:
-        raise ValueError(
+        raise ArgumentError(
             f"{name} must end in the row [0, 0, 0, 1], got {[round(float(v), 4) for v in bottom]}"
         )
 
@@ -122,14 +124,14 @@ def check_colours(
     if not (math.isfinite(low) and math.isfinite(high)):  # the extremes of a NaN are NaN
         check_finite(name, rgb)
     if not (low >= -1e-3 and high <= 1 + 1e-3):
-        raise ValueError(f"{name} must be in 0..1, got {low:g} to {high:g}")
+        raise ArgumentError(f"{name} must be in 0..1, got {low:g} to {high:g}")
 
 
 def check_positive(name: str, value: object) -> None:
     """Raise ``ValueError`` unless ``value`` is a finite number above zero."""
     check_number(name, value)
     if not value > 0:  # pyright: ignore[reportOperatorIssue]
-        raise ValueError(f"{name} must be > 0, got {value}")
+        raise ArgumentError(f"{name} must be > 0, got {value}")
 
 
 def check_number(
@@ -140,18 +142,18 @@ def check_number(
 ) -> None:
     """Raise ``ValueError`` unless ``value`` is a finite number from ``low`` to ``high``."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError(f"{name} must be a number, got {shown(value)}")
+        raise ArgumentError(f"{name} must be a number, got {shown(value)}")
     if not abs(value) <= sys.float_info.max:  # a whole number may be larger than any float
-        raise ValueError(f"{name} must be finite, got {shown(value)}")
+        raise ArgumentError(f"{name} must be finite, got {shown(value)}")
     if not low <= value <= high:
         wanted = f">= {low:g}" if high == math.inf else f"between {low:g} and {high:g}"
-        raise ValueError(f"{name} must be {wanted}, got {value}")
+        raise ArgumentError(f"{name} must be {wanted}, got {value}")
 
 
 def check_name(kind: str, name: str, known) -> None:
     """Raise ``KeyError`` unless ``name`` is one of ``known``; the message lists them."""
     if name not in known:
-        raise KeyError(f"no {kind} {shown(name)}; known: {', '.join(sorted(known))}")
+        raise UnknownNameError(f"no {kind} {shown(name)}; known: {', '.join(sorted(known))}")
 
 
 def check_saved(
@@ -167,7 +169,7 @@ def check_saved(
     check_shape(name, value, shape)
     assert isinstance(value, Tensor)
     if value.dtype != dtype:
-        raise ValueError(f"{name} must be {dtype}, got {value.dtype}")
+        raise ArgumentError(f"{name} must be {dtype}, got {value.dtype}")
     if finite and value.is_floating_point():
         check_finite(name, value)
 
@@ -181,7 +183,7 @@ def check_whole(
     """Raise ``ValueError`` unless ``value`` is a whole number from ``low`` to ``high``, both
     allowed."""
     if isinstance(value, bool) or not isinstance(value, int):
-        raise ValueError(f"{name} must be a whole number, got {shown(value)}")
+        raise ArgumentError(f"{name} must be a whole number, got {shown(value)}")
     if value < low or (high is not None and value > high):
         wanted = f">= {low}" if high is None else f"between {low} and {high}"
-        raise ValueError(f"{name} must be {wanted}, got {value}")
+        raise ArgumentError(f"{name} must be {wanted}, got {value}")

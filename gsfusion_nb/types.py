@@ -13,6 +13,7 @@ from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from .checks import check_number, check_positive, check_shape
+from .errors import ArgumentError, UnknownNameError
 
 MAX_SIDE_PX = 1 << 16
 MAX_PIXELS = 1 << 27
@@ -65,12 +66,12 @@ class Camera:
         for name in ("cx", "cy"):
             check_number(f"camera {name}", getattr(self, name))
         if not all(isinstance(n, int) and n <= MAX_SIDE_PX for n in (self.width, self.height)):
-            raise ValueError(
+            raise ArgumentError(
                 f"camera width and height must be whole numbers up to {MAX_SIDE_PX}, got "
                 f"{self.width} x {self.height}"
             )
         if self.width * self.height > MAX_PIXELS:
-            raise ValueError(
+            raise ArgumentError(
                 f"an image may have {MAX_PIXELS} pixels, got {self.width} x {self.height}"
             )
 
@@ -148,7 +149,7 @@ class Frame:
             if not isinstance(value, Tensor) or value.dtype not in types:
                 kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
                 wanted = " or ".join(str(t).removeprefix("torch.") for t in types)
-                raise ValueError(
+                raise ArgumentError(
                     f"{name} of frame {index} must be a {wanted} torch.Tensor, got {kind}"
                 )
             check_shape(name, value, shape)
@@ -220,7 +221,7 @@ class Extras(dict[str, Tensor]):
     """``Frame.extra``: an image that is not there is an error that lists those that are."""
 
     def __missing__(self, name: str) -> Tensor:
-        raise KeyError(
+        raise UnknownNameError(
             f"this frame has no extra image {name!r}; it has: {', '.join(self) or 'none'}"
         )
 
@@ -231,7 +232,7 @@ def _checked_extra(
     if isinstance(extra, Extras):
         if any(value.shape[:2] != size for value in extra.values()):
             shapes = {name: list(value.shape) for name, value in extra.items()}
-            raise ValueError(
+            raise ArgumentError(
                 f"extra of frame {index} must be [{size[0]}, {size[1]}, ...], got {shapes}"
             )
         return extra
@@ -244,12 +245,12 @@ def _checked_extra(
         )
         if not isinstance(image, Tensor) or image.shape[:2] != size:
             got = list(image.shape) if isinstance(image, Tensor) else type(image).__name__
-            raise ValueError(
+            raise ArgumentError(
                 f"extra {name!r} of frame {index} must be an image [{size[0]}, {size[1]}, ...], "
                 f"got {got}"
             )
         if image.is_floating_point() and not bool(image.isfinite().all()):
-            raise ValueError(
+            raise ArgumentError(
                 f"extra {name!r} of frame {index} must be finite, got NaN or infinity; give 0 or a "
                 "mask"
             )
@@ -416,6 +417,6 @@ class Mesh:
             return
         low, high = torch.stack(torch.aminmax(self.faces)).tolist()
         if low < 0 or high >= len(self.vertices_W):
-            raise ValueError(
+            raise ArgumentError(
                 f"faces must refer to vertices 0 to {len(self.vertices_W) - 1}, got {low} to {high}"
             )

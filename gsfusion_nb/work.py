@@ -13,6 +13,8 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
+from .errors import ArgumentError, MemoryFullError
+
 if TYPE_CHECKING:
     import torch
 
@@ -150,7 +152,7 @@ class _File:
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(self._handle, 0, n_bytes)
         except OSError as e:
-            raise MemoryError(
+            raise MemoryFullError(
                 f"no {n_bytes / 1e6:.0f} MB for a part of the map in "
                 f"{self._folder or tempfile.gettempdir()}: {e}"
             ) from e
@@ -182,7 +184,7 @@ class MapMemory:
             ValueError: ``gb`` is not above 0, or this system cannot give pages back.
         """
         if gb is not None and not (gb > 0 and hasattr(mmap, "MADV_DONTNEED")):
-            raise ValueError(
+            raise ArgumentError(
                 f"the limit of memory must be above 0 GB and the system not Windows, got {gb} GB"
             )
         self.limit_bytes = None if gb is None else int(gb * 1e9)
@@ -212,7 +214,7 @@ class MapMemory:
         try:
             pages = mmap.mmap(-1, n_bytes, **_PRIVATE)
         except OSError as e:
-            raise MemoryError(f"no {n_bytes / 1e6:.0f} MB for a part of the map: {e}") from e
+            raise MemoryFullError(f"no {n_bytes / 1e6:.0f} MB for a part of the map: {e}") from e
         return torch.frombuffer(pages, dtype=like.dtype).view(shape)
 
     def grown(self, old: "torch.Tensor", n: int) -> "torch.Tensor":
@@ -344,20 +346,3 @@ def return_free_memory() -> None:
     """Return freed memory to the system, also between what is in use."""
     with contextlib.suppress(OSError, AttributeError):  # only glibc has it
         ctypes.CDLL("libc.so.6").malloc_trim(0)
-
-
-def memory_is_full(error: BaseException) -> bool:
-    """Whether an error says, in the words of Python, torch, OpenCV or C++, that there is no more
-    memory."""
-    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
-        return True
-    text = str(error)
-    return any(
-        words in text
-        for words in (
-            "can't allocate memory",
-            "bad_alloc",
-            "Insufficient memory",
-            "Cannot allocate",
-        )
-    )

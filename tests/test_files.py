@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb import files
-from gsfusion_nb.files import atomic_file, atomic_folder, cache_folder, write_file
+from gsfusion_nb.errors import DiskFullError
+from gsfusion_nb.files import atomic, atomic_file, atomic_folder, cache_folder, write_file
 
 
 def test_replaces_and_creates_folders(tmp_path):
@@ -90,8 +90,8 @@ def test_content_is_flushed_before_the_rename_and_the_name_after_it(tmp_path, mo
     rename = os.replace
     if not Path("/proc/self/fd").exists():
         pytest.skip("needs /proc to know which file is flushed")
-    monkeypatch.setattr(files.os, "fsync", fsync)
-    monkeypatch.setattr(files.os, "replace", replace)
+    monkeypatch.setattr(atomic.os, "fsync", fsync)
+    monkeypatch.setattr(atomic.os, "replace", replace)
     write_file(tmp_path / "a.txt", "x")
     assert order[0].startswith(".a.")
     assert order[1:] == ["rename", tmp_path.name]
@@ -100,23 +100,23 @@ def test_content_is_flushed_before_the_rename_and_the_name_after_it(tmp_path, mo
     assert order == ["x", "deep", "work", "rename", tmp_path.name]
 
 
-# The module alone is loaded: importing the package takes seconds, and loads what has no part in
-# this.
+# The room alone is loaded: importing the package takes seconds, and loads what has no part in this.
 STOP_AT = f"""
-import importlib.util, os, signal
+import os, signal, sys, types
 from pathlib import Path
 
-spec = importlib.util.spec_from_file_location("files", {files.__file__!r})
-files = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(files)
+package = types.ModuleType("gsfusion_nb")
+package.__path__ = [{str(Path(atomic.__file__).parents[1])!r}]
+sys.modules["gsfusion_nb"] = package
+from gsfusion_nb.files import atomic
 
 def kill_before(name):
-    setattr(files.os, name, lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+    setattr(atomic.os, name, lambda *_: os.kill(os.getpid(), signal.SIGKILL))
 """
 KILLED_FILE = (
     STOP_AT
     + """
-with files.atomic_file("{target}") as temporary:
+with atomic.atomic_file("{target}") as temporary:
     with temporary.open("w") as file:
         file.write("ne")
         file.flush()
@@ -128,7 +128,7 @@ with files.atomic_file("{target}") as temporary:
 KILLED_FOLDER = (
     STOP_AT
     + """
-with files.atomic_folder(Path("{target}"), Path("{target}.partial")) as folder:
+with atomic.atomic_folder(Path("{target}"), Path("{target}.partial")) as folder:
     (folder / "one").write_text("new")
     {while_writing}
     (folder / "two").write_text("new")
@@ -182,7 +182,8 @@ def test_a_limit_of_the_size_of_files_is_not_called_a_full_disk(tmp_path):
     """As ``ulimit -f`` sets it; in a process of its own, which keeps it."""
     code = f"""
 import resource
-from gsfusion_nb.files import DiskFullError, write_file
+from gsfusion_nb.errors import DiskFullError
+from gsfusion_nb.files import write_file
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 write_file("{tmp_path / "small"}", bytes(40_000))
 try:
@@ -211,6 +212,6 @@ except DiskFullError as e:
     ],
 )
 def test_what_leaves_no_room_is_named(tmp_path, code, words, monkeypatch):
-    monkeypatch.setattr(files, "_largest_file_bytes", lambda: None)
-    with pytest.raises(files.DiskFullError, match=words), atomic_file(tmp_path / "map"):
+    monkeypatch.setattr(atomic, "_largest_file_bytes", lambda: None)
+    with pytest.raises(DiskFullError, match=words), atomic_file(tmp_path / "map"):
         raise OSError(code, "no room")

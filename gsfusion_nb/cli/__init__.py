@@ -13,10 +13,10 @@ from typing import Annotated
 
 import tyro
 
-from ..backends import BackendUnavailable, backend_names, from_environment, use_backend
+from ..backends import backend_names, from_environment, use_backend
 from ..config import DataConfig, gps_slam, gsfusion
 from ..config.options import named
-from ..files import is_foreseen, unforeseen
+from ..errors import FORESEEN, crash_sentence
 from .options import parse_options
 from .result import print_metrics, print_result
 from .settings import layout_names, recording_to_open
@@ -134,15 +134,15 @@ def _main(arguments: list[str]) -> int:
     except BrokenPipeError:
         raise
     except Exception as e:
-        text = e.args[0] if isinstance(e, KeyError) and e.args else e
+        text = str(e)
         if isinstance(e, OSError) and e.errno in _REFUSED and e.filename:
             place = os.path.abspath(os.fsdecode(e.filename))
             text = (
                 f"{_REFUSED[e.errno]}: {place}; expected to read it, or to write there: --out "
                 "names another folder"
             )
-        elif not (isinstance(e, BackendUnavailable) or is_foreseen(e)):
-            text = unforeseen(e, f"gsfusion-nb {name}", rest)
+        elif not isinstance(e, FORESEEN):
+            text = crash_sentence(e, f"gsfusion-nb {name}", rest)
         print(f"gsfusion-nb {name}: {text}", file=sys.stderr)
         for note in getattr(e, "__notes__", ()):
             print(note, file=sys.stderr)

@@ -10,7 +10,7 @@ from typing import Annotated
 import tyro
 
 from ..config.options import named, parse_value
-from ..data.sequence import SequenceError
+from ..errors import ArgumentError, SequenceError
 from ..files import read_object
 from ..recordings.convert.formats import FORMATS, known_formats, readable_layout
 from ..recordings.convert.formats.unread import unread_recording
@@ -138,7 +138,7 @@ def convert_command(arguments: list[str]) -> ConvertReport:
         listed = "\n".join(
             f"  {name:<10} {looks_for}" for name, looks_for in known_formats().items()
         )
-        raise ValueError(
+        raise ArgumentError(
             f"expected [FORMAT] SOURCE OUT; the formats and what they look for:\n{listed}"
         )
     *format, source, out = command.words

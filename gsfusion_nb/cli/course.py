@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from ..errors import ArgumentError
 from .options import parse_options
 
 
@@ -59,7 +60,7 @@ def export(arguments: list[str]) -> int:
     chosen = [p for p in found if not options.chapters or int(p.name[:2]) in options.chapters]
     missing = set(options.chapters) - {int(p.name[:2]) for p in chosen}
     if missing or not chosen:
-        raise ValueError(
+        raise ArgumentError(
             f"there is no chapter {min(missing) if missing else ''} in {options.notebooks}"
         )
     for path in export_course(chosen, options.out):
@@ -82,7 +83,7 @@ def run(arguments: list[str]) -> int:
             if _is_set(options, name)
         ]
         if unused:
-            raise ValueError(
+            raise ArgumentError(
                 f"{' and '.join(unused)} needs the folder of the notebooks: gsfusion-nb course "
                 "FOLDER"
             )

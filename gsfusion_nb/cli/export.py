@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import torch
 import tyro
 
+from ..errors import ArgumentError
 from ..types import Camera, GaussianParams, Mesh
 from .options import parse_options
 
@@ -78,7 +79,7 @@ def run(arguments: list[str]) -> int:
         turned = (mesh.vertices_W.double() @ R.T).float()
         write_mesh_ply(written[-1], dataclasses.replace(mesh, vertices_W=turned))
     if not written:
-        raise ValueError(f"{options.out} must end in .glb, .usda or .ply, or be a folder")
+        raise ArgumentError(f"{options.out} must end in .glb, .usda or .ply, or be a folder")
     for path in written:
         frame = (
             "+y up"

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from ..errors import ArgumentError
 from .options import parse_options
 
 
@@ -42,10 +43,10 @@ def run(arguments: list[str]) -> int:
 
     options = parse_options(GradeOptions, prog="gsfusion-nb grade", arguments=arguments)
     if options.seconds <= 0 or options.memory_mb <= 0:
-        raise ValueError("--seconds and --memory-mb must be positive")
+        raise ArgumentError("--seconds and --memory-mb must be positive")
     submissions = find_submissions(options.submissions)
     if not submissions:
-        raise ValueError("no submissions; name notebooks, .py files, or folders of them")
+        raise ArgumentError("no submissions; name notebooks, .py files, or folders of them")
     names = exercises_of(options.chapters, options.exercises, submissions)
     print(f"{len(submissions)} students, {len(names)} exercises")
     if why_no_bubblewrap():

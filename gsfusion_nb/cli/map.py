@@ -9,6 +9,7 @@ import tyro
 from ..backends import use_backend
 from ..config import TsdfConfig, replace
 from ..config.options import named
+from ..errors import ArgumentError
 from ..seeding.named_rules import RuleNotNamedError
 from ..seeding.rule_code import is_rule_file
 from ..work import MAP_MEMORY
@@ -87,7 +88,7 @@ def run(arguments: list[str]) -> int:
         seconds=options.checkpoint_every_s, frames=options.checkpoint_every_frames
     )
     if options.memory_gb and options.device != "cpu":
-        raise ValueError(
+        raise ArgumentError(
             "--memory-gb is for maps on a processor; leave it out, or take --device cpu"
         )
     MAP_MEMORY.limit(options.memory_gb or None)
@@ -97,7 +98,7 @@ def run(arguments: list[str]) -> int:
             _refuse_more(options, arguments)
             return print_result(_resumed(options, arguments, every))
         if not options.data:
-            raise ValueError(
+            raise ArgumentError(
                 "expected the folder of a sequence or the name of a built-in scene: gsfusion-nb "
                 "map room"
             )
@@ -154,7 +155,7 @@ def _refuse_more(options: MapOptions, arguments: list[str]) -> None:
     """A resumed run has its own settings and data: raise ``ValueError`` if others are given."""
     more = [a for a in arguments if a.startswith("-") and a.split("=")[0] not in _WITH_RESUME]
     if more or options.data:
-        raise ValueError(
+        raise ArgumentError(
             f"--resume continues with the run's own settings and data; leave out {options.data} "
             f"{' '.join(more)}"
         )
@@ -184,7 +185,7 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
     Raises:
         SequenceError: the recording has no poses.
     """
-    from ..files import SequenceError
+    from ..errors import SequenceError
     from ..mapping import make_mapper
     from ..runs.mapping_run import evenly, has_poses
     from ..runs.scored_views import readable_frames

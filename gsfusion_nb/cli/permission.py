@@ -4,7 +4,7 @@ import shlex
 import sys
 from collections.abc import Iterable, Sequence
 
-from ..files import SequenceError
+from ..errors import SequenceError
 from ..seeding.named_rules import RuleNotNamedError
 
 

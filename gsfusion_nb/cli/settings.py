@@ -18,7 +18,8 @@ from ..checks import shown
 from ..config import SystemConfig, from_run, presets, to_dict
 from ..config.options import named, named_values
 from ..config.values import leaves, with_own_settings
-from ..files import read_object, reason_of
+from ..errors import ArgumentError, reason_of
+from ..files import read_object
 from .options import EVERYDAY, parse_options
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ class SettingsOptions:
             torch.zeros(1, device=self.device)
         except (RuntimeError, AssertionError, NotImplementedError) as e:
             reason = str(e).splitlines()[0]
-            raise ValueError(
+            raise ArgumentError(
                 f"--device {self.device} cannot be used here, expected cpu or a CUDA device: "
                 f"{reason}"
             ) from None
@@ -229,7 +230,7 @@ def _start(arguments: list[str], preset: str) -> SystemConfig:
     preset = _value_of(arguments, "--preset") or preset
     fidelity = _value_of(arguments, "--fidelity")
     if fidelity and fidelity not in system.fidelities:
-        raise ValueError(
+        raise ArgumentError(
             f"{system.title} has no --fidelity {fidelity}; known: "
             f"{', '.join(system.fidelities) or 'none'}"
         )
@@ -254,7 +255,7 @@ def _with_rule_named(prog: str, arguments: list[str]) -> list[str]:
         option for option in ("--system", "--preset", "--fidelity") if _value_of(arguments, option)
     ]
     if others:
-        raise ValueError(
+        raise ArgumentError(
             f"--from-config sets all settings; leave out {' '.join(others)}, or --from-config"
         )
     if _value_of(arguments, "--seeding.rule"):
@@ -294,11 +295,11 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
         config = from_run(get_system(document.get("system", "gsfusion")).config_type, values)
         own_rule = config.seeding.rule
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
-        raise ValueError(f"{path} is not the config.json of a run: {reason_of(e)}") from None
+        raise ArgumentError(f"{path} is not the config.json of a run: {reason_of(e)}") from None
     given = document.get("training")
     if given and isinstance(given, dict):
         named = ", ".join(f"{kind} {shown(name)}" for kind, name in given.items())
-        raise ValueError(
+        raise ArgumentError(
             f"{path} is of a run with its own {named}; repeat it in Python, run_mapping(..., "
             "loss=...)"
         )
@@ -306,7 +307,7 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
     if rule is None and document.get("rule_from_file") and (path.parent / "rule.py").is_file():
         raise _not_named(path, f"{path.parent / 'rule.py'}:{name}")
     if rule is None and not document.get("rule_is_built_in", name == own_rule):
-        raise ValueError(
+        raise ArgumentError(
             f"{path} is from a run with the seeding rule {shown(name)}, which is not part of this "
             f"package, so it cannot be used here; its source is in {path.parent / 'rule.py'}. "
             "Repeat the run in Python, with run_mapping(data, config, seeding=<the rule>), or "

@@ -15,7 +15,8 @@ from ..checks import check_name
 from ..config.options import named, named_values
 from ..data.open import known_layouts
 from ..data.recorded.files import missing
-from ..files import SequenceError, write_file
+from ..errors import ArgumentError, SequenceError
+from ..files import write_file
 from ..mapping import SYSTEMS, get_system
 from .command import run_and_write
 from .equal_maps import equal_maps, unknown_maps
@@ -154,7 +155,7 @@ def benchmark_specs(
         except SequenceError as e:
             unread.append(f"{scene} cannot be read: {e}")
     if not specs:
-        raise ValueError("\n".join(unread))
+        raise ArgumentError("\n".join(unread))
     return specs, unread
 
 

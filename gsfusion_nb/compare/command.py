@@ -13,6 +13,7 @@ import tyro
 from ..backends import backend_names, from_environment, use_backend
 from ..checks import check_name
 from ..config.options import named
+from ..errors import ArgumentError
 from ..files import write_file
 from ..runs.run_folder import RunFolder
 from .entries import EXAMPLE, read_table
@@ -80,7 +81,7 @@ def main(options: LabOptions) -> int:
     if options.new:
         return _write_example(Path(options.new).expanduser())
     if not options.table:
-        raise ValueError(
+        raise ArgumentError(
             "expected the file of a comparison: gsfusion-nb lab table.toml (--new table.toml "
             "writes one)"
         )

@@ -13,7 +13,8 @@ from typing import Any
 from ..checks import check_name, shown
 from ..config import SystemConfig, gsfusion
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
-from ..files import SequenceError, read_text
+from ..errors import ArgumentError, ForeseenError, SequenceError
+from ..files import read_text
 from ..mapping import get_system, system_of
 from ..seeding import Option, SeedingRule, check_options, rule_name
 from ..seeding.named_rules import RuleNotNamedError, is_named
@@ -130,7 +131,7 @@ def entries_of(
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice or not names:
         found = f"{', '.join(twice)} twice; give one of them a label" if twice else "no rule"
-        raise ValueError(f"a comparison needs rules with different labels, got {found}")
+        raise ArgumentError(f"a comparison needs rules with different labels, got {found}")
     for entrant in entrants:
         find_rule(entrant.rule)
     own = _fields_of_config(config) if config is not None else {}
@@ -219,7 +220,7 @@ def compare_rules(
     scenes = [data] if isinstance(data, (str, OpenedSequence)) else list(data)
     sequences = [open_sequence(d, data=config.data) if isinstance(d, str) else d for d in scenes]
     if any(len(sequence.held_out) == 0 for sequence in sequences):
-        raise ValueError(
+        raise ArgumentError(
             "compare_rules scores views that were not mapped; set data.hold_out_every to 2 or more"
         )
     entries = entries_of(
@@ -272,7 +273,7 @@ _BUDGET = {"steps": (str,), "gaussians": (int,), "tolerance": (int, float)}
 Kinds = Mapping[str, tuple[type, ...]]
 
 
-class TableError(ValueError):
+class TableError(ForeseenError, ValueError):
     """What is wrong in a file that describes a comparison, and where."""
 
 
@@ -400,12 +401,12 @@ def _made(
     for i, values in enumerate(tables):
         with _at(path, f"{name}[{i}]"):
             if not isinstance(values, dict) or (required and required not in values):
-                raise ValueError(
+                raise ArgumentError(
                     f"expected a table with the key {required or 'steps'}, got {shown(values)}"
                 )
             made = make(_checked(values, known))
             if label and any(other[label] == made[label] for other in found):
-                raise ValueError(f"expected labels that differ, got {shown(made[label])} twice")
+                raise ArgumentError(f"expected labels that differ, got {shown(made[label])} twice")
             found.append(made)
     return found
 
@@ -415,7 +416,7 @@ def _checked(values: dict[str, Any], known: Kinds) -> dict[str, Any]:
         check_name("key", name, known)
         if isinstance(value, bool) or not isinstance(value, known[name]):
             kinds = " or ".join(kind.__name__ for kind in known[name])
-            raise ValueError(f"{name}: expected {kinds}, got {shown(value)}")
+            raise ArgumentError(f"{name}: expected {kinds}, got {shown(value)}")
     return values
 
 
@@ -468,7 +469,9 @@ def _scene(
     parts |= {"data": data, "scene": values.get("label", Path(values["data"]).name)}
     parts |= {"reader": values.get("reader", {}), "settings": _dotted(values.get("settings", {}))}
     if len(Entry(spec=RunSpec(rule="uniform", **_merged(shared, parts))).opened().held_out) == 0:
-        raise ValueError("no view is held out for the scores: set data.hold_out_every to 2 or more")
+        raise ArgumentError(
+            "no view is held out for the scores: set data.hold_out_every to 2 or more"
+        )
     return parts
 
 

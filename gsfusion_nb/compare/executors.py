@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from ..backends import use_backend
+from ..errors import ArgumentError, ForeseenError
 from ..mapping import StepReport
 from ..seeding import SeedingRule, rule_name
 from ..work import usable_cores
@@ -56,7 +57,7 @@ class Task:
             ValueError: its frames are in memory, or its rule cannot be sent.
         """
         if self.sequence is not None:
-            raise ValueError(
+            raise ArgumentError(
                 f"{self.spec.scene} was opened in this process: give its name or folder, or use "
                 "one process"
             )
@@ -85,7 +86,7 @@ def do_task(task: Task, on_step: OnStep = lambda report: None) -> Answer:
     with _ONE_AT_A_TIME, use_backend(task.backend):
         try:
             if task.program not in ("", run_key()):
-                raise ValueError(
+                raise ArgumentError(
                     "this process has another version of gsfusion_nb, or of a library, than the "
                     "comparison, or one of their files was edited after it began: restart it"
                 )
@@ -121,7 +122,7 @@ def _pickled(rule: SeedingRule | bytes) -> bytes:
         return pickler.dumps(rule)
     except (pickle.PicklingError, AttributeError, TypeError) as e:
         assert not isinstance(rule, bytes)  # those can be pickled
-        raise ValueError(
+        raise ArgumentError(
             f"the rule {rule_name(rule)} cannot be sent to other processes: {e}; write it to a "
             'file and give "FILE.py:name", or install the extra "cluster"'
         ) from None
@@ -216,7 +217,7 @@ def executor(jobs: int = 1, dask: str = "") -> Iterator[Executor]:
         yield InProcess()
 
 
-class NoWorkerError(RuntimeError):
+class NoWorkerError(ForeseenError, RuntimeError):
     """A Dask cluster has no worker."""
 
 
@@ -302,7 +303,7 @@ def _client(jobs: int, address: str) -> Iterator[Any]:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise ValueError(
+        raise ArgumentError(
             "a Dask cluster needs the extra \"cluster\": pip install 'gsfusion-nb[cluster]'"
         ) from None
     if address == "local":
@@ -319,6 +320,6 @@ def _client(jobs: int, address: str) -> Iterator[Any]:
         try:
             client = Client(place, timeout=CONNECT_S)
         except OSError as e:
-            raise ValueError(f"no Dask scheduler answers at {address}: {e}") from None
+            raise ArgumentError(f"no Dask scheduler answers at {address}: {e}") from None
         with client:
             yield client

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..errors import ArgumentError
 from ..files import cache_folder
 from ..seeding import CodeKey, check_rule, code_key
 from ..seeding.code_values import is_library_namespace
@@ -79,13 +80,13 @@ def _checked(job: CheckJob) -> tuple[CodeKey, str]:
     with _clock_is_watched(job.name), only_declared(job.name, paths):
         given = check_rule(rule, options=job.options, extra=extra).digest
     if changes := changes_since(libraries, all_of_package=True):
-        raise ValueError(
+        raise ArgumentError(
             f"the seeding rule {job.name!r} changes {', '.join(changes[:3])} for everybody; a rule "
             "may not change what it imports: write a function of its own"
         )
     after = switches()
     if switched := [name for name in before if before[name] != after[name]]:
-        raise ValueError(
+        raise ArgumentError(
             f"the seeding rule {job.name!r} changes a setting of the whole process: "
             f"{', '.join(switched)}"
         )
@@ -137,7 +138,7 @@ class _clock_is_watched:
     def __exit__(self, kind: Any, error: Any, traceback: Any) -> None:
         sys.setprofile(None)
         if self._asked and (error is None or isinstance(error, Exception)):
-            raise ValueError(
+            raise ArgumentError(
                 f"the seeding rule {self._rule!r} asks for {self._what} ({self._asked}); its seeds "
                 "may depend on the context only"
             )

@@ -17,6 +17,7 @@ from ..config import SystemConfig
 from ..data import OpenedSequence, open_sequence
 from ..data.adjust.repair import SequenceView
 from ..data.room import RoomSequence
+from ..errors import ArgumentError
 from ..mapping import Mapper, StepReport, make_mapper
 from ..runs import MappingRun
 from ..runs.outputs import score
@@ -303,7 +304,7 @@ def refuse_other_code(spec: RunSpec, rule: SeedingRule) -> None:
     for parts in (wanted, here):
         parts.pop(ONLY_NOW, None)
     if wanted != here:
-        raise ValueError(
+        raise ArgumentError(
             f"the code of the rule {spec.rule_name} in this process is not the one with which the "
             f"comparison was started; different: {differing(wanted, here)}. Start the comparison "
             "again, give every worker the same files and packages, and restart workers that "

@@ -11,9 +11,10 @@ from typing import Any
 
 from ..data import frame_fingerprints, sequence_fingerprint
 from ..drawing.pictures import encode_png
+from ..errors import SequenceError
 from ..evaluation import NotComputed, frame_rates
 from ..evaluation.image import lpips_unavailable
-from ..files import SequenceError, write_file
+from ..files import write_file
 from ..runs import MappingRun
 from ..runs.outputs import (
     environment,

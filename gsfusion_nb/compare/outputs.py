@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from ..drawing.curves import figure_picture
 from ..drawing.page import fill
 from ..drawing.pictures import data_uri
+from ..errors import UnknownNameError
 from ..files import atomic_file, plain_cell, write_file
 from .equal_maps import EqualMaps, equal_maps
 from .map_scene import budgeted
@@ -101,7 +102,7 @@ class Results:
         own = [run for run in self.runs if run.spec.label == label]
         if not own:
             known = ", ".join(dict.fromkeys(run.spec.label for run in self.runs))
-            raise KeyError(f"no rule {label!r}; there are: {known}")
+            raise UnknownNameError(f"no rule {label!r}; there are: {known}")
         return [run for run in own if run.status == "done"]
 
     @property

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from ..errors import UnknownNameError
 from .scene_units import scene_units
 from .statistics import COLUMNS, FIRST_METRIC, group_runs, standings, unit_means
 
@@ -174,7 +175,7 @@ def compare(
             own[spec.scene, str(spec.budget), spec.seed] = result
     for label in (a, b):
         if label not in of_label:
-            raise KeyError(
+            raise UnknownNameError(
                 f"no runs of {label!r}; there are: {', '.join(sorted(of_label)) or 'none'}"
             )
     pairs = {

@@ -19,6 +19,7 @@ import torch
 
 from ..backends import BACKENDS, report, use_backend
 from ..config import TsdfConfig
+from ..errors import ArgumentError
 from ..optim import ColumnRates, adam_update_map, dssim_vjp, l1_mse_vjp
 from ..render import render_forward, render_vjp
 from ..tsdf import TsdfVolume, allocate
@@ -381,9 +382,9 @@ def main(device: str, folder: Path) -> int:
     """``gsfusion-nb study roofline``: measure, print, and write the table and the picture to
     ``folder``."""
     if device not in ("cpu", "cuda"):
-        raise ValueError(f"--device must be cpu or cuda, got {device!r}")
+        raise ArgumentError(f"--device must be cpu or cuda, got {device!r}")
     if device == "cuda" and not torch.cuda.is_available():
-        raise ValueError("--device cuda needs an NVIDIA GPU, but torch finds none")
+        raise ArgumentError("--device cuda needs an NVIDIA GPU, but torch finds none")
     is_gpu = device == "cuda"
     roofs = measure_roofs(size=8192, megabytes=2000, device=device) if is_gpu else measure_roofs()
     work = functools.partial(mapping_work, **(ON_A_GPU if is_gpu else {}), device=device)

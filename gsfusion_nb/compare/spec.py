@@ -16,6 +16,7 @@ from ..checks import check_number, shown
 from ..config import to_dict
 from ..config.values import check_kinds, within
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
+from ..errors import ArgumentError
 from ..files import read_sealed, write_sealed
 from ..mapping import get_system
 from ..seeding import Option, SeedingRule, get_rule
@@ -45,7 +46,7 @@ class Budget:
         if self.gaussians is not None:
             check_number("budget.gaussians", self.gaussians, 1)
             if not isinstance(self.gaussians, int):
-                raise ValueError(
+                raise ArgumentError(
                     f"budget.gaussians must be a whole number, got {shown(self.gaussians)}"
                 )
 
@@ -126,7 +127,9 @@ class RunSpec:
         check_number("keep_share", self.keep_share, 1e-6, 1)
         if self.size_range is not None and not 0 < self.size_range[0] < self.size_range[1]:
             given = shown(list(self.size_range))
-            raise ValueError(f"size_range must be smallest and largest, both above 0, got {given}")
+            raise ArgumentError(
+                f"size_range must be smallest and largest, both above 0, got {given}"
+            )
 
     @property
     def rule_name(self) -> str:
@@ -390,10 +393,10 @@ class RunResult:
         """
         document = read_sealed(path, "the result of a run of the lab")
         if key and document.get("key") != key:
-            raise ValueError(
+            raise ArgumentError(
                 f"{path} is the result of another run, with the key {shown(document.get('key'))}"
             )
         try:
             return cls.from_json(document)
         except (TypeError, KeyError, AttributeError) as e:
-            raise ValueError(f"{path} is not the result of a run of the lab: {e}") from None
+            raise ArgumentError(f"{path} is not the result of a run of the lab: {e}") from None

@@ -19,6 +19,7 @@ from ..backends import use_backend
 from ..checks import check_name, check_whole, shown
 from ..config import presets
 from ..config.options import named, named_values, parse_value
+from ..errors import ArgumentError
 from ..mapping import SYSTEMS, get_system
 from ..seeding import check_options
 from ..seeding.rule_code import is_rule_file, read_rule_file, rule_folder
@@ -193,10 +194,10 @@ def sweep_specs(options: SweepOptions) -> list[RunSpec]:
         ValueError, KeyError, TypeError: as for ``sweep``.
     """
     if not options.grid:
-        raise ValueError("expected --grid NAME=VALUE,VALUE")
+        raise ArgumentError("expected --grid NAME=VALUE,VALUE")
     axes = dict(parse_axis(text) for text in options.grid)
     if len(axes) < len(options.grid):
-        raise ValueError(f"expected each setting once, got {', '.join(options.grid)}")
+        raise ArgumentError(f"expected each setting once, got {', '.join(options.grid)}")
     variants = {}
     for values in itertools.product(*axes.values()):
         pairs = dict(zip(axes, values, strict=True))
@@ -224,7 +225,7 @@ def study_specs(
         label: values for label, values in asked.variants.items() if only.lower() in label.lower()
     }
     if not variants:
-        raise ValueError(
+        raise ArgumentError(
             f"--only: no variant's name contains {only!r}; there are {', '.join(asked.variants)}"
         )
     return recording_specs(variants, options, data, common=asked.common, online=True)
@@ -343,9 +344,9 @@ def parse_axis(text: str) -> tuple[str, list[Any]]:
     name, equals, values = text.partition("=")
     found = [parse_value(v.strip()) for v in values.split(",") if v.strip()]
     if not equals or not name or not found:
-        raise ValueError(f"expected values of a setting as NAME=VALUE,VALUE, got {shown(text)}")
+        raise ArgumentError(f"expected values of a setting as NAME=VALUE,VALUE, got {shown(text)}")
     if len({str(v) for v in found}) < len(found):
-        raise ValueError(f"expected values that differ, got {shown(text)}")
+        raise ArgumentError(f"expected values that differ, got {shown(text)}")
     return name.strip().replace("-", "_"), found
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..checks import shown
 from ..config import SystemConfig
+from ..errors import ArgumentError, ForeseenError
 from ..seeding import SeedingRule, is_built_in, rule_name, rule_options
 from .map_scene import Entry, OnStep, budgeted, map_scene, observed, original
 from .schedule import dotted, flat_settings, without_steps
@@ -63,7 +64,7 @@ def size_option(spec: RunSpec, rule: SeedingRule) -> SizeOption:
     known = SIZE_OPTIONS.get(rule_name(rule)) if is_built_in(original(rule)) else None
     name = dotted(spec.size_option) or (known.name if known else "")
     if not name:
-        raise ValueError(
+        raise ArgumentError(
             f"the rule {rule_name(rule)} has no size option: name the option that changes its "
             "number of Gaussians as "
             f'size_option (its options: {", ".join(rule_options(rule)) or "none"}), or "{THIN}", '
@@ -87,12 +88,12 @@ def start_value(spec: RunSpec, rule: SeedingRule, option: SizeOption) -> float |
     values = {**flat_settings(spec.config()), **rule_options(rule), **spec.options}
     if option.name not in values:
         known = ", ".join([*rule_options(rule), THIN])
-        raise ValueError(
+        raise ArgumentError(
             f"the rule {rule_name(rule)} has no option {shown(option.name)} to tune; known: {known}"
         )
     value = values[option.name]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or value <= 0:
-        raise ValueError(
+        raise ArgumentError(
             f"the size option {option.name} must be a number above 0, got {shown(value)}"
         )
     return value
@@ -132,7 +133,7 @@ _CLOSEST = 1e-3
 Number = float | int
 
 
-class NotReachedError(ValueError):
+class NotReachedError(ForeseenError, ValueError):
     """No value of the option reaches the target; the message says what the best ones reach."""
 
 

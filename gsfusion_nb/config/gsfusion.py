@@ -7,6 +7,7 @@ code's value.
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from ..errors import ArgumentError
 from .parts import SystemConfig, TsdfConfig
 from .presets import Changes, Presets
 from .values import Settings, replace, with_values, within
@@ -99,7 +100,7 @@ class OptimConfig(Settings, group="optim"):
     def __post_init__(self):
         super().__post_init__()
         if self.beta1**2 >= self.beta2:  # then the steps of a row without gradient never end
-            raise ValueError(
+            raise ArgumentError(
                 f"optim.beta2 must be above beta1 squared, {self.beta1**2:.4g}, got {self.beta2}"
             )
 

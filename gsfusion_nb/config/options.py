@@ -5,7 +5,8 @@ from dataclasses import field
 from typing import Any
 
 from ..checks import shown
-from ..files import SequenceError, parse_json
+from ..errors import ArgumentError, SequenceError
+from ..files import parse_json
 
 
 def named(default: Any, names: Callable[[], Iterable[str]]) -> Any:
@@ -32,7 +33,7 @@ def named_values(texts: Iterable[str]) -> dict[str, Any]:
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals:
-            raise ValueError(f"expected an option as name=value, got {shown(text)}")
+            raise ArgumentError(f"expected an option as name=value, got {shown(text)}")
         values[name.strip().replace("-", "_")] = parse_value(value.strip())
     return values
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from ..errors import ArgumentError
 from .repair import RepairConfig
 from .values import Settings, positive, replace, setting, within
 
@@ -55,7 +56,7 @@ class TsdfConfig(Settings, group="tsdf"):
     def __post_init__(self):
         super().__post_init__()
         if self.near_m >= self.far_m:
-            raise ValueError(
+            raise ArgumentError(
                 f"tsdf.near_m must be below far_m, got near {self.near_m} and far {self.far_m}"
             )
 
@@ -119,7 +120,7 @@ class SeedingConfig(Settings, group="seeding"):
             }
             object.__setattr__(self, "options", plain)
         if not all(isinstance(name, str) for name in self.own_settings):
-            raise ValueError(
+            raise ArgumentError(
                 f"seeding.own_settings must hold names of settings, got {self.own_settings}"
             )
 
@@ -165,12 +166,12 @@ class DataConfig(Settings, group="data"):
     def __post_init__(self):
         super().__post_init__()
         if self.depth_max_m and self.depth_max_m <= self.depth_min_m:
-            raise ValueError(
+            raise ArgumentError(
                 f"data.depth_max_m must be above depth_min_m {self.depth_min_m}, got "
                 f"{self.depth_max_m}"
             )
         if self.hold_out_every == 1:
-            raise ValueError(
+            raise ArgumentError(
                 "data.hold_out_every=1 would hold out every frame; use 0 for none or 2 and more"
             )
 
@@ -245,7 +246,7 @@ class TrackingConfig(Settings, group="tracking"):
     def __post_init__(self):
         super().__post_init__()
         if len(self.pyramid) != len(self.iterations) or not self.pyramid:
-            raise ValueError(
+            raise ArgumentError(
                 "tracking.pyramid and tracking.iterations must have one entry per level, got "
                 f"{self.pyramid} and {self.iterations}"
             )

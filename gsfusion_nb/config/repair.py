@@ -5,6 +5,7 @@ import itertools
 from dataclasses import dataclass
 from typing import Literal
 
+from ..errors import ArgumentError
 from .values import Settings, positive, within
 
 _DIRECTIONS = (("right", "left"), ("down", "up"), ("forward", "back"))
@@ -97,12 +98,12 @@ class RepairConfig(Settings, group="repair"):
     def __post_init__(self):
         super().__post_init__()
         if self.pose_offset_s and self.pose_shift_frames:
-            raise ValueError(
+            raise ArgumentError(
                 "set repair.pose_offset_s or repair.pose_shift_frames, not both: each moves the "
                 "poses in time"
             )
         if self.axes not in NAMED_AXES and self.axes not in AXES:
-            raise ValueError(
+            raise ArgumentError(
                 f"repair.axes must be one of {', '.join(NAMED_AXES)} or three words such as "
                 f"right-up-back, got {self.axes!r}"
             )

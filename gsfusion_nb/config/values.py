@@ -9,6 +9,7 @@ from dataclasses import field
 from typing import Any, ClassVar, TypeVar
 
 from ..checks import check_number, check_positive, shown
+from ..errors import ArgumentError
 
 C = TypeVar("C")
 
@@ -80,7 +81,7 @@ def from_dict(
     seeding = values.get("seeding")
     rule = seeding.get("rule") if isinstance(seeding, dict) else None
     if isinstance(rule, str) and ".py" in rule:
-        raise ValueError(
+        raise ArgumentError(
             f"seeding.rule must be the name of a rule, got the file {shown(rule)}; where you trust "
             "it, give it to run_mapping or to a mapper (seeding=...)"
         )
@@ -163,20 +164,20 @@ def check_kinds(group: str, config: Any) -> None:
         value = getattr(config, f.name)
         words = typing.get_args(f.type) if typing.get_origin(f.type) is typing.Literal else ()
         if words and value not in words:
-            raise ValueError(f"{name} must be one of {', '.join(words)}, got {shown(value)}")
+            raise ArgumentError(f"{name} must be one of {', '.join(words)}, got {shown(value)}")
         for kind, kind_text in ((int, "a whole number"), (bool, "True or False"), (str, "a text")):
             if f.type is kind and (
                 not isinstance(value, kind) or isinstance(value, bool) != (kind is bool)
             ):
-                raise ValueError(f"{name} must be {kind_text}, got {shown(value)}")
+                raise ArgumentError(f"{name} must be {kind_text}, got {shown(value)}")
         if (
             isinstance(f.type, type)
             and dataclasses.is_dataclass(f.type)
             and not isinstance(value, f.type)
         ):
-            raise ValueError(f"{name} must be a group of settings, got {shown(value)}")
+            raise ArgumentError(f"{name} must be a group of settings, got {shown(value)}")
         if typing.get_origin(f.type) is dict and not isinstance(value, dict):
-            raise ValueError(f"{name} must hold values by name, got {shown(value)}")
+            raise ArgumentError(f"{name} must hold values by name, got {shown(value)}")
         for number in () if value is None else value if isinstance(value, tuple) else (value,):
             if "range" in f.metadata:
                 check_number(name, number, *f.metadata["range"])
@@ -188,7 +189,7 @@ def _merge(config: Any, values: dict[str, Any], path: str) -> Any:
     names = {f.name for f in dataclasses.fields(config)}
     unknown = sorted(set(values) - names)
     if unknown:
-        raise ValueError(
+        raise ArgumentError(
             f"{path.rstrip('.') or 'config'}: unknown keys {unknown}; known: {sorted(names)}"
         )
     changes = {}

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from ..drawing.page import fill
+from ..errors import ForeseenError
 from ..types import Camera
 from .learner_code import (
     CodeInUse,
@@ -26,7 +27,7 @@ from .learner_code import (
 from .learner_code import Failed as Failed
 
 
-class NotWritten(Exception):
+class NotWritten(ForeseenError):
     """The function returned nothing: its body is still ``...``."""
 
 

@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..errors import ArgumentError
 from ..files import read_object, write_file
 from .short_path import SHORT_PATH, short_path
 
@@ -90,14 +91,14 @@ def without_solutions(
             if line.strip() in (_END if inside else _BEGIN):
                 inside = not inside
             elif line.strip() in (*_BEGIN, *_END):
-                raise ValueError(
+                raise ArgumentError(
                     f"cell {number} has {line.strip()!r} {'inside' if inside else 'outside'} a "
                     "solution"
                 )
             elif not inside:
                 left.append(line)
         if inside:
-            raise ValueError(f"cell {number} has BEGIN SOLUTION without END SOLUTION")
+            raise ArgumentError(f"cell {number} has BEGIN SOLUTION without END SOLUTION")
         if cell["cell_type"] == "code":
             cell |= {"outputs": cell["outputs"] if outputs else [], "execution_count": None}
         text = "".join(left)
@@ -279,9 +280,9 @@ def _notebooks(
     """File name -> the notebook as read from JSON."""
     notebooks = [source] if source.is_file() else sorted(source.glob("*.ipynb"))
     if not notebooks:
-        raise ValueError(f"there is no notebook at {source}")
+        raise ArgumentError(f"there is no notebook at {source}")
     if target.resolve() == notebooks[0].parent.resolve():
-        raise ValueError(
+        raise ArgumentError(
             f"the copies would replace the notebooks in {target}; choose another folder"
         )
     target.mkdir(parents=True, exist_ok=True)
@@ -294,4 +295,4 @@ def _as_text(name: str, change: Any, notebook: dict[str, Any]) -> str:
     try:
         return json.dumps(change(notebook), indent=1, ensure_ascii=False) + "\n"
     except ValueError as e:
-        raise ValueError(f"{name}: {e}") from None
+        raise ArgumentError(f"{name}: {e}") from None

@@ -51,6 +51,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..backends import use_backend
+from ..errors import ArgumentError
 from .attempt import Attempt as Attempt
 from .attempt import Failed as Failed
 from .attempt import NotWritten, Verdict, describe
@@ -276,17 +277,17 @@ def exercise(
         name = judge.__name__
         title = (judge.__doc__ or "").strip().splitlines()[:1]
         if difficulty not in DIFFICULTIES:
-            raise ValueError(
+            raise ArgumentError(
                 f"exercise {name}: difficulty must be one of {list(DIFFICULTIES)}, got {difficulty}"
             )
         if not hints or not wrong or not title:
-            raise ValueError(
+            raise ArgumentError(
                 f"exercise {name} needs a docstring, at least one hint and at least one wrong "
                 "answer"
             )
         known = _EXERCISES.get(name)
         if known is not None and known.judge.__module__ != judge.__module__:
-            raise ValueError(f"exercise {name} exists already in {known.judge.__module__}")
+            raise ArgumentError(f"exercise {name} exists already in {known.judge.__module__}")
         _EXERCISES[name] = Exercise(
             name=name,
             title=title[0],

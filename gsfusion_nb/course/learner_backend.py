@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from ..backends import CALLS, FUNCTIONS, Calls
+from ..errors import UnknownNameError
 from .exercise import exercises
 from .learner_code import functions_of_earlier_chapters
 from .learner_operation import KEPT as KEPT
@@ -39,7 +40,7 @@ def keep(exercise: str, function: Callable[..., Any]) -> None:
     """
     known = exercises()
     if exercise not in known:
-        raise KeyError(f"there is no exercise {exercise!r}")
+        raise UnknownNameError(f"there is no exercise {exercise!r}")
     remember(exercise, known[exercise].becomes, function)
 
 

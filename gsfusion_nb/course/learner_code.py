@@ -29,6 +29,7 @@ from torch import Tensor
 
 from .. import backends
 from ..drawing.page import fill
+from ..errors import ForeseenError
 from ..types import Camera
 from .progress import note, now, read_section
 
@@ -40,7 +41,7 @@ SECTION = "functions"
 """Of the course file."""
 
 
-class Failed(Exception):
+class Failed(ForeseenError):
     """A property does not hold: ``prop`` names it, ``on`` the input, ``detail`` what was returned
     and expected."""
 

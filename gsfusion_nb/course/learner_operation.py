@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ..backends import FUNCTIONS, use_backend
+from ..errors import ForeseenError
 from .learner_code import Failed, in_words, kind_of, line_of_definition, line_of_error, plain_value
 
 KEPT: dict[str, Callable[..., Any]] = {}
@@ -29,7 +30,7 @@ class Becomes:
     operation returns, or ``NotImplemented`` to leave this call to the reference."""
 
 
-class LearnerError(RuntimeError):
+class LearnerError(ForeseenError, RuntimeError):
     """A learner's function failed inside the library; the message names its cell and line and what
     went in."""
 

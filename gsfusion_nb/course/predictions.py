@@ -20,6 +20,7 @@ from typing import Any
 
 from ..drawing.page import fill
 from ..drawing.stored import Bundle, LiveOutput, static_views
+from ..errors import ArgumentError
 from .progress import Entries, forgiving, note, now, read_section
 
 Answer = str | float | int
@@ -55,11 +56,11 @@ class Prediction(LiveOutput):
         if "came" in entry:
             return f"It came already; {_yours(entry)}"
         if self.choices and value not in self.choices:
-            raise ValueError(
+            raise ArgumentError(
                 f"prediction {self.name}: expected one of {self.choices}, got {value!r}"
             )
         if not self.choices and (isinstance(value, str) or not math.isfinite(value)):
-            raise ValueError(f"prediction {self.name}: expected a number, got {value!r}")
+            raise ArgumentError(f"prediction {self.name}: expected a number, got {value!r}")
         _note(
             self.name,
             question=self.question,

@@ -23,7 +23,8 @@ from typing import Any
 
 from platformdirs import user_data_path
 
-from ..files import SequenceError, read_object, write_file
+from ..errors import ForeseenError, SequenceError
+from ..files import read_object, write_file
 
 FORMAT = 1
 
@@ -33,7 +34,7 @@ _in_memory: dict[str, Any] = {"format": FORMAT}
 _said: set[str] = set()
 
 
-class CourseFileError(ValueError):
+class CourseFileError(ForeseenError, ValueError):
     """The file cannot be read or written; it was left as it is."""
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from ..errors import ArgumentError
 from ..files import read_object, read_text
 
 Cell = dict[str, Any]
@@ -46,7 +47,7 @@ def short_path(folder: Path) -> dict[str, Any]:
     }
     named = [name for part in parts for name in part["cells"]]
     if lost := [name for name in named if name not in stored]:
-        raise ValueError(f"{plan} names cells that no chapter has: {', '.join(lost)}")
+        raise ArgumentError(f"{plan} names cells that no chapter has: {', '.join(lost)}")
     cells: list[Cell] = []
     for number, part in enumerate(parts):
         cells.append(_text(f"part-{number}", part["text"]))

@@ -16,6 +16,7 @@ from markupsafe import Markup
 import gsfusion_nb
 
 from ..drawing.page import html_table
+from ..errors import ArgumentError
 
 _ROOT = Path(gsfusion_nb.__file__).resolve().parent
 
@@ -83,7 +84,7 @@ def source_lines(lines: dict[str, tuple[Callable[..., Any], str]]) -> SourceLine
         text = path.read_text(encoding="utf-8").splitlines()
         found = [i for i, line in enumerate(text) if piece in line]
         if len(found) != 1:
-            raise ValueError(
+            raise ArgumentError(
                 f"{what}: {piece!r} must be on one line of {path.name}, it is on {len(found)}"
             )
         shown = f"{_ROOT.name}/{path.relative_to(_ROOT).as_posix()}"

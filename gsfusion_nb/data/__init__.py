@@ -4,6 +4,9 @@ Anything with ``__len__``, ``__getitem__``, ``pose``, ``camera`` and ``name`` is
 (``Sequence``). Frames are decoded when asked for; nothing is kept in memory.
 """
 
+from ..errors import BadFrameError as BadFrameError
+from ..errors import SequenceError as SequenceError
+from ..errors import SequenceNotFoundError as SequenceNotFoundError
 from .adjust.repair import OpenedSequence as OpenedSequence
 from .adjust.repair import SequenceView as SequenceView
 from .adjust.repair import apply_options as apply_options
@@ -22,7 +25,4 @@ from .readers.seven_scenes import seven_scenes as seven_scenes
 from .readers.tum import tum as tum
 from .recorded.recorded_sequence import RecordedSequence as RecordedSequence
 from .recorded.times import associate as associate
-from .sequence import BadFrameError as BadFrameError
 from .sequence import Sequence as Sequence
-from .sequence import SequenceError as SequenceError
-from .sequence import SequenceNotFoundError as SequenceNotFoundError

@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from ..errors import ArgumentError, SequenceError
 from ..geometry import depth_to_points, project, se3
 from ..geometry.operands import check_plausible_camera
 from ..types import Camera
-from .sequence import SequenceError
 
 TIE = 1e-3
 """Nearest-pixel maps are shifted by this many pixels, so that of two equally near pixels the lower
@@ -95,7 +95,7 @@ class CameraModel:
             return camera
         except ValueError as e:
             numbers = " ".join(f"{value:g}" for value in self.distortion)
-            raise ValueError(
+            raise ArgumentError(
                 f"the distortion {numbers} cannot be removed by a pinhole camera: {e}"
             ) from None
 

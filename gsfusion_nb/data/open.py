@@ -15,6 +15,7 @@ import torch
 
 from ..checks import check_name
 from ..config import DataConfig
+from ..errors import ArgumentError, SequenceError, SequenceNotFoundError
 from ..files import UNREADABLE, file_hashes, noting_files
 from . import readers
 from .adjust.repair import (
@@ -27,7 +28,6 @@ from .adjust.repair import (
 )
 from .recorded.files import missing
 from .recorded.recorded_sequence import Layout, RecordedSequence
-from .sequence import SequenceError, SequenceNotFoundError
 
 
 def known_layouts() -> dict[str, Layout]:
@@ -107,7 +107,7 @@ def _check_options(
         p.name for p in inspect.signature(reader).parameters.values() if p.kind is p.KEYWORD_ONLY
     ]
     if unknown := [option for option in options if option not in known]:
-        raise ValueError(
+        raise ArgumentError(
             f"{name} has no option {', '.join(unknown)}; it has: {', '.join(known) or 'none'}"
         )
 

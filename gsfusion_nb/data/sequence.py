@@ -5,9 +5,6 @@ from typing import Protocol, runtime_checkable
 from jaxtyping import Float
 from torch import Tensor
 
-from ..files import BadFrameError as BadFrameError
-from ..files import SequenceError as SequenceError
-from ..files import SequenceNotFoundError as SequenceNotFoundError
 from ..types import Camera, Frame
 
 

@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from ..errors import ArgumentError
+
 Picture = UInt8[np.ndarray, "_ _ 3"]
 """The type that these functions return."""
 ImageLike = (
@@ -79,7 +81,7 @@ def colour_depth(depth_m: MapLike, near_m: float, far_m: float) -> Picture:
         far_m: Depth at the last colour.
     """
     if not far_m > near_m:
-        raise ValueError(f"far_m must be above near_m, got near {near_m} and far {far_m}")
+        raise ArgumentError(f"far_m must be above near_m, got near {near_m} and far {far_m}")
     depth = _numpy(depth_m)
     with np.errstate(invalid="ignore"):
         missing = ~(depth > 0) | ~np.isfinite(depth)
@@ -95,7 +97,7 @@ def error_map(rgb: ImageLike, reference: ImageLike, *, limit: float = ERROR_LIMI
     a = to_uint8(rgb)
     b = to_uint8(reference)
     if a.shape != b.shape:
-        raise ValueError(
+        raise ArgumentError(
             f"rgb and reference must have one shape, got {list(a.shape)} and {list(b.shape)}"
         )
     level = cv2.transform(
@@ -113,7 +115,7 @@ def depth_error_map(
     a = _numpy(depth_m)
     b = _numpy(reference_m)
     if a.shape != b.shape:
-        raise ValueError(
+        raise ArgumentError(
             f"depth_m and reference_m must have one shape, got {list(a.shape)} and {list(b.shape)}"
         )
     known = (a > 0) & (b > 0) & np.isfinite(a) & np.isfinite(b)
@@ -231,7 +233,7 @@ def _encode(pixels: np.ndarray, suffix: str, options: list[int]) -> bytes:
     """Bytes of a file from pixels in OpenCV's order, blue first."""
     done, encoded = cv2.imencode(suffix, pixels, options)
     if not done:
-        raise ValueError(
+        raise ArgumentError(
             f"OpenCV could not encode a picture of shape {list(pixels.shape)} as {suffix}"
         )
     return encoded.tobytes()
@@ -274,9 +276,9 @@ def side_by_side(
         gap: Space between images, pixels.
     """
     if not images:
-        raise ValueError("side_by_side needs at least one image, got none")
+        raise ArgumentError("side_by_side needs at least one image, got none")
     if labels and len(labels) != len(images):
-        raise ValueError(
+        raise ArgumentError(
             f"side_by_side needs one label per image, got {len(labels)} labels for {len(images)} "
             "images"
         )

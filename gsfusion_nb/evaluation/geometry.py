@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..checks import check_finite, check_positive, check_shape
+from ..errors import ArgumentError
 from ..geometry import project, quaternion, se3
 from ..render.in_view import Chunks, chunks_of_points, rows_of_chunks, seen_chunks
 from ..types import Frame, GaussianParams, Mesh
@@ -60,7 +61,9 @@ def sample_surface(
     """
     upto = _areas(mesh).cumsum(0)
     if len(upto) == 0 or not upto[-1] > 0:
-        raise ValueError(f"a mesh to sample must have area, got {len(upto)} faces of total area 0")
+        raise ArgumentError(
+            f"a mesh to sample must have area, got {len(upto)} faces of total area 0"
+        )
     return _sampled(mesh, upto, n, generator)
 
 

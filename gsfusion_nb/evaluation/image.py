@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_shape
+from ..errors import ArgumentError
 from ..geometry import sum_rows
 from ..types import Camera, Frame, RenderOutput
 from .metrics import NotComputed
@@ -115,7 +116,7 @@ def _ssim_map(
     """SSIM at each pixel of prepared images. On a processor OpenCV filters, in a fifth of the time
     of a convolution."""
     if min(a.shape[:2]) < smallest:
-        raise ValueError(
+        raise ArgumentError(
             f"rgb must be at least {smallest} pixels high and wide for an 11x11 window, got "
             f"{[*a.shape]}"
         )

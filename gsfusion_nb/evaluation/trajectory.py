@@ -6,6 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_finite, check_shape
+from ..errors import ArgumentError
 from ..geometry import se3
 
 
@@ -32,7 +33,7 @@ def align_umeyama(
     """
     check_shape("source", source, tuple(target.shape))
     if len(source) < 3:
-        raise ValueError(f"an alignment needs at least 3 positions, got {len(source)}")
+        raise ArgumentError(f"an alignment needs at least 3 positions, got {len(source)}")
     x = source.double()
     y = target.double()
     mean_x = x.mean(0)
@@ -132,6 +133,6 @@ def trajectory_scores(
 def _check_paths(estimate: Tensor, reference: Tensor) -> None:
     check_shape("estimate", estimate, tuple(reference.shape))
     if len(estimate) == 0:
-        raise ValueError("a trajectory error needs at least one pose, got none")
+        raise ArgumentError("a trajectory error needs at least one pose, got none")
     check_finite("estimate", estimate)
     check_finite("reference", reference)

@@ -27,14 +27,13 @@ import torch
 from torch import Tensor
 
 from ..checks import shown
+from ..errors import ArgumentError, DiskFullError, KindError, reason_of
 from ..files import (
     LEAST_MEMORY_BYTES,
     MOST_MEMORY_PER_BYTE,
-    DiskFullError,
     atomic_file,
     open_regular,
     read_object,
-    reason_of,
     write_file,
 )
 from ..work import MAP_MEMORY
@@ -190,7 +189,7 @@ class CheckpointStore:
             )
         if not problems:
             raise FileNotFoundError(f"{self.folder} holds no checkpoint")
-        raise ValueError("; ".join(problems))
+        raise ArgumentError("; ".join(problems))
 
     @property
     def exists(self) -> bool:
@@ -239,7 +238,7 @@ class CheckpointStore:
             ValueError, OSError: neither is intact.
         """
         if not _NAME.fullmatch(name):
-            raise ValueError(f"expected a file name like 000001.state, got {shown(name)}")
+            raise ArgumentError(f"expected a file name like 000001.state, got {shown(name)}")
         try:
             return _checked(self.folder / name, digest)
         except (ValueError, OSError) as e:
@@ -260,7 +259,7 @@ class CheckpointStore:
     ) -> tuple[dict[str, Any], list[str]]:
         document = read_object(path, "a checkpoint", objects=("files",))
         if document.get("format") != FORMAT or document.get("version") != VERSION:
-            raise ValueError(
+            raise ArgumentError(
                 f"expected a {FORMAT} of version {VERSION}, got version "
                 f"{shown(document.get('version'))}: map again, "
                 "or continue with the version of gsfusion_nb that began the run"
@@ -284,7 +283,7 @@ class CheckpointStore:
         size = sum(source.stat().st_size for source in used)
         joined = _joined_bytes(state, constants)
         if joined > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
-            raise ValueError(
+            raise ArgumentError(
                 f"its files of {size / 1e6:.1f} MB ask for {joined / 1e9:.1f} GB of memory"
             )
         return _whole(state, constants), list(document["files"])
@@ -311,7 +310,7 @@ def _checked(path: Path, digest: str) -> Path:
     not."""
     with open_regular(path, "a part of a checkpoint") as file:
         if hashlib.file_digest(file, "sha256").hexdigest() != digest:
-            raise ValueError(f"the checksum of {path.name} is wrong")
+            raise ArgumentError(f"the checksum of {path.name} is wrong")
     return path
 
 
@@ -329,11 +328,11 @@ def _plain(
     if type(value) is dict:
         for key in value:
             if type(key) is not str or key in (_CONSTANT, _PARTS):
-                raise TypeError(f"{name} must have strings as keys, got {key!r}")
+                raise KindError(f"{name} must have strings as keys, got {key!r}")
         return {key: _plain(v, f"{name}[{key!r}]", stored) for key, v in value.items()}
     if type(value) in (list, tuple):
         return type(value)(_plain(v, f"{name}[{i}]", stored) for i, v in enumerate(value))
-    raise TypeError(
+    raise KindError(
         f"{name} must be a tensor, number, string, None, or a dict, list or tuple of those, got "
         f"{type(value)}"
     )
@@ -390,7 +389,7 @@ def _check_buffers(value: Any, name: str) -> None:
     stride of 0."""
     if isinstance(value, Tensor):
         if value.nbytes > value.untyped_storage().nbytes():
-            raise ValueError(
+            raise ArgumentError(
                 f"{name} has a tensor {list(value.shape)} of more values than are stored for it"
             )
     elif isinstance(value, dict):

@@ -5,7 +5,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-from ..files import SequenceError, open_regular
+from ..errors import ArgumentError, SequenceError
+from ..files import open_regular
 
 N_REST = 45
 PLACE = ("x", "y", "z")
@@ -91,9 +92,9 @@ def needed_columns(path: Path, ply: Any, what: str) -> list[str]:
             "and are drawn by other equations; expected Gaussians with three scales"
         )
     if lacking:
-        raise ValueError(f"{path} has no properties {', '.join(lacking)}; expected {what}")
+        raise ArgumentError(f"{path} has no properties {', '.join(lacking)}; expected {what}")
     if n_rest not in (0, 9, 24, N_REST):
-        raise ValueError(
+        raise ArgumentError(
             f"{path} must have 0, 9, 24 or 45 f_rest properties (degree 0 to 3), got {n_rest}"
         )
     filters = filter_column(present)

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..files import SequenceError, atomic_file, parsing
+from ..errors import ArgumentError, SequenceError
+from ..files import atomic_file, parsing
 from ..types import GaussianParams
 from .gaussian_kinds import (
     CONSTANT_COLOUR,
@@ -62,7 +63,7 @@ def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
 
     n, coefficients = params.sh.shape[:2]
     if coefficients not in (1, 4, 9, 16):
-        raise ValueError(
+        raise ArgumentError(
             f"sh must have 1, 4, 9 or 16 coefficients (degree 0 to 3), got {coefficients}"
         )
     sh = params.sh.detach()

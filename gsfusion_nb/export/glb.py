@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..errors import ArgumentError
 from ..files import atomic_file
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import SH_C0
@@ -117,7 +118,7 @@ def check_gaussians(gaussians: GaussianParams) -> None:
     """Raise ``ValueError`` for Gaussians with NaN or infinities, which no viewer draws."""
     for name, column in vars(gaussians).items():
         if not bool(column.isfinite().all()):
-            raise ValueError(
+            raise ArgumentError(
                 f"{name} of {int((~column.isfinite()).any(-1).sum())} Gaussians is NaN or infinite"
             )
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..files import SequenceError, atomic_file, open_regular, parsing
+from ..errors import ArgumentError, SequenceError
+from ..files import atomic_file, open_regular, parsing
 from ..types import Mesh
 
 
@@ -96,7 +97,7 @@ def read_mesh_ply(path: str | Path) -> Mesh:
     what = "a PLY file of a mesh"
     ply = read_ply(path, what, known_list_len={"face": dict.fromkeys(_FACE_LISTS, 3)})
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names or ()):
-        raise ValueError(
+        raise ArgumentError(
             f"{path} has no element 'vertex' with x, y, z; expected a PLY file of a mesh"
         )
     vertex = ply["vertex"].data
@@ -128,20 +129,20 @@ def _triangles(ply, path: Path) -> torch.Tensor:
     data = ply["face"].data
     name = next((n for n in _FACE_LISTS if n in data.dtype.names), None)
     if name is None:
-        raise ValueError(
+        raise ArgumentError(
             f"{path} has no face property vertex_indices; expected a PLY file of a mesh"
         )
     column = data[name]
     if column.dtype == object:
         sizes = {len(face) for face in column}
         if sizes != {3}:
-            raise ValueError(
+            raise ArgumentError(
                 f"{path} must contain only triangles, got faces with "
                 f"{', '.join(map(str, sorted(sizes)))} vertices"
             )
         column = np.stack(list(column))
     if column.dtype.kind not in "iu" or int(column.max()) >= 2**31:
-        raise ValueError(
+        raise ArgumentError(
             f"{path} must have whole vertex numbers below 2^31, got {column.dtype} up to "
             f"{column.max()}"
         )

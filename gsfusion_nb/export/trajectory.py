@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import shown
+from ..errors import ArgumentError
 from ..files import read_text, write_file
 from ..geometry import quaternion
 
@@ -30,11 +31,11 @@ def write_trajectory_tum(
         ValueError: The numbers of times and poses differ, or a value is not finite.
     """
     if len(timestamps_s) != len(poses):
-        raise ValueError(
+        raise ArgumentError(
             f"timestamps_s must hold {len(poses)} times, one per pose, got {len(timestamps_s)}"
         )
     if not (bool(torch.isfinite(poses).all()) and all(math.isfinite(t) for t in timestamps_s)):
-        raise ValueError("timestamps_s and poses must be finite to be written as a trajectory")
+        raise ArgumentError("timestamps_s and poses must be finite to be written as a trajectory")
     T = poses.detach().to("cpu", torch.float64)
     quat = quaternion.from_matrix(T[:, :3, :3])
     rows = torch.cat(
@@ -63,7 +64,7 @@ def read_trajectory_tum(path: str | Path) -> tuple[list[float], Float[Tensor, "N
         if line.strip() and not line.lstrip().startswith("#"):
             rows.append(_parse(line, f"{path} line {number}"))
             if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
-                raise ValueError(
+                raise ArgumentError(
                     f"{path} line {number}: time {rows[-1][0]:.9g} does not come after "
                     f"{rows[-2][0]:.9g}"
                 )
@@ -80,12 +81,12 @@ def _parse(line: str, source: str) -> list[float]:
     except ValueError:
         values = []
     if len(values) != 8 or not all(math.isfinite(v) for v in values):
-        raise ValueError(
+        raise ArgumentError(
             f"{source} must have 8 finite numbers 't tx ty tz qx qy qz qw', got "
             f"{shown(line.strip())}"
         )
     if abs(math.hypot(*values[4:]) - 1) > 1e-2:
-        raise ValueError(
+        raise ArgumentError(
             f"{source} must end in a unit quaternion, got one of length "
             f"{math.hypot(*values[4:]):.3g}"
         )

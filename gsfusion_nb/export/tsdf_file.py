@@ -17,14 +17,8 @@ import torch
 from torch import Tensor
 
 from ..config import TsdfConfig, to_dict
-from ..files import (
-    LEAST_MEMORY_BYTES,
-    MOST_MEMORY_PER_BYTE,
-    SequenceError,
-    atomic_file,
-    open_regular,
-    parsing,
-)
+from ..errors import SequenceError
+from ..files import LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE, atomic_file, open_regular, parsing
 from ..tsdf import TsdfVolume
 from ..tsdf.block_pool import VOXELS_PER_BLOCK
 

@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..errors import ArgumentError
 from ..files import atomic_file
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import SH_C0
@@ -59,7 +60,9 @@ def write_map_usda(
     """
     check_gaussians(gaussians)
     if poses is not None and len(times_s) != len(poses):
-        raise ValueError(f"times_s must hold {len(poses)} times, one per pose, got {len(times_s)}")
+        raise ArgumentError(
+            f"times_s must hold {len(poses)} times, one per pose, got {len(times_s)}"
+        )
     R = torch.eye(4, dtype=torch.float64)
     R[:3, :3] = turn_to_y_up(up)
     with atomic_file(path) as temporary, temporary.open("w", encoding="ascii") as file:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from ..backends import observed
 from ..checks import check_finite, check_shape, shown
+from ..errors import ArgumentError
 from ..geometry import quaternion
 from ..geometry.operands import MASK, check_operand
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
@@ -97,12 +98,14 @@ class Edit:
             check_rate(name, factors, len(sh))
         for seen, stored in _SAME.items():
             if seen in self.set and stored in self.set:
-                raise ValueError(f"set: {seen} and {stored} are the same numbers; give one of them")
+                raise ArgumentError(
+                    f"set: {seen} and {stored} are the same numbers; give one of them"
+                )
         new_set = {name: _checked_set(name, pair, sh, surfels) for name, pair in self.set.items()}
         for name in ("reset_opacity", "min_opacity"):
             value = getattr(self, name)
             if value is not None and not 0 < value < 1:
-                raise ValueError(f"{name} must lie strictly between 0 and 1, got {value}")
+                raise ArgumentError(f"{name} must lie strictly between 0 and 1, got {value}")
         moved = None if self.relocate is None else _checked_relocate(self.relocate, sh)
         clone, split = (
             None if rows is None else _numbers(name, rows, sh)
@@ -119,13 +122,15 @@ class Edit:
             and split is not None
             and (both := clone[torch.isin(clone, split)]).numel()
         ):
-            raise ValueError(f"row {int(both[0])} is both cloned and split; do one of them")
+            raise ArgumentError(f"row {int(both[0])} is both cloned and split; do one of them")
         if keep is not None:
             clone, split = (None if rows is None else rows[keep[rows]] for rows in (clone, split))
         used = {} if moved is None else {"relocated": moved[0], "moved to": moved[1]}
         for what, rows in used.items():
             if keep is not None and (gone := rows[~keep[rows]]).numel():
-                raise ValueError(f"row {int(gone[0])} is both {what} and removed; do one of them")
+                raise ArgumentError(
+                    f"row {int(gone[0])} is both {what} and removed; do one of them"
+                )
         return dataclasses.replace(
             self, set=new_set, relocate=moved, clone=clone, split=split, keep=keep
         )
@@ -135,10 +140,12 @@ def check_rate(name: str, factors: Any, n: int | None = None) -> None:
     """Raise ``ValueError`` unless these can be factors of the learning rate of a parameter, of
     ``n`` rows if given."""
     if name not in STORED:
-        raise ValueError(f"rates: no parameter {shown(name)}; known: {', '.join(STORED)}")
+        raise ArgumentError(f"rates: no parameter {shown(name)}; known: {', '.join(STORED)}")
     check_shape(f"rates: {name}", factors, ("N" if n is None else n,))
     if not factors.is_floating_point() or not ((factors >= 0) & factors.isfinite()).all():
-        raise ValueError(f"rates: {name} must be finite floats of at least 0, got {shown(factors)}")
+        raise ArgumentError(
+            f"rates: {name} must be finite floats of at least 0, got {shown(factors)}"
+        )
 
 
 _RANGES = {"scale_m": (0.0, math.inf), "opacity": (0.0, 1.0), "rgb": (0.0, 1.0), "state": (0, 1)}
@@ -153,13 +160,13 @@ def _checked_set(
     """Row numbers and values of ``Edit.set``."""
     known = (*STORED, *ACTIVATED, "tag", *(["state"] if surfels else []))
     if name not in known:
-        raise ValueError(f"set: no column {shown(name)} in this map; known: {', '.join(known)}")
+        raise ArgumentError(f"set: no column {shown(name)} in this map; known: {', '.join(known)}")
     if (
         not isinstance(pair, tuple)
         or len(pair) != 2
         or not all(isinstance(x, Tensor) for x in pair)
     ):
-        raise ValueError(
+        raise ArgumentError(
             f"set: {name} must be a pair (rows, values) of tensors, got {type(pair).__name__}"
         )
     rows = _numbers(f"set: rows of {name}", pair[0], sh)
@@ -167,7 +174,7 @@ def _checked_set(
     width = sh.shape[1:] if name == "sh" else STORED.get(name, ACTIVATED.get(name, ()))
     check_shape(f"set: {name}", values, (len(rows), *width))
     if values.is_floating_point() == (name in ("tag", "state")) or values.dtype == torch.bool:
-        raise ValueError(
+        raise ArgumentError(
             f"set: {name} must not be {values.dtype}; tag and state are whole numbers, the others "
             "floats"
         )
@@ -179,7 +186,7 @@ def _checked_set(
         else (values >= low) & (values <= high)
     )
     if not inside.all():
-        raise ValueError(
+        raise ArgumentError(
             f"set: {name} must be between {low} and {high}, got {float(values[~inside][0]):g}"
         )
     return rows, values
@@ -197,9 +204,9 @@ def _check_add(seeds: Seeds) -> None:
         check_shape(f"add: {name}", value, (len(seeds), *tail))
         check_finite(f"add: {name}", value)
     if not (seeds.scale_m > 0).all():
-        raise ValueError(f"add: scale_m must be above 0, got {float(seeds.scale_m.min()):g}")
+        raise ArgumentError(f"add: scale_m must be above 0, got {float(seeds.scale_m.min()):g}")
     if not ((seeds.opacity > 0) & (seeds.opacity < 1)).all():
-        raise ValueError(
+        raise ArgumentError(
             f"add: opacity must lie strictly between 0 and 1, got {shown(seeds.opacity)}"
         )
 
@@ -210,33 +217,33 @@ def _checked_relocate(pair: Any, sh: Tensor) -> tuple[Tensor, Tensor]:
         or len(pair) != 2
         or any(getattr(r, "dtype", None) is torch.bool for r in pair)
     ):
-        raise ValueError(
+        raise ArgumentError(
             "relocate must be a pair of row numbers: rows to move, and rows to move them to"
         )
     moved, target = (_numbers("relocate", rows, sh) for rows in pair)
     if len(moved) != len(target):
-        raise ValueError(
+        raise ArgumentError(
             f"relocate must have one row to move to for each row to move, got {len(target)} for "
             f"{len(moved)}"
         )
     if len(moved.unique()) != len(moved):
-        raise ValueError("relocate: a row can be moved only once")
+        raise ArgumentError("relocate: a row can be moved only once")
     if (both := moved[torch.isin(moved, target)]).numel():
-        raise ValueError(f"relocate: row {int(both[0])} is both moved and moved to")
+        raise ArgumentError(f"relocate: row {int(both[0])} is both moved and moved to")
     return moved, target
 
 
 def _numbers(name: str, rows: Any, like: Tensor) -> Tensor:
     """Row numbers of a mask over the rows of ``like``, or those given, on its device."""
     if not isinstance(rows, Tensor) or rows.is_floating_point() or rows.ndim != 1:
-        raise ValueError(f"{name} must be row numbers [M] or a mask [N], got {shown(rows)}")
+        raise ArgumentError(f"{name} must be row numbers [M] or a mask [N], got {shown(rows)}")
     n = len(like)
     rows = rows.to(like.device)
     if rows.dtype == torch.bool:
         check_shape(f"{name}, as a mask", rows, (n,))
         return rows.nonzero()[:, 0]
     if len(rows) and (int(rows.min()) < 0 or int(rows.max()) >= n):
-        raise ValueError(
+        raise ArgumentError(
             f"{name}: rows must be between 0 and {n - 1}, got {int(rows.min())} to "
             f"{int(rows.max())}"
         )

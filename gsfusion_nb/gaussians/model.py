@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..backends import observed
 from ..checks import check_shape
+from ..errors import ArgumentError
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import SH_C0, rgb_to_sh_dc
 from ..types import GaussianParams, Seeds
@@ -43,7 +44,7 @@ class GaussianModel(GrowingRows):
 
     def __init__(self, sh_degree: int = 3, device: torch.device | str = "cpu"):
         if sh_degree not in (0, 1, 2, 3):
-            raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {sh_degree}")
+            raise ArgumentError(f"sh_degree must be 0, 1, 2 or 3, got {sh_degree}")
         self.sh_degree = sh_degree
         self.device = torch.device(device)
         self._steps = StepCount()
@@ -142,7 +143,7 @@ class GaussianModel(GrowingRows):
         """
         bad = {name: int((~column.isfinite()).sum()) for name, column in vars(params).items()}
         if any(bad.values()):
-            raise ValueError(
+            raise ArgumentError(
                 f"Gaussians to begin with must be finite, got NaN or infinities: {bad}"
             )
         start = self._count
@@ -182,7 +183,7 @@ class GaussianModel(GrowingRows):
             name, row = next(
                 (k, int(v.isnan().nonzero()[0, 0])) for k, v in values.items() if v.isnan().any()
             )
-            raise ValueError(
+            raise ArgumentError(
                 "new Gaussians need numbers that are not NaN, scales >= 0 and opacities in 0..1, "
                 f"got {getattr(seeds, name)[row].tolist()} as {name} of row {row}"
             )

@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from ..errors import ArgumentError
+
 
 @dataclass
 class StepCount:
@@ -80,7 +82,7 @@ class StepClock:
             ValueError: the count would go back.
         """
         if count < self.count:
-            raise ValueError(f"a clock of steps does not go back, from {self.count} to {count}")
+            raise ArgumentError(f"a clock of steps does not go back, from {self.count} to {count}")
         self._steps.value = count
         self.catch_up()
 
@@ -103,7 +105,7 @@ class StepClock:
             ValueError: other rows were stepped since the part was made.
         """
         if part.count < self.count:
-            raise ValueError(
+            raise ArgumentError(
                 f"a part with {part.count} steps is older than its map, which has {self.count}"
             )
         self._steps.value = part.count
@@ -121,7 +123,7 @@ class StepClock:
         wrong = (self.birth < 0) | (self.birth > self.last) | (self.last > self.count)
         if bool(wrong.any()):
             row = int(wrong.nonzero()[0, 0])
-            raise ValueError(
+            raise ArgumentError(
                 f"expected 0 <= birth <= last <= count, got {int(self.birth[row])}, "
                 f"{int(self.last[row])} and {self.count} in row {row}"
             )

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from ..backends import piece
 from ..config import StateConfig
+from ..errors import ArgumentError
 from ..geometry import project, quaternion, se3, sum_rows
 from ..types import Camera, GaussianParams, Seeds
 from .model import GaussianModel
@@ -112,7 +113,7 @@ class SurfelModel(GaussianModel):
         Raises:
             ValueError: always.
         """
-        raise ValueError(
+        raise ArgumentError(
             "RTG-SLAM cannot begin with Gaussians of another program, because its own are discs "
             "with one of two opacities; use --system gsfusion"
         )

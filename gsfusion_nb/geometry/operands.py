@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_finite, check_shape
+from ..errors import ArgumentError
 from ..types import Camera, Frame, GaussianParams
 
 FLOATS = (torch.float32, torch.float64)
@@ -41,15 +42,15 @@ def check_operand(
     assert isinstance(value, Tensor)
     if value.dtype not in dtypes:
         wanted = "boolean" if dtypes is MASK else " or ".join(str(t) for t in dtypes)
-        raise ValueError(
+        raise ArgumentError(
             f"{name} must be {wanted}, got {value.dtype}; convert it with .to({dtypes[0]})"
         )
     if device is None and value.is_meta:
-        raise ValueError(
+        raise ArgumentError(
             f"{name} must hold numbers, got a tensor on the device meta, which has none"
         )
     if device is not None and not _is_on(value.device, device):
-        raise ValueError(
+        raise ArgumentError(
             f"{name} must be on {device}, got a tensor on {value.device}; move it with "
             f".to({str(device)!r})"
         )
@@ -59,7 +60,7 @@ def check_gaussians(params: Any, like: GaussianParams | None = None) -> None:
     """Raise ``ValueError`` unless the columns of ``params`` fit together (or, as gradients, those
     of ``like``)."""
     if not isinstance(params, GaussianParams):
-        raise ValueError(f"params must be GaussianParams, got {type(params).__name__}")
+        raise ArgumentError(f"params must be GaussianParams, got {type(params).__name__}")
     if like is not None and _same_layout(params, like):
         return
     first = params.xyz_W if like is None else like.xyz_W
@@ -89,12 +90,12 @@ def check_gaussians(params: Any, like: GaussianParams | None = None) -> None:
             device=first.device,
         )
     if params.sh.shape[1] not in (1, 4, 9, 16):
-        raise ValueError(
+        raise ArgumentError(
             "sh must be [N, K, 3] with K = 1, 4, 9 or 16 (degree 0 to 3), got K = "
             f"{params.sh.shape[1]}"
         )
     if n >= MOST_GAUSSIANS:
-        raise ValueError(f"a map may have fewer than 2^24 Gaussians, got {n}; leave some out")
+        raise ArgumentError(f"a map may have fewer than 2^24 Gaussians, got {n}; leave some out")
 
 
 def _same_layout(a: GaussianParams, b: GaussianParams) -> bool:
@@ -113,7 +114,7 @@ def _same_layout(a: GaussianParams, b: GaussianParams) -> bool:
 def check_camera(camera: Any) -> None:
     """Raise ``ValueError`` unless this is a camera; its numbers were checked when it was made."""
     if not isinstance(camera, Camera):
-        raise ValueError(f"camera must be a Camera, got {type(camera).__name__}")
+        raise ArgumentError(f"camera must be a Camera, got {type(camera).__name__}")
 
 
 def check_view(camera: Any, T_WC: Any, device: torch.device) -> None:
@@ -132,11 +133,11 @@ def check_view(camera: Any, T_WC: Any, device: torch.device) -> None:
 def check_frame_on(frame: Any, device: torch.device) -> None:
     """Raise ``ValueError`` unless this is a frame with its images on ``device``."""
     if not isinstance(frame, Frame):
-        raise ValueError(f"frame must be a Frame, got {type(frame).__name__}")
+        raise ArgumentError(f"frame must be a Frame, got {type(frame).__name__}")
     for name in ("colour", "depth_m", "T_WC"):
         where = getattr(frame, name).device
         if not _is_on(where, device) and not (name == "T_WC" and where.type == "cpu"):
-            raise ValueError(
+            raise ArgumentError(
                 f"the frame must be on {device}, got its {name} on {where}; move it with "
                 f".to({str(device)!r})"
             )
@@ -189,7 +190,7 @@ def check_plausible_camera(source: str, camera: Camera) -> None:
     ):
         if not low <= value <= high:
             size = f"{c.width} x {c.height} pixels"
-            raise ValueError(
+            raise ArgumentError(
                 f"{source}: {name} must be between {low:g} and {high:g} for {size}, got {value:g}"
             )
 
@@ -205,7 +206,7 @@ def check_rays(source: str, camera: Camera) -> None:
     for axis, focal, centre, size in sides:
         sideways = max(abs(centre), abs(size - centre)) / focal
         if not sideways <= most:
-            raise ValueError(
+            raise ArgumentError(
                 f"{source}: f{axis} = {focal:g} and c{axis} = {centre:g} make a ray run "
                 f"{sideways:.3g} m sideways per metre of depth; expected at most {most:g}"
             )
@@ -216,7 +217,7 @@ def check_place(source: str, T_WC: Float[Tensor, "4 4"]) -> None:
     ``source``."""
     if float(T_WC[:3, 3].abs().max()) > MAX_DISTANCE_M:
         place = ", ".join(f"{float(v):.4g}" for v in T_WC[:3, 3])
-        raise ValueError(
+        raise ArgumentError(
             f"{source} must be within {MAX_DISTANCE_M / 1000:g} km of the origin, got ({place}) m: "
             "is the unit metres? Of map coordinates, subtract one origin from all poses"
         )
@@ -228,7 +229,7 @@ def check_depth_scale(source: str, scale: float) -> None:
     low, high = DEPTH_SCALE
     if not low <= scale <= high:
         inverse = f"; is it {1 / scale:g}, the inverse?" if 0 < scale < low else ""
-        raise ValueError(
+        raise ArgumentError(
             f"{source}: the depth scale, the stored value of one metre, must be between {low:g} "
             f"and {high:g}, got {scale:g}{inverse}"
         )

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..backends import piece
+from ..errors import ArgumentError
 
 SH_C0 = 0.28209479177387814
 """Spherical-harmonic basis function of degree 0, 1 / (2 sqrt(pi))."""
@@ -169,7 +170,7 @@ def _direction(xyz_W: Tensor, camera_centre_W: Tensor) -> tuple[Tensor, Tensor]:
 def _degree(sh: Tensor) -> int:
     K = sh.shape[1]
     if K not in (1, 4, 9, 16):
-        raise ValueError(
+        raise ArgumentError(
             f"sh must be [N, K, 3] with K = 1, 4, 9 or 16 (degree 0 to 3), got {list(sh.shape)}"
         )
     return round(K**0.5) - 1
@@ -177,7 +178,7 @@ def _degree(sh: Tensor) -> int:
 
 def _check_degree(degree: int) -> None:
     if degree not in (0, 1, 2, 3):
-        raise ValueError(f"degree of the spherical harmonics must be 0, 1, 2 or 3, got {degree}")
+        raise ArgumentError(f"degree of the spherical harmonics must be 0, 1, 2 or 3, got {degree}")
 
 
 def turned_harmonics(

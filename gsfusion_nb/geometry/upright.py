@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_name
+from ..errors import ArgumentError
 
 UP_AXES = {
     "+x": (0, 1.0),
@@ -55,7 +56,7 @@ def up_vector(up: Up) -> Float[Tensor, "3"]:
         return torch.eye(3, dtype=torch.float64)[axis] * sign
     vector = torch.as_tensor(up, dtype=torch.float64).detach().cpu()
     if vector.shape != (3,) or not bool(vector.isfinite().all()) or not float(vector.norm()) > 1e-9:
-        raise ValueError(f"up must be a direction of three numbers, got {vector.tolist()}")
+        raise ArgumentError(f"up must be a direction of three numbers, got {vector.tolist()}")
     return vector / vector.norm()
 
 

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..backends import observed, piece
 from ..config import GSFusionConfig, OptimConfig, gsfusion, gsfusion_fidelities, gsfusion_fidelity
+from ..errors import ArgumentError
 from ..gaussians import GaussianModel
 from ..optim import (
     Keyframe,
@@ -55,7 +56,7 @@ class GSFusion(TsdfMapping):
         ``keyframe_every``."""
         super().__init__(*args, **options)
         if self.rule_in_use.when.only_keyframes and not self.config.keyframe_every:
-            raise ValueError(
+            raise ArgumentError(
                 f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, and with "
                 "keyframe_every = 0 a "
                 "frame becomes a keyframe by its seeds; set keyframe_every, such as 5"

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from .. import tracking
 from ..config import TrackingConfig
-from ..files import BadFrameError
+from ..errors import BadFrameError
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import KeyframeList

@@ -21,7 +21,7 @@ from torch import Tensor
 from ..backends import runs_learners_code
 from ..checks import shown
 from ..config import OptimConfig, SystemConfig, from_run, to_dict
-from ..files import BadFrameError
+from ..errors import ArgumentError, BadFrameError
 from ..gaussians import GaussianModel
 from ..interrupts import DelayedInterrupt, undisturbed
 from ..optim import (
@@ -358,7 +358,7 @@ class Mapper(ABC):
                 them.
         """
         if self.n_frames:
-            raise ValueError(
+            raise ArgumentError(
                 "a map can only begin with other Gaussians before its first frame; "
                 f"{self.n_frames} are mapped"
             )
@@ -609,7 +609,7 @@ class Mapper(ABC):
         # may wait for a GPU
         is_keyframe = self.is_next_keyframe(context.frame) if when.only_keyframes else None
         if when.only_keyframes and is_keyframe is None:
-            raise ValueError(
+            raise ArgumentError(
                 f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but "
                 f"{self.title} chooses its keyframes after the seeding"
             )

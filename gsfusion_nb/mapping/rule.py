@@ -15,7 +15,7 @@ from torch import Tensor
 from ..checks import shown
 from ..config import SystemConfig, from_dict
 from ..config.values import NOT_FOR_RULES, tree_of, with_own_settings
-from ..files import SequenceError
+from ..errors import ArgumentError, KindError, SequenceError
 from ..gaussians import Edit, GaussianModel
 from ..optim import Keyframe, TrainingView
 from ..render import Footprints, footprints
@@ -183,7 +183,7 @@ def settings_with_rule(config: S, rule: SeedingRule) -> S:
     try:
         return from_dict(type(config), tree_of(changes, "."), start=config)
     except (TypeError, ValueError, KeyError) as e:
-        raise ValueError(
+        raise ArgumentError(
             f"the seeding rule {rule_name(rule)!r} brings settings that are refused: {e}"
         ) from None
 
@@ -238,7 +238,7 @@ def _brought(config: SystemConfig, rule: SeedingRule) -> dict[str, Any]:
         brought["keyframe_every"] = max(1, round(every / config.source_stride))
     for name in brought:
         if any(name == taken or name.startswith(f"{taken}.") for taken in NOT_FOR_RULES):
-            raise ValueError(
+            raise ArgumentError(
                 f"the seeding rule {rule_name(rule)!r} brings the setting {shown(name)}, which "
                 f"only the user can set; a rule cannot bring {', '.join(NOT_FOR_RULES)}"
             )
@@ -259,7 +259,7 @@ def _value(config: SystemConfig, name: str) -> Any:
     value: Any = config
     for part in name.split("."):
         if not dataclasses.is_dataclass(value) or not hasattr(value, part):
-            raise ValueError(
+            raise ArgumentError(
                 f"{type(config).__name__} has no setting {shown(name)}, which the seeding rule or "
                 "seeding.own_settings names"
             )
@@ -460,14 +460,14 @@ class AfterSteps:
         if edit is None:
             return
         if not isinstance(edit, Edit):
-            raise TypeError(
+            raise KindError(
                 f"seeding rule {self._name!r}: after_step must return an Edit or None, got "
                 f"{shown(edit)}"
             )
         try:
             before = mapper.gaussians.edit(edit, ctx.generator, ctx.frame.index)
         except ValueError as error:
-            raise ValueError(
+            raise ArgumentError(
                 f"seeding rule {self._name!r} returned an impossible edit: {error}"
             ) from None
         mapper.rows_changed(before)

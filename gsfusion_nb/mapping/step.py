@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_colours, check_finite, check_pose
-from ..files import BadFrameError
+from ..errors import ArgumentError, BadFrameError, ForeseenError
 from ..geometry.operands import check_place, check_plausible_camera
 from ..interrupts import DelayedInterrupt, undisturbed, while_compiling
 from ..types import Frame
@@ -162,12 +162,12 @@ def _check_images(frame: Frame, needs_depth: bool) -> None:
         check_finite(f"depth_m of frame {frame.index}", frame.depth_m)
     check_colours(f"rgb of frame {frame.index}", frame.colour, (low, high))
     if high < BLACK:
-        raise ValueError("its picture is black; expected a picture with brighter pixels")
+        raise ArgumentError("its picture is black; expected a picture with brighter pixels")
     if needs_depth and not depth_high > 0:
-        raise ValueError("it has no depth at all; expected pixels with depth above 0")
+        raise ArgumentError("it has no depth at all; expected pixels with depth above 0")
 
 
-class HalfMappedError(RuntimeError):
+class HalfMappedError(ForeseenError, RuntimeError):
     """A map contains only a part of a frame; it cannot map more frames, because the rest of that
     frame is lost."""
 

@@ -6,6 +6,7 @@ import torch
 
 from ..checks import check_name
 from ..config import SystemConfig
+from ..errors import KindError
 from ..optim import UpdateFunction
 from ..seeding import SeedingRule
 from .gps_slam import GPSSLAM
@@ -36,7 +37,7 @@ def system_of(config: SystemConfig) -> str:
     for name, mapper in SYSTEMS.items():
         if type(config) is mapper.config_type:
             return name
-    raise TypeError(
+    raise KindError(
         f"expected the settings of a system ({', '.join(SYSTEMS)}), got {type(config).__name__}"
     )
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ..checks import check_finite, check_shape, shown
 from ..config import OptimConfig
-from ..files import SequenceError
+from ..errors import ArgumentError, KindError, SequenceError
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import Keyframe, KeyframeList, TrainingView, UpdateFunction, ViewLoss
@@ -61,7 +61,7 @@ class Training:
         self._given = given_functions(loss, optimiser)
         for name, f in self._given.items():
             if isinstance(f, type) or not callable(f):
-                raise TypeError(f"{name} must be a function, got {shown(f)}")
+                raise KindError(f"{name} must be a function, got {shown(f)}")
         if optimiser is not None:
             _try_out(optimiser, self.names["optimiser"])
 
@@ -90,7 +90,7 @@ class Training:
         found = self.loss(rendered, view)
         name = f"loss {self.names['loss']!r}"
         if not isinstance(found, ViewLoss):
-            raise TypeError(
+            raise KindError(
                 f"{name} must return a ViewLoss (gsfusion_nb.optim), got {shown(found)}"
             )
         check_shape(f"value of the {name}", found.value, ())
@@ -100,7 +100,7 @@ class Training:
                 check_shape(f"{column} of the {name}", gradient, tuple(like.shape))
                 check_finite(f"{column} of the {name}", gradient)
         if found.v_depth_m is not None and not with_depth:
-            raise ValueError(
+            raise ArgumentError(
                 f"{name} returned v_depth_m, but this system's depth has no gradient; leave it out"
             )
         return found.detached(rendered.rgb)
@@ -153,13 +153,13 @@ def _try_out(optimiser: UpdateFunction, name: str) -> None:
         lr=0.1,
     )
     if returned is not None:
-        raise TypeError(
+        raise KindError(
             f"{name} must change param in place and return nothing, got {shown(returned)}"
         )
     if not _all_finite(param, m, v):
-        raise ValueError(f"{name} makes NaN or infinity from a gradient of 1")
+        raise ArgumentError(f"{name} makes NaN or infinity from a gradient of 1")
     if not param.any():
-        raise ValueError(
+        raise ArgumentError(
             f"{name} must change param in place (param -= ..., not param = param - ...)"
         )
 

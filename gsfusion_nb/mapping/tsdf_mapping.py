@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..files import BadFrameError
+from ..errors import BadFrameError
 from ..geometry import backproject, se3
 from ..seeding import SeedContext
 from ..tracking import Correction

@@ -14,6 +14,7 @@ from torch import Tensor
 from ..backends import observed, op
 from ..checks import check_number
 from ..config import OptimConfig
+from ..errors import ArgumentError
 from ..gaussians import GaussianModel, StepClock
 from ..geometry.operands import INTEGERS, check_gaussians, check_operand
 from ..render import Boxes
@@ -190,9 +191,9 @@ def check_adam_map(
         try:
             check_gaussians(rows, like=params)
         except ValueError as e:
-            raise ValueError(f"{name}.{e}") from None
+            raise ArgumentError(f"{name}.{e}") from None
     if not isinstance(rates, ColumnRates):
-        raise ValueError(f"rates must be ColumnRates, got {type(rates).__name__}")
+        raise ArgumentError(f"rates must be ColumnRates, got {type(rates).__name__}")
     for name, rate in rates._asdict().items():
         check_number(f"rates.{name}", rate)
     _check_steps_and_decay(steps, params.xyz_W, decay)
@@ -487,7 +488,7 @@ def take_step(
     finite = param.isfinite()
     update(param, gradient, m, v, ages, lr=lr)
     if lost := int((finite & ~param.isfinite()).sum()):
-        raise ValueError(
+        raise ArgumentError(
             f"the optimiser made {lost} values of {name} NaN or infinite; try smaller learning "
             "rates"
         )

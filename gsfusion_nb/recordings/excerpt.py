@@ -22,7 +22,7 @@ from ..data.adjust.repair import as_read
 from ..data.open import open_sequence
 from ..data.readers.tum import benchmark_camera
 from ..data.recorded.recorded_sequence import RecordedSequence
-from ..data.sequence import BadFrameError, SequenceError
+from ..errors import BadFrameError, SequenceError
 from ..files import atomic_folder, noting_files, parsing, read_object, read_text
 from .convert.formats import FORMATS, detect_format, readable_layout
 from .convert.recording import ConvertOptions, read_array

@@ -23,8 +23,8 @@ from typing import IO, Any
 
 from ..checks import shown
 from ..data.open import open_sequence
-from ..data.sequence import SequenceError
-from ..files import atomic_folder, is_foreseen, open_regular, unforeseen, write_file
+from ..errors import FORESEEN, SequenceError, crash_sentence
+from ..files import atomic_folder, open_regular, write_file
 
 WORK = ".fetch"
 """Folder for downloads and unfinished data sets, in the folder of all data sets."""
@@ -363,7 +363,9 @@ def run(
         if not options.keep_archives:
             shutil.rmtree(options.out / WORK, ignore_errors=True)
     except Exception as e:
-        text = str(e) if is_foreseen(e) else unforeseen(e, "data_scripts", sys.argv[1:])
+        text = (
+            str(e) if isinstance(e, FORESEEN) else crash_sentence(e, "data_scripts", sys.argv[1:])
+        )
         sys.stderr.write(f"{text}\n")
         return 1
     except KeyboardInterrupt:

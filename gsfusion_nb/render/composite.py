@@ -32,6 +32,7 @@ from torch import Tensor
 
 from ..backends import Record, op, piece
 from ..checks import check_positive
+from ..errors import ArgumentError
 from ..geometry.operands import check_camera, check_operand
 from ..types import Camera
 from .constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
@@ -110,7 +111,7 @@ def check_composite(
     for name, (value, shape) in columns.items():
         check_operand(name, value, shape, dtypes=(uv.dtype,), device=uv.device)
     if not isinstance(tiles, TileLists):
-        raise ValueError(
+        raise ArgumentError(
             f"tiles must be TileLists, as tile_intersections makes them, got {type(tiles).__name__}"
         )
     check_camera(camera)
@@ -134,7 +135,7 @@ def check_record(saved: Any, maker: str, field: str) -> None:
     """Raise ``ValueError`` unless this is the record that operation ``maker`` returns, which has a
     ``field``."""
     if not issubclass(type(saved), Record) or not hasattr(saved, field):
-        raise ValueError(
+        raise ArgumentError(
             f"saved: the record that {maker} returns was expected, got {type(saved).__name__}"
         )
 

@@ -28,6 +28,7 @@ from torch import Tensor
 from ..backends import op, piece
 from ..checks import check_positive
 from ..config import DiscConfig
+from ..errors import ArgumentError
 from ..geometry import pixel_grid, quaternion, rays, se3
 from ..geometry.operands import INTEGERS, check_gaussians, check_operand, check_view
 from ..types import Camera, GaussianParams, RenderOutput
@@ -70,7 +71,7 @@ def check_discs(
         "hit_index", hit_index, (camera.height, camera.width), dtypes=INTEGERS, device=device
     )
     if device.type == "cpu" and int(hit_index.max()) >= len(params):
-        raise ValueError(
+        raise ArgumentError(
             f"hit_index must name rows of the {len(params)} Gaussians, got {int(hit_index.max())}; "
             "take the hit_index that render_forward gave for the same map"
         )

@@ -39,6 +39,7 @@ from torch.nn.functional import avg_pool2d, interpolate, pad
 
 from ..backends import Record, op, piece
 from ..checks import check_number
+from ..errors import ArgumentError
 from ..geometry.operands import check_gaussians, check_operand, check_view
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
 from ..types import Camera, GaussianParams, RenderOutput
@@ -121,7 +122,7 @@ def check_over_base(
     check_gaussians(params)
     check_view(camera, T_WC, params.xyz_W.device)
     if not isinstance(base, Base):
-        raise ValueError(f"base must be a Base, got {type(base).__name__}")
+        raise ArgumentError(f"base must be a Base, got {type(base).__name__}")
     size = (camera.height, camera.width)
     like = params.xyz_W
     for name, shape in (("rgb", (*size, 3)), ("depth_m", size), ("weight", size)):
@@ -394,11 +395,11 @@ def check_base_view(
     small = tuple(rgb.shape[:2])
     check_operand("depth_m", depth_m, small, dtypes=(rgb.dtype,), device=rgb.device)
     if small not in (tuple(size), tuple((n + 1) // 2 for n in size)):
-        raise ValueError(
+        raise ArgumentError(
             f"the surface must be as large as the picture {tuple(size)} or half of it, got {small}"
         )
     if holes not in get_args(Holes):
-        raise ValueError(f"holes must be one of {', '.join(get_args(Holes))}, got {holes!r}")
+        raise ArgumentError(f"holes must be one of {', '.join(get_args(Holes))}, got {holes!r}")
     check_number("behind_m", behind_m, 0)
 
 

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Int
 from torch import Tensor
 
 from ..backends import op
+from ..errors import ArgumentError
 from ..geometry.operands import MASK, check_camera, check_operand
 from ..types import Camera
 from .constants import TILE_PX
@@ -35,7 +36,7 @@ class TileLists:
         ``camera``."""
         tiles = (-(-camera.width // self.tile_px), -(-camera.height // self.tile_px))
         if (self.tiles_x, self.tiles_y) != tiles:
-            raise ValueError(
+            raise ArgumentError(
                 f"tiles must be {tiles[0]} x {tiles[1]} for this camera, got {self.tiles_x} x "
                 f"{self.tiles_y}"
             )
@@ -44,7 +45,7 @@ class TileLists:
             and len(self.gaussian)
             and int(self.gaussian.max()) >= n
         ):
-            raise ValueError(
+            raise ArgumentError(
                 f"tiles must name rows of the {n} Gaussians, got {int(self.gaussian.max())}; are "
                 "they of another map?"
             )
@@ -75,10 +76,10 @@ def check_tiles(
 ) -> None:
     """Raise ``ValueError`` for arguments that ``tile_intersections`` refuses."""
     if not isinstance(projection, Projection):
-        raise ValueError(f"projection must be a Projection, got {type(projection).__name__}")
+        raise ArgumentError(f"projection must be a Projection, got {type(projection).__name__}")
     check_camera(camera)
     if not isinstance(tile_px, int) or tile_px < 1:
-        raise ValueError(f"tile_px must be a whole number of at least 1, got {tile_px}")
+        raise ArgumentError(f"tile_px must be a whole number of at least 1, got {tile_px}")
     if pixels is not None:
         check_operand(
             "pixels",

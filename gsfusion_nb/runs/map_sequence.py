@@ -13,14 +13,14 @@ import torch
 from ..config import SystemConfig
 from ..data import Sequence, SequenceError, apply_options, open_sequence
 from ..data.stream import Policy
+from ..errors import DiskFullError, MemoryFullError, memory_is_full
 from ..evaluation import ONLINE
 from ..export import CheckpointStore, read_gaussian_ply
-from ..files import DiskFullError
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..optim import UpdateFunction
 from ..seeding import SeedingRule, rule_name
 from ..types import Frame, Mesh
-from ..work import ProgressDisplay, memory_is_full
+from ..work import ProgressDisplay
 from . import outputs
 from .mapping_run import MappingRun, RunWatcher
 from .resume import load_run, resume_command
@@ -331,7 +331,7 @@ def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseExcepti
             f"To continue from the last checkpoint: {resume_command(folder, run.mapper.rule)}"
         )
     if memory_is_full(error):
-        raise MemoryError(" ".join([f"{_describe_full(run.mapper)}.", *notes])) from error
+        raise MemoryFullError(" ".join([f"{_describe_full(run.mapper)}.", *notes])) from error
     for note in notes:
         error.add_note(note)
 

@@ -23,6 +23,7 @@ from ..data import (
 )
 from ..data.adjust.repair import as_read
 from ..data.stream import read_ahead
+from ..errors import KindError
 from ..export import CheckpointStore
 from ..geometry import se3
 from ..interrupts import DelayedInterrupt
@@ -119,7 +120,7 @@ class MappingRun:
         clock: RunClock | None = None,
     ):
         if not isinstance(mapper, Mapper):
-            raise TypeError(
+            raise KindError(
                 f"expected a mapper, such as GSFusion(config), got {type(mapper).__name__}"
             )
         self.mapper: Any = mapper

@@ -9,9 +9,10 @@ import torch
 
 from ..config import DataConfig, from_run
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
+from ..errors import ArgumentError, SequenceNotFoundError
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
-from ..files import SequenceNotFoundError, parsing, read_object
+from ..files import parsing, read_object
 from ..mapping.systems import get_system
 from ..types import GaussianParams
 from .outputs import write_json
@@ -63,7 +64,7 @@ def rescore(
     if data is not None:
         source["path_or_name"] = data
     if "path_or_name" not in source:
-        raise ValueError(
+        raise ArgumentError(
             f"{folder} was mapped from a sequence in memory; if the sequence is also on disk, give "
             "its folder (--data)"
         )

@@ -7,8 +7,9 @@ from typing import Any
 import torch
 
 from ..data import open_sequence
+from ..errors import ArgumentError, SequenceError, reason_of
 from ..export import CheckpointStore
-from ..files import UNREADABLE, SequenceError, file_hashes, reason_of
+from ..files import UNREADABLE, file_hashes
 from ..mapping import get_system
 from ..seeding import SeedingRule, rule_name
 from ..seeding.named_rules import RuleNotNamedError, is_named
@@ -72,7 +73,7 @@ def load_run(
             raise
         raise SequenceError(f"{store.folder}: {e}") from e
     except Exception as e:  # the checkpoint is intact, but this version does not know its state
-        raise ValueError(
+        raise ArgumentError(
             f"{store.folder} is damaged or from another version: {reason_of(e)}"
         ) from None
     run.store = store

@@ -20,7 +20,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..files import DiskFullError, read_object, remove_partial, try_lock
+from ..errors import ArgumentError, DiskFullError
+from ..files import read_object, remove_partial, try_lock
 from ..mapping import Mapper, StepReport
 from ..seeding.rule_code import RULE_MODULES
 
@@ -135,7 +136,7 @@ class CheckpointEvery:
 
     def __post_init__(self):
         if self.seconds < 0 or self.frames < 0:
-            raise ValueError(
+            raise ArgumentError(
                 "the interval of checkpoints must be at least 0 s and 0 frames, got "
                 f"{self.seconds} s and {self.frames} frames"
             )

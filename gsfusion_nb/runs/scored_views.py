@@ -15,8 +15,9 @@ from torch import Tensor
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
 from ..data import SequenceView
 from ..data.adjust.repair import as_read
+from ..errors import ArgumentError, SequenceError, reason_of
 from ..evaluation import ImageScores, score_view
-from ..files import SequenceError, read_object, reason_of
+from ..files import read_object
 from ..geometry import se3
 from ..mapping.localiser import Localiser
 from ..mapping.mapper import Draw
@@ -374,7 +375,7 @@ def read_views(folder: Path) -> dict[str, ScoredViews]:
         document = read_object(path, "the views that a run is scored by")
         return {name: _read_group(group) for name, group in document.items()}
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError) as e:
-        raise ValueError(f"{path} is damaged: {reason_of(e)}") from None
+        raise ArgumentError(f"{path} is damaged: {reason_of(e)}") from None
 
 
 def _read_group(group: list[dict[str, Any]]) -> ScoredViews:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from ..checks import check_pose, check_whole, shown
-from ..files import SequenceError
+from ..errors import SequenceError
 
 COUNTS = frozenset(
     {

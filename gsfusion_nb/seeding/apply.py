@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..backends import observed
 from ..checks import check_finite, check_shape, shown
+from ..errors import ArgumentError, ForeseenError, KindError
 from ..geometry.operands import MAX_DISTANCE_M
 from ..types import Seeds
 from .context import SeedContext
@@ -40,7 +41,7 @@ def check_memory(rule: str, memory: Any, name: str = "memory") -> None:
     if type(memory) is dict:
         for key, value in memory.items():
             if type(key) is not str or key == _RESERVED:
-                raise TypeError(
+                raise KindError(
                     f"seeding rule {rule!r}: the keys of its {name} must be words, got {shown(key)}"
                 )
             check_memory(rule, value, f"{name}[{key!r}]")
@@ -49,7 +50,7 @@ def check_memory(rule: str, memory: Any, name: str = "memory") -> None:
         for i, value in enumerate(memory):
             check_memory(rule, value, f"{name}[{i}]")
     elif not isinstance(memory, Tensor) and type(memory) not in _PLAIN:
-        raise TypeError(
+        raise KindError(
             f"seeding rule {rule!r} keeps a {type(memory).__name__} in its {name}, which a "
             "checkpoint cannot save; expected tensors, numbers, True/False, words, None, and "
             "lists, tuples and dicts of these"
@@ -122,7 +123,7 @@ def _check_world(rule: str, memory: dict[str, Any], name: str) -> None:
             else -1
         )
         if not isinstance(value, Tensor) or tuple(value.shape) != (n, *_WORLD[key]):
-            raise TypeError(
+            raise KindError(
                 f"seeding rule {rule!r}: {name}[{key!r}] is moved when a loop closes, so it must "
                 f"be a tensor [N, {', '.join(map(str, _WORLD[key]))}] beside "
                 f"{name}['frame_index'], an int64 tensor [N] with ctx.frame.index for each row"
@@ -226,18 +227,18 @@ def keep_one_per_voxel(
 def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
     if not isinstance(seeds, Seeds):
         hint = " (is there a return?)" if seeds is None else ""
-        raise TypeError(f"expected Seeds, got {type(seeds).__name__}{hint}")
+        raise KindError(f"expected Seeds, got {type(seeds).__name__}{hint}")
     n = len(seeds)
     for name, shape in _COLUMNS.items():
         column = getattr(seeds, name)
         check_shape(name, column, (n, *shape[1:]))
         if column.device != ctx.frame.depth_m.device:
-            raise ValueError(
+            raise ArgumentError(
                 f"{name} must be on the frame's device {ctx.frame.depth_m.device}, got "
                 f"{column.device}"
             )
         if name != "tag" and not column.is_floating_point():
-            raise ValueError(f"{name} must be floating point, got {column.dtype}")
+            raise ArgumentError(f"{name} must be floating point, got {column.dtype}")
     if n == 0:
         return
     far = f"{MAX_DISTANCE_M:,.0f} m"
@@ -263,10 +264,10 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
             "length of quat": ("above 0", low > 1e-6),
         }.get(name, ("", True))
         if not fits:
-            raise ValueError(f"{name} must be {wanted}, got {low:g} to {high:g}")
+            raise ArgumentError(f"{name} must be {wanted}, got {low:g} to {high:g}")
 
 
-class ChangedInputError(ValueError):
+class ChangedInputError(ForeseenError, ValueError):
     """A rule changed something in place that it may only read; ``what`` names it."""
 
     def __init__(self, rule: str, what: str):

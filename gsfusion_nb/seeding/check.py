@@ -15,6 +15,7 @@ from torch import Tensor
 
 from ..checks import shown
 from ..config import SeedingConfig, TsdfConfig
+from ..errors import KindError
 from ..gaussians import Edit, GaussianModel
 from ..geometry import pixel_grid, rays, se3
 from ..render import footprints, render
@@ -441,7 +442,7 @@ def _check_after_step(
         with _unchanged(fresh, where), _other_generators(seed):
             edit = rule.after_step(fresh, given, fresh.memory)
         if edit is not None and not isinstance(edit, Edit):
-            raise TypeError(f"{where}: after_step must return an Edit or None, got {shown(edit)}")
+            raise KindError(f"{where}: after_step must return an Edit or None, got {shown(edit)}")
         check_memory(rule_name(type(rule)), fresh.memory)
         edits.append(edit)
         memories.append(fresh.memory)

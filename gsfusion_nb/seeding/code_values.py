@@ -20,6 +20,7 @@ import cloudpickle
 import numpy as np
 import torch
 
+from ..errors import ForeseenError
 from .code_names import globals_of, imported_inside, looks_up, names_of, walks_sets, words_of
 from .installed import is_installed
 
@@ -80,7 +81,7 @@ _HOLD_VALUES = (list, tuple, dict, set, frozenset, np.ndarray, torch.Tensor)
 """Kinds of what somebody may put into a library to look it up there."""
 
 
-class UnhashableError(ValueError):
+class UnhashableError(ForeseenError, ValueError):
     """A value that cannot be hashed; the message says which and why."""
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from ..config import DiscConfig, SeedingConfig, TsdfConfig
+from ..errors import ArgumentError
 from ..geometry import backproject, depth_to_normals, pixel_grid, quaternion, se3
 from ..render import (
     BaseView,
@@ -157,7 +158,7 @@ class SeedContext:
         }
         unknown = sorted(set(overrides) - set(settings))
         if unknown:
-            raise ValueError(
+            raise ArgumentError(
                 f"quadtree_cells: unknown settings {unknown}; known: {sorted(settings)}"
             )
         settings |= overrides
@@ -329,7 +330,7 @@ class SeedContext:
         """The picture of the current map over the surface ``below``, and the sum of the Gaussians'
         weights."""
         if self.below is None:
-            raise ValueError(
+            raise ArgumentError(
                 "over_base() needs a mapper whose picture is a surface with Gaussians over it "
                 "(gps_slam)"
             )
@@ -539,7 +540,7 @@ class SeedContext:
 
     def _need_volume(self, what: str) -> Any:
         if self.volume is None:
-            raise ValueError(
+            raise ArgumentError(
                 f"{what} needs a TSDF volume, but this SeedContext has none: pass volume=, or use "
                 "a rule (or its option coverage=False) that needs none"
             )
@@ -556,7 +557,7 @@ class SeedContext:
 
     def _need_gaussians(self, what: str) -> GaussianParams:
         if self.gaussians is None:
-            raise ValueError(
+            raise ArgumentError(
                 f"{what} needs a Gaussian map, but this SeedContext was made without one: pass "
                 "gaussians="
             )

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
+from ..errors import ArgumentError
 from ..types import Frame
 from .quadtree import LUMA_WEIGHTS
 
@@ -60,7 +61,7 @@ def structure_directions(grey: Float[Tensor, "H W"], window_px: int) -> EdgeDire
         ValueError: ``window_px`` is even or below 1.
     """
     if window_px < 1 or window_px % 2 == 0:
-        raise ValueError(f"window_px must be odd and at least 1, got {window_px}")
+        raise ArgumentError(f"window_px must be odd and at least 1, got {window_px}")
     gx, gy = gradients(grey)
     xx, yy, xy = box_blur(
         torch.stack([gx * gx, gy * gy, gx * gy], dim=2),

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from ..checks import shown
-from ..files import SequenceError
+from ..errors import SequenceError
 
 
 class RuleNotNamedError(SequenceError):

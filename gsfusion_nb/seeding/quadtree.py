@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..backends import op, piece
 from ..checks import check_number
+from ..errors import ArgumentError
 from ..geometry import backproject, se3
 from ..geometry.operands import check_operand
 from ..types import Camera
@@ -74,11 +75,11 @@ def check_quadtree(
     """Raise ``ValueError`` for arguments that ``quadtree`` refuses."""
     check_operand("rgb_u8", rgb_u8, ("H", "W", 3), dtypes=(torch.uint8,))
     if rgb_u8.numel() == 0:
-        raise ValueError(f"rgb_u8 must have at least one pixel, got {list(rgb_u8.shape)}")
+        raise ArgumentError(f"rgb_u8 must have at least one pixel, got {list(rgb_u8.shape)}")
     check_number("threshold", threshold, 0)
     check_number("min_cell_px", min_cell_px, 1)
     if contrast not in ("released", "std"):
-        raise ValueError(f"contrast must be 'released' or 'std', got {contrast!r}")
+        raise ArgumentError(f"contrast must be 'released' or 'std', got {contrast!r}")
 
 
 @op("quadtree", check_quadtree)

@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..checks import check_name, check_whole, shown
+from ..errors import KindError
 from ..gaussians import Edit
 from ..types import Camera, Seeds
 from .context import SeedContext
@@ -39,7 +40,7 @@ NEEDS = {
 def check_needs(needs: frozenset[str], what: str) -> None:
     """Raise ``TypeError`` for names that ``NEEDS`` does not have; ``what`` begins the sentence."""
     if unknown := sorted(needs - NEEDS.keys(), key=str):
-        raise TypeError(f"{what} must be among {', '.join(NEEDS)}, got {shown(unknown)}")
+        raise KindError(f"{what} must be among {', '.join(NEEDS)}, got {shown(unknown)}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -259,12 +260,12 @@ def seeding_rule(rule: F) -> F:
             ``Path``; or the class is not as ``MapRule`` says.
     """
     if not callable(rule):
-        raise TypeError(
+        raise KindError(
             f"@seeding_rule decorates a function, got {type(rule).__name__}; write it without "
             "parentheses"
         )
     if not rule_name(rule).isidentifier():
-        raise TypeError(
+        raise KindError(
             f"a seeding rule is registered by its name, and {rule_name(rule)!r} is not a name: use "
             "def"
         )
@@ -309,12 +310,12 @@ def get_rule(rule: str | SeedingRule) -> SeedingRule:
         check_name("seeding rule", rule, _RULES)
         return _RULES[rule]
     if isinstance(rule, MapRule):
-        raise TypeError(
+        raise KindError(
             f"pass the class {type(rule).__name__} itself as the seeding rule, and its options in "
             "the settings: seeding__options={...}"
         )
     if not callable(rule):
-        raise TypeError(f"a seeding rule is a name or a function, got {type(rule).__name__}")
+        raise KindError(f"a seeding rule is a name or a function, got {type(rule).__name__}")
     options_of(rule)
     return rule
 
@@ -407,7 +408,7 @@ def check_options(rule: SeedingRule, options: Mapping[str, Any]) -> None:
     known = options_of(rule)
     unknown = sorted(set(options) - set(known))
     if unknown:
-        raise TypeError(
+        raise KindError(
             f"seeding rule {rule_name(rule)!r} has no options {shown(unknown)}; known: "
             f"{sorted(known)}"
         )
@@ -429,7 +430,7 @@ def check_options(rule: SeedingRule, options: Mapping[str, Any]) -> None:
             fits = isinstance(value, int | float) and not isinstance(value, bool)
             wanted = "a number"
         if not fits:
-            raise TypeError(
+            raise KindError(
                 f"seeding rule {rule_name(rule)!r}: option {name!r} must be {wanted}, got "
                 f"{shown(value)}"
             )
@@ -449,7 +450,7 @@ def _read_options(rule: SeedingRule) -> dict[str, inspect.Parameter]:
         parameters = list(_signature(rule).parameters.values())
         positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
         if not parameters or parameters.pop(0).kind not in positional:
-            raise TypeError(f"{wanted}; this one does not take the context as its first argument")
+            raise KindError(f"{wanted}; this one does not take the context as its first argument")
     for parameter in parameters:
         _check_option(parameter, wanted)
     return {p.name: p for p in parameters}
@@ -457,15 +458,15 @@ def _read_options(rule: SeedingRule) -> dict[str, inspect.Parameter]:
 
 def _check_option(p: inspect.Parameter, wanted: str) -> None:
     if p.kind is not inspect.Parameter.KEYWORD_ONLY:
-        raise TypeError(
+        raise KindError(
             f"{wanted}; {str(p)!r} must be keyword-only: put it after a bare *, with a default"
         )
     if p.default is inspect.Parameter.empty:
-        raise TypeError(
+        raise KindError(
             f"{wanted}; option {p.name!r} has no default, which sliders and check_rule need"
         )
     if not isinstance(p.default, Option):
-        raise TypeError(
+        raise KindError(
             f"{wanted}; the default of option {p.name!r} must be a number, True/False, a text or a "
             f"Path, got {p.default!r}"
         )
@@ -474,7 +475,7 @@ def _check_option(p: inspect.Parameter, wanted: str) -> None:
         and p.annotation is not str
         and p.default not in typing.get_args(p.annotation)
     ):
-        raise TypeError(
+        raise KindError(
             f"{wanted}; option {p.name!r} is a text, so annotate it: {p.name}: str for any, Path "
             "for a file, or the "
             f'allowed words: {p.name}: Literal["{p.default}", ...] = "{p.default}"'
@@ -484,20 +485,20 @@ def _check_option(p: inspect.Parameter, wanted: str) -> None:
 def _check_class(rule: type, wanted: str) -> None:
     """Raise ``TypeError`` unless the class can be used as a rule."""
     if not issubclass(rule, MapRule):
-        raise TypeError(f"{wanted}; this one does not derive from gsfusion_nb.seeding.MapRule")
+        raise KindError(f"{wanted}; this one does not derive from gsfusion_nb.seeding.MapRule")
     if "__dataclass_fields__" not in vars(rule):
-        raise TypeError(
+        raise KindError(
             f"{wanted}; this one is not a dataclass: put @dataclass(...) directly above the class"
         )
     if not all(f.kw_only for f in dataclasses.fields(rule)):
-        raise TypeError(f"{wanted}; this one was made without kw_only=True")
+        raise KindError(f"{wanted}; this one was made without kw_only=True")
     if inspect.isabstract(rule):
-        raise TypeError(
+        raise KindError(
             f"{wanted}; this one lacks {', '.join(sorted(rule.__abstractmethods__))}(self, ctx, "
             "memory)"
         )
     if len(inspect.signature(rule.seeds).parameters) != 3:
-        raise TypeError(f"{wanted}; its method must be  def seeds(self, ctx, memory) -> Seeds")
+        raise KindError(f"{wanted}; its method must be  def seeds(self, ctx, memory) -> Seeds")
     kinds = {
         "when": (When, "EVERY_FRAME, KEYFRAMES, every(n) or submaps(n)"),
         "needs": (frozenset, "a frozenset of words"),
@@ -505,7 +506,7 @@ def _check_class(rule: type, wanted: str) -> None:
     }
     for attribute, (kind, meaning) in kinds.items():
         if not isinstance(value := getattr(rule, attribute), kind):
-            raise TypeError(f"{wanted}; its {attribute} must be {meaning}, got {shown(value)}")
+            raise KindError(f"{wanted}; its {attribute} must be {meaning}, got {shown(value)}")
     check_needs(rule.needs, f"{wanted}; its needs")
 
 

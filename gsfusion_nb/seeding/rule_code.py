@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from ..checks import shown
+from ..errors import ArgumentError
 from ..files import UNREADABLE, file_hashes, read_text
 from .beside import Beside, sources_digest
 from .code_values import BESIDE, RULE_SOURCE, is_library_code
@@ -141,7 +142,7 @@ def read_rule_file(text: str) -> tuple[str, str]:
     """
     file, colon, name = text.rpartition(":")
     if not colon or not file.endswith(".py") or not name.isidentifier():
-        raise ValueError(f"expected a seeding rule in a file as FILE.py:name, got {shown(text)}")
+        raise ArgumentError(f"expected a seeding rule in a file as FILE.py:name, got {shown(text)}")
     path = Path(file).expanduser()
     if not path.is_file():
         raise FileNotFoundError(
@@ -194,7 +195,7 @@ def rule_of_source(
     rule: Any = getattr(module, name, None)
     if rule is None or not callable(rule):
         known = ", ".join(module.__dict__["__rules__"]) or "none"
-        raise ValueError(f"{file} has no seeding rule {shown(name)}; it defines: {known}")
+        raise ArgumentError(f"{file} has no seeding rule {shown(name)}; it defines: {known}")
     return get_rule(cast(SeedingRule, rule))
 
 
@@ -277,7 +278,7 @@ def _load(source: str, name: str, file: str, beside: Beside) -> types.ModuleType
         ]
         line = e.lineno if isinstance(e, SyntaxError) else (at[-1] if at else None)
         where = file if line is None else f"{file}, line {line}"
-        raise ValueError(f"{where}: {type(e).__name__}: {getattr(e, 'msg', e)}") from None
+        raise ArgumentError(f"{where}: {type(e).__name__}: {getattr(e, 'msg', e)}") from None
     vars(module)[_READ] = watch.offence
     vars(module)[_IMPORTED] = frozenset(watch.imported)
     functions = [

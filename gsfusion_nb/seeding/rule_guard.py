@@ -20,6 +20,7 @@ from typing import Any
 
 from platformdirs import user_cache_path
 
+from ..errors import ForeseenError
 from ..files import cache_folder
 from .code_values import CHECKS_TYPES, is_library_namespace
 from .installed import is_installed
@@ -113,7 +114,7 @@ _CHANGES = {
 _FOLDERS = {"os.listdir", "os.scandir", "glob.glob", "os.walk", "glob.glob/2"}
 
 
-class UndeclaredError(ValueError):
+class UndeclaredError(ForeseenError, ValueError):
     """A rule reads something that decides its seeds and that no option names."""
 
 

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from ..errors import ArgumentError
 from ..geometry import project, se3
 from ..render.constants import SHOWN_ALPHA
 from ..types import Seeds
@@ -123,7 +124,7 @@ def one_pixel_seeds(
         ValueError: ``share`` not in 0..1, or ``every_px`` below 1.
     """
     if every_px < 1:
-        raise ValueError(f"every_px must be at least 1, got {every_px}")
+        raise ArgumentError(f"every_px must be at least 1, got {every_px}")
     if every_px > 1:
         grid = torch.zeros_like(chosen)
         grid[::every_px, ::every_px] = True
@@ -143,7 +144,7 @@ def drawn_pixels(
         ValueError: ``share`` not in 0..1.
     """
     if not 0 < share <= 1:
-        raise ValueError(f"share must be above 0 and at most 1, got {share}")
+        raise ArgumentError(f"share must be above 0 and at most 1, got {share}")
     uv = ctx.pixels(chosen)
     return uv if share == 1 else uv[ctx.draw(len(uv), round(share * len(uv)))]
 

@@ -11,6 +11,7 @@ from torch.nn.functional import avg_pool2d, pad
 
 from ..backends import op, piece
 from ..checks import check_number, check_positive
+from ..errors import ArgumentError
 from ..geometry import depth_to_points, project, se3
 from ..geometry.operands import check_operand, check_view
 from ..types import Camera
@@ -123,7 +124,7 @@ def check_brightness(
     """Raise ``ValueError`` for arguments that ``brightness_system`` refuses."""
     for name, kind, value in (("level", DepthLevel, level), ("picture", Picture, picture)):
         if not isinstance(value, kind):
-            raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__}")
+            raise ArgumentError(f"{name} must be a {kind.__name__}, got {type(value).__name__}")
     size = (level.camera.height, level.camera.width)
     check_operand("depth_m", level.depth_m, size)
     device = level.depth_m.device

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray
 from torch import Tensor
 
+from ..errors import ArgumentError
 from ..geometry import backproject
 from ..geometry.operands import check_operand
 from ..types import Frame
@@ -74,7 +75,7 @@ def check_features(name: str, features: Any) -> None:
     """Raise ``ValueError`` unless these are features on the processor, with a descriptor for each
     pixel."""
     if not isinstance(features, Features):
-        raise ValueError(f"{name} must be Features, got {type(features).__name__}")
+        raise ArgumentError(f"{name} must be Features, got {type(features).__name__}")
     cpu = torch.device("cpu")
     check_operand(
         f"uv of {name}",
@@ -111,7 +112,7 @@ def extract_features(frame: Frame, *, count: int, levels: int) -> Features:
     Differentiable: no.
     """
     if count < 1 or levels < 1:
-        raise ValueError(f"count and levels must be at least 1, got {count} and {levels}")
+        raise ArgumentError(f"count and levels must be at least 1, got {count} and {levels}")
     grey = cv2.cvtColor(frame.rgb_u8.cpu().numpy(), cv2.COLOR_RGB2GRAY)
     orb = _orb(DETECTED_PER_KEPT * count, levels)
     corners = orb.detect(grey, None)

@@ -24,6 +24,7 @@ from torch import Tensor
 from ..backends import op, piece
 from ..checks import check_number, check_positive
 from ..config import TrackingConfig
+from ..errors import ArgumentError
 from ..geometry import depth_to_points, project, se3, sum_rows
 from ..geometry.operands import check_operand, check_view
 from ..types import Camera
@@ -187,7 +188,7 @@ def check_icp(
     """Raise ``ValueError`` for arguments that ``icp_system`` refuses."""
     for name, kind, value in (("level", DepthLevel, level), ("surface", Surface, surface)):
         if not isinstance(value, kind):
-            raise ValueError(f"{name} must be a {kind.__name__}, got {type(value).__name__}")
+            raise ArgumentError(f"{name} must be a {kind.__name__}, got {type(value).__name__}")
     check_operand("depth_m", level.depth_m, (level.camera.height, level.camera.width))
     device = level.depth_m.device
     check_view(level.camera, T_WC, device)

@@ -17,6 +17,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from ..checks import check_pose
+from ..errors import ArgumentError
 from ..geometry import se3
 from ..types import Camera, Frame
 from .features import FEATURES, LEVELS, Features, extract_features
@@ -81,7 +82,7 @@ class KeyframeDatabase:
     def move(self, T_WC: Float[Tensor, "K 4 4"]) -> None:
         """Replace the poses of all rows, after a correction of the trajectory."""
         if len(T_WC) != len(self):
-            raise ValueError(
+            raise ArgumentError(
                 f"T_WC must have one pose for each of the {len(self)} keyframes, got {len(T_WC)}"
             )
         self.T_WC = list(T_WC.detach().cpu().double().unbind(0))
@@ -144,7 +145,7 @@ class KeyframeDatabase:
         """
         if isinstance(view, Frame):
             if view.camera != self.camera:
-                raise ValueError(
+                raise ArgumentError(
                     f"frame {view.index} must come from the keyframes' camera {self.camera}, got "
                     f"{view.camera}"
                 )
@@ -169,7 +170,7 @@ class KeyframeDatabase:
         """
         poses = self.T_WC[:before]
         if not poses:
-            raise ValueError("the database must have a keyframe to compare with, got none")
+            raise ArgumentError("the database must have a keyframe to compare with, got none")
         step = se3.inverse(T_WC.detach().cpu().double()) @ torch.stack(poses)
         distance = (
             step[:, :3, 3].norm(dim=1) / 0.5

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from ..backends import op
 from ..checks import check_array
+from ..errors import ArgumentError
 from ..geometry import se3
 from ..geometry.operands import check_camera, check_operand
 from ..types import Camera
@@ -115,7 +116,7 @@ class LandmarkSums:
 def check_rows(rows: Any, T_WC: Any, centre: Any = None) -> None:
     """Raise ``ValueError`` for arguments that ``landmark_sums`` and ``landmark_pose`` refuse."""
     if not isinstance(rows, LandmarkRows):
-        raise ValueError(f"rows must be LandmarkRows, got {type(rows).__name__}")
+        raise ArgumentError(f"rows must be LandmarkRows, got {type(rows).__name__}")
     check_camera(rows.camera)
     n = len(rows.uv)
     f64 = np.float64

@@ -13,6 +13,7 @@ from torch import Tensor
 from ..backends import piece
 from ..checks import check_pose
 from ..config import TrackingConfig
+from ..errors import ArgumentError, ForeseenError
 from ..geometry import se3
 from ..types import Camera, Frame
 from .attempt import (
@@ -52,7 +53,7 @@ MAX_TIME_RATIO = 4.0
 """The last motion is extrapolated for at most this many times its duration."""
 
 
-class TrackingLostError(ValueError):
+class TrackingLostError(ForeseenError, ValueError):
     """No pose of this frame fits the model; the message lists what was tried and why it failed."""
 
 
@@ -231,7 +232,7 @@ class Tracker:
             ValueError: before the first frame.
         """
         if self._last is None:
-            raise ValueError("no pose can be predicted before the first frame has been tracked")
+            raise ArgumentError("no pose can be predicted before the first frame has been tracked")
         if self.config.prior == "previous" or self._before is None:
             return self._last.T_WC
         taken = self._last.timestamp_s - self._before.timestamp_s

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..backends import op
 from ..checks import check_pose
+from ..errors import ArgumentError
 from ..geometry import pixel_grid, rays, se3
 from ..geometry.operands import check_frame_on, check_rays
 from ..types import Frame
@@ -111,7 +112,7 @@ def crossed_cells(
         (origin + t_last[:, None] * direction).abs().amax() if len(direction) else torch.zeros(())
     )
     if not bool(farthest < MOST_CELLS):
-        raise ValueError(
+        raise ArgumentError(
             f"a block {float(farthest):.3g} blocks from the camera lies beyond the voxel index, "
             f"which has {MOST_CELLS} "
             "on each side: check the depth unit, tsdf.far_m and the intrinsics"

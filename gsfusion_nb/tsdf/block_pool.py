@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
+from ..errors import MemoryFullError
 from ..work import MAP_MEMORY, available_memory
 
 BLOCK_VOXELS = 8
@@ -114,7 +115,7 @@ class BlockPool:
             if x is not None and x < size
         ]
         needed = estimate_memory(n_blocks, weighs_colours=self.W_rgb is not None)
-        raise MemoryError(
+        raise MemoryFullError(
             f"the TSDF volume needs {needed / 1e6:.0f} MB for {n_blocks} blocks of 8^3 voxels of "
             f"{voxel_size_m} m, but {min(allowed, default='the system grants less')}; "
             "use larger voxels (tsdf.voxel_size_m) or a smaller tsdf.far_m, or check the depth unit"

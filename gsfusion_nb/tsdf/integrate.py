@@ -13,6 +13,7 @@ from torch import Tensor
 from ..backends import op, piece
 from ..checks import check_pose
 from ..config import TsdfConfig
+from ..errors import ArgumentError
 from ..geometry import project, se3
 from ..geometry.operands import check_frame_on, check_operand
 from ..types import Camera, Frame
@@ -159,7 +160,7 @@ def check_fuse_frame(volume: Any, frame: Any) -> None:
     some."""
     check_fuse(volume, frame)
     if not volume.n_blocks and len(new_band_blocks(volume, frame)):
-        raise ValueError(
+        raise ArgumentError(
             "the volume has no voxel blocks, so nothing can be fused into it; integrate(volume, "
             "frame) makes those that the frame needs and fuses it"
         )
@@ -350,7 +351,7 @@ def check_sample_fused(volume: Any, frame: Any, missing: Any, xyz_W: Any) -> Non
     """Raise ``ValueError`` for arguments that ``sample_fused_voxels`` refuses."""
     check_fuse(volume, frame)
     if not isinstance(missing, NewBlocks):
-        raise ValueError(f"missing must be NewBlocks, got {type(missing).__name__}")
+        raise ArgumentError(f"missing must be NewBlocks, got {type(missing).__name__}")
     device = volume.D.device
     check_operand(
         "codes",

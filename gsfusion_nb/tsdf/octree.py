@@ -17,6 +17,7 @@ from torch import Tensor
 
 from ..backends import piece
 from ..checks import check_shape
+from ..errors import ArgumentError
 
 log = logging.getLogger(__name__)
 
@@ -64,7 +65,7 @@ def encode(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
 def check_range(low: int, high: int) -> None:
     """Raise ``ValueError`` unless all coordinates from ``low`` to ``high`` have a code."""
     if low < -OFFSET or high >= OFFSET:
-        raise ValueError(
+        raise ArgumentError(
             f"block coordinates must lie in [{-OFFSET}, {OFFSET}), got {low} to {high}"
         )
 
@@ -378,7 +379,7 @@ class BlockIndex:
         """Codes of the distinct octree nodes ``k`` levels above the blocks; ``level(0)`` are the
         blocks. Sorted."""
         if not 0 <= k <= BITS:
-            raise ValueError(f"level must be between 0 (blocks) and {BITS} (root), got {k}")
+            raise ArgumentError(f"level must be between 0 (blocks) and {BITS} (root), got {k}")
         return (self.codes >> (3 * k)).unique_consecutive()
 
     def _search(self, codes: Tensor) -> Tensor:

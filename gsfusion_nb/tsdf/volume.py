@@ -16,6 +16,7 @@ from torch import Tensor
 from ..backends import op, piece
 from ..checks import check_saved, check_shape
 from ..config import TsdfConfig, from_run, to_dict
+from ..errors import ArgumentError
 from ..geometry.operands import check_operand
 from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK, BlockPool, estimate_memory
 from .octree import BlockIndex, NewBlocks, encode
@@ -318,7 +319,9 @@ class TsdfVolume:
         """
         config = from_run(TsdfConfig, state["config"])
         if config != self.config:
-            raise ValueError(f"the saved map was made with {config}, this volume has {self.config}")
+            raise ArgumentError(
+                f"the saved map was made with {config}, this volume has {self.config}"
+            )
         _check_saved_blocks(state)
         self._take(
             {name: state[name] for name in ("D", "W", "rgb", "block_coords")}
@@ -376,10 +379,10 @@ def _check_saved_blocks(state: dict[str, Any]) -> None:
         check_saved(name, state[name], shape)
     check_saved("W_rgb", _colour_weights(state), (n, VOXELS_PER_BLOCK))
     if len(encode(coords).unique()) != n:
-        raise ValueError("block_coords must contain every block once")
+        raise ArgumentError("block_coords must contain every block once")
     for name, weights in (("W", state["W"]), ("W_rgb", _colour_weights(state))):
         if n and float(weights.min()) < 0:
-            raise ValueError(
+            raise ArgumentError(
                 f"{name} must be at least 0 in every voxel, got {float(weights.min()):g}"
             )
 
@@ -392,7 +395,7 @@ def _colour_weights(state: dict[str, Any]) -> Tensor:
 def check_volume(volume: Any) -> None:
     """Raise ``ValueError`` unless this is a volume."""
     if not isinstance(volume, TsdfVolume):
-        raise ValueError(f"volume must be a TsdfVolume, got {type(volume).__name__}")
+        raise ArgumentError(f"volume must be a TsdfVolume, got {type(volume).__name__}")
 
 
 def check_sample(volume: Any, xyz_W: Any) -> None:

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..checks import check_pose
 from ..drawing.pictures import Picture, to_uint8
+from ..errors import ArgumentError
 from ..types import Camera, Mesh
 from .display import show
 from .viewpoint import Vector, extent, orbit_camera
@@ -163,7 +164,7 @@ def show_mesh(
         ValueError: the mesh has no triangles. RuntimeError: VTK cannot draw.
     """
     if not len(mesh.faces):
-        raise ValueError(
+        raise ArgumentError(
             "the mesh has no triangles: nothing was mapped, or no surface was seen closely enough"
         )
     pose = _from_above(mesh, up_W, size) if T_WC is None else T_WC

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from ..drawing.page import fill
+from ..errors import ArgumentError
 from ..geometry.spherical_harmonics import SH_C0
 from ..types import GaussianParams
 
@@ -123,7 +124,7 @@ def stacked(columns: list[Column], n: int) -> Float[np.ndarray, "N C"]:
 
 def _column(name: str, values: Any, n: int) -> Column:
     if name in _NAMES_TAKEN:
-        raise ValueError(
+        raise ArgumentError(
             f"an extra cannot be named {name!r}, which the viewer shows already; choose another "
             "name"
         )
@@ -131,7 +132,7 @@ def _column(name: str, values: Any, n: int) -> Column:
         values.detach().cpu().numpy() if isinstance(values, torch.Tensor) else np.asarray(values)
     )
     if array.shape != (n,):
-        raise ValueError(
+        raise ArgumentError(
             f"extras[{name!r}] must hold one number per Gaussian, [{n}], got {list(array.shape)}"
         )
     kind, label = KNOWN.get(name, ("number", name))

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from ..checks import check_name, check_pose
 from ..drawing.pictures import Picture, to_uint8
+from ..errors import KindError
 from ..geometry.upright import world_up
 from ..render.constants import (
     ALPHA_MAX,
@@ -334,7 +335,7 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         params = held if isinstance(held, GaussianParams) else getattr(held, "params", None)
         if not isinstance(params, GaussianParams):
             kind = type(self._source).__name__
-            raise TypeError(
+            raise KindError(
                 f"SplatViewer needs a mapper, a GaussianModel or GaussianParams, got {kind}"
             )
         columns = splat_rows.columns_of(held, len(params), self._extras)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_pose
+from ..errors import ArgumentError
 from ..evaluation import expected_depth_m
 from ..render import render
 from ..types import Camera, GaussianParams
@@ -47,11 +48,11 @@ def orbit_camera(
         ValueError: ``up_W`` has no direction, or the distance is negative.
     """
     if not distance_m >= 0:
-        raise ValueError(f"distance_m must be >= 0, got {distance_m}")
+        raise ArgumentError(f"distance_m must be >= 0, got {distance_m}")
     target = torch.as_tensor(target_W, dtype=torch.float64).cpu()
     up = torch.as_tensor(up_W, dtype=torch.float64).detach().cpu()
     if not float(up.norm()) > 1e-9:
-        raise ValueError(f"up_W must be a direction of three numbers, got {up.tolist()}")
+        raise ArgumentError(f"up_W must be a direction of three numbers, got {up.tolist()}")
     up = up / up.norm()
     axis = torch.nn.functional.one_hot(up.abs().argmin(), 3).double()
     e1 = torch.nn.functional.normalize(axis - (axis @ up) * up, dim=0)

@@ -14,7 +14,7 @@ import alter
 import torch
 
 from gsfusion_nb.data import BadFrameError, SequenceError, open_sequence
-from gsfusion_nb.files import is_foreseen
+from gsfusion_nb.errors import FORESEEN
 
 
 class SilentAcceptance(Exception):
@@ -199,7 +199,7 @@ def resume(path: Path) -> None:
             try:
                 next(iter(steps), None)
             except Exception as e:
-                if not is_foreseen(e):
+                if not isinstance(e, FORESEEN):
                     raise
                 raise SequenceError(f"{path}: {e}") from e
 

@@ -11,7 +11,7 @@ from gsfusion_nb.cli import main
 from gsfusion_nb.cli.settings import _read_settings
 from gsfusion_nb.compare.entries import read_table
 from gsfusion_nb.config import GSFusionConfig, from_dict, from_run, gsfusion, to_dict
-from gsfusion_nb.files import SequenceError
+from gsfusion_nb.errors import SequenceError
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.runs import resume_mapping, run_mapping
 from gsfusion_nb.runs.resume import load_run

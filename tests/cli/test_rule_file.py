@@ -6,7 +6,7 @@ import json
 import pytest
 
 from gsfusion_nb.cli.map import run
-from gsfusion_nb.files import SequenceError
+from gsfusion_nb.errors import SequenceError
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.runs import resume_mapping, run_mapping
 

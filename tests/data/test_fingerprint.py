@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb import files as hashes
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import (
     apply_options,
@@ -18,7 +17,7 @@ from gsfusion_nb.data import (
     sequence_fingerprint,
 )
 from gsfusion_nb.data.room import room
-from gsfusion_nb.files import file_hashes, noting_files
+from gsfusion_nb.files import file_hashes, hashes, noting_files
 
 READERS = Path(__file__).parent / "readers"
 

@@ -9,7 +9,7 @@ import torch
 
 from gsfusion_nb.config import DataConfig, replace
 from gsfusion_nb.data import open_sequence
-from gsfusion_nb.files import BadFrameError
+from gsfusion_nb.errors import BadFrameError
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import get_system, make_mapper
 from gsfusion_nb.mapping.localiser import (

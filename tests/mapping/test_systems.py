@@ -8,7 +8,7 @@ import torch
 from gsfusion_nb.config import GpsSlamConfig, GSFusionConfig, RtgSlamConfig
 from gsfusion_nb.config.gsfusion import presets
 from gsfusion_nb.data.room import room
-from gsfusion_nb.files import BadFrameError
+from gsfusion_nb.errors import BadFrameError
 from gsfusion_nb.mapping import (
     GPSSLAM,
     RTGSLAM,

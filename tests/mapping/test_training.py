@@ -12,7 +12,7 @@ import torch
 from gsfusion_nb.config import gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.data.room import room
-from gsfusion_nb.files import SequenceError
+from gsfusion_nb.errors import SequenceError
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GSFusion, get_system, make_mapper
 from gsfusion_nb.mapping.training import KeyframePasses, Training

@@ -9,8 +9,8 @@ import torch
 
 from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
 from gsfusion_nb.data.room import room
+from gsfusion_nb.errors import BadFrameError
 from gsfusion_nb.evaluation import ate_rmse
-from gsfusion_nb.files import BadFrameError
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
 from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, copy_memory

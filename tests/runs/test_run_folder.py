@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from gsfusion_nb.files import DiskFullError
+from gsfusion_nb.errors import DiskFullError
 from gsfusion_nb.runs import CheckpointEvery, resume_mapping, run_mapping
 from gsfusion_nb.runs.run_folder import RunFolder, new_folder
 

@@ -24,6 +24,7 @@ from ...config import DataConfig, TsdfConfig, gsfusion, replace
 from ...config.options import named
 from ...data import OpenedSequence, open_sequence
 from ...data.room import RoomSequence
+from ...errors import ArgumentError
 from ...evaluation.image import psnr
 from ...files import write_file
 from ...geometry import se3
@@ -115,7 +116,7 @@ class BenchOptions:
 def _parse_size(text: str) -> tuple[int, int]:
     width, _, height = text.lower().partition("x")
     if not (width.isdigit() and height.isdigit()) or min(int(width), int(height)) < 32:
-        raise ValueError(f"--size must look like 320x240, and be at least 32x32, got {text!r}")
+        raise ArgumentError(f"--size must look like 320x240, and be at least 32x32, got {text!r}")
     return int(width), int(height)
 
 
@@ -418,7 +419,7 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
     size of the map does not matter.
     """
     if options.data != "room":
-        raise ValueError(
+        raise ArgumentError(
             f"the building of growth is made of the built-in room; leave out --data {options.data}"
         )
     n_rooms = 4 if options.quick else ROOMS

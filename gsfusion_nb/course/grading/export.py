@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from ...errors import ArgumentError
 from ...files import read_object, write_file
 from ..copies import without_solutions
 from ..exercise import exercises
@@ -44,15 +45,15 @@ def export_course(notebooks: list[Path], target: Path) -> list[Path]:
         ValueError: no notebook, a folder that is not empty, or a notebook without exercises.
     """
     if not notebooks:
-        raise ValueError("there is no notebook to export")
+        raise ArgumentError("there is no notebook to export")
     if target.exists() and any(target.iterdir()):
-        raise ValueError(f"{target} is not empty; name a new folder")
+        raise ArgumentError(f"{target} is not empty; name a new folder")
     written = []
     for path in notebooks:
         notebook = _without_told_solutions(read_object(path, "a notebook"))
         cells = assignment_cells(notebook["cells"])
         if len(cells) == 0 or not any(_named(cell) for cell in notebook["cells"]):
-            raise ValueError(f"{path} has no exercise")
+            raise ArgumentError(f"{path} has no exercise")
         exported = {
             **notebook,
             "cells": [{"id": f"export-{i}", **cell} for i, cell in enumerate(cells)],
@@ -111,7 +112,7 @@ def _join_to_stub(made: list[dict[str, Any]], solution: str) -> None:
         ):
             cell["source"] = "".join(cell["source"]).rstrip("\n") + "\n\n\n" + solution
             return
-    raise ValueError(
+    raise ArgumentError(
         f"there is no cell in which the solution {defined[1] if defined else ''} is to be written"
     )
 

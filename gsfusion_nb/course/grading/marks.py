@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...errors import ArgumentError
 from ...files import plain_cell, write_file
 from ...work import usable_cores
 from ..attempt import Verdict
@@ -47,7 +48,7 @@ def exercises_of(
     every = exercises()
     unknown = {*names} - {*every} or {*chapters} - {e.chapter for e in every.values()}
     if unknown:
-        raise ValueError(
+        raise ArgumentError(
             f"no exercise or chapter with exercises {unknown}; there are: {', '.join(every)}"
         )
     wanted = set(chapters)
@@ -56,7 +57,7 @@ def exercises_of(
         wanted = {e.chapter for e in every.values() if any(defines(code, e.name) for code in codes)}
     found = tuple(e.name for e in every.values() if e.name in names or e.chapter in wanted)
     if not found:
-        raise ValueError(
+        raise ArgumentError(
             "no submission defines a function of an exercise; name exercises or chapters to mark "
             "zeros"
         )

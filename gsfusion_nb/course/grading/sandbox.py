@@ -25,6 +25,7 @@ from typing import Any
 import torch
 
 from ...backends import use_backend
+from ...errors import ArgumentError
 from ..attempt import Failed, Verdict
 from ..exercise import exercises
 from .submission import Cell, needed
@@ -75,7 +76,7 @@ def verdicts(
         ValueError: this system has no resource limits.
     """
     if find_spec("resource") is None:
-        raise ValueError("grading needs Linux, macOS, or the Windows Subsystem for Linux")
+        raise ArgumentError("grading needs Linux, macOS, or the Windows Subsystem for Linux")
     found: dict[str, Verdict] = {}
     while left := [name for name in cells if name not in found]:
         task = {

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...files import SequenceError, read_bytes, read_object
+from ...errors import ArgumentError, SequenceError
+from ...files import read_bytes, read_object
 from ..attempt import Failed
 
 _OF_CHAPTER = re.compile(r"\d\d[_.]")
@@ -64,7 +65,7 @@ def find_submissions(paths: Sequence[Path]) -> list[Submission]:
             file for file in found if not any(part.startswith((".", "__")) for part in file.parts)
         ]
         if not found:
-            raise ValueError(f"there is no notebook and no .py file at {path}")
+            raise ArgumentError(f"there is no notebook and no .py file at {path}")
         for file in found:
             inner = file.relative_to(path).parts if path.is_dir() else ()
             own = file.resolve().parent.name if _OF_CHAPTER.match(file.name) else file.stem
@@ -97,7 +98,7 @@ def _cells(notebook: dict[str, Any]) -> tuple[Cell, ...]:
             Cell(f"cell {n}", "".join(c["source"])) for n, c in numbered if c["cell_type"] == "code"
         )
     except (KeyError, TypeError):
-        raise ValueError("it is not a notebook of format 4") from None
+        raise ArgumentError("it is not a notebook of format 4") from None
 
 
 def defines(code: Code, name: str) -> bool:

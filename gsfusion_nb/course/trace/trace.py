@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ...backends import observing
 from ...checks import check_whole
+from ...errors import ArgumentError
 from ...geometry import backproject, se3
 from ...optim import PartOfMap
 from ...seeding import rule_name
@@ -269,7 +270,7 @@ class Trace:
     def __init__(self, mapper: Any, *, memory_bytes: int = MEMORY_BYTES):
         check_whole("memory_bytes", memory_bytes, 0)
         if any(name.startswith("trace.") for name in mapper.gaussians.columns):
-            raise ValueError("this mapper is traced already; close the other trace first")
+            raise ArgumentError("this mapper is traced already; close the other trace first")
         self.mapper = mapper
         self.identities = Identities(mapper.gaussians)
         self.n_dropped = 0
@@ -302,7 +303,7 @@ class Trace:
             IndexError: no such row or number. ValueError: not exactly one of the two is given.
         """
         if (row is None) == (id is None):
-            raise ValueError("give either the row of a Gaussian in the map or its number, id=")
+            raise ArgumentError("give either the row of a Gaussian in the map or its number, id=")
         if id is None:
             ids = self.identities.now()
             if row is None or not 0 <= row < len(ids):
@@ -360,7 +361,7 @@ class Trace:
                 )
                 if bool((blend.weight > 0).any()):
                     return int(record.ids[int(blend.gaussian[blend.weight[:, 0].argmax()])])
-        raise ValueError(f"no Gaussian is known at pixel ({u}, {v})")
+        raise ArgumentError(f"no Gaussian is known at pixel ({u}, {v})")
 
     def voxel_at(self, u: int, v: int, serial: int | None = None) -> Voxel:
         """The voxel of the surface measured at the centre of pixel (u, v): in the held frame
@@ -381,7 +382,7 @@ class Trace:
                 xyz_W = se3.apply(frame.T_WC.cpu().double(), xyz_C[None])[0]
                 x, y, z = (xyz_W / record.config.voxel_size_m).floor().long().tolist()
                 return x, y, z
-        raise ValueError(f"no voxel is known at pixel ({u}, {v})")
+        raise ArgumentError(f"no voxel is known at pixel ({u}, {v})")
 
     def close(self) -> None:
         """Stop recording. What was recorded can still be asked for."""

@@ -9,8 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import RepairConfig
+from ...errors import BadFrameError, SequenceError
 from ...geometry import quaternion, se3
-from ..sequence import BadFrameError, Sequence, SequenceError
+from ..sequence import Sequence
 
 _DIRECTION = {
     "right": (1.0, 0.0, 0.0),

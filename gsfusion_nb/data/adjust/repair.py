@@ -16,6 +16,7 @@ from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from ...config import DataConfig, RepairConfig
+from ...errors import BadFrameError, SequenceError
 from ...geometry import pixel_grid, rays, se3
 from ...types import Camera, Frame
 from ..frame_store import FrameStore
@@ -23,7 +24,7 @@ from ..lens import same_proportions, warp_depth
 from ..recorded.images import read_depth
 from ..recorded.recorded_sequence import RecordedSequence
 from ..recorded.times import associate
-from ..sequence import BadFrameError, Sequence, SequenceError, position
+from ..sequence import Sequence, position
 from .poses import PosePath, pose_between, raw_matrices, reread_poses, stored_poses, times_of
 from .resize import resize_frame
 

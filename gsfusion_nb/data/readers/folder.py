@@ -31,12 +31,12 @@ from pathlib import Path
 from typing import Any
 
 from ...checks import shown
+from ...errors import SequenceError
 from ...files import read_object
 from ..recorded.files import camera, given_name, images_in, number, numbers, pair_by_stem, require
 from ..recorded.poses import no_poses, poses_of_images
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..recorded.times import TIMES, times_of_images
-from ..sequence import SequenceError
 
 LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
 _CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")

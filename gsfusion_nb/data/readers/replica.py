@@ -11,12 +11,12 @@ cam_params.json                  beside traj.txt or in the folder above
 import re
 from pathlib import Path
 
+from ...errors import SequenceError
 from ...files import read_object
 from ...types import Camera
 from ..recorded.files import camera, given_name, images_in, numbers, require
 from ..recorded.poses import read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
-from ..sequence import SequenceError
 
 LOOKS_FOR = ("results/", "traj.txt")
 DEPTH_SCALE = 6553.5

@@ -20,12 +20,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...errors import SequenceError, SequenceNotFoundError
 from ...files import is_file, parsing, read_object
 from ...types import Camera
 from ..recorded.files import camera, require
 from ..recorded.poses import GL_TO_CV
 from ..recorded.recorded_sequence import Layout, RecordedSequence
-from ..sequence import SequenceError, SequenceNotFoundError
 
 log = logging.getLogger(__name__)
 

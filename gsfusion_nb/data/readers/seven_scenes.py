@@ -15,12 +15,12 @@ from pathlib import Path
 
 import torch
 
+from ...errors import SequenceError
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
 from ..recorded.files import calibration_in, given_name, require
 from ..recorded.poses import read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
-from ..sequence import SequenceError
 
 log = logging.getLogger(__name__)
 

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import shown
+from ...errors import SequenceError, SequenceNotFoundError
 from ...files import is_file
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
@@ -21,7 +22,6 @@ from ..recorded.files import calibration_in, given_name, natural_order, require,
 from ..recorded.poses import checked_rows, interpolate_rows, matrices, no_poses, read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..recorded.times import associate, judge_stamps, read_image_list
-from ..sequence import SequenceError, SequenceNotFoundError
 
 log = logging.getLogger(__name__)
 

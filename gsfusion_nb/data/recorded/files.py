@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ...checks import shown
-from ...files import refusing
+from ...errors import SequenceError, SequenceNotFoundError, refusing
 from ...types import Camera
-from ..sequence import SequenceError, SequenceNotFoundError
 
 
 def given_name(folder: Path) -> str:

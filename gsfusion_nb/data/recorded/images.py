@@ -14,8 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ...errors import BadFrameError, SequenceError, SequenceNotFoundError
 from ...files import IMAGE_BYTES, parsing, read_bytes
-from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
 
 log = logging.getLogger(__name__)
 

@@ -9,10 +9,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ...checks import check_pose, shown
-from ...files import read_text, refusing
+from ...errors import ArgumentError, BadFrameError, SequenceError, refusing
+from ...files import read_text
 from ...geometry import quaternion
 from ...geometry.operands import check_place
-from ..sequence import BadFrameError, SequenceError
 
 GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 """T GL_TO_CV is a camera-to-world pose in OpenCV axes, where T has OpenGL's (y up, z backward)."""
@@ -258,7 +258,7 @@ def parsed_pose(words: list[str]) -> Float[Tensor, "4 4"]:
     numbers."""
     values = [float(word) for word in words]
     if len(values) != 16:
-        raise ValueError(f"expected 16 numbers, got {len(values)}")
+        raise ArgumentError(f"expected 16 numbers, got {len(values)}")
     return torch.tensor(values, dtype=torch.float64).reshape(4, 4)
 
 

@@ -11,11 +11,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...files import refusing
+from ...errors import BadFrameError, refusing
 from ...geometry.operands import check_depth_scale, check_plausible_camera
 from ...types import Camera, Frame
 from ..adjust.resize import resize_colour
-from ..sequence import BadFrameError, Sequence, position
+from ..sequence import Sequence, position
 from .images import read_depth, read_rgb
 from .poses import checked_pose
 

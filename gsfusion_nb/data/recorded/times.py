@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from ...checks import shown
+from ...errors import SequenceError
 from ...files import is_file
-from ..sequence import SequenceError
 from .poses import image_key, read_lines, read_words
 
 TIMES = "times.txt"

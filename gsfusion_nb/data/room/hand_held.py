@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ...errors import ArgumentError
 from ...geometry import quaternion
 from ...types import Camera
 from .sequence import RoomSequence
@@ -101,7 +102,7 @@ def write_hand_held(folder: str | Path, recording: HandHeld | None = None) -> Pa
     made = recording or HandHeld()
     root = Path(folder)
     if not 2 <= made.n_images <= made.images_per_walk:
-        raise ValueError(
+        raise ArgumentError(
             f"n_images must be between 2 and {made.images_per_walk}, got {made.n_images}"
         )
     root.mkdir(parents=True)

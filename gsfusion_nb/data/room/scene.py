@@ -27,6 +27,7 @@ import cv2
 import numpy as np
 from numpy import ndarray
 
+from ...errors import ArgumentError
 from ...files import atomic_file, cache_folder, read_bytes
 from .interior import SHELL_SOLIDS, interior
 from .raycast import CurvedPatch, FlatPatches, compile_patches
@@ -265,7 +266,7 @@ def _load(path: Path) -> dict[str, ndarray] | None:
             for k, v in arrays.items()
         }
         if any(v is None for v in arrays.values()):
-            raise ValueError("a picture is not a PNG")
+            raise ArgumentError("a picture is not a PNG")
         return arrays
     except FileNotFoundError:
         return None

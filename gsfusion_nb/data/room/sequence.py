@@ -16,6 +16,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from ...checks import check_number, check_pose, check_positive
+from ...errors import ArgumentError
 from ...files import cache_folder
 from ...geometry import backproject, pixel_grid, se3
 from ...types import Camera, Frame, Mesh
@@ -324,10 +325,12 @@ class RoomSequence:
         ):
             value = getattr(self, name)
             if not isinstance(value, int) or value < least:
-                raise ValueError(f"room: {name} must be a whole number >= {least}, got {value!r}")
+                raise ArgumentError(
+                    f"room: {name} must be a whole number >= {least}, got {value!r}"
+                )
         for name, known in (("trajectory", tuple(TRAJECTORIES)), ("noise", ("none", "kinect"))):
             if getattr(self, name) not in known:
-                raise ValueError(
+                raise ArgumentError(
                     f"room: {name} must be one of {', '.join(known)}, got {getattr(self, name)!r}"
                 )
         for name, most in _IMPERFECT.items():

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from ...errors import SequenceError, SequenceNotFoundError
 from ...types import Camera, Frame
 from ..lens import CameraModel, Undistorter
-from ..sequence import SequenceError, SequenceNotFoundError
 from .frame_queue import LiveSource
 
 log = logging.getLogger(__name__)

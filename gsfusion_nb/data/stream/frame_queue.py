@@ -12,10 +12,11 @@ from typing import Literal
 
 from ...checks import check_name
 from ...config import DataConfig
+from ...errors import BadFrameError, SequenceError
 from ...types import Frame
 from ..adjust.repair import resized_camera, within_depth
 from ..adjust.resize import resize_frame
-from ..sequence import BadFrameError, Sequence, SequenceError
+from ..sequence import Sequence
 
 Policy = Literal["all", "latest"]
 

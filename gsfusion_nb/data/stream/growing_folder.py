@@ -10,13 +10,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import shown
+from ...errors import BadFrameError, SequenceError, SequenceNotFoundError
 from ...files import read_text
 from ...types import Frame
 from ..readers.folder import read_intrinsics, recording_of
 from ..recorded.files import given_name, natural_order
 from ..recorded.images import is_complete_image
 from ..recorded.poses import image_key, image_number, no_poses, parsed_pose, split_name
-from ..sequence import BadFrameError, SequenceError, SequenceNotFoundError
 from .frame_queue import LiveSource, Policy
 
 _SUFFIXES = {"rgb": (".jpg", ".jpeg", ".png"), "depth": (".png",)}

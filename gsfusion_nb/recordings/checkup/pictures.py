@@ -11,10 +11,11 @@ from ...config import RepairConfig
 from ...data.adjust.depth_agreement import relative_poses, thinned
 from ...data.adjust.poses import reread_poses
 from ...data.lens import warp_depth
-from ...data.sequence import BadFrameError, Sequence
+from ...data.sequence import Sequence
 from ...drawing.curves import curve_figure
 from ...drawing.page import PageGraph
 from ...drawing.pictures import Picture, depth_error_map, fit_width, to_uint8
+from ...errors import BadFrameError
 from ...types import Frame
 from .colour import depth_edges
 from .sample import Sample

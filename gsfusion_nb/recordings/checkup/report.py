@@ -9,6 +9,7 @@ from typing import Any, Literal
 from ...config import DataConfig, RepairConfig
 from ...drawing.page import PageGraph, fill, page_picture
 from ...drawing.pictures import Picture
+from ...errors import UnknownNameError
 from ...files import write_file
 
 Verdict = Literal["ok", "unknown", "doubtful", "wrong"]
@@ -74,7 +75,7 @@ class CheckupReport:
     def __getitem__(self, name: str) -> Finding:
         found = {f.name: f for f in self.findings}
         if name not in found:
-            raise KeyError(f"no finding {name!r}; known: {', '.join(found)}")
+            raise UnknownNameError(f"no finding {name!r}; known: {', '.join(found)}")
         return found[name]
 
     @property

@@ -12,7 +12,8 @@ from ...data.adjust.depth_agreement import thinned
 from ...data.adjust.poses import stored_poses
 from ...data.adjust.small_images import small_grey, without_speckle
 from ...data.adjust.steps import repeated_image
-from ...data.sequence import BadFrameError, Sequence
+from ...data.sequence import Sequence
+from ...errors import BadFrameError
 from ...types import Camera, Frame
 
 WINDOW = 31

@@ -22,7 +22,8 @@ from ...data.lens import same_proportions
 from ...data.recorded.images import read_depth, read_rgb
 from ...data.recorded.poses import MAX_RIGIDITY_ERROR
 from ...data.recorded.recorded_sequence import RecordedSequence
-from ...data.sequence import BadFrameError, Sequence
+from ...data.sequence import Sequence
+from ...errors import BadFrameError
 from ..convert.depth_unit import USUAL, plausible_range
 from .report import Finding
 from .sample import FrameFacts, Sample

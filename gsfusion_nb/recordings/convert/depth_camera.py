@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ...data.lens import CameraModel
 from ...data.recorded.files import CALIBRATION_SUFFIXES, first_of
-from ...data.sequence import SequenceError
+from ...errors import SequenceError
 from ...geometry import se3
 from .calibration_tree import Tree
 from .intrinsics import model_of_matrix, read_intrinsics

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ...data.adjust.depth_agreement import depth_consistency, relative_poses, sparse_points, thinned
 from ...data.lens import same_proportions
-from ...data.sequence import BadFrameError
+from ...errors import BadFrameError
 from ...geometry import pixel_grid
 from ...types import Camera
 from ..checkup.fit import CalibrationCorrection, FitData, reproject

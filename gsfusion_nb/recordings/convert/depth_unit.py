@@ -13,7 +13,7 @@ import numpy as np
 
 from ...data.readers.tum import DEPTH_SCALE, benchmark_camera
 from ...data.recorded.images import LOST_PRECISION
-from ...data.sequence import BadFrameError, SequenceError
+from ...errors import BadFrameError, SequenceError
 from .recording import DepthUnit, OptionNeeded, read_depth_file
 
 USUAL = (1000.0, 5000.0)

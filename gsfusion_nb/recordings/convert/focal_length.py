@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from ...data.adjust.resize import resize_colour
 from ...data.lens import CameraModel, same_proportions
-from ...data.sequence import SequenceError
+from ...errors import SequenceError
 from ...tracking import Features, extract_features
 from ...tracking.matching import match_features
 from ...types import Camera, Frame

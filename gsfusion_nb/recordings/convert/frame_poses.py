@@ -13,7 +13,7 @@ from torch import Tensor
 from ...data.recorded.poses import (
     checked_pose,
 )
-from ...data.sequence import SequenceError
+from ...errors import SequenceError
 from .pose_list import poses_per_frame
 from .recording import ConvertOptions, OptionNeeded, RecordedFrame, Recording
 from .trajectory import Trajectory, camera_in_body, frame_key, read_trajectory

@@ -17,8 +17,8 @@ import numpy as np
 
 from ...checks import shown
 from ...data.lens import CameraModel
-from ...data.sequence import SequenceError
-from ...files import parsing, refusing
+from ...errors import SequenceError, refusing
+from ...files import parsing
 from ...types import Camera
 from .calibration_tree import WAYS, Tree, tree_of_file
 from .recording import ConvertOptions, OptionNeeded, RecordedFrame, read_array

@@ -13,7 +13,7 @@ from ...data.recorded.poses import (
     matrices,
     read_words,
 )
-from ...data.sequence import SequenceError
+from ...errors import SequenceError
 from ...files import parsing
 from .recording import ConvertOptions, Recording, read_array
 from .trajectory import ARKIT_SUFFIX, frame_key, read_numbers

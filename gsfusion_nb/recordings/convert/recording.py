@@ -15,8 +15,8 @@ from torch import Tensor
 from ...config.values import Settings, within
 from ...data.lens import CameraModel
 from ...data.recorded.images import check_image_size, decode_depth, decode_rgb, read_image_bytes
-from ...data.sequence import BadFrameError, SequenceError
-from ...files import is_file, open_regular, parsing, refusing
+from ...errors import BadFrameError, SequenceError, refusing
+from ...files import is_file, open_regular, parsing
 from ...geometry.operands import check_depth_scale, check_plausible_camera
 from .confidence import DepthConfidence
 

@@ -15,7 +15,7 @@ from ...checks import check_name
 from ...data.adjust.repair import resized_camera
 from ...data.recorded.times import judge_stamps
 from ...data.room.hand_held import write_depth, write_rgb
-from ...data.sequence import BadFrameError, SequenceError
+from ...errors import BadFrameError, SequenceError
 from ...files import atomic_folder, parsing
 from ...types import Camera
 from ...work import ProgressDisplay

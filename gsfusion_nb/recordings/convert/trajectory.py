@@ -21,8 +21,8 @@ from ...data.recorded.poses import (
 )
 from ...data.recorded.times import PER_SECOND, date_unit, judge_stamps
 from ...data.recorded.times import time_unit as find_time_unit
-from ...data.sequence import SequenceError
-from ...files import parsing, read_text, refusing
+from ...errors import SequenceError, refusing
+from ...files import parsing, read_text
 from ...geometry import quaternion, se3
 
 

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...errors import ArgumentError
 from ...geometry import quaternion, se3
 from ...types import Camera, Seeds
 from ..context import SeedContext
@@ -54,9 +55,9 @@ def edge_discs(
     Source: ours; docs/seeding_results.md has the comparison with the published rules.
     """
     if spacing_px < 1:
-        raise ValueError(f"edge_discs: spacing_px must be at least 1, got {spacing_px}")
+        raise ArgumentError(f"edge_discs: spacing_px must be at least 1, got {spacing_px}")
     if stretch < 1:
-        raise ValueError(f"edge_discs: stretch must be at least 1, got {stretch}")
+        raise ArgumentError(f"edge_discs: stretch must be at least 1, got {stretch}")
     uv = hexagonal_grid(ctx.camera, spacing_px).to(ctx.frame.depth_m)
     uv = uv[ctx.values_at(ctx.has_depth(), uv)]
     seeds = ctx.seeds_at(uv, radius * spacing_px, opacity=opacity)

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ...backends import piece
+from ...errors import ArgumentError
 from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
@@ -95,7 +96,7 @@ def uniform(
     Source: RTG-SLAM's uniform sampling of 5 % of a frame, with GSFusion's voxel test and size.
     """
     if not 0 < fraction <= 1:
-        raise ValueError(f"uniform: fraction must be above 0 and at most 1, got {fraction}")
+        raise ArgumentError(f"uniform: fraction must be above 0 and at most 1, got {fraction}")
     seeds = ctx.seeds_at(ctx.pixels(), (0.5 / fraction) ** 0.5)
     if coverage:
         seeds = seeds[ctx.voxel_weight(seeds.xyz_W) == required_weight]

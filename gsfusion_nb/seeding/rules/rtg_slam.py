@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ...backends import piece
+from ...errors import ArgumentError
 from ...gaussians import STABLE, UNSTABLE
 from ...geometry import pixel_grid, quaternion
 from ...render import SurfaceView
@@ -89,7 +90,7 @@ def rtg_slam(
     code.
     """
     if not 0 < share <= 1:
-        raise ValueError(f"rtg_slam: share must be above 0 and at most 1, got {share}")
+        raise ArgumentError(f"rtg_slam: share must be above 0 and at most 1, got {share}")
     usable = ctx.has_depth() & (ctx.normals() != 0).any(dim=-1)
     kinds = {NEW_AREA: usable}
     view = None

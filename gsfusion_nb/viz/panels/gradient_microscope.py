@@ -20,6 +20,7 @@ from torch.nn.functional import pad
 
 from ...drawing.curves import figure_picture, image_figure, rgb_of
 from ...drawing.pictures import AnyImage, Picture, side_by_side, to_uint8
+from ...errors import ArgumentError
 from ...optim import l1_vjp
 from ...render import composite, composite_vjp, tile_intersections
 from ...render.composite import blend_vjp
@@ -115,14 +116,14 @@ def gaussian_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], row: int) -
     p = splats.projection
     camera = splats.camera
     if not 0 <= row < len(p.depth_m):
-        raise ValueError(f"row must be 0..{len(p.depth_m) - 1}, got {row}")
+        raise ArgumentError(f"row must be 0..{len(p.depth_m) - 1}, got {row}")
     low = p.uv[row] - p.extent_px[row]
     high = p.uv[row] + p.extent_px[row]
     size = low.new_tensor([camera.width, camera.height])
     first = (low - 0.5).ceil().clamp(min=0).minimum(size)
     last = (high - 0.5).floor().minimum(size - 1)
     if not bool(p.visible[row]) or bool((last < first).any()):
-        raise ValueError(f"Gaussian {row} is not in the picture")
+        raise ArgumentError(f"Gaussian {row} is not in the picture")
     crossing = (
         p.visible & ((p.uv - p.extent_px) < high).all(1) & ((p.uv + p.extent_px) > low).all(1)
     ).sum()

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from ...drawing.pictures import LABEL_PX, Picture
+from ...errors import UnknownNameError
 from ...types import Camera
 from ..display import Bundle, ClickImage, LiveOutput, LostNotice, Stroke, with_picture
 
@@ -118,7 +119,7 @@ class Panel(LiveOutput):
         """Move several controls with one redraw."""
         unknown = sorted(set(values) - set(self.controls))
         if unknown:
-            raise KeyError(f"no controls {unknown}; known: {', '.join(self.controls)}")
+            raise UnknownNameError(f"no controls {unknown}; known: {', '.join(self.controls)}")
         self._quiet = True
         try:
             for name, value in values.items():
@@ -148,7 +149,7 @@ class Panel(LiveOutput):
     def press(self, label: str) -> "Panel":
         """Press a button."""
         if label not in self.buttons:
-            raise KeyError(f"no button {label!r}; known: {', '.join(self.buttons)}")
+            raise UnknownNameError(f"no button {label!r}; known: {', '.join(self.buttons)}")
         self.buttons[label].click()
         return self
 

@@ -28,6 +28,7 @@ from ...drawing.curves import (
 )
 from ...drawing.page import html_table
 from ...drawing.pictures import AnyImage, Picture, to_uint8
+from ...errors import ArgumentError
 from ...geometry.spherical_harmonics import sh_to_rgb
 from ...render import Projection, blend_rows, project_gaussians
 from ...render.composite import pixel_offsets, splat_alpha
@@ -274,7 +275,7 @@ def pixel_stack(
 def check_pixel(camera: Camera, u: int, v: int) -> None:
     """Raise ``ValueError`` unless the picture has pixel (u, v)."""
     if not (0 <= u < camera.width and 0 <= v < camera.height):
-        raise ValueError(
+        raise ArgumentError(
             f"pixel ({u}, {v}) is outside the picture: columns 0..{camera.width - 1}, rows "
             f"0..{camera.height - 1}"
         )

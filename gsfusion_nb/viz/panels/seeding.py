@@ -14,6 +14,7 @@ from torch import Tensor
 from ... import seeding
 from ...drawing.page import html_table
 from ...drawing.pictures import AnyImage, Picture, paint_cells, to_uint8
+from ...errors import ArgumentError, UnknownNameError
 from ...gaussians import GaussianModel
 from ...geometry import project, se3
 from ...mapping import GSFusion
@@ -55,7 +56,7 @@ def quadtree_picture(
         ValueError: settings that ``quadtree`` refuses, or an unknown ``show``.
     """
     if show not in QUADTREE_SHOWS:
-        raise ValueError(f"show must be one of {', '.join(QUADTREE_SHOWS)}, got {show!r}")
+        raise ArgumentError(f"show must be one of {', '.join(QUADTREE_SHOWS)}, got {show!r}")
     photo = to_uint8(rgb)
     cells = quadtree(
         torch.from_numpy(photo),
@@ -188,7 +189,7 @@ def rule_controls(
     ranges = dict(ranges or {})
     unknown = sorted(set(ranges) - set(options))
     if unknown:
-        raise KeyError(
+        raise UnknownNameError(
             f"rule {rule_name(rule)!r} has no options {unknown}; known: {sorted(options)}"
         )
     return {
@@ -285,7 +286,7 @@ def rule_picture(
         ValueError: unknown ``show``; also whatever the rule raises.
     """
     if show not in RULE_SHOWS:
-        raise ValueError(f"show must be one of {', '.join(RULE_SHOWS)}, got {show!r}")
+        raise ArgumentError(f"show must be one of {', '.join(RULE_SHOWS)}, got {show!r}")
     ctx.generator.manual_seed(0)
     memory = seeding.copy_memory(ctx.memory)
     try:
@@ -338,7 +339,7 @@ def rule_panel(
         }
     taken = sorted(set(own) & {"scene", "show"})
     if taken:
-        raise ValueError(
+        raise ArgumentError(
             f"rule {rule_name(rule)!r} has an option named {taken[0]!r}, which the panel needs "
             "itself"
         )

@@ -7,6 +7,7 @@ import numpy as np
 
 from ...drawing.curves import CARD_INK, PALETTE, card_figure, figure_picture, style
 from ...drawing.pictures import Picture, fit_width, side_by_side
+from ...errors import ArgumentError
 from ...optim import Keyframe
 from .panel import Drawn, Panel, Slider
 
@@ -40,7 +41,7 @@ def stage_bars(
         width: Of the picture, pixels.
     """
     if not runs:
-        raise ValueError("stage_bars needs at least one run, got none")
+        raise ArgumentError("stage_bars needs at least one run, got none")
     figure, (axes,) = card_figure(width, 70 * len(runs) + 60)
     longest = max(sum(run.values()) for run in runs.values()) or 1.0
     left = dict.fromkeys(runs, 0.0)

@@ -9,6 +9,7 @@ from markupsafe import Markup
 from ...drawing.curves import figure_picture, image_figure
 from ...drawing.page import html_table
 from ...drawing.pictures import Picture
+from ...errors import ArgumentError
 from ..display import Stroke
 from .panel import Choice, Drawn, Panel, Slider
 from .pixel_stack import CROSS, ellipse_outlines
@@ -123,7 +124,7 @@ class TracePanel(Panel):
     def _told(self, **what: Any) -> tuple[Any, str]:
         """The story of what ``look_at`` was asked, and its name."""
         if len(what) != 1 or not what.keys() <= {"gaussian", "id", "voxel"}:
-            raise ValueError(f"give one of gaussian, id and voxel, got {sorted(what) or 'none'}")
+            raise ArgumentError(f"give one of gaussian, id and voxel, got {sorted(what) or 'none'}")
         if "voxel" in what:
             story = self.trace.voxel(*what["voxel"])
             name = f"voxel {what['voxel']}"
@@ -131,7 +132,9 @@ class TracePanel(Panel):
             story = self.trace.gaussian(what.get("gaussian"), id=what.get("id"))
             name = f"Gaussian {story.id}"
         if not story.moments:
-            raise ValueError(f"nothing is recorded of {name}: map a frame while the trace is open")
+            raise ArgumentError(
+                f"nothing is recorded of {name}: map a frame while the trace is open"
+            )
         return story, name
 
     def _picked(self, row: int | None) -> None:

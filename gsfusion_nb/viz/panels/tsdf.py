@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...drawing.pictures import LABEL_PX, Picture, side_by_side, to_uint8
+from ...errors import ArgumentError
 from ...tsdf import TsdfVolume, integrate, raycast
 from ...types import Camera, Frame
 from ..display import Stroke
@@ -64,7 +65,7 @@ def slice_picture(
         ValueError: unknown quantity.
     """
     if quantity not in QUANTITIES:
-        raise ValueError(f"quantity must be one of {', '.join(QUANTITIES)}, got {quantity!r}")
+        raise ArgumentError(f"quantity must be one of {', '.join(QUANTITIES)}, got {quantity!r}")
     width, height = (max(1, round((b - a) * px_per_m)) for a, b in (x_m, y_m))
     x = x_m[0] + (torch.arange(width) + 0.5) / px_per_m
     y = y_m[1] - (torch.arange(height) + 0.5) / px_per_m

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...drawing.curves import BETWEEN, PALETTE, style
+from ...errors import ArgumentError
 from ...render import TileLists, composite, composite_vjp
 from ...render.constants import TILE_PX
 from ...types import Camera, GaussianParams
@@ -80,7 +81,7 @@ def record_pixel(
     uv = p.uv - p.uv.new_tensor(pixel)
     rows = rows[p.depth_m[rows].argsort(stable=True)]
     if not len(rows):
-        raise ValueError(f"no Gaussian reaches pixel {pixel}")
+        raise ArgumentError(f"no Gaussian reaches pixel {pixel}")
     one = dataclasses.replace(
         camera,
         width=1,

@@ -11,6 +11,7 @@ import torch
 from ...config import OptimConfig
 from ...drawing.curves import BETWEEN, PALETTE, style
 from ...drawing.pictures import AnyImage, Picture, to_uint8
+from ...errors import ArgumentError
 from ...gaussians import GaussianModel
 from ...optim import adam_step
 from ...optim.adam import adam_update
@@ -266,7 +267,7 @@ def adam_stepper(
         ValueError: there are fewer than two rows, or no steps.
     """
     if len(gradient) < 2 or before < 1 or after < 1:
-        raise ValueError(
+        raise ArgumentError(
             "two rows or more, and at least one step before and after the last one is added, are "
             "needed"
         )

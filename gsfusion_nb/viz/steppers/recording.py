@@ -18,6 +18,7 @@ from typing import Any
 import torch
 
 from ...backends import use_backend
+from ...errors import ArgumentError
 
 RETURNED = "return"
 """Name of the value that a function returned."""
@@ -73,7 +74,7 @@ class Recording(list[Line]):
         """
         found = [line for line in self if part in line.text]
         if not found:
-            raise ValueError(f"no line that ran contains {part!r}")
+            raise ArgumentError(f"no line that ran contains {part!r}")
         return found
 
 

@@ -17,6 +17,7 @@ from markupsafe import Markup
 from ...drawing.curves import BETWEEN, figure_picture
 from ...drawing.page import html_table
 from ...drawing.pictures import encode_rgba
+from ...errors import ArgumentError
 from ..display import Bundle, LiveOutput, source, synced, with_stored
 from .recording import Line, file_lines
 
@@ -89,7 +90,7 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
         from matplotlib.figure import Figure
 
         if not steps:
-            raise ValueError(f"{label}: there is no step to show")
+            raise ArgumentError(f"{label}: there is no step to show")
         super().__init__(
             count=len(steps),
             name=name,

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ...config import TrackingConfig
 from ...drawing.curves import BETWEEN, PALETTE, style
+from ...errors import ArgumentError
 from ...tracking import Surface, align, depth_pyramid, icp_system
 from ...tracking.icp import solve_step
 from ...tracking.pose_graph import Edge, optimise_poses
@@ -84,7 +85,7 @@ def icp_stepper(
     recording = record(lambda: align(levels, surface, T_WC_start, once), ICP_WATCH)
     found = recording.at("inlier = overlap & near & aligned")[0]
     if not bool(found["inlier"].any()):
-        raise ValueError("no pixel of the frame passes the gates at this pose")
+        raise ArgumentError("no pixel of the frame passes the gates at this pose")
     steps = [step for at in _some_pixels(found, pixels) for step in _of_pixel(recording, at)]
     steps += _sums(recording)
     shape = tuple(found["inlier"].shape)
@@ -356,7 +357,7 @@ def pose_graph_stepper(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Stepp
         ValueError: there are fewer than two poses, or no edges.
     """
     if len(T_WC) < 2 or not edges:
-        raise ValueError(
+        raise ArgumentError(
             f"two poses and an edge are needed, got {len(T_WC)} poses and {len(edges)} edges"
         )
     recording = record(lambda: optimise_poses(T_WC, edges, iterations=1), GRAPH_WATCH)

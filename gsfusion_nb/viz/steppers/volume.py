@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ...drawing.curves import BETWEEN, PALETTE, style
+from ...errors import ArgumentError
 from ...geometry import rays, se3
 from ...tsdf import TsdfVolume, extract_mesh, raycast
 from ...tsdf.marching_cubes import EDGES
@@ -79,7 +80,7 @@ def row_of_cells(volume: TsdfVolume, cells: int = 1) -> Voxel:
         default=None,
     )
     if best is None:
-        raise ValueError(f"no {cells} cells in a row have triangles")
+        raise ArgumentError(f"no {cells} cells in a row have triangles")
     return best
 
 
@@ -98,7 +99,7 @@ def cut_out(volume: TsdfVolume, start: Voxel, cells: int) -> TsdfVolume:
     ijk = (torch.tensor(start) + grid).to(volume.device)
     there = volume.find_voxels(ijk)
     if bool((there < 0).any()):
-        raise ValueError(f"a corner of the {cells} cells from voxel {start} on is not allocated")
+        raise ArgumentError(f"a corner of the {cells} cells from voxel {start} on is not allocated")
     small = TsdfVolume(volume.config, volume.device)
     small.add_blocks((ijk >> 3).unique(dim=0))
     here = small.find_voxels(ijk)

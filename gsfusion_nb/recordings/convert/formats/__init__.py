@@ -6,7 +6,7 @@ from ....data.open import detect_layout
 from ....data.readers.seven_scenes import calibrated_folders
 from ....data.readers.tum import benchmark_camera
 from ....data.recorded.files import calibration_in
-from ....data.sequence import SequenceError, SequenceNotFoundError
+from ....errors import SequenceError, SequenceNotFoundError
 from ....files import read_object
 from . import (
     bop,

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from ....data.lens import CameraModel
 from ....data.recorded.files import images_in, number
-from ....data.sequence import SequenceError
+from ....errors import SequenceError
 from ....files import parsing, read_object
 from ....geometry import se3
 from ..intrinsics import model_of_matrix

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from ....data.lens import CameraModel
 from ....data.recorded.files import natural_order
-from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
+from ....errors import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import is_file, open_regular, parsing, read_exactly, read_text
 from ....geometry import quaternion, se3
 from ....types import Camera

@@ -18,7 +18,7 @@ import torch
 from ....data.lens import CameraModel
 from ....data.recorded.files import images_in
 from ....data.recorded.images import read_image_bytes
-from ....data.sequence import SequenceError, SequenceNotFoundError
+from ....errors import SequenceError, SequenceNotFoundError
 from ....types import Camera
 from ..recording import (
     ConvertOptions,

@@ -15,7 +15,7 @@ from ....data.readers.seven_scenes import calibrated_folders
 from ....data.readers.tum import LENSES, benchmark_camera
 from ....data.recorded.files import calibration_in, first_of, told_outside
 from ....data.recorded.images import read_rgb
-from ....data.sequence import BadFrameError, SequenceError
+from ....errors import BadFrameError, SequenceError
 from ....files import is_file
 from ..calibration_tree import Tree, tree_of_file
 from ..confidence import confidence_of

@@ -13,7 +13,7 @@ from collections.abc import Set
 from pathlib import Path
 
 from ....data.recorded.files import images_in, natural_order
-from ....data.sequence import BadFrameError, SequenceError
+from ....errors import BadFrameError, SequenceError
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, OptionNeeded, Recording, read_depth_file
 from .image_recording import recording_of
 from .pairing import Numbered, judged, paired

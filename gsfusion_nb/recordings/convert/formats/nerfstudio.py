@@ -24,7 +24,7 @@ from ....data.lens import CameraModel
 from ....data.recorded.files import natural_order, number, told_outside
 from ....data.recorded.images import read_rgb
 from ....data.recorded.poses import GL_TO_CV
-from ....data.sequence import SequenceError
+from ....errors import SequenceError
 from ....files import is_file, parsing, read_object
 from ....geometry import se3
 from ..intrinsics import model_of

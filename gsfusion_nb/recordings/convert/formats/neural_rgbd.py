@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ....data.recorded.files import images_in
 from ....data.recorded.poses import GL_TO_CV, image_number, read_rows
-from ....data.sequence import SequenceError
+from ....errors import SequenceError
 from ..intrinsics import read_intrinsics
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, Recording
 from .image_recording import recording_of, size_of_colour

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ....data.lens import CameraModel
 from ....data.recorded.files import images_in, natural_order
-from ....data.sequence import SequenceError, SequenceNotFoundError
+from ....errors import SequenceError, SequenceNotFoundError
 from ....files import parsing, read_bytes, read_object, read_text
 from ....geometry import se3
 from ..intrinsics import model_of_tree

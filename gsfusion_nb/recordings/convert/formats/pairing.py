@@ -8,7 +8,7 @@ from pathlib import Path
 from ....data.readers.tum import MAX_TIME_DIFFERENCE_S
 from ....data.recorded.files import natural_order
 from ....data.recorded.times import Stamps, associate, common_unit, judge_stamps
-from ....data.sequence import SequenceError
+from ....errors import SequenceError
 from ..trajectory import frame_key
 
 

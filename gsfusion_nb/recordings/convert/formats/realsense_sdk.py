@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ....data.recorded.poses import matrices
-from ....data.sequence import SequenceError
+from ....errors import SequenceError
 from .ros_tf import in_order, row_of
 
 _STREAM = re.compile(r"(/device_\d+/sensor_\d+)/[^/]+_\d+(?=/)")

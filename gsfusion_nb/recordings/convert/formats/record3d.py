@@ -24,7 +24,7 @@ from ....data.lens import CameraModel
 from ....data.recorded.files import number
 from ....data.recorded.images import read_image_bytes
 from ....data.recorded.poses import GL_TO_CV, matrices
-from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
+from ....errors import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import (
     IMAGE_BYTES,
     TEXT_BYTES,

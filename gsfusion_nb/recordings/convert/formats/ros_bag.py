@@ -16,7 +16,7 @@ from typing import Any
 
 from ....checks import shown
 from ....data.recorded.times import associate
-from ....data.sequence import SequenceError
+from ....errors import SequenceError
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
 from .realsense_sdk import is_told_by_sdk, stream_of
 from .ros_cameras import RosCalibration

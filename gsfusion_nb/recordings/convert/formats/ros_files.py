@@ -12,7 +12,7 @@ from typing import Any
 
 import yaml
 
-from ....data.sequence import SequenceError, SequenceNotFoundError
+from ....errors import SequenceError, SequenceNotFoundError
 from ....files import open_regular, parsing, read_text
 from .realsense_sdk import stream_of
 from .unpacking import bounded, check_tables, most_bytes

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ....checks import shown
-from ....data.sequence import SequenceError
+from ....errors import SequenceError
 from ..recording import ConvertOptions, OptionNeeded
 from ..trajectory import Trajectory, camera_in_body
 from .ros_tf import TransformPath, TransformTree, in_order, pose_rows, seconds

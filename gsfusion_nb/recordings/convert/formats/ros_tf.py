@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ....data.recorded.poses import interpolate_rows, matrices
-from ....data.sequence import SequenceError
+from ....errors import SequenceError
 
 POSE_TYPES = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry")
 _STILL = 1e-9

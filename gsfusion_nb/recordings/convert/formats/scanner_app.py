@@ -19,7 +19,7 @@ from torch import Tensor
 from ....data.lens import CameraModel
 from ....data.recorded.files import natural_order, number
 from ....data.recorded.poses import GL_TO_CV
-from ....data.sequence import SequenceError
+from ....errors import SequenceError
 from ....files import is_file, parsing, read_object
 from ..confidence import DepthConfidence
 from ..intrinsics import model_of_matrix

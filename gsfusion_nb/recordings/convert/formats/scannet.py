@@ -22,7 +22,7 @@ from torch import Tensor
 from ....data.lens import CameraModel
 from ....data.recorded.files import images_in
 from ....data.recorded.poses import image_number
-from ....data.sequence import BadFrameError, SequenceError, SequenceNotFoundError
+from ....errors import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import inflate, open_regular, read_exactly
 from ....geometry import se3
 from ..intrinsics import model_of_matrix

@@ -19,7 +19,7 @@ from ....data.recorded.files import images_in
 from ....data.recorded.images import decode_depth, read_image_bytes
 from ....data.recorded.poses import read_rows
 from ....data.recorded.times import associate
-from ....data.sequence import SequenceError
+from ....errors import SequenceError
 from ..intrinsics import read_intrinsics
 from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, metres, with_colour
 from .image_recording import size_of_colour

@@ -19,7 +19,7 @@ from ....data.lens import CameraModel
 from ....data.recorded.files import images_in
 from ....data.recorded.images import decode_image, read_image_bytes
 from ....data.recorded.poses import matrices, read_rows
-from ....data.sequence import BadFrameError, SequenceError
+from ....errors import BadFrameError, SequenceError
 from ....types import Camera
 from ..recording import (
     DEPTH_SUFFIXES,

@@ -15,7 +15,8 @@ from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
-from ....files import LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE, SequenceError, parsing
+from ....errors import SequenceError
+from ....files import LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE, parsing
 
 _ZSTD = "compression.zstd" if importlib.util.find_spec("compression") else "backports.zstd"
 """Where Python's zstd is; of the package before Python 3.14."""

@@ -11,7 +11,7 @@ import pytest
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
-from gsfusion_nb.files import SequenceError
+from gsfusion_nb.errors import SequenceError
 from gsfusion_nb.recordings.convert.formats import unpacking
 from gsfusion_nb.recordings.convert.formats.ros_files import opened_bag
 
