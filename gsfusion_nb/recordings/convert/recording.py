@@ -3,10 +3,10 @@ on request."""
 
 import importlib.util
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -14,7 +14,13 @@ from torch import Tensor
 
 from ...config.values import Settings, within
 from ...data.lens import CameraModel
-from ...data.recorded.images import check_image_size, decode_depth, decode_rgb, read_image_bytes
+from ...data.recorded.images import (
+    MAX_PIXELS,
+    check_image_size,
+    decode_depth,
+    decode_rgb,
+    read_image_bytes,
+)
 from ...errors import BadFrameError, SequenceError, refusing
 from ...files import is_file, open_regular, parsing
 from ...geometry.operands import check_depth_scale, check_plausible_camera
@@ -329,6 +335,8 @@ def _exr_channel(path: Path) -> np.ndarray:
     import OpenEXR  # pyright: ignore[reportMissingImports]
 
     check_image_size(read_image_bytes(path, "depth"), path, "depth")
+    with parsing(path, "depth as OpenEXR", BadFrameError):
+        _check_exr_values(OpenEXR.File(str(path), header_only=True).parts, path)
     with parsing(path, "depth as OpenEXR", BadFrameError), OpenEXR.File(str(path)) as file:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
     array = next(
@@ -340,3 +348,24 @@ def _exr_channel(path: Path) -> np.ndarray:
             f"{path} has the channels {', '.join(channels)}; expected depth in Z, Y or R"
         )
     return array if array.ndim == 2 else array[..., 0]
+
+
+_EXR_VALUES = 4 * MAX_PIXELS
+"""Numbers in an OpenEXR file, all parts and channels together: as many as the largest image in
+RGBA."""
+
+
+def _check_exr_values(parts: Sequence[Any], path: Path) -> None:
+    """Raise ``BadFrameError`` before the pixels of all channels, equal ones of which take no room
+    in a file, are unpacked."""
+    n_values = 0
+    for part in parts:
+        low, high = part.header["dataWindow"]
+        width = int(high[0]) - int(low[0]) + 1
+        height = int(high[1]) - int(low[1]) + 1
+        n_values += width * height * len(part.header["channels"])
+    if n_values > _EXR_VALUES:
+        raise BadFrameError(
+            f"{path} claims {n_values:,} numbers in all its channels; expected a depth image of at "
+            f"most {_EXR_VALUES:,}"
+        )

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from gsfusion_nb.data import SequenceError, folder
-from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format
+from gsfusion_nb.data import BadFrameError, SequenceError, folder
+from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format, recording
 from gsfusion_nb.recordings.convert.formats import images
-from gsfusion_nb.recordings.convert.recording import OptionNeeded, check_exr
+from gsfusion_nb.recordings.convert.recording import OptionNeeded, check_exr, read_depth_file
 
 
 def write(root, takes, colour="color/{}.jpg", depth="depth/{}.png"):
@@ -257,6 +257,19 @@ def test_the_package_for_openexr_is_named_before_anything_is_read(tmp_path, monk
         SequenceError, match=r"0\.exr is an OpenEXR file.*pip install 'gsfusion-nb\[exr\]'"
     ):
         check_exr(tmp_path / "0.exr")
+
+
+def test_many_channels_of_an_openexr_file_are_not_unpacked(tmp_path, monkeypatch):
+    OpenEXR = pytest.importorskip("OpenEXR", reason="OpenEXR is not installed")
+    depth_m = np.full((40, 60), 1.5, np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    few = dict.fromkeys("RGBZ", depth_m)
+    OpenEXR.File(header, few).write(str(tmp_path / "few.exr"))
+    OpenEXR.File(header, few | {"A": depth_m}).write(str(tmp_path / "many.exr"))
+    monkeypatch.setattr(recording, "_EXR_VALUES", 4 * depth_m.size)
+    np.testing.assert_array_equal(read_depth_file(tmp_path / "few.exr", 1.0), depth_m)
+    with pytest.raises(BadFrameError, match=r"many\.exr claims 12,000 numbers .* most 9,600"):
+        read_depth_file(tmp_path / "many.exr", 1.0)
 
 
 @pytest.mark.ci
