@@ -451,3 +451,18 @@ def observing(observer: Observer | None) -> Iterator[None]:
         yield
     finally:
         _observer.reset(token)
+
+
+@contextlib.contextmanager
+def also_observing(observer: Observer) -> Iterator[None]:
+    """Context in which ``observer`` sees the calls, besides whoever sees them already."""
+    outer = _observer.get()
+
+    def both(name: str, f: Callable, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+        def seen_by_outer(*args: Any, **kwargs: Any) -> Any:
+            return f(*args, **kwargs) if outer is None else outer(name, f, args, kwargs)
+
+        return observer(name, seen_by_outer, args, kwargs)
+
+    with observing(both):
+        yield

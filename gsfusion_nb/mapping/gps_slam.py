@@ -14,7 +14,7 @@ from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import Keyframe, adam_step, fit_pose_by_flow, l1_mse_vjp, l2_mse_vjp
 from ..render import BaseView, render_over_base, render_over_base_vjp
-from ..seeding import SeedContext
+from ..seeding import SeedContext, SurfaceInputs
 from ..tracking import Correction
 from ..tsdf import FusedView, fuse_frame_
 from ..types import Camera, Frame, GaussianParams, RenderOutput
@@ -88,9 +88,8 @@ class GPSSLAM(TsdfMapping):
                 else None
             )
         with self.clock("seeding"):
-            below = None if now is None else now.below
             preview = FusedView(self.volume, frame, missing)
-            context = self._context(frame, volume=preview, below=below)
+            context = self._context(frame, None if now is None else now.below, volume=preview)
             seeds = self.propose_seeds(context)
         with self.changes(undoable=self.views.steps_in(self.n_frames) > 0):
             if seeds_now and schedule.spread:
@@ -114,13 +113,14 @@ class GPSSLAM(TsdfMapping):
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
-        below = self._look(Keyframe.of(frame.to(self.device))).below
-        return self._context(frame, volume=self.volume, below=below)
+        surface = self._look(Keyframe.of(frame.to(self.device))).below
+        return self._context(frame, surface, volume=self.volume)
 
-    def _context(self, frame: Frame, **more: Any) -> SeedContext:
-        return super()._context(
-            frame, near_m=self.config.tsdf.near_m, seen_before=self._seen_before(frame), **more
-        )
+    def _context(self, frame: Frame, surface: BaseView | None, **more: Any) -> SeedContext:
+        system = None
+        if surface is not None:
+            system = SurfaceInputs(surface=surface, seen_before=self._seen_before(frame))
+        return super()._context(frame, near_m=self.config.tsdf.near_m, system=system, **more)
 
     def is_next_keyframe(self, frame: Frame) -> bool:
         """Whether the camera has turned or moved far enough since the last keyframe, or it is time

@@ -82,7 +82,7 @@ class GSFusion(TsdfMapping):
         self._camera = frame.camera
         with self.clock("tsdf"):
             missing = self._make_room(frame)  # III-B.1, the blocks
-        with self.clock("seeding"):
+        with self.clock("seeding"), self.clock.operation("quadtree", of="seeding"):
             preview = FusedView(self.volume, frame, missing)
             context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
             seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
@@ -97,7 +97,6 @@ class GSFusion(TsdfMapping):
         with self.clock("tsdf"):
             self.volume.allocate_missing(missing)
             fuse_frame_(self.volume, frame)  # III-B.1, Eq. 6-9
-        self.clock.split("seeding", "quadtree", context.quadtree_seconds)
         return self._report(frame, seeds, is_keyframe, steps[:n_steps], n_steps=len(steps))
 
     def seed_context(self, frame: Frame) -> SeedContext:

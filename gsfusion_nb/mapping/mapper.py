@@ -36,6 +36,7 @@ from ..optim import (
 from ..render import Boxes, drawn_in_part, render
 from ..seeding import (
     Cells,
+    MapReading,
     SeedContext,
     SeedingRule,
     apply_rule,
@@ -583,9 +584,11 @@ class Mapper(ABC):
         return SeedContext(
             frame,
             gaussians=self.gaussians,
-            boxes=self.boxes,
-            params_now=self.params_now,
-            all_in_view=self.config.all_in_view,
+            reading=MapReading(
+                boxes=self.boxes,
+                params=self.params_now,
+                all_in_view=self.config.all_in_view,
+            ),
             generator=self.random.rule,
             config=self.config.seeding,
             memory=self.memory,

@@ -26,7 +26,7 @@ from ..render import (
     surface_depth_m,
     view_surface,
 )
-from ..seeding import SeedContext
+from ..seeding import DiscInputs, SeedContext, disc_view
 from ..tracking import Correction
 from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
@@ -101,7 +101,7 @@ class RTGSLAM(Mapper):
         2, section 3.2)."""
         with self.clock("seeding"):
             context = self.seed_context(frame)
-            before = _psnr_db(context.surface().rgb, frame) if len(self.gaussians) else math.nan
+            before = _psnr_db(disc_view(context).rgb, frame) if len(self.gaussians) else math.nan
             seeds = self.propose_seeds(context)  # RTG-SLAM Eq. 6
         is_keyframe = self.is_next_keyframe(frame)
         window_is_due = self._window_is_due(is_keyframe)
@@ -134,7 +134,7 @@ class RTGSLAM(Mapper):
         """What a seeding rule sees of this frame."""
         return self._context(
             frame,
-            discs=self.config.discs,
+            system=DiscInputs(discs=self.config.discs),
             near_m=self.config.data.depth_min_m,
         )
 

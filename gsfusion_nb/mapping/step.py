@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..backends import also_observing
 from ..checks import check_colours, check_finite, check_pose
 from ..errors import ArgumentError, BadFrameError, ForeseenError
 from ..geometry.operands import check_place, check_plausible_camera
@@ -99,10 +100,26 @@ class StageClock:
         finally:
             self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
 
-    def split(self, stage: str, part: str, seconds: float) -> None:
-        """Count ``seconds`` of ``stage`` as ``part`` instead."""
-        self.seconds[stage] -= seconds
-        self.seconds[part] = self.seconds.get(part, 0.0) + seconds
+    @contextlib.contextmanager
+    def operation(self, name: str, *, of: str) -> Iterator[None]:
+        """Context in which the time of an operation counts as a stage of its own, not as part of
+        stage ``of``."""
+        seconds = 0.0
+
+        def time_calls(called: str, f: Callable, args: tuple, kwargs: dict[str, Any]) -> Any:
+            nonlocal seconds
+            start = time.perf_counter()
+            try:
+                return f(*args, **kwargs)
+            finally:
+                seconds += time.perf_counter() - start if called == name else 0.0
+
+        try:
+            with also_observing(time_calls):
+                yield
+        finally:
+            self.seconds[of] = self.seconds.get(of, 0.0) - seconds
+            self.seconds[name] = self.seconds.get(name, 0.0) + seconds
 
 
 ViewStep = tuple[Float[Tensor, ""], Float[Tensor, ""]]

@@ -26,7 +26,7 @@ from ..render import (
     view_surface,
 )
 from ..render.constants import OPAQUE_ALPHA
-from ..seeding import SeedContext, apply_rule
+from ..seeding import DiscInputs, SeedContext, apply_rule
 from ..types import Camera, Frame, GaussianParams, RenderOutput
 from .training import Training
 
@@ -298,7 +298,8 @@ def fit_image(
     depth = "disc" if method == "disc" else "blended"
     # the surfel to 1 sigma
     discs = dataclasses.replace(settings.discs, opaque_alpha=OPAQUE_ALPHA, depth=depth)
-    context = SeedContext(frame, generator=torch.Generator().manual_seed(seed), discs=discs)
+    generator = torch.Generator().manual_seed(seed)
+    context = SeedContext(frame, generator=generator, system=DiscInputs(discs=discs))
     usable = int((context.has_depth() & (context.normals() != 0).any(dim=-1)).sum())
     options = {"share": min(1.0, n / max(usable, 1))}
     seeds = apply_rule("rtg_slam", context, options)

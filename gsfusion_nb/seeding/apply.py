@@ -17,9 +17,11 @@ from ..errors import ArgumentError, ForeseenError, KindError
 from ..geometry.operands import MAX_DISTANCE_M
 from ..types import Seeds
 from .context import SeedContext
+from .map_queries import map_params
 from .read_only import read_only
 from .rule import Option, SeedingRule, get_rule, is_map_rule, option_values, rule_name
 from .rule_code import is_built_in
+from .volume_queries import voxel_index
 
 _PLAIN = (type(None), bool, int, float, str)
 _RESERVED = "$"
@@ -182,8 +184,8 @@ def apply_rule(
         ) from None
     if not one_per_voxel:
         return seeds
-    taken = None if ctx.gaussians is None else ctx.voxel_index(ctx.params().xyz_W)
-    return keep_one_per_voxel(seeds, ctx.voxel_index(seeds.xyz_W), taken)
+    taken = None if ctx.gaussians is None else voxel_index(ctx, map_params(ctx).xyz_W)
+    return keep_one_per_voxel(seeds, voxel_index(ctx, seeds.xyz_W), taken)
 
 
 def keep_one_per_voxel(

@@ -103,6 +103,27 @@ def voxel_keys(xyz_W: Float[Tensor, "N 3"], voxel_size_m: float) -> Int[Tensor, 
     return (x << 2 * _BITS) | (y << _BITS) | z
 
 
+def first_in_voxel(xyz_W: Float[Tensor, "M 3"], voxel_size_m: float) -> Bool[Tensor, " M"]:
+    """True for the first of the points in each voxel of a grid at the world's origin. [M]"""
+    keys, group = voxel_keys(xyz_W, voxel_size_m).unique(return_inverse=True)
+    row = torch.arange(len(xyz_W), device=xyz_W.device)
+    first = torch.full_like(keys, len(xyz_W)).scatter_reduce_(0, group, row, "amin")
+    return first[group] == row
+
+
+def outliers(
+    xyz_W: Float[Tensor, "M 3"], k: int = 40, std_ratio: float = 2.0
+) -> Bool[Tensor, " M"]:
+    """Points whose mean distance to their ``k`` nearest others exceeds the mean of all points by
+    ``std_ratio`` standard deviations (the statistical outlier filter, Rusu et al. 2008). With fewer
+    points, all others are the neighbours of each. [M]"""
+    k = min(k, len(xyz_W) - 1)
+    if k < 1:
+        return torch.zeros(len(xyz_W), dtype=torch.bool, device=xyz_W.device)
+    mean = nearest_others(xyz_W, xyz_W[:0], k).distance_m.mean(dim=1)
+    return mean > mean.mean() + std_ratio * mean.std()
+
+
 VISIBLE = "times_visible"
 GRADIENT = "image_gradient"
 ABS_GRADIENT = "abs_image_gradient"
@@ -198,7 +219,7 @@ class MapView:
     """Index of this frame minus that of the frame that seeded each Gaussian; both count the frames
     of the source, also those that are not mapped. None if the map does not keep it."""
     age_steps: Int[Tensor, " N"] | None = None
-    """Steps of the map (``SeedContext.step_count``) since each Gaussian was added. None if the map
+    """Steps of the map (``step_count``) since each Gaussian was added. None if the map
     does not keep it."""
     times_visible: Float[Tensor, " N"] | None = None
     """Gradient steps in which each Gaussian was visible; None unless a rule that is a class asks

@@ -8,7 +8,7 @@ import torch
 
 from gsfusion_nb.compare import program
 from gsfusion_nb.seeding import SeedContext
-from gsfusion_nb.seeding.context import Neighbours
+from gsfusion_nb.seeding.points import Neighbours
 
 
 class Called:
@@ -36,7 +36,7 @@ CHANGES = {
     "an object": (SeedContext, "corners", Called(1), Called(2)),
     "a function in a cache": (torch, "sum", functools.cache(of(1)), functools.cache(of(2))),
     "a new attribute of the context": (SeedContext, "step", 1, 2),
-    "defaults of a method": (SeedContext.corners, "__defaults__", (1,), (2,)),
+    "defaults of a method": (SeedContext.edges, "__defaults__", (1,), (2,)),
     "attributes of a class": (Neighbours, "step", (1,), (2,)),
     "a number of Python": (math, "pi", 3.0, 3.1),
 }

@@ -9,6 +9,7 @@ from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.optim import depth_l1
 from gsfusion_nb.runs import MappingRun
+from gsfusion_nb.seeding import voxel_index
 
 
 def held_out_psnr(mapper, split) -> float:
@@ -80,7 +81,7 @@ def test_a_voxel_holds_at_most_one_gaussian(split, config):
         )
         for frame in split.mapping:
             mapper.step(frame)
-        voxels = mapper.seed_context(frame).voxel_index(mapper.gaussians.params.xyz_W)
+        voxels = voxel_index(mapper.seed_context(frame), mapper.gaussians.params.xyz_W)
         counts[single] = len(voxels), len(torch.unique(voxels, dim=0))
     assert counts[True][0] == counts[True][1] <= counts[False][1] < counts[False][0]
 

@@ -17,6 +17,7 @@ from gsfusion_nb.mapping.lost_rows import finite_rows
 from gsfusion_nb.optim import take_missed_steps
 from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun, run_mapping
+from gsfusion_nb.seeding import map_params
 
 APART_M = 25.0
 """From one place to the next: no camera sees two of them."""
@@ -154,7 +155,7 @@ def test_what_is_shown_written_or_given_to_a_rule_has_the_missed_steps(
     assert missing(whole) == 0
     for name, column in vars(finished.params).items():
         assert torch.equal(mapper.maps()["gaussians"][name], column)
-        assert torch.equal(getattr(mapper.seed_context(frame).params(), name), column)
+        assert torch.equal(getattr(map_params(mapper.seed_context(frame)), name), column)
         shown = getattr(mapper.standard_gaussians(), name)
         assert torch.equal(shown, getattr(whole.standard_gaussians(), name))
     context = mapper.seed_context(frame)

@@ -20,7 +20,7 @@ from gsfusion_nb.mapping import gsfusion, make_mapper, training
 from gsfusion_nb.optim.adam import PartOfMap, RowAdam
 from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun, outputs, run_mapping
-from gsfusion_nb.seeding import context
+from gsfusion_nb.seeding import frame_queries
 
 PACKAGE = Path(interrupts.__file__).parent
 WATCHED = tuple(
@@ -221,7 +221,9 @@ def test_ctrl_c_while_a_kernel_is_compiled_ends_the_first_frame_as_if_it_had_not
     for name in ("quadtree", "render_forward", "fuse_frame_"):
         run = new_run("gsfusion_fits", config, small_room)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(gsfusion if hasattr(gsfusion, name) else context, name, compiled_in(name))
+            patch.setattr(
+                gsfusion if hasattr(gsfusion, name) else frame_queries, name, compiled_in(name)
+            )
             with pytest.raises(KeyboardInterrupt):
                 list(run.online())
         assert is_quiet()
@@ -237,7 +239,7 @@ def test_ctrl_c_while_a_kernel_is_compiled_ends_the_first_frame_as_if_it_had_not
 
 def compiled_in(name: str) -> Any:
     """The operation, which is pressed Ctrl-C in while it is compiled."""
-    f = getattr(gsfusion if hasattr(gsfusion, name) else context, name)
+    f = getattr(gsfusion if hasattr(gsfusion, name) else frame_queries, name)
 
     def compiling(*args: Any, **options: Any) -> Any:
         signal.raise_signal(signal.SIGINT)

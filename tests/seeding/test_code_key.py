@@ -803,7 +803,7 @@ PATCHES = {
     "function of Python": (math, "sqrt", lambda x: x),
     "method of the context": (SeedContext, "cells", mine),
     "object that can be called": (torch, "sum", Called(1)),
-    "object as a method of the context": (SeedContext, "corners", Called(1)),
+    "object as a method of the context": (SeedContext, "edges", Called(1)),
     "function of one's own in a cache": (torch, "sum", functools.lru_cache(mine)),
     "partial with a function of one's own": (torch, "sum", functools.partial(mine, 1)),
     "property of the context": (SeedContext, "has_map", property(mine)),
@@ -825,10 +825,10 @@ def test_a_function_of_a_library_that_is_replaced_is_seen(monkeypatch, owner, na
 SWAPS = {
     "another function of torch": (torch, "median", torch.mean),
     "another method of a tensor": (torch.Tensor, "median", torch.Tensor.mean),
-    "another method of the context": (SeedContext, "corners", SeedContext.pixels),
+    "another method of the context": (SeedContext, "edges", SeedContext.pixels),
     "constant": (math, "pi", 3.0),
     "code of a function": (backends.chosen, "__code__", (lambda *args: None).__code__),
-    "default of a method": (SeedContext.corners, "__defaults__", (5,)),
+    "default of a method": (SeedContext.edges, "__defaults__", (5,)),
     "new attribute of the context": (SeedContext, "step", 5),
 }
 
@@ -849,8 +849,8 @@ def test_what_a_name_of_a_library_leads_to_is_part_of_the_key(monkeypatch):
     """Not only that it was changed."""
     before = library_state("gsfusion_nb.seeding.context.", "math.")
     for owner, name, values in (
-        (SeedContext, "corners", (SeedContext.pixels, SeedContext.normals)),
-        (SeedContext.corners, "__defaults__", ((5,), (6,))),
+        (SeedContext, "edges", (SeedContext.pixels, SeedContext.normals)),
+        (SeedContext.edges, "__defaults__", ((5,), (6,))),
         (math, "pi", (3.0, 3.1)),
     ):
         found = []

@@ -10,7 +10,7 @@ import torch
 from gsfusion_nb.config import SeedingConfig, TsdfConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import project, se3
-from gsfusion_nb.seeding import SeedContext, check_contexts
+from gsfusion_nb.seeding import SeedContext, check_contexts, voxel_index
 from gsfusion_nb.types import Camera, Frame, Seeds
 
 
@@ -154,6 +154,6 @@ def test_volume_lookups():
     xyz = torch.tensor([[0.1, 0.6, -0.1], [1.6, -0.6, 0.0]])
     assert ctx.voxel_weight(xyz).tolist() == [0.0, 3.0]
     assert ctx.tsdf(xyz).tolist() == pytest.approx([0.0, 0.3])
-    assert ctx.voxel_index(xyz).tolist() == [[0, 1, -1], [3, -2, 0]]
-    assert ctx.voxel_index(xyz).dtype == torch.int64
+    assert voxel_index(ctx, xyz).tolist() == [[0, 1, -1], [3, -2, 0]]
+    assert voxel_index(ctx, xyz).dtype == torch.int64
     assert ctx.near_m == 0.7

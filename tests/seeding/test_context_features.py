@@ -9,8 +9,24 @@ import torch
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
-from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
-from gsfusion_nb.seeding.image_features import absolute_laplacian, box_blur, disc_blur, halved
+from gsfusion_nb.seeding import (
+    SeedContext,
+    Seeds,
+    absolute_laplacian,
+    apply_rule,
+    disc_view,
+    draw_rows,
+    draw_weighted_rows,
+    first_in_voxel,
+    gradient_length,
+    luma,
+    orb_corners,
+    outliers,
+    quat_from_normals,
+    raycast_volume,
+    structure_directions,
+)
+from gsfusion_nb.seeding.image_features import box_blur, disc_blur, halved
 from gsfusion_nb.tsdf import FusedView, TsdfVolume, fuse_frame_, new_band_blocks, raycast
 from gsfusion_nb.types import Camera, Frame
 
@@ -47,13 +63,13 @@ def with_map(xyz_W: torch.Tensor, **more) -> SeedContext:
 
 
 def test_corners_of_a_square():
-    found = square().corners(50)
+    found = orb_corners(square().frame, 50)
     true = torch.tensor([[10.0, 8.0], [30.0, 8.0], [10.0, 22.0], [30.0, 22.0]])
     assert (torch.cdist(true, found).min(dim=1).values < 2.5).all()
     assert (torch.cdist(found, true).min(dim=1).values < 8.0).all()
     assert ((found - 0.5) % 1 == 0).all()
-    assert len(square().corners(1)) <= 1
-    assert len(SeedContext(frame()).corners(50)) == 0
+    assert len(orb_corners(square().frame, 1)) <= 1
+    assert len(orb_corners(frame(), 50)) == 0
 
 
 def test_nearest_neighbours_and_the_usual_size():
@@ -80,14 +96,14 @@ def test_nearest_neighbours_and_the_usual_size():
 
 def test_draws():
     ctx = SeedContext(frame())
-    drawn = ctx.draw(10, 4)
+    drawn = draw_rows(ctx, 10, 4)
     assert len(drawn.unique()) == 4
     assert (drawn.diff() > 0).all()
-    assert ctx.draw(3, 5).tolist() == [0, 1, 2]
+    assert draw_rows(ctx, 3, 5).tolist() == [0, 1, 2]
     weight = torch.tensor([0.0, 1.0, 0.0, 3.0, 0.0])
-    assert ctx.draw_weighted(weight, 4).tolist() == [1, 3]
-    assert len(ctx.draw_weighted(weight, 0)) == 0
-    heavy = sum(ctx.draw_weighted(weight, 1).item() == 3 for _ in range(400))
+    assert draw_weighted_rows(ctx, weight, 4).tolist() == [1, 3]
+    assert len(draw_weighted_rows(ctx, weight, 0)) == 0
+    heavy = sum(draw_weighted_rows(ctx, weight, 1).item() == 3 for _ in range(400))
     assert heavy == pytest.approx(300, abs=40)  # 4.6 standard deviations
 
 
@@ -97,7 +113,7 @@ def test_orientations_from_normals():
         dim=1,
     )
     special = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]])
-    quat = SeedContext(frame()).quat_from_normals(torch.cat([normal, special]))
+    quat = quat_from_normals(torch.cat([normal, special]))
     torch.testing.assert_close(quat.norm(dim=1), torch.ones(53))
     turned = quaternion.to_matrix(quat)[:, :, 2]
     torch.testing.assert_close(turned[:50], normal, atol=1e-5, rtol=0)
@@ -113,11 +129,11 @@ def test_raycast_shows_the_volume_with_the_frame_in_it(small_walk):
     now = small_walk[2]
     missing = volume.reserve(new_band_blocks(volume, now))
     before = volume.D.clone()
-    preview = SeedContext(now, FusedView(volume, now, missing)).raycast()
+    preview = raycast_volume(SeedContext(now, FusedView(volume, now, missing)))
     assert torch.equal(volume.D, before)
     volume.allocate_missing(missing)
     fuse_frame_(volume, now)
-    after = SeedContext(now, volume).raycast()
+    after = raycast_volume(SeedContext(now, volume))
     assert torch.equal(preview.depth_m, after.depth_m)
     assert torch.equal(after.normal_W, raycast(volume, now.camera, now.T_WC).normal_W)
     assert (after.depth_m > 0).float().mean() > 0.5
@@ -126,7 +142,7 @@ def test_raycast_shows_the_volume_with_the_frame_in_it(small_walk):
 @pytest.mark.parametrize("window_px", [0, 2, -1])
 def test_directions_need_a_window_with_a_middle(window_px):
     with pytest.raises(ValueError, match=f"window_px must be odd and at least 1, got {window_px}"):
-        square().edge_direction(window_px)
+        structure_directions(luma(square().frame.rgb), window_px)
 
 
 @pytest.mark.parametrize(
@@ -136,7 +152,7 @@ def test_directions_need_a_window_with_a_middle(window_px):
             lambda ctx: ctx.voxel_weight(torch.zeros(1, 3)),
             "voxel_weight needs a TSDF volume, .* pass volume=",
         ),
-        (lambda ctx: ctx.surface(), "surface.* needs a Gaussian map, .* pass gaussians="),
+        (lambda ctx: disc_view(ctx), "disc_view.* needs a Gaussian map, .* pass gaussians="),
         (
             lambda ctx: ctx.quadtree_cells(depth=1),
             r"unknown settings \['depth'\]; known: \['contrast', 'min_cell_px'",
@@ -156,12 +172,14 @@ def test_a_context_says_what_it_lacks(ask, sentence):
 
 def test_detail_of_the_picture():
     ctx = square()
-    assert ctx.grey()[10, 15].item() == pytest.approx(0.9999, abs=1e-4)
-    assert ctx.gradient()[15, 9:12].tolist() == pytest.approx([0.5, 0.5, 0.0], abs=1e-3)
-    lap = ctx.laplacian()
+    assert luma(ctx.frame.rgb)[10, 15].item() == pytest.approx(0.9999, abs=1e-4)
+    assert gradient_length(luma(ctx.frame.rgb))[15, 9:12].tolist() == pytest.approx(
+        [0.5, 0.5, 0.0], abs=1e-3
+    )
+    lap = absolute_laplacian(ctx.frame.rgb)
     assert lap[15, 8:13].tolist() == [0.0, 3.0, 3.0, 0.0, 0.0]
     assert lap[8, 10].item() == 6.0  # a corner of the square
-    assert ctx.laplacian() is lap
+    assert ctx.normals_W() is ctx.normals_W()
     thin = ctx.edges()
     wide = ctx.edges(dilate_px=2)
     assert thin.any()
@@ -173,7 +191,7 @@ def test_detail_of_the_picture():
 def one_per_5_cm(ctx: SeedContext) -> Seeds:
     seeds = ctx.seeds_at(ctx.pixels(), 1.0)
     seeds = seeds[~ctx.occupied(seeds.xyz_W, 0.05)]
-    return seeds[ctx.first_in_voxel(seeds.xyz_W, 0.05)]
+    return seeds[first_in_voxel(seeds.xyz_W, 0.05)]
 
 
 def test_one_gaussian_a_voxel_across_frames():
@@ -189,9 +207,8 @@ def test_one_gaussian_a_voxel_across_frames():
 def test_outliers_are_far_from_all_others():
     points = torch.rand(200, 3, generator=torch.Generator().manual_seed(0))
     points[7] += 10.0
-    ctx = SeedContext(frame())
-    assert ctx.outliers(points).nonzero()[:, 0].tolist() == [7]
-    assert ctx.outliers(points[:1]).tolist() == [False]
+    assert outliers(points).nonzero()[:, 0].tolist() == [7]
+    assert outliers(points[:1]).tolist() == [False]
 
 
 def test_first_in_a_voxel_and_voxels_that_are_held():
@@ -199,7 +216,7 @@ def test_first_in_a_voxel_and_voxels_that_are_held():
         [[0.01, 0, 0], [0.09, 0, 0], [-0.01, 0, 0], [0.11, 0, 0], [0.19, 0.05, 0.09]]
     )
     ctx = with_map(torch.tensor([[0.05, 0.05, 0.05], [-0.05, 0.15, 0.0]]))
-    assert ctx.first_in_voxel(points, 0.1).tolist() == [True, False, True, True, False]
+    assert first_in_voxel(points, 0.1).tolist() == [True, False, True, True, False]
     assert ctx.occupied(points, 0.1).tolist() == [True, True, False, False, False]
     assert not SeedContext(frame()).occupied(points, 0.1).any()
 

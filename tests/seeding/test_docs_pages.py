@@ -10,7 +10,7 @@ import pytest
 from gsfusion_nb.seeding import MapView, SeedContext, is_built_in, registered
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-FOR_THE_PACKAGE = {"boxes", "all_in_view", "params_now", "gaussians"}
+FOR_THE_PACKAGE = {"reading", "results", "gaussians"}
 """Parts of a context by which its other parts are computed; ``map`` has what a rule may know of the
 Gaussians."""
 

@@ -15,19 +15,13 @@ from gsfusion_nb.config import SeedingConfig, TsdfConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
-from gsfusion_nb.seeding.image_features import halved
+from gsfusion_nb.seeding.coverage import depth_error_m, in_front, unmapped_pixels
+from gsfusion_nb.seeding.draws import one_pixel_seeds
+from gsfusion_nb.seeding.image_features import halved, orb_corners
 from gsfusion_nb.seeding.rules.gaussian_slam import PRESETS as gaussian_slam_presets
 from gsfusion_nb.seeding.rules.monogs import PRESETS as monogs_presets
 from gsfusion_nb.seeding.rules.splatam import alpha_behind
-from gsfusion_nb.seeding.sampling import (
-    as_discs,
-    depth_error_m,
-    in_front,
-    one_pixel_seeds,
-    pushed_back,
-    sized_by_neighbours,
-    unmapped_pixels,
-)
+from gsfusion_nb.seeding.shapes import as_discs, pushed_back, sized_by_neighbours
 from gsfusion_nb.tsdf import RaycastOutput
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
@@ -288,7 +282,7 @@ def test_photo_slam_takes_every_corner_with_depth():
         generator=torch.Generator().manual_seed(0),
     )
     frame = wall(rgb=rgb.repeat_interleave(4, 0).repeat_interleave(4, 1))
-    corners = first(frame).corners(1000)
+    corners = orb_corners(frame, 1000)
     assert len(corners) > 20
     for ctx in (first(frame), staged(frame)):
         seeds = apply_rule("photo_slam", ctx)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from gsfusion_nb.seeding import MapRule, apply_rule
+from gsfusion_nb.seeding import MapRule, apply_rule, orb_corners, raycast_volume
 from gsfusion_nb.seeding.apply import ChangedInputError, context_tensors, unchanged_inputs
 from gsfusion_nb.seeding.check import check_contexts
 from gsfusion_nb.seeding.read_only import read_only
@@ -96,8 +96,10 @@ def test_reading_and_copies_are_free(ctx):
             other[...] = 0
             assert np.asarray(tensor, dtype=np.float64).flags.writeable
             assert np.from_dlpack(tensor).shape == tensor.shape
-        for look in (ctx.raycast, ctx.render, ctx.corners, ctx.edges):
-            look()
+        raycast_volume(ctx)
+        orb_corners(ctx.frame, 1000)
+        ctx.render()
+        ctx.edges()
         return ctx.seeds_at(ctx.pixels(), 1.0)
 
     assert len(apply_rule(rule, ctx)) > 0

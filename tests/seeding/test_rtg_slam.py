@@ -9,7 +9,7 @@ import torch
 from gsfusion_nb.gaussians import STABLE, UNSTABLE, SurfelModel
 from gsfusion_nb.geometry import project, quaternion, se3
 from gsfusion_nb.render import SurfaceView
-from gsfusion_nb.seeding import SeedContext, apply_rule, check_contexts
+from gsfusion_nb.seeding import SeedContext, apply_rule, check_contexts, disc_view
 from gsfusion_nb.seeding.rules.rtg_slam import (
     BORDER_M,
     COLOUR_ERROR,
@@ -83,7 +83,7 @@ def columns(ctx: SeedContext, seeds: Seeds) -> torch.Tensor:
 
 def masks(ctx: SeedContext, fidelity: str = "paper") -> dict[int, torch.Tensor]:
     usable = ctx.has_depth() & (ctx.normals() != 0).any(dim=-1)
-    return wrong_pixels(ctx, ctx.surface(), usable, 0.5, 0.1, 0.1, fidelity)
+    return wrong_pixels(ctx, disc_view(ctx), usable, 0.5, 0.1, 0.1, fidelity)
 
 
 def test_a_pixel_has_the_first_kind_that_applies():
@@ -171,7 +171,7 @@ def test_stable_discs_get_a_transparent_one_over_their_wrong_colour():
     assert (seeds.tag[~clear] != COLOUR_ERROR).all()
     i, j = project(ctx.camera, seeds.xyz_W).floor().long().unbind(-1)
     # also the rims, dim before the black behind them
-    asked = masks(ctx)[COLOUR_ERROR] & (ctx.surface().hit_index >= 0)
+    asked = masks(ctx)[COLOUR_ERROR] & (disc_view(ctx).hit_index >= 0)
     assert asked[j[clear], i[clear]].all()
     assert (u[clear] > RIGHT.start).sum() > 20
     assert seeds.scale_m[clear].max() <= 0.01 + 1e-7

@@ -21,6 +21,7 @@ from gsfusion_nb.seeding import (
     rule_options,
     seeding_rule,
     trained_otherwise,
+    voxel_index,
 )
 from gsfusion_nb.seeding.rules import gaussian_slam
 
@@ -258,9 +259,9 @@ def test_what_is_no_rule(register, given, sentence):
 def test_one_per_voxel_through_apply_rule(ctx):
     every = apply_rule("dense", ctx)
     single = apply_rule("dense", ctx, one_per_voxel=True)
-    voxels = ctx.voxel_index(single.xyz_W)
+    voxels = voxel_index(ctx, single.xyz_W)
     assert len(torch.unique(voxels, dim=0)) == len(single) < len(every)
-    assert len(torch.unique(ctx.voxel_index(every.xyz_W), dim=0)) == len(single)
+    assert len(torch.unique(voxel_index(ctx, every.xyz_W), dim=0)) == len(single)
 
 
 def test_one_per_voxel_counts_the_gaussians_of_the_map():

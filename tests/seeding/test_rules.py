@@ -1,6 +1,7 @@
 """The first rules: GSFusion's, dense and uniform; values of seeds; cells without depth."""
 
 import dataclasses
+import importlib
 from dataclasses import dataclass, field
 from math import sqrt
 from typing import Any
@@ -12,7 +13,7 @@ from gsfusion_nb.config import SeedingConfig, TsdfConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule, check_contexts
-from gsfusion_nb.seeding.sampling import cells_without_depth, depth_from_sides
+from gsfusion_nb.seeding.depth_holes import cells_without_depth, depth_from_sides
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
@@ -197,17 +198,14 @@ CASES: dict[str, Case] = {
 """Rule, with a word on the case where there are several -> what it seeds."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class WithCorners(SeedContext):
-    """A context whose corners are every 10th pixel."""
-
-    def corners(self, count: int = 1000) -> torch.Tensor:
-        u, v = torch.meshgrid(
-            torch.arange(2.5, W, 10),
-            torch.arange(4.5, H, 10),
-            indexing="xy",
-        )
-        return torch.stack([u, v], dim=-1).reshape(-1, 2)
+def every_tenth_pixel(frame: Frame, count: int) -> torch.Tensor:
+    """In place of the corners of an image."""
+    u, v = torch.meshgrid(
+        torch.arange(2.5, W, 10),
+        torch.arange(4.5, H, 10),
+        indexing="xy",
+    )
+    return torch.stack([u, v], dim=-1).reshape(-1, 2)
 
 
 def context(case: Case) -> SeedContext:
@@ -234,13 +232,15 @@ def context(case: Case) -> SeedContext:
                 torch.tensor([0.02]),
             )
         )
-    kind = WithCorners if case.picture == "corners" else SeedContext
-    return kind(frame, volume, model)
+    return SeedContext(frame, volume, model)
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_place_size_and_opacity(name):
+def test_place_size_and_opacity(monkeypatch, name):
     case = CASES[name]
+    if case.picture == "corners":
+        monogs = importlib.import_module("gsfusion_nb.seeding.rules.monogs")
+        monkeypatch.setattr(monogs, "orb_corners", every_tenth_pixel)
     ctx = context(case)
     seeds = apply_rule(name.partition(",")[0], ctx, case.options)
     z = seeds.xyz_W[:, 2]

@@ -13,7 +13,7 @@ from ...errors import ArgumentError
 from ...geometry import quaternion, se3
 from ...types import Camera, Seeds
 from ..context import SeedContext
-from ..image_features import box_blur
+from ..image_features import box_blur, luma, structure_directions
 from ..rule import MapRule, seeding_rule
 
 
@@ -61,7 +61,7 @@ def edge_discs(
     uv = hexagonal_grid(ctx.camera, spacing_px).to(ctx.frame.depth_m)
     uv = uv[ctx.values_at(ctx.has_depth(), uv)]
     seeds = ctx.seeds_at(uv, radius * spacing_px, opacity=opacity)
-    edge = ctx.edge_direction(odd(spacing_px))
+    edge = structure_directions(luma(ctx.frame.rgb), odd(spacing_px))
     colours = box_blur(ctx.frame.rgb, odd(colour_window * spacing_px))
     f = 1 + (stretch - 1) * ctx.values_at(edge.coherence, uv)
     shape = torch.stack(

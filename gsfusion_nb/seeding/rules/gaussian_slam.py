@@ -13,16 +13,12 @@ from ...gaussians import Edit
 from ...geometry import quaternion
 from ...types import Seeds
 from ..context import SeedContext
+from ..coverage import depth_error_m, in_front, unmapped_pixels
+from ..draws import draw_rows, draw_weighted_rows, drawn_pixels
+from ..image_features import gradient_length, luma
+from ..points import outliers
 from ..rule import KeyframeRule, MapRule, StepStats, When, every, seeding_rule, trained_otherwise
-from ..sampling import (
-    depth_error_m,
-    drawn_pixels,
-    in_front,
-    pushed_back,
-    sized_by_neighbours,
-    thin,
-    unmapped_pixels,
-)
+from ..shapes import pushed_back, sized_by_neighbours, thin
 
 GRADIENT_POINTS = 50_000
 PUSH_BACK = 1.005
@@ -117,25 +113,26 @@ class gaussian_slam(MapRule):
         count = round(self.share * min(len(uv), limit or len(uv)))
         seeds = pushed_back(
             ctx,
-            ctx.seeds_at(uv[ctx.draw(len(uv), count)], 1.0),
+            ctx.seeds_at(uv[draw_rows(ctx, len(uv), count)], 1.0),
             PUSH_BACK,
         )
         if ctx.has_map:
             distance = ctx.nearest(seeds.xyz_W, 1, "map").distance_m[:, 0]
             seeds = seeds[distance.square() >= preset.min_square_m2]
             if preset.removes_outliers:
-                seeds = seeds[~ctx.outliers(seeds.xyz_W, 40, 2.0)]
+                seeds = seeds[~outliers(seeds.xyz_W, 40, 2.0)]
         return sized_by_neighbours(ctx, seeds, "new and map")
 
 
 def _start_of_submap(ctx: SeedContext, points: int) -> Bool[Tensor, "H W"]:
     """Random pixels, pixels on strong gradients, and edges."""
-    known = ctx.has_depth().flatten()
-    chosen = ctx.edges(100.0, 200.0, 2, euclidean=True).flatten() & known
-    candidate = known.nonzero()[:, 0]
-    chosen[candidate[ctx.draw(len(candidate), points)]] = True
-    chosen[ctx.draw_weighted(ctx.gradient().flatten() * known, GRADIENT_POINTS)] = True
-    return chosen.view(ctx.camera.height, ctx.camera.width)
+    has_depth = ctx.has_depth().flatten()
+    mask = ctx.edges(100.0, 200.0, 2, euclidean=True).flatten() & has_depth
+    candidate = has_depth.nonzero()[:, 0]
+    mask[candidate[draw_rows(ctx, len(candidate), points)]] = True
+    weight = gradient_length(luma(ctx.frame.rgb)).flatten() * has_depth
+    mask[draw_weighted_rows(ctx, weight, GRADIENT_POINTS)] = True
+    return mask.view(ctx.camera.height, ctx.camera.width)
 
 
 @trained_otherwise("parts of keyframes that have changed are ignored, by masks of objects")
@@ -338,7 +335,7 @@ def vings(
         chosen = known & ((view.alpha <= max_alpha) | depth | wrong)
     count = round(share * int(chosen.sum()))
     uv = ctx.pixels(known if as_released else chosen)
-    uv = uv[ctx.draw(len(uv), count)]
+    uv = uv[draw_rows(ctx, len(uv), count)]
     balls = sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0, opacity=0.8 if ctx.has_map else 0.1))
     generator = ctx.generator
     quat = torch.randn(len(balls), 4, generator=generator, device=generator.device).to(balls.quat)

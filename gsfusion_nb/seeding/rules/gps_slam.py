@@ -11,8 +11,11 @@ from torch import Tensor
 from ...geometry import normals_at, se3
 from ...types import Seeds
 from ..context import SeedContext
+from ..draws import draw_rows
+from ..map_queries import picture_over_surface, surface_inputs
 from ..rule import MapRule, When, every, seeding_rule, trained_otherwise
-from ..sampling import as_discs, sized_by_neighbours
+from ..shapes import as_discs, sized_by_neighbours
+from ..volume_queries import raycast_volume
 
 MAX_DEPTH_M = 5.0
 THICKNESS = 0.1
@@ -65,7 +68,7 @@ class gps_slam(MapRule):
     the system does. In the system gps_slam normals come from differences of the surface's points,
     as in the release, but of those beside the pixel instead of Sobel's 3x3; in the other systems
     from the TSDF's gradient, with ``surface`` "tsdf". A view that an earlier keyframe shows
-    (``SeedContext.seen_before``) needs three times the error, which is not released. Source: Peng
+    (``SurfaceInputs.seen_before``) needs three times the error, which is not released. Source: Peng
     et al. 2025 (GPS-SLAM) and its released code.
     """
 
@@ -85,17 +88,16 @@ class gps_slam(MapRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The discs of one mapped frame."""
-        depth_m, chosen, normal_W = self._surface(ctx)
-        chosen = chosen & (depth_m >= (ctx.near_m or 0.0)) & (depth_m > 0) & (depth_m < MAX_DEPTH_M)
+        depth_m, candidates, normal_W = self._surface(ctx)
+        in_range = (depth_m >= (ctx.near_m or 0.0)) & (depth_m > 0) & (depth_m < MAX_DEPTH_M)
+        candidates = candidates & in_range
         if self.only_with_depth and not self.in_holes:
-            chosen &= ctx.has_depth()
-        row, column = chosen.nonzero(as_tuple=True)
-        drawn = ctx.draw(
-            len(row),
-            int(min(self.share * len(row), self.most * chosen.numel())),
-        )
-        row = row[drawn]
-        column = column[drawn]
+            candidates &= ctx.has_depth()
+        row, column = candidates.nonzero(as_tuple=True)
+        n_seeds = int(min(self.share * len(row), self.most * candidates.numel()))
+        sample = draw_rows(ctx, len(row), n_seeds)
+        row = row[sample]
+        column = column[sample]
         uv = torch.stack([column, row], dim=-1) + 0.5
         seeds = ctx.seeds_at(uv, 1.0, depth_m=depth_m, opacity=self.opacity)
         # 1 px before it is sized
@@ -114,27 +116,28 @@ class gps_slam(MapRule):
     ) -> tuple[Float[Tensor, "H W"], Bool[Tensor, "H W"], Float[Tensor, "H W 3"] | None]:
         """Depth of the surface that discs lie on, the candidates, and the surface's normals; None:
         those of its depth."""
-        if ctx.below is None:
-            found = ctx.raycast() if self.surface == "tsdf" else None
-            depth_m, normal_W = (
-                (ctx.frame.depth_m, ctx.normals_W())
-                if found is None
-                else (found.depth_m, found.normal_W)
-            )
-            return depth_m, self._error(ctx) > self.colour_error, normal_W
-        picture = ctx.over_base()
-        below = ctx.below
+        over = surface_inputs(ctx)
+        if over is None:
+            candidates = self._error(ctx) > self.colour_error
+            if self.surface == "depth":
+                return ctx.frame.depth_m, candidates, ctx.normals_W()
+            hits = raycast_volume(ctx)
+            return hits.depth_m, candidates, hits.normal_W
+        surface = over.surface
+        picture = picture_over_surface(ctx)
         error = (picture.rgb - ctx.frame.rgb).abs().mean(dim=-1)
-        least = self.colour_error * (ERROR_SEEN_BEFORE if ctx.seen_before else 1.0)
-        chosen = (error > least) & (picture.weight < self.max_weight)
-        depth_m = ctx.frame.depth_m if self.surface == "depth" else below.base.depth_m
+        min_error = self.colour_error * (ERROR_SEEN_BEFORE if over.seen_before else 1.0)
+        candidates = (error > min_error) & (picture.weight < self.max_weight)
+        depth_m = ctx.frame.depth_m if self.surface == "depth" else surface.base.depth_m
         # not while there is no surface at all
-        if self.in_holes and bool((below.base.depth_m > 0).any()):
-            there = torch.where(ctx.has_depth(), ctx.frame.depth_m, below.depth_everywhere_m)
-            depth_m = torch.where(depth_m > 0, depth_m, there)
+        if self.in_holes and bool((surface.base.depth_m > 0).any()):
+            hole_depth_m = torch.where(
+                ctx.has_depth(), ctx.frame.depth_m, surface.depth_everywhere_m
+            )
+            depth_m = torch.where(depth_m > 0, depth_m, hole_depth_m)
         else:
-            chosen &= below.base.depth_m > 0
-        return depth_m, chosen, None
+            candidates &= surface.base.depth_m > 0
+        return depth_m, candidates, None
 
     def _error(self, ctx: SeedContext) -> Float[Tensor, "H W"]:
         """Mean absolute colour error of the picture that exists before this frame's discs."""
@@ -145,5 +148,5 @@ class gps_slam(MapRule):
             rgb = view.rgb
             alpha = view.alpha
         if self.base == "tsdf":
-            rgb = rgb + (1 - alpha)[..., None] * ctx.raycast().rgb
+            rgb = rgb + (1 - alpha)[..., None] * raycast_volume(ctx).rgb
         return (rgb - ctx.frame.rgb).abs().mean(dim=-1)

@@ -10,8 +10,9 @@ import torch
 from ...geometry import quaternion, se3
 from ...types import Seeds
 from ..context import SeedContext
+from ..draws import draw_rows
 from ..rule import MapRule, seeding_rule, trained_otherwise
-from ..sampling import MIN_SPACING_M
+from ..shapes import MIN_SPACING_M
 
 PRESETS = {"replica": (10, 5e-4, 0.7), "tum": (5, 1e-3, 0.81)}
 """Distance of the grid's pixels; distance up to which a point overlaps with the map; share of them
@@ -65,7 +66,7 @@ class gs_icp(MapRule):
         grid = torch.zeros_like(ctx.frame.depth_m, dtype=torch.bool)
         grid[::step, ::step] = True
         uv = ctx.pixels(grid)
-        uv = uv[ctx.draw(len(uv), round(len(uv) * (step / spacing) ** 2))]
+        uv = uv[draw_rows(ctx, len(uv), round(len(uv) * (step / spacing) ** 2))]
         seeds = ctx.seeds_at(uv, 1.0, opacity=OPACITY)
         if len(seeds) == 0:
             return seeds

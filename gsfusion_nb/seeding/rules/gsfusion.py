@@ -12,9 +12,11 @@ from ...errors import ArgumentError
 from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
+from ..coverage import in_front
+from ..depth_holes import cells_without_depth
+from ..draws import draw_rows
 from ..image_features import box_blur
 from ..rule import MapRule, StepStats, seeding_rule
-from ..sampling import cells_without_depth, in_front
 
 
 @seeding_rule
@@ -100,7 +102,7 @@ def uniform(
     seeds = ctx.seeds_at(ctx.pixels(), (0.5 / fraction) ** 0.5)
     if coverage:
         seeds = seeds[ctx.voxel_weight(seeds.xyz_W) == required_weight]
-    return seeds[ctx.draw(len(seeds), round(fraction * len(seeds)))]
+    return seeds[draw_rows(ctx, len(seeds), round(fraction * len(seeds)))]
 
 
 SSIM_PX = 5

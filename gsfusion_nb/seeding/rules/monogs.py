@@ -9,7 +9,9 @@ import torch
 from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
-from ..points import restart_statistics
+from ..draws import draw_rows, drawn_pixels
+from ..image_features import orb_corners
+from ..points import first_in_voxel, restart_statistics
 from ..rule import (
     KEYFRAMES,
     KeyframeRule,
@@ -19,7 +21,7 @@ from ..rule import (
     seeding_rule,
     trained_otherwise,
 )
-from ..sampling import as_discs, drawn_pixels, sized_by_neighbours
+from ..shapes import as_discs, sized_by_neighbours
 
 PRESETS = {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}
 """Share of a keyframe's pixels; point size."""
@@ -59,7 +61,7 @@ class monogs(KeyframeRule):
         share, c = PRESETS[self.preset]
         share = self.density * (share if ctx.has_map else FIRST_SHARE)
         uv = ctx.pixels()
-        uv = uv[ctx.draw(len(uv), int(share * len(uv)))]
+        uv = uv[draw_rows(ctx, len(uv), int(share * len(uv)))]
         seeds = ctx.seeds_at(uv, 1.0)
         seeds = seeds[seeds.rgb.sum(dim=1) > MIN_COLOUR_SUM]
         if len(seeds) == 0:
@@ -209,7 +211,7 @@ class photo_slam(KeyframeRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The corners of one keyframe."""
-        uv = ctx.corners(self.corners)
+        uv = orb_corners(ctx.frame, self.corners)
         if self.max_depth_m > 0:
             uv = uv[ctx.values_at(ctx.frame.depth_m, uv) <= self.max_depth_m]
         return sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0, opacity=0.1))
@@ -262,7 +264,7 @@ class two_dgs_slam(KeyframeRule):
         seeds = ctx.seeds_at(uv, 1.0, opacity=opacity)
         free = ~ctx.occupied(seeds.xyz_W, self.voxel_size_m)
         if self.one_per_voxel:
-            free &= ctx.first_in_voxel(seeds.xyz_W, self.voxel_size_m)
+            free &= first_in_voxel(seeds.xyz_W, self.voxel_size_m)
         # sized before the voxel filter
         seeds = sized_by_neighbours(ctx, seeds, max_of_mean=MAX_OF_MEAN)[free]
         return as_discs(

@@ -14,9 +14,10 @@ from ...geometry.spherical_harmonics import SH_C0
 from ...render import render
 from ...types import Seeds
 from ..context import SeedContext
+from ..draws import draw_rows, draw_weighted_rows
 from ..image_features import absolute_laplacian, disc_blur, halved
 from ..rule import KeyframeRule, MapRule, StepStats, seeding_rule, trained_otherwise
-from ..sampling import sized_by_neighbours
+from ..shapes import sized_by_neighbours
 
 OPACITY = 0.1
 MIN_OPACITY = 0.005
@@ -59,7 +60,8 @@ class cone_gs(MapRule):
         if not ctx.has_map:
             uv = ctx.pixels()
             uv = uv[
-                ctx.draw(
+                draw_rows(
+                    ctx,
                     len(uv),
                     self._room(ctx, round(self.share * len(uv))),
                 )
@@ -67,7 +69,8 @@ class cone_gs(MapRule):
             return sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0, opacity=OPACITY))
         error = (ctx.render().rgb - ctx.frame.rgb).abs().mean(dim=-1)[ctx.has_depth()]
         uv = ctx.pixels()[
-            ctx.draw_weighted(
+            draw_weighted_rows(
+                ctx,
                 error,
                 self._room(ctx, round(self.share * float(error.sum()))),
             )

@@ -16,6 +16,8 @@ from ...geometry import pixel_grid, quaternion
 from ...render import SurfaceView
 from ...types import Seeds
 from ..context import SeedContext
+from ..draws import draw_rows
+from ..map_queries import disc_view
 from ..points import k_nearest, nearest_others
 from ..rule import seeding_rule, trained_otherwise
 
@@ -95,7 +97,7 @@ def rtg_slam(
     kinds = {NEW_AREA: usable}
     view = None
     if ctx.gaussians is not None and len(ctx.map):
-        view = ctx.surface()
+        view = disc_view(ctx)
         kinds = wrong_pixels(
             ctx, view, usable, min_transmittance, depth_error_m, colour_error, fidelity
         )
@@ -189,7 +191,7 @@ def draw_share(
     """Indices into the flat image of a random share of the pixels, without replacement, in image
     order."""
     pixel = mask.flatten().nonzero().squeeze(1)
-    return pixel[ctx.draw(len(pixel), round(share * len(pixel)))]
+    return pixel[draw_rows(ctx, len(pixel), round(share * len(pixel)))]
 
 
 def discs_at(
@@ -287,7 +289,7 @@ def _decide_by_plane(
     stable_rows = (~unstable).nonzero().squeeze(1)
     opacity = seeds.opacity.clone()
     if len(stable_rows):
-        behind = ctx.surface(rows=stable_rows)
+        behind = disc_view(ctx, rows=stable_rows)
         under = behind.dominant_index.flatten()[pixel]
         row = stable_rows[under.clamp_min(0)]
         normal = ctx.map.normal_W[row]

@@ -14,16 +14,11 @@ from ...geometry.spherical_harmonics import SH_C0
 from ...render import render_forward
 from ...types import Seeds
 from ..context import SeedContext
+from ..coverage import depth_error_m, unmapped_pixels
+from ..draws import draw_rows, drawn_pixels, one_pixel_seeds, pixel_radius
+from ..map_queries import map_params, surface_inputs
 from ..rule import MapRule, StepStats, seeding_rule, trained_otherwise
-from ..sampling import (
-    as_discs,
-    depth_error_m,
-    drawn_pixels,
-    one_pixel_seeds,
-    pixel_radius,
-    pushed_back,
-    unmapped_pixels,
-)
+from ..shapes import as_discs, pushed_back
 
 
 @trained_otherwise("60 steps a frame on colour and depth, pruned")
@@ -279,7 +274,7 @@ class vtgaussian(MapRule):
             return pushed_back(ctx, coarse, PUSH_BACK)
         uv = ctx.pixels(chosen & ctx.edges(50.0, 200.0, 3, euclidean=True))
         uv = (uv[:, None] + QUARTERS.to(uv)).reshape(-1, 2)
-        uv = uv[ctx.draw(len(uv), round(self.share * len(uv)))]
+        uv = uv[draw_rows(ctx, len(uv), round(self.share * len(uv)))]
         fine = ctx.seeds_at(uv, 0.5 * pixel_radius(ctx, self.share))
         return pushed_back(ctx, Seeds.cat([coarse, fine]), PUSH_BACK)
 
@@ -329,7 +324,7 @@ def hf_slam(
         view = ctx.render()
         colour = (view.rgb - ctx.frame.rgb).abs().mean(dim=-1) > colour_error
         depth = depth_error_m(ctx) > relative_depth_error * ctx.frame.depth_m
-        alpha = alpha_behind(ctx) if as_released and ctx.below is None else view.alpha
+        alpha = alpha_behind(ctx) if as_released and surface_inputs(ctx) is None else view.alpha
         chosen = chosen & ((alpha < min_alpha) | colour | depth)
     return one_pixel_seeds(ctx, chosen, share=share)
 
@@ -338,7 +333,7 @@ def alpha_behind(ctx: SeedContext) -> Float[Tensor, "H W"]:
     """sum_k alpha_k T_{k+1}, with the light that is left behind each Gaussian in place of in front
     of it. [H, W]"""
     screen = render_forward(
-        ctx.params(),
+        map_params(ctx),
         ctx.camera,
         ctx.frame.T_WC,
         with_indices=False,

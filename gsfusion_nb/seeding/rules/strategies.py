@@ -12,9 +12,10 @@ from ...gaussians import SPLIT_SHRINKS, Edit, shared
 from ...geometry import quaternion
 from ...types import Seeds
 from ..context import SeedContext
+from ..coverage import unmapped_pixels
+from ..draws import one_pixel_seeds
 from ..points import abs_image_gradient, image_gradient, restart_statistics
 from ..rule import MapRule, StepStats, seeding_rule, trained_otherwise
-from ..sampling import one_pixel_seeds, unmapped_pixels
 from .edge_discs import edge_discs
 from .gsfusion import gsfusion, uniform
 

@@ -250,11 +250,12 @@ def rule_context(mapper: GSFusion, frame: Frame) -> SeedContext:
     integrate(volume, frame)
     gaussians = GaussianModel.from_state_dict(copy.deepcopy(mapper.gaussians.state_dict()))
     take_missed_steps(gaussians, mapper.row_optim)
+    ctx = mapper.seed_context(frame)
     return dataclasses.replace(
-        mapper.seed_context(frame),
+        ctx,
         volume=volume,
         gaussians=gaussians,
-        params_now=None,
+        reading=dataclasses.replace(ctx.reading, params=None),
         generator=torch.Generator().manual_seed(0),
         memory=seeding.copy_memory(mapper.memory),
     )
