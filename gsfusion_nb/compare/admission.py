@@ -21,7 +21,7 @@ import cloudpickle
 from ..files import read_object, read_sealed, write_sealed
 from ..seeding import SeedingRule, is_built_in, rule_name
 from ..seeding.code_key import differing, where_module
-from ..seeding.code_values import is_library_module
+from ..seeding.code_origin import is_library_module
 from .fresh_check import CheckJob
 from .map_scene import Entry, original
 from .program import run_key

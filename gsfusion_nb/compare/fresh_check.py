@@ -18,7 +18,7 @@ from typing import Any
 from ..errors import ArgumentError
 from ..files import cache_folder
 from ..seeding import CodeKey, check_rule, code_key
-from ..seeding.code_values import is_library_namespace
+from ..seeding.code_origin import is_library_namespace
 from ..seeding.installed import is_installed
 from ..seeding.patches import changes_since, library_state, switches
 from ..seeding.rule import option_paths

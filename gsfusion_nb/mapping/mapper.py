@@ -44,7 +44,7 @@ from ..seeding import (
     move_memory,
     rule_name,
 )
-from ..seeding.apply import ChangedInputError
+from ..seeding.input_guard import ChangedInputError
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction, Surface, localise
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds

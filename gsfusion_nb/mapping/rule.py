@@ -29,17 +29,12 @@ from ..seeding import (
     check_memory,
     copy_memory,
 )
-from ..seeding.apply import unchanged_inputs
 from ..seeding.code_key import code_key, differing, loaded_values, rule_fingerprint
+from ..seeding.input_guard import unchanged_inputs
+from ..seeding.map_rule import check_needs, is_map_rule, rule_name
+from ..seeding.options import option_values
 from ..seeding.points import add_up
-from ..seeding.rule import (
-    check_needs,
-    is_map_rule,
-    option_values,
-    registered,
-    rule_name,
-    rule_options,
-)
+from ..seeding.rule import registered, rule_options
 from ..types import Camera, Frame
 
 log = logging.getLogger(__name__)

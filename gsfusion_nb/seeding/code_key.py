@@ -17,15 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .code_values import (
-    BESIDE,
-    LOADED_SOURCE,
-    NOT_OF_A_PROGRAM,
-    RULE_SOURCE,
-    UnhashableError,
-    ValueHash,
-    is_library_module,
-)
+from .code_origin import BESIDE, LOADED_SOURCE, RULE_SOURCE, is_library_module
+from .code_values import NOT_OF_A_PROGRAM, UnhashableError, ValueHash
 from .installed import distribution_of, is_installed, state_of, with_requirements
 
 _PACKAGE = __name__.partition(".")[0]

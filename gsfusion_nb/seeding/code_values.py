@@ -7,7 +7,6 @@ kind of value is left out. What cannot be pickled cannot be hashed.
 
 import functools
 import hashlib
-import importlib.util
 import io
 import pickle
 import re
@@ -22,20 +21,19 @@ import torch
 
 from ..errors import ForeseenError
 from .code_names import globals_of, imported_inside, looks_up, names_of, walks_sets, words_of
-from .installed import is_installed
+from .code_origin import (
+    BESIDE,
+    LOADED_SOURCE,
+    OWN_PACKAGE,
+    RULE_SOURCE,
+    home_of,
+    is_library,
+    is_library_code,
+    is_library_module,
+)
 
-LOADED_SOURCE = "__loaded_source__"
-"""Name in a module that was loaded for a rule's file: the source that was executed."""
-RULE_SOURCE = "__rule_source__"
-"""Name in the module of a rule's file itself: its source."""
-BESIDE = "__beside__"
-"""Name in a module that was loaded for a rule's file: the finder of the modules beside that
-file."""
-_OWN = __name__.partition(".")[0]
-CHECKS_TYPES = "jaxtyping"
-"""Beginning of the names of modules that put checks of types around functions, and change nothing
-else."""
 _ATOMS = (type(None), bool, int, float, complex, str, bytes, type(Ellipsis), type(NotImplemented))
+
 _DESCRIPTORS = (
     types.MemberDescriptorType,
     types.GetSetDescriptorType,
@@ -43,6 +41,7 @@ _DESCRIPTORS = (
     types.MethodDescriptorType,
     types.ClassMethodDescriptorType,
 )
+
 _NOT_OF_A_CLASS = {
     "__dict__",
     "__weakref__",
@@ -53,6 +52,7 @@ _NOT_OF_A_CLASS = {
     "__static_attributes__",
     "_abc_impl",
 }
+
 NOT_OF_A_PROGRAM = {
     "__name__",
     "__file__",
@@ -77,99 +77,13 @@ NOT_OF_A_PROGRAM = {
     BESIDE,
 }
 """Names that Python, or what loads a module or runs a notebook, sets by itself."""
+
 _HOLD_VALUES = (list, tuple, dict, set, frozenset, np.ndarray, torch.Tensor)
 """Kinds of what somebody may put into a library to look it up there."""
 
 
 class UnhashableError(ForeseenError, ValueError):
     """A value that cannot be hashed; the message says which and why."""
-
-
-@functools.lru_cache(maxsize=4096)
-def is_library(module: str) -> bool:
-    """Whether a module is this package's, Python's or an installed one, rather than somebody's
-    own."""
-    if module == "__main__":  # a notebook, or a script
-        return False
-    top = module.partition(".")[0]
-    if top in (_OWN, *sys.stdlib_module_names) or not module or top.startswith(CHECKS_TYPES):
-        return True
-    known = sys.modules.get(module) or sys.modules.get(top)
-    if known is not None:
-        return _is_library(known)
-    try:
-        spec = importlib.util.find_spec(top)
-    except (ImportError, ValueError):
-        return True
-    if spec is None:  # made by ``exec``, as a notebook's cells are
-        return False
-    file = spec.origin or next(iter(spec.submodule_search_locations or ()), None)
-    return file is None or file == "built-in" or is_installed(file)
-
-
-def _is_library(module: types.ModuleType) -> bool:
-    """``is_library`` of a module that is loaded."""
-    if hasattr(module, LOADED_SOURCE):
-        return False
-    places = [getattr(module, "__file__", None), *getattr(module, "__path__", ())]
-    place = next((place for place in places if isinstance(place, str)), None)
-    if place is None:
-        # built in; one without a spec was made by a program
-        return getattr(module, "__spec__", None) is not None
-    return is_installed(place) or place.startswith("<frozen")
-
-
-def is_library_module(module: types.ModuleType) -> bool:
-    """Whether this module object is a library's; two modules may share a name."""
-    name = getattr(module, "__name__", "")
-    if name == "__main__":
-        return False
-    if name.startswith(CHECKS_TYPES):
-        return True
-    if (
-        name.partition(".")[0] in (_OWN, *sys.stdlib_module_names)
-        and sys.modules.get(name) is module
-    ):
-        return True
-    return _is_library(module)
-
-
-def is_library_code(function: types.FunctionType) -> bool:
-    """Whether a function was written in a library: the module that it looks up its names in is
-    one."""
-    return is_library_namespace(function.__globals__)
-
-
-def is_library_namespace(names: Mapping[str, Any]) -> bool:
-    """Whether the names of a module are those of a library's; by its file, since two modules may
-    share a name."""
-    name = names.get("__name__") or "__main__"
-    top = name.partition(".")[0]
-    if name == "__main__" or LOADED_SOURCE in names:
-        return False
-    if top in (_OWN, *sys.stdlib_module_names) or top.startswith(CHECKS_TYPES):
-        return True
-    file = names.get("__file__")
-    return is_installed(file) if isinstance(file, str) else is_library(name)
-
-
-_homes: dict[int, types.ModuleType] = {}
-"""Identity of the namespace of a module that is not in ``sys.modules`` -> the module."""
-
-
-def keep_home(module: types.ModuleType) -> None:
-    """Note a module that functions come from and that is not in ``sys.modules`` by its name."""
-    _homes[id(vars(module))] = module
-
-
-def home_of(function: types.FunctionType) -> types.ModuleType | None:
-    """The module in whose namespace a function looks up its names; None for a namespace that is no
-    module's."""
-    names = function.__globals__
-    known = sys.modules.get(names.get("__name__") or "")
-    if isinstance(known, types.ModuleType) and vars(known) is names:
-        return known
-    return _homes.get(id(names))
 
 
 class ValueHash:
@@ -569,7 +483,7 @@ def _imported(name: str, f: types.FunctionType) -> Any:
     notice."""
     beside = f.__globals__.get(BESIDE)
     if beside is None or not beside.has(name):
-        if name.partition(".")[0] in (_OWN, *sys.stdlib_module_names):
+        if name.partition(".")[0] in (OWN_PACKAGE, *sys.stdlib_module_names):
             return None
         if is_library(name):
             return sys.modules.get(name)

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from .code_values import ValueHash, is_library_code, is_library_module, is_own_class
+from .code_origin import is_library_code, is_library_module
+from .code_values import ValueHash, is_own_class
 
 _CALLED = (
     types.FunctionType,

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .code_values import is_library_namespace
+from .code_origin import is_library_namespace
 
 _now = threading.local()
 _patching = threading.RLock()

@@ -17,8 +17,9 @@ from ..checks import shown
 from ..errors import ArgumentError
 from ..files import UNREADABLE, file_hashes, read_text
 from .beside import Beside, sources_digest
-from .code_values import BESIDE, RULE_SOURCE, is_library_code
-from .rule import SeedingRule, get_rule, keep_registered, option_paths, registered, rule_name
+from .code_origin import BESIDE, RULE_SOURCE, is_library_code
+from .map_rule import SeedingRule, rule_name
+from .rule import get_rule, keep_registered, option_paths, registered
 from .rule_guard import noted, refuse
 
 _OWN = __name__.partition(".")[0]

@@ -22,7 +22,7 @@ from platformdirs import user_cache_path
 
 from ..errors import ForeseenError
 from ..files import cache_folder
-from .code_values import CHECKS_TYPES, is_library_namespace
+from .code_origin import CHECKS_TYPES, is_library_namespace
 from .installed import is_installed
 
 _PACKAGE = __name__.partition(".")[0]

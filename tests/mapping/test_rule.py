@@ -21,7 +21,7 @@ from gsfusion_nb.seeding import (
     get_rule,
     submaps,
 )
-from gsfusion_nb.seeding.apply import ChangedInputError
+from gsfusion_nb.seeding.input_guard import ChangedInputError
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from gsfusion_nb.seeding import MapRule, apply_rule, orb_corners, raycast_volume
-from gsfusion_nb.seeding.apply import ChangedInputError, context_tensors, unchanged_inputs
-from gsfusion_nb.seeding.check import check_contexts
+from gsfusion_nb.seeding.check_scenes import check_contexts
+from gsfusion_nb.seeding.input_guard import ChangedInputError, context_tensors, unchanged_inputs
 from gsfusion_nb.seeding.read_only import read_only
 
 

@@ -14,7 +14,8 @@ from ...geometry import quaternion, se3
 from ...types import Camera, Seeds
 from ..context import SeedContext
 from ..image_features import box_blur, luma, structure_directions
-from ..rule import MapRule, seeding_rule
+from ..map_rule import MapRule
+from ..rule import seeding_rule
 
 
 @seeding_rule

@@ -13,7 +13,8 @@ from ...types import Seeds
 from ..context import SeedContext
 from ..draws import draw_rows
 from ..map_queries import picture_over_surface, surface_inputs
-from ..rule import MapRule, When, every, seeding_rule, trained_otherwise
+from ..map_rule import MapRule, When, every
+from ..rule import seeding_rule, trained_otherwise
 from ..shapes import as_discs, sized_by_neighbours
 from ..volume_queries import raycast_volume
 

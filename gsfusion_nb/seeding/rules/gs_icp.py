@@ -11,7 +11,8 @@ from ...geometry import quaternion, se3
 from ...types import Seeds
 from ..context import SeedContext
 from ..draws import draw_rows
-from ..rule import MapRule, seeding_rule, trained_otherwise
+from ..map_rule import MapRule
+from ..rule import seeding_rule, trained_otherwise
 from ..shapes import MIN_SPACING_M
 
 PRESETS = {"replica": (10, 5e-4, 0.7), "tum": (5, 1e-3, 0.81)}

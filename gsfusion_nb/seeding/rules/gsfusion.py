@@ -16,7 +16,8 @@ from ..coverage import in_front
 from ..depth_holes import cells_without_depth
 from ..draws import draw_rows
 from ..image_features import box_blur
-from ..rule import MapRule, StepStats, seeding_rule
+from ..map_rule import MapRule, StepStats
+from ..rule import seeding_rule
 
 
 @seeding_rule

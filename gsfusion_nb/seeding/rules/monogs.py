@@ -11,16 +11,9 @@ from ...types import Seeds
 from ..context import SeedContext
 from ..draws import draw_rows, drawn_pixels
 from ..image_features import orb_corners
+from ..map_rule import KEYFRAMES, KeyframeRule, MapRule, StepStats, When
 from ..points import first_in_voxel, restart_statistics
-from ..rule import (
-    KEYFRAMES,
-    KeyframeRule,
-    MapRule,
-    StepStats,
-    When,
-    seeding_rule,
-    trained_otherwise,
-)
+from ..rule import seeding_rule, trained_otherwise
 from ..shapes import as_discs, sized_by_neighbours
 
 PRESETS = {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}

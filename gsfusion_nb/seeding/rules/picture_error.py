@@ -16,7 +16,8 @@ from ...types import Seeds
 from ..context import SeedContext
 from ..draws import draw_rows, draw_weighted_rows
 from ..image_features import absolute_laplacian, disc_blur, halved
-from ..rule import KeyframeRule, MapRule, StepStats, seeding_rule, trained_otherwise
+from ..map_rule import KeyframeRule, MapRule, StepStats
+from ..rule import seeding_rule, trained_otherwise
 from ..shapes import sized_by_neighbours
 
 OPACITY = 0.1

@@ -17,7 +17,8 @@ from ..context import SeedContext
 from ..coverage import depth_error_m, unmapped_pixels
 from ..draws import draw_rows, drawn_pixels, one_pixel_seeds, pixel_radius
 from ..map_queries import map_params, surface_inputs
-from ..rule import MapRule, StepStats, seeding_rule, trained_otherwise
+from ..map_rule import MapRule, StepStats
+from ..rule import seeding_rule, trained_otherwise
 from ..shapes import as_discs, pushed_back
 
 

@@ -14,8 +14,9 @@ from ...types import Seeds
 from ..context import SeedContext
 from ..coverage import unmapped_pixels
 from ..draws import one_pixel_seeds
+from ..map_rule import MapRule, StepStats
 from ..points import abs_image_gradient, image_gradient, restart_statistics
-from ..rule import MapRule, StepStats, seeding_rule, trained_otherwise
+from ..rule import seeding_rule, trained_otherwise
 from .edge_discs import edge_discs
 from .gsfusion import gsfusion, uniform
 
