@@ -168,6 +168,7 @@ from ..config.toy_system import ToyConfig, toy_system
 from ..optim import adam_step, l1_mse_vjp
 from ..render import render_forward, render_vjp
 from ..tsdf import integrate
+from .description import SystemDescription
 from .step import StepReport
 from .tsdf_mapping import TsdfMapping
 
@@ -175,7 +176,7 @@ from .tsdf_mapping import TsdfMapping
 class ToySystem(TsdfMapping):
     """The mapper."""
 
-    title = "Toy system"
+    description = SystemDescription(title="Toy system")
     config_type = ToyConfig
     preset = toy_system
 
@@ -192,7 +193,7 @@ class ToySystem(TsdfMapping):
                 losses = tuple(float(self._optimise(frame)) for _ in range(self.config.steps))
         with self.clock("tsdf"):
             integrate(self.volume, frame)
-        return self._report(frame, seeds, True, losses=losses)
+        return self.reports.of_frame(frame, seeds, True, losses=losses)
 
     def _global_step(self, i: int) -> Tensor:
         return self._optimise(self.keyframes[i])

@@ -261,7 +261,7 @@ def test_settings_and_their_values_exist(page):
                 with contextlib.suppress(ValueError, AttributeError, TypeError):
                     replace(mapper.config_type(), **{name.replace(".", "__"): one})
                     break
-                problems.append(mapper.title)
+                problems.append(mapper.description.title)
             else:
                 raise AssertionError(f"{page.name}: {name} = {one} is refused")
 

@@ -62,8 +62,8 @@ def test_the_map_has_the_same_bits_in_files(settings, in_files, monkeypatch):
             mapper.step(frames[i])
         surface = {} if settings is rtg_slam else {"mesh": vars(mapper.mesh())}
         return {
-            name: hash_of(x, mapper.order_of_rows(name))
-            for name, x in (mapper.maps() | surface).items()
+            name: hash_of(x, mapper.files.order_of_rows(name))
+            for name, x in (mapper.files.maps() | surface).items()
         }
 
     there = hashes()

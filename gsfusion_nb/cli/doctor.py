@@ -239,7 +239,7 @@ def _map(config: SystemConfig) -> None:
         frame.camera.resized(24, 18),
     ):  # rays look up voxels in another way if they are few
         mapper.render(camera, frame.T_WC)
-    if not mapper.gaussians_are_discs:
+    if not mapper.description.gaussians_are_discs:
         mapper.mesh()
 
 

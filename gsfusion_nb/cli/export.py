@@ -153,7 +153,9 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
         gaussians,
         sh=gaussians.sh[:, : (config.sh_degree + 1) ** 2].contiguous(),
     )
-    standard = system.standard_from(folder, gaussians, config, list(poses), options.bake_steps)
+    standard = system.files_type.standard_from(
+        folder, gaussians, config, list(poses), options.bake_steps
+    )
     print(
         f"{len(standard) - len(gaussians):,} discs for the surface, {len(gaussians):,} Gaussians "
         "in front of it"

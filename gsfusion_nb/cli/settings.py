@@ -49,9 +49,11 @@ def fidelity_names() -> list[str]:
     from ..mapping import SYSTEMS
 
     having = {
-        name: [system for system, mapper in SYSTEMS.items() if name in mapper.fidelities]
+        name: [
+            system for system, mapper in SYSTEMS.items() if name in mapper.description.fidelities
+        ]
         for mapper in SYSTEMS.values()
-        for name in mapper.fidelities
+        for name in mapper.description.fidelities
     }
     return [
         f"{name} (only {systems[0]})" if len(systems) == 1 else name
@@ -100,7 +102,11 @@ class SettingsOptions:
         from ..mapping import get_system
 
         system = get_system(self.system)
-        if self.from_config or not self.preset or self.fidelity not in ("", *system.fidelities[:1]):
+        if (
+            self.from_config
+            or not self.preset
+            or self.fidelity not in ("", *system.description.fidelities[:1])
+        ):
             return ""
         default = leaves(to_dict(system.config_type()))
         values = leaves(to_dict(system.preset(self.preset)))
@@ -229,10 +235,10 @@ def _start(arguments: list[str], preset: str) -> SystemConfig:
     system = get_system(_value_of(arguments, "--system") or "gsfusion")
     preset = _value_of(arguments, "--preset") or preset
     fidelity = _value_of(arguments, "--fidelity")
-    if fidelity and fidelity not in system.fidelities:
+    if fidelity and fidelity not in system.description.fidelities:
         raise ArgumentError(
-            f"{system.title} has no --fidelity {fidelity}; known: "
-            f"{', '.join(system.fidelities) or 'none'}"
+            f"{system.description.title} has no --fidelity {fidelity}; known: "
+            f"{', '.join(system.description.fidelities) or 'none'}"
         )
     return system.preset(preset, **({"fidelity": fidelity} if fidelity else {}))
 

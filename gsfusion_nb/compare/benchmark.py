@@ -143,7 +143,7 @@ def benchmark_specs(
     Raises:
         KeyError, FileNotFoundError, ValueError: as for ``benchmark``.
     """
-    variants = {get_system(name).title: {"system": name} for name in options.systems}
+    variants = {get_system(name).description.title: {"system": name} for name in options.systems}
     preset = dataclasses.replace(options, preset=options.preset or asked.preset)
     reader: dict[str, Any] = {"format": asked.format, **asked.reader}
     specs = list[RunSpec]()

@@ -123,7 +123,7 @@ def _result(
         numbers |= group.as_metrics(name)
     hashes = map_hashes(run)
     numbers |= _mesh_numbers(run, hashes, content) | score_trajectory(run) | _costs(mapped)
-    numbers |= run.mapper.run_metrics(run.steps)
+    numbers |= run.mapper.reports.run_metrics(run.steps)
     if entry.spec.online:
         numbers |= frame_rates([s.total_seconds for s in run.steps]) | tracking_rates(run)
     metrics = {
@@ -134,7 +134,11 @@ def _result(
         status="done",
         metrics={name: value for name, value in metrics.items() if math.isfinite(value)},
         tuned=tuned,
-        notes=[*mapped.notes, *run.mapper.run_notes(run.steps), *_not_counted(metrics, scores)],
+        notes=[
+            *mapped.notes,
+            *run.mapper.reports.run_notes(run.steps),
+            *_not_counted(metrics, scores),
+        ],
         map_hash=hashlib.sha256(json.dumps(hashes, sort_keys=True).encode()).hexdigest(),
         data_hash=content,
         frames=frame_fingerprints(run.sequence),
@@ -181,7 +185,9 @@ def _mesh_numbers(
     made and scored once; where Gaussians are discs, or there is no TSDF, the Gaussians must be
     equal too."""
     names = set(hashes) - (
-        {"gaussians"} if "tsdf" in hashes and not run.mapper.gaussians_are_discs else set()
+        {"gaussians"}
+        if "tsdf" in hashes and not run.mapper.description.gaussians_are_discs
+        else set()
     )
     parts = [*sorted(f"{name} {hashes[name]}" for name in names), content]
     key = " ".join([*parts, repr(getattr(run.mapper.config, "tsdf", ""))])

@@ -285,7 +285,7 @@ def ran_under(specs: Sequence[RunSpec]) -> str:
 def _values_of(spec: RunSpec) -> dict[str, Any]:
     """Everything that a run sets, by name; a setting that nobody named is that of the preset and
     the fidelity."""
-    fidelity = spec.fidelity or next(iter(get_system(spec.system).fidelities), "")
+    fidelity = spec.fidelity or next(iter(get_system(spec.system).description.fidelities), "")
     names = {"system": spec.system, "preset": spec.preset} | (
         {"fidelity": fidelity} if fidelity else {}
     )

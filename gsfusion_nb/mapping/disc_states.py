@@ -1,10 +1,13 @@
-"""The states of RTG-SLAM's Gaussians over a run: the share of each, and why none has become
-stable."""
+"""The states of RTG-SLAM's Gaussians over a run: the number and share of each, and why none has
+become stable."""
 
 from collections.abc import Sequence
 from statistics import fmean
+from typing import Any
 
 from ..config import RtgSlamConfig
+from ..gaussians.surfels import state_counts
+from .map_reports import MapReports
 from .step import StepReport
 
 STATES = ("stable_opaque", "stable_transparent", "unstable_opaque", "unstable_transparent")
@@ -60,3 +63,23 @@ def why_never_stable(steps: Sequence[StepReport], config: RtgSlamConfig, most_st
         f"highest is {confidence:g}; so all were optimised all the time, and the paper's rule "
         "could seed no transparent one"
     )
+
+
+class DiscReports(MapReports):
+    """Reports that count states."""
+
+    def counts(self) -> dict[str, int]:
+        """Gaussians by state and kind."""
+        counts = state_counts(self.mapper.gaussians)
+        return {f"n_{name}": count for name, count in counts.items()}
+
+    def run_metrics(self, steps: Sequence[StepReport]) -> dict[str, Any]:
+        """Share of the Gaussians in each state."""
+        return state_shares(steps)
+
+    def run_notes(self, steps: Sequence[StepReport]) -> list[str]:
+        """Whether no Gaussian has become stable."""
+        gaussians = self.mapper.gaussians
+        most_steps = int(gaussians.confidence.amax()) if len(gaussians) else 0
+        sentence = why_never_stable(steps, self.mapper.config, most_steps)
+        return [sentence] if sentence else []

@@ -2,25 +2,24 @@
 frame by frame."""
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
 from ..config import GpsSlamConfig, OptimConfig, gps_slam, gps_slam_fidelities, gps_slam_fidelity
-from ..export.tsdf_file import write_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import se3
-from ..optim import Keyframe, adam_step, fit_pose_by_flow, l1_mse_vjp, l2_mse_vjp
+from ..optim import Keyframe, adam_step, l1_mse_vjp, l2_mse_vjp
 from ..render import BaseView, render_over_base, render_over_base_vjp
 from ..seeding import SeedContext, SurfaceInputs
 from ..tracking import Correction
 from ..tsdf import FusedView, fuse_frame_
-from ..types import Camera, Frame, GaussianParams, RenderOutput
-from .gps_surface import TSDF, OverSurface, StoredLooks, fit_to_pictures, plain_gaussians
+from ..types import Camera, Frame, RenderOutput
+from .description import SystemDescription
+from .gps_files import GpsFiles
+from .gps_surface import OverSurface
 from .gps_views import BasedView, ViewRound, look_at
-from .mapper import Draw
 from .step import StepReport, ViewStep, as_floats
 from .tsdf_mapping import TsdfMapping
 
@@ -39,25 +38,26 @@ class GPSSLAM(TsdfMapping):
     Settings: ``gsfusion_nb.config.gps_slam``.
     """
 
-    title = "GPS-SLAM"
+    description = SystemDescription(
+        title="GPS-SLAM",
+        fidelities=gps_slam_fidelities,
+        fidelity_of=gps_slam_fidelity,
+        panels=("input", "render", "error", "base", "residual", "new_gaussians"),
+        needs_volume_to_render=True,
+        memory_savers=("a larger views.every_frames", "larger voxels (tsdf.voxel_size_m)"),
+    )
     config_type = GpsSlamConfig
     preset = staticmethod(gps_slam)
-    fidelities = gps_slam_fidelities
-    fidelity_of = staticmethod(gps_slam_fidelity)
-    panels = ("input", "render", "error", "base", "residual", "new_gaussians")
-    memory_savers = ("a larger views.every_frames", "larger voxels (tsdf.voxel_size_m)")
-    needs_volume_to_render: ClassVar = True
+    files_type = GpsFiles
 
     config: GpsSlamConfig
     gaussians: GaussianModel
+    files: GpsFiles
 
     def __init__(self, *args: Any, **options: Any):
         super().__init__(*args, **options)
         self.views = ViewRound(self.config.schedule)
         self._kept_bases: dict[int, BasedView] = {}
-        self._stored_looks = StoredLooks()
-        self._discs: tuple[int, GaussianParams | None] = (0, None)
-        """Number of frames when the surface was made discs last, and these."""
         followed = gps_slam_fidelity(self.config).partition(",")[0]
         if followed != "measured":
             losses = " and its structural and depth losses" if followed == "rrg" else ""
@@ -109,7 +109,7 @@ class GPSSLAM(TsdfMapping):
         with self.clock("tsdf"):
             self.volume.allocate_missing(missing)
             fuse_frame_(self.volume, frame)
-        return self._report(frame, seeds, is_keyframe, steps)
+        return self.reports.of_frame(frame, seeds, is_keyframe, steps)
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
@@ -162,73 +162,10 @@ class GPSSLAM(TsdfMapping):
         """Learning rates of the Gaussians."""
         return self.config.residual.adam
 
-    def write_besides(self, folder: Path) -> None:
-        """Write the TSDF."""
-        write_tsdf(folder / TSDF, self.volume)
-
-    def drawn_as_stored(self) -> Draw:
-        """The map with its TSDF rounded as in the file."""
-        look = self._stored_looks.of(self.volume, self.n_frames)
-        over = OverSurface(
-            volume=self.volume,
-            params=self.params_now(),
-            config=self.config.base,
-            look=look,
-        )
-        return over.render
-
-    def forget_drawn(self) -> None:
-        """Give back the memory of what was seen of the surface."""
-        self._stored_looks.forget()
-
-    @classmethod
-    def drawn_from(cls, folder: Path, params: GaussianParams, config: Any) -> Draw:
-        """The map of a finished run, drawn from its folder."""
-        return OverSurface.of_folder(folder, params, config).render
-
-    @classmethod
-    def aligned_pose(
-        cls,
-        draw: Draw,
-        params: GaussianParams,
-        frame: Frame,
-    ) -> Float[Tensor, "4 4"]:
-        """The pose at which the whole picture fits the frame best; the surface moves in it, too."""
-        return fit_pose_by_flow(
-            draw, frame.camera, frame.rgb.to(params.xyz_W.device), frame.T_WC
-        ).T_WC
-
-    def standard_gaussians(self) -> GaussianParams:
-        """The Gaussians in front of the surface, then the surface as discs.
-
-        While a map grows, the discs are made anew only when a tenth more frames were mapped.
-        """
-        made, discs = self._discs
-        n = len(self.gaussians)
-        if self.n_frames > made + made // 10:
-            made = self.n_frames
-            discs = None
-        rows = plain_gaussians(self.volume, self.params_now(), discs)
-        self._discs = made, rows[n:]
-        return rows
-
-    @classmethod
-    def standard_from(
-        cls, folder: Path, params: GaussianParams, config: Any, poses: Sequence[Tensor], steps: int
-    ) -> GaussianParams:
-        """The surface as discs, and the Gaussians in front of it, fitted to pictures of the map."""
-        over = OverSurface.of_folder(folder, params, config)
-        rows = plain_gaussians(over.volume, params)
-        return fit_to_pictures(rows, over.render, poses, steps) if poses and len(rows) else rows
-
     @property
     def n_passes(self) -> int:
         """Number of passes of the final optimisation in the settings."""
         return self.config.final.passes
-
-    def constant_tensors(self) -> list[Tensor]:
-        """Images of keyframes and of the views."""
-        return [*super().constant_tensors(), *self.views.constant_tensors()]
 
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """The state of any mapper, the TSDF, and the views that are optimised."""
@@ -253,7 +190,7 @@ class GPSSLAM(TsdfMapping):
         super()._follow(correction)
         if correction is not None:
             self.views.forget()
-            self._discs = (0, None)
+            self.files.forget_discs()
 
     def _kept(self, frame: Frame) -> Keyframe:
         return Keyframe.of(frame, with_depth=self.training.loss is not None)

@@ -2,7 +2,7 @@
 the paper's order."""
 
 import bisect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from jaxtyping import Float
@@ -23,10 +23,11 @@ from ..optim import (
     l1_mse_vjp,
 )
 from ..render import render_forward, render_vjp
-from ..seeding import Cells, SeedContext, rule_name
+from ..seeding import SeedContext, rule_name
 from ..tsdf import FusedView, fuse_frame_
 from ..types import Camera, Frame, RenderOutput
-from .few_seeds import LOOKED_AT, why_few
+from .description import SystemDescription
+from .gsfusion_reports import GSFusionFiles, GSFusionReports
 from .step import StepReport, ViewStep, as_floats
 from .training import KeyframeFits
 from .tsdf_mapping import TsdfMapping
@@ -40,13 +41,20 @@ class GSFusion(TsdfMapping):
     ``gsfusion_nb.config.gsfusion``.
     """
 
-    title = "GSFusion"
+    description = SystemDescription(
+        title="GSFusion",
+        fidelities=gsfusion_fidelities,
+        fidelity_of=gsfusion_fidelity,
+        panels=("input", "render", "error", "quadtree_seeds"),
+        memory_savers=(
+            "a larger seeding.quadtree_threshold",
+            "larger voxels (tsdf.voxel_size_m)",
+        ),
+    )
     config_type = GSFusionConfig
     preset = staticmethod(gsfusion)
-    fidelities = gsfusion_fidelities
-    fidelity_of = staticmethod(gsfusion_fidelity)
-    panels = ("input", "render", "error", "quadtree_seeds")
-    memory_savers = ("a larger seeding.quadtree_threshold", "larger voxels (tsdf.voxel_size_m)")
+    files_type = GSFusionFiles
+    reports_type = GSFusionReports
 
     config: GSFusionConfig
     gaussians: GaussianModel
@@ -68,7 +76,7 @@ class GSFusion(TsdfMapping):
             else None
         )
         """What the passes after the scan fit to keyframes besides the Gaussians, if anything."""
-        self._camera: Camera | None = None
+        self.camera: Camera | None = None
         """Of the last frame; None before the first, and after a resume until the next."""
 
     def map_frame(self, frame: Frame) -> StepReport:
@@ -79,7 +87,7 @@ class GSFusion(TsdfMapping):
         with the same values, and the optimisation does not read the volume, so the maps are those
         of the paper's order.
         """
-        self._camera = frame.camera
+        self.camera = frame.camera
         with self.clock("tsdf"):
             missing = self._make_room(frame)  # III-B.1, the blocks
         with self.clock("seeding"), self.clock.operation("quadtree", of="seeding"):
@@ -97,7 +105,7 @@ class GSFusion(TsdfMapping):
         with self.clock("tsdf"):
             self.volume.allocate_missing(missing)
             fuse_frame_(self.volume, frame)  # III-B.1, Eq. 6-9
-        return self._report(frame, seeds, is_keyframe, steps[:n_steps], n_steps=len(steps))
+        return self.reports.of_frame(frame, seeds, is_keyframe, steps[:n_steps], n_steps=len(steps))
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
@@ -124,27 +132,6 @@ class GSFusion(TsdfMapping):
     def n_passes(self) -> int:
         """Number of passes of the global optimisation in the settings."""
         return self.config.optim.global_iterations
-
-    def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
-        """Also why the first frames have given hardly any Gaussians, or no keyframe."""
-        said = super().step_warnings(frame, report)
-        why = self._why_few() if self.n_frames == LOOKED_AT else ""
-        return [*said, why] if why else said
-
-    def run_notes(self, steps: Sequence[StepReport]) -> list[str]:
-        """Also why the map has hardly any Gaussians, or no keyframe; a map without any is told
-        elsewhere."""
-        why = self._why_few() if len(self.gaussians) else ""
-        return [*super().run_notes(steps), *([why] if why else [])]
-
-    def _why_few(self) -> str:
-        n_gaussians = len(self.gaussians)
-        n_keyframes = len(self.keyframes)
-        return why_few(self.config, self._camera, self.n_frames, n_gaussians, n_keyframes)
-
-    def quadtree_cells(self, frame: Frame) -> Cells:
-        """The quadtree of the frame's image (section III-B.1)."""
-        return self.seed_context(frame).quadtree_cells()
 
     def _plan(self, frame: Frame, n_seeds: int) -> tuple[bool, int, int]:
         """``plan_frame`` by the settings; where it is known whether the frame is a keyframe, its

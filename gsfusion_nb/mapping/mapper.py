@@ -8,10 +8,8 @@ panels) uses only this interface.
 
 import contextlib
 import dataclasses
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import torch
@@ -29,13 +27,11 @@ from ..optim import (
     KeyframeList,
     PartOfMap,
     UpdateFunction,
-    fit_pose,
     params_now,
     take_missed_steps,
 )
-from ..render import Boxes, drawn_in_part, render
+from ..render import Boxes, drawn_in_part
 from ..seeding import (
-    Cells,
     MapReading,
     SeedContext,
     SeedingRule,
@@ -49,18 +45,15 @@ from ..seeding.rule_code import find_rule
 from ..tracking import Correction, Surface, localise
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from ..work import MAP_MEMORY
+from .description import SystemDescription
 from .localiser import Localiser, move_map
 from .lost_rows import LostRows
+from .map_files import MapFiles
+from .map_reports import MapReports
 from .rule import AfterSteps, RuleInUse, check_known, settings_of_run, settings_with_rule
-from .step import FrameGuard, GlobalStep, StageClock, StepReport, check_frame, psnr_from_mse
+from .step import FrameGuard, GlobalStep, StageClock, StepReport, check_frame
 from .training import KeyframePasses, LossFunction, RandomStreams, Training, given_functions
 from .usual_torch import changeable, in_usual_torch, usual_torch
-
-Draw = Callable[[Camera, Tensor], RenderOutput]
-"""Renders a map for a camera and its camera-to-world pose."""
-
-FAR_DEPTH_M = 30.0
-"""A frame whose median depth is beyond this is doubtful: depth cameras measure up to 10 m."""
 
 M = TypeVar("M", bound="Mapper")
 
@@ -89,50 +82,26 @@ class Mapper(ABC):
             type; ``loss`` or ``optimiser`` is no function.
         ValueError: the rule brings a setting that the system does not have.
 
-    A subclass defines ``title``, ``config_type``, ``preset``, ``n_passes``, ``map_frame``,
+    A subclass defines ``description``, ``config_type``, ``preset``, ``n_passes``, ``map_frame``,
     ``surface``, ``mesh`` and ``_global_step``. It overrides the rest where the default does not
     fit: ``state_dict`` and ``_load`` if it has state of its own, which ``TsdfMapping`` does for a
-    TSDF.
+    TSDF, and ``files_type`` and ``reports_type`` if its files or reports have more in them.
     """
 
-    title: ClassVar[str]
-    """Name of the system in reports and messages."""
+    description: ClassVar[SystemDescription]
+    """What the system says of itself."""
     config_type: ClassVar[type[SystemConfig]]
     """Class of the settings."""
     preset: ClassVar[Callable[..., Any]]
     """``preset(name, **overrides)``: settings as published for a data set; also takes ``fidelity``
     if there are any. It must know the names "room" and "replica", the defaults of the command
     line."""
-    fidelities: ClassVar[tuple[str, ...]] = ()
-    """Values of ``fidelity`` (what to follow where paper and released code differ), the default
-    first; may be empty."""
-    fidelity_of: ClassVar[Callable[[Any], str]] = staticmethod(lambda config: "")
-    """``fidelity_of(config)``: which of ``fidelities`` the settings follow, with exceptions, in
-    words; "" if none."""
     model_type: ClassVar[type[GaussianModel]] = GaussianModel
     """Class of the Gaussian map."""
-    gaussians_are_discs: ClassVar[bool] = False
-    """Whether the Gaussians are discs on the surface; then their distance to the true surface is
-    scored, too."""
-    panels: ClassVar[tuple[str, ...]] = ("input", "render", "error", "new_gaussians")
-    """Pictures of one step to show while mapping, by name; ``gsfusion_nb.viz.map_pictures.PANELS``
-    draws them."""
-    curves: ClassVar[dict[str, Callable[[StepReport], float | int]]] = {
-        "PSNR of the frame, dB": lambda report: report.psnr_after_db,
-        "Gaussians": lambda report: report.n_gaussians,
-    }
-    """Title -> value after a step, plotted while mapping; NaN leaves a gap."""
-    states: ClassVar[tuple[str, ...]] = ()
-    """Names of those counts of a step that add up to its Gaussians, if each is in a state; reports
-    plot them."""
-    needs_depth: ClassVar[bool] = False
-    """Whether a frame without any depth is refused."""
-    needs_volume_to_render: ClassVar[bool] = False
-    """Whether the picture needs more than the Gaussians: then ``gaussians.ply`` alone does not show
-    the map, and the methods from ``write_besides`` to ``standard_from`` are overridden."""
-    memory_savers: ClassVar[tuple[str, ...]] = ()
-    """Settings, besides smaller images, that reduce the memory of the map; named in the message
-    when memory is full."""
+    files_type: ClassVar[type[MapFiles]] = MapFiles
+    """Class of ``files``, how the map is written and drawn from files."""
+    reports_type: ClassVar[type[MapReports]] = MapReports
+    """Class of ``reports``, what is said of a frame and of a run."""
 
     config: Any
     """The settings, a ``config_type``."""
@@ -151,8 +120,6 @@ class Mapper(ABC):
             "mesh",
             "render",
             "seed_context",
-            "quadtree_cells",
-            "standard_gaussians",
         ):
             if name in vars(cls):
                 setattr(cls, name, in_usual_torch(vars(cls)[name]))
@@ -198,11 +165,14 @@ class Mapper(ABC):
         )
         """Context around each frame (with its index) and each step after the scan (with None), for
         an observer."""
-        self._told_far = False
         self.n_frames = 0
         """Number of frames mapped so far."""
         self.notes: list[str] = []
         """Notes for the user about this mapper, as sentences."""
+        self.files = self.files_type(self)
+        """The map as files hold it, and as other programs draw it."""
+        self.reports = self.reports_type(self)
+        """Numbers and sentences about frames and runs."""
 
     def __repr__(self) -> str:
         return (
@@ -247,7 +217,9 @@ class Mapper(ABC):
             DelayedInterrupt.allow()
             self.clock = StageClock()
             self.lost.begin_frame()
-            frame = check_frame(changeable(frame), self.device, needs_depth=self.needs_depth)
+            frame = check_frame(
+                changeable(frame), self.device, needs_depth=self.description.needs_depth
+            )
             with self.clock("tracking"):
                 frame = self.localiser.locate(frame, self.tracking_surface)
             report = self.map_frame(frame)
@@ -315,7 +287,9 @@ class Mapper(ABC):
         Raises:
             BadFrameError: the frame cannot be used (``check_frame``).
         """
-        frame = check_frame(changeable(frame), self.device, needs_depth=self.needs_depth)
+        frame = check_frame(
+            changeable(frame), self.device, needs_depth=self.description.needs_depth
+        )
         guess = self.localiser.pose_near(frame.index)
         return localise(frame, self.tracking_surface, guess, self.config.tracking)
 
@@ -327,20 +301,6 @@ class Mapper(ABC):
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step of the optimisation after the scan, on the i-th keyframe. Returns the loss
         before it."""
-
-    @classmethod
-    def render_gaussians(
-        cls, params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"], config: Any
-    ) -> RenderOutput:
-        """Gaussians as this system renders and scores them. Default: blended colour and depth
-        (Kerbl et al. 2023).
-
-        Args:
-            params: The Gaussians, of a mapper or read from a file.
-            camera, T_WC: The camera and its pose.
-            config: Settings of the system.
-        """
-        return render(params, camera, T_WC)
 
     @in_usual_torch
     def begin_with(self, params: GaussianParams, name: str = "another map") -> None:
@@ -371,7 +331,7 @@ class Mapper(ABC):
         """The Gaussian map seen by a camera."""
         T_WC = T_WC.to(self.device)
         return drawn_in_part(
-            lambda params: self.render_gaussians(params, camera, T_WC, self.config),
+            lambda params: self.files.render_gaussians(params, camera, T_WC, self.config),
             self.gaussians.params,
             self.boxes,
             camera,
@@ -614,7 +574,7 @@ class Mapper(ABC):
         if when.only_keyframes and is_keyframe is None:
             raise ArgumentError(
                 f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but "
-                f"{self.title} chooses its keyframes after the seeding"
+                f"{self.description.title} chooses its keyframes after the seeding"
             )
         if not self.rule_is_due(is_keyframe):
             return Seeds.empty(context.frame.depth_m)
@@ -638,39 +598,6 @@ class Mapper(ABC):
         """Whether this frame, mapped next, becomes a keyframe; None if that depends on its
         seeds."""
         return None
-
-    def counts(self) -> dict[str, int]:
-        """Sizes of the map besides its Gaussians and keyframes, with their names in
-        metrics.json."""
-        return {}
-
-    def run_metrics(self, steps: Sequence[StepReport]) -> dict[str, Any]:
-        """Numbers of a whole run, from its steps, that only this system has; with their names in
-        metrics.json."""
-        return {}
-
-    def run_notes(self, steps: Sequence[StepReport]) -> list[str]:
-        """What the user should know of a whole run with these steps, as sentences."""
-        return []
-
-    def maps(self) -> dict[str, dict[str, Tensor]]:
-        """The tensors of each map, by name; two runs have the same maps if these are equal
-        (``order_of_rows``)."""
-        return {"gaussians": vars(self.params_now())}
-
-    def order_of_rows(self, name: str) -> Tensor | None:
-        """Order in which the rows of a map of ``maps`` are compared; None: as they are."""
-        return None
-
-    def quadtree_cells(self, frame: Frame) -> Cells | None:
-        """The quadtree cells of the frame that seeding used; ``None`` if the system has no
-        quadtree."""
-        return None
-
-    def constant_tensors(self) -> list[Tensor]:
-        """Tensors in ``state_dict`` that never change: a checkpoint writes them once."""
-        images = [image for k in self.keyframes for image in (k.rgb_u8, k.depth_m)]
-        return [image for image in images if image is not None]
 
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """Everything needed to continue later from exactly this state, as tensors and plain values.
@@ -740,113 +667,6 @@ class Mapper(ABC):
         self._steps_missed = bool((self.gaussians.last_step < self.gaussians.step_count).any())
         self.keyframes = KeyframeList.from_state_dict(state["keyframes"], self.keyframes.device)
         self.passes.load_state_dict(state["passes"])
-
-    def write_besides(self, folder: Path) -> None:  # noqa: B027
-        """Write the files that the pictures need besides ``gaussians.ply``."""
-
-    def drawn_as_stored(self) -> Draw:
-        """The map as its files hold it, which is what a run scores; made now, so not changed by
-        later frames."""
-        return self.render
-
-    def forget_drawn(self) -> None:  # noqa: B027
-        """Give back the memory that ``drawn_as_stored`` keeps to draw the same views again."""
-
-    @classmethod
-    def drawn_from(cls, folder: Path, params: GaussianParams, config: Any) -> Draw:
-        """The map of a finished run, drawn from its folder.
-
-        Args:
-            folder: Of the run.
-            params: Its Gaussians, on the device to draw on.
-            config: Settings of the run.
-
-        Raises:
-            FileNotFoundError, ValueError: a file that the pictures need is missing or damaged.
-        """
-        device = params.xyz_W.device
-        return lambda camera, T_WC: cls.render_gaussians(params, camera, T_WC.to(device), config)
-
-    @classmethod
-    def aligned_pose(
-        cls,
-        draw: Draw,
-        params: GaussianParams,
-        frame: Frame,
-    ) -> Float[Tensor, "4 4"]:
-        """The pose at which the map's picture fits the frame best; default: by the Gaussians alone
-        (``fit_pose``)."""
-        return fit_pose(
-            params,
-            frame.camera,
-            frame.rgb.to(params.xyz_W.device),
-            frame.T_WC,
-        ).T_WC
-
-    def standard_gaussians(self) -> GaussianParams:
-        """Gaussians whose sorted picture, as any viewer of splats draws it, is about that of the
-        map."""
-        return self.params_now()
-
-    @classmethod
-    def standard_from(
-        cls, folder: Path, params: GaussianParams, config: Any, poses: Sequence[Tensor], steps: int
-    ) -> GaussianParams:
-        """``standard_gaussians`` of a finished run, fitted to pictures of its map if they are not
-        the map itself.
-
-        Args:
-            folder, params, config: As for ``drawn_from``.
-            poses: Camera-to-world poses to see the map from. [4, 4] each
-            steps: Gradient steps of the fit.
-        """
-        return params
-
-    def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
-        """Warnings for the user about the step that gave ``report``, as sentences."""
-        warnings = []
-        depth_m = frame.depth_m[::8, ::8]
-        # the first; all are counted
-        if report.n_not_finite and report.n_not_finite == self.lost.total:
-            warnings.append(self.lost.in_words(f"frame {frame.index}"))
-        if report.tracking.get("status") == "recovered":
-            warnings.append(f"frame {frame.index}: tracking was lost and has recovered")
-        if self.localiser.jump:
-            warnings.append(f"frame {frame.index} was mapped although {self.localiser.jump}")
-        if not self._told_far and bool(depth_m[depth_m > 0].median() > FAR_DEPTH_M):
-            self._told_far = True
-            warnings.append(
-                f"frame {frame.index}, and perhaps later ones, has a median depth beyond "
-                f"{FAR_DEPTH_M:g} m: is it a "
-                "code for missing depth, or the wrong depth scale? --data.depth-max-m leaves it out"
-            )
-        return warnings
-
-    def _report(
-        self,
-        frame: Frame,
-        seeds: Seeds,
-        is_keyframe: bool,
-        steps: Sequence[Sequence[float]] = (),
-        **fields: Any,
-    ) -> StepReport:
-        """The report on a frame, from loss and mean squared error before each step on it
-        (``as_floats``)."""
-        psnrs_db = [psnr_from_mse(mse) for _, mse in steps] or [math.nan]
-        measured = {
-            "losses": tuple(loss for loss, _ in steps),
-            "n_steps": len(steps),
-            "psnr_before_db": psnrs_db[0],
-            "psnr_after_db": psnrs_db[-1],
-            "n_not_finite": self.lost.in_frame,
-        }
-        return StepReport(
-            frame_index=frame.index,
-            n_seeds=len(seeds),
-            n_gaussians=len(self.gaussians),
-            is_keyframe=is_keyframe,
-            **measured | fields,
-        )
 
     def _record(self, frame: Frame) -> None:
         """Add a mapped frame to the trajectory, and follow the correction if it closes a loop."""

@@ -2,43 +2,37 @@
 paper's order."""
 
 import dataclasses
-import itertools
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..backends import runs_learners_code
-from ..config import RtgSlamConfig, TsdfConfig, rtg_slam, rtg_slam_fidelities, rtg_slam_fidelity
+from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelities, rtg_slam_fidelity
 from ..gaussians import STABLE, SurfelModel, Transitions, fuse_with_history
 from ..gaussians.surfels import change_states, count_errors, count_views, state_counts
-from ..geometry import depth_to_points, se3
+from ..geometry import se3
 from ..optim import Keyframe, TrainingView
 from ..render import (
     SurfaceView,
     drawn_in_part,
-    render_forward,
     rows_in_view,
-    surface_depth_m,
     view_surface,
 )
 from ..seeding import DiscInputs, SeedContext, disc_view
 from ..tracking import Correction
-from ..tsdf import TsdfVolume, extract_mesh, integrate
-from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
-from .disc_states import STATES, n_stable, state_shares, why_never_stable
+from ..types import Camera, Frame, GaussianParams, Mesh
+from .description import CURVES, SystemDescription
+from .disc_files import DiscFiles, disc_mesh
+from .disc_states import STATES, DiscReports, n_stable
 from .mapper import Mapper
 from .rule import WatchedStep
 from .step import StepReport, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser
-
-MESH_VIEWS = 60
-"""Fewest views whose rendered depth is fused to the mesh, if there are as many; a long walk has
-more."""
 
 KEYFRAME_DEG = 30.0
 KEYFRAME_M = 0.3
@@ -67,18 +61,22 @@ class RTGSLAM(Mapper):
     Settings and published presets: ``gsfusion_nb.config.rtg_slam``.
     """
 
-    title = "RTG-SLAM"
+    description = SystemDescription(
+        title="RTG-SLAM",
+        fidelities=rtg_slam_fidelities,
+        fidelity_of=rtg_slam_fidelity,
+        gaussians_are_discs=True,
+        needs_depth=True,
+        panels=("input", "render", "error", "depth_error", "states", "seed_causes"),
+        curves={**CURVES, "stable Gaussians": n_stable},
+        states=STATES,
+        memory_savers=("a smaller share in seeding.options",),
+    )
     config_type = RtgSlamConfig
     preset = staticmethod(rtg_slam)
-    fidelities = rtg_slam_fidelities
-    fidelity_of = staticmethod(rtg_slam_fidelity)
     model_type = SurfelModel
-    gaussians_are_discs = True
-    needs_depth = True
-    panels = ("input", "render", "error", "depth_error", "states", "seed_causes")
-    curves: ClassVar = Mapper.curves | {"stable Gaussians": n_stable}
-    states = STATES
-    memory_savers = ("a smaller share in seeding.options",)
+    files_type = DiscFiles
+    reports_type = DiscReports
 
     config: RtgSlamConfig
     gaussians: SurfelModel
@@ -119,7 +117,7 @@ class RTGSLAM(Mapper):
             with self.clock("states"):
                 after, transitions = self._manage_states(frame)
             self.gaussians.clock.advance(self.n_frames + 1)
-        return self._report(
+        return self.reports.of_frame(
             frame,
             seeds,
             is_keyframe,
@@ -425,106 +423,16 @@ class RTGSLAM(Mapper):
             take=self.params_now,
         )
 
-    @classmethod
-    def render_gaussians(
-        cls,
-        params: GaussianParams,
-        camera: Camera,
-        T_WC: Float[Tensor, "4 4"],
-        config: RtgSlamConfig,
-    ) -> RenderOutput:
-        """The map seen by a camera, with the depth of its discs as ``surface_depth_m``."""
-        output, _ = render_forward(params, camera, T_WC, opaque_alpha=config.discs.opaque_alpha)
-        depth_m = surface_depth_m(params, camera, T_WC, output, config.discs)
-        return dataclasses.replace(output, surface_depth_m=depth_m)
-
     def mesh(self) -> Mesh:
-        """Surface of the map: depth rendered at poses along the trajectory, fused into a TSDF.
-
-        The poses are spread evenly. Where the camera has turned by half of its field of view since
-        the last one, or moved by half of the median depth in it, there is one more, so that
-        neighbouring views overlap on any walk. ``mesh_share`` becomes the share of the surface seen
-        halfway between them whose voxels were observed.
-        """
-        settings = TsdfConfig(
-            voxel_size_m=self.config.mesh_voxel_m, truncation_voxels=4.0, near_m=0.2
-        )
-        volume = TsdfVolume(settings, device=self.device)
-        poses = self.localiser.poses
-        camera = self.camera
-        stride = max(1, len(poses) // MESH_VIEWS)
-        taken = []
-        near = (0.0, 0.0)
-        for index, T_WC in enumerate(poses):
-            assert camera is not None
-            moved = (
-                se3.motion(poses[taken[-1]], T_WC)
-                if index % stride and T_WC is not poses[-1]
-                else near
-            )
-            if moved[0] < near[0] and moved[1] < near[1]:
-                continue
-            view = self.surface(camera, T_WC)
-            rgb = view.rgb.clamp(0, 1)
-            pose = T_WC.to(self.device)
-            frame = Frame(
-                index=index,
-                timestamp_s=0.0,
-                rgb=rgb,
-                depth_m=view.depth_m,
-                camera=camera,
-                T_WC=pose,
-            )
-            integrate(volume, frame)
-            taken.append(index)
-            known = view.depth_m[view.depth_m > 0]
-            half_depth_m = 0.5 * float(known.median()) if len(known) else math.inf
-            near = math.degrees(math.atan(0.5 * camera.width / camera.fx)), half_depth_m
-        between = [(a + b) // 2 for a, b in itertools.pairwise(taken) if b - a > 1]
-        observed = [
-            self._observed(volume, poses[i]) for i in between[:: max(1, len(between) // 20)]
-        ]
-        self.mesh_share = float(torch.cat(observed).float().mean()) if observed else 1.0
-        return extract_mesh(volume)
-
-    def _observed(
-        self,
-        volume: TsdfVolume,
-        T_WC: Float[Tensor, "4 4"],
-    ) -> Bool[Tensor, " N"]:
-        """Whether the voxel of each surface point seen from a pose was observed; of every 16th
-        pixel with depth."""
-        assert self.camera is not None
-        depth_m = self.surface(self.camera, T_WC).depth_m
-        T = T_WC.to(self.device)
-        xyz_W = se3.apply(T, depth_to_points(self.camera, depth_m))
-        return volume.sample_nearest(xyz_W[depth_m > 0][::16].contiguous()).W > 0
+        """Surface of the map: depth rendered at poses along the trajectory, fused into a TSDF
+        (``disc_mesh``)."""
+        mesh, self.mesh_share = disc_mesh(self)
+        return mesh
 
     @property
     def n_passes(self) -> int:
         """Number of passes of the final optimisation in the settings."""
         return self.config.final.passes
-
-    def counts(self) -> dict[str, int]:
-        """Gaussians by state and kind."""
-        return {f"n_{name}": count for name, count in state_counts(self.gaussians).items()}
-
-    def run_metrics(self, steps: Sequence[StepReport]) -> dict[str, Any]:
-        """Share of the Gaussians in each state."""
-        return state_shares(steps)
-
-    def run_notes(self, steps: Sequence[StepReport]) -> list[str]:
-        """Whether no Gaussian has become stable."""
-        most_steps = int(self.gaussians.confidence.amax()) if len(self.gaussians) else 0
-        sentence = why_never_stable(steps, self.config, most_steps)
-        return [sentence] if sentence else []
-
-    def constant_tensors(self) -> list[Tensor]:
-        """Images of keyframes and of the window."""
-        return [
-            *super().constant_tensors(),
-            *(image for f in self.window for image in (f.colour, f.depth_m)),
-        ]
 
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """The state of any mapper, the window, and the optimiser of the final passes."""

@@ -1,16 +1,14 @@
-"""What mappers with a TSDF have in common: the volume, its surface and mesh, and the frames that a
-loop may move."""
+"""What mappers with a TSDF have in common: the volume, its surface and mesh, its files and
+reports."""
 
-import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from ..errors import BadFrameError
-from ..geometry import backproject, se3
+from ..geometry import se3
 from ..seeding import SeedContext
 from ..tracking import Correction
 from ..tsdf import (
@@ -18,11 +16,13 @@ from ..tsdf import (
     RaycastOutput,
     TsdfVolume,
     extract_mesh,
-    integrate,
     new_band_blocks,
     raycast,
 )
 from ..types import Camera, Frame, Mesh, Seeds
+from .fused_frames import FusedFrames
+from .map_files import MapFiles
+from .map_reports import MapReports
 from .mapper import Mapper
 from .step import StepReport
 
@@ -36,103 +36,67 @@ LATEST = 10
 one of the latest."""
 
 
-class FusedFrames:
-    """Frames with the poses at which they were fused, in CPU memory, in the order of the
-    trajectory.
+class TsdfFiles(MapFiles):
+    """Gaussians and a TSDF."""
 
-    A frame that has moved is not taken out of the volume again: all frames are fused into a new
-    one. That is exact also where the observation count has reached its limit, and after a loop most
-    frames have moved. On the kitchen at 320x240 it takes 8.7 ms of processor time for each frame;
-    taking out and putting in, 12 for each that moved.
-    """
+    def maps(self) -> dict[str, dict[str, Tensor]]:
+        """Gaussians and the TSDF."""
+        volume = self.mapper.volume
+        columns = {
+            "block_coords": volume.block_coords,
+            "D": volume.D,
+            "W": volume.W,
+            "rgb": volume.rgb_planes,
+        }
+        return super().maps() | {"tsdf": columns}
 
-    def __init__(self) -> None:
-        self.frames: list[Frame] = []
+    def order_of_rows(self, name: str) -> Tensor | None:
+        """The blocks of the TSDF in Morton order."""
+        return self.mapper.volume.index.rows if name == "tsdf" else None
 
-    def __len__(self) -> int:
-        return len(self.frames)
+    def constant_tensors(self) -> list[Tensor]:
+        """Images of keyframes and of the frames in the TSDF."""
+        return [*super().constant_tensors(), *self.mapper.fused.images()]
 
-    def images(self) -> list[Tensor]:
-        """All images, which never change."""
-        return [image for f in self.frames for image in (f.colour, f.depth_m)]
 
-    def add(self, frame: Frame) -> None:
-        """Keep a frame that is fused with its present pose."""
-        bare = dataclasses.replace(frame, extra={})  # a new one, without colours as floats
-        self.frames.append(bare.to("cpu"))
+class TsdfReports(MapReports):
+    """Reports that count voxel blocks."""
 
-    def moved_m(self, poses: list[Float[Tensor, "4 4"]]) -> float:
-        """How far a frame's camera, or a point at its median depth in a corner of its view, would
-        move at most.
+    def of_frame(self, *args: Any, **fields: Any) -> StepReport:
+        """Also with the number of voxel blocks."""
+        return super().of_frame(*args, n_blocks=self.mapper.volume.n_blocks, **fields)
 
-        The corners move also where a camera turns about its viewing axis, which leaves the middle
-        of the view in place.
+    def counts(self) -> dict[str, int]:
+        """Number of voxel blocks of the TSDF."""
+        return {"n_blocks": self.mapper.volume.n_blocks}
 
-        Args:
-            poses: New camera-to-world poses, one for each frame.
-
-        Returns:
-            The largest of these distances, metres.
-        """
-        if not self.frames:
-            return 0.0
-        change = (
-            torch.stack(poses).cpu().double() - torch.stack([f.T_WC for f in self.frames]).double()
-        )
-        xyz_C = torch.stack([_camera_and_corners(f) for f in self.frames])
-        return float((xyz_C @ change[:, :3, :3].mT + change[:, None, :3, 3]).norm(dim=-1).max())
-
-    def fused_again(self, volume: TsdfVolume, poses: list[Float[Tensor, "4 4"]]) -> TsdfVolume:
-        """A new volume like ``volume`` with all frames at new poses, which they keep.
-
-        Raises:
-            ValueError: a frame would be too far away for the voxel index. MemoryError: no room for
-                the blocks. Nothing has changed.
-        """
-        fresh = TsdfVolume(
-            volume.config, volume.device, memory_limit_bytes=volume.memory_limit_bytes
-        )
-        moved = [
-            dataclasses.replace(f, T_WC=T)
-            for f, T in zip(
-                self.frames,
-                torch.stack(poses).cpu(),
-                strict=True,
+    def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
+        """In addition: a warning if no depth of the first frame is in the range that is fused."""
+        warnings = super().step_warnings(frame, report)
+        if self.mapper.n_frames > 1 or report.n_blocks:
+            return warnings
+        tsdf = self.mapper.config.tsdf
+        measured_m = frame.depth_m[frame.depth_m > 0]
+        median = "it has none at all"
+        if len(measured_m):
+            median = f"its median is {float(measured_m.median()):.4g} m"
+        if ((measured_m >= tsdf.near_m) & (measured_m <= tsdf.far_m)).any():
+            sentence = f"nothing was mapped from the depth of frame {frame.index} ({median})"
+        else:
+            sentence = (
+                f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and "
+                f"tsdf.far_m {tsdf.far_m:g} m ({median}), so nothing was mapped from it; check the "
+                "depth scale"
             )
-        ]
-        for frame in moved:
-            integrate(fresh, dataclasses.replace(frame.to(volume.device)))
-        self.frames = moved
-        return fresh
-
-    def state_dict(self) -> list[dict[str, Any]]:
-        """Plain values of every frame."""
-        return [frame.state_dict() for frame in self.frames]
-
-    def load_state(self, state: list[dict[str, Any]]) -> None:
-        """Replace the frames by those of ``state_dict``."""
-        self.frames = [Frame.of_state(f).to("cpu") for f in state]
-
-
-def _camera_and_corners(frame: Frame) -> Float[Tensor, "5 3"]:
-    """The camera's centre and the corners of its view at the median depth, in the camera's frame,
-    float64."""
-    some = frame.depth_m[::4, ::4]
-    camera = frame.camera
-    known = some[some > 0]
-    z = known.median().double() if len(known) else torch.zeros((), dtype=torch.float64)
-    corners = torch.tensor(
-        [(u, v) for u in (0, camera.width) for v in (0, camera.height)],
-        dtype=torch.float64,
-    )
-    return torch.cat(
-        [torch.zeros(1, 3, dtype=torch.float64), backproject(camera, corners, z.expand(4))]
-    )
+        return [*warnings, sentence]
 
 
 class TsdfMapping(Mapper):
     """A mapper with a TSDF, ``volume``, by the settings ``config.tsdf``; arguments as for
     ``Mapper``."""
+
+    files_type = TsdfFiles
+    reports_type = TsdfReports
 
     def __init__(self, *args: Any, **options: Any):
         super().__init__(*args, **options)
@@ -162,46 +126,6 @@ class TsdfMapping(Mapper):
         """Surface of the TSDF map."""
         return extract_mesh(self.volume)
 
-    def counts(self) -> dict[str, int]:
-        """Number of voxel blocks of the TSDF."""
-        return {"n_blocks": self.volume.n_blocks}
-
-    def maps(self) -> dict[str, dict[str, Tensor]]:
-        """Gaussians and the TSDF."""
-        volume = self.volume
-        columns = {
-            "block_coords": volume.block_coords,
-            "D": volume.D,
-            "W": volume.W,
-            "rgb": volume.rgb_planes,
-        }
-        return super().maps() | {"tsdf": columns}
-
-    def order_of_rows(self, name: str) -> Tensor | None:
-        """The blocks of the TSDF in Morton order."""
-        return self.volume.index.rows if name == "tsdf" else None
-
-    def step_warnings(self, frame: Frame, report: StepReport) -> list[str]:
-        """In addition: a warning if no depth of the first frame is in the range that is fused."""
-        warnings = super().step_warnings(frame, report)
-        if self.n_frames > 1 or report.n_blocks:
-            return warnings
-        tsdf = self.config.tsdf
-        known = frame.depth_m[frame.depth_m > 0]
-        median = (
-            f"its median is {float(known.median()):.4g} m" if len(known) else "it has none at all"
-        )
-        if ((known >= tsdf.near_m) & (known <= tsdf.far_m)).any():
-            return [
-                *warnings,
-                f"nothing was mapped from the depth of frame {frame.index} ({median})",
-            ]
-        return [
-            *warnings,
-            f"frame {frame.index} has no depth between tsdf.near_m {tsdf.near_m:g} and tsdf.far_m "
-            f"{tsdf.far_m:g} m ({median}), so nothing was mapped from it; check the depth scale",
-        ]
-
     def _seen_before(self, frame: Frame) -> bool:
         """Whether an earlier keyframe shows what the frame shows."""
         earlier = self.keyframes.T_WC[:-LATEST]
@@ -212,10 +136,6 @@ class TsdfMapping(Mapper):
                 se3.rotation_angle(near[:, :3, :3].mT @ T_WC[:3, :3]).rad2deg() <= SEEN_WITHIN_DEG
             ).any()
         )
-
-    def constant_tensors(self) -> list[Tensor]:
-        """Images of keyframes and of the frames in the TSDF."""
-        return [*super().constant_tensors(), *self.fused.images()]
 
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """The state of any mapper, and the TSDF with the frames that a loop may move."""
@@ -243,9 +163,6 @@ class TsdfMapping(Mapper):
                 self.volume = TsdfVolume(volume.config, volume.device, memory_limit_bytes=limit)
 
         return undo
-
-    def _report(self, *args: Any, **fields: Any) -> StepReport:
-        return super()._report(*args, n_blocks=self.volume.n_blocks, **fields)
 
     def _record(self, frame: Frame) -> None:
         """Keep the frame, which was fused, if a loop may move it."""

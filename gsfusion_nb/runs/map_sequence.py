@@ -265,7 +265,7 @@ def _work(
     elif run.status == "running":
         run.status = "complete"
     if not stop:
-        for note in run.mapper.run_notes(run.steps):
+        for note in run.mapper.reports.run_notes(run.steps):
             run.note_ending(note)
     if run.steps and not len(run.mapper.gaussians):
         run.note_ending(_why_empty(run))
@@ -469,7 +469,7 @@ def _why_empty(run: MappingRun) -> str:
 
 def _describe_full(mapper: Mapper) -> str:
     """A sentence that says what fills the memory, and which settings need less."""
-    less = ["smaller images (data.width)", *mapper.memory_savers]
+    less = ["smaller images (data.width)", *mapper.description.memory_savers]
     if mapper.config.keyframes_on == "device":
         less.append("keyframes in CPU memory (keyframes_on = 'cpu')")
     return f"the memory of {mapper.device} is full of {mapper!r}; try {', '.join(less)}"

@@ -237,7 +237,7 @@ class MappingRun:
             self.steps.append(report)
             self.timestamps_s.append(frame.timestamp_s)
             self._passed(frame)
-            for sentence in self.mapper.step_warnings(frame, report):
+            for sentence in self.mapper.reports.step_warnings(frame, report):
                 self._warn(sentence)
             self._watch.look(self, frame)
         for watcher in self.watchers:
@@ -361,7 +361,7 @@ class MappingRun:
         """Give back the memory of what was kept to score and show the same views again."""
         if self.sequence.kept is not None:
             self.sequence.kept.clear()
-        self.mapper.forget_drawn()
+        self.mapper.files.forget_drawn()
 
     def document(self) -> dict[str, Any]:
         """All that a checkpoint holds."""
@@ -385,7 +385,7 @@ class MappingRun:
 
     def constant_tensors(self) -> list[Tensor]:
         """Tensors of the state that never change."""
-        return [*self.mapper.constant_tensors(), self._data_files, *self._step_log.blocks]
+        return [*self.mapper.files.constant_tensors(), self._data_files, *self._step_log.blocks]
 
     def stream(self) -> dict[str, Any]:
         """Description of a source that cannot be opened again, if the run can be finished without

@@ -83,9 +83,9 @@ def score(
     params = run.mapper.params_now()
     mapper = run.mapper
     with run.clock("view_scores"):
-        draw = mapper.drawn_as_stored()
+        draw = mapper.files.drawn_as_stored()
         wanted = mapper.config.data.align_held_out and not suffix
-        align = (lambda frame: mapper.aligned_pose(draw, params, frame)) if wanted else None
+        align = (lambda frame: mapper.files.aligned_pose(draw, params, frame)) if wanted else None
         views = scored_views(run)
         metrics = score_in_map(
             draw, views, run.sequence, suffix, with_lpips=with_lpips, align=align
@@ -143,7 +143,7 @@ def _write_maps(run: MappingRun, folder: Path, mesh: Mesh) -> None:
         "device": str(run.mapper.device),
         "rule": rule_name(run.mapper.rule),
         "rule_from_file": bool(file_source(run.mapper.rule)),
-        "fidelity": run.mapper.fidelity_of(run.mapper.config),
+        "fidelity": run.mapper.description.fidelity_of(run.mapper.config),
         "training": run.mapper.training.names,
         "config": to_dict(run.mapper.config),
     }
@@ -152,7 +152,7 @@ def _write_maps(run: MappingRun, folder: Path, mesh: Mesh) -> None:
     write_json(folder / VIEWS, views_as_json(scored_views(run)))
     _write_trajectory(run, folder)
     write_gaussian_ply(folder / "gaussians.ply", run.mapper.params_now())
-    run.mapper.write_besides(folder)
+    run.mapper.files.write_besides(folder)
     write_mesh_ply(folder / "mesh.ply", mesh)
 
 
@@ -166,12 +166,13 @@ def map_hashes(run: MappingRun, mesh: Mesh | None = None) -> dict[str, str]:
         else torch.zeros(0, 4, 4),
     }
     maps = (
-        run.mapper.maps()
+        run.mapper.files.maps()
         | {"trajectory": trajectory}
         | ({} if mesh is None else {"mesh": vars(mesh)})
     )
     return {
-        name: hash_of(tensors, run.mapper.order_of_rows(name)) for name, tensors in maps.items()
+        name: hash_of(tensors, run.mapper.files.order_of_rows(name))
+        for name, tensors in maps.items()
     }
 
 
@@ -248,7 +249,7 @@ def write_numbers(
 
 def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
     """Write report.html."""
-    fidelity = run.mapper.fidelity_of(run.mapper.config)
+    fidelity = run.mapper.description.fidelity_of(run.mapper.config)
     config = run.mapper.config
     about = [
         f"{len(run.steps)} frames",
@@ -257,12 +258,12 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
         f"rule {rule_name(run.mapper.rule)}",
     ]
     data = ReportData(
-        title=f"{run.mapper.title} on {run.sequence.name}",
+        title=f"{run.mapper.description.title} on {run.sequence.name}",
         subtitle=", ".join([*about, f"fidelity {fidelity}"] if fidelity else about),
         metrics=metrics,
         config=to_dict(config),
         frames=run.steps,
-        states=run.mapper.states,
+        states=run.mapper.description.states,
         global_losses=run.global_losses,
         views=report_views(run),
         mesh_pictures=mesh_pictures(run),
@@ -282,8 +283,8 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
         "n_keyframes": sum(s.is_keyframe for s in run.steps),
         "n_frames": len(run.steps),
-        **run.mapper.counts(),
-        **run.mapper.run_metrics(run.steps),
+        **run.mapper.reports.counts(),
+        **run.mapper.reports.run_metrics(run.steps),
         **run.mapper.training.names,
         "n_triangles": len(mesh.faces),
         **({} if run.mapper.mesh_share is None else {"mesh_share": run.mapper.mesh_share}),
@@ -359,7 +360,7 @@ def score_mesh(
     generator = torch.Generator().manual_seed(run.mapper.config.seed if seed is None else seed)
     scores = mesh_scores(mesh, seen, generator=generator, n_samples=n_samples)
     metrics |= _named("mesh", scores)
-    if run.mapper.gaussians_are_discs:
+    if run.mapper.description.gaussians_are_discs:
         discs = run.mapper.params_now()
         scores = disc_scores(discs, seen, generator=generator, n_samples=n_samples)
         metrics |= _named("disc", scores)
@@ -380,7 +381,7 @@ def score_centres(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     """Distance of the Gaussian centres from the run's own mesh; empty for discs, which the mesh is
     made from."""
     mapper = run.mapper
-    if mapper.gaussians_are_discs:
+    if mapper.description.gaussians_are_discs:
         return {}
     generator = torch.Generator().manual_seed(mapper.config.seed)
     distance = centres_to_own_mesh(mapper.params_now(), mesh, generator=generator)
@@ -444,7 +445,7 @@ def report_views(run: MappingRun) -> list[ReportView]:
             rendered = run.mapper.render(frame.camera, frame.T_WC)
             panels.append(
                 ReportView.of(
-                    frame, rendered, held_out=held_out, cells=run.mapper.quadtree_cells(frame)
+                    frame, rendered, held_out=held_out, cells=run.mapper.files.quadtree_cells(frame)
                 )
             )
     return panels

@@ -82,9 +82,9 @@ def rescore(
         read_gaussian_ply(folder / "gaussians.ply", strict=True), config.sh_degree, place
     )
 
-    draw = system.drawn_from(folder, params, config)
+    draw = system.files_type.drawn_from(folder, params, config)
     align = (
-        (lambda frame: system.aligned_pose(draw, params, frame))
+        (lambda frame: system.files_type.aligned_pose(draw, params, frame))
         if config.data.align_held_out
         else None
     )

@@ -20,7 +20,7 @@ from ..evaluation import ImageScores, score_view
 from ..files import read_object
 from ..geometry import se3
 from ..mapping.localiser import Localiser
-from ..mapping.mapper import Draw
+from ..mapping.map_files import Draw
 from ..mapping.training import exposure_between
 from ..optim import exposed, fit_gain
 from ..render.constants import SHOWN_ALPHA
@@ -311,7 +311,7 @@ def score_in_map(
         with_lpips: Also compute LPIPS.
         align: If given, the held-out views are scored once more, as the group held_out_aligned,
             each at the pose that it returns, at which the map fits the picture best
-            (``Mapper.aligned_pose``), and as the group held_out_fitted with brightness and white
+            (``MapFiles.aligned_pose``), and as the group held_out_fitted with brightness and white
             balance fitted, too (``fit_gain``).
     """
     metrics: dict[str, Any] = {}

@@ -41,7 +41,7 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
         The path written.
     """
     path = Path(path)
-    names = [run.mapper.title for run in runs]
+    names = [run.mapper.description.title for run in runs]
     of_frames = {
         name: [step.psnr_after_db for step in run.run.steps]
         for name, run in zip(names, runs, strict=True)
@@ -86,7 +86,7 @@ def numbers_of(runs: Sequence["FinishedRun"]) -> list[list[str]]:
         [NUMBERS[name], *(format_metric(name, run.metrics.get(name)) for run in runs)]
         for name in known
     ]
-    return [["", *(run.mapper.title for run in runs)], *rows]
+    return [["", *(run.mapper.description.title for run in runs)], *rows]
 
 
 def _views(

@@ -291,7 +291,7 @@ class LiveMapper(LiveView):
     def _series(self) -> Mapping[str, Sequence[float | int]]:
         return {
             title: [value(s) for s in self.run.steps]
-            for title, value in self.run.mapper.curves.items()
+            for title, value in self.run.mapper.description.curves.items()
         }
 
     def _mosaic(self) -> Picture | None:
@@ -329,9 +329,10 @@ class LiveMapper(LiveView):
     def _words(self) -> list[str]:
         self.progress.value = self.run.next_position
         run = self.run
-        fidelity = run.mapper.fidelity_of(run.mapper.config)
+        title = run.mapper.description.title
+        fidelity = run.mapper.description.fidelity_of(run.mapper.config)
         words = [
-            f"{run.mapper.title} ({html.escape(fidelity)})" if fidelity else run.mapper.title,
+            f"{title} ({html.escape(fidelity)})" if fidelity else title,
             f"{run.next_position} of {len(run.sequence.mapping)} frames",
         ]
         at = len(run.steps) if self.scrubber.following else self._shown

@@ -284,7 +284,7 @@ def _with_new_gaussians(picture: Picture, step: MappedFrame) -> Picture:
 
 
 def _quadtree_seeds(step: MappedFrame) -> Picture:
-    cells = step.mapper.quadtree_cells(step.frame)
+    cells = step.mapper.files.quadtree_cells(step.frame)
     return _with_new_gaussians(paint_cells(step.photo, cells, by_level=False, strength=0.35), step)
 
 
@@ -325,12 +325,12 @@ PANELS: dict[str, tuple[str, Callable[[MappedFrame], Picture]]] = {
     ),
     "states": ("blue stable, orange unstable", _states),
 }
-"""The names that ``Mapper.panels`` can hold -> what it shows, and how it is drawn."""
+"""The names that ``SystemDescription.panels`` can hold -> what it shows, and how it is drawn."""
 
 
 def captions_of(mapper: Mapper) -> dict[str, str]:
     """The panels of a system: name -> what it shows."""
-    return {name: PANELS[name][0] for name in mapper.panels}
+    return {name: PANELS[name][0] for name in mapper.description.panels}
 
 
 def columns_for(n_panels: int) -> int:
@@ -369,4 +369,4 @@ def live_panels(mapper: Mapper, frame: Frame) -> dict[str, Picture]:
         photo=to_uint8(frame.colour),
         rendered=to_uint8(output.rgb),
     )
-    return {name: PANELS[name][1](step) for name in mapper.panels}
+    return {name: PANELS[name][1](step) for name in mapper.description.panels}

@@ -341,7 +341,7 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         columns = splat_rows.columns_of(held, len(params), self._extras)
         n = len(params)
         if _draws_surface(self._source):  # the surface as discs, behind the map's own rows
-            params = self._source.standard_gaussians()
+            params = self._source.files.standard_gaussians()
             columns = splat_rows.with_surface(columns, n, len(params))
         self._params = params
         self._columns = columns
@@ -410,4 +410,5 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
 
 def _draws_surface(source: Any) -> bool:
     """Whether a mapper's pictures are more than its Gaussians."""
-    return getattr(source, "needs_volume_to_render", False)
+    description = getattr(source, "description", None)
+    return description is not None and description.needs_volume_to_render

@@ -177,7 +177,7 @@ def resume(path: Path) -> None:
 
     with use_backend("numba"):
         run = load_run(path)
-        for name, table in run.mapper.maps().items():
+        for name, table in run.mapper.files.maps().items():
             for column in table.values():
                 finite = bool(torch.isfinite(column.float()).all())
                 _need(

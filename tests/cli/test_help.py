@@ -31,7 +31,7 @@ CALLS = [
     ],
     ("course", "export"),
 ]
-FIDELITIES = {name for mapper in SYSTEMS.values() for name in mapper.fidelities}
+FIDELITIES = {name for mapper in SYSTEMS.values() for name in mapper.description.fidelities}
 NAMES = {
     "system": set(SYSTEMS),
     "systems": set(SYSTEMS),

@@ -86,9 +86,9 @@ def traced(frames):
 
 
 def assert_same(a, b):
-    for name, tensors in a.maps().items():
+    for name, tensors in a.files.maps().items():
         for column, value in tensors.items():
-            assert torch.equal(value, b.maps()[name][column]), (name, column)
+            assert torch.equal(value, b.files.maps()[name][column]), (name, column)
 
 
 def test_no_number_of_the_map_changes(traced):

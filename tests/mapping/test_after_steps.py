@@ -183,7 +183,7 @@ def test_what_a_rule_is_told_and_that_asking_changes_nothing(system, needs, fram
     online = len(told)
     optimised = [step.loss for step in mapper.global_optimise(1)]
     list(deaf.global_optimise(1))
-    same(deaf.maps(), mapper.maps())
+    same(deaf.files.maps(), mapper.files.maps())
     assert {stats.stage for stats in told[:online]} == {"online"}
     assert {(s.stage, s.step_in_frame, s.steps_in_frame) for s in told[online:]} == {
         ("passes", 1, 1)

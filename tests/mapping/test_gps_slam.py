@@ -118,7 +118,7 @@ def test_the_numbers_of_the_next_paper():
     assert (rule["max_weight"], rule["surface"], rule["max_radius_m"]) == (3.0, "depth", 0.01)
     assert (c.schedule.iterations, c.base.behind_m) == (30, 0.02)
     assert gps_slam_fidelity(c) == "rrg"
-    assert GPSSLAM.fidelities == ("measured", "paper", "rrg", "code")
+    assert GPSSLAM.description.fidelities == ("measured", "paper", "rrg", "code")
 
 
 def test_a_round_has_its_steps_however_they_are_spread():

@@ -37,7 +37,7 @@ def run(tmp_path_factory) -> FinishedRun:
 def test_the_discs_show_the_surface_and_a_fit_shows_it_better(run):
     mapper = run.run.mapper
     poses = list(mapper.localiser.poses)
-    rows = mapper.standard_gaussians()
+    rows = mapper.files.standard_gaussians()
     n = len(mapper.gaussians)
     assert len(rows) > n > 20
     wanted = mapper.render(CAMERA, poses[3]).rgb

@@ -144,7 +144,7 @@ def test_a_map_with_hardly_any_gaussians_says_why(small_room):
     assert len(run.mapper.keyframes) == 0
     assert len(run.mapper.gaussians) < 10
     early = [warning for warning in run.warnings if "after 10 frames" in warning]
-    late = run.mapper.run_notes(run.steps)
+    late = run.mapper.reports.run_notes(run.steps)
     for said in (early[0], late[0]):
         assert "no frame added more than 50 (keyframe_min_seeds)" in said
         assert (
@@ -155,4 +155,4 @@ def test_a_map_with_hardly_any_gaussians_says_why(small_room):
     for change in ({"seeding__quadtree_contrast": "std"}, {"seeding__quadtree_threshold": 0.00059}):
         better = mapped(**change)
         assert len(better.mapper.keyframes) > 1
-        assert better.warnings == better.mapper.run_notes(better.steps) == []
+        assert better.warnings == better.mapper.reports.run_notes(better.steps) == []

@@ -92,7 +92,11 @@ def missing(mapper):
     return int(mapper.gaussians.clock.missed.sum())
 
 
-FOLLOWED = [(name, fidelity) for name, system in SYSTEMS.items() for fidelity in system.fidelities]
+FOLLOWED = [
+    (name, fidelity)
+    for name, system in SYSTEMS.items()
+    for fidelity in system.description.fidelities
+]
 
 
 @pytest.mark.parametrize(("system", "fidelity"), FOLLOWED)
@@ -154,10 +158,10 @@ def test_what_is_shown_written_or_given_to_a_rule_has_the_missed_steps(
     whole.take_missed_steps()
     assert missing(whole) == 0
     for name, column in vars(finished.params).items():
-        assert torch.equal(mapper.maps()["gaussians"][name], column)
+        assert torch.equal(mapper.files.maps()["gaussians"][name], column)
         assert torch.equal(getattr(map_params(mapper.seed_context(frame)), name), column)
-        shown = getattr(mapper.standard_gaussians(), name)
-        assert torch.equal(shown, getattr(whole.standard_gaussians(), name))
+        shown = getattr(mapper.files.standard_gaussians(), name)
+        assert torch.equal(shown, getattr(whole.files.standard_gaussians(), name))
     context = mapper.seed_context(frame)
     assert torch.equal(context.map.xyz_W, finished.params.xyz_W)
     for seen in ("rgb", "alpha"):
@@ -288,7 +292,7 @@ def test_gaussians_that_become_nan_are_counted_and_said_once(system, small_room,
         broken[:] = [1] if frame.index in (3, 5) else []
         report = mapper.step(frame)
         counted.append(report.n_not_finite)
-        told += mapper.step_warnings(frame, report)
+        told += mapper.reports.step_warnings(frame, report)
         assert bool(finite_rows(mapper.gaussians.params).all())
     assert [n > 0 for n in counted] == [False] * 3 + [True, False, True]
     said = [sentence for sentence in told if "NaN" in sentence]

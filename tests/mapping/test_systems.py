@@ -42,20 +42,30 @@ def test_settings_mapper_and_name_belong_together(name, config, mapper):
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_one_default(system):
     mapper = SYSTEMS[system]
-    assert mapper.config_type() == mapper.preset() == mapper.preset("replica", mapper.fidelities[0])
-    assert mapper.fidelity_of(mapper.config_type()) == mapper.fidelities[0] == "measured"
+    assert (
+        mapper.config_type()
+        == mapper.preset()
+        == mapper.preset("replica", mapper.description.fidelities[0])
+    )
+    assert (
+        mapper.description.fidelity_of(mapper.config_type())
+        == mapper.description.fidelities[0]
+        == "measured"
+    )
     assert make_mapper(mapper.config_type()).config == mapper().config
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
 @pytest.mark.parametrize("preset", presets())
 def test_every_system_has_every_preset(system, preset):
-    for fidelity in SYSTEMS[system].fidelities:
+    for fidelity in SYSTEMS[system].description.fidelities:
         config = SYSTEMS[system].preset(preset, fidelity)
         first = next(
-            f for f in SYSTEMS[system].fidelities if SYSTEMS[system].preset(preset, f) == config
+            f
+            for f in SYSTEMS[system].description.fidelities
+            if SYSTEMS[system].preset(preset, f) == config
         )
-        assert SYSTEMS[system].fidelity_of(config) == first
+        assert SYSTEMS[system].description.fidelity_of(config) == first
 
 
 def placed(frame, index, right_m):
@@ -89,7 +99,8 @@ def test_a_jump_that_no_camera_makes_is_not_mapped(system, view):
         frame = placed(view, index, right_m)
         report = asked.step(frame)
     assert any(
-        "although its pose is 1e+03 m" in warning for warning in asked.step_warnings(frame, report)
+        "although its pose is 1e+03 m" in warning
+        for warning in asked.reports.step_warnings(frame, report)
     )
 
 
@@ -108,7 +119,7 @@ def test_a_depth_that_no_camera_measures_is_told_once(view):
     mapper = small("gsfusion")
     far = dataclasses.replace(view, depth_m=torch.full_like(view.depth_m, 65.5))
     frames = [placed(frame, i, 0.0) for i, frame in enumerate((view, far, far))]
-    told = [mapper.step_warnings(frame, mapper.step(frame)) for frame in frames]
+    told = [mapper.reports.step_warnings(frame, mapper.step(frame)) for frame in frames]
     assert [len(warnings) for warnings in told] == [0, 1, 0]
     assert "depth-max-m" in told[1][0]
 

@@ -59,8 +59,8 @@ def assert_fused_at(mapper, frames, poses):
     for f, T_WC in zip(frames, poses, strict=True):
         integrate(expected, Frame(**{**vars_of(f), "T_WC": T_WC}))
     rows = expected.index.rows
-    order = mapper.order_of_rows("tsdf")
-    columns = {name: column[order] for name, column in mapper.maps()["tsdf"].items()}
+    order = mapper.files.order_of_rows("tsdf")
+    columns = {name: column[order] for name, column in mapper.files.maps()["tsdf"].items()}
     assert torch.equal(columns["block_coords"], expected.block_coords[rows])
     torch.testing.assert_close(columns["D"], expected.D[rows])
     torch.testing.assert_close(columns["W"], expected.W[rows])
@@ -171,13 +171,13 @@ def test_gps_slam_looks_at_the_new_volume_from_the_corrected_poses(frames):
     )
     for frame in frames:
         mapper.step(frame)
-    old_discs = mapper.standard_gaussians().xyz_W
+    old_discs = mapper.files.standard_gaussians().xyz_W
     assert len(mapper.views) > 0
     correct(mapper, 2 * VOXEL_M)
     poses = mapper.localiser.poses
     assert_fused_at(mapper, frames, poses)
     assert len(mapper.views) == 0  # what they saw was the old volume
-    discs = mapper.standard_gaussians().xyz_W
+    discs = mapper.files.standard_gaussians().xyz_W
     assert discs.shape != old_discs.shape or not torch.allclose(discs, old_discs)
     for frame, T_WC in zip(frames, poses, strict=True):
         assert torch.equal(

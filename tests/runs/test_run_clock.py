@@ -128,7 +128,7 @@ def test_views_are_looked_at_once_for_all_scores(counted):
     assert (
         looks["rays"] == done.metrics["n_views_held_out"] + done.metrics["n_views_mapped"] + 5 == 13
     )
-    assert done.mapper._stored_looks.n_bytes == 0, "given back at the end"
+    assert done.mapper.files.stored_looks.n_bytes == 0, "given back at the end"
     assert done.run.sequence.kept is not None
     assert len(done.run.sequence.kept) == 0
 
