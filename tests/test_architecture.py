@@ -169,7 +169,7 @@ from ..optim import adam_step, l1_mse_vjp
 from ..render import render_forward, render_vjp
 from ..tsdf import integrate
 from .description import SystemDescription
-from .step import StepReport
+from .step_report import StepReport
 from .tsdf_mapping import TsdfMapping
 
 
@@ -186,7 +186,7 @@ class ToySystem(TsdfMapping):
 
     def map_frame(self, frame) -> StepReport:
         seeds = self.propose_seeds(self._context(frame, volume=self.volume, near_m=0.1))
-        with self.changes():
+        with self.transaction.changes():
             self.gaussians.append(seeds, frame.index)
             self.keyframes.append(frame)
             with self.clock("optimise"):

@@ -11,7 +11,7 @@ import sys
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import tsdf_mapping
-from gsfusion_nb.mapping.step import psnr_from_mse
+from gsfusion_nb.mapping.step_report import psnr_from_mse
 from gsfusion_nb.mapping.systems import SYSTEMS
 
 ROUNDS = 6

@@ -1,13 +1,13 @@
 """The mapping systems, one frame step each."""
 
+from .frame_guard import FrameUndone as FrameUndone
+from .frame_guard import HalfMappedError as HalfMappedError
 from .gps_slam import GPSSLAM as GPSSLAM
 from .gsfusion import GSFusion as GSFusion
 from .mapper import Mapper as Mapper
 from .rtg_slam import RTGSLAM as RTGSLAM
-from .step import FrameUndone as FrameUndone
-from .step import GlobalStep as GlobalStep
-from .step import HalfMappedError as HalfMappedError
-from .step import StepReport as StepReport
+from .step_report import GlobalStep as GlobalStep
+from .step_report import StepReport as StepReport
 from .systems import SYSTEMS as SYSTEMS
 from .systems import get_system as get_system
 from .systems import make_mapper as make_mapper

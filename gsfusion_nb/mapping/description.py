@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from .step import StepReport
+from .step_report import StepReport
 
 CURVES: Mapping[str, Callable[[StepReport], float | int]] = MappingProxyType(
     {

@@ -8,7 +8,7 @@ from typing import Any
 from ..config import RtgSlamConfig
 from ..gaussians.surfels import state_counts
 from .map_reports import MapReports
-from .step import StepReport
+from .step_report import StepReport
 
 STATES = ("stable_opaque", "stable_transparent", "unstable_opaque", "unstable_transparent")
 """Counts of a step that add up to its Gaussians, as in ``state_counts``."""

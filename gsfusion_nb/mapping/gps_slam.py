@@ -1,7 +1,7 @@
 """GPS-SLAM (Peng et al. 2025): a coloured TSDF, and Gaussians for what its colours cannot show,
 frame by frame."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from jaxtyping import Float
@@ -20,7 +20,8 @@ from .description import SystemDescription
 from .gps_files import GpsFiles
 from .gps_surface import OverSurface
 from .gps_views import BasedView, ViewRound, look_at
-from .step import StepReport, ViewStep, as_floats
+from .step_report import StepReport, ViewStep, as_floats
+from .transaction import Undo
 from .tsdf_mapping import TsdfMapping
 
 LEAST_OPACITY = 0.005
@@ -57,6 +58,7 @@ class GPSSLAM(TsdfMapping):
     def __init__(self, *args: Any, **options: Any):
         super().__init__(*args, **options)
         self.views = ViewRound(self.config.schedule)
+        self.transaction.protect(self._undo_of_views)
         self._kept_bases: dict[int, BasedView] = {}
         followed = gps_slam_fidelity(self.config).partition(",")[0]
         if followed != "measured":
@@ -91,7 +93,7 @@ class GPSSLAM(TsdfMapping):
             preview = FusedView(self.volume, frame, missing)
             context = self._context(frame, None if now is None else now.below, volume=preview)
             seeds = self.propose_seeds(context)
-        with self.changes(undoable=self.views.steps_in(self.n_frames) > 0):
+        with self.transaction.changes(undoable=self.views.steps_in(self.n_frames) > 0):
             if seeds_now and schedule.spread:
                 self._prune()
             if seeds_now and self.config.residual.restart_adam:
@@ -175,15 +177,13 @@ class GPSSLAM(TsdfMapping):
         super()._load(state)
         self.views.load_state_dict(state["views"], self.config.base, self.device)
 
-    def _undo(self) -> Callable[[], None]:
-        undo = super()._undo()
+    def _undo_of_views(self) -> Undo:
         views = self.views.snapshot()
 
-        def undo_all() -> None:
-            undo()
+        def undo() -> None:
             self.views = views.snapshot()
 
-        return undo_all
+        return undo
 
     def _follow(self, correction: Correction | None) -> None:
         """After a loop closure the views are at other poses, and the surface is another one."""

@@ -2,7 +2,6 @@
 the paper's order."""
 
 import bisect
-from collections.abc import Callable
 from typing import Any
 
 from jaxtyping import Float
@@ -28,8 +27,8 @@ from ..tsdf import FusedView, fuse_frame_
 from ..types import Camera, Frame, RenderOutput
 from .description import SystemDescription
 from .gsfusion_reports import GSFusionFiles, GSFusionReports
-from .step import StepReport, ViewStep, as_floats
-from .training import KeyframeFits
+from .keyframe_fits import KeyframeFits
+from .step_report import StepReport, ViewStep, as_floats
 from .tsdf_mapping import TsdfMapping
 
 
@@ -76,6 +75,8 @@ class GSFusion(TsdfMapping):
             else None
         )
         """What the passes after the scan fit to keyframes besides the Gaussians, if anything."""
+        if self.fits is not None:
+            self.transaction.protect(self.localiser.undo_of_refinement)
         self.camera: Camera | None = None
         """Of the last frame; None before the first, and after a resume until the next."""
 
@@ -94,7 +95,7 @@ class GSFusion(TsdfMapping):
             preview = FusedView(self.volume, frame, missing)
             context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
             seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
-        with self.changes():
+        with self.transaction.changes():
             with self.boxes.appending(self.gaussians):
                 self.gaussians.append(seeds, frame.index)
             is_keyframe, n_steps, n_revisits = self._plan(frame, len(seeds))  # III-B.3
@@ -181,19 +182,6 @@ class GSFusion(TsdfMapping):
         if self.fits is not None and not self.passes.queue:
             self.fits.end_pass(self.keyframes, self.gaussians)
         return loss
-
-    def _undo(self) -> Callable[[], None]:
-        """Also the poses that pictures refine."""
-        undo_map = super()._undo()
-        if self.fits is None:
-            return undo_map
-        poses = self.localiser.refined_poses()
-
-        def undo() -> None:
-            undo_map()
-            self.localiser.take_back_refined(poses)
-
-        return undo
 
     @observed
     def _optimise_view(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from ..seeding import Cells
 from ..types import Frame
 from .few_seeds import LOOKED_AT, why_few
-from .step import StepReport
+from .step_report import StepReport
 from .tsdf_mapping import TsdfFiles, TsdfReports
 from .usual_torch import in_usual_torch
 

@@ -3,7 +3,7 @@ corrections."""
 
 import bisect
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import torch
@@ -97,19 +97,17 @@ class Localiser:
             self.poses[row] = self._kept(self.given[row])
         self.poses[row].copy_(T_WC)
 
-    def refined_poses(self) -> tuple[list[Float[Tensor, "4 4"]], list[Float[Tensor, "4 4"]]]:
-        """The poses of now, and copies of their values, for ``take_back_refined``."""
-        return list(self.poses), [pose.clone() for pose in self.poses]
+    def undo_of_refinement(self) -> Callable[[], None]:
+        """A function that undoes what ``refine`` and ``follow`` change from now on."""
+        poses = list(self.poses)
+        values = [pose.clone() for pose in poses]
 
-    def take_back_refined(
-        self,
-        before: tuple[list[Float[Tensor, "4 4"]], list[Float[Tensor, "4 4"]]],
-    ) -> None:
-        """Undo what ``refine`` and ``follow`` have changed since ``refined_poses``."""
-        poses, values = before
-        self.poses = list(poses)
-        for pose, value in zip(self.poses, values, strict=True):
-            pose.copy_(value)
+        def undo() -> None:
+            self.poses = list(poses)
+            for pose, value in zip(self.poses, values, strict=True):
+                pose.copy_(value)
+
+        return undo
 
     def follow(self, rows: list[int]) -> None:
         """Refine the frames between those with the numbers ``rows``, which were refined: each by

@@ -8,10 +8,12 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from ..errors import ArgumentError
 from ..optim import fit_pose
 from ..render import render
 from ..seeding import Cells
 from ..types import Camera, Frame, GaussianParams, RenderOutput
+from .usual_torch import in_usual_torch
 
 Draw = Callable[[Camera, Tensor], RenderOutput]
 """Renders a map for a camera and its camera-to-world pose."""
@@ -29,6 +31,31 @@ class MapFiles:
 
     def __init__(self, mapper: Any):
         self.mapper = mapper
+
+    @in_usual_torch
+    def begin_with(self, params: GaussianParams, name: str = "another map") -> None:
+        """Put Gaussians that were optimised elsewhere into the map before the first frame; they are
+        optimised further.
+
+        They must be in the world frame of the poses, in metres. The volume stays empty: the surface
+        comes from the frames. A seeding rule sees them like its own.
+
+        Args:
+            params: The Gaussians.
+            name: Of the file, for the notes of the run.
+
+        Raises:
+            ValueError: a frame was mapped before, a number is not finite, or the system cannot use
+                them.
+        """
+        mapper = self.mapper
+        if mapper.n_frames:
+            raise ArgumentError(
+                "a map can only begin with other Gaussians before its first frame; "
+                f"{mapper.n_frames} are mapped"
+            )
+        mapper.gaussians.extend(params)
+        mapper.notes.append(f"the map began with {len(params):,} Gaussians of {name}")
 
     def maps(self) -> dict[str, dict[str, Tensor]]:
         """The tensors of each map, by name; two runs have the same maps if these are equal

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..types import Frame, Seeds
-from .step import StepReport, psnr_from_mse
+from .step_report import StepReport, psnr_from_mse
 
 FAR_DEPTH_M = 30.0
 """A frame whose median depth is beyond this is doubtful: depth cameras measure up to 10 m."""

@@ -10,18 +10,18 @@ import contextlib
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any, ClassVar, TypeVar
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..backends import runs_learners_code
 from ..checks import shown
 from ..config import OptimConfig, SystemConfig, from_run, to_dict
-from ..errors import ArgumentError, BadFrameError
+from ..errors import ArgumentError
 from ..gaussians import GaussianModel
-from ..interrupts import DelayedInterrupt, undisturbed
+from ..interrupts import DelayedInterrupt
 from ..optim import (
     Keyframe,
     KeyframeList,
@@ -36,23 +36,28 @@ from ..seeding import (
     SeedContext,
     SeedingRule,
     apply_rule,
-    copy_memory,
     move_memory,
     rule_name,
 )
 from ..seeding.input_guard import ChangedInputError
 from ..seeding.rule_code import find_rule
-from ..tracking import Correction, Surface, localise
+from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from ..work import MAP_MEMORY
+from .after_scan import AfterScan, KeyframePasses
+from .check_frame import check_frame
 from .description import SystemDescription
 from .localiser import Localiser, move_map
 from .lost_rows import LostRows
 from .map_files import MapFiles
 from .map_reports import MapReports
+from .random_streams import RandomStreams
 from .rule import AfterSteps, RuleInUse, check_known, settings_of_run, settings_with_rule
-from .step import FrameGuard, GlobalStep, StageClock, StepReport, check_frame
-from .training import KeyframePasses, LossFunction, RandomStreams, Training, given_functions
+from .stage_clock import StageClock
+from .step_report import GlobalStep, StepReport
+from .tracking_surface import tracking_surface
+from .training import LossFunction, Training, given_functions
+from .transaction import Transaction
 from .usual_torch import changeable, in_usual_torch, usual_torch
 
 M = TypeVar("M", bound="Mapper")
@@ -148,16 +153,16 @@ class Mapper(ABC):
         """Views of the last steps of this frame, and the rows that they changed."""
         self._steps_missed = False
         """Whether rows may have missed steps."""
-        self._finished_scan = -1
-        """Number of frames after which the trajectory was last made ready for the passes after the
-        scan."""
         self.lost = LostRows()
         """How many Gaussians a step made NaN or infinite."""
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
         self.random = RandomStreams(self.config.seed)
         self.localiser = Localiser(self.config.tracking)
         self.passes = KeyframePasses()
-        self.guard = FrameGuard()
+        self.transaction = Transaction(self)
+        """Makes a frame change all of the map or nothing."""
+        self.guard = self.transaction.guard
+        self._after_scan = AfterScan(self)
         self.clock = StageClock()
         """Wall time of the stages of the last frame."""
         self.watch: Callable[[int | None], contextlib.AbstractContextManager[None]] = lambda _: (
@@ -200,98 +205,42 @@ class Mapper(ABC):
                 map is unchanged.
             Exception: any error that the seeding rule raised. The map is unchanged.
         """
+        index = frame.index
+        needs_depth = self.description.needs_depth
         with DelayedInterrupt(), usual_torch():
-            with self.watch(frame.index), self.guard.while_mapping(frame.index):
-                report = self._mapped_whole(frame)
+            with (
+                self.watch(index),
+                self.guard.while_mapping(index),
+                self.transaction.whole_frame(),
+            ):
+                DelayedInterrupt.allow()
+                self.clock = StageClock()
+                frame = check_frame(changeable(frame), self.device, needs_depth=needs_depth)
+                with self.clock("tracking"):
+                    frame = self.localiser.locate(frame, partial(tracking_surface, self))
+                report = self.map_frame(frame)
+                self.transaction.keep()
+                with self.clock("tracking"):
+                    self._record(frame)
+                self.n_frames += 1
             MAP_MEMORY.give_back()
-            return dataclasses.replace(
-                report, tracking=self.localiser.report, seconds=self.clock.seconds
-            )
-
-    def _mapped_whole(self, frame: Frame) -> StepReport:
-        """Map a frame; if what comes before ``changes`` fails, or an undoable change, all is as it
-        was before."""
-        random_numbers = self.random.state_dict()
-        memory = copy_memory(self.memory)
-        try:
-            DelayedInterrupt.allow()
-            self.clock = StageClock()
-            self.lost.begin_frame()
-            frame = check_frame(
-                changeable(frame), self.device, needs_depth=self.description.needs_depth
-            )
-            with self.clock("tracking"):
-                frame = self.localiser.locate(frame, self.tracking_surface)
-            report = self.map_frame(frame)
-            DelayedInterrupt.delay()
-            self._changes_stay()
-            with self.clock("tracking"):
-                self._record(frame)
-            self.n_frames += 1
-        except BaseException as error:
-            self._give_up_frame(random_numbers, memory, error)
-            raise
-        self._end_frame()
-        if self.passes.begun:  # with more frames, the optimisation after the scan starts again
-            self.passes = KeyframePasses()
-        return report
-
-    @undisturbed
-    def _give_up_frame(
-        self, random_numbers: dict[str, Tensor], memory: dict[str, Any], error: BaseException
-    ) -> None:
-        if self.guard.undo():
-            self.gaussians.end_log()
-            self.random.load_state_dict(random_numbers)
-            self.rule_in_use.set_memory(memory)
-            self.localiser.take_back(was_refused=isinstance(error, BadFrameError))
-        self._end_frame()
-
-    def _end_frame(self) -> None:
-        self.after_steps.frame_ends()
-        self._last_part = (), None  # a resumed run has none
+            measured = {"tracking": self.localiser.report, "seconds": self.clock.seconds}
+            return dataclasses.replace(report, **measured)
 
     @abstractmethod
     def map_frame(self, frame: Frame) -> StepReport:
         """Map a frame that was checked and has a pose; the system's part of ``step``.
 
         What can fail because of the user's code comes first. All changes of the map are inside
-        ``with self.changes(...)``, and changes that cannot be undone come last. All work that takes
-        time is in a stage, ``with self.clock("optimise"): ...``: the speed of a run is computed
-        from the sum of the stages.
+        ``with self.transaction.changes(...)``, and changes that cannot be undone come last. All
+        work that takes time is in a stage, ``with self.clock("optimise"): ...``: the speed of a run
+        is computed from the sum of the stages.
         """
 
     @abstractmethod
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Any:
         """The map's surface seen by a camera: ``rgb`` 0..1, ``depth_m`` (0 where there is none) and
         ``normal_W``."""
-
-    def tracking_surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Surface:
-        """What a frame at this pose is aligned to where poses are tracked: the map's surface."""
-        seen = self.surface(camera, T_WC)
-        return Surface(
-            depth_m=seen.depth_m,
-            normal_W=seen.normal_W,
-            camera=camera,
-            T_WC=T_WC,
-            rgb=seen.rgb,
-        )
-
-    @in_usual_torch
-    def localised_pose(self, frame: Frame) -> Float[Tensor, "4 4"] | None:
-        """Where a frame that is not mapped was taken: aligned with the map, from between the mapped
-        frames around it.
-
-        Nothing changes. ``None``: it fits nowhere there.
-
-        Raises:
-            BadFrameError: the frame cannot be used (``check_frame``).
-        """
-        frame = check_frame(
-            changeable(frame), self.device, needs_depth=self.description.needs_depth
-        )
-        guess = self.localiser.pose_near(frame.index)
-        return localise(frame, self.tracking_surface, guess, self.config.tracking)
 
     @abstractmethod
     def mesh(self) -> Mesh:
@@ -301,30 +250,6 @@ class Mapper(ABC):
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step of the optimisation after the scan, on the i-th keyframe. Returns the loss
         before it."""
-
-    @in_usual_torch
-    def begin_with(self, params: GaussianParams, name: str = "another map") -> None:
-        """Put Gaussians that were optimised elsewhere into the map before the first frame; they are
-        optimised further.
-
-        They must be in the world frame of the poses, in metres. The volume stays empty: the surface
-        comes from the frames. A seeding rule sees them like its own.
-
-        Args:
-            params: The Gaussians.
-            name: Of the file, for the notes of the run.
-
-        Raises:
-            ValueError: a frame was mapped before, a number is not finite, or the system cannot use
-                them.
-        """
-        if self.n_frames:
-            raise ArgumentError(
-                "a map can only begin with other Gaussians before its first frame; "
-                f"{self.n_frames} are mapped"
-            )
-        self.gaussians.extend(params)
-        self.notes.append(f"the map began with {len(params):,} Gaussians of {name}")
 
     @in_usual_torch
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
@@ -416,110 +341,22 @@ class Mapper(ABC):
         self._last_part = (views, part) if isinstance(part, PartOfMap) else ((), None)
         return part
 
+    def forget_part(self) -> None:
+        """The next step looks for its rows anew."""
+        self._last_part = (), None
+
     def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
         """Optimise over the keyframes after the scan: each pass visits all of them once in a new
         random order.
 
-        A generator, so that the caller can show progress or stop:
+        An iterator, so that the caller can show progress or stop:
         ``for step in mapper.global_optimise(): ...``.
 
         Args:
             passes: Number of passes; ``n_passes`` by default. A pass that was interrupted is
                 finished first and counts as one of them.
         """
-        passes = self.n_passes if passes is None else passes
-        steps = self._global_steps(passes)
-        while (step := self._whole_global_step(steps)) is not None:
-            yield step
-
-    def _global_steps(self, passes: int) -> Iterator[GlobalStep]:
-        yield from self.passes.run(
-            passes, len(self.keyframes), self.random.passes, self._watched_global_step
-        )
-        self.take_missed_steps()
-
-    def _whole_global_step(self, steps: Iterator[GlobalStep]) -> GlobalStep | None:
-        """The next step, all of it or nothing; None: there are no more. Ctrl-C takes effect after
-        it."""
-        with DelayedInterrupt(), usual_torch():
-            if not self.passes.begun and self._finished_scan != self.n_frames:
-                self.lost.begin_frame()
-                self.take_missed_steps()
-                self._follow(self.localiser.finish())
-                self._finished_scan = self.n_frames
-            with self.guard.while_optimising(self._undo_of_global_step()):
-                step = next(steps, None)
-            self._changes_stay()
-            return step
-
-    def _undo_of_global_step(self) -> Callable[[], None]:
-        """A function that undoes the next step of the optimisation after the scan."""
-        undo = self._undo()
-        passes = self.passes.state_dict()
-        random_numbers = self.random.state_dict()
-        memory = copy_memory(self.memory) if self.after_steps.edits else None
-
-        def undo_all() -> None:
-            undo()
-            self.passes.load_state_dict(passes)
-            self.random.load_state_dict(random_numbers)
-            if memory is not None:
-                self.rule_in_use.set_memory(memory)
-
-        return undo_all
-
-    def _watched_global_step(self, i: int) -> Float[Tensor, ""]:
-        self._last_part = (), None
-        with self.watch(None):
-            loss = self._global_step(i)
-            if not self.passes.queue:
-                self.remove_lost()
-            return loss
-
-    @contextlib.contextmanager
-    def changes(self, *, undoable: bool = False) -> Iterator[None]:
-        """Context in which a frame changes the map.
-
-        Args:
-            undoable: Keep what changes until the end of the context (``GrowingRows.will_change``).
-                A failure in it then leaves the map as it was, and Ctrl-C takes effect between two
-                gradient steps. While foreign code runs that is always so, and the whole map is
-                kept.
-        """
-        DelayedInterrupt.delay()
-        foreign = self.after_steps.edits or self.training.names or runs_learners_code()
-        is_first = not self.n_frames  # kernels are compiled in it, which Ctrl-C ends
-        self.guard.changes_begin(self._undo() if undoable or foreign or is_first else None)
-        if foreign:
-            self.gaussians.will_change()
-        yield
-        self.remove_lost()
-        if not is_first:
-            self._changes_stay()
-
-    def _changes_stay(self) -> None:
-        self.guard.changes_stay()
-        self.gaussians.end_log()
-
-    def _undo(self) -> Callable[[], None]:
-        """A function that undoes what a frame changes in the map, from now on; a subclass extends
-        it."""
-        undo_rows = self.gaussians.log_changes()
-        taken = self.after_steps.taken
-        keyframes = self.keyframes.snapshot()
-        lost = self.lost.counts
-        steps_missed = self._steps_missed
-
-        def undo() -> None:
-            undo_rows()
-            self.gaussians.end_log()
-            self.after_steps.taken = taken
-            self.lost.counts = lost
-            self._steps_missed = steps_missed
-            self._last_part = (), None
-            self.keyframes.restore(keyframes)
-
-        return undo
+        return self._after_scan.steps(self.n_passes if passes is None else passes)
 
     def rows_changed(self, before: Int[Tensor, " N"]) -> None:  # noqa: B027
         """Called after a rule's edit of the map; a subclass that holds copies of rows brings them
@@ -528,11 +365,6 @@ class Mapper(ABC):
         Args:
             before: For each row of the map its number before the edit, -1 for new rows. [N]
         """
-
-    @property
-    def memory(self) -> dict[str, Any]:
-        """What the seeding rule keeps from one frame to the next."""
-        return self.rule_in_use.memory
 
     @in_usual_torch
     def seed_context(self, frame: Frame) -> SeedContext:
@@ -551,7 +383,7 @@ class Mapper(ABC):
             ),
             generator=self.random.rule,
             config=self.config.seeding,
-            memory=self.memory,
+            memory=self.rule_in_use.memory,
             starts_submap=self.rule_in_use.when.starts_submap(
                 self.n_frames, stride=self.config.source_stride
             ),
@@ -677,4 +509,4 @@ class Mapper(ABC):
         with the trajectory."""
         if correction is not None:
             move_map(correction, self.gaussians, self.keyframes)
-            move_memory(self.memory, correction.transform_of)
+            move_memory(self.rule_in_use.memory, correction.transform_of)

@@ -4,7 +4,7 @@ paper's order."""
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import torch
@@ -31,8 +31,9 @@ from .disc_files import DiscFiles, disc_mesh
 from .disc_states import STATES, DiscReports, n_stable
 from .mapper import Mapper
 from .rule import WatchedStep
-from .step import StepReport, psnr_from_mse
+from .step_report import StepReport, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser
+from .transaction import Undo
 
 KEYFRAME_DEG = 30.0
 KEYFRAME_M = 0.3
@@ -87,6 +88,7 @@ class RTGSLAM(Mapper):
         self.window: deque[Frame] = deque(maxlen=self.config.window.frames)
         self._final: SurfelOptimiser | None = None
         """The optimiser of the passes after the scan."""
+        self.transaction.protect(self._undo_of_window, self._end_log)
 
     def __repr__(self) -> str:
         counts = ", ".join(
@@ -104,7 +106,7 @@ class RTGSLAM(Mapper):
         is_keyframe = self.is_next_keyframe(frame)
         window_is_due = self._window_is_due(is_keyframe)
         keyframes_are_due = is_keyframe and self.n_frames > 0
-        with self.changes(undoable=window_is_due or keyframes_are_due):
+        with self.transaction.changes(undoable=window_is_due or keyframes_are_due):
             with self.boxes.appending(self.gaussians):
                 self.gaussians.append(seeds, frame.index)
             self._begin(context, is_keyframe, window_is_due, keyframes_are_due)
@@ -350,15 +352,13 @@ class RTGSLAM(Mapper):
     def _draw(self, n: int) -> int:
         return int(torch.randint(n, (), generator=self.random.keyframes))
 
-    def _undo(self) -> Callable[[], None]:
-        """Also the window and the optimiser of the final passes."""
-        undo_map = super()._undo()
+    def _undo_of_window(self) -> Undo:
+        """Also the window and the optimiser of the final passes are undone."""
         window = list(self.window)
         final = self._final
         undo_adam = None if final is None else final.adam.log_changes()
 
         def undo() -> None:
-            undo_map()
             self.window = deque(window, maxlen=self.window.maxlen)
             self._final = final
             if final is not None and undo_adam is not None:
@@ -367,8 +367,7 @@ class RTGSLAM(Mapper):
 
         return undo
 
-    def _changes_stay(self) -> None:
-        super()._changes_stay()
+    def _end_log(self) -> None:
         if self._final is not None:
             self._final.adam.end_log()
 
@@ -378,7 +377,7 @@ class RTGSLAM(Mapper):
         part = self.boxes.rows(self.gaussians.params, frame.camera, frame.T_WC)
         view = self.surface(frame.camera, frame.T_WC, frame.depth_m)
         if not runs_learners_code():
-            self._changes_stay()  # from here on the counts of any row change
+            self.transaction.keep()  # from here on the counts of any row change
         count_views(self.gaussians, frame.camera, frame.T_WC, part)
         known = frame.depth_m > 0
         colour_error = (view.rgb - frame.rgb).abs().mean(dim=-1) * known

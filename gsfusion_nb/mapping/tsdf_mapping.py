@@ -1,7 +1,6 @@
 """What mappers with a TSDF have in common: the volume, its surface and mesh, its files and
 reports."""
 
-from collections.abc import Callable
 from typing import Any
 
 from jaxtyping import Float
@@ -24,7 +23,8 @@ from .fused_frames import FusedFrames
 from .map_files import MapFiles
 from .map_reports import MapReports
 from .mapper import Mapper
-from .step import StepReport
+from .step_report import StepReport
+from .transaction import Undo
 
 MOVED_VOXELS = 0.5
 """The volume is made again when a frame's surface has moved by more than this many voxels."""
@@ -103,6 +103,7 @@ class TsdfMapping(Mapper):
         self.volume = TsdfVolume(self.config.tsdf, device=self.device)
         self.fused = FusedFrames()
         """The frames in ``volume``, if a loop may move them; empty without the back end."""
+        self.transaction.protect(self._undo_of_first_frame)
 
     def __repr__(self) -> str:
         return (
@@ -150,14 +151,12 @@ class TsdfMapping(Mapper):
         self.volume.load_state_dict(state["volume"])
         self.fused.load_state(state["fused"])
 
-    def _undo(self) -> Callable[[], None]:
-        """Of the first frame also the TSDF, which is fused last."""
-        undo_rows = super()._undo()
-        was_empty = not self.n_frames
+    def _undo_of_first_frame(self) -> Undo:
+        """Of the first frame also the TSDF is undone, which is fused last."""
+        is_empty = not self.n_frames
 
         def undo() -> None:
-            undo_rows()
-            if was_empty:
+            if is_empty:
                 volume = self.volume
                 limit = volume.memory_limit_bytes
                 self.volume = TsdfVolume(volume.config, volume.device, memory_limit_bytes=limit)

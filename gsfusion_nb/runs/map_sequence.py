@@ -103,7 +103,7 @@ def run_mapping(
             settings, seeding=seeding, device=device, loss=loss, optimiser=optimiser
         )
         if from_gaussians is not None:
-            mapper.begin_with(
+            mapper.files.begin_with(
                 read_gaussian_ply(from_gaussians, keep_place=True), Path(from_gaussians).name
             )
         run = MappingRun(sequence, mapper, source=source, clock=clock)

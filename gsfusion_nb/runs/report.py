@@ -23,7 +23,7 @@ from ..evaluation.metrics import (
     reason_missing,
 )
 from ..files import write_file
-from ..mapping.step import StepReport
+from ..mapping.step_report import StepReport
 from ..types import Frame, RenderOutput
 
 HEADLINE = (

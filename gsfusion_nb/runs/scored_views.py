@@ -19,9 +19,10 @@ from ..errors import ArgumentError, SequenceError, reason_of
 from ..evaluation import ImageScores, score_view
 from ..files import read_object
 from ..geometry import se3
+from ..mapping.keyframe_fits import exposure_between
 from ..mapping.localiser import Localiser
 from ..mapping.map_files import Draw
-from ..mapping.training import exposure_between
+from ..mapping.tracking_surface import localised_pose
 from ..optim import exposed, fit_gain
 from ..render.constants import SHOWN_ALPHA
 from ..types import Frame, RenderOutput
@@ -247,7 +248,7 @@ def _localised(
         found: dict[int, Tensor] = {}
         for frame in frames_at(view, [torch.eye(4) if T_WC is None else None for T_WC in poses]):
             with contextlib.suppress(SequenceError):
-                T_WC = mapper.localised_pose(frame)
+                T_WC = localised_pose(mapper, frame)
                 if T_WC is not None:
                     found[frame.index] = T_WC
         run.localised = state, found

@@ -12,8 +12,8 @@ from torch import Tensor
 from ..data import BadFrameError, OpenedSequence, Sequence, SequenceError, SequenceView
 from ..data.stream import BackgroundFrames, Policy, SelectedFrames
 from ..mapping import Mapper
-from ..mapping.step import check_frame
-from ..mapping.training import KeyframePasses
+from ..mapping.after_scan import KeyframePasses
+from ..mapping.check_frame import check_frame
 from ..types import Camera, Frame
 from .mapping_run import MappingRun
 

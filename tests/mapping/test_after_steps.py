@@ -114,7 +114,7 @@ def test_an_error_after_a_step_undoes_the_frame_and_it_can_be_given_again(system
     per_frame = []
     for frame in frames:
         counted.step(frame)
-        per_frame.append(counted.memory.get("calls", 0))
+        per_frame.append(counted.rule_in_use.memory.get("calls", 0))
     two = next(i for i in range(1, len(frames)) if per_frame[i] >= per_frame[i - 1] + 2)
     calls["at"] = per_frame[two - 1] + 2
     mapper = make_mapper(settings(system), seeding=editing(calls))
@@ -131,7 +131,7 @@ def test_an_error_after_a_step_undoes_the_frame_and_it_can_be_given_again(system
     same(state_of(counted), state_of(mapper))
     for _ in zip(mapper.global_optimise(1), range(3), strict=False):
         pass
-    assert mapper.memory["calls"] > per_frame[-1]
+    assert mapper.rule_in_use.memory["calls"] > per_frame[-1]
 
 
 @pytest.mark.parametrize("system", SYSTEMS)

@@ -11,7 +11,7 @@ import torch
 from gsfusion_nb.config import RtgSlamConfig, replace, rtg_slam
 from gsfusion_nb.data.room import room, room_sdf
 from gsfusion_nb.evaluation import psnr
-from gsfusion_nb.mapping import RTGSLAM, StepReport
+from gsfusion_nb.mapping import RTGSLAM, StepReport, disc_files
 from gsfusion_nb.mapping import rtg_slam as rtg_slam_module
 from gsfusion_nb.tsdf import integrate
 from gsfusion_nb.types import Frame
@@ -87,10 +87,8 @@ def test_a_long_walk_has_as_many_views_in_the_mesh_as_it_needs(mapped, walk, mon
     all_views = mapper.mesh()
     assert mapper.mesh_share == 1.0
     fused = []
-    monkeypatch.setattr(rtg_slam_module, "MESH_VIEWS", 1)  # as if the walk were 60 times as long
-    monkeypatch.setattr(
-        rtg_slam_module, "integrate", lambda *given: fused.append(integrate(*given))
-    )
+    monkeypatch.setattr(disc_files, "MESH_VIEWS", 1)  # as if the walk were 60 times as long
+    monkeypatch.setattr(disc_files, "integrate", lambda *given: fused.append(integrate(*given)))
     few_views = mapper.mesh()
     assert 2 <= len(fused) < len(walk) / 2  # by its number alone it would be one
     assert mapper.mesh_share > 0.95

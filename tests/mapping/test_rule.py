@@ -9,9 +9,8 @@ import pytest
 import torch
 
 from gsfusion_nb.config import GSFusionConfig, RtgSlamConfig, gsfusion, replace, rtg_slam
-from gsfusion_nb.mapping import RTGSLAM, GSFusion, make_mapper
+from gsfusion_nb.mapping import RTGSLAM, GSFusion, HalfMappedError, make_mapper
 from gsfusion_nb.mapping.rule import settings_with_rule
-from gsfusion_nb.mapping.step import HalfMappedError
 from gsfusion_nb.seeding import (
     MapRule,
     SeedContext,
@@ -158,8 +157,8 @@ def test_a_rule_is_asked_only_when_it_is_due(system, when, asked, walk, config):
     mapper = make_mapper(settings, seeding=rule_due(when))
     new = [mapper.step(frame).n_seeds for frame in walk]
     assert [i for i, n in enumerate(new) if n] == asked
-    assert mapper.memory["asked"] == [walk[i].index for i in asked]
-    assert mapper.memory["starts"] == [i == 0 or when == submaps(3) for i in asked]
+    assert mapper.rule_in_use.memory["asked"] == [walk[i].index for i in asked]
+    assert mapper.rule_in_use.memory["starts"] == [i == 0 or when == submaps(3) for i in asked]
 
 
 def test_draws_of_a_rule_shift_neither_keyframes_nor_passes(walk, config):
@@ -194,18 +193,18 @@ def test_a_resumed_map_with_a_memory_is_equal_bit_for_bit(system, walk, config):
         resumed.step(frame)
     for name, column in vars(whole.gaussians.params).items():
         assert torch.equal(column, getattr(resumed.gaussians.params, name)), name
-    assert resumed.memory["calls"] == 4
-    assert torch.equal(resumed.memory["voxels"], whole.memory["voxels"])
+    assert resumed.rule_in_use.memory["calls"] == 4
+    assert torch.equal(resumed.rule_in_use.memory["voxels"], whole.rule_in_use.memory["voxels"])
 
 
 def test_a_frame_that_fails_leaves_the_memory_as_it_was(walk, config):
     mapper = GSFusion(replace(config, seeding__options={"fail_at": 2}), seeding=Remembering)
     mapper.step(walk[0])
-    voxels = mapper.memory["voxels"].clone()
-    memory = mapper.memory
+    voxels = mapper.rule_in_use.memory["voxels"].clone()
+    memory = mapper.rule_in_use.memory
     with pytest.raises(RuntimeError, match="my rule is broken"):
         mapper.step(walk[1])
-    assert mapper.memory is memory
+    assert mapper.rule_in_use.memory is memory
     assert memory["calls"] == 1
     assert torch.equal(memory["voxels"], voxels)
 

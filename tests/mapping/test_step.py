@@ -18,7 +18,8 @@ from gsfusion_nb.mapping import (
     HalfMappedError,
     make_mapper,
 )
-from gsfusion_nb.mapping.step import BLACK, FrameGuard, check_frame
+from gsfusion_nb.mapping.check_frame import BLACK, check_frame
+from gsfusion_nb.mapping.frame_guard import FrameGuard
 from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import SeedContext

@@ -15,7 +15,8 @@ from gsfusion_nb.data.room import room
 from gsfusion_nb.errors import SequenceError
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GSFusion, get_system, make_mapper
-from gsfusion_nb.mapping.training import KeyframePasses, Training
+from gsfusion_nb.mapping.after_scan import KeyframePasses
+from gsfusion_nb.mapping.training import Training
 from gsfusion_nb.optim import TrainingView, ViewLoss, l1_mse_vjp
 from gsfusion_nb.optim.adam import BETA1, BETA2, EPS, adam_update
 from gsfusion_nb.types import Camera, RenderOutput
@@ -187,7 +188,7 @@ def test_with_more_frames_the_passes_begin_again_and_an_undo_restores_all_counts
         )
 
     before = counts()
-    undo = mapper._undo()
+    undo = mapper.transaction.snapshot()
     mapper.lost.total += 5
     mapper.after_steps.taken += 3
     mapper._steps_missed = not mapper._steps_missed

@@ -151,15 +151,15 @@ def test_what_a_rule_remembers_of_the_world_moves_with_the_gaussians(frames):
     mapper = GSFusion(config, seeding=Remembering)
     for frame in frames:
         mapper.step(frame)
-    (seen,) = mapper.memory["seen"]
-    before = copy_memory(mapper.memory)
+    (seen,) = mapper.rule_in_use.memory["seen"]
+    before = copy_memory(mapper.rule_in_use.memory)
     torch.testing.assert_close(seen["xyz_W"], mapper.gaussians.params.xyz_W)
     correct(mapper, 2 * VOXEL_M)
-    (seen,) = mapper.memory["seen"]
+    (seen,) = mapper.rule_in_use.memory["seen"]
     torch.testing.assert_close(seen["xyz_W"], mapper.gaussians.params.xyz_W)
     assert not torch.equal(seen["xyz_W"], before["seen"][0]["xyz_W"])
     poses = torch.stack(mapper.localiser.poses)
-    torch.testing.assert_close(mapper.memory["T_WC"], poses)
+    torch.testing.assert_close(mapper.rule_in_use.memory["T_WC"], poses)
     torch.testing.assert_close(
         seen["xyz_W"] + 2 * seen["normal_W"], poses[seen["frame_index"], :3, 3]
     )

@@ -196,7 +196,7 @@ def test_mapping_in_parts(system, config, small_room, monkeypatch):
 def test_a_step_leaves_what_no_view_shows_as_it_is(small_room, cloud):
     mapper = GSFusion(replace(gsfusion("room"), sh_degree=0, **STEPS, **COARSE))
     far = dataclasses.replace(cloud, xyz_W=cloud.xyz_W + 100.0)
-    mapper.begin_with(far)
+    mapper.files.begin_with(far)
     mapper.step(small_room[0])
     steps = mapper.gaussians.step_count
     assert steps > 0
@@ -239,7 +239,7 @@ def test_boxes_grow_with_the_map(cloud, generator, start):
 
 def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_room, cloud):
     mapper = GSFusion(replace(gsfusion("room"), sh_degree=0, **STEPS, **COARSE))
-    mapper.begin_with(cloud)
+    mapper.files.begin_with(cloud)
     frame = small_room[0]
     optim = mapper.config.optim
     part = mapper.part_in_view(frame, optim)
@@ -260,7 +260,7 @@ def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_roo
 
 def test_steps_on_several_views_share_one_part(small_room, cloud):
     mapper = GSFusion(replace(gsfusion("room"), sh_degree=0, **STEPS, **COARSE))
-    mapper.begin_with(cloud)
+    mapper.files.begin_with(cloud)
     optim = mapper.config.optim
     params = mapper.gaussians.params
     views = [Keyframe.of(small_room[i]) for i in (0, 4, 8)]
@@ -291,7 +291,7 @@ def test_steps_on_several_views_share_one_part(small_room, cloud):
 def test_no_part_is_kept_from_one_frame_to_the_next(small_room, cloud):
     """A run that is resumed between them has none, and should go on with the same bits."""
     mapper = GPSSLAM(replace(gps_slam("room"), **COARSE, schedule__iterations=0))
-    mapper.begin_with(cloud)
+    mapper.files.begin_with(cloud)
     mapper.step(small_room[0])
     view = Keyframe.of(small_room[4])
     part = mapper.part_in_view(view, mapper.config.residual.adam)

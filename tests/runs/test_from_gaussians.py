@@ -42,10 +42,10 @@ def test_what_cannot_begin_a_map(config, tmp_path):
 
     mapper = make_mapper(config)
     with pytest.raises(ValueError, match="Gaussians to begin with must be finite"):
-        mapper.begin_with(bad)
+        mapper.files.begin_with(bad)
     assert len(mapper.gaussians) == 0
     with pytest.raises(ValueError, match="RTG-SLAM cannot begin with Gaussians of another program"):
-        make_mapper(rtg_slam("replica")).begin_with(bad)
+        make_mapper(rtg_slam("replica")).files.begin_with(bad)
     with pytest.raises(FileNotFoundError, match=r"none\.ply does not exist"):
         run_mapping(
             "room",

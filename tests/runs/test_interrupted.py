@@ -16,7 +16,7 @@ from gsfusion_nb import backends, gaussians, interrupts, optim
 from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.config import gsfusion as gsfusion_settings
 from gsfusion_nb.data import apply_options
-from gsfusion_nb.mapping import gsfusion, make_mapper, training
+from gsfusion_nb.mapping import gsfusion, keyframe_fits, make_mapper
 from gsfusion_nb.optim.adam import PartOfMap, RowAdam
 from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun, outputs, run_mapping
@@ -168,9 +168,9 @@ PLACES = {
     ],
     "rtg_slam": [(RowAdam, "step"), (RowAdam, "catch_up"), (gaussians.StepClock, "step")],
     "gsfusion_fits": [
-        (training.KeyframeFits, "move"),
+        (keyframe_fits.KeyframeFits, "move"),
         (gaussians.GaussianModel, "move"),
-        (training, "fit_gain"),
+        (keyframe_fits, "fit_gain"),
     ],
 }
 

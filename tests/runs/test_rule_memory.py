@@ -61,15 +61,17 @@ def test_a_run_continues_from_disk_with_the_memory_of_its_rule(tmp_path):
     list(itertools.islice(half.online(), 2))
     half.save_checkpoint(tmp_path)
     resumed = load_run(tmp_path, seeding=thinning)
-    memory = resumed.mapper.memory
+    memory = resumed.mapper.rule_in_use.memory
     assert memory["kinds"][:3] == (None, True, "word")
     assert memory["kinds"][3][1]["deep"].dtype == torch.int32
-    assert torch.equal(memory["drawn"], half.mapper.memory["drawn"])
+    assert torch.equal(memory["drawn"], half.mapper.rule_in_use.memory["drawn"])
     assert resumed.mapper.config == whole.mapper.config
     list(resumed.online())
     hashes = [hash_of(vars(run.mapper.gaussians.params)) for run in (whole, resumed)]
     assert hashes[0] == hashes[1]
-    assert resumed.mapper.memory["calls"] == whole.mapper.memory["calls"] == 2
+    assert (
+        resumed.mapper.rule_in_use.memory["calls"] == whole.mapper.rule_in_use.memory["calls"] == 2
+    )
     with pytest.raises(
         ValueError, match=r"the seeding rule 'thinning' of this run is not known here; .* rule\.py"
     ):

@@ -12,7 +12,7 @@ import torch
 from gsfusion_nb.config import gsfusion, rtg_slam
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.mapping import GSFusion, make_mapper
-from gsfusion_nb.mapping.step import FrameGuard
+from gsfusion_nb.mapping.frame_guard import FrameGuard
 from gsfusion_nb.runs import (
     CheckpointEvery,
     StreamRun,

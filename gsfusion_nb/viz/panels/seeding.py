@@ -257,7 +257,7 @@ def rule_context(mapper: GSFusion, frame: Frame) -> SeedContext:
         gaussians=gaussians,
         reading=dataclasses.replace(ctx.reading, params=None),
         generator=torch.Generator().manual_seed(0),
-        memory=seeding.copy_memory(mapper.memory),
+        memory=seeding.copy_memory(mapper.rule_in_use.memory),
     )
 
 

@@ -1,0 +1,119 @@
+"""Poses and exposures of keyframes, fitted in the passes after the scan."""
+
+import dataclasses
+from collections.abc import Mapping
+from math import radians
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..config import OptimConfig
+from ..gaussians import GaussianModel
+from ..geometry import se3
+from ..optim import Keyframe, KeyframeList
+from ..optim.fit_view import exposed, exposed_vjp, fit_gain, pose_step, pose_system
+from ..render.constants import SHOWN_ALPHA
+from ..types import RenderOutput
+from .localiser import Localiser, between
+
+LEAST_SHARE = 0.5
+"""A view moves only if the map shows at least this share of its pixels."""
+
+
+class KeyframeFits:
+    """What the passes after the scan fit to each keyframe, besides the Gaussians: its exposure and
+    its pose.
+
+    Exposures (``optim.fit_exposure``) are stored with the keyframes, so that the map has the mean
+    brightness of the pictures.
+
+    With ``optim.refine_poses`` a keyframe moves one step towards the pose at which the map fits it
+    whenever it is visited, because the map's picture of it is there anyway. A prior holds each pose
+    at that of the data. After each pass, the mean motion of all keyframes is taken back, by moving
+    map and keyframes together, so that the map stays where the data puts it; and the frames between
+    keyframes follow them. The poses are the localiser's and the keyframes'.
+    """
+
+    def __init__(self, optim: OptimConfig, localiser: Localiser):
+        self._optim = optim
+        self._localiser = localiser
+        sigma = [optim.pose_sigma_m] * 3 + [radians(optim.pose_sigma_deg)] * 3
+        self._sigma = torch.tensor(sigma, dtype=torch.float64)
+        self._exposure: Tensor | None = None
+
+    def expose(
+        self, keyframes: KeyframeList, keyframe: Keyframe, output: RenderOutput
+    ) -> RenderOutput:
+        """The map's picture with the exposure of the keyframe; that of its next visit is fitted to
+        the map of now."""
+        if not self._optim.fit_exposure:
+            return output
+        fitted = fit_gain(output.rgb, keyframe.rgb, output.alpha >= SHOWN_ALPHA)
+        keyframes.set_gain(keyframe.index, fitted)
+        self._exposure = fitted if keyframe.gain is None else keyframe.gain.to(fitted)
+        return dataclasses.replace(output, rgb=exposed(output.rgb, self._exposure))
+
+    def expose_vjp(
+        self, output: RenderOutput, v_rgb: Float[Tensor, "H W 3"]
+    ) -> Float[Tensor, "H W 3"]:
+        """The gradient with respect to the map's picture, from that of the exposed picture, of the
+        last ``expose``."""
+        return (
+            v_rgb if self._exposure is None else exposed_vjp(output.rgb, self._exposure, v_rgb)[0]
+        )
+
+    def move(self, keyframes: KeyframeList, keyframe: Keyframe, shown: RenderOutput) -> None:
+        """Move a keyframe one step, by the map's picture of it that its last gradient was computed
+        from."""
+        if not self._optim.refine_poses:
+            return
+        row = self._localiser.frame_indices.index(keyframe.index)
+        system = pose_system(shown, keyframe.rgb, keyframe.camera)
+        if system.share >= LEAST_SHARE:
+            T_WC = pose_step(system, keyframe.T_WC, self._localiser.given[row], self._sigma)
+            keyframes.set_pose(keyframe.index, T_WC)
+            self._localiser.refine(row, T_WC.cpu())
+
+    def end_pass(self, keyframes: KeyframeList, gaussians: GaussianModel) -> None:
+        """Take back what all keyframes share: it belongs to the map, and no picture can tell it."""
+        if self._optim.refine_poses:
+            self._take_back_motion(keyframes, gaussians)
+        gains = {k.index: k.gain.log() for k in keyframes if k.gain is not None}
+        if gains:  # a factor that all share is the map's brightness
+            mean = torch.stack(list(gains.values())).mean(0)
+            for index, gain in gains.items():
+                keyframes.set_gain(index, (gain - mean).exp())
+
+    def _take_back_motion(self, keyframes: KeyframeList, gaussians: GaussianModel) -> None:
+        """Where all keyframes move together by G, T_i = G T_i(given), the pictures do not change:
+        nothing holds G."""
+        poses = self._localiser.poses
+        given = self._localiser.given
+        rows = sorted(self._localiser.frame_indices.index(k.index) for k in keyframes)
+        T_WC, T_given = (torch.stack([p[r] for r in rows]).double() for p in (poses, given))
+        back = se3.exp(-se3.log(T_WC @ se3.inverse(T_given)).mean(0))
+        gaussians.will_change()
+        gaussians.move(back.to(gaussians.device, torch.float32).expand(len(gaussians), 4, 4))
+        for keyframe in list(keyframes):
+            row = self._localiser.frame_indices.index(keyframe.index)
+            T_new = (back @ poses[row].double()).float()
+            keyframes.set_pose(keyframe.index, T_new)
+            self._localiser.refine(row, T_new)
+        self._localiser.follow(rows)
+
+
+def exposure_between(
+    fitted: Mapping[int, Float[Tensor, " 3"]],
+    index: int,
+) -> Float[Tensor, " 3"]:
+    """The exposure of any frame of the source by those of the frames before and after it,
+    interpolated in stops.
+
+    Args:
+        fitted: Number of a frame -> its exposure; at least one.
+        index: Number of the frame; its own picture is not used.
+    """
+    indices = sorted(fitted)
+    stops = torch.stack([fitted[i].double().log2().cpu() for i in indices])
+    return between(torch.tensor(indices), stops, index).exp2().float()
