@@ -118,7 +118,7 @@ def crossed_cells(
             "on each side: check the depth unit, tsdf.far_m and the intrinsics"
         )
     cell = (origin + t_first[:, None] * direction).floor()
-    crossed = [cell]
+    cells_on_ray = [cell]
     while cell.shape[0]:
         wall = cell + (direction > 0)
         t_wall = ((wall - origin) / direction).where(direction != 0, torch.inf)
@@ -129,8 +129,8 @@ def crossed_cells(
         axis = axis[goes_on]
         t_last = t_last[goes_on]
         cell = cell + direction.sign() * torch.nn.functional.one_hot(axis, 3)
-        crossed.append(cell)
-    return _distinct(torch.cat(crossed).long())
+        cells_on_ray.append(cell)
+    return _distinct(torch.cat(cells_on_ray).long())
 
 
 def has_support(
@@ -157,7 +157,7 @@ def has_support(
 def _distinct(cells: Int[Tensor, "N 3"]) -> Int[Tensor, "M 3"]:
     """Each row once, sorted; the three numbers, below ``MOST_CELLS`` in size, share one integer."""
     x, y, z = (cells + MOST_CELLS).unbind(1)
-    packed = (x << 42 | y << 21 | z).unique()
+    keys = (x << 42 | y << 21 | z).unique()
     mask = (1 << 21) - 1
-    shifted = torch.stack([packed >> 42, packed >> 21 & mask, packed & mask], dim=1)
-    return shifted - MOST_CELLS
+    parts = torch.stack([keys >> 42, keys >> 21 & mask, keys & mask], dim=1)
+    return parts - MOST_CELLS

@@ -109,15 +109,15 @@ class BlockPool:
                 # torch may get less than is free
                 with contextlib.suppress(RuntimeError, MemoryError):
                     return self._grown(capacity)
-        allowed = [
+        limits = [
             f"only {x / 1e6:.0f} MB may be used"
             for x in (limit_bytes, free)
             if x is not None and x < size
         ]
-        needed = estimate_memory(n_blocks, weighs_colours=self.W_rgb is not None)
+        n_bytes = estimate_memory(n_blocks, weighs_colours=self.W_rgb is not None)
         raise MemoryFullError(
-            f"the TSDF volume needs {needed / 1e6:.0f} MB for {n_blocks} blocks of 8^3 voxels of "
-            f"{voxel_size_m} m, but {min(allowed, default='the system grants less')}; "
+            f"the TSDF volume needs {n_bytes / 1e6:.0f} MB for {n_blocks} blocks of 8^3 voxels of "
+            f"{voxel_size_m} m, but {min(limits, default='the system grants less')}; "
             "use larger voxels (tsdf.voxel_size_m) or a smaller tsdf.far_m, or check the depth unit"
         )
 

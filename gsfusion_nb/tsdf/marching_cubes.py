@@ -78,21 +78,21 @@ def loops(case: int) -> list[Loop]:
     """
     follows = {}
     for face, sides in _FACES:
-        inside = [case >> corner & 1 for corner in face]
+        is_inside = [case >> corner & 1 for corner in face]
         # of side i: 1 goes inside, -1 comes out
-        turn = [inside[(i + 1) % 4] - inside[i] for i in range(4)]
+        turn = [is_inside[(i + 1) % 4] - is_inside[i] for i in range(4)]
         for i in range(4):
             if turn[i] == 1:
                 onwards = [(i + k) % 4 for k in (1, 2, 3)]
-                out = next(k for k in onwards if turn[k] == -1)
-                follows[sides[i]] = sides[out]
-    found = []
+                next_edge = next(k for k in onwards if turn[k] == -1)
+                follows[sides[i]] = sides[next_edge]
+    polygons = []
     while follows:
         loop = [min(follows)]
         while (edge := follows.pop(loop[-1])) != loop[0]:
             loop.append(edge)
-        found.append(tuple(loop))
-    return found
+        polygons.append(tuple(loop))
+    return polygons
 
 
 def triangulate(loop: Loop) -> list[Triangle]:
@@ -112,13 +112,13 @@ def _triangulations(polygon: Loop) -> list[list[Triangle]]:
     two other parts."""
     if len(polygon) < 3:
         return [[]]
-    found = []
+    triangulations = []
     for k in range(1, len(polygon) - 1):
         middle = (polygon[0], polygon[k], polygon[-1])
-        for left in _triangulations(polygon[: k + 1]):
+        for first_part in _triangulations(polygon[: k + 1]):
             for right in _triangulations(polygon[k:]):
-                found.append([*left, middle, *right])
-    return found
+                triangulations.append([*first_part, middle, *right])
+    return triangulations
 
 
 @functools.cache
@@ -136,8 +136,8 @@ def triangle_table() -> tuple[Tensor, Tensor]:
     triangles [256]."""
     cases = []
     for case in range(256):
-        triangulated = [triangulate(loop) for loop in loops(case)]
-        cases.append(list(itertools.chain.from_iterable(triangulated)))
+        triangulations = [triangulate(loop) for loop in loops(case)]
+        cases.append(list(itertools.chain.from_iterable(triangulations)))
     count = torch.tensor([len(triangles) for triangles in cases])
     table = torch.zeros(
         256,
@@ -267,7 +267,7 @@ def _mixed(
     """Cubes with corners inside and outside; what is not allocated counts as outside."""
     n = len(neighbour)
     side = BLOCK_VOXELS
-    inside = torch.zeros(
+    is_inside = torch.zeros(
         n,
         side + 1,
         side + 1,
@@ -283,10 +283,11 @@ def _mixed(
     ):
         first = tuple(slice(0, 1) if upper else slice(None) for upper in corner)
         place = tuple(slice(side, None) if upper else slice(0, side) for upper in corner)
-        found = (row >= 0).nonzero()[:, 0]
-        inside[(found, *place)] = (grid[(slice(None), *first)][row[found]] < 0).byte()
+        present = (row >= 0).nonzero()[:, 0]
+        is_inside[(present, *place)] = (grid[(slice(None), *first)][row[present]] < 0).byte()
     corners = [
-        inside[(slice(None), *(slice(k, k + side) for k in corner))] for corner in CORNERS.tolist()
+        is_inside[(slice(None), *(slice(k, k + side) for k in corner))]
+        for corner in CORNERS.tolist()
     ]
     count = torch.stack(corners).sum(0, dtype=torch.uint8).view(n, VOXELS_PER_BLOCK)
     return (count > 0) & (count < len(corners))
@@ -299,14 +300,14 @@ def _vertices(
     is zero."""
     first = edges // 3
     axis = edges % 3
-    along = torch.eye(3, dtype=torch.int64, device=edges.device)[axis]
+    step = torch.eye(3, dtype=torch.int64, device=edges.device)[axis]
     ijk = volume.voxel_at(first)
-    second = volume.find_voxels(ijk + along)
+    second = volume.find_voxels(ijk + step)
     D0 = volume.D.view(-1)[first]
     D1 = volume.D.view(-1)[second]
     t = (D0 / (D0 - D1))[:, None]
     centre = ijk.double() + 0.5
-    xyz_W = zero_crossing(centre, centre + along, D0, D1) * volume.config.voxel_size_m
+    xyz_W = zero_crossing(centre, centre + step, D0, D1) * volume.config.voxel_size_m
     rgb = torch.lerp(volume.voxel_rgb(first), volume.voxel_rgb(second), t)
     return xyz_W.to(D0.dtype), rgb
 

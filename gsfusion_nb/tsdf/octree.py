@@ -73,10 +73,10 @@ def check_range(low: int, high: int) -> None:
 @piece
 def interleave(coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
     """``encode`` without the check, for which the host would have to wait for a GPU."""
-    spread, first_bit, place = _tables(coords.device)
+    bits_apart, first_bit, place = _tables(coords.device)
     positive = coords.to(torch.int64) + OFFSET
     parts = positive[:, :, None] >> first_bit & ((1 << _PART) - 1)
-    return (spread[parts] << place).sum((1, 2))
+    return (bits_apart[parts] << place).sum((1, 2))
 
 
 @functools.cache
@@ -85,22 +85,22 @@ def _tables(
 ) -> tuple[Int[Tensor, " P"], Int[Tensor, " 3"], Int[Tensor, "3 3"]]:
     """Every part of a coordinate with two zeros between its bits; the first bit of the parts; their
     places in the code, by axis. The tables of a GPU are copied there once."""
-    spread = torch.arange(1 << _PART)
+    bits_apart = torch.arange(1 << _PART)
     for shift, mask in _SPREAD:
-        spread = (spread | (spread << shift)) & mask
+        bits_apart = (bits_apart | (bits_apart << shift)) & mask
     first_bit = torch.arange(0, BITS, _PART)
     place = torch.arange(3)[:, None] + 3 * first_bit
-    return spread.to(device), first_bit.to(device), place.to(device)
+    return bits_apart.to(device), first_bit.to(device), place.to(device)
 
 
 def decode(codes: Int[Tensor, " N"]) -> Int[Tensor, "N 3"]:
     """Coordinates of Morton codes, int64; the inverse of ``encode``. Differentiable: no."""
     every_third = _SPREAD[-1][1]
-    packed = torch.stack([codes, codes >> 1, codes >> 2], dim=1) & every_third
+    bits = torch.stack([codes, codes >> 1, codes >> 2], dim=1) & every_third
     masks = [mask for _, mask in reversed(_SPREAD[:-1])] + [(1 << BITS) - 1]
     for (shift, _), mask in zip(reversed(_SPREAD), masks, strict=True):
-        packed = (packed | (packed >> shift)) & mask
-    return packed - OFFSET
+        bits = (bits | (bits >> shift)) & mask
+    return bits - OFFSET
 
 
 Corner = tuple[int, int, int]
@@ -161,8 +161,8 @@ class BlockTable:
 
     def find(self, block_coords: Int[Tensor, "N 3"]) -> Int[Tensor, " N"]:
         """Pool row of each block, -1 where it is not allocated. int64"""
-        cell, number, inside = self._place(block_coords)
-        node = self.nodes.view(-1).index_select(0, cell) * inside
+        cell, number, in_grid = self._place(block_coords)
+        node = self.nodes.view(-1).index_select(0, cell) * in_grid
         return self.rows.view(-1).index_select(0, (node.long() << 3 * NODE_BITS) + number).long()
 
     def enter(self, new: NewBlocks, rows: Int[Tensor, " M"]) -> bool:
@@ -181,9 +181,9 @@ class BlockTable:
         parent = new.codes >> 3 * NODE_BITS
         # blocks of a node are neighbours in Morton order
         first = parent.diff(prepend=parent.new_full((1,), -1)) != 0
-        opened = (first & (node == 0)).cumsum(0)
-        node = torch.where(node == 0, self._count + opened, node)
-        self._count = self._count + opened[-1]
+        n_new = (first & (node == 0)).cumsum(0)
+        node = torch.where(node == 0, self._count + n_new, node)
+        self._count = self._count + n_new[-1]
         self.nodes.view(-1)[cell] = node.int()
         self.rows[node, number] = rows.int()
         return True
@@ -199,17 +199,17 @@ class BlockTable:
         i = (x >> NODE_BITS) - self.low[0]
         j = (y >> NODE_BITS) - self.low[1]
         k = (z >> NODE_BITS) - self.low[2]
-        inside = (i >= 0) & (i < nx)
-        inside = inside & (j >= 0) & (j < ny)
-        inside = inside & (k >= 0) & (k < nz)
-        cell = ((i * ny + j) * nz + k) * inside
+        in_grid = (i >= 0) & (i < nx)
+        in_grid = in_grid & (j >= 0) & (j < ny)
+        in_grid = in_grid & (k >= 0) & (k < nz)
+        cell = ((i * ny + j) * nz + k) * in_grid
 
         in_node = (1 << NODE_BITS) - 1
         x = x & in_node
         y = y & in_node
         z = z & in_node
         number = (((x << NODE_BITS) + y) << NODE_BITS) + z
-        return cell, number, inside
+        return cell, number, in_grid
 
     def _enclose(self, low: Corner, high: Corner) -> bool:
         """Enlarge the box, with room for more, so that it holds these nodes; False if it would be
