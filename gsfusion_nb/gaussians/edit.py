@@ -84,8 +84,8 @@ class Edit:
 
     def __bool__(self) -> bool:
         """Whether it asks for anything."""
-        wanted = (self.reset_opacity, self.relocate, self.clone, self.split, self.add, self.keep)
-        return bool(self.rates) or bool(self.set) or any(value is not None for value in wanted)
+        changes = (self.reset_opacity, self.relocate, self.clone, self.split, self.add, self.keep)
+        return bool(self.rates) or bool(self.set) or any(value is not None for value in changes)
 
     def resolved(self, sh: Tensor, surfels: bool) -> "Edit":
         """The same edit for a map with these SH coefficients [N, K, 3], with row numbers for all
@@ -96,18 +96,18 @@ class Edit:
         """
         for name, factors in self.rates.items():
             check_rate(name, factors, len(sh))
-        for seen, stored in _SAME.items():
-            if seen in self.set and stored in self.set:
+        for activation, parameter in _SAME.items():
+            if activation in self.set and parameter in self.set:
                 raise ArgumentError(
-                    f"set: {seen} and {stored} are the same numbers; give one of them"
+                    f"set: {activation} and {parameter} are the same numbers; give one of them"
                 )
         new_set = {name: _checked_set(name, pair, sh, surfels) for name, pair in self.set.items()}
         for name in ("reset_opacity", "min_opacity"):
             value = getattr(self, name)
             if value is not None and not 0 < value < 1:
                 raise ArgumentError(f"{name} must lie strictly between 0 and 1, got {value}")
-        moved = None if self.relocate is None else _checked_relocate(self.relocate, sh)
-        clone, split = (
+        relocation = None if self.relocate is None else _checked_relocate(self.relocate, sh)
+        clone, split_rows = (
             None if rows is None else _numbers(name, rows, sh)
             for name, rows in (("clone", self.clone), ("split", self.split))
         )
@@ -119,20 +119,22 @@ class Edit:
             _check_add(self.add)
         if (
             clone is not None
-            and split is not None
-            and (both := clone[torch.isin(clone, split)]).numel()
+            and split_rows is not None
+            and (both := clone[torch.isin(clone, split_rows)]).numel()
         ):
             raise ArgumentError(f"row {int(both[0])} is both cloned and split; do one of them")
         if keep is not None:
-            clone, split = (None if rows is None else rows[keep[rows]] for rows in (clone, split))
-        used = {} if moved is None else {"relocated": moved[0], "moved to": moved[1]}
+            clone, split_rows = (
+                None if rows is None else rows[keep[rows]] for rows in (clone, split_rows)
+            )
+        used = {} if relocation is None else {"relocated": relocation[0], "moved to": relocation[1]}
         for what, rows in used.items():
-            if keep is not None and (gone := rows[~keep[rows]]).numel():
+            if keep is not None and (removed_rows := rows[~keep[rows]]).numel():
                 raise ArgumentError(
-                    f"row {int(gone[0])} is both {what} and removed; do one of them"
+                    f"row {int(removed_rows[0])} is both {what} and removed; do one of them"
                 )
         return dataclasses.replace(
-            self, set=new_set, relocate=moved, clone=clone, split=split, keep=keep
+            self, set=new_set, relocate=relocation, clone=clone, split=split_rows, keep=keep
         )
 
 
@@ -158,9 +160,11 @@ def _checked_set(
     surfels: bool,
 ) -> tuple[Tensor, Tensor]:
     """Row numbers and values of ``Edit.set``."""
-    known = (*STORED, *ACTIVATED, "tag", *(["state"] if surfels else []))
-    if name not in known:
-        raise ArgumentError(f"set: no column {shown(name)} in this map; known: {', '.join(known)}")
+    columns = (*STORED, *ACTIVATED, "tag", *(["state"] if surfels else []))
+    if name not in columns:
+        raise ArgumentError(
+            f"set: no column {shown(name)} in this map; known: {', '.join(columns)}"
+        )
     if (
         not isinstance(pair, tuple)
         or len(pair) != 2
@@ -180,14 +184,14 @@ def _checked_set(
         )
     check_finite(f"set: {name}", values)
     low, high = _RANGES.get(name, (-math.inf, math.inf))
-    inside = (
+    in_range = (
         (values > low) & (values < high)
         if name in ("scale_m", "opacity")
         else (values >= low) & (values <= high)
     )
-    if not inside.all():
+    if not in_range.all():
         raise ArgumentError(
-            f"set: {name} must be between {low} and {high}, got {float(values[~inside][0]):g}"
+            f"set: {name} must be between {low} and {high}, got {float(values[~in_range][0]):g}"
         )
     return rows, values
 
@@ -220,17 +224,17 @@ def _checked_relocate(pair: Any, sh: Tensor) -> tuple[Tensor, Tensor]:
         raise ArgumentError(
             "relocate must be a pair of row numbers: rows to move, and rows to move them to"
         )
-    moved, target = (_numbers("relocate", rows, sh) for rows in pair)
-    if len(moved) != len(target):
+    source, target = (_numbers("relocate", rows, sh) for rows in pair)
+    if len(source) != len(target):
         raise ArgumentError(
             f"relocate must have one row to move to for each row to move, got {len(target)} for "
-            f"{len(moved)}"
+            f"{len(source)}"
         )
-    if len(moved.unique()) != len(moved):
+    if len(source.unique()) != len(source):
         raise ArgumentError("relocate: a row can be moved only once")
-    if (both := moved[torch.isin(moved, target)]).numel():
+    if (both := source[torch.isin(source, target)]).numel():
         raise ArgumentError(f"relocate: row {int(both[0])} is both moved and moved to")
-    return moved, target
+    return source, target
 
 
 def _numbers(name: str, rows: Any, like: Tensor) -> Tensor:
@@ -297,7 +301,7 @@ def apply_edit(
     model: Any, edit: Edit, generator: torch.Generator, frame_index: int = 0
 ) -> Int[Tensor, " M"]:
     """Change the rows of ``model`` as its method ``edit`` says (``GaussianModel``)."""
-    before = len(model)
+    n_before = len(model)
     edit = edit.resolved(model.params.sh, "state" in model.columns)
     for name, factors in edit.rates.items():
         model.set_rate(name, factors)
@@ -317,15 +321,15 @@ def apply_edit(
     if edit.add is not None:
         model.append(edit.add, frame_index)
     origin = torch.arange(len(model), device=model.device)
-    origin[before:] = -1
-    kept = torch.ones(len(model), dtype=torch.bool, device=model.device)
+    origin[n_before:] = -1
+    keep_mask = torch.ones(len(model), dtype=torch.bool, device=model.device)
     if edit.keep is not None:
-        kept[:before] = edit.keep
+        keep_mask[:n_before] = edit.keep
     if edit.split is not None:
-        kept[edit.split] = False
+        keep_mask[edit.split] = False
     if edit.keep is not None or edit.split is not None:
-        model.keep(kept)
-    return origin[kept]
+        model.keep(keep_mask)
+    return origin[keep_mask]
 
 
 def _stored(
@@ -353,27 +357,27 @@ def _share(
 ) -> Int[Tensor, " R"]:
     """Give every row that is named k times the opacity and scale of one of k + 1 copies; returns
     those rows, once."""
-    once, times = rows.unique(return_counts=True)
+    distinct_rows, times = rows.unique(return_counts=True)
     params = model.params
     opacity, scale_m = shared(
-        params.opacity_logit[once].sigmoid(),
-        params.log_scale[once].exp(),
+        params.opacity_logit[distinct_rows].sigmoid(),
+        params.log_scale[distinct_rows].exp(),
         times + 1,
         min_opacity,
     )
-    model.set_rows("opacity_logit", once, opacity.logit())
-    model.set_rows("log_scale", once, scale_m.log())
-    return once
+    model.set_rows("opacity_logit", distinct_rows, opacity.logit())
+    model.set_rows("log_scale", distinct_rows, scale_m.log())
+    return distinct_rows
 
 
-def _relocate(model: Any, moved: Tensor, target: Tensor, min_opacity: float) -> None:
-    once = _share(model, target, min_opacity)
+def _relocate(model: Any, source: Tensor, target: Tensor, min_opacity: float) -> None:
+    distinct_rows = _share(model, target, min_opacity)
     columns = model.columns
     for name in (*STORED, "birth_frame", "tag", *(f"rate.{name}" for name in model.rates)):
-        model.set_rows(name, moved, columns[name][target])
-    model.clear_moments(once)
-    model.clear_memory(once)
-    model.as_new(once if "state" not in columns else torch.cat([once, moved]))
+        model.set_rows(name, source, columns[name][target])
+    model.clear_moments(distinct_rows)
+    model.clear_memory(distinct_rows)
+    model.as_new(distinct_rows if "state" not in columns else torch.cat([distinct_rows, source]))
 
 
 def _clone(model: Any, rows: Tensor, shares: bool, min_opacity: float) -> None:
@@ -389,15 +393,15 @@ def _split(model: Any, rows: Tensor, shares: bool, generator: torch.Generator) -
     params = model.params
     scale_m = params.log_scale[rows].exp()
     R = quaternion.to_matrix(params.quat[rows])
-    drawn = torch.randn(
+    noise = torch.randn(
         2,
         len(rows),
         3,
         generator=generator,
         device=generator.device,
     ).to(scale_m)
-    away = torch.einsum("nij,nj,bnj->bni", R, scale_m, drawn)
-    centres = params.xyz_W[rows] + away
+    offset_m = torch.einsum("nij,nj,bnj->bni", R, scale_m, noise)
+    centres = params.xyz_W[rows] + offset_m
     logit = params.opacity_logit[rows]
     new = torch.arange(
         len(model),

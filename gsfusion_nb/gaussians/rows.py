@@ -179,10 +179,10 @@ class GrowingRows:
     def keep(self, rows: Bool[Tensor, " N"]) -> None:
         """Remove every row where ``rows`` is false, in all columns alike; the order is kept."""
         check_shape("rows", rows, (self._count,))
-        gone = (~rows).nonzero()[:, 0]
-        if not len(gone):
+        removed_rows = (~rows).nonzero()[:, 0]
+        if not len(removed_rows):
             return
-        first = int(gone[0])  # rows before it stay where they are
+        first = int(removed_rows[0])  # rows before it stay where they are
         places = first + rows[first:].nonzero()[:, 0]
         self._count = first + len(places)
         for column in self._columns.values():
@@ -194,12 +194,12 @@ class GrowingRows:
         log = self._log = UndoLog(self._count, set(self._columns))
 
         def undo() -> None:
-            for before in reversed(log.kept):
-                if isinstance(before, dict):
-                    self.restore(before)
+            for old_rows in reversed(log.kept):
+                if isinstance(old_rows, dict):
+                    self.restore(old_rows)
                 else:
-                    for name, values in before[1].items():
-                        self._columns[name][before[0]] = values
+                    for name, values in old_rows[1].items():
+                        self._columns[name][old_rows[0]] = values
             for name in set(self._columns) - log.names:
                 del self._columns[name]
             self._count = log.count

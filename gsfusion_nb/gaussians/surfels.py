@@ -138,10 +138,10 @@ class SurfelModel(GaussianModel):
         if name == "state":
             self.colour_errors[rows] = 0
             self.depth_errors[rows] = 0
-            released = rows[self.state[rows] == UNSTABLE]
-            self.confidence[released] = 0
-            self.frames_in_view[released] = 0
-            super().as_new(released)
+            unstable_rows = rows[self.state[rows] == UNSTABLE]
+            self.confidence[unstable_rows] = 0
+            self.frames_in_view[unstable_rows] = 0
+            super().as_new(unstable_rows)
 
     def as_new(self, rows: Int[Tensor, " M"] | slice) -> None:
         """Count these rows as added now: unstable, confidence 0, no errors, held where they are."""
@@ -241,11 +241,11 @@ def count_views(
     xyz_W = model.params.xyz_W if rows is None else model.params.xyz_W[rows]
     xyz_C = se3.apply(se3.inverse(T_WC), xyz_W)
     u, v = project(camera, xyz_C).unbind(-1)
-    seen = (xyz_C[:, 2] > 0) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
+    in_view = (xyz_C[:, 2] > 0) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
     if rows is None:
-        model.frames_in_view.add_(seen)
+        model.frames_in_view.add_(in_view)
     else:
-        model.frames_in_view.index_add_(0, rows, seen.to(model.frames_in_view.dtype))
+        model.frames_in_view.index_add_(0, rows, in_view.to(model.frames_in_view.dtype))
 
 
 def change_states(
@@ -278,15 +278,15 @@ def change_states(
         unstable_frames=config.unstable_frames,
     )
     rows = happens.nonzero()[:, 0]  # few
-    ready, wrong, expired = (
+    ready, wrong, is_expired = (
         rows[happens[rows] == what] for what in (BECOMES_STABLE, BECOMES_UNSTABLE, DELETED)
     )
     model.state[ready] = STABLE
     for counter in (model.colour_errors, model.depth_errors):
         counter[ready] = 0
 
-    gone = torch.zeros_like(stable)
-    gone[expired] = True
+    is_lost = torch.zeros_like(stable)
+    is_lost[is_expired] = True
     if config.on_error == "release":
         model.state[wrong] = UNSTABLE
         model.clock.begin(wrong)
@@ -298,21 +298,21 @@ def change_states(
         ):
             counter[wrong] = 0
     else:
-        gone[wrong] = True
+        is_lost[wrong] = True
 
-    oversized = torch.zeros_like(stable)
+    is_oversized = torch.zeros_like(stable)
     if config.max_radius_factor is not None and len(model):
         radius = model.radius_m
         for kind in (model.is_stable, ~model.is_stable):
             # NaN without rows; no radius is above NaN
             mean = sum_rows(torch.where(kind, radius, 0.0)) / kind.sum()
-            oversized |= kind & (radius > config.max_radius_factor * mean)
-        oversized &= ~gone
-    if bool((gone | oversized).any()):
-        model.keep(~(gone | oversized))
-    n_oversized = int(oversized.count_nonzero())
+            is_oversized |= kind & (radius > config.max_radius_factor * mean)
+        is_oversized &= ~is_lost
+    if bool((is_lost | is_oversized).any()):
+        model.keep(~(is_lost | is_oversized))
+    n_oversized = int(is_oversized.count_nonzero())
     return Transitions(
-        stabilised=len(ready), released=len(wrong), expired=len(expired), oversized=n_oversized
+        stabilised=len(ready), released=len(wrong), expired=len(is_expired), oversized=n_oversized
     )
 
 
