@@ -185,7 +185,7 @@ def composite(
         dim=1,
     )
     C = uv.new_zeros(camera.height, camera.width, 5)
-    first, dominant, hit = (tiles.gaussian.new_full(C.shape[:2], -1) for _ in range(3))
+    first, dominant, hit_index = (tiles.gaussian.new_full(C.shape[:2], -1) for _ in range(3))
     for tile in range(tiles.tiles_x * tiles.tiles_y):
         k = tiles.gaussians_of(tile)
         y, x = tiles.pixels_of(tile, camera)
@@ -197,7 +197,7 @@ def composite(
         first[y, x] = _nearest(w > 0, k)
         dominant[y, x] = _nearest((w > 0) & (w == w.amax(dim=0)), k)
         if opaque_alpha is not None:
-            hit[y, x] = _nearest(
+            hit_index[y, x] = _nearest(
                 alpha >= opaque_alpha, k
             )  # the Gaussian that the ray meets: RTG-SLAM, above Eq. 4
     return CompositeOutput(
@@ -206,7 +206,7 @@ def composite(
         alpha=C[..., 4],
         first_index=first if with_indices else None,
         dominant_index=dominant if with_indices else None,
-        hit_index=None if opaque_alpha is None else hit,
+        hit_index=None if opaque_alpha is None else hit_index,
         saved=CompositeSaved(uv=uv, conic=conic, opacity=opacity, c=c, tiles=tiles, camera=camera),
     )
 

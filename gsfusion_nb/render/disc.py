@@ -122,15 +122,15 @@ def disc_depth(
     Differentiable: ``disc_depth_vjp``.
     """
     m = _meet(params, camera, T_WC, hit_index, max_offset, min_cosine)
-    hit = hit_index >= 0
-    depth_m = params.xyz_W.new_zeros(hit.shape)
-    on_plane = torch.zeros_like(hit)
-    depth_m[hit] = m.z
-    on_plane[hit] = m.on_plane
+    has_disc = hit_index >= 0
+    depth_m = params.xyz_W.new_zeros(has_disc.shape)
+    on_plane = torch.zeros_like(has_disc)
+    depth_m[has_disc] = m.z
+    on_plane[has_disc] = m.on_plane
     with torch.no_grad():
-        normal_W = params.xyz_W.new_zeros(*hit.shape, 3)
-        away = (m.p * m.n).sum(-1, keepdim=True) > 0
-        normal_W[hit] = torch.where(away, -m.n, m.n) @ m.R_WC.T
+        normal_W = params.xyz_W.new_zeros(*has_disc.shape, 3)
+        faces_away = (m.p * m.n).sum(-1, keepdim=True) > 0
+        normal_W[has_disc] = torch.where(faces_away, -m.n, m.n) @ m.R_WC.T
     return DiscDepth(depth_m=depth_m, normal_W=normal_W, on_plane=on_plane)
 
 
@@ -318,14 +318,14 @@ def view_surface(
     Differentiable: no; ``render_forward``, ``disc_depth`` and their vjp are.
     """
     config = config or PUBLISHED_DISCS
-    only = {} if pixels is None else {"pixels": pixels}
-    output, _ = render_forward(params, camera, T_WC, opaque_alpha=config.opaque_alpha, **only)
-    hit = output.hit_index
+    options = {} if pixels is None else {"pixels": pixels}
+    output, _ = render_forward(params, camera, T_WC, opaque_alpha=config.opaque_alpha, **options)
+    hit_index = output.hit_index
     dominant = output.dominant_index
-    assert hit is not None
+    assert hit_index is not None
     assert dominant is not None
     disc = disc_depth(
-        params, camera, T_WC, hit, max_offset=config.max_offset, min_cosine=config.min_cosine
+        params, camera, T_WC, hit_index, max_offset=config.max_offset, min_cosine=config.min_cosine
     )
     depth_m = disc.depth_m if config.depth == "disc" else blended_depth_m(output)
     return SurfaceView(
@@ -333,7 +333,7 @@ def view_surface(
         transmittance=1.0 - output.alpha,
         depth_m=depth_m,
         normal_W=disc.normal_W,
-        hit_index=hit,
+        hit_index=hit_index,
         dominant_index=dominant,
     )
 

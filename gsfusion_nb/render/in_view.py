@@ -101,19 +101,19 @@ class Boxes:
         if self._of != _state(params):
             self._chunks = _chunks_of(params)
             self._of = _state(params)
-        seen = seen_chunks(self._chunks, camera, T_WC, depth_m)
-        if len(seen) > MOSTLY_SEEN * len(self._chunks.low):
+        chunks_seen = seen_chunks(self._chunks, camera, T_WC, depth_m)
+        if len(chunks_seen) > MOSTLY_SEEN * len(self._chunks.low):
             return None
-        return rows_of_chunks(seen, n).to(params.xyz_W.device)
+        return rows_of_chunks(chunks_seen, n).to(params.xyz_W.device)
 
     @contextlib.contextmanager
     def appending(self, model: Any) -> Iterator[None]:
         """Context in which rows are only added at the end of a map: the boxes of the others
         stay."""
         start = len(model.params) // CHUNK
-        known = self._of == _state(model.params)
+        is_current = self._of == _state(model.params)
         yield
-        if known and self._of != _state(model.params):
+        if is_current and self._of != _state(model.params):
             more = _chunks_of(model.params[start * CHUNK :])
             self._chunks = Chunks(
                 *(np.concatenate([x[:start], y]) for x, y in zip(self._chunks, more, strict=True))
@@ -128,9 +128,9 @@ class Boxes:
     ) -> None:
         """Follow a change of only these ``rows``, which were all in the last result; ``part``:
         their new values."""
-        changed = rows[::CHUNK].cpu().numpy() // CHUNK
+        chunk_numbers = rows[::CHUNK].cpu().numpy() // CHUNK
         for column, values in zip(self._chunks, _chunks_of(part), strict=True):
-            column[changed] = values
+            column[chunk_numbers] = values
         self._of = _state(params)
 
 
@@ -148,13 +148,13 @@ def seen_chunks(
 ) -> Int[ndarray, " C"]:
     """Numbers of the chunks that a camera may see, rising; arguments as for ``Boxes.rows``."""
     T_CW = se3.inverse(T_WC.detach().cpu().double()).numpy()
-    seen = chunks_in_view(chunks, camera, T_CW).nonzero()[0]
+    numbers = chunks_in_view(chunks, camera, T_CW).nonzero()[0]
     if depth_m is None:
-        return seen
-    near = Chunks(*(x[seen] for x in chunks))
-    return seen[
+        return numbers
+    chunks_seen = Chunks(*(x[numbers] for x in chunks))
+    return numbers[
         ~chunks_behind(
-            near,
+            chunks_seen,
             camera,
             T_CW,
             farthest_depth(depth_m).cpu().numpy(),
@@ -225,8 +225,8 @@ def chunks_in_view(
     middle = (chunks.low + chunks.high) / 2
     half = (chunks.high - chunks.low) / 2
     nearest = normal[:, :3] @ middle.T + normal[:, 3:] - np.abs(normal[:, :3]) @ half.T  # [5, C]
-    outside: Any = (nearest > factor * chunks.reach_m).any(0)
-    return ~outside
+    is_outside: Any = (nearest > factor * chunks.reach_m).any(0)
+    return ~is_outside
 
 
 def _axes(camera: Camera) -> tuple[tuple[int, float, float, int], tuple[int, float, float, int]]:
@@ -242,9 +242,9 @@ def farthest_depth(depth_m: Float[Tensor, "h w"]) -> Float[Tensor, "12 16"]:
     """
     if depth_m.shape == GRID:
         return torch.where(depth_m > 0, depth_m, torch.inf)
-    known = adaptive_avg_pool2d((depth_m > 0).to(depth_m.dtype)[None], GRID)[0]
+    share = adaptive_avg_pool2d((depth_m > 0).to(depth_m.dtype)[None], GRID)[0]
     return torch.where(
-        known > 0.5,
+        share > 0.5,
         adaptive_max_pool2d(depth_m[None], GRID)[0],
         torch.inf,
     )
@@ -272,18 +272,18 @@ def chunks_behind(
     nearest_m = xyz[..., 2].min(1) - reach_m
     in_front = nearest_m > 0
     z = np.where(in_front[:, None], xyz[..., 2], 1.0)
-    spread = reach_m / np.where(in_front, nearest_m, 1.0)
-    touched = np.ones((len(low), *GRID), bool)
+    slope = reach_m / np.where(in_front, nearest_m, 1.0)
+    touches = np.ones((len(low), *GRID), bool)
     for axis, f, c, size in _axes(camera):
         uv = f * xyz[..., axis] / z + c
         cells = GRID[1 - axis]
-        more_px = f * (1 + FRUSTUM_CLAMP * size / (2 * f)) * spread + _REACH
+        more_px = f * (1 + FRUSTUM_CLAMP * size / (2 * f)) * slope + _REACH
         first, last = (
             np.floor(edge * cells / size) for edge in (uv.min(1) - more_px, uv.max(1) + more_px)
         )
-        inside = (np.arange(cells) >= first[:, None]) & (np.arange(cells) <= last[:, None])
-        touched &= inside[:, None, :] if axis == 0 else inside[:, :, None]
-    deepest_m = np.where(touched, farthest_m, 0.0).max((1, 2), initial=0.0)
+        in_reach = (np.arange(cells) >= first[:, None]) & (np.arange(cells) <= last[:, None])
+        touches &= in_reach[:, None, :] if axis == 0 else in_reach[:, :, None]
+    deepest_m = np.where(touches, farthest_m, 0.0).max((1, 2), initial=0.0)
     return in_front & (nearest_m > deepest_m + BEHIND_M)
 
 

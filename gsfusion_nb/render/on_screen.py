@@ -138,8 +138,8 @@ def footprints(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"
     rows = rows_in_view(params, camera, T_WC).nonzero()[:, 0]
     p = project_gaussians(params[rows], camera, T_WC)
     image_size = p.uv.new_tensor([camera.width, camera.height])
-    inside = ((p.uv + p.extent_px > 0) & (p.uv - p.extent_px < image_size)).all(1)
-    visible = p.visible & inside & params.sh[rows].isfinite().all(2).all(1)
+    in_image = ((p.uv + p.extent_px > 0) & (p.uv - p.extent_px < image_size)).all(1)
+    visible = p.visible & in_image & params.sh[rows].isfinite().all(2).all(1)
     every = torch.zeros(len(params), dtype=torch.bool, device=rows.device)
     radius_px = p.extent_px.new_zeros(len(params))
     every[rows] = visible

@@ -181,13 +181,15 @@ def render_over_base(
     with torch.no_grad():
         T_WC = T_WC.to(params.xyz_W)
         projection = project_gaussians(params, camera, T_WC)
-        drawn = projection.visible & params.sh.isfinite().all(2).all(1)
-        projection = dataclasses.replace(projection, visible=drawn)
+        is_drawn = projection.visible & params.sh.isfinite().all(2).all(1)
+        projection = dataclasses.replace(projection, visible=is_drawn)
         screen = ScreenGaussians(
             uv=projection.uv,
             conic=projection.conic,
             opacity=projection.opacity,
-            rgb=torch.where(drawn[:, None], sh_to_rgb(params.sh, params.xyz_W, T_WC[:3, 3]), 0.0),
+            rgb=torch.where(
+                is_drawn[:, None], sh_to_rgb(params.sh, params.xyz_W, T_WC[:3, 3]), 0.0
+            ),
             depth_m=projection.depth_m,
             tiles=tile_intersections(projection, camera),
         )
@@ -204,9 +206,9 @@ def render_over_base(
                 base.rgb[y, x],
                 base.weight[y, x],
             )
-            there = base.depth_m[y, x] > 0
-            D = torch.where(there, base.depth_m[y, x], 0.0)
-            depth_m[y, x] = _ratio(D + w.T @ screen.depth_m[k], there + w.sum(0))
+            has_surface = base.depth_m[y, x] > 0
+            D = torch.where(has_surface, base.depth_m[y, x], 0.0)
+            depth_m[y, x] = _ratio(D + w.T @ screen.depth_m[k], has_surface + w.sum(0))
     output = OverBaseOutput(rgb=rgb, depth_m=depth_m, weight=weight)
     return output, OverBaseSaved(
         params=params,
@@ -214,7 +216,7 @@ def render_over_base(
         T_WC=T_WC,
         base=base,
         behind_m=behind_m,
-        drawn=drawn,
+        drawn=is_drawn,
         screen=screen,
         output=output,
     )
@@ -289,9 +291,9 @@ def render_over_base_vjp(
     frozen = ~saved.drawn if rows is None else ~(saved.drawn & rows)
     for value in gradient.values():
         value[frozen] = 0.0
-    for out, value in ((v_uv, v["uv"]), (v_uv_abs, v_abs)):
-        if out is not None:
-            out.copy_(value).masked_fill_(frozen[:, None], 0.0)
+    for target, value in ((v_uv, v["uv"]), (v_uv_abs, v_abs)):
+        if target is not None:
+            target.copy_(value).masked_fill_(frozen[:, None], 0.0)
     return GaussianParams(**gradient)
 
 
@@ -421,19 +423,21 @@ def base_view(
             (released code); "gaussians": weight 0, so that only Gaussians count.
         behind_m: For the result.
     """
-    known = depth_m > 0
+    has_depth = depth_m > 0
     image = torch.cat([rgb, depth_m[..., None]], dim=-1)
-    if not bool(known.all()):
-        image = fill(image, known)
+    if not bool(has_depth.all()):
+        image = fill(image, has_depth)
     if depth_m.shape != size:
-        image, known = enlarge(image, known, size)
-    weight = torch.ones_like(image[..., 0]) if holes != "gaussians" else known.to(image)
+        image, has_depth = enlarge(image, has_depth, size)
+    weight = torch.ones_like(image[..., 0]) if holes != "gaussians" else has_depth.to(image)
     colour = (
-        image[..., :3] if holes == "filled" else torch.where(known[..., None], image[..., :3], 0.0)
+        image[..., :3]
+        if holes == "filled"
+        else torch.where(has_depth[..., None], image[..., :3], 0.0)
     )
     base = Base(
         rgb=colour.contiguous(),
-        depth_m=torch.where(known, image[..., 3], 0.0),
+        depth_m=torch.where(has_depth, image[..., 3], 0.0),
         weight=weight,
     )
     return BaseView(base=base, depth_everywhere_m=image[..., 3].contiguous(), behind_m=behind_m)
@@ -463,11 +467,11 @@ def fill(
         x = both[:, :-1] / total.clamp_min(1e-6)
         w = (total > 0).to(image)
         levels.append((x, w))
-    filled = x * w
+    weighted_x = x * w
     for x, w in reversed(levels[:-1]):
-        above = interpolate(filled, size=x.shape[2:], mode="bilinear", align_corners=False)
-        filled = torch.where(w > 0, x, above)
-    return filled[0].permute(1, 2, 0)
+        coarse = interpolate(weighted_x, size=x.shape[2:], mode="bilinear", align_corners=False)
+        weighted_x = torch.where(w > 0, x, coarse)
+    return weighted_x[0].permute(1, 2, 0)
 
 
 def enlarge(
@@ -486,12 +490,12 @@ def enlarge(
         The image, and which of its pixels are known: those whose own small pixel is.
     """
     h, w = known.shape
-    padded = pad(
+    bordered = pad(
         image.permute(2, 0, 1)[None],
         (1, 1, 1, 1),
         mode="replicate",
     )[0].permute(1, 2, 0)
-    around = (
+    neighbours = (
         pad(
             known[None, None].to(image),
             (1, 1, 1, 1),
@@ -500,22 +504,22 @@ def enlarge(
         > 0
     )
     z = image[..., -1]
-    out = image.new_empty(2 * h, 2 * w, image.shape[-1])
-    for down in (0, 1):
+    large = image.new_empty(2 * h, 2 * w, image.shape[-1])
+    for row_parity in (0, 1):
         for right in (0, 1):
             total = torch.full_like(z, 9.0)
             sum_ = 9.0 * image
             for i, j, share in (
-                (2 * down, 1, 3.0),
+                (2 * row_parity, 1, 3.0),
                 (1, 2 * right, 3.0),
-                (2 * down, 2 * right, 1.0),
+                (2 * row_parity, 2 * right, 1.0),
             ):
-                there = padded[i : i + h, j : j + w]
-                same = ((there[..., -1] - z).abs() < SAME_SURFACE * z) & (
-                    around[i : i + h, j : j + w] == known
+                shift = bordered[i : i + h, j : j + w]
+                same = ((shift[..., -1] - z).abs() < SAME_SURFACE * z) & (
+                    neighbours[i : i + h, j : j + w] == known
                 )
-                sum_ = sum_ + share * same[..., None] * there
+                sum_ = sum_ + share * same[..., None] * shift
                 total = total + share * same
-            out[down::2, right::2] = sum_ / total[..., None]
+            large[row_parity::2, right::2] = sum_ / total[..., None]
     known = known.repeat_interleave(2, 0).repeat_interleave(2, 1)
-    return out[: size[0], : size[1]], known[: size[0], : size[1]]
+    return large[: size[0], : size[1]], known[: size[0], : size[1]]

@@ -96,11 +96,11 @@ def check_rows(like: Tensor, rows: Any, **centres: Any) -> None:
     of ``like``."""
     if rows is not None:
         check_operand("rows", rows, (len(like),), dtypes=MASK, device=like.device)
-    for name, out in centres.items():
-        if out is not None:
+    for name, target in centres.items():
+        if target is not None:
             check_operand(
                 name,
-                out,
+                target,
                 (len(like), 2),
                 dtypes=(like.dtype,),
                 device=like.device,
@@ -135,10 +135,10 @@ def render_forward(
     with torch.no_grad():
         T_WC = T_WC.to(params.xyz_W)
         projection = project_gaussians(params, camera, T_WC)
-        drawn = projection.visible & params.sh.isfinite().all(2).all(1)
-        projection = dataclasses.replace(projection, visible=drawn)
+        is_drawn = projection.visible & params.sh.isfinite().all(2).all(1)
+        projection = dataclasses.replace(projection, visible=is_drawn)
         rgb = torch.where(
-            drawn[:, None],
+            is_drawn[:, None],
             sh_to_rgb(params.sh, params.xyz_W, T_WC[:3, 3]),
             0.0,
         )
@@ -174,7 +174,7 @@ def render_forward(
         params=params,
         camera=camera,
         T_WC=T_WC,
-        drawn=drawn,
+        drawn=is_drawn,
         composite=image.saved,
         screen=screen,
     )
@@ -244,9 +244,9 @@ def render_vjp(
     frozen = ~saved.drawn if rows is None else ~(saved.drawn & rows)
     for value in gradient.values():
         value[frozen] = 0.0
-    for out, value in ((v_uv, v.uv), (v_uv_abs, v.uv_abs)):
-        if out is not None:
-            out.copy_(value).masked_fill_(frozen[:, None], 0.0)
+    for target, value in ((v_uv, v.uv), (v_uv_abs, v.uv_abs)):
+        if target is not None:
+            target.copy_(value).masked_fill_(frozen[:, None], 0.0)
     return GaussianParams(**gradient)
 
 
@@ -259,18 +259,18 @@ class Render(torch.autograd.Function):
         params = GaussianParams(
             xyz_W=xyz_W, log_scale=log_scale, quat=quat, opacity_logit=opacity_logit, sh=sh
         )
-        out, ctx.record = render_forward(params, camera, T_WC)
+        output, ctx.record = render_forward(params, camera, T_WC)
         # the check of saved tensors notices a change in place, also of the images, which a fast
         # record may share
         ctx.save_for_backward(
             T_WC,
             *vars(params).values(),
-            out.rgb,
-            out.depth_m,
-            out.alpha,
+            output.rgb,
+            output.depth_m,
+            output.alpha,
         )
-        ctx.mark_non_differentiable(out.first_index, out.dominant_index)
-        return out.rgb, out.depth_m, out.alpha, out.first_index, out.dominant_index
+        ctx.mark_non_differentiable(output.first_index, output.dominant_index)
+        return output.rgb, output.depth_m, output.alpha, output.first_index, output.dominant_index
 
     @staticmethod
     def backward(ctx, *v):

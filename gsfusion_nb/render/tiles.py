@@ -60,15 +60,19 @@ class TileLists:
         camera: Camera,
     ) -> tuple[Int[Tensor, " P"], Int[Tensor, " P"]]:
         """Rows and columns of the pixels of a tile that will be drawn."""
-        drawn = self.pixels
-        if drawn is None:
-            drawn = torch.ones(
+        pixels = self.pixels
+        if pixels is None:
+            pixels = torch.ones(
                 camera.height, camera.width, dtype=torch.bool, device=self.gaussian.device
             )
         top = tile // self.tiles_x * self.tile_px
-        left = tile % self.tiles_x * self.tile_px
-        y, x = drawn[top : top + self.tile_px, left : left + self.tile_px].nonzero().unbind(-1)
-        return top + y, left + x
+        first_column = tile % self.tiles_x * self.tile_px
+        y, x = (
+            pixels[top : top + self.tile_px, first_column : first_column + self.tile_px]
+            .nonzero()
+            .unbind(-1)
+        )
+        return top + y, first_column + x
 
 
 def check_tiles(
@@ -122,10 +126,13 @@ def tile_intersections(
     high = (projection.uv + projection.extent_px)[nearest_first]
     lists = []
     for top in range(0, camera.height, tile_px):
-        for left in range(0, camera.width, tile_px):
-            corner = low.new_tensor([left, top])
+        for first_column in range(0, camera.width, tile_px):
+            corner = low.new_tensor([first_column, top])
             touches = ((low < corner + tile_px) & (high > corner)).all(dim=1)
-            if pixels is not None and not pixels[top : top + tile_px, left : left + tile_px].any():
+            if (
+                pixels is not None
+                and not pixels[top : top + tile_px, first_column : first_column + tile_px].any()
+            ):
                 touches = torch.zeros_like(touches)
             lists.append(nearest_first[touches])
     ends = torch.tensor([0, *(len(gaussians) for gaussians in lists)], device=low.device).cumsum(0)
