@@ -99,6 +99,8 @@ def dry(monkeypatch):
 
     def parse_only(*args, **kwargs):
         options = parse(*args, **kwargs)
+        if kwargs.get("return_unknown_args"):  # the rest is parsed after it
+            return options
         for f in dataclasses.fields(options):
             value = getattr(options, f.name)
             for each in value if isinstance(value, tuple) else (value,):

@@ -16,7 +16,6 @@ from ..recordings.convert.formats import FORMATS, known_formats, readable_layout
 from ..recordings.convert.formats.unread import unread_recording
 from ..recordings.convert.recording import ConvertOptions, OptionNeeded
 from ..recordings.convert.run import ConvertReport, convert
-from .options import parse_options
 
 CONVERTED = Path("converted")
 """Where ``mappable`` writes, below the current folder."""
@@ -37,34 +36,34 @@ def convert_or_ask(
         SequenceError, FileExistsError, KeyError: as ``convert``.
     """
     options = options or ConvertOptions()
-    asked = None
+    question = None
     while True:
         try:
             return convert(source, out, format=format, options=options, progress=True)
         except OptionNeeded as needed:
             if not (sys.stdin.isatty() and sys.stdout.isatty()):
                 raise
-            asked = options, needed
+            question = options, needed
         except SequenceError as e:
-            if asked is None:
+            if question is None:
                 raise
             print(e)
-        options = _answered(*asked)
+        options = _with_answer(*question)
 
 
-def _answered(options: ConvertOptions, needed: OptionNeeded) -> ConvertOptions:
+def _with_answer(options: ConvertOptions, need: OptionNeeded) -> ConvertOptions:
     """The options with the answer of a person; asked again until it is one."""
-    print(needed.question)
-    for n, choice in enumerate(needed.choices, 1):
+    print(need.question)
+    for n, choice in enumerate(need.choices, 1):
         print(f"  {n}: {choice}")
     while True:
-        answer = input(f"--{needed.option.replace('_', '-')} ").strip()
-        if answer.isdecimal() and 1 <= int(answer) <= len(needed.choices):
-            answer = needed.choices[int(answer) - 1]
+        answer = input(f"--{need.option.replace('_', '-')} ").strip()
+        if answer.isdecimal() and 1 <= int(answer) <= len(need.choices):
+            answer = need.choices[int(answer) - 1]
         try:
-            is_text = isinstance(getattr(options, needed.option), str)
+            is_text = isinstance(getattr(options, need.option), str)
             return dataclasses.replace(
-                options, **{needed.option: answer if is_text else parse_value(answer)}
+                options, **{need.option: answer if is_text else parse_value(answer)}
             )
         except ValueError as e:
             print(e)
@@ -84,32 +83,32 @@ def mappable(source: str) -> tuple[str, bool]:
     if readable_layout(path):
         return source, False
     if not any(f.recognise(path) for f in FORMATS.values() if path.exists()):
-        if told := unread_recording(path):
-            raise SequenceError(told)
+        if advice := unread_recording(path):
+            raise SequenceError(advice)
         return source, False
-    out = CONVERTED / path.resolve().name
-    made = out / "conversion.json"
-    if not made.is_file():
-        print(f"{path} is converted to {out} first")
+    folder = CONVERTED / path.resolve().name
+    report_file = folder / "conversion.json"
+    if not report_file.is_file():
+        print(f"{path} is converted to {folder} first")
         try:
-            report = convert_or_ask(path, out)
+            report = convert_or_ask(path, folder)
         except OptionNeeded as e:
             option = e.option.replace("_", "-")
             raise SequenceError(
-                f"{e}; before mapping: gsfusion-nb convert {path} {out} --{option} ..."
+                f"{e}; before mapping: gsfusion-nb convert {path} {folder} --{option} ..."
             ) from None
         print(report)
     elif (
-        Path(read_object(made, "the report of a conversion").get("source", "")).resolve()
+        Path(read_object(report_file, "the report of a conversion").get("source", "")).resolve()
         != path.resolve()
     ):
         raise SequenceError(
-            f"{out} is another recording; convert {path} to another folder, with gsfusion-nb "
+            f"{folder} is another recording; convert {path} to another folder, with gsfusion-nb "
             "convert"
         )
     else:
-        print(f"{path} was converted to {out} before; remove that folder to convert it again")
-    return str(out), not (out / "poses.txt").is_file()
+        print(f"{path} was converted to {folder} before; remove that folder to convert it again")
+    return str(folder), not (folder / "poses.txt").is_file()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,21 +126,22 @@ class ConvertCommand:
     )
 
 
-def convert_command(arguments: list[str]) -> ConvertReport:
-    """Convert as the arguments of ``gsfusion-nb convert`` say.
+def run(options: ConvertCommand) -> int:
+    """The command. Exit status 0: the recording is converted.
 
     Raises:
         ValueError: other arguments than [FORMAT] SOURCE OUT.
     """
-    command = parse_options(ConvertCommand, prog="gsfusion-nb convert", arguments=arguments)
-    if not 2 <= len(command.words) <= 3:
-        listed = "\n".join(
+    if not 2 <= len(options.words) <= 3:
+        format_lines = "\n".join(
             f"  {name:<10} {looks_for}" for name, looks_for in known_formats().items()
         )
         raise ArgumentError(
-            f"expected [FORMAT] SOURCE OUT; the formats and what they look for:\n{listed}"
+            f"expected [FORMAT] SOURCE OUT; the formats and what they look for:\n{format_lines}"
         )
-    *format, source, out = command.words
-    return convert_or_ask(
-        source, out, format=format[0] if format else "auto", options=command.options
+    *format, source, folder = options.words
+    report = convert_or_ask(
+        source, folder, format=format[0] if format else "auto", options=options.options
     )
+    print(report)
+    return 0

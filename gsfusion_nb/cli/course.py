@@ -56,14 +56,14 @@ def export(arguments: list[str]) -> int:
     from ..course.grading.export import export_course
 
     options = parse_options(ExportOptions, prog="gsfusion-nb course export", arguments=arguments)
-    found = sorted(options.notebooks.glob("[0-9][0-9]_*.ipynb"))
-    chosen = [p for p in found if not options.chapters or int(p.name[:2]) in options.chapters]
-    missing = set(options.chapters) - {int(p.name[:2]) for p in chosen}
-    if missing or not chosen:
+    notebooks = sorted(options.notebooks.glob("[0-9][0-9]_*.ipynb"))
+    chapters = [p for p in notebooks if not options.chapters or int(p.name[:2]) in options.chapters]
+    missing = set(options.chapters) - {int(p.name[:2]) for p in chapters}
+    if missing or not chapters:
         raise ArgumentError(
             f"there is no chapter {min(missing) if missing else ''} in {options.notebooks}"
         )
-    for path in export_course(chosen, options.out):
+    for path in export_course(chapters, options.out):
         print(f"wrote {path}")
     return 0
 
@@ -77,21 +77,21 @@ def run(arguments: list[str]) -> int:
 
     options = parse_options(CourseOptions, prog="gsfusion-nb course", arguments=arguments)
     if options.folder is None:
-        unused = [
+        unused_options = [
             f"--{name.replace('_', '-')}"
             for name in ("path", "open", "for_class")
             if _is_set(options, name)
         ]
-        if unused:
+        if unused_options:
             raise ArgumentError(
-                f"{' and '.join(unused)} needs the folder of the notebooks: gsfusion-nb course "
-                "FOLDER"
+                f"{' and '.join(unused_options)} needs the folder of the notebooks: "
+                "gsfusion-nb course FOLDER"
             )
     if options.reset:
-        kept = reset()
+        old_progress = reset()
         print(
-            f"The course starts again. Your progress so far is kept in {kept}"
-            if kept
+            f"The course starts again. Your progress so far is kept in {old_progress}"
+            if old_progress
             else "There was no progress."
         )
     if options.folder is not None:
@@ -112,10 +112,10 @@ def _copy(folder: Path, options: CourseOptions) -> int:
 
     short = options.path == "short"
     if options.for_class:
-        written = copy_for_class(notebooks_folder(), folder, short=short)
+        notebooks = copy_for_class(notebooks_folder(), folder, short=short)
     else:
-        written = copy_for_learner(folder, short=short)
-    for path in written:
+        notebooks = copy_for_learner(folder, short=short)
+    for path in notebooks:
         print(f"wrote {path}")
     first = str(folder / (SHORT_PATH if short else FIRST))
     if not options.open:

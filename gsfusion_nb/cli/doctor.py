@@ -63,6 +63,19 @@ class EnvironmentCheck:
     """Whether the toolkit cannot be used without it."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class DoctorOptions:
+    """Show what is installed, what works, and what to do where something does not."""
+
+    warm: bool = False
+    """Only compile the fast kernels, so that later commands start faster."""
+
+
+def run(options: DoctorOptions) -> int:
+    """The command."""
+    return warm() if options.warm else main()
+
+
 def examine() -> list[EnvironmentCheck]:
     """Examine this Python environment and machine; nothing is changed."""
     return [
@@ -122,8 +135,8 @@ def warm() -> int:
         _quietly(),
         threads(1),
     ):
-        for done, config in enumerate(todo):
-            display.show(done, note=type(config).__name__)
+        for position, config in enumerate(todo):
+            display.show(position, note=type(config).__name__)
             _map(config)
         display.show(len(todo))
     print(
@@ -209,14 +222,14 @@ def _examples() -> list[SystemConfig]:
     """Settings that together use every operation; the rule asks for gradients of centres in the
     image."""
     coarse = {"voxel_size_m": 0.05}
-    tracked = {"poses": "tracked", "landmarks": True, "back_end": True}
+    tracking = {"poses": "tracked", "landmarks": True, "back_end": True}
     rules = [
         {"rule": "default_strategy", "options": {"absgrad": absolute}} for absolute in (False, True)
     ]
     return [
         *(gsfusion("room", tsdf=coarse, seeding=rule) for rule in rules),
-        gsfusion("room", tsdf=coarse, tracking=tracked),
-        rtg_slam("room", tracking=tracked, window={"iterations": 2, "every_frames": 2}),
+        gsfusion("room", tsdf=coarse, tracking=tracking),
+        rtg_slam("room", tracking=tracking, window={"iterations": 2, "every_frames": 2}),
         gps_slam("room", tsdf=coarse, schedule__every_frames=2),
         gps_slam("room", tsdf=coarse, schedule__every_frames=2, seeding=rules[1]),
     ]
@@ -248,9 +261,9 @@ def _quietly() -> Iterator[None]:
     """No message that kernels are being compiled, which was asked for here, or that a case is a
     difficult map."""
     logger = logging.getLogger("gsfusion_nb")
-    before = logger.level
+    level = logger.level
     logger.setLevel(logging.ERROR)
     try:
         yield
     finally:
-        logger.setLevel(before)
+        logger.setLevel(level)

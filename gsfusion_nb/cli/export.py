@@ -11,7 +11,6 @@ import tyro
 
 from ..errors import ArgumentError
 from ..types import Camera, GaussianParams, Mesh
-from .options import parse_options
 
 _AS_IN_FILES = "-y"
 """Up in files of Gaussians that come without a trajectory: most trainers start from the first
@@ -45,25 +44,24 @@ class ExportOptions:
     sharp; -1: no discs, the corrections alone, which show little over black."""
 
 
-def run(arguments: list[str]) -> int:
+def run(options: ExportOptions) -> int:
     """The command. Exit status 0: the files are written."""
     from ..export import write_gaussian_ply, write_map_glb, write_map_usda, write_mesh_ply
     from ..gaussians.rows import moved
     from ..geometry.upright import turn_to_minus_y_up
 
-    options = parse_options(ExportOptions, prog="gsfusion-nb export", arguments=arguments)
     gaussians, mesh = _read(options.source)
     standard = _standard(options, gaussians)
-    up, how = _up(options)
-    print(f"Up is {_named(up)} in the map: {how}.")
+    up, how = _up_direction(options)
+    print(f"Up is {_axis_name(up)} in the map: {how}.")
     R = turn_to_minus_y_up(up) if options.upright else torch.eye(3).double()
     suffix = options.out.suffix.lower()
-    written = []
+    files = []
     if suffix == ".glb" or not suffix:
-        written.append(options.out if suffix else options.out / "map.glb")
-        write_map_glb(written[0], gaussians, mesh if options.mesh else None, up=up)
+        files.append(options.out if suffix else options.out / "map.glb")
+        write_map_glb(files[0], gaussians, mesh if options.mesh else None, up=up)
     if suffix == ".usda":
-        written.append(options.out)
+        files.append(options.out)
         write_map_usda(
             options.out,
             gaussians,
@@ -72,15 +70,15 @@ def run(arguments: list[str]) -> int:
             **_moving_camera(options.source),
         )
     if suffix == ".ply" or not suffix:
-        written.append(options.out if suffix else options.out / "gaussians.ply")
-        write_gaussian_ply(written[-1], moved(standard, R) if options.upright else standard)
+        files.append(options.out if suffix else options.out / "gaussians.ply")
+        write_gaussian_ply(files[-1], moved(standard, R) if options.upright else standard)
     if not suffix and mesh is not None:
-        written.append(options.out / "mesh.ply")
-        turned = (mesh.vertices_W.double() @ R.T).float()
-        write_mesh_ply(written[-1], dataclasses.replace(mesh, vertices_W=turned))
-    if not written:
+        files.append(options.out / "mesh.ply")
+        vertices_W = (mesh.vertices_W.double() @ R.T).float()
+        write_mesh_ply(files[-1], dataclasses.replace(mesh, vertices_W=vertices_W))
+    if not files:
         raise ArgumentError(f"{options.out} must end in .glb, .usda or .ply, or be a folder")
-    for path in written:
+    for path in files:
         frame = (
             "+y up"
             if path.suffix in (".glb", ".usda")
@@ -163,15 +161,15 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     return standard
 
 
-def _up(options: ExportOptions) -> tuple[torch.Tensor, str]:
+def _up_direction(options: ExportOptions) -> tuple[torch.Tensor, str]:
     """The up direction, and how it was found."""
     from ..export import read_trajectory_tum
     from ..geometry.upright import up_vector, world_up
 
     if options.up != "auto":
-        given = options.up
-        numbers = given.split(",")
-        return up_vector(tuple(map(float, numbers)) if len(numbers) == 3 else given), "as --up says"
+        word = options.up
+        numbers = word.split(",")
+        return up_vector(tuple(map(float, numbers)) if len(numbers) == 3 else word), "as --up says"
     trajectory = options.source / "trajectory.txt"
     if options.source.is_dir() and trajectory.is_file():
         _, poses = read_trajectory_tum(trajectory)
@@ -183,7 +181,7 @@ def _up(options: ExportOptions) -> tuple[torch.Tensor, str]:
     ), "files of Gaussians have -y up, and there is no trajectory; --up changes it"
 
 
-def _named(up: torch.Tensor) -> str:
+def _axis_name(up: torch.Tensor) -> str:
     from ..geometry.upright import UP_AXES, up_vector
 
     axis = next(

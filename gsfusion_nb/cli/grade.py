@@ -6,9 +6,6 @@ from typing import Annotated
 
 import tyro
 
-from ..errors import ArgumentError
-from .options import parse_options
-
 
 @dataclass(frozen=True, kw_only=True)
 class GradeOptions:
@@ -35,13 +32,12 @@ class GradeOptions:
     """Students at the same time. 0: one for each core, at most 8."""
 
 
-def run(arguments: list[str]) -> int:
+def run(options: GradeOptions) -> int:
     """The command. Exit status 0: the table is written, whatever the marks."""
     from ..course.grading.marks import exercises_of, grade, write_marks
     from ..course.grading.sandbox import Limits, why_no_bubblewrap
     from ..course.grading.submission import find_submissions
 
-    options = parse_options(GradeOptions, prog="gsfusion-nb grade", arguments=arguments)
     if options.seconds <= 0 or options.memory_mb <= 0:
         raise ArgumentError("--seconds and --memory-mb must be positive")
     submissions = find_submissions(options.submissions)

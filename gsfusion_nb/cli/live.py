@@ -2,7 +2,6 @@
 
 import dataclasses
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
@@ -10,13 +9,19 @@ import tyro
 from ..backends import use_backend
 from ..checks import check_name
 from ..data.stream import GrowingFolder, LiveSource, RealSense
+from .options import HELP, print_names
 from .result import print_result
 from .settings import SettingsOptions, parse
 
 if TYPE_CHECKING:
     from ..runs import FinishedRun
 
-USAGE = Path(__file__).with_name("static").joinpath("live.txt").read_text(encoding="utf-8")
+_ABOUT = """Map frames as they arrive. Ctrl-C ends the scan; then the report is written.
+
+Every setting is an option, as in gsfusion-nb map:
+gsfusion-nb live folder scan --tsdf.voxel-size-m 0.02 --data.width 320
+
+All options of a source: gsfusion-nb live folder --help"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +100,10 @@ SOURCES: dict[str, Any] = {"folder": FolderOptions, "realsense": RealSenseOption
 
 def run(arguments: list[str]) -> int:
     """Run ``gsfusion-nb live ARGUMENTS``. Returns the exit status."""
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(USAGE)
+    if not arguments or arguments[0] in HELP:
+        print_names(
+            "gsfusion-nb live", _ABOUT, {name: source.__doc__ for name, source in SOURCES.items()}
+        )
         return 0
     return print_result(live(arguments))
 

@@ -96,7 +96,7 @@ def run(arguments: list[str]) -> int:
         options.check_device()
         if options.resume:
             _refuse_more(options, arguments)
-            return print_result(_resumed(options, arguments, every))
+            return print_result(_continue_run(options, arguments, every))
         if not options.data:
             raise ArgumentError(
                 "expected the folder of a sequence or the name of a built-in scene: gsfusion-nb "
@@ -107,15 +107,18 @@ def run(arguments: list[str]) -> int:
         if data != options.data and reader.get("poses") is False:
             settings = replace(settings, tracking__poses="tracked")
         if options.estimate_memory:
-            needed = memory_needed_gb(open_sequence(data, data=settings.data, **reader), settings)
-            parts = ", ".join(f"{gb:.2g} GB {what}" for what, gb in needed.items())
+            memory_gb = memory_needed_gb(
+                open_sequence(data, data=settings.data, **reader), settings
+            )
+            parts = ", ".join(f"{gb:.2g} GB {what}" for what, gb in memory_gb.items())
             print(
-                f"about {sum(needed.values()):.2g} GB: {parts}; --memory-gb keeps the map in files"
+                f"about {sum(memory_gb.values()):.2g} GB: {parts}; "
+                "--memory-gb keeps the map in files"
             )
             return 0
         if options.said_of_preset():
             print(options.said_of_preset())
-        finished = run_mapping(
+        finished_run = run_mapping(
             data,
             settings,
             folder=options.out or None,
@@ -125,15 +128,17 @@ def run(arguments: list[str]) -> int:
             from_gaussians=options.from_gaussians or None,
             **reader,
         )
-    return print_result(finished)
+    return print_result(finished_run)
 
 
-def _resumed(options: MapOptions, arguments: list[str], every: "CheckpointEvery") -> "FinishedRun":
+def _continue_run(
+    options: MapOptions, arguments: list[str], every: "CheckpointEvery"
+) -> "FinishedRun":
     """Continue a run; its rule's file is executed only if it was named, or if the user allows it
     now."""
     from ..runs import resume_mapping
 
-    def resumed(rule: str | None) -> "FinishedRun":
+    def resume(rule: str | None) -> "FinishedRun":
         return resume_mapping(
             options.resume,
             seeding=rule,
@@ -142,13 +147,13 @@ def _resumed(options: MapOptions, arguments: list[str], every: "CheckpointEvery"
             checkpoints=every,
         )
 
-    named = options.config.seeding.rule
+    rule_file = options.config.seeding.rule
     try:
-        return resumed(named if is_rule_file(named) else None)
+        return resume(rule_file if is_rule_file(rule_file) else None)
     except RuleNotNamedError as e:
         ask_or_refuse(e, "gsfusion-nb map", arguments, ("--seeding.rule", *e.rules))
-        allowed = e.rules[0]
-    return resumed(allowed)
+        allowed_rule = e.rules[0]
+    return resume(allowed_rule)
 
 
 def _refuse_more(options: MapOptions, arguments: list[str]) -> None:

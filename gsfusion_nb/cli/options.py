@@ -1,15 +1,16 @@
 """A dataclass of options as a command line: ``tyro`` with the texts under the fields as help."""
 
 import ast
+import contextlib
 import dataclasses
 import functools
 import inspect
 import itertools
 import textwrap
 import typing
-from collections.abc import Collection
-from dataclasses import field, is_dataclass
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, is_dataclass
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 import tyro
 
@@ -50,6 +51,10 @@ EVERYDAY = (
 settings shows only these, ``--help-all`` every one."""
 
 
+HELP = frozenset({"-h", "--help", "--help-all"})
+"""The options that show a help and do nothing else."""
+
+
 def parse_options(
     options: type[T],
     *,
@@ -69,13 +74,35 @@ def parse_options(
     _explain(options)
     if "--help-all" in arguments:
         arguments = ["--help"]
-    elif everyday and {"-h", "--help"} & set(arguments):
-        options = _only(everyday, options)
+    elif everyday and HELP & set(arguments):
+        options = _options_of_names(everyday, options)
         options.__doc__ = f"{(options.__doc__ or '').strip()} --help-all shows every option."
     return tyro.cli(options, prog=prog, args=arguments)
 
 
-def _only(
+@dataclass(frozen=True)
+class _NotLoaded:
+    """Stands for the options of a command in a help that lists none."""
+
+
+def print_names(prog: str, about: str, lines: Mapping[str, str]) -> None:
+    """Print the help of a program that takes one of several commands, as one union of tyro.
+
+    Args:
+        prog: Name of the program.
+        about: What it does.
+        lines: Name of a command -> what it does.
+    """
+    members = [
+        Annotated[_NotLoaded, tyro.conf.subcommand(name, description=" ".join(line.split()))]
+        for name, line in lines.items()
+    ]
+    union: Any = Union[tuple(members)]  # noqa: UP007
+    with contextlib.suppress(SystemExit):
+        tyro.cli(union, prog=prog, description=about, args=["--help"])
+
+
+def _options_of_names(
     names: Collection[str],
     options: type[T],
     default: Any = None,
@@ -92,9 +119,9 @@ def _only(
         kind = hints[f.name]
         if is_dataclass(value):
             # the settings of a system are at the top
-            below = path if f.name == "config" else f"{path}{f.name}."
-            if any(name.startswith(below) for name in names):
-                group = _only(names, type(value), value, below)
+            prefix = path if f.name == "config" else f"{path}{f.name}."
+            if any(name.startswith(prefix) for name in names):
+                group = _options_of_names(names, type(value), value, prefix)
                 kind = (
                     Annotated[(group, *get_args(kind)[1:])]
                     if get_origin(kind) is Annotated
@@ -103,9 +130,9 @@ def _only(
                 fields.append((f.name, kind, field(default_factory=group)))
         elif path + f.name in names:
             fields.append((f.name, kind, field(default_factory=lambda value=value: value)))
-    reduced: Any = dataclasses.make_dataclass(options.__name__, fields, kw_only=True)
-    reduced.__doc__ = options.__doc__
-    return reduced
+    short_options: Any = dataclasses.make_dataclass(options.__name__, fields, kw_only=True)
+    short_options.__doc__ = options.__doc__
+    return short_options
 
 
 def _explain(options: type) -> None:
@@ -131,8 +158,8 @@ def _explain_own_fields(cls: type) -> None:
             text = texts[name]
             if "names" in fields[name].metadata:
                 text = f"{text} Known: {', '.join(fields[name].metadata['names']())}."
-            explained = tyro.conf.arg(help=text, metavar=metavar, help_behavior_hint=_default)
-            cls.__annotations__[name] = Annotated[(plain, *marks, explained)]
+            argument = tyro.conf.arg(help=text, metavar=metavar, help_behavior_hint=_default)
+            cls.__annotations__[name] = Annotated[(plain, *marks, argument)]
 
 
 def _default(value: str) -> str:

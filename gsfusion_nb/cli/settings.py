@@ -20,7 +20,7 @@ from ..config.options import named, named_values
 from ..config.values import leaves, with_own_settings
 from ..errors import ArgumentError, reason_of
 from ..files import read_object
-from .options import EVERYDAY, parse_options
+from .options import EVERYDAY, HELP, parse_options
 
 if TYPE_CHECKING:
     from ..seeding.named_rules import RuleNotNamedError
@@ -59,6 +59,47 @@ def fidelity_names() -> list[str]:
         f"{name} (only {systems[0]})" if len(systems) == 1 else name
         for name, systems in having.items()
     ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _RuleOption:
+    rule: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _StartOptions:
+    """The options that decide the defaults of all others: they are parsed first, and the others
+    left for later."""
+
+    system: str = ""
+    preset: str = ""
+    fidelity: str = ""
+    from_config: str = ""
+    seeding: _RuleOption = field(default_factory=_RuleOption)
+
+    @classmethod
+    def of(cls, prog: str, arguments: list[str]) -> "_StartOptions":
+        """Those among the arguments of a command."""
+        start, _ = tyro.cli(
+            cls, prog=prog, args=arguments, return_unknown_args=True, add_help=False
+        )
+        return start
+
+    def config(self, preset: str) -> SystemConfig:
+        """The settings before single options override them: those of ``--from-config``, or of
+        system and preset; ``preset`` is the default."""
+        from ..mapping import get_system
+
+        if self.from_config:
+            return _read_settings(Path(self.from_config), rule=self.seeding.rule)
+        system = get_system(self.system or "gsfusion")
+        if self.fidelity and self.fidelity not in system.description.fidelities:
+            raise ArgumentError(
+                f"{system.description.title} has no --fidelity {self.fidelity}; known: "
+                f"{', '.join(system.description.fidelities) or 'none'}"
+            )
+        fidelity = {"fidelity": self.fidelity} if self.fidelity else {}
+        return system.preset(self.preset or preset, **fidelity)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,39 +196,30 @@ def parse(
         KeyError, ValueError: unknown system, preset or fidelity, or a file that holds no settings.
     """
     arguments = _with_rule_named(prog, arguments)
+    start = _StartOptions.of(prog, arguments)
     preset = "replica"
-    if data and ROOM in arguments and not _value_of(arguments, "--preset"):
-        preset = ROOM if _mapped(options, prog, arguments, data) == ROOM else preset
-    all_options = with_settings(options, _start(arguments, preset))
-    parsed = parse_options(all_options, prog=prog, arguments=arguments, everyday=EVERYDAY)
-    return dataclasses.replace(
-        parsed, config=with_own_settings(parsed.config, _settings_in(arguments, parsed.config))
+    if data and ROOM in arguments and not start.preset:
+        plain = [a for a in arguments if a not in HELP]
+        first = parse_options(
+            with_settings(options, start.config(preset)), prog=prog, arguments=plain
+        )
+        preset = ROOM if getattr(first, data) == ROOM else preset
+    values = parse_options(
+        with_settings(options, start.config(preset)),
+        prog=prog,
+        arguments=arguments,
+        everyday=EVERYDAY,
     )
+    own_settings = _settings_in(arguments, values.config)
+    return dataclasses.replace(values, config=with_own_settings(values.config, own_settings))
 
 
 def _settings_in(arguments: list[str], config: SystemConfig) -> list[str]:
     """Dotted names of the settings that were typed."""
-    typed = [a.partition("=")[0][2:].replace("-", "_") for a in arguments if a.startswith("--")]
-    typed += [re.sub(r"(^|\.)no_", r"\1", name) for name in typed]
-    known = set(leaves(to_dict(config)))
-    return [name for name in dict.fromkeys(typed) if name in known]
-
-
-def _mapped(
-    options: type[SettingsOptions],
-    prog: str,
-    arguments: list[str],
-    data: str,
-) -> str:
-    """The data to map: the first argument, or the value that belongs to no option, which only
-    parsing finds."""
-    if not arguments[0].startswith("-"):
-        return arguments[0]
-    plain = [a for a in arguments if a not in ("-h", "--help", "--help-all")]
-    return getattr(
-        parse_options(with_settings(options, _start(plain, "replica")), prog=prog, arguments=plain),
-        data,
-    )
+    words = [a.partition("=")[0][2:].replace("-", "_") for a in arguments if a.startswith("--")]
+    words += [re.sub(r"(^|\.)no_", r"\1", word) for word in words]
+    names = set(leaves(to_dict(config)))
+    return [word for word in dict.fromkeys(words) if word in names]
 
 
 def reader_options(options: Any) -> dict[str, Any]:
@@ -224,25 +256,6 @@ def with_settings(options: type[O], config: SystemConfig) -> type[O]:
     return cls
 
 
-def _start(arguments: list[str], preset: str) -> SystemConfig:
-    """The settings before single options override them: those of ``--from-config``, or of system
-    and preset."""
-    from ..mapping import get_system
-
-    path = _value_of(arguments, "--from-config")
-    if path:
-        return _read_settings(Path(path), rule=_value_of(arguments, "--seeding.rule"))
-    system = get_system(_value_of(arguments, "--system") or "gsfusion")
-    preset = _value_of(arguments, "--preset") or preset
-    fidelity = _value_of(arguments, "--fidelity")
-    if fidelity and fidelity not in system.description.fidelities:
-        raise ArgumentError(
-            f"{system.description.title} has no --fidelity {fidelity}; known: "
-            f"{', '.join(system.description.fidelities) or 'none'}"
-        )
-    return system.preset(preset, **({"fidelity": fidelity} if fidelity else {}))
-
-
 def _with_rule_named(prog: str, arguments: list[str]) -> list[str]:
     """``arguments`` and, if the user allows it, the rule in a file that ``--from-config`` asks for.
 
@@ -254,25 +267,23 @@ def _with_rule_named(prog: str, arguments: list[str]) -> list[str]:
     from ..seeding.named_rules import RuleNotNamedError
     from .permission import ask_or_refuse
 
-    path = _value_of(arguments, "--from-config")
-    if not path:
+    start = _StartOptions.of(prog, arguments)
+    if not start.from_config:
         return arguments
-    others = [
-        option for option in ("--system", "--preset", "--fidelity") if _value_of(arguments, option)
-    ]
+    others = [f"--{name}" for name in ("system", "preset", "fidelity") if getattr(start, name)]
     if others:
         raise ArgumentError(
             f"--from-config sets all settings; leave out {' '.join(others)}, or --from-config"
         )
-    if _value_of(arguments, "--seeding.rule"):
+    if start.seeding.rule:
         return arguments
     try:
-        _read_settings(Path(path), rule=None)
+        start.config("")
     except RuleNotNamedError as e:
-        named = ["--seeding.rule", *e.rules]
-        if not {"-h", "--help", "--help-all"} & set(arguments):
-            ask_or_refuse(e, prog, arguments, named)
-        return [*arguments, *named]
+        naming = ["--seeding.rule", *e.rules]
+        if not HELP & set(arguments):
+            ask_or_refuse(e, prog, arguments, naming)
+        return [*arguments, *naming]
     return arguments
 
 
@@ -302,11 +313,11 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
         own_rule = config.seeding.rule
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
         raise ArgumentError(f"{path} is not the config.json of a run: {reason_of(e)}") from None
-    given = document.get("training")
-    if given and isinstance(given, dict):
-        named = ", ".join(f"{kind} {shown(name)}" for kind, name in given.items())
+    training = document.get("training")
+    if training and isinstance(training, dict):
+        kinds = ", ".join(f"{kind} {shown(name)}" for kind, name in training.items())
         raise ArgumentError(
-            f"{path} is of a run with its own {named}; repeat it in Python, run_mapping(..., "
+            f"{path} is of a run with its own {kinds}; repeat it in Python, run_mapping(..., "
             "loss=...)"
         )
     name = own_rule if name is None else name
@@ -326,13 +337,3 @@ def _not_named(path: Path, rule: str) -> "RuleNotNamedError":
     from ..seeding.named_rules import RuleNotNamedError
 
     return RuleNotNamedError(path, [rule], f"--seeding.rule {rule}")
-
-
-def _value_of(arguments: list[str], option: str) -> str | None:
-    """The value given last for an option, as ``--option value`` or ``--option=value``."""
-    found = None
-    for i, argument in enumerate(arguments):
-        name, equals, value = argument.partition("=")
-        if name.replace("_", "-") == option:
-            found = value if equals else (arguments[i + 1] if i + 1 < len(arguments) else found)
-    return found

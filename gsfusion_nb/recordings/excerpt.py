@@ -7,20 +7,16 @@ layout, as ``convert`` does.
 
 import contextlib
 import json
-import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import tyro
 
-from ..config.options import named_values
 from ..data.adjust.repair import as_read
 from ..data.open import open_sequence
-from ..data.readers.tum import benchmark_camera
 from ..data.recorded.recorded_sequence import RecordedSequence
 from ..errors import BadFrameError, SequenceError
 from ..files import atomic_folder, noting_files, parsing, read_object, read_text
@@ -33,45 +29,6 @@ _BY_PLACE = ("open3d",)
 _PER_IMAGE = (7, 12, 16, 17)
 """Columns of a file with one pose per image: a position and a quaternion, or a matrix, also after a
 name."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ExcerptOptions:
-    """Write some frames of a recording to a new folder: images bit for bit, with their poses and
-    intrinsics."""
-
-    source: Annotated[Path, tyro.conf.Positional]
-    """Folder or file of the recording."""
-    out: Annotated[Path, tyro.conf.Positional]
-    """New or empty folder."""
-    frames: str
-    """First frame, end (not included) and step, as A:B or A:B:STEP; each may be left out, such as
-    100:200 or ::10."""
-    reader: tuple[str, ...] = ()
-    """Options of the layout's reader, name=value, such as poses=false."""
-
-
-def excerpt(options: ExcerptOptions) -> str:
-    """Cut as the options of ``gsfusion-nb excerpt`` say; a sentence on what was written.
-
-    Raises:
-        SequenceError: the recording cannot be read, or it has none of these frames.
-    """
-    chosen = _slice(options.frames)
-    source = options.source.expanduser()
-    out = options.out
-    n = write_excerpt(source, out, chosen, **named_values(options.reader))
-    camera = benchmark_camera(source)
-    reader = f" --reader camera={camera}" if camera and not benchmark_camera(out) else ""
-    return f"{n} frames of {source} in {out}\nNext: gsfusion-nb check {out}{reader}"
-
-
-def _slice(text: str) -> slice:
-    if not re.fullmatch(r"\d*:\d*(:[1-9]\d*)?", text):
-        raise SequenceError(
-            f"--frames must be A:B or A:B:STEP, such as 100:200 or ::10, got {text}"
-        )
-    return slice(*(int(part) if part else None for part in text.split(":")))
 
 
 def write_excerpt(source: Path, out: Path, chosen: slice, **reader: Any) -> int:

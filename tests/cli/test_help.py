@@ -12,6 +12,7 @@ import tyro
 
 from gsfusion_nb import cli
 from gsfusion_nb.backends import BACKENDS, use_backend
+from gsfusion_nb.cli.commands import COMMANDS
 from gsfusion_nb.compare.benchmark import DATA_SETS
 from gsfusion_nb.compare.studies import STUDIES
 from gsfusion_nb.config import presets
@@ -24,11 +25,7 @@ CALLS = [
     *[("map", "--system", system) for system in SYSTEMS],
     ("map", "--preset", "tum", "--fidelity", "code"),
     *[("live", source) for source in ("folder", "realsense")],
-    *[
-        (name,)
-        for name in (*cli._MODULES, *cli._COMMANDS, *cli._COMPARING)
-        if name not in ("map", "live")
-    ],
+    *[(name,) for name in COMMANDS if name not in ("map", "live")],
     ("course", "export"),
 ]
 FIDELITIES = {name for mapper in SYSTEMS.values() for name in mapper.description.fidelities}
@@ -150,5 +147,5 @@ def test_the_rules_that_a_text_names_are_registered():
 
 def test_every_command_is_in_the_first_help(capsys):
     assert cli.main(["--help"]) == 0
-    shown = set(re.findall(r"gsfusion-nb (\w+)", capsys.readouterr().out))
-    assert shown == {*cli._MODULES, *cli._COMMANDS, *cli._COMPARING}
+    shown = set(re.findall(r"• (\w+)", capsys.readouterr().out))
+    assert shown == set(COMMANDS)
