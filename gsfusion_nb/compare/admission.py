@@ -59,19 +59,21 @@ def admission(entry: Entry, folder: Path) -> Admission:
         return Admission()
     spec = entry.spec
     path = folder / f"{_check_key(entry)}.json"
-    if not spec.not_kept and (known := _read(path)) is not None:
-        return known
-    found = _run(entry, rule)
-    if found.get("walks_sets") and not found["refused"]:
-        found = _run_in_other_orders(entry, rule, found)
-    here = dict(spec.code or {})
-    there = found["code"]
-    changed = differing(*({"values": parts.get("values", "")} for parts in (here, there)))
+    if not spec.not_kept and (stored := _read(path)) is not None:
+        return stored
+    report = _run(entry, rule)
+    if report.get("walks_sets") and not report["refused"]:
+        report = _run_in_other_orders(entry, rule, report)
+    own_code = dict(spec.code or {})
+    fresh_code = report["code"]
+    differences = differing(
+        *({"values": parts.get("values", "")} for parts in (own_code, fresh_code))
+    )
     not_kept = ""
-    if not found["refused"] and not spec.not_kept and changed:
-        not_kept = f"{rule_name(rule)} is not the same in every process: its {changed} differ"
-    result = Admission(refused=found["refused"], not_kept=not_kept)
-    if not spec.not_kept and not found.get("lost"):
+    if not report["refused"] and not spec.not_kept and differences:
+        not_kept = f"{rule_name(rule)} is not the same in every process: its {differences} differ"
+    result = Admission(refused=report["refused"], not_kept=not_kept)
+    if not spec.not_kept and not report.get("lost"):
         write_sealed(path, vars(result))
     return result
 
@@ -97,9 +99,9 @@ def _run_in_other_orders(
     other seeds."""
     with ThreadPoolExecutor(len(OTHER_ORDERS)) as pool:
         others = list(pool.map(lambda seed: _run(entry, rule, seed), OTHER_ORDERS))
-    if failed := next((found for found in others if found["refused"]), None):
-        return failed
-    if all(found["seeds"] == first["seeds"] for found in others):
+    if failure := next((report for report in others if report["refused"]), None):
+        return failure
+    if all(report["seeds"] == first["seeds"] for report in others):
         return first
     why = (
         f"the seeding rule {entry.spec.rule_name!r} gives other seeds in another process: the "
@@ -143,7 +145,7 @@ def _run(
             "PYTHONHASHSEED": order,
         }
         try:
-            done = subprocess.run(
+            process = subprocess.run(
                 command,
                 env=environment,
                 capture_output=True,
@@ -157,7 +159,7 @@ def _run(
             )
         answer = job.with_suffix(".json")
         if not answer.is_file():
-            last = done.stderr.strip().splitlines()[-1:] or [f"exit status {done.returncode}"]
+            last = process.stderr.strip().splitlines()[-1:] or [f"exit status {process.returncode}"]
             return _refusal(
                 f"the process that checks the rule {spec.rule_name} ended early: {last[0]}"
             )
@@ -185,16 +187,16 @@ def _job(entry: Entry, rule: SeedingRule) -> bytes:
             "folder": spec.rule_folder,
         }
     else:
-        fields["pickled"] = _pickled(rule)
+        fields["pickled"] = _pickle_bytes(rule)
     return pickle.dumps(CheckJob(**fields))
 
 
 def _extra(entry: Entry) -> bytes:
     extra = entry.sequence.mapping.extra if entry.sequence is not None else None
-    return b"" if extra is None else _pickled(extra)
+    return b"" if extra is None else _pickle_bytes(extra)
 
 
-def _pickled(thing: Any) -> bytes:
+def _pickle_bytes(thing: Any) -> bytes:
     with _by_value(sys.modules.get(thing.__module__)):
         return cloudpickle.dumps(thing)
 

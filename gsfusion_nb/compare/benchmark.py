@@ -98,13 +98,13 @@ def benchmark(options: BenchmarkOptions) -> int:
             read.
     """
     check_name("data set", options.name, DATA_SETS)
-    asked = DATA_SETS[options.name]
+    data_set = DATA_SETS[options.name]
     with use_backend(options.backend):
-        specs, unread = benchmark_specs(asked, options)
-        out = Path(options.out or f"runs/benchmark-{options.name}").expanduser()
-        status, results = run_and_write(specs, out, options)
-        text = report(asked, results, named_values(options.set), unread)
-        write_file(out / "benchmark.md", text)
+        specs, unread = benchmark_specs(data_set, options)
+        folder = Path(options.out or f"runs/benchmark-{options.name}").expanduser()
+        status, results = run_and_write(specs, folder, options)
+        text = report(data_set, results, named_values(options.set), unread)
+        write_file(folder / "benchmark.md", text)
         print(text)
     return status
 
@@ -116,25 +116,25 @@ def scenes_in(folder: Path, format: str) -> dict[str, Path]:
         FileNotFoundError: there is none; the message says what the layout looks for.
     """
     layout = known_layouts()[format]
-    found = dict[str, Path]()
-    for place, below, _ in os.walk(folder, followlinks=True):
-        inside = Path(place).relative_to(folder)
+    scenes = dict[str, Path]()
+    for place, subfolders, _ in os.walk(folder, followlinks=True):
+        relative = Path(place).relative_to(folder)
         if not missing(layout.locate(Path(place)), layout.looks_for):
-            found["-".join(inside.parts) or folder.resolve().name] = Path(place)
-            below.clear()
-        if len(inside.parts) == DEEPEST:
-            below.clear()
-    if not found:
-        expected = (
+            scenes["-".join(relative.parts) or folder.resolve().name] = Path(place)
+            subfolders.clear()
+        if len(relative.parts) == DEEPEST:
+            subfolders.clear()
+    if not scenes:
+        sentence = (
             f"expected a folder with {', '.join(layout.looks_for)}, in it or up to "
             f"{DEEPEST} folders below"
         )
-        raise FileNotFoundError(f"{folder} holds no scene in the layout {format}; {expected}")
-    return dict(sorted(found.items()))
+        raise FileNotFoundError(f"{folder} holds no scene in the layout {format}; {sentence}")
+    return dict(sorted(scenes.items()))
 
 
 def benchmark_specs(
-    asked: DataSet,
+    data_set: DataSet,
     options: BenchmarkOptions,
 ) -> tuple[list[RunSpec], list[str]]:
     """All runs, checked: scenes x systems x seeds; and a sentence about each scene that cannot be
@@ -144,12 +144,12 @@ def benchmark_specs(
         KeyError, FileNotFoundError, ValueError: as for ``benchmark``.
     """
     variants = {get_system(name).description.title: {"system": name} for name in options.systems}
-    preset = dataclasses.replace(options, preset=options.preset or asked.preset)
-    reader: dict[str, Any] = {"format": asked.format, **asked.reader}
+    preset = dataclasses.replace(options, preset=options.preset or data_set.preset)
+    reader: dict[str, Any] = {"format": data_set.format, **data_set.reader}
     specs = list[RunSpec]()
     unread = list[str]()
-    for scene, place in scenes_in(Path(options.folder).expanduser(), asked.format).items():
-        fields = {"common": asked.settings, "scene": scene, "online": True, "reader": reader}
+    for scene, place in scenes_in(Path(options.folder).expanduser(), data_set.format).items():
+        fields = {"common": data_set.settings, "scene": scene, "online": True, "reader": reader}
         try:
             specs += recording_specs(variants, preset, str(place), **fields)
         except SequenceError as e:
@@ -160,9 +160,9 @@ def benchmark_specs(
 
 
 def report(
-    asked: DataSet,
+    data_set: DataSet,
     results: Sequence[RunResult],
-    changed: Mapping[str, Any],
+    changes: Mapping[str, Any],
     unread: Sequence[str] = (),
 ) -> str:
     """The table, our rows first, then the protocol, and under which conditions each of our numbers
@@ -184,19 +184,19 @@ def report(
             rows.append(
                 [
                     f"**{label}, here**",
-                    *_cells(_means(own, asked.views, units)),
-                    f"{_count(own, asked)} scenes",
+                    *_cells(_means(own, data_set.views, units)),
+                    f"{_count(own, data_set)} scenes",
                 ]
             )
-            cards.append(_card(label, own, asked, changed))
-    rows += [[row["system"], *_cells(row["numbers"]), row["source"]] for row in asked.published]
-    here = {r.spec.scene for r in results}
-    absent = [name for name in asked.scenes if not any(name in scene for scene in here)]
-    said = [
-        *asked.protocol,
+            cards.append(_card(label, own, data_set, changes))
+    rows += [[row["system"], *_cells(row["numbers"]), row["source"]] for row in data_set.published]
+    scene_names = {r.spec.scene for r in results}
+    absent = [name for name in data_set.scenes if not any(name in scene for scene in scene_names)]
+    sentences = [
+        *data_set.protocol,
         *([f"Scenes of the papers that are not here: {', '.join(absent)}."] if absent else []),
     ]
-    failed = [
+    failure_lines = [
         f"{r.spec.label} failed on {r.spec.scene}: {r.reason}"
         for r in results
         if r.status == "failed"
@@ -205,16 +205,18 @@ def report(
         f"| {' | '.join(row)} |" for row in (heads, ["---", *["---:"] * len(COLUMNS), "---"], *rows)
     ]
     seeming = [*map(str, equal_maps(results)), *unknown_maps(results), *shared_frames(units)]
-    listed = [f"- {sentence}" for sentence in (*said, *cards, *seeming, *unread, *failed)]
-    more = [line for found in asked.tables for line in _published_table(found)]
-    return "\n".join([f"# {asked.title}", "", *table, "", *listed, "", *more])
+    bullets = [
+        f"- {sentence}" for sentence in (*sentences, *cards, *seeming, *unread, *failure_lines)
+    ]
+    more = [line for paper_table in data_set.tables for line in _published_table(paper_table)]
+    return "\n".join([f"# {data_set.title}", "", *table, "", *bullets, "", *more])
 
 
-def _published_table(found: Mapping[str, Any]) -> list[str]:
+def _published_table(paper_table: Mapping[str, Any]) -> list[str]:
     """The lines of a table of a paper."""
-    rows = [["", *found["columns"]], ["---", *["---:"] * len(found["columns"])]]
-    rows += [[name, *values] for name, values in found["rows"].items()]
-    return [f"## {found['title']}", "", *(f"| {' | '.join(row)} |" for row in rows), ""]
+    rows = [["", *paper_table["columns"]], ["---", *["---:"] * len(paper_table["columns"])]]
+    rows += [[name, *values] for name, values in paper_table["rows"].items()]
+    return [f"## {paper_table['title']}", "", *(f"| {' | '.join(row)} |" for row in rows), ""]
 
 
 def _means(
@@ -224,7 +226,7 @@ def _means(
 ) -> dict[str, float]:
     """Column -> mean over the scenes of the mean over the seeds; scenes of one unit count as
     one."""
-    found = {}
+    means_of_columns = {}
     for column, (_, _, metric, scale) in COLUMNS.items():
         summaries = {group.scene: group.summary(metric.format(views)) for group in group_runs(own)}
         means = over_units(
@@ -232,8 +234,8 @@ def _means(
             units,
         )
         if means:
-            found[column] = scale * sum(means) / len(means)
-    return found
+            means_of_columns[column] = scale * sum(means) / len(means)
+    return means_of_columns
 
 
 def _cells(numbers: Mapping[str, float]) -> list[str]:
@@ -243,17 +245,17 @@ def _cells(numbers: Mapping[str, float]) -> list[str]:
     ]
 
 
-def _count(own: Sequence[RunResult], asked: DataSet) -> str:
+def _count(own: Sequence[RunResult], data_set: DataSet) -> str:
     scenes = {r.spec.scene for r in own}
-    reported = sum(any(name in scene for scene in scenes) for name in asked.scenes)
-    return f"{reported} of the {len(asked.scenes)}, {len(scenes) - reported} other"
+    n_scenes = sum(any(name in scene for scene in scenes) for name in data_set.scenes)
+    return f"{n_scenes} of the {len(data_set.scenes)}, {len(scenes) - n_scenes} other"
 
 
 def _card(
     label: str,
     own: Sequence[RunResult],
-    asked: DataSet,
-    changed: Mapping[str, Any],
+    data_set: DataSet,
+    changes: Mapping[str, Any],
 ) -> str:
     """What a reader must know of our row: frames, size, poses, passes, seeds, and what was
     changed."""
@@ -266,12 +268,11 @@ def _card(
         f"{label}: {several} frames mapped a scene, poses {settings['tracking.poses']}, "
         f"{passes} passes over the "
     )
-    words += (
-        f"keyframes after the scan, scores of {asked.views.replace('_', '-')} views, {seeds} seed"
-    )
+    views = data_set.views.replace("_", "-")
+    words += f"keyframes after the scan, scores of {views} views, {seeds} seed"
     words += "s" if seeds > 1 else ""
     return (
-        f"{words}; changed: {', '.join(f'{k}={v}' for k, v in changed.items())}"
-        if changed
+        f"{words}; changed: {', '.join(f'{k}={v}' for k, v in changes.items())}"
+        if changes
         else words
     )

@@ -110,8 +110,8 @@ def run_and_write(
     with RunFolder(folder):
         store = ResultStore(None if options.cache else folder)
         began = renewed_s = time.perf_counter()
-        interrupted = False
-        lost = ""
+        is_interrupted = False
+        loss = ""
         work = 0.0
         todo = {i: TUNED_RUNS if is_tuned(spec) else 1.0 for i, spec in enumerate(specs)}
         try:
@@ -126,34 +126,40 @@ def run_and_write(
                     results[i] = result
                     work += 0.0 if result.copied_from else todo[i]
                     del todo[i]
-                    left = _left(
+                    remaining = _time_left(
                         sum(todo.values(), 0.0),
                         work,
                         time.perf_counter() - began,
                     )
-                    print(f"[{len(results):3d}/{len(specs)}] {describe(result)}{left}", flush=True)
+                    print(
+                        f"[{len(results):3d}/{len(specs)}] {describe(result)}{remaining}",
+                        flush=True,
+                    )
                     if len(results) < len(specs) and time.perf_counter() - renewed_s > RENEW_S:
                         Results(runs=_in_order(results), about=table, store=store).write(
                             folder, pictures=False
                         )
                         renewed_s = time.perf_counter()
         except KeyboardInterrupt:
-            interrupted = True
+            is_interrupted = True
         except NoWorkerError as e:
-            lost = f"error: {e}"
-        done = _in_order(results)
-        if done:
-            Results(runs=done, about=table, store=store).write(folder)
+            loss = f"error: {e}"
+        ordered_results = _in_order(results)
+        if ordered_results:
+            Results(runs=ordered_results, about=table, store=store).write(folder)
             print(f"\n{(folder / 'table.md').read_text(encoding='utf-8')}")
-    failed = sum(result.status == "failed" for result in done)
+    n_failures = sum(result.status == "failed" for result in ordered_results)
     took_s = time.perf_counter() - began
-    print(f"{len(done)} of {len(specs)} runs in {took_s:.0f} s, {failed} failed; files in {folder}")
-    if interrupted:
+    print(
+        f"{len(ordered_results)} of {len(specs)} runs in {took_s:.0f} s, {n_failures} failed; "
+        f"files in {folder}"
+    )
+    if is_interrupted:
         print("Interrupted: the same command continues.")
-        return 130, done
-    if lost:
-        print(lost, file=sys.stderr)
-    return 1 if failed or lost else 0, done
+        return 130, ordered_results
+    if loss:
+        print(loss, file=sys.stderr)
+    return 1 if n_failures or loss else 0, ordered_results
 
 
 def _as_asked(table: Table, options: WhereOptions) -> Table:
@@ -170,12 +176,12 @@ def _as_asked(table: Table, options: WhereOptions) -> Table:
     return dataclasses.replace(table, reference=reference, tests=tests)
 
 
-def _left(work: float, done: float, elapsed_s: float) -> str:
+def _time_left(work: float, work_done: float, elapsed_s: float) -> str:
     """How long the rest will take, judged by what was computed so far; empty before that, and at
     the end."""
-    if not (work and done):
+    if not (work and work_done):
         return ""
-    seconds = elapsed_s * work / done
+    seconds = elapsed_s * work / work_done
     return (
         f"; about {seconds:.0f} s left" if seconds < 90 else f"; about {seconds / 60:.0f} min left"
     )
@@ -191,10 +197,10 @@ def describe(result: RunResult) -> str:
     psnr = (
         f"{numbers['psnr_held_out_db']:.2f} dB held out, " if "psnr_held_out_db" in numbers else ""
     )
-    copied = ", copied from the cache" if result.copied_from else ""
+    origin = ", copied from the cache" if result.copied_from else ""
     return (
         f"{name}: {psnr}{numbers['n_gaussians']:,.0f} Gaussians, {numbers['n_steps']:,.0f} "
-        f"steps{copied}"
+        f"steps{origin}"
     )
 
 

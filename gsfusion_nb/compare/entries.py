@@ -66,8 +66,8 @@ class Entrant:
         rule = self.rule
         file = rule if isinstance(rule, str) and is_rule_file(rule) else ""
         source = read_rule_file(file)[0] if file else ""
-        found = find_rule(rule)
-        check_options(found, self.options)
+        own_rule = find_rule(rule)
+        check_options(own_rule, self.options)
         spec = RunSpec(
             rule=rule if isinstance(rule, str) else rule_name(rule),
             label=self.name,
@@ -77,7 +77,7 @@ class Entrant:
             rule_source=source,
             rule_folder=str(rule_folder(file)) if file else "",
             **fields,
-        ).with_code(found)
+        ).with_code(own_rule)
         return Entry(spec=spec, rule=None if isinstance(rule, str) else rule, sequence=sequence)
 
 
@@ -128,10 +128,12 @@ def entries_of(
     """
     entrants = [rule if isinstance(rule, Entrant) else Entrant(rule) for rule in rules]
     names = [entrant.name for entrant in entrants]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice or not names:
-        found = f"{', '.join(twice)} twice; give one of them a label" if twice else "no rule"
-        raise ArgumentError(f"a comparison needs rules with different labels, got {found}")
+    duplicates = sorted({name for name in names if names.count(name) > 1})
+    if duplicates or not names:
+        problem = (
+            f"{', '.join(duplicates)} twice; give one of them a label" if duplicates else "no rule"
+        )
+        raise ArgumentError(f"a comparison needs rules with different labels, got {problem}")
     for entrant in entrants:
         find_rule(entrant.rule)
     own = _fields_of_config(config) if config is not None else {}
@@ -159,17 +161,17 @@ def _extra_hash(scene: OpenedSequence) -> str:
     """A hash of ``frame.extra`` of all frames that are mapped; empty where the first has none and
     nothing gives any."""
     digest = hashlib.blake2b(digest_size=16)
-    found = False
+    has_files = False
     for i in range(len(scene.mapping)):
         with contextlib.suppress(SequenceError):
             frame = scene.mapping[i]
             for name, image in sorted(frame.extra.items()):
-                found = True
+                has_files = True
                 digest.update(f"{frame.index} {name} {image.dtype} {tuple(image.shape)}".encode())
                 digest.update(image.cpu().contiguous().numpy().tobytes())
-            if not found and scene.mapping.extra is None:
+            if not has_files and scene.mapping.extra is None:
                 return ""
-    return digest.hexdigest() if found else ""
+    return digest.hexdigest() if has_files else ""
 
 
 def _fields_of_config(config: SystemConfig) -> dict[str, Any]:
@@ -233,16 +235,16 @@ def compare_rules(
     specs = [entry.spec for entry in entries]
     if reference:
         check_name("rule", reference, dict.fromkeys(spec.label for spec in specs))
-    found: dict[int, RunResult] = {}
+    results: dict[int, RunResult] = {}
     with ProgressDisplay("rules", total=len(entries), unit="run", leave=False) as display:
         try:
             for i, result in run_all(entries, ResultStore()):
-                found[i] = result
-                display.show(len(found))
+                results[i] = result
+                display.show(len(results))
         except KeyboardInterrupt:
             pass
     return Results(
-        runs=[found[i] for i in sorted(found)],
+        runs=[results[i] for i in sorted(results)],
         about=Table(specs=specs, reference=reference),
     )
 
@@ -312,22 +314,22 @@ def read_table(
         )
     text = read_text(path, "the file of a comparison")
     with _at(path, "TOML"):
-        top = _checked(tomllib.loads(text), _TOP)
+        top = _valid_values(tomllib.loads(text), _TOP)
     _refuse_unnamed(path, top.get("rules", []), rule_files)
     shared: dict[str, Any] = {
         name: top[name] for name in ("system", "preset", "device") if name in top
     }
-    shared["settings"] = _dotted(top.get("settings", {}))
+    shared["settings"] = _flat_names(top.get("settings", {}))
     with _at(path, "settings"):
         RunSpec(rule="uniform", **shared).config()
-    given = top.get("seeds", 1)
-    seeds = list(range(given)) if isinstance(given, int) else given
+    seed_setting = top.get("seeds", 1)
+    seeds = list(range(seed_setting)) if isinstance(seed_setting, int) else seed_setting
     if not seeds or any(not isinstance(s, int) or isinstance(s, bool) or s < 0 for s in seeds):
         raise TableError(
             f"{path}: seeds: expected a number of seeds, or a list of whole numbers, got "
-            f"{shown(given)}"
+            f"{shown(seed_setting)}"
         )
-    budgets = _made(
+    budgets = _items_of(
         path,
         top,
         "budgets",
@@ -335,17 +337,17 @@ def read_table(
         "",
         lambda values: Budget(**values),
     ) or [Budget()]
-    tuned = next((budget for budget in budgets if budget.gaussians is not None), budgets[0])
-    rules = _made(
+    size_budget = next((budget for budget in budgets if budget.gaussians is not None), budgets[0])
+    rules = _items_of(
         path,
         top,
         "rules",
         _RULE,
         "rule",
-        lambda values: _rule(path, values, shared, tuned),
+        lambda values: _rule(path, values, shared, size_budget),
         "label",
     )
-    scenes = _made(
+    scenes = _items_of(
         path, top, "scenes", _SCENE, "data", lambda values: _scene(path, values, shared), "scene"
     )
     reference = top.get("reference", "")
@@ -356,7 +358,7 @@ def read_table(
         check_name("test", tests := top.get("tests", "reference"), TESTS)
     tuned_on = {rule["label"]: words for rule in rules if (words := rule.pop("tuned_on", ""))}
     specs = [
-        RunSpec(**_merged(shared, scene, rule), budget=budget, seed=seed)
+        RunSpec(**_merge(shared, scene, rule), budget=budget, seed=seed)
         for scene, budget, rule, seed in itertools.product(scenes, budgets, rules, seeds)
     ]
     return Table(specs=specs, text=text, reference=reference, tests=tests, tuned_on=tuned_on)
@@ -365,15 +367,17 @@ def read_table(
 def _refuse_unnamed(
     path: Path,
     rules: list[Any],
-    named: Sequence[str | Path],
+    rule_files: Sequence[str | Path],
 ) -> None:
     """Raise ``RuleNotNamedError`` with all rules in files that the caller did not name."""
     texts = [values.get("rule") for values in rules if isinstance(values, dict)]
-    wanted = [
+    rules_in_files = [
         str(path.parent / text) for text in texts if isinstance(text, str) and is_rule_file(text)
     ]
     if missing := [
-        rule for rule in dict.fromkeys(wanted) if not is_named(rule.rpartition(":")[0], named)
+        rule
+        for rule in dict.fromkeys(rules_in_files)
+        if not is_named(rule.rpartition(":")[0], rule_files)
     ]:
         files = [rule.rpartition(":")[0] for rule in missing]
         raise RuleNotNamedError(
@@ -381,18 +385,18 @@ def _refuse_unnamed(
         )
 
 
-def _made(
+def _items_of(
     path: Path,
     top: Mapping[str, Any],
     name: str,
-    known: Kinds,
+    kinds: Kinds,
     required: str,
     make: Callable[[dict[str, Any]], Any],
     label: str = "",
 ) -> list[Any]:
     """What ``make`` gives for the checked values of each table [[name]]; no two have the same
     ``label``, if one is named."""
-    found = []
+    items = []
     tables = top.get(name, [])
     if required and not tables:
         raise TableError(
@@ -404,23 +408,23 @@ def _made(
                 raise ArgumentError(
                     f"expected a table with the key {required or 'steps'}, got {shown(values)}"
                 )
-            made = make(_checked(values, known))
-            if label and any(other[label] == made[label] for other in found):
-                raise ArgumentError(f"expected labels that differ, got {shown(made[label])} twice")
-            found.append(made)
-    return found
+            item = make(_valid_values(values, kinds))
+            if label and any(other[label] == item[label] for other in items):
+                raise ArgumentError(f"expected labels that differ, got {shown(item[label])} twice")
+            items.append(item)
+    return items
 
 
-def _checked(values: dict[str, Any], known: Kinds) -> dict[str, Any]:
+def _valid_values(values: dict[str, Any], allowed_kinds: Kinds) -> dict[str, Any]:
     for name, value in values.items():
-        check_name("key", name, known)
-        if isinstance(value, bool) or not isinstance(value, known[name]):
-            kinds = " or ".join(kind.__name__ for kind in known[name])
+        check_name("key", name, allowed_kinds)
+        if isinstance(value, bool) or not isinstance(value, allowed_kinds[name]):
+            kinds = " or ".join(kind.__name__ for kind in allowed_kinds[name])
             raise ArgumentError(f"{name}: expected {kinds}, got {shown(value)}")
     return values
 
 
-def _merged(
+def _merge(
     shared: Mapping[str, Any],
     *others: Mapping[str, Any],
 ) -> dict[str, Any]:
@@ -440,7 +444,7 @@ def _rule(
     """A rule as fields of a run, and ``tuned_on``, checked for a budget."""
     options = values.get("options", {})
     parts = {"label": label_of(values["rule"].rpartition(":")[2], options), **values}
-    parts["settings"] = _dotted(values.get("settings", {}))
+    parts["settings"] = _flat_names(values.get("settings", {}))
     tuned_on = parts.pop("tuned_on", "")
     if is_rule_file(parts["rule"]):
         place = str(path.parent / parts["rule"])
@@ -448,11 +452,15 @@ def _rule(
         parts["rule_folder"] = str(rule_folder(place))
     if "size_range" in parts:
         parts["size_range"] = tuple(parts["size_range"])
-    spec = RunSpec(**_merged(shared, parts), budget=budget)
+    spec = RunSpec(**_merge(shared, parts), budget=budget)
     rule = spec.found_rule()
     check_run(spec, rule)
-    found = spec.with_code(rule)
-    return parts | {"code": found.code, "not_kept": found.not_kept, "tuned_on": tuned_on}
+    spec_with_code = spec.with_code(rule)
+    return parts | {
+        "code": spec_with_code.code,
+        "not_kept": spec_with_code.not_kept,
+        "tuned_on": tuned_on,
+    }
 
 
 def _scene(
@@ -463,32 +471,35 @@ def _scene(
     """A scene as fields of a run."""
     data = values["data"]
     if data != "room" and not Path(data).expanduser().is_absolute():
-        beside = path.parent / data
-        data = str(beside if beside.is_dir() else Path(data).resolve())
+        neighbour = path.parent / data
+        data = str(neighbour if neighbour.is_dir() else Path(data).resolve())
     parts: dict[str, Any] = {"preset": values["preset"]} if "preset" in values else {}
     parts |= {"data": data, "scene": values.get("label", Path(values["data"]).name)}
-    parts |= {"reader": values.get("reader", {}), "settings": _dotted(values.get("settings", {}))}
-    if len(Entry(spec=RunSpec(rule="uniform", **_merged(shared, parts))).opened().held_out) == 0:
+    parts |= {
+        "reader": values.get("reader", {}),
+        "settings": _flat_names(values.get("settings", {})),
+    }
+    if len(Entry(spec=RunSpec(rule="uniform", **_merge(shared, parts))).opened().held_out) == 0:
         raise ArgumentError(
             "no view is held out for the scores: set data.hold_out_every to 2 or more"
         )
     return parts
 
 
-def _dotted(
+def _flat_names(
     values: Mapping[str, Any],
     path: str = "",
 ) -> dict[str, Any]:
     """Settings by dotted name, also where the file nests them."""
-    found: dict[str, Any] = {}
+    flat: dict[str, Any] = {}
     for name, value in values.items():
         full = f"{path}{name}".replace("-", "_")
-        found |= (
-            _dotted(value, f"{full}.")
+        flat |= (
+            _flat_names(value, f"{full}.")
             if isinstance(value, dict) and full != "seeding.options"
             else {full: value}
         )
-    return found
+    return flat
 
 
 EXAMPLE = Path(__file__).with_name("example.toml").read_text(encoding="utf-8")

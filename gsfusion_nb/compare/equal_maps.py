@@ -45,13 +45,13 @@ def equal_maps(results: "Iterable[RunResult]") -> list[EqualMaps]:
                 [],
             ).append(spec.label)
     places: dict[tuple[str, tuple[str, ...]], list[tuple[str, int]]] = {}
-    for (budget, scene, seed, _), found in same.items():
-        labels = tuple(dict.fromkeys(found))
+    for (budget, scene, seed, _), runs_of_map in same.items():
+        labels = tuple(dict.fromkeys(runs_of_map))
         if len(labels) > 1:
             places.setdefault((budget, labels), []).append((scene, seed))
     return [
-        EqualMaps(budget=budget, labels=labels, places=tuple(found))
-        for (budget, labels), found in places.items()
+        EqualMaps(budget=budget, labels=labels, places=tuple(runs_of_map))
+        for (budget, labels), runs_of_map in places.items()
     ]
 
 

@@ -61,7 +61,9 @@ class Task:
                 f"{self.spec.scene} was opened in this process: give its name or folder, or use "
                 "one process"
             )
-        return self if self.rule is None else dataclasses.replace(self, rule=_pickled(self.rule))
+        return (
+            self if self.rule is None else dataclasses.replace(self, rule=_pickle_rule(self.rule))
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +115,7 @@ def do_sent_task(task: Task) -> Answer:
     return do_task(task)
 
 
-def _pickled(rule: SeedingRule | bytes) -> bytes:
+def _pickle_rule(rule: SeedingRule | bytes) -> bytes:
     """A rule for another process; one of a notebook needs cloudpickle, which comes with Dask."""
     pickler: Any = pickle
     with contextlib.suppress(ImportError):
@@ -181,8 +183,8 @@ class OnFutures:
 
     def get(self) -> tuple[int, Answer]:
         """Wait for the next answer."""
-        done = self._wait(list(self._numbers), return_when="FIRST_COMPLETED").done
-        future = min(done, key=lambda future: self._numbers[future])
+        futures = self._wait(list(self._numbers), return_when="FIRST_COMPLETED").done
+        future = min(futures, key=lambda future: self._numbers[future])
         number = self._numbers.pop(future)
         error = future.exception()
         if error is None:
@@ -256,7 +258,7 @@ def threads_of_each(jobs: int) -> dict[str, str]:
 def _processes(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
     """Several processes, which divide the cores; if one dies, all tasks that are left have
     failed."""
-    before = dict(os.environ)
+    environment = dict(os.environ)
     # what is started now reads it, and nothing here does so again
     os.environ.update(threads_of_each(jobs))
     spawn = multiprocessing.get_context("spawn")
@@ -265,7 +267,7 @@ def _processes(jobs: int) -> Iterator[concurrent.futures.ProcessPoolExecutor]:
         yield pool
     finally:
         os.environ.clear()
-        os.environ.update(before)
+        os.environ.update(environment)
         pool.shutdown(wait=False, cancel_futures=True)
         for process in multiprocessing.active_children():
             process.terminate()
@@ -277,11 +279,11 @@ def _submit(pool: concurrent.futures.ProcessPoolExecutor, task: Task) -> concurr
     ignore one (``_begin_process``)."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         return pool.submit(do_sent_task, task)
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    signal_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return pool.submit(do_sent_task, task)
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, signal_mask)
 
 
 def _begin_process() -> None:

@@ -48,20 +48,20 @@ def main(job_file: str) -> int:
     """Do the job in a file, and write what was found to the file beside it (.json): "refused", why,
     or empty; "code", the parts of the rule's key; "walks_sets", whether its code has sets; and
     "seeds", a hash of what it gave."""
-    found: dict[str, Any] = {"refused": "", "code": {}, "walks_sets": False, "seeds": ""}
+    report: dict[str, Any] = {"refused": "", "code": {}, "walks_sets": False, "seeds": ""}
     path = Path(job_file)
     try:
         job: CheckJob = pickle.loads(path.read_bytes())
-        key, found["seeds"] = _checked(job)
-        found |= {"code": dict(key.parts), "walks_sets": key.walks_sets}
+        key, report["seeds"] = _check(job)
+        report |= {"code": dict(key.parts), "walks_sets": key.walks_sets}
     except Exception as e:  # a rule may raise anything
         is_sentence = isinstance(e, (AssertionError, ValueError)) and str(e)
-        found["refused"] = str(e) if is_sentence else f"{_ALONE}{type(e).__name__}: {e}"
-    path.with_suffix(".json").write_text(json.dumps(found), encoding="utf-8")
+        report["refused"] = str(e) if is_sentence else f"{_ALONE}{type(e).__name__}: {e}"
+    path.with_suffix(".json").write_text(json.dumps(report), encoding="utf-8")
     return 0
 
 
-def _checked(job: CheckJob) -> tuple[CodeKey, str]:
+def _check(job: CheckJob) -> tuple[CodeKey, str]:
     """Check a rule. Returns its key, and a hash of what it gave.
 
     Raises:
@@ -70,30 +70,32 @@ def _checked(job: CheckJob) -> tuple[CodeKey, str]:
     """
     check_rule("uniform")  # so that what libraries load when they are first used is there
     libraries = library_state()
-    before = switches()
-    rule = _loaded(job)
+    switches_at_start = switches()
+    rule = _load(job)
     extra = pickle.loads(job.extra) if job.extra else None
     key = code_key(rule)
     refuse_undeclared(rule, key.files)
     paths = [*option_paths(rule, job.options).values(), *key.files]
     confine([*SYSTEM_FOLDERS, *filter(is_installed, sys.path), cache_folder(), *paths])
     with _clock_is_watched(job.name), only_declared(job.name, paths):
-        given = check_rule(rule, options=job.options, extra=extra).digest
+        digest = check_rule(rule, options=job.options, extra=extra).digest
     if changes := changes_since(libraries, all_of_package=True):
         raise ArgumentError(
             f"the seeding rule {job.name!r} changes {', '.join(changes[:3])} for everybody; a rule "
             "may not change what it imports: write a function of its own"
         )
-    after = switches()
-    if switched := [name for name in before if before[name] != after[name]]:
+    switches_at_end = switches()
+    if switch_names := [
+        name for name in switches_at_start if switches_at_start[name] != switches_at_end[name]
+    ]:
         raise ArgumentError(
             f"the seeding rule {job.name!r} changes a setting of the whole process: "
-            f"{', '.join(switched)}"
+            f"{', '.join(switch_names)}"
         )
-    return key, given
+    return key, digest
 
 
-def _loaded(job: CheckJob) -> Any:
+def _load(job: CheckJob) -> Any:
     if job.pickled:
         return pickle.loads(job.pickled)
     return rule_of_source(
@@ -174,9 +176,9 @@ def confine(places: Iterable[str | Path]) -> bool:
         return False
     libc = ctypes.CDLL(None, use_errno=True)
     call: Callable[..., int] = libc.syscall
-    handled = ctypes.c_uint64(_READ_FILE)
+    access_mask = ctypes.c_uint64(_READ_FILE)
     ruleset = call(
-        _CREATE_RULESET, ctypes.byref(handled), ctypes.c_size_t(ctypes.sizeof(handled)), 0
+        _CREATE_RULESET, ctypes.byref(access_mask), ctypes.c_size_t(ctypes.sizeof(access_mask)), 0
     )
     if ruleset < 0:
         return False

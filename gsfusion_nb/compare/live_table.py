@@ -63,11 +63,11 @@ class LiveTable(LiveOutput):
             check_name("rule", reference, dict.fromkeys(spec.label for spec in self._about.specs))
         self.folder = Path(folder)
         self.store = store or ResultStore()
-        self._found: dict[int, RunResult] = {}
+        self._results: dict[int, RunResult] = {}
         self._go = threading.Event()
         self._given_up = False
         self._resting = False
-        self._now = ""
+        self._activity = ""
         self._go.set()
         self._writing = threading.RLock()
         self._next_write_s = 0.0
@@ -82,11 +82,11 @@ class LiveTable(LiveOutput):
     @property
     def results(self) -> list[RunResult]:
         """Results so far, in the order of the runs."""
-        return [result for _, result in sorted(self._found.copy().items())]
+        return [result for _, result in sorted(self._results.copy().items())]
 
     def start(self) -> None:
         """Run until paused, stopped or done."""
-        self._let()
+        self._permit()
         self.player.start()
 
     def pause(self) -> None:
@@ -97,7 +97,7 @@ class LiveTable(LiveOutput):
 
     def step(self) -> None:
         """Do one run, or the rest of the current one."""
-        self._let()
+        self._permit()
         self.player.step()
 
     def stop(self) -> None:
@@ -110,10 +110,10 @@ class LiveTable(LiveOutput):
     def run_sync(self, n: int | None = None) -> int:
         """Do ``n`` runs, or all that are left, in this thread. Returns how many results came."""
         self.close()
-        self._let()
-        before = len(self._found)
+        self._permit()
+        n_results = len(self._results)
         self.player.run_sync(n)
-        return len(self._found) - before
+        return len(self._results) - n_results
 
     def join(self, timeout_s: float | int | None = None) -> bool:
         """Wait until the thread has ended. Returns whether it has."""
@@ -134,8 +134,8 @@ class LiveTable(LiveOutput):
 
     def __repr__(self) -> str:
         reasons = [reason for *_, reason in failures(self.results)]
-        failed = f", {len(reasons)} failed: {reasons[0]}" if reasons else ""
-        return f"LiveTable({len(self._found)} of {len(self.entries)} runs{failed})"
+        failure_text = f", {len(reasons)} failed: {reasons[0]}" if reasons else ""
+        return f"LiveTable({len(self._results)} of {len(self.entries)} runs{failure_text})"
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         self._show()
@@ -152,19 +152,19 @@ class LiveTable(LiveOutput):
         """The results so far, as results of this comparison."""
         return Results(runs=self.results, about=self._about, store=self.store)
 
-    def _let(self) -> None:
+    def _permit(self) -> None:
         """Let the runs go on."""
         self._given_up = False
         self._go.set()
 
     def _runs(self) -> Iterator[RunResult | None]:
         """The runs without a result; one step does one run, or gives None if it was given up."""
-        while left := [i for i in range(len(self.entries)) if i not in self._found]:
+        while remaining := [i for i in range(len(self.entries)) if i not in self._results]:
             try:
                 for i, result in run_all(
-                    [self.entries[i] for i in left], self.store, InProcess(self._on_frame)
+                    [self.entries[i] for i in remaining], self.store, InProcess(self._on_frame)
                 ):
-                    self._found[left[i]] = result
+                    self._results[remaining[i]] = result
                     yield result
             except _Stopped:
                 yield None
@@ -178,7 +178,9 @@ class LiveTable(LiveOutput):
         spec = task.spec
         kind = "tuning " if task.kind == "tune" else ""
         work = "optimising and scoring" if report is None else f"frame {report.frame_index}"
-        self._now = f"{kind}{spec.label}, {spec.scene}, {spec.budget}, seed {spec.seed}, {work}"
+        self._activity = (
+            f"{kind}{spec.label}, {spec.scene}, {spec.budget}, seed {spec.seed}, {work}"
+        )
         self._resting = not self._go.is_set()
         if self._resting or time.monotonic() >= self._next_write_s:
             self._next_write_s = time.monotonic() + MIN_INTERVAL_S
@@ -190,12 +192,12 @@ class LiveTable(LiveOutput):
 
     def _show(self) -> None:
         with self._writing:
-            known = self._now_known()
-            lost = failures(known.runs)
+            results = self._now_known()
+            failure_texts = failures(results.runs)
             self.tables.value = fill(
-                "live_table.html", tables=known.tables(), failures=lost, picture=""
+                "live_table.html", tables=results.tables(), failures=failure_texts, picture=""
             )
-            self.progress.value = len(known.runs)
+            self.progress.value = len(results.runs)
             self._say()
 
     def _say(self) -> None:
@@ -205,9 +207,9 @@ class LiveTable(LiveOutput):
             state = (
                 "paused" if self._resting and self.player.state == "running" else self.player.state
             )
-            words = [f"<b>{state}</b>", f"{len(self._found)} of {len(self.entries)} runs"]
+            words = [f"<b>{state}</b>", f"{len(self._results)} of {len(self.entries)} runs"]
             if state in ("running", "paused"):
-                words.append(html.escape(self._now))
+                words.append(html.escape(self._activity))
             self.status.value = " · ".join(words) + error_html(self.player.error)
 
     def _build(self) -> None:

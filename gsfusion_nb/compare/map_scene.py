@@ -111,8 +111,8 @@ def original(rule: SeedingRule) -> SeedingRule:
 
 def _draw(seeds: Seeds, share: float, generator: torch.Generator) -> Seeds:
     n = round(share * len(seeds))
-    drawn = torch.randperm(len(seeds), generator=generator, device=generator.device)[:n]
-    return seeds[drawn.sort().values.to(seeds.xyz_W.device)]
+    rows = torch.randperm(len(seeds), generator=generator, device=generator.device)[:n]
+    return seeds[rows.sort().values.to(seeds.xyz_W.device)]
 
 
 OnStep = Callable[[StepReport | None], object]
@@ -202,14 +202,14 @@ def map_scene(
     sequence = entry.opened()
     if not is_built_in(original(entry.found_rule())):
         sequence = dataclasses.replace(sequence, mapping=_PrivateFrames(**vars(sequence.mapping)))
-    config = _paced(config, sequence)
+    config = _with_pace(config, sequence)
     _warm_up(sequence, config, entry.spec.device)
     memory = PeakMemory("cuda" if entry.spec.device.startswith("cuda") else "cpu")
     with contextlib.nullcontext() if scratch else memory:
         mapper, notes = _mapper(entry, config)
         if entry.spec.not_kept:
             notes.append(f"not kept for later commands: {entry.spec.not_kept}")
-        notes += _asked(mapper, len(sequence.mapping))
+        notes += _questions(mapper, len(sequence.mapping))
         run = MappingRun(sequence, mapper)
         cpu_s = []
         n_steps = 0
@@ -275,7 +275,7 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
         places = [*option_paths(own, spec.options).values(), *files]
         mapper.rule_in_use.watched = lambda: only_declared(spec.rule_name, places)
     used = flat_settings(mapper.config)
-    given = flat_settings(config)
+    flat = flat_settings(config)
     for name, value in getattr(rule, "overrides", {}).items():
         # keyframe_every in a system that chooses its keyframes by motion
         if dotted(name) not in used:
@@ -284,9 +284,9 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
             notes.append(
                 f"the rule's own {dotted(name)} = {value} is not used, but {used[dotted(name)]}"
             )
-        elif given[dotted(name)] != value:
+        elif flat[dotted(name)] != value:
             notes.append(
-                f"the rule sets {dotted(name)} = {value}, in place of {given[dotted(name)]}"
+                f"the rule sets {dotted(name)} = {value}, in place of {flat[dotted(name)]}"
             )
     return mapper, notes
 
@@ -299,20 +299,20 @@ def refuse_other_code(spec: RunSpec, rule: SeedingRule) -> None:
     """
     if spec.code is None:
         return
-    wanted = dict(spec.code)
-    here = dict(spec.with_code(rule).code or {})
-    for parts in (wanted, here):
+    spec_code = dict(spec.code)
+    own_code = dict(spec.with_code(rule).code or {})
+    for parts in (spec_code, own_code):
         parts.pop(ONLY_NOW, None)
-    if wanted != here:
+    if spec_code != own_code:
         raise ArgumentError(
             f"the code of the rule {spec.rule_name} in this process is not the one with which the "
-            f"comparison was started; different: {differing(wanted, here)}. Start the comparison "
-            "again, give every worker the same files and packages, and restart workers that "
-            "loaded the code before it was edited"
+            f"comparison was started; different: {differing(spec_code, own_code)}. Start the "
+            "comparison again, give every worker the same files and packages, and restart workers "
+            "that loaded the code before it was edited"
         )
 
 
-def _paced(config: SystemConfig, sequence: OpenedSequence) -> SystemConfig:
+def _with_pace(config: SystemConfig, sequence: OpenedSequence) -> SystemConfig:
     """``config`` with the spacing of the frames of the built-in room, which is a walk of 49 s with
     few or many frames: the number of frames that a camera with 30 Hz takes from one to the next. A
     spacing in the settings stays."""
@@ -341,7 +341,7 @@ def _asked_at_its_pace(rule: SeedingRule, spec: RunSpec, config: SystemConfig) -
     return variant
 
 
-def _asked(mapper: Mapper, n_mapped: int) -> list[str]:
+def _questions(mapper: Mapper, n_mapped: int) -> list[str]:
     """A note on when a rule is asked, if that is not in every frame."""
     when = mapper.rule_in_use.when
     stride = mapper.config.source_stride

@@ -76,35 +76,35 @@ def run_entry(
         budget = entry.spec.budget
         if is_tuned(entry.spec) and tuned is None:
             tuned = tune(dataclasses.replace(entry, spec=tuning_spec(entry.spec)), on_step)
-        mapped = _mapped(entry, tuned, on_step)
-        if tuned is not None and _error(mapped, budget) > budget.tolerance:
-            again = tune(with_tuned(entry, tuned), on_step)
-            tuned = again | {"n_runs": again["n_runs"] + tuned["n_runs"]}
-            mapped = _mapped(entry, tuned, on_step)
+        map_run = _map(entry, tuned, on_step)
+        if tuned is not None and _error(map_run, budget) > budget.tolerance:
+            second_tuning = tune(with_tuned(entry, tuned), on_step)
+            tuned = second_tuning | {"n_runs": second_tuning["n_runs"] + tuned["n_runs"]}
+            map_run = _map(entry, tuned, on_step)
         on_step(None)
-        errors = {} if tuned is None else {"error_percent": 100 * _error(mapped, budget)}
-        return _result(entry, mapped, {**(tuned or {}), **errors}, folder)
+        errors = {} if tuned is None else {"error_percent": 100 * _error(map_run, budget)}
+        return _result(entry, map_run, {**(tuned or {}), **errors}, folder)
     except Exception as e:  # a user's rule may raise anything
         return RunResult(spec=entry.spec, status="failed", reason=f"{type(e).__name__}: {e}")
 
 
-def _mapped(
+def _map(
     entry: Entry,
     tuned: Mapping[str, Any] | None,
     on_step: OnStep,
 ) -> Mapped:
-    sized = with_tuned(entry, tuned)
-    return finished(map_scene(sized, budgeted(sized.spec)), on_step)
+    sized_entry = with_tuned(entry, tuned)
+    return finished(map_scene(sized_entry, budgeted(sized_entry.spec)), on_step)
 
 
 def _result(
     entry: Entry,
-    mapped: Mapped,
+    map_run: Mapped,
     tuned: dict[str, Any],
     folder: Path | None,
 ) -> RunResult:
-    views = scored_views(mapped.run)
-    run = mapped.run
+    views = scored_views(map_run.run)
+    run = map_run.run
     content = (
         entry.spec.content if entry.sequence is not None else sequence_fingerprint(run.sequence)
     )
@@ -118,11 +118,11 @@ def _result(
         name: group.scores(run.mapper.render, run.sequence, with_lpips=with_lpips)
         for name, group in views.items()
     }
-    numbers: dict[str, Any] = dict(mapped.online)
+    numbers: dict[str, Any] = dict(map_run.online)
     for name, group in scores.items():
         numbers |= group.as_metrics(name)
     hashes = map_hashes(run)
-    numbers |= _mesh_numbers(run, hashes, content) | score_trajectory(run) | _costs(mapped)
+    numbers |= _mesh_numbers(run, hashes, content) | score_trajectory(run) | _costs(map_run)
     numbers |= run.mapper.reports.run_metrics(run.steps)
     if entry.spec.online:
         numbers |= frame_rates([s.total_seconds for s in run.steps]) | tracking_rates(run)
@@ -135,7 +135,7 @@ def _result(
         metrics={name: value for name, value in metrics.items() if math.isfinite(value)},
         tuned=tuned,
         notes=[
-            *mapped.notes,
+            *map_run.notes,
             *run.mapper.reports.run_notes(run.steps),
             *_not_counted(metrics, scores),
         ],
@@ -145,7 +145,7 @@ def _result(
         rule_source=entry.spec.rule_source or rule_source(entry.found_rule()),
         training=_training(entry),
         versions=versions(),
-        pictures=_pictures(entry, mapped, views["held_out"], folder, content)
+        pictures=_pictures(entry, map_run, views["held_out"], folder, content)
         if folder is not None
         else {},
     )
@@ -199,31 +199,31 @@ def _mesh_numbers(
     return _scored_meshes[key]
 
 
-def _error(mapped: Mapped, budget: Budget) -> float:
+def _error(map_run: Mapped, budget: Budget) -> float:
     """Relative deviation from the number of Gaussians."""
     assert budget.gaussians is not None
-    return abs(len(mapped.run.mapper.gaussians) / budget.gaussians - 1)
+    return abs(len(map_run.run.mapper.gaussians) / budget.gaussians - 1)
 
 
-def _costs(mapped: Mapped) -> dict[str, Any]:
+def _costs(map_run: Mapped) -> dict[str, Any]:
     """Sizes, steps, times and memory."""
-    run = mapped.run
-    later = run.steps[1:] or run.steps
-    seeding_s = [s.seconds.get("seeding", 0.0) + s.seconds.get("quadtree", 0.0) for s in later]
+    run = map_run.run
+    late_steps = run.steps[1:] or run.steps
+    seeding_s = [s.seconds.get("seeding", 0.0) + s.seconds.get("quadtree", 0.0) for s in late_steps]
     return {
         "n_gaussians": len(run.mapper.gaussians),
         "n_keyframes": len(run.mapper.keyframes),
         "n_frames": len(run.steps),
-        "n_steps": mapped.n_steps,
-        "ms_per_frame": 1e3 * sum(s.total_seconds for s in later) / len(later),
-        "cpu_ms_per_frame": 1e3 * sum(mapped.cpu_s[-len(later) :]) / len(later),
-        "seeding_ms": 1e3 * sum(seeding_s) / len(later),
+        "n_steps": map_run.n_steps,
+        "ms_per_frame": 1e3 * sum(s.total_seconds for s in late_steps) / len(late_steps),
+        "cpu_ms_per_frame": 1e3 * sum(map_run.cpu_s[-len(late_steps) :]) / len(late_steps),
+        "seeding_ms": 1e3 * sum(seeding_s) / len(late_steps),
         "seconds_global": run.seconds_global,
-        "seconds_total": mapped.seconds,
+        "seconds_total": map_run.seconds,
         "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
         "peak_memory_mb": NotComputed("not reported here")
-        if mapped.peak_mb is None
-        else mapped.peak_mb,
+        if map_run.peak_mb is None
+        else map_run.peak_mb,
     }
 
 
@@ -233,11 +233,11 @@ def versions() -> dict[str, str]:
 
 
 def _pictures(
-    entry: Entry, mapped: Mapped, views: ScoredViews, folder: Path, content: str
+    entry: Entry, map_run: Mapped, views: ScoredViews, folder: Path, content: str
 ) -> dict[str, str]:
     """Save some held-out views as rendered and as recorded. Returns name -> file, relative to
     ``folder``."""
-    run = mapped.run
+    run = map_run.run
     n = len(views.positions)
     picks = (
         sorted({round(i * (n - 1) / (MOST_PICTURES - 1)) for i in range(MOST_PICTURES)})
@@ -249,11 +249,11 @@ def _pictures(
         positions=[views.positions[i] for i in picks],
         poses=[views.poses[i] for i in picks],
     )
-    found = {}
+    files = {}
     for frame in few.frames(run.sequence):
-        rendered = run.mapper.render(frame.camera, frame.T_WC).rgb.clamp(0, 1).cpu()
-        found[f"held_out {frame.index}"] = f"pictures/{entry.spec.key[:12]}-{frame.index}.png"
-        found[f"truth {frame.index}"] = f"pictures/truth-{content[:12]}-{frame.index}.png"
-        write_file(folder / found[f"held_out {frame.index}"], encode_png(rendered))
-        write_file(folder / found[f"truth {frame.index}"], encode_png(frame.rgb))
-    return found
+        picture = run.mapper.render(frame.camera, frame.T_WC).rgb.clamp(0, 1).cpu()
+        files[f"held_out {frame.index}"] = f"pictures/{entry.spec.key[:12]}-{frame.index}.png"
+        files[f"truth {frame.index}"] = f"pictures/truth-{content[:12]}-{frame.index}.png"
+        write_file(folder / files[f"held_out {frame.index}"], encode_png(picture))
+        write_file(folder / files[f"truth {frame.index}"], encode_png(frame.rgb))
+    return files

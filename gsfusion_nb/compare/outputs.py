@@ -101,8 +101,8 @@ class Results:
         """
         own = [run for run in self.runs if run.spec.label == label]
         if not own:
-            known = ", ".join(dict.fromkeys(run.spec.label for run in self.runs))
-            raise UnknownNameError(f"no rule {label!r}; there are: {known}")
+            labels = ", ".join(dict.fromkeys(run.spec.label for run in self.runs))
+            raise UnknownNameError(f"no rule {label!r}; there are: {labels}")
         return [run for run in own if run.status == "done"]
 
     @property
@@ -177,9 +177,9 @@ class Results:
     def _as_markdown(self) -> str:
         """All tables, the comparisons with the reference, and the runs that failed."""
         parts = ["# Results", *map(as_markdown, self.tables())]
-        if copied := sum(bool(r.copied_from) for r in self.runs):
+        if n_copies := sum(bool(r.copied_from) for r in self.runs):
             parts.append(
-                f"{copied} of {len(self.runs)} runs were copied from the cache: copied_from in "
+                f"{n_copies} of {len(self.runs)} runs were copied from the cache: copied_from in "
                 "runs.csv."
             )
         if warnings := self.warnings():
@@ -193,10 +193,10 @@ class Results:
                 )
             )
         for budget in dict.fromkeys(str(r.spec.budget) for r in self.runs):
-            said = [str(test) for test in self.tested(budget)]
+            sentences = [str(test) for test in self.tested(budget)]
             if self.about.tests == "nemenyi":
-                said = rank_test(self.runs, budget).sentences
-            if said:
+                sentences = rank_test(self.runs, budget).sentences
+            if sentences:
                 what = f"Tests: {TESTS[self.about.tests]}."
                 if self.about.tests == "reference":
                     what += (
@@ -210,16 +210,16 @@ class Results:
                             "",
                             what,
                             "",
-                            *(f"- {markdown_sentence(s)}" for s in said),
+                            *(f"- {markdown_sentence(s)}" for s in sentences),
                         ]
                     )
                 )
-        if lost := failures(self.runs):
-            said = [
+        if failure_texts := failures(self.runs):
+            sentences = [
                 f"{label}, {scene}, {budget}, seed {seed}: {why}"
-                for label, scene, budget, seed, why in lost
+                for label, scene, budget, seed, why in failure_texts
             ]
-            lines = [f"- {markdown_sentence(sentence)}" for sentence in said]
+            lines = [f"- {markdown_sentence(sentence)}" for sentence in sentences]
             parts.append("\n".join(["### Runs that failed", "", *lines]))
         return "\n\n".join(parts) + "\n"
 
@@ -235,12 +235,14 @@ class Results:
         ``units`` are the scenes that are independent, as lists of those that share frames, and
         ``equal_maps`` the rows whose maps are equal.
         """
-        done = [r for r in self.runs if r.status == "done"]
+        complete_runs = [r for r in self.runs if r.status == "done"]
         return {
             "command": sys.argv,
             "written": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
             "package": package_fingerprint(),
-            "versions": [dict(v) for v in {tuple(sorted(r.versions.items())) for r in done}],
+            "versions": [
+                dict(v) for v in {tuple(sorted(r.versions.items())) for r in complete_runs}
+            ],
             "seeds": sorted({r.spec.seed for r in self.runs}),
             "table": self.about.text,
             "tuned_on": dict(self.about.tuned_on),
@@ -250,7 +252,7 @@ class Results:
                     "source": r.rule_source,
                     "published_training": r.training,
                 }
-                for r in done
+                for r in complete_runs
             },
             "budgets": [self._budget_json(groups) for groups in by_budget(self.groups)],
         }
@@ -259,10 +261,12 @@ class Results:
         budget = groups[0].budget
         scenes = list(dict.fromkeys(g.scene for g in groups))
         units = scene_units(self.runs)
-        tested = self.tested(budget)
+        comparisons = self.tested(budget)
         reference = self.reference
         against = {
-            test.a: test for test in (c.towards(reference) for c in tested) if test.b == reference
+            test.a: test
+            for test in (c.towards(reference) for c in comparisons)
+            if test.b == reference
         }
         rows = []
         for standing in standings(groups, units):
@@ -303,7 +307,7 @@ class Results:
             "tests": self.about.tests,
             "reference": reference,
             "rows": rows,
-            "pairs": [{"a": c.a, "b": c.b} | _test_json(c) for c in tested]
+            "pairs": [{"a": c.a, "b": c.b} | _test_json(c) for c in comparisons]
             if self.about.tests == "pairs"
             else [],
             "ranks": _ranks_json(rank_test(self.runs, budget))
@@ -351,11 +355,15 @@ def as_csv(results: Sequence[RunResult]) -> str:
 def _same_map_as(result: RunResult, equal: Sequence[EqualMaps]) -> str:
     """Labels of the other rows with the map of ``result``."""
     spec = result.spec
-    here = (
+    own_map = (
         e for e in equal if e.budget == str(spec.budget) and (spec.scene, spec.seed) in e.places
     )
     return "; ".join(
-        label for e in here if spec.label in e.labels for label in e.labels if label != spec.label
+        label
+        for e in own_map
+        if spec.label in e.labels
+        for label in e.labels
+        if label != spec.label
     )
 
 

@@ -81,11 +81,11 @@ def costs_of(groups: Sequence[Group]) -> list[str]:
     """The costs that are plotted: the size unless every budget fixes it, and gradient steps only
     where the rules took different numbers of them."""
     steps = {group.summary("n_steps").mean for group in groups if group.summary("n_steps").n}
-    fixed = bool(groups) and all(group.fixes_size for group in groups)
+    fixes_size = bool(groups) and all(group.fixes_size for group in groups)
     return [
         c
         for c in COSTS
-        if not (c == "n_gaussians" and fixed) and not (c == "n_steps" and len(steps) < 2)
+        if not (c == "n_gaussians" and fixes_size) and not (c == "n_steps" and len(steps) < 2)
     ]
 
 
@@ -103,23 +103,23 @@ def _draw(
     title = f"{scene}\nred: on the Pareto front".strip()
     # a name is no formula
     axes.set_title(title, fontsize=9, color=MUTED, loc="left", parse_math=False)
-    found = [(g.label, g.summary(cost_name), g.summary(FIRST_METRIC)) for g in groups]
-    found = [(label, c, q) for label, c, q in found if c.n and np.isfinite(q.mean) and c.mean > 0]
-    if not found:
+    points = [(g.label, g.summary(cost_name), g.summary(FIRST_METRIC)) for g in groups]
+    points = [(label, c, q) for label, c, q in points if c.n and np.isfinite(q.mean) and c.mean > 0]
+    if not points:
         axes.set(xticks=[], yticks=[])
         axes.text(0.5, 0.5, "no rule has finished yet", ha="center", va="center", color=MUTED)
         return
-    names = [label for label, _, _ in found]
-    cost, quality = np.array([[c.mean, q.mean] for _, c, q in found]).T
-    wide, high = np.nan_to_num(np.array([[c.sd, q.sd] for _, c, q in found])).T
+    names = [label for label, _, _ in points]
+    cost, quality = np.array([[c.mean, q.mean] for _, c, q in points]).T
+    wide, high = np.nan_to_num(np.array([[c.sd, q.sd] for _, c, q in points])).T
     front = pareto_front(cost, quality)
-    for chosen, colour in ((front, ON_FRONT), (~front, BEATEN)):
-        left = np.minimum(wide, 0.9 * cost)  # a logarithmic axis has no zero
+    for is_drawn, colour in ((front, ON_FRONT), (~front, BEATEN)):
+        left_error = np.minimum(wide, 0.9 * cost)  # a logarithmic axis has no zero
         axes.errorbar(
-            cost[chosen],
-            quality[chosen],
-            xerr=(left[chosen], wide[chosen]),
-            yerr=high[chosen],
+            cost[is_drawn],
+            quality[is_drawn],
+            xerr=(left_error[is_drawn], wide[is_drawn]),
+            yerr=high[is_drawn],
             fmt="o",
             color=colour,
             alpha=0.8,
@@ -213,7 +213,7 @@ def page_html(
     """
     groups = group_runs(results)
     pictures = {}
-    copied = sum(bool(run.copied_from) for run in results)
+    n_copies = sum(bool(run.copied_from) for run in results)
     shots = [_shots(group, Path(folder), pictures) for group in groups]
     data = {"pictures": list(pictures), "shots": shots, "sentences": _pair_sentences(results)}
     graph = PageGraph("Quality and cost", figure_of(results))
@@ -221,7 +221,7 @@ def page_html(
         "lab.html",
         title="Seeding lab",
         subtitle=f"{len(results)} runs"
-        + (f", {copied} of them copied from the cache" if copied else ""),
+        + (f", {n_copies} of them copied from the cache" if n_copies else ""),
         scenes=list(dict.fromkeys(g.scene for g in groups)),
         budgets=list(dict.fromkeys(g.budget for g in groups)),
         labels=list(dict.fromkeys(g.label for g in groups)),
@@ -245,7 +245,7 @@ def _shots(
 
     ``pictures`` has each picture once, as a data URI, however many runs share it.
     """
-    shown = {
+    shots = {
         "label": group.label,
         "scene": group.scene,
         "budget": group.budget,
@@ -254,15 +254,16 @@ def _shots(
     }
     for run in sorted(group.runs, key=lambda r: r.spec.seed):
         views = []
-        for frame, named in views_of(run, folder):
+        for frame, views_of_frame in views_of(run, folder):
             uris = {
-                name: data_uri(fit_width(picture, PICTURE_WIDTH)) for name, picture in named.items()
+                name: data_uri(fit_width(picture, PICTURE_WIDTH))
+                for name, picture in views_of_frame.items()
             }
             numbers = {name: pictures.setdefault(uri, len(pictures)) for name, uri in uris.items()}
             views.append({"name": frame, **numbers})
         if views:
-            return {**shown, "seed": run.spec.seed, "views": views}
-    return shown
+            return {**shots, "seed": run.spec.seed, "views": views}
+    return shots
 
 
 def _pair_sentences(results: Sequence[RunResult]) -> list[tuple[str, str, str, str]]:

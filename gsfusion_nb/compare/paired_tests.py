@@ -184,8 +184,8 @@ def compare(
         if place in of_label[b]
     }
     differences = _differences(pairs, metric, units)
-    observed = _units(differences)
-    interval, p = paired_test(observed)
+    unit_differences = _units(differences)
+    interval, p = paired_test(unit_differences)
     return Comparison(
         a=a,
         b=b,
@@ -193,7 +193,7 @@ def compare(
         differences=differences,
         n_pairs=len(pairs),
         n_scenes=len({s for s, _, _ in pairs}),
-        mean=float(np.mean(observed)) if observed else math.nan,
+        mean=float(np.mean(unit_differences)) if unit_differences else math.nan,
         interval=interval,
         p=p,
     )
@@ -208,7 +208,7 @@ def _differences(
     by_unit: dict[str, dict[tuple[str, int], list[tuple[RunResult, RunResult]]]] = {}
     for (scene, budget, seed), pair in pairs.items():
         by_unit.setdefault(units.get(scene, scene), {}).setdefault((budget, seed), []).append(pair)
-    found: dict[str, list[float]] = {}
+    unit_differences: dict[str, list[float]] = {}
     for unit, by_seed in by_unit.items():
         of_maps: dict[Any, float] = {}
         for place, of_scenes in by_seed.items():
@@ -218,8 +218,8 @@ def _differences(
                 np.mean([x.metrics[metric] - y.metrics[metric] for x, y in of_scenes])
             )
             of_maps.setdefault((place[0], hashes) if is_known else place, difference)
-        found[unit] = list(of_maps.values())
-    return found
+        unit_differences[unit] = list(of_maps.values())
+    return unit_differences
 
 
 def named_reference(specs: "Iterable[RunSpec]") -> str:
@@ -230,10 +230,10 @@ def named_reference(specs: "Iterable[RunSpec]") -> str:
     any run.
     """
     specs = list(specs)
-    published = [spec.label for spec in specs if spec.rule == "gsfusion"]
+    gsfusion_labels = [spec.label for spec in specs if spec.rule == "gsfusion"]
     plain = [spec.label for spec in specs if spec.rule == "gsfusion" and not spec.options]
     return next(
-        iter([*plain, *published, *(spec.label for spec in specs)]),
+        iter([*plain, *gsfusion_labels, *(spec.label for spec in specs)]),
         "",
     )
 
@@ -275,8 +275,8 @@ def all_pairs(results: "Sequence[RunResult]", budget: str) -> list[Comparison]:
 def _labels(results: "Iterable[RunResult]", budget: str) -> list[str]:
     """The rules with a completed run at a budget, best first."""
     groups = [group for group in group_runs(results) if group.budget == budget]
-    done = {group.label for group in groups if group.runs}
-    return [standing.label for standing in standings(groups) if standing.label in done]
+    complete = {group.label for group in groups if group.runs}
+    return [standing.label for standing in standings(groups) if standing.label in complete]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -310,31 +310,31 @@ class RankTest:
         """What the tests say: about all rules, then about each pair that differs by more than
         noise."""
         size = f"{len(self.labels)} rules on {self.n_units} scene{'s' * (self.n_units > 1)}"
-        said = [
+        lines = [
             f"{label} has no result on some scenes, so it has no rank" for label in self.left_out
         ]
         if math.isnan(self.p):
             return [
                 f"nothing can be said about the ranks of {size}; Friedman's test needs 3 rules and "
                 "2 scenes",
-                *said,
+                *lines,
             ]
-        seen = (
+        conclusion = (
             "they are not all equal"
             if self.p < SIGNIFICANCE
             else "which is within noise, so no pair is tested"
         )
-        said.insert(0, f"Friedman's test of {size}: {p_text(self.p)}, {seen}")
+        lines.insert(0, f"Friedman's test of {size}: {p_text(self.p)}, {conclusion}")
         rank = dict(zip(self.labels, self.ranks, strict=True))
         for a, b in self.better:
-            said.append(
+            lines.append(
                 f"{a} is better than {b}: mean ranks {rank[a]:.2f} and {rank[b]:.2f}, which is "
                 f"more than noise (Nemenyi's test for all pairs: {p_text(self.pairs[a, b])})"
             )
         if self.p < SIGNIFICANCE:
             n_left = len(self.pairs) - len(self.better)
-            said.append(f"{n_left} of {len(self.pairs)} pairs differ by no more than noise")
-        return said
+            lines.append(f"{n_left} of {len(self.pairs)} pairs differ by no more than noise")
+        return lines
 
 
 def rank_test(results: "Sequence[RunResult]", budget: str, metric: str = FIRST_METRIC) -> RankTest:
@@ -352,24 +352,26 @@ def rank_test(results: "Sequence[RunResult]", budget: str, metric: str = FIRST_M
     sign = -1.0 if COLUMNS[metric].better == "higher" else 1.0
     ranks = rankdata(sign * means[is_complete], axis=0)
     order = np.argsort(ranks.mean(axis=1), kind="stable") if len(ranks) else np.zeros(0, int)
-    kept = [label for label, complete in zip(labels, is_complete, strict=True) if complete]
-    found = RankTest(
-        labels=tuple(kept[i] for i in order),
+    complete_labels = [
+        label for label, complete in zip(labels, is_complete, strict=True) if complete
+    ]
+    ranking = RankTest(
+        labels=tuple(complete_labels[i] for i in order),
         ranks=tuple(ranks.mean(axis=1)[order].tolist()),
-        left_out=tuple(label for label in labels if label not in kept),
+        left_out=tuple(label for label in labels if label not in complete_labels),
         n_units=means.shape[1],
         p=math.nan,
         pairs={},
     )
-    if len(kept) < 3 or means.shape[1] < 2 or not np.ptp(ranks):
-        return found
+    if len(complete_labels) < 3 or means.shape[1] < 2 or not np.ptp(ranks):
+        return ranking
     import scikit_posthocs
 
     rows = ranks[order]
     p: Any = scikit_posthocs.posthoc_nemenyi_friedman(rows.T)
     both = itertools.combinations(range(len(rows)), 2)
-    pairs = {(found.labels[i], found.labels[j]): float(p.iloc[i, j]) for i, j in both}
-    return replace(found, p=float(friedmanchisquare(*rows).pvalue), pairs=pairs)
+    pairs = {(ranking.labels[i], ranking.labels[j]): float(p.iloc[i, j]) for i, j in both}
+    return replace(ranking, p=float(friedmanchisquare(*rows).pvalue), pairs=pairs)
 
 
 def corrected(comparisons: Sequence[Comparison]) -> list[Comparison]:
@@ -378,14 +380,16 @@ def corrected(comparisons: Sequence[Comparison]) -> list[Comparison]:
 
     A NaN is a test that could not be made: it stays NaN and is not counted.
     """
-    known = [i for i, c in enumerate(comparisons) if not math.isnan(c.p)]
-    found = dict.fromkeys(range(len(comparisons)), math.nan)
-    if known:
+    tests = [i for i, c in enumerate(comparisons) if not math.isnan(c.p)]
+    p_values = dict.fromkeys(range(len(comparisons)), math.nan)
+    if tests:
         from statsmodels.stats.multitest import multipletests
 
-        adjusted: Any = multipletests([comparisons[i].p for i in known], method="holm")[1]
-        found |= dict(zip(known, map(float, adjusted), strict=True))
-    return [replace(c, corrected=found[i], n_tests=len(known)) for i, c in enumerate(comparisons)]
+        holm_p: Any = multipletests([comparisons[i].p for i in tests], method="holm")[1]
+        p_values |= dict(zip(tests, map(float, holm_p), strict=True))
+    return [
+        replace(c, corrected=p_values[i], n_tests=len(tests)) for i, c in enumerate(comparisons)
+    ]
 
 
 def paired_test(differences: Sequence[float]) -> tuple[tuple[float, float], float]:

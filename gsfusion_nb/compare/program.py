@@ -38,30 +38,30 @@ def libraries() -> dict[str, str]:
     import numpy as np
     import torch
 
-    found = {
+    versions = {
         "torch": torch.__version__,
         "numba": numba.__version__,
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
-    found |= {name: importlib.metadata.version(name) for name in ("scipy", "kornia")}
-    return found | {"python": platform.python_version()}
+    versions |= {name: importlib.metadata.version(name) for name in ("scipy", "kornia")}
+    return versions | {"python": platform.python_version()}
 
 
 @functools.cache
 def _state_of_process() -> dict[str, Any]:
     """Files of libraries that were edited, their functions that were replaced, and switches of
     torch."""
-    edited = {}
+    edits = {}
     for name in _LIBRARIES.values():
         try:
             state = installed.state_of(name)
         except importlib.metadata.PackageNotFoundError:  # another distribution brings the module
             continue
         if " edited " in state:
-            edited[name] = state
+            edits[name] = state
     return {
-        "edited": edited,
+        "edited": edits,
         "patches": patches(),
         "swapped": changed_values(_at_start),
         "switches": switches(),

@@ -207,9 +207,9 @@ def mapping_work(
     @functools.cache
     def volume() -> tuple[TsdfVolume, int]:
         """A volume after the frame, and the number of observed voxels."""
-        made = TsdfVolume(TsdfConfig(), device=device)
-        allocate(made, frame)
-        return made, fuse_frame_(made, frame)
+        new_volume = TsdfVolume(TsdfConfig(), device=device)
+        allocate(new_volume, frame)
+        return new_volume, fuse_frame_(new_volume, frame)
 
     voxels = volume()[1]
     return [
@@ -301,9 +301,9 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
     figure = Figure(figsize=(6.8, 4.4), dpi=100, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    known = [p.intensity for p in points] or [roofs.ridge]
-    low = min(*known, 0.2) / 2
-    high = max(*known, roofs.ridge) * 4
+    intensities = [p.intensity for p in points] or [roofs.ridge]
+    low = min(*intensities, 0.2) / 2
+    high = max(*intensities, roofs.ridge) * 4
     x = [low * (high / low) ** (i / 100) for i in range(101)]
     axes.plot(
         x,
@@ -329,13 +329,13 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
     for backend in dict.fromkeys(p.backend for p in points):
         own = [p for p in points if p.backend == backend]
         colour = _COLOURS.get(backend, "#6a9e1f")
-        inside = "none" if backend == "reference" else colour
+        fill = "none" if backend == "reference" else colour
         axes.scatter(
             [p.intensity for p in own],
             [p.gflops for p in own],
             s=60,
             edgecolors=colour,
-            facecolors=inside,
+            facecolors=fill,
             linewidths=1.6,
             label=backend,
             zorder=3,

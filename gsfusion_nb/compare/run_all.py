@@ -37,7 +37,7 @@ class ResultStore:
     def __init__(self, folder: str | Path | None = None):
         self.folder = cache_folder() / "lab" if folder is None else Path(folder).expanduser()
         (self.folder / RESULTS).mkdir(parents=True, exist_ok=True)
-        self._refused: set[Path] = set()
+        self._unreadable: set[Path] = set()
         """Files that were told to be useless."""
 
     def find(self, spec: RunSpec) -> RunResult | None:
@@ -49,10 +49,10 @@ class ResultStore:
         if spec.not_kept:
             return None
         path = self.folder / RESULTS / f"{spec.key}.json"
-        found = self._read(path, lambda path: RunResult.load(path, key=spec.key))
-        if found is None or found.status != "done":
+        result = self._read(path, lambda path: RunResult.load(path, key=spec.key))
+        if result is None or result.status != "done":
             return None
-        return dataclasses.replace(found, spec=spec, copied_from=str(self.folder))
+        return dataclasses.replace(result, spec=spec, copied_from=str(self.folder))
 
     def keep(self, result: RunResult) -> None:
         """Write a result."""
@@ -77,9 +77,9 @@ class ResultStore:
         try:
             return load(path) if path.is_file() else None
         except (ValueError, OSError) as e:
-            if path not in self._refused:
+            if path not in self._unreadable:
                 log.warning("%s is not used, and computed again: %s", path, e)
-            self._refused.add(path)
+            self._unreadable.add(path)
             return None
 
 
@@ -105,36 +105,38 @@ def run_all(
     """
     look_again()
     entries = with_code_of_now(entries)
-    admitted = _Admitted(store)
+    admissions = _Admissions(store)
     same: dict[str, list[int]] = {}
-    known: dict[int, RunResult] = {}
+    results: dict[int, RunResult] = {}
     for i, entry in enumerate(entries):
-        found = store.find(entry.spec)
-        if found is None:
-            entries[i], found = admitted.ask(entry)
-        if found is not None:
-            known[i] = found
+        stored_result = store.find(entry.spec)
+        if stored_result is None:
+            entries[i], stored_result = admissions.ask(entry)
+        if stored_result is not None:
+            results[i] = stored_result
         else:
             same.setdefault(entries[i].spec.key, []).append(i)
-    left = {positions[0]: positions for positions in same.values()}
+    remaining = {positions[0]: positions for positions in same.values()}
     plan = _Plan(entries, store, executor or InProcess())
-    plan.begin(list(left))
-    yield from known.items()
-    while left:
+    plan.begin(list(remaining))
+    yield from results.items()
+    while remaining:
         for i, result in plan.next():
             if not result.spec.not_kept:
                 store.keep(result)
-            yield from ((k, dataclasses.replace(result, spec=entries[k].spec)) for k in left.pop(i))
+            yield from (
+                (k, dataclasses.replace(result, spec=entries[k].spec)) for k in remaining.pop(i)
+            )
 
 
 def with_code_of_now(entries: Sequence[Entry]) -> list[Entry]:
     """The runs with what their code is now; a run whose rule cannot be found, which will fail, as
     it is."""
-    found: dict[Any, RunSpec] = {}
-    changed = []
+    specs: dict[Any, RunSpec] = {}
+    new_specs = []
     for entry in entries:
         spec = entry.spec
-        asked = (
+        place = (
             id(entry.rule),
             spec.rule,
             spec.rule_source,
@@ -142,49 +144,50 @@ def with_code_of_now(entries: Sequence[Entry]) -> list[Entry]:
             spec.system,
             repr(spec.options),
         )
-        if asked not in found:
+        if place not in specs:
             try:
-                found[asked] = spec.with_code(original(entry.found_rule()))
+                specs[place] = spec.with_code(original(entry.found_rule()))
             except (KeyError, ValueError, TypeError, OSError):
-                found[asked] = dataclasses.replace(spec, code=None)
-        now = found[asked]
-        changed.append(
+                specs[place] = dataclasses.replace(spec, code=None)
+        new_spec = specs[place]
+        new_specs.append(
             dataclasses.replace(
-                entry, spec=dataclasses.replace(spec, code=now.code, not_kept=now.not_kept)
+                entry,
+                spec=dataclasses.replace(spec, code=new_spec.code, not_kept=new_spec.not_kept),
             )
         )
-    return changed
+    return new_specs
 
 
-class _Admitted:
+class _Admissions:
     """Asks once for each entrant whether it may take part."""
 
     def __init__(self, store: ResultStore):
         self._folder = store.folder / "checks"
-        self._found: dict[str, Admission] = {}
+        self._answers: dict[str, Admission] = {}
         self._only_now: dict[str, str] = {}
 
     def ask(self, entry: Entry) -> tuple[Entry, RunResult | None]:
         """The run, with why its result is not kept if the check found that; and its result if it is
         refused."""
         spec = entry.spec
-        asked = repr(
+        question = repr(
             (spec.rule, sorted((spec.code or {}).items()), sorted(map(repr, spec.options.items())))
         )
-        if asked not in self._found:
-            self._found[asked] = self._checked(entry)
-        found = self._found[asked]
-        if found.refused:
-            return entry, RunResult(spec=spec, status="failed", reason=found.refused)
-        if found.not_kept:
-            alone = self._only_now.setdefault(asked, uuid.uuid4().hex)
-            code = {**(spec.code or {}), ONLY_NOW: alone}
+        if question not in self._answers:
+            self._answers[question] = self._check(entry)
+        answer = self._answers[question]
+        if answer.refused:
+            return entry, RunResult(spec=spec, status="failed", reason=answer.refused)
+        if answer.not_kept:
+            token = self._only_now.setdefault(question, uuid.uuid4().hex)
+            code = {**(spec.code or {}), ONLY_NOW: token}
             entry = dataclasses.replace(
-                entry, spec=dataclasses.replace(spec, code=code, not_kept=found.not_kept)
+                entry, spec=dataclasses.replace(spec, code=code, not_kept=answer.not_kept)
             )
         return entry, None
 
-    def _checked(self, entry: Entry) -> Admission:
+    def _check(self, entry: Entry) -> Admission:
         if not entry.spec.code:
             return Admission()
         try:
@@ -258,5 +261,9 @@ class _Plan:
 
 def _own_rule(entry: Entry) -> SeedingRule | None:
     """A rule that other processes do not know by its name, because it was defined in this one."""
-    known = registered().get(entry.spec.rule)
-    return entry.rule if known is None or is_built_in(known) or entry.rule is not None else known
+    registered_rule = registered().get(entry.spec.rule)
+    return (
+        entry.rule
+        if registered_rule is None or is_built_in(registered_rule) or entry.rule is not None
+        else registered_rule
+    )

@@ -21,10 +21,10 @@ def scene_units(results: "Iterable[RunResult]") -> dict[str, str]:
         own.update(result.frames, [result.data_hash] if result.data_hash else [])
     units: list[tuple[list[str], set[str]]] = []
     for scene, own in marks.items():
-        joined = [unit for unit in units if unit[1] & own]
-        units = [unit for unit in units if unit not in joined]
-        scenes = [name for unit in joined for name in unit[0]]
-        units.append(([*scenes, scene], own.union(*(unit[1] for unit in joined))))
+        overlaps = [unit for unit in units if unit[1] & own]
+        units = [unit for unit in units if unit not in overlaps]
+        scenes = [name for unit in overlaps for name in unit[0]]
+        units.append(([*scenes, scene], own.union(*(unit[1] for unit in overlaps))))
     of_scene = {scene: " + ".join(scenes) for scenes, _ in units for scene in scenes}
     return {scene: of_scene[scene] for scene in marks}
 

@@ -46,8 +46,10 @@ def flat_settings(config: Any) -> dict[str, Any]:
 def changed_settings(config: Any, base: Any) -> dict[str, Any]:
     """Dotted name -> value of the settings of ``config`` that differ from those of ``base``, of the
     same class."""
-    before = flat_settings(base)
-    return {name: value for name, value in flat_settings(config).items() if value != before[name]}
+    base_settings = flat_settings(base)
+    return {
+        name: value for name, value in flat_settings(config).items() if value != base_settings[name]
+    }
 
 
 EQUAL_KEYFRAME_EVERY = 4
@@ -87,10 +89,10 @@ def fixed_schedule(config: SystemConfig) -> SystemConfig:
 
     RTG-SLAM's keyframes follow from the poses already.
     """
-    known = flat_settings(config)
-    own = sorted(SCHEDULE & set(known) - set(config.seeding.own_settings))
+    settings = flat_settings(config)
+    own = sorted(SCHEDULE & set(settings) - set(config.seeding.own_settings))
     changes: dict[str, Any] = {"seeding.own_settings": [*config.seeding.own_settings, *own]}
-    if known.get("keyframe_every") == 0:
+    if settings.get("keyframe_every") == 0:
         changes["keyframe_every"] = EQUAL_KEYFRAME_EVERY
     return with_settings(config, changes)
 
@@ -102,8 +104,8 @@ def dotted(name: str) -> str:
 
 def without_steps(config: SystemConfig) -> SystemConfig:
     """``config`` without any gradient step: only seeding and fusion."""
-    known = {f.name for f in dataclasses.fields(config)}
+    names = {f.name for f in dataclasses.fields(config)}
     none: dict[str, Any] = (
-        dict.fromkeys((*_PER_FRAME, "optim.global_iterations"), 0) if "optim" in known else {}
+        dict.fromkeys((*_PER_FRAME, "optim.global_iterations"), 0) if "optim" in names else {}
     )
     return with_settings(config, none)

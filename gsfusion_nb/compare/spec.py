@@ -126,9 +126,9 @@ class RunSpec:
         check_number("seed", self.seed, 0)
         check_number("keep_share", self.keep_share, 1e-6, 1)
         if self.size_range is not None and not 0 < self.size_range[0] < self.size_range[1]:
-            given = shown(list(self.size_range))
+            size_text = shown(list(self.size_range))
             raise ArgumentError(
-                f"size_range must be smallest and largest, both above 0, got {given}"
+                f"size_range must be smallest and largest, both above 0, got {size_text}"
             )
 
     @property
@@ -148,14 +148,14 @@ class RunSpec:
         base = get_system(self.system).preset(
             self.preset, **({"fidelity": self.fidelity} if self.fidelity else {})
         )
-        given = {name.replace("-", "_"): value for name, value in self.settings.items()}
-        own = [*base.seeding.own_settings, *given.pop("seeding.own_settings", ()), *given]
+        settings = {name.replace("-", "_"): value for name, value in self.settings.items()}
+        own = [*base.seeding.own_settings, *settings.pop("seeding.own_settings", ()), *settings]
         rule = {
             "seeding.rule": self.rule_name,
             "seeding.options": dict(self.options),
             "seed": self.seed,
         }
-        return with_settings(base, given | rule | {"seeding.own_settings": own})
+        return with_settings(base, settings | rule | {"seeding.own_settings": own})
 
     def opened(self) -> OpenedSequence:
         """The frames.
@@ -172,18 +172,18 @@ class RunSpec:
         be opened."""
         if self.data_hash:
             return self.data_hash
-        asked = json.dumps(
+        text = json.dumps(
             [self.data, dict(self.reader), to_dict(self.config())["data"]],
             sort_keys=True,
         )
-        if asked not in _seen:
+        if text not in _seen:
             try:
-                _seen[asked] = sequence_fingerprint(self.opened())
+                _seen[text] = sequence_fingerprint(self.opened())
             except (
                 Exception
             ) as e:  # a reader of other people may raise anything; the run fails with it
-                _seen[asked] = f"{type(e).__name__}: {e}"
-        return _seen[asked]
+                _seen[text] = f"{type(e).__name__}: {e}"
+        return _seen[text]
 
     @functools.cached_property
     def key(self) -> str:
@@ -238,19 +238,19 @@ class RunSpec:
         Raises:
             FileNotFoundError: an option names a file that does not exist. KeyError: no such system.
         """
-        found = own_code(rule, self.options, self.system)
-        if found["not_kept"]:
-            found["code"][ONLY_NOW] = uuid.uuid4().hex
-        return dataclasses.replace(self, **found)
+        code = own_code(rule, self.options, self.system)
+        if code["not_kept"]:
+            code["code"][ONLY_NOW] = uuid.uuid4().hex
+        return dataclasses.replace(self, **code)
 
     def _code(self) -> dict[str, Any]:
         if self.code is not None:
             return {}
         try:
-            found = self.with_code(self.found_rule())
+            spec = self.with_code(self.found_rule())
         except (KeyError, ValueError, TypeError, OSError) as e:  # the run fails with it
             return {"code": f"{type(e).__name__}: {e}"}
-        return {"code": dict(found.code or {}), "not_kept": found.not_kept}
+        return {"code": dict(spec.code or {}), "not_kept": spec.not_kept}
 
     def to_json(self) -> dict[str, Any]:
         """The run as plain values."""

@@ -83,13 +83,13 @@ def _columns() -> Iterator[Column]:
 
 
 def _column(metric: str, better: Better, heading: str = "") -> Column:
-    known = METRICS[metric]
+    metric_of_run = METRICS[metric]
     return Column(
         metric=metric,
-        heading=heading or known.label,
-        unit=known.unit,
-        digits=known.digits,
-        scale=known.scale,
+        heading=heading or metric_of_run.label,
+        unit=metric_of_run.unit,
+        digits=metric_of_run.digits,
+        scale=metric_of_run.scale,
         better=better,
     )
 
@@ -115,14 +115,14 @@ class Summary:
 
 def summarise(values: Iterable[float]) -> Summary:
     """Mean, sample standard deviation and number of the values that are not NaN."""
-    known = np.array([v for v in values if not math.isnan(v)], float)
-    if len(known) == 0:
+    numbers = np.array([v for v in values if not math.isnan(v)], float)
+    if len(numbers) == 0:
         return Summary(math.nan, math.nan, 0)
-    spread = len(known) > 1 and bool(np.isfinite(known).all())
+    has_spread = len(numbers) > 1 and bool(np.isfinite(numbers).all())
     return Summary(
-        float(known.mean()),
-        float(known.std(ddof=1)) if spread else math.nan,
-        len(known),
+        float(numbers.mean()),
+        float(numbers.std(ddof=1)) if has_spread else math.nan,
+        len(numbers),
     )
 
 
@@ -150,23 +150,23 @@ class Group:
 
 def group_runs(results: "Iterable[RunResult]") -> list[Group]:
     """Runs by label, scene and budget, in the order in which these were first seen."""
-    found: dict[tuple[str, str, str], tuple[list[RunResult], list[RunResult]]] = {}
+    runs_of: dict[tuple[str, str, str], tuple[list[RunResult], list[RunResult]]] = {}
     for result in results:
         spec = result.spec
-        done, failed = found.setdefault(
+        complete, failures = runs_of.setdefault(
             (spec.label, spec.scene, str(spec.budget)),
             ([], []),
         )
-        (done if result.status == "done" else failed).append(result)
+        (complete if result.status == "done" else failures).append(result)
     return [
         Group(
             label=label,
             scene=scene,
             budget=budget,
-            runs=tuple(done),
-            failed=tuple(failed),
+            runs=tuple(complete),
+            failed=tuple(failures),
         )
-        for (label, scene, budget), (done, failed) in found.items()
+        for (label, scene, budget), (complete, failures) in runs_of.items()
     ]
 
 
@@ -197,10 +197,10 @@ def unit_means(
     [rules, units]"""
     scenes = list(dict.fromkeys(group.scene for group in groups))
     labels = list(dict.fromkeys(group.label for group in groups))
-    found = {(group.label, group.scene): group.summary(metric).mean for group in groups}
+    means = {(group.label, group.scene): group.summary(metric).mean for group in groups}
     rows = [
         over_units(
-            {s: found.get((label, s), math.nan) for s in scenes},
+            {s: means.get((label, s), math.nan) for s in scenes},
             units,
         )
         for label in labels
@@ -241,8 +241,8 @@ def standings(
 
     units = scene_units(run for group in groups for run in group.runs) if units is None else units
     labels, means = unit_means(groups, FIRST_METRIC, units)
-    shown = np.vectorize(COLUMNS[FIRST_METRIC].shown, otypes=[float])(means)
-    ranks = rankdata(-shown, axis=0, nan_policy="omit").mean(axis=1) if labels else ()
+    rounded_means = np.vectorize(COLUMNS[FIRST_METRIC].shown, otypes=[float])(means)
+    ranks = rankdata(-rounded_means, axis=0, nan_policy="omit").mean(axis=1) if labels else ()
     nothing = Summary(math.nan, math.nan, 0)
     standing = [
         Standing(

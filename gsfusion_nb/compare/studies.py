@@ -173,13 +173,13 @@ def study(options: StudyOptions) -> int:
     if name == "roofline":
         folder.mkdir(parents=True, exist_ok=True)
         return roofline.main(options.device, folder)
-    asked = STUDIES[name]
+    named_study = STUDIES[name]
     with use_backend(options.backend):
         specs = study_specs(name, options, options.data, options.only)
-        print(f"{asked.question}, on {options.data}\n{ran_under(specs)}")
+        print(f"{named_study.question}, on {options.data}\n{ran_under(specs)}")
         status, results = run_and_write(specs, folder, options)
-        if asked.paper:
-            print(beside_paper(asked, results))
+        if named_study.paper:
+            print(beside_paper(named_study, results))
     return status
 
 
@@ -220,15 +220,18 @@ def study_specs(
         ValueError, KeyError, TypeError: no variant whose name contains ``only``, or a setting that
             is refused.
     """
-    asked = STUDIES[name]
+    named_study = STUDIES[name]
     variants = {
-        label: values for label, values in asked.variants.items() if only.lower() in label.lower()
+        label: values
+        for label, values in named_study.variants.items()
+        if only.lower() in label.lower()
     }
     if not variants:
         raise ArgumentError(
-            f"--only: no variant's name contains {only!r}; there are {', '.join(asked.variants)}"
+            f"--only: no variant's name contains {only!r}; "
+            f"there are {', '.join(named_study.variants)}"
         )
-    return recording_specs(variants, options, data, common=asked.common, online=True)
+    return recording_specs(variants, options, data, common=named_study.common, online=True)
 
 
 def recording_specs(
@@ -342,25 +345,31 @@ def parse_axis(text: str) -> tuple[str, list[Any]]:
         ValueError: no name, no value, or a value twice.
     """
     name, equals, values = text.partition("=")
-    found = [parse_value(v.strip()) for v in values.split(",") if v.strip()]
-    if not equals or not name or not found:
+    axis = [parse_value(v.strip()) for v in values.split(",") if v.strip()]
+    if not equals or not name or not axis:
         raise ArgumentError(f"expected values of a setting as NAME=VALUE,VALUE, got {shown(text)}")
-    if len({str(v) for v in found}) < len(found):
+    if len({str(v) for v in axis}) < len(axis):
         raise ArgumentError(f"expected values that differ, got {shown(text)}")
-    return name.strip().replace("-", "_"), found
+    return name.strip().replace("-", "_"), axis
 
 
-def beside_paper(asked: Study, results: Sequence[RunResult]) -> str:
+def beside_paper(named_study: Study, results: Sequence[RunResult]) -> str:
     """Our numbers, means over the seeds, with the paper's in brackets."""
     groups = {g.label: g for g in group_runs(results)}
-    under = ran_under([result.spec for result in results]) if results else ""
+    conditions = ran_under([result.spec for result in results]) if results else ""
     rows = {
-        label: groups[label] for label in asked.variants if label in groups and groups[label].runs
+        label: groups[label]
+        for label in named_study.variants
+        if label in groups and groups[label].runs
     }
-    ours = {label: _in_the_papers_columns(group, asked.views) for label, group in rows.items()}
-    assert asked.paper is not None
-    text = f"{PaperComparison(asked.paper.number, ours)!r}\n(in brackets: the paper's numbers)"
-    return "\n".join(filter(None, (asked.question, text, under, asked.about)))
+    ours = {
+        label: _in_the_papers_columns(group, named_study.views) for label, group in rows.items()
+    }
+    assert named_study.paper is not None
+    text = (
+        f"{PaperComparison(named_study.paper.number, ours)!r}\n(in brackets: the paper's numbers)"
+    )
+    return "\n".join(filter(None, (named_study.question, text, conditions, named_study.about)))
 
 
 def _in_the_papers_columns(group: Group, views: str) -> dict[str, float]:
@@ -373,13 +382,13 @@ def _in_the_papers_columns(group: Group, views: str) -> dict[str, float]:
         "keyframes": "n_keyframes",
         "Gaussians": "n_gaussians",
     }
-    found = {
+    values = {
         name: group.summary(metric).mean
         for name, metric in names.items()
         if group.summary(metric).n
     }
     ms = group.summary("ms_per_frame")
-    return found | ({"FPS": 1e3 / ms.mean} if ms.n else {})
+    return values | ({"FPS": 1e3 / ms.mean} if ms.n else {})
 
 
 _FORMATS = {

@@ -100,33 +100,39 @@ def all_tables(
         scenes = list(dict.fromkeys(group.scene for group in of_budget))
         if len(scenes) > 1:
             budget = of_budget[0].budget
-            made = against_reference(results, budget, reference) if tests == "reference" else []
-            made = all_pairs(results, budget) if tests == "pairs" else made
+            comparisons = (
+                against_reference(results, budget, reference) if tests == "reference" else []
+            )
+            comparisons = all_pairs(results, budget) if tests == "pairs" else comparisons
             table = _scenes_table(
-                of_budget, reference, [c.towards(reference) for c in made], tuned_on or {}, units
+                of_budget,
+                reference,
+                [c.towards(reference) for c in comparisons],
+                tuned_on or {},
+                units,
             )
             tables.append(
                 dataclasses.replace(
-                    table, notes=(*table.notes, _note_on_tests(reference, tests, made))
+                    table, notes=(*table.notes, _note_on_tests(reference, tests, comparisons))
                 )
             )
         tables += [scene_table([g for g in of_budget if g.scene == scene]) for scene in scenes]
     return tables
 
 
-def _note_on_tests(reference: str, tests: str, made: Sequence[Comparison]) -> str:
+def _note_on_tests(reference: str, tests: str, comparisons: Sequence[Comparison]) -> str:
     """What was tested, and what the tests needed to be told before."""
-    if tests == "reference" and not made:
+    if tests == "reference" and not comparisons:
         return (
             f"nothing is tested: the reference {reference} has no completed run, or no other "
             "rule has one"
         )
-    named = (
+    rule = (
         f"; the reference is {reference}, which does not depend on the results"
         if tests != "nemenyi"
         else ""
     )
-    return f"tests: {TESTS[tests]}{named}"
+    return f"tests: {TESTS[tests]}{rule}"
 
 
 def scene_table(groups: Sequence[Group]) -> ResultTable:
@@ -135,12 +141,12 @@ def scene_table(groups: Sequence[Group]) -> ResultTable:
     order = sorted(groups, key=lambda g: _descending(g.summary(FIRST_METRIC).mean))
     columns = [c for c in COLUMNS.values() if any(g.summary(c.metric).n for g in groups)]
     # nobody is better in it
-    fixed = {"n_gaussians"} if any(g.fixes_size for g in groups) else set()
+    fixed_columns = {"n_gaussians"} if any(g.fixes_size for g in groups) else set()
     cells = [
         _cells(
             c,
             [g.summary(c.metric) for g in order],
-            marked=c.metric not in fixed,
+            marked=c.metric not in fixed_columns,
         )
         for c in columns
     ]
@@ -166,10 +172,11 @@ def _scenes_table(
     labels = [s.label for s in order]
     scenes = list(dict.fromkeys(g.scene for g in groups))
     n_units = len({units[scene] for scene in scenes})
-    found = {(g.label, g.scene): g.summary(FIRST_METRIC) for g in groups}
+    summaries = {(g.label, g.scene): g.summary(FIRST_METRIC) for g in groups}
     nothing = Summary(math.nan, math.nan, 0)
     cells = [
-        _cells(column, [found.get((label, scene), nothing) for label in labels]) for scene in scenes
+        _cells(column, [summaries.get((label, scene), nothing) for label in labels])
+        for scene in scenes
     ]
     cells.append(
         _cells(
@@ -212,14 +219,14 @@ def _scenes_table(
 def _rows(
     labels: Sequence[str],
     cells: Sequence[Sequence[Cell]],
-    marked: Mapping[str, str],
+    marks: Mapping[str, str],
 ) -> tuple[Row, ...]:
     """A row of each rule; ``cells`` are the columns."""
     return tuple(
         Row(
             label=label,
             cells=tuple(of[i] for of in cells),
-            mark=OTHERWISE if label in marked else "",
+            mark=OTHERWISE if label in marks else "",
         )
         for i, label in enumerate(labels)
     )
@@ -240,10 +247,10 @@ def _cells(
     """A column over the rules; the best are marked unless neither direction is better, or all are
     the same."""
     values = [column.shown(s.mean) for s in summaries]
-    known = {v for v in values if not math.isnan(v)}
+    numbers = {v for v in values if not math.isnan(v)}
     best = None
-    if len(known) > 1 and column.better != "neither" and marked:
-        best = max(known) if column.better == "higher" else min(known)
+    if len(numbers) > 1 and column.better != "neither" and marked:
+        best = max(numbers) if column.better == "higher" else min(numbers)
     return [
         Cell(
             text=column.text(s.mean) + ("" if math.isnan(s.sd) else f" ± {column.text(s.sd)}"),
@@ -302,11 +309,11 @@ def _notes_on_rows(groups: Sequence[Group]) -> list[str]:
     """Which rows have equal maps, and which are not trained as their publication trains them."""
     runs = [run for group in groups for run in group.runs]
     notes = [*map(str, equal_maps(runs)), *unknown_maps(runs)]
-    if marked := _trained_otherwise(groups):
-        listed = "; ".join(f"{label} ({training})" for label, training in marked.items())
+    if trainings := _trained_otherwise(groups):
+        rows = "; ".join(f"{label} ({training})" for label, training in trainings.items())
         notes.append(
             f"{OTHERWISE} the publication trains the Gaussians otherwise than here, so the row is "
-            f"about this rule, and not about that system: {listed}"
+            f"about this rule, and not about that system: {rows}"
         )
     return notes
 

@@ -61,8 +61,8 @@ def size_option(spec: RunSpec, rule: SeedingRule) -> SizeOption:
     Raises:
         ValueError: there is none, the rule does not have it, or it is not a number.
     """
-    known = SIZE_OPTIONS.get(rule_name(rule)) if is_built_in(original(rule)) else None
-    name = dotted(spec.size_option) or (known.name if known else "")
+    option = SIZE_OPTIONS.get(rule_name(rule)) if is_built_in(original(rule)) else None
+    name = dotted(spec.size_option) or (option.name if option else "")
     if not name:
         raise ArgumentError(
             f"the rule {rule_name(rule)} has no size option: name the option that changes its "
@@ -71,8 +71,8 @@ def size_option(spec: RunSpec, rule: SeedingRule) -> SizeOption:
             "which keeps a random "
             f"share of its seeds"
         )
-    if known is not None and name == known.name and spec.size_range is None:
-        return known
+    if option is not None and name == option.name and spec.size_range is None:
+        return option
     low, high = spec.size_range or _usual_range(spec, rule, name)
     return SizeOption(name, low, high)
 
@@ -87,9 +87,9 @@ def start_value(spec: RunSpec, rule: SeedingRule, option: SizeOption) -> float |
         return spec.keep_share
     values = {**flat_settings(spec.config()), **rule_options(rule), **spec.options}
     if option.name not in values:
-        known = ", ".join([*rule_options(rule), THIN])
+        names = ", ".join([*rule_options(rule), THIN])
         raise ArgumentError(
-            f"the rule {rule_name(rule)} has no option {shown(option.name)} to tune; known: {known}"
+            f"the rule {rule_name(rule)} has no option {shown(option.name)} to tune; known: {names}"
         )
     value = values[option.name]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or value <= 0:
@@ -169,7 +169,7 @@ def search(
     """
     counts = {} if counts is None else counts
 
-    def allowed(value: Number) -> Number:
+    def clamp(value: Number) -> Number:
         value = min(max(value, low), high)
         return round(value) if whole else value
 
@@ -177,11 +177,15 @@ def search(
         least = 1e-4 * target  # a count of zero has no logarithm
         return math.log(max(n, least) / max(m, least))
 
-    def moved(value: Number, log_factor: float) -> Number:
+    def move(value: Number, log_factor: float) -> Number:
         """Another value, at least a tenth away and not too far."""
         size = min(max(abs(log_factor), math.log(1.1)), math.log(_FARTHEST))
-        found = allowed(value * math.exp(math.copysign(size, log_factor)))
-        return allowed(value + math.copysign(1, log_factor)) if whole and found == value else found
+        value_there = clamp(value * math.exp(math.copysign(size, log_factor)))
+        return (
+            clamp(value + math.copysign(1, log_factor))
+            if whole and value_there == value
+            else value_there
+        )
 
     def between(a: Number, b: Number) -> Number:
         share = ratio(target, counts[a]) / max(ratio(counts[b], counts[a]), 1e-9)
@@ -190,18 +194,18 @@ def search(
         value = a * (b / a) ** share
         if not whole:
             return value
-        inside = range(
+        inner_values = range(
             math.floor(min(a, b)) + 1,
             math.ceil(max(a, b)),
         )
-        return min(inside, key=lambda v: abs(v - value)) if inside else a
+        return min(inner_values, key=lambda v: abs(v - value)) if inner_values else a
 
     def beyond() -> Number:
         a = min(counts)
         b = max(counts)
         if a == b:  # as if the count were proportional to the value
-            value = moved(a, ratio(target, counts[a]))
-            return value if value != a else moved(a, -ratio(target, counts[a]))
+            value = move(a, ratio(target, counts[a]))
+            return value if value != a else move(a, -ratio(target, counts[a]))
         if counts[a] == counts[b]:  # no effect so far
             return high if high not in counts else low
         upwards = (counts[b] > counts[a]) == (target > counts[b])
@@ -209,7 +213,7 @@ def search(
         if counts[edge] == counts[inner]:
             return high if upwards else low
         slope = ratio(counts[edge], counts[inner]) / math.log(edge / inner)
-        return moved(
+        return move(
             edge,
             abs(ratio(target, counts[edge]) / slope) * (1 if upwards else -1),
         )
@@ -218,17 +222,17 @@ def search(
         """The value to try next; None if the search has ended."""
         if len(counts) >= MOST_RUNS or min(_errors(counts, target).values()) <= tolerance:
             return None
-        below = [v for v, n in counts.items() if n < target]
-        above = [v for v, n in counts.items() if n >= target]
-        if not (below and above):
+        low_values = [v for v, n in counts.items() if n < target]
+        high_values = [v for v, n in counts.items() if n >= target]
+        if not (low_values and high_values):
             return beyond()
         a, b = min(
-            itertools.product(below, above),
+            itertools.product(low_values, high_values),
             key=lambda pair: abs(math.log(pair[0] / pair[1])),
         )
         return None if abs(math.log(a / b)) < _CLOSEST else between(a, b)
 
-    value = following() if counts else allowed(start)
+    value = following() if counts else clamp(start)
     while value is not None and value not in counts:
         counts[value] = count(value)
         value = following()
@@ -311,10 +315,10 @@ def tune(entry: Entry, on_step: OnStep = lambda report: None) -> dict[str, Any]:
     def counter(settings: Callable[[SystemConfig], SystemConfig]) -> Callable[[Number], Number]:
         def count(value: Number) -> int:
             most = math.inf if "after_step" in used else FAR_TOO_MANY * target
-            changed = dataclasses.replace(
+            changed_entry = dataclasses.replace(
                 entry, spec=with_size(spec, option, int(value) if whole else value)
             )
-            return _count(changed, settings(budgeted(changed.spec)), most, on_step)
+            return _count(changed_entry, settings(budgeted(changed_entry.spec)), most, on_step)
 
         return count
 
@@ -355,12 +359,12 @@ def _count(entry: Entry, config: SystemConfig, most: float, on_step: OnStep) -> 
     ``most``."""
     steps = map_scene(entry, config, scratch=True)
     n_frames = len(entry.opened().mapping)
-    for done in itertools.count(1):
+    for n_mapped in itertools.count(1):
         try:
             report = next(steps)
         except StopIteration as ended:
             return len(ended.value.run.mapper.gaussians)
         if report is not None and report.n_gaussians > most:
-            return int(float(f"{report.n_gaussians * n_frames / done:.2g}"))
+            return int(float(f"{report.n_gaussians * n_frames / n_mapped:.2g}"))
         on_step(None)
     raise AssertionError

@@ -65,13 +65,13 @@ def test_rows_appear_as_runs_end(live):
 def test_it_starts_pauses_between_frames_goes_on_and_stops(specs, tmp_path):
     live = LiveTable(specs, tmp_path, store=ResultStore(tmp_path / "cache"))  # nothing is known yet
     live.start()
-    wait_for(lambda: "frame" in live._now)
+    wait_for(lambda: "frame" in live._activity)
     live.pause()
     wait_for(lambda: "<b>paused</b>" in live.status.value)
     n = len(live.results)
-    now = live._now
+    now = live._activity
     time.sleep(0.1)
-    assert (len(live.results), live._now) == (n, now)
+    assert (len(live.results), live._activity) == (n, now)
     live.stop()
     assert live.join(20)
     assert "<b>stopped</b>" in live.status.value

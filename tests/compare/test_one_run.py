@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import pytest
 
 from gsfusion_nb.compare import Budget, RunSpec, map_scene, one_run
-from gsfusion_nb.compare.map_scene import Entry, _paced
+from gsfusion_nb.compare.map_scene import Entry, _with_pace
 from gsfusion_nb.compare.one_run import run_entry, run_spec
 from gsfusion_nb.compare.outputs import Results
 from gsfusion_nb.compare.schedule import EQUAL_KEYFRAME_EVERY
@@ -266,7 +266,7 @@ def test_the_rooms_frames_are_as_far_apart_as_they_were_seen(stride, given, used
     setting stays."""
     config = gsfusion("room", data__stride=stride, seeding__source_stride=given)
     sequence = open_sequence("room", n_frames=240, width=16, height=12, data=config.data)
-    assert _paced(config, sequence).seeding.source_stride == used
+    assert _with_pace(config, sequence).seeding.source_stride == used
 
 
 @pytest.mark.parametrize(
@@ -292,7 +292,7 @@ def test_a_run_that_misses_its_size_is_tuned_once_more_with_its_own_seed(
 
     monkeypatch.setattr(one_run, "tune", tuned_again)
     monkeypatch.setattr(one_run, "with_tuned", lambda entry, tuned: entry)
-    monkeypatch.setattr(one_run, "_mapped", lambda entry, tuned, on_step: tuned)
+    monkeypatch.setattr(one_run, "_map", lambda entry, tuned, on_step: tuned)
     monkeypatch.setattr(one_run, "_error", lambda mapped, budget: next(left))
     monkeypatch.setattr(one_run, "_result", lambda entry, mapped, numbers, folder: numbers)
     numbers: Any = inspect.unwrap(one_run.run_entry)(entry, None, {"n_runs": 4})

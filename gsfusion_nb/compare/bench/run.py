@@ -152,10 +152,10 @@ def our_backends(options: BenchOptions, *operations: str) -> list[str]:
     """
     working = {(name, backend) for name, backend, state in backends.report() if state == "ok"}
     usable = [b for b in backends.BACKENDS if all((name, b) in working for name in operations)]
-    asked = [
+    names = [
         b for b in usable if b in options.backend or (not options.backend and b != "reference")
     ]
-    return [b for b in asked if DEVICES[b] == "cpu" or torch.cuda.is_available()]
+    return [b for b in names if DEVICES[b] == "cpu" or torch.cuda.is_available()]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,22 +193,24 @@ def raster_rows(options: BenchOptions) -> Iterator[BenchRow]:
     cases += [ON_A_GPU] if torch.cuda.is_available() else []
     for n, width, height, degree, device in cases:
         scene = random_scene(n, width, height, sh_degree=degree)
-        for backward in (False, True):
-            title = f"{n / 1000:g}k {width}x{height} SH{degree} {'fwd+bwd' if backward else 'fwd'}"
+        for with_gradient in (False, True):
+            title = (
+                f"{n / 1000:g}k {width}x{height} SH{degree} {'fwd+bwd' if with_gradient else 'fwd'}"
+            )
             ours = our_backends(options, "render_forward", "render_vjp")
             methods = [b for b in ours if device == "cpu" or DEVICES[b] == "cuda"]
             methods += [GSPLAT] if device == "cuda" and has_gsplat() else []
             for method in methods:
-                on = DEVICES.get(method, "cuda")
-                here = scene.to(on)
+                device_name = DEVICES.get(method, "cuda")
+                own_scene = scene.to(device_name)
                 draw = by_gsplat if method == GSPLAT else functools.partial(_draw, method)
                 timing = measure(
-                    lambda d=draw, s=here, v=backward: d(s, v),
+                    lambda d=draw, s=own_scene, v=with_gradient: d(s, v),
                     options.budget_s,
-                    on,
+                    device_name,
                 )
                 note = (
-                    f"{psnr(draw(here, False), _draw(methods[0], here, False)):.0f} dB"
+                    f"{psnr(draw(own_scene, False), _draw(methods[0], own_scene, False)):.0f} dB"
                     if method == GSPLAT
                     else ""
                 )
@@ -217,11 +219,11 @@ def raster_rows(options: BenchOptions) -> Iterator[BenchRow]:
                 )
 
 
-def _draw(backend: str, scene: RandomScene, backward: bool) -> Tensor:
+def _draw(backend: str, scene: RandomScene, with_gradient: bool) -> Tensor:
     with use_backend(backend):
-        output, saved = render_forward(scene.params, scene.camera, scene.T_WC, with_indices=False)
-        if backward:
-            render_vjp(saved, scene.v_rgb)
+        output, context = render_forward(scene.params, scene.camera, scene.T_WC, with_indices=False)
+        if with_gradient:
+            render_vjp(context, scene.v_rgb)
         return output.rgb
 
 
@@ -234,13 +236,13 @@ def has_gsplat() -> bool:
         return False
 
 
-def by_gsplat(scene: RandomScene, backward: bool) -> Tensor:
+def by_gsplat(scene: RandomScene, with_gradient: bool) -> Tensor:
     """The picture that gsplat draws and, with ``backward``, dL/d of every parameter by its
     autograd."""
     from gsplat import rasterization  # pyright: ignore[reportMissingImports]
 
     p = GaussianParams(
-        **{name: x.detach().requires_grad_(backward) for name, x in vars(scene.params).items()}
+        **{name: x.detach().requires_grad_(with_gradient) for name, x in vars(scene.params).items()}
     )
     pictures, _, _ = rasterization(
         means=p.xyz_W,
@@ -257,7 +259,7 @@ def by_gsplat(scene: RandomScene, backward: bool) -> Tensor:
         sh_degree=p.sh_degree,
         packed=False,
     )
-    if backward:
+    if with_gradient:
         torch.autograd.grad(
             pictures[0],
             list(vars(p).values()),
@@ -277,16 +279,16 @@ def tsdf_rows(options: BenchOptions) -> Iterator[BenchRow]:
     """Integration with colour: decoded frames are fused one after another into an empty volume;
     then raycasts."""
     for size in options.sizes:
-        opened = open_frames(options, size)
-        decoded = [opened[i] for i in range(len(opened))]
+        sequence = open_frames(options, size)
+        images = [sequence[i] for i in range(len(sequence))]
         for voxel_m in VOXEL_SIZES_M[:1] if options.quick else VOXEL_SIZES_M:
             config = TsdfConfig(
                 voxel_size_m=voxel_m, truncation_voxels=TRUNCATION_VOXELS, near_m=0.0, far_m=FAR_M
             )
             for backend in our_backends(options, "band_blocks", "fuse_frame_"):
                 device = DEVICES[backend]
-                updated = []
-                frames = [frame.to(device) for frame in decoded]
+                volumes = []
+                frames = [frame.to(device) for frame in images]
                 camera = frames[0].camera
                 poses = [frame.T_WC for frame in frames[::LOOK_EVERY]]
                 with use_backend(backend):
@@ -297,7 +299,7 @@ def tsdf_rows(options: BenchOptions) -> Iterator[BenchRow]:
                         volume = TsdfVolume(config, device=device)
                         laps = [
                             lap(
-                                lambda v=volume, f=f, u=updated: u.append(
+                                lambda v=volume, f=f, u=volumes: u.append(
                                     integrate(v, f).updated_voxels
                                 ),
                                 device,
@@ -312,11 +314,11 @@ def tsdf_rows(options: BenchOptions) -> Iterator[BenchRow]:
                         for T in poses
                     ]
                 timing = summary(laps, memory.peak_mb)
-                case = f"{_case_name(opened)} {100 * voxel_m:g} cm"
+                case = f"{_case_name(sequence)} {100 * voxel_m:g} cm"
                 values = {
                     "frames": len(frames),
                     "blocks": volume.n_blocks,
-                    "updated_voxels_per_frame": sum(updated) / len(frames),
+                    "updated_voxels_per_frame": sum(volumes) / len(frames),
                 }
                 yield BenchRow(
                     section="tsdf", case=case, method=backend, timing=timing, values=values
@@ -343,9 +345,9 @@ def map_rows(options: BenchOptions) -> Iterator[BenchRow]:
     On a GPU the time of a stage ends when its work is queued; the time of the whole step includes
     its execution.
     """
-    found = our_backends(options, "render_forward", "render_vjp")
-    methods = [(b, b, "cpu") for b in found if b == "reference"]
-    methods += [(f"auto ({b})", "auto", DEVICES[b]) for b in ("numba", "cuda") if b in found]
+    names = our_backends(options, "render_forward", "render_vjp")
+    methods = [(b, b, "cpu") for b in names if b == "reference"]
+    methods += [(f"auto ({b})", "auto", DEVICES[b]) for b in ("numba", "cuda") if b in names]
     for size in options.sizes:
         for method, backend, device in methods:
             with use_backend(backend):
@@ -498,7 +500,7 @@ def main(options: BenchOptions) -> int:
     """
     options.check()
     rows: list[BenchRow] = []
-    interrupted = False
+    is_interrupted = False
     with threads(options.threads), ProgressDisplay("bench", unit="row", leave=False) as progress:
         machine = describe(options.threads)
         try:
@@ -507,13 +509,18 @@ def main(options: BenchOptions) -> int:
                     rows.append(row)
                     progress.show(len(rows), note=f"{section}: {row.case}")
         except KeyboardInterrupt:
-            interrupted = True
+            is_interrupted = True
     print("\n".join(header(machine)))
     for section in options.sections:
         cells = [_cells(row) for row in rows if row.section == section]
         print(
             "\n".join(
-                ["", f"**{section}**: {SECTIONS[section][0]}", "", *_aligned([_HEADINGS, *cells])]
+                [
+                    "",
+                    f"**{section}**: {SECTIONS[section][0]}",
+                    "",
+                    *_table_lines([_HEADINGS, *cells]),
+                ]
             )
         )
     print(
@@ -524,7 +531,7 @@ def main(options: BenchOptions) -> int:
         document = {
             "machine": machine,
             "options": dataclasses.asdict(options),
-            "interrupted": interrupted,
+            "interrupted": is_interrupted,
             "rows": [dataclasses.asdict(row) for row in rows],
         }
         write_file(
@@ -532,9 +539,9 @@ def main(options: BenchOptions) -> int:
             json.dumps(document, indent=1) + "\n",
         )
         print(f"All numbers: {options.json}")
-    if interrupted:
+    if is_interrupted:
         print("Interrupted.")
-    return 130 if interrupted else 0
+    return 130 if is_interrupted else 0
 
 
 def _cells(row: BenchRow) -> tuple[str, ...]:
@@ -547,7 +554,7 @@ def _cells(row: BenchRow) -> tuple[str, ...]:
     return (row.case, row.method, *times, memory, str(t.runs), row.note)
 
 
-def _aligned(rows: list[tuple[str, ...]]) -> list[str]:
+def _table_lines(rows: list[tuple[str, ...]]) -> list[str]:
     """Lines of a Markdown table, headings first, whose columns are also aligned in a terminal."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = [

@@ -82,14 +82,14 @@ def random_scene(
     twist = torch.tensor(_CAMERA_TWIST, dtype=torch.float64)
     T_WC = se3.exp(twist).float()
     z = 2 + 4 * torch.rand(n, generator=g)
-    spread = 1 + 2 * BORDER
-    uv = (spread * torch.rand(n, 2, generator=g) - BORDER) * torch.tensor([width, height])
+    stretch = 1 + 2 * BORDER
+    uv = (stretch * torch.rand(n, 2, generator=g) - BORDER) * torch.tensor([width, height])
     xyz_C = torch.cat(
         [(uv - torch.tensor([width, height]) / 2) / focal * z[:, None], z[:, None]],
         dim=1,
     )
     opacity = 0.1 + 0.85 * torch.rand(n, generator=g)
-    pixels_per_gaussian = per_pixel * width * height * spread**2 / max(n, 1)
+    pixels_per_gaussian = per_pixel * width * height * stretch**2 / max(n, 1)
     size_px = math.sqrt(
         pixels_per_gaussian
         / (2 * math.pi * float((opacity / ALPHA_MIN).log().mean() if n else 1.0))

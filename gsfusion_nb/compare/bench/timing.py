@@ -116,12 +116,12 @@ def summary(laps: list[Lap], peak_mb: float | None = None) -> Timing:
 @contextlib.contextmanager
 def threads(count: int) -> Iterator[None]:
     """Set the number of threads of torch and of the numba kernels, which use torch's number."""
-    before = torch.get_num_threads()
+    n_threads = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        torch.set_num_threads(n_threads)
 
 
 def describe(threads: int) -> dict[str, Any]:
@@ -165,5 +165,5 @@ def header(machine: dict[str, Any]) -> list[str]:
 def _processor() -> str:
     cpuinfo = Path("/proc/cpuinfo")
     lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
-    named = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return named[0] if named else platform.processor() or platform.machine()
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.processor() or platform.machine()
