@@ -151,7 +151,7 @@ class GpsSlamConfig(SystemConfig):
     schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
     views: ViewsConfig = field(default_factory=ViewsConfig)
     final: PassesConfig = field(default_factory=PassesConfig)
-    sh_degree: int = 0
+    sh_degree: int = within(0, 0, 3)
     """Degree of the spherical harmonics that store a Gaussian's colour, 0 to 3. 0: one colour from
     all sides, least memory and time. 3: colour may change with the viewing direction (gloss,
     reflections), as released."""

@@ -48,6 +48,9 @@ FEWEST = 4
 BETTER = 0.02
 """Frames that agree this much better under another reading are doubted: right recordings gain at
 most 0.007, wrong ones 0.2 to 0.5 in the middle (docs/check.md has the distributions)."""
+BETTER_OF_FEW = 0.1
+"""The same for a run that ends before a whole dozen: four to eleven frames of a right recording
+gain up to 0.053."""
 LEAST_OVERLAP = 0.2
 """With fewer of the points on a measured depth, a chance agreement of few points ..."""
 FAR_BETTER = 0.3
@@ -183,7 +186,8 @@ class FrameWatch:
             return ""
         frames = [small for _, small in self._compared]
         found = agreement_of(frames, [poses[number] for number, _ in self._compared])
-        doubt = doubt_of(found)
+        better = BETTER if len(frames) >= COMPARED else BETTER_OF_FEW
+        doubt = doubt_of(found, better=better)
         return doubt and f"frames {frames[0].index} to {frames[-1].index} {doubt}; {ADVICE}"
 
     def _step(
@@ -274,11 +278,12 @@ def _median_error(found: Reprojection) -> float:
     return float(known.abs().median()) if len(known) >= _LEAST_POINTS else math.nan
 
 
-def doubt_of(found: FirstAgreement) -> str:
-    """What is doubtful of an agreement, beside what is usual; "" if nothing is."""
+def doubt_of(found: FirstAgreement, *, better: float = BETTER) -> str:
+    """What is doubtful of an agreement, beside what is usual; "" if nothing is. Another reading has
+    to gain more than ``better``."""
     disagrees = found.overlap >= LEAST_OVERLAP and found.share < LEAST_SHARE * found.overlap
     explains = not disagrees or found.other > _EXPLAINED * found.overlap
-    if explains and found.gain > (BETTER if found.overlap >= LEAST_OVERLAP else FAR_BETTER):
+    if explains and found.gain > (better if found.overlap >= LEAST_OVERLAP else FAR_BETTER):
         return (
             f"agree in depth to {found.as_read:.0%} as read, but to {found.other:.0%} with "
             f"{found.reading} (usual: best as read)"

@@ -201,6 +201,13 @@ def test_whole_recordings_are_right(opened, shared_sequence, name):
     assert said_of(sequence[i] for i in range(min(len(sequence), 250))) == ""
 
 
+@pytest.mark.parametrize("n_frames", [4, 7, 11])
+@pytest.mark.parametrize("name", POSED)
+def test_of_few_right_frames_nothing_is_said(opened, shared_sequence, name, n_frames):
+    sequence = opened(name, shared_sequence(name))
+    assert said_of(first(sequence)[:n_frames]) == ""
+
+
 def measured(opened, shared_sequence):
     """Fault, or "right" -> what is measured of a dozen frames, of all recordings, the first and
     wider spaced ones."""
