@@ -57,7 +57,7 @@ def test_rows_appear_as_runs_end(live):
     assert "dense stride=-1, wall, own size, own steps, seed 0 failed: " in live.tables.value
     assert "<b>finished</b>" in live.status.value
     assert repr(live).startswith(
-        "LiveTable(4 of 4 runs, 1 failed: TypeError: seeding rule 'dense' has no options"
+        "LiveTable(4 of 4 runs, 1 failed: KindError: seeding rule 'dense' has no options"
     )
 
 
