@@ -56,6 +56,7 @@ ALLOWED = {
         "the place",
     ),
     "backends.py": "source files of this package",
+    "compare/studies.py": "tables of this package",
     "course/source_lines.py": "source files of this package",
     **dict.fromkeys(
         ("viz/display.py", "cli/live.py", "compare/entries.py", "config/values.py"),
