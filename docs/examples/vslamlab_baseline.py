@@ -63,10 +63,10 @@ def read_sequence(args: argparse.Namespace):
     """
     import yaml
 
+    from gsfusion_nb.data import SequenceError
     from gsfusion_nb.data.lens import CameraModel, Undistorter
     from gsfusion_nb.data.recorded.poses import no_poses
     from gsfusion_nb.data.recorded.recorded_sequence import RecordedSequence
-    from gsfusion_nb.data import SequenceError
     from gsfusion_nb.types import Camera
 
     cameras = yaml.safe_load(
