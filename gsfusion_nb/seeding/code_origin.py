@@ -95,6 +95,27 @@ def is_library_namespace(names: Mapping[str, Any]) -> bool:
     return is_installed(file) if isinstance(file, str) else is_library(name)
 
 
+def is_made_by_library(function: types.FunctionType) -> bool:
+    """Whether a library wrote the text of a function while it was imported, and executed it in a
+    namespace without a name, as the package ``decorator`` does: all that this namespace leads to is
+    of the library's module that the function says it belongs to."""
+    names = function.__globals__
+    home = sys.modules.get(function.__module__ or "")
+    if "__name__" in names or not isinstance(home, types.ModuleType):
+        return False
+    used = [
+        value for key, value in names.items() if key != "__builtins__" and value is not function
+    ]
+    return is_library_module(home) and bool(used) and all(_is_of(home, value) for value in used)
+
+
+def _is_of(module: types.ModuleType, value: Any) -> bool:
+    """Whether a function or a class was defined in a module."""
+    if type(value) is types.FunctionType:
+        return value.__globals__ is vars(module)
+    return isinstance(value, type) and vars(module).get(value.__name__) is value
+
+
 def keep_home(module: types.ModuleType) -> None:
     """Note a module that functions come from and that is not in ``sys.modules`` by its name."""
     _homes[id(vars(module))] = module

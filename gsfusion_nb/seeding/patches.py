@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from .code_origin import is_library_code, is_library_module
+from .code_origin import is_library_code, is_library_module, is_made_by_library
 from .code_values import ValueHash, is_own_class
 
 _CALLED = (
@@ -249,7 +249,7 @@ def _is_quickly_library(function: types.FunctionType) -> bool:
         return True
     # by collections, for every class
     is_made_here = (names.get("__name__") or "").startswith("namedtuple_")
-    if is_made_here or is_library_code(function):
+    if is_made_here or is_library_code(function) or is_made_by_library(function):
         _known_libraries[id(names)] = names
         return True
     return False

@@ -87,7 +87,7 @@ def library_counter(ctx):
 
 
 def patch(ctx):
-    type(ctx).normals = type(ctx).grey
+    type(ctx).normals = type(ctx).has_depth
     return every(ctx, 9)
 
 

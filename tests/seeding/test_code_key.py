@@ -822,6 +822,25 @@ def test_a_function_of_a_library_that_is_replaced_is_seen(monkeypatch, owner, na
     assert any(key.endswith(f".{name}") for key in patches().keys() - before.keys())
 
 
+def executed(text: str, **names: Any) -> Any:
+    """The function ``f`` of a text, executed in a namespace without a name."""
+    exec(text, names)
+    function = names["f"]
+    function.__module__ = "torch.functional"
+    return function
+
+
+def test_a_function_that_a_library_executed_is_no_patch(monkeypatch):
+    """``prometheus_client``, which Dask and Jupyter load, decorates by executing a text."""
+    decorate = executed("def f(x): return g(x)", g=torch.functional.norm)
+    monkeypatch.setattr(torch.functional, "norm", decorate)
+    assert "torch.functional.norm" not in patches()
+    for names in ({}, {"g": torch}, {"g": mine}, {"g": torch.nn.functional.relu}):
+        own = executed("def f(x): return x", **names)
+        monkeypatch.setattr(torch.functional, "norm", own)
+        assert "torch.functional.norm" in patches(), names
+
+
 SWAPS = {
     "another function of torch": (torch, "median", torch.mean),
     "another method of a tensor": (torch.Tensor, "median", torch.Tensor.mean),
