@@ -15,7 +15,7 @@ import torch
 
 from ..config import SystemConfig
 from ..data import OpenedSequence, open_sequence
-from ..data.adjust.repair import SequenceView
+from ..data.adjust.selection import SequenceView
 from ..data.room import RoomSequence
 from ..errors import ArgumentError
 from ..mapping import Mapper, StepReport, make_mapper

@@ -18,14 +18,8 @@ from ..config import DataConfig
 from ..errors import ArgumentError, SequenceError, SequenceNotFoundError
 from ..files import UNREADABLE, file_hashes, noting_files
 from . import readers
-from .adjust.repair import (
-    ExtraOf,
-    OpenedSequence,
-    RepairedSequence,
-    SequenceView,
-    apply_options,
-    as_read,
-)
+from .adjust.repair import RepairedSequence, as_read
+from .adjust.selection import ExtraOf, OpenedSequence, SequenceView, apply_options
 from .recorded.files import missing
 from .recorded.recorded_sequence import Layout, RecordedSequence
 

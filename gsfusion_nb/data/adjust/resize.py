@@ -21,6 +21,8 @@ def resize_frame(frame: Frame, camera: Camera) -> Frame:
 
     Differentiable: no.
     """
+    if camera == frame.camera:
+        return frame
     if (camera.width, camera.height) == (frame.camera.width, frame.camera.height):
         return dataclasses.replace(frame, camera=camera)
     rgb = resize_colour(frame.colour.cpu().numpy(), camera.width, camera.height)
@@ -34,6 +36,16 @@ def resize_frame(frame: Frame, camera: Camera) -> Frame:
         },
         camera=camera,
     )
+
+
+def resized_camera(camera: Camera, width: int, height: int) -> Camera:
+    """Camera at the requested size, pixels; 0 keeps the proportions, and two zeros keep the
+    size."""
+    if not width and not height:
+        return camera
+    width = width or max(1, round(camera.width * height / camera.height))
+    height = height or max(1, round(camera.height * width / camera.width))
+    return camera.resized(width, height)
 
 
 def nearest_source(size: int, source_size: int) -> Int[Tensor, " S"]:

@@ -14,8 +14,8 @@ from ...checks import check_name
 from ...config import DataConfig
 from ...errors import BadFrameError, SequenceError
 from ...types import Frame
-from ..adjust.repair import resized_camera, within_depth
-from ..adjust.resize import resize_frame
+from ..adjust.resize import resize_frame, resized_camera
+from ..adjust.selection import within_depth
 from ..sequence import Sequence
 
 Policy = Literal["all", "latest"]

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ...config import DataConfig, RepairConfig
-from ...data.adjust.repair import apply_options, as_read
+from ...data.adjust.repair import as_read
+from ...data.adjust.selection import apply_options
 from ...data.open import detect_layout, known_layouts, open_sequence
 from ...data.recorded.recorded_sequence import RecordedSequence
 from ...data.sequence import Sequence

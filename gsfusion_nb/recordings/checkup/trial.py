@@ -11,7 +11,7 @@ import numpy as np
 
 from ...config import DataConfig, RepairConfig
 from ...data.adjust.poses import times_of
-from ...data.adjust.repair import apply_options
+from ...data.adjust.selection import apply_options
 from ...data.sequence import Sequence
 from .colour import depth_edges, on_edges
 from .explain import Explanation

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import DataConfig
-from gsfusion_nb.data.adjust.repair import apply_options
+from gsfusion_nb.data.adjust.selection import apply_options
 from gsfusion_nb.seeding import SeedContext, apply_rule, check_rule
 from gsfusion_nb.types import Camera, Frame
 
