@@ -306,6 +306,17 @@ def _contradicted(
     return frozenset(found)
 
 
+_UNEQUAL_FOCAL = 0.01
+_SAME_FOCAL = 0.006
+"""Focal lengths that differ by more than the first are exchanged, if what is measured differs from
+the exchanged ones by less than the second, as shares."""
+_UNEQUAL_CENTRE = 10 / 640
+_SAME_CENTRE = 3 / 640
+"""Likewise cx and cy, as shares of the width."""
+_SAME_HALF_PX = 0.2
+"""A principal point this close to half a pixel away is one of pixels that are counted otherwise."""
+
+
 def repair_of(
     c: fit.CalibrationCorrection, camera: Camera, interpretation: RepairConfig
 ) -> RepairConfig:
@@ -320,14 +331,35 @@ def repair_of(
         whole = abs(c.shift_frames - round(c.shift_frames)) < 0.1
         found["pose_shift_frames"] = round(c.shift_frames, 0 if whole else 1)
     if c.log_focal or c.log_aspect:
-        found["fx"] = round(camera.fx * math.exp(c.log_focal + c.log_aspect), 1)
-        found["fy"] = round(camera.fy * math.exp(c.log_focal - c.log_aspect), 1)
+        found |= _focal_lengths(c, camera)
     if c.cx_px or c.cy_px:
-        found |= {
-            "cx": max(0.0, round(camera.cx + c.cx_px, 1)),
-            "cy": max(0.0, round(camera.cy + c.cy_px, 1)),
-        }
+        found |= _principal_point(c, camera)
     return replace(interpretation, **found)
+
+
+def _focal_lengths(c: fit.CalibrationCorrection, camera: Camera) -> dict[str, float]:
+    """The corrected focal lengths; those of the camera if they are only exchanged."""
+    fx = round(camera.fx * math.exp(c.log_focal + c.log_aspect), 1)
+    fy = round(camera.fy * math.exp(c.log_focal - c.log_aspect), 1)
+    differ = abs(camera.fx / camera.fy - 1) > _UNEQUAL_FOCAL
+    if differ and max(abs(fx / camera.fy - 1), abs(fy / camera.fx - 1)) < _SAME_FOCAL:
+        return {"fx": camera.fy, "fy": camera.fx}
+    return {"fx": fx, "fy": fy}
+
+
+def _principal_point(c: fit.CalibrationCorrection, camera: Camera) -> dict[str, float]:
+    """The corrected principal point: a shift by half a pixel, the camera's own with cx and cy
+    exchanged, or another one."""
+    half = math.copysign(0.5, c.cx_px)
+    if max(abs(c.cx_px - half), abs(c.cy_px - half)) < _SAME_HALF_PX:
+        return {"pixel_shift": half}
+    cx = max(0.0, round(camera.cx + c.cx_px, 1))
+    cy = max(0.0, round(camera.cy + c.cy_px, 1))
+    differ = abs(camera.cx - camera.cy) > _UNEQUAL_CENTRE * camera.width
+    error_px = max(abs(cx - camera.cy), abs(cy - camera.cx))
+    if differ and error_px < _SAME_CENTRE * camera.width:
+        return {"cx": camera.cy, "cy": camera.cx}
+    return {"cx": cx, "cy": cy}
 
 
 def snapped(factor: float) -> float:

@@ -1,4 +1,4 @@
-"""Findings on scale, poses and intrinsics, from the best explanation."""
+"""Findings on scale and poses, from the best explanation."""
 
 from dataclasses import replace
 
@@ -6,13 +6,18 @@ from ...config import RepairConfig
 from ...config.repair import NAMED_AXES
 from ...types import Camera
 from .explain import Explanation
-from .fit import CLEAR, median_error
+from .fit import median_error
+from .judge_intrinsics import correction_finding, intrinsics_findings
 from .report import Finding
 
 _HARDLY = 1 / 3
 _SAME = 0.01
 """Another interpretation that scores at most this much lower explains the frames as well."""
 _TYPICAL_ERROR = 0.02
+_VAGUE_SCALE = 0.2
+"""A scale that is less certain than this cannot be known, as a share."""
+_VAGUE_FRAMES = 1.0
+"""Likewise a time offset, frames."""
 _SCALES = {
     0.2: " (a metre is 5000 units, not 1000)",
     5.0: " (a metre is 1000 units, not 5000)",
@@ -42,11 +47,7 @@ def agreement_finding(e: Explanation) -> Finding:
     return Finding("agreement", "ok", f"{text}.")
 
 
-def fit_findings(
-    e: Explanation,
-    camera: Camera,
-    lens: Camera | None = None,
-) -> list[Finding]:
+def fit_findings(e: Explanation, camera: Camera, lens: Camera | None = None) -> list[Finding]:
     """Findings on units, kind of depth, conventions and time of the poses, and intrinsics.
 
     Args:
@@ -54,105 +55,76 @@ def fit_findings(
         camera: Of the frames.
         lens: Camera of the stored images, where their distortion was removed.
     """
-    r = e.repair
-    shift = e.repair.pose_shift_frames
-    scale = f"Depth must be multiplied by {r.depth_factor:g}{_SCALES.get(r.depth_factor, '')}."
-    if r.translation_factor != 1.0:
-        scale = (
-            f"The positions of the poses must be multiplied by {r.translation_factor:g} to be "
+    return [
+        _scale_finding(e),
+        _depth_kind_finding(e),
+        *_conventions(e),
+        _pose_time_finding(e),
+        *intrinsics_findings(e, camera, lens),
+    ]
+
+
+def _scale_finding(e: Explanation) -> Finding:
+    """The units of depth and of positions."""
+    repair = e.repair
+    uncertainty = e.fits["depth scale"].uncertainty
+    words = _SCALES.get(repair.depth_factor, "")
+    wrong = f"Depth must be multiplied by {repair.depth_factor:g}{words}."
+    if repair.translation_factor != 1.0:
+        wrong = (
+            f"The positions of the poses must be multiplied by {repair.translation_factor:g} to be "
             "metres."
         )
-    side = "later" if shift > 0 else "earlier"
-    late = f"A frame's depth image belongs to the pose recorded {abs(shift):.1f} frames {side}."
-    if not shift:
-        rgb_ms = 1000 * r.pose_offset_s + 0.0
-        depth_ms = 1000 * (r.pose_offset_s + r.depth_offset_s)
-        late = (
+    return correction_finding(
+        e,
+        "depth scale",
+        fields=("depth_factor", "translation_factor"),
+        kinds=("depth scale",),
+        wrong=wrong,
+        right=f"Depth and positions have the same unit (± {100 * uncertainty:.1f} %).",
+        is_vague=not uncertainty <= _VAGUE_SCALE,
+    )
+
+
+def _depth_kind_finding(e: Explanation) -> Finding:
+    """Whether depth is z-depth, or the length of the ray."""
+    return correction_finding(
+        e,
+        "depth kind",
+        fields=("depth_kind",),
+        kinds=("depth kind",),
+        wrong="Depth is the distance along each pixel's ray, not along the optical axis.",
+        right="Depth is measured along the optical axis.",
+        is_vague=abs(e.fits["depth kind"].ratio - 1) < _SAME,
+    )
+
+
+def _pose_time_finding(e: Explanation) -> Finding:
+    """Whether the poses are earlier or later than the images."""
+    repair = e.repair
+    shift = repair.pose_shift_frames
+    uncertainty = e.fits["pose time"].uncertainty
+    if shift:
+        side = "later" if shift > 0 else "earlier"
+        wrong = (
+            f"A frame's depth image belongs to the pose recorded {abs(shift):.1f} frames {side}."
+        )
+    else:
+        rgb_ms = 1000 * repair.pose_offset_s + 0.0
+        depth_ms = 1000 * (repair.pose_offset_s + repair.depth_offset_s)
+        wrong = (
             f"Pictures were taken {rgb_ms:+.0f} ms and depth images {depth_ms:+.0f} ms after "
             "their time stamps."
         )
-    focal = (
-        f"The focal lengths are wrong: fx {camera.fx:.1f}, fy {camera.fy:.1f}, but the depth "
-        "images give fx "
+    return correction_finding(
+        e,
+        "pose time",
+        fields=("pose_shift_frames", "pose_offset_s", "depth_offset_s"),
+        kinds=("pose time",),
+        wrong=wrong,
+        right=f"Poses and depth have the same time (± {uncertainty:.2f} frames).",
+        is_vague=not uncertainty <= _VAGUE_FRAMES,
     )
-    focal += f"{r.fx:.1f}, fy {r.fy:.1f}"
-    if "intrinsics size" in e.adopted:
-        focal += f": the intrinsics are those of images {camera.fx / r.fx:.3g} times as large"
-    centre = (
-        f"The principal point is wrong: {camera.cx:.1f}, {camera.cy:.1f}, but the depth "
-        f"images give {r.cx:.1f}, "
-    )
-    ray = "Depth is the distance along each pixel's ray, not along the optical axis."
-    undistorted = (
-        f" without distortion; the lens has {lens.fx:.1f} and {lens.fy:.1f}" if lens else ""
-    )
-    known = {kind: fit.uncertainty for kind, fit in e.fits.items()}
-    same = {
-        "depth scale": "Depth and positions have the same unit (± "
-        f"{100 * known['depth scale']:.1f} %).",
-        "pose time": f"Poses and depth have the same time (± {known['pose time']:.2f} frames).",
-        "focal length": f"The focal lengths fit (fx {camera.fx:.1f}, fy "
-        f"{camera.fy:.1f}{undistorted}, ± {100 * known['focal length']:.1f} %).",
-        "principal point": f"The principal point fits (cx {camera.cx:.1f}, cy {camera.cy:.1f}, ± "
-        f"{known['principal point']:.1f} pixels).",
-    }
-    vague = {
-        "depth scale": 0.2,
-        "pose time": 1.0,
-        "focal length": 0.1,
-        "principal point": 8.0 * camera.width / 640,
-    }
-    unclear = {kind for kind, limit in vague.items() if not known[kind] <= limit}
-    if abs(e.fits["depth kind"].ratio - 1) < _SAME:
-        unclear.add("depth kind")
-
-    def judged(
-        name: str,
-        fields: tuple[str, ...],
-        wrong: str,
-        right: str,
-        *kinds: str,
-    ) -> Finding:
-        """One property that the ``fields`` of the repair correct; ``kinds`` of corrections change
-        them."""
-        mine = {f: v for f, v in r.changes.items() if f in fields}
-        ratio = min((e.adopted[kind].ratio for kind in kinds if kind in e.adopted), default=0.0)
-        if mine:
-            repair = replace(RepairConfig(), **mine)  # pyright: ignore[reportArgumentType]
-            return Finding(name, "wrong" if ratio < CLEAR else "doubtful", wrong, repair.flags)
-        contradicted = not e.contradicted.isdisjoint(kinds)
-        if contradicted or name in unclear:
-            why = (
-                "parts of the recording contradict each other"
-                if contradicted
-                else "there is too little motion"
-            )
-            return Finding(name, "unknown", f"Cannot be known from these frames: {why}.")
-        return Finding(name, "ok", right)
-
-    axis = "Depth is measured along the optical axis."
-    lengths = ("focal length", "fx / fy", "intrinsics size")
-    units = ("depth_factor", "translation_factor")
-    return [
-        judged("depth scale", units, scale, same["depth scale"], "depth scale"),
-        judged("depth kind", ("depth_kind",), ray, axis, "depth kind"),
-        *_conventions(e),
-        judged(
-            "pose time",
-            ("pose_shift_frames", "pose_offset_s", "depth_offset_s"),
-            late,
-            same["pose time"],
-            "pose time",
-        ),
-        judged("focal length", ("fx", "fy"), f"{focal}.", same["focal length"], *lengths),
-        judged(
-            "principal point",
-            ("cx", "cy"),
-            f"{centre}{r.cy:.1f}.",
-            same["principal point"],
-            "principal point",
-        ),
-    ]
 
 
 def _conventions(e: Explanation) -> list[Finding]:

@@ -243,8 +243,8 @@ BREAKAGES = {
     "other size": Breakage(_other_size, {"image size"}, {"fit_sizes": True}),
     "half a pixel": Breakage(
         lambda r: r.write(pixel_centre=0.5),
-        {"principal point"},
-        {"cx": ("cx", 0.002)},
+        {"pixel centres"},
+        {"pixel_shift": 0.5},
     ),
     "ray depth": Breakage(_ray_depth, {"depth kind"}, {"depth_kind": "ray"}),
     "65535": Breakage(
