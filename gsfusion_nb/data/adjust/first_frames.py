@@ -128,6 +128,7 @@ def _poses_as(repair: RepairConfig) -> Reading:
 
 
 def stands_still(pairs: Pairs) -> Reprojection:
+    """As if the camera had not moved: points keep their pixel and their depth."""
     return pairs.moved(torch.eye(4, dtype=torch.float64).expand(len(pairs.T_WA), 4, 4))
 
 
