@@ -1,14 +1,8 @@
 """Losses, the optimiser of a growing map, keyframes."""
 
 from .adam import ColumnRates as ColumnRates
-from .adam import PartOfMap as PartOfMap
-from .adam import RowAdam as RowAdam
-from .adam import UpdateFunction as UpdateFunction
-from .adam import adam_step as adam_step
 from .adam import adam_update as adam_update
 from .adam import adam_update_map as adam_update_map
-from .adam import params_now as params_now
-from .adam import take_missed_steps as take_missed_steps
 from .fit_view import PoseFit as PoseFit
 from .fit_view import PoseSystem as PoseSystem
 from .fit_view import exposed as exposed
@@ -36,3 +30,9 @@ from .losses import l1_vjp as l1_vjp
 from .losses import l2_mse_vjp as l2_mse_vjp
 from .losses import mse_vjp as mse_vjp
 from .losses import rgbd_l1_vjp as rgbd_l1_vjp
+from .map_step import UpdateFunction as UpdateFunction
+from .map_step import adam_step as adam_step
+from .missed_steps import params_now as params_now
+from .missed_steps import take_missed_steps as take_missed_steps
+from .part_of_map import PartOfMap as PartOfMap
+from .row_adam import RowAdam as RowAdam

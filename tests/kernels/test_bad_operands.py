@@ -15,7 +15,7 @@ from kernel_cases.rasterize import break_rows
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import OptimConfig
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.optim.adam import adam_step
+from gsfusion_nb.optim import adam_step
 from gsfusion_nb.render import render_forward, render_vjp
 from gsfusion_nb.types import GaussianParams, Seeds
 

@@ -17,7 +17,7 @@ from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.config import gsfusion as gsfusion_settings
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.mapping import gsfusion, keyframe_fits, make_mapper
-from gsfusion_nb.optim.adam import PartOfMap, RowAdam
+from gsfusion_nb.optim import PartOfMap, RowAdam
 from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun, outputs, run_mapping
 from gsfusion_nb.seeding import frame_queries
@@ -164,7 +164,7 @@ PLACES = {
     "gps_slam": [
         (PartOfMap, "write_back"),
         (gaussians.StepClock, "write_back"),
-        (optim.adam, "adam_update_map"),
+        (optim.map_step, "adam_update_map"),
     ],
     "rtg_slam": [(RowAdam, "step"), (RowAdam, "catch_up"), (gaussians.StepClock, "step")],
     "gsfusion_fits": [

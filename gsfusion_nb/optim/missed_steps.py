@@ -1,0 +1,137 @@
+"""Steps of Adam with zero gradient, which rows missed while no view showed them, taken at once."""
+
+import math
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from ..config import OptimConfig
+from ..gaussians import GaussianModel
+from ..render import Boxes
+from ..types import GaussianParams
+from .map_step import rates_of
+from .part_of_map import PartOfMap
+
+_NOTHING_LEFT = 8e-10
+"""With zero gradient a row has stopped when its step is this share of the first: after 200 steps at
+the usual decays, since (0.9 / sqrt(0.999))^200 is 8e-10."""
+
+_ROWS_AT_A_TIME = 1 << 16
+"""Of a map whose missed steps are taken in a copy, which limits the memory."""
+
+
+def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig) -> None:
+    """Move the rows by the steps of Adam that they missed while no view showed them: steps with
+    zero gradient.
+
+    In each of them  m <- b1 m,  v <- b2 v,  so k steps together are a geometric series, with  r =
+    b1 / sqrt(b2):
+
+        param <- param - lr m / (sqrt(v) + eps) sum_{j=1..k} c_j r^j,   m <- b1^k m,   v <- b2^k v
+
+    c_j is the bias correction  sqrt(1 - b2^t) / (1 - b1^t)  of the j-th missed step, or 1 without
+    one. This is ``adam_step`` on the whole map but for rounding and for eps, which is 1e-15 beside
+    sqrt(v).
+
+    Args:
+        model: The map, or a part of it, changed in place.
+        config: Learning rates and decays.
+    """
+    clock = model.clock
+    missed = clock.missed
+    if not bool(missed.any()):
+        return
+    start = {"none": None, "shared": clock.last, "per_row": clock.age_at_last}[config.adam_steps]
+    steps = MissedSteps(missed, start, config.beta1, config.beta2, config.eps)
+    for name, lr in rates_of(config).by_column(model.params.sh).items():
+        column, m, v = (
+            getattr(values, name) for values in (model.params, model.exp_avg, model.exp_avg_sq)
+        )
+        steps.take(column, m, v, lr, model.rates.get(name))
+    clock.catch_up()
+
+
+def params_now(
+    model: GaussianModel, config: OptimConfig, rows: Int[Tensor, " R"] | None = None
+) -> GaussianParams:
+    """Parameters of a map as they are with the steps that rows missed; the map does not change.
+
+    Args:
+        model: The map.
+        config: Learning rates and decays of its steps.
+        rows: Some of its rows, each once; None: all. [R]
+
+    Returns:
+        A copy, or the map's own tensors if all rows are asked for and none misses a step.
+    """
+    params = model.params if rows is None else model.params[rows]
+    missed = model.clock.missed if rows is None else model.clock.missed[rows]
+    late = missed.nonzero()[:, 0]
+    if not len(late):
+        return params
+    if rows is None:
+        params = GaussianParams(**{name: column.clone() for name, column in vars(params).items()})
+    for places in late.split(_ROWS_AT_A_TIME):
+        part = PartOfMap(model, places if rows is None else rows[places], Boxes())
+        take_missed_steps(part, config)
+        for name, values in vars(part.params).items():
+            getattr(params, name)[places] = values
+    return params
+
+
+class MissedSteps:
+    """The steps of ``take_missed_steps``, for one column of the map after another; a row with k = 0
+    stays as it is.
+
+    Args:
+        missed: k of each row. [R]
+        start: t of the step before the first missed one; None: without bias correction. [R]
+        beta1, beta2, eps: As for ``adam_update``.
+    """
+
+    def __init__(
+        self,
+        missed: Int[Tensor, " R"],
+        start: Int[Tensor, " R"] | None,
+        beta1: float,
+        beta2: float,
+        eps: float,
+    ):
+        self.eps = eps
+        ratio = beta1 / math.sqrt(beta2)
+        self.decay1, self.decay2 = (beta ** missed.double() for beta in (beta1, beta2))
+        if start is None:
+            self.distance = ratio * (1 - ratio ** missed.double()) / (1 - ratio)
+        else:  # rows that were seen together share their sum
+            enough = math.ceil(math.log(_NOTHING_LEFT) / math.log(ratio)) if ratio else 1
+            k = missed.clamp_max(enough)
+            pairs, which = torch.unique(start.long() * (enough + 1) + k, return_inverse=True)
+            first = pairs[:, None] // (enough + 1)
+            last = pairs[:, None] % (enough + 1)
+            j = torch.arange(
+                1,
+                int(k.max()) + 1,
+                device=k.device,
+            )
+            t = (first + j).double()
+            terms = (1 - beta2**t).sqrt() / (1 - beta1**t) * ratio**j
+            self.distance = (terms * (j <= last)).sum(1)[which]
+
+    def take(
+        self,
+        column: Tensor,
+        m: Tensor,
+        v: Tensor,
+        lr: float | Tensor,
+        factor: Tensor | None,
+    ) -> None:
+        """Change a column and its moments in place; ``factor`` of the learning rate is one for each
+        row."""
+        distance = self.distance if factor is None else self.distance * factor
+        far, decay1, decay2 = (
+            x.to(m).view(-1, *[1] * (m.ndim - 1)) for x in (distance, self.decay1, self.decay2)
+        )
+        column -= lr * far * m / (v.sqrt() + self.eps)
+        m *= decay1
+        v *= decay2

@@ -1,0 +1,55 @@
+"""Some rows of a map, to be optimised while the others wait."""
+
+from jaxtyping import Int
+from torch import Tensor
+
+from ..gaussians import GaussianModel
+from ..render import Boxes
+
+
+class PartOfMap:
+    """Copies of some rows of a map and of their moments, for ``adam_step``; ``write_back`` puts
+    them into the map.
+
+    The rows that are left out keep their values and their moments until ``take_missed_steps``.
+
+    Args:
+        model: The map.
+        rows: Some of its rows, each once. [R]
+        boxes: Those of the map, from which the rows are.
+    """
+
+    def __init__(self, model: GaussianModel, rows: Int[Tensor, " R"], boxes: Boxes):
+        self.model = model
+        self.rows = rows
+        self._boxes = boxes
+        self.params, self.exp_avg, self.exp_avg_sq = (
+            x[rows] for x in (model.params, model.exp_avg, model.exp_avg_sq)
+        )
+        self.clock = model.clock.part(rows)
+        self.rates = {name: factors[rows] for name, factors in model.rates.items()}
+        self._state = model.state_of_columns()
+
+    @property
+    def step_count(self) -> int:
+        """Steps of the map, with those on the part."""
+        return self.clock.count
+
+    @property
+    def birth_step(self) -> Int[Tensor, " R"]:
+        """Value of ``step_count`` when each row was added, or its moments were forgotten."""
+        return self.clock.birth
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the map has not changed since the rows were copied or written back."""
+        return self._state == self.model.state_of_columns()
+
+    def write_back(self) -> None:
+        """Copy parameters, moments and the number of steps to the map."""
+        for name in ("params", "exp_avg", "exp_avg_sq"):
+            for column, values in vars(getattr(self, name)).items():
+                getattr(getattr(self.model, name), column).index_copy_(0, self.rows, values)
+        self.model.clock.write_back(self.rows, self.clock)
+        self._boxes.renew(self.model.params, self.rows, self.params)
+        self._state = self.model.state_of_columns()
