@@ -19,7 +19,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..checks import check_pose
-from ..geometry import backproject, pixel_grid, project, quaternion, se3
+from ..geometry import backproject, pixel_grid, project, se3
+from ..geometry.pose_path import pose_between
 from ..types import Camera, Frame
 from .bundle_adjustment import adjust
 from .features import FEATURES, LEVELS, Features
@@ -248,9 +249,8 @@ class Correction:
         """The motion of the world near each frame: T_new T_old^-1, blended between the keyframes
         before and after.
 
-        Rotations are interpolated along the shorter arc. The point c between the two old camera
-        centres moves to the interpolation of its two images: R(t) = slerp(R_a, R_b, t), R(t) c +
-        t(t) = (1 - t) D_a c + t D_b c.
+        The point between the two old camera centres moves to the interpolation of its two images
+        (``pose_between``, with this point as the pivot).
 
         Args:
             frame_index: Frames, in any order; before the first and after the last keyframe its
@@ -270,20 +270,10 @@ class Correction:
         passed = (frame_index.to(keyframe) - keyframe[a]).double()
         t = (passed / gap).clamp(0, 1) * (a != b)
         motion = _motion(self.T_WC_old, self.T_WC_new)
-        D_a = motion[a]
-        D_b = motion[b]
-        quat_a = quaternion.from_matrix(D_a[:, :3, :3])
-        quat_b = quaternion.from_matrix(D_b[:, :3, :3])
-        R = quaternion.to_matrix(quaternion.slerp(quat_a, quat_b, t))
+        old_centre = self.T_WC_old[:, :3, 3]
         s = t[:, None]
-        c = (1 - s) * self.T_WC_old[a, :3, 3] + s * self.T_WC_old[b, :3, 3]
-        moved = (1 - s) * _apply(D_a, c) + s * _apply(D_b, c)
-        D = torch.eye(4, dtype=torch.float64).expand(len(a), 4, 4).clone()
-        D[:, :3, :3] = R
-        D[:, :3, 3] = moved - (R @ c[:, :, None])[:, :, 0]
-        D = torch.where((t == 0)[:, None, None], D_a, D)
-        equal = (D_a == D_b).flatten(1).all(1)
-        return torch.where(equal[:, None, None], D_a, D)
+        pivot = (1 - s) * old_centre[a] + s * old_centre[b]
+        return pose_between(motion[a], motion[b], t, pivot=pivot)
 
 
 def _motion(T_old: Tensor, T_new: Tensor) -> Tensor:
@@ -295,11 +285,6 @@ def _motion(T_old: Tensor, T_new: Tensor) -> Tensor:
         eye,
         T_new @ se3.inverse(T_old),
     )
-
-
-def _apply(T: Tensor, xyz: Tensor) -> Tensor:
-    turned = T[:, :3, :3] @ xyz[:, :, None]
-    return turned[:, :, 0] + T[:, :3, 3]
 
 
 TIED_TO = 3

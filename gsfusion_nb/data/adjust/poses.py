@@ -1,5 +1,5 @@
-"""Stored poses: from another convention (direction, axes, order of numbers, unit) to ours, and
-between their times."""
+"""Stored poses: from another convention (direction, axes, order of numbers, unit) to ours,
+and their times."""
 
 import contextlib
 from typing import Any
@@ -100,26 +100,6 @@ def raw_matrices(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[
     return T
 
 
-def pose_between(
-    T_a: Float[Tensor, "*B 4 4"], T_b: Float[Tensor, "*B 4 4"], t: float
-) -> Float[Tensor, "*B 4 4"]:
-    """The pose at ``t`` from 0 (``T_a``) to 1 (``T_b``): linear in position, spherical in
-    orientation."""
-    a = quaternion.from_matrix(T_a[..., :3, :3])
-    b = quaternion.from_matrix(T_b[..., :3, :3])
-    turned = quaternion.slerp(
-        a,
-        b,
-        a.new_full(a.shape[:-1], t),
-    )
-    from_a = T_a[..., :3, 3]
-    to_b = T_b[..., :3, 3]
-    T = T_a.clone()
-    T[..., :3, :3] = quaternion.to_matrix(turned)
-    T[..., :3, 3] = from_a + t * (to_b - from_a)
-    return T
-
-
 def _with_rotation(
     T: Float[Tensor, "N 4 4"],
     R: Float[Tensor, "N 3 3"],
@@ -127,69 +107,6 @@ def _with_rotation(
     T = T.clone()
     T[:, :3, :3] = R
     return T
-
-
-_NEIGHBOURS = (-1, 1, 2)
-_LONGEST_GAP = 4.0
-"""A neighbour farther away than this many median steps does not say how the camera moved."""
-
-
-class PosePath:
-    """Poses at any time, interpolated on SE(3).
-
-    Between the poses T_k and T_k+1 the path is T_k exp(xi(s)), where xi is the cubic in the time s
-    since T_k that also goes through T_k+1, the pose before and the one after: a parabola makes a
-    tremor of 5 Hz at 30 frames a second a sixth too slow, and two parabolas do not meet. At the
-    ends of the recording, and beside a gap, through fewer.
-
-    Args:
-        times_s: Increasing times. [L]
-        poses: Camera-to-world, float64; NaN where there is none. [L, 4, 4]
-    """
-
-    def __init__(self, times_s: Float[Tensor, " L"], poses: Float[Tensor, "L 4 4"]):
-        known = torch.isfinite(poses).all(dim=(1, 2)) & torch.isfinite(times_s)
-        known[1:] &= times_s[1:] > times_s[:-1].cummax(0).values
-        self._times = times_s[known].double()
-        self._poses = poses[known].double()
-        steps = self._times.diff()
-        self.step_s = float(steps.median()) if len(steps) else 0.0
-        """Median time from one pose to the next, seconds; 0 with fewer than two poses."""
-        far = (steps > _LONGEST_GAP * self.step_s).long()
-        # poses of one piece have no gap between them
-        self._piece = torch.cat([far.new_zeros(1), far.cumsum(0)])
-
-    def at(self, times_s: Float[Tensor, " N"]) -> Float[Tensor, "N 4 4"]:
-        """Camera-to-world poses; NaN farther than one median step from every pose. [N, 4, 4]"""
-        if not len(self._times):
-            return times_s.new_full((len(times_s), 4, 4), torch.nan)
-        last = len(self._times) - 1
-        right = torch.searchsorted(self._times, times_s).clamp(max=last)
-        left = (right - 1).clamp_min(0)
-        to_left = (times_s - self._times[left]).abs()
-        to_right = (times_s - self._times[right]).abs()
-        in_gap = self._piece[left] != self._piece[right]
-        k = right.where(in_gap & (to_right < to_left), left)
-        s = times_s - self._times[k]
-        T_k = self._poses[k]
-        near = torch.stack([k + o for o in _NEIGHBOURS], 1)
-        known = (near >= 0) & (near <= last)
-        near = near.clamp(0, last)
-        known &= self._piece[near] == self._piece[k, None]
-        at_s = self._times[near] - self._times[k, None]
-        xi = torch.zeros(len(k), 6, dtype=torch.float64)
-        for j in range(len(_NEIGHBOURS)):
-            # Lagrange's polynomial: 1 at this neighbour, 0 at the others and at T_k
-            share = s / at_s[:, j]
-            for m in set(range(len(_NEIGHBOURS))) - {j}:
-                factor = (s - at_s[:, m]) / (at_s[:, j] - at_s[:, m])
-                share = share * factor.where(known[:, m], 1.0)
-            share = share.where(known[:, j], 0.0)
-            xi_j = se3.log(se3.inverse(T_k) @ self._poses[near[:, j]])
-            xi += share[:, None] * xi_j
-        T = T_k @ se3.exp(xi)
-        close = torch.minimum(to_left, to_right) <= self.step_s
-        return T.where(close[:, None, None], torch.nan)
 
 
 def times_of(source: Any) -> Float[Tensor, " L"] | None:

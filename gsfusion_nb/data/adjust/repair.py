@@ -15,13 +15,14 @@ from torch import Tensor
 from ...config import RepairConfig
 from ...errors import BadFrameError, SequenceError
 from ...geometry import pixel_grid, rays, se3
+from ...geometry.pose_path import PosePath, pose_between
 from ...types import Camera, Frame
 from ..lens import same_proportions, warp_depth
 from ..recorded.images import read_depth
 from ..recorded.recorded_sequence import RecordedSequence
 from ..recorded.times import associate
 from ..sequence import Sequence, position
-from .poses import PosePath, pose_between, raw_matrices, reread_poses, stored_poses, times_of
+from .poses import raw_matrices, reread_poses, stored_poses, times_of
 
 _RAW = ("matrices", "nearest_rotation", "fit_sizes")
 """Corrections without which no frame can be made: they need the numbers of the files."""

@@ -16,10 +16,11 @@ from torch import Tensor
 from ...checks import shown
 from ...errors import SequenceError, SequenceNotFoundError
 from ...files import is_file
+from ...geometry.pose_path import pose_at
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
 from ..recorded.files import calibration_in, given_name, natural_order, require, told_outside
-from ..recorded.poses import checked_rows, interpolate_rows, matrices, no_poses, read_rows
+from ..recorded.poses import checked_rows, matrices, no_poses, read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..recorded.times import associate, judge_stamps, read_image_list
 
@@ -105,7 +106,7 @@ def tum(
     timed = [(rgb_s[c], d, c) for d, c in pairs]
     if poses:
         posed = _with_poses(root / "groundtruth.txt", timed)
-        T_WC = matrices(torch.stack([row for *_, row in posed])) if posed else no_poses(0)
+        T_WC = torch.stack([T for *_, T in posed]) if posed else no_poses(0)
     else:
         posed = [(*frame, None) for frame in timed]
         T_WC = no_poses(len(timed))
@@ -193,20 +194,20 @@ def _stream(path: Path) -> tuple[list[float], list[Path]]:
 
 def _with_poses(
     path: Path, frames: list[tuple[float, int, int]]
-) -> list[tuple[float, int, int, Float[Tensor, " 7"]]]:
+) -> list[tuple[float, int, int, Float[Tensor, "4 4"]]]:
     """Frames whose time has a ground-truth pose, with that pose. Rows with NaN or infinities count
     as no pose."""
     table, notes = checked_rows(read_rows(path, 8, "timestamp tx ty tz qx qy qz qw"), path)
     for note in notes:
         log.warning("%s", note)
     stamps = table[:, 0].contiguous()
-    rows = table[:, 1:]
-    found = []
+    poses = matrices(table[:, 1:])
+    posed = []
     for t, d, c in frames:
-        row = interpolate_rows(stamps, rows, t, max_gap_s=MAX_POSE_GAP_S)
-        if row is not None:
-            found.append((t, d, c, row))
-    return found
+        T_WC = pose_at(stamps, poses, t, max_gap_s=MAX_POSE_GAP_S)
+        if T_WC is not None:
+            posed.append((t, d, c, T_WC))
+    return posed
 
 
 LAYOUT = Layout(read=tum, looks_for=LOOKS_FOR)

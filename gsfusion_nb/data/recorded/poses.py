@@ -1,5 +1,5 @@
 """Camera poses from text, checked rigid: one matrix per line or file, lines that name an image, and
-poses by time."""
+rows with times."""
 
 import re
 from pathlib import Path
@@ -191,44 +191,6 @@ def matrices(rows: Float[Tensor, "N 7"]) -> Float[Tensor, "N 4 4"]:
     T[:, :3, :3] = quaternion.to_matrix(rows[:, [6, 3, 4, 5]])
     T[:, :3, 3] = rows[:, :3]
     return T
-
-
-def interpolate_rows(
-    stamps_s: Float[Tensor, " N"],
-    rows: Float[Tensor, "N 7"],
-    at_s: float,
-    *,
-    max_gap_s: float,
-) -> Float[Tensor, " 7"] | None:
-    """Pose ``tx ty tz qx qy qz qw`` at time ``at_s``: linear in position, spherical in orientation.
-
-    Args:
-        stamps_s: Increasing times, seconds. [N]
-        rows: Poses at those times. [N, 7]
-        at_s: Time wanted, seconds.
-        max_gap_s: Largest time between the two surrounding poses, seconds.
-
-    Returns:
-        The pose, or None where it is unknown: outside the recorded time, or in a gap longer than
-        ``max_gap_s``.
-    """
-    after = int(torch.searchsorted(stamps_s, at_s))
-    if after < len(stamps_s) and float(stamps_s[after]) == at_s:
-        return rows[after]
-    if after in (0, len(stamps_s)):
-        return None
-    gap = float(stamps_s[after] - stamps_s[after - 1])
-    if gap > max_gap_s:
-        return None
-    t = torch.tensor((at_s - float(stamps_s[after - 1])) / gap, dtype=rows.dtype)
-    a = rows[after - 1]
-    b = rows[after]
-    quat = quaternion.slerp(
-        a[[6, 3, 4, 5]],
-        b[[6, 3, 4, 5]],
-        t,
-    )
-    return torch.cat([a[:3] + t * (b[:3] - a[:3]), quat[[1, 2, 3, 0]]])
 
 
 def no_poses(n: int) -> Float[Tensor, "n 4 4"]:

@@ -16,9 +16,10 @@ from torch import Tensor
 
 from ...config import RepairConfig
 from ...data.adjust.depth_agreement import AGREES, relative_poses
-from ...data.adjust.poses import pose_between, reread_poses
+from ...data.adjust.poses import reread_poses
 from ...data.adjust.reprojection import Reprojection, reproject_depth
 from ...geometry import pixel_grid
+from ...geometry.pose_path import pose_between
 from ...types import Camera
 from .sample import Sample
 

@@ -15,7 +15,6 @@ from ...checks import check_pose
 from ...data.recorded.poses import (
     check_decimal_points,
     checked_rows,
-    interpolate_rows,
     matrices,
     read_rows,
 )
@@ -24,6 +23,7 @@ from ...data.recorded.times import time_unit as find_time_unit
 from ...errors import SequenceError, refusing
 from ...files import parsing, read_text
 from ...geometry import quaternion, se3
+from ...geometry.pose_path import pose_at
 
 
 def frame_key(name: str) -> tuple[int, ...] | str:
@@ -67,8 +67,8 @@ class Trajectory:
 
     path: str
     stamps_s: Float[Tensor, " N"]
-    rows: Float[Tensor, "N 7"]
-    """tx ty tz qx qy qz qw, metres."""
+    T_world_body: Float[Tensor, "N 4 4"]
+    """Poses at these times, metres, float64."""
     T_body_cam: Float[Tensor, "4 4"]
     """From the camera's frame to that of the body whose poses these are."""
     max_gap_s: float
@@ -82,8 +82,8 @@ class Trajectory:
     def pose_at(self, time_s: float) -> Float[Tensor, "4 4"] | None:
         """Camera-to-world pose, or None outside the recorded time and in a gap longer than
         ``max_gap_s``."""
-        row = interpolate_rows(self.stamps_s, self.rows, time_s, max_gap_s=self.max_gap_s)
-        return None if row is None else matrices(row[None])[0] @ self.T_body_cam
+        T = pose_at(self.stamps_s, self.T_world_body, time_s, max_gap_s=self.max_gap_s)
+        return None if T is None else T @ self.T_body_cam
 
 
 def read_trajectory(
@@ -151,7 +151,7 @@ def read_trajectory(
     return Trajectory(
         path=str(path),
         stamps_s=(table[:, 0] / PER_SECOND[unit]).contiguous(),
-        rows=table[:, 1:],
+        T_world_body=matrices(table[:, 1:]),
         T_body_cam=torch.eye(4, dtype=torch.float64) if T_body_cam is None else T_body_cam,
         max_gap_s=max_gap_s,
         notes=tuple(notes),

@@ -1,14 +1,11 @@
-"""Poses and pictures of different times: the path between the poses, and the repair by a known
-offset."""
+"""Poses and pictures of different times: the repair by a known offset."""
 
 from typing import Any, cast
 
 import pytest
-import torch
 
 from gsfusion_nb.config import DataConfig, RepairConfig
 from gsfusion_nb.data import apply_options, repaired
-from gsfusion_nb.data.adjust.poses import PosePath
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
 
@@ -21,19 +18,6 @@ PART = DataConfig(start=150, stop=190, hold_out_every=0)
 def late():
     """Forty frames of a walk whose poses are those of 50 ms later: the pictures are 50 ms early."""
     return apply_options(cast(Any, room(**LATE)), PART)
-
-
-def test_a_path_goes_through_its_poses_and_is_exact_for_even_motion():
-    times_s = torch.tensor([0.0, 0.1, 0.2, 0.35, 0.4, 5.0], dtype=torch.float64)
-    velocity = torch.tensor([0.3, -0.2, 0.1, 0.5, 0.4, -0.9], dtype=torch.float64)
-    poses = se3.exp(times_s[:, None] * velocity)
-    poses[2] = torch.nan
-    path = PosePath(times_s, poses)
-    between = torch.tensor([-0.05, 0.03, 0.1, 0.18, 0.38], dtype=torch.float64)
-    torch.testing.assert_close(path.at(between), se3.exp(between[:, None] * velocity))
-    # nothing near says how it moves there
-    torch.testing.assert_close(path.at(times_s[-1:] + 0.05), poses[-1:])
-    assert bool(path.at(torch.tensor([1.0], dtype=torch.float64)).isnan().all())
 
 
 def test_a_known_offset_brings_the_true_poses_back(late):

@@ -11,9 +11,10 @@ import torch
 from gsfusion_nb.config import DataConfig, RepairConfig, from_dict, to_dict
 from gsfusion_nb.config.repair import AXES, NAMED_AXES
 from gsfusion_nb.data import BadFrameError, SequenceError, folder, open_sequence, repaired
-from gsfusion_nb.data.adjust.poses import pose_between, reread_poses
+from gsfusion_nb.data.adjust.poses import reread_poses
 from gsfusion_nb.data.adjust.repair import shifted_colour
 from gsfusion_nb.geometry import quaternion, se3
+from gsfusion_nb.geometry.pose_path import pose_between
 
 
 @pytest.fixture
@@ -95,16 +96,6 @@ def test_each_mistake_is_undone(poses):
     for stored, repair in mistakes:
         assert torch.allclose(reread_poses(stored, repair), poses, atol=1e-9), repair
         assert not torch.allclose(stored, poses, atol=1e-3)
-
-
-def test_pose_between_follows_a_screw_halfway(poses):
-    halfway = pose_between(poses[0], poses[1], 0.5)
-    assert torch.allclose(
-        halfway[:3, 3],
-        (poses[0] + poses[1])[:3, 3] / 2,
-    )
-    angles = [se3.rotation_angle(poses[i, :3, :3].T @ halfway[:3, :3]) for i in (0, 1)]
-    assert torch.allclose(angles[0], angles[1])
 
 
 def test_depth_poses_and_intrinsics_of_a_recording(tmp_path, box):

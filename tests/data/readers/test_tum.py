@@ -15,7 +15,6 @@ from gsfusion_nb.data.adjust.depth_agreement import depth_agreement
 from gsfusion_nb.data.lens import CameraModel, Undistorter
 from gsfusion_nb.data.readers.tum import LENSES
 from gsfusion_nb.data.recorded.images import read_depth
-from gsfusion_nb.data.recorded.poses import interpolate_rows
 from gsfusion_nb.types import Camera
 
 
@@ -185,25 +184,6 @@ def test_two_measurements_of_one_pose(tmp_path, box, caplog):
         SequenceError, match=r"two poses at the time .*, 0\.5 m and 0 degrees apart"
     ):
         tum(root, camera=box.camera)
-
-
-def test_interpolation_by_hand():
-    half = np.sqrt(0.5)
-    rows = torch.tensor(
-        [[0.0, 0, 0, 0, 0, 0, 1], [2, 4, 6, 0, 0, half, half]],
-        dtype=torch.float64,
-    )
-    stamps = torch.tensor([10.0, 10.1], dtype=torch.float64)
-    got = interpolate_rows(stamps, rows, 10.05, max_gap_s=0.2)
-    assert got is not None
-    assert got.tolist() == pytest.approx([1, 2, 3, 0, 0, np.sin(np.pi / 8), np.cos(np.pi / 8)])
-    for at, expected in ((10.0, rows[0]), (10.1, rows[1])):
-        exact = interpolate_rows(stamps, rows, at, max_gap_s=0.2)
-        assert exact is not None
-        assert torch.equal(exact, expected)
-    assert interpolate_rows(stamps, rows, 9.99, max_gap_s=0.2) is None
-    assert interpolate_rows(stamps, rows, 10.11, max_gap_s=0.2) is None
-    assert interpolate_rows(stamps, rows, 10.05, max_gap_s=0.05) is None
 
 
 @pytest.mark.parametrize(

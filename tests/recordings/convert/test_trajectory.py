@@ -137,7 +137,7 @@ def test_decimal_commas_are_named(tmp_path, separator):
 def test_lost_poses_are_left_out(tmp_path):
     (tmp_path / "p.txt").write_text(tum([ROWS[0], (10.5, *[math.nan] * 7), ROWS[1]]))
     trajectory = read_trajectory(tmp_path / "p.txt")
-    assert len(trajectory.rows) == 2
+    assert len(trajectory.T_world_body) == 2
     assert "1 of 3 poses are NaN and count as lost" in trajectory.notes[0]
 
 

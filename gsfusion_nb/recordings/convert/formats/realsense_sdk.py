@@ -18,7 +18,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ....data.recorded.poses import matrices
 from ....errors import SequenceError
 from .ros_tf import in_order, row_of
 
@@ -71,8 +70,9 @@ class SdkCalibration:
         places = [self._places.get(stream_of(topic)) for topic in (source, target)]
         if places[0] is None or places[1] is None or places[0][0] != places[1][0]:
             return None
-        rows = torch.cat([in_order([0.0], [row]).rows for _, row in (places[0], places[1])])
-        T_source_reference, T_target_reference = matrices(rows)
+        T_source_reference, T_target_reference = (
+            in_order([0.0], [row]).poses[0] for _, row in (places[0], places[1])
+        )
         return T_target_reference @ torch.linalg.inv(T_source_reference)
 
     def units_per_m(self, topic: str, source: str) -> float:

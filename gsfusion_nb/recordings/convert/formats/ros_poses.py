@@ -161,7 +161,7 @@ class RosPoses:
         return Trajectory(
             path=name,
             stamps_s=ordered.times_s,
-            rows=ordered.rows,
+            T_world_body=ordered.poses,
             T_body_cam=T_body_cam,
             max_gap_s=self.options.max_gap_s,
         ).pose_at

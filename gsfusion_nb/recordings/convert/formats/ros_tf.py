@@ -4,6 +4,7 @@ A transform is known by its frame and the parent that it is given in. Two publis
 frame two parents, such as odometry and localisation: these are two transforms, of two worlds.
 """
 
+import functools
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -13,8 +14,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from ....data.recorded.poses import interpolate_rows, matrices
+from ....data.recorded.poses import matrices
 from ....errors import SequenceError
+from ....geometry.pose_path import pose_at
 
 POSE_TYPES = ("PoseStamped", "PoseWithCovarianceStamped", "TransformStamped", "Odometry")
 _STILL = 1e-9
@@ -30,6 +32,11 @@ class TimedRows:
     conflicts: int = 0
     """Rows that were left out, because another one of the same time says something else and came
     first."""
+
+    @functools.cached_property
+    def poses(self) -> Float[Tensor, "N 4 4"]:
+        """The rows as matrices, float64."""
+        return matrices(self.rows)
 
 
 @dataclass
@@ -75,13 +82,11 @@ class _Transform:
         gap = known[after.clamp(1, len(known) - 1)] - known[after.clamp(1, len(known) - 1) - 1]
         return hit | (between & (gap <= max_gap_s))
 
-    def at(self, time_s: float, max_gap_s: float) -> Float[Tensor, " 7"] | None:
-        """Its row at a time, the last one if it does not move; None where it is unknown."""
+    def at(self, time_s: float, max_gap_s: float) -> Float[Tensor, "4 4"] | None:
+        """The transform at a time, the last one if it does not move; None where it is unknown."""
         if not self.moves:
-            return self.ordered.rows[-1]
-        return interpolate_rows(
-            self.ordered.times_s, self.ordered.rows, time_s, max_gap_s=max_gap_s
-        )
+            return self.ordered.poses[-1]
+        return pose_at(self.ordered.times_s, self.ordered.poses, time_s, max_gap_s=max_gap_s)
 
 
 @dataclass(frozen=True)
@@ -193,10 +198,10 @@ class TransformTree:
         time. float64."""
         T = torch.eye(4, dtype=torch.float64)
         for edge in path.edges():
-            row = self._transforms[edge].at(time_s, max_gap_s)
-            if row is None:
+            step = self._transforms[edge].at(time_s, max_gap_s)
+            if step is None:
                 return None
-            T = matrices(row[None])[0] @ T
+            T = step @ T
         return T
 
     def between(self, frame: str, other: str) -> Float[Tensor, "4 4"] | None:
@@ -210,7 +215,7 @@ class TransformTree:
                 if here not in (child, parent) or transform.moves:
                     continue
                 there = parent if here == child else child
-                up = matrices(transform.ordered.rows[-1:])[0]
+                up = transform.ordered.poses[-1]
                 if there not in found:
                     found[there] = (up if here == child else torch.linalg.inv(up)) @ found[here]
                     waiting.append(there)
