@@ -17,8 +17,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from .code_digest import UnhashableError
 from .code_origin import BESIDE, LOADED_SOURCE, RULE_SOURCE, is_library_module
-from .code_values import NOT_OF_A_PROGRAM, UnhashableError, ValueHash
+from .code_programs import NOT_OF_A_PROGRAM
+from .code_values import ValueHash
 from .installed import distribution_of, is_installed, state_of, with_requirements
 
 _PACKAGE = __name__.partition(".")[0]

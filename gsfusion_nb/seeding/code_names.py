@@ -4,8 +4,10 @@ it makes itself."""
 import contextlib
 import dis
 import importlib.util
+import sys
 import types
 from collections.abc import Iterator
+from typing import Any
 
 _BY_NAME = {"globals", "eval", "exec", "vars", "locals"}
 """Builtins that look names up while a program runs."""
@@ -75,6 +77,14 @@ def imported_inside(f: types.FunctionType) -> set[str]:
                 with contextlib.suppress(ImportError):
                     found.add(importlib.util.resolve_name(name, package))
     return found
+
+
+def named_in(module: str, name: str) -> Any:
+    """What a module has by a dotted name; None if there is no such thing."""
+    value: Any = sys.modules.get(module)
+    for part in name.split("."):
+        value = getattr(value, part, None)
+    return value
 
 
 def walks_sets(code: types.CodeType) -> bool:

@@ -76,6 +76,17 @@ def is_library_module(module: types.ModuleType) -> bool:
     return _is_library(module)
 
 
+@functools.lru_cache(maxsize=65536)
+def is_own_class(kind: type) -> bool:
+    """Whether a class was written in a notebook, or in a file that is no library's."""
+    if kind.__module__ == "__main__":
+        return True
+    home = sys.modules.get(kind.__module__)
+    if not isinstance(home, types.ModuleType) or is_library_module(home):
+        return False
+    return bool(getattr(home, "__file__", None)) or hasattr(home, LOADED_SOURCE)
+
+
 def is_library_code(function: types.FunctionType) -> bool:
     """Whether a function was written in a library: the module that it looks up its names in is
     one."""
