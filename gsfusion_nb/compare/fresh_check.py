@@ -23,7 +23,8 @@ from ..seeding.installed import is_installed
 from ..seeding.patches import changes_since, library_state, switches
 from ..seeding.rule import option_paths
 from ..seeding.rule_code import refuse_undeclared, rule_of_source
-from ..seeding.rule_guard import SYSTEM_FOLDERS, only_declared
+from ..seeding.rule_guard import only_declared
+from ..seeding.rule_watch import SYSTEM_FOLDERS
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from .beside import Beside, sources_digest
 from .code_origin import BESIDE, RULE_SOURCE, is_library_code
 from .map_rule import SeedingRule, rule_name
 from .rule import get_rule, keep_registered, option_paths, registered
-from .rule_guard import noted, refuse
+from .rule_guard import refuse, watch_reads
 
 _OWN = __name__.partition(".")[0]
 
@@ -265,7 +265,7 @@ def _load(source: str, name: str, file: str, beside: Beside) -> types.ModuleType
     )  # for its source in reports
     sys.modules[name] = module  # dataclasses look there
     try:
-        with keep_registered() as before, noted(Path(file).name) as watch:
+        with keep_registered() as before, watch_reads(Path(file).name) as watch:
             exec(compile(source, shown_name, "exec", dont_inherit=True), module.__dict__)
             own = [
                 rule_name(rule) for key, rule in registered().items() if before.get(key) is not rule
@@ -281,7 +281,7 @@ def _load(source: str, name: str, file: str, beside: Beside) -> types.ModuleType
         where = file if line is None else f"{file}, line {line}"
         raise ArgumentError(f"{where}: {type(e).__name__}: {getattr(e, 'msg', e)}") from None
     vars(module)[_READ] = watch.offence
-    vars(module)[_IMPORTED] = frozenset(watch.imported)
+    vars(module)[_IMPORTED] = frozenset(watch.imported_files)
     functions = [
         k
         for k, v in vars(module).items()
