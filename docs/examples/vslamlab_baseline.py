@@ -109,7 +109,7 @@ def read_sequence(args: argparse.Namespace):
         pose_sources=[""] * len(rows),
         has_poses=False,
         depth_scale=float(told["depth_factor"]),
-        rectify=undistorter,
+        rectification=undistorter,
     ), [row[f"ts_{rgb} (ns)"] for row in rows]
 
 

@@ -352,8 +352,8 @@ def _cross(
 
 
 class Undistorter:
-    """Maps image pairs of a camera with distortion to a pinhole camera that sees nothing outside
-    the source image.
+    """Maps images of a camera with distortion to a pinhole camera that sees nothing outside the
+    source image.
 
     Colour is interpolated; depth is taken from the nearest pixel, never interpolated, or warped
     into the pinhole if it is that of a second camera. ``camera`` is the pinhole; its focal length
@@ -379,21 +379,20 @@ class Undistorter:
             torch.eye(4) if T_depth_colour is None else se3.inverse(T_depth_colour)
         )
 
-    def __call__(
-        self,
-        rgb: np.ndarray,
-        depth_m: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The pair as ``camera`` sees it. Colour uint8 [H, W, 3], depth in metres [H, W]."""
-        rgb = cv2.remap(
+    def colour(self, rgb: np.ndarray) -> np.ndarray:
+        """Colour as ``camera`` sees it, uint8. [H, W, 3]"""
+        return cv2.remap(
             rgb,
             self._u,
             self._v,
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REPLICATE,
         )
+
+    def depth(self, depth_m: np.ndarray) -> np.ndarray:
+        """z-depth as ``camera`` sees it, metres. [H, W]"""
         if self.depth_camera is None:
-            return rgb, cv2.remap(depth_m, self._u, self._v, cv2.INTER_NEAREST)
-        return rgb, warp_depth(
+            return cv2.remap(depth_m, self._u, self._v, cv2.INTER_NEAREST)
+        return warp_depth(
             torch.from_numpy(depth_m), self.depth_camera, self.camera, self._T_colour_depth
         ).numpy()

@@ -156,7 +156,7 @@ def sequence_fingerprint(sequence: OpenedSequence) -> str:
         stored = (source.depth_scale, source.depth_invalid, source.fit_sizes)
         hashes = list(data_files(sequence).values())
         digest.update(repr((stored, hashes)).encode())
-        if source.rectify is not None:  # what it does to the images shows in one of them
+        if source.rectification is not None:  # what it does to the images shows in one of them
             _add_pixels(digest, sequence.mapping, at_most=1)
     elif content := getattr(source, "content", ""):
         digest.update(content.encode())

@@ -116,26 +116,39 @@ class RepairedSequence:
 
     def __getitem__(self, i: int) -> Frame:
         i = position(i, len(self))
-        frame = self.source[i]
         T_WC = self.pose(i)
+        depth_of, lag_s = self._depth_images[i]
+        frame = self._as_stored(i, colour_of=self._colour_frame(i), depth_of=depth_of)
         return dataclasses.replace(
             frame,
-            rgb=self._colour(frame, i),
-            depth_m=self._depth(frame, i, T_WC),
+            rgb=self._colour(frame.colour),
+            depth_m=self._depth(frame.depth_m, i, lag_s, T_WC),
             camera=self.camera,
             T_WC=T_WC,
         )
 
+    def _as_stored(self, i: int, *, colour_of: int, depth_of: int) -> Frame:
+        """Frame ``i`` of the source with the colour and the depth of other frames; of a recording
+        no other image is decoded."""
+        source = self.source
+        if isinstance(source, RecordedSequence):
+            return source.frame(i, colour_of=colour_of, depth_of=depth_of)
+        frame = source[i]
+        if colour_of == depth_of == i:
+            return frame
+        colour = frame if colour_of == i else source[colour_of]
+        depth = frame if depth_of == i else source[depth_of]
+        return dataclasses.replace(frame, rgb=colour.colour, depth_m=depth.depth_m)
+
     def _depth(
         self,
-        frame: Frame,
+        depth_m: Float[Tensor, "H W"],
         i: int,
+        lag_s: float,
         T_WC: Float[Tensor, "4 4"],
     ) -> Float[Tensor, "H W"]:
-        """Depth at the picture's pose ``T_WC``: the image that was taken nearest to the picture,
+        """Depth at the pose ``T_WC`` of picture ``i``, of an image that was taken ``lag_s`` later
         from its own pose."""
-        j, lag_s = self._depth_images[i]
-        depth_m = frame.depth_m if j == i else self._depth_image(j)
         if self.repair.depth_factor != 1:
             depth_m = depth_m * self.repair.depth_factor
         if self.repair.depth_kind == "ray":
@@ -146,11 +159,6 @@ class RepairedSequence:
         T_CW = se3.inverse(T_WC.double())
         T_from_depth = T_CW @ self._pose_after(i, lag_s)
         return warp_depth(depth_m, self.camera, self.camera, T_from_depth)
-
-    def _depth_image(self, j: int) -> Float[Tensor, "H W"]:
-        """Depth of the source's frame ``j``; of a recording only that image is decoded."""
-        source = self.source
-        return source.depth_image(j) if isinstance(source, RecordedSequence) else source[j].depth_m
 
     @functools.cached_property
     def _depth_images(self) -> list[tuple[int, float]]:
@@ -203,14 +211,17 @@ class RepairedSequence:
         stored = self.source.pose(i).double()
         return reread_poses(stored[None], self.repair)[0].float()
 
-    def _colour(self, frame: Frame, i: int) -> Shaped[Tensor, "H W 3"]:
+    def _colour_frame(self, i: int) -> int:
+        """The frame whose colour frame ``i`` gets."""
         other = i + self.repair.rgb_shift_frames
         if not 0 <= other < len(self):
             raise BadFrameError(
                 f"{self.name} frame {i} has no colour: repair.rgb_shift_frames needs that of frame "
                 f"{other}"
             )
-        rgb = frame.colour if other == i else self.source[other].colour
+        return other
+
+    def _colour(self, rgb: Shaped[Tensor, "H W 3"]) -> Shaped[Tensor, "H W 3"]:
         axes = _MIRRORED_AXES[self.repair.rgb_mirror]
         return shifted_colour(rgb.flip(axes) if axes else rgb, self.repair)
 
@@ -246,7 +257,7 @@ def shifted_colour(rgb: Shaped[Tensor, "H W 3"], repair: RepairConfig) -> Shaped
 
 def _fitted(source: RecordedSequence) -> RecordedSequence:
     """The recording at the size of its depth images, intrinsics scaled to it."""
-    if source.rectify is not None:
+    if source.rectification is not None:
         raise SequenceError(
             f"{source.name}: repair.fit_sizes cannot be combined with undistortion or registration"
         )

@@ -118,7 +118,7 @@ def seven_scenes(
         pose_sources=[str(p) for p in pose_files],
         depth_scale=DEPTH_SCALE,
         depth_invalid=(DEPTH_INVALID,),
-        rectify=registration,
+        rectification=registration,
     )
 
 

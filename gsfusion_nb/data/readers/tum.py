@@ -136,7 +136,7 @@ def tum(
         has_poses=poses,
         pose_sources=[f"{root / 'groundtruth.txt'} at {t:.6f} s" for t, *_ in posed],
         depth_scale=DEPTH_SCALE,
-        rectify=undistorter,
+        rectification=undistorter,
     )
 
 

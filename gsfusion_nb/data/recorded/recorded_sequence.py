@@ -1,14 +1,14 @@
 """A recording on disk as a sequence, which is what every reader returns, and what a reader says
 about its layout."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from ...errors import BadFrameError, refusing
@@ -16,11 +16,23 @@ from ...geometry.operands import check_depth_scale, check_plausible_camera
 from ...types import Camera, Frame
 from ..adjust.resize import resize_colour
 from ..sequence import Sequence, position
+from .decoded_images import DecodedImages
 from .images import read_depth, read_rgb
 from .poses import checked_pose
 
-Rectify = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Colour (uint8, RGB) and depth (metres) as stored -> the same pair as ``camera`` sees it."""
+
+@runtime_checkable
+class Rectification(Protocol):
+    """Images as stored -> the same images as ``RecordedSequence.camera`` sees them (undistortion,
+    registration)."""
+
+    def colour(self, rgb: np.ndarray) -> np.ndarray:
+        """An image of colours, uint8. [H, W, 3]"""
+        ...
+
+    def depth(self, depth_m: np.ndarray) -> np.ndarray:
+        """A depth image, metres. [H, W]"""
+        ...
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,8 +63,8 @@ class RecordedSequence:
     """When the depth images were taken, seconds; None: at the times of the colour images."""
     depth_invalid: tuple[int, ...] = ()
     """Stored depth values that mean "missing", besides 0."""
-    rectify: Rectify | None = None
-    """Applied to every pair of images (undistortion, registration)."""
+    rectification: Rectification | None = None
+    """Applied to every image (undistortion, registration)."""
     fit_sizes: bool = False
     """Resize colour images of another size than the camera's instead of refusing them."""
     no_times: str = ""
@@ -64,6 +76,9 @@ class RecordedSequence:
     read_from: tuple[Path, ...] = ()
     """Every file that was read to open the recording: poses, intrinsics, lists. ``open_sequence``
     notes them."""
+    decoded: DecodedImages | None = None
+    """Holds images that were decoded before; without it each is decoded whenever it is asked
+    for."""
 
     def __post_init__(self):
         with refusing():
@@ -81,61 +96,59 @@ class RecordedSequence:
         i = position(i, len(self))
         return checked_pose(self.poses[i], self.pose_sources[i])
 
-    def depth_image(self, i: int) -> Float[Tensor, "H W"]:
-        """z-depth of frame ``i``, metres, the same as ``sequence[i].depth_m``.
-
-        The colour image is decoded only where both are rectified together, or its size is to be
-        compared with the camera's; a damaged one therefore does not matter here.
-        """
+    def colour_image(self, i: int) -> UInt8[Tensor, "H W 3"]:
+        """Colour of frame ``i``, the same as ``sequence[i].colour``. No other file is decoded."""
         i = position(i, len(self))
-        if self.rectify is not None:
-            return self[i].depth_m
-        depth_m = read_depth(
-            self.depth_files[i], scale=self.depth_scale, invalid=self.depth_invalid
+        file = self.rgb_files[i]
+        rgb = self._decoded(("colour", file), lambda: read_rgb(file))
+        if self.fit_sizes:
+            rgb = resize_colour(rgb, self.camera.width, self.camera.height)
+        self._check_size(file, rgb)
+        if self.rectification is not None:
+            rgb = self.rectification.colour(rgb)
+        return torch.from_numpy(rgb)
+
+    def depth_image(self, i: int) -> Float[Tensor, "H W"]:
+        """z-depth of frame ``i``, metres, the same as ``sequence[i].depth_m``. No other file is
+        decoded."""
+        i = position(i, len(self))
+        file = self.depth_files[i]
+        scale = self.depth_scale
+        invalid = self.depth_invalid
+        depth_m = self._decoded(
+            ("depth", file, scale, invalid),
+            lambda: read_depth(file, scale=scale, invalid=invalid),
         )
-        size = depth_m.shape[1::-1]
-        if size != (self.camera.width, self.camera.height):
-            raise BadFrameError(
-                f"{self.depth_files[i]} is {_wxh(size)}; expected "
-                f"{_wxh((self.camera.width, self.camera.height))}"
-            )
+        self._check_size(file, depth_m, ", and registered to colour")
+        if self.rectification is not None:
+            depth_m = self.rectification.depth(depth_m)
         return torch.from_numpy(depth_m)
 
     def __getitem__(self, i: int) -> Frame:
+        return self.frame(i)
+
+    def frame(self, i: int, *, colour_of: int | None = None, depth_of: int | None = None) -> Frame:
+        """Frame ``i``, or its pose and time with the colour or the depth of another frame: each of
+        the two files is decoded once, and no other."""
         i = position(i, len(self))
-        T_WC = self.pose(i)
-        rgb = read_rgb(self.rgb_files[i])
-        depth_m = read_depth(
-            self.depth_files[i], scale=self.depth_scale, invalid=self.depth_invalid
-        )
-        if self.fit_sizes:
-            rgb = resize_colour(rgb, self.camera.width, self.camera.height)
-        self._check_sizes(i, rgb, depth_m)
-        if self.rectify is not None:
-            rgb, depth_m = self.rectify(rgb, depth_m)
         return Frame(
+            T_WC=self.pose(i),
+            rgb=self.colour_image(i if colour_of is None else colour_of),
+            depth_m=self.depth_image(i if depth_of is None else depth_of),
             index=i,
             timestamp_s=self.timestamps_s[i],
-            rgb=torch.from_numpy(rgb),
-            depth_m=torch.from_numpy(depth_m),
             camera=self.camera,
-            T_WC=T_WC,
         )
 
-    def _check_sizes(self, i: int, rgb: np.ndarray, depth_m: np.ndarray) -> None:
-        rgb_size = rgb.shape[1::-1]
-        depth_size = depth_m.shape[1::-1]
-        if rgb_size != depth_size:
-            raise BadFrameError(
-                f"{self.depth_files[i]} is {_wxh(depth_size)} but {self.rgb_files[i]} is "
-                f"{_wxh(rgb_size)}; "
-                "expected colour and depth of the same size, registered to each other"
-            )
+    def _decoded(self, key: Hashable, decode: Callable[[], np.ndarray]) -> np.ndarray:
+        return decode() if self.decoded is None else self.decoded.get(key, decode)
+
+    def _check_size(self, file: Path, image: np.ndarray, also: str = "") -> None:
+        size = image.shape[1::-1]
         expected = (self.camera.width, self.camera.height)
-        if rgb_size != expected:
+        if size != expected:
             raise BadFrameError(
-                f"{self.rgb_files[i]} is {_wxh(rgb_size)}; expected {_wxh(expected)}, as the "
-                "intrinsics say"
+                f"{file} is {_wxh(size)}; expected {_wxh(expected)}, as the intrinsics say{also}"
             )
 
 

@@ -87,15 +87,14 @@ class RealSense(LiveSource):
                 if index >= 0:
                     rgb = np.asanyarray(colour.get_data()).copy()
                     depth_m = np.asanyarray(depth.get_data()).astype(np.float32) * depth_scale
-                    images = (rgb, depth_m) if undistorter is None else undistorter(rgb, depth_m)
-                    rgb, depth_m = (
-                        torch.from_numpy(np.ascontiguousarray(image)) for image in images
-                    )
+                    if undistorter is not None:
+                        rgb = undistorter.colour(rgb)
+                        depth_m = undistorter.depth(depth_m)
                     yield Frame(
                         index=index,
                         timestamp_s=colour.get_timestamp() / 1000.0,
-                        rgb=rgb,
-                        depth_m=depth_m,
+                        rgb=torch.from_numpy(np.ascontiguousarray(rgb)),
+                        depth_m=torch.from_numpy(np.ascontiguousarray(depth_m)),
                         camera=self.camera,
                         T_WC=torch.eye(4),
                     )

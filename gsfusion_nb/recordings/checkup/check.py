@@ -11,6 +11,7 @@ from ...config import DataConfig, RepairConfig
 from ...data.adjust.repair import as_read
 from ...data.adjust.selection import apply_options
 from ...data.open import detect_layout, known_layouts, open_sequence
+from ...data.recorded.decoded_images import DecodedImages
 from ...data.recorded.recorded_sequence import RecordedSequence
 from ...data.sequence import Sequence
 from ...drawing.page import PageGraph
@@ -31,6 +32,9 @@ from .report import CheckupReport, Finding, flags_of, reader_flags
 from .sample import Sample, read_sample
 from .stored_values import clear_codes, examine_files, missing_finding, unit_finding
 from .trial import Trials, combined
+
+_DECODED_BYTES = 1 << 29
+"""Every trial of a repair reads the frames again: 250 of 640 x 480 pixels are decoded once."""
 
 
 def check_recording(
@@ -62,7 +66,8 @@ def check_recording(
     """
     started = time.perf_counter()
     given = data or DataConfig()
-    base, hint = _opened(sequence_or_path, reader_options)
+    decoded = DecodedImages(_DECODED_BYTES)
+    base, hint = _opened(sequence_or_path, reader_options, decoded)
     raw, findings = (
         examine_files(base, given.repair)
         if isinstance(base, RecordedSequence)
@@ -88,7 +93,9 @@ def check_recording(
 
     trials.pairs = [(sequence.positions[a], sequence.positions[b]) for a, b in pairs]
     found, more, reader, graphs = _examine(sample, pairs, hint, posed, trials)
-    registered = _opened(sequence_or_path, {**reader_options, **reader})[0] if reader else None
+    registered = None
+    if reader:
+        registered, _ = _opened(sequence_or_path, {**reader_options, **reader}, decoded)
     found, more, together = trials.judged(found, more, registered) if posed else (found, more, "")
     reader = reader if any(f.repair == reader_flags(reader) for f in found) else {}
     mended = combined(given, more)
@@ -130,7 +137,7 @@ def _examine(
         e, sample = trials.in_time(e, sample)
         repair = e.repair
         graphs = path_from_above(sample, e.interpretation)
-        lens = getattr(getattr(trials.base, "rectify", None), "lens", None)
+        lens = getattr(getattr(trials.base, "rectification", None), "lens", None)
         about = fit_findings(e, sample.camera, lens and lens.camera)
         over = measure_over_frames(sample, e.interpretation, e.correction)
         piece, jumps = jump_finding(
@@ -184,13 +191,15 @@ def _examine(
 
 
 def _opened(
-    sequence_or_path: str | Path | Sequence, reader_options: dict[str, Any]
+    sequence_or_path: str | Path | Sequence,
+    reader_options: dict[str, Any],
+    decoded: DecodedImages,
 ) -> tuple[Sequence, dict[str, Any]]:
-    """The sequence as its reader returns it, and the option of the reader that registers colour to
-    depth."""
+    """The sequence as its reader returns it, with images held in ``decoded``, and the option of the
+    reader that registers colour to depth."""
     if not isinstance(sequence_or_path, (str, Path)):
-        return sequence_or_path, {}
-    source = as_read(open_sequence(sequence_or_path, **reader_options).source)
+        return _holding(sequence_or_path, decoded), {}
+    source = _holding(as_read(open_sequence(sequence_or_path, **reader_options).source), decoded)
     layout = reader_options.get("format", "auto")
     if layout == "auto" and isinstance(source, RecordedSequence):
         layout = detect_layout(Path(sequence_or_path).expanduser())
@@ -198,6 +207,10 @@ def _opened(
     return source, {} if any(reader_options.get(name) for name in registration) else dict(
         registration
     )
+
+
+def _holding(source: Sequence, decoded: DecodedImages) -> Sequence:
+    return replace(source, decoded=decoded) if isinstance(source, RecordedSequence) else source
 
 
 def _readable_finding(sample: Sample, given: RepairConfig) -> Finding:

@@ -68,7 +68,7 @@ def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
         )
         text += " They have other proportions, so they are not one view at several resolutions."
         return RepairConfig(), Finding("image size", "wrong", text, repair=flags)
-    repair = RepairConfig(fit_sizes=source.rectify is None)
+    repair = RepairConfig(fit_sizes=source.rectification is None)
     flags = repair.flags or "write intrinsics for the size of the images"
     return repair, Finding("image size", "wrong", text, repair=flags)
 

@@ -172,7 +172,7 @@ def test_wrong_sizes(tmp_path, box):
     seq = folder(root)
     expect(
         BadFrameError,
-        r"000001\.png is 32x24 but .*000001\.jpg is 64x48; expected .* same size",
+        r"000001\.png is 32x24; expected 64x48, as the intrinsics say, and registered to colour",
         lambda: seq[1],
     )
     box.write_rgb(root / "rgb/000001.jpg", np.zeros((24, 32, 3), np.uint8))

@@ -235,7 +235,8 @@ def test_undistortion_follows_the_lens_model_and_leaves_no_border():
     u, v = np.meshgrid(np.arange(160), np.arange(120))
     rgb = np.stack([u, v, np.full_like(u, 255)], -1).astype(np.uint8)
     depth_m = (1.0 + u + 1000.0 * v).astype(np.float32)
-    out_rgb, out_depth = undistorter(rgb, depth_m)
+    out_rgb = undistorter.colour(rgb)
+    out_depth = undistorter.depth(depth_m)
     xy = np.stack(
         [(u + 0.5 - new.cx) / new.fx, (v + 0.5 - new.cy) / new.fy],
         -1,
