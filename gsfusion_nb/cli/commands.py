@@ -114,7 +114,7 @@ COMMANDS: Mapping[str, Command] = {
     "sweep": Command(
         words="DATA --grid X",
         about="compare values of settings",
-        module="compare.studies",
+        module="compare.sweep",
         function="sweep",
         options="SweepOptions",
     ),

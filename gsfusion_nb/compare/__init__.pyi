@@ -4,6 +4,6 @@ from .entries import entries_of as entries_of
 from .live_table import LiveTable as LiveTable
 from .one_run import run_spec as run_spec
 from .paired_tests import compare as compare
+from .run_result import RunResult as RunResult
 from .spec import Budget as Budget
-from .spec import RunResult as RunResult
 from .spec import RunSpec as RunSpec

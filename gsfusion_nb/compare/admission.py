@@ -23,8 +23,9 @@ from ..seeding import SeedingRule, is_built_in, rule_name
 from ..seeding.code_key import differing, where_module
 from ..seeding.code_origin import is_library_module
 from .fresh_check import CheckJob
-from .map_scene import Entry, original
+from .map_scene import Entry
 from .program import run_key
+from .rule_variants import original
 from .spec import ONLY_NOW
 
 log = logging.getLogger(__name__)

@@ -20,11 +20,13 @@ from ..files import write_file
 from ..mapping import SYSTEMS, get_system
 from .command import run_and_write
 from .equal_maps import equal_maps, unknown_maps
+from .recording_specs import RecordingOptions, recording_specs
+from .run_result import RunResult
 from .scene_units import scene_units, shared_frames
 from .schedule import flat_settings
-from .spec import RunResult, RunSpec
+from .spec import RunSpec
 from .statistics import group_runs, over_units
-from .studies import RecordingOptions, read_packaged, recording_specs
+from .studies import read_packaged
 
 DEEPEST = 3
 """Scenes are looked for in so many levels of folders."""

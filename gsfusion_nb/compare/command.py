@@ -16,13 +16,14 @@ from ..config.options import named
 from ..errors import ArgumentError
 from ..files import write_file
 from ..runs.run_folder import RunFolder
-from .entries import EXAMPLE, read_table
 from .executors import NoWorkerError, executor
 from .map_scene import Entry
 from .outputs import Results, Table
 from .paired_tests import TESTS
 from .run_all import ResultStore, run_all
-from .spec import RunResult, RunSpec
+from .run_result import RunResult
+from .spec import RunSpec
+from .table_file import EXAMPLE, read_table
 from .tune import is_tuned
 
 RENEW_S = 30.0

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .spec import RunResult
+    from .run_result import RunResult
 
 
 @dataclass(frozen=True, kw_only=True)

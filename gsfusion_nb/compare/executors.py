@@ -25,7 +25,8 @@ from ..work import usable_cores
 from .map_scene import Entry, OnStep
 from .one_run import run_entry
 from .program import look_at_program_again, run_key
-from .spec import RunResult, RunSpec
+from .run_result import RunResult
+from .spec import RunSpec
 from .tune import tune, tuning_spec
 
 _ONE_AT_A_TIME = threading.Lock()

@@ -18,7 +18,8 @@ from .executors import InProcess, Task
 from .map_scene import Entry
 from .outputs import Results, Table
 from .run_all import ResultStore, run_all
-from .spec import RunResult, RunSpec
+from .run_result import RunResult
+from .spec import RunSpec
 from .tables import failures
 
 

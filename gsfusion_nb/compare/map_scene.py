@@ -1,4 +1,4 @@
-"""Mapping one scene for the lab: the data, the rule and its variants, what is counted, and time."""
+"""Mapping one scene for the lab: the data, the rule, what is counted, and time."""
 
 import contextlib
 import dataclasses
@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
 import numpy as np
-import torch
 
 from ..config import SystemConfig
 from ..data import OpenedSequence, open_sequence
@@ -21,99 +20,16 @@ from ..errors import ArgumentError
 from ..mapping import Mapper, StepReport, make_mapper
 from ..runs import MappingRun
 from ..runs.outputs import score
-from ..seeding import MapRule, SeedContext, SeedingRule, get_rule, is_built_in, is_map_rule
+from ..seeding import SeedingRule, get_rule, is_built_in, is_map_rule
 from ..seeding.code_key import code_key, differing
 from ..seeding.rule import option_paths
 from ..seeding.rule_code import refuse_undeclared
 from ..seeding.rule_guard import only_declared
-from ..types import Frame, Seeds
+from ..types import Frame
 from ..work import PeakMemory
+from .rule_variants import original, thinned, variant_of
 from .schedule import dotted, fixed_schedule, flat_settings, with_settings
 from .spec import ONLY_NOW, RunSpec
-
-
-def thinned(rule: SeedingRule, share: float) -> SeedingRule:
-    """``rule`` with a random share of its seeds, drawn from ``ctx.generator``; options and name
-    stay the same."""
-    return _variant(rule, lambda ctx, make: _draw(make(ctx), share, ctx.generator))
-
-
-def observed(rule: SeedingRule, used: set[str]) -> SeedingRule:
-    """``rule``, which adds to ``used`` what it reads of the Gaussians of the map; options and name
-    stay the same.
-
-    If that is nothing, and it does not edit the map either, then the optimisation does not change
-    what it seeds.
-    """
-    if is_map_rule(rule) and cast(Any, rule).after_step is not MapRule.after_step:
-        used.add("after_step")
-
-    def seeds(ctx: SeedContext, make: Callable[[SeedContext], Seeds]) -> Seeds:
-        return make(dataclasses.replace(ctx, gaussians=_Observed(ctx.gaussians, used)))
-
-    return _variant(rule, seeds)
-
-
-class _Observed:
-    """Gaussians of a map; the names of what is read go to ``used``."""
-
-    def __init__(self, gaussians: Any, used: set[str]):
-        self._gaussians = gaussians
-        self._used = used
-
-    def __getattr__(self, name: str) -> Any:
-        self._used.add(name)
-        return getattr(self._gaussians, name)
-
-    def __len__(self) -> int:
-        self._used.add("len")
-        return len(self._gaussians)
-
-
-def _variant(
-    rule: SeedingRule, seeds: Callable[[SeedContext, Callable[[SeedContext], Seeds]], Seeds]
-) -> SeedingRule:
-    """``rule`` with other seeds: ``seeds(ctx, make)``, in which ``make(ctx)`` are those of
-    ``rule``."""
-    if is_map_rule(rule):
-        base: Any = rule
-
-        @dataclass(frozen=True, kw_only=True)
-        class Variant(base):
-            def seeds(self, ctx, memory):
-                make = super().seeds
-                return seeds(ctx, lambda ctx: make(ctx, memory))
-
-        for name in ("__name__", "__qualname__", "__module__", "__doc__"):
-            setattr(Variant, name, getattr(rule, name))
-        setattr(Variant, _ORIGINAL, rule)
-        return cast(SeedingRule, Variant)
-
-    function: Any = rule
-
-    @functools.wraps(function)
-    def variant(ctx, **options):
-        return seeds(ctx, lambda ctx: function(ctx, **options))
-
-    setattr(variant, _ORIGINAL, rule)
-    return variant
-
-
-_ORIGINAL = "__variant_of__"
-
-
-def original(rule: SeedingRule) -> SeedingRule:
-    """The rule of which ``rule`` is a variant, or itself."""
-    while _ORIGINAL in getattr(rule, "__dict__", {}):
-        rule = vars(rule)[_ORIGINAL]
-    return rule
-
-
-def _draw(seeds: Seeds, share: float, generator: torch.Generator) -> Seeds:
-    n = round(share * len(seeds))
-    rows = torch.randperm(len(seeds), generator=generator, device=generator.device)[:n]
-    return seeds[rows.sort().values.to(seeds.xyz_W.device)]
-
 
 OnStep = Callable[[StepReport | None], object]
 """Called after each piece of work: with the report of a mapped frame, or with None."""
@@ -336,7 +252,7 @@ def _asked_at_its_pace(rule: SeedingRule, spec: RunSpec, config: SystemConfig) -
         own and when and when.only_keyframes and hasattr(config, "keyframe_every")
     ):
         return rule
-    variant: Any = _variant(rule, lambda ctx, make: make(ctx))
+    variant: Any = variant_of(rule, lambda ctx, make: make(ctx))
     variant.when = dataclasses.replace(when, frames=own, only_keyframes=False)
     return variant
 

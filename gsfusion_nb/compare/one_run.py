@@ -28,7 +28,8 @@ from ..runs.scored_views import ScoredViews, scored_views
 from ..seeding import published_training, rule_source
 from .map_scene import Entry, Mapped, OnStep, budgeted, finished, map_scene
 from .program import libraries
-from .spec import Budget, RunResult, RunSpec
+from .run_result import RunResult
+from .spec import Budget, RunSpec
 from .tune import is_tuned, tune, tuning_spec, with_tuned
 
 MOST_PICTURES = 3

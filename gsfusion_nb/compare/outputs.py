@@ -1,11 +1,7 @@
-"""The files about runs: all settings and numbers, where they come from, tables, figures, the
-page."""
+"""A comparison and its results: tables, figures and the files about its runs."""
 
-import csv
 import datetime
-import io
 import json
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,35 +12,21 @@ from ..drawing.curves import figure_picture
 from ..drawing.page import fill
 from ..drawing.pictures import data_uri
 from ..errors import UnknownNameError
-from ..files import atomic_file, plain_cell, write_file
-from .equal_maps import EqualMaps, equal_maps
-from .map_scene import budgeted
+from ..files import atomic_file, write_file
+from .equal_maps import equal_maps
+from .markdown import as_markdown, markdown_sentence
 from .page import figure_of, page_html
-from .paired_tests import (
-    TESTS,
-    Comparison,
-    RankTest,
-    against_reference,
-    all_pairs,
-    named_reference,
-    rank_test,
-)
+from .paired_tests import TESTS, Comparison, against_reference, all_pairs, named_reference
 from .program import package_fingerprint
+from .rank_test import rank_test
+from .results_json import budget_json
 from .run_all import ResultStore
+from .run_result import RunResult
+from .runs_csv import as_csv
 from .scene_units import scene_units, shared_frames
-from .schedule import flat_settings
-from .spec import RunResult, RunSpec
-from .statistics import (
-    COLUMNS,
-    Group,
-    Summary,
-    by_budget,
-    group_runs,
-    over_units,
-    standings,
-    summarise,
-)
-from .tables import ResultTable, all_tables, as_markdown, failures, markdown_sentence
+from .spec import RunSpec
+from .statistics import Group, by_budget, group_runs
+from .tables import ResultTable, all_tables, failures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -254,66 +236,16 @@ class Results:
                 }
                 for r in complete_runs
             },
-            "budgets": [self._budget_json(groups) for groups in by_budget(self.groups)],
-        }
-
-    def _budget_json(self, groups: Sequence[Group]) -> dict[str, Any]:
-        budget = groups[0].budget
-        scenes = list(dict.fromkeys(g.scene for g in groups))
-        units = scene_units(self.runs)
-        comparisons = self.tested(budget)
-        reference = self.reference
-        against = {
-            test.a: test
-            for test in (c.towards(reference) for c in comparisons)
-            if test.b == reference
-        }
-        rows = []
-        for standing in standings(groups, units):
-            own = {g.scene: g for g in groups if g.label == standing.label}
-            means = {
-                m: {name: s.mean for name, g in own.items() if (s := g.summary(m)).n}
-                for m in COLUMNS
-            }
-            test = against.get(standing.label)
-            rows.append(
-                {
-                    "rule": standing.label,
-                    "rank": _number(standing.rank),
-                    "metrics": {
-                        m: _summary(summarise(over_units(of, units)))
-                        for m, of in means.items()
-                        if of
-                    },
-                    "scenes": {
-                        scene: {m: _summary(s) for m in COLUMNS if (s := group.summary(m)).n}
-                        for scene, group in own.items()
-                    },
-                    "failed": {
-                        scene: group.failed[0].reason
-                        for scene, group in own.items()
-                        if group.failed
-                    },
-                    "test": None if test is None else _test_json(test),
-                }
-            )
-        of_unit: dict[str, list[str]] = {}
-        for scene in scenes:
-            of_unit.setdefault(units[scene], []).append(scene)
-        return {
-            "budget": budget,
-            "scenes": scenes,
-            "units": list(of_unit.values()),
-            "tests": self.about.tests,
-            "reference": reference,
-            "rows": rows,
-            "pairs": [{"a": c.a, "b": c.b} | _test_json(c) for c in comparisons]
-            if self.about.tests == "pairs"
-            else [],
-            "ranks": _ranks_json(rank_test(self.runs, budget))
-            if self.about.tests == "nemenyi"
-            else None,
-            "equal_maps": [_equal_json(e) for e in equal_maps(self.runs) if e.budget == budget],
+            "budgets": [
+                budget_json(
+                    self.runs,
+                    groups,
+                    self.tested(groups[0].budget),
+                    tests=self.about.tests,
+                    reference=self.reference,
+                )
+                for groups in by_budget(self.groups)
+            ],
         }
 
     def __repr__(self) -> str:
@@ -325,122 +257,3 @@ class Results:
         return fill(
             "live_table.html", tables=self.tables(), failures=failures(self.runs), picture=picture
         )
-
-
-def as_csv(results: Sequence[RunResult]) -> str:
-    """A table with a row for each run: what it was, its numbers, how it was tuned, hashes, and all
-    settings.
-
-    ``same_map_as`` has the labels of the rows that made the same map, and ``unit`` the scenes that
-    count as one with that of the row.
-    """
-    units = scene_units(results)
-    equal = equal_maps(results)
-    rows = [
-        {
-            **_row(result),
-            "same_map_as": _same_map_as(result, equal),
-            "unit": units[result.spec.scene],
-        }
-        for result in results
-    ]
-    columns = list(dict.fromkeys(name for row in rows for name in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, sorted(columns, key=_group), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
-    return text.getvalue()
-
-
-def _same_map_as(result: RunResult, equal: Sequence[EqualMaps]) -> str:
-    """Labels of the other rows with the map of ``result``."""
-    spec = result.spec
-    own_map = (
-        e for e in equal if e.budget == str(spec.budget) and (spec.scene, spec.seed) in e.places
-    )
-    return "; ".join(
-        label
-        for e in own_map
-        if spec.label in e.labels
-        for label in e.labels
-        if label != spec.label
-    )
-
-
-def _test_json(test: Comparison) -> dict[str, Any]:
-    return {
-        "difference": _number(test.mean),
-        "interval": [_number(v) for v in test.interval],
-        "p": _number(test.p),
-        "p_corrected": _number(test.corrected),
-        "n": len(test.units),
-        "verdict": test.verdict,
-    }
-
-
-def _ranks_json(test: RankTest) -> dict[str, Any]:
-    pairs = [
-        {"a": a, "b": b, "p": p, "better": (a, b) in test.better}
-        for (a, b), p in test.pairs.items()
-    ]
-    ranks = dict(zip(test.labels, test.ranks, strict=True))
-    values = {"p": _number(test.p), "n": test.n_units, "mean_ranks": ranks}
-    return values | {"left_out": list(test.left_out), "pairs": pairs}
-
-
-def _equal_json(equal: EqualMaps) -> dict[str, Any]:
-    places = [{"scene": scene, "seed": seed} for scene, seed in equal.places]
-    return {"rules": list(equal.labels), "places": places}
-
-
-def _group(column: str) -> int:
-    return ("", "metric", "tuned", "setting").index(
-        column.partition(".")[0] if "." in column else ""
-    )
-
-
-def _cell(value: Any) -> Any:
-    """Collections as JSON, text without formulas, numbers as they are."""
-    if isinstance(value, (dict, list, tuple)):
-        return json.dumps(value)
-    return plain_cell(value) if isinstance(value, str) else value
-
-
-def _row(result: RunResult) -> dict[str, Any]:
-    spec = result.spec
-    try:
-        settings = flat_settings(budgeted(spec))
-    except (ValueError, KeyError, TypeError):  # the settings are why it failed
-        settings = {}
-    return {
-        "label": spec.label,
-        "rule": spec.rule,
-        "options": dict(spec.options),
-        "scene": spec.scene,
-        "data": spec.data,
-        "reader": dict(spec.reader),
-        "seed": spec.seed,
-        "system": spec.system,
-        "steps": spec.budget.steps,
-        "budget_gaussians": spec.budget.gaussians,
-        "budget_tolerance": spec.budget.tolerance,
-        "status": result.status,
-        "reason": result.reason,
-        "notes": "; ".join(result.notes),
-        "published_training": result.training,
-        "key": result.key,
-        "map_hash": result.map_hash,
-        "data_hash": result.data_hash,
-        "copied_from": result.copied_from,
-        **{f"metric.{name}": value for name, value in result.metrics.items()},
-        **{f"tuned.{name}": value for name, value in result.tuned.items()},
-        **{f"setting.{name}": value for name, value in settings.items()},
-    }
-
-
-def _summary(summary: Summary) -> dict[str, Any]:
-    return {"mean": _number(summary.mean), "sd": _number(summary.sd), "n": summary.n}
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None

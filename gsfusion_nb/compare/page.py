@@ -17,7 +17,7 @@ from ..drawing.curves import GRID, INK, MUTED, PAPER
 from ..drawing.page import ColourBar, PageGraph, fill
 from ..drawing.pictures import ERROR_COLOURS, ERROR_LIMIT, Picture, data_uri, error_map, fit_width
 from .paired_tests import all_pairs
-from .spec import RunResult
+from .run_result import RunResult
 from .statistics import COLUMNS, FIRST_METRIC, Group, group_runs
 from .tables import ResultTable, failures
 

@@ -13,9 +13,11 @@ from ..files import cache_folder, read_sealed, write_file, write_sealed
 from ..seeding import SeedingRule, is_built_in, registered
 from .admission import Admission, admission
 from .executors import Answer, Executor, InProcess, Task
-from .map_scene import Entry, original
+from .map_scene import Entry
 from .program import run_key
-from .spec import ONLY_NOW, RunResult, RunSpec, look_again
+from .rule_variants import original
+from .run_result import RunResult
+from .spec import ONLY_NOW, RunSpec, look_again
 from .tune import is_tuned, tuning_spec
 
 log = logging.getLogger(__name__)

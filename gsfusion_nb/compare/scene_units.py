@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .spec import RunResult
+    from .run_result import RunResult
 
 
 def scene_units(results: "Iterable[RunResult]") -> dict[str, str]:

@@ -11,7 +11,7 @@ from ..evaluation.metrics import METRICS
 from .scene_units import scene_units
 
 if TYPE_CHECKING:
-    from .spec import RunResult
+    from .run_result import RunResult
 
 Better = Literal["higher", "lower", "neither"]
 

@@ -1,8 +1,7 @@
-"""The lab's tables: one row per rule, with mean and spread in each cell; as Markdown."""
+"""The lab's tables: one row per rule, with mean and spread in each cell."""
 
 import dataclasses
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -22,14 +21,14 @@ from .statistics import (
 )
 
 if TYPE_CHECKING:
-    from .spec import RunResult
+    from .run_result import RunResult
+
 
 RANK = Column(metric="rank", heading="Mean rank", digits=2, better="lower")
 _TEST_COLUMNS = (
     Column(metric="difference", heading="Rule minus reference", unit=COLUMNS[FIRST_METRIC].unit),
     Column(metric="p", heading="p", digits=3),
 )
-
 
 OTHERWISE = "†"
 """Mark of a row whose publication trains the Gaussians otherwise."""
@@ -338,32 +337,3 @@ def failures(results: "Iterable[RunResult]") -> list[tuple[str, str, str, int, s
         for r in results
         if r.status == "failed"
     ]
-
-
-def as_markdown(table: ResultTable) -> str:
-    """A heading, the table and its notes; the best of a column bold."""
-    heads = ["rule", *(column.name for column in table.columns)]
-    lines = [
-        f"### {markdown_sentence(table.title)}",
-        "",
-        f"| {' | '.join(map(plain_markdown, heads))} |",
-        "|---|" + "---:|" * len(table.columns),
-    ]
-    for row in table.rows:
-        cells = (
-            f"**{plain_markdown(cell.text)}**" if cell.best else plain_markdown(cell.text)
-            for cell in row.cells
-        )
-        label = f"{plain_markdown(row.label)} {row.mark}".strip()
-        lines.append(f"| {' | '.join([label, *cells])} |")
-    return "\n".join([*lines, "", *(f"- {plain_markdown(note)}" for note in table.notes)])
-
-
-def markdown_sentence(text: str) -> str:
-    """A sentence with names of others, which Markdown shows without elements or links of theirs."""
-    return re.sub(r"<(?=[A-Za-z/!?])|[\[`]", r"\\\g<0>", " ".join(text.split()))
-
-
-def plain_markdown(text: str) -> str:
-    """Text that Markdown shows as it is, on one line."""
-    return "".join(f"\\{c}" if c in "\\|*_`<>[]#" else " " if c in "\r\n" else c for c in text)

@@ -9,7 +9,7 @@ import pytest
 
 from gsfusion_nb.cli import main
 from gsfusion_nb.cli.settings import _read_settings
-from gsfusion_nb.compare.entries import read_table
+from gsfusion_nb.compare.table_file import read_table
 from gsfusion_nb.config import GSFusionConfig, from_dict, from_run, gsfusion, to_dict
 from gsfusion_nb.errors import SequenceError
 from gsfusion_nb.mapping import GSFusion

@@ -351,7 +351,7 @@ def test_a_process_that_loaded_an_older_module_refuses(entry, file):
 
 
 def test_a_sweep_sees_a_changed_helper_and_changed_weights(file, scene, tmp_path):
-    from gsfusion_nb.compare.studies import RecordingOptions, recording_specs
+    from gsfusion_nb.compare.recording_specs import RecordingOptions, recording_specs
 
     options = RecordingOptions(set=("data.hold_out_every=4", "data.hold_out_offset=2"))
     keys = []

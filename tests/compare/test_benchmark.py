@@ -16,7 +16,8 @@ from gsfusion_nb.compare.benchmark import (
     report,
     scenes_in,
 )
-from gsfusion_nb.compare.spec import RunResult, RunSpec
+from gsfusion_nb.compare.run_result import RunResult
+from gsfusion_nb.compare.spec import RunSpec
 
 QUICK = (
     "optim.global_iterations=1",

@@ -16,7 +16,7 @@ from gsfusion_nb.compare.command import WhereOptions, run_and_write
 from gsfusion_nb.compare.executors import on_dask
 from gsfusion_nb.compare.map_scene import Entry
 from gsfusion_nb.compare.run_all import ResultStore, run_all
-from gsfusion_nb.compare.spec import MEASURED
+from gsfusion_nb.compare.run_result import MEASURED
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # Dask warns of what it does to its workers
 

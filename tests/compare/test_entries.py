@@ -6,7 +6,7 @@ import pytest
 from gsfusion_nb.cli import main as cli
 from gsfusion_nb.compare import LiveTable
 from gsfusion_nb.compare.command import LabOptions, _as_asked, main
-from gsfusion_nb.compare.entries import EXAMPLE, TableError, read_table
+from gsfusion_nb.compare.table_file import EXAMPLE, TableError, read_table
 
 GOOD = """\
 seeds = [0, 3]

@@ -11,7 +11,7 @@ from gsfusion_nb.compare import RunSpec, studies
 from gsfusion_nb.compare.benchmark import DATA_SETS, report
 from gsfusion_nb.compare.equal_maps import equal_maps, unknown_maps
 from gsfusion_nb.compare.outputs import Results
-from gsfusion_nb.compare.spec import RunResult
+from gsfusion_nb.compare.run_result import RunResult
 from gsfusion_nb.compare.studies import Study
 
 QUICK = [

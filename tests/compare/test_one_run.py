@@ -15,8 +15,8 @@ from gsfusion_nb.compare import Budget, RunSpec, map_scene, one_run
 from gsfusion_nb.compare.map_scene import Entry, _with_pace
 from gsfusion_nb.compare.one_run import run_entry, run_spec
 from gsfusion_nb.compare.outputs import Results
+from gsfusion_nb.compare.run_result import MEASURED
 from gsfusion_nb.compare.schedule import EQUAL_KEYFRAME_EVERY
-from gsfusion_nb.compare.spec import MEASURED
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.evaluation import score_view

@@ -4,7 +4,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gsfusion_nb.compare.page import BEATEN, ON_FRONT, _draw, pareto_front
-from gsfusion_nb.compare.spec import RunResult, RunSpec
+from gsfusion_nb.compare.run_result import RunResult
+from gsfusion_nb.compare.spec import RunSpec
 from gsfusion_nb.compare.statistics import group_runs
 
 

@@ -8,13 +8,13 @@ import torch
 
 from gsfusion_nb.compare import roofline
 from gsfusion_nb.compare import studies as run
+from gsfusion_nb.compare.kernel_work import mapping_work
 from gsfusion_nb.compare.roofline import (
     KernelPoint,
     Roofs,
     as_table,
     fastest_s,
     kernel_points,
-    mapping_work,
     measure_roofs,
     roofline_figure,
 )

@@ -14,7 +14,7 @@ from gsfusion_nb.compare.command import WhereOptions, run_and_write
 from gsfusion_nb.compare.executors import InProcess, Task, do_task, executor, threads_of_each
 from gsfusion_nb.compare.map_scene import Entry
 from gsfusion_nb.compare.run_all import ResultStore, run_all
-from gsfusion_nb.compare.spec import MEASURED
+from gsfusion_nb.compare.run_result import MEASURED
 from gsfusion_nb.runs.run_folder import RunFolder
 
 

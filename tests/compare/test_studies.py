@@ -7,17 +7,15 @@ import pytest
 
 from gsfusion_nb.cli import main as cli
 from gsfusion_nb.compare import RunResult
+from gsfusion_nb.compare.recording_specs import ran_under
 from gsfusion_nb.compare.studies import (
     STUDIES,
     PaperComparison,
     StudyOptions,
-    SweepOptions,
     beside_paper,
-    parse_axis,
-    ran_under,
     study_specs,
-    sweep_specs,
 )
+from gsfusion_nb.compare.sweep import SweepOptions, parse_axis, sweep_specs
 from gsfusion_nb.config import gsfusion, to_dict
 
 FAST = (

@@ -6,17 +6,11 @@ from dataclasses import dataclass
 import pytest
 import torch
 
-from gsfusion_nb.compare import Budget, Entrant, RunSpec, tune
-from gsfusion_nb.compare.map_scene import _draw, map_scene, thinned
-from gsfusion_nb.compare.tune import (
-    SIZE_OPTIONS,
-    NotReachedError,
-    nearest,
-    search,
-    size_option,
-    start_value,
-    with_size,
-)
+from gsfusion_nb.compare import Budget, Entrant, RunSpec, size_options, tune
+from gsfusion_nb.compare.map_scene import map_scene
+from gsfusion_nb.compare.rule_variants import _draw, thinned
+from gsfusion_nb.compare.search import NotReachedError, nearest, search
+from gsfusion_nb.compare.size_options import SIZE_OPTIONS, THIN, size_option, start_value, with_size
 from gsfusion_nb.seeding import MapRule, SeedContext, apply_rule, is_built_in, registered
 from gsfusion_nb.types import Camera, Frame, Seeds
 
@@ -52,15 +46,15 @@ RANGES = [
     ("width_px", 1.5, (1.5e-4, 1.5e4)),
     ("seeding.quadtree_threshold", 0.5, (5e-5, 5e3)),
     ("every", 3, (1, 3000)),
-    (tune.THIN, 0.5, (1e-5, 1.0)),
+    (THIN, 0.5, (1e-5, 1.0)),
 ]
 
 
 @pytest.mark.parametrize(("name", "start", "expected"), RANGES)
 def test_the_range_of_an_option_follows_from_its_usual_value(monkeypatch, name, start, expected):
     """A share is at most 1; a number with a unit may be 10,000 times larger or smaller."""
-    monkeypatch.setattr(tune, "start_value", lambda *_: start)
-    assert tune._usual_range(
+    monkeypatch.setattr(size_options, "start_value", lambda *_: start)
+    assert size_options._usual_range(
         RunSpec(rule="uniform"), registered()["uniform"], name
     ) == pytest.approx(expected)
 
@@ -180,7 +174,7 @@ def test_a_run_with_far_too_many_gaussians_is_given_up(monkeypatch):
             "optim.global_iterations": 0,
         },
     )
-    with pytest.raises(tune.NotReachedError, match="ten_at_least does not reach 15 Gaussians"):
+    with pytest.raises(NotReachedError, match="ten_at_least does not reach 15 Gaussians"):
         tune.tune(run)
     assert len(n_frames) < 8
     assert max(n_frames) == 1  # given up in the first of seven frames

@@ -6,7 +6,8 @@ import numpy as np
 import torch
 from numba import njit
 
-from gsfusion_nb.compare.roofline import ADAM_FLOATS, ADAM_FLOPS, Roofs
+from gsfusion_nb.compare.kernel_work import ADAM_FLOATS, ADAM_FLOPS
+from gsfusion_nb.compare.roofline import Roofs
 from gsfusion_nb.course import backends
 from gsfusion_nb.tsdf import tsdf_update
 from gsfusion_nb.viz.panels.stage_bars import sped_up

@@ -16,8 +16,8 @@ from gsfusion_nb.compare.paired_tests import (
     corrected,
     named_reference,
     paired_test,
-    rank_test,
 )
+from gsfusion_nb.compare.rank_test import rank_test
 from gsfusion_nb.compare.scene_units import scene_units, shared_frames
 from gsfusion_nb.compare.statistics import group_runs, standings
 

@@ -6,10 +6,11 @@ import pytest
 
 from gsfusion_nb.compare import Budget
 from gsfusion_nb.compare.map_scene import Entry
+from gsfusion_nb.compare.markdown import as_markdown
 from gsfusion_nb.compare.one_run import _training
 from gsfusion_nb.compare.outputs import Results
 from gsfusion_nb.compare.statistics import group_runs
-from gsfusion_nb.compare.tables import all_tables, as_markdown, failures, scene_table
+from gsfusion_nb.compare.tables import all_tables, failures, scene_table
 
 
 @pytest.fixture(scope="module")

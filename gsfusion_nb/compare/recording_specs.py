@@ -1,0 +1,149 @@
+"""The runs of several variants on one recording, as a command asks for them."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..checks import check_whole
+from ..config import presets
+from ..config.options import named, named_values
+from ..mapping import get_system
+from ..seeding import check_options
+from ..seeding.rule_code import is_rule_file, read_rule_file, rule_folder
+from .command import WhereOptions
+from .map_scene import Entry
+from .spec import Budget, RunSpec
+
+Values = Mapping[str, Any]
+"""Name -> value: "system", "fidelity", "seeding.rule", an option of the rule as "rule.<name>", or a
+setting."""
+
+RULE = "seeding.rule"
+OPTION = "rule."
+"""The setting whose values are rules, and the beginning of the names of a rule's options."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingOptions(WhereOptions):
+    """What is mapped."""
+
+    set: tuple[str, ...] = ()
+    """Settings of all runs: --set data.width=320 data.height=240 seeding.rule=uniform
+    rule.fraction=0.1."""
+    seeds: int = 1
+    """Number of seeds: 0, 1, and so on."""
+    preset: str = named("", presets)
+    """Settings for a data set. Where none is given: room for the built-in scene, otherwise
+    replica."""
+    reader: tuple[str, ...] = ()
+    """Options of the layout's reader, name=value: n_frames=60 (room)."""
+
+
+def output_folder(options: RecordingOptions, name: str, data: str) -> Path:
+    return Path(options.out or f"runs/{name}-{Path(data).name}").expanduser()
+
+
+def recording_specs(
+    variants: Mapping[str, Values],
+    options: RecordingOptions,
+    data: str,
+    *,
+    common: Values | None = None,
+    **fields: Any,
+) -> list[RunSpec]:
+    """A run of each variant and seed on one recording, checked.
+
+    Args:
+        variants: Label -> what is set.
+        options: What was asked for; its settings and options of the reader are set in all runs.
+        data: Folder of the recording, or "room".
+        common: What else is set in all runs, unless ``options`` sets it.
+        fields: Other fields of ``RunSpec``.
+
+    Raises:
+        ValueError, KeyError, TypeError: a setting that does not exist, or a value that is refused.
+    """
+    check_whole("seeds", options.seeds, 1)
+    place = data if data == "room" else str(Path(data).expanduser().resolve())
+    shared = {**(common or {}), **named_values(options.set)}
+    reader = named_values(options.reader)
+    fields = {"scene": Path(data).name, "data": place, "preset": options.preset} | fields
+    fields["reader"] = {**fields.get("reader", {}), **reader}
+    specs = [spec_with({**shared, **values}, label, **fields) for label, values in variants.items()]
+    for spec in specs:
+        spec.config()
+        check_options(spec.found_rule(), spec.options)
+    Entry(spec=specs[0]).opened()
+    specs = [spec.with_code(spec.found_rule()) for spec in specs]
+    return [dataclasses.replace(spec, seed=seed) for spec in specs for seed in range(options.seeds)]
+
+
+def ran_under(specs: Sequence[RunSpec]) -> str:
+    """What all runs have in common, in a sentence: system, preset, fidelity, settings, options of
+    rule and reader.
+
+    Args:
+        specs: At least one run.
+    """
+    first, *others = map(_values_of, specs)
+    shared = {
+        name: value
+        for name, value in first.items()
+        if all((name, value) in o.items() for o in others)
+    }
+    return f"All runs have {', '.join(f'{name} {value}' for name, value in shared.items())}."
+
+
+def _values_of(spec: RunSpec) -> dict[str, Any]:
+    """Everything that a run sets, by name; a setting that nobody named is that of the preset and
+    the fidelity."""
+    fidelity = spec.fidelity or next(iter(get_system(spec.system).description.fidelities), "")
+    names = {"system": spec.system, "preset": spec.preset} | (
+        {"fidelity": fidelity} if fidelity else {}
+    )
+    options = {f"{OPTION}{name}": value for name, value in spec.options.items()}
+    reader = {f"reader {name}": value for name, value in spec.reader.items()}
+    return names | dict(spec.settings) | options | reader
+
+
+def spec_with(values: Values, label: str, **fields: Any) -> RunSpec:
+    """A run with some values set; its rule and the options of the rule are those of its system
+    otherwise.
+
+    Args:
+        values: What is set.
+        label: Name in tables.
+        fields: Other fields of ``RunSpec``.
+
+    Raises:
+        ValueError: the file of a rule cannot be read. FileNotFoundError: it does not exist.
+    """
+    values = dict(values)
+    system = values.pop("system", "gsfusion")
+    fidelity = values.pop("fidelity", "")
+    base = RunSpec(
+        rule=system,
+        label=label,
+        system=system,
+        fidelity=fidelity,
+        budget=Budget(steps="own"),
+        **fields,
+    )
+    own = (
+        get_system(system)
+        .preset(base.preset, **({"fidelity": fidelity} if fidelity else {}))
+        .seeding
+    )
+    rule = values.pop(RULE, own.rule)
+    options = dict(own.options) if rule == own.rule else {}
+    options |= {
+        name.removeprefix(OPTION): v for name, v in values.items() if name.startswith(OPTION)
+    }
+    settings = {name: v for name, v in values.items() if not name.startswith(OPTION)}
+    source = read_rule_file(rule)[0] if is_rule_file(rule) else ""
+    folder = str(rule_folder(rule)) if source else ""
+    return dataclasses.replace(
+        base, rule=rule, options=options, settings=settings, rule_source=source, rule_folder=folder
+    )
