@@ -15,7 +15,7 @@ import torch
 
 from ..backends import BACKENDS, report, use_backend
 from ..errors import ArgumentError
-from .bench.run import DEVICES
+from .bench.options import DEVICES
 from .bench.timing import describe, header, lap, threads
 from .kernel_work import Work, mapping_work
 

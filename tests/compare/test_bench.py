@@ -6,11 +6,13 @@ import sys
 import pytest
 import torch
 
-from gsfusion_nb.compare.bench import BenchOptions, run
-from gsfusion_nb.compare.bench.run import STAGES, BenchRow
+from gsfusion_nb.compare.bench import BenchOptions, raster, run, volume
+from gsfusion_nb.compare.bench.mapper import STAGES
+from gsfusion_nb.compare.bench.options import BenchRow
 from gsfusion_nb.compare.bench.scene import random_scene
 from gsfusion_nb.compare.bench.timing import Lap, summary
 from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.mapping import SYSTEMS
 from gsfusion_nb.render import project_gaussians, render
 from gsfusion_nb.render.constants import ALPHA_MIN
 from gsfusion_nb.work import PeakMemory
@@ -18,9 +20,9 @@ from gsfusion_nb.work import PeakMemory
 
 @pytest.fixture
 def small(monkeypatch):
-    monkeypatch.setattr(run, "COUNTS", (200, 300))
-    monkeypatch.setattr(run, "SIZES", ((64, 48),))
-    monkeypatch.setattr(run, "VOXEL_SIZES_M", (0.08, 0.04))
+    monkeypatch.setattr(raster, "COUNTS", (200, 300))
+    monkeypatch.setattr(raster, "SIZES", ((64, 48),))
+    monkeypatch.setattr(volume, "VOXEL_SIZES_M", (0.08, 0.04))
     monkeypatch.setattr(BenchOptions, "budget_s", 0.0)
 
 
@@ -72,11 +74,11 @@ def test_growth(tmp_path, capsys):
     )
     rows = json.loads(path.read_text())["rows"]
     # rooms 1, 2 and 4
-    assert [row["method"] for row in rows] == [name for name in run.SYSTEMS for _ in range(3)]
-    for name in run.SYSTEMS:
+    assert [row["method"] for row in rows] == [name for name in SYSTEMS for _ in range(3)]
+    for name in SYSTEMS:
         sizes = [row["values"]["n_gaussians"] for row in rows if row["method"] == name]
         assert sizes == sorted(sizes)
-    assert capsys.readouterr().out.count("exponent") == len(run.SYSTEMS)
+    assert capsys.readouterr().out.count("exponent") == len(SYSTEMS)
 
 
 def test_ctrl_c_keeps_what_was_measured(monkeypatch, tmp_path, capsys):
@@ -89,7 +91,7 @@ def test_ctrl_c_keeps_what_was_measured(monkeypatch, tmp_path, capsys):
         )
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(run.SECTIONS, "raster", ("", rows))
+    monkeypatch.setitem(run.ROWS, "raster", rows)
     path = tmp_path / "b.json"
     assert run.main(BenchOptions(what="raster", json=str(path))) == 130
     assert "| a " in capsys.readouterr().out
