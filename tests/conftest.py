@@ -25,8 +25,8 @@ from gsfusion_nb.config import gsfusion
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.data.recorded.poses import write_pose_lines
 from gsfusion_nb.data.room import room
+from gsfusion_nb.resources import usable_cores
 from gsfusion_nb.types import Camera
-from gsfusion_nb.work import usable_cores
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WIDTH = 48

@@ -61,7 +61,7 @@ ALLOWED = {
         ("viz/display.py", "compare/table_file.py", "compare/studies.py"),
         "files of this package",
     ),
-    "work.py": "/proc/meminfo and /proc/self/status",
+    "resources/process.py": "/proc/meminfo and /proc/self/status",
     "compare/bench/timing.py": "/proc/cpuinfo",
     "cli/__init__.py": "the null device, and a file of this package",
     "course/copies.py": "pages of this project",

@@ -11,8 +11,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "gsfusion_nb"
 
 FLOORS = {
-    **dict.fromkeys(("types", "config", "checks", "errors", "files", "interrupts", "work"), 0),
-    "backends": 0,
+    **dict.fromkeys(("types", "config", "checks", "errors", "files", "interrupts"), 0),
+    **dict.fromkeys(("progress", "resources", "backends"), 0),
     **dict.fromkeys(("geometry", "drawing"), 1),
     **dict.fromkeys(("data", "tsdf", "gaussians", "render"), 2),
     **dict.fromkeys(("seeding", "optim", "tracking", "export", "evaluation"), 3),

@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from gsfusion_nb.work import ProgressDisplay
+from gsfusion_nb.progress import ProgressDisplay
 
 
 class Terminal(io.StringIO):
@@ -25,6 +25,6 @@ def test_on_a_terminal_it_is_a_bar():
 @pytest.mark.parametrize("shown", [True, False])
 def test_short_work_is_kept_out_of_a_log(shown):
     log = io.StringIO()
-    with ProgressDisplay("file", total=2, shown=shown, stream=log) as progress:
+    with ProgressDisplay("file", total=2, visible=shown, stream=log) as progress:
         assert list(progress.over("ab")) == ["a", "b"]
     assert log.getvalue() == ""

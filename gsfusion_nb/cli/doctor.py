@@ -23,7 +23,7 @@ from .. import __version__, backends
 from ..config import DataConfig, SystemConfig, gps_slam, gsfusion, rtg_slam
 from ..data import open_sequence
 from ..mapping import make_mapper
-from ..work import ProgressDisplay
+from ..progress import ProgressDisplay
 
 PACKAGES = (
     "torch",

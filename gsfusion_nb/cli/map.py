@@ -10,9 +10,9 @@ from ..backends import use_backend
 from ..config import TsdfConfig, replace
 from ..config.options import named
 from ..errors import ArgumentError
+from ..resources import MAP_MEMORY
 from ..seeding.named_rules import RuleNotNamedError
 from ..seeding.rule_code import is_rule_file
-from ..work import MAP_MEMORY
 from .permission import ask_or_refuse
 from .result import print_result
 from .settings import SettingsOptions, layout_names, parse, recording_to_open

@@ -13,9 +13,9 @@ from ..config import SystemConfig, gsfusion
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..errors import ArgumentError, SequenceError
 from ..mapping import get_system, system_of
+from ..progress import ProgressDisplay
 from ..seeding import Option, SeedingRule, check_options, rule_name
 from ..seeding.rule_code import find_rule, is_rule_file, read_rule_file, rule_folder
-from ..work import ProgressDisplay
 from .map_scene import Entry
 from .outputs import Results, Table
 from .run_all import ResultStore, run_all

@@ -20,8 +20,8 @@ from typing import Any, Literal, cast
 from ..backends import use_backend
 from ..errors import ArgumentError, ForeseenError
 from ..mapping import StepReport
+from ..resources import usable_cores
 from ..seeding import SeedingRule, rule_name
-from ..work import usable_cores
 from .map_scene import Entry, OnStep
 from .one_run import run_entry
 from .program import look_at_program_again, run_key

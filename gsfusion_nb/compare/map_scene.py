@@ -18,6 +18,7 @@ from ..data.adjust.selection import SequenceView
 from ..data.room import RoomSequence
 from ..errors import ArgumentError
 from ..mapping import Mapper, StepReport, make_mapper
+from ..resources import PeakMemory
 from ..runs import MappingRun
 from ..runs.outputs import score
 from ..seeding import SeedingRule, get_rule, is_built_in, is_map_rule
@@ -26,7 +27,6 @@ from ..seeding.rule import option_paths
 from ..seeding.rule_code import refuse_undeclared
 from ..seeding.rule_guard import only_declared
 from ..types import Frame
-from ..work import PeakMemory
 from .rule_variants import original, thinned, variant_of
 from .schedule import dotted, fixed_schedule, flat_settings, with_settings
 from .spec import ONLY_NOW, RunSpec

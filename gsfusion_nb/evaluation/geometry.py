@@ -18,8 +18,8 @@ from ..checks import check_finite, check_positive, check_shape
 from ..errors import ArgumentError
 from ..geometry import project, quaternion, se3
 from ..render.in_view import Chunks, chunks_of_points, rows_of_chunks, seen_chunks
+from ..resources import MAP_MEMORY
 from ..types import Frame, GaussianParams, Mesh
-from ..work import MAP_MEMORY
 from .image import psnr
 from .metrics import NotComputed
 

@@ -36,7 +36,7 @@ from ..files import (
     read_object,
     write_file,
 )
-from ..work import MAP_MEMORY
+from ..resources import MAP_MEMORY
 
 FORMAT = "gsfusion_nb checkpoint"
 VERSION = 7

@@ -43,10 +43,10 @@ def file_hashes(files: Iterable[str | Path]) -> dict[str, str]:
     found = {path: known[os.path.dirname(path)].hash_of(path, mark) for path, mark in marks.items()}
     left = [path for path, mark in marks.items() if mark and not found[path]]
     is_long = sum(marks[path][0] for path in left) > _LONG_BYTES
-    from ..work import ProgressDisplay
+    from ..progress import ProgressDisplay
 
     with ProgressDisplay(
-        "hashing the data", total=len(left), unit="file", leave=False, shown=is_long
+        "hashing the data", total=len(left), unit="file", leave=False, visible=is_long
     ) as progress:
         for n, path in enumerate(left, start=1):
             found[path] = known[os.path.dirname(path)].add(path, marks[path])

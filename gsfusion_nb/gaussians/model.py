@@ -14,8 +14,8 @@ from ..checks import check_shape
 from ..errors import ArgumentError
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import SH_C0, rgb_to_sh_dc
+from ..resources import MAP_MEMORY
 from ..types import GaussianParams, Seeds
-from ..work import MAP_MEMORY
 from .edit import Edit, apply_edit
 from .rows import GrowingRows, turn_colours_, turn_moments_
 from .step_clock import StepClock, StepCount

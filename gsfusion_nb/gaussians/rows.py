@@ -16,8 +16,8 @@ from torch import Tensor
 from ..checks import check_shape
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import turned_harmonics
+from ..resources import MAP_MEMORY
 from ..types import GaussianParams
-from ..work import MAP_MEMORY
 
 
 def turn_colours_(sh: Float[Tensor, "N K 3"], R: Float[Tensor, "N 3 3"]) -> None:
@@ -278,7 +278,7 @@ class GrowingRows:
             return
         capacity = max(count, int(_GROWTH[self.device.type] * self._capacity))
         self._columns = {
-            name: MAP_MEMORY.grown(column, capacity) for name, column in self._columns.items()
+            name: MAP_MEMORY.extend(column, capacity) for name, column in self._columns.items()
         }
 
     def _made(self, name: str, capacity: int) -> Tensor:

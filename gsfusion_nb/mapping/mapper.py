@@ -31,6 +31,7 @@ from ..optim import (
     take_missed_steps,
 )
 from ..render import Boxes, drawn_in_part
+from ..resources import MAP_MEMORY
 from ..seeding import (
     MapReading,
     SeedContext,
@@ -43,7 +44,6 @@ from ..seeding.input_guard import ChangedInputError
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
-from ..work import MAP_MEMORY
 from .after_scan import AfterScan, KeyframePasses
 from .check_frame import check_frame
 from .description import SystemDescription

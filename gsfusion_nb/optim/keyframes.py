@@ -12,8 +12,8 @@ from torch import Tensor
 
 from ..backends import piece
 from ..render import farthest_depth
+from ..resources import MAP_MEMORY
 from ..types import Camera, Frame, rgb_of_bytes
-from ..work import MAP_MEMORY
 
 IN_MEMORY_BYTES = 1 << 30
 """Images of keyframes beyond these are in temporary files, of whose pages the system keeps what

@@ -18,9 +18,9 @@ from ..evaluation import ONLINE
 from ..export import CheckpointStore, read_gaussian_ply
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..optim import UpdateFunction
+from ..progress import ProgressDisplay
 from ..seeding import SeedingRule, rule_name
 from ..types import Frame, Mesh
-from ..work import ProgressDisplay
 from . import outputs
 from .mapping_run import MappingRun, RunWatcher
 from .resume import load_run, resume_command
@@ -370,7 +370,7 @@ def _with_progress(run: MappingRun, stop: StopRequest) -> None:
     total = len(run.sequence.mapping) if run.resumable else None
     seconds = 0.0
     with (
-        ProgressDisplay("mapping", total=total, unit="frame", done=run.next_position) as progress,
+        ProgressDisplay("mapping", total=total, unit="frame", first=run.next_position) as progress,
         contextlib.closing(run.online()) as reports,
     ):
         for n, report in enumerate(reports, start=1):
@@ -385,7 +385,7 @@ def _with_progress(run: MappingRun, stop: StopRequest) -> None:
 
 
 def _with_progress_of_passes(run: MappingRun, stop: StopRequest) -> None:
-    with ProgressDisplay("optimising", unit="view", shown=bool(run.mapper.n_passes)) as progress:
+    with ProgressDisplay("optimising", unit="view", visible=bool(run.mapper.n_passes)) as progress:
         for step in run.optimise():
             progress.show(step.step, total=step.n_steps, note=f"loss {step.loss:.4f}")
             if stop:

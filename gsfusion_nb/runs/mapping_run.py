@@ -28,9 +28,9 @@ from ..export import CheckpointStore
 from ..geometry import se3
 from ..interrupts import DelayedInterrupt
 from ..mapping import FrameUndone, GlobalStep, Mapper, StepReport, system_of
+from ..resources import MAP_MEMORY
 from ..seeding.rule_code import file_source
 from ..types import Frame, Mesh
-from ..work import MAP_MEMORY
 from .frame_watch import QuietWatch
 from .ran_on import ran_on
 from .run_clock import RunClock

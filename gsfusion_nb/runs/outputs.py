@@ -30,10 +30,10 @@ from ..evaluation import (
 )
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..files import write_file
+from ..resources import MAP_MEMORY
 from ..seeding import is_built_in, rule_name, rule_source
 from ..seeding.rule_code import RULE_MODULES, beside_sources, file_source
 from ..types import Mesh
-from ..work import MAP_MEMORY
 from .mapping_run import MappingRun, evenly
 from .ran_on import ran_on
 from .report import ReportData, ReportView, write_report

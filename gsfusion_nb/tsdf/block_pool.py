@@ -9,7 +9,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from ..errors import MemoryFullError
-from ..work import MAP_MEMORY, available_memory
+from ..resources import MAP_MEMORY, available_memory
 
 BLOCK_VOXELS = 8
 """Edge of a voxel block, voxels (Supereight2; GSFusion section III-A)."""
@@ -126,7 +126,7 @@ class BlockPool:
         pool.capacity = capacity
         for name, rows in vars(self).items():
             if isinstance(rows, Tensor):
-                setattr(pool, name, MAP_MEMORY.grown(rows, capacity))
+                setattr(pool, name, MAP_MEMORY.extend(rows, capacity))
         return pool
 
 

@@ -28,8 +28,8 @@ from torch import Tensor
 
 from ..backends import op, piece
 from ..checks import check_number
+from ..resources import MAP_MEMORY, return_free_memory
 from ..types import Mesh
-from ..work import MAP_MEMORY, return_free_memory
 from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from .volume import CORNERS, VOXELS, TsdfVolume, check_volume
 

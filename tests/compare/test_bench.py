@@ -15,7 +15,7 @@ from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.mapping import SYSTEMS
 from gsfusion_nb.render import project_gaussians, render
 from gsfusion_nb.render.constants import ALPHA_MIN
-from gsfusion_nb.work import PeakMemory
+from gsfusion_nb.resources import PeakMemory
 
 
 @pytest.fixture

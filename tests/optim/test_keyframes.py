@@ -5,8 +5,8 @@ import torch
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.optim import KeyframeList, TrainingView
 from gsfusion_nb.optim import keyframes as keyframes_module
+from gsfusion_nb.resources import MAP_MEMORY
 from gsfusion_nb.types import Camera, Frame
-from gsfusion_nb.work import MAP_MEMORY
 
 CAMERA = Camera(
     width=4,

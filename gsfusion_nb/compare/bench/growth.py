@@ -8,7 +8,7 @@ from ...config import replace
 from ...data.room import RoomSequence
 from ...errors import ArgumentError
 from ...mapping import SYSTEMS
-from ...work import PeakMemory
+from ...resources import PeakMemory
 from .options import BenchOptions, BenchRow
 from .timing import Lap, lap, summary
 

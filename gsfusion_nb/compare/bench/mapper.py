@@ -7,7 +7,7 @@ from ...backends import use_backend
 from ...config import gsfusion
 from ...data import OpenedSequence
 from ...mapping import GSFusion
-from ...work import PeakMemory
+from ...resources import PeakMemory
 from .options import DEVICES, BenchOptions, BenchRow, case_name, open_frames, our_backends
 from .timing import Timing
 

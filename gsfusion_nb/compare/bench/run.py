@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ...files import write_file
-from ...work import ProgressDisplay
+from ...progress import ProgressDisplay
 from .growth import growth_rows
 from .mapper import map_rows
 from .options import SECTIONS, BenchOptions, BenchRow

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from ... import __version__
-from ...work import PeakMemory
+from ...resources import PeakMemory
 
 LEAST_RUNS = 3
 MOST_RUNS = 30

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 
 from ...backends import use_backend
 from ...config import TsdfConfig
+from ...resources import PeakMemory
 from ...tsdf import TsdfVolume, integrate, raycast
 from ...types import Frame
-from ...work import PeakMemory
 from .options import DEVICES, BenchOptions, BenchRow, case_name, open_frames, our_backends
 from .timing import lap, summary
 

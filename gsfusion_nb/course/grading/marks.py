@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ...errors import ArgumentError
 from ...files import plain_cell, write_file
-from ...work import usable_cores
+from ...resources import usable_cores
 from ..attempt import Verdict
 from ..exercise import exercises
 from .sandbox import Limits, verdicts

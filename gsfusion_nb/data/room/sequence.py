@@ -19,8 +19,8 @@ from ...checks import check_number, check_pose, check_positive
 from ...errors import ArgumentError
 from ...files import cache_folder
 from ...geometry import backproject, pixel_grid, se3
+from ...resources import MAP_MEMORY
 from ...types import Camera, Frame, Mesh
-from ...work import MAP_MEMORY
 from . import raycast, shade
 from .camera import (
     TRAJECTORIES,

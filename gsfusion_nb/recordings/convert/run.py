@@ -17,8 +17,8 @@ from ...data.recorded.times import judge_stamps
 from ...data.room.hand_held import write_depth, write_rgb
 from ...errors import BadFrameError, SequenceError
 from ...files import atomic_folder, parsing
+from ...progress import ProgressDisplay
 from ...types import Camera
-from ...work import ProgressDisplay
 from .depth_motion import measured_unit
 from .formats import FORMATS, detect_format
 from .frame_poses import FramePoses
@@ -114,7 +114,7 @@ def convert(
             recording = _read(name, path, options)
         conversion = _Conversion(recording, options, folder)
         with ProgressDisplay(
-            "converting", total=recording.n_frames, unit="frame", shown=progress
+            "converting", total=recording.n_frames, unit="frame", visible=progress
         ) as display:
             frames = display.over(_read_on(recording, what))
             for place, frame in itertools.islice(

@@ -5,15 +5,14 @@ import tempfile
 import pytest
 import torch
 
-from gsfusion_nb import work
 from gsfusion_nb.cli.map import memory_needed_gb
 from gsfusion_nb.config import TsdfConfig, gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.data import SequenceError, open_sequence
 from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.mapping import make_mapper
+from gsfusion_nb.resources import MAP_MEMORY, map_memory
 from gsfusion_nb.runs.outputs import hash_of
 from gsfusion_nb.tsdf import TsdfVolume
-from gsfusion_nb.work import MAP_MEMORY
 
 CPU = torch.device("cpu")
 
@@ -24,10 +23,10 @@ def in_files(monkeypatch, tmp_path):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(MAP_MEMORY, "limit_bytes", None)
     monkeypatch.setattr(tempfile, "tempdir", None)
-    monkeypatch.setattr(MAP_MEMORY, "_shared", None)
+    monkeypatch.setattr(MAP_MEMORY, "_shared_file", None)
     monkeypatch.setattr(MAP_MEMORY, "_files", {})  # tests before may have left some
     MAP_MEMORY.limit(1e-9)
-    monkeypatch.setattr(work, "_resident_bytes", lambda field: 1 << 60)
+    monkeypatch.setattr(map_memory, "resident_bytes", lambda field: 1 << 60)
     yield MAP_MEMORY
     MAP_MEMORY.limit(None)
 
@@ -38,7 +37,7 @@ def test_rows_in_files_grow_without_a_copy_and_survive_when_memory_is_given_back
     assert in_files.is_in_files(CPU)
     assert len(in_files._files) == 1
     rows[:] = torch.arange(12, dtype=torch.int32).view(3, 4)
-    more = in_files.grown(rows, 2000)
+    more = in_files.extend(rows, 2000)
     rows[0, 0] = 7  # the same file
     in_files.give_back()
     assert more[:3].flatten().tolist() == [7, *range(1, 12)]
@@ -46,7 +45,7 @@ def test_rows_in_files_grow_without_a_copy_and_survive_when_memory_is_given_back
     image = torch.rand(5, 6)
     assert torch.equal(in_files.in_file(image), image)
     in_memory = torch.ones(2, 4)  # made before the limit
-    assert in_files.grown(in_memory, 4).sum() == 8
+    assert in_files.extend(in_memory, 4).sum() == 8
     del rows, more
     assert len(in_files._files) == 1  # that of the images
 
