@@ -7,7 +7,7 @@ import sys
 
 from gsfusion_nb.config import rtg_slam
 from gsfusion_nb.data import open_sequence
-from gsfusion_nb.mapping.surfel_optimiser import fit_image
+from gsfusion_nb.mapping.fit_image import fit_image
 
 data = sys.argv[1] if len(sys.argv) > 1 else "room"
 views = int(sys.argv[2]) if len(sys.argv) > 2 else 20

@@ -2,6 +2,7 @@
 frame by frame."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from jaxtyping import Float
@@ -10,8 +11,8 @@ from torch import Tensor
 from ..config import GpsSlamConfig, OptimConfig, gps_slam, gps_slam_fidelities, gps_slam_fidelity
 from ..gaussians import GaussianModel
 from ..geometry import se3
-from ..optim import Keyframe, adam_step, l1_mse_vjp, l2_mse_vjp
-from ..render import BaseView, render_over_base, render_over_base_vjp
+from ..optim import Keyframe, ViewLoss, ViewStep, l1_mse_vjp, l2_mse_vjp
+from ..render import BaseView, OverBaseOutput
 from ..seeding import SeedContext, SurfaceInputs
 from ..tracking import Correction
 from ..tsdf import FusedView, fuse_frame_
@@ -20,9 +21,10 @@ from .description import SystemDescription
 from .gps_files import GpsFiles
 from .gps_surface import OverSurface
 from .gps_views import BasedView, ViewRound, look_at
-from .step_report import StepReport, ViewStep, as_floats
+from .step_report import StepReport, as_floats
 from .transaction import Undo
 from .tsdf_mapping import TsdfMapping
+from .view_steps import step_on_view
 
 LEAST_OPACITY = 0.005
 """Gaussians with a smaller opacity are removed (released code)."""
@@ -258,46 +260,40 @@ class GPSSLAM(TsdfMapping):
             )
             if (len(self._kept_bases) + 1) * size <= KEPT_BASES_BYTES:
                 self._kept_bases[i] = view
-        loss = self._optimise_view(view)[0]
+        step = self._optimise_view(view)
         if not self.passes.queue:
             self._prune()
-        return loss
+        return step.loss
 
-    def _optimise_view(self, view: BasedView, later: Sequence[BasedView] = ()) -> ViewStep:
-        """One gradient step on one view; the surface is held fixed. Returns loss and MSE before it.
+    def _optimise_view(self, view: BasedView, later_views: Sequence[BasedView] = ()) -> ViewStep:
+        """One gradient step on one view; the surface is held fixed.
 
-        Rows of ``later`` views are stepped, too. They are in the map after the last step, or when a
+        Rows of ``later_views`` are stepped, too. They are in the map after the last step, or when a
         rule looks at it.
         """
         self.guard.may_stop()
         keyframe = view.keyframe
-        below = view.below
-        camera = keyframe.camera
-        T_WC = keyframe.T_WC
-        target = keyframe.rgb
         part = self.part_in_view(
             keyframe,
             self.config.residual.adam,
-            [v.keyframe for v in later],
+            [v.keyframe for v in later_views],
         )
-        watched = self.after_steps.watch(self.gaussians, keyframe, len(part.params))
-        output, saved = render_over_base(
-            part.params, camera, T_WC, below.base, behind_m=below.behind_m
+        step, statistics = step_on_view(
+            self,
+            keyframe,
+            part,
+            view.render,
+            partial(self._loss, view=view),
+            writes_back=not later_views or self.after_steps.is_used,
         )
+        self.after_steps.edit(self, statistics, keyframe, step)
+        return step
+
+    def _loss(self, picture: OverBaseOutput, view: BasedView) -> tuple[ViewLoss, Tensor]:
+        """L2 or L1 of the colours, or the given loss; and the MSE."""
         of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp
-        pixels = of_pixels(output.rgb, target)
-        loss = pixels.value
-        v_rgb = pixels.v_rgb
-        if self.training.loss is not None:
-            given = self.training.view_loss(
-                output.as_render_output(below.base), keyframe, with_depth=False
-            )
-            loss = given.value
-            v_rgb = given.v_rgb
-        gradients = render_over_base_vjp(saved, v_rgb, **watched.outputs)
-        adam_step(part, gradients, self.config.residual.adam, self.training.optimiser)
-        self.lost.stepped(part.params)
-        if not later or self.after_steps.is_used:
-            part.write_back()
-        self.after_steps.finish(self, watched, keyframe, loss, output.rgb, part.rows)
-        return loss, pixels.mse
+        pixels = of_pixels(picture.rgb, view.keyframe.rgb)
+        if self.training.loss is None:
+            return ViewLoss(value=pixels.value, v_rgb=pixels.v_rgb), pixels.mse
+        rendered = picture.as_render_output(view.below.base)
+        return self.training.view_loss(rendered, view.keyframe, with_depth=False), pixels.mse

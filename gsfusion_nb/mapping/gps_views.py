@@ -9,10 +9,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..config import BaseConfig, ScheduleConfig
-from ..optim import Keyframe, KeyframeList
-from ..render import BaseView, base_view
+from ..optim import Keyframe, KeyframeList, PictureVjp
+from ..render import BaseView, OverBaseOutput, base_view, render_over_base, render_over_base_vjp
 from ..tsdf import TsdfVolume, raycast
-from ..types import Camera
+from ..types import Camera, GaussianParams
 
 WINDOW = 2
 """How many of the last frames are among the views."""
@@ -44,6 +44,14 @@ class BasedView:
             rgb, depth_m, (camera.height, camera.width), config.holes, config.behind_m
         )
         return BasedView(keyframe=keyframe, seen_rgb=rgb, seen_depth_m=depth_m, below=below)
+
+    def render(self, params: GaussianParams) -> tuple[OverBaseOutput, PictureVjp]:
+        """Surface and Gaussians, and the gradient of the Gaussians; the surface is held fixed."""
+        view = self.keyframe
+        output, saved = render_over_base(
+            params, view.camera, view.T_WC, self.below.base, behind_m=self.below.behind_m
+        )
+        return output, lambda v_rgb, _, **outputs: render_over_base_vjp(saved, v_rgb, **outputs)
 
     def state_dict(self) -> dict[str, Any]:
         """Plain values."""

@@ -2,6 +2,7 @@
 the paper's order."""
 
 import bisect
+from functools import partial
 from typing import Any
 
 from jaxtyping import Float
@@ -13,8 +14,12 @@ from ..errors import ArgumentError
 from ..gaussians import GaussianModel
 from ..optim import (
     Keyframe,
+    Loss,
+    PartOfMap,
+    PictureVjp,
+    Regulariser,
     ViewLoss,
-    adam_step,
+    ViewStep,
     add_penalties_,
     depth_l1,
     depth_l1_vjp,
@@ -24,12 +29,13 @@ from ..optim import (
 from ..render import render_forward, render_vjp
 from ..seeding import SeedContext, rule_name
 from ..tsdf import FusedView, fuse_frame_
-from ..types import Camera, Frame, RenderOutput
+from ..types import Camera, Frame, GaussianParams, RenderOutput
 from .description import SystemDescription
 from .gsfusion_reports import GSFusionFiles, GSFusionReports
 from .keyframe_fits import KeyframeFits
-from .step_report import StepReport, ViewStep, as_floats
+from .step_report import StepReport, as_floats
 from .tsdf_mapping import TsdfMapping
+from .view_steps import step_on_view
 
 
 class GSFusion(TsdfMapping):
@@ -174,82 +180,75 @@ class GSFusion(TsdfMapping):
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan."""
-        loss = self._optimise_view(
-            self.keyframes[i],
-            self.config.optim.ssim_weight,
-            fits=True,
-        )[0]
+        step = self._optimise_view(self.keyframes[i], self.config.optim.ssim_weight, fits=True)
         if self.fits is not None and not self.passes.queue:
             self.fits.end_pass(self.keyframes, self.gaussians)
-        return loss
+        return step.loss
 
     @observed
     def _optimise_view(
         self, view: Frame | Keyframe, ssim_weight: float = 0.0, fits: bool = False
     ) -> ViewStep:
-        """One gradient step on one view. Returns loss and MSE before it. As published, the loss is
-        only L1 online.
+        """One gradient step on one view. As published, the loss is only L1 online.
 
         With ``fits`` the view is a keyframe whose pose and exposure are fitted, too, where the
-        settings say so. Both results stay on the device, because waiting for them after every step
-        would leave a GPU idle.
+        settings say so.
         """
         self.guard.may_stop()
         view = view.to(self.device)
-        optim = self.config.optim
+        part = self.part_in_view(view, self.config.optim)
+        loss: Loss = partial(self._loss, view=view, ssim_weight=ssim_weight)
         fit = self.fits if fits else None
         keyframe: Any = view  # where poses and exposures are fitted
-        part = self.part_in_view(view, optim)
-        watched = self.after_steps.watch(self.gaussians, view, len(part.params))
-        output, saved = render_forward(part.params, view.camera, view.T_WC, with_indices=False)
-        shown = output if fit is None else fit.expose(self.keyframes, keyframe, output)
-        found, mse = self._loss(shown, view, ssim_weight)
-        v_rgb = found.v_rgb if fit is None else fit.expose_vjp(output, found.v_rgb)
-        gradients = render_vjp(saved, v_rgb, found.v_depth_m, **watched.outputs)
-        loss = found.value
-        penalties = self._penalties
-        if penalties:
-            loss = loss + add_penalties_(gradients, part.params, **penalties)
-        adam_step(part, gradients, optim, self.training.optimiser)
-        self.lost.stepped(part.params)
-        part.write_back()
         if fit is not None:
-            fit.move(self.keyframes, keyframe, shown)
-        self.after_steps.finish(self, watched, view, loss, output.rgb, part.rows)
-        return loss, mse
+            loss = fit.exposed_loss(loss, self.keyframes, keyframe)
+        step, statistics = step_on_view(
+            self, view, part, partial(draw, view=view), loss, self._regulariser(part)
+        )
+        if fit is not None:
+            fit.move(self.keyframes, keyframe)
+        self.after_steps.edit(self, statistics, view, step)
+        return step
 
-    @property
-    def _penalties(self) -> dict[str, float]:
-        """Weights of the penalties on Gaussians, of those that count."""
+    def _regulariser(self, part: "GaussianModel | PartOfMap") -> Regulariser | None:
+        """The penalties on Gaussians, if the settings ask for any."""
         optim = self.config.optim
         weights = {
             "isotropy": optim.isotropy_weight,
             "scale": optim.scale_weight,
             "opacity": optim.opacity_weight,
         }
-        return weights if any(weights.values()) else {}
+        if not any(weights.values()):
+            return None
+        return lambda gradients: add_penalties_(gradients, part.params, **weights)
 
     def _loss(
-        self, rendered: RenderOutput, view: Frame | Keyframe, ssim_weight: float
+        self, picture: RenderOutput, view: Frame | Keyframe, ssim_weight: float
     ) -> tuple[ViewLoss, Float[Tensor, ""]]:
         """L1 (Eq. 12), with D-SSIM and depth where the settings say so, or the given loss; and the
         MSE."""
         target = view.rgb  # of a keyframe, made from bytes each time
-        pixels = l1_mse_vjp(rendered.rgb, target)
+        pixels = l1_mse_vjp(picture.rgb, target)
         optim = self.config.optim
         if self.training.loss is not None:
-            return self.training.view_loss(rendered, view), pixels.mse
+            return self.training.view_loss(picture, view), pixels.mse
         loss = pixels.value
         v_rgb = pixels.v_rgb
         v_depth_m = None
         if ssim_weight > 0:
-            structural, v_structural = dssim_vjp(rendered.rgb, target)
+            structural, v_structural = dssim_vjp(picture.rgb, target)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural
             v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
         if optim.depth_weight > 0 and view.depth_m is not None:
-            loss = loss + optim.depth_weight * depth_l1(rendered.depth_m, view.depth_m)
-            v_depth_m = depth_l1_vjp(rendered.depth_m, view.depth_m, optim.depth_weight)
+            loss = loss + optim.depth_weight * depth_l1(picture.depth_m, view.depth_m)
+            v_depth_m = depth_l1_vjp(picture.depth_m, view.depth_m, optim.depth_weight)
         return ViewLoss(value=loss, v_rgb=v_rgb, v_depth_m=v_depth_m), pixels.mse
+
+
+def draw(params: GaussianParams, view: Frame | Keyframe) -> tuple[RenderOutput, PictureVjp]:
+    """The Gaussians as the camera of a view sees them, and the gradient."""
+    output, saved = render_forward(params, view.camera, view.T_WC, with_indices=False)
+    return output, partial(render_vjp, saved)
 
 
 @piece

@@ -11,7 +11,7 @@ from torch import Tensor
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
 from ..geometry import se3
-from ..optim import Keyframe, KeyframeList
+from ..optim import Keyframe, KeyframeList, Loss, ViewLoss
 from ..optim.fit_view import exposed, exposed_vjp, fit_gain, pose_step, pose_system
 from ..render.constants import SHOWN_ALPHA
 from ..types import RenderOutput
@@ -40,36 +40,36 @@ class KeyframeFits:
         self._localiser = localiser
         sigma = [optim.pose_sigma_m] * 3 + [radians(optim.pose_sigma_deg)] * 3
         self._sigma = torch.tensor(sigma, dtype=torch.float64)
-        self._exposure: Tensor | None = None
+        self._picture: RenderOutput | None = None
+        """The map's picture of the keyframe that is visited, with its exposure."""
 
-    def expose(
-        self, keyframes: KeyframeList, keyframe: Keyframe, output: RenderOutput
-    ) -> RenderOutput:
-        """The map's picture with the exposure of the keyframe; that of its next visit is fitted to
-        the map of now."""
-        if not self._optim.fit_exposure:
-            return output
-        fitted = fit_gain(output.rgb, keyframe.rgb, output.alpha >= SHOWN_ALPHA)
-        keyframes.set_gain(keyframe.index, fitted)
-        self._exposure = fitted if keyframe.gain is None else keyframe.gain.to(fitted)
-        return dataclasses.replace(output, rgb=exposed(output.rgb, self._exposure))
+    def exposed_loss(self, loss: Loss, keyframes: KeyframeList, keyframe: Keyframe) -> Loss:
+        """``loss`` of the map's picture with the exposure of the keyframe; that of its next visit
+        is fitted to the map of now."""
 
-    def expose_vjp(
-        self, output: RenderOutput, v_rgb: Float[Tensor, "H W 3"]
-    ) -> Float[Tensor, "H W 3"]:
-        """The gradient with respect to the map's picture, from that of the exposed picture, of the
-        last ``expose``."""
-        return (
-            v_rgb if self._exposure is None else exposed_vjp(output.rgb, self._exposure, v_rgb)[0]
-        )
+        def of_picture(output: RenderOutput) -> tuple[ViewLoss, Tensor | None]:
+            if not self._optim.fit_exposure:
+                self._picture = output
+                return loss(output)
+            fitted_gain = fit_gain(output.rgb, keyframe.rgb, output.alpha >= SHOWN_ALPHA)
+            keyframes.set_gain(keyframe.index, fitted_gain)
+            gain = fitted_gain if keyframe.gain is None else keyframe.gain.to(fitted_gain)
+            self._picture = dataclasses.replace(output, rgb=exposed(output.rgb, gain))
+            view_loss, mse = loss(self._picture)
+            v_rgb, _ = exposed_vjp(output.rgb, gain, view_loss.v_rgb)
+            return dataclasses.replace(view_loss, v_rgb=v_rgb), mse
 
-    def move(self, keyframes: KeyframeList, keyframe: Keyframe, shown: RenderOutput) -> None:
+        return of_picture
+
+    def move(self, keyframes: KeyframeList, keyframe: Keyframe) -> None:
         """Move a keyframe one step, by the map's picture of it that its last gradient was computed
         from."""
-        if not self._optim.refine_poses:
+        picture = self._picture
+        self._picture = None
+        if not self._optim.refine_poses or picture is None:
             return
         row = self._localiser.frame_indices.index(keyframe.index)
-        system = pose_system(shown, keyframe.rgb, keyframe.camera)
+        system = pose_system(picture, keyframe.rgb, keyframe.camera)
         if system.share >= LEAST_SHARE:
             T_WC = pose_step(system, keyframe.T_WC, self._localiser.given[row], self._sigma)
             keyframes.set_pose(keyframe.index, T_WC)

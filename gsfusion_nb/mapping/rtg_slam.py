@@ -16,7 +16,7 @@ from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelities, rtg_slam_fide
 from ..gaussians import STABLE, SurfelModel, Transitions, fuse_with_history
 from ..gaussians.surfels import change_states, count_errors, count_views, state_counts
 from ..geometry import se3
-from ..optim import Keyframe, TrainingView
+from ..optim import Keyframe, TrainingView, ViewStep
 from ..render import (
     SurfaceView,
     drawn_in_part,
@@ -52,8 +52,8 @@ MASKED_BELOW = 0.8
 """If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves
 no time."""
 
-LastStep = tuple[int, Tensor, WatchedStep]
-"""Number of its view, its loss, and what was collected of it."""
+LastStep = tuple[int, ViewStep, WatchedStep]
+"""Number of its view, the step, and what was collected of it."""
 
 
 class RTGSLAM(Mapper):
@@ -181,12 +181,16 @@ class RTGSLAM(Mapper):
         if not (trained & seen).any():
             return []
         given = {"all_in_view": self.config.all_in_view, "training": self.training}
-        optimiser = SurfelOptimiser(model, trained, config, self.config.discs, seen=seen, **given)
+        optimiser = SurfelOptimiser(
+            model, trained, config, self.config.discs, is_in_view=seen, **given
+        )
         before = GaussianParams(
-            **{name: value.clone() for name, value in vars(optimiser.trained).items()}
+            **{name: value.clone() for name, value in vars(optimiser.trained_params).items()}
         )
         masked = config.only_unstable and optimiser.n < MASKED_BELOW * int(seen.sum())
-        touched = [optimiser.touched(f.camera, f.T_WC) if masked else None for f in self.window]
+        touched = [
+            optimiser.covered_pixels(f.camera, f.T_WC) if masked else None for f in self.window
+        ]
         views = [
             TrainingView.of(frame, pixels)
             for frame, pixels in zip(self.window, touched, strict=True)
@@ -195,13 +199,13 @@ class RTGSLAM(Mapper):
         losses, last = self._take_steps(optimiser, views, config.iterations, newest_from)
         was = model.confidence[optimiser.rows]
         most = config.history_max_weight
-        now = was + optimiser.steps_seen
+        now = was + optimiser.colour_steps
         fused = fuse_with_history(
-            before, optimiser.trained, was, now, history_max_weight=most
+            before, optimiser.trained_params, was, now, history_max_weight=most
         )  # RTG-SLAM Eq. 9
         optimiser.write_back(fused)
         model.confidence[optimiser.rows] = now
-        self._edit(optimiser, self.window, last)
+        self._edit(self.window, last)
         return torch.stack(losses).tolist() if losses else []
 
     def _optimise_keyframes(self) -> int:
@@ -227,8 +231,8 @@ class RTGSLAM(Mapper):
             rows,
             self.config.window,
             self.config.discs,
-            drawn=rows,
-            seen=seen,
+            is_drawn=rows,
+            is_in_view=seen,
             lr_factor=KEYFRAMES_LR_FACTOR,
             move_centres=False,
             all_in_view=self.config.all_in_view,
@@ -237,7 +241,7 @@ class RTGSLAM(Mapper):
         views = [TrainingView.of(keyframe, self._worst_pixels(keyframe)) for keyframe in chosen]
         _, last = self._take_steps(optimiser, views, config.iterations)
         optimiser.write_back()
-        self._edit(optimiser, chosen, last)
+        self._edit(chosen, last)
         return config.iterations
 
     def _take_steps(
@@ -258,29 +262,27 @@ class RTGSLAM(Mapper):
         for step in range(n):
             self.guard.may_stop()
             i = len(views) - 1 if step >= newest_from else self._draw(len(views))
-            loss, watched = self._step_on(views[i], optimiser)
-            losses.append(loss)
-            last = i, loss, watched
-        optimiser.adam.catch_up(torch.arange(optimiser.n, device=self.device))
-        self.lost.stepped(optimiser.trained)
+            view_step, watched = self._step_on(views[i], optimiser)
+            losses.append(view_step.loss)
+            last = i, view_step, watched
+        optimiser.take_missed_steps()
+        self.lost.stepped(optimiser.trained_params)
         return losses, last
 
     def _step_on(
         self, view: TrainingView, optimiser: SurfelOptimiser
-    ) -> tuple[Float[Tensor, ""], WatchedStep]:
-        """One step, on copies of rows: the loss before it, and what was collected of it."""
-        watched = self.after_steps.watch(self.gaussians, view, len(optimiser.drawn))
-        loss = optimiser.step(view, watched.outputs).total
-        return loss, self.after_steps.add_up(self.gaussians, watched, view.camera, optimiser.drawn)
+    ) -> tuple[ViewStep, WatchedStep]:
+        """One step, on copies of rows, and what was collected of it."""
+        rows = optimiser.drawn_rows
+        watched = self.after_steps.watch(self.gaussians, view, len(rows))
+        step = optimiser.step(view, watched.outputs)
+        return step, self.after_steps.add_up(self.gaussians, watched, view.camera, rows)
 
-    def _edit(
-        self, optimiser: SurfelOptimiser, sources: Sequence[Frame | Keyframe], last: LastStep | None
-    ) -> None:
+    def _edit(self, sources: Sequence[Frame | Keyframe], last: LastStep | None) -> None:
         """Let the rule edit the map after its rows were written back."""
         if last is not None:
-            i, loss, watched = last
-            assert optimiser.picture is not None
-            self.after_steps.edit(self, watched, sources[i], loss, optimiser.picture)
+            i, step, watched = last
+            self.after_steps.edit(self, watched, sources[i], step)
 
     def _seen(self, views: Iterable[Frame | Keyframe]) -> Bool[Tensor, " N"]:
         """Rows that any of the views may show."""
@@ -307,22 +309,24 @@ class RTGSLAM(Mapper):
             self.gaussians.state.fill_(STABLE)
             self._final = self._final_optimiser()
         keyframe = self.keyframes[i].to(self.device)
-        loss, watched = self._step_on(TrainingView.of(keyframe), self._final)
+        step, watched = self._step_on(TrainingView.of(keyframe), self._final)
         self._final.write_back()
-        self.lost.stepped(self._final.trained)
-        self._edit(self._final, [keyframe], (0, loss, watched))
-        return loss
+        self.lost.stepped(self._final.trained_params)
+        self._edit([keyframe], (0, step, watched))
+        return step.loss
 
     def params_now(self, rows: Int[Tensor, " R"] | None = None) -> GaussianParams:
         """In the passes after the scan, the discs with the steps that they missed; else those of
         the map."""
-        params = self.gaussians.params if self._final is None else self._final.adam.params_now()
+        if self._final is not None:
+            return self._final.params_now(rows)
+        params = self.gaussians.params
         return params if rows is None else params[rows]
 
     def take_missed_steps(self) -> None:
         """In the passes after the scan: bring all discs up to date."""
         if self._final is not None:
-            self._final.adam.catch_up(torch.arange(self._final.n, device=self.device))
+            self._final.take_missed_steps()
             self._final.write_back()
 
     def rows_changed(self, before: Int[Tensor, " N"]) -> None:
@@ -356,20 +360,20 @@ class RTGSLAM(Mapper):
         """Also the window and the optimiser of the final passes are undone."""
         window = list(self.window)
         final = self._final
-        undo_adam = None if final is None else final.adam.log_changes()
+        undo_adam = None if final is None else final.copies.log_changes()
 
         def undo() -> None:
             self.window = deque(window, maxlen=self.window.maxlen)
             self._final = final
             if final is not None and undo_adam is not None:
                 undo_adam()
-                final.adam.end_log()
+                final.copies.end_log()
 
         return undo
 
     def _end_log(self) -> None:
         if self._final is not None:
-            self._final.adam.end_log()
+            self._final.copies.end_log()
 
     def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
         """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of

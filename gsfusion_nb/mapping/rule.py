@@ -17,7 +17,7 @@ from ..config import SystemConfig, from_dict
 from ..config.values import NOT_FOR_RULES, tree_of, with_own_settings
 from ..errors import ArgumentError, KindError, SequenceError
 from ..gaussians import Edit, GaussianModel
-from ..optim import Keyframe, TrainingView
+from ..optim import Keyframe, TrainingView, ViewStep
 from ..render import Footprints, footprints
 from ..seeding import (
     EVERY_FRAME,
@@ -364,31 +364,12 @@ class AfterSteps:
         add_up(model, seen.visible, step.v_uv, camera, step.v_uv_abs)
         return step
 
-    def finish(
-        self,
-        mapper: Any,
-        step: WatchedStep,
-        view: Frame | Keyframe,
-        loss: Float[Tensor, ""],
-        rgb: Float[Tensor, "H W 3"],
-        rows: Int[Tensor, " R"] | None = None,
-    ) -> None:
-        """``add_up`` of a step, then ``edit``; arguments as for these."""
-        self.edit(
-            mapper,
-            self.add_up(mapper.gaussians, step, view.camera, rows),
-            view,
-            loss,
-            rgb,
-        )
-
     def edit(
         self,
         mapper: Any,
         step: WatchedStep,
         view: Frame | Keyframe,
-        loss: Float[Tensor, ""],
-        rgb: Float[Tensor, "H W 3"],
+        view_step: ViewStep,
     ) -> None:
         """Let the rule edit the map, after a step was written to it.
 
@@ -397,8 +378,7 @@ class AfterSteps:
                 the scan.
             step: From ``add_up``.
             view: What was rendered.
-            loss: Loss before the step.
-            rgb: The rendered picture.
+            view_step: Loss and picture before the step.
 
         Raises:
             Exception: what the rule raises, or ``ValueError`` if its edit is not possible. The map
@@ -411,23 +391,21 @@ class AfterSteps:
         mapper.take_missed_steps()  # an edit reads, copies and removes any row
         if self._context is not None:
             self._edit(
-                mapper, dataclasses.replace(self._context), self._stats(step, view, loss, rgb)
+                mapper, dataclasses.replace(self._context), self._stats(step, view, view_step)
             )
             return
         ctx = mapper.seed_context(_as_frame(view))
         memory = copy_memory(ctx.memory)
         random_numbers = ctx.generator.get_state()
         try:
-            self._edit(mapper, ctx, self._stats(step, view, loss, rgb))
+            self._edit(mapper, ctx, self._stats(step, view, view_step))
         except BaseException:
             ctx.memory.clear()
             ctx.memory.update(memory)
             ctx.generator.set_state(random_numbers)
             raise
 
-    def _stats(
-        self, step: WatchedStep, view: Frame | Keyframe, loss: Tensor, rgb: Tensor
-    ) -> StepStats:
+    def _stats(self, step: WatchedStep, view: Frame | Keyframe, view_step: ViewStep) -> StepStats:
         online = self._context is not None
         seen = step.footprints
         return StepStats(
@@ -439,8 +417,8 @@ class AfterSteps:
             camera=view.camera,
             T_WC=view.T_WC,
             target=view.rgb,
-            loss=loss,
-            rgb=rgb if "render" in self._needs else None,
+            loss=view_step.loss,
+            rgb=view_step.rgb if "render" in self._needs else None,
             visible=None if seen is None else seen.visible,
             radius_px=None if seen is None else seen.radius_px,
             v_uv=step.v_uv,

@@ -8,6 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..optim import ViewStep
+
 
 @dataclass(frozen=True, kw_only=True)
 class StepReport:
@@ -74,13 +76,10 @@ class GlobalStep:
         return float(self.loss_value)
 
 
-ViewStep = tuple[Float[Tensor, ""], Float[Tensor, ""]]
-"""Loss, and mean squared error of the picture, before a gradient step on one view."""
-
-
 def as_floats(steps: list[ViewStep]) -> list[list[float]]:
     """Loss and mean squared error of each step as numbers. A GPU is waited for once."""
-    return torch.stack([torch.stack(step) for step in steps]).tolist() if steps else []
+    measured_steps = [torch.stack([step.loss, step.mse]) for step in steps if step.mse is not None]
+    return torch.stack(measured_steps).tolist() if measured_steps else []
 
 
 def psnr_from_mse(mse: float) -> float:

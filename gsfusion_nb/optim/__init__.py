@@ -30,9 +30,15 @@ from .losses import l1_vjp as l1_vjp
 from .losses import l2_mse_vjp as l2_mse_vjp
 from .losses import mse_vjp as mse_vjp
 from .losses import rgbd_l1_vjp as rgbd_l1_vjp
+from .map_step import AdamSettings as AdamSettings
 from .map_step import UpdateFunction as UpdateFunction
 from .map_step import adam_step as adam_step
 from .missed_steps import params_now as params_now
 from .missed_steps import take_missed_steps as take_missed_steps
 from .part_of_map import PartOfMap as PartOfMap
-from .row_adam import RowAdam as RowAdam
+from .view_step import Loss as Loss
+from .view_step import PictureVjp as PictureVjp
+from .view_step import Regulariser as Regulariser
+from .view_step import Render as Render
+from .view_step import ViewStep as ViewStep
+from .view_step import optimise_view as optimise_view

@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -23,14 +23,47 @@ of Adam.
 It changes one column of the map in place: ``param`` [N, ...], and ``m`` and ``v`` of the same
 shape. These two are its memory: they begin at zero, follow each row when rows are added and
 removed, and are saved in checkpoints. ``steps`` [N] counts the steps of each row, this one
-included. ``lr`` is the learning rate of the settings, a number or a tensor that fits a row."""
+included. ``lr`` is the learning rate of the settings, a number or a tensor that fits a row. A
+column whose learning rate is 0 is left alone."""
+
+
+class AdamSettings(NamedTuple):
+    """What Adam is told of a map; ``OptimConfig`` has it among other settings."""
+
+    rates: ColumnRates
+    beta1: float
+    beta2: float
+    eps: float
+    steps: Literal["none", "shared", "per_row"]
+    """What t of the bias correction counts, as in ``OptimConfig.adam_steps``."""
+
+    @staticmethod
+    def of(config: "OptimConfig | AdamSettings") -> "AdamSettings":
+        """Those of a group of settings."""
+        if isinstance(config, AdamSettings):
+            return config
+        rates = ColumnRates(
+            xyz_W=config.lr_xyz,
+            log_scale=config.lr_log_scale,
+            quat=config.lr_quat,
+            opacity_logit=config.lr_opacity_logit,
+            sh_dc=config.lr_sh_dc,
+            sh_rest=config.lr_sh_rest,
+        )
+        return AdamSettings(
+            rates=rates,
+            beta1=config.beta1,
+            beta2=config.beta2,
+            eps=config.eps,
+            steps=config.adam_steps,
+        )
 
 
 @observed
 def adam_step(
     model: GaussianModel | PartOfMap,
     gradients: GaussianParams,
-    config: OptimConfig,
+    config: OptimConfig | AdamSettings,
     update: UpdateFunction | None = None,
 ) -> None:
     """Update every parameter of the map once, each group at its own constant learning rate.
@@ -58,35 +91,25 @@ def adam_step(
     Raises:
         ValueError: ``update`` made a parameter NaN or infinite that was finite.
     """
+    adam = AdamSettings.of(config)
     t = model.step_count + 1
-    steps: int | Tensor | None = {"none": None, "shared": t}.get(config.adam_steps)
-    if config.adam_steps == "per_row":
+    steps: int | Tensor | None = {"none": None, "shared": t}.get(adam.steps)
+    if adam.steps == "per_row":
         steps = t - model.birth_step
-    rates = rates_of(config)
     m = model.exp_avg
     v = model.exp_avg_sq
     with at_row_rates(model.params, model.rates):
         if update is None:
-            decay = {"beta1": config.beta1, "beta2": config.beta2, "eps": config.eps}
-            adam_update_map(model.params, gradients, m, v, steps, rates=rates, **decay)
+            decay = {"beta1": adam.beta1, "beta2": adam.beta2, "eps": adam.eps}
+            adam_update_map(model.params, gradients, m, v, steps, rates=adam.rates, **decay)
         else:
             ages = t - model.birth_step
-            for name, lr in rates.by_column(model.params.sh).items():
+            for name, lr in adam.rates.by_column(model.params.sh).items():
+                if name != "sh" and lr == 0:
+                    continue
                 p, g, m_, v_ = (getattr(rows, name) for rows in (model.params, gradients, m, v))
                 take_step(update, name, p, g, m_, v_, ages, lr)
     model.clock.step()
-
-
-def rates_of(config: OptimConfig) -> ColumnRates:
-    """The learning rates of the settings."""
-    return ColumnRates(
-        xyz_W=config.lr_xyz,
-        log_scale=config.lr_log_scale,
-        quat=config.lr_quat,
-        opacity_logit=config.lr_opacity_logit,
-        sh_dc=config.lr_sh_dc,
-        sh_rest=config.lr_sh_rest,
-    )
 
 
 def take_step(

@@ -8,9 +8,8 @@ from torch import Tensor
 
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
-from ..render import Boxes
 from ..types import GaussianParams
-from .map_step import rates_of
+from .map_step import AdamSettings
 from .part_of_map import PartOfMap
 
 _NOTHING_LEFT = 8e-10
@@ -21,7 +20,7 @@ _ROWS_AT_A_TIME = 1 << 16
 """Of a map whose missed steps are taken in a copy, which limits the memory."""
 
 
-def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig) -> None:
+def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig | AdamSettings) -> None:
     """Move the rows by the steps of Adam that they missed while no view showed them: steps with
     zero gradient.
 
@@ -42,9 +41,10 @@ def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig) -> 
     missed = clock.missed
     if not bool(missed.any()):
         return
-    start = {"none": None, "shared": clock.last, "per_row": clock.age_at_last}[config.adam_steps]
-    steps = MissedSteps(missed, start, config.beta1, config.beta2, config.eps)
-    for name, lr in rates_of(config).by_column(model.params.sh).items():
+    adam = AdamSettings.of(config)
+    start = {"none": None, "shared": clock.last, "per_row": clock.age_at_last}[adam.steps]
+    steps = MissedSteps(missed, start, adam.beta1, adam.beta2, adam.eps)
+    for name, lr in adam.rates.by_column(model.params.sh).items():
         column, m, v = (
             getattr(values, name) for values in (model.params, model.exp_avg, model.exp_avg_sq)
         )
@@ -53,7 +53,9 @@ def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig) -> 
 
 
 def params_now(
-    model: GaussianModel, config: OptimConfig, rows: Int[Tensor, " R"] | None = None
+    model: GaussianModel,
+    config: OptimConfig | AdamSettings,
+    rows: Int[Tensor, " R"] | None = None,
 ) -> GaussianParams:
     """Parameters of a map as they are with the steps that rows missed; the map does not change.
 
@@ -73,7 +75,7 @@ def params_now(
     if rows is None:
         params = GaussianParams(**{name: column.clone() for name, column in vars(params).items()})
     for places in late.split(_ROWS_AT_A_TIME):
-        part = PartOfMap(model, places if rows is None else rows[places], Boxes())
+        part = PartOfMap(model, places if rows is None else rows[places])
         take_missed_steps(part, config)
         for name, values in vars(part.params).items():
             getattr(params, name)[places] = values

@@ -16,10 +16,10 @@ class PartOfMap:
     Args:
         model: The map.
         rows: Some of its rows, each once. [R]
-        boxes: Those of the map, from which the rows are.
+        boxes: Those of the map, from which the rows are, if it has any.
     """
 
-    def __init__(self, model: GaussianModel, rows: Int[Tensor, " R"], boxes: Boxes):
+    def __init__(self, model: GaussianModel, rows: Int[Tensor, " R"], boxes: Boxes | None = None):
         self.model = model
         self.rows = rows
         self._boxes = boxes
@@ -51,5 +51,6 @@ class PartOfMap:
             for column, values in vars(getattr(self, name)).items():
                 getattr(getattr(self.model, name), column).index_copy_(0, self.rows, values)
         self.model.clock.write_back(self.rows, self.clock)
-        self._boxes.renew(self.model.params, self.rows, self.params)
+        if self._boxes is not None:
+            self._boxes.renew(self.model.params, self.rows, self.params)
         self._state = self.model.state_of_columns()

@@ -181,7 +181,7 @@ def test_the_gradient_is_that_of_the_mapper(frames):
     mapper = GSFusion(settings())
     seen = []
     trace = Trace(mapper)
-    from gsfusion_nb.mapping import gsfusion as module
+    from gsfusion_nb.optim import view_step as module
 
     usual = module.adam_step
 

@@ -2,6 +2,7 @@
 in any order."""
 
 import copy
+import dataclasses
 import random
 from typing import Any
 from unittest.mock import Mock
@@ -9,14 +10,14 @@ from unittest.mock import Mock
 import pytest
 import torch
 
-from gsfusion_nb.config import OptimConfig
+from gsfusion_nb.config import DiscConfig, OptimConfig, WindowConfig
 from gsfusion_nb.gaussians import Edit, GaussianModel, StepClock, SurfelModel
 from gsfusion_nb.gaussians.model import PARAMETERS
-from gsfusion_nb.optim import PartOfMap, RowAdam, adam_step, params_now, take_missed_steps
+from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser
+from gsfusion_nb.optim import PartOfMap, adam_step, params_now, take_missed_steps
 from gsfusion_nb.render import Boxes
 from gsfusion_nb.types import GaussianParams, Seeds
 
-RATES = {"xyz_W": 1e-3, "log_scale": 1e-2, "quat": 1e-3, "sh_dc": 1e-2, "sh_rest": 1e-3}
 CLOSE: dict[str, Any] = {"atol": 1e-5, "rtol": 1e-4}
 
 
@@ -186,34 +187,38 @@ def test_parts_with_their_missed_steps_are_the_whole_map_in_any_order(adam_steps
 
 @pytest.mark.parametrize("seed", range(3))
 def test_rows_of_discs_in_any_order(seed, generator):
-    """``RowAdam`` on all rows, and on parts of them, while rows are added and removed and the run
-    is resumed."""
+    """RTG-SLAM's optimiser on all rows, and on parts of them, while rows are added and removed and
+    the run is resumed."""
     chance = random.Random(seed)
     n = 8
-    model = GaussianModel(1)
+    model = SurfelModel(1)
     model.append(seeds(n, generator))
-    whole, parts = (RowAdam(copy.deepcopy(model.params), RATES) for _ in range(2))
+    whole, parts = (optimiser_of(copy.deepcopy(model)) for _ in range(2))
     for _ in range(30):
         action = chance.choice(("step", "step", "step", "catch_up", "take_over", "resume"))
-        n = len(whole.params)
+        n = whole.n
         seen = torch.tensor(sorted(chance.sample(range(n), chance.randint(1, n))))
         if action == "step":
             g = gradients(whole.params, seen, generator)
-            whole.step(g)
-            parts.catch_up(seen)
-            parts.step(g[seen], seen)
+            adam_step(whole.copies, g, whole.adam)
+            part = PartOfMap(parts.copies, seen)
+            take_missed_steps(part, parts.adam)
+            adam_step(part, g[seen], parts.adam)
+            part.write_back()
         elif action == "catch_up":
-            parts.catch_up(seen)
+            part = PartOfMap(parts.copies, seen)
+            take_missed_steps(part, parts.adam)
+            part.write_back()
         elif action == "take_over":
-            parts.catch_up(torch.arange(n))
+            parts.take_missed_steps()
             before = torch.cat([seen, torch.tensor([-1])])
-            whole, parts = (taken_over(adam, before) for adam in (whole, parts))
+            whole, parts = (taken_over(optimiser, before) for optimiser in (whole, parts))
         else:
-            whole, parts = (resumed(adam) for adam in (whole, parts))
-        parts.clock.check()
-        whole.clock.check()
-    now = parts.params_now()
-    parts.catch_up(torch.arange(len(whole.params)))
+            whole, parts = (resumed(optimiser) for optimiser in (whole, parts))
+        parts.copies.clock.check()
+        whole.copies.clock.check()
+    now = copy.deepcopy(parts.params_now())
+    parts.take_missed_steps()
     for name in PARAMETERS:
         torch.testing.assert_close(
             getattr(parts.params, name), getattr(whole.params, name), **CLOSE
@@ -221,17 +226,32 @@ def test_rows_of_discs_in_any_order(seed, generator):
         assert torch.equal(getattr(now, name), getattr(parts.params, name))
 
 
-def taken_over(adam, before):
+def optimiser_of(model: SurfelModel) -> SurfelOptimiser:
+    """Of all rows."""
+    rates = {"lr_xyz": 1e-3, "lr_log_scale": 1e-2, "lr_sh_dc": 1e-2}
+    window = dataclasses.replace(WindowConfig(), **rates)
+    return SurfelOptimiser(model, torch.ones(len(model), dtype=torch.bool), window, DiscConfig())
+
+
+def taken_over(optimiser: SurfelOptimiser, before: torch.Tensor) -> SurfelOptimiser:
     """The optimiser after the rows ``before`` of it, -1 for a new one."""
-    rows = before.clamp_min(0)
-    again = RowAdam(adam.params[rows], RATES)
-    again.take_over(adam, before)
+    optimiser.write_back()
+    model = copy.deepcopy(optimiser._model)
+    n = len(model)
+    model.copy_rows(before.clamp_min(0))
+    model.keep(torch.arange(len(model)) >= n)
+    again = optimiser_of(model)
+    again.take_over(optimiser, before)
     return again
 
 
-def resumed(adam):
-    again = RowAdam(copy.deepcopy(adam.params), RATES)
-    again.load_state_dict(adam.state_dict())
+def resumed(optimiser: SurfelOptimiser) -> SurfelOptimiser:
+    """The optimiser from its state, which stays as it was when the optimiser goes on."""
+    optimiser.write_back()
+    state = optimiser.state_dict()
+    again = optimiser_of(copy.deepcopy(optimiser._model))
+    adam_step(optimiser.copies, optimiser.copies.params, optimiser.adam)
+    again.load_state_dict(state)
     return again
 
 

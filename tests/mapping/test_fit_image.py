@@ -4,7 +4,7 @@ import pytest
 
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import open_sequence
-from gsfusion_nb.mapping.surfel_optimiser import fit_image
+from gsfusion_nb.mapping.fit_image import fit_image
 
 
 @pytest.fixture(scope="module")

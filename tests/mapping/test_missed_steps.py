@@ -200,7 +200,7 @@ def test_the_files_of_a_run_hold_the_map_without_missed_steps(system, tmp_path):
             rtol=1e-6,
         )
     if system == "rtg_slam":
-        assert int(mapper._final.adam.clock.missed.sum()) == 0
+        assert int(mapper._final.copies.clock.missed.sum()) == 0
 
 
 def test_discs_have_their_missed_steps_between_two_passes(small_room):
@@ -209,17 +209,18 @@ def test_discs_have_their_missed_steps_between_two_passes(small_room):
     mapper = mapped(settings("rtg_slam", "code"), small_room, (0, 1))
     steps = mapper.global_optimise(2)
     next(steps)
-    mapper._final.adam.clock.check()
-    assert int(mapper._final.adam.clock.missed.sum()) > 0
+    mapper._final.copies.clock.check()
+    assert int(mapper._final.copies.clock.missed.sum()) > 0
     now = mapper.params_now()
     stored = mapper.gaussians.params
-    caught_up = copy.deepcopy(mapper._final.adam)
-    caught_up.catch_up(torch.arange(len(stored)))
-    for name, column in vars(caught_up.params).items():
+    up_to_date = copy.deepcopy(mapper._final)
+    up_to_date.take_missed_steps()
+    assert len(up_to_date.copies) == len(stored)
+    for name, column in vars(up_to_date.trained_params).items():
         assert torch.equal(getattr(now, name), column)
     list(steps)
-    assert int(mapper._final.adam.clock.missed.sum()) == 0
-    for name, column in vars(mapper._final.trained).items():
+    assert int(mapper._final.copies.clock.missed.sum()) == 0
+    for name, column in vars(mapper._final.trained_params).items():
         assert torch.equal(getattr(mapper.gaussians.params, name), column)
 
 
@@ -263,7 +264,7 @@ def test_three_places_by_view_are_those_of_the_whole_map(system, fidelity, small
 VJPS = {
     "gsfusion": "gsfusion_nb.mapping.gsfusion.render_vjp",
     "rtg_slam": "gsfusion_nb.mapping.surfel_optimiser.render_vjp",
-    "gps_slam": "gsfusion_nb.mapping.gps_slam.render_over_base_vjp",
+    "gps_slam": "gsfusion_nb.mapping.gps_views.render_over_base_vjp",
 }
 """Where each system gets its gradients from."""
 

@@ -16,10 +16,10 @@ from gsfusion_nb.errors import SequenceError
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GSFusion, get_system, make_mapper
 from gsfusion_nb.mapping.after_scan import KeyframePasses
+from gsfusion_nb.mapping.surfel_optimiser import BETA1, BETA2, EPS
 from gsfusion_nb.mapping.training import Training
 from gsfusion_nb.optim import TrainingView, ViewLoss, l1_mse_vjp
 from gsfusion_nb.optim.adam import adam_update
-from gsfusion_nb.optim.row_adam import BETA1, BETA2, EPS
 from gsfusion_nb.types import Camera, RenderOutput
 
 SMALL: dict[str, Any] = {"data__width": 40, "data__height": 30, "data__stop": 6}

@@ -12,9 +12,9 @@ from gsfusion_nb.config import OptimConfig
 from gsfusion_nb.gaussians import Edit, GaussianModel
 from gsfusion_nb.gaussians.model import PARAMETERS
 from gsfusion_nb.optim import (
+    AdamSettings,
     ColumnRates,
     PartOfMap,
-    RowAdam,
     adam_step,
     adam_update,
     adam_update_map,
@@ -225,6 +225,19 @@ def test_late_rows_in_a_shared_model(generator):
 RATES = {"xyz_W": 1e-3, "log_scale": 4e-3, "quat": 2e-3, "sh_dc": 5e-4, "sh_rest": 2.5e-5}
 
 
+def window_adam(**rates: float) -> AdamSettings:
+    """Adam as a window of RTG-SLAM has it: textbook steps, and opacities stay."""
+    columns = ColumnRates(opacity_logit=0.0, **RATES | rates)
+    return AdamSettings(rates=columns, steps="shared", **MOMENTS)
+
+
+def copies_of(params: GaussianParams) -> GaussianModel:
+    """Rows whose moments begin at zero."""
+    model = GaussianModel(params.sh_degree)
+    model.extend(params)
+    return model
+
+
 def rows(n: int, generator: torch.Generator, dtype=torch.float32) -> GaussianParams:
     def normal(*shape: int) -> torch.Tensor:
         return torch.randn(*shape, generator=generator, dtype=dtype)
@@ -236,10 +249,6 @@ def rows(n: int, generator: torch.Generator, dtype=torch.float32) -> GaussianPar
         opacity_logit=normal(n),
         sh=normal(n, 9, 3),
     )
-
-
-def copy(params: GaussianParams) -> GaussianParams:
-    return GaussianParams(**{name: value.clone() for name, value in vars(params).items()})
 
 
 @pytest.mark.parametrize("n", [0, 1, 11])
@@ -255,7 +264,7 @@ def test_twenty_steps_of_torch_adam(n, generator):
     groups = [{"params": [leaves[name]], "lr": lr} for name, lr in RATES.items()]
     theirs = torch.optim.Adam(groups, betas=(0.9, 0.999), eps=1e-15)
     born = params.opacity_logit.clone()
-    ours = RowAdam(params, RATES)
+    ours = copies_of(params)
     for step in range(20):
         g = rows(n, generator)
         if step % 3 == 0:
@@ -265,60 +274,42 @@ def test_twenty_steps_of_torch_adam(n, generator):
                 name, getattr(g, name, None)
             )
         theirs.step()
-        ours.step(g)
+        adam_step(ours, g, window_adam())
     for name in ("xyz_W", "log_scale", "quat"):
         torch.testing.assert_close(
-            getattr(params, name),
+            getattr(ours.params, name),
             leaves[name].detach(),
             atol=1e-6,
             rtol=0,
         )
     torch.testing.assert_close(
-        params.sh[:, :1],
+        ours.params.sh[:, :1],
         leaves["sh_dc"].detach(),
         atol=1e-6,
         rtol=0,
     )
     torch.testing.assert_close(
-        params.sh[:, 1:],
+        ours.params.sh[:, 1:],
         leaves["sh_rest"].detach(),
         atol=1e-6,
         rtol=0,
     )
-    assert torch.equal(params.opacity_logit, born)
+    assert torch.equal(ours.params.opacity_logit, born)
 
 
-def test_gradients_may_have_more_rows(generator):
+def test_a_step_on_the_first_rows_leaves_the_others(generator):
     """The optimiser works on the first rows of the picture's Gaussians; those behind are frozen."""
     params = rows(5, generator)
-    part = copy(params)
-    alone = copy(params[:2])
+    whole = copies_of(params)
+    alone = copies_of(params[:2])
     g = rows(5, generator)
-    RowAdam(part[:2], RATES).step(g)
-    RowAdam(alone, RATES).step(g[:2])
+    part = PartOfMap(whole, torch.arange(2))
+    adam_step(part, g[:2], window_adam())
+    part.write_back()
+    adam_step(alone, g[:2], window_adam())
     for name in PARAMETERS:
-        assert torch.equal(getattr(part, name)[:2], getattr(alone, name))
-        assert torch.equal(getattr(part, name)[2:], getattr(params, name)[2:])
-
-
-def test_state_round_trip(generator):
-    params = rows(6, generator)
-    gradients = [rows(6, generator) for _ in range(8)]
-    whole = RowAdam(copy(params), RATES)
-    parted = RowAdam(copy(params), RATES)
-    for g in gradients[:4]:
-        whole.step(g)
-        parted.step(g)
-    state = parted.state_dict()
-    resumed = RowAdam(copy(parted.params), RATES)
-    parted.step(gradients[0])  # what was saved stays as it was
-    resumed.load_state_dict(state)
-    for g in gradients[4:]:
-        whole.step(g)
-        resumed.step(g)
-    for name in PARAMETERS:
-        assert torch.equal(getattr(whole.params, name), getattr(resumed.params, name))
-    assert resumed.steps == 8
+        assert torch.equal(getattr(whole.params, name)[:2], getattr(alone.params, name))
+        assert torch.equal(getattr(whole.params, name)[2:], getattr(params, name)[2:])
 
 
 COLUMNS = ("xyz_W", "log_scale", "quat", "opacity_logit", "sh")
@@ -377,18 +368,15 @@ def test_rows_take_their_part_of_the_step(generator, backend):
 
 def test_the_rows_of_a_window_take_their_part_too(generator):
     params = map_of(generator).params
-    rates = {"xyz_W": 0.1, "log_scale": 0.1, "quat": 0.0, "sh_dc": 0.1, "sh_rest": 0.1}
-    whole, part = (
-        GaussianParams(**{c: getattr(params, c).clone() for c in COLUMNS}) for _ in range(2)
-    )
+    adam = window_adam(xyz_W=0.1, log_scale=0.1, quat=0.0, sh_dc=0.1, sh_rest=0.1)
+    models = copies_of(params), copies_of(params)
     factor = torch.tensor([0.0, 1, 0.5] * 3)
-    adams = (
-        RowAdam(whole, rates),
-        RowAdam(part, rates, {"xyz_W": factor, "quat": factor, "sh": 0 * factor}),
-    )
+    for name, factors in {"xyz_W": factor, "quat": factor, "sh": 0 * factor}.items():
+        models[1].set_rate(name, factors)
     g = gradients(params, generator)
-    for adam in adams:
-        adam.step(g)
+    for model in models:
+        adam_step(model, g, adam)
+    whole, part = (model.params for model in models)
     assert torch.equal(part.sh, params.sh)
     assert torch.equal(part.quat, params.quat)
     assert torch.equal(part.log_scale, whole.log_scale)
@@ -449,19 +437,21 @@ def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed, 
 def test_missed_steps_of_some_rows(generator):
     params = rows(9, generator)
     seen = torch.tensor([1, 2, 7])
-    whole = RowAdam(copy(params), RATES)
-    part = RowAdam(copy(params), RATES)
+    whole = copies_of(params)
+    part = copies_of(params)
     for _ in range(3):
         g = rows(9, generator)
-        whole.step(g)
-        part.step(g)
+        adam_step(whole, g, window_adam())
+        adam_step(part, g, window_adam())
     for _ in range(5):
         g = rows(9, generator)
         for column in vars(g).values():
             column[[i for i in range(9) if i not in seen.tolist()]] = 0.0
-        whole.step(g)
-        part.step(g[seen], seen)
-    part.catch_up(torch.arange(9))
+        adam_step(whole, g, window_adam())
+        seen_part = PartOfMap(part, seen)
+        adam_step(seen_part, g[seen], window_adam())
+        seen_part.write_back()
+    take_missed_steps(part, window_adam())
     for name in PARAMETERS:
         torch.testing.assert_close(
             getattr(part.params, name),
@@ -510,9 +500,9 @@ def test_an_optimiser_from_outside_is_told_rates_and_ages(generator):
     assert model.step_count == 5
     assert model.last_step.tolist() == [5] * 4
     told.clear()
-    window = RowAdam(rows(2, generator), RATES | {"quat": 0.0}, update=notes)
+    window = copies_of(rows(2, generator))
     for _ in range(3):
-        window.step(rows(2, generator))
+        adam_step(window, rows(2, generator), window_adam(quat=0.0), notes)
     assert told.keys() == {(2, 3), (2, 9, 3)}
     assert told[2, 9, 3] == ([3, 3], pytest.approx([RATES["sh_dc"]] + [RATES["sh_rest"]] * 8))
 
@@ -534,13 +524,14 @@ def test_a_part_knows_whether_its_map_has_changed(generator):
     "still", [("xyz_W",), ("xyz_W", "log_scale", "quat"), ("sh_dc", "sh_rest")]
 )
 def test_groups_at_rate_zero_are_left_alone(still, generator):
-    params = rows(4, generator)
-    before = copy(params)
-    adam = RowAdam(params, RATES | dict.fromkeys(still, 0.0))
+    before = rows(4, generator)
+    model = copies_of(before)
     for _ in range(5):
-        adam.step(rows(4, generator))
+        adam_step(model, rows(4, generator), window_adam(**dict.fromkeys(still, 0.0)))
     unmoved = {
-        name for name in PARAMETERS if torch.equal(getattr(params, name), getattr(before, name))
+        name
+        for name in PARAMETERS
+        if torch.equal(getattr(model.params, name), getattr(before, name))
     }
     expected = (
         set(still) & set(PARAMETERS) | {"opacity_logit"} | ({"sh"} if "sh_dc" in still else set())
@@ -549,14 +540,10 @@ def test_groups_at_rate_zero_are_left_alone(still, generator):
 
 
 def test_no_gradient_moves_nothing(generator):
-    params = rows(3, generator)
-    before = copy(params)
-    adam = RowAdam(params, RATES)
+    before = rows(3, generator)
+    zero = GaussianParams(**{name: torch.zeros_like(value) for name, value in vars(before).items()})
+    model = copies_of(before)
     for _ in range(3):
-        adam.step(
-            GaussianParams(
-                **{name: torch.zeros_like(value) for name, value in vars(params).items()}
-            )
-        )
+        adam_step(model, zero, window_adam())
     for name in PARAMETERS:
-        assert torch.equal(getattr(params, name), getattr(before, name))
+        assert torch.equal(getattr(model.params, name), getattr(before, name))

@@ -16,8 +16,8 @@ from gsfusion_nb import backends, gaussians, interrupts, optim
 from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.config import gsfusion as gsfusion_settings
 from gsfusion_nb.data import apply_options
-from gsfusion_nb.mapping import gsfusion, keyframe_fits, make_mapper
-from gsfusion_nb.optim import PartOfMap, RowAdam
+from gsfusion_nb.mapping import gsfusion, keyframe_fits, make_mapper, surfel_optimiser
+from gsfusion_nb.optim import PartOfMap
 from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun, outputs, run_mapping
 from gsfusion_nb.seeding import frame_queries
@@ -160,13 +160,21 @@ def test_mapping_that_is_interrupted_anywhere_and_called_again_ends_in_the_same_
 
 
 PLACES = {
-    "gsfusion": [(gsfusion, "render_forward"), (gsfusion, "render_vjp"), (gsfusion, "adam_step")],
+    "gsfusion": [
+        (gsfusion, "render_forward"),
+        (gsfusion, "render_vjp"),
+        (optim.view_step, "adam_step"),
+    ],
     "gps_slam": [
         (PartOfMap, "write_back"),
         (gaussians.StepClock, "write_back"),
         (optim.map_step, "adam_update_map"),
     ],
-    "rtg_slam": [(RowAdam, "step"), (RowAdam, "catch_up"), (gaussians.StepClock, "step")],
+    "rtg_slam": [
+        (optim.view_step, "adam_step"),
+        (surfel_optimiser, "take_missed_steps"),
+        (gaussians.StepClock, "step"),
+    ],
     "gsfusion_fits": [
         (keyframe_fits.KeyframeFits, "move"),
         (gaussians.GaussianModel, "move"),

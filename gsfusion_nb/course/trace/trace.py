@@ -147,7 +147,7 @@ class Recorder:
             "rates": {},
             "t": None,
         } | self._next()
-        loss, mse = f(*args, **kwargs)
+        view_step = f(*args, **kwargs)
         self._step = None
         at = view.index
         if "screen" in step and "adam" in step:
@@ -158,8 +158,8 @@ class Recorder:
                 if at == self.frame_index
                 else "keyframe"
             )
-            self._add(StepRecord(stage=stage, view_index=at, loss=loss, **step))
-        return loss, mse
+            self._add(StepRecord(stage=stage, view_index=at, loss=view_step.loss, **step))
+        return view_step
 
     def _render_forward(self, f: Call, args: tuple, kwargs: dict) -> Any:
         output, saved = f(*args, **kwargs)
