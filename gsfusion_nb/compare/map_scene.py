@@ -189,7 +189,7 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
         files = code_key(own).files
         refuse_undeclared(own, files)
         places = [*option_paths(own, spec.options).values(), *files]
-        mapper.rule_in_use.watched = lambda: only_declared(spec.rule_name, places)
+        mapper.rule_in_use.call_context = lambda: only_declared(spec.rule_name, places)
     used = flat_settings(mapper.config)
     flat = flat_settings(config)
     for name, value in getattr(rule, "overrides", {}).items():

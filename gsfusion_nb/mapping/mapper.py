@@ -45,6 +45,7 @@ from ..seeding.rule_code import find_rule
 from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
 from .after_scan import AfterScan, KeyframePasses
+from .after_steps import AfterSteps
 from .check_frame import check_frame
 from .description import SystemDescription
 from .localiser import Localiser, move_map
@@ -52,7 +53,8 @@ from .lost_rows import LostRows
 from .map_files import MapFiles
 from .map_reports import MapReports
 from .random_streams import RandomStreams
-from .rule import AfterSteps, RuleInUse, check_known, settings_of_run, settings_with_rule
+from .rule_in_use import RuleInUse, check_registered
+from .rule_settings import settings_of_run, settings_with_rule
 from .stage_clock import StageClock
 from .step_report import GlobalStep, StepReport
 from .tracking_surface import tracking_surface
@@ -411,7 +413,7 @@ class Mapper(ABC):
         if not self.rule_is_due(is_keyframe):
             return Seeds.empty(context.frame.depth_m)
         try:
-            with self.rule_in_use.watched():
+            with self.rule_in_use.call_context():
                 return apply_rule(self.rule, context, self.config.seeding.options, **checks)
         except ChangedInputError as e:
             if not e.what.startswith("frame."):  # which is as it was
@@ -443,7 +445,7 @@ class Mapper(ABC):
             "rule": self.rule_in_use.state_dict(),
             "training": self.training.state_dict(),
             "n_frames": self.n_frames,
-            "steps_taken": self.after_steps.taken,
+            "steps_taken": self.after_steps.n_steps,
             "n_not_finite": self.lost.total,
             "passes": self.passes.state_dict(),
             "localiser": self.localiser.state_dict(),
@@ -472,7 +474,7 @@ class Mapper(ABC):
         """
         config = from_run(cls.config_type, state["config"])
         if seeding is None:
-            check_known(state["rule"])
+            check_registered(state["rule"])
         rule = find_rule(seeding if seeding is not None else state["rule"]["name"])
         settings = settings_of_run(config, rule)
         given = given_functions(loss, optimiser)
@@ -492,7 +494,7 @@ class Mapper(ABC):
         """Restore what ``state_dict`` saved; a subclass extends both."""
         self.localiser.load_state_dict(state["localiser"])
         self.n_frames = state["n_frames"]
-        self.after_steps.taken = state["steps_taken"]
+        self.after_steps.n_steps = state["steps_taken"]
         self.lost.total = state.get("n_not_finite", 0)
         self.random.load_state_dict(state["random"])
         self.gaussians = self.model_type.from_state_dict(state["gaussians"], self.device)

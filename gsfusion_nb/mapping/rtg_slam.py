@@ -26,11 +26,11 @@ from ..render import (
 from ..seeding import DiscInputs, SeedContext, disc_view
 from ..tracking import Correction
 from ..types import Camera, Frame, GaussianParams, Mesh
+from .after_steps import StepStatistics
 from .description import CURVES, SystemDescription
 from .disc_files import DiscFiles, disc_mesh
 from .disc_states import STATES, DiscReports, n_stable
 from .mapper import Mapper
-from .rule import WatchedStep
 from .step_report import StepReport, psnr_from_mse
 from .surfel_optimiser import SurfelOptimiser
 from .transaction import Undo
@@ -52,7 +52,7 @@ MASKED_BELOW = 0.8
 """If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves
 no time."""
 
-LastStep = tuple[int, ViewStep, WatchedStep]
+LastStep = tuple[int, ViewStep, StepStatistics]
 """Number of its view, the step, and what was collected of it."""
 
 
@@ -271,7 +271,7 @@ class RTGSLAM(Mapper):
 
     def _step_on(
         self, view: TrainingView, optimiser: SurfelOptimiser
-    ) -> tuple[ViewStep, WatchedStep]:
+    ) -> tuple[ViewStep, StepStatistics]:
         """One step, on copies of rows, and what was collected of it."""
         rows = optimiser.drawn_rows
         watched = self.after_steps.watch(self.gaussians, view, len(rows))

@@ -105,7 +105,7 @@ class Transaction:
         """A function that undoes what is changed in the mapper from now on."""
         mapper = self._mapper
         undo_rows = mapper.gaussians.log_changes()
-        n_steps = mapper.after_steps.taken
+        n_steps = mapper.after_steps.n_steps
         keyframes = mapper.keyframes.snapshot()
         lost_counts = mapper.lost.counts
         steps_missed = mapper._steps_missed
@@ -114,7 +114,7 @@ class Transaction:
         def undo() -> None:
             undo_rows()
             mapper.gaussians.end_log()
-            mapper.after_steps.taken = n_steps
+            mapper.after_steps.n_steps = n_steps
             mapper.lost.counts = lost_counts
             mapper._steps_missed = steps_missed
             mapper.forget_part()

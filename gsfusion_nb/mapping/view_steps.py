@@ -5,7 +5,7 @@ from typing import Any
 from ..gaussians import GaussianModel
 from ..optim import Keyframe, Loss, PartOfMap, Regulariser, Render, ViewStep, optimise_view
 from ..types import Frame
-from .rule import WatchedStep
+from .after_steps import StepStatistics
 
 
 def step_on_view(
@@ -17,7 +17,7 @@ def step_on_view(
     regulariser: Regulariser | None = None,
     *,
     writes_back: bool = True,
-) -> tuple[ViewStep, WatchedStep]:
+) -> tuple[ViewStep, StepStatistics]:
     """``optimise_view`` for a mapper, with its optimiser and the statistics for its rule.
 
     Args:

@@ -191,7 +191,7 @@ def test_what_a_rule_is_told_and_that_asking_changes_nothing(system, needs, fram
     assert [float(s.loss) for s in told[online:]] == optimised
     numbers = [stats.step for stats in told]
     assert numbers == sorted(set(numbers))
-    assert numbers[-1] == mapper.after_steps.taken
+    assert numbers[-1] == mapper.after_steps.n_steps
     assert all(s.step_in_frame <= s.steps_in_frame for s in told)
     for told_of, (_, n) in zip(told, now, strict=True):
         stats: Any = told_of

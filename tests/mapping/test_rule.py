@@ -10,7 +10,7 @@ import torch
 
 from gsfusion_nb.config import GSFusionConfig, RtgSlamConfig, gsfusion, replace, rtg_slam
 from gsfusion_nb.mapping import RTGSLAM, GSFusion, HalfMappedError, make_mapper
-from gsfusion_nb.mapping.rule import settings_with_rule
+from gsfusion_nb.mapping.rule_settings import settings_with_rule
 from gsfusion_nb.seeding import (
     MapRule,
     SeedContext,
