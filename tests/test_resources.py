@@ -11,7 +11,7 @@ from gsfusion_nb.data import SequenceError, open_sequence
 from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.resources import MAP_MEMORY, map_memory
-from gsfusion_nb.runs.outputs import hash_of
+from gsfusion_nb.runs.map_hashes import hash_of
 from gsfusion_nb.tsdf import TsdfVolume
 
 CPU = torch.device("cpu")

@@ -20,7 +20,7 @@ from ..errors import ArgumentError
 from ..mapping import Mapper, StepReport, make_mapper
 from ..resources import PeakMemory
 from ..runs import MappingRun
-from ..runs.outputs import score
+from ..runs.scores import score
 from ..seeding import SeedingRule, get_rule, is_built_in, is_map_rule
 from ..seeding.code_key import code_key, differing
 from ..seeding.rule import option_paths

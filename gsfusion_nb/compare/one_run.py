@@ -16,15 +16,15 @@ from ..evaluation import NotComputed, frame_rates
 from ..evaluation.image import lpips_unavailable
 from ..files import write_file
 from ..runs import MappingRun
-from ..runs.outputs import (
-    environment,
-    map_hashes,
+from ..runs.map_hashes import map_hashes
+from ..runs.ran_on import environment
+from ..runs.scored_views import ScoredViews, scored_views
+from ..runs.scores import (
     nan_views,
     score_mesh,
     score_trajectory,
     tracking_rates,
 )
-from ..runs.scored_views import ScoredViews, scored_views
 from ..seeding import published_training, rule_source
 from .map_scene import Entry, Mapped, OnStep, budgeted, finished, map_scene
 from .program import libraries

@@ -1,7 +1,7 @@
 """Runs of a mapper over a sequence or a stream: the loop over the frames, timing, checkpoints,
 files and scores."""
 
-from .map_sequence import FinishedRun as FinishedRun
+from .driver import FinishedRun as FinishedRun
 from .map_sequence import map_stream as map_stream
 from .map_sequence import resume_mapping as resume_mapping
 from .map_sequence import run_mapping as run_mapping

@@ -34,6 +34,7 @@ from ..geometry import se3
 from ..mapping.localiser import jump_from
 from ..mapping.usual_torch import usual_torch
 from ..types import Frame
+from .run_warnings import RunWarnings
 
 ADVICE = "run `gsfusion-nb check DATA`"
 """How each sentence ends."""
@@ -310,12 +311,8 @@ class WatchedRun(Protocol):
     mapper: Any
     sequence: Any
     steps: list[Any]
-    warnings: list[str]
+    warnings: RunWarnings
     resumable: bool
-
-    def warn_once(self, sentence: str) -> None:
-        """Warn, unless the run has said so before."""
-        ...
 
 
 class QuietWatch:
@@ -345,7 +342,7 @@ class QuietWatch:
         if said:
             self._is_over = True
             self._watch = None
-            run.warn_once(said)
+            run.warnings.warn_once(said)
 
     def _look(self, run: WatchedRun, frame: Frame | None) -> str:
         localiser = run.mapper.localiser

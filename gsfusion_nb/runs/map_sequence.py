@@ -1,34 +1,26 @@
 """Map a whole sequence, or frames as they arrive, with one call, from a notebook or the command
 line."""
 
-import contextlib
 import logging
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
 
 from ..config import SystemConfig
-from ..data import Sequence, SequenceError, apply_options, open_sequence
+from ..data import Sequence, apply_options, open_sequence
 from ..data.stream import Policy
-from ..errors import DiskFullError, MemoryFullError, memory_is_full
-from ..evaluation import ONLINE
-from ..export import CheckpointStore, read_gaussian_ply
+from ..export import read_gaussian_ply
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..optim import UpdateFunction
-from ..progress import ProgressDisplay
-from ..seeding import SeedingRule, rule_name
-from ..types import Frame, Mesh
-from . import outputs
+from ..seeding import SeedingRule
+from ..types import Frame
+from .driver import FinishedRun, drive, map_with_progress
 from .mapping_run import MappingRun, RunWatcher
-from .resume import load_run, resume_command
+from .resume import load_run
 from .run_clock import RunClock
 from .run_folder import (
-    CHECKPOINTS,
-    NOT_SAVED,
-    Autosave,
     CheckpointEvery,
     RunFolder,
     StopRequest,
@@ -54,7 +46,7 @@ def run_mapping(
     loss: LossFunction | None = None,
     optimiser: UpdateFunction | None = None,
     **reader_options: Any,
-) -> "FinishedRun":
+) -> FinishedRun:
     """Map a sequence online, optimise over its keyframes, score it and write everything to a
     folder.
 
@@ -121,7 +113,7 @@ def resume_mapping(
     watch: RunWatcher | None = None,
     loss: LossFunction | None = None,
     optimiser: UpdateFunction | None = None,
-) -> "FinishedRun":
+) -> FinishedRun:
     """Continue a run that was interrupted or killed, in the same folder; other arguments as for
     ``run_mapping``.
 
@@ -147,249 +139,6 @@ def resume_mapping(
     with RunFolder(folder) as place:
         run = load_run(folder, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
         return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class FinishedRun:
-    """The folder of a run's files, its metrics, and the run itself with its maps
-    (``run.mapper``)."""
-
-    run: MappingRun
-    folder: Path
-    metrics: dict[str, Any]
-
-    @property
-    def mapper(self):
-        """The mapper: ``mapper.gaussians``, ``mapper.volume``, ``mapper.render(camera, T_WC)``,
-        ``mapper.mesh()``."""
-        return self.run.mapper
-
-    def __repr__(self) -> str:
-        return (
-            f"FinishedRun({self.run.status}, {len(self.run.steps)} frames, files in {self.folder})"
-        )
-
-
-def drive(
-    run: MappingRun,
-    folder: Path,
-    evaluate: bool,
-    map_frames: "Callable[[MappingRun, StopRequest], None] | None" = None,
-    *,
-    watch: RunWatcher | None = None,
-    every: CheckpointEvery | None = None,
-) -> FinishedRun:
-    """Do a run from the first frame to the report. If anything ends it early, what was mapped is
-    saved first.
-
-    Args:
-        run: The run to do.
-        folder: Its folder, locked.
-        evaluate: Score views and write the report.
-        map_frames: Does the online part until the frames end or a stop is requested; by default
-            with a progress bar.
-        watch: Sees every mapped frame and the finished maps.
-        every: How often to save a checkpoint.
-    """
-    run.go_on()
-    run.watchers += [watch] if watch is not None else []
-    stop = StopRequest()
-    if evaluate:
-        run.keep_frames()
-    outputs.write_rule(run, folder)
-    run.after_step = Autosave(
-        run.mapper, lambda: _checkpoint(run, folder, stop), every or CheckpointEvery()
-    )
-    with stop.listening():
-        try:
-            _work(run, stop, evaluate, map_frames or _with_progress)
-            if stop:
-                scores = (
-                    ", and the scores are computed (Ctrl-C once more leaves them out)"
-                    if evaluate
-                    else ""
-                )
-                log.warning("interrupted: the maps are being written%s", scores)
-            _checkpoint_before_files(run, folder, stop)
-            mesh = _save(run, folder, stop)
-        except BaseException as e:
-            _rescue(run, folder, stop, e)
-            raise
-        metrics: dict[str, Any] = outputs.map_metrics(run, mesh) | run.online_scores
-        if evaluate:
-            _score(run, folder, stop, mesh, metrics)
-            with run.clock("report"):
-                outputs.write_page(run, folder, metrics | run.clock.metrics())
-        for watcher in run.watchers:
-            watcher.finished(run.mapper, mesh, metrics)
-        run.forget_pictures()
-        metrics |= run.clock.metrics()
-        # after all other files: its status says that they are there
-        outputs.write_numbers(run, folder, metrics)
-        if run.status != "interrupted" or not run.resumable:
-            CheckpointStore(folder / CHECKPOINTS).remove()
-            run.store = None
-    return FinishedRun(run, folder, metrics)
-
-
-def _work(
-    run: MappingRun,
-    stop: StopRequest,
-    evaluate: bool,
-    map_frames: Callable[[MappingRun, StopRequest], None],
-) -> None:
-    """Map and optimise until finished or asked to stop; sets the run's status.
-
-    A request to stop takes effect between two gradient steps of a frame, except of the first.
-    """
-    with _heard_between_steps(run, stop):
-        map_frames(run, stop)
-    if (
-        evaluate
-        and not (stop or run.mapper.passes.begun or run.is_optimised)
-        and run.mapper.n_passes
-    ):
-        with stop.ending_at_once():
-            online = outputs.score(run, "_online")
-            run.online_scores = {k: online[k] for k in ONLINE if isinstance(online[k], float)}
-    if run.status == "running" and not (stop or run.is_optimised):
-        with _heard_between_steps(run, stop):
-            _with_progress_of_passes(run, stop)
-    if stop:
-        run.status = "interrupted"
-        of_all = f" of {len(run.sequence.mapping)}" if run.resumable else ""
-        run.note_ending(
-            f"interrupted after {len(run.steps)}{of_all} frames and "
-            f"{run.mapper.passes.done} global passes; everything mapped so far is saved"
-        )
-    elif run.status == "running":
-        run.status = "complete"
-    if not stop:
-        for note in run.mapper.reports.run_notes(run.steps):
-            run.note_ending(note)
-    if run.steps and not len(run.mapper.gaussians):
-        run.note_ending(_why_empty(run))
-
-
-@contextlib.contextmanager
-def _heard_between_steps(run: MappingRun, stop: StopRequest) -> Iterator[None]:
-    """Context in which a request to stop takes effect between two gradient steps, if there is a
-    map; and while kernels are compiled, also if there is none."""
-    guard = run.mapper.guard
-    guard.stop_wanted = lambda: bool(stop) and len(run.steps) > 0
-    guard.end_wanted = lambda: bool(stop)
-    try:
-        yield
-    finally:
-        guard.stop_wanted = guard.end_wanted = lambda: False
-
-
-def _score(
-    run: MappingRun, folder: Path, stop: StopRequest, mesh: Mesh, metrics: dict[str, Any]
-) -> None:
-    """Add the scores to ``metrics``; if stopped halfway, the scores computed so far are kept."""
-    already = bool(stop)
-    stop.wanted = False
-    with stop.ending_at_once():
-        metrics |= outputs.score(run)
-        metrics |= outputs.score_trajectory(run)
-        with run.clock("mesh_scores"):
-            metrics |= outputs.score_mesh(run, mesh)
-            metrics |= outputs.score_centres(run, mesh)
-    if stop and not already:
-        run.status = "interrupted"
-        run.note_ending("interrupted while the views were scored; the maps are complete")
-        _checkpoint(run, folder, stop)
-
-
-def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseException) -> None:
-    """Save what can be saved of a run that ends with ``error``, and say so in a note added to the
-    error."""
-    run.status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
-    run.note_ending(f"ended by {type(error).__name__}: {error}")
-    if run.mapper.guard.half_mapped:
-        run.note_ending(run.mapper.guard.half_mapped)
-    notes: list[str] = []
-    attempts: list[Callable[[], Any]] = [
-        lambda: _checkpoint(run, folder, stop),
-        lambda: _save(run, folder, stop),
-    ]
-    for attempt in attempts if run.steps else ():
-        try:
-            attempt()
-        except DiskFullError as e:
-            notes += [str(e)] if str(e) != str(error) else []
-        except Exception as e:
-            if not memory_is_full(e):
-                raise
-            notes.append("There is too little memory to write all files.")
-    if run.steps:
-        saved = "saved" if not notes else "saved as far as the disk has space"
-        notes.insert(0, f"The {len(run.steps)} frames mapped before are {saved} in {folder}.")
-    if run.resumable and CheckpointStore(folder / CHECKPOINTS).exists:
-        notes.append(
-            f"To continue from the last checkpoint: {resume_command(folder, run.mapper.rule)}"
-        )
-    if memory_is_full(error):
-        raise MemoryFullError(" ".join([f"{_describe_full(run.mapper)}.", *notes])) from error
-    for note in notes:
-        error.add_note(note)
-
-
-def _checkpoint(run: MappingRun, folder: Path, stop: StopRequest) -> None:
-    """Save a checkpoint if possible."""
-    if run.can_be_saved:
-        with stop.held_back(), run.clock("checkpoints"):
-            run.save_checkpoint(folder)
-
-
-def _checkpoint_before_files(run: MappingRun, folder: Path, stop: StopRequest) -> None:
-    """Save a checkpoint before the maps are written, so that a run that is killed then is not
-    lost."""
-    try:
-        _checkpoint(run, folder, stop)
-    except DiskFullError as e:
-        if run.status == "interrupted":
-            raise
-        log.warning(NOT_SAVED, e)
-
-
-def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:
-    """Write the maps and the numbers."""
-    with stop.held_back():
-        mesh = outputs.write_maps(run, folder)
-        status = "running" if run.status == "complete" else run.status  # not scored yet
-        outputs.write_numbers(
-            run, folder, outputs.map_metrics(run, mesh) | run.online_scores, status
-        )
-        return mesh
-
-
-def _with_progress(run: MappingRun, stop: StopRequest) -> None:
-    """Map the frames that are left; of a stream it is not known how many there are."""
-    total = len(run.sequence.mapping) if run.resumable else None
-    seconds = 0.0
-    with (
-        ProgressDisplay("mapping", total=total, unit="frame", first=run.next_position) as progress,
-        contextlib.closing(run.online()) as reports,
-    ):
-        for n, report in enumerate(reports, start=1):
-            seconds += report.total_seconds
-            # a system may not time its stages
-            rate = f"{n / seconds:.1f} frames/s, " if seconds > 0 else ""
-            dropped = run.extra_metrics().get("n_frames_dropped")
-            note = f", {dropped} frames dropped" if dropped else ""
-            progress.show(run.next_position, note=f"{rate}{report.in_words}{note}")
-            if stop:
-                return
-
-
-def _with_progress_of_passes(run: MappingRun, stop: StopRequest) -> None:
-    with ProgressDisplay("optimising", unit="view", visible=bool(run.mapper.n_passes)) as progress:
-        for step in run.optimise():
-            progress.show(step.step, total=step.n_steps, note=f"loss {step.loss:.4f}")
-            if stop:
-                return
 
 
 def map_stream(
@@ -436,7 +185,7 @@ def map_stream(
     def map_frames(run: MappingRun, stop: StopRequest) -> None:
         assert isinstance(run, StreamRun)
         run.until = lambda: bool(stop)
-        _with_progress(run, stop)
+        map_with_progress(run, stop)
         if stop and on_stop == "finish":
             run.warnings.append(f"the stream was ended by hand after {len(run.steps)} frames")
             stop.wanted = False
@@ -444,32 +193,3 @@ def map_stream(
     with RunFolder(new_folder(getattr(frames, "name", "stream"), folder)) as place:
         run = StreamRun(frames, mapper, policy=policy)
         return drive(run, place.path, evaluate, map_frames, watch=watch, every=checkpoints)
-
-
-def _why_empty(run: MappingRun) -> str:
-    """A sentence that explains why the map has no Gaussians after at least one frame."""
-    n_seeds = sum(step.n_seeds for step in run.steps)
-    rule = rule_name(run.mapper.rule)
-    if n_seeds:
-        why = (
-            f"all {n_seeds:,} that were created were removed again (see the settings under states)"
-        )
-        return f"the map has no Gaussians: {why}"
-    text = (
-        f"the map has no Gaussians: the seeding rule {rule!r} proposed none for any of the "
-        f"{len(run.steps)} frames"
-    )
-    with contextlib.suppress(SequenceError, StopIteration):
-        frame = next(iter(run.mapped_views(1)))
-        known = frame.depth_m[frame.depth_m > 0]
-        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
-        text += f"; the depth of frame {frame.index} is from {low:.4g} to {high:.4g} m"
-    return f"{text}; the rule's options are {run.mapper.config.seeding.options or 'the defaults'}"
-
-
-def _describe_full(mapper: Mapper) -> str:
-    """A sentence that says what fills the memory, and which settings need less."""
-    less = ["smaller images (data.width)", *mapper.description.memory_savers]
-    if mapper.config.keyframes_on == "device":
-        less.append("keyframes in CPU memory (keyframes_on = 'cpu')")
-    return f"the memory of {mapper.device} is full of {mapper!r}; try {', '.join(less)}"

@@ -1,5 +1,5 @@
-"""One run over a sequence: the loop over frames, timing, interruption, checkpoints. ``outputs``
-writes the results."""
+"""One run over a sequence: the loop over frames, timing, interruption, state. ``driver`` does it
+from the first frame to the report, and ``outputs`` writes the results."""
 
 import copy
 import dataclasses
@@ -7,51 +7,40 @@ import logging
 import math
 import time
 from collections.abc import Callable, Generator, Iterator
-from pathlib import Path
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
 from ..data import (
-    FrameStore,
     OpenedSequence,
     RecordedSequence,
     SequenceError,
     SequenceView,
     data_files,
 )
-from ..data.adjust.repair import as_read
 from ..data.stream import read_ahead
 from ..errors import KindError
 from ..export import CheckpointStore
 from ..geometry import se3
 from ..interrupts import DelayedInterrupt
-from ..mapping import FrameUndone, GlobalStep, Mapper, StepReport, system_of
-from ..resources import MAP_MEMORY
-from ..seeding.rule_code import file_source
+from ..mapping import FrameUndone, GlobalStep, Mapper, StepReport
 from ..types import Frame, Mesh
 from .frame_watch import QuietWatch
-from .ran_on import ran_on
 from .run_clock import RunClock
-from .run_folder import CHECKPOINTS, StepLog, packed, random_state
+from .run_folder import StepLog, packed
+from .run_warnings import RunWarnings
 
 log = logging.getLogger(__name__)
 
 MAX_BAD_FRAMES_IN_A_ROW = 20
 """After more unusable frames in a row than this, the run stops; a lost camera is looked for until
 the end."""
-KEPT_BYTES = 1 << 28
-"""Images of frames that are kept to be scored and shown: 128 frames of 640x480."""
 READ_AHEAD = 4
 """Number of frames of a recording on disk that another thread decodes in advance."""
-_ENDINGS = ("interrupted after ", "interrupted while ", "ended by ")
-"""First words of the endings in checkpoints of versions that did not tell them from other
-warnings."""
 _PLAIN = (
     "global_losses",
     "online_scores",
-    "warnings",
     "next_position",
     "bad_in_a_row",
     "seconds_global",
@@ -146,15 +135,11 @@ class MappingRun:
         self.timestamps_s: list[float] = []
         self.hashes: dict[str, str] = {}
         """SHA-256 of each written map."""
-        self.warnings: list[str] = []
-        """What the user should know, as sentences."""
-        self.endings: list[str] = []
-        """Those of ``warnings`` that are about how the run ended, or about its map at the end. A
-        run that goes on forgets them."""
+        self.warnings = RunWarnings()
         for note in self.mapper.notes:
-            self._warn(note)
+            self.warnings.warn(note)
         if not has_poses(sequence) and len(sequence.held_out):
-            self._warn(
+            self.warnings.warn(
                 f"{sequence.name} has no poses: each held-out frame is scored where depth and "
                 "brightness fit the map (--data.hold-out-every 0 maps all frames)"
             )
@@ -180,11 +165,6 @@ class MappingRun:
 
     def __repr__(self) -> str:
         return f"MappingRun({self.sequence.name}, {self.status}, {self.mapper!r})"
-
-    @property
-    def system(self) -> str:
-        """Name of the SLAM system."""
-        return system_of(self.mapper.config)
 
     @property
     def poses(self) -> list[torch.Tensor]:
@@ -238,7 +218,7 @@ class MappingRun:
             self.timestamps_s.append(frame.timestamp_s)
             self._passed(frame)
             for sentence in self.mapper.reports.step_warnings(frame, report):
-                self._warn(sentence)
+                self.warnings.warn(sentence)
             self._watch.look(self, frame)
         for watcher in self.watchers:
             watcher.frame_mapped(self.mapper, frame, report)
@@ -255,17 +235,17 @@ class MappingRun:
         self.bad_in_a_row += 1
         self._passed(None)
         if self.bad_in_a_row <= MAX_BAD_FRAMES_IN_A_ROW:
-            self._warn(f"skipped a frame: {error}")
+            self.warnings.warn(f"skipped a frame: {error}")
             return "skipped"
         if self.mapper.localiser.frames_lost:
             if self.bad_in_a_row == MAX_BAD_FRAMES_IN_A_ROW + 1:
-                self._warn(
+                self.warnings.warn(
                     "tracking is lost; the camera is looked for in every frame until the recording "
                     "ends"
                 )
             return "skipped"
         self.status = "stopped"
-        self._warn(
+        self.warnings.warn(
             f"stopped after {self.bad_in_a_row} unusable frames in a row; everything mapped before "
             "is kept"
         )
@@ -312,12 +292,13 @@ class MappingRun:
         steps = self.mapper.global_optimise(self.mapper.n_passes - self.mapper.passes.done)
         lost = self.mapper.lost
         n_lost = lost.total
-        said = False
+        has_warned = False
         try:
             while (step := self._next_global_step(steps)) is not None:
-                if lost.total > n_lost and not self.mapper.passes.queue and not said:
-                    self._warn(lost.in_words(f"pass {self.mapper.passes.done} over the keyframes"))
-                    said = True
+                if lost.total > n_lost and not self.mapper.passes.queue and not has_warned:
+                    name = f"pass {self.mapper.passes.done} over the keyframes"
+                    self.warnings.warn(lost.in_words(name))
+                    has_warned = True
                 self.after_step()
                 yield step
         except FrameUndone:  # the run is asked to stop
@@ -338,50 +319,6 @@ class MappingRun:
                 self._pass_losses = []
             self.seconds_global += time.perf_counter() - start
             return step
-
-    def keep_frames(self, limit_bytes: int = KEPT_BYTES) -> None:
-        """Keep frames that are read, so that those that are scored and shown are read once: at most
-        so many bytes.
-
-        Frames that are in memory, or made by code of others, are not kept.
-        """
-        source = as_read(self.sequence.source)
-        if not (isinstance(source, RecordedSequence) or hasattr(source, "content")):
-            return
-        if MAP_MEMORY.limit_bytes is not None:
-            limit_bytes = min(limit_bytes, MAP_MEMORY.limit_bytes // 8)
-        kept = FrameStore(limit_bytes, lambda: self.clock("reading"))
-        mapped = self.sequence.mapping.positions
-        limit = self.mapper.config.data.scored_views
-        scored = [mapped[i] for i in evenly(len(mapped), limit)]
-        kept.wanted = frozenset([*scored, *self.sequence.held_out.positions])
-        self.sequence = self.sequence.keeping(kept)
-
-    def forget_pictures(self) -> None:
-        """Give back the memory of what was kept to score and show the same views again."""
-        if self.sequence.kept is not None:
-            self.sequence.kept.clear()
-        self.mapper.files.forget_drawn()
-
-    def document(self) -> dict[str, Any]:
-        """All that a checkpoint holds."""
-        return {
-            "system": self.system,
-            "run": self.state_dict(),
-            "source": self.source or self.stream(),
-            "mapper": self.mapper.state_dict(copies=False),
-            "rule_from_file": bool(file_source(self.mapper.rule)),
-            "ran_on": ran_on(self.mapper.device),
-            "random": random_state(),
-        }
-
-    def save_checkpoint(self, folder: Path) -> None:
-        """Write a checkpoint to ``folder``, from which the run can be resumed; only what has
-        changed is written."""
-        document = self.document()
-        if self.store is None or self.store.folder != folder / CHECKPOINTS:
-            self.store = CheckpointStore(folder / CHECKPOINTS)
-        self.store.save(document, constant=self.constant_tensors())
 
     def constant_tensors(self) -> list[Tensor]:
         """Tensors of the state that never change."""
@@ -404,8 +341,8 @@ class MappingRun:
             "steps": self._step_log.state_dict(self.steps),
             "pass_losses": torch.stack(self._pass_losses) if self._pass_losses else torch.zeros(0),
             "timestamps_s": torch.tensor(self.timestamps_s, dtype=torch.float64),
-            "endings": list(self.endings),
             "clock": self.clock.state_dict(),
+            **self.warnings.state_dict(),
             **{name: copy.copy(getattr(self, name)) for name in _PLAIN},
         }
 
@@ -417,8 +354,7 @@ class MappingRun:
         self.clock.load_state_dict(state.get("clock", {}))
         for name in _PLAIN:
             setattr(self, name, state[name])
-        old = [sentence for sentence in self.warnings if sentence.startswith(_ENDINGS)]
-        self.endings = list(state.get("endings", old))
+        self.warnings.load_state_dict(state)
 
     def _passed(self, frame: Frame | None) -> None:
         """Count a frame that was mapped, or could not be used (None)."""
@@ -434,27 +370,6 @@ class MappingRun:
             return f"none of the {n} frames could be mapped"
         reason = self.warnings[0].removeprefix("skipped a frame: ")
         return f"none of the {n} frames could be mapped, the first because {reason}"
-
-    def note_ending(self, sentence: str) -> None:
-        """Note how the run ended, or what its map is like at the end."""
-        if sentence not in self.warnings:
-            self.warnings.append(sentence)
-        if sentence not in self.endings:
-            self.endings.append(sentence)
-
-    def go_on(self) -> None:
-        """Forget how the run ended, because it goes on."""
-        self.warnings = [sentence for sentence in self.warnings if sentence not in self.endings]
-        self.endings = []
-
-    def warn_once(self, sentence: str) -> None:
-        """Warn, unless the run has said so before."""
-        if sentence not in self.warnings:
-            self._warn(sentence)
-
-    def _warn(self, sentence: str) -> None:
-        self.warnings.append(sentence)
-        log.warning(sentence)
 
 
 def has_poses(view: SequenceView) -> bool:

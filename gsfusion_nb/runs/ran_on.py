@@ -44,3 +44,14 @@ def _version(distribution: str) -> str:
         return importlib.metadata.version(distribution)
     except importlib.metadata.PackageNotFoundError:
         return "none"
+
+
+def environment() -> dict[str, str]:
+    """Versions and threads of this process."""
+    return {
+        "gsfusion_nb": __version__,
+        "Python": platform.python_version(),
+        "PyTorch": torch.__version__,
+        "threads": str(torch.get_num_threads()),
+        "system": f"{platform.system()} {platform.machine()}",
+    }

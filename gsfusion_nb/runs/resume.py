@@ -20,6 +20,7 @@ from ..seeding.rule_code import (
     rule_folder,
     rule_of_source,
 )
+from .checkpoint import document_of
 from .mapping_run import MappingRun
 from .ran_on import difference, ran_on
 from .run_folder import CHECKPOINTS, RULE, is_complete, load_random_state, random_state, unpacked
@@ -65,7 +66,7 @@ def load_run(
             loaded.state["random"],
             random_state() | {"torch_cuda": loaded.state["random"]["torch_cuda"]},
         )
-        check_same({name: loaded.state[name] for name in _KEPT}, run.document())
+        check_same({name: loaded.state[name] for name in _KEPT}, document_of(run))
         check_agreement(run)
         run.warnings += [note for note in run.mapper.notes if note not in run.warnings]
     except SequenceError as e:
@@ -78,7 +79,7 @@ def load_run(
         ) from None
     run.store = store
     if said := _other_program(loaded.state.get("ran_on"), run):
-        run.warn_once(said)
+        run.warnings.warn_once(said)
     run.warnings += [said for said in loaded.copies if said not in run.warnings]
     if loaded.passed_over:
         run.warnings.append(

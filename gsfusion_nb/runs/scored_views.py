@@ -254,7 +254,7 @@ def _localised(
         run.localised = state, found
         lost = [view.positions[i] for i in missing if view.positions[i] not in found]
         if lost:
-            run.warn_once(
+            run.warnings.warn_once(
                 f"{len(lost)} of {len(missing)} held-out frames could not be found in the map and "
                 f"are not scored, the first is frame {lost[0]}"
             )

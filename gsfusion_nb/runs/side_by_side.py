@@ -13,7 +13,7 @@ from . import outputs
 from .report import ReportView
 
 if TYPE_CHECKING:
-    from .map_sequence import FinishedRun
+    from .driver import FinishedRun
 
 NUMBERS = {
     "psnr_held_out_db": "PSNR of held-out views",

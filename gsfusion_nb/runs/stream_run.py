@@ -114,7 +114,7 @@ class StreamRun(MappingRun):
         run.n_unusable = counts["n_unusable"]
         run._n_earlier = counts["n_earlier"]
         run.sequence = run.kept.opened()
-        run._warn(
+        run.warnings.warn(
             f"the stream was interrupted after {len(run.steps)} frames, when its process was killed"
         )
         return run
@@ -192,7 +192,7 @@ class StreamRun(MappingRun):
         broke_off = getattr(self.frames_source, "broke_off", "")
         if broke_off and self.status == "running":
             self.status = "stopped"
-            self._warn(f"{broke_off}; everything mapped before is kept")
+            self.warnings.warn(f"{broke_off}; everything mapped before is kept")
 
     def _can_go_on(self, error: SequenceError) -> bool:
         return isinstance(error, BadFrameError)  # any other came from the source and ended it

@@ -21,6 +21,7 @@ import torch
 
 from gsfusion_nb.export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from gsfusion_nb.geometry import quaternion, se3
+from gsfusion_nb.runs.checkpoint import save_checkpoint
 from gsfusion_nb.types import Camera, GaussianParams, Mesh
 
 TESTS = Path(__file__).resolve().parents[1]
@@ -506,7 +507,7 @@ def _interrupted(
         if step == n_steps:
             break
     (root / name).mkdir()
-    run.save_checkpoint(root / name)
+    save_checkpoint(run, root / name)
     return Seed(name, "resume", root / name)
 
 

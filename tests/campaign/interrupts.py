@@ -29,7 +29,7 @@ from kills import ROOM, VARIANTS, settings
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun
-from gsfusion_nb.runs.outputs import map_hashes
+from gsfusion_nb.runs.map_hashes import map_hashes
 
 
 @dataclass

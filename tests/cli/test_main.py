@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from gsfusion_nb.cli import doctor, main
-from gsfusion_nb.runs import outputs
+from gsfusion_nb.runs import scores
 
 SMALL = (
     "--data.width 80 --data.height 60 --data.stop 6 --data.hold-out-every 3 "
@@ -19,7 +19,7 @@ FAST = (
 
 
 def test_map_then_eval_then_repeat_from_its_config(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(outputs, "SURFACE_SAMPLES", 4_000)
+    monkeypatch.setattr(scores, "SURFACE_SAMPLES", 4_000)
     out = tmp_path / "run"
     assert main(["map", "room", *SMALL.split(), *FAST.split(), "--out", str(out)]) == 0
     text = capsys.readouterr().out

@@ -15,7 +15,7 @@ from gsfusion_nb.mapping.gps_views import ViewRound
 from gsfusion_nb.optim import fit_pose_by_flow
 from gsfusion_nb.render import base_view
 from gsfusion_nb.runs import MappingRun
-from gsfusion_nb.runs.outputs import score
+from gsfusion_nb.runs.scores import score
 from gsfusion_nb.seeding.rules.gps_slam import gps_slam as gps_slam_rule
 
 ROOM: dict[str, Any] = {"path_or_name": "room", "n_frames": 240, "width": 64, "height": 48}

@@ -1,12 +1,12 @@
 import pytest
 
-from gsfusion_nb.runs import FinishedRun, outputs, run_mapping
+from gsfusion_nb.runs import FinishedRun, run_mapping, scores
 
 
 @pytest.fixture(autouse=True)
 def _few_samples_of_surfaces(monkeypatch):
     """A few thousand are enough for surfaces whose error is centimetres."""
-    monkeypatch.setattr(outputs, "SURFACE_SAMPLES", 4_000)
+    monkeypatch.setattr(scores, "SURFACE_SAMPLES", 4_000)
 
 
 @pytest.fixture(scope="session")

@@ -104,5 +104,5 @@ def test_endings_of_checkpoints_that_did_not_tell_them_apart_are_forgotten(tmp_p
     state = run.state_dict()
     del state["endings"]
     run.load_state_dict(state)
-    run.go_on()
+    run.warnings.go_on()
     assert run.warnings == []

@@ -19,7 +19,8 @@ from gsfusion_nb.data import apply_options
 from gsfusion_nb.mapping import gsfusion, keyframe_fits, make_mapper, surfel_optimiser
 from gsfusion_nb.optim import PartOfMap
 from gsfusion_nb.render import in_view
-from gsfusion_nb.runs import MappingRun, outputs, run_mapping
+from gsfusion_nb.runs import MappingRun, run_mapping
+from gsfusion_nb.runs.map_hashes import map_hashes
 from gsfusion_nb.seeding import frame_queries
 
 PACKAGE = Path(interrupts.__file__).parent
@@ -96,7 +97,7 @@ def whole(config, small_room):
                 list(run.online())
             with ctrl_c_at(-1) as passes:
                 list(run.optimise())
-            done[variant] = outputs.map_hashes(run), online[0], passes[0], list(run.global_losses)
+            done[variant] = map_hashes(run), online[0], passes[0], list(run.global_losses)
         return done[variant]
 
     return of
@@ -128,7 +129,7 @@ def test_passes_that_are_interrupted_anywhere_and_called_again_end_in_the_same_m
             n_interrupts += 1
         assert is_quiet()
     assert n_interrupts >= n_keyframes
-    assert outputs.map_hashes(run) == hashes
+    assert map_hashes(run) == hashes
     assert run.global_losses == losses
 
 
@@ -156,7 +157,7 @@ def test_mapping_that_is_interrupted_anywhere_and_called_again_ends_in_the_same_
         assert run.mapper.guard.half_mapped == ""
     assert n_interrupts > 5
     list(run.optimise())
-    assert outputs.map_hashes(run) == hashes
+    assert map_hashes(run) == hashes
 
 
 PLACES = {
@@ -219,7 +220,7 @@ def test_a_step_after_the_scan_that_fails_in_any_operation_can_be_repeated(
                     n_failed += 1
             assert n_failed or run.is_optimised, name
     list(run.optimise())
-    assert outputs.map_hashes(run) == outputs.map_hashes(still)
+    assert map_hashes(run) == map_hashes(still)
 
 
 def test_ctrl_c_while_a_kernel_is_compiled_ends_the_first_frame_as_if_it_had_not_begun(
@@ -242,7 +243,7 @@ def test_ctrl_c_while_a_kernel_is_compiled_ends_the_first_frame_as_if_it_had_not
         )
         list(run.online())
         list(run.optimise())
-        assert outputs.map_hashes(run) == whole("gsfusion_fits")[0], name
+        assert map_hashes(run) == whole("gsfusion_fits")[0], name
 
 
 def compiled_in(name: str) -> Any:

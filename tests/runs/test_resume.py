@@ -17,6 +17,7 @@ from gsfusion_nb.data import SequenceError, open_sequence
 from gsfusion_nb.export import CheckpointStore
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun, resume_mapping, run_mapping
+from gsfusion_nb.runs.checkpoint import save_checkpoint
 from gsfusion_nb.runs.resume import load_run
 from gsfusion_nb.runs.run_folder import CHECKPOINTS
 
@@ -57,7 +58,7 @@ def states(tmp_path_factory):
             run = MappingRun(sequence, make_mapper(config), source={"path_or_name": "room", **ROOM})
             for _ in itertools.chain(run.online(), itertools.islice(run.optimise(), 1)):
                 pass
-            run.save_checkpoint(folder)
+            save_checkpoint(run, folder)
         found[name] = CheckpointStore(folder / CHECKPOINTS).load().state
     return found
 
@@ -257,7 +258,7 @@ def killed_with(scene, tmp_path, monkeypatch):
 
 
 def _killed(scene, tmp_path, monkeypatch, rule):
-    from gsfusion_nb.runs import CheckpointEvery, map_sequence
+    from gsfusion_nb.runs import CheckpointEvery, driver
 
     shutil.copytree(scene, tmp_path / "wall")
     config = gsfusion(
@@ -280,7 +281,7 @@ def _killed(scene, tmp_path, monkeypatch, rule):
             pass
 
     with monkeypatch.context() as patch:
-        patch.setattr(map_sequence, "_rescue", lambda *_: None)
+        patch.setattr(driver, "_rescue", lambda *_: None)
         with pytest.raises(Killed):
             run_mapping(
                 tmp_path / "wall",

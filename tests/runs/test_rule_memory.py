@@ -13,8 +13,9 @@ import torch
 from gsfusion_nb.config import gsfusion, to_dict
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import make_mapper
-from gsfusion_nb.runs import MappingRun, outputs, rescore, run_mapping
-from gsfusion_nb.runs.outputs import hash_of
+from gsfusion_nb.runs import MappingRun, rescore, run_mapping, scores
+from gsfusion_nb.runs.checkpoint import save_checkpoint
+from gsfusion_nb.runs.map_hashes import hash_of
 from gsfusion_nb.runs.resume import load_run
 from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, When, every
 
@@ -59,7 +60,7 @@ def test_a_run_continues_from_disk_with_the_memory_of_its_rule(tmp_path):
     half = new_run()
     list(whole.online())
     list(itertools.islice(half.online(), 2))
-    half.save_checkpoint(tmp_path)
+    save_checkpoint(half, tmp_path)
     resumed = load_run(tmp_path, seeding=thinning)
     memory = resumed.mapper.rule_in_use.memory
     assert memory["kinds"][:3] == (None, True, "word")
@@ -80,7 +81,7 @@ def test_a_run_continues_from_disk_with_the_memory_of_its_rule(tmp_path):
 
 def test_settings_of_the_rule_are_stored_and_the_report_names_it(tmp_path, monkeypatch):
     # the room's true surface takes long
-    monkeypatch.setattr(outputs, "score_mesh", lambda run, mesh: {})
+    monkeypatch.setattr(scores, "score_mesh", lambda run, mesh: {})
     finished = run_mapping("room", SETTINGS, seeding=thinning, folder=tmp_path / "out", **ROOM)
     stored = json.loads((finished.folder / "config.json").read_text())["config"]
     assert stored == json.loads(json.dumps(to_dict(finished.mapper.config)))

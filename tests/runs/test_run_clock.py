@@ -12,7 +12,7 @@ import pytest
 from gsfusion_nb.config import gps_slam
 from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.mapping import gps_surface
-from gsfusion_nb.runs import FinishedRun, outputs, run_mapping
+from gsfusion_nb.runs import FinishedRun, run_mapping, scores
 from gsfusion_nb.runs.run_clock import STAGES, RunClock
 
 
@@ -106,7 +106,7 @@ def counted(tmp_path_factory) -> tuple[FinishedRun, Counter[int], Counter[str]]:
             looks["rounded"] += 1
             return stored(volume)
 
-        patch.setattr(outputs, "SURFACE_SAMPLES", 4_000)
+        patch.setattr(scores, "SURFACE_SAMPLES", 4_000)
         patch.setattr(RoomSequence, "__getitem__", counted_read)
         patch.setattr(gps_surface, "raycast", counted_cast)
         patch.setattr(gps_surface, "as_stored", counted_stored)

@@ -11,7 +11,8 @@ from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun
-from gsfusion_nb.runs.outputs import hash_of, map_hashes
+from gsfusion_nb.runs.checkpoint import save_checkpoint
+from gsfusion_nb.runs.map_hashes import hash_of, map_hashes
 from gsfusion_nb.runs.resume import load_run
 
 ROOM: dict[str, Any] = {"n_frames": 120, "width": 80, "height": 60}
@@ -42,7 +43,7 @@ def mapped(config, folder, threads: int) -> dict[str, str]:
     )
     for _ in zip(range(4), run.online(), strict=False):
         pass
-    run.save_checkpoint(folder / f"{threads}")
+    save_checkpoint(run, folder / f"{threads}")
     run = load_run(folder / f"{threads}")
     list(run.online())
     list(run.optimise())

@@ -32,13 +32,14 @@ from gsfusion_nb.data import (
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping.localiser import Localiser
 from gsfusion_nb.runs import MappingRun, rescore, run_mapping
-from gsfusion_nb.runs.outputs import report_views, score_trajectory
+from gsfusion_nb.runs.outputs import report_views
 from gsfusion_nb.runs.scored_views import (
     frames_in_map,
     ground_truth_poses,
     read_views,
     readable_frames,
 )
+from gsfusion_nb.runs.scores import score_trajectory
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(

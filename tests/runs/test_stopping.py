@@ -16,11 +16,13 @@ from gsfusion_nb.mapping.frame_guard import FrameGuard
 from gsfusion_nb.runs import (
     CheckpointEvery,
     StreamRun,
-    map_sequence,
+    driver,
     outputs,
     resume_mapping,
     run_mapping,
+    scores,
 )
+from gsfusion_nb.runs.checkpoint import save_checkpoint
 from gsfusion_nb.runs.run_folder import Autosave, is_complete
 
 
@@ -42,15 +44,15 @@ def metrics_of(folder) -> dict:
 def test_a_stop_while_scoring_leaves_a_report_and_the_run_can_be_scored_again(
     tmp_path, small, config, monkeypatch, whole_run
 ):
-    score_mesh = outputs.score_mesh
+    score_mesh = scores.score_mesh
 
     def stopped(run, mesh):
         signal.raise_signal(signal.SIGTERM)
         return score_mesh(run, mesh)
 
-    monkeypatch.setattr(outputs, "score_mesh", stopped)
+    monkeypatch.setattr(scores, "score_mesh", stopped)
     run = run_mapping("room", config, folder=tmp_path / "out")
-    monkeypatch.setattr(outputs, "score_mesh", score_mesh)
+    monkeypatch.setattr(scores, "score_mesh", score_mesh)
     assert run.run.status == "interrupted"
     assert "psnr_held_out_db" in metrics_of(run.folder)["metrics"]
     assert "mesh_accuracy_m" not in metrics_of(run.folder)["metrics"]
@@ -80,8 +82,9 @@ def test_killed_while_the_maps_are_written_or_scored_a_run_goes_on(
     at |= dict.fromkeys(("score_mesh", "write_page"), lambda: resume_mapping(tmp_path / "out"))
     for name, go_on in at.items():
         with monkeypatch.context() as patch:
-            patch.setattr(outputs, name, killed)
-            patch.setattr(map_sequence, "_rescue", lambda *_: None)
+            module = scores if name == "score_mesh" else outputs
+            patch.setattr(module, name, killed)
+            patch.setattr(driver, "_rescue", lambda *_: None)
             with pytest.raises(Killed):
                 go_on()
         assert not is_complete(tmp_path / "out")
@@ -175,7 +178,7 @@ def test_sigterm_between_two_gradient_steps_undoes_the_frame_and_the_run_resumes
 def test_the_checkpoint_comes_before_the_maps_and_scoring_is_cut_short(
     tmp_path, small, config, monkeypatch
 ):
-    score = outputs.score
+    score = scores.score
     write_maps = outputs.write_maps
     seen = []
 
@@ -189,7 +192,7 @@ def test_the_checkpoint_comes_before_the_maps_and_scoring_is_cut_short(
         seen.append(sorted(p.name for p in (folder / "checkpoint").iterdir()))
         return write_maps(run, folder)
 
-    monkeypatch.setattr(outputs, "score", stopped)
+    monkeypatch.setattr(scores, "score", stopped)
     monkeypatch.setattr(outputs, "write_maps", watched)
     run = run_mapping("room", config, folder=tmp_path / "out")
     assert run.run.status == "interrupted"
@@ -201,7 +204,7 @@ def test_a_stream_that_was_killed_keeps_its_map(tmp_path, small_room, config):
     frames = [small_room[i] for i in range(10)]
     run = StreamRun(frames, make_mapper(config))
     list(run.online())
-    run.save_checkpoint(tmp_path)  # and then the process is killed
+    save_checkpoint(run, tmp_path)  # and then the process is killed
     after = resume_mapping(tmp_path)
     assert after.run.status == "complete"
     assert after.mapper.n_frames == len(run.steps) == 8
