@@ -21,6 +21,13 @@ MAX_PIXELS = 1 << 27
 with."""
 
 
+MapRows = slice | Int[Tensor, " R"]
+"""A part of a map: numbers of its rows, each once, or ``ALL_ROWS``. Columns are indexed by it."""
+
+ALL_ROWS = slice(None)
+"""A map as a whole: a column that is indexed by it is a view, not a copy."""
+
+
 def rgb_of_bytes(levels: UInt8[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
     """Colour 0..1 of grey levels 0..255."""
     return levels.float().div_(255.0)

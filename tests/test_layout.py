@@ -15,13 +15,14 @@ FLOORS = {
     **dict.fromkeys(("progress", "resources", "backends"), 0),
     **dict.fromkeys(("geometry", "drawing"), 1),
     **dict.fromkeys(("data", "tsdf", "gaussians", "render"), 2),
-    **dict.fromkeys(("seeding", "optim", "tracking", "export", "evaluation"), 3),
-    "mapping": 4,
-    **dict.fromkeys(("recordings", "runs"), 5),
-    **dict.fromkeys(("viz", "course"), 6),
-    "compare": 7,
-    "cli": 8,
-    "__main__": 9,
+    "large_maps": 3,
+    **dict.fromkeys(("seeding", "optim", "tracking", "export", "evaluation"), 4),
+    "mapping": 5,
+    **dict.fromkeys(("recordings", "runs"), 6),
+    **dict.fromkeys(("viz", "course"), 7),
+    "compare": 8,
+    "cli": 9,
+    "__main__": 10,
 }
 
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")

@@ -17,7 +17,7 @@ from torch import Tensor
 from ..checks import check_finite, check_positive, check_shape
 from ..errors import ArgumentError
 from ..geometry import project, quaternion, se3
-from ..render.in_view import Chunks, chunks_of_points, rows_of_chunks, seen_chunks
+from ..large_maps.chunks import Chunks, chunks_of_points, rows_of_chunks, seen_chunks
 from ..resources import MAP_MEMORY
 from ..types import Frame, GaussianParams, Mesh
 from .image import psnr

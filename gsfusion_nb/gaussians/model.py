@@ -15,7 +15,7 @@ from ..errors import ArgumentError
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import SH_C0, rgb_to_sh_dc
 from ..resources import MAP_MEMORY
-from ..types import GaussianParams, Seeds
+from ..types import ALL_ROWS, GaussianParams, MapRows, Seeds
 from .edit import Edit, apply_edit
 from .rows import GrowingRows, turn_colours_, turn_moments_
 from .step_clock import StepClock, StepCount
@@ -39,8 +39,6 @@ class GaussianModel(GrowingRows):
     _POSE_PREFIXES: tuple[str, ...] = ("",)
     """Prefixes of the columns that hold centres and orientations, which move when a loop is
     closed."""
-    rows: None = None
-    """A model is all rows of its map (``gsfusion_nb.optim.PartOfMap`` has some)."""
 
     def __init__(self, sh_degree: int = 3, device: torch.device | str = "cpu"):
         if sh_degree not in (0, 1, 2, 3):
@@ -233,13 +231,13 @@ class GaussianModel(GrowingRows):
         self.clear_moments(slice(start, None))
         self.as_new(slice(start, None))
 
-    def as_new(self, rows: Int[Tensor, " M"] | slice) -> None:
+    def as_new(self, rows: MapRows) -> None:
         """Count these rows as added now."""
         self.clock.begin(rows)
 
     def clear_moments(
         self,
-        rows: Int[Tensor, " M"] | slice,
+        rows: MapRows,
         parameter: str | None = None,
     ) -> None:
         """Set Adam's moments of these rows to zero, of all parameters or of one."""
@@ -249,8 +247,8 @@ class GaussianModel(GrowingRows):
 
     def restart_optimiser(self) -> None:
         """Forget all moments; the steps of every row are counted from here."""
-        self.clear_moments(slice(None))
-        self.clock.begin(slice(None))
+        self.clear_moments(ALL_ROWS)
+        self.clock.begin(ALL_ROWS)
 
     def log_changes(self) -> Callable[[], None]:
         """Also the number of steps is brought back."""
@@ -289,9 +287,6 @@ class GaussianModel(GrowingRows):
             self.step_count,
             *(x for c in self._columns.values() for x in (c.data_ptr(), c._version)),
         )
-
-    def write_back(self) -> None:
-        """Nothing: a step on the whole map changes it in place."""
 
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """Everything needed to continue later, as tensors and numbers; without ``copies`` steps

@@ -17,7 +17,7 @@ from ..checks import check_shape
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import turned_harmonics
 from ..resources import MAP_MEMORY
-from ..types import GaussianParams
+from ..types import ALL_ROWS, GaussianParams, MapRows
 
 
 def turn_colours_(sh: Float[Tensor, "N K 3"], R: Float[Tensor, "N 3 3"]) -> None:
@@ -153,7 +153,7 @@ class GrowingRows:
         """Remove the column of ``trace_ids``."""
         self._columns.pop("trace.id", None)
 
-    def clear_memory(self, rows: Int[Tensor, " M"] | slice) -> None:
+    def clear_memory(self, rows: MapRows) -> None:
         """Set all numbers of ``row_memory`` of these rows to zero."""
         for column in self.memory.values():
             column[rows] = 0.0
@@ -210,16 +210,16 @@ class GrowingRows:
         """What changes from now on cannot be undone."""
         self._log = None
 
-    def will_change(self, rows: Int[Tensor, " M"] | None = None) -> None:
-        """Say that values of these rows will change, each row once, or with None anything; new rows
-        need not be said.
+    def will_change(self, rows: MapRows = ALL_ROWS) -> None:
+        """Say that values of these rows will change, or with ``ALL_ROWS`` anything; new rows need
+        not be said.
 
         Does nothing unless changes are logged.
         """
         log = self._log
         if log is None or log.all_kept:
             return
-        if rows is None:
+        if isinstance(rows, slice):
             log.all_kept = True
             log.kept.append(self.snapshot())
             return

@@ -8,6 +8,7 @@ from jaxtyping import Int
 from torch import Tensor
 
 from ..errors import ArgumentError
+from ..types import ALL_ROWS, MapRows
 
 
 @dataclass
@@ -60,18 +61,18 @@ class StepClock:
         """Age of each row after the last step in which it took part."""
         return self.last - self.birth
 
-    def begin(self, rows: Int[Tensor, " M"] | slice) -> None:
+    def begin(self, rows: MapRows) -> None:
         """These rows begin now: they are new, or their moments were forgotten. They have age 0 and
         miss nothing."""
         self.birth[rows] = self.count
         self.last[rows] = self.count
 
-    def step(self, rows: Int[Tensor, " M"] | slice = slice(None)) -> None:
+    def step(self, rows: MapRows = ALL_ROWS) -> None:
         """One step is taken, in which these rows take part."""
         self._steps.value += 1
         self.catch_up(rows)
 
-    def catch_up(self, rows: Int[Tensor, " M"] | slice = slice(None)) -> None:
+    def catch_up(self, rows: MapRows = ALL_ROWS) -> None:
         """These rows have taken all the steps that they missed."""
         self.last[rows] = self.count
 
@@ -94,8 +95,11 @@ class StepClock:
             self.last.clone(),
         )
 
-    def part(self, rows: Int[Tensor, " M"]) -> "StepClock":
-        """A clock of its own for copies of some rows; ``write_back`` brings it home."""
+    def part(self, rows: MapRows) -> "StepClock":
+        """A clock of its own for copies of some rows, which ``write_back`` brings home; of
+        ``ALL_ROWS`` this clock."""
+        if isinstance(rows, slice):
+            return self
         return StepClock(StepCount(self.count), self.birth[rows], self.last[rows])
 
     def write_back(self, rows: Int[Tensor, " M"], part: "StepClock") -> None:

@@ -17,7 +17,7 @@ from ..backends import piece
 from ..config import StateConfig
 from ..errors import ArgumentError
 from ..geometry import project, quaternion, se3, sum_rows
-from ..types import Camera, GaussianParams, Seeds
+from ..types import ALL_ROWS, Camera, GaussianParams, MapRows, Seeds
 from .model import GaussianModel
 
 OPAQUE = 0.99
@@ -227,7 +227,7 @@ def count_views(
     model: SurfelModel,
     camera: Camera,
     T_WC: Float[Tensor, "4 4"],
-    rows: Int[Tensor, " R"] | None = None,
+    rows: MapRows = ALL_ROWS,
 ) -> None:
     """Add 1 to ``frames_in_view`` of every row whose centre is in front of the camera and in the
     image, even if hidden.
@@ -236,16 +236,12 @@ def count_views(
         model: The map; its counter changes.
         camera: Intrinsics and size.
         T_WC: Camera-to-world pose.
-        rows: Rows that may be in the image; all by default. [R]
+        rows: Rows that may be in the image.
     """
-    xyz_W = model.params.xyz_W if rows is None else model.params.xyz_W[rows]
-    xyz_C = se3.apply(se3.inverse(T_WC), xyz_W)
+    xyz_C = se3.apply(se3.inverse(T_WC), model.params.xyz_W[rows])
     u, v = project(camera, xyz_C).unbind(-1)
     in_view = (xyz_C[:, 2] > 0) & (u > 0) & (u < camera.width) & (v > 0) & (v < camera.height)
-    if rows is None:
-        model.frames_in_view.add_(in_view)
-    else:
-        model.frames_in_view.index_add_(0, rows, in_view.to(model.frames_in_view.dtype))
+    model.frames_in_view[rows] += in_view
 
 
 def change_states(

@@ -106,7 +106,7 @@ class AfterScan:
 
     def _watched_step(self, i: int) -> Float[Tensor, ""]:
         mapper = self._mapper
-        mapper.forget_part()
+        mapper.parts.forget()
         with mapper.watch(None):
             loss = mapper._global_step(i)
             if not mapper.passes.queue:

@@ -18,7 +18,7 @@ from ..seeding import MapRule, SeedContext, StepStats, check_memory, copy_memory
 from ..seeding.input_guard import unchanged_inputs
 from ..seeding.map_rule import check_needs, rule_name
 from ..seeding.points import add_up
-from ..types import Camera, Frame
+from ..types import ALL_ROWS, Camera, Frame, MapRows
 from .rule_in_use import RuleInUse
 
 
@@ -103,7 +103,7 @@ class AfterSteps:
         model: GaussianModel,
         step: StepStatistics,
         camera: Camera,
-        rows: Int[Tensor, " R"] | None = None,
+        rows: MapRows = ALL_ROWS,
     ) -> StepStatistics:
         """Count a step and add it to the statistics of each row; returns it with gradients for all
         rows of the map.
@@ -112,12 +112,12 @@ class AfterSteps:
             model: The map.
             step: From ``watch``.
             camera: That of the view.
-            rows: Row of the map of each rendered Gaussian, if not all were.
+            rows: The rows of the map that were rendered.
         """
         self.n_steps += self.is_used
         if step.footprints is None:
             return step
-        if rows is not None:
+        if isinstance(rows, Tensor):
             v_uv, v_uv_abs = (
                 _of_all_rows(values, rows, len(model)) for values in (step.v_uv, step.v_uv_abs)
             )

@@ -100,8 +100,7 @@ class GPSSLAM(TsdfMapping):
                 self._prune()
             if seeds_now and self.config.residual.restart_adam:
                 self._restart_adam()
-            with self.boxes.appending(self.gaussians):
-                self.gaussians.append(seeds, frame.index)
+            self.parts.append(seeds, frame.index)
             if is_keyframe:
                 self.keyframes.append(frame, with_depth=self.training.loss is not None)
             with self.clock("base"):
@@ -273,11 +272,7 @@ class GPSSLAM(TsdfMapping):
         """
         self.guard.may_stop()
         keyframe = view.keyframe
-        part = self.part_in_view(
-            keyframe,
-            self.config.residual.adam,
-            [v.keyframe for v in later_views],
-        )
+        part = self.parts.in_view(keyframe, [v.keyframe for v in later_views])
         step, statistics = step_on_view(
             self,
             keyframe,

@@ -12,10 +12,10 @@ from ..backends import observed, piece
 from ..config import GSFusionConfig, OptimConfig, gsfusion, gsfusion_fidelities, gsfusion_fidelity
 from ..errors import ArgumentError
 from ..gaussians import GaussianModel
+from ..large_maps import MapPart
 from ..optim import (
     Keyframe,
     Loss,
-    PartOfMap,
     PictureVjp,
     Regulariser,
     ViewLoss,
@@ -102,8 +102,7 @@ class GSFusion(TsdfMapping):
             context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
             seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
         with self.transaction.changes():
-            with self.boxes.appending(self.gaussians):
-                self.gaussians.append(seeds, frame.index)
+            self.parts.append(seeds, frame.index)
             is_keyframe, n_steps, n_revisits = self._plan(frame, len(seeds))  # III-B.3
             if is_keyframe or self.config.keep_all_frames:
                 self.keyframes.append(frame, with_depth=self._keeps_depth)
@@ -196,7 +195,7 @@ class GSFusion(TsdfMapping):
         """
         self.guard.may_stop()
         view = view.to(self.device)
-        part = self.part_in_view(view, self.config.optim)
+        part = self.parts.in_view(view)
         loss: Loss = partial(self._loss, view=view, ssim_weight=ssim_weight)
         fit = self.fits if fits else None
         keyframe: Any = view  # where poses and exposures are fitted
@@ -210,7 +209,7 @@ class GSFusion(TsdfMapping):
         self.after_steps.edit(self, statistics, view, step)
         return step
 
-    def _regulariser(self, part: "GaussianModel | PartOfMap") -> Regulariser | None:
+    def _regulariser(self, part: MapPart) -> Regulariser | None:
         """The penalties on Gaussians, if the settings ask for any."""
         optim = self.config.optim
         weights = {

@@ -9,7 +9,7 @@ panels) uses only this interface.
 import contextlib
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, ClassVar, TypeVar
 
@@ -22,15 +22,13 @@ from ..config import OptimConfig, SystemConfig, from_run, to_dict
 from ..errors import ArgumentError
 from ..gaussians import GaussianModel
 from ..interrupts import DelayedInterrupt
+from ..large_maps import MapParts, drawn_in_part
 from ..optim import (
     Keyframe,
     KeyframeList,
-    PartOfMap,
     UpdateFunction,
-    params_now,
     take_missed_steps,
 )
-from ..render import Boxes, drawn_in_part
 from ..resources import MAP_MEMORY
 from ..seeding import (
     MapReading,
@@ -43,7 +41,16 @@ from ..seeding import (
 from ..seeding.input_guard import ChangedInputError
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction
-from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput, Seeds
+from ..types import (
+    ALL_ROWS,
+    Camera,
+    Frame,
+    GaussianParams,
+    MapRows,
+    Mesh,
+    RenderOutput,
+    Seeds,
+)
 from .after_scan import AfterScan, KeyframePasses
 from .after_steps import AfterSteps
 from .check_frame import check_frame
@@ -63,10 +70,6 @@ from .transaction import Transaction
 from .usual_torch import changeable, in_usual_torch, usual_torch
 
 M = TypeVar("M", bound="Mapper")
-
-
-def _depth_of(view: Frame | Keyframe) -> Tensor | None:
-    return view.farthest_m if isinstance(view, Keyframe) else view.depth_m
 
 
 class Mapper(ABC):
@@ -149,12 +152,8 @@ class Mapper(ABC):
         self.after_steps = AfterSteps(self.rule_in_use)
         self.device = torch.device(device)
         self.gaussians = self.model_type(self.config.sh_degree, device=self.device)
-        self.boxes = Boxes()
-        """Of the rows of ``gaussians``, to find those that a view may show."""
-        self._last_part: tuple[Sequence[Frame | Keyframe], PartOfMap | None] = (), None
-        """Views of the last steps of this frame, and the rows that they changed."""
-        self._steps_missed = False
-        """Whether rows may have missed steps."""
+        self.parts = self._parts_of_map()
+        """The rows of ``gaussians`` that a view may show, which are drawn and stepped."""
         self.lost = LostRows()
         """How many Gaussians a step made NaN or infinite."""
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
@@ -260,7 +259,7 @@ class Mapper(ABC):
         return drawn_in_part(
             lambda params: self.files.render_gaussians(params, camera, T_WC, self.config),
             self.gaussians.params,
-            self.boxes,
+            self.parts.boxes,
             camera,
             T_WC,
             take=self.params_now,
@@ -271,22 +270,19 @@ class Mapper(ABC):
         """Settings of the Adam whose steps rows of the map may miss; None if there is none."""
         return None
 
-    def params_now(self, rows: Int[Tensor, " R"] | None = None) -> GaussianParams:
+    def params_now(self, rows: MapRows = ALL_ROWS) -> GaussianParams:
         """The Gaussians with the steps that they missed while no view showed them; the map does not
         change.
 
         What is written, scored, drawn or given to a rule is made from these.
 
         Args:
-            rows: Some rows of the map, each once; None: all. [R]
+            rows: Rows of the map.
 
         Returns:
             A copy, or the map's own tensors if all are asked for and none misses a step.
         """
-        optim = self.row_optim
-        if optim is None or self.training.optimiser is not None or not self._steps_missed:
-            return self.gaussians.params if rows is None else self.gaussians.params[rows]
-        return params_now(self.gaussians, optim, rows)
+        return self.parts.params_now(rows)
 
     def take_missed_steps(self) -> None:
         """Bring all rows of the map up to date, in place.
@@ -294,12 +290,7 @@ class Mapper(ABC):
         That changes when a row is rounded, so it is done where the run says, not where somebody
         looks at the map.
         """
-        optim = self.row_optim
-        if optim is None or self.training.optimiser is not None or not self._steps_missed:
-            return
-        self.gaussians.will_change()
-        take_missed_steps(self.gaussians, optim)
-        self._steps_missed = False
+        self.parts.take_missed_steps()
 
     def remove_lost(self) -> None:
         """Remove the Gaussians that the last steps made NaN or infinite, and count them."""
@@ -309,43 +300,18 @@ class Mapper(ABC):
             self.gaussians.keep(finite)
             self.rows_changed(finite.nonzero()[:, 0])
 
-    def part_in_view(
-        self, view: Frame | Keyframe, optim: OptimConfig, later: Sequence[Keyframe] = ()
-    ) -> "GaussianModel | PartOfMap":
-        """What a gradient step on this view changes: the rows that the view may show, or a small
-        map as a whole.
+    def _parts_of_map(self) -> MapParts:
+        optim = self.row_optim
+        catch_up = None
+        if optim is not None and self.training.optimiser is None:
+            catch_up = partial(take_missed_steps, config=optim)
+        return MapParts(self.gaussians, catch_up, self._depth_of)
 
-        The steps of a frame on one view take the same rows, as long as nothing else changes the
-        map. So do the steps on ``later`` views, whose rows are taken together with these.
-        """
-        views = (view, *later)
-        last_views, last = self._last_part
-        if (
-            last is not None
-            and last.is_current
-            and {id(v) for v in views} <= {id(v) for v in last_views}
-        ):
-            self.gaussians.will_change(last.rows)
-            return last
-        depths = [None if self.config.all_in_view else _depth_of(v) for v in views]
-        seen = (
-            self.boxes.rows(self.gaussians.params, v.camera, v.T_WC, d)
-            for v, d in zip(views, depths, strict=True)
-        )
-        found = [x for x in seen if x is not None]
-        rows = None if len(found) < len(views) else torch.cat(found).unique() if later else found[0]
-        self.gaussians.will_change(rows)
-        part = self.gaussians if rows is None else PartOfMap(self.gaussians, rows, self.boxes)
-        self._steps_missed |= rows is not None
-        # else a GPU would be waited for in small maps
-        if self.training.optimiser is None and self._steps_missed:
-            take_missed_steps(part, optim)
-        self._last_part = (views, part) if isinstance(part, PartOfMap) else ((), None)
-        return part
-
-    def forget_part(self) -> None:
-        """The next step looks for its rows anew."""
-        self._last_part = (), None
+    def _depth_of(self, view: Frame | Keyframe) -> Tensor | None:
+        """Measured depth of a view, behind which its steps reach no rows."""
+        if self.config.all_in_view:
+            return None
+        return view.farthest_m if isinstance(view, Keyframe) else view.depth_m
 
     def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
         """Optimise over the keyframes after the scan: each pass visits all of them once in a new
@@ -379,7 +345,7 @@ class Mapper(ABC):
             frame,
             gaussians=self.gaussians,
             reading=MapReading(
-                boxes=self.boxes,
+                boxes=self.parts.boxes,
                 params=self.params_now,
                 all_in_view=self.config.all_in_view,
             ),
@@ -498,7 +464,7 @@ class Mapper(ABC):
         self.lost.total = state.get("n_not_finite", 0)
         self.random.load_state_dict(state["random"])
         self.gaussians = self.model_type.from_state_dict(state["gaussians"], self.device)
-        self._steps_missed = bool((self.gaussians.last_step < self.gaussians.step_count).any())
+        self.parts = self._parts_of_map()
         self.keyframes = KeyframeList.from_state_dict(state["keyframes"], self.keyframes.device)
         self.passes.load_state_dict(state["passes"])
 

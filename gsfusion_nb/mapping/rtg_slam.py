@@ -16,16 +16,16 @@ from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelities, rtg_slam_fide
 from ..gaussians import STABLE, SurfelModel, Transitions, fuse_with_history
 from ..gaussians.surfels import change_states, count_errors, count_views, state_counts
 from ..geometry import se3
+from ..large_maps import drawn_in_part
 from ..optim import Keyframe, TrainingView, ViewStep
 from ..render import (
     SurfaceView,
-    drawn_in_part,
     rows_in_view,
     view_surface,
 )
 from ..seeding import DiscInputs, SeedContext, disc_view
 from ..tracking import Correction
-from ..types import Camera, Frame, GaussianParams, Mesh
+from ..types import ALL_ROWS, Camera, Frame, GaussianParams, MapRows, Mesh
 from .after_steps import StepStatistics
 from .description import CURVES, SystemDescription
 from .disc_files import DiscFiles, disc_mesh
@@ -107,8 +107,7 @@ class RTGSLAM(Mapper):
         window_is_due = self._window_is_due(is_keyframe)
         keyframes_are_due = is_keyframe and self.n_frames > 0
         with self.transaction.changes(undoable=window_is_due or keyframes_are_due):
-            with self.boxes.appending(self.gaussians):
-                self.gaussians.append(seeds, frame.index)
+            self.parts.append(seeds, frame.index)
             self._begin(context, is_keyframe, window_is_due, keyframes_are_due)
             with self.clock("optimise"):
                 losses = self._optimise_window() if window_is_due else []  # RTG-SLAM Eq. 7-9
@@ -290,8 +289,7 @@ class RTGSLAM(Mapper):
         seen = torch.zeros_like(self.gaussians.is_stable)
         for view in views:
             depth_m = None if self.config.all_in_view else view.depth_m
-            part = self.boxes.rows(params, view.camera, view.T_WC, depth_m)
-            rows = slice(None) if part is None else part
+            rows = self.parts.boxes.rows(params, view.camera, view.T_WC, depth_m)
             seen[rows] |= rows_in_view(params[rows], view.camera, view.T_WC)
         return seen
 
@@ -315,13 +313,12 @@ class RTGSLAM(Mapper):
         self._edit([keyframe], (0, step, watched))
         return step.loss
 
-    def params_now(self, rows: Int[Tensor, " R"] | None = None) -> GaussianParams:
+    def params_now(self, rows: MapRows = ALL_ROWS) -> GaussianParams:
         """In the passes after the scan, the discs with the steps that they missed; else those of
         the map."""
         if self._final is not None:
             return self._final.params_now(rows)
-        params = self.gaussians.params
-        return params if rows is None else params[rows]
+        return self.gaussians.params[rows]
 
     def take_missed_steps(self) -> None:
         """In the passes after the scan: bring all discs up to date."""
@@ -378,7 +375,7 @@ class RTGSLAM(Mapper):
     def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
         """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of
         the view before."""
-        part = self.boxes.rows(self.gaussians.params, frame.camera, frame.T_WC)
+        part = self.parts.boxes.rows(self.gaussians.params, frame.camera, frame.T_WC)
         view = self.surface(frame.camera, frame.T_WC, frame.depth_m)
         if not runs_learners_code():
             self.transaction.keep()  # from here on the counts of any row change
@@ -419,7 +416,7 @@ class RTGSLAM(Mapper):
         return drawn_in_part(
             lambda params: view_surface(params, camera, T_WC, self.config.discs),
             self.gaussians.params,
-            self.boxes,
+            self.parts.boxes,
             camera,
             T_WC,
             depth_m,

@@ -3,6 +3,7 @@ al. 2024, Eq. 7-8)."""
 
 import dataclasses
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -12,28 +13,26 @@ from torch import Tensor
 
 from ..config import DiscConfig, WindowConfig
 from ..gaussians import GaussianModel, SurfelModel
+from ..large_maps import Boxes, MapPart, params_now
 from ..optim import (
     AdamSettings,
     ColumnRates,
-    PartOfMap,
     PictureVjp,
     TrainingView,
     ViewLoss,
     ViewStep,
     optimise_view,
-    params_now,
     rgbd_l1_vjp,
     take_missed_steps,
 )
 from ..render import (
-    Boxes,
     blended_depth_m,
     disc_depth,
     disc_depth_vjp,
     render_forward,
     render_vjp,
 )
-from ..types import Camera, GaussianParams, RenderOutput
+from ..types import ALL_ROWS, Camera, GaussianParams, MapRows, RenderOutput
 from .training import Training
 
 _GEOMETRY = ("xyz_W", "log_scale", "quat")
@@ -162,10 +161,10 @@ class SurfelOptimiser:
                 ``drawn_rows``. [R, 2]
         """
         is_counted = any(output is not None for output in outputs.values())
-        rows = None if is_counted else self._rows_in_view(view)
+        rows = ALL_ROWS if is_counted else self._rows_in_view(view)
         part, frozen_params = self._part(rows)
         self.copies.will_change(part.rows)
-        if self.training.optimiser is None and rows is not None:
+        if self.training.optimiser is None and isinstance(rows, Tensor):
             take_missed_steps(part, self.adam)
 
         def regularise(gradients: GaussianParams) -> float:
@@ -185,26 +184,18 @@ class SurfelOptimiser:
         part.write_back()
         return step
 
-    def _rows_in_view(self, view: TrainingView) -> Int[Tensor, " R"] | None:
-        """Rows of ``params`` that a view may show, rising; None: all."""
+    def _rows_in_view(self, view: TrainingView) -> MapRows:
+        """Rows of ``params`` that a view may show, rising."""
         depth_m = None if self._all_in_view else view.depth_m
         return self._boxes.rows(self.params, view.camera, view.T_WC, depth_m)
 
-    def _part(
-        self, rows: Int[Tensor, " R"] | None
-    ) -> tuple[GaussianModel | PartOfMap, GaussianParams]:
+    def _part(self, rows: MapRows) -> tuple[MapPart, GaussianParams]:
         """What of these rows is trained, and the parameters of the others."""
-        if rows is None:
-            frozen_params = self.params[self.n :]
-            if not len(frozen_params):
-                return self.copies, frozen_params
-            return PartOfMap(self.copies, self._all_rows), frozen_params
-        is_trained = rows < self.n
-        return PartOfMap(self.copies, rows[is_trained]), self.params[rows[~is_trained]]
-
-    @property
-    def _all_rows(self) -> Int[Tensor, " R"]:
-        return torch.arange(self.n, device=self.rows.device)
+        if self.n == len(self.params):
+            return MapPart(self.copies, rows), self.params[:0]
+        numbers = torch.arange(len(self.params), device=self.rows.device)[rows]
+        is_trained = numbers < self.n
+        return MapPart(self.copies, numbers[is_trained]), self.params[numbers[~is_trained]]
 
     def _loss(self, picture: RenderOutput, view: TrainingView) -> ViewLoss:
         if self.training.loss is not None:
@@ -233,15 +224,15 @@ class SurfelOptimiser:
         if self.training.optimiser is not None or not len(late_rows):
             return
         self.copies.will_change(late_rows)
-        part = PartOfMap(self.copies, late_rows)
+        part = MapPart(self.copies, late_rows)
         take_missed_steps(part, self.adam)
         part.write_back()
 
-    def params_now(self, rows: Int[Tensor, " R"] | None = None) -> GaussianParams:
+    def params_now(self, rows: MapRows = ALL_ROWS) -> GaussianParams:
         """The drawn rows, or these of them, as they are with the steps that they missed."""
         if self.training.optimiser is not None:
-            return self.params if rows is None else self.params[rows]
-        return params_now(self.copies, self.adam, rows)
+            return self.params[rows]
+        return params_now(self.copies, partial(take_missed_steps, config=self.adam), rows)
 
     def take_over(self, earlier: "SurfelOptimiser", old_rows: Int[Tensor, " N"]) -> None:
         """Go on with Adam where an optimiser of the same map was before its rows changed; both
@@ -290,12 +281,11 @@ class SurfelOptimiser:
         for name, mine in self._anchor.items():
             mine.copy_(state["anchor"][name])
 
-    def _count_colour_steps(self, g: GaussianParams, part: GaussianModel | PartOfMap) -> None:
+    def _count_colour_steps(self, g: GaussianParams, part: MapPart) -> None:
         """Count a step for the rows whose colour it changes."""
-        rows = slice(None) if part.rows is None else part.rows
-        self.colour_steps[rows] += (g.sh[:, 0] != 0).any(dim=1)
+        self.colour_steps[part.rows] += (g.sh[:, 0] != 0).any(dim=1)
 
-    def _add_regulariser(self, g: GaussianParams, part: GaussianModel | PartOfMap) -> None:
+    def _add_regulariser(self, g: GaussianParams, part: MapPart) -> None:
         """Add the gradient of w_reg times the mean squared distance of transparent rows to their
         anchors (third term of Eq. 8).
 
@@ -306,8 +296,8 @@ class SurfelOptimiser:
         if not len(self._transparent):
             return
         rows = self._transparent
-        anchors = slice(None)
-        if part.rows is not None:
+        anchors = ALL_ROWS
+        if isinstance(part.rows, Tensor):
             anchors = torch.isin(rows, part.rows, assume_unique=True)
             rows = torch.searchsorted(part.rows, rows[anchors])
         for name in _GEOMETRY:

@@ -108,7 +108,7 @@ class Transaction:
         n_steps = mapper.after_steps.n_steps
         keyframes = mapper.keyframes.snapshot()
         lost_counts = mapper.lost.counts
-        steps_missed = mapper._steps_missed
+        undo_parts = mapper.parts.snapshot()
         undo_others = [snapshot() for snapshot in self._snapshots]
 
         def undo() -> None:
@@ -116,8 +116,7 @@ class Transaction:
             mapper.gaussians.end_log()
             mapper.after_steps.n_steps = n_steps
             mapper.lost.counts = lost_counts
-            mapper._steps_missed = steps_missed
-            mapper.forget_part()
+            undo_parts()
             mapper.keyframes.restore(keyframes)
             for undo_other in undo_others:
                 undo_other()
@@ -157,6 +156,6 @@ class WholeFrame:
             mapper.rule_in_use.set_memory(self._memory)
             mapper.localiser.take_back(was_refused=isinstance(error, BadFrameError))
         mapper.after_steps.frame_ends()
-        mapper.forget_part()  # a resumed run has none
+        mapper.parts.forget()  # a resumed run has none
         if error is None and mapper.passes.begun:
             mapper.passes = KeyframePasses()  # with more frames, the passes start again

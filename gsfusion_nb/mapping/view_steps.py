@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from ..gaussians import GaussianModel
-from ..optim import Keyframe, Loss, PartOfMap, Regulariser, Render, ViewStep, optimise_view
+from ..large_maps import MapPart
+from ..optim import Keyframe, Loss, Regulariser, Render, ViewStep, optimise_view
 from ..types import Frame
 from .after_steps import StepStatistics
 
@@ -11,7 +11,7 @@ from .after_steps import StepStatistics
 def step_on_view(
     mapper: Any,
     view: Frame | Keyframe,
-    part: GaussianModel | PartOfMap,
+    part: MapPart,
     render: Render,
     loss: Loss,
     regulariser: Regulariser | None = None,

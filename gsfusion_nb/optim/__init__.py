@@ -33,9 +33,7 @@ from .losses import rgbd_l1_vjp as rgbd_l1_vjp
 from .map_step import AdamSettings as AdamSettings
 from .map_step import UpdateFunction as UpdateFunction
 from .map_step import adam_step as adam_step
-from .missed_steps import params_now as params_now
 from .missed_steps import take_missed_steps as take_missed_steps
-from .part_of_map import PartOfMap as PartOfMap
 from .view_step import Loss as Loss
 from .view_step import PictureVjp as PictureVjp
 from .view_step import Regulariser as Regulariser

@@ -91,8 +91,8 @@ def adam_update(
         eps: Keeps the division finite where v = 0.
 
     Rows that no pixel sees have zero gradient, but their momentum still moves them, as in the
-    released GSFusion. Those that the view cannot show are left out (``PartOfMap``) and catch up
-    when they are seen (``take_missed_steps``).
+    released GSFusion. Those that the view cannot show are left out (``MapPart``) and catch up when
+    they are seen (``take_missed_steps``).
 
     Source: Kingma & Ba 2015, algorithm 1.
     """

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
 from ..backends import piece
-from ..render import farthest_depth
+from ..large_maps import farthest_depth
 from ..resources import MAP_MEMORY
 from ..types import Camera, Frame, rgb_of_bytes
 
@@ -34,7 +34,7 @@ class Keyframe:
     gain: Float[Tensor, " 3"] | None = None
     """Exposure: the factor of each colour between the map's picture and this one; None is 1."""
     farthest_m: Float[Tensor, "12 16"] | None = None
-    """Largest depth in parts of the image (``gsfusion_nb.render.farthest_depth``)."""
+    """Largest depth in parts of the image (``gsfusion_nb.large_maps.farthest_depth``)."""
 
     @classmethod
     def of(cls, frame: Frame, *, with_depth: bool = False) -> "Keyframe":

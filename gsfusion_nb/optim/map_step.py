@@ -12,9 +12,9 @@ from ..backends import observed
 from ..config import OptimConfig
 from ..errors import ArgumentError
 from ..gaussians import GaussianModel
+from ..large_maps import MapPart
 from ..types import GaussianParams
 from .adam import ColumnRates, adam_update_map
-from .part_of_map import PartOfMap
 
 UpdateFunction = Callable[..., None]
 """``update(param, gradient, m, v, steps, *, lr)``: an optimiser that is given to a mapper in place
@@ -61,7 +61,7 @@ class AdamSettings(NamedTuple):
 
 @observed
 def adam_step(
-    model: GaussianModel | PartOfMap,
+    model: GaussianModel | MapPart,
     gradients: GaussianParams,
     config: OptimConfig | AdamSettings,
     update: UpdateFunction | None = None,

@@ -8,19 +8,15 @@ from torch import Tensor
 
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
-from ..types import GaussianParams
+from ..large_maps import MapPart
 from .map_step import AdamSettings
-from .part_of_map import PartOfMap
 
 _NOTHING_LEFT = 8e-10
 """With zero gradient a row has stopped when its step is this share of the first: after 200 steps at
 the usual decays, since (0.9 / sqrt(0.999))^200 is 8e-10."""
 
-_ROWS_AT_A_TIME = 1 << 16
-"""Of a map whose missed steps are taken in a copy, which limits the memory."""
 
-
-def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig | AdamSettings) -> None:
+def take_missed_steps(model: GaussianModel | MapPart, config: OptimConfig | AdamSettings) -> None:
     """Move the rows by the steps of Adam that they missed while no view showed them: steps with
     zero gradient.
 
@@ -50,36 +46,6 @@ def take_missed_steps(model: GaussianModel | PartOfMap, config: OptimConfig | Ad
         )
         steps.take(column, m, v, lr, model.rates.get(name))
     clock.catch_up()
-
-
-def params_now(
-    model: GaussianModel,
-    config: OptimConfig | AdamSettings,
-    rows: Int[Tensor, " R"] | None = None,
-) -> GaussianParams:
-    """Parameters of a map as they are with the steps that rows missed; the map does not change.
-
-    Args:
-        model: The map.
-        config: Learning rates and decays of its steps.
-        rows: Some of its rows, each once; None: all. [R]
-
-    Returns:
-        A copy, or the map's own tensors if all rows are asked for and none misses a step.
-    """
-    params = model.params if rows is None else model.params[rows]
-    missed = model.clock.missed if rows is None else model.clock.missed[rows]
-    late = missed.nonzero()[:, 0]
-    if not len(late):
-        return params
-    if rows is None:
-        params = GaussianParams(**{name: column.clone() for name, column in vars(params).items()})
-    for places in late.split(_ROWS_AT_A_TIME):
-        part = PartOfMap(model, places if rows is None else rows[places])
-        take_missed_steps(part, config)
-        for name, values in vars(part.params).items():
-            getattr(params, name)[places] = values
-    return params
 
 
 class MissedSteps:

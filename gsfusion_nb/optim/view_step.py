@@ -10,10 +10,10 @@ from torch import Tensor
 
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
+from ..large_maps import MapPart
 from ..types import GaussianParams
 from .losses import ViewLoss
 from .map_step import AdamSettings, UpdateFunction, adam_step
-from .part_of_map import PartOfMap
 
 PictureVjp = Callable[..., GaussianParams]
 """``vjp(v_rgb, v_depth_m, **outputs)``: dL/dparams from dL/d of the images of a picture.
@@ -44,7 +44,7 @@ class ViewStep:
 
 
 def optimise_view(
-    part: GaussianModel | PartOfMap,
+    part: GaussianModel | MapPart,
     render: Render,
     loss: Loss,
     config: OptimConfig | AdamSettings,

@@ -12,9 +12,6 @@ from .disc import disc_depth as disc_depth
 from .disc import disc_depth_vjp as disc_depth_vjp
 from .disc import surface_depth_m as surface_depth_m
 from .disc import view_surface as view_surface
-from .in_view import Boxes as Boxes
-from .in_view import drawn_in_part as drawn_in_part
-from .in_view import farthest_depth as farthest_depth
 from .on_screen import Footprints as Footprints
 from .on_screen import ScreenGaussians as ScreenGaussians
 from .on_screen import TileBlend as TileBlend

@@ -5,13 +5,14 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, TypeVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from ..config import DiscConfig, SeedingConfig, TsdfConfig
-from ..render import BaseView, Boxes
+from ..large_maps import Boxes
+from ..render import BaseView
 from ..render.disc import PUBLISHED_DISCS
-from ..types import Camera, Frame, GaussianParams
+from ..types import Camera, Frame, GaussianParams, MapRows
 
 Result = TypeVar("Result")
 
@@ -22,8 +23,8 @@ class MapReading:
 
     boxes: Boxes | None = None
     """Of the map, to draw only the part that the camera may see."""
-    params: Callable[[Int[Tensor, " R"] | None], GaussianParams] | None = None
-    """Gives rows [R], or all (None), with the gradient steps that they missed."""
+    params: Callable[[MapRows], GaussianParams] | None = None
+    """Gives rows with the gradient steps that they missed."""
     all_in_view: bool = False
     """Whether ``disc_view`` draws also what is far behind the measured depth
     (``SystemConfig.all_in_view``)."""

@@ -9,24 +9,24 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..errors import ArgumentError
+from ..large_maps import drawn_in_part
 from ..render import (
     BaseView,
     OverBaseOutput,
     SurfaceView,
-    drawn_in_part,
     render,
     render_over_base,
     view_surface,
 )
 from ..render.disc import PUBLISHED_DISCS
-from ..types import GaussianParams, RenderOutput
+from ..types import ALL_ROWS, GaussianParams, MapRows, RenderOutput
 from .inputs import DiscInputs, SeedInputs, SurfaceInputs, once
 from .points import MapView, Neighbours, k_nearest, nearest_others, view_map, voxel_keys
 
 View = TypeVar("View")
 
 
-def map_params(inputs: SeedInputs, rows: Int[Tensor, " M"] | None = None) -> GaussianParams:
+def map_params(inputs: SeedInputs, rows: MapRows = ALL_ROWS) -> GaussianParams:
     """Parameters of the Gaussians that exist before this frame, before activation, to read only.
 
     Rows of a large map miss gradient steps while no view shows them. These values have the missed
@@ -34,12 +34,12 @@ def map_params(inputs: SeedInputs, rows: Int[Tensor, " M"] | None = None) -> Gau
 
     Args:
         inputs: Of the frame.
-        rows: Some rows of the map, each once; None: all. [M]
+        rows: Rows of the map.
     """
     stored_params = _stored_params(inputs, "map_params()")
     if inputs.reading.params is not None:
         return inputs.reading.params(rows)
-    return stored_params if rows is None else stored_params[rows]
+    return stored_params[rows]
 
 
 def map_view(inputs: SeedInputs) -> MapView:

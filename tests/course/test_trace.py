@@ -14,9 +14,10 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.course.trace import Trace, tracing
 from gsfusion_nb.course.trace.operations import tensors_of
 from gsfusion_nb.gaussians import Edit
+from gsfusion_nb.large_maps import boxes as row_boxes
+from gsfusion_nb.large_maps import chunks
 from gsfusion_nb.mapping import RTGSLAM
 from gsfusion_nb.optim import adam_update
-from gsfusion_nb.render import in_view
 from gsfusion_nb.seeding import MapRule
 from gsfusion_nb.types import Camera, Frame
 
@@ -200,8 +201,8 @@ def test_the_gradient_is_that_of_the_mapper(frames):
 
 
 def test_steps_on_a_part_of_a_large_map_are_recorded(frames, monkeypatch):
-    monkeypatch.setattr(in_view, "WHOLE_BELOW", 0)
-    monkeypatch.setattr(in_view, "CHUNK", 16)
+    monkeypatch.setattr(row_boxes, "WHOLE_BELOW", 0)
+    monkeypatch.setattr(chunks, "CHUNK", 16)
     turned = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
     mapper = GSFusion(settings())
     with tracing(mapper) as trace:

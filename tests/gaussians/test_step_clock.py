@@ -5,7 +5,6 @@ import copy
 import dataclasses
 import random
 from typing import Any
-from unittest.mock import Mock
 
 import pytest
 import torch
@@ -13,9 +12,9 @@ import torch
 from gsfusion_nb.config import DiscConfig, OptimConfig, WindowConfig
 from gsfusion_nb.gaussians import Edit, GaussianModel, StepClock, SurfelModel
 from gsfusion_nb.gaussians.model import PARAMETERS
+from gsfusion_nb.large_maps import MapPart, params_now
 from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser
-from gsfusion_nb.optim import PartOfMap, adam_step, params_now, take_missed_steps
-from gsfusion_nb.render import Boxes
+from gsfusion_nb.optim import adam_step, take_missed_steps
 from gsfusion_nb.types import GaussianParams, Seeds
 
 CLOSE: dict[str, Any] = {"atol": 1e-5, "rtol": 1e-4}
@@ -67,7 +66,7 @@ class Twins:
         for _ in range(self.random.randint(1, 5)):
             g = gradients(self.whole.params, seen, self.generator)
             adam_step(self.whole, g, self.config)
-            part = PartOfMap(self.parts, seen, Mock(Boxes))
+            part = MapPart(self.parts, seen)
             take_missed_steps(part, self.config)
             part.clock.check()
             adam_step(part, g[seen], self.config)
@@ -132,6 +131,9 @@ class Twins:
     def catch_up(self):
         take_missed_steps(self.parts, self.config)
 
+    def catch_up_part(self, part):
+        take_missed_steps(part, self.config)
+
 
 OPERATIONS = (
     "append",
@@ -159,7 +161,7 @@ def test_parts_with_their_missed_steps_are_the_whole_map_in_any_order(adam_steps
         assert torch.equal(twins.parts.birth_step, twins.whole.birth_step)
         assert twins.parts.step_count == twins.whole.step_count
     before = twins.parts.state_dict()
-    now = params_now(twins.parts, twins.config)
+    now = params_now(twins.parts, twins.catch_up_part)
     some = torch.arange(0, len(twins.parts), 2)
     for name in PARAMETERS:
         torch.testing.assert_close(
@@ -167,7 +169,7 @@ def test_parts_with_their_missed_steps_are_the_whole_map_in_any_order(adam_steps
             getattr(twins.whole.params, name),
             **CLOSE,
         )
-        part = getattr(params_now(twins.parts, twins.config, some), name)
+        part = getattr(params_now(twins.parts, twins.catch_up_part, some), name)
         torch.testing.assert_close(
             part,
             getattr(now, name)[some],
@@ -182,7 +184,8 @@ def test_parts_with_their_missed_steps_are_the_whole_map_in_any_order(adam_steps
             pair = [getattr(getattr(model, of), name) for model in (twins.parts, twins.whole)]
             assert pair[0].isfinite().all()
             torch.testing.assert_close(*pair, **CLOSE)
-    assert params_now(twins.parts, twins.config) is twins.parts.params
+    again = params_now(twins.parts, twins.catch_up_part)
+    assert again.xyz_W.data_ptr() == twins.parts.params.xyz_W.data_ptr()
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -201,12 +204,12 @@ def test_rows_of_discs_in_any_order(seed, generator):
         if action == "step":
             g = gradients(whole.params, seen, generator)
             adam_step(whole.copies, g, whole.adam)
-            part = PartOfMap(parts.copies, seen)
+            part = MapPart(parts.copies, seen)
             take_missed_steps(part, parts.adam)
             adam_step(part, g[seen], parts.adam)
             part.write_back()
         elif action == "catch_up":
-            part = PartOfMap(parts.copies, seen)
+            part = MapPart(parts.copies, seen)
             take_missed_steps(part, parts.adam)
             part.write_back()
         elif action == "take_over":
@@ -265,7 +268,7 @@ def test_a_row_that_was_restarted_out_of_view_moves_by_finite_steps(generator):
     second = torch.tensor([1])
     for rows, steps in ((first, 3), (second, 5)):
         for _ in range(steps):
-            part = PartOfMap(model, rows, Mock(Boxes))
+            part = MapPart(model, rows)
             adam_step(part, gradients(model.params, rows, generator)[rows], config)
             part.write_back()
     model.restart_optimiser()

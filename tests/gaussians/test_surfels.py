@@ -31,7 +31,7 @@ from gsfusion_nb.gaussians.surfels import (
 )
 from gsfusion_nb.geometry import quaternion, se3
 from gsfusion_nb.geometry.spherical_harmonics import sh_basis
-from gsfusion_nb.types import Camera, Seeds
+from gsfusion_nb.types import ALL_ROWS, Camera, Seeds
 
 COUNTERS = ("state", "confidence", "colour_errors", "depth_errors")
 
@@ -391,7 +391,7 @@ def test_a_view_is_counted_where_the_centre_is_in_the_image(some):
     model = surfels(14)
     model.params.xyz_W.copy_(torch.tensor([*inside, *outside, *border]) + T_WC[:3, 3])
     model.frames_in_view.fill_(3)
-    asked = torch.tensor([1, 6, 0]) if some else None
+    asked = torch.tensor([1, 6, 0]) if some else ALL_ROWS
     count_views(model, camera, T_WC, asked)
     seen = [0, 1] if some else range(5)
     assert model.frames_in_view.tolist() == [4 if row in seen else 3 for row in range(14)]

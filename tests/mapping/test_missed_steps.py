@@ -12,10 +12,11 @@ import torch
 from gsfusion_nb.config import replace
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.export import read_gaussian_ply
-from gsfusion_nb.mapping import SYSTEMS, Mapper, make_mapper
+from gsfusion_nb.large_maps import MapParts
+from gsfusion_nb.large_maps import boxes as row_boxes
+from gsfusion_nb.mapping import SYSTEMS, make_mapper
 from gsfusion_nb.mapping.lost_rows import finite_rows
 from gsfusion_nb.optim import take_missed_steps
-from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun, run_mapping
 from gsfusion_nb.seeding import map_params
 
@@ -55,7 +56,7 @@ HERE_ONLY = {
 
 @pytest.fixture(autouse=True)
 def _small_maps_in_parts(monkeypatch):
-    monkeypatch.setattr(in_view, "WHOLE_BELOW", 0)
+    monkeypatch.setattr(row_boxes, "WHOLE_BELOW", 0)
 
 
 def settings(system, fidelity, **changes):
@@ -231,17 +232,17 @@ def test_discs_have_their_missed_steps_between_two_passes(small_room):
 def test_three_places_by_view_are_those_of_the_whole_map(system, fidelity, small_room, monkeypatch):
     maps = []
     shares = []
-    part_in_view = Mapper.part_in_view
+    in_view = MapParts.in_view
 
-    def watched(mapper, *args):
-        part = part_in_view(mapper, *args)
-        shares.append(len(part.params) / len(mapper.gaussians))
+    def watched(parts, *args):
+        part = in_view(parts, *args)
+        shares.append(len(part.params) / len(part.model))
         return part
 
-    monkeypatch.setattr(Mapper, "part_in_view", watched)
-    monkeypatch.setattr(in_view, "MOSTLY_SEEN", 2.0)
+    monkeypatch.setattr(MapParts, "in_view", watched)
+    monkeypatch.setattr(row_boxes, "MOSTLY_SEEN", 2.0)
     for whole_below in (10**9, 0):
-        monkeypatch.setattr(in_view, "WHOLE_BELOW", whole_below)
+        monkeypatch.setattr(row_boxes, "WHOLE_BELOW", whole_below)
         shares.clear()
         mapper = mapped(
             settings(system, fidelity, **HERE_ONLY[system]),

@@ -10,6 +10,7 @@ import torch
 
 from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.data import BadFrameError, apply_options
+from gsfusion_nb.large_maps import boxes as row_boxes
 from gsfusion_nb.mapping import (
     GPSSLAM,
     RTGSLAM,
@@ -20,7 +21,6 @@ from gsfusion_nb.mapping import (
 )
 from gsfusion_nb.mapping.check_frame import BLACK, check_frame
 from gsfusion_nb.mapping.frame_guard import FrameGuard
-from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import SeedContext
 from gsfusion_nb.tsdf import FusedView, TsdfVolume
@@ -95,7 +95,7 @@ def test_a_rule_that_fails_changes_nothing_and_the_frame_can_be_given_again(
 def test_a_frame_that_is_stopped_at_any_step_leaves_the_map_as_it_was(
     small_room, config, system, whole_below, same, monkeypatch
 ):
-    monkeypatch.setattr(in_view, "WHOLE_BELOW", whole_below)
+    monkeypatch.setattr(row_boxes, "WHOLE_BELOW", whole_below)
     config = settings(system, config)
     if system == "gps_slam":  # so few pictures would get no Gaussians
         config = replace(config, seeding__rule="uniform", seeding__options={})

@@ -184,7 +184,7 @@ def test_with_more_frames_the_passes_begin_again_and_an_undo_restores_all_counts
         return (
             mapper.lost.total,
             mapper.after_steps.n_steps,
-            mapper._steps_missed,
+            mapper.parts._steps_missed,
             len(mapper.keyframes),
         )
 
@@ -192,7 +192,7 @@ def test_with_more_frames_the_passes_begin_again_and_an_undo_restores_all_counts
     undo = mapper.transaction.snapshot()
     mapper.lost.total += 5
     mapper.after_steps.n_steps += 3
-    mapper._steps_missed = not mapper._steps_missed
+    mapper.parts._steps_missed = not mapper.parts._steps_missed
     mapper.keyframes.append(frames[4], with_depth=True)
     assert all(a != b for a, b in zip(before, counts(), strict=True))
     undo()

@@ -11,16 +11,15 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import OptimConfig
 from gsfusion_nb.gaussians import Edit, GaussianModel
 from gsfusion_nb.gaussians.model import PARAMETERS
+from gsfusion_nb.large_maps import Boxes, MapPart
 from gsfusion_nb.optim import (
     AdamSettings,
     ColumnRates,
-    PartOfMap,
     adam_step,
     adam_update,
     adam_update_map,
     take_missed_steps,
 )
-from gsfusion_nb.render import Boxes
 from gsfusion_nb.types import GaussianParams, Seeds
 
 MOMENTS = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-15}
@@ -303,7 +302,7 @@ def test_a_step_on_the_first_rows_leaves_the_others(generator):
     whole = copies_of(params)
     alone = copies_of(params[:2])
     g = rows(5, generator)
-    part = PartOfMap(whole, torch.arange(2))
+    part = MapPart(whole, torch.arange(2))
     adam_step(part, g[:2], window_adam())
     part.write_back()
     adam_step(alone, g[:2], window_adam())
@@ -418,7 +417,7 @@ def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed, 
         for column in vars(g).values():
             column[hidden] = 0.0
         adam_step(whole, g, config)
-        some = PartOfMap(part, seen, boxes)
+        some = MapPart(part, seen, boxes)
         take_missed_steps(some, config)
         adam_step(some, g[seen], config)
         some.write_back()
@@ -448,7 +447,7 @@ def test_missed_steps_of_some_rows(generator):
         for column in vars(g).values():
             column[[i for i in range(9) if i not in seen.tolist()]] = 0.0
         adam_step(whole, g, window_adam())
-        seen_part = PartOfMap(part, seen)
+        seen_part = MapPart(part, seen)
         adam_step(seen_part, g[seen], window_adam())
         seen_part.write_back()
     take_missed_steps(part, window_adam())
@@ -509,7 +508,7 @@ def test_an_optimiser_from_outside_is_told_rates_and_ages(generator):
 
 def test_a_part_knows_whether_its_map_has_changed(generator):
     model = map_of(generator)
-    part = PartOfMap(model, torch.tensor([0, 4]), Mock(Boxes))
+    part = MapPart(model, torch.tensor([0, 4]), Mock(Boxes))
     assert part.is_current
     adam_step(part, gradients(part.params, generator), OptimConfig())
     part.write_back()

@@ -16,9 +16,9 @@ from gsfusion_nb import backends, gaussians, interrupts, optim
 from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.config import gsfusion as gsfusion_settings
 from gsfusion_nb.data import apply_options
+from gsfusion_nb.large_maps import MapPart
+from gsfusion_nb.large_maps import boxes as row_boxes
 from gsfusion_nb.mapping import gsfusion, keyframe_fits, make_mapper, surfel_optimiser
-from gsfusion_nb.optim import PartOfMap
-from gsfusion_nb.render import in_view
 from gsfusion_nb.runs import MappingRun, run_mapping
 from gsfusion_nb.runs.map_hashes import map_hashes
 from gsfusion_nb.seeding import frame_queries
@@ -167,7 +167,7 @@ PLACES = {
         (optim.view_step, "adam_step"),
     ],
     "gps_slam": [
-        (PartOfMap, "write_back"),
+        (MapPart, "write_back"),
         (gaussians.StepClock, "write_back"),
         (optim.map_step, "adam_update_map"),
     ],
@@ -190,8 +190,8 @@ def test_a_step_after_the_scan_that_fails_in_any_operation_can_be_repeated(
     variant, when, whole, config, small_room, monkeypatch
 ):
     """Whatever raises, such as a full memory: what the step has done by then is undone."""
-    monkeypatch.setattr(in_view, "WHOLE_BELOW", 0)
-    monkeypatch.setattr(in_view, "MOSTLY_SEEN", 2.0)
+    monkeypatch.setattr(row_boxes, "WHOLE_BELOW", 0)
+    monkeypatch.setattr(row_boxes, "MOSTLY_SEEN", 2.0)
     run, still = (new_run(variant, config, small_room) for _ in range(2))
     for each in (run, still):
         list(each.online())

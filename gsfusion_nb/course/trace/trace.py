@@ -15,7 +15,7 @@ from ...backends import observing
 from ...checks import check_whole
 from ...errors import ArgumentError
 from ...geometry import backproject, se3
-from ...optim import PartOfMap
+from ...large_maps import MapPart
 from ...seeding import rule_name
 from ...tsdf.integrate import blocks_in_view
 from . import operations
@@ -168,17 +168,16 @@ class Recorder:
         return output, saved
 
     def _adam_step(self, f: Call, args: tuple, kwargs: dict) -> Any:
-        model, gradients = args[:2]
-        part = model if isinstance(model, PartOfMap) else None
+        part, gradients = args[:2]
         if (
             self._step is None
-            or (model if part is None else part.model) is not self.mapper.gaussians
+            or not isinstance(part, MapPart)
+            or part.model is not self.mapper.gaussians
         ):
             return f(*args, **kwargs)
-        if part is not None:
-            rows = part.rows.cpu()
-            self._step |= {"rows": rows, "ids": self._step["ids"][rows]}
-        before = _copies(model)
+        rows = torch.arange(len(part.model), device=part.model.device)[part.rows].cpu()
+        self._step |= {"rows": rows, "ids": self._step["ids"][rows]}
+        before = _copies(part)
         for (
             name,
             last,
@@ -187,7 +186,7 @@ class Recorder:
                 b if torch.equal(a, b) else a for a, b in zip(before[name], last, strict=True)
             ]
         out = f(*args, **kwargs)
-        self._last = after = _copies(model)
+        self._last = after = _copies(part)
         self._step["adam"] = columns = {}
         rates = self._step.pop("rates")
         for name, gradient in vars(gradients).items():
@@ -232,10 +231,10 @@ class Recorder:
         return out
 
 
-def _copies(model: Any) -> dict[str, list[Tensor]]:
+def _copies(part: MapPart) -> dict[str, list[Tensor]]:
     """Parameter -> copies of its values, of m and of v."""
-    groups = (model.params, model.exp_avg, model.exp_avg_sq)
-    return {name: [getattr(group, name).clone() for group in groups] for name in vars(model.params)}
+    groups = (part.params, part.exp_avg, part.exp_avg_sq)
+    return {name: [getattr(group, name).clone() for group in groups] for name in vars(part.params)}
 
 
 MEMORY_BYTES = 256 * 2**20

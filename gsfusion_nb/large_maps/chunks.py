@@ -1,4 +1,4 @@
-"""The part of a large map that a camera may see, found without a look at every Gaussian.
+"""Boxes around chunks of rows, and which of them a camera may see.
 
 Rows that were added together are close together, in memory and in space. Around each chunk of
 ``CHUNK`` rows there is a box, and a chunk whose box cannot reach the picture is left out. What is
@@ -7,12 +7,10 @@ measured depth of a view can be left out, too: then a room does not cost what is
 its walls. Their share of the picture is the light that the walls let through.
 """
 
-import contextlib
-import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, TypeVar
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -22,21 +20,11 @@ from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, adaptive_max_pool2d
 
 from ..geometry import se3
+from ..render.constants import ALPHA_MIN, FRUSTUM_CLAMP, SCREEN_BLUR_PX2
 from ..types import Camera, GaussianParams
-from .constants import ALPHA_MIN, FRUSTUM_CLAMP, SCREEN_BLUR_PX2
 
 CHUNK = 256
 """Rows in a box."""
-
-WHOLE_BELOW = 10_000
-WHOLE_BELOW_ON_GPU = 1_000_000
-"""A map with fewer rows is drawn, and stepped, as a whole, as it is published. A GPU has to wait
-for the boxes: on an H200, steps by part took 17 ms a frame with up to 325,000 rows, where an H100
-took 6 without parts."""
-
-MOSTLY_SEEN = 0.7
-"""A map of which more is seen is drawn as a whole: to copy so many rows would take longer than to
-draw the others."""
 
 GRID = (12, 16)
 """Rows and columns of the cells of a view in which depth is compared."""
@@ -50,8 +38,6 @@ _REACH = math.sqrt(2 * math.log(1 / ALPHA_MIN))
 _MORE = 1.001
 """For rounding."""
 
-View = TypeVar("View")
-
 
 class Chunks(NamedTuple):
     """Where the Gaussians of each chunk are, on the CPU."""
@@ -62,82 +48,6 @@ class Chunks(NamedTuple):
     """Highest centre."""
     reach_m: Float[ndarray, " C"]
     """Largest distance from its centre at which a Gaussian of the chunk is above 1/255, metres."""
-
-
-class Boxes:
-    """Boxes around the chunks of a map, which are made anew when its tensors have changed.
-
-    PyTorch counts the changes of a tensor. A kernel that changes one through its memory has to tell
-    it.
-    """
-
-    def __init__(self) -> None:
-        self._of: tuple[int, ...] = ()
-        self._chunks = Chunks(
-            np.zeros((0, 3)),
-            np.zeros((0, 3)),
-            np.zeros(0),
-        )
-
-    def rows(
-        self,
-        params: GaussianParams,
-        camera: Camera,
-        T_WC: Float[Tensor, "4 4"],
-        depth_m: Float[Tensor, "h w"] | None = None,
-    ) -> Int[Tensor, " R"] | None:
-        """Rows of the chunks that a camera may see, rising; None: all rows, because there are few,
-        or most are seen.
-
-        Args:
-            params: The map.
-            camera, T_WC: as given to ``render``.
-            depth_m: Measured depth of the view, of any size, 0 where missing; chunks behind it are
-                left out. [h, w]
-        """
-        n = len(params)
-        if n < (WHOLE_BELOW if params.xyz_W.device.type == "cpu" else WHOLE_BELOW_ON_GPU):
-            return None
-        if self._of != _state(params):
-            self._chunks = _chunks_of(params)
-            self._of = _state(params)
-        chunks_seen = seen_chunks(self._chunks, camera, T_WC, depth_m)
-        if len(chunks_seen) > MOSTLY_SEEN * len(self._chunks.low):
-            return None
-        return rows_of_chunks(chunks_seen, n).to(params.xyz_W.device)
-
-    @contextlib.contextmanager
-    def appending(self, model: Any) -> Iterator[None]:
-        """Context in which rows are only added at the end of a map: the boxes of the others
-        stay."""
-        start = len(model.params) // CHUNK
-        is_current = self._of == _state(model.params)
-        yield
-        if is_current and self._of != _state(model.params):
-            more = _chunks_of(model.params[start * CHUNK :])
-            self._chunks = Chunks(
-                *(np.concatenate([x[:start], y]) for x, y in zip(self._chunks, more, strict=True))
-            )
-            self._of = _state(model.params)
-
-    def renew(
-        self,
-        params: GaussianParams,
-        rows: Int[Tensor, " R"],
-        part: GaussianParams,
-    ) -> None:
-        """Follow a change of only these ``rows``, which were all in the last result; ``part``:
-        their new values."""
-        chunk_numbers = rows[::CHUNK].cpu().numpy() // CHUNK
-        for column, values in zip(self._chunks, _chunks_of(part), strict=True):
-            column[chunk_numbers] = values
-        self._of = _state(params)
-
-
-def _state(params: GaussianParams) -> tuple[int, ...]:
-    """Another one when centres or sizes have changed."""
-    columns = params.xyz_W, params.log_scale
-    return (len(params), *(x.data_ptr() for x in columns), *(x._version for x in columns))
 
 
 def seen_chunks(
@@ -174,9 +84,24 @@ def chunks_of_points(xyz_W: Float[Tensor, "N 3"]) -> Chunks:
     return Chunks(low, high, np.zeros_like(low[:, 0]))
 
 
-def _chunks_of(params: GaussianParams) -> Chunks:
+def chunks_of_gaussians(params: GaussianParams) -> Chunks:
+    """Boxes around chunks of Gaussians, with the largest extent in each."""
     reach_m = _REACH * _by_chunk(torch.amax, params.log_scale).amax(1).exp()
     return chunks_of_points(params.xyz_W)._replace(reach_m=reach_m.cpu().numpy())
+
+
+def chunks_with_more_rows(chunks: Chunks, params: GaussianParams, n_before: int) -> Chunks:
+    """The boxes of a map to whose first ``n_before`` rows others were added."""
+    start = n_before // CHUNK  # the last chunk may not have been full
+    more = chunks_of_gaussians(params[start * CHUNK :])
+    return Chunks(*(np.concatenate([x[:start], y]) for x, y in zip(chunks, more, strict=True)))
+
+
+def renew_chunks_(chunks: Chunks, rows: Int[Tensor, " R"], part: GaussianParams) -> None:
+    """Change the boxes of whole chunks, whose ``rows`` have the values ``part`` now, in place."""
+    numbers = rows[::CHUNK].cpu().numpy() // CHUNK
+    for column, values in zip(chunks, chunks_of_gaussians(part), strict=True):
+        column[numbers] = values
 
 
 def _by_chunk(
@@ -285,38 +210,3 @@ def chunks_behind(
         touches &= in_reach[:, None, :] if axis == 0 else in_reach[:, :, None]
     deepest_m = np.where(touches, farthest_m, 0.0).max((1, 2), initial=0.0)
     return in_front & (nearest_m > deepest_m + BEHIND_M)
-
-
-def drawn_in_part(
-    draw: Callable[[GaussianParams], View],
-    params: GaussianParams,
-    boxes: Boxes | None,
-    camera: Camera,
-    T_WC: Float[Tensor, "4 4"],
-    depth_m: Float[Tensor, "h w"] | None = None,
-    take: Callable[[Int[Tensor, " R"] | None], GaussianParams] | None = None,
-) -> View:
-    """The result of ``draw``, for which only the part of the map is drawn that the camera may see.
-
-    Args:
-        draw: From Gaussians to a dataclass of images; those whose names end with ``_index`` hold
-            rows, -1: none.
-        params: The map.
-        boxes: Of the map; None draws all of it.
-        camera, T_WC: as given to ``render``.
-        depth_m: Measured depth, of any size: what is hidden behind it is left out, also where the
-            map has a hole.
-        take: Gives the values of some rows [R], or of all (None); those in ``params`` by default.
-    """
-    rows = None if boxes is None else boxes.rows(params, camera, T_WC, depth_m)
-    if rows is None:
-        return draw(params if take is None else take(None))
-    view: Any = draw(params[rows] if take is None else take(rows))
-    indices = {
-        name: x for name, x in vars(view).items() if name.endswith("_index") and x is not None
-    }
-    of_map = torch.cat([rows, rows.new_tensor([-1])])  # -1 is the last one
-    return dataclasses.replace(
-        view,
-        **{name: of_map[x.long()].to(x.dtype) for name, x in indices.items()},
-    )

@@ -4,22 +4,25 @@ from jaxtyping import Int
 from torch import Tensor
 
 from ..gaussians import GaussianModel
-from ..render import Boxes
+from ..types import ALL_ROWS, MapRows
+from .boxes import Boxes
 
 
-class PartOfMap:
-    """Copies of some rows of a map and of their moments, for ``adam_step``; ``write_back`` puts
-    them into the map.
+class MapPart:
+    """Rows of a map and their moments, for ``adam_step``; after ``write_back`` the map has their
+    new values.
 
-    The rows that are left out keep their values and their moments until ``take_missed_steps``.
+    Of ``ALL_ROWS`` these are the map's own tensors, which a step changes in place; of some rows
+    they are copies. The rows that are left out keep their values and their moments until they take
+    the steps that they missed (``gsfusion_nb.optim.take_missed_steps``).
 
     Args:
         model: The map.
-        rows: Some of its rows, each once. [R]
-        boxes: Those of the map, from which the rows are, if it has any.
+        rows: Its rows that are optimised.
+        boxes: Those of the map, from which the rows are; they follow. None: there are none.
     """
 
-    def __init__(self, model: GaussianModel, rows: Int[Tensor, " R"], boxes: Boxes | None = None):
+    def __init__(self, model: GaussianModel, rows: MapRows = ALL_ROWS, boxes: Boxes | None = None):
         self.model = model
         self.rows = rows
         self._boxes = boxes
@@ -42,11 +45,14 @@ class PartOfMap:
 
     @property
     def is_current(self) -> bool:
-        """Whether the map has not changed since the rows were copied or written back."""
+        """Whether the map has not changed since the rows were taken or written back."""
         return self._state == self.model.state_of_columns()
 
     def write_back(self) -> None:
-        """Copy parameters, moments and the number of steps to the map."""
+        """Copy parameters, moments and the number of steps to the map, unless they are the
+        map's."""
+        if isinstance(self.rows, slice):
+            return
         for name in ("params", "exp_avg", "exp_avg_sq"):
             for column, values in vars(getattr(self, name)).items():
                 getattr(getattr(self.model, name), column).index_copy_(0, self.rows, values)

@@ -9,10 +9,13 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import OptimConfig, gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.large_maps import Boxes, MapPart, drawn_in_part, farthest_depth
+from gsfusion_nb.large_maps import boxes as row_boxes
+from gsfusion_nb.large_maps.chunks import CHUNK, GRID
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
-from gsfusion_nb.optim import Keyframe, PartOfMap, adam_step
-from gsfusion_nb.render import Boxes, drawn_in_part, farthest_depth, in_view, render, rows_in_view
-from gsfusion_nb.types import Camera, GaussianParams
+from gsfusion_nb.optim import Keyframe, adam_step
+from gsfusion_nb.render import render, rows_in_view
+from gsfusion_nb.types import ALL_ROWS, Camera, GaussianParams
 
 CAMERA = Camera(
     width=64,
@@ -26,14 +29,14 @@ CAMERA = Camera(
 
 @pytest.fixture(autouse=True)
 def _small_maps_in_chunks(monkeypatch):
-    monkeypatch.setattr(in_view, "MOSTLY_SEEN", 0.99)
-    monkeypatch.setattr(in_view, "WHOLE_BELOW", 0)
+    monkeypatch.setattr(row_boxes, "MOSTLY_SEEN", 0.99)
+    monkeypatch.setattr(row_boxes, "WHOLE_BELOW", 0)
 
 
 @pytest.fixture
 def cloud(generator):
     """A walk through 10 x 10 x 3 m, as a mapper adds Gaussians: neighbours are near each other."""
-    n = 20 * in_view.CHUNK + 7
+    n = 20 * CHUNK + 7
     at = torch.linspace(0, 6.28, n)
     middle = 4 * torch.stack(
         [at.cos(), (2 * at).sin(), 0.3 * at.sin()],
@@ -56,7 +59,7 @@ def poses(generator, n):
 
 def chosen(boxes, params, T_WC, camera=CAMERA, depth_m=None):
     rows = boxes.rows(params, camera, T_WC, depth_m)
-    assert rows is not None
+    assert isinstance(rows, torch.Tensor)
     return rows
 
 
@@ -86,16 +89,16 @@ def test_a_chunk_with_a_nan_counts_as_in_view(cloud):
     cloud.xyz_W[5] = torch.nan
     T_WC = torch.eye(4)
     T_WC[:3, 3] = 100.0
-    assert chosen(Boxes(), cloud, T_WC).tolist() == list(range(in_view.CHUNK))
+    assert chosen(Boxes(), cloud, T_WC).tolist() == list(range(CHUNK))
 
 
 def test_few_rows_are_not_chosen_from(cloud, monkeypatch):
-    monkeypatch.setattr(in_view, "WHOLE_BELOW", len(cloud) + 1)
-    assert Boxes().rows(cloud, CAMERA, torch.eye(4)) is None
+    monkeypatch.setattr(row_boxes, "WHOLE_BELOW", len(cloud) + 1)
+    assert Boxes().rows(cloud, CAMERA, torch.eye(4)) is ALL_ROWS
 
 
 def test_chunks_behind_a_wall_are_left_out_where_its_depth_is_known(generator):
-    n = in_view.CHUNK
+    n = CHUNK
     spread = 0.05 * torch.rand(3 * n, 3, generator=generator)
     z = torch.tensor([2.0, 2.3, 4.0]).repeat_interleave(n)
     cloud = GaussianParams(
@@ -108,19 +111,19 @@ def test_chunks_behind_a_wall_are_left_out_where_its_depth_is_known(generator):
     wall = torch.full((48, 64), 2.0)
     hole = wall.clone()
     hole[20:36, 20:44] = 0.0
-    small = torch.full(in_view.GRID, 2.0)
+    small = torch.full(GRID, 2.0)
     small[5:7, 7:9] = 0.0  # of the size of a grid, but with depth that is missing
     grid = farthest_depth(wall)
     for depth_m, chunks in (
         (wall, [0, 1]),
         (grid, [0, 1]),
-        (small, None),
-        (hole, None),
-        (0 * wall, None),
-        (None, None),
+        (small, ALL_ROWS),
+        (hole, ALL_ROWS),
+        (0 * wall, ALL_ROWS),
+        (None, ALL_ROWS),
     ):
         rows = Boxes().rows(cloud, CAMERA, torch.eye(4), depth_m)
-        assert (None if rows is None else sorted(set((rows // n).tolist()))) == chunks
+        assert (rows if isinstance(rows, slice) else sorted(set((rows // n).tolist()))) == chunks
 
 
 def test_boxes_follow_the_map(cloud, generator):
@@ -129,8 +132,8 @@ def test_boxes_follow_the_map(cloud, generator):
     T_WC = torch.eye(4)
     model.extend(cloud)
     boxes.rows(model.params, CAMERA, T_WC)
-    rows = torch.arange(3 * in_view.CHUNK, 5 * in_view.CHUNK)
-    part = PartOfMap(model, rows, boxes)
+    rows = torch.arange(3 * CHUNK, 5 * CHUNK)
+    part = MapPart(model, rows, boxes)
     part.params.xyz_W.add_(3.0)
     part.params.log_scale.add_(1.0)
     part.write_back()
@@ -184,9 +187,9 @@ def test_mapping_in_parts(system, config, small_room, monkeypatch):
     whole = system(config)
     parts = system(config)
     for frame in (small_room[0], small_room[1]):
-        monkeypatch.setattr(in_view, "WHOLE_BELOW", 10**9)
+        monkeypatch.setattr(row_boxes, "WHOLE_BELOW", 10**9)
         whole.step(frame)
-        monkeypatch.setattr(in_view, "WHOLE_BELOW", 0)
+        monkeypatch.setattr(row_boxes, "WHOLE_BELOW", 0)
         parts.step(frame)
     assert len(parts.gaussians) == pytest.approx(len(whole.gaussians), rel=0.05)
     shown = [mapper.render(frame.camera, frame.T_WC).rgb for mapper in (whole, parts)]
@@ -200,7 +203,7 @@ def test_a_step_leaves_what_no_view_shows_as_it_is(small_room, cloud):
     mapper.step(small_room[0])
     steps = mapper.gaussians.step_count
     assert steps > 0
-    n = len(far) // in_view.CHUNK * in_view.CHUNK  # the last chunk has new rows, too
+    n = len(far) // CHUNK * CHUNK  # the last chunk has new rows, too
     for name in vars(far):
         assert torch.equal(
             getattr(mapper.gaussians.params, name)[:n],
@@ -209,7 +212,7 @@ def test_a_step_leaves_what_no_view_shows_as_it_is(small_room, cloud):
     assert (mapper.gaussians.exp_avg.sh[len(far) :] != 0).any()
 
 
-@pytest.mark.parametrize("start", [0, 5, in_view.CHUNK, 700])
+@pytest.mark.parametrize("start", [0, 5, CHUNK, 700])
 def test_boxes_grow_with_the_map(cloud, generator, start):
     model = GaussianModel(0)
     boxes = Boxes()
@@ -241,13 +244,12 @@ def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_roo
     mapper = GSFusion(replace(gsfusion("room"), sh_degree=0, **STEPS, **COARSE))
     mapper.files.begin_with(cloud)
     frame = small_room[0]
-    optim = mapper.config.optim
-    part = mapper.part_in_view(frame, optim)
+    part = mapper.parts.in_view(frame)
     part.params.xyz_W.add_(1.0)
     part.write_back()
     before = mapper.gaussians.snapshot()
     undo = mapper.gaussians.log_changes()
-    assert mapper.part_in_view(frame, optim) is part
+    assert mapper.parts.in_view(frame) is part
     part.params.xyz_W.add_(1.0)
     part.write_back()
     assert not torch.equal(before["xyz_W"], mapper.gaussians.params.xyz_W)
@@ -255,18 +257,17 @@ def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_roo
     assert all(
         torch.equal(before[name], column) for name, column in mapper.gaussians.columns.items()
     )
-    assert mapper.part_in_view(frame, optim) is not part
+    assert mapper.parts.in_view(frame) is not part
 
 
 def test_steps_on_several_views_share_one_part(small_room, cloud):
     mapper = GSFusion(replace(gsfusion("room"), sh_degree=0, **STEPS, **COARSE))
     mapper.files.begin_with(cloud)
-    optim = mapper.config.optim
     params = mapper.gaussians.params
     views = [Keyframe.of(small_room[i]) for i in (0, 4, 8)]
     seen = [
         chosen(
-            mapper.boxes,
+            mapper.parts.boxes,
             params,
             view.T_WC,
             view.camera,
@@ -274,14 +275,14 @@ def test_steps_on_several_views_share_one_part(small_room, cloud):
         )
         for view in views
     ]
-    part = mapper.part_in_view(views[0], optim, views[1:])
-    assert isinstance(part, PartOfMap)
+    part = mapper.parts.in_view(views[0], views[1:])
+    assert isinstance(part, MapPart)
+    assert isinstance(part.rows, torch.Tensor)
     assert torch.equal(part.rows, torch.cat(seen).unique())
-    assert mapper.part_in_view(views[1], optim, views[2:]) is part
+    assert mapper.parts.in_view(views[1], views[2:]) is part
     assert (
-        mapper.part_in_view(
+        mapper.parts.in_view(
             views[1],
-            optim,
             [Keyframe.of(small_room[1])],
         )
         is not part
@@ -294,11 +295,11 @@ def test_no_part_is_kept_from_one_frame_to_the_next(small_room, cloud):
     mapper.files.begin_with(cloud)
     mapper.step(small_room[0])
     view = Keyframe.of(small_room[4])
-    part = mapper.part_in_view(view, mapper.config.residual.adam)
+    part = mapper.parts.in_view(view)
     mapper.step(small_room[1])
-    assert isinstance(part, PartOfMap)
+    assert isinstance(part, MapPart)
     assert part.is_current
-    assert mapper.part_in_view(view, mapper.config.residual.adam) is not part
+    assert mapper.parts.in_view(view) is not part
 
 
 @pytest.mark.parametrize(
@@ -316,9 +317,11 @@ def test_no_part_is_kept_from_one_frame_to_the_next(small_room, cloud):
 )
 def test_steps_of_gps_slam_in_parts_are_those_on_the_whole_map(rule, small_room, monkeypatch):
     maps = []
-    monkeypatch.setattr(in_view, "MOSTLY_SEEN", 2.0)  # a part even if it is all of a map this small
+    monkeypatch.setattr(
+        row_boxes, "MOSTLY_SEEN", 2.0
+    )  # a part even if it is all of a map this small
     for whole_below in (10**9, 0):
-        monkeypatch.setattr(in_view, "WHOLE_BELOW", whole_below)
+        monkeypatch.setattr(row_boxes, "WHOLE_BELOW", whole_below)
         mapper = GPSSLAM(replace(gps_slam("room"), **rule, **COARSE))
         for i in range(14):
             mapper.step(small_room[i])
@@ -335,7 +338,7 @@ def test_steps_of_gps_slam_in_parts_are_those_on_the_whole_map(rule, small_room,
 
 
 def test_a_picture_by_depth_has_nothing_far_behind_it(generator):
-    n = in_view.CHUNK
+    n = CHUNK
     z = torch.tensor([2.0, 4.0]).repeat_interleave(n)
     cloud = GaussianParams(
         xyz_W=torch.stack([0 * z, 0 * z, z], 1) + 0.05 * torch.rand(2 * n, 3, generator=generator),
