@@ -30,7 +30,7 @@ def shown(value: Any, at_most: int = 120) -> str:
 def check_shape(
     name: str,
     value: object,
-    expected: tuple[int | str, ...],
+    shape: tuple[int | str, ...],
 ) -> None:
     """Raise ``ValueError`` unless ``value`` is a tensor of the expected shape; a string stands for
     any length.
@@ -39,13 +39,13 @@ def check_shape(
     """
     if not isinstance(value, Tensor):
         raise ArgumentError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
-    _check_size(name, tuple(value.shape), expected)
+    _check_size(name, tuple(value.shape), shape)
 
 
 def check_array(
     name: str,
     value: object,
-    expected: tuple[int | str, ...],
+    shape: tuple[int | str, ...],
     dtype: type[np.generic],
 ) -> None:
     """Raise ``ValueError`` unless ``value`` is a NumPy array of this shape and type; a string
@@ -56,21 +56,21 @@ def check_array(
         raise ArgumentError(
             f"{name} must be {np.dtype(dtype)}, got {value.dtype}; convert it with .astype()"
         )
-    _check_size(name, value.shape, expected)
+    _check_size(name, value.shape, shape)
 
 
 def _check_size(
     name: str,
     got: tuple[int, ...],
-    expected: tuple[int | str, ...],
+    shape: tuple[int | str, ...],
 ) -> None:
-    if got == expected:
+    if got == shape:
         return
-    if len(got) != len(expected) or any(
-        isinstance(e, int) and e != g for e, g in zip(expected, got, strict=True)
+    if len(got) != len(shape) or any(
+        isinstance(e, int) and e != g for e, g in zip(shape, got, strict=True)
     ):
-        wanted = ", ".join(str(e) for e in expected)
-        raise ArgumentError(f"{name} must be [{wanted}], got {list(got)}")
+        sizes = ", ".join(str(e) for e in shape)
+        raise ArgumentError(f"{name} must be [{sizes}], got {list(got)}")
 
 
 def check_finite(name: str, value: Tensor) -> None:
@@ -146,14 +146,14 @@ def check_number(
     if not abs(value) <= sys.float_info.max:  # a whole number may be larger than any float
         raise ArgumentError(f"{name} must be finite, got {shown(value)}")
     if not low <= value <= high:
-        wanted = f">= {low:g}" if high == math.inf else f"between {low:g} and {high:g}"
-        raise ArgumentError(f"{name} must be {wanted}, got {value}")
+        limits = f">= {low:g}" if high == math.inf else f"between {low:g} and {high:g}"
+        raise ArgumentError(f"{name} must be {limits}, got {value}")
 
 
-def check_name(kind: str, name: str, known) -> None:
-    """Raise ``KeyError`` unless ``name`` is one of ``known``; the message lists them."""
-    if name not in known:
-        raise UnknownNameError(f"no {kind} {shown(name)}; known: {', '.join(sorted(known))}")
+def check_name(kind: str, name: str, names) -> None:
+    """Raise ``KeyError`` unless ``name`` is one of ``names``; the message lists them."""
+    if name not in names:
+        raise UnknownNameError(f"no {kind} {shown(name)}; known: {', '.join(sorted(names))}")
 
 
 def check_saved(
@@ -185,5 +185,5 @@ def check_whole(
     if isinstance(value, bool) or not isinstance(value, int):
         raise ArgumentError(f"{name} must be a whole number, got {shown(value)}")
     if value < low or (high is not None and value > high):
-        wanted = f">= {low}" if high is None else f"between {low} and {high}"
-        raise ArgumentError(f"{name} must be {wanted}, got {value}")
+        limits = f">= {low}" if high is None else f"between {low} and {high}"
+        raise ArgumentError(f"{name} must be {limits}, got {value}")

@@ -78,13 +78,13 @@ class DiskFullError(ForeseenError, OSError):
 
 
 @contextmanager
-def refusing(before: str = "", error: type[SequenceError] = SequenceError) -> Iterator[None]:
+def refusing(prefix: str = "", error: type[SequenceError] = SequenceError) -> Iterator[None]:
     """A ``ValueError`` that a check raises in the block becomes an ``error`` with the text
-    ``before`` its message."""
+    ``prefix`` its message."""
     try:
         yield
     except ValueError as e:
-        raise error(f"{before}{e}") from None
+        raise error(f"{prefix}{e}") from None
 
 
 def reason_of(error: Exception) -> str:
@@ -125,10 +125,10 @@ def crash_sentence(error: BaseException, command: str, arguments: list[str]) -> 
         command: The command as it was typed, without its arguments, such as ``gsfusion-nb map``.
         arguments: The arguments.
     """
-    said = f" ({str(error).strip().splitlines()[0][:160]})" if str(error).strip() else ""
+    message = f" ({str(error).strip().splitlines()[0][:160]})" if str(error).strip() else ""
     if memory_is_full(error):
-        return f"the memory is full{said}; use smaller or fewer images, or close other programs"
-    reason = f"ended by an unexpected error, {type(error).__name__}{said}"
+        return f"the memory is full{message}; use smaller or fewer images, or close other programs"
+    reason = f"ended by an unexpected error, {type(error).__name__}{message}"
     name = f"{command.replace(' ', '-')}-{datetime.datetime.now():%Y%m%d-%H%M%S}-{os.getpid()}.log"
     log = Path(tempfile.gettempdir(), name)
     text = "".join([f"{command} {' '.join(arguments)}\n\n", *traceback.format_exception(error)])

@@ -53,37 +53,37 @@ def claims_of(notebook: dict[str, Any]) -> list[Claim]:
     Raises:
         ValueError: a comment that compares nothing, because it would hold for any result.
     """
-    found = []
+    claims = []
     for cell in notebook["cells"]:
         if cell["cell_type"] != "markdown":
             continue
-        for comment in _COMMENT.findall(_joined(cell["source"])):
+        for comment in _COMMENT.findall(_text_of(cell["source"])):
             lines = [line.strip() for line in comment.splitlines() if line.strip()]
             quotes = [_QUOTE.match(line) for line in lines]
-            compared = [line for line, quote in zip(lines, quotes, strict=True) if quote is None]
-            if not compared:
+            comparisons = [line for line, quote in zip(lines, quotes, strict=True) if quote is None]
+            if not comparisons:
                 raise ValueError(f"cell {cell['id']} has a comment 'holds' that compares nothing")
-            found.append(
+            claims.append(
                 Claim(
                     cell["id"],
                     [(q[1], q[2]) for q in quotes if q],
-                    compared,
+                    comparisons,
                 )
             )
-    return found
+    return claims
 
 
 def failures(notebook: dict[str, Any]) -> list[str]:
     """A sentence for everything that the text says and the stored outputs do not show; empty if all
     holds."""
-    shown = shown_by(notebook)
+    prints = shown_by(notebook)
     wrong = []
     for claim in claims_of(notebook):
         try:
             numbers: dict[str, float] = {}
             for cell_id, quote in claim.quotes:
-                said = quoted(cell_id, quote, shown)
-                numbers |= {name: float(text.replace(",", "")) for name, text in said.items()}
+                values = quoted(cell_id, quote, prints)
+                numbers |= {name: float(text.replace(",", "")) for name, text in values.items()}
             wrong += [
                 f"cell {claim.cell} says {text!r}, but {numbers}"
                 for text in claim.comparisons
@@ -111,20 +111,22 @@ def evaluate(text: str, numbers: dict[str, float]) -> bool:
 
 def shown_by(notebook: dict[str, Any]) -> dict[str, str]:
     """The text that each code cell shows, by the cell's id."""
-    return {cell["id"]: _shown(cell) for cell in notebook["cells"] if cell["cell_type"] == "code"}
+    return {
+        cell["id"]: _printed_text(cell) for cell in notebook["cells"] if cell["cell_type"] == "code"
+    }
 
 
 def quoted(
     cell_id: str,
     quote: str,
-    shown: dict[str, str],
+    prints: dict[str, str],
 ) -> dict[str, str]:
     """The numbers that a quotation names, as they are printed.
 
     Raises:
         ValueError: no such cell, or the text is not there exactly once.
     """
-    if cell_id not in shown:
+    if cell_id not in prints:
         raise ValueError(f"there is no code cell {cell_id!r}")
     names = []
     pattern = ""
@@ -134,25 +136,25 @@ def quoted(
             pattern += rf"({_NUMBER})"
         else:
             pattern += re.sub(r"(?:\\?\s)+", r"\\s*", re.escape(part))
-    matches = list(re.finditer(pattern, shown[cell_id]))
+    matches = list(re.finditer(pattern, prints[cell_id]))
     if len(matches) != 1:
         raise ValueError(
             f"{quote!r} is {len(matches)} times in what cell {cell_id} shows, once was expected"
         )
-    found = zip(names, matches[0].groups(), strict=True)
-    return {name: number for name, number in found if name}
+    pairs = zip(names, matches[0].groups(), strict=True)
+    return {name: number for name, number in pairs if name}
 
 
-def _shown(cell: dict[str, Any]) -> str:
+def _printed_text(cell: dict[str, Any]) -> str:
     """The text that a code cell shows."""
     texts = []
     for output in cell.get("outputs", []):
-        texts.append(_joined(output.get("text", "")))
-        texts.append(_joined(output.get("data", {}).get("text/plain", "")))
+        texts.append(_text_of(output.get("text", "")))
+        texts.append(_text_of(output.get("data", {}).get("text/plain", "")))
     return "\n".join(texts)
 
 
-def _joined(text: str | list[str]) -> str:
+def _text_of(text: str | list[str]) -> str:
     return text if isinstance(text, str) else "".join(text)
 
 

@@ -25,7 +25,7 @@ N_FRAMES = 24
 """The part of the walk that the examination uses."""
 
 
-def _range(frame: Frame, before: Frame) -> Frame:
+def _range(frame: Frame, previous: Frame) -> Frame:
     length = rays(frame.camera, pixel_grid(frame.camera)).norm(dim=-1)
     return replace(frame, depth_m=frame.depth_m * length)
 
@@ -104,10 +104,10 @@ def main(arguments: list[str] | None = None) -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="Write the recordings of the examination.")
     parser.add_argument("out", type=Path, help="folder for the recordings")
-    out = parser.parse_args(arguments).out
+    target = parser.parse_args(arguments).out
     for letter in FAULTS:
-        write(letter, out / f"{letter}.npz")
-        log.info("wrote %s", out / f"{letter}.npz")
+        write(letter, target / f"{letter}.npz")
+        log.info("wrote %s", target / f"{letter}.npz")
 
 
 if __name__ == "__main__":

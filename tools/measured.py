@@ -89,18 +89,18 @@ def filled(
 
     def place(match: re.Match[str]) -> str:
         kind, name, key, _ = match.groups()
-        found = numbers(name)
+        values = numbers(name)
         if kind == "text":
-            return f"<!-- text: {name} {key} -->{found['texts'][key]}<!-- end -->"
-        lines = ["```", *of_one_seed(found["commands"]), "```"]
+            return f"<!-- text: {name} {key} -->{values['texts'][key]}<!-- end -->"
+        lines = ["```", *of_one_seed(values["commands"]), "```"]
         if kind == "table":
             rows = [
-                found["columns"],
-                ["---"] + ["---:"] * (len(found["columns"]) - 1),
-                *found["rows"],
+                values["columns"],
+                ["---"] + ["---:"] * (len(values["columns"]) - 1),
+                *values["rows"],
             ]
             lines = [re.sub(" +", " ", f"| {' | '.join(row)} |") for row in rows]
-            lines += ["", origin(name, found)]
+            lines += ["", origin(name, values)]
         return "\n".join([f"<!-- {kind}: {name} -->", *lines, "<!-- end -->"])
 
     return MARKER.sub(place, page)
@@ -133,15 +133,15 @@ def pages(root: Path = ROOT) -> list[Path]:
 
 def fill(root: Path = ROOT, *, write: bool) -> list[Path]:
     """Fill all pages from the files of numbers; returns those that differed."""
-    changed = []
+    stale = []
     for page in pages(root):
         text = page.read_text(encoding="utf-8")
         new = filled(text, lambda name: read_numbers(name, root))
         if new != text:
-            changed.append(page)
+            stale.append(page)
             if write:
                 page.write_text(new, encoding="utf-8")
-    return changed
+    return stale
 
 
 # ---- Which are old -------------------------------------------------------------------------------
@@ -155,7 +155,7 @@ def git(*arguments: str, root: Path = ROOT) -> str:
             nor the other way.
     """
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             ["git", *arguments],
             cwd=root,
             capture_output=True,
@@ -165,9 +165,9 @@ def git(*arguments: str, root: Path = ROOT) -> str:
         raise MeasuredError(
             "git is not installed, so the age of the tables cannot be known"
         ) from None
-    if done.returncode != 0:
-        raise MeasuredError(f"git {' '.join(arguments)} failed in {root}: {done.stderr.strip()}")
-    return done.stdout
+    if process.returncode != 0:
+        raise MeasuredError(f"git {' '.join(arguments)} failed in {root}: {process.stderr.strip()}")
+    return process.stdout
 
 
 def check_history(root: Path = ROOT) -> None:
@@ -176,10 +176,10 @@ def check_history(root: Path = ROOT) -> None:
     Raises:
         MeasuredError: no git checkout, or one whose history was cut.
     """
-    inside = subprocess.run(
+    process = subprocess.run(
         ["git", "rev-parse", "--show-toplevel"], cwd=root, capture_output=True, text=True
     )
-    if inside.returncode != 0 or Path(inside.stdout.strip()).resolve() != root.resolve():
+    if process.returncode != 0 or Path(process.stdout.strip()).resolve() != root.resolve():
         raise MeasuredError(
             f"{root} is not a git checkout, so which tables are old cannot be known here"
         )
@@ -230,15 +230,15 @@ def note_commits(root: Path = ROOT) -> list[str]:
     """Write into each file of numbers whether its commit is in the history; returns the names of
     those that changed."""
     check_history(root)
-    changed = []
+    pages = []
     for path in sorted((root / MEASURED).glob("*.json")):
         numbers = json.loads(path.read_text(encoding="utf-8"))
-        here = is_in_history(numbers["commit"], root)
-        if numbers.get(COMMIT_HERE, True) != here:
-            changed.append(path.stem)
+        is_here = is_in_history(numbers["commit"], root)
+        if numbers.get(COMMIT_HERE, True) != is_here:
+            pages.append(path.stem)
             numbers.pop(COMMIT_HERE, None)
-            write_numbers(path, numbers if here else numbers | {COMMIT_HERE: False})
-    return changed
+            write_numbers(path, numbers if is_here else numbers | {COMMIT_HERE: False})
+    return pages
 
 
 def list_old(
@@ -273,35 +273,35 @@ def list_old(
 def records_of(
     command: str,
     recordings: Path,
-    written: Path | None = None,
+    target_file: Path | None = None,
 ) -> list[Record]:
     """Run one command line in the folder of the recordings; what it wrote, as flat records.
 
-    With ``written``, the folder of an earlier call of the same command, nothing runs.
+    With ``target_file``, the folder of an earlier call of the same command, nothing runs.
     """
     program, what, *rest = shlex.split(command)
     if program not in ("gsfusion-nb", "python"):
         raise MeasuredError(f"expected a command of gsfusion-nb or python, got {command!r}")
     with tempfile.TemporaryDirectory() as folder:
-        out = written or Path(folder) / "out"
+        target = target_file or Path(folder) / "out"
         bench = Path(folder) / "bench.json"
         call = [sys.executable, "-m", "gsfusion_nb", what, *rest]
-        call += ["--json", str(bench)] if what == "bench" else ["--out", str(out)]
+        call += ["--json", str(bench)] if what == "bench" else ["--out", str(target)]
         if program == "python":
             call = [sys.executable, what, *rest]
-        if written is None:
+        if target_file is None:
             call = [str(ROOT / part) if part.startswith("docs/") else part for part in call]
-            done = subprocess.run(call, cwd=recordings, stdout=subprocess.PIPE, text=True)
+            process = subprocess.run(call, cwd=recordings, stdout=subprocess.PIPE, text=True)
             # a run failed: its cell is empty, or the page says so
-            without = what == "lab" and done.returncode == 1
-            if done.returncode != 0 and not without:
+            may_fail = what == "lab" and process.returncode == 1
+            if process.returncode != 0 and not may_fail:
                 raise MeasuredError(
-                    f"ended with status {done.returncode} in {recordings}: {command}"
+                    f"ended with status {process.returncode} in {recordings}: {command}"
                 )
             if program == "python":
-                return leaves(json.loads(done.stdout.strip().splitlines()[-1]))
-        if what in ("sweep", "study") and (out / "runs.csv").is_file():
-            rows = csv.DictReader((out / "runs.csv").read_text(encoding="utf-8").splitlines())
+                return leaves(json.loads(process.stdout.strip().splitlines()[-1]))
+        if what in ("sweep", "study") and (target / "runs.csv").is_file():
+            rows = csv.DictReader((target / "runs.csv").read_text(encoding="utf-8").splitlines())
             return [
                 {k.removeprefix("metric."): _value_of(k, t) for k, t in r.items()} for r in rows
             ]
@@ -312,12 +312,12 @@ def records_of(
             return leaves(
                 {
                     p.parent.name: json.loads(p.read_text())["metrics"]
-                    for p in out.glob("*/metrics.json")
+                    for p in target.glob("*/metrics.json")
                 }
             )
-        path = out / ("metrics.json" if what == "map" else "table.json")
-        found = json.loads(path.read_text(encoding="utf-8"))
-        return of_the_lab(found) if what == "lab" else leaves(found.get("metrics", found))
+        path = target / ("metrics.json" if what == "map" else "table.json")
+        records = json.loads(path.read_text(encoding="utf-8"))
+        return of_the_lab(records) if what == "lab" else leaves(records.get("metrics", records))
 
 
 def _value_of(column: str, text: str) -> float | str:
@@ -342,7 +342,7 @@ def leaves(table: Any, label: str = "") -> list[Record]:
 def of_the_lab(table: Mapping[str, Any]) -> list[Record]:
     """A record of each rule and budget with its rank and test, and one for each of its scenes with
     the means there."""
-    found = []
+    records = []
     of_rule = table.get("rules", {})
     for budget in table["budgets"]:
         if "units" in budget and len(budget["units"]) < len(budget["scenes"]):
@@ -354,12 +354,12 @@ def of_the_lab(table: Mapping[str, Any]) -> list[Record]:
             key = {"label": row["rule"], "budget": budget["budget"]} | (
                 {"mark": TRAINED_OTHERWISE} if is_other else {}
             )
-            found.append(key | {"rank": row["rank"]} | (row["test"] or {}))
+            records.append(key | {"rank": row["rank"]} | (row["test"] or {}))
             for scene, metrics in row["scenes"].items():
-                found.append(
+                records.append(
                     key | {"scene": scene} | {name: of["mean"] for name, of in metrics.items()}
                 )
-    return found
+    return records
 
 
 def cell(template: str, values: Mapping[str, list[Record]]) -> str:
@@ -372,46 +372,46 @@ def cell(template: str, values: Mapping[str, list[Record]]) -> str:
     return re.sub(r"\{([^{}]+)\}", lambda match: _place(match[1], values), template)
 
 
-def _place(inside: str, values: Mapping[str, list[Record]]) -> str:
+def _place(place: str, values: Mapping[str, list[Record]]) -> str:
     from gsfusion_nb.evaluation.metrics import METRICS
 
-    run, *filters, field = (part.strip() for part in inside.split(";"))
+    run, *filters, field = (part.strip() for part in place.split(";"))
     if run not in values:
-        raise MeasuredError(f"{{{inside}}}: no run {run!r}; there are {list(values)}")
+        raise MeasuredError(f"{{{place}}}: no run {run!r}; there are {list(values)}")
     field, _, spec = field.partition(":")
     field, _, scale = field.partition("*")
     may_miss = field.endswith("?")
     field = field.removesuffix("?")
-    wanted = dict(f.split("=", 1) if "=" in f else ("label", f) for f in filters)
-    other = wanted.pop("less", None)
-    found = by_scene(values[run], wanted, field)
+    conditions = dict(f.split("=", 1) if "=" in f else ("label", f) for f in filters)
+    other = conditions.pop("less", None)
+    numbers = by_scene(values[run], conditions, field)
     if other is not None:
-        less = dict(by_scene(values[run], wanted | {"label": other}, field))
-        found = [(scene, number - less[scene]) for scene, number in found if scene in less]
-    found = [number for _, number in found]
-    if may_miss and all(number is None for number in found):
+        less = dict(by_scene(values[run], conditions | {"label": other}, field))
+        numbers = [(scene, number - less[scene]) for scene, number in numbers if scene in less]
+    numbers = [number for _, number in numbers]
+    if may_miss and all(number is None for number in numbers):
         return ""
-    if not found or not all(isinstance(number, int | float) for number in found):
+    if not numbers or not all(isinstance(number, int | float) for number in numbers):
         raise MeasuredError(
-            f"{{{inside}}}: expected numbers, got {found}; fields: {sorted(values[run][0])}"
+            f"{{{place}}}: expected numbers, got {numbers}; fields: {sorted(values[run][0])}"
         )
     metric = METRICS.get(field)
     factor = float(scale) if scale else metric.scale if metric else 1.0
     spec = spec or (f",.{metric.digits}f" if metric else ".4g")
-    spread = f" ± {statistics.stdev(found) * factor:{spec}}" if len(found) > 1 else ""
-    return f"{statistics.fmean(found) * factor:{spec}}{spread}"
+    deviation = f" ± {statistics.stdev(numbers) * factor:{spec}}" if len(numbers) > 1 else ""
+    return f"{statistics.fmean(numbers) * factor:{spec}}{deviation}"
 
 
 def by_scene(
     records: list[Record],
-    wanted: Mapping[str, str],
+    conditions: Mapping[str, str],
     field: str,
 ) -> list[tuple[Any, Any]]:
     """Scene, or None, and the field of the records that have all that is wanted."""
     fitting = (
         r
         for r in records
-        if field in r and all(str(r.get(key)) == value for key, value in wanted.items())
+        if field in r and all(str(r.get(key)) == value for key, value in conditions.items())
     )
     return [(r.get("scene"), r[field]) for r in fitting]
 
@@ -448,20 +448,21 @@ def renew(
     name: str,
     recipe: Mapping[str, Any],
     recordings: Path,
-    done: dict[str, list[Record]],
+    finished_records: dict[str, list[Record]],
 ) -> None:
-    """Run the commands of a table and write its numbers. ``done`` has the records of commands that
-    have run already."""
+    """Run the commands of a table and write its numbers. ``finished_records`` has the records of
+    commands that have run already."""
     from gsfusion_nb.compare.bench.timing import describe
 
-    if changed := git("status", "--porcelain", "--", *recipe["depends"]).strip():
-        raise MeasuredError(f"commit first what the numbers depend on:\n{changed}")
+    if dirty_files := git("status", "--porcelain", "--", *recipe["depends"]).strip():
+        raise MeasuredError(f"commit first what the numbers depend on:\n{dirty_files}")
     for line in recipe["commands"]:
-        if line not in done:
+        if line not in finished_records:
             print(f"{name}: {line}", flush=True)
-            done[line] = records_of(line, recordings)
+            finished_records[line] = records_of(line, recordings)
     values = {
-        run: [r for line in lines for r in done[line]] for run, lines in recipe["runs"].items()
+        run: [r for line in lines for r in finished_records[line]]
+        for run, lines in recipe["runs"].items()
     }
     machine = describe(int(os.environ.get("NUMBA_NUM_THREADS", os.cpu_count() or 1)))
     numbers = {key: recipe[key] for key in ("about", "commands", "depends")} | made(recipe, values)
@@ -472,10 +473,14 @@ def renew(
         "cores": machine["cores"],
         "threads": machine["threads"],
     }
-    kept = (int, float, str)  # but not the settings of a sweep and empty cells
+    plain_types = (int, float, str)  # but not the settings of a sweep and empty cells
     numbers["values"] = {
         run: [
-            {k: v for k, v in r.items() if isinstance(v, kept) and v != "" and "setting." not in k}
+            {
+                k: v
+                for k, v in r.items()
+                if isinstance(v, plain_types) and v != "" and "setting." not in k
+            }
             for r in records
         ]
         for run, records in values.items()
@@ -522,17 +527,17 @@ def main(arguments: list[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     recipes = read_recipes()
-    done: dict[str, list[Record]] = {}
+    finished_records: dict[str, list[Record]] = {}
     try:
         if not options.renew and not options.fill:
             list_old(recipes)
             return 0
         if options.read:
             line = recipes[options.renew[0]]["commands"][0]
-            done[line] = records_of(line, options.recordings, options.read)
+            finished_records[line] = records_of(line, options.recordings, options.read)
         try:
             for name in options.renew:
-                renew(name, recipes[name], options.recordings.resolve(), done)
+                renew(name, recipes[name], options.recordings.resolve(), finished_records)
         finally:
             try:
                 for name in note_commits():

@@ -57,13 +57,13 @@ class Judged(Attempt):
     def close(
         self,
         got: Any,
-        expected: Any,
+        answer: Any,
         prop: str,
         **more: Any,
     ) -> None:
         """Note the property, and whether it fails."""
         with self._noting(prop):
-            super().close(got, expected, prop, **more)
+            super().close(got, answer, prop, **more)
 
     @contextmanager
     def _noting(self, prop: str) -> Iterator[None]:
@@ -81,17 +81,17 @@ def judge_thoroughly(exercise: Exercise, function: Callable[..., Any]) -> Judged
     Raises:
         ValueError: no property fails, so the function is no wrong answer.
     """
-    found = Judged(function)
+    judge = Judged(function)
     try:
-        exercise.judge(found)
+        exercise.judge(judge)
     except Failed as e:
-        found.broken.append(e)
+        judge.broken.append(e)
     except Exception:
-        if not found.broken:
+        if not judge.broken:
             raise
-    if not found.broken:
+    if not judge.broken:
         raise ValueError(f"{exercise.name}: {function.__name__} passes, so it is no wrong answer")
-    return found
+    return judge
 
 
 NOT_OFFERED: dict[str, list[str]] = tomllib.loads(
@@ -122,10 +122,10 @@ class Question:
 
 def bank() -> list[Question]:
     """All questions, by chapter."""
-    made = (
+    questions = (
         question(e, number) for e in exercises().values() for number in range(1, len(e.wrong) + 1)
     )
-    return [q for q in made if q is not None]
+    return [q for q in questions if q is not None]
 
 
 def question(exercise: Exercise, number: int) -> Question | None:
@@ -133,18 +133,18 @@ def question(exercise: Exercise, number: int) -> Question | None:
     are left."""
     function = exercise.wrong[number - 1].function
     name = f"{exercise.name}-{number}"
-    judged = judge_thoroughly(exercise, function)
-    first = judged.broken[0]
-    broken = {e.prop for e in judged.broken}
-    held = [
+    judge = judge_thoroughly(exercise, function)
+    first = judge.broken[0]
+    broken = {e.prop for e in judge.broken}
+    properties = [
         prop
-        for prop in dict.fromkeys(judged.held)
+        for prop in dict.fromkeys(judge.held)
         if prop not in {*broken, *NOT_OFFERED.get(name, ())}
     ]
-    random.Random(name).shuffle(held)
-    if len(held) < 2:
+    random.Random(name).shuffle(properties)
+    if len(properties) < 2:
         return None
-    options = [first.prop, *[*held, _ALWAYS][:3]]
+    options = [first.prop, *[*properties, _ALWAYS][:3]]
     random.Random(name).shuffle(options)
     return Question(
         name=name,
@@ -186,8 +186,8 @@ def moodle_xml(chapter: int, questions: list[Question]) -> str:
     for q in questions:
         question = ET.SubElement(quiz, "question", type="multichoice")
         _text(ET.SubElement(question, "name"), q.name)
-        asked = f"<p>{escape(q.title)}</p><pre>{escape(q.code)}</pre><p>{PROMPT}</p>"
-        _text(ET.SubElement(question, "questiontext", format="html"), asked)
+        question_html = f"<p>{escape(q.title)}</p><pre>{escape(q.code)}</pre><p>{PROMPT}</p>"
+        _text(ET.SubElement(question, "questiontext", format="html"), question_html)
         _text(ET.SubElement(question, "generalfeedback", format="html"), f"<p>{escape(q.said)}</p>")
         ET.SubElement(question, "single").text = "true"
         ET.SubElement(question, "shuffleanswers").text = "true"
@@ -208,11 +208,11 @@ def main(arguments: list[str] | None = None) -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="Write the bank of quiz questions.")
     parser.add_argument("out", type=Path, help="folder for Moodle's XML")
-    out = parser.parse_args(arguments).out
+    target = parser.parse_args(arguments).out
     questions = bank()
     for chapter, own in by_chapter(questions).items():
-        write_file(out / f"chapter_{chapter:02}.xml", moodle_xml(chapter, own))
-    log.info("%d questions in %s", len(questions), out)
+        write_file(target / f"chapter_{chapter:02}.xml", moodle_xml(chapter, own))
+    log.info("%d questions in %s", len(questions), target)
 
 
 if __name__ == "__main__":

@@ -80,9 +80,9 @@ class Chapters:
         return found[0]
 
 
-def prepare(deck: Path, chapters: Chapters, out: Path) -> Path:
+def prepare(deck: Path, chapters: Chapters, target: Path) -> Path:
     """Write the deck with its numbers, and its pictures beside it; returns the Markdown file in
-    ``out``.
+    ``target``.
 
     Raises:
         ValueError: a cell, a picture or a number is not there.
@@ -91,7 +91,7 @@ def prepare(deck: Path, chapters: Chapters, out: Path) -> Path:
     def picture(match: re.Match[str]) -> str:
         suffix, content = chapters.picture(match[1], match[2])
         name = f"figures/{match[1]}_{match[2]}{suffix}"
-        write_file(out / name, content)
+        write_file(target / name, content)
         return f"({name})"
 
     text = _PICTURE.sub(picture, deck.read_text(encoding="utf-8"))
@@ -100,26 +100,26 @@ def prepare(deck: Path, chapters: Chapters, out: Path) -> Path:
         text,
     )
     for name in re.findall(r"\(\.\./\.\./images/([\w.]+)\)", text):
-        (out / "figures").mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(deck.parent / "../../images" / name, out / "figures" / name)
+        (target / "figures").mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(deck.parent / "../../images" / name, target / "figures" / name)
     text = text.replace("(../../images/", "(figures/")
-    written = out / deck.name
-    write_file(written, text)
-    return written
+    deck_copy = target / deck.name
+    write_file(deck_copy, text)
+    return deck_copy
 
 
-def build(source: Path, notebooks: Path, out: Path, marp: str = MARP) -> None:
+def build(source: Path, notebooks: Path, target: Path, marp: str = MARP) -> None:
     """Build all decks of a folder as HTML.
 
     Raises:
         ValueError: what ``prepare`` raises.
         FileNotFoundError, subprocess.CalledProcessError: Marp is not there, or fails.
     """
-    out.mkdir(parents=True, exist_ok=True)
+    target.mkdir(parents=True, exist_ok=True)
     chapters = Chapters(notebooks)
-    decks = [prepare(deck, chapters, out) for deck in sorted(source.glob("week_*.md"))]
+    decks = [prepare(deck, chapters, target) for deck in sorted(source.glob("week_*.md"))]
     for name in ("theme.css", "marp.config.mjs"):
-        shutil.copyfile(source / name, out / name)
+        shutil.copyfile(source / name, target / name)
     call = [
         *shlex.split(marp),
         "--config-file",
@@ -127,7 +127,7 @@ def build(source: Path, notebooks: Path, out: Path, marp: str = MARP) -> None:
         "--allow-local-files",
         *(d.name for d in decks),
     ]
-    subprocess.run(call, cwd=out, check=True, stdin=subprocess.DEVNULL)
+    subprocess.run(call, cwd=target, check=True, stdin=subprocess.DEVNULL)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -19,16 +19,16 @@ class FrameStore:
 
     Args:
         limit_bytes: Of all images that are kept.
-        timed: Gives a context in which a frame is read, such as a stage of a clock.
+        clock: Gives a context in which a frame is read, such as a stage of a clock.
     """
 
     def __init__(
         self,
         limit_bytes: int,
-        timed: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
+        clock: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
     ) -> None:
         self.limit_bytes = limit_bytes
-        self.timed = timed
+        self.timed = clock
         self.wanted: frozenset[int] = frozenset()
         """Positions of frames that will be read again for certain."""
         self.n_bytes = 0

@@ -114,9 +114,9 @@ def same_rays(model: CameraModel, camera: Camera) -> bool:
         return False
     left_right = np.array([0, a.width])
     top_bottom = np.array([0, a.height])
-    across = (left_right - a.cx) / a.fx * camera.fx + camera.cx - left_right
-    down = (top_bottom - a.cy) / a.fy * camera.fy + camera.cy - top_bottom
-    return bool(np.abs([across, down]).max() < SAME_PX)
+    dx_px = (left_right - a.cx) / a.fx * camera.fx + camera.cx - left_right
+    dy_px = (top_bottom - a.cy) / a.fy * camera.fy + camera.cy - top_bottom
+    return bool(np.abs([dx_px, dy_px]).max() < SAME_PX)
 
 
 def pixel_map(model: CameraModel, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -190,12 +190,12 @@ def warp_depth(
     u, v = project(target, P).floor().long().unbind(1)
     in_width = (u >= 0) & (u < target.width)
     in_height = (v >= 0) & (v < target.height)
-    inside = in_width & in_height
-    place = (v * target.width + u)[inside]
-    out = depth_m.new_full((target.height * target.width,), torch.inf)
-    out.scatter_reduce_(0, place, P[inside, 2], reduce="amin")
-    out = out.where(out.isfinite(), torch.zeros_like(out))
-    return out.reshape(target.height, target.width)
+    is_inside = in_width & in_height
+    place = (v * target.width + u)[is_inside]
+    nearest = depth_m.new_full((target.height * target.width,), torch.inf)
+    nearest.scatter_reduce_(0, place, P[is_inside, 2], reduce="amin")
+    nearest = nearest.where(nearest.isfinite(), torch.zeros_like(nearest))
+    return nearest.reshape(target.height, target.width)
 
 
 def register_depth(
@@ -226,16 +226,16 @@ def register_depth(
     Differentiable: no.
     """
     T = T_target_source.to(depth_m.dtype)
-    known = depth_m > 0
-    P = se3.apply(T, depth_to_points(source, depth_m)[known])
-    half_width_m = 0.5 * depth_m[known] / source.fx
-    half_height_m = 0.5 * depth_m[known] / source.fy
+    has_depth = depth_m > 0
+    P = se3.apply(T, depth_to_points(source, depth_m)[has_depth])
+    half_width_m = 0.5 * depth_m[has_depth] / source.fx
+    half_height_m = 0.5 * depth_m[has_depth] / source.fy
     half_right = T[:3, 0] * half_width_m[:, None]
     half_down = T[:3, 1] * half_height_m[:, None]
-    ahead = P[:, 2] > 0
-    P = P[ahead]
-    half_right = half_right[ahead]
-    half_down = half_down[ahead]
+    in_front = P[:, 2] > 0
+    P = P[in_front]
+    half_right = half_right[in_front]
+    half_down = half_down[in_front]
     outline = _Outline(
         uv=project(target, P),
         right=project(target, P + half_right) - project(target, P - half_right),
@@ -245,16 +245,16 @@ def register_depth(
     pairs = outline.covered(target)
     z = P[pairs.rows, 2]
     own = (~pairs.is_seam).nonzero()[:, 0]
-    filled = _front(
+    front_m = _front(
         pairs.place[own],
         z[own],
         pairs.away_px[own],
         target,
     )
     seam = pairs.is_seam.nonzero()[:, 0]
-    seam = seam[filled.flatten()[pairs.place[seam]] == 0]
+    seam = seam[front_m.flatten()[pairs.place[seam]] == 0]
     return torch.maximum(
-        filled,
+        front_m,
         _front(pairs.place[seam], z[seam], pairs.away_px[seam], target),
     )
 
@@ -275,10 +275,10 @@ def _front(
     nearest = empty.scatter_reduce(0, place, z, reduce="amin")
     away_px = away_px.where(z <= (1 + SAME_SURFACE) * nearest[place], torch.inf)
     central = empty.scatter_reduce(0, place, away_px, reduce="amin")
-    out = empty.scatter_reduce(
+    front = empty.scatter_reduce(
         0, place, z.where(away_px == central[place], torch.inf), reduce="amin"
     )
-    return out.where(out.isfinite(), 0).reshape(camera.height, camera.width)
+    return front.where(front.isfinite(), 0).reshape(camera.height, camera.width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,36 +312,36 @@ class _Outline:
         misses by less than a seam."""
         pixel = self.uv.floor()
         reach = 0.5 * (self.right.abs() + self.down.abs()) + SEAM_PX
-        known = ~self.is_point & (reach <= LARGEST_FOOTPRINT_PX / 2).all(dim=1)
-        reach = reach * known[:, None]
+        is_outline = ~self.is_point & (reach <= LARGEST_FOOTPRINT_PX / 2).all(dim=1)
+        reach = reach * is_outline[:, None]
         area = 0.5 * _cross(self.right, self.down).abs()
         lengths = torch.stack([self.down.norm(dim=1), self.right.norm(dim=1)])
         farthest = (0, 0)
         if len(pixel):
             farthest = torch.ceil(reach - 0.5).clamp(min=0).amax(dim=0).long().tolist()
-        across, downwards = (range(-n, n + 1) for n in farthest)
-        found = []
-        for du, dv in itertools.product(across, downwards):
+        offsets_x, offsets_y = (range(-n, n + 1) for n in farthest)
+        pieces = []
+        for du, dv in itertools.product(offsets_x, offsets_y):
             is_own = (du, dv) == (0, 0)
-            covered = pixel + pixel.new_tensor([du, dv])
-            away = covered + 0.5 - self.uv
+            place_px = pixel + pixel.new_tensor([du, dv])
+            offset_px = place_px + 0.5 - self.uv
             over_sides = torch.stack(
-                [_cross(away, self.down).abs(), _cross(self.right, away).abs()]
+                [_cross(offset_px, self.down).abs(), _cross(self.right, offset_px).abs()]
             )
             beyond = over_sides - area
             within_seam = (beyond <= SEAM_PX * lengths).all(dim=0)
-            within_reach = (away.abs() <= reach).all(dim=1)
-            near = torch.ones_like(within_seam) if is_own else within_seam & within_reach
-            near &= (covered >= 0).all(dim=1)
-            near &= (covered < covered.new_tensor([camera.width, camera.height])).all(dim=1)
-            rows = near.nonzero()[:, 0]
-            outside = (beyond[:, rows] > TIE * lengths[:, rows]).any(dim=0)
-            is_seam = torch.zeros_like(outside) if is_own else outside
-            u, v = covered[rows].long().unbind(dim=1)
+            within_reach = (offset_px.abs() <= reach).all(dim=1)
+            is_near = torch.ones_like(within_seam) if is_own else within_seam & within_reach
+            is_near &= (place_px >= 0).all(dim=1)
+            is_near &= (place_px < place_px.new_tensor([camera.width, camera.height])).all(dim=1)
+            rows = is_near.nonzero()[:, 0]
+            is_outside = (beyond[:, rows] > TIE * lengths[:, rows]).any(dim=0)
+            is_seam = torch.zeros_like(is_outside) if is_own else is_outside
+            u, v = place_px[rows].long().unbind(dim=1)
             place = v * camera.width + u
-            away_px = away[rows].norm(dim=1)
-            found.append((rows, place, away_px, is_seam))
-        return _Covered(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+            away_px = offset_px[rows].norm(dim=1)
+            pieces.append((rows, place, away_px, is_seam))
+        return _Covered(*(torch.cat(parts) for parts in zip(*pieces, strict=True)))
 
 
 def _cross(

@@ -97,12 +97,12 @@ def _check_options(
     reader: Callable[..., Any],
     options: Mapping[str, Any],
 ) -> None:
-    known = [
+    names = [
         p.name for p in inspect.signature(reader).parameters.values() if p.kind is p.KEYWORD_ONLY
     ]
-    if unknown := [option for option in options if option not in known]:
+    if unknown := [option for option in options if option not in names]:
         raise ArgumentError(
-            f"{name} has no option {', '.join(unknown)}; it has: {', '.join(known) or 'none'}"
+            f"{name} has no option {', '.join(unknown)}; it has: {', '.join(names) or 'none'}"
         )
 
 
@@ -114,22 +114,24 @@ def detect_layout(path: str | Path) -> str:
             missing.
     """
     path = Path(path)
-    known = known_layouts()
+    layouts = known_layouts()
     lacking = {
-        name: missing(layout.locate(path), layout.looks_for) for name, layout in known.items()
+        name: missing(layout.locate(path), layout.looks_for) for name, layout in layouts.items()
     }
     for name, parts in lacking.items():
         if not parts:
             return name
     nearest = sorted(
-        known,
-        key=lambda name: len(lacking[name]) / len(known[name].looks_for),
+        layouts,
+        key=lambda name: len(lacking[name]) / len(layouts[name].looks_for),
     )
-    described = []
+    descriptions = []
     for name in nearest:
-        wanted = ", ".join(known[name].looks_for)
-        described.append(f"{name}: {wanted} (missing {', '.join(lacking[name])})")
-    raise SequenceError(f"{path} fits no known layout; looked for {'; '.join(described)}{_CONVERT}")
+        files_text = ", ".join(layouts[name].looks_for)
+        descriptions.append(f"{name}: {files_text} (missing {', '.join(lacking[name])})")
+    raise SequenceError(
+        f"{path} fits no known layout; looked for {'; '.join(descriptions)}{_CONVERT}"
+    )
 
 
 def sequence_fingerprint(sequence: OpenedSequence) -> str:
@@ -153,9 +155,9 @@ def sequence_fingerprint(sequence: OpenedSequence) -> str:
         digest.update(repr(source.repair).encode())
     source = as_read(source)
     if isinstance(source, RecordedSequence):
-        stored = (source.depth_scale, source.depth_invalid, source.fit_sizes)
+        file_settings = (source.depth_scale, source.depth_invalid, source.fit_sizes)
         hashes = list(data_files(sequence).values())
-        digest.update(repr((stored, hashes)).encode())
+        digest.update(repr((file_settings, hashes)).encode())
         if source.rectification is not None:  # what it does to the images shows in one of them
             _add_pixels(digest, sequence.mapping, at_most=1)
     elif content := getattr(source, "content", ""):
@@ -192,13 +194,13 @@ def frame_fingerprints(sequence: OpenedSequence) -> list[str]:
     walk = range(min(positions), max(positions) + 1)
     source = as_read(sequence.source)
     if isinstance(source, RecordedSequence):
-        found = file_hashes(source.rgb_files[i] for i in walk)
-        shown = [digest for digest in found.values() if digest != UNREADABLE]
+        hash_of = file_hashes(source.rgb_files[i] for i in walk)
+        digests = [digest for digest in hash_of.values() if digest != UNREADABLE]
     elif moments := getattr(source, "moments", None):
-        shown = [hashlib.blake2b(text.encode()).hexdigest() for text in moments(walk)]
+        digests = [hashlib.blake2b(text.encode()).hexdigest() for text in moments(walk)]
     else:
-        shown = list(_pixel_hashes(source, walk))
-    return list(dict.fromkeys(digest[:16] for digest in shown))
+        digests = list(_pixel_hashes(source, walk))
+    return list(dict.fromkeys(digest[:16] for digest in digests))
 
 
 def _pixel_hashes(source: Any, walk: Iterable[int]) -> Iterator[str]:

@@ -129,11 +129,11 @@ class CheckpointStore:
             return parts[digest]
 
         tree = _plain(state, "state", stored)
-        needed = {
+        needed_files = {
             place.partition(" ")[0]
             for place in (*(place for _, place in used.values()), *parts.values())
         }
-        files = {name: digest for name, digest in self._files.items() if name in needed}
+        files = {name: digest for name, digest in self._files.items() if name in needed_files}
         if fresh:
             name = f"{number:06d}.constants"
             files[name] = self._write(name, fresh)
@@ -145,12 +145,12 @@ class CheckpointStore:
             "files": files | {name: self._write(name, tree)},
         }
         write_file(self.folder / f"{number:06d}.json", json.dumps(document))
-        wanted = {*document["files"], f"{number:06d}.json"}
-        self._remove_all_but(_with_copies(wanted | self._before))
+        files_now = {*document["files"], f"{number:06d}.json"}
+        self._remove_all_but(_with_copies(files_now | self._before))
         self._number = number
         self._constants = used
         self._files = files
-        self._before = wanted
+        self._before = files_now
         self._parts = self._worth_keeping(parts, number, len(fresh))
 
     def _worth_keeping(
@@ -164,8 +164,10 @@ class CheckpointStore:
         self._sizes[f"{number:06d}.constants"] = n_fresh
         of_file = Counter(place.partition(" ")[0] for place in parts.values())
         of_file.update(place.partition(" ")[0] for _, place in self._constants.values())
-        kept = {name for name, n in of_file.items() if 2 * n >= self._sizes[name]}
-        return {digest: place for digest, place in parts.items() if place.partition(" ")[0] in kept}
+        worthy = {name for name, n in of_file.items() if 2 * n >= self._sizes[name]}
+        return {
+            digest: place for digest, place in parts.items() if place.partition(" ")[0] in worthy
+        }
 
     def load(self) -> Loaded:
         """The latest checkpoint that is not damaged, on the CPU; its constants are read when they
@@ -270,9 +272,12 @@ class CheckpointStore:
         for name, digest in document["files"].items():
             source = self._intact(name, digest, copies)
             with open_regular(source, "a part of a checkpoint") as file:
-                mapped = sys.platform != "win32"  # more than memory may hold
+                maps_memory = sys.platform != "win32"  # more than memory may hold
                 content = torch.load(
-                    source if mapped else file, map_location="cpu", weights_only=True, mmap=mapped
+                    source if maps_memory else file,
+                    map_location="cpu",
+                    weights_only=True,
+                    mmap=maps_memory,
                 )
                 _check_buffers(content, name)
             used.append(source)
@@ -281,19 +286,19 @@ class CheckpointStore:
             else:
                 state = content
         size = sum(source.stat().st_size for source in used)
-        joined = _joined_bytes(state, constants)
-        if joined > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
+        whole = _joined_bytes(state, constants)
+        if whole > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
             raise ArgumentError(
-                f"its files of {size / 1e6:.1f} MB ask for {joined / 1e9:.1f} GB of memory"
+                f"its files of {size / 1e6:.1f} MB ask for {whole / 1e9:.1f} GB of memory"
             )
         return _whole(state, constants), list(document["files"])
 
-    def _remove_all_but(self, wanted: set[str]) -> None:
+    def _remove_all_but(self, names: set[str]) -> None:
         """Remove the files of other checkpoints, also those left by a killed process."""
         if not self.folder.is_dir():
             return
         for path in self.folder.iterdir():
-            if path.name not in wanted and re.fullmatch(r"\.?\d{6}\.[\w.]+", path.name):
+            if path.name not in names and re.fullmatch(r"\.?\d{6}\.[\w.]+", path.name):
                 path.unlink()
 
 

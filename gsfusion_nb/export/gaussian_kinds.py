@@ -76,16 +76,16 @@ def needed_columns(path: Path, ply: Any, what: str) -> list[str]:
             f"{_CONVERTER} {path.name} plain.ply"
         )
     for kind, pattern in _OTHER_KINDS.items():
-        found = [name for name in present if pattern.fullmatch(name)]
-        if found:
+        matches = [name for name in present if pattern.fullmatch(name)]
+        if matches:
             raise SequenceError(
-                f"{path} holds {kind} (property {found[0]}); expected Gaussians that stand for "
+                f"{path} holds {kind} (property {matches[0]}); expected Gaussians that stand for "
                 "themselves"
             )
     n_rest = sum(name.startswith("f_rest_") for name in present)
     rest = [f"f_rest_{i}" for i in range(n_rest)]
-    needed = [*PLACE, *CONSTANT_COLOUR, *rest, "opacity", *SCALES, *QUATERNION]
-    lacking = [name for name in needed if name not in present]
+    columns = [*PLACE, *CONSTANT_COLOUR, *rest, "opacity", *SCALES, *QUATERNION]
+    lacking = [name for name in columns if name not in present]
     if lacking == ["scale_2"]:
         raise SequenceError(
             f"{path} holds flat Gaussians of 2D Gaussian Splatting (2DGS), which have no scale_2 "
@@ -98,7 +98,7 @@ def needed_columns(path: Path, ply: Any, what: str) -> list[str]:
             f"{path} must have 0, 9, 24 or 45 f_rest properties (degree 0 to 3), got {n_rest}"
         )
     filters = filter_column(present)
-    return [*needed, filters] if filters else needed
+    return [*columns, filters] if filters else columns
 
 
 def filter_column(names: list[str]) -> str:

@@ -141,19 +141,21 @@ def read_gaussian_ply(
     bad = _bad_rows(table)
     if bad and (strict or np.logical_or.reduce([rows for rows, _ in bad.values()]).all()):
         raise SequenceError(f"{path} {next(iter(bad.values()))[1]}; expected {_WHAT}")
-    kept = np.ones(len(data), dtype=bool)
+    is_good = np.ones(len(data), dtype=bool)
     for rows, _ in bad.values():
-        kept &= ~rows
+        is_good &= ~rows
     if bad:
-        told = "; ".join(
+        reasons = "; ".join(
             f"{int(rows.sum())} {why}, the first in row {rows.argmax()}"
             for why, (rows, _) in bad.items()
         )
-        notes.append(f"{int((~kept).sum()):,} of {len(kept):,} Gaussians were left out: {told}")
+        notes.append(
+            f"{int((~is_good).sum()):,} of {len(is_good):,} Gaussians were left out: {reasons}"
+        )
     for note in notes:
         log.warning("%s: %s", path, note)
     return _filtered(
-        {name: column[kept] for name, column in table.items()},
+        {name: column[is_good] for name, column in table.items()},
         filter_column(names),
     )
 
@@ -162,10 +164,10 @@ def _places(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places, float64, and the whole metres that were subtracted, so that float32 holds them. [N,
     3], [3]"""
     place = np.stack([data[axis].astype(np.float64) for axis in PLACE], axis=1)
-    known = place[(np.abs(place) <= FARTHEST).all(axis=1)]
-    rounded = np.abs(known - known.astype(np.float32)).max(initial=0.0, axis=0)
-    middle = np.round(np.median(known, axis=0)) if len(known) else np.zeros(3)
-    moved_m = np.where(rounded > COARSE_M, middle, 0.0)
+    finite_place = place[(np.abs(place) <= FARTHEST).all(axis=1)]
+    rounding_m = np.abs(finite_place - finite_place.astype(np.float32)).max(initial=0.0, axis=0)
+    middle = np.round(np.median(finite_place, axis=0)) if len(finite_place) else np.zeros(3)
+    moved_m = np.where(rounding_m > COARSE_M, middle, 0.0)
     return place - moved_m, moved_m
 
 
@@ -195,9 +197,9 @@ def _make_finite(table: dict[str, np.ndarray]) -> None:
 def _bad_rows(table: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, str]]:
     """Rows that are no Gaussians: why, which they are, and a clause on the first; only reasons that
     occur."""
-    found = {}
-    counted = np.zeros(len(table["opacity"]), dtype=bool)
-    unknown = counted.copy()
+    counts = {}
+    is_bad = np.zeros(len(table["opacity"]), dtype=bool)
+    unknown = is_bad.copy()
     first = ""
     for name, column in table.items():
         wrong = ~np.isfinite(column)
@@ -211,24 +213,24 @@ def _bad_rows(table: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, str]]
         "a rotation whose quaternion is zero": (_stacked(table, QUATERNION) == 0).all(axis=1),
     }
     for reason, wrong in reasons.items():
-        rows = wrong & ~counted
-        counted |= rows
+        rows = wrong & ~is_bad
+        is_bad |= rows
         if rows.any():
             clause = (
                 first if wrong is unknown else f"has {reason} in row {rows.argmax()} of Gaussians"
             )
-            found[f"with {reason}"] = (rows, clause)
-    return found
+            counts[f"with {reason}"] = (rows, clause)
+    return counts
 
 
 def _stacked(
     table: dict[str, np.ndarray],
     names: tuple[str, ...],
 ) -> np.ndarray:
-    out = np.empty((len(table["opacity"]), len(names)), dtype=np.float32)
+    columns = np.empty((len(table["opacity"]), len(names)), dtype=np.float32)
     for i, name in enumerate(names):
-        out[:, i] = table[name]
-    return out
+        columns[:, i] = table[name]
+    return columns
 
 
 def _filtered(table: dict[str, np.ndarray], filter_name: str) -> GaussianParams:
@@ -239,11 +241,11 @@ def _filtered(table: dict[str, np.ndarray], filter_name: str) -> GaussianParams:
     opacity_logit = torch.from_numpy(table["opacity"].copy())
     if filter_name:
         variance = (2 * log_scale.double()).exp()
-        smoothed = variance + torch.from_numpy(table[filter_name]).double().square()[:, None]
-        share = (0.5 * (variance.log() - smoothed.log())).sum(dim=1).exp()
+        smooth_variance = variance + torch.from_numpy(table[filter_name]).double().square()[:, None]
+        share = (0.5 * (variance.log() - smooth_variance.log())).sum(dim=1).exp()
         peak = share * opacity_logit.double().sigmoid()
         opacity_logit = torch.logit(peak, eps=1e-12).clamp(max=OPAQUE_LOGIT).float()
-        log_scale = (0.5 * smoothed.log()).float()
+        log_scale = (0.5 * smooth_variance.log()).float()
     n_rest = sum(name.startswith("f_rest_") for name in table)
     rest = torch.from_numpy(_stacked(table, tuple(f"f_rest_{i}" for i in range(n_rest))))
     constant = torch.from_numpy(_stacked(table, CONSTANT_COLOUR))

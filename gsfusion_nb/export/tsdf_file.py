@@ -34,8 +34,8 @@ _MOST_W = 65504.0
 
 def write_tsdf(path: str | Path, volume: TsdfVolume) -> None:
     """Write the observed voxels of a volume, atomically; about 4 bytes for each."""
-    observed = volume.W > 0
-    place = observed.view(-1).nonzero()[:, 0]
+    has_weight = volume.W > 0
+    place = has_weight.view(-1).nonzero()[:, 0]
     # a block has three planes of colour
     in_planes = place + place // VOXELS_PER_BLOCK * (2 * VOXELS_PER_BLOCK)
     rgb = volume.rgb_planes.reshape(-1)
@@ -44,7 +44,7 @@ def write_tsdf(path: str | Path, volume: TsdfVolume) -> None:
         "voxel_size_m": np.float64(volume.config.voxel_size_m),
         "truncation_m": np.float64(volume.config.truncation_m),
         "block_coords": volume.block_coords.cpu().numpy().astype("<i4"),
-        "observed": np.packbits(observed.cpu().numpy(), axis=1),
+        "observed": np.packbits(has_weight.cpu().numpy(), axis=1),
         "D": _levels(volume.D.view(-1)[place], D_LEVELS)
         .to(torch.int16)
         .cpu()
@@ -84,19 +84,19 @@ def read_tsdf(
     ):
         _check_memory(path, sum(entry.file_size for entry in archive.zip.infolist()))
         _check_arrays(path, archive)
-        for name, wanted in (
+        for name, expected_type in (
             ("voxel_size_m", config.voxel_size_m),
             ("truncation_m", config.truncation_m),
         ):
-            if not math.isclose(float(archive[name]), wanted, rel_tol=1e-9):
+            if not math.isclose(float(archive[name]), expected_type, rel_tol=1e-9):
                 raise SequenceError(
                     f"{path} has {name} {float(archive[name]):g}, but the settings of the run say "
-                    f"{wanted:g}"
+                    f"{expected_type:g}"
                 )
         coords = archive["block_coords"]
         _check_memory(path, len(coords) * _BLOCK_BYTES)
         D, W, rgb = (archive[name] for name in ("D", "W", "rgb"))
-        observed = torch.from_numpy(np.unpackbits(archive["observed"], axis=1).astype(bool))
+        has_weight = torch.from_numpy(np.unpackbits(archive["observed"], axis=1).astype(bool))
     n = len(coords)
     columns: dict[str, Any] = {
         "D": torch.ones(n, VOXELS_PER_BLOCK),
@@ -105,10 +105,10 @@ def read_tsdf(
     planes = torch.zeros(3, n, VOXELS_PER_BLOCK)
     volume = TsdfVolume(config, device)
     with parsing(path, WHAT):
-        columns["D"][observed] = torch.from_numpy(D.astype(np.float32)) / D_LEVELS
-        columns["W"][observed] = torch.from_numpy(W.astype(np.float32))
+        columns["D"][has_weight] = torch.from_numpy(D.astype(np.float32)) / D_LEVELS
+        columns["W"][has_weight] = torch.from_numpy(W.astype(np.float32))
         for plane, values in zip(planes, rgb, strict=True):
-            plane[observed] = torch.from_numpy(values.astype(np.float32)) / RGB_LEVELS
+            plane[has_weight] = torch.from_numpy(values.astype(np.float32)) / RGB_LEVELS
         state = columns | {
             "rgb": planes.transpose(0, 1).contiguous(),
             "block_coords": torch.from_numpy(coords),
@@ -140,16 +140,16 @@ def _check_arrays(path: Path, archive: Any) -> None:
             raise SequenceError(f"{path} has no array {name}; expected {WHAT}")
         array = archive[name]
         fits = len(shape) == array.ndim and array.dtype == np.dtype(kind)
-        wanted = shape
+        expected_sizes = shape
         if fits:
-            named = zip(shape, array.shape, strict=True)
-            wanted = tuple(
-                sizes.setdefault(n, size) if isinstance(n, str) else n for n, size in named
+            axes = zip(shape, array.shape, strict=True)
+            expected_sizes = tuple(
+                sizes.setdefault(n, size) if isinstance(n, str) else n for n, size in axes
             )
-        if not fits or array.shape != wanted:
+        if not fits or array.shape != expected_sizes:
             raise SequenceError(
-                f"{path}: {name} is {list(array.shape)} of {array.dtype}, expected {list(wanted)} "
-                f"of {np.dtype(kind)}; expected {WHAT}"
+                f"{path}: {name} is {list(array.shape)} of {array.dtype}, expected "
+                f"{list(expected_sizes)} of {np.dtype(kind)}; expected {WHAT}"
             )
     n_observed = int(_BITS[archive["observed"]].sum(dtype=np.int64))
     if n_observed != sizes["V"]:

@@ -127,8 +127,8 @@ def _camera(
     distance focalLength."""
     c = camera
     focal = APERTURE * camera.fx / camera.width
-    across = focal / c.fx  # of a pixel on the film
-    along = focal / c.fy
+    width_of_pixel = focal / c.fx  # of a pixel on the film
+    height_of_pixel = focal / c.fy
     T_usd = poses.double().cpu() @ torch.diag(
         torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)
     )
@@ -137,10 +137,10 @@ def _camera(
     lengths = {
         "focalLength": focal,
         "horizontalAperture": APERTURE,
-        "verticalAperture": along * c.height,
+        "verticalAperture": height_of_pixel * c.height,
     }
-    lengths |= {"horizontalApertureOffset": across * (c.width / 2 - c.cx)}
-    lengths |= {"verticalApertureOffset": along * (c.cy - c.height / 2)}
+    lengths |= {"horizontalApertureOffset": width_of_pixel * (c.width / 2 - c.cx)}
+    lengths |= {"verticalApertureOffset": height_of_pixel * (c.cy - c.height / 2)}
     for name, value in lengths.items():
         yield f"        float {name} = {value:.9g}\n"
     yield "        matrix4d xformOp:transform.timeSamples = {\n"
@@ -154,7 +154,7 @@ def _matrix(T: Float[Tensor, "4 4"]) -> str:
     return f"( {', '.join(rows)} )"
 
 
-def _array(declaration: str, values: Tensor, after: str = "") -> Iterator[str]:
+def _array(declaration: str, values: Tensor, suffix: str = "") -> Iterator[str]:
     """An attribute: tuples of [N, K] or numbers of [N]; nine digits keep every bit of float32."""
     yield f"        {declaration} = ["
     for start in range(0, len(values), ROWS):
@@ -165,4 +165,4 @@ def _array(declaration: str, values: Tensor, after: str = "") -> Iterator[str]:
         yield ", " * (start > 0) + ", ".join(
             form % (row if part.ndim == 1 else tuple(row)) for row in rows
         )
-    yield f"]{after}\n"
+    yield f"]{suffix}\n"

@@ -36,15 +36,15 @@ def is_file(path: Path) -> bool:
 def noting_files() -> Iterator[list[Path]]:
     """A block in which every file that is opened by this module is added to the list that it
     gives."""
-    noted = []
+    paths = []
     outer = _noted.get()
-    token = _noted.set(noted)
+    token = _noted.set(paths)
     try:
-        yield noted
+        yield paths
     finally:
         _noted.reset(token)
         if outer is not None:
-            outer += noted
+            outer += paths
 
 
 def open_regular(path: str | Path, what: str) -> BufferedReader:
@@ -71,9 +71,9 @@ def open_regular(path: str | Path, what: str) -> BufferedReader:
         os.close(handle)
         kind = "a folder" if stat.S_ISDIR(mode) else "a pipe or device"
         raise SequenceError(f"{path} is {kind}, not a plain file; expected {what}")
-    noted = _noted.get()
-    if noted is not None:
-        noted.append(Path(path))
+    notes = _noted.get()
+    if notes is not None:
+        notes.append(Path(path))
     return os.fdopen(handle, "rb")
 
 
@@ -104,10 +104,10 @@ def read_exactly(file: BinaryIO, n: int, path: str | Path) -> bytes:
         SequenceError: it has fewer; nothing is read then, so a length that is wrong costs no
             memory.
     """
-    left = os.fstat(file.fileno()).st_size - file.tell()
-    if not 0 <= n <= left:
+    n_left = os.fstat(file.fileno()).st_size - file.tell()
+    if not 0 <= n <= n_left:
         raise SequenceError(
-            f"{path} is truncated: it ends {n - left} bytes too early; copy it again"
+            f"{path} is truncated: it ends {n - n_left} bytes too early; copy it again"
         )
     return file.read(n)
 

@@ -17,8 +17,8 @@ from .atomic import write_file
 def cache_folder() -> Path:
     """``$GSFUSION_CACHE``, or the folder ``gsfusion_nb`` in the place that the system has for
     caches."""
-    if given := os.environ.get("GSFUSION_CACHE"):
-        return Path(given).expanduser()
+    if folder := os.environ.get("GSFUSION_CACHE"):
+        return Path(folder).expanduser()
     return user_cache_path("gsfusion_nb", appauthor=False, opinion=False)
 
 
@@ -39,21 +39,23 @@ def file_hashes(files: Iterable[str | Path]) -> dict[str, str]:
     file system's clock would not be seen.
     """
     marks = {path: _mark(path) for path in (os.path.abspath(file) for file in files)}
-    known = {folder: _Known(folder) for folder in dict.fromkeys(map(os.path.dirname, marks))}
-    found = {path: known[os.path.dirname(path)].hash_of(path, mark) for path, mark in marks.items()}
-    left = [path for path, mark in marks.items() if mark and not found[path]]
-    is_long = sum(marks[path][0] for path in left) > _LONG_BYTES
+    tables = {folder: _Known(folder) for folder in dict.fromkeys(map(os.path.dirname, marks))}
+    hash_of = {
+        path: tables[os.path.dirname(path)].hash_of(path, mark) for path, mark in marks.items()
+    }
+    unhashed = [path for path, mark in marks.items() if mark and not hash_of[path]]
+    is_long = sum(marks[path][0] for path in unhashed) > _LONG_BYTES
     from ..progress import ProgressDisplay
 
     with ProgressDisplay(
-        "hashing the data", total=len(left), unit="file", leave=False, visible=is_long
+        "hashing the data", total=len(unhashed), unit="file", leave=False, visible=is_long
     ) as progress:
-        for n, path in enumerate(left, start=1):
-            found[path] = known[os.path.dirname(path)].add(path, marks[path])
+        for n, path in enumerate(unhashed, start=1):
+            hash_of[path] = tables[os.path.dirname(path)].add(path, marks[path])
             progress.show(n)
-    for folder in known.values():
+    for folder in tables.values():
         folder.save()
-    return {path: digest or UNREADABLE for path, digest in found.items()}
+    return {path: digest or UNREADABLE for path, digest in hash_of.items()}
 
 
 class _Known:
@@ -71,8 +73,8 @@ class _Known:
 
     def hash_of(self, path: str, mark: tuple[int, ...]) -> str:
         """The hash of a file that is as it was; empty if it is not known."""
-        then, _, digest = str(self._rows.get(os.path.basename(path), "")).rpartition(" ")
-        return digest if mark and then == " ".join(map(str, mark)) else ""
+        stored_mark, _, digest = str(self._rows.get(os.path.basename(path), "")).rpartition(" ")
+        return digest if mark and stored_mark == " ".join(map(str, mark)) else ""
 
     def add(self, path: str, mark: tuple[int, ...]) -> str:
         """Hash a file; the hash is kept, unless the file changed while it was read, or shortly

@@ -31,13 +31,13 @@ _PER_IMAGE = (7, 12, 16, 17)
 name."""
 
 
-def write_excerpt(source: Path, out: Path, chosen: slice, **reader: Any) -> int:
+def write_excerpt(source: Path, out: Path, frame_range: slice, **reader: Any) -> int:
     """Write the chosen frames of a recording to a new folder.
 
     Args:
         source: Folder or file of the recording.
         out: New or empty folder.
-        chosen: Which frames, counted from 0 in the order of the recording.
+        frame_range: Which frames, counted from 0 in the order of the recording.
         reader: Options of the layout's reader.
 
     Returns:
@@ -51,30 +51,30 @@ def write_excerpt(source: Path, out: Path, chosen: slice, **reader: Any) -> int:
     format = "" if layout else detect_format(source)
     if format in _BY_PLACE or (format and not source.is_dir()):
         options = ConvertOptions(
-            start=chosen.start or 0, stop=chosen.stop or 0, every=chosen.step or 1
+            start=frame_range.start or 0, stop=frame_range.stop or 0, every=frame_range.step or 1
         )
         return convert(source, out, format=format, options=options).frames
-    shared, images = (
+    shared_files, images = (
         _files_of_layout(source, layout, reader) if layout else _files_of_format(source, format)
     )
-    places = range(len(images))[chosen]
+    places = range(len(images))[frame_range]
     if not places:
         raise SequenceError(f"{source} has {len(images)} frames; --frames chooses none of them")
-    wanted = {f for place in places for f in images[place]}
+    image_files = {f for place in places for f in images[place]}
     every = {f for files in images for f in files}
     parts = _Parts(
-        {f.name for f in wanted},
+        {f.name for f in image_files},
         {f.name for f in every},
         len(images),
         places,
     )
     with atomic_folder(out, out.with_name(f".{out.name}.partial")) as folder:
-        for file in sorted(wanted | {*shared} - every):
+        for file in sorted(image_files | {*shared_files} - every):
             target = folder / (
                 file.relative_to(source) if file.is_relative_to(source) else file.name
             )
             target.parent.mkdir(parents=True, exist_ok=True)
-            if file in wanted or layout == "replica" or not parts.write(file, target):
+            if file in image_files or layout == "replica" or not parts.write(file, target):
                 shutil.copyfile(file, target)
     return len(places)
 
@@ -95,7 +95,7 @@ def _files_of_format(
     format: str,
 ) -> tuple[list[Path], list[list[Path]]]:
     """Files of the whole recording, and those of each frame."""
-    with noting_files() as shared, parsing(source, f"a recording in the format {format}"):
+    with noting_files() as shared_files, parsing(source, f"a recording in the format {format}"):
         recording = FORMATS[format].read(source, ConvertOptions(depth_scale=1000.0))
     frames = recording.frames()
     images = []
@@ -105,8 +105,8 @@ def _files_of_format(
         images.append(files)
     poses = Path(recording.poses_file)
     if recording.poses_file:
-        shared += poses.iterdir() if poses.is_dir() else [poses]
-    return shared, images
+        shared_files += poses.iterdir() if poses.is_dir() else [poses]
+    return shared_files, images
 
 
 @dataclass(frozen=True)
@@ -143,8 +143,10 @@ class _Parts:
             for i, line in enumerate(lines)
             if line.strip() and not line.lstrip().startswith("#")
         }
-        named = {i: {Path(word).name for word in words} & self.images for i, words in rows.items()}
-        drop = {i for i in rows if any(named.values()) and not named[i] & self.kept}
+        names_in_row = {
+            i: {Path(word).name for word in words} & self.images for i, words in rows.items()
+        }
+        drop = {i for i in rows if any(names_in_row.values()) and not names_in_row[i] & self.kept}
         if len(rows) == self.n_frames and {len(words) for words in rows.values()} <= set(
             _PER_IMAGE
         ):

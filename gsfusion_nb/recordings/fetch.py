@@ -92,12 +92,12 @@ class SequenceOnDisk:
         first = sequence[0]
         last = sequence[len(sequence) - 1]
         depth_m = first.depth_m[first.depth_m > 0]
-        seen = float((last.depth_m > 0).float().mean())
+        depth_share = float((last.depth_m > 0).float().mean())
         return (
             f"{sequence.name}: {len(sequence)} frames of "
             f"{first.camera.width}x{first.camera.height}, depth around "
-            f"{float(depth_m.median()):.2f} m in the first, at {100 * seen:.0f} % of the pixels of "
-            "the last"
+            f"{float(depth_m.median()):.2f} m in the first, at {100 * depth_share:.0f} % of the "
+            "pixels of the last"
         )
 
 
@@ -155,7 +155,7 @@ def fetch_data_set(plan: Plan, out: Path) -> None:
     return None
 
 
-def _described(plan: Plan, out: Path) -> str:
+def _described(plan: Plan, target: Path) -> str:
     """Contents, size and licence of a plan."""
     lines = [plan.title]
     for item in plan.items:
@@ -166,7 +166,7 @@ def _described(plan: Plan, out: Path) -> str:
         )
         lines.append(f"  from     {item.url} (about {size_text(item.stated_bytes)}; {check})")
     lines += [
-        f"  to       {out / plan.folder} (about {size_text(plan.unpacked_bytes)})",
+        f"  to       {target / plan.folder} (about {size_text(plan.unpacked_bytes)})",
         f"  licence  {plan.licence}",
         f"  cite     {plan.cite}",
     ]
@@ -184,7 +184,7 @@ def _agree() -> None:
         raise FetchError("nothing was fetched")
 
 
-def _download(item: Item, out: Path) -> Path:
+def _download(item: Item, target: Path) -> Path:
     """The downloaded file of an item; one that is there already, with the published digest if any,
     is taken."""
     import pooch
@@ -193,7 +193,7 @@ def _download(item: Item, out: Path) -> Path:
     pooch.get_logger().setLevel(logging.WARNING)
     name = item.url.rpartition("/")[2]
     store = pooch.create(
-        out / WORK / "downloads",
+        target / WORK / "downloads",
         base_url="",
         registry={name: item.checksum or None},
         urls={name: item.url},
@@ -264,23 +264,23 @@ def unpack(
 
 def _members(archive: Path) -> Iterator[tuple[str, IO[bytes]]]:
     """Path and content of each regular file; links and devices are left out."""
-    with open_regular(archive, "an archive") as opened:
-        if zipfile.is_zipfile(opened):
-            with zipfile.ZipFile(opened) as zipped:
-                for info in zipped.infolist():
+    with open_regular(archive, "an archive") as stream:
+        if zipfile.is_zipfile(stream):
+            with zipfile.ZipFile(stream) as zip_file:
+                for info in zip_file.infolist():
                     if not info.is_dir() and stat.S_IFMT(info.external_attr >> 16) in (
                         0,
                         stat.S_IFREG,
                     ):
                         try:
-                            source = zipped.open(info)
+                            source = zip_file.open(info)
                         except OSError as e:  # it points outside of the file
                             raise zipfile.BadZipFile(str(e)) from None
                         with source:
                             yield info.filename, source
             return
-        opened.seek(0)
-        with tarfile.open(fileobj=opened, mode="r|*") as tar:
+        stream.seek(0)
+        with tarfile.open(fileobj=stream, mode="r|*") as tar:
             for member in tar:
                 source = tar.extractfile(member) if member.isreg() else None
                 if source is not None:
@@ -295,11 +295,16 @@ def _write_source(
     """Write the data set's own record: where its files come from, and its licence."""
     import pooch
 
-    downloaded = [
+    download_rows = [
         {"url": item.url, "sha256": pooch.file_hash(str(file)), "published": item.checksum}
         for item, file in files
     ]
-    values = {"title": plan.title, "licence": plan.licence, "cite": plan.cite, "files": downloaded}
+    values = {
+        "title": plan.title,
+        "licence": plan.licence,
+        "cite": plan.cite,
+        "files": download_rows,
+    }
     write_file(folder / SOURCE, json.dumps(values, indent=1) + "\n")
 
 
@@ -352,13 +357,13 @@ def run(
     )
     options = parser.parse_args(arguments)
     try:
-        wanted = [plans(name) for name in dict.fromkeys(options.name)]
-        missing = [plan for plan in wanted if not (options.out / plan.folder).exists()]
+        wanted_plans = [plans(name) for name in dict.fromkeys(options.name)]
+        missing = [plan for plan in wanted_plans if not (options.out / plan.folder).exists()]
         for plan in missing:
             _say(_described(plan, options.out))
         if missing and not options.yes:
             _agree()
-        for plan in wanted:
+        for plan in wanted_plans:
             fetch_data_set(plan, options.out)
         if not options.keep_archives:
             shutil.rmtree(options.out / WORK, ignore_errors=True)

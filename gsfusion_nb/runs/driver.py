@@ -200,7 +200,7 @@ def _score(
     run: MappingRun, folder: Path, stop: StopRequest, mesh: Mesh, metrics: dict[str, Any]
 ) -> None:
     """Add the scores to ``metrics``; if stopped halfway, the scores computed so far are kept."""
-    already = bool(stop)
+    was_stopped = bool(stop)
     stop.wanted = False
     with stop.ending_at_once():
         metrics |= scores.score(run)
@@ -208,7 +208,7 @@ def _score(
         with run.clock("mesh_scores"):
             metrics |= scores.score_mesh(run, mesh)
             metrics |= scores.score_centres(run, mesh)
-    if stop and not already:
+    if stop and not was_stopped:
         run.status = "interrupted"
         run.warnings.note_ending("interrupted while the views were scored; the maps are complete")
         _checkpoint(run, folder, stop)
@@ -236,8 +236,8 @@ def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseExcepti
                 raise
             notes.append("There is too little memory to write all files.")
     if run.steps:
-        saved = "saved" if not notes else "saved as far as the disk has space"
-        notes.insert(0, f"The {len(run.steps)} frames mapped before are {saved} in {folder}.")
+        extent = "saved" if not notes else "saved as far as the disk has space"
+        notes.insert(0, f"The {len(run.steps)} frames mapped before are {extent} in {folder}.")
     if run.resumable and CheckpointStore(folder / CHECKPOINTS).exists:
         notes.append(
             f"To continue from the last checkpoint: {resume_command(folder, run.mapper.rule)}"
@@ -289,8 +289,8 @@ def map_with_progress(run: MappingRun, stop: StopRequest) -> None:
             seconds += report.total_seconds
             # a system may not time its stages
             rate = f"{n / seconds:.1f} frames/s, " if seconds > 0 else ""
-            dropped = run.extra_metrics().get("n_frames_dropped")
-            note = f", {dropped} frames dropped" if dropped else ""
+            n_dropped = run.extra_metrics().get("n_frames_dropped")
+            note = f", {n_dropped} frames dropped" if n_dropped else ""
             progress.show(run.next_position, note=f"{rate}{report.in_words}{note}")
             if stop:
                 return
@@ -319,8 +319,12 @@ def _why_empty(run: MappingRun) -> str:
     )
     with contextlib.suppress(SequenceError, StopIteration):
         frame = next(iter(run.mapped_views(1)))
-        known = frame.depth_m[frame.depth_m > 0]
-        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+        depth_values = frame.depth_m[frame.depth_m > 0]
+        low, high = (
+            (float(depth_values.min()), float(depth_values.max()))
+            if len(depth_values)
+            else (0.0, 0.0)
+        )
         text += f"; the depth of frame {frame.index} is from {low:.4g} to {high:.4g} m"
     return f"{text}; the rule's options are {run.mapper.config.seeding.options or 'the defaults'}"
 

@@ -108,10 +108,10 @@ class FrameWatch:
             small = SmallFrame.of(frame)
             if self._last_small is not None and self._last_small.camera != small.camera:
                 self._begin_again()
-            said = self._step(frame, small, poses)
+            sentence = self._step(frame, small, poses)
             self._last = frame
             self._last_small = small
-            return said or self._keep(number, small, poses)
+            return sentence or self._keep(number, small, poses)
 
     def look_again(
         self,
@@ -129,30 +129,30 @@ class FrameWatch:
         """
         first = len(poses) - n
         spacing = 1
-        judged = -1
+        last_judged = -1
         while n > (COMPARED - 1) * spacing:
-            judged = (COMPARED - 1) * spacing
+            last_judged = (COMPARED - 1) * spacing
             spacing *= 2
-        compared = set(range(0, n, spacing)) if spacing <= WIDEST else set()
+        compared_frames = set(range(0, n, spacing)) if spacing <= WIDEST else set()
         latest = range(max(0, n - 2 * STEPS_AROUND - 2), n)
         with usual_torch():
-            for i in sorted(compared.union(latest)):
+            for i in sorted(compared_frames.union(latest)):
                 frame = read(first + i)
                 small = SmallFrame.of(frame)
                 if i in latest:
                     self._step(frame, small, poses[: first + i + 1])
                     self._last = frame
                     self._last_small = small
-                if i in compared:
+                if i in compared_frames:
                     self._compared.append((first + i, small))
         self._n = n
         self._spacing = spacing
-        self._is_judged = max(compared, default=0) <= judged
+        self._is_judged = max(compared_frames, default=0) <= last_judged
 
     def end(self, poses: list[Float[Tensor, "4 4"]]) -> str:
         """No more frames will come; returns a sentence for the user, or ""."""
         with usual_torch():
-            return self._jump(settled=0) or ("" if self._is_judged else self._judge(poses))
+            return self._jump(n_after=0) or ("" if self._is_judged else self._judge(poses))
 
     def _begin_again(self) -> None:
         self._compared = []
@@ -176,19 +176,19 @@ class FrameWatch:
         self._n += 1
         if len(self._compared) < COMPARED:
             return ""
-        said = self._judge(poses)
+        sentence = self._judge(poses)
         self._is_judged = True
         self._spacing *= 2
         self._compared = self._compared[::2] if self._spacing <= WIDEST else []
-        return said
+        return sentence
 
     def _judge(self, poses: list[Float[Tensor, "4 4"]]) -> str:
         if len(self._compared) < FEWEST:
             return ""
         frames = [small for _, small in self._compared]
-        found = agreement_of(frames, [poses[number] for number, _ in self._compared])
+        agreement = agreement_of(frames, [poses[number] for number, _ in self._compared])
         better = BETTER if len(frames) >= COMPARED else BETTER_OF_FEW
-        doubt = doubt_of(found, better=better)
+        doubt = doubt_of(agreement, better=better)
         return doubt and f"frames {frames[0].index} to {frames[-1].index} {doubt}; {ADVICE}"
 
     def _step(
@@ -201,13 +201,13 @@ class FrameWatch:
         if self._last is None or self._last_small is None:
             return ""
         turned_deg, moved_m = se3.motion(poses[-2], poses[-1])
-        repeated = repeated_image(self._last, frame)
+        repeat = repeated_image(self._last, frame)
         pair = pairs_of(
             [self._last_small, small],
             poses[-2:],
             [(0, 1)],
         )
-        before = {
+        previous = {
             "index": self._last.index,
             "timestamp_s": self._last.timestamp_s,
             "T_WC": poses[-2],
@@ -218,23 +218,23 @@ class FrameWatch:
             "turned_deg": turned_deg,
             "moved_m": moved_m,
             "seconds": frame.timestamp_s - self._last.timestamp_s,
-            "is_told": bool(jump_from(before, frame)),
+            "is_told": bool(jump_from(previous, frame)),
             "error": _median_error(pair.moved()),
             "still": _median_error(stands_still(pair)),
-            "repeated": bool(repeated),
+            "repeated": bool(repeat),
         }
         self._steps = [*self._steps[-2 * STEPS_AROUND :], step]
         is_still = turned_deg <= STILL_DEG and moved_m <= STILL_M
-        if not repeated or is_still or (self._is_tracking and repeated == "colour and depth"):
-            return self._jump(settled=_SETTLED)
+        if not repeat or is_still or (self._is_tracking and repeat == "colour and depth"):
+            return self._jump(n_after=_SETTLED)
         return (
-            f"frame {frame.index} has the {repeated} of frame {self._last.index}, pixel by pixel, "
+            f"frame {frame.index} has the {repeat} of frame {self._last.index}, pixel by pixel, "
             f"although its pose is {100 * moved_m:.2g} cm and {turned_deg:.2g} degrees away "
             f"(usual: no image is repeated while the camera moves); {ADVICE}"
         )
 
-    def _jump(self, *, settled: int) -> str:
-        """The first step that depth does not confirm, if ``settled`` others came after it.
+    def _jump(self, *, n_after: int) -> str:
+        """The first step that depth does not confirm, if ``n_after`` others came after it.
 
         A step over a pause may be longer. One that no camera makes is told by the mapper. Where the
         depth image changes, too, much more than in the other steps, the recording goes on at
@@ -242,7 +242,7 @@ class FrameWatch:
         """
         if self._is_tracking or all(step["error"] <= JUMP_ERROR for step in self._steps):
             return ""
-        turned, moved, seconds, error, still, repeated, is_told = (
+        turn_deg, step_m, seconds, error, error_at_rest, is_repeat, is_told = (
             np.array([step[name] for step in self._steps])
             for name in (
                 "turned_deg",
@@ -254,51 +254,55 @@ class FrameWatch:
                 "is_told",
             )
         )
-        usual = float(np.nanmedian(still)) if np.isfinite(still).any() else 0.0
-        goes_on = ~(still <= max(_CHANGE, _CHANGE_OF_USUAL * usual))
+        usual = float(np.nanmedian(error_at_rest)) if np.isfinite(error_at_rest).any() else 0.0
+        goes_on = ~(error_at_rest <= max(_CHANGE, _CHANGE_OF_USUAL * usual))
         longer = np.maximum(1.0, seconds / max(float(np.median(seconds)), 1e-6))
-        frozen = repeated | np.append(repeated[1:], False)
-        found = find_jumps(turned / longer, moved / longer, error, frozen)
+        frozen = is_repeat | np.append(is_repeat[1:], False)
+        candidates = find_jumps(turn_deg / longer, step_m / longer, error, frozen)
         jumps = [
-            i for i in found if i < len(self._steps) - settled and not is_told[i] and not goes_on[i]
+            i
+            for i in candidates
+            if i < len(self._steps) - n_after and not is_told[i] and not goes_on[i]
         ]
         if not jumps:
             return ""
         i = min(jumps)
         step = self._steps[i]
         return (
-            f"the pose jumps by {moved[i]:.2g} m and {turned[i]:.2g} degrees from frame "
+            f"the pose jumps by {step_m[i]:.2g} m and {turn_deg[i]:.2g} degrees from frame "
             f"{step['from']} to {step['to']}, and depth does not follow (usual here: "
-            f"{np.median(moved):.2g} m and {np.median(turned):.2g} degrees a frame); {ADVICE}"
+            f"{np.median(step_m):.2g} m and {np.median(turn_deg):.2g} degrees a frame); {ADVICE}"
         )
 
 
-def _median_error(found: Reprojection) -> float:
+def _median_error(points: Reprojection) -> float:
     """Median relative difference in depth; NaN of too few points."""
-    known = found.residual[found.known]
-    return float(known.abs().median()) if len(known) >= _LEAST_POINTS else math.nan
+    residuals = points.residual[points.known]
+    return float(residuals.abs().median()) if len(residuals) >= _LEAST_POINTS else math.nan
 
 
-def doubt_of(found: FirstAgreement, *, better: float = BETTER) -> str:
+def doubt_of(agreement: FirstAgreement, *, better: float = BETTER) -> str:
     """What is doubtful of an agreement, beside what is usual; "" if nothing is. Another reading has
     to gain more than ``better``."""
-    disagrees = found.overlap >= LEAST_OVERLAP and found.share < LEAST_SHARE * found.overlap
-    explains = not disagrees or found.other > _EXPLAINED * found.overlap
-    if explains and found.gain > (better if found.overlap >= LEAST_OVERLAP else FAR_BETTER):
+    disagrees = (
+        agreement.overlap >= LEAST_OVERLAP and agreement.share < LEAST_SHARE * agreement.overlap
+    )
+    explains = not disagrees or agreement.other > _EXPLAINED * agreement.overlap
+    if explains and agreement.gain > (better if agreement.overlap >= LEAST_OVERLAP else FAR_BETTER):
         return (
-            f"agree in depth to {found.as_read:.0%} as read, but to {found.other:.0%} with "
-            f"{found.reading} (usual: best as read)"
+            f"agree in depth to {agreement.as_read:.0%} as read, but to {agreement.other:.0%} with "
+            f"{agreement.reading} (usual: best as read)"
         )
     if disagrees:
         return (
             "do not agree: of the points that fall on a depth of another one, "
-            f"{found.share / found.overlap:.0%} agree "
+            f"{agreement.share / agreement.overlap:.0%} agree "
             f"with it within 3 % (usual: at least {LEAST_SHARE:.0%})"
         )
-    if found.colour > MOST_COLOUR:
+    if agreement.colour > MOST_COLOUR:
         return (
             "agree in depth, but their pictures do not follow: the same points differ by "
-            f"{found.colour:.0%} of what "
+            f"{agreement.colour:.0%} of what "
             f"they would if nothing moved (usual: at most {MOST_COLOUR:.0%})"
         )
     return ""
@@ -333,16 +337,16 @@ class QuietWatch:
         if self._is_over:
             return
         try:
-            said = self._look(run, frame)
+            sentence = self._look(run, frame)
         except Exception as e:
-            said = (
+            sentence = (
                 f"whether the frames agree is not watched any further ({type(e).__name__}: "
                 f"{e}); {ADVICE}"
             )
-        if said:
+        if sentence:
             self._is_over = True
             self._watch = None
-            run.warnings.warn_once(said)
+            run.warnings.warn_once(sentence)
 
     def _look(self, run: WatchedRun, frame: Frame | None) -> str:
         localiser = run.mapper.localiser
@@ -351,8 +355,10 @@ class QuietWatch:
             self._watch = FrameWatch(is_tracking=localiser.is_tracking)
             earlier = len(run.steps) - (frame is not None)
             if earlier > 0 and run.resumable:
-                before = poses if frame is None else poses[:-1]
-                self._watch.look_again(earlier, lambda number: _frame_of(run, number), before)
+                earlier_poses = poses if frame is None else poses[:-1]
+                self._watch.look_again(
+                    earlier, lambda number: _frame_of(run, number), earlier_poses
+                )
         return self._watch.end(poses) if frame is None else self._watch.see(frame, poses)
 
 

@@ -185,10 +185,10 @@ class MappingRun:
         frames = self.frames()
         self._watch.begin(self)
         try:
-            while (taken := self._next_step(frames)) != "end":
-                if isinstance(taken, StepReport):
+            while (outcome := self._next_step(frames)) != "end":
+                if isinstance(outcome, StepReport):
                     self.after_step()
-                    yield taken
+                    yield outcome
             self._watch.look(self, None)
         except FrameUndone:  # the run is asked to stop
             return
@@ -260,27 +260,27 @@ class MappingRun:
 
     def mapped_views(self, limit: int) -> SequenceView:
         """At most ``limit`` of the frames mapped so far, evenly spread; 0 means all."""
-        mapped = self.sequence.mapping
+        mapping = self.sequence.mapping
         n = self.next_position
         return dataclasses.replace(
-            mapped, positions=[mapped.positions[i] for i in evenly(n, limit)]
+            mapping, positions=[mapping.positions[i] for i in evenly(n, limit)]
         )
 
     def covering_views(self, least: int) -> SequenceView:
         """At least this many mapped frames, evenly spread, and those where the camera has moved by
         1 m or turned by 30 degrees since the last one, so that neighbours overlap on any walk."""
         localiser = self.mapper.localiser
-        taken = list[int]()
+        selection = list[int]()
         stride = max(1, len(localiser.poses) // least)
         poses = localiser.poses
         for i, T_WC in enumerate(poses):
             turned_deg, moved_m = (
-                se3.motion(poses[taken[-1]], T_WC) if i % stride else (math.inf, math.inf)
+                se3.motion(poses[selection[-1]], T_WC) if i % stride else (math.inf, math.inf)
             )
             if turned_deg >= 30 or moved_m >= 1:
-                taken.append(i)
+                selection.append(i)
         return dataclasses.replace(
-            self.sequence.mapping, positions=[localiser.frame_indices[i] for i in taken]
+            self.sequence.mapping, positions=[localiser.frame_indices[i] for i in selection]
         )
 
     def extra_metrics(self) -> dict[str, Any]:
@@ -290,14 +290,14 @@ class MappingRun:
     def optimise(self) -> Iterator[GlobalStep]:
         """Run the remaining passes of the global optimisation, continuing an interrupted pass."""
         steps = self.mapper.global_optimise(self.mapper.n_passes - self.mapper.passes.done)
-        lost = self.mapper.lost
-        n_lost = lost.total
+        lost_rows = self.mapper.lost
+        n_lost = lost_rows.total
         has_warned = False
         try:
             while (step := self._next_global_step(steps)) is not None:
-                if lost.total > n_lost and not self.mapper.passes.queue and not has_warned:
+                if lost_rows.total > n_lost and not self.mapper.passes.queue and not has_warned:
                     name = f"pass {self.mapper.passes.done} over the keyframes"
-                    self.warnings.warn(lost.in_words(name))
+                    self.warnings.warn(lost_rows.in_words(name))
                     has_warned = True
                 self.after_step()
                 yield step

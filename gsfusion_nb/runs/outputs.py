@@ -188,18 +188,18 @@ def _strict(value: Any) -> Any:
 def report_views(run: MappingRun) -> list[ReportView]:
     """A few held-out and mapped views: input image and render."""
     panels = []
-    mapped = run.mapped_views(1000)
-    mapped = dataclasses.replace(
-        mapped, positions=[mapped.positions[i] for i in evenly(len(mapped), 3)]
+    map_views = run.mapped_views(1000)
+    map_views = dataclasses.replace(
+        map_views, positions=[map_views.positions[i] for i in evenly(len(map_views), 3)]
     )
     held_out_frames = scored_views(run)["held_out"].spread(3).frames(run.sequence)
-    mapped_frames = frames_in_map(mapped, run.mapper.localiser, run.sequence.mapping)
+    mapped_frames = frames_in_map(map_views, run.mapper.localiser, run.sequence.mapping)
     for frames, held_out in ((held_out_frames, True), (mapped_frames, False)):
         for frame in frames:
-            rendered = run.mapper.render(frame.camera, frame.T_WC)
+            output = run.mapper.render(frame.camera, frame.T_WC)
             panels.append(
                 ReportView.of(
-                    frame, rendered, held_out=held_out, cells=run.mapper.files.quadtree_cells(frame)
+                    frame, output, held_out=held_out, cells=run.mapper.files.quadtree_cells(frame)
                 )
             )
     return panels
@@ -211,11 +211,11 @@ def mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:
     poses = run.poses
     for i, T_WC in enumerate([poses[0], poses[-1]] if poses else []):
         T_WC = T_WC.to(run.mapper.device)
-        seen = run.mapper.surface(run.sequence.camera, T_WC)
-        towards = -(seen.normal_W * T_WC[:3, 2]).sum(-1)  # cosine to the optical axis
-        shaded = (0.15 + 0.85 * towards.clamp(0, 1)) * (seen.depth_m > 0)
-        pictures[f"colour, view {i + 1}"] = seen.rgb.clamp(0, 1).cpu()
-        pictures[f"shape, view {i + 1}"] = shaded[..., None].expand(-1, -1, 3).cpu()
+        surface = run.mapper.surface(run.sequence.camera, T_WC)
+        towards = -(surface.normal_W * T_WC[:3, 2]).sum(-1)  # cosine to the optical axis
+        shading = (0.15 + 0.85 * towards.clamp(0, 1)) * (surface.depth_m > 0)
+        pictures[f"colour, view {i + 1}"] = surface.rgb.clamp(0, 1).cpu()
+        pictures[f"shape, view {i + 1}"] = shading[..., None].expand(-1, -1, 3).cpu()
     return pictures
 
 

@@ -17,25 +17,26 @@ _LIBRARIES = {"PyTorch": "torch", "NumPy": "numpy", "numba": "numba", "triton": 
 def ran_on(device: torch.device) -> dict[str, str]:
     """What a map on this device is made with now, by name; runs of which all is equal have equal
     maps, bit for bit."""
-    found = {
+    versions = {
         "gsfusion_nb": __version__,
         "backend": chosen(),
         "device": device.type,
         "Python": platform.python_version(),
     }
-    found |= {name: _version(distribution) for name, distribution in _LIBRARIES.items()}
-    found["system"] = f"{platform.system()} {platform.machine()}"
-    found["processor"] = torch.backends.cpu.get_cpu_capability()
+    versions |= {name: _version(distribution) for name, distribution in _LIBRARIES.items()}
+    versions["system"] = f"{platform.system()} {platform.machine()}"
+    versions["processor"] = torch.backends.cpu.get_cpu_capability()
     if device.type == "cuda":
-        found["GPU"] = torch.cuda.get_device_name(device)
-    return found
+        versions["GPU"] = torch.cuda.get_device_name(device)
+    return versions
 
 
-def difference(then: Mapping[str, str], now: Mapping[str, str]) -> str:
+def difference(stored: Mapping[str, str], current: Mapping[str, str]) -> str:
     """What differs between two results of ``ran_on``, in words; empty if nothing does."""
-    names = (name for name in {**then, **now} if then.get(name) != now.get(name))
+    names = (name for name in {**stored, **current} if stored.get(name) != current.get(name))
     return ", ".join(
-        f"{name} {now.get(name, 'none')} instead of {then.get(name, 'none')}" for name in names
+        f"{name} {current.get(name, 'none')} instead of {stored.get(name, 'none')}"
+        for name in names
     )
 
 

@@ -157,10 +157,10 @@ def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _views(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
     """Input, render and error of each view, and the same for depth; held-out views come first."""
-    shown = []
+    views = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):
         scores = [f"PSNR {panel.psnr:.2f}{NBSP}dB", f"SSIM {panel.ssim:.3f}"]
-        shown.append(
+        views.append(
             {
                 "name": panel.name,
                 "held_out": panel.held_out,
@@ -168,48 +168,60 @@ def _views(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
                 "pictures": _pictures(panel),
             }
         )
-    return shown
+    return views
 
 
 def _pictures(panel: ReportView) -> list[dict[str, Any]]:
-    measured = panel.depth_m
-    rendered = panel.render_depth_m
-    near, far = pictures.depth_range_m(measured, rendered)
+    depth_m = panel.depth_m
+    render_depth_m = panel.render_depth_m
+    near_m, far_m = pictures.depth_range_m(depth_m, render_depth_m)
     error = pictures.ERROR_COLOURS
     depth = pictures.DEPTH_COLOURS
     light = ColourBar(colours=error, low="0", high=f"{pictures.ERROR_LIMIT:g} or more, of 1")
-    metres = ColourBar(colours=depth, low=f"{near:.2f}{NBSP}m", high=f"{far:.2f}{NBSP}m")
-    off = ColourBar(
+    metres = ColourBar(colours=depth, low=f"{near_m:.2f}{NBSP}m", high=f"{far_m:.2f}{NBSP}m")
+    difference = ColourBar(
         colours=error, low="0", high=f"{pictures.DEPTH_ERROR_LIMIT_M * 100:g}{NBSP}cm or more"
     )
-    shown = (
+    rows = (
         ("Input", panel.rgb, None),
         ("Render", panel.render, None),
         ("|Render − input|, mean of channels", pictures.error_map(panel.render, panel.rgb), light),
-        ("Depth, measured (striped: missing)", pictures.colour_depth(measured, near, far), metres),
-        ("Depth, rendered (striped: missing)", pictures.colour_depth(rendered, near, far), metres),
-        ("|Rendered − measured depth|", pictures.depth_error_map(rendered, measured), off),
+        (
+            "Depth, measured (striped: missing)",
+            pictures.colour_depth(depth_m, near_m, far_m),
+            metres,
+        ),
+        (
+            "Depth, rendered (striped: missing)",
+            pictures.colour_depth(render_depth_m, near_m, far_m),
+            metres,
+        ),
+        (
+            "|Rendered − measured depth|",
+            pictures.depth_error_map(render_depth_m, depth_m),
+            difference,
+        ),
     )
     return [
         page_picture(image, words, alt=f"{panel.name}, {words}", bar=bar)
-        for words, image, bar in shown
+        for words, image, bar in rows
     ]
 
 
 def _quadtrees(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
     """The input of each view that has quadtree cells, with the cells drawn over it."""
-    shown = []
+    trees = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):
         if panel.cells is None:
             continue
         scale = max(1, round(PICTURE_WIDTH / panel.rgb.shape[1]))
-        painted = pictures.paint_cells(panel.rgb, panel.cells, scale=scale)
+        canvas = pictures.paint_cells(panel.rgb, panel.cells, scale=scale)
         caption = (
             f"{panel.name}, {len(panel.cells.level):,} cells: one Gaussian may be seeded in each"
         )
         bar = ColourBar(colours=pictures.LEVEL_COLOURS, low="coarse", high="fine")
-        shown.append(page_picture(painted, caption, alt=f"{panel.name}, quadtree", bar=bar))
-    return shown
+        trees.append(page_picture(canvas, caption, alt=f"{panel.name}, quadtree", bar=bar))
+    return trees
 
 
 def _graphs(
@@ -222,16 +234,16 @@ def _graphs(
         "marks": [row.frame_index for row in frames if row.is_keyframe],
         "marks_label": "keyframe",
     }
-    shown = []
+    graphs = []
     if frames:
         times = _stages_ms(frames)
-        shown.append(
+        graphs.append(
             page_graph(
                 "Time per frame", x, times, x_label="frame", y_label="time, ms", stacked=True
             )
         )
         gaussians = {"Gaussians": [row.n_gaussians for row in frames]}
-        shown.append(
+        graphs.append(
             page_graph(
                 "Size of the map", x, gaussians, x_label="frame", y_label="Gaussians", **marks
             )
@@ -239,14 +251,14 @@ def _graphs(
     if frames and states:
         counts = {name.replace("_", " "): [row.counts[name] for row in frames] for name in states}
         labels = {"x_label": "frame", "y_label": "Gaussians"}
-        shown.append(page_graph("States of the Gaussians", x, counts, stacked=True, **labels))
+        graphs.append(page_graph("States of the Gaussians", x, counts, stacked=True, **labels))
     psnr = {
         "before the step": [r.psnr_before_db for r in frames],
         "after the step": [r.psnr_after_db for r in frames],
     }
     psnr = {label: values for label, values in psnr.items() if not all(map(math.isnan, values))}
     if psnr:
-        shown.append(
+        graphs.append(
             page_graph(
                 "PSNR of the current view", x, psnr, x_label="frame", y_label="PSNR, dB", **marks
             )
@@ -256,7 +268,7 @@ def _graphs(
             "first step": [row.losses[0] if row.losses else math.nan for row in frames],
             "last step": [row.losses[-1] if row.losses else math.nan for row in frames],
         }
-        shown.append(
+        graphs.append(
             page_graph(
                 "Loss at a frame's first and last step", x, ends, x_label="frame", y_label="loss"
             )
@@ -265,8 +277,10 @@ def _graphs(
         passes = list(range(1, len(global_losses) + 1))
         loss = {"mean loss": list(global_losses)}
         label = "pass over the keyframes"
-        shown.append(page_graph("Global optimisation", passes, loss, x_label=label, y_label="loss"))
-    return shown
+        graphs.append(
+            page_graph("Global optimisation", passes, loss, x_label=label, y_label="loss")
+        )
+    return graphs
 
 
 def _stages(frames: Sequence[StepReport]) -> list[dict[str, str]]:
@@ -292,7 +306,7 @@ def _stages_ms(frames: Sequence[StepReport]) -> dict[str, list[float]]:
 
 def _metric_groups(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     """All metrics in groups, each with its meaning; metrics with unknown names come last."""
-    known = {
+    groups = {
         group: [
             _metric_line(METRICS[n].label, METRICS[n].meaning, n, metrics[n])
             for n in names
@@ -300,12 +314,12 @@ def _metric_groups(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
         ]
         for group, names in METRIC_GROUPS.items()
     }
-    known["Other"] = [
+    groups["Other"] = [
         _metric_line(name, "", name, value)
         for name, value in metrics.items()
         if name not in METRICS
     ]
-    return [{"title": group, "lines": lines} for group, lines in known.items() if lines]
+    return [{"title": group, "lines": lines} for group, lines in groups.items() if lines]
 
 
 def _metric_line(

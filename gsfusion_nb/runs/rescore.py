@@ -70,8 +70,8 @@ def rescore(
         )
     views = read_views(folder)
     sequence = _sequence_of(folder, source, config.data)
-    known = settings.get("data_content")
-    if known and known != sequence_fingerprint(sequence):
+    content = settings.get("data_content")
+    if content and content != sequence_fingerprint(sequence):
         _warn(
             document,
             f"{source['path_or_name']} does not hold the data that this run was mapped from: the "
@@ -91,24 +91,25 @@ def rescore(
     scores = metrics_as_json(
         score_in_map(draw, views, sequence, with_lpips=with_lpips, align=align)
     )
-    stored = document["metrics"]
+    stored_metrics = document["metrics"]
     if not with_lpips:
         scores = {
             name: value
             for name, value in scores.items()
-            if not (name.startswith("lpips") and name in stored)
+            if not (name.startswith("lpips") and name in stored_metrics)
         }
-    changed = [
+    changed_names = [
         name
         for name, value in scores.items()
-        if _is_number(stored.get(name)) and value != stored[name]
+        if _is_number(stored_metrics.get(name)) and value != stored_metrics[name]
     ]
-    if changed:
+    if changed_names:
         differences = ", ".join(
-            f"{name} {_short(stored[name])} -> {_short(scores[name])}" for name in changed
+            f"{name} {_short(stored_metrics[name])} -> {_short(scores[name])}"
+            for name in changed_names
         )
         _warn(document, f"these scores differ from those of the run: {differences}")
-    document["metrics"] = stored | scores
+    document["metrics"] = stored_metrics | scores
     write_json(folder / METRICS, document)
     return document["metrics"]
 

@@ -55,18 +55,18 @@ def load_run(
             else "map again"
         )
         raise FileNotFoundError(f"{store.folder} holds no checkpoint: {why}")
-    loaded = store.load()
+    checkpoint = store.load()
     try:
-        check_values({name: loaded.state[name] for name in ("run", "mapper")})
-        check_names(loaded.state.get("ran_on"), "ran_on")
-        check_values(_reports(loaded.state["run"]), ("run", "steps"))
-        run = _run_of(loaded.state, path, seeding, device, given)
-        load_random_state(loaded.state["random"])
+        check_values({name: checkpoint.state[name] for name in ("run", "mapper")})
+        check_names(checkpoint.state.get("ran_on"), "ran_on")
+        check_values(_reports(checkpoint.state["run"]), ("run", "steps"))
+        run = _run_of(checkpoint.state, path, seeding, device, given)
+        load_random_state(checkpoint.state["random"])
         check_same(
-            loaded.state["random"],
-            random_state() | {"torch_cuda": loaded.state["random"]["torch_cuda"]},
+            checkpoint.state["random"],
+            random_state() | {"torch_cuda": checkpoint.state["random"]["torch_cuda"]},
         )
-        check_same({name: loaded.state[name] for name in _KEPT}, document_of(run))
+        check_same({name: checkpoint.state[name] for name in _KEPT}, document_of(run))
         check_agreement(run)
         run.warnings += [note for note in run.mapper.notes if note not in run.warnings]
     except SequenceError as e:
@@ -78,12 +78,13 @@ def load_run(
             f"{store.folder} is damaged or from another version: {reason_of(e)}"
         ) from None
     run.store = store
-    if said := _other_program(loaded.state.get("ran_on"), run):
-        run.warnings.warn_once(said)
-    run.warnings += [said for said in loaded.copies if said not in run.warnings]
-    if loaded.passed_over:
+    if sentence := _other_program(checkpoint.state.get("ran_on"), run):
+        run.warnings.warn_once(sentence)
+    run.warnings += [sentence for sentence in checkpoint.copies if sentence not in run.warnings]
+    if checkpoint.passed_over:
         run.warnings.append(
-            f"{loaded.passed_over}; checkpoint {loaded.number}, which is intact, is used instead"
+            f"{checkpoint.passed_over}; checkpoint {checkpoint.number}, which is intact, is used "
+            "instead"
         )
     return run
 
@@ -110,37 +111,39 @@ def resume_command(folder: Path, rule: SeedingRule) -> str:
     return shlex.join(words)
 
 
-def _other_program(then: dict[str, str] | None, run: MappingRun) -> str:
+def _other_program(stored: dict[str, str] | None, run: MappingRun) -> str:
     """A sentence if the run goes on with another backend or version than it was interrupted with;
     else empty."""
     where = f"after {len(run.steps)} frames and {run.mapper.passes.done} passes the run continued"
-    if then is None:
+    if stored is None:
         return (
             f"{where} from a checkpoint that does not say with which versions and backend it "
             "was made"
         )
-    changed = difference(then, ran_on(run.mapper.device))
+    changes = difference(stored, ran_on(run.mapper.device))
     return (
-        changed
-        and f"{where} with {changed}: its maps are not, bit for bit, those of a run without "
+        changes
+        and f"{where} with {changes}: its maps are not, bit for bit, those of a run without "
         "interruption"
     )
 
 
 def _refuse_changes(
-    then: dict[str, str],
-    now: dict[str, str],
+    stored_hashes: dict[str, str],
+    current_hashes: dict[str, str],
     path: Path,
 ) -> None:
     """Raise ``SequenceError`` with the first files that differ between two states of a
     recording."""
     changes = []
-    for file in sorted(then | now):
-        if file not in then:
+    for file in sorted(stored_hashes | current_hashes):
+        if file not in stored_hashes:
             changes.append(f"{file} (new)")
-        elif file not in now or (now[file] == UNREADABLE and then[file] != UNREADABLE):
+        elif file not in current_hashes or (
+            current_hashes[file] == UNREADABLE and stored_hashes[file] != UNREADABLE
+        ):
             changes.append(f"{file} (deleted)")
-        elif then[file] != now[file]:
+        elif stored_hashes[file] != current_hashes[file]:
             changes.append(f"{file} (changed)")
     if changes:
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
@@ -151,7 +154,7 @@ def _refuse_changes(
 
 
 def _rule_of(
-    path: Path, document: dict[str, Any], given: "str | SeedingRule | None"
+    path: Path, document: dict[str, Any], seeding: "str | SeedingRule | None"
 ) -> "str | SeedingRule | None":
     """The rule to continue with. Code in the run's folder is somebody else's until the caller names
     it.
@@ -161,32 +164,32 @@ def _rule_of(
         SequenceError: a file is given whose content is not that in the run's folder.
     """
     if not document["rule_from_file"]:
-        return given
+        return seeding
     own = path / RULE
     name = document["mapper"]["rule"]["name"]
-    stored, _ = read_rule_file(f"{own}:{name}")
-    if given is None:
+    own_rule, _ = read_rule_file(f"{own}:{name}")
+    if seeding is None:
         rule = f"{own}:{name}"
         raise RuleNotNamedError(path, [rule], f"resume_mapping({str(path)!r}, seeding={rule!r})")
-    if not (isinstance(given, str) and is_rule_file(given)):
-        return given
-    if read_rule_file(given) != (stored, name):
+    if not (isinstance(seeding, str) and is_rule_file(seeding)):
+        return seeding
+    if read_rule_file(seeding) != (own_rule, name):
         raise SequenceError(
-            f"{given} is not the seeding rule with which the run in {path} began: the run's own is "
-            f"{own}:{name}; name that one to continue, or map again with the new one"
+            f"{seeding} is not the seeding rule with which the run in {path} began: the run's "
+            f"own is {own}:{name}; name that one to continue, or map again with the new one"
         )
-    return rule_of_source(stored, name, given.rpartition(":")[0], rule_folder(given))
+    return rule_of_source(own_rule, name, seeding.rpartition(":")[0], rule_folder(seeding))
 
 
-def _is_own(path: Path, given: "str | SeedingRule | None") -> bool:
+def _is_own(path: Path, seeding: "str | SeedingRule | None") -> bool:
     """The rule is to be the one that the run began with: none is given, or the one in its
     folder."""
-    if given is None:
+    if seeding is None:
         return True
     return (
-        isinstance(given, str)
-        and is_rule_file(given)
-        and is_named(given.rpartition(":")[0], [path / RULE])
+        isinstance(seeding, str)
+        and is_rule_file(seeding)
+        and is_named(seeding.rpartition(":")[0], [path / RULE])
     )
 
 
@@ -195,7 +198,7 @@ def _run_of(
     path: Path,
     seeding: "str | SeedingRule | None",
     device: torch.device | str,
-    given: dict[str, Any],
+    mapper_options: dict[str, Any],
 ) -> MappingRun:
     source = document["source"]
     state = document["run"]
@@ -206,7 +209,9 @@ def _run_of(
         )
     rule = _rule_of(path, document, seeding)
     system = get_system(document["system"])
-    mapper = system.from_state_dict(document["mapper"], seeding=rule, device=device, **given)
+    mapper = system.from_state_dict(
+        document["mapper"], seeding=rule, device=device, **mapper_options
+    )
     changes = mapper.rule_in_use.difference(document["mapper"]["rule"])
     if changes and _is_own(path, seeding):
         raise SequenceError(
@@ -216,10 +221,10 @@ def _run_of(
         )
     if "stream" in source:
         return StreamRun.after_a_kill(source, mapper, state)
-    then = unpacked(state["data_files"])
-    _refuse_changes(then, file_hashes(then), path)
+    stored_hashes = unpacked(state["data_files"])
+    _refuse_changes(stored_hashes, file_hashes(stored_hashes), path)
     run = MappingRun(open_sequence(**source, data=mapper.config.data), mapper, source=source)
-    _refuse_changes(then, run.data_files, path)
+    _refuse_changes(stored_hashes, run.data_files, path)
     run.load_state_dict(state)
     cameras = [run.mapper.localiser.camera, *(keyframe.camera for keyframe in run.mapper.keyframes)]
     others = [camera for camera in cameras if camera not in (None, run.sequence.camera)]

@@ -29,16 +29,16 @@ class RunClock:
     reading while they are waited for.
 
     Args:
-        now: Returns the time in seconds.
+        clock: Returns the time in seconds.
         cpu: Returns the processor time of the process in seconds.
     """
 
     def __init__(
         self,
-        now: Callable[[], float] = time.perf_counter,
+        clock: Callable[[], float] = time.perf_counter,
         cpu: Callable[[], float] = time.process_time,
     ):
-        self._now = now
+        self._now = clock
         self._cpu = cpu
         self.seconds: dict[str, float] = dict.fromkeys(STAGES, 0.0)
         """Stage -> wall time so far, seconds."""
@@ -46,7 +46,7 @@ class RunClock:
         """Stage -> processor time so far, seconds, of all threads."""
         self._thread = threading.get_ident()
         self._inside = ["other"]
-        self._since = now(), cpu()
+        self._since = clock(), cpu()
 
     @contextlib.contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
@@ -87,9 +87,9 @@ class RunClock:
 
     def _count(self) -> None:
         """Add the time since the last change to the stage that is open."""
-        now = self._now()
+        instant = self._now()
         cpu = self._cpu()
         stage = self._inside[-1]
-        self.seconds[stage] += now - self._since[0]
+        self.seconds[stage] += instant - self._since[0]
         self.cpu_seconds[stage] += cpu - self._since[1]
-        self._since = now, cpu
+        self._since = instant, cpu

@@ -307,12 +307,12 @@ class StopRequest:
     @contextlib.contextmanager
     def held_back(self) -> Iterator[None]:
         """A block that no signal interrupts, for writing files."""
-        before = self.saving
+        was_saving = self.saving
         self.saving = True
         try:
             yield
         finally:
-            self.saving = before
+            self.saving = was_saving
 
     @contextlib.contextmanager
     def listening(self) -> Iterator["StopRequest"]:
@@ -321,12 +321,12 @@ class StopRequest:
         if threading.current_thread() is not threading.main_thread():
             yield self
             return
-        before = {
+        handlers = {
             number: signal.signal(number, self._handle)
             for number in (signal.SIGINT, signal.SIGTERM)
         }
         try:
             yield self
         finally:
-            for number, handler in before.items():
+            for number, handler in handlers.items():
                 signal.signal(number, handler)

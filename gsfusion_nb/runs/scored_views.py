@@ -50,27 +50,27 @@ def poses_in_map(
     the map.
     """
     if not localiser.is_tracking or not localiser.poses:
-        refined = (
+        refined_poses = (
             zip(localiser.frame_indices, localiser.poses, strict=True)
             if localiser.is_refined
             else ()
         )
-        mapped_at = dict(refined)
+        mapped_at = dict(refined_poses)
         return [mapped_at.get(index, _data_pose(view, i)) for i, index in enumerate(view.positions)]
-    mapped = torch.tensor(localiser.frame_indices)
+    map_indices = torch.tensor(localiser.frame_indices)
     position = {index: i for i, index in enumerate(mapping.positions)}
     poses = []
     for i, index in enumerate(view.positions):
-        nearest = int((mapped - index).abs().argmin())
+        nearest = int((map_indices - index).abs().argmin())
         T_WC: Tensor | None = localiser.poses[nearest]
-        if int(mapped[nearest]) != index:
-            at = position.get(int(mapped[nearest])) if has_poses(mapping) else None
-            there = None if at is None else _data_pose(mapping, at)
-            here = _data_pose(view, i)
+        if int(map_indices[nearest]) != index:
+            at = position.get(int(map_indices[nearest])) if has_poses(mapping) else None
+            T_data_nearest = None if at is None else _data_pose(mapping, at)
+            T_data = _data_pose(view, i)
             T_WC = (
                 None
-                if there is None or here is None
-                else T_WC @ se3.inverse(there.to(T_WC)) @ here.to(T_WC)
+                if T_data_nearest is None or T_data is None
+                else T_WC @ se3.inverse(T_data_nearest.to(T_WC)) @ T_data.to(T_WC)
             )
         poses.append(T_WC)
     return poses
@@ -90,8 +90,8 @@ def frames_at(
 ) -> Iterator[Frame]:
     """The readable frames of a view with other poses, one per frame; frames with ``None`` are left
     out."""
-    posed = [i for i, T_WC in enumerate(poses) if T_WC is not None]
-    for i in posed:
+    positions = [i for i, T_WC in enumerate(poses) if T_WC is not None]
+    for i in positions:
         try:
             frame = view[i]
         except SequenceError:
@@ -198,31 +198,33 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
     """
     localiser = run.mapper.localiser
     mapping = run.sequence.mapping
-    mapped = run.mapped_views(run.mapper.config.data.scored_views)
-    refused = set(mapped.positions) - set(localiser.frame_indices)  # read, but not mapped
-    mapped = dataclasses.replace(
-        mapped, positions=[p for p in mapped.positions if p not in refused]
+    map_views = run.mapped_views(run.mapper.config.data.scored_views)
+    not_mapped = set(map_views.positions) - set(localiser.frame_indices)  # read, but not mapped
+    map_views = dataclasses.replace(
+        map_views, positions=[p for p in map_views.positions if p not in not_mapped]
     )
-    found = {}
-    for name, view in (("held_out", run.sequence.held_out), ("mapped", mapped)):
+    groups = {}
+    for name, view in (("held_out", run.sequence.held_out), ("mapped", map_views)):
         poses = poses_in_map(view, localiser, mapping)
         if name == "held_out":
             poses = _localised(run, view, poses)
-        posed = [
+        with_pose = [
             (position, T_WC.to("cpu", torch.float32))
             for position, T_WC in zip(view.positions, poses, strict=True)
             if T_WC is not None
         ]
-        found[name] = ScoredViews([position for position, _ in posed], [T_WC for _, T_WC in posed])
-    held_out = found["held_out"]
+        groups[name] = ScoredViews(
+            [position for position, _ in with_pose], [T_WC for _, T_WC in with_pose]
+        )
+    held_out = groups["held_out"]
     gains = _gains_between(run, held_out.positions)
     if localiser.is_refined or gains:
-        moved = [
+        refined_poses = [
             localiser.refined(*view)
             for view in zip(held_out.positions, held_out.poses, strict=True)
         ]
-        found["held_out_between"] = ScoredViews(held_out.positions, moved, gains)
-    return found
+        groups["held_out_between"] = ScoredViews(held_out.positions, refined_poses, gains)
+    return groups
 
 
 def _localised(
@@ -245,22 +247,22 @@ def _localised(
         tuple(view.positions),
     )
     if run.localised is None or run.localised[0] != state:
-        found: dict[int, Tensor] = {}
+        pose_of: dict[int, Tensor] = {}
         for frame in frames_at(view, [torch.eye(4) if T_WC is None else None for T_WC in poses]):
             with contextlib.suppress(SequenceError):
                 T_WC = localised_pose(mapper, frame)
                 if T_WC is not None:
-                    found[frame.index] = T_WC
-        run.localised = state, found
-        lost = [view.positions[i] for i in missing if view.positions[i] not in found]
-        if lost:
+                    pose_of[frame.index] = T_WC
+        run.localised = state, pose_of
+        missing_frames = [view.positions[i] for i in missing if view.positions[i] not in pose_of]
+        if missing_frames:
             run.warnings.warn_once(
-                f"{len(lost)} of {len(missing)} held-out frames could not be found in the map and "
-                f"are not scored, the first is frame {lost[0]}"
+                f"{len(missing_frames)} of {len(missing)} held-out frames could not be found in "
+                f"the map and are not scored, the first is frame {missing_frames[0]}"
             )
-    known = run.localised[1]
+    poses_found = run.localised[1]
     return [
-        known.get(index) if T_WC is None else T_WC
+        poses_found.get(index) if T_WC is None else T_WC
         for index, T_WC in zip(view.positions, poses, strict=True)
     ]
 
@@ -275,22 +277,22 @@ def _gains_between(
     Of a mapped view that is no keyframe it is fitted here, from its picture.
     """
     mapper = run.mapper
-    mapped = run.sequence.mapping
-    fitted = {k.index: k.gain for k in mapper.keyframes if k.gain is not None}
-    if not fitted:
+    mapping = run.sequence.mapping
+    gain_of = {k.index: k.gain for k in mapper.keyframes if k.gain is not None}
+    if not gain_of:
         return {}
     poses = dict(zip(mapper.localiser.frame_indices, mapper.localiser.poses, strict=True))
     indices = sorted(poses)
     places = [bisect.bisect(indices, p) for p in positions]
-    around = {i for at in places for i in indices[max(at - 1, 0) : at + 1]} - fitted.keys()
-    wanted = [i for i in mapped.positions if i in around]
-    view = dataclasses.replace(mapped, positions=wanted)
-    for frame in frames_at(view, [poses[i] for i in wanted]):
-        shown = mapper.render(frame.camera, frame.T_WC)
-        fitted[frame.index] = fit_gain(
-            shown.rgb, frame.rgb.to(shown.rgb), shown.alpha >= SHOWN_ALPHA
+    neighbours = {i for at in places for i in indices[max(at - 1, 0) : at + 1]} - gain_of.keys()
+    view_positions = [i for i in mapping.positions if i in neighbours]
+    view = dataclasses.replace(mapping, positions=view_positions)
+    for frame in frames_at(view, [poses[i] for i in view_positions]):
+        output = mapper.render(frame.camera, frame.T_WC)
+        gain_of[frame.index] = fit_gain(
+            output.rgb, frame.rgb.to(output.rgb), output.alpha >= SHOWN_ALPHA
         )
-    return {p: exposure_between(fitted, p) for p in positions}
+    return {p: exposure_between(gain_of, p) for p in positions}
 
 
 def score_in_map(
@@ -318,9 +320,9 @@ def score_in_map(
     metrics: dict[str, Any] = {}
     groups = dict(views)
     if align is not None:
-        fitted = _fitted(views["held_out"].frames(sequence), render, align)
-        groups["held_out_aligned"] = dataclasses.replace(fitted, gains={})
-        groups["held_out_fitted"] = fitted
+        fits = _fitted(views["held_out"].frames(sequence), render, align)
+        groups["held_out_aligned"] = dataclasses.replace(fits, gains={})
+        groups["held_out_fitted"] = fits
     for name, group in groups.items():
         scores = group.scores(render, sequence, with_lpips=with_lpips)
         metrics |= scores.as_metrics(name + suffix)
@@ -337,11 +339,11 @@ def _fitted(
     views = ScoredViews([], [])
     for frame in frames:
         T_WC = align(frame)
-        shown = draw(frame.camera, T_WC)
+        output = draw(frame.camera, T_WC)
         views.positions.append(frame.index)
         views.poses.append(T_WC.to(frame.T_WC))
         views.gains[frame.index] = fit_gain(
-            shown.rgb, frame.rgb.to(shown.rgb.device), shown.alpha >= SHOWN_ALPHA
+            output.rgb, frame.rgb.to(output.rgb.device), output.alpha >= SHOWN_ALPHA
         )
     return views
 

@@ -43,8 +43,8 @@ def score(
     mapper = run.mapper
     with run.clock("view_scores"):
         draw = mapper.files.drawn_as_stored()
-        wanted = mapper.config.data.align_held_out and not suffix
-        align = (lambda frame: mapper.files.aligned_pose(draw, params, frame)) if wanted else None
+        aligns = mapper.config.data.align_held_out and not suffix
+        align = (lambda frame: mapper.files.aligned_pose(draw, params, frame)) if aligns else None
         views = scored_views(run)
         metrics = score_in_map(
             draw, views, run.sequence, suffix, with_lpips=with_lpips, align=align
@@ -109,8 +109,8 @@ def score_trajectory(run: MappingRun) -> dict[str, Any]:
     """Absolute trajectory error of tracked or refined poses against the true ones, where the data
     knows them, else the data's own; empty if no pose moved, or there are none to compare."""
     localiser = run.mapper.localiser
-    moved = localiser.is_tracking or localiser.is_refined
-    truth = ground_truth_poses(localiser, run.sequence.mapping) if moved else None
+    has_moved = localiser.is_tracking or localiser.is_refined
+    truth = ground_truth_poses(localiser, run.sequence.mapping) if has_moved else None
     if truth is None or len(localiser.poses) < 3:
         return {}
     scores = trajectory_scores(torch.stack(localiser.poses), truth)
@@ -152,13 +152,13 @@ def score_mesh(
     if truth is None:
         return metrics
     n_samples = n_samples or SURFACE_SAMPLES
-    seen = cull_unseen(truth(), readable_frames(run.covering_views(50)))
+    visible_surface = cull_unseen(truth(), readable_frames(run.covering_views(50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed if seed is None else seed)
-    scores = mesh_scores(mesh, seen, generator=generator, n_samples=n_samples)
+    scores = mesh_scores(mesh, visible_surface, generator=generator, n_samples=n_samples)
     metrics |= _named("mesh", scores)
     if run.mapper.description.gaussians_are_discs:
         discs = run.mapper.params_now()
-        scores = disc_scores(discs, seen, generator=generator, n_samples=n_samples)
+        scores = disc_scores(discs, visible_surface, generator=generator, n_samples=n_samples)
         metrics |= _named("disc", scores)
     return metrics
 

@@ -60,8 +60,8 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
         views=_views([outputs.report_views(run.run) for run in runs], names),
         meshes=[
             page_picture(picture, f"{name}, {words.partition(',')[0]}")
-            for seen in zip(*(outputs.mesh_pictures(run.run).items() for run in runs), strict=True)
-            for name, (words, picture) in zip(names, seen, strict=True)
+            for views in zip(*(outputs.mesh_pictures(run.run).items() for run in runs), strict=True)
+            for name, (words, picture) in zip(names, views, strict=True)
         ][: 2 * len(runs)],
         graphs=[
             page_graph(
@@ -81,10 +81,10 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
 def numbers_of(runs: Sequence["FinishedRun"]) -> list[list[str]]:
     """The rows of a table: a head with the names of the systems, then each number's label and its
     values."""
-    known = [name for name in NUMBERS if any(name in run.metrics for run in runs)]
+    names = [name for name in NUMBERS if any(name in run.metrics for run in runs)]
     rows = [
         [NUMBERS[name], *(format_metric(name, run.metrics.get(name)) for run in runs)]
-        for name in known
+        for name in names
     ]
     return [["", *(run.mapper.description.title for run in runs)], *rows]
 
@@ -95,17 +95,17 @@ def _views(
 ) -> list[dict[str, Any]]:
     """Each view that all runs held out: what was recorded, and of each run the picture and the
     error of its depth."""
-    shown = []
+    view_rows = []
     held_out = [{view.name: view for view in views if view.held_out} for views in of_runs]
     for first in held_out[0].values():
         panels = [views[first.name] for views in held_out if first.name in views]
         if len(panels) < len(held_out):
             continue
-        near, far = pictures.depth_range_m(first.depth_m)
+        near_m, far_m = pictures.depth_range_m(first.depth_m)
         metres = ColourBar(
-            colours=pictures.DEPTH_COLOURS, low=f"{near:.2f}{NBSP}m", high=f"{far:.2f}{NBSP}m"
+            colours=pictures.DEPTH_COLOURS, low=f"{near_m:.2f}{NBSP}m", high=f"{far_m:.2f}{NBSP}m"
         )
-        off = ColourBar(
+        difference = ColourBar(
             colours=pictures.ERROR_COLOURS,
             low="0",
             high=f"{pictures.DEPTH_ERROR_LIMIT_M * 100:g}{NBSP}cm or more",
@@ -117,16 +117,19 @@ def _views(
                     panel.render, f"{name}, {panel.psnr:.2f}{NBSP}dB", alt=f"{first.name}, {name}"
                 )
             )
-        measured = pictures.colour_depth(first.depth_m, near, far)
+        depth_picture = pictures.colour_depth(first.depth_m, near_m, far_m)
         rows.append(
-            page_picture(measured, "Depth as measured", alt=f"{first.name}, depth", bar=metres)
+            page_picture(depth_picture, "Depth as measured", alt=f"{first.name}, depth", bar=metres)
         )
         for name, panel in zip(names, panels, strict=True):
             error = pictures.depth_error_map(panel.render_depth_m, panel.depth_m)
             rows.append(
                 page_picture(
-                    error, f"{name}, error of depth", alt=f"{first.name}, {name}, depth", bar=off
+                    error,
+                    f"{name}, error of depth",
+                    alt=f"{first.name}, {name}, depth",
+                    bar=difference,
                 )
             )
-        shown.append({"name": first.name, "pictures": rows})
-    return shown
+        view_rows.append({"name": first.name, "pictures": rows})
+    return view_rows

@@ -133,7 +133,7 @@ def check_values(value: Any, where: tuple[str, ...] = ()) -> None:
 
 def check_same(
     state: Any,
-    again: Any,
+    expected_state: Any,
     where: tuple[str, ...] = (),
 ) -> None:
     """Check that what a run would write is what it was made of.
@@ -141,26 +141,26 @@ def check_same(
     Raises:
         SequenceError: with the first place where they differ.
     """
-    if type(state) is not type(again):
-        raise _refusal(where, _kind(again), _kind(state))
+    if type(state) is not type(expected_state):
+        raise _refusal(where, _kind(expected_state), _kind(state))
     if isinstance(state, dict):
-        for key in [*state, *again]:
-            if key in state and key not in again:
+        for key in [*state, *expected_state]:
+            if key in state and key not in expected_state:
                 raise _refusal((*where, str(key)), "nothing of this name", _kind(state[key]))
             # what is not in it came after it was written
             if key in state and key not in _GOES_ON:
-                check_same(state[key], again[key], (*where, str(key)))
+                check_same(state[key], expected_state[key], (*where, str(key)))
     elif isinstance(state, list | tuple):
-        if len(state) != len(again):
-            raise _refusal(where, f"{len(again)} entries", f"{len(state)}")
-        for i, (mine, theirs) in enumerate(zip(state, again, strict=True)):
+        if len(state) != len(expected_state):
+            raise _refusal(where, f"{len(expected_state)} entries", f"{len(state)}")
+        for i, (mine, theirs) in enumerate(zip(state, expected_state, strict=True)):
             check_same(mine, theirs, (*where, str(i)))
     elif isinstance(state, Tensor):
-        _check_same_tensor(state, again, where)
-    elif state != again and not (
-        isinstance(state, float) and math.isnan(state) and math.isnan(again)
+        _check_same_tensor(state, expected_state, where)
+    elif state != expected_state and not (
+        isinstance(state, float) and math.isnan(state) and math.isnan(expected_state)
     ):
-        raise _refusal(where, shown(again), shown(state))
+        raise _refusal(where, shown(expected_state), shown(state))
 
 
 def check_names(values: Any, where: str) -> None:
@@ -211,9 +211,9 @@ def check_agreement(run: Any) -> None:
             f"a mapped frame of a state has the index {min(indices)}, expected at least 0"
         )
     numbers = [keyframe.index for keyframe in keyframes]
-    if lost := {step.frame_index for step in run.steps if step.is_keyframe} - set(numbers):
+    if absent := {step.frame_index for step in run.steps if step.is_keyframe} - set(numbers):
         raise SequenceError(
-            f"keyframe {min(lost)} of the reports of a state is not among its keyframes"
+            f"keyframe {min(absent)} of the reports of a state is not among its keyframes"
         )
     if strange := set(numbers) - set(indices):
         raise SequenceError(f"keyframe {min(strange)} of a state is not among its mapped frames")
@@ -249,15 +249,15 @@ def _check_rows(model: Any) -> None:
 
 def _check_holder(value: Any, where: tuple[str, ...]) -> None:
     """Lists and dictionaries are where they belong, and nowhere else."""
-    above, name = ("", "", *where)[-2:]
-    is_entry = (above in LISTS and above != "usual_fit" and name.isdigit()) or above in TABLES - {
-        "tracking"
-    }
+    holder, name = ("", "", *where)[-2:]
+    is_entry = (
+        holder in LISTS and holder != "usual_fit" and name.isdigit()
+    ) or holder in TABLES - {"tracking"}
     if not is_entry and name in LISTS and not isinstance(value, list | tuple):
         raise _refusal(where, "a list", _kind(value))
     if not is_entry and name in TABLES and not isinstance(value, dict):
         raise _refusal(where, "a dictionary", _kind(value))
-    is_number = name in (COUNTS | NUMBERS | FLAGS) - LISTS - TABLES - _OTHERS or (above, name) == (
+    is_number = name in (COUNTS | NUMBERS | FLAGS) - LISTS - TABLES - _OTHERS or (holder, name) == (
         "adam",
         "steps",
     )
@@ -302,8 +302,8 @@ def _check_plain(value: Any, where: tuple[str, ...]) -> None:
         if not (isinstance(value, bool) and names & FLAGS):
             raise _refusal(where, "yes or no" if names & FLAGS else "a number", shown(value))
         return
-    named = next((part for part in reversed(where) if not part.isdigit()), "")
-    if named in COUNTS or "counts" in names:
+    name = next((part for part in reversed(where) if not part.isdigit()), "")
+    if name in COUNTS or "counts" in names:
         try:
             check_whole("it", value, 0, _MOST)
         except ValueError as e:
@@ -325,15 +325,17 @@ def _check_images(values: dict[str, Any], where: tuple[str, ...]) -> None:
         if isinstance(image, Tensor) and (
             tuple(image.shape[:2]) != size or image.dtype not in kinds
         ):
-            wanted = f"an image of {size[1]} x {size[0]} pixels of {' or '.join(map(str, kinds))}"
-            raise _refusal((*where, name), wanted, _kind(image))
+            shape_text = (
+                f"an image of {size[1]} x {size[0]} pixels of {' or '.join(map(str, kinds))}"
+            )
+            raise _refusal((*where, name), shape_text, _kind(image))
 
 
-def _check_same_tensor(state: Tensor, again: Tensor, where: tuple[str, ...]) -> None:
-    if state.dtype != again.dtype or state.shape != again.shape:
-        raise _refusal(where, _kind(again), _kind(state))
+def _check_same_tensor(state: Tensor, expected_state: Tensor, where: tuple[str, ...]) -> None:
+    if state.dtype != expected_state.dtype or state.shape != expected_state.shape:
+        raise _refusal(where, _kind(expected_state), _kind(state))
     mine = state.cpu()
-    theirs = again.cpu()
+    theirs = expected_state.cpu()
     if not torch.equal(mine, theirs):
         both_nan = (
             mine.isnan() & theirs.isnan()
@@ -350,5 +352,5 @@ def _kind(value: Any) -> str:
     return "nothing" if value is None else f"a {type(value).__name__} ({shown(value, 40)})"
 
 
-def _refusal(where: Iterable[str], wanted: str, came: str) -> SequenceError:
-    return SequenceError(f"{'/'.join(where)} must be {wanted}, got {came}")
+def _refusal(where: Iterable[str], expectation: str, came: str) -> SequenceError:
+    return SequenceError(f"{'/'.join(where)} must be {expectation}, got {came}")

@@ -69,13 +69,13 @@ class StreamRun(MappingRun):
         self.policy: Policy = policy or getattr(frames, "policy", "all")
         data = self.mapper.config.data
         earlier = self.mapper.localiser.frame_indices
-        selected = SelectedFrames(
+        selection = SelectedFrames(
             frames,
             data,
             name=name,
             first_index=max(earlier, default=-1) + 1,
         )
-        self._feed = BackgroundFrames(selected, policy=self.policy, until=lambda: self.until())
+        self._feed = BackgroundFrames(selection, policy=self.policy, until=lambda: self.until())
         self._n_taken = self.n_unusable = 0
         self._holds_out = data.hold_out_every > 0 and (
             self.kept.has_poses or not self.mapper.localiser.is_tracking
@@ -147,8 +147,8 @@ class StreamRun(MappingRun):
 
     def mapped_views(self, limit: int) -> SequenceView:
         """At most ``limit`` of the kept mapped frames, evenly spread."""
-        kept = [frame.index for frame in self.kept.kept_mapped.items]
-        return self.kept.view(kept[:: -(-len(kept) // limit)] if kept else [])
+        indices = [frame.index for frame in self.kept.kept_mapped.items]
+        return self.kept.view(indices[:: -(-len(indices) // limit)] if indices else [])
 
     def extra_metrics(self) -> dict[str, Any]:
         """Numbers of frames received, dropped and unusable, and the policy."""

@@ -28,7 +28,7 @@ class Ticks:
 
 def test_a_stage_inside_another_counts_for_itself_alone():
     ticks = Ticks()
-    clock = RunClock(now=ticks, cpu=lambda: 0.5 * ticks.time)
+    clock = RunClock(clock=ticks, cpu=lambda: 0.5 * ticks.time)
     ticks.time += 1
     with clock("view_scores"):
         ticks.time += 2
@@ -51,7 +51,7 @@ def test_a_stage_inside_another_counts_for_itself_alone():
 
 def test_what_another_thread_does_is_not_counted():
     ticks = Ticks()
-    clock = RunClock(now=ticks, cpu=ticks)
+    clock = RunClock(clock=ticks, cpu=ticks)
 
     def read() -> None:
         with clock("reading"):
@@ -66,8 +66,8 @@ def test_what_another_thread_does_is_not_counted():
 
 def test_a_continued_run_adds_to_the_times_before():
     ticks = Ticks()
-    first = RunClock(now=ticks, cpu=ticks)
-    second = RunClock(now=ticks, cpu=ticks)
+    first = RunClock(clock=ticks, cpu=ticks)
+    second = RunClock(clock=ticks, cpu=ticks)
     with first("passes"):
         ticks.time += 3
     second.load_state_dict(first.state_dict())

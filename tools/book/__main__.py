@@ -31,7 +31,7 @@ def missing() -> list[str]:
 
 def build(
     root: Path,
-    out: Path,
+    target: Path,
     files: str,
     quiz: Mapping[int, Sequence[Question]],
 ) -> None:
@@ -39,7 +39,7 @@ def build(
 
     Args:
         root: The project.
-        out: The site; replaced. Work is kept in the folder ``.OUT_work`` beside it.
+        target: The site; replaced. Work is kept in the folder ``.OUT_work`` beside it.
         files: Address below which a repository shows its files, with a slash at its end; "" without
             a repository.
         quiz: Questions by chapter.
@@ -53,15 +53,15 @@ def build(
             f"the book needs {', '.join(lacking)}; install them with: pip install "
             "'gsfusion-nb[book]'"
         )
-    work = out.parent / f".{out.name}_work"
+    work = target.parent / f".{target.name}_work"
     pages = work / "pages"
     extra = work / "extra"
     static = work / "static"
     Assembly(places_of(root, files), pages, extra, quiz).write()
     _write_static(static)
-    _sphinx(root, pages, extra, static, work / "doctrees", out)
-    shutil.make_archive(str(work / "book"), "zip", out)
-    shutil.move(work / "book.zip", out / ARCHIVE)
+    _sphinx(root, pages, extra, static, work / "doctrees", target)
+    shutil.make_archive(str(work / "book"), "zip", target)
+    shutil.move(work / "book.zip", target / ARCHIVE)
 
 
 def _write_static(folder: Path) -> None:
@@ -87,11 +87,11 @@ def _sphinx(
     extra: Path,
     static: Path,
     doctrees: Path,
-    out: Path,
+    target: Path,
 ) -> None:
     from gsfusion_nb import __version__
 
-    shutil.rmtree(out, ignore_errors=True)
+    shutil.rmtree(target, ignore_errors=True)
     environment = {
         **os.environ,
         "GSNB_BOOK_PACKAGE": str(root.resolve()),
@@ -113,18 +113,18 @@ def _sphinx(
     ]
     command += ["-c", str(root / "docs/book")]
     command += [part for option in options for part in ("-D", option)]
-    done = subprocess.run(
-        [*command, str(pages), str(out)],
+    process = subprocess.run(
+        [*command, str(pages), str(target)],
         env=environment,
         text=True,
         stderr=subprocess.PIPE,
     )
-    for line in done.stderr.splitlines():
+    for line in process.stderr.splitlines():
         log.warning("%s", line)
-    if done.returncode:
+    if process.returncode:
         raise RuntimeError("Sphinx could not build the book; its messages are above")
     # GitHub Pages would leave out folders that begin with an underscore
-    (out / ".nojekyll").touch()
+    (target / ".nojekyll").touch()
 
 
 _ROOT = Path(__file__).resolve().parents[2]

@@ -31,11 +31,11 @@ def opening_bar(notebook: str) -> str:
     name = escape(notebook.rpartition("/")[2])
     short = name == SHORT_PATH
     run = "gsfusion-nb course course --path short --open" if short else "make lab"
-    then = "" if short else f", then open <code>course/{name}</code>"
+    next_step = "" if short else f", then open <code>course/{name}</code>"
     return (
         f'<div class="gsnb-open"><a href="{name}" download>Download this notebook</a> '
         f"<details><summary>Run it in JupyterLab</summary>"
-        f"<p>In the project's folder: <code>{run}</code>{then}: a copy with "
+        f"<p>In the project's folder: <code>{run}</code>{next_step}: a copy with "
         f"empty exercises, which is yours to change. With pip: "
         f'<a href="../docs/install.html">installing</a>.</p></details></div>'
     )
@@ -129,12 +129,12 @@ def _directive(kind: str, name: str, options: Sequence[str] = ()) -> str:
 
 def api_index() -> str:
     """The page that lists the rooms."""
-    listed = "\n".join(ROOMS)
+    room_names = "\n".join(ROOMS)
     return (
         "# API reference\n\nThe public names of each room, from their docstrings: shapes in "
         "brackets, units in the names, the source of a formula with its number.\nWhat a room is "
         "for: [architecture](../ARCHITECTURE.md).\n\n"
-        f"```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n"
+        f"```{{toctree}}\n:maxdepth: 1\n\n{room_names}\n```\n"
     )
 
 

@@ -42,16 +42,16 @@ class Places:
 
     def source_url(self, path: str, line: int = 0) -> str:
         """Address of a file in the repository; "" if there is none."""
-        known = self.repository and path in self.files
-        return f"{self.repository}{path}{f'#L{line}' if line else ''}" if known else ""
+        is_public = self.repository and path in self.files
+        return f"{self.repository}{path}{f'#L{line}' if line else ''}" if is_public else ""
 
 
 def places_of(root: Path, repository: str = "") -> Places:
     """The files that git knows in a project."""
-    listed = subprocess.run(
+    process = subprocess.run(
         ["git", "-C", str(root), "ls-files"], capture_output=True, text=True, check=True
     )
-    files = frozenset(f for f in listed.stdout.splitlines() if (root / f).is_file())
+    files = frozenset(f for f in process.stdout.splitlines() if (root / f).is_file())
     return Places(root=root, files=files, repository=repository)
 
 
@@ -185,7 +185,7 @@ class Chapter:
         self.files: dict[str, bytes] = {}
         """Address relative to the page -> content of its pictures."""
         self._equations = count(1)
-        self._asked = ""
+        self._prediction = ""
         self._came = False
 
     def markdown(self) -> str:
@@ -200,7 +200,7 @@ class Chapter:
     def _text(self, cell: Mapping[str, Any]) -> str:
         # the outputs between what came and the next text wait for the prediction, too
         if self._came:
-            self._asked = ""
+            self._prediction = ""
             self._came = False
         text = in_the_book(
             _ATTACHED.sub("", "".join(cell["source"])),
@@ -215,51 +215,53 @@ class Chapter:
         if "course_progress(" in source:
             return ""
         call = _last_call(source)
-        if call is not None and _called(call) == "predict" and len(call.args) > 1:
-            self._asked = ast.literal_eval(call.args[0])
+        if call is not None and _call_text(call) == "predict" and len(call.args) > 1:
+            self._prediction = ast.literal_eval(call.args[0])
             self._came = False
             return raw(question_html(call))
         if _SOLUTION.search(source):
             code = _SOLUTION.sub("", source).strip()
-            opened = raw('<details class="gsnb-solution"><summary>Solution</summary>')
-            return f"{opened}\n{_python(code)}\n{raw('</details>')}"
-        shown = self._outputs(cell)
-        asked = self._asked
-        if call is not None and _called(call) == "came":
+            details_tag = raw('<details class="gsnb-solution"><summary>Solution</summary>')
+            return f"{details_tag}\n{_python(code)}\n{raw('</details>')}"
+        outputs = self._outputs(cell)
+        prediction = self._prediction
+        if call is not None and _call_text(call) == "came":
             self._came = True
             right = _right(call)
             return raw(
-                f'<div class="gsnb-came" data-prediction="{asked}" '
-                f'data-right="{right}">{"".join(shown)}</div>'
+                f'<div class="gsnb-came" data-prediction="{prediction}" '
+                f'data-right="{right}">{"".join(outputs)}</div>'
             )
-        later = f' data-prediction="{asked}"' if asked and shown else ""
-        below = f'<div class="gsnb-outputs"{later}>{"".join(shown)}</div>' if shown else ""
-        begins = f'<div class="gsnb-cell" id="{cell["id"]}">'
-        ends = f"{below}</div>{_hints(source)}"
-        folded = cell["metadata"].get("jupyter", {}).get("source_hidden") or (
-            call and _called(call) in _DRAWING
+        attribute = f' data-prediction="{prediction}"' if prediction and outputs else ""
+        output_box = (
+            f'<div class="gsnb-outputs"{attribute}>{"".join(outputs)}</div>' if outputs else ""
         )
-        if folded:
+        begins = f'<div class="gsnb-cell" id="{cell["id"]}">'
+        ends = f"{output_box}</div>{_hints(source)}"
+        is_folded = cell["metadata"].get("jupyter", {}).get("source_hidden") or (
+            call and _call_text(call) in _DRAWING
+        )
+        if is_folded:
             begins = f'{begins}<details class="gsnb-code"><summary>Code</summary>'
             ends = f"</details>{ends}"
         return f"{raw(begins)}\n{_python(source)}\n{raw(ends + panel_html(cell['id']))}"
 
     def _outputs(self, cell: Mapping[str, Any]) -> list[str]:
         """HTML of each output of a cell; what it printed in a row is one."""
-        found: list[str] = []
+        parts: list[str] = []
         for is_stream, own in groupby(
             cell.get("outputs", []), key=lambda output: output["output_type"] == "stream"
         ):
             if is_stream:
-                found.append(_printed("".join("".join(output["text"]) for output in own).rstrip()))
+                parts.append(_printed("".join("".join(output["text"]) for output in own).rstrip()))
             else:
-                found += [
-                    self._shown(output, f"{cell['id']}-{len(found) + k}")
+                parts += [
+                    self._output_html(output, f"{cell['id']}-{len(parts) + k}")
                     for k, output in enumerate(own)
                 ]
-        return [html for html in found if html]
+        return [html for html in parts if html]
 
-    def _shown(self, output: Mapping[str, Any], name: str) -> str:
+    def _output_html(self, output: Mapping[str, Any], name: str) -> str:
         data = output.get("data", {})
         metadata = output.get("metadata", {})
         if "text/html" in data:
@@ -271,14 +273,14 @@ class Chapter:
             if kind in data:
                 address = f"{self.stem}_files/{name}.{suffix}"
                 self.files[address] = base64.b64decode("".join(data[kind]))
-                still = (
+                picture = (
                     ""
                     if "".join(data.get("text/plain", "<IPython")).startswith("<IPython")
                     else _STILL
                 )
                 return (
                     picture_html(address, self.files[address], metadata.get(kind, {}), suffix)
-                    + still
+                    + picture
                 )
         return _printed("".join(data.get("text/plain", output.get("traceback", ""))))
 
@@ -293,7 +295,7 @@ def _python(code: str) -> str:
     return f"``````python\n{code}\n``````"
 
 
-def _called(call: ast.Call) -> str:
+def _call_text(call: ast.Call) -> str:
     return call.func.id if isinstance(call.func, ast.Name) else getattr(call.func, "attr", "")
 
 
@@ -309,26 +311,26 @@ def _last_call(source: str) -> ast.Call | None:
 
 def _right(call: ast.Call) -> str:
     """The right choice where the cell names it."""
-    given = [k.value for k in call.keywords if k.arg == "right"]
+    right_values = [k.value for k in call.keywords if k.arg == "right"]
     return (
-        escape(str(ast.literal_eval(given[0])))
-        if given and isinstance(given[0], ast.Constant)
+        escape(str(ast.literal_eval(right_values[0])))
+        if right_values and isinstance(right_values[0], ast.Constant)
         else ""
     )
 
 
 def question_html(call: ast.Call) -> str:
     """The form of a call of ``predict``; ``book.js`` shows what came after an answer."""
-    given = dict(
+    values = dict(
         zip(
             ("name", "question", "choices"),
             map(ast.literal_eval, call.args),
             strict=False,
         )
     )
-    given |= {k.arg: ast.literal_eval(k.value) for k in call.keywords}
-    name = escape(given["name"])
-    unit = given.get("unit", "")
+    values |= {k.arg: ast.literal_eval(k.value) for k in call.keywords}
+    name = escape(values["name"])
+    unit = values.get("unit", "")
 
     def words(choice: Any) -> str:
         number = (
@@ -343,14 +345,14 @@ def question_html(call: ast.Call) -> str:
     inputs = [
         f'<label><input type="radio" name="{name}" value="{escape(str(choice))}"> '
         f"{words(choice)}</label>"
-        for choice in given.get("choices", ())
+        for choice in values.get("choices", ())
     ] or [
         f'<label>your number, {escape(unit) or "any"}: <input type="number" step="any" '
         f'name="{name}"></label>'
     ]
     return (
         f'<form class="gsnb-question" data-prediction="{name}"><fieldset><legend><b>Predict.</b> '
-        f'{escape(given["question"])}</legend><div class="gsnb-choices">{"".join(inputs)}</div>'
+        f'{escape(values["question"])}</legend><div class="gsnb-choices">{"".join(inputs)}</div>'
         '<button type="submit">See what came</button> <button type="button" class="gsnb-skip">Show '
         "without a "
         'prediction</button></fieldset><p role="status"></p></form>'
@@ -362,15 +364,15 @@ def _hints(source: str) -> str:
     if not source.endswith("..."):
         return ""
     every = exercises()
-    found = ""
+    hints_html = ""
     for name in _EMPTY.findall(source):
         for number, hint in reversed(
             list(enumerate(every[name].hints if name in every else (), 1))
         ):
-            later = found if number < len(every[name].hints) else ""
+            next_hints = hints_html if number < len(every[name].hints) else ""
             of = f"Hint {number} of {len(every[name].hints)}"
-            found = (
+            hints_html = (
                 "<details "
-                f'class="gsnb-hint"><summary>{of}</summary><p>{escape(hint)}</p>{later}</details>'
+                f'class="gsnb-hint"><summary>{of}</summary><p>{escape(hint)}</p>{next_hints}</details>'
             )
-    return found
+    return hints_html

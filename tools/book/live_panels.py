@@ -47,11 +47,13 @@ def panel_data(name: str) -> dict[str, object]:
     room = RoomSequence(n_frames=n_frames, width=width, height=width * 3 // 4)
     noisy = RoomSequence(n_frames=n_frames, width=width, height=width * 3 // 4, noise="kinect")
     frames = [room[0], room[2]] if name == "pixel" else [room[0]]
-    measured = [noisy[i] for i in range(16)] if name == "fusion" else []
-    depths = [f.depth_m for f in (*frames, *measured)] if name != "quadtree" else [torch.zeros(0)]
+    measurements = [noisy[i] for i in range(16)] if name == "fusion" else []
+    depths = (
+        [f.depth_m for f in (*frames, *measurements)] if name != "quadtree" else [torch.zeros(0)]
+    )
     return {
         "camera": dataclasses.asdict(room.camera),
-        "poses": [frame.T_WC[:3].tolist() for frame in measured or frames],
+        "poses": [frame.T_WC[:3].tolist() for frame in measurements or frames],
         "rgb": _packed([frame.rgb_u8 for frame in frames]),
         "depth": _packed([(depth_m * 1e4).round().to(torch.uint16) for depth_m in depths]),
         "colours": [f"rgb({r},{g},{b})" for r, g, b in palette("viridis")[::17]],

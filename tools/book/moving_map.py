@@ -23,17 +23,17 @@ def moving_map() -> str:
     for _ in (*run.online(), *run.optimise()):
         pass
     viewer = SplatViewer(run.mapper, width=480, height=360).look_from("above")
-    sent = []
+    frames_sent = []
     # what the page would get
-    viewer.send = lambda content, buffers: sent.extend((content["head"], *buffers))
+    viewer.send = lambda content, buffers: frames_sent.extend((content["head"], *buffers))
     viewer._heard(None, {"kind": "ready"}, [])
     state = {
         name: value
         for name, value in viewer.get_state().items()
         if name[0] != "_" and name in SplatViewer.__dict__
     }
-    rows = base64.b64encode(sent[1]).decode("ascii")
-    values = {"STYLE": str(viewer._css), "STATE": state, "HEAD": sent[0], "ROWS": rows}
+    rows = base64.b64encode(frames_sent[1]).decode("ascii")
+    values = {"STYLE": str(viewer._css), "STATE": state, "HEAD": frames_sent[0], "ROWS": rows}
     constants = "\n".join(f"const {name} = {json.dumps(value)};" for name, value in values.items())
     module = str(viewer._esm).replace("export default {", "const VIEWER = {")
     start = (Path(__file__).parent / "static/moving_map.js").read_text(encoding="utf-8")

@@ -72,21 +72,21 @@ def depth_consistency(
     u, v = uv.floor().unbind(-1)
     in_width = (u >= 0) & (u < camera.width)
     in_height = (v >= 0) & (v < camera.height)
-    inside = front & in_width & in_height
-    row = v.where(inside, 0.0).long()
-    column = u.where(inside, 0.0).long()
-    measured = depth_b[row, column]
-    seen = inside & (measured > 0)
-    error = (z - measured).abs()
-    tolerated = AGREES * measured.clamp_min(1e-9)
-    unit = (error / tolerated).where(seen, torch.inf)
+    is_inside = front & in_width & in_height
+    row = v.where(is_inside, 0.0).long()
+    column = u.where(is_inside, 0.0).long()
+    depth_there = depth_b[row, column]
+    has_depth = is_inside & (depth_there > 0)
+    error = (z - depth_there).abs()
+    tolerance_m = AGREES * depth_there.clamp_min(1e-9)
+    unit = (error / tolerance_m).where(has_depth, torch.inf)
     total = max(xyz_a.shape[0], 1)
     median_m = torch.full(T.shape[:-2], torch.nan)
     if len(xyz_a):
-        median_m = error.where(seen, torch.nan).nanmedian(dim=-1).values
+        median_m = error.where(has_depth, torch.nan).nanmedian(dim=-1).values
     return DepthConsistency(
         agreeing=(unit < 1).sum(-1) / total,
-        overlap=seen.sum(-1) / total,
+        overlap=has_depth.sum(-1) / total,
         median_m=median_m,
         score=(1 - unit).clamp_min(0).sum(-1) / total,
     )

@@ -61,9 +61,9 @@ class SmallFrame:
         camera, depth_m = thinned(
             frame.camera, frame.depth_m, max(1, round(frame.camera.width / WIDTH))
         )
-        filled = torch.from_numpy(without_speckle(depth_m.cpu().numpy()))
+        small_depth_m = torch.from_numpy(without_speckle(depth_m.cpu().numpy()))
         return SmallFrame(
-            index=frame.index, camera=camera, depth_m=filled, grey=small_grey(frame, WIDTH)
+            index=frame.index, camera=camera, depth_m=small_depth_m, grey=small_grey(frame, WIDTH)
         )
 
 
@@ -145,14 +145,14 @@ def _focal_times(factor: float, *, with_centre: bool = False) -> Reading:
     def moved(pairs: Pairs) -> Reprojection:
         c = pairs.camera
         of_centre = factor if with_centre else 1.0
-        changed = replace(
+        other_camera = replace(
             c,
             fx=c.fx * factor,
             fy=c.fy * factor,
             cx=c.cx * of_centre,
             cy=c.cy * of_centre,
         )
-        return pairs.moved(camera=changed)
+        return pairs.moved(camera=other_camera)
 
     return moved
 
@@ -226,32 +226,33 @@ def agreement_of(
     """
     places = [(i, i + gap) for gap in GAPS for i in range(len(frames) - gap)]
     pairs = pairs_of(frames, poses, places)
-    found = pairs.moved()
-    error = found.residual.abs()
+    as_is = pairs.moved()
+    error = as_is.residual.abs()
     total = max(1, int((pairs.depth_a > 0).sum()))
-    usual = float(error[found.known].median()) if bool(found.known.any()) else math.nan
+    usual = float(error[as_is.known].median()) if bool(as_is.known.any()) else math.nan
     tolerance = min(max(3 * usual, 0.002), 0.06) if math.isfinite(usual) else 0.06
 
-    def agreement(seen: Reprojection) -> tuple[float, float]:
+    def agreement(points: Reprojection) -> tuple[float, float]:
         """Over all points, and over those that fall on a measured depth."""
-        whole = float(((1 - seen.residual.abs() / tolerance).clamp_min(0) * seen.known).sum())
-        return whole / total, whole / max(1, int(seen.known.sum()))
+        whole = float(((1 - points.residual.abs() / tolerance).clamp_min(0) * points.known).sum())
+        return whole / total, whole / max(1, int(points.known.sum()))
 
-    as_read, of_known = agreement(found)
+    as_read, of_known = agreement(as_is)
     others = {words: agreement(read(pairs)) for words, read in READINGS.items()}
     gains = {
-        words: min(whole - as_read, known - of_known) for words, (whole, known) in others.items()
+        words: min(whole - as_read, of_measured - of_known)
+        for words, (whole, of_measured) in others.items()
     }
     reading = max(gains, key=lambda words: gains[words])
-    agrees = found.known & (error < AGREES)
+    agrees = as_is.known & (error < AGREES)
     return FirstAgreement(
         share=int(agrees.sum()) / total,
-        overlap=int(found.known.sum()) / total,
+        overlap=int(as_is.known.sum()) / total,
         as_read=as_read,
         other=others[reading][0],
         gain=gains[reading],
         reading=reading,
-        colour=_colour(frames, places, pairs, found.uv_b, agrees),
+        colour=_colour(frames, places, pairs, as_is.uv_b, agrees),
     )
 
 
@@ -263,8 +264,8 @@ def _colour(
     agrees: Tensor,
 ) -> float:
     """``FirstAgreement.colour``; of each pair the brightness is compared after its ratio."""
-    moved = []
-    still = []
+    with_motion = []
+    without_motion = []
     width = pairs.camera.width
     for j, (first, second) in enumerate(places):
         at = pairs.uv_a[j][agrees[j]]
@@ -275,11 +276,11 @@ def _colour(
         b, same_place = (greys_at(frames[second].grey, uv, width) for uv in (to, at))
         good = is_usable_grey(a, b, same_place)
         if good.sum() >= FEWEST_GREYS:
-            moved.append(_difference(a[good], b[good]))
-            still.append(_difference(a[good], same_place[good]))
-    if len(still) < _LEAST_COLOUR_PAIRS or np.mean(still) < _LEAST_CONTRAST:
+            with_motion.append(_difference(a[good], b[good]))
+            without_motion.append(_difference(a[good], same_place[good]))
+    if len(without_motion) < _LEAST_COLOUR_PAIRS or np.mean(without_motion) < _LEAST_CONTRAST:
         return math.nan
-    return float(np.mean(moved) / np.mean(still))
+    return float(np.mean(with_motion) / np.mean(without_motion))
 
 
 def _difference(

@@ -38,7 +38,7 @@ def stored_poses(sequence: Sequence) -> Float[Tensor, "L 4 4"]:
     return poses
 
 
-def reread_poses(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:
+def reread_poses(T_stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:
     """Camera-to-world poses, OpenCV axes, metres, from matrices stored in the convention of
     ``repair``.
 
@@ -47,12 +47,12 @@ def reread_poses(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[
     T_WC = T M^T; if the axes are mirrored (det M = -1), so is the world, and T_WC = M T M^T.
 
     Args:
-        stored: Matrices as they were read. [N, 4, 4]
+        T_stored: Matrices as they were read. [N, 4, 4]
         repair: Which convention they follow.
 
     Differentiable: no.
     """
-    T = raw_matrices(stored, repair)
+    T = raw_matrices(T_stored, repair)
     if repair.quaternions != "as_read":
         quat = quaternion.from_matrix(T[:, :3, :3])
         T = _with_rotation(T, quaternion.to_matrix(quat[:, _ORDER[repair.quaternions]]))
@@ -80,23 +80,23 @@ def axis_matrix(repair: RepairConfig) -> Float[Tensor, "4 4"]:
     return M
 
 
-def raw_matrices(stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:
+def raw_matrices(T_stored: Float[Tensor, "N 4 4"], repair: RepairConfig) -> Float[Tensor, "N 4 4"]:
     """The corrections that make 16 numbers a rigid matrix: their order, and the nearest rotation
     (by SVD).
 
     Matrices with NaN are not changed. A scale factor common to rotation and bottom right entry is
     divided out.
     """
-    T = stored.transpose(1, 2) if repair.matrices == "column_major" else stored
+    T = T_stored.transpose(1, 2) if repair.matrices == "column_major" else T_stored
     if repair.nearest_rotation:
         T = T.clone()
-        known = torch.isfinite(T).all(dim=(1, 2))
-        U, _, V = torch.linalg.svd(T[known][:, :3, :3])
-        mirrored = torch.linalg.det(U @ V) < 0
+        is_finite = torch.isfinite(T).all(dim=(1, 2))
+        U, _, V = torch.linalg.svd(T[is_finite][:, :3, :3])
+        is_mirror = torch.linalg.det(U @ V) < 0
         U = U.clone()
-        U[mirrored, :, 2] *= -1
-        T[known, :3, :3] = U @ V
-        T[known, 3] = T.new_tensor([0.0, 0.0, 0.0, 1.0])
+        U[is_mirror, :, 2] *= -1
+        T[is_finite, :3, :3] = U @ V
+        T[is_finite, 3] = T.new_tensor([0.0, 0.0, 0.0, 1.0])
     return T
 
 

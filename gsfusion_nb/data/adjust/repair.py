@@ -208,8 +208,8 @@ class RepairedSequence:
         return PosePath(self.times_s, reread_poses(stored_poses(self.source), self.repair))
 
     def _reread(self, i: int) -> Float[Tensor, "4 4"]:
-        stored = self.source.pose(i).double()
-        return reread_poses(stored[None], self.repair)[0].float()
+        T_stored = self.source.pose(i).double()
+        return reread_poses(T_stored[None], self.repair)[0].float()
 
     def _colour_frame(self, i: int) -> int:
         """The frame whose colour frame ``i`` gets."""
@@ -245,14 +245,14 @@ def shifted_colour(rgb: Shaped[Tensor, "H W 3"], repair: RepairConfig) -> Shaped
     size = (rgb.shape[1], rgb.shape[0])
     offset = [(1 - s) * (n - 1) / 2 + d for n, d in zip(size, shift, strict=True)]
     to_stored = np.array([[s, 0, offset[0]], [0, s, offset[1]]])
-    moved = cv2.warpAffine(
+    pixels = cv2.warpAffine(
         rgb.cpu().numpy(),
         to_stored,
         size,
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    return torch.from_numpy(moved).to(rgb.device)
+    return torch.from_numpy(pixels).to(rgb.device)
 
 
 def _fitted(source: RecordedSequence) -> RecordedSequence:

@@ -67,12 +67,14 @@ def reproject_depth(
         [camera.fx * xb + camera.cx, camera.fy * yb + camera.cy],
         -1,
     )
-    measured, known = _interpolated(depth_b, uv_b[..., 0], uv_b[..., 1])
+    depth_there, is_measured = _interpolated(depth_b, uv_b[..., 0], uv_b[..., 1])
     if is_ray:
-        measured = measured / (1 + xb * xb + yb * yb).sqrt()
-    known = known & ok
-    residual = ((Q[..., 2] - measured) / measured.where(known, 1.0)).where(known, 0.0)
-    return Reprojection(uv_b, residual, known)
+        depth_there = depth_there / (1 + xb * xb + yb * yb).sqrt()
+    is_measured = is_measured & ok
+    residual = ((Q[..., 2] - depth_there) / depth_there.where(is_measured, 1.0)).where(
+        is_measured, 0.0
+    )
+    return Reprojection(uv_b, residual, is_measured)
 
 
 def _interpolated(
@@ -85,9 +87,9 @@ def _interpolated(
     n, h, w = depth.shape
     x = u - 0.5
     y = v - 0.5
-    known = (x >= 0) & (y >= 0) & (x <= w - 1.001) & (y <= h - 1.001)
-    x = x.where(known, 0.0)
-    y = y.where(known, 0.0)
+    is_inside = (x >= 0) & (y >= 0) & (x <= w - 1.001) & (y <= h - 1.001)
+    x = x.where(is_inside, 0.0)
+    y = y.where(is_inside, 0.0)
     i = x.floor().long()
     j = y.floor().long()
     fx = x - i
@@ -95,13 +97,13 @@ def _interpolated(
     at = torch.arange(n)[:, None] * (h * w) + j * w + i
     flat = depth.reshape(-1)
     corners = torch.stack([flat[at], flat[at + 1], flat[at + w], flat[at + w + 1]])
-    near = corners.amin(0)
-    far = corners.amax(0)
-    known = known & (near > 0) & (far < 1.05 * near)
-    inverse = 1 / corners.where(known, 1.0)
+    nearest_m = corners.amin(0)
+    farthest_m = corners.amax(0)
+    is_inside = is_inside & (nearest_m > 0) & (farthest_m < 1.05 * nearest_m)
+    inverse = 1 / corners.where(is_inside, 1.0)
     top = inverse[0] + fx * (inverse[1] - inverse[0])
     bottom = inverse[2] + fx * (inverse[3] - inverse[2])
-    return 1 / (top + fy * (bottom - top)), known
+    return 1 / (top + fy * (bottom - top)), is_inside
 
 
 def greys_at(

@@ -68,12 +68,12 @@ class SequenceView:
             return self._read(self.positions[position(i, len(self))])
         return self._kept(self.kept, self.positions[position(i, len(self))])
 
-    def _kept(self, kept: FrameStore, place: int) -> Frame:
-        with kept.timed():
-            frame = kept.get(place) if self.extra is None else None
+    def _kept(self, store: FrameStore, place: int) -> Frame:
+        with store.timed():
+            frame = store.get(place) if self.extra is None else None
             if frame is None:
                 frame = self._read(place)
-                kept.add(place, frame)
+                store.add(place, frame)
             return frame
 
     def _read(self, place: int) -> Frame:
@@ -96,14 +96,14 @@ class OpenedSequence(SequenceView):
     held_out: SequenceView
     """Frames never mapped, for novel-view evaluation; may be empty."""
 
-    def keeping(self, kept: FrameStore) -> "OpenedSequence":
-        """The same frames, of which each that was read is kept in ``kept`` for those who read it
+    def keeping(self, store: FrameStore) -> "OpenedSequence":
+        """The same frames, of which each that was read is kept in ``store`` for those who read it
         again."""
         parts = {
-            name: dataclasses.replace(getattr(self, name), kept=kept)
+            name: dataclasses.replace(getattr(self, name), kept=store)
             for name in ("mapping", "held_out")
         }
-        return dataclasses.replace(self, **parts, kept=kept)
+        return dataclasses.replace(self, **parts, kept=store)
 
     def __repr__(self) -> str:
         return (
@@ -136,10 +136,10 @@ def apply_options(
         )
     data = data or DataConfig()
     source = repaired(source, data.repair)
-    published = set(getattr(source, "novel", ()))
-    skipped = set(data.repair.skip)
-    novel = sorted(published - skipped)
-    chosen = _selection(source, published | skipped, data)
+    test_views = set(getattr(source, "novel", ()))
+    skip = set(data.repair.skip)
+    novel = sorted(test_views - skip)
+    selection = _selection(source, test_views | skip, data)
     every = data.hold_out_every
     offset = data.hold_out_offset
     if every and not 0 <= offset < every:
@@ -147,11 +147,12 @@ def apply_options(
             f"data.hold_out_offset must be between 0 and {every - 1} (hold_out_every - 1), got "
             f"{offset}"
         )
-    held = [p for i, p in enumerate(chosen) if every and i % every == offset]
-    mapped = sorted(set(chosen) - set(held))
-    if not mapped:
+    held_positions = [p for i, p in enumerate(selection) if every and i % every == offset]
+    map_positions = sorted(set(selection) - set(held_positions))
+    if not map_positions:
         raise SequenceError(
-            f"{source.name}: holding out every {every}th of {len(chosen)} frames leaves none to map"
+            f"{source.name}: holding out every {every}th of {len(selection)} frames leaves none "
+            "to map"
         )
     camera = resized_camera(source.camera, data.width, data.height)
 
@@ -165,16 +166,16 @@ def apply_options(
             extra=extra,
         )
 
-    everything = view(chosen + novel)
+    everything = view(selection + novel)
     return OpenedSequence(
         **{f.name: getattr(everything, f.name) for f in dataclasses.fields(SequenceView)},
-        mapping=view(mapped),
-        held_out=view(held + novel),
+        mapping=view(map_positions),
+        held_out=view(held_positions + novel),
     )
 
 
-def _selection(source: Sequence, apart: set[int], data: DataConfig) -> list[int]:
-    frames = [i for i in range(len(source)) if i not in apart]
+def _selection(source: Sequence, excluded_frames: set[int], data: DataConfig) -> list[int]:
+    frames = [i for i in range(len(source)) if i not in excluded_frames]
     if not frames:
         raise SequenceError(f"{source.name} has no frames; expected at least one")
     if data.start >= len(frames):
@@ -203,12 +204,12 @@ def within_depth(
     """
     if near_m == 0 and far_m == 0:
         return frame
-    far = far_m or torch.inf
-    kept = (frame.depth_m >= near_m) & (frame.depth_m <= far)
-    depth_m = frame.depth_m.where(kept, 0.0)
+    limit_m = far_m or torch.inf
+    is_within = (frame.depth_m >= near_m) & (frame.depth_m <= limit_m)
+    depth_m = frame.depth_m.where(is_within, 0.0)
     if not bool(depth_m.any()):
         raise BadFrameError(
-            f"{name} frame {frame.index} has no depth between {near_m:g} and {far:g} m; expected "
-            "some within data.depth_min_m and data.depth_max_m"
+            f"{name} frame {frame.index} has no depth between {near_m:g} and {limit_m:g} m; "
+            "expected some within data.depth_min_m and data.depth_max_m"
         )
     return dataclasses.replace(frame, depth_m=depth_m)

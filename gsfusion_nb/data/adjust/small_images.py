@@ -33,23 +33,25 @@ def without_speckle(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w
     Frames are compared by interpolating depth between four pixels, which hardly ever all have it in
     such images.
     """
-    known = depth_m > 0
+    has_depth = depth_m > 0
     counts = cv2.boxFilter(
-        known.astype(np.float32),
+        has_depth.astype(np.float32),
         -1,
         (3, 3),
         normalize=False,
         borderType=cv2.BORDER_REFLECT_101,
     )
-    if not known.any() or float((counts[known] - 1).mean()) >= 8 * _SPECKLED:
+    if not has_depth.any() or float((counts[has_depth] - 1).mean()) >= 8 * _SPECKLED:
         return depth_m.copy()
-    padded = np.pad(
-        np.where(known, depth_m, np.nan),
+    with_border = np.pad(
+        np.where(has_depth, depth_m, np.nan),
         2,
         constant_values=np.nan,
     )
-    around = np.lib.stride_tricks.sliding_window_view(padded, (5, 5)).reshape(*depth_m.shape, 25)
-    fillable = ~known & (np.isfinite(around).sum(axis=2) >= _FILLED_FROM)
-    filled = depth_m.copy()
-    filled[fillable] = np.nanmedian(around[fillable], axis=1)
-    return filled
+    windows = np.lib.stride_tricks.sliding_window_view(with_border, (5, 5)).reshape(
+        *depth_m.shape, 25
+    )
+    fillable = ~has_depth & (np.isfinite(windows).sum(axis=2) >= _FILLED_FROM)
+    result = depth_m.copy()
+    result[fillable] = np.nanmedian(windows[fillable], axis=1)
+    return result

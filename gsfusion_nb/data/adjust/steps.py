@@ -61,8 +61,8 @@ def find_jumps(
     usual_error = float(np.nanmedian(error)) if np.isfinite(error).any() else 0.0
     jumps = set()
     for i in np.flatnonzero(np.isfinite(step)):
-        around = step[max(0, i - STEPS_AROUND) : i + STEPS_AROUND + 1]
-        times = step[i] / max(np.nanmedian(around), 1e-9)
+        neighbours = step[max(0, i - STEPS_AROUND) : i + STEPS_AROUND + 1]
+        times = step[i] / max(np.nanmedian(neighbours), 1e-9)
         disagrees = (
             error[i] > max(JUMP_ERROR, _JUMP_ERROR_OF_USUAL * usual_error)
             and times > _JUMP_OF_MEDIAN

@@ -71,14 +71,14 @@ def scannetpp(
             raise SequenceNotFoundError(
                 f"{folder} does not exist; expected the images that {json_file.name} describes"
             )
-    listed = names
+    list_names = names
     names = [
         n
-        for n in listed
+        for n in list_names
         if n in matrices and is_file(images / n) and is_file(depths / f"{Path(n).stem}.png")
     ]
-    n_train = sum(name in names for name in listed[:n_train])
-    _tell_of_lacking(json_file, listed, names)
+    n_train = sum(name in names for name in list_names[:n_train])
+    _tell_of_lacking(json_file, list_names, names)
     scene = root.resolve()
     if scene.name == "dslr":
         scene = scene.parent
@@ -99,16 +99,16 @@ _MOST_LACKING = 0.5
 """Share of the listed images; releases took out 2 %."""
 
 
-def _tell_of_lacking(json_file: Path, listed: list[str], names: list[str]) -> None:
+def _tell_of_lacking(json_file: Path, list_names: list[str], names: list[str]) -> None:
     """Say which listed images are left out: releases take out images, and leave them in the lists.
 
     Raises:
         SequenceError: most of them.
     """
-    lacking = [name for name in listed if name not in set(names)]
-    if len(lacking) > _MOST_LACKING * len(listed):
+    lacking = [name for name in list_names if name not in set(names)]
+    if len(lacking) > _MOST_LACKING * len(list_names):
         raise SequenceError(
-            f"{json_file}: {len(lacking)} of the {len(listed)} images of train_test_lists.json "
+            f"{json_file}: {len(lacking)} of the {len(list_names)} images of train_test_lists.json "
             "have no pose, no image "
             f"or no depth, the first is {lacking[0]}; expected all three for most of them"
         )
@@ -116,7 +116,7 @@ def _tell_of_lacking(json_file: Path, listed: list[str], names: list[str]) -> No
         log.warning(
             "%s: %d of %d listed images are left out, without a pose, an image or its depth, the "
             "first is %s",
-            *(json_file, len(lacking), len(listed), lacking[0]),
+            *(json_file, len(lacking), len(list_names), lacking[0]),
         )
 
 
@@ -140,15 +140,15 @@ def _transforms_file(root: Path, resolution: str) -> tuple[Path, str]:
 def _names(path: Path, split: str) -> tuple[list[str], int]:
     """Images of a split in the published order, and how many of them are for training."""
     lists = read_object(path, "the lists train and test")
-    wanted = ("train", "test") if split == "all" else (split,)
-    for key in wanted:
-        listed = lists.get(key)
-        if not isinstance(listed, list) or not all(isinstance(name, str) for name in listed):
+    list_kinds = ("train", "test") if split == "all" else (split,)
+    for key in list_kinds:
+        entries = lists.get(key)
+        if not isinstance(entries, list) or not all(isinstance(name, str) for name in entries):
             raise SequenceError(f"{path} must hold the key {key}, a list of image names")
-    names = [name for key in wanted for name in lists[key]]
+    names = [name for key in list_kinds for name in lists[key]]
     if not names or (split == "all" and not lists["train"]):
-        raise SequenceError(f"{path} lists no images for {wanted[0]}; expected at least one")
-    return names, len(lists["train"]) if "train" in wanted else 0
+        raise SequenceError(f"{path} lists no images for {list_kinds[0]}; expected at least one")
+    return names, len(lists["train"]) if "train" in list_kinds else 0
 
 
 def frame_matrices(
@@ -156,19 +156,19 @@ def frame_matrices(
     path: Path,
 ) -> dict[str, Float[Tensor, "4 4"]]:
     """OpenGL camera-to-world matrix of every image, by file name."""
-    found = {}
+    matrix_of = {}
     with parsing(path, "frames, each with file_path and a transform_matrix of 4x4 numbers"):
         for entry in [*values["frames"], *values.get("test_frames", [])]:
             matrix = torch.tensor(entry["transform_matrix"], dtype=torch.float64)
-            found[Path(entry["file_path"]).name] = matrix.reshape(4, 4)
-    return found
+            matrix_of[Path(entry["file_path"]).name] = matrix.reshape(4, 4)
+    return matrix_of
 
 
 def _camera(values: dict[str, Any], path: Path) -> Camera:
     model = values.get("camera_model", "PINHOLE")
     coefficients = ("k1", "k2", "k3", "k4", "p1", "p2")
-    bent = [name for name in coefficients if values.get(name, 0.0) != 0.0]
-    if model not in ("PINHOLE", "OPENCV") or bent:
+    nonzero = [name for name in coefficients if values.get(name, 0.0) != 0.0]
+    if model not in ("PINHOLE", "OPENCV") or nonzero:
         raise SequenceError(
             f"{path} describes a distorted {model} camera; expected the undistorted images' "
             "PINHOLE camera"

@@ -132,8 +132,8 @@ def calibrated_folders(path: Path) -> list[Path]:
     ``seq-XX``."""
     folder = first_sequence(path)
     whole = folder.resolve()
-    around = [whole.parent] if whole.name.startswith("seq-") else []
-    return list(dict.fromkeys([path, folder, *around]))
+    parents = [whole.parent] if whole.name.startswith("seq-") else []
+    return list(dict.fromkeys([path, folder, *parents]))
 
 
 def _only_sequence(path: Path) -> Path:

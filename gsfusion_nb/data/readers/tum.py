@@ -103,38 +103,38 @@ def tum(
     rgb_s, rgb_files = _stream(root / "rgb.txt")
     depth_s, depth_files = _stream(root / "depth.txt")
     pairs = associate(depth_s, rgb_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
-    timed = [(rgb_s[c], d, c) for d, c in pairs]
+    triples = [(rgb_s[c], d, c) for d, c in pairs]
     if poses:
-        posed = _with_poses(root / "groundtruth.txt", timed)
-        T_WC = torch.stack([T for *_, T in posed]) if posed else no_poses(0)
+        frames = _with_poses(root / "groundtruth.txt", triples)
+        T_WC = torch.stack([T for *_, T in frames]) if frames else no_poses(0)
     else:
-        posed = [(*frame, None) for frame in timed]
-        T_WC = no_poses(len(timed))
-    if not posed:
+        frames = [(*frame, None) for frame in triples]
+        T_WC = no_poses(len(triples))
+    if not frames:
         raise SequenceError(
             f"{root}: none of {len(depth_files)} depth images has a colour image within "
             f"{MAX_TIME_DIFFERENCE_S} s and poses around it at most {MAX_POSE_GAP_S} s apart; "
             "expected the time stamps of the three lists to overlap"
         )
-    if len(posed) < len(depth_files):
-        unpaired = len(depth_files) - len(pairs)
-        unposed = len(pairs) - len(posed)
+    if len(frames) < len(depth_files):
+        n_unpaired = len(depth_files) - len(pairs)
+        n_without_pose = len(pairs) - len(frames)
         log.warning(
             "%s: dropped %d depth images without colour and %d without pose",
             root.name,
-            unpaired,
-            unposed,
+            n_unpaired,
+            n_without_pose,
         )
     return RecordedSequence(
         name=given_name(root),
         camera=lens.camera if undistorter is None else undistorter.camera,
-        rgb_files=[rgb_files[c] for _, _, c, _ in posed],
-        depth_files=[depth_files[d] for _, d, _, _ in posed],
-        timestamps_s=[t for t, *_ in posed],
-        depth_times_s=[depth_s[d] for _, d, _, _ in posed],
+        rgb_files=[rgb_files[c] for _, _, c, _ in frames],
+        depth_files=[depth_files[d] for _, d, _, _ in frames],
+        timestamps_s=[t for t, *_ in frames],
+        depth_times_s=[depth_s[d] for _, d, _, _ in frames],
         poses=T_WC,
         has_poses=poses,
-        pose_sources=[f"{root / 'groundtruth.txt'} at {t:.6f} s" for t, *_ in posed],
+        pose_sources=[f"{root / 'groundtruth.txt'} at {t:.6f} s" for t, *_ in frames],
         depth_scale=DEPTH_SCALE,
         rectification=undistorter,
     )
@@ -174,20 +174,20 @@ def benchmark_camera(folder: Path) -> str:
 def _stream(path: Path) -> tuple[list[float], list[Path]]:
     """Times and files of a list with lines "timestamp filename"; those of a copy with only some of
     the images."""
-    listed = [(t, file) for ((t, file),) in read_image_list(path) if is_file(file)]
-    if not listed:
+    entries = [(t, file) for ((t, file),) in read_image_list(path) if is_file(file)]
+    if not entries:
         raise SequenceNotFoundError(
             f"{path} names no image that is there; expected the images beside it"
         )
-    stamps = [t for t, _ in listed]
-    files = [file for _, file in listed]
+    stamps = [t for t, _ in entries]
+    files = [file for _, file in entries]
     if note := told_outside(path.parent, files):
         log.warning("%s: %s", path, note)
-    judged = judge_stamps(stamps, names=[natural_order(f) for f in files], unit="s")
-    if judged.times_s is None:
+    judgement = judge_stamps(stamps, names=[natural_order(f) for f in files], unit="s")
+    if judgement.times_s is None:
         raise SequenceError(
-            f"{path}: the numbers are not times in seconds: {judged.why_not}; gsfusion-nb convert "
-            f"{path.parent} OUT takes the frames in the order of the list"
+            f"{path}: the numbers are not times in seconds: {judgement.why_not}; gsfusion-nb "
+            f"convert {path.parent} OUT takes the frames in the order of the list"
         )
     return stamps, files
 
@@ -202,12 +202,12 @@ def _with_poses(
         log.warning("%s", note)
     stamps = table[:, 0].contiguous()
     poses = matrices(table[:, 1:])
-    posed = []
+    with_pose = []
     for t, d, c in frames:
         T_WC = pose_at(stamps, poses, t, max_gap_s=MAX_POSE_GAP_S)
         if T_WC is not None:
-            posed.append((t, d, c, T_WC))
-    return posed
+            with_pose.append((t, d, c, T_WC))
+    return with_pose
 
 
 LAYOUT = Layout(read=tum, looks_for=LOOKS_FOR)

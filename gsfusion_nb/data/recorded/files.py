@@ -78,14 +78,14 @@ _OF_POSES = re.compile(r"pose|traj|imu|odom", re.IGNORECASE)
 
 def calibration_in(*folders: Path) -> Path | None:
     """The first calibration file in some folders; None if there is none."""
-    found = (
+    candidates = (
         file
         for folder in folders
         for pattern in CALIBRATIONS
         for file in sorted(folder.glob(pattern))
         if file.suffix.lower() in CALIBRATION_SUFFIXES and not _OF_POSES.search(file.name)
     )
-    return next(found, None)
+    return next(candidates, None)
 
 
 def first_of(
@@ -95,13 +95,13 @@ def first_of(
 ) -> Path | None:
     """The first file, or folder, that a pattern finds and that has one of the suffixes, those of
     earlier patterns first; None if there is none."""
-    found = (
+    candidates = (
         p
         for pattern in patterns
         for p in sorted(folder.glob(pattern))
         if p.suffix.lower() in suffixes
     )
-    return next(found, None)
+    return next(candidates, None)
 
 
 def images_in(
@@ -112,12 +112,12 @@ def images_in(
     if not folder.is_dir():
         raise SequenceNotFoundError(f"{folder} is not a folder; expected one with images")
     shown_files = (p for p in folder.iterdir() if not p.name.startswith("."))
-    found = [p for p in shown_files if p.suffix.lower() in suffixes]
-    if not found:
+    images = [p for p in shown_files if p.suffix.lower() in suffixes]
+    if not images:
         raise SequenceError(
             f"{folder} holds no images; expected files ending in {', '.join(suffixes)}"
         )
-    return sorted(found, key=natural_order)
+    return sorted(images, key=natural_order)
 
 
 def pair_by_stem(rgb_files: list[Path], depth_files: list[Path]) -> list[Path]:
@@ -149,12 +149,12 @@ def told_outside(folder: Path, files: Iterable[Path]) -> str:
     map.
     """
     root = Path(os.path.abspath(folder))
-    outside = [file for file in files if not Path(os.path.abspath(file)).is_relative_to(root)]
-    if not outside:
+    outsiders = [file for file in files if not Path(os.path.abspath(file)).is_relative_to(root)]
+    if not outsiders:
         return ""
     return (
-        f"{len(outside)} of the listed images lie outside of {folder}, the first is "
-        f"{os.path.abspath(outside[0])}"
+        f"{len(outsiders)} of the listed images lie outside of {folder}, the first is "
+        f"{os.path.abspath(outsiders[0])}"
     )
 
 
@@ -189,11 +189,11 @@ def numbers(
         raise SequenceError(
             f"{path} lacks {', '.join(lacking)}; expected the keys {', '.join(keys)}"
         )
-    checked = {k: number(values, k, 0, path) for k in keys}
+    floats = {k: number(values, k, 0, path) for k in keys}
     for k in keys:
-        if checked[k] <= 0 and k not in ("cx", "cy"):
+        if floats[k] <= 0 and k not in ("cx", "cy"):
             raise SequenceError(f"{path}: {k} must be > 0, got {shown(values[k])}")
-    return checked
+    return floats
 
 
 def number(
@@ -231,11 +231,11 @@ def camera(
         SequenceError: a missing key, a value that is not a number or is out of range, or a size
             that is not a whole number.
     """
-    checked = numbers(values, keys, path)
+    floats = numbers(values, keys, path)
     for k in keys[:2]:
-        if checked[k] != int(checked[k]):
-            raise SequenceError(f"{path}: {k} must be a whole number of pixels, got {checked[k]}")
-    width, height, fx, fy, cx, cy = (checked[k] for k in keys)
+        if floats[k] != int(floats[k]):
+            raise SequenceError(f"{path}: {k} must be a whole number of pixels, got {floats[k]}")
+    width, height, fx, fy, cx, cy = (floats[k] for k in keys)
     with refusing(f"{path}: "):
         return Camera(
             width=int(width),

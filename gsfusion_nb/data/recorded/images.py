@@ -132,9 +132,9 @@ def decode_depth(path: Path, types: tuple[Any, ...]) -> np.ndarray:
     if raw.dtype == np.uint8:
         raise BadFrameError(f"{path} holds depth in 8 bits, so {LOST_PRECISION}")
     if raw.ndim != 2 or raw.dtype not in types:
-        wanted = "16-bit" if types == (np.uint16,) else "16-bit or floating-point"
+        types_text = "16-bit" if types == (np.uint16,) else "16-bit or floating-point"
         raise BadFrameError(
-            f"{path} must be a {wanted} depth image of one channel, got {raw.dtype} "
+            f"{path} must be a {types_text} depth image of one channel, got {raw.dtype} "
             f"{list(raw.shape)}"
         )
     return raw
@@ -225,10 +225,10 @@ def is_to_be_turned(data: bytes) -> bool:
     from PIL import Image
 
     try:
-        found = b"Exif\0\0" in data[: 1 << 16] and Image.open(
+        orientation = b"Exif\0\0" in data[: 1 << 16] and Image.open(
             io.BytesIO(data), formats=("JPEG",)
         ).getexif().get(274, 1)
-        return found in range(2, 9)
+        return orientation in range(2, 9)
     except Exception:  # whatever follows from damaged tags
         return False
 
@@ -238,8 +238,8 @@ def image_size(data: bytes) -> tuple[int, int] | None:
     None for others."""
     if data[:4] == b"v/1\x01":
         header = data[: 1 << 20]
-        windows = [struct.unpack("<iiii", found) for found in _EXR_WINDOW.findall(header)]
-        sizes = [(right - left + 1, bottom - top + 1) for left, top, right, bottom in windows]
+        windows = [struct.unpack("<iiii", window) for window in _EXR_WINDOW.findall(header)]
+        sizes = [(right - x0 + 1, bottom - top + 1) for x0, top, right, bottom in windows]
         return max(sizes, key=lambda size: size[0] * size[1], default=None)
     from PIL import Image
 

@@ -126,12 +126,12 @@ def checked_rows(
             ``ordered``, times that go back.
     """
     finite = torch.isfinite(table).all(dim=1)
-    lost = int((~finite).sum())
-    notes = [f"{path}: {lost} of {len(table)} poses are NaN and count as lost"] if lost else []
+    n_lost = int((~finite).sum())
+    notes = [f"{path}: {n_lost} of {len(table)} poses are NaN and count as lost"] if n_lost else []
     table = table[finite]
-    back = (table[1:, 0] < table[:-1, 0]).nonzero()
-    if len(back) and ordered:
-        i = int(back[0])
+    steps_back = (table[1:, 0] < table[:-1, 0]).nonzero()
+    if len(steps_back) and ordered:
+        i = int(steps_back[0])
         raise SequenceError(
             f"{path}: the time {float(table[i + 1, 0]):.9g} comes after {float(table[i, 0]):.9g}; "
             "expected increasing times: sort the file by its first column, and split it if it "
@@ -164,22 +164,22 @@ def _note_on_repeats(
     Raises:
         SequenceError: two poses at one time that cannot be measurements of one.
     """
-    earlier = table[:-1][repeats]
-    later = table[1:][repeats]
-    moved_m = (later[:, 1:4] - earlier[:, 1:4]).norm(dim=1)
-    same_turn = (later[:, 4:] * earlier[:, 4:]).sum(dim=1).abs().clamp(max=1.0)
+    first_rows = table[:-1][repeats]
+    second_rows = table[1:][repeats]
+    moved_m = (second_rows[:, 1:4] - first_rows[:, 1:4]).norm(dim=1)
+    same_turn = (second_rows[:, 4:] * first_rows[:, 4:]).sum(dim=1).abs().clamp(max=1.0)
     turned_deg = torch.rad2deg(2 * torch.acos(same_turn))
-    apart = (moved_m > REPEATED_POSE_M) | (turned_deg > REPEATED_POSE_DEG)
-    if bool(apart.any()):
-        i = int(apart.nonzero()[0])
+    is_apart = (moved_m > REPEATED_POSE_M) | (turned_deg > REPEATED_POSE_DEG)
+    if bool(is_apart.any()):
+        i = int(is_apart.nonzero()[0])
         raise SequenceError(
-            f"{path} has two poses at the time {float(earlier[i, 0]):.16g}, "
+            f"{path} has two poses at the time {float(first_rows[i, 0]):.16g}, "
             f"{float(moved_m[i]):.3g} m and {float(turned_deg[i]):.3g} degrees apart; expected one "
             "at each time: split the file if it holds several trajectories"
         )
-    rows = f"{len(earlier)} rows have" if len(earlier) > 1 else "1 row has"
-    note = f"{path}: {rows} the time of another row, the first at {float(earlier[0, 0]):.16g}"
-    if bool((earlier != later).any()):
+    rows = f"{len(first_rows)} rows have" if len(first_rows) > 1 else "1 row has"
+    note = f"{path}: {rows} the time of another row, the first at {float(first_rows[0, 0]):.16g}"
+    if bool((first_rows != second_rows).any()):
         largest = f"{1000 * float(moved_m.max()):.2g} mm and {float(turned_deg.max()):.2g} degrees"
         note += f"; their poses differ by at most {largest}, and the first of each time is taken"
     return note

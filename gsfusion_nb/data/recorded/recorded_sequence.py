@@ -143,12 +143,13 @@ class RecordedSequence:
     def _decoded(self, key: Hashable, decode: Callable[[], np.ndarray]) -> np.ndarray:
         return decode() if self.decoded is None else self.decoded.get(key, decode)
 
-    def _check_size(self, file: Path, image: np.ndarray, also: str = "") -> None:
+    def _check_size(self, file: Path, image: np.ndarray, condition: str = "") -> None:
         size = image.shape[1::-1]
-        expected = (self.camera.width, self.camera.height)
-        if size != expected:
+        camera_size = (self.camera.width, self.camera.height)
+        if size != camera_size:
             raise BadFrameError(
-                f"{file} is {_wxh(size)}; expected {_wxh(expected)}, as the intrinsics say{also}"
+                f"{file} is {_wxh(size)}; expected {_wxh(camera_size)}, as the intrinsics "
+                f"say{condition}"
             )
 
 

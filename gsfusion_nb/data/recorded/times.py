@@ -81,8 +81,8 @@ def read_image_list(
     pattern = re.compile(r"[\s,]+".join([_LISTED] * per_line))
     rows = []
     for line_number, line in read_lines(path, f"lines '{what}'"):
-        found = pattern.fullmatch(line)
-        groups = () if found is None else found.groups()
+        match = pattern.fullmatch(line)
+        groups = () if match is None else match.groups()
         numbers = [_finite(text) for text in groups[::2]]
         if not numbers or None in numbers:
             raise SequenceError(f"{path} line {line_number} must be '{what}', got {shown(line)}")
@@ -154,10 +154,10 @@ LONGEST_STEP_S = 60.0
 def _check_seconds(times: list[float], path: Path) -> None:
     """Raise ``SequenceError`` for times that are not seconds; the message names the unit that they
     have."""
-    ordered = sorted(times)
-    unit = time_unit(ordered)
-    step = _median_step(ordered)
-    if unit == "s" or (not date_unit(ordered[-1]) and step <= LONGEST_STEP_S):
+    in_order = sorted(times)
+    unit = time_unit(in_order)
+    step = _median_step(in_order)
+    if unit == "s" or (not date_unit(in_order[-1]) and step <= LONGEST_STEP_S):
         return
     raise SequenceError(
         f"{path} must hold seconds, but as seconds there would be one frame in {step:g} s; as "
@@ -235,27 +235,27 @@ def judge_stamps(
         padded: They are written with leading zeros, as counters are.
     """
     values = list(numbers)
-    ordered = sorted(numbers)
+    in_order = sorted(numbers)
     if not values:
         return Stamps([])
     if unit == "none":
         return Stamps(None, "the user says so")
-    found = unit
+    best_unit = unit
     if unit == "auto":
-        found = common or time_unit(ordered)
-    counter = _counter(ordered, padded=padded) if unit == "auto" else ""
-    reason = _no_times(ordered, PER_SECOND[found]) or counter
-    times = [v / PER_SECOND[found] for v in values]
-    guess = unit == "auto" and _may_count(ordered)
-    backward = sum(b < a for a, b in itertools.pairwise(values))
-    if backward and not reason:
+        best_unit = common or time_unit(in_order)
+    counter = _counter(in_order, is_padded=padded) if unit == "auto" else ""
+    reason = _no_times(in_order, PER_SECOND[best_unit]) or counter
+    times = [v / PER_SECOND[best_unit] for v in values]
+    guess = unit == "auto" and _may_count(in_order)
+    n_backward = sum(b < a for a, b in itertools.pairwise(values))
+    if n_backward and not reason:
         by_time = sorted(range(len(values)), key=values.__getitem__)
         if names and [names[i] for i in by_time] == sorted(names):
-            return Stamps(times, unit=found, unordered=backward, is_guess=guess)
-        reason = f"{backward} of {len(values)} are smaller than the one before"
+            return Stamps(times, unit=best_unit, unordered=n_backward, is_guess=guess)
+        reason = f"{n_backward} of {len(values)} are smaller than the one before"
     if reason:
-        return Stamps(None, reason, found, counts_frames=bool(counter))
-    return Stamps(times, unit=found, is_guess=guess)
+        return Stamps(None, reason, best_unit, counts_frames=bool(counter))
+    return Stamps(times, unit=best_unit, is_guess=guess)
 
 
 def date_unit(value: float) -> str:
@@ -275,11 +275,11 @@ def time_unit(increasing: abc.Sequence[float]) -> str:
 def common_unit(lists: abc.Iterable[abc.Sequence[float]]) -> str:
     """The unit of several lists of one recording: that of their dates, or that of the list with the
     smallest steps."""
-    ordered = [sorted(numbers) for numbers in lists if len(numbers)]
-    if not ordered:
+    sorted_lists = [sorted(numbers) for numbers in lists if len(numbers)]
+    if not sorted_lists:
         return "s"
-    dates = [unit for numbers in ordered if (unit := date_unit(numbers[-1]))]
-    steps = [step for numbers in ordered if (step := _median_step(numbers)) > 0]
+    dates = [unit for numbers in sorted_lists if (unit := date_unit(numbers[-1]))]
+    steps = [step for numbers in sorted_lists if (step := _median_step(numbers)) > 0]
     return dates[0] if dates else _unit_of_step(min(steps, default=0.0))
 
 
@@ -292,34 +292,34 @@ def _unit_of_step(step: float) -> str:
     return next(unit for unit, most in LARGEST_STEP.items() if step <= most)
 
 
-def _no_times(ordered: list[float], per_second: float) -> str:
+def _no_times(in_order: list[float], per_second: float) -> str:
     """Why these numbers, sorted, cannot be times; empty if they can."""
-    n = len(ordered)
-    if ordered[0] < 0:
-        return f"{sum(v < 0 for v in ordered)} of {n} are negative, the smallest {ordered[0]:g}"
+    n = len(in_order)
+    if in_order[0] < 0:
+        return f"{sum(v < 0 for v in in_order)} of {n} are negative, the smallest {in_order[0]:g}"
     if n == 1:
         return ""
-    if ordered[0] == ordered[-1]:
-        return f"all {n} are {ordered[0]:g}"
-    steps = [b - a for a, b in itertools.pairwise(ordered)]
-    repeated = sum(step == 0 for step in steps)
-    if repeated > max(1, _REPEATED * n):
-        return f"{repeated} of {n} repeat another"
+    if in_order[0] == in_order[-1]:
+        return f"all {n} are {in_order[0]:g}"
+    steps = [b - a for a, b in itertools.pairwise(in_order)]
+    n_repeats = sum(step == 0 for step in steps)
+    if n_repeats > max(1, _REPEATED * n):
+        return f"{n_repeats} of {n} repeat another"
     rate = per_second / statistics.median(steps)
     if rate > MOST_PER_SECOND:
         return (
             "sorted, they are far closer together than the frames of a camera, at "
-            f"{ordered[0]:g} to {ordered[-1]:g}"
+            f"{in_order[0]:g} to {in_order[-1]:g}"
         )
     return ""
 
 
-def _counter(ordered: list[float], *, padded: bool) -> str:
+def _counter(in_order: list[float], *, is_padded: bool) -> str:
     """Why these numbers, sorted, are frame numbers; empty if they are not."""
-    steps = [b - a for a, b in itertools.pairwise(ordered)]
-    if len(steps) < 2 or not _may_count(ordered):
+    steps = [b - a for a, b in itertools.pairwise(in_order)]
+    if len(steps) < 2 or not _may_count(in_order):
         return ""
-    span = f"from {ordered[0]:g} to {ordered[-1]:g}"
+    span = f"from {in_order[0]:g} to {in_order[-1]:g}"
     low = min(steps)
     if (
         0 < low < _COUNTER_STEP
@@ -327,13 +327,13 @@ def _counter(ordered: list[float], *, padded: bool) -> str:
         and all(step % low == 0 for step in steps)
     ):
         return f"they count the frames, {span}"
-    if padded:
+    if is_padded:
         return f"they number the frames, with leading zeros, {span}"
     if statistics.median(steps) < _LEAST_STEP_MS:
         return f"they number the frames, {span}: in milliseconds they would be too close together"
     return ""
 
 
-def _may_count(ordered: list[float]) -> bool:
+def _may_count(in_order: list[float]) -> bool:
     """Whether these numbers, sorted, are whole and small enough to be those of frames."""
-    return ordered[-1] < _COUNTER_BELOW and all(v == int(v) for v in ordered)
+    return in_order[-1] < _COUNTER_BELOW and all(v == int(v) for v in in_order)

@@ -119,12 +119,12 @@ def walk(
 
 def look_at(eye_W: ndarray, target_W: ndarray) -> ndarray:
     """T_WC of an upright camera at ``eye_W`` that looks at ``target_W``. [4, 4]"""
-    forward = target_W - eye_W
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
+    view_W = target_W - eye_W
+    view_W = view_W / np.linalg.norm(view_W)
+    right = np.cross(view_W, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     T = np.eye(4)
-    T[:3, :3] = np.stack([right, np.cross(forward, right), forward], 1)
+    T[:3, :3] = np.stack([right, np.cross(view_W, right), view_W], 1)
     T[:3, 3] = eye_W
     return T
 
@@ -147,9 +147,9 @@ def _pace(points: ndarray) -> ndarray:
 
 def _rounded(points: ndarray) -> ndarray:
     """Waypoints moved a little towards the middle of their neighbours."""
-    out = points.copy()
-    out[1:-1] = 0.7 * points[1:-1] + 0.15 * (points[:-2] + points[2:])
-    return out
+    path = points.copy()
+    path[1:-1] = 0.7 * points[1:-1] + 0.15 * (points[:-2] + points[2:])
+    return path
 
 
 def _tremor(times: ndarray, size_m: float, rng: np.random.Generator) -> ndarray:
@@ -217,8 +217,8 @@ def without_depth(xyz_W: ndarray, share: float, seed: int) -> ndarray:
     share of the cubes."""
     cube = np.floor(xyz_W / _CUBE_M).astype(np.int64) + 512
     chance = np.random.default_rng([seed, 7]).uniform(size=1 << 14)
-    hashed = (cube[..., 0] * 73856093) ^ (cube[..., 1] * 19349663) ^ (cube[..., 2] * 83492791)
-    return chance[hashed % len(chance)] < share
+    hash_code = (cube[..., 0] * 73856093) ^ (cube[..., 1] * 19349663) ^ (cube[..., 2] * 83492791)
+    return chance[hash_code % len(chance)] < share
 
 
 FOCAL_BASELINE_PX_M = 580.0 * 0.075
@@ -275,15 +275,15 @@ def kinect_depth(
         0,
         W - 1,
     )
-    seen = z[rows, cols]
-    disparity = FOCAL_BASELINE_PX_M / np.maximum(seen, 1e-3) + rng.normal(
+    z_there = z[rows, cols]
+    disparity = FOCAL_BASELINE_PX_M / np.maximum(z_there, 1e-3) + rng.normal(
         0, DISPARITY_SIGMA_PX, (H, W)
     )
     disparity = np.maximum(np.rint(disparity / DISPARITY_STEP_PX), 1) * DISPARITY_STEP_PX
-    measured = FOCAL_BASELINE_PX_M / disparity
-    hole |= (seen <= 0) | (measured < RANGE_M[0]) | (measured > RANGE_M[1])
-    measured[hole] = 0.0
-    return torch.from_numpy(measured).to(depth_m.device, depth_m.dtype)
+    depth_measured = FOCAL_BASELINE_PX_M / disparity
+    hole |= (z_there <= 0) | (depth_measured < RANGE_M[0]) | (depth_measured > RANGE_M[1])
+    depth_measured[hole] = 0.0
+    return torch.from_numpy(depth_measured).to(depth_m.device, depth_m.dtype)
 
 
 def _holes(
@@ -295,16 +295,16 @@ def _holes(
     normal = depth_to_normals(camera, depth_m, max_jump=0.1)
     ray = rays(camera, pixel_grid(camera, device=depth_m.device, dtype=depth_m.dtype))
     cosine = -(normal * ray).sum(-1) / ray.norm(dim=-1)
-    known = (normal.abs().sum(-1) > 0).cpu().numpy()
+    has_normal = (normal.abs().sum(-1) > 0).cpu().numpy()
     chance = rng.uniform(size=z.shape)
     low, high = _GRAZING_COS
-    returned = np.clip(
+    light_share = np.clip(
         (cosine.cpu().numpy() - low) / (high - low),
         0,
         1,
     )
-    hole = known & (chance > 0.02 + 0.98 * returned)
-    edge = ~known
+    hole = has_normal & (chance > 0.02 + 0.98 * light_share)
+    edge = ~has_normal
     edge[[0, -1], :] = edge[:, [0, -1]] = (
         False  # the image border has no normals either, but is not an edge
     )

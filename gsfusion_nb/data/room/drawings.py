@@ -84,22 +84,22 @@ def planks(
     w, h, texel_m, rng, colour: Colour, plank_m: float = 0.14, length_m: float = 1.3
 ) -> ndarray:
     """Floor boards along u, each with its own tone, length and grain, and dark joints."""
-    out = wood(w, h, texel_m, rng, colour, "u", 0.25).astype(np.float32)
+    image = wood(w, h, texel_m, rng, colour, "u", 0.25).astype(np.float32)
     rows = max(1, round(h * texel_m / plank_m))
     joint = max(1, round(0.003 / texel_m))
     edges = np.linspace(0, h, rows + 1).astype(int)
     for top, bottom in pairwise(edges):
-        left = -int(rng.uniform(0, length_m) / texel_m)
-        while left < w:
-            right = left + int(rng.uniform(0.7, 1.2) * length_m / texel_m)
-            board = out[top:bottom, max(left, 0) : max(right, 0)]
+        start_px = -int(rng.uniform(0, length_m) / texel_m)
+        while start_px < w:
+            right = start_px + int(rng.uniform(0.7, 1.2) * length_m / texel_m)
+            board = image[top:bottom, max(start_px, 0) : max(right, 0)]
             board *= rng.uniform(0.8, 1.12) * np.array(
                 [1, rng.uniform(0.97, 1.02), rng.uniform(0.92, 1.04)]
             )
-            out[top:bottom, max(right - joint, 0) : max(right, 0)] *= 0.45
-            left = right
-        out[top : top + joint] *= 0.45
-    return np.clip(out, 0, 255).astype(np.uint8)
+            image[top:bottom, max(right - joint, 0) : max(right, 0)] *= 0.45
+            start_px = right
+        image[top : top + joint] *= 0.45
+    return np.clip(image, 0, 255).astype(np.uint8)
 
 
 def brick(
@@ -217,7 +217,7 @@ def wallpaper(
     cell_m: float = 0.22,
 ) -> ndarray:
     """Rows of leaf sprigs, every second row shifted by half."""
-    out = paint(w, h, texel_m, rng, colour, 0.04)
+    image = paint(w, h, texel_m, rng, colour, 0.04)
     rgb = tuple(int(255 * c) for c in ink)
     cell = cell_m / texel_m
     for row in range(int(h / cell) + 2):
@@ -225,7 +225,7 @@ def wallpaper(
             x = (col + 0.5 * (row % 2)) * cell
             y = row * cell
             cv2.line(
-                out,
+                image,
                 (round(x), round(y - 0.3 * cell)),
                 (round(x), round(y + 0.3 * cell)),
                 rgb,
@@ -237,7 +237,7 @@ def wallpaper(
                     at = (round(x + side * 0.11 * cell), round(y + 0.12 * k * cell))
                     axes = (max(1, round(0.11 * cell)), max(1, round(0.035 * cell)))
                     cv2.ellipse(
-                        out,
+                        image,
                         at,
                         axes,
                         -35 * side,
@@ -247,7 +247,7 @@ def wallpaper(
                         -1,
                         cv2.LINE_AA,
                     )
-    return out
+    return image
 
 
 def speckled(

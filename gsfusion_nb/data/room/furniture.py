@@ -386,21 +386,21 @@ def bookshelf(
         )
         first = x0 + 0.004
         last = x1
-        before = []
-        after = []
+        left_objects = []
+        right_objects = []
         if (col, row) == (0, 3):
             first = x0 + 0.34
-            before = _vase(x0 + 0.16, z)
+            left_objects = _vase(x0 + 0.16, z)
         elif (col, row) == (1, 1):
             last = x0 + 0.3
-            after = [_photo((x1 - 0.2, -0.02, z + 0.12))]
+            right_objects = [_photo((x1 - 0.2, -0.02, z + 0.12))]
         elif (col, row) == (1, 4):
             first = x0 + 0.4
             last = x1 - 0.05
-            before = _crate(x0 + 0.2, z)
+            left_objects = _crate(x0 + 0.2, z)
         else:
             last = x1 - rng.uniform(0.0, 0.16)
-        solids += [*before, *_book_row(first, last, z, depth, cell - b, rng), *after]
+        solids += [*left_objects, *_book_row(first, last, z, depth, cell - b, rng), *right_objects]
     return solids
 
 
@@ -509,7 +509,7 @@ def floor_lamp() -> list[Solid]:
 def pendant(length: float = 0.62) -> list[Solid]:
     """A lamp that hangs from its origin on the ceiling."""
     metal = plain(0.82, 0.45, 0.25)
-    inside = plain(1.0, 0.95, 0.85, glow=1.0)
+    bulb = plain(1.0, 0.95, 0.85, glow=1.0)
     z = -length
     return [
         cone(
@@ -531,10 +531,10 @@ def pendant(length: float = 0.62) -> list[Solid]:
             0.16,
             (0.17, 0.035),
             metal,
-            special={"bottom": inside},
+            special={"bottom": bulb},
             occludes=False,
         ),
-        ball((0, 0, z), 0.05, inside, occludes=False),
+        ball((0, 0, z), 0.05, bulb, occludes=False),
     ]
 
 
@@ -908,14 +908,14 @@ def toy_blocks() -> list[Solid]:
         ("C", 0.0, 0.005, 0.07, 5, (0.85, 0.65, 0.15)),
     ):
         face = drawn(0.0015, draw.letter, letter, colour)
-        hidden = "z-" if z == 0 else ""
+        covered_faces = "z-" if z == 0 else ""
         solids.append(
             box(
                 (x, y, z + 0.035),
                 size,
                 face,
                 turn=(turn, 0, 0),
-                hide=hidden,
+                hide=covered_faces,
             )
         )
     return solids

@@ -99,23 +99,23 @@ def write_hand_held(folder: str | Path, recording: HandHeld | None = None) -> Pa
     Raises:
         FileExistsError: the folder exists. ValueError: more images than the walk has.
     """
-    made = recording or HandHeld()
+    settings = recording or HandHeld()
     root = Path(folder)
-    if not 2 <= made.n_images <= made.images_per_walk:
+    if not 2 <= settings.n_images <= settings.images_per_walk:
         raise ArgumentError(
-            f"n_images must be between 2 and {made.images_per_walk}, got {made.n_images}"
+            f"n_images must be between 2 and {settings.images_per_walk}, got {settings.n_images}"
         )
     root.mkdir(parents=True)
-    sequence = made.sequence
+    sequence = settings.sequence
     lists: dict[str, list[str]] = {"rgb": [], "depth": [], "groundtruth": []}
-    for k in range(made.n_images):
+    for k in range(settings.n_images):
         frame = sequence[POSES_PER_IMAGE * k]
-        time_s = f"{FIRST_S + k / made.fps:.6f}"
-        write_rgb(root / f"rgb/{time_s}.jpg", _photographed(frame.rgb_u8.numpy(), k, made))
-        write_depth(root / f"depth/{time_s}.png", frame.depth_m.numpy(), made.depth_units)
+        time_s = f"{FIRST_S + k / settings.fps:.6f}"
+        write_rgb(root / f"rgb/{time_s}.jpg", _photographed(frame.rgb_u8.numpy(), k, settings))
+        write_depth(root / f"depth/{time_s}.png", frame.depth_m.numpy(), settings.depth_units)
         lists["rgb"].append(f"{time_s} rgb/{time_s}.jpg")
         lists["depth"].append(f"{time_s} depth/{time_s}.png")
-    lists["groundtruth"] = _pose_lines(sequence, made)
+    lists["groundtruth"] = _pose_lines(sequence, settings)
     for name, lines in lists.items():
         (root / f"{name}.txt").write_text(
             "\n".join(["# a hand-held recording", *lines, ""]), encoding="utf-8"
@@ -123,31 +123,33 @@ def write_hand_held(folder: str | Path, recording: HandHeld | None = None) -> Pa
     return root
 
 
-def _pose_lines(sequence: RoomSequence, made: HandHeld) -> list[str]:
+def _pose_lines(sequence: RoomSequence, settings: HandHeld) -> list[str]:
     """Lines "timestamp tx ty tz qx qy qz qw", from before the first image to after the last one."""
-    step_s = 1 / (POSES_PER_IMAGE * made.fps)
-    n = min(len(sequence), POSES_PER_IMAGE * (made.n_images + 4))
+    step_s = 1 / (POSES_PER_IMAGE * settings.fps)
+    n = min(len(sequence), POSES_PER_IMAGE * (settings.n_images + 4))
     lines = []
     for i in range(n):
         T_WC = sequence.pose(i).double()
         row = [*T_WC[:3, 3].tolist(), *quaternion.from_matrix(T_WC[:3, :3])[[1, 2, 3, 0]].tolist()]
-        stamp = FIRST_S + 0.004 + i * step_s + made.pose_delay_s
+        stamp = FIRST_S + 0.004 + i * step_s + settings.pose_delay_s
         lines.append(f"{stamp:.6f} " + " ".join(f"{value:.9f}" for value in row))
     return lines
 
 
-def _photographed(rgb: np.ndarray, k: int, made: HandHeld) -> np.ndarray:
+def _photographed(rgb: np.ndarray, k: int, settings: HandHeld) -> np.ndarray:
     """The colour image with blur, exposure and shift of this recording."""
     image = rgb
-    if k in made.blurred:
-        image = cv2.blur(image, (max(9, made.width // 12), 1))
-    if k >= made.dark_after * made.n_images:
-        linear = (image / 255.0) ** 2.2 * 2.0**-made.dark_stops
+    if k in settings.blurred:
+        image = cv2.blur(image, (max(9, settings.width // 12), 1))
+    if k >= settings.dark_after * settings.n_images:
+        linear = (image / 255.0) ** 2.2 * 2.0**-settings.dark_stops
         image = np.rint(linear ** (1 / 2.2) * 255).astype(np.uint8)
-    move = np.array([[1.0, 0.0, made.colour_shift_px[0]], [0.0, 1.0, made.colour_shift_px[1]]])
+    move = np.array(
+        [[1.0, 0.0, settings.colour_shift_px[0]], [0.0, 1.0, settings.colour_shift_px[1]]]
+    )
     return cv2.warpAffine(
         image,
         move,
-        (made.width, made.height),
+        (settings.width, settings.height),
         borderMode=cv2.BORDER_REPLICATE,
     )

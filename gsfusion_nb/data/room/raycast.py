@@ -67,19 +67,19 @@ def compile_patches(
     """All visible surface pieces of ``solids``; ``chart_of[(solid number, face)]`` is the chart of
     a painted face."""
     flat: list[tuple] = []
-    curved: list[CurvedPatch] = []
+    curved_patches: list[CurvedPatch] = []
     for i, solid in enumerate(solids):
         charts = np.array([chart_of.get((i, face), -1) for face in solid.faces])
         if isinstance(solid, Box):
             flat += _box_faces(solid, charts)
             if solid.radius > 0:
-                curved += _rounded_edges(solid, charts)
+                curved_patches += _rounded_edges(solid, charts)
         elif isinstance(solid, Frustum):
             flat += _caps(solid, charts)
             if charts[0] >= 0:
-                curved.append(CurvedPatch(shape=solid, solid=solid, charts=charts))
+                curved_patches.append(CurvedPatch(shape=solid, solid=solid, charts=charts))
         else:
-            curved.append(CurvedPatch(shape=solid, solid=solid, charts=charts))
+            curved_patches.append(CurvedPatch(shape=solid, solid=solid, charts=charts))
     columns = [np.array(c) for c in zip(*flat, strict=True)]
     names = (
         "centre",
@@ -93,7 +93,7 @@ def compile_patches(
         "chart_w",
         "chart_h",
     )
-    return FlatPatches(**dict(zip(names, columns, strict=True))), curved
+    return FlatPatches(**dict(zip(names, columns, strict=True))), curved_patches
 
 
 def _box_faces(box: Box, charts: ndarray) -> list[tuple]:
@@ -132,8 +132,8 @@ def _rounded_edges(box: Box, charts: ndarray) -> list[CurvedPatch]:
         s = np.array(signs)
         if np.count_nonzero(s) < 2:
             continue
-        touched = [2 * axis + (sign > 0) for axis, sign in enumerate(s) if sign]
-        if (charts[touched] < 0).all():
+        faces_there = [2 * axis + (sign > 0) for axis, sign in enumerate(s) if sign]
+        if (charts[faces_there] < 0).all():
             continue
         normals = np.stack([box.R[:, axis] * s[axis] for axis in range(3) if s[axis]])
         offsets = normals @ box.t + box.inner[s != 0]
@@ -219,9 +219,9 @@ class RoomView:
         nearest = z.min(1)
         farthest = z.max(1)
         for i in np.flatnonzero((nearest < _NEAR_M) & (farthest > _NEAR_M)):
-            near = z[i] < _NEAR_M
-            p = corners_C[i, near][:, None]
-            q = corners_C[i, ~near][None]
+            is_near = z[i] < _NEAR_M
+            p = corners_C[i, is_near][:, None]
+            q = corners_C[i, ~is_near][None]
             s = (_NEAR_M - p[..., 2:]) / (q[..., 2:] - p[..., 2:])
             points = np.concatenate([q[0], (p + s * (q - p)).reshape(-1, 3)])
             u_i = cam.fx * points[:, 0] / points[:, 2] + cam.cx
@@ -253,9 +253,9 @@ def _cast_flat(view: RoomView, w: ndarray, patch: ndarray) -> None:
     )
     corners = (corners - view.eye) @ view.R
     bounds = view.bounds(corners)
-    seen = view.front & (bounds[:, 0] < bounds[:, 1]) & (bounds[:, 2] < bounds[:, 3])
+    is_seen = view.front & (bounds[:, 0] < bounds[:, 1]) & (bounds[:, 2] < bounds[:, 3])
     columns = np.arange(view.camera.width)
-    for i in np.flatnonzero(seen):
+    for i in np.flatnonzero(is_seen):
         row0, row1, col0, col1 = bounds[i].tolist()
         first, last = _row_intervals(view, i, view.y[row0:row1])
         np.maximum(first, col0, out=first)
@@ -346,8 +346,8 @@ def _cast_curved(view: RoomView, w: ndarray, patch: ndarray) -> None:
     corners = (corners - view.eye) @ view.R
     bounds = view.bounds(corners)
     nearest = np.maximum(corners[..., 2].min(1), _NEAR_M)
-    seen = np.flatnonzero((bounds[:, 0] < bounds[:, 1]) & (bounds[:, 2] < bounds[:, 3]))
-    for i in seen[np.argsort(nearest[seen])]:
+    candidates = np.flatnonzero((bounds[:, 0] < bounds[:, 1]) & (bounds[:, 2] < bounds[:, 3]))
+    for i in candidates[np.argsort(nearest[candidates])]:
         piece = view.curved[i]
         if not piece.may_face(view.eye):
             continue

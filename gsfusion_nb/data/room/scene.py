@@ -152,16 +152,16 @@ def _direct(grid: DistanceGrid, light: Light, start: ndarray, normal: ndarray) -
         1,
     )
     axis = np.array(light.axis) / np.linalg.norm(light.axis)
-    along = 0.5 - 0.5 * (direction @ axis)
-    lobe = light.backward + (1 - light.backward) * np.clip(2.4 * along - 0.9, 0, 1)
+    share_on_axis = 0.5 - 0.5 * (direction @ axis)
+    lobe = light.backward + (1 - light.backward) * np.clip(2.4 * share_on_axis - 0.9, 0, 1)
     strength = cosine * lobe / (distance**2 + 0.25)
-    lit = np.flatnonzero(strength > 1e-4)
-    strength[lit] *= _shadow(
+    lit_points = np.flatnonzero(strength > 1e-4)
+    strength[lit_points] *= _shadow(
         grid,
         light,
-        start[lit],
-        direction[lit],
-        distance[lit],
+        start[lit_points],
+        direction[lit_points],
+        distance[lit_points],
     )
     return strength[:, None] * np.array(light.colour)
 
@@ -224,12 +224,12 @@ def cached(
     Two processes may store the same file at once: each writes its own temporary file, and the last
     one moved is kept. Without a path nothing is stored.
     """
-    found = _load(path) if path else None
-    if found is None or not fits(found):
-        found = make()
+    entry = _load(path) if path else None
+    if entry is None or not fits(entry):
+        entry = make()
         if path:
-            _store(path, found)
-    return found
+            _store(path, entry)
+    return entry
 
 
 def _store(path: Path, arrays: dict[str, ndarray]) -> None:
@@ -342,25 +342,25 @@ def paste(
     step = 2**LEVELS
     x, y, w, h = (int(a[i]) for a in (layout.x, layout.y, layout.w, layout.h))
     right, bottom = (-(-(s + 2 * GUTTER) // step) * step - s - GUTTER for s in (w, h))
-    padded = np.pad(
+    with_border = np.pad(
         picture,
         ((GUTTER, bottom), (0, 0), (0, 0)),
         mode="edge",
     )
-    padded = np.pad(
-        padded,
+    with_border = np.pad(
+        with_border,
         ((0, 0), (GUTTER, right), (0, 0)),
         mode="wrap" if wraps else "edge",
     )
-    level0[y - GUTTER : y + h + bottom, x - GUTTER : x + w + right] = padded
+    level0[y - GUTTER : y + h + bottom, x - GUTTER : x + w + right] = with_border
 
 
 def with_mips(level0: ndarray) -> ndarray:
     """The level-0 picture [H, WIDTH, 3] with its box-filtered mip levels beside it. [H, 1.5 WIDTH,
     3]"""
     height = level0.shape[0]
-    out = np.zeros((height, WIDTH + WIDTH // 2, 3), np.uint8)
-    out[:, :WIDTH] = level0
+    atlas = np.zeros((height, WIDTH + WIDTH // 2, 3), np.uint8)
+    atlas[:, :WIDTH] = level0
     y = 0
     level = level0
     for _ in range(LEVELS):
@@ -369,9 +369,9 @@ def with_mips(level0: ndarray) -> ndarray:
             (level.shape[1] // 2, level.shape[0] // 2),
             interpolation=cv2.INTER_AREA,
         )
-        out[y : y + level.shape[0], WIDTH : WIDTH + level.shape[1]] = level
+        atlas[y : y + level.shape[0], WIDTH : WIDTH + level.shape[1]] = level
         y += level.shape[0]
-    return out
+    return atlas
 
 
 def level_offsets(height: int) -> tuple[ndarray, ndarray]:
@@ -386,10 +386,10 @@ def texels(atlas: ndarray, x: ndarray, y: ndarray) -> ndarray:
     """Bilinear texels at columns and rows of the combined picture. [N] -> [N, 3] uint8"""
     n = x.size
     side = 1024 if n >= 1024 else n  # cv2.remap takes pictures of fewer than 2^15 rows and columns
-    padded = np.zeros((2, -(-n // side) * side), np.float32)
-    padded[0, :n] = x
-    padded[1, :n] = y
-    map_x, map_y = padded.reshape(2, -1, side)
+    blocks = np.zeros((2, -(-n // side) * side), np.float32)
+    blocks[0, :n] = x
+    blocks[1, :n] = y
+    map_x, map_y = blocks.reshape(2, -1, side)
     return cv2.remap(atlas, map_x, map_y, cv2.INTER_LINEAR).reshape(-1, 3)[:n]
 
 
@@ -434,20 +434,22 @@ def load_scene(seed: int, cache: bool = True) -> Scene:
     ]
     layout = _lay_out(solids, charts)
     number = {(c.solid, c.face): k for k, c in enumerate(charts)}
-    flat, curved = compile_patches(solids, number)
-    chart_of_patch = np.concatenate([flat.chart, [int(c.charts.max()) for c in curved]]).astype(int)
+    flat, curved_patches = compile_patches(solids, number)
+    chart_of_patch = np.concatenate(
+        [flat.chart, [int(c.charts.max()) for c in curved_patches]]
+    ).astype(int)
     key = hashlib.sha256(f"atlas {version()} {seed}".encode()).hexdigest()[:16]
     level0 = cached(
         cache_folder() / "room" / f"atlas-{key}.npz" if cache else None,
         lambda: {"atlas": _painted(solids, charts, layout, seed)},
-        lambda found: found["atlas"].shape == (layout.height, WIDTH, 3),
+        lambda entry: entry["atlas"].shape == (layout.height, WIDTH, 3),
     )["atlas"]
     return Scene(
         solids=solids,
         charts=charts,
         layout=layout,
         flat=flat,
-        curved=curved,
+        curved=curved_patches,
         atlas=with_mips(level0),
         texel_of_patch=layout.texel_m[chart_of_patch],
     )

@@ -177,8 +177,8 @@ def _clearance(scene: Scene, seed: int) -> Callable[[ndarray, ndarray], ndarray]
     def clearance(chart: ndarray, uv: ndarray) -> ndarray:
         xyz, normal = _points(scene, chart, uv)
         owner = np.maximum(solid_of_chart[chart] - SHELL_SOLIDS, -1)
-        lifted = xyz + _LIFT_M * normal
-        return signed_distance(furnishing(seed), lifted, owner, at_most=2 * _CLEAR_M) - _CLEAR_M
+        xyz_off = xyz + _LIFT_M * normal
+        return signed_distance(furnishing(seed), xyz_off, owner, at_most=2 * _CLEAR_M) - _CLEAR_M
 
     return clearance
 
@@ -221,9 +221,11 @@ def _cut(
     high = np.ones(len(pairs))
     for _ in range(9):
         middle = 0.5 * (low + high)
-        inside = clearance(cut_chart, a + middle[:, None] * (b - a)) > 0 if len(pairs) else low > 0
-        low = np.where(inside, middle, low)
-        high = np.where(inside, high, middle)
+        is_inside = (
+            clearance(cut_chart, a + middle[:, None] * (b - a)) > 0 if len(pairs) else low > 0
+        )
+        low = np.where(is_inside, middle, low)
+        high = np.where(is_inside, high, middle)
     cut_uv = a + low[:, None] * (b - a)
     return np.concatenate([chart, cut_chart]), np.concatenate([uv, cut_uv]), np.concatenate(parts)
 
@@ -328,10 +330,10 @@ class RoomSequence:
                 raise ArgumentError(
                     f"room: {name} must be a whole number >= {least}, got {value!r}"
                 )
-        for name, known in (("trajectory", tuple(TRAJECTORIES)), ("noise", ("none", "kinect"))):
-            if getattr(self, name) not in known:
+        for name, choices in (("trajectory", tuple(TRAJECTORIES)), ("noise", ("none", "kinect"))):
+            if getattr(self, name) not in choices:
                 raise ArgumentError(
-                    f"room: {name} must be one of {', '.join(known)}, got {getattr(self, name)!r}"
+                    f"room: {name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}"
                 )
         for name, most in _IMPERFECT.items():
             check_number(f"room: {name}", getattr(self, name), 0, most)
@@ -399,15 +401,15 @@ class RoomSequence:
         number of frames, size, noise and errors."""
         times_s = self._walk[1][: self.n_frames]
         name = f"room {self.seed}, {self.trajectory}"
-        found = [f"{name}, {times_s[i % self.n_frames]:.3f} s" for i in frames]
+        texts = [f"{name}, {times_s[i % self.n_frames]:.3f} s" for i in frames]
         # all look the same
         for room in range(frames[0] // self.n_frames, frames[-1] // self.n_frames + 1):
-            inside = [i - room * self.n_frames for i in frames if i // self.n_frames == room]
-            first, last = (10 * times_s[i] for i in (inside[0], inside[-1]))
-            found += [
+            room_frames = [i - room * self.n_frames for i in frames if i // self.n_frames == room]
+            first, last = (10 * times_s[i] for i in (room_frames[0], room_frames[-1]))
+            texts += [
                 f"{name}, {tenth} tenths" for tenth in range(math.ceil(first), math.floor(last) + 1)
             ]
-        return list(dict.fromkeys(found))
+        return list(dict.fromkeys(texts))
 
     def __len__(self) -> int:
         return self.rooms * self.n_frames
@@ -422,13 +424,13 @@ class RoomSequence:
         )
         depth_m = torch.from_numpy(images["depth"].astype(np.float32) * np.float32(_DEPTH_UNIT_M))
         rgb = images["rgb"]
-        lost = self._without_depth(depth_m, i)
+        hole = self._without_depth(depth_m, i)
         if self.noise == "kinect":
             depth_m = kinect_depth(
                 depth_m, self.camera, rng=np.random.default_rng([self.seed, 3, i])
             )
-        if lost is not None:
-            depth_m[lost] = 0.0
+        if hole is not None:
+            depth_m[hole] = 0.0
         if self.exposure_stops:
             rgb = exposed(rgb, exposure_gains(self.times_s, self.exposure_stops, self.seed)[i])
         return Frame(
@@ -510,8 +512,8 @@ class RoomSequence:
 
     def _fits(self, images: dict[str, np.ndarray]) -> bool:
         size = (self.height, self.width)
-        wanted = {"rgb": ((*size, 3), np.uint8), "depth": (size, np.uint16)}
-        return {k: (v.shape, v.dtype) for k, v in images.items()} == wanted
+        layout = {"rgb": ((*size, 3), np.uint8), "depth": (size, np.uint16)}
+        return {k: (v.shape, v.dtype) for k, v in images.items()} == layout
 
     def _render(self, i: int) -> dict[str, np.ndarray]:
         rgb, depth_m = render_room(

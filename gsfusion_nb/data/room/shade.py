@@ -173,12 +173,12 @@ class _TextureLookup:
 def _edge_pixels(patch: ndarray) -> ndarray:
     """Flat indices of pixels with a 4-neighbour on another patch."""
     edge = np.zeros(patch.shape, bool)
-    across = patch[:, 1:] != patch[:, :-1]
-    down = patch[1:] != patch[:-1]
-    edge[:, 1:] |= across
-    edge[:, :-1] |= across
-    edge[1:] |= down
-    edge[:-1] |= down
+    differs_x = patch[:, 1:] != patch[:, :-1]
+    differs_y = patch[1:] != patch[:-1]
+    edge[:, 1:] |= differs_x
+    edge[:, :-1] |= differs_x
+    edge[1:] |= differs_y
+    edge[:-1] |= differs_y
     return np.flatnonzero(edge)
 
 
@@ -195,20 +195,20 @@ def _edge_colour(
     row, col = np.divmod(edges, W)
     centre = patches[row, col]
     shifts = ((0, 0), (0, 1), (0, -1), (1, 0), (-1, 0))
-    near = np.stack(
+    neighbours = np.stack(
         [patches[np.clip(row + i, 0, H - 1), np.clip(col + j, 0, W - 1)] for i, j in shifts],
         1,
     )
-    near.sort(axis=1)
+    neighbours.sort(axis=1)
     fresh = np.concatenate(
-        [np.ones((len(edges), 1), bool), near[:, 1:] != near[:, :-1]],
+        [np.ones((len(edges), 1), bool), neighbours[:, 1:] != neighbours[:, :-1]],
         1,
     )
     pixel, slot = np.nonzero(fresh)
     x = view.x[col][:, None] + offsets[:, 0].astype(float)
     y = view.y[row][:, None] + offsets[:, 1].astype(float)
-    w = np.full((len(edges), near.shape[1], 4), -1.0)
-    candidate = near[pixel, slot]
+    w = np.full((len(edges), neighbours.shape[1], 4), -1.0)
+    candidate = neighbours[pixel, slot]
     w[pixel, slot] = _inverse_depth(
         lookup,
         view,
@@ -218,10 +218,10 @@ def _edge_colour(
     )
     best = w.argmax(1)
     w_best = np.take_along_axis(w, best[:, None], 1)[:, 0]
-    patch = np.take_along_axis(near, best, 1)
-    missed = w_best <= 0  # thinner than the sample distance: keep the centre's patch
-    patch = np.where(missed, centre[:, None], patch)
-    w_best = np.where(missed, inverse_depth[row, col][:, None], w_best)
+    patch = np.take_along_axis(neighbours, best, 1)
+    no_weight = w_best <= 0  # thinner than the sample distance: keep the centre's patch
+    patch = np.where(no_weight, centre[:, None], patch)
+    w_best = np.where(no_weight, inverse_depth[row, col][:, None], w_best)
     x, y, w_best = (a.astype(np.float32).ravel() for a in (x, y, w_best))
     patch = patch.ravel()
     U, V, level = lookup.sample(
@@ -247,9 +247,9 @@ def _inverse_depth(
     )
     reach_w = flat.half_w[row, None] * w
     reach_h = flat.half_h[row, None] * w
-    inside = (np.abs(a) <= reach_w * (1 + 1e-9)) & (np.abs(b) <= reach_h * (1 + 1e-9))
-    inside &= ~flat.disc[row, None] | (a * a + b * b <= reach_w**2)
-    w = np.where(inside, w, -1.0)
+    is_inside = (np.abs(a) <= reach_w * (1 + 1e-9)) & (np.abs(b) <= reach_h * (1 + 1e-9))
+    is_inside &= ~flat.disc[row, None] | (a * a + b * b <= reach_w**2)
+    w = np.where(is_inside, w, -1.0)
     for i, at in lookup.segments(patch):
         o, d = view.local_rays(
             view.curved[i],

@@ -82,8 +82,8 @@ class Box(Placed):
 
     def sdf(self, p: ndarray) -> ndarray:
         q = np.abs(p) - self.inner
-        outside = np.sqrt((np.maximum(q, 0.0) ** 2).sum(-1))
-        return outside + np.minimum(q.max(-1), 0.0) - self.radius
+        outer_m = np.sqrt((np.maximum(q, 0.0) ** 2).sum(-1))
+        return outer_m + np.minimum(q.max(-1), 0.0) - self.radius
 
     def face_size_m(self, face: str) -> tuple[float, float]:
         right, up, _ = face_axes(face)
@@ -161,8 +161,8 @@ class Frustum(Placed):
         side_r = rho - self.r_bottom - s * dr
         side_z = z + h - s * dz
         d = np.sqrt(np.minimum(cap_r**2 + cap_z**2, side_r**2 + side_z**2))
-        inside = (cap_z < 0) & (rho < self.r_bottom + (z + h) * self.slope)
-        return np.where(inside, -d, d)
+        is_inside = (cap_z < 0) & (rho < self.r_bottom + (z + h) * self.slope)
+        return np.where(is_inside, -d, d)
 
     def face_size_m(self, face: str) -> tuple[float, float]:
         if face == "side":
@@ -220,18 +220,18 @@ class Frustum(Placed):
         b = o[0] * d[0] + o[1] * d[1] - (slope * k) * d[2]
         disc = b * b - a * (o[0] * o[0] + o[1] * o[1] - k * k)
         t = np.full(a.shape, np.inf)
-        hit = np.flatnonzero(disc > 0)
-        a = a.flat[hit]
-        b = b.flat[hit]
-        dz = d[2].flat[hit]
-        root = np.sqrt(disc.flat[hit])
+        hit_rows = np.flatnonzero(disc > 0)
+        a = a.flat[hit_rows]
+        b = b.flat[hit_rows]
+        dz = d[2].flat[hit_rows]
+        root = np.sqrt(disc.flat[hit_rows])
         a = np.where(np.abs(a) < 1e-14, 1e-14, a)
-        best = np.full(hit.shape, np.inf)
+        best = np.full(hit_rows.shape, np.inf)
         for candidate in ((-b - root) / a, (-b + root) / a):
             z = o[2] + candidate * dz
             valid = (candidate > 0) & (np.abs(z) <= self.half_height) & (rho0 + slope * z >= 0)
             best = np.where(valid & (candidate < best), candidate, best)
-        t.flat[hit] = best
+        t.flat[hit_rows] = best
         return t
 
 
@@ -310,9 +310,9 @@ class Ellipsoid(Placed):
         a = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
         b = o[0] * d[0] + o[1] * d[1] + o[2] * d[2]
         disc = b * b - a * (o @ o - 1)
-        hit = disc > 0
+        is_hit = disc > 0
         t = np.full(a.shape, np.inf)
-        t[hit] = (-b[hit] - np.sqrt(disc[hit])) / a[hit]
+        t[is_hit] = (-b[is_hit] - np.sqrt(disc[is_hit])) / a[is_hit]
         t[t <= 0] = np.inf
         return t
 
@@ -375,7 +375,7 @@ def signed_distance(
     With ``owner`` [N], each point leaves out the solid of that number (-1: the shell). Larger
     distances than ``at_most`` become ``at_most``; a small value saves looking at distant solids.
     """
-    out = np.empty(len(xyz_W))
+    distance_m = np.empty(len(xyz_W))
     centres = np.array([s.t for s in furnishing])
     boxes = np.array([np.abs(s.R) @ s.extent for s in furnishing])
     radii = np.array([np.linalg.norm(s.extent) for s in furnishing])
@@ -394,15 +394,15 @@ def signed_distance(
                 break
             offset = xyz - centres[i]
             reach = (best + radii[i]).clip(min=0)
-            near = np.einsum("nk,nk->n", offset, offset) < reach * reach
+            is_near = np.einsum("nk,nk->n", offset, offset) < reach * reach
             if owner is not None:
-                near &= owner[part] != i
-            rows = np.flatnonzero(near)
+                is_near &= owner[part] != i
+            rows = np.flatnonzero(is_near)
             if rows.size:
                 solid = furnishing[i]
                 best[rows] = np.minimum(best[rows], solid.sdf(solid.to_local(xyz[rows])))
-        out[part] = best
-    return out
+        distance_m[part] = best
+    return distance_m
 
 
 def plain(

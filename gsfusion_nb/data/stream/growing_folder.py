@@ -144,18 +144,18 @@ class GrowingFolder(LiveSource):
         if not self._values:
             with contextlib.suppress(SequenceError):
                 self._values = read_intrinsics(self.root / "intrinsics.json")
-        before = self._waiting
+        waiting = self._waiting
         self._waiting = sorted(
             (p for p in self._files("rgb") if p.stem not in self._done), key=natural_order
         )
         self._depth = {p.stem: p for p in self._files("depth") if p.stem not in self._done}
-        return (self.has_poses and self._read_poses(final)) or self._waiting != before
+        return (self.has_poses and self._read_poses(final)) or self._waiting != waiting
 
     def _files(self, kind: str) -> list[Path]:
         folder = self.root / kind
-        found = folder.iterdir() if folder.is_dir() else ()
+        entries = folder.iterdir() if folder.is_dir() else ()
         return [
-            p for p in found if p.suffix.lower() in _SUFFIXES[kind] and not p.name.startswith(".")
+            p for p in entries if p.suffix.lower() in _SUFFIXES[kind] and not p.name.startswith(".")
         ]
 
     def _read_poses(self, final: bool) -> bool:
@@ -169,8 +169,10 @@ class GrowingFolder(LiveSource):
         self._pose_chars = len(text)
         lines = (line.strip() for line in (text.split("\n") if final else text.split("\n")[:-1]))
         self._lines = [line for line in lines if line and not line.startswith("#")]
-        named = ((split_name(line)[0], line) for line in self._lines)
-        self._line_of_name = {image_key(name): line for name, line in named if name is not None}
+        names_and_lines = ((split_name(line)[0], line) for line in self._lines)
+        self._line_of_name = {
+            image_key(name): line for name, line in names_and_lines if name is not None
+        }
         return True
 
     def _lacks_image(self, image: Path) -> str:
@@ -178,8 +180,8 @@ class GrowingFolder(LiveSource):
         depth = self._depth.get(image.stem)
         if depth is None:
             return f"{self.root / 'depth'} has no image {image.stem} for {image}"
-        torn = next((path for path in (image, depth) if not is_complete_image(path)), None)
-        return f"{torn} is truncated; expected a whole image" if torn else ""
+        incomplete = next((path for path in (image, depth) if not is_complete_image(path)), None)
+        return f"{incomplete} is truncated; expected a whole image" if incomplete else ""
 
     def _line(self, image: Path) -> str | None:
         """The pose of an image as it is written, empty if there are no poses; None if it is not

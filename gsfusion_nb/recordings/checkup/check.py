@@ -64,55 +64,61 @@ def check_recording(
     Raises:
         SequenceError: the recording cannot be opened; the message says why.
     """
-    started = time.perf_counter()
-    given = data or DataConfig()
-    decoded = DecodedImages(_DECODED_BYTES)
-    base, hint = _opened(sequence_or_path, reader_options, decoded)
+    start_time = time.perf_counter()
+    initial = data or DataConfig()
+    image_store = DecodedImages(_DECODED_BYTES)
+    base, hint = _opened(sequence_or_path, reader_options, image_store)
     raw, findings = (
-        examine_files(base, given.repair)
+        examine_files(base, initial.repair)
         if isinstance(base, RecordedSequence)
         else (RepairConfig(), [])
     )
-    given = combined(given, DataConfig(repair=raw))
-    trials = Trials(base, given)
-    sequence = apply_options(base, replace(given, hold_out_every=0))
+    initial = combined(initial, DataConfig(repair=raw))
+    trials = Trials(base, initial)
+    sequence = apply_options(base, replace(initial, hold_out_every=0))
     sample = read_sample(sequence, frames=frames)
     pairs = pairs_of(trials.mapped(sample))
-    posed = getattr(base, "has_poses", True)
-    known = {name: value for name, value in reader_options.items() if name != "format"}
+    has_poses = getattr(base, "has_poses", True)
+    layout_options = {name: value for name, value in reader_options.items() if name != "format"}
     report = CheckupReport(
         name=sample.name,
         length=sample.length,
         frames_read=len(sample.frames),
-        findings=[_readable_finding(sample, given.repair), *findings],
-        data=given,
-        reader=known,
+        findings=[_readable_finding(sample, initial.repair), *findings],
+        data=initial,
+        reader=layout_options,
     )
     if not pairs:
         return report
 
     trials.pairs = [(sequence.positions[a], sequence.positions[b]) for a, b in pairs]
-    found, more, reader, graphs = _examine(sample, pairs, hint, posed, trials)
-    registered = None
+    new_findings, more, reader, graphs = _examine(sample, pairs, hint, has_poses, trials)
+    registered_base = None
     if reader:
-        registered, _ = _opened(sequence_or_path, {**reader_options, **reader}, decoded)
-    found, more, together = trials.judged(found, more, registered) if posed else (found, more, "")
-    reader = reader if any(f.repair == reader_flags(reader) for f in found) else {}
-    mended = combined(given, more)
-    again = (
-        apply_options(base, replace(mended, hold_out_every=0))
-        if more != DataConfig() and posed
+        registered_base, _ = _opened(sequence_or_path, {**reader_options, **reader}, image_store)
+    new_findings, more, joint_gain = (
+        trials.judged(new_findings, more, registered_base)
+        if has_poses
+        else (new_findings, more, "")
+    )
+    reader = reader if any(f.repair == reader_flags(reader) for f in new_findings) else {}
+    final_data = combined(initial, more)
+    repaired_sequence = (
+        apply_options(base, replace(final_data, hold_out_every=0))
+        if more != DataConfig() and has_poses
         else None
     )
     return replace(
         report,
-        findings=[*report.findings, *found],
-        data=mended,
-        reader=known | reader,
-        together=together,
-        pictures=pictures_of(sequence, again, pairs, posed=posed) if pictures else {},
+        findings=[*report.findings, *new_findings],
+        data=final_data,
+        reader=layout_options | reader,
+        together=joint_gain,
+        pictures=pictures_of(sequence, repaired_sequence, pairs, has_poses=has_poses)
+        if pictures
+        else {},
         graphs=graphs if pictures else [],
-        seconds=time.perf_counter() - started,
+        seconds=time.perf_counter() - start_time,
     )
 
 
@@ -120,10 +126,10 @@ def _examine(
     sample: Sample,
     pairs: abc.Sequence[tuple[int, int]],
     hint: dict[str, Any],
-    posed: bool,
+    has_poses: bool,
     trials: Trials,
 ) -> tuple[list[Finding], DataConfig, dict[str, Any], list[PageGraph]]:
-    """All findings that come from the frames read; without poses (``posed`` False) those on the
+    """All findings that come from the frames read; without poses (``has_poses`` False) those on the
     images alone.
 
     Returns:
@@ -131,7 +137,7 @@ def _examine(
         of the reader that repair it, and the graphs.
     """
     codes, code_finding = clear_codes(sample.frames, getattr(trials.base, "depth_scale", None))
-    if posed:
+    if has_poses:
         e = explain(trials.mapped(sample), pairs)
         first = agreement_finding(e)
         e, sample = trials.in_time(e, sample)
@@ -139,13 +145,13 @@ def _examine(
         graphs = path_from_above(sample, e.interpretation)
         lens = getattr(getattr(trials.base, "rectification", None), "lens", None)
         about = fit_findings(e, sample.camera, lens and lens.camera)
-        over = measure_over_frames(sample, e.interpretation, e.correction)
+        measures = measure_over_frames(sample, e.interpretation, e.correction)
         piece, jumps = jump_finding(
-            over,
-            1 + max(int(over.number.max()), sample.length - 1),
+            measures,
+            1 + max(int(measures.number.max()), sample.length - 1),
         )
         last = [jumps]
-        graphs += graphs_of(over)
+        graphs += graphs_of(measures)
     else:
         repair, unit = unit_finding(trials.mapped(sample), trials.base)
         graphs = []
@@ -156,11 +162,13 @@ def _examine(
         first = Finding(
             "poses", "unknown", text, repair="--tracking.poses tracked --reader poses=false"
         )
-        over = measure_over_frames(sample, RepairConfig(), CalibrationCorrection(), posed=False)
+        measures = measure_over_frames(
+            sample, RepairConfig(), CalibrationCorrection(), has_poses=False
+        )
     colour, colour_findings = registration_findings(
         fit_colour(trials.mapped(sample)), sample.camera
     )
-    related = colour_findings[0].verdict != "wrong" or bool(colour.changes)
+    colour_fits_depth = colour_findings[0].verdict != "wrong" or bool(colour.changes)
     reader = {}
     if hint and colour_findings[0].verdict in (
         "doubtful",
@@ -168,14 +176,14 @@ def _examine(
     ):  # a calibration is better than a shift
         colour = RepairConfig()
         reader = hint
-        related = True
+        colour_fits_depth = True
         colour_findings[0] = replace(colour_findings[0], repair=reader_flags(hint))
-    if posed and related:
+    if has_poses and colour_fits_depth:
         pairs = [pair for pair in pairs if sample.by_place.keys() >= {*pair}]
-        far = [(a, b) for a, b in pairs if b - a > 1] or list(pairs)
-        data = FitData.of(sample, far, e.interpretation)
-        last.append(exposure_finding(over, gains(sample, far, data, e.correction)[0]))
-    skip, images = image_findings(over, posed=posed)
+        distant_pairs = [(a, b) for a, b in pairs if b - a > 1] or list(pairs)
+        data = FitData.of(sample, distant_pairs, e.interpretation)
+        last.append(exposure_finding(measures, gains(sample, distant_pairs, data, e.correction)[0]))
+    skip, images = image_findings(measures, has_poses=has_poses)
     limits = DataConfig()
     for value_m, high in codes:  # exclude the codes, after the depth factor
         name, factor = ("depth_max_m", 0.99) if high else ("depth_min_m", 1.01)
@@ -193,13 +201,15 @@ def _examine(
 def _opened(
     sequence_or_path: str | Path | Sequence,
     reader_options: dict[str, Any],
-    decoded: DecodedImages,
+    image_store: DecodedImages,
 ) -> tuple[Sequence, dict[str, Any]]:
-    """The sequence as its reader returns it, with images held in ``decoded``, and the option of the
-    reader that registers colour to depth."""
+    """The sequence as its reader returns it, with images held in ``image_store``, and the option of
+    the reader that registers colour to depth."""
     if not isinstance(sequence_or_path, (str, Path)):
-        return _holding(sequence_or_path, decoded), {}
-    source = _holding(as_read(open_sequence(sequence_or_path, **reader_options).source), decoded)
+        return _holding(sequence_or_path, image_store), {}
+    source = _holding(
+        as_read(open_sequence(sequence_or_path, **reader_options).source), image_store
+    )
     layout = reader_options.get("format", "auto")
     if layout == "auto" and isinstance(source, RecordedSequence):
         layout = detect_layout(Path(sequence_or_path).expanduser())
@@ -209,26 +219,26 @@ def _opened(
     )
 
 
-def _holding(source: Sequence, decoded: DecodedImages) -> Sequence:
-    return replace(source, decoded=decoded) if isinstance(source, RecordedSequence) else source
+def _holding(source: Sequence, image_store: DecodedImages) -> Sequence:
+    return replace(source, decoded=image_store) if isinstance(source, RecordedSequence) else source
 
 
-def _readable_finding(sample: Sample, given: RepairConfig) -> Finding:
-    tried = len(sample.frames) + len(sample.unreadable)
+def _readable_finding(sample: Sample, initial: RepairConfig) -> Finding:
+    n_tried = len(sample.frames) + len(sample.unreadable)
     # a shift in time leaves these frames without a pose
     ends = max(
-        abs(given.pose_shift_frames),
-        abs(given.rgb_shift_frames),
-        bool(given.pose_offset_s or given.depth_offset_s),
+        abs(initial.pose_shift_frames),
+        abs(initial.rgb_shift_frames),
+        bool(initial.pose_offset_s or initial.depth_offset_s),
     )
     bad = {i: why for i, why in sample.unreadable.items() if ends <= i <= sample.length - 1 - ends}
     if not bad:
-        return Finding("frames", "ok", f"All {tried} frames read are usable.")
+        return Finding("frames", "ok", f"All {n_tried} frames read are usable.")
     text = (
-        f"{len(bad)} of {tried} frames cannot be used and are left out of the map, the first "
+        f"{len(bad)} of {n_tried} frames cannot be used and are left out of the map, the first "
         "because "
     )
     text += f"{next(iter(bad.values()))}."
-    if len(sample.frames) >= 2 and len(bad) <= tried / 2:
+    if len(sample.frames) >= 2 and len(bad) <= n_tried / 2:
         return Finding("frames", "doubtful", text)
     return Finding("frames", "wrong", text, "repair the files named here")

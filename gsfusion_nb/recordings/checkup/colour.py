@@ -75,11 +75,11 @@ def fit_colour(sample: Sample) -> ColourFit | None:
     score, peak, shift, scale, mirror = max(
         options, key=lambda o: o[0] * (1 if o[4] == "none" else 0.7)
     )
-    near, _, at_near = peak_of(spatial, reach=1)
+    near_score, _, near_shift = peak_of(spatial, reach=1)
     frames = 0
-    if mirror == "none" and score < _BETTER * near:  # within the noise: keep as read
-        score = near
-        shift = at_near
+    if mirror == "none" and score < _BETTER * near_score:  # within the noise: keep as read
+        score = near_score
+        shift = near_shift
         scale = 1.0
     if best_time and time_score > max(_BETTER * now_score, 0.9 * score):
         score = time_score
@@ -125,44 +125,44 @@ def _may_be_time(
 
 def _speed(
     f: FrameFacts,
-    there: dict[int, FrameFacts],
+    by_place: dict[int, FrameFacts],
 ) -> Float[np.ndarray, " 2"]:
     """Motion of the image's content from this frame to the next by phase correlation, pixels of the
     depth images."""
-    before, after = _neighbours(f, there)
-    a, b = (cv2.GaussianBlur(g.grey.astype(np.float32), (0, 0), 1.5) for g in (before, after))
-    moved = cv2.phaseCorrelate(
+    previous, following = _neighbours(f, by_place)
+    a, b = (cv2.GaussianBlur(g.grey.astype(np.float32), (0, 0), 1.5) for g in (previous, following))
+    shift_px = cv2.phaseCorrelate(
         a,
         b,
         cv2.createHanningWindow(a.shape[1::-1], cv2.CV_32F),
     )[0]
-    return np.array(moved) * (f.depth_m.shape[1] / a.shape[1])
+    return np.array(shift_px) * (f.depth_m.shape[1] / a.shape[1])
 
 
-def _neighbours(f: FrameFacts, there: dict[int, FrameFacts]) -> tuple[FrameFacts, FrameFacts]:
+def _neighbours(f: FrameFacts, by_place: dict[int, FrameFacts]) -> tuple[FrameFacts, FrameFacts]:
     """The frame and the next, or the one before and the frame if the next was not read; itself
     twice without both."""
-    if f.place + 1 in there:
-        return f, there[f.place + 1]
-    return there.get(f.place - 1, f), f
+    if f.place + 1 in by_place:
+        return f, by_place[f.place + 1]
+    return by_place.get(f.place - 1, f), f
 
 
 def _anchors(sample: Sample) -> tuple[list[FrameFacts], list[FrameFacts]]:
     """Of each of a few stretches the frame in which the image moves slowest, and the one in which
     it moves fastest."""
-    there = sample.by_place
+    by_place = sample.by_place
     inner = [
-        f for f in sample.frames if all(f.place + k in there for k in (-TIME_REACH, TIME_REACH))
+        f for f in sample.frames if all(f.place + k in by_place for k in (-TIME_REACH, TIME_REACH))
     ]
-    chosen = inner or sample.frames
+    candidates = inner or sample.frames
 
     def motion(f: FrameFacts) -> float:
-        before, after = _neighbours(f, there)
-        return float(np.abs(after.grey.astype(np.float32) - before.grey).mean())
+        previous, following = _neighbours(f, by_place)
+        return float(np.abs(following.grey.astype(np.float32) - previous.grey).mean())
 
-    stretches = [part for part in np.array_split(np.arange(len(chosen)), ANCHORS) if len(part)]
-    ordered = [sorted((chosen[i] for i in part), key=motion) for part in stretches]
-    return [part[0] for part in ordered], [part[-1] for part in ordered]
+    stretches = [part for part in np.array_split(np.arange(len(candidates)), ANCHORS) if len(part)]
+    by_motion = [sorted((candidates[i] for i in part), key=motion) for part in stretches]
+    return [part[0] for part in by_motion], [part[-1] for part in by_motion]
 
 
 def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
@@ -172,15 +172,15 @@ def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     structured-light camera does
         not measure the background, and the edge belongs to the object.
     """
-    found = np.zeros(depth_m.shape, bool)
-    for turned, out in ((depth_m, found), (depth_m.T, found.T)):
-        filled = _closed(turned)
-        a = filled[:, :-1]
-        b = filled[:, 1:]
-        known = (a > 0) & (b > 0)
-        out[:, :-1] |= known & (b > a * (1 + JUMP))
-        out[:, 1:] |= known & (a > b * (1 + JUMP))
-    return found.astype(np.float32)
+    is_edge = np.zeros(depth_m.shape, bool)
+    for depth, edge in ((depth_m, is_edge), (depth_m.T, is_edge.T)):
+        closed_depth = _closed(depth)
+        a = closed_depth[:, :-1]
+        b = closed_depth[:, 1:]
+        has_both = (a > 0) & (b > 0)
+        edge[:, :-1] |= has_both & (b > a * (1 + JUMP))
+        edge[:, 1:] |= has_both & (a > b * (1 + JUMP))
+    return is_edge.astype(np.float32)
 
 
 def colour_contrast(
@@ -220,12 +220,12 @@ def on_edges(
 def _closed(depth_m: np.ndarray, reach: int = 5) -> np.ndarray:
     """Depth in which holes of at most ``2 * reach`` pixels in a row are filled with the farther
     side."""
-    closed = cv2.morphologyEx(
+    closing = cv2.morphologyEx(
         depth_m,
         cv2.MORPH_CLOSE,
         np.ones((1, 2 * reach + 1)),
     )
-    narrow = (depth_m <= 0) & (closed > 0)
+    narrow = (depth_m <= 0) & (closing > 0)
     return np.where(
         narrow,
         cv2.dilate(depth_m, np.ones((1, 4 * reach + 1))),
@@ -314,22 +314,22 @@ def _scaled(E: np.ndarray, scale: float) -> np.ndarray:
     y, x = np.nonzero(E)
     x = np.rint((x - (w - 1) / 2) * scale + (w - 1) / 2).astype(int)
     y = np.rint((y - (h - 1) / 2) * scale + (h - 1) / 2).astype(int)
-    inside = (x >= 0) & (x < w) & (y >= 0) & (y < h)
-    out = np.zeros_like(E)
-    out[y[inside], x[inside]] = 1
-    return out
+    is_inside = (x >= 0) & (x < w) & (y >= 0) & (y < h)
+    result = np.zeros_like(E)
+    result[y[is_inside], x[is_inside]] = 1
+    return result
 
 
 def _best_time(
     anchors: list[FrameFacts],
-    there: dict[int, FrameFacts],
+    by_place: dict[int, FrameFacts],
 ) -> tuple[int, float, float]:
     """The frame whose colour fits best without a shift in the image, its score, and that of the
     frame itself."""
     edges = {f.place: depth_edges(f.depth_m.numpy()) for f in anchors}
     scores = {0: 0.0}
     for k in range(-TIME_REACH, TIME_REACH + 1):
-        both = [(edges[f.place], there[f.place + k]) for f in anchors if f.place + k in there]
+        both = [(edges[f.place], by_place[f.place + k]) for f in anchors if f.place + k in by_place]
         if len(both) >= max(1, len(anchors) // 2):
             scores[k] = on_edges(*zip(*both, strict=True))
     best = max(scores, key=scores.__getitem__)
@@ -390,29 +390,29 @@ def registration_findings(
     doubtful, wrong = (
         max(limit * camera.width / 640, pixels * fit.pixel) for limit, pixels in SHIFT_LIMITS
     )
-    changed = fit.mirror != "none" or abs(fit.scale - 1) > SCALE_DOUBTFUL
-    if not changed and shift < doubtful:
+    has_change = fit.mirror != "none" or abs(fit.scale - 1) > SCALE_DOUBTFUL
+    if not has_change and shift < doubtful:
         text = f"Colour edges lie on depth edges within {shift:.1f} pixels."
         return repair, [Finding("registration", "ok", text), time]
-    if not changed and fit.may_be_time:
+    if not has_change and fit.may_be_time:
         text = (
             f"Cannot be known from these frames: colour edges lie {shift:.1f} pixels beside depth "
             "edges, but in so few kinds of motion a shift and a time offset look alike."
         )
         return repair, [Finding("registration", "unknown", text), time]
     repair, text = _registration_repair(fit, shift >= doubtful)
-    verdict = "wrong" if changed or shift >= wrong else "doubtful"
+    verdict = "wrong" if has_change or shift >= wrong else "doubtful"
     return repair, [Finding("registration", verdict, text, repair.flags), time]
 
 
-def _registration_repair(fit: ColourFit, shifted: bool) -> tuple[RepairConfig, str]:
-    scaled = abs(fit.scale - 1) > SCALE_DOUBTFUL
-    x, y = fit.shift_px if shifted or scaled else (0.0, 0.0)
+def _registration_repair(fit: ColourFit, has_shift: bool) -> tuple[RepairConfig, str]:
+    has_scale = abs(fit.scale - 1) > SCALE_DOUBTFUL
+    x, y = fit.shift_px if has_shift or has_scale else (0.0, 0.0)
     repair = RepairConfig(
         rgb_mirror=fit.mirror,  # pyright: ignore[reportArgumentType]
         rgb_shift_x_px=round(x, 1),
         rgb_shift_y_px=round(y, 1),
-        rgb_scale=fit.scale if scaled else 1.0,
+        rgb_scale=fit.scale if has_scale else 1.0,
     )
     mirrors = {
         "none": "",
@@ -426,7 +426,7 @@ def _registration_repair(fit: ColourFit, shifted: bool) -> tuple[RepairConfig, s
     )
     words = [
         mirrors[fit.mirror],
-        f"{fit.scale:.2f} times as large" * scaled,
+        f"{fit.scale:.2f} times as large" * has_scale,
         f"shifted by {sides}" * bool(x or y),
     ]
     return (

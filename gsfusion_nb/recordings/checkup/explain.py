@@ -72,16 +72,16 @@ class ScoredInterpretation(NamedTuple):
 def pairs_of(sample: Sample) -> list[tuple[int, int]]:
     """Positions of the frames to compare: for each distance a few pairs, spread over the frames
     read."""
-    found = []
-    there = sample.by_place
+    pairs = []
+    by_place = sample.by_place
     for gap in GAPS:
-        firsts = [f.place for f in sample.frames if f.place + gap in there]
+        firsts = [f.place for f in sample.frames if f.place + gap in by_place]
         if firsts:
-            chosen = (
+            picks = (
                 np.linspace(0, len(firsts) - 1, min(PAIRS_PER_GAP, len(firsts))).round().astype(int)
             )
-            found += [(firsts[i], firsts[i] + gap) for i in sorted(set(chosen.tolist()))]
-    return found
+            pairs += [(firsts[i], firsts[i] + gap) for i in sorted(set(picks.tolist()))]
+    return pairs
 
 
 def _scored(
@@ -92,16 +92,16 @@ def _scored(
 ) -> list[ScoredInterpretation]:
     """Score each interpretation on the pairs, with about ``points`` points of each; the best
     first."""
-    there = sample.by_place
+    by_place = sample.by_place
     camera = sample.depth_camera
-    T_a = torch.stack([there[a].T_stored for a, _ in pairs])
-    T_b = torch.stack([there[b].T_stored for _, b in pairs])
+    T_a = torch.stack([by_place[a].T_stored for a, _ in pairs])
+    T_b = torch.stack([by_place[b].T_stored for _, b in pairs])
     relative = _relatives(T_a, T_b, interpretations)
     step = max(1, round(math.sqrt(camera.width * camera.height / points)))
     scores = []
     for i, (a, b) in enumerate(pairs):
-        xyz_a = sparse_points(camera, there[a].depth_m, step)
-        depth_b = there[b].depth_m
+        xyz_a = sparse_points(camera, by_place[a].depth_m, step)
+        depth_b = by_place[b].depth_m
         parts = relative[:, i].split(_POSES_AT_ONCE)
         scores.append(
             torch.cat([depth_consistency(xyz_a, depth_b, camera, T_ba).score for T_ba in parts])
@@ -135,8 +135,8 @@ def best_interpretation(
         for i in sorted({int(i) for i in np.linspace(0, len(pairs) - 1, _ROUGH_PAIRS).round()})
     ]
     rough = _scored(sample, middle, interpretations, _ROUGH_POINTS)[:_KEPT]
-    kept = [t.repair for t in rough if t.repair.changes]
-    return _scored(sample, pairs, [RepairConfig(), *kept], _FINE_POINTS)
+    best_repairs = [t.repair for t in rough if t.repair.changes]
+    return _scored(sample, pairs, [RepairConfig(), *best_repairs], _FINE_POINTS)
 
 
 def _relatives(
@@ -150,18 +150,18 @@ def _relatives(
     A factor on depth scales all points and keeps directions, so the translation is divided by it
     instead. Interpretations that differ only in axes and depth factor share the rest.
     """
-    known: dict[tuple[str, str], Float[Tensor, "P 4 4"]] = {}
+    relative_of: dict[tuple[str, str], Float[Tensor, "P 4 4"]] = {}
     axes: dict[str, Float[Tensor, "4 4"]] = {}
     for r in interpretations:
-        if (r.quaternions, r.poses) not in known:
+        if (r.quaternions, r.poses) not in relative_of:
             a, b = (reread_poses(T, replace(r, axes="opencv")) for T in (T_a, T_b))
-            known[r.quaternions, r.poses] = relative_poses(a, b)
+            relative_of[r.quaternions, r.poses] = relative_poses(a, b)
         if r.axes not in axes:
             axes[r.axes] = axis_matrix(r)
     M = torch.stack([axes[r.axes] for r in interpretations])[:, None]
     relative = (
         M
-        @ torch.stack([known[r.quaternions, r.poses] for r in interpretations])
+        @ torch.stack([relative_of[r.quaternions, r.poses] for r in interpretations])
         @ M.transpose(2, 3)
     )
     factors = torch.tensor([r.depth_factor for r in interpretations], dtype=relative.dtype)
@@ -219,50 +219,50 @@ def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation
     A wrong focal length or time offset can make a wrong interpretation score higher than the right
     one; only the comparison after all corrections shows it.
     """
-    tried = best_interpretation(sample, pairs)
-    as_read = next(t for t in tried if not t.repair.changes)
-    others = [t for t in tried if t.worth > as_read.score + WORTH_TRYING][:1]
-    far = [p for p in pairs if p[1] - p[0] > 1] or list(pairs)
-    followed = []
+    interpretations = best_interpretation(sample, pairs)
+    as_read = next(t for t in interpretations if not t.repair.changes)
+    others = [t for t in interpretations if t.worth > as_read.score + WORTH_TRYING][:1]
+    distant_pairs = [p for p in pairs if p[1] - p[0] > 1] or list(pairs)
+    outcomes = []
     for t in (as_read, *others):
-        data = fit.FitData.of(sample, far, t.repair)
-        adopted, last = fit.correct(data)
-        share = fit.agreement(data, fit.together(adopted)).share
-        followed.append(
+        data = fit.FitData.of(sample, distant_pairs, t.repair)
+        fits, last = fit.correct(data)
+        share = fit.agreement(data, fit.together(fits)).share
+        outcomes.append(
             (
-                share - PRICE * (len(t.repair.changes) + 2 * len(adopted)),
+                share - PRICE * (len(t.repair.changes) + 2 * len(fits)),
                 t.repair,
-                adopted,
+                fits,
                 last,
                 data,
             )
         )
-    _, interpretation, adopted, last, data = max(followed, key=lambda f: f[0])
-    contradicted = _contradicted(adopted, sample, far, interpretation)
-    kept = [f for f in adopted if f.kind not in contradicted]
-    correction = fit.together(kept)
+    _, interpretation, fits, last, data = max(outcomes, key=lambda f: f[0])
+    contradictions = _contradicted(fits, sample, distant_pairs, interpretation)
+    corrections = [f for f in fits if f.kind not in contradictions]
+    correction = fit.together(corrections)
     units = with_units(interpretation, sample)
-    repaired = fit.agreement(data, correction)
+    final_agreement = fit.agreement(data, correction)
     return Explanation(
         interpretation=units,
         correction=correction,
-        adopted={f.kind: f for f in kept},
-        contradicted=contradicted,
-        fits={f.kind: f for f in (*last, *kept)},
+        adopted={f.kind: f for f in corrections},
+        contradicted=contradictions,
+        fits={f.kind: f for f in (*last, *corrections)},
         as_read=fit.agreement(
-            fit.FitData.of(sample, far, RepairConfig()), fit.CalibrationCorrection()
+            fit.FitData.of(sample, distant_pairs, RepairConfig()), fit.CalibrationCorrection()
         ),
-        repaired=repaired._replace(
-            median_m=repaired.median_m * units.depth_factor / interpretation.depth_factor
+        repaired=final_agreement._replace(
+            median_m=final_agreement.median_m * units.depth_factor / interpretation.depth_factor
         ),
         data=data,
-        tried=tried,
+        tried=interpretations,
         repair=repair_of(correction, sample.camera, units),
     )
 
 
 def _contradicted(
-    adopted: list[fit.FittedCorrection],
+    corrections: list[fit.FittedCorrection],
     sample: Sample,
     pairs: abc.Sequence[tuple[int, int]],
     interpretation: RepairConfig,
@@ -274,36 +274,36 @@ def _contradicted(
     or a rolling shutter do to the depth images changes with the motion, and in one stretch of it a
     wrong intrinsic can imitate it.
     """
-    ordered = sorted(pairs, key=sum)
-    cuts = [round(k * len(ordered) / _PARTS) for k in range(_PARTS + 1)]
-    parts = [ordered[a:b] for a, b in itertools.pairwise(cuts) if b - a >= _LEAST_PAIRS]
-    whole = fit.together(adopted)
-    found = set()
-    brief = len(sample.frames) < WINDOW and any(f.kind == "pose time" for f in adopted)
-    for one in adopted if len(parts) > 1 else []:
+    in_order = sorted(pairs, key=sum)
+    cuts = [round(k * len(in_order) / _PARTS) for k in range(_PARTS + 1)]
+    parts = [in_order[a:b] for a, b in itertools.pairwise(cuts) if b - a >= _LEAST_PAIRS]
+    whole = fit.together(corrections)
+    kinds = set()
+    brief = len(sample.frames) < WINDOW and any(f.kind == "pose time" for f in corrections)
+    for one in corrections if len(parts) > 1 else []:
         kind = fit.KINDS[one.kind]
-        start = fit.together(f for f in adopted if f is not one)
+        start = fit.together(f for f in corrections if f is not one)
         if not kind.width:
             continue
         field = max(one.added, key=lambda x: abs(one.added[x]))
-        wanted = one.added[field]
+        full_value = one.added[field]
         knowing = 0
         agreeing = True
         for data in (fit.FitData.of(sample, part, interpretation) for part in parts):
             cost = fit.cost_of(data, whole)
-            best, spread = fit.search(
+            best, uncertainty = fit.search(
                 cost,
                 start,
                 kind,
                 data.thinning * data.camera.width / 640,
             )
             best = min(best, whole, key=cost)  # the search may end in another valley
-            knowing += spread < abs(wanted)
+            knowing += uncertainty < abs(full_value)
             value = getattr(best, field) - getattr(start, field)
-            agreeing &= abs(value - wanted) <= max(_AGREE * abs(wanted), spread)
+            agreeing &= abs(value - full_value) <= max(_AGREE * abs(full_value), uncertainty)
         if not agreeing or knowing < 2 or (brief and one.kind in _INTRINSICS):
-            found.add(one.kind)
-    return frozenset(found)
+            kinds.add(one.kind)
+    return frozenset(kinds)
 
 
 _UNEQUAL_FOCAL = 0.01
@@ -322,19 +322,19 @@ def repair_of(
 ) -> RepairConfig:
     """An interpretation and a correction as the options of a reader, rounded to the precision of
     the measurement."""
-    found: dict = {}
+    changes: dict = {}
     if c.log_scale:
-        found["depth_factor"] = snapped(interpretation.depth_factor * math.exp(c.log_scale))
+        changes["depth_factor"] = snapped(interpretation.depth_factor * math.exp(c.log_scale))
     if c.ray:
-        found["depth_kind"] = "ray"
+        changes["depth_kind"] = "ray"
     if c.shift_frames:
         whole = abs(c.shift_frames - round(c.shift_frames)) < 0.1
-        found["pose_shift_frames"] = round(c.shift_frames, 0 if whole else 1)
+        changes["pose_shift_frames"] = round(c.shift_frames, 0 if whole else 1)
     if c.log_focal or c.log_aspect:
-        found |= _focal_lengths(c, camera)
+        changes |= _focal_lengths(c, camera)
     if c.cx_px or c.cy_px:
-        found |= _principal_point(c, camera)
-    return replace(interpretation, **found)
+        changes |= _principal_point(c, camera)
+    return replace(interpretation, **changes)
 
 
 def _focal_lengths(c: fit.CalibrationCorrection, camera: Camera) -> dict[str, float]:
@@ -375,10 +375,10 @@ def with_units(interpretation: RepairConfig, sample: Sample) -> RepairConfig:
     """
     if interpretation.depth_factor == 1.0 or not sample.frames:
         return interpretation
-    known = [
+    medians = [
         f.depth_m[f.depth_m > 0].median() for f in sample.frames if bool((f.depth_m > 0).any())
     ]
-    depth_m = float(sorted(known)[len(known) // 2])
+    depth_m = float(sorted(medians)[len(medians) // 2])
     steps = (sample.stored_poses[1:, :3, 3] - sample.stored_poses[:-1, :3, 3]).norm(dim=1)
     step_m = float(steps.nanmedian()) if len(steps) else 0.0
     low, high = PLAUSIBLE_DEPTH_M

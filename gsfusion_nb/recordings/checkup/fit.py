@@ -77,14 +77,14 @@ class FitData:
         step = max(1, round(math.sqrt(camera.width * camera.height / points)))
         uv = pixel_grid(camera)[step // 2 :: step, step // 2 :: step].reshape(-1, 2)
         u, v = uv.long().unbind(-1)
-        there = sample.by_place
+        by_place = sample.by_place
         factor = interpretation.depth_factor
         frames = sorted({place for pair in pairs for place in pair})
         row = {place: i for i, place in enumerate(frames)}
         return FitData(
             uv_a=uv.expand(len(pairs), -1, 2),
-            depth_a=torch.stack([there[a].depth_m[v, u] for a, _ in pairs]) * factor,
-            depth_b=torch.stack([there[b].depth_m for _, b in pairs]) * factor,
+            depth_a=torch.stack([by_place[a].depth_m[v, u] for a, _ in pairs]) * factor,
+            depth_b=torch.stack([by_place[b].depth_m for _, b in pairs]) * factor,
             camera=camera,
             thinning=sample.camera.width / camera.width,
             rows=([row[a] for a, _ in pairs], [row[b] for _, b in pairs]),
@@ -132,12 +132,12 @@ class Agreement(NamedTuple):
 
 def agreement(data: FitData, c: CalibrationCorrection) -> Agreement:
     """How well the pairs agree under a correction."""
-    _, residual, known = reproject(data, c)
+    _, residual, is_measured = reproject(data, c)
     r = residual.abs()
-    posed = torch.isfinite(data.path(c.shift_frames)).all(dim=(1, 2))
-    there = (posed[data.rows[0]] & posed[data.rows[1]])[:, None] & (data.depth_a > 0)
-    share = float(((r < AGREES) & known).sum() / there.sum().clamp_min(1))
-    error = (r * data.depth_a)[known]
+    has_pose = torch.isfinite(data.path(c.shift_frames)).all(dim=(1, 2))
+    has_depth = (has_pose[data.rows[0]] & has_pose[data.rows[1]])[:, None] & (data.depth_a > 0)
+    share = float(((r < AGREES) & is_measured).sum() / has_depth.sum().clamp_min(1))
+    error = (r * data.depth_a)[is_measured]
     return Agreement(
         share,
         float(error.median()) * math.exp(c.log_scale) if len(error) else math.nan,
@@ -146,21 +146,23 @@ def agreement(data: FitData, c: CalibrationCorrection) -> Agreement:
 
 def median_error(data: FitData, c: CalibrationCorrection) -> float:
     """Median |relative depth difference| over the points that fall on a valid depth."""
-    _, residual, known = reproject(data, c)
-    return float(residual[known].abs().median()) if bool(known.any()) else math.nan
+    _, residual, is_measured = reproject(data, c)
+    return float(residual[is_measured].abs().median()) if bool(is_measured.any()) else math.nan
 
 
 def _path(poses: Float[Tensor, "L 4 4"], frames: list[int]) -> PosesAtShift:
     """Function that returns the poses of ``frames`` at any shift; results are cached."""
-    known: dict[float, Float[Tensor, "F 4 4"]] = {}
+    poses_of: dict[float, Float[Tensor, "F 4 4"]] = {}
 
     def shifted(shift: float) -> Float[Tensor, "F 4 4"]:
         shift = round(shift, 3)
-        if shift not in known:
+        if shift not in poses_of:
             whole = math.floor(shift)
             first, second = (_rows(poses, [f + whole + k for f in frames]) for k in (0, 1))
-            known[shift] = first if shift == whole else pose_between(first, second, shift - whole)
-        return known[shift]
+            poses_of[shift] = (
+                first if shift == whole else pose_between(first, second, shift - whole)
+            )
+        return poses_of[shift]
 
     return shifted
 
@@ -171,8 +173,8 @@ def _rows(
 ) -> Float[Tensor, "F 4 4"]:
     """Poses at ``places``; NaN outside."""
     at = torch.tensor(places)
-    inside = (at >= 0) & (at < len(poses))
-    return poses[at.clamp(0, len(poses) - 1)].where(inside[:, None, None], torch.nan)
+    is_inside = (at >= 0) & (at < len(poses))
+    return poses[at.clamp(0, len(poses) - 1)].where(is_inside[:, None, None], torch.nan)
 
 
 HELPS = 0.95
@@ -219,10 +221,10 @@ class FittedCorrection:
     unit."""
 
 
-def together(fitted: abc.Iterable[FittedCorrection]) -> CalibrationCorrection:
+def together(corrections: abc.Iterable[FittedCorrection]) -> CalibrationCorrection:
     """All these corrections in one."""
     c = CalibrationCorrection()
-    for f in fitted:
+    for f in corrections:
         c = replace(
             c,
             **{name: getattr(c, name) + value for name, value in f.added.items()},
@@ -239,10 +241,10 @@ def correct(
     Returns:
         The corrections adopted, in order, and the fits of all kinds in the last round.
     """
-    adopted: list[FittedCorrection] = []
+    corrections: list[FittedCorrection] = []
     last: list[FittedCorrection] = []
     for _ in range(rounds):
-        last = _fit_all(data, together(adopted))
+        last = _fit_all(data, together(corrections))
         helpful = [
             f
             for f in last
@@ -250,29 +252,31 @@ def correct(
         ]
         if not helpful:
             break
-        adopted.append(min(helpful, key=lambda f: f.ratio))
-    return adopted, last
+        corrections.append(min(helpful, key=lambda f: f.ratio))
+    return corrections, last
 
 
 def _fit_all(data: FitData, start: CalibrationCorrection) -> list[FittedCorrection]:
     """The best correction of every kind from ``start``."""
     f = cost_of(data, start)
-    before = max(f(start), 1e-6)
-    fitted = []
+    start_cost = max(f(start), 1e-6)
+    corrections = []
     for name, kind in KINDS.items():
         if kind.width:
-            best, spread = search(f, start, kind, data.thinning * data.camera.width / 640)
+            best, uncertainty = search(f, start, kind, data.thinning * data.camera.width / 640)
         else:
             sizes = [_resized(data, start, k) for k in _SIZES]
             best = min(
                 [replace(start, ray=1.0 - start.ray)] if name == "depth kind" else sizes, key=f
             )
-            spread = math.nan
-        added = {x: getattr(best, x) - getattr(start, x) for x in kind.fields}
-        fitted.append(
-            FittedCorrection(kind=name, added=added, ratio=f(best) / before, uncertainty=spread)
+            uncertainty = math.nan
+        change = {x: getattr(best, x) - getattr(start, x) for x in kind.fields}
+        corrections.append(
+            FittedCorrection(
+                kind=name, added=change, ratio=f(best) / start_cost, uncertainty=uncertainty
+            )
         )
-    return fitted
+    return corrections
 
 
 def _resized(data: FitData, c: CalibrationCorrection, k: float) -> CalibrationCorrection:
@@ -295,9 +299,9 @@ def cost_of(
     tolerance = min(max(3 * median_error(data, start), 0.002), 0.06)
 
     def cost(c: CalibrationCorrection) -> float:
-        _, residual, known = reproject(data, c)
-        each = (residual.abs() / tolerance).clamp(max=1.0) * known
-        return (float(each.sum()) + 1e-9) / (float(known.sum()) + 1e-9)
+        _, residual, is_measured = reproject(data, c)
+        each = (residual.abs() / tolerance).clamp(max=1.0) * is_measured
+        return (float(each.sum()) + 1e-9) / (float(is_measured.sum()) + 1e-9)
 
     return cost
 
@@ -314,10 +318,10 @@ def search(
     width = kind.width * (pixels if is_centre else 1.0)
     best = start
     value = f(start)
-    seen: list[tuple[float, float]] = []
+    trials: list[tuple[float, float]] = []
     for part in (1.0, 0.25, 0.06) if is_centre else (1.0,):
         for name in kind.fields:
-            best, value, tried = _line(
+            best, value, new_trials = _line(
                 f,
                 best,
                 value,
@@ -326,9 +330,9 @@ def search(
                 3 if is_centre else 4,
             )
             if name == kind.fields[0]:
-                seen += tried
-    near = [x for x, v in seen if v <= 1.02 * value + 1e-9]
-    return best, (max(near) - min(near)) / 2 if near else math.nan
+                trials += new_trials
+    near_best = [x for x, v in trials if v <= 1.02 * value + 1e-9]
+    return best, (max(near_best) - min(near_best)) / 2 if near_best else math.nan
 
 
 def _line(
@@ -341,13 +345,13 @@ def _line(
 ) -> tuple[CalibrationCorrection, float, list[tuple[float, float]]]:
     """Try nine values of a field around the best and refine ``levels`` times; returns the best, its
     cost, and all tried."""
-    tried = [(getattr(c, name), value)]
+    trials = [(getattr(c, name), value)]
     for _ in range(levels):
         for x in getattr(c, name) + width * np.linspace(-1, 1, 9):
-            tried.append((float(x), f(replace(c, **{name: float(x)}))))
-        x, least = min(tried, key=lambda t: t[1])
+            trials.append((float(x), f(replace(c, **{name: float(x)}))))
+        x, least = min(trials, key=lambda t: t[1])
         if least < value:
             c = replace(c, **{name: x})
             value = least
         width *= 0.3
-    return c, value, tried
+    return c, value, trials

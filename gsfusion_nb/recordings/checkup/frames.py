@@ -52,56 +52,58 @@ def measure_over_frames(
     interpretation: RepairConfig,
     correction: CalibrationCorrection,
     *,
-    posed: bool = True,
+    has_poses: bool = True,
 ) -> OverFrames:
     """Compare every frame with the next under the adopted interpretation and correction.
 
-    Without poses (``posed`` False) only the images are compared; what needs poses is NaN.
+    Without poses (``has_poses`` False) only the images are compared; what needs poses is NaN.
     """
     frames = sample.frames
-    there = sample.by_place
-    out = {
+    by_place = sample.by_place
+    columns = {
         name: np.full(len(frames), np.nan)
         for name in ("error", "turned_deg", "moved_m", "gain_stops")
     }
     same = np.zeros(len(frames), bool)
-    with_next = [(i, f, there[f.place + 1]) for i, f in enumerate(frames) if f.place + 1 in there]
+    with_next = [
+        (i, f, by_place[f.place + 1]) for i, f in enumerate(frames) if f.place + 1 in by_place
+    ]
     poses = reread_poses(sample.stored_poses, interpretation)
     for i, a, b in with_next:
         same[i] = b.repeats
         T = se3.inverse(poses[b.place]) @ poses[a.place]
-        if posed:
-            out["turned_deg"][i] = float(se3.rotation_angle(T[:3, :3]).rad2deg())
-            out["moved_m"][i] = float(T[:3, 3].norm())
-    for k in range(0, len(with_next) if posed else 0, _PART):
+        if has_poses:
+            columns["turned_deg"][i] = float(se3.rotation_angle(T[:3, :3]).rad2deg())
+            columns["moved_m"][i] = float(T[:3, 3].norm())
+    for k in range(0, len(with_next) if has_poses else 0, _PART):
         part = with_next[k : k + _PART]
         pairs = [(a.place, b.place) for _, a, b in part]
         data = FitData.of(sample, pairs, interpretation)
         stops, errors, _ = gains(sample, pairs, data, correction)
         for j, (i, _, _) in enumerate(part):
-            out["gain_stops"][i] = stops[j]
-            out["error"][i] = errors[j]
+            columns["gain_stops"][i] = stops[j]
+            columns["error"][i] = errors[j]
     return OverFrames(
         number=np.array([f.number for f in frames], dtype=np.int64),
-        **out,
+        **columns,
         sharpness=_relative([f.sharpness for f in frames]),
         missing=np.array([f.missing for f in frames]),
         same=same,
     )
 
 
-def graphs_of(over: OverFrames) -> list[PageGraph]:
+def graphs_of(measures: OverFrames) -> list[PageGraph]:
     """Each quantity over the frames that was measured at least once."""
     series = [
-        ("Depth difference to the next frame", 100 * over.error, "% of depth"),
-        ("Rotation to the next frame", over.turned_deg, "degrees"),
-        ("Step to the next frame", 100 * over.moved_m, "cm"),
-        ("Pixels without depth", 100 * over.missing, "%"),
-        ("Brightness of the same points, next / this frame", over.gain_stops, "stops"),
-        ("Sharpness beside the neighbours'", over.sharpness, "of their median"),
+        ("Depth difference to the next frame", 100 * measures.error, "% of depth"),
+        ("Rotation to the next frame", measures.turned_deg, "degrees"),
+        ("Step to the next frame", 100 * measures.moved_m, "cm"),
+        ("Pixels without depth", 100 * measures.missing, "%"),
+        ("Brightness of the same points, next / this frame", measures.gain_stops, "stops"),
+        ("Sharpness beside the neighbours'", measures.sharpness, "of their median"),
     ]
     return [
-        page_graph(title, over.number, {title: values}, x_label="frame", y_label=unit)
+        page_graph(title, measures.number, {title: values}, x_label="frame", y_label=unit)
         for title, values, unit in series
         if np.isfinite(values).any()
     ]
@@ -120,27 +122,27 @@ def gains(
     With too few points that meet a depth the first two are NaN. The share is then 0 where the
     points leave the image, and NaN, not measured, where they meet pixels without depth."""
     uv_b, residual, all_known = reproject(data, correction)
-    there = sample.by_place
+    by_place = sample.by_place
     residual = residual.abs()
     stops = np.full(len(pairs), np.nan)
     errors = np.full(len(pairs), np.nan)
     shares = np.zeros(len(pairs))
     for j, (first, second) in enumerate(pairs):
-        known = all_known[j]
-        if int(known.sum()) < _FEWEST_POINTS:
-            inside = _is_inside(uv_b[j], data.camera) & (data.depth_a[j] > 0)
-            if int(inside.sum()) >= _FEWEST_POINTS:
+        is_measured = all_known[j]
+        if int(is_measured.sum()) < _FEWEST_POINTS:
+            is_inside = _is_inside(uv_b[j], data.camera) & (data.depth_a[j] > 0)
+            if int(is_inside.sum()) >= _FEWEST_POINTS:
                 shares[j] = np.nan
             continue
-        errors[j] = float(residual[j][known].median())
-        agrees = known & (residual[j] < _AGREES_FOR_COLOUR)
+        errors[j] = float(residual[j][is_measured].median())
+        agrees = is_measured & (residual[j] < _AGREES_FOR_COLOUR)
         a = greys_at(
-            there[first].grey,
+            by_place[first].grey,
             data.uv_a[j][agrees],
             data.camera.width,
         )
         b = greys_at(
-            there[second].grey,
+            by_place[second].grey,
             uv_b[j][agrees],
             data.camera.width,
         )
@@ -163,8 +165,8 @@ def _is_inside(
 def _relative(values: list[float], reach: int = 5) -> np.ndarray:
     """Values divided by the median of their neighbours."""
     array = np.array(values)
-    around = [np.median(array[max(0, i - reach) : i + reach + 1]) for i in range(len(array))]
-    return array / np.maximum(np.array(around), 1e-6)
+    medians = [np.median(array[max(0, i - reach) : i + reach + 1]) for i in range(len(array))]
+    return array / np.maximum(np.array(medians), 1e-6)
 
 
 STEP_STOPS = 0.3
@@ -181,32 +183,36 @@ _NAMED = 12
 """Largest number of frames that a finding names."""
 
 
-def _jumps(over: OverFrames) -> tuple[list[int], list[int]]:
+def _jumps(measures: OverFrames) -> tuple[list[int], list[int]]:
     """Frames far from both neighbours, and frames after which the path continues at another
     place."""
-    frozen = over.same | np.roll(over.same, 1)
-    jumps = find_jumps(over.turned_deg, over.moved_m, over.error, frozen)
-    alone = sorted(int(over.number[i + 1]) for i in jumps if i + 1 in jumps)
-    cuts = sorted(int(over.number[i]) for i in jumps if i + 1 not in jumps and i - 1 not in jumps)
-    return alone, cuts
+    frozen = measures.same | np.roll(measures.same, 1)
+    jumps = find_jumps(measures.turned_deg, measures.moved_m, measures.error, frozen)
+    outliers = sorted(int(measures.number[i + 1]) for i in jumps if i + 1 in jumps)
+    cuts = sorted(
+        int(measures.number[i]) for i in jumps if i + 1 not in jumps and i - 1 not in jumps
+    )
+    return outliers, cuts
 
 
-def jump_finding(over: OverFrames, length: int) -> tuple[DataConfig, Finding]:
+def jump_finding(measures: OverFrames, length: int) -> tuple[DataConfig, Finding]:
     """Finding: do the poses jump where the depth images do not? And the range to keep of ``length``
     frames."""
-    alone, cuts = _jumps(over)
-    turned, moved = (float(np.nanmax(x, initial=0.0)) for x in (over.turned_deg, over.moved_m))
-    extent = f"steps of at most {turned:.1f} degrees and {100 * moved:.1f} cm"
-    if not alone and not cuts:
+    outliers, cuts = _jumps(measures)
+    most_deg, most_m = (
+        float(np.nanmax(x, initial=0.0)) for x in (measures.turned_deg, measures.moved_m)
+    )
+    extent = f"steps of at most {most_deg:.1f} degrees and {100 * most_m:.1f} cm"
+    if not outliers and not cuts:
         return DataConfig(), Finding(
             "pose jumps", "ok", f"No frame is off the path of its neighbours: {extent}."
         )
-    piece = DataConfig(repair=RepairConfig(skip=tuple(alone)))
+    piece = DataConfig(repair=RepairConfig(skip=tuple(outliers)))
     if cuts:  # the longest piece between cuts, which lie after their frames
         ends = [0, *(c + 1 for c in cuts), length]
         start, stop = max(itertools.pairwise(ends), key=lambda ends: ends[1] - ends[0])
         piece = replace(piece, start=start, stop=stop)
-    parts = [f"frame {_list(alone)} is off the path of its neighbours"] * bool(alone)
+    parts = [f"frame {_list(outliers)} is off the path of its neighbours"] * bool(outliers)
     parts += [f"the path is interrupted after frame {_list(cuts)}"] * bool(cuts)
     text = (
         f"{' and '.join(parts).capitalize()} ({extent}), but the depth images do not change "
@@ -215,43 +221,43 @@ def jump_finding(over: OverFrames, length: int) -> tuple[DataConfig, Finding]:
     return piece, Finding("pose jumps", "wrong", text, flags_of(piece))
 
 
-def exposure_finding(over: OverFrames, far_gains: np.ndarray) -> Finding:
+def exposure_finding(measures: OverFrames, far_gains: np.ndarray) -> Finding:
     """Finding: do the same points keep their brightness?"""
-    known = np.isfinite(over.gain_stops)
-    step = float(np.abs(over.gain_stops[known]).max(initial=0.0))
-    spread = float(np.nanmax(np.abs(far_gains), initial=0.0))
+    is_measured = np.isfinite(measures.gain_stops)
+    step = float(np.abs(measures.gain_stops[is_measured]).max(initial=0.0))
+    far_stops = float(np.nanmax(np.abs(far_gains), initial=0.0))
     text = (
         f"The brightness of the same points differs by at most {step:.2f} stops from frame to "
-        f"frame and {spread:.2f} within 30 frames."
+        f"frame and {far_stops:.2f} within 30 frames."
     )
-    if step < STEP_STOPS and spread < SPREAD_STOPS:
-        hint = " Map with --optim.fit-exposure." if spread > FIT_STOPS else ""
+    if step < STEP_STOPS and far_stops < SPREAD_STOPS:
+        hint = " Map with --optim.fit-exposure." if far_stops > FIT_STOPS else ""
         return Finding("exposure", "ok", text + hint)
     repair = "map with --optim.fit-exposure; lock exposure and white balance when recording"
     return Finding("exposure", "doubtful", text, repair)
 
 
 def image_findings(
-    over: OverFrames, *, posed: bool = True
+    measures: OverFrames, *, has_poses: bool = True
 ) -> tuple[tuple[int, ...], list[Finding]]:
     """Findings: are single frames blurred, and are images repeated while the camera moves? And the
     frames to leave out.
 
-    Without poses (``posed`` False) nothing says that the camera moved.
+    Without poses (``has_poses`` False) nothing says that the camera moved.
     """
-    least = float(over.sharpness.min(initial=1.0))
-    blurred = over.number[over.sharpness < _BLURRED].tolist()
+    least = float(measures.sharpness.min(initial=1.0))
+    blurred_frames = measures.number[measures.sharpness < _BLURRED].tolist()
     text = (
         f"No frame is much less sharp than its neighbours (the least sharp has {least:.2f} of "
         "their sharpness)."
     )
     sharp = Finding("sharpness", "ok", text)
-    if blurred:
-        text = f"More blurred than their neighbours: frame {_list(blurred)}."
-        flags = RepairConfig(skip=tuple(blurred))
+    if blurred_frames:
+        text = f"More blurred than their neighbours: frame {_list(blurred_frames)}."
+        flags = RepairConfig(skip=tuple(blurred_frames))
         sharp = Finding("sharpness", "doubtful", text, flags.flags)
-    moved = (over.turned_deg > STILL_DEG) | (over.moved_m > STILL_M) | (not posed)
-    frozen = [int(over.number[i + 1]) for i in np.flatnonzero(over.same & moved)]
+    has_moved = (measures.turned_deg > STILL_DEG) | (measures.moved_m > STILL_M) | (not has_poses)
+    frozen = [int(measures.number[i + 1]) for i in np.flatnonzero(measures.same & has_moved)]
     live = Finding("frozen frames", "ok", "No image is repeated while the camera moves.")
     if frozen:
         text = (
@@ -260,14 +266,14 @@ def image_findings(
         )
         text += (
             ", although the pose changed."
-            if posed
+            if has_poses
             else "; whether the camera moved cannot be known without poses."
         )
         flags = RepairConfig(skip=tuple(frozen)).flags
-        live = Finding("frozen frames", "wrong" if posed else "doubtful", text, flags)
-    return tuple(sorted({*blurred, *frozen})), [sharp, live]
+        live = Finding("frozen frames", "wrong" if has_poses else "doubtful", text, flags)
+    return tuple(sorted({*blurred_frames, *frozen})), [sharp, live]
 
 
 def _list(frames: abc.Sequence[int]) -> str:
-    named = ", ".join(map(str, frames[:_NAMED]))
-    return f"{named} and {len(frames) - _NAMED} more" if len(frames) > _NAMED else named
+    numbers = ", ".join(map(str, frames[:_NAMED]))
+    return f"{numbers} and {len(frames) - _NAMED} more" if len(frames) > _NAMED else numbers

@@ -136,10 +136,10 @@ def _conventions(e: Explanation) -> list[Finding]:
         "the camera.",
         "camera_to_world": "The poses are camera-to-world.",
     }
-    named = NAMED_AXES.get(r.axes, r.axes)
+    axes_name = NAMED_AXES.get(r.axes, r.axes)
     texts = {
         "poses": ("pose direction", direction[r.poses]),
-        "axes": ("pose axes", f"The camera axes of the poses are those of {r.axes} ({named})."),
+        "axes": ("pose axes", f"The camera axes of the poses are those of {r.axes} ({axes_name})."),
         "quaternions": ("quaternion order", "The rotations are read in the right order."),
     }
     if r.quaternions != "as_read":

@@ -27,45 +27,45 @@ _GAP = 8
 
 def pictures_of(
     as_read: Sequence,
-    repaired: Sequence | None,
+    as_repaired: Sequence | None,
     pairs: abc.Sequence[tuple[int, int]],
     *,
-    posed: bool,
+    has_poses: bool,
 ) -> dict[str, Picture]:
     """Depth errors and edges of a pair in the middle of the recording, as read and repaired.
 
     Args:
-        as_read, repaired: The recording before and after its repair; the second may have fewer
+        as_read, as_repaired: The recording before and after its repair; the second may have fewer
             frames.
         pairs: Positions of the frames compared, in the first.
-        posed: Whether there are poses; without them only edges are drawn.
+        has_poses: Whether there are poses; without them only edges are drawn.
     """
-    wanted = sorted(
+    by_preference = sorted(
         pairs,
         key=lambda p: (abs(p[1] - p[0] - _GAP), abs(p[0] - len(as_read) // 2)),
     )
-    before = getattr(as_read, "positions", range(len(as_read)))
-    found: dict[str, Picture] = {}
-    for label, sequence in (("as read", as_read), ("repaired", repaired)):
+    numbers_as_read = getattr(as_read, "positions", range(len(as_read)))
+    pictures: dict[str, Picture] = {}
+    for label, sequence in (("as read", as_read), ("repaired", as_repaired)):
         if sequence is None:
             break
         numbers = list(getattr(sequence, "positions", range(len(sequence))))
-        for pair in wanted[:4]:
+        for pair in by_preference[:4]:
             try:
-                first, second = (sequence[numbers.index(before[place])] for place in pair)
+                first, second = (sequence[numbers.index(numbers_as_read[place])] for place in pair)
             except (BadFrameError, ValueError):  # the repair leaves it out
                 continue
             i = first.index
             j = second.index
-            if posed:
+            if has_poses:
                 title = (
                     f"Depth of frame {i} in frame {j}, {label}: difference to the depth "
                     "measured there"
                 )
-                found[title] = depth_error(first, second)
-            found[f"Frame {j}, {label}: depth edges (green) on colour"] = edge_overlay(second)
+                pictures[title] = depth_error(first, second)
+            pictures[f"Frame {j}, {label}: depth edges (green) on colour"] = edge_overlay(second)
             break
-    return found
+    return pictures
 
 
 def depth_error(first: Frame, second: Frame) -> Picture:
@@ -75,8 +75,8 @@ def depth_error(first: Frame, second: Frame) -> Picture:
     step = max(1, round(first.camera.width / (_WIDTH / 2)))
     camera, depth_b = thinned(second.camera, second.depth_m, step)
     T = relative_poses(first.T_WC.double(), second.T_WC.double())
-    warped = warp_depth(first.depth_m, first.camera, camera, T)
-    picture = depth_error_map(warped, depth_b)
+    depth_in_second = warp_depth(first.depth_m, first.camera, camera, T)
+    picture = depth_error_map(depth_in_second, depth_b)
     size = (_WIDTH, round(picture.shape[0] * _WIDTH / picture.shape[1]))
     return to_uint8(cv2.resize(picture, size, interpolation=cv2.INTER_NEAREST))
 
@@ -90,7 +90,7 @@ def edge_overlay(frame: Frame) -> Picture:
         max(1, round(frame.camera.width / 320)),
     )
     h, w = picture.shape[:2]
-    painted = cv2.resize(
+    canvas = cv2.resize(
         picture,
         (_WIDTH, round(h * _WIDTH / w)),
         interpolation=cv2.INTER_LINEAR,
@@ -98,13 +98,13 @@ def edge_overlay(frame: Frame) -> Picture:
     mask = (
         cv2.resize(
             depth_edges(depth_m.numpy()),
-            painted.shape[1::-1],
+            canvas.shape[1::-1],
             interpolation=cv2.INTER_NEAREST,
         )
         > 0
     )
-    painted[mask] = EDGE_COLOUR
-    return painted
+    canvas[mask] = EDGE_COLOUR
+    return canvas
 
 
 def path_from_above(sample: Sample, interpretation: RepairConfig) -> list[PageGraph]:
@@ -113,12 +113,12 @@ def path_from_above(sample: Sample, interpretation: RepairConfig) -> list[PageGr
     T = T[torch.isfinite(T).all(dim=(1, 2))]
     if len(T) < 2:
         return []
-    up = -T[:, :3, 1].mean(0)
-    up = up / up.norm().clamp_min(1e-9)
-    forward = T[0, :3, 2] - (T[0, :3, 2] @ up) * up
-    forward = forward / forward.norm().clamp_min(1e-9)
+    up_W = -T[:, :3, 1].mean(0)
+    up_W = up_W / up_W.norm().clamp_min(1e-9)
+    forward_W = T[0, :3, 2] - (T[0, :3, 2] @ up_W) * up_W
+    forward_W = forward_W / forward_W.norm().clamp_min(1e-9)
     at = T[:, :3, 3] - T[:, :3, 3].mean(0)
-    x, y = ((at @ axis).numpy() for axis in (torch.linalg.cross(forward, up), forward))
+    x, y = ((at @ axis).numpy() for axis in (torch.linalg.cross(forward_W, up_W), forward_W))
     figure = curve_figure(x, {"path": y}, x_label="metres", y_label="metres")
     axes: Any = figure.axes[0]
     axes.set_aspect("equal", adjustable="datalim")

@@ -73,10 +73,10 @@ class CheckupReport:
     seconds: float = 0.0
 
     def __getitem__(self, name: str) -> Finding:
-        found = {f.name: f for f in self.findings}
-        if name not in found:
-            raise UnknownNameError(f"no finding {name!r}; known: {', '.join(found)}")
-        return found[name]
+        by_name = {f.name: f for f in self.findings}
+        if name not in by_name:
+            raise UnknownNameError(f"no finding {name!r}; known: {', '.join(by_name)}")
+        return by_name[name]
 
     @property
     def verdict(self) -> Verdict:
@@ -146,9 +146,14 @@ class CheckupReport:
 
     def write(self, path: Path | str) -> Path:
         """Write everything as one HTML page that needs no other file. Returns its path."""
-        shown = [page_picture(image, caption) for caption, image in self.pictures.items()]
+        page_pictures = [page_picture(image, caption) for caption, image in self.pictures.items()]
         write_file(
             path,
-            fill("checkup.html", title=f"Check-up of {self.name}", report=self, pictures=shown),
+            fill(
+                "checkup.html",
+                title=f"Check-up of {self.name}",
+                report=self,
+                pictures=page_pictures,
+            ),
         )
         return Path(path)

@@ -113,8 +113,8 @@ def read_sample(
 
 def _facts(frame: Frame, place: int, step: int) -> FrameFacts:
     grey = small_grey(frame, GREY_WIDTH)
-    _, stored = thinned(frame.camera, frame.depth_m, step)
-    depth_m = without_speckle(stored.numpy())
+    _, small_depth_m = thinned(frame.camera, frame.depth_m, step)
+    depth_m = without_speckle(small_depth_m.numpy())
     laplacian = cv2.Laplacian(grey, cv2.CV_16S)
     return FrameFacts(
         place=place,
@@ -122,7 +122,7 @@ def _facts(frame: Frame, place: int, step: int) -> FrameFacts:
         T_stored=frame.T_WC.double(),
         grey=grey,
         depth_m=torch.from_numpy(depth_m),
-        missing=float((stored <= 0).float().mean()),
+        missing=float((small_depth_m <= 0).float().mean()),
         sharpness=float(np.mean(np.square(laplacian.astype(np.float32))))
         / (float(grey.var()) + 1.0),
     )

@@ -34,35 +34,35 @@ _TIME_GAP = 5.0
 
 
 def examine_files(
-    source: RecordedSequence, given: RepairConfig
+    source: RecordedSequence, initial: RepairConfig
 ) -> tuple[RepairConfig, list[Finding]]:
     """Findings on sizes, matrices and times, and what must be repaired before frames can be read.
 
-    Errors that ``given`` already repairs are not reported.
+    Errors that ``initial`` already repairs are not reported.
     """
     repair, size = image_size(source)
-    if given.fit_sizes:
+    if initial.fit_sizes:
         repair = RepairConfig()
         size = replace(size, verdict="ok", repair="")
     if not source.has_poses:
         return repair, [size, *time_stamps(source)]
-    matrices, poses = pose_matrices(raw_matrices(source.poses, given))
+    matrices, poses = pose_matrices(raw_matrices(source.poses, initial))
     return replace(repair, **matrices.changes), [size, poses, *time_stamps(source)]  # pyright: ignore[reportArgumentType]
 
 
 def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
     """Finding: do colour, depth and intrinsics have the same size?"""
     rgb_size, depth_size = _stored_sizes(source)
-    expected = (source.camera.width, source.camera.height)
+    camera_size = (source.camera.width, source.camera.height)
     if rgb_size is None or depth_size is None:
         return RepairConfig(), Finding("image size", "ok", "No pair of images could be read.")
-    sizes = {"colour": rgb_size, "depth": depth_size, "the intrinsics": expected}
+    sizes = {"colour": rgb_size, "depth": depth_size, "the intrinsics": camera_size}
     if len(set(sizes.values())) == 1:
         return RepairConfig(), Finding(
-            "image size", "ok", f"All have {expected[0]}x{expected[1]} pixels."
+            "image size", "ok", f"All have {camera_size[0]}x{camera_size[1]} pixels."
         )
     text = f"The sizes differ: {', '.join(f'{name} {w}x{h}' for name, (w, h) in sizes.items())}."
-    if not all(same_proportions(size, expected) for size in sizes.values()):
+    if not all(same_proportions(size, camera_size) for size in sizes.values()):
         flags = (
             "write colour, depth and intrinsics of one view (gsfusion-nb convert registers depth)"
         )
@@ -73,26 +73,26 @@ def image_size(source: RecordedSequence) -> tuple[RepairConfig, Finding]:
     return repair, Finding("image size", "wrong", text, repair=flags)
 
 
-def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding]:
+def pose_matrices(T_stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding]:
     """Finding: are the matrices rigid, or do they become so when read by columns or with the
     nearest rotation?"""
-    n = len(stored)
+    n = len(T_stored)
     name = "pose matrices"
-    known = stored[torch.isfinite(stored).all(dim=(1, 2))]
-    lost = n - len(known)
-    if not len(known):
+    finite = T_stored[torch.isfinite(T_stored).all(dim=(1, 2))]
+    n_lost = n - len(finite)
+    if not len(finite):
         return RepairConfig(), Finding(name, "wrong", f"None of the {n} poses is finite.")
-    columns = known[:, 3, :3].abs().max() > 1e-6 > known[:, :3, 3].abs().max()
+    columns = finite[:, 3, :3].abs().max() > 1e-6 > finite[:, :3, 3].abs().max()
     repair = RepairConfig(matrices="column_major" if columns else "row_major")
-    R = raw_matrices(known, repair)[:, :3, :3]
+    R = raw_matrices(finite, repair)[:, :3, :3]
     determinant = torch.linalg.det(R)
     size = determinant.clamp_min(1e-12) ** (1 / 3)
     rigid = (_off_rotation(R) <= MAX_RIGIDITY_ERROR) & (determinant > 0)
-    nearly = (_off_rotation(R / size[:, None, None]) < 0.2) & (determinant > 0)
-    if not rigid.all() and nearly.all():
+    is_nearly_rigid = (_off_rotation(R / size[:, None, None]) < 0.2) & (determinant > 0)
+    if not rigid.all() and is_nearly_rigid.all():
         repair = replace(repair, nearest_rotation=True)
     text = f"{float(rigid.float().mean()):.0%} of {n} poses are rigid" + (
-        f", {lost} are missing" if lost else ""
+        f", {n_lost} are missing" if n_lost else ""
     )
     if repair.changes:
         words = {
@@ -101,7 +101,7 @@ def pose_matrices(stored: Float[Tensor, "N 4 4"]) -> tuple[RepairConfig, Finding
         }
         reasons = " and ".join(words[change] for change in repair.changes)
         return repair, Finding(name, "wrong", f"{text}; they are {reasons}.", repair.flags)
-    if rigid.all() and not lost:
+    if rigid.all() and not n_lost:
         return repair, Finding(name, "ok", f"{text}.")
     return repair, Finding(
         name, "doubtful", f"{text}. Frames without a pose are left out of the map."
@@ -124,12 +124,12 @@ def time_stamps(source: RecordedSequence) -> list[Finding]:
         return []
     usual = sorted(steps)[len(steps) // 2]
     longest = max(steps)
-    backward = [i for i, dt in enumerate(steps) if dt <= 0]
+    backward_steps = [i for i, dt in enumerate(steps) if dt <= 0]
     gaps = sum(usual > 0 and dt > _TIME_GAP * usual for dt in steps)
-    if backward:
+    if backward_steps:
         text = (
-            f"Time does not increase after {len(backward)} of {len(times)} frames, first "
-            f"{backward[0]}."
+            f"Time does not increase after {len(backward_steps)} of {len(times)} frames, first "
+            f"{backward_steps[0]}."
         )
         return [Finding(name, "wrong", text, "sort the frames by time in the recording's lists")]
     if gaps:
@@ -204,16 +204,17 @@ def clear_codes(
             total = total + share
     for frame in frames:
         for value_m, _ in codes:
-            coded = (frame.depth_m - value_m).abs() <= 1e-5 * value_m
-            frame.depth_m[coded] = 0.0
-            frame.missing += float(coded.float().mean())
+            is_code = (frame.depth_m - value_m).abs() <= 1e-5 * value_m
+            frame.depth_m[is_code] = 0.0
+            frame.missing += float(is_code.float().mean())
     if not codes:
         return codes, Finding("depth codes", "ok", 'No value but 0 stands for "missing".')
-    stored = " and ".join(
+    codes_text = " and ".join(
         f"{v * depth_scale:.0f}" if depth_scale else f"{v:.4g} m" for v, _ in codes
     )
     text = (
-        f'{total:.1%} of the pixels with depth hold {stored}: a code for "missing", not a distance.'
+        f"{total:.1%} of the pixels with depth hold {codes_text}: "
+        'a code for "missing", not a distance.'
     )
     return codes, Finding("depth codes", "wrong", text)
 
@@ -225,10 +226,10 @@ def missing_finding(frames: abc.Sequence[FrameFacts], depth_factor: float = 1.0)
     middle = shares[len(shares) // 2]
     most = shares[-1]
     values = torch.cat([f.depth_m[f.depth_m > 0] for f in frames])
-    near, median, far = (_percentile(values, q) for q in (0.01, 0.5, 0.99))
+    near_m, median, far_m = (_percentile(values, q) for q in (0.01, 0.5, 0.99))
     text = (
         f"{middle:.0%} of the pixels have no depth (at most {most:.0%} in a frame); depths "
-        f"{near:.2f} to {far:.2f} m, median {median:.2f} m."
+        f"{near_m:.2f} to {far_m:.2f} m, median {median:.2f} m."
     )
     range_finding = _range_finding(values * depth_factor, text)
     if range_finding is not None:
@@ -247,21 +248,21 @@ def missing_finding(frames: abc.Sequence[FrameFacts], depth_factor: float = 1.0)
 def _range_finding(depths_m: torch.Tensor, text: str) -> Finding | None:
     """A finding where little of the depth is in the range that is mapped by default; ``text`` is
     its beginning."""
-    mapped = TsdfConfig()
-    in_range = (depths_m > mapped.near_m) & (depths_m < mapped.far_m)
+    tsdf = TsdfConfig()
+    in_range = (depths_m > tsdf.near_m) & (depths_m < tsdf.far_m)
     share = float(in_range.float().mean()) if len(depths_m) else 1.0
     if share >= _LEAST_IN_RANGE:
         return None
     near_m = 0.9 * _percentile(depths_m, 0.01)
     far_m = 1.1 * _percentile(depths_m, 0.99)
     text += (
-        f" Only {share:.0%} of it lies between {mapped.near_m:g} and {mapped.far_m:g} m, where "
+        f" Only {share:.0%} of it lies between {tsdf.near_m:g} and {tsdf.far_m:g} m, where "
         "depth is mapped."
     )
-    ranged = f"--tsdf.near-m {near_m:.2g} --tsdf.far-m {far_m:.2g}"
+    flags = f"--tsdf.near-m {near_m:.2g} --tsdf.far-m {far_m:.2g}"
     voxel_m = max(0.001, far_m / _VOXELS_ACROSS)
     return Finding(
-        "depth coverage", "doubtful", text, f"map with {ranged} --tsdf.voxel-size-m {voxel_m:.1g}"
+        "depth coverage", "doubtful", text, f"map with {flags} --tsdf.voxel-size-m {voxel_m:.1g}"
     )
 
 
@@ -278,15 +279,15 @@ def unit_finding(sample: Sample, base: Sequence) -> tuple[RepairConfig, Finding]
     """Finding without poses: are the depths those of a hand-held camera in the unit as read?"""
     values = torch.cat([f.depth_m[f.depth_m > 0] for f in sample.frames]).numpy()
     scale = base.depth_scale if isinstance(base, RecordedSequence) else 1.0
-    stored = values * scale
+    stored_values = values * scale
     middle = float(np.median(values)) if len(values) else math.nan
     text = f"as read, the median depth is {middle:.2f} m"
-    if plausible_range(scale, stored):
+    if plausible_range(scale, stored_values):
         text = f"The unit of depth cannot be known without poses; {text}, which is plausible."
         return RepairConfig(), Finding("depth scale", "unknown", text)
     text = f"The unit of depth is not plausible for a hand-held camera: {text}."
     factor = next(
-        (scale / s for s in USUAL if s != scale and plausible_range(s, stored)),
+        (scale / s for s in USUAL if s != scale and plausible_range(s, stored_values)),
         1.0,
     )
     repair = RepairConfig(depth_factor=factor)

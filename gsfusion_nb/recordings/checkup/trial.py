@@ -43,27 +43,28 @@ class Trial(NamedTuple):
     contrast: float
     """Contrast of colour on the depth edges, relative to the neighbourhood."""
 
-    def is_measured(self, before: "Trial") -> bool:
-        """Whether this and ``before`` can be compared."""
-        return not math.isnan(self.share) and not math.isnan(before.share)
+    def is_measured(self, reference: "Trial") -> bool:
+        """Whether this and ``reference`` can be compared."""
+        return not math.isnan(self.share) and not math.isnan(reference.share)
 
-    def gains(self, before: "Trial") -> bool:
-        """Whether this is better than ``before``, or cannot be compared with it: what was not
+    def gains(self, reference: "Trial") -> bool:
+        """Whether this is better than ``reference``, or cannot be compared with it: what was not
         measured is no reason against a repair."""
-        if not self.is_measured(before):
+        if not self.is_measured(reference):
             return True
-        sharper = self.contrast > _LEAST_CONTRAST * before.contrast
-        return self.share > before.share + _LEAST_GAIN or (
-            sharper and self.share > before.share - _MOST_LOSS
+        sharper = self.contrast > _LEAST_CONTRAST * reference.contrast
+        return self.share > reference.share + _LEAST_GAIN or (
+            sharper and self.share > reference.share - _MOST_LOSS
         )
 
-    def beside(self, before: "Trial") -> str:
+    def beside(self, reference: "Trial") -> str:
         """Both in words, without the repair first."""
-        if not self.is_measured(before):
+        if not self.is_measured(reference):
             return "too few points meet a depth in the other frame to measure how many agree"
         return (
-            f"{before.share:.1%} -> {self.share:.1%} of the points agree in depth and brightness, "
-            f"contrast on depth edges {before.contrast:.2f} -> {self.contrast:.2f}"
+            f"{reference.share:.1%} -> {self.share:.1%} of the points agree in depth and "
+            "brightness, "
+            f"contrast on depth edges {reference.contrast:.2f} -> {self.contrast:.2f}"
         )
 
 
@@ -101,15 +102,15 @@ class Trials:
 
     Args:
         base: As its reader returns it.
-        given: What it is examined with.
+        initial: What it is examined with.
     """
 
-    def __init__(self, base: Sequence, given: DataConfig):
+    def __init__(self, base: Sequence, initial: DataConfig):
         self.base = base
-        self._given = replace(given, hold_out_every=0)
+        self._given = replace(initial, hold_out_every=0)
         self.pairs: list[tuple[int, int]] = []
         """Numbers of the frames that are compared."""
-        self._mapped = set(apply_options(base, given).mapping.positions)
+        self._mapped = set(apply_options(base, initial).mapping.positions)
         self._known: dict[str, Trial] = {}
 
     def mapped(self, sample: Sample) -> Sample:
@@ -144,8 +145,8 @@ class Trials:
                     CalibrationCorrection(),
                 )[2]
                 edges = [depth_edges(f.depth_m.numpy()) for f in sample.frames]
-                measured = shares[~np.isnan(shares)]
-                share = float(measured.mean()) if len(measured) else math.nan
+                finite_shares = shares[~np.isnan(shares)]
+                share = float(finite_shares.mean()) if len(finite_shares) else math.nan
                 self._known[key] = Trial(share, on_edges(edges, sample.frames))
         return self._known[key]
 
@@ -181,10 +182,10 @@ class Trials:
         bend = none - 2 * half + whole
         best = 0.5 + (none - whole) / (4 * bend) if bend < 0 else float(whole > none)
         repair = offsets(min(max(best, 0.0), 1.0))
-        only = RepairConfig(
+        offset_repair = RepairConfig(
             pose_offset_s=repair.pose_offset_s, depth_offset_s=repair.depth_offset_s
         )
-        data = combined(self._given, DataConfig(repair=only))
+        data = combined(self._given, DataConfig(repair=offset_repair))
         read = read_sample(
             apply_options(self.base, data),
             at=[f.place for f in sample.frames],
@@ -193,54 +194,58 @@ class Trials:
         return replace(e, repair=repair, correction=replace(e.correction, shift_frames=0.0)), read
 
     def judged(
-        self, found: list[Finding], more: DataConfig, registered: Sequence | None
+        self, findings: list[Finding], more: DataConfig, registered_base: Sequence | None
     ) -> tuple[list[Finding], DataConfig, str]:
         """The findings with what their repairs gain beside all others, the repairs that gain, and
-        what these gain together. ``registered`` is the recording with the reader's option that
+        what these gain together. ``registered_base`` is the recording with the reader's option that
         registers it, if that is advised."""
         left_out = {*more.repair.skip, more.start, more.stop} - {0}
-        around = [(n + k - 1, n + k) for n in sorted(left_out) for k in (-1, 0, 1, 2)]
-        kept = more
-        judged = []
+        jump_pairs = [(n + k - 1, n + k) for n in sorted(left_out) for k in (-1, 0, 1, 2)]
+        repairs = more
+        verdicts = []
         read = self.base
-        for f in found:
+        for f in findings:
             options = [
                 word.removeprefix("--data.")
                 for word in f.repair.split()
                 if word.startswith("--data.")
             ]
             rest = without(
-                kept, [option.removeprefix("repair.").replace("-", "_") for option in options]
+                repairs, [option.removeprefix("repair.").replace("-", "_") for option in options]
             )
-            other = registered if f.repair.startswith("--reader") else None
-            if other is not None or rest != kept:
-                among = around if {"start", "stop", "repair.skip"} & {*options} else None
-                before = self.of(rest, among=among)
-                after = self.of(kept, other, among)
-                gained = after.gains(before)
-                if gained:
+            other = registered_base if f.repair.startswith("--reader") else None
+            if other is not None or rest != repairs:
+                among = jump_pairs if {"start", "stop", "repair.skip"} & {*options} else None
+                reference = self.of(rest, among=among)
+                trial = self.of(repairs, other, among)
+                is_better = trial.gains(reference)
+                if is_better:
                     self.base = other or self.base
-                    tried = f"Tried: {after.beside(before)}."
-                    if not after.is_measured(before):
-                        tried = f"Could not be tried: {after.beside(before)}."
-                    f = replace(f, sentence=f"{f.sentence} {tried}")
+                    note = f"Tried: {trial.beside(reference)}."
+                    if not trial.is_measured(reference):
+                        note = f"Could not be tried: {trial.beside(reference)}."
+                    f = replace(f, sentence=f"{f.sentence} {note}")
                 else:
-                    kept = rest
-                    f = _vetoed(f, options, after.beside(before))
-            judged.append(f)
-        if kept == DataConfig() and self.base is read:
-            return judged, kept, ""
-        there = {*apply_options(self.base, combined(self._given, kept)).positions}
-        both = [pair for pair in self.pairs if there.issuperset(pair)]
-        return judged, kept, self.of(kept, among=both).beside(self.of(DataConfig(), read, both))
+                    repairs = rest
+                    f = _vetoed(f, options, trial.beside(reference))
+            verdicts.append(f)
+        if repairs == DataConfig() and self.base is read:
+            return verdicts, repairs, ""
+        positions = {*apply_options(self.base, combined(self._given, repairs)).positions}
+        both = [pair for pair in self.pairs if positions.issuperset(pair)]
+        return (
+            verdicts,
+            repairs,
+            self.of(repairs, among=both).beside(self.of(DataConfig(), read, both)),
+        )
 
 
-def _vetoed(f: Finding, options: list[str], beside: str) -> Finding:
+def _vetoed(f: Finding, options: list[str], comparison: str) -> Finding:
     """A finding whose repair gains nothing: what a fit took for wrong is not known; what was seen
     in the images stays true."""
     sentence = (
-        f"Cannot be known from these frames: {f.repair} was tried, and is no better: {beside}."
+        f"Cannot be known from these frames: {f.repair} was tried, and is no better: {comparison}."
     )
     if {*options} & {"repair.skip", *(limit.replace("_", "-") for limit in LIMITS)}:
-        sentence = f"{f.sentence} Tried, and no better: {beside}."
+        sentence = f"{f.sentence} Tried, and no better: {comparison}."
     return replace(f, verdict="unknown", sentence=sentence, repair="")

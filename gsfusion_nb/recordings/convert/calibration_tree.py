@@ -78,9 +78,9 @@ def _named_values(text: str, path: Path) -> Tree:
             section = f"{heading[1]}."
             continue
         for part in re.split(r"[,;](?=\s*[A-Za-z_])", line):
-            named = _LINE.match(part)
-            if named and not line.lstrip().startswith(("#", "//")):
-                values[section + named[1]] = _value(named[2])
+            match = _LINE.match(part)
+            if match and not line.lstrip().startswith(("#", "//")):
+                values[section + match[1]] = _value(match[2])
     with parsing(path, f"the camera's intrinsics as {WAYS}"):
         return tree_of(values, ".")
 

@@ -51,27 +51,27 @@ _POSSIBLE_M = (0.05, 200.0)
 
 
 def told_unit(
-    tree: Tree, source: str, stored: Sequence[np.ndarray]
+    tree: Tree, source: str, samples: Sequence[np.ndarray]
 ) -> tuple[DepthUnit | None, list[str]]:
     """The unit of depth that a calibration names, and a note where it names one that cannot be.
 
     Args:
         tree: Names and values of the calibration file.
         source: The file.
-        stored: Some depth images as stored, 0 = missing. [H, W] each
+        samples: Some depth images as stored, 0 = missing. [H, W] each
     """
-    found = {
+    scales = {
         name: scale for name, value in _numbers_in(tree) if (scale := _units_per_metre(name, value))
     }
-    values = np.concatenate([image[image > 0].ravel() for image in stored] or [np.zeros(0)])
-    if not found or not len(values):
+    values = np.concatenate([image[image > 0].ravel() for image in samples] or [np.zeros(0)])
+    if not scales or not len(values):
         return None, []
-    if len(set(found.values())) > 1:
-        told = ", ".join(f"{name} {scale:g}" for name, scale in found.items())
+    if len(set(scales.values())) > 1:
+        scales_text = ", ".join(f"{name} {scale:g}" for name, scale in scales.items())
         raise SequenceError(
-            f"{source} names several units of depth, {told} per metre; give --depth-scale"
+            f"{source} names several units of depth, {scales_text} per metre; give --depth-scale"
         )
-    ((name, scale), *_) = found.items()
+    ((name, scale), *_) = scales.items()
     middle_m = float(np.median(values)) / scale
     if not _POSSIBLE_M[0] <= middle_m <= _POSSIBLE_M[1]:
         return None, [

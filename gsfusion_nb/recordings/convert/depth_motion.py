@@ -83,12 +83,15 @@ def measured_unit(recording: Recording, options: ConvertOptions) -> DepthUnit | 
         return None
     anchors = _anchors(recording.n_frames)
     places = {a + gap for a in anchors for gap in (0, *_GAPS)}
-    there: dict[int, PosedDepth] = {}
+    by_place: dict[int, PosedDepth] = {}
     for place, frame in enumerate(recording.frames()):
-        if place in places and (posed := _posed(poses, place, frame, recording, options)):
-            there[place] = posed
+        if place in places and (posed_depth := _posed(poses, place, frame, recording, options)):
+            by_place[place] = posed_depth
     pairs = [
-        (there[a], there[a + gap]) for a in anchors for gap in _GAPS if {a, a + gap} <= there.keys()
+        (by_place[a], by_place[a + gap])
+        for a in anchors
+        for gap in _GAPS
+        if {a, a + gap} <= by_place.keys()
     ]
     best = units_per_metre(pairs)
     if best is None:
@@ -96,8 +99,8 @@ def measured_unit(recording: Recording, options: ConvertOptions) -> DepthUnit | 
     middle_m = float(np.median([float(p.stored[p.stored > 0].median()) for p, _ in pairs])) / best
     if not _FILMED_M[0] <= middle_m <= _FILMED_M[1]:
         return None
-    known = min(KNOWN, key=lambda scale: abs(np.log(scale / best)))
-    if max(known / best, best / known) > _SNAPS:
+    usual_scale = min(KNOWN, key=lambda scale: abs(np.log(scale / best)))
+    if max(usual_scale / best, best / usual_scale) > _SNAPS:
         raise OptionNeeded(
             f"{recording.name}: by the camera's motion one metre is {best:.4g} units of depth, "
             "which no program writes; if the poses are right: --depth-scale with that number; "
@@ -107,10 +110,10 @@ def measured_unit(recording: Recording, options: ConvertOptions) -> DepthUnit | 
             "depth is one metre?",
         )
     sentence = (
-        f"depth was taken as {known:g} units a metre, measured by the camera's motion on "
+        f"depth was taken as {usual_scale:g} units a metre, measured by the camera's motion on "
         f"{len(pairs)} pairs of frames ({best:.4g}; --depth-scale)"
     )
-    return DepthUnit(known, sentence)
+    return DepthUnit(usual_scale, sentence)
 
 
 def units_per_metre(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> float | None:
@@ -120,27 +123,27 @@ def units_per_metre(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> float | N
         return None
     curves = torch.stack([_coarse_scores(first, second) for first, second in pairs])
     contrast = curves.amax(1) - curves.amin(1)
-    chosen = contrast.argsort(descending=True)[:_PAIRS]
-    chosen = chosen[contrast[chosen] > _TELLS]
-    if len(chosen) < min(_FEWEST_PAIRS, len(pairs)):
+    best_pairs = contrast.argsort(descending=True)[:_PAIRS]
+    best_pairs = best_pairs[contrast[best_pairs] > _TELLS]
+    if len(best_pairs) < min(_FEWEST_PAIRS, len(pairs)):
         return None
-    coarse = curves[chosen].mean(0).numpy()
+    coarse = curves[best_pairs].mean(0).numpy()
     best = float(_SCALES[int(coarse.argmax())])
     beyond = np.abs(np.log(_SCALES / best)) > _AROUND[-1]
     if coarse[beyond].max() > _CLEAR_FAR * coarse.max():
         return None
-    close = _fit_data([pairs[i] for i in chosen.tolist()])
-    _, residual, known = reproject(close, _correction(best))
+    close = _fit_data([pairs[i] for i in best_pairs.tolist()])
+    _, residual, is_measured = reproject(close, _correction(best))
     precise = min(
-        max(3 * float(residual[known].abs().median()), 0.002),
+        max(3 * float(residual[is_measured].abs().median()), 0.002),
         _TOLERANCE,
     )
     scores = np.array(
         [float(_scores(close, best * math.exp(step), precise).mean()) for step in _AROUND]
     )
     top = int(scores.argmax())
-    far = np.abs(_AROUND - _AROUND[top]) > math.log(_NEAR)
-    if scores[top] < _LEAST_SCORE or scores[far].max() > _CLEAR * scores[top]:
+    is_far = np.abs(_AROUND - _AROUND[top]) > math.log(_NEAR)
+    if scores[top] < _LEAST_SCORE or scores[is_far].max() > _CLEAR * scores[top]:
         return None
     return best * math.exp(_AROUND[top])
 
@@ -159,11 +162,11 @@ def _coarse_scores(first: PosedDepth, second: PosedDepth) -> Float[Tensor, " S"]
 
 def _fit_data(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> FitData:
     """Points of the first images and the second images of the pairs, with depth as stored."""
-    frames = list({id(posed): posed for pair in pairs for posed in pair}.values())
-    row = {id(posed): i for i, posed in enumerate(frames)}
+    frames = list({id(frame): frame for pair in pairs for frame in pair}.values())
+    row = {id(frame): i for i, frame in enumerate(frames)}
     full = frames[0].camera
     step = max(1, round(full.width / _WIDTH))
-    small = [thinned(posed.camera, posed.stored, step) for posed in frames]
+    small = [thinned(frame.camera, frame.stored, step) for frame in frames]
     camera = small[0][0]
     depth = torch.stack([image for _, image in small])
     spacing = max(1, round(math.sqrt(camera.width * camera.height / _POINTS)))
@@ -171,7 +174,7 @@ def _fit_data(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> FitData:
     u, v = uv.long().unbind(-1)
     first = [row[id(a)] for a, _ in pairs]
     second = [row[id(b)] for _, b in pairs]
-    T_WC = torch.stack([posed.T_WC for posed in frames])
+    T_WC = torch.stack([frame.T_WC for frame in frames])
     return FitData(
         uv_a=uv.expand(len(pairs), -1, 2),
         depth_a=depth[first][:, v, u],
@@ -190,8 +193,8 @@ def _correction(units_per_m: float) -> CalibrationCorrection:
 def _scores(data: FitData, units_per_m: float, tolerance: float) -> Float[Tensor, " P"]:
     """How well the first image of each pair predicts the second in a unit: 0, nowhere, to 1,
     everywhere exactly."""
-    _, residual, known = reproject(data, _correction(units_per_m))
-    each = (1 - residual.abs() / tolerance).clamp_min(0) * known
+    _, residual, is_measured = reproject(data, _correction(units_per_m))
+    each = (1 - residual.abs() / tolerance).clamp_min(0) * is_measured
     return each.sum(1) / (data.depth_a > 0).sum(1).clamp_min(1)
 
 
@@ -215,10 +218,10 @@ def _posed(
             return None
         images = frame.load()
         height, width = images.depth_m.shape
-        stored = torch.from_numpy(images.depth_m * np.float32(recording.depth_scale))
+        depth_values = torch.from_numpy(images.depth_m * np.float32(recording.depth_scale))
         colour_size = (images.rgb.shape[1], images.rgb.shape[0])
         camera = _camera(frame, colour_size, (width, height), recording, options)
-        return None if camera is None else PosedDepth(stored, camera, T_WC)
+        return None if camera is None else PosedDepth(depth_values, camera, T_WC)
     return None
 
 
@@ -237,5 +240,5 @@ def _camera(
         model = frame.depth_model
     else:
         model = intrinsics_of_frame(frame, colour_size, recording.name, options)
-    given = (model.camera.width, model.camera.height)
-    return model.camera.resized(*size) if same_proportions(size, given) else None
+    camera_size = (model.camera.width, model.camera.height)
+    return model.camera.resized(*size) if same_proportions(size, camera_size) else None

@@ -34,20 +34,20 @@ WHOLE_METRES = 64
 """Whole numbers that are never larger are metres, or steps as coarse."""
 
 
-def find_depth_unit(folder: Path, stored: abc.Sequence[np.ndarray]) -> DepthUnit:
+def find_depth_unit(folder: Path, samples: abc.Sequence[np.ndarray]) -> DepthUnit:
     """Guess the stored value of one metre from the range of the depths.
 
     Args:
         folder: Of the recording; the benchmark's cameras are known by its name, and their unit is
             no guess.
-        stored: Some depth images as stored, 0 = missing. [H, W] each
+        samples: Some depth images as stored, 0 = missing. [H, W] each
 
     Raises:
         SequenceError: no depth, or the depths are so coarse that no unit helps.
     """
     if benchmark_camera(folder):
         return DepthUnit(DEPTH_SCALE, "depth was taken in the benchmark's 5000 units a metre")
-    values = np.concatenate([image[image > 0].ravel() for image in stored] or [np.zeros(0)])
+    values = np.concatenate([image[image > 0].ravel() for image in samples] or [np.zeros(0)])
     if not len(values):
         raise SequenceError(
             f"{folder}: the depth images tried hold no depth; give --depth-scale, units per metre"
@@ -80,10 +80,10 @@ def _doubt(scale: float, values: np.ndarray) -> str:
     middle = float(np.median(values))
     plausible = [s for s in KNOWN if s != scale and plausible_range(s, values)]
     others = sorted(plausible, key=lambda s: abs(np.log(s / scale)))[:3]
-    told = ", ".join(f"{s:g} would be {middle / s:.2f} m" for s in others)
+    scales_text = ", ".join(f"{s:g} would be {middle / s:.2f} m" for s in others)
     return (
         f", because that gives depths of a hand-held camera, {middle / scale:.2f} m in the median"
-        f"{f'; nothing proves it: {told}' if told else ''} (--depth-scale)"
+        f"{f'; nothing proves it: {scales_text}' if scales_text else ''} (--depth-scale)"
     )
 
 
@@ -91,9 +91,9 @@ def plausible_range(scale: float, values: np.ndarray) -> bool:
     """Whether the stored values are depths of a hand-held camera in this unit."""
     if not len(values):
         return True
-    near, middle, far = (float(np.percentile(values, q)) / scale for q in (1, 50, 95))
+    near_m, middle, far_m = (float(np.percentile(values, q)) / scale for q in (1, 50, 95))
     nearest_m = NEAREST_TUM_M if scale == 5000.0 else NEAREST_M
-    return near >= nearest_m and middle <= FARTHEST_MEDIAN_M and far <= FARTHEST_M
+    return near_m >= nearest_m and middle <= FARTHEST_MEDIAN_M and far_m <= FARTHEST_M
 
 
 def some_depths(
@@ -105,13 +105,13 @@ def some_depths(
     Raises:
         BadFrameError: none can be read; the reason of the first.
     """
-    found = []
+    samples = []
     errors = []
     for i in sorted({int(i) for i in np.linspace(0, len(files) - 1, n)}):
         try:
-            found.append(read_depth_file(files[i], 1.0))
+            samples.append(read_depth_file(files[i], 1.0))
         except BadFrameError as e:
             errors.append(e)
-    if not found and errors:
+    if not samples and errors:
         raise errors[0]
-    return found
+    return samples

@@ -60,8 +60,8 @@ def estimated_model(
     starts = {(int(a), gap) for gap in gaps for a in np.linspace(0, len(pairs) - 1 - gap, _STARTS)}
     used = sorted({place for a, gap in starts for place in (a, a + gap)})
     corners = {place: _corners(*pairs[place], scale) for place in used}
-    found = [_matched(corners[a][0], corners[a + gap][0]) for a, gap in sorted(starts)]
-    matches = [match for match in found if len(match) >= _FEWEST_POINTS]
+    point_pairs = [_matched(corners[a][0], corners[a + gap][0]) for a, gap in sorted(starts)]
+    matches = [match for match in point_pairs if len(match) >= _FEWEST_POINTS]
     costs = np.array(
         [np.mean([_error(match, focal) for match in matches] or [1.0]) for focal in _CANDIDATES]
     )
@@ -123,10 +123,10 @@ def _corners(
 def _matched(first: Features, second: Features) -> np.ndarray:
     """Points of both frames that move alike. [N, 2, 3]"""
     rows = match_features(first, second)
-    seen = first.has_depth[rows[:, 0]] & second.has_depth[rows[:, 1]]
+    has_both = first.has_depth[rows[:, 0]] & second.has_depth[rows[:, 1]]
     points = (
         torch.stack(
-            [first.xyz_C[rows[seen, 0]], second.xyz_C[rows[seen, 1]]],
+            [first.xyz_C[rows[has_both, 0]], second.xyz_C[rows[has_both, 1]]],
             1,
         )
         .double()
@@ -135,18 +135,20 @@ def _matched(first: Features, second: Features) -> np.ndarray:
     if len(points) < _FEWEST_POINTS:
         return points
     cv2.setRNGSeed(0)
-    far = _RELATIVE * float(np.median(points[:, 0, 2]))
-    _, _, kept = cv2.estimateAffine3D(
-        *np.ascontiguousarray(points.swapaxes(0, 1)), ransacThreshold=far
+    far_m = _RELATIVE * float(np.median(points[:, 0, 2]))
+    _, _, inliers = cv2.estimateAffine3D(
+        *np.ascontiguousarray(points.swapaxes(0, 1)), ransacThreshold=far_m
     )
-    return points[kept.ravel() > 0]
+    return points[inliers.ravel() > 0]
 
 
 def _error(points: np.ndarray, focal: float) -> float:
     """Mean square error of the best rigid motion, where a pixel of 640 counts as much as 1 % of
     depth."""
     P, Q = (points / (focal, focal, 1.0)).swapaxes(0, 1)
-    moved = Rotation.align_vectors(Q - Q.mean(0), P - P.mean(0))[0].apply(P - P.mean(0)) + Q.mean(0)
-    across = (moved[:, :2] / moved[:, 2:] - Q[:, :2] / Q[:, 2:]) * focal * _LONG_SIDE
-    along = 100 * (moved[:, 2:] / Q[:, 2:] - 1)
-    return float(np.mean(np.minimum(np.c_[across, along] ** 2, _CAP)))
+    aligned_P = Rotation.align_vectors(Q - Q.mean(0), P - P.mean(0))[0].apply(
+        P - P.mean(0)
+    ) + Q.mean(0)
+    error_px = (aligned_P[:, :2] / aligned_P[:, 2:] - Q[:, :2] / Q[:, 2:]) * focal * _LONG_SIDE
+    error_percent = 100 * (aligned_P[:, 2:] / Q[:, 2:] - 1)
+    return float(np.mean(np.minimum(np.c_[error_px, error_percent] ** 2, _CAP)))

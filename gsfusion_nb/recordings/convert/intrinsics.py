@@ -239,22 +239,22 @@ def model_of_tree(
         )
     if "cameraData" in tree:
         tree = _cameras_of_depthai(tree)
-    found = dict(_cameras(tree, ""))
-    found = _left_of_zed(found, size) or found
-    if len(found) > 1:
-        colour = [name for name in found if _SAYS_COLOUR.search(name)]
-        found = {name: found[name] for name in colour} if len(colour) == 1 else found
-    if not found:
+    trees = dict(_cameras(tree, ""))
+    trees = _left_of_zed(trees, size) or trees
+    if len(trees) > 1:
+        colour = [name for name in trees if _SAYS_COLOUR.search(name)]
+        trees = {name: trees[name] for name in colour} if len(colour) == 1 else trees
+    if not trees:
         names = ", ".join(map(str, tree)) or "nothing"
         raise SequenceError(
             f"{source} holds no camera in a way that is known, but {shown(names)}; known: {WAYS}"
         )
-    if len(found) > 1:
+    if len(trees) > 1:
         raise SequenceError(
-            f"{source} holds {len(found)} cameras, {', '.join(found)}; give that of the colour "
+            f"{source} holds {len(trees)} cameras, {', '.join(trees)}; give that of the colour "
             "images as --intrinsics 'fx fy cx cy [k1 k2 p1 p2 k3]'"
         )
-    ((_, values),) = found.items()
+    ((_, values),) = trees.items()
     with parsing(source, f"a camera's intrinsics as {WAYS}"):
         return _model_of_values(values, size, source, centre)
 
@@ -273,10 +273,10 @@ def _cameras(
     if is_kalibr or has_matrix or any(set(names) <= tree.keys() for names in _PINHOLES):
         yield path or "the camera", {**outer, **tree}
         return
-    shared = tree.get("Camera")
+    common = tree.get("Camera")
     single = {**outer, **_single_values(tree)}
-    if isinstance(shared, Mapping):
-        single |= _single_values(shared)
+    if isinstance(common, Mapping):
+        single |= _single_values(common)
     for name, values in tree.items():
         if isinstance(values, Mapping):
             yield from _cameras(values, f"{path}.{name}" if path else str(name), single)
@@ -296,7 +296,7 @@ _WIDTHS_OF_ZED = {"2K": 2208, "FHD": 1920, "HD": 1280, "VGA": 672}
 
 
 def _left_of_zed(
-    found: Mapping[str, Tree],
+    trees: Mapping[str, Tree],
     size: tuple[int, int] | None,
 ) -> dict[str, Tree]:
     """Of the cameras of a ZED's calibration the left one for images of this width; empty for other
@@ -305,7 +305,7 @@ def _left_of_zed(
         (n for n, width in _WIDTHS_OF_ZED.items() if size is not None and size[0] == width),
         "",
     )
-    camera = found.get(f"LEFT_CAM_{name}")
+    camera = trees.get(f"LEFT_CAM_{name}")
     return {} if camera is None else {f"LEFT_CAM_{name}": camera}
 
 
@@ -373,8 +373,8 @@ def _is_fisheye(values: Tree, source: str) -> bool:
     if any(name in _FISHEYE for name in names):
         return True
     unknown = [name for name in names if name not in _BROWN]
-    named = [values.get(name, 0.0) for name in _COEFFICIENTS]
-    if unknown and (any(_listed_coefficients(values)) or any(map(_is_not_zero, named))):
+    coefficients = [values.get(name, 0.0) for name in _COEFFICIENTS]
+    if unknown and (any(_listed_coefficients(values)) or any(map(_is_not_zero, coefficients))):
         raise SequenceError(
             f"{source}: the lens {shown(unknown[0])} with other coefficients than 0 cannot be "
             f"undistorted; known: {', '.join(name for name in (*_BROWN, *_FISHEYE) if name)}"
@@ -399,23 +399,24 @@ def _coefficients(
     """The distortion in OpenCV's order; () where there is none."""
     names = _FISHEYE_COEFFICIENTS if fisheye else _COEFFICIENTS
     for name, value in values.items():
-        known = name in names or name in _LISTS or name in ("is_fisheye", "fisheye", *_LENSES)
-        if _OF_A_LENS.fullmatch(str(name)) and not known and _is_not_zero(value):
+        is_known = name in names or name in _LISTS or name in ("is_fisheye", "fisheye", *_LENSES)
+        if _OF_A_LENS.fullmatch(str(name)) and not is_known and _is_not_zero(value):
             raise SequenceError(
                 f"{source}: {name} = {shown(value)} changes the camera in a way that is not known "
                 f"here; undistort the images first; known: {', '.join(names)}"
             )
-    listed = _listed_coefficients(values)
-    named = [float(values.get(name, 0.0)) for name in names]
-    if any(listed):
-        if fisheye and len(listed) != len(_FISHEYE_COEFFICIENTS):
+    coefficient_list = _listed_coefficients(values)
+    coefficients = [float(values.get(name, 0.0)) for name in names]
+    if any(coefficient_list):
+        if fisheye and len(coefficient_list) != len(_FISHEYE_COEFFICIENTS):
             raise SequenceError(
-                f"{source}: a fisheye must have the coefficients k1 k2 k3 k4, got {len(listed)}"
+                f"{source}: a fisheye must have the coefficients k1 k2 k3 k4, got "
+                f"{len(coefficient_list)}"
             )
-        return tuple(listed)
-    while len(named) > 5 and not named[-1]:
-        named.pop()
-    return tuple(named) if any(named) or fisheye else ()
+        return tuple(coefficient_list)
+    while len(coefficients) > 5 and not coefficients[-1]:
+        coefficients.pop()
+    return tuple(coefficients) if any(coefficients) or fisheye else ()
 
 
 def _listed_coefficients(values: Tree) -> list[float]:

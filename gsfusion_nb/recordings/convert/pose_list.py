@@ -90,21 +90,21 @@ def _rows_of_frames(
         SequenceError: neither the frames that are converted nor the numbers of the images say it.
     """
     n_frames = recording.n_frames
-    converted = range(options.start, options.stop or n_frames, options.every)
-    if len(converted) == n_poses and converted != range(n_frames):
-        told = (
+    frames = range(options.start, options.stop or n_frames, options.every)
+    if len(frames) == n_poses and frames != range(n_frames):
+        advice = (
             f"{path}: {n_poses} poses, as many as frames are converted, so each goes to one of "
             "these in order"
         )
-        return {place: row for row, place in enumerate(converted)}, told
+        return {place: row for row, place in enumerate(frames)}, advice
     numbers = frame_numbers([Path(frame.source).stem for frame in recording.frames()])
     rows = None if numbers is None else _rows_by_number(numbers, n_poses)
     if rows is not None and numbers is not None:
-        told = (
+        advice = (
             f"{path}: {n_poses} poses for {n_frames} frames, so each image has the pose of its "
             f"number, image {numbers[0]} that of row {rows[0]}, counted from 0"
         )
-        return dict(enumerate(rows)), told
+        return dict(enumerate(rows)), advice
     every = n_frames // n_poses
     regular = (
         f"; of every {every}th frame: --every {every}"

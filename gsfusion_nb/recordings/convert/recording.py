@@ -297,8 +297,8 @@ def is_picture_file(data: bytes) -> bool:
 def find_depth(folder: Path, stem: str) -> Path:
     """Depth file of the colour image ``stem``: the same name with any known suffix. The file may be
     missing."""
-    found = (folder / f"{stem}{s}" for s in DEPTH_SUFFIXES)
-    return next((p for p in found if is_file(p)), folder / f"{stem}.png")
+    candidates = (folder / f"{stem}{s}" for s in DEPTH_SUFFIXES)
+    return next((p for p in candidates if is_file(p)), folder / f"{stem}.png")
 
 
 def read_array(path: Path, what: str) -> np.ndarray:

@@ -135,24 +135,24 @@ def _read(name: str, path: Path, options: ConvertOptions) -> Recording:
     unit = recording.unit
     if unit is None or not unit.is_guess:
         return recording
-    measured = measured_unit(recording, options)
-    if measured is None and unit.question is not None:
+    estimate = measured_unit(recording, options)
+    if estimate is None and unit.question is not None:
         raise unit.question
-    if measured is None:
+    if estimate is None:
         return dataclasses.replace(recording, notes=(*recording.notes, unit.sentence))
-    if measured.scale != recording.depth_scale:
+    if estimate.scale != recording.depth_scale:
         recording = FORMATS[name].read(
-            path, dataclasses.replace(options, depth_scale=measured.scale)
+            path, dataclasses.replace(options, depth_scale=estimate.scale)
         )
-    return dataclasses.replace(recording, notes=(*recording.notes, measured.sentence))
+    return dataclasses.replace(recording, notes=(*recording.notes, estimate.sentence))
 
 
 def _without_depth(source: str, depth_m: np.ndarray, scale: float) -> str:
     """Why no pixel of a depth image can be written."""
-    known = depth_m[depth_m > 0]
-    if not len(known):
+    depth_values = depth_m[depth_m > 0]
+    if not len(depth_values):
         return f"{source} holds no depth that can be written"
-    middle = float(np.median(known))
+    middle = float(np.median(depth_values))
     usual = ", and --depth-scale 1000 if it is in millimetres" if 100 < middle < 20_000 else ""
     return (
         f"{source} holds no depth that can be written: the median is {middle:g} m, and the limit "
@@ -214,27 +214,27 @@ class _Conversion:
         except BadFrameError as e:
             return self._drop("image missing or damaged", str(e))
         try:
-            rectified = self._rectified(frame, images)
+            pinhole_images = self._rectified(frame, images)
         except SequenceError:
             raise
         except ValueError as e:
             raise SequenceError(f"{frame.source}: {e}") from None
-        stored = np.rint(rectified.depth_m * np.float32(self._depth_scale))
-        far = stored > 65535
-        depth = np.where(far, 0, stored)
+        depth_values = np.rint(pinhole_images.depth_m * np.float32(self._depth_scale))
+        is_too_far = depth_values > 65535
+        depth = np.where(is_too_far, 0, depth_values)
         if not depth.any():
             return self._drop(
-                "no depth", _without_depth(frame.source, rectified.depth_m, self._depth_scale)
+                "no depth", _without_depth(frame.source, pinhole_images.depth_m, self._depth_scale)
             )
         name = f"{len(self._times):06d}"
         lossless = not images.encoded.startswith(b"\xff\xd8")
         colour = self._folder / f"rgb/{name}{'.png' if lossless else '.jpg'}"
-        if rectified.encoded:
-            colour.write_bytes(rectified.encoded)
+        if pinhole_images.encoded:
+            colour.write_bytes(pinhole_images.encoded)
         else:
-            write_rgb(colour, rectified.rgb)
+            write_rgb(colour, pinhole_images.rgb)
         write_depth(self._folder / f"depth/{name}.png", depth, 1.0)
-        self._far_pixels += int(far.sum())
+        self._far_pixels += int(is_too_far.sum())
         self._times.append(frame.time_s)
         one_time = frame.depth_time_s is None or self._poses.by_place
         self._depth_times.append(frame.time_s if one_time else frame.depth_time_s)
@@ -244,14 +244,17 @@ class _Conversion:
 
     def finish(self, format: str, out: Path) -> ConvertReport:
         """Write intrinsics, poses, times and the report."""
-        dropped = dict(Counter(self._recording.dropped) + self._dropped)
+        drop_counts = dict(Counter(self._recording.dropped) + self._dropped)
         if not self._times or self._rectifier is None:
-            told = "; ".join(
-                [*(f"{n} left out: {reason}" for reason, n in dropped.items()), *self._errors[:1]]
+            reasons = "; ".join(
+                [
+                    *(f"{n} left out: {reason}" for reason, n in drop_counts.items()),
+                    *self._errors[:1],
+                ]
             )
             raise SequenceError(
                 f"{self._recording.name}: no frame can be used "
-                f"({told or 'it has none'}){self._time_hint()}; expected at least one"
+                f"({reasons or 'it has none'}){self._time_hint()}; expected at least one"
             )
         stamps = judge_stamps([t for t in self._times if t is not None], unit="s")
         notes = [*self._recording.notes, *self._poses.notes, *self._smaller]
@@ -279,7 +282,7 @@ class _Conversion:
             format=format,
             frames_read=len(self._times) + self._dropped.total(),
             frames=len(self._times),
-            dropped=dropped,
+            dropped=drop_counts,
             examples=tuple(self._errors[:3]),
             camera=self._rectifier.camera,
             depth_scale=self._depth_scale,
@@ -294,8 +297,10 @@ class _Conversion:
             "depth_scale": self._depth_scale,
             **({"fps": 1.0 / statistics.median(steps)} if steps else {}),
         }
-        apart = self._depth_times != self._times
-        times = {"time_s": self._times} | ({"depth_time_s": self._depth_times} if apart else {})
+        has_depth_times = self._depth_times != self._times
+        times = {"time_s": self._times} | (
+            {"depth_time_s": self._depth_times} if has_depth_times else {}
+        )
         table = zip(*times.values(), strict=True)
         rows = (
             " ".join([f"{i:06d}", *("nan" if t is None else repr(t) for t in row)])
@@ -334,13 +339,13 @@ class _Conversion:
 
     def _with_depth_camera(self, frame: RecordedFrame, shape: tuple[int, ...]) -> RecordedFrame:
         """The frame with the depth camera of the options, where they give one."""
-        given = self._options.depth_intrinsics
+        intrinsics_file = self._options.depth_intrinsics
         T = self._T_colour_depth
-        if given == "colour":
+        if intrinsics_file == "colour":
             return dataclasses.replace(frame, depth_model=None, T_colour_depth=None)
-        if given:
+        if intrinsics_file:
             model = read_intrinsics(
-                given,
+                intrinsics_file,
                 (shape[1], shape[0]),
                 centre=self._options.pixel_centre,
             )

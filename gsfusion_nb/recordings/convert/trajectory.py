@@ -117,13 +117,13 @@ def read_trajectory(
             poses at one time that are far apart, or a quaternion whose length is not 1.
     """
     if path.suffix == ARKIT_SUFFIX:
-        stored = _rows_of_arkit(
+        rows = _rows_of_arkit(
             read_rows(path, 7, "time, axis times angle and translation, 7 numbers")
         )
         frames = {}
     else:
-        stored, frames = _table(path)
-    table, notes = checked_rows(stored, path, ordered=True)
+        rows, frames = _table(path)
+    table, notes = checked_rows(rows, path, ordered=True)
     if not len(table):
         raise SequenceError(f"{path} holds no finite pose; expected rows 't tx ty tz qx qy qz qw'")
     stamps = judge_stamps(table[:, 0].tolist())
@@ -163,9 +163,9 @@ def read_trajectory(
 def _unit_of(times: list[float], frame_time_s: float | None) -> str:
     """Unit of increasing times: that of their dates, the only one in which they are about a frame's
     time, or that of their steps."""
-    dated = date_unit(times[-1])
-    if dated or frame_time_s is None:
-        return dated or find_time_unit(times)
+    dated_unit = date_unit(times[-1])
+    if dated_unit or frame_time_s is None:
+        return dated_unit or find_time_unit(times)
     margin = 0.1 * (times[-1] - times[0])
     first = times[0] - margin
     last = times[-1] + margin
@@ -215,14 +215,14 @@ def _columns_of_header(line: str) -> list[int] | None:
     """Columns of time, position and quaternion xyzw that a header names, if it names them all."""
     names = _names_in(line)
     patterns = [*(rf"(t|p|p_.*_|){a}" for a in "xyz"), *(rf"q(_|_.*_|){a}" for a in "xyzw")]
-    found = [
+    columns = [
         next(
             (i for i, n in enumerate(names) if re.fullmatch(p, n)),
             None,
         )
         for p in patterns
     ]
-    return None if None in found else [0, *(i for i in found if i is not None)]
+    return None if None in columns else [0, *(i for i in columns if i is not None)]
 
 
 def _frame_column(line: str) -> int | None:

@@ -87,9 +87,11 @@ def detect_format(path: Path) -> str:
         (name for name, f in FORMATS.items() if f.recognise(path)),
         None,
     )
-    if name in (None, "images") and (told := unread_recording(path)):
-        raise SequenceError(told)
+    if name in (None, "images") and (advice := unread_recording(path)):
+        raise SequenceError(advice)
     if name is None:
-        described = "; ".join(f"{name}: {looks_for}" for name, looks_for in known_formats().items())
-        raise SequenceError(f"{path} is in no known format; looked for {described}")
+        formats_text = "; ".join(
+            f"{name}: {looks_for}" for name, looks_for in known_formats().items()
+        )
+        raise SequenceError(f"{path} is in no known format; looked for {formats_text}")
     return name

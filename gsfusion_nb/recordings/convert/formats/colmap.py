@@ -119,21 +119,21 @@ def read_points(folder: Path) -> dict[int, tuple[float, float, float]]:
     path = next(
         (p for p in (folder / "points3D.bin", folder / "points3D.txt") if p.is_file()), None
     )
-    found = {}
+    point_of = {}
     if path is None:
-        return found
+        return point_of
     with open_regular(path, "COLMAP's points") as file, parsing(path, "rows 'id x y z'"):
         if path.suffix == ".txt":
             while line := file.readline(_LONGEST_LINE):
                 words = line.split(maxsplit=4)
                 if len(words) > 3 and words[0] != b"#":
-                    found[int(words[0])] = (float(words[1]), float(words[2]), float(words[3]))
-            return found
+                    point_of[int(words[0])] = (float(words[1]), float(words[2]), float(words[3]))
+            return point_of
         for _ in range(_count(file, path)):
             point, x, y, z, *_, track = struct.unpack("<QdddBBBdQ", read_exactly(file, 51, path))
             read_exactly(file, 8 * track, path)
-            found[point] = (x, y, z)
-    return found
+            point_of[point] = (x, y, z)
+    return point_of
 
 
 def _cameras_txt(path: Path) -> dict[int, CameraModel]:
@@ -172,15 +172,15 @@ def _camera(
     values: list[float],
     source: str,
 ) -> CameraModel:
-    wanted = dict(_MODELS.values())
+    counts = dict(_MODELS.values())
     if name not in _KNOWN:
         raise SequenceError(
             f"{source} has the model {name}, whose distortion gsfusion-nb cannot remove; known: "
             f"{', '.join(_KNOWN)}; run 'colmap image_undistorter' first and convert its result"
         )
-    if len(values) != wanted[name]:
+    if len(values) != counts[name]:
         raise SequenceError(
-            f"{source} has {len(values)} parameters; {name} is expected to have {wanted[name]}"
+            f"{source} has {len(values)} parameters; {name} is expected to have {counts[name]}"
         )
     if name in _ONE_FOCAL:
         values = [values[0], *values]
@@ -254,10 +254,12 @@ def metres_per_unit(
     for x, y, point in image.observations.tolist():
         if point not in points or not (0 <= x < camera.width and 0 <= y < camera.height):
             continue
-        measured = float(depth_m[int(y / camera.height * height), int(x / camera.width * width)])
+        depth_at_point = float(
+            depth_m[int(y / camera.height * height), int(x / camera.width * width)]
+        )
         z = float(se3.apply(image.T_CW, torch.tensor([points[point]], dtype=torch.float64))[0, 2])
-        if measured > 0 and z > 0:
-            ratios.append(measured / z)
+        if depth_at_point > 0 and z > 0:
+            ratios.append(depth_at_point / z)
     return ratios
 
 
@@ -319,8 +321,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
     def depth_file(image: ColmapImage) -> Path:
         name = depth / image.name
-        found = find_depth(name.parent, name.stem)
-        return found if is_file(found) else find_depth(name.parent, name.name)
+        depth_path = find_depth(name.parent, name.stem)
+        return depth_path if is_file(depth_path) else find_depth(name.parent, name.name)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for image in images:
@@ -334,10 +336,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             )
 
     def measured() -> tuple[float, str]:
-        chosen = images[:: max(1, len(images) // _MEASURED_IMAGES)]
+        sample = images[:: max(1, len(images) // _MEASURED_IMAGES)]
         points = read_points(folder)
         ratios = []
-        for image in chosen:
+        for image in sample:
             try:
                 depth_m = read_depth_file(depth_file(image), scale)
             except BadFrameError:
@@ -346,18 +348,19 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         if len(ratios) < _FEWEST_RATIOS:
             return 1.0, f"only {len(ratios)} sparse points have depth, too few to measure it"
         low, middle, high = statistics.quantiles(ratios, n=4)
-        spread = 100 * (high - low) / middle
-        if spread > _LARGEST_SPREAD_PERCENT:
+        spread_percent = 100 * (high - low) / middle
+        if spread_percent > _LARGEST_SPREAD_PERCENT:
             raise SequenceError(
                 f"{depth} does not hold the depth of this model: in metres per unit of the model, "
-                f"half of the {len(ratios)} sparse points with depth lie within {spread:.0f} %, "
+                f"half of the {len(ratios)} sparse points with depth lie within "
+                f"{spread_percent:.0f} %, "
                 f"and must within {_LARGEST_SPREAD_PERCENT:g} %; inverse depth must be inverted "
                 "first; --scale and --depth-scale tell a unit"
             )
         return (
             middle,
-            f"measured on {len(ratios)} sparse points with depth, half of them within {spread:.1f} "
-            "%",
+            f"measured on {len(ratios)} sparse points with depth, half of them within "
+            f"{spread_percent:.1f} %",
         )
 
     return Recording(
@@ -386,8 +389,8 @@ def _model_folders(path: Path) -> list[Path]:
     """The models in the first of the usual places that has any: COLMAP writes one for each part
     that it can connect."""
     at = (sorted(path.glob(f"{place}/cameras.*".lstrip("/")), key=str) for place in _MODEL_PLACES)
-    found = ([file.parent for file in files if file.suffix in (".bin", ".txt")] for files in at)
-    return list(dict.fromkeys(next(filter(None, found), [])))
+    folders = ([file.parent for file in files if file.suffix in (".bin", ".txt")] for files in at)
+    return list(dict.fromkeys(next(filter(None, folders), [])))
 
 
 def _beside(

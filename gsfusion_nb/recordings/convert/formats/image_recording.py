@@ -51,7 +51,7 @@ _POSES = (
 
 def recording_of(
     path: Path,
-    found: FrameFiles,
+    frame_files: FrameFiles,
     options: ConvertOptions,
     *,
     model: CameraModel | None = None,
@@ -61,40 +61,40 @@ def recording_of(
     folder tells.
 
     Args:
-        path, found, options: The folder, its frames, and how to read them.
+        path, frame_files, options: The folder, its frames, and how to read them.
         model: The camera, if the folder tells none.
         T_WC: Pose of each frame, None where it is unknown; by default those of a file in the
             folder.
     """
-    check_exr(found.pairs[0][1])
+    check_exr(frame_files.pairs[0][1])
     file = _calibration(path, options)
     tree = tree_of_file(file) if file is not None else {}
-    unit, about_unit = _unit(path, found, tree, str(file), options)
+    unit, about_unit = _unit(path, frame_files, tree, str(file), options)
     scale = options.depth_scale if unit is None else unit.scale
-    of_folder, about = _model(path, found, scale, options)
+    of_folder, about = _model(path, frame_files, scale, options)
     model = of_folder or model
     depth_model, T_colour_depth, about_depth = depth_camera_beside(
-        path, tree, str(file), _size_of_depth(found)
+        path, tree, str(file), _size_of_depth(frame_files)
     )
-    sure = confidence_of(found.pairs[0][1], options.confidence)
+    sure = confidence_of(frame_files.pairs[0][1], options.confidence)
     if sure is not None:
         about_depth.append(
             f"depth of confidence {options.confidence} and above, by {sure.file.parent} "
             "(--confidence)"
         )
-    images = found.pairs[0][0].parent
+    images = frame_files.pairs[0][0].parent
     # folders have no suffix
     poses = str(first_of(path, _POSES, (".txt", ".csv", ".npy", ".traj", "")) or "")
     poses = poses or str(images) * any(images.glob("*pose.txt"))
-    if not options.poses and not T_WC and (told := poses_of_a_robot(Path(poses), tree)):
-        raise SequenceError(told)
-    outside = told_outside(path, itertools.chain(*found.pairs))
-    unknown = [None] * len(found.pairs)
+    if not options.poses and not T_WC and (pose_advice := poses_of_a_robot(Path(poses), tree)):
+        raise SequenceError(pose_advice)
+    outside_note = told_outside(path, itertools.chain(*frame_files.pairs))
+    unknown = [None] * len(frame_files.pairs)
     frames = [
         *zip(
-            found.pairs,
-            found.times_s or unknown,
-            found.depth_times_s or unknown,
+            frame_files.pairs,
+            frame_files.times_s or unknown,
+            frame_files.depth_times_s or unknown,
             T_WC or unknown,
             strict=True,
         )
@@ -118,18 +118,18 @@ def recording_of(
     return Recording(
         name=str(path),
         frames=recorded_frames,
-        n_frames=len(found.pairs),
+        n_frames=len(frame_files.pairs),
         depth_scale=scale,
         unit=unit,
         has_poses=bool(poses or T_WC),
         poses_file="" if T_WC else poses,
-        dropped=found.dropped,
+        dropped=frame_files.dropped,
         notes=(
             *about,
             *about_depth,
-            *found.notes,
+            *frame_files.notes,
             *about_unit,
-            *filter(None, [outside]),
+            *filter(None, [outside_note]),
         ),
     )
 
@@ -138,28 +138,28 @@ def _calibration(path: Path, options: ConvertOptions) -> Path | None:
     """The file with the camera: that of the options, or one in the folder."""
     if not options.intrinsics:
         return calibration_in(*calibrated_folders(path))
-    given = Path(options.intrinsics)
-    return given if is_file(given) else None
+    given_file = Path(options.intrinsics)
+    return given_file if is_file(given_file) else None
 
 
 def _unit(
-    path: Path, found: FrameFiles, tree: Tree, source: str, options: ConvertOptions
+    path: Path, frame_files: FrameFiles, tree: Tree, source: str, options: ConvertOptions
 ) -> tuple[DepthUnit | None, list[str]]:
     """The unit of depth that the calibration tells, or a guess; None if the options say it. And
     notes."""
     if options.depth_scale:
         return None, []
-    stored = some_depths([depth for _, depth in found.pairs])
-    told, notes = told_unit(tree, source, stored)
-    unit = told or find_depth_unit(path, stored)
+    samples = some_depths([depth for _, depth in frame_files.pairs])
+    stated_unit, notes = told_unit(tree, source, samples)
+    unit = stated_unit or find_depth_unit(path, samples)
     return unit, notes if unit.is_guess else [*notes, unit.sentence]
 
 
-def _size_of_depth(found: FrameFiles) -> tuple[int, int]:
+def _size_of_depth(frame_files: FrameFiles) -> tuple[int, int]:
     """Width and height of the first depth image that is there."""
     depth = next(
-        (depth for _, depth in found.pairs if is_file(depth)),
-        found.pairs[0][1],
+        (depth for _, depth in frame_files.pairs if is_file(depth)),
+        frame_files.pairs[0][1],
     )
     height, width = read_depth_file(depth, 1.0).shape
     return width, height
@@ -172,24 +172,24 @@ def size_of_colour(colour: Path) -> tuple[int, int]:
 
 
 def _model(
-    path: Path, found: FrameFiles, scale: float, options: ConvertOptions
+    path: Path, frame_files: FrameFiles, scale: float, options: ConvertOptions
 ) -> tuple[CameraModel | None, list[str]]:
     """Camera of the options, of a calibration file or of the benchmark, if any, and a sentence that
     names it."""
     file = options.intrinsics or str(calibration_in(*calibrated_folders(path)) or "")
     if options.intrinsics == "estimate":
-        model, sentence = estimated_model(found.pairs, scale)
+        model, sentence = estimated_model(frame_files.pairs, scale)
         return model, [sentence]
-    known = benchmark_camera(path)
-    height, width = next(_sizes(found.pairs), (0, 0)) if file or known else (0, 0)
+    lens_name = benchmark_camera(path)
+    height, width = next(_sizes(frame_files.pairs), (0, 0)) if file or lens_name else (0, 0)
     if not height:
         return None, []
     if file:
         centre = options.pixel_centre if options.intrinsics else 0.0
         return read_intrinsics(file, (width, height), centre=centre), [f"intrinsics from {file}"]
-    if (LENSES[known].camera.width, LENSES[known].camera.height) != (width, height):
+    if (LENSES[lens_name].camera.width, LENSES[lens_name].camera.height) != (width, height):
         return None, []
-    return LENSES[known], [f"intrinsics of the TUM benchmark's {known}"]
+    return LENSES[lens_name], [f"intrinsics of the TUM benchmark's {lens_name}"]
 
 
 def _sizes(pairs: list[tuple[Path, Path]]) -> Iterator[tuple[int, ...]]:

@@ -61,9 +61,12 @@ def _kinds(path: Path) -> dict[str, dict[str, list[Path]]]:
     groups = {
         n: files for n, files in groups.items() if len(files) > 1 and not _NEITHER.search(n.lower())
     }
-    stored = {n for n, files in groups.items() if _is_stored_depth(files[0])}
-    named = {n for n in groups if _SAYS["depth"].search(n.lower())}
-    fits = {"depth": stored or named, "colour": groups.keys() - stored - named}
+    depth_groups = {n for n, files in groups.items() if _is_stored_depth(files[0])}
+    named_groups = {n for n in groups if _SAYS["depth"].search(n.lower())}
+    fits = {
+        "depth": depth_groups or named_groups,
+        "colour": groups.keys() - depth_groups - named_groups,
+    }
     return {
         kind: {n: groups[n] for n in _likely(names, _SAYS[kind])} for kind, names in fits.items()
     }
@@ -93,18 +96,18 @@ def _numbered(
     path: Path,
     kind: str,
     fits: dict[str, list[Path]],
-    given: str,
+    given_pattern: str,
 ) -> Numbered:
     """The images of one kind: those that the option names, or the only ones that fit."""
-    if given:
-        folder = path / given if (path / given).is_dir() else Path(given)
-        files = fits.get(given) or images_in(folder, _SUFFIXES[kind])
+    if given_pattern:
+        folder = path / given_pattern if (path / given_pattern).is_dir() else Path(given_pattern)
+        files = fits.get(given_pattern) or images_in(folder, _SUFFIXES[kind])
     elif len(fits) == 1:
-        (given, files), *_ = fits.items()
+        (given_pattern, files), *_ = fits.items()
     else:
         names = tuple(sorted(fits))
-        if kind == "colour" and not fits and (told := video_of_colour(path)):
-            raise SequenceError(told)
+        if kind == "colour" and not fits and (advice := video_of_colour(path)):
+            raise SequenceError(advice)
         raise OptionNeeded(
             f"{path} holds {'no images' if not fits else ', '.join(names)} that may be {kind}; "
             f"give --{kind} with a folder{' or one of these' if fits else ''}",
@@ -114,12 +117,12 @@ def _numbered(
             else f"Which folder holds the {kind} images?",
             choices=names,
         )
-    source = str(path / given)
+    source = str(path / given_pattern)
     texts = _varying_numbers([p.stem for p in files])
     if texts is None:
         return Numbered(source, files, None)
-    padded = any(re.match(r"0\d", text) for text in texts)
-    return Numbered(source, files, [float(text) for text in texts], padded=padded)
+    is_padded = any(re.match(r"0\d", text) for text in texts)
+    return Numbered(source, files, [float(text) for text in texts], padded=is_padded)
 
 
 def _varying_numbers(stems: list[str]) -> list[str] | None:

@@ -64,7 +64,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     scale = options.depth_scale or _depth_scale(values, file)
     notes += _notes_on_unused(values, frames)
     keys = ("file_path", *_DEPTH_KEYS)
-    outside = told_outside(
+    outside_note = told_outside(
         file.parent,
         (file.parent / frame[key] for frame in frames for key in keys if key in frame),
     )
@@ -85,7 +85,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         frames=recorded_frames,
         n_frames=len(frames),
         depth_scale=scale,
-        notes=(*notes, f"depth read as {scale:g} per metre", *filter(None, [outside])),
+        notes=(*notes, f"depth read as {scale:g} per metre", *filter(None, [outside_note])),
     )
 
 
@@ -120,7 +120,7 @@ def _undo(
 ) -> tuple[Float[Tensor, "4 4"], list[str]]:
     """Matrix that undoes the motion and scaling of the world: S^-1 then A^-1."""
     notes = []
-    back = torch.eye(4, dtype=torch.float64)
+    inverse = torch.eye(4, dtype=torch.float64)
     if "applied_transform" in values:
         A = _matrix(values["applied_transform"], f"{file}: applied_transform")
         if abs(float(torch.linalg.det(A[:3, :3])) - 1) > 1e-3:
@@ -128,13 +128,15 @@ def _undo(
                 f"{file}: applied_transform must be a rotation and a translation; it scales or "
                 "mirrors"
             )
-        back = se3.inverse(A)
+        inverse = se3.inverse(A)
         notes.append("applied_transform was undone")
-    applied = number(values, "applied_scale", 1.0, file)
-    if applied != 1.0:
-        back = back @ torch.diag(torch.tensor([1 / applied] * 3 + [1.0], dtype=torch.float64))
-        notes.append(f"applied_scale {applied:g} was undone")
-    return back, notes
+    applied_scale = number(values, "applied_scale", 1.0, file)
+    if applied_scale != 1.0:
+        inverse = inverse @ torch.diag(
+            torch.tensor([1 / applied_scale] * 3 + [1.0], dtype=torch.float64)
+        )
+        notes.append(f"applied_scale {applied_scale:g} was undone")
+    return inverse, notes
 
 
 def _pose(
@@ -143,9 +145,9 @@ def _pose(
     file: Path,
 ) -> Float[Tensor, "4 4"]:
     T = _matrix(frame["transform_matrix"], f"{file}: transform_matrix of {frame['file_path']}")
-    moved = world @ T
-    moved[:3, :3] = world[:3, :3] / torch.linalg.det(world[:3, :3]).abs() ** (1 / 3) @ T[:3, :3]
-    return moved @ GL_TO_CV
+    T_world = world @ T
+    T_world[:3, :3] = world[:3, :3] / torch.linalg.det(world[:3, :3]).abs() ** (1 / 3) @ T[:3, :3]
+    return T_world @ GL_TO_CV
 
 
 def _matrix(rows: Any, source: str) -> Float[Tensor, "4 4"]:
@@ -208,8 +210,8 @@ def _model(values: dict[str, Any], file: Path, colour: Path) -> CameraModel:
 
 def _image(path: Path) -> Path:
     """The image; some programs write its name without the suffix."""
-    found = (Path(f"{path}{s}") for s in ("", ".png", ".jpg", ".jpeg"))
-    return next((p for p in found if is_file(p)), path)
+    candidates = (Path(f"{path}{s}") for s in ("", ".png", ".jpg", ".jpeg"))
+    return next((p for p in candidates if is_file(p)), path)
 
 
 def _depth(
@@ -220,10 +222,10 @@ def _depth(
 ) -> Path:
     if options.depth:
         return find_depth(Path(options.depth), colour.stem)
-    named = next((frame[key] for key in _DEPTH_KEYS if key in frame), None)
-    if named is None:
+    name = next((frame[key] for key in _DEPTH_KEYS if key in frame), None)
+    if name is None:
         return file.parent / f"depth of {colour.name}, which the file does not name"
-    return _image(file.parent / named)
+    return _image(file.parent / name)
 
 
 def _depth_scale(values: dict[str, Any], file: Path) -> float:

@@ -41,8 +41,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         SequenceError: an image without four rows of a pose.
     """
     colour = images_in(path / "images")
-    given = path / options.depth if (path / options.depth).is_dir() else Path(options.depth)
-    depth = images_in(given if options.depth else path / _DEPTH, DEPTH_SUFFIXES)
+    depth_folder = path / options.depth if (path / options.depth).is_dir() else Path(options.depth)
+    depth = images_in(depth_folder if options.depth else path / _DEPTH, DEPTH_SUFFIXES)
     pairs = paired_by_name(path, colour, depth)
     file = next(path / name for name in _POSES if (path / name).is_file())
     poses = read_rows(file, 4, "four rows of a camera-to-world matrix for each image")

@@ -51,13 +51,15 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         )
     colour = images_in(colour_folder)
     depth = images_in(path / "depth", DEPTH_SUFFIXES)
-    found = paired_by_name(path, colour, depth)
+    frame_pairs = paired_by_name(path, colour, depth)
     # Redwood's names continue with the time: 0000001-000000033369.png
-    numbers = [int(match[0]) for c, _ in found if (match := re.search(r"\d+", c.stem))]
+    numbers = [int(match[0]) for c, _ in frame_pairs if (match := re.search(r"\d+", c.stem))]
     numbers = (
-        [n - numbers[0] for n in numbers] if len({*numbers}) == len(found) else range(len(found))
+        [n - numbers[0] for n in numbers]
+        if len({*numbers}) == len(frame_pairs)
+        else range(len(frame_pairs))
     )
-    pairs = dict(zip(numbers, found, strict=True))
+    pairs = dict(zip(numbers, frame_pairs, strict=True))
     file = _trajectory(path)
     poses, model = ({}, None) if file is None else read_trajectory_file(file)
     # one pose per image: counted alike
@@ -120,7 +122,7 @@ def _read_json(path: Path) -> tuple[dict[int, Float[Tensor, "4 4"]], CameraModel
 
 
 def _trajectory(path: Path) -> Path | None:
-    found = (
+    candidates = (
         p
         for pattern in _TRAJECTORIES
         for p in sorted(path.glob(pattern), key=natural_order)
@@ -129,7 +131,7 @@ def _trajectory(path: Path) -> Path | None:
     return next(
         (
             p
-            for p in found
+            for p in candidates
             if p.suffix != ".json" or b'"parameters"' in read_bytes(p, "a trajectory")
         ),
         None,

@@ -91,13 +91,13 @@ def paired(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
     Raises:
         SequenceError: neither times nor names pair them.
     """
-    without = next((s for s in (depth, rgb) if s.stamps.times_s is None), None)
-    if without is None and _have_common_numbers(rgb, depth):
+    timeless = next((s for s in (depth, rgb) if s.stamps.times_s is None), None)
+    if timeless is None and _have_common_numbers(rgb, depth):
         return _paired_by_number(rgb, depth)
-    if without is None:
+    if timeless is None:
         return _paired_by_time(path, rgb, depth)
     pairs = paired_by_name(path, rgb.files, depth.files)
-    frames = without_times(pairs, without.source, without.stamps)
+    frames = without_times(pairs, timeless.source, timeless.stamps)
     return replace(frames, dropped=_left_out(rgb, depth, len(pairs)))
 
 
@@ -113,15 +113,15 @@ def _have_common_numbers(rgb: Stream, depth: Stream) -> bool:
 def _paired_by_number(rgb: Stream, depth: Stream) -> FrameFiles:
     """Frames whose images have one number: a tolerance would pair images of different frames."""
     colour_at = dict(zip(rgb.stamps.times_s or [], rgb.files, strict=True))
-    found = [
+    pairs = [
         (t, file)
         for t, file in zip(depth.stamps.times_s or [], depth.files, strict=True)
         if t in colour_at
     ]
     return FrameFiles(
-        [(colour_at[t], file) for t, file in found],
-        [t for t, _ in found],
-        dropped=_left_out(rgb, depth, len(found)),
+        [(colour_at[t], file) for t, file in pairs],
+        [t for t, _ in pairs],
+        dropped=_left_out(rgb, depth, len(pairs)),
         notes=(*notes_on_times(rgb), *notes_on_times(depth)),
     )
 
@@ -141,11 +141,11 @@ def without_times(
 
 def _left_out(rgb: Stream, depth: Stream, n_pairs: int) -> dict[str, int]:
     """Images without a partner of their number, by reason."""
-    alone = {
+    unpaired_numbers = {
         "no colour image of its number": len(depth.files) - n_pairs,
         "no depth image of its number": len(rgb.files) - n_pairs,
     }
-    return {reason: n for reason, n in alone.items() if n > 0}
+    return {reason: n for reason, n in unpaired_numbers.items() if n > 0}
 
 
 def notes_on_times(stream: Stream) -> tuple[str, ...]:
@@ -169,19 +169,19 @@ def notes_on_times(stream: Stream) -> tuple[str, ...]:
 def _paired_by_time(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
     depth_s = depth.stamps.times_s or []
     rgb_s = rgb.stamps.times_s or []
-    found = associate(depth_s, rgb_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
-    if not found:
+    matches = associate(depth_s, rgb_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
+    if not matches:
         raise SequenceError(
             f"{path}: none of {len(depth_s)} depth images has a colour image within "
             f"{MAX_TIME_DIFFERENCE_S} s; "
             "expected both to be named or listed with the times of one clock"
         )
-    alone = len(depth_s) - len(found)
+    n_unpaired = len(depth_s) - len(matches)
     return FrameFiles(
-        [(rgb.files[c], depth.files[d]) for d, c in found],
-        [rgb_s[c] for _, c in found],
-        [depth_s[d] for d, _ in found],
-        dropped={"no colour image near in time": alone} if alone else {},
+        [(rgb.files[c], depth.files[d]) for d, c in matches],
+        [rgb_s[c] for _, c in matches],
+        [depth_s[d] for d, _ in matches],
+        dropped={"no colour image near in time": n_unpaired} if n_unpaired else {},
         notes=(*notes_on_times(rgb), *notes_on_times(depth)),
     )
 

@@ -36,8 +36,8 @@ def recognise(path: Path) -> bool:
 def read(path: Path, options: ConvertOptions) -> Recording:
     """Raw data of Polycam (module docstring)."""
     folder = _keyframes(path)
-    corrected = all((folder / f"corrected_{name}").is_dir() for name in ("images", "cameras"))
-    prefix = "corrected_" if corrected else ""
+    has_corrected = all((folder / f"corrected_{name}").is_dir() for name in ("images", "cameras"))
+    prefix = "corrected_" if has_corrected else ""
     colour = images_in(folder / f"{prefix}images")
     scale = options.depth_scale or 1000.0
 
@@ -63,7 +63,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         n_frames=len(colour),
         depth_scale=scale,
         notes=(
-            f"Polycam: {'corrected' if corrected else 'uncorrected'} images and cameras; depth "
+            f"Polycam: {'corrected' if has_corrected else 'uncorrected'} images and cameras; depth "
             f"read as {scale:g} per metre, of confidence {options.confidence} and above",
         ),
     )

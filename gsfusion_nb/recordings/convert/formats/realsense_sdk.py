@@ -86,10 +86,10 @@ class SdkCalibration:
         if not values:
             return 0.0
         if len(values) > 1 or not 0 < values[0] < math.inf:
-            told = ", ".join(f"{value:g}" for value in values)
+            values_text = ", ".join(f"{value:g}" for value in values)
             raise SequenceError(
-                f"{source}: Depth Units of {topic} are {told}; expected one length, in metres; "
-                "give --depth-scale, the stored value of one metre"
+                f"{source}: Depth Units of {topic} are {values_text}; expected one length, in "
+                "metres; give --depth-scale, the stored value of one metre"
             )
         return 1.0 / values[0]
 

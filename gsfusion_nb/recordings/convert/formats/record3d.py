@@ -78,18 +78,18 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         names = {str(p.relative_to(path)) for p in path.glob("rgb*/*")}
         fetch = partial(_file, path)
         metadata = _object(read_bytes(file, "Record3D's metadata"), str(file))
-    exported = not any(n.startswith("rgbd/") for n in names)
-    pattern = "rgb/" if exported else "rgbd/"
-    found = (re.fullmatch(pattern + r"(\d{1,9})\.jpg", n) for n in names)
-    numbers = sorted({int(match[1]) for match in found if match})
-    if exported and numbers:
+    is_export = not any(n.startswith("rgbd/") for n in names)
+    pattern = "rgb/" if is_export else "rgbd/"
+    matches = (re.fullmatch(pattern + r"(\d{1,9})\.jpg", n) for n in names)
+    numbers = sorted({int(match[1]) for match in matches if match})
+    if is_export and numbers:
         check_exr(path / f"depth/{numbers[0]}.exr")
     poses = _poses(metadata, 1 + max(numbers, default=-1), path)
 
     def recorded_frames() -> Iterator[RecordedFrame]:
         for n in numbers:  # the place in the metadata's lists: a missing image must not shift them
             name = f"{pattern}{n}"
-            if exported:
+            if is_export:
                 load = partial(load_pair, path / f"rgb/{n}.jpg", path / f"depth/{n}.exr", 1.0)
             else:
                 load = partial(_load, fetch, name, metadata, options.confidence, f"{path}: {name}")
@@ -102,11 +102,13 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             )
 
     if not numbers:
-        expected = "rgbd/0.jpg" if path.is_file() else "rgbd/0.jpg, or rgb/0.jpg of the EXR export,"
-        raise SequenceError(f"{path} holds no frames; expected {expected} and so on")
+        layout_text = (
+            "rgbd/0.jpg" if path.is_file() else "rgbd/0.jpg, or rgb/0.jpg of the EXR export,"
+        )
+        raise SequenceError(f"{path} holds no frames; expected {layout_text} and so on")
     note = (
         "confidence is not in this export"
-        if exported
+        if is_export
         else f"depth of confidence {options.confidence} and above"
     )
     return Recording(
@@ -126,14 +128,14 @@ def lzfse_unpacked(data: bytes, source: str) -> bytes:
         SequenceError: it is compressed, and the package ``pyliblzfse`` is missing. BadFrameError:
             it is damaged.
     """
-    stored = []
+    blocks = []
     at = 0
     while data[at : at + 4] == b"bvx-" and len(data) >= at + 8:
         (n,) = struct.unpack_from("<I", data, at + 4)
-        stored.append(data[at + 8 : at + 8 + n])
+        blocks.append(data[at + 8 : at + 8 + n])
         at += 8 + n
-    if stored and data[at : at + 4] == b"bvx$":
-        return b"".join(stored)
+    if blocks and data[at : at + 4] == b"bvx$":
+        return b"".join(blocks)
     if data[:3] != b"bvx":
         raise BadFrameError(f"{source} does not begin like LZFSE data; expected the bytes bvx")
     try:
@@ -154,8 +156,8 @@ def _load(
     least: int,
     source: str,
 ) -> RgbdImages:
-    packed = lzfse_unpacked(fetch(f"{name}.depth"), f"{source}.depth")
-    values = np.frombuffer(packed, "<f4")
+    raw_depth = lzfse_unpacked(fetch(f"{name}.depth"), f"{source}.depth")
+    values = np.frombuffer(raw_depth, "<f4")
     depth_m = metres(values.reshape(_depth_size(metadata, len(values), f"{source}.depth")), 1.0)
     if least > 0:
         try:
@@ -178,16 +180,16 @@ def _depth_size(
     if min(size) > 0 and size[0] * size[1] == n:
         return size
     portrait = number(metadata, "h", 1, source) > number(metadata, "w", 0, source)
-    found = next(
+    first_match = next(
         (s for s in _SIZES if s[0] * s[1] == n and (s[0] > s[1]) == portrait),
         None,
     )
-    if found is None:
+    if first_match is None:
         raise BadFrameError(
             f"{source} unpacks to {n} numbers; expected dw x dh = {size[1]}x{size[0]} of the "
             "metadata"
         )
-    return found
+    return first_match
 
 
 def _poses(
@@ -202,11 +204,11 @@ def _poses(
         poses = torch.tensor(rows, dtype=torch.float64)
     if poses.ndim != 2 or poses.shape[1] != 7 or len(poses) < n:
         raise SequenceError(f"{path}: poses of the metadata must be {n} rows qx qy qz qw tx ty tz")
-    known = (poses[:, :4] != 0).any(dim=1)  # some captures hold zeros, which are no rotation
-    if not bool(known.any()):
+    has_rotation = (poses[:, :4] != 0).any(dim=1)  # some captures hold zeros, which are no rotation
+    if not bool(has_rotation.any()):
         return None
     T_WC = matrices(poses[:, [4, 5, 6, 0, 1, 2, 3]]) @ GL_TO_CV
-    return T_WC.where(known[:, None, None], torch.nan)
+    return T_WC.where(has_rotation[:, None, None], torch.nan)
 
 
 def _model(metadata: dict[str, Any], i: int, path: Path) -> CameraModel:

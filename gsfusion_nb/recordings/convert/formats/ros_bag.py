@@ -103,14 +103,14 @@ def read(path: Path, options: ConvertOptions) -> Recording:
                 load=partial(_load, colour, depth, scale, source),
             )
 
-    alone = len(bag.depth_s) - len(pairs)
+    n_unpaired = len(bag.depth_s) - len(pairs)
     return Recording(
         name=str(path),
         frames=recorded_frames,
         n_frames=len(pairs),
         depth_scale=scale or (1000.0 if bag.millimetres else 1.0),
         has_poses=pose_at is not None,
-        dropped={"no colour image near in time": alone} if alone else {},
+        dropped={"no colour image near in time": n_unpaired} if n_unpaired else {},
         notes=(
             f"colour {bag.colour}, depth {bag.depth}, poses {source_of_poses or 'none'}",
             *notes,
@@ -133,8 +133,8 @@ def _sdk_scale(bag: _Bag, notes: list[str]) -> float:
 
 
 def _load(colour: Any, depth: Any, scale: float, source: str) -> RgbdImages:
-    rgb, encoded = colour_of(colour, f"{source} (colour)")
-    return RgbdImages(rgb, depth_of(depth, source, scale), encoded)
+    rgb, encoded_rgb = colour_of(colour, f"{source} (colour)")
+    return RgbdImages(rgb, depth_of(depth, source, scale), encoded_rgb)
 
 
 def _first_pass(path: Path, options: ConvertOptions) -> _Bag:
@@ -144,10 +144,10 @@ def _first_pass(path: Path, options: ConvertOptions) -> _Bag:
         types = {c.topic: c.msgtype for c in reader.connections}
         _choose_topics(bag, types, options)
         images = (bag.colour, bag.depth)
-        wanted = [
+        connections = [
             c for c in reader.connections if c.topic in images or _is_told(c.topic, c.msgtype)
         ]
-        for connection, _, raw in reader.messages(wanted):
+        for connection, _, raw in reader.messages(connections):
             _take(bag, connection, *message_of(reader, connection, raw))
     return bag
 
@@ -166,19 +166,19 @@ def _is_tf(kind: str) -> bool:
 
 def _take(bag: _Bag, connection: Any, message: Any, metres_per_unit: float) -> None:
     topic = connection.topic
-    told = bag.calibration
+    calibration = bag.calibration
     if topic in (bag.colour, bag.depth):
-        if topic not in told.frames:
-            told.frames[topic] = message.header.frame_id.lstrip("/")
+        if topic not in calibration.frames:
+            calibration.frames[topic] = message.header.frame_id.lstrip("/")
             bag.millimetres = stores_millimetres(message) if topic == bag.depth else bag.millimetres
-        told.sdk.add_units_of_image(topic, metres_per_unit)
+        calibration.sdk.add_units_of_image(topic, metres_per_unit)
         (bag.colour_s if topic == bag.colour else bag.depth_s).append(seconds(message.header.stamp))
     elif _is_tf(connection.msgtype):
-        told.tree.add(message, static=topic.endswith("tf_static"))
+        calibration.tree.add(message, static=topic.endswith("tf_static"))
     elif connection.msgtype.endswith("/CameraInfo"):
-        told.info.setdefault(topic, message)
+        calibration.info.setdefault(topic, message)
     elif is_told_by_sdk(topic):
-        told.sdk.add(topic, message)
+        calibration.sdk.add(topic, message)
     else:
         bag.poses.setdefault(topic, PoseTopic()).add(message)
 
@@ -186,12 +186,12 @@ def _take(bag: _Bag, connection: Any, message: Any, metres_per_unit: float) -> N
 def _choose_topics(bag: _Bag, types: dict[str, str], options: ConvertOptions) -> None:
     images = [t for t, kind in types.items() if kind in _IMAGES]
     depth = [t for t in images if "depth" in t.lower()]
-    aligned = [t for t in depth if any(word in t for word in ("aligned", "registered"))]
+    aligned_topics = [t for t in depth if any(word in t for word in ("aligned", "registered"))]
     colour = [t for t in images if t not in depth and not _NO_COLOUR.search(t)]
     colour = [t for t in colour if _SAYS_COLOUR.search(t)] or colour
     bag.depth = _one(
         options.ros.depth_topic,
-        aligned or depth,
+        aligned_topics or depth,
         images,
         "depth image",
         "--ros.depth-topic",
@@ -203,31 +203,31 @@ def _choose_topics(bag: _Bag, types: dict[str, str], options: ConvertOptions) ->
 
 
 def _one(
-    wanted: str,
+    given_topic: str,
     candidates: list[str],
-    known: list[str],
+    all_topics: list[str],
     what: str,
     option: str,
     path: Path,
 ) -> str:
     """The requested topic, or the only candidate; where there is a raw and a compressed one, the
     raw one."""
-    if wanted:
-        if wanted not in known:
+    if given_topic:
+        if given_topic not in all_topics:
             raise SequenceError(
-                f"{path} has no {what} topic {shown(wanted)}; it has "
-                f"{', '.join(sorted(known)) or 'none'}"
+                f"{path} has no {what} topic {shown(given_topic)}; it has "
+                f"{', '.join(sorted(all_topics)) or 'none'}"
             )
-        return wanted
+        return given_topic
     raw = [t for t in candidates if not any(t != o and t.startswith(f"{o}/") for o in candidates)]
     if len(raw) == 1:
         return raw[0]
-    listed = (
+    topics_text = (
         ", ".join(sorted(candidates))
-        or f"none among {', '.join(sorted(known)) or 'no image topics at all'}"
+        or f"none among {', '.join(sorted(all_topics)) or 'no image topics at all'}"
     )
     raise SequenceError(
-        f"{path} must have one {what} topic, found: {listed}; name one with {option}"
+        f"{path} must have one {what} topic, found: {topics_text}; name one with {option}"
     )
 
 
@@ -243,13 +243,13 @@ def _second_pass(
     """
     partner = [{c: d for d, c in pairs}, {d: d for d, _ in pairs}]
     waiting: dict[int, tuple[int, Any]] = {}
-    seen = [0, 0]
+    counts = [0, 0]
     with opened_bag(bag.path) as reader:
         connections = [c for c in reader.connections if c.topic in (bag.colour, bag.depth)]
         for connection, _, raw in reader.messages(connections):
             kind = 0 if connection.topic == bag.colour else 1
-            d = partner[kind].get(seen[kind])
-            seen[kind] += 1
+            d = partner[kind].get(counts[kind])
+            counts[kind] += 1
             if d is None:
                 continue
             message, _ = message_of(reader, connection, raw)

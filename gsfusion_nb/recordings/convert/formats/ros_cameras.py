@@ -114,7 +114,7 @@ class RosCalibration:
         self, model: CameraModel | None, own: CameraModel | None, colour: str, depth: str
     ) -> RosCameras:
         of_colour, of_depth = (self.frames.get(topic, "") for topic in (colour, depth))
-        told = is_frame_name(of_colour) and is_frame_name(of_depth)
+        are_frames = is_frame_name(of_colour) and is_frame_name(of_depth)
         T = self._place(depth, colour)
         if T is not None and own is not None:
             return RosCameras(
@@ -127,19 +127,19 @@ class RosCalibration:
             return RosCameras(
                 model, note="depth is taken as registered to colour (the cameras of both are equal)"
             )
-        if told and of_colour == of_depth:
+        if are_frames and of_colour == of_depth:
             note = f"depth is taken as registered to colour (both are in the frame {of_colour})"
             if own is not None:
                 note = f"depth was resampled to colour's camera (both are in the frame {of_colour})"
             return RosCameras(model, own, note=note)
         if own is not None:
-            why = "tf_static lacks it" if told else "the frames of the images have no names"
+            why = "tf_static lacks it" if are_frames else "the frames of the images have no names"
             note = (
                 f"depth ({of_depth}) was registered to colour ({of_colour}) WITHOUT their offset, "
                 f"since {why}; --T-colour-depth gives it"
             )
             return RosCameras(model, own, note=note)
-        if told:
+        if are_frames:
             frames = f"is in the frame {shown(of_depth)} and colour in {shown(of_colour)}"
             raise self._needed(
                 "depth_intrinsics", f"{frames}, and no camera_info tells depth's camera"
@@ -173,9 +173,9 @@ class RosCalibration:
         parts = topic.split("/")
         for n in range(len(parts) - 1, 1, -1):
             for name in ("camera_info", "info/camera_info"):
-                found = self.info.get("/".join([*parts[:n], name]))
-                if found is not None:
-                    return found
+                info = self.info.get("/".join([*parts[:n], name]))
+                if info is not None:
+                    return info
         return next(iter(self.info.values())) if len(self.info) == 1 else None
 
     def _model(self, info: Any, topic: str) -> CameraModel | None:
@@ -212,10 +212,10 @@ class RosCalibration:
                 "OpenCV?",
             )
         if any(D) and kind not in (*_BROWN, *_FISHEYE):
-            known = ", ".join(("plumb_bob", "rational_polynomial", "equidistant"))
+            models_text = ", ".join(("plumb_bob", "rational_polynomial", "equidistant"))
             raise SequenceError(
                 f"{source} has the distortion model {shown(info.distortion_model)}; known: "
-                f"{known}; or give --intrinsics"
+                f"{models_text}; or give --intrinsics"
             )
         fisheye = kind in _FISHEYE and any(D)
         values, size = _cropped(

@@ -59,36 +59,37 @@ def opened_bag(path: Path) -> Iterator[Any]:
         yield reader
 
 
-def _files_of(folder: Path, given: Path) -> list[Path]:
+def _files_of(folder: Path, given_file: Path) -> list[Path]:
     """The files that the bag in this folder consists of: whatever else lies there is no part of it.
 
     Raises:
         SequenceError: the given file belongs to no bag there, or the list of files cannot be read.
     """
-    listed = folder / METADATA
+    metadata = folder / METADATA
     what = f"the {METADATA} of a ROS 2 bag"
-    if not listed.exists() and _is_of_realsense(given):
+    if not metadata.exists() and _is_of_realsense(given_file):
         raise SequenceError(
-            f"{given} is a recording of the RealSense SDK of 2026 or later, which is not read; "
-            f"rs-convert -i {given.name} -p images/ writes its images, which are read, as are the "
-            ".bag files of older SDKs"
+            f"{given_file} is a recording of the RealSense SDK of 2026 or later, which is not "
+            "read; "
+            f"rs-convert -i {given_file.name} -p images/ writes its images, which are read, as "
+            "are the .bag files of older SDKs"
         )
-    if not listed.exists():
+    if not metadata.exists():
         raise SequenceNotFoundError(
-            f"{listed} does not exist; a ROS 2 bag in sqlite needs it, and 'ros2 bag reindex' "
+            f"{metadata} does not exist; a ROS 2 bag in sqlite needs it, and 'ros2 bag reindex' "
             "makes one"
         )
-    with parsing(listed, what):
-        content = yaml.safe_load(read_text(listed, what))
+    with parsing(metadata, what):
+        content = yaml.safe_load(read_text(metadata, what))
         names = [
             Path(name).name
             for name in content["rosbag2_bagfile_information"]["relative_file_paths"]
         ]
-    if given.is_file() and given.name not in names:
+    if given_file.is_file() and given_file.name not in names:
         raise SequenceError(
-            f"{listed} does not name {given.name}; it is of the bag {', '.join(names)}"
+            f"{metadata} does not name {given_file.name}; it is of the bag {', '.join(names)}"
         )
-    return [listed, *(folder / name for name in names)]
+    return [metadata, *(folder / name for name in names)]
 
 
 def _is_of_realsense(file: Path) -> bool:

@@ -37,22 +37,22 @@ def colour_of(message: Any, source: str) -> tuple[np.ndarray, bytes]:
     encoding = message.encoding
     if encoding in _BAYER:
         # OpenCV names the pattern by its second row and column
-        swapped = {
+        channel_order = {
             "BayerRG": "BayerBG",
             "BayerBG": "BayerRG",
             "BayerGB": "BayerGR",
             "BayerGR": "BayerGB",
         }
-        code = getattr(cv2, f"COLOR_{swapped[_BAYER[encoding]]}2RGB")
+        code = getattr(cv2, f"COLOR_{channel_order[_BAYER[encoding]]}2RGB")
         return cv2.cvtColor(_rows(message, 1, np.uint8, source)[..., 0], code), b""
     if encoding.lower() in _YUV:  # the RealSense SDK writes YUYV
         code = getattr(cv2, f"COLOR_YUV2RGB_{_YUV[encoding.lower()]}")
         return cv2.cvtColor(_rows(message, 2, np.uint8, source), code), b""
     if encoding not in _CHANNELS:
-        known = ", ".join((*_CHANNELS, *_BAYER, *_YUV))
+        encodings_text = ", ".join((*_CHANNELS, *_BAYER, *_YUV))
         raise SequenceError(
             f"{source} has the encoding {shown(encoding)}, which cannot be read as colour; known: "
-            f"{known}"
+            f"{encodings_text}"
         )
     pixels = _rows(message, _CHANNELS[encoding], np.uint8, source)
     if encoding in ("bgr8", "bgra8", "8UC3"):
@@ -119,10 +119,10 @@ def _compressed_depth(data: bytes, format: str, source: str, scale: float) -> np
     if header is None or not format.startswith("32FC1"):
         return metres(raw, scale or 1000.0)
     _, a, b = header
-    quantised = raw.astype(np.float32)
+    inverse_codes = raw.astype(np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
         return metres(
-            np.where(raw == 0, 0.0, a / (quantised - b)),
+            np.where(raw == 0, 0.0, a / (inverse_codes - b)),
             scale or 1.0,
         )
 

@@ -59,28 +59,28 @@ class RosPoses:
             SequenceError: the topic or the world of the options is not in the bag, or several
                 topics may be meant.
         """
-        wanted = self.options.ros.pose_topic
+        pose_topic = self.options.ros.pose_topic
         if self.options.poses:
             return None, ""
-        if wanted not in ("", "tf"):
-            return self._of_topic(wanted), wanted
+        if pose_topic not in ("", "tf"):
+            return self._of_topic(pose_topic), pose_topic
         way = self._way()
-        if way is not None and (self.tree.moves(way) or wanted == "tf" or not self.topics):
+        if way is not None and (self.tree.moves(way) or pose_topic == "tf" or not self.topics):
             return self._of_tree(way), "tf"
-        if wanted == "tf" or not self.topics:
+        if pose_topic == "tf" or not self.topics:
             return None, ""
         topic = self._topic()
         return self._of_topic(topic), topic
 
     def _way(self) -> TransformPath | None:
-        given = self.options.ros.world_frame
-        worlds = [given] if given else self.tree.worlds(self.camera)
+        world_frame = self.options.ros.world_frame
+        worlds = [world_frame] if world_frame else self.tree.worlds(self.camera)
         times_s = torch.tensor(self.times_s, dtype=torch.float64)
         way = self.tree.best_path(self.camera, worlds, times_s, self.options.max_gap_s)
-        if way is None and given:
+        if way is None and world_frame:
             raise SequenceError(
                 f"{self.path}: tf does not lead from the camera's frame {shown(self.camera)} to "
-                f"{shown(given)}; its frames: {', '.join(sorted(self.tree.frames)) or 'none'}"
+                f"{shown(world_frame)}; its frames: {', '.join(sorted(self.tree.frames)) or 'none'}"
             )
         return way
 
@@ -88,8 +88,8 @@ class RosPoses:
         others = [world for world in self.tree.worlds(self.camera) if world != way.world]
         note = f"poses of {shown(self.camera)} in {shown(way.world)} from the transform tree"
         if others and not self.options.ros.world_frame:
-            also = ", ".join(shown(world) for world in others)
-            note += f" ({way}); it also leads to {also} (--ros.world-frame)"
+            others_text = ", ".join(shown(world) for world in others)
+            note += f" ({way}); it also leads to {others_text} (--ros.world-frame)"
         self.notes.append(note)
         if not self.tree.moves(way):
             self.notes.append(
@@ -103,17 +103,17 @@ class RosPoses:
         """The topic of poses to take where the transform tree has none of the camera."""
         names = sorted(self.topics)
         bodies = {name: self.topics[name].body for name in names}
-        linked = [
+        linked_topics = [
             name for name in names if bodies[name] and self._T_body_cam(bodies[name]) is not None
         ]
-        if len(linked) == 1:
-            return linked[0]
-        described = ", ".join(
+        if len(linked_topics) == 1:
+            return linked_topics[0]
+        topics_text = ", ".join(
             f"{name} (of {bodies[name]})" if bodies[name] else name for name in names
         )
         if len(names) > 1 and not self.tree.has_motion:
             raise SequenceError(
-                f"{self.path} must have one pose topic, found: {described}; name one with "
+                f"{self.path} must have one pose topic, found: {topics_text}; name one with "
                 "--ros.pose-topic"
             )
         is_given = bool(self.options.T_body_cam or self.options.T_cam_body)
@@ -122,12 +122,12 @@ class RosPoses:
         if not self.tree.has_motion:
             raise self._needed(
                 f"{self.path} does not say where the colour camera, {shown(self.camera)}, is in "
-                f"the body of {described}"
+                f"the body of {topics_text}"
             )
         place = "does not know" if self.camera not in self.tree.frames else "does not move"
         raise self._needed(
             f"{self.path}: tf {place} the camera's frame {shown(self.camera)} (its frames: "
-            f"{', '.join(sorted(self.tree.frames))}), but there are poses in {described}"
+            f"{', '.join(sorted(self.tree.frames))}), but there are poses in {topics_text}"
         )
 
     def _needed(self, why: str) -> OptionNeeded:
@@ -142,11 +142,13 @@ class RosPoses:
     def _of_topic(self, name: str) -> PoseAt | None:
         topic = self.topics.get(name)
         if topic is None:
-            known = ", ".join(sorted(self.topics)) or "none"
-            raise SequenceError(f"{self.path} has no pose topic {shown(name)}; it has {known}")
+            topics_text = ", ".join(sorted(self.topics)) or "none"
+            raise SequenceError(
+                f"{self.path} has no pose topic {shown(name)}; it has {topics_text}"
+            )
         if not topic.rows:
             return None
-        ordered = in_order(topic.times_s, topic.rows)
+        timed_rows = in_order(topic.times_s, topic.rows)
         T_body_cam = camera_in_body(self.options.T_cam_body, self.options.T_body_cam)
         if T_body_cam is None:
             T_body_cam = self._T_body_cam(topic.body)
@@ -157,11 +159,11 @@ class RosPoses:
                 "axes); if they are poses of a body, give --T-body-cam"
             )
             T_body_cam = torch.eye(4, dtype=torch.float64)
-        self._note_conflicts(ordered.conflicts, f"poses of {name}")
+        self._note_conflicts(timed_rows.conflicts, f"poses of {name}")
         return Trajectory(
             path=name,
-            stamps_s=ordered.times_s,
-            T_world_body=ordered.poses,
+            stamps_s=timed_rows.times_s,
+            T_world_body=timed_rows.poses,
             T_body_cam=T_body_cam,
             max_gap_s=self.options.max_gap_s,
         ).pose_at

@@ -75,12 +75,15 @@ class _Transform:
         """Whether it is known at each of the times."""
         if not self.moves:
             return torch.ones_like(times_s, dtype=torch.bool)
-        known = self.ordered.times_s
-        after = torch.searchsorted(known, times_s)
-        hit = known[after.clamp(max=len(known) - 1)] == times_s
-        between = (after > 0) & (after < len(known))
-        gap = known[after.clamp(1, len(known) - 1)] - known[after.clamp(1, len(known) - 1) - 1]
-        return hit | (between & (gap <= max_gap_s))
+        stamps_s = self.ordered.times_s
+        right = torch.searchsorted(stamps_s, times_s)
+        is_exact = stamps_s[right.clamp(max=len(stamps_s) - 1)] == times_s
+        between = (right > 0) & (right < len(stamps_s))
+        gap = (
+            stamps_s[right.clamp(1, len(stamps_s) - 1)]
+            - stamps_s[right.clamp(1, len(stamps_s) - 1) - 1]
+        )
+        return is_exact | (between & (gap <= max_gap_s))
 
     def at(self, time_s: float, max_gap_s: float) -> Float[Tensor, "4 4"] | None:
         """The transform at a time, the last one if it does not move; None where it is unknown."""
@@ -118,9 +121,9 @@ class TransformTree:
         """Add the transforms of a TFMessage."""
         for t in message.transforms:
             child, parent = (name.lstrip("/") for name in (t.child_frame_id, t.header.frame_id))
-            known = self._transforms.setdefault((child, parent), _Transform(static))
-            known.is_static &= static
-            known.add(
+            transform = self._transforms.setdefault((child, parent), _Transform(static))
+            transform.is_static &= static
+            transform.add(
                 seconds(t.header.stamp), row_of(t.transform.translation, t.transform.rotation)
             )
 
@@ -142,15 +145,15 @@ class TransformTree:
 
     def paths(self, frame: str, world: str | None = None) -> list[TransformPath]:
         """Every way from ``frame`` upwards, or every one that ends at ``world``."""
-        found: list[TransformPath] = []
+        ways: list[TransformPath] = []
         waiting: deque[tuple[str, ...]] = deque([(frame,)])
         while waiting:
             frames = waiting.popleft()
-            found.append(TransformPath(frames))
+            ways.append(TransformPath(frames))
             waiting.extend(
                 (*frames, parent) for parent in self._parents(frames[-1]) if parent not in frames
             )
-        return [path for path in found if world in (None, path.world)]
+        return [path for path in ways if world in (None, path.world)]
 
     def best_path(
         self,
@@ -164,12 +167,12 @@ class TransformTree:
 
         def rank(path: TransformPath) -> tuple[bool, int, int]:
             steps = [self._transforms[edge] for edge in path.edges()]
-            known = torch.ones_like(times_s, dtype=torch.bool)
+            is_covered = torch.ones_like(times_s, dtype=torch.bool)
             for step in steps:
-                known &= step.covers(times_s, max_gap_s)
+                is_covered &= step.covers(times_s, max_gap_s)
             return (
                 any(step.moves for step in steps),
-                int(known.sum()),
+                int(is_covered.sum()),
                 sum(len(step.rows) for step in steps),
             )
 
@@ -207,19 +210,21 @@ class TransformTree:
     def between(self, frame: str, other: str) -> Float[Tensor, "4 4"] | None:
         """Transform from ``frame`` to ``other`` through transforms that do not change, float64; or
         None."""
-        found = {frame: torch.eye(4, dtype=torch.float64)}
+        T_of = {frame: torch.eye(4, dtype=torch.float64)}
         waiting = deque([frame])
-        while waiting and other not in found:
-            here = waiting.popleft()
+        while waiting and other not in T_of:
+            frame_here = waiting.popleft()
             for (child, parent), transform in self._transforms.items():
-                if here not in (child, parent) or transform.moves:
+                if frame_here not in (child, parent) or transform.moves:
                     continue
-                there = parent if here == child else child
-                up = transform.ordered.poses[-1]
-                if there not in found:
-                    found[there] = (up if here == child else torch.linalg.inv(up)) @ found[here]
-                    waiting.append(there)
-        return found.get(other)
+                frame_there = parent if frame_here == child else child
+                T_parent_child = transform.ordered.poses[-1]
+                if frame_there not in T_of:
+                    T_of[frame_there] = (
+                        T_parent_child if frame_here == child else torch.linalg.inv(T_parent_child)
+                    ) @ T_of[frame_here]
+                    waiting.append(frame_there)
+        return T_of.get(other)
 
     def _parents(self, frame: str) -> list[str]:
         return [parent for child, parent in self._transforms if child == frame]
@@ -254,8 +259,8 @@ def in_order(times_s: list[float], rows: list[list[float]]) -> TimedRows:
     t = t[order]
     table = table[order]
     first = torch.cat([torch.ones(1, dtype=torch.bool), t[1:] > t[:-1]])
-    kept = table[first][first.cumsum(0) - 1]
-    conflicts = int(((table - kept).abs().amax(dim=1) > _STILL).sum())
+    first_rows = table[first][first.cumsum(0) - 1]
+    conflicts = int(((table - first_rows).abs().amax(dim=1) > _STILL).sum())
     return TimedRows(t[first].contiguous(), table[first], conflicts)
 
 

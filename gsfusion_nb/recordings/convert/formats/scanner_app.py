@@ -66,13 +66,13 @@ def read(path: Path, options: ConvertOptions) -> Recording:
                 ),
             )
 
-    alone = n_depth - len(colour)
+    n_unpaired = n_depth - len(colour)
     return Recording(
         name=str(path),
         frames=recorded_frames,
         n_frames=len(colour),
         depth_scale=scale,
-        dropped={"no colour image of its number": alone} if alone > 0 else {},
+        dropped={"no colour image of its number": n_unpaired} if n_unpaired > 0 else {},
         notes=(
             f"3D Scanner App: depth read as {scale:g} per metre, of confidence "
             f"{options.confidence} and above",
@@ -82,8 +82,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
 def _colour_images(path: Path) -> list[Path]:
     """Colour images of frames that also have a JSON and depth."""
-    found = [file for file in path.glob("frame_*.jpg") if is_file(file.with_suffix(".json"))]
-    return sorted((file for file in found if is_file(_of(file, "depth"))), key=natural_order)
+    images = [file for file in path.glob("frame_*.jpg") if is_file(file.with_suffix(".json"))]
+    return sorted((file for file in images if is_file(_of(file, "depth"))), key=natural_order)
 
 
 def _of(image: Path, kind: str) -> Path:

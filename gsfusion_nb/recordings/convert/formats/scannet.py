@@ -77,8 +77,8 @@ def _sens_in(path: Path) -> Path | None:
 def _root(path: Path) -> Path | None:
     names = ("color", "depth", "pose")
     places = (path, path / "frames", path / "exported") if path.is_dir() else ()
-    found = (p for p in places if all((p / n).is_dir() for n in names))
-    return next((p for p in found if next(p.glob("intrinsic*"), None)), None)
+    roots = (p for p in places if all((p / n).is_dir() for n in names))
+    return next((p for p in roots if next(p.glob("intrinsic*"), None)), None)
 
 
 FRAMES_PER_S = 30.0
@@ -196,13 +196,15 @@ def _load(
     source: str,
 ) -> RgbdImages:
     camera = header.depth.camera
-    packed = data[1]
+    depth_bytes = data[1]
     if header.compression == "zlib_ushort":
-        packed = inflate(packed, f"{source}: depth", at_most=2 * camera.width * camera.height)
-    if len(packed) != 2 * camera.width * camera.height:
-        raise BadFrameError(
-            f"{source}: depth has {len(packed)} bytes; expected {camera.width}x{camera.height} of "
-            "2 each"
+        depth_bytes = inflate(
+            depth_bytes, f"{source}: depth", at_most=2 * camera.width * camera.height
         )
-    raw = np.frombuffer(packed, "<u2").reshape(camera.height, camera.width)
+    if len(depth_bytes) != 2 * camera.width * camera.height:
+        raise BadFrameError(
+            f"{source}: depth has {len(depth_bytes)} bytes; expected "
+            f"{camera.width}x{camera.height} of 2 each"
+        )
+    raw = np.frombuffer(depth_bytes, "<u2").reshape(camera.height, camera.width)
     return with_colour(data[0], source, metres(raw, scale))

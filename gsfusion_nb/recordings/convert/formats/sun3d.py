@@ -68,14 +68,14 @@ def read(path: Path, options: ConvertOptions) -> Recording:
                 load=partial(_load, colour[c], depth[d], scale),
             )
 
-    alone = len(depth) - len(pairs)
+    n_unpaired = len(depth) - len(pairs)
     return Recording(
         name=str(path),
         frames=recorded_frames,
         n_frames=len(pairs),
         depth_scale=scale,
         has_poses=T_WC is not None,
-        dropped={"no colour image near in time": alone} if alone else {},
+        dropped={"no colour image near in time": n_unpaired} if n_unpaired else {},
         notes=(
             f"SUN3D: the bits of depth were turned back by {_TURNED_BITS}; poses of "
             f"{poses_file or 'no file'}",
@@ -85,13 +85,13 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
 def _seconds(file: Path) -> float:
     """When an image was taken, from a name such as 0000001-000000033369.jpg."""
-    found = re.fullmatch(r"\d+-(\d+)", file.stem)
-    if found is None:
+    match = re.fullmatch(r"\d+-(\d+)", file.stem)
+    if match is None:
         raise SequenceError(
             f"{file} is not named as in SUN3D; expected a number and microseconds: "
             "0000001-000000033369"
         )
-    return int(found[1]) / 1e6
+    return int(match[1]) / 1e6
 
 
 def _poses(file: Path, n_images: int) -> torch.Tensor:
@@ -109,6 +109,6 @@ def _model(path: Path, colour: Path) -> CameraModel:
 
 
 def _load(colour: Path, depth: Path, scale: float) -> RgbdImages:
-    turned = decode_depth(depth, (np.uint16,))
-    raw = (turned >> _TURNED_BITS) | (turned << (16 - _TURNED_BITS))
+    stored_values = decode_depth(depth, (np.uint16,))
+    raw = (stored_values >> _TURNED_BITS) | (stored_values << (16 - _TURNED_BITS))
     return with_colour(read_image_bytes(colour, "colour"), str(colour), metres(raw, scale))

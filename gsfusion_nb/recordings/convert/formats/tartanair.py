@@ -58,8 +58,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         SequenceError: images and poses do not belong together.
     """
     cameras = _cameras(path)
-    chosen = Path(options.colour).name.removeprefix("image_")
-    camera = chosen if chosen in cameras else cameras[0]
+    colour_name = Path(options.colour).name.removeprefix("image_")
+    camera = colour_name if colour_name in cameras else cameras[0]
     colour = images_in(path / f"image_{camera}")
     depth = images_in(path / f"depth_{camera}", DEPTH_SUFFIXES)
     pairs = paired_by_name(path, colour, depth)
@@ -98,8 +98,10 @@ def read(path: Path, options: ConvertOptions) -> Recording:
 
 def _cameras(path: Path) -> list[str]:
     """Names of the cameras with images, depth and poses."""
-    found = sorted(file.stem.removeprefix("pose_") for file in path.glob("pose_*.txt"))
-    whole = [n for n in found if (path / f"image_{n}").is_dir() and (path / f"depth_{n}").is_dir()]
+    cameras = sorted(file.stem.removeprefix("pose_") for file in path.glob("pose_*.txt"))
+    whole = [
+        n for n in cameras if (path / f"image_{n}").is_dir() and (path / f"depth_{n}").is_dir()
+    ]
     return sorted(
         whole, key=lambda name: _CAMERAS.index(name) if name in _CAMERAS else len(_CAMERAS)
     )
@@ -123,10 +125,10 @@ def _model(colour: Path) -> CameraModel:
 def _load(colour: Path, depth: Path, scale: float) -> RgbdImages:
     if depth.suffix.lower() != ".png":
         return load_pair(colour, depth, scale)
-    packed = decode_image(read_image_bytes(depth, "depth"), cv2.IMREAD_UNCHANGED, depth, "depth")
-    if packed.dtype != np.uint8 or packed.ndim != 3 or packed.shape[2] != 4:
+    pixels = decode_image(read_image_bytes(depth, "depth"), cv2.IMREAD_UNCHANGED, depth, "depth")
+    if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] != 4:
         raise BadFrameError(
-            f"{depth} must hold float32 depth in four channels of 8 bits, got {list(packed.shape)}"
+            f"{depth} must hold float32 depth in four channels of 8 bits, got {list(pixels.shape)}"
         )
-    depth_m = metres(packed.view("<f4")[..., 0], scale)
+    depth_m = metres(pixels.view("<f4")[..., 0], scale)
     return with_colour(read_image_bytes(colour, "colour"), str(colour), depth_m)

@@ -74,10 +74,10 @@ def _associated(file: Path, unit: str) -> FrameFiles:
         rows.append((second, first) if first_is_depth else (first, second))
     kinds = [_numbered_lines(file, lines) for lines in zip(*rows, strict=True)]
     streams = judged(kinds, unit)
-    without = next((s for s in streams if s.stamps.times_s is None), None)
+    timeless = next((s for s in streams if s.stamps.times_s is None), None)
     pairs = [(colour, depth) for (_, colour), (_, depth) in rows]
-    if without is not None:
-        return without_times(pairs, str(file), without.stamps)
+    if timeless is not None:
+        return without_times(pairs, str(file), timeless.stamps)
     rgb_s, depth_s = (stream.stamps.times_s or [] for stream in streams)
     order = sorted(range(len(rows)), key=depth_s.__getitem__)
     return FrameFiles(

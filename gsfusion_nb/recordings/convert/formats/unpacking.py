@@ -52,14 +52,14 @@ def unpack(
         SequenceError: it unpacks to more, or is truncated.
     """
     parts = []
-    left = data
+    rest = data
     size = 0
-    while left:
+    while rest:
         unpacker = make()
-        packed = left
+        block = rest
         while not unpacker.eof:
-            part = unpacker.decompress(packed, min(SLICE_BYTES, at_most - size + 1))
-            packed = b""
+            part = unpacker.decompress(block, min(SLICE_BYTES, at_most - size + 1))
+            block = b""
             size += len(part)
             if size > at_most:
                 raise SequenceError(
@@ -70,7 +70,7 @@ def unpack(
             if not part and not unpacker.eof and unpacker.needs_input:
                 raise SequenceError(f"{source}: a packed part of it is truncated; copy it again")
             parts.append(part)
-        left = unpacker.unused_data or b""
+        rest = unpacker.unused_data or b""
     return b"".join(parts)
 
 
@@ -95,8 +95,8 @@ def bounded(source: Path, at_most: int) -> Iterator[None]:
 
     @contextmanager
     def whole_file(file: Any, mode: str) -> Iterator[Any]:
-        with zstd.open(file, mode) as opened:
-            yield _Counted(opened, at_most, source)
+        with zstd.open(file, mode) as stream:
+            yield _Counted(stream, at_most, source)
 
     chunks = {"lz4": lambda data, _: of_lz4(data), "zstd": lambda data, _: of_zstd(data)}
     with ExitStack() as stack:

@@ -69,21 +69,21 @@ def unread_recording(path: Path) -> str:
     folder = _unread_folder(path)
     if folder:
         return f"{path} is {folder}"
-    inside = (
+    members = (
         file
         for file in sorted(path.iterdir())
         if file.suffix.lower() in _BY_SUFFIX and file.is_file()
     )
-    alone = next(
+    sole_file = next(
         (
             file
-            for file in inside
+            for file in members
             if file.suffix.lower() not in (".mp4", ".mov", ".ply", ".glb", ".gz")
         ),
         None,
     )
     has_depth = any(path.glob("*depth*"))
-    return "" if alone is None or has_depth else unread_recording(alone)
+    return "" if sole_file is None or has_depth else unread_recording(sole_file)
 
 
 def _unread_folder(path: Path) -> str:
