@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..backends import observed
 from ..checks import check_shape
+from ..edit_count import edit_count
 from ..errors import ArgumentError
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import SH_C0, rgb_to_sh_dc
@@ -280,13 +281,10 @@ class GaussianModel(GrowingRows):
         if self._MOMENTS:
             turn_moments_(self.exp_avg, self.exp_avg_sq, R)
 
-    def state_of_columns(self) -> tuple[int, ...]:
-        """Another one when a value has changed: PyTorch counts the changes of a tensor."""
-        return (
-            len(self),
-            self.step_count,
-            *(x for c in self._columns.values() for x in (c.data_ptr(), c._version)),
-        )
+    @property
+    def edits(self) -> tuple[int, ...]:
+        """Another value when any value of the map has changed, or the number of rows or steps."""
+        return (len(self), self.step_count, *edit_count(*self._columns.values()))
 
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """Everything needed to continue later, as tensors and numbers; without ``copies`` steps

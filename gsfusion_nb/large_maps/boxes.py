@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from ..edit_count import edit_count
 from ..types import ALL_ROWS, Camera, GaussianParams, MapRows
 from .chunks import (
     Chunks,
@@ -34,14 +35,12 @@ View = TypeVar("View")
 
 
 class Boxes:
-    """Boxes around the chunks of a map, which are made anew when its tensors have changed.
-
-    PyTorch counts the changes of a tensor. A kernel that changes one through its memory has to tell
-    it.
-    """
+    """Boxes around the chunks of a map, which are made anew when its tensors have changed
+    (``edit_count``)."""
 
     def __init__(self) -> None:
-        self._of: tuple[int, ...] = ()
+        self._edits: tuple[int, ...] = ()
+        """``_edits`` of the map when the boxes were made."""
         self._chunks = Chunks(
             np.zeros((0, 3)),
             np.zeros((0, 3)),
@@ -67,24 +66,28 @@ class Boxes:
         n = len(params)
         if n < (WHOLE_BELOW if params.xyz_W.device.type == "cpu" else WHOLE_BELOW_ON_GPU):
             return ALL_ROWS
-        if self._of != _state(params):
+        if self._edits != _edits(params):
             self._chunks = chunks_of_gaussians(params)
-            self._of = _state(params)
+            self._edits = _edits(params)
         numbers = seen_chunks(self._chunks, camera, T_WC, depth_m)
         if len(numbers) > MOSTLY_SEEN * len(self._chunks.low):
             return ALL_ROWS
         return rows_of_chunks(numbers, n).to(params.xyz_W.device)
+
+    def forget(self) -> None:
+        """Make the boxes anew when they are asked for."""
+        self._edits = ()
 
     @contextlib.contextmanager
     def appending(self, model: Any) -> Iterator[None]:
         """Context in which rows are only added at the end of a map: the boxes of the others
         stay."""
         n = len(model.params)
-        is_current = self._of == _state(model.params)
+        is_current = self._edits == _edits(model.params)
         yield
-        if is_current and self._of != _state(model.params):
+        if is_current and self._edits != _edits(model.params):
             self._chunks = chunks_with_more_rows(self._chunks, model.params, n)
-            self._of = _state(model.params)
+            self._edits = _edits(model.params)
 
     def renew(
         self,
@@ -95,13 +98,12 @@ class Boxes:
         """Follow a change of only these ``rows``, which were all in the last result; ``part``:
         their new values."""
         renew_chunks_(self._chunks, rows, part)
-        self._of = _state(params)
+        self._edits = _edits(params)
 
 
-def _state(params: GaussianParams) -> tuple[int, ...]:
-    """Another one when centres or sizes have changed."""
-    columns = params.xyz_W, params.log_scale
-    return (len(params), *(x.data_ptr() for x in columns), *(x._version for x in columns))
+def _edits(params: GaussianParams) -> tuple[int, ...]:
+    """Another value when centres or sizes have changed."""
+    return (len(params), *edit_count(params.xyz_W, params.log_scale))
 
 
 def drawn_in_part(

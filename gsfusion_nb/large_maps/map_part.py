@@ -31,7 +31,7 @@ class MapPart:
         )
         self.clock = model.clock.part(rows)
         self.rates = {name: factors[rows] for name, factors in model.rates.items()}
-        self._state = model.state_of_columns()
+        self._edits = model.edits
 
     @property
     def step_count(self) -> int:
@@ -46,7 +46,7 @@ class MapPart:
     @property
     def is_current(self) -> bool:
         """Whether the map has not changed since the rows were taken or written back."""
-        return self._state == self.model.state_of_columns()
+        return self._edits == self.model.edits
 
     def write_back(self) -> None:
         """Copy parameters, moments and the number of steps to the map, unless they are the
@@ -59,4 +59,4 @@ class MapPart:
         self.model.clock.write_back(self.rows, self.clock)
         if self._boxes is not None:
             self._boxes.renew(self.model.params, self.rows, self.params)
-        self._state = self.model.state_of_columns()
+        self._edits = self.model.edits

@@ -84,6 +84,12 @@ class MapParts:
         self._last_views = ()
         self._last_part = None
 
+    def end_frame(self) -> None:
+        """Forget what was found in a frame. Between frames others may write to the map, also past
+        what ``edit_count`` counts; and a run that is resumed there begins with nothing."""
+        self.forget()
+        self.boxes.forget()
+
     def params_now(self, rows: MapRows = ALL_ROWS) -> GaussianParams:
         """The rows with the steps that they missed; the map does not change.
 

@@ -156,6 +156,6 @@ class WholeFrame:
             mapper.rule_in_use.set_memory(self._memory)
             mapper.localiser.take_back(was_refused=isinstance(error, BadFrameError))
         mapper.after_steps.frame_ends()
-        mapper.parts.forget()  # a resumed run has none
+        mapper.parts.end_frame()
         if error is None and mapper.passes.begun:
             mapper.passes = KeyframePasses()  # with more frames, the passes start again

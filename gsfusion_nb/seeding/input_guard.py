@@ -7,6 +7,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor
 
+from ..edit_count import edit_count, is_counted
 from ..errors import ForeseenError
 from .context import SeedContext
 from .map_rule import SeedingRule, rule_name
@@ -49,7 +50,7 @@ def unchanged_inputs(
         return
     _ = ctx.frame.rgb  # made now, so that it is among them
     watched = list(context_tensors(ctx))
-    versions = [_version(tensor) for _, tensor in watched]
+    counts = [edit_count(tensor) for _, tensor in watched]
     copies = {
         name: tensor.clone()
         for name, tensor in watched
@@ -58,7 +59,7 @@ def unchanged_inputs(
     sums = {
         name: _sum_of_bits(tensor)
         for name, tensor in watched
-        if name.startswith("map.") and not is_quick
+        if (name.startswith("map.") and not is_quick) or not is_counted(tensor)
     }
     places = [_place(tensor) for _, tensor in watched]
     changed = ""
@@ -72,8 +73,8 @@ def unchanged_inputs(
             raise ChangedInputError(rule_name(rule), made[-1]) from e
         raise
     finally:
-        for (name, tensor), version in zip(watched, versions, strict=True):
-            is_same = _version(tensor) == version
+        for (name, tensor), count in zip(watched, counts, strict=True):
+            is_same = not is_counted(tensor) or edit_count(tensor) == count
             if name in copies and not _same_bits(tensor, copies[name]):
                 is_same = False
                 tensor.copy_(copies[name])
@@ -88,11 +89,6 @@ def unchanged_inputs(
         changed = changed or next((name for name in after if name not in dict(watched)), "")
     if changed:
         raise ChangedInputError(rule_name(rule), changed)
-
-
-def _version(tensor: Tensor) -> int:
-    """Number of changes in place that torch made to a tensor, or to what it is a view of."""
-    return 0 if tensor.is_inference() else tensor._version
 
 
 def _place(tensor: Tensor) -> tuple[int, torch.Size, torch.dtype]:

@@ -9,7 +9,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import OptimConfig, gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.large_maps import Boxes, MapPart, drawn_in_part, farthest_depth
+from gsfusion_nb.large_maps import Boxes, MapPart, MapParts, drawn_in_part, farthest_depth
 from gsfusion_nb.large_maps import boxes as row_boxes
 from gsfusion_nb.large_maps.chunks import CHUNK, GRID
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
@@ -137,13 +137,13 @@ def test_boxes_follow_the_map(cloud, generator):
     part.params.xyz_W.add_(3.0)
     part.params.log_scale.add_(1.0)
     part.write_back()
-    known = boxes._of
+    known = boxes._edits
     for T_WC in poses(generator, 5):
         assert torch.equal(
             chosen(boxes, model.params, T_WC),
             chosen(Boxes(), model.params, T_WC),
         )
-    assert boxes._of == known  # was not made anew
+    assert boxes._edits == known  # was not made anew
     model.params.xyz_W[0].add_(50.0)
     model.keep(torch.arange(len(model)) != 9)
     for T_WC in poses(generator, 5):
@@ -221,13 +221,13 @@ def test_boxes_grow_with_the_map(cloud, generator, start):
     boxes.rows(model.params, CAMERA, T_WC)
     with boxes.appending(model):
         model.extend(cloud[start:])
-    known = boxes._of
+    known = boxes._edits
     for T_WC in poses(generator, 5):
         assert torch.equal(
             chosen(boxes, model.params, T_WC),
             chosen(Boxes(), model.params, T_WC),
         )
-    assert boxes._of == known
+    assert boxes._edits == known
     with boxes.appending(model):
         pass
     model.params.xyz_W.add_(1.0)
@@ -360,3 +360,16 @@ def test_a_picture_by_depth_has_nothing_far_behind_it(generator):
     assert torch.equal(shown.rgb, render(cloud[:n], CAMERA, T_WC).rgb)
     assert shown.first_index is not None
     assert int(shown.first_index.max()) < n
+
+
+def test_what_numpy_writes_between_two_frames_is_seen_in_the_next(cloud):
+    model = GaussianModel(0)
+    model.extend(cloud)
+    parts = MapParts(model, None, lambda view: None)
+    T_WC = torch.eye(4)
+    before = chosen(parts.boxes, model.params, T_WC)
+    model.params.xyz_W.numpy()[:] += 3.0
+    parts.end_frame()
+    after = chosen(parts.boxes, model.params, T_WC)
+    assert torch.equal(after, chosen(Boxes(), model.params, T_WC))
+    assert not torch.equal(after, before)
