@@ -1,13 +1,5 @@
 """Scores of a map: images, geometry and trajectory."""
 
-from .geometry import centres_to_own_mesh as centres_to_own_mesh
-from .geometry import cull_unseen as cull_unseen
-from .geometry import disc_scores as disc_scores
-from .geometry import mesh_psnr as mesh_psnr
-from .geometry import mesh_scores as mesh_scores
-from .geometry import sample_discs as sample_discs
-from .geometry import sample_surface as sample_surface
-from .geometry import seen_by as seen_by
 from .image import ImageScores as ImageScores
 from .image import ViewScores as ViewScores
 from .image import depth_l1_m as depth_l1_m
@@ -24,6 +16,14 @@ from .metrics import NotComputed as NotComputed
 from .metrics import format_metric as format_metric
 from .metrics import frame_rates as frame_rates
 from .metrics import metrics_as_json as metrics_as_json
+from .seen_surface import cull_unseen as cull_unseen
+from .seen_surface import mesh_psnr as mesh_psnr
+from .seen_surface import seen_by as seen_by
+from .surface_samples import sample_discs as sample_discs
+from .surface_samples import sample_surface as sample_surface
+from .surface_scores import centres_to_own_mesh as centres_to_own_mesh
+from .surface_scores import disc_scores as disc_scores
+from .surface_scores import mesh_scores as mesh_scores
 from .trajectory import align_umeyama as align_umeyama
 from .trajectory import ate_rmse as ate_rmse
 from .trajectory import rpe as rpe

@@ -10,13 +10,13 @@ from gsfusion_nb.evaluation import (
     centres_to_own_mesh,
     cull_unseen,
     disc_scores,
-    geometry,
     mesh_scores,
+    point_distances,
     sample_discs,
     sample_surface,
     seen_by,
 )
-from gsfusion_nb.evaluation.geometry import point_triangle_distance
+from gsfusion_nb.evaluation.triangles import point_triangle_distance
 from gsfusion_nb.types import Camera, Frame, GaussianParams, Mesh
 
 
@@ -180,7 +180,7 @@ def test_distance_to_the_surface_needs_no_sample_on_each_triangle(generator, rin
 
 def test_a_part_of_the_mesh_that_is_far_from_all_points(generator, monkeypatch):
     """The truth is searched two faces at a time, and the second square is nobody's neighbour."""
-    monkeypatch.setattr(geometry, "FACES_AT_A_TIME", 2)
+    monkeypatch.setattr(point_distances, "FACES_AT_A_TIME", 2)
     truth = joined(square(), square(x=50.0))
     scores = mesh_scores(square(z=0.01), truth, generator=generator, n_samples=500)
     assert not isinstance(scores, NotComputed)
