@@ -12,7 +12,7 @@ from ..config import GpsSlamConfig, OptimConfig, gps_slam, gps_slam_fidelities, 
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import Keyframe, ViewLoss, ViewStep, l1_mse_vjp, l2_mse_vjp
-from ..render import BaseView, OverBaseOutput
+from ..render import OverBaseOutput, SurfacePicture
 from ..seeding import SeedContext, SurfaceInputs
 from ..tracking import Correction
 from ..tsdf import FusedView, fuse_frame_
@@ -20,7 +20,7 @@ from ..types import Camera, Frame, RenderOutput
 from .description import SystemDescription
 from .gps_files import GpsFiles
 from .gps_surface import OverSurface
-from .gps_views import BasedView, ViewRound, look_at
+from .gps_views import SurfaceKeyframe, ViewRound, look_at
 from .step_report import StepReport, as_floats
 from .transaction import Undo
 from .tsdf_mapping import TsdfMapping
@@ -29,7 +29,7 @@ from .view_steps import step_on_view
 LEAST_OPACITY = 0.005
 """Gaussians with a smaller opacity are removed (released code)."""
 
-KEPT_BASES_BYTES = 256 << 20
+SURFACES_BYTES = 256 << 20
 """Memory for the surfaces that the passes after the scan have seen; the others are looked at anew
 in each pass."""
 
@@ -61,7 +61,7 @@ class GPSSLAM(TsdfMapping):
         super().__init__(*args, **options)
         self.views = ViewRound(self.config.schedule)
         self.transaction.protect(self._undo_of_views)
-        self._kept_bases: dict[int, BasedView] = {}
+        self._surfaces: dict[int, SurfaceKeyframe] = {}
         followed = gps_slam_fidelity(self.config).partition(",")[0]
         if followed != "measured":
             losses = " and its structural and depth losses" if followed == "rrg" else ""
@@ -93,7 +93,7 @@ class GPSSLAM(TsdfMapping):
             )
         with self.clock("seeding"):
             preview = FusedView(self.volume, frame, missing)
-            context = self._context(frame, None if now is None else now.below, volume=preview)
+            context = self._context(frame, None if now is None else now.surface, volume=preview)
             seeds = self.propose_seeds(context)
         with self.transaction.changes(undoable=self.views.steps_in(self.n_frames) > 0):
             if seeds_now and schedule.spread:
@@ -116,10 +116,10 @@ class GPSSLAM(TsdfMapping):
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
-        surface = self._look(Keyframe.of(frame.to(self.device))).below
+        surface = self._look(Keyframe.of(frame.to(self.device))).surface
         return self._context(frame, surface, volume=self.volume)
 
-    def _context(self, frame: Frame, surface: BaseView | None, **more: Any) -> SeedContext:
+    def _context(self, frame: Frame, surface: SurfacePicture | None, **more: Any) -> SeedContext:
         system = None
         if surface is not None:
             system = SurfaceInputs(surface=surface, seen_before=self._seen_before(frame))
@@ -143,9 +143,9 @@ class GPSSLAM(TsdfMapping):
         # as released, nobody asks
         return bool(self.config.views.every_frames) and super()._seen_before(frame)
 
-    def below(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> BaseView:
+    def surface_picture(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfacePicture:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
-        return self._over_surface.below(camera, T_WC)
+        return self._over_surface.surface_picture(camera, T_WC)
 
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
         """Surface and Gaussians seen by a camera; alpha is 1 where there is a surface, and depth is
@@ -196,13 +196,13 @@ class GPSSLAM(TsdfMapping):
     def _kept(self, frame: Frame) -> Keyframe:
         return Keyframe.of(frame, with_depth=self.training.loss is not None)
 
-    def _look(self, keyframe: Keyframe) -> BasedView:
+    def _look(self, keyframe: Keyframe) -> SurfaceKeyframe:
         return look_at(self.volume, keyframe.to(self.device), self.config.base)
 
-    def _renew_views(self, now: BasedView | None, *, in_window: bool) -> None:
+    def _renew_views(self, now: SurfaceKeyframe | None, *, in_window: bool) -> None:
         """Look again at the views whose turn it is; ``now``: this frame, which becomes one of them
         if ``in_window``."""
-        self._kept_bases = {}
+        self._surfaces = {}
         views = self.views
         if in_window and now is not None and bool((now.seen_depth_m > 0).any()):
             views.add_frame(now)
@@ -245,7 +245,7 @@ class GPSSLAM(TsdfMapping):
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan; each pass ends as a burst does, with the
         removal of rows."""
-        view = self._kept_bases.get(i)
+        view = self._surfaces.get(i)
         if view is None:
             view = look_at(
                 self.volume,
@@ -255,16 +255,18 @@ class GPSSLAM(TsdfMapping):
             )
             size = sum(
                 x.nbytes
-                for x in (*vars(view.below.base).values(), view.seen_rgb, view.seen_depth_m)
+                for x in (*vars(view.surface.base).values(), view.seen_rgb, view.seen_depth_m)
             )
-            if (len(self._kept_bases) + 1) * size <= KEPT_BASES_BYTES:
-                self._kept_bases[i] = view
+            if (len(self._surfaces) + 1) * size <= SURFACES_BYTES:
+                self._surfaces[i] = view
         step = self._optimise_view(view)
         if not self.passes.queue:
             self._prune()
         return step.loss
 
-    def _optimise_view(self, view: BasedView, later_views: Sequence[BasedView] = ()) -> ViewStep:
+    def _optimise_view(
+        self, view: SurfaceKeyframe, later_views: Sequence[SurfaceKeyframe] = ()
+    ) -> ViewStep:
         """One gradient step on one view; the surface is held fixed.
 
         Rows of ``later_views`` are stepped, too. They are in the map after the last step, or when a
@@ -284,11 +286,11 @@ class GPSSLAM(TsdfMapping):
         self.after_steps.edit(self, statistics, keyframe, step)
         return step
 
-    def _loss(self, picture: OverBaseOutput, view: BasedView) -> tuple[ViewLoss, Tensor]:
+    def _loss(self, picture: OverBaseOutput, view: SurfaceKeyframe) -> tuple[ViewLoss, Tensor]:
         """L2 or L1 of the colours, or the given loss; and the MSE."""
         of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp
         pixels = of_pixels(picture.rgb, view.keyframe.rgb)
         if self.training.loss is None:
             return ViewLoss(value=pixels.value, v_rgb=pixels.v_rgb), pixels.mse
-        rendered = picture.as_render_output(view.below.base)
+        rendered = picture.as_render_output(view.surface.base)
         return self.training.view_loss(rendered, view.keyframe, with_depth=False), pixels.mse

@@ -34,7 +34,7 @@ from ..gaussians import GaussianModel
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..optim import adam_step, l1_mse_vjp
-from ..render import BaseView, base_view, render_forward, render_over_base, render_vjp
+from ..render import SurfacePicture, render_forward, render_over_base, render_vjp, surface_picture
 from ..tsdf import TsdfVolume, extract_mesh, raycast
 from ..tsdf.volume import corner_gradients
 from ..types import Camera, GaussianParams, Mesh, RenderOutput
@@ -253,7 +253,7 @@ class OverSurface:
     look: Look | None = None
     """How its surface is seen; by default rays are cast through ``volume``."""
 
-    def below(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> BaseView:
+    def surface_picture(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfacePicture:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
         if self.look is None:
             seen = raycast(self.volume, camera, T_WC.to(self.volume.device))
@@ -261,7 +261,7 @@ class OverSurface:
             depth_m = seen.depth_m
         else:
             rgb, depth_m = self.look(camera, T_WC)
-        return base_view(
+        return surface_picture(
             rgb,
             depth_m,
             (camera.height, camera.width),
@@ -272,12 +272,12 @@ class OverSurface:
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
         """Surface and Gaussians seen by a camera; alpha is 1 where there is a surface, and depth is
         the surface's."""
-        below = self.below(camera, T_WC)
+        surface = self.surface_picture(camera, T_WC)
         device = self.volume.device
         out, _ = render_over_base(
-            self.params, camera, T_WC.to(device), below.base, behind_m=below.behind_m
+            self.params, camera, T_WC.to(device), surface.base, behind_m=surface.behind_m
         )
-        return out.as_render_output(below.base)
+        return out.as_render_output(surface.base)
 
     @staticmethod
     def of_folder(folder: Path, params: GaussianParams, config: Any) -> "OverSurface":

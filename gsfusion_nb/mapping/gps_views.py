@@ -10,7 +10,13 @@ from torch import Tensor
 
 from ..config import BaseConfig, ScheduleConfig
 from ..optim import Keyframe, KeyframeList, PictureVjp
-from ..render import BaseView, OverBaseOutput, base_view, render_over_base, render_over_base_vjp
+from ..render import (
+    OverBaseOutput,
+    SurfacePicture,
+    render_over_base,
+    render_over_base_vjp,
+    surface_picture,
+)
 from ..tsdf import TsdfVolume, raycast
 from ..types import Camera, GaussianParams
 
@@ -27,29 +33,33 @@ SEEDING_STEPS = 2.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class BasedView:
+class SurfaceKeyframe:
     """A view to optimise, and what its camera saw of the surface when it was last looked at."""
 
     keyframe: Keyframe
     seen_rgb: Float[Tensor, "h w 3"]
-    """Raycast colours, from which ``below`` was made."""
+    """Raycast colours, from which ``surface`` was made."""
     seen_depth_m: Float[Tensor, "h w"]
-    below: BaseView
+    surface: SurfacePicture
 
     @staticmethod
-    def of(keyframe: Keyframe, rgb: Tensor, depth_m: Tensor, config: BaseConfig) -> "BasedView":
+    def of(
+        keyframe: Keyframe, rgb: Tensor, depth_m: Tensor, config: BaseConfig
+    ) -> "SurfaceKeyframe":
         """A view whose camera sees these colours and depths of the surface."""
         camera = keyframe.camera
-        below = base_view(
+        surface = surface_picture(
             rgb, depth_m, (camera.height, camera.width), config.holes, config.behind_m
         )
-        return BasedView(keyframe=keyframe, seen_rgb=rgb, seen_depth_m=depth_m, below=below)
+        return SurfaceKeyframe(
+            keyframe=keyframe, seen_rgb=rgb, seen_depth_m=depth_m, surface=surface
+        )
 
     def render(self, params: GaussianParams) -> tuple[OverBaseOutput, PictureVjp]:
         """Surface and Gaussians, and the gradient of the Gaussians; the surface is held fixed."""
         view = self.keyframe
         output, saved = render_over_base(
-            params, view.camera, view.T_WC, self.below.base, behind_m=self.below.behind_m
+            params, view.camera, view.T_WC, self.surface.base, behind_m=self.surface.behind_m
         )
         return output, lambda v_rgb, _, **outputs: render_over_base_vjp(saved, v_rgb, **outputs)
 
@@ -64,7 +74,7 @@ class BasedView:
 
 def look_at(
     volume: TsdfVolume, keyframe: Keyframe, config: BaseConfig, *, full: bool = False
-) -> BasedView:
+) -> SurfaceKeyframe:
     """The view with what its camera sees of the volume now.
 
     Args:
@@ -75,7 +85,7 @@ def look_at(
     """
     camera = keyframe.camera if full else small(keyframe.camera, config)
     seen = raycast(volume, camera, keyframe.T_WC)
-    return BasedView.of(keyframe, seen.rgb, seen.depth_m, config)
+    return SurfaceKeyframe.of(keyframe, seen.rgb, seen.depth_m, config)
 
 
 def small(camera: Camera, config: BaseConfig) -> Camera:
@@ -102,9 +112,9 @@ class ViewRound:
 
     def __init__(self, config: ScheduleConfig):
         self.config = config
-        self.window: list[BasedView] = []
+        self.window: list[SurfaceKeyframe] = []
         """The latest frames, oldest first."""
-        self.recalled: list[BasedView] = []
+        self.recalled: list[SurfaceKeyframe] = []
         """Random keyframes, in the order in which they were looked at."""
         self._turns: list[int] = []
         self._steps = _even_steps(config)
@@ -112,14 +122,14 @@ class ViewRound:
     def __len__(self) -> int:
         return len(self.window) + len(self.recalled)
 
-    def add_frame(self, view: BasedView) -> None:
+    def add_frame(self, view: SurfaceKeyframe) -> None:
         """The newest frame takes the place of the oldest."""
         self.window = [*self.window, view][-WINDOW:]
 
     def recall(
         self,
         keyframes: KeyframeList,
-        look: Callable[[Keyframe], BasedView],
+        look: Callable[[Keyframe], SurfaceKeyframe],
         generator: Any,
         n: int,
         n_new: int,
@@ -140,7 +150,7 @@ class ViewRound:
             others = [view for view in self.recalled if view.keyframe.index != keyframe.index]
             self.recalled = [*others, look(keyframe)][-self.config.keyframes :]
 
-    def look_again(self, look: Callable[[Keyframe], BasedView]) -> None:
+    def look_again(self, look: Callable[[Keyframe], SurfaceKeyframe]) -> None:
         """Look at the frames of the window again."""
         self.window = [look(view.keyframe) for view in self.window]
 
@@ -171,7 +181,7 @@ class ViewRound:
         """Turns of the frames of the window among those of all keyframes: of each at least one."""
         return WINDOW * max(1, round(WINDOW_TURNS * self.config.keyframes / WINDOW))
 
-    def next_view(self, generator: torch.Generator) -> BasedView:
+    def next_view(self, generator: torch.Generator) -> SurfaceKeyframe:
         """The view whose turn it is; there must be one."""
         while True:
             if not self._turns:
@@ -222,7 +232,7 @@ class ViewRound:
             saved = state[name]
             keyframes = KeyframeList.from_state_dict([view["keyframe"] for view in saved], device)
             views = [
-                BasedView.of(
+                SurfaceKeyframe.of(
                     keyframe, view["seen_rgb"].to(device), view["seen_depth_m"].to(device), base
                 )
                 for keyframe, view in zip(keyframes, saved, strict=True)

@@ -19,9 +19,7 @@ from .on_screen import blend_rows as blend_rows
 from .on_screen import footprints as footprints
 from .on_screen import rows_in_view as rows_in_view
 from .over_base import Base as Base
-from .over_base import BaseView as BaseView
 from .over_base import OverBaseOutput as OverBaseOutput
-from .over_base import base_view as base_view
 from .over_base import render_over_base as render_over_base
 from .over_base import render_over_base_vjp as render_over_base_vjp
 from .project import Projection as Projection
@@ -35,5 +33,7 @@ from .rasterize import render as render
 from .rasterize import render_autograd as render_autograd
 from .rasterize import render_forward as render_forward
 from .rasterize import render_vjp as render_vjp
+from .surface_picture import SurfacePicture as SurfacePicture
+from .surface_picture import surface_picture as surface_picture
 from .tiles import TileLists as TileLists
 from .tiles import tile_intersections as tile_intersections

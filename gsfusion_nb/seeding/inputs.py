@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ..config import DiscConfig, SeedingConfig, TsdfConfig
 from ..large_maps import Boxes
-from ..render import BaseView
+from ..render import SurfacePicture
 from ..render.disc import PUBLISHED_DISCS
 from ..types import Camera, Frame, GaussianParams, MapRows
 
@@ -42,7 +42,7 @@ class DiscInputs:
 class SurfaceInputs:
     """What GPS-SLAM adds, whose picture is the surface with Gaussians over it."""
 
-    surface: BaseView
+    surface: SurfacePicture
     """The surface as the frame's camera sees it, before this frame is fused."""
     seen_before: bool = False
     """An earlier keyframe was taken from nearly the same pose, so the frame shows nothing new."""

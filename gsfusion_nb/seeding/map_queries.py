@@ -11,8 +11,8 @@ from torch import Tensor
 from ..errors import ArgumentError
 from ..large_maps import drawn_in_part
 from ..render import (
-    BaseView,
     OverBaseOutput,
+    SurfacePicture,
     SurfaceView,
     render,
     render_over_base,
@@ -87,7 +87,7 @@ def picture_over_surface(inputs: SeedInputs) -> OverBaseOutput:
             "it (gps_slam)"
         )
     params = _stored_params(inputs, "picture_over_surface()")
-    surface: BaseView = over.surface
+    surface: SurfacePicture = over.surface
 
     def draw(part: GaussianParams) -> OverBaseOutput:
         view = inputs.camera, inputs.frame.T_WC

@@ -271,7 +271,7 @@ class MappedFrame:
 
 def _below(step: MappedFrame) -> Tensor:
     mapper: Any = step.mapper
-    return mapper.below(step.frame.camera, step.frame.T_WC).base.rgb
+    return mapper.surface_picture(step.frame.camera, step.frame.T_WC).base.rgb
 
 
 def _with_new_gaussians(picture: Picture, step: MappedFrame) -> Picture:

@@ -13,7 +13,7 @@ from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, make_mapper, tsdf_mapping
 from gsfusion_nb.mapping.gps_views import ViewRound
 from gsfusion_nb.optim import fit_pose_by_flow
-from gsfusion_nb.render import base_view
+from gsfusion_nb.render import surface_picture
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.runs.scores import score
 from gsfusion_nb.seeding.rules.gps_slam import gps_slam as gps_slam_rule
@@ -141,11 +141,11 @@ def test_the_passes_improve_the_map_beyond_the_surface(run):
         assert after[name] > before[name] + 0.3
     frame = run.sequence.mapping[12]
     both = mapper.render(frame.camera, frame.T_WC)
-    below = mapper.below(frame.camera, frame.T_WC).base
-    error, base_error = (float((x - frame.rgb).square().mean()) for x in (both.rgb, below.rgb))
+    base = mapper.surface_picture(frame.camera, frame.T_WC).base
+    error, base_error = (float((x - frame.rgb).square().mean()) for x in (both.rgb, base.rgb))
     assert len(mapper.gaussians) > 50
     assert error < 0.95 * base_error
-    assert torch.equal(both.surface_depth_m, below.depth_m)
+    assert torch.equal(both.surface_depth_m, base.depth_m)
 
 
 def test_each_pass_ends_with_the_removal_of_small_large_and_transparent_rows(run):
@@ -214,7 +214,7 @@ def test_holes_are_filled_black_or_without_weight():
     depth_m[2:5, 3:7] = 0.0
     hole = depth_m == 0
     views = {
-        holes: base_view(rgb, depth_m, (8, 12), holes, 0.1)
+        holes: surface_picture(rgb, depth_m, (8, 12), holes, 0.1)
         for holes in ("filled", "black", "gaussians")
     }
     assert all(torch.equal(view.base.depth_m, depth_m) for view in views.values())
@@ -227,7 +227,7 @@ def test_holes_are_filled_black_or_without_weight():
     assert not views["gaussians"].base.weight[hole].any()
     assert views["black"].base.weight.all()
     assert views["gaussians"].base.weight[~hole].all()
-    nothing = base_view(
+    nothing = surface_picture(
         torch.zeros(8, 12, 3),
         torch.zeros(8, 12),
         (8, 12),

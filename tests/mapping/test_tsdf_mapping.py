@@ -186,7 +186,7 @@ def test_gps_slam_looks_at_the_new_volume_from_the_corrected_poses(frames):
         )
     expected = mapper.surface(frames[2].camera, poses[2])
     _ = list(mapper.global_optimise(1))
-    seen = mapper.below(frames[2].camera, poses[2])
+    seen = mapper.surface_picture(frames[2].camera, poses[2])
     torch.testing.assert_close(seen.base.depth_m, expected.depth_m)
 
 

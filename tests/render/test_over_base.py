@@ -10,13 +10,8 @@ from three_gaussians import three_gaussians
 from gsfusion_nb.geometry.spherical_harmonics import SH_C0
 from gsfusion_nb.render import Base, render_over_base, render_over_base_vjp
 from gsfusion_nb.render.composite import pixel_offsets, splat_alpha, splat_alpha_vjp
-from gsfusion_nb.render.over_base import (
-    base_view,
-    blend_with_base,
-    blend_with_base_vjp,
-    enlarge,
-    fill,
-)
+from gsfusion_nb.render.over_base import blend_with_base, blend_with_base_vjp
+from gsfusion_nb.render.surface_picture import enlarge, fill, surface_picture
 from gsfusion_nb.types import Camera, GaussianParams
 
 BEHIND_M = 0.1
@@ -266,7 +261,7 @@ def test_colours_do_not_run_over_an_edge(edge):
 def test_a_hole_in_the_base_is_what_was_asked_for(holes, colour, weight):
     depth_m = torch.full((4, 4), 2.0)
     depth_m[1, 2] = 0.0
-    view = base_view(
+    view = surface_picture(
         torch.full((4, 4, 3), 0.8),
         depth_m,
         (4, 4),
@@ -296,7 +291,7 @@ def test_a_hole_in_the_base_is_what_was_asked_for(holes, colour, weight):
 )
 def test_a_base_that_does_not_fit_is_refused(size, holes, behind_m, sentence):
     with pytest.raises(ValueError, match=sentence):
-        base_view(
+        surface_picture(
             torch.zeros(4, 4, 3),
             torch.ones(4, 4),
             size,

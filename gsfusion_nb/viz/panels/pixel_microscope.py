@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ...drawing.pictures import Picture, side_by_side, to_uint8
-from ...render import BaseView, render
+from ...render import SurfacePicture, render
 from ...render.over_base import not_behind
 from ...types import Camera, GaussianParams
 from . import pixel_stack as stacks
@@ -200,20 +200,20 @@ class PixelMix:
         )
 
 
-def pixel_mix(splats: Splats, below: BaseView, u: int, v: int) -> PixelMix:
+def pixel_mix(splats: Splats, surface: SurfacePicture, u: int, v: int) -> PixelMix:
     """What is mixed in pixel (column ``u``, row ``v``), the heaviest Gaussian first.
 
     Raises:
         ValueError: the pixel is not in the picture.
     """
     p = splats.projection
-    base = below.base
+    base = surface.base
     row, alpha = stacks.reaching(splats, u, v)
     w = not_behind(
         alpha[:, None],
         p.depth_m[row],
         base.depth_m[v, u][None],
-        below.behind_m,
+        surface.behind_m,
     )[:, 0]
     order = w.argsort(descending=True, stable=True)[: int((w > 0).sum())]
     hidden = len(row) - len(order)
@@ -241,7 +241,7 @@ class MixMicroscope(PixelMicroscope):
     Both end in the same colour.
 
     Args:
-        mapper: Of GPS-SLAM, or anything with its ``gaussians``, ``below`` and ``render``.
+        mapper: Of GPS-SLAM, or anything with its ``gaussians``, ``surface_picture`` and ``render``.
         camera, T_WC: The camera and pose that the map is seen from.
         pixel: The pixel to start with; the middle by default. (column, row)
     """
@@ -254,9 +254,9 @@ class MixMicroscope(PixelMicroscope):
         *,
         pixel: tuple[int, int] | None = None,
     ):
-        self.below = mapper.below(camera, T_WC)
+        self.surface = mapper.surface_picture(camera, T_WC)
         splats = stacks.project_splats(mapper.params_now(), camera, T_WC)
         self._open(splats, to_uint8(mapper.render(camera, T_WC).rgb), pixel)
 
     def _stack_at(self, u: int, v: int) -> PixelMix:
-        return pixel_mix(self.splats, self.below, u, v)
+        return pixel_mix(self.splats, self.surface, u, v)

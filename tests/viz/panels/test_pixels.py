@@ -9,7 +9,7 @@ import torch
 
 from gsfusion_nb.drawing.pictures import LABEL_PX
 from gsfusion_nb.geometry.spherical_harmonics import rgb_to_sh_dc
-from gsfusion_nb.render import BaseView, render, render_over_base
+from gsfusion_nb.render import SurfacePicture, render, render_over_base
 from gsfusion_nb.render.constants import ALPHA_MAX
 from gsfusion_nb.render.over_base import Base
 from gsfusion_nb.types import Camera, GaussianParams
@@ -206,11 +206,11 @@ def mapper(generator):
         depth_m=depth_m,
         weight=weight,
     )
-    below = BaseView(base=base, depth_everywhere_m=depth_m, behind_m=0.1)
+    surface = SurfacePicture(base=base, depth_everywhere_m=depth_m, behind_m=0.1)
     output = render_over_base(params, MIDDLE, EYE, base, behind_m=0.1)[0]
     return SimpleNamespace(
         params_now=lambda: params,
-        below=lambda *_: below,
+        surface_picture=lambda *_: surface,
         render=lambda *_: output,
         output=output,
     )

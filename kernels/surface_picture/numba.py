@@ -1,4 +1,4 @@
-"""``base_view`` in one pass over the pixels: fill what is unknown through a pyramid, then
+"""``surface_picture`` in one pass over the pixels: fill what is unknown through a pyramid, then
 enlarge."""
 
 import numpy as np
@@ -6,8 +6,9 @@ import torch
 from numba import int64, njit, prange
 from torch import Tensor
 
-from gsfusion_nb.render.over_base import SAME_SURFACE, Base, BaseView
-from gsfusion_nb.render.over_base import base_view as reference
+from gsfusion_nb.render.over_base import Base
+from gsfusion_nb.render.surface_picture import SAME_SURFACE, SurfacePicture
+from gsfusion_nb.render.surface_picture import surface_picture as reference
 
 from ..runtime.numba.launch import launching
 
@@ -23,10 +24,10 @@ _DEPTH = 3
 """Channel of the depth, behind the colours."""
 
 
-def base_view(
+def surface_picture(
     rgb: Tensor, depth_m: Tensor, size: tuple[int, int], holes: str, behind_m: float
-) -> BaseView:
-    """See ``gsfusion_nb.render.base_view``."""
+) -> SurfacePicture:
+    """See ``gsfusion_nb.render.surface_picture``."""
     if rgb.dtype != torch.float32:
         return reference.reference(rgb, depth_m, size, holes, behind_m)
     image = np.concatenate([rgb.numpy(), depth_m.numpy()[..., None]], axis=2)
@@ -38,7 +39,7 @@ def base_view(
         arrays = tuple(x.numpy() for x in out)
         _write(image, known, depth_m.shape == size, holes == "filled", holes == "gaussians", arrays)
     colour, depth, weight, everywhere = out
-    return BaseView(
+    return SurfacePicture(
         base=Base(rgb=colour, depth_m=depth, weight=weight),
         depth_everywhere_m=everywhere,
         behind_m=behind_m,

@@ -1,7 +1,7 @@
 """The base of a picture: holes of a surface filled, half a picture enlarged.
 
-Cases of ``base_view``: every way with holes, at the picture's size and at half of it, odd sizes, no
-surface.
+Cases of ``surface_picture``: every way with holes, at the picture's size and at half of it, odd
+sizes, no surface.
 """
 
 import functools
@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from gsfusion_nb.render import base_view
+from gsfusion_nb.render import surface_picture
 
 from . import Case
 
@@ -40,7 +40,7 @@ def _case(
     run = functools.partial(_run, size, small, **options)
     return Case(
         name=name,
-        operations=("base_view",),
+        operations=("surface_picture",),
         run=run,
         dtypes=(torch.float32,),
     )
@@ -61,7 +61,7 @@ def _run(
     steps = torch.randint(1, 3, small, generator=g)
     known = torch.rand(small, generator=g) >= share
     depth_m = (steps + 0.01 * torch.rand(small, generator=g)) * known
-    view = base_view(
+    view = surface_picture(
         (rgb * known[..., None]).to(device, dtype),
         depth_m.to(device, dtype),
         size,
