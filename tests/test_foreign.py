@@ -75,7 +75,7 @@ ALLOWED = {
     "seeding/installed.py": "lists and files of installed packages, which only go into a hash",
     "compare/executors.py": "a picture it has just drawn",
     "data/recorded/images.py": "decodes after the header was looked at",
-    "data/room/scene.py": "pictures of its own, from bytes of a limited size",
+    "data/room/image_cache.py": "pictures of its own, from bytes of a limited size",
     "recordings/convert/recording.py": "an array that is mapped, and so is not larger than its "
     "file",
     "recordings/convert/formats/ros_files.py": "a file that gives no more bytes than it has",

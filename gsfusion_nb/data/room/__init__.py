@@ -9,5 +9,5 @@ from .camera import kinect_depth as kinect_depth
 from .sequence import RoomSequence as RoomSequence
 from .sequence import render_room as render_room
 from .sequence import room as room
-from .sequence import room_mesh as room_mesh
-from .sequence import room_sdf as room_sdf
+from .surface import room_mesh as room_mesh
+from .surface import room_sdf as room_sdf

@@ -10,9 +10,10 @@ from functools import partial
 
 import numpy as np
 
+from . import books, furniture, materials, small_things
 from . import drawings as draw
-from . import furniture as f
-from .solids import BOX_FACES, SIZE_M, Solid, Vector, ball, box, cone, drawn, placed, plain
+from .painted import ball, box, cone, drawn, placed, plain
+from .solids import BOX_FACES, SIZE_M, Solid, Vector
 
 SHELL_SOLIDS = 6
 """Number of slabs that make floor, walls and ceiling."""
@@ -52,17 +53,17 @@ def _shell() -> list[Solid]:
     """Six slabs whose inner faces are floor, walls and ceiling."""
     w, d, h = SIZE_M
     s = _SHELL_M
-    brick = drawn(0.004, draw.brick, (0.62, 0.33, 0.25))
+    brick = drawn(0.004, materials.brick, (0.62, 0.33, 0.25))
     paper = drawn(
         0.004,
-        draw.wallpaper,
+        materials.wallpaper,
         (0.80, 0.80, 0.72),
         (0.68, 0.71, 0.62),
     )
-    north = drawn(0.012, draw.paint, (0.82, 0.86, 0.87))
-    south = drawn(0.012, draw.paint, (0.90, 0.86, 0.79))
-    floor = drawn(0.0028, draw.planks, (0.64, 0.47, 0.31))
-    white = drawn(0.02, draw.paint, (0.95, 0.95, 0.94), 0.0, 0.004)
+    north = drawn(0.012, materials.paint, (0.82, 0.86, 0.87))
+    south = drawn(0.012, materials.paint, (0.90, 0.86, 0.79))
+    floor = drawn(0.0028, materials.planks, (0.64, 0.47, 0.31))
+    white = drawn(0.02, materials.paint, (0.95, 0.95, 0.94), 0.0, 0.004)
     slabs = [
         ((0, 0, -s / 2), (w, d, s), "z+", floor),
         ((0, 0, h + s / 2), (w, d, s), "z-", white),
@@ -188,7 +189,7 @@ def _window_side() -> list[Solid]:
             hide="y+",
         )
     )
-    solids += placed(f.radiator(1.3), (x, y - 0.07, 0))
+    solids += placed(furniture.radiator(1.3), (x, y - 0.07, 0))
     solids.append(
         box(
             (x, y - 0.08, 2.36),
@@ -198,20 +199,20 @@ def _window_side() -> list[Solid]:
     )
     for dx in (-1.15, 1.15):
         solids += placed(
-            f.curtain(0.5, 2.3, (0.78, 0.70, 0.58)),
+            furniture.curtain(0.5, 2.3, (0.78, 0.70, 0.58)),
             (x + dx, y - 0.08, 0.05),
         )
     for dx, tall in ((-0.45, 0.16), (0.55, 0.12)):
         pot = drawn(
             0.003,
-            draw.speckled,
+            materials.speckled,
             (0.75, 0.75, 0.72),
             (0.5, 0.55, 0.6),
             0.008,
         )
         green = drawn(
             0.003,
-            draw.speckled,
+            materials.speckled,
             (0.3, 0.5, 0.25),
             (0.75, 0.8, 0.6),
             0.006,
@@ -224,7 +225,7 @@ def _window_side() -> list[Solid]:
                 (0.035, 0.05),
                 pot,
                 hide="bottom",
-                special={"top": f.SOIL},
+                special={"top": furniture.SOIL},
             ),
             ball(
                 (0, 0, 0.09 + 0.7 * tall / 2),
@@ -233,7 +234,7 @@ def _window_side() -> list[Solid]:
             ),
         ]
         solids += placed(parts, (x + dx, y - 0.095, low - 0.03))
-    return solids + placed(f.floor_lamp(), (-2.1, 1.62, 0))
+    return solids + placed(furniture.floor_lamp(), (-2.1, 1.62, 0))
 
 
 def _sofa_side() -> list[Solid]:
@@ -258,29 +259,29 @@ def _sofa_side() -> list[Solid]:
     text = drawn(0.0018, draw.text_poster, "MAP THE ROOM", [*lines, "forget the rest"], *colours)
     weave = drawn(
         0.004,
-        draw.rug,
+        materials.rug,
         ((0.80, 0.76, 0.66), (0.24, 0.32, 0.44), (0.68, 0.30, 0.22)),
     )
-    mug = f.mug("HELLO", (0.9, 0.88, 0.84), (0.2, 0.35, 0.5))
+    mug = small_things.mug("HELLO", (0.9, 0.88, 0.84), (0.2, 0.35, 0.5))
     wicker = drawn(
         0.004,
-        draw.stripes,
+        materials.stripes,
         [(0.75, 0.6, 0.42), (0.62, 0.47, 0.3)],
         0.02,
         "v",
     )
     vase = drawn(
         0.003,
-        draw.stripes,
+        materials.stripes,
         [(0.9, 0.88, 0.82), (0.25, 0.35, 0.5)],
         0.02,
         "v",
     )
     return [
         *_arranged(
-            (f.sofa(), (x + 0.48, 0.2, 0), 90),
-            (f.picture(1.0, 0.7, view), (x, 0.55, 1.6), 90),
-            (f.picture(0.55, 0.8, text), (x, -0.42, 1.6), 90),
+            (furniture.sofa(), (x + 0.48, 0.2, 0), 90),
+            (small_things.picture(1.0, 0.7, view), (x, 0.55, 1.6), 90),
+            (small_things.picture(0.55, 0.8, text), (x, -0.42, 1.6), 90),
         ),
         box(
             (-0.85, 0.2, 0.006),
@@ -289,11 +290,11 @@ def _sofa_side() -> list[Solid]:
             hide="z-",
         ),
         *_arranged(
-            (f.coffee_table(), (-0.95, 0.25, 0.012), 0),
-            (f.open_book(), (-0.9, 0.08, z), 70),
+            (furniture.coffee_table(), (-0.95, 0.25, 0.012), 0),
+            (books.open_book(), (-0.9, 0.08, z), 70),
             (mug, (-1.08, 0.38, z), 30),
-            (f.toy_blocks(), (-0.35, -0.6, 0.012), 100),
-            (f.beach_ball(), (-0.75, -1.3, 0), 20),
+            (small_things.toy_blocks(), (-0.35, -0.6, 0.012), 100),
+            (small_things.beach_ball(), (-0.75, -1.3, 0), 20),
             ([cone((0, 0, 0), 0.5, (0.16, 0.2), wicker, hide="bottom")], (x + 0.3, -1.05, 0), 0),
             ([cone((0, 0, 0), 0.22, (0.05, 0.08), vase, hide="bottom")], (x + 0.3, -1.05, 0.5), 0),
             (
@@ -311,9 +312,9 @@ def _table_side(rng: np.random.Generator) -> list[Solid]:
     tx = 1.5
     ty = 0.35
     z = 0.74
-    bowl = f.fruit_bowl(rng)
-    books = f.book_stack(rng)
-    mug = f.mug("COFFEE", (0.2, 0.3, 0.42), (0.93, 0.9, 0.82))
+    bowl = small_things.fruit_bowl(rng)
+    pile = books.book_stack(rng)
+    mug = small_things.mug("COFFEE", (0.2, 0.3, 0.42), (0.93, 0.9, 0.82))
     circles = drawn(
         0.002,
         draw.framed,
@@ -331,21 +332,21 @@ def _table_side(rng: np.random.Generator) -> list[Solid]:
         0.0,
     )
     return _arranged(
-        (f.table(), (tx, ty, 0), 90),
-        (f.chair((0.72, 0.30, 0.24)), (tx - 0.62, ty + 0.32, 0), 80),
-        (f.chair((0.25, 0.42, 0.5)), (tx - 0.66, ty - 0.36, 0), 105),
-        (f.chair((0.80, 0.68, 0.35)), (tx + 0.08, ty - 1.02, 0), 186),
-        (f.laptop(), (tx - 0.12, ty - 0.32, z), -84),
+        (furniture.table(), (tx, ty, 0), 90),
+        (furniture.chair((0.72, 0.30, 0.24)), (tx - 0.62, ty + 0.32, 0), 80),
+        (furniture.chair((0.25, 0.42, 0.5)), (tx - 0.66, ty - 0.36, 0), 105),
+        (furniture.chair((0.80, 0.68, 0.35)), (tx + 0.08, ty - 1.02, 0), 186),
+        (small_things.laptop(), (tx - 0.12, ty - 0.32, z), -84),
         (bowl, (tx + 0.02, ty + 0.12, z), 0),
-        (f.globe(), (tx + 0.22, ty + 0.50, z), 200),
-        (books, (tx - 0.2, ty + 0.5, z), -75),
+        (small_things.globe(), (tx + 0.22, ty + 0.50, z), 200),
+        (pile, (tx - 0.2, ty + 0.5, z), -75),
         (mug, (tx + 0.24, ty - 0.25, z), 200),
-        (f.pendant(), (tx, ty, SIZE_M[2]), 0),
-        (f.picture(0.62, 0.82, circles), (x, 0.75, 1.6), -90),
-        (f.picture(0.7, 0.5, sunset), (x, -0.2, 1.62), -90),
-        (f.plant(rng), (2.12, 1.5, 0), 0),
-        (f.carton((0.5, 0.4, 0.36), "FRAGILE"), (2.18, -1.72, 0), -75),
-        (f.carton((0.36, 0.3, 0.26), "BOOKS"), (2.2, -1.7, 0.36), -60),
+        (furniture.pendant(), (tx, ty, SIZE_M[2]), 0),
+        (small_things.picture(0.62, 0.82, circles), (x, 0.75, 1.6), -90),
+        (small_things.picture(0.7, 0.5, sunset), (x, -0.2, 1.62), -90),
+        (furniture.plant(rng), (2.12, 1.5, 0), 0),
+        (small_things.carton((0.5, 0.4, 0.36), "FRAGILE"), (2.18, -1.72, 0), -75),
+        (small_things.carton((0.36, 0.3, 0.26), "BOOKS"), (2.2, -1.7, 0.36), -60),
     )
 
 
@@ -378,7 +379,7 @@ def _shelf_side(rng: np.random.Generator) -> list[Solid]:
         ),
         ball((0.35, -0.085, 1.0), 0.028, brass),
     ]
-    chart = f.picture(
+    chart = small_things.picture(
         0.5,
         0.72,
         drawn(0.0018, draw.eye_chart),
@@ -397,7 +398,7 @@ def _shelf_side(rng: np.random.Generator) -> list[Solid]:
         special=dial,
     )
     return _arranged(
-        (f.bookshelf(rng), (0.98, _SOUTH + 0.141, 0), 180),
+        (books.bookshelf(rng), (0.98, _SOUTH + 0.141, 0), 180),
         (door, (-1.65, _SOUTH, 0), 180),
         (chart, (-0.42, _SOUTH, 1.55), 180),
         ([clock], (-0.42, _SOUTH, 2.2), 180),

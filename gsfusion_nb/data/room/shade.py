@@ -8,8 +8,9 @@ with those patches again.
 import numpy as np
 from numpy import ndarray
 
+from .atlas import LEVELS, level_offsets, texels
 from .raycast import RoomView
-from .scene import LEVELS, Scene, level_offsets, texels
+from .scene import Scene
 
 _POINTS = np.array(
     [[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]],

@@ -9,7 +9,8 @@ from gsfusion_nb.data.room import render_room, room_sdf
 from gsfusion_nb.data.room.camera import look_at
 from gsfusion_nb.data.room.drawings import text_poster
 from gsfusion_nb.data.room.interior import interior
-from gsfusion_nb.data.room.solids import ball, box, cone, face_axes, plain
+from gsfusion_nb.data.room.painted import ball, box, cone, plain
+from gsfusion_nb.data.room.solids import face_axes
 from gsfusion_nb.geometry import depth_to_points, pixel_grid, project, rays, se3
 from gsfusion_nb.types import Camera
 
