@@ -18,7 +18,8 @@ from ...data.recorded.files import CALIBRATION_SUFFIXES, first_of
 from ...errors import SequenceError
 from ...geometry import se3
 from .calibration_tree import Tree
-from .intrinsics import model_of_matrix, read_intrinsics
+from .camera_numbers import model_of_matrix
+from .intrinsics import read_intrinsics
 from .recording import DepthUnit
 from .trajectory import read_matrix
 

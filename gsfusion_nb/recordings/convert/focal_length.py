@@ -20,7 +20,7 @@ from ...errors import SequenceError
 from ...tracking import Features, extract_features
 from ...tracking.matching import match_features
 from ...types import Camera, Frame
-from .intrinsics import model_of
+from .camera_numbers import model_of
 from .recording import OptionNeeded, load_pair
 
 _GAPS = (5, 15)

@@ -21,7 +21,7 @@ from ....data.recorded.files import images_in, number
 from ....errors import SequenceError
 from ....files import parsing, read_object
 from ....geometry import se3
-from ..intrinsics import model_of_matrix
+from ..camera_numbers import model_of_matrix
 from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair
 from .image_recording import size_of_colour
 

@@ -25,7 +25,7 @@ from ....errors import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import is_file, open_regular, parsing, read_exactly, read_text
 from ....geometry import quaternion, se3
 from ....types import Camera
-from ..intrinsics import model_of
+from ..camera_numbers import model_of
 from ..recording import (
     ConvertOptions,
     RecordedFrame,

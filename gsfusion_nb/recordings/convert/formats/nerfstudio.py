@@ -27,7 +27,7 @@ from ....data.recorded.poses import GL_TO_CV
 from ....errors import SequenceError
 from ....files import is_file, parsing, read_object
 from ....geometry import se3
-from ..intrinsics import model_of
+from ..camera_numbers import model_of
 from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair
 
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")

@@ -20,7 +20,7 @@ from ....data.recorded.files import images_in, natural_order
 from ....errors import SequenceError, SequenceNotFoundError
 from ....files import parsing, read_bytes, read_object, read_text
 from ....geometry import se3
-from ..intrinsics import model_of_tree
+from ..camera_in_tree import model_of_tree
 from ..recording import DEPTH_SUFFIXES, ConvertOptions, Recording
 from .image_recording import recording_of
 from .pairing import FrameFiles, paired_by_name

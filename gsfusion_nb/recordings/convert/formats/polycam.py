@@ -20,8 +20,8 @@ from torch import Tensor
 from ....data.recorded.files import images_in, number
 from ....data.recorded.poses import GL_TO_CV
 from ....files import parsing, read_object
+from ..camera_in_tree import model_of_tree
 from ..confidence import confidence_of
-from ..intrinsics import model_of_tree
 from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair
 
 LOOKS_FOR = "keyframes/ with images/, depth/ and cameras/"

@@ -34,7 +34,7 @@ from ....files import (
     read_bytes,
     read_member,
 )
-from ..intrinsics import model_of
+from ..camera_numbers import model_of
 from ..recording import (
     ConvertOptions,
     RecordedFrame,

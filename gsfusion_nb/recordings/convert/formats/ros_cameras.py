@@ -16,7 +16,7 @@ from torch import Tensor
 from ....checks import shown
 from ....data.lens import CameraModel, same_proportions, same_rays
 from ....errors import SequenceError
-from ..intrinsics import model_of
+from ..camera_numbers import model_of
 from ..recording import ConvertOptions, OptionNeeded
 from .realsense_sdk import SdkCalibration, stream_of
 from .ros_tf import TransformTree

@@ -21,8 +21,8 @@ from ....data.recorded.files import natural_order, number
 from ....data.recorded.poses import GL_TO_CV
 from ....errors import SequenceError
 from ....files import is_file, parsing, read_object
+from ..camera_numbers import model_of_matrix
 from ..confidence import DepthConfidence
-from ..intrinsics import model_of_matrix
 from ..recording import ConvertOptions, RecordedFrame, Recording, load_pair
 from .image_recording import size_of_colour
 

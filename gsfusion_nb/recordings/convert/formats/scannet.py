@@ -25,7 +25,7 @@ from ....data.recorded.poses import image_number
 from ....errors import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import inflate, open_regular, read_exactly
 from ....geometry import se3
-from ..intrinsics import model_of_matrix
+from ..camera_numbers import model_of_matrix
 from ..recording import (
     ConvertOptions,
     RecordedFrame,
