@@ -115,15 +115,15 @@ class AfterSteps:
             rows: The rows of the map that were rendered.
         """
         self.n_steps += self.is_used
-        seen = step.footprints
-        if seen is None:
+        in_view = step.footprints
+        if in_view is None:
             return step
         if isinstance(rows, Tensor):
             v_uv, v_uv_abs = (
                 _of_all_rows(values, rows, len(model)) for values in (step.v_uv, step.v_uv_abs)
             )
-            step = StepStatistics(footprints=seen, v_uv=v_uv, v_uv_abs=v_uv_abs)
-        add_up(model, seen.visible, step.v_uv, camera, step.v_uv_abs)
+            step = StepStatistics(footprints=in_view, v_uv=v_uv, v_uv_abs=v_uv_abs)
+        add_up(model, in_view.visible, step.v_uv, camera, step.v_uv_abs)
         return step
 
     def edit(

@@ -1,17 +1,56 @@
-"""The states of RTG-SLAM's Gaussians over a run: the number and share of each, and why none has
-become stable."""
+"""The states of RTG-SLAM's Gaussians: how they change after a frame, the number and share of each
+over a run, and why none has become stable."""
 
 from collections.abc import Sequence
 from statistics import fmean
 from typing import Any
 
+import torch
+
+from ..backends import runs_learners_code
 from ..config import RtgSlamConfig
-from ..gaussians.surfels import state_counts
+from ..gaussians import Transitions
+from ..gaussians.surfels import change_states, count_errors, count_views, state_counts
+from ..types import Frame
 from .map_reports import MapReports
-from .step_report import StepReport
+from .step_report import StepReport, psnr_db
 
 STATES = ("stable_opaque", "stable_transparent", "unstable_opaque", "unstable_transparent")
 """Counts of a step that add up to its Gaussians, as in ``state_counts``."""
+
+
+def manage_states(mapper: Any, frame: Frame) -> tuple[float, Transitions]:
+    """Count errors of stable Gaussians, change states and remove outliers (section 3.2, "State
+    management"). Returns the PSNR of the view before.
+
+    Args:
+        mapper: The ``RTGSLAM``.
+        frame: The frame that was mapped.
+    """
+    model = mapper.gaussians
+    config = mapper.config
+    part = mapper.parts.boxes.rows(model.params, frame.camera, frame.T_WC)
+    view = mapper.surface(frame.camera, frame.T_WC, frame.depth_m)
+    if not runs_learners_code():
+        mapper.transaction.keep()  # from here on the counts of any row change
+    count_views(model, frame.camera, frame.T_WC, part)
+    has_depth = frame.depth_m > 0
+    colour_error = (view.rgb - frame.rgb).abs().mean(dim=-1) * has_depth
+    depth_error_m = torch.where(
+        has_depth & (view.depth_m > 0),
+        frame.depth_m - view.depth_m,
+        0.0,
+    )
+    count_errors(
+        model,
+        colour_error,
+        view.dominant_index,
+        depth_error_m,
+        view.hit_index,
+        config.states,
+    )
+    transitions = change_states(model, config.states, config.window.confidence_per_step)
+    return psnr_db(view.rgb, frame.rgb), transitions
 
 
 def n_stable(step: StepReport) -> int:
@@ -31,17 +70,17 @@ def state_shares(steps: Sequence[StepReport]) -> dict[str, float]:
         "share_unstable_transparent" among them, "share_transparent" and "share_stable_last", each
         0..1 of all Gaussians; empty without a Gaussian.
     """
-    filled = [step for step in steps if step.n_gaussians]
-    if not filled:
+    steps = [step for step in steps if step.n_gaussians]
+    if not steps:
         return {}
-    mean = {name: fmean(step.counts[name] / step.n_gaussians for step in filled) for name in STATES}
+    mean = {name: fmean(step.counts[name] / step.n_gaussians for step in steps) for name in STATES}
     return {
         "share_stable": mean["stable_opaque"] + mean["stable_transparent"],
         "share_stable_transparent": mean["stable_transparent"],
         "share_unstable": mean["unstable_opaque"] + mean["unstable_transparent"],
         "share_unstable_transparent": mean["unstable_transparent"],
         "share_transparent": mean["stable_transparent"] + mean["unstable_transparent"],
-        "share_stable_last": n_stable(filled[-1]) / filled[-1].n_gaussians,
+        "share_stable_last": n_stable(steps[-1]) / steps[-1].n_gaussians,
     }
 
 

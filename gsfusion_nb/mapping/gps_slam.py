@@ -20,18 +20,13 @@ from ..types import Camera, Frame, RenderOutput
 from .description import SystemDescription
 from .gps_files import GpsFiles
 from .gps_surface import OverSurface
-from .gps_views import SurfaceKeyframe, ViewRound, look_at
+from .gps_views import PassViews, SurfaceKeyframe, ViewRound, look_at
 from .step_report import StepReport, as_floats
-from .transaction import Undo
 from .tsdf_mapping import TsdfMapping
 from .view_steps import step_on_view
 
 LEAST_OPACITY = 0.005
 """Gaussians with a smaller opacity are removed (released code)."""
-
-SURFACES_BYTES = 256 << 20
-"""Memory for the surfaces that the passes after the scan have seen; the others are looked at anew
-in each pass."""
 
 
 class GPSSLAM(TsdfMapping):
@@ -60,16 +55,9 @@ class GPSSLAM(TsdfMapping):
     def __init__(self, *args: Any, **options: Any):
         super().__init__(*args, **options)
         self.views = ViewRound(self.config.schedule)
-        self.transaction.protect(self._undo_of_views)
-        self._surfaces: dict[int, SurfaceKeyframe] = {}
-        followed = gps_slam_fidelity(self.config).partition(",")[0]
-        if followed != "measured":
-            losses = " and its structural and depth losses" if followed == "rrg" else ""
-            self.notes.append(
-                f'GPS-SLAM with the fidelity "{followed}" still differs in what is not a setting, '
-                "such as the order of "
-                f"a frame, the stored colours, the cut of alpha{losses} (docs/gps_slam.md)"
-            )
+        self.transaction.protect(self.views.undo_log)
+        self._pass_views = PassViews()
+        self.notes += notes_on_fidelity(self.config)
 
     def map_frame(self, frame: Frame) -> StepReport:
         """Propose seeds where the surface's picture is wrong, append, optimise views of the round,
@@ -79,35 +67,30 @@ class GPSSLAM(TsdfMapping):
         see of the surface is without it. The first frame is therefore only fused, unless the rule
         needs no surface.
         """
-        schedule = self.config.schedule
         is_keyframe = self.is_next_keyframe(frame)
-        seeds_now = self.rule_is_due(is_keyframe)
-        in_window = self.n_frames % schedule.window_every == 0
+        asks_rule = self.rule_is_due(is_keyframe)
+        in_window = self.n_frames % self.config.schedule.window_every == 0
         with self.clock("tsdf"):
             missing = self._make_room(frame)
         with self.clock("base"):
-            now = (
-                self._look(self._kept(frame))
-                if seeds_now or in_window or self.after_steps.edits
-                else None
-            )
+            has_loss = self.training.loss is not None
+            needs_surface = asks_rule or in_window or self.after_steps.edits
+            view = self._look(Keyframe.of(frame, with_depth=has_loss)) if needs_surface else None
         with self.clock("seeding"):
             preview = FusedView(self.volume, frame, missing)
-            context = self._context(frame, None if now is None else now.surface, volume=preview)
+            context = self._context(frame, view and view.surface, volume=preview)
             seeds = self.propose_seeds(context)
         with self.transaction.changes(undoable=self.views.steps_in(self.n_frames) > 0):
-            if seeds_now and schedule.spread:
-                self._prune()
-            if seeds_now and self.config.residual.restart_adam:
-                self._restart_adam()
+            if asks_rule:
+                self._begin_round()
             self.parts.append(seeds, frame.index)
             if is_keyframe:
                 self.keyframes.append(frame, with_depth=self.training.loss is not None)
             with self.clock("base"):
-                self._renew_views(now, in_window=in_window)
+                self._renew_views(view if in_window else None)
             with self.clock("optimise"):
                 steps = self._optimise(context)
-            if steps and not schedule.spread:
+            if steps and not self.config.schedule.spread:
                 self._prune()
         with self.clock("tsdf"):
             self.volume.allocate_missing(missing)
@@ -116,8 +99,8 @@ class GPSSLAM(TsdfMapping):
 
     def seed_context(self, frame: Frame) -> SeedContext:
         """What a seeding rule sees of this frame, after it was fused into the TSDF."""
-        surface = self._look(Keyframe.of(frame.to(self.device))).surface
-        return self._context(frame, surface, volume=self.volume)
+        view = self._look(Keyframe.of(frame.to(self.device)))
+        return self._context(frame, view.surface, volume=self.volume)
 
     def _context(self, frame: Frame, surface: SurfacePicture | None, **more: Any) -> SeedContext:
         system = None
@@ -131,13 +114,12 @@ class GPSSLAM(TsdfMapping):
         views = self.config.views
         if not len(self.keyframes):
             return True
-        due = views.every_frames and self.n_frames % views.every_frames == 0
-        if not due:
-            turned_deg, moved_m = se3.motion(
-                self.keyframes[len(self.keyframes) - 1].T_WC, frame.T_WC
-            )
-            due = turned_deg > views.rotation_deg or moved_m > views.translation_m
-        return bool(due) and not self._seen_before(frame)
+        is_due = views.every_frames > 0 and self.n_frames % views.every_frames == 0
+        if not is_due:
+            last = self.keyframes[len(self.keyframes) - 1]
+            angle_deg, distance_m = se3.motion(last.T_WC, frame.T_WC)
+            is_due = angle_deg > views.rotation_deg or distance_m > views.translation_m
+        return bool(is_due) and not self._seen_before(frame)
 
     def _seen_before(self, frame: Frame) -> bool:
         # as released, nobody asks
@@ -178,14 +160,6 @@ class GPSSLAM(TsdfMapping):
         super()._load(state)
         self.views.load_state_dict(state["views"], self.config.base, self.device)
 
-    def _undo_of_views(self) -> Undo:
-        views = self.views.snapshot()
-
-        def undo() -> None:
-            self.views = views.snapshot()
-
-        return undo
-
     def _follow(self, correction: Correction | None) -> None:
         """After a loop closure the views are at other poses, and the surface is another one."""
         super()._follow(correction)
@@ -193,19 +167,16 @@ class GPSSLAM(TsdfMapping):
             self.views.forget()
             self.files.forget_discs()
 
-    def _kept(self, frame: Frame) -> Keyframe:
-        return Keyframe.of(frame, with_depth=self.training.loss is not None)
-
     def _look(self, keyframe: Keyframe) -> SurfaceKeyframe:
         return look_at(self.volume, keyframe.to(self.device), self.config.base)
 
-    def _renew_views(self, now: SurfaceKeyframe | None, *, in_window: bool) -> None:
-        """Look again at the views whose turn it is; ``now``: this frame, which becomes one of them
-        if ``in_window``."""
-        self._surfaces = {}
+    def _renew_views(self, newest: SurfaceKeyframe | None) -> None:
+        """Look again at the views whose turn it is; ``newest``: this frame, if it becomes one of
+        them."""
+        self._pass_views = PassViews()
         views = self.views
-        if in_window and now is not None and bool((now.seen_depth_m > 0).any()):
-            views.add_frame(now)
+        if newest is not None and bool((newest.surface_depth_m > 0).any()):
+            views.add_frame(newest)
         if not self.config.schedule.spread and views.steps_in(self.n_frames):
             views.look_again(self._look)
         n = views.recalls_in(self.n_frames)
@@ -219,18 +190,21 @@ class GPSSLAM(TsdfMapping):
         limits = self.config.residual
         params = self.gaussians.params
         radius_m = params.log_scale.amax(dim=1).exp()
-        kept = (radius_m >= limits.min_radius_m) & (radius_m <= limits.max_radius_m)
-        kept &= params.opacity_logit.sigmoid() >= LEAST_OPACITY
-        if not bool(kept.all()):
+        is_useful = (radius_m >= limits.min_radius_m) & (radius_m <= limits.max_radius_m)
+        is_useful &= params.opacity_logit.sigmoid() >= LEAST_OPACITY
+        if not bool(is_useful.all()):
             self.gaussians.will_change()
-            self.gaussians.keep(kept)
+            self.gaussians.keep(is_useful)
 
-    def _restart_adam(self) -> None:
-        """Forget all moments and the number of steps, after rows have taken the steps that they
-        missed."""
-        self.take_missed_steps()
-        self.gaussians.will_change()
-        self.gaussians.restart_optimiser()
+    def _begin_round(self) -> None:
+        """Remove Gaussians and forget all moments and the number of steps, where the settings say
+        so."""
+        if self.config.schedule.spread:
+            self._prune()
+        if self.config.residual.restart_adam:
+            self.take_missed_steps()
+            self.gaussians.will_change()
+            self.gaussians.restart_optimiser()
 
     def _optimise(self, context: SeedContext) -> list[list[float]]:
         """The steps of this frame, each on one of the views. Returns loss and mean squared error
@@ -245,20 +219,10 @@ class GPSSLAM(TsdfMapping):
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan; each pass ends as a burst does, with the
         removal of rows."""
-        view = self._surfaces.get(i)
-        if view is None:
-            view = look_at(
-                self.volume,
-                self.keyframes[i].to(self.device),
-                self.config.base,
-                full=True,
-            )
-            size = sum(
-                x.nbytes
-                for x in (*vars(view.surface.base).values(), view.seen_rgb, view.seen_depth_m)
-            )
-            if (len(self._surfaces) + 1) * size <= SURFACES_BYTES:
-                self._surfaces[i] = view
+        keyframe = self.keyframes[i].to(self.device)
+        view = self._pass_views.of(
+            i, lambda: look_at(self.volume, keyframe, self.config.base, full=True)
+        )
         step = self._optimise_view(view)
         if not self.passes.queue:
             self._prune()
@@ -280,17 +244,29 @@ class GPSSLAM(TsdfMapping):
             keyframe,
             part,
             view.render,
-            partial(self._loss, view=view),
+            partial(self._loss, view),
             writes_back=not later_views or self.after_steps.is_used,
         )
         self.after_steps.edit(self, statistics, keyframe, step)
         return step
 
-    def _loss(self, picture: OverBaseOutput, view: SurfaceKeyframe) -> tuple[ViewLoss, Tensor]:
+    def _loss(self, view: SurfaceKeyframe, picture: OverBaseOutput) -> tuple[ViewLoss, Tensor]:
         """L2 or L1 of the colours, or the given loss; and the MSE."""
         of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp
         pixels = of_pixels(picture.rgb, view.keyframe.rgb)
         if self.training.loss is None:
             return ViewLoss(value=pixels.value, v_rgb=pixels.v_rgb), pixels.mse
-        rendered = picture.as_render_output(view.surface.base)
-        return self.training.view_loss(rendered, view.keyframe, with_depth=False), pixels.mse
+        output = picture.as_render_output(view.surface.base)
+        return self.training.view_loss(output, view.keyframe, with_depth=False), pixels.mse
+
+
+def notes_on_fidelity(config: GpsSlamConfig) -> list[str]:
+    """A sentence on what settings cannot make as published, if they follow a publication."""
+    fidelity = gps_slam_fidelity(config).partition(",")[0]
+    if fidelity == "measured":
+        return []
+    losses = " and its structural and depth losses" if fidelity == "rrg" else ""
+    return [
+        f'GPS-SLAM with the fidelity "{fidelity}" still differs in what is not a setting, such as '
+        f"the order of a frame, the stored colours, the cut of alpha{losses} (docs/gps_slam.md)"
+    ]

@@ -82,9 +82,9 @@ def plain_gaussians(
         if discs is None
         else discs
     )
-    over = in_front(volume, params)
+    raised = in_front(volume, params)
     return GaussianParams(
-        **{name: torch.cat([rows, getattr(discs, name)]) for name, rows in vars(over).items()}
+        **{name: torch.cat([rows, getattr(discs, name)]) for name, rows in vars(raised).items()}
     )
 
 
@@ -111,8 +111,8 @@ def fit_to_pictures(
         turns = turns or torch.randperm(len(poses), generator=generator).tolist()
         T_WC = poses[turns.pop()].to(gaussians.xyz_W)
         target = draw(CAMERA, T_WC).rgb.clamp(0, 1)
-        output, saved = render_forward(model.params, CAMERA, T_WC)
-        adam_step(model, render_vjp(saved, l1_mse_vjp(output.rgb, target).v_rgb), _RATES)
+        output, record = render_forward(model.params, CAMERA, T_WC)
+        adam_step(model, render_vjp(record, l1_mse_vjp(output.rgb, target).v_rgb), _RATES)
     return model.params
 
 
@@ -151,12 +151,12 @@ def in_front(volume: TsdfVolume, params: GaussianParams) -> GaussianParams:
     front of it."""
     voxel_m = volume.config.voxel_size_m
     truncation_m = volume.config.truncation_m
-    D, known = volume.interpolate(params.xyz_W)
-    at, f = volume.cell_corners(params.xyz_W[known])
+    D, is_known = volume.interpolate(params.xyz_W)
+    at, f = volume.cell_corners(params.xyz_W[is_known])
     gradient = (volume.D.view(-1)[at][..., None] * corner_gradients(f)).sum(1)
-    lacking_m = (IN_FRONT_VOXELS * voxel_m - D[known] * truncation_m).clamp(min=0)
+    lacking_m = (IN_FRONT_VOXELS * voxel_m - D[is_known] * truncation_m).clamp(min=0)
     xyz = params.xyz_W.clone()
-    xyz[known] += lacking_m[:, None] * torch.nn.functional.normalize(gradient, dim=1)
+    xyz[is_known] += lacking_m[:, None] * torch.nn.functional.normalize(gradient, dim=1)
     o = params.opacity_logit.sigmoid()
     wide = params.log_scale + math.log(WIDER)
     return dataclasses.replace(
@@ -207,7 +207,7 @@ class StoredLooks:
 
     def __init__(self) -> None:
         self._state: tuple[TsdfVolume | None, int] = (None, 0)
-        self._seen: dict[tuple[Camera, bytes], tuple[Tensor, Tensor]] = {}
+        self._pictures: dict[tuple[Camera, bytes], tuple[Tensor, Tensor]] = {}
         self.n_bytes = 0
         """Of what is kept."""
 
@@ -221,25 +221,26 @@ class StoredLooks:
         if self._state[0] is not volume or self._state[1] != n_frames:
             self.forget()
             self._state = volume, n_frames
-        stored = functools.cache(lambda: as_stored(volume))
-        seen = self._seen
+        volume_in_file = functools.cache(lambda: as_stored(volume))
+        pictures = self._pictures
 
         def look(camera: Camera, T_WC: Float[Tensor, "4 4"]) -> tuple[Tensor, Tensor]:
             place = camera, T_WC.detach().cpu().contiguous().numpy().tobytes()
-            if place in seen:
-                return seen[place]
-            found = raycast(stored(), camera, T_WC.to(volume.device))
-            if self.n_bytes + found.rgb.nbytes + found.depth_m.nbytes <= KEPT_LOOKS_BYTES:
-                seen[place] = found.rgb, found.depth_m
-                self.n_bytes += found.rgb.nbytes + found.depth_m.nbytes
-            return found.rgb, found.depth_m
+            if place in pictures:
+                return pictures[place]
+            surface = raycast(volume_in_file(), camera, T_WC.to(volume.device))
+            n_bytes = surface.rgb.nbytes + surface.depth_m.nbytes
+            if self.n_bytes + n_bytes <= KEPT_LOOKS_BYTES:
+                pictures[place] = surface.rgb, surface.depth_m
+                self.n_bytes += n_bytes
+            return surface.rgb, surface.depth_m
 
         return look
 
     def forget(self) -> None:
         """Keep nothing."""
         self._state = (None, 0)
-        self._seen = {}
+        self._pictures = {}
         self.n_bytes = 0
 
 
@@ -256,9 +257,9 @@ class OverSurface:
     def surface_picture(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfacePicture:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
         if self.look is None:
-            seen = raycast(self.volume, camera, T_WC.to(self.volume.device))
-            rgb = seen.rgb
-            depth_m = seen.depth_m
+            surface = raycast(self.volume, camera, T_WC.to(self.volume.device))
+            rgb = surface.rgb
+            depth_m = surface.depth_m
         else:
             rgb, depth_m = self.look(camera, T_WC)
         return surface_picture(
@@ -274,10 +275,10 @@ class OverSurface:
         the surface's."""
         surface = self.surface_picture(camera, T_WC)
         device = self.volume.device
-        out, _ = render_over_base(
+        output, _ = render_over_base(
             self.params, camera, T_WC.to(device), surface.base, behind_m=surface.behind_m
         )
-        return out.as_render_output(surface.base)
+        return output.as_render_output(surface.base)
 
     @staticmethod
     def of_folder(folder: Path, params: GaussianParams, config: Any) -> "OverSurface":

@@ -19,6 +19,7 @@ from ..render import (
 )
 from ..tsdf import TsdfVolume, raycast
 from ..types import Camera, GaussianParams
+from .transaction import Undo
 
 WINDOW = 2
 """How many of the last frames are among the views."""
@@ -26,6 +27,10 @@ WINDOW = 2
 WINDOW_TURNS = 2 / 7
 """Turns of the latest frames for each turn of a keyframe, as with the 2 frames and 7 keyframes of
 the release."""
+
+PASS_VIEWS_BYTES = 256 << 20
+"""Memory for the surfaces that the passes after the scan have seen; the others are looked at anew
+in each pass."""
 
 LOOK_STEPS = 1.5
 SEEDING_STEPS = 2.0
@@ -37,9 +42,9 @@ class SurfaceKeyframe:
     """A view to optimise, and what its camera saw of the surface when it was last looked at."""
 
     keyframe: Keyframe
-    seen_rgb: Float[Tensor, "h w 3"]
+    surface_rgb: Float[Tensor, "h w 3"]
     """Raycast colours, from which ``surface`` was made."""
-    seen_depth_m: Float[Tensor, "h w"]
+    surface_depth_m: Float[Tensor, "h w"]
     surface: SurfacePicture
 
     @staticmethod
@@ -48,11 +53,12 @@ class SurfaceKeyframe:
     ) -> "SurfaceKeyframe":
         """A view whose camera sees these colours and depths of the surface."""
         camera = keyframe.camera
-        surface = surface_picture(
-            rgb, depth_m, (camera.height, camera.width), config.holes, config.behind_m
-        )
+        size = (camera.height, camera.width)
         return SurfaceKeyframe(
-            keyframe=keyframe, seen_rgb=rgb, seen_depth_m=depth_m, surface=surface
+            keyframe=keyframe,
+            surface_rgb=rgb,
+            surface_depth_m=depth_m,
+            surface=surface_picture(rgb, depth_m, size, config.holes, config.behind_m),
         )
 
     def render(self, params: GaussianParams) -> tuple[OverBaseOutput, PictureVjp]:
@@ -67,9 +73,15 @@ class SurfaceKeyframe:
         """Plain values."""
         return {
             "keyframe": self.keyframe.state_dict(),
-            "seen_rgb": self.seen_rgb,
-            "seen_depth_m": self.seen_depth_m,
+            "seen_rgb": self.surface_rgb,
+            "seen_depth_m": self.surface_depth_m,
         }
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory of what was seen."""
+        images = (*vars(self.surface.base).values(), self.surface_rgb, self.surface_depth_m)
+        return sum(image.nbytes for image in images)
 
 
 def look_at(
@@ -84,8 +96,8 @@ def look_at(
         full: Cast a ray for every pixel, whatever ``config.resolution`` says.
     """
     camera = keyframe.camera if full else small(keyframe.camera, config)
-    seen = raycast(volume, camera, keyframe.T_WC)
-    return SurfaceKeyframe.of(keyframe, seen.rgb, seen.depth_m, config)
+    surface = raycast(volume, camera, keyframe.T_WC)
+    return SurfaceKeyframe.of(keyframe, surface.rgb, surface.depth_m, config)
 
 
 def small(camera: Camera, config: BaseConfig) -> Camera:
@@ -114,13 +126,13 @@ class ViewRound:
         self.config = config
         self.window: list[SurfaceKeyframe] = []
         """The latest frames, oldest first."""
-        self.recalled: list[SurfaceKeyframe] = []
+        self.recalls: list[SurfaceKeyframe] = []
         """Random keyframes, in the order in which they were looked at."""
         self._turns: list[int] = []
         self._steps = _even_steps(config)
 
     def __len__(self) -> int:
-        return len(self.window) + len(self.recalled)
+        return len(self.window) + len(self.recalls)
 
     def add_frame(self, view: SurfaceKeyframe) -> None:
         """The newest frame takes the place of the oldest."""
@@ -141,14 +153,14 @@ class ViewRound:
         may be missing.
         """
         new = [keyframes[len(keyframes) - 2]] if n_new and len(keyframes) > 1 else []
-        looked_at = max((view.keyframe.index for view in self.recalled), default=-1)
+        looked_at = max((view.keyframe.index for view in self.recalls), default=-1)
         new = [keyframe for keyframe in new if keyframe.index > looked_at][: self.config.keyframes]
         for keyframe in [
             *new,
             *keyframes.draw(min(n, self.config.keyframes) - len(new), generator),
         ]:
-            others = [view for view in self.recalled if view.keyframe.index != keyframe.index]
-            self.recalled = [*others, look(keyframe)][-self.config.keyframes :]
+            others = [view for view in self.recalls if view.keyframe.index != keyframe.index]
+            self.recalls = [*others, look(keyframe)][-self.config.keyframes :]
 
     def look_again(self, look: Callable[[Keyframe], SurfaceKeyframe]) -> None:
         """Look at the frames of the window again."""
@@ -192,7 +204,7 @@ class ViewRound:
             kind = self.window
             position = turn % WINDOW
             if turn >= self._turns_of_window:
-                kind = self.recalled
+                kind = self.recalls
                 position = turn - self._turns_of_window
             if position < len(kind):
                 return kind[position]
@@ -200,26 +212,33 @@ class ViewRound:
     def forget(self) -> None:
         """Leave out all views, because their poses have changed."""
         self.window = []
-        self.recalled = []
+        self.recalls = []
 
-    def snapshot(self) -> "ViewRound":
-        """The same views and turns."""
-        copy = ViewRound(self.config)
-        copy.window = self.window
-        copy.recalled = self.recalled
-        copy._turns = list(self._turns)
-        return copy
+    def undo_log(self) -> Undo:
+        """A function that brings back the views and turns of now."""
+        window = self.window
+        recalls = self.recalls
+        turns = list(self._turns)
+
+        def undo() -> None:
+            self.window = window
+            self.recalls = recalls
+            self._turns = list(turns)
+
+        return undo
 
     def constant_tensors(self) -> list[Tensor]:
         """Those in ``state_dict``: none of them changes."""
-        views = [*self.window, *self.recalled]
+        views = [*self.window, *self.recalls]
         return [
-            x for view in views for x in (view.keyframe.rgb_u8, view.seen_rgb, view.seen_depth_m)
+            x
+            for view in views
+            for x in (view.keyframe.rgb_u8, view.surface_rgb, view.surface_depth_m)
         ]
 
     def state_dict(self) -> dict[str, Any]:
         """Views and turns."""
-        views = {"window": self.window, "recalled": self.recalled}
+        views = {"window": self.window, "recalled": self.recalls}
         return {name: [v.state_dict() for v in kind] for name, kind in views.items()} | {
             "turns": list(self._turns)
         }
@@ -228,17 +247,37 @@ class ViewRound:
         self, state: dict[str, Any], base: BaseConfig, device: torch.device
     ) -> None:
         """Restore what ``state_dict`` saved."""
-        for name in ("window", "recalled"):
-            saved = state[name]
-            keyframes = KeyframeList.from_state_dict([view["keyframe"] for view in saved], device)
-            views = [
-                SurfaceKeyframe.of(
-                    keyframe, view["seen_rgb"].to(device), view["seen_depth_m"].to(device), base
-                )
-                for keyframe, view in zip(keyframes, saved, strict=True)
-            ]
-            setattr(self, name, views)
+        self.window = _views_of_state(state["window"], base, device)
+        self.recalls = _views_of_state(state["recalled"], base, device)
         self._turns = list(state["turns"])
+
+
+def _views_of_state(
+    states: list[dict[str, Any]], base: BaseConfig, device: torch.device
+) -> list[SurfaceKeyframe]:
+    keyframes = KeyframeList.from_state_dict([state["keyframe"] for state in states], device)
+    return [
+        SurfaceKeyframe.of(
+            keyframe, state["seen_rgb"].to(device), state["seen_depth_m"].to(device), base
+        )
+        for keyframe, state in zip(keyframes, states, strict=True)
+    ]
+
+
+class PassViews:
+    """The views of the passes after the scan, of which the first are kept."""
+
+    def __init__(self) -> None:
+        self._views: dict[int, SurfaceKeyframe] = {}
+
+    def of(self, i: int, look: Callable[[], SurfaceKeyframe]) -> SurfaceKeyframe:
+        """The view of the i-th keyframe; ``look`` makes it."""
+        if i in self._views:
+            return self._views[i]
+        view = look()
+        if (len(self._views) + 1) * view.n_bytes <= PASS_VIEWS_BYTES:
+            self._views[i] = view
+        return view
 
 
 def _share(in_round: int, position: int, every: int) -> int:

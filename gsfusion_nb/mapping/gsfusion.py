@@ -124,10 +124,12 @@ class GSFusion(TsdfMapping):
         gap = self.config.keyframe_max_gap
         if every:
             return self.n_frames % every == 0
-        mapped = self.localiser.frame_indices
-        last = self.keyframes[-1].index if len(self.keyframes) else None
-        overdue = gap and last is not None and len(mapped) - bisect.bisect_left(mapped, last) >= gap
-        return True if overdue and not self._seen_before(frame) else None
+        indices = self.localiser.frame_indices
+        is_overdue = False
+        if gap and len(self.keyframes):
+            n_since = len(indices) - bisect.bisect_left(indices, self.keyframes[-1].index)
+            is_overdue = n_since >= gap
+        return True if is_overdue and not self._seen_before(frame) else None
 
     @property
     def row_optim(self) -> OptimConfig:
@@ -140,19 +142,19 @@ class GSFusion(TsdfMapping):
         return self.config.optim.global_iterations
 
     def _plan(self, frame: Frame, n_seeds: int) -> tuple[bool, int, int]:
-        """``plan_frame`` by the settings; where it is known whether the frame is a keyframe, its
-        seeds do not count."""
+        """``plan_frame`` by the settings; where its seeds do not decide whether the frame is a
+        keyframe, ``plan_of_kind``."""
         optim = self.config.optim
-        least = self.config.keyframe_min_seeds
-        known = self.is_next_keyframe(frame)
-        return plan_frame(
-            n_seeds if known is None else known * (least + 1),
+        numbers = (
             len(self.keyframes) + self.config.keep_all_frames,
             optim.keyframe_iterations,
             optim.frame_iterations,
             optim.random_keyframe_iterations,
-            least,
         )
+        is_keyframe = self.is_next_keyframe(frame)
+        if is_keyframe is None:
+            return plan_frame(n_seeds, *numbers, self.config.keyframe_min_seeds)
+        return plan_of_kind(is_keyframe, *numbers)
 
     @property
     def _keeps_depth(self) -> bool:
@@ -269,6 +271,13 @@ def plan_frame(
         revisits: Largest number of revisits, after a frame that is not a keyframe.
         min_seeds: A keyframe has more new Gaussians than this.
     """
-    if n_seeds > min_seeds:
+    return plan_of_kind(n_seeds > min_seeds, n_keyframes, keyframe_steps, frame_steps, revisits)
+
+
+def plan_of_kind(
+    is_keyframe: bool, n_keyframes: int, keyframe_steps: int, frame_steps: int, revisits: int
+) -> tuple[bool, int, int]:
+    """``plan_frame`` of a frame of which it is decided whether it is a keyframe."""
+    if is_keyframe:
         return True, keyframe_steps, 0
     return False, frame_steps, min(revisits, n_keyframes)

@@ -326,12 +326,12 @@ class Mapper(ABC):
         """
         return self._after_scan.steps(self.n_passes if passes is None else passes)
 
-    def rows_changed(self, before: Int[Tensor, " N"]) -> None:  # noqa: B027
+    def rows_changed(self, old_rows: Int[Tensor, " N"]) -> None:  # noqa: B027
         """Called after a rule's edit of the map; a subclass that holds copies of rows brings them
         up to date.
 
         Args:
-            before: For each row of the map its number before the edit, -1 for new rows. [N]
+            old_rows: For each row of the map its number before the edit, -1 for new rows. [N]
         """
 
     @in_usual_torch

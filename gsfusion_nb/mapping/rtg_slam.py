@@ -4,35 +4,29 @@ paper's order."""
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from ..backends import runs_learners_code
 from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelities, rtg_slam_fidelity
-from ..gaussians import STABLE, SurfelModel, Transitions, fuse_with_history
-from ..gaussians.surfels import change_states, count_errors, count_views, state_counts
+from ..gaussians import SurfelModel
+from ..gaussians.surfels import state_counts
 from ..geometry import se3
 from ..large_maps import drawn_in_part
-from ..optim import Keyframe, TrainingView, ViewStep
-from ..render import (
-    SurfaceView,
-    rows_in_view,
-    view_surface,
-)
+from ..render import SurfaceView, view_surface
 from ..seeding import DiscInputs, SeedContext, disc_view
 from ..tracking import Correction
-from ..types import ALL_ROWS, Camera, Frame, GaussianParams, MapRows, Mesh
-from .after_steps import StepStatistics
+from ..types import ALL_ROWS, Camera, Frame, GaussianParams, MapRows, Mesh, Seeds
 from .description import CURVES, SystemDescription
 from .disc_files import DiscFiles, disc_mesh
-from .disc_states import STATES, DiscReports, n_stable
+from .disc_optimisation import optimise_keyframes, optimise_window
+from .disc_passes import DiscPasses
+from .disc_states import STATES, DiscReports, manage_states, n_stable
 from .mapper import Mapper
-from .step_report import StepReport, psnr_from_mse
-from .surfel_optimiser import SurfelOptimiser
+from .step_report import StepReport, psnr_db
 from .transaction import Undo
 
 KEYFRAME_DEG = 30.0
@@ -40,20 +34,16 @@ KEYFRAME_M = 0.3
 """A frame becomes a keyframe when the camera has turned, or its centre has moved, by this since the
 last one."""
 
-WORST_SHARE = 0.4
-"""Share of a keyframe's pixels that have a loss in the optimisation over keyframes, those with the
-largest colour errors."""
 
-KEYFRAMES_LR_FACTOR = 0.1
-"""Learning rates of the optimisation over keyframes as a multiple of the window's; centres do not
-move."""
+@dataclass(frozen=True)
+class FramePlan:
+    """What is done with a frame."""
 
-MASKED_BELOW = 0.8
-"""If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves
-no time."""
-
-LastStep = tuple[int, ViewStep, StepStatistics]
-"""Number of its view, the step, and what was collected of it."""
+    is_keyframe: bool
+    window_is_due: bool
+    """Whether the unstable Gaussians are optimised against the last frames."""
+    keyframes_are_due: bool
+    """Whether the keyframes are optimised over."""
 
 
 class RTGSLAM(Mapper):
@@ -86,9 +76,10 @@ class RTGSLAM(Mapper):
         super().__init__(*args, **options)
         self.camera: Camera | None = None
         self.window: deque[Frame] = deque(maxlen=self.config.window.frames)
-        self._final: SurfelOptimiser | None = None
-        """The optimiser of the passes after the scan."""
-        self.transaction.protect(self._undo_of_window, self._end_log)
+        self.disc_passes = DiscPasses(self)
+        """The optimisation of all discs after the scan."""
+        self.transaction.protect(self._undo_of_window)
+        self.transaction.protect(self.disc_passes.snapshot, self.disc_passes.end_log)
 
     def __repr__(self) -> str:
         counts = ", ".join(
@@ -101,31 +92,29 @@ class RTGSLAM(Mapper):
         2, section 3.2)."""
         with self.clock("seeding"):
             context = self.seed_context(frame)
-            before = _psnr_db(disc_view(context).rgb, frame) if len(self.gaussians) else math.nan
+            is_empty = not len(self.gaussians)
+            psnr_before_db = math.nan if is_empty else psnr_db(disc_view(context).rgb, frame.rgb)
             seeds = self.propose_seeds(context)  # RTG-SLAM Eq. 6
-        is_keyframe = self.is_next_keyframe(frame)
-        window_is_due = self._window_is_due(is_keyframe)
-        keyframes_are_due = is_keyframe and self.n_frames > 0
-        with self.transaction.changes(undoable=window_is_due or keyframes_are_due):
-            self.parts.append(seeds, frame.index)
-            self._begin(context, is_keyframe, window_is_due, keyframes_are_due)
+        plan = self._plan(frame)
+        with self.transaction.changes(undoable=plan.window_is_due or plan.keyframes_are_due):
+            self._append(seeds, context, plan)
             with self.clock("optimise"):
-                losses = self._optimise_window() if window_is_due else []  # RTG-SLAM Eq. 7-9
+                losses = optimise_window(self) if plan.window_is_due else []  # RTG-SLAM Eq. 7-9
             with self.clock("keyframes"):
-                n_steps = self._optimise_keyframes() if keyframes_are_due else 0
+                n_steps = optimise_keyframes(self) if plan.keyframes_are_due else 0
             self.guard.may_stop()
             self.remove_lost()
             with self.clock("states"):
-                after, transitions = self._manage_states(frame)
+                psnr_after_db, transitions = manage_states(self, frame)
             self.gaussians.clock.advance(self.n_frames + 1)
         return self.reports.of_frame(
             frame,
             seeds,
-            is_keyframe,
+            plan.is_keyframe,
             losses=tuple(losses),
             n_steps=len(losses) + n_steps,
-            psnr_before_db=before,
-            psnr_after_db=after,
+            psnr_before_db=psnr_before_db,
+            psnr_after_db=psnr_after_db,
             counts=state_counts(self.gaussians) | vars(transitions),
         )
 
@@ -142,263 +131,66 @@ class RTGSLAM(Mapper):
         if not len(self.keyframes):
             return True
         last = self.keyframes[len(self.keyframes) - 1].T_WC.to(frame.T_WC)
-        turned = torch.rad2deg(se3.rotation_angle(last[:3, :3].T @ frame.T_WC[:3, :3]))
-        moved = (last[:3, 3] - frame.T_WC[:3, 3]).norm()
-        return float(turned) >= KEYFRAME_DEG or float(moved) >= KEYFRAME_M
+        angle_deg = torch.rad2deg(se3.rotation_angle(last[:3, :3].T @ frame.T_WC[:3, :3]))
+        distance_m = (last[:3, 3] - frame.T_WC[:3, 3]).norm()
+        return float(angle_deg) >= KEYFRAME_DEG or float(distance_m) >= KEYFRAME_M
 
-    def _window_is_due(self, is_keyframe: bool) -> bool:
-        replaced = (
+    def _plan(self, frame: Frame) -> FramePlan:
+        """Whether the frame is a keyframe, and what is optimised after it."""
+        is_keyframe = self.is_next_keyframe(frame)
+        is_first = not self.n_frames
+        has_turn = (self.n_frames + 1) % self.config.window.every_frames == 0
+        gives_way = (
             is_keyframe
             and self.config.keyframes.instead_of_window
             and bool(self.gaussians.is_stable.any())
         )
-        return not self.n_frames or (
-            (self.n_frames + 1) % self.config.window.every_frames == 0 and not replaced
+        return FramePlan(
+            is_keyframe=is_keyframe,
+            window_is_due=is_first or (has_turn and not gives_way),
+            keyframes_are_due=is_keyframe and not is_first,
         )
 
-    def _begin(
-        self, context: SeedContext, is_keyframe: bool, window: bool, keyframes: bool
-    ) -> None:
-        """Take the frame of ``context`` into the window, and keep it if it is a keyframe. What will
-        be optimised is told to ``after_steps``."""
-        self._final = None  # its rows are no longer the map's
-        self.window.append(context.frame)
-        if is_keyframe:
-            self.keyframes.append(context.frame, with_depth=True)
-        n_steps = (
-            window * self.config.window.iterations + keyframes * self.config.keyframes.iterations
-        )
+    def _append(self, seeds: Seeds, context: SeedContext, plan: FramePlan) -> None:
+        """Add the new Gaussians and the frame to the map; what will be optimised is told to
+        ``after_steps``."""
+        frame = context.frame
+        self.parts.append(seeds, frame.index)
+        self.disc_passes.forget()
+        self.window.append(frame)
+        if plan.is_keyframe:
+            self.keyframes.append(frame, with_depth=True)
+        n_steps = 0
+        if plan.window_is_due:
+            n_steps += self.config.window.iterations
+        if plan.keyframes_are_due:
+            n_steps += self.config.keyframes.iterations
         self.after_steps.frame_begins(context, n_steps)
 
-    def _optimise_window(self) -> list[float]:
-        """Optimise the unstable Gaussians against the last frames, then fuse them with the old
-        values (Eq. 7-9)."""
-        config = self.config.window
-        model = self.gaussians
-        trained = ~model.is_stable if config.only_unstable else torch.ones_like(model.is_stable)
-        seen = self._seen(self.window)
-        if not (trained & seen).any():
-            return []
-        given = {"all_in_view": self.config.all_in_view, "training": self.training}
-        optimiser = SurfelOptimiser(
-            model, trained, config, self.config.discs, is_in_view=seen, **given
-        )
-        before = GaussianParams(
-            **{name: value.clone() for name, value in vars(optimiser.trained_params).items()}
-        )
-        masked = config.only_unstable and optimiser.n < MASKED_BELOW * int(seen.sum())
-        touched = [
-            optimiser.covered_pixels(f.camera, f.T_WC) if masked else None for f in self.window
-        ]
-        views = [
-            TrainingView.of(frame, pixels)
-            for frame, pixels in zip(self.window, touched, strict=True)
-        ]
-        newest_from = config.iterations / 2 if config.draw == "newest_half" else math.inf
-        losses, last = self._take_steps(optimiser, views, config.iterations, newest_from)
-        was = model.confidence[optimiser.rows]
-        most = config.history_max_weight
-        now = was + optimiser.colour_steps
-        fused = fuse_with_history(
-            before, optimiser.trained_params, was, now, history_max_weight=most
-        )  # RTG-SLAM Eq. 9
-        optimiser.write_back(fused)
-        model.confidence[optimiser.rows] = now
-        self._edit(self.window, last)
-        return torch.stack(losses).tolist() if losses else []
-
-    def _optimise_keyframes(self) -> int:
-        """Optimise over the latest and some random keyframes, on the pixels with the largest colour
-        errors.
-
-        Returns the number of gradient steps.
-        """
-        config = self.config.keyframes
-        model = self.gaussians
-        n = len(self.keyframes)
-        latest = list(range(max(0, n - config.latest), n))
-        earlier = torch.randperm(n - len(latest), generator=self.random.keyframes)[
-            : config.random
-        ].tolist()
-        chosen = [self.keyframes[i].to(self.device) for i in earlier + latest]
-        rows = model.is_stable if config.rows == "stable" else torch.ones_like(model.is_stable)
-        seen = self._seen(chosen)
-        if not (rows & seen).any():
-            return 0
-        optimiser = SurfelOptimiser(
-            model,
-            rows,
-            self.config.window,
-            self.config.discs,
-            is_drawn=rows,
-            is_in_view=seen,
-            lr_factor=KEYFRAMES_LR_FACTOR,
-            move_centres=False,
-            all_in_view=self.config.all_in_view,
-            training=self.training,
-        )
-        views = [TrainingView.of(keyframe, self._worst_pixels(keyframe)) for keyframe in chosen]
-        _, last = self._take_steps(optimiser, views, config.iterations)
-        optimiser.write_back()
-        self._edit(chosen, last)
-        return config.iterations
-
-    def _take_steps(
-        self,
-        optimiser: SurfelOptimiser,
-        views: list[TrainingView],
-        n: int,
-        newest_from: float = math.inf,
-    ) -> tuple[list[Tensor], LastStep | None]:
-        """``n`` gradient steps on views drawn at random, from step ``newest_from`` on only on the
-        newest.
-
-        Returns the losses before them; and the number of the view, the loss and what was collected
-        of the last step.
-        """
-        losses = []
-        last = None
-        for step in range(n):
-            self.guard.may_stop()
-            i = len(views) - 1 if step >= newest_from else self._draw(len(views))
-            view_step, watched = self._step_on(views[i], optimiser)
-            losses.append(view_step.loss)
-            last = i, view_step, watched
-        optimiser.take_missed_steps()
-        self.lost.stepped(optimiser.trained_params)
-        return losses, last
-
-    def _step_on(
-        self, view: TrainingView, optimiser: SurfelOptimiser
-    ) -> tuple[ViewStep, StepStatistics]:
-        """One step, on copies of rows, and what was collected of it."""
-        rows = optimiser.drawn_rows
-        watched = self.after_steps.watch(self.gaussians, view, len(rows))
-        step = optimiser.step(view, watched.outputs)
-        return step, self.after_steps.add_up(self.gaussians, watched, view.camera, rows)
-
-    def _edit(self, sources: Sequence[Frame | Keyframe], last: LastStep | None) -> None:
-        """Let the rule edit the map after its rows were written back."""
-        if last is not None:
-            i, step, watched = last
-            self.after_steps.edit(self, watched, sources[i], step)
-
-    def _seen(self, views: Iterable[Frame | Keyframe]) -> Bool[Tensor, " N"]:
-        """Rows that any of the views may show."""
-        params = self.gaussians.params
-        seen = torch.zeros_like(self.gaussians.is_stable)
-        for view in views:
-            depth_m = None if self.config.all_in_view else view.depth_m
-            rows = self.parts.boxes.rows(params, view.camera, view.T_WC, depth_m)
-            seen[rows] |= rows_in_view(params[rows], view.camera, view.T_WC)
-        return seen
-
-    def _worst_pixels(self, keyframe: Keyframe) -> Bool[Tensor, "H W"]:
-        """The pixels with the largest colour errors, a fixed share of the image."""
-        view = self.surface(keyframe.camera, keyframe.T_WC, keyframe.farthest_m)
-        error = (view.rgb - keyframe.rgb).abs().mean(dim=-1)
-        return error >= error.flatten().quantile(1 - WORST_SHARE)
-
     def _global_step(self, i: int) -> Float[Tensor, ""]:
-        """One step on the i-th keyframe, on all pixels and all Gaussians, which all become stable
-        at the first step."""
-        if self._final is None:
-            self.gaussians.will_change()
-            self.gaussians.state.fill_(STABLE)
-            self._final = self._final_optimiser()
-        keyframe = self.keyframes[i].to(self.device)
-        step, watched = self._step_on(TrainingView.of(keyframe), self._final)
-        self._final.write_back()
-        self.lost.stepped(self._final.trained_params)
-        self._edit([keyframe], (0, step, watched))
-        return step.loss
+        """One step on the i-th keyframe, on all pixels and all Gaussians."""
+        return self.disc_passes.step(self.keyframes[i].to(self.device))
 
     def params_now(self, rows: MapRows = ALL_ROWS) -> GaussianParams:
         """In the passes after the scan, the discs with the steps that they missed; else those of
         the map."""
-        if self._final is not None:
-            return self._final.params_now(rows)
-        return self.gaussians.params[rows]
+        return self.disc_passes.params_now(rows)
 
     def take_missed_steps(self) -> None:
         """In the passes after the scan: bring all discs up to date."""
-        if self._final is not None:
-            self._final.take_missed_steps()
-            self._final.write_back()
+        self.disc_passes.take_missed_steps()
 
-    def rows_changed(self, before: Int[Tensor, " N"]) -> None:
-        """In the passes after the scan all rows stay stable, and Adam goes on with the rows that
-        are left."""
-        if self._final is not None:
-            self.gaussians.state.fill_(STABLE)
-            earlier = self._final
-            self._final = self._final_optimiser()
-            self._final.take_over(earlier, before)
-
-    def _final_optimiser(self) -> SurfelOptimiser:
-        config = self.config.final
-        everything = torch.ones_like(self.gaussians.is_stable)
-        return SurfelOptimiser(
-            self.gaussians,
-            everything,
-            self.config.window,
-            self.config.discs,
-            lr_factor=config.lr_factor,
-            move_centres=False,
-            all_in_view=self.config.all_in_view,
-            training=self.training,
-            weight_depth=config.weight_depth,
-        )
-
-    def _draw(self, n: int) -> int:
-        return int(torch.randint(n, (), generator=self.random.keyframes))
+    def rows_changed(self, old_rows: Int[Tensor, " N"]) -> None:
+        """In the passes after the scan, Adam goes on with the rows that are left."""
+        self.disc_passes.rows_changed(old_rows)
 
     def _undo_of_window(self) -> Undo:
-        """Also the window and the optimiser of the final passes are undone."""
         window = list(self.window)
-        final = self._final
-        undo_adam = None if final is None else final.copies.log_changes()
 
         def undo() -> None:
             self.window = deque(window, maxlen=self.window.maxlen)
-            self._final = final
-            if final is not None and undo_adam is not None:
-                undo_adam()
-                final.copies.end_log()
 
         return undo
-
-    def _end_log(self) -> None:
-        if self._final is not None:
-            self._final.copies.end_log()
-
-    def _manage_states(self, frame: Frame) -> tuple[float, Transitions]:
-        """Count errors of stable Gaussians, change states and remove outliers. Returns the PSNR of
-        the view before."""
-        part = self.parts.boxes.rows(self.gaussians.params, frame.camera, frame.T_WC)
-        view = self.surface(frame.camera, frame.T_WC, frame.depth_m)
-        if not runs_learners_code():
-            self.transaction.keep()  # from here on the counts of any row change
-        count_views(self.gaussians, frame.camera, frame.T_WC, part)
-        known = frame.depth_m > 0
-        colour_error = (view.rgb - frame.rgb).abs().mean(dim=-1) * known
-        depth_error_m = torch.where(
-            known & (view.depth_m > 0),
-            frame.depth_m - view.depth_m,
-            0.0,
-        )
-        count_errors(
-            self.gaussians,
-            colour_error,
-            view.dominant_index,
-            depth_error_m,
-            view.hit_index,
-            self.config.states,
-        )
-        per_step = self.config.window.confidence_per_step
-        return _psnr_db(view.rgb, frame), change_states(
-            self.gaussians, self.config.states, per_step
-        )
 
     def surface(
         self,
@@ -439,16 +231,14 @@ class RTGSLAM(Mapper):
         return super().state_dict(copies=copies) | {
             "camera": None if self.camera is None else vars(self.camera),
             "window": [frame.state_dict() for frame in self.window],
-            "final": None if self._final is None else self._final.state_dict(),
+            "final": self.disc_passes.state_dict(),
         }
 
     def _load(self, state: dict[str, Any]) -> None:
         super()._load(state)
         self.camera = None if state["camera"] is None else Camera(**state["camera"])
         self.window.extend(Frame.of_state(f).to(self.device) for f in state["window"])
-        if state["final"] is not None:
-            self._final = self._final_optimiser()
-            self._final.load_state_dict(state["final"])
+        self.disc_passes.load_state_dict(state["final"])
 
     def _record(self, frame: Frame) -> None:
         self.camera = frame.camera
@@ -460,12 +250,8 @@ class RTGSLAM(Mapper):
         if correction is None:
             return
         moves = correction.transform_of(torch.tensor([f.index for f in self.window])).float()
-        moved = [
+        frames = [
             dataclasses.replace(f, T_WC=T.to(f.T_WC) @ f.T_WC)
             for f, T in zip(self.window, moves, strict=True)
         ]
-        self.window = deque(moved, maxlen=self.window.maxlen)
-
-
-def _psnr_db(rgb: Float[Tensor, "H W 3"], frame: Frame) -> float:
-    return psnr_from_mse(float((rgb.clamp(0, 1) - frame.rgb).square().mean()))
+        self.window = deque(frames, maxlen=self.window.maxlen)

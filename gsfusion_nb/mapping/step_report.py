@@ -85,3 +85,8 @@ def as_floats(steps: list[ViewStep]) -> list[list[float]]:
 def psnr_from_mse(mse: float) -> float:
     """PSNR in dB of images in 0..1; at most 100, also for equal images."""
     return -10 * math.log10(max(mse, 1e-10))
+
+
+def psnr_db(rgb: Float[Tensor, "H W 3"], target: Float[Tensor, "H W 3"]) -> float:
+    """PSNR of a picture as it is shown, clamped to 0..1."""
+    return psnr_from_mse(float((rgb.clamp(0, 1) - target).square().mean()))

@@ -201,7 +201,7 @@ def test_the_files_of_a_run_hold_the_map_without_missed_steps(system, tmp_path):
             rtol=1e-6,
         )
     if system == "rtg_slam":
-        assert int(mapper._final.copies.clock.missed.sum()) == 0
+        assert int(mapper.disc_passes.optimiser.copies.clock.missed.sum()) == 0
 
 
 def test_discs_have_their_missed_steps_between_two_passes(small_room):
@@ -210,18 +210,18 @@ def test_discs_have_their_missed_steps_between_two_passes(small_room):
     mapper = mapped(settings("rtg_slam", "code"), small_room, (0, 1))
     steps = mapper.global_optimise(2)
     next(steps)
-    mapper._final.copies.clock.check()
-    assert int(mapper._final.copies.clock.missed.sum()) > 0
+    mapper.disc_passes.optimiser.copies.clock.check()
+    assert int(mapper.disc_passes.optimiser.copies.clock.missed.sum()) > 0
     now = mapper.params_now()
     stored = mapper.gaussians.params
-    up_to_date = copy.deepcopy(mapper._final)
+    up_to_date = copy.deepcopy(mapper.disc_passes.optimiser)
     up_to_date.take_missed_steps()
     assert len(up_to_date.copies) == len(stored)
     for name, column in vars(up_to_date.trained_params).items():
         assert torch.equal(getattr(now, name), column)
     list(steps)
-    assert int(mapper._final.copies.clock.missed.sum()) == 0
-    for name, column in vars(mapper._final.trained_params).items():
+    assert int(mapper.disc_passes.optimiser.copies.clock.missed.sum()) == 0
+    for name, column in vars(mapper.disc_passes.optimiser.trained_params).items():
         assert torch.equal(getattr(mapper.gaussians.params, name), column)
 
 

@@ -1,0 +1,199 @@
+"""The optimisation of an RTG-SLAM map while it is scanned: over the last frames and over keyframes
+(Peng et al. 2024, section 3.2, Eq. 7-9)."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from ..gaussians import fuse_with_history
+from ..optim import Keyframe, TrainingView, ViewStep
+from ..render import rows_in_view
+from ..types import Frame, GaussianParams
+from .after_steps import StepStatistics
+from .surfel_optimiser import SurfelOptimiser
+
+WORST_SHARE = 0.4
+"""Share of a keyframe's pixels that have a loss in the optimisation over keyframes, those with the
+largest colour errors."""
+
+KEYFRAMES_LR_FACTOR = 0.1
+"""Learning rates of the optimisation over keyframes as a multiple of the window's; centres do not
+move."""
+
+MASKED_BELOW = 0.8
+"""If more of the rows in view are unstable, they touch nearly all pixels; finding these then saves
+no time."""
+
+
+@dataclass(frozen=True, eq=False)
+class DiscStep:
+    """A gradient step on copies of rows, for the rule of the mapper."""
+
+    source: Frame | Keyframe
+    """What was compared with."""
+    view_step: ViewStep
+    statistics: StepStatistics
+
+
+def optimise_window(mapper: Any) -> list[float]:
+    """Optimise the unstable Gaussians against the last frames, then fuse them with the old values
+    (Eq. 7-9). Returns the losses before the steps.
+
+    Args:
+        mapper: The ``RTGSLAM``.
+    """
+    config = mapper.config.window
+    model = mapper.gaussians
+    is_trained = ~model.is_stable if config.only_unstable else torch.ones_like(model.is_stable)
+    is_in_view = _rows_in_views(mapper, mapper.window)
+    if not (is_trained & is_in_view).any():
+        return []
+    optimiser = SurfelOptimiser(
+        model,
+        is_trained,
+        config,
+        mapper.config.discs,
+        is_in_view=is_in_view,
+        all_in_view=mapper.config.all_in_view,
+        training=mapper.training,
+    )
+    old_params = GaussianParams(
+        **{name: value.clone() for name, value in vars(optimiser.trained_params).items()}
+    )
+    masks = config.only_unstable and optimiser.n < MASKED_BELOW * int(is_in_view.sum())
+    views = [
+        TrainingView.of(f, optimiser.covered_pixels(f.camera, f.T_WC) if masks else None)
+        for f in mapper.window
+    ]
+    newest_from = config.iterations / 2 if config.draw == "newest_half" else math.inf
+    sources = list(mapper.window)
+    losses, last_step = _take_steps(
+        mapper, optimiser, sources, views, config.iterations, newest_from
+    )
+    old_confidence = model.confidence[optimiser.rows]
+    confidence = old_confidence + optimiser.colour_steps
+    fused_params = fuse_with_history(
+        old_params,
+        optimiser.trained_params,
+        old_confidence,
+        confidence,
+        history_max_weight=config.history_max_weight,
+    )  # RTG-SLAM Eq. 9
+    optimiser.write_back(fused_params)
+    model.confidence[optimiser.rows] = confidence
+    edit_after(mapper, last_step)
+    return torch.stack(losses).tolist() if losses else []
+
+
+def optimise_keyframes(mapper: Any) -> int:
+    """Optimise over the latest and some random keyframes, on the pixels with the largest colour
+    errors. Returns the number of gradient steps.
+
+    Args:
+        mapper: The ``RTGSLAM``.
+    """
+    config = mapper.config.keyframes
+    model = mapper.gaussians
+    keyframes = _drawn_keyframes(mapper)
+    rows = model.is_stable if config.rows == "stable" else torch.ones_like(model.is_stable)
+    is_in_view = _rows_in_views(mapper, keyframes)
+    if not (rows & is_in_view).any():
+        return 0
+    optimiser = SurfelOptimiser(
+        model,
+        rows,
+        mapper.config.window,
+        mapper.config.discs,
+        is_drawn=rows,
+        is_in_view=is_in_view,
+        lr_factor=KEYFRAMES_LR_FACTOR,
+        move_centres=False,
+        all_in_view=mapper.config.all_in_view,
+        training=mapper.training,
+    )
+    views = [TrainingView.of(keyframe, _worst_pixels(mapper, keyframe)) for keyframe in keyframes]
+    _, last_step = _take_steps(mapper, optimiser, keyframes, views, config.iterations)
+    optimiser.write_back()
+    edit_after(mapper, last_step)
+    return config.iterations
+
+
+def step_on(
+    mapper: Any, optimiser: SurfelOptimiser, source: Frame | Keyframe, view: TrainingView
+) -> DiscStep:
+    """One step on copies of rows.
+
+    Args:
+        mapper: The ``RTGSLAM``.
+        optimiser: Has the copies.
+        source: The frame or keyframe of the view.
+        view: What to compare with.
+    """
+    rows = optimiser.drawn_rows
+    statistics = mapper.after_steps.watch(mapper.gaussians, view, len(rows))
+    view_step = optimiser.step(view, statistics.outputs)
+    statistics = mapper.after_steps.add_up(mapper.gaussians, statistics, view.camera, rows)
+    return DiscStep(source, view_step, statistics)
+
+
+def edit_after(mapper: Any, step: DiscStep | None) -> None:
+    """Let the rule edit the map after the rows of its last step, if any, were written back."""
+    if step is not None:
+        mapper.after_steps.edit(mapper, step.statistics, step.source, step.view_step)
+
+
+def _take_steps(
+    mapper: Any,
+    optimiser: SurfelOptimiser,
+    sources: list[Any],
+    views: list[TrainingView],
+    n: int,
+    newest_from: float = math.inf,
+) -> tuple[list[Tensor], DiscStep | None]:
+    """``n`` gradient steps on views drawn at random, from step ``newest_from`` on only on the
+    newest. Returns the losses before them, and the last step."""
+    losses = []
+    step = None
+    for k in range(n):
+        mapper.guard.may_stop()
+        i = len(views) - 1
+        if k < newest_from:
+            i = int(torch.randint(len(views), (), generator=mapper.random.keyframes))
+        step = step_on(mapper, optimiser, sources[i], views[i])
+        losses.append(step.view_step.loss)
+    optimiser.take_missed_steps()
+    mapper.lost.stepped(optimiser.trained_params)
+    return losses, step
+
+
+def _drawn_keyframes(mapper: Any) -> list[Keyframe]:
+    """Some earlier keyframes at random, and the latest ones."""
+    config = mapper.config.keyframes
+    n = len(mapper.keyframes)
+    latest = list(range(max(0, n - config.latest), n))
+    order = torch.randperm(n - len(latest), generator=mapper.random.keyframes)
+    earlier = order[: config.random].tolist()
+    return [mapper.keyframes[i].to(mapper.device) for i in earlier + latest]
+
+
+def _rows_in_views(mapper: Any, views: Iterable[Frame | Keyframe]) -> Bool[Tensor, " N"]:
+    """Rows that any of the views may show."""
+    params = mapper.gaussians.params
+    is_in_view = torch.zeros_like(mapper.gaussians.is_stable)
+    for view in views:
+        depth_m = None if mapper.config.all_in_view else view.depth_m
+        rows = mapper.parts.boxes.rows(params, view.camera, view.T_WC, depth_m)
+        is_in_view[rows] |= rows_in_view(params[rows], view.camera, view.T_WC)
+    return is_in_view
+
+
+def _worst_pixels(mapper: Any, keyframe: Keyframe) -> Bool[Tensor, "H W"]:
+    """The pixels with the largest colour errors, a fixed share of the image."""
+    view = mapper.surface(keyframe.camera, keyframe.T_WC, keyframe.farthest_m)
+    error = (view.rgb - keyframe.rgb).abs().mean(dim=-1)
+    return error >= error.flatten().quantile(1 - WORST_SHARE)

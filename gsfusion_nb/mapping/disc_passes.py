@@ -1,0 +1,111 @@
+"""The passes of RTG-SLAM over all keyframes after the scan, on all discs."""
+
+from typing import Any
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from ..gaussians import STABLE
+from ..optim import Keyframe, TrainingView
+from ..types import ALL_ROWS, GaussianParams, MapRows
+from .disc_optimisation import edit_after, step_on
+from .surfel_optimiser import SurfelOptimiser
+from .transaction import Undo
+
+
+class DiscPasses:
+    """One optimiser of all discs, which all become stable at its first step.
+
+    Args:
+        mapper: The ``RTGSLAM``.
+    """
+
+    def __init__(self, mapper: Any):
+        self._mapper = mapper
+        self.optimiser: SurfelOptimiser | None = None
+        """None before the first step, and when the map has other rows."""
+
+    def step(self, keyframe: Keyframe) -> Float[Tensor, ""]:
+        """One step on a keyframe, on all its pixels. Returns the loss before it."""
+        mapper = self._mapper
+        if self.optimiser is None:
+            mapper.gaussians.will_change()
+            mapper.gaussians.state.fill_(STABLE)
+            self.optimiser = self._optimiser_of_map()
+        step = step_on(mapper, self.optimiser, keyframe, TrainingView.of(keyframe))
+        self.optimiser.write_back()
+        mapper.lost.stepped(self.optimiser.trained_params)
+        edit_after(mapper, step)
+        return step.view_step.loss
+
+    def forget(self) -> None:
+        """The next step begins with a new optimiser."""
+        self.optimiser = None
+
+    def params_now(self, rows: MapRows = ALL_ROWS) -> GaussianParams:
+        """Discs of the map with the steps that they missed."""
+        if self.optimiser is not None:
+            return self.optimiser.params_now(rows)
+        return self._mapper.gaussians.params[rows]
+
+    def take_missed_steps(self) -> None:
+        """Bring all discs up to date."""
+        if self.optimiser is not None:
+            self.optimiser.take_missed_steps()
+            self.optimiser.write_back()
+
+    def rows_changed(self, old_rows: Int[Tensor, " N"]) -> None:
+        """All rows stay stable, and Adam goes on with those that are left.
+
+        Args:
+            old_rows: For each row of the map its number before, -1 for new rows. [N]
+        """
+        if self.optimiser is not None:
+            self._mapper.gaussians.state.fill_(STABLE)
+            earlier = self.optimiser
+            self.optimiser = self._optimiser_of_map()
+            self.optimiser.take_over(earlier, old_rows)
+
+    def snapshot(self) -> Undo:
+        """A function that undoes what changes from now on."""
+        optimiser = self.optimiser
+        undo_steps = None if optimiser is None else optimiser.copies.log_changes()
+
+        def undo() -> None:
+            self.optimiser = optimiser
+            if optimiser is not None and undo_steps is not None:
+                undo_steps()
+                optimiser.copies.end_log()
+
+        return undo
+
+    def end_log(self) -> None:
+        """What changes from now on cannot be undone."""
+        if self.optimiser is not None:
+            self.optimiser.copies.end_log()
+
+    def state_dict(self) -> dict[str, Any] | None:
+        """The state of the optimiser, if there is one."""
+        return None if self.optimiser is None else self.optimiser.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any] | None) -> None:
+        """Restore what ``state_dict`` saved, for the same map."""
+        if state is not None:
+            self.optimiser = self._optimiser_of_map()
+            self.optimiser.load_state_dict(state)
+
+    def _optimiser_of_map(self) -> SurfelOptimiser:
+        mapper = self._mapper
+        config = mapper.config.final
+        return SurfelOptimiser(
+            mapper.gaussians,
+            torch.ones_like(mapper.gaussians.is_stable),
+            mapper.config.window,
+            mapper.config.discs,
+            lr_factor=config.lr_factor,
+            move_centres=False,
+            all_in_view=mapper.config.all_in_view,
+            training=mapper.training,
+            weight_depth=config.weight_depth,
+        )
