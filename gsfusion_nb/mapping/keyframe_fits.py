@@ -71,7 +71,7 @@ class KeyframeFits:
         row = self._localiser.frame_indices.index(keyframe.index)
         system = pose_system(picture, keyframe.rgb, keyframe.camera)
         if system.share >= LEAST_SHARE:
-            T_WC = pose_step(system, keyframe.T_WC, self._localiser.given[row], self._sigma)
+            T_WC = pose_step(system, keyframe.T_WC, self._localiser.given_poses[row], self._sigma)
             keyframes.set_pose(keyframe.index, T_WC)
             self._localiser.refine(row, T_WC.cpu())
 
@@ -89,15 +89,15 @@ class KeyframeFits:
         """Where all keyframes move together by G, T_i = G T_i(given), the pictures do not change:
         nothing holds G."""
         poses = self._localiser.poses
-        given = self._localiser.given
+        given_poses = self._localiser.given_poses
         rows = sorted(self._localiser.frame_indices.index(k.index) for k in keyframes)
-        T_WC, T_given = (torch.stack([p[r] for r in rows]).double() for p in (poses, given))
-        back = se3.exp(-se3.log(T_WC @ se3.inverse(T_given)).mean(0))
+        T_WC, T_given = (torch.stack([p[r] for r in rows]).double() for p in (poses, given_poses))
+        T_back = se3.exp(-se3.log(T_WC @ se3.inverse(T_given)).mean(0))
         gaussians.will_change()
-        gaussians.move(back.to(gaussians.device, torch.float32).expand(len(gaussians), 4, 4))
+        gaussians.move(T_back.to(gaussians.device, torch.float32).expand(len(gaussians), 4, 4))
         for keyframe in list(keyframes):
             row = self._localiser.frame_indices.index(keyframe.index)
-            T_new = (back @ poses[row].double()).float()
+            T_new = (T_back @ poses[row].double()).float()
             keyframes.set_pose(keyframe.index, T_new)
             self._localiser.refine(row, T_new)
         self._localiser.follow(rows)

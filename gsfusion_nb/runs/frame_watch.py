@@ -31,7 +31,7 @@ from ..data.adjust.steps import (
     repeated_image,
 )
 from ..geometry import se3
-from ..mapping.localiser import jump_from
+from ..mapping.pose_jumps import jump_from
 from ..mapping.usual_torch import usual_torch
 from ..types import Frame
 from .run_warnings import RunWarnings

@@ -116,7 +116,7 @@ def _write_trajectory(run: MappingRun, folder: Path) -> None:
     localiser = run.mapper.localiser
     if localiser.is_refined:
         write_trajectory_tum(
-            folder / "trajectory_given.txt", run.timestamps_s, torch.stack(localiser.given)
+            folder / "trajectory_given.txt", run.timestamps_s, torch.stack(localiser.given_poses)
         )
 
 

@@ -220,7 +220,7 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
     gains = _gains_between(run, held_out.positions)
     if localiser.is_refined or gains:
         refined_poses = [
-            localiser.refined(*view)
+            localiser.refined_pose(*view)
             for view in zip(held_out.positions, held_out.poses, strict=True)
         ]
         groups["held_out_between"] = ScoredViews(held_out.positions, refined_poses, gains)

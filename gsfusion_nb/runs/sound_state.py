@@ -188,7 +188,7 @@ def check_agreement(run: Any) -> None:
     sizes = {
         "frames of the mapper": mapper.n_frames,
         "poses": len(localiser.poses),
-        "given poses": len(localiser.given),
+        "given poses": len(localiser.given_poses),
         "indices of frames": len(localiser.frame_indices),
     }
     if len(set(sizes.values())) > 1:

@@ -12,7 +12,7 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.errors import BadFrameError
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import get_system, make_mapper
-from gsfusion_nb.mapping.localiser import (
+from gsfusion_nb.mapping.pose_jumps import (
     FARTHEST_STEP_DEG,
     FARTHEST_STEP_M,
     FASTEST_DEG_S,

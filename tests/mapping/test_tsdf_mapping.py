@@ -219,7 +219,7 @@ def test_a_loop_closes_and_a_loss_is_overcome(there_and_back, system, monkeypatc
     for frame in there_and_back:
         mapper.step(frame)
     localiser = mapper.localiser
-    back_end = localiser._back_end
+    back_end = localiser.memory.back_end
     closed = [
         (back_end.database.index[e.j], back_end.database.index[e.i])
         for e in back_end.edges

@@ -160,7 +160,7 @@ def test_only_poses_that_moved_have_a_trajectory_error(views):
         "given",
         {i: MOTION @ Walk().pose(i) for i in (0, 1, 3, 5)},
     )
-    found.given = list(found.poses)
+    found.given_poses = list(found.poses)
     run = object.__new__(MappingRun)
     run.mapper = SimpleNamespace(localiser=found)
     run.sequence = views

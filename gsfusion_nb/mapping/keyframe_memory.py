@@ -1,0 +1,133 @@
+"""The places that a tracked camera has seen: they start the tracker, bring it back when it is lost,
+and close loops."""
+
+from typing import Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from .. import tracking
+from ..config import TrackingConfig
+from ..geometry import se3
+from ..types import Camera, Frame
+
+OFF_M = 0.02
+OFF_DEG = 1.0
+"""ICP starts from the landmarks' pose where it differs by more than this from the predicted one."""
+
+
+class KeyframeMemory:
+    """Keyframes of a trajectory, in the back end, in a map of landmarks, or only by their
+    appearance, as the settings say."""
+
+    def __init__(self, config: TrackingConfig):
+        self._config = config
+        self.back_end: tracking.BackEnd | None = None
+        self._map: tracking.LandmarkMap | None = None
+        """Keyframes and landmarks, where the front end or the back end uses landmarks; the back
+        end's, if there is one."""
+        self._database: tracking.KeyframeDatabase | None = None
+        """Keyframes by appearance, to relocalise when tracking is lost; the map's, if there is
+        one."""
+        self._view: tuple[int, tracking.Features, tracking.Sighting | None] | None = None
+        """Index of the frame that was located last, its features, and the landmarks that it
+        sees."""
+
+    @property
+    def camera(self) -> Camera | None:
+        """Camera of the keyframes; None if there are none."""
+        return None if self._database is None else self._database.camera
+
+    def relocalise(self, frame: Frame) -> list[tuple[Float[Tensor, "4 4"], Any]]:
+        """Possible poses of the frame by its appearance, the most likely first, with the rows of
+        their landmarks."""
+        if self._database is None:
+            return []
+        sightings = [] if self._map is None else self._map.relocalise(self._features(frame))
+        return [
+            *((sighting.T_WC, sighting.extra) for sighting in sightings),
+            *((T_WC, None) for T_WC in self._database.relocalise(frame)),
+        ]
+
+    def sight(
+        self, frame: Frame, tracker: tracking.Tracker
+    ) -> tuple[tracking.Sighting | None, Float[Tensor, "4 4"] | None]:
+        """Landmarks that the frame sees, None if they are not wanted, or too few; and their pose,
+        if the predicted one is wrong. If it is not, it is the more exact start for ICP."""
+        self._view = None
+        if self._map is None or not self._config.landmarks or frame.camera != self._map.camera:
+            return None, None
+        features = self._features(frame)
+        T_predicted = tracker.predict(frame.timestamp_s)
+        sighting = self._map.see(features, T_predicted)
+        self._view = frame.index, features, sighting
+        if sighting is None:
+            return None, None
+        angle_deg, distance_m = se3.motion(T_predicted, sighting.T_WC)
+        is_off = distance_m > OFF_M or angle_deg > OFF_DEG
+        return sighting, sighting.T_WC if is_off else None
+
+    def add(self, frame: Frame) -> tracking.Correction | None:
+        """Make the frame a keyframe if the camera has moved enough; returns the back end's
+        correction, if any."""
+        T_WC = frame.T_WC_cpu
+        if self._database is None:
+            back_end = tracking.BackEnd(frame.camera) if self._config.back_end else None
+            self._begin(frame.camera, back_end)
+        assert self._database is not None
+        index, _, sighting = self._view or (None, None, None)
+        if self._map is not None and sighting is not None and index == frame.index:
+            self._map.count(sighting)
+        if len(self._database) and not tracking.moved_enough(self._database.T_WC[-1], T_WC):
+            return None
+        features = self._features(frame)
+        if self.back_end is not None:
+            return self.back_end.add(frame, frame.T_WC, features)
+        keyframes = self._database if self._map is None else self._map
+        keyframes.add(frame.index, T_WC, features)
+        return None
+
+    def finish(self) -> tracking.Correction | None:
+        """The last optimisation of the back end, over all keyframes and landmarks, after the
+        scan."""
+        return None if self.back_end is None else self.back_end.finish()
+
+    def _features(self, frame: Frame) -> tracking.Features:
+        if self._view is not None and self._view[0] == frame.index:
+            return self._view[1]
+        assert self._database is not None
+        return self._database.extract(frame)
+
+    def _begin(self, camera: Camera, back_end: tracking.BackEnd | None) -> None:
+        self.back_end = back_end
+        if back_end is not None:
+            self._map = back_end.map
+        elif self._config.landmarks:
+            self._map = tracking.LandmarkMap(camera)
+        self._database = (
+            tracking.KeyframeDatabase(camera) if self._map is None else self._map.database
+        )
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything needed to continue: of back end, map and database the one that has the
+        others."""
+        own_map = None if self.back_end is not None else self._map
+        own_database = None if self._map is not None else self._database
+        return {
+            "camera": None if self.camera is None else vars(self.camera),
+            "back_end": None if self.back_end is None else self.back_end.state_dict(),
+            "map": None if own_map is None else own_map.state_dict(),
+            "database": None if own_database is None else own_database.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what ``state_dict`` saved."""
+        if state["camera"] is not None:
+            camera = Camera(**state["camera"])
+            back_end = None
+            if state["back_end"] is not None:
+                back_end = tracking.BackEnd.from_state_dict(camera, state["back_end"])
+            self._begin(camera, back_end)
+        for name, part in (("map", self._map), ("database", self._database)):
+            if state[name] is not None and part is not None:
+                part.load_state(state[name])
