@@ -17,6 +17,8 @@ from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import KeyframeList
 from ..types import Frame
+from .keyframe_memory import KeyframeMemory
+from .pose_jumps import PoseJumps
 
 _BLOCK = 1024
 """Number of poses that are stored in one tensor."""

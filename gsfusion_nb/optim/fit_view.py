@@ -78,11 +78,11 @@ def pose_system(output: RenderOutput, target: Float[Tensor, "H W 3"], camera: Ca
     some = (slice(None, None, every), slice(None, None, every))
     r = (output.rgb - target)[some]
     alpha = output.alpha[some]
-    shown = alpha >= SHOWN_ALPHA
+    is_shown = alpha >= SHOWN_ALPHA
     gx, gy = image_gradient((output.rgb + target) / 2, every)
-    w = shown[..., None] / r.abs().clamp_min(SMALL_RESIDUAL)
-    n = shown.sum().clamp_min(1)
-    error = (r.abs() * shown[..., None]).sum() / (3 * n)
+    w = is_shown[..., None] / r.abs().clamp_min(SMALL_RESIDUAL)
+    n = is_shown.sum().clamp_min(1)
+    error = (r.abs() * is_shown[..., None]).sum() / (3 * n)
     along_u, along_v = flow_of_motion(output.depth_m[some] / alpha.clamp_min(1e-6), camera, every)
     a = along_u.view(-1, 6)
     b = along_v.view(-1, 6)
@@ -98,7 +98,7 @@ def pose_system(output: RenderOutput, target: Float[Tensor, "H W 3"], camera: Ca
         H=unit * H,
         g=unit * g,
         error=error,
-        share=shown.float().mean(),
+        share=is_shown.float().mean(),
     )
 
 
@@ -160,15 +160,15 @@ def pose_step(
 
     Differentiable: no.
     """
-    here = T_WC.double().cpu()
-    e = se3.log(se3.inverse(T_given.double().cpu()) @ here)
+    T_here = T_WC.double().cpu()
+    e = se3.log(se3.inverse(T_given.double().cpu()) @ T_here)
     weight = sigma**-2
     xi = -torch.linalg.solve(
         system.H.double().cpu() + weight.diag(),
         system.g.double().cpu() + weight * e,
     )
     xi = xi / max(1.0, float((xi.abs() / sigma).max()))
-    return (here @ se3.exp(xi)).to(T_WC)
+    return (T_here @ se3.exp(xi)).to(T_WC)
 
 
 EVALUATIONS = 20
@@ -223,21 +223,21 @@ def fit_pose(
     check_whole("evaluations", evaluations, 1)
     T_start = T_WC.to(params.xyz_W)
     x = T_start.new_zeros(6, requires_grad=True)
-    tried: list[tuple[float, Tensor]] = []
+    attempts: list[tuple[float, Tensor]] = []
 
     def error() -> float:
         T_WC = T_start @ se3.exp(UNIT * x)
-        here = T_WC.detach()
-        output, saved = render_forward(params, camera, here, with_indices=False)
+        T_try = T_WC.detach()
+        output, record = render_forward(params, camera, T_try, with_indices=False)
         difference = output.rgb - rgb
         mse = float(difference.square().mean())
-        tried.append((mse, here))
-        v_xi = pose_vjp(params, render_vjp(saved, 2 * difference / difference.numel()), here)
+        attempts.append((mse, T_try))
+        v_xi = pose_vjp(params, render_vjp(record, 2 * difference / difference.numel()), T_try)
         with torch.enable_grad():
             # zero: its derivative leads from the twist at ``here`` to x
-            moved = se3.log(se3.inverse(here) @ T_WC)
-        (gradient,) = torch.autograd.grad(moved, x, v_xi)
-        scale = max(tried[0][0], 1e-12)
+            twist = se3.log(se3.inverse(T_try) @ T_WC)
+        (gradient,) = torch.autograd.grad(twist, x, v_xi)
+        scale = max(attempts[0][0], 1e-12)
         x.grad = gradient / scale
         return mse / scale
 
@@ -249,8 +249,8 @@ def fit_pose(
         line_search_fn="strong_wolfe",
     )
     solver.step(error)
-    mse, best = min(tried, key=lambda trial: trial[0])
-    return PoseFit(T_WC=best, mse_before=tried[0][0], mse_after=mse)
+    mse, best = min(attempts, key=lambda trial: trial[0])
+    return PoseFit(T_WC=best, mse_before=attempts[0][0], mse_after=mse)
 
 
 STEPS = 8
@@ -289,16 +289,16 @@ def fit_pose_by_flow(
     """
     check_whole("steps", steps, 1)
     sigma = torch.full((6,), SIGMA, dtype=torch.float64)
-    here = T_WC
-    tried = list[tuple[float, Tensor]]()
+    T_try = T_WC
+    attempts = list[tuple[float, Tensor]]()
     for _ in range(steps):
-        output = draw(camera, here)
-        tried.append((float((output.rgb - rgb).square().mean()), here))
-        if tried[-1][0] > 1.5 * tried[0][0]:
+        output = draw(camera, T_try)
+        attempts.append((float((output.rgb - rgb).square().mean()), T_try))
+        if attempts[-1][0] > 1.5 * attempts[0][0]:
             break
-        here = pose_step(pose_system(output, rgb, camera), here, T_WC, sigma)
-    mse, best = min(tried, key=lambda trial: trial[0])
-    return PoseFit(T_WC=best, mse_before=tried[0][0], mse_after=mse)
+        T_try = pose_step(pose_system(output, rgb, camera), T_try, T_WC, sigma)
+    mse, best = min(attempts, key=lambda trial: trial[0])
+    return PoseFit(T_WC=best, mse_before=attempts[0][0], mse_after=mse)
 
 
 PRIOR_PIXELS = 10.0
@@ -330,7 +330,7 @@ def exposed_vjp(
 def fit_gain(
     rgb: Float[Tensor, "H W 3"],
     target: Float[Tensor, "H W 3"],
-    shown: Bool[Tensor, "H W"],
+    is_shown: Bool[Tensor, "H W"],
 ) -> Float[Tensor, " 3"]:
     """The factors with which the map's picture r fits the photograph t best: least squares, with a
     weak prior at 1.
@@ -342,12 +342,12 @@ def fit_gain(
     Args:
         rgb: The map's picture.
         target: The photograph, 0..1.
-        shown: Pixels that the map covers.
+        is_shown: Pixels that the map covers.
 
     Differentiable: no.
     """
     some = (slice(None, None, EVERY), slice(None, None, EVERY))
-    used = (shown[some] & (target[some].amax(-1) < WHITE))[..., None]
+    used = (is_shown[some] & (target[some].amax(-1) < WHITE))[..., None]
     r = torch.where(used, rgb[some].clamp(0, 1), 0.0)
     t = torch.where(used, target[some], 0.0)
     prior = PRIOR_PIXELS / 4 / EVERY**2

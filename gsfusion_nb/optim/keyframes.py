@@ -59,10 +59,10 @@ class Keyframe:
 
     def to(self, device: torch.device | str) -> "Keyframe":
         """The same keyframe with its tensors on ``device``; the keyframe itself if they are."""
-        moved = {name: x.to(device) for name, x in vars(self).items() if isinstance(x, Tensor)}
-        if all(value is getattr(self, name) for name, value in moved.items()):
+        images = {name: x.to(device) for name, x in vars(self).items() if isinstance(x, Tensor)}
+        if all(value is getattr(self, name) for name, value in images.items()):
             return self
-        return dataclasses.replace(self, **moved)
+        return dataclasses.replace(self, **images)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,13 +90,13 @@ class TrainingView:
         depth_m = source.depth_m
         if depth_m is None:
             depth_m = torch.zeros(rgb.shape[:2], device=rgb.device)
-        everywhere = torch.ones_like(depth_m, dtype=torch.bool)
+        all_pixels = torch.ones_like(depth_m, dtype=torch.bool)
         return TrainingView(
             rgb=rgb,
             depth_m=depth_m,
             camera=source.camera,
             T_WC=source.T_WC,
-            pixels=everywhere if pixels is None else pixels,
+            pixels=all_pixels if pixels is None else pixels,
             index=source.index,
         )
 

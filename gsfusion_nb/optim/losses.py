@@ -124,18 +124,18 @@ def depth_l1(
 
     Source: Keetha et al. 2024 (SplaTAM), the depth term of the mapping loss.
     """
-    known = target_m > 0
-    return torch.where(known, depth_m - target_m, 0.0).abs().sum() / known.sum().clamp_min(1)
+    has_depth = target_m > 0
+    n = has_depth.sum().clamp_min(1)
+    return torch.where(has_depth, depth_m - target_m, 0.0).abs().sum() / n
 
 
 def depth_l1_vjp(
     depth_m: Float[Tensor, "H W"], target_m: Float[Tensor, "H W"], v_loss: float = 1.0
 ) -> Float[Tensor, "H W"]:
     """dL/dD^ = sign(D^ - D) / (number of pixels with measured depth), zero elsewhere."""
-    known = target_m > 0
-    return (
-        v_loss * torch.sign(torch.where(known, depth_m - target_m, 0.0)) / known.sum().clamp_min(1)
-    )
+    has_depth = target_m > 0
+    n = has_depth.sum().clamp_min(1)
+    return v_loss * torch.sign(torch.where(has_depth, depth_m - target_m, 0.0)) / n
 
 
 def dssim(
@@ -264,19 +264,21 @@ def rgbd_l1_vjp(
     ``SurfelOptimiser``.
     """
     behind_m = math.inf if behind_m is None else behind_m
-    known = pixels & (depth_m > 0) & (target_depth_m > 0) & (depth_m - target_depth_m < behind_m)
+    has_depths = (
+        pixels & (depth_m > 0) & (target_depth_m > 0) & (depth_m - target_depth_m < behind_m)
+    )
     n = (3 * pixels.sum()).clamp_min(1)
-    n_known = known.sum().clamp_min(1)
+    n_depths = has_depths.sum().clamp_min(1)
     colour_gap = torch.where(pixels[..., None], rgb - target_rgb, 0.0)
-    depth_gap = torch.where(known, depth_m - target_depth_m, 0.0)
+    depth_gap = torch.where(has_depths, depth_m - target_depth_m, 0.0)
     colour = colour_gap.abs().sum() / n  # RTG-SLAM Eq. 7
-    depth = depth_gap.abs().sum() / n_known
+    depth = depth_gap.abs().sum() / n_depths
     return RgbdLoss(
         colour=colour,
         depth_m=depth,
         total=weight_colour * colour + weight_depth * depth,  # RTG-SLAM Eq. 8
         v_rgb=weight_colour * torch.sign(colour_gap) / n,
-        v_depth_m=weight_depth * torch.sign(depth_gap) / n_known,
+        v_depth_m=weight_depth * torch.sign(depth_gap) / n_depths,
     )
 
 

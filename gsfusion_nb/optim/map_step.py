@@ -130,9 +130,9 @@ def take_step(
     """
     finite = param.isfinite()
     update(param, gradient, m, v, ages, lr=lr)
-    if lost := int((finite & ~param.isfinite()).sum()):
+    if n_lost := int((finite & ~param.isfinite()).sum()):
         raise ArgumentError(
-            f"the optimiser made {lost} values of {name} NaN or infinite; try smaller learning "
+            f"the optimiser made {n_lost} values of {name} NaN or infinite; try smaller learning "
             "rates"
         )
 
@@ -154,9 +154,9 @@ def at_row_rates(
         factors: Parameter -> factor of each row, at least 0; a parameter that is missing takes its
             whole step.
     """
-    before = {name: getattr(params, name).clone() for name in factors}
+    old_values = {name: getattr(params, name).clone() for name in factors}
     yield
-    for name, start in before.items():
+    for name, start in old_values.items():
         value = getattr(params, name)
         factor = factors[name].reshape(-1, *[1] * (value.ndim - 1)).to(value)
         value.copy_(

@@ -34,12 +34,12 @@ def take_missed_steps(model: GaussianModel | MapPart, config: OptimConfig | Adam
         config: Learning rates and decays.
     """
     clock = model.clock
-    missed = clock.missed
-    if not bool(missed.any()):
+    n_missed = clock.missed
+    if not bool(n_missed.any()):
         return
     adam = AdamSettings.of(config)
     start = {"none": None, "shared": clock.last, "per_row": clock.age_at_last}[adam.steps]
-    steps = MissedSteps(missed, start, adam.beta1, adam.beta2, adam.eps)
+    steps = MissedSteps(n_missed, start, adam.beta1, adam.beta2, adam.eps)
     for name, lr in adam.rates.by_column(model.params.sh).items():
         column, m, v = (
             getattr(values, name) for values in (model.params, model.exp_avg, model.exp_avg_sq)
@@ -97,9 +97,9 @@ class MissedSteps:
         """Change a column and its moments in place; ``factor`` of the learning rate is one for each
         row."""
         distance = self.distance if factor is None else self.distance * factor
-        far, decay1, decay2 = (
+        distances, decay1, decay2 = (
             x.to(m).view(-1, *[1] * (m.ndim - 1)) for x in (distance, self.decay1, self.decay2)
         )
-        column -= lr * far * m / (v.sqrt() + self.eps)
+        column -= lr * distances * m / (v.sqrt() + self.eps)
         m *= decay1
         v *= decay2

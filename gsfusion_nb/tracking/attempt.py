@@ -233,13 +233,13 @@ def cost(sight: Sight, result: IcpResult, against: Attempt, config: TrackingConf
         "min_cosine": math.cos(math.radians(config.max_angle_deg)),
     }
     system = icp_system(level, T_WC, surface, **gates)
-    missed = (result.n_pixels - system.n_inliers) * COST_GATE_M**2
-    error = (system.sum_squares_m2 + missed) / max(result.n_pixels, 1)
+    gap_cost = (result.n_pixels - system.n_inliers) * COST_GATE_M**2
+    error = (system.sum_squares_m2 + gap_cost) / max(result.n_pixels, 1)
     pictures = Pictures.of(sight.brightness, surface) if sight.brightness else None
     if pictures is not None and config.brightness_m:
         for _ in range(2):  # the second time with the exposure that the first has found
-            seen = pictures.system(level, T_WC, COST_GATE_M)
-        error += (config.brightness_m * seen.rms) ** 2
+            picture_system = pictures.system(level, T_WC, COST_GATE_M)
+        error += (config.brightness_m * picture_system.rms) ** 2
     return error
 
 

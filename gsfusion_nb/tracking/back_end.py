@@ -101,13 +101,13 @@ def why_not_same_place(
         return f"{agreeing} of {pose.n_matches} matches agree"
     size = torch.tensor([camera.width, camera.height])
     cells = (features.uv[pose.rows[:, 0]] / size * 4).long()
-    spread = len(torch.unique(cells[:, 0] + 4 * cells[:, 1]))
-    if spread < MIN_CELLS:
-        return f"all matches lie in {spread} of 16 parts of the image"
+    n_cells = len(torch.unique(cells[:, 0] + 4 * cells[:, 1]))
+    if n_cells < MIN_CELLS:
+        return f"all matches lie in {n_cells} of 16 parts of the image"
     query, reference = thumbnails
-    there = (query, reference, pose.T_RQ)
-    back = (reference, query, se3.inverse(pose.T_RQ))
-    for a, b, T_BA in (there, back):
+    forward_pair = (query, reference, pose.T_RQ)
+    backward_pair = (reference, query, se3.inverse(pose.T_RQ))
+    for a, b, T_BA in (forward_pair, backward_pair):
         share, pixels = depth_agreement(camera, a, b, T_BA)
         if pixels >= MIN_DEPTH_PIXELS and share < MIN_DEPTH_AGREEMENT:
             return f"the depths agree at {share:.0%} of the pixels"
@@ -137,26 +137,26 @@ def depth_agreement(
     """
     height, width = depth_a.shape
     small = camera.resized(width, height)
-    known = depth_a > 0
-    uv_A = pixel_grid(small)[known]
-    xyz_A = backproject(small, uv_A, depth_a[known]).double()
+    has_depth = depth_a > 0
+    uv_A = pixel_grid(small)[has_depth]
+    xyz_A = backproject(small, uv_A, depth_a[has_depth]).double()
     xyz_B = se3.apply(T_BA, xyz_A)
     xyz_B = xyz_B[xyz_B[:, 2] > 0.1]
     uv = project(small, xyz_B)
     column, row = uv.floor().long().unbind(1)
     in_width = (column >= 0) & (column < width)
     in_height = (row >= 0) & (row < height)
-    inside = in_width & in_height
-    z = xyz_B[inside, 2]
-    seen = depth_b[row[inside], column[inside]].double()
-    z = z[seen > 0]
-    seen = seen[seen > 0]
-    tolerance = DEPTH_TOLERANCE[0] + DEPTH_TOLERANCE[1] * seen
-    agree = int(((z - seen).abs() <= tolerance).sum())
-    contradict = int((z < seen - tolerance).sum())
-    hidden = len(z) - agree - contradict
-    counted = agree + contradict + max(0, hidden - agree - contradict)
-    return agree / max(counted, 1), counted
+    in_image = in_width & in_height
+    z = xyz_B[in_image, 2]
+    z_seen = depth_b[row[in_image], column[in_image]].double()
+    z = z[z_seen > 0]
+    z_seen = z_seen[z_seen > 0]
+    tolerance = DEPTH_TOLERANCE[0] + DEPTH_TOLERANCE[1] * z_seen
+    agree = int(((z - z_seen).abs() <= tolerance).sum())
+    contradict = int((z < z_seen - tolerance).sum())
+    n_hidden = len(z) - agree - contradict
+    n_counted = agree + contradict + max(0, n_hidden - agree - contradict)
+    return agree / max(n_counted, 1), n_counted
 
 
 CANDIDATES = 3
@@ -189,17 +189,17 @@ class LoopFinder:
                 yield earlier, pose
 
     def _candidates(self, row: int) -> list[int]:
-        before = row - MIN_GAP
-        if before < 0:
+        last_row = row - MIN_GAP
+        if last_row < 0:
             return []
         rows = [
             r
             for r, _ in self.database.similar(
-                self.database.features[row], CANDIDATES, exclude_after=before + 1
+                self.database.features[row], CANDIDATES, exclude_after=last_row + 1
             )
         ]
-        near = self.database.nearest_view(self.database.T_WC[row], before + 1)
-        return rows if near in rows else [*rows, near]
+        nearest_row = self.database.nearest_view(self.database.T_WC[row], last_row + 1)
+        return rows if nearest_row in rows else [*rows, nearest_row]
 
     def _pose(self, row: int, earlier: int) -> RelativePose | None:
         """Pose of one keyframe relative to another: from their features, then from all landmarks
@@ -212,9 +212,9 @@ class LoopFinder:
         T_WR = self.database.T_WC[earlier]
         first = max(0, earlier - AROUND)
         last = min(earlier + AROUND, row - MIN_GAP)
-        around = list(range(first, last + 1))
+        rows = list(range(first, last + 1))
         pairs = self.landmarks.find(
-            features, T_WR @ pose.T_RQ, around, SEARCH_SHARE / 4 * camera.width
+            features, T_WR @ pose.T_RQ, rows, SEARCH_SHARE / 4 * camera.width
         )
         return refine_pose(self.landmarks.rows(features, pairs, T_WR), pose.T_RQ, pairs)
 
@@ -261,14 +261,14 @@ class Correction:
             move.
         """
         keyframe = self.frame_index
-        before = torch.searchsorted(keyframe, frame_index.to(keyframe), right=True) - 1
-        a = before.clamp_min(0)
-        b = (before + 1).clamp_max(len(keyframe) - 1)
-        a = torch.where(before < 0, b.clamp_max(0), a)
-        b = torch.where(before < 0, a, b)
+        row = torch.searchsorted(keyframe, frame_index.to(keyframe), right=True) - 1
+        a = row.clamp_min(0)
+        b = (row + 1).clamp_max(len(keyframe) - 1)
+        a = torch.where(row < 0, b.clamp_max(0), a)
+        b = torch.where(row < 0, a, b)
         gap = (keyframe[b] - keyframe[a]).clamp_min(1)
-        passed = (frame_index.to(keyframe) - keyframe[a]).double()
-        t = (passed / gap).clamp(0, 1) * (a != b)
+        n_passed = (frame_index.to(keyframe) - keyframe[a]).double()
+        t = (n_passed / gap).clamp(0, 1) * (a != b)
         motion = _motion(self.T_WC_old, self.T_WC_new)
         old_centre = self.T_WC_old[:, :3, 3]
         s = t[:, None]
@@ -396,19 +396,19 @@ class BackEnd:
         if features is None:
             features = self.database.extract(frame)
         row = len(self)
-        around, seen = self.map.add(frame.index, T_WC, features)
+        nearby_rows, sighting = self.map.add(frame.index, T_WC, features)
         self._finder.add(frame.depth_m)
-        self._tie(row, around, T_WC if seen is None else seen.T_WC)
+        self._tie(row, nearby_rows, T_WC if sighting is None else sighting.T_WC)
         return self._correct(landmarks=False) if self._close_loops(row) else None
 
     def finish(self) -> Correction | None:
         """Optimise all poses and landmarks together, once; None with fewer than two keyframes."""
         return self._correct(landmarks=True) if len(self) > 1 else None
 
-    def _tie(self, row: int, around: list[int], T_seen: Tensor) -> None:
+    def _tie(self, row: int, nearby_rows: list[int], T_seen: Tensor) -> None:
         """Add edges to the previous keyframe (odometry) and to those with most common landmarks,
         which give the keyframe the pose ``T_seen``."""
-        if not around:
+        if not nearby_rows:
             return
         T = self.database.T_WC
         information = odometry_information(ODOMETRY_SIGMA_DEG, ODOMETRY_SIGMA_M)
@@ -416,17 +416,17 @@ class BackEnd:
         self.edges.append(
             Edge(i=row - 1, j=row, T_ij=step, information=information, kind="odometry")
         )
-        shared = {r: self.landmarks.shared(row, r) for r in around}
-        for r in sorted(around, key=lambda r: -len(shared[r]))[:TIED_TO]:
-            if len(shared[r]) < MIN_SHARED:
+        pairs = {r: self.landmarks.shared(row, r) for r in nearby_rows}
+        for r in sorted(nearby_rows, key=lambda r: -len(pairs[r]))[:TIED_TO]:
+            if len(pairs[r]) < MIN_SHARED:
                 continue
             rows = rows_of(
                 self.camera,
                 self.database.features[row],
                 self.database.features[r],
-                shared[r],
+                pairs[r],
             )
-            pose = refine_pose(rows, se3.inverse(T[r]) @ T_seen, shared[r])
+            pose = refine_pose(rows, se3.inverse(T[r]) @ T_seen, pairs[r])
             if pose is not None and len(pose.rows) >= MIN_SHARED:
                 self.edges.append(self._edge(r, row, pose, "landmarks"))
 
@@ -442,7 +442,7 @@ class BackEnd:
     def _close_loops(self, row: int) -> bool:
         """Add the loops that the new keyframe closes. Returns whether the trajectory contradicts
         one of them."""
-        off = False
+        is_off = False
         for earlier, pose in self._finder.loops(row):
             edge = self._edge(earlier, row, pose, "loop")
             self.edges.append(edge)
@@ -450,14 +450,14 @@ class BackEnd:
             self._fresh_loops.append(
                 (self.database.index[row], self.database.index[earlier], len(pose.rows))
             )
-            missed = (
+            T_gap = (
                 se3.inverse(pose.T_RQ)
                 @ se3.inverse(self.database.T_WC[earlier])
                 @ self.database.T_WC[row]
             )
-            degrees = float(torch.rad2deg(se3.rotation_angle(missed[:3, :3])))
-            off |= float(missed[:3, 3].norm()) > CORRECT_FROM_M or degrees > CORRECT_FROM_DEG
-        return off
+            degrees = float(torch.rad2deg(se3.rotation_angle(T_gap[:3, :3])))
+            is_off |= float(T_gap[:3, 3].norm()) > CORRECT_FROM_M or degrees > CORRECT_FROM_DEG
+        return is_off
 
     def _correct(self, *, landmarks: bool) -> Correction:
         """Optimise the poses with relative poses and then, with ``landmarks``, also with the
@@ -489,19 +489,19 @@ class BackEnd:
 
     def _with_landmarks(self) -> None:
         """Adjust all poses but the first, and the landmarks, which keep what was found."""
-        seen = self.landmarks.observations(per_keyframe=LANDMARKS_PER_KEYFRAME)
+        observations = self.landmarks.observations(per_keyframe=LANDMARKS_PER_KEYFRAME)
         steps = [e for e in fit_odometry(self.edges) if e.kind == "odometry"]
         odometry = [replace(e, information=e.information / LANDMARK_SHARE) for e in steps]
-        found = adjust(
+        adjustment = adjust(
             self.camera,
             self.T_WC,
-            seen,
+            observations,
             odometry,
             torch.arange(len(self)) == 0,
             iterations=20,
         )
-        self.map.move(found.T_WC)
-        self.landmarks.refine(seen.name, found.xyz_W)
+        self.map.move(adjustment.T_WC)
+        self.landmarks.refine(observations.name, adjustment.xyz_W)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything except the settings: numbers, lists and tensors."""

@@ -177,21 +177,23 @@ def brightness_system(
     u, v = project(picture.camera, xyz_S).unbind(-1)
     H = picture.camera.height
     W = picture.camera.width
-    ahead = (level.depth_m.view(-1) > 0) & (xyz_S[:, 2] > 0)
+    is_ahead = (level.depth_m.view(-1) > 0) & (xyz_S[:, 2] > 0)
     in_width = (u >= 0) & (u < W)
     in_height = (v >= 0) & (v < H)
-    inside = ahead & in_width & in_height
-    row = v.where(inside, 0.0).long()
-    column = u.where(inside, 0.0).long()
+    in_image = is_ahead & in_width & in_height
+    row = v.where(in_image, 0.0).long()
+    column = u.where(in_image, 0.0).long()
     depth_m = picture.depth_m.to(dtype)[row, column]
     gradient = picture.gradient.to(dtype)[row, column]
-    near = (depth_m > 0) & ((xyz_S[:, 2] - depth_m).abs() <= max_distance_m)
-    rows = inside & near & (gradient.square().sum(-1) >= FLAT**2)
-    there = picture.brightness.to(dtype)[row, column]
+    is_near = (depth_m > 0) & ((xyz_S[:, 2] - depth_m).abs() <= max_distance_m)
+    rows = in_image & is_near & (gradient.square().sum(-1) >= FLAT**2)
+    model_brightness = picture.brightness.to(dtype)[row, column]
     from_centre_u = u - column - 0.5
     from_centre_v = v - row - 0.5
-    there = there + gradient[:, 0] * from_centre_u + gradient[:, 1] * from_centre_v
-    r = (there - brightness.to(dtype).view(-1))[rows]
+    model_brightness = (
+        model_brightness + gradient[:, 0] * from_centre_u + gradient[:, 1] * from_centre_v
+    )
+    r = (model_brightness - brightness.to(dtype).view(-1))[rows]
     J = brightness_rows(
         xyz[rows],
         xyz_S[rows],
@@ -259,27 +261,27 @@ def picture_of(surface: Surface, rgb: Float[Tensor, "H W 3"], factor: int) -> Pi
     """The picture of a surface at one level; where a block or a neighbour has no depth, the
     gradient is 0."""
     brightness = reduce_image(rgb.mean(dim=-1), factor)
-    seen = reduce_image((surface.depth_m > 0).to(brightness), factor) > 0.99
-    edged = pad(
+    has_surface = reduce_image((surface.depth_m > 0).to(brightness), factor) > 0.99
+    padded_image = pad(
         brightness[None],
         (1, 1, 1, 1),
         mode="replicate",
     )[0]
-    across = edged[1:-1, 2:] - edged[1:-1, :-2]
-    down = edged[2:, 1:-1] - edged[:-2, 1:-1]
-    gradient = torch.stack([across, down], dim=-1) / 2
-    known = pad(seen, (1, 1, 1, 1))
-    left_and_right = known[1:-1, 2:] & known[1:-1, :-2]
-    above_and_below = known[2:, 1:-1] & known[:-2, 1:-1]
-    around = seen & left_and_right & above_and_below
-    sizes = zip(seen.shape, surface.depth_m.shape, strict=True)
+    gradient_u = padded_image[1:-1, 2:] - padded_image[1:-1, :-2]
+    gradient_v = padded_image[2:, 1:-1] - padded_image[:-2, 1:-1]
+    gradient = torch.stack([gradient_u, gradient_v], dim=-1) / 2
+    padded_mask = pad(has_surface, (1, 1, 1, 1))
+    left_and_right = padded_mask[1:-1, 2:] & padded_mask[1:-1, :-2]
+    above_and_below = padded_mask[2:, 1:-1] & padded_mask[:-2, 1:-1]
+    has_neighbours = has_surface & left_and_right & above_and_below
+    sizes = zip(has_surface.shape, surface.depth_m.shape, strict=True)
     row, column = (
         (torch.arange(n) * factor + factor // 2).clamp(max=full - 1) for n, full in sizes
     )
     return Picture(
         camera=reduced_camera(surface.camera, factor),
         brightness=brightness,
-        gradient=gradient.where(around[..., None], 0.0),
+        gradient=gradient.where(has_neighbours[..., None], 0.0),
         depth_m=surface.depth_m[row[:, None], column],
         T_WC=surface.T_WC,
     )

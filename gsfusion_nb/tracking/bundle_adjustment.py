@@ -78,26 +78,28 @@ def adjust(
     problem = _Problem(camera, seen, edges, fixed)
     T_WC = T_WC.double()
     xyz = seen.xyz_W.double().numpy()
-    before = error = problem.error(T_WC, xyz)
+    error_before = error = problem.error(T_WC, xyz)
     damping = FIRST_DAMPING
     system = problem.system(T_WC, xyz)
     for _ in range(iterations):
         xi, dx = system.step(damping)
         T_new = T_WC @ se3.exp(torch.from_numpy(xi))
         xyz_new = xyz + dx
-        after = problem.error(T_new, xyz_new)
-        if not after < error:
+        error_after = problem.error(T_new, xyz_new)
+        if not error_after < error:
             damping *= 10
             continue
-        fell = error - after
+        fell = error - error_after
         T_WC = T_new
         xyz = xyz_new
-        error = after
+        error = error_after
         if fell < ADJUST_LEAST_FALL * error:
             break
         damping /= 10
         system = problem.system(T_WC, xyz)
-    return Adjusted(T_WC=T_WC, xyz_W=torch.from_numpy(xyz), error_before=before, error_after=error)
+    return Adjusted(
+        T_WC=T_WC, xyz_W=torch.from_numpy(xyz), error_before=error_before, error_after=error
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,8 +114,8 @@ class _Points:
         """The inverse of each block, damped."""
         if not len(self.V):
             return self.V
-        damped = self.V * (1 + damping * np.eye(3)) + 1e-9 * np.eye(3)
-        return np.linalg.inv(damped)
+        damped_V = self.V * (1 + damping * np.eye(3)) + 1e-9 * np.eye(3)
+        return np.linalg.inv(damped_V)
 
     def step(
         self,
@@ -249,11 +251,11 @@ class _Problem:
         information = self.edges.weighted(e, True)
         ends = (self.edges.i.numpy(), self.edges.j.numpy())
         for a, J_a in zip(ends, J, strict=True):
-            weighted = J_a.mT @ information
-            pull = weighted @ e[:, :, None]
+            J_information = J_a.mT @ information
+            pull = J_information @ e[:, :, None]
             np.add.at(b_p, a, pull[:, :, 0].numpy())
             for c, J_c in zip(ends, J, strict=True):
-                np.add.at(U, (a, c), (weighted @ J_c).numpy())
+                np.add.at(U, (a, c), (J_information @ J_c).numpy())
 
 
 def _members(group: ndarray, n: int) -> Any:

@@ -125,8 +125,8 @@ def extract_features(frame: Frame, *, count: int, levels: int) -> Features:
         )
     position = cv2.KeyPoint.convert(corners)
     strength = np.array([c.response for c in corners])
-    kept = _spread(position, strength, count, grey.shape)
-    corners, descriptors = orb.compute(grey, [corners[k] for k in kept])
+    rows = _spread(position, strength, count, grey.shape)
+    corners, descriptors = orb.compute(grey, [corners[k] for k in rows])
     if descriptors is None:
         return _rows(
             frame,
@@ -223,17 +223,17 @@ def _depth_at(depth_m: ndarray, uv: ndarray) -> tuple[ndarray, ndarray]:
         0,
         max(height - 2, 0),
     )
-    around = np.arange(-1, 3)[:, None]
-    rows = np.clip(y0 + around, 0, height - 1)
-    columns = np.clip(x0 + around, 0, width - 1)
+    offsets = np.arange(-1, 3)[:, None]
+    rows = np.clip(y0 + offsets, 0, height - 1)
+    columns = np.clip(x0 + offsets, 0, width - 1)
     patch = depth_m[rows[:, None], columns[None]].astype(float)  # [4, 4, M]
     low = patch.min((0, 1))
     high = patch.max((0, 1))
-    trusted = (low > 0) & (high - low <= EDGE_SHARE * low)
+    is_smooth = (low > 0) & (high - low <= EDGE_SHARE * low)
     inverse = 1.0 / np.where(patch > 0, patch, 1.0)[1:3, 1:3]
     fx = np.clip(x - x0, 0, 1)
     fy = np.clip(y - y0, 0, 1)
     top = inverse[0, 0] * (1 - fx) + inverse[0, 1] * fx
     bottom = inverse[1, 0] * (1 - fx) + inverse[1, 1] * fx
     inverse_at = top * (1 - fy) + bottom * fy
-    return np.where(trusted, 1.0 / inverse_at, 0.0), trusted
+    return np.where(is_smooth, 1.0 / inverse_at, 0.0), is_smooth

@@ -139,20 +139,20 @@ def associate(
     u, v = project(surface.camera, xyz_S).unbind(-1)
     H = surface.camera.height
     W = surface.camera.width
-    ahead = (level.depth_m > 0) & (xyz_S[..., 2] > 0)
+    is_ahead = (level.depth_m > 0) & (xyz_S[..., 2] > 0)
     in_width = (u >= 0) & (u < W)
     in_height = (v >= 0) & (v < H)
-    inside = ahead & in_width & in_height
-    row = v.where(inside, 0.0).long()
-    column = u.where(inside, 0.0).long()
+    in_image = is_ahead & in_width & in_height
+    row = v.where(in_image, 0.0).long()
+    column = u.where(in_image, 0.0).long()
 
     surface_xyz_S = depth_to_points(surface.camera, surface.depth_m.to(dtype))[row, column]
     surface_xyz = surface_xyz_S @ R_WS.T
     surface_normal = surface.normal_W.to(dtype)[row, column]
-    overlap = inside & (surface_xyz_S[..., 2] > 0) & (surface_normal != 0).any(-1)
-    near = (xyz - surface_xyz).square().sum(-1) <= max_distance_m**2
-    aligned = (se3.rotate(T, level.normal_C) * surface_normal).sum(-1) >= min_cosine
-    inlier = overlap & near & aligned
+    overlap = in_image & (surface_xyz_S[..., 2] > 0) & (surface_normal != 0).any(-1)
+    is_near = (xyz - surface_xyz).square().sum(-1) <= max_distance_m**2
+    is_aligned = (se3.rotate(T, level.normal_C) * surface_normal).sum(-1) >= min_cosine
+    inlier = overlap & is_near & is_aligned
     return Correspondences(
         xyz=xyz,
         surface_xyz=surface_xyz,
@@ -229,12 +229,12 @@ def icp_system(
 
     Differentiable: no. Source: Peng et al. 2024, Eq. 10.
     """
-    found = associate(level, T_WC, surface, max_distance_m=max_distance_m, min_cosine=min_cosine)
-    rows = found.inlier
+    pairs = associate(level, T_WC, surface, max_distance_m=max_distance_m, min_cosine=min_cosine)
+    rows = pairs.inlier
     r, J = point_to_plane(
-        found.xyz[rows],
-        found.surface_xyz[rows],
-        found.surface_normal[rows],
+        pairs.xyz[rows],
+        pairs.surface_xyz[rows],
+        pairs.surface_normal[rows],
     )
     r = r.double()
     J = J.double()
@@ -245,7 +245,7 @@ def icp_system(
         sum_squares_m2=float((w * r**2).sum()),
         sum_weights=float(w.sum()),
         n_inliers=int(rows.sum()),
-        n_overlap=int(found.overlap.sum()),
+        n_overlap=int(pairs.overlap.sum()),
     )
 
 
@@ -310,14 +310,14 @@ def solve_step(system: IcpSystem, extent: Extent, *, damping: float, min_eigenva
     H = A.T @ system.H.cpu() @ A / weight
     b = A.T @ system.b.cpu() / weight
     eigenvalues, directions = torch.linalg.eigh(H)
-    known = eigenvalues >= max(min_eigenvalue * float(eigenvalues[-1]), 1e-12)
-    damped = eigenvalues + damping * float(eigenvalues.sum())
-    y = -directions @ (directions.T @ b).div(damped).where(known, 0.0)
+    is_determined = eigenvalues >= max(min_eigenvalue * float(eigenvalues[-1]), 1e-12)
+    damped_eigenvalues = eigenvalues + damping * float(eigenvalues.sum())
+    y = -directions @ (directions.T @ b).div(damped_eigenvalues).where(is_determined, 0.0)
     return Step(
         xi=A @ y,
         length_m=float(y.norm()),
         eigenvalues=eigenvalues,
-        degenerate=int((~known).sum()),
+        degenerate=int((~is_determined).sum()),
     )
 
 
@@ -434,10 +434,10 @@ def align(
         # converged to a wrong pose.
         reach = (level.factor / levels[-1].factor) ** 0.5
         for _ in range(iterations):
-            system, joined = rows.at(level, T_WC, reach * config.max_distance_m)
+            system, joint_system = rows.at(level, T_WC, reach * config.max_distance_m)
             if system.n_inliers < 6:
                 break
-            step = _step(joined, T_WC, o, points, config)
+            step = _step(joint_system, T_WC, o, points, config)
             fit = {
                 "rms_m": system.rms_m,
                 "n_inliers": system.n_inliers,
@@ -446,11 +446,11 @@ def align(
             history.append(
                 IcpIteration(factor=level.factor, T_WC=T_WC, step_m=step.length_m, **fit)
             )
-            T_WC = se3.translate(next_pose(se3.translate(T_WC, -o), joined, step), o)
+            T_WC = se3.translate(next_pose(se3.translate(T_WC, -o), joint_system, step), o)
             if step.length_m < LEAST_STEP_M * level.factor:
                 break
-    system, joined = rows.at(levels[-1], T_WC, config.max_distance_m)
-    last = _step(joined, T_WC, o, points, config)
+    system, joint_system = rows.at(levels[-1], T_WC, config.max_distance_m)
+    last = _step(joint_system, T_WC, o, points, config)
     return IcpResult(
         T_WC=T_WC,
         rms_m=system.rms_m,
@@ -477,22 +477,22 @@ class _Rows:
     ) -> tuple[IcpSystem, IcpSystem]:
         """The system of depth alone at a pose, and that of all rows."""
         config = self.config
-        there = T_WC.to(self.surface.depth_m.device)
+        T_on_device = T_WC.to(self.surface.depth_m.device)
         min_cosine = math.cos(math.radians(config.max_angle_deg))
         gates = {
             "max_distance_m": max_distance_m,
             "min_cosine": min_cosine,
             "even_to_m": config.even_to_m,
         }
-        system = joined = icp_system(level, there, self.surface, **gates)
+        system = joint_system = icp_system(level, T_on_device, self.surface, **gates)
         if self.pictures is not None and config.brightness_m:
-            H, b = self.pictures.system(level, there, max_distance_m).normal_equations()
-            joined = joined.plus(config.brightness_m**2 * H, config.brightness_m**2 * b)
+            H, b = self.pictures.system(level, T_on_device, max_distance_m).normal_equations()
+            joint_system = joint_system.plus(config.brightness_m**2 * H, config.brightness_m**2 * b)
         if self.extra is not None:
             H, b = self.extra(T_WC)
             A = recentred(self.surface.T_WC[:3, 3])
-            joined = joined.plus(A.T @ H @ A, A.T @ b)
-        return system, joined
+            joint_system = joint_system.plus(A.T @ H @ A, A.T @ b)
+        return system, joint_system
 
 
 def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
@@ -503,8 +503,8 @@ def _extent(level: DepthLevel, even_to_m: float | None) -> Extent:
     share = weight / sum_rows(weight).clamp_min(1e-12)
     middle = sum_rows(share[:, None] * points)
     squares = (points - middle).square().sum(1)
-    spread = float(sum_rows(share * squares).sqrt())
-    return Extent(centre=middle.double().cpu(), spread_m=max(spread, 1e-3))
+    extent = float(sum_rows(share * squares).sqrt())
+    return Extent(centre=middle.double().cpu(), spread_m=max(extent, 1e-3))
 
 
 def _step(

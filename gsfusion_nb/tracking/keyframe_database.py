@@ -105,23 +105,23 @@ class KeyframeDatabase:
         """
         rows = len(self) if exclude_after is None else max(0, min(exclude_after, len(self)))
         query = _words(features)
-        filled = np.array(
+        rows_with_words = np.array(
             [r for r in range(rows) if len(self._words[r])],
             int,
         )
-        if len(filled) == 0 or k < 1 or len(query) == 0:
+        if len(rows_with_words) == 0 or k < 1 or len(query) == 0:
             return []
         # One more than the number of keyframes: otherwise, with one keyframe, the weight of every
         # word would be 0.
         weight = np.log((len(self) + 1) / np.maximum(self._frequency, 1)).astype(np.float32) ** 2
-        shared = np.zeros_like(weight)
-        shared[query] = weight[query]
-        words = np.concatenate([self._words[r] for r in filled])
-        start = np.cumsum([0, *(len(self._words[r]) for r in filled[:-1])])
+        query_weight = np.zeros_like(weight)
+        query_weight[query] = weight[query]
+        words = np.concatenate([self._words[r] for r in rows_with_words])
+        start = np.cumsum([0, *(len(self._words[r]) for r in rows_with_words[:-1])])
         length = np.add.reduceat(weight[words], start) * weight[query].sum()
-        score = np.add.reduceat(shared[words], start) / np.sqrt(np.maximum(length, 1e-12))
+        score = np.add.reduceat(query_weight[words], start) / np.sqrt(np.maximum(length, 1e-12))
         best = np.argsort(-score, kind="stable")[:k]
-        return [(int(filled[b]), float(score[b])) for b in best if score[b] > 0]
+        return [(int(rows_with_words[b]), float(score[b])) for b in best if score[b] > 0]
 
     def relocalise(
         self,
@@ -150,12 +150,12 @@ class KeyframeDatabase:
                     f"{view.camera}"
                 )
             view = self.extract(view)
-        found: list[tuple[int, Tensor]] = []
+        poses: list[tuple[int, Tensor]] = []
         for row, _ in self.similar(view, k):
             pose = self.compare(view, row)
             if pose is not None and len(pose.rows) >= RELOCALISED_BY:
-                found.append((len(pose.rows), self.T_WC[row] @ pose.T_RQ))
-        return [T_WC for _, T_WC in sorted(found, key=lambda f: -f[0])]
+                poses.append((len(pose.rows), self.T_WC[row] @ pose.T_RQ))
+        return [T_WC for _, T_WC in sorted(poses, key=lambda f: -f[0])]
 
     def nearest_view(
         self,

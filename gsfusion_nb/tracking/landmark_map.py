@@ -81,9 +81,9 @@ class Sighting:
         least = landmark_sums(self.rows, self.T_WC).cost
 
         def sums(T_WC: Tensor) -> tuple[Tensor, Tensor]:
-            there = landmark_sums(self.rows, T_WC)
-            share = SIGMA_M**2 * (1 - ALLOWED / max(there.cost - least, ALLOWED))
-            return share * there.H, share * there.b
+            landmark_terms = landmark_sums(self.rows, T_WC)
+            share = SIGMA_M**2 * (1 - ALLOWED / max(landmark_terms.cost - least, ALLOWED))
+            return share * landmark_terms.H, share * landmark_terms.b
 
         return sums
 
@@ -133,30 +133,32 @@ class LandmarkMap:
             The earlier keyframes that it may share landmarks with, and the landmarks that it sees
             again.
         """
-        around = self.around(T_WC)
-        seen = self._sighting(features, T_WC, self._seen_from(around)) if around else None
-        pairs = np.zeros((0, 2), np.int64) if seen is None else seen.pairs
+        nearby_rows = self.around(T_WC)
+        sighting = (
+            self._sighting(features, T_WC, self._seen_from(nearby_rows)) if nearby_rows else None
+        )
+        pairs = np.zeros((0, 2), np.int64) if sighting is None else sighting.pairs
         self.database.add(index, T_WC, features)
         self.landmarks.add(features, torch.from_numpy(pairs))
-        self.refine([*around, len(self) - 1])
+        self.refine([*nearby_rows, len(self) - 1])
         self.collect()
-        return around, seen
+        return nearby_rows, sighting
 
     def refine(self, keyframes: list[int]) -> None:
         """Move the landmarks that several of these keyframes see to where they agree best, with the
         poses as they are."""
-        seen = self.landmarks.observations(per_keyframe=MOST_REFINED, keyframes=keyframes)
-        if len(seen):
-            fixed = torch.ones(len(self), dtype=torch.bool)
-            found = adjust(
+        observations = self.landmarks.observations(per_keyframe=MOST_REFINED, keyframes=keyframes)
+        if len(observations):
+            is_fixed = torch.ones(len(self), dtype=torch.bool)
+            adjustment = adjust(
                 self.camera,
                 torch.stack(self.database.T_WC),
-                seen,
+                observations,
                 [],
-                fixed,
+                is_fixed,
                 iterations=REFINING_STEPS,
             )
-            self.landmarks.refine(seen.name, found.xyz_W)
+            self.landmarks.refine(observations.name, adjustment.xyz_W)
 
     def collect(self) -> None:
         """Choose the landmarks of the local map: those around the last keyframe that are worth a
@@ -180,15 +182,15 @@ class LandmarkMap:
         return self._sighting(features, T_WC, self._local)
 
     def _sighting(self, features: Features, T_WC: Tensor, local: "_Local") -> Sighting | None:
-        seen = self.find(features, T_WC, local) or self.find(features, T_WC, local, SEARCHES)
-        if seen is None:
+        sighting = self.find(features, T_WC, local) or self.find(features, T_WC, local, SEARCHES)
+        if sighting is None:
             pose = self.database.compare(features, len(self) - 1)
-            seen = pose and self.find(
+            sighting = pose and self.find(
                 features,
                 self.database.T_WC[-1] @ pose.T_RQ,
                 local,
             )
-        return seen
+        return sighting
 
     def count(self, seen: Sighting) -> None:
         """Count a view for the worth of its landmarks (``Landmarks.is_good``)."""
@@ -215,14 +217,14 @@ class LandmarkMap:
         this row."""
         of_feature = self.landmarks.of_feature
         # the last entry stands for features without a landmark
-        seen = np.zeros(len(self.landmarks) + 1, bool)
-        seen[of_feature[row]] = True
-        seen[-1] = False
-        shared = np.array([seen[f].sum() for f in of_feature[:before]], int)
+        is_seen = np.zeros(len(self.landmarks) + 1, bool)
+        is_seen[of_feature[row]] = True
+        is_seen[-1] = False
+        n_shared = np.array([is_seen[f].sum() for f in of_feature[:before]], int)
         return [
             int(r)
-            for r in np.argsort(-shared, kind="stable")[:COVISIBLE]
-            if shared[r] >= LEAST_SHARED
+            for r in np.argsort(-n_shared, kind="stable")[:COVISIBLE]
+            if n_shared[r] >= LEAST_SHARED
         ]
 
     def relocalise(self, features: Features, *, k: int = 5) -> list[Sighting]:
@@ -235,16 +237,17 @@ class LandmarkMap:
         Returns:
             The sighting with most landmarks first; none if the place is unknown.
         """
-        found = []
+        sightings = []
         for row, _ in self.database.similar(features, k):
             pose = self.database.compare(features, row)
             if pose is not None:
                 local = self._seen_from(sorted({row, *self._covisible(row, len(self))}))
-                found.append(
+                sightings.append(
                     self.find(features, self.database.T_WC[row] @ pose.T_RQ, local, SEARCHES)
                 )
         return sorted(
-            (seen for seen in found if seen is not None), key=lambda seen: -len(seen.pairs)
+            (sighting for sighting in sightings if sighting is not None),
+            key=lambda sighting: -len(sighting.pairs),
         )
 
     def find(
@@ -277,23 +280,25 @@ class LandmarkMap:
             [pairs[:, 0], local.landmark[pairs[:, 1]]],
             1,
         )
-        expected = local.landmark[in_view(self.camera, local.xyz_W, T_WC)[1]]
+        expected_landmarks = local.landmark[in_view(self.camera, local.xyz_W, T_WC)[1]]
         return Sighting(
             T_WC=T_WC,
             rows=rows[agree],
             pairs=pairs[agree],
-            expected=expected,
+            expected=expected_landmarks,
         )
 
     def _rows(self, features: Features, pairs: ndarray, local: "_Local") -> LandmarkRows:
-        seen = pairs[:, 0]
+        feature_rows = pairs[:, 0]
         return LandmarkRows(
             camera=self.camera,
             xyz_W=local.xyz_W[pairs[:, 1]],
-            uv=features.uv.numpy()[seen].astype(np.float64),
-            inverse_depth=inverse_or_zero(features.xyz_C.numpy()[seen, 2].astype(np.float64)),
+            uv=features.uv.numpy()[feature_rows].astype(np.float64),
+            inverse_depth=inverse_or_zero(
+                features.xyz_C.numpy()[feature_rows, 2].astype(np.float64)
+            ),
             # the landmark's own pixel had the same error
-            sigma_px=features.sigma_px.numpy()[seen].astype(np.float64) * 2**0.5,
+            sigma_px=features.sigma_px.numpy()[feature_rows].astype(np.float64) * 2**0.5,
         )
 
     def _seen_from(self, keyframes: list[int]) -> "_Local":

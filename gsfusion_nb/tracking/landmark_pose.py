@@ -164,10 +164,10 @@ def landmark_sums(
     J[:, :, 4] = z * g_x - x * g_z
     J[:, :, 5] = x * g_y - y * g_x
     flat = J.reshape(-1, 6)
-    weighted = (robust_weight(e)[:, None, None] * J).reshape(-1, 6)
+    J_weighted = (robust_weight(e)[:, None, None] * J).reshape(-1, 6)
     return LandmarkSums(
-        H=torch.from_numpy(weighted.T @ flat),
-        b=torch.from_numpy(weighted.T @ e.reshape(-1)),
+        H=torch.from_numpy(J_weighted.T @ flat),
+        b=torch.from_numpy(J_weighted.T @ e.reshape(-1)),
         cost=robust_cost(e),
     )
 
@@ -183,8 +183,8 @@ def landmark_pose(rows: LandmarkRows, T_WC: Float[Tensor, "4 4"]) -> Float[Tenso
         centre = T_WC[:3, 3]
         sums = landmark_sums(rows, T_WC, centre)
         damping = DAMPING * sums.H.trace().clamp_min(1e-12)
-        damped = sums.H + damping * torch.eye(6, dtype=torch.float64)
-        xi = -torch.linalg.solve(damped, sums.b)
+        damped_H = sums.H + damping * torch.eye(6, dtype=torch.float64)
+        xi = -torch.linalg.solve(damped_H, sums.b)
         T_WC = se3.translate(se3.exp(xi) @ se3.translate(T_WC, -centre), centre)
         if float(xi.abs().max()) < SMALLEST_STEP:
             break
@@ -226,10 +226,10 @@ def point_errors(
         sigma_px, sigma_inverse: Standard deviations.
     """
     c = camera
-    ahead = y[:, 2] > NEAREST_M
-    d = 1.0 / np.where(ahead, y[:, 2], 1.0)
-    w = ahead / sigma_px
-    w_d = np.where(inverse_depth > 0, ahead / sigma_inverse, 0.0)
+    is_ahead = y[:, 2] > NEAREST_M
+    d = 1.0 / np.where(is_ahead, y[:, 2], 1.0)
+    w = is_ahead / sigma_px
+    w_d = np.where(inverse_depth > 0, is_ahead / sigma_inverse, 0.0)
     u = c.fx * y[:, 0] * d
     v = c.fy * y[:, 1] * d
     e = np.empty((len(y), 3))

@@ -89,8 +89,8 @@ class Landmarks:
         """
         landmark, descriptors = self.seen_from(rows)
         xyz_W = self.positions(torch.from_numpy(landmark)).numpy()
-        near = found_near(self.database.camera, xyz_W, descriptors, features, T_WC, radius_px)
-        row, at = near.T
+        pairs = found_near(self.database.camera, xyz_W, descriptors, features, T_WC, radius_px)
+        row, at = pairs.T
         return torch.from_numpy(np.stack([row, landmark[at]], 1))
 
     def add(self, features: Features, pairs: Int[Tensor, "P 2"]) -> None:
@@ -117,8 +117,8 @@ class Landmarks:
 
     def is_good(self, landmark: ndarray) -> ndarray:
         """Whether each landmark is worth a search: it has not been looked for in vain too often."""
-        expected, found = self._views[landmark].T
-        return (expected < CULL_VIEWS) | (found >= CULL_SHARE * expected)
+        n_expected, n_found = self._views[landmark].T
+        return (n_expected < CULL_VIEWS) | (n_found >= CULL_SHARE * n_expected)
 
     def refine(
         self,
@@ -127,9 +127,9 @@ class Landmarks:
     ) -> None:
         """Replace the positions of some landmarks, world frame, with the keyframes' present poses.
         What is not finite is left out."""
-        known = torch.isfinite(xyz_W).all(1).numpy()
-        number = landmark.numpy()[known]
-        at_W = xyz_W.double().numpy()[known]
+        is_known = torch.isfinite(xyz_W).all(1).numpy()
+        number = landmark.numpy()[is_known]
+        at_W = xyz_W.double().numpy()[is_known]
         T = self._poses()[self._birth[number, 0]]
         from_camera = at_W - T[:, :3, 3]
         self._xyz_B[number] = np.einsum("nji,nj->ni", T[:, :3, :3], from_camera)
@@ -142,11 +142,11 @@ class Landmarks:
         name = self._merged(same)
         oldest = np.unique(name, return_index=True)[1].astype(np.int32)
         for row, landmark in enumerate(self.of_feature):
-            now = np.where(landmark >= 0, oldest[name[landmark]], NO_LANDMARK)
+            fused_landmark = np.where(landmark >= 0, oldest[name[landmark]], NO_LANDMARK)
             # two features of one keyframe would be a wrong match
-            kept = np.unique(now, return_index=True)[1]
+            first_rows = np.unique(fused_landmark, return_index=True)[1]
             self.of_feature[row] = np.full_like(landmark, NO_LANDMARK)
-            self.of_feature[row][kept] = now[kept]
+            self.of_feature[row][first_rows] = fused_landmark[first_rows]
 
     def positions(self, landmark: Int[Tensor, " N"]) -> Float[Tensor, "N 3"]:
         """World positions, float64, metres."""
@@ -154,12 +154,12 @@ class Landmarks:
         if len(number) == 0:
             return torch.zeros((0, 3), dtype=torch.float64)
         T = self._poses()[self._birth[number, 0]]
-        turned = np.einsum(
+        offset_W = np.einsum(
             "nij,nj->ni",
             T[:, :3, :3],
             self._xyz_B[number],
         )
-        return torch.from_numpy(turned + T[:, :3, 3])
+        return torch.from_numpy(offset_W + T[:, :3, 3])
 
     def _poses(self) -> ndarray:
         return torch.stack(self.database.T_WC).numpy()
@@ -169,13 +169,13 @@ class Landmarks:
     ) -> LandmarkRows:
         """The ``pairs`` from ``find``: points in a reference camera frame R, where the features
         show them."""
-        seen = features[pairs[:, 0]]
+        matched_features = features[pairs[:, 0]]
         return LandmarkRows(
             camera=self.database.camera,
             xyz_W=se3.apply(se3.inverse(T_WR), self.positions(pairs[:, 1])).numpy(),
-            uv=seen.uv.double().numpy(),
-            inverse_depth=inverse_or_zero(seen.xyz_C[:, 2].double().numpy()),
-            sigma_px=seen.sigma_px.double().numpy()
+            uv=matched_features.uv.double().numpy(),
+            inverse_depth=inverse_or_zero(matched_features.xyz_C[:, 2].double().numpy()),
+            sigma_px=matched_features.sigma_px.double().numpy()
             * 2**0.5,  # the landmark's own pixel had the same error
         )
 
@@ -207,22 +207,22 @@ class Landmarks:
         row = np.repeat(np.array(rows, int), [len(f) for f in views])
         tracks = [self.of_feature[r] for r in rows]
         landmark = np.concatenate([np.zeros(0, np.int64), *tracks]).astype(np.int64)
-        known = (landmark >= 0).nonzero()[0]
-        name = landmark[known]
+        feature_rows = (landmark >= 0).nonzero()[0]
+        name = landmark[feature_rows]
         # One observation per keyframe and landmark; two would be a wrong match.
-        by_keyframe = name * (len(self.of_feature) + 1) + row[known]
+        by_keyframe = name * (len(self.of_feature) + 1) + row[feature_rows]
         _, first = np.unique(by_keyframe, return_index=True)
-        sighting = known[first]
+        sighting = feature_rows[first]
         name = name[first]
         length = np.bincount(name, minlength=len(self))[name]
         order = np.lexsort((-length, row[sighting]))
         place = np.arange(len(order))
         begins = np.diff(row[sighting][order], prepend=-1) != 0
         start = np.maximum.accumulate(np.where(begins, place, 0))
-        chosen = (place - start < per_keyframe) & (length[order] >= 2)
-        kept = np.isin(name, name[order][chosen])
-        sighting = sighting[kept]
-        name = name[kept]
+        is_chosen = (place - start < per_keyframe) & (length[order] >= 2)
+        is_observed = np.isin(name, name[order][is_chosen])
+        sighting = sighting[is_observed]
+        name = name[is_observed]
         _, born, number = np.unique(name, return_index=True, return_inverse=True)
         at = torch.from_numpy(sighting)
         nothing = torch.zeros((0, 3))
@@ -260,9 +260,9 @@ class Landmarks:
         landmark = [np.zeros(0, np.int64)]
         descriptors = [np.zeros((0, 32), np.uint8)]
         for r in sorted(rows, reverse=True):
-            known = self.of_feature[r] >= 0
-            landmark.append(self.of_feature[r][known].astype(np.int64))
-            descriptors.append(self.database.features[r].descriptors.numpy()[known])
+            has_landmark = self.of_feature[r] >= 0
+            landmark.append(self.of_feature[r][has_landmark].astype(np.int64))
+            descriptors.append(self.database.features[r].descriptors.numpy()[has_landmark])
         every, latest = np.unique(np.concatenate(landmark), return_index=True)
         return every, np.concatenate(descriptors)[latest]
 
@@ -275,10 +275,10 @@ class Landmarks:
         for row, of_loop in same:
             feature, landmark = of_loop.numpy().T
             pairs.append(np.stack([self.of_feature[row][feature], landmark], 1))
-        joined = np.concatenate(pairs)
-        joined = joined[(joined >= 0).all(1)]
+        link_pairs = np.concatenate(pairs)
+        link_pairs = link_pairs[(link_pairs >= 0).all(1)]
         links = coo_matrix(
-            (np.ones(len(joined)), joined.T),
+            (np.ones(len(link_pairs)), link_pairs.T),
             shape=(len(self), len(self)),
         )
         return connected_components(links, directed=False)[1].astype(np.int64)

@@ -34,13 +34,13 @@ def localise(
         return None
     start = guess.double().cpu()
     for from_there in (Start("there", start), Start("there, wide limits", start, wide=True)):
-        found = attempt(sight, surface, surface, from_there, config).result
-        if why_no_fit(found, strict=from_there.wide):
+        result = attempt(sight, surface, surface, from_there, config).result
+        if why_no_fit(result, strict=from_there.wide):
             continue
         if not why_not_alike(
             frame,
-            surface(frame.camera, found.T_WC.float()),
+            surface(frame.camera, result.T_WC.float()),
             doubtful=False,
         ):
-            return found.T_WC
+            return result.T_WC
     return None

@@ -169,7 +169,7 @@ _ROTATION_FIRST = [3, 4, 5, 0, 1, 2]
 
 
 def _ransac(rows: LandmarkRows) -> Float[Tensor, "4 4"] | None:
-    found, rotation, translation, inliers = cv2.solvePnPRansac(
+    is_found, rotation, translation, inliers = cv2.solvePnPRansac(
         rows.xyz_W,
         rows.uv,
         rows.camera.K.numpy(),  # pixels and K use the same convention
@@ -178,7 +178,7 @@ def _ransac(rows: LandmarkRows) -> Float[Tensor, "4 4"] | None:
         reprojectionError=RANSAC_PX,
         flags=cv2.SOLVEPNP_AP3P,
     )
-    if not found or inliers is None or len(inliers) < MIN_PAIRS:
+    if not is_found or inliers is None or len(inliers) < MIN_PAIRS:
         return None
     return se3.inverse(_transform(cv2.Rodrigues(rotation)[0], translation))
 
@@ -232,18 +232,18 @@ def found_near(
     check_array("descriptors", descriptors, (len(xyz_W), DESCRIPTOR_BYTES), np.uint8)
     check_features("features", features)
     check_positive("radius_px", radius_px)
-    uv, seen = in_view(camera, xyz_W, T_WC, radius_px)
-    point = seen.nonzero()[0]
+    uv, is_seen = in_view(camera, xyz_W, T_WC, radius_px)
+    point = is_seen.nonzero()[0]
     if len(point) == 0 or len(features) == 0:
         return np.zeros((0, 2), np.int64)
-    near = KDTree(uv[point]).sparse_distance_matrix(
+    distances = KDTree(uv[point]).sparse_distance_matrix(
         KDTree(features.uv.numpy()), radius_px, output_type="ndarray"
     )
-    a = point[near["i"]]
-    b = near["j"].astype(np.int64)
+    a = point[distances["i"]]
+    b = distances["j"].astype(np.int64)
     distance = hamming(descriptors[a], features.descriptors.numpy()[b])
-    kept = _clear_and_mutual(a, b, distance)
-    return np.stack([b[kept], a[kept]], 1)
+    matches = _clear_and_mutual(a, b, distance)
+    return np.stack([b[matches], a[matches]], 1)
 
 
 def in_view(
@@ -276,16 +276,16 @@ def _clear_and_mutual(a: ndarray, b: ndarray, distance: ndarray) -> ndarray:
     d_sorted = distance[order]
     first = np.diff(a_sorted, prepend=-1) != 0
     place = first.nonzero()[0]
-    after = np.minimum(place + 1, len(order) - 1)
-    has_second = (after > place) & (a_sorted[after] == a_sorted[place])
-    second = np.where(has_second, d_sorted[after], 257)
+    next_place = np.minimum(place + 1, len(order) - 1)
+    has_second = (next_place > place) & (a_sorted[next_place] == a_sorted[place])
+    second = np.where(has_second, d_sorted[next_place], 257)
     best_of_b = np.full(b.max(initial=0) + 1, 257)
     np.minimum.at(best_of_b, b, distance)
     pair = order[place]
-    kept = (
+    is_clear = (
         (distance[pair] <= MAX_HAMMING)
         & (distance[pair] < RATIO * second)
         & (distance[pair] == best_of_b[b[pair]])
     )
-    pair = pair[kept]
+    pair = pair[is_clear]
     return pair[np.unique(b[pair], return_index=True)[1]]

@@ -138,18 +138,18 @@ def fit_odometry(edges: list[Edge]) -> list[Edge]:
         return edges
     d2 = torch.stack([_difference(a.T_ij, b.T_ij) for a, b in both]).square()
     s2 = torch.stack([_variances(b.information) for _, b in both])
-    given = torch.stack([_variances(a.information) for a, _ in both]).amax(0)
+    given_variances = torch.stack([_variances(a.information) for a, _ in both]).amax(0)
     floor = _variances(odometry_information(*ODOMETRY_FLOOR))
     halves = [d2[:, k].median() / 0.455 - s2[:, k].median() for k in _HALVES]
-    fitted = torch.cat([half.expand(3) for half in halves])
-    fitted = fitted.maximum(floor).minimum(given)
-    off = (d2 / (fitted + s2)).sum(1).sqrt()
-    slips = {a.j for (a, _), k in zip(both, off.tolist(), strict=True) if k > SLIPPED}
-    information = torch.diag(HELD_BY_MAP / fitted)
+    variances = torch.cat([half.expand(3) for half in halves])
+    variances = variances.maximum(floor).minimum(given_variances)
+    distance = (d2 / (variances + s2)).sum(1).sqrt()
+    slips = {a.j for (a, _), k in zip(both, distance.tolist(), strict=True) if k > SLIPPED}
+    information = torch.diag(HELD_BY_MAP / variances)
     fitted_edges = []
     for e in edges:
-        held = e.kind == "odometry" and e.j not in slips
-        fitted_edges.append(replace(e, information=information) if held else e)
+        is_held = e.kind == "odometry" and e.j not in slips
+        fitted_edges.append(replace(e, information=information) if is_held else e)
     return fitted_edges
 
 
@@ -237,15 +237,15 @@ def pose_graph_step(
     )
     b = T_WC.new_zeros(K, 6)
     for a, J_a in ((i, J_i), (j, J_j)):
-        weighted = J_a.mT @ information
+        J_information = J_a.mT @ information
         b.index_add_(
             0,
             a,
-            (weighted @ e[:, :, None])[:, :, 0],
+            (J_information @ e[:, :, None])[:, :, 0],
         )
         for c, J_c in ((i, J_i), (j, J_j)):
             at = torch.stack((a, c))
-            H = H + torch.sparse_coo_tensor(at, weighted @ J_c, H.shape, check_invariants=True)
+            H = H + torch.sparse_coo_tensor(at, J_information @ J_c, H.shape, check_invariants=True)
     H = H.coalesce()
     row, column = H.indices()
     first = torch.searchsorted(row, torch.arange(K + 1))  # number of the first block in each row
@@ -284,13 +284,13 @@ def optimise_poses(
     if len(T_WC) < 2 or not edges:
         return Optimised(T_WC=T_WC, error_before=0.0, error_after=0.0)
     graph = EdgeTerms(edges)
-    before = graph.robust_error(graph.errors(T_WC)[0])
-    found = _descend(graph, T_WC, iterations, robust=True)
+    error_before = graph.robust_error(graph.errors(T_WC)[0])
+    best = _descend(graph, T_WC, iterations, robust=True)
     if any(e.kind == "loop" for e in edges):
-        closed, _ = _descend(graph, T_WC, iterations, robust=False)
-        other = _descend(graph, closed, iterations, robust=True)
-        found = min(found, other, key=lambda descent: descent[1])
-    return Optimised(T_WC=found[0], error_before=before, error_after=found[1])
+        T_closed, _ = _descend(graph, T_WC, iterations, robust=False)
+        other = _descend(graph, T_closed, iterations, robust=True)
+        best = min(best, other, key=lambda descent: descent[1])
+    return Optimised(T_WC=best[0], error_before=error_before, error_after=best[1])
 
 
 class EdgeTerms:
@@ -336,7 +336,7 @@ def _descend(
     e, J_i, J_j = graph.errors(T_WC)
     error = graph.robust_error(e, robust)
     for _ in range(iterations):
-        proposed = pose_graph_step(
+        T_proposed = pose_graph_step(
             T_WC,
             graph.i,
             graph.j,
@@ -345,21 +345,21 @@ def _descend(
             J_j,
             graph.weighted(e, robust),
         )
-        xi = se3.log(se3.inverse(T_WC) @ proposed)
+        xi = se3.log(se3.inverse(T_WC) @ T_proposed)
         share = 1.0
-        there = graph.errors(proposed)
-        after = graph.robust_error(there[0], robust)
-        while after > error and share > 0.5**HALVINGS:
+        errors = graph.errors(T_proposed)
+        error_after = graph.robust_error(errors[0], robust)
+        while error_after > error and share > 0.5**HALVINGS:
             share /= 2
-            proposed = T_WC @ se3.exp(share * xi)
-            there = graph.errors(proposed)
-            after = graph.robust_error(there[0], robust)
-        if after > error:
+            T_proposed = T_WC @ se3.exp(share * xi)
+            errors = graph.errors(T_proposed)
+            error_after = graph.robust_error(errors[0], robust)
+        if error_after > error:
             break
-        fell = error - after
-        T_WC = proposed
-        e, J_i, J_j = there
-        error = after
+        fell = error - error_after
+        T_WC = T_proposed
+        e, J_i, J_j = errors
+        error = error_after
         if fell <= GRAPH_LEAST_FALL * error:
             break
     return T_WC, error

@@ -50,12 +50,12 @@ def depth_pyramid(
     """
     check_shape("depth_m", depth_m, (camera.height, camera.width))
     depth_m = torch.where(torch.isfinite(depth_m) & (depth_m > 0), depth_m, 0.0)
-    reduced = {1: depth_m}
+    depths = {1: depth_m}
     for factor in sorted(set(factors)):
         # reducing an already reduced image is faster
-        finer = max(f for f in reduced if factor % f == 0)
-        reduced[factor] = reduce_depth(reduced[finer], factor // finer)
-    return [_level(reduced[factor], reduced_camera(camera, factor), factor) for factor in factors]
+        finer = max(f for f in depths if factor % f == 0)
+        depths[factor] = reduce_depth(depths[finer], factor // finer)
+    return [_level(depths[factor], reduced_camera(camera, factor), factor) for factor in factors]
 
 
 def _level(depth_m: Tensor, camera: Camera, factor: int) -> DepthLevel:
@@ -100,15 +100,15 @@ def reduce_depth(depth_m: Float[Tensor, "H W"], factor: int) -> Float[Tensor, "h
     w = -(-W // factor)
     to_right = w * factor - W
     to_bottom = h * factor - H
-    padded = torch.nn.functional.pad(depth_m, (0, to_right, 0, to_bottom))
-    rows_and_columns = padded.view(h, factor, w, factor)
+    padded_depth = torch.nn.functional.pad(depth_m, (0, to_right, 0, to_bottom))
+    rows_and_columns = padded_depth.view(h, factor, w, factor)
     block = rows_and_columns.transpose(1, 2).reshape(h, w, factor * factor)
-    known = block > 0
-    median = block.masked_fill(~known, float("nan")).nanmedian(-1, keepdim=True).values
-    same = known & ((block - median).abs() <= BLOCK_JUMP * median)
+    has_depth = block > 0
+    median = block.masked_fill(~has_depth, float("nan")).nanmedian(-1, keepdim=True).values
+    same = has_depth & ((block - median).abs() <= BLOCK_JUMP * median)
     inverses = (1.0 / block.clamp_min(1e-6)).where(same, 0.0)
     inverse = inverses.sum(-1) / same.sum(-1).clamp_min(1)
-    enough = 2 * known.sum(-1) >= factor * factor
+    enough = 2 * has_depth.sum(-1) >= factor * factor
     return (1.0 / inverse.clamp_min(1e-6)).where(enough, 0.0)
 
 
@@ -160,13 +160,13 @@ def tsdf_surface(volume: TsdfVolume) -> SurfaceSource:
     2011)."""
 
     def render(camera: Camera, T_WC: Tensor) -> Surface:
-        seen = raycast(volume, camera, T_WC)
+        surface = raycast(volume, camera, T_WC)
         return Surface(
-            depth_m=seen.depth_m,
-            normal_W=seen.normal_W,
+            depth_m=surface.depth_m,
+            normal_W=surface.normal_W,
             camera=camera,
             T_WC=T_WC,
-            rgb=seen.rgb,
+            rgb=surface.rgb,
         )
 
     return render
@@ -179,11 +179,11 @@ def smooth_normals(model: Surface) -> Surface:
     those of the next frame. Along edges the mean mixes two surfaces, so normals of a good model are
     better without it.
     """
-    known = (model.normal_W != 0).any(dim=-1, keepdim=True)
+    has_normal = (model.normal_W != 0).any(dim=-1, keepdim=True)
     mean = torch.nn.functional.avg_pool2d(
         model.normal_W.permute(2, 0, 1), 3, stride=1, padding=1
     ).permute(1, 2, 0)
-    normal_W = torch.nn.functional.normalize(mean, dim=-1).where(known, 0.0)
+    normal_W = torch.nn.functional.normalize(mean, dim=-1).where(has_normal, 0.0)
     return dataclasses.replace(model, normal_W=normal_W)
 
 
@@ -204,9 +204,9 @@ def hybrid_surface(
         rgb: Its colours, 0..1. [H, W, 3]
     """
     own_W = se3.rotate(model.T_WC.to(depth_m), depth_to_normals(model.camera, depth_m))
-    apart = (model.depth_m - depth_m).abs() > HYBRID_DEPTH_M
-    turned = 1 - (own_W * model.normal_W).sum(-1) > HYBRID_COSINE_GAP
-    own = (depth_m > 0) & ((model.depth_m <= 0) | apart | turned)
+    is_apart = (model.depth_m - depth_m).abs() > HYBRID_DEPTH_M
+    is_turned = 1 - (own_W * model.normal_W).sum(-1) > HYBRID_COSINE_GAP
+    own = (depth_m > 0) & ((model.depth_m <= 0) | is_apart | is_turned)
     mixed_m = torch.where(own, depth_m, model.depth_m)
     normal_W = se3.rotate(model.T_WC.to(depth_m), depth_to_normals(model.camera, mixed_m))
     return Surface(

@@ -92,7 +92,7 @@ class Tracker:
         self.lost_in_a_row = 0
         """Number of frames that could not be tracked, up to the last one."""
         self._last: _TrackedPose | None = None
-        self._before: _TrackedPose | None = None
+        self._last_but_one: _TrackedPose | None = None
         """The frame before the last one, if both were tracked; the motion between them is the
         velocity."""
         self._own: _OwnFrame | None = None
@@ -103,11 +103,11 @@ class Tracker:
     def standing(self) -> tuple[Any, ...]:
         """The state of the path (last poses and last frame), opaque to others, so that a step can
         be undone."""
-        return self._last, self._before, self.lost_in_a_row, self._own, self._usual.fits
+        return self._last, self._last_but_one, self.lost_in_a_row, self._own, self._usual.fits
 
     @standing.setter
     def standing(self, standing: tuple[Any, ...]) -> None:
-        self._last, self._before, self.lost_in_a_row, self._own, self._usual.fits = standing
+        self._last, self._last_but_one, self.lost_in_a_row, self._own, self._usual.fits = standing
 
     def track(
         self,
@@ -149,30 +149,30 @@ class Tracker:
             return TrackingReport(status="first", T_WC=frame.T_WC)
         failures: list[str] = []
         fits: list[Attempt] = []
-        mixed = self._target(surface)
+        mixed_surface = self._target(surface)
         doubt = ""
         first_try = False
         for start in self._starts(frame, relocalise, fits, guess):
             with_rows = dataclasses.replace(sight, extra=start.extra or extra)
-            found = attempt(with_rows, surface, mixed, start, self.config)
+            result = attempt(with_rows, surface, mixed_surface, start, self.config)
             problem = self._problem(
-                found, frame, surface, strict=bool(failures or fits) or self.lost_in_a_row > 0
+                result, frame, surface, strict=bool(failures or fits) or self.lost_in_a_row > 0
             )
             if problem:
                 failures.append(f"from {start.name} {problem}")
                 continue
-            fits.append(found)
+            fits.append(result)
             if len(fits) == 1:
                 first_try = not failures
-                doubt = self._usual.why_unusual(found.result) if first_try else ""
+                doubt = self._usual.why_unusual(result.result) if first_try else ""
             if not doubt:
                 break
         if not fits:
             raise self._lost(f"frame {frame.index} cannot be tracked: {'; '.join(failures)}")
         best = best_of(sight, fits, self.config)
-        moved = self.lost_in_a_row == 0 and not best.start.anywhere
+        has_velocity = self.lost_in_a_row == 0 and not best.start.anywhere
         self._usual.add(best.result)
-        self._accept(frame, best.result.T_WC, moved=moved)
+        self._accept(frame, best.result.T_WC, moved=has_velocity)
         first_try = best.start.smooth or (first_try and best is fits[0])
         return TrackingReport(
             status="recovered"
@@ -213,9 +213,9 @@ class Tracker:
         """
         check_pose("T_change", T_change)
         change = T_change.double().cpu()
-        self._last, self._before = (
+        self._last, self._last_but_one = (
             seen and _TrackedPose(T_WC=se3.rigid(change @ seen.T_WC), timestamp_s=seen.timestamp_s)
-            for seen in (self._last, self._before)
+            for seen in (self._last, self._last_but_one)
         )
         self._own = self._own and dataclasses.replace(
             self._own, T_WC=se3.rigid(change @ self._own.T_WC)
@@ -233,12 +233,12 @@ class Tracker:
         """
         if self._last is None:
             raise ArgumentError("no pose can be predicted before the first frame has been tracked")
-        if self.config.prior == "previous" or self._before is None:
+        if self.config.prior == "previous" or self._last_but_one is None:
             return self._last.T_WC
-        taken = self._last.timestamp_s - self._before.timestamp_s
-        ahead = timestamp_s - self._last.timestamp_s
-        ratio = min(ahead / taken, MAX_TIME_RATIO) if taken > 0 and ahead > 0 else 1.0
-        return constant_velocity(self._before.T_WC, self._last.T_WC, ratio)
+        step_s = self._last.timestamp_s - self._last_but_one.timestamp_s
+        ahead_s = timestamp_s - self._last.timestamp_s
+        ratio = min(ahead_s / step_s, MAX_TIME_RATIO) if step_s > 0 and ahead_s > 0 else 1.0
+        return constant_velocity(self._last_but_one.T_WC, self._last.T_WC, ratio)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue later from exactly this state, as tensors and plain
@@ -246,7 +246,7 @@ class Tracker:
         return {
             "lost_in_a_row": self.lost_in_a_row,
             "last": self._last and dataclasses.asdict(self._last),
-            "before": self._before and dataclasses.asdict(self._before),
+            "before": self._last_but_one and dataclasses.asdict(self._last_but_one),
             "own": self._own and dataclasses.asdict(self._own),
             "usual_fit": list(self._usual.fits),
         }
@@ -256,7 +256,7 @@ class Tracker:
         """The tracker that was saved with ``state_dict``; the settings are stored elsewhere."""
         tracker = cls(config)
         tracker.lost_in_a_row = state["lost_in_a_row"]
-        tracker._last, tracker._before = (
+        tracker._last, tracker._last_but_one = (
             saved and _TrackedPose(**saved) for saved in (state["last"], state["before"])
         )
         tracker._own = state["own"] and _OwnFrame(**state["own"])
@@ -272,10 +272,10 @@ class Tracker:
         if guess is not None:
             yield Start("the landmarks", guess)
         if self.lost_in_a_row == 0:
-            predicted = self.predict(frame.timestamp_s)
-            yield Start("the predicted pose", predicted)
-            yield Start("the predicted pose with smooth normals", predicted, smooth=True)
-        if self.lost_in_a_row > 0 or self._before is not None:
+            T_predicted = self.predict(frame.timestamp_s)
+            yield Start("the predicted pose", T_predicted)
+            yield Start("the predicted pose with smooth normals", T_predicted, smooth=True)
+        if self.lost_in_a_row > 0 or self._last_but_one is not None:
             yield Start("the last pose", last)
         yield Start("the last pose with wide limits", last, wide=True)
         for n, (T_WC, extra) in enumerate([] if fits else relocalise(frame)):
@@ -307,7 +307,7 @@ class Tracker:
         return lambda camera, T_WC: seen(camera)
 
     def _accept(self, frame: Frame, T_WC: Tensor, *, moved: bool) -> None:
-        self._before = self._last if moved else None
+        self._last_but_one = self._last if moved else None
         self._last = _TrackedPose(T_WC=T_WC, timestamp_s=frame.timestamp_s)
         self.lost_in_a_row = 0
         if self.config.target == "hybrid":
