@@ -47,7 +47,7 @@ class ExportOptions:
 def run(options: ExportOptions) -> int:
     """The command. Exit status 0: the files are written."""
     from ..export import write_gaussian_ply, write_map_glb, write_map_usda, write_mesh_ply
-    from ..gaussians.rows import moved
+    from ..gaussians.rigid_motion import move_params
     from ..geometry.upright import turn_to_minus_y_up
 
     gaussians, mesh = _read(options.source)
@@ -71,7 +71,7 @@ def run(options: ExportOptions) -> int:
         )
     if suffix == ".ply" or not suffix:
         files.append(options.out if suffix else options.out / "gaussians.ply")
-        write_gaussian_ply(files[-1], moved(standard, R) if options.upright else standard)
+        write_gaussian_ply(files[-1], move_params(standard, R) if options.upright else standard)
     if not suffix and mesh is not None:
         files.append(options.out / "mesh.ply")
         vertices_W = (mesh.vertices_W.double() @ R.T).float()

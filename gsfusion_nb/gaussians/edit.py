@@ -306,7 +306,7 @@ def apply_edit(
     for name, factors in edit.rates.items():
         model.set_rate(name, factors)
     for name, (rows, values) in edit.set.items():
-        model.set_rows(*_stored(model, name, rows, values))
+        model.set_rows(*_as_stored(model, name, rows, values))
     if edit.reset_opacity is not None:
         model.params.opacity_logit.clamp_(
             max=math.log(edit.reset_opacity / (1 - edit.reset_opacity))
@@ -317,7 +317,7 @@ def apply_edit(
     if edit.clone is not None:
         _clone(model, edit.clone, edit.clone_shares, edit.min_opacity)
     if edit.split is not None:
-        _split(model, edit.split, edit.split_shares, generator)
+        _split_rows(model, edit.split, edit.split_shares, generator)
     if edit.add is not None:
         model.append(edit.add, frame_index)
     origin = torch.arange(len(model), device=model.device)
@@ -332,7 +332,7 @@ def apply_edit(
     return origin[keep_mask]
 
 
-def _stored(
+def _as_stored(
     model: Any,
     name: str,
     rows: Tensor,
@@ -389,7 +389,7 @@ def _clone(model: Any, rows: Tensor, shares: bool, min_opacity: float) -> None:
         model.clear_memory(slice(start, None))
 
 
-def _split(model: Any, rows: Tensor, shares: bool, generator: torch.Generator) -> None:
+def _split_rows(model: Any, rows: Tensor, shares: bool, generator: torch.Generator) -> None:
     params = model.params
     scale_m = params.log_scale[rows].exp()
     R = quaternion.to_matrix(params.quat[rows])

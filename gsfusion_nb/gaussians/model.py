@@ -18,7 +18,8 @@ from ..geometry.spherical_harmonics import SH_C0, rgb_to_sh_dc
 from ..resources import MAP_MEMORY
 from ..types import ALL_ROWS, GaussianParams, MapRows, Seeds
 from .edit import Edit, apply_edit
-from .rows import GrowingRows, turn_colours_, turn_moments_
+from .rigid_motion import turn_colours_, turn_moments_
+from .rows import GrowingRows
 from .step_clock import StepClock, StepCount
 
 PARAMETERS = tuple(f.name for f in dataclasses.fields(GaussianParams))

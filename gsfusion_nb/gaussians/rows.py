@@ -1,12 +1,7 @@
 """Columns of one length that grow together: a row is added, copied, removed and saved in all of
-them.
+them."""
 
-And how Gaussians are turned, moved and scaled, with their view-dependent colours and Adam's
-moments.
-"""
-
-import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any, ClassVar
 
 import torch
@@ -14,61 +9,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..checks import check_shape
-from ..geometry import quaternion
-from ..geometry.spherical_harmonics import turned_harmonics
 from ..resources import MAP_MEMORY
-from ..types import ALL_ROWS, GaussianParams, MapRows
-
-
-def turn_colours_(sh: Float[Tensor, "N K 3"], R: Float[Tensor, "N 3 3"]) -> None:
-    """Turn the colours of each row with it, in place: seen from a direction that turned with it, it
-    looks the same.
-
-    Rows that moved with the same keyframes share a rotation, so there are far fewer rotations than
-    rows.
-    """
-    if sh.shape[1] == 1:
-        return
-    for rows, turn in _each_turn(R):
-        sh[rows] = turned_harmonics(sh[rows], turn)
-
-
-def turn_moments_(mean: GaussianParams, square: GaussianParams, R: Float[Tensor, "N 3 3"]) -> None:
-    """Turn Adam's running means of the gradients and of their squares with the rows, in place.
-
-    The gradients of centre, quaternion and colour turn as these do. The mean square of  g' = M g
-    is  (M o M) s  if the components of g are independent, with s their mean squares; for colours it
-    is left as it is.
-    """
-    R = R.to(mean.xyz_W)
-    q = quaternion.from_matrix(R)
-    axes = torch.eye(4).to(q)
-    L = torch.stack(
-        [quaternion.multiply(q, axis.expand_as(q)) for axis in axes],
-        -1,
-    )  # q x = L x
-    for moments, turns in ((mean, (R, L)), (square, (R * R, L * L))):
-        for column, turn in zip((moments.xyz_W, moments.quat), turns, strict=True):
-            column.copy_((turn @ column[:, :, None])[:, :, 0])
-    turn_colours_(mean.sh, R)
-
-
-def _each_turn(R: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
-    """The distinct rotations but the identity, each with its rows."""
-    turns, which = torch.unique(
-        R.reshape(-1, 9),
-        dim=0,
-        return_inverse=True,
-    )
-    order = which.argsort(stable=True)
-    for turn, rows in zip(
-        turns.view(-1, 3, 3),
-        order.split(which.bincount(minlength=len(turns)).tolist()),
-        strict=True,
-    ):
-        if not torch.equal(turn, torch.eye(3).to(turn)):
-            yield rows, turn
-
+from ..types import ALL_ROWS, MapRows
 
 _FIRST_CAPACITY = 4096
 _GROWTH = {"cpu": 2.0, "cuda": 1.25}
@@ -87,11 +29,11 @@ class UndoLog:
     def __init__(self, count: int, names: set[str]):
         self.count = count
         self.names = names
-        self.kept: list[dict[str, Tensor] | tuple[Tensor, dict[str, Tensor]]] = []
+        self.entries: list[dict[str, Tensor] | tuple[Tensor, dict[str, Tensor]]] = []
         """Rows and their values, or a whole ``snapshot``, in the order of the changes."""
-        self.is_kept: Tensor | None = None
-        """Which rows were kept."""
-        self.all_kept = False
+        self.has_row: Tensor | None = None
+        """Which rows are in it."""
+        self.has_all = False
 
 
 class GrowingRows:
@@ -194,7 +136,7 @@ class GrowingRows:
         log = self._log = UndoLog(self._count, set(self._columns))
 
         def undo() -> None:
-            for old_rows in reversed(log.kept):
+            for old_rows in reversed(log.entries):
                 if isinstance(old_rows, dict):
                     self.restore(old_rows)
                 else:
@@ -217,19 +159,19 @@ class GrowingRows:
         Does nothing unless changes are logged.
         """
         log = self._log
-        if log is None or log.all_kept:
+        if log is None or log.has_all:
             return
         if isinstance(rows, slice):
-            log.all_kept = True
-            log.kept.append(self.snapshot())
+            log.has_all = True
+            log.entries.append(self.snapshot())
             return
         rows = rows[rows < log.count]
-        if log.is_kept is None:
-            log.is_kept = torch.zeros(log.count, dtype=torch.bool, device=self.device)
-        rows = rows[~log.is_kept[rows]]
-        log.is_kept[rows] = True
+        if log.has_row is None:
+            log.has_row = torch.zeros(log.count, dtype=torch.bool, device=self.device)
+        rows = rows[~log.has_row[rows]]
+        log.has_row[rows] = True
         if len(rows):
-            log.kept.append(
+            log.entries.append(
                 (rows, {name: c.index_select(0, rows) for name, c in self._columns.items()})
             )
 
@@ -256,7 +198,7 @@ class GrowingRows:
     def _use(self, name: str) -> Tensor:
         """The buffer of an optional column, made when it is first used."""
         if name not in self._columns:
-            self._columns[name] = self._made(name, self._capacity)
+            self._columns[name] = self._new_buffer(name, self._capacity)
         return self._columns[name]
 
     def _fill_optional(self, rows: slice) -> None:
@@ -281,7 +223,7 @@ class GrowingRows:
             name: MAP_MEMORY.extend(column, capacity) for name, column in self._columns.items()
         }
 
-    def _made(self, name: str, capacity: int) -> Tensor:
+    def _new_buffer(self, name: str, capacity: int) -> Tensor:
         for prefix, value in self._OPTIONAL.items():
             if name.startswith(prefix):
                 return torch.full((capacity,), value, device=self.device)
@@ -290,32 +232,3 @@ class GrowingRows:
     def _new_column(self, name: str, capacity: int) -> Any:
         """A buffer of zeros for a column."""
         raise NotImplementedError
-
-
-def moved(
-    params: GaussianParams,
-    R: Float[Tensor, "3 3"],
-    t: Float[Tensor, "3"] | None = None,
-    *,
-    scale: float = 1.0,
-) -> GaussianParams:
-    """The map in another frame: x -> scale R x + t. It looks the same from a camera that is moved
-    in the same way.
-
-    Args:
-        params: The map.
-        R: Rotation matrix.
-        t: Shift; none by default. [3]
-        scale: Factor of all lengths, > 0.
-    """
-    R = R.detach().to(params.xyz_W.device, torch.float64)
-    xyz = scale * (params.xyz_W.double() @ R.T)
-    xyz = xyz if t is None else xyz + t.to(xyz)
-    turn = quaternion.from_matrix(R)
-    return GaussianParams(
-        xyz_W=xyz.to(params.xyz_W),
-        log_scale=params.log_scale + math.log(scale) if scale != 1.0 else params.log_scale,
-        quat=quaternion.multiply(turn.expand(len(params), 4), params.quat.double()).to(params.quat),
-        opacity_logit=params.opacity_logit,
-        sh=turned_harmonics(params.sh, R),
-    )

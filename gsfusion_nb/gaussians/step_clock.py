@@ -52,7 +52,7 @@ class StepClock:
         return self._steps.value
 
     @property
-    def missed(self) -> Int[Tensor, " R"]:
+    def steps_missed(self) -> Int[Tensor, " R"]:
         """Steps that each row misses."""
         return self.count - self.last
 

@@ -367,19 +367,19 @@ def fuse_with_history(
     """
     w = _weight_of_history(confidence_before, confidence_after, history_max_weight).to(after.xyz_W)
 
-    def fused(name: str) -> Tensor:
+    def history_mean(name: str) -> Tensor:
         rows = [getattr(params, name).flatten(1) for params in (before, after)]
-        mixed = fuse(
+        mean = fuse(
             *rows, confidence_before, confidence_after, history_max_weight=history_max_weight
         )
-        return mixed.view_as(getattr(after, name))
+        return mean.view_as(getattr(after, name))
 
     return GaussianParams(
-        xyz_W=fused("xyz_W"),
-        log_scale=fused("log_scale"),
+        xyz_W=history_mean("xyz_W"),
+        log_scale=history_mean("log_scale"),
         quat=quaternion.slerp(after.quat, before.quat, w),
         opacity_logit=after.opacity_logit,
-        sh=fused("sh"),
+        sh=history_mean("sh"),
     )
 
 

@@ -93,11 +93,11 @@ def depth_to_normals(
     if min(depth_m.shape) < 3:
         return normal
     neighbours = (depth_m[1:-1, 2:], depth_m[1:-1, :-2], depth_m[2:, 1:-1], depth_m[:-2, 1:-1])
-    known = _on_one_surface(depth_m[1:-1, 1:-1], neighbours, max_jump)
-    across = P[1:-1, 2:] - P[1:-1, :-2]
-    down = P[2:, 1:-1] - P[:-2, 1:-1]
-    n = _towards_camera(across, down)
-    normal[1:-1, 1:-1] = n * known[..., None]
+    has_normal = _on_one_surface(depth_m[1:-1, 1:-1], neighbours, max_jump)
+    dx = P[1:-1, 2:] - P[1:-1, :-2]
+    dy = P[2:, 1:-1] - P[:-2, 1:-1]
+    n = _towards_camera(dx, dy)
+    normal[1:-1, 1:-1] = n * has_normal[..., None]
     return normal
 
 
@@ -113,26 +113,26 @@ def normals_at(
     H, W = depth_m.shape
     inside_rows = (row > 0) & (row < H - 1)
     inside_columns = (column > 0) & (column < W - 1)
-    inside = inside_rows & inside_columns
+    has_neighbours = inside_rows & inside_columns
     depths = []
     points = []
-    for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        y = (row + down).clamp(0, H - 1)
-        x = (column + right).clamp(0, W - 1)
+    for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+        y = (row + dy).clamp(0, H - 1)
+        x = (column + dx).clamp(0, W - 1)
         depths.append(depth_m[y, x])
         uv = torch.stack([x, y], dim=-1) + 0.5
         points.append(backproject(camera, uv, depths[-1]))
-    known = inside & _on_one_surface(depth_m[row, column], depths, max_jump)
-    return _towards_camera(points[0] - points[1], points[2] - points[3]) * known[:, None]
+    has_normal = has_neighbours & _on_one_surface(depth_m[row, column], depths, max_jump)
+    return _towards_camera(points[0] - points[1], points[2] - points[3]) * has_normal[:, None]
 
 
 def _on_one_surface(
     d: Float[Tensor, "*N"], neighbours: Sequence[Tensor], max_jump: float
 ) -> Bool[Tensor, "*N"]:
-    known = d > 0
+    is_on_one = d > 0
     for n in neighbours:
-        known = known & (n > 0) & ((n - d).abs() <= max_jump * d)
-    return known
+        is_on_one = is_on_one & (n > 0) & ((n - d).abs() <= max_jump * d)
+    return is_on_one
 
 
 def _towards_camera(

@@ -41,9 +41,9 @@ def check_operand(
     check_shape(name, value, shape)
     assert isinstance(value, Tensor)
     if value.dtype not in dtypes:
-        wanted = "boolean" if dtypes is MASK else " or ".join(str(t) for t in dtypes)
+        types = "boolean" if dtypes is MASK else " or ".join(str(t) for t in dtypes)
         raise ArgumentError(
-            f"{name} must be {wanted}, got {value.dtype}; convert it with .to({dtypes[0]})"
+            f"{name} must be {types}, got {value.dtype}; convert it with .to({dtypes[0]})"
         )
     if device is None and value.is_meta:
         raise ArgumentError(
@@ -154,9 +154,9 @@ def check_images(**images: Any) -> None:
         check_operand(other, image, shape, dtypes=(first.dtype,), device=first.device)
 
 
-def _is_on(found: torch.device, wanted: torch.device) -> bool:
+def _is_on(place: torch.device, device: torch.device) -> bool:
     """Both are the same; "cuda" without a number is any GPU, since tensors on it say "cuda:0"."""
-    return found.type == wanted.type and (wanted.index is None or found.index == wanted.index)
+    return place.type == device.type and (device.index is None or place.index == device.index)
 
 
 FOCAL_PER_SIDE = (0.05, 100.0)
@@ -178,12 +178,12 @@ LEAST_SIDE_PX = 2
 def check_plausible_camera(source: str, camera: Camera) -> None:
     """Raise ``ValueError`` for an impossible camera; the sentence begins with ``source``."""
     c = camera
-    near, far = FOCAL_PER_SIDE
+    shortest, longest = FOCAL_PER_SIDE
     first, last = CENTRE_SIDES
     for name, value, low, high in (
         ("the image's smaller side", min(c.width, c.height), LEAST_SIDE_PX, math.inf),
-        ("fx", c.fx, near * c.width, far * c.width),
-        ("fy", c.fy, near * c.height, far * c.height),
+        ("fx", c.fx, shortest * c.width, longest * c.width),
+        ("fy", c.fy, shortest * c.height, longest * c.height),
         ("cx", c.cx, first * c.width, last * c.width),
         ("cy", c.cy, first * c.height, last * c.height),
         ("fx / fy", c.fx / c.fy, 1 / PIXEL_ASPECT, PIXEL_ASPECT),

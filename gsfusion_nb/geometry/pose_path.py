@@ -129,11 +129,11 @@ class PosePath:
     def _twist(self, k: Int[Tensor, " N"], times_s: Float[Tensor, " N"]) -> Float[Tensor, "N 6"]:
         """xi: the motion since T_k, by Lagrange's polynomial through its neighbours."""
         s = times_s - self._times[k]
-        near = torch.stack([k + offset for offset in _NEIGHBOURS], 1)
-        exists = (near >= 0) & (near < len(self._times))
-        near = near.clamp(0, len(self._times) - 1)
-        exists &= self._piece[near] == self._piece[k, None]
-        at_s = self._times[near] - self._times[k, None]
+        neighbours = torch.stack([k + offset for offset in _NEIGHBOURS], 1)
+        exists = (neighbours >= 0) & (neighbours < len(self._times))
+        neighbours = neighbours.clamp(0, len(self._times) - 1)
+        exists &= self._piece[neighbours] == self._piece[k, None]
+        at_s = self._times[neighbours] - self._times[k, None]
         xi = torch.zeros(len(k), 6, dtype=torch.float64)
         for j in range(len(_NEIGHBOURS)):
             # 1 at this neighbour, 0 at the others and at T_k
@@ -142,5 +142,7 @@ class PosePath:
                 factor = (s - at_s[:, m]) / (at_s[:, j] - at_s[:, m])
                 share = share * factor.where(exists[:, m], 1.0)
             share = share.where(exists[:, j], 0.0)
-            xi += share[:, None] * se3.log(se3.inverse(self._poses[k]) @ self._poses[near[:, j]])
+            xi += share[:, None] * se3.log(
+                se3.inverse(self._poses[k]) @ self._poses[neighbours[:, j]]
+            )
         return xi

@@ -133,14 +133,14 @@ def slerp(
     b = torch.where(dot < 0, -b, b)
     angle = dot.abs().clamp(max=1.0).acos()
     t = t[..., None]
-    near = angle < 1e-4
-    sin = torch.where(near, torch.ones_like(angle), angle.sin())
+    is_small = angle < 1e-4
+    sin = torch.where(is_small, torch.ones_like(angle), angle.sin())
     wa = torch.where(
-        near,
+        is_small,
         1 - t,
         ((1 - t) * angle).sin() / sin,
     )
-    wb = torch.where(near, t, (t * angle).sin() / sin)
+    wb = torch.where(is_small, t, (t * angle).sin() / sin)
     return normalise(wa * a + wb * b)
 
 

@@ -45,8 +45,8 @@ def translate(
 ) -> Float[Tensor, "4 4"]:
     """``T`` followed by a shift along the axes of its target frame: [R  t + by]. Differentiable:
     yes."""
-    moved = T[:3, 3:] + by_m[:, None]
-    top = torch.cat([T[:3, :3], moved], dim=1)
+    t = T[:3, 3:] + by_m[:, None]
+    top = torch.cat([T[:3, :3], t], dim=1)
     return torch.cat([top, T[3:]])
 
 
@@ -134,8 +134,8 @@ def motion(
     """How far apart two camera poses are: the angle in degrees, and the distance of their centres
     in metres."""
     T_a, T_b = (T.detach().cpu().double() for T in (T_a, T_b))
-    turned = rotation_angle(T_a[:3, :3].T @ T_b[:3, :3]).rad2deg()
-    return float(turned), float((T_a[:3, 3] - T_b[:3, 3]).norm())
+    angle_deg = rotation_angle(T_a[:3, :3].T @ T_b[:3, :3]).rad2deg()
+    return float(angle_deg), float((T_a[:3, 3] - T_b[:3, 3]).norm())
 
 
 def log(T: Float[Tensor, "*B 4 4"]) -> Float[Tensor, "*B 6"]:

@@ -205,13 +205,15 @@ def turned_harmonics(
     )
     d = d / d.norm(dim=1, keepdim=True)
     R = R.detach().to("cpu", torch.float64)
-    before = sh_basis(d, degree)
-    after = sh_basis(d @ R.T, degree)
-    out = [sh[:, :1]]
+    Y = sh_basis(d, degree)
+    Y_turned = sh_basis(d @ R.T, degree)
+    bands = [sh[:, :1]]
     for l in range(1, degree + 1):  # noqa: E741
         band = slice(l * l, (l + 1) * (l + 1))
-        M = torch.linalg.lstsq(after[:, band], before[:, band]).solution  # sh' = M sh
+        M = torch.linalg.lstsq(Y_turned[:, band], Y[:, band]).solution  # sh' = M sh
         # of a quarter turn they are 0, 1 and -1
         M = torch.where((M - M.round()).abs() < 1e-9, M.round(), M)
-        out.append(torch.einsum("jk,nkc->njc", M.to(sh.device), sh[:, band].double()).to(sh.dtype))
-    return torch.cat(out, dim=1)
+        bands.append(
+            torch.einsum("jk,nkc->njc", M.to(sh.device), sh[:, band].double()).to(sh.dtype)
+        )
+    return torch.cat(bands, dim=1)

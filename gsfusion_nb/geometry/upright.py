@@ -38,9 +38,9 @@ def world_up(poses: Sequence[Float[Tensor, "4 4"]]) -> Float[Tensor, "3"]:
     up = mean / mean.norm()
     axis = int(up.abs().argmax())
     if float(up[axis].abs()) >= math.cos(math.radians(_SNAP_DEG)):
-        snapped = torch.zeros(3)
-        snapped[axis] = float(up[axis].sign())
-        return snapped
+        world_axis = torch.zeros(3)
+        world_axis[axis] = float(up[axis].sign())
+        return world_axis
     return up
 
 

@@ -43,7 +43,7 @@ class MapParts:
         self._model = model
         self._catch_up = catch_up
         self._depth_of = depth_of
-        self._steps_missed = bool(model.clock.missed.any())
+        self._steps_missed = bool(model.clock.steps_missed.any())
         """Whether rows may have missed steps."""
         self._last_views: Sequence[Any] = ()
         self._last_part: MapPart | None = None
@@ -145,7 +145,7 @@ def params_now(model: GaussianModel, catch_up: CatchUp, rows: MapRows = ALL_ROWS
         A copy, or the map's own tensors if all rows are asked for and none misses a step.
     """
     params = model.params[rows]
-    late = model.clock.missed[rows].nonzero()[:, 0]
+    late = model.clock.steps_missed[rows].nonzero()[:, 0]
     if not len(late):
         return params
     if isinstance(rows, slice):

@@ -220,7 +220,7 @@ class SurfelOptimiser:
 
     def take_missed_steps(self) -> None:
         """Bring the trained rows up to date that were out of view in some steps."""
-        late_rows = self.copies.clock.missed[: self.n].nonzero()[:, 0]
+        late_rows = self.copies.clock.steps_missed[: self.n].nonzero()[:, 0]
         if self.training.optimiser is not None or not len(late_rows):
             return
         self.copies.will_change(late_rows)

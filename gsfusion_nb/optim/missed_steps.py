@@ -34,7 +34,7 @@ def take_missed_steps(model: GaussianModel | MapPart, config: OptimConfig | Adam
         config: Learning rates and decays.
     """
     clock = model.clock
-    n_missed = clock.missed
+    n_missed = clock.steps_missed
     if not bool(n_missed.any()):
         return
     adam = AdamSettings.of(config)

@@ -100,7 +100,7 @@ def surface_picture(
 
 def fill(
     image: Float[Tensor, "H W C"],
-    known: Bool[Tensor, "H W"],
+    has_value: Bool[Tensor, "H W"],
 ) -> Float[Tensor, "H W C"]:
     """The image with smooth values where they are not known: push-pull.
 
@@ -109,7 +109,7 @@ def fill(
     picture. Zero if nothing is known.
     """
     x = image.permute(2, 0, 1)[None]
-    w = known[None, None].to(image)
+    w = has_value[None, None].to(image)
     levels = [(x, w)]
     while max(x.shape[2:]) > 1:
         both = avg_pool2d(
@@ -131,7 +131,7 @@ def fill(
 
 def enlarge(
     image: Float[Tensor, "h w C"],
-    known: Bool[Tensor, "h w"],
+    has_value: Bool[Tensor, "h w"],
     size: tuple[int, int],
 ) -> tuple[Float[Tensor, "H W C"], Bool[Tensor, "H W"]]:
     """A picture of half the size, enlarged; its last channel is depth. Colours do not run over a
@@ -144,15 +144,15 @@ def enlarge(
     Returns:
         The image, and which of its pixels are known: those whose own small pixel is.
     """
-    h, w = known.shape
-    bordered = pad(
+    h, w = has_value.shape
+    padded = pad(
         image.permute(2, 0, 1)[None],
         (1, 1, 1, 1),
         mode="replicate",
     )[0].permute(1, 2, 0)
     neighbours = (
         pad(
-            known[None, None].to(image),
+            has_value[None, None].to(image),
             (1, 1, 1, 1),
             mode="replicate",
         )[0, 0]
@@ -169,12 +169,12 @@ def enlarge(
                 (1, 2 * right, 3.0),
                 (2 * row_parity, 2 * right, 1.0),
             ):
-                shift = bordered[i : i + h, j : j + w]
+                shift = padded[i : i + h, j : j + w]
                 same = ((shift[..., -1] - z).abs() < SAME_SURFACE * z) & (
-                    neighbours[i : i + h, j : j + w] == known
+                    neighbours[i : i + h, j : j + w] == has_value
                 )
                 sum_ = sum_ + share * same[..., None] * shift
                 total = total + share * same
             large[row_parity::2, right::2] = sum_ / total[..., None]
-    known = known.repeat_interleave(2, 0).repeat_interleave(2, 1)
-    return large[: size[0], : size[1]], known[: size[0], : size[1]]
+    has_value = has_value.repeat_interleave(2, 0).repeat_interleave(2, 1)
+    return large[: size[0], : size[1]], has_value[: size[0], : size[1]]

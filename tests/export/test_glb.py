@@ -10,7 +10,7 @@ import torch
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.export import write_map_glb
 from gsfusion_nb.export.glb import EXTENSION
-from gsfusion_nb.gaussians.rows import moved
+from gsfusion_nb.gaussians.rigid_motion import move_params
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.geometry.upright import turn_to_minus_y_up, turn_to_y_up
 from gsfusion_nb.render import render
@@ -139,7 +139,7 @@ def test_a_moved_map_looks_the_same_from_the_moved_camera(generator, degree):
     T[:3, 3] = t
     with use_backend("reference"):
         before = render(g, camera, torch.eye(4)).rgb
-        after = render(moved(g, R, t), camera, T).rgb
+        after = render(move_params(g, R, t), camera, T).rgb
     assert before.std() > 0.05
     assert torch.allclose(before, after, atol=2e-4)
 
@@ -162,7 +162,7 @@ def test_nothing_is_an_empty_scene_and_what_is_not_finite_is_refused(tmp_path, g
     write_map_glb(tmp_path / "m.glb", some(0, 3, generator))
     document, chunk = parts(tmp_path / "m.glb")
     assert (document["scenes"], chunk) == ([{}], b"")
-    bad = moved(
+    bad = move_params(
         some(1, 0, generator),
         torch.eye(3),
         torch.tensor([0, 0, float("nan")]),

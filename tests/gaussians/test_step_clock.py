@@ -178,7 +178,7 @@ def test_parts_with_their_missed_steps_are_the_whole_map_in_any_order(adam_steps
         )
         assert torch.equal(before["rows"][name], getattr(twins.parts.params, name))
     take_missed_steps(twins.parts, twins.config)
-    assert int(twins.parts.clock.missed.sum()) == 0
+    assert int(twins.parts.clock.steps_missed.sum()) == 0
     for of in ("params", "exp_avg", "exp_avg_sq"):
         for name in PARAMETERS:
             pair = [getattr(getattr(model, of), name) for model in (twins.parts, twins.whole)]
@@ -320,4 +320,4 @@ def test_discs_keep_the_invariant_when_frames_are_counted(generator):
     )
     model.clock.check()
     assert model.birth_step.tolist() == [0, 5, 0, 0]
-    assert int(model.clock.missed.sum()) == 0
+    assert int(model.clock.steps_missed.sum()) == 0
