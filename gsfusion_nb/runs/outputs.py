@@ -23,15 +23,11 @@ from ..seeding.rule_code import RULE_MODULES, beside_sources, file_source
 from ..types import Mesh
 from .map_hashes import map_hashes
 from .mapping_run import MappingRun, evenly
+from .poses_in_map import frames_in_map
 from .ran_on import ran_on
 from .report import ReportData, ReportView, write_report
 from .run_folder import METRICS, RULE
-from .scored_views import (
-    VIEWS,
-    frames_in_map,
-    scored_views,
-    views_as_json,
-)
+from .scored_views import VIEWS, scored_views, views_as_json
 
 FILES = {
     "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender "

@@ -18,12 +18,8 @@ from ..evaluation import (
 )
 from ..types import Mesh
 from .mapping_run import MappingRun
-from .scored_views import (
-    ground_truth_poses,
-    readable_frames,
-    score_in_map,
-    scored_views,
-)
+from .poses_in_map import ground_truth_poses, readable_frames
+from .scored_views import score_in_map, scored_views
 
 SURFACE_SAMPLES = 200_000
 """Number of points sampled on each of the two surfaces that are compared."""

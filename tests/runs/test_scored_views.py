@@ -33,12 +33,8 @@ from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping.localiser import Localiser
 from gsfusion_nb.runs import MappingRun, rescore, run_mapping
 from gsfusion_nb.runs.outputs import report_views
-from gsfusion_nb.runs.scored_views import (
-    frames_in_map,
-    ground_truth_poses,
-    read_views,
-    readable_frames,
-)
+from gsfusion_nb.runs.poses_in_map import frames_in_map, ground_truth_poses, readable_frames
+from gsfusion_nb.runs.scored_views import read_views
 from gsfusion_nb.runs.scores import score_trajectory
 from gsfusion_nb.types import Camera, Frame
 

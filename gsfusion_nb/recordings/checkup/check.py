@@ -15,8 +15,8 @@ from ...data.recorded.decoded_images import DecodedImages
 from ...data.recorded.recorded_sequence import RecordedSequence
 from ...data.sequence import Sequence
 from ...drawing.page import PageGraph
-from .colour import fit_colour, registration_findings
-from .explain import explain, pairs_of
+from .colour import fit_colour
+from .explain import explain
 from .fit import CalibrationCorrection, FitData
 from .frames import (
     exposure_finding,
@@ -26,6 +26,8 @@ from .frames import (
     jump_finding,
     measure_over_frames,
 )
+from .interpretations import pairs_of
+from .judge_colour import registration_findings
 from .judge_fit import agreement_finding, fit_findings
 from .pictures import path_from_above, pictures_of
 from .report import CheckupReport, Finding, flags_of, reader_flags

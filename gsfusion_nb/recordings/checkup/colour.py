@@ -1,30 +1,29 @@
 """Whether colour edges lie on depth edges; searched over shift, scale, mirroring and whole frames
-of time; and the findings on it.
-"""
+of time."""
 
-import math
-from collections import abc
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
-from ...config import RepairConfig
-from ...types import Camera
-from .report import Finding
+from .edges import colour_contrast, depth_edges, on_edges
 from .sample import FrameFacts, Sample
 
 REACH_PX = 24
 """Largest shift that is searched, pixels of the small images."""
+
 ANCHORS = 12
+
 TIME_REACH = 4
-JUMP = 0.08
-"""A pixel is on an edge if it is nearer than its neighbour by this share of its depth."""
+
 _SCALES = (0.84, 0.88, 0.92, 0.96, 1.0, 1.04, 1.08, 1.12, 1.16)
+
 _EDGES = 60
 """Fewest pixels on edges per frame."""
+
 _AS_WELL = 3.0
+
 _BETTER = 1.15
 """Another score is accepted if it is this much higher than the score as read."""
 
@@ -165,74 +164,6 @@ def _anchors(sample: Sample) -> tuple[list[FrameFacts], list[FrameFacts]]:
     return [part[0] for part in by_motion], [part[-1] for part in by_motion]
 
 
-def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """1 on pixels that are nearer than a neighbour by a depth jump, else 0.
-
-    First, narrow holes are filled with the farther of their two sides: beside an object a
-    structured-light camera does
-        not measure the background, and the edge belongs to the object.
-    """
-    is_edge = np.zeros(depth_m.shape, bool)
-    for depth, edge in ((depth_m, is_edge), (depth_m.T, is_edge.T)):
-        closed_depth = _closed(depth)
-        a = closed_depth[:, :-1]
-        b = closed_depth[:, 1:]
-        has_both = (a > 0) & (b > 0)
-        edge[:, :-1] |= has_both & (b > a * (1 + JUMP))
-        edge[:, 1:] |= has_both & (a > b * (1 + JUMP))
-    return is_edge.astype(np.float32)
-
-
-def colour_contrast(
-    grey: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]
-) -> Float[np.ndarray, "h w"]:
-    """Gradient of the grey image divided by its mean in the neighbourhood (so that texture has
-    little weight), at most 4."""
-    image = grey.astype(np.float32)
-    if image.shape != tuple(shape):
-        image = cv2.resize(
-            image,
-            (shape[1], shape[0]),
-            interpolation=cv2.INTER_AREA,
-        )
-    image = cv2.GaussianBlur(image, (0, 0), 0.8)
-    size = np.hypot(
-        cv2.Sobel(image, cv2.CV_32F, 1, 0),
-        cv2.Sobel(image, cv2.CV_32F, 0, 1),
-    )
-    return np.asarray(
-        np.minimum(size / (cv2.blur(size, (31, 31)) + 4), 4),
-        dtype=np.float32,
-    )
-
-
-def on_edges(
-    edges: abc.Sequence[np.ndarray],
-    frames: abc.Sequence[FrameFacts],
-) -> float:
-    """Mean colour contrast of frames on depth edges, above that of all their pixels."""
-    contrasts = [(E, colour_contrast(f.grey, E.shape)) for E, f in zip(edges, frames, strict=True)]
-    return sum(float((E * (G - G.mean())).sum() / max(E.sum(), 1)) for E, G in contrasts) / len(
-        contrasts
-    )
-
-
-def _closed(depth_m: np.ndarray, reach: int = 5) -> np.ndarray:
-    """Depth in which holes of at most ``2 * reach`` pixels in a row are filled with the farther
-    side."""
-    closing = cv2.morphologyEx(
-        depth_m,
-        cv2.MORPH_CLOSE,
-        np.ones((1, 2 * reach + 1)),
-    )
-    narrow = (depth_m <= 0) & (closing > 0)
-    return np.where(
-        narrow,
-        cv2.dilate(depth_m, np.ones((1, 4 * reach + 1))),
-        depth_m,
-    )
-
-
 def _transforms(contrast: list[np.ndarray]) -> list[np.ndarray]:
     """Fourier transforms of the contrast images without their mean, padded for the shifts."""
     return [np.fft.rfft2(G - G.mean(), _size(G.shape)) for G in contrast]
@@ -334,102 +265,3 @@ def _best_time(
             scores[k] = on_edges(*zip(*both, strict=True))
     best = max(scores, key=scores.__getitem__)
     return best, scores[best], scores[0]
-
-
-SHIFT_LIMITS = ((3.0, 1.2), (5.0, 2.0))
-"""Shifts from which a recording is doubtful and wrong, in 640ths of the image width, and in
-compared pixels (the larger counts). Registered Kinects measure up to 2: their depth edges are
-ragged."""
-SCALE_DOUBTFUL = 0.015
-"""Registered recordings measure 0 to 0.005."""
-_CLEAR_PEAK = 5.0
-"""Smallest peak, in standard deviations, that counts as a shift; real ones have 6 and more."""
-_UNRELATED_SCORE = 0.4
-"""With no clear peak either, colour has no edges on the depth edges under any shift: wrongly paired
-frames give up to 4 and 0.2, registered ones 6 to 10 and 0.9 to 1.4."""
-
-
-def registration_findings(
-    fit: ColourFit | None, camera: Camera
-) -> tuple[RepairConfig, list[Finding]]:
-    """Findings on the position of colour relative to depth, in space and in time; ``camera`` is
-    that of the images."""
-    none = RepairConfig()
-    names = ("registration", "colour time")
-    if fit is None:
-        text = "Cannot be known from these frames: too few depth edges to compare with colour."
-        return none, [Finding(name, "unknown", text) for name in names]
-    shift = math.hypot(*fit.shift_px)
-    clear = fit.peak >= _CLEAR_PEAK
-    if not clear and fit.score < _UNRELATED_SCORE:
-        text = (
-            "The colour images do not lie on the depth images under any shift, scale, mirroring or "
-            "time: they are those of other frames, or of a second camera that is not registered."
-        )
-        repair = (
-            "pair every depth image with the colour image of its time; register the cameras "
-            "with their calibration"
-        )
-        return none, [Finding("registration", "wrong", text, repair)]
-    time = Finding("colour time", "ok", "Colour and depth belong to the same frame.")
-    repair = none
-    if fit.shift_frames:
-        repair = RepairConfig(rgb_shift_frames=fit.shift_frames)
-        side = "later" if fit.shift_frames > 0 else "earlier"
-        text = (
-            "A frame's depth image belongs to the colour image recorded "
-            f"{abs(fit.shift_frames)} frames {side}."
-        )
-        time = Finding("colour time", "wrong", text, repair.flags)
-    if not clear:
-        text = (
-            "Cannot be known from these frames: the edges of colour and depth are too few or "
-            "too similar to compare."
-        )
-        return repair, [Finding("registration", "unknown", text), time]
-    doubtful, wrong = (
-        max(limit * camera.width / 640, pixels * fit.pixel) for limit, pixels in SHIFT_LIMITS
-    )
-    has_change = fit.mirror != "none" or abs(fit.scale - 1) > SCALE_DOUBTFUL
-    if not has_change and shift < doubtful:
-        text = f"Colour edges lie on depth edges within {shift:.1f} pixels."
-        return repair, [Finding("registration", "ok", text), time]
-    if not has_change and fit.may_be_time:
-        text = (
-            f"Cannot be known from these frames: colour edges lie {shift:.1f} pixels beside depth "
-            "edges, but in so few kinds of motion a shift and a time offset look alike."
-        )
-        return repair, [Finding("registration", "unknown", text), time]
-    repair, text = _registration_repair(fit, shift >= doubtful)
-    verdict = "wrong" if has_change or shift >= wrong else "doubtful"
-    return repair, [Finding("registration", verdict, text, repair.flags), time]
-
-
-def _registration_repair(fit: ColourFit, has_shift: bool) -> tuple[RepairConfig, str]:
-    has_scale = abs(fit.scale - 1) > SCALE_DOUBTFUL
-    x, y = fit.shift_px if has_shift or has_scale else (0.0, 0.0)
-    repair = RepairConfig(
-        rgb_mirror=fit.mirror,  # pyright: ignore[reportArgumentType]
-        rgb_shift_x_px=round(x, 1),
-        rgb_shift_y_px=round(y, 1),
-        rgb_scale=fit.scale if has_scale else 1.0,
-    )
-    mirrors = {
-        "none": "",
-        "x": "mirrored left to right",
-        "y": "upside down",
-        "xy": "rotated by 180 degrees",
-    }
-    sides = (
-        f"{abs(x):.1f} pixels to the {'right' if x > 0 else 'left'} and {abs(y):.1f} "
-        f"{'down' if y > 0 else 'up'}"
-    )
-    words = [
-        mirrors[fit.mirror],
-        f"{fit.scale:.2f} times as large" * has_scale,
-        f"shifted by {sides}" * bool(x or y),
-    ]
-    return (
-        repair,
-        f"The colour image is {', '.join(filter(None, words))} compared with the depth image.",
-    )

@@ -17,7 +17,7 @@ from ...drawing.page import PageGraph
 from ...drawing.pictures import Picture, depth_error_map, fit_width, to_uint8
 from ...errors import BadFrameError
 from ...types import Frame
-from .colour import depth_edges
+from .edges import depth_edges
 from .sample import Sample
 
 EDGE_COLOUR = (0, 255, 160)

@@ -13,7 +13,7 @@ from ...config import DataConfig, RepairConfig
 from ...data.adjust.poses import times_of
 from ...data.adjust.selection import apply_options
 from ...data.sequence import Sequence
-from .colour import depth_edges, on_edges
+from .edges import depth_edges, on_edges
 from .explain import Explanation
 from .fit import CalibrationCorrection, FitData
 from .frames import gains

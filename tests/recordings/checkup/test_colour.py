@@ -9,14 +9,9 @@ import pytest
 import torch
 
 from gsfusion_nb.recordings.checkup import check_recording
-from gsfusion_nb.recordings.checkup.colour import (
-    ColourFit,
-    _speed,
-    colour_contrast,
-    depth_edges,
-    fit_colour,
-    registration_findings,
-)
+from gsfusion_nb.recordings.checkup.colour import ColourFit, _speed, fit_colour
+from gsfusion_nb.recordings.checkup.edges import colour_contrast, depth_edges
+from gsfusion_nb.recordings.checkup.judge_colour import registration_findings
 from gsfusion_nb.recordings.checkup.sample import read_sample
 from gsfusion_nb.types import Camera, Frame
 
