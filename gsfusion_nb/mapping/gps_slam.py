@@ -22,6 +22,7 @@ from .gps_files import GpsFiles
 from .gps_surface import OverSurface
 from .gps_views import PassViews, SurfaceKeyframe, ViewRound, look_at
 from .step_report import StepReport, as_floats
+from .training import Training
 from .tsdf_mapping import TsdfMapping
 from .view_steps import step_on_view
 
@@ -87,7 +88,11 @@ class GPSSLAM(TsdfMapping):
             if is_keyframe:
                 self.keyframes.append(frame, with_depth=self.training.loss is not None)
             with self.clock("base"):
-                self._renew_views(view if in_window else None)
+                self._pass_views = PassViews()  # the surface will be another one
+                newest = view if in_window else None
+                self.views.renew(
+                    self.n_frames, newest, self.keyframes, self._look, self.random.keyframes
+                )
             with self.clock("optimise"):
                 steps = self._optimise(context)
             if steps and not self.config.schedule.spread:
@@ -170,19 +175,6 @@ class GPSSLAM(TsdfMapping):
     def _look(self, keyframe: Keyframe) -> SurfaceKeyframe:
         return look_at(self.volume, keyframe.to(self.device), self.config.base)
 
-    def _renew_views(self, newest: SurfaceKeyframe | None) -> None:
-        """Look again at the views whose turn it is; ``newest``: this frame, if it becomes one of
-        them."""
-        self._pass_views = PassViews()
-        views = self.views
-        if newest is not None and bool((newest.surface_depth_m > 0).any()):
-            views.add_frame(newest)
-        if not self.config.schedule.spread and views.steps_in(self.n_frames):
-            views.look_again(self._look)
-        n = views.recalls_in(self.n_frames)
-        n_new = views.new_in(self.n_frames)
-        views.recall(self.keyframes, self._look, self.random.keyframes, n, n_new)
-
     def _prune(self) -> None:
         """Remove Gaussians that have become too small, too large or transparent."""
         self.take_missed_steps()
@@ -244,20 +236,23 @@ class GPSSLAM(TsdfMapping):
             keyframe,
             part,
             view.render,
-            partial(self._loss, view),
+            partial(loss_of_view, self.config, self.training, view),
             writes_back=not later_views or self.after_steps.is_used,
         )
         self.after_steps.edit(self, statistics, keyframe, step)
         return step
 
-    def _loss(self, view: SurfaceKeyframe, picture: OverBaseOutput) -> tuple[ViewLoss, Tensor]:
-        """L2 or L1 of the colours, or the given loss; and the MSE."""
-        of_pixels = l2_mse_vjp if self.config.residual.loss == "l2" else l1_mse_vjp
-        pixels = of_pixels(picture.rgb, view.keyframe.rgb)
-        if self.training.loss is None:
-            return ViewLoss(value=pixels.value, v_rgb=pixels.v_rgb), pixels.mse
-        output = picture.as_render_output(view.surface.base)
-        return self.training.view_loss(output, view.keyframe, with_depth=False), pixels.mse
+
+def loss_of_view(
+    config: GpsSlamConfig, training: Training, view: SurfaceKeyframe, picture: OverBaseOutput
+) -> tuple[ViewLoss, Tensor]:
+    """L2 or L1 of the colours, or the given loss; and the MSE."""
+    of_pixels = l2_mse_vjp if config.residual.loss == "l2" else l1_mse_vjp
+    pixels = of_pixels(picture.rgb, view.keyframe.rgb)
+    if training.loss is None:
+        return ViewLoss(value=pixels.value, v_rgb=pixels.v_rgb), pixels.mse
+    output = picture.as_render_output(view.surface.base)
+    return training.view_loss(output, view.keyframe, with_depth=False), pixels.mse
 
 
 def notes_on_fidelity(config: GpsSlamConfig) -> list[str]:

@@ -138,6 +138,29 @@ class ViewRound:
         """The newest frame takes the place of the oldest."""
         self.window = [*self.window, view][-WINDOW:]
 
+    def renew(
+        self,
+        n_frames: int,
+        newest: SurfaceKeyframe | None,
+        keyframes: KeyframeList,
+        look: Callable[[Keyframe], SurfaceKeyframe],
+        generator: torch.Generator,
+    ) -> None:
+        """Look again at the views whose turn it is.
+
+        Args:
+            n_frames: Number of frames that were mapped before this one.
+            newest: This frame, if it becomes one of the views.
+            keyframes: The keyframes of the map.
+            look: Looks at the surface.
+            generator: Keyframes are drawn from it.
+        """
+        if newest is not None and bool((newest.surface_depth_m > 0).any()):
+            self.add_frame(newest)
+        if not self.config.spread and self.steps_in(n_frames):
+            self.look_again(look)
+        self.recall(keyframes, look, generator, self.recalls_in(n_frames), self.new_in(n_frames))
+
     def recall(
         self,
         keyframes: KeyframeList,
