@@ -82,12 +82,12 @@ def to_plain_layout(folder: Path) -> None:
     (folder / "intrinsics.json").write_text(json.dumps(values) + "\n", encoding="utf-8")
 
 
-def numbered(kind: str, suffix: str):
+def by_number(kind: str, suffix: str):
     """Choose the images of an archive, in any of its folders."""
 
     def choose(path: str) -> str | None:
-        found = re.fullmatch(rf"(?:.*/)?(\d+)\.{suffix}", path)
-        return f"{kind}/{found[1]}.{suffix}" if found else None
+        match = re.fullmatch(rf"(?:.*/)?(\d+)\.{suffix}", path)
+        return f"{kind}/{match[1]}.{suffix}" if match else None
 
     return choose
 
@@ -97,10 +97,10 @@ def plan(name: str) -> Plan:
     sequence, depth = name.split("-")
     room = sequence.rstrip("12")
     kinds = {
-        f"{sequence}-color.zip": {"stated_bytes": COLOUR_BYTES, "choose": numbered("rgb", "jpg")},
+        f"{sequence}-color.zip": {"stated_bytes": COLOUR_BYTES, "choose": by_number("rgb", "jpg")},
         f"{sequence}-depth-{depth}.zip": {
             "stated_bytes": DEPTH_BYTES,
-            "choose": numbered("depth", "png"),
+            "choose": by_number("depth", "png"),
         },
         f"{sequence}-traj.txt": {"stated_bytes": POSES_BYTES, "save_as": "trajectory.log"},
         f"{room}.ply.zip": {

@@ -32,7 +32,7 @@ def plan(scene: str) -> Plan:
             return "mesh.ply"
         return name.removeprefix(f"{scene}/") if name.startswith(f"{scene}/") else None
 
-    def culled(path: str) -> str | None:
+    def visible(path: str) -> str | None:
         return "mesh_culled.ply" if re.fullmatch(rf"(.*/)?{scene}(_[a-z_]+)?\.ply", path) else None
 
     return Plan(
@@ -44,7 +44,9 @@ def plan(scene: str) -> Plan:
         cite="Straub et al.: The Replica Dataset, 2019; Zhu et al.: NICE-SLAM, 2022.",
         items=[
             Item(url=f"{HOST}/data/Replica.zip", stated_bytes=ARCHIVE_BYTES, choose=frames),
-            Item(url=f"{HOST}/cull_replica_mesh.zip", stated_bytes=MESHES_BYTES, choose=culled),
+            Item(
+                url=f"{HOST}/cull_replica_mesh.zip", stated_bytes=MESHES_BYTES, choose=culled_mesh
+            ),
         ],
         unpacked_bytes=SCENE_BYTES,
         sequences=lambda root: [SequenceOnDisk(preset="replica")],

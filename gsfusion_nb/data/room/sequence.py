@@ -204,7 +204,7 @@ class RoomSequence:
         images = cached(
             self._path(of_room) if self.cache else None,
             lambda: self._render(of_room),
-            self._fits,
+            functools.partial(_have_size, (self.height, self.width)),
         )
         depth_m = torch.from_numpy(images["depth"].astype(np.float32) * np.float32(_DEPTH_UNIT_M))
         rgb = images["rgb"]
@@ -294,11 +294,6 @@ class RoomSequence:
             raise IndexError(f"room: frame {i} of a sequence of {len(self)} frames")
         return int(i) % len(self)
 
-    def _fits(self, images: dict[str, np.ndarray]) -> bool:
-        size = (self.height, self.width)
-        layout = {"rgb": ((*size, 3), np.uint8), "depth": (size, np.uint16)}
-        return {k: (v.shape, v.dtype) for k, v in images.items()} == layout
-
     def _render(self, i: int) -> dict[str, np.ndarray]:
         rgb, depth_m = render_room(
             self.camera,
@@ -310,6 +305,12 @@ class RoomSequence:
             "rgb": np.rint(rgb.numpy() * 255).astype(np.uint8),
             "depth": np.rint(depth_m.numpy() / _DEPTH_UNIT_M).astype(np.uint16),
         }
+
+
+def _have_size(size: tuple[int, int], images: dict[str, np.ndarray]) -> bool:
+    """Whether stored images are those of a frame of this height and width."""
+    layout = {"rgb": ((*size, 3), np.uint8), "depth": (size, np.uint16)}
+    return {k: (v.shape, v.dtype) for k, v in images.items()} == layout
 
 
 def render_room(
