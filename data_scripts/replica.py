@@ -44,9 +44,7 @@ def plan(scene: str) -> Plan:
         cite="Straub et al.: The Replica Dataset, 2019; Zhu et al.: NICE-SLAM, 2022.",
         items=[
             Item(url=f"{HOST}/data/Replica.zip", stated_bytes=ARCHIVE_BYTES, choose=frames),
-            Item(
-                url=f"{HOST}/cull_replica_mesh.zip", stated_bytes=MESHES_BYTES, choose=culled_mesh
-            ),
+            Item(url=f"{HOST}/cull_replica_mesh.zip", stated_bytes=MESHES_BYTES, choose=visible),
         ],
         unpacked_bytes=SCENE_BYTES,
         sequences=lambda root: [SequenceOnDisk(preset="replica")],
