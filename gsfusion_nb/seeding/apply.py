@@ -58,13 +58,13 @@ def apply_rule(
             0..1, or an implausibly large position or scale; or the rule changed what it was given
             to read.
     """
-    found = get_rule(rule)
-    values: Any = option_values(found, options or {})
-    with unchanged_inputs(ctx, found):
-        if is_map_rule(found):
-            seeds = found(**values).seeds(ctx, ctx.memory)
+    function = get_rule(rule)
+    values: Any = option_values(function, options or {})
+    with unchanged_inputs(ctx, function):
+        if is_map_rule(function):
+            seeds = function(**values).seeds(ctx, ctx.memory)
         else:
-            seeds = cast(Callable[..., Seeds], found)(ctx, **values)
+            seeds = cast(Callable[..., Seeds], function)(ctx, **values)
     check_memory(rule_name(rule), ctx.memory)
     try:
         _check_seeds(seeds, ctx)
@@ -74,14 +74,14 @@ def apply_rule(
         ) from None
     if not one_per_voxel:
         return seeds
-    taken = None if ctx.gaussians is None else voxel_index(ctx, map_params(ctx).xyz_W)
-    return keep_one_per_voxel(seeds, voxel_index(ctx, seeds.xyz_W), taken)
+    map_voxels = None if ctx.gaussians is None else voxel_index(ctx, map_params(ctx).xyz_W)
+    return keep_one_per_voxel(seeds, voxel_index(ctx, seeds.xyz_W), map_voxels)
 
 
 def keep_one_per_voxel(
     seeds: Seeds,
     voxel: Int[Tensor, "N 3"],
-    taken: Int[Tensor, "M 3"] | None = None,
+    map_voxels: Int[Tensor, "M 3"] | None = None,
 ) -> Seeds:
     """Of the seeds that share a voxel, keep the one with the largest standard deviation; of equal
     ones the first.
@@ -92,14 +92,14 @@ def keep_one_per_voxel(
     Args:
         seeds: Proposed Gaussians, N rows.
         voxel: Integer voxel coordinates of each. [N, 3]
-        taken: Voxels that hold a Gaussian of the map; no seed in them is kept. [M, 3]
+        map_voxels: Voxels that hold a Gaussian of the map; no seed in them is kept. [M, 3]
 
     Returns:
         The seeds that are kept, in their order.
     """
-    if taken is not None and len(taken) and len(seeds):
+    if map_voxels is not None and len(map_voxels) and len(seeds):
         _, group = torch.unique(
-            torch.cat([voxel, taken]),
+            torch.cat([voxel, map_voxels]),
             dim=0,
             return_inverse=True,
         )
@@ -133,27 +133,27 @@ def _check_seeds(seeds: Any, ctx: SeedContext) -> None:
             raise ArgumentError(f"{name} must be floating point, got {column.dtype}")
     if n == 0:
         return
-    far = f"{MAX_DISTANCE_M:,.0f} m"
+    limit = f"{MAX_DISTANCE_M:,.0f} m"
     columns = {name: getattr(seeds, name) for name in _COLUMNS if name != "tag"}
     columns["length of quat"] = seeds.quat.norm(dim=-1)
     extremes = torch.stack([x for column in columns.values() for x in torch.aminmax(column)])
     values = extremes.tolist()  # a GPU is waited for once; the extremes of a NaN are NaN
-    found = dict(
+    ranges = dict(
         zip(
             columns,
             zip(values[::2], values[1::2], strict=True),
             strict=True,
         )
     )
-    for name, (low, high) in found.items():
+    for name, (low, high) in ranges.items():
         if not (math.isfinite(low) and math.isfinite(high)):
             check_finite(name, columns[name])
-        wanted, fits = {
-            "xyz_W": (f"within {far} of the origin", max(-low, high) <= MAX_DISTANCE_M),
+        requirement, fits = {
+            "xyz_W": (f"within {limit} of the origin", max(-low, high) <= MAX_DISTANCE_M),
             "rgb": ("in 0..1", low >= 0 and high <= 1),
-            "scale_m": (f"above 0 and below {far}", low > 0 and high < MAX_DISTANCE_M),
+            "scale_m": (f"above 0 and below {limit}", low > 0 and high < MAX_DISTANCE_M),
             "opacity": ("strictly between 0 and 1", low > 0 and high < 1),
             "length of quat": ("above 0", low > 1e-6),
         }.get(name, ("", True))
         if not fits:
-            raise ArgumentError(f"{name} must be {wanted}, got {low:g} to {high:g}")
+            raise ArgumentError(f"{name} must be {requirement}, got {low:g} to {high:g}")

@@ -101,32 +101,34 @@ class Beside:
         """The same by path, relative to the folder; without packages that have no file of their
         own."""
         assert self.folder is not None
-        found = self._imports_of(source).values()
+        modules = self._imports_of(source).values()
         return {
             file.relative_to(self.folder).as_posix(): content
-            for file, content in found
+            for file, content in modules
             if file != self.folder
         }
 
     def _imports_of(self, source: bytes) -> dict[str, tuple[Path, bytes]]:
-        found: dict[str, tuple[Path, bytes]] = {}
+        modules: dict[str, tuple[Path, bytes]] = {}
         waiting = [("", source)]
         while waiting:
             package, importing = waiting.pop()
             for name in imported_names(importing, package):
-                for dotted in _with_packages(name):
-                    if dotted in found or not self.has(dotted):
+                for full_name in _with_packages(name):
+                    if full_name in modules or not self.has(full_name):
                         continue
-                    spec = where_module(dotted, self)
+                    spec = where_module(full_name, self)
                     if spec is None:
                         break
                     file = Path(spec.origin) if spec.has_location and spec.origin else self.folder
                     assert file is not None
                     content = file.read_bytes() if file != self.folder else b""
-                    found[dotted] = file, content
+                    modules[full_name] = file, content
                     is_package = spec.submodule_search_locations is not None
-                    waiting.append((dotted if is_package else dotted.rpartition(".")[0], content))
-        return found
+                    waiting.append(
+                        (full_name if is_package else full_name.rpartition(".")[0], content)
+                    )
+        return modules
 
     def prepare(self, module: types.ModuleType, source: bytes) -> None:
         """Give a module, before it is executed, what it imports by; and note its source."""
@@ -152,23 +154,23 @@ class Beside:
 class _FromSource(importlib.machinery.SourceFileLoader):
     """Executes a module from its source."""
 
-    def __init__(self, name: str, path: str, beside: Beside):
+    def __init__(self, name: str, path: str, finder: Beside):
         super().__init__(name, path)
-        self._beside = beside
+        self._finder = finder
 
     def exec_module(self, module: types.ModuleType) -> None:
         content = self.get_data(self.path)
-        self._beside.prepare(module, content)
+        self._finder.prepare(module, content)
         exec(compile(content, self.path, "exec", dont_inherit=True), vars(module))
 
 
-def sources_digest(source: bytes, beside: Beside) -> str:
+def sources_digest(source: bytes, finder: Beside) -> str:
     """A hash of a rule's file, of the modules that it imports from its folder, and of the name of
     the folder."""
     digest = hashlib.blake2b(source, digest_size=8)
-    for name, content in sorted(beside.sources_of(source).items()):
+    for name, content in sorted(finder.sources_of(source).items()):
         digest.update(f"\0{name}\0".encode() + content)
-    digest.update(str(beside.folder or "").encode())
+    digest.update(str(finder.folder or "").encode())
     return digest.hexdigest()
 
 

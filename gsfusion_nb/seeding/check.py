@@ -91,20 +91,20 @@ def check_rule(
     """
     function = get_rule(rule)
     name = rule_name(rule)
-    tested = _Tested(function, dict(options or {}))
+    subject = _Tested(function, dict(options or {}))
     scenes = check_contexts() if contexts is None else contexts
     try:
         with only_declared(
             name,
-            [*option_paths(function, tested.options).values(), *code_key(function).files],
+            [*option_paths(function, subject.options).values(), *code_key(function).files],
         ):
-            counts, digest = _counts(tested, scenes, extra, with_walk=contexts is None)
+            counts, digest = _counts(subject, scenes, extra, with_walk=contexts is None)
     except UndeclaredError as e:
         raise AssertionError(str(e)) from None
     edits = (
         contexts is None and is_map_rule(function) and function.after_step is not MapRule.after_step
     )
-    passed = (
+    properties = (
         "columns of the right shape, finite, scale > 0, opacity in (0, 1), colour in 0..1",
         "changes neither the frame nor the map",
         "same input, same output; random numbers only from ctx.generator",
@@ -114,7 +114,7 @@ def check_rule(
         f"every option is accepted: {', '.join(rule_options(function)) or '(it has none)'}",
         *(["after_step: possible edits, the same twice, no change of its inputs"] if edits else []),
     )
-    return RuleCheck(name, passed, counts, digest)
+    return RuleCheck(name, properties, counts, digest)
 
 
 @dataclass(frozen=True)
@@ -127,11 +127,11 @@ class _Tested:
     def seeds(
         self,
         ctx: SeedContext,
-        changed: Mapping[str, Option] | None = None,
+        changes: Mapping[str, Option] | None = None,
     ) -> Seeds:
-        return apply_rule(self.rule, ctx, {**self.options, **(changed or {})})
+        return apply_rule(self.rule, ctx, {**self.options, **(changes or {})})
 
-    def made(self) -> MapRule:
+    def instance(self) -> MapRule:
         """An instance of a class."""
         values: Any = option_values(self.rule, self.options)
         assert is_map_rule(self.rule)
@@ -139,7 +139,7 @@ class _Tested:
 
 
 def _counts(
-    tested: _Tested,
+    subject: _Tested,
     scenes: Mapping[str, SeedContext],
     extra: Callable[[Frame], Mapping[str, Any]] | None,
     *,
@@ -149,22 +149,22 @@ def _counts(
     gave."""
     counts = {}
     all_given = ValueHash(strict=False)
-    name = rule_name(tested.rule)
-    kept = loaded_values(tested.rule)
-    for scene, given in scenes.items():
-        ctx = _with_extra(given, extra)
+    name = rule_name(subject.rule)
+    code_hash = loaded_values(subject.rule)
+    for scene, context in scenes.items():
+        ctx = _with_extra(context, extra)
         where = f"seeding rule {name!r}, scene {scene!r}"
-        first = _run_unchanged(tested, ctx, where)
-        _check_randomness(tested, ctx, first, where)
+        first = _run_unchanged(subject, ctx, where)
+        _check_randomness(subject, ctx, first, where)
         _check_in_front(first, ctx.frame, where)
-        _check_missing_depth(tested, ctx, where)
-        _check_every_option(tested, ctx, first, where)
-        _check_nothing_kept(tested.rule, kept, where)
+        _check_missing_depth(subject, ctx, where)
+        _check_every_option(subject, ctx, first, where)
+        _check_nothing_kept(subject.rule, code_hash, where)
         counts[scene] = len(first)
         all_given.add(vars(first))
     if with_walk:
         counts["walk"] = _check_walk(
-            tested, kept, extra, f"seeding rule {name!r}, scene 'walk'", all_given
+            subject, code_hash, extra, f"seeding rule {name!r}, scene 'walk'", all_given
         )
     return counts, all_given.hexdigest()
 
@@ -186,33 +186,33 @@ def _fresh(ctx: SeedContext, seed: int = 0, **changes: Any) -> SeedContext:
     return dataclasses.replace(ctx, generator=generator, memory=copy_memory(ctx.memory), **changes)
 
 
-def _run_unchanged(tested: "_Tested", ctx: SeedContext, where: str) -> Seeds:
+def _run_unchanged(subject: "_Tested", ctx: SeedContext, where: str) -> Seeds:
     """Run once; frame and maps must be bit for bit the same afterwards."""
     fresh = _fresh(ctx)
     _ = fresh.frame.rgb
-    with _unchanged(fresh, where):
-        return tested.seeds(fresh)
+    with _refuse_changes(fresh, where):
+        return subject.seeds(fresh)
 
 
 @contextmanager
-def _unchanged(ctx: SeedContext, where: str) -> Iterator[None]:
+def _refuse_changes(ctx: SeedContext, where: str) -> Iterator[None]:
     """Raise ``AssertionError`` at the end of the block if anything that a rule can read was changed
     in place."""
-    watched = [(name, tensor, tensor.clone()) for name, tensor in context_tensors(ctx)]
+    copies = [(name, tensor, tensor.clone()) for name, tensor in context_tensors(ctx)]
     try:
         yield
     except ChangedInputError as e:
         raise AssertionError(
             f"{where}: it changed {e.what} in place; work on a copy (x.clone())"
         ) from None
-    for name, tensor, before in watched:
-        if not torch.equal(tensor, before):
+    for name, tensor, original in copies:
+        if not torch.equal(tensor, original):
             raise AssertionError(f"{where}: it changed {name} in place; work on a copy (x.clone())")
 
 
 def _check_walk(
-    tested: "_Tested",
-    kept: str,
+    subject: "_Tested",
+    code_hash: str,
     extra: Any,
     where: str,
     all_given: ValueHash,
@@ -221,26 +221,26 @@ def _check_walk(
     end are added to ``all_given``. Returns the number of seeds."""
     total = 0
     memory = {}
-    rule = tested.rule
+    rule = subject.rule
     walk = Walk()
     for number in range(walk.n_frames):
-        here = f"{where}, frame {number}"
+        place = f"{where}, frame {number}"
         ctx = _with_extra(walk.context(number, memory), extra)
-        first = _run_unchanged(tested, ctx, here)
-        after = _check_randomness(tested, ctx, first, here)
-        _check_in_front(first, ctx.frame, here)
-        _check_nothing_kept(rule, kept, here)
+        first = _run_unchanged(subject, ctx, place)
+        memory_after = _check_randomness(subject, ctx, first, place)
+        _check_in_front(first, ctx.frame, place)
+        _check_nothing_kept(rule, code_hash, place)
         walk.grow(first)
         if is_map_rule(rule) and rule.after_step is not MapRule.after_step:
-            ctx = dataclasses.replace(ctx, memory=after)
+            ctx = dataclasses.replace(ctx, memory=memory_after)
             for step, stage in _STEPS:
-                after = _check_after_step(
-                    tested.made(), ctx, step, stage, f"{here}, after step {step} ({stage})"
+                memory_after = _check_after_step(
+                    subject.instance(), ctx, step, stage, f"{place}, after step {step} ({stage})"
                 )
-                ctx = dataclasses.replace(ctx, memory=after)
-            _check_nothing_kept(rule, kept, here)
+                ctx = dataclasses.replace(ctx, memory=memory_after)
+            _check_nothing_kept(rule, code_hash, place)
         total = total + len(first)
-        memory = after
+        memory = memory_after
     all_given.add((vars(walk.gaussians.params), memory))
     return total
 
@@ -250,14 +250,14 @@ def _check_after_step(
 ) -> dict[str, Any]:
     """``after_step`` changes nothing but its memory, returns the same twice, and its edit fits the
     map, which then has it. Returns the memory afterwards."""
-    given = _step_stats(rule, ctx, step, stage)
+    stats = _step_stats(rule, ctx, step, stage)
     edits = []  # statistics may be restarted
     memories = []
     second = copy.deepcopy(ctx.gaussians)
     for seed, model in ((1, ctx.gaussians), (2, second)):
         fresh = _fresh(ctx, gaussians=model)
-        with _unchanged(fresh, where), _other_generators(seed):
-            edit = rule.after_step(fresh, given, fresh.memory)
+        with _refuse_changes(fresh, where), _other_generators(seed):
+            edit = rule.after_step(fresh, stats, fresh.memory)
         if edit is not None and not isinstance(edit, Edit):
             raise KindError(f"{where}: after_step must return an Edit or None, got {shown(edit)}")
         check_memory(rule_name(type(rule)), fresh.memory)
@@ -289,18 +289,21 @@ def _step_stats(
     model = ctx.gaussians
     frame = ctx.frame
     check_needs(needs, f"seeding rule {rule_name(type(rule))!r}: statistics()")
-    seen = footprints(model.params, frame.camera, frame.T_WC) if needs - {"render"} else None
-    drawn = 1e-3 * torch.randn(
+    screen = footprints(model.params, frame.camera, frame.T_WC) if needs - {"render"} else None
+    v_random = 1e-3 * torch.randn(
         len(model),
         2,
         generator=torch.Generator().manual_seed(step),
     )
     v_uv, v_uv_abs = (
         value if name in needs else None
-        for name, value in (("image_gradients", drawn), ("abs_image_gradients", 2 * drawn.abs()))
+        for name, value in (
+            ("image_gradients", v_random),
+            ("abs_image_gradients", 2 * v_random.abs()),
+        )
     )
-    if seen is not None:
-        add_up(model, seen.visible, v_uv, frame.camera, v_uv_abs)
+    if screen is not None:
+        add_up(model, screen.visible, v_uv, frame.camera, v_uv_abs)
     return StepStats(
         step=step,
         stage=stage,
@@ -312,8 +315,8 @@ def _step_stats(
         target=frame.rgb,
         loss=torch.tensor(0.1),
         rgb=render(model.params, frame.camera, frame.T_WC).rgb if "render" in needs else None,
-        visible=None if seen is None else seen.visible,
-        radius_px=None if seen is None else seen.radius_px,
+        visible=None if screen is None else screen.visible,
+        radius_px=None if screen is None else screen.radius_px,
         v_uv=v_uv,
         v_uv_abs=v_uv_abs,
     )
@@ -328,9 +331,9 @@ def _as_memory(edit: Edit | None) -> dict[str, Any] | None:
     }
 
 
-def _check_nothing_kept(rule: SeedingRule, before: str, where: str) -> None:
+def _check_nothing_kept(rule: SeedingRule, code_hash: str, where: str) -> None:
     """The rule stores nothing new after all these runs, except in the memory of a context."""
-    if loaded_values(rule) != before:
+    if loaded_values(rule) != code_hash:
         raise AssertionError(
             f"{where}: it keeps something from one frame to the next (a global, a variable around "
             "it, an attribute); its seeds may depend on the context only: keep it in ctx.memory"
@@ -338,7 +341,7 @@ def _check_nothing_kept(rule: SeedingRule, before: str, where: str) -> None:
 
 
 def _check_randomness(
-    tested: "_Tested", ctx: SeedContext, first: Seeds, where: str
+    subject: "_Tested", ctx: SeedContext, first: Seeds, where: str
 ) -> dict[str, Any]:
     """Runs on equal inputs give equal seeds, and leave equal memories. Returns the memory
     afterwards."""
@@ -347,14 +350,14 @@ def _check_randomness(
         fresh = _fresh(ctx)
         with _other_generators(seed):
             state = torch.get_rng_state()
-            again = tested.seeds(fresh)
-            drawn = not torch.equal(torch.get_rng_state(), state)
-        if drawn:
+            second = subject.seeds(fresh)
+            uses_global = not torch.equal(torch.get_rng_state(), state)
+        if uses_global:
             raise AssertionError(
                 f"{where}: it drew random numbers from torch's global generator; draw from the "
                 "context only: torch.rand(..., generator=ctx.generator)"
             )
-        if not equal_memories(vars(first), vars(again)):
+        if not equal_memories(vars(first), vars(second)):
             raise AssertionError(
                 f"{where}: two runs on the same input gave different seeds; a rule may depend on "
                 "the context only, and draw from ctx.generator only"
@@ -370,38 +373,38 @@ def _check_randomness(
 
 def _check_in_front(seeds: Seeds, frame: Frame, where: str) -> None:
     z = se3.apply(se3.inverse(frame.T_WC), seeds.xyz_W)[:, 2]
-    behind = int((z <= 0).sum())
-    if behind:
+    n_behind = int((z <= 0).sum())
+    if n_behind:
         raise AssertionError(
-            f"{where}: {behind} of {len(seeds)} seeds lie behind the camera; xyz_W is in the world "
-            "frame, T_WC applied"
+            f"{where}: {n_behind} of {len(seeds)} seeds lie behind the camera; xyz_W is in the "
+            "world frame, T_WC applied"
         )
 
 
-def _check_missing_depth(tested: "_Tested", ctx: SeedContext, where: str) -> None:
+def _check_missing_depth(subject: "_Tested", ctx: SeedContext, where: str) -> None:
     blind = dataclasses.replace(ctx.frame, depth_m=torch.zeros_like(ctx.frame.depth_m))
-    found = len(tested.seeds(_fresh(ctx, frame=blind)))
-    if found:
+    n_seeds = len(subject.seeds(_fresh(ctx, frame=blind)))
+    if n_seeds:
         raise AssertionError(
-            f"{where}: the frame has no depth, yet it gave {found} seeds; there is no surface to "
+            f"{where}: the frame has no depth, yet it gave {n_seeds} seeds; there is no surface to "
             "seed"
         )
 
 
-def _check_every_option(tested: "_Tested", ctx: SeedContext, first: Seeds, where: str) -> None:
+def _check_every_option(subject: "_Tested", ctx: SeedContext, first: Seeds, where: str) -> None:
     """Passing the defaults by name changes nothing; every switch and every choice works."""
-    defaults = rule_options(tested.rule) | tested.options
-    if not equal_memories(vars(first), vars(tested.seeds(_fresh(ctx), defaults))):
+    defaults = rule_options(subject.rule) | subject.options
+    if not equal_memories(vars(first), vars(subject.seeds(_fresh(ctx), defaults))):
         raise AssertionError(
             f"{where}: passing its own defaults {defaults} by name gave other seeds than leaving "
             "them out"
         )
-    for options in _switched(defaults, rule_choices(tested.rule)):
-        seeds = tested.seeds(_fresh(ctx), options)
+    for options in _other_options(defaults, rule_choices(subject.rule)):
+        seeds = subject.seeds(_fresh(ctx), options)
         _check_in_front(seeds, ctx.frame, f"{where}, with {options}")
 
 
-def _switched(
+def _other_options(
     defaults: dict[str, Option], choices: dict[str, tuple[str, ...]]
 ) -> Iterable[dict[str, Option]]:
     for name, default in defaults.items():
@@ -415,13 +418,13 @@ def _switched(
 def _other_generators(seed: int) -> Iterator[None]:
     """Set the global random generators to other states inside the block, and restore them after
     it."""
-    before = torch.get_rng_state(), np.random.get_state(), random.getstate()  # noqa: NPY002
+    states = torch.get_rng_state(), np.random.get_state(), random.getstate()  # noqa: NPY002
     torch.default_generator.manual_seed(seed)
     np.random.seed(seed)  # noqa: NPY002
     random.seed(seed)
     try:
         yield
     finally:
-        torch.set_rng_state(before[0])
-        np.random.set_state(before[1])  # noqa: NPY002
-        random.setstate(before[2])
+        torch.set_rng_state(states[0])
+        np.random.set_state(states[1])  # noqa: NPY002
+        random.setstate(states[2])

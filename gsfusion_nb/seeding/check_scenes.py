@@ -51,9 +51,9 @@ def check_contexts() -> dict[str, SeedContext]:
         integrate(volume, frame)
         contexts[name] = ctx = SeedContext(frame, volume, gaussians, config=config)
         if name == "half seen":
-            left = dataclasses.replace(frame, depth_m=frame.depth_m * (torch.arange(61) < 30))
+            left_half = dataclasses.replace(frame, depth_m=frame.depth_m * (torch.arange(61) < 30))
             for _ in range(2):
-                integrate(volume, left)
+                integrate(volume, left_half)
             places = pixel_grid(frame.camera)[::8, :30:8].reshape(-1, 2)
             gaussians.append(ctx.seeds_at(places, 2.0, opacity=0.9), frame.index)
     contexts["real map"] = _real_map(new, config)
@@ -67,9 +67,9 @@ def _real_map(frame: Frame, config: SeedingConfig) -> SeedContext:
     gaussians = GaussianModel(sh_degree=0)
     integrate(volume, frame)
     gaussians.append(SeedContext(frame, volume, config=config).cells(), frame.index)
-    beside = _scene_frame(61, 47, shift_m=0.15)
-    integrate(volume, beside)
-    return SeedContext(beside, volume, gaussians, config=config)
+    neighbour = _scene_frame(61, 47, shift_m=0.15)
+    integrate(volume, neighbour)
+    return SeedContext(neighbour, volume, gaussians, config=config)
 
 
 class Walk:
@@ -107,21 +107,21 @@ class Walk:
 
     def grow(self, seeds: Seeds) -> None:
         """Add seeds to the map."""
-        before = len(self.gaussians)
+        n_old = len(self.gaussians)
         self.gaussians.append(seeds, self._frames[-1].index)
         params = self.gaussians.params
-        n = len(self.gaussians) - before
-        g = torch.Generator().manual_seed(before)
+        n = len(self.gaussians) - n_old
+        g = torch.Generator().manual_seed(n_old)
         for column, size in (
             (params.log_scale, 0.3),
             (params.quat, 0.2),
             (params.opacity_logit, 1.0),
         ):
-            column[before:] += size * torch.randn(n, *column.shape[1:], generator=g)
-        params.log_scale[before::5] += (
+            column[n_old:] += size * torch.randn(n, *column.shape[1:], generator=g)
+        params.log_scale[n_old::5] += (
             2.5  # some large ones, and some nearly transparent ones, of which some are both
         )
-        params.opacity_logit[before::3] = -6.0
+        params.opacity_logit[n_old::3] = -6.0
         self.gaussians.clock.advance(self.gaussians.step_count + 5)
 
 

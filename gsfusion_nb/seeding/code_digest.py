@@ -76,9 +76,9 @@ class Digest(ABC):
             self.add(value, f"[{key!r}]" if type(key) in ATOMS else "")
         self.text(f"{len(x)} items")
 
-    def add_attributes(self, x: Mapping[str, Any], without: Iterable[str] = ()) -> None:
+    def add_attributes(self, x: Mapping[str, Any], exclude: Iterable[str] = ()) -> None:
         """Values by name, whose order says nothing."""
-        for name in sorted(map(str, x.keys() - set(without))):
+        for name in sorted(map(str, x.keys() - set(exclude))):
             self.text(name)
             self.add(x[name], f".{name}")
 

@@ -160,19 +160,19 @@ class _Closure:
         self.whole: dict[str, types.ModuleType] = {}
         """Modules whose names may be looked up while the code runs, all of them if any module does
         so."""
-        self._done: set[str] = set()
-        self._loaded: dict[str, types.ModuleType] = {}
+        self._visited_names: set[str] = set()
+        self._modules: dict[str, types.ModuleType] = {}
         self._looks_up = False
         for module in sorted(modules, key=lambda module: module.__name__):
             self._add_module(module)
         if self._looks_up:
-            self.whole = dict(self._loaded)
+            self.whole = dict(self._modules)
 
     def _add_module(self, module: types.ModuleType) -> None:
-        if module.__name__ == "__main__" or id(module) in map(id, self._loaded.values()):
+        if module.__name__ == "__main__" or id(module) in map(id, self._modules.values()):
             return
         name = "of the rule" if hasattr(module, RULE_SOURCE) else module.__name__
-        self._loaded[name] = module
+        self._modules[name] = module
         source = getattr(module, LOADED_SOURCE, None)
         file = _file_of(module)
         content = source if source is not None else None if file is None else _read(file)
@@ -187,11 +187,11 @@ class _Closure:
         file: Path | None,
         content: bytes | None,
         package: str,
-        beside: Any,
+        finder: Any,
     ) -> None:
-        if name in self._done:
+        if name in self._visited_names:
             return
-        self._done.add(name)
+        self._visited_names.add(name)
         if file is not None:
             self.files.append(file)
         if content is None:
@@ -203,64 +203,71 @@ class _Closure:
         self.parts[f"file {name}"] = hashlib.blake2b(content, digest_size=16).hexdigest()
         if file is not None and file.suffix in importlib.machinery.EXTENSION_SUFFIXES:
             return
-        tree = _parsed(content)
+        tree = _syntax_tree(content)
         self._look_at_lookups(tree, name)
-        for imported in sorted(set(_imports(tree, package))):
-            self._add_import(imported, beside)
+        for module_name in sorted(set(_imports(tree, package))):
+            self._add_import(module_name, finder)
 
     def _look_at_lookups(self, tree: ast.AST, name: str) -> None:
         for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
-            called = (
+            function_name = (
                 call.func.id if isinstance(call.func, ast.Name) else getattr(call.func, "attr", "")
             )
             constant = [isinstance(a, ast.Constant) for a in call.args]
-            if called in ("import_module", "__import__", "run_path", "run_module") and not all(
-                constant[:1]
-            ):
+            if function_name in (
+                "import_module",
+                "__import__",
+                "run_path",
+                "run_module",
+            ) and not all(constant[:1]):
                 self.reason = self.reason or (
                     f"{name}, line {call.lineno}, imports a module whose name is made while it "
-                    f"runs ({called})"
+                    f"runs ({function_name})"
                 )
-            if isinstance(call.func, ast.Name) and called in _LOOKUPS:
-                self._looks_up = self._looks_up or called != "getattr" or not all(constant[1:2])
+            if isinstance(call.func, ast.Name) and function_name in _LOOKUPS:
+                self._looks_up = (
+                    self._looks_up or function_name != "getattr" or not all(constant[1:2])
+                )
 
-    def _add_import(self, name: str, beside: Any) -> None:
+    def _add_import(self, name: str, finder: Any) -> None:
         """Add a module by its name, and the packages that it is in."""
         parts = name.split(".")
         if parts[0] == _PACKAGE or parts[0] in sys.stdlib_module_names:
             return
         for n in range(1, len(parts) + 1):
-            dotted = ".".join(parts[:n])
-            module = beside.modules.get(dotted) if beside is not None else None
-            if module is None and not (beside is not None and beside.has(dotted)):
-                module = sys.modules.get(dotted)
+            full_name = ".".join(parts[:n])
+            module = finder.modules.get(full_name) if finder is not None else None
+            if module is None and not (finder is not None and finder.has(full_name)):
+                module = sys.modules.get(full_name)
             if isinstance(module, types.ModuleType) and not is_library_module(module):
                 self._add_module(module)
                 continue
-            spec = where_module(dotted, beside)
+            spec = where_module(full_name, finder)
             if spec is None:
                 if n == 1:
-                    self.parts[f"missing {dotted}"] = ""
+                    self.parts[f"missing {full_name}"] = ""
                 return
             file = _origin(spec)
-            is_beside = beside is not None and beside.has(dotted)
+            is_beside = finder is not None and finder.has(full_name)
             if file is not None and is_installed(file) and not is_beside and distribution_of(file):
-                self.libraries.add(dotted)
+                self.libraries.add(full_name)
                 return
             package = (
-                dotted if spec.submodule_search_locations is not None else dotted.rpartition(".")[0]
+                full_name
+                if spec.submodule_search_locations is not None
+                else full_name.rpartition(".")[0]
             )
             if file is not None:
-                self._add_file(dotted, file, _read(file), package, beside)
+                self._add_file(full_name, file, _read(file), package, finder)
 
 
 def imported_names(source: bytes, package: str) -> list[str]:
     """Names of the modules that a source may import, sorted. ``package``: the package that it is
     in."""
-    return sorted(set(_imports(_parsed(source), package)))
+    return sorted(set(_imports(_syntax_tree(source), package)))
 
 
-def _parsed(source: bytes) -> ast.AST:
+def _syntax_tree(source: bytes) -> ast.AST:
     try:
         return ast.parse(source)
     except (SyntaxError, ValueError):  # a compiled module, or one that cannot be imported either
@@ -278,19 +285,19 @@ def _origin(spec: importlib.machinery.ModuleSpec | None) -> Path | None:
     return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
 
 
-def where_module(name: str, beside: Any) -> importlib.machinery.ModuleSpec | None:
+def where_module(name: str, finder: Any) -> importlib.machinery.ModuleSpec | None:
     """Where a module is, without importing anything; None if there is none."""
     path: Any = None
     spec = None
     parts = name.split(".")
     for n in range(1, len(parts) + 1):
-        dotted = ".".join(parts[:n])
-        finders = [*([beside] if beside is not None else []), *sys.meta_path]
-        found = (
-            finder.find_spec(dotted, path) for finder in finders if hasattr(finder, "find_spec")
+        full_name = ".".join(parts[:n])
+        finders = [*([finder] if finder is not None else []), *sys.meta_path]
+        specs = (
+            place.find_spec(full_name, path) for place in finders if hasattr(place, "find_spec")
         )
         try:
-            spec = next((spec for spec in found if spec is not None), None)
+            spec = next((spec for spec in specs if spec is not None), None)
         except (ImportError, ValueError, AttributeError):
             spec = None
         if spec is None:
@@ -316,7 +323,7 @@ def _imports(tree: ast.AST, package: str) -> Iterator[str]:
             if source:
                 yield source
                 yield from (f"{source}.{alias.name}" for alias in node.names if alias.name != "*")
-        elif isinstance(node, ast.Call) and _called(node) in ("import_module", "__import__"):
+        elif isinstance(node, ast.Call) and _function_name(node) in ("import_module", "__import__"):
             first = node.args[0] if node.args else None
             if (
                 isinstance(first, ast.Constant)
@@ -326,5 +333,5 @@ def _imports(tree: ast.AST, package: str) -> Iterator[str]:
                 yield first.value
 
 
-def _called(call: ast.Call) -> str:
+def _function_name(call: ast.Call) -> str:
     return call.func.id if isinstance(call.func, ast.Name) else getattr(call.func, "attr", "")

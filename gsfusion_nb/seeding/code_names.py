@@ -63,7 +63,7 @@ def imported_inside(f: types.FunctionType) -> set[str]:
     package = (
         f.__globals__.get("__package__") or (f.__globals__.get("__name__") or "").rpartition(".")[0]
     )
-    found = set()
+    modules = set()
     for code in parts_of(f.__code__):
         instructions = list(dis.get_instructions(code))
         for i, instruction in enumerate(instructions):
@@ -75,8 +75,8 @@ def imported_inside(f: types.FunctionType) -> set[str]:
                     else instruction.argval
                 )
                 with contextlib.suppress(ImportError):
-                    found.add(importlib.util.resolve_name(name, package))
-    return found
+                    modules.add(importlib.util.resolve_name(name, package))
+    return modules
 
 
 def named_in(module: str, name: str) -> Any:
@@ -114,11 +114,11 @@ def looks_up(f: types.FunctionType, *, in_a_module: bool) -> str:
             notebook.
     """
     names = names_of(f.__code__)
-    if found := sorted(_ANYWHERE & names):
-        return found[0]
-    if "sys" in names and (found := sorted(_OF_SYS & names)):
-        return f"sys.{found[0]}"
+    if words := sorted(_ANYWHERE & names):
+        return words[0]
+    if "sys" in names and (words := sorted(_OF_SYS & names)):
+        return f"sys.{words[0]}"
     if in_a_module or not _BY_NAME & names - f.__globals__.keys():
         return ""
-    found = sorted(_BY_NAME & globals_of(f.__code__))  # ``net.eval()`` is no such builtin
-    return f"{found[0]}()" if found else ""
+    words = sorted(_BY_NAME & globals_of(f.__code__))  # ``net.eval()`` is no such builtin
+    return f"{words[0]}()" if words else ""

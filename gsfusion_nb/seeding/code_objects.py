@@ -33,14 +33,14 @@ def add_reduced(digest: Digest, x: Any) -> None:
     """An object as pickle would store it."""
     try:
         reducer: Callable[[Any], Any] | None = _REDUCERS.get(type(x))
-        reduced = reducer(x) if reducer is not None else x.__reduce_ex__(4)
+        reduction = reducer(x) if reducer is not None else x.__reduce_ex__(4)
     except Exception as e:  # whatever the object's own method raises
         digest.give_up(x, str(e))
         return
-    if isinstance(reduced, str):
-        _add_named(digest, x, reduced)
+    if isinstance(reduction, str):
+        _add_named(digest, x, reduction)
     else:
-        _add_parts(digest, reduced)
+        _add_parts(digest, reduction)
     if not is_library(type(x).__module__):
         digest.add_attributes(_own_attributes(x))  # also what its own __getstate__ leaves out
 
@@ -53,8 +53,8 @@ def _add_named(digest: Digest, x: Any, name: str) -> None:
         digest.give_up(x, f"it is not {home}.{name}")
 
 
-def _add_parts(digest: Digest, reduced: tuple[Any, ...]) -> None:
-    make, arguments, *rest = reduced
+def _add_parts(digest: Digest, reduction: tuple[Any, ...]) -> None:
+    make, arguments, *rest = reduction
     digest.add_all((make, *arguments))
     state, items, pairs = [*rest[:3], None, None, None][:3]
     for part in state if isinstance(state, tuple) and len(state) == 2 else (state,):

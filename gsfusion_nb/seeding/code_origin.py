@@ -36,9 +36,9 @@ def is_library(module: str) -> bool:
     top = module.partition(".")[0]
     if top in (OWN_PACKAGE, *sys.stdlib_module_names) or not module or top.startswith(CHECKS_TYPES):
         return True
-    known = sys.modules.get(module) or sys.modules.get(top)
-    if known is not None:
-        return _is_library(known)
+    loaded_module = sys.modules.get(module) or sys.modules.get(top)
+    if loaded_module is not None:
+        return _is_library(loaded_module)
     try:
         spec = importlib.util.find_spec(top)
     except (ImportError, ValueError):
@@ -136,7 +136,7 @@ def home_of(function: types.FunctionType) -> types.ModuleType | None:
     """The module in whose namespace a function looks up its names; None for a namespace that is no
     module's."""
     names = function.__globals__
-    known = sys.modules.get(names.get("__name__") or "")
-    if isinstance(known, types.ModuleType) and vars(known) is names:
-        return known
+    module = sys.modules.get(names.get("__name__") or "")
+    if isinstance(module, types.ModuleType) and vars(module) is names:
+        return module
     return _homes.get(id(names))

@@ -71,11 +71,11 @@ def add_module(digest: Digest, x: types.ModuleType, names: set[str] | None = Non
         _add_library_names(digest, x, names or set())
         return
     digest.modules[id(x)] = x
-    reached = digest.names_at.setdefault(id(x), set())
+    old_names = digest.names_at.setdefault(id(x), set())
     for name in sorted(
-        ({*(names or ()), "__getattr__"} & vars(x).keys()) - reached - NOT_OF_A_PROGRAM
+        ({*(names or ()), "__getattr__"} & vars(x).keys()) - old_names - NOT_OF_A_PROGRAM
     ):
-        reached.add(name)
+        old_names.add(name)
         digest.text(name)
         _add_global(digest, vars(x)[name], names or set(), f"{x.__name__}.{name}")
 
@@ -83,9 +83,9 @@ def add_module(digest: Digest, x: types.ModuleType, names: set[str] | None = Non
 def _add_library_names(digest: Digest, x: types.ModuleType, names: set[str]) -> None:
     """What a library has by these names, where that is not what it says: constants, and
     functions of others."""
-    reached = digest.names_at.setdefault(id(x), set())
-    for name in sorted((names & vars(x).keys()) - reached):
-        reached.add(name)
+    old_names = digest.names_at.setdefault(id(x), set())
+    for name in sorted((names & vars(x).keys()) - old_names):
+        old_names.add(name)
         value = vars(x)[name]
         if isinstance(value, types.ModuleType):
             if is_library_module(value):
@@ -97,8 +97,8 @@ def _add_library_names(digest: Digest, x: types.ModuleType, names: set[str]) -> 
             digest.add(value, f"{x.__name__}.{name}")
         elif is_own_class(type(value)) or (type(value) in _HOLD_VALUES and x.__name__ != "sys"):
             digest.add(value, f"{x.__name__}.{name}")
-        elif callable(value) and (called := getattr(value, "__name__", name)) != name:
-            digest.text(f"{x.__name__}.{name} is {called}")
+        elif callable(value) and (own_name := getattr(value, "__name__", name)) != name:
+            digest.text(f"{x.__name__}.{name} is {own_name}")
 
 
 def add_function(digest: Digest, f: types.FunctionType) -> None:
@@ -145,16 +145,16 @@ def _add_names(digest: Digest, f: types.FunctionType, home: types.ModuleType | N
         raise UnhashableError(
             f"{f.__name__} looks names up by {by_name}, so what it uses is not known"
         )
-    loaded = globals_of(f.__code__) - NOT_OF_A_PROGRAM
-    for name in sorted(loaded & f.__globals__.keys()):
+    global_names = globals_of(f.__code__) - NOT_OF_A_PROGRAM
+    for name in sorted(global_names & f.__globals__.keys()):
         digest.text(name)
         _add_global(digest, f.__globals__[name], names, f"global {name}")
     built_in = f.__builtins__  # pyright: ignore[reportAttributeAccessIssue]
-    for name in sorted((loaded & built_in.keys()) - f.__globals__.keys()):
+    for name in sorted((global_names & built_in.keys()) - f.__globals__.keys()):
         digest.text(name)
         digest.add(built_in[name], f"builtin {name}")
     for name in sorted(imported_inside(f)):
-        _add_global(digest, _imported(name, f), names, name)
+        _add_global(digest, _import_value(name, f), names, name)
 
 
 def _add_global(digest: Digest, x: Any, names: set[str], place: str) -> None:
@@ -203,11 +203,11 @@ def add_code(digest: Digest, code: types.CodeType) -> None:
     digest.add_all(code.co_consts)
 
 
-def _imported(name: str, f: types.FunctionType) -> Any:
+def _import_value(name: str, f: types.FunctionType) -> Any:
     """What ``import name`` inside a function gives; None where it fails, which the rule will
     notice."""
-    beside = f.__globals__.get(BESIDE)
-    if beside is None or not beside.has(name):
+    finder = f.__globals__.get(BESIDE)
+    if finder is None or not finder.has(name):
         if name.partition(".")[0] in (OWN_PACKAGE, *sys.stdlib_module_names):
             return None
         if is_library(name):

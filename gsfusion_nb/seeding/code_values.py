@@ -122,9 +122,10 @@ class ValueHash(Digest):
         elif isinstance(x, functools._lru_cache_wrapper):
             self.text(repr(x.cache_parameters()))
             self.add(x.__wrapped__)
-        elif isinstance(compiled := getattr(x, "py_func", None), types.FunctionType):  # by numba
+        elif isinstance(source_function := getattr(x, "py_func", None), types.FunctionType):
+            # compiled by numba
             self.text(repr(sorted(getattr(x, "targetoptions", {}).items())))
-            self.add(compiled)
+            self.add(source_function)
         else:
             return False
         return True
@@ -134,10 +135,10 @@ class ValueHash(Digest):
         self.walks_sets = True
         digests = []
         for item in x:
-            alone = ValueHash(self.strict)
-            alone.add(item)
-            self.merge(alone)
-            digests.append(alone.hexdigest())
+            item_hash = ValueHash(self.strict)
+            item_hash.add(item)
+            self.merge(item_hash)
+            digests.append(item_hash.hexdigest())
         self.text(" ".join(sorted(digests)))
 
     def _tensor(self, x: torch.Tensor) -> None:

@@ -41,16 +41,16 @@ def unmapped_pixels(
 
     Source: Keetha et al. 2024 (SplaTAM), Gaussian densification; the released code.
     """
-    known = ctx.has_depth()
+    has_depth = ctx.has_depth()
     if not ctx.has_map:
-        return known
+        return has_depth
     view = ctx.render()
     depth_m = view.depth_m / view.alpha.clamp_min(1e-6) if divided else view.depth_m
     e = depth_error_m(ctx, depth_m)
-    large = e > median_factor * _median(e if median_of == "all" else e[known])
+    large = e > median_factor * _median(e if median_of == "all" else e[has_depth])
     if sides == "in front":
         large &= depth_m > ctx.frame.depth_m
-    return known & ((view.alpha < min_alpha) | large)
+    return has_depth & ((view.alpha < min_alpha) | large)
 
 
 def depth_error_m(
@@ -86,11 +86,15 @@ def in_front(
     xyz = se3.apply(se3.inverse(ctx.frame.T_WC), ctx.map.xyz_W)
     uv = project(ctx.camera, xyz)
     z = xyz[:, 2]
-    inside = (
+    in_image = (
         (z > 0)
         & (uv >= 0).all(dim=1)
         & (uv < uv.new_tensor([ctx.camera.width, ctx.camera.height])).all(dim=1)
     )
-    uv = torch.where(inside[:, None], uv, 0.0)
-    seen = ctx.has_depth() if where is None else ctx.has_depth() & where
-    return inside & ctx.values_at(seen, uv) & (z < ctx.values_at(ctx.frame.depth_m, uv) - margin_m)
+    uv = torch.where(in_image[:, None], uv, 0.0)
+    in_mask = ctx.has_depth() if where is None else ctx.has_depth() & where
+    return (
+        in_image
+        & ctx.values_at(in_mask, uv)
+        & (z < ctx.values_at(ctx.frame.depth_m, uv) - margin_m)
+    )

@@ -25,25 +25,25 @@ def cells_without_depth(ctx: SeedContext) -> Seeds:
     Differentiable: no. Source: ours; docs/quality.md has what it changes.
     """
     depth_m = ctx.frame.depth_m
-    known = ctx.has_depth()
-    if not (depth_m <= 0).any() or not known.any():
+    has_depth = ctx.has_depth()
+    if not (depth_m <= 0).any() or not has_depth.any():
         return Seeds.empty(depth_m)
     leaves = ctx.quadtree_cells(min_cell_px=max(LEAST_HALF_PX, ctx.config.quadtree_min_cell_px))
     i, j = leaves.centre_uv.floor().long().unbind(-1)
-    chosen = depth_m[j, i] <= 0
-    if ctx.has_map and chosen.any():
-        chosen &= ctx.render().alpha[j, i] < SHOWN_ALPHA
-    if not chosen.any():
+    mask = depth_m[j, i] <= 0
+    if ctx.has_map and mask.any():
+        mask &= ctx.render().alpha[j, i] < SHOWN_ALPHA
+    if not mask.any():
         return Seeds.empty(depth_m)
-    leaves = leaves[chosen]
-    i = i[chosen]
-    j = j[chosen]
-    filled = depth_from_sides(depth_m, known)
-    placed = filled[j, i] > 0
-    leaves = leaves[placed]
-    i = i[placed]
-    j = j[placed]
-    xyz_W, scale_m = cell_gaussians(ctx.camera, leaves, filled, ctx.frame.T_WC)
+    leaves = leaves[mask]
+    i = i[mask]
+    j = j[mask]
+    filled_m = depth_from_sides(depth_m, has_depth)
+    has_estimate = filled_m[j, i] > 0
+    leaves = leaves[has_estimate]
+    i = i[has_estimate]
+    j = j[has_estimate]
+    xyz_W, scale_m = cell_gaussians(ctx.camera, leaves, filled_m, ctx.frame.T_WC)
     return Seeds.isotropic(
         xyz_W,
         ctx.frame.rgb[j, i],
@@ -54,7 +54,7 @@ def cells_without_depth(ctx: SeedContext) -> Seeds:
 
 
 def depth_from_sides(
-    depth_m: Float[Tensor, "H W"], known: Bool[Tensor, "H W"]
+    depth_m: Float[Tensor, "H W"], has_depth: Bool[Tensor, "H W"]
 ) -> Float[Tensor, "H W"]:
     """At each pixel the mean of the nearest known depths to the left, right, above and below,
     weighted by 1/distance^2.
@@ -63,23 +63,25 @@ def depth_from_sides(
 
     Args:
         depth_m: z-depth, metres. [H, W]
-        known: Pixels whose depth is used. [H, W]
+        has_depth: Pixels whose depth is used. [H, W]
     """
     total = torch.zeros_like(depth_m)
     weights = torch.zeros_like(depth_m)
     for dim in (0, 1):
         for backwards in (False, True):
-            d, k = (depth_m.flip(dim), known.flip(dim)) if backwards else (depth_m, known)
+            d, k = (depth_m.flip(dim), has_depth.flip(dim)) if backwards else (depth_m, has_depth)
             place = torch.arange(d.shape[dim], device=d.device)
             place = (place[:, None] if dim == 0 else place[None]).expand(d.shape)
             last = torch.where(k, place, -1).cummax(dim).values
-            near = d.gather(dim, last.clamp_min(0))
+            nearest_m = d.gather(dim, last.clamp_min(0))
             weight = torch.where(
                 last >= 0,
                 1.0 / (place - last).clamp_min(1).to(d).square(),
                 0.0,
             )
-            near, weight = (near.flip(dim), weight.flip(dim)) if backwards else (near, weight)
-            total = total + weight * near
+            nearest_m, weight = (
+                (nearest_m.flip(dim), weight.flip(dim)) if backwards else (nearest_m, weight)
+            )
+            total = total + weight * nearest_m
             weights = weights + weight
     return torch.where(weights > 0, total / weights.clamp_min(1e-30), 0.0)

@@ -37,7 +37,7 @@ def draw_weighted_rows(
 
 def one_pixel_seeds(
     ctx: SeedContext,
-    chosen: Bool[Tensor, "H W"],
+    mask: Bool[Tensor, "H W"],
     *,
     share: float = 1.0,
     every_px: int = 1,
@@ -48,7 +48,7 @@ def one_pixel_seeds(
 
     Args:
         ctx: The frame.
-        chosen: Pixels. [H, W]
+        mask: Pixels. [H, W]
         share: Share of them that is drawn at random, 0..1; sizes are 1 / sqrt(share) times as
             large, so that the Gaussians cover as much of the image.
         every_px: Only every n-th pixel of every n-th row, with n times the size.
@@ -60,16 +60,16 @@ def one_pixel_seeds(
     if every_px < 1:
         raise ArgumentError(f"every_px must be at least 1, got {every_px}")
     if every_px > 1:
-        grid = torch.zeros_like(chosen)
+        grid = torch.zeros_like(mask)
         grid[::every_px, ::every_px] = True
-        chosen = chosen & grid
+        mask = mask & grid
     return ctx.seeds_at(
-        drawn_pixels(ctx, chosen, share), every_px * pixel_radius(ctx, share), opacity=opacity
+        drawn_pixels(ctx, mask, share), every_px * pixel_radius(ctx, share), opacity=opacity
     )
 
 
 def drawn_pixels(
-    ctx: SeedContext, chosen: Bool[Tensor, "H W"] | None, share: float
+    ctx: SeedContext, mask: Bool[Tensor, "H W"] | None, share: float
 ) -> Float[Tensor, "N 2"]:
     """Centres of the chosen pixels with depth (all without a choice), or of a random share of them,
     row by row.
@@ -79,7 +79,7 @@ def drawn_pixels(
     """
     if not 0 < share <= 1:
         raise ArgumentError(f"share must be above 0 and at most 1, got {share}")
-    uv = ctx.pixels(chosen)
+    uv = ctx.pixels(mask)
     return uv if share == 1 else uv[draw_rows(ctx, len(uv), round(share * len(uv)))]
 
 

@@ -11,7 +11,7 @@ from ..errors import ArgumentError
 from ..geometry import backproject, depth_to_normals, pixel_grid, se3
 from ..types import Seeds
 from .image_features import canny
-from .inputs import SeedInputs, once
+from .inputs import SeedInputs, cached_result
 from .quadtree import Cells, cell_gaussians, quadtree
 
 
@@ -37,19 +37,23 @@ def values_at(
 
 def normals(inputs: SeedInputs) -> Float[Tensor, "H W 3"]:
     """Surface normals of the depth image, camera frame, zero where unknown."""
-    return once(inputs, "normals", lambda: depth_to_normals(inputs.camera, inputs.frame.depth_m))
+    return cached_result(
+        inputs, "normals", lambda: depth_to_normals(inputs.camera, inputs.frame.depth_m)
+    )
 
 
 def normals_W(inputs: SeedInputs) -> Float[Tensor, "H W 3"]:
     """Surface normals of the depth image, world frame, zero where unknown."""
-    return once(inputs, "normals_W", lambda: se3.rotate(inputs.frame.T_WC, normals(inputs)))
+    return cached_result(
+        inputs, "normals_W", lambda: se3.rotate(inputs.frame.T_WC, normals(inputs))
+    )
 
 
 def edges(
     inputs: SeedInputs, low: float, high: float, dilate_px: int, euclidean: bool
 ) -> Bool[Tensor, "H W"]:
     """Pixels on Canny's edges."""
-    return once(
+    return cached_result(
         inputs,
         ("edges", low, high, dilate_px, euclidean),
         lambda: canny(inputs.frame, low, high, dilate_px, euclidean),
@@ -71,7 +75,7 @@ def quadtree_cells(inputs: SeedInputs, **overrides: Any) -> Cells:
         )
     settings |= overrides
     key = ("cells", *settings.values())
-    return once(inputs, key, lambda: quadtree(inputs.frame.rgb_u8, **settings))
+    return cached_result(inputs, key, lambda: quadtree(inputs.frame.rgb_u8, **settings))
 
 
 def leaf_seeds(inputs: SeedInputs, **overrides: Any) -> Seeds:

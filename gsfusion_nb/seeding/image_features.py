@@ -26,7 +26,7 @@ this."""
 class EdgeDirection:
     """The direction in which brightness changes least."""
 
-    along: Float[Tensor, "H W 2"]
+    direction: Float[Tensor, "H W 2"]
     """Unit vector along the edge in the image (u, v); its sign is arbitrary."""
     coherence: Float[Tensor, "H W"]
     """(l1 - l2) / (l1 + l2) of the eigenvalues l1 >= l2 of the tensor: 1 at a straight edge, 0
@@ -75,9 +75,9 @@ def structure_directions(grey: Float[Tensor, "H W"], window_px: int) -> EdgeDire
         window_px,
     ).unbind(2)
     difference = ((xx - yy).square() + 4 * xy.square()).sqrt()  # l1 - l2
-    across = torch.atan2(2 * xy, xx - yy) / 2
+    gradient_angle = torch.atan2(2 * xy, xx - yy) / 2
     return EdgeDirection(
-        along=torch.stack([-across.sin(), across.cos()], dim=2),
+        direction=torch.stack([-gradient_angle.sin(), gradient_angle.cos()], dim=2),
         coherence=difference / (xx + yy + NO_GRADIENT**2),
     )
 
@@ -85,24 +85,24 @@ def structure_directions(grey: Float[Tensor, "H W"], window_px: int) -> EdgeDire
 def box_blur(image: Float[Tensor, "H W C"], window_px: int) -> Float[Tensor, "H W C"]:
     """Mean over a square window of odd side; outside the picture its border is repeated."""
     reach = window_px // 2
-    padded = functional.pad(
+    margin_image = functional.pad(
         image.permute(2, 0, 1)[None],
         (reach,) * 4,
         mode="replicate",
     )
-    return functional.avg_pool2d(padded, window_px, stride=1)[0].permute(1, 2, 0)
+    return functional.avg_pool2d(margin_image, window_px, stride=1)[0].permute(1, 2, 0)
 
 
 def absolute_laplacian(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W"]:
     """The fine detail, 0..12: |4 x - its four neighbours|, summed over the channels; pixels outside
     the picture equal those at its border."""
     channels = rgb.permute(2, 0, 1)[:, None]
-    padded = functional.pad(channels, (1, 1, 1, 1), mode="replicate")
+    margin_image = functional.pad(channels, (1, 1, 1, 1), mode="replicate")
     kernel = rgb.new_tensor([[0.0, 1.0, 0.0], [1.0, -4.0, 1.0], [0.0, 1.0, 0.0]])
-    return functional.conv2d(padded, kernel[None, None]).abs().sum(dim=(0, 1))
+    return functional.conv2d(margin_image, kernel[None, None]).abs().sum(dim=(0, 1))
 
 
-def halved(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
+def without_detail(rgb: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
     """The picture at half the size (means of 2 x 2 pixels), enlarged again (bilinear): without its
     finest detail."""
     H, W, _ = rgb.shape
@@ -121,8 +121,8 @@ def disc_blur(image: Float[Tensor, "H W"], radius_px: float) -> Float[Tensor, "H
     reach = int(radius_px)
     offset = torch.arange(-reach, reach + 1, device=image.device)
     disc = (offset[:, None] ** 2 + offset[None, :] ** 2 <= radius_px**2).to(image)
-    padded = functional.pad(image[None, None], (reach,) * 4, mode="replicate")
-    return functional.conv2d(padded, (disc / disc.sum())[None, None])[0, 0]
+    margin_image = functional.pad(image[None, None], (reach,) * 4, mode="replicate")
+    return functional.conv2d(margin_image, (disc / disc.sum())[None, None])[0, 0]
 
 
 def canny(

@@ -49,31 +49,32 @@ def unchanged_inputs(
         yield
         return
     _ = ctx.frame.rgb  # made now, so that it is among them
-    watched = list(context_tensors(ctx))
-    counts = [edit_count(tensor) for _, tensor in watched]
+    tensors = list(context_tensors(ctx))
+    counts = [edit_count(tensor) for _, tensor in tensors]
     copies = {
         name: tensor.clone()
-        for name, tensor in watched
+        for name, tensor in tensors
         if name.startswith("frame.") and not is_quick
     }
     sums = {
         name: _sum_of_bits(tensor)
-        for name, tensor in watched
+        for name, tensor in tensors
         if (name.startswith("map.") and not is_quick) or not is_counted(tensor)
     }
-    places = [_place(tensor) for _, tensor in watched]
-    changed = ""
+    places = [_place(tensor) for _, tensor in tensors]
+    changed_name = ""
     try:
         with read_only(
-            (name, x) for name, x in watched if name not in copies and name not in sums
-        ) as made:
+            (name, x) for name, x in tensors if name not in copies and name not in sums
+        ) as array_names:
             yield
     except Exception as e:
-        if made and ("read-only" in str(e) or "readonly" in str(e)):  # NumPy's word, and OpenCV's
-            raise ChangedInputError(rule_name(rule), made[-1]) from e
+        # NumPy's word, and OpenCV's
+        if array_names and ("read-only" in str(e) or "readonly" in str(e)):
+            raise ChangedInputError(rule_name(rule), array_names[-1]) from e
         raise
     finally:
-        for (name, tensor), count in zip(watched, counts, strict=True):
+        for (name, tensor), count in zip(tensors, counts, strict=True):
             is_same = not is_counted(tensor) or edit_count(tensor) == count
             if name in copies and not _same_bits(tensor, copies[name]):
                 is_same = False
@@ -81,14 +82,16 @@ def unchanged_inputs(
             if name in sums and _sum_of_bits(tensor) != sums[name]:
                 is_same = False
             if not is_same:
-                changed = changed or name
-        after = dict(context_tensors(ctx))
-        for (name, _), place in zip(watched, places, strict=True):
-            if name not in after or _place(after[name]) != place:
-                changed = changed or name
-        changed = changed or next((name for name in after if name not in dict(watched)), "")
-    if changed:
-        raise ChangedInputError(rule_name(rule), changed)
+                changed_name = changed_name or name
+        new_tensors = dict(context_tensors(ctx))
+        for (name, _), place in zip(tensors, places, strict=True):
+            if name not in new_tensors or _place(new_tensors[name]) != place:
+                changed_name = changed_name or name
+        changed_name = changed_name or next(
+            (name for name in new_tensors if name not in dict(tensors)), ""
+        )
+    if changed_name:
+        raise ChangedInputError(rule_name(rule), changed_name)
 
 
 def _place(tensor: Tensor) -> tuple[int, torch.Size, torch.dtype]:
@@ -107,7 +110,7 @@ def _bits(tensor: Tensor) -> Tensor:
 
 
 def _sum_of_bits(tensor: Tensor) -> int:
-    """A number that a change of any value changes."""
+    """A number that a changed_name of any value changes."""
     bits = _bits(tensor.detach()).flatten(1) if tensor.ndim > 1 else _bits(tensor.detach())[:, None]
     weights = torch.arange(1, bits.shape[1] + 1, device=bits.device)
     return int((bits.sum(dim=0) * weights).sum())

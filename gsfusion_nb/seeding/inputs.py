@@ -91,7 +91,7 @@ class SeedInputs:
     reading: MapReading = field(default_factory=MapReading)
     """How the rows of the map are read."""
     results: dict = field(default_factory=dict, init=False, repr=False)
-    """What was computed from these inputs so far (``once``)."""
+    """What was computed from these inputs so far (``cached_result``)."""
 
     def __post_init__(self):
         if self.near_m is None:
@@ -123,7 +123,7 @@ class SeedInputs:
         return self.gaussians is not None and len(self.gaussians.params) > 0
 
 
-def once(inputs: SeedInputs, key: Any, make: Callable[[], Result]) -> Result:
+def cached_result(inputs: SeedInputs, key: Any, make: Callable[[], Result]) -> Result:
     """The result of ``make``, which is called where these inputs have none for ``key`` yet."""
     if key not in inputs.results:
         inputs.results[key] = make()

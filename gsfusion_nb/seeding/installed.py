@@ -46,7 +46,7 @@ class _Record:
     @property
     def name(self) -> str:
         """Name of the distribution, as other distributions ask for it."""
-        return normalised(self.path.parent.name.partition("-")[0])
+        return normalised_name(self.path.parent.name.partition("-")[0])
 
     def has(self, file: Path) -> bool:
         """Whether the distribution installed this file."""
@@ -56,7 +56,7 @@ class _Record:
         return self.text.startswith(line) or b"\n" + line in self.text
 
 
-def normalised(name: str) -> str:
+def normalised_name(name: str) -> str:
     """Name of a distribution in one spelling (PEP 503)."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
@@ -65,12 +65,12 @@ def normalised(name: str) -> str:
 def _records() -> dict[str, _Record]:
     """Name -> record of every installed distribution that has one; the first on Python's path
     counts."""
-    found: dict[str, _Record] = {}
+    records: dict[str, _Record] = {}
     for folder in dict.fromkeys(sys.path):
         for path in sorted(Path(folder or ".").glob("*.dist-info/RECORD")):
             record = _Record(path, path.read_bytes())
-            found.setdefault(record.name, record)
-    return found
+            records.setdefault(record.name, record)
+    return records
 
 
 @functools.lru_cache(maxsize=4096)
@@ -85,22 +85,22 @@ def distribution_of(file: Path) -> str:
 
 def with_requirements(names: Iterable[str]) -> list[str]:
     """Distributions and all that they require, as far as it is installed, sorted."""
-    found: set[str] = set()
-    waiting = [normalised(name) for name in names]
+    distributions: set[str] = set()
+    waiting = [normalised_name(name) for name in names]
     while waiting:
         name = waiting.pop()
-        if name not in found and name in _records():
-            found.add(name)
+        if name not in distributions and name in _records():
+            distributions.add(name)
             waiting += _requirements(name)
-    return sorted(found)
+    return sorted(distributions)
 
 
 @functools.cache
 def _requirements(name: str) -> list[str]:
     """Names that a distribution requires, without those of its extras."""
     requires = importlib.metadata.distribution(name).requires or []
-    asked = [text for text in requires if "extra ==" not in text.partition(";")[2]]
-    return [normalised(re.split(r"[\s\[<>=!~;(]", text, maxsplit=1)[0]) for text in asked]
+    texts = [text for text in requires if "extra ==" not in text.partition(";")[2]]
+    return [normalised_name(re.split(r"[\s\[<>=!~;(]", text, maxsplit=1)[0]) for text in texts]
 
 
 @functools.cache
@@ -112,7 +112,7 @@ def state_of(name: str) -> str:
     ``look_again``.
     """
     version = importlib.metadata.version(name)
-    edits = _edits(normalised(name))
+    edits = _edits(normalised_name(name))
     return f"{version} edited {edits}" if edits else version
 
 
@@ -139,27 +139,27 @@ def _edits(name: str) -> str:
         return ""
     digest = hashlib.blake2b(digest_size=16)
     installed_ns = os.stat(record.path).st_ctime_ns
-    edited = False
+    has_edits = False
     latest_ns = 0
     for line in record.text.decode(errors="surrogateescape").splitlines():
         relative, _, rest = line.strip('"').partition(",")
-        recorded = rest.partition(",")[0].partition("=")[2]
-        if not relative.endswith(_CODE) or not recorded:
+        recorded_hash = rest.partition(",")[0].partition("=")[2]
+        if not relative.endswith(_CODE) or not recorded_hash:
             continue
         path = os.path.join(record.root, relative)
         changed_ns = changed_at(path)
         if changed_ns <= installed_ns:
             continue
         content = Path(path).read_bytes() if os.path.isfile(path) else b""
-        if _as_recorded(content) != recorded:
-            edited = True
+        if _as_recorded(content) != recorded_hash:
+            has_edits = True
             latest_ns = max(latest_ns, changed_ns)
             digest.update(
                 relative.encode(errors="surrogateescape") + b"\0" + hashlib.sha256(content).digest()
             )
     if latest_ns > BEGAN_NS:
         digest.update(ONLY_HERE.encode())
-    return digest.hexdigest() if edited else ""
+    return digest.hexdigest() if has_edits else ""
 
 
 def changed_at(path: str | Path) -> int:

@@ -20,7 +20,7 @@ from ..render import (
 )
 from ..render.disc import PUBLISHED_DISCS
 from ..types import ALL_ROWS, GaussianParams, MapRows, RenderOutput
-from .inputs import DiscInputs, SeedInputs, SurfaceInputs, once
+from .inputs import DiscInputs, SeedInputs, SurfaceInputs, cached_result
 from .points import MapView, Neighbours, k_nearest, nearest_others, view_map, voxel_keys
 
 View = TypeVar("View")
@@ -45,7 +45,7 @@ def map_params(inputs: SeedInputs, rows: MapRows = ALL_ROWS) -> GaussianParams:
 def map_view(inputs: SeedInputs) -> MapView:
     """The Gaussians that exist before this frame."""
     _stored_params(inputs, "map")
-    return once(
+    return cached_result(
         inputs,
         "map",
         lambda: view_map(inputs.gaussians, inputs.frame.index, map_params(inputs)),
@@ -67,34 +67,36 @@ def surface_inputs(inputs: SeedInputs) -> SurfaceInputs | None:
 def picture(inputs: SeedInputs) -> RenderOutput:
     """What the frame's camera sees of the current map."""
     params = _stored_params(inputs, "render()")
-    over = surface_inputs(inputs)
+    surface = surface_inputs(inputs)
 
     def draw() -> RenderOutput:
-        if over is not None:
-            return picture_over_surface(inputs).as_render_output(over.surface.base)
-        return _drawn(inputs, params, lambda part: render(part, inputs.camera, inputs.frame.T_WC))
+        if surface is not None:
+            return picture_over_surface(inputs).as_render_output(surface.surface.base)
+        return _draw_visible(
+            inputs, params, lambda part: render(part, inputs.camera, inputs.frame.T_WC)
+        )
 
-    return once(inputs, "render", draw)
+    return cached_result(inputs, "render", draw)
 
 
 def picture_over_surface(inputs: SeedInputs) -> OverBaseOutput:
     """The picture of the current map over the surface (``SurfaceInputs.surface``), and the sum of
     the Gaussians' weights. Only in GPS-SLAM."""
-    over = surface_inputs(inputs)
-    if over is None:
+    surface_part = surface_inputs(inputs)
+    if surface_part is None:
         raise ArgumentError(
             "picture_over_surface() needs a mapper whose picture is a surface with Gaussians over "
             "it (gps_slam)"
         )
     params = _stored_params(inputs, "picture_over_surface()")
-    surface: SurfacePicture = over.surface
+    surface: SurfacePicture = surface_part.surface
 
     def draw(part: GaussianParams) -> OverBaseOutput:
         view = inputs.camera, inputs.frame.T_WC
         output, _ = render_over_base(part, *view, surface.base, behind_m=surface.behind_m)
         return output
 
-    return once(inputs, "over surface", lambda: _drawn(inputs, params, draw))
+    return cached_result(inputs, "over surface", lambda: _draw_visible(inputs, params, draw))
 
 
 def disc_view(inputs: SeedInputs, rows: Int[Tensor, " M"] | None = None) -> SurfaceView:
@@ -115,7 +117,7 @@ def disc_view(inputs: SeedInputs, rows: Int[Tensor, " M"] | None = None) -> Surf
 
     if rows is not None:
         return draw(map_params(inputs, rows))
-    return once(inputs, "discs", lambda: _drawn(inputs, params, draw, depth_m))
+    return cached_result(inputs, "discs", lambda: _draw_visible(inputs, params, draw, depth_m))
 
 
 def nearest(
@@ -140,7 +142,7 @@ def occupied_voxels(
     return torch.isin(voxel_keys(xyz_W, voxel_size_m), voxel_keys(map_xyz_W, voxel_size_m))
 
 
-def _drawn(
+def _draw_visible(
     inputs: SeedInputs,
     params: GaussianParams,
     draw: Callable[[GaussianParams], View],

@@ -111,16 +111,16 @@ class When:
             is_keyframe: Whether this frame becomes a keyframe; None if that depends on its seeds.
             stride: Number of frames of the recording from one mapped frame to the next.
         """
-        return self._within(n_mapped, stride) % self.frames < stride and (
+        return self._submap_position(n_mapped, stride) % self.frames < stride and (
             is_keyframe is True or not self.only_keyframes
         )
 
     def starts_submap(self, n_mapped: int, *, stride: int = 1) -> bool:
         """Whether the frame after ``n_mapped`` others is the first of a submap; ``stride`` as for
         ``is_due``."""
-        return self._within(n_mapped, stride) < stride
+        return self._submap_position(n_mapped, stride) < stride
 
-    def _within(self, n_mapped: int, stride: int) -> int:
+    def _submap_position(self, n_mapped: int, stride: int) -> int:
         """Position in the recording, counted from the first frame of the submap."""
         position = n_mapped * stride
         return position % self.submap_frames if self.submap_frames else position

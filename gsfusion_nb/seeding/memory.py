@@ -97,8 +97,8 @@ def move_memory(
             if name == "T_WC":
                 memory[name] = turn @ value
             else:
-                turned = (turn[:, :3, :3] @ value[:, :, None]).squeeze(2)
-                memory[name] = turned + turn[:, :3, 3] if name == "xyz_W" else turned
+                directions = (turn[:, :3, :3] @ value[:, :, None]).squeeze(2)
+                memory[name] = directions + turn[:, :3, 3] if name == "xyz_W" else directions
     for value in memory.values() if isinstance(memory, dict) else memory:
         move_memory(value, transform_of)
 

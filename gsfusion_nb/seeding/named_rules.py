@@ -25,24 +25,24 @@ class RuleNotNamedError(SequenceError):
 
     def __init__(self, asking: str | Path, rules: Sequence[str], how: str):
         self.rules = list(rules)
-        wanted = [rule.rpartition(":")[::2] for rule in rules]
-        said = " and ".join(
-            f"{shown(name)} in {_shown_path(os.path.abspath(file))}" for file, name in wanted
+        names = [rule.rpartition(":")[::2] for rule in rules]
+        rule_words = " and ".join(
+            f"{shown(name)} in {_shown_path(os.path.abspath(file))}" for file, name in names
         )
         self.wish = (
-            f"{_shown_path(str(asking))} asks for the seeding rule {said}, whose code is executed "
-            "only where the user names it"
+            f"{_shown_path(str(asking))} asks for the seeding rule {rule_words}, whose code is "
+            "executed only where the user names it"
         )
         """Who asks for what."""
         super().__init__(f"{self.wish}; if you trust it: {how}")
 
 
-def is_named(file: str | Path, named: Iterable[str | Path]) -> bool:
-    """Whether ``file`` is one of the files ``named``, whatever the paths look like."""
+def is_named(file: str | Path, files: Iterable[str | Path]) -> bool:
+    """Whether ``file`` is one of ``files``, whatever the paths look like."""
     path = Path(file).expanduser()
     return path.is_file() and any(
         other.is_file() and other.samefile(path)
-        for other in (Path(name).expanduser() for name in named)
+        for other in (Path(name).expanduser() for name in files)
     )
 
 

@@ -18,18 +18,18 @@ _KNOWN_OPTIONS: weakref.WeakKeyDictionary[Any, dict[str, inspect.Parameter]] = (
 """Rule -> its options, since reading a signature takes longer than many a step of a rule."""
 
 
-def option_values(rule: SeedingRule, given: Mapping[str, Any]) -> dict[str, Option]:
+def option_values(rule: SeedingRule, values: Mapping[str, Any]) -> dict[str, Option]:
     """The options as the rule is called with them: those that are paths as ``Path``, which settings
     hold as text.
 
     Raises:
         TypeError: as ``check_options``.
     """
-    check_options(rule, given)
-    known = options_of(rule)
+    check_options(rule, values)
+    parameters = options_of(rule)
     return {
-        name: Path(value).expanduser() if isinstance(known[name].default, Path) else value
-        for name, value in given.items()
+        name: Path(value).expanduser() if isinstance(parameters[name].default, Path) else value
+        for name, value in values.items()
     }
 
 
@@ -51,33 +51,33 @@ def options_of(rule: SeedingRule) -> dict[str, inspect.Parameter]:
 def check_options(rule: SeedingRule, options: Mapping[str, Any]) -> None:
     """Raise ``TypeError`` for an option that the rule does not have, or a value of another type
     than its default's."""
-    known = options_of(rule)
-    unknown = sorted(set(options) - set(known))
+    parameters = options_of(rule)
+    unknown = sorted(set(options) - set(parameters))
     if unknown:
         raise KindError(
             f"seeding rule {rule_name(rule)!r} has no options {shown(unknown)}; known: "
-            f"{sorted(known)}"
+            f"{sorted(parameters)}"
         )
     for name, value in options.items():
-        default = known[name].default
-        if words := isinstance(default, str) and typing.get_args(known[name].annotation):
+        default = parameters[name].default
+        if words := isinstance(default, str) and typing.get_args(parameters[name].annotation):
             fits = value in words
-            wanted = words
+            kind = words
         elif isinstance(default, Path):
             fits = isinstance(value, str | Path)
-            wanted = "the path of a file or folder"
+            kind = "the path of a file or folder"
         elif isinstance(default, str):
             fits = isinstance(value, str)
-            wanted = "a text"
+            kind = "a text"
         elif isinstance(default, bool):
             fits = isinstance(value, bool)
-            wanted = "True or False"
+            kind = "True or False"
         else:
             fits = isinstance(value, int | float) and not isinstance(value, bool)
-            wanted = "a number"
+            kind = "a number"
         if not fits:
             raise KindError(
-                f"seeding rule {rule_name(rule)!r}: option {name!r} must be {wanted}, got "
+                f"seeding rule {rule_name(rule)!r}: option {name!r} must be {kind}, got "
                 f"{shown(value)}"
             )
 
@@ -85,36 +85,38 @@ def check_options(rule: SeedingRule, options: Mapping[str, Any]) -> None:
 def _read_options(rule: SeedingRule) -> dict[str, inspect.Parameter]:
     name = rule_name(rule)
     if isinstance(rule, type):
-        wanted = (
+        rule_form = (
             "a seeding rule that is a class is written  @dataclass(frozen=True, "
             f"kw_only=True) class {name}(MapRule)"
         )
-        _check_class(rule, wanted)
+        _check_class(rule, rule_form)
         parameters = list(_signature(rule).parameters.values())
     else:
-        wanted = f"a seeding rule is written  def {name}(ctx, *, number=default, ...) -> Seeds"
+        rule_form = f"a seeding rule is written  def {name}(ctx, *, number=default, ...) -> Seeds"
         parameters = list(_signature(rule).parameters.values())
         positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
         if not parameters or parameters.pop(0).kind not in positional:
-            raise KindError(f"{wanted}; this one does not take the context as its first argument")
+            raise KindError(
+                f"{rule_form}; this one does not take the context as its first argument"
+            )
     for parameter in parameters:
-        _check_option(parameter, wanted)
+        _check_option(parameter, rule_form)
     return {p.name: p for p in parameters}
 
 
-def _check_option(p: inspect.Parameter, wanted: str) -> None:
+def _check_option(p: inspect.Parameter, rule_form: str) -> None:
     if p.kind is not inspect.Parameter.KEYWORD_ONLY:
         raise KindError(
-            f"{wanted}; {str(p)!r} must be keyword-only: put it after a bare *, with a default"
+            f"{rule_form}; {str(p)!r} must be keyword-only: put it after a bare *, with a default"
         )
     if p.default is inspect.Parameter.empty:
         raise KindError(
-            f"{wanted}; option {p.name!r} has no default, which sliders and check_rule need"
+            f"{rule_form}; option {p.name!r} has no default, which sliders and check_rule need"
         )
     if not isinstance(p.default, Option):
         raise KindError(
-            f"{wanted}; the default of option {p.name!r} must be a number, True/False, a text or a "
-            f"Path, got {p.default!r}"
+            f"{rule_form}; the default of option {p.name!r} must be a number, True/False, a text "
+            f"or a Path, got {p.default!r}"
         )
     if (
         isinstance(p.default, str)
@@ -122,29 +124,30 @@ def _check_option(p: inspect.Parameter, wanted: str) -> None:
         and p.default not in typing.get_args(p.annotation)
     ):
         raise KindError(
-            f"{wanted}; option {p.name!r} is a text, so annotate it: {p.name}: str for any, Path "
-            "for a file, or the "
+            f"{rule_form}; option {p.name!r} is a text, so annotate it: {p.name}: str for any, "
+            "Path for a file, or the "
             f'allowed words: {p.name}: Literal["{p.default}", ...] = "{p.default}"'
         )
 
 
-def _check_class(rule: type, wanted: str) -> None:
+def _check_class(rule: type, rule_form: str) -> None:
     """Raise ``TypeError`` unless the class can be used as a rule."""
     if not issubclass(rule, MapRule):
-        raise KindError(f"{wanted}; this one does not derive from gsfusion_nb.seeding.MapRule")
+        raise KindError(f"{rule_form}; this one does not derive from gsfusion_nb.seeding.MapRule")
     if "__dataclass_fields__" not in vars(rule):
         raise KindError(
-            f"{wanted}; this one is not a dataclass: put @dataclass(...) directly above the class"
+            f"{rule_form}; this one is not a dataclass: put @dataclass(...) directly above the "
+            "class"
         )
     if not all(f.kw_only for f in dataclasses.fields(rule)):
-        raise KindError(f"{wanted}; this one was made without kw_only=True")
+        raise KindError(f"{rule_form}; this one was made without kw_only=True")
     if inspect.isabstract(rule):
         raise KindError(
-            f"{wanted}; this one lacks {', '.join(sorted(rule.__abstractmethods__))}(self, ctx, "
+            f"{rule_form}; this one lacks {', '.join(sorted(rule.__abstractmethods__))}(self, ctx, "
             "memory)"
         )
     if len(inspect.signature(rule.seeds).parameters) != 3:
-        raise KindError(f"{wanted}; its method must be  def seeds(self, ctx, memory) -> Seeds")
+        raise KindError(f"{rule_form}; its method must be  def seeds(self, ctx, memory) -> Seeds")
     kinds = {
         "when": (When, "EVERY_FRAME, KEYFRAMES, every(n) or submaps(n)"),
         "needs": (frozenset, "a frozenset of words"),
@@ -152,8 +155,8 @@ def _check_class(rule: type, wanted: str) -> None:
     }
     for attribute, (kind, meaning) in kinds.items():
         if not isinstance(value := getattr(rule, attribute), kind):
-            raise KindError(f"{wanted}; its {attribute} must be {meaning}, got {shown(value)}")
-    check_needs(rule.needs, f"{wanted}; its needs")
+            raise KindError(f"{rule_form}; its {attribute} must be {meaning}, got {shown(value)}")
+    check_needs(rule.needs, f"{rule_form}; its needs")
 
 
 def _signature(rule: SeedingRule) -> inspect.Signature:

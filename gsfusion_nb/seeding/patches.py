@@ -46,7 +46,7 @@ _HOOKS = {"builtins._", "builtins.display", "builtins.get_ipython"}
 def patches() -> dict[str, str]:
     """Name in a loaded library -> hash of somebody's own function or object there. It takes about
     0.15 s."""
-    found: dict[str, str] = {}
+    hashes: dict[str, str] = {}
     for place, names, _ in _namespaces():
         for name, value in list(names.items()):
             kind = type(value)
@@ -59,8 +59,8 @@ def patches() -> dict[str, str]:
             if own is not None and place != "sys" and f"{place}.{name}" not in _HOOKS:
                 code = ValueHash(strict=False)
                 code.add(own)
-                found[f"{place}.{name}"] = code.hexdigest()
-    return found
+                hashes[f"{place}.{name}"] = code.hexdigest()
+    return hashes
 
 
 def switches() -> dict[str, str]:
@@ -92,7 +92,7 @@ class Namespace:
     name: str
     owner: Any
     names: dict[str, Any]
-    inside: dict[str, tuple[Any, ...]] = field(default_factory=dict)
+    contents: dict[str, tuple[Any, ...]] = field(default_factory=dict)
     """Of this package: name of a function -> its code, its defaults and its attributes."""
 
 
@@ -107,7 +107,7 @@ def library_state(*libraries: str) -> list[Namespace]:
             name,
             owner,
             dict(names),
-            _inside_all(names) if name.startswith(_PACKAGE) else {},
+            _function_contents(names) if name.startswith(_PACKAGE) else {},
         )
         for name, names, owner in _namespaces()
         if not libraries or f"{name}.".startswith(libraries)
@@ -122,52 +122,53 @@ def changes_since(state: list[Namespace], *, all_of_package: bool = False) -> li
         state: What ``library_state`` gave.
         all_of_package: Of this package every name that is new, or has any other value.
     """
-    return sorted(name for name, _ in _changed(state, all_of_package))
+    return sorted(name for name, _ in _changes(state, all_of_package))
 
 
 def changed_values(state: list[Namespace]) -> dict[str, str]:
     """The names that ``changes_since`` gives, each with a hash of what it leads to now."""
-    found = {}
-    for name, value in _changed(state, False):
+    hashes = {}
+    for name, value in _changes(state, False):
         content = ValueHash(strict=False)
         content.add(value)
-        content.add(_inside(value))
-        found[name] = content.hexdigest()
-    return found
+        content.add(_function_content(value))
+        hashes[name] = content.hexdigest()
+    return hashes
 
 
-def _changed(
+def _changes(
     state: list[Namespace],
     all_of_package: bool,
 ) -> Iterator[tuple[str, Any]]:
-    for before in state:
-        for key, value in list(vars(before.owner).items()):
-            if _is_change(before, key, value, all_of_package):
-                yield f"{before.name}.{key}", value
+    for namespace in state:
+        for key, value in list(vars(namespace.owner).items()):
+            if _is_change(namespace, key, value, all_of_package):
+                yield f"{namespace.name}.{key}", value
 
 
-def _is_change(before: Namespace, key: str, value: Any, all_of_package: bool) -> bool:
+def _is_change(namespace: Namespace, key: str, value: Any, all_of_package: bool) -> bool:
     if key.startswith("__") or issubclass(type(value), types.ModuleType):
         return False
     if (
         all_of_package
-        and before.name.startswith(_PACKAGE)
-        and before.names.get(key, _NOTHING) is not value
+        and namespace.name.startswith(_PACKAGE)
+        and namespace.names.get(key, _NOTHING) is not value
     ):
         return True
-    bases = before.owner.__mro__[1:] if isinstance(before.owner, type) else ()
+    bases = namespace.owner.__mro__[1:] if isinstance(namespace.owner, type) else ()
     # a new name of a module is lazy
-    inherited = next((vars(base)[key] for base in bases if key in vars(base)), value)
-    was = before.names.get(key, inherited)
+    base_value = next((vars(base)[key] for base in bases if key in vars(base)), value)
+    was = namespace.names.get(key, base_value)
     if was is value:
         is_new = (
-            key not in before.names
+            key not in namespace.names
             and bool(bases)
-            and inherited is value
-            and before.name.startswith(_PACKAGE)
+            and base_value is value
+            and namespace.name.startswith(_PACKAGE)
         )
         return is_new or (
-            key in before.inside and not _are_same(before.inside[key], _inside(value))
+            key in namespace.contents
+            and not _are_same(namespace.contents[key], _function_content(value))
         )
     if issubclass(type(value), _CALLED):
         return issubclass(type(was), _CALLED)
@@ -175,11 +176,15 @@ def _is_change(before: Namespace, key: str, value: Any, all_of_package: bool) ->
     return is_number and type(was) is type(value) and not key.startswith("_") and value != was
 
 
-def _inside_all(names: Mapping[str, Any]) -> dict[str, tuple[Any, ...]]:
-    return {name: found for name, value in list(names.items()) if (found := _inside(value))}
+def _function_contents(names: Mapping[str, Any]) -> dict[str, tuple[Any, ...]]:
+    return {
+        name: content
+        for name, value in list(names.items())
+        if (content := _function_content(value))
+    }
 
 
-def _inside(value: Any) -> tuple[Any, ...]:
+def _function_content(value: Any) -> tuple[Any, ...]:
     """What decides what a function does and can be changed without giving its name to another
     one."""
     function = value.__func__ if isinstance(value, staticmethod | classmethod) else value
@@ -197,7 +202,7 @@ def _are_same(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
 
 def _namespaces() -> Iterator[tuple[str, Any, Any]]:
     """Name, names and identity of each loaded library's module and of each class in it."""
-    seen: set[int] = set()
+    class_ids: set[int] = set()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of names that are deprecated
         for name, module in list(sys.modules.items()):
@@ -212,9 +217,9 @@ def _namespaces() -> Iterator[tuple[str, Any, Any]]:
                 if (
                     type(value) is not types.FunctionType
                     and isinstance(value, type)
-                    and id(value) not in seen
+                    and id(value) not in class_ids
                 ):
-                    seen.add(id(value))
+                    class_ids.add(id(value))
                     yield f"{name}.{key}", vars(value), value
 
 

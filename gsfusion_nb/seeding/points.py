@@ -57,9 +57,9 @@ def k_nearest(
 
     M = len(xyz_W)  # far is for what is not finite: its square overflows in float32
     N = len(others_W)
-    far = 1e30
-    points = xyz_W.nan_to_num(-far, -far, -far).cpu()
-    others = others_W.nan_to_num(far, far, far).cpu()
+    remote = 1e30
+    points = xyz_W.nan_to_num(-remote, -remote, -remote).cpu()
+    others = others_W.nan_to_num(remote, remote, remote).cpu()
     # built in half the time
     tree = KDTree(others.numpy(), balanced_tree=False, compact_nodes=False)
     distance, row = (
@@ -84,10 +84,10 @@ def nearest_others(
     distance, row = k_nearest(xyz_W, everything, k + 1)
     other = row != torch.arange(M, device=row.device)[:, None]
     other[other.all(dim=1), -1] = False  # a duplicate hid the point itself: leave out the farthest
-    kept = other.byte().sort(dim=1, descending=True, stable=True).indices[:, :k]
-    row = row.gather(1, kept)
+    column = other.byte().sort(dim=1, descending=True, stable=True).indices[:, :k]
+    row = row.gather(1, column)
     return Neighbours(
-        distance_m=distance.gather(1, kept),
+        distance_m=distance.gather(1, column),
         row=row.masked_fill(row == len(everything), -1),
     )
 

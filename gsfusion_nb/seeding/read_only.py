@@ -12,12 +12,12 @@ from torch import Tensor
 
 from .code_origin import is_library_namespace
 
-_now = threading.local()
+_local = threading.local()
 _patching = threading.RLock()
 
 
 @contextlib.contextmanager
-def read_only(named: Iterable[tuple[str, Tensor]]) -> Iterator[list[str]]:
+def read_only(tensors: Iterable[tuple[str, Tensor]]) -> Iterator[list[str]]:
     """Context in which somebody's own code gets read-only arrays of these tensors, and of all views
     of them.
 
@@ -25,51 +25,51 @@ def read_only(named: Iterable[tuple[str, Tensor]]) -> Iterator[list[str]]:
     what is written there. Code of libraries, and of this package, gets arrays as usual.
 
     Args:
-        named: Name and tensor of each.
+        tensors: Name and tensor of each.
 
     Yields:
         The names of which arrays were made, in their order.
     """
-    places = {_storage(tensor): name for name, tensor in named if tensor.device.type == "cpu"}
-    before = getattr(_now, "places", {}), getattr(_now, "made", [])
-    made: list[str] = []
-    with _replaced():
-        _now.places = places
-        _now.made = made
+    places = {_storage(tensor): name for name, tensor in tensors if tensor.device.type == "cpu"}
+    outer_state = getattr(_local, "places", {}), getattr(_local, "array_names", [])
+    array_names: list[str] = []
+    with _array_hooks():
+        _local.places = places
+        _local.array_names = array_names
         try:
-            yield made
+            yield array_names
         finally:
-            _now.places, _now.made = before
+            _local.places, _local.array_names = outer_state
 
 
 @contextlib.contextmanager
-def _replaced() -> Iterator[None]:
+def _array_hooks() -> Iterator[None]:
     kind: Any = Tensor
     with _patching:
-        before = {name: getattr(kind, name) for name in ("numpy", "__array__", "__dlpack__")}
-        for name, function in before.items():
-            setattr(kind, name, _guarded(function))
+        originals = {name: getattr(kind, name) for name in ("numpy", "__array__", "__dlpack__")}
+        for name, function in originals.items():
+            setattr(kind, name, _guard(function))
         try:
             yield
         finally:
-            for name, function in before.items():
+            for name, function in originals.items():
                 setattr(kind, name, function)
 
 
-def _guarded(function: Callable[..., Any]) -> Callable[..., Any]:
+def _guard(function: Callable[..., Any]) -> Callable[..., Any]:
     def array(tensor: Tensor, *arguments: Any, **options: Any) -> Any:
-        name = getattr(_now, "places", {}).get(_storage(tensor))
+        name = getattr(_local, "places", {}).get(_storage(tensor))
         if name is None or is_library_namespace(sys._getframe(1).f_globals):
             return function(tensor, *arguments, **options)
         if function.__name__ == "__dlpack__":  # which has no word for an array that is only read
             return function(tensor.clone(), *arguments, **options)
-        found = function(tensor, *arguments, **options)
-        if not _shares(found, tensor):
-            return found
-        _now.made.append(name)
-        found = found.view()
-        found.flags.writeable = False
-        return found
+        result = function(tensor, *arguments, **options)
+        if not _shares(result, tensor):
+            return result
+        _local.array_names.append(name)
+        result = result.view()
+        result.flags.writeable = False
+        return result
 
     return array
 

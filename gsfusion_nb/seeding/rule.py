@@ -101,12 +101,12 @@ def registered() -> dict[str, SeedingRule]:
 def keep_registered() -> Iterator[dict[str, SeedingRule]]:
     """Context in which rules can be registered, which are forgotten at its end; gives the rules
     registered before."""
-    before = dict(_RULES)
+    old_rules = dict(_RULES)
     try:
-        yield before
+        yield old_rules
     finally:
         _RULES.clear()
-        _RULES.update(before)
+        _RULES.update(old_rules)
 
 
 def rule_options(rule: str | SeedingRule) -> dict[str, Option]:
@@ -117,18 +117,20 @@ def rule_options(rule: str | SeedingRule) -> dict[str, Option]:
 def rule_choices(rule: str | SeedingRule) -> dict[str, tuple[str, ...]]:
     """Option name -> allowed words, for the options that are one of these; drop-down lists are made
     from it."""
-    found = {name: typing.get_args(p.annotation) for name, p in options_of(get_rule(rule)).items()}
+    words_of = {
+        name: typing.get_args(p.annotation) for name, p in options_of(get_rule(rule)).items()
+    }
     return {
         name: words
-        for name, words in found.items()
+        for name, words in words_of.items()
         if words and all(isinstance(word, str) for word in words)
     }
 
 
-def option_paths(rule: SeedingRule, given: Mapping[str, Any]) -> dict[str, Path]:
+def option_paths(rule: SeedingRule, options: Mapping[str, Any]) -> dict[str, Path]:
     """Option name -> path, for the options that are paths; an empty one is no file, and is left
     out."""
-    values = rule_options(rule) | option_values(rule, given)
+    values = rule_options(rule) | option_values(rule, options)
     return {
         name: value for name, value in values.items() if isinstance(value, Path) and value != Path()
     }

@@ -110,18 +110,18 @@ def path_hash(path: Path) -> str:
     digest = hashlib.blake2b(digest_size=16)
     files = [path]
     if path.is_dir():
-        walked = os.walk(path, followlinks=True)
+        folders = os.walk(path, followlinks=True)
         files = sorted(
             f
-            for folder, _, names in walked
+            for folder, _, names in folders
             for f in (Path(folder, name) for name in names)
             if f.is_file()
         )
     hashes = file_hashes(files)
     for file in files:
-        if (found := hashes[os.path.abspath(file)]) == UNREADABLE:
+        if (file_hash := hashes[os.path.abspath(file)]) == UNREADABLE:
             raise OSError(f"{file} cannot be read; expected a file that the seeding rule reads")
-        digest.update(f"{file.relative_to(path)}\0{found}\0".encode())
+        digest.update(f"{file.relative_to(path)}\0{file_hash}\0".encode())
     return digest.hexdigest()
 
 
@@ -188,15 +188,15 @@ def rule_of_source(
         ValueError: the source cannot be loaded, or has no such rule. TypeError: its signature is
             not that of a rule.
     """
-    beside = Beside(folder)
-    module_name = f"rule_file_{sources_digest(source.encode(), beside)}"
+    finder = Beside(folder)
+    module_name = f"rule_file_{sources_digest(source.encode(), finder)}"
     module = sys.modules.get(module_name)
     if module is None:
-        module = _load(source, module_name, file, beside)
+        module = _load(source, module_name, file, finder)
     rule: Any = getattr(module, name, None)
     if rule is None or not callable(rule):
-        known = ", ".join(module.__dict__["__rules__"]) or "none"
-        raise ArgumentError(f"{file} has no seeding rule {shown(name)}; it defines: {known}")
+        rule_names = ", ".join(module.__dict__["__rules__"]) or "none"
+        raise ArgumentError(f"{file} has no seeding rule {shown(name)}; it defines: {rule_names}")
     return get_rule(cast(SeedingRule, rule))
 
 
@@ -221,10 +221,10 @@ def beside_sources(rule: SeedingRule) -> dict[str, bytes]:
     """Path, relative to the folder of the rule's file, -> content of the modules that it imports
     from there."""
     module = _module_of(rule)
-    beside: Beside | None = getattr(module, BESIDE, None)
-    if beside is None or beside.folder is None:
+    finder: Beside | None = getattr(module, BESIDE, None)
+    if finder is None or finder.folder is None:
         return {}
-    return beside.files_of(file_source(rule).encode())
+    return finder.files_of(file_source(rule).encode())
 
 
 def refuse_undeclared(rule: SeedingRule, files: Iterable[Path]) -> None:
@@ -235,8 +235,8 @@ def refuse_undeclared(rule: SeedingRule, files: Iterable[Path]) -> None:
         files: The files of the modules that are part of its key.
     """
     module = _module_of(rule)
-    imported = getattr(module, _IMPORTED, frozenset())
-    refuse(rule_name(rule), getattr(module, _READ, ""), imported - set(files))
+    imported_files = getattr(module, _IMPORTED, frozenset())
+    refuse(rule_name(rule), getattr(module, _READ, ""), imported_files - set(files))
 
 
 _READ = "__undeclared__"
@@ -249,13 +249,13 @@ def _module_of(rule: SeedingRule) -> types.ModuleType | None:
     return sys.modules.get(getattr(rule, "__module__", "") or "")
 
 
-def _load(source: str, name: str, file: str, beside: Beside) -> types.ModuleType:
+def _load(source: str, name: str, file: str, finder: Beside) -> types.ModuleType:
     module = types.ModuleType(name)
     path = Path(file).expanduser()
     shown_name = f"<{path.name} {name[-16:]}>"
     module.__file__ = str(path.resolve()) if path.is_file() else shown_name
     vars(module)[RULE_SOURCE] = source
-    beside.prepare(module, source.encode())
+    finder.prepare(module, source.encode())
     lines = source.splitlines(keepends=True)
     linecache.cache[shown_name] = (
         len(source),
@@ -265,10 +265,12 @@ def _load(source: str, name: str, file: str, beside: Beside) -> types.ModuleType
     )  # for its source in reports
     sys.modules[name] = module  # dataclasses look there
     try:
-        with keep_registered() as before, watch_reads(Path(file).name) as watch:
+        with keep_registered() as old_rules, watch_reads(Path(file).name) as watch:
             exec(compile(source, shown_name, "exec", dont_inherit=True), module.__dict__)
             own = [
-                rule_name(rule) for key, rule in registered().items() if before.get(key) is not rule
+                rule_name(rule)
+                for key, rule in registered().items()
+                if old_rules.get(key) is not rule
             ]
     except Exception as e:
         del sys.modules[name]

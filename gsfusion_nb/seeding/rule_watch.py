@@ -210,10 +210,10 @@ class RuleWatch:
             paths = {path}
         return any(path.is_relative_to(place) for path in paths for place in self.open_places)
 
-    def _refuse(self, what: str, instead: str) -> None:
+    def _refuse(self, what: str, advice: str) -> None:
         self.offence = self.offence or (
             f"the seeding rule {self.rule!r} {what}, so a comparison would keep its old results "
-            f"when that changes; {instead}"
+            f"when that changes; {advice}"
         )
 
 

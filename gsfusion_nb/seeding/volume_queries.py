@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ..errors import ArgumentError
 from ..tsdf import RaycastOutput, TsdfVolume, raycast
-from .inputs import SeedInputs, once
+from .inputs import SeedInputs, cached_result
 
 
 def voxel_weight(inputs: SeedInputs, xyz_W: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
@@ -35,7 +35,7 @@ def raycast_volume(inputs: SeedInputs) -> RaycastOutput:
     it needs a copy of the volume."""
     volume = _volume(inputs, "raycast_volume()")
     cast = functools.partial(raycast, volume) if isinstance(volume, TsdfVolume) else volume.raycast
-    return once(inputs, "raycast", lambda: cast(inputs.camera, inputs.frame.T_WC))
+    return cached_result(inputs, "raycast", lambda: cast(inputs.camera, inputs.frame.T_WC))
 
 
 def _volume(inputs: SeedInputs, query: str) -> Any:

@@ -113,7 +113,7 @@ def test_directions_of_a_ramp_and_of_nothing():
     )
     ramp = structure_directions((0.6 * u + 0.8 * v) / 30, 3)
     assert torch.allclose(
-        ramp.along.abs(),
+        ramp.direction.abs(),
         torch.tensor([0.8, 0.6]).expand(9, 12, 2),
         atol=1e-5,
     )

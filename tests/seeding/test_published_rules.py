@@ -17,7 +17,7 @@ from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
 from gsfusion_nb.seeding.coverage import depth_error_m, in_front, unmapped_pixels
 from gsfusion_nb.seeding.draws import one_pixel_seeds
-from gsfusion_nb.seeding.image_features import halved, orb_corners
+from gsfusion_nb.seeding.image_features import orb_corners, without_detail
 from gsfusion_nb.seeding.rules.gaussian_slam import PRESETS as gaussian_slam_presets
 from gsfusion_nb.seeding.rules.monogs import PRESETS as monogs_presets
 from gsfusion_nb.seeding.rules.splatam import alpha_behind
@@ -464,7 +464,7 @@ def test_on_the_fly_nvs_seeds_detail_that_the_picture_lacks():
         len(
             apply_rule(
                 "on_the_fly_nvs",
-                staged(fine, rgb=halved(fine.rgb)),
+                staged(fine, rgb=without_detail(fine.rgb)),
                 everything,
             )
         )

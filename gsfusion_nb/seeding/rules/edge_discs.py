@@ -74,7 +74,7 @@ def edge_discs(
         rgb=ctx.values_at(colours, uv).clamp(0, 1),
         scale_m=seeds.scale_m * shape,
         quat=quat_along(
-            ctx.values_at(edge.along, uv), ctx.values_at(ctx.normals(), uv), ctx.frame.T_WC
+            ctx.values_at(edge.direction, uv), ctx.values_at(ctx.normals(), uv), ctx.frame.T_WC
         ),
     )
     return seeds[ctx.voxel_weight(seeds.xyz_W) == required_weight] if coverage else seeds
@@ -99,12 +99,12 @@ def hexagonal_grid(camera: Camera, spacing_px: float) -> Float[Tensor, "N 2"]:
 
 
 def quat_along(
-    along: Float[Tensor, "N 2"],
+    edge: Float[Tensor, "N 2"],
     normal_C: Float[Tensor, "N 3"],
     T_WC: Float[Tensor, "4 4"],
 ) -> Float[Tensor, "N 4"]:
     """Orientation, wxyz, whose z axis is the normal and whose x axis is the direction in the
-    surface that appears as ``along`` in an image taken from straight ahead; where the normal is
+    surface that appears as ``edge`` in an image taken from straight ahead; where the normal is
     zero, the surface faces the camera."""
     facing = torch.zeros_like(normal_C)
     facing[:, 2] = -1.0
@@ -113,14 +113,14 @@ def quat_along(
         normal_C,
         facing,
     )
-    in_image = torch.cat([along, torch.zeros_like(along[:, :1])], dim=1)
+    in_image = torch.cat([edge, torch.zeros_like(edge[:, :1])], dim=1)
     x = in_image - (in_image * z).sum(dim=1, keepdim=True) * z
-    across = torch.linalg.cross(
+    fallback = torch.linalg.cross(
         z,
-        torch.stack([-along[:, 1], along[:, 0], torch.zeros_like(along[:, 0])], dim=1),
+        torch.stack([-edge[:, 1], edge[:, 0], torch.zeros_like(edge[:, 0])], dim=1),
     )
     # the surface is seen from the side
-    x = torch.where(x.norm(dim=1, keepdim=True) > 1e-3, x, across)
+    x = torch.where(x.norm(dim=1, keepdim=True) > 1e-3, x, fallback)
     x = x / x.norm(dim=1, keepdim=True)
     axes = torch.stack([x, torch.linalg.cross(z, x), z], dim=2)
     return quaternion.from_matrix(se3.rotate(T_WC, axes.mT).mT)

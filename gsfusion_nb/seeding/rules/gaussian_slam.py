@@ -105,12 +105,12 @@ class gaussian_slam(MapRule):
         """The points of one mapped frame."""
         preset = PRESETS[self.preset]
         if not ctx.has_map or (self.restart and ctx.starts_submap):
-            chosen = _start_of_submap(ctx, preset.submap_points)
+            mask = _start_of_submap(ctx, preset.submap_points)
             limit = 0
         else:
-            chosen = unmapped_pixels(ctx, self.min_alpha, self.median_factor)
+            mask = unmapped_pixels(ctx, self.min_alpha, self.median_factor)
             limit = preset.frame_points
-        uv = ctx.pixels(chosen)
+        uv = ctx.pixels(mask)
         count = round(self.share * min(len(uv), limit or len(uv)))
         seeds = pushed_back(
             ctx,
@@ -181,12 +181,12 @@ class game(KeyframeRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The Gaussians of one keyframe."""
-        chosen = unmapped_pixels(ctx, self.min_alpha, self.median_factor)
+        mask = unmapped_pixels(ctx, self.min_alpha, self.median_factor)
         if ctx.has_map:
             view = ctx.render()
             over_white = view.rgb + (1 - view.alpha)[..., None]
-            chosen |= (over_white - ctx.frame.rgb).abs().mean(dim=-1) > self.colour_error
-        uv = drawn_pixels(ctx, chosen, self.share)
+            mask |= (over_white - ctx.frame.rgb).abs().mean(dim=-1) > self.colour_error
+        uv = drawn_pixels(ctx, mask, self.share)
         return sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0), "new and map", factor=0.05**0.5)
 
     def after_step(
@@ -244,12 +244,12 @@ class gs_slam(KeyframeRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The points of one keyframe."""
-        chosen = None
+        mask = None
         share = self.share * self.first_share
         if ctx.has_map:
-            chosen = (ctx.render().alpha < self.min_alpha) | (depth_error_m(ctx) > self.depth_error)
+            mask = (ctx.render().alpha < self.min_alpha) | (depth_error_m(ctx) > self.depth_error)
             share = self.share
-        seeds = ctx.seeds_at(drawn_pixels(ctx, chosen, share), 1.0, opacity=self.opacity)
+        seeds = ctx.seeds_at(drawn_pixels(ctx, mask, share), 1.0, opacity=self.opacity)
         return sized_by_neighbours(ctx, seeds, "new and map")
 
 
@@ -281,8 +281,8 @@ class cg_slam(MapRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The points of one mapped frame."""
-        chosen = ctx.render().alpha < self.min_alpha if ctx.has_map else None
-        uv = drawn_pixels(ctx, chosen, self.share)
+        mask = ctx.render().alpha < self.min_alpha if ctx.has_map else None
+        uv = drawn_pixels(ctx, mask, self.share)
         return sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0), "new and map")
 
 
@@ -328,14 +328,14 @@ def vings(
     so that the depth test also chooses pixels that the map covers only in part.
     Source: the released code of VINGS-Mono.
     """
-    chosen = known = ctx.has_depth()
+    mask = has_depth = ctx.has_depth()
     if ctx.has_map:
         view = ctx.render()
         wrong = (view.rgb - ctx.frame.rgb).abs().sum(dim=-1) > colour_error
         depth = unmapped_pixels(ctx, 0.0, median_factor, sides="both")
-        chosen = known & ((view.alpha <= max_alpha) | depth | wrong)
-    count = round(share * int(chosen.sum()))
-    uv = ctx.pixels(known if as_released else chosen)
+        mask = has_depth & ((view.alpha <= max_alpha) | depth | wrong)
+    count = round(share * int(mask.sum()))
+    uv = ctx.pixels(has_depth if as_released else mask)
     uv = uv[draw_rows(ctx, len(uv), count)]
     balls = sized_by_neighbours(ctx, ctx.seeds_at(uv, 1.0, opacity=0.8 if ctx.has_map else 0.1))
     generator = ctx.generator

@@ -117,17 +117,17 @@ class gps_slam(MapRule):
     ) -> tuple[Float[Tensor, "H W"], Bool[Tensor, "H W"], Float[Tensor, "H W 3"] | None]:
         """Depth of the surface that discs lie on, the candidates, and the surface's normals; None:
         those of its depth."""
-        over = surface_inputs(ctx)
-        if over is None:
+        inputs = surface_inputs(ctx)
+        if inputs is None:
             candidates = self._error(ctx) > self.colour_error
             if self.surface == "depth":
                 return ctx.frame.depth_m, candidates, ctx.normals_W()
             hits = raycast_volume(ctx)
             return hits.depth_m, candidates, hits.normal_W
-        surface = over.surface
+        surface = inputs.surface
         picture = picture_over_surface(ctx)
         error = (picture.rgb - ctx.frame.rgb).abs().mean(dim=-1)
-        min_error = self.colour_error * (ERROR_SEEN_BEFORE if over.seen_before else 1.0)
+        min_error = self.colour_error * (ERROR_SEEN_BEFORE if inputs.seen_before else 1.0)
         candidates = (error > min_error) & (picture.weight < self.max_weight)
         depth_m = ctx.frame.depth_m if self.surface == "depth" else surface.base.depth_m
         # not while there is no surface at all

@@ -61,7 +61,7 @@ class gs_icp(MapRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """All grid points, or none."""
-        spacing, near, share = PRESETS[self.preset]
+        spacing, reach, share = PRESETS[self.preset]
         spacing /= self.density**0.5
         step = max(int(spacing), 1)
         grid = torch.zeros_like(ctx.frame.depth_m, dtype=torch.bool)
@@ -71,7 +71,7 @@ class gs_icp(MapRule):
         seeds = ctx.seeds_at(uv, 1.0, opacity=OPACITY)
         if len(seeds) == 0:
             return seeds
-        if not ctx.has_map or self._overlap(ctx, seeds, near) < share:
+        if not ctx.has_map or self._overlap(ctx, seeds, reach) < share:
             memory[LAST] = ctx.frame_number
         elif (
             not self.keyframe_frames
@@ -80,10 +80,10 @@ class gs_icp(MapRule):
             return seeds[:0]
         return shaped_by_neighbours(ctx, seeds, self.neighbours)
 
-    def _overlap(self, ctx: SeedContext, seeds: Seeds, near: float) -> float:
+    def _overlap(self, ctx: SeedContext, seeds: Seeds, reach: float) -> float:
         """Share of the points that have a Gaussian of the map nearby."""
         distance = ctx.nearest(seeds.xyz_W, 1, "map").distance_m[:, 0]
-        return float(((distance.square() if self.squared else distance) < near).float().mean())
+        return float(((distance.square() if self.squared else distance) < reach).float().mean())
 
 
 def shaped_by_neighbours(ctx: SeedContext, seeds: Seeds, neighbours: int) -> Seeds:
@@ -93,8 +93,8 @@ def shaped_by_neighbours(ctx: SeedContext, seeds: Seeds, neighbours: int) -> See
     if k < 3:
         return seeds
     row = ctx.nearest(seeds.xyz_W, k).row
-    around = torch.cat([seeds.xyz_W[:, None], seeds.xyz_W[row]], dim=1).double()
-    offset = around - around.mean(dim=1, keepdim=True)
+    neighbourhood = torch.cat([seeds.xyz_W[:, None], seeds.xyz_W[row]], dim=1).double()
+    offset = neighbourhood - neighbourhood.mean(dim=1, keepdim=True)
     variance, axes = torch.linalg.eigh(offset.mT @ offset / (k + 1))
     axes = axes * torch.linalg.det(axes)[:, None, None].sign()  # a rotation, not a mirror
     z = se3.apply(se3.inverse(ctx.frame.T_WC), seeds.xyz_W)[:, 2:]

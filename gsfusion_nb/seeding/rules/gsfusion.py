@@ -150,16 +150,16 @@ class vg_mapping(MapRule):
         seeds = ctx.cells()
         uv = ctx.quadtree_cells().centre_uv
         uv = uv[ctx.values_at(ctx.has_depth(), uv)]  # those of the seeds
-        changed = ctx.voxel_weight(seeds.xyz_W) <= self.required_weight
+        has_changed = ctx.voxel_weight(seeds.xyz_W) <= self.required_weight
         if ctx.has_map:
-            changed |= (
+            has_changed |= (
                 ctx.values_at(similarity(ctx.render().rgb, ctx.frame.rgb), uv) < self.min_ssim
             )
         n = 1 / (1 + ctx.values_at(ctx.normals_W(), uv).abs())
         return dataclasses.replace(
             seeds,
             scale_m=seeds.scale_m * n / n.norm(dim=1, keepdim=True),
-        )[changed]
+        )[has_changed]
 
     def after_step(
         self,
@@ -171,8 +171,8 @@ class vg_mapping(MapRule):
         if not self.prunes or stats.stage != "online" or stats.step_in_frame != 1:
             return None
         voxel_m = 0.0 if ctx.volume is None else ctx.volume.config.voxel_size_m
-        gone = in_front(ctx, max(0.015, 1.5 * voxel_m))
-        return Edit(keep=~gone) if gone.any() else None
+        is_gone = in_front(ctx, max(0.015, 1.5 * voxel_m))
+        return Edit(keep=~is_gone) if is_gone.any() else None
 
 
 def similarity(

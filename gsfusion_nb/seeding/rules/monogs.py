@@ -147,20 +147,20 @@ class monogs_like(MapRule):
             return None
         densify = stats.step % self.densify_every == 0
         reset = self.reset_every > 0 and stats.step % self.reset_every == 0
-        hidden = ~stats.visible
+        is_hidden = ~stats.visible
         settings = (
-            {"opacity": (hidden, torch.full_like(ctx.map.opacity[hidden], RESET_OPACITY))}
+            {"opacity": (is_hidden, torch.full_like(ctx.map.opacity[is_hidden], RESET_OPACITY))}
             if reset
             else {}
         )
         if not densify:
             return Edit(set=settings) if settings else None
-        edit = self._densified(ctx, largest > self.max_radius_px, settings)
+        edit = self._densification(ctx, largest > self.max_radius_px, settings)
         largest.zero_()
         restart_statistics(ctx.gaussians)
         return edit
 
-    def _densified(
+    def _densification(
         self,
         ctx: SeedContext,
         wide: torch.Tensor,
@@ -251,8 +251,8 @@ class two_dgs_slam(KeyframeRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The discs of one keyframe."""
-        near = (ctx.frame.depth_m >= MIN_DEPTH_M) & (ctx.frame.depth_m <= MAX_DEPTH_M)
-        uv = drawn_pixels(ctx, near, self.share)
+        in_range = (ctx.frame.depth_m >= MIN_DEPTH_M) & (ctx.frame.depth_m <= MAX_DEPTH_M)
+        uv = drawn_pixels(ctx, in_range, self.share)
         opacity = float(torch.tensor(OPACITY).sigmoid()) if self.as_released else OPACITY
         seeds = ctx.seeds_at(uv, 1.0, opacity=opacity)
         free = ~ctx.occupied(seeds.xyz_W, self.voxel_size_m)

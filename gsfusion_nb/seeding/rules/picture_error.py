@@ -15,7 +15,7 @@ from ...render import render
 from ...types import Seeds
 from ..context import SeedContext
 from ..draws import draw_rows, draw_weighted_rows
-from ..image_features import absolute_laplacian, disc_blur, halved
+from ..image_features import absolute_laplacian, disc_blur, without_detail
 from ..map_rule import KeyframeRule, MapRule, StepStats
 from ..rule import seeding_rule, trained_otherwise
 from ..shapes import sized_by_neighbours
@@ -141,17 +141,17 @@ class on_the_fly_nvs(KeyframeRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The points of one keyframe."""
-        soft = halved(ctx.frame.rgb)
+        soft = without_detail(ctx.frame.rgb)
         P_image = self._probability(soft)
         P = P_image
-        hidden = torch.zeros_like(P_image, dtype=torch.bool)
+        is_hidden = torch.zeros_like(P_image, dtype=torch.bool)
         if ctx.has_map:
             view = ctx.render()
             P = P_image - self._probability(view.rgb)
-            hidden = ctx.frame.depth_m >= 1 / blended_inverse_depth(ctx).clamp_min(FAR)
+            is_hidden = ctx.frame.depth_m >= 1 / blended_inverse_depth(ctx).clamp_min(FAR)
         generator = ctx.generator
         U = torch.rand(P.shape, generator=generator, device=generator.device).to(P.device)
-        uv = ctx.pixels((U < P) & ~(hidden & self.drop_hidden))
+        uv = ctx.pixels((U < P) & ~(is_hidden & self.drop_hidden))
         radius_px = (1 / ctx.values_at(P_image, uv).sqrt()).clamp(
             1.0, max(ctx.camera.width / 10, 1.0)
         )

@@ -104,9 +104,9 @@ def rtg_slam(
     shares = {NEW_AREA: share} | dict.fromkeys(
         (DEPTH_ERROR, COLOUR_ERROR), ERROR_SHARE if fidelity == "code" else share
     )
-    drawn = {kind: draw_share(ctx, mask, shares[kind]) for kind, mask in kinds.items()}
-    pixel = torch.cat(list(drawn.values()))
-    tag = torch.cat([torch.full_like(p, kind) for kind, p in drawn.items()])
+    pixels = {kind: draw_share(ctx, mask, shares[kind]) for kind, mask in kinds.items()}
+    pixel = torch.cat(list(pixels.values()))
+    tag = torch.cat([torch.full_like(p, kind) for kind, p in pixels.items()])
     seeds = discs_at(ctx, pixel, tag)
     if view is not None:
         decide = _decide_by_plane if fidelity == "code" else _decide_by_hit
@@ -115,7 +115,7 @@ def rtg_slam(
             opacity = torch.where(opacity == TRANSPARENT_OPACITY, 0.0, opacity)
         seeds = dataclasses.replace(seeds, opacity=opacity)[opacity > 0]
     limit = max_radius_m if fidelity == "code" else transparent_radius_m
-    return sized(ctx, seeds, min_radius_m, max_radius_m, limit, thickness, fidelity)
+    return with_radii(ctx, seeds, min_radius_m, max_radius_m, limit, thickness, fidelity)
 
 
 def wrong_pixels(
@@ -175,11 +175,11 @@ def adding_masks(
 
     Source: Peng et al. 2024, Eq. 6.
     """
-    known = depth_m > 0
+    has_depth = depth_m > 0
     unseen = transmittance > min_transmittance
     wrong_depth = (seen_m - depth_m).abs() > depth_error_m
-    surface = known & (unseen | wrong_depth)  # RTG-SLAM Eq. 6
-    colour = known & ~surface & ((seen_rgb - rgb).abs().mean(dim=-1) > colour_error)
+    surface = has_depth & (unseen | wrong_depth)  # RTG-SLAM Eq. 6
+    colour = has_depth & ~surface & ((seen_rgb - rgb).abs().mean(dim=-1) > colour_error)
     return surface, colour
 
 
@@ -209,7 +209,7 @@ def discs_at(
     return dataclasses.replace(seeds, quat=quaternion.shortest_arc(z, normal_W))
 
 
-def sized(
+def with_radii(
     ctx: SeedContext,
     seeds: Seeds,
     min_radius_m: float,
@@ -226,7 +226,7 @@ def sized(
     # only opaque discs cover a surface
     solid = ctx.map.opacity > 0.5 if fidelity != "code" and has_map else None
     is_transparent = seeds.opacity < 0.5
-    gaps = gaps_around(seeds.xyz_W, xyz, radius, counted=solid)
+    gaps = gaps_around(seeds.xyz_W, xyz, radius, obstacles=solid)
     size = gaps.size_m.clamp(min_radius_m, max_radius_m)
     size = torch.where(
         is_transparent, size.clamp(max=max(transparent_radius_m, min_radius_m)), size
@@ -259,15 +259,15 @@ def _decide_by_hit(
 ) -> Float[Tensor, " M"]:
     """Opacity by the disc that the pixel's ray hits: transparent on a stable disc, 0 (none) on an
     unstable one."""
-    hit = view.hit_index.flatten()[pixel]
+    disc = view.hit_index.flatten()[pixel]
     state = ctx.map.state
     stable = (
-        torch.ones_like(hit, dtype=torch.bool)
+        torch.ones_like(disc, dtype=torch.bool)
         if state is None
-        else state[hit.clamp_min(0)] == STABLE
+        else state[disc.clamp_min(0)] == STABLE
     )
-    over = torch.where((hit >= 0) & stable, TRANSPARENT_OPACITY, 0.0).to(seeds.opacity)
-    return torch.where(seeds.tag == COLOUR_ERROR, over, seeds.opacity)
+    opacity = torch.where((disc >= 0) & stable, TRANSPARENT_OPACITY, 0.0).to(seeds.opacity)
+    return torch.where(seeds.tag == COLOUR_ERROR, opacity, seeds.opacity)
 
 
 def _decide_by_plane(
@@ -284,18 +284,18 @@ def _decide_by_plane(
     distance, row = nearest(seeds.xyz_W, ctx.map.xyz_W[unstable])
     one_more = seeds.opacity.new_zeros(1)  # without any disc, ``nearest`` names row 0
     radius = torch.cat([ctx.map.radius_m[unstable], one_more])
-    crowded = (distance < UNSTABLE_REACH * radius[row]).any(dim=1)
+    is_crowded = (distance < UNSTABLE_REACH * radius[row]).any(dim=1)
 
     stable_rows = (~unstable).nonzero().squeeze(1)
     opacity = seeds.opacity.clone()
     if len(stable_rows):
-        behind = disc_view(ctx, rows=stable_rows)
-        under = behind.dominant_index.flatten()[pixel]
-        row = stable_rows[under.clamp_min(0)]
+        stable_view = disc_view(ctx, rows=stable_rows)
+        stable_disc = stable_view.dominant_index.flatten()[pixel]
+        row = stable_rows[stable_disc.clamp_min(0)]
         normal = ctx.map.normal_W[row]
         off_plane = ((ctx.map.xyz_W[row] - seeds.xyz_W) * normal).sum(dim=1).abs()
-        opacity[(under >= 0) & (off_plane < 0.5 * depth_error_m)] = TRANSPARENT_OPACITY
-    opacity[crowded] = 0.0
+        opacity[(stable_disc >= 0) & (off_plane < 0.5 * depth_error_m)] = TRANSPARENT_OPACITY
+    opacity[is_crowded] = 0.0
     return opacity
 
 
@@ -323,7 +323,7 @@ def gaps_around(
     neighbour_xyz_W: Float[Tensor, "N 3"],
     neighbour_radius_m: Float[Tensor, " N"],
     *,
-    counted: Bool[Tensor, " N"] | None = None,
+    obstacles: Bool[Tensor, " N"] | None = None,
     reach: float = REACH,
     neighbours: int = NEIGHBOURS,
 ) -> Gaps:
@@ -334,7 +334,7 @@ def gaps_around(
         xyz_W: New points, metres.
         neighbour_xyz_W: Centres of the discs that exist.
         neighbour_radius_m: Their radii.
-        counted: Which of them count; all by default.
+        obstacles: Which of them count; all by default.
         reach: An existing disc covers the space within this many of its radii.
         neighbours: Number of nearest neighbours; fewer if there are fewer points.
 
@@ -346,18 +346,18 @@ def gaps_around(
         return Gaps(gap_m=xyz_W.new_zeros(0, neighbours))
     low = xyz_W.amin(0) - BORDER_M
     high = xyz_W.amax(0) + BORDER_M
-    near = (
+    in_box = (
         torch.ones(len(neighbour_xyz_W), dtype=torch.bool, device=xyz_W.device)
-        if counted is None
-        else counted
+        if obstacles is None
+        else obstacles
     )
     for x, least, most in zip(neighbour_xyz_W.unbind(1), low, high, strict=True):
-        near = near & (x >= least) & (x <= most)
-    k = min(neighbours, M + int(near.sum()) - 1)
+        in_box = in_box & (x >= least) & (x <= most)
+    k = min(neighbours, M + int(in_box.sum()) - 1)
     if k == 0:
         return Gaps(gap_m=xyz_W.new_full((1, 1), torch.inf))
-    found = nearest_others(xyz_W, neighbour_xyz_W[near], k)
-    radius = torch.cat([xyz_W.new_zeros(M), neighbour_radius_m[near]])
+    found = nearest_others(xyz_W, neighbour_xyz_W[in_box], k)
+    radius = torch.cat([xyz_W.new_zeros(M), neighbour_radius_m[in_box]])
     return Gaps(gap_m=found.distance_m - reach * radius[found.row])
 
 

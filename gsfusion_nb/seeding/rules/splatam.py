@@ -58,8 +58,8 @@ def splatam(
     are stored as here, without view dependence.
     Source: Keetha et al. 2024 (SplaTAM) and its released code.
     """
-    chosen = unmapped_pixels(ctx, min_alpha, median_factor, median_of=median_of)
-    return one_pixel_seeds(ctx, chosen, share=share, every_px=every_px)
+    mask = unmapped_pixels(ctx, min_alpha, median_factor, median_of=median_of)
+    return one_pixel_seeds(ctx, mask, share=share, every_px=every_px)
 
 
 RADIUS = "scene_radius_m"
@@ -174,14 +174,14 @@ def mm3dgs(
     Source: the released code of MM3DGS.
     """
     own = method == "own"
-    chosen = unmapped_pixels(
+    mask = unmapped_pixels(
         ctx,
         min_alpha,
         10.0 if own else 50.0,
         sides="both" if own else "in front",
         median_of=median_of,
     )
-    return one_pixel_seeds(ctx, chosen, share=share)
+    return one_pixel_seeds(ctx, mask, share=share)
 
 
 @trained_otherwise("flat Gaussians in local maps, pruned")
@@ -219,8 +219,8 @@ def gaus_slam(
     below 0.0005 or above 0.1), local maps, and growth into depth holes, which the release has
     switched off. Source: the released code of GauS-SLAM.
     """
-    chosen = unmapped_pixels(ctx, min_alpha, median_factor, median_of=median_of, divided=True)
-    uv = drawn_pixels(ctx, chosen, share)
+    mask = unmapped_pixels(ctx, min_alpha, median_factor, median_of=median_of, divided=True)
+    uv = drawn_pixels(ctx, mask, share)
     seeds = ctx.seeds_at(uv, pixel_radius(ctx, share))
     return as_discs(ctx, seeds, ctx.values_at(ctx.normals_W(), uv), thickness)
 
@@ -269,11 +269,11 @@ class vtgaussian(MapRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """Coarse and fine Gaussians of one frame."""
-        chosen = unmapped_pixels(ctx, self.min_alpha, self.median_factor, median_of=self.median_of)
-        coarse = one_pixel_seeds(ctx, chosen, share=self.share)
+        mask = unmapped_pixels(ctx, self.min_alpha, self.median_factor, median_of=self.median_of)
+        coarse = one_pixel_seeds(ctx, mask, share=self.share)
         if not self.fine:
             return pushed_back(ctx, coarse, PUSH_BACK)
-        uv = ctx.pixels(chosen & ctx.edges(50.0, 200.0, 3, euclidean=True))
+        uv = ctx.pixels(mask & ctx.edges(50.0, 200.0, 3, euclidean=True))
         uv = (uv[:, None] + QUARTERS.to(uv)).reshape(-1, 2)
         uv = uv[draw_rows(ctx, len(uv), round(self.share * len(uv)))]
         fine = ctx.seeds_at(uv, 0.5 * pixel_radius(ctx, self.share))
@@ -320,14 +320,14 @@ def hf_slam(
     The release neither prunes nor densifies; so nothing of its optimiser is left out.
     Source: the released code of HF-SLAM.
     """
-    chosen = ctx.has_depth()
+    mask = ctx.has_depth()
     if ctx.has_map:
         view = ctx.render()
         colour = (view.rgb - ctx.frame.rgb).abs().mean(dim=-1) > colour_error
         depth = depth_error_m(ctx) > relative_depth_error * ctx.frame.depth_m
         alpha = alpha_behind(ctx) if as_released and surface_inputs(ctx) is None else view.alpha
-        chosen = chosen & ((alpha < min_alpha) | colour | depth)
-    return one_pixel_seeds(ctx, chosen, share=share)
+        mask = mask & ((alpha < min_alpha) | colour | depth)
+    return one_pixel_seeds(ctx, mask, share=share)
 
 
 def alpha_behind(ctx: SeedContext) -> Float[Tensor, "H W"]:
@@ -342,6 +342,6 @@ def alpha_behind(ctx: SeedContext) -> Float[Tensor, "H W"]:
     A = torch.zeros_like(ctx.frame.depth_m)
     for tile in range(screen.tiles.tiles_x * screen.tiles.tiles_y):
         x, y = screen.pixels_of(tile, ctx.camera)
-        blended = screen.blend(tile, x, y)
-        A[y, x] = (blended.weight * (1 - blended.alpha)).sum(dim=0)
+        blend = screen.blend(tile, x, y)
+        A[y, x] = (blend.weight * (1 - blend.alpha)).sum(dim=0)
     return A

@@ -130,7 +130,7 @@ class default_strategy(MapRule):
         resets = step // self.reset_every > last // self.reset_every and step > 0
         edit: dict[str, Any] = {}
         if refines and step % self.reset_every >= self.pause_refine_after_reset:
-            edit = self._refined(ctx, step)
+            edit = self._refinement(ctx, step)
             restart_statistics(ctx.gaussians)
             if RADIUS in ctx.gaussians.memory:
                 ctx.gaussians.memory[RADIUS].zero_()
@@ -138,44 +138,46 @@ class default_strategy(MapRule):
             edit["reset_opacity"] = 2 * self.prune_opa
         return Edit(**edit) if edit else None
 
-    def _refined(self, ctx: SeedContext, step: int) -> dict[str, Tensor | bool]:
+    def _refinement(self, ctx: SeedContext, step: int) -> dict[str, Tensor | bool]:
         """Which rows are copied, split and removed."""
         gradient = (abs_image_gradient if self.absgrad else image_gradient)(ctx.gaussians)
         size = ctx.map.scale_m.amax(dim=1)
         scene = self._scene_m(ctx)
         assert gradient is not None
-        wanted = gradient > self.grow_grad2d
+        grows = gradient > self.grow_grad2d
         small = size <= self.grow_scale3d * scene
-        clone = wanted & small
-        split = wanted & ~small
+        clone = grows & small
+        to_split = grows & ~small
         if step < self.refine_scale2d_stop_iter:
-            split = split | (ctx.gaussians.row_memory(RADIUS) > self.grow_scale2d)
-            clone = clone & ~split
-        gone = self._pruned(ctx, split, size / scene, step)
+            to_split = to_split | (ctx.gaussians.row_memory(RADIUS) > self.grow_scale2d)
+            clone = clone & ~to_split
+        to_prune = self._rows_to_prune(ctx, to_split, size / scene, step)
         return {
-            "clone": clone & ~gone,
-            "split": split & ~gone,
-            "keep": ~gone,
+            "clone": clone & ~to_prune,
+            "split": to_split & ~to_prune,
+            "keep": ~to_prune,
             "split_shares": self.revised_opacity,
         }
 
-    def _pruned(
+    def _rows_to_prune(
         self,
         ctx: SeedContext,
-        split: Bool[Tensor, " N"],
+        to_split: Bool[Tensor, " N"],
         size: Float[Tensor, " N"],
         step: int,
     ) -> Bool[Tensor, " N"]:
         """Rows to remove, themselves or, of those that are split, their halves."""
         opacity = ctx.map.opacity
         if self.revised_opacity:
-            opacity = torch.where(split, 1 - (1 - opacity).sqrt(), opacity)
-        gone = opacity < self.prune_opa
+            opacity = torch.where(to_split, 1 - (1 - opacity).sqrt(), opacity)
+        to_prune = opacity < self.prune_opa
         if step > self.reset_every:
-            gone = gone | (torch.where(split, size / SPLIT_SHRINKS, size) > self.prune_scale3d)
+            to_prune = to_prune | (
+                torch.where(to_split, size / SPLIT_SHRINKS, size) > self.prune_scale3d
+            )
             if step < self.refine_scale2d_stop_iter:
-                gone = gone | (ctx.gaussians.row_memory(RADIUS) > self.prune_scale2d)
-        return gone
+                to_prune = to_prune | (ctx.gaussians.row_memory(RADIUS) > self.prune_scale2d)
+        return to_prune
 
     def _scene_m(self, ctx: SeedContext) -> float:
         if self.scene_scale_m > 0:
@@ -295,23 +297,23 @@ class mcmc(MapRule):
     def _moved_and_added(self, ctx: SeedContext) -> dict[str, Any]:
         opacity = ctx.map.opacity.clone()
         dead = opacity <= self.min_opacity
-        moved = dead.nonzero()[:, 0]
+        dead_row = dead.nonzero()[:, 0]
         alive = (~dead).nonzero()[:, 0]
         edit: dict[str, Any] = {}
-        if len(moved) and len(alive):
-            target = alive[self._drawn(ctx, opacity[alive], len(moved))]
-            once, times = target.unique(return_counts=True)
-            opacity[once] = shared(
-                opacity[once], ctx.map.scale_m[once], times + 1, self.min_opacity
+        if len(dead_row) and len(alive):
+            target = alive[self._draw_rows(ctx, opacity[alive], len(dead_row))]
+            source, times = target.unique(return_counts=True)
+            opacity[source] = shared(
+                opacity[source], ctx.map.scale_m[source], times + 1, self.min_opacity
             )[0]
-            opacity[moved] = opacity[target]
-            edit["relocate"] = (moved, target)
+            opacity[dead_row] = opacity[target]
+            edit["relocate"] = (dead_row, target)
         more = min(self.cap_max, int(1.05 * len(opacity))) - len(opacity)
         if more > 0:
-            edit |= {"clone": self._drawn(ctx, opacity, more), "clone_shares": True}
+            edit |= {"clone": self._draw_rows(ctx, opacity, more), "clone_shares": True}
         return edit
 
-    def _drawn(
+    def _draw_rows(
         self,
         ctx: SeedContext,
         weights: Float[Tensor, " N"],
