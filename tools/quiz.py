@@ -161,7 +161,7 @@ def question(exercise: Exercise, number: int) -> Question | None:
 def snippet(exercise: Exercise, function: Callable[..., Any]) -> str:
     """Source code of a wrong answer without remarks; a call of the course's solution becomes
     ``correct_<exercise>``."""
-    tree = ast.parse(source_of(exercise.name, function, without=exercise._solution))
+    tree = ast.parse(source_of(exercise.name, function, exclude=exercise._solution))
     for node in ast.walk(tree):
         if (
             isinstance(node, ast.FunctionDef)

@@ -160,34 +160,34 @@ def adam(attempt: Attempt) -> None:
     param, g, m = (torch.randn(5, 3, generator=generator, dtype=f64) for _ in range(3))
     v = torch.rand(5, 3, generator=generator, dtype=f64)
     lr = torch.tensor([0.1, 0.2, 0.3], dtype=f64)
-    given = (param, g, m, v)
+    inputs = (param, g, m, v)
     got = attempt.unpack(
-        attempt.on("random numbers at step 7, lr = 0.05")(*given, 7, 0.05, 0.9, 0.99, 1e-15), names
+        attempt.on("random numbers at step 7, lr = 0.05")(*inputs, 7, 0.05, 0.9, 0.99, 1e-15), names
     )
-    expected = _adam(*given, 7, 0.05, 0.9, 0.99, 1e-15)
-    attempt.close(got[1], expected[1], "m averages the gradient: the old m counts beta1")
-    attempt.close(got[2], expected[2], "v averages the squared gradient: the old v counts beta2")
-    corrected = (
+    reference = _adam(*inputs, 7, 0.05, 0.9, 0.99, 1e-15)
+    attempt.close(got[1], reference[1], "m averages the gradient: the old m counts beta1")
+    attempt.close(got[2], reference[2], "v averages the squared gradient: the old v counts beta2")
+    unbiased = (
         "the step is lr m_hat / sqrt(v_hat), with m_hat = m / (1 - beta1^t) and v_hat = v "
         "/ (1 - beta2^t)"
     )
-    attempt.close(got[0], expected[0], corrected)
+    attempt.close(got[0], reference[0], unbiased)
     got = attempt.unpack(
-        attempt.on("the same with eps = 0.1")(*given, 7, 0.05, 0.9, 0.99, 0.1), names
+        attempt.on("the same with eps = 0.1")(*inputs, 7, 0.05, 0.9, 0.99, 0.1), names
     )
     attempt.close(
         got[0],
-        _adam(*given, 7, 0.05, 0.9, 0.99, 0.1)[0],
+        _adam(*inputs, 7, 0.05, 0.9, 0.99, 0.1)[0],
         "eps is added to the root of v_hat",
     )
     attempt.on("the same with a learning rate for each column")
-    got = attempt.unpack(attempt(*given, 7, lr, 0.9, 0.99, 0.1), names)
+    got = attempt.unpack(attempt(*inputs, 7, lr, 0.9, 0.99, 0.1), names)
     attempt.close(
         got[0],
-        _adam(*given, 7, lr, 0.9, 0.99, 0.1)[0],
+        _adam(*inputs, 7, lr, 0.9, 0.99, 0.1)[0],
         "lr may be a tensor, one for each column",
     )
     attempt.on("the same with t = infinity: no correction")
-    got = attempt.unpack(attempt(*given, math.inf, lr, 0.9, 0.999, 0.1), names)
-    expected = _adam(*given, math.inf, lr, 0.9, 0.999, 0.1)
-    attempt.close(got[0], expected[0], "for t = infinity nothing is corrected")
+    got = attempt.unpack(attempt(*inputs, math.inf, lr, 0.9, 0.999, 0.1), names)
+    reference = _adam(*inputs, math.inf, lr, 0.9, 0.999, 0.1)
+    attempt.close(got[0], reference[0], "for t = infinity nothing is corrected")

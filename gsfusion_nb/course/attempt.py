@@ -57,21 +57,21 @@ class Attempt:
         return self
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
-        given = [argument_copy(a) for a in args]
-        named = {k: argument_copy(a) for k, a in kwargs.items()}
-        on = self.words or describe([*args, *kwargs.values()])
+        arguments = [argument_copy(a) for a in args]
+        keywords = {k: argument_copy(a) for k, a in kwargs.items()}
+        case = self.words or describe([*args, *kwargs.values()])
         try:
             with calls_of_library(self.function) as calls:
-                result = run_learner(self.function, given, named)
+                result = run_learner(self.function, arguments, keywords)
         except NotImplementedError:
             raise NotWritten from None
         except Failed as e:  # it broke a rule that holds for every exercise
-            raise Failed(e.prop, on, e.detail) from None
+            raise Failed(e.prop, case, e.detail) from None
         except Exception as e:
             place = line_of_error(e, self.function)
-            raised = f"it raised {type(e).__name__}{f' in {place}' if place else ''}"
+            failure = f"it raised {type(e).__name__}{f' in {place}' if place else ''}"
             raise Failed(
-                "it runs", on, f"{raised}: {str(e).splitlines()[0] if str(e) else ''}"
+                "it runs", case, f"{failure}: {str(e).splitlines()[0] if str(e) else ''}"
             ) from e
         if result is None or result is Ellipsis:
             raise NotWritten
@@ -79,27 +79,27 @@ class Attempt:
         same = {line for line, _, value in calls if _is_answer(value, result)}
         self.borrowed = same if self.borrowed is None else self.borrowed & same
         self.returned = result
-        for before, after in zip(
+        for old, new in zip(
             [*args, *kwargs.values()],
-            [*given, *named.values()],
+            [*arguments, *keywords.values()],
             strict=True,
         ):
-            if not _same(before, after):
+            if not _same(old, new):
                 names = {Tensor: "a tensor", np.ndarray: "an array", Camera: "the camera"}
-                what = names.get(type(before), f"a {type(before).__name__}")
+                what = names.get(type(old), f"a {type(old).__name__}")
                 detail = f"{what} that was passed in has changed; work on a copy"
-                raise Failed("it does not change its inputs", on, detail)
+                raise Failed("it does not change its inputs", case, detail)
         return self.returned
 
-    def not_borrowed(self, replaced: Sequence[Callable[..., Any]]) -> None:
+    def not_borrowed(self, functions: Sequence[Callable[..., Any]]) -> None:
         """Fails if functions of the library returned the answer in every call, or it called one
         that it replaces."""
-        called = {
+        callees = {
             self.lines[f.__code__]
-            for f in map(inspect.unwrap, replaced)
+            for f in map(inspect.unwrap, functions)
             if f.__code__ in self.lines
         }
-        for line in called | (self.borrowed or set()):
+        for line in callees | (self.borrowed or set()):
             code = inspect.unwrap(self.function).__code__
             detail = (
                 "a function of the library gave the answer in "
@@ -119,36 +119,38 @@ class Attempt:
     def close(
         self,
         got: Any,
-        expected: Any,
+        reference: Any,
         prop: str,
         *,
         tolerance: float = 1e-5,
         why: str = "",
         names: Sequence[str] = (),
     ) -> None:
-        """``prop`` fails unless ``got`` has the shape and the values of ``expected``.
+        """``prop`` fails unless ``got`` has the shape and the values of ``reference``.
 
         Args:
             got: What the student returned: a number, a sequence, an array or a tensor.
-            expected: The right answer.
+            reference: The right answer.
             prop: A statement that is true of a right answer: "the depth is the point's z".
             tolerance: Largest deviation, in units of max(1, size of the value).
             why: What a deviation usually means; ends the message.
             names: Of the values, where ``got`` is a list that the judge made from parts of an
                 answer.
         """
-        on = self.words
-        right = as_tensor(expected)
-        mine = _numbers(got, prop, on)
+        case = self.words
+        right = as_tensor(reference)
+        mine = _numbers(got, prop, case)
         if mine.shape != right.shape:
-            raise Failed(prop, on, f"the shape is {list(mine.shape)}, expected {list(right.shape)}")
+            raise Failed(
+                prop, case, f"the shape is {list(mine.shape)}, expected {list(right.shape)}"
+            )
         if not torch.isfinite(mine).eq(torch.isfinite(right)).all():
-            raise Failed(prop, on, "a value is NaN or infinite")
-        off = (mine - right).nan_to_num().abs() - tolerance * right.nan_to_num().abs().clamp(
+            raise Failed(prop, case, "a value is NaN or infinite")
+        excess = (mine - right).nan_to_num().abs() - tolerance * right.nan_to_num().abs().clamp(
             min=1.0
         )
-        if off.numel() and float(off.max()) > 0:
-            at = int(off.argmax())
+        if excess.numel() and float(excess.max()) > 0:
+            at = int(excess.argmax())
             position = [int(i) for i in np.unravel_index(at, tuple(right.shape))]
             place = f" for {names[at]}" if names else f" at {position}" if position else ""
             detail = (
@@ -156,7 +158,7 @@ class Attempt:
                 f"{_short(right.reshape(-1)[at])}"
             )
             raise Failed(
-                prop, on, f"{detail}{': ' if why[0].islower() else '. '}{why}" if why else detail
+                prop, case, f"{detail}{': ' if why[0].islower() else '. '}{why}" if why else detail
             )
 
     def unpack(self, value: Any, names: Sequence[str]) -> tuple[Any, ...]:
@@ -179,13 +181,13 @@ class Attempt:
         return call
 
 
-def _same(before: Any, after: Any) -> bool:
+def _same(old: Any, new: Any) -> bool:
     """Whether an argument is as it was."""
-    if isinstance(before, Tensor):
-        return before.shape == after.shape and torch.equal(before.nan_to_num(), after.nan_to_num())
-    if isinstance(before, np.ndarray):
-        return np.array_equal(before, after, equal_nan=True)
-    return before == after if isinstance(before, (list, dict, Camera)) else True
+    if isinstance(old, Tensor):
+        return old.shape == new.shape and torch.equal(old.nan_to_num(), new.nan_to_num())
+    if isinstance(old, np.ndarray):
+        return np.array_equal(old, new, equal_nan=True)
+    return old == new if isinstance(old, (list, dict, Camera)) else True
 
 
 def _is_answer(value: Any, answer: Any) -> bool:
@@ -219,12 +221,12 @@ def describe(values: Sequence[Any]) -> str:
     return ", ".join(map(in_words, values)) or "no arguments"
 
 
-def _numbers(value: Any, prop: str, on: str) -> Tensor:
+def _numbers(value: Any, prop: str, case: str) -> Tensor:
     try:
         return as_tensor(value)
     except (TypeError, ValueError, RuntimeError):
         raise Failed(
-            prop, on, f"it returned {describe([value])}, which is not an array of numbers"
+            prop, case, f"it returned {describe([value])}, which is not an array of numbers"
         ) from None
 
 
@@ -263,11 +265,11 @@ class Verdict:
             return CodeInUse(exercise=self.exercise, state="yours")
         if self.state == "not written":
             return CodeInUse(exercise=self.exercise, state="not yet yours", why="not yet yours.")
-        on = f" (on {self.on})" if self.on else ""
+        case = f" (on {self.on})" if self.on else ""
         return CodeInUse(
             exercise=self.exercise,
             state="fails",
-            why=f"yours fails “{self.prop}”{on}: {self.detail}",
+            why=f"yours fails “{self.prop}”{case}: {self.detail}",
         )
 
     @property

@@ -129,19 +129,19 @@ def adam_traffic(attempt: Attempt) -> None:
     """Bytes that one step of Adam moves for n float32 numbers, and its intensity at 12 flop per
     number."""
     names = ("bytes", "intensity")
-    moved, intensity = attempt.unpack(attempt.on("one number")(1), names)
+    traffic, intensity = attempt.unpack(attempt.on("one number")(1), names)
     attempt.holds(
-        float(moved) != 7,
+        float(traffic) != 7,
         "a float32 has 4 bytes",
         detail="7 is how many numbers move, not how many bytes",
     )
     prop = "four arrays are read, three are written: writing moves bytes, too"
-    attempt.close([moved], [28], prop, names=names[:1])
+    attempt.close([traffic], [28], prop, names=names[:1])
     attempt.close(intensity, 12 / 28, "intensity is flop per byte", tolerance=1e-3)
-    moved, intensity = attempt.unpack(
+    traffic, intensity = attempt.unpack(
         attempt.on("59 numbers for each of 10,000 Gaussians")(590_000), names
     )
-    attempt.close(moved, 28 * 590_000, "twice the numbers, twice the bytes")
+    attempt.close(traffic, 28 * 590_000, "twice the numbers, twice the bytes")
     attempt.close(intensity, 12 / 28, "the intensity does not depend on the size", tolerance=1e-3)
 
 
@@ -222,14 +222,14 @@ def average_loop(attempt: Attempt) -> None:
     names = ("D", "W")
 
     def update(
-        on: str,
+        case: str,
         D: list[float],
         W: list[float],
         d: list[float],
         cap: float,
     ) -> tuple:
-        given = (np.array(v, np.float32) for v in (D, W, d))
-        return attempt.unpack(attempt.on(on)(*given, cap), names)
+        inputs = (np.array(v, np.float32) for v in (D, W, d))
+        return attempt.unpack(attempt.on(case)(*inputs, cap), names)
 
     D, W = update("D = 0.5 after 3 observations, and d = 0.1", [0.5], [3.0], [0.1], 100.0)
     attempt.close(D, [0.4], "the mean of all observations")
@@ -250,9 +250,9 @@ def average_loop(attempt: Attempt) -> None:
     D, W = update("d = -0.5, just behind the surface", [0.5], [1.0], [-0.5], 100.0)
     attempt.close(D, [0.0], "a voxel behind the surface, inside the band, is observed")
     attempt.close(W, [2.0], "a voxel behind the surface, inside the band, is observed")
-    on = "d = 7, free space far in front of the surface"
+    case = "d = 7, free space far in front of the surface"
     attempt.close(
-        update(on, [0.5], [1.0], [7.0], 100.0)[0],
+        update(case, [0.5], [1.0], [7.0], 100.0)[0],
         [0.75],
         "d counts as at most 1",
     )

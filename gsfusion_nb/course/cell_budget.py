@@ -25,11 +25,11 @@ def _cut_worst(
     """Cut the cell (x, y, w, h) with the largest ``error`` in four, until there are ``n_cells``."""
     H, W = rgb_u8.shape[:2]
     heap = [(-error(0, 0, W, H), (0, 0, W, H))]
-    done: list[Leaf] = []
-    while heap and len(heap) + len(done) + 3 <= n_cells:
+    leaves: list[Leaf] = []
+    while heap and len(heap) + len(leaves) + 3 <= n_cells:
         _, (x, y, w, h) = heapq.heappop(heap)
         if w < 2 or h < 2:
-            done.append((x, y, w, h))
+            leaves.append((x, y, w, h))
             continue
         a = w // 2
         b = h // 2
@@ -40,7 +40,7 @@ def _cut_worst(
             (x + a, y + b, w - a, h - b),
         ):
             heapq.heappush(heap, (-error(*part), part))
-    return done + [cell for _, cell in heap]
+    return leaves + [cell for _, cell in heap]
 
 
 def _squared_error_of(rgb_u8: Tensor):

@@ -62,12 +62,12 @@ def docs_folder() -> Path | None:
     """The folder of the documentation, in an installed package or in a clone; ``None`` if there is
     none."""
     package = Path(__file__).resolve().parents[1]
-    found = (
+    folders = (
         folder
         for folder in (package / "docs", package.parent / "docs")
         if (folder / "index.md").is_file()
     )
-    return next(found, None)
+    return next(folders, None)
 
 
 def without_solutions(
@@ -82,32 +82,32 @@ def without_solutions(
         ValueError: a marker without its partner; the message names the cell.
     """
     student = copy.deepcopy(notebook)
-    kept = []
+    cells = []
     for number, cell in enumerate(student["cells"]):
         lines = "".join(cell["source"]).splitlines(keepends=True)
-        left = []
-        inside = False
+        open_cells = []
+        in_solution = False
         for line in lines:
-            if line.strip() in (_END if inside else _BEGIN):
-                inside = not inside
+            if line.strip() in (_END if in_solution else _BEGIN):
+                in_solution = not in_solution
             elif line.strip() in (*_BEGIN, *_END):
                 raise ArgumentError(
-                    f"cell {number} has {line.strip()!r} {'inside' if inside else 'outside'} a "
-                    "solution"
+                    f"cell {number} has {line.strip()!r} "
+                    f"{'inside' if in_solution else 'outside'} a solution"
                 )
-            elif not inside:
-                left.append(line)
-        if inside:
+            elif not in_solution:
+                open_cells.append(line)
+        if in_solution:
             raise ArgumentError(f"cell {number} has BEGIN SOLUTION without END SOLUTION")
         if cell["cell_type"] == "code":
             cell |= {"outputs": cell["outputs"] if outputs else [], "execution_count": None}
-        text = "".join(left)
+        text = "".join(open_cells)
         if cell["cell_type"] == "markdown":
             text = _COMMENT.sub("", text)
         if text.strip() or not lines:
             cell["source"] = text.rstrip("\n").splitlines(keepends=True)
-            kept.append(cell)
-    student["cells"] = kept
+            cells.append(cell)
+    student["cells"] = cells
     return student
 
 
@@ -121,15 +121,15 @@ def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: a marker of a solution without its partner; the message names the cell.
     """
-    marked = copy.deepcopy(notebook)
+    notebook_copy = copy.deepcopy(notebook)
     unknown = set()
-    for cell in marked["cells"]:
+    for cell in notebook_copy["cells"]:
         if cell["cell_type"] != "code":
             continue
         source = "".join(cell["source"])
         is_solved = _BEGIN[0] in source or _CHECK.search(source) is not None
         cell["outputs"] = [
-            _expected(output) if is_solved else output
+            _answer_output(output) if is_solved else output
             for output in cell["outputs"]
             if not _WHOSE.match("".join(output.get("data", {}).get("text/plain", "")))
         ]
@@ -139,28 +139,26 @@ def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
                 "jupyter": {"outputs_hidden": True},
             }
         unknown = (unknown | set(_PREDICT.findall(source))) - set(_CAME.findall(source))
-    learner = without_solutions(marked, outputs=True)
+    learner = without_solutions(notebook_copy, outputs=True)
     learner["cells"].insert(
         1, {"cell_type": "markdown", "id": "what-to-expect", "metadata": {}, "source": [_NOTE]}
     )
     return learner
 
 
-def _expected(output: dict[str, Any]) -> dict[str, Any]:
+def _answer_output(output: dict[str, Any]) -> dict[str, Any]:
     """An output that shows a right answer, as text in grey; pictures stay."""
     data = output.get("data", {})
     if any(mime.startswith("image/") for mime in data):
         return output
     text = "".join(data.get("text/plain", output.get("text", ""))).strip()
     words = f"what you should see: {text}"
-    escaped = words.replace("&", "&amp;").replace("<", "&lt;").replace("\n", "<br>")
-    shown = (
-        f'<div class="gsnb-expected" style="color:#6e7781;padding:2px 0 2px 14px">{escaped}</div>'
-    )
+    html = words.replace("&", "&amp;").replace("<", "&lt;").replace("\n", "<br>")
+    note = f'<div class="gsnb-expected" style="color:#6e7781;padding:2px 0 2px 14px">{html}</div>'
     return {
         "output_type": "display_data",
         "metadata": {},
-        "data": {"text/html": [shown], "text/plain": [words]},
+        "data": {"text/html": [note], "text/plain": [words]},
     }
 
 
@@ -180,11 +178,11 @@ def documentation_pages(docs: Path) -> dict[str, bytes]:
             else match[1]
         )
 
-    found = {
+    links = {
         f"{DOCUMENTATION}/{name}": _LINK.sub(kept, text).encode() for name, text in texts.items()
     }
     pictures = (path for path in sorted((docs / "images").glob("*")) if path.is_file())
-    return found | {f"{DOCUMENTATION}/images/{path.name}": path.read_bytes() for path in pictures}
+    return links | {f"{DOCUMENTATION}/images/{path.name}": path.read_bytes() for path in pictures}
 
 
 def copy_for_learner(target: Path, *, short: bool = False) -> list[Path]:
@@ -231,7 +229,7 @@ def hand_out(
     Raises:
         ValueError: no notebook in ``source``, ``target`` is ``source``, or unbalanced markers.
     """
-    written = []
+    paths = []
     for name, notebook in _notebooks(source, target, short=short).items():
         if (target / name).exists():
             continue
@@ -240,10 +238,10 @@ def hand_out(
         if pages is not None:
             text = _TO_A_SOURCE_FILE.sub(r"\1", _TO_A_PAGE.sub(f"]({DOCUMENTATION}/", text))
         write_file(target / name, text)
-        written.append(target / name)
+        paths.append(target / name)
     for name, content in (pages or {}).items():
         write_file(target / name, content)
-    return written
+    return paths
 
 
 def copy_for_class(
@@ -264,11 +262,11 @@ def copy_for_class(
         ValueError: no notebook at ``source``, ``target`` is the source's folder, or unbalanced
             markers.
     """
-    written = []
+    paths = []
     for name, notebook in _notebooks(source, target, short=short).items():
-        written.append(target / name)
-        write_file(written[-1], _as_text(name, without_solutions, notebook))
-    return written
+        paths.append(target / name)
+        write_file(paths[-1], _as_text(name, without_solutions, notebook))
+    return paths
 
 
 def _notebooks(

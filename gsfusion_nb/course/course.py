@@ -56,8 +56,8 @@ class Chapter:
     @property
     def line(self) -> str:
         """Exercises and time in one line."""
-        solved = f"{'#' * self.solved:<9}{self.solved} of {self.total} exercises"
-        return f"{self.number:2}  {self.title:28}{solved} {self.minutes:3} min"
+        bar = f"{'#' * self.solved:<9}{self.solved} of {self.total} exercises"
+        return f"{self.number:2}  {self.title:28}{bar} {self.minutes:3} min"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,10 +102,12 @@ class Course:
         """One line about the course."""
         if self.problem:
             return f"Your progress is not known: {self.problem}"
-        made = f"{self.predictions} prediction{'' if self.predictions == 1 else 's'} made"
+        prediction_words = (
+            f"{self.predictions} prediction{'' if self.predictions == 1 else 's'} made"
+        )
         return (
-            f"Course: {self.done} of {self.total} exercises solved, {made}. All chapters: "
-            "gsfusion-nb course"
+            f"Course: {self.done} of {self.total} exercises solved, {prediction_words}. "
+            "All chapters: gsfusion-nb course"
         )
 
     def __repr__(self) -> str:
@@ -117,8 +119,8 @@ class Course:
     def as_table(self) -> str:
         """All chapters, one a line, and what is next."""
         of = sum(chapter.minutes for chapter in self.chapters) / 60
-        made = f"{self.predictions} prediction{'' if self.predictions == 1 else 's'}"
-        begun = [
+        prediction_words = f"{self.predictions} prediction{'' if self.predictions == 1 else 's'}"
+        chapters = [
             chapter.open_exercises[0]
             for chapter in self.chapters
             if 0 < chapter.solved < chapter.total
@@ -127,9 +129,9 @@ class Course:
             [
                 *(chapter.line for chapter in self.chapters),
                 "",
-                f"{self.done} of {self.total} exercises, {made}",
+                f"{self.done} of {self.total} exercises, {prediction_words}",
                 f"about {of:.0f} h in all, text and panels included",
-                *([f"next: {', '.join(begun)}"] if begun else []),
+                *([f"next: {', '.join(chapters)}"] if chapters else []),
                 *([f"kept in {self.file}"] if self.file else []),
             ]
         )
@@ -141,11 +143,14 @@ def read_course(chapter: int | None = None) -> Course:
     Raises:
         CourseFileError: the file is damaged or newer.
     """
-    made = sum("answer" in entry for entry in read_section("predictions").values())
+    n_predictions = sum("answer" in entry for entry in read_section("predictions").values())
     path = course_file()
     chapters = _chapters(read_section("exercises"))
     return Course(
-        chapters=chapters, predictions=made, file=str(path) if path else "", chapter=chapter
+        chapters=chapters,
+        predictions=n_predictions,
+        file=str(path) if path else "",
+        chapter=chapter,
     )
 
 
@@ -162,20 +167,20 @@ def course_progress(chapter: int) -> Course:
         )
 
 
-def _chapters(noted: Entries) -> tuple[Chapter, ...]:
+def _chapters(entries: Entries) -> tuple[Chapter, ...]:
     """Every chapter, with what is noted about its exercises."""
     chapters = []
     every = exercises().values()
     for number in sorted({e.chapter for e in every}):
         own = [e for e in every if e.chapter == number]
-        left = [e for e in own if "passed" not in noted.get(e.name, {})]
+        open_exercises = [e for e in own if "passed" not in entries.get(e.name, {})]
         chapters.append(
             Chapter(
                 number=number,
                 title=TITLES.get(number, f"Chapter {number}"),
-                solved=len(own) - len(left),
+                solved=len(own) - len(open_exercises),
                 total=len(own),
-                open_exercises=tuple(e.name for e in left),
+                open_exercises=tuple(e.name for e in open_exercises),
                 minutes=MINUTES.get(number, 0),
             )
         )

@@ -75,31 +75,31 @@ class Said(str):
 def source_of(
     exercise: str,
     function: Callable[..., Any],
-    without: Callable[..., Any] | None = None,
+    exclude: Callable[..., Any] | None = None,
 ) -> str:
     """Source of a function under the exercise's name, after the private functions of its module
-    that it calls, but not ``without``."""
+    that it calls, but not ``exclude``."""
     sources = [
-        inspect.getsource(each) for each in [*_called_by(function, {function, without}), function]
+        inspect.getsource(each) for each in [*_called_by(function, {function, exclude}), function]
     ]
-    renamed = re.sub(rf"\b{re.escape(function.__name__)}\b", exercise, sources[-1])
-    return "\n\n".join([*sources[:-1], renamed]).strip()
+    source = re.sub(rf"\b{re.escape(function.__name__)}\b", exercise, sources[-1])
+    return "\n\n".join([*sources[:-1], source]).strip()
 
 
 def _called_by(
     function: Callable[..., Any],
-    seen: set[Any],
+    visited: set[Any],
 ) -> Iterator[Callable[..., Any]]:
     plain = inspect.unwrap(function)
     code = getattr(plain, "__code__", None)
     names = code.co_names if code is not None else ()
     for name in names:
         other = getattr(plain, "__globals__", {}).get(name)
-        if not isinstance(other, types.FunctionType) or other in seen:
+        if not isinstance(other, types.FunctionType) or other in visited:
             continue
         if name.startswith("_") and other.__module__ == function.__module__:
-            seen.add(other)
-            yield from _called_by(other, seen)
+            visited.add(other)
+            yield from _called_by(other, visited)
             yield other
 
 
@@ -134,19 +134,19 @@ class Exercise:
     def __call__(self, function: Any) -> Verdict:
         """The verdict on ``function``: passed, failed (which property, on what input), or not
         written."""
-        verdict = self._judged(function)
+        verdict = self._judge(function)
         own = getattr(function, "__name__", "") in (self.name, "<lambda>")
         if verdict or (verdict.state == "failed" and own):
             self.tries += 1
             with forgiving():
-                noted = read_section("exercises").get(self.name, {})
-                tries = int(noted.get("tries", 0)) + 1
+                entry = read_section("exercises").get(self.name, {})
+                tries = int(entry.get("tries", 0)) + 1
                 note("exercises", self.name, tries=tries)
-                if verdict and "passed" not in noted:
+                if verdict and "passed" not in entry:
                     note("exercises", self.name, passed=now())
         return verdict
 
-    def _judged(self, function: Any) -> Verdict:
+    def _judge(self, function: Any) -> Verdict:
         verdict = self.verdict(function)
         if verdict:
             remember(self.name, self.becomes, function)
@@ -181,27 +181,27 @@ class Exercise:
             Exception
         ) as e:  # the judge did something with the result that such a result cannot do
             prop = "it returns what the function's first line asks for"
-            said = f"{type(e).__name__}: {str(e).splitlines()[0] if str(e) else ''}"
+            message = f"{type(e).__name__}: {str(e).splitlines()[0] if str(e) else ''}"
             detail = (
                 f"it returned {describe([attempt.returned])}, with which the checker could "
-                f"not go on ({said})"
+                f"not go on ({message})"
             )
             return verdict(state="failed", prop=prop, on=attempt.words, detail=detail)
         return Verdict(exercise=self.name, state="passed")
 
     def hint(self, number: int | None = None) -> Said:
         """The next hint, or hint ``number`` (from 1); after the last one, the last one again."""
-        wanted = self.hints_given + 1 if number is None else number
-        wanted = min(max(wanted, 1), len(self.hints))
-        self.hints_given = max(self.hints_given, wanted)
-        return Said(f"Hint {wanted} of {len(self.hints)}: {self.hints[wanted - 1]}")
+        last = self.hints_given + 1 if number is None else number
+        last = min(max(last, 1), len(self.hints))
+        self.hints_given = max(self.hints_given, last)
+        return Said(f"Hint {last} of {len(self.hints)}: {self.hints[last - 1]}")
 
     def solution(self) -> Said:
         """Source code of a solution; before the first try, a sentence that says what to do."""
-        noted: dict[str, Any] = {}
+        entry: dict[str, Any] = {}
         with forgiving():
-            noted = read_section("exercises").get(self.name, {})
-        if not (self.tries or noted.get("tries", 0)):
+            entry = read_section("exercises").get(self.name, {})
+        if not (self.tries or entry.get("tries", 0)):
             more = (
                 f" Before that: check.{self.name}.hint()"
                 if self.hints_given < len(self.hints)
@@ -230,7 +230,7 @@ class Exercise:
             plain: Return the function itself, for a compiler such as numba; its errors stop the
                 cell.
         """
-        verdict = self._judged(function)
+        verdict = self._judge(function)
         verdict.code_in_use.tell()
         if not verdict:
             return self._solution
@@ -285,9 +285,9 @@ def exercise(
                 f"exercise {name} needs a docstring, at least one hint and at least one wrong "
                 "answer"
             )
-        known = _EXERCISES.get(name)
-        if known is not None and known.judge.__module__ != judge.__module__:
-            raise ArgumentError(f"exercise {name} exists already in {known.judge.__module__}")
+        other = _EXERCISES.get(name)
+        if other is not None and other.judge.__module__ != judge.__module__:
+            raise ArgumentError(f"exercise {name} exists already in {other.judge.__module__}")
         _EXERCISES[name] = Exercise(
             name=name,
             title=title[0],
@@ -327,10 +327,10 @@ class Checkers:
     def __getattr__(self, name: str) -> Exercise:
         if name.startswith("_"):
             raise AttributeError(name)
-        known = exercises()
-        if name not in known:
-            raise AttributeError(f"no exercise {name!r}; there are: {', '.join(known)}")
-        return known[name]
+        all_exercises = exercises()
+        if name not in all_exercises:
+            raise AttributeError(f"no exercise {name!r}; there are: {', '.join(all_exercises)}")
+        return all_exercises[name]
 
     def __dir__(self) -> list[str]:
         return list(exercises())

@@ -91,8 +91,10 @@ def project_points(attempt: Attempt) -> None:
         _CAMERA, torch.tensor([[0.0, 0.4, 2.0]])
     )
     v = float(torch.as_tensor(uv).reshape(-1)[-1])
-    down = "y points down, in the camera's frame and in the image"
-    attempt.holds(v > 3, down, detail=f"v is {v:.5g}, but below the middle row 3 it is larger")
+    axis_words = "y points down, in the camera's frame and in the image"
+    attempt.holds(
+        v > 3, axis_words, detail=f"v is {v:.5g}, but below the middle row 3 it is larger"
+    )
     attempt.close(uv, [[4.0, 4.0]], "u takes fx and v takes fy: they may differ")
     uv = attempt.on("a point that projects between pixel centres")(
         _CAMERA, torch.tensor([[0.03, 0.01, 1.0]])
@@ -139,7 +141,7 @@ def lift_pixels(attempt: Attempt) -> None:
     depth = torch.tensor([2.0])
     point = attempt.on("a corner pixel at depth 2 m")(_CAMERA, uv, depth)
     attempt.close(_last(point), [2.0], "the depth is z, not the distance to the camera")
-    for where, pixel, expected, prop in (
+    for where, pixel, reference, prop in (
         (
             "the pixel at the principal point",
             [4.0, 3.0],
@@ -161,31 +163,31 @@ def lift_pixels(attempt: Attempt) -> None:
     ):
         attempt.close(
             attempt.on(f"{where}, at depth 2 m")(_CAMERA, torch.tensor([pixel]), depth),
-            [expected],
+            [reference],
             prop,
         )
     generator = torch.Generator().manual_seed(0)
     uv = torch.rand(50, 2, generator=generator) * torch.tensor([8.0, 6.0])
     depth = 0.5 + torch.rand(50, generator=generator)
-    back = _project(
+    uv_again = _project(
         _CAMERA,
         torch.as_tensor(attempt.on("many pixels, lifted and projected again")(_CAMERA, uv, depth)),
     )
-    attempt.close(back, uv, "projecting the point gives the pixel back", tolerance=1e-4)
+    attempt.close(uv_again, uv, "projecting the point gives the pixel back", tolerance=1e-4)
 
 
 def _invert(T: Tensor) -> Tensor:
-    out = torch.eye(4, dtype=T.dtype)
-    out[:3, :3] = T[:3, :3].T
-    out[:3, 3] = -T[:3, :3].T @ T[:3, 3]
-    return out
+    inverse = torch.eye(4, dtype=T.dtype)
+    inverse[:3, :3] = T[:3, :3].T
+    inverse[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return inverse
 
 
 def _invert_parts_alone(T: Tensor) -> Tensor:
-    out = torch.eye(4, dtype=T.dtype)
-    out[:3, :3] = T[:3, :3].T
-    out[:3, 3] = -T[:3, 3]
-    return out
+    inverse = torch.eye(4, dtype=T.dtype)
+    inverse[:3, :3] = T[:3, :3].T
+    inverse[:3, 3] = -T[:3, 3]
+    return inverse
 
 
 def _invert_by_transposing(T: Tensor) -> Tensor:
@@ -236,9 +238,9 @@ def invert_pose(attempt: Attempt) -> None:
 
 
 def _normals(points: Tensor) -> Tensor:
-    across = points[1:-1, 2:] - points[1:-1, :-2]
-    down = points[2:, 1:-1] - points[:-2, 1:-1]
-    n = torch.linalg.cross(down, across)
+    tangent_u = points[1:-1, 2:] - points[1:-1, :-2]
+    tangent_v = points[2:, 1:-1] - points[:-2, 1:-1]
+    n = torch.linalg.cross(tangent_v, tangent_u)
     return n / n.norm(dim=-1, keepdim=True)
 
 
@@ -247,9 +249,9 @@ def _normals_away(points: Tensor) -> Tensor:
 
 
 def _normals_not_unit(points: Tensor) -> Tensor:
-    across = points[1:-1, 2:] - points[1:-1, :-2]
-    down = points[2:, 1:-1] - points[:-2, 1:-1]
-    return torch.linalg.cross(down, across)
+    tangent_u = points[1:-1, 2:] - points[1:-1, :-2]
+    tangent_v = points[2:, 1:-1] - points[:-2, 1:-1]
+    return torch.linalg.cross(tangent_v, tangent_u)
 
 
 @exercise(
@@ -304,8 +306,10 @@ def normals_of_points(attempt: Attempt) -> None:
         cy=-3.0,
     )
     floor = depth_to_points(camera, camera.fy / (uv[..., 1] - camera.cy))
-    up = torch.tensor([0.0, -1.0, 0.0]).expand(4, 6, 3)
-    attempt.close(attempt(floor), up, "the floor's normal points up, to negative y", tolerance=1e-4)
+    vertical = torch.tensor([0.0, -1.0, 0.0]).expand(4, 6, 3)
+    attempt.close(
+        attempt(floor), vertical, "the floor's normal points up, to negative y", tolerance=1e-4
+    )
     bowl = depth_to_points(
         _CAMERA,
         2 - 0.3 * (uv[..., 0] - 3) ** 2 / 16 - 0.2 * (uv[..., 1] - 2) ** 2 / 9,

@@ -102,22 +102,22 @@ def _as_project_gaussians(
     """Yours in float64 for each Gaussian in front of the camera; opacity and extent follow from the
     conic."""
     T_CW = se3.inverse(T_WC.to(params.xyz_W))
-    depth_m, asked = _in_front(params, T_CW)
+    depth_m, rows = _in_front(params, T_CW)
     opacity = params.opacity_logit.sigmoid()
     uv = depth_m.new_zeros(len(params), 2)
     conic = depth_m.new_zeros(len(params), 3)
     extent_px = torch.zeros_like(uv)
-    turned = T_CW.double()
+    T = T_CW.double()
     none = torch.zeros((), dtype=torch.float64)
-    for k in asked.nonzero()[:, 0].tolist():
-        given = (params.xyz_W[k].double(), params.log_scale[k].double(), params.quat[k].double())
+    for k in rows.nonzero()[:, 0].tolist():
+        inputs = (params.xyz_W[k].double(), params.log_scale[k].double(), params.quat[k].double())
         like = {"uv": uv[k].double(), "conic": conic[k].double(), "depth_m": none}
-        centre, (A, B, C), z = yours(camera, turned, *given, gives=like)
+        centre, (A, B, C), z = yours(camera, T, *inputs, gives=like)
         determinant = A * C - B * B
         if not (determinant > 0 and A > 0):
             yours.fail(
                 f"returned a conic {[float(A), float(B), float(C)]}, which is no ellipse",
-                (camera, T_CW, *given),
+                (camera, T_CW, *inputs),
             )
         reach = 2 * (opacity[k].double() / ALPHA_MIN).clamp_min(1.0).log()
         uv[k] = centre
@@ -140,7 +140,7 @@ def _as_project_gaussians(
         )
         for name, x in values.items()
     }
-    return Projection(**columns, visible=asked & finite & (opacity >= ALPHA_MIN))
+    return Projection(**columns, visible=rows & finite & (opacity >= ALPHA_MIN))
 
 
 _CAMERA = Camera(
@@ -181,56 +181,58 @@ def project_gaussian(attempt: Attempt) -> None:
     Gaussian."""
     f64 = torch.float64
     eye = torch.eye(4, dtype=f64)
-    ahead = torch.tensor([0.0, 0.0, 2.0], dtype=f64)
+    centre = torch.tensor([0.0, 0.0, 2.0], dtype=f64)
     ball = torch.full((3,), 0.1, dtype=f64).log()
     upright = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=f64)
 
-    def ask(on: str, T_CW: Tensor, *row: Tensor) -> Ellipse:
-        return attempt.unpack(attempt.on(on)(_CAMERA, T_CW, *row), _NAMES)
+    def ask(case: str, T_CW: Tensor, *row: Tensor) -> Ellipse:
+        return attempt.unpack(attempt.on(case)(_CAMERA, T_CW, *row), _NAMES)
 
-    moved = eye.clone()
-    moved[:3, 3] = torch.tensor([0.0, 0.0, 1.0])
-    on = "a ball of 10 cm at z = 2 m, seen from 1 m behind the world's origin"
-    uv, conic, depth_m = ask(on, moved, ahead, ball, upright)
+    T_shifted = eye.clone()
+    T_shifted[:3, 3] = torch.tensor([0.0, 0.0, 1.0])
+    case = "a ball of 10 cm at z = 2 m, seen from 1 m behind the world's origin"
+    uv, conic, depth_m = ask(case, T_shifted, centre, ball, upright)
     attempt.close(depth_m, 3.0, "T_CW takes world coordinates to the camera's")
     attempt.close(uv, [41.0, 29.0], "straight ahead is the principal point")
-    _, conic, _ = ask("the same ball from the origin", eye, ahead, ball, upright)
-    expected = _project(_CAMERA, eye, ahead, ball, upright)[1]
+    _, conic, _ = ask("the same ball from the origin", eye, centre, ball, upright)
+    reference = _project(_CAMERA, eye, centre, ball, upright)[1]
     A = float(torch.as_tensor(conic).reshape(-1)[0])
     why = f"cov is 9.3 px^2, and its inverse {1 / 9.3:.3g}"
     if abs(A - 9.3) < 1e-3:
-        attempt.close(conic, expected, "the conic is the inverse of the covariance", why=why)
+        attempt.close(conic, reference, "the conic is the inverse of the covariance", why=why)
     attempt.close(
         conic,
-        expected,
+        reference,
         "the conic of J W R S S^T R^T W^T J^T + 0.3 I, with S = diag(exp(log_scale))",
         why=why,
     )
     needle = torch.tensor([0.3, 0.05, 0.02], dtype=f64).log()
-    tilted = torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64)
-    turned = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.3, -0.4, 0.8], dtype=f64))
+    quat = torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64)
+    T_rotated = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.3, -0.4, 0.8], dtype=f64))
     uv, conic, depth_m = ask(
-        "a tilted needle before a turned camera", turned, ahead, needle, tilted
+        "a tilted needle before a turned camera", T_rotated, centre, needle, quat
     )
-    expected = _project(_CAMERA, turned, ahead, needle, tilted)
-    attempt.close(uv, expected[0], "u = fx x/z + cx, v = fy y/z + cy")
-    attempt.close(conic, expected[1], "the ellipse turns with the camera: M = J W R S")
-    on = "a needle far outside the picture, x/z = 2.5"
+    reference = _project(_CAMERA, T_rotated, centre, needle, quat)
+    attempt.close(uv, reference[0], "u = fx x/z + cx, v = fy y/z + cy")
+    attempt.close(conic, reference[1], "the ellipse turns with the camera: M = J W R S")
+    case = "a needle far outside the picture, x/z = 2.5"
     aside = torch.tensor([2.5, 0.2, 1.0], dtype=f64)
-    _, conic, _ = ask(on, eye, aside, needle, tilted)
-    expected = _project(_CAMERA, eye, aside, needle, tilted)
+    _, conic, _ = ask(case, eye, aside, needle, quat)
+    reference = _project(_CAMERA, eye, aside, needle, quat)
     attempt.close(
-        conic, expected[1], "far outside the picture, J is that of 1.3 times the half angle of view"
+        conic,
+        reference[1],
+        "far outside the picture, J is that of 1.3 times the half angle of view",
     )
     attempt.close(
-        ask(on, eye, aside, needle, tilted)[0], expected[0], "only J is limited, not the centre"
+        ask(case, eye, aside, needle, quat)[0], reference[0], "only J is limited, not the centre"
     )
-    on = "a needle far above the picture, y/z = -1.9"
-    above = torch.tensor([0.2, -2.5, 1.3], dtype=f64)
-    expected = _project(_CAMERA, eye, above, needle, tilted)
+    case = "a needle far above the picture, y/z = -1.9"
+    high_centre = torch.tensor([0.2, -2.5, 1.3], dtype=f64)
+    reference = _project(_CAMERA, eye, high_centre, needle, quat)
     attempt.close(
-        ask(on, eye, above, needle, tilted)[1],
-        expected[1],
+        ask(case, eye, high_centre, needle, quat)[1],
+        reference[1],
         "y/z is limited in J, too: 1.3 height / (2 fy)",
     )
 
@@ -296,13 +298,13 @@ def _as_project_gaussians_vjp(
 ) -> ProjectionGradient:
     """Yours in float64 for each Gaussian in front of the camera that some pixel moves."""
     T_CW = se3.inverse(T_WC.to(params.xyz_W))
-    wanted = (
+    gradients = (
         torch.cat([v_uv, v_conic, v_depth_m[:, None]], dim=1).any(1) & _in_front(params, T_CW)[1]
     )
     gradient = {
         name: torch.zeros_like(getattr(params, name)) for name in ("xyz_W", "log_scale", "quat")
     }
-    for k in wanted.nonzero()[:, 0].tolist():
+    for k in gradients.nonzero()[:, 0].tolist():
         row = [getattr(params, name)[k].double() for name in gradient]
         like = {f"v_{name}": value for name, value in zip(gradient, row, strict=True)}
         v = (v_uv[k].double(), v_conic[k].double(), v_depth_m[k].double())
@@ -347,24 +349,24 @@ def project_gaussian_vjp(attempt: Attempt) -> None:
     map."""
     f64 = torch.float64
     names = ("v_xyz_W", "v_log_scale", "v_quat")
-    turned = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.3, -0.4, 0.8], dtype=f64))
-    ahead = se3.apply(
-        se3.inverse(turned),
+    T_rotated = se3.exp(torch.tensor([0.1, -0.2, 0.3, 0.3, -0.4, 0.8], dtype=f64))
+    centre = se3.apply(
+        se3.inverse(T_rotated),
         torch.tensor([0.3, -0.2, 2.0], dtype=f64),
     )
     needle = torch.tensor([0.3, 0.05, 0.1], dtype=f64).log()
-    tilted = torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64)
+    quat = torch.tensor([0.9, 0.2, -0.3, 0.1], dtype=f64)
     v_uv = torch.tensor([0.7, -0.4], dtype=f64)
     v_conic = torch.tensor([20.0, 30.0, -10.0], dtype=f64)
     v_depth_m = torch.tensor(0.5, dtype=f64)
 
-    def both(on: str, xyz_W: Tensor, *v: Tensor) -> tuple[tuple, tuple]:
+    def both(case: str, xyz_W: Tensor, *v: Tensor) -> tuple[tuple, tuple]:
         got = attempt.unpack(
-            attempt.on(on)(_CAMERA, turned, xyz_W, needle, tilted, *v),
+            attempt.on(case)(_CAMERA, T_rotated, xyz_W, needle, quat, *v),
             names,
         )
-        leaves = [x.clone().requires_grad_() for x in (xyz_W, needle, tilted)]
-        outputs = _project(_CAMERA, turned, *leaves)
+        leaves = [x.clone().requires_grad_() for x in (xyz_W, needle, quat)]
+        outputs = _project(_CAMERA, T_rotated, *leaves)
         loss = torch.stack([(a * b).sum() for a, b in zip(outputs, v, strict=True)]).sum()
         right = torch.autograd.grad(loss, leaves, allow_unused=True)
         return got, tuple(
@@ -373,7 +375,7 @@ def project_gaussian_vjp(attempt: Attempt) -> None:
 
     got, right = both(
         "only the centre counts: dL/dconic = 0, dL/ddepth = 0",
-        ahead,
+        centre,
         v_uv,
         0 * v_conic,
         0 * v_depth_m,
@@ -382,28 +384,28 @@ def project_gaussian_vjp(attempt: Attempt) -> None:
         got[0], right[0], "the gradient of the centre goes back to the world: W^T v_xyz_C"
     )
     got, right = both(
-        "only the depth counts: dL/duv = 0, dL/dconic = 0", ahead, 0 * v_uv, 0 * v_conic, v_depth_m
+        "only the depth counts: dL/duv = 0, dL/dconic = 0", centre, 0 * v_uv, 0 * v_conic, v_depth_m
     )
     attempt.close(got[0], right[0], "v_depth_m belongs to z")
     got, right = both(
-        "only the shape counts: dL/duv = 0, dL/ddepth = 0", ahead, 0 * v_uv, v_conic, 0 * v_depth_m
+        "only the shape counts: dL/duv = 0, dL/ddepth = 0", centre, 0 * v_uv, v_conic, 0 * v_depth_m
     )
     attempt.close(got[1], right[1], "v_log_scale agrees with autograd")
     attempt.close(got[2], right[2], "v_quat agrees with autograd")
     attempt.close(got[0], right[0], "J moves with the centre, so the shape has a gradient by it")
     aside = se3.apply(
-        se3.inverse(turned),
+        se3.inverse(T_rotated),
         torch.tensor([2.5, 0.2, 1.0], dtype=f64),
     )
     got, right = both(
         "everything, and a Gaussian far outside the picture", aside, v_uv, v_conic, v_depth_m
     )
     attempt.close(got[0], right[0], "where x/z is limited in J, x has no gradient through J")
-    above = se3.apply(
-        se3.inverse(turned),
+    high_centre = se3.apply(
+        se3.inverse(T_rotated),
         torch.tensor([0.2, -2.5, 1.3], dtype=f64),
     )
     got, right = both(
-        "a Gaussian far above the picture, 1.3 m ahead", above, v_uv, v_conic, v_depth_m
+        "a Gaussian far above the picture, 1.3 m ahead", high_centre, v_uv, v_conic, v_depth_m
     )
     attempt.close(got[0], right[0], "where y/z is limited in J, y has no gradient through J")

@@ -12,8 +12,8 @@ F64 = torch.float64
 
 
 def _weights_over(alpha: Tensor, z: Tensor, D_s: Tensor, eps: float) -> Tensor:
-    hidden = (D_s > 0) & (z > D_s + eps)
-    return torch.where(hidden, 0.0, alpha)
+    is_hidden = (D_s > 0) & (z > D_s + eps)
+    return torch.where(is_hidden, 0.0, alpha)
 
 
 def _never_hidden(alpha: Tensor, z: Tensor, D_s: Tensor, eps: float) -> Tensor:
@@ -37,8 +37,8 @@ def _near_the_surface_only(alpha: Tensor, z: Tensor, D_s: Tensor, eps: float) ->
 
 
 def _seen_or_not(alpha: Tensor, z: Tensor, D_s: Tensor, eps: float) -> Tensor:
-    hidden = (D_s > 0) & (z > D_s + eps)
-    return torch.where(hidden, 0.0, torch.ones_like(alpha))
+    is_hidden = (D_s > 0) & (z > D_s + eps)
+    return torch.where(is_hidden, 0.0, torch.ones_like(alpha))
 
 
 def _as_not_behind(
@@ -84,43 +84,43 @@ def weights_over(attempt: Attempt) -> None:
     eps = 0.25
 
     def ask(
-        on: str,
+        case: str,
         alpha: list[float],
         z: list[float],
         D_s: Tensor,
     ) -> Tensor:
-        return attempt.on(on)(
+        return attempt.on(case)(
             torch.tensor(alpha, dtype=F64),
             torch.tensor(z, dtype=F64),
             D_s,
             eps,
         )
 
-    on = "alpha 0.6 at 3 m, the surface at 2 m, eps 0.25 m"
+    case = "alpha 0.6 at 3 m, the surface at 2 m, eps 0.25 m"
     attempt.close(
-        ask(on, [0.6], [3.0], D_s),
+        ask(case, [0.6], [3.0], D_s),
         [0.0],
         "a Gaussian is hidden behind the surface",
         why="3 > 2 + 0.25",
     )
-    on = "alpha 0.6 at 2.1 m and 0.3 at 2.25 m, the surface at 2 m, eps 0.25 m"
+    case = "alpha 0.6 at 2.1 m and 0.3 at 2.25 m, the surface at 2 m, eps 0.25 m"
     prop = "up to eps behind the surface a Gaussian still counts, and the weight is alpha"
     attempt.close(
-        ask(on, [0.6, 0.3], [2.1, 2.25], D_s),
+        ask(case, [0.6, 0.3], [2.1, 2.25], D_s),
         [0.6, 0.3],
         prop,
         why="hidden is z > D_s + eps only",
     )
-    on = "alpha 0.6 at 0.5 m, the surface at 2 m, eps 0.25 m"
+    case = "alpha 0.6 at 0.5 m, the surface at 2 m, eps 0.25 m"
     attempt.close(
-        ask(on, [0.6], [0.5], D_s),
+        ask(case, [0.6], [0.5], D_s),
         [0.6],
         "in front of the surface nothing is hidden",
     )
-    on = "alpha 0.6 at 3 m, no surface (D_s = 0), eps 0.25 m"
+    case = "alpha 0.6 at 3 m, no surface (D_s = 0), eps 0.25 m"
     prop = "without a surface nothing is hidden"
     attempt.close(
-        ask(on, [0.6], [3.0], D_s * 0),
+        ask(case, [0.6], [3.0], D_s * 0),
         [0.6],
         prop,
         why="D_s = 0 says that none is known",
@@ -132,11 +132,11 @@ def weights_over(attempt: Attempt) -> None:
     )
     generator = torch.Generator().manual_seed(6)
     alpha, z = (torch.rand(9, generator=generator, dtype=F64) for _ in range(2))
-    expected = _weights_over(alpha, 1.5 + 1.5 * z, D_s, eps)
+    reference = _weights_over(alpha, 1.5 + 1.5 * z, D_s, eps)
     w = attempt.on("nine random Gaussians, the surface at 2 m, eps 0.25 m")(
         alpha, 1.5 + 1.5 * z, D_s, eps
     )
-    attempt.close(w, expected, "w_i is alpha_i, and 0 where z_i > D_s + eps")
+    attempt.close(w, reference, "w_i is alpha_i, and 0 where z_i > D_s + eps")
 
 
 def _blend_over(w: Tensor, c: Tensor, C_s: Tensor) -> tuple[Tensor, Tensor]:
@@ -267,8 +267,8 @@ def blend_over(attempt: Attempt) -> None:
     w = torch.rand(7, generator=generator, dtype=F64)
     c = torch.rand(7, 3, generator=generator, dtype=F64)
     C, W = attempt.unpack(attempt.on("seven random Gaussians")(w, c, grey), names)
-    expected, total = _blend_over(w, c, grey)
-    attempt.close(C, expected, "C = (C_s + sum of w_i c_i) / (1 + W)")
+    reference, total = _blend_over(w, c, grey)
+    attempt.close(C, reference, "C = (C_s + sum of w_i c_i) / (1 + W)")
     attempt.close(W, total, "W is the sum of the Gaussians' weights")
 
 

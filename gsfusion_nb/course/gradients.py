@@ -86,15 +86,15 @@ def compare_gradients(
         step: Step of the central differences.
     """
     values = {name: x.detach().clone().double().requires_grad_() for name, x in inputs.items()}
-    out = forward(*values.values())
+    output = forward(*values.values())
     if v is None:
         v = torch.randn(
-            out.shape,
+            output.shape,
             generator=torch.Generator().manual_seed(0),
             dtype=torch.float64,
         )
     auto = torch.autograd.grad(
-        (v * out).sum(),
+        (v * output).sum(),
         list(values.values()),
         allow_unused=True,
     )
@@ -105,8 +105,8 @@ def compare_gradients(
         rows = []
         for i, (name, x) in enumerate(zip(inputs, plain, strict=True)):
 
-            def loss(changed: Tensor, i: int = i) -> float:
-                return float((v * forward(*plain[:i], changed, *plain[i + 1 :])).sum())
+            def loss(value: Tensor, i: int = i) -> float:
+                return float((v * forward(*plain[:i], value, *plain[i + 1 :])).sum())
 
             numeric = central_difference(loss, x, step)
             from_graph = torch.zeros_like(x) if auto[i] is None else auto[i]
@@ -125,9 +125,9 @@ def central_difference(
     for i in range(x.numel()):
         ends = []
         for sign in (1, -1):
-            moved = x.clone()
-            moved.view(-1)[i] += sign * step
-            ends.append(loss(moved))
+            neighbour = x.clone()
+            neighbour.view(-1)[i] += sign * step
+            ends.append(loss(neighbour))
         gradient.view(-1)[i] = (ends[0] - ends[1]) / (2 * step)
     return gradient
 
@@ -149,12 +149,12 @@ Loss = Callable[[Tensor], Tensor]
 
 
 def _slope(loss: Loss, x: Tensor, h: float) -> Tensor:
-    return central_difference(lambda moved: float(loss(moved)), x, h)
+    return central_difference(lambda y: float(loss(y)), x, h)
 
 
 def _one_sided(loss: Loss, x: Tensor, h: float) -> Tensor:
-    here = float(loss(x))
-    return torch.tensor([(float(loss(x + h * e)) - here) / h for e in torch.eye(len(x)).to(x)])
+    value = float(loss(x))
+    return torch.tensor([(float(loss(x + h * e)) - value) / h for e in torch.eye(len(x)).to(x)])
 
 
 def _half_forgotten(loss: Loss, x: Tensor, h: float) -> Tensor:
@@ -165,9 +165,9 @@ def _moves_x(loss: Loss, x: Tensor, h: float) -> Tensor:
     gradient = torch.zeros_like(x)
     for i in range(len(x)):
         x[i] += h
-        up = float(loss(x))
+        loss_above = float(loss(x))
         x[i] -= 2 * h
-        gradient[i] = (up - float(loss(x))) / (2 * h)
+        gradient[i] = (loss_above - float(loss(x))) / (2 * h)
     return gradient
 
 
@@ -204,13 +204,13 @@ def slope(attempt: Attempt) -> None:
         "a parabola has no error even for large h",
         why=why,
     )
-    expected = torch.stack([x[0].cos() * x[1] * x[2], x[0].sin() * x[2], x[0].sin() * x[1]])
+    reference = torch.stack([x[0].cos() * x[1] * x[2], x[0].sin() * x[2], x[0].sin() * x[1]])
     got = attempt.on("sin(x0) x1 x2")(
         lambda p: p[0].sin() * p[1] * p[2],
         x,
         1e-4,
     )
-    attempt.close(got, expected, "every element has its own slope", tolerance=1e-6)
+    attempt.close(got, reference, "every element has its own slope", tolerance=1e-6)
 
 
 def _l1_gradient(rgb: Tensor, target: Tensor) -> Tensor:
@@ -304,11 +304,11 @@ def _forwards(xyz_C: Tensor, fx: float, fy: float, v_uv: Tensor) -> Tensor:
 def pinhole_vjp(attempt: Attempt) -> None:
     """Gradient of the pinhole projection: from dL/d(u, v) to dL/d(x, y, z)."""
     f64 = torch.float64
-    ahead = torch.tensor([0.0, 0.0, 2.0], dtype=f64)
+    on_axis = torch.tensor([0.0, 0.0, 2.0], dtype=f64)
     aside = torch.tensor([1.0, -0.5, 2.0], dtype=f64)
     attempt.on("a point 2 m straight ahead, dL/du = 1, fx = 100")
     got = attempt(
-        ahead,
+        on_axis,
         100.0,
         80.0,
         torch.tensor([1.0, 0.0], dtype=f64),
@@ -317,7 +317,7 @@ def pinhole_vjp(attempt: Attempt) -> None:
     attempt.close(got[:2], [50.0, 0.0], "x moves u by fx / z")
     attempt.close(got[2], 0.0, "straight ahead, moving along z changes nothing: x is 0")
     got = attempt.on("the same point, dL/dv = 1, fy = 80")(
-        ahead, 100.0, 80.0, torch.tensor([0.0, 1.0], dtype=f64)
+        on_axis, 100.0, 80.0, torch.tensor([0.0, 1.0], dtype=f64)
     )
     attempt.close(got, [0.0, 40.0, 0.0], "y moves v by fy / z")
     attempt.on("a point at (1, -0.5, 2), dL/du = dL/dv = 1")
@@ -379,16 +379,16 @@ def inverse_vjp(attempt: Attempt) -> None:
     cov = torch.tensor([[2.0, 0.8], [0.8, 1.0]], dtype=f64)
     v_Q = torch.tensor([[1.0, 0.3], [0.3, -2.0]], dtype=f64)
     attempt.on("a tilted ellipse")
-    expected = _inverse_vjp(cov.inverse(), v_Q)
+    reference = _inverse_vjp(cov.inverse(), v_Q)
     attempt.close(
-        attempt(cov.inverse(), v_Q), expected, "the matrix acts from both sides: -Q^T v_Q Q^T"
+        attempt(cov.inverse(), v_Q), reference, "the matrix acts from both sides: -Q^T v_Q Q^T"
     )
     attempt.on("the same ellipse, and a v_Q that is not symmetric")
     v_Q = torch.tensor([[1.0, 0.7], [-0.4, -2.0]], dtype=f64)
-    expected = _inverse_vjp(cov.inverse(), v_Q)
+    reference = _inverse_vjp(cov.inverse(), v_Q)
     why = "entry (i, j) of v_Q belongs to entry (i, j) of Q"
     attempt.close(
-        attempt(cov.inverse(), v_Q), expected, "v_Q is not transposed: -Q^T v_Q Q^T", why=why
+        attempt(cov.inverse(), v_Q), reference, "v_Q is not transposed: -Q^T v_Q Q^T", why=why
     )
 
 
@@ -401,8 +401,8 @@ def _blend_vjp(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Tensor, Te
     T = torch.cat([torch.ones_like(alpha[:1]), (1 - alpha[:-1]).cumprod(0)])
     w = alpha * T
     c_dot_v = rgb @ v_colour
-    behind = (w * c_dot_v).flip(0).cumsum(0).flip(0) - w * c_dot_v
-    return T * c_dot_v - behind / (1 - alpha), w[:, None] * v_colour
+    light_behind = (w * c_dot_v).flip(0).cumsum(0).flip(0) - w * c_dot_v
+    return T * c_dot_v - light_behind / (1 - alpha), w[:, None] * v_colour
 
 
 def _shadow_forgotten(alpha: Tensor, rgb: Tensor, v_colour: Tensor) -> tuple[Tensor, Tensor]:
@@ -483,6 +483,6 @@ def blend_vjp(attempt: Attempt) -> None:
     v_alpha, v_rgb = attempt.unpack(attempt.on("nine random Gaussians")(alpha, rgb, v), names)
     a = alpha.clone().requires_grad_()
     c = rgb.clone().requires_grad_()
-    expected = torch.autograd.grad(_blend(a, c) @ v, (a, c))
-    attempt.close(v_rgb, expected[1], "v_rgb agrees with autograd")
-    attempt.close(v_alpha, expected[0], "v_alpha agrees with autograd")
+    reference = torch.autograd.grad(_blend(a, c) @ v, (a, c))
+    attempt.close(v_rgb, reference[1], "v_rgb agrees with autograd")
+    attempt.close(v_alpha, reference[0], "v_alpha agrees with autograd")

@@ -38,10 +38,10 @@ def keep(exercise: str, function: Callable[..., Any]) -> None:
     Raises:
         KeyError: there is no such exercise.
     """
-    known = exercises()
-    if exercise not in known:
+    all_exercises = exercises()
+    if exercise not in all_exercises:
         raise UnknownNameError(f"there is no exercise {exercise!r}")
-    remember(exercise, known[exercise].becomes, function)
+    remember(exercise, all_exercises[exercise].becomes, function)
 
 
 def load(
@@ -62,17 +62,17 @@ def load(
     Raises:
         CourseFileError: the file is damaged, or a newer version of the program wrote it.
     """
-    known = {
+    all_exercises = {
         name: e for name, e in exercises().items() if chapters is None or e.chapter in chapters
     }
     for name, function in functions_of_earlier_chapters().items():
-        if name in known and name not in KEPT:
-            verdict = known[name].verdict(function)
+        if name in all_exercises and name not in KEPT:
+            verdict = all_exercises[name].verdict(function)
             if verdict:
                 keep(name, function)
             else:
                 verdict.code_in_use.tell()
-    for name, exercise in known.items():
+    for name, exercise in all_exercises.items():
         if missing == "solution" and name not in KEPT:
             keep(name, exercise._solution)
 
@@ -80,10 +80,10 @@ def load(
 def forget(*names: str) -> None:
     """Forget the functions of these exercises, or of all; the reference runs again in their
     place."""
-    known = exercises()
+    all_exercises = exercises()
     for name in names or tuple(KEPT):
         KEPT.pop(name, None)
-        becomes = known[name].becomes if name in known else None
+        becomes = all_exercises[name].becomes if name in all_exercises else None
         if becomes is not None:
             FUNCTIONS.pop(becomes.operation, None)
 
@@ -161,9 +161,9 @@ def board(chapters: Collection[int] | None = None) -> Board:
         chapters: Of operations that have not run, only those with an exercise in these chapters.
             Default: all.
     """
-    known = exercises()
-    of_operation = {e.becomes.operation: e for e in known.values() if e.becomes is not None}
-    shown = [
+    all_exercises = exercises()
+    of_operation = {e.becomes.operation: e for e in all_exercises.values() if e.becomes is not None}
+    lines = [
         name
         for name, e in of_operation.items()
         if name in CALLS or chapters is None or e.chapter in chapters
@@ -171,11 +171,11 @@ def board(chapters: Collection[int] | None = None) -> Board:
 
     def row(name: str) -> BoardRow:
         exercise = of_operation[name].name if name in of_operation else ""
-        is_solution = exercise in KEPT and KEPT[exercise] is known[exercise]._solution
+        is_solution = exercise in KEPT and KEPT[exercise] is all_exercises[exercise]._solution
         code = "solution" if is_solution else "yours" if name in FUNCTIONS else "reference"
         return BoardRow(
             operation=name, exercise=exercise, code=code, calls=CALLS.get(name, Calls())
         )
 
-    rows = [row(name) for name in [*shown, *(name for name in CALLS if name not in of_operation)]]
+    rows = [row(name) for name in [*lines, *(name for name in CALLS if name not in of_operation)]]
     return Board(sorted(rows, key=lambda row: ("yours", "solution", "reference").index(row.code)))

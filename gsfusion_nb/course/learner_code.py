@@ -45,10 +45,10 @@ class Failed(ForeseenError):
     """A property does not hold: ``prop`` names it, ``on`` the input, ``detail`` what was returned
     and expected."""
 
-    def __init__(self, prop: str, on: str, detail: str):
-        super().__init__(f"{prop} (on {on}): {detail}")
+    def __init__(self, prop: str, case: str, detail: str):
+        super().__init__(f"{prop} (on {case}): {detail}")
         self.prop = prop
-        self.on = on
+        self.on = case
         self.detail = detail
 
 
@@ -136,14 +136,14 @@ def plain_value(value: Any) -> Any:
     if isinstance(value, dict):
         return {plain_value(key): plain_value(part) for key, part in value.items()}
     if isinstance(value, (Iterator, range)):
-        found = [plain_value(part) for part in itertools.islice(value, _LONGEST + 1)]
-        if len(found) > _LONGEST:
+        parts = [plain_value(part) for part in itertools.islice(value, _LONGEST + 1)]
+        if len(parts) > _LONGEST:
             raise Failed(
                 "it comes to an end",
                 "",
                 f"it returned a generator of more than {_LONGEST:,} values",
             )
-        return found
+        return parts
     if type(value).__module__.startswith(f"{__name__.partition('.')[0]}."):
         return value
     kinds = "tensors, arrays, numbers, texts, lists, tuples"
@@ -226,21 +226,24 @@ def run_learner(
 
     began = time.monotonic()
     usual = signal.signal(signal.SIGALRM, stop)
-    left, _ = signal.getitimer(signal.ITIMER_REAL)  # what marks submissions has a timer of its own
-    signal.setitimer(signal.ITIMER_REAL, min(LIMIT_S, left or LIMIT_S))
+    # what marks submissions has a timer of its own
+    outer_timer_s, _ = signal.getitimer(signal.ITIMER_REAL)
+    signal.setitimer(signal.ITIMER_REAL, min(LIMIT_S, outer_timer_s or LIMIT_S))
     try:
         return plain_value(function(*args, **kwargs))
     except _TimeIsUp:
-        said = (
+        output = (
             f"it ran for more than {LIMIT_S:g} s. Is there a loop whose condition never becomes "
             "false?"
         )
-        raise Failed("it comes to an end", "", said) from None
+        raise Failed("it comes to an end", "", output) from None
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, usual)
-        if left:
-            signal.setitimer(signal.ITIMER_REAL, max(left - (time.monotonic() - began), 1e-3))
+        if outer_timer_s:
+            signal.setitimer(
+                signal.ITIMER_REAL, max(outer_timer_s - (time.monotonic() - began), 1e-3)
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,18 +280,18 @@ def with_reference(
 
     ``function`` gets copies of tensors and arrays. An interrupt is not caught.
     """
-    failed = False
+    has_failed = False
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        nonlocal failed
-        if not failed:
+        nonlocal has_failed
+        if not has_failed:
             copies = map(argument_copy, args)
-            named = {name: argument_copy(value) for name, value in kwargs.items()}
+            keywords = {name: argument_copy(value) for name, value in kwargs.items()}
             try:
-                return plain_value(function(*copies, **named))
+                return plain_value(function(*copies, **keywords))
             except Exception as e:
-                failed = True
+                has_failed = True
                 place = line_of_error(e, function)
                 why = f"yours raised {type(e).__name__}{f' in {place}' if place else ''}: {e}"
                 CodeInUse(exercise=exercise, state="fails", why=why).tell()
@@ -323,7 +326,7 @@ def functions_of_earlier_chapters() -> dict[str, Callable[..., Any]]:
     Raises:
         CourseFileError: the file is damaged, or a newer version of the program wrote it.
     """
-    made = {}
+    functions = {}
     for exercise, entry in read_section(SECTION).items():
         source = str(entry.get("source"))
         file = f"<your {exercise}>"
@@ -332,23 +335,23 @@ def functions_of_earlier_chapters() -> dict[str, Callable[..., Any]]:
         try:
             # the learner's own code, from the learner's own file
             exec(compile(source, file, "exec"), namespace)
-            made[exercise] = namespace[str(entry.get("function"))]
+            functions[exercise] = namespace[str(entry.get("function"))]
         except Exception:
             continue
-    return {exercise: function for exercise, function in made.items() if callable(function)}
+    return {exercise: function for exercise, function in functions.items() if callable(function)}
 
 
-def _needed(function: types.FunctionType, seen: set[int]) -> Iterator[str]:
+def _needed(function: types.FunctionType, visited: set[int]) -> Iterator[str]:
     """Source of a function, after that of everything in its notebook that it uses: imports,
     numbers, functions."""
-    seen.add(id(function))
+    visited.add(id(function))
     for name in sorted(_names(function.__code__)):
         if name in function.__globals__:
-            yield from _definition(name, function.__globals__[name], seen)
+            yield from _definition(name, function.__globals__[name], visited)
     yield textwrap.dedent(inspect.getsource(function))
 
 
-def _definition(name: str, value: Any, seen: set[int]) -> Iterator[str]:
+def _definition(name: str, value: Any, visited: set[int]) -> Iterator[str]:
     """Lines that define a global of the notebook; none for what has no short definition, such as an
     image."""
     if isinstance(value, types.ModuleType):
@@ -357,8 +360,8 @@ def _definition(name: str, value: Any, seen: set[int]) -> Iterator[str]:
         return
     inner = inspect.unwrap(value) if callable(value) else value
     if isinstance(inner, types.FunctionType) and inner.__module__ == "__main__":
-        if id(inner) not in seen:
-            yield from _needed(inner, seen)
+        if id(inner) not in visited:
+            yield from _needed(inner, visited)
         if inner.__name__ != name:
             yield f"{name} = {inner.__name__}"
     elif callable(value) and getattr(value, "__qualname__", ".").isidentifier():
@@ -369,5 +372,5 @@ def _definition(name: str, value: Any, seen: set[int]) -> Iterator[str]:
 
 def _names(code: types.CodeType) -> set[str]:
     """Global names that a function and the functions inside it may use."""
-    inside = [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
-    return set(code.co_names).union(*(_names(each) for each in inside))
+    inner_codes = [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
+    return set(code.co_names).union(*(_names(each) for each in inner_codes))

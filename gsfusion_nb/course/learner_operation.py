@@ -69,8 +69,8 @@ class Yours:
                 finite.
         """
         copies = [value.clone() if isinstance(value, Tensor) else value for value in args]
-        result = self._called(copies)
-        return result if gives is None else self._checked(result, gives, args)
+        result = self._call_function(copies)
+        return result if gives is None else self._check_result(result, gives, args)
 
     def many(
         self,
@@ -80,7 +80,7 @@ class Yours:
         """Call the function for each tuple of arguments. Raises as for one call."""
         return [self(*args, gives=like) for args, like in zip(calls, gives, strict=True)]
 
-    def _called(self, args: Sequence[Any]) -> Any:
+    def _call_function(self, args: Sequence[Any]) -> Any:
         try:
             with use_backend("reference"):
                 return plain_value(self.function(*args))
@@ -90,7 +90,7 @@ class Yours:
             reason = f"{type(e).__name__}: {str(e).splitlines()[0]}" if str(e) else type(e).__name__
             self.fail(f"raised {reason}", tuple(args), cause=e)
 
-    def _checked(
+    def _check_result(
         self,
         result: Any,
         gives: Mapping[str, Tensor],
@@ -103,11 +103,11 @@ class Yours:
                 f"{in_words(result)}",
                 args,
             )
-        checked = tuple(
+        outputs = tuple(
             self._as_tensor(name, value, like, args)
             for (name, like), value in zip(gives.items(), values, strict=True)
         )
-        for name, value in zip(gives, checked, strict=True):
+        for name, value in zip(gives, outputs, strict=True):
             if not value.isfinite().all():
                 bad = (~value.isfinite()).nonzero()
                 at = f", the first at {bad[0].tolist()}" if value.ndim else ""
@@ -116,24 +116,23 @@ class Yours:
                     f"{list(value.shape)}{at}",
                     args,
                 )
-        return checked if len(gives) > 1 else checked[0]
+        return outputs if len(gives) > 1 else outputs[0]
 
     def _as_tensor(self, name: str, value: Any, like: Tensor, args: tuple) -> Tensor:
         """``value`` with the shape and type of ``like``; numbers and lists are converted."""
         if isinstance(value, Tensor) and value.shape == like.shape and value.dtype == like.dtype:
             return value
-        expected = f"expected {kind_of(like)}"
+        kind = f"expected {kind_of(like)}"
         try:
             got = torch.as_tensor(value)
         except (TypeError, ValueError, RuntimeError):
             self.fail(
-                f"returned {in_words(value)} for {name}, which is not an array of numbers; "
-                f"{expected}",
+                f"returned {in_words(value)} for {name}, which is not an array of numbers; {kind}",
                 args,
             )
         is_whole = isinstance(value, Tensor) and not got.is_floating_point()
         if got.shape != like.shape or (like.is_floating_point() and (is_whole or got.is_complex())):
-            self.fail(f"returned {in_words(value)} for {name}; {expected}", args)
+            self.fail(f"returned {in_words(value)} for {name}; {kind}", args)
         return got.to(like)
 
     def fail(

@@ -101,11 +101,11 @@ def plan_frame(attempt: Attempt) -> None:
     """How many optimisation steps a frame gets (III-B.3)."""
     names = ("is_keyframe", "steps", "revisits")
 
-    def plan(on: str, *numbers: int) -> tuple:
-        return attempt.unpack(attempt.on(on)(*numbers), names)
+    def plan(case: str, *numbers: int) -> tuple:
+        return attempt.unpack(attempt.on(case)(*numbers), names)
 
-    on = "300 new Gaussians, 7 keyframes so far, m = 5, n = 3, r = 2, threshold 50"
-    key, steps, revisits = plan(on, 300, 7, 5, 3, 2, 50)
+    case = "300 new Gaussians, 7 keyframes so far, m = 5, n = 3, r = 2, threshold 50"
+    key, steps, revisits = plan(case, 300, 7, 5, 3, 2, 50)
     attempt.holds(
         key, "a frame with many new Gaussians is a keyframe", detail=f"is_keyframe is {key!r}"
     )
@@ -133,15 +133,15 @@ def plan_frame(attempt: Attempt) -> None:
         prop,
         detail=f"got {key!r}, {steps}, {revisits}",
     )
-    on = "10 new Gaussians, one keyframe so far"
+    case = "10 new Gaussians, one keyframe so far"
     attempt.close(
-        plan(on, 10, 1, 5, 3, 2, 50)[2],
+        plan(case, 10, 1, 5, 3, 2, 50)[2],
         1,
         "there are never more revisits than keyframes: each goes to another one",
     )
-    on = "10 new Gaussians, no keyframe yet"
+    case = "10 new Gaussians, no keyframe yet"
     attempt.close(
-        plan(on, 10, 0, 5, 3, 2, 50)[2],
+        plan(case, 10, 0, 5, 3, 2, 50)[2],
         0,
         "without keyframes there are no revisits",
     )
@@ -175,16 +175,16 @@ def _as_draw_keyframes(
 ) -> Tensor:
     """Yours, with the mapper's generator. Another way to shuffle draws other keyframes than the
     reference."""
-    given = (n_keyframes, count, generator)
-    drawn = torch.as_tensor(yours(*given)).long().reshape(-1)
-    right = len(drawn) == min(count, n_keyframes) == len(drawn.unique())
-    if not right or (len(drawn) and not 0 <= int(drawn.min()) <= int(drawn.max()) < n_keyframes):
+    inputs = (n_keyframes, count, generator)
+    draws = torch.as_tensor(yours(*inputs)).long().reshape(-1)
+    right = len(draws) == min(count, n_keyframes) == len(draws.unique())
+    if not right or (len(draws) and not 0 <= int(draws.min()) <= int(draws.max()) < n_keyframes):
         yours.fail(
             f"must return {min(count, n_keyframes)} different numbers; it returned "
-            f"{drawn.tolist()}",
-            given,
+            f"{draws.tolist()}",
+            inputs,
         )
-    return drawn
+    return draws
 
 
 @exercise(
@@ -208,18 +208,18 @@ def draw_keyframes(attempt: Attempt) -> None:
     """Indices of random keyframes to revisit."""
 
     def draw(
-        on: str,
+        case: str,
         n: int,
         count: int,
         seeds: int = 1,
     ) -> list[list[int]]:
-        drawn = [
-            attempt.on(on)(n, count, torch.Generator().manual_seed(seed)) for seed in range(seeds)
+        samples = [
+            attempt.on(case)(n, count, torch.Generator().manual_seed(seed)) for seed in range(seeds)
         ]
-        return [[int(i) for i in torch.as_tensor(each).reshape(-1).tolist()] for each in drawn]
+        return [[int(i) for i in torch.as_tensor(each).reshape(-1).tolist()] for each in samples]
 
-    on = "2 out of 5, drawn 200 times"
-    draws = draw(on, 5, 2, 200)
+    case = "2 out of 5, drawn 200 times"
+    draws = draw(case, 5, 2, 200)
     attempt.holds(
         all(len(d) == 2 and min(d) >= 0 and max(d) < 5 for d in draws),
         "as many indices as requested, in 0..n-1",
@@ -231,8 +231,8 @@ def draw_keyframes(attempt: Attempt) -> None:
         detail=f"one draw was {next((d for d in draws if len(set(d)) < 2), [])}",
     )
     torch_state = torch.get_rng_state()
-    again = draw(on, 5, 2, 20)
-    same = torch.equal(torch_state, torch.get_rng_state()) and again == draws[:20]
+    second = draw(case, 5, 2, 20)
+    same = torch.equal(torch_state, torch.get_rng_state()) and second == draws[:20]
     attempt.holds(
         same,
         "random numbers come only from the generator that is passed in",
@@ -341,7 +341,7 @@ def map_frame(attempt: Attempt) -> None:
     ours = _small_mapper()
     log = Log(theirs)
     first = _wall(0)
-    expected = _map_frame(ours, first, lambda view: None)
+    reference = _map_frame(ours, first, lambda view: None)
     got = attempt.on("a first frame of a patterned wall")(theirs, first, log)
     attempt.holds(
         theirs.volume.n_blocks > 0,
@@ -350,13 +350,13 @@ def map_frame(attempt: Attempt) -> None:
     )
     attempt.close(
         len(theirs.gaussians),
-        expected,
+        reference,
         "the frame is fused into the TSDF before the rule runs, and the seeds are appended to the "
         "map",
         why="Before, every voxel has weight 0",
     )
-    attempt.close(got, expected, "it returns the number of new Gaussians")
-    early = any(n < expected for _, _, n in log.calls)
+    attempt.close(got, reference, "it returns the number of new Gaussians")
+    early = any(n < reference for _, _, n in log.calls)
     attempt.holds(
         not early,
         "the new Gaussians are in the map when the frame is optimised",
@@ -365,17 +365,17 @@ def map_frame(attempt: Attempt) -> None:
     attempt.holds(
         len(theirs.keyframes) == 1,
         "a frame with many new Gaussians becomes a keyframe",
-        detail=f"{expected} new Gaussians, and {len(theirs.keyframes)} keyframes",
+        detail=f"{reference} new Gaussians, and {len(theirs.keyframes)} keyframes",
     )
     attempt.close(len(log.calls), 5, "a keyframe gets m = 5 steps, all on itself")
     _second(attempt, theirs, log, "the same wall again")
 
 
-def _second(attempt: Attempt, mapper: GSFusion, log: Log, on: str) -> None:
+def _second(attempt: Attempt, mapper: GSFusion, log: Log, case: str) -> None:
     """The frame shows nothing new: three steps on it, then one on the only keyframe."""
     log.calls.clear()
     attempt.close(
-        attempt.on(on)(mapper, _wall(1), log),
+        attempt.on(case)(mapper, _wall(1), log),
         0,
         "what was seen is not seeded again",
     )
@@ -388,7 +388,7 @@ def _second(attempt: Attempt, mapper: GSFusion, log: Log, on: str) -> None:
         detail=f"the list has one, and {kinds.count('keyframe')} were optimised",
     )
     if kinds[-1] != "keyframe":
-        raise Failed("the revisits come last", on, f"the order was {', '.join(kinds)}")
+        raise Failed("the revisits come last", case, f"the order was {', '.join(kinds)}")
 
 
 def _small_mapper() -> GSFusion:

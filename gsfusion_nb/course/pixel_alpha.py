@@ -87,9 +87,9 @@ def splat_alpha(attempt: Attempt) -> None:
     attempt.on("2 px to the right, and 1 px down, of a round Gaussian of standard deviation 2 px")
     dx = torch.tensor([2.0, 0.0])
     dy = torch.tensor([0.0, 1.0])
-    expected = 0.6 * torch.exp(-torch.tensor([0.5, 0.125]))
+    reference = 0.6 * torch.exp(-torch.tensor([0.5, 0.125]))
     attempt.close(
-        attempt(dx, dy, round_one, torch.tensor(0.6)), expected, "alpha = opacity exp(-sigma)"
+        attempt(dx, dy, round_one, torch.tensor(0.6)), reference, "alpha = opacity exp(-sigma)"
     )
     attempt.on("1 px right and 1 px down of a tilted Gaussian, conic (0.3, 0.2, 0.4)")
     got = attempt(
@@ -98,9 +98,9 @@ def splat_alpha(attempt: Attempt) -> None:
         torch.tensor([0.3, 0.2, 0.4]),
         torch.tensor(0.6),
     )
-    expected = 0.6 * torch.exp(torch.tensor([-0.55]))
+    reference = 0.6 * torch.exp(torch.tensor([-0.55]))
     attempt.close(
-        got, expected, "B dx dy is not halved: it stands twice in the product of the matrix"
+        got, reference, "B dx dy is not halved: it stands twice in the product of the matrix"
     )
     attempt.on("2 px right and 1 px up of the same Gaussian")
     got = attempt(
@@ -109,18 +109,20 @@ def splat_alpha(attempt: Attempt) -> None:
         torch.tensor([0.3, 0.2, 0.4]),
         torch.tensor(0.6),
     )
-    expected = 0.6 * torch.exp(torch.tensor([-0.4]))
-    attempt.close(got, expected, "A belongs to dx, C to dy, and B dx dy may be negative")
+    reference = 0.6 * torch.exp(torch.tensor([-0.4]))
+    attempt.close(got, reference, "A belongs to dx, C to dy, and B dx dy may be negative")
     got = attempt.on("the centre of a Gaussian of opacity 0.999")(
         zero, zero, round_one, torch.tensor(0.999)
     )
     attempt.close(got, [0.99], "it is never more than 0.99, so that some light is left")
-    far = torch.full(
+    far_offset = torch.full(
         (1,),
         8 * torch.log(torch.tensor(300 * 0.6)).item(),
     ).sqrt()
     got = torch.as_tensor(
-        attempt.on("far outside, where the bell is 1/300")(far, zero, round_one, torch.tensor(0.6))
+        attempt.on("far outside, where the bell is 1/300")(
+            far_offset, zero, round_one, torch.tensor(0.6)
+        )
     )
     attempt.holds(not got.any(), "below 1/255 it is exactly 0", detail=f"got {got.tolist()}")
 
@@ -257,40 +259,43 @@ def splat_alpha_vjp(attempt: Attempt) -> None:
         attempt(dx, 0 * dx, conic, torch.tensor(0.999, dtype=f64), torch.ones(2, dtype=f64)),
         names,
     )
-    capped = "where alpha is capped or cut, nothing moves it"
+    cap_words = "where alpha is capped or cut, nothing moves it"
     attempt.close(
         torch.cat([torch.as_tensor(v, dtype=f64).reshape(-1) for v in got]),
         [0.0] * 6,
-        capped,
+        cap_words,
     )
-    far = torch.full(
+    far_offset = torch.full(
         (1,),
         8 * math.log(300 * 0.5),
         dtype=f64,
     ).sqrt()
     got = attempt.unpack(
-        attempt.on("a pixel where the bell is 1/300")(far, 0 * far, conic, o, 100 * one), names
+        attempt.on("a pixel where the bell is 1/300")(
+            far_offset, 0 * far_offset, conic, o, 100 * one
+        ),
+        names,
     )
     attempt.close(
         torch.cat([torch.as_tensor(v, dtype=f64).reshape(-1) for v in got]),
         [0.0] * 6,
-        capped,
+        cap_words,
     )
     attempt.on("forty random pixels around a tilted Gaussian")
     generator = torch.Generator().manual_seed(6)
     uv = torch.zeros(2, dtype=f64, requires_grad=True)
-    tilted = torch.tensor([0.3, 0.1, 0.2], dtype=f64)
+    ellipse_conic = torch.tensor([0.3, 0.1, 0.2], dtype=f64)
     pixel, v = (torch.randn(40, n, generator=generator, dtype=f64) for n in (2, 1))
-    c = tilted.clone().requires_grad_()
+    c = ellipse_conic.clone().requires_grad_()
     a = torch.tensor(0.7, dtype=f64, requires_grad=True)
     dx, dy = (2 * pixel - uv).unbind(1)
-    expected = torch.autograd.grad(
+    reference = torch.autograd.grad(
         _splat_alpha(dx, dy, c, a) @ v[:, 0],
         (uv, c, a),
     )
     got = attempt.unpack(
-        attempt(dx.detach(), dy.detach(), tilted, a.detach(), v[:, 0]),
+        attempt(dx.detach(), dy.detach(), ellipse_conic, a.detach(), v[:, 0]),
         names,
     )
-    for name, mine, right in zip(names, got, expected, strict=True):
+    for name, mine, right in zip(names, got, reference, strict=True):
         attempt.close(mine, right, f"{name} agrees with autograd")

@@ -54,8 +54,8 @@ def _as_relative_pose_error(
     ends = [T.expand(T_ij.shape).reshape(-1, 4, 4) for T in (T_i, T_j, T_ij)]
     shape = T_ij.shape[:-2]
     J = torch.eye(6).to(T_ij)
-    given = {"e": J[0], "J_i": J, "J_j": J}
-    rows = [yours(*edge, gives=given) for edge in zip(*ends, strict=True)]
+    derivatives = {"e": J[0], "J_i": J, "J_j": J}
+    rows = [yours(*edge, gives=derivatives) for edge in zip(*ends, strict=True)]
     if not rows:
         return T_ij.new_zeros(*shape, 6), T_ij.new_zeros(*shape, 6, 6), T_ij.new_zeros(*shape, 6, 6)
     e, J_i, J_j = (torch.stack(column) for column in zip(*rows, strict=True))
@@ -89,63 +89,65 @@ def relative_error(attempt: Attempt) -> None:
     generator = torch.Generator().manual_seed(8)
     T_i, T_j = se3.exp(0.6 * torch.randn(2, 6, generator=generator, dtype=F64))
     T_ij = se3.inverse(T_i) @ T_j
-    on = still = "two turned cameras, and the relative pose between them measured without error"
-    e, J_i, J_j = attempt.unpack(attempt.on(on)(T_i, T_j, T_ij), names)
+    case = no_error = (
+        "two turned cameras, and the relative pose between them measured without error"
+    )
+    e, J_i, J_j = attempt.unpack(attempt.on(case)(T_i, T_j, T_ij), names)
     attempt.close(e, torch.zeros(6), "a perfect measurement has no error", tolerance=1e-6)
-    off = torch.tensor([0.1, 0.0, 0.0, 0.0, 0.0, 0.05], dtype=F64)
+    twist = torch.tensor([0.1, 0.0, 0.0, 0.0, 0.0, 0.05], dtype=F64)
     attempt.on(
         "the same cameras; the measured pose of j lies 10 cm farther left in j's own axes, turned "
         "by 3 degrees"
     )
-    e_off = attempt.unpack(attempt(T_i, T_j, T_ij @ se3.exp(-off)), names)[0]
-    backwards = _is_close(e_off, -off)
+    e_off = attempt.unpack(attempt(T_i, T_j, T_ij @ se3.exp(-twist)), names)[0]
+    backwards = _is_close(e_off, -twist)
     attempt.holds(
         not backwards,
         "e points from where j was measured to where it is",
         detail="the sign is turned round",
     )
     attempt.close(
-        e_off, off, "e is a twist along the axes of camera j, translation first", tolerance=1e-5
+        e_off, twist, "e is a twist along the axes of camera j, translation first", tolerance=1e-5
     )
-    attempt.on(still)
+    attempt.on(no_error)
     for J in (J_i, J_j):
         six = tuple(getattr(J, "shape", ())) == (6, 6)
         attempt.holds(six, "J_i and J_j are 6 x 6", detail="expected two tensors [6, 6]")
-    for name, J, moved in (("J_j", J_j, 1), ("J_i", J_i, 0)):
+    for name, J, end in (("J_j", J_j, 1), ("J_i", J_i, 0)):
         prop = f"{name} is the derivative of e with respect to xi_{name[-1]}"
         attempt.close(
             J,
-            _differences(T_i, T_j, T_ij, moved),
+            _differences(T_i, T_j, T_ij, end),
             prop,
             tolerance=1e-4,
             why=f"T_{name[-1]} becomes T_{name[-1]} exp(xi), and e is differentiated by xi",
         )
 
 
-def _is_close(value: object, expected: Tensor) -> bool:
-    given = torch.as_tensor(value)
-    return given.shape == expected.shape and bool((given - expected).abs().max() < 1e-5)
+def _is_close(value: object, reference: Tensor) -> bool:
+    number = torch.as_tensor(value)
+    return number.shape == reference.shape and bool((number - reference).abs().max() < 1e-5)
 
 
 def _differences(
     T_i: Tensor,
     T_j: Tensor,
     T_ij: Tensor,
-    moved: int,
+    end: int,
     step: float = 1e-6,
 ) -> Tensor:
-    """Derivative of e by the twist of T_i (``moved`` 0) or T_j (1), by central differences. [6,
+    """Derivative of e by the twist of T_i (``end`` 0) or T_j (1), by central differences. [6,
     6]"""
     columns = []
     for k in range(6):
         xi = torch.zeros(6, dtype=F64)
         xi[k] = step
         ends = [
-            (T_i @ se3.exp(s * xi), T_j) if moved == 0 else (T_i, T_j @ se3.exp(s * xi))
+            (T_i @ se3.exp(s * xi), T_j) if end == 0 else (T_i, T_j @ se3.exp(s * xi))
             for s in (1.0, -1.0)
         ]
-        ahead, back = (_relative_error(a, b, T_ij)[0] for a, b in ends)
-        columns.append((ahead - back) / (2 * step))
+        e_plus, e_minus = (_relative_error(a, b, T_ij)[0] for a, b in ends)
+        columns.append((e_plus - e_minus) / (2 * step))
     return torch.stack(columns, dim=1)
 
 
@@ -189,8 +191,8 @@ def _step_upwards(poses, i, j, e, J_i, J_j, information):
 
 
 def _everything_moves(poses, i, j, e, J_i, J_j, information):
-    done = _graph_step(poses, i, j, e, J_i, J_j, information)
-    return se3.exp(torch.tensor([0.1, 0, 0, 0, 0, 0], dtype=poses.dtype)) @ done
+    step = _graph_step(poses, i, j, e, J_i, J_j, information)
+    return se3.exp(torch.tensor([0.1, 0, 0, 0, 0, 0], dtype=poses.dtype)) @ step
 
 
 def _from_the_left(poses, i, j, e, J_i, J_j, information):
@@ -230,11 +232,11 @@ def graph_step(attempt: Attempt) -> None:
     line[:, 0, 3] = torch.tensor([0.0, 1.0, 2.0])
     i = torch.tensor([0, 1, 0])
     j = torch.tensor([1, 2, 2])
-    measured = torch.eye(4, dtype=F64).repeat(3, 1, 1)
-    measured[:, 0, 3] = torch.tensor([1.0, 1.0, 2.3])
+    T_ij = torch.eye(4, dtype=F64).repeat(3, 1, 1)
+    T_ij[:, 0, 3] = torch.tensor([1.0, 1.0, 2.3])
     even = _ones(3)
-    on = "three poses 1 m apart, as measured; a loop says that the last is 2.3 m from the first"
-    got = _asked(attempt, on, line, i, j, measured, even)
+    case = "three poses 1 m apart, as measured; a loop says that the last is 2.3 m from the first"
+    got = _asked(attempt, case, line, i, j, T_ij, even)
     attempt.close(
         got[0],
         line[0],
@@ -252,7 +254,7 @@ def graph_step(attempt: Attempt) -> None:
     )
     sure = even * torch.tensor([1.0, 1.0, 1000.0], dtype=F64)[:, None, None]
     got = _asked(
-        attempt, "the same, and the loop is a thousand times as certain", line, i, j, measured, sure
+        attempt, "the same, and the loop is a thousand times as certain", line, i, j, T_ij, sure
     )
     prop = "the surer measurement counts more"
     attempt.close(
@@ -263,13 +265,13 @@ def graph_step(attempt: Attempt) -> None:
         why="Omega stands in H and in b",
     )
     generator = torch.Generator().manual_seed(9)
-    turned = se3.exp(torch.randn(4, 6, generator=generator, dtype=F64))
+    poses = se3.exp(torch.randn(4, 6, generator=generator, dtype=F64))
     i = torch.tensor([0, 1, 2, 0, 3])
     j = torch.tensor([1, 2, 3, 3, 1])
     noise = se3.exp(0.05 * torch.randn(5, 6, generator=generator, dtype=F64))
-    measured = se3.inverse(turned[i]) @ turned[j] @ noise
-    on = "four turned poses and five edges, one of them from a later pose to an earlier one"
-    got = _asked(attempt, on, turned, i, j, measured, _ones(5))
+    T_ij = se3.inverse(poses[i]) @ poses[j] @ noise
+    case = "four turned poses and five edges, one of them from a later pose to an earlier one"
+    got = _asked(attempt, case, poses, i, j, T_ij, _ones(5))
     R = got[:, :3, :3]
     attempt.close(
         R @ R.mT,
@@ -278,17 +280,17 @@ def graph_step(attempt: Attempt) -> None:
         tolerance=1e-6,
         why="use se3.exp",
     )
-    expected = pose_graph_step(
-        turned,
+    reference = pose_graph_step(
+        poses,
         i,
         j,
-        *relative_pose_error(turned[i], turned[j], measured),
+        *relative_pose_error(poses[i], poses[j], T_ij),
         _ones(5),
     )
     prop = "the step is in the camera's own axes: T_k exp(xi_k)"
     attempt.close(
         got,
-        expected,
+        reference,
         prop,
         tolerance=1e-5,
         why="it is that of gsfusion_nb.tracking.pose_graph_step",
@@ -301,19 +303,19 @@ def _ones(n: int) -> Tensor:
 
 def _asked(
     attempt: Attempt,
-    on: str,
+    case: str,
     poses: Tensor,
     i: Tensor,
     j: Tensor,
-    measured: Tensor,
+    T_ij: Tensor,
     weight: Tensor,
 ) -> Tensor:
     """The learner's poses after one step."""
-    got = attempt.on(on)(
+    got = attempt.on(case)(
         poses,
         i,
         j,
-        *relative_pose_error(poses[i], poses[j], measured),
+        *relative_pose_error(poses[i], poses[j], T_ij),
         weight,
     )
     right = isinstance(got, Tensor) and got.shape == poses.shape

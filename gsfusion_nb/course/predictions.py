@@ -79,13 +79,17 @@ class Prediction(LiveOutput):
 
     def __repr__(self) -> str:
         options = (
-            f" ({', '.join(_shown(c, self.unit) for c in self.choices)})" if self.choices else ""
+            f" ({', '.join(_answer_words(c, self.unit) for c in self.choices)})"
+            if self.choices
+            else ""
         )
         return f"Predict: {self.question}{options}\n  {self.state}"
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         html = fill(
-            "prediction.html", prediction=self, options=[_shown(c, self.unit) for c in self.choices]
+            "prediction.html",
+            prediction=self,
+            options=[_answer_words(c, self.unit) for c in self.choices],
         )
         live = {} if static_views() else self._widget._repr_mimebundle_(**kwargs)
         return live | {"text/plain": repr(self), "text/html": html}, {}
@@ -94,17 +98,17 @@ class Prediction(LiveOutput):
     def _widget(self) -> Any:
         import ipywidgets as w
 
-        said = w.HTML(self.state)
-        given = _entry(self.name).get("answer")
+        label = w.HTML(self.state)
+        answer = _entry(self.name).get("answer")
         style = {"description_width": "initial"}
         if self.choices:
-            options = [(_shown(choice, self.unit), choice) for choice in self.choices]
+            options = [(_answer_words(choice, self.unit), choice) for choice in self.choices]
             control = w.ToggleButtons(
-                options=options, value=given if given in self.choices else None, style=style
+                options=options, value=answer if answer in self.choices else None, style=style
             )
             control.style.button_width = "auto"
         else:
-            start = given if isinstance(given, (int, float)) else None
+            start = answer if isinstance(answer, (int, float)) else None
             control = w.Text(
                 value="" if start is None else f"{start:g}",
                 placeholder="a number",
@@ -118,14 +122,14 @@ class Prediction(LiveOutput):
         def record(change: Any) -> None:
             try:
                 value = change["new"]
-                said.value = self.answer(value if self.choices else float(value.replace(",", ".")))
+                label.value = self.answer(value if self.choices else float(value.replace(",", ".")))
                 self.store_output()
             except ValueError:
-                said.value = "Please give a number, such as 2.5."
+                label.value = "Please give a number, such as 2.5."
 
         control.observe(record, names="value")
         box = w.VBox(
-            [w.HTML(f"<b>Predict.</b> {fill('text.html', text=self.question)}"), control, said]
+            [w.HTML(f"<b>Predict.</b> {fill('text.html', text=self.question)}"), control, label]
         )
         box.add_class("gsnb-prediction")
         return box
@@ -166,15 +170,15 @@ def predict(
         unit: Of numbers.
         answer: Records this answer, without a widget.
     """
-    asked = Prediction(
+    prediction = Prediction(
         name,
         question or str(_entry(name).get("question", name)),
         choices,
         unit,
     )
     if answer is not None:
-        asked.answer(answer)
-    return asked
+        prediction.answer(answer)
+    return prediction
 
 
 def came(name: str, value: Any, *, right: Answer | None = None) -> Outcome:
@@ -194,26 +198,28 @@ def came(name: str, value: Any, *, right: Answer | None = None) -> Outcome:
     if "answer" in entry:
         _note(name, came=value)
     if answer is None:
-        return Outcome(predicted="You made no prediction.", came=_shown(value, unit), right=None)
+        return Outcome(
+            predicted="You made no prediction.", came=_answer_words(value, unit), right=None
+        )
     verdict = None
     words = ""
     if right is not None:
         verdict = answer == right
-        words = "" if verdict else f"Right was: {_shown(right, unit)}."
+        words = "" if verdict else f"Right was: {_answer_words(right, unit)}."
     elif isinstance(answer, (int, float)) and isinstance(value, (int, float)):
-        verdict, words = _compared(float(answer), float(value))
+        verdict, words = _compare(float(answer), float(value))
         choices = [c for c in entry.get("choices", ()) if isinstance(c, (int, float)) and c > 0]
         if choices and value > 0:
             verdict = answer == min(choices, key=lambda c: abs(math.log(c / value)))
     return Outcome(
         predicted=_yours(entry),
-        came=_shown(value, unit),
+        came=_answer_words(value, unit),
         right=verdict,
         words=words,
     )
 
 
-def _compared(answer: float, value: float) -> tuple[bool, str]:
+def _compare(answer: float, value: float) -> tuple[bool, str]:
     """A prediction within a factor of two counts as good."""
     if answer * value <= 0:
         return answer == value, "" if answer == value else "That is another sign, or zero."
@@ -225,13 +231,13 @@ def _compared(answer: float, value: float) -> tuple[bool, str]:
 
 def _yours(entry: dict[str, Any]) -> str:
     return (
-        f"You predicted {_shown(entry['answer'], str(entry.get('unit', '')))}."
+        f"You predicted {_answer_words(entry['answer'], str(entry.get('unit', '')))}."
         if "answer" in entry
         else ""
     )
 
 
-def _shown(value: Answer, unit: str) -> str:
+def _answer_words(value: Answer, unit: str) -> str:
     if isinstance(value, str):
         return value
     number = f"{value:,}" if isinstance(value, int) else f"{value:,.4g}"

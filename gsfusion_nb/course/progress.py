@@ -31,7 +31,7 @@ FORMAT = 1
 Entries = dict[str, dict[str, Any]]
 
 _in_memory: dict[str, Any] = {"format": FORMAT}
-_said: set[str] = set()
+_messages: set[str] = set()
 
 
 class CourseFileError(ForeseenError, ValueError):
@@ -40,8 +40,8 @@ class CourseFileError(ForeseenError, ValueError):
 
 def course_file() -> Path | None:
     """Where progress is kept; ``None`` in a notebook that is executed to be stored."""
-    if given := os.environ.get("GSNB_COURSE_FILE"):
-        return Path(given).expanduser()
+    if path := os.environ.get("GSNB_COURSE_FILE"):
+        return Path(path).expanduser()
     if os.environ.get("GSNB_VIEW") == "static":
         return None
     return user_data_path("gsfusion_nb", appauthor=False) / "course.json"
@@ -76,9 +76,9 @@ def reset() -> Path | None:
     path = course_file()
     if path is None or not path.exists():
         return None
-    kept = path.with_name(f"{path.stem}-{datetime.now():%Y%m%d-%H%M%S}{path.suffix}")
-    path.rename(kept)
-    return kept
+    backup = path.with_name(f"{path.stem}-{datetime.now():%Y%m%d-%H%M%S}{path.suffix}")
+    path.rename(backup)
+    return backup
 
 
 def now() -> str:
@@ -93,8 +93,8 @@ def forgiving() -> Iterator[None]:
     try:
         yield
     except CourseFileError as e:
-        if str(e) not in _said:
-            _said.add(str(e))
+        if str(e) not in _messages:
+            _messages.add(str(e))
             sys.stdout.write(f"Your progress is not kept: {e}\n")
 
 
@@ -109,11 +109,11 @@ def read_file(path: Path) -> dict[str, Any]:
         course = read_object(path, "the progress of a learner")
     except (SequenceError, OSError) as e:
         raise CourseFileError(f"{path} cannot be read ({e})") from None
-    found = course.get("format")
-    if not isinstance(found, int) or found > FORMAT:
+    file_format = course.get("format")
+    if not isinstance(file_format, int) or file_format > FORMAT:
         raise CourseFileError(
-            f"{path} has format {found!r}, this version reads {FORMAT}: a newer version wrote it, "
-            "or it is another file"
+            f"{path} has format {file_format!r}, this version reads {FORMAT}: a newer version "
+            "wrote it, or it is another file"
         )
     return course
 

@@ -74,26 +74,28 @@ def contrast(attempt: Attempt) -> None:
     attempt.on("a cell of one colour")
     plain = torch.full((4, 4, 3), 90, dtype=torch.uint8)
     attempt.close(attempt(plain, 90_000), 0.0, "a plain cell has no contrast", tolerance=1e-9)
-    mixed = torch.zeros(4, 4, 3, dtype=torch.uint8)
-    mixed[:2, :, 0] = 255
-    mixed[2:, :, 1] = 130
+    mixture = torch.zeros(4, 4, 3, dtype=torch.uint8)
+    mixture[:2, :, 0] = 255
+    mixture[2:, :, 1] = 130
     right = (0.2989 * 127.5**2 + 0.5870 * 65.0**2) / 1000
     got = float(
         attempt.on("half red (255, 0, 0), half green (0, 130, 0): almost the same brightness")(
-            mixed, 90_000
+            mixture, 90_000
         )
     )
     prop = "different colours of the same brightness have contrast, too"
     attempt.holds(got > 1e-4 * right, prop, detail=f"got {got:.4g}, expected {right:.4g}")
-    twice = (
-        float(attempt.on("the same cell in images of 90,000 and 180,000 pixels")(mixed, 180_000))
+    doubled_contrast = (
+        float(attempt.on("the same cell in images of 90,000 and 180,000 pixels")(mixture, 180_000))
         / got
     )
     prop = (
         "it is a variance, not its root, times the pixels of the whole image: twice the pixels, "
         "twice the contrast"
     )
-    attempt.holds(abs(twice - 2) < 1e-3, prop, detail=f"it grows {twice:.3g} times")
+    attempt.holds(
+        abs(doubled_contrast - 2) < 1e-3, prop, detail=f"it grows {doubled_contrast:.3g} times"
+    )
     attempt.on(
         "half of the cell 80, half 100 in red, green and blue constant, image of 90,000 pixels"
     )
@@ -103,7 +105,9 @@ def contrast(attempt: Attempt) -> None:
     prop = "the variance is divided by the number of pixels, and red weighs 0.2989"
     attempt.close(attempt(red, 90_000), 0.2989 * 100 / 1000, prop, tolerance=1e-4)
     attempt.on("the cell half red, half green")
-    attempt.close(attempt(mixed, 90_000), right, "green weighs 0.5870, blue 0.1140", tolerance=1e-4)
+    attempt.close(
+        attempt(mixture, 90_000), right, "green weighs 0.5870, blue 0.1140", tolerance=1e-4
+    )
     attempt.on("a cell of 5 x 7 random pixels, image of 90,000 pixels")
     noise = torch.randint(
         0,
@@ -179,17 +183,17 @@ def split_cell(attempt: Attempt) -> None:
         parts = attempt.unpack(
             as_rows(attempt.on(f"the cell (x0, y0, width, height) = {cell}")(*cell)), names
         )
-        covered = torch.zeros(64, 64, dtype=torch.int64)
+        coverage = torch.zeros(64, 64, dtype=torch.int64)
         for part in parts:
             x, y, w, h = (int(a) for a in attempt.unpack(part, ("x0", "y0", "width", "height")))
-            covered[y : y + h, x : x + w] += 1
+            coverage[y : y + h, x : x + w] += 1
         x, y, w, h = cell
-        inside = covered[y : y + h, x : x + w]
+        patch = coverage[y : y + h, x : x + w]
         times = (
-            f"{int((inside == 0).sum())} pixels in none, {int((covered > 1).sum())} in more "
+            f"{int((patch == 0).sum())} pixels in none, {int((coverage > 1).sum())} in more "
             "than one"
         )
-        whole = bool((inside == 1).all()) and int(covered.sum()) == w * h
+        whole = bool((patch == 1).all()) and int(coverage.sum()) == w * h
         attempt.holds(whole, "every pixel of the cell is in exactly one part", detail=times)
         got = [tuple(map(int, p)) for p in parts]
         attempt.holds(
@@ -239,18 +243,18 @@ def _as_quadtree(
     H, W = rgb_u8.shape[:2]
     if contrast == "std":  # sqrt(V) / 255 > t  is  V (H W) / 9e7 > (255 t)^2 (H W) / 9e7
         threshold = (255 * threshold) ** 2 * (H * W) / QUADTREE_NORMALISER
-    given = (rgb_u8, threshold, min_cell_px)
+    inputs = (rgb_u8, threshold, min_cell_px)
     try:
-        found = {(int(x), int(y), int(w), int(h)) for x, y, w, h in yours(*given)}
+        cells = {(int(x), int(y), int(w), int(h)) for x, y, w, h in yours(*inputs)}
     except (TypeError, ValueError):
-        yours.fail("must return a list of cells (x0, y0, width, height), and did not", given)
+        yours.fail("must return a list of cells (x0, y0, width, height), and did not", inputs)
 
     def leaves(cell: Cell, level: int) -> list[tuple[int, ...]]:
-        if cell in found:
+        if cell in cells:
             return [(*cell, level)]
         if min(cell[2:]) < 2:
             yours.fail(
-                f"returned leaves that do not tile the image: none contains the cell {cell}", given
+                f"returned leaves that do not tile the image: none contains the cell {cell}", inputs
             )
         return [leaf for part in cut(*cell) for leaf in leaves(part, level + 1)]
 
@@ -259,11 +263,11 @@ def _as_quadtree(
         dtype=torch.int32,
         device=rgb_u8.device,
     )
-    if len(rows) != len(found):
+    if len(rows) != len(cells):
         yours.fail(
-            f"returned {len(found)} leaves, of which only {len(rows)} come from splitting the "
+            f"returned {len(cells)} leaves, of which only {len(rows)} come from splitting the "
             "image",
-            given,
+            inputs,
         )
     x0, y0, width, height, level = rows.T.contiguous()
     return Cells(x0=x0, y0=y0, width=width, height=height, level=level)
@@ -309,11 +313,11 @@ def quadtree_leaves(attempt: Attempt) -> None:
     )
     cells = _as_cells(attempt, attempt.on("an image of noise")(noise, 0.001, 5))
     attempt.holds(len(cells) > 1, "a busy image is split", detail=f"got {len(cells)} cell")
-    covered = torch.zeros(20, 28, dtype=torch.int64)
+    coverage = torch.zeros(20, 28, dtype=torch.int64)
     for x, y, w, h in cells:
-        covered[y : y + h, x : x + w] += 1
-    detail = f"{int((covered != 1).sum())} pixels are not"
-    attempt.holds((covered == 1).all(), "every pixel is in exactly one leaf", detail=detail)
+        coverage[y : y + h, x : x + w] += 1
+    detail = f"{int((coverage != 1).sum())} pixels are not"
+    attempt.holds((coverage == 1).all(), "every pixel is in exactly one leaf", detail=detail)
     small = [c for c in cells if min(c[2], c[3]) < 6]
     prop = "half sizes stay above min_cell_px = 5"
     attempt.holds(
@@ -321,35 +325,35 @@ def quadtree_leaves(attempt: Attempt) -> None:
     )
     wide = "an image half grey, half noise"
     tall = "the same image, turned by 90 degrees"
-    above = (
+    parents = (
         "a cell is split where its contrast is above the threshold, and its four parts are "
         "those of split_cell"
     )
     whole = "image_pixels is that of the whole image at every level"
     limit = "both halves of a cell stay above min_cell_px, the width and the height"
-    asked = (
-        (wide, 0.001, 1, above),
-        (wide, 0.5, 1, above),
+    cases = (
+        (wide, 0.001, 1, parents),
+        (wide, 0.5, 1, parents),
         (wide, 0.012, 1, whole),
         (wide, 0.001, 2, limit),
-        (tall, 0.001, 1, above),
+        (tall, 0.001, 1, parents),
         (tall, 0.001, 3, limit),
     )
-    for on, threshold, least, prop in asked:
-        image = half if on == wide else half.transpose(0, 1).contiguous()
+    for case, threshold, least, prop in cases:
+        image = half if case == wide else half.transpose(0, 1).contiguous()
         cells = quadtree(image, threshold=threshold, min_cell_px=least)
-        expected = set(
+        reference = set(
             zip(
                 *(c.tolist() for c in (cells.x0, cells.y0, cells.width, cells.height)),
                 strict=True,
             )
         )
-        got = _as_cells(attempt, attempt.on(on)(image, threshold, least))
+        got = _as_cells(attempt, attempt.on(case)(image, threshold, least))
         detail = (
             f"threshold {threshold}, min_cell_px {least}: {len(got)} leaves, expected "
-            f"{len(expected)}"
+            f"{len(reference)}"
         )
-        attempt.holds(got == expected, prop, detail=detail)
+        attempt.holds(got == reference, prop, detail=detail)
 
 
 def _as_cells(attempt: Attempt, value: object) -> set[Cell]:
@@ -457,10 +461,10 @@ def cell_to_gaussian(attempt: Attempt) -> None:
         cy=15.0,
     )
     names = ("xyz_W", "scale_m")
-    on = "the cell (18, 11, 4, 8) around the image centre, depth 2 m, identity pose"
+    case = "the cell (18, 11, 4, 8) around the image centre, depth 2 m, identity pose"
     flat = torch.full((30, 40), 2.0)
     xyz, scale = attempt.unpack(
-        attempt.on(on)(camera, (18, 11, 4, 8), flat, torch.eye(4)),
+        attempt.on(case)(camera, (18, 11, 4, 8), flat, torch.eye(4)),
         names,
     )
     attempt.close(
@@ -475,21 +479,23 @@ def cell_to_gaussian(attempt: Attempt) -> None:
     )
     prop = "on a wall twice as far the same cell is twice as large in metres"
     attempt.close(float(scale_far) / float(scale), 2.0, prop, tolerance=1e-4)
-    attempt.on(on).close(
+    attempt.on(case).close(
         scale,
         2.0 * math.hypot(2, 4) / 20,
         "its standard deviation is half the diagonal, z r / fx",
         tolerance=1e-4,
     )
     attempt.on("a cell of odd size on a slanted wall, camera turned and moved")
-    slanted = 1.0 + 0.05 * torch.arange(40.0).expand(30, 40)
+    slope_m = 1.0 + 0.05 * torch.arange(40.0).expand(30, 40)
     T = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.4, -0.7, 0.2]))
     cell = (5, 7, 7, 5)
-    expected = _gaussian(camera, cell, slanted, T)
-    xyz, scale = attempt.unpack(attempt(camera, cell, slanted, T), names)
+    reference = _gaussian(camera, cell, slope_m, T)
+    xyz, scale = attempt.unpack(attempt(camera, cell, slope_m, T), names)
     prop = (
         "the position is in the world frame, with the depth of the middle pixel, fx for x and "
         "fy for y"
     )
-    attempt.close(xyz, expected[0], prop, tolerance=1e-4)
-    attempt.close(scale, expected[1], "the size uses the depth of the middle pixel", tolerance=1e-4)
+    attempt.close(xyz, reference[0], prop, tolerance=1e-4)
+    attempt.close(
+        scale, reference[1], "the size uses the depth of the middle pixel", tolerance=1e-4
+    )

@@ -117,10 +117,10 @@ def psnr(attempt: Attempt) -> None:
     got = torch.as_tensor(
         attempt.on("a picture that is too bright by 0.1 everywhere")(photo + 0.1, photo)
     ).double()
-    summed = 20 - 10 * math.log10(photo.numel())
+    sum_db = 20 - 10 * math.log10(photo.numel())
     detail = f"got {float(got.mean()):.1f} dB, which is that of the sum"
     attempt.holds(
-        abs(float(got.mean()) - summed) > 1e-3,
+        abs(float(got.mean()) - sum_db) > 1e-3,
         "it is a mean over all values, not a sum",
         detail=detail,
     )
@@ -135,14 +135,14 @@ def psnr(attempt: Attempt) -> None:
     half[:3] += 0.1
     attempt.on("a picture of which one half is right and one half 0.1 too bright")
     why = "The logarithm comes after the mean; otherwise one perfect pixel dominates all others"
-    expected = -10 * torch.log10(torch.tensor(0.005, dtype=torch.float64))
+    reference = -10 * torch.log10(torch.tensor(0.005, dtype=torch.float64))
     got = torch.as_tensor(attempt(half, photo)).double()
     not_squared = abs(float(got.mean()) + 20 * math.log10(0.05)) < 1e-3
     detail = f"got {float(got.mean()):.2f} dB, which is that of the mean absolute difference"
     attempt.holds(
         not not_squared, "the differences are squared before they are averaged", detail=detail
     )
-    attempt.close(got, expected, "one mean over the whole picture", why=why)
+    attempt.close(got, reference, "one mean over the whole picture", why=why)
 
 
 def _exam(n: int, every: int, offset: int) -> list[int]:
@@ -180,12 +180,12 @@ def exam_frames(attempt: Attempt) -> None:
     """Which of n frames are held out: every n-th one, counted from an offset."""
 
     def chosen(
-        on: str,
+        case: str,
         n: int,
         every: int,
         offset: int,
     ) -> list[int]:
-        return [int(i) for i in attempt.on(on)(n, every, offset)]
+        return [int(i) for i in attempt.on(case)(n, every, offset)]
 
     got = chosen("80 frames, every 8th, offset 4", 80, 8, 4)
     detail = f"got {len(got)} frames: {str(got[:8])[1:-1]} ..."
@@ -203,12 +203,12 @@ def exam_frames(attempt: Attempt) -> None:
         open_sequence("room", n_frames=80).held_out.positions,
         "the held-out frames are those of the library",
     )
-    on = "3 frames, every 8th, offset 4: the walk ends before the first held-out frame"
-    attempt.close(len(chosen(on, 3, 8, 4)), 0, "a short walk has no held-out frame")
+    case = "3 frames, every 8th, offset 4: the walk ends before the first held-out frame"
+    attempt.close(len(chosen(case, 3, 8, 4)), 0, "a short walk has no held-out frame")
     attempt.close(
         chosen("11 frames, every 5th, offset 2", 11, 5, 2), [2, 7], "counted from the offset"
     )
-    on = "9 frames, every 4th, offset 0"
+    case = "9 frames, every 4th, offset 0"
     attempt.close(
-        chosen(on, 9, 4, 0), [0, 4, 8], "with offset 0, frame 0 is the first held-out frame"
+        chosen(case, 9, 4, 0), [0, 4, 8], "with offset 0, frame 0 is the first held-out frame"
     )

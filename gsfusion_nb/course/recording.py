@@ -9,8 +9,8 @@ from .exercise import Attempt, Wrong, exercise
 
 
 def _depth_factor(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
-    moved = b - a @ R.T
-    return (t @ t) / (moved.mean(0) @ t)
+    shift = b - a @ R.T
+    return (t @ t) / (shift.mean(0) @ t)
 
 
 def _units_per_metre(a: Tensor, b: Tensor, R: Tensor, t: Tensor) -> Tensor:
@@ -166,14 +166,14 @@ def pose_shift(attempt: Attempt) -> None:
     """By how many frames the poses are late, from how fast the images and the poses move."""
 
     def ask(
-        on: str,
+        case: str,
         image_motion: Tensor,
         pose_motion: Tensor,
         k: int,
         prop: str,
         reach: int = 3,
     ) -> None:
-        got = attempt.on(on)(image_motion, pose_motion, reach)
+        got = attempt.on(case)(image_motion, pose_motion, reach)
         attempt.holds(
             isinstance(got, (int, float, Tensor)), "it returns a number", detail=f"got {got!r}"
         )
@@ -192,26 +192,28 @@ def pose_shift(attempt: Attempt) -> None:
         3,
         "a shift of reach frames is found, to both sides",
     )
-    on = "poses five frames late, reach 6"
+    case = "poses five frames late, reach 6"
     ask(
-        on,
+        case,
         curve[6:46],
         curve[1:41],
         5,
         "shifts of up to reach frames are tried",
         reach=6,
     )
-    on = "images in pixels, poses in radians, poses two frames late"
-    ask(on, 30 * early + 2, 0.1 * curve[1:41], 2, "pixels and radians are different units")
-    on = "a camera that never stops, poses two frames late"
-    ask(on, early + 3, curve[1:41] + 3, 2, "a longer overlap is not more alike")
-    still = 0.1 * curve[:14]
-    still[-3:] = torch.tensor([5.0, 9.0, 4.0], dtype=torch.float64)
-    on = "twelve frames with a jerk at the end, which the poses, two frames late, have not seen yet"
-    ask(on, still[2:14], still[0:12], 2, "the end does not follow the beginning")
+    case = "images in pixels, poses in radians, poses two frames late"
+    ask(case, 30 * early + 2, 0.1 * curve[1:41], 2, "pixels and radians are different units")
+    case = "a camera that never stops, poses two frames late"
+    ask(case, early + 3, curve[1:41] + 3, 2, "a longer overlap is not more alike")
+    slow_curve = 0.1 * curve[:14]
+    slow_curve[-3:] = torch.tensor([5.0, 9.0, 4.0], dtype=torch.float64)
+    case = (
+        "twelve frames with a jerk at the end, which the poses, two frames late, have not seen yet"
+    )
+    ask(case, slow_curve[2:14], slow_curve[0:12], 2, "the end does not follow the beginning")
     rising = curve + torch.linspace(0, 4, 46, dtype=torch.float64).square()
-    on = "motion that grows towards the end, poses one frame late"
-    ask(on, rising[3:43], rising[2:42], 1, "a part with more motion is not more alike")
+    case = "motion that grows towards the end, poses one frame late"
+    ask(case, rising[3:43], rising[2:42], 1, "a part with more motion is not more alike")
 
 
 def _tell_apart(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
@@ -236,17 +238,17 @@ def _always_poses(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
 
 def _no_turn(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
     first = _always_poses(a, b, T_ba, noise_m)
-    moved = a @ T_ba[:3, :3].T
-    left = (moved - moved.mean(0) - b + b.mean(0)).square().sum(1).mean().sqrt()
-    return first if first == "fits" or left < 3 * noise_m else "points"
+    rotated = a @ T_ba[:3, :3].T
+    rmse = (rotated - rotated.mean(0) - b + b.mean(0)).square().sum(1).mean().sqrt()
+    return first if first == "fits" or rmse < 3 * noise_m else "points"
 
 
 def _with_mirrors(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
     U, _, Vt = torch.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
     R = Vt.T @ U.T
-    left = ((a - a.mean(0)) @ R.T - b + b.mean(0)).square().sum(1).mean().sqrt()
+    rmse = ((a - a.mean(0)) @ R.T - b + b.mean(0)).square().sum(1).mean().sqrt()
     first = _always_poses(a, b, T_ba, noise_m)
-    return first if first == "fits" or left < 3 * noise_m else "points"
+    return first if first == "fits" or rmse < 3 * noise_m else "points"
 
 
 def _no_noise(a: Tensor, b: Tensor, T_ba: Tensor, noise_m: float) -> str:
@@ -291,7 +293,7 @@ def tell_apart(attempt: Attempt) -> None:
     mirror = torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
     aside = true.clone()
     aside[0, 3] += 0.1
-    turned = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, 0.1, 0.0], dtype=torch.float64)) @ true
+    T_rotated = se3.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, 0.1, 0.0], dtype=torch.float64)) @ true
     cases = (
         ("the true pose, noise of 5 mm", a, b, true, "fits", "noise is not a mistake"),
         (
@@ -302,7 +304,7 @@ def tell_apart(attempt: Attempt) -> None:
             "poses",
             "a shifted pose is the pose's mistake",
         ),
-        ("a pose turned by 6 degrees", a, b, turned, "poses", "the best motion may also turn"),
+        ("a pose turned by 6 degrees", a, b, T_rotated, "poses", "the best motion may also turn"),
         (
             "both frames with a focal length 17 % too short",
             wide * a,
@@ -313,8 +315,8 @@ def tell_apart(attempt: Attempt) -> None:
         ),
         ("the second image mirrored", a, mirror * b, true, "points", "a mirror image is no motion"),
     )
-    for on, first, second, T_ba, expected, prop in cases:
-        got = attempt.on(on)(
+    for case, first, second, T_ba, reference, prop in cases:
+        got = attempt.on(case)(
             first + noise[0],
             second + noise[1],
             T_ba,
@@ -325,7 +327,7 @@ def tell_apart(attempt: Attempt) -> None:
             "it returns one of the three words",
             detail=f"got {got!r}",
         )
-        attempt.holds(got == expected, prop, detail=f"got {got!r}, expected {expected!r}")
+        attempt.holds(got == reference, prop, detail=f"got {got!r}, expected {reference!r}")
     attempt.on("noise of 5 cm, and a pose 1 m beside the true one")
     aside[0, 3] += 0.9
     got = attempt(

@@ -81,15 +81,15 @@ def _as_disc_hit(
 )
 def disc_hit(attempt: Attempt) -> None:
     """Depth at which a ray meets a disc (Eq. 4-5)."""
-    ahead = torch.tensor([0.0, 0.0, 2.0])
-    back = torch.tensor([0.0, 0.0, -1.0])
+    centre = torch.tensor([0.0, 0.0, 2.0])
+    normal = torch.tensor([0.0, 0.0, -1.0])
     attempt.on("a disc 2 m ahead that faces the camera, ray (0.3, 0, 1)")
     ray = torch.tensor([0.3, 0.0, 1.0])
-    attempt.close(attempt(ray, ahead, back), 2.0, "depth is z, not the distance along the ray")
+    attempt.close(attempt(ray, centre, normal), 2.0, "depth is z, not the distance along the ray")
     leaning = torch.tensor([-0.6, 0.0, -0.8])
     ray = torch.tensor([0.2, 0.0, 1.0])
     got = attempt.on("a disc 2 m ahead, tilted by 37 degrees, ray (0.2, 0, 1)")(
-        ray, ahead, -leaning
+        ray, centre, -leaning
     )
     attempt.close(
         got,
@@ -99,11 +99,11 @@ def disc_hit(attempt: Attempt) -> None:
     )
     attempt.on("the same with the normal turned round")
     attempt.close(
-        attempt(ray, ahead, leaning), 1.6 / 0.92, "a normal may point either way", why="use |r.n|"
+        attempt(ray, centre, leaning), 1.6 / 0.92, "a normal may point either way", why="use |r.n|"
     )
     attempt.on("the same ray, normalised")
     attempt.close(
-        attempt(ray / ray.norm(), ahead, leaning),
+        attempt(ray / ray.norm(), centre, leaning),
         1.6 / 0.92,
         "the length of the ray does not matter",
     )
@@ -111,13 +111,13 @@ def disc_hit(attempt: Attempt) -> None:
     flat = torch.tensor([-0.9848, 0.0, -0.1736])
     prop = "beyond 60 degrees the depth of the centre is used"
     attempt.close(
-        attempt(ray, ahead, torch.tensor([0.9848, 0.0, -0.1736])),
+        attempt(ray, centre, torch.tensor([0.9848, 0.0, -0.1736])),
         2.0,
         prop,
     )
     attempt.on("a disc turned 80 degrees, to the other side")
     attempt.close(
-        attempt(torch.tensor([0.0, 0.1, 1.0]), ahead, flat),
+        attempt(torch.tensor([0.0, 0.1, 1.0]), centre, flat),
         2.0,
         prop,
     )
@@ -133,7 +133,7 @@ def disc_hit(attempt: Attempt) -> None:
     )
     side = torch.tensor([0.2, 0.0, 2.0])
     straight = torch.tensor([0.0, 0.0, 1.0])
-    for degrees, expected in ((57, 2.0 + 0.2 * math.tan(math.radians(57))), (63, 2.0)):
+    for degrees, reference in ((57, 2.0 + 0.2 * math.tan(math.radians(57))), (63, 2.0)):
         tilt = math.radians(degrees)
         for length in (0.3, 1.0, 3.0):
             attempt.on(
@@ -150,7 +150,7 @@ def disc_hit(attempt: Attempt) -> None:
             )
             attempt.close(
                 got,
-                expected,
+                reference,
                 limit,
                 tolerance=1e-4,
                 why="|r.n| / |r| is the cosine; compare it with 0.5",
@@ -160,9 +160,9 @@ def disc_hit(attempt: Attempt) -> None:
 def _adding_masks(
     T: Tensor, D_map: Tensor, D: Tensor, C_map: Tensor, C: Tensor
 ) -> tuple[Tensor, Tensor]:
-    known = D > 0
-    surface = known & ((T > 0.5) | ((D_map - D).abs() > 0.1))
-    colour = known & ~surface & ((C_map - C).abs().mean(-1) > 0.1)
+    has_depth = D > 0
+    surface = has_depth & ((T > 0.5) | ((D_map - D).abs() > 0.1))
+    colour = has_depth & ~surface & ((C_map - C).abs().mean(-1) > 0.1)
     return surface, colour
 
 
@@ -241,22 +241,22 @@ def adding_masks(attempt: Attempt) -> None:
     grey = torch.full((1, 5, 3), 0.5)
 
     def ask(
-        on: str,
+        case: str,
         T: list[float],
-        seen: list[float],
+        rendered_m: list[float],
         D: list[float],
         C: Tensor,
     ) -> tuple[Any, Any]:
-        maps = [torch.tensor([row]) for row in (T, seen, D)]
-        got = attempt.unpack(attempt.on(on)(*maps, grey, C), names)
+        maps = [torch.tensor([row]) for row in (T, rendered_m, D)]
+        got = attempt.unpack(attempt.on(case)(*maps, grey, C), names)
         for mask in got:
             right = isinstance(mask, Tensor) and mask.dtype == torch.bool and mask.shape == (1, 5)
             attempt.holds(right, "the masks are boolean", detail="expected two bool tensors [H, W]")
         return got
 
-    on = "five pixels: right, unseen, 20 cm too far, 20 cm too near, unseen and wrong"
+    case = "five pixels: right, unseen, 20 cm too far, 20 cm too near, unseen and wrong"
     surface, colour = ask(
-        on,
+        case,
         [0.0, 0.9, 0.0, 0.0, 0.9],
         [2.0, 2.0, 2.2, 1.8, 2.5],
         [2.0] * 5,
@@ -276,9 +276,9 @@ def adding_masks(attempt: Attempt) -> None:
     attempt.close(colour, [[0] * 5], "where the colours agree M_c is empty")
     other = grey.clone()
     other[0, 1:] = torch.tensor([0.8, 0.5, 0.8])
-    on = "the same, with a wrong colour in all but the first, and the second in the map now"
+    case = "the same, with a wrong colour in all but the first, and the second in the map now"
     surface, colour = ask(
-        on,
+        case,
         [0.0, 0.0, 0.0, 0.0, 0.9],
         [2.0, 2.0, 2.2, 1.8, 2.5],
         [2.0] * 5,
@@ -288,12 +288,12 @@ def adding_masks(attempt: Attempt) -> None:
         not (surface & colour).any(), "no pixel is in both", detail=f"M_c is {colour.tolist()}"
     )
     attempt.close(colour, [[0, 1, 0, 0, 0]], "M_c = wrong in colour only")
-    on = (
+    case = (
         "transmittance 0.45 and 0.55, depth 8 cm and 12 cm off, a surface 40 cm from the camera "
         "that nothing covers"
     )
     surface, colour = ask(
-        on,
+        case,
         [0.45, 0.55, 0.0, 0.0, 0.9],
         [2.0, 2.0, 2.08, 2.12, 0.0],
         [2.0, 2.0, 2.0, 2.0, 0.4],
@@ -308,17 +308,17 @@ def adding_masks(attempt: Attempt) -> None:
         "what is measured counts, near or far, where the map has nothing",
         detail=detail,
     )
-    on = "colours that are off by 0.08 and 0.12 on average, and by 0.24 in one channel of three"
-    nearly = grey.clone()
-    nearly[0, 1] = grey[0, 1] + 0.08
-    nearly[0, 2] = grey[0, 2] - 0.12
-    nearly[0, 3, 0] = 0.74
+    case = "colours that are off by 0.08 and 0.12 on average, and by 0.24 in one channel of three"
+    similar = grey.clone()
+    similar[0, 1] = grey[0, 1] + 0.08
+    similar[0, 2] = grey[0, 2] - 0.12
+    similar[0, 3, 0] = 0.74
     _, colour = ask(
-        on,
+        case,
         [0.0] * 5,
         [2.0] * 5,
         [2.0] * 5,
-        nearly,
+        similar,
     )
     attempt.close(
         colour,
@@ -397,15 +397,17 @@ def _as_next_states(
         strict=True,
     )
     for k, (is_stable, eta, e, frames) in enumerate(rows):
-        given = (
+        inputs = (
             is_stable,
             math.ceil(eta * STABLE_CONFIDENCE / stable_confidence),
             math.ceil(e * ERROR_COUNT / error_count),
             math.ceil(frames * UNSTABLE_FRAMES / unstable_frames),
         )
-        word = yours(*given)
+        word = yours(*inputs)
         if not isinstance(word, str) or word not in _CODES:
-            yours.fail(f"returned {word!r}, which is none of {', '.join(map(repr, _CODES))}", given)
+            yours.fail(
+                f"returned {word!r}, which is none of {', '.join(map(repr, _CODES))}", inputs
+            )
         happens[k] = _CODES[word]
     return happens
 
@@ -448,12 +450,12 @@ def next_state(attempt: Attempt) -> None:
         ((True, 400, 11, 90), BECOMES_UNSTABLE, "a stable one with errors becomes unstable again"),
         ((True, 400, 2, 1000), STAYS, "a stable one is never too old"),
     )
-    for (stable, eta, errors, age), expected, prop in cases:
+    for (stable, eta, errors, age), reference, prop in cases:
         attempt.on(
             f"{'stable' if stable else 'unstable'}, eta {eta}, {errors} errors, {age} frames old"
         )
         got = attempt(stable, eta, errors, age)
-        attempt.holds(got == expected, prop, detail=f"got {got!r}, expected {expected!r}")
+        attempt.holds(got == reference, prop, detail=f"got {got!r}, expected {reference!r}")
 
 
 def _fuse(before: Tensor, after: Tensor, eta_before: Tensor, eta_after: Tensor) -> Tensor:
@@ -489,10 +491,10 @@ def _as_fuse(
     if history_max_weight != 1:
         return NotImplemented
     rows = eta_after > 0
-    fused = after.clone()
-    given = (before[rows], after[rows], eta_before[rows], eta_after[rows])
-    fused[rows] = yours(*given, gives={"the fused values": given[1]})
-    return fused
+    values = after.clone()
+    inputs = (before[rows], after[rows], eta_before[rows], eta_after[rows])
+    values[rows] = yours(*inputs, gives={"the fused values": inputs[1]})
+    return values
 
 
 @exercise(
@@ -516,47 +518,43 @@ def _as_fuse(
 )
 def fuse(attempt: Attempt) -> None:
     """Merge the values after an optimisation window with those before it (Eq. 9)."""
-    before = torch.tensor([[0.0, 4.0]])
-    after = torch.tensor([[1.0, 0.0]])
+    old = torch.tensor([[0.0, 4.0]])
+    new = torch.tensor([[1.0, 0.0]])
     got = attempt.on("eta 0 before, 20 after")(
-        before,
-        after,
+        old,
+        new,
         torch.tensor([0]),
         torch.tensor([20]),
     )
-    attempt.close(got, after, "a new Gaussian takes the values from the window")
-    got = attempt.on("eta 30 before, 40 after")(
-        before, after, torch.tensor([30]), torch.tensor([40])
-    )
+    attempt.close(got, new, "a new Gaussian takes the values from the window")
+    got = attempt.on("eta 30 before, 40 after")(old, new, torch.tensor([30]), torch.tensor([40]))
     why = "10 of the 40 steps were made in this window: w_curr = 1/4"
     attempt.close(
         got, [[0.25, 3.0]], "the newer values are weighted by their share of the steps", why=why
     )
     attempt.on("eta 50 before and after: seen by no view of this window")
     got = attempt(
-        before,
-        after,
+        old,
+        new,
         torch.tensor([50]),
         torch.tensor([50]),
     )
-    attempt.close(got, before, "without steps nothing changes")
+    attempt.close(got, old, "without steps nothing changes")
     got = attempt.on("eta 0 before and after")(
-        before,
-        before,
+        old,
+        old,
         torch.tensor([0]),
         torch.tensor([0]),
     )
-    attempt.close(got, before, "a Gaussian never seen does not change", why="do not divide by zero")
-    got = attempt.on("eta 0 before and 1 after")(
-        before, after, torch.tensor([0]), torch.tensor([1])
-    )
+    attempt.close(got, old, "a Gaussian never seen does not change", why="do not divide by zero")
+    got = attempt.on("eta 0 before and 1 after")(old, new, torch.tensor([0]), torch.tensor([1]))
     attempt.close(
         got,
-        after,
+        new,
         "one step is enough to take the values from the window",
         why="eta_after is 1: w_curr = 1",
     )
-    both = [torch.cat([x, x]) for x in (before, after)]
+    both = [torch.cat([x, x]) for x in (old, new)]
     got = attempt.on("two rows at once")(
         *both,
         torch.tensor([0, 30]),

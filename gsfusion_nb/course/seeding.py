@@ -12,7 +12,7 @@ from ..types import Camera, Frame, GaussianParams, Seeds
 from .exercise import Attempt, Failed, Wrong, exercise
 
 
-def wall_context(covered: str = "nothing") -> SeedContext:
+def wall_context(coverage: str = "nothing") -> SeedContext:
     """A chequered wall 2 m away, seen by 64 x 48 pixels; "quarter": opaque Gaussians on its upper
     left quarter."""
     camera = Camera(
@@ -43,7 +43,7 @@ def wall_context(covered: str = "nothing") -> SeedContext:
         indexing="xy",
     )
     xyz = torch.stack([x, y, torch.full_like(x, 2.0)], dim=-1).reshape(-1, 3)
-    if covered == "nothing":
+    if coverage == "nothing":
         xyz = xyz[:0]
     n = len(xyz)
     params = GaussianParams(
@@ -154,12 +154,14 @@ def _one_in_the_middle_of_each(
     ).unbind(-1)
     square = (v / step_px).floor() * (ctx.camera.width // step_px) + (u / step_px).floor()
     prop = "the seeds stand on a regular raster: one in the middle of each square"
-    hit = len(square.unique())
+    n_cells = len(square.unique())
     attempt.holds(
-        hit == len(seeds), prop, detail=f"{len(seeds)} seeds stand in {hit} different squares"
+        n_cells == len(seeds),
+        prop,
+        detail=f"{len(seeds)} seeds stand in {n_cells} different squares",
     )
-    off = torch.stack([u, v]).remainder(step_px) - step_px / 2
-    worst = float(off.abs().max())
+    offset = torch.stack([u, v]).remainder(step_px) - step_px / 2
+    worst = float(offset.abs().max())
     attempt.holds(
         worst <= 1.01, prop, detail=f"a seed is {worst:.1f} pixels beside the middle of its square"
     )
@@ -173,15 +175,15 @@ def _where_empty(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
         return seeds
     leaves = ctx.quadtree_cells()
     x, y = leaves.centre_uv.long().unbind(-1)
-    kept = ctx.has_depth()[y, x]
-    return seeds[ctx.render().alpha[y, x][kept] < max_alpha]
+    has_depth = ctx.has_depth()[y, x]
+    return seeds[ctx.render().alpha[y, x][has_depth] < max_alpha]
 
 
 def _where_full(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
     leaves = ctx.quadtree_cells()
     x, y = leaves.centre_uv.long().unbind(-1)
-    kept = ctx.has_depth()[y, x]
-    return ctx.cells()[ctx.render().alpha[y, x][kept] > max_alpha]
+    has_depth = ctx.has_depth()[y, x]
+    return ctx.cells()[ctx.render().alpha[y, x][has_depth] > max_alpha]
 
 
 def _where_everything(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
@@ -191,10 +193,10 @@ def _where_everything(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
 def _where_swapped(ctx: SeedContext, *, max_alpha: float = 0.5) -> Seeds:
     leaves = ctx.quadtree_cells()
     x, y = leaves.centre_uv.long().unbind(-1)
-    kept = ctx.has_depth()[y, x]
+    has_depth = ctx.has_depth()[y, x]
     alpha = ctx.render().alpha
     wrong = alpha[x.clamp(max=alpha.shape[0] - 1), y.clamp(max=alpha.shape[1] - 1)]
-    return ctx.cells()[wrong[kept] < max_alpha]
+    return ctx.cells()[wrong[has_depth] < max_alpha]
 
 
 @exercise(
@@ -220,32 +222,32 @@ def silhouette_rule(attempt: Attempt) -> None:
     """Seed where the map is still transparent (SplaTAM's silhouette) instead of testing the
     TSDF."""
     attempt.on("a wall, and an empty map")
-    ctx = wall_context(covered="nothing")
+    ctx = wall_context(coverage="nothing")
     all_cells = ctx.cells()
     check_rule(_where_empty)
     attempt.close(
         len(_seeds(attempt, attempt(ctx))), len(all_cells), "with an empty map every cell is seeded"
     )
-    on = "a wall whose upper left quarter has opaque Gaussians"
-    ctx = wall_context(covered="quarter")
-    seeds = _seeds(attempt, attempt.on(on)(ctx))
-    inside = (seeds.xyz_W[:, 0] < -0.2) & (seeds.xyz_W[:, 1] < -0.2)
-    outside = all_cells.xyz_W[(all_cells.xyz_W[:, 0] > 0.2) | (all_cells.xyz_W[:, 1] > 0.2)]
+    case = "a wall whose upper left quarter has opaque Gaussians"
+    ctx = wall_context(coverage="quarter")
+    seeds = _seeds(attempt, attempt.on(case)(ctx))
+    in_corner = (seeds.xyz_W[:, 0] < -0.2) & (seeds.xyz_W[:, 1] < -0.2)
+    others = all_cells.xyz_W[(all_cells.xyz_W[:, 0] > 0.2) | (all_cells.xyz_W[:, 1] > 0.2)]
     got = seeds.xyz_W[(seeds.xyz_W[:, 0] > 0.2) | (seeds.xyz_W[:, 1] > 0.2)]
     prop = "an image is indexed [row y, column x]: every cell of the empty part is seeded"
-    attempt.close(len(got), len(outside), prop)
+    attempt.close(len(got), len(others), prop)
     attempt.holds(
-        not inside.any(),
+        not in_corner.any(),
         "where the map is opaque already, nothing is seeded",
-        detail=f"{int(inside.sum())} seeds lie in the covered quarter",
+        detail=f"{int(in_corner.sum())} seeds lie in the covered quarter",
     )
     for max_alpha in (0.02, 0.9, 1.1):
-        attempt.on(f"{on}, max_alpha = {max_alpha}")
-        got, expected = (
+        attempt.on(f"{case}, max_alpha = {max_alpha}")
+        got, reference = (
             len(_seeds(attempt, rule(ctx, max_alpha=max_alpha))) for rule in (attempt, _where_empty)
         )
         prop = "max_alpha is the limit: cells with a smaller alpha are seeded"
-        attempt.holds(got == expected, prop, detail=f"{got} seeds, expected {expected}")
+        attempt.holds(got == reference, prop, detail=f"{got} seeds, expected {reference}")
     _contract(attempt.watched)
 
 
@@ -285,16 +287,16 @@ def pareto_rules(attempt: Attempt) -> None:
     """Which rules no other rule beats: [N] true or false."""
 
     def front(
-        on: str,
+        case: str,
         n: list[float],
         psnr: list[float],
     ) -> list[bool]:
-        got = torch.as_tensor(attempt.on(on)(torch.tensor(n), torch.tensor(psnr)))
+        got = torch.as_tensor(attempt.on(case)(torch.tensor(n), torch.tensor(psnr)))
         attempt.close(list(got.shape), [len(n)], "one answer per rule")
         return [bool(b) for b in got]
 
-    on = "1,000 Gaussians with 20 dB, 5,000 with 25 dB, 9,000 with 24 dB"
-    got = front(on, [1000.0, 5000.0, 9000.0], [20.0, 25.0, 24.0])
+    case = "1,000 Gaussians with 20 dB, 5,000 with 25 dB, 9,000 with 24 dB"
+    got = front(case, [1000.0, 5000.0, 9000.0], [20.0, 25.0, 24.0])
     attempt.holds(
         got[:2] == [True, True],
         "both ends of the front count: the smallest map and the best picture",
@@ -315,9 +317,9 @@ def pareto_rules(attempt: Attempt) -> None:
         "of two equally large maps the better picture wins",
         detail=f"got {got}",
     )
-    on = "two rules with the same numbers"
+    case = "two rules with the same numbers"
     attempt.holds(
-        front(on, [3.0, 3.0], [22.0, 22.0]) == [True, True],
+        front(case, [3.0, 3.0], [22.0, 22.0]) == [True, True],
         "a rule does not beat an equal one",
         detail="one is missing",
     )
@@ -325,15 +327,15 @@ def pareto_rules(attempt: Attempt) -> None:
 
 def _contract(rule: SeedingRule) -> None:
     """``check_rule`` as a property of the exercise."""
-    on = f"the {len(check_contexts())} scenes of check_rule"
+    case = f"the {len(check_contexts())} scenes of check_rule"
     try:
         check_rule(rule)
     except (AssertionError, TypeError, ValueError) as e:
-        raise Failed("it keeps the contract of a rule", on, str(e)) from None
+        raise Failed("it keeps the contract of a rule", case, str(e)) from None
     except Failed:
         raise
     except Exception as e:
-        raise Failed("it runs", on, f"it raised {type(e).__name__}: {e}") from e
+        raise Failed("it runs", case, f"it raised {type(e).__name__}: {e}") from e
 
 
 def _seeds(attempt: Attempt, value: object) -> Seeds:

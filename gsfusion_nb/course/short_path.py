@@ -40,22 +40,22 @@ def short_path(folder: Path) -> dict[str, Any]:
     chapters = {
         path.name[:2]: read_object(path, "a notebook") for path in sorted(folder.glob("*.ipynb"))
     }
-    stored = {
+    all_cells = {
         f"{number}/{cell['id']}": cell
         for number, chapter in chapters.items()
         for cell in chapter["cells"]
     }
-    named = [name for part in parts for name in part["cells"]]
-    if lost := [name for name in named if name not in stored]:
-        raise ArgumentError(f"{plan} names cells that no chapter has: {', '.join(lost)}")
+    names = [name for part in parts for name in part["cells"]]
+    if missing := [name for name in names if name not in all_cells]:
+        raise ArgumentError(f"{plan} names cells that no chapter has: {', '.join(missing)}")
     cells: list[Cell] = []
     for number, part in enumerate(parts):
         cells.append(_text(f"part-{number}", part["text"]))
         cells += [
-            _fitting(stored[name], fresh=name in part.get("fresh", ())) for name in part["cells"]
+            _fitting(all_cells[name], fresh=name in part.get("fresh", ())) for name in part["cells"]
         ]
-    chosen = [chapters[number] for number in sorted({name[:2] for name in named})]
-    return chosen[0] | {"cells": [cells[0], _imports(chosen, cells), *cells[1:]]}
+    notebooks = [chapters[number] for number in sorted({name[:2] for name in names})]
+    return notebooks[0] | {"cells": [cells[0], _imports(notebooks, cells), *cells[1:]]}
 
 
 def _text(name: str, text: str) -> Cell:
@@ -84,13 +84,13 @@ def _imports(
     once."""
     used = {node.id for node in _nodes(cells) if isinstance(node, ast.Name)}
     begins: dict[str, str] = {}
-    folded = [
+    joined_lines = [
         c
         for chapter in chapters
         for c in chapter["cells"]
         if c["metadata"].get("jupyter") == _FOLDED
     ]
-    for node in _nodes(folded):
+    for node in _nodes(joined_lines):
         if isinstance(node, ast.Import | ast.ImportFrom):
             begin = f"from {node.module} import" if isinstance(node, ast.ImportFrom) else "import"
             begins = {

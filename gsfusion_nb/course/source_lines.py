@@ -33,14 +33,14 @@ class SourceLines:
         )
 
     def _repr_html_(self) -> str:
-        up = _up()  # JupyterLab counts lines from 0
+        root_url = _root_url()  # JupyterLab counts lines from 0
         link = Markup('<a href="{}/{}#line={}">{}:{}</a>')
         rows = [
             (
                 what,
                 Markup("<code>{}</code>").format(code),
                 link.format(
-                    up,
+                    root_url,
                     path,
                     number - 1,
                     path.split("/", 1)[1],
@@ -57,7 +57,7 @@ class SourceLines:
         )
 
 
-def _up() -> str:
+def _root_url() -> str:
     """The way from the notebook's folder to the package's."""
     try:
         return Path(os.path.relpath(_ROOT.parent)).as_posix()
@@ -82,11 +82,11 @@ def source_lines(lines: dict[str, tuple[Callable[..., Any], str]]) -> SourceLine
     for what, (function, piece) in lines.items():
         path = Path(inspect.getsourcefile(inspect.unwrap(function)) or "").resolve()
         text = path.read_text(encoding="utf-8").splitlines()
-        found = [i for i, line in enumerate(text) if piece in line]
-        if len(found) != 1:
+        matches = [i for i, line in enumerate(text) if piece in line]
+        if len(matches) != 1:
             raise ArgumentError(
-                f"{what}: {piece!r} must be on one line of {path.name}, it is on {len(found)}"
+                f"{what}: {piece!r} must be on one line of {path.name}, it is on {len(matches)}"
             )
-        shown = f"{_ROOT.name}/{path.relative_to(_ROOT).as_posix()}"
-        rows.append((what, text[found[0]].strip(), shown, found[0] + 1))
+        name = f"{_ROOT.name}/{path.relative_to(_ROOT).as_posix()}"
+        rows.append((what, text[matches[0]].strip(), name, matches[0] + 1))
     return SourceLines(rows)

@@ -134,7 +134,7 @@ def _as_blend(yours: Yours, alpha: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
     )
     if pixels:
         C[:, :3] = torch.stack([colour for colour, _ in pixels])
-        C[:, 4] = 1 - torch.stack([left for _, left in pixels])
+        C[:, 4] = 1 - torch.stack([light for _, light in pixels])
     return w, C
 
 
@@ -164,7 +164,7 @@ def composite_pixel(attempt: Attempt) -> None:
     red = [1.0, 0.0, 0.0]
     green = [0.0, 1.0, 0.0]
     attempt.on("one red Gaussian of alpha 0.5")
-    colour, left = attempt.unpack(
+    colour, light = attempt.unpack(
         attempt(torch.tensor([0.5]), torch.tensor([red])),
         names,
     )
@@ -176,9 +176,9 @@ def composite_pixel(attempt: Attempt) -> None:
     attempt.holds(red_is < 0.99, "what is not covered stays black", detail=detail)
     why = "T in front of a Gaussian does not contain its own alpha"
     attempt.close(colour, [0.5, 0.0, 0.0], "nothing is in front of the first one", why=why)
-    attempt.close(left, 0.5, "behind alpha 0.5 half of the light is left")
+    attempt.close(light, 0.5, "behind alpha 0.5 half of the light is left")
     attempt.on("red alpha 0.8 in front of green alpha 0.5")
-    colour, left = attempt.unpack(
+    colour, light = attempt.unpack(
         attempt(torch.tensor([0.8, 0.5]), torch.tensor([red, green])),
         names,
     )
@@ -192,20 +192,20 @@ def composite_pixel(attempt: Attempt) -> None:
         "front of it",
     )
     attempt.close(colour, [0.8, 0.1, 0.0], "the nearest comes first", why="w = 0.8 and 0.2 * 0.5")
-    attempt.close(left, 0.1, "the light left is the product of all 1 - alpha")
-    colour, left = attempt.unpack(
+    attempt.close(light, 0.1, "the light left is the product of all 1 - alpha")
+    colour, light = attempt.unpack(
         attempt.on("no Gaussian at all")(torch.zeros(0), torch.zeros(0, 3)),
         names,
     )
     attempt.close(colour, [0.0, 0.0, 0.0], "an empty pixel is black")
-    attempt.close(left, 1.0, "an empty pixel keeps all its light")
+    attempt.close(light, 1.0, "an empty pixel keeps all its light")
     generator = torch.Generator().manual_seed(3)
     alpha = torch.rand(7, generator=generator)
     rgb = torch.rand(7, 3, generator=generator)
-    colour, left = attempt.unpack(attempt.on("seven random Gaussians")(alpha, rgb), names)
-    expected, T = _composite_pixel(alpha, rgb)
-    attempt.close(colour, expected, "C = sum of alpha_k T_k c_k")
-    attempt.close(left, T, "the light left is the product of all 1 - alpha")
+    colour, light = attempt.unpack(attempt.on("seven random Gaussians")(alpha, rgb), names)
+    reference, T = _composite_pixel(alpha, rgb)
+    attempt.close(colour, reference, "C = sum of alpha_k T_k c_k")
+    attempt.close(light, T, "the light left is the product of all 1 - alpha")
 
 
 Number = float | int
@@ -275,27 +275,27 @@ def _as_tile_intersections(
     for k in nearest_first[projection.visible[nearest_first]].tolist():
         u, v = projection.uv[k].tolist()
         extent_px = float(projection.extent_px[k].max())
-        given = (u, v, extent_px, camera.width, camera.height, tile_px)
-        x0, x1, y0, y1 = yours(*given, gives={"x0, x1, y0, y1": four}).tolist()
+        inputs = (u, v, extent_px, camera.width, camera.height, tile_px)
+        x0, x1, y0, y1 = yours(*inputs, gives={"x0, x1, y0, y1": four}).tolist()
         if min(x0, y0) < 0 or x1 > tiles_x or y1 > tiles_y:
             yours.fail(
-                f"returned {(x0, x1, y0, y1)}, but there are {tiles_x} x {tiles_y} tiles", given
+                f"returned {(x0, x1, y0, y1)}, but there are {tiles_x} x {tiles_y} tiles", inputs
             )
         for tile in [y * tiles_x + x for y in range(y0, y1) for x in range(x0, x1)]:
             lists[tile].append(k)
     if pixels is not None:
-        for tile, listed in enumerate(lists):
+        for tile, members in enumerate(lists):
             y = tile // tiles_x * tile_px
             x = tile % tiles_x * tile_px
             if not pixels[y : y + tile_px, x : x + tile_px].any():
-                listed.clear()
+                members.clear()
     gaussian = torch.tensor(
-        [k for listed in lists for k in listed],
+        [k for members in lists for k in members],
         dtype=torch.int64,
         device=projection.uv.device,
     )
     offset = torch.tensor(
-        [0, *(len(listed) for listed in lists)], device=projection.uv.device
+        [0, *(len(members) for members in lists)], device=projection.uv.device
     ).cumsum(0)
     return TileLists(
         gaussian=gaussian,
@@ -330,14 +330,14 @@ def tiles_touched(attempt: Attempt) -> None:
     names = ("x0", "x1", "y0", "y1")
 
     half_open = "the ranges are half open: the end is one past the last tile"
-    outside = "tiles outside the picture do not exist"
+    border_words = "tiles outside the picture do not exist"
     beyond = "the last tile may reach beyond the picture's border"
     for u, v, extent, width, height, prop, why in (
         (12, 20, 2, 64, 48, "a splat inside one tile is in that tile", half_open),
         (31, 39, 1, 64, 48, "a coordinate belongs to the tile below it: floor, not round", ""),
         (16, 24, 5, 64, 48, "a splat across a border is on both sides", ""),
-        (2, 3, 10, 64, 48, outside, "clamp the ranges"),
-        (62, 46, 10, 64, 48, outside, "clamp the ranges"),
+        (2, 3, 10, 64, 48, border_words, "clamp the ranges"),
+        (62, 46, 10, 64, 48, border_words, "clamp the ranges"),
         (58, 43, 1, 60, 45, beyond, "ceil, not floor"),
     ):
         attempt.on(f"u {u}, v {v}, extent {extent}, picture {width} x {height}, tiles of 8")
@@ -348,12 +348,12 @@ def tiles_touched(attempt: Attempt) -> None:
             prop,
             why=why,
         )
-    for on, u in (
+    for case, u in (
         ("u -30, v 20, extent 5: left of the picture", -30.0),
         ("u 100, v 20: right of it", 100.0),
     ):
         x0, x1, *_ = box = attempt.unpack(
-            _as_list(attempt.on(on)(u, 20.0, 5.0, 64, 48, 8)),
+            _as_list(attempt.on(case)(u, 20.0, 5.0, 64, 48, 8)),
             names,
         )
         attempt.holds(
@@ -361,10 +361,10 @@ def tiles_touched(attempt: Attempt) -> None:
             "a splat outside the picture touches no tile",
             detail=f"got columns {x0} to {x1}",
         )
-        inside = min(box) >= 0 and max(x0, x1) <= 8
+        in_picture = min(box) >= 0 and max(x0, x1) <= 8
         detail = f"got columns {x0} to {x1}, and there are 8: clamp both ends to 0 .. 8"
         attempt.holds(
-            inside,
+            in_picture,
             "tiles outside the picture do not exist, not even as an empty range",
             detail=detail,
         )
@@ -444,49 +444,49 @@ def _as_sh_to_rgb(yours: Yours, sh: Tensor, xyz_W: Tensor, camera_centre_W: Tens
 def view_colour(attempt: Attempt) -> None:
     """Colour of a Gaussian of SH degree 1, seen from a camera centre."""
     origin = torch.zeros(3)
-    ahead = torch.tensor([0.0, 0.0, 1.0])
+    on_axis = torch.tensor([0.0, 0.0, 1.0])
     attempt.on("coefficients all zero")
     attempt.close(
-        attempt(torch.zeros(4, 3), ahead, origin),
+        attempt(torch.zeros(4, 3), on_axis, origin),
         [0.5] * 3,
         "all-zero coefficients are middle grey",
     )
     sh = torch.zeros(4, 3)
     sh[2] = 0.5
-    expected = [0.5 + 0.5 * _C1] * 3
+    reference = [0.5 + 0.5 * _C1] * 3
     got = torch.as_tensor(
-        attempt.on("a Gaussian 1 m along z, only sh[2] = 0.5")(sh, ahead, origin)
+        attempt.on("a Gaussian 1 m along z, only sh[2] = 0.5")(sh, on_axis, origin)
     ).double()
     detail = f"got {float(got.min()):.3g}, and 0.744 is expected: d = (x - o) / |x - o|"
     attempt.holds(float(got.min()) > 0.499, "d goes from the camera to the Gaussian", detail=detail)
-    attempt.close(got, expected, "sh[2] belongs to Y_2 = 0.4886 z")
+    attempt.close(got, reference, "sh[2] belongs to Y_2 = 0.4886 z")
     attempt.on("the same, camera and Gaussian moved by (1, 2, -3)")
     step = torch.tensor([1.0, 2.0, -3.0])
     prop = "only the way from the camera to the Gaussian counts, not the place in the world"
-    attempt.close(attempt(sh, ahead + step, step), expected, prop, why="d = (x - o) / |x - o|")
+    attempt.close(attempt(sh, on_axis + step, step), reference, prop, why="d = (x - o) / |x - o|")
     constant = torch.zeros(4, 3)
     constant[0] = 1.0
     attempt.close(
-        attempt.on("only sh[0] = 1")(constant, ahead, origin),
+        attempt.on("only sh[0] = 1")(constant, on_axis, origin),
         [0.5 + SH_C0] * 3,
         "sh[0] counts Y_0 = 0.2821",
     )
     attempt.on("the same, 4 m along z")
     attempt.close(
-        attempt(sh, 4 * ahead, origin), expected, "only the direction counts", why="normalise d"
+        attempt(sh, 4 * on_axis, origin), reference, "only the direction counts", why="normalise d"
     )
     attempt.on("the same Gaussian, sh[2] = -2")
-    attempt.close(attempt(-4 * sh, ahead, origin), [0.0] * 3, "no colour is below 0")
+    attempt.close(attempt(-4 * sh, on_axis, origin), [0.0] * 3, "no colour is below 0")
     attempt.on("the same Gaussian, sh[2] = 2")
     attempt.close(
-        attempt(4 * sh, ahead, origin),
+        attempt(4 * sh, on_axis, origin),
         [0.5 + 2 * _C1] * 3,
         "a colour may be above 1",
     )
     generator = torch.Generator().manual_seed(5)
     sh, xyz, centre = (0.4 * torch.randn(n, 3, generator=generator) for n in (4, 1, 1))
     attempt.on("random coefficients and positions")
-    expected = sh_to_rgb(sh[None], xyz, centre[0])[0]
+    reference = sh_to_rgb(sh[None], xyz, centre[0])[0]
     attempt.close(
-        attempt(sh, xyz[0], centre[0]), expected, "order and signs of the basis are Y0, -y, z, -x"
+        attempt(sh, xyz[0], centre[0]), reference, "order and signs of the basis are Y0, -y, z, -x"
     )

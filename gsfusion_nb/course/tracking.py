@@ -63,16 +63,18 @@ def _as_point_to_plane(
 def point_to_plane(attempt: Attempt) -> None:
     """Residual and Jacobian of point-to-plane ICP (Eq. 10)."""
     names = ("r", "J")
-    up = torch.tensor([[0.0, 0.0, 1.0]])
+    normal = torch.tensor([[0.0, 0.0, 1.0]])
     attempt.on("a point 3 cm above the plane and 20 cm beside its partner")
     r, J = attempt.unpack(
-        attempt(torch.tensor([[0.2, 0.0, 0.03]]), torch.zeros(1, 3), up),
+        attempt(torch.tensor([[0.2, 0.0, 0.03]]), torch.zeros(1, 3), normal),
         names,
     )
     why = "only the part along n counts: (p - q) . n"
-    turned = torch.as_tensor(r).numel() == 1 and abs(float(torch.as_tensor(r)) + 0.03) < 1e-5
+    has_wrong_sign = (
+        torch.as_tensor(r).numel() == 1 and abs(float(torch.as_tensor(r)) + 0.03) < 1e-5
+    )
     prop = "r is positive on the side to which n points: (p - q) . n"
-    attempt.holds(not turned, prop, detail="got -0.03, expected 0.03")
+    attempt.holds(not has_wrong_sign, prop, detail="got -0.03, expected 0.03")
     attempt.close(r, [0.03], "sliding along the surface costs nothing", why=why)
     attempt.holds(
         tuple(getattr(J, "shape", ())) == (1, 6),
@@ -81,7 +83,7 @@ def point_to_plane(attempt: Attempt) -> None:
     )
     attempt.close(
         torch.as_tensor(J)[:, :3],
-        up,
+        normal,
         "the translation comes first",
         why="dr/drho = n",
     )
@@ -97,8 +99,8 @@ def point_to_plane(attempt: Attempt) -> None:
     for k in range(6):
         xi = torch.zeros(6, dtype=torch.float64)
         xi[k] = step
-        moved = [((se3.apply(se3.exp(s * xi), p) - q) * n).sum(-1) for s in (1.0, -1.0)]
-        difference = (moved[0] - moved[1]) / (2 * step)
+        residuals = [((se3.apply(se3.exp(s * xi), p) - q) * n).sum(-1) for s in (1.0, -1.0)]
+        difference = (residuals[0] - residuals[1]) / (2 * step)
         attempt.on(f"five random points, finite difference in xi[{k}]")
         attempt.close(
             J[:, k], difference, "J is the derivative of r", why="a row of J is [n, p x n]"
@@ -138,8 +140,8 @@ def _as_next_pose(yours: Yours, T: Tensor, system: IcpSystem, step: Step) -> Any
     """
     H = system.H.cpu()
     b = system.b.cpu()
-    L, failed = torch.linalg.cholesky_ex(H)
-    if step.degenerate or failed:
+    L, info = torch.linalg.cholesky_ex(H)
+    if step.degenerate or info:
         return NotImplemented
     r = torch.linalg.solve_triangular(L, b[:, None], upper=False)[:, 0]
     return yours(T, r, L.T, gives={"the pose": T})
@@ -176,11 +178,11 @@ def gauss_newton(attempt: Attempt) -> None:
     quarter[:3, :3] = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     quarter[:3, 3] = torch.tensor([0.5, 0.2, -0.3])
 
-    def ask(on: str, true: Tensor, twist: list[float]) -> Tensor:
+    def ask(case: str, true: Tensor, twist: list[float]) -> Tensor:
         q = se3.apply(true, p_C)
         start = se3.exp(torch.tensor(twist, dtype=torch.float64)) @ true
         r, J = _residual_and_jacobian(se3.apply(start, p_C), q, n)
-        got = attempt.on(on)(start, r, J)
+        got = attempt.on(case)(start, r, J)
         attempt.holds(
             isinstance(got, Tensor) and got.shape == (4, 4),
             "it returns a pose",
@@ -235,10 +237,10 @@ def _linear(T_before: Tensor, T_last: Tensor) -> Tensor:
 
 
 def _world_motion(T_before: Tensor, T_last: Tensor) -> Tensor:
-    out = T_last.clone()
-    out[:3, :3] = T_last[:3, :3] @ T_before[:3, :3].T @ T_last[:3, :3]
-    out[:3, 3] = 2 * T_last[:3, 3] - T_before[:3, 3]
-    return out
+    T = T_last.clone()
+    T[:3, :3] = T_last[:3, :3] @ T_before[:3, :3].T @ T_last[:3, :3]
+    T[:3, 3] = 2 * T_last[:3, 3] - T_before[:3, 3]
+    return T
 
 
 def _as_constant_velocity(
@@ -246,8 +248,8 @@ def _as_constant_velocity(
 ) -> Tensor:
     """The motion from the last pose to that of yours, in proportion to time where frames are not
     evenly spaced."""
-    ahead = yours(T_before, T_last, gives={"the pose": T_last})
-    return ahead if ratio == 1 else T_last @ se3.exp(ratio * se3.log(se3.inverse(T_last) @ ahead))
+    T_next = yours(T_before, T_last, gives={"the pose": T_last})
+    return T_next if ratio == 1 else T_last @ se3.exp(ratio * se3.log(se3.inverse(T_last) @ T_next))
 
 
 @exercise(
@@ -271,9 +273,9 @@ def _as_constant_velocity(
 def predict(attempt: Attempt) -> None:
     """Where will the camera be next, if its motion continues?"""
     eye = torch.eye(4, dtype=torch.float64)
-    ahead = torch.eye(4, dtype=torch.float64)
-    ahead[2, 3] = 0.1
-    got = attempt.on("10 cm forward since the frame before")(eye, ahead)
+    motion = torch.eye(4, dtype=torch.float64)
+    motion[2, 3] = 0.1
+    got = attempt.on("10 cm forward since the frame before")(eye, motion)
     attempt.holds(
         isinstance(got, Tensor) and got.shape == (4, 4),
         "it returns a pose",
@@ -371,9 +373,9 @@ def spread_correction(attempt: Attempt) -> None:
         "the correction grows evenly along the path",
         tolerance=1e-6,
     )
-    turned = end.clone()
-    turned[:3, :3] = se3.exp(torch.tensor([0.0, 0, 0, 0, 0, 1.2], dtype=torch.float64))[:3, :3]
-    got = attempt.on("the same, and it has turned by 69 degrees")(path, turned)
+    T_end = end.clone()
+    T_end[:3, :3] = se3.exp(torch.tensor([0.0, 0, 0, 0, 0, 1.2], dtype=torch.float64))[:3, :3]
+    got = attempt.on("the same, and it has turned by 69 degrees")(path, T_end)
     R = got[:, :3, :3]
     eye = torch.eye(3, dtype=torch.float64).expand(n, 3, 3)
     attempt.close(

@@ -13,8 +13,8 @@ from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 def _signed_distance(depth_m: Tensor, z_m: Tensor, truncation_m: float) -> tuple[Tensor, Tensor]:
     sdf = depth_m - z_m
-    observed = (depth_m > 0) & (sdf > -truncation_m)
-    return (sdf / truncation_m).clamp(-1, 1), observed
+    is_observed = (depth_m > 0) & (sdf > -truncation_m)
+    return (sdf / truncation_m).clamp(-1, 1), is_observed
 
 
 def _signed_distance_backwards(
@@ -48,20 +48,20 @@ def _as_signed_distance_m(
 ) -> Tensor:
     """Distances in metres from yours; -inf where yours says that nothing was observed."""
     z = centres_C[..., 2]
-    asked = (z > 0) & depth_m.isfinite()
-    depth = depth_m[asked].to(z)
-    z = z[asked]
+    mask = (z > 0) & depth_m.isfinite()
+    depth = depth_m[mask].to(z)
+    z = z[mask]
     if config.sdf == "ray":  # the same equation with lengths along the ray
-        depth = depth * centres_C[asked].norm(dim=-1) / z
-        z = centres_C[asked].norm(dim=-1)
-    d, observed = yours(
+        depth = depth * centres_C[mask].norm(dim=-1) / z
+        z = centres_C[mask].norm(dim=-1)
+    d, is_observed = yours(
         depth,
         z,
         config.truncation_m,
         gives={"d": depth, "observed": depth > 0},
     )
     sdf_m = torch.full_like(depth_m, -torch.inf, dtype=centres_C.dtype)
-    sdf_m[asked] = torch.where(observed, d * config.truncation_m, -torch.inf)
+    sdf_m[mask] = torch.where(is_observed, d * config.truncation_m, -torch.inf)
     return sdf_m
 
 
@@ -89,49 +89,53 @@ def signed_distance(attempt: Attempt) -> None:
     names = ("d", "observed")
 
     def ask(
-        on: str,
+        case: str,
         depth_m: float,
         z_m: list[float],
     ) -> tuple[Tensor, Tensor]:
         depth = torch.full((len(z_m),), depth_m)
         z = torch.tensor(z_m)
-        d, observed = attempt.unpack(attempt.on(on)(depth, z, 0.1), names)
-        return torch.as_tensor(d), torch.as_tensor(observed)
+        d, is_observed = attempt.unpack(attempt.on(case)(depth, z, 0.1), names)
+        return torch.as_tensor(d), torch.as_tensor(is_observed)
 
-    d, observed = ask("a voxel 5 cm in front of a surface at 2 m, truncation 10 cm", 2.0, [1.95])
+    d, is_observed = ask("a voxel 5 cm in front of a surface at 2 m, truncation 10 cm", 2.0, [1.95])
     attempt.close(
         d,
         [0.5],
         "d is positive in front of the surface, in units of the truncation",
         tolerance=1e-4,
     )
-    d, observed = ask("a voxel 5 cm behind a surface at 2 m", 2.0, [2.05])
+    d, is_observed = ask("a voxel 5 cm behind a surface at 2 m", 2.0, [2.05])
     attempt.close(d, [-0.5], "d is negative behind the surface", tolerance=1e-4)
     attempt.holds(
-        observed.all(),
+        is_observed.all(),
         "a voxel just behind the surface, inside the band, is observed",
         detail="it is not",
     )
-    d, observed = ask("a voxel 1 m in front of a surface at 2 m", 2.0, [1.0])
+    d, is_observed = ask("a voxel 1 m in front of a surface at 2 m", 2.0, [1.0])
     attempt.close(d, [1.0], "d is clamped to 1 far in front")
     attempt.holds(
-        observed.all(),
+        is_observed.all(),
         "free space in front of the surface is observed, however far",
         detail="it is not",
     )
-    d, observed = ask("a voxel 1 m behind a surface at 2 m", 2.0, [3.0])
-    hidden = "a voxel hidden behind the band is not observed: what is there is unknown"
-    attempt.holds(not observed.any(), hidden, detail="observed is true")
-    d, observed = ask("a pixel whose depth is 0, voxel at 5 cm", 0.0, [0.05])
+    d, is_observed = ask("a voxel 1 m behind a surface at 2 m", 2.0, [3.0])
+    occlusion_words = "a voxel hidden behind the band is not observed: what is there is unknown"
+    attempt.holds(not is_observed.any(), occlusion_words, detail="observed is true")
+    d, is_observed = ask("a pixel whose depth is 0, voxel at 5 cm", 0.0, [0.05])
     attempt.holds(
-        not observed.any(), "depth 0 means missing: nothing is observed", detail="observed is true"
+        not is_observed.any(),
+        "depth 0 means missing: nothing is observed",
+        detail="observed is true",
     )
     attempt.on("a surface at 40 cm and voxels at 20, 35, 45 and 80 cm, truncation 25 cm")
     z = torch.tensor([0.2, 0.35, 0.45, 0.8])
     depth = torch.full((4,), 0.4)
-    d, observed = (torch.as_tensor(part) for part in attempt.unpack(attempt(depth, z, 0.25), names))
+    d, is_observed = (
+        torch.as_tensor(part) for part in attempt.unpack(attempt(depth, z, 0.25), names)
+    )
     prop = "a near surface is observed like any other, and the band is as wide as truncation_m says"
-    attempt.close(observed.double(), [1, 1, 1, 0], prop)
+    attempt.close(is_observed.double(), [1, 1, 1, 0], prop)
     attempt.close(
         d.double()[:3],
         [0.8, 0.2, -0.2],
@@ -176,18 +180,18 @@ def _as_tsdf_update(
     reference."""
     if average != "mean":
         return NotImplemented
-    observed = sdf_m > -truncation_m
-    before = D[observed]
-    weight = W[observed]
-    d = (sdf_m[observed] / truncation_m).clamp(-1.0, 1.0)
+    is_observed = sdf_m > -truncation_m
+    old = D[is_observed]
+    weight = W[is_observed]
+    d = (sdf_m[is_observed] / truncation_m).clamp(-1.0, 1.0)
     new_D, new_W = yours(
-        before,
+        old,
         weight,
         d,
         max_weight,
-        gives={"D": before, "W": weight},
+        gives={"D": old, "W": weight},
     )
-    return D.masked_scatter(observed, new_D), W.masked_scatter(observed, new_W)
+    return D.masked_scatter(is_observed, new_D), W.masked_scatter(is_observed, new_W)
 
 
 @exercise(
@@ -237,10 +241,12 @@ def running_average(attempt: Attempt) -> None:
     D = torch.rand(64, generator=g)
     W = torch.randint(0, 12, (64,), generator=g).float()
     d = torch.rand(64, generator=g) * 2 - 1
-    expected = tsdf_update(D, W, d * 0.1, truncation_m=0.1, max_weight=10.0)
+    reference = tsdf_update(D, W, d * 0.1, truncation_m=0.1, max_weight=10.0)
     D, W = attempt.unpack(attempt.on("64 random voxels")(D, W, d, 10.0), names)
     attempt.close(
-        D, expected[0], "D = (D (W - 1) + d) / W with the new W, as in gsfusion_nb.tsdf.tsdf_update"
+        D,
+        reference[0],
+        "D = (D (W - 1) + d) / W with the new W, as in gsfusion_nb.tsdf.tsdf_update",
     )
 
 
@@ -336,12 +342,12 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
     """The library's coordinates have 21 bits. Yours interleaves ten at a time: 30 bits of the
     code."""
     one = torch.zeros((), dtype=torch.int64)
-    known: dict[tuple[int, ...], int] = {}
+    numbers: dict[tuple[int, ...], int] = {}
 
     def ten_bits(*xyz: int) -> int:
-        if xyz not in known:
-            known[xyz] = int(yours(*xyz, gives={"the code": one}))
-        return known[xyz]
+        if xyz not in numbers:
+            numbers[xyz] = int(yours(*xyz, gives={"the code": one}))
+        return numbers[xyz]
 
     rows = (coords.long() + octree.OFFSET).tolist()
     codes = [
@@ -369,13 +375,13 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
 )
 def morton_code(attempt: Attempt) -> None:
     """Interleave the bits of three block coordinates (0 to 1023)."""
-    for coords, expected, prop in (
+    for coords, reference, prop in (
         ((1, 0, 0), 1, "x comes first: bit 0 of x is bit 0 of the code"),
         ((0, 1, 0), 2, "then y: bit 0 of y is bit 1 of the code"),
         ((0, 0, 1), 4, "then z: bit 0 of z is bit 2 of the code"),
         ((2, 0, 0), 8, "the bits alternate: bit 1 of x is bit 3 of the code"),
     ):
-        attempt.close(attempt.on(f"block {coords}")(*coords), expected, prop)
+        attempt.close(attempt.on(f"block {coords}")(*coords), reference, prop)
     g = torch.Generator().manual_seed(0)
     for coords in torch.randint(0, 1024, (20, 3), generator=g).tolist():
         attempt.on(f"block {tuple(coords)}")
@@ -436,9 +442,9 @@ def zero_crossing(attempt: Attempt) -> None:
     p0 = torch.tensor([[0.0, 0.0, 0.0]])
     p1 = torch.tensor([[0.1, 0.0, 0.0]])
 
-    def ask(on: str, D0: float, D1: float) -> Tensor:
+    def ask(case: str, D0: float, D1: float) -> Tensor:
         return torch.as_tensor(
-            attempt.on(on)(
+            attempt.on(case)(
                 p0,
                 p1,
                 torch.tensor([D0]),
@@ -446,9 +452,9 @@ def zero_crossing(attempt: Attempt) -> None:
             )
         )
 
-    on = "D = +0.5 and -0.5 at the ends of a 10 cm edge"
+    case = "D = +0.5 and -0.5 at the ends of a 10 cm edge"
     attempt.close(
-        ask(on, 0.5, -0.5),
+        ask(case, 0.5, -0.5),
         [[0.05, 0.0, 0.0]],
         "opposite values cut the edge halfway",
     )
@@ -458,9 +464,9 @@ def zero_crossing(attempt: Attempt) -> None:
         [[0.02, 0.0, 0.0]],
         prop,
     )
-    on = "D = -0.3 and +0.1"
+    case = "D = -0.3 and +0.1"
     attempt.close(
-        ask(on, -0.3, 0.1), [[0.075, 0.0, 0.0]], "it makes no difference which end is negative"
+        ask(case, -0.3, 0.1), [[0.075, 0.0, 0.0]], "it makes no difference which end is negative"
     )
     attempt.on(
         "two edges, neither at the origin: along y from (1, 2, 3) and along z from (-1, 0.5, 2)"

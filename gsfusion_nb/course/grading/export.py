@@ -48,77 +48,76 @@ def export_course(notebooks: list[Path], target: Path) -> list[Path]:
         raise ArgumentError("there is no notebook to export")
     if target.exists() and any(target.iterdir()):
         raise ArgumentError(f"{target} is not empty; name a new folder")
-    written = []
+    paths = []
     for path in notebooks:
         notebook = _without_told_solutions(read_object(path, "a notebook"))
         cells = assignment_cells(notebook["cells"])
-        if len(cells) == 0 or not any(_named(cell) for cell in notebook["cells"]):
+        if len(cells) == 0 or not any(_exercise_of(cell) for cell in notebook["cells"]):
             raise ArgumentError(f"{path} has no exercise")
-        exported = {
+        names = {
             **notebook,
             "cells": [{"id": f"export-{i}", **cell} for i, cell in enumerate(cells)],
         }
-        written.append(target / "source" / path.stem / path.name)
+        paths.append(target / "source" / path.stem / path.name)
         write_file(
-            written[-1],
-            json.dumps(exported, indent=1, ensure_ascii=False) + "\n",
+            paths[-1],
+            json.dumps(names, indent=1, ensure_ascii=False) + "\n",
         )
-    written.append(target / "nbgrader_config.py")
-    write_file(written[-1], _NBGRADER_CONFIG)
-    return written
+    paths.append(target / "nbgrader_config.py")
+    write_file(paths[-1], _NBGRADER_CONFIG)
+    return paths
 
 
 def assignment_cells(cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The cells of a solved chapter with the solutions, tests and points marked as nbgrader wants
     them."""
-    made: list[dict[str, Any]] = []
+    assignment: list[dict[str, Any]] = []
     for cell in copy.deepcopy(cells):
         source = "".join(cell["source"])
         if cell["cell_type"] == "code":
             cell |= {"outputs": [], "execution_count": None}
-        name = _named(cell)
+        name = _exercise_of(cell)
         if cell["cell_type"] == "code" and _BEGIN in source:
-            _join_to_stub(made, source)
+            _join_to_stub(assignment, source)
         elif name is None:
-            made.append(cell)
+            assignment.append(cell)
         else:
-            made.append(_nbgrader_test(made, cell, name))
-    return made
+            assignment.append(_nbgrader_test(assignment, cell, name))
+    return assignment
 
 
 def _without_told_solutions(notebook: dict[str, Any]) -> dict[str, Any]:
     """The notebook without solutions in its text cells; those in code cells are for nbgrader to
     take out."""
     text = [cell for cell in notebook["cells"] if cell["cell_type"] != "code"]
-    left = {cell.get("id"): cell for cell in without_solutions({"cells": text})["cells"]}
-    cells = [c if c["cell_type"] == "code" else left.get(c.get("id")) for c in notebook["cells"]]
+    texts = {cell.get("id"): cell for cell in without_solutions({"cells": text})["cells"]}
+    cells = [c if c["cell_type"] == "code" else texts.get(c.get("id")) for c in notebook["cells"]]
     return {**notebook, "cells": [cell for cell in cells if cell is not None]}
 
 
-def _named(cell: dict[str, Any]) -> str | None:
+def _exercise_of(cell: dict[str, Any]) -> str | None:
     """The exercise whose answer a cell checks."""
     match = _CHECK.match("".join(cell["source"]).strip()) if cell["cell_type"] == "code" else None
     return match["name"] if match and match["name"] in exercises() else None
 
 
-def _join_to_stub(made: list[dict[str, Any]], solution: str) -> None:
+def _join_to_stub(cells: list[dict[str, Any]], solution: str) -> None:
     """Put a solution into the cell above in which the student writes the function."""
-    defined = re.search(r"^def (\w+)\(", solution, re.MULTILINE)
-    for cell in reversed(made):
+    definition = re.search(r"^def (\w+)\(", solution, re.MULTILINE)
+    for cell in reversed(cells):
         if (
-            defined
+            definition
             and cell["cell_type"] == "code"
-            and f"def {defined[1]}(" in "".join(cell["source"])
+            and f"def {definition[1]}(" in "".join(cell["source"])
         ):
             cell["source"] = "".join(cell["source"]).rstrip("\n") + "\n\n\n" + solution
             return
-    raise ArgumentError(
-        f"there is no cell in which the solution {defined[1] if defined else ''} is to be written"
-    )
+    name = definition[1] if definition else ""
+    raise ArgumentError(f"there is no cell in which the solution {name} is to be written")
 
 
 def _nbgrader_test(
-    made: list[dict[str, Any]],
+    cells: list[dict[str, Any]],
     cell: dict[str, Any],
     name: str,
 ) -> dict[str, Any]:
@@ -126,7 +125,7 @@ def _nbgrader_test(
     common = {"schema_version": 3, "task": False}
     answer = {"grade": False, "grade_id": f"answer-{name}", "locked": False, "solution": True}
     (*_, stub) = (
-        c for c in made if c["cell_type"] == "code" and f"def {name}(" in "".join(c["source"])
+        c for c in cells if c["cell_type"] == "code" and f"def {name}(" in "".join(c["source"])
     )
     stub["metadata"]["nbgrader"] = answer | common
     most = BY_DIFFICULTY[exercises()[name].difficulty]

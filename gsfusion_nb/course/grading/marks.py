@@ -51,17 +51,19 @@ def exercises_of(
         raise ArgumentError(
             f"no exercise or chapter with exercises {unknown}; there are: {', '.join(every)}"
         )
-    wanted = set(chapters)
+    numbers = set(chapters)
     if not names and not chapters:
         codes = [read_code(file) for each in submissions for file in each.files]
-        wanted = {e.chapter for e in every.values() if any(defines(code, e.name) for code in codes)}
-    found = tuple(e.name for e in every.values() if e.name in names or e.chapter in wanted)
-    if not found:
+        numbers = {
+            e.chapter for e in every.values() if any(defines(code, e.name) for code in codes)
+        }
+    selection = tuple(e.name for e in every.values() if e.name in names or e.chapter in numbers)
+    if not selection:
         raise ArgumentError(
             "no submission defines a function of an exercise; name exercises or chapters to mark "
             "zeros"
         )
-    return found
+    return selection
 
 
 def grade(
@@ -96,9 +98,9 @@ def grade(
 def _marks(submission: Submission, names: Sequence[str], limits: Limits) -> list[Mark]:
     every = exercises()
     codes = [read_code(file) for file in submission.files]
-    chosen = {name: choose(codes, name, every[name].chapter) for name in names}
-    found = verdicts(
-        {name: code.cells for name, code in chosen.items() if code is not None}, limits
+    answers = {name: choose(codes, name, every[name].chapter) for name in names}
+    verdict_of = verdicts(
+        {name: code.cells for name, code in answers.items() if code is not None}, limits
     )
     problem = next((code.problem for code in codes if code.problem), "")
     marks = []
@@ -108,8 +110,10 @@ def _marks(submission: Submission, names: Sequence[str], limits: Limits) -> list
             problem
             or f"there is no function {name} in {', '.join(code.file.name for code in codes)}"
         )
-        prop, message = why(found[name]) if name in found else ("it is submitted", message)
-        right = name in found and bool(found[name])
+        prop, message = (
+            why(verdict_of[name]) if name in verdict_of else ("it is submitted", message)
+        )
+        right = name in verdict_of and bool(verdict_of[name])
         marks.append(
             Mark(
                 student=submission.student,

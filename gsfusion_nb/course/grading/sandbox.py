@@ -77,26 +77,26 @@ def verdicts(
     """
     if find_spec("resource") is None:
         raise ArgumentError("grading needs Linux, macOS, or the Windows Subsystem for Linux")
-    found: dict[str, Verdict] = {}
-    while left := [name for name in cells if name not in found]:
+    results: dict[str, Verdict] = {}
+    while open_names := [name for name in cells if name not in results]:
         task = {
-            "cells": {name: [[c.label, c.source] for c in cells[name]] for name in left},
+            "cells": {name: [[c.label, c.source] for c in cells[name]] for name in open_names},
             **asdict(limits),
         }
-        said, code, error = _run(json.dumps(task))
-        found |= {verdict["exercise"]: Verdict(**verdict) for verdict in map(json.loads, said)}
-        if len(said) < len(left):  # it ended while it judged the next one
+        reply, code, error = _run(json.dumps(task))
+        results |= {verdict["exercise"]: Verdict(**verdict) for verdict in map(json.loads, reply)}
+        if len(reply) < len(open_names):  # it ended while it judged the next one
             late = code in (-signal.SIGALRM, 128 + signal.SIGALRM)
             detail = (
                 f"it had not ended after {limits.seconds:g} s"
                 if late
                 else f"its process ended: {error}"
             )
-            next_one = left[len(said)]
-            found[next_one] = Verdict(
+            next_one = open_names[len(reply)]
+            results[next_one] = Verdict(
                 exercise=next_one, state="failed", prop="it returns an answer", detail=detail
             )
-    return found
+    return results
 
 
 def _run(task: str) -> tuple[list[str], int, str]:
@@ -114,7 +114,7 @@ def _run(task: str) -> tuple[list[str], int, str]:
             "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
         }
         command = [*wall, sys.executable, "-m", __name__]
-        done = subprocess.run(
+        process = subprocess.run(
             command,
             input=task,
             capture_output=True,
@@ -122,8 +122,8 @@ def _run(task: str) -> tuple[list[str], int, str]:
             cwd=folder,
             env=os.environ | _ENVIRONMENT | own,
         )
-    last = (done.stderr.strip().splitlines() or ["it crashed"])[-1]
-    return done.stdout.splitlines(), done.returncode, last
+    last = (process.stderr.strip().splitlines() or ["it crashed"])[-1]
+    return process.stdout.splitlines(), process.returncode, last
 
 
 @functools.cache
@@ -131,9 +131,11 @@ def why_no_bubblewrap() -> str:
     """Why submissions do not run behind bubblewrap here; empty if they do."""
     if shutil.which("bwrap") is None:
         return "bubblewrap (bwrap) is not installed"
-    tried = subprocess.run([*_BUBBLEWRAP, "true"], capture_output=True, text=True)
+    process = subprocess.run([*_BUBBLEWRAP, "true"], capture_output=True, text=True)
     return (
-        f"bubblewrap does not work here ({tried.stderr.strip()[-200:]})" if tried.returncode else ""
+        f"bubblewrap does not work here ({process.stderr.strip()[-200:]})"
+        if process.returncode
+        else ""
     )
 
 
@@ -150,12 +152,12 @@ def main() -> None:
         resource.setrlimit(resource.RLIMIT_DATA, (most, most))
     for name, cells in task["cells"].items():
         signal.setitimer(signal.ITIMER_REAL, task["seconds"])  # its signal ends the process
-        verdict = _judged(name, [Cell(*cell) for cell in cells])
+        verdict = _judge(name, [Cell(*cell) for cell in cells])
         signal.setitimer(signal.ITIMER_REAL, 0)
         answers.write(json.dumps(asdict(verdict)) + "\n")
 
 
-def _judged(name: str, cells: Sequence[Cell]) -> Verdict:
+def _judge(name: str, cells: Sequence[Cell]) -> Verdict:
     namespace: dict[str, Any] = vars(types.ModuleType("__main__"))
     torch.manual_seed(0)
     try:

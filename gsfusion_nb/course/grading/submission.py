@@ -56,17 +56,19 @@ def find_submissions(paths: Sequence[Path]) -> list[Submission]:
     """
     files: dict[str, list[Path]] = {}
     for path in paths:
-        found = (
+        submissions = (
             [path]
             if path.is_file()
             else sorted(f for kind in ("*.ipynb", "*.py") for f in path.rglob(kind))
         )
-        found = [
-            file for file in found if not any(part.startswith((".", "__")) for part in file.parts)
+        submissions = [
+            file
+            for file in submissions
+            if not any(part.startswith((".", "__")) for part in file.parts)
         ]
-        if not found:
+        if not submissions:
             raise ArgumentError(f"there is no notebook and no .py file at {path}")
-        for file in found:
+        for file in submissions:
             inner = file.relative_to(path).parts if path.is_dir() else ()
             own = file.resolve().parent.name if _OF_CHAPTER.match(file.name) else file.stem
             student = path.name if inner and len(paths) > 1 else inner[0] if len(inner) > 1 else own
@@ -93,9 +95,9 @@ def read_code(file: Path) -> Code:
 def _cells(notebook: dict[str, Any]) -> tuple[Cell, ...]:
     """The code cells, numbered from 1 among all cells."""
     try:
-        numbered = enumerate(notebook["cells"], start=1)
+        cells = enumerate(notebook["cells"], start=1)
         return tuple(
-            Cell(f"cell {n}", "".join(c["source"])) for n, c in numbered if c["cell_type"] == "code"
+            Cell(f"cell {n}", "".join(c["source"])) for n, c in cells if c["cell_type"] == "code"
         )
     except (KeyError, TypeError):
         raise ArgumentError("it is not a notebook of format 4") from None
@@ -129,21 +131,21 @@ def needed(
     statements: list[tuple[Cell, ast.stmt]] = []
     for cell in cells:
         try:
-            found = ast.parse(_MAGIC.sub(r"\1pass", cell.source)).body
+            body = ast.parse(_MAGIC.sub(r"\1pass", cell.source)).body
         except (SyntaxError, ValueError) as e:
             if f"def {name}(" in cell.source:
                 raise Failed("it is defined", "", f"{cell.label} has a syntax error: {e}") from None
             continue
-        statements += [(cell, node) for node in found if f"check.{name}." not in ast.unparse(node)]
+        statements += [(cell, node) for node in body if f"check.{name}." not in ast.unparse(node)]
     uses = [_names(node) for _, node in statements]
     if not any(name in binds for binds, _ in uses):
         raise Failed("it is defined", "", f"there is no function {name}")
-    wanted = {name}
-    kept = set[int]()
-    while more := [i for i, (binds, _) in enumerate(uses) if binds & wanted and i not in kept]:
-        kept.update(more)
-        wanted.update(*(uses[i][1] for i in more))
-    return [statements[i] for i in sorted(kept)]
+    names = {name}
+    positions = set[int]()
+    while more := [i for i, (binds, _) in enumerate(uses) if binds & names and i not in positions]:
+        positions.update(more)
+        names.update(*(uses[i][1] for i in more))
+    return [statements[i] for i in sorted(positions)]
 
 
 def _names(node: ast.stmt) -> tuple[set[str], set[str]]:

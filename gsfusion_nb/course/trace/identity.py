@@ -101,14 +101,14 @@ class Identities:
         has."""
         if not 0 <= i < self.count:
             raise IndexError(f"no Gaussian has the number {i}; there have been {self.count}")
-        first, shared, columns = next(births for births in reversed(self._births) if births[0] <= i)
+        first, fields, columns = next(births for births in reversed(self._births) if births[0] <= i)
         own: dict[str, Any] = {name: column[i - first].tolist() for name, column in columns.items()}
         own |= {name: tuple(values) for name, values in own.items() if isinstance(values, list)}
         if "cell" in own and own["cell"][2] == 0:
             own["cell"] = None
-        if shared["cause"] == "before the trace" and (row := self.row_of(i)) is not None:
+        if fields["cause"] == "before the trace" and (row := self.row_of(i)) is not None:
             own["frame_index"] = int(self.model.birth_frame[row])
-        return Birth(id=i, **shared | own)
+        return Birth(id=i, **fields | own)
 
     def of(self, i: int) -> list[Event]:
         """What happened to a Gaussian besides optimisation, in order."""
@@ -128,13 +128,13 @@ class Identities:
             return
         ids = self.model.trace_ids()
         tag = self.model.tag[rows].cpu().clone()
-        shared = {
+        fields = {
             "cause": cause,
             "frame_index": frame_index,
             "rule": rule,
             "step": self.model.step_count,
         }
-        self._births.append((self.count, shared, {"tag": tag, **own}))
+        self._births.append((self.count, fields, {"tag": tag, **own}))
         ids[rows] = torch.arange(
             self.count + 1,
             self.count + len(rows) + 1,
@@ -162,27 +162,27 @@ class Identities:
             numbers: ``serial`` and ``frame_index``.
             rule: Name of the seeding rule.
         """
-        now = self.now()
-        split = torch.zeros(0, dtype=torch.int64) if edit.split is None else edit.split.cpu()
-        copies = ((origin.cpu() < 0) & (now < count)).nonzero()[:, 0]
-        halves = torch.isin(now[copies], ids[split])
+        ids_now = self.now()
+        parents = torch.zeros(0, dtype=torch.int64) if edit.split is None else edit.split.cpu()
+        copies = ((origin.cpu() < 0) & (ids_now < count)).nonzero()[:, 0]
+        halves = torch.isin(ids_now[copies], ids[parents])
         for rows, cause in ((copies[~halves], "clone"), (copies[halves], "split")):
-            self.number(rows, cause, numbers["frame_index"], rule, parent=now[rows])
-        kept = torch.isin(ids, self.now())
-        kept[split] = True
-        happened = [("split in two", ids[split]), ("removed by the rule", ids[~kept])]
-        happened += [
+            self.number(rows, cause, numbers["frame_index"], rule, parent=ids_now[rows])
+        survives = torch.isin(ids, self.now())
+        survives[parents] = True
+        events = [("split in two", ids[parents]), ("removed by the rule", ids[~survives])]
+        events += [
             (f"{name} set by the rule", ids[rows.cpu()])
             for name, (rows, _) in (edit.set or {}).items()
         ]
         if edit.reset_opacity is not None:
-            happened.append((f"opacity at most {edit.reset_opacity:g}", ids))
+            events.append((f"opacity at most {edit.reset_opacity:g}", ids))
         if edit.relocate is not None:
-            happened.append(("relocated to a copy of another", ids[edit.relocate[0].cpu()]))
+            events.append(("relocated to a copy of another", ids[edit.relocate[0].cpu()]))
         if edit.clone is not None:
-            happened.append(("cloned", ids[edit.clone.cpu()].unique()))
+            events.append(("cloned", ids[edit.clone.cpu()].unique()))
         self.events += [
-            Event(**numbers, what=what, ids=tuple(of.tolist())) for what, of in happened if len(of)
+            Event(**numbers, what=what, ids=tuple(of.tolist())) for what, of in events if len(of)
         ]
 
     def close(self) -> None:
@@ -222,9 +222,9 @@ def _cells_around(
     for k, (x, y, w, h, _) in enumerate(table.tolist()):
         owner[y : y + h, x : x + w] = k
     i, j = uv.floor().long().unbind(1)
-    inside = (i >= 0) & (i < camera.width) & (j >= 0) & (j < camera.height)
+    in_image = (i >= 0) & (i < camera.width) & (j >= 0) & (j < camera.height)
     at = torch.where(
-        inside,
+        in_image,
         owner[j.clamp(0, camera.height - 1), i.clamp(0, camera.width - 1)],
         -1,
     )

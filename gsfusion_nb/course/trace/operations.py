@@ -58,14 +58,14 @@ class AdamColumn:
 
     def of_row(self, r: int) -> "AdamColumn":
         """The step of one Gaussian."""
-        before, gradient, after, m0, m1, v0, v1 = (
+        value0, gradient, value1, m0, m1, v0, v1 = (
             x[r].detach().cpu().clone()
             for x in (self.before, self.gradient, self.after, *self.m, *self.v)
         )
         return AdamColumn(
-            before=before,
+            before=value0,
             gradient=gradient,
-            after=after,
+            after=value1,
             m=(m0, m1),
             v=(v0, v1),
             lr=self.lr,
@@ -282,24 +282,24 @@ class GaussianStep(Moment):
 
     def lines(self) -> list[tuple[str, str]]:
         """Names and values, rounded for reading."""
-        out = [("row", str(self.row)), ("loss of the view", f"{self.loss:.5f}")]
+        rows = [("row", str(self.row)), ("loss of the view", f"{self.loss:.5f}")]
         if self.tiles:
-            out += [("centre u, v px", numbers(self.uv)), ("depth m", f"{self.depth_m:.4f}")]
-            out += [("conic 1/px²", numbers(self.conic)), ("opacity", f"{self.opacity:.4f}")]
-            out += [("colour", numbers(self.rgb, 3))]
-        out += [(f"tile {tile.tile}", str(tile)) for tile in self.tiles]
-        out += [("sum of weights", f"{self.weight:.4f} over {self.n_pixels} pixels")]
+            rows += [("centre u, v px", numbers(self.uv)), ("depth m", f"{self.depth_m:.4f}")]
+            rows += [("conic 1/px²", numbers(self.conic)), ("opacity", f"{self.opacity:.4f}")]
+            rows += [("colour", numbers(self.rgb, 3))]
+        rows += [(f"tile {tile.tile}", str(tile)) for tile in self.tiles]
+        rows += [("sum of weights", f"{self.weight:.4f} over {self.n_pixels} pixels")]
         for name, a in self.adam.items():
             label, n = ("sh 0", 3) if name == "sh" else (name, a.after.numel())
-            gradient, m, v, before, after = (
+            gradient, m, v, old, new = (
                 x.flatten()[:n] for x in (a.gradient, a.m[1], a.v[1], a.before, a.after)
             )
-            out += [
+            rows += [
                 (f"{label}: dL/d", numbers(gradient)),
                 ("   m, v after", f"{numbers(m)} | {numbers(v)}"),
             ]
-            out += [("   before → after", f"{numbers(before, 6)} → {numbers(after, 6)}")]
-        return out
+            rows += [("   before → after", f"{numbers(old, 6)} → {numbers(new, 6)}")]
+        return rows
 
     def cells(self) -> list[str]:
         """Its row in the table of a story."""
@@ -387,7 +387,7 @@ def _in_tile(screen: ScreenGaussians, camera: Camera, tile: int, place: int) -> 
     column = tile % screen.tiles.tiles_x
     alpha, T, w = (a[place].cpu() for a in (blend.alpha, blend.transmittance, blend.weight))
     pixels = torch.stack([x, y], dim=1).cpu()
-    coloured = w > 0
+    has_colour = w > 0
     x0, y0 = pixels[0].tolist()
     x1, y1 = pixels[-1].tolist()
     return TilePlace(
@@ -395,10 +395,10 @@ def _in_tile(screen: ScreenGaussians, camera: Camera, tile: int, place: int) -> 
         box=(x0, y0, x1 - x0 + 1, y1 - y0 + 1),
         place=place,
         length=len(blend.gaussian),
-        pixels=pixels[coloured],
-        alpha=alpha[coloured],
-        transmittance=T[coloured],
-        weight=w[coloured],
+        pixels=pixels[has_colour],
+        alpha=alpha[has_colour],
+        transmittance=T[has_colour],
+        weight=w[has_colour],
     )
 
 
@@ -424,11 +424,11 @@ class GaussianTrace:
         return tuple(m for m in self.moments if isinstance(m, GaussianStep))
 
     def __str__(self) -> str:
-        now = "no longer in the map" if self.row is None else f"row {self.row} now"
-        out = [f"Gaussian {self.id}, {now}", f"  born: {self.birth}"]
-        out += [f"  {event}" for event in self.events]
+        place = "no longer in the map" if self.row is None else f"row {self.row} now"
+        lines = [f"Gaussian {self.id}, {place}", f"  born: {self.birth}"]
+        lines += [f"  {event}" for event in self.events]
         if self.n_dropped:
-            out.append(
+            lines.append(
                 f"  {self.n_dropped} operations are no longer held: give the trace more memory, or "
                 "ask earlier"
             )
@@ -446,7 +446,7 @@ class GaussianTrace:
             "opacity",
         )
         rows = [step.cells() for step in self.steps]
-        return "\n".join([*out, table(heads, rows) if rows else "  no optimisation step is held"])
+        return "\n".join([*lines, table(heads, rows) if rows else "  no optimisation step is held"])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -506,20 +506,20 @@ class VoxelFused(Moment):
 
     def lines(self) -> list[tuple[str, str]]:
         """Names and values, rounded for reading."""
-        out = [("voxel", str(self.ijk)), ("centre m", " ".join(f"{x:.4f}" for x in self.centre_W))]
-        out += [
+        rows = [("voxel", str(self.ijk)), ("centre m", " ".join(f"{x:.4f}" for x in self.centre_W))]
+        rows += [
             ("projects to u, v", f"{self.uv[0]:.2f}, {self.uv[1]:.2f}"),
             ("z m", f"{self.z_m:.4f}"),
         ]
-        out += [
+        rows += [
             ("depth measured m", f"{self.depth_m:.4f}"),
             ("signed distance m", f"{self.sdf_m:.4f}"),
         ]
-        out += [
+        rows += [
             ("D", f"{self.D[0]:.5f} → {self.D[1]:.5f}"),
             ("W", f"{self.W[0]:g} → {self.W[1]:g}"),
         ]
-        return [*out, ("", self.verdict)]
+        return [*rows, ("", self.verdict)]
 
     def cells(self) -> list[str]:
         """Its row in the table of a story."""
@@ -549,8 +549,8 @@ def voxel_moment(record: Record, ijk: Voxel) -> VoxelFused | None:
     xyz_C = se3.apply(se3.inverse(frame.T_WC.cpu().double()), centre[None])[0]
     x, y, z = xyz_C.tolist()
     u, v = project(camera, xyz_C).tolist()
-    inside = z > 0 and 0 <= u < camera.width and 0 <= v < camera.height
-    depth_m = float(frame.depth_m[int(v), int(u)]) if inside else 0.0
+    in_view = z > 0 and 0 <= u < camera.width and 0 <= v < camera.height
+    depth_m = float(frame.depth_m[int(v), int(u)]) if in_view else 0.0
     sdf_m = depth_m - z if depth_m > 0 and depth_m >= config.near_m else float("nan")
     if config.sdf == "ray":
         sdf_m *= (x * x + y * y + z * z) ** 0.5 / z
@@ -578,7 +578,7 @@ def voxel_moment(record: Record, ijk: Voxel) -> VoxelFused | None:
         centre_W=tuple(centre.tolist()),
         allocated=len(at) > 0,
         uv=(u, v),
-        inside=inside,
+        inside=in_view,
         z_m=z,
         depth_m=depth_m,
         sdf_m=sdf_m,

@@ -101,18 +101,18 @@ class Recorder:
         model, seeds = args[:2]
         if model is not self.identities.model:
             return f(*args, **kwargs)
-        before = len(model)
-        out = f(*args, **kwargs)
-        asked = self._seeding
+        n_old = len(model)
+        result = f(*args, **kwargs)
+        seeding = self._seeding
         own = {}
-        if asked is not None and asked.seeds is seeds and len(seeds) > 0:
-            own = origin_of(asked.frame, asked.cells, seeds)
+        if seeding is not None and seeding.seeds is seeds and len(seeds) > 0:
+            own = origin_of(seeding.frame, seeding.cells, seeds)
         rule = rule_name(self.mapper.rule)
         cause = "added by the rule" if self._editing else "seed"
         self.identities.number(
-            torch.arange(before, len(model)), cause, self.frame_index, rule, **own
+            torch.arange(n_old, len(model)), cause, self.frame_index, rule, **own
         )
-        return out
+        return result
 
     def _apply_edit(self, f: Call, args: tuple, kwargs: dict) -> Any:
         model, edit = args[:2]
@@ -162,10 +162,10 @@ class Recorder:
         return view_step
 
     def _render_forward(self, f: Call, args: tuple, kwargs: dict) -> Any:
-        output, saved = f(*args, **kwargs)
+        output, context = f(*args, **kwargs)
         if self._step is not None and "screen" not in self._step:
-            self._step |= {"screen": saved.screen, "rgb": output.rgb, "camera": args[1]}
-        return output, saved
+            self._step |= {"screen": context.screen, "rgb": output.rgb, "camera": args[1]}
+        return output, context
 
     def _adam_step(self, f: Call, args: tuple, kwargs: dict) -> Any:
         part, gradients = args[:2]
@@ -177,21 +177,21 @@ class Recorder:
             return f(*args, **kwargs)
         rows = torch.arange(len(part.model), device=part.model.device)[part.rows].cpu()
         self._step |= {"rows": rows, "ids": self._step["ids"][rows]}
-        before = _copies(part)
+        old = _copies(part)
         for (
             name,
             last,
         ) in self._last.items():  # what did not change since the last step is held once
-            before[name] = [
-                b if torch.equal(a, b) else a for a, b in zip(before[name], last, strict=True)
+            old[name] = [
+                b if torch.equal(a, b) else a for a, b in zip(old[name], last, strict=True)
             ]
-        out = f(*args, **kwargs)
-        self._last = after = _copies(part)
+        result = f(*args, **kwargs)
+        self._last = new = _copies(part)
         self._step["adam"] = columns = {}
         rates = self._step.pop("rates")
         for name, gradient in vars(gradients).items():
-            p0, m0, v0 = before[name]
-            p1, m1, v1 = after[name]
+            p0, m0, v0 = old[name]
+            p1, m1, v1 = new[name]
             lr = rates.get(name, float("nan"))  # NaN: another function than Adam takes the step
             columns[name] = operations.AdamColumn(
                 before=p0,
@@ -201,7 +201,7 @@ class Recorder:
                 after=p1,
                 lr=lr,
             )
-        return out
+        return result
 
     def _adam_update_map(self, f: Call, args: tuple, kwargs: dict) -> Any:
         if self._step is not None:
@@ -217,7 +217,7 @@ class Recorder:
         rows = blocks_in_view(volume, frame.camera, se3.inverse(frame.T_WC.double()))
         D = volume.D[rows]
         W = volume.W[rows]
-        out = f(*args, **kwargs)
+        result = f(*args, **kwargs)
         self._add(
             FusionRecord(
                 **self._next(),
@@ -228,7 +228,7 @@ class Recorder:
                 W=(W, volume.W[rows]),
             )
         )
-        return out
+        return result
 
 
 def _copies(part: MapPart) -> dict[str, list[Tensor]]:
@@ -311,16 +311,16 @@ class Trace:
         birth = self.identities.birth(id)
         moments: list[Moment] = self._moments(id)
         if birth.cause != "before the trace":
-            held = (
+            held_row = (
                 r
                 for r in self._held
                 if isinstance(r, SeedingRecord) and r.frame_index == birth.frame_index
             )
-            of = next(held, None)
+            of = next(held_row, None)
             picture = {} if of is None else {"camera": of.frame.camera, "image": of.frame.colour}
             serial = -1 if of is None else of.serial
-            seeded = {"serial": serial, "frame_index": birth.frame_index, "birth": birth, **picture}
-            moments.insert(0, operations.GaussianSeeded(**seeded))
+            fields = {"serial": serial, "frame_index": birth.frame_index, "birth": birth, **picture}
+            moments.insert(0, operations.GaussianSeeded(**fields))
         return operations.GaussianTrace(
             id=id,
             row=self.identities.row_of(id),
@@ -333,7 +333,7 @@ class Trace:
     def voxel(self, x: int, y: int, z: int) -> operations.VoxelTrace:
         """The voxel with these integer coordinates (``volume.voxel_index(xyz_W)``)."""
         ijk: Voxel = (x, y, z)
-        fused = []
+        moments = []
         D = 1.0
         W = 0.0
         for moment in self._moments(ijk):
@@ -341,8 +341,8 @@ class Trace:
                 moment = dataclasses.replace(moment, D=(D, D), W=(W, W))
             D = moment.D[1]
             W = moment.W[1]
-            fused.append(moment)
-        return operations.VoxelTrace(ijk=ijk, moments=tuple(fused), n_dropped=self.n_dropped)
+            moments.append(moment)
+        return operations.VoxelTrace(ijk=ijk, moments=tuple(moments), n_dropped=self.n_dropped)
 
     def gaussian_at(self, u: int, v: int, serial: int | None = None) -> int:
         """Number of the Gaussian with the largest weight at pixel (u, v): in the held step nearest
@@ -398,9 +398,9 @@ class Trace:
         )
 
     def _moments(self, pick: Pick) -> list[Any]:
-        kept = self._picks.setdefault(pick, [])
+        moments = self._picks.setdefault(pick, [])
         return [
-            *kept,
+            *moments,
             *(moment for record in self._held if (moment := _moment(record, pick)) is not None),
         ]
 
@@ -411,10 +411,10 @@ class Trace:
         while len(self._held) > 1 and self.memory_bytes > self._limit_bytes:
             oldest = self._held.popleft()
             self.n_dropped += 1
-            for pick, kept in self._picks.items():
+            for pick, moments in self._picks.items():
                 if (moment := _moment(oldest, pick)) is not None:
                     # it takes most of the memory
-                    kept.append(dataclasses.replace(moment, image=None))
+                    moments.append(dataclasses.replace(moment, image=None))
 
     @contextlib.contextmanager
     def _watch(self, frame_index: int | None) -> Iterator[None]:
