@@ -112,7 +112,7 @@ def source(name: str) -> str:
     return files("gsfusion_nb.viz").joinpath("static", *name.split("/")).read_text(encoding="utf-8")
 
 
-def joined(modules: Sequence[str]) -> str:
+def join_modules(modules: Sequence[str]) -> str:
     """JavaScript modules one after the other, without the imports and exports between them.
 
     anywidget takes one module, and a page may load nothing else.
@@ -136,10 +136,10 @@ def front_end(
             none is allowed.
         texts: Constant -> name of a file that it holds.
     """
-    code = joined(worker)
+    code = join_modules(worker)
     constants = {worker_name: code, **{name: source(file) for name, file in texts.items()}}
     lines = "\n".join(f"const {name} = {json.dumps(text)};" for name, text in constants.items())
-    return f"{code}\n{lines}\n{joined(page)}"
+    return f"{code}\n{lines}\n{join_modules(page)}"
 
 
 _LOST_CSS = """
@@ -155,7 +155,7 @@ class LostNotice(anywidget.AnyWidget):
     does not.
     """
 
-    _esm = joined(("lost", "notice"))
+    _esm = join_modules(("lost", "notice"))
     _css = _LOST_CSS
 
 
@@ -228,7 +228,7 @@ class ClickImage(anywidget.AnyWidget):
     def on_stroke(self, act: Callable[[Stroke], None]) -> None:
         """Call ``act`` with the newest state of each drag."""
 
-        def touched(_change: Any) -> None:
+        def on_change(_change: Any) -> None:
             number, u0, v0, u, v = self.stroke
             act(
                 Stroke(
@@ -238,4 +238,4 @@ class ClickImage(anywidget.AnyWidget):
                 )
             )
 
-        self.observe(touched, "stroke")
+        self.observe(on_change, "stroke")

@@ -58,7 +58,7 @@ class LiveView(LiveOutput):
         self._columns = columns_for(len(captions))
         self._width = self._columns * width
         self._next_draw_s = 0.0
-        self._shown = 0
+        self._shown_step = 0
         self._writing = threading.RLock()
         self.player = Player(make_steps, on_step=self._on_step, on_rest=self.store_output)
         self.lock = self.player.lock
@@ -84,12 +84,12 @@ class LiveView(LiveOutput):
             w.VBox([w.HTML(html.escape(captions[key])), image])
             for key, image in self.images.items()
         ]
-        wrapped = w.Layout(flex_flow="row wrap")
+        wrap_layout = w.Layout(flex_flow="row wrap")
         rows = [
-            w.HBox(cells[i : i + self._columns], layout=wrapped)
+            w.HBox(cells[i : i + self._columns], layout=wrap_layout)
             for i in range(0, len(cells), self._columns)
         ]
-        controls = w.HBox([*self.buttons.values(), self.progress], layout=wrapped)
+        controls = w.HBox([*self.buttons.values(), self.progress], layout=wrap_layout)
         self.widget = w.VBox(
             [
                 controls,
@@ -159,15 +159,15 @@ class LiveView(LiveOutput):
                 self.scrubber.show_newest()
                 self.curves.show(self._curves(self._width))
             self._write_status()
-        ended = time.monotonic()
-        self._next_draw_s = max(began + MIN_INTERVAL_S, ended + DRAWING_REST * (ended - began))
+        end = time.monotonic()
+        self._next_draw_s = max(began + MIN_INTERVAL_S, end + DRAWING_REST * (end - began))
 
     def _curves(self, width: int) -> Picture:
         return small_curves(self._series(), n_x=self._n_steps, width=width)
 
-    def _show_kept(self, kept: tuple[int, dict[str, bytes]]) -> None:
+    def _show_kept(self, stored: tuple[int, dict[str, bytes]]) -> None:
         """Put the pictures of a step into the widget."""
-        self._shown, pictures = kept
+        self._shown_step, pictures = stored
         for name, picture in pictures.items():
             self.images[name].value = picture
         self._write_status()
@@ -208,7 +208,7 @@ class LiveLoop(LiveView):
     ):
         self._picture = picture
         self._values = curves
-        self._kept = -1
+        self._last_stored = -1
         captions = {"image": "the picture of this step"}
         super().__init__(
             make_steps, captions, name="live-loop", what="step", n_steps=n_steps, width=width
@@ -222,17 +222,17 @@ class LiveLoop(LiveView):
         return self._picture()
 
     def _keep(self) -> None:
-        if self._kept != self.player.n_steps:
-            self._kept = self.player.n_steps
-            self.scrubber.add((self._kept, {"image": encode_jpeg(self._picture())}))
+        if self._last_stored != self.player.n_steps:
+            self._last_stored = self.player.n_steps
+            self.scrubber.add((self._last_stored, {"image": encode_jpeg(self._picture())}))
 
     def _words(self) -> list[str]:
-        self.progress.value = done = self.player.n_steps
+        self.progress.value = n_done = self.player.n_steps
         # several curves one after the other
-        of = f" of {self._n_steps}" if done <= self._n_steps else ""
+        of = f" of {self._n_steps}" if n_done <= self._n_steps else ""
         return [
-            f"step {done}{of}",
-            "" if self.scrubber.following else f"looking back at step {self._shown}",
+            f"step {n_done}{of}",
+            "" if self.scrubber.following else f"looking back at step {self._shown_step}",
         ]
 
 
@@ -260,7 +260,7 @@ class LiveMapper(LiveView):
         self.viewer: SplatViewer | None = None
         """The splat viewer made by ``splats``; it is updated together with the panels."""
         self.panels: dict[str, Picture] = {}
-        self._kept = run.next_position
+        self._last_stored = run.next_position
         n = len(run.sequence.mapping)
         captions = captions_of(run.mapper)
         super().__init__(
@@ -310,9 +310,9 @@ class LiveMapper(LiveView):
             self.viewer.update(self.run.mapper)
 
     def _keep(self) -> None:
-        if self._kept == self.run.next_position:
+        if self._last_stored == self.run.next_position:
             return
-        self._kept = self.run.next_position
+        self._last_stored = self.run.next_position
         self.panels = live_panels(self.run.mapper, self._last_frame())
         pictures = {name: encode_jpeg(self.panels[name]) for name in self.images}
         self.scrubber.add((len(self.run.steps), pictures))
@@ -320,11 +320,11 @@ class LiveMapper(LiveView):
     def _last_frame(self) -> Frame:
         """The frame mapped last, with the pose it was mapped at."""
         frame = self.run.sequence.mapping[self.run.next_position - 1]
-        mapped = self.run.mapper.localiser
+        localiser = self.run.mapper.localiser
         # frames after it were skipped
-        if not mapped.poses or mapped.frame_indices[-1] != frame.index:
+        if not localiser.poses or localiser.frame_indices[-1] != frame.index:
             return frame
-        return dataclasses.replace(frame, T_WC=mapped.poses[-1].to(frame.T_WC))
+        return dataclasses.replace(frame, T_WC=localiser.poses[-1].to(frame.T_WC))
 
     def _words(self) -> list[str]:
         self.progress.value = self.run.next_position
@@ -335,17 +335,17 @@ class LiveMapper(LiveView):
             f"{title} ({html.escape(fidelity)})" if fidelity else title,
             f"{run.next_position} of {len(run.sequence.mapping)} frames",
         ]
-        at = len(run.steps) if self.scrubber.following else self._shown
+        at = len(run.steps) if self.scrubber.following else self._shown_step
         if not at:
             return words
         last = run.steps[at - 1]
         recent = run.steps[max(at - 10, 0) : at]
-        back = "" if at == len(run.steps) else "looking back at "
-        measured = not math.isnan(last.psnr_before_db + last.psnr_after_db)
+        prefix = "" if at == len(run.steps) else "looking back at "
+        has_psnr = not math.isnan(last.psnr_before_db + last.psnr_after_db)
         return [
             *words,
-            f"{back}frame {last.frame_index}{' (keyframe)' if last.is_keyframe else ''}",
+            f"{prefix}frame {last.frame_index}{' (keyframe)' if last.is_keyframe else ''}",
             f"{last.n_seeds:,} new Gaussians",
-            f"PSNR {last.psnr_before_db:.1f} → {last.psnr_after_db:.1f} dB" if measured else "",
+            f"PSNR {last.psnr_before_db:.1f} → {last.psnr_after_db:.1f} dB" if has_psnr else "",
             f"{len(recent) / max(sum(s.total_seconds for s in recent), 1e-9):.1f} frames/s",
         ]

@@ -116,8 +116,8 @@ def map_picture(
     view = render(params, camera, T_WC)
     if depth:
         return depth_picture(view)
-    behind = 0 if background is None else (1 - view.alpha[..., None]) * background.to(view.rgb)
-    picture = to_uint8(view.rgb + behind)
+    backdrop = 0 if background is None else (1 - view.alpha[..., None]) * background.to(view.rgb)
+    picture = to_uint8(view.rgb + backdrop)
     if paint is None or paint.palette == "state":
         return picture
     return _with_scale(picture, palette(paint.palette), f"{paint.low:.3g}", f"{paint.high:.3g}")
@@ -126,9 +126,12 @@ def map_picture(
 def depth_picture(view: RenderOutput) -> Picture:
     """Expected depth of a rendered view as colour, with its scale."""
     depth = expected_depth_m(view)
-    near, far = draw.depth_range_m(depth)
+    low_m, high_m = draw.depth_range_m(depth)
     return _with_scale(
-        draw.colour_depth(depth, near, far), palette("turbo"), f"{near:.1f} m", f"{far:.1f} m"
+        draw.colour_depth(depth, low_m, high_m),
+        palette("turbo"),
+        f"{low_m:.1f} m",
+        f"{high_m:.1f} m",
     )
 
 
@@ -176,15 +179,15 @@ def state_picture(
         [STATE_COLOURS["unstable_opaque"], STATE_COLOURS["stable_opaque"], _NOTHING], np.float32
     )
     assert view.hit_index is not None
-    hit = view.hit_index.cpu()
+    disc = view.hit_index.cpu()
     state = (
         torch.where(
-            hit >= 0,
-            model.state.cpu()[hit.clamp_min(0).long()].long(),
+            disc >= 0,
+            model.state.cpu()[disc.clamp_min(0).long()].long(),
             2,
         )
         if len(model)
-        else hit * 0 + 2
+        else disc * 0 + 2
     )
     light = view.rgb.cpu().clamp(0, 1).mean(-1).numpy()
     shade = np.where(state.numpy() == 2, 1.0, 0.55 + 0.45 * light)
@@ -250,8 +253,8 @@ def paint_points(
         for dy in (0, 1):
             x = at[:, 0] + dx
             y = at[:, 1] + dy
-            inside = (x >= 0) & (y >= 0) & (x < picture.shape[1]) & (y < picture.shape[0])
-            picture[y[inside], x[inside]] = ink
+            in_picture = (x >= 0) & (y >= 0) & (x < picture.shape[1]) & (y < picture.shape[0])
+            picture[y[in_picture], x[in_picture]] = ink
 
 
 SEED_COLOUR = (255, 48, 64)
@@ -269,7 +272,7 @@ class MappedFrame:
     rendered: Picture
 
 
-def _below(step: MappedFrame) -> Tensor:
+def _surface_rgb(step: MappedFrame) -> Tensor:
     mapper: Any = step.mapper
     return mapper.surface_picture(step.frame.camera, step.frame.T_WC).base.rgb
 
@@ -309,10 +312,10 @@ PANELS: dict[str, tuple[str, Callable[[MappedFrame], Picture]]] = {
         lambda step: draw.error_map(step.rendered, step.photo),
     ),
     "depth_error": ("|rendered depth − depth|, bright from 10 cm", _depth_error),
-    "base": ("the coloured TSDF alone, holes filled", lambda step: to_uint8(_below(step))),
+    "base": ("the coloured TSDF alone, holes filled", lambda step: to_uint8(_surface_rgb(step))),
     "residual": (
         "what the Gaussians add: grey is nothing",
-        lambda step: to_uint8(0.5 + (step.output.rgb - _below(step))),
+        lambda step: to_uint8(0.5 + (step.output.rgb - _surface_rgb(step))),
     ),
     "new_gaussians": (
         "new Gaussians in red",

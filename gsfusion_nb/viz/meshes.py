@@ -122,24 +122,24 @@ def can_draw() -> tuple[bool, str]:
     headless = not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     if sys.platform == "linux" and headless:  # rather than search for an X server
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
-    forced = os.environ.get("GSNB_VTK")
-    if forced in ("ok", "none"):
-        return forced == "ok", f"GSNB_VTK={forced}"
+    setting = os.environ.get("GSNB_VTK")
+    if setting in ("ok", "none"):
+        return setting == "ok", f"GSNB_VTK={setting}"
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-c", _PROBE], capture_output=True, text=True, timeout=60
         )
     except subprocess.TimeoutExpired:
         return False, "VTK took over 60 s for a trial picture of 16x16 pixels"
-    if done.returncode == 0:
+    if process.returncode == 0:
         return True, "ok"
-    if done.returncode < 0:
+    if process.returncode < 0:
         return (
             False,
             "VTK crashed; on Debian or Ubuntu: apt-get install -y --no-install-recommends libgl1 "
             "libegl1",
         )
-    return False, (done.stderr.strip().splitlines() or ["unknown error"])[-1]
+    return False, (process.stderr.strip().splitlines() or ["unknown error"])[-1]
 
 
 def show_mesh(

@@ -57,10 +57,10 @@ class Player:
         self.n_steps = 0
         """Steps done."""
         self._asking = threading.Lock()
-        self._wanted = 0.0
+        self._steps_left = 0.0
         """Steps still to do, perhaps infinitely many; changes, as the two below, only while
         ``_asking`` is held."""
-        self._then: State = "paused"
+        self._next_state: State = "paused"
         self._serving = False
         """The thread is running and will read new requests."""
         self._thread: threading.Thread | None = None
@@ -78,7 +78,7 @@ class Player:
     @property
     def keeps_running(self) -> bool:
         """Whether it runs, or is about to, until it is paused or stopped."""
-        return self._wanted == math.inf and self._state not in ("finished", "failed")
+        return self._steps_left == math.inf and self._state not in ("finished", "failed")
 
     @property
     def is_alive(self) -> bool:
@@ -127,12 +127,12 @@ class Player:
                 "the worker thread is still in a step after 30 s; call run_sync again a little "
                 "later"
             )
-        done = 0
+        n_done = 0
         self.error = None
         self.state = "running"
         try:
-            while (n is None or done < n) and self._advance():
-                done += 1
+            while (n is None or n_done < n) and self._advance():
+                n_done += 1
         except KeyboardInterrupt:
             self._steps = None  # a generator that was interrupted cannot continue
             self._rest("paused")
@@ -141,13 +141,13 @@ class Player:
             self._fail(e)
             raise
         self._rest("paused")
-        return done
+        return n_done
 
-    def _ask(self, steps: float | int, then: State = "paused") -> None:
+    def _ask(self, steps: float | int, next_state: State = "paused") -> None:
         with self._asking:
-            more = self._wanted if self._wanted < math.inf and steps == 1 else 0
-            self._wanted = steps + more
-            self._then = then
+            more = self._steps_left if self._steps_left < math.inf and steps == 1 else 0
+            self._steps_left = steps + more
+            self._next_state = next_state
             if steps and not self._serving and self.state != "finished":
                 self.error = None
                 self._serving = True
@@ -158,7 +158,7 @@ class Player:
                 )
                 self._thread.start()
             idle = not self._serving
-        if idle and then == "stopped" and self.state in ("ready", "paused"):
+        if idle and next_state == "stopped" and self.state in ("ready", "paused"):
             self._rest("stopped")
         self.on_state()
 
@@ -172,9 +172,9 @@ class Player:
                 if not self._advance():
                     break
                 with self._asking:
-                    self._wanted = max(self._wanted - 1, 0)
+                    self._steps_left = max(self._steps_left - 1, 0)
             self._leave()
-            self._rest(self._then)
+            self._rest(self._next_state)
         except BaseException as e:
             self._leave()
             self._fail(e)
@@ -182,7 +182,7 @@ class Player:
     def _take(self) -> bool:
         """Whether there is another step to do."""
         with self._asking:
-            self._serving = self._wanted > 0
+            self._serving = self._steps_left > 0
             return self._serving
 
     def _leave(self) -> None:
@@ -212,7 +212,7 @@ class Player:
 
     def _fail(self, error: BaseException) -> None:
         self._steps = None  # a generator that raised cannot continue
-        self._wanted = 0
+        self._steps_left = 0
         self.error = error
         self.state = "failed"
         with self.lock:
@@ -272,13 +272,13 @@ def player_buttons(commands: Any, css_prefix: str, player: Player) -> dict[str, 
 
     def enable() -> None:
         with writing:  # two threads change the state: who writes last has read last
-            over = player.state == "finished"
+            is_over = player.state == "finished"
             runs = player.keeps_running
-            stands = over or not (runs or player.state in ("running", "paused"))
+            stands = is_over or not (runs or player.state in ("running", "paused"))
             useless = {
-                "Start": over or runs,
-                "Pause": over or not runs,
-                "Step": over or runs,
+                "Start": is_over or runs,
+                "Pause": is_over or not runs,
+                "Step": is_over or runs,
                 "Stop": stands,
             }
             for name, button in buttons.items():
@@ -316,7 +316,7 @@ class Scrubber:
         self.entries: list[Any] = []
         """What is kept, oldest first."""
         self._stride = 1
-        self._seen = 0
+        self._n_entries = 0
         self.following = True
         self._moving = False
         """Whether the newest step is shown; false while the slider is at an earlier one."""
@@ -330,14 +330,14 @@ class Scrubber:
             layout=w.Layout(width="420px"),
         )
         self.widget.add_class(css_class)
-        self.widget.observe(self._moved, names="value")
+        self.widget.observe(self._on_move, names="value")
 
     def add(self, entry: Any) -> None:
         """Keep an entry; nothing is shown until ``show_newest``."""
-        if self._seen % self._stride and self.entries:
+        if self._n_entries % self._stride and self.entries:
             self.entries.pop()
         self.entries.append(entry)
-        self._seen += 1
+        self._n_entries += 1
         if len(self.entries) > MOST_ENTRIES:
             self.entries = [*self.entries[:-1][::2], entry]
             self._stride *= 2
@@ -362,7 +362,7 @@ class Scrubber:
         if self.entries:
             self.widget.value = min(position, len(self.entries) - 1)
 
-    def _moved(self, change: Any) -> None:
+    def _on_move(self, change: Any) -> None:
         if not self._moving and self.entries:
             position = min(change["new"], len(self.entries) - 1)
             self.following = position == len(self.entries) - 1

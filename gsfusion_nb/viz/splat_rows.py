@@ -48,15 +48,15 @@ class Column:
     def limits(self) -> tuple[float, float]:
         """Values of the first and last colour: the extremes of labels, 1st and 99th percentile of
         numbers."""
-        known = self.values[np.isfinite(self.values)]
+        numbers = self.values[np.isfinite(self.values)]
         if self.kind == "state":
             return 0.0, float(len(STATE_NAMES) - 1)
-        if not len(known):
+        if not len(numbers):
             return 0.0, 1.0
         if self.kind != "number":
-            return float(known.min()), float(known.max())
+            return float(numbers.min()), float(numbers.max())
         low, high = np.percentile(
-            known[:: max(1, len(known) // 100_000)],
+            numbers[:: max(1, len(numbers) // 100_000)],
             (1, 99),
         )
         return float(low), float(high)
@@ -66,7 +66,7 @@ class Column:
         """Which of ``viewer_picture.PALETTES`` shows it."""
         return "state" if self.kind == "state" else "viridis"
 
-    def described(self) -> dict[str, Any]:
+    def as_dict(self) -> dict[str, Any]:
         """The message to the front end."""
         low, high = self.limits
         names = list(STATE_NAMES) if self.kind == "state" else None
@@ -97,8 +97,8 @@ def columns_of(
         ValueError: an extra has another length or more than one axis, or a name that is taken.
     """
     own = {} if isinstance(source, GaussianParams) else {k: getattr(source, k, None) for k in KNOWN}
-    given = {k: v for k, v in own.items() if v is not None} | dict(extras)
-    columns = [_column(name, values, n) for name, values in given.items()]
+    values_by_name = {k: v for k, v in own.items() if v is not None} | dict(extras)
+    columns = [_column(name, values, n) for name, values in values_by_name.items()]
     if own.get("state") is None or "tag" in extras:
         return columns
     return [dataclasses.replace(c, label=SURFEL_TAG) if c.name == "tag" else c for c in columns]
@@ -108,14 +108,14 @@ def with_surface(columns: list[Column], n: int, total: int) -> list[Column]:
     """The columns of ``n`` Gaussians continued with zeros to ``total`` rows, and one that is 1 in
     the rows behind."""
     longer = [dataclasses.replace(c, values=np.pad(c.values, (0, total - n))) for c in columns]
-    behind = (np.arange(total) >= n).astype(np.float32)
+    is_surface = (np.arange(total) >= n).astype(np.float32)
     return [
         *longer,
-        Column(name="surface", label="surface or Gaussian", kind="number", values=behind),
+        Column(name="surface", label="surface or Gaussian", kind="number", values=is_surface),
     ]
 
 
-def stacked(columns: list[Column], n: int) -> Float[np.ndarray, "N C"]:
+def value_table(columns: list[Column], n: int) -> Float[np.ndarray, "N C"]:
     """The values side by side."""
     return (
         np.stack([c.values for c in columns], axis=1) if columns else np.zeros((n, 0), np.float32)
@@ -229,9 +229,9 @@ def pack_rows(
         "opacity": params.opacity_logit.sigmoid()[:, None],
     }
     for name, value in values.items():
-        shown = torch.where(good, value.detach(), 0.0)
+        plain = torch.where(good, value.detach(), 0.0)
         field = records[name]
-        field[...] = shown.cpu().numpy().reshape(field.shape)
+        field[...] = plain.cpu().numpy().reshape(field.shape)
     records["columns"] = np.nan_to_num(columns)
     return records.view(np.uint8).reshape(len(params), layout.stride)
 
@@ -248,8 +248,8 @@ def packet_between(
     if old is None or old.shape[1] != new.shape[1] or len(old) > len(new):
         return None, new
     words = [a[: len(old)].view(np.uint32) for a in (old, new)]
-    changed = np.flatnonzero((words[0] != words[1]).any(axis=1))
-    index = np.concatenate([changed, np.arange(len(old), len(new))]).astype(np.int32)
+    changed_rows = np.flatnonzero((words[0] != words[1]).any(axis=1))
+    index = np.concatenate([changed_rows, np.arange(len(old), len(new))]).astype(np.int32)
     if not len(index):
         return None
     if len(index) > MAX_CHANGED_SHARE * len(new):

@@ -157,21 +157,21 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         self._lock = lock or nullcontext()
         keyframes = list(getattr(source, "keyframes", ()))
         poses = [k.T_WC for k in keyframes] or ([] if T_WC is None else [T_WC])
-        up = torch.as_tensor(world_up(poses) if up_W is None else up_W).float()
+        up_axis = torch.as_tensor(world_up(poses) if up_W is None else up_W).float()
         self.camera = viewing_camera(
             camera or (keyframes[0].camera if keyframes else None), width, height
         )
         self._sending = threading.RLock()
-        self._sent: np.ndarray | None = None
+        self._page_records: np.ndarray | None = None
         self._listening = False
-        self._displayed = False
+        self._is_displayed = False
         self._timer: threading.Timer | None = None
         self._last_sent_s = -1e9
         with self._lock:
             self._read()
             start = keyframes[0].T_WC if T_WC is None and keyframes else T_WC
             places = places_of(
-                self._params[splat_rows.finite_rows(self._params)], self.camera, start, up
+                self._params[splat_rows.finite_rows(self._params)], self.camera, start, up_axis
             )
         first = places["photo"].T_WC.flatten().tolist()
         c = self.camera
@@ -179,7 +179,7 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
             width=c.width,
             height=c.height,
             intrinsics=[c.fx, c.fy, c.cx, c.cy],
-            up_W=(up / up.norm()).tolist(),
+            up_W=(up_axis / up_axis.norm()).tolist(),
             pose=first,
             pivot_m=places["photo"].pivot_m,
             reach_m=1.5 * places["above"].pivot_m,
@@ -191,7 +191,7 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         )
         self._describe()
         self.observe(lambda _change: self._show_record(), "picked")
-        self.on_msg(self._heard)
+        self.on_msg(self._on_message)
 
     @property
     def T_WC(self) -> Float[Tensor, "4 4"]:
@@ -302,10 +302,14 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
     def _surface_view(self) -> RenderOutput | None:
         """The whole picture of a mapper that draws over its surface, as long as the viewer changes
         nothing in it."""
-        changed = (
+        has_changes = (
             self.cut_m > 0 or self.born_until is not None or self.size != 1 or self.opacity != 1
         )
-        if changed or self.colour_by not in ("rgb", "depth") or not _draws_surface(self._source):
+        if (
+            has_changes
+            or self.colour_by not in ("rgb", "depth")
+            or not _draws_surface(self._source)
+        ):
             return None
         return self._source.render(self.camera, self.T_WC)
 
@@ -313,9 +317,11 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         return f"SplatViewer({len(self._params):,} Gaussians, {self.width}x{self.height})"
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
-        self._displayed = self._displayed or not static_views()
-        shown = "in their colours" if self.colour_by == "rgb" else f"coloured by {self.colour_by}"
-        alt = f"A map of {len(self._params):,} Gaussians, {shown}"
+        self._is_displayed = self._is_displayed or not static_views()
+        colour_words = (
+            "in their colours" if self.colour_by == "rgb" else f"coloured by {self.colour_by}"
+        )
+        alt = f"A map of {len(self._params):,} Gaussians, {colour_words}"
         return with_picture(
             super()._repr_mimebundle_(**kwargs), self.picture(), repr(self), alt=alt
         )
@@ -331,14 +337,18 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
 
     def _read(self) -> None:
         """Read parameters and columns from the source."""
-        held = getattr(self._source, "gaussians", self._source)
-        params = held if isinstance(held, GaussianParams) else getattr(held, "params", None)
+        gaussians = getattr(self._source, "gaussians", self._source)
+        params = (
+            gaussians
+            if isinstance(gaussians, GaussianParams)
+            else getattr(gaussians, "params", None)
+        )
         if not isinstance(params, GaussianParams):
             kind = type(self._source).__name__
             raise KindError(
                 f"SplatViewer needs a mapper, a GaussianModel or GaussianParams, got {kind}"
             )
-        columns = splat_rows.columns_of(held, len(params), self._extras)
+        columns = splat_rows.columns_of(gaussians, len(params), self._extras)
         n = len(params)
         if _draws_surface(self._source):  # the surface as discs, behind the map's own rows
             params = self._source.files.standard_gaussians()
@@ -349,7 +359,7 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
     def _describe(self) -> None:
         """Send the front end the columns, and a warning if the map has invalid rows."""
         with self.hold_sync():
-            self.columns = [c.described() for c in self._columns]
+            self.columns = [c.as_dict() for c in self._columns]
             frames = [c for c in self._columns if c.kind == "frame" and len(c.values)]
             self.birth_range = list(frames[0].limits) if frames else []
             bad = len(self._params) - int(splat_rows.finite_rows(self._params).sum())
@@ -366,7 +376,7 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
             self._read()
             layout = splat_rows.layout_for(self._params, len(self._columns))
             records = splat_rows.pack_rows(
-                self._params, splat_rows.stacked(self._columns, len(self._params)), layout
+                self._params, splat_rows.value_table(self._columns, len(self._params)), layout
             )
             self._describe()
             self._last_sent_s = time.monotonic()
@@ -383,10 +393,10 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
     def _send_rows(self, records: np.ndarray, layout: RowLayout) -> None:
         """Send the rows that the front end does not have; all rows if it has not answered (a cell
         may be running)."""
-        if not (self._listening or self._displayed):
+        if not (self._listening or self._is_displayed):
             return
-        packet = splat_rows.packet_between(self._sent if self._listening else None, records)
-        self._sent = records
+        packet = splat_rows.packet_between(self._page_records if self._listening else None, records)
+        self._page_records = records
         if packet is not None:
             index, rows = packet
             head = {
@@ -399,12 +409,12 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
             buffers = [a.tobytes() for a in ([rows] if index is None else [index, rows])]
             self.send({"kind": "rows", "head": head}, buffers)
 
-    def _heard(self, _widget: Any, content: Any, _buffers: Any) -> None:
+    def _on_message(self, _widget: Any, content: Any, _buffers: Any) -> None:
         """The front end has opened, or has missed a message."""
         if content.get("kind") == "ready":
             with self._lock, self._sending:
                 self._listening = True
-                self._sent = None
+                self._page_records = None
                 self._refresh()
 
 

@@ -50,18 +50,18 @@ def orbit_camera(
     if not distance_m >= 0:
         raise ArgumentError(f"distance_m must be >= 0, got {distance_m}")
     target = torch.as_tensor(target_W, dtype=torch.float64).cpu()
-    up = torch.as_tensor(up_W, dtype=torch.float64).detach().cpu()
-    if not float(up.norm()) > 1e-9:
-        raise ArgumentError(f"up_W must be a direction of three numbers, got {up.tolist()}")
-    up = up / up.norm()
-    axis = torch.nn.functional.one_hot(up.abs().argmin(), 3).double()
-    e1 = torch.nn.functional.normalize(axis - (axis @ up) * up, dim=0)
-    e2 = torch.linalg.cross(up, e1)
+    up_axis = torch.as_tensor(up_W, dtype=torch.float64).detach().cpu()
+    if not float(up_axis.norm()) > 1e-9:
+        raise ArgumentError(f"up_W must be a direction of three numbers, got {up_axis.tolist()}")
+    up_axis = up_axis / up_axis.norm()
+    axis = torch.nn.functional.one_hot(up_axis.abs().argmin(), 3).double()
+    e1 = torch.nn.functional.normalize(axis - (axis @ up_axis) * up_axis, dim=0)
+    e2 = torch.linalg.cross(up_axis, e1)
     azimuth = math.radians(azimuth_deg)
     elevation = math.radians(elevation_deg)
     r = math.cos(azimuth) * e1 + math.sin(azimuth) * e2
-    outwards = math.cos(elevation) * r + math.sin(elevation) * up
-    right = torch.linalg.cross(up, r)
+    outwards = math.cos(elevation) * r + math.sin(elevation) * up_axis
+    right = torch.linalg.cross(up_axis, r)
     T = torch.eye(4, dtype=torch.float64)
     T[:3, 0] = right
     T[:3, 1] = torch.linalg.cross(-outwards, right)
@@ -111,16 +111,16 @@ def viewing_camera(camera: Camera | None, width: int | None, height: int | None)
             if height is None
             else round(height * camera.width / camera.height)
         )
-    scaled = camera.resized(width, round(width * camera.height / camera.width))
-    if height is None or height == scaled.height:
-        return scaled
+    resized_camera = camera.resized(width, round(width * camera.height / camera.width))
+    if height is None or height == resized_camera.height:
+        return resized_camera
     return Camera(
         width=width,
         height=height,
-        fx=scaled.fx,
-        fy=scaled.fy,
-        cx=scaled.cx,
-        cy=scaled.cy + (height - scaled.height) / 2,
+        fx=resized_camera.fx,
+        fy=resized_camera.fy,
+        cx=resized_camera.cx,
+        cy=resized_camera.cy + (height - resized_camera.height) / 2,
     )
 
 
@@ -158,23 +158,27 @@ def places_of(
     x, y, z = centre_W.tolist()
     far_m = 0.9 * radius_m / min(0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy)
 
-    def around(azimuth_deg: float, elevation_deg: float, distance_m: float) -> Float[Tensor, "4 4"]:
+    def orbit_pose(
+        azimuth_deg: float, elevation_deg: float, distance_m: float
+    ) -> Float[Tensor, "4 4"]:
         return orbit_camera((x, y, z), azimuth_deg, elevation_deg, distance_m, up_W)
 
     if T_WC is None:
-        photo = Place(T_WC=around(-60.0, 35.0, far_m), pivot_m=far_m)
+        photo = Place(T_WC=orbit_pose(-60.0, 35.0, far_m), pivot_m=far_m)
     else:
         check_pose("T_WC", T_WC)
         pose = T_WC.detach().cpu().float()
         depth_m = expected_depth_m(render(params, camera, pose))
-        seen = depth_m[depth_m > 0]
-        photo = Place(T_WC=pose, pivot_m=float(seen.median()) if len(seen) else radius_m)
+        valid_depth_m = depth_m[depth_m > 0]
+        photo = Place(
+            T_WC=pose, pivot_m=float(valid_depth_m.median()) if len(valid_depth_m) else radius_m
+        )
     return {
         "photo": photo,
         "above": Place(
-            T_WC=around(-60.0, 74.0, far_m),
+            T_WC=orbit_pose(-60.0, 74.0, far_m),
             pivot_m=far_m,
             cut_m=max(far_m - 0.13 * radius_m, 0.0),
         ),
-        "inside": Place(T_WC=around(90.0, 0.0, 0.0), pivot_m=0.3),
+        "inside": Place(T_WC=orbit_pose(90.0, 0.0, 0.0), pivot_m=0.3),
     }

@@ -12,7 +12,7 @@ from gsfusion_nb.geometry.spherical_harmonics import sh_to_rgb
 from gsfusion_nb.render import project_gaussians, render
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import orbit_camera
-from gsfusion_nb.viz.display import joined
+from gsfusion_nb.viz.display import join_modules
 from gsfusion_nb.viz.splat_rows import layout_for, pack_rows, packet_between
 from gsfusion_nb.viz.splat_viewer import _RULES, ENGINE, SplatViewer
 
@@ -92,7 +92,7 @@ def ask(node, tmp_path):
             "ask": list(questions),
         }
         (tmp_path / "input.json").write_text(json.dumps(data))
-        (tmp_path / "engine.mjs").write_text(joined(ENGINE) + _SCRIPT)
+        (tmp_path / "engine.mjs").write_text(join_modules(ENGINE) + _SCRIPT)
         done = subprocess.run(
             [node, tmp_path / "engine.mjs", tmp_path], capture_output=True, text=True
         )
@@ -295,7 +295,7 @@ def test_parts_add_up_to_the_map(ask, scene, generator):
 
 def test_the_hand_moves_the_camera_like_orbit_camera(node, tmp_path):
     script = (
-        joined(("camera",))
+        join_modules(("camera",))
         + """
     const [pose, up] = JSON.parse(process.argv[2]);
     const round = new OrbitCamera(pose, 2.5, up);

@@ -102,7 +102,7 @@ def listen(viewer, monkeypatch):
     monkeypatch.setattr(
         viewer, "send", lambda content, buffers=(): sizes.append(content["head"]["n"])
     )
-    viewer._heard(viewer, {"kind": "ready"}, [])
+    viewer._on_message(viewer, {"kind": "ready"}, [])
     return sizes
 
 

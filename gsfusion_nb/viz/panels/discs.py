@@ -62,8 +62,8 @@ class DiscScene:
     def in_mid_air(self, name: str) -> float:
         """Share of the depths that are more than 3 cm from every surface."""
         depth = getattr(self, name)
-        away = torch.stack([(depth - plane).abs() for plane in self.planes_m]).amin(0)
-        return float((away[depth > 0] > MID_AIR_M).float().mean())
+        distance_m = torch.stack([(depth - plane).abs() for plane in self.planes_m]).amin(0)
+        return float((distance_m[depth > 0] > MID_AIR_M).float().mean())
 
 
 def disc_scene(
@@ -105,16 +105,16 @@ def disc_scene(
         )
     params = GaussianParams(**{k: torch.cat([vars(p)[k] for p in parts]) for k in vars(front)})
     config = DiscConfig(opaque_alpha=opaque_alpha, min_cosine=0.17, max_offset=3.0)
-    seen = view_surface(params, camera, T_WC, config)
-    blended = view_surface(params, camera, T_WC, dataclasses.replace(config, depth="blended"))
+    view = view_surface(params, camera, T_WC, config)
+    blended_view = view_surface(params, camera, T_WC, dataclasses.replace(config, depth="blended"))
     planes = _planes(camera, lean, float(gap_m))
     return DiscScene(
         params=params,
         truth_m=_truth(camera, lean, planes),
         planes_m=planes,
-        disc_m=seen.depth_m,
-        blended_m=blended.depth_m,
-        rgb=seen.rgb,
+        disc_m=view.depth_m,
+        blended_m=blended_view.depth_m,
+        rgb=view.rgb,
     )
 
 
@@ -164,14 +164,14 @@ def disc_panel() -> Panel:
 def disc_scene_picture(scene: DiscScene) -> Picture:
     """Render, disc depth and blended depth in a row; below, the middle row of pixels as points seen
     from above."""
-    far = _far_m(scene) + 0.1
+    far_m = _far_m(scene) + 0.1
     images = [
         to_uint8(scene.rgb),
-        *(colour_depth(d, 0.5, far) for d in (scene.disc_m, scene.blended_m)),
+        *(colour_depth(d, 0.5, far_m) for d in (scene.disc_m, scene.blended_m)),
     ]
     images = [i.repeat(3, 0).repeat(3, 1) for i in images]
     top = side_by_side(
-        images, ["render", "disc depth (Eq. 5)", f"blended; blue 0.5 m, red {far:.1f} m"]
+        images, ["render", "disc depth (Eq. 5)", f"blended; blue 0.5 m, red {far_m:.1f} m"]
     )
     return np.concatenate([top, disc_scene_plan(scene, top.shape[1])])
 
@@ -180,14 +180,14 @@ def disc_scene_plan(scene: DiscScene, width: int, height: int = 300) -> Picture:
     """The scene from above, the camera below: discs near the middle row, the depths of its rays as
     points."""
     figure, (axes,) = card_figure(width, height)
-    far = _far_m(scene)
+    far_m = _far_m(scene)
     camera = STAGE_CAMERA
     x_over_z = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     R = quaternion.to_matrix(scene.params.quat)
     scales = scene.params.log_scale.exp()
-    near = scene.params.xyz_W[:, 1].abs() < 0.6 * float(scales.max())
-    centre = scene.params.xyz_W[near]
-    side = R[near, :, 0] * scales[near, :1]
+    in_slab = scene.params.xyz_W[:, 1].abs() < 0.6 * float(scales.max())
+    centre = scene.params.xyz_W[in_slab]
+    side = R[in_slab, :, 0] * scales[in_slab, :1]
     ends = torch.stack([centre - side, centre + side])[..., [0, 2]].numpy()
     axes.plot(
         ends[..., 0],
@@ -202,10 +202,10 @@ def disc_scene_plan(scene: DiscScene, width: int, height: int = 300) -> Picture:
         (scene.truth_m, "truth", CARD_INK, 1.5),
     ):
         z = depth[camera.height // 2].numpy()
-        shown = (z > 0) & (z <= far + 0.05)
+        in_plan = (z > 0) & (z <= far_m + 0.05)
         axes.plot(
-            (x_over_z * z)[shown],
-            z[shown],
+            (x_over_z * z)[in_plan],
+            z[in_plan],
             "o",
             color=ink,
             markersize=size,
@@ -213,8 +213,8 @@ def disc_scene_plan(scene: DiscScene, width: int, height: int = 300) -> Picture:
         )
     low = max(0.0, float(scene.truth_m[scene.truth_m > 0].min()) - 0.25)
     axes.set(
-        ylim=(low, far + 0.05),
-        xlim=(-0.6 * far, 0.6 * far),
+        ylim=(low, far_m + 0.05),
+        xlim=(-0.6 * far_m, 0.6 * far_m),
     )
     axes.set_aspect("equal", adjustable="box")
     style(
@@ -242,8 +242,8 @@ def _scene_words(scene: DiscScene) -> str:
     for name, label in (("disc_m", "disc"), ("blended_m", "blended")):
         error = scene.errors_m(name)
         median = f"{float(error.median()) * 100:.2f} cm" if len(error) else "-"
-        covered = float((getattr(scene, name) > 0).float().mean())
-        rows.append((label, median, f"{scene.in_mid_air(name):.1%}", f"{covered:.0%}"))
+        coverage = float((getattr(scene, name) > 0).float().mean())
+        rows.append((label, median, f"{scene.in_mid_air(name):.1%}", f"{coverage:.0%}"))
     heads = ("depth", "error on board", "in mid-air", "covered")
     return html_table(rows, heads=heads, head_style="white-space:nowrap; padding-right:10px")
 
@@ -260,7 +260,7 @@ def _board(
     u = torch.arange(x_m[0] + spacing_m / 2, x_m[1], spacing_m)
     v = torch.arange(-_ROWS_M, _ROWS_M + spacing_m / 2, spacing_m)
     u, v = (a.flatten() for a in torch.meshgrid(u, v, indexing="ij"))
-    along = torch.tensor(
+    direction = torch.tensor(
         [np.cos(lean), 0.0, -np.sin(lean)],
         dtype=torch.float32,
     )
@@ -269,19 +269,19 @@ def _board(
         dtype=torch.float32,
     )
     xyz = (
-        u[:, None] * along
+        u[:, None] * direction
         + v[:, None] * torch.tensor([0.0, 1.0, 0.0])
         + torch.tensor([0.0, 0.0, z_m])
     )
     n = len(u)
     checks = 0.82 + 0.18 * ((u / spacing_m).round() + (v / spacing_m).round()).remainder(2)
     colour = checks[:, None] * torch.tensor(rgb)
-    up = torch.tensor([0.0, 0.0, 1.0]).expand(n, 3)
+    z_axis = torch.tensor([0.0, 0.0, 1.0]).expand(n, 3)
     sigma = spacing_m / 1.5
     return GaussianParams(
         xyz_W=xyz,
         log_scale=torch.tensor([sigma, sigma, 0.1 * sigma]).log().expand(n, 3).clone(),
-        quat=quaternion.shortest_arc(up, normal.expand(n, 3)),
+        quat=quaternion.shortest_arc(z_axis, normal.expand(n, 3)),
         opacity_logit=torch.full((n,), float(torch.logit(torch.tensor(OPAQUE)))),
         sh=rgb_to_sh_dc(colour)[:, None],
     )
@@ -340,7 +340,7 @@ def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
     """
 
     photo = to_uint8(frame.colour)
-    rendered = to_uint8(view.rgb)
+    render_u8 = to_uint8(view.rgb)
 
     def draw(*, min_transmittance: float, depth_error_m: float, colour_error: float) -> Drawn:
         masks = masks_by_cause(view, frame, min_transmittance, depth_error_m, colour_error)
@@ -355,7 +355,7 @@ def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
             share = f"{float(mask.float().mean()):.1%}"
             rows.append((CAUSES[cause][0], count.format(cause, int(mask.sum())), share))
             picture[mask.numpy()] = 0.35 * picture[mask.numpy()] + 0.65 * np.array(CAUSES[cause][1])
-        pictures = [photo, rendered, error_map(rendered, photo), picture.astype(np.uint8)]
+        pictures = [photo, render_u8, error_map(render_u8, photo), picture.astype(np.uint8)]
         k = max(1, round(300 / picture.shape[1]))
         pictures = [p.repeat(k, 0).repeat(k, 1) for p in pictures]
         top = side_by_side(pictures[:2], ["new frame", "map so far"])
@@ -409,10 +409,10 @@ def surface_panel(
 
     def draw(choice: str) -> Drawn:
         surface, whole = (to_uint8(x) for x in pictures[choice])
-        added = ((whole.astype(int) - surface) + 128).clip(0, 255).astype("uint8")
+        correction = ((whole.astype(int) - surface) + 128).clip(0, 255).astype("uint8")
         parts = [
             part.repeat(scale, 0).repeat(scale, 1)
-            for part in (surface, added, whole, error_map(whole, photo))
+            for part in (surface, correction, whole, error_map(whole, photo))
         ]
         words = (
             f"{label} {choice}: the surface alone, what the Gaussians add, the sum, and its error"

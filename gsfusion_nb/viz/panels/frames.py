@@ -51,30 +51,30 @@ def point_view(
     xyz_C = backproject(frame.camera, pixel_grid(frame.camera), frame.depth_m).view(-1, 3)
     T_new_old = se3.inverse(T_WC.double()) @ frame.T_WC.double()
     xyz = se3.apply(T_new_old.float(), xyz_C)
-    seen = ((frame.depth_m.view(-1) > 0) & (xyz[:, 2] > 0.05)).nonzero()[:, 0]
-    z = xyz[seen, 2]
-    corner = (project(target, xyz[seen]) - 0.5 * (point_px - 1)).floor()
+    point_row = ((frame.depth_m.view(-1) > 0) & (xyz[:, 2] > 0.05)).nonzero()[:, 0]
+    z = xyz[point_row, 2]
+    corner = (project(target, xyz[point_row]) - 0.5 * (point_px - 1)).floor()
     nearest = torch.full((target.height * target.width,), torch.inf)
     picture = torch.zeros(target.height * target.width, 3, dtype=torch.uint8)
     for dx in range(point_px):
         for dy in range(point_px):
             i = corner[:, 0] + dx
             j = corner[:, 1] + dy
-            inside = ((i >= 0) & (i < target.width) & (j >= 0) & (j < target.height)).nonzero()[
+            in_picture = ((i >= 0) & (i < target.width) & (j >= 0) & (j < target.height)).nonzero()[
                 :, 0
             ]
-            at = j[inside].long() * target.width + i[inside].long()
-            nearest.scatter_reduce_(0, at, z[inside], "amin")
-            first = z[inside] <= nearest[at]
-            picture[at[first]] = inks[seen[inside[first]]]
+            at = j[in_picture].long() * target.width + i[in_picture].long()
+            nearest.scatter_reduce_(0, at, z[in_picture], "amin")
+            first = z[in_picture] <= nearest[at]
+            picture[at[first]] = inks[point_row[in_picture[first]]]
     return picture.view(target.height, target.width, 3).numpy()
 
 
 def normal_colours(normal: Float[Tensor, "H W 3"]) -> Picture:
     """Unit normals as colour: x, y, z from -1..1 to red, green, blue 0..1; black where the normal
     is zero."""
-    known = normal.norm(dim=-1, keepdim=True) > 0.5
-    return to_uint8((0.5 + 0.5 * normal) * known)
+    has_normal = normal.norm(dim=-1, keepdim=True) > 0.5
+    return to_uint8((0.5 + 0.5 * normal) * has_normal)
 
 
 def point_colours(frame: Frame, show: str) -> Picture:
@@ -139,10 +139,11 @@ def point_panel(frame: Frame) -> Panel:
         picture = point_view(frame, T_WC, colours=colours(show), point_px=point_px)
         empty = 1 - float(((picture[..., 0] | picture[..., 1] | picture[..., 2]) > 0).mean())
         place, about = pixel_story(frame, T_WC, u, v)
-        left = draw_cross(colours(show), (u + 0.5, v + 0.5))
+        frame_picture = draw_cross(colours(show), (u + 0.5, v + 0.5))
         right = picture if place is None else draw_cross(picture, place)
         pair = side_by_side(
-            [left, right], ["the frame: click a pixel", "its points from the new pose: drag"]
+            [frame_picture, right],
+            ["the frame: click a pixel", "its points from the new pose: drag"],
         )
         x, y, z = T_WC[:3, 3].tolist()
         words = (
@@ -203,18 +204,20 @@ def pixel_story(
     uv = torch.tensor([[u + 0.5, v + 0.5]])
     xyz_C = backproject(frame.camera, uv, torch.tensor([depth_m]))
     xyz_W = se3.apply(frame.T_WC, xyz_C)
-    seen = se3.apply(se3.inverse(T_new), xyz_W)
+    xyz_new = se3.apply(se3.inverse(T_new), xyz_W)
     c, w = (", ".join(f"{x:.3f}" for x in p[0].tolist()) for p in (xyz_C, xyz_W))
     words = (
         f"{head}z = <b>{depth_m:.3f} m</b><br>x<sub>C</sub> = ({c}) m, x<sub>W</sub> = ({w}) m<br>"
     )
-    if float(seen[0, 2]) <= 0:
+    if float(xyz_new[0, 2]) <= 0:
         return None, words + "behind the moved camera"
-    place = project(frame.camera, seen)[0].tolist()
-    inside = 0 <= place[0] < frame.camera.width and 0 <= place[1] < frame.camera.height
-    at = f"in the moved camera at ({place[0]:.1f}, {place[1]:.1f}), z = {float(seen[0, 2]):.3f} m"
-    return (place[0], place[1]) if inside else None, words + (
-        at if inside else at + ": outside its picture"
+    place = project(frame.camera, xyz_new)[0].tolist()
+    in_picture = 0 <= place[0] < frame.camera.width and 0 <= place[1] < frame.camera.height
+    at = (
+        f"in the moved camera at ({place[0]:.1f}, {place[1]:.1f}), z = {float(xyz_new[0, 2]):.3f} m"
+    )
+    return (place[0], place[1]) if in_picture else None, words + (
+        at if in_picture else at + ": outside its picture"
     )
 
 
@@ -256,10 +259,10 @@ def repair_panel(sequence: Sequence, first: int, second: int) -> Panel:
             rgb_shift_x_px=float(right_px),
             rgb_shift_y_px=float(down_px),
         )
-        mended = repaired(sequence, repair)
-        a = mended[first]
-        b = mended[second]
-        found = depth_agreement(a, b, step=2)
+        repaired_frames = repaired(sequence, repair)
+        a = repaired_frames[first]
+        b = repaired_frames[second]
+        agreement = depth_agreement(a, b, step=2)
         parts = [
             resize_to_height(np.asarray(p), _HEIGHT_PX)
             for p in (depth_error(a, b), edge_overlay(b))
@@ -268,8 +271,10 @@ def repair_panel(sequence: Sequence, first: int, second: int) -> Panel:
             f"frame {first} in frame {second}: error of depth",
             f"frame {second}: edges of depth on colour",
         ]
-        words = f"<b>{found.agreeing:.0%}</b> of the points agree within 3 %; median difference "
-        return side_by_side(parts, labels), f"{words}{100 * found.median_m:.1f} cm"
+        words = (
+            f"<b>{agreement.agreeing:.0%}</b> of the points agree within 3 %; median difference "
+        )
+        return side_by_side(parts, labels), f"{words}{100 * agreement.median_m:.1f} cm"
 
     controls = {
         "depth_factor": Slider(

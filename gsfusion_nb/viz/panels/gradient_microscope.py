@@ -224,11 +224,11 @@ def pixel_gradient_picture(
     s = gradient.stack
     top = s.weight.argsort(descending=True)[:_SHOWN]
     uv = splats.projection.uv[s.row[top]].double().numpy()
-    far = np.abs(uv - (s.u + 0.5, s.v + 0.5)).max(initial=0.0)
+    reach_px = np.abs(uv - (s.u + 0.5, s.v + 0.5)).max(initial=0.0)
     figure, axes = stacks.lens_figure(
         image,
         (s.u, s.v),
-        int(min(max(far * 1.15 + 2, 6), 40)),
+        int(min(max(reach_px * 1.15 + 2, 6), 40)),
         size,
     )
     inks = [
@@ -403,7 +403,7 @@ class GradientMicroscope(Panel):
             self.splats = stacks.project_splats(params, camera, T_WC)
             p = self.splats.projection
             tiles = tile_intersections(p, camera)
-            out = composite(
+            image = composite(
                 p.uv,
                 p.conic,
                 p.opacity,
@@ -413,9 +413,9 @@ class GradientMicroscope(Panel):
                 camera,
                 with_indices=False,
             )
-            self.v_rgb = l1_vjp(out.rgb, self.target)
-            self.rendered = to_uint8(out.rgb)
-            self.total = composite_vjp(out.saved, self.v_rgb)
+            self.v_rgb = l1_vjp(image.rgb, self.target)
+            self.rendered = to_uint8(image.rgb)
+            self.total = composite_vjp(image.saved, self.v_rgb)
 
     def _gaussian_table(self, row: int, unit: float) -> str:
         g = self.total

@@ -78,7 +78,7 @@ def residual_picture(
     it.
     """
     level = depth_pyramid(frame.depth_m, frame.camera, config.pyramid[-1:])[0]
-    found = associate(
+    pairs = associate(
         level,
         T_WC,
         surface,
@@ -86,13 +86,13 @@ def residual_picture(
         min_cosine=float(np.cos(np.radians(config.max_angle_deg))),
     )
     r, _ = point_to_plane(
-        found.xyz.flatten(0, 1),
-        found.surface_xyz.flatten(0, 1),
-        found.surface_normal.flatten(0, 1),
+        pairs.xyz.flatten(0, 1),
+        pairs.surface_xyz.flatten(0, 1),
+        pairs.surface_normal.flatten(0, 1),
     )
-    picture = distance_colours(r.view(found.inlier.shape) / RESIDUAL_M)
-    picture[~found.inlier.numpy()] = _REJECTED
-    picture[~found.overlap.numpy()] = _OUTSIDE
+    picture = distance_colours(r.view(pairs.inlier.shape) / RESIDUAL_M)
+    picture[~pairs.inlier.numpy()] = _REJECTED
+    picture[~pairs.overlap.numpy()] = _OUTSIDE
     return picture
 
 
@@ -104,11 +104,11 @@ def overlay_picture(frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"]) 
         if surface.rgb is None
         else to_uint8(surface.rgb)
     )
-    moved = dataclasses.replace(frame, T_WC=T_WC.float())
-    warped = point_view(moved, surface.T_WC, camera=surface.camera)
+    frame_at_pose = dataclasses.replace(frame, T_WC=T_WC.float())
+    frame_points = point_view(frame_at_pose, surface.T_WC, camera=surface.camera)
     return np.where(
-        warped.any(-1, keepdims=True),
-        (base.astype(np.uint16) + warped) // 2,
+        frame_points.any(-1, keepdims=True),
+        (base.astype(np.uint16) + frame_points) // 2,
         base,
     ).astype(np.uint8)
 
@@ -151,15 +151,15 @@ def icp_panel(frame: Frame, surface: Surface, config: TrackingConfig | None = No
     """
     settings = config or TrackingConfig()
     configs = {True: settings, False: single_level_config(settings)}
-    kept: dict[tuple[Number, Number, bool], IcpResult] = {}
+    results: dict[tuple[Number, Number, bool], IcpResult] = {}
 
     def draw(*, step: int, sideways_cm: Number, turn_deg: Number, pyramid: bool) -> Drawn:
         key = (sideways_cm, turn_deg, pyramid)
-        if key not in kept:
-            kept.clear()
+        if key not in results:
+            results.clear()
             start = displaced_pose(frame.T_WC, sideways_cm / 100, turn_deg)
-            kept[key] = icp(frame.depth_m, frame.camera, surface, start, configs[pyramid])
-        result = kept[key]
+            results[key] = icp(frame.depth_m, frame.camera, surface, start, configs[pyramid])
+        result = results[key]
         n = len(result.history)
         off_m, off_deg = pose_error(result.T_WC, frame.T_WC)
         well = off_m < SUCCESS_M and off_deg < SUCCESS_DEG

@@ -115,11 +115,11 @@ def sh_ball(sh: Float[Tensor, "K 3"], size: int = 160) -> Picture:
     direction of the normal n looks along d = -n, which is the direction that the harmonics are
     evaluated at.
     """
-    n, inside = _ball_normals(size)
+    n, on_ball = _ball_normals(size)
     degree = round(sh.shape[0] ** 0.5) - 1
     colour = (sh_basis(-n, degree) @ sh + 0.5).clamp(0, 1)
     image = (torch.tensor(pictures.CARD) / 255).repeat(size * size, 1)
-    image[inside] = colour
+    image[on_ball] = colour
     return to_uint8(image.view(size, size, 3))
 
 
@@ -128,7 +128,7 @@ def basis_atlas(size: int = 104) -> Picture:
     negative."""
     from matplotlib.figure import Figure
 
-    n, inside = _ball_normals(size)
+    n, on_ball = _ball_normals(size)
     Y = sh_basis(-n, 3)
     figure = Figure(figsize=(0.07 * size, 0.04 * size), dpi=100, facecolor=CARD)
     grid = figure.add_gridspec(
@@ -144,7 +144,7 @@ def basis_atlas(size: int = 104) -> Picture:
     for k in range(16):
         degree = math.isqrt(k)
         tile = np.full(size * size, np.nan)
-        tile[inside] = Y[:, k]
+        tile[on_ball] = Y[:, k]
         axes = figure.add_subplot(grid[degree, 3 - degree + k - degree * degree])
         axes.imshow(
             tile.reshape(size, size),
@@ -165,21 +165,21 @@ def _cloud_uv(params: GaussianParams, camera: Camera, n: int) -> np.ndarray:
     xyz = params.xyz_W[0] + (unit * params.log_scale[0].exp()) @ R.T
     xyz = xyz[xyz[:, 2] > 0.05]
     uv = project(camera, xyz)
-    inside = (uv > 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
-    return uv[inside].numpy()
+    in_picture = (uv > 0).all(1) & (uv[:, 0] < camera.width) & (uv[:, 1] < camera.height)
+    return uv[in_picture].numpy()
 
 
 def _ball_normals(size: int) -> tuple[Tensor, Tensor]:
     """Outward normals of the visible half of a ball, and which pixels of the square show it."""
     i = (torch.arange(size) + 0.5 - size / 2) / (0.44 * size)
     y, x = torch.meshgrid(i, i, indexing="ij")
-    inside = (x * x + y * y < 1).flatten()
-    x = x.flatten()[inside]
-    y = y.flatten()[inside]
+    on_ball = (x * x + y * y < 1).flatten()
+    x = x.flatten()[on_ball]
+    y = y.flatten()[on_ball]
     return torch.stack(
         [x, y, -(1 - x * x - y * y).sqrt()],
         -1,
-    ), inside
+    ), on_ball
 
 
 def tile_picture(
@@ -309,23 +309,26 @@ def touch_gaussian(
     du, dv = stroke.moved
     z = values["z_m"]
     handles = gaussian_handles(values, camera, zoom)
-    held = nearest_handle(handles, stroke.start)
-    if held is None:
+    handle = nearest_handle(handles, stroke.start)
+    if handle is None:
         return {}
-    if held == "middle":
+    if handle == "middle":
         return {
             "x_m": values["x_m"] + du * z / camera.fx / zoom,
             "y_m": values["y_m"] + dv * z / camera.fy / zoom,
         }
-    u, v = handles[held]
+    u, v = handles[handle]
     mid_u, mid_v = handles["middle"]
     dx = (u + du - mid_u) * z / camera.fx / zoom
     dy = (v + dv - mid_v) * z / camera.fy / zoom
-    if held == "thick":
+    if handle == "thick":
         turn = math.radians(values["turn_deg"])
         return {"thick_m": abs(dy * math.cos(turn) - dx * math.sin(turn))}
-    shortened = max(math.cos(math.radians(values["lean_deg"])), 0.1)
-    return {"long_m": math.hypot(dx, dy) / shortened, "turn_deg": math.degrees(math.atan2(dy, dx))}
+    foreshortening = max(math.cos(math.radians(values["lean_deg"])), 0.1)
+    return {
+        "long_m": math.hypot(dx, dy) / foreshortening,
+        "turn_deg": math.degrees(math.atan2(dy, dx)),
+    }
 
 
 def sh_ball_panel() -> Panel:

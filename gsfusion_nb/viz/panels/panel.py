@@ -105,7 +105,7 @@ class Panel(LiveOutput):
         self._quiet = False
         self._touch = touch
         self._stroke = 0
-        self._grabbed = dict[str, Any]()
+        self._values_at_start = dict[str, Any]()
         self._picture: Picture = np.full((1, 1, 3), 255, np.uint8)
         self._build(controls, dict(buttons or {}))
         self.redraw()
@@ -136,12 +136,12 @@ class Panel(LiveOutput):
     ) -> "Panel":
         """Drag the picture from a point over others, (u, v) in pixels of ``picture()``; with only a
         start, a click."""
-        for now in (start, *way):
-            self._touched(
+        for point in (start, *way):
+            self._on_stroke(
                 Stroke(
-                    number=self._stroke + (now is start),
+                    number=self._stroke + (point is start),
                     start=start,
-                    now=now,
+                    now=point,
                 )
             )
         return self
@@ -191,21 +191,21 @@ class Panel(LiveOutput):
         self.controls = {name: _widget(control) for name, control in controls.items()}
         for name, control in self.controls.items():
             control.add_class(f"gsnb-{self.name}-{name}")
-            control.observe(self._changed, names="value")
+            control.observe(self._on_change, names="value")
         self.buttons = {
             label: w.Button(description=label, layout=w.Layout(width="auto")) for label in buttons
         }
         for label, button in self.buttons.items():
             button.add_class(f"gsnb-{self.name}-{label.lower().replace(' ', '-')}")
-            button.on_click(lambda _, act=buttons[label]: self._pressed(act))
+            button.on_click(lambda _, act=buttons[label]: self._on_click(act))
         self.image = ClickImage(
             format=self.kind, alt=self.text, touch="stroke" if self._touch else ""
         )
         self.image.add_class(f"gsnb-{self.name}-image")
-        self.image.on_stroke(self._touched)
+        self.image.on_stroke(self._on_stroke)
         self.caption = w.HTML()
         self.caption.add_class(f"gsnb-{self.name}-text")
-        self.widget = beside(
+        self.widget = picture_and_controls(
             self.image,
             list(self.controls.values()),
             list(self.buttons.values()),
@@ -214,34 +214,34 @@ class Panel(LiveOutput):
         self.widget.add_class(f"gsnb-{self.name}")
 
     def _show_error(self, error: Exception) -> None:
-        said = html.escape(f"{type(error).__name__}: {error}")
-        self.caption.value = f'<span style="color:#b3261e">{said}</span>'
+        message = html.escape(f"{type(error).__name__}: {error}")
+        self.caption.value = f'<span style="color:#b3261e">{message}</span>'
 
-    def _changed(self, _change: Any) -> None:
+    def _on_change(self, _change: Any) -> None:
         if not self._quiet:
             self.redraw()
 
-    def _touched(self, stroke: Stroke) -> None:
+    def _on_stroke(self, stroke: Stroke) -> None:
         with self.lock:
             if stroke.number != self._stroke:
                 self._stroke = stroke.number
-                self._grabbed = self.values
+                self._values_at_start = self.values
             if self._touch is not None:
                 try:
-                    changed = self._touch(stroke, self._grabbed)
+                    changes = self._touch(stroke, self._values_at_start)
                 except ValueError as e:
                     self._show_error(e)
                     return
-                if changed:
-                    self.set(**{k: _on_step(self.controls[k], x) for k, x in changed.items()})
+                if changes:
+                    self.set(**{k: _on_step(self.controls[k], x) for k, x in changes.items()})
 
-    def _pressed(self, act: Callable[[], Any]) -> None:
+    def _on_click(self, act: Callable[[], Any]) -> None:
         with self.lock:
             act()
             self.redraw()
 
 
-def beside(
+def picture_and_controls(
     picture: Any,
     controls: Sequence[Any],
     buttons: Sequence[Any],
@@ -251,10 +251,10 @@ def beside(
     narrow."""
     import ipywidgets as w
 
-    wrapped = w.Layout(flex_flow="row wrap")
+    wrap_layout = w.Layout(flex_flow="row wrap")
     parts = [
-        w.HBox(list(controls), layout=wrapped),
-        w.HBox(list(buttons), layout=wrapped),
+        w.HBox(list(controls), layout=wrap_layout),
+        w.HBox(list(buttons), layout=wrap_layout),
         words,
         LostNotice(),
     ]
@@ -287,7 +287,7 @@ def _widget(control: Control) -> Any:
     if isinstance(control, Switch):
         return w.Checkbox(value=control.value, description=control.label, **place)
     c = control
-    shared = {
+    common = {
         "value": c.value,
         "step": c.step,
         "description": c.label,
@@ -300,16 +300,16 @@ def _widget(control: Control) -> Any:
             max=math.log10(c.high),
             base=10,
             readout_format=c.readout,
-            **shared,
+            **common,
             **place,
         )
     if isinstance(c.step, int) and isinstance(c.value, int):
-        return w.IntSlider(min=c.low, max=c.high, **shared, **place)
+        return w.IntSlider(min=c.low, max=c.high, **common, **place)
     return w.FloatSlider(
         min=c.low,
         max=c.high,
         readout_format=c.readout,
-        **shared,
+        **common,
         **place,
     )
 
@@ -349,8 +349,8 @@ def touched_pixel(
     Empty if the drag began outside it.
     """
     (u0, v0), (u, v) = (((u / zoom), (v - LABEL_PX) / zoom) for u, v in (stroke.start, stroke.now))
-    inside = 0 <= u0 < camera.width and 0 <= v0 < camera.height
-    return {"u": math.floor(u), "v": math.floor(v)} if inside else {}
+    in_picture = 0 <= u0 < camera.width and 0 <= v0 < camera.height
+    return {"u": math.floor(u), "v": math.floor(v)} if in_picture else {}
 
 
 Point = tuple[float | int, float | int]
@@ -371,6 +371,8 @@ def draw_handles(picture: Picture, handles: Mapping[str, Point]) -> Picture:
 def nearest_handle(handles: Mapping[str, Point], at: Point) -> str | None:
     """Name of the handle nearest to a point, ``None`` if all are farther than ``REACH_PX``; the
     first of equal ones."""
-    apart = {name: ((u - at[0]) ** 2 + (v - at[1]) ** 2) ** 0.5 for name, (u, v) in handles.items()}
-    name = min(apart, key=lambda k: apart[k], default=None)
-    return name if name is not None and apart[name] <= REACH_PX else None
+    distances = {
+        name: ((u - at[0]) ** 2 + (v - at[1]) ** 2) ** 0.5 for name, (u, v) in handles.items()
+    }
+    name = min(distances, key=lambda k: distances[k], default=None)
+    return name if name is not None and distances[name] <= REACH_PX else None

@@ -85,8 +85,8 @@ class PixelMicroscope(Panel):
         )
         picture = stacks.with_cross(self.rendered, u, v, PICTURE_PX)
         top = side_by_side([picture, lens], ["rendered: click a pixel", "enlarged, with ellipses"])
-        rendered = " ".join(f"{x / 255:.3f}" for x in self.rendered[v, u])
-        words = f"pixel ({u}, {v}): {s.caption}; rendered (8 bit) {rendered}{s._repr_html_()}"
+        pixel_words = " ".join(f"{x / 255:.3f}" for x in self.rendered[v, u])
+        words = f"pixel ({u}, {v}): {s.caption}; rendered (8 bit) {pixel_words}{s._repr_html_()}"
         return np.concatenate([top, s.graph((top.shape[1], GRAPH_PX))]), words
 
 
@@ -141,9 +141,9 @@ class PixelMix:
     @property
     def caption(self) -> str:
         """Number of samples and their mean, as HTML."""
-        behind = f", {self.hidden} behind the surface" if self.hidden else ""
+        hidden_words = f", {self.hidden} behind the surface" if self.hidden else ""
         mean = f"W = {self.total:.2f}, mean = {stacks.rgb_text(self.colour)}"
-        return f"<b>surface and {len(self)} Gaussians</b>{behind}, {mean}"
+        return f"<b>surface and {len(self)} Gaussians</b>{hidden_words}, {mean}"
 
     def shuffled(self, generator: torch.Generator) -> "PixelMix":
         """The same Gaussians in a random order."""
@@ -216,7 +216,7 @@ def pixel_mix(splats: Splats, surface: SurfacePicture, u: int, v: int) -> PixelM
         surface.behind_m,
     )[:, 0]
     order = w.argsort(descending=True, stable=True)[: int((w > 0).sum())]
-    hidden = len(row) - len(order)
+    n_hidden = len(row) - len(order)
     row = row[order]
     w = w[order]
     return PixelMix(
@@ -228,7 +228,7 @@ def pixel_mix(splats: Splats, surface: SurfacePicture, u: int, v: int) -> PixelM
         depth_m=p.depth_m[row],
         weight=w,
         rgb=splats.rgb[row],
-        hidden=hidden,
+        hidden=n_hidden,
     )
 
 

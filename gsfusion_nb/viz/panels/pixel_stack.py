@@ -93,8 +93,8 @@ def blend_at(splats: Splats, uv: Float[Tensor, "P 2"]) -> Blend:
     p = splats.projection
     low = uv.amin(0) - p.extent_px
     high = uv.amax(0) + p.extent_px
-    near = p.visible & (p.uv >= low).all(1) & (p.uv <= high).all(1)
-    row = near.nonzero().squeeze(1)
+    reaches = p.visible & (p.uv >= low).all(1) & (p.uv <= high).all(1)
+    row = reaches.nonzero().squeeze(1)
     row = row[p.depth_m[row].argsort(stable=True)]
     x, y = uv.floor().long().unbind(-1)
     alpha, _, weight = blend_rows(
@@ -236,9 +236,9 @@ class PixelStack:
             )
             for k, wc in enumerate(self.contribution[:TABLE_ROWS])
         ]
-        left = f"left {self.light_left:.3f}"
+        light_words = f"left {self.light_left:.3f}"
         weight = f"{self.weight.sum():.3f}"
-        total = ("", "sum", "", "", left, weight, swatch(self.colour), rgb_text(self.colour))
+        total = ("", "sum", "", "", light_words, weight, swatch(self.colour), rgb_text(self.colour))
         return numbers_table(heads, lines, total, n=len(self))
 
 
@@ -345,7 +345,7 @@ def weights_graph(
         alpha: Pale bars behind those of the weights.
         light: Red steps: the light left in front of each sample.
     """
-    figure, (bars, *below) = card_figure(
+    figure, (bars, *strip_axes) = card_figure(
         *size,
         1 + len(strips),
         gridspec_kw={"height_ratios": (7, *[1] * len(strips))},
@@ -372,7 +372,7 @@ def weights_graph(
             linewidth=1.5,
         )
     bars.set_ylim(0, 1.02)
-    for axes, (name, strip) in zip(below, strips.items(), strict=True):
+    for axes, (name, strip) in zip(strip_axes, strips.items(), strict=True):
         axes.imshow(
             strip.clamp(0, 1).numpy()[None],
             aspect="auto",
@@ -380,7 +380,7 @@ def weights_graph(
         )
         axes.set_ylabel(name, rotation=0, ha="right", va="center")
         axes.set_yticks([])
-    for axes in (bars, *below):
+    for axes in (bars, *strip_axes):
         axes.set_xlim(-0.5, max(len(rgb), 1) - 0.5)
         axes.set_xticks([])
     return figure_picture(figure)

@@ -296,7 +296,7 @@ def rule_picture(
         ctx.memory.clear()
         ctx.memory.update(memory)
     if show != "places":
-        return _rendered(ctx, seeds, with_map=show == "map and new").repeat(scale, 0).repeat(
+        return _render_seeds(ctx, seeds, with_map=show == "map and new").repeat(scale, 0).repeat(
             scale, 1
         ), seeds
     picture = (to_uint8(ctx.frame.colour).repeat(scale, 0).repeat(scale, 1) * 0.5).astype(np.uint8)
@@ -338,11 +338,11 @@ def rule_panel(
             ),
             **extra,
         }
-    taken = sorted(set(own) & {"scene", "show"})
-    if taken:
+    name_clashes = sorted(set(own) & {"scene", "show"})
+    if name_clashes:
         raise ArgumentError(
-            f"rule {rule_name(rule)!r} has an option named {taken[0]!r}, which the panel needs "
-            "itself"
+            f"rule {rule_name(rule)!r} has an option named {name_clashes[0]!r}, which the panel "
+            "needs itself"
         )
 
     def draw(**values: Any) -> Drawn:
@@ -368,17 +368,17 @@ def _sizes(seeds: Seeds) -> str:
     return f"standard deviation: median {mid:.2g} cm, 80 % between {low:.2g} and {high:.2g} cm"
 
 
-def _rendered(ctx: SeedContext, seeds: Seeds, *, with_map: bool) -> Picture:
+def _render_seeds(ctx: SeedContext, seeds: Seeds, *, with_map: bool) -> Picture:
     model = GaussianModel(sh_degree=0)
     if with_map and ctx.gaussians is not None and len(ctx.map):
-        known = ctx.map
+        map_view = ctx.map
         old = Seeds(
-            xyz_W=known.xyz_W,
+            xyz_W=map_view.xyz_W,
             rgb=ctx.gaussians.rgb.clamp(0, 1),
-            scale_m=known.scale_m,
-            quat=known.quat,
-            opacity=known.opacity.clamp(1e-4, 1 - 1e-4),
-            tag=torch.zeros(len(known), dtype=torch.int32),
+            scale_m=map_view.scale_m,
+            quat=map_view.quat,
+            opacity=map_view.opacity.clamp(1e-4, 1 - 1e-4),
+            tag=torch.zeros(len(map_view), dtype=torch.int32),
         )
         model.append(old)
     model.append(dataclasses.replace(seeds, tag=seeds.tag.to(torch.int32)))

@@ -44,7 +44,7 @@ def stage_bars(
         raise ArgumentError("stage_bars needs at least one run, got none")
     figure, (axes,) = card_figure(width, 70 * len(runs) + 60)
     longest = max(sum(run.values()) for run in runs.values()) or 1.0
-    left = dict.fromkeys(runs, 0.0)
+    offsets = dict.fromkeys(runs, 0.0)
     for stage, ink in zip(
         dict.fromkeys(stage for run in runs.values() for stage in run),
         PALETTE * 3,
@@ -54,17 +54,17 @@ def stage_bars(
         bars = axes.barh(
             list(runs),
             ms,
-            left=list(left.values()),
+            left=list(offsets.values()),
             color=ink,
             label=stage,
         )
-        inside = [_short(x) if x > 60 * longest else "" for x in ms]
-        axes.bar_label(bars, inside, label_type="center", color="white", fontsize=8)
-        left = {label: left[label] + x for label, x in zip(runs, ms, strict=True)}
-    rates = [f" {_short(x)} ms, {_short(1e3 / x)} frames/s" if x else "" for x in left.values()]
+        labels = [_short(x) if x > 60 * longest else "" for x in ms]
+        axes.bar_label(bars, labels, label_type="center", color="white", fontsize=8)
+        offsets = {label: offsets[label] + x for label, x in zip(runs, ms, strict=True)}
+    rates = [f" {_short(x)} ms, {_short(1e3 / x)} frames/s" if x else "" for x in offsets.values()]
     for row, rate in enumerate(rates):
         axes.text(
-            list(left.values())[row],
+            list(offsets.values())[row],
             row,
             rate,
             color=CARD_INK,
@@ -100,18 +100,18 @@ def amdahl_panel(seconds: Mapping[str, float], *, width: int = 720) -> Panel:
         seconds: Stage -> seconds per frame.
         width: Of the picture, pixels.
     """
-    before = dict(seconds)
+    old_seconds = dict(seconds)
 
     def draw(**factors: float) -> Drawn:
-        after = sped_up(before, factors)
-        gain = sum(before.values()) / sum(after.values())
-        largest = max(after, key=lambda stage: after[stage])
+        new_seconds = sped_up(old_seconds, factors)
+        gain = sum(old_seconds.values()) / sum(new_seconds.values())
+        largest = max(new_seconds, key=lambda stage: new_seconds[stage])
         words = (
             f'<b class="gsnb-amdahl-gain">{gain:.2f}</b> times as fast<br>largest remaining stage: '
             f"{largest}, "
-            f"{100 * after[largest] / sum(after.values()):.0f} %"
+            f"{100 * new_seconds[largest] / sum(new_seconds.values()):.0f} %"
         )
-        return stage_bars({"now": before, "then": after}, width=width), words
+        return stage_bars({"now": old_seconds, "then": new_seconds}, width=width), words
 
     controls = {
         stage: Slider(
@@ -123,7 +123,7 @@ def amdahl_panel(seconds: Mapping[str, float], *, width: int = 720) -> Panel:
             log=True,
             readout=".1f",
         )
-        for stage in before
+        for stage in old_seconds
     }
     return Panel(draw, controls, name="amdahl", kind="png", text="Amdahl panel")
 
@@ -151,14 +151,14 @@ def keyframe_strip(
     Returns:
         One white row of pixels if there are no keyframes.
     """
-    shown = list(keyframes)
-    if not shown:
+    all_keyframes = list(keyframes)
+    if not all_keyframes:
         return np.full((1, width, 3), 255, np.uint8)
-    picked = sorted({round(i * (len(shown) - 1) / max(most - 1, 1)) for i in range(most)})
-    tiles = [fit_width(shown[k].rgb_u8.cpu().numpy(), width // columns - 6) for k in picked]
+    rows = sorted({round(i * (len(all_keyframes) - 1) / max(most - 1, 1)) for i in range(most)})
+    tiles = [fit_width(all_keyframes[k].rgb_u8.cpu().numpy(), width // columns - 6) for k in rows]
     blank = np.full_like(tiles[0], 255)
     tiles += [blank] * (-len(tiles) % columns)
-    names = [str(shown[k].index) for k in picked] + [""] * (len(tiles) - len(picked))
+    names = [str(all_keyframes[k].index) for k in rows] + [""] * (len(tiles) - len(rows))
     starts = range(0, len(tiles), columns)
     return np.concatenate(
         [side_by_side(tiles[i : i + columns], names[i : i + columns]) for i in starts]

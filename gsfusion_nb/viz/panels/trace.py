@@ -44,7 +44,7 @@ class TracePanel(Panel):
 
     def __init__(self, trace: Any, **what: Any):
         self.trace = trace
-        self.story, self.name_of_story = self._told(**what)
+        self.story, self.name_of_story = self._find_story(**what)
         start = "voxel" if "voxel" in what else "Gaussian"
         controls = {
             "moment": Slider(
@@ -68,7 +68,7 @@ class TracePanel(Panel):
             name="trace",
             kind="png",
             text=text,
-            touch=lambda stroke, _: self._clicked(stroke),
+            touch=lambda stroke, _: self._on_click(stroke),
         )
 
     @property
@@ -84,7 +84,7 @@ class TracePanel(Panel):
             ValueError: not exactly one of them is given, or nothing is known of it.
         """
         with self.lock:
-            self.story, self.name_of_story = self._told(**what)
+            self.story, self.name_of_story = self._find_story(**what)
             self._quiet = True
             self.controls["moment"].max = len(self.story.moments) - 1
             self._quiet = False
@@ -98,17 +98,17 @@ class TracePanel(Panel):
 
     def follow_picks(self, viewer: Any) -> "TracePanel":
         """Follow each Gaussian that is clicked in a ``SplatViewer`` of the same map."""
-        viewer.observe(lambda change: self._picked(change["new"]), "picked")
+        viewer.observe(lambda change: self._on_pick(change["new"]), "picked")
         return self
 
-    def _clicked(self, stroke: Stroke) -> dict[str, Any]:
+    def _on_click(self, stroke: Stroke) -> dict[str, Any]:
         """Follow what a click there follows, from the moment of the present operation on."""
-        now = self.story.moments[self.moment]
-        if now.camera is None:
+        event = self.story.moments[self.moment]
+        if event.camera is None:
             return {}
-        camera = now.camera
+        camera = event.camera
         u, v = (int(x * camera.width / WIDTH_PX) for x in stroke.now)
-        at = min(u, camera.width - 1), min(v, camera.height - 1), now.serial
+        at = min(u, camera.width - 1), min(v, camera.height - 1), event.serial
         if self.values["follows"] == "voxel":
             story = self.look_at(voxel=self.trace.voxel_at(*at))
         else:
@@ -116,12 +116,12 @@ class TracePanel(Panel):
         self.go_to(
             min(
                 range(len(story.moments)),
-                key=lambda k: abs(story.moments[k].serial - now.serial),
+                key=lambda k: abs(story.moments[k].serial - event.serial),
             )
         )
         return {}
 
-    def _told(self, **what: Any) -> tuple[Any, str]:
+    def _find_story(self, **what: Any) -> tuple[Any, str]:
         """The story of what ``look_at`` was asked, and its name."""
         if len(what) != 1 or not what.keys() <= {"gaussian", "id", "voxel"}:
             raise ArgumentError(f"give one of gaussian, id and voxel, got {sorted(what) or 'none'}")
@@ -137,7 +137,7 @@ class TracePanel(Panel):
             )
         return story, name
 
-    def _picked(self, row: int | None) -> None:
+    def _on_pick(self, row: int | None) -> None:
         if row is not None:
             try:
                 self.look_at(gaussian=row)
@@ -145,21 +145,21 @@ class TracePanel(Panel):
                 self._show_error(error)
 
     def _draw(self, moment: int, follows: str) -> Drawn:
-        now = self.story.moments[moment]
+        event = self.story.moments[moment]
         n = len(self.story.moments)
-        place, code = now.source_line()
+        place, code = event.source_line()
         head = Markup("<b>{}</b>, {} of {}: {}").format(
-            self.name_of_story, moment + 1, n, now.title
+            self.name_of_story, moment + 1, n, event.title
         )
         table = Markup(
             html_table(
-                now.lines(), style="font-size:12px", cell_style="text-align:left;padding:1px 6px"
+                event.lines(), style="font-size:12px", cell_style="text-align:left;padding:1px 6px"
             )
         )
         line = Markup(
             '<div style="font-size:12px;overflow-wrap:anywhere">{}: <code>{}</code></div>'
         )
-        return moment_picture(now), str(head + table + line.format(place, code))
+        return moment_picture(event), str(head + table + line.format(place, code))
 
 
 def moment_picture(moment: Any, width: int = WIDTH_PX) -> Picture:

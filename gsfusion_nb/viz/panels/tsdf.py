@@ -93,10 +93,10 @@ def slice_picture(
 def distance_colours(D: Float[np.ndarray, "H W"] | Float[Tensor, "H W"]) -> Picture:
     """Truncated signed distance as colour: red -1, white 0, blue +1."""
     d = np.clip(np.asarray(D, dtype=np.float32), -1, 1)[..., None]
-    behind, zero, free = (np.array(c, np.float32) for c in (_BEHIND, _ZERO, _FREE))
+    negative, zero, free = (np.array(c, np.float32) for c in (_BEHIND, _ZERO, _FREE))
     colour = np.where(
         d < 0,
-        zero + (zero - behind) * d,
+        zero + (zero - negative) * d,
         zero + (free - zero) * d,
     )
     return (colour + 0.5).astype(np.uint8)
@@ -117,10 +117,10 @@ def draw_camera(
         for u in (0.0, float(camera.width))
     ]
     points = [slice_pixel(*p[:2]) for p in (T[:3, 3], *(T[:3, :3] @ e + T[:3, 3] for e in edges))]
-    place, left, right = ((round(16 * u), round(16 * v)) for u, v in points)
+    place, left_end, right = ((round(16 * u), round(16 * v)) for u, v in points)
     image = picture.copy()
     for ink, thickness in (((30, 30, 30), 4), (_CAMERA, 2)):
-        cv2.line(image, place, left, ink, thickness, cv2.LINE_AA, 4)
+        cv2.line(image, place, left_end, ink, thickness, cv2.LINE_AA, 4)
         cv2.line(image, place, right, ink, thickness, cv2.LINE_AA, 4)
         cv2.circle(
             image,
@@ -178,8 +178,8 @@ def camera_handles(x_m: float, y_m: float, heading_deg: float) -> dict[str, Poin
     """In a slice, pixels: the handle that moves the camera, and the one in front of it that turns
     it."""
     h = math.radians(heading_deg)
-    ahead = (x_m + ARM_M * math.cos(h), y_m + ARM_M * math.sin(h))
-    return {"place": slice_pixel(x_m, y_m), "heading": slice_pixel(*ahead)}
+    tip = (x_m + ARM_M * math.cos(h), y_m + ARM_M * math.sin(h))
+    return {"place": slice_pixel(x_m, y_m), "heading": slice_pixel(*tip)}
 
 
 def touch_camera(
@@ -197,11 +197,11 @@ def touch_camera(
         heading = wrapped_deg(values["heading_deg"] + du * turn)
         return {"heading_deg": heading, "tilt_deg": values["tilt_deg"] + dv * turn}
     handles = camera_handles(values["x_m"], values["y_m"], values["heading_deg"])
-    held = nearest_handle(handles, (stroke.start[0], stroke.start[1] - LABEL_PX))
-    if held is None:
+    handle = nearest_handle(handles, (stroke.start[0], stroke.start[1] - LABEL_PX))
+    if handle is None:
         return {}
-    x, y = slice_place(handles[held][0] + du, handles[held][1] + dv)
-    if held == "place":
+    x, y = slice_place(handles[handle][0] + du, handles[handle][1] + dv)
+    if handle == "place":
         return {"x_m": x, "y_m": y}
     return {"heading_deg": math.degrees(math.atan2(y - values["y_m"], x - values["x_m"]))}
 
@@ -230,11 +230,11 @@ def tsdf_fill_panel(
         sensor: Takes a frame at a pose; ``integrate`` fuses it.
         start: x, y in metres, and heading in degrees.
     """
-    fused = [0]
+    n_fused = [0]
 
-    def measured(T_WC: Tensor) -> None:
+    def fuse_view(T_WC: Tensor) -> None:
         integrate(volume, sensor(T_WC))
-        fused[0] += 1
+        n_fused[0] += 1
 
     def pose(values: dict[str, Any]) -> Float[Tensor, "4 4"]:
         return level_pose(
@@ -242,11 +242,11 @@ def tsdf_fill_panel(
         )
 
     def measure() -> None:
-        measured(pose(panel.values))
+        fuse_view(pose(panel.values))
 
     def forget() -> None:
         volume.load_state_dict(TsdfVolume(volume.config, volume.device).state_dict())
-        fused[0] = 0
+        n_fused[0] = 0
 
     def draw(
         *,
@@ -257,21 +257,23 @@ def tsdf_fill_panel(
     ) -> Drawn:
         T_WC = pose(where)
         if at_every_move:
-            measured(T_WC)
+            fuse_view(T_WC)
         flat = draw_camera(
             slice_picture(volume, height_m=height_m, quantity=quantity), camera, T_WC
         )
-        seen = draw_handles(flat, camera_handles(where["x_m"], where["y_m"], where["heading_deg"]))
+        slice_image = draw_handles(
+            flat, camera_handles(where["x_m"], where["y_m"], where["heading_deg"])
+        )
         titles = [
             f"{quantity}, slice at z = {height_m:.2f} m{LEGENDS[quantity]}",
             "the map, seen from the camera",
         ]
         text = (
-            f'<b class="gsnb-fill-frames">{fused[0]}</b> measurements, <b>{volume.n_blocks:,}</b> '
-            "blocks of 8&sup3; "
+            f'<b class="gsnb-fill-frames">{n_fused[0]}</b> measurements, '
+            f"<b>{volume.n_blocks:,}</b> blocks of 8&sup3; "
             f"voxels, {int((volume.W > 0).sum()):,} voxels observed"
         )
-        return side_by_side([seen, shape_picture(volume, camera, T_WC)], titles), text
+        return side_by_side([slice_image, shape_picture(volume, camera, T_WC)], titles), text
 
     x_m, y_m, turn_deg = map(float, start)
     controls = {

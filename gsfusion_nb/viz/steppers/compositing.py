@@ -146,9 +146,9 @@ def compositing_stepper(
         for name in ("sigma", "alpha")
     )
     T = weights["T"][:, 0]
-    behind = behinds["T_behind"][:, 0]
+    T_behind = behinds["T_behind"][:, 0]
     w = weights[WEIGHTS][:, 0]
-    K = shown(w)
+    K = count_steps(w)
     steps = []
     colour = torch.zeros(3)
     for k in range(K):
@@ -170,12 +170,12 @@ def compositing_stepper(
         )
         numbers = [("T, light in front of it", text_of(T[k])), ("1 − alpha", text_of(1 - alpha[k]))]
         scene = scene | {"T": T[: k + 1]}
-        passes = f"{100 * float(behind[k]):.3g} % of the light is left behind Gaussian {k + 1}."
+        passes = f"{100 * float(T_behind[k]):.3g} % of the light is left behind Gaussian {k + 1}."
         steps.append(
             Step(
                 behinds,
                 passes,
-                [*numbers, ("T behind it", text_of(behind[k]))],
+                [*numbers, ("T behind it", text_of(T_behind[k]))],
                 scene,
             )
         )
@@ -215,7 +215,7 @@ def compositing_stepper(
     )
 
 
-def shown(w: Tensor) -> int:
+def count_steps(w: Tensor) -> int:
     """How many Gaussians have steps: those with a weight, and a few behind the place where blending
     stops."""
     used = int((w > 0).nonzero().max()) + 1 if bool((w > 0).any()) else 0
@@ -299,24 +299,27 @@ def compositing_gradient_stepper(
     T, w, c_dot_v, S, v_alpha = (
         slope[name][:, 0] for name in ("T", "w", "c_dot_v", "S", "v_alpha_k")
     )
-    K = shown(w)
+    K = count_steps(w)
     steps: list[Step] = []
     for k in reversed(range(K)):
-        seen = torch.full((K,), torch.nan)
-        seen[k + 1 :] = v_alpha[k + 1 : K]
-        scene = {"k": k, "v_alpha": seen, "S": float(S[k])}
+        v_so_far = torch.full((K,), torch.nan)
+        v_so_far[k + 1 :] = v_alpha[k + 1 : K]
+        scene = {"k": k, "v_alpha": v_so_far, "S": float(S[k])}
         who = f"Gaussian {k + 1} of {len(w)}"
         numbers = [("c . v_C", text_of(c_dot_v[k])), ("w", text_of(w[k])), ("T", text_of(T[k]))]
         title = f"{who}: how much its colour and the loss agree."
         steps.append(Step(dot, title, numbers, scene))
         numbers = [("S, sum over those behind", text_of(S[k]))]
-        behind = "there are none" if k == len(w) - 1 else "what this one hides"
+        occluded_words = "there are none" if k == len(w) - 1 else "what this one hides"
         steps.append(
             Step(
-                sums, f"S sums w (c . v_C) over the Gaussians behind it: {behind}.", numbers, scene
+                sums,
+                f"S sums w (c . v_C) over the Gaussians behind it: {occluded_words}.",
+                numbers,
+                scene,
             )
         )
-        scene = scene | {"v_alpha": torch.where(torch.arange(K) == k, v_alpha[:K], seen)}
+        scene = scene | {"v_alpha": torch.where(torch.arange(K) == k, v_alpha[:K], v_so_far)}
         numbers = [
             ("T (c . v_C)", text_of(T[k] * c_dot_v[k])),
             ("S / (1 − alpha)", text_of(S[k] / (1 - slope["alpha"][k, 0]))),
@@ -360,16 +363,16 @@ def _backward_picture(
     most: float,
     words: str,
 ) -> None:
-    above = figure.add_axes((0.15, 0.60, 0.82, 0.32))
-    below = figure.add_axes((0.15, 0.13, 0.82, 0.38))
-    style(above, y="weight", title=words)
-    style(below, x="Gaussian, nearest first", y="dL/dalpha")
-    _bars(above, w, rgb, width=0.7)
-    _bars(below, scene["v_alpha"].nan_to_num(), rgb, width=0.7)
-    above.set_ylim(0, 1.15 * float(w.max()) or 1)
-    below.set_ylim(-1.15 * most, 1.15 * most)
-    below.axhline(0, color=BETWEEN, linewidth=0.8)
-    for axes in (above, below):
+    weight_axes = figure.add_axes((0.15, 0.60, 0.82, 0.32))
+    gradient_axes = figure.add_axes((0.15, 0.13, 0.82, 0.38))
+    style(weight_axes, y="weight", title=words)
+    style(gradient_axes, x="Gaussian, nearest first", y="dL/dalpha")
+    _bars(weight_axes, w, rgb, width=0.7)
+    _bars(gradient_axes, scene["v_alpha"].nan_to_num(), rgb, width=0.7)
+    weight_axes.set_ylim(0, 1.15 * float(w.max()) or 1)
+    gradient_axes.set_ylim(-1.15 * most, 1.15 * most)
+    gradient_axes.axhline(0, color=BETWEEN, linewidth=0.8)
+    for axes in (weight_axes, gradient_axes):
         mark = 0.92 * axes.get_ylim()[1]
         axes.plot(
             scene["k"] + 1,

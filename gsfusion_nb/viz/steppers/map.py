@@ -88,7 +88,7 @@ def _quadtree_steps(recording: Recording) -> list[Step]:
         steps.append(
             Step(
                 look,
-                _seen(look, end["level"]),
+                _look_title(look, end["level"]),
                 _numbers(look),
                 scene,
             )
@@ -112,11 +112,11 @@ def _quadtree_steps(recording: Recording) -> list[Step]:
         (f"level {k}", str(int(n))) for k, n in enumerate(torch.bincount(cells.level.long())) if n
     ]
     scene = {"cell": None, "leaves": tuple(leaves), "cut": False}
-    done = f"Every cell has been looked at: {len(cells)} leaves."
+    end_title = f"Every cell has been looked at: {len(cells)} leaves."
     steps.append(
         Step(
             last,
-            done,
+            end_title,
             [("leaves", str(len(cells))), *counts],
             scene,
         )
@@ -124,7 +124,7 @@ def _quadtree_steps(recording: Recording) -> list[Step]:
     return steps
 
 
-def _seen(look: Line, level: int) -> str:
+def _look_title(look: Line, level: int) -> str:
     x0, y0, w, h = (look[name] for name in ("x0", "y0", "w", "h"))
     place = f"Level {level}: the cell of {w} x {h} pixels at ({x0}, {y0})"
     if "V" not in look.values:
@@ -236,8 +236,8 @@ def record_adam(
             if k == before:
                 model.append(seeds(1))
             zero = {name: torch.zeros_like(value) for name, value in vars(model.params).items()}
-            wanted = torch.tensor([float(g) for g in gradient[: len(model)]])
-            adam_step(model, GaussianParams(**zero | {"opacity_logit": wanted}), config)
+            v_opacity = torch.tensor([float(g) for g in gradient[: len(model)]])
+            adam_step(model, GaussianParams(**zero | {"opacity_logit": v_opacity}), config)
 
     return record(run, ADAM_WATCH)
 
@@ -298,27 +298,27 @@ def _of_opacity(recording: Recording, part: str) -> list[Line]:
 
 def _lengths(recording: Recording) -> list[float]:
     """Length of each step of the last row that there is, in learning rates."""
-    before = _of_opacity(recording, "m = beta1 *")
-    after = _of_opacity(recording, "param.copy_(")
+    moment_lines = _of_opacity(recording, "m = beta1 *")
+    copy_lines = _of_opacity(recording, "param.copy_(")
     return [
         float((b["param"] - a["param"]).abs()[-1] / a["lr"])
-        for a, b in zip(before, after, strict=True)
+        for a, b in zip(moment_lines, copy_lines, strict=True)
     ]
 
 
 def _adam_steps(recording: Recording, rows: int, adam_steps: Count) -> list[Step]:
     steps: list[Step] = []
     history: list[list[tuple[int, float, float]]] = [[] for _ in range(rows)]
-    now = 0
+    n_steps = 0
     start = torch.zeros(0)
     counting = "steps = t - model.birth_step" if adam_steps == "per_row" else "steps: int"
     for line in recording:
-        scene = {"history": [tuple(h) for h in history], "step": now}
+        scene = {"history": [tuple(h) for h in history], "step": n_steps}
         if line.text.startswith("if start < self._most"):
             what = "A new row" if line["start"] else "The map starts with these rows"
             title = f"{what}: the values come from the seeds, and the moments m and v are 0."
-            added = [("rows", f"{line['start']} to {line['stop'] - 1}")]
-            steps.append(Step(line, title, added, scene))
+            new_rows = [("rows", f"{line['start']} to {line['stop'] - 1}")]
+            steps.append(Step(line, title, new_rows, scene))
         elif line.text.startswith(counting):
             t = "none: no correction" if line["steps"] is None else text_of(line["steps"])
             numbers = [("step of the map", str(line["t"])), ("t of each row", t)]
@@ -326,14 +326,14 @@ def _adam_steps(recording: Recording, rows: int, adam_steps: Count) -> list[Step
         elif line.function == "adam_update" and line["param"].ndim == 1:
             if line.text.startswith("m = beta1"):
                 start = line["param"]
-                now = now + 1
+                n_steps = n_steps + 1
             elif line.text.startswith("param.copy_"):
-                moved = (line["param"] - start) / line["lr"]
-                for k, by in enumerate(moved.tolist()):
-                    history[k].append((now, abs(by), by))
-                scene = {"history": [tuple(h) for h in history], "step": now}
-            if (shown := _shown(line, start)) is not None:
-                title, columns = shown
+                motion = (line["param"] - start) / line["lr"]
+                for k, by in enumerate(motion.tolist()):
+                    history[k].append((n_steps, abs(by), by))
+                scene = {"history": [tuple(h) for h in history], "step": n_steps}
+            if (table_of_line := _table_of(line, start)) is not None:
+                title, columns = table_of_line
                 table = [
                     (str(k), *cells) for k, cells in enumerate(zip(*columns.values(), strict=True))
                 ]
@@ -359,7 +359,7 @@ ADAM_LINES = {
 expression."""
 
 
-def _shown(
+def _table_of(
     line: Line,
     start: torch.Tensor,
 ) -> tuple[str, dict[str, list[str]]] | None:
@@ -371,8 +371,8 @@ def _shown(
         ]
 
     if line.text.startswith("param.copy_"):
-        moved = [f"{text_of(x, 3)} lr" for x in (line["param"] - start) / line["lr"]]
-        columns = {"before": column(start), "after": column(line["param"]), "step": moved}
+        motion = [f"{text_of(x, 3)} lr" for x in (line["param"] - start) / line["lr"]]
+        columns = {"before": column(start), "after": column(line["param"]), "step": motion}
         return "The step of each row, in learning rates.", columns
     for beginning, (title, names) in ADAM_LINES.items():
         if line.text.startswith(beginning):
@@ -385,40 +385,40 @@ def _adam_picture(
     history: list[Any],
     last: list[Any],
     others: dict[str, list[float]],
-    before: int,
+    n_before: int,
 ) -> None:
-    above = figure.add_axes((0.12, 0.57, 0.86, 0.36))
-    below = figure.add_axes((0.12, 0.12, 0.86, 0.36))
-    style(above, y="lr", title="length of each step, in learning rates (orange: the new row)")
-    style(below, x="step", y="lr", title="how far each row has moved")
+    length_axes = figure.add_axes((0.12, 0.57, 0.86, 0.36))
+    path_axes = figure.add_axes((0.12, 0.12, 0.86, 0.36))
+    style(length_axes, y="lr", title="length of each step, in learning rates (orange: the new row)")
+    style(path_axes, x="step", y="lr", title="how far each row has moved")
     count = len(last[0])
-    moved = [sum(by for _, _, by in row[: k + 1]) for row in last for k in range(len(row))]
-    above.set_ylim(
+    path = [sum(by for _, _, by in row[: k + 1]) for row in last for k in range(len(row))]
+    length_axes.set_ylim(
         0,
         1.15
         * max(
             [x for row in last for _, x, _ in row] + [x for other in others.values() for x in other]
         ),
     )
-    below.set_ylim(
-        min(0.0, *moved) * 1.15 - 0.1,
-        max(0.0, *moved) * 1.15 + 0.1,
+    path_axes.set_ylim(
+        min(0.0, *path) * 1.15 - 0.1,
+        max(0.0, *path) * 1.15 + 0.1,
     )
-    for axes in (above, below):
+    for axes in (length_axes, path_axes):
         axes.set_xlim(0.5, count + 0.5)
         axes.locator_params(axis="x", integer=True)
-        axes.tick_params(labelbottom=axes is below)
-        axes.axvline(before + 0.5, color=BETWEEN, linewidth=0.8, linestyle=":")
+        axes.tick_params(labelbottom=axes is path_axes)
+        axes.axvline(n_before + 0.5, color=BETWEEN, linewidth=0.8, linestyle=":")
     for name, other in others.items():
-        above.plot(
-            range(before + 1, before + 1 + len(other)),
+        length_axes.plot(
+            range(n_before + 1, n_before + 1 + len(other)),
             other,
             "--",
             color=PALETTE[1],
             alpha=0.55,
             linewidth=1,
         )
-        above.annotate(
+        length_axes.annotate(
             name,
             (count, other[-1]),
             color=BETWEEN,
@@ -429,14 +429,14 @@ def _adam_picture(
     inks = [PALETTE[2 * (k % 4)] for k in range(len(last) - 1)] + [PALETTE[1]]
     for row, ink in zip(history, inks, strict=True):
         at = [step for step, _, _ in row]
-        above.plot(
+        length_axes.plot(
             at,
             [x for _, x, _ in row],
             ".-",
             color=ink,
             markersize=6,
         )
-        below.plot(
+        path_axes.plot(
             at,
             np.cumsum([by for _, _, by in row]),
             ".-",

@@ -72,10 +72,10 @@ class Recording(list[Line]):
         Raises:
             ValueError: no line that ran contains it.
         """
-        found = [line for line in self if part in line.text]
-        if not found:
+        matches = [line for line in self if part in line.text]
+        if not matches:
             raise ArgumentError(f"no line that ran contains {part!r}")
-        return found
+        return matches
 
 
 Watch = Mapping[Callable[..., Any], Mapping[str, Sequence[str]]]
@@ -86,13 +86,13 @@ after each line."""
 def record(run: Callable[[], Any], watch: Watch) -> Recording:
     """Call ``run`` on the plain reference, and record each line of the watched functions."""
     recorder = _Recorder(watch)
-    before = sys.gettrace()
+    outer_trace = sys.gettrace()
     with use_backend("reference"):
         sys.settrace(recorder.enter)
         try:
             result = run()
         finally:
-            sys.settrace(before)
+            sys.settrace(outer_trace)
     return Recording(recorder.lines, result)
 
 
@@ -101,20 +101,20 @@ class _Recorder:
 
     def __init__(self, watch: Watch):
         self.lines: list[Line] = []
-        self._watched: dict[tuple[str, str], list[tuple[str, CodeType]]] = {}
+        self._expressions: dict[tuple[str, str], list[tuple[str, CodeType]]] = {}
         self._pending: dict[FrameType, int] = {}
         self._calls: dict[CodeType, int] = {}
         self._number: dict[FrameType, int] = {}
         for anyone, functions in watch.items():
             file = str(inspect.getsourcefile(inspect.unwrap(anyone)))
             for name, expressions in functions.items():
-                self._watched[file, name] = [
+                self._expressions[file, name] = [
                     (e, compile(e, "<watched>", "eval")) for e in expressions
                 ]
 
     def enter(self, frame: FrameType, event: str, _argument: Any) -> Any:
         code = frame.f_code
-        if event != "call" or (code.co_filename, code.co_name) not in self._watched:
+        if event != "call" or (code.co_filename, code.co_name) not in self._expressions:
             return None
         self._number[frame] = self._calls.get(code, 0)
         self._calls[code] = self._number[frame] + 1
@@ -122,9 +122,9 @@ class _Recorder:
 
     def _line(self, frame: FrameType, event: str, argument: Any) -> Any:
         if event == "line":
-            now = statement(frame.f_code.co_filename, frame.f_lineno)
-            before = self._pending.get(frame)
-            if before is not None and statement(frame.f_code.co_filename, before) != now:
+            current = statement(frame.f_code.co_filename, frame.f_lineno)
+            previous = self._pending.get(frame)
+            if previous is not None and statement(frame.f_code.co_filename, previous) != current:
                 self._end(frame, {})
             self._pending[frame] = frame.f_lineno
         elif event == "return" and frame in self._pending:
@@ -134,9 +134,9 @@ class _Recorder:
 
     def _end(self, frame: FrameType, values: dict[str, Any]) -> None:
         code = frame.f_code
-        for expression, compiled in self._watched[code.co_filename, code.co_name]:
+        for expression, code_object in self._expressions[code.co_filename, code.co_name]:
             try:
-                values[expression] = _copy(eval(compiled, frame.f_globals, frame.f_locals))
+                values[expression] = _copy(eval(code_object, frame.f_globals, frame.f_locals))
             except NameError:  # not yet defined
                 continue
         first, last = statement(code.co_filename, self._pending[frame])
@@ -167,14 +167,14 @@ def statement(file: str, line: int) -> tuple[int, int]:
 
 @functools.cache
 def _statements(file: str) -> dict[int, tuple[int, int]]:
-    found: dict[int, tuple[int, int]] = {}
+    spans: dict[int, tuple[int, int]] = {}
     for first, last in sorted(
         _spans(ast.parse("\n".join(file_lines(Path(file))))),
         key=lambda s: s[0] - s[1],
     ):
         for line in range(first, last + 1):
-            found[line] = (first, last)  # the smallest span comes last
-    return found
+            spans[line] = (first, last)  # the smallest span comes last
+    return spans
 
 
 def _spans(tree: ast.AST) -> Iterator[tuple[int, int]]:

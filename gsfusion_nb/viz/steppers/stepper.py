@@ -119,9 +119,9 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
 
     def picture(self) -> np.ndarray:
         """The picture of the present step, with its transparent ground. [H, W, 4] bytes"""
-        return self._drawn(self.steps[self.step])
+        return self._draw_step(self.steps[self.step])
 
-    def _drawn(self, step: Step) -> np.ndarray:
+    def _draw_step(self, step: Step) -> np.ndarray:
         with self._lock:
             self._figure.clear()
             self._draw(self._figure, step.scene)
@@ -129,32 +129,32 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
 
     def _show(self) -> None:
         with self._lock, self.hold_sync():
-            now = self.steps[self.step]
-            self.png = encode_rgba(self._drawn(now))
-            self.alt = f"{self.label}, step {self.step + 1} of {self.count}: {now.title}"
-            self.title = str(Markup("{}").format(now.title))
-            self.code = code_html(now.line)
-            self.numbers = html_table(now.numbers, heads=now.heads)
+            current = self.steps[self.step]
+            self.png = encode_rgba(self._draw_step(current))
+            self.alt = f"{self.label}, step {self.step + 1} of {self.count}: {current.title}"
+            self.title = str(Markup("{}").format(current.title))
+            self.code = code_html(current.line)
+            self.numbers = html_table(current.numbers, heads=current.heads)
             self.shown += 1
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
         stills = [
             self.steps[k] for k in sorted({round(i * (self.count - 1) / 3) for i in range(1, 4)})
         ]
-        still = self._stored(stills)
+        picture = self._still_picture(stills)
         alt = f"{self.label}, steps of {self.count}: {'; '.join(step.title for step in stills)}"
-        words = {"width": round(still.shape[1] / SHARPNESS), "alt": alt}
+        words = {"width": round(picture.shape[1] / SHARPNESS), "alt": alt}
         text = f"{self.label}: {self.count} steps"
         return with_stored(
-            super()._repr_mimebundle_(**kwargs), "image/png", _palette_png(still), text, words
+            super()._repr_mimebundle_(**kwargs), "image/png", _palette_png(picture), text, words
         )
 
-    def _stored(self, steps: Sequence[Step]) -> np.ndarray:
+    def _still_picture(self, steps: Sequence[Step]) -> np.ndarray:
         """Some steps below each other, each with its title, line and numbers: what a notebook
         stores."""
         from matplotlib.figure import Figure
 
-        pictures = [self._drawn(step) for step in steps]
+        pictures = [self._draw_step(step) for step in steps]
         height, width = pictures[0].shape[:2]
         figure = Figure(
             figsize=(2 * width / 100, height * len(steps) / 100),
@@ -200,9 +200,9 @@ def code_html(line: Line) -> str:
         first -= 1
     while last < min(len(text), line.last + _AROUND) and text[last : last + 2] != ("", ""):
         last += 1
-    shown = textwrap.dedent("\n".join(text[first - 1 : last])).splitlines()
+    excerpt = textwrap.dedent("\n".join(text[first - 1 : last])).splitlines()
     rows = []
-    for number, code in enumerate(shown, first):
+    for number, code in enumerate(excerpt, first):
         tag = Markup("mark") if line.first <= number <= line.last else Markup("div")
         rows.append(Markup("<{}><i>{:4d} </i>{}</{}>").format(tag, number, code, tag))
     return str(

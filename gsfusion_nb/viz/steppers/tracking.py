@@ -76,31 +76,31 @@ def icp_stepper(
     Raises:
         ValueError: no pixel of the frame passes the gates.
     """
-    once = dataclasses.replace(
+    one_iteration = dataclasses.replace(
         config or TrackingConfig(),
         pyramid=(factor,),
         iterations=(1,),
     )
-    levels = depth_pyramid(depth_m, camera, once.pyramid)
-    recording = record(lambda: align(levels, surface, T_WC_start, once), ICP_WATCH)
-    found = recording.at("inlier = overlap & near & aligned")[0]
-    if not bool(found["inlier"].any()):
+    levels = depth_pyramid(depth_m, camera, one_iteration.pyramid)
+    recording = record(lambda: align(levels, surface, T_WC_start, one_iteration), ICP_WATCH)
+    gate = recording.at("inlier = overlap & near & aligned")[0]
+    if not bool(gate["inlier"].any()):
         raise ArgumentError("no pixel of the frame passes the gates at this pose")
-    steps = [step for at in _some_pixels(found, pixels) for step in _of_pixel(recording, at)]
+    steps = [step for at in _some_pixels(gate, pixels) for step in _of_pixel(recording, at)]
     steps += _sums(recording)
-    shape = tuple(found["inlier"].shape)
+    shape = tuple(gate["inlier"].shape)
     label = f"One iteration of ICP, {shape[1]} x {shape[0]} pixels"
     return Stepper(steps, _icp_picture, name="icp", label=label, size=(450, 350))
 
 
-def _some_pixels(found: Line, count: int) -> list[tuple[int, int]]:
+def _some_pixels(gate: Line, count: int) -> list[tuple[int, int]]:
     """Evenly spaced inliers, and a pixel that meets the surface but is refused."""
-    inliers = found["inlier"].nonzero()
-    refused = (found["overlap"] & ~found["inlier"]).nonzero()
-    n = count - bool(len(refused))
-    chosen = [inliers[int((k + 0.5) * len(inliers) / n)] for k in range(n)]
-    chosen += [refused[len(refused) // 2]] if len(refused) else []
-    return [(int(row), int(column)) for row, column in chosen]
+    inliers = gate["inlier"].nonzero()
+    outliers = (gate["overlap"] & ~gate["inlier"]).nonzero()
+    n = count - bool(len(outliers))
+    pixels = [inliers[int((k + 0.5) * len(inliers) / n)] for k in range(n)]
+    pixels += [outliers[len(outliers) // 2]] if len(outliers) else []
+    return [(int(row), int(column)) for row, column in pixels]
 
 
 def _residuals(recording: Recording, nth: int) -> np.ndarray:
@@ -113,13 +113,13 @@ def _residuals(recording: Recording, nth: int) -> np.ndarray:
 
 
 def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
-    moved = recording.at("xyz = se3.apply(T, depth_to_points")[0]
+    points = recording.at("xyz = se3.apply(T, depth_to_points")[0]
     falls = recording.at("column = u.where")[0]
     partner = recording.at("surface_normal = surface.normal_W")[0]
     gate = recording.at("inlier = overlap &")[0]
     r_line = recording.at("r = ((xyz - surface_xyz)")[0]
     J_line = recording.at("J = torch.cat([surface_normal")[0]
-    p = moved["xyz"][at]
+    p = points["xyz"][at]
     q = partner["surface_xyz"][at]
     n = partner["surface_normal"][at]
     scene = {
@@ -134,7 +134,7 @@ def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
     name = f"Pixel ({at[1]}, {at[0]})"
     steps = [
         Step(
-            moved,
+            points,
             f"{name}: its point p, moved with the assumed pose.",
             [("p", text_of(p) + " m")],
             scene,
@@ -159,11 +159,11 @@ def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
             whole,
         ),
     ]
-    near, aligned, inlier = (bool(gate[key][at]) for key in ("near", "aligned", "inlier"))
+    is_near, is_aligned, inlier = (bool(gate[key][at]) for key in ("near", "aligned", "inlier"))
     verdict = "this pair is used" if inlier else "this pair is refused and has no residual"
     gates = [
-        ("distance", f"{'within' if near else 'above'} {100 * gate['max_distance_m']:.0f} cm"),
-        ("normals agree", text_of(aligned)),
+        ("distance", f"{'within' if is_near else 'above'} {100 * gate['max_distance_m']:.0f} cm"),
+        ("normals agree", text_of(is_aligned)),
         ("used", text_of(inlier)),
     ]
     steps.append(
@@ -204,10 +204,10 @@ def _sums(recording: Recording) -> list[Step]:
         "equations."
     )
     steps = [Step(system, title, rows, scene, ("", "b"))]
-    known = [text_of(bool(k)) for k in solve["known"]]
+    determined = [text_of(bool(k)) for k in solve["known"]]
     rows = [
         (str(k), text_of(e), s)
-        for k, (e, s) in enumerate(zip(solve["eigenvalues"], known, strict=True), 1)
+        for k, (e, s) in enumerate(zip(solve["eigenvalues"], determined, strict=True), 1)
     ]
     title = "Solved along the principal directions, and only along those that the scene determines."
     steps.append(Step(solve, title, rows, scene, ("direction", "information", "determined")))
@@ -215,39 +215,41 @@ def _sums(recording: Recording) -> list[Step]:
         (name, f"{1000 * float(x):.2f} mm" if k < 3 else f"{float(x.rad2deg()):.3f}°")
         for k, (name, x) in enumerate(zip(names, step.xi, strict=True))
     ]
-    moved = scene | {"residual": _residuals(recording, 1)}
+    next_scene = scene | {"residual": _residuals(recording, 1)}
     steps.append(
         Step(
             poses,
             "The pose is moved by exp(xi); all residuals change.",
             xi,
-            moved,
+            next_scene,
             ("motion", "xi"),
         )
     )
     last = recording.at("return IcpResult(")[0]
-    before = recording.at("system, joined = rows.at(level,")[0]["system"]
-    after = last["system"]
+    system0 = recording.at("system, joined = rows.at(level,")[0]["system"]
+    system1 = last["system"]
     rows = [
-        ("rms before", f"{1000 * before.rms_m:.2f} mm, {before.n_inliers} pairs"),
-        ("rms after", f"{1000 * after.rms_m:.2f} mm, {after.n_inliers} pairs"),
+        ("rms before", f"{1000 * system0.rms_m:.2f} mm, {system0.n_inliers} pairs"),
+        ("rms after", f"{1000 * system1.rms_m:.2f} mm, {system1.n_inliers} pairs"),
         ("the surface moved by", f"{1000 * step.length_m:.2f} mm"),
     ]
     title = "One iteration is done. The next one looks for partners again, from the new pose."
-    steps.append(Step(last, title, rows, moved))
+    steps.append(Step(last, title, rows, next_scene))
     return steps
 
 
 def _icp_picture(figure: "Figure", scene: dict[str, Any]) -> None:
-    left = figure.add_axes((0.01, 0.30, 0.57, 0.60))
+    image_axes = figure.add_axes((0.01, 0.30, 0.57, 0.60))
     sketch = figure.add_axes((0.63, 0.52, 0.35, 0.40))
     matrix = figure.add_axes((0.66, 0.03, 0.32, 0.36))
-    style(left, title=f"residual, ±{1000 * RESIDUAL_M:.0f} mm (red −, blue +)")
+    style(image_axes, title=f"residual, ±{1000 * RESIDUAL_M:.0f} mm (red −, blue +)")
     style(sketch, title="p, q and the plane of q")
     style(matrix, title="H (blue +, red −)")
-    left.imshow(_coloured(scene["residual"] / RESIDUAL_M), interpolation="nearest", aspect="auto")
+    image_axes.imshow(
+        _colours(scene["residual"] / RESIDUAL_M), interpolation="nearest", aspect="auto"
+    )
     if scene["pixel"]:
-        left.plot(
+        image_axes.plot(
             *scene["pixel"][::-1],
             "s",
             color=PALETTE[1],
@@ -300,18 +302,18 @@ def _icp_picture(figure: "Figure", scene: dict[str, Any]) -> None:
     H = scene["H"]
     if H is not None:
         matrix.imshow(
-            _coloured(H / np.sqrt(np.outer(H.diagonal(), H.diagonal()))),
+            _colours(H / np.sqrt(np.outer(H.diagonal(), H.diagonal()))),
             interpolation="nearest",
         )
-    for axes in (left, sketch, matrix):
+    for axes in (image_axes, sketch, matrix):
         axes.set(xticks=[], yticks=[])
 
 
-def _coloured(values: np.ndarray) -> np.ndarray:
+def _colours(values: np.ndarray) -> np.ndarray:
     """Blue for positive and red for negative numbers in -1..1, nothing for NaN."""
-    shown = ~np.isnan(values)
-    rgb = distance_colours(np.where(shown, np.clip(values, -1, 1), 0)) / 255.0
-    return np.concatenate([rgb, shown[..., None].astype(float)], axis=2)
+    has_value = ~np.isnan(values)
+    rgb = distance_colours(np.where(has_value, np.clip(values, -1, 1), 0)) / 255.0
+    return np.concatenate([rgb, has_value[..., None].astype(float)], axis=2)
 
 
 def _flat(
@@ -321,12 +323,12 @@ def _flat(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """p and q in the plane of p - q and n, with n upwards and the longer of both distances 1.2
     wide."""
-    along = float((p - q) @ n)
-    across = float(np.linalg.norm((p - q) - along * n))
-    size = max(abs(along), across, 1e-6) / 0.8
-    low = -0.4 if along > 0 else 0.2
+    normal_part = float((p - q) @ n)
+    tangent_part = float(np.linalg.norm((p - q) - normal_part * n))
+    size = max(abs(normal_part), tangent_part, 1e-6) / 0.8
+    low = -0.4 if normal_part > 0 else 0.2
     return (
-        np.array([across / size - 0.4, low + along / size]),
+        np.array([tangent_part / size - 0.4, low + normal_part / size]),
         np.array([-0.4, low]),
         np.array([0.0, 1.0]),
     )
@@ -362,8 +364,8 @@ def pose_graph_stepper(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Stepp
         )
     recording = record(lambda: optimise_poses(T_WC, edges, iterations=1), GRAPH_WATCH)
     steps = [*_errors(recording, edges), *_system(recording, edges), *_update(recording)]
-    proposed = _first(recording, "proposed = pose_graph_step")["proposed"]
-    every = torch.cat([T_WC.double(), proposed])[:, :2, 3]
+    T_proposed = _first(recording, "proposed = pose_graph_step")["proposed"]
+    every = torch.cat([T_WC.double(), T_proposed])[:, :2, 3]
     draw = lambda figure, scene: _graph_picture(figure, scene, T_WC, edges, every)  # noqa: E731
     label = f"One step on a pose graph of {len(T_WC)} poses"
     return Stepper(steps, draw, name="pose-graph", label=label, size=(450, 300))
@@ -379,11 +381,11 @@ def _start(recording: Recording) -> dict[str, Any]:
 
 
 def _errors(recording: Recording, edges: list[Edge]) -> list[Step]:
-    found = _first(recording, "e, J_i, J_j = graph.errors(T_WC)")
-    at = next(k for k, line in enumerate(recording) if line is found)
-    inside = [line for line in recording[:at] if line.function == "relative_pose_error"]
-    error = [line for line in inside if line.text.startswith("e = se3.log")][-1]
-    slope = [line for line in inside if line.text.startswith("J = torch.eye")][-1]
+    end_line = _first(recording, "e, J_i, J_j = graph.errors(T_WC)")
+    at = next(k for k, line in enumerate(recording) if line is end_line)
+    error_lines = [line for line in recording[:at] if line.function == "relative_pose_error"]
+    error = [line for line in error_lines if line.text.startswith("e = se3.log")][-1]
+    slope = [line for line in error_lines if line.text.startswith("J = torch.eye")][-1]
     weights = _first(recording, "return weight[:, None, None] * self.information")
     steps = []
     for k, edge in enumerate(edges):
@@ -443,16 +445,16 @@ def _system(recording: Recording, edges: list[Edge]) -> list[Step]:
         norm = line["H"].to_dense().flatten(2).norm(dim=2)
         scene = scene | {"H": norm}
         title = f"H gets a block J^T Omega J at ({ends}) for each of the {len(edges)} edges."
-        filled = [("blocks that are not zero", f"{int((norm > 0).sum())} of {norm.numel()}")]
-        steps.append(Step(line, title, filled, scene))
+        numbers = [("blocks that are not zero", f"{int((norm > 0).sum())} of {norm.numel()}")]
+        steps.append(Step(line, title, numbers, scene))
     return steps
 
 
 def _update(recording: Recording) -> list[Step]:
     solve = _first(recording, "xi = torch.from_numpy(splu(")
     move = _first(recording, "return torch.cat([T_WC[:1]")
-    before = _first(recording, "error = graph.robust_error(e, robust)")
-    after = _first(recording, "after = graph.robust_error(there[0], robust)")
+    old_error = _first(recording, "error = graph.robust_error(e, robust)")
+    new_error = _first(recording, "after = graph.robust_error(there[0], robust)")
     last = [line for line in recording.at("H = H + torch.sparse_coo_tensor(") if line.call == 0][-1]
     H = last["H"].to_dense().flatten(2).norm(dim=2)
     scene = _start(recording) | {"H": H}
@@ -467,16 +469,19 @@ def _update(recording: Recording) -> list[Step]:
     T = move["return"]
     rows = [(str(k), text_of(t, 4)) for k, t in enumerate(T[:, :3, 3])]
     title = "Each pose moves in its own camera frame: T exp(xi)."
-    moved = scene | {"T_WC": T}
-    steps.append(Step(move, title, rows, moved, ("pose", "position, m")))
-    numbers = [("error before", text_of(before["error"])), ("error after", text_of(after["after"]))]
-    fell = after["after"] <= before["error"]
+    next_scene = scene | {"T_WC": T}
+    steps.append(Step(move, title, rows, next_scene, ("pose", "position, m")))
+    numbers = [
+        ("error before", text_of(old_error["error"])),
+        ("error after", text_of(new_error["after"])),
+    ]
+    fell = new_error["after"] <= old_error["error"]
     title = (
         "The robust error has fallen: the step is taken."
         if fell
         else "The error has grown: the step is halved."
     )
-    steps.append(Step(after, title, numbers, moved))
+    steps.append(Step(new_error, title, numbers, next_scene))
     return steps
 
 
@@ -487,21 +492,21 @@ def _graph_picture(
     edges: list[Edge],
     every: Tensor,
 ) -> None:
-    left = figure.add_axes((0.13, 0.15, 0.47, 0.75))
+    map_axes = figure.add_axes((0.13, 0.15, 0.47, 0.75))
     right = figure.add_axes((0.66, 0.30, 0.32, 0.48))
-    style(left, x="x, m", y="y, m", title="cameras from above")
+    style(map_axes, x="x, m", y="y, m", title="cameras from above")
     style(right, title="blocks of H")
     low = every.amin(0)
     high = every.amax(0)
     x, y = ((low + high) / 2).tolist()
     half = 0.7 * float((high - low).max().clamp_min(0.1))
-    left.set(
+    map_axes.set(
         xlim=(x - half, x + half),
         ylim=(y - half, y + half),
     )
     K = len(start)
     at = scene["T_WC"][:, :2, 3].numpy()
-    left.plot(
+    map_axes.plot(
         *start[:, :2, 3].numpy().T,
         "o",
         color=BETWEEN,
@@ -514,20 +519,20 @@ def _graph_picture(
             if k == scene["edge"]
             else (PALETTE[1 if edge.kind == "loop" else 0], 1.6)
         )
-        left.plot(
+        map_axes.plot(
             *at[[edge.i, edge.j]].T,
             color=ink,
             linewidth=wide,
         )
     ends = at + 0.25 * half * scene["T_WC"][:, :2, 2].numpy()
-    left.plot(
+    map_axes.plot(
         *np.stack([at, ends]).transpose(2, 0, 1),
         color=PALETTE[2],
         linewidth=1.2,
     )
-    left.plot(*at.T, "o", color=PALETTE[2], markersize=7)
+    map_axes.plot(*at.T, "o", color=PALETTE[2], markersize=7)
     for k in range(K):
-        left.text(
+        map_axes.text(
             at[k, 0] + 0.04 * half,
             at[k, 1] + 0.04 * half,
             str(k),

@@ -65,8 +65,8 @@ def row_of_cells(volume: TsdfVolume, cells: int = 1) -> Voxel:
         corners.mean(1).floor().long().unique(dim=0, return_inverse=True, return_counts=True)
     )
     # of a triangle's vertices from the cell's corners
-    apart = (corners - corners.round()).abs().amax(-1).amin(-1)
-    smallest = apart.new_full((len(place),), torch.inf).scatter_reduce(0, cell, apart, "amin")
+    offset = (corners - corners.round()).abs().amax(-1).amin(-1)
+    smallest = offset.new_full((len(place),), torch.inf).scatter_reduce(0, cell, offset, "amin")
     clear = [n if a > CLEAR else 5 for n, a in zip(count.tolist(), smallest.tolist(), strict=True)]
     triangles = dict(zip(map(tuple, place.tolist()), clear, strict=True))
 
@@ -97,15 +97,15 @@ def cut_out(volume: TsdfVolume, start: Voxel, cells: int) -> TsdfVolume:
         torch.arange(2),
     )
     ijk = (torch.tensor(start) + grid).to(volume.device)
-    there = volume.find_voxels(ijk)
-    if bool((there < 0).any()):
+    source = volume.find_voxels(ijk)
+    if bool((source < 0).any()):
         raise ArgumentError(f"a corner of the {cells} cells from voxel {start} on is not allocated")
     small = TsdfVolume(volume.config, volume.device)
     small.add_blocks((ijk >> 3).unique(dim=0))
-    here = small.find_voxels(ijk)
-    small.D.view(-1)[here] = volume.D.view(-1)[there]
-    small.W.view(-1)[here] = volume.W.view(-1)[there]
-    small.rgb_planes[here // 512, :, here % 512] = volume.voxel_rgb(there)
+    target = small.find_voxels(ijk)
+    small.D.view(-1)[target] = volume.D.view(-1)[source]
+    small.W.view(-1)[target] = volume.W.view(-1)[source]
+    small.rgb_planes[target // 512, :, target % 512] = volume.voxel_rgb(source)
     return small
 
 
@@ -155,17 +155,17 @@ def _of_cell(
 ) -> list[Step]:
     values = recording.at("weight = volume.W.view(-1)")[0]
     usable = recording.at("usable = ((corner")[0]
-    cased = recording.at("case = ((D <")[0]
-    listed = recording.at("cube, nth = ")[0]
-    edged = recording.at("axis, lower = ")[0]
+    case_line = recording.at("case = ((D <")[0]
+    list_line = recording.at("cube, nth = ")[0]
+    edge_line = recording.at("axis, lower = ")[0]
     D = values["D"][row]
-    case = int(cased["case"][row])
-    mine = (listed["cube"] == row).nonzero().squeeze(1)
+    case = int(case_line["case"][row])
+    mine = (list_line["cube"] == row).nonzero().squeeze(1)
     edges = [
         list(
             zip(
-                edged["axis"][i].tolist(),
-                edged["lower"][i].tolist(),
+                edge_line["axis"][i].tolist(),
+                edge_line["lower"][i].tolist(),
                 strict=True,
             )
         )
@@ -191,7 +191,7 @@ def _of_cell(
         )
     ]
     if cells == 1:
-        seen = [
+        corner_weights = [
             ("smallest W", text_of(usable["weight"][row].min())),
             ("usable", text_of(bool(usable["usable"][row]))),
         ]
@@ -199,23 +199,25 @@ def _of_cell(
             Step(
                 usable,
                 "All eight corners must have been observed, or there is no triangle.",
-                seen,
+                corner_weights,
                 scene,
             )
         )
     bits = " + ".join(str(2**c) for c in range(8) if D[c] < 0) or "0"
     title = f"The case: one bit for each corner inside. {bits} = {case}."
-    steps.append(Step(cased, title, [("case", f"{case} = {case:08b} in binary")], scene))
+    steps.append(Step(case_line, title, [("case", f"{case} = {case:08b} in binary")], scene))
     title = f"The table has {len(mine)} triangle{'s' if len(mine) != 1 else ''} for case {case}."
     steps.append(
         Step(
-            listed,
+            list_line,
             title,
             [("triangles", str(len(mine)))],
             scene,
         )
     )
-    cut = scene["cut"] + tuple((k, axis, lower) for triangle in edges for axis, lower in triangle)
+    cut_edges = scene["cut"] + tuple(
+        (k, axis, lower) for triangle in edges for axis, lower in triangle
+    )
     text = [
         (str(i + 1), ", ".join(str(EDGES.index(e)) for e in triangle))
         for i, triangle in enumerate(edges)
@@ -226,10 +228,10 @@ def _of_cell(
     )
     steps.append(
         Step(
-            edged,
+            edge_line,
             title,
             text,
-            scene | {"cut": cut},
+            scene | {"cut": cut_edges},
             ("triangle", "edges"),
         )
     )
@@ -239,11 +241,11 @@ def _of_cell(
 def _of_vertices(
     recording: Recording, start: Voxel, voxel_m: float, scene: dict[str, Any]
 ) -> list[Step]:
-    joined = recording.at("edges, numbers = triangles.unique")[0]
+    join_line = recording.at("edges, numbers = triangles.unique")[0]
     crossing = recording.at("t = (D0 / (D0 - D1))")[0]
-    placed = recording.at("xyz_W = zero_crossing(")[0]
-    faces = joined["numbers"]
-    n = len(joined["edges"])
+    place_line = recording.at("xyz_W = zero_crossing(")[0]
+    faces = join_line["numbers"]
+    n = len(join_line["edges"])
     ends = 3 * len(faces)
     numbers = [
         ("triangles", str(len(faces))),
@@ -254,8 +256,8 @@ def _of_vertices(
         f"An edge that several triangles cut has one vertex: {ends} corners of triangles, {n} "
         "vertices."
     )
-    steps = [Step(joined, title, numbers, scene)]
-    points = (placed["xyz_W"].cpu().numpy() / voxel_m - 0.5) - np.array(start)
+    steps = [Step(join_line, title, numbers, scene)]
+    points = (place_line["xyz_W"].cpu().numpy() / voxel_m - 0.5) - np.array(start)
     for v in range(n):
         D0, D1, t = (float(crossing[name].flatten()[v]) for name in ("D0", "D1", "t"))
         scene = scene | {"points": points[: v + 1]}
@@ -263,18 +265,18 @@ def _of_vertices(
             ("D at the lower end", text_of(D0)),
             ("D at the upper end", text_of(D1)),
             ("t", text_of(t)),
-            ("vertex", text_of(placed["xyz_W"][v]) + " m"),
+            ("vertex", text_of(place_line["xyz_W"][v]) + " m"),
         ]
         title = (
             f"Vertex {v + 1} of {n}: where D, linear along the edge, is zero: t = {t:.3f} of "
             "the way."
         )
         steps.append(Step(crossing, title, numbers, scene))
-    done = recording.at("return Mesh(")[0]
+    end_line = recording.at("return Mesh(")[0]
     scene = scene | {"faces": tuple(tuple(face) for face in faces.tolist())}
     numbers = [("vertices", str(n)), ("triangles", str(len(faces)))]
     title = "The triangles between the vertices: the surface in these cells."
-    steps.append(Step(done, title, numbers, scene))
+    steps.append(Step(end_line, title, numbers, scene))
     return steps
 
 
@@ -288,7 +290,7 @@ def _cell_picture(figure: "Figure", scene: dict[str, Any], cells: int) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
 
     axes = figure.add_axes((0.01, 0.01, 0.98, 0.98))
-    now = scene["cell"]
+    cell = scene["cell"]
     axes.set_axis_off()
     axes.set(
         aspect="equal",
@@ -301,7 +303,7 @@ def _cell_picture(figure: "Figure", scene: dict[str, Any], cells: int) -> None:
         return _flat(np.stack([corners[k][lower], corners[k][lower + 2**axis]]))
 
     for k in range(cells):
-        wide = 1.8 if k == now and cells > 1 else 0.8
+        wide = 1.8 if k == cell and cells > 1 else 0.8
         axes.add_collection(
             LineCollection(
                 [edge(k, *e) for e in EDGES],
@@ -317,7 +319,7 @@ def _cell_picture(figure: "Figure", scene: dict[str, Any], cells: int) -> None:
     )
     axes.add_collection(
         LineCollection(
-            [edge(*cut) for cut in scene["cut"]],
+            [edge(*cut_edge) for cut_edge in scene["cut"]],
             colors=PALETTE[1],
             linewidths=2.4,
         )
@@ -397,9 +399,9 @@ def raycast_stepper(
     steps = [*_march(recording), *_interpolate(recording)]
     end = recording.at("return RaycastOutput")[0]
     depth_m = float(end["depth_m"])
-    found = f"the surface is at z = {depth_m:.4f} m" if depth_m else "this ray meets no surface"
+    result = f"the surface is at z = {depth_m:.4f} m" if depth_m else "this ray meets no surface"
     numbers = [("depth z", f"{depth_m:.5f} m"), ("normal", text_of(end["normal_W"][0], 3))]
-    steps.append(Step(end, f"The result of this pixel: {found}.", numbers, steps[-1].scene))
+    steps.append(Step(end, f"The result of this pixel: {result}.", numbers, steps[-1].scene))
     plane = _plane(
         volume,
         one,
@@ -427,26 +429,26 @@ def _march(recording: Recording) -> list[Step]:
     for look, sample, turn, advance in zip(looks, samples, turns, advances, strict=True):
         z = float(sample["z"])
         D = float(sample["D"])
-        known = bool(sample["allocated"])
+        is_allocated = bool(sample["allocated"])
         voxel = tuple(look["volume.voxel_index(point_W)"][0].tolist())
         z_met = [*z_met, z]
         D_met = [*D_met, D]
         scene = {"z": z, "z_met": z_met, "D_met": D_met, "next": None, "bracket": None}
-        W = float(look["volume.W.view(-1)[voxel]"]) if known else 0.0
+        W = float(look["volume.W.view(-1)[voxel]"]) if is_allocated else 0.0
         numbers = [
             ("depth z", f"{z:.4f} m"),
             ("point", text_of(sample["point_W"][0]) + " m"),
             ("voxel", str(voxel)),
-            ("block", "allocated" if known else "not allocated"),
+            ("block", "allocated" if is_allocated else "not allocated"),
             ("W", text_of(W)),
             ("D", text_of(D)),
         ]
         what = (
             "no block is allocated here: nothing is known"
-            if not known
+            if not is_allocated
             else f"D = {D:.3f}, W = {W:.0f}"
         )
-        if known and not W:
+        if is_allocated and not W:
             what = "its block is allocated, but this voxel was never observed"
         elif bool(look["close"]):
             what += ", interpolated because the surface is near"
@@ -467,12 +469,18 @@ def _march(recording: Recording) -> list[Step]:
         at = scene | {"next": z + float(advance["step"])}
         how = (
             "0.7 of the stored distance, at least one voxel"
-            if known
+            if is_allocated
             else "to where the ray leaves this block"
         )
-        ahead = [("step", f"{step:.4f} m"), ("next z", f"{z + step:.4f} m"), ("D before", D_before)]
+        next_numbers = [
+            ("step", f"{step:.4f} m"),
+            ("next z", f"{z + step:.4f} m"),
+            ("D before", D_before),
+        ]
         steps.append(
-            Step(advance, f"No sign change. Advance by {100 * step:.1f} cm: {how}.", ahead, at)
+            Step(
+                advance, f"No sign change. Advance by {100 * step:.1f} cm: {how}.", next_numbers, at
+            )
         )
     return steps
 
@@ -515,9 +523,9 @@ def _plane(
     z = torch.linspace(0, far_m, 450)
     y = torch.linspace(-half_m, half_m, 100)
     points_C = z[None, :, None] * ray_C + y[:, None, None] * torch.tensor([0.0, 1.0, 0.0])
-    found = volume.sample_nearest(se3.apply(T_WC.float(), points_C).view(-1, 3).to(volume.device))
-    D = found.D.view(100, 450).cpu().numpy()
-    W = found.W.view(100, 450).cpu().numpy()
+    samples = volume.sample_nearest(se3.apply(T_WC.float(), points_C).view(-1, 3).to(volume.device))
+    D = samples.D.view(100, 450).cpu().numpy()
+    W = samples.W.view(100, 450).cpu().numpy()
     ground = np.where(W > 0, 255, 0).astype(np.uint8)[..., None]
     return {
         "X": np.concatenate([distance_colours(D), ground], axis=2),
@@ -530,21 +538,21 @@ def _ray_picture(
     scene: dict[str, Any],
     plane: dict[str, Any],
 ) -> None:
-    above = figure.add_axes((0.12, 0.66, 0.86, 0.28))
-    below = figure.add_axes((0.12, 0.13, 0.86, 0.43))
-    above.imshow(**plane, aspect="auto", interpolation="nearest")
-    style(above, title="D in a plane through the ray (red −, blue +)")
-    style(below, x="depth z, m", y="D")
-    above.set_yticks([])
+    plane_axes = figure.add_axes((0.12, 0.66, 0.86, 0.28))
+    graph_axes = figure.add_axes((0.12, 0.13, 0.86, 0.43))
+    plane_axes.imshow(**plane, aspect="auto", interpolation="nearest")
+    style(plane_axes, title="D in a plane through the ray (red −, blue +)")
+    style(graph_axes, x="depth z, m", y="D")
+    plane_axes.set_yticks([])
     orange = PALETTE[1]
     red = PALETTE[3]
     z = scene["z"]
     bracket = scene["bracket"]
-    met = np.array(scene["D_met"])
-    D = 0.0 if bracket else met[-1]
-    for axes, height in ((above, 0), (below, 1)):
+    D_met = np.array(scene["D_met"])
+    D = 0.0 if bracket else D_met[-1]
+    for axes, height in ((plane_axes, 0), (graph_axes, 1)):
         axes.axhline(0, color=BETWEEN, linewidth=0.8)
-        axes.plot(scene["z_met"], height * met, "o", color=orange, markersize=4)
+        axes.plot(scene["z_met"], height * D_met, "o", color=orange, markersize=4)
         axes.plot(
             z,
             height * D,
@@ -562,15 +570,15 @@ def _ray_picture(
                 linewidth=2,
             )
     if bracket:
-        below.plot(
+        graph_axes.plot(
             bracket[:2],
             bracket[2:],
             "--",
             color=red,
             linewidth=1.4,
         )
-    far = plane["extent"][1]
-    below.set(
+    far_m = plane["extent"][1]
+    graph_axes.set(
         ylim=(-1.1, 1.1),
-        xlim=(bracket[0] - 0.02, bracket[1] + 0.02) if bracket else (0.0, far),
+        xlim=(bracket[0] - 0.02, bracket[1] + 0.02) if bracket else (0.0, far_m),
     )
