@@ -75,7 +75,7 @@ _OPS: dict[str, Callable] = {}
 _PIECES: dict[str, Callable] = {}
 _FROM_ENVIRONMENT = from_environment()
 _choice: ContextVar[str | None] = ContextVar("gsfusion_backend", default=None)
-_logged: set[tuple[str, str]] = set()
+_messages: set[tuple[str, str]] = set()
 
 
 class BackendUnavailable(ForeseenError, RuntimeError):
@@ -249,8 +249,8 @@ def runs_learners_code() -> bool:
 def look_again() -> None:
     """Forget what was found out about backends, because files, packages or the environment have
     changed (tests)."""
-    for cached in (offered, load, automatic, _problem):
-        cached.cache_clear()
+    for function in (offered, load, automatic, _problem):
+        function.cache_clear()
 
 
 def kernel_threads() -> tuple[str, Callable[[], None]]:
@@ -342,17 +342,17 @@ def _is_double(args: tuple, kwargs: dict) -> bool:
 def _why_slow(name: str, device: str) -> str:
     """A sentence for the user of an operation whose faster versions cannot be used, with what to do
     about it."""
-    tried = [b for b in _PREFERRED.get(device, ()) if b in offered(name)]
-    if problems := [problem for b in tried if (problem := _problem(name, b))]:
+    candidates = [b for b in _PREFERRED.get(device, ()) if b in offered(name)]
+    if problems := [problem for b in candidates if (problem := _problem(name, b))]:
         return (
             f"{'; '.join(problems)}; {name} runs on the slower reference: `gsfusion-nb doctor` "
             "says what to install"
         )
-    known = " and ".join(
+    devices = " and ".join(
         sorted({kind for kind, names in _PREFERRED.items() if set(names) & set(offered(name))})
     )
     return (
-        f"{name} runs on the slower reference: its faster versions take {known} tensors, and "
+        f"{name} runs on the slower reference: its faster versions take {devices} tensors, and "
         f"these are on {device!r}"
     )
 
@@ -367,8 +367,8 @@ def _devices(values: Iterable) -> Iterator[str]:
 
 
 def _log_once(level: int, name: str, message: str) -> None:
-    if (name, message) not in _logged:
-        _logged.add((name, message))
+    if (name, message) not in _messages:
+        _messages.add((name, message))
         log.log(level, message)
 
 
@@ -401,8 +401,8 @@ def _run_counted(
     kwargs: dict[str, Any],
 ) -> Any:
     """Call the learner's function for ``name``, or ``reference``, and count the call."""
-    inside = _thread.__dict__.setdefault("seconds_of_called", [])
-    inside.append(0.0)
+    durations = _thread.__dict__.setdefault("seconds_of_called", [])
+    durations.append(0.0)
     began = time.perf_counter()
     is_own = False
     try:
@@ -412,9 +412,9 @@ def _run_counted(
         return result if is_own else reference(*args, **kwargs)
     finally:
         took = time.perf_counter() - began
-        of_called = inside.pop()
-        if inside:
-            inside[-1] += took
+        of_called = durations.pop()
+        if durations:
+            durations[-1] += took
         calls = CALLS.setdefault(name, Calls())
         calls.own += is_own
         calls.reference += not is_own

@@ -13,7 +13,7 @@ from gsfusion_nb.types import GaussianParams
 def double(monkeypatch):
     monkeypatch.setattr(backends, "_OPS", dict(backends._OPS))
     monkeypatch.setattr(backends, "_FOLDERS", dict(backends._FOLDERS))
-    monkeypatch.setattr(backends, "_logged", set())
+    monkeypatch.setattr(backends, "_messages", set())
     monkeypatch.setattr(backends, "_KERNELS", "made_kernels")
     look_again()
 

@@ -78,9 +78,9 @@ def block_box(volume: TsdfVolume, frame: Frame, z_near: float, z_far: float) -> 
     size = []
     origin = []
     for o, (rx, ry, rz) in zip((position - base).tolist(), R, strict=True):
-        along = [o + rx * x + ry * y + rz * z for x, y, z in corners]
-        low.append(math.floor(min(along)) - 1)
-        size.append(math.floor(max(along)) + 2 - low[-1])
+        depth_m = [o + rx * x + ry * y + rz * z for x, y, z in corners]
+        low.append(math.floor(min(depth_m)) - 1)
+        size.append(math.floor(max(depth_m)) + 2 - low[-1])
         origin.append(o - low[-1])
     lowest = base.to(torch.int64) + torch.tensor(low, dtype=torch.int64, device=base.device)
     return BlockBox(low=lowest, size=size, origin=origin, R=R, block_size_m=volume.block_size_m)
@@ -218,10 +218,10 @@ def _usable(depth, x, y, limits, outlier_guard, along_ray, result, extents):
                     for k in (-line - 1, -line, -line + 1, -1, 1, line - 1, line, line + 1):
                         support = either(support, absolute(d - load(lines, at + k)) < tolerance)
                     used = used & support
-                near, far, length = _band(d, load(x, j), splat(y[i]), truncation, along_ray)
-                nearest = minimum(nearest, select(used, near, nearest))
-                farthest = maximum(farthest, select(used, far, not_used))
-                longest = maximum(longest, select(used, times(far - near, length), not_used))
+                start_z, end_z, length = _band(d, load(x, j), splat(y[i]), truncation, along_ray)
+                nearest = minimum(nearest, select(used, start_z, nearest))
+                farthest = maximum(farthest, select(used, end_z, not_used))
+                longest = maximum(longest, select(used, times(end_z - start_z, length), not_used))
                 store(row, j, select(used, d, not_used))
         store(extents[task, _NEAREST], 0, nearest)
         store(extents[task, _FARTHEST], 0, farthest)
@@ -257,20 +257,20 @@ def _crossed(depth, slopes, truncation, view, size, pieces, along_ray, marks):
                 if not any_lane(used):
                     continue
                 sx = load(x, j)
-                near, far, _ = _band(d, sx, slope_y, band, along_ray)
+                start_z, end_z, _ = _band(d, sx, slope_y, band, along_ray)
                 dx = times(splat(R[0, 0]), sx) + times(splat(R[0, 1]), slope_y) + splat(R[0, 2])
                 dy = times(splat(R[1, 0]), sx) + times(splat(R[1, 1]), slope_y) + splat(R[1, 2])
                 dz = times(splat(R[2, 0]), sx) + times(splat(R[2, 1]), slope_y) + splat(R[2, 2])
-                px = times(dx, near) + ox
-                py = times(dy, near) + oy
-                pz = times(dz, near) + oz
+                px = times(dx, start_z) + ox
+                py = times(dy, start_z) + oy
+                pz = times(dz, start_z) + oz
                 cx = floor(px)
                 cy = floor(py)
                 cz = floor(pz)
                 number = select(used, cx * stride_x + cy * stride_y + cz, nowhere)
                 _mark(marks, number, nowhere)
                 for k in range(1, pieces + 1):
-                    z = times(far - near, splat(f32(k / pieces))) + near
+                    z = times(end_z - start_z, splat(f32(k / pieces))) + start_z
                     qx = times(dx, z) + ox
                     qy = times(dy, z) + oy
                     qz = times(dz, z) + oz

@@ -15,8 +15,8 @@ def tile_windows(pixels, width, height):
     """Where there are pixels to be drawn. pixels: bool [H, W], or [0, 0] for all."""
     tiles_x = (width + TILE - 1) // TILE
     tiles_y = (height + TILE - 1) // TILE
-    masked = pixels.shape[0] > 0
-    windows = np.empty((tiles_x * tiles_y if masked else 0, 4), np.int32)
+    has_mask = pixels.shape[0] > 0
+    windows = np.empty((tiles_x * tiles_y if has_mask else 0, 4), np.int32)
     windows[:, FIRST_X] = width
     windows[:, LAST_X] = -1
     windows[:, FIRST_Y] = height
@@ -32,8 +32,8 @@ def tile_windows(pixels, width, height):
     sums = np.zeros((tiles_y + 1, tiles_x + 1), np.int32)
     for ty in range(tiles_y):
         for tx in range(tiles_x):
-            here = 1 if not masked or windows[ty * tiles_x + tx, LAST_X] >= 0 else 0
-            sums[ty + 1, tx + 1] = here + sums[ty, tx + 1] + sums[ty + 1, tx] - sums[ty, tx]
+            n_here = 1 if not has_mask or windows[ty * tiles_x + tx, LAST_X] >= 0 else 0
+            sums[ty + 1, tx + 1] = n_here + sums[ty, tx + 1] + sums[ty + 1, tx] - sums[ty, tx]
     return TileWindows(windows, sums)
 
 
@@ -73,7 +73,7 @@ def depth_order(splats, count):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def list_tiles(splats, start, noted, width, height, windows, pair_tile):
+def list_tiles(splats, start, tile_notes, width, height, windows, pair_tile):
     """Numbers of the tiles each splat is listed in, row i in
     ``pair_tile[start[i]:start[i + 1]]``."""
     N = splats.shape[0]
@@ -86,7 +86,7 @@ def list_tiles(splats, start, noted, width, height, windows, pair_tile):
         end = min(N, part * CHUNK + CHUNK)
         n = start[end] - start[first]
         if n <= NOTED_PER_CHUNK:
-            pair_tile[start[first] : start[end]] = noted[
+            pair_tile[start[first] : start[end]] = tile_notes[
                 part * NOTED_PER_CHUNK : part * NOTED_PER_CHUNK + n
             ]
             continue

@@ -47,11 +47,11 @@ def brightness_system(
     if any(t.dtype != torch.float32 or t.device.type != "cpu" for t in images):
         options = {"max_distance_m": max_distance_m, "offset": offset}
         return reference.reference(level, brightness, T_WC, picture, **options)
-    seen = tuple(t.detach().contiguous().numpy() for t in images)
+    arrays = tuple(t.detach().contiguous().numpy() for t in images)
     poses = poses_of(T_WC, picture.T_WC)
     with launching():
         sums, n = _sum_rows(
-            seen,
+            arrays,
             poses,
             lens_of(level.camera, f32),
             lens_of(picture.camera, f32),
@@ -62,13 +62,13 @@ def brightness_system(
 
 
 @njit(cache=True, error_model="numpy")
-def _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns):
+def _compare(arrays, poses, lens, picture_lens, max_distance_m, offset, j, columns):
     """Write sqrt(w) [J, r, 1] of the pixels of row j that both see to ``columns``; their number.
 
-    seen: depth and brightness of the frame [H, W]; depth, brightness [h, w] and gradient [h, w, 2]
-    of the picture.
+    arrays: depth and brightness of the frame [H, W]; depth, brightness [h, w] and gradient
+    [h, w, 2] of the picture.
     """
-    depth, brightness, picture_depth, picture, gradient = seen
+    depth, brightness, picture_depth, picture, gradient = arrays
     T = poses.T_WC
     R = poses.R_WS
     height, width = picture.shape
@@ -105,8 +105,8 @@ def _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns
             continue
         r = picture[row, column] + a * (u - f32(column) - _HALF) + b * (v - f32(row) - _HALF)
         r -= brightness[j, i]
-        off = (r - offset) * _PER_ERROR
-        w = np.sqrt(_ONE / (_ONE + off * off))
+        scaled_error = (r - offset) * _PER_ERROR
+        w = np.sqrt(_ONE / (_ONE + scaled_error * scaled_error))
         a = w * (a * fx / s2)
         b = w * (b * fy / s2)
         c = -(a * s0 + b * s1) / s2
@@ -126,14 +126,14 @@ def _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _sum_rows(seen, poses, lens, picture_lens, max_distance_m, offset):
+def _sum_rows(arrays, poses, lens, picture_lens, max_distance_m, offset):
     """The sums for each row of pixels [H, 36], and the number of pixels [H]."""
-    height, width = seen[0].shape
+    height, width = arrays[0].shape
     sums = np.empty((height, _N_SUMS))
     count = np.empty(height, np.int64)
     for j in prange(height):
         columns = np.empty((_N_COLUMNS, width), np.float32)
-        n = _compare(seen, poses, lens, picture_lens, max_distance_m, offset, j, columns)
+        n = _compare(arrays, poses, lens, picture_lens, max_distance_m, offset, j, columns)
         count[j] = n
         at = 0
         for a in range(_N_COLUMNS):

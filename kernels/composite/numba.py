@@ -75,8 +75,8 @@ def open_pixels(state, rows_open, pixels, x0, y0, width, height):
     the open rows."""
     tile_width = min(pair.TILE, width - x0)
     tile_height = min(pair.TILE, height - y0)
-    masked = pixels.shape[0] > 0
-    if not masked and tile_width == pair.TILE and tile_height == pair.TILE:
+    has_mask = pixels.shape[0] > 0
+    if not has_mask and tile_width == pair.TILE and tile_height == pair.TILE:
         state[:PIXELS] = ONE
         rows_open[:] = 1
         return pair.TILE
@@ -85,7 +85,7 @@ def open_pixels(state, rows_open, pixels, x0, y0, width, height):
     n_open = 0
     for r in range(tile_height):
         for i in range(tile_width):
-            if not masked or pixels[y0 + r, x0 + i]:
+            if not has_mask or pixels[y0 + r, x0 + i]:
                 state[r * pair.TILE + i] = ONE
                 rows_open[r] = 1
         n_open += rows_open[r]
@@ -136,9 +136,9 @@ def absorb(state, o, alpha):
 
 
 @njit(inline="always")
-def alpha_of(log_alpha, seen):
+def alpha_of(log_alpha, visible):
     """alpha, cut at its ceiling, zero where the splat is not seen."""
-    return select(seen, minimum(exp(log_alpha), splat(CEILING)), splat(ZERO))
+    return select(visible, minimum(exp(log_alpha), splat(CEILING)), splat(ZERO))
 
 
 _SUM_RED, _SUM_GREEN, _SUM_BLUE, _SUM_DEPTH, _HEAVIEST, _DOMINANT, _FIRST, _HIT = range(
@@ -195,11 +195,11 @@ def composite_forward(splats, lists, pixels, image, indices, opaque):
             for r in range(first_row, end_row):
                 if rows_open[r] == 0:
                     continue
-                log_alpha, seen = row_exponent(s, q0, q1, f32(y0 + r) + HALF - s[V])
-                if not any_lane(seen):
+                log_alpha, visible = row_exponent(s, q0, q1, f32(y0 + r) + HALF - s[V])
+                if not any_lane(visible):
                     continue
                 o = r * pair.TILE
-                alpha = alpha_of(log_alpha, seen)
+                alpha = alpha_of(log_alpha, visible)
                 w, _, T, _ = absorb(state, o, alpha)
                 _add_colour(state, o, w, s)
                 if with_index:
@@ -255,10 +255,10 @@ def _note_indices(state, o, w, number):
 def _note_hit(state, o, solid, number):
     """Keep the number of the splat where it is the first ``solid`` one; which pixels still look for
     theirs."""
-    before = load(state, _HIT + o)
-    now = select(solid & (splat(ZERO) > before), number, before)
-    store(state, _HIT + o, now)
-    return splat(ZERO) > now
+    old_hit = load(state, _HIT + o)
+    new_hit = select(solid & (splat(ZERO) > old_hit), number, old_hit)
+    store(state, _HIT + o, new_hit)
+    return splat(ZERO) > new_hit
 
 
 @njit(cache=True, error_model="numpy")
@@ -293,14 +293,14 @@ _BACKWARD_STATE = 7 * PIXELS
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def composite_backward(splats, lists, wanted, image, v_image, pair_sums, abs_sums):
+def composite_backward(splats, lists, selection, image, v_image, pair_sums, abs_sums):
     """Per (tile, splat) sums of the loss gradient, written to ``pair_sums[slot[k]]`` [I,
     PAIR_SUMS].
 
-    wanted: the pixels that were given to the forward, [0, 0] for all, and the rows whose sums are
-    wanted, bool [N] or [0] for all; the sums of the others are not written. image: as the forward
-    made it. v_image: dL/d of it. abs_sums: [I, 2], to which the sums of |dL/du| and |dL/dv| are
-    written likewise, or None, for which this is compiled without them.
+    selection: the pixels that were given to the forward, [0, 0] for all, and the rows whose sums
+    are wanted, bool [N] or [0] for all; the sums of the others are not written. image: as the
+    forward made it. v_image: dL/d of it. abs_sums: [I, 2], to which the sums of |dL/du| and |dL/dv|
+    are written likewise, or None, for which this is compiled without them.
     With p_k = c_k . v_rgb + z_k v_depth + v_alpha:  dL/dalpha_k = T_k p_k - (sum_{j > k} w_j p_j) /
     (1 - alpha_k). The last sum starts as the whole pixel's, C . v_rgb + D v_depth + alpha v_alpha,
     and loses w_k p_k at each step.
@@ -308,8 +308,8 @@ def composite_backward(splats, lists, wanted, image, v_image, pair_sums, abs_sum
     ids = lists.ids
     offset = lists.offset
     slot = lists.slot
-    pixels, trained = wanted
-    all_trained = trained.shape[0] == 0
+    pixels, train_rows = selection
+    all_trained = train_rows.shape[0] == 0
     height, width = image.depth.shape
     tiles_x = (width + pair.TILE - 1) // pair.TILE
     tiles_y = (height + pair.TILE - 1) // pair.TILE
@@ -321,7 +321,7 @@ def composite_backward(splats, lists, wanted, image, v_image, pair_sums, abs_sum
         x0 = (tile % tiles_x) * pair.TILE
         y0 = (tile // tiles_x) * pair.TILE
         end = offset[tile + 1]
-        while end > offset[tile] and not (all_trained or trained[ids[end - 1]]):
+        while end > offset[tile] and not (all_trained or train_rows[ids[end - 1]]):
             end -= 1
         if end == offset[tile]:
             continue
@@ -330,23 +330,23 @@ def composite_backward(splats, lists, wanted, image, v_image, pair_sums, abs_sum
         n_open = open_pixels(state, rows_open, pixels, x0, y0, width, height)
         _read_gradients(state, x0, y0, image, v_image, pixels.shape[0] > 0)
         for k in range(offset[tile], end):
-            out = pair_sums[slot[k]]
+            sums = pair_sums[slot[k]]
             if n_open == 0:
                 for i in range(pair.PAIR_SUMS):
-                    out[i] = ZERO
+                    sums[i] = ZERO
                 if abs_sums is not None:
                     abs_sums[slot[k], 0] = ZERO
                     abs_sums[slot[k], 1] = ZERO
                 continue
             s = splats[ids[k]]
-            if all_trained or trained[ids[k]]:
-                n_open -= _add_up(state, rows_open, s, (x0, y0, height), out, abs_sums, slot[k])
+            if all_trained or train_rows[ids[k]]:
+                n_open -= _add_up(state, rows_open, s, (x0, y0, height), sums, abs_sums, slot[k])
             else:
                 n_open -= _pass_through(state, rows_open, s, (x0, y0, height))
 
 
 @njit(cache=True, error_model="numpy")
-def _read_gradients(state, x0, y0, image, v_image, masked):
+def _read_gradients(state, x0, y0, image, v_image, has_mask):
     """dL/d of the tile's pixels, and the whole of C . v, into their planes."""
     height, width = image.depth.shape
     for r in range(min(pair.TILE, height - y0)):
@@ -365,7 +365,7 @@ def _read_gradients(state, x0, y0, image, v_image, masked):
                 state[_V_ALPHA + o] = v_image.alpha[y, x]
                 total += image.alpha[y, x] * v_image.alpha[y, x]
             state[_REST + o] = total
-    if masked:  # a loss may have no gradient there, not even a number
+    if has_mask:  # a loss may have no gradient there, not even a number
         for o in range(PIXELS):
             if state[o] < ZERO:
                 for plane in range(_REST, _BACKWARD_STATE, PIXELS):
@@ -388,9 +388,9 @@ def _pass_on(state, o, w, red, green, blue, z):
 
 
 @njit(inline="always")
-def _add_up(state, rows_open, s, place, out, abs_sums, slot):
+def _add_up(state, rows_open, s, place, sums, abs_sums, slot):
     """Write the sums of a trained splat over the tile at ``place`` (x0, y0, height of the image) to
-    ``out`` and to row ``slot`` of ``abs_sums``; returns how many rows it finished."""
+    ``sums`` and to row ``slot`` of ``abs_sums``; returns how many rows it finished."""
     x0, y0, height = place
     first_row, end_row = rows_of(s, y0, height)
     dx, q0, q1 = across(s, x0)
@@ -409,21 +409,21 @@ def _add_up(state, rows_open, s, place, out, abs_sums, slot):
     sum_z = zero
     minus_u = zero
     minus_v = zero
-    finished = 0
+    n_finished = 0
     for r in range(first_row, end_row):
         if rows_open[r] == 0:
             continue
         dy = f32(y0 + r) + HALF - s[V]
-        log_alpha, seen = row_exponent(s, q0, q1, dy)
-        if not any_lane(seen):
+        log_alpha, visible = row_exponent(s, q0, q1, dy)
+        if not any_lane(visible):
             continue
         o = r * pair.TILE
         raw = exp(log_alpha)
-        alpha = select(seen, minimum(raw, splat(CEILING)), zero)
+        alpha = select(visible, minimum(raw, splat(CEILING)), zero)
         w, T_open, T, goes_on = absorb(state, o, alpha)
         p, rest = _pass_on(state, o, w, red, green, blue, z)
         v_of_alpha = T_open * p - rest / (one - alpha)
-        g = select(goes_on & (seen & (raw < splat(CEILING))), v_of_alpha * alpha, zero)
+        g = select(goes_on & (visible & (raw < splat(CEILING))), v_of_alpha * alpha, zero)
         gy = g * splat(dy)
         sum_g = sum_g + g
         sum_gy = sum_gy + gy
@@ -437,22 +437,22 @@ def _add_up(state, rows_open, s, place, out, abs_sums, slot):
             minus_v = minus_v + negative_abs(g * (splat(s[CONIC_B]) * dx + splat(s[CONIC_C] * dy)))
         if not any_lane(zero < T):
             rows_open[r] = 0
-            finished += 1
+            n_finished += 1
     gx = sum_g * dx
-    out[pair.SUM_GX] = reduce_add(gx)
-    out[pair.SUM_GY] = reduce_add(sum_gy)
-    out[pair.SUM_GXX] = reduce_add(gx * dx)
-    out[pair.SUM_GXY] = reduce_add(sum_gy * dx)
-    out[pair.SUM_GYY] = reduce_add(sum_gyy)
-    out[pair.SUM_G] = reduce_add(sum_g)
-    out[pair.SUM_DEPTH] = reduce_add(sum_z)
-    out[pair.SUM_RED] = reduce_add(sum_r)
-    out[pair.SUM_GREEN] = reduce_add(sum_gr)
-    out[pair.SUM_BLUE] = reduce_add(sum_b)
+    sums[pair.SUM_GX] = reduce_add(gx)
+    sums[pair.SUM_GY] = reduce_add(sum_gy)
+    sums[pair.SUM_GXX] = reduce_add(gx * dx)
+    sums[pair.SUM_GXY] = reduce_add(sum_gy * dx)
+    sums[pair.SUM_GYY] = reduce_add(sum_gyy)
+    sums[pair.SUM_G] = reduce_add(sum_g)
+    sums[pair.SUM_DEPTH] = reduce_add(sum_z)
+    sums[pair.SUM_RED] = reduce_add(sum_r)
+    sums[pair.SUM_GREEN] = reduce_add(sum_gr)
+    sums[pair.SUM_BLUE] = reduce_add(sum_b)
     if abs_sums is not None:
         abs_sums[slot, 0] = -reduce_add(minus_u)
         abs_sums[slot, 1] = -reduce_add(minus_v)
-    return finished
+    return n_finished
 
 
 @njit(cache=True, error_model="numpy")
@@ -462,17 +462,17 @@ def _pass_through(state, rows_open, s, place):
     x0, y0, height = place
     first_row, end_row = rows_of(s, y0, height)
     _, q0, q1 = across(s, x0)
-    finished = 0
+    n_finished = 0
     for r in range(first_row, end_row):
         if rows_open[r] == 0:
             continue
-        log_alpha, seen = row_exponent(s, q0, q1, f32(y0 + r) + HALF - s[V])
-        if not any_lane(seen):
+        log_alpha, visible = row_exponent(s, q0, q1, f32(y0 + r) + HALF - s[V])
+        if not any_lane(visible):
             continue
         o = r * pair.TILE
-        w, _, T, _ = absorb(state, o, alpha_of(log_alpha, seen))
+        w, _, T, _ = absorb(state, o, alpha_of(log_alpha, visible))
         _pass_on(state, o, w, splat(s[RED]), splat(s[GREEN]), splat(s[BLUE]), splat(s[DEPTH]))
         if not any_lane(splat(ZERO) < T):
             rows_open[r] = 0
-            finished += 1
-    return finished
+            n_finished += 1
+    return n_finished

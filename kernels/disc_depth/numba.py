@@ -73,14 +73,14 @@ def disc_depth(
     """See ``gsfusion_nb.render.disc_depth``."""
     arrays = _arrays(params)
     view = _view(camera, T_WC)
-    hit = hit_index.long().contiguous().numpy()
-    depth = torch.empty(hit.shape)
-    normal = torch.empty(*hit.shape, 3)
-    on_plane = torch.empty(hit.shape, dtype=torch.bool)
+    disc = hit_index.long().contiguous().numpy()
+    depth = torch.empty(disc.shape)
+    normal = torch.empty(*disc.shape, 3)
+    on_plane = torch.empty(disc.shape, dtype=torch.bool)
     with launching():
         discs = _list_discs(*arrays, view, _offset(max_offset), _ALL_ROWS)
         _meet_all(
-            discs, hit, view, f32(min_cosine), depth.numpy(), normal.numpy(), on_plane.numpy()
+            discs, disc, view, f32(min_cosine), depth.numpy(), normal.numpy(), on_plane.numpy()
         )
     return reference.DiscDepth(depth_m=depth, normal_W=normal, on_plane=on_plane)
 
@@ -97,17 +97,17 @@ def disc_depth_vjp(
     rows: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
     """See ``gsfusion_nb.render.disc_depth_vjp``."""
-    trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
+    train_rows = _ALL_ROWS if rows is None else rows.contiguous().numpy()
     arrays = _arrays(params)
     view = _view(camera, T_WC)
-    hit = hit_index.long().contiguous().numpy()
+    disc = hit_index.long().contiguous().numpy()
     v_depth = v_depth_m.detach().float().contiguous().numpy()
     v_xyz = torch.empty(len(params), 3)
     v_quat = torch.empty(len(params), 4)
     with launching():
-        discs = _list_discs(*arrays, view, _offset(max_offset), trained)
-        pixel, start = _pixels_by_row(hit.reshape(-1), len(params), trained)
-        lists = PixelLists(pixel=pixel, start=start, width=hit.shape[1])
+        discs = _list_discs(*arrays, view, _offset(max_offset), train_rows)
+        pixel, start = _pixels_by_row(disc.reshape(-1), len(params), train_rows)
+        lists = PixelLists(pixel=pixel, start=start, width=disc.shape[1])
         _meet_all_vjp(
             discs,
             *arrays[1:],
@@ -152,11 +152,11 @@ def _unit(q):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
-    """The discs [N, DISC]; those of rows that are not ``wanted`` stay empty. An empty array stands
+def _list_discs(xyz, log_scale, quat, view, max_offset, train_rows):
+    """The discs [N, DISC]; those of rows outside ``train_rows`` stay empty. An empty array stands
     for all rows."""
     N = xyz.shape[0]
-    all_wanted = wanted.shape[0] == 0
+    all_wanted = train_rows.shape[0] == 0
     R = view.R_WC
     centre = view.centre_W
     discs = np.empty((N, DISC), np.float32)
@@ -166,7 +166,7 @@ def _list_discs(xyz, log_scale, quat, view, max_offset, wanted):
         if part >= n_parts:
             continue
         for i in range(part * _CHUNK, min(N, part * _CHUNK + _CHUNK)):
-            if not (all_wanted or wanted[i]):
+            if not (all_wanted or train_rows[i]):
                 continue
             d = discs[i]
             _, w, x, y, z = _unit(quat[i])
@@ -212,9 +212,9 @@ def _meet(disc, x, y, min_cosine):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _meet_all(discs, hit, view, min_cosine, depth, normal, on_plane):
+def _meet_all(discs, disc, view, min_cosine, depth, normal, on_plane):
     """The three images; every pixel is written."""
-    H, W = hit.shape
+    H, W = disc.shape
     for j in prange(H):
         y = (f32(j) + _HALF - view.cy) / view.fy
         for i in range(W):
@@ -223,9 +223,9 @@ def _meet_all(discs, hit, view, min_cosine, depth, normal, on_plane):
             normal[j, i, 0] = _ZERO
             normal[j, i, 1] = _ZERO
             normal[j, i, 2] = _ZERO
-            if hit[j, i] < 0:
+            if disc[j, i] < 0:
                 continue
-            d = discs[hit[j, i]]
+            d = discs[disc[j, i]]
             x = (f32(i) + _HALF - view.cx) / view.fx
             depth[j, i], _, on_plane[j, i] = _meet(d, x, y, min_cosine)
             normal[j, i, 0] = d[NORMAL_X]
@@ -234,24 +234,24 @@ def _meet_all(discs, hit, view, min_cosine, depth, normal, on_plane):
 
 
 @njit(cache=True, error_model="numpy")
-def _pixels_by_row(hit, N, wanted):
+def _pixels_by_row(disc, N, train_rows):
     """Places in the image of the pixels that hit row g, in order:
     ``pixel[start[g] : start[g + 1]]``.
 
-    Rows that are not ``wanted`` have none; an empty array stands for all rows.
+    Rows outside ``train_rows`` have none; an empty array stands for all rows.
     """
     start = np.zeros(N + 1, np.int32)
-    all_wanted = wanted.shape[0] == 0
-    for g in hit:
-        if g >= 0 and (all_wanted or wanted[g]):
+    all_wanted = train_rows.shape[0] == 0
+    for g in disc:
+        if g >= 0 and (all_wanted or train_rows[g]):
             start[g + 1] += 1
     for g in range(N):
         start[g + 1] += start[g]
     cursor = start[:-1].copy()
     pixel = np.empty(start[N], np.int32)
-    for o in range(hit.shape[0]):
-        g = hit[o]
-        if g >= 0 and (all_wanted or wanted[g]):
+    for o in range(disc.shape[0]):
+        g = disc[o]
+        if g >= 0 and (all_wanted or train_rows[g]):
             pixel[cursor[g]] = o
             cursor[g] += 1
     return pixel, start
@@ -311,7 +311,7 @@ def _meet_all_vjp(discs, log_scale, quat, lists, view, min_cosine, v_depth, v_xy
 
 
 @njit(cache=True, error_model="numpy")
-def _axis_vjp(quat, e, v, out):
+def _axis_vjp(quat, e, v, v_quat):
     """Gradient ``v`` of the axis R(q) e, carried to the quaternion."""
     norm, w, x, y, z = _unit(quat)
     ue = x * e[0] + y * e[1] + z * e[2]
@@ -324,8 +324,8 @@ def _axis_vjp(quat, e, v, out):
     v_x = 2.0 * (ue * v[0] + uv * e[0] - ev * x + w * (e[1] * v[2] - e[2] * v[1]))
     v_y = 2.0 * (ue * v[1] + uv * e[1] - ev * y + w * (e[2] * v[0] - e[0] * v[2]))
     v_z = 2.0 * (ue * v[2] + uv * e[2] - ev * z + w * (e[0] * v[1] - e[1] * v[0]))
-    along = w * v_w + x * v_x + y * v_y + z * v_z
-    out[0] = (v_w - w * along) / norm
-    out[1] = (v_x - x * along) / norm
-    out[2] = (v_y - y * along) / norm
-    out[3] = (v_z - z * along) / norm
+    radial = w * v_w + x * v_x + y * v_y + z * v_z
+    v_quat[0] = (v_w - w * radial) / norm
+    v_quat[1] = (v_x - x * radial) / norm
+    v_quat[2] = (v_y - y * radial) / norm
+    v_quat[3] = (v_z - z * radial) / norm

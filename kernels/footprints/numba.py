@@ -65,9 +65,9 @@ def _radii(params, cam, radius):
             s[LN_OPACITY] = math.log(opacity)
             if not _project(cam, x, y, z, log_scale[i], quat[i], s):
                 continue
-            across = s[U] + s[EXTENT_U] > _ZERO and s[U] - s[EXTENT_U] < cam[WIDTH]
+            in_columns = s[U] + s[EXTENT_U] > _ZERO and s[U] - s[EXTENT_U] < cam[WIDTH]
             if (
-                across
+                in_columns
                 and s[V] + s[EXTENT_V] > _ZERO
                 and s[V] - s[EXTENT_V] < cam[HEIGHT]
                 and np.isfinite(sh[i]).all()

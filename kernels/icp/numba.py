@@ -155,9 +155,9 @@ def _correspond(frame, model, poses, lens, surface_lens, gates, j, columns):
         )
         if not cosine >= min_cosine:
             continue
-        near = even_to_m / z
+        depth_ratio = even_to_m / z
         # the square root of the weight, on both factors of each product
-        w = near * near if near < _ONE else _ONE
+        w = depth_ratio * depth_ratio if depth_ratio < _ONE else _ONE
         k = n_inliers
         columns[_RESIDUAL, k] = w * (e0 * n0 + e1 * n1 + e2 * n2)
         columns[_WEIGHT, k] = w

@@ -140,16 +140,16 @@ def packed_image(
     while levels[-1][_ROWS] > 1 or levels[-1][_COLUMNS] > 1:
         first, h, w = levels[-1]
         levels.append((first + h * w, (h + 1) // 2, (w + 1) // 2))
-    packed = np.empty(height * width, np.uint64)
+    pixels = np.empty(height * width, np.uint64)
     pyramid = DepthPyramid(
         largest=np.empty(levels[-1][_FIRST] + 1, np.float32), levels=np.array(levels)
     )
-    _pack(depth, colour, f32(near_m), pyramid, packed)
-    return packed, pyramid
+    _pack(depth, colour, f32(near_m), pyramid, pixels)
+    return pixels, pyramid
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _pack(depth, colour, near, pyramid, packed):
+def _pack(depth, colour, near_m, pyramid, pixels):
     """See ``packed_image``."""
     largest = pyramid.largest
     levels = pyramid.levels
@@ -162,7 +162,7 @@ def _pack(depth, colour, near, pyramid, packed):
         column = np.full(w * _TILE + 16, MISSING, np.float32)
         missing = splat(MISSING)
         zero = splat(_ZERO)
-        nearest = splat(near)
+        nearest = splat(near_m)
         infinite = splat(_INFINITE)
         for y in range(i * _TILE, min(height, i * _TILE + _TILE)):
             for x in range(0, width - 15, 16):
@@ -171,28 +171,28 @@ def _pack(depth, colour, near, pyramid, packed):
                 d = select((d > zero) & (d >= nearest) & (d < infinite), d, missing)
                 store(column, x, maximum(load(column, x), d))
                 store_pairs(
-                    packed,
+                    pixels,
                     at,
                     d,
                     byte_triples(colour, 3 * at) if has_bytes else splat_int(int32(0)),
                 )
             for x in range(width - width % 16, width):
                 d = depth[y, x]
-                d = d if (d > _ZERO) & (d >= near) & (d < _INFINITE) else MISSING
+                d = d if (d > _ZERO) & (d >= near_m) & (d < _INFINITE) else MISSING
                 column[x] = max(column[x], d)
                 at = y * width + x
                 word = uint32(0)
                 if has_bytes:
                     for c in range(3):
                         word |= uint32(colour[3 * at + c]) << uint32(8 * c)
-                packed[at] = uint64(float_bits(d)) | uint64(word) << uint64(32)
+                pixels[at] = uint64(float_bits(d)) | uint64(word) << uint64(32)
         for j in range(w):
             most = MISSING
             for x in range(j * _TILE, j * _TILE + _TILE):
                 most = max(most, column[x])
             largest[i * w + j] = most
     for k in range(1, levels.shape[0]):
-        below = levels[k - 1, _FIRST]
+        first = levels[k - 1, _FIRST]
         fine_h = levels[k - 1, _ROWS]
         fine_w = levels[k - 1, _COLUMNS]
         for i in range(levels[k, _ROWS]):
@@ -200,7 +200,7 @@ def _pack(depth, colour, near, pyramid, packed):
                 most = MISSING
                 for y in range(2 * i, min(2 * i + 2, fine_h)):
                     for x in range(2 * j, min(2 * j + 2, fine_w)):
-                        most = max(most, largest[below + y * fine_w + x])
+                        most = max(most, largest[first + y * fine_w + x])
                 largest[levels[k, _FIRST] + i * levels[k, _COLUMNS] + j] = most
 
 
@@ -236,9 +236,9 @@ def find_observable(coords, rows, M, axis_z, limits, size, pyramid):
 
     M [3, 4]: homogeneous pixel coordinates (U, V, Z) of a world point. axis_z: third row of T_CW.
     """
-    seen = np.zeros(len(rows), np.bool_)
+    in_view = np.zeros(len(rows), np.bool_)
     height, width = size
-    far = limits.far
+    far_m = limits.far
     truncation = limits.truncation
     largest = pyramid.largest
     levels = pyramid.levels
@@ -250,7 +250,7 @@ def find_observable(coords, rows, M, axis_z, limits, size, pyramid):
         y = side * (coords[b, 1] + 0.5)
         z = side * (coords[b, 2] + 0.5)
         Z = M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3]
-        if Z + half_z <= 0.0 or Z - half_z >= far + truncation:
+        if Z + half_z <= 0.0 or Z - half_z >= far_m + truncation:
             continue
         U = M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3]
         V = M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3]
@@ -263,8 +263,10 @@ def find_observable(coords, rows, M, axis_z, limits, size, pyramid):
             if high_u < 1.0 or high_v < 1.0 or low_u > width + 1 or low_v > height + 1:
                 continue
         box = (low_u - 1.0, high_u - 1.0, low_v - 1.0, high_v - 1.0)
-        seen[i] = Z - half_z < farthest(largest, levels, box, width, height) + truncation + 1e-5 * Z
-    return rows[seen]
+        in_view[i] = (
+            Z - half_z < farthest(largest, levels, box, width, height) + truncation + 1e-5 * Z
+        )
+    return rows[in_view]
 
 
 @njit(cache=True, error_model="numpy")
@@ -330,22 +332,22 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     )
     voxels = Voxels(coords=volume.block_coords.numpy(), D=D, W=W, rgb=colours, W_rgb=W_rgb)
     with launching():
-        packed, pyramid = packed_image(depth, in_bytes, config.near_m)
+        pixels, pyramid = packed_image(depth, in_bytes, config.near_m)
         end_m = min(limits.far, float(pyramid.largest[-1])) + limits.truncation
         pixel_m = (end_m + volume.block_size_m) / min(camera.fx, camera.fy)
         rows = blocks_in_view(volume, camera, T_CW, end_m, pixel_m)
         rows = find_observable(
             voxels.coords, rows, K @ T_CW[:3], T_CW[2], limits, depth.shape, pyramid
         )
-        updated = np.zeros(-(-len(rows) // _CHUNK), np.int64)
-        _fuse(rows, voxels, (packed, rgb), depth.shape, (T_CW, K), limits, method, updated)
-    return int(updated.sum())
+        n_updated = np.zeros(-(-len(rows) // _CHUNK), np.int64)
+        _fuse(rows, voxels, (pixels, rgb), depth.shape, (T_CW, K), limits, method, n_updated)
+    return int(n_updated.sum())
 
 
 @njit(cache=True, error_model="numpy")
 def _offsets(T_CW, K, voxel_size):
     """(U, V, Z) of the 512 voxel centres relative to their block's corner, planes of one array."""
-    out = np.empty(3 * VOXELS_PER_BLOCK, np.float32)
+    offsets = np.empty(3 * VOXELS_PER_BLOCK, np.float32)
     for n in range(VOXELS_PER_BLOCK):
         x = ((n >> 6) + 0.5) * voxel_size
         y = ((n >> 3 & 7) + 0.5) * voxel_size
@@ -353,10 +355,10 @@ def _offsets(T_CW, K, voxel_size):
         X = T_CW[0, 0] * x + T_CW[0, 1] * y + T_CW[0, 2] * z
         Y = T_CW[1, 0] * x + T_CW[1, 1] * y + T_CW[1, 2] * z
         Z = T_CW[2, 0] * x + T_CW[2, 1] * y + T_CW[2, 2] * z
-        out[_U + n] = K[0, 0] * X + K[0, 2] * Z
-        out[_V + n] = K[1, 1] * Y + K[1, 2] * Z
-        out[_Z + n] = Z
-    return out
+        offsets[_U + n] = K[0, 0] * X + K[0, 2] * Z
+        offsets[_V + n] = K[1, 1] * Y + K[1, 2] * Z
+        offsets[_Z + n] = Z
+    return offsets
 
 
 @njit(cache=True, error_model="numpy")
@@ -431,10 +433,10 @@ def _colour_weight(sdf, inv_z, W_rgb, inv_band, by_distance, falling):
     w = splat(_ONE)
     if by_distance:
         w = minimum(inv_z * inv_z, splat(_MOST_BY_DISTANCE))
-    inside = splat(_ONE) - absolute(sdf) * inv_band
-    share = maximum(inside, splat(_ZERO))
+    ramp = splat(_ONE) - absolute(sdf) * inv_band
+    share = maximum(ramp, splat(_ZERO))
     if not falling:
-        share = select(inside >= splat(_ZERO), splat(_ONE), splat(_ZERO))
+        share = select(ramp >= splat(_ZERO), splat(_ONE), splat(_ZERO))
     w = w * share
     return select(splat(_LITTLE) > W_rgb, maximum(w, splat(_LEAST)), w)
 
@@ -466,12 +468,12 @@ def _place(corner, offset, o, end_u, end_v):
     """Where sixteen voxels of a block are seen: which are in the picture, 1 / z, z, and (u, v) plus
     a pixel."""
     one = splat(_ONE)
-    away = corner[2] + load(offset, _Z + o)
-    inv_z = one / away
+    depth = corner[2] + load(offset, _Z + o)
+    inv_z = one / depth
     u = times(corner[0] + load(offset, _U + o), inv_z)
     v = times(corner[1] + load(offset, _V + o), inv_z)
-    inside = (u >= one) & (u < end_u) & (v >= one) & (v < end_v) & (away >= splat(_EPS))
-    return inside, inv_z, away, u, v
+    in_image = (u >= one) & (u < end_u) & (v >= one) & (v < end_v) & (depth >= splat(_EPS))
+    return in_image, inv_z, depth, u, v
 
 
 @njit(inline="always")
@@ -504,8 +506,8 @@ def _update_colour_weight(W_rgb, at, w, most):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _fuse(rows, voxels, image, size, view, limits, method, updated):
-    """Update the voxels of the blocks ``rows``; ``updated`` [tasks] takes the numbers of voxels
+def _fuse(rows, voxels, image, size, view, limits, method, n_updated):
+    """Update the voxels of the blocks ``rows``; ``n_updated`` [tasks] takes the numbers of voxels
     observed.
 
     image: depth and 8-bit colour of every pixel in one word, and colours that are float32, empty if
@@ -522,12 +524,12 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
     C = voxels.rgb
     W_rgb = voxels.W_rgb
     T_CW, K = view
-    packed, rgb = image
+    pixels, rgb = image
     along_ray, average, weighs_colours, by_distance, falling = method
     inv_band_width = f32(1.0 / limits.colour_band) if limits.colour_band > 0.0 else _ZERO
     offset = _offsets(T_CW, K, limits.voxel_size)
     height, width = size
-    n_tasks = updated.shape[0]
+    n_tasks = n_updated.shape[0]
     side = BLOCK_VOXELS * limits.voxel_size
     truncation = limits.truncation
     max_weight = limits.max_weight
@@ -539,7 +541,7 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
         end_v = splat(f32(height + 1))
         stride = splat_int(np.int32(width))
         first_pixel = splat_int(np.int32(width + 1))
-        behind = splat(f32(-truncation))
+        lower_bound = splat(f32(-truncation))
         inv_truncation = splat(f32(1.0 / truncation))
         most = splat(f32(max_weight))
         inv_band = splat(inv_band_width)
@@ -550,24 +552,24 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
         count = 0
         for r in range(task, len(rows), n_tasks):
             row = rows[r]
-            ahead = rows[min(r + n_tasks, len(rows) - 1)] * VOXELS_PER_BLOCK
+            next_row = rows[min(r + n_tasks, len(rows) - 1)] * VOXELS_PER_BLOCK
             corner = _corner(coords, row, side, T_CW, K)
             for o in range(0, VOXELS_PER_BLOCK, 16):
-                prefetch(W, ahead + o)
-                prefetch(D, ahead + o)
-                inside, inv_z, away, u, v = _place(corner, offset, o, end_u, end_v)
-                if not any_lane(inside):
+                prefetch(W, next_row + o)
+                prefetch(D, next_row + o)
+                in_image, inv_z, depth, u, v = _place(corner, offset, o, end_u, end_v)
+                if not any_lane(in_image):
                     continue
                 pixel = (
-                    truncate(select(inside, v, one)) * stride
-                    + truncate(select(inside, u, one))
+                    truncate(select(in_image, v, one)) * stride
+                    + truncate(select(in_image, u, one))
                     - first_pixel
                 )
-                measured, colour = gather_pairs(packed, pixel, inside, missing)
-                sdf = measured - away  # GSFusion Eq. 6
+                measured_m, colour = gather_pairs(pixels, pixel, in_image, missing)
+                sdf = measured_m - depth  # GSFusion Eq. 6
                 if along_ray:
                     sdf = sdf * _ray_per_depth(times(u - cx, fx), times(v - cy, fy))
-                observed = sdf > behind
+                observed = sdf > lower_bound
                 if not any_lane(observed):
                     continue
                 count += count_lanes(observed)
@@ -580,10 +582,10 @@ def _fuse(rows, voxels, image, size, view, limits, method, updated):
                         continue
                     step = _update_colour_weight(W_rgb, at, w, most)
                 for c in range(3):
-                    prefetch(C, 3 * ahead + c * VOXELS_PER_BLOCK + o)
+                    prefetch(C, 3 * next_row + c * VOXELS_PER_BLOCK + o)
                 colour_at = row * 3 * VOXELS_PER_BLOCK + o
                 if rgb.shape[0] > 0:
                     _average_floats(C, colour_at, step, rgb, pixel, observed)
                 else:
                     _average_bytes(C, colour_at, step, colour)
-        updated[task] = count
+        n_updated[task] = count

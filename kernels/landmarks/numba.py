@@ -88,18 +88,18 @@ def _sums(rows, T, lens, centre, H, b):
         x = T[0, 0] * d0 + T[1, 0] * d1 + T[2, 0] * d2
         y = T[0, 1] * d0 + T[1, 1] * d1 + T[2, 1] * d2
         sigma = rows.sigma_px[p]
-        known = rows.inverse_depth[p]
+        rho = rows.inverse_depth[p]
         d = 1.0 / z
         w = 1.0 / sigma
         w_d = 0.0
-        if known > 0.0:
-            slope = sigma * known / lens.fx
+        if rho > 0.0:
+            slope = sigma * rho / lens.fx
             w_d = 1.0 / np.sqrt(_DEPTH_VARIANCE + slope * slope)
         u = lens.fx * x * d
         v = lens.fy * y * d
         e[0] = w * (u + lens.cx - rows.uv[p, 0])
         e[1] = w * (v + lens.cy - rows.uv[p, 1])
-        e[2] = w_d * (d - known)
+        e[2] = w_d * (d - rho)
         a_u = w * lens.fx * d
         a_v = w * lens.fy * d
         c_u = -w * u * d

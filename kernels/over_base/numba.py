@@ -210,8 +210,8 @@ def _write_row(state, o, plane, y, base, image):
         image.rgb[y, x, 0] = (b * base.rgb[y, x, 0] + state[o + x]) * total
         image.rgb[y, x, 1] = (b * base.rgb[y, x, 1] + state[_GREEN * plane + o + x]) * total
         image.rgb[y, x, 2] = (b * base.rgb[y, x, 2] + state[_BLUE * plane + o + x]) * total
-        there = ONE if D > ZERO else ZERO
-        total = ONE / (there + W) if there + W > ZERO else ZERO
+        has_base = ONE if D > ZERO else ZERO
+        total = ONE / (has_base + W) if has_base + W > ZERO else ZERO
         image.depth[y, x] = ((D if D > ZERO else ZERO) + state[_DEPTH * plane + o + x]) * total
 
 
@@ -246,32 +246,32 @@ def gradient_planes(image, base, behind, v_rgb, planes):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def splat_sums(splats, drawn, trained, planes, size, sums, abs_sums):
+def splat_sums(splats, visible_rows, train_rows, planes, size, sums, abs_sums):
     """Write the sums of each drawn splat to its row of ``sums`` [M, PAIR_SUMS].
 
-    drawn: the rows of the map that are drawn. trained: bool [N], or [0] for all; the sums of others
-    are not written. planes: one after another, flat. abs_sums: [M, 2], for the sums of |dL/du| and
-    |dL/dv|, or None.
+    visible_rows: the rows of the map that are drawn. train_rows: bool [N], or [0] for all; the sums
+    of others are not written. planes: one after another, flat. abs_sums: [M, 2], for the sums of
+    |dL/du| and |dL/dv|, or None.
     """
     height, width = size
-    all_trained = trained.shape[0] == 0
-    M = drawn.shape[0]
+    all_trained = train_rows.shape[0] == 0
+    M = visible_rows.shape[0]
     n_parts = (M + _CHUNK - 1) // _CHUNK
     for k_part in prange(cyclic_size(n_parts)):
         part = cyclic_task(k_part, n_parts)
         if part >= n_parts:
             continue
         for m in range(part * _CHUNK, min(M, part * _CHUNK + _CHUNK)):
-            if all_trained or trained[drawn[m]]:
+            if all_trained or train_rows[visible_rows[m]]:
                 sums[m] = ZERO
                 if abs_sums is not None:
                     abs_sums[m] = ZERO
-                _add_up(splats[drawn[m]], planes, height, width, sums[m], abs_sums, m)
+                _add_up(splats[visible_rows[m]], planes, height, width, sums[m], abs_sums, m)
 
 
 @njit(inline="always")
-def _add_up(s, planes, height, width, out, abs_sums, m):
-    """Add the sums over the pixels of a splat to ``out`` and to row ``m`` of ``abs_sums``."""
+def _add_up(s, planes, height, width, row_sums, abs_sums, m):
+    """Add the sums over the pixels of a splat to ``row_sums`` and to row ``m`` of ``abs_sums``."""
     first, end = row_range(s, 0, height)
     left, right = column_range(s, width)
     stride = stride_of(width)
@@ -320,19 +320,19 @@ def _add_up(s, planes, height, width, out, abs_sums, m):
                     g * (splat(s[CONIC_B]) * dx + splat(s[CONIC_C] * dy))
                 )
         gx = sum_g * dx
-        out[pair.SUM_GX] += reduce_add(gx)
-        out[pair.SUM_GY] += reduce_add(sum_gy)
-        out[pair.SUM_GXX] += reduce_add(gx * dx)
-        out[pair.SUM_GXY] += reduce_add(sum_gy * dx)
-        out[pair.SUM_GYY] += reduce_add(sum_gyy)
-        out[pair.SUM_G] += reduce_add(sum_g)
-        out[pair.SUM_RED] += reduce_add(sum_r)
-        out[pair.SUM_GREEN] += reduce_add(sum_gr)
-        out[pair.SUM_BLUE] += reduce_add(sum_b)
+        row_sums[pair.SUM_GX] += reduce_add(gx)
+        row_sums[pair.SUM_GY] += reduce_add(sum_gy)
+        row_sums[pair.SUM_GXX] += reduce_add(gx * dx)
+        row_sums[pair.SUM_GXY] += reduce_add(sum_gy * dx)
+        row_sums[pair.SUM_GYY] += reduce_add(sum_gyy)
+        row_sums[pair.SUM_G] += reduce_add(sum_g)
+        row_sums[pair.SUM_RED] += reduce_add(sum_r)
+        row_sums[pair.SUM_GREEN] += reduce_add(sum_gr)
+        row_sums[pair.SUM_BLUE] += reduce_add(sum_b)
         if abs_sums is not None:
             abs_sums[m, 0] -= reduce_add(minus_u)
             abs_sums[m, 1] -= reduce_add(minus_v)
-    out[pair.SUM_DEPTH] = ZERO
+    row_sums[pair.SUM_DEPTH] = ZERO
 
 
 _ALL_PIXELS = np.empty((0, 0), np.bool_)
@@ -394,21 +394,23 @@ def render_over_base_vjp(
     v_uv_abs: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_over_base_vjp``."""
-    trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
+    train_rows = _ALL_ROWS if rows is None else rows.contiguous().numpy()
     H, W = saved.image.weight.shape
-    drawn = np.flatnonzero(np.diff(saved.start)).astype(np.int32)
+    visible_rows = np.flatnonzero(np.diff(saved.start)).astype(np.int32)
     stride = stride_of(W)
     with launching():
         planes = scratch("base_planes", PLANES * H * stride)
-        sums = scratch("splat_sums", len(drawn) * pair.PAIR_SUMS).reshape(-1, pair.PAIR_SUMS)
-        abs_sums = None if v_uv_abs is None else scratch("abs_sums", len(drawn) * 2).reshape(-1, 2)
+        sums = scratch("splat_sums", len(visible_rows) * pair.PAIR_SUMS).reshape(-1, pair.PAIR_SUMS)
+        abs_sums = (
+            None if v_uv_abs is None else scratch("abs_sums", len(visible_rows) * 2).reshape(-1, 2)
+        )
         v_image = v_rgb.contiguous().numpy()
         behind = np.float32(saved.behind_m)
         gradient_planes(
             saved.image, _surface(saved.base), behind, v_image, planes.reshape(PLANES, H, stride)
         )
-        splat_sums(saved.splats, drawn, trained, planes, (H, W), sums, abs_sums)
-        return gradients_of(saved, trained, sums, abs_sums, v_uv, v_uv_abs)
+        splat_sums(saved.splats, visible_rows, train_rows, planes, (H, W), sums, abs_sums)
+        return gradients_of(saved, train_rows, sums, abs_sums, v_uv, v_uv_abs)
 
 
 def _surface(base: Base) -> Surface:

@@ -58,8 +58,8 @@ def _row(rgb, target, v_rgb, scale, sums):
         gap = rgb[i] - target[i]
         absolute += abs(gap)
         v_rgb[i] = (scale if gap > f32(0.0) else f32(0.0)) - (scale if gap < f32(0.0) else f32(0.0))
-        off = min(max(rgb[i], f32(0.0)), f32(1.0)) - target[i]
-        square += off * off
+        error = min(max(rgb[i], f32(0.0)), f32(1.0)) - target[i]
+        square += error * error
     sums[_VALUE] = absolute
     sums[_SQUARE] = square
 
@@ -73,7 +73,7 @@ def _squared_row(rgb, target, v_rgb, scale, sums):
         gap = rgb[i] - target[i]
         value += gap * gap
         v_rgb[i] = gap * scale
-        off = min(max(rgb[i], f32(0.0)), f32(1.0)) - target[i]
-        square += off * off
+        error = min(max(rgb[i], f32(0.0)), f32(1.0)) - target[i]
+        square += error * error
     sums[_VALUE] = value
     sums[_SQUARE] = square

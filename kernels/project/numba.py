@@ -133,7 +133,7 @@ def tiles_of(splat, width, height, windows, tiles, start, room):
     y_last = min(height - 1, int(math.floor(splat[col.V] + splat[col.EXTENT_V] - _HALF)))
     tiles_x = (width + pair.TILE - 1) // pair.TILE
     n = 0
-    masked = windows.shape[0] > 0
+    has_mask = windows.shape[0] > 0
     if y_first > y_last:
         return n
     for ty in range(y_first // pair.TILE, y_last // pair.TILE + 1):
@@ -145,10 +145,10 @@ def tiles_of(splat, width, height, windows, tiles, start, room):
         if left > right:
             continue
         for tx in range(left // pair.TILE, right // pair.TILE + 1):
-            if masked:
+            if has_mask:
                 t = ty * tiles_x + tx
-                beside = (left > windows[t, LAST_X]) | (right < windows[t, FIRST_X])
-                if beside | (y_first > windows[t, LAST_Y]) | (y_last < windows[t, FIRST_Y]):
+                misses = (left > windows[t, LAST_X]) | (right < windows[t, FIRST_X])
+                if misses | (y_first > windows[t, LAST_Y]) | (y_last < windows[t, FIRST_Y]):
                     continue
             if n < room:
                 tiles[start + n] = ty * tiles_x + tx
@@ -157,18 +157,18 @@ def tiles_of(splat, width, height, windows, tiles, start, room):
 
 
 @njit(cache=True, error_model="numpy")
-def centre_vjp(splats, start, trained, pair_sums, v_uv):
+def centre_vjp(splats, start, train_rows, pair_sums, v_uv):
     """Write dL/d(u, v) to every row of ``v_uv`` [N, 2]; arguments as for ``project_rows_vjp``.
 
     ln alpha = ln o - (A dx^2 + C dy^2) / 2 - B dx dy with (dx, dy) = pixel - (u, v), so v_u = A sum
     g dx + B sum g dy.
     """
-    all_trained = trained.shape[0] == 0
+    all_trained = train_rows.shape[0] == 0
     for i in range(v_uv.shape[0]):
         g_x = np.float32(0.0)
         g_y = np.float32(0.0)
         v_uv[i] = g_x
-        if start[i] == start[i + 1] or not (all_trained or trained[i]):
+        if start[i] == start[i + 1] or not (all_trained or train_rows[i]):
             continue
         for slot in range(start[i], start[i + 1]):
             g_x += pair_sums[slot, pair.SUM_GX]
@@ -179,14 +179,14 @@ def centre_vjp(splats, start, trained, pair_sums, v_uv):
 
 
 @njit(cache=True, error_model="numpy")
-def row_sums(start, trained, abs_sums, v_uv_abs):
+def row_sums(start, train_rows, abs_sums, v_uv_abs):
     """Write the sum of |dL/d(u, v)| over the pixels to every row of ``v_uv_abs`` [N, 2];
     ``abs_sums``: over those of each tile, from ``composite_backward``."""
-    all_trained = trained.shape[0] == 0
+    all_trained = train_rows.shape[0] == 0
     for i in range(v_uv_abs.shape[0]):
         u = np.float32(0.0)
         v = np.float32(0.0)
-        if all_trained or trained[i]:
+        if all_trained or train_rows[i]:
             for slot in range(start[i], start[i + 1]):
                 u += abs_sums[slot, 0]
                 v += abs_sums[slot, 1]
@@ -195,20 +195,20 @@ def row_sums(start, trained, abs_sums, v_uv_abs):
 
 
 def project(
-    params: GaussianParams, cam: np.ndarray, wanted: TileWindows
+    params: GaussianParams, cam: np.ndarray, tiles: TileWindows
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """``splats``, ``count`` and ``noted`` of ``project_rows``; only inside ``launching``."""
     N = len(params)
     splats = np.empty((N, col.SPLAT), np.float32)
     count = np.empty(N, np.int32)
-    noted = scratch("noted_tiles", -(-N // CHUNK) * NOTED_PER_CHUNK).view(np.int32)
-    project_rows(arrays_of(params), cam, wanted, splats, count, noted)
-    return splats, count, noted
+    tile_notes = scratch("noted_tiles", -(-N // CHUNK) * NOTED_PER_CHUNK).view(np.int32)
+    project_rows(arrays_of(params), cam, tiles, splats, count, tile_notes)
+    return splats, count, tile_notes
 
 
 def gradients_of(
     saved: Any,
-    trained: np.ndarray,
+    train_rows: np.ndarray,
     sums: np.ndarray,
     abs_sums: np.ndarray | None,
     v_uv: Tensor | None,
@@ -220,11 +220,11 @@ def gradients_of(
     Args:
         saved: The map, ``params``; its camera, ``lens``; ``splats`` and ``start``, as for
             ``project_rows_vjp``.
-        trained, sums, abs_sums: As for ``project_rows_vjp`` and ``row_sums``.
+        train_rows, sums, abs_sums: As for ``project_rows_vjp`` and ``row_sums``.
         v_uv, v_uv_abs: Of ``render_vjp``.
     """
     columns = vars(saved.params).items()
-    out = GaussianParams(
+    gradients = GaussianParams(
         **{name: torch.empty_like(x, memory_format=torch.contiguous_format) for name, x in columns}
     )
     project_rows_vjp(
@@ -232,37 +232,37 @@ def gradients_of(
         saved.lens,
         saved.splats,
         saved.start,
-        trained,
+        train_rows,
         sums,
-        arrays_of(out),
+        arrays_of(gradients),
     )
     if v_uv is not None:
-        packed = v_uv.contiguous()
-        centre_vjp(saved.splats, saved.start, trained, sums, packed.numpy())
-        v_uv.copy_(packed)
+        plane = v_uv.contiguous()
+        centre_vjp(saved.splats, saved.start, train_rows, sums, plane.numpy())
+        v_uv.copy_(plane)
     if v_uv_abs is not None:
-        packed = v_uv_abs.contiguous()
-        row_sums(saved.start, trained, abs_sums, packed.numpy())
-        v_uv_abs.copy_(packed)
-    return out
+        plane = v_uv_abs.contiguous()
+        row_sums(saved.start, train_rows, abs_sums, plane.numpy())
+        v_uv_abs.copy_(plane)
+    return gradients
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def project_rows(params, cam, wanted, splats, count, noted):
+def project_rows(params, cam, tiles, splats, count, tile_notes):
     """Fill ``splats`` [N, SPLAT] and ``count`` [N], the number of tiles each is listed in (0: not
     drawn).
 
-    wanted: ``TileWindows``, where there are pixels to be drawn.
-    noted: for each chunk ``NOTED_PER_CHUNK`` numbers, the tiles of its rows one after another, as
-    far as they fit.
+    tiles: ``TileWindows``, where there are pixels to be drawn.
+    tile_notes: for each chunk ``NOTED_PER_CHUNK`` numbers, the tiles of its rows one after another,
+    as far as they fit.
     """
     xyz = params.xyz
     log_scale = params.log_scale
     quat = params.quat
     logit = params.logit
     sh = params.sh
-    windows = wanted.windows
-    sums = wanted.sums
+    windows = tiles.windows
+    sums = tiles.sums
     N = sh.shape[0]
     width = int(cam[col.WIDTH])
     height = int(cam[col.HEIGHT])
@@ -290,7 +290,7 @@ def project_rows(params, cam, wanted, splats, count, noted):
                 continue
             at = part * NOTED_PER_CHUNK + n_noted
             room = NOTED_PER_CHUNK - n_noted
-            count[i] = tiles_of(s, width, height, windows, noted, at, room)
+            count[i] = tiles_of(s, width, height, windows, tile_notes, at, room)
             if count[i] == 0:
                 continue
             if not _colour(cam, xyz[i], sh[i], basis, s):
@@ -300,9 +300,9 @@ def project_rows(params, cam, wanted, splats, count, noted):
 
 
 @njit(cache=True, error_model="numpy")
-def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
-    """Write to ``found`` those of the rows first .. end - 1 that may touch a wanted pixel; returns
-    their number.
+def _find_candidates(xyz, log_scale, cam, sums, first, end, candidates):
+    """Write to ``candidates`` those of the rows first .. end - 1 that may touch a wanted pixel;
+    returns their number.
 
     A box around the largest possible picture of a row is looked up in ``sums``
     (``binning.tile_windows``). There is no branch: which rows pass is random to the processor, and
@@ -312,7 +312,7 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
     fy = cam[col.FY]
     width = int(cam[col.WIDTH])
     height = int(cam[col.HEIGHT])
-    far = f32(1e6)  # keeps the conversion to int defined
+    limit = f32(1e6)  # keeps the conversion to int defined
     n = 0
     for i in range(first, end):
         X = xyz[i, 0]
@@ -330,16 +330,16 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, found):
         size = math.exp(max(log_scale[i, 0], log_scale[i, 1], log_scale[i, 2])) * inv_z
         reach_u = _BEYOND * (fx * size * math.sqrt(_ONE + tx * tx) + _ONE)
         reach_v = _BEYOND * (fy * size * math.sqrt(_ONE + ty * ty) + _ONE)
-        left = int(max(u - reach_u, -far))
-        right = int(min(u + reach_u, far))
-        top = int(max(v - reach_v, -far))
-        bottom = int(min(v + reach_v, far))
+        left = int(max(u - reach_u, -limit))
+        right = int(min(u + reach_u, limit))
+        top = int(max(v - reach_v, -limit))
+        bottom = int(min(v + reach_v, limit))
         x0 = min(max(left, 0), width) // pair.TILE
         x1 = (min(max(right, -1), width - 1) + pair.TILE) // pair.TILE
         y0 = min(max(top, 0), height) // pair.TILE
         y1 = (min(max(bottom, -1), height - 1) + pair.TILE) // pair.TILE
         tiles = sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]
-        found[n] = i
+        candidates[n] = i
         n += int((z > _NEAR) & (tiles > 0))
     return n
 
@@ -412,12 +412,12 @@ def _colour(cam, xyz, sh, basis, s):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
+def project_rows_vjp(params, cam, splats, start, train_rows, pair_sums, v_params):
     """Add up each row's pair sums and carry them to its parameters; every row of the outputs is
     written.
 
-    Rows that are not ``trained`` get zero and their pair sums are not read; an empty array stands
-    for all rows.
+    Rows outside ``train_rows`` get zero and their pair sums are not read; an empty array stands for
+    all rows.
     """
     xyz = params.xyz
     log_scale = params.log_scale
@@ -428,7 +428,7 @@ def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
     v_quat = v_params.quat
     v_logit = v_params.logit
     v_sh = v_params.sh
-    all_trained = trained.shape[0] == 0
+    all_trained = train_rows.shape[0] == 0
     N = sh.shape[0]
     n_parts = (N + CHUNK - 1) // CHUNK
     for k_part in prange(cyclic_size(n_parts)):
@@ -439,7 +439,7 @@ def project_rows_vjp(params, cam, splats, start, trained, pair_sums, v_params):
         basis = np.empty(16, np.float32)
         w = np.empty(16, np.float32)
         for i in range(part * CHUNK, min(N, part * CHUNK + CHUNK)):
-            if start[i] == start[i + 1] or not (all_trained or trained[i]):
+            if start[i] == start[i + 1] or not (all_trained or train_rows[i]):
                 v_xyz[i] = _ZERO
                 v_log_scale[i] = _ZERO
                 v_quat[i] = _ZERO
@@ -579,11 +579,11 @@ def _quaternion_vjp(quat, norm, v_R, v_quat):
     v_x = _TWO * (qy * (g01 + g10) + qz * (g02 + g20) + qw * (g21 - g12) - _TWO * qx * (g11 + g22))
     v_y = _TWO * (qx * (g01 + g10) + qz * (g12 + g21) + qw * (g02 - g20) - _TWO * qy * (g00 + g22))
     v_z = _TWO * (qx * (g02 + g20) + qy * (g12 + g21) + qw * (g10 - g01) - _TWO * qz * (g00 + g11))
-    along = qw * v_w + qx * v_x + qy * v_y + qz * v_z
-    v_quat[0] = (v_w - qw * along) / norm
-    v_quat[1] = (v_x - qx * along) / norm
-    v_quat[2] = (v_y - qy * along) / norm
-    v_quat[3] = (v_z - qz * along) / norm
+    radial = qw * v_w + qx * v_x + qy * v_y + qz * v_z
+    v_quat[0] = (v_w - qw * radial) / norm
+    v_quat[1] = (v_x - qx * radial) / norm
+    v_quat[2] = (v_y - qy * radial) / norm
+    v_quat[3] = (v_z - qz * radial) / norm
 
 
 @njit(inline="always")

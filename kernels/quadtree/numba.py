@@ -46,14 +46,14 @@ def quadtree(
     with launching():
         xs = _lines(width, levels)
         ys = _lines(height, levels)
-        split = np.empty(0, np.uint8)
+        split_flags = np.empty(0, np.uint8)
         if levels:
             sums = np.zeros((len(ys) // 2, len(xs) // 2, _SUMS), np.int64)
             _sums(image, xs[::2].copy(), ys[::2].copy(), sums)
-            split = _splits(
+            split_flags = _splits(
                 sums, xs, ys, levels, float(threshold), int(min_cell_px), contrast == "released"
             )
-        leaves = _leaves(split, xs, ys, levels).copy()
+        leaves = _leaves(split_flags, xs, ys, levels).copy()
     return col.to_cells(torch.from_numpy(leaves))
 
 
@@ -107,10 +107,10 @@ def _sums(image, xs, ys, sums):
 
 
 @njit(cache=True, error_model="numpy")
-def _splits(sums, xs, ys, levels, threshold, min_cell_px, released):
+def _splits(sums, xs, ys, levels, threshold, min_cell_px, as_released):
     """Whether each cell would be cut, level after level from the whole image down; level l starts
     at (4^l - 1) / 3."""
-    split = np.empty(((1 << 2 * levels) - 1) // 3, np.uint8)
+    split_flags = np.empty(((1 << 2 * levels) - 1) // 3, np.uint8)
     pixels = xs[-1] * ys[-1]
     for level in range(levels - 1, -1, -1):
         n = 1 << level
@@ -131,27 +131,27 @@ def _splits(sums, xs, ys, levels, threshold, min_cell_px, released):
                 V = V - _GREEN * g * g
                 V = V - _BLUE * b * b
                 V = max(V, 0.0) / _DENOMINATOR
-                value = V * pixels / _NORMALISER if released else np.sqrt(V) / 255
+                value = V * pixels / _NORMALISER if as_released else np.sqrt(V) / 255
                 large = h // 2 > min_cell_px and w // 2 > min_cell_px
-                split[start + i * n + j] = large and value > threshold
-    return split
+                split_flags[start + i * n + j] = large and value > threshold
+    return split_flags
 
 
 @njit(cache=True, error_model="numpy")
 def _parents(sums):
     """The sums of the cells one level higher."""
     n = sums.shape[0] // 2
-    out = np.empty((n, n, _SUMS), np.int64)
+    parents = np.empty((n, n, _SUMS), np.int64)
     for i in range(n):
         for j in range(n):
             for c in range(_SUMS):
                 top = sums[2 * i, 2 * j, c] + sums[2 * i, 2 * j + 1, c]
-                out[i, j, c] = top + sums[2 * i + 1, 2 * j, c] + sums[2 * i + 1, 2 * j + 1, c]
-    return out
+                parents[i, j, c] = top + sums[2 * i + 1, 2 * j, c] + sums[2 * i + 1, 2 * j + 1, c]
+    return parents
 
 
 @njit(cache=True, error_model="numpy")
-def _leaves(split, xs, ys, levels):
+def _leaves(split_flags, xs, ys, levels):
     """The leaves (``LEAF_COLUMNS``) in the reference's depth-first order."""
     leaves = np.empty((_N_COLUMNS, 1 << 2 * levels), np.int32)
     # level, row and column of cells still to be visited
@@ -165,7 +165,7 @@ def _leaves(split, xs, ys, levels):
         i = stack[top, 1]
         j = stack[top, 2]
         start = ((1 << 2 * level) - 1) // 3
-        if level < levels and split[start + (i << level) + j]:
+        if level < levels and split_flags[start + (i << level) + j]:
             for k in range(4):  # the last one pushed is the first one visited
                 stack[top, 0] = level + 1
                 stack[top, 1] = 2 * i + 1 - k % 2

@@ -21,9 +21,9 @@ def blank(
     rgb, depth_m, alpha = (
         torch.empty(*size, *n, dtype=torch.float32, device=device) for n in ((3,), (), ())
     )
-    wanted = (with_indices, with_indices, with_hits)
-    first, dominant, hit = (
-        torch.empty(size, dtype=torch.int64, device=device) if w else None for w in wanted
+    flags = (with_indices, with_indices, with_hits)
+    first, dominant, hit_index = (
+        torch.empty(size, dtype=torch.int64, device=device) if w else None for w in flags
     )
     return RenderOutput(
         rgb=rgb,
@@ -31,7 +31,7 @@ def blank(
         alpha=alpha,
         first_index=first,
         dominant_index=dominant,
-        hit_index=hit,
+        hit_index=hit_index,
     )
 
 

@@ -74,28 +74,30 @@ def render_forward(
     pixels: Tensor | None = None,
 ) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``."""
-    drawn = _ALL_PIXELS if pixels is None else pixels.contiguous().numpy()
+    pixel_list = _ALL_PIXELS if pixels is None else pixels.contiguous().numpy()
     cam = pack_camera(camera, T_WC)
     N = len(params)
     H = camera.height
     W = camera.width
-    out = blank(
+    output = blank(
         camera, torch.device("cpu"), with_indices=with_indices, with_hits=opaque_alpha is not None
     )
-    image = Image(rgb=out.rgb.numpy(), depth=out.depth_m.numpy(), alpha=out.alpha.numpy())
-    indices = (out.first_index, out.dominant_index, out.hit_index)
+    image = Image(rgb=output.rgb.numpy(), depth=output.depth_m.numpy(), alpha=output.alpha.numpy())
+    indices = (output.first_index, output.dominant_index, output.hit_index)
     indices = IndexImages(*(_NO_INDEX if index is None else index.numpy() for index in indices))
     with launching():
-        wanted = tile_windows(drawn, W, H)
-        splats, count, noted = project(params, cam, wanted)
+        tiles = tile_windows(pixel_list, W, H)
+        splats, count, tile_notes = project(params, cam, tiles)
         check_pairs(int(count.sum(dtype=np.int64)))
         start = np.zeros(N + 1, np.int32)
         np.cumsum(count, out=start[1:])
         pair_tile = scratch("pair_tile", int(start[-1])).view(np.int32)
-        list_tiles(splats, start, noted, W, H, wanted.windows, pair_tile)
+        list_tiles(splats, start, tile_notes, W, H, tiles.windows, pair_tile)
         order = depth_order(splats, count)
         lists = sort_pairs(order, start, pair_tile, -(-W // TILE) * -(-H // TILE))
-        composite_forward(splats, lists, drawn, image, indices, np.float32(opaque_alpha or 1.0))
+        composite_forward(
+            splats, lists, pixel_list, image, indices, np.float32(opaque_alpha or 1.0)
+        )
     saved = NumbaSaved(
         params=params,
         camera=camera,
@@ -104,9 +106,9 @@ def render_forward(
         start=start,
         lists=lists,
         image=image,
-        pixels=drawn,
+        pixels=pixel_list,
     )
-    return out, saved
+    return output, saved
 
 
 def render_vjp(
@@ -120,17 +122,17 @@ def render_vjp(
     v_uv_abs: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
-    trained = _ALL_ROWS if rows is None else rows.contiguous().numpy()
+    train_rows = _ALL_ROWS if rows is None else rows.contiguous().numpy()
     v_image = (
         _NO_IMAGE if v is None else v.contiguous().float().numpy()
         for v in (v_rgb, v_depth_m, v_alpha)
     )
-    wanted = (saved.pixels, trained)
+    selection = (saved.pixels, train_rows)
     n_pairs = len(saved.lists.ids)
     with launching():
         pair_sums = scratch("pair_sums", n_pairs * PAIR_SUMS).reshape(-1, PAIR_SUMS)
         abs_sums = None if v_uv_abs is None else scratch("abs_sums", n_pairs * 2).reshape(-1, 2)
         composite_backward(
-            saved.splats, saved.lists, wanted, saved.image, Image(*v_image), pair_sums, abs_sums
+            saved.splats, saved.lists, selection, saved.image, Image(*v_image), pair_sums, abs_sums
         )
-        return gradients_of(saved, trained, pair_sums, abs_sums, v_uv, v_uv_abs)
+        return gradients_of(saved, train_rows, pair_sums, abs_sums, v_uv, v_uv_abs)

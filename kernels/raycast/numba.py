@@ -96,22 +96,22 @@ class Unmarked(NamedTuple):
     W: np.ndarray
 
 
-def values(field, at, wanted):
+def values(field, at, mask):
     """D of sixteen voxels, infinite where they are not wanted or have not been observed; in
     compiled code only."""
     raise NotImplementedError
 
 
 @overload(values, inline="always")
-def _(field, at, wanted):
+def _(field, at, mask):
     if not isinstance(field, types.NamedTuple | types.NamedUniTuple):
         return None
     if field.instance_class is Marked:
-        return lambda field, at, wanted: gather(field.D, at, wanted, splat(_INFINITE))
+        return lambda field, at, mask: gather(field.D, at, mask, splat(_INFINITE))
 
-    def asking(field, at, wanted):
-        observed = gather(field.W, at, wanted, splat(_ZERO)) > splat(_ZERO)
-        return select(observed, gather(field.D, at, wanted, splat(_INFINITE)), splat(_INFINITE))
+    def asking(field, at, mask):
+        observed = gather(field.W, at, mask, splat(_ZERO)) > splat(_ZERO)
+        return select(observed, gather(field.D, at, mask, splat(_INFINITE)), splat(_INFINITE))
 
     return asking
 
@@ -166,38 +166,38 @@ def at_places(x, y, z):
     return x[0] + y[0] + z[0], x[1] + y[1] + z[1], x[2] + y[2] + z[2], x[3] & y[3] & z[3]
 
 
-def rows_of(table, at, wanted):
+def rows_of(table, at, mask):
     """Pool row of the blocks at sixteen places, -1 where there is none; in compiled code only."""
     raise NotImplementedError
 
 
 @overload(rows_of, inline="always")
-def _(table, at, wanted):
+def _(table, at, mask):
     if table.instance_class is Near:
-        return lambda table, at, wanted: gather_int(
-            table.rows, at[0], wanted & at[3], splat_int(int32(-1))
+        return lambda table, at, mask: gather_int(
+            table.rows, at[0], mask & at[3], splat_int(int32(-1))
         )
 
-    def in_nodes(table, at, wanted):
-        node = gather_int(table.nodes, at[0], wanted & at[3], splat_int(int32(0)))
+    def in_nodes(table, at, mask):
+        node = gather_int(table.nodes, at[0], mask & at[3], splat_int(int32(0)))
         number = node * splat_int(int32(1 << 3 * NODE_BITS)) + at[1]
-        return gather_int(table.rows, number, wanted & at[3], splat_int(int32(-1)))
+        return gather_int(table.rows, number, mask & at[3], splat_int(int32(-1)))
 
     return in_nodes
 
 
 @njit(cache=True, error_model="numpy")
-def _corner(table, field, place, moved, row, wanted):
-    """Value and position of one corner of sixteen cells; ``moved`` are those where it lies in
-    another block."""
-    if any_lane(moved):
-        row = select_int(moved, rows_of(table, place, moved), row)
+def _corner(table, field, place, in_next_block, row, mask):
+    """Value and position of one corner of sixteen cells; ``in_next_block`` are those where it lies
+    in another block."""
+    if any_lane(in_next_block):
+        row = select_int(in_next_block, rows_of(table, place, in_next_block), row)
     at = row * splat_int(int32(VOXELS_PER_BLOCK)) + place[2]
-    return values(field, at, wanted & (row >= splat_int(int32(0)))), at
+    return values(field, at, mask & (row >= splat_int(int32(0)))), at
 
 
 @njit(cache=True, error_model="numpy")
-def cells(table, field, px, py, pz, wanted):
+def cells(table, field, px, py, pz, mask):
     """The eight voxels around sixteen points: their values (infinite where not observed) and
     positions.
 
@@ -219,41 +219,41 @@ def cells(table, field, px, py, pz, wanted):
     y1 = place(table, 1, y + one)
     z1 = place(table, 2, z + one)
     first = at_places(x0, y0, z0)
-    row = rows_of(table, first, wanted)
-    wanted = wanted & (row >= splat_int(int32(0)))
-    ox = wanted & ((x & seven) == seven)
-    oy = wanted & ((y & seven) == seven)
-    oz = wanted & ((z & seven) == seven)
+    row = rows_of(table, first, mask)
+    mask = mask & (row >= splat_int(int32(0)))
+    ox = mask & ((x & seven) == seven)
+    oy = mask & ((y & seven) == seven)
+    oz = mask & ((z & seven) == seven)
     none = but_not(ox, ox)
     oxy = either(ox, oy)
     oxz = either(ox, oz)
     oyz = either(oy, oz)
-    v0, a0 = _corner(table, field, first, none, row, wanted)
-    v1, a1 = _corner(table, field, at_places(x1, y0, z0), ox, row, wanted)
-    v2, a2 = _corner(table, field, at_places(x0, y1, z0), oy, row, wanted)
-    v3, a3 = _corner(table, field, at_places(x1, y1, z0), oxy, row, wanted)
-    v4, a4 = _corner(table, field, at_places(x0, y0, z1), oz, row, wanted)
-    v5, a5 = _corner(table, field, at_places(x1, y0, z1), oxz, row, wanted)
-    v6, a6 = _corner(table, field, at_places(x0, y1, z1), oyz, row, wanted)
-    v7, a7 = _corner(table, field, at_places(x1, y1, z1), either(oxy, oz), row, wanted)
+    v0, a0 = _corner(table, field, first, none, row, mask)
+    v1, a1 = _corner(table, field, at_places(x1, y0, z0), ox, row, mask)
+    v2, a2 = _corner(table, field, at_places(x0, y1, z0), oy, row, mask)
+    v3, a3 = _corner(table, field, at_places(x1, y1, z0), oxy, row, mask)
+    v4, a4 = _corner(table, field, at_places(x0, y0, z1), oz, row, mask)
+    v5, a5 = _corner(table, field, at_places(x1, y0, z1), oxz, row, mask)
+    v6, a6 = _corner(table, field, at_places(x0, y1, z1), oyz, row, mask)
+    v7, a7 = _corner(table, field, at_places(x1, y1, z1), either(oxy, oz), row, mask)
     most = maximum(
         maximum(maximum(v0, v1), maximum(v2, v3)), maximum(maximum(v4, v5), maximum(v6, v7))
     )
-    whole = wanted & (most < splat(_INFINITE))
+    whole = mask & (most < splat(_INFINITE))
     return (v0, v1, v2, v3, v4, v5, v6, v7), (a0, a1, a2, a3, a4, a5, a6, a7), whole, (bx, by, bz)
 
 
 @njit(cache=True, error_model="numpy")
-def leaves(corner, px, py, pz, wanted):
+def leaves(corner, px, py, pz, mask):
     """Whether any of sixteen points lies in another cell than the one with this lowest
     ``corner``."""
     zero = splat(_ZERO)
-    away = (
+    distance = (
         absolute(floor(px) - corner[0])
         + absolute(floor(py) - corner[1])
         + absolute(floor(pz) - corner[2])
     )
-    return any_lane(wanted & (away > zero))
+    return any_lane(mask & (distance > zero))
 
 
 @njit(cache=True, error_model="numpy")
@@ -271,14 +271,14 @@ def blend(v, f):
 
 # which products are fused must not hang on the compiler
 @njit(cache=True, error_model="numpy", forceinline=True)
-def interpolate(table, field, point, inv_voxel, wanted):
+def interpolate(table, field, point, inv_voxel, mask):
     """Trilinear D at sixteen world points, and where all eight voxels around them have been
     observed."""
     half = splat(_HALF)
     px = point[0] * inv_voxel - half
     py = point[1] * inv_voxel - half
     pz = point[2] * inv_voxel - half
-    v, _, whole, corner = cells(table, field, px, py, pz, wanted)
+    v, _, whole, corner = cells(table, field, px, py, pz, mask)
     return blend(v, (px - corner[0], py - corner[1], pz - corner[2])), whole
 
 
@@ -308,14 +308,14 @@ copy of a growing map takes longer."""
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def look_up(blocks, rows, T_CW, lens, side, size, tile_px, marked, spans):
+def look_up(blocks, rows, T_CW, lens, side, size, tile_px, distances, spans):
     """Where rays can meet the blocks in some ``rows``. blocks: [B, 3], and D and W of their voxels,
     block after block.
 
     Sets ``spans`` [rows, columns, 2] to the depths between which the rays of each tile of pixels
-    can meet a block, and ``marked`` to D where a voxel has been observed, else infinity, in these
-    blocks. Returns whether ``marked`` has been set: it is left as it was where there are so few
-    rays that the copy would take longer than they do.
+    can meet a block, and ``distances`` to D where a voxel has been observed, else infinity, in
+    these blocks. Returns whether ``distances`` has been set: it is left as it was where there are
+    so few rays that the copy would take longer than they do.
     """
     coords, D, W = blocks
     many = size[0] * size[1] >= FEW_RAYS * len(rows)
@@ -326,7 +326,7 @@ def look_up(blocks, rows, T_CW, lens, side, size, tile_px, marked, spans):
         covers[k, _U1] = -1
         _project(coords[rows[k]], T_CW, lens, side, tile_px, spans.shape[:2], covers[k], depths[k])
         if many:
-            _mark(D, W, rows[k], marked)
+            _mark(D, W, rows[k], distances)
     spans[:, :, NEAR_END] = np.inf
     spans[:, :, FAR_END] = _ZERO
     for k in range(len(rows)):
@@ -362,12 +362,12 @@ def near_blocks(coords, rows, most):
 
 
 @njit(cache=True, error_model="numpy")
-def _mark(D, W, block, marked):
+def _mark(D, W, block, distances):
     """D of a block's voxels, infinite where they have not been observed."""
     infinite = splat(_INFINITE)
     zero = splat(_ZERO)
     for at in range(block * VOXELS_PER_BLOCK, (block + 1) * VOXELS_PER_BLOCK, 16):
-        store(marked, at, select(load(W, at) > zero, load(D, at), infinite))
+        store(distances, at, select(load(W, at) > zero, load(D, at), infinite))
 
 
 @njit(cache=True, error_model="numpy")
@@ -451,14 +451,14 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Tensor) -> RaycastOutput:
         copy = scratch("raycast", D.size)
         rows = blocks_in_view(volume, camera, T_CW, np.inf, 2 * volume.config.voxel_size_m)
         with parallel_chunksize(BLOCKS_AT_ONCE):
-            copied = look_up(
+            has_copy = look_up(
                 blocks, rows, T_CW, lens, volume.block_size_m, size, TILE_PX, copy, spans
             )
-        field = Marked(copy) if copied else Unmarked(D, W)
-        near = Near(*near_blocks(blocks[0], rows, NEAR_BLOCKS))
+        field = Marked(copy) if has_copy else Unmarked(D, W)
+        near_table = Near(*near_blocks(blocks[0], rows, NEAR_BLOCKS))
         with parallel_chunksize(spans.shape[1]):  # a row of tiles: neighbours meet the same voxels
             pictures = depth.numpy(), normal.numpy(), rgb.numpy()
-            lookup = near if near.rows.size or not rows.size else BlockTable.of(table)
+            lookup = near_table if near_table.rows.size or not rows.size else BlockTable.of(table)
             _march(lookup, field, colours, rays, sizes, spans, TILE_PX, *pictures)
     return RaycastOutput(depth_m=depth, normal_W=normal, rgb=rgb)
 
@@ -470,11 +470,11 @@ def _in_fours(slopes: Tensor) -> Tensor:
 
 
 @njit(inline="always")
-def _to_wall(p, forward, per_block, inv_side):
+def _to_wall(p, is_forward, per_block, inv_side):
     """Depth to add to leave, along one axis, the blocks that hold sixteen points."""
-    inside = p * inv_side
-    done = inside - floor(inside)
-    return select(forward, splat(_ONE) - done, done) * per_block
+    position = p * inv_side
+    fraction = position - floor(position)
+    return select(is_forward, splat(_ONE) - fraction, fraction) * per_block
 
 
 @njit(cache=True, error_model="numpy")
@@ -506,9 +506,9 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
     z_start, z_end = span
     z = splat(z_start)
     z_end = splat(z_end)
-    found = but_not(alive, alive)
-    was_free = found
-    was_inside = found
+    has_crossing = but_not(alive, alive)
+    was_free = has_crossing
+    was_inside = has_crossing
     z_before = z
     D_before = one
     z0 = z
@@ -524,42 +524,42 @@ def _crossing(table, field, origin, direction, sizes, span, alive):
         k = truncate(floor(pz * inv_voxel))
         here_at = at_places(place(table, 0, i), place(table, 1, j), place(table, 2, k))
         row = rows_of(table, here_at, alive)
-        allocated = row >= splat_int(int32(0))
-        here = infinite
+        has_block = row >= splat_int(int32(0))
+        distance = infinite
         step = voxel * per_m
-        if any_lane(allocated):
+        if any_lane(has_block):
             at = row * block + here_at[2]
-            here = values(field, at, allocated)
-            observed = here < infinite
-            close = observed & (absolute(here) * truncation < close_by)
+            distance = values(field, at, has_block)
+            has_value = distance < infinite
+            close = has_value & (absolute(distance) * truncation < close_by)
             if any_lane(close):
                 smooth, whole = interpolate(table, field, (px, py, pz), inv_voxel, close)
-                here = select(whole, smooth, here)
-            step = select(observed, maximum(reach * absolute(here), voxel), voxel) * per_m
-        outside = but_not(alive, allocated)
-        if any_lane(outside):
-            ahead = minimum(
+                distance = select(whole, smooth, distance)
+            step = select(has_value, maximum(reach * absolute(distance), voxel), voxel) * per_m
+        no_block = but_not(alive, has_block)
+        if any_lane(no_block):
+            next_z = minimum(
                 minimum(_to_wall(px, to_x, per_x, inv_side), _to_wall(py, to_y, per_y, inv_side)),
                 _to_wall(pz, to_z, per_z, inv_side),
             )
-            step = select(outside, ahead + margin, step)
-        observed = here < infinite
-        free = observed & (here >= zero)
-        inside = observed & (zero > here)
-        crossing = inside & was_free
-        found = either(found, crossing)
+            step = select(no_block, next_z + margin, step)
+        has_value = distance < infinite
+        free = has_value & (distance >= zero)
+        is_negative = has_value & (zero > distance)
+        crossing = is_negative & was_free
+        has_crossing = either(has_crossing, crossing)
         z0 = select(crossing, z_before, z0)
         z1 = select(crossing, z, z1)
         D0 = select(crossing, D_before, D0)
-        D1 = select(crossing, here, D1)
-        ahead = z + step
-        alive = but_not(but_not(alive, crossing), free & was_inside) & (ahead < z_end)
+        D1 = select(crossing, distance, D1)
+        next_z = z + step
+        alive = but_not(but_not(alive, crossing), free & was_inside) & (next_z < z_end)
         z_before = z
-        D_before = here
+        D_before = distance
         was_free = free & alive
-        was_inside = inside & alive
-        z = select(alive, ahead, z)
-    return (z0, z1, D0, D1), found
+        was_inside = is_negative & alive
+        z = select(alive, next_z, z)
+    return (z0, z1, D0, D1), has_crossing
 
 
 @njit(inline="always")
@@ -574,7 +574,7 @@ def _in_voxels(origin, direction, z, inv_voxel):
 
 
 @njit(cache=True, error_model="numpy")
-def _refined(table, field, origin, direction, voxel, bracket, found):
+def _refined(table, field, origin, direction, voxel, bracket, has_crossing):
     """Depth where D is zero on sixteen rays, between two depths on either side of the surface: the
     secant method.
 
@@ -586,19 +586,19 @@ def _refined(table, field, origin, direction, voxel, bracket, found):
     inv_voxel = splat(_ONE) / voxel
     z = z0 + (z1 - z0) * (D0 / (D0 - D1))
     px, py, pz = _in_voxels(origin, direction, z, inv_voxel)
-    v, at, whole, corner = cells(table, field, px, py, pz, found)
+    v, at, whole, corner = cells(table, field, px, py, pz, has_crossing)
     for _ in range(REFINEMENTS):
-        here = blend(v, (px - corner[0], py - corner[1], pz - corner[2]))
-        before = whole & (here >= zero)
-        behind = whole & (zero > here)
-        z0 = select(before, z, z0)
-        D0 = select(before, here, D0)
-        z1 = select(behind, z, z1)
-        D1 = select(behind, here, D1)
+        distance = blend(v, (px - corner[0], py - corner[1], pz - corner[2]))
+        is_positive = whole & (distance >= zero)
+        is_negative = whole & (zero > distance)
+        z0 = select(is_positive, z, z0)
+        D0 = select(is_positive, distance, D0)
+        z1 = select(is_negative, z, z1)
+        D1 = select(is_negative, distance, D1)
         z = z0 + (z1 - z0) * (D0 / (D0 - D1))
         px, py, pz = _in_voxels(origin, direction, z, inv_voxel)
-        if leaves(corner, px, py, pz, found):
-            v, at, whole, corner = cells(table, field, px, py, pz, found)
+        if leaves(corner, px, py, pz, has_crossing):
+            v, at, whole, corner = cells(table, field, px, py, pz, has_crossing)
     return z, v, at, (px - corner[0], py - corner[1], pz - corner[2]), whole
 
 
@@ -634,10 +634,12 @@ def _march(table, field, C, rays, sizes, spans, tile_px, depth, normal, rgb):
             dx = splat(T[0, 0]) * sx + splat(T[0, 1]) * sy + splat(T[0, 2])
             dy = splat(T[1, 0]) * sx + splat(T[1, 1]) * sy + splat(T[1, 2])
             dz = splat(T[2, 0]) * sx + splat(T[2, 1]) * sy + splat(T[2, 2])
-            bracket, found = _crossing(table, field, origin, (dx, dy, dz), sizes, span, alive)
-            if any_lane(found):
+            bracket, has_crossing = _crossing(
+                table, field, origin, (dx, dy, dz), sizes, span, alive
+            )
+            if any_lane(has_crossing):
                 z, values, at, f, whole = _refined(
-                    table, field, origin, (dx, dy, dz), splat(sizes.voxel), bracket, found
+                    table, field, origin, (dx, dy, dz), splat(sizes.voxel), bracket, has_crossing
                 )
                 _surface_into(values, at, f, whole, z, C, lanes)
             else:

@@ -32,10 +32,10 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Tensor) -> TsdfSample:
     rgb = torch.empty(n, 3)
     W_rgb = torch.empty(n)
     voxels = tuple(field.numpy() for field in (volume.D, volume.W, volume.rgb_planes, volume.W_rgb))
-    out = tuple(field.numpy() for field in (D, W, rgb, W_rgb))
+    samples = tuple(field.numpy() for field in (D, W, rgb, W_rgb))
     points = xyz_W.detach().contiguous().numpy()
     with launching():
-        _sample(BlockTable.of(blocks), voxels, points, f32(volume.config.voxel_size_m), out)
+        _sample(BlockTable.of(blocks), voxels, points, f32(volume.config.voxel_size_m), samples)
     return TsdfSample(D=D, W=W, rgb=rgb, W_rgb=W_rgb)
 
 
@@ -48,7 +48,7 @@ def sample_fused_voxels(
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _sample(table, voxels, points, voxel_size, out):
+def _sample(table, voxels, points, voxel_size, samples):
     """The values at the points; where no block is allocated D is 1, W 0 and the colour black.
 
     voxels: D [B, 512], W, planes of colour [B, 3, 512] and W_rgb of the blocks in the pool. out: of
@@ -59,7 +59,7 @@ def _sample(table, voxels, points, voxel_size, out):
     low = table.low
     size = table.size
     field_D, field_W, field_rgb, field_W_rgb = voxels
-    D, W, rgb, W_rgb = out
+    D, W, rgb, W_rgb = samples
     N = points.shape[0]
     chunk = 1024
     for part in prange((N + chunk - 1) // chunk):

@@ -56,13 +56,13 @@ def dssim_vjp(
 
 
 @njit(cache=True, error_model="numpy")
-def _average_row(row, window, stride, out, start):
+def _average_row(row, window, stride, means, start):
     """Weighted mean along a row that is padded by the window's reach on both sides."""
     for j in range(0, stride, LANES):
         total = splat(window[0]) * load(row, j)
         for k in range(1, window.shape[0]):
             total = total + splat(window[k]) * load(row, j + 3 * k)
-        store(out, start + j, total)
+        store(means, start + j, total)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
@@ -111,8 +111,8 @@ def _differentiate(means, window, n, stride, terms, similarity):
             inverse_1 = splat(_1) / B1
             inverse_2 = splat(_1) / B2
             both = inverse_1 * inverse_2
-            inside = (splat(f32(j)) + iota()) < splat(f32(n))
-            S = select(inside, A1 * A2 * both, zero)
+            in_row = (splat(f32(j)) + iota()) < splat(f32(n))
+            S = select(in_row, A1 * A2 * both, zero)
             total += reduce_add(S)
             o = r * stride + j
             store(
@@ -121,7 +121,7 @@ def _differentiate(means, window, n, stride, terms, similarity):
                 two * my * (A2 - A1) * both + two * mx * S * (inverse_2 - inverse_1),
             )
             store(terms[BY_SQUARE], o, zero - S * inverse_2)
-            store(terms[BY_PRODUCT], o, select(inside, two * A1 * both, zero))
+            store(terms[BY_PRODUCT], o, select(in_row, two * A1 * both, zero))
         similarity[r] = total
 
 

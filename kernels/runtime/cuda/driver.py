@@ -67,10 +67,10 @@ def start(
 def _function(operation: str, stem: str, kernel: str, index: int) -> ctypes.c_void_p:
     driver = library()
     function = ctypes.c_void_p()
-    found = driver.cuModuleGetFunction(
+    status = driver.cuModuleGetFunction(
         ctypes.byref(function), _module(operation, stem, index), kernel.encode()
     )
-    _check(operation, driver, found)
+    _check(operation, driver, status)
     return function
 
 

@@ -58,12 +58,12 @@ def compile_source(stem: str, capability: tuple[int, int]) -> bytes:
     options = (f"--gpu-architecture={_architecture(nvrtc, capability)}", *OPTIONS)
     text = "\0".join([source, *headers.values(), *options, str(_version(nvrtc))])
     key = hashlib.sha256(text.encode()).hexdigest()[:16]
-    cached = cache_folder() / "cuda" / f"{stem}-{options[0].split('=')[1]}-{key}.cubin"
-    if cached.exists():
-        return cached.read_bytes()
+    cache_file = cache_folder() / "cuda" / f"{stem}-{options[0].split('=')[1]}-{key}.cubin"
+    if cache_file.exists():
+        return cache_file.read_bytes()
     image = _compile(nvrtc, f"{stem}.cu", source, headers, options)
     try:
-        write_file(cached, image)
+        write_file(cache_file, image)
     except OSError as e:
         log.info("compiled kernels are not kept: %s", e)
     return image
@@ -138,18 +138,18 @@ def _fetch(
 
 
 def _architecture(nvrtc: ctypes.CDLL, capability: tuple[int, int]) -> str:
-    wanted = 10 * capability[0] + capability[1]
+    own = 10 * capability[0] + capability[1]
     count = ctypes.c_int()
     _check(nvrtc, "NVRTC", nvrtc.nvrtcGetNumSupportedArchs(ctypes.byref(count)))
-    known = (ctypes.c_int * count.value)()
-    _check(nvrtc, "NVRTC", nvrtc.nvrtcGetSupportedArchs(known))
-    if wanted in known:
-        return f"sm_{wanted}"
-    older = [arch for arch in known if arch < wanted]
+    supported_list = (ctypes.c_int * count.value)()
+    _check(nvrtc, "NVRTC", nvrtc.nvrtcGetSupportedArchs(supported_list))
+    if own in supported_list:
+        return f"sm_{own}"
+    older = [arch for arch in supported_list if arch < own]
     if not older:
         raise BackendUnavailable(
-            f"backend 'cuda' needs a GPU of compute capability {min(known) / 10:.1f} or more, got "
-            f"{wanted / 10:.1f}"
+            f"backend 'cuda' needs a GPU of compute capability {min(supported_list) / 10:.1f} or "
+            f"more, got {own / 10:.1f}"
         )
     return f"compute_{max(older)}"
 

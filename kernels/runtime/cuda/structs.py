@@ -33,11 +33,11 @@ class Signature:
         (parameters,) = re.findall(
             rf"__global__ void [^;{{]*?{kernel}\((.*?)\) \{{", text, re.DOTALL
         )
-        declared = _declared(text, parameters.replace(",", ";"))
-        everything: Any = type("Everything", (ctypes.Structure,), {"_fields_": declared})
-        self._offsets = [getattr(everything, name).offset for name, _ in declared]
+        declarations = _declared(text, parameters.replace(",", ";"))
+        everything: Any = type("Everything", (ctypes.Structure,), {"_fields_": declarations})
+        self._offsets = [getattr(everything, name).offset for name, _ in declarations]
         self._groups = [
-            [field[0] for field in getattr(kind, "_fields_", ())] for _, kind in declared
+            [field[0] for field in getattr(kind, "_fields_", ())] for _, kind in declarations
         ]
         layout = "="
         end = 0
@@ -45,7 +45,7 @@ class Signature:
             layout = f"{layout}{offset - end}x{code}"
             end = offset + size
         self._format = struct.Struct(layout)
-        self._pointers = ctypes.c_void_p * len(declared)
+        self._pointers = ctypes.c_void_p * len(declarations)
 
     def flat(self, args: Sequence[Any]) -> list[Any]:
         """The arguments, those of structs one after another."""
@@ -80,13 +80,13 @@ class Signature:
             else:
                 numbers.append(value)
         try:
-            packed = ctypes.create_string_buffer(self._format.pack(*numbers), self._format.size)
+            buffer = ctypes.create_string_buffer(self._format.pack(*numbers), self._format.size)
         except (struct.error, OverflowError) as e:
             raise ValueError(
                 f"{operation}: a number does not fit in the kernel's parameter ({e})"
             ) from None
-        start = ctypes.addressof(packed)
-        return self._pointers(*[start + offset for offset in self._offsets]), packed
+        start = ctypes.addressof(buffer)
+        return self._pointers(*[start + offset for offset in self._offsets]), buffer
 
 
 def _source(name: str) -> str:
@@ -94,7 +94,7 @@ def _source(name: str) -> str:
     (path,) = KERNELS.glob(f"*/{name}")
     text = re.sub(r"//.*", "", path.read_text(encoding="utf-8"))
     return text + "".join(
-        _source(included) for included in dict.fromkeys(re.findall(r'#include "(.+?)"', text))
+        _source(header) for header in dict.fromkeys(re.findall(r'#include "(.+?)"', text))
     )
 
 

@@ -17,7 +17,7 @@ def blocks_in_view(
 ) -> np.ndarray:
     """Rows of the blocks in view up to a depth: whose bounding sphere, larger by ``more_m``, meets
     it. int32"""
-    met = np.zeros(volume.n_blocks, np.bool_)
+    in_view = np.zeros(volume.n_blocks, np.bool_)
     coords = volume.block_coords.numpy()
     side = volume.block_size_m
     radius = 0.5 * side * math.sqrt(3.0) + more_m
@@ -25,15 +25,23 @@ def blocks_in_view(
     # blocks in view were mostly made together, so halves of all are not even
     with parallel_chunksize(16):
         _meet(
-            coords, volume.block_boxes, T_CW, lens_of(camera), size, float(end_m), side, radius, met
+            coords,
+            volume.block_boxes,
+            T_CW,
+            lens_of(camera),
+            size,
+            float(end_m),
+            side,
+            radius,
+            in_view,
         )
-    return np.flatnonzero(met).astype(np.int32)
+    return np.flatnonzero(in_view).astype(np.int32)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _meet(coords, boxes, T_CW, lens, size, end, side, radius, met):
-    """Set ``met`` for the blocks whose sphere meets the view; those of a box are looked at only if
-    its sphere does."""
+def _meet(coords, boxes, T_CW, lens, size, end, side, radius, in_view):
+    """Set ``in_view`` for the blocks whose sphere meets the view; those of a box are looked at only
+    if its sphere does."""
     for box in prange(len(boxes)):
         low = boxes[box, 0]
         high = boxes[box, 1]
@@ -43,14 +51,16 @@ def _meet(coords, boxes, T_CW, lens, size, end, side, radius, met):
         dx = high[0] - low[0]
         dy = high[1] - low[1]
         dz = high[2] - low[2]
-        around = radius + 0.5 * side * math.sqrt(dx * dx + dy * dy + dz * dz)
+        reach = radius + 0.5 * side * math.sqrt(dx * dx + dy * dy + dz * dz)
         # for rounding
-        if _meets_view(side * x, side * y, side * z, T_CW, lens, size, end, 1.001 * around):
-            for b in range(box * BLOCKS_IN_BOX, min(len(met), (box + 1) * BLOCKS_IN_BOX)):
+        if _meets_view(side * x, side * y, side * z, T_CW, lens, size, end, 1.001 * reach):
+            for b in range(box * BLOCKS_IN_BOX, min(len(in_view), (box + 1) * BLOCKS_IN_BOX)):
                 x = coords[b, 0] + 0.5
                 y = coords[b, 1] + 0.5
                 z = coords[b, 2] + 0.5
-                met[b] = _meets_view(side * x, side * y, side * z, T_CW, lens, size, end, radius)
+                in_view[b] = _meets_view(
+                    side * x, side * y, side * z, T_CW, lens, size, end, radius
+                )
 
 
 @njit(cache=True, error_model="numpy")
@@ -69,5 +79,5 @@ def _meets_view(X, Y, Z, T_CW, lens, size, end, radius):
     slope_u = math.sqrt(fx * fx + max(cx, width - cx) ** 2)
     slope_v = math.sqrt(fy * fy + max(cy, height - cy) ** 2)
     aside = min(fx * x + cx * z, (width - cx) * z - fx * x)
-    above = min(fy * y + cy * z, (height - cy) * z - fy * y)
-    return aside >= -radius * slope_u and above >= -radius * slope_v
+    margin_y = min(fy * y + cy * z, (height - cy) * z - fy * y)
+    return aside >= -radius * slope_u and margin_y >= -radius * slope_v

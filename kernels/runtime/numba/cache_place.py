@@ -35,17 +35,17 @@ def choose_place() -> str:
     )
     if any(_is_writable(folder) for folder in of_numba):
         return ""
-    chosen = next(
+    place = next(
         (folder for folder in _own_places() if _is_writable(folder) and _is_own(folder)), None
     )
-    if chosen is None:
+    if place is None:
         return ""
     log.warning(
         "compiled kernels are kept in %s, since neither the package nor a home can be written",
-        chosen,
+        place,
     )
-    config.CACHE_DIR = str(chosen)  # pyright: ignore[reportAttributeAccessIssue]
-    return str(chosen)
+    config.CACHE_DIR = str(place)  # pyright: ignore[reportAttributeAccessIssue]
+    return str(place)
 
 
 def _own_places() -> tuple[Path, ...]:

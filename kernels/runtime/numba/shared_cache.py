@@ -41,20 +41,20 @@ this process."""
 def imported_files(module: str) -> tuple[Path, ...]:
     """The files of a module of kernels, of all kernels that it imports, and of what these import
     from plain modules."""
-    found = set()
+    files = set()
     todo = [module]
     while todo:
         name = todo.pop()
         path = Path(getattr(sys.modules.get(name), "__file__", None) or "")
-        if not name.startswith(_TOOLKIT) or path.suffix != ".py" or path in found:
+        if not name.startswith(_TOOLKIT) or path.suffix != ".py" or path in files:
             continue
-        found.add(path)
+        files.add(path)
         if name.startswith(_KERNELS):
             for line in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(line, ast.ImportFrom):
                     dots = "." * line.level + (line.module or "")
                     todo.append(resolve_name(dots, sys.modules[name].__package__))
-    return tuple(sorted(found))
+    return tuple(sorted(files))
 
 
 def newest(files: tuple[Path, ...]) -> float:
@@ -74,13 +74,13 @@ class SharedCache(FunctionCache):
                 *stamp,
                 newest(imported_files(self._py_func.__module__)),
             )
-        found = self._saved(sig, target_context)
-        if found is None and self._py_func.__module__.startswith(_KERNELS):
+        overload = self._saved(sig, target_context)
+        if overload is None and self._py_func.__module__.startswith(_KERNELS):
             self._hold()
-            found = self._saved(sig, target_context)
-            if found is not None:
+            overload = self._saved(sig, target_context)
+            if overload is not None:
                 self.release()
-        return found
+        return overload
 
     def _saved(self, sig, target_context):
         """What is in the cache, or None; an index that names types of a module that is gone is

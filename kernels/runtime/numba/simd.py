@@ -58,9 +58,9 @@ def _splat(scalar_type, result, vector):
     @intrinsic
     def operation(typingctx, scalar):
         def codegen(context, builder, sig, args):
-            undefined = ir.Constant(vector, ir.Undefined)
-            one = builder.insert_element(undefined, args[0], _lane(0))
-            return builder.shuffle_vector(one, undefined, ir.Constant(_INTS, [_lane(0)] * LANES))
+            empty = ir.Constant(vector, ir.Undefined)
+            one = builder.insert_element(empty, args[0], _lane(0))
+            return builder.shuffle_vector(one, empty, ir.Constant(_INTS, [_lane(0)] * LANES))
 
         return result(scalar_type), codegen
 
@@ -108,8 +108,8 @@ def store(typingctx, array, index, vector):
     sig = types.void(array, index, vector)
 
     def codegen(context, builder, sig, args):
-        written = builder.store(args[2], _address(context, builder, sig, args, _FLOATS))
-        written.align = 4
+        instruction = builder.store(args[2], _address(context, builder, sig, args, _FLOATS))
+        instruction.align = 4
         return context.get_dummy_value()
 
     return sig, codegen
@@ -228,11 +228,11 @@ def reduce_add(typingctx, vector):
     def codegen(context, builder, sig, args):
         value = args[0]
         half = LANES // 2
-        undefined = ir.Constant(_FLOATS, ir.Undefined)
+        empty = ir.Constant(_FLOATS, ir.Undefined)
         while half:
             order = [i + half if i < half else 0 for i in range(LANES)]
             picks = ir.Constant(_INTS, [ir.Constant(_INT, i) for i in order])
-            value = builder.fadd(value, builder.shuffle_vector(value, undefined, picks))
+            value = builder.fadd(value, builder.shuffle_vector(value, empty, picks))
             half //= 2
         return builder.extract_element(value, ir.Constant(_INT, 0))
 
@@ -266,13 +266,13 @@ def exp(typingctx, vector):
         t = builder.fmul(args[0], _constant(1.4426950408889634))
         # 1.5 * 2^23: adding it rounds to an integer held in the low mantissa bits
         magic = _constant(12582912.0)
-        shifted = builder.fadd(t, magic)
-        f = builder.fsub(t, builder.fsub(shifted, magic))
+        biased_t = builder.fadd(t, magic)
+        f = builder.fsub(t, builder.fsub(biased_t, magic))
         p = _constant(_EXP2_POLYNOMIAL[0])
         for c in _EXP2_POLYNOMIAL[1:]:
             p = builder.call(fma, [p, f, _constant(c)])
         twenty_three = ir.Constant(_INTS, [ir.Constant(_INT, 23)] * LANES)
-        n = builder.shl(builder.bitcast(shifted, _INTS), twenty_three)
+        n = builder.shl(builder.bitcast(biased_t, _INTS), twenty_three)
         return builder.bitcast(builder.add(builder.bitcast(p, _INTS), n), _FLOATS)
 
     return f32x16(vector), codegen
@@ -342,9 +342,9 @@ def _byte(shift):
     @intrinsic
     def operation(typingctx, vector):
         def codegen(context, builder, sig, args):
-            shifted = builder.lshr(args[0], ir.Constant(_INTS, [_lane(shift)] * LANES))
-            masked = builder.and_(shifted, ir.Constant(_INTS, [_lane(255)] * LANES))
-            return builder.sitofp(masked, _FLOATS)
+            word = builder.lshr(args[0], ir.Constant(_INTS, [_lane(shift)] * LANES))
+            byte = builder.and_(word, ir.Constant(_INTS, [_lane(255)] * LANES))
+            return builder.sitofp(byte, _FLOATS)
 
         return f32x16(vector), codegen
 
@@ -387,9 +387,9 @@ def store_pairs(typingctx, array, index, low, high):
 
     def codegen(context, builder, sig, args):
         order = [i // 2 + LANES * (i % 2) for i in range(2 * LANES)]
-        mixed = _shuffle(builder, builder.bitcast(args[2], _INTS), args[3], order)
-        written = builder.store(mixed, _address(context, builder, sig, args, mixed.type))
-        written.align = 8
+        pairs = _shuffle(builder, builder.bitcast(args[2], _INTS), args[3], order)
+        instruction = builder.store(pairs, _address(context, builder, sig, args, pairs.type))
+        instruction.align = 8
         return context.get_dummy_value()
 
     return sig, codegen
