@@ -17,7 +17,7 @@ import torch
 
 from gsfusion_nb.course import exercises
 from gsfusion_nb.course.attempt import Attempt, Failed
-from gsfusion_nb.course.rtg_slam import BECOMES_STABLE, BECOMES_UNSTABLE, DELETED, STAYS
+from gsfusion_nb.course.surfel_states import BECOMES_STABLE, BECOMES_UNSTABLE, DELETED, STAYS
 from gsfusion_nb.geometry import quaternion
 
 ALL = exercises()

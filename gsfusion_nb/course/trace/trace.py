@@ -18,9 +18,19 @@ from ...geometry import backproject, se3
 from ...large_maps import MapPart
 from ...seeding import rule_name
 from ...tsdf.integrate import blocks_in_view
-from . import operations
+from .gaussian_trace import GaussianSeeded, GaussianTrace, gaussian_moment
 from .identity import Identities, origin_of
-from .operations import FusionRecord, Moment, Record, SeedingRecord, StepRecord, Voxel
+from .moments import Moment
+from .operations import (
+    AdamColumn,
+    FusionRecord,
+    Record,
+    SeedingRecord,
+    StepRecord,
+    Voxel,
+    memory_of,
+)
+from .voxel_trace import VoxelTrace, voxel_moment
 
 Call = Callable[..., Any]
 
@@ -193,7 +203,7 @@ class Recorder:
             p0, m0, v0 = old[name]
             p1, m1, v1 = new[name]
             lr = rates.get(name, float("nan"))  # NaN: another function than Adam takes the step
-            columns[name] = operations.AdamColumn(
+            columns[name] = AdamColumn(
                 before=p0,
                 gradient=gradient,
                 m=(m0, m1),
@@ -290,11 +300,9 @@ class Trace:
     @property
     def memory_bytes(self) -> int:
         """Memory of the operations that are held, bytes."""
-        return operations.memory_of(self._held)
+        return memory_of(self._held)
 
-    def gaussian(
-        self, row: int | None = None, *, id: int | None = None
-    ) -> operations.GaussianTrace:
+    def gaussian(self, row: int | None = None, *, id: int | None = None) -> GaussianTrace:
         """The Gaussian in a row of the map as it is now, or the one with a number (also one that
         has left the map).
 
@@ -320,8 +328,8 @@ class Trace:
             picture = {} if of is None else {"camera": of.frame.camera, "image": of.frame.colour}
             serial = -1 if of is None else of.serial
             fields = {"serial": serial, "frame_index": birth.frame_index, "birth": birth, **picture}
-            moments.insert(0, operations.GaussianSeeded(**fields))
-        return operations.GaussianTrace(
+            moments.insert(0, GaussianSeeded(**fields))
+        return GaussianTrace(
             id=id,
             row=self.identities.row_of(id),
             birth=birth,
@@ -330,7 +338,7 @@ class Trace:
             n_dropped=self.n_dropped,
         )
 
-    def voxel(self, x: int, y: int, z: int) -> operations.VoxelTrace:
+    def voxel(self, x: int, y: int, z: int) -> VoxelTrace:
         """The voxel with these integer coordinates (``volume.voxel_index(xyz_W)``)."""
         ijk: Voxel = (x, y, z)
         moments = []
@@ -342,7 +350,7 @@ class Trace:
             D = moment.D[1]
             W = moment.W[1]
             moments.append(moment)
-        return operations.VoxelTrace(ijk=ijk, moments=tuple(moments), n_dropped=self.n_dropped)
+        return VoxelTrace(ijk=ijk, moments=tuple(moments), n_dropped=self.n_dropped)
 
     def gaussian_at(self, u: int, v: int, serial: int | None = None) -> int:
         """Number of the Gaussian with the largest weight at pixel (u, v): in the held step nearest
@@ -435,8 +443,4 @@ def tracing(mapper: Any, **options: Any) -> Iterator[Trace]:
 
 
 def _moment(record: Record, pick: Pick) -> Moment | None:
-    return (
-        operations.gaussian_moment(record, pick)
-        if isinstance(pick, int)
-        else operations.voxel_moment(record, pick)
-    )
+    return gaussian_moment(record, pick) if isinstance(pick, int) else voxel_moment(record, pick)

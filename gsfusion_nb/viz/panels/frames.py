@@ -18,8 +18,8 @@ from ...geometry import backproject, depth_to_normals, pixel_grid, project, se3
 from ...recordings.checkup.pictures import depth_error, edge_overlay
 from ...types import Camera, Frame
 from ..display import Stroke
+from .ellipses import draw_cross, resize_to_height
 from .panel import Choice, Drawn, Number, Panel, Slider, pixel_sliders, touched_pixel
-from .pixel_stack import draw_cross, resize_to_height
 
 POINT_COLOURS = ("colour", "depth", "normals")
 """What can colour the points."""

@@ -25,9 +25,10 @@ from ...optim import l1_vjp
 from ...render import composite, composite_vjp, tile_intersections
 from ...render.composite import blend_vjp
 from ...types import Camera, GaussianParams
-from . import pixel_stack as stacks
+from .ellipses import draw_ellipses, lens_figure, resize_to_height, with_cross
 from .panel import Choice, Drawn, Panel, pixel_sliders, touched_pixel
-from .pixel_stack import Blend, PixelStack, Splats
+from .pixel_blend import Blend, Splats, blend_at, project_splats
+from .pixel_stack import INK, TABLE_ROWS, PixelStack, numbers_table, pixel_stack, swatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,11 +73,11 @@ def pixel_gradient(
         splats: The Gaussians on the screen.
         v_rgb: dL/d of the rendered image.
     """
-    blend = stacks.blend_at(
+    blend = blend_at(
         splats,
         splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]]),
     )
-    stack = stacks.pixel_stack(splats, u, v, blend)
+    stack = pixel_stack(splats, u, v, blend)
     v_C = v_rgb[v, u].to(stack.rgb)
     v_alpha, v_uv = gradient_terms(splats, blend, v_C[None])
     return PixelGradient(
@@ -149,7 +150,7 @@ def gaussian_gradient(splats: Splats, v_rgb: Float[Tensor, "H W 3"], row: int) -
     )
     v, u = torch.meshgrid(y, x, indexing="ij")
     uv = torch.stack([u, v], -1).to(p.uv)
-    blend = stacks.blend_at(splats, uv.view(-1, 2))
+    blend = blend_at(splats, uv.view(-1, 2))
     v_C = v_rgb[v.long(), u.long()].view(-1, 3).to(p.uv)
     v_alpha, v_uv = gradient_terms(splats, blend, v_C)
     mine = (blend.row == row).to(p.uv)  # all zero if no pixel of the grid sees it
@@ -186,7 +187,7 @@ def pixel_gradient_table(gradient: PixelGradient, unit: float | int) -> str:
         "dL/dr, dL/dg, dL/db",
     )
     lines = []
-    for k in s.weight.argsort(descending=True)[: stacks.TABLE_ROWS].sort().values.tolist():
+    for k in s.weight.argsort(descending=True)[:TABLE_ROWS].sort().values.tolist():
         a, o, u, v = (
             float(x) / unit for x in (gradient.v_alpha[k], gradient.v_opacity[k], *gradient.v_uv[k])
         )
@@ -199,11 +200,11 @@ def pixel_gradient_table(gradient: PixelGradient, unit: float | int) -> str:
                 str(int(s.row[k])),
                 f"{float(s.weight[k]):.3f}",
                 *numbers,
-                stacks.swatch(s.rgb[k]),
+                swatch(s.rgb[k]),
                 rgb,
             )
         )
-    return stacks.numbers_table(heads, lines, n=len(s))
+    return numbers_table(heads, lines, n=len(s))
 
 
 MORE = "#1a7f37"
@@ -225,16 +226,14 @@ def pixel_gradient_picture(
     top = s.weight.argsort(descending=True)[:_SHOWN]
     uv = splats.projection.uv[s.row[top]].double().numpy()
     reach_px = np.abs(uv - (s.u + 0.5, s.v + 0.5)).max(initial=0.0)
-    figure, axes = stacks.lens_figure(
+    figure, axes = lens_figure(
         image,
         (s.u, s.v),
         int(min(max(reach_px * 1.15 + 2, 6), 40)),
         size,
     )
-    inks = [
-        stacks.INK if x == 0 else MORE if x < 0 else LESS for x in gradient.v_alpha[top].tolist()
-    ]
-    stacks.draw_ellipses(axes, splats, s.row[top], inks)
+    inks = [INK if x == 0 else MORE if x < 0 else LESS for x in gradient.v_alpha[top].tolist()]
+    draw_ellipses(axes, splats, s.row[top], inks)
     _arrows(axes, uv, -gradient.v_uv[top].double().numpy(), 0.16)
     return figure_picture(figure)
 
@@ -276,7 +275,7 @@ def gaussian_gradient_picture(
     shade = np.concatenate([colour, 0.85 * np.abs(strength)[..., None] ** 0.5], 2)
     axes.imshow(shade, extent=extent, interpolation="nearest", aspect="auto")
     axes.set(xlim=window[:2], ylim=window[:1:-1])
-    stacks.draw_ellipses(axes, splats, torch.tensor([gradient.row]), "white")
+    draw_ellipses(axes, splats, torch.tensor([gradient.row]), "white")
     step = -(-max(uv.shape[:2]) // 11)
     blocks = [
         np.s_[y : y + step, x : x + step]
@@ -311,7 +310,7 @@ def _arrows(
         )
         / longest
     )
-    looks = {"color": stacks.INK, "width": 0.009, "edgecolor": "white", "linewidth": 0.6, **how}
+    looks = {"color": INK, "width": 0.009, "edgecolor": "white", "linewidth": 0.6, **how}
     axes.quiver(
         *start.T,
         *push.T,
@@ -389,8 +388,8 @@ class GradientMicroscope(Panel):
             )
             table = pixel_gradient_table(self.of_pixel, 1 / n)
         pair = [
-            stacks.with_cross(self.rendered, u, v, PICTURE_PX),
-            stacks.resize_to_height(self.target, PICTURE_PX),
+            with_cross(self.rendered, u, v, PICTURE_PX),
+            resize_to_height(self.target, PICTURE_PX),
         ]
         unit = f"numbers are multiples of 1/{n:,}: L1 gives ±1 per pixel and channel"
         return side_by_side(
@@ -400,7 +399,7 @@ class GradientMicroscope(Panel):
     def _read(self, params: GaussianParams, camera: Camera, T_WC: Tensor) -> None:
         """Render, and compute the gradient with respect to the projected Gaussians."""
         with torch.no_grad():
-            self.splats = stacks.project_splats(params, camera, T_WC)
+            self.splats = project_splats(params, camera, T_WC)
             p = self.splats.projection
             tiles = tile_intersections(p, camera)
             image = composite(
@@ -421,6 +420,6 @@ class GradientMicroscope(Panel):
         g = self.total
         numbers = [*g.uv[row].tolist(), float(g.opacity[row]), *g.rgb[row].tolist()]
         heads = (f"Gaussian {row}", "dL/du", "dL/dv", "dL/do", "dL/dr", "dL/dg", "dL/db")
-        return stacks.numbers_table(
+        return numbers_table(
             heads, [("sum over all pixels", *(f"{x / unit:+.2f}" for x in numbers))], n=1
         )

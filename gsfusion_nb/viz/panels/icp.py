@@ -22,9 +22,9 @@ from ...drawing.pictures import Picture, side_by_side, to_uint8
 from ...geometry import depth_to_normals, se3
 from ...tracking import IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane
 from ...types import Frame
+from .ellipses import resize_to_height
 from .frames import displaced_pose, point_view
 from .panel import Drawn, Number, Panel, Slider, Switch
-from .pixel_stack import resize_to_height
 from .tsdf import distance_colours
 
 RESIDUAL_M = 0.03

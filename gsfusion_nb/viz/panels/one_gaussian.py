@@ -18,8 +18,9 @@ from ...geometry.spherical_harmonics import rgb_to_sh_dc, sh_basis
 from ...render import TileLists, render, tile_intersections
 from ...types import Camera, GaussianParams
 from ..display import Stroke
+from .ellipses import outlines
 from .panel import Drawn, Panel, Point, Slider, draw_handles, nearest_handle
-from .pixel_stack import Splats, outlines, project_splats
+from .pixel_blend import Splats, project_splats
 
 
 def gaussian_row(

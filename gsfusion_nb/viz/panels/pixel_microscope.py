@@ -13,9 +13,10 @@ from ...drawing.pictures import Picture, side_by_side, to_uint8
 from ...render import SurfacePicture, render
 from ...render.over_base import not_behind
 from ...types import Camera, GaussianParams
-from . import pixel_stack as stacks
+from .ellipses import lens_picture, with_cross
 from .panel import Drawn, Panel, pixel_sliders, touched_pixel
-from .pixel_stack import Splats
+from .pixel_blend import Splats, project_splats, reaching
+from .pixel_stack import TABLE_ROWS, numbers_table, pixel_stack, rgb_text, swatch, weights_graph
 
 PICTURE_PX = 300
 """Height of the pictures, pixels."""
@@ -47,7 +48,7 @@ class PixelMicroscope(Panel):
         pixel: tuple[int, int] | None = None,
     ):
         self._open(
-            stacks.project_splats(params, camera, T_WC),
+            project_splats(params, camera, T_WC),
             to_uint8(render(params, camera, T_WC).rgb),
             pixel,
         )
@@ -71,19 +72,19 @@ class PixelMicroscope(Panel):
         )
 
     def _stack_at(self, u: int, v: int) -> Any:
-        return stacks.pixel_stack(self.splats, u, v)
+        return pixel_stack(self.splats, u, v)
 
     def _draw(self, u: int, v: int) -> Drawn:
         self.stack = s = self._stack_at(u, v)
         heaviest = s.row[s.weight.argsort(descending=True)[:OUTLINED]]
-        lens = stacks.lens_picture(
+        lens = lens_picture(
             self.rendered,
             self.splats,
             (u, v),
             heaviest,
             size=PICTURE_PX,
         )
-        picture = stacks.with_cross(self.rendered, u, v, PICTURE_PX)
+        picture = with_cross(self.rendered, u, v, PICTURE_PX)
         top = side_by_side([picture, lens], ["rendered: click a pixel", "enlarged, with ellipses"])
         pixel_words = " ".join(f"{x / 255:.3f}" for x in self.rendered[v, u])
         words = f"pixel ({u}, {v}): {s.caption}; rendered (8 bit) {pixel_words}{s._repr_html_()}"
@@ -142,7 +143,7 @@ class PixelMix:
     def caption(self) -> str:
         """Number of samples and their mean, as HTML."""
         hidden_words = f", {self.hidden} behind the surface" if self.hidden else ""
-        mean = f"W = {self.total:.2f}, mean = {stacks.rgb_text(self.colour)}"
+        mean = f"W = {self.total:.2f}, mean = {rgb_text(self.colour)}"
         return f"<b>surface and {len(self)} Gaussians</b>{hidden_words}, {mean}"
 
     def shuffled(self, generator: torch.Generator) -> "PixelMix":
@@ -157,7 +158,7 @@ class PixelMix:
         other = self.shuffled(torch.Generator().manual_seed(self.u + 1000 * self.v))
         weight, rgb = self.samples
         title = "weights: surface, then Gaussians; below: mean so far, and in another order"
-        return stacks.weights_graph(
+        return weights_graph(
             size, rgb, weight, {"mean": self.running, "shuffled": other.running}, title=title
         )
 
@@ -177,12 +178,12 @@ class PixelMix:
                 depth,
                 f"{weight:.3f}",
                 f"{weight * share:.0%}",
-                stacks.swatch(rgb),
-                stacks.rgb_text(rgb),
+                swatch(rgb),
+                rgb_text(rgb),
             )
 
         lines = [line("", "surface", "", self.base_weight, self.base_rgb)]
-        for k in range(min(len(self), stacks.TABLE_ROWS)):
+        for k in range(min(len(self), TABLE_ROWS)):
             numbers = (f"{self.depth_m[k]:.3f}", float(self.weight[k]), self.rgb[k])
             lines.append(
                 line(
@@ -192,7 +193,7 @@ class PixelMix:
                 )
             )
         mean = line("", "mean", "", self.base_weight + self.total, self.colour)
-        return stacks.numbers_table(
+        return numbers_table(
             ("k", "row", "depth m", "weight", "share", "", "colour"),
             lines,
             mean,
@@ -208,7 +209,7 @@ def pixel_mix(splats: Splats, surface: SurfacePicture, u: int, v: int) -> PixelM
     """
     p = splats.projection
     base = surface.base
-    row, alpha = stacks.reaching(splats, u, v)
+    row, alpha = reaching(splats, u, v)
     w = not_behind(
         alpha[:, None],
         p.depth_m[row],
@@ -255,7 +256,7 @@ class MixMicroscope(PixelMicroscope):
         pixel: tuple[int, int] | None = None,
     ):
         self.surface = mapper.surface_picture(camera, T_WC)
-        splats = stacks.project_splats(mapper.params_now(), camera, T_WC)
+        splats = project_splats(mapper.params_now(), camera, T_WC)
         self._open(splats, to_uint8(mapper.render(camera, T_WC).rgb), pixel)
 
     def _stack_at(self, u: int, v: int) -> PixelMix:

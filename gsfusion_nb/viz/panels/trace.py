@@ -11,8 +11,8 @@ from ...drawing.page import html_table
 from ...drawing.pictures import Picture
 from ...errors import ArgumentError
 from ..display import Stroke
+from .ellipses import CROSS, ellipse_outlines
 from .panel import Choice, Drawn, Panel, Slider
-from .pixel_stack import CROSS, ellipse_outlines
 
 FOLLOWS = ("Gaussian", "voxel")
 """What a click can follow."""

@@ -13,7 +13,7 @@ from ...errors import ArgumentError
 from ...render import TileLists, composite, composite_vjp
 from ...render.constants import TILE_PX
 from ...types import Camera, GaussianParams
-from ..panels.pixel_stack import project_splats, reaching
+from ..panels.pixel_blend import project_splats, reaching
 from .recording import Recording, record
 from .stepper import Step, Stepper, text_of
 

@@ -19,7 +19,7 @@ from gsfusion_nb.viz.panels.gradient_microscope import (
     pixel_gradient,
     pixel_gradient_picture,
 )
-from gsfusion_nb.viz.panels.pixel_stack import project_splats
+from gsfusion_nb.viz.panels.pixel_blend import project_splats
 
 CAMERA = Camera(
     width=32,

@@ -14,7 +14,9 @@ from gsfusion_nb.render.constants import ALPHA_MAX
 from gsfusion_nb.render.over_base import Base
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viz import MixMicroscope, PixelMicroscope
-from gsfusion_nb.viz.panels.pixel_stack import outlines, pixel_stack, project_splats
+from gsfusion_nb.viz.panels.ellipses import outlines
+from gsfusion_nb.viz.panels.pixel_blend import project_splats
+from gsfusion_nb.viz.panels.pixel_stack import pixel_stack
 
 CAMERA = Camera(
     width=40,

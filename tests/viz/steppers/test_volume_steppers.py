@@ -8,7 +8,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.seeding import quadtree
 from gsfusion_nb.tsdf import extract_mesh, raycast
 from gsfusion_nb.viz import marching_cubes_stepper, quadtree_stepper, raycast_stepper
-from gsfusion_nb.viz.steppers.volume import cut_out, row_of_cells
+from gsfusion_nb.viz.steppers.marching_cubes import cut_out, row_of_cells
 
 
 def find(stepper, title):
