@@ -17,6 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
 
+import cloudpickle
+
 from ..backends import use_backend
 from ..errors import ArgumentError, ForeseenError
 from ..mapping import StepReport
@@ -117,17 +119,14 @@ def do_sent_task(task: Task) -> Answer:
 
 
 def _pickle_rule(rule: SeedingRule | bytes) -> bytes:
-    """A rule for another process; one of a notebook needs cloudpickle, which comes with Dask."""
-    pickler: Any = pickle
-    with contextlib.suppress(ImportError):
-        import cloudpickle as pickler
+    """A rule for another process, also one of a notebook, which it cannot import."""
     try:
-        return pickler.dumps(rule)
+        return cloudpickle.dumps(rule)
     except (pickle.PicklingError, AttributeError, TypeError) as e:
         assert not isinstance(rule, bytes)  # those can be pickled
         raise ArgumentError(
             f"the rule {rule_name(rule)} cannot be sent to other processes: {e}; write it to a "
-            'file and give "FILE.py:name", or install the extra "cluster"'
+            'file and give "FILE.py:name"'
         ) from None
 
 

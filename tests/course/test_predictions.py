@@ -9,7 +9,7 @@ from gsfusion_nb.course import predictions as module
 @pytest.fixture(autouse=True)
 def _own_file(tmp_path, monkeypatch):
     monkeypatch.setenv("GSNB_COURSE_FILE", str(tmp_path / "course.json"))
-    monkeypatch.setattr(progress, "_said", set())
+    monkeypatch.setattr(progress, "_messages", set())
     monkeypatch.setattr(module, "_unkept", {})
 
 

@@ -12,7 +12,7 @@ from gsfusion_nb.course.progress import CourseFileError, course_file, note, read
 def course(tmp_path, monkeypatch):
     path = tmp_path / "folder" / "course.json"
     monkeypatch.setenv("GSNB_COURSE_FILE", str(path))
-    monkeypatch.setattr(progress, "_said", set())
+    monkeypatch.setattr(progress, "_messages", set())
     return path
 
 

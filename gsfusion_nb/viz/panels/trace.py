@@ -68,7 +68,7 @@ class TracePanel(Panel):
             name="trace",
             kind="png",
             text=text,
-            touch=lambda stroke, _: self._on_click(stroke),
+            touch=lambda stroke, _: self._on_point(stroke),
         )
 
     @property
@@ -101,7 +101,7 @@ class TracePanel(Panel):
         viewer.observe(lambda change: self._on_pick(change["new"]), "picked")
         return self
 
-    def _on_click(self, stroke: Stroke) -> dict[str, Any]:
+    def _on_point(self, stroke: Stroke) -> dict[str, Any]:
         """Follow what a click there follows, from the moment of the present operation on."""
         event = self.story.moments[self.moment]
         if event.camera is None:
