@@ -34,8 +34,8 @@ ICP_WATCH = {
             "surface_xyz",
             "surface_normal",
             "overlap",
-            "near",
-            "aligned",
+            "is_near",
+            "is_aligned",
             "inlier",
             "max_distance_m",
         ),
@@ -43,7 +43,7 @@ ICP_WATCH = {
         "icp_system": ("r", "J", "w", "rows"),
     },
     align: {"align": ("T_WC", "system", "step")},
-    solve_step: {"solve_step": ("H", "b", "eigenvalues", "known", "y")},
+    solve_step: {"solve_step": ("H", "b", "eigenvalues", "is_determined", "y")},
 }
 
 
@@ -83,7 +83,7 @@ def icp_stepper(
     )
     levels = depth_pyramid(depth_m, camera, one_iteration.pyramid)
     recording = record(lambda: align(levels, surface, T_WC_start, one_iteration), ICP_WATCH)
-    gate = recording.at("inlier = overlap & near & aligned")[0]
+    gate = recording.at("inlier = overlap & is_near & is_aligned")[0]
     if not bool(gate["inlier"].any()):
         raise ArgumentError("no pixel of the frame passes the gates at this pose")
     steps = [step for at in _some_pixels(gate, pixels) for step in _of_pixel(recording, at)]
@@ -106,7 +106,7 @@ def _some_pixels(gate: Line, count: int) -> list[tuple[int, int]]:
 def _residuals(recording: Recording, nth: int) -> np.ndarray:
     """Point-to-plane distances of the pixels that pass the gates in the n-th system; NaN
     elsewhere."""
-    inlier = recording.at("inlier = overlap & near & aligned")[nth]["inlier"]
+    inlier = recording.at("inlier = overlap & is_near & is_aligned")[nth]["inlier"]
     image = torch.full(inlier.shape, torch.nan)
     image[inlier] = recording.at("r = ((xyz - surface_xyz)")[nth]["r"].float()
     return image.numpy()
@@ -159,7 +159,9 @@ def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
             whole,
         ),
     ]
-    is_near, is_aligned, inlier = (bool(gate[key][at]) for key in ("near", "aligned", "inlier"))
+    is_near, is_aligned, inlier = (
+        bool(gate[key][at]) for key in ("is_near", "is_aligned", "inlier")
+    )
     verdict = "this pair is used" if inlier else "this pair is refused and has no residual"
     gates = [
         ("distance", f"{'within' if is_near else 'above'} {100 * gate['max_distance_m']:.0f} cm"),
@@ -204,7 +206,7 @@ def _sums(recording: Recording) -> list[Step]:
         "equations."
     )
     steps = [Step(system, title, rows, scene, ("", "b"))]
-    determined = [text_of(bool(k)) for k in solve["known"]]
+    determined = [text_of(bool(k)) for k in solve["is_determined"]]
     rows = [
         (str(k), text_of(e), s)
         for k, (e, s) in enumerate(zip(solve["eigenvalues"], determined, strict=True), 1)
@@ -226,7 +228,7 @@ def _sums(recording: Recording) -> list[Step]:
         )
     )
     last = recording.at("return IcpResult(")[0]
-    system0 = recording.at("system, joined = rows.at(level,")[0]["system"]
+    system0 = recording.at("system, joint_system = rows.at(level,")[0]["system"]
     system1 = last["system"]
     rows = [
         ("rms before", f"{1000 * system0.rms_m:.2f} mm, {system0.n_inliers} pairs"),

@@ -21,7 +21,7 @@ GRAPH_WATCH = {
     optimise_poses: {
         "relative_pose_error": ("e", "J"),
         "weighted": (),
-        "_descend": ("T_WC", "e", "J_i", "J_j", "error", "after", "share", "proposed"),
+        "_descend": ("T_WC", "e", "J_i", "J_j", "error", "error_after", "share", "T_proposed"),
         "pose_graph_step": ("H", "b", "xi", "T_WC"),
     }
 }
@@ -48,7 +48,7 @@ def pose_graph_stepper(T_WC: Float[Tensor, "K 4 4"], edges: list[Edge]) -> Stepp
         )
     recording = record(lambda: optimise_poses(T_WC, edges, iterations=1), GRAPH_WATCH)
     steps = [*_errors(recording, edges), *_system(recording, edges), *_update(recording)]
-    T_proposed = _first(recording, "proposed = pose_graph_step")["proposed"]
+    T_proposed = _first(recording, "T_proposed = pose_graph_step")["T_proposed"]
     every = torch.cat([T_WC.double(), T_proposed])[:, :2, 3]
     draw = lambda figure, scene: _graph_picture(figure, scene, T_WC, edges, every)  # noqa: E731
     label = f"One step on a pose graph of {len(T_WC)} poses"
@@ -138,7 +138,7 @@ def _update(recording: Recording) -> list[Step]:
     solve = _first(recording, "xi = torch.from_numpy(splu(")
     move = _first(recording, "return torch.cat([T_WC[:1]")
     old_error = _first(recording, "error = graph.robust_error(e, robust)")
-    new_error = _first(recording, "after = graph.robust_error(there[0], robust)")
+    new_error = _first(recording, "error_after = graph.robust_error(errors[0], robust)")
     last = [line for line in recording.at("H = H + torch.sparse_coo_tensor(") if line.call == 0][-1]
     H = last["H"].to_dense().flatten(2).norm(dim=2)
     scene = _start(recording) | {"H": H}
@@ -157,9 +157,9 @@ def _update(recording: Recording) -> list[Step]:
     steps.append(Step(move, title, rows, next_scene, ("pose", "position, m")))
     numbers = [
         ("error before", text_of(old_error["error"])),
-        ("error after", text_of(new_error["after"])),
+        ("error after", text_of(new_error["error_after"])),
     ]
-    fell = new_error["after"] <= old_error["error"]
+    fell = new_error["error_after"] <= old_error["error"]
     title = (
         "The robust error has fallen: the step is taken."
         if fell
