@@ -6,6 +6,8 @@ from typing import Annotated
 
 import tyro
 
+from ..errors import ArgumentError
+
 
 @dataclass(frozen=True, kw_only=True)
 class GradeOptions:

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from gsfusion_nb.cli import main
+from gsfusion_nb.cli import grade, main
 from gsfusion_nb.cli.course import quoted
 from gsfusion_nb.course import progress
+from gsfusion_nb.errors import ArgumentError
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -169,3 +170,15 @@ def test_the_wheel_holds_the_notebooks_and_the_licence(tmp_path):
     assert "gsfusion_nb/docs/seeding_lab.md" in names  # what the notebooks link to
     assert any(name.endswith("/licenses/LICENSE") for name in names)
     assert "gsfusion_nb/kernels/project/numba.py" in names
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"seconds": 0.0}, "--seconds and --memory-mb must be positive"),
+        ({}, "no submissions; name notebooks, .py files, or folders of them"),
+    ],
+)
+def test_grading_nothing_is_refused_with_a_sentence(options, message):
+    with pytest.raises(ArgumentError, match=message):
+        grade.run(grade.GradeOptions(**options))
