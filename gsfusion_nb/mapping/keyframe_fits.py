@@ -12,7 +12,13 @@ from ..config import OptimConfig
 from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import Keyframe, KeyframeList, Loss, ViewLoss
-from ..optim.fit_view import exposed, exposed_vjp, fit_gain, pose_step, pose_system
+from ..optim.fit_view import (
+    apply_exposure,
+    apply_exposure_vjp,
+    fit_exposure,
+    pose_step,
+    pose_system,
+)
 from ..render.constants import SHOWN_ALPHA
 from ..types import RenderOutput
 from .localiser import Localiser, between
@@ -51,12 +57,16 @@ class KeyframeFits:
             if not self._optim.fit_exposure:
                 self._picture = output
                 return loss(output)
-            fitted_gain = fit_gain(output.rgb, keyframe.rgb, output.alpha >= SHOWN_ALPHA)
-            keyframes.set_gain(keyframe.index, fitted_gain)
-            gain = fitted_gain if keyframe.gain is None else keyframe.gain.to(fitted_gain)
-            self._picture = dataclasses.replace(output, rgb=exposed(output.rgb, gain))
+            fitted_exposure = fit_exposure(output.rgb, keyframe.rgb, output.alpha >= SHOWN_ALPHA)
+            keyframes.set_exposure(keyframe.index, fitted_exposure)
+            exposure = (
+                fitted_exposure
+                if keyframe.exposure is None
+                else keyframe.exposure.to(fitted_exposure)
+            )
+            self._picture = dataclasses.replace(output, rgb=apply_exposure(output.rgb, exposure))
             view_loss, mse = loss(self._picture)
-            v_rgb, _ = exposed_vjp(output.rgb, gain, view_loss.v_rgb)
+            v_rgb, _ = apply_exposure_vjp(output.rgb, exposure, view_loss.v_rgb)
             return dataclasses.replace(view_loss, v_rgb=v_rgb), mse
 
         return of_picture
@@ -79,11 +89,11 @@ class KeyframeFits:
         """Take back what all keyframes share: it belongs to the map, and no picture can tell it."""
         if self._optim.refine_poses:
             self._take_back_motion(keyframes, gaussians)
-        gains = {k.index: k.gain.log() for k in keyframes if k.gain is not None}
-        if gains:  # a factor that all share is the map's brightness
-            mean = torch.stack(list(gains.values())).mean(0)
-            for index, gain in gains.items():
-                keyframes.set_gain(index, (gain - mean).exp())
+        log_exposures = {k.index: k.exposure.log() for k in keyframes if k.exposure is not None}
+        if log_exposures:  # a factor that all share is the map's brightness
+            mean = torch.stack(list(log_exposures.values())).mean(0)
+            for index, log_exposure in log_exposures.items():
+                keyframes.set_exposure(index, (log_exposure - mean).exp())
 
     def _take_back_motion(self, keyframes: KeyframeList, gaussians: GaussianModel) -> None:
         """Where all keyframes move together by G, T_i = G T_i(given), the pictures do not change:

@@ -5,9 +5,9 @@ from .adam import adam_update as adam_update
 from .adam import adam_update_map as adam_update_map
 from .fit_view import PoseFit as PoseFit
 from .fit_view import PoseSystem as PoseSystem
-from .fit_view import exposed as exposed
-from .fit_view import exposed_vjp as exposed_vjp
-from .fit_view import fit_gain as fit_gain
+from .fit_view import apply_exposure as apply_exposure
+from .fit_view import apply_exposure_vjp as apply_exposure_vjp
+from .fit_view import fit_exposure as fit_exposure
 from .fit_view import fit_pose as fit_pose
 from .fit_view import fit_pose_by_flow as fit_pose_by_flow
 from .fit_view import flow_of_motion as flow_of_motion

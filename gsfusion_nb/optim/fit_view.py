@@ -18,10 +18,10 @@ Source: derived here; direct alignment goes back to Lucas & Kanade 1981, with de
   minimisation, Malis 2004).
 
 The exposure is one factor per colour channel between the map's picture and the photograph
-(``fit_gain``). A camera with auto exposure shows the same wall brighter in one picture than in the
-next. An exposure multiplies the light; after the camera's gamma curve it multiplies the colours,
-too, (g L)^(1/2.2) = g^(1/2.2) L^(1/2.2), until they are white. So three factors a view are nearly
-all there is to know, and too few to hide an error of the map.
+(``fit_exposure``). A camera with auto exposure shows the same wall brighter in one picture than in
+the next. An exposure multiplies the light; after the camera's gamma curve it multiplies the
+colours, too, (g L)^(1/2.2) = g^(1/2.2) L^(1/2.2), until they are white. So three factors a view are
+nearly all there is to know, and too few to hide an error of the map.
 """
 
 from collections.abc import Callable
@@ -309,25 +309,25 @@ WHITE = 0.98
 """Brighter pixels of the photograph may be cut off and do not count."""
 
 
-def exposed(
+def apply_exposure(
     rgb: Float[Tensor, "H W 3"],
-    gain: Float[Tensor, " 3"],
+    exposure: Float[Tensor, " 3"],
 ) -> Float[Tensor, "H W 3"]:
     """The map's picture as a camera with this exposure takes it. Differentiable:
-    ``exposed_vjp``."""
-    return rgb * gain
+    ``apply_exposure_vjp``."""
+    return rgb * exposure
 
 
-def exposed_vjp(
+def apply_exposure_vjp(
     rgb: Float[Tensor, "H W 3"],
-    gain: Float[Tensor, " 3"],
-    v_exposed: Float[Tensor, "H W 3"],
+    exposure: Float[Tensor, " 3"],
+    v_picture: Float[Tensor, "H W 3"],
 ) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, " 3"]]:
-    """dL/drgb = gain v and dL/dgain = the sum over the pixels of rgb v."""
-    return gain * v_exposed, (rgb * v_exposed).sum((0, 1))
+    """dL/drgb = exposure v and dL/dexposure = the sum over the pixels of rgb v."""
+    return exposure * v_picture, (rgb * v_picture).sum((0, 1))
 
 
-def fit_gain(
+def fit_exposure(
     rgb: Float[Tensor, "H W 3"],
     target: Float[Tensor, "H W 3"],
     is_shown: Bool[Tensor, "H W"],

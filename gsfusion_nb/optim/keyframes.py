@@ -31,8 +31,8 @@ class Keyframe:
     T_WC: Float[Tensor, "4 4"]
     depth_m: Float[Tensor, "H W"] | None = None
     """z-depth, metres; None if the mapper has no depth loss."""
-    gain: Float[Tensor, " 3"] | None = None
-    """Exposure: the factor of each colour between the map's picture and this one; None is 1."""
+    exposure: Float[Tensor, " 3"] | None = None
+    """The factor of each colour between the map's picture and this one; None is 1."""
     farthest_m: Float[Tensor, "12 16"] | None = None
     """Largest depth in parts of the image (``gsfusion_nb.large_maps.farthest_depth``)."""
 
@@ -54,8 +54,15 @@ class Keyframe:
         return rgb_of_bytes(self.rgb_u8)
 
     def state_dict(self) -> dict[str, Any]:
-        """Plain values."""
-        return vars(self) | {"camera": vars(self.camera)}
+        """Plain values; files call the exposure "gain"."""
+        values = vars(self) | {"camera": vars(self.camera)}
+        return {"gain" if name == "exposure" else name: x for name, x in values.items()}
+
+    @staticmethod
+    def from_state_dict(state: dict[str, Any]) -> "Keyframe":
+        """The keyframe that was saved with ``state_dict``."""
+        values = {"exposure" if name == "gain" else name: x for name, x in state.items()}
+        return Keyframe(**{**values, "camera": Camera(**state["camera"])})
 
     def to(self, device: torch.device | str) -> "Keyframe":
         """The same keyframe with its tensors on ``device``; the keyframe itself if they are."""
@@ -167,11 +174,11 @@ class KeyframeList:
         )
         self._poses = self._poses[:at]
 
-    def set_gain(self, index: int, gain: Float[Tensor, " 3"]) -> None:
+    def set_exposure(self, index: int, exposure: Float[Tensor, " 3"]) -> None:
         """Give the keyframe of the frame with this index another exposure."""
         at = self._place(index)
         self._items[at] = dataclasses.replace(
-            self._items[at], gain=gain.to(self._items[at].T_WC.device)
+            self._items[at], exposure=exposure.to(self._items[at].T_WC.device)
         )
 
     def _place(self, index: int) -> int:
@@ -198,7 +205,7 @@ class KeyframeList:
         given."""
         keyframes = cls(device)
         for s in state:
-            keyframes._keep(Keyframe(**{**s, "camera": Camera(**s["camera"])}))
+            keyframes._keep(Keyframe.from_state_dict(s))
         return keyframes
 
     def _keep(self, keyframe: Keyframe) -> None:

@@ -20,7 +20,7 @@ from ..files import read_object
 from ..mapping.keyframe_fits import exposure_between
 from ..mapping.map_files import Draw
 from ..mapping.tracking_surface import localised_pose
-from ..optim import exposed, fit_gain
+from ..optim import apply_exposure, fit_exposure
 from ..render.constants import SHOWN_ALPHA
 from ..types import Frame, RenderOutput
 from .mapping_run import MappingRun, evenly
@@ -38,7 +38,7 @@ class ScoredViews:
     """Positions of the frames in the sequence."""
     poses: list[Float[Tensor, "4 4"]]
     """Camera-to-world in the map, float32."""
-    gains: dict[int, Float[Tensor, " 3"]] = dataclasses.field(default_factory=dict)
+    exposures: dict[int, Float[Tensor, " 3"]] = dataclasses.field(default_factory=dict)
     """Position -> factor of each colour between the map's picture and this view's; 1 for the
     others."""
 
@@ -48,7 +48,7 @@ class ScoredViews:
         return ScoredViews(
             [self.positions[i] for i in picks],
             [self.poses[i] for i in picks],
-            self.gains,
+            self.exposures,
         )
 
     def frames(self, sequence: SequenceView) -> Iterator[Frame]:
@@ -79,11 +79,13 @@ class ScoredViews:
     def _shown(self, draw: Draw, frame: Frame) -> RenderOutput:
         with torch.no_grad():
             output = draw(frame.camera, frame.T_WC)
-        gain = self.gains.get(frame.index)
+        exposure = self.exposures.get(frame.index)
         return (
             output
-            if gain is None
-            else dataclasses.replace(output, rgb=exposed(output.rgb, gain.to(output.rgb)))
+            if exposure is None
+            else dataclasses.replace(
+                output, rgb=apply_exposure(output.rgb, exposure.to(output.rgb))
+            )
         )
 
 
@@ -118,13 +120,13 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
             [position for position, _ in with_pose], [T_WC for _, T_WC in with_pose]
         )
     held_out = groups["held_out"]
-    gains = _gains_between(run, held_out.positions)
-    if localiser.is_refined or gains:
+    exposures = _exposures_between(run, held_out.positions)
+    if localiser.is_refined or exposures:
         refined_poses = [
             localiser.refined_pose(*view)
             for view in zip(held_out.positions, held_out.poses, strict=True)
         ]
-        groups["held_out_between"] = ScoredViews(held_out.positions, refined_poses, gains)
+        groups["held_out_between"] = ScoredViews(held_out.positions, refined_poses, exposures)
     return groups
 
 
@@ -168,7 +170,7 @@ def _localised(
     ]
 
 
-def _gains_between(
+def _exposures_between(
     run: MappingRun,
     positions: list[int],
 ) -> dict[int, Float[Tensor, " 3"]]:
@@ -179,21 +181,21 @@ def _gains_between(
     """
     mapper = run.mapper
     mapping = run.sequence.mapping
-    gain_of = {k.index: k.gain for k in mapper.keyframes if k.gain is not None}
-    if not gain_of:
+    exposure_of = {k.index: k.exposure for k in mapper.keyframes if k.exposure is not None}
+    if not exposure_of:
         return {}
     poses = dict(zip(mapper.localiser.frame_indices, mapper.localiser.poses, strict=True))
     indices = sorted(poses)
     places = [bisect.bisect(indices, p) for p in positions]
-    neighbours = {i for at in places for i in indices[max(at - 1, 0) : at + 1]} - gain_of.keys()
+    neighbours = {i for at in places for i in indices[max(at - 1, 0) : at + 1]} - exposure_of.keys()
     view_positions = [i for i in mapping.positions if i in neighbours]
     view = dataclasses.replace(mapping, positions=view_positions)
     for frame in frames_at(view, [poses[i] for i in view_positions]):
         output = mapper.render(frame.camera, frame.T_WC)
-        gain_of[frame.index] = fit_gain(
+        exposure_of[frame.index] = fit_exposure(
             output.rgb, frame.rgb.to(output.rgb), output.alpha >= SHOWN_ALPHA
         )
-    return {p: exposure_between(gain_of, p) for p in positions}
+    return {p: exposure_between(exposure_of, p) for p in positions}
 
 
 def score_in_map(
@@ -216,13 +218,13 @@ def score_in_map(
         align: If given, the held-out views are scored once more, as the group held_out_aligned,
             each at the pose that it returns, at which the map fits the picture best
             (``MapFiles.aligned_pose``), and as the group held_out_fitted with brightness and white
-            balance fitted, too (``fit_gain``).
+            balance fitted, too (``fit_exposure``).
     """
     metrics: dict[str, Any] = {}
     groups = dict(views)
     if align is not None:
         fits = _fitted(views["held_out"].frames(sequence), render, align)
-        groups["held_out_aligned"] = dataclasses.replace(fits, gains={})
+        groups["held_out_aligned"] = dataclasses.replace(fits, exposures={})
         groups["held_out_fitted"] = fits
     for name, group in groups.items():
         scores = group.scores(render, sequence, with_lpips=with_lpips)
@@ -243,7 +245,7 @@ def _fitted(
         output = draw(frame.camera, T_WC)
         views.positions.append(frame.index)
         views.poses.append(T_WC.to(frame.T_WC))
-        views.gains[frame.index] = fit_gain(
+        views.exposures[frame.index] = fit_exposure(
             output.rgb, frame.rgb.to(output.rgb.device), output.alpha >= SHOWN_ALPHA
         )
     return views
@@ -255,7 +257,7 @@ def views_as_json(views: dict[str, ScoredViews]) -> dict[str, Any]:
     return {
         name: [
             {"frame": position, "T_WC": T_WC.flatten().tolist()}
-            | ({"gain": group.gains[position].tolist()} if position in group.gains else {})
+            | ({"gain": group.exposures[position].tolist()} if position in group.exposures else {})
             for position, T_WC in zip(group.positions, group.poses, strict=True)
         ]
         for name, group in views.items()
@@ -291,7 +293,7 @@ def _read_group(group: list[dict[str, Any]]) -> ScoredViews:
         views.positions.append(view["frame"])
         views.poses.append(T_WC)
         if "gain" in view:
-            gain = torch.tensor(view["gain"], dtype=torch.float32)
-            check_saved(f"gain of frame {view['frame']}", gain, (3,))
-            views.gains[view["frame"]] = gain
+            exposure = torch.tensor(view["gain"], dtype=torch.float32)
+            check_saved(f"gain of frame {view['frame']}", exposure, (3,))
+            views.exposures[view["frame"]] = exposure
     return views

@@ -273,14 +273,14 @@ def test_relative_exposures_are_found_and_their_mean_is_one(flicker):
     mapper = mapped_exposures(frames, fit_exposure=True)
     for _ in mapper.global_optimise():
         pass
-    gains = torch.stack([k.gain for k in mapper.keyframes if k.gain is not None])
+    exposures = torch.stack([k.exposure for k in mapper.keyframes if k.exposure is not None])
     torch.testing.assert_close(
-        gains.log().mean(0),
+        exposures.log().mean(0),
         torch.zeros(3),
         atol=1e-6,
         rtol=0,
     )
-    found = gains[1::2].log().mean(0) - gains[::2].log().mean(0)
+    found = exposures[1::2].log().mean(0) - exposures[::2].log().mean(0)
     torch.testing.assert_close(found.exp(), dark, atol=0.03, rtol=0)
 
 
@@ -297,7 +297,7 @@ def test_a_resumed_run_goes_on_bit_for_bit_and_without_the_setting_nothing_is_fi
     same(whole.state_dict(), again.state_dict())
     plain = mapped_exposures(frames[:2])
     next(plain.global_optimise())
-    assert [k.gain for k in plain.keyframes] == [None, None]
+    assert [k.exposure for k in plain.keyframes] == [None, None]
 
 
 SMALL: dict[str, Any] = {

@@ -8,9 +8,9 @@ import torch
 from gsfusion_nb import GSFusion, gsfusion, open_sequence
 from gsfusion_nb.geometry import backproject, pixel_grid, project, se3
 from gsfusion_nb.optim import (
-    exposed,
-    exposed_vjp,
-    fit_gain,
+    apply_exposure,
+    apply_exposure_vjp,
+    fit_exposure,
     fit_pose,
     flow_of_motion,
     pose_step,
@@ -184,36 +184,38 @@ def test_gradient_against_autograd_and_finite_differences():
         generator=g,
         dtype=torch.float64,
     )
-    gain = torch.tensor([0.8, 1.1, 1.3], dtype=torch.float64)
-    v_rgb, v_gain = exposed_vjp(rgb, gain, v)
+    exposure = torch.tensor([0.8, 1.1, 1.3], dtype=torch.float64)
+    v_rgb, v_exposure = apply_exposure_vjp(rgb, exposure, v)
     x = rgb.clone().requires_grad_()
-    y = gain.clone().requires_grad_()
+    y = exposure.clone().requires_grad_()
     torch.testing.assert_close(
-        (v_rgb, v_gain),
-        torch.autograd.grad((exposed(x, y) * v).sum(), (x, y)),
+        (v_rgb, v_exposure),
+        torch.autograd.grad((apply_exposure(x, y) * v).sum(), (x, y)),
     )
     h = 1e-6
     for c in range(3):
         step = h * torch.eye(3, dtype=torch.float64)[c]
-        difference = ((exposed(rgb, gain + step) - exposed(rgb, gain - step)) * v).sum() / (2 * h)
-        torch.testing.assert_close(v_gain[c], difference)
+        difference = (
+            (apply_exposure(rgb, exposure + step) - apply_exposure(rgb, exposure - step)) * v
+        ).sum() / (2 * h)
+        torch.testing.assert_close(v_exposure[c], difference)
 
 
 def test_the_factors_are_found_where_the_map_shows_something_and_nothing_is_white():
     g = torch.Generator().manual_seed(1)
     rgb = torch.rand(60, 80, 3, generator=g)
-    gain = torch.tensor([0.7, 1.2, 1.5])
-    target = (rgb * gain).clamp(max=1)
+    exposure = torch.tensor([0.7, 1.2, 1.5])
+    target = (rgb * exposure).clamp(max=1)
     shown = torch.ones(60, 80, dtype=torch.bool)
     shown[:20] = False
     target[:20] = 0.1
     torch.testing.assert_close(
-        fit_gain(rgb, target, shown),
-        gain,
+        fit_exposure(rgb, target, shown),
+        exposure,
         atol=0.02,
         rtol=0,
     )
-    assert torch.equal(fit_gain(rgb, target, ~shown & shown), torch.ones(3))
+    assert torch.equal(fit_exposure(rgb, target, ~shown & shown), torch.ones(3))
 
 
 def test_differences_of_a_slanted_picture_are_its_slope():
@@ -329,7 +331,7 @@ def test_gain_is_the_least_squares_fit_with_a_prior_of_ten_grey_pixels():
     target[4, 2] = 0.981
     shown = torch.rand(6, 8, generator=g) < 0.8
     shown[2, 4] = shown[4, 2] = True
-    gains = []
+    exposures = []
     for c in range(3):
         # a quarter is the square of grey, a quarter of the pixels is used
         above = below = 10 / 4 / 4
@@ -339,5 +341,5 @@ def test_gain_is_the_least_squares_fit_with_a_prior_of_ten_grey_pixels():
                     r = min(max(float(rgb[v, u, c]), 0.0), 1.0)
                     above += r * float(target[v, u, c])
                     below += r * r
-        gains.append(above / below)
-    assert fit_gain(rgb, target, shown).tolist() == pytest.approx(gains)
+        exposures.append(above / below)
+    assert fit_exposure(rgb, target, shown).tolist() == pytest.approx(exposures)

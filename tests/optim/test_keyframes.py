@@ -163,3 +163,15 @@ def test_a_view_without_depth_has_depth_nowhere():
         assert view.pixels.all()
         assert view.index == source.index
         assert torch.equal(TrainingView.of(source, some).pixels, some)
+
+
+def test_files_call_the_exposure_of_a_keyframe_gain():
+    k = keyframes(2)
+    exposure = torch.tensor([0.5, 1.0, 2.0])
+    k.set_exposure(1, exposure)
+    state = k.state_dict()
+    assert state[0]["gain"] is None
+    assert torch.equal(state[1]["gain"], exposure)
+    again = KeyframeList.from_state_dict(state)[1].exposure
+    assert again is not None
+    assert torch.equal(again, exposure)

@@ -179,7 +179,7 @@ PLACES = {
     "gsfusion_fits": [
         (keyframe_fits.KeyframeFits, "move"),
         (gaussians.GaussianModel, "move"),
-        (keyframe_fits, "fit_gain"),
+        (keyframe_fits, "fit_exposure"),
     ],
 }
 
