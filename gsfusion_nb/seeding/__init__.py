@@ -13,6 +13,8 @@ from .code_key import code_key as code_key
 from .code_key import rule_fingerprint as rule_fingerprint
 from .context import SeedContext as SeedContext
 from .coverage import unmapped_pixels as unmapped_pixels
+from .discs import as_discs as as_discs
+from .discs import quat_from_normals as quat_from_normals
 from .draws import draw_rows as draw_rows
 from .draws import draw_weighted_rows as draw_weighted_rows
 from .image_features import absolute_laplacian as absolute_laplacian
@@ -63,8 +65,6 @@ from .rule import trained_otherwise as trained_otherwise
 from .rule_code import is_built_in as is_built_in
 from .rule_code import rule_files as rule_files
 from .rule_code import rule_source as rule_source
-from .shapes import as_discs as as_discs
-from .shapes import quat_from_normals as quat_from_normals
 from .shapes import sized_by_neighbours as sized_by_neighbours
 from .volume_queries import raycast_volume as raycast_volume
 from .volume_queries import voxel_index as voxel_index

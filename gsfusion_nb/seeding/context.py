@@ -69,24 +69,32 @@ class SeedContext(SeedInputs):
         return frame_queries.edges(self, low, high, dilate_px, euclidean)
 
     def quadtree_cells(self, **overrides: Any) -> Cells:
-        """Leaves of the quadtree on the frame's colours, by the context's settings.
+        """Leaves of the quadtree on the frame's colours, cut further where their Gaussians would be
+        too large (``cut_to_size``), by the context's settings.
 
         Args:
-            overrides: ``threshold``, ``min_cell_px`` or ``contrast``, in place of the settings.
+            overrides: ``threshold``, ``min_cell_px``, ``contrast`` or ``largest_m``, in place of
+                the settings.
         """
         return frame_queries.quadtree_cells(self, **overrides)
 
-    def cells(self, **overrides: Any) -> Seeds:
-        """One round seed per quadtree leaf whose middle has depth (GSFusion III-B.2, Eq. 10).
+    def cells(
+        self, *, thickness: float | None = None, opacity: float | None = None, **overrides: Any
+    ) -> Seeds:
+        """One seed per quadtree leaf whose middle has depth (GSFusion III-B.2, Eq. 10).
 
         The middle is back-projected with the depth of the pixel that contains it, and takes that
-        pixel's colour; the standard deviation is d = z sqrt((w/2)^2 + (h/2)^2) / fx; opacity 0.5;
-        ``tag`` is the leaf's level.
+        pixel's colour; the standard deviation is d = z sqrt((w/2)^2 + (h/2)^2) / fx, and along the
+        normal of the depth image ``thickness`` times d; ``tag`` is the leaf's level. As published,
+        and by default: ``cells(largest_m=0.0, thickness=1.0, opacity=0.5)``, whole leaves and round
+        Gaussians.
 
         Args:
+            thickness: In place of the setting; 1: round.
+            opacity: In place of the setting.
             overrides: as for ``quadtree_cells``.
         """
-        return frame_queries.leaf_seeds(self, **overrides)
+        return frame_queries.leaf_seeds(self, thickness=thickness, opacity=opacity, **overrides)
 
     def seeds_at(
         self,

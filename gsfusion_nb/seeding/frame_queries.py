@@ -10,9 +10,11 @@ from torch import Tensor
 from ..errors import ArgumentError
 from ..geometry import backproject, depth_to_normals, pixel_grid, se3
 from ..types import Seeds
+from .depth_from_sides import depth_from_sides
+from .discs import as_discs
 from .image_features import canny
 from .inputs import SeedInputs, cached_result
-from .quadtree import Cells, cell_gaussians, quadtree
+from .quadtree import Cells, cell_gaussians, cut_to_size, quadtree
 
 
 def has_depth(inputs: SeedInputs) -> Bool[Tensor, "H W"]:
@@ -61,12 +63,14 @@ def edges(
 
 
 def quadtree_cells(inputs: SeedInputs, **overrides: Any) -> Cells:
-    """Leaves of the quadtree on the frame's colours, by the settings or what replaces them."""
+    """Leaves of the quadtree on the frame's colours, cut to the largest size, by the settings or
+    what replaces them."""
     config = inputs.config
     settings = {
         "threshold": config.quadtree_threshold,
         "min_cell_px": config.quadtree_min_cell_px,
         "contrast": config.quadtree_contrast,
+        "largest_m": config.quadtree_largest_m,
     }
     unknown = sorted(set(overrides) - set(settings))
     if unknown:
@@ -74,19 +78,60 @@ def quadtree_cells(inputs: SeedInputs, **overrides: Any) -> Cells:
             f"quadtree_cells: unknown settings {unknown}; known: {sorted(settings)}"
         )
     settings |= overrides
-    key = ("cells", *settings.values())
-    return cached_result(inputs, key, lambda: quadtree(inputs.frame.rgb_u8, **settings))
+    return cached_result(inputs, ("cells", *settings.values()), lambda: _leaves(inputs, **settings))
 
 
-def leaf_seeds(inputs: SeedInputs, **overrides: Any) -> Seeds:
-    """One round seed per quadtree leaf whose middle has depth (GSFusion III-B.2, Eq. 10)."""
+def _leaves(inputs: SeedInputs, *, largest_m: float, **settings: Any) -> Cells:
+    leaves = quadtree(inputs.frame.rgb_u8, **settings)
+    if largest_m == 0:
+        return leaves
+    is_filled = inputs.config.without_depth == "sides"
+    depth_m = filled_depth(inputs) if is_filled else inputs.frame.depth_m
+    return cut_to_size(
+        leaves,
+        inputs.camera,
+        depth_m,
+        largest_m,
+        min_cell_px=settings["min_cell_px"],
+    )
+
+
+def filled_depth(inputs: SeedInputs) -> Float[Tensor, "H W"]:
+    """The frame's depth, where it is missing that of the measured pixels around
+    (``depth_from_sides``). [H, W]"""
+    depth_m = inputs.frame.depth_m
+    if not (depth_m <= 0).any():
+        return depth_m
+
+    def fill() -> Float[Tensor, "H W"]:
+        return torch.where(depth_m > 0, depth_m, depth_from_sides(depth_m, has_depth(inputs)))
+
+    return cached_result(inputs, "filled_depth", fill)
+
+
+def leaf_seeds(
+    inputs: SeedInputs, *, thickness: float | None, opacity: float | None, **overrides: Any
+) -> Seeds:
+    """One seed per quadtree leaf whose middle has depth (GSFusion III-B.2, Eq. 10): a disc in the
+    surface, or round where ``thickness`` is 1."""
     frame = inputs.frame
+    config = inputs.config
+    thickness = config.thickness if thickness is None else thickness
     leaves = quadtree_cells(inputs, **overrides)
     rows, pixel = _measured_rows(inputs, leaves.centre_uv, frame.depth_m)
     leaves = leaves[rows]
     xyz_W, scale_m = cell_gaussians(inputs.camera, leaves, frame.depth_m, frame.T_WC)
     rgb = frame.rgb.flatten(0, 1)[pixel]
-    return Seeds.isotropic(xyz_W, rgb, scale_m, opacity=0.5, tag=leaves.level)
+    seeds = Seeds.isotropic(
+        xyz_W,
+        rgb,
+        scale_m,
+        opacity=config.opacity if opacity is None else opacity,
+        tag=leaves.level,
+    )
+    if thickness == 1:
+        return seeds
+    return as_discs(inputs, seeds, normals_W(inputs).flatten(0, 1)[pixel], thickness)
 
 
 def seeds_at(

@@ -50,6 +50,13 @@ class Cells:
     def __repr__(self) -> str:
         return f"Cells({len(self)} leaves, levels {sorted(set(self.level.tolist()))})"
 
+    @classmethod
+    def cat(cls, parts: "list[Cells]") -> "Cells":
+        """All leaves of at least one part, in the order of the parts."""
+        return cls(
+            **{f.name: torch.cat([getattr(part, f.name) for part in parts]) for f in fields(cls)}
+        )
+
     @property
     def centre_uv(self) -> Float[Tensor, "L 2"]:
         """Middle of each cell, continuous pixel coordinates."""
@@ -165,6 +172,64 @@ def cut(
         (x0 + w, y0, width - w, h),
         (x0 + w, y0 + h, width - w, height - h),
     ]
+
+
+def cut_to_size(
+    cells: Cells,
+    camera: Camera,
+    depth_m: Float[Tensor, "H W"],
+    largest_m: float,
+    *,
+    min_cell_px: int = 1,
+) -> Cells:
+    """Cut cells in four, and each part again, while the Gaussian of a cell would be larger than
+    ``largest_m``: while z r / fx > ``largest_m``, with r half the diagonal of the cell and z the
+    depth of the pixel in its middle.
+
+    The quadtree leaves a surface without texture in one piece, and a Gaussian as large as a wall
+    neither ends where the wall does nor follows it where it turns. Here the depth decides how large
+    a Gaussian may be, in metres, at every image size. A cell whose middle has no depth stays.
+
+    Args:
+        cells: Leaves of the quadtree, inside the image of ``depth_m``.
+        camera: Its focal length counts.
+        depth_m: z-depth, metres; 0: missing. [H, W]
+        largest_m: Largest standard deviation, metres.
+        min_cell_px: A cell is cut only while half its width and half its height are above this,
+            pixels.
+
+    Returns:
+        The leaves, which tile the same pixels. Those that are not cut come first, in their order.
+
+    Differentiable: no. Source: ours; docs/gsfusion.md has what it changes.
+    """
+    parts = []
+    while len(cells):
+        i, j = cells.centre_uv.floor().long().unbind(-1)
+        size_m = depth_m[j, i] * cells.half_diagonal_px / camera.fx
+        is_cut = (size_m > largest_m) & (
+            torch.minimum(cells.width, cells.height) // 2 > min_cell_px
+        )
+        parts.append(cells[~is_cut])
+        cells = quarters(cells[is_cut])
+    return Cells.cat(parts) if parts else cells
+
+
+def quarters(cells: Cells) -> Cells:
+    """The four parts of each cell, a level deeper; each is as in ``cut``."""
+    half_width = cells.width // 2
+    half_height = cells.height // 2
+    middle_x = cells.x0 + half_width
+    middle_y = cells.y0 + half_height
+    right_width = cells.width - half_width
+    lower_height = cells.height - half_height
+    return Cells(
+        x0=torch.cat([cells.x0, cells.x0, middle_x, middle_x]),
+        y0=torch.cat([cells.y0, middle_y, cells.y0, middle_y]),
+        width=torch.cat([half_width, half_width, right_width, right_width]),
+        height=torch.cat([half_height, lower_height, half_height, lower_height]),
+        level=(cells.level + 1).repeat(4),
+    )
 
 
 @piece

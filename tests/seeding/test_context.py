@@ -9,7 +9,7 @@ import torch
 
 from gsfusion_nb.config import SeedingConfig, TsdfConfig
 from gsfusion_nb.gaussians import GaussianModel
-from gsfusion_nb.geometry import project, se3
+from gsfusion_nb.geometry import project, quaternion, se3
 from gsfusion_nb.seeding import SeedContext, check_contexts, voxel_index
 from gsfusion_nb.types import Camera, Frame, Seeds
 
@@ -43,7 +43,7 @@ class FakeVolume:
 
 def test_published_size_of_a_cell():
     """Depth 2 m, 4 x 2 pixels, fx 600: d = 0.00745356, log d = -4.899064; fy plays no part."""
-    seeds = SeedContext(frame(torch.full((2, 4), 2.0))).cells()
+    seeds = SeedContext(frame(torch.full((2, 4), 2.0))).cells(thickness=1.0, opacity=0.5)
     assert len(seeds) == 1
     assert seeds.scale_m.tolist() == [pytest.approx([0.00745356] * 3, abs=1e-8)]
     assert seeds.scale_m.log()[0, 0].item() == pytest.approx(-4.899064, abs=1e-5)
@@ -51,6 +51,39 @@ def test_published_size_of_a_cell():
     assert seeds.opacity.tolist() == [0.5]
     assert seeds.quat.tolist() == [[1.0, 0.0, 0.0, 0.0]]
     assert seeds.tag.tolist() == [0]
+
+
+def test_the_disc_of_a_cell_lies_in_the_surface():
+    """A wall that is turned by 45 degrees about y: z = 2 + x. Its normal is (1, 0, -1) / sqrt 2."""
+    j, i = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
+    ray_x = (i + 0.5 - 8) / 600
+    tilted = frame(2 / (1 - ray_x) + 0 * j, torch.zeros(12, 16, 3))
+    ctx = SeedContext(tilted)
+    seeds = ctx.cells(thickness=0.2, opacity=0.9)
+    round_ones = ctx.cells()
+    assert len(seeds) == 1
+    axes = quaternion.to_matrix(seeds.quat)[0]
+    normal = torch.tensor([1.0, 0.0, -1.0]) / 2**0.5
+    assert abs(float(axes[:, 2] @ normal)) == pytest.approx(1, abs=1e-4)
+    d = round_ones.scale_m[0, 0].item()
+    assert seeds.scale_m.tolist() == [pytest.approx([d, d, 0.2 * d])]
+    assert seeds.opacity.tolist() == [pytest.approx(0.9)]
+    assert torch.equal(seeds.xyz_W, round_ones.xyz_W)
+
+
+def test_a_plain_wall_is_cut_by_its_depth():
+    """32 x 16 pixels at 2 m, fx 600: 2 r / 600 = 0.060 for the whole, 0.030 and 0.015 for a half
+    and a quarter; the nearer half of a step is cut less."""
+    wall = frame(torch.full((16, 32), 2.0), torch.zeros(16, 32, 3))
+    ctx = SeedContext(wall)
+    assert len(ctx.cells()) == 1
+    assert len(ctx.cells(largest_m=0.06)) == 1
+    assert len(ctx.cells(largest_m=0.059)) == 4
+    assert len(ctx.cells(largest_m=0.0298)) == 16
+    depth_m = wall.depth_m.clone()
+    depth_m[:, 16:] = 1.0
+    step = SeedContext(dataclasses.replace(wall, depth_m=depth_m))
+    assert len(step.cells(largest_m=0.0298)) == 2 * 4 + 2  # the cut of the whole is by its middle
 
 
 def test_depth_and_colour_come_from_the_pixel_that_contains_the_middle():

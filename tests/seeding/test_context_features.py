@@ -155,7 +155,7 @@ def test_directions_need_a_window_with_a_middle(window_px):
         (lambda ctx: disc_view(ctx), "disc_view.* needs a Gaussian map, .* pass gaussians="),
         (
             lambda ctx: ctx.quadtree_cells(depth=1),
-            r"unknown settings \['depth'\]; known: \['contrast', 'min_cell_px'",
+            r"unknown settings \['depth'\]; known: \['contrast', 'largest_m', 'min_cell_px'",
         ),
         (
             lambda ctx: ctx.quadtree_cells(contrast="mean"),

@@ -16,12 +16,13 @@ from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule
 from gsfusion_nb.seeding.coverage import depth_error_m, in_front, unmapped_pixels
+from gsfusion_nb.seeding.discs import as_discs
 from gsfusion_nb.seeding.draws import one_pixel_seeds
 from gsfusion_nb.seeding.image_features import orb_corners, without_detail
 from gsfusion_nb.seeding.rules.gaussian_slam import PRESETS as gaussian_slam_presets
 from gsfusion_nb.seeding.rules.monogs import PRESETS as monogs_presets
 from gsfusion_nb.seeding.rules.splatam import alpha_behind
-from gsfusion_nb.seeding.shapes import as_discs, pushed_back, sized_by_neighbours
+from gsfusion_nb.seeding.shapes import pushed_back, sized_by_neighbours
 from gsfusion_nb.tsdf import RaycastOutput
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 

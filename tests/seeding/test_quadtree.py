@@ -8,7 +8,8 @@ import torch
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.seeding import Cells, quadtree
-from gsfusion_nb.seeding.quadtree import luma_variance
+from gsfusion_nb.seeding.quadtree import cut_to_size, luma_variance
+from gsfusion_nb.types import Camera
 
 # (width, height), cell sizes when everything is cut, shallowest and deepest leaf
 FULLY_CUT = [
@@ -148,3 +149,29 @@ def test_the_reference_cuts_by_variance_or_by_its_root():
             assert (
                 len(quadtree(image, threshold=0.99 * limit, contrast=contrast, min_cell_px=2)) == 1
             )
+
+
+def test_cutting_to_size_tiles_the_picture_and_stops_at_the_smallest_cell():
+    width, height = 101, 67
+    camera = Camera(width=width, height=height, fx=90.0, fy=90.0, cx=50.0, cy=33.0)
+    cells = quadtree(landscape(width, height), threshold=0.02)
+    depth_m = torch.linspace(0.5, 4.0, width).expand(height, width).clone()
+    depth_m[20:40, 30:60] = 0.0
+    for largest_m, min_cell_px in ((0.2, 1), (0.05, 1), (0.001, 3)):
+        parts = cut_to_size(cells, camera, depth_m, largest_m, min_cell_px=min_cell_px)
+        covered = torch.zeros(height, width, dtype=torch.int64)
+        for x0, y0, w, h, _ in rows(parts):
+            covered[y0 : y0 + h, x0 : x0 + w] += 1
+        assert (covered == 1).all()
+        i, j = parts.centre_uv.floor().long().unbind(-1)
+        size_m = depth_m[j, i] * parts.half_diagonal_px / camera.fx
+        too_large = parts[size_m > largest_m]
+        smaller_side = torch.minimum(too_large.width, too_large.height)
+        assert (smaller_side // 2 <= min_cell_px).all()
+        untouched = set(rows(parts)) & set(rows(cells))
+        in_hole = {
+            row for row in rows(cells) if depth_m[row[1] + row[3] // 2, row[0] + row[2] // 2] == 0
+        }
+        assert in_hole <= untouched
+    assert len(cut_to_size(cells[:0], camera, depth_m, 0.1)) == 0
+    assert rows(cut_to_size(cells, camera, depth_m, 1e6)) == rows(cells)

@@ -13,7 +13,8 @@ from gsfusion_nb.config import SeedingConfig, TsdfConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule, check_contexts
-from gsfusion_nb.seeding.depth_holes import cells_without_depth, depth_from_sides
+from gsfusion_nb.seeding.depth_from_sides import depth_from_sides
+from gsfusion_nb.seeding.depth_holes import cells_without_depth
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
@@ -417,3 +418,25 @@ def test_the_setting_adds_them_to_the_rule_and_skip_is_as_published(small_walk):
     n = len(with_depth)
     assert torch.equal(both.xyz_W[:n], with_depth.xyz_W)
     assert len(both) - n == len(cells_without_depth(SeedContext(frame, config=FINE))) > 0
+
+
+def test_cells_in_a_hole_are_cut_by_the_depth_around_it(small_walk):
+    """No seed is larger than the setting says, measured or guessed."""
+    frame = holed(small_walk[0])
+    coarse = dataclasses.replace(FINE, quadtree_threshold=0.1)
+    for largest_m, is_reached in ((0.0, False), (0.4, True)):
+        ctx = SeedContext(frame, config=dataclasses.replace(coarse, quadtree_largest_m=largest_m))
+        for seeds in (cells_without_depth(ctx), ctx.cells()):
+            assert len(seeds) > 0
+            assert (seeds.scale_m.max() <= 0.4) == is_reached
+
+
+def test_the_rule_follows_the_settings_of_size_shape_and_opacity():
+    """A plain wall, 64 x 48 pixels at 2 m, is cut four times: 4 x 3 pixels are 8 cm."""
+    ctx = context(CASES["gsfusion"])
+    settings = SeedingConfig(quadtree_largest_m=0.1, thickness=0.2, opacity=0.9)
+    seeds = apply_rule("gsfusion", dataclasses.replace(ctx, config=settings))
+    assert len(seeds) == 256
+    d = Z * HALF_DIAGONAL_PX / 16 / FX
+    torch.testing.assert_close(seeds.scale_m, torch.tensor([d, d, 0.2 * d]).expand(256, 3))
+    torch.testing.assert_close(seeds.opacity, torch.full((256,), 0.9))

@@ -14,12 +14,13 @@ from ...geometry import quaternion
 from ...types import Seeds
 from ..context import SeedContext
 from ..coverage import depth_error_m, in_front, unmapped_pixels
+from ..discs import thin
 from ..draws import draw_rows, draw_weighted_rows, drawn_pixels
 from ..image_features import gradient_length, luma
 from ..map_rule import KeyframeRule, MapRule, StepStats, When, every
 from ..points import outliers
 from ..rule import seeding_rule, trained_otherwise
-from ..shapes import pushed_back, sized_by_neighbours, thin
+from ..shapes import pushed_back, sized_by_neighbours
 
 GRADIENT_POINTS = 50_000
 PUSH_BACK = 1.005

@@ -11,11 +11,12 @@ from torch import Tensor
 from ...geometry import normals_at, se3
 from ...types import Seeds
 from ..context import SeedContext
+from ..discs import as_discs
 from ..draws import draw_rows
 from ..map_queries import picture_over_surface, surface_inputs
 from ..map_rule import MapRule, When, every
 from ..rule import seeding_rule, trained_otherwise
-from ..shapes import as_discs, sized_by_neighbours
+from ..shapes import sized_by_neighbours
 from ..volume_queries import raycast_volume
 
 MAX_DEPTH_M = 5.0

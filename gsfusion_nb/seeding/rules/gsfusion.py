@@ -147,8 +147,8 @@ class vg_mapping(MapRule):
 
     def seeds(self, ctx: SeedContext, memory: dict[str, Any]) -> Seeds:
         """The leaves that have changed."""
-        seeds = ctx.cells()
-        uv = ctx.quadtree_cells().centre_uv
+        seeds = ctx.cells(largest_m=0.0, thickness=1.0, opacity=0.5)
+        uv = ctx.quadtree_cells(largest_m=0.0).centre_uv
         uv = uv[ctx.values_at(ctx.has_depth(), uv)]  # those of the seeds
         has_changed = ctx.voxel_weight(seeds.xyz_W) <= self.required_weight
         if ctx.has_map:

@@ -9,12 +9,13 @@ import torch
 from ...gaussians import Edit
 from ...types import Seeds
 from ..context import SeedContext
+from ..discs import as_discs
 from ..draws import draw_rows, drawn_pixels
 from ..image_features import orb_corners
 from ..map_rule import KEYFRAMES, KeyframeRule, MapRule, StepStats, When
 from ..points import first_in_voxel, restart_statistics
 from ..rule import seeding_rule, trained_otherwise
-from ..shapes import as_discs, sized_by_neighbours
+from ..shapes import sized_by_neighbours
 
 PRESETS = {"replica": (1 / 64, 0.05), "tum": (1 / 128, 0.01)}
 """Share of a keyframe's pixels; point size."""

@@ -15,11 +15,12 @@ from ...render import render_forward
 from ...types import Seeds
 from ..context import SeedContext
 from ..coverage import depth_error_m, unmapped_pixels
+from ..discs import as_discs
 from ..draws import draw_rows, drawn_pixels, one_pixel_seeds, pixel_radius
 from ..map_queries import map_params, surface_inputs
 from ..map_rule import MapRule, StepStats
 from ..rule import seeding_rule, trained_otherwise
-from ..shapes import as_discs, pushed_back
+from ..shapes import pushed_back
 
 
 @trained_otherwise("60 steps a frame on colour and depth, pruned")
