@@ -226,7 +226,10 @@ def _run_of(
     run = MappingRun(open_sequence(**source, data=mapper.config.data), mapper, source=source)
     _refuse_changes(stored_hashes, run.data_files, path)
     run.load_state_dict(state)
-    cameras = [run.mapper.localiser.camera, *(keyframe.camera for keyframe in run.mapper.keyframes)]
+    cameras = [
+        run.mapper.localiser.memory.camera,
+        *(keyframe.camera for keyframe in run.mapper.keyframes),
+    ]
     others = [camera for camera in cameras if camera not in (None, run.sequence.camera)]
     if others:
         raise SequenceError(

@@ -189,7 +189,7 @@ CHANGES = {
             put("run", "seconds_global", value=float("nan")),
             "seconds_global must be a finite number",
         ),
-        (put("run", "warnings", value="a word"), "can only concatenate str"),
+        (put("run", "warnings", value="a word"), "warnings must be a list of sentences"),
         (put("run", "bad_in_a_row", value=1 << 70), "bad_in_a_row must be a whole number"),
         (put("random", "python", 0, value=9), "python|version|state"),
         (
