@@ -26,7 +26,7 @@ def moving_map() -> str:
     frames_sent = []
     # what the page would get
     viewer.send = lambda content, buffers: frames_sent.extend((content["head"], *buffers))
-    viewer._heard(None, {"kind": "ready"}, [])
+    viewer._on_message(None, {"kind": "ready"}, [])
     state = {
         name: value
         for name, value in viewer.get_state().items()
