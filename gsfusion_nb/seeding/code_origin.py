@@ -23,6 +23,8 @@ OWN_PACKAGE = __name__.partition(".")[0]
 CHECKS_TYPES = "jaxtyping"
 """Beginning of the names of modules that put checks of types around functions, and change nothing
 else."""
+_TEXT_OF_ATTRS = "<attrs generated "
+"""Beginning of the file names of methods that the package ``attrs`` writes."""
 _homes: dict[int, types.ModuleType] = {}
 """Identity of the namespace of a module that is not in ``sys.modules`` -> the module."""
 
@@ -108,16 +110,24 @@ def is_library_namespace(names: Mapping[str, Any]) -> bool:
 
 def is_made_by_library(function: types.FunctionType) -> bool:
     """Whether a library wrote the text of a function while it was imported, and executed it in a
-    namespace without a name, as the package ``decorator`` does: all that this namespace leads to is
-    of the library's module that the function says it belongs to."""
+    namespace without a name.
+
+    The package ``attrs`` names the text so. With others, such as ``decorator``, all that the
+    namespace leads to is of the library's module that the function says it belongs to.
+    """
     names = function.__globals__
+    if "__name__" in names:
+        return False
+    text = function.__code__.co_filename
+    if text.startswith(_TEXT_OF_ATTRS):  # <attrs generated METHOD MODULE.CLASS>
+        return is_library(text.rstrip(">").rpartition(" ")[2].rpartition(".")[0])
     home = sys.modules.get(function.__module__ or "")
-    if "__name__" in names or not isinstance(home, types.ModuleType):
+    if not isinstance(home, types.ModuleType) or not is_library_module(home):
         return False
     used = [
         value for key, value in names.items() if key != "__builtins__" and value is not function
     ]
-    return is_library_module(home) and bool(used) and all(_is_of(home, value) for value in used)
+    return bool(used) and all(_is_of(home, value) for value in used)
 
 
 def _is_of(module: types.ModuleType, value: Any) -> bool:

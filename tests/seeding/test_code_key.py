@@ -841,6 +841,13 @@ def test_a_function_that_a_library_executed_is_no_patch(monkeypatch):
         assert "torch.functional.norm" in patches(), names
 
 
+def test_methods_that_attrs_wrote_are_no_patches():
+    """Jupyter and the browsers of tests load it; a process that has not has the same key."""
+    attr = pytest.importorskip("attr")
+    assert "__eq__" in vars(attr.Attribute)
+    assert [name for name in patches() if name.startswith("attr.")] == []
+
+
 SWAPS = {
     "another function of torch": (torch, "median", torch.mean),
     "another method of a tensor": (torch.Tensor, "median", torch.Tensor.mean),
