@@ -22,7 +22,8 @@ with."""
 
 
 MapRows = slice | Int[Tensor, " R"]
-"""A part of a map: numbers of its rows, each once, or ``ALL_ROWS``. Columns are indexed by it."""
+"""A part of a map: numbers of its rows, each once, or a slice, such as ``ALL_ROWS``. Columns are
+indexed by it."""
 
 ALL_ROWS = slice(None)
 """A map as a whole: a column that is indexed by it is a view, not a copy."""

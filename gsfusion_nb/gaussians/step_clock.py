@@ -96,10 +96,10 @@ class StepClock:
         )
 
     def part(self, rows: MapRows) -> "StepClock":
-        """A clock of its own for copies of some rows, which ``write_back`` brings home; of
-        ``ALL_ROWS`` this clock."""
+        """A clock of its own for copies of some rows, which ``write_back`` brings home; for a
+        slice, whose rows are no copies, one that shares the count and these rows."""
         if isinstance(rows, slice):
-            return self
+            return StepClock(self._steps, self.birth[rows], self.last[rows])
         return StepClock(StepCount(self.count), self.birth[rows], self.last[rows])
 
     def write_back(self, rows: Int[Tensor, " M"], part: "StepClock") -> None:

@@ -12,9 +12,10 @@ class MapPart:
     """Rows of a map and their moments, for ``adam_step``; after ``write_back`` the map has their
     new values.
 
-    Of ``ALL_ROWS`` these are the map's own tensors, which a step changes in place; of some rows
-    they are copies. The rows that are left out keep their values and their moments until they take
-    the steps that they missed (``gsfusion_nb.optim.take_missed_steps``).
+    Of ``ALL_ROWS``, or another slice, these are the map's own tensors or views of them, which a
+    step changes in place; of numbers of rows they are copies. The rows that are left out keep their
+    values and their moments until they take the steps that they missed
+    (``gsfusion_nb.optim.take_missed_steps``).
 
     Args:
         model: The map.

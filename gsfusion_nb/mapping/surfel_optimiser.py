@@ -191,6 +191,8 @@ class SurfelOptimiser:
 
     def _part(self, rows: MapRows) -> tuple[MapPart, GaussianParams]:
         """What of these rows is trained, and the parameters of the others."""
+        if isinstance(rows, slice):
+            return MapPart(self.copies, slice(self.n)), self.params[self.n :]
         if self.n == len(self.params):
             return MapPart(self.copies, rows), self.params[:0]
         numbers = torch.arange(len(self.params), device=self.rows.device)[rows]
