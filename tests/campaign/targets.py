@@ -125,7 +125,7 @@ def trajectory(path: Path) -> None:
 
     made = read_trajectory(path)
     _check_times(made.stamps_s.tolist(), " ".join(made.notes))
-    _need(bool(torch.isfinite(made.rows).all()), "a pose is not finite")
+    _need(bool(torch.isfinite(made.T_world_body).all()), "a pose is not finite")
 
 
 def run_trajectory(path: Path) -> None:
