@@ -102,10 +102,10 @@ IMAGES = {
     "seen_rgb": (_FLOATS,),
 }
 """Names of images, and the types of their pixels."""
-_NOT_OF_A_MAP = ("config", "rule", "training", "warnings", "data_files")
-"""What is checked where it is read, and what goes on while it is looked at: times, sentences."""
-_GOES_ON = (*_NOT_OF_A_MAP, "clock")
-"""What is another when the same state is written again."""
+_NOT_OF_A_MAP = ("config", "rule", "training", "data_files")
+"""What is checked where it is read."""
+_GOES_ON = (*_NOT_OF_A_MAP, "clock", "warnings")
+"""What is another when the same state is written again: times, sentences."""
 _MOST = 1 << 53
 """Largest whole number: what a float64 counts exactly."""
 
@@ -296,6 +296,8 @@ def _check_plain(value: Any, where: tuple[str, ...]) -> None:
         if not names & (TEXTS | {"tracking", "back_end"}):
             raise _refusal(where, "no text", shown(value))
         return
+    if names & TEXTS & LISTS:
+        raise _refusal(where, "a text", shown(value))
     if "tracking" in names and isinstance(value, bool):
         return
     if isinstance(value, bool) or names & FLAGS:

@@ -189,7 +189,9 @@ CHANGES = {
             put("run", "seconds_global", value=float("nan")),
             "seconds_global must be a finite number",
         ),
-        (put("run", "warnings", value="a word"), "warnings must be a list of sentences"),
+        (put("run", "warnings", value="a word"), "run/warnings must be a list, got a str"),
+        (put("run", "warnings", value=[1.0]), "run/warnings/0 must be a text, got 1.0"),
+        (put("run", "endings", value=[1.0]), "run/endings/0 must be a text, got 1.0"),
         (put("run", "bad_in_a_row", value=1 << 70), "bad_in_a_row must be a whole number"),
         (put("random", "python", 0, value=9), "python|version|state"),
         (
