@@ -10,8 +10,10 @@ import gsfusion_nb
 from gsfusion_nb.backends import offered, use_backend
 from gsfusion_nb.config import OptimConfig
 from gsfusion_nb.edit_count import edit_count, is_counted
-from gsfusion_nb.gaussians import Edit, GaussianModel
+from gsfusion_nb.gaussians import Edit, GaussianModel, restart_optimiser
+from gsfusion_nb.gaussians.rigid_motion import move_map_
 from gsfusion_nb.large_maps import MapPart
+from gsfusion_nb.large_maps.map_part import edits_of
 from gsfusion_nb.optim import adam_step, take_missed_steps
 from gsfusion_nb.types import GaussianParams, Seeds
 
@@ -79,21 +81,21 @@ def part_step(model: GaussianModel) -> None:
 
 
 def late_steps(model: GaussianModel) -> None:
-    model.exp_avg.xyz_W.fill_(1.0)
-    model.exp_avg_sq.xyz_W.fill_(1.0)
+    model.moments.exp_avg.xyz_W.fill_(1.0)
+    model.moments.exp_avg_sq.xyz_W.fill_(1.0)
     part_step(model)
-    edits = model.edits
+    edits = edits_of(model)
     take_missed_steps(model, OptimConfig())
-    assert model.edits != edits
+    assert edits_of(model) != edits
 
 
 def undo(model: GaussianModel) -> None:
-    take_back = model.log_changes()
-    model.will_change()
+    take_back = model.undo_log.begin()
+    model.undo_log.will_change()
     model.params.xyz_W.add_(1.0)
-    edits = model.edits
+    edits = edits_of(model)
     take_back()
-    assert model.edits != edits
+    assert edits_of(model) != edits
 
 
 CHANGES = {
@@ -101,12 +103,12 @@ CHANGES = {
     "grow": lambda m: m.append(seeds(5000)),
     "extend": lambda m: m.extend(m.params[:2]),
     "keep": lambda m: m.keep(torch.arange(6) != 2),
-    "copy": lambda m: m.copy_rows(torch.tensor([0])),
+    "copy": lambda m: m.columns.copy_rows(torch.tensor([0])),
     "edit": lambda m: m.edit(Edit(keep=torch.arange(6) != 5), torch.Generator()),
     "set": lambda m: m.set_rows("xyz_W", torch.tensor([0]), torch.ones(1, 3)),
-    "rate": lambda m: m.set_rate("xyz_W", torch.ones(6)),
-    "move": lambda m: m.move(2 * torch.eye(4).repeat(6, 1, 1)),
-    "restart": lambda m: m.restart_optimiser(),
+    "rate": lambda m: m.rates.use("xyz_W"),
+    "move": lambda m: move_map_(m, 2 * torch.eye(4).repeat(6, 1, 1)),
+    "restart": lambda m: restart_optimiser(m),
     "step": lambda m: adam_step(m, like(m.params), OptimConfig()),
     "step on all rows": lambda m: adam_step(MapPart(m), like(m.params), OptimConfig()),
     "step on a part": part_step,
@@ -118,10 +120,10 @@ CHANGES = {
 @pytest.mark.parametrize("change", CHANGES)
 def test_whatever_changes_a_map_changes_its_edits(change):
     model = grown()
-    edits = model.edits
-    assert model.edits == edits
+    edits = edits_of(model)
+    assert edits_of(model) == edits
     CHANGES[change](model)
-    assert model.edits != edits
+    assert edits_of(model) != edits
 
 
 @pytest.mark.parametrize("backend", offered("adam_update"))

@@ -15,6 +15,7 @@ from ..errors import SequenceError
 from ..evaluation import NotComputed, frame_rates
 from ..evaluation.image import lpips_unavailable
 from ..files import write_file
+from ..gaussians import PLY_BYTES
 from ..runs import MappingRun
 from ..runs.map_hashes import map_hashes
 from ..runs.ran_on import environment
@@ -221,7 +222,7 @@ def _costs(map_run: Mapped) -> dict[str, Any]:
         "seeding_ms": 1e3 * sum(seeding_s) / len(late_steps),
         "seconds_global": run.seconds_global,
         "seconds_total": map_run.seconds,
-        "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
+        "model_size_mb": PLY_BYTES * len(run.mapper.gaussians) / 1e6,
         "peak_memory_mb": NotComputed("not reported here")
         if map_run.peak_mb is None
         else map_run.peak_mb,

@@ -3,7 +3,9 @@
 from .edit import SPLIT_SHRINKS as SPLIT_SHRINKS
 from .edit import Edit as Edit
 from .edit import shared as shared
+from .model import PLY_BYTES as PLY_BYTES
 from .model import GaussianModel as GaussianModel
+from .moments import restart_optimiser as restart_optimiser
 from .step_clock import StepClock as StepClock
 from .surfels import OPAQUE as OPAQUE
 from .surfels import STABLE as STABLE

@@ -20,6 +20,7 @@ from ..geometry import quaternion
 from ..geometry.operands import MASK, check_operand
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..types import Seeds
+from .moments import clear_moments
 
 STORED = {"xyz_W": (3,), "log_scale": (3,), "quat": (4,), "opacity_logit": (), "sh": ("K", 3)}
 """Columns of parameters as they are stored, and the shape of a row."""
@@ -304,14 +305,14 @@ def apply_edit(
     n_before = len(model)
     edit = edit.resolved(model.params.sh, "state" in model.columns)
     for name, factors in edit.rates.items():
-        model.set_rate(name, factors)
+        model.rates.use(name)[:] = factors
     for name, (rows, values) in edit.set.items():
         model.set_rows(*_as_stored(model, name, rows, values))
     if edit.reset_opacity is not None:
         model.params.opacity_logit.clamp_(
             max=math.log(edit.reset_opacity / (1 - edit.reset_opacity))
         )
-        model.clear_moments(slice(None), "opacity_logit")
+        clear_moments(model, parameter="opacity_logit")
     if edit.relocate is not None:
         _relocate(model, *edit.relocate, edit.min_opacity)
     if edit.clone is not None:
@@ -375,18 +376,25 @@ def _relocate(model: Any, source: Tensor, target: Tensor, min_opacity: float) ->
     columns = model.columns
     for name in (*STORED, "birth_frame", "tag", *(f"rate.{name}" for name in model.rates)):
         model.set_rows(name, source, columns[name][target])
-    model.clear_moments(distinct_rows)
-    model.clear_memory(distinct_rows)
+    clear_moments(model, distinct_rows)
+    model.memory.reset(distinct_rows)
     model.as_new(distinct_rows if "state" not in columns else torch.cat([distinct_rows, source]))
 
 
 def _clone(model: Any, rows: Tensor, shares: bool, min_opacity: float) -> None:
     if shares:
         _share(model, rows, min_opacity)
-    start = len(model)
-    model.copy_rows(rows)
+    copies = _copy_rows(model, rows)
     if shares:
-        model.clear_memory(slice(start, None))
+        model.memory.reset(copies)
+
+
+def _copy_rows(model: Any, rows: Tensor) -> slice:
+    """Append a copy of each of these rows, with zero moments; returns which the copies are."""
+    copies = model.columns.copy_rows(rows)
+    clear_moments(model, copies)
+    model.as_new(copies)
+    return copies
 
 
 def _split_rows(model: Any, rows: Tensor, shares: bool, generator: torch.Generator) -> None:
@@ -408,7 +416,7 @@ def _split_rows(model: Any, rows: Tensor, shares: bool, generator: torch.Generat
         len(model) + 2 * len(rows),
         device=rows.device,
     )
-    model.copy_rows(rows.repeat(2))
+    _copy_rows(model, rows.repeat(2))
     model.set_rows("xyz_W", new, centres.reshape(-1, 3))
     model.set_rows(
         "log_scale",

@@ -1,114 +1,102 @@
 """The Gaussian map: rows of parameters and the rows of their optimiser, which are added and removed
 together."""
 
-import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..backends import observed
 from ..checks import check_shape
-from ..edit_count import edit_count
 from ..errors import ArgumentError
-from ..geometry import quaternion
 from ..geometry.spherical_harmonics import SH_C0, rgb_to_sh_dc
-from ..resources import MAP_MEMORY
-from ..types import ALL_ROWS, GaussianParams, MapRows, Seeds
+from ..types import GaussianParams, MapRows, Seeds
+from .columns import PARAMETERS, GaussianColumns, Layout, OptionalColumns
 from .edit import Edit, apply_edit
-from .rigid_motion import turn_colours_, turn_moments_
-from .rows import GrowingRows
+from .moments import MOMENTS, Moments
 from .step_clock import StepClock, StepCount
+from .undo_log import UndoLog
 
-PARAMETERS = tuple(f.name for f in dataclasses.fields(GaussianParams))
+PLY_BYTES = 62 * 4
+"""Of a Gaussian in the standard PLY layout: 62 float32."""
 
 
-class GaussianModel(GrowingRows):
+class GaussianModel:
     """A map of Gaussians and the state of Adam for each of them.
 
-    Rows are stored in buffers that grow by a factor when full; every property is a view of the rows
-    in use. Rows change only through ``append``, ``edit``, ``keep``, ``move`` and the optimiser, so
-    parameters and moments always belong together. Two kinds of columns exist only once they are
-    used: factors of learning rates (``rates``), and numbers that a seeding rule keeps for each row
-    (``memory``).
+    Rows change only through ``append``, ``edit``, ``keep`` and the optimiser, so parameters and
+    moments always belong together. Every property is a view of the rows in use.
     """
 
+    _FLOATS: tuple[str, ...] = (
+        *PARAMETERS,
+        *(moment + name for moment in MOMENTS for name in PARAMETERS),
+    )
+    """Columns of floats; what follows a dot has the shape of that parameter."""
     _COUNTS: tuple[str, ...] = ("birth_frame", "birth_step", "last_step", "tag")
     """Columns of whole numbers."""
-    _MOMENTS: tuple[str, ...] = ("exp_avg", "exp_avg_sq")
-    _POSE_PREFIXES: tuple[str, ...] = ("",)
-    """Prefixes of the columns that hold centres and orientations, which move when a loop is
-    closed."""
 
     def __init__(self, sh_degree: int = 3, device: torch.device | str = "cpu"):
         if sh_degree not in (0, 1, 2, 3):
             raise ArgumentError(f"sh_degree must be 0, 1, 2 or 3, got {sh_degree}")
         self.sh_degree = sh_degree
         self.device = torch.device(device)
+        layout = _layout(self._FLOATS, self._COUNTS, sh_degree)
+        self.columns = GaussianColumns(layout, self.device)
+        """All that is stored for each row, by name."""
+        self.rates = OptionalColumns(self.columns, "rate.", 1.0)
+        """Parameter -> factor of its learning rate in each row, for the parameters that have
+        any."""
+        self.memory = OptionalColumns(self.columns, "memory.", 0.0)
+        """Numbers that a seeding rule keeps for each row, by name; see ``row_memory``."""
+        self.traces = OptionalColumns(self.columns, "trace.", 0.0)
+        """Numbers that an observer gives each row. They are removed and copied together with their
+        row, and not saved."""
         self._steps = StepCount()
-        super().__init__(self._column_names())
-        self._views: dict[str, tuple[Tensor, GaussianParams]] = {}
-        """Prefix -> buffer of the last column when they were made, and views of the rows in use."""
+        self.undo_log = UndoLog(self.columns, self._steps)
+        """Rows as they were before they changed, while a frame may be undone."""
+
+    def __len__(self) -> int:
+        return self.columns.n_rows
 
     def __repr__(self) -> str:
         return (
             f"GaussianModel({len(self):,} Gaussians, SH degree {self.sh_degree}, "
-            f"{self.size_bytes / 1e6:.1f} MB as PLY)"
+            f"{PLY_BYTES * len(self) / 1e6:.1f} MB as PLY)"
         )
 
     @property
     def params(self) -> GaussianParams:
         """Parameters before activation; views, so the optimiser updates them in place. The same
         ones until the number of rows changes."""
-        return self._rows("")
+        return self.columns.parameters()
 
     @property
-    def exp_avg(self) -> GaussianParams:
-        """Adam's running mean of the gradient."""
-        return self._rows("exp_avg.")
-
-    @property
-    def exp_avg_sq(self) -> GaussianParams:
-        """Adam's running mean of the squared gradient."""
-        return self._rows("exp_avg_sq.")
+    def moments(self) -> Moments:
+        """Adam's moments."""
+        return Moments(*(self.columns.parameters(moment) for moment in MOMENTS))
 
     @property
     def birth_frame(self) -> Int[Tensor, " N"]:
         """Index of the frame that seeded each row."""
-        return self._columns["birth_frame"][: self._count]
+        return self.columns["birth_frame"]
 
     @property
     def clock(self) -> StepClock:
         """When each row began, and the last step in which it took part: views, which the optimiser
         changes."""
-        return StepClock(self._steps, self.birth_step, self.last_step)
+        return StepClock(self._steps, self.columns["birth_step"], self.columns["last_step"])
 
     @property
     def step_count(self) -> int:
-        """Optimiser steps so far, shared by all rows. When it is set, no row misses steps."""
+        """Optimiser steps so far, shared by all rows."""
         return self._steps.value
-
-    @step_count.setter
-    def step_count(self, count: int) -> None:
-        self.clock.advance(count)
-
-    @property
-    def birth_step(self) -> Int[Tensor, " N"]:
-        """Value of ``step_count`` when each row was added, or its moments were forgotten."""
-        return self._columns["birth_step"][: self._count]
-
-    @property
-    def last_step(self) -> Int[Tensor, " N"]:
-        """Value of ``step_count`` after the last step of the optimiser in which each row took
-        part."""
-        return self._columns["last_step"][: self._count]
 
     @property
     def tag(self) -> Int[Tensor, " N"]:
         """Label that the seeding rule gave each row."""
-        return self._columns["tag"][: self._count]
+        return self.columns["tag"]
 
     @property
     def scale_m(self) -> Float[Tensor, "N 3"]:
@@ -125,10 +113,10 @@ class GaussianModel(GrowingRows):
         """View-independent part of the colour, 0..1."""
         return (self.params.sh[:, 0] * SH_C0 + 0.5).clamp(0, 1)
 
-    @property
-    def size_bytes(self) -> int:
-        """Size of the map in the standard PLY layout: 62 float32 per Gaussian."""
-        return 62 * 4 * len(self)
+    def row_memory(self, name: str) -> Float[Tensor, " N"]:
+        """A number for each row, 0 at first, which is removed, copied and saved together with its
+        row; a view."""
+        return self.memory.use(name)
 
     def extend(self, params: GaussianParams, frame_index: int = -1) -> None:
         """Add rows that were optimised elsewhere, with zero moments; colours are cut or padded to
@@ -146,19 +134,14 @@ class GaussianModel(GrowingRows):
             raise ArgumentError(
                 f"Gaussians to begin with must be finite, got NaN or infinities: {bad}"
             )
-        start = self._count
-        stop = self._count + len(params)
-        self._reserve(stop)
-        for name in (*PARAMETERS[:-1], *self._moment_names()):
-            self._columns[name][start:stop] = getattr(params, name) if name in PARAMETERS else 0.0
+        rows = self.columns.new_rows(len(params))
+        for name in PARAMETERS[:-1]:
+            self.columns[name][rows] = getattr(params, name)
         K = min(params.sh.shape[1], (self.sh_degree + 1) ** 2)
-        self._columns["sh"][start:stop] = 0.0
-        self._columns["sh"][start:stop, :K] = params.sh[:, :K]
-        for name, value in (("birth_frame", frame_index), ("tag", 0)):
-            self._columns[name][start:stop] = value
-        self._fill_optional(slice(start, stop))
-        self._in_use(stop)
-        self.as_new(slice(start, stop))
+        self.columns["sh"][rows, :K] = params.sh[:, :K]
+        self.birth_frame[rows] = frame_index
+        self.rates.reset(rows)
+        self.as_new(rows)
 
     @observed
     def append(self, seeds: Seeds, frame_index: int = 0) -> None:
@@ -172,38 +155,27 @@ class GaussianModel(GrowingRows):
             ValueError: a value is NaN, a scale is negative, or an opacity is not in 0..1. The map
                 is unchanged.
         """
-        n = len(seeds)
-        if n == 0:
+        if not len(seeds):
             return
-        check_shape("seeds.xyz_W", seeds.xyz_W, (n, 3))
-        values = {"xyz_W": seeds.xyz_W, "quat": seeds.quat, "rgb": seeds.rgb}
-        values |= {"scale_m": seeds.scale_m.log(), "opacity": seeds.opacity.logit()}
-        # a GPU is waited for once
-        if bool(torch.cat([v.reshape(-1) for v in values.values()]).isnan().any()):
-            name, row = next(
-                (k, int(v.isnan().nonzero()[0, 0])) for k, v in values.items() if v.isnan().any()
-            )
-            raise ArgumentError(
-                "new Gaussians need numbers that are not NaN, scales >= 0 and opacities in 0..1, "
-                f"got {getattr(seeds, name)[row].tolist()} as {name} of row {row}"
-            )
-        start = self._count
-        stop = self._count + n
-        self._reserve(stop)
-        new = self._columns
-        new["xyz_W"][start:stop] = seeds.xyz_W
-        new["log_scale"][start:stop] = values["scale_m"]
-        new["quat"][start:stop] = seeds.quat
-        new["opacity_logit"][start:stop] = values["opacity"]
-        if start < self._most:  # rows beyond, which were never in use, are zero
-            for name in ("sh", *self._moment_names()):
-                new[name][start:stop] = 0.0
-        new["sh"][start:stop, 0] = rgb_to_sh_dc(seeds.rgb)
-        new["birth_frame"][start:stop] = frame_index
-        new["tag"][start:stop] = seeds.tag
-        self._fill_optional(slice(start, stop))
-        self._in_use(stop)
-        self.as_new(slice(start, stop))
+        log_scale = seeds.scale_m.log()
+        opacity_logit = seeds.opacity.logit()
+        _check_seeds(seeds, log_scale, opacity_logit)
+        rows = self.columns.new_rows(len(seeds))
+        params = self.params
+        params.xyz_W[rows] = seeds.xyz_W
+        params.log_scale[rows] = log_scale
+        params.quat[rows] = seeds.quat
+        params.opacity_logit[rows] = opacity_logit
+        params.sh[rows, 0] = rgb_to_sh_dc(seeds.rgb)
+        self.birth_frame[rows] = frame_index
+        self.tag[rows] = seeds.tag
+        self.rates.reset(rows)
+        self.as_new(rows)
+
+    def keep(self, rows: Bool[Tensor, " N"]) -> None:
+        """Remove every row where ``rows`` is false, with all that is stored for it; the order is
+        kept."""
+        self.columns.keep(rows)
 
     def edit(
         self, edit: Edit, generator: torch.Generator, frame_index: int = 0
@@ -226,71 +198,23 @@ class GaussianModel(GrowingRows):
         """
         return apply_edit(self, edit, generator, frame_index)
 
-    def copy_rows(self, rows: Int[Tensor, " M"]) -> None:
-        """Append a copy of each of these rows, with zero moments; row numbers may repeat."""
-        start = len(self)
-        super().copy_rows(rows)
-        self.clear_moments(slice(start, None))
-        self.as_new(slice(start, None))
+    def set_rows(
+        self,
+        name: str,
+        rows: Int[Tensor, " M"],
+        values: Tensor,
+    ) -> None:
+        """Write the values of some rows of a column, as they are stored."""
+        self.columns[name][rows] = values.to(self.columns[name])
 
     def as_new(self, rows: MapRows) -> None:
         """Count these rows as added now."""
         self.clock.begin(rows)
 
-    def clear_moments(
-        self,
-        rows: MapRows,
-        parameter: str | None = None,
-    ) -> None:
-        """Set Adam's moments of these rows to zero, of all parameters or of one."""
-        for name in self._moment_names():
-            if parameter is None or name.endswith(f".{parameter}"):
-                self._columns[name][: self._count][rows] = 0.0
-
-    def restart_optimiser(self) -> None:
-        """Forget all moments; the steps of every row are counted from here."""
-        self.clear_moments(ALL_ROWS)
-        self.clock.begin(ALL_ROWS)
-
-    def log_changes(self) -> Callable[[], None]:
-        """Also the number of steps is brought back."""
-        undo_rows = super().log_changes()
-        count = self.step_count
-
-        def undo() -> None:
-            undo_rows()
-            self._steps.value = count
-
-        return undo
-
-    def move(self, T: Float[Tensor, "N 4 4"]) -> None:
-        """Apply a rigid motion to each row (a loop closure): centre, orientation, colour, and
-        Adam's moments."""
-        for prefix in self._POSE_PREFIXES:
-            xyz, quat = (
-                self._columns[f"{prefix}{name}"][: self._count] for name in ("xyz_W", "quat")
-            )
-            turn = T.to(xyz)
-            xyz.copy_((turn[:, :3, :3] @ xyz[:, :, None]).squeeze(2) + turn[:, :3, 3])
-            quat.copy_(
-                quaternion.multiply(
-                    quaternion.from_matrix(turn[:, :3, :3]), quaternion.normalise(quat)
-                )
-            )
-        R = T[:, :3, :3].to(self.device)
-        turn_colours_(self.params.sh, R)
-        if self._MOMENTS:
-            turn_moments_(self.exp_avg, self.exp_avg_sq, R)
-
-    @property
-    def edits(self) -> tuple[int, ...]:
-        """Another value when any value of the map has changed, or the number of rows or steps."""
-        return (len(self), self.step_count, *edit_count(*self._columns.values()))
-
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """Everything needed to continue later, as tensors and numbers; without ``copies`` steps
         change the tensors."""
-        columns = self.snapshot() if copies else self.columns
+        columns = self.columns.snapshot() if copies else self.columns
         rows = {name: column for name, column in columns.items() if not name.startswith("trace.")}
         return {"sh_degree": self.sh_degree, "step_count": self.step_count, "rows": rows}
 
@@ -301,61 +225,45 @@ class GaussianModel(GrowingRows):
         """The model that was saved with ``state_dict``."""
         model = cls(state["sh_degree"], device)
         model._steps.value = state["step_count"]
-        count = state["rows"]["xyz_W"].shape[0]
-        model._reserve(count)
-        for name in state["rows"]:
-            if name.startswith(tuple(cls._OPTIONAL)):
-                model._use(name)
-        for name, column in model._columns.items():
-            column[:count] = state["rows"][name]
-        model._in_use(count)
+        saved_rows = state["rows"]
+        for name in saved_rows:
+            if name.startswith(("rate.", "memory.")):
+                model.columns.add(name, 0.0)
+        model.columns.new_rows(len(saved_rows["xyz_W"]))
+        for name, column in model.columns.items():
+            column[:] = saved_rows[name]
         model.clock.repair()
         return model
 
-    def _rows(self, prefix: str) -> GaussianParams:
-        last = self._columns[prefix + PARAMETERS[-1]]
-        buffer, views = self._views.get(prefix, (None, None))
-        if (
-            views is not None
-            and buffer is last
-            and len(views) == self._count
-            and not _is_differentiated(views)
-        ):
-            return views
-        views = GaussianParams(
-            **{name: self._columns[prefix + name][: self._count] for name in PARAMETERS}
-        )
-        self._views[prefix] = (last, views)
-        return views
 
-    def _moment_names(self) -> list[str]:
-        return [f"{moment}.{name}" for moment in self._MOMENTS for name in PARAMETERS]
-
-    def _column_names(self) -> list[str]:
-        return [*PARAMETERS, *self._moment_names(), *self._COUNTS]
-
-    def _new_column(self, name: str, capacity: int) -> Tensor:
-        if name in self._COUNTS:
-            return MAP_MEMORY.rows(capacity, dtype=torch.int32, device=self.device)
-        widths = {
-            "xyz_W": (3,),
-            "log_scale": (3,),
-            "quat": (4,),
-            "opacity_logit": (),
-            "sh": ((self.sh_degree + 1) ** 2, 3),
-        }
-        return MAP_MEMORY.rows(
-            capacity,
-            *widths[name.split(".")[-1]],
-            device=self.device,
-        )
-
-    def _reserve(self, count: int) -> None:
-        if count > self._capacity:
-            self._views.clear()  # of the old buffers
-        super()._reserve(count)
+def _layout(floats: tuple[str, ...], counts: tuple[str, ...], sh_degree: int) -> Layout:
+    """Shapes and types of the columns of a map."""
+    shapes: dict[str, tuple[int, ...]] = {
+        "xyz_W": (3,),
+        "log_scale": (3,),
+        "quat": (4,),
+        "opacity_logit": (),
+        "sh": ((sh_degree + 1) ** 2, 3),
+    }
+    numbers = {name: (shapes[name.split(".")[-1]], torch.float32) for name in floats}
+    return numbers | dict.fromkeys(counts, ((), torch.int32))
 
 
-def _is_differentiated(params: GaussianParams) -> bool:
-    """Whether somebody asked for a derivative of one of these columns."""
-    return any(column.requires_grad for column in vars(params).values())
+def _check_seeds(seeds: Seeds, log_scale: Tensor, opacity_logit: Tensor) -> None:
+    """Raise ``ValueError`` for new Gaussians that cannot be stored; a GPU is waited for once."""
+    check_shape("seeds.xyz_W", seeds.xyz_W, (len(seeds), 3))
+    stored = {
+        "xyz_W": seeds.xyz_W,
+        "quat": seeds.quat,
+        "rgb": seeds.rgb,
+        "scale_m": log_scale,
+        "opacity": opacity_logit,
+    }
+    if not bool(torch.cat([values.reshape(-1) for values in stored.values()]).isnan().any()):
+        return
+    name = next(name for name, values in stored.items() if values.isnan().any())
+    row = int(stored[name].isnan().nonzero()[0, 0])
+    raise ArgumentError(
+        "new Gaussians need numbers that are not NaN, scales >= 0 and opacities in 0..1, "
+        f"got {getattr(seeds, name)[row].tolist()} as {name} of row {row}"
+    )

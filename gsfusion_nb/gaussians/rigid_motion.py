@@ -3,6 +3,7 @@ moments."""
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -44,6 +45,24 @@ def turn_moments_(mean: GaussianParams, square: GaussianParams, R: Float[Tensor,
         for column, turn in zip((moments.xyz_W, moments.quat), turns, strict=True):
             column.copy_((turn @ column[:, :, None])[:, :, 0])
     turn_colours_(mean.sh, R)
+
+
+def move_map_(model: Any, T: Float[Tensor, "N 4 4"]) -> None:
+    """Apply a rigid motion to each row of a ``GaussianModel`` (a loop closure): centre,
+    orientation, colour, and Adam's moments."""
+    for prefix in ("", "anchor."):
+        if f"{prefix}xyz_W" not in model.columns:
+            continue
+        xyz = model.columns[f"{prefix}xyz_W"]
+        quat = model.columns[f"{prefix}quat"]
+        turn = T.to(xyz)
+        R = turn[:, :3, :3]
+        xyz.copy_((R @ xyz[:, :, None]).squeeze(2) + turn[:, :3, 3])
+        quat.copy_(quaternion.multiply(quaternion.from_matrix(R), quaternion.normalise(quat)))
+    R = T[:, :3, :3].to(model.device)
+    turn_colours_(model.params.sh, R)
+    if "exp_avg.sh" in model.columns:
+        turn_moments_(model.moments.exp_avg, model.moments.exp_avg_sq, R)
 
 
 def _each_turn(R: Tensor) -> Iterator[tuple[Tensor, Tensor]]:

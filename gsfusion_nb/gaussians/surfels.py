@@ -17,7 +17,8 @@ from ..backends import piece
 from ..config import StateConfig
 from ..errors import ArgumentError
 from ..geometry import project, quaternion, se3, sum_rows
-from ..types import ALL_ROWS, Camera, GaussianParams, MapRows, Seeds
+from ..types import ALL_ROWS, Camera, GaussianParams, MapRows
+from .columns import PARAMETERS
 from .model import GaussianModel
 
 OPAQUE = 0.99
@@ -47,36 +48,35 @@ class SurfelModel(GaussianModel):
     Source: Peng et al. 2024 (RTG-SLAM), section 3.1.
     """
 
+    _FLOATS = (*PARAMETERS, *(f"anchor.{name}" for name in _ANCHOR))
     _COUNTS = (*GaussianModel._COUNTS, *_AT_LEAST_0)
-    _MOMENTS = ()
-    _POSE_PREFIXES = ("", "anchor.")
 
     @property
     def state(self) -> Int[Tensor, " N"]:
         """``UNSTABLE`` (0) or ``STABLE`` (1)."""
-        return self._columns["state"][: len(self)]
+        return self.columns["state"]
 
     @property
     def confidence(self) -> Int[Tensor, " N"]:
         """Optimisation steps that changed the colour of each row; times the size of a step they are
         eta."""
-        return self._columns["confidence"][: len(self)]
+        return self.columns["confidence"]
 
     @property
     def colour_errors(self) -> Int[Tensor, " N"]:
         """Number of frames in which the row's colour was wrong since it became stable."""
-        return self._columns["colour_errors"][: len(self)]
+        return self.columns["colour_errors"]
 
     @property
     def depth_errors(self) -> Int[Tensor, " N"]:
         """Number of frames in which the row's depth was wrong since it became stable."""
-        return self._columns["depth_errors"][: len(self)]
+        return self.columns["depth_errors"]
 
     @property
     def frames_in_view(self) -> Int[Tensor, " N"]:
         """Number of frames with the row's centre in view since it was added or last became
         unstable."""
-        return self._columns["frames_in_view"][: len(self)]
+        return self.columns["frames_in_view"]
 
     @property
     def is_stable(self) -> Bool[Tensor, " N"]:
@@ -104,7 +104,7 @@ class SurfelModel(GaussianModel):
     def anchor(self) -> dict[str, Tensor]:
         """Centre, log-scale and quaternion when added; the regulariser keeps transparent rows close
         to them (Eq. 8)."""
-        return {name: self._columns[f"anchor.{name}"][: len(self)] for name in _ANCHOR}
+        return {name: self.columns[f"anchor.{name}"] for name in _ANCHOR}
 
     def extend(self, params: GaussianParams, frame_index: int = -1) -> None:
         """Refused: the opacity of a disc is one of two constants, and its thinnest axis is a
@@ -117,12 +117,6 @@ class SurfelModel(GaussianModel):
             "RTG-SLAM cannot begin with Gaussians of another program, because its own are discs "
             "with one of two opacities; use --system gsfusion"
         )
-
-    def append(self, seeds: Seeds, frame_index: int = 0) -> None:
-        """Add rows: unstable, confidence 0, no errors."""
-        start = len(self)
-        super().append(seeds, frame_index)
-        self.as_new(slice(start, len(self)))
 
     def set_rows(
         self,
@@ -143,16 +137,13 @@ class SurfelModel(GaussianModel):
             self.frames_in_view[unstable_rows] = 0
             super().as_new(unstable_rows)
 
-    def as_new(self, rows: Int[Tensor, " M"] | slice) -> None:
+    def as_new(self, rows: MapRows) -> None:
         """Count these rows as added now: unstable, confidence 0, no errors, held where they are."""
         super().as_new(rows)
         for name in _AT_LEAST_0:
-            self._columns[name][: len(self)][rows] = 0
+            self.columns[name][rows] = 0
         for name in _ANCHOR:
-            self.anchor[name][rows] = self._columns[name][: len(self)][rows]
-
-    def _column_names(self) -> list[str]:
-        return [*super()._column_names(), *(f"anchor.{name}" for name in _ANCHOR)]
+            self.anchor[name][rows] = self.columns[name][rows]
 
 
 def state_counts(model: SurfelModel) -> dict[str, int]:
@@ -258,7 +249,7 @@ def change_states(
     in k - t_i.
     """
     stable = model.is_stable
-    age = model.frames_in_view if config.age == "in_view" else model.step_count - model.birth_step
+    age = model.frames_in_view if config.age == "in_view" else model.step_count - model.clock.birth
     errors = model.depth_errors
     if config.on_error == "release":
         errors = errors.maximum(model.colour_errors)

@@ -1,8 +1,6 @@
 """Some rows of a map, to be optimised while the others wait."""
 
-from jaxtyping import Int
-from torch import Tensor
-
+from ..edit_count import edit_count
 from ..gaussians import GaussianModel
 from ..types import ALL_ROWS, MapRows
 from .boxes import Boxes
@@ -27,37 +25,36 @@ class MapPart:
         self.model = model
         self.rows = rows
         self._boxes = boxes
-        self.params, self.exp_avg, self.exp_avg_sq = (
-            x[rows] for x in (model.params, model.exp_avg, model.exp_avg_sq)
-        )
+        self.params = model.params[rows]
+        self.moments = model.moments[rows]
         self.clock = model.clock.part(rows)
         self.rates = {name: factors[rows] for name, factors in model.rates.items()}
-        self._edits = model.edits
-
-    @property
-    def step_count(self) -> int:
-        """Steps of the map, with those on the part."""
-        return self.clock.count
-
-    @property
-    def birth_step(self) -> Int[Tensor, " R"]:
-        """Value of ``step_count`` when each row was added, or its moments were forgotten."""
-        return self.clock.birth
+        self._edits = edits_of(model)
 
     @property
     def is_current(self) -> bool:
         """Whether the map has not changed since the rows were taken or written back."""
-        return self._edits == self.model.edits
+        return self._edits == edits_of(self.model)
 
     def write_back(self) -> None:
         """Copy parameters, moments and the number of steps to the map, unless they are the
         map's."""
         if isinstance(self.rows, slice):
             return
-        for name in ("params", "exp_avg", "exp_avg_sq"):
-            for column, values in vars(getattr(self, name)).items():
-                getattr(getattr(self.model, name), column).index_copy_(0, self.rows, values)
+        for prefix, rows in (
+            ("", self.params),
+            ("exp_avg.", self.moments.exp_avg),
+            ("exp_avg_sq.", self.moments.exp_avg_sq),
+        ):
+            for name, values in vars(rows).items():
+                self.model.columns[prefix + name].index_copy_(0, self.rows, values)
         self.model.clock.write_back(self.rows, self.clock)
         if self._boxes is not None:
             self._boxes.renew(self.model.params, self.rows, self.params)
-        self._edits = self.model.edits
+        self._edits = edits_of(self.model)
+
+
+def edits_of(model: GaussianModel) -> tuple[int, ...]:
+    """Another value when any value of the map has changed, or the number of rows or steps."""
+    buffers = model.columns.buffers()
+    return (len(model), model.step_count, *edit_count(*buffers))

@@ -67,10 +67,10 @@ class MapParts:
         views = (view, *later)
         part = self._last_part
         if part is not None and part.is_current and self._are_last_views(views):
-            self._model.will_change(part.rows)
+            self._model.undo_log.will_change(part.rows)
             return part
         part = MapPart(self._model, self._rows_of(views), self.boxes)
-        self._model.will_change(part.rows)
+        self._model.undo_log.will_change(part.rows)
         self._steps_missed |= isinstance(part.rows, Tensor)
         # else a GPU would be waited for in small maps
         if self._catch_up is not None and self._steps_missed:
@@ -104,7 +104,7 @@ class MapParts:
         """Bring all rows of the map up to date, in place."""
         if self._catch_up is None or not self._steps_missed:
             return
-        self._model.will_change()
+        self._model.undo_log.will_change()
         self._catch_up(MapPart(self._model))
         self._steps_missed = False
 

@@ -30,7 +30,7 @@ class DiscPasses:
         """One step on a keyframe, on all its pixels. Returns the loss before it."""
         mapper = self._mapper
         if self.optimiser is None:
-            mapper.gaussians.will_change()
+            mapper.gaussians.undo_log.will_change()
             mapper.gaussians.state.fill_(STABLE)
             self.optimiser = self._optimiser_of_map()
         step = step_on(mapper, self.optimiser, keyframe, TrainingView.of(keyframe))
@@ -70,20 +70,20 @@ class DiscPasses:
     def snapshot(self) -> Undo:
         """A function that undoes what changes from now on."""
         optimiser = self.optimiser
-        undo_steps = None if optimiser is None else optimiser.copies.log_changes()
+        undo_steps = None if optimiser is None else optimiser.copies.undo_log.begin()
 
         def undo() -> None:
             self.optimiser = optimiser
             if optimiser is not None and undo_steps is not None:
                 undo_steps()
-                optimiser.copies.end_log()
+                optimiser.copies.undo_log.end()
 
         return undo
 
     def end_log(self) -> None:
         """What changes from now on cannot be undone."""
         if self.optimiser is not None:
-            self.optimiser.copies.end_log()
+            self.optimiser.copies.undo_log.end()
 
     def state_dict(self) -> dict[str, Any] | None:
         """The state of the optimiser, if there is one."""

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..config import GpsSlamConfig, OptimConfig, gps_slam, gps_slam_fidelities, gps_slam_fidelity
-from ..gaussians import GaussianModel
+from ..gaussians import GaussianModel, restart_optimiser
 from ..geometry import se3
 from ..optim import Keyframe, ViewLoss, ViewStep, l1_mse_vjp, l2_mse_vjp
 from ..render import OverBaseOutput, SurfacePicture
@@ -185,7 +185,7 @@ class GPSSLAM(TsdfMapping):
         is_useful = (radius_m >= limits.min_radius_m) & (radius_m <= limits.max_radius_m)
         is_useful &= params.opacity_logit.sigmoid() >= LEAST_OPACITY
         if not bool(is_useful.all()):
-            self.gaussians.will_change()
+            self.gaussians.undo_log.will_change()
             self.gaussians.keep(is_useful)
 
     def _begin_round(self) -> None:
@@ -195,8 +195,8 @@ class GPSSLAM(TsdfMapping):
             self._prune()
         if self.config.residual.restart_adam:
             self.take_missed_steps()
-            self.gaussians.will_change()
-            self.gaussians.restart_optimiser()
+            self.gaussians.undo_log.will_change()
+            restart_optimiser(self.gaussians)
 
     def _optimise(self, context: SeedContext) -> list[list[float]]:
         """The steps of this frame, each on one of the views. Returns loss and mean squared error

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
+from ..gaussians.rigid_motion import move_map_
 from ..geometry import se3
 from ..optim import Keyframe, KeyframeList, Loss, ViewLoss
 from ..optim.fit_view import (
@@ -103,8 +104,9 @@ class KeyframeFits:
         rows = sorted(self._localiser.frame_indices.index(k.index) for k in keyframes)
         T_WC, T_given = (torch.stack([p[r] for r in rows]).double() for p in (poses, given_poses))
         T_back = se3.exp(-se3.log(T_WC @ se3.inverse(T_given)).mean(0))
-        gaussians.will_change()
-        gaussians.move(T_back.to(gaussians.device, torch.float32).expand(len(gaussians), 4, 4))
+        gaussians.undo_log.will_change()
+        T = T_back.to(gaussians.device, torch.float32)
+        move_map_(gaussians, T.expand(len(gaussians), 4, 4))
         for keyframe in list(keyframes):
             row = self._localiser.frame_indices.index(keyframe.index)
             T_new = (T_back @ poses[row].double()).float()

@@ -14,6 +14,7 @@ from .. import tracking
 from ..config import TrackingConfig
 from ..errors import BadFrameError
 from ..gaussians import GaussianModel
+from ..gaussians.rigid_motion import move_map_
 from ..geometry import se3
 from ..optim import KeyframeList
 from ..types import Frame
@@ -258,6 +259,6 @@ def move_map(
 ) -> None:
     """Move Gaussians and keyframes with a corrected trajectory: each with the keyframes around its
     frame."""
-    gaussians.move(correction.transform_of(gaussians.birth_frame))
+    move_map_(gaussians, correction.transform_of(gaussians.birth_frame))
     if len(keyframes):
         keyframes.move(correction.transform_of(torch.tensor([k.index for k in keyframes])))

@@ -296,7 +296,7 @@ class Mapper(ABC):
         """Remove the Gaussians that the last steps made NaN or infinite, and count them."""
         finite = self.lost.count(self.gaussians.params)
         if finite is not None:
-            self.gaussians.will_change()
+            self.gaussians.undo_log.will_change()
             self.gaussians.keep(finite)
             self.rows_changed(finite.nonzero()[:, 0])
 

@@ -109,7 +109,7 @@ class SurfelOptimiser:
         """Copies of the drawn rows, with moments of their own."""
         self.copies.extend(model.params[self.drawn_rows])
         for name, factors in model.rates.items():
-            self.copies.set_rate(name, factors[self.drawn_rows])
+            self.copies.rates.use(name)[:] = factors[self.drawn_rows]
         self.params = self.copies.params
         self.trained_params = self.params[: self.n]
         self.colour_steps = torch.zeros(self.n, dtype=torch.int32, device=model.device)
@@ -163,7 +163,7 @@ class SurfelOptimiser:
         is_counted = any(output is not None for output in outputs.values())
         rows = ALL_ROWS if is_counted else self._rows_in_view(view)
         part, frozen_params = self._part(rows)
-        self.copies.will_change(part.rows)
+        self.copies.undo_log.will_change(part.rows)
         if self.training.optimiser is None and isinstance(rows, Tensor):
             take_missed_steps(part, self.adam)
 
@@ -216,7 +216,7 @@ class SurfelOptimiser:
 
     def write_back(self, params: GaussianParams | None = None) -> None:
         """Copy the trained rows, or ``params`` instead of them, to the map."""
-        self._model.will_change(self.rows)
+        self._model.undo_log.will_change(self.rows)
         for name, value in vars(params or self.trained_params).items():
             getattr(self._model.params, name)[self.rows] = value
 
@@ -225,7 +225,7 @@ class SurfelOptimiser:
         late_rows = self.copies.clock.steps_missed[: self.n].nonzero()[:, 0]
         if self.training.optimiser is not None or not len(late_rows):
             return
-        self.copies.will_change(late_rows)
+        self.copies.undo_log.will_change(late_rows)
         part = MapPart(self.copies, late_rows)
         take_missed_steps(part, self.adam)
         part.write_back()
@@ -249,7 +249,7 @@ class SurfelOptimiser:
         old_rows = old_rows[is_old]
         clock = self.copies.clock
         clock.advance(earlier.copies.step_count)
-        clock.last[is_old] = earlier.copies.last_step[old_rows]
+        clock.last[is_old] = earlier.copies.clock.last[old_rows]
         for mine, theirs in zip(_moments(self.copies), _moments(earlier.copies), strict=True):
             for name, values in vars(theirs).items():
                 getattr(mine, name)[is_old] = values[old_rows]
@@ -309,7 +309,7 @@ class SurfelOptimiser:
 
 
 def _moments(model: GaussianModel) -> tuple[GaussianParams, GaussianParams]:
-    return model.exp_avg, model.exp_avg_sq
+    return model.moments.exp_avg, model.moments.exp_avg_sq
 
 
 def render_discs(

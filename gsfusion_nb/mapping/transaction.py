@@ -54,7 +54,7 @@ class Transaction:
         """Context in which a frame changes the map.
 
         Args:
-            undoable: Keep what changes until the end of the context (``GrowingRows.will_change``).
+            undoable: Keep what changes until the end of the context (``UndoLog.will_change``).
                 A failure in it then leaves the map as it was, and Ctrl-C takes effect between two
                 gradient steps. While foreign code runs that is always so, and the whole map is
                 kept.
@@ -68,7 +68,7 @@ class Transaction:
         can_undo = undoable or runs_foreign_code or is_first
         self.guard.changes_begin(self.snapshot() if can_undo else None)
         if runs_foreign_code:
-            mapper.gaussians.will_change()
+            mapper.gaussians.undo_log.will_change()
         yield
         mapper.remove_lost()
         if not is_first:
@@ -97,14 +97,14 @@ class Transaction:
         """What was changed until now stays; Ctrl-C waits."""
         DelayedInterrupt.delay()
         self.guard.changes_stay()
-        self._mapper.gaussians.end_log()
+        self._mapper.gaussians.undo_log.end()
         for end in self._ends:
             end()
 
     def snapshot(self) -> Undo:
         """A function that undoes what is changed in the mapper from now on."""
         mapper = self._mapper
-        undo_rows = mapper.gaussians.log_changes()
+        undo_rows = mapper.gaussians.undo_log.begin()
         n_steps = mapper.after_steps.n_steps
         keyframes = mapper.keyframes.snapshot()
         lost_counts = mapper.lost.counts
@@ -113,7 +113,7 @@ class Transaction:
 
         def undo() -> None:
             undo_rows()
-            mapper.gaussians.end_log()
+            mapper.gaussians.undo_log.end()
             mapper.after_steps.n_steps = n_steps
             mapper.lost.counts = lost_counts
             undo_parts()
@@ -151,7 +151,7 @@ class WholeFrame:
     ) -> None:
         mapper = self._mapper
         if error is not None and mapper.guard.undo():
-            mapper.gaussians.end_log()
+            mapper.gaussians.undo_log.end()
             mapper.random.load_state_dict(self._random_numbers)
             mapper.rule_in_use.set_memory(self._memory)
             mapper.localiser.take_back(was_refused=isinstance(error, BadFrameError))

@@ -92,18 +92,18 @@ def adam_step(
         ValueError: ``update`` made a parameter NaN or infinite that was finite.
     """
     adam = AdamSettings.of(config)
-    t = model.step_count + 1
+    t = model.clock.count + 1
     steps: int | Tensor | None = {"none": None, "shared": t}.get(adam.steps)
     if adam.steps == "per_row":
-        steps = t - model.birth_step
-    m = model.exp_avg
-    v = model.exp_avg_sq
+        steps = t - model.clock.birth
+    m = model.moments.exp_avg
+    v = model.moments.exp_avg_sq
     with at_row_rates(model.params, model.rates):
         if update is None:
             decay = {"beta1": adam.beta1, "beta2": adam.beta2, "eps": adam.eps}
             adam_update_map(model.params, gradients, m, v, steps, rates=adam.rates, **decay)
         else:
-            ages = t - model.birth_step
+            ages = t - model.clock.birth
             for name, lr in adam.rates.by_column(model.params.sh).items():
                 if name != "sh" and lr == 0:
                     continue

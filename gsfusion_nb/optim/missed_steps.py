@@ -41,10 +41,9 @@ def take_missed_steps(model: GaussianModel | MapPart, config: OptimConfig | Adam
     start = {"none": None, "shared": clock.last, "per_row": clock.age_at_last}[adam.steps]
     steps = MissedSteps(n_missed, start, adam.beta1, adam.beta2, adam.eps)
     for name, lr in adam.rates.by_column(model.params.sh).items():
-        column, m, v = (
-            getattr(values, name) for values in (model.params, model.exp_avg, model.exp_avg_sq)
-        )
-        steps.take(column, m, v, lr, model.rates.get(name))
+        m = getattr(model.moments.exp_avg, name)
+        v = getattr(model.moments.exp_avg_sq, name)
+        steps.take(getattr(model.params, name), m, v, lr, model.rates.get(name))
     clock.catch_up()
 
 

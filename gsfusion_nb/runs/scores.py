@@ -16,6 +16,7 @@ from ..evaluation import (
     mesh_scores,
     trajectory_scores,
 )
+from ..gaussians import PLY_BYTES
 from ..types import Mesh
 from .mapping_run import MappingRun
 from .poses_in_map import ground_truth_poses, readable_frames
@@ -72,7 +73,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     return {
         "n_gaussians": len(run.mapper.gaussians),
         "n_not_finite": run.mapper.lost.total,
-        "model_size_mb": run.mapper.gaussians.size_bytes / 1e6,
+        "model_size_mb": PLY_BYTES * len(run.mapper.gaussians) / 1e6,
         "n_keyframes": sum(s.is_keyframe for s in run.steps),
         "n_frames": len(run.steps),
         **run.mapper.reports.counts(),

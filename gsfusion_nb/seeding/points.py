@@ -261,9 +261,8 @@ def view_map(gaussians: Any, frame_index: int, params: GaussianParams | None = N
     params = gaussians.params if params is None else params
     assert params is not None
     scale_m = params.log_scale.exp()
-    birth_frame, birth_step = (
-        getattr(gaussians, name, None) for name in ("birth_frame", "birth_step")
-    )
+    birth_frame = getattr(gaussians, "birth_frame", None)
+    clock = getattr(gaussians, "clock", None)
     return MapView(
         xyz_W=params.xyz_W,
         scale_m=scale_m,
@@ -274,7 +273,7 @@ def view_map(gaussians: Any, frame_index: int, params: GaussianParams | None = N
         tag=getattr(gaussians, "tag", None),
         state=getattr(gaussians, "state", None),
         age_frames=None if birth_frame is None else frame_index - birth_frame,
-        age_steps=None if birth_step is None else gaussians.step_count - birth_step,
+        age_steps=None if clock is None else clock.count - clock.birth,
         times_visible=times_visible(gaussians) if hasattr(gaussians, "memory") else None,
         image_gradient=image_gradient(gaussians) if hasattr(gaussians, "memory") else None,
         abs_image_gradient=abs_image_gradient(gaussians) if hasattr(gaussians, "memory") else None,

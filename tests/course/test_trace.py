@@ -175,7 +175,7 @@ def test_adam_gives_the_next_value(traced):
                 assert torch.equal(steps[i + 1].adam[name].before, a.after)
     last = steps[-1].adam
     assert torch.equal(last["xyz_W"].after, mapper.gaussians.params.xyz_W[3])
-    assert torch.equal(last["sh"].m[1], mapper.gaussians.exp_avg.sh[3])
+    assert torch.equal(last["sh"].m[1], mapper.gaussians.moments.exp_avg.sh[3])
 
 
 def test_the_gradient_is_that_of_the_mapper(frames):

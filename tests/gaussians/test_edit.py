@@ -30,12 +30,14 @@ def filled(generator, n: int = 6, kind: type[GaussianModel] = GaussianModel) -> 
     """A map of ``n`` rows after 40 steps, with moments that tell the rows apart."""
     model = kind(sh_degree=1)
     model.append(seeds(n, generator), 3)
-    for moments in (model.exp_avg, model.exp_avg_sq) if model._MOMENTS else ():
+    for moments in (
+        (model.moments.exp_avg, model.moments.exp_avg_sq) if "exp_avg.sh" in model.columns else ()
+    ):
         for column in vars(moments).values():
             column.copy_(
                 1 + torch.arange(n).reshape(-1, *[1] * (column.ndim - 1)).expand_as(column)
             )
-    model.step_count = 40
+    model.clock.advance(40)
     return model
 
 
@@ -48,7 +50,7 @@ def mask(n: int, *numbers: int) -> torch.Tensor:
 
 
 def assert_no_moments(model: GaussianModel, which) -> None:
-    for moments in (model.exp_avg, model.exp_avg_sq):
+    for moments in (model.moments.exp_avg, model.moments.exp_avg_sq):
         assert all(not column[which].any() for column in vars(moments).values())
 
 
@@ -85,7 +87,7 @@ def test_set_writes_what_is_stored_and_what_is_seen(generator):
     assert model.tag.tolist() == [0, 8, 2, 3, 7, 5]
     same = [0, 2, 3, 5]
     assert torch.equal(model.params.xyz_W[same], before["xyz_W"][same])
-    for name in model._moment_names():
+    for name in [n for n in model.columns if n.startswith("exp_avg")]:
         assert torch.equal(model.columns[name], before[name])
 
 
@@ -94,9 +96,9 @@ def test_a_lower_opacity_for_all(generator):
     model.params.opacity_logit.copy_(torch.tensor([-3.0, -1, 0, 1, 2, 5]))
     model.edit(Edit(reset_opacity=0.5), generator)
     assert model.params.opacity_logit.tolist() == [-3.0, -1, 0, 0, 0, 0]
-    assert not model.exp_avg.opacity_logit.any()
-    assert not model.exp_avg_sq.opacity_logit.any()
-    assert model.exp_avg.xyz_W.all()
+    assert not model.moments.exp_avg.opacity_logit.any()
+    assert not model.moments.exp_avg_sq.opacity_logit.any()
+    assert model.moments.exp_avg.xyz_W.all()
 
 
 def test_copies_are_equal_but_for_their_moments_and_their_age(generator):
@@ -115,8 +117,8 @@ def test_copies_are_equal_but_for_their_moments_and_their_age(generator):
             before[name][[0, 1, 2, 3, 4, 5, 2, 2, 5]],
         ), name
     assert_no_moments(model, slice(6, None))
-    assert model.exp_avg.xyz_W[:6].all()
-    assert model.birth_step.tolist() == [0] * 6 + [40] * 3
+    assert model.moments.exp_avg.xyz_W[:6].all()
+    assert model.clock.birth.tolist() == [0] * 6 + [40] * 3
 
 
 @pytest.mark.parametrize("n", [2, 3, 7, 51])
@@ -179,8 +181,8 @@ def test_rows_are_moved_to_others_and_share_their_opacity(generator):
         assert torch.equal(column[[0, 1, 2]], column[[4, 5, 4]])
         assert torch.equal(column[3], before[name][3])
     assert_no_moments(model, [4, 5])
-    assert model.exp_avg.xyz_W[[0, 1, 2], 0].tolist() == [1, 2, 3]  # as in gsplat
-    assert model.birth_step.tolist() == [0, 0, 0, 0, 40, 40]
+    assert model.moments.exp_avg.xyz_W[[0, 1, 2], 0].tolist() == [1, 2, 3]  # as in gsplat
+    assert model.clock.birth.tolist() == [0, 0, 0, 0, 40, 40]
 
 
 def test_the_halves_of_a_row(generator):
@@ -240,7 +242,7 @@ def test_everything_at_once_in_the_order_of_the_fields(generator):
     torch.testing.assert_close(model.opacity[[0, 4]], torch.tensor([0.6, 0.6]))
     torch.testing.assert_close(model.opacity[7:], torch.tensor([0.8, 0.8]))
     assert torch.equal(model.params.xyz_W[7:], new.xyz_W)
-    assert model.exp_avg.xyz_W[:4, 0].tolist() == [1, 3, 5, 6]
+    assert model.moments.exp_avg.xyz_W[:4, 0].tolist() == [1, 3, 5, 6]
     assert_no_moments(model, slice(4, None))
 
 
@@ -281,14 +283,14 @@ def test_a_snapshot_brings_everything_back(generator):
     model = filled(generator)
     model.row_memory("seen").fill_(2.0)
     before = rows(model)
-    snapshot = model.snapshot()
+    snapshot = model.columns.snapshot()
     model.append(seeds(6000, generator))
     model.edit(
         Edit(rates={"sh": torch.zeros(6006)}, keep=~mask(6006, 2)),
         generator,
     )
     model.params.xyz_W.zero_()
-    model.restore(snapshot)
+    model.columns.restore(snapshot)
     assert len(model) == 6
     assert list(model.columns) == list(before)
     assert all(torch.equal(before[name], column) for name, column in model.columns.items())
@@ -324,7 +326,7 @@ def test_states_and_anchors_of_surfels(generator):
     ]
     assert model.confidence.tolist() == [50, 50, 0, 0, 0, 0, 0, 0]
     assert model.frames_in_view.tolist() == [7, 7, 0, 0, 0, 0, 0, 0]
-    assert model.birth_step.tolist() == [0, 0, 40, 40, 40, 40, 40, 40]
+    assert model.clock.birth.tolist() == [0, 0, 40, 40, 40, 40, 40, 40]
     for name in ("xyz_W", "log_scale", "quat"):
         assert torch.equal(model.anchor[name], model.columns[name])
 
@@ -563,8 +565,8 @@ def pair(generator):
         params[theirs].grad = torch.randn(params[theirs].shape, generator=generator)
         optimisers[theirs].step()
         state = optimisers[theirs].state[params[theirs]]
-        getattr(model.exp_avg, ours).copy_(state["exp_avg"])
-        getattr(model.exp_avg_sq, ours).copy_(state["exp_avg_sq"])
+        getattr(model.moments.exp_avg, ours).copy_(state["exp_avg"])
+        getattr(model.moments.exp_avg_sq, ours).copy_(state["exp_avg_sq"])
     return model, params, optimisers
 
 

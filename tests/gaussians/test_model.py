@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from gsfusion_nb.gaussians import GaussianModel
+from gsfusion_nb.gaussians import PLY_BYTES, GaussianModel
 from gsfusion_nb.gaussians.model import PARAMETERS
 from gsfusion_nb.types import Seeds
 
@@ -46,50 +46,52 @@ def test_growth_keeps_old_rows_and_zeroes_new_moments(counts, generator):
     for i, part in enumerate(parts):
         model.append(part, i)
         for name in PARAMETERS:
-            getattr(model.exp_avg, name)[:] += 1.0
+            getattr(model.moments.exp_avg, name)[:] += 1.0
     assert len(model) == sum(counts)
     torch.testing.assert_close(model.params.xyz_W, torch.cat([p.xyz_W for p in parts]))
     torch.testing.assert_close(model.scale_m, torch.cat([p.scale_m for p in parts]))
     expected = torch.cat([torch.full((n,), float(len(counts) - i)) for i, n in enumerate(counts)])
-    torch.testing.assert_close(model.exp_avg.opacity_logit, expected)
+    torch.testing.assert_close(model.moments.exp_avg.opacity_logit, expected)
 
 
 def test_keep_filters_every_column_alike(generator):
     model = GaussianModel(sh_degree=2)
     all_seeds = seeds(50, generator)
     model.append(all_seeds, 3)
-    model.exp_avg.xyz_W.copy_(all_seeds.xyz_W)
+    model.moments.exp_avg.xyz_W.copy_(all_seeds.xyz_W)
     rows = torch.rand(50, generator=generator) > 0.5
     model.keep(rows)
     assert len(model) == int(rows.sum())
     torch.testing.assert_close(model.params.xyz_W, all_seeds.xyz_W[rows])
-    torch.testing.assert_close(model.exp_avg.xyz_W, all_seeds.xyz_W[rows])
+    torch.testing.assert_close(model.moments.exp_avg.xyz_W, all_seeds.xyz_W[rows])
     assert model.tag.tolist() == rows.nonzero()[:, 0].tolist()
 
 
 def test_state_round_trip(generator):
     model = GaussianModel(sh_degree=1)
     model.append(seeds(5000, generator), 2)
-    model.step_count = 17
+    model.clock.advance(17)
     again = GaussianModel.from_state_dict(model.state_dict())
     assert again.step_count == 17
     for name in PARAMETERS:
         assert torch.equal(getattr(again.params, name), getattr(model.params, name))
-        assert torch.equal(getattr(again.exp_avg_sq, name), getattr(model.exp_avg_sq, name))
+        assert torch.equal(
+            getattr(again.moments.exp_avg_sq, name), getattr(model.moments.exp_avg_sq, name)
+        )
 
 
 def test_rows_that_take_the_place_of_removed_ones_start_from_zero(generator):
     model = GaussianModel(sh_degree=1)
     model.append(seeds(6, generator))
-    for values in (model.params, model.exp_avg, model.exp_avg_sq):
+    for values in (model.params, model.moments.exp_avg, model.moments.exp_avg_sq):
         values.sh.fill_(3.0)
         values.xyz_W.fill_(3.0)
     model.keep(torch.arange(6) < 2)
     more = seeds(5, generator)
     model.append(more)
-    assert (model.exp_avg.sh[:2] == 3).all()
+    assert (model.moments.exp_avg.sh[:2] == 3).all()
     assert not model.params.sh[2:, 1:].any()
-    for moments in (model.exp_avg, model.exp_avg_sq):
+    for moments in (model.moments.exp_avg, model.moments.exp_avg_sq):
         assert not any(column[2:].any() for column in vars(moments).values())
     torch.testing.assert_close(model.params.xyz_W[2:], more.xyz_W)
 
@@ -98,22 +100,22 @@ def test_a_log_brings_back_rows_that_were_said_to_change(generator):
     """Also rows that were said twice, or that are new."""
     model = GaussianModel(sh_degree=0)
     model.append(seeds(5, generator))
-    before = model.snapshot()
-    undo = model.log_changes()
-    model.will_change(torch.tensor([1, 3]))
+    before = model.columns.snapshot()
+    undo = model.undo_log.begin()
+    model.undo_log.will_change(torch.tensor([1, 3]))
     model.params.xyz_W[1] += 1
     model.append(seeds(2, generator))
-    model.will_change(torch.tensor([3, 4, 5, 6]))
+    model.undo_log.will_change(torch.tensor([3, 4, 5, 6]))
     model.params.xyz_W[3:] += 1
-    model.will_change(torch.tensor([1]))
+    model.undo_log.will_change(torch.tensor([1]))
     model.params.xyz_W[1] += 1
     undo()
     assert len(model) == 5
     for name, column in model.columns.items():
         assert torch.equal(column, before[name]), name
-    model.log_changes()
-    model.end_log()
-    model.will_change(torch.tensor([0]))
+    model.undo_log.begin()
+    model.undo_log.end()
+    model.undo_log.will_change(torch.tensor([0]))
     model.params.xyz_W[0] += 1
     assert not torch.equal(model.params.xyz_W, before["xyz_W"])
 
@@ -128,7 +130,7 @@ def test_colours_of_another_degree_are_cut_or_padded(given, own, generator):
     source.params.sh.copy_(torch.rand(source.params.sh.shape, generator=generator))
     model = GaussianModel(sh_degree=own)
     model.append(seeds(2, generator), 5)
-    model.step_count = 9
+    model.clock.advance(9)
     model.extend(source.params)
     shared = min((given + 1) ** 2, (own + 1) ** 2)
     assert torch.equal(
@@ -138,11 +140,11 @@ def test_colours_of_another_degree_are_cut_or_padded(given, own, generator):
     assert not model.params.sh[2:, shared:].any()
     for name in PARAMETERS[:-1]:
         assert torch.equal(getattr(model.params, name)[2:], getattr(source.params, name))
-        assert not getattr(model.exp_avg, name)[2:].any()
+        assert not getattr(model.moments.exp_avg, name)[2:].any()
     assert model.birth_frame.tolist() == [5, 5, -1, -1, -1, -1]
-    assert model.birth_step.tolist() == [0, 0, 9, 9, 9, 9]
+    assert model.clock.birth.tolist() == [0, 0, 9, 9, 9, 9]
     assert model.tag.tolist()[2:] == [0] * 4
-    assert model.size_bytes == 6 * 62 * 4
+    assert PLY_BYTES * len(model) == 6 * 62 * 4
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
@@ -159,11 +161,11 @@ def test_rows_that_are_not_finite_are_refused(value, generator):
 def test_growth_clears_what_a_dropped_row_left_behind(generator):
     model = GaussianModel(sh_degree=0)
     model.append(seeds(10, generator))
-    model.exp_avg_sq.xyz_W.fill_(3.0)
+    model.moments.exp_avg_sq.xyz_W.fill_(3.0)
     model.keep(torch.arange(10) < 4)
     model.append(seeds(6, generator))
-    assert model.exp_avg_sq.xyz_W[:4].eq(3.0).all()
-    assert model.exp_avg_sq.xyz_W[4:].eq(0.0).all()
+    assert model.moments.exp_avg_sq.xyz_W[:4].eq(3.0).all()
+    assert model.moments.exp_avg_sq.xyz_W[4:].eq(0.0).all()
 
 
 def test_only_rows_that_were_never_in_use_are_zero_already(generator):
@@ -174,7 +176,7 @@ def test_only_rows_that_were_never_in_use_are_zero_already(generator):
         start = len(model)
         model.append(seeds(n, generator))
         assert model.params.sh[start:, 1:].eq(0.0).all()
-        for moments in (model.exp_avg, model.exp_avg_sq):
+        for moments in (model.moments.exp_avg, model.moments.exp_avg_sq):
             assert all(column[start:].eq(0.0).all() for column in vars(moments).values())
             for column in vars(moments).values():
                 column.fill_(3.0)
@@ -199,7 +201,7 @@ def test_views_are_made_again_when_the_rows_change(generator):
     model.append(seeds(10, generator))
     before = model.params
     assert model.params is before
-    assert model.exp_avg is model.exp_avg
+    assert model.moments.exp_avg is model.moments.exp_avg
     model.append(seeds(5000, generator))
     model.keep(torch.arange(5010) < 10)
     after = model.params
@@ -215,7 +217,7 @@ def test_activated_values(generator):
     model.append(s)
     torch.testing.assert_close(model.rgb, s.rgb)
     torch.testing.assert_close(model.opacity, s.opacity)
-    assert model.size_bytes == 3 * 248
+    assert PLY_BYTES * len(model) == 3 * 248
     assert "3 Gaussians" in repr(model)
 
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from gsfusion_nb.config import DiscConfig, OptimConfig, WindowConfig
-from gsfusion_nb.gaussians import Edit, GaussianModel, StepClock, SurfelModel
+from gsfusion_nb.gaussians import Edit, GaussianModel, StepClock, SurfelModel, restart_optimiser
 from gsfusion_nb.gaussians.model import PARAMETERS
 from gsfusion_nb.large_maps import MapPart, params_now
 from gsfusion_nb.mapping.surfel_optimiser import SurfelOptimiser
@@ -85,7 +85,7 @@ class Twins:
     def restart(self):
         take_missed_steps(self.parts, self.config)
         for model in self.both:
-            model.restart_optimiser()
+            restart_optimiser(model)
 
     def edit(self):
         take_missed_steps(self.parts, self.config)
@@ -114,14 +114,14 @@ class Twins:
             model.keep(rows)
 
     def undo(self):
-        undo = [model.log_changes() for model in self.both]
+        undo = [model.undo_log.begin() for model in self.both]
         for model in self.both:
-            model.will_change()
+            model.undo_log.will_change()
         for _ in range(2):
             self.random.choice([self.append, self.step, self.restart, self.keep])()
         for take_back, model in zip(undo, self.both, strict=True):
             take_back()
-            model.end_log()
+            model.undo_log.end()
 
     def resume(self):
         self.whole, self.parts = (
@@ -158,7 +158,7 @@ def test_parts_with_their_missed_steps_are_the_whole_map_in_any_order(adam_steps
         getattr(twins, twins.random.choice(OPERATIONS))()
         for model in twins.both:
             model.clock.check()
-        assert torch.equal(twins.parts.birth_step, twins.whole.birth_step)
+        assert torch.equal(twins.parts.clock.birth, twins.whole.clock.birth)
         assert twins.parts.step_count == twins.whole.step_count
     before = twins.parts.state_dict()
     now = params_now(twins.parts, twins.catch_up_part)
@@ -179,9 +179,9 @@ def test_parts_with_their_missed_steps_are_the_whole_map_in_any_order(adam_steps
         assert torch.equal(before["rows"][name], getattr(twins.parts.params, name))
     take_missed_steps(twins.parts, twins.config)
     assert int(twins.parts.clock.steps_missed.sum()) == 0
-    for of in ("params", "exp_avg", "exp_avg_sq"):
+    for of in ("", "exp_avg.", "exp_avg_sq."):
         for name in PARAMETERS:
-            pair = [getattr(getattr(model, of), name) for model in (twins.parts, twins.whole)]
+            pair = [model.columns[of + name] for model in (twins.parts, twins.whole)]
             assert pair[0].isfinite().all()
             torch.testing.assert_close(*pair, **CLOSE)
     again = params_now(twins.parts, twins.catch_up_part)
@@ -241,7 +241,7 @@ def taken_over(optimiser: SurfelOptimiser, before: torch.Tensor) -> SurfelOptimi
     optimiser.write_back()
     model = copy.deepcopy(optimiser._model)
     n = len(model)
-    model.copy_rows(before.clamp_min(0))
+    model.columns.copy_rows(before.clamp_min(0))
     model.keep(torch.arange(len(model)) >= n)
     again = optimiser_of(model)
     again.take_over(optimiser, before)
@@ -271,7 +271,7 @@ def test_a_row_that_was_restarted_out_of_view_moves_by_finite_steps(generator):
             part = MapPart(model, rows)
             adam_step(part, gradients(model.params, rows, generator)[rows], config)
             part.write_back()
-    model.restart_optimiser()
+    restart_optimiser(model)
     before = model.params.xyz_W.clone()
     take_missed_steps(model, config)
     assert torch.equal(model.params.xyz_W, before)
@@ -289,7 +289,7 @@ def test_checkpoints_with_rows_that_began_after_their_last_step_load(generator):
     state["rows"]["last_step"][:] = torch.tensor([12, 40, 33])
     again = GaussianModel.from_state_dict(state)
     again.clock.check()
-    assert (again.birth_step.tolist(), again.last_step.tolist()) == ([40, 40, 0], [40, 40, 33])
+    assert (again.clock.birth.tolist(), again.clock.last.tolist()) == ([40, 40, 0], [40, 40, 33])
     take_missed_steps(again, config)
     assert again.params.xyz_W.isfinite().all()
 
@@ -301,7 +301,7 @@ def test_a_clock_does_not_go_back_and_an_old_part_is_refused(generator):
     model.clock.step()
     assert model.step_count == 1
     with pytest.raises(ValueError, match="does not go back, from 1 to 0"):
-        model.step_count = 0
+        model.clock.advance(0)
     with pytest.raises(ValueError, match="a part with 0 steps is older than its map, which has 1"):
         model.clock.write_back(torch.tensor([0]), old)
     clock = StepClock.of_new_rows(2, torch.device("cpu"))
@@ -319,5 +319,5 @@ def test_discs_keep_the_invariant_when_frames_are_counted(generator):
         generator,
     )
     model.clock.check()
-    assert model.birth_step.tolist() == [0, 5, 0, 0]
+    assert model.clock.birth.tolist() == [0, 5, 0, 0]
     assert int(model.clock.steps_missed.sum()) == 0

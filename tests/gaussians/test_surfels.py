@@ -22,6 +22,7 @@ from gsfusion_nb.gaussians import (
     radius_of,
     state_counts,
 )
+from gsfusion_nb.gaussians.rigid_motion import move_map_
 from gsfusion_nb.gaussians.surfels import (
     BECOMES_STABLE,
     BECOMES_UNSTABLE,
@@ -90,10 +91,10 @@ def test_radius_is_the_mean_of_the_two_largest_standard_deviations():
 
 def test_rows_are_born_unstable_at_the_step_and_held_at_their_first_values(generator):
     model = SurfelModel(sh_degree=1)
-    model.step_count = 7
+    model.clock.advance(7)
     seeds = discs(5, generator)
     model.append(seeds, frame_index=12)
-    assert model.birth_step.tolist() == [7] * 5
+    assert model.clock.birth.tolist() == [7] * 5
     assert model.birth_frame.tolist() == [12] * 5
     assert not model.is_stable.any()
     for name in COUNTERS:
@@ -122,7 +123,7 @@ def test_moving_rows_moves_points_and_axes(kind, generator):
     R = T[:, :3, :3]
     xyz = model.params.xyz_W.clone()
     before = quaternion.to_matrix(model.params.quat)
-    model.move(T.double())
+    move_map_(model, T.double())
     torch.testing.assert_close(
         model.params.xyz_W,
         torch.einsum("nij,nj->ni", R, xyz) + T[:, :3, 3],
@@ -148,13 +149,13 @@ def test_colours_and_moments_turn_with_their_rows(generator):
     turns with them."""
     model = GaussianModel(sh_degree=3)
     model.append(discs(30, generator))
-    for moments in (model.params, model.exp_avg):
+    for moments in (model.params, model.moments.exp_avg):
         moments.sh.copy_(torch.randn(30, 16, 3, generator=generator))
     for name in ("xyz_W", "quat"):
-        getattr(model.exp_avg, name).copy_(
+        getattr(model.moments.exp_avg, name).copy_(
             torch.randn(30, 3 + (name == "quat"), generator=generator)
         )
-        getattr(model.exp_avg_sq, name).copy_(
+        getattr(model.moments.exp_avg_sq, name).copy_(
             torch.rand(30, 3 + (name == "quat"), generator=generator)
         )
     T = torch.eye(4, dtype=torch.float64).repeat(30, 1, 1)
@@ -162,29 +163,29 @@ def test_colours_and_moments_turn_with_their_rows(generator):
     T[10:20] = se3.exp(torch.tensor([1, 2, 3, 0, 0.4, 0.5], dtype=torch.float64))
     R = T[:, :3, :3].float()
     dirs = torch.nn.functional.normalize(torch.randn(30, 3, generator=generator), dim=1)
-    before, old = (copy.deepcopy(vars(x)) for x in (model.exp_avg, model.params))
-    square = model.exp_avg_sq.xyz_W.clone()
-    model.move(T)
+    before, old = (copy.deepcopy(vars(x)) for x in (model.moments.exp_avg, model.params))
+    square = model.moments.exp_avg_sq.xyz_W.clone()
+    move_map_(model, T)
     turned = (R @ dirs[:, :, None])[:, :, 0]
-    for was, now in ((old["sh"], model.params.sh), (before["sh"], model.exp_avg.sh)):
+    for was, now in ((old["sh"], model.params.sh), (before["sh"], model.moments.exp_avg.sh)):
         seen = [(sh_basis(d, 3)[:, :, None] * sh).sum(1) for d, sh in ((dirs, was), (turned, now))]
         torch.testing.assert_close(*seen, atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(
-        model.exp_avg.xyz_W,
+        model.moments.exp_avg.xyz_W,
         (R @ before["xyz_W"][:, :, None])[:, :, 0],
     )
     torch.testing.assert_close(
-        model.exp_avg.quat.norm(dim=1),
+        model.moments.exp_avg.quat.norm(dim=1),
         before["quat"].norm(dim=1),
     )
-    torch.testing.assert_close(model.exp_avg_sq.xyz_W.sum(1), square.sum(1))
+    torch.testing.assert_close(model.moments.exp_avg_sq.xyz_W.sum(1), square.sum(1))
     assert torch.equal(model.params.sh[20:], old["sh"][20:])
 
 
 def test_state_round_trip(generator):
     model = SurfelModel(sh_degree=2)
     model.append(discs(5000, generator), 2)
-    model.step_count = 17
+    model.clock.advance(17)
     for i, name in enumerate(COUNTERS):
         getattr(model, name).copy_(model.tag + i)
     model.state.copy_(model.tag % 2)
@@ -231,12 +232,12 @@ def surfels(
     )
     for i in stable:
         model.state[i] = STABLE
-    model.step_count = now
+    model.clock.advance(now)
     return model
 
 
 def rows(model: SurfelModel) -> dict[str, torch.Tensor]:
-    return model.snapshot()
+    return model.columns.snapshot()
 
 
 def assert_same(
@@ -277,7 +278,7 @@ def test_confidence_is_the_number_of_steps_times_their_size(per_step, stable):
 @pytest.mark.parametrize("counter", ["colour_errors", "depth_errors"])
 def test_a_stable_row_in_error_more_than_ten_times_is_released(counter):
     model = surfels(4, stable=(0, 1, 2), now=1000)
-    model.birth_step.fill_(990)
+    model.clock.birth.fill_(990)
     model.confidence.fill_(60)
     # the last is unstable: it has no errors to answer for
     getattr(model, counter).copy_(torch.tensor([9, 10, 11, 11]))
@@ -286,7 +287,7 @@ def test_a_stable_row_in_error_more_than_ten_times_is_released(counter):
     assert report == Transitions(stabilised=0, released=1, expired=0, oversized=0)
     assert model.state.tolist() == [STABLE, STABLE, UNSTABLE, UNSTABLE]
     assert model.confidence.tolist() == [60, 60, 0, 60]
-    assert model.birth_step.tolist() == [990, 990, 1000, 990]
+    assert model.clock.birth.tolist() == [990, 990, 1000, 990]
     assert getattr(model, counter).tolist() == [9, 10, 0, 11]
     assert_same(model, before, ("state", "confidence", "birth_step", counter))
 
@@ -425,7 +426,7 @@ def test_a_new_state_starts_its_counts_again():
     assert model.state.tolist() == [STABLE, UNSTABLE, STABLE, UNSTABLE]
     assert model.colour_errors.tolist() == model.depth_errors.tolist() == [7, 0, 0, 7]
     assert model.confidence.tolist() == model.frames_in_view.tolist() == [7, 0, 7, 7]
-    assert model.birth_step.tolist() == [0, 9, 0, 0]
+    assert model.clock.birth.tolist() == [0, 9, 0, 0]
 
 
 @pytest.mark.parametrize(
@@ -435,7 +436,7 @@ def test_a_new_state_starts_its_counts_again():
 def test_an_unstable_row_is_removed_when_it_is_older_than_the_limit(age, left):
     """The limit is 50 frames. Frames since it was added: 50, 50, 51; in view: 50, 51, 50."""
     model = surfels(3, now=60)
-    model.birth_step.copy_(torch.tensor([10, 10, 9]))
+    model.clock.birth.copy_(torch.tensor([10, 10, 9]))
     model.frames_in_view.copy_(torch.tensor([50, 51, 50]))
     report = change_states(model, dataclasses.replace(CONFIG, age=age))
     assert model.tag.tolist() == left
@@ -470,12 +471,15 @@ def test_moments_turn_by_the_rotation_and_its_squares(generator):
     squares."""
     model = GaussianModel(sh_degree=0)
     model.append(discs(7, generator))
-    for moments in (model.exp_avg, model.exp_avg_sq):
+    for moments in (model.moments.exp_avg, model.moments.exp_avg_sq):
         for column in (moments.xyz_W, moments.quat):
             column.copy_(torch.rand(column.shape, generator=generator))
-    before = {name: copy.deepcopy(vars(getattr(model, name))) for name in ("exp_avg", "exp_avg_sq")}
+    before = {
+        name: copy.deepcopy(vars(getattr(model.moments, name)))
+        for name in ("exp_avg", "exp_avg_sq")
+    }
     T = motions(7, generator)
-    model.move(T)
+    move_map_(model, T)
     R = T[:, :3, :3].float()
     q = quaternion.from_matrix(R)
     L = torch.stack(
@@ -485,7 +489,7 @@ def test_moments_turn_by_the_rotation_and_its_squares(generator):
     for i in range(7):
         mean, square = (
             {name: column[i] for name, column in vars(m).items()}
-            for m in (model.exp_avg, model.exp_avg_sq)
+            for m in (model.moments.exp_avg, model.moments.exp_avg_sq)
         )
         torch.testing.assert_close(mean["xyz_W"], R[i] @ before["exp_avg"]["xyz_W"][i])
         turned = quaternion.multiply(
@@ -554,7 +558,7 @@ def test_a_moved_anchor_stays_where_it_was_beside_its_row(generator):
     gap = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(
         model.params.quat
     )
-    model.move(motions(10, generator))
+    move_map_(model, motions(10, generator))
     moved = quaternion.to_matrix(model.anchor["quat"]).transpose(1, 2) @ quaternion.to_matrix(
         model.params.quat
     )

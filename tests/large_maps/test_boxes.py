@@ -209,7 +209,7 @@ def test_a_step_leaves_what_no_view_shows_as_it_is(small_room, cloud):
             getattr(mapper.gaussians.params, name)[:n],
             getattr(far, name)[:n],
         )
-    assert (mapper.gaussians.exp_avg.sh[len(far) :] != 0).any()
+    assert (mapper.gaussians.moments.exp_avg.sh[len(far) :] != 0).any()
 
 
 @pytest.mark.parametrize("start", [0, 5, CHUNK, 700])
@@ -247,8 +247,8 @@ def test_a_second_step_on_a_view_takes_the_same_rows_and_can_be_undone(small_roo
     part = mapper.parts.in_view(frame)
     part.params.xyz_W.add_(1.0)
     part.write_back()
-    before = mapper.gaussians.snapshot()
-    undo = mapper.gaussians.log_changes()
+    before = mapper.gaussians.columns.snapshot()
+    undo = mapper.gaussians.undo_log.begin()
     assert mapper.parts.in_view(frame) is part
     part.params.xyz_W.add_(1.0)
     part.write_back()

@@ -58,7 +58,7 @@ def quick(fidelity: str = "measured", **overrides: Any) -> RtgSlamConfig:
 
 
 def rows(mapper: RTGSLAM) -> dict[str, torch.Tensor]:
-    return mapper.gaussians.snapshot()
+    return mapper.gaussians.columns.snapshot()
 
 
 def assert_same_map(a: RTGSLAM, b: RTGSLAM) -> None:

@@ -177,7 +177,7 @@ def _regulariser(params, held, anchor) -> float:
 
 
 def snapshot(model: SurfelModel) -> dict[str, torch.Tensor]:
-    return model.snapshot()
+    return model.columns.snapshot()
 
 
 def test_frozen_rows_do_not_move_and_the_map_changes_on_write_back_only(generator):

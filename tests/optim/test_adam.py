@@ -362,7 +362,9 @@ def test_rows_take_their_part_of_the_step(generator, backend):
             if f in (0.0, 1.0):
                 assert torch.equal(found, expected), (name, f)
             torch.testing.assert_close(found, expected, atol=1e-6, rtol=1e-6)
-        assert torch.equal(getattr(model.exp_avg_sq, name), getattr(all_by[1.0].exp_avg_sq, name))
+        assert torch.equal(
+            getattr(model.moments.exp_avg_sq, name), getattr(all_by[1.0].moments.exp_avg_sq, name)
+        )
 
 
 def test_the_rows_of_a_window_take_their_part_too(generator):
@@ -371,7 +373,7 @@ def test_the_rows_of_a_window_take_their_part_too(generator):
     models = copies_of(params), copies_of(params)
     factor = torch.tensor([0.0, 1, 0.5] * 3)
     for name, factors in {"xyz_W": factor, "quat": factor, "sh": 0 * factor}.items():
-        models[1].set_rate(name, factors)
+        models[1].rates.use(name).copy_(factors)
     g = gradients(params, generator)
     for model in models:
         adam_step(model, g, adam)
@@ -407,8 +409,8 @@ def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed, 
             g = rows(len(whole), generator)
             adam_step(whole, g, config)
             adam_step(part, g, config)
-    part.set_rate("quat", torch.linspace(0, 2, 12))
-    whole.set_rate("quat", torch.linspace(0, 2, 12))
+    part.rates.use("quat").copy_(torch.linspace(0, 2, 12))
+    whole.rates.use("quat").copy_(torch.linspace(0, 2, 12))
     seen = torch.tensor([0, 1, 4, 5, 6])
     boxes = Mock(Boxes)
     for _ in range(missed):
@@ -423,11 +425,9 @@ def test_missed_steps_are_those_of_the_whole_map(generator, adam_steps, missed, 
         some.write_back()
     assert not torch.equal(part.params.xyz_W, whole.params.xyz_W)
     take_missed_steps(part, config)
-    for of in ("params", "exp_avg", "exp_avg_sq"):
-        for name, column in vars(getattr(part, of)).items():
-            torch.testing.assert_close(
-                column, getattr(getattr(whole, of), name), atol=1e-6, rtol=1e-4
-            )
+    for of in ("", "exp_avg.", "exp_avg_sq."):
+        for name, column in vars(part.columns.parameters(of)).items():
+            torch.testing.assert_close(column, whole.columns[of + name], atol=1e-6, rtol=1e-4)
     before = part.params.xyz_W.clone()
     take_missed_steps(part, config)
     assert torch.equal(part.params.xyz_W, before)
@@ -484,7 +484,7 @@ def test_an_optimiser_from_outside_is_told_rates_and_ages(generator):
         )
 
     model = map_of(generator, 3)
-    model.step_count = 4
+    model.clock.advance(4)
     model.append(
         Seeds.isotropic(
             torch.zeros(1, 3),
@@ -497,7 +497,7 @@ def test_an_optimiser_from_outside_is_told_rates_and_ages(generator):
     assert told[4, 4, 3] == ([5, 5, 5, 1], pytest.approx([0.2, 0.3, 0.3, 0.3]))
     assert told[4,] == ([5, 5, 5, 1], 0.4)
     assert model.step_count == 5
-    assert model.last_step.tolist() == [5] * 4
+    assert model.clock.last.tolist() == [5] * 4
     told.clear()
     window = copies_of(rows(2, generator))
     for _ in range(3):
@@ -513,8 +513,8 @@ def test_a_part_knows_whether_its_map_has_changed(generator):
     adam_step(part, gradients(part.params, generator), OptimConfig())
     part.write_back()
     assert part.is_current
-    assert model.step_count == part.step_count == 1
-    assert model.last_step.tolist() == [1, 0, 0, 0, 1, 0, 0, 0, 0]
+    assert model.step_count == part.clock.count == 1
+    assert model.clock.last.tolist() == [1, 0, 0, 0, 1, 0, 0, 0, 0]
     model.params.xyz_W.add_(1.0)
     assert not part.is_current
 

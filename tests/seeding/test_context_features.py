@@ -58,7 +58,7 @@ def with_map(xyz_W: torch.Tensor, **more) -> SeedContext:
         Seeds.isotropic(xyz_W, torch.full_like(xyz_W, 0.25), torch.full((len(xyz_W),), 0.1)),
         3,
     )
-    model.step_count = 50
+    model.clock.advance(50)
     return SeedContext(frame(index=7), gaussians=model, **more)
 
 

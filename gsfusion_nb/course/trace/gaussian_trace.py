@@ -151,7 +151,7 @@ class GaussianStep(Moment):
 class GaussianSeeded(Moment):
     """A Gaussian when it was seeded."""
 
-    code: ClassVar = (GaussianModel, 'new["xyz_W"][start:stop] = seeds.xyz_W')
+    code: ClassVar = (GaussianModel, "params.xyz_W[rows] = seeds.xyz_W")
 
     birth: Birth
 

@@ -82,14 +82,14 @@ class Identities:
         has of its own."""
         self.events: list[Event] = []
         self._final: Int[Tensor, " N"] | None = None
-        model.trace_ids()  # from now on the map has the column, also while it is empty
+        model.traces.use("id")  # from now on the map has the column, also while it is empty
         self.number(torch.arange(len(model)), "before the trace", None, "")
 
     def now(self) -> Int[Tensor, " N"]:
         """Identity of each row, on the CPU; after ``close`` as it was then."""
         if self._final is not None:
             return self._final
-        return self.model.trace_ids().long().cpu() - 1
+        return self.model.traces.use("id").long().cpu() - 1
 
     def row_of(self, i: int) -> int | None:
         """The row of a Gaussian now; ``None`` if it has left the map."""
@@ -126,7 +126,7 @@ class Identities:
         row of each."""
         if not len(rows):
             return
-        ids = self.model.trace_ids()
+        ids = self.model.traces.use("id")
         tag = self.model.tag[rows].cpu().clone()
         fields = {
             "cause": cause,
@@ -188,7 +188,7 @@ class Identities:
     def close(self) -> None:
         """Forget the rows' numbers; births and events stay known."""
         self._final = self.now()
-        self.model.end_trace()
+        self.model.traces.remove("id")
 
 
 def origin_of(frame: Frame, cells: Any, seeds: Seeds) -> dict[str, Tensor]:

@@ -243,7 +243,7 @@ class Recorder:
 
 def _copies(part: MapPart) -> dict[str, list[Tensor]]:
     """Parameter -> copies of its values, of m and of v."""
-    groups = (part.params, part.exp_avg, part.exp_avg_sq)
+    groups = (part.params, part.moments.exp_avg, part.moments.exp_avg_sq)
     return {name: [getattr(group, name).clone() for group in groups] for name in vars(part.params)}
 
 

@@ -29,7 +29,7 @@ COUNTS: tuple[Count, ...] = ("per_row", "shared", "none")
 
 ADAM_WATCH = {
     adam_update: {
-        "adam_step": ("t", "steps", "model.birth_step"),
+        "adam_step": ("t", "steps", "model.clock.birth"),
         "adam_update": (
             "param",
             "gradient",
@@ -43,7 +43,7 @@ ADAM_WATCH = {
             "lr",
         ),
     },
-    GaussianModel: {"append": ("start", "stop")},
+    GaussianModel: {"append": ("rows",)},
 }
 
 
@@ -151,13 +151,14 @@ def _adam_steps(recording: Recording, rows: int, adam_steps: Count) -> list[Step
     history: list[list[tuple[int, float, float]]] = [[] for _ in range(rows)]
     n_steps = 0
     start = torch.zeros(0)
-    counting = "steps = t - model.birth_step" if adam_steps == "per_row" else "steps: int"
+    counting = "steps = t - model.clock.birth" if adam_steps == "per_row" else "steps: int"
     for line in recording:
         scene = {"history": [tuple(h) for h in history], "step": n_steps}
-        if line.text.startswith("if start < self._most"):
-            what = "A new row" if line["start"] else "The map starts with these rows"
+        if line.text.startswith("params.xyz_W[rows]"):
+            rows_added = line["rows"]
+            what = "A new row" if rows_added.start else "The map starts with these rows"
             title = f"{what}: the values come from the seeds, and the moments m and v are 0."
-            new_rows = [("rows", f"{line['start']} to {line['stop'] - 1}")]
+            new_rows = [("rows", f"{rows_added.start} to {rows_added.stop - 1}")]
             steps.append(Step(line, title, new_rows, scene))
         elif line.text.startswith(counting):
             t = "none: no correction" if line["steps"] is None else text_of(line["steps"])

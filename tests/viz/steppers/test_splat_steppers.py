@@ -110,7 +110,7 @@ def test_adam_moves_the_rows_as_the_optimiser_does(press, count):
     steps = press(stepper)
     model = GaussianModel(sh_degree=0)
     config = dataclasses.replace(OptimConfig(), adam_steps=count)
-    model.step_count = 5
+    model.clock.advance(5)
     for k, n in enumerate((2, 3)):
         if len(model) < n:
             new = n - len(model)
