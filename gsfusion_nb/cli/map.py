@@ -13,6 +13,7 @@ from ..errors import ArgumentError
 from ..resources import MAP_MEMORY
 from ..seeding.named_rules import RuleNotNamedError
 from ..seeding.rule_code import is_rule_file
+from ..tsdf import estimate_memory
 from .permission import ask_or_refuse
 from .result import print_result
 from .settings import SettingsOptions, layout_names, parse, recording_to_open
@@ -226,7 +227,7 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
     pixels = sequence.camera.width * sequence.camera.height
     mesh = mapper.mesh()
     mesh_gb = share * len(mesh.faces) * _BYTES_PER_TRIANGLE / 1e9
-    volume_gb = whole.memory_bytes / 1e9
+    volume_gb = estimate_memory(whole.n_blocks, weighs_colours=whole.config.weighs_colours) / 1e9
     return {
         "voxel blocks": volume_gb if has_volume else 0.0,
         "Gaussians": share * sum(column.nbytes for column in columns) / 1e9,

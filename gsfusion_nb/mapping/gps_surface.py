@@ -36,7 +36,7 @@ from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..optim import adam_step, l1_mse_vjp
 from ..render import SurfacePicture, render_forward, render_over_base, render_vjp, surface_picture
 from ..tsdf import TsdfVolume, extract_mesh, raycast
-from ..tsdf.volume import corner_gradients
+from ..tsdf.cells import cell_corners, corner_gradients
 from ..types import Camera, GaussianParams, Mesh, RenderOutput
 
 DISC_VOXELS = 0.4
@@ -152,7 +152,7 @@ def in_front(volume: TsdfVolume, params: GaussianParams) -> GaussianParams:
     voxel_m = volume.config.voxel_size_m
     truncation_m = volume.config.truncation_m
     D, is_known = volume.interpolate(params.xyz_W)
-    at, f = volume.cell_corners(params.xyz_W[is_known])
+    at, f = cell_corners(volume, params.xyz_W[is_known])
     gradient = (volume.D.view(-1)[at][..., None] * corner_gradients(f)).sum(1)
     lacking_m = (IN_FRONT_VOXELS * voxel_m - D[is_known] * truncation_m).clamp(min=0)
     xyz = params.xyz_W.clone()

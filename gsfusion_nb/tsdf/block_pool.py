@@ -67,6 +67,23 @@ class BlockPool:
             self.W_rgb[rows] = 0.0
         self.coords[rows] = coords
 
+    def stored(self, n_blocks: int) -> dict[str, Tensor]:
+        """What a file holds of the first ``n_blocks`` rows; views."""
+        weights = {} if self.W_rgb is None else {"W_rgb": self.W_rgb[:n_blocks]}
+        return {
+            "D": self.D[:n_blocks],
+            "W": self.W[:n_blocks],
+            "rgb": self.rgb[:n_blocks],
+            "block_coords": self.coords[:n_blocks],
+        } | weights
+
+    def fill(self, stored: dict[str, Tensor]) -> None:
+        """Write what ``stored`` gave into the first rows."""
+        n = len(stored["block_coords"])
+        rows = self.stored(n)
+        for name, values in rows.items():
+            values.copy_(stored[name])
+
     def boxes(self, n_blocks: int) -> Int[np.ndarray, "C 2 3"]:
         """Lowest and highest ``coords`` in each ``BLOCKS_IN_BOX`` of the first ``n_blocks`` rows,
         on a CPU."""

@@ -20,7 +20,8 @@ from ..types import Camera, Frame
 from .allocate import allocate, new_band_blocks
 from .octree import NewBlocks
 from .raycast import RaycastOutput, raycast
-from .volume import TsdfSample, TsdfVolume, block_of, check_volume
+from .volume import TsdfSample, TsdfVolume, check_volume
+from .voxels import block_corners, block_of, voxel_centres, voxels_of
 
 INT16_ONE = 32767.0
 """D = 1 in the 16-bit integers of the released code."""
@@ -189,7 +190,8 @@ def blocks_in_view(
 
     A block whose eight corners all lie outside the same side of the view is not in view.
     """
-    return corners_in_view(volume.block_corners(), volume.config, camera, T_CW).nonzero()[:, 0]
+    corners_W = block_corners(volume.block_coords, volume.block_size_m)
+    return corners_in_view(corners_W, volume.config, camera, T_CW).nonzero()[:, 0]
 
 
 def corners_in_view(
@@ -224,7 +226,9 @@ def _fuse_blocks(
         rgb=volume.rgb[rows],
         W_rgb=volume.W_rgb[rows],
     )
-    centres_C = se3.apply(T_CW, volume.voxel_centres(rows))
+    centres_C = se3.apply(
+        T_CW, voxel_centres(voxels_of(volume.block_coords[rows]), volume.config.voxel_size_m)
+    )
     after, observed = fuse_voxels(before, centres_C, frame, volume.config)
     volume.D[rows] = after.D
     volume.W[rows] = after.W
@@ -385,11 +389,12 @@ def sample_fused_voxels(
     before = volume.sample_nearest(xyz_W)
     ijk = volume.voxel_index(xyz_W)
     block = block_of(ijk)
-    in_view = corners_in_view(volume.corners_of(block), volume.config, frame.camera, T_CW)
+    corners_W = block_corners(block, volume.block_size_m)
+    in_view = corners_in_view(corners_W, volume.config, frame.camera, T_CW)
     changes = ((volume.index.find(block) >= 0) | missing.contains(block)) & in_view
     after, _ = fuse_voxels(
         before,
-        se3.apply(T_CW, volume.centres_of(ijk)),
+        se3.apply(T_CW, voxel_centres(ijk, volume.config.voxel_size_m)),
         frame,
         volume.config,
     )

@@ -31,7 +31,8 @@ from ..checks import check_number
 from ..resources import MAP_MEMORY, return_free_memory
 from ..types import Mesh
 from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK
-from .volume import CORNERS, VOXELS, TsdfVolume, check_volume
+from .volume import TsdfVolume, check_volume, rgb_at
+from .voxels import CORNERS, VOXELS, voxel_at
 
 EDGES = tuple((axis, corner) for axis in range(3) for corner in range(8) if not corner >> axis & 1)
 """(axis, lower corner) of the twelve edges; the edge joins the lower corner with lower corner +
@@ -301,14 +302,14 @@ def _vertices(
     first = edges // 3
     axis = edges % 3
     step = torch.eye(3, dtype=torch.int64, device=edges.device)[axis]
-    ijk = volume.voxel_at(first)
+    ijk = voxel_at(volume.block_coords, first)
     second = volume.find_voxels(ijk + step)
     D0 = volume.D.view(-1)[first]
     D1 = volume.D.view(-1)[second]
     t = (D0 / (D0 - D1))[:, None]
     centre = ijk.double() + 0.5
     xyz_W = zero_crossing(centre, centre + step, D0, D1) * volume.config.voxel_size_m
-    rgb = torch.lerp(volume.voxel_rgb(first), volume.voxel_rgb(second), t)
+    rgb = torch.lerp(rgb_at(volume, first), rgb_at(volume, second), t)
     return xyz_W.to(D0.dtype), rgb
 
 

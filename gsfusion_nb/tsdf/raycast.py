@@ -29,7 +29,9 @@ from ..checks import check_pose
 from ..geometry import pixel_grid, rays, se3
 from ..geometry.operands import check_view
 from ..types import Camera
-from .volume import TsdfVolume, check_volume, corner_gradients, corner_weights
+from .cells import cell_corners, corner_gradients, corner_weights
+from .volume import TsdfVolume, check_volume, rgb_at
+from .voxels import block_corners
 
 STEP = 0.7
 """s in (1). Below 1, because D was measured along other rays and overestimates the true
@@ -92,7 +94,7 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> R
         ray_W = se3.rotate(T_WC, ray_C).view(n, 3)
         z = _surface_depths(volume, T_WC, ray_W)
         point_W = T_WC[:3, 3] + z.nan_to_num()[:, None] * ray_W
-        at, f = volume.cell_corners(point_W)
+        at, f = cell_corners(volume, point_W)
         hit = volume.observed(at).all(1) & ~z.isnan()
         at = at[hit]
         f = f[hit]
@@ -100,7 +102,7 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> R
         D = volume.D.view(-1)[at]
         gradient = (D[..., None] * corner_gradients(f)).sum(1)
         normal_W[hit] = torch.nn.functional.normalize(gradient, dim=1)
-        rgb[hit] = (volume.voxel_rgb(at) * corner_weights(f)[..., None]).sum(1)
+        rgb[hit] = (rgb_at(volume, at) * corner_weights(f)[..., None]).sum(1)
     return RaycastOutput(
         depth_m=depth_m.view(H, W),
         normal_W=normal_W.view(H, W, 3),
@@ -117,7 +119,7 @@ def _surface_depths(
     voxel_m = volume.config.voxel_size_m
     truncation_m = volume.config.truncation_m
     T_CW = se3.inverse(T_WC.double())
-    z_blocks = se3.apply(T_CW, volume.block_corners())[..., 2]
+    z_blocks = se3.apply(T_CW, block_corners(volume.block_coords, volume.block_size_m))[..., 2]
     z_last = float(z_blocks.max())
     depth = ray_W.new_full((len(ray_W),), torch.nan)
     ray = torch.arange(len(ray_W), device=ray_W.device)  # those that are still on their way

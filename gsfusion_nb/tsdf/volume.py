@@ -1,57 +1,21 @@
-"""The volumetric map: an unordered pool of 8^3 voxel blocks, found through a linear octree.
+"""The volumetric map: an unordered pool of 8^3 voxel blocks, found through a linear octree."""
 
-Between voxel centres D is interpolated: trilinear weights of the eight corners of a cell, and their
-derivatives.
-"""
-
-import functools
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from ..backends import op, piece
+from ..backends import op
 from ..checks import check_saved, check_shape
 from ..config import TsdfConfig, from_run, to_dict
 from ..errors import ArgumentError
 from ..geometry.operands import check_operand
-from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK, BlockPool, estimate_memory
+from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK, BlockPool
+from .cells import cell_corners, corner_weights
 from .octree import BlockIndex, NewBlocks, encode
-
-CORNERS = torch.tensor([[c & 1, c >> 1 & 1, c >> 2] for c in range(8)])
-"""Corner c = x + 2 y + 4 z of a unit cube. [8, 3]"""
-
-
-@functools.cache
-def corners(device: torch.device) -> Int[Tensor, "8 3"]:
-    """``CORNERS`` on a device; copied there once, because a GPU is waited for."""
-    return CORNERS.to(device)
-
-
-def corner_weights(f: Float[Tensor, "N 3"]) -> Float[Tensor, "N 8"]:
-    """Trilinear weights of the corners of a cell, at fractions ``f`` along its edges: products of f
-    or 1 - f."""
-    return torch.where(
-        corners(f.device) == 1,
-        f[:, None],
-        1.0 - f[:, None],
-    ).prod(2)
-
-
-def corner_gradients(f: Float[Tensor, "N 3"]) -> Float[Tensor, "N 8 3"]:
-    """Derivatives of ``corner_weights`` along the three axes: plus or minus the product over the
-    other two axes."""
-    upper = corners(f.device) == 1
-    along = torch.where(upper, f[:, None], 1.0 - f[:, None])
-    others = along[..., [[1, 2], [0, 2], [0, 1]]].prod(3)
-    return torch.where(upper, others, -others)
-
-
-VOXELS = torch.tensor([[x, y, z] for x in range(8) for y in range(8) for z in range(8)])
-"""Place of voxel 64 x + 8 y + z in its block. [512, 3]"""
+from .voxels import block_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,7 +60,8 @@ class TsdfVolume:
         self.device = torch.device(device)
         self.memory_limit_bytes = memory_limit_bytes
         self.index = BlockIndex(device)
-        self._pool = self._empty_pool()
+        self.pool = BlockPool(0, self.device, weighs_colours=config.weighs_colours)
+        """The values of the blocks, with spare rows."""
 
     @property
     def n_blocks(self) -> int:
@@ -107,12 +72,12 @@ class TsdfVolume:
     def D(self) -> Float[Tensor, "B 512"]:
         """Truncated signed distance of every voxel; 1 until observed. A view: writing to it changes
         the map."""
-        return self._pool.D[: self.n_blocks]
+        return self.pool.D[: self.n_blocks]
 
     @property
     def W(self) -> Float[Tensor, "B 512"]:
         """Observation count of every voxel. A view."""
-        return self._pool.W[: self.n_blocks]
+        return self.pool.W[: self.n_blocks]
 
     @property
     def rgb(self) -> Float[Tensor, "B 512 3"]:
@@ -123,33 +88,23 @@ class TsdfVolume:
     def rgb_planes(self) -> Float[Tensor, "B 3 512"]:
         """The colours as they are stored, one plane per channel: integration is 6 times faster on
         whole planes."""
-        return self._pool.rgb[: self.n_blocks]
+        return self.pool.rgb[: self.n_blocks]
 
     @property
     def W_rgb(self) -> Float[Tensor, "B 512"]:
         """Weight of the colour of every voxel; ``W`` where colours have no weights of their own. A
         view."""
-        return self.W if self._pool.W_rgb is None else self._pool.W_rgb[: self.n_blocks]
+        return self.W if self.pool.W_rgb is None else self.pool.W_rgb[: self.n_blocks]
 
     @property
     def block_coords(self) -> Int[Tensor, "B 3"]:
         """Integer coordinates of every block, int32; times 8 voxel sizes gives its lower corner."""
-        return self._pool.coords[: self.n_blocks]
-
-    @property
-    def block_boxes(self) -> Int[np.ndarray, "C 2 3"]:
-        """Lowest and highest of the ``block_coords`` of each ``BLOCKS_IN_BOX`` rows, on a CPU."""
-        return self._pool.boxes(self.n_blocks)
+        return self.pool.coords[: self.n_blocks]
 
     @property
     def block_size_m(self) -> float:
         """Edge of a block, metres."""
         return BLOCK_VOXELS * self.config.voxel_size_m
-
-    @property
-    def memory_bytes(self) -> int:
-        """Memory of the blocks, bytes, without the pool's spare rows."""
-        return estimate_memory(self.n_blocks, weighs_colours=self.config.weighs_colours)
 
     def add_blocks(self, coords: Int[Tensor, "N 3"]) -> Int[Tensor, " K"]:
         """Allocate the blocks at ``coords`` that do not exist yet; returns their rows.
@@ -158,31 +113,21 @@ class TsdfVolume:
             MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room
                 for.
         """
-        return self.allocate_missing(self.make_room(coords))
+        return self.allocate_missing(self.reserve(self.index.missing(coords)))
 
-    def make_room(self, coords: Int[Tensor, "N 3"]) -> NewBlocks:
-        """Make sure that the blocks at ``coords`` can be allocated; returns those that do not exist
-        yet.
+    def reserve(self, missing: NewBlocks) -> NewBlocks:
+        """Make sure that blocks which do not exist yet (``index.missing``) can be allocated;
+        returns them.
 
         No block is allocated yet: this is the part of ``add_blocks`` that can fail. The host waits
         for a GPU once.
-
-        Raises:
-            ValueError: a block lies beyond the voxel index.
-            MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room
-                for.
-        """
-        return self.reserve(self.index.missing(coords))
-
-    def reserve(self, missing: NewBlocks) -> NewBlocks:
-        """Make sure that blocks which do not exist yet can be allocated; returns them.
 
         Raises:
             MemoryError: before a growth that the machine (or ``memory_limit_bytes``) has no room
                 for.
         """
         if len(missing):
-            self._reserve(self.n_blocks + len(missing))
+            self.pool = self._pool_for(self.n_blocks + len(missing))
         return missing
 
     def allocate_missing(self, missing: NewBlocks) -> Int[Tensor, " K"]:
@@ -190,7 +135,7 @@ class TsdfVolume:
         n = self.n_blocks
         if len(missing):
             self.index.add(missing)
-            self._pool.hand_out(n, missing.coords)
+            self.pool.hand_out(n, missing.coords)
         return torch.arange(n, self.n_blocks, device=self.device)
 
     def voxel_index(self, xyz_W: Float[Tensor, "N 3"]) -> Int[Tensor, "N 3"]:
@@ -209,27 +154,6 @@ class TsdfVolume:
             row * VOXELS_PER_BLOCK + 64 * x + 8 * y + z,
         )
 
-    def voxel_at(self, flat: Int[Tensor, " N"]) -> Int[Tensor, "N 3"]:
-        """Integer coordinates of allocated voxels, given by their position in the flattened pool.
-        int64"""
-        row = flat // VOXELS_PER_BLOCK
-        number = flat % VOXELS_PER_BLOCK
-        return BLOCK_VOXELS * self.block_coords[row].long() + VOXELS.to(self.device)[number]
-
-    def voxel_coords(self, rows: Int[Tensor, " B"]) -> Int[Tensor, "B 512 3"]:
-        """Integer coordinates of the voxels of some blocks. int64"""
-        return BLOCK_VOXELS * self.block_coords[rows, None].long() + VOXELS.to(self.device)
-
-    def voxel_centres(self, rows: Int[Tensor, " B"]) -> Float[Tensor, "B 512 3"]:
-        """Centres of the voxels of some blocks, world frame, metres: what the values of a voxel
-        stand for. float64"""
-        return self.centres_of(self.voxel_coords(rows))
-
-    def centres_of(self, ijk: Int[Tensor, "*N 3"]) -> Float[Tensor, "*N 3"]:
-        """Centres of voxels, allocated or not, given by their integer coordinates. World frame,
-        metres. float64"""
-        return (ijk.double() + 0.5) * self.config.voxel_size_m
-
     def sample_nearest(self, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample:
         """Values of the voxels that contain the points.
 
@@ -239,34 +163,6 @@ class TsdfVolume:
         Differentiable: no (the map is state, not a parameter).
         """
         return sample_voxels(self, xyz_W)
-
-    def block_corners(self) -> Float[Tensor, "B 8 3"]:
-        """Corners of the blocks, world frame, metres. float64"""
-        return self.corners_of(self.block_coords)
-
-    def corners_of(self, blocks: Int[Tensor, "B 3"]) -> Float[Tensor, "B 8 3"]:
-        """Corners of blocks, allocated or not, given by their integer coordinates. World frame,
-        metres. float64"""
-        return (blocks[:, None].double() + corners(self.device)) * self.block_size_m
-
-    def voxel_rgb(self, flat: Int[Tensor, "*N"]) -> Float[Tensor, "*N 3"]:
-        """Colours of allocated voxels, given by their position in the flattened pool."""
-        return self.rgb_planes[flat // VOXELS_PER_BLOCK, :, flat % VOXELS_PER_BLOCK]
-
-    def cell_corners(
-        self, xyz_W: Float[Tensor, "N 3"]
-    ) -> tuple[Int[Tensor, "N 8"], Float[Tensor, "N 3"]]:
-        """The eight voxels whose centres surround each point, and where the point lies between
-        them.
-
-        Returns:
-            Positions in the flattened pool, -1 if not allocated, corner x + 2 y + 4 z [N, 8];
-            fractions in 0..1 [N, 3].
-        """
-        p = xyz_W / self.config.voxel_size_m - 0.5
-        lowest = p.floor()
-        surrounding = lowest.long()[:, None] + corners(self.device)
-        return self.find_voxels(surrounding), p - lowest
 
     def interpolate(
         self, xyz_W: Float[Tensor, "N 3"]
@@ -280,7 +176,7 @@ class TsdfVolume:
         Differentiable: no (the map is state, not a parameter).
         """
         check_shape("xyz_W", xyz_W, ("N", 3))
-        at, f = self.cell_corners(xyz_W)
+        at, f = cell_corners(self, xyz_W)
         valid = self.observed(at).all(1)
         D = torch.ones_like(f[:, 0])
         around = self.D.view(-1)[at[valid]]
@@ -298,7 +194,7 @@ class TsdfVolume:
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """Everything needed to continue: configuration and blocks; without ``copies`` later frames
         change them."""
-        tensors = self._tensors()
+        tensors = self.pool.stored(self.n_blocks)
         if copies:
             tensors = {name: x.clone() for name, x in tensors.items()}
         return {"config": to_dict(self.config)} | tensors
@@ -306,7 +202,7 @@ class TsdfVolume:
     def to(self, device: torch.device | str) -> "TsdfVolume":
         """A copy of the map on ``device``."""
         volume = TsdfVolume(self.config, device, memory_limit_bytes=self.memory_limit_bytes)
-        volume._take(self._tensors())
+        volume._take(self.pool.stored(self.n_blocks))
         return volume
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -328,43 +224,19 @@ class TsdfVolume:
             | {"W_rgb": _colour_weights(state)}
         )
 
-    def _take(self, tensors: dict[str, Tensor]) -> None:
-        """Replace the blocks by those of ``_tensors``, which may be on another device, whose memory
-        may be full."""
-        coords = tensors["block_coords"].to(self.device)
-        n = coords.shape[0]
-        self._pool = self._empty_pool()
-        self._reserve(n)
-        self.index = BlockIndex.of_blocks(coords)
-        pool = self._pool
-        for target, name in (
-            (pool.D, "D"),
-            (pool.W, "W"),
-            (pool.rgb, "rgb"),
-            (pool.coords, "block_coords"),
-        ):
-            target[:n] = tensors[name].to(self.device)
-        if pool.W_rgb is not None:
-            pool.W_rgb[:n] = tensors["W_rgb"].to(self.device)
-
-    def _tensors(self) -> dict[str, Tensor]:
-        weights = {"W_rgb": self.W_rgb} if self.config.weighs_colours else {}
-        return {
-            "D": self.D,
-            "W": self.W,
-            "rgb": self.rgb_planes,
-            "block_coords": self.block_coords,
-        } | weights
-
-    def _empty_pool(self) -> BlockPool:
-        return BlockPool(0, self.device, weighs_colours=self.config.weighs_colours)
-
-    def _reserve(self, n_blocks: int) -> None:
-        limit = self.memory_limit_bytes
+    def _pool_for(self, n_blocks: int) -> BlockPool:
+        limit_bytes = self.memory_limit_bytes
         voxel_size_m = self.config.voxel_size_m
-        self._pool = self._pool.with_room_for(
-            n_blocks, limit_bytes=limit, voxel_size_m=voxel_size_m
-        )
+        return self.pool.with_room_for(n_blocks, limit_bytes=limit_bytes, voxel_size_m=voxel_size_m)
+
+    def _take(self, tensors: dict[str, Tensor]) -> None:
+        """Replace the blocks by those of ``BlockPool.stored``, which may be on another device,
+        whose memory may be full."""
+        coords = tensors["block_coords"].to(self.device)
+        self.pool = BlockPool(0, self.device, weighs_colours=self.config.weighs_colours)
+        self.pool = self._pool_for(len(coords))
+        self.index = BlockIndex.of_blocks(coords)
+        self.pool.fill(tensors)
 
 
 def _check_saved_blocks(state: dict[str, Any]) -> None:
@@ -404,11 +276,9 @@ def check_sample(volume: Any, xyz_W: Any) -> None:
     check_operand("xyz_W", xyz_W, ("N", 3), device=volume.D.device)
 
 
-@piece
-def block_of(ijk: Int[Tensor, "*N 3"]) -> Int[Tensor, "*N 3"]:
-    """The block that contains each voxel: floor(ijk / 8). A shift by three bits rounds down below
-    zero, too."""
-    return ijk >> 3
+def rgb_at(volume: TsdfVolume, flat: Int[Tensor, "*N"]) -> Float[Tensor, "*N 3"]:
+    """Colours of allocated voxels, given by their position in the flattened pool."""
+    return volume.rgb_planes[flat // VOXELS_PER_BLOCK, :, flat % VOXELS_PER_BLOCK]
 
 
 @op("sample", check_sample)
@@ -424,6 +294,6 @@ def sample_voxels(volume: TsdfVolume, xyz_W: Float[Tensor, "N 3"]) -> TsdfSample
     W_rgb = torch.zeros_like(W)
     D[known] = volume.D.view(-1)[at]
     W[known] = volume.W.view(-1)[at]
-    rgb[known] = volume.voxel_rgb(at)
+    rgb[known] = rgb_at(volume, at)
     W_rgb[known] = volume.W_rgb.view(-1)[at]
     return TsdfSample(D=D, W=W, rgb=rgb, W_rgb=W_rgb)

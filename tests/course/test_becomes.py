@@ -32,7 +32,7 @@ from gsfusion_nb.tracking.icp import Extent, next_pose, solve_step
 from gsfusion_nb.tracking.tracker import constant_velocity
 from gsfusion_nb.tsdf.marching_cubes import zero_crossing
 from gsfusion_nb.tsdf.octree import OFFSET, interleave
-from gsfusion_nb.tsdf.volume import block_of
+from gsfusion_nb.tsdf.voxels import block_of
 from gsfusion_nb.types import Camera, GaussianParams
 
 RUNS_AS = {

@@ -122,7 +122,7 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
         integrate(volume, frame)
         surface = raycast(volume, camera, T_WC)
         closer = dataclasses.replace(frame, depth_m=0.8 * frame.depth_m)
-        missing = volume.make_room(band_blocks(volume, closer))
+        missing = volume.reserve(volume.index.missing(band_blocks(volume, closer)))
     model = Surface(depth_m=surface.depth_m, normal_W=surface.normal_W, camera=camera, T_WC=T_WC)
     level = depth_pyramid(frame.depth_m, camera, (1,))[0]
     images = {

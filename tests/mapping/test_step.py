@@ -129,7 +129,7 @@ def test_the_view_before_fusing_finds_what_is_there_after(small_room, config, ge
         points = SeedContext(frame).cells().xyz_W
         around = points[torch.randint(len(points), (3000,), generator=generator)]
         points = torch.cat([points, around + 0.3 * torch.randn(3000, 3, generator=generator)])
-        missing = volume.make_room(band_blocks(volume, frame))
+        missing = volume.reserve(volume.index.missing(band_blocks(volume, frame)))
         expected = FusedView(volume, frame, missing).sample_nearest(points)
         volume.allocate_missing(missing)
         fuse_frame_(volume, frame)

@@ -10,6 +10,7 @@ from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.geometry import pixel_grid, rays
 from gsfusion_nb.tsdf import TsdfVolume, integrate
+from gsfusion_nb.tsdf.voxels import voxel_centres, voxels_of
 from gsfusion_nb.types import Camera, Frame
 
 
@@ -104,7 +105,7 @@ def filled_volume():
         volume = TsdfVolume(config or TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0))
         axes = [torch.arange(a, b) for a, b in zip(low, high, strict=True)]
         volume.add_blocks(torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).view(-1, 3))
-        centres = volume.voxel_centres(torch.arange(volume.n_blocks))
+        centres = voxel_centres(voxels_of(volume.block_coords), volume.config.voxel_size_m)
         volume.D[:] = (sdf(centres) / volume.config.truncation_m).clamp(-1, 1).to(torch.float32)
         volume.W[:] = 1.0
         volume.rgb_planes[:] = ((centres * 0.2 + 0.5).transpose(1, 2)).to(torch.float32)

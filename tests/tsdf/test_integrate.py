@@ -8,6 +8,7 @@ from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.data.room import room_sdf
 from gsfusion_nb.tsdf import TsdfVolume, fuse_frame_, integrate, tsdf_update
 from gsfusion_nb.tsdf.integrate import colour_weight
+from gsfusion_nb.tsdf.voxels import voxel_centres, voxels_of
 from gsfusion_nb.types import Camera
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
@@ -210,7 +211,7 @@ def test_a_pixel_without_depth_says_nothing(make_frame, camera):
     integrate(volume, make_frame(depth, camera))
     seen = volume.W > 0
     assert int(seen.sum()) > 100
-    centres = volume.voxel_centres(torch.arange(volume.n_blocks))[seen]
+    centres = voxel_centres(voxels_of(volume.block_coords), volume.config.voxel_size_m)[seen]
     assert bool((centres[:, 0] * 140 / centres[:, 2] + 83 >= 80).all())
     assert bool((centres[:, 1] * 150 / centres[:, 2] + 57.5 >= 70).all())
 
@@ -256,7 +257,9 @@ def test_the_rooms_distance_field(room_volume):
     voxel_m = volume.config.voxel_size_m
     seen = (volume.W > 0) & (torch.arange(512) % 10 == 0)
     assert int(seen.sum()) > 10_000
-    true_m = room_sdf(volume.voxel_centres(torch.arange(volume.n_blocks))[seen])
+    true_m = room_sdf(
+        voxel_centres(voxels_of(volume.block_coords), volume.config.voxel_size_m)[seen]
+    )
     stored_m = volume.D[seen] * volume.config.truncation_m
     clear = true_m.abs() > voxel_m
     near = true_m.abs() < voxel_m

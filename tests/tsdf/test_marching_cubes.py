@@ -8,6 +8,7 @@ from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.data.room import room_sdf
 from gsfusion_nb.tsdf import TsdfVolume, extract_mesh, integrate
 from gsfusion_nb.tsdf.marching_cubes import EDGES, loops, triangle_table
+from gsfusion_nb.tsdf.voxels import voxel_at
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
 
@@ -236,7 +237,7 @@ def test_a_vertex_has_the_colour_of_its_place(filled_volume):
     def colour(p):
         return 0.5 + p @ torch.tensor([[0.4, 0.1, 0.0], [-0.2, 0.5, 0.1], [0.1, 0.0, -0.6]])
 
-    centres = (volume.voxel_at(torch.arange(volume.n_blocks * 512)) + 0.5) * 0.02
+    centres = (voxel_at(volume.block_coords, torch.arange(volume.n_blocks * 512)) + 0.5) * 0.02
     volume.rgb_planes.copy_(colour(centres).view(-1, 512, 3).transpose(1, 2))
     mesh = extract_mesh(volume)
     torch.testing.assert_close(

@@ -6,7 +6,8 @@ import torch
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.tsdf import TsdfVolume, estimate_memory
 from gsfusion_nb.tsdf.block_pool import BLOCKS_IN_BOX
-from gsfusion_nb.tsdf.volume import corner_gradients, corner_weights
+from gsfusion_nb.tsdf.cells import corner_gradients, corner_weights
+from gsfusion_nb.tsdf.voxels import block_corners, voxel_at, voxel_centres, voxels_of
 
 CONFIG = TsdfConfig(voxel_size_m=0.02, truncation_voxels=4.0)
 
@@ -32,7 +33,6 @@ def test_values_survive_growth(generator):
     for i in range(6):
         volume.add_blocks(torch.randint(-40, 40, (900, 3), generator=generator) + 100 * i)
     assert volume.n_blocks > 4000
-    assert volume.memory_bytes == estimate_memory(volume.n_blocks, weighs_colours=True)
     row = volume.index.find(torch.tensor([[7, 7, 7]]))
     assert bool((volume.D[row] == 0.25).all())
     assert bool((volume.W[row] == 3).all())
@@ -41,16 +41,17 @@ def test_values_survive_growth(generator):
 
 def test_boxes_of_blocks_follow_the_pool(generator):
     volume = TsdfVolume(CONFIG)
-    assert len(volume.block_boxes) == 0
+    assert len(volume.pool.boxes(volume.n_blocks)) == 0
     for n in (5, 59, 1, 0, 200):
         volume.add_blocks(torch.randint(-400, 400, (n, 3), generator=generator))
         parts = volume.block_coords.split(BLOCKS_IN_BOX)
-        assert volume.block_boxes.tolist() == [
+        assert volume.pool.boxes(volume.n_blocks).tolist() == [
             [x.amin(0).tolist(), x.amax(0).tolist()] for x in parts
         ]
     loaded = TsdfVolume(CONFIG)
     loaded.load_state_dict(volume.state_dict())
-    assert loaded.block_boxes.tolist() == volume.block_boxes.tolist()
+    n = volume.n_blocks
+    assert loaded.pool.boxes(n).tolist() == volume.pool.boxes(n).tolist()
 
 
 @pytest.mark.parametrize("limit", [None, 10_000])
@@ -157,17 +158,17 @@ def test_state_round_trip(filled_volume):
 def test_centres_and_corners_by_hand():
     volume = TsdfVolume(CONFIG)
     volume.add_blocks(torch.tensor([[-1, 0, 2]]))
-    centres = volume.voxel_centres(torch.tensor([0]))
+    centres = voxel_centres(voxels_of(volume.block_coords), volume.config.voxel_size_m)
     assert centres.dtype == torch.float64
     torch.testing.assert_close(
         centres[0, 83],
         torch.tensor([-0.16 + 0.03, 0.05, 0.32 + 0.07]).double(),
     )
-    coords = volume.voxel_coords(torch.tensor([0]))
+    coords = voxels_of(volume.block_coords[torch.tensor([0])])
     assert coords[0, 83].tolist() == [-8 + 1, 2, 16 + 3]
     assert volume.find_voxels(coords[0]).tolist() == list(range(512))
-    assert torch.equal(volume.voxel_at(torch.arange(512)), coords[0])
-    corners = volume.block_corners()[0]
+    assert torch.equal(voxel_at(volume.block_coords, torch.arange(512)), coords[0])
+    corners = block_corners(volume.block_coords, volume.block_size_m)[0]
     torch.testing.assert_close(corners[0b101], torch.tensor([0.0, 0.0, 0.48]).double())
 
 
@@ -196,7 +197,7 @@ def test_memory_is_what_the_tensors_take(by_distance, band_voxels, weighs_colour
     volume.add_blocks(torch.tensor([[i, 0, 0] for i in range(10)]))
     tensors = [x for x in volume.state_dict().values() if isinstance(x, torch.Tensor)]
     taken = sum(x.numel() * x.element_size() for x in tensors)
-    assert volume.memory_bytes == estimate_memory(10, weighs_colours=weighs_colours) == taken
+    assert estimate_memory(10, weighs_colours=weighs_colours) == taken
 
 
 def test_how_much_memory_is_needed_and_allowed():

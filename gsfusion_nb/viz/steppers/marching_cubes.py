@@ -11,7 +11,8 @@ from ...drawing.curves import BETWEEN, PALETTE
 from ...errors import ArgumentError
 from ...tsdf import TsdfVolume, extract_mesh
 from ...tsdf.marching_cubes import EDGES
-from ...tsdf.volume import CORNERS
+from ...tsdf.volume import rgb_at
+from ...tsdf.voxels import CORNERS
 from .recording import Recording, record
 from .stepper import Step, Stepper, text_of
 
@@ -103,7 +104,7 @@ def cut_out(volume: TsdfVolume, start: Voxel, cells: int) -> TsdfVolume:
     target = small.find_voxels(ijk)
     small.D.view(-1)[target] = volume.D.view(-1)[source]
     small.W.view(-1)[target] = volume.W.view(-1)[source]
-    small.rgb_planes[target // 512, :, target % 512] = volume.voxel_rgb(source)
+    small.rgb_planes[target // 512, :, target % 512] = rgb_at(volume, source)
     return small
 
 

@@ -26,7 +26,7 @@ def blocks_in_view(
     with parallel_chunksize(16):
         _meet(
             coords,
-            volume.block_boxes,
+            volume.pool.boxes(volume.n_blocks),
             T_CW,
             lens_of(camera),
             size,

@@ -38,7 +38,7 @@ def test_the_preview_is_what_the_fusion_writes(sdf, make_frames, device, generat
     with use_backend("cuda"):
         for frame in make_frames(64, 47, n=4, eight_bit=False):
             frame = frame.to(device)
-            missing = volume.make_room(band_blocks(volume, frame))
+            missing = volume.reserve(volume.index.missing(band_blocks(volume, frame)))
             nearby = 1.4 * torch.rand(3000, 3, generator=generator).to(device) - 0.7
             voxels = volume.config.voxel_size_m * (8 * missing.coords.float() + 4.5)
             points = torch.cat([nearby, voxels, nearby[:1] * torch.inf, nearby[:1] * 1e8])

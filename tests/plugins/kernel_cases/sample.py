@@ -75,7 +75,9 @@ def _fused(
             volume = TsdfVolume(volume.config) if empty else volume
             needed = band_blocks(volume, frame)
         volume = volume.to(device)
-        missing = volume.make_room((needed[:0] if nothing_new else needed).to(device))
+        missing = volume.reserve(
+            volume.index.missing((needed[:0] if nothing_new else needed).to(device))
+        )
         return _columns(
             FusedView(volume, frame.to(device), missing).sample_nearest(xyz_W.to(device))
         )

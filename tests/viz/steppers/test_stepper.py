@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from gsfusion_nb.seeding.quadtree import luma_variance
-from gsfusion_nb.tsdf.volume import corner_weights
+from gsfusion_nb.tsdf.cells import corner_weights
 from gsfusion_nb.viz import adam_stepper
 from gsfusion_nb.viz.display import WIDGET_MIME
 from gsfusion_nb.viz.steppers.recording import file_lines, record
