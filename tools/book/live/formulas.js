@@ -54,3 +54,26 @@ function quadtree(rgb, width, height, settings, cell = [0, 0, width, height], le
   const parts = [[x, y, a, b], [x, y + b, a, h - b], [x + a, y, w - a, b], [x + a, y + b, w - a, h - b]];
   return parts.flatMap((part) => quadtree(rgb, width, height, settings, part, level + 1));
 }
+
+/** Leaves cut further while the Gaussian of a cell, of standard deviation z r / fx, would be larger than `largest` metres. */
+function cutToSize(leaves, camera, depth, largest, min) {
+  const done = [];
+  for (let open = leaves; open.length; ) {
+    const next = [];
+    for (const leaf of open) {
+      const [x, y, w, h] = leaf.cell, a = w >> 1, b = h >> 1;
+      const isCut = seedOf(leaf.cell, camera, depth).scale > largest && Math.min(a, b) > min;
+      if (!isCut) done.push(leaf);
+      const parts = [[x, y, a, b], [x, y + b, a, h - b], [x + a, y, w - a, b], [x + a, y + b, w - a, h - b]];
+      if (isCut) next.push(...parts.map((cell) => ({ ...leaf, cell, level: leaf.level + 1 })));
+    }
+    open = next;
+  }
+  return done;
+}
+
+/** Eq. 10: the Gaussian of a cell {pixel, z, xyz in the camera's frame, scale}; its middle takes the depth of the pixel there. */
+function seedOf([x, y, w, h], camera, depth) {
+  const u = x + w / 2, v = y + h / 2, pixel = Math.floor(v) * camera.width + Math.floor(u), z = depth[pixel];
+  return { pixel, z, xyz: backproject(camera, u, v, z), scale: (z * Math.hypot(w, h)) / 2 / camera.fx };
+}
