@@ -112,11 +112,12 @@ slides: setup
 	$(BIN)/python tools/slides.py docs/teaching/slides notebooks runs/slides
 
 # The notebooks and the documentation as a web site in runs/book: docs/book.md. Needs the network only when the extra
-# "book" is not installed yet. REPOSITORY=https://github.com/OWNER/NAME adds links to source files.
+# "book" is not installed yet. REPOSITORY=https://github.com/OWNER/NAME adds links to source files, ADDRESS=https://SITE the
+# picture that other sites show beside a link to it.
 REPOSITORY ?=
 book: setup
 	@PYTHONPATH=tools $(BIN)/python -m book --installed || $(BIN)/python -m pip install --quiet --editable ".[book]"
-	PYTHONPATH=tools $(BIN)/python -m book runs/book $(if $(REPOSITORY),--repository "$(REPOSITORY)")
+	PYTHONPATH=tools $(BIN)/python -m book runs/book $(if $(REPOSITORY),--repository "$(REPOSITORY)") $(if $(ADDRESS),--address "$(ADDRESS)")
 
 # A wheel in dist/, which needs neither this folder nor a compiler: pip install dist/gsfusion_nb-*.whl
 wheel:

@@ -3,6 +3,10 @@ passes the title."""
 
 import os
 import sys
+from html import escape
+
+from docutils import nodes
+from markupsafe import Markup
 
 sys.path.insert(0, os.environ["GSNB_BOOK_PACKAGE"])
 
@@ -92,7 +96,48 @@ def _no_tree_on_source(app, pagename, templatename, context, doctree):
         context.pop("toctree", None)
 
 
+HOME_TITLE = "3D Gaussian splatting and RGB-D mapping: a course in your browser"
+_LONGEST_DESCRIPTION = 200
+_ADDRESS = os.environ.get("GSNB_BOOK_ADDRESS", "")
+
+
+def _description(doctree):
+    """The first sentences of a page."""
+    paragraph = next(iter(doctree.findall(nodes.paragraph)), None) if doctree else None
+    words = " ".join(paragraph.astext().split()) if paragraph is not None else ""
+    if len(words) <= _LONGEST_DESCRIPTION:
+        return words
+    sentences = words[:_LONGEST_DESCRIPTION].rpartition(". ")[0]
+    return (
+        f"{sentences}." if sentences else f"{words[:_LONGEST_DESCRIPTION].rpartition(' ')[0]} ..."
+    )
+
+
+def _share(app, pagename, templatename, context, doctree):
+    """What other sites and search engines show of a page: title, description, picture."""
+    is_home = pagename == app.config.root_doc
+    title = HOME_TITLE if is_home else Markup(context.get("title", "")).striptags()
+    tags = {"og:title": title, "og:type": "website", "og:site_name": app.config.project}
+    description = _description(doctree)
+    if description:
+        tags["og:description"] = description
+    if _ADDRESS:
+        tags["og:url"] = f"{_ADDRESS}{pagename}.html" if not is_home else _ADDRESS
+        tags["og:image"] = f"{_ADDRESS}_static/share.jpg"
+        tags["og:image:width"] = "1200"
+        tags["og:image:height"] = "630"
+    lines = [f'<meta property="{name}" content="{escape(text)}">' for name, text in tags.items()]
+    if _ADDRESS:
+        lines.append('<meta name="twitter:card" content="summary_large_image">')
+    if description:
+        lines.append(f'<meta name="description" content="{escape(description)}">')
+    context["metatags"] = context.get("metatags", "") + "".join(lines)
+    if is_home:
+        context["home_title"] = HOME_TITLE
+
+
 def setup(app):
+    app.connect("html-page-context", _share)
     app.connect("html-page-context", _no_tree_on_source, priority=100)
     app.connect("html-page-context", _levels, priority=900)
     app.connect("autodoc-process-bases", _without_object)

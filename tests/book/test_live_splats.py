@@ -30,8 +30,9 @@ const list = (x) => (ArrayBuffer.isView(x) ? [...x] : x);
 const show = (x) => console.log(JSON.stringify(x, (_, value) => list(value)));
 const columns = (map) => Object.keys(COLUMNS).map((name) => [...map[name]]);
 const asMap = (values) => {
-  const names = Object.keys(COLUMNS);
-  return Object.assign(emptyMap(values[3].length), ...names.map((name, k) => ({ [name]: Float64Array.from(values[k]) })));
+  const map = emptyMap(values[3].length);
+  Object.keys(COLUMNS).forEach((name, k) => map[name].set(values[k]));
+  return map;
 };
 """
 
@@ -112,9 +113,9 @@ def test_the_picture_and_the_stack_of_a_pixel_are_the_librarys(node, params, T_W
     script = """
         const { splats, rgb } = renderMap(asMap(values), camera, viewOf(T_WC));
         const stack = stackAt(splats, nearestFirst(splats), 20.5, 18.5);
-        const sum = [0, 1, 2].map((c) => stack.reduce((s, { row, w }) => s + w * splats.rgb[3 * row + c], 0));
-        const rows = [0, 1].map((k) => (stack.length ? stack.at(-k).row : -1));
-        show({ rgb, sum, alpha: stack.reduce((s, { w }) => s + w, 0), nearest: stack[0].row, stack });
+        const total = (value) => stack.reduce((sum, entry) => sum + entry.w * value(entry), 0);
+        const sum = [0, 1, 2].map((c) => total(({ row }) => splats.rgb[3 * row + c]));
+        show({ rgb, sum, alpha: total(() => 1), nearest: stack[0].row, stack });
     """
     got = computed(node, script, **given(params, T_WC))
     close(got["rgb"], expected.rgb)

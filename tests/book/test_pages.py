@@ -1,12 +1,13 @@
 """The pieces of the web book on small inputs: pages of chapters, quiz, reference."""
 
 import base64
+import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from book.assemble import api_page, quiz_page
+from book.assemble import api_page, quiz_page, root_page
 from book.chapters import Chapter, Places, in_the_book, places_of
 from quiz import question
 
@@ -117,7 +118,23 @@ def test_the_reference_lists_the_public_names_of_a_room():
     )
 
 
-def test_the_first_page_leads_to_the_first_chapter():
-    root = Path(__file__).resolve().parents[2]
-    text = (root / "docs/book/index.md").read_text(encoding="utf-8")
-    assert "(notebooks/00_quickstart.md)" in in_the_book(text, "index.md", places_of(root))
+def test_the_pages_at_the_root_lead_from_there(places):
+    text = (ROOT / "docs/book/index.md").read_text(encoding="utf-8")
+    page = root_page(text, "docs/book/index.md", places)
+    assert "(notebooks/00_quickstart.md)" in page
+    assert "(splatting.md)" in page
+    assert 'src="_static/moving_map.webp"' in page
+    one_page = "[one page](book/splatting.md)"
+    assert in_the_book(one_page, "docs/index.md", places) == "[one page](../splatting.md)"
+
+
+def test_the_page_of_splatting_has_its_panels(places):
+    text = (ROOT / "docs/book/splatting.md").read_text(encoding="utf-8")
+    page = root_page(text, "docs/book/splatting.md", places)
+    names = re.findall(r'data-live="(\w+)"', page)
+    assert names == ["gaussian", "order", "stack", "paint", "seeds", "room"]
+    # the first poster at once, the others when they are near
+    assert page.count('fetchpriority="high"') == 1
+    assert page.index('fetchpriority="high"') < page.index('loading="lazy"')
+    assert "(notebooks/04_splatting_forward.md)" in page
+    assert "(docs/install.md)" in page

@@ -15,7 +15,7 @@ from quiz import Question, bank, by_chapter
 
 from .assemble import ARCHIVE, Assembly
 from .chapters import places_of
-from .live_panels import PANELS, panel_script
+from .live_panels import PANELS, POSTERS, common_script, panel_script
 from .moving_map import moving_map
 
 log = logging.getLogger(__name__)
@@ -34,6 +34,7 @@ def build(
     target: Path,
     files: str,
     quiz: Mapping[int, Sequence[Question]],
+    address: str = "",
 ) -> None:
     """Build the book.
 
@@ -43,6 +44,8 @@ def build(
         files: Address below which a repository shows its files, with a slash at its end; "" without
             a repository.
         quiz: Questions by chapter.
+        address: Where the site will be, with a slash at its end; "" if that is not known. Other
+            sites show a picture beside a link only with it.
 
     Raises:
         RuntimeError: the extra is not installed, or Sphinx failed or warned, as of a link that
@@ -59,7 +62,8 @@ def build(
     static = work / "static"
     Assembly(places_of(root, files), pages, extra, quiz).write()
     _write_static(static)
-    _sphinx(root, pages, extra, static, work / "doctrees", target)
+    folders = {"STATIC": static, "EXTRA": extra}
+    _sphinx(root, pages, folders, work / "doctrees", target, address)
     shutil.make_archive(str(work / "book"), "zip", target)
     shutil.move(work / "book.zip", target / ARCHIVE)
 
@@ -71,7 +75,12 @@ def _write_static(folder: Path) -> None:
     folder.mkdir(parents=True)
     for file in (Path(__file__).parent / "static").iterdir():
         (folder / file.name).write_bytes(file.read_bytes())
-    (folder / "moving_map.js").write_text(moving_map(), encoding="utf-8")
+    shutil.copytree(POSTERS, folder / "posters", ignore=shutil.ignore_patterns("*.html"))
+    drawn = moving_map()
+    (folder / "moving_map.js").write_text(drawn.script, encoding="utf-8")
+    (folder / "moving_map.webp").write_bytes(drawn.poster)
+    (folder / "share.jpg").write_bytes(drawn.share)
+    (folder / "live_panels.js").write_text(common_script(), encoding="utf-8")
     for name in PANELS.values():
         (folder / f"live_{name}.js").write_text(panel_script(name), encoding="utf-8")
     mathjax = Path(str(files("mathjax").joinpath("static/mathjax/es5")))
@@ -84,10 +93,10 @@ def _write_static(folder: Path) -> None:
 def _sphinx(
     root: Path,
     pages: Path,
-    extra: Path,
-    static: Path,
+    folders: Mapping[str, Path],
     doctrees: Path,
     target: Path,
+    address: str,
 ) -> None:
     from gsfusion_nb import __version__
 
@@ -95,8 +104,8 @@ def _sphinx(
     environment = {
         **os.environ,
         "GSNB_BOOK_PACKAGE": str(root.resolve()),
-        "GSNB_BOOK_STATIC": str(static.resolve()),
-        "GSNB_BOOK_EXTRA": str(extra.resolve()),
+        "GSNB_BOOK_ADDRESS": address,
+        **{f"GSNB_BOOK_{name}": str(folder.resolve()) for name, folder in folders.items()},
     }
     options = ["project=gsfusion_nb", f"release={__version__}", "html_title=gsfusion_nb"]
     command = [
@@ -142,18 +151,23 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--repository", default="", help="address of the repository, for links to source files"
     )
+    parser.add_argument(
+        "--address", default="", help="address where the book will be, for sites that show links"
+    )
     options = parser.parse_args(arguments)
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     if options.installed:
         return 1 if missing() else 0
     try:
-        if options.repository and not options.repository.startswith("http"):
-            raise ValueError(
-                "expected an address such as https://github.com/OWNER/NAME, got "
-                f"{options.repository!r}"
-            )
+        for name in ("repository", "address"):
+            given = getattr(options, name)
+            if given and not given.startswith(("http://", "https://")):
+                raise ValueError(
+                    f"--{name}: expected an address such as https://example.org/name, got {given!r}"
+                )
         files = f"{options.repository.rstrip('/')}/blob/HEAD/" if options.repository else ""
-        build(_ROOT, options.out, files, by_chapter(bank()))
+        address = f"{options.address.rstrip('/')}/" if options.address else ""
+        build(_ROOT, options.out, files, by_chapter(bank()), address)
     except (RuntimeError, ValueError, OSError) as e:
         logging.error("%s", e)
         return 1

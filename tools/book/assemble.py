@@ -7,6 +7,7 @@ import importlib
 import inspect
 import json
 import posixpath
+import re
 import shutil
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -18,12 +19,22 @@ from gsfusion_nb.course.copies import FIRST
 from gsfusion_nb.course.course import TITLES
 from gsfusion_nb.course.short_path import SHORT_PATH, short_path
 
-from .chapters import Chapter, Places, in_the_book, raw
+from .chapters import ROOT_PAGES, Chapter, Places, in_the_book, raw
+from .live_panels import panel_html
 
-MOVING_MAP = (
-    '<div class="gsnb-moving-map"></div><script defer src="../_static/moving_map.js"></script>'
-)
-"""At the top of the first chapter: ``moving_map.py``."""
+MOVING_MAP = '<div class="gsnb-moving-map"></div>'
+"""Where a page of ``docs/book`` has the map of ``moving_map.py``."""
+
+
+def moving_map_html(root: str) -> str:
+    """The map that turns, with its poster; ``root`` is the way from the page to the root."""
+    words = "The map of a room, made of Gaussians, seen from above without its ceiling"
+    poster = (
+        f'<img src="{root}_static/moving_map.webp" width="480" height="360" alt="{words}" '
+        'fetchpriority="high">'
+    )
+    script = f'<script defer src="{root}_static/moving_map.js"></script>'
+    return f'<div class="gsnb-moving-map">{poster}</div>{script}'
 
 
 def opening_bar(notebook: str) -> str:
@@ -138,6 +149,28 @@ def api_index() -> str:
     )
 
 
+_PANEL = re.compile(r"^!\[panel (\w+)\]\([^)]*\)$", re.MULTILINE)
+
+
+def root_page(text: str, path: str, places: Places) -> str:
+    """A page at the root of the book: its links lead from there, and a picture whose words are
+    ``panel NAME`` becomes the panel.
+
+    Args:
+        text: Markdown.
+        path: The page's path in the project.
+        places: Where the other files are.
+    """
+    first = _PANEL.search(text)
+    page = in_the_book(text, path, places).replace(MOVING_MAP, raw(moving_map_html("")))
+
+    def panel(match: re.Match[str]) -> str:
+        is_first = first is not None and match[0] == first[0]
+        return raw(panel_html(match[1], "", chapter=False, first=is_first))
+
+    return _PANEL.sub(panel, page)
+
+
 QUIZ = "docs/teaching/quiz"
 """Where the book has the pages of questions, which are made when it is built."""
 ARCHIVE = "gsfusion_nb_book.zip"
@@ -187,15 +220,16 @@ class Assembly:
                 self.pages / f"api/{room}.md", api_page(room, self.places.root / "gsfusion_nb")
             )
         self._put(self.pages / "api/index.md", api_index())
-        text = (self.places.root / "docs/book/index.md").read_text(encoding="utf-8")
-        self._put(self.pages / "index.md", in_the_book(text, "index.md", self.places))
+        for path, page in ROOT_PAGES.items():
+            text = (self.places.root / path).read_text(encoding="utf-8")
+            self._put(self.pages / page, root_page(text, path, self.places))
 
     def _chapter(self, path: str) -> None:
         file = self.places.root / path
         content = (
             json.dumps(short_path(file.parent)).encode() if path == _SHORT else file.read_bytes()
         )
-        bar = (MOVING_MAP if path.endswith(FIRST) else "") + opening_bar(path)
+        bar = (moving_map_html("../") if path.endswith(FIRST) else "") + opening_bar(path)
         chapter = Chapter(json.loads(content), path, self.places, bar=bar)
         self._put(self.pages / f"{path.removesuffix('.ipynb')}.md", chapter.markdown())
         for address, picture in chapter.files.items():

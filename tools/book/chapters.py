@@ -18,11 +18,15 @@ from PIL import Image
 
 from gsfusion_nb.course.exercise import exercises
 
-from .live_panels import panel_html
+from .live_panels import cell_panel_html
 
 _PAGES = re.compile(
     r"(README|ARCHITECTURE|CONTRIBUTING)\.md|docs/(measured/|teaching/(quiz/)?)?[^/]+\.md|notebooks/[^/]+\.ipynb"
 )
+
+
+ROOT_PAGES = {"docs/book/index.md": "index.md", "docs/book/splatting.md": "splatting.md"}
+"""Pages that stand at the root of the book."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +42,8 @@ class Places:
 
     def is_page(self, path: str) -> bool:
         """Whether a file is a page of the book; a notebook is."""
-        return bool(_PAGES.fullmatch(path)) and path in self.files
+        is_name_of_page = path in ROOT_PAGES or bool(_PAGES.fullmatch(path))
+        return is_name_of_page and path in self.files
 
     def source_url(self, path: str, line: int = 0) -> str:
         """Address of a file in the repository; "" if there is none."""
@@ -83,7 +88,9 @@ def in_the_book(text: str, page: str, places: Places) -> str:
             return match[0]
         path = posixpath.normpath(posixpath.join(posixpath.dirname(page), name))
         if places.is_page(path):
-            shown = f"{name.removesuffix('.ipynb')}.md" if name.endswith(".ipynb") else name
+            here = posixpath.dirname(ROOT_PAGES.get(page, page))
+            shown = posixpath.relpath(ROOT_PAGES.get(path, path), here or ".")
+            shown = f"{shown.removesuffix('.ipynb')}.md" if shown.endswith(".ipynb") else shown
             return f"[{words}]({shown}#{anchor})" if anchor else f"[{words}]({shown})"
         return f"[{words}]({places.source_url(path)})" if places.source_url(path) else words
 
@@ -244,7 +251,7 @@ class Chapter:
         if is_folded:
             begins = f'{begins}<details class="gsnb-code"><summary>Code</summary>'
             ends = f"</details>{ends}"
-        return f"{raw(begins)}\n{_python(source)}\n{raw(ends + panel_html(cell['id']))}"
+        return f"{raw(begins)}\n{_python(source)}\n{raw(ends + cell_panel_html(cell['id']))}"
 
     def _outputs(self, cell: Mapping[str, Any]) -> list[str]:
         """HTML of each output of a cell; what it printed in a row is one."""

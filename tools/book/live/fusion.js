@@ -1,23 +1,19 @@
 // Chapter 2: the depth of several frames, averaged along the rays of one row of pixels.
 const NEAR = 0.42, STEP = 0.04, SAMPLES = 85, FAR = 3.8, PX = 100; // samples of a ray, metres; pixels per metre
 
-async function start(place) {
+async function start(section) {
   const { camera, poses } = DATA, { width, height, fx, cx } = camera, n = width * height, middle = Math.ceil((cx / fx) * FAR * PX);
-  const [truth, ...depths] = await unpacked(DATA.depth, Uint16Array, n, 1e-4);
-  const photo = await bitmap((await unpacked(DATA.rgb, Uint8Array, 3 * n, 1))[0], camera);
+  const [truth, ...depths] = await unpacked(DATA.depth, Uint16Array, n, 1e-4), photo = await photograph(DATA.photos[0]);
   const size = { width: 2 * middle, height: FAR * PX }, zOf = (k) => NEAR + STEP * k, y = (z) => size.height - z * PX;
-  const controls = {
-    u: { label: "pixel column u", min: 0, max: width - 1, value: 27 },
-    v: { label: "pixel row v", min: 0, max: height - 1, value: 22 },
-    frames: { label: "frames", min: 1, max: poses.length, value: 1 },
-    truncation: { label: "truncation, cm", min: 1, max: 64, value: 16 },
-    maxWeight: { label: "largest weight", min: 1, max: poses.length, value: poses.length },
+  const panel = openPanel(section, { draw });
+  const first = panel.picture("first", camera), slice = panel.picture("slice", size), curve = panel.chart("curve");
+  const choose = (u, v) => {
+    panel.inputs.u.value = Math.floor(u);
+    if (v !== undefined) panel.inputs.v.value = Math.floor(v);
   };
-  const canvas = preparePanel(place, controls, draw);
-  const first = canvas(camera, 6, "frame 0: press a pixel", (u, v) => ({ u, v }));
-  const rayAt = (x, y) => ({ u: ((x - middle) / (size.height - y)) * fx + cx });
-  const slice = canvas(size, 1, "its row from above: red behind, blue free, black D = 0", rayAt);
-  const curve = place.firstChild.appendChild(create("figure"));
+  panel.press(first, choose);
+  panel.handle(first, "Pixel", { at: () => [Number(panel.inputs.u.value) + 0.5, Number(panel.inputs.v.value) + 0.5], move: choose, className: "gsnb-live-ring" });
+  panel.press(slice, (x, z) => choose(Math.max(0, Math.min(width - 1, ((x - middle) / (size.height - z)) * fx + cx))));
 
   function drawSlice(rays, crossings, u) {
     const x = (column, z) => middle + ((column - cx) / fx) * z * PX;
@@ -29,17 +25,26 @@ async function start(place) {
     }));
     slice.fillStyle = "#000";
     crossings.forEach((z, column) => slice.fillRect(x(column + 0.5, z) - 2, y(z) - 2, 4, 4));
-    stroke(slice, `M${middle} ${y(0)}L${x(u + 0.5, FAR)} 0`, "#ffb300", 2);
+    stroke(slice, `M${middle} ${y(0)}L${x(u + 0.5, FAR)} 0`, "#ffb000", 2);
+  }
+
+  function drawAxes() {
+    Object.assign(slice, { fillStyle: "#fff", font: "24px sans-serif", textAlign: "center", strokeStyle: "#000", lineWidth: 4 });
+    const write = (text, at, height) => {
+      slice.strokeText(text, at, height);
+      slice.fillText(text, at, height);
+    };
+    for (const z of [1, 2, 3]) write(`z = ${z} m`, 62, y(z) + 8);
+    for (const x of [-1, 0, 1]) write(`x = ${x} m`, middle + x * PX, 26);
   }
 
   function drawCurve(ray, said, eps, z) {
-    const X = (at) => 170 + 320 * (at - z), Y = (D) => 110 - 85 * D, near = [...ray.keys()].filter((k) => Math.abs(zOf(k) - z) < 0.45);
-    const line = (known, D, style) => `<polyline ${style} points="${near.filter(known).map((k) => [X(zOf(k)), Y(D(k))])}"/>`;
+    const near = [...ray.keys()].filter((k) => Math.abs(zOf(k) - z) < 0.45);
+    const line = (known, D, style) => ({ points: near.filter(known).map((k) => [zOf(k), D(k)]), style });
     const each = said[0].map((_, i) => line((k) => said[k][i] > -eps, (k) => Math.min(1, said[k][i] / eps), 'opacity="0.35"'));
-    const ticks = [-1, 0, 1].map((t) => `<text y="222" x="${170 + 128 * t}" text-anchor="middle">${(z + 0.4 * t).toFixed(2)} m</text><text x="2" y="${Y(t) + 5}">${t}</text>`);
-    curve.innerHTML = `<svg viewBox="0 0 340 226" role="img" aria-label="D along the ray">${ticks.join("")}
-      <path d="M24 ${Y(0)}H320"/><path d="M${X(z)} 20V200" stroke-dasharray="4 4"/>${each.join("")}${line((k) => ray[k][1] > 0, (k) => ray[k][0], 'class="gsnb-live-mean"')}</svg>
-      <figcaption>D along the ray: each frame (thin), the average, the true depth (dashed)</figcaption>`;
+    const mean = line((k) => ray[k][1] > 0, (k) => ray[k][0], 'class="gsnb-live-mean"');
+    const marks = (X, Y) => `<path d="M46 ${Y(0)}H410"/><path d="M${X(z)} ${Y(1)}V${Y(-1)}" stroke-dasharray="4 4"/>`;
+    curve.innerHTML = graph("D along the ray", ["distance z, m", z - 0.45, z + 0.45], ["D", -1.1, 1.1], [...each, mean], marks);
   }
 
   function draw({ u, v, frames, truncation, maxWeight }) {
@@ -48,9 +53,10 @@ async function start(place) {
     const said = Array.from({ length: width }, (_, column) => Array.from({ length: SAMPLES }, (_, k) => measured(at(column, k))));
     const eps = truncation / 100, rays = said.map((ray) => ray.map((distances) => fused(distances, eps, maxWeight)));
     const crossings = rays.map((ray) => zeroCrossing(ray, NEAR, STEP)), right = (column) => truth[v * width + column];
-    first.drawImage(photo, 0, 0);
-    stroke(first, `M0 ${v + 0.5}H${width}M${u + 0.5} ${v - 2}v5`, "#ffb300", 0.5);
+    drawImage(first, photo);
+    stroke(first, `M0 ${v + 0.5}H${width}`, "#ffb000", 0.4);
     drawSlice(rays, crossings, u);
+    drawAxes();
     drawCurve(rays[u], said[u], eps, right(u));
     const off = (z, column) => 1000 * Math.abs(z - right(column)), z = crossings[u];
     const errors = crossings.map(off).filter((mm) => mm >= 0).sort((a, b) => a - b);

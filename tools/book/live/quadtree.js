@@ -1,18 +1,13 @@
 // Chapter 3: the quadtree of a photograph.
-async function start(place) {
+async function start(section) {
   const { camera, colours } = DATA, { width, height } = camera;
-  const [rgb] = await unpacked(DATA.rgb, Uint8Array, 3 * width * height, 1), photo = await bitmap(rgb, camera);
-  const controls = {
-    threshold: { label: "threshold", min: -3, max: 1, step: 0.02, value: -1, from: (x) => 10 ** x },
-    min: { label: "min half size, px", min: 1, max: 32, value: 1 },
-    contrast: { label: "contrast", options: ["released", "std"] },
-    show: { label: "show", options: ["cells", "mean colours"] },
-  };
-  const context = preparePanel(place, controls, draw)(camera, 3, "the photograph and the cells of its quadtree");
+  const [rgb] = await unpacked(DATA.rgb, Uint8Array, 3 * width * height, 1), photo = await photograph(DATA.photos[0]);
+  const panel = openPanel(section, { draw, from: { threshold: (x) => 10 ** x } });
+  const context = panel.picture("cells", camera);
 
   function draw({ show, ...settings }) {
     const leaves = quadtree(rgb, width, height, settings), deepest = Math.max(1, ...leaves.map((leaf) => leaf.level));
-    context.drawImage(photo, 0, 0);
+    drawImage(context, photo);
     context.lineWidth = 1 / 3;
     for (const { cell, level, mean } of leaves) {
       context.fillStyle = `rgb(${mean.map(Math.round)})`;

@@ -44,7 +44,18 @@ class StoredModel {
 for (const place of document.querySelectorAll(".gsnb-moving-map")) {
   document.head.append(Object.assign(document.createElement("style"), { textContent: STYLE }));
   const model = new StoredModel(STATE, HEAD, Uint8Array.from(atob(ROWS), (letter) => letter.charCodeAt(0)).buffer);
-  VIEWER.render({ model, el: place });
+  // behind the poster until there is a picture
+  const poster = place.querySelector("img"), stage = place.appendChild(document.createElement("div"));
+  stage.className = "gsnb-moving-map-waiting";
+  VIEWER.render({ model, el: stage });
+  const drawn = new MutationObserver(() => {
+    if (!stage.querySelector(".gsnb-splat-status")?.textContent.includes("in view")) return;
+    drawn.disconnect();
+    poster?.remove();
+    stage.className = "";
+    place.classList.add("gsnb-moving-map-live");
+  });
+  drawn.observe(stage, { subtree: true, childList: true, characterData: true });
   const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
   const turning = setInterval(() => {
     if (document.hidden || still) return;
