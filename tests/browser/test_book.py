@@ -23,6 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CHAPTERS = [path.stem for path in sorted((ROOT / "notebooks").glob("*.ipynb"))]
 PAGES = (
     "index",
+    "splatting",
     "notebooks/00_quickstart",
     "notebooks/03_quadtree_decomposition",
     "docs/teaching/quiz/chapter_00",
@@ -110,16 +111,221 @@ def test_the_map_turns_until_it_is_dragged(opened, name):
     assert look() != at_rest
 
 
+def panel_of(page, name: str):
+    """A panel, in sight and started."""
+    panel = page.locator(f"#live-{name}")
+    panel.scroll_into_view_if_needed()
+    page.wait_for_function(
+        "name => !document.querySelector(`#live-${name} [data-picture] img`)",
+        arg=name,
+    )
+    return panel
+
+
+def look(picture) -> str:
+    """What a canvas shows."""
+    return picture.evaluate("canvas => canvas.toDataURL()")
+
+
+def drag(page, handle, dx: float, dy: float) -> None:
+    """With the mouse, so many pixels."""
+    handle.scroll_into_view_if_needed()
+    box = handle.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + dx / 2, y + dy / 2)
+    page.mouse.move(x + dx, y + dy)
+    page.mouse.up()
+
+
 @pytest.mark.parametrize(
-    ("chapter", "says"),
-    [(1, "same surface"), (2, "After 1 frame D"), (3, "3,283 cells")],
+    ("chapter", "name", "says"),
+    [
+        (1, "pixel", "same surface"),
+        (2, "fusion", "After 1 frame D"),
+        (3, "quadtree", "3,283"),
+        (3, "seeds", "Gaussians"),
+        (4, "gaussian", "It colours"),
+        (4, "order", "in front"),
+        (4, "stack", "of the light is left"),
+        (5, "paint", "PSNR"),
+        (6, "room", "when it was mapped"),
+    ],
 )
-def test_a_panel_computes_in_the_page(opened, chapter, says):
-    text = opened(f"notebooks/{CHAPTERS[chapter]}").locator(".gsnb-live [role=status]")
+def test_a_panel_computes_in_the_page(opened, chapter, name, says):
+    panel = panel_of(opened(f"notebooks/{CHAPTERS[chapter]}", reduced_motion="reduce"), name)
+    text = panel.get_by_role("status")
     text.filter(has_text=says).wait_for()
-    before = text.inner_text()
-    text.page.get_by_role("slider").nth(1).press("ArrowRight")
-    assert text.inner_text() != before
+    before = text.inner_text(), [look(picture) for picture in panel.locator("canvas").all()]
+    if name == "paint":
+        panel.get_by_role("button", name="One step").click()
+    elif name == "stack":
+        panel.get_by_role("button", name="Pixel").press("ArrowLeft")
+    elif name == "order":
+        panel.get_by_role("button", name="Swap").click()
+    else:
+        panel.get_by_role("slider").first.press("ArrowRight")
+    now = text.inner_text(), [look(picture) for picture in panel.locator("canvas").all()]
+    assert now[1] != before[1]
+
+
+def test_one_gaussian_is_dragged_turned_and_stretched(opened):
+    page = opened("splatting")
+    panel = panel_of(page, "gaussian")
+    text, picture = panel.get_by_role("status"), panel.locator("canvas")
+    values = lambda: [panel.get_by_label(n).input_value() for n in ("turn", "long axis, m")]  # noqa: E731
+    before, seen = values(), look(picture)
+    drag(page, panel.get_by_role("button", name="End of its long axis"), -40, 60)
+    turned = values()
+    assert turned[0] != before[0]
+    assert turned[1] != before[1]
+    assert look(picture) != seen
+    covariance = text.inner_text()
+    drag(page, panel.get_by_role("button", name="Middle of the Gaussian"), 60, 30)
+    assert values() == turned
+    assert text.inner_text() != covariance  # the perspective is another one there
+    panel.get_by_role("button", name="End of its other axis").press("ArrowDown")
+    assert values() != turned
+
+
+def test_the_order_of_two_gaussians_changes_the_picture(opened):
+    panel = panel_of(opened("splatting"), "order")
+    picture = panel.locator("canvas")
+    front = lambda: panel.get_by_role("status").locator("b").inner_text().split()[0]  # noqa: E731
+    assert front() == "orange"
+    before = look(picture)
+    panel.get_by_role("button", name="Swap").click()
+    assert front() == "blue"
+    assert look(picture) != before
+    panel.get_by_role("button", name="Swap").click()
+    assert look(picture) == before
+
+
+def test_a_gaussian_that_is_pulled_shows_its_gradient(opened, tmp_path):
+    page = opened("splatting", reduced_motion="reduce")
+    panel = panel_of(page, "paint")
+    text = panel.get_by_role("status")
+    for _ in range(3):
+        panel.get_by_role("button", name="One step").click()
+    assert "Step 3" in text.inner_text()
+    painting = panel.locator("[data-picture=painting] canvas")
+    painting.click(position={"x": 150, "y": 90})
+    said = text.inner_text()
+    assert "dL/du" in said
+    drag(page, panel.get_by_role("button", name="The chosen Gaussian"), 40, 20)
+    pulled = text.inner_text()
+    assert pulled.split("dL/du")[1] != said.split("dL/du")[1]
+    assert "Step 3" in pulled  # pulling is no step
+    # a photograph of the reader's; a file that is none says so and loses nothing
+    file = panel.locator("input[type=file]")
+    (tmp_path / "no.jpg").write_text("no picture")
+    file.set_input_files(tmp_path / "no.jpg")
+    text.filter(has_text="not a picture").wait_for()
+    photo = panel.locator("[data-picture=photo] canvas")
+    before = look(photo)
+    file.set_input_files(ROOT / "docs/images/rtg_states.jpg")
+    page.wait_for_function(
+        "() => document.querySelector('#live-paint [role=status]').textContent.includes('Step')"
+    )
+    panel.get_by_role("button", name="Pause").click()
+    assert look(photo) != before
+
+
+def test_a_drawing_is_painted(opened):
+    page = opened("splatting", reduced_motion="reduce")
+    panel = panel_of(page, "paint")
+    photo = panel.locator("[data-picture=photo] canvas")
+    panel.get_by_role("button", name="Draw a picture").click()
+    white = look(photo)
+    drag(page, photo, 50, 20)
+    drawn = look(photo)
+    assert drawn != white
+    panel.get_by_role("button", name="Paint my drawing").click()
+    panel.get_by_role("button", name="Pause").click()
+    assert look(photo) != white
+
+
+def test_the_room_is_forgotten_and_mended(opened):
+    panel = panel_of(opened("splatting"), "room")
+    text, time = panel.get_by_role("status"), panel.get_by_label("time")
+    db = lambda: float(text.inner_text().split("mapped frames: ")[1].split()[0])  # noqa: E731
+    text.filter(has_text="mapped frames").wait_for()
+    forgotten = db()
+    for _ in range(3):
+        time.press("ArrowRight")
+    assert "passes" in text.inner_text()
+    assert db() > forgotten + 1
+    time.press("Home")
+    assert "after 1 frames" in text.inner_text() or "after 1 frame" in text.inner_text()
+
+
+def test_a_thumb_on_a_picture_scrolls_and_on_a_handle_drags(opened):
+    page = opened("splatting", viewport={"width": 390, "height": 800}, has_touch=True)
+    panel = panel_of(page, "gaussian")
+    swipe = page.context.new_cdp_session(page)
+
+    def touch(kind: str, *points: dict) -> None:
+        swipe.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": list(points)})
+        page.wait_for_timeout(20)
+
+    def thumb(x: float, y: float, dy: float) -> None:
+        touch("touchStart", {"x": x, "y": y})
+        for k in range(1, 11):
+            touch("touchMove", {"x": x, "y": y + dy * k / 10})
+        touch("touchEnd")
+        page.wait_for_timeout(300)
+
+    panel.locator("canvas").scroll_into_view_if_needed()
+    box, before = panel.locator("canvas").bounding_box(), page.evaluate("scrollY")
+    thumb(box["x"] + 15, box["y"] + box["height"] - 15, -200)
+    assert page.evaluate("scrollY") > before + 100
+    panel.locator("canvas").scroll_into_view_if_needed()
+    handle = panel.get_by_role("button", name="Middle of the Gaussian")
+    box, before = handle.bounding_box(), page.evaluate("scrollY")
+    assert min(box["width"], box["height"]) >= 44
+    thumb(box["x"] + 22, box["y"] + 22, -60)
+    assert page.evaluate("scrollY") == before
+    assert handle.bounding_box()["y"] < box["y"] - 30
+
+
+def test_a_page_without_scripts_has_its_pictures(book_site, book_browser):
+    page = book_browser.new_page(java_script_enabled=False, viewport={"width": 390, "height": 800})
+    page.goto(f"file://{book_site}/splatting.html")
+    posters = page.locator(".gsnb-live-stage img")
+    assert posters.count() == 9
+    posters.first.scroll_into_view_if_needed()
+    assert posters.first.bounding_box()["height"] > 200
+    assert page.locator(".gsnb-live [role=status]").first.inner_text()
+    assert page.locator(".gsnb-live input:not([disabled])").count() == 0
+    page.close()
+
+
+_SHIFTS = """new PerformanceObserver((list) => {
+    for (const entry of list.getEntries()) if (!entry.hadRecentInput) window.shift += entry.value;
+}).observe({ type: "layout-shift", buffered: true }); window.shift = 0;"""
+
+
+@pytest.mark.parametrize("name", ["index", "splatting"])
+@pytest.mark.parametrize("width", [390, 1280])
+def test_a_page_does_not_move_when_its_map_and_panels_come(open_file, book_site, name, width):
+    page = open_file(book_site / f"{name}.html", viewport={"width": width, "height": 800})
+    page.evaluate(_SHIFTS)
+    page.wait_for_timeout(1500)
+    if name == "index":
+        page.wait_for_selector(".gsnb-moving-map-live")
+    for _ in range(12):
+        page.mouse.wheel(0, 500)
+        page.wait_for_timeout(150)
+    page.wait_for_timeout(1000)
+    assert page.evaluate("window.shift") < 0.1
+
+
+def test_the_first_page_says_what_it_is_to_other_sites(opened):
+    page = opened("index")
+    assert "Gaussian splatting" in page.title()
+    named = "meta[property='og:title'], meta[property='og:description'], meta[name=description]"
+    assert page.locator(named).count() == 3
 
 
 @pytest.mark.parametrize("chapter", CHAPTERS)
@@ -200,7 +406,7 @@ def faults(page, rules=None) -> list[str]:
 def test_nothing_grave_on_the_pages(book_site, book_browser, scheme):
     npm_programs.npm_folder("axe-core")
     wrong = {}
-    for name in PAGES if scheme == "light" else PAGES[:3]:
+    for name in PAGES if scheme == "light" else PAGES[:4]:
         page = book_browser.new_page(color_scheme=scheme)
         page.goto(f"file://{book_site / name}.html")
         page.wait_for_load_state("load")

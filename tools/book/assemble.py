@@ -207,7 +207,7 @@ class Assembly:
         for folder in (self.pages, self.extra):
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
-        for path in sorted(self.places.files):
+        for path in sorted(self.places.files - ROOT_PAGES.keys()):
             if path.endswith(".ipynb") and self.places.is_page(path):
                 self._chapter(path)
             elif self.places.is_page(path):

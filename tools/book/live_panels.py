@@ -100,7 +100,7 @@ def _piece(panel: str, kind: str, values: list[str], root: str, first: bool) -> 
         low, high, step, start, label = values[1:]
         return (
             f'<label><span>{escape(label)}</span><input type="range" name="{name}" min="{low}" '
-            f'max="{high}" step="{step}" value="{start}" disabled><output></output></label>'
+            f'max="{high}" step="{step}" value="{start}" disabled><span></span></label>'
         )
     if kind == "choice":
         options = "".join(f"<option>{escape(words)}</option>" for words in values[2:])

@@ -35,7 +35,7 @@ async function start(section) {
       slice.fillText(text, at, height);
     };
     for (const z of [1, 2, 3]) write(`z = ${z} m`, 62, y(z) + 8);
-    for (const x of [-1, 0, 1]) write(`x = ${x} m`, middle + x * PX, 26);
+    [["x = −1", -1], ["0", 0], ["1 m", 1]].forEach(([text, x]) => write(text, middle + x * PX, 26));
   }
 
   function drawCurve(ray, said, eps, z) {

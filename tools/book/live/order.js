@@ -3,7 +3,7 @@ const CAMERA = { width: 96, height: 60, fx: 60, fy: 60, cx: 48, cy: 30 };
 const ORANGE = [1, 0.62, 0.1], BLUE = [0.16, 0.44, 0.95];
 
 function start(section) {
-  const state = { orange: [-0.2, 0.02], blue: [0.2, 0.04], probe: [48.5, 21.5] };
+  const state = { orange: [-0.2, 0.02], blue: [0.2, 0.04], probe: [46.5, 20.5] };
   const panel = openPanel(section, { draw, words: { orange: (z) => `${z} m`, blue: (z) => `${z} m` } });
   const view = panel.picture("view", CAMERA), side = panel.chart("side");
   const at = (name) => () => state[name].map((x, k) => CAMERA.fx * x + [CAMERA.cx, CAMERA.cy][k]);

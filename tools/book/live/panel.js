@@ -98,10 +98,10 @@ function drawArrow(context, [x0, y0], [x1, y1], colour, lineWidth, scale) {
 const cssColour = (rgb) => `rgb(${rgb.map((c) => Math.round(255 * Math.max(0, Math.min(1, c))))})`;
 const swatch = (rgb) => `<span class="gsnb-live-swatch" style="background:${cssColour(rgb)}"></span>`;
 
-/** About five round numbers from low to high. */
+/** Four to ten round numbers from low to high. */
 function ticksOf(low, high) {
   const rough = (high - low) / 4, unit = 10 ** Math.floor(Math.log10(rough));
-  const step = unit * [1, 2, 5, 10].find((k) => k * unit >= rough);
+  const step = unit * [5, 2, 1].find((k) => k * unit <= rough);
   const first = Math.ceil(low / step - 1e-9);
   return Array.from({ length: Math.floor(high / step + 1e-9) - first + 1 }, (_, k) => Number(((first + k) * step).toPrecision(6)));
 }

@@ -4,7 +4,7 @@ async function start(section) {
   const [bytes] = await unpacked(DATA.rgb, Uint8Array, 3 * n, 1), [depth] = await unpacked(DATA.depth, Uint16Array, n, 1e-4);
   const photo = await photograph(DATA.photo);
   const from = { threshold: (x) => 10 ** x, largest: (x) => 10 ** x };
-  const panel = openPanel(section, { draw, from, words: { largest: (x) => `${(100 * x).toPrecision(2)} cm`, side: (x) => `${x}°` } });
+  const panel = openPanel(section, { draw, from, words: { largest: (x) => `${(100 * x).toFixed(x < 0.1 ? 1 : 0)} cm`, side: (x) => `${x}°` } });
   const cells = panel.picture("cells", camera), view = panel.picture("view", camera);
   const nearest = depth.filter((z) => z > 0).sort();
   const pivot = nearest[nearest.length >> 1];
@@ -30,7 +30,7 @@ async function start(section) {
     const leaves = quadtree(bytes, camera.width, camera.height, { threshold, min: 1, contrast: "released" });
     const all = cutToSize(leaves, camera, depth, largest, 1), map = seedMap(all);
     drawImage(cells, photo);
-    Object.assign(cells, { lineWidth: 0.3, strokeStyle: "rgb(255 255 255 / 0.75)" });
+    Object.assign(cells, { lineWidth: 0.22, strokeStyle: "rgb(255 255 255 / 0.7)" });
     for (const { cell } of all) cells.strokeRect(...cell);
     if (size !== "as seeded") for (let k = 0; k < map.log_scale.length; k++) map.log_scale[k] -= Math.log(4);
     drawPixels(view, renderMap(map, camera, turned(side)).rgb, camera, true);
