@@ -157,6 +157,17 @@ def piece(reference: Callable) -> Callable:
     return dispatch
 
 
+def reference_of(name: str) -> Callable:
+    """The plain function of an operation, or of a piece of one.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    functions = _OPS | _PIECES
+    check_name("operation", name, functions)
+    return functions[name]
+
+
 def operations() -> tuple[str, ...]:
     """Names of the operations that some backend besides the reference offers, among those declared
     so far."""

@@ -1,6 +1,8 @@
 """``gsfusion-nb grade``: marks for a class."""
 
+import sys
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -29,15 +31,21 @@ class GradeOptions:
     seconds: float = 120.0
     """For all calls of a function, on the clock; one call may take as long as in a notebook."""
     memory_mb: int = 4096
-    """Of the process in which a student's functions run, with Python and torch (on Linux)."""
+    """Of all processes of a function together, with Python and torch (on Linux)."""
     jobs: int = 0
-    """Students at the same time. 0: one for each core, at most 8."""
+    """Functions at the same time. 0: one for each core, at most 8."""
+    resume: bool = True
+    """Take the marks of a grading that was stopped, or of an earlier one, for functions that have
+    not changed, from the file MARKS.csv.journal beside the table. --no-resume: mark all again."""
 
 
 def run(options: GradeOptions) -> int:
     """The command. Exit status 0: the table is written, whatever the marks."""
-    from ..course.grading.marks import exercises_of, grade, write_marks
-    from ..course.grading.sandbox import Limits, why_no_bubblewrap
+    from ..course.grading.grade import grade
+    from ..course.grading.journal import Journal
+    from ..course.grading.judge import Limits
+    from ..course.grading.marks import exercises_of, write_marks
+    from ..course.grading.sandbox import why_no_bubblewrap
     from ..course.grading.submission import find_submissions
 
     if options.seconds <= 0 or options.memory_mb <= 0:
@@ -49,11 +57,39 @@ def run(options: GradeOptions) -> int:
     print(f"{len(submissions)} students, {len(names)} exercises")
     if why_no_bubblewrap():
         print(
-            f"{why_no_bubblewrap()}: a function may change your files and use the network. See "
-            "docs/teaching/grading.md"
+            f"{why_no_bubblewrap()}: a function may read and change your files, the solutions and "
+            "other submissions too, and use the network. See docs/teaching/grading.md"
         )
-    limits = Limits(seconds=options.seconds, memory_mb=options.memory_mb)
-    marks = grade(submissions, names, limits=limits, jobs=options.jobs, tell=print)
+    if not sys.platform.startswith("linux"):
+        print("This system does not limit the memory of a function.")
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    journal = Journal(options.out.with_name(f"{options.out.name}.journal"))
+    if not options.resume or not journal.path.exists():
+        for path in (options.out, journal.path):
+            _set_aside(path)
+    elif earlier := len(journal.read()):
+        print(
+            f"{earlier} marks are known from before ({journal.path}); --no-resume: mark all again"
+        )
+    marks = grade(
+        submissions,
+        names,
+        limits=Limits(seconds=options.seconds, memory_mb=options.memory_mb),
+        jobs=options.jobs,
+        journal=journal,
+        tell=lambda line: print(line, flush=True),
+        keep=lambda marks: write_marks(options.out, marks),
+    )
     write_marks(options.out, marks)
     print(f"Marks: {options.out}")
     return 0
+
+
+def _set_aside(path: Path) -> None:
+    """Rename a file of an earlier grading, so that nothing is lost."""
+    if not path.exists():
+        return
+    stamp = datetime.fromtimestamp(path.stat().st_mtime)
+    kept = path.with_name(f"{path.stem}-{stamp:%Y%m%d-%H%M%S}{path.suffix}")
+    path.rename(kept)
+    print(f"The earlier {path.name} is kept as {kept}")

@@ -3,10 +3,9 @@ verdict."""
 
 import functools
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import CodeType
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -19,6 +18,7 @@ from .learner_code import (
     CodeInUse,
     argument_copy,
     calls_of_library,
+    full_name,
     in_words,
     line_in_words,
     line_of_error,
@@ -31,6 +31,70 @@ class NotWritten(ForeseenError):
     """The function returned nothing: its body is still ``...``."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """What one call of a learner's function gave."""
+
+    value: Any
+    """Tensors and plain values."""
+    callees: Mapping[str, str]
+    """Functions of the library that it called (``full_name``) -> the line, in words."""
+    borrowed: Mapping[int, str]
+    """Lines at which a function of the library returned the answer: number -> in words."""
+
+
+@runtime_checkable
+class Subject(Protocol):
+    """A learner's function, in this process or in another one."""
+
+    @property
+    def function(self) -> Callable[..., Any]:
+        """It, or what stands for it here, with its signature."""
+        ...
+
+    def answer(self, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Answer:
+        """Call it. Tensors, arrays, lists and generators that it changes are changed afterwards.
+
+        Raises:
+            Failed: it raised, did not end, or returned something that is no plain value.
+            NotWritten: it says that it is not implemented.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class LocalSubject:
+    """A learner's function in this process."""
+
+    function: Callable[..., Any]
+
+    def answer(self, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Answer:
+        """Call it, with a limit of time."""
+        try:
+            with calls_of_library(self.function) as calls:
+                result = run_learner(self.function, args, kwargs)
+        except NotImplementedError:
+            raise NotWritten from None
+        except Failed:  # it broke a rule that holds for every exercise
+            raise
+        except Exception as e:
+            place = line_of_error(e, self.function)
+            failure = f"it raised {type(e).__name__}{f' in {place}' if place else ''}"
+            first_line = str(e).splitlines()[0] if str(e) else ""
+            raise Failed("it runs", "", f"{failure}: {first_line}") from e
+        code = getattr(inspect.unwrap(self.function), "__code__", None)
+        file = "" if code is None else code.co_filename
+        return Answer(
+            value=result,
+            callees={name: line_in_words(file, line) for line, name, _ in calls},
+            borrowed={
+                line: line_in_words(file, line)
+                for line, _, value in calls
+                if _is_answer(value, result)
+            },
+        )
+
+
 class Attempt:
     """Calls the student's function on copies of its arguments; if it raises or changes them, that
     is a ``Failed``.
@@ -40,14 +104,14 @@ class Attempt:
     generator yields as a list.
     """
 
-    def __init__(self, function: Callable[..., Any]):
-        self.function = function
+    def __init__(self, subject: Subject):
+        self.subject = subject
         self.words = ""
         self.returned: Any = None
         """What the last call returned."""
-        self.lines: dict[CodeType, int] = {}
+        self.callees: dict[str, str] = {}
         """Functions of the library that it called, and where."""
-        self.borrowed: set[int] | None = None
+        self.borrowed: dict[int, str] | None = None
         """Lines at which a function of the library returned the answer, in every call so far."""
 
     def on(self, words: str) -> "Attempt":
@@ -61,24 +125,18 @@ class Attempt:
         keywords = {k: argument_copy(a) for k, a in kwargs.items()}
         case = self.words or describe([*args, *kwargs.values()])
         try:
-            with calls_of_library(self.function) as calls:
-                result = run_learner(self.function, arguments, keywords)
-        except NotImplementedError:
-            raise NotWritten from None
-        except Failed as e:  # it broke a rule that holds for every exercise
-            raise Failed(e.prop, case, e.detail) from None
-        except Exception as e:
-            place = line_of_error(e, self.function)
-            failure = f"it raised {type(e).__name__}{f' in {place}' if place else ''}"
-            raise Failed(
-                "it runs", case, f"{failure}: {str(e).splitlines()[0] if str(e) else ''}"
-            ) from e
-        if result is None or result is Ellipsis:
+            answer = self.subject.answer(arguments, keywords)
+        except Failed as e:
+            raise Failed(e.prop, case, e.detail) from e.__cause__
+        if answer.value is None or answer.value is Ellipsis:
             raise NotWritten
-        self.lines |= {code: line for line, code, _ in calls}
-        same = {line for line, _, value in calls if _is_answer(value, result)}
-        self.borrowed = same if self.borrowed is None else self.borrowed & same
-        self.returned = result
+        self.callees |= answer.callees
+        self.borrowed = {
+            line: words
+            for line, words in answer.borrowed.items()
+            if self.borrowed is None or line in self.borrowed
+        }
+        self.returned = answer.value
         for old, new in zip(
             [*args, *kwargs.values()],
             [*arguments, *keywords.values()],
@@ -94,21 +152,14 @@ class Attempt:
     def not_borrowed(self, functions: Sequence[Callable[..., Any]]) -> None:
         """Fails if functions of the library returned the answer in every call, or it called one
         that it replaces."""
-        callees = {
-            self.lines[f.__code__]
-            for f in map(inspect.unwrap, functions)
-            if f.__code__ in self.lines
-        }
-        for line in callees | (self.borrowed or set()):
-            code = inspect.unwrap(self.function).__code__
-            detail = (
-                "a function of the library gave the answer in "
-                f"{line_in_words(code.co_filename, line)}"
-            )
+        names = [full_name(function) for function in functions]
+        lines = [self.callees[name] for name in names if name in self.callees]
+        for line in [*lines, *(self.borrowed or {}).values()]:
             raise Failed(
                 "it computes the answer itself",
                 self.words,
-                f"{detail}. Write what that function computes",
+                f"a function of the library gave the answer in {line}. Write what that function "
+                "computes",
             )
 
     def holds(self, condition: Any, prop: str, *, detail: str) -> None:
@@ -174,9 +225,11 @@ class Attempt:
     def watched(self) -> Callable[..., Any]:
         """The function with its signature, for a check that calls it itself."""
 
-        @functools.wraps(self.function)
+        function = self.subject.function
+
+        @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> Any:
-            return run_learner(self.function, args, kwargs)
+            return run_learner(function, args, kwargs)
 
         return call
 

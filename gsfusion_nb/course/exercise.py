@@ -40,7 +40,6 @@ operation of the library it replaces under the backend ``mine``;
 """
 
 import contextlib
-import functools
 import importlib
 import inspect
 import pkgutil
@@ -54,7 +53,7 @@ from ..backends import use_backend
 from ..errors import ArgumentError
 from .attempt import Attempt as Attempt
 from .attempt import Failed as Failed
-from .attempt import NotWritten, Verdict, describe
+from .attempt import LocalSubject, NotWritten, Subject, Verdict, describe
 from .learner_code import keep_source, with_reference
 from .learner_operation import Becomes as Becomes
 from .learner_operation import Yours as Yours
@@ -126,6 +125,7 @@ class Exercise:
     wrong: tuple[Wrong, ...]
     becomes: Becomes | None = None
     replaces: tuple[Callable[..., Any], ...] = ()
+    goes_on_with: tuple[str, ...] = ()
     hints_given: int = 0
     tries: int = 0
     """Functions of this exercise's name that were judged in this process; unwritten ones do not
@@ -156,27 +156,23 @@ class Exercise:
 
     def verdict(self, function: Any) -> Verdict:
         """The verdict on ``function``, which is neither counted nor kept."""
-        verdict = functools.partial(
-            Verdict, exercise=self.name, hints_left=len(self.hints) - self.hints_given
-        )
         if not callable(function):
-            return verdict(
+            return self._verdict(
                 state="failed", prop="it is a function", detail=f"got a {type(function).__name__}"
             )
-        attempt = Attempt(function)
+        return self.verdict_on(LocalSubject(function))
+
+    def verdict_on(self, subject: Subject) -> Verdict:
+        """The verdict on a learner's function, which may be in another process."""
+        attempt = Attempt(subject)
         try:
             with use_backend("reference") if self.becomes else contextlib.nullcontext():
                 self.judge(attempt)
             attempt.not_borrowed(self.replaces)
         except NotWritten:
-            return verdict(state="not written", detail="the function returns nothing so far")
+            return self._verdict(state="not written", detail="the function returns nothing so far")
         except Failed as e:
-            return verdict(
-                state="failed",
-                prop=e.prop,
-                on=e.on,
-                detail=e.detail,
-            )
+            return self._verdict(state="failed", prop=e.prop, on=e.on, detail=e.detail)
         except (
             Exception
         ) as e:  # the judge did something with the result that such a result cannot do
@@ -186,8 +182,12 @@ class Exercise:
                 f"it returned {describe([attempt.returned])}, with which the checker could "
                 f"not go on ({message})"
             )
-            return verdict(state="failed", prop=prop, on=attempt.words, detail=detail)
+            return self._verdict(state="failed", prop=prop, on=attempt.words, detail=detail)
         return Verdict(exercise=self.name, state="passed")
+
+    def _verdict(self, **what: Any) -> Verdict:
+        hints_left = len(self.hints) - self.hints_given
+        return Verdict(exercise=self.name, hints_left=hints_left, **what)
 
     def hint(self, number: int | None = None) -> Said:
         """The next hint, or hint ``number`` (from 1); after the last one, the last one again."""
@@ -254,6 +254,7 @@ def exercise(
     wrong: Sequence[Wrong],
     becomes: Becomes | None = None,
     replaces: Sequence[Callable[..., Any]] = (),
+    goes_on_with: Sequence[str] = (),
 ) -> Callable[[Callable[[Attempt], None]], Exercise]:
     """Register the decorated judge as the exercise of its name; the first line of its docstring is
     the title.
@@ -267,6 +268,8 @@ def exercise(
         wrong: Plausible wrong answers, which the judge refuses.
         becomes: What the function becomes in the library.
         replaces: Functions of the library that it must not call.
+        goes_on_with: Exercises whose working function it is given by the notebook
+            (``check.<name>.working``).
 
     Raises:
         ValueError: unknown difficulty, no hint, no wrong answer, no title, or a name that another
@@ -300,6 +303,7 @@ def exercise(
             wrong=tuple(wrong),
             becomes=becomes,
             replaces=tuple(replaces),
+            goes_on_with=tuple(goes_on_with),
         )
         return _EXERCISES[name]
 

@@ -16,7 +16,6 @@ import signal
 import sys
 import textwrap
 import threading
-import time
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -167,13 +166,13 @@ class _TimeIsUp(BaseException):
 @contextlib.contextmanager
 def calls_of_library(
     function: Callable[..., Any],
-) -> Iterator[list[tuple[int, types.CodeType, Any]]]:
-    """Calls of this package's functions in the learner's file: line, function, result; while the
-    context is open.
+) -> Iterator[list[tuple[int, str, Any]]]:
+    """Calls of this package's functions in the learner's file: line, ``full_name``, result; while
+    the context is open.
 
     None for a function of the package itself.
     """
-    calls: list[tuple[int, types.CodeType, Any]] = []
+    calls: list[tuple[int, str, Any]] = []
     code: Any = getattr(inspect.unwrap(function), "__code__", None)
     usual = sys.getprofile()
 
@@ -189,7 +188,9 @@ def calls_of_library(
             while caller is not None and _passes_on(caller.f_globals.get("__name__", "")):
                 caller = caller.f_back
             if caller is not None and caller.f_code.co_filename == code.co_filename:
-                calls.append((caller.f_lineno, frame.f_code, value))
+                module = frame.f_globals.get("__name__", "")
+                name = f"{module}.{frame.f_code.co_qualname}"
+                calls.append((caller.f_lineno, name, value))
 
     if code is not None and not _is_of_library(str(function.__module__)):
         sys.setprofile(watch)
@@ -197,6 +198,12 @@ def calls_of_library(
         yield calls
     finally:
         sys.setprofile(usual)
+
+
+def full_name(function: Callable[..., Any]) -> str:
+    """``gsfusion_nb.tsdf.octree.encode``: module and name of a function, without decorators."""
+    plain = inspect.unwrap(function)
+    return f"{plain.__module__}.{plain.__qualname__}"
 
 
 def _is_of_library(module: str) -> bool:
@@ -224,26 +231,23 @@ def run_learner(
     def stop(_signal: int, _frame: Any) -> None:
         raise _TimeIsUp
 
-    began = time.monotonic()
     usual = signal.signal(signal.SIGALRM, stop)
-    # what marks submissions has a timer of its own
-    outer_timer_s, _ = signal.getitimer(signal.ITIMER_REAL)
-    signal.setitimer(signal.ITIMER_REAL, min(LIMIT_S, outer_timer_s or LIMIT_S))
+    signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
     try:
         return plain_value(function(*args, **kwargs))
     except _TimeIsUp:
-        output = (
-            f"it ran for more than {LIMIT_S:g} s. Is there a loop whose condition never becomes "
-            "false?"
-        )
-        raise Failed("it comes to an end", "", output) from None
+        raise endless(LIMIT_S) from None
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, usual)
-        if outer_timer_s:
-            signal.setitimer(
-                signal.ITIMER_REAL, max(outer_timer_s - (time.monotonic() - began), 1e-3)
-            )
+
+
+def endless(limit_s: float) -> Failed:
+    """What is said of a function that did not end within ``limit_s`` seconds."""
+    detail = (
+        f"it ran for more than {limit_s:g} s. Is there a loop whose condition never becomes false?"
+    )
+    return Failed("it comes to an end", "", detail)
 
 
 @dataclass(frozen=True, kw_only=True)

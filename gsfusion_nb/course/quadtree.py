@@ -279,6 +279,7 @@ def _as_quadtree(
     minutes=20,
     solution=_leaves,
     becomes=Becomes("quadtree", _as_quadtree),
+    goes_on_with=("contrast", "split_cell"),
     hints=(
         "A function visit(x0, y0, w, h) that either appends the cell or visits its four parts.",
         "Cut if w // 2 > min_cell_px and h // 2 > min_cell_px and the contrast is above the "

@@ -5,11 +5,12 @@ from types import SimpleNamespace
 import torch
 from torch import Tensor
 
-from ..config import SeedingConfig, TsdfConfig
+from ..config import SeedingConfig
 from ..geometry import pixel_grid, project, se3
 from ..seeding import SeedContext, SeedingRule, check_contexts, check_rule
 from ..types import Camera, Frame, GaussianParams, Seeds
 from .exercise import Attempt, Failed, Wrong, exercise
+from .stand_ins import FreshVolume
 
 
 def wall_context(coverage: str = "nothing") -> SeedContext:
@@ -54,19 +55,7 @@ def wall_context(coverage: str = "nothing") -> SeedContext:
         sh=torch.zeros(n, 1, 3),
     )
     config = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
-    return SeedContext(frame, _FreshVolume(), SimpleNamespace(params=params), config=config)
-
-
-class _FreshVolume:
-    """Every voxel was observed once."""
-
-    config = TsdfConfig(voxel_size_m=0.02)
-
-    def sample_nearest(self, xyz_W: Tensor) -> SimpleNamespace:
-        return SimpleNamespace(
-            D=torch.zeros(len(xyz_W)),
-            W=torch.ones(len(xyz_W)),
-        )
+    return SeedContext(frame, FreshVolume(), SimpleNamespace(params=params), config=config)
 
 
 def _raster(ctx: SeedContext, *, step_px: int = 8) -> Seeds:
@@ -332,8 +321,8 @@ def _contract(rule: SeedingRule) -> None:
         check_rule(rule)
     except (AssertionError, TypeError, ValueError) as e:
         raise Failed("it keeps the contract of a rule", case, str(e)) from None
-    except Failed:
-        raise
+    except Failed as e:
+        raise Failed(e.prop, e.on or case, e.detail) from None
     except Exception as e:
         raise Failed("it runs", case, f"it raised {type(e).__name__}: {e}") from e
 

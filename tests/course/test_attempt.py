@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from gsfusion_nb.course import check
-from gsfusion_nb.course.attempt import Attempt, Failed, NotWritten
+from gsfusion_nb.course.attempt import Attempt, Failed, LocalSubject, NotWritten
 from gsfusion_nb.course.exercise import Wrong, exercise, exercises
 from gsfusion_nb.course.progress import read_section
 from gsfusion_nb.geometry import backproject
@@ -198,16 +198,16 @@ def test_an_attempt_notices_what_the_student_does():
         return t
 
     with pytest.raises(Failed, match="does not change its inputs"):
-        Attempt(spoils)(x)
+        Attempt(LocalSubject(spoils))(x)
     assert (x == 1).all()
     with pytest.raises(NotWritten):
-        Attempt(lambda t: ...)(x)
+        Attempt(LocalSubject(lambda t: ...))(x)
 
     def later(t):
         raise NotImplementedError
 
     with pytest.raises(NotWritten):
-        Attempt(later)(x)
+        Attempt(LocalSubject(later))(x)
 
 
 @pytest.mark.parametrize(
@@ -222,7 +222,7 @@ def test_an_attempt_notices_what_the_student_does():
 )
 def test_close_says_what_came(got, expected, says):
     with pytest.raises(Failed, match=says) as e:
-        Attempt(abs).on("this").close(got, expected, "it is right")
+        Attempt(LocalSubject(abs)).on("this").close(got, expected, "it is right")
     assert (e.value.prop, e.value.on) == ("it is right", "this")
 
 

