@@ -7,8 +7,10 @@ from pathlib import Path
 import pytest
 
 from gsfusion_nb.course.attempt import Failed
-from gsfusion_nb.course.grading.marks import Mark, as_csv, exercises_of, grade
-from gsfusion_nb.course.grading.sandbox import Limits, verdicts
+from gsfusion_nb.course.grading.grade import grade
+from gsfusion_nb.course.grading.judge import Limits, judge
+from gsfusion_nb.course.grading.library import copy_library
+from gsfusion_nb.course.grading.marks import Mark, as_csv, exercises_of
 from gsfusion_nb.course.grading.submission import Cell, choose, find_submissions, needed, read_code
 
 SUBMISSIONS = Path(__file__).parent / "submissions"
@@ -61,6 +63,10 @@ def test_only_what_a_function_needs_runs():
         ("cell 3", 1),
         ("cell 4", 1),
     ]
+    named = Cell(
+        "cell 6", 'def f(n):\n    """See check.f.hint() and check.f.working."""\n    return n'
+    )
+    assert [cell.label for cell, _ in needed([named], "f")] == ["cell 6"]
     with pytest.raises(Failed, match="cell 5"):
         needed(cells, "g")
     with pytest.raises(Failed, match="no function h"):
@@ -71,6 +77,8 @@ def test_what_is_no_submission_is_said(tmp_path):
     (tmp_path / "broken.ipynb").write_text('{"cells": [')
     (tmp_path / "other.ipynb").write_text('{"worksheets": []}')
     (tmp_path / "latin.py").write_bytes(b"# \xe9")
+    (tmp_path / "link.py").symlink_to(SUBMISSIONS / "right.py")  # what somebody else handed in
+    (tmp_path / "deep.ipynb").write_text("[" * 100_000)
     assert all(read_code(file).problem for file in tmp_path.iterdir())
     with pytest.raises(ValueError, match="absent"):
         find_submissions([tmp_path / "absent"])
@@ -111,8 +119,14 @@ def test_no_cell_of_the_table_is_a_formula():
     assert rows[1][2:4] == ["1.5", "2"]
 
 
-@pytest.mark.ci  # one of them sleeps for 10 s
-def test_a_function_that_ends_its_process_or_sleeps_leaves_the_next_one_alone():
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    """The package without solutions."""
+    return copy_library(tmp_path_factory.mktemp("grading") / "library")
+
+
+@pytest.mark.ci
+def test_a_function_that_ends_its_process_or_sleeps_leaves_the_next_one_alone(library):
     of = {
         "psnr": "import os\ndef psnr(image, reference): os._exit(3)",
         "block_of": "import time\nblock_of = time.sleep(100)\ndef block_of(xyz_W, voxel_size_m): "
@@ -120,28 +134,33 @@ def test_a_function_that_ends_its_process_or_sleeps_leaves_the_next_one_alone():
         "zero_crossing": "print('hello')\ndef zero_crossing(p0, p1, D0, D1): return p0 + (D0 / (D0 "
         "- D1))[:, None] * (p1 - p0)",
     }
-    found = verdicts(
-        {name: [Cell("cell 1", source)] for name, source in of.items()},
-        Limits(seconds=10.0),
-    )
-    assert "ended" in found["psnr"].detail
-    assert "10 s" in found["block_of"].detail
+    found = {
+        name: judge(name, [Cell("cell 1", source)], Limits(seconds=4.0), library)
+        for name, source in of.items()
+    }
+    assert "exit status 3" in found["psnr"].detail
+    assert "4 s" in found["block_of"].detail
     assert found["zero_crossing"], found["zero_crossing"]
 
 
-SOLVED = {"map_frame": 6, "draw_keyframes": 6, "slope": 5, "quadtree_leaves": 3}
+SOLVED = {
+    "map_frame": 6,
+    "draw_keyframes": 6,
+    "slope": 5,
+    "quadtree_leaves": 3,
+    "raster_rule": 9,
+}
 """Exercise -> chapter: with a mapper, a generator, a function, and other exercises in what is
 passed."""
 
 
 @pytest.mark.ci
-def test_solved_chapters_pass_in_the_sandbox():
+def test_solved_chapters_pass_in_the_sandbox(library):
     codes = [
         read_code(path)
         for path in sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
     ]
-    chosen = {name: choose(codes, name, chapter) for name, chapter in SOLVED.items()}
-    for verdict in verdicts(
-        {name: code.cells for name, code in chosen.items() if code}, Limits()
-    ).values():
+    for name, chapter in SOLVED.items():
+        code = choose(codes, name, chapter)
+        verdict = judge(name, code.cells, Limits(), library)
         assert verdict, repr(verdict)

@@ -24,10 +24,12 @@ import torch
 from ...backends import use_backend
 from ..attempt import Answer, LocalSubject, NotWritten
 from ..learner_code import Failed, plain_value
-from .data import LENGTH, DataError, decode, encode
+from .data import LENGTH, DataError, cut, decode, encode
 from .pickled import Incoming
 from .submission import Cell, needed
 
+_MOST_OF_USER = 2048
+"""Processes and threads, so that a program that only starts others does not stop the machine."""
 _ANNOTATIONS = {"int": int, "float": float, "bool": bool, "str": str}
 
 
@@ -107,8 +109,11 @@ def _limit(memory_mb: int) -> list[str]:
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_FSIZE: memory_mb << 20,
         resource.RLIMIT_NOFILE: 256,
+        resource.RLIMIT_NPROC: _MOST_OF_USER,  # root has no such limit
     }
     for kind, most in sizes.items():
+        usual = resource.getrlimit(kind)[1]
+        most = most if usual == resource.RLIM_INFINITY else min(most, usual)
         resource.setrlimit(kind, (most, most))
     if not sys.platform.startswith("linux"):
         return []  # macOS takes a limit of memory and does not keep it
@@ -131,7 +136,7 @@ def _defined(judge: Judge, cells: Sequence[Cell], name: str) -> Any:
         judge.tell(defined=what, kind=type(function).__name__)
         return function
     except Failed as e:
-        judge.tell(failed=[e.prop, e.detail])
+        judge.tell(failed=[cut(e.prop), cut(e.detail)])
         return None
 
 
@@ -181,7 +186,7 @@ def _answer(judge: Judge, function: Any, message: Any) -> None:
     except NotWritten:
         judge.tell(not_written=True)
     except Failed as e:
-        judge.tell(failed=[e.prop, e.detail])
+        judge.tell(failed=[cut(e.prop), cut(e.detail)])
     else:
         judge.tell(**_told(answer, inputs), drew=not torch.equal(state, torch.get_rng_state()))
 

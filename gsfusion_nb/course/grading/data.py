@@ -26,6 +26,8 @@ LARGEST_BYTES = 64 << 20
 """Of a message."""
 _LARGEST_HEAD = 8 << 20
 """Of the JSON in it: what is not an array."""
+LONGEST_WORDS = 2000
+"""Characters of what is said of a submission."""
 LENGTH = struct.Struct("<Q")
 
 _DTYPES = {
@@ -47,6 +49,12 @@ _OBJECTS = {"Camera": Camera, "Seeds": Seeds}
 
 class DataError(ArgumentError):
     """A value that cannot cross, or bytes that are no message."""
+
+
+def cut(value: Any, longest: int = LONGEST_WORDS) -> str:
+    """A text of a submission, not too long."""
+    text = str(value)
+    return text if len(text) <= longest else f"{text[:longest]} ... ({len(text):,} characters)"
 
 
 def encode(value: Any) -> bytes:

@@ -5,6 +5,7 @@ import multiprocessing
 import platform
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -86,8 +87,10 @@ def grade(
             if key in earlier:
                 done(item, earlier[key])
                 return
-            verdict = _not_submitted(item) if item.cells is None else judges.verdict(item)
-            new = mark_of(item.student, item.exercise, verdict)
+            began = time.monotonic()
+            verdict = judges.verdict(item)
+            seconds = round(time.monotonic() - began, 1)
+            new = mark_of(item.student, item.exercise, verdict, seconds)
             if journal is not None:
                 journal.add(key, new)
             done(item, new)
@@ -118,12 +121,6 @@ def _items(number: int, submission: Submission, names: Sequence[str]) -> Iterato
         )
 
 
-def _not_submitted(item: _Item) -> Verdict:
-    return Verdict(
-        exercise=item.exercise, state="failed", prop="it is submitted", detail=item.problem
-    )
-
-
 class _Judges:
     """Processes that judge, one for each thread that asks. One that is ended by a submission, which
     is possible without bubblewrap, is replaced."""
@@ -143,6 +140,10 @@ class _Judges:
 
     def verdict(self, item: _Item) -> Verdict:
         """The verdict on one function."""
+        if item.cells is None:
+            return Verdict(
+                exercise=item.exercise, state="failed", prop="it is submitted", detail=item.problem
+            )
         pool = getattr(self._of_thread, "pool", None)
         if pool is None:
             spawn = multiprocessing.get_context("spawn")

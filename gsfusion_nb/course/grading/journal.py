@@ -1,5 +1,5 @@
-"""What was marked so far, one line of JSON for each mark, so that a grading that was stopped goes on
-where it was.
+"""What was marked so far, one line of JSON for each mark: a grading that was stopped goes on where
+it was.
 
 A mark is taken again only for the same code of the student, marked by the same program within the
 same limits.
@@ -13,6 +13,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ...errors import ArgumentError
+from ...files import write_file
 from .judge import Limits
 from .marks import Mark
 from .submission import Cell
@@ -51,21 +52,17 @@ class Journal:
         if not self.path.exists():
             return marks
         text = self.path.read_text(encoding="utf-8", errors="replace")
-        for number, line in enumerate(lines := text.split("\n"), start=1):
-            if not line:
-                continue
+        *lines, rest = text.split("\n")
+        for number, line in enumerate(lines, start=1):
             try:
                 entry = json.loads(line)
                 marks[entry["key"]] = Mark(**entry["mark"])
             except (ValueError, TypeError, KeyError):
-                if number < len(lines):  # not the last one
-                    raise ArgumentError(
-                        f"line {number} of {self.path} is no mark; rename the file, or give "
-                        "--no-resume"
-                    ) from None
-        if not text.endswith("\n") and text:
-            with self.path.open("a") as file:
-                file.write("\n")
+                raise ArgumentError(
+                    f"line {number} of {self.path} is no mark; rename the file, or give --no-resume"
+                ) from None
+        if rest:
+            write_file(self.path, "".join(f"{line}\n" for line in lines))
         return marks
 
     def add(self, key: str, mark: Mark) -> None:

@@ -21,15 +21,13 @@ from ...errors import ArgumentError
 from ..attempt import Answer, Failed, NotWritten, Verdict
 from ..exercise import exercises
 from ..learner_code import LIMIT_S
-from .data import DataError
+from .data import LONGEST_WORDS, DataError, cut
 from .library import library_for
 from .pickled import Outgoing
 from .process import SubmissionProcess
 from .sandbox import start_of
 from .submission import Cell
 
-LONGEST_WORDS = 2000
-"""Characters of what a verdict says of a submission."""
 _GRACE_S = 5.0
 _TYPES = {"int": int, "float": float, "bool": bool, "str": str}
 
@@ -62,7 +60,7 @@ class RemoteSubject:
         """
         reply = self._exchange(None, None)
         if not isinstance(reply.get("defined"), list):
-            raise Failed("it is a function", "", f"got a {_words(reply.get('kind'), 80)}")
+            raise Failed("it is a function", "", f"got a {cut(reply.get('kind'), 80)}")
         self._parameters = _parameters(reply["defined"])
 
     @property
@@ -87,8 +85,8 @@ class RemoteSubject:
             outgoing.take_back(reply["changes"])
             answer = Answer(
                 value=reply["value"],
-                callees={_words(k, 200): _words(v, 200) for k, v in reply["callees"].items()},
-                borrowed={int(k): _words(v, 200) for k, v in reply["borrowed"].items()},
+                callees={cut(k, 200): cut(v, 200) for k, v in reply["callees"].items()},
+                borrowed={int(k): cut(v, 200) for k, v in reply["borrowed"].items()},
             )
         except DataError as e:
             raise Failed("it does not change its inputs", "", str(e)) from None
@@ -119,7 +117,7 @@ class RemoteSubject:
             self._rest_s -= time.monotonic() - began
         if "failed" in reply:
             prop, detail = (*reply["failed"], "", "")[:2]
-            raise Failed(_words(prop, LONGEST_WORDS), "", _words(detail, LONGEST_WORDS))
+            raise Failed(cut(prop), "", cut(detail))
         return reply
 
     def _answer_question(
@@ -138,12 +136,6 @@ class RemoteSubject:
             return {"value": outgoing.call(question["call"], question["args"])}
         except Exception as e:  # with arguments of a stranger
             return {"error": f"{type(e).__name__}: {e}"[:LONGEST_WORDS]}
-
-
-def _words(value: Any, longest: int) -> str:
-    """A text of a submission, cut."""
-    text = str(value)
-    return text if len(text) <= longest else f"{text[:longest]} ... ({len(text):,} characters)"
 
 
 def _parameters(shown: Sequence[Any]) -> list[inspect.Parameter]:
@@ -198,7 +190,7 @@ def judge(name: str, cells: Sequence[Cell], limits: Limits, library: Path) -> Ve
                 verdict = Verdict(exercise=name, state="failed", prop=e.prop, detail=e.detail)
     return replace(
         verdict,
-        prop=_words(verdict.prop, LONGEST_WORDS),
-        on=_words(verdict.on, LONGEST_WORDS),
-        detail=_words(verdict.detail, LONGEST_WORDS),
+        prop=cut(verdict.prop),
+        on=cut(verdict.on),
+        detail=cut(verdict.detail),
     )

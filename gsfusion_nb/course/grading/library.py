@@ -7,6 +7,7 @@ import hashlib
 import inspect
 import os
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from importlib.util import cache_from_source
 from pathlib import Path
@@ -54,7 +55,14 @@ def _is_copied(name: Path) -> bool:
 def _modules_of_exercises() -> Iterator[Path]:
     """Files of this package with judges, solutions and wrong answers."""
     for exercise in exercises().values():
-        yield Path(inspect.getfile(exercise.judge)).resolve().relative_to(_ROOT)
+        path = _file_of(exercise.judge)
+        if path.is_relative_to(_ROOT):  # a lecturer's own are elsewhere
+            yield path.relative_to(_ROOT)
+
+
+def _file_of(function: Callable) -> Path:
+    """Of the module of a function, whatever it is wrapped in."""
+    return Path(str(sys.modules[function.__module__].__file__)).resolve()
 
 
 def _copy_compiled(source: Path, target: Path) -> None:
@@ -78,7 +86,7 @@ def library_for(exercise: Exercise, folder: Path) -> Path:
     new = folder.with_name(f"{target.name}.{os.getpid()}")
     shutil.copytree(folder, new, copy_function=os.link)
     for function in removed:
-        name = Path(inspect.getfile(function)).resolve().relative_to(_ROOT)
+        name = _file_of(function).relative_to(_ROOT)
         _remove(new / PACKAGE / name, function.__name__)
     try:
         new.rename(target)
@@ -96,16 +104,16 @@ def _functions_of(exercise: Exercise) -> Iterator[Callable]:
 
 
 def _remove(path: Path, name: str) -> None:
-    """Replace the body of a function in a file, but not its documentation, by an error."""
+    """Replace the body of a function in a file, and the equation in its documentation, by an
+    error."""
     source = path.read_text(encoding="utf-8")
     lines = source.splitlines(keepends=True)
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.FunctionDef) and node.name == name:
             first = node.body[0]
-            has_words = isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant)
-            indent = " " * first.col_offset
-            start = (first.end_lineno or first.lineno) if has_words else first.lineno - 1
-            lines[start : node.end_lineno] = [f"{indent}raise {_REMOVED}\n"]
+            lines[first.lineno - 1 : node.end_lineno] = [
+                f"{' ' * first.col_offset}raise {_REMOVED}\n"
+            ]
             break
     path.unlink()  # it is shared with the other copies
     path.write_text("".join(lines), encoding="utf-8")

@@ -12,7 +12,7 @@ from ..attempt import Verdict
 from ..exercise import exercises
 from .submission import Submission, defines, read_code
 
-COLUMNS = ("student", "exercise", "points", "max", "failed property", "message")
+COLUMNS = ("student", "exercise", "points", "max", "failed property", "message", "seconds")
 BY_DIFFICULTY = {1: 1.0, 2: 2.0, 3: 3.0, 4: 5.0, 5: 8.0}
 """The most points of an exercise."""
 
@@ -29,6 +29,8 @@ class Mark:
     """The property that failed; empty for a right answer."""
     message: str = ""
     """What was returned and what was expected, or why nothing could be judged."""
+    seconds: float = 0.0
+    """That the judge took, with the start of the process."""
 
 
 def exercises_of(
@@ -62,7 +64,7 @@ def exercises_of(
     return selection
 
 
-def mark_of(student: str, exercise: str, verdict: Verdict) -> Mark:
+def mark_of(student: str, exercise: str, verdict: Verdict, seconds: float = 0.0) -> Mark:
     """All points for a right answer, and none for another one."""
     most = most_points(exercise)
     prop, message = why(verdict)
@@ -73,6 +75,7 @@ def mark_of(student: str, exercise: str, verdict: Verdict) -> Mark:
         most=most,
         prop=prop,
         message=message,
+        seconds=seconds,
     )
 
 
@@ -101,7 +104,9 @@ def as_csv(marks: Iterable[Mark]) -> str:
         student, exercise, prop, message = map(
             plain_cell, (m.student, m.exercise, m.prop, m.message)
         )
-        table.writerow([student, exercise, f"{m.points:g}", f"{m.most:g}", prop, message])
+        table.writerow(
+            [student, exercise, f"{m.points:g}", f"{m.most:g}", prop, message, f"{m.seconds:.1f}"]
+        )
     return text.getvalue()
 
 

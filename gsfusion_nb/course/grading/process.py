@@ -178,7 +178,7 @@ class SubmissionProcess:
             how = "it closed the line to the judge"
         elif code < 0 or code > 128:
             number = -code if code < 0 else code - 128
-            name = signal.Signals(number).name if number in iter(signal.Signals) else number
+            name = signal.Signals(number).name if number in signal.valid_signals() else number
             how = f"its process was ended by {name}"
         else:
             how = f"its process ended with exit status {code}"
@@ -216,13 +216,16 @@ def _descendants(pid: int) -> list[int]:
 
 
 def _memory_of(pid: int) -> int:
-    """Bytes that a process has in memory; shared ones are divided between processes. 0 where the
-    system does not tell."""
+    """Bytes that a process has in memory, and in files in memory that it holds open; shared ones
+    are divided between processes. 0 where the system does not tell."""
+    total = 0
     with contextlib.suppress(OSError), open(f"/proc/{pid}/smaps_rollup") as file:
-        for line in file:
-            if line.startswith("Pss:"):
-                return int(line.split()[1]) << 10
-    return 0
+        total += next((int(line.split()[1]) << 10 for line in file if line[:4] == "Pss:"), 0)
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(f"/proc/{pid}/fd"):
+            if os.readlink(entry.path).startswith("/memfd:"):
+                total += entry.stat().st_blocks * 512
+    return total
 
 
 _IS_REAPER = False

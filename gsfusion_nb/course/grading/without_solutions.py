@@ -33,7 +33,7 @@ class Check(Nothing):
     def working(self, function: Any, *, plain: bool = False) -> Any:
         """The reference's function, which the judge computes; ``function`` itself where this
         exercise does not build on it."""
-        from .grading import answering  # pyright: ignore[reportAttributeAccessIssue]
+        from .grading import answering  # pyright: ignore[reportMissingImports]
 
         return answering.reference_of(self.exercise) or function
 

@@ -1,0 +1,96 @@
+"""What crosses between a submission and its judge is data, whatever a submission sends."""
+
+import json
+import pickle
+import struct
+
+import numpy as np
+import pytest
+import torch
+
+from gsfusion_nb.course.grading.data import LENGTH, DataError, cut, decode, encode
+from gsfusion_nb.types import Camera, Seeds
+
+CAMERA = Camera(width=3, height=2, fx=1.0, fy=1.0, cx=1.5, cy=1.0)
+VALUES = {
+    "plain": [None, True, 3, -2.5, "text", 1 + 2j, ..., (1, [2]), {3}, frozenset({4}), b"5"],
+    "tensors": [
+        torch.arange(6.0).reshape(2, 3).T,
+        torch.zeros(0, 3),
+        torch.tensor(7),
+        torch.tensor([True, False]),
+        torch.randn(3).bfloat16(),
+        torch.tensor([1 + 2j]).conj(),
+    ],
+    "keys": {1: "a", (2, 3): "b", "c": {}},
+    "array": np.arange(4, dtype=np.int16),
+    "camera": CAMERA,
+}
+
+
+def crossed(value):
+    return decode(encode(value)[LENGTH.size :])
+
+
+def test_values_arrive_as_they_were():
+    back = crossed(VALUES)
+    assert back["plain"] == VALUES["plain"]
+    for new, old in zip(back["tensors"], VALUES["tensors"], strict=True):
+        assert new.dtype == old.dtype
+        assert torch.equal(new, old)
+    assert back["keys"] == VALUES["keys"]
+    assert np.array_equal(back["array"], VALUES["array"])
+    assert back["camera"] == CAMERA
+    assert len(crossed(Seeds.empty())) == 0
+
+
+def test_an_object_leaves_only_its_name():
+    class Liar:
+        def __eq__(self, other):
+            return True
+
+        __hash__ = None
+
+    assert type(crossed(Liar())).__name__ == "Liar"
+    assert crossed(Liar()) != 3
+
+
+def message(head, *buffers):
+    text = json.dumps(head).encode()
+    return struct.pack("<Q", len(text)) + text + b"".join(buffers)
+
+
+TENSOR = {"tensor": 0, "dtype": "float32", "shape": [2]}
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        b"",
+        b"12345678",
+        pickle.dumps(VALUES["plain"]),
+        encode(VALUES)[LENGTH.size : -1],
+        encode(VALUES)[LENGTH.size :] + b"1",
+        message({"value": [1], "sizes": []}),
+        message({"value": TENSOR, "sizes": [4]}, b"1234"),
+        message({"value": TENSOR | {"shape": [1 << 40]}, "sizes": [0]}),
+        message({"value": TENSOR | {"shape": [-1, -1]}, "sizes": [8]}, b"12345678"),
+        message({"value": TENSOR | {"dtype": "quint8"}, "sizes": [8]}, b"12345678"),
+        message({"value": TENSOR, "sizes": [-8]}),
+        message({"value": {"object": "Frame", "fields": {"dict": []}}, "sizes": []}),
+        message({"value": {"object": "Camera", "fields": {"dict": [["width", -1]]}}, "sizes": []}),
+        message({"value": {"dict": [[{"list": []}, 1]]}, "sizes": []}),
+        message({"value": {"list": [], "dict": []}, "sizes": []}),
+        message({"value": 1, "sizes": 7}),
+        struct.pack("<Q", 200_000) + b'{"value":' + b'{"list":[' * 20_000 + b"]}" * 20_000,
+        struct.pack("<Q", 1 << 60),
+    ],
+)
+def test_what_is_no_message_is_refused(document):
+    with pytest.raises(DataError):
+        decode(document)
+
+
+def test_long_words_are_cut():
+    assert len(cut("x" * 1_000_000)) < 2100
+    assert "1,000,000 characters" in cut("x" * 1_000_000)

@@ -1,0 +1,108 @@
+"""A grading that is stopped loses nothing, and goes on where it was."""
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from gsfusion_nb.cli import grade as command
+from gsfusion_nb.course.attempt import Verdict
+from gsfusion_nb.course.grading import grade as module
+from gsfusion_nb.course.grading.grade import grade
+from gsfusion_nb.course.grading.journal import Journal
+from gsfusion_nb.course.grading.judge import Limits
+from gsfusion_nb.course.grading.submission import find_submissions
+
+NAMES = ("block_of", "zero_crossing")
+STUDENTS = ("ann", "bob", "eve")
+
+
+@pytest.fixture
+def judged(monkeypatch):
+    """What is judged, in place of judging it; after ``judged.limit`` functions the program is
+    ended."""
+
+    class Judged(list):
+        limit = 100
+
+    calls = Judged()
+
+    def verdict(self, item):
+        if len(calls) == calls.limit:
+            raise KeyboardInterrupt
+        calls.append((item.student, item.exercise))
+        return Verdict(exercise=item.exercise, state="passed")
+
+    monkeypatch.setattr(module._Judges, "verdict", verdict)
+    monkeypatch.setattr(module, "copy_library", lambda folder: folder)
+    return calls
+
+
+def submit(folder: Path) -> None:
+    folder.mkdir()
+    for name in STUDENTS:
+        text = f"def block_of(a, b): return {name!r}\ndef zero_crossing(a, b, c, d): return a\n"
+        (folder / f"{name}.py").write_text(text)
+
+
+def rows(path: Path) -> list[list[str]]:
+    return [row[:3] for row in csv.reader(path.read_text().splitlines())][1:]
+
+
+def mark(folder: Path, out: Path, **changes) -> None:
+    options = command.GradeOptions(
+        submissions=(folder,), exercises=NAMES, out=out, jobs=1, **changes
+    )
+    command.run(options)
+
+
+def test_a_grading_that_is_stopped_goes_on(tmp_path, judged, capsys):
+    submit(tmp_path / "class")
+    out = tmp_path / "marks.csv"
+    judged.limit = 3
+    with pytest.raises(KeyboardInterrupt):
+        mark(tmp_path / "class", out)
+    assert len(rows(out)) == 3
+    assert rows(out) == sorted(rows(out))
+    judged.limit = 100
+    journal = tmp_path / "marks.csv.journal"
+    with journal.open("a") as file:
+        file.write('{"key": "abc", "mark": {"stu')  # killed while it wrote
+    mark(tmp_path / "class", out)
+    assert len(judged) == 6  # none twice
+    assert rows(out) == [[s, e, p] for s in STUDENTS for e, p in zip(NAMES, "12", strict=True)]
+    assert "3 marks are known" in capsys.readouterr().out
+
+
+def test_what_changed_is_marked_again(tmp_path, judged):
+    submit(tmp_path / "class")
+    out = tmp_path / "marks.csv"
+    mark(tmp_path / "class", out)
+    judged.clear()
+    with (tmp_path / "class" / "bob.py").open("a") as file:
+        file.write("# one more line\n")
+    mark(tmp_path / "class", out)
+    assert judged == [("bob", "block_of"), ("bob", "zero_crossing")]
+    judged.clear()
+    mark(tmp_path / "class", out, seconds=3.0)  # other limits, other marks
+    assert len(judged) == 6
+    judged.clear()
+    mark(tmp_path / "class", out, seconds=3.0, resume=False)
+    assert len(judged) == 6
+    assert len(list(tmp_path.glob("marks-*.csv"))) == 1  # the earlier ones are not lost
+
+
+def test_marks_of_another_program_are_not_taken(tmp_path, judged, monkeypatch):
+    submit(tmp_path / "class")
+    submissions = find_submissions([tmp_path / "class"])
+    journal = Journal(tmp_path / "journal")
+    grade(submissions, NAMES, limits=Limits(), journal=journal)
+    monkeypatch.setattr(module, "grader_digest", lambda: "a checker that was changed")
+    grade(submissions, NAMES, limits=Limits(), journal=journal)
+    assert len(judged) == 12
+
+
+def test_a_journal_that_is_none_is_refused(tmp_path):
+    (tmp_path / "journal").write_text("a,b\n1,2\n")
+    with pytest.raises(ValueError, match="line 1"):
+        Journal(tmp_path / "journal").read()
