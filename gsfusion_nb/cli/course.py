@@ -44,25 +44,25 @@ class ExportOptions:
     """Write the solved chapters as assignments for nbgrader: points, solution cells, tests."""
 
     out: Path
-    """New or empty folder: the course folder of nbgrader generate_assignment."""
+    """The course folder of nbgrader generate_assignment. Nothing in it is replaced."""
     chapters: Annotated[tuple[int, ...], tyro.conf.Positional] = ()
     """Numbers of chapters. Default: all."""
-    notebooks: Path = Path("notebooks")
-    """Folder of the solved chapters."""
+    notebooks: Path | None = None
+    """Folder of the solved chapters. Default: those of the program."""
 
 
 def export(arguments: list[str]) -> int:
     """The command ``gsfusion-nb course export``."""
+    from ..course.copies import notebooks_folder
     from ..course.grading.export import export_course
 
     options = parse_options(ExportOptions, prog="gsfusion-nb course export", arguments=arguments)
-    notebooks = sorted(options.notebooks.glob("[0-9][0-9]_*.ipynb"))
+    folder = options.notebooks or notebooks_folder()
+    notebooks = sorted(folder.glob("[0-9][0-9]_*.ipynb"))
     chapters = [p for p in notebooks if not options.chapters or int(p.name[:2]) in options.chapters]
     missing = set(options.chapters) - {int(p.name[:2]) for p in chapters}
     if missing or not chapters:
-        raise ArgumentError(
-            f"there is no chapter {min(missing) if missing else ''} in {options.notebooks}"
-        )
+        raise ArgumentError(f"there is no chapter {min(missing) if missing else ''} in {folder}")
     for path in export_course(chapters, options.out):
         print(f"wrote {path}")
     return 0
@@ -107,12 +107,21 @@ def _is_set(options: CourseOptions, name: str) -> bool:
 
 def _copy(folder: Path, options: CourseOptions) -> int:
     """Write the notebooks and say how to open them, or open them."""
-    from ..course.copies import FIRST, copy_for_class, copy_for_learner, notebooks_folder
+    from ..course.copies import (
+        FIRST,
+        copy_for_class,
+        copy_for_learner,
+        docs_folder,
+        documentation_pages,
+        notebooks_folder,
+    )
     from ..course.short_path import SHORT_PATH
 
     short = options.path == "short"
     if options.for_class:
-        notebooks = copy_for_class(notebooks_folder(), folder, short=short)
+        docs = docs_folder()
+        pages = None if docs is None else documentation_pages(docs)
+        notebooks = copy_for_class(notebooks_folder(), folder, pages, short=short)
     else:
         notebooks = copy_for_learner(folder, short=short)
     for path in notebooks:

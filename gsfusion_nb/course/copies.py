@@ -32,15 +32,17 @@ _COMMENT = re.compile(r"\s*<!--.*?-->", re.DOTALL)
 _CHECK = re.compile(r"^check\.(?P<name>\w+)\((?P=name)\)$", re.MULTILINE)
 _PREDICT, _CAME = (re.compile(rf"\b{word}\(\s*\"(\w+)\"") for word in ("predict", "came"))
 _WHOSE = re.compile(r"^\w+: (your code is used\.|the reference's is used: )")
+_TELLS_NOTHING = re.compile(r"^(Predict: |what you should see: ✓ \w+: all checks pass$)")
 _LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)\s]+)\)")
 _TO_A_PAGE = re.compile(r"\]\(\.\./docs/")
 _TO_A_SOURCE_FILE = re.compile(r'<a href=\\"(?:\.\./)+gsfusion_nb/[^>]*>(.*?)</a>')
 
 _NOTE = (
     "*The pictures and numbers below were stored: they show what to expect. Running a cell "
-    "replaces them by yours. An "
-    "exercise that you have not solved yet says so, and the reference's code goes on.*"
+    "replaces them by yours. What answers a prediction is not shown before. As long as you have "
+    "not solved an exercise, the chapter uses the reference's code, and says so.*"
 )
+_NOT_SHOWN = "Not shown before you run this cell: it answers a prediction."
 
 
 def notebooks_folder() -> Path:
@@ -116,7 +118,8 @@ def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
     to expect.
 
     What would show the learner's own answer stands as "what you should see" (a verdict) or goes
-    (whose code was used). The outputs between a prediction and what came of it are folded.
+    (whose code was used). What comes of a prediction is left out, from the cell that asks to the
+    one that compares: JupyterLab shows the first line of a folded output.
 
     Raises:
         ValueError: a marker of a solution without its partner; the message names the cell.
@@ -127,17 +130,12 @@ def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
         if cell["cell_type"] != "code":
             continue
         source = "".join(cell["source"])
-        is_solved = _BEGIN[0] in source or _CHECK.search(source) is not None
-        cell["outputs"] = [
-            _answer_output(output) if is_solved else output
-            for output in cell["outputs"]
-            if not _WHOSE.match("".join(output.get("data", {}).get("text/plain", "")))
-        ]
-        if unknown:  # JupyterLab unfolds them when the cell runs
-            cell["metadata"] = cell["metadata"] | {
-                "collapsed": True,
-                "jupyter": {"outputs_hidden": True},
-            }
+        outputs = [output for output in cell["outputs"] if not _WHOSE.match(_text_of(output))]
+        if _BEGIN[0] in source or _CHECK.search(source) is not None:
+            outputs = [_answer_output(output) for output in outputs]
+        if unknown:
+            outputs = _without_answers(outputs)
+        cell["outputs"] = outputs
         unknown = (unknown | set(_PREDICT.findall(source))) - set(_CAME.findall(source))
     learner = without_solutions(notebook_copy, outputs=True)
     learner["cells"].insert(
@@ -146,13 +144,28 @@ def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
     return learner
 
 
+def _text_of(output: dict[str, Any]) -> str:
+    return "".join(output.get("data", {}).get("text/plain", ""))
+
+
+def _without_answers(outputs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Of the outputs before a prediction is compared: questions and verdicts, and a note where
+    there were others."""
+    shown = [output for output in outputs if _TELLS_NOTHING.match(_text_of(output))]
+    return shown if len(shown) == len(outputs) else [*shown, _grey(_NOT_SHOWN)]
+
+
 def _answer_output(output: dict[str, Any]) -> dict[str, Any]:
     """An output that shows a right answer, as text in grey; pictures stay."""
     data = output.get("data", {})
     if any(mime.startswith("image/") for mime in data):
         return output
     text = "".join(data.get("text/plain", output.get("text", ""))).strip()
-    words = f"what you should see: {text}"
+    return _grey(f"what you should see: {text}")
+
+
+def _grey(words: str) -> dict[str, Any]:
+    """An output of the course's own words, in grey."""
     html = words.replace("&", "&amp;").replace("<", "&lt;").replace("\n", "<br>")
     note = f'<div class="gsnb-expected" style="color:#6e7781;padding:2px 0 2px 14px">{html}</div>'
     return {
@@ -234,19 +247,23 @@ def hand_out(
         if (target / name).exists():
             continue
         text = _as_text(name, learner_copy, notebook)
-        # links of stored outputs to source files become text; run, they link to installed files
-        if pages is not None:
-            text = _TO_A_SOURCE_FILE.sub(r"\1", _TO_A_PAGE.sub(f"]({DOCUMENTATION}/", text))
-        write_file(target / name, text)
+        write_file(target / name, text if pages is None else _with_pages_beside(text))
         paths.append(target / name)
     for name, content in (pages or {}).items():
         write_file(target / name, content)
     return paths
 
 
+def _with_pages_beside(text: str) -> str:
+    """A notebook whose links lead to the pages beside it. Links of stored outputs to source files
+    become text; run, they link to installed files."""
+    return _TO_A_SOURCE_FILE.sub(r"\1", _TO_A_PAGE.sub(f"]({DOCUMENTATION}/", text))
+
+
 def copy_for_class(
     source: Path,
     target: Path,
+    pages: Mapping[str, bytes] | None = None,
     *,
     short: bool = False,
 ) -> list[Path]:
@@ -256,6 +273,8 @@ def copy_for_class(
     Args:
         source: A folder of notebooks, or one notebook.
         target: Created if it does not exist. Notebooks of the same name in it are replaced.
+        pages: Pages of the documentation (``documentation_pages``) to write beside them, which
+            links then lead to.
         short: The notebook of the short path in place of the chapters.
 
     Raises:
@@ -265,7 +284,10 @@ def copy_for_class(
     paths = []
     for name, notebook in _notebooks(source, target, short=short).items():
         paths.append(target / name)
-        write_file(paths[-1], _as_text(name, without_solutions, notebook))
+        text = _as_text(name, without_solutions, notebook)
+        write_file(paths[-1], text if pages is None else _with_pages_beside(text))
+    for name, content in (pages or {}).items():
+        write_file(target / name, content)
     return paths
 
 

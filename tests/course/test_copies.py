@@ -109,6 +109,14 @@ def test_refuses_to_overwrite_the_notebooks(copies, tmp_path):
 
 def test_the_command_copies_the_course_for_a_class(tmp_path):
     assert run([str(tmp_path / "student"), "--for-class"]) == 0
+    links = 0
+    for path in (tmp_path / "student").glob("*.ipynb"):
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        text = "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", text):
+            assert (tmp_path / "student" / target).is_file(), (path.name, target)
+            links += 1
+    assert links >= 11
     for path in NOTEBOOKS:
         student = (tmp_path / "student" / path.name).read_text(encoding="utf-8")
         assert "SOLUTION" not in student
@@ -135,17 +143,51 @@ def test_a_learner_sees_what_to_expect_and_no_answer():
     assert [cell["execution_count"] for cell in (unwritten, checked, used)] == [None] * 3
 
 
-def test_what_comes_of_a_prediction_is_folded():
+def test_what_comes_of_a_prediction_is_not_in_the_copy():
+    stream = {"output_type": "stream", "name": "stdout", "text": ["frame 1: 189 new"]}
     cells = [
-        code('predict(\n    "x", "?")'),
-        code("2 + 2", shown("4")),
-        code('came("x", 4)', shown("4")),
-        code("1"),
+        code('predict(\n    "x", "?")', shown("Predict: ?\n  not predicted yet")),
+        code("2 + 2", shown("4"), stream, PICTURE),
+        code("check.f(f)", shown("✓ f: all checks pass")),
+        code("3"),
+        code('came("x", 4)', shown("You made no prediction. It came: 4.")),
+        code("1", shown("1")),
     ]
-    folded = [
-        cell["metadata"].get("collapsed") for cell in learner_copy(notebook(*cells))["cells"][2:]
+    copied = learner_copy(notebook(*cells))["cells"][2:]
+    texts = [[o["data"]["text/plain"] for o in cell["outputs"]] for cell in copied]
+    note = ["Not shown before you run this cell: it answers a prediction."]
+    assert texts == [
+        [["Predict: ?\n  not predicted yet"]],
+        [note],
+        [["what you should see: ✓ f: all checks pass"]],
+        [],
+        [note],
+        [["1"]],
     ]
-    assert folded == [None, True, True, None]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_no_output_is_folded(path):
+    # JupyterLab shows the first line of one, markup and answers too
+    learner = learner_copy(json.loads(path.read_text(encoding="utf-8")))
+    for cell in learner["cells"]:
+        assert not cell["metadata"].get("collapsed")
+        assert not cell["metadata"].get("jupyter", {}).get("outputs_hidden")
+    assert "gsnb-outcome" not in json.dumps(learner)
+
+
+def stored_between_predictions(stored):
+    """Pictures of cells that answer a prediction."""
+    unknown = set()
+    count = 0
+    for cell in stored["cells"]:
+        if cell["cell_type"] == "code":
+            source = "".join(cell["source"])
+            if unknown:
+                count += json.dumps(cell["outputs"]).count('"image/')
+            unknown |= set(re.findall(r'\bpredict\(\s*"(\w+)"', source))
+            unknown -= set(re.findall(r'\bcame\(\s*"(\w+)"', source))
+    return count
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
@@ -154,7 +196,9 @@ def test_every_chapter_has_its_pictures_and_no_solution(path):
     learner = json.dumps(learner_copy(stored), ensure_ascii=False)
     assert "SOLUTION" not in learner
     assert not re.search(r'["<>]✓ \w+: all checks', learner)
-    assert learner.count('"image/') == json.dumps(stored).count('"image/') >= 3
+    every = json.dumps(stored).count('"image/')
+    assert every >= 3
+    assert learner.count('"image/') == every - stored_between_predictions(stored) >= 2
 
 
 def test_a_notebook_that_is_there_stays(tmp_path):

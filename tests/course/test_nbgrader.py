@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from gsfusion_nb.cli.course import run as course
 from gsfusion_nb.course.grading.export import assignment_cells, export_course
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -114,6 +115,31 @@ for app, options in ((AutogradeApp(), []), (GenerateFeedbackApp(), ["--student",
     app.initialize([sys.argv[1], *options])  # both in one process, which takes seconds to start
     app.start()
 """
+
+
+def test_the_command_works_in_any_folder_and_beside_a_learners_notebooks(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "course").mkdir()
+    work = tmp_path / "course" / "02_tsdf_fusion.ipynb"  # of make lab
+    work.write_text("a learner's work")
+    assert course(["export", "--out", "course", "2", "3"]) == 0
+    assert work.read_text() == "a learner's work"
+    source = tmp_path / "course" / "source"
+    assert sorted(p.name[:2] for p in source.iterdir()) == ["02", "03"]
+    with pytest.raises(ValueError, match="is there already"):
+        course(["export", "--out", "course", "4", "2"])
+    assert not [p for p in source.iterdir() if p.name.startswith("04")]
+
+
+def test_an_answer_cell_holds_the_answer_only():
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        cells = assignment_cells(json.loads(path.read_text())["cells"])
+        for cell in cells:
+            if cell["metadata"].get("nbgrader", {}).get("solution"):
+                source = "".join(cell["source"])
+                assert source.startswith("def "), (path.name, source)
+        ids = [cell["id"] for cell in cells if "id" in cell]
+        assert len(ids) == len(set(ids)), path.name
 
 
 def test_every_chapter_can_be_exported():

@@ -39,15 +39,17 @@ def export_course(notebooks: list[Path], target: Path) -> list[Path]:
 
     Args:
         notebooks: The solved chapters.
-        target: New or empty folder.
+        target: A folder, which may hold other files, such as the notebooks of ``make lab``.
 
     Raises:
-        ValueError: no notebook, a folder that is not empty, or a notebook without exercises.
+        ValueError: no notebook, a file that would be replaced, or a notebook without exercises.
     """
     if not notebooks:
         raise ArgumentError("there is no notebook to export")
-    if target.exists() and any(target.iterdir()):
-        raise ArgumentError(f"{target} is not empty; name a new folder")
+    config = target / "nbgrader_config.py"
+    for path in (config, *(target / "source" / path.stem for path in notebooks)):
+        if path.exists():
+            raise ArgumentError(f"{path} is there already; rename it, or name another folder")
     paths = []
     for path in notebooks:
         notebook = _without_told_solutions(read_object(path, "a notebook"))
@@ -63,7 +65,7 @@ def export_course(notebooks: list[Path], target: Path) -> list[Path]:
             paths[-1],
             json.dumps(names, indent=1, ensure_ascii=False) + "\n",
         )
-    paths.append(target / "nbgrader_config.py")
+    paths.append(config)
     write_file(paths[-1], _NBGRADER_CONFIG)
     return paths
 
@@ -127,6 +129,7 @@ def _nbgrader_test(
     (*_, stub) = (
         c for c in cells if c["cell_type"] == "code" and f"def {name}(" in "".join(c["source"])
     )
+    _put_before(cells, stub, name)
     stub["metadata"]["nbgrader"] = answer | common
     most = BY_DIFFICULTY[exercises()[name].difficulty]
     test = {
@@ -139,3 +142,14 @@ def _nbgrader_test(
     cell["metadata"]["nbgrader"] = test | common
     cell["source"] = f"assert check.{name}({name}), check.{name}({name})"
     return cell
+
+
+def _put_before(cells: list[dict[str, Any]], stub: dict[str, Any], name: str) -> None:
+    """Put what stands above the function into a cell of its own: the cell of an answer holds what
+    the student writes, and nothing that others need."""
+    before, definition, rest = "".join(stub["source"]).partition(f"def {name}(")
+    if before.strip():
+        stub["source"] = definition + rest
+        helper = {**copy.deepcopy(stub), "id": f"before-{name}", "source": before.rstrip("\n")}
+        place = next(i for i, cell in enumerate(cells) if cell is stub)
+        cells.insert(place, helper)
