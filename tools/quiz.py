@@ -25,7 +25,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from gsfusion_nb.course.attempt import Attempt, Failed
+from gsfusion_nb.course.attempt import Attempt, Failed, LocalSubject
 from gsfusion_nb.course.exercise import Exercise, exercises, source_of
 from gsfusion_nb.files import write_file
 
@@ -43,7 +43,7 @@ class Judged(Attempt):
     """An attempt at which a statement that fails is noted, and the judge goes on."""
 
     def __init__(self, function: Callable[..., Any]):
-        super().__init__(function)
+        super().__init__(LocalSubject(function))
         self.broken: list[Failed] = []
         """Properties that failed, the first one first."""
         self.held: list[str] = []

@@ -34,8 +34,9 @@ def solutions():
 def zero_crossing(p0, p1, D0, D1):
     for node in solutions():
         names = {}
-        exec("from __future__ import annotations\n" + ast.unparse(node), names)
+        node.decorator_list = []
         try:
+            exec("from __future__ import annotations\n" + ast.unparse(node), names)
             return names[node.name](p0, p1, D0, D1)
         except Exception:
             continue
