@@ -141,7 +141,7 @@ def test_a_stored_map_is_read_as_it_was_packed(node):
     for params, columns in zip(maps, json.loads(process.stdout), strict=True):
         quat = torch.nn.functional.normalize(params.quat, dim=1)
         values = (params.xyz_W, params.log_scale, quat, params.opacity_logit, params.sh)
-        steps = (65535, 255, 255, 255, 255)
+        steps = (8191, 127, 127, 127, 127)
         spans = [high - low for low, high in stored["ranges"].values()]
         for value, column, n_steps, span in zip(values, columns, steps, spans, strict=True):
             got = torch.tensor(column).reshape(value.shape)

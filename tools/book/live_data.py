@@ -4,7 +4,7 @@ import base64
 import dataclasses
 import io
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -91,7 +91,7 @@ def _stack() -> dict[str, Any]:
     }
 
 
-SNAPSHOT_EVERY = 3
+SNAPSHOT_EVERY = 5
 """Frames between two stored maps of the room."""
 ROOM_FRAMES = 48
 STORED_PASSES = (1, 3, 8)
@@ -99,10 +99,10 @@ STORED_PASSES = (1, 3, 8)
 
 
 def _room_map() -> dict[str, Any]:
-    """The map of the room after every third frame and after passes over the keyframes, without
+    """The map of the room after every fifth frame and after passes over the keyframes, without
     revisits; and how well each map shows each frame."""
     run = _mapping_run(
-        128, n_frames=ROOM_FRAMES, threshold=0.1, passes=STORED_PASSES[-1], steps=(10, 0)
+        128, n_frames=ROOM_FRAMES, threshold=0.05, passes=STORED_PASSES[-1], steps=(10, 0)
     )
     mapper = run.mapper
     frames = list(run.sequence.mapping)
@@ -125,7 +125,7 @@ def _room_map() -> dict[str, Any]:
         n_passes, unfinished = divmod(n_steps, len(mapper.keyframes))
         if not unfinished and n_passes in STORED_PASSES:
             keep(len(frames), n_passes)
-    revisiting = _mapping_run(128, n_frames=ROOM_FRAMES, threshold=0.1, passes=0, steps=(5, 5))
+    revisiting = _mapping_run(128, n_frames=ROOM_FRAMES, threshold=0.05, passes=0, steps=(5, 5))
     for frame in frames:
         revisiting.mapper.step(frame)
     camera = frames[0].camera
@@ -135,7 +135,7 @@ def _room_map() -> dict[str, Any]:
         "frames": [frame.index for frame in frames],
         "poses": [_rounded(frame.T_WC[:3]) for frame in frames],
         "above": {"pose": _rounded(above.T_WC[:3]), "cut": above.cut_m},
-        "photos": _photo(_sheet(frames), quality=60),
+        "photos": _photo(_sheet(frames), quality=50),
         "moments": moments,
         "psnr": scores,
         "own": own,
@@ -213,12 +213,13 @@ def _sheet(frames: Sequence[Frame], across: int = 8) -> Tensor:
     return torch.cat(rows, dim=0)
 
 
+_LEVELS = {np.uint16: 8192, np.uint8: 128}
 _NARROW = ("log_scale", "quat", "opacity_logit", "sh")
 
 
 def packed_maps(maps: Sequence[GaussianParams]) -> dict[str, Any]:
-    """Maps as levels between the extremes of each parameter, 65,536 for a place and 256 for the
-    rest, each map as what it adds to the one before.
+    """Maps as levels between the extremes of each parameter, 8192 for a place and 128 for the rest,
+    each map as what it adds to the one before.
 
     Args:
         maps: Each has at least the rows of the one before, in the same order; colours of degree 0.
@@ -257,13 +258,13 @@ def _numbers(params: GaussianParams, name: str) -> np.ndarray:
 def _deltas(
     maps: Sequence[GaussianParams],
     names: Sequence[str],
-    ranges: dict[str, list[float]],
-    kind: Callable[..., Any],
+    ranges: Mapping[str, Sequence[float]],
+    kind: type[np.unsignedinteger],
 ) -> np.ndarray:
     """Differences of the levels, map after map, column after column; they wrap around."""
     parts = []
     before: dict[str, np.ndarray] = {}
-    top = np.iinfo(kind).max
+    top = _LEVELS[kind] - 1
     for params in maps:
         for name in names:
             low, high = ranges[name]

@@ -1,6 +1,6 @@
 // Maps that Python stored: what each of them adds to the one before.
 
-/** Maps in the order of their storing. head: {counts, ranges: column -> [low, high]}; two bytes for a place, one for the rest. */
+/** Maps in the order of their storing: 8192 levels between the ends of its range for a place, 128 for the rest. */
 async function storedMaps({ counts, ranges, wide, narrow }) {
   const most = Math.max(...counts);
   const wideDeltas = new Uint16Array(await inflated(wide)), narrowDeltas = new Uint8Array(await inflated(narrow));
@@ -10,7 +10,7 @@ async function storedMaps({ counts, ranges, wide, narrow }) {
   return counts.map((n) => {
     const map = emptyMap(n);
     for (const [name, width] of Object.entries(COLUMNS)) {
-      const [deltas, kind, top] = name === "xyz_W" ? [wideDeltas, "wide", 65535] : [narrowDeltas, "narrow", 255];
+      const [deltas, kind, top] = name === "xyz_W" ? [wideDeltas, "wide", 8191] : [narrowDeltas, "narrow", 127];
       const [low, high] = ranges[name];
       for (let c = 0; c < width; c++) {
         for (let i = 0; i < n; i++) levels[name][width * i + c] += deltas[read[kind]++]; // it wraps around, as in Python

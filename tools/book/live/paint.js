@@ -45,11 +45,9 @@ async function start(section) {
   const panel = openPanel(section, { draw, words: { speed: (x) => `${SPEEDS[x]} a second`, count: (x) => String(x) } });
   const painting = panel.picture("painting", CANVAS), photo = panel.picture("photo", CANVAS), curve = panel.chart("curve");
   const { run, step, restart, pencil, file, colour } = panel.inputs;
-  const announced = { t: -1, text: "" };
 
   function begin(target = state.target) {
     Object.assign(state, { target, fit: new Fit(panel.values().count, target), row: -1 });
-    announced.t = -1;
     panel.redraw();
   }
 
@@ -68,8 +66,8 @@ async function start(section) {
   function setRunning(running) {
     state.running = running;
     run.textContent = running ? "Pause" : "Start";
+    panel.status.setAttribute("aria-live", running ? "off" : "polite"); // a screen reader is not told every step of a run
     if (running) requestAnimationFrame((time) => tick((clock.last = time)));
-    announced.t = -1;
     panel.redraw();
   }
   whileSeen(section, (seen) => {
@@ -93,7 +91,6 @@ async function start(section) {
       begin(pixelsOf(image, CANVAS));
       setRunning(true);
     } catch {
-      announced.t = -1;
       panel.status.textContent = `${chosen.name} is not a picture that this browser can read. Choose a JPEG, PNG or WebP file.`;
     }
   }
@@ -146,7 +143,6 @@ async function start(section) {
       const { map } = state.fit, at = 3 * state.row;
       map.xyz_W.set(backproject(CANVAS, u, v, map.xyz_W[at + 2]), at);
       state.fit.look();
-      announced.t = -1;
     },
   });
 
@@ -194,9 +190,6 @@ async function start(section) {
     if (state.drawing) drawImage(photo, sheet);
     else drawPixels(photo, state.target, CANVAS, true);
     drawCurve();
-    // a screen reader is not told every step of a run
-    if (announced.t >= 0 && state.running && state.fit.t < announced.t + 25) return undefined;
-    announced.t = state.fit.t;
     return words();
   }
 

@@ -6,7 +6,7 @@ async function start(section) {
   const words = { moment: (k) => (k <= online ? `${moments[k].frames} frames` : `+ ${moments[k].pass} passes`), frame: (k) => String(frames[k]) };
   const panel = openPanel(section, { draw, words });
   const view = panel.picture("view", camera), seen = panel.picture("photo", camera), chart = panel.chart("psnr");
-  const { moment, play } = panel.inputs, clock = { timer: 0 };
+  const { moment, play } = panel.inputs, clock = { timer: 0, played: false };
 
   function stop() {
     clearInterval(clock.timer);
@@ -15,7 +15,8 @@ async function start(section) {
   }
   play.addEventListener("click", () => {
     if (clock.timer) return stop();
-    if (Number(moment.value) >= last) moment.value = 0;
+    if (!clock.played || Number(moment.value) >= last) moment.value = 0;
+    clock.played = true;
     play.textContent = "Pause";
     clock.timer = setInterval(() => {
       moment.value = Number(moment.value) + 1;
