@@ -135,7 +135,7 @@ def _room_map() -> dict[str, Any]:
         "frames": [frame.index for frame in frames],
         "poses": [_rounded(frame.T_WC[:3]) for frame in frames],
         "above": {"pose": _rounded(above.T_WC[:3]), "cut": above.cut_m},
-        "photos": _photo(_sheet(frames), quality=50),
+        "photos": _photo(_sheet(frames), quality=45),
         "moments": moments,
         "psnr": scores,
         "own": own,
