@@ -177,7 +177,7 @@ ARCHIVE = "gsfusion_nb_book.zip"
 """Name of the file with the whole site."""
 _SHORT = f"notebooks/{SHORT_PATH}"
 """The notebook of the short path, which is made when the book is built."""
-_PICTURES = (".jpg", ".png", ".svg")
+_PICTURES = (".jpg", ".png", ".svg", ".webp")
 
 
 class Assembly:
