@@ -9,6 +9,8 @@ import pytest
 import torch
 
 from gsfusion_nb.course.grading.data import LENGTH, DataError, cut, decode, encode
+from gsfusion_nb.course.grading.pickled import Incoming, Outgoing
+from gsfusion_nb.course.seeding import wall_context
 from gsfusion_nb.types import Camera, Seeds
 
 CAMERA = Camera(width=3, height=2, fx=1.0, fy=1.0, cx=1.5, cy=1.0)
@@ -89,6 +91,58 @@ TENSOR = {"tensor": 0, "dtype": "float32", "shape": [2]}
 def test_what_is_no_message_is_refused(document):
     with pytest.raises(DataError):
         decode(document)
+
+
+def sent(*args):
+    """What the judge keeps of a call, and what the submission gets."""
+    outgoing = Outgoing(args, {})
+    return outgoing, Incoming(crossed(outgoing.message), lambda n, a: outgoing.call(n, a))
+
+
+def test_arguments_arrive_and_their_changes_come_back():
+    x = torch.zeros(2)
+    rows = [1, 2]
+    generator = torch.Generator().manual_seed(3)
+    outgoing, incoming = sent(x, rows, generator, lambda y: y + 1, CAMERA)
+    got, numbers, random, function, camera = incoming.args
+    assert camera == CAMERA
+    assert function(41) == 42  # computed by the judge
+    assert incoming.changes() == {"parts": {}, "arguments": {}}
+    got += 5
+    numbers.append(3)
+    drawn = torch.rand(3, generator=random)
+    outgoing.take_back(crossed(incoming.changes()))
+    assert x.tolist() == [5, 5]
+    assert rows == [1, 2, 3]
+    expected = torch.Generator().manual_seed(3)
+    assert torch.equal(drawn, torch.rand(3, generator=expected))
+    assert torch.equal(generator.get_state(), expected.get_state())
+
+
+def test_a_part_of_an_argument_cannot_be_changed():
+    ctx = wall_context()
+    outgoing, incoming = sent(ctx)
+    incoming.args[0].frame.depth_m.zero_()  # then no seed would be the right answer
+    with pytest.raises(DataError, match="work on a copy"):
+        outgoing.take_back(crossed(incoming.changes()))
+    assert ctx.frame.depth_m.min() == 2
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"parts": {9: torch.zeros(2)}, "arguments": {}},
+        {"parts": {0: torch.zeros(3)}, "arguments": {}},
+        {"parts": {0: "no tensor"}, "arguments": {}},
+        {"parts": {}, "arguments": {0: [1]}},
+        {"parts": [], "arguments": []},
+    ],
+)
+def test_a_change_that_is_not_possible_is_refused(changes):
+    outgoing, _ = sent(torch.zeros(2))
+    with pytest.raises(DataError):
+        outgoing.take_back(changes)
 
 
 def test_long_words_are_cut():

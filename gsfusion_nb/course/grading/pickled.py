@@ -53,17 +53,23 @@ class Outgoing:
         return function(*args)
 
     def take_back(self, changes: Any) -> None:
-        """Make the changes that the submission made to what it was given.
+        """Make the changes that the submission made to its arguments, which are copies, and to
+        generators.
 
         Raises:
-            DataError: a change that is not possible.
+            DataError: a change that is not possible, or of a part of an argument, such as the
+                picture in a frame: the judge may still need it.
         """
         try:
             for number, value in changes["parts"].items():
                 kind, part = self.parts[number]
+                if kind != "generator" and not any(part is each for each in self.arguments):
+                    raise DataError("a part of what was passed in has changed; work on a copy")
                 _CHANGE[kind](part, value)
             for position, value in changes["arguments"].items():
                 _change_argument(self.arguments[position], value)
+        except DataError:
+            raise
         except (KeyError, IndexError, TypeError, ValueError, RuntimeError, AttributeError) as e:
             raise DataError(f"it changed its inputs to something impossible: {e}") from None
 
