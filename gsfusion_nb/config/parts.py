@@ -85,23 +85,22 @@ class SeedingConfig(Settings, group="seeding"):
     quadtree_min_cell_px: int = within(1, 1)
     """A cell is split only if half its width and half its height are larger than this, pixels.
     Larger: no small cells, so fewer Gaussians. Usual: 1 to 8."""
-    quadtree_largest_m: float = within(0.0, 0, 1000)
+    quadtree_largest_m: float = within(0.1, 0, 1000, before=0.0)
     """A cell is also split while its Gaussian would have a larger standard deviation than this,
     metres, whatever its contrast; 0: no limit, as published. Smaller: plain surfaces are sharper
-    where they end and where they turn, with more Gaussians. Usual: 0, or 0.05 to 0.2 in a
-    room."""
+    where they end and where they turn, with more Gaussians. Usual: 0.05 to 0.2 in a room."""
     quadtree_contrast: Literal["released", "std"] = "released"
     """How contrast is measured. "released": variance of the colour levels (0 to 255) times the
     number of image pixels / 9e7, as in the released code, so the threshold depends on the image
     size; "std": standard deviation of the colours in 0..1, the same at every size. Both average the
     variances of R, G and B with luma weights (0.3, 0.59, 0.11)."""
-    thickness: float = within(1.0, 0.001, 1)
+    thickness: float = within(0.2, 0.001, 1, before=1.0)
     """Standard deviation of a cell's new Gaussian along the normal of the measured surface, as a
     share of the two in the surface. 1: round, as published. Smaller: closer to the surface, so less
-    is in front of it and behind. Usual: 0.1 to 1."""
-    opacity: float = within(0.5, 0.01, 0.99)
+    is in front of it and behind. Usual: 0.1 to 0.5."""
+    opacity: float = within(0.9, 0.01, 0.99, before=0.5)
     """Opacity of a cell's new Gaussian, 0 to 1. Larger: the surface hides what is behind it from
-    the first step on. Usual: 0.5, as published, to 0.9."""
+    the first step on. Published: 0.5."""
     one_per_voxel: bool = False
     """A voxel holds at most one Gaussian: of the new ones that share a voxel the largest is
     created, and none where the map has one already (GSFusion's paper, section IV-C.1; the released

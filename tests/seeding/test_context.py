@@ -59,8 +59,8 @@ def test_the_disc_of_a_cell_lies_in_the_surface():
     ray_x = (i + 0.5 - 8) / 600
     tilted = frame(2 / (1 - ray_x) + 0 * j, torch.zeros(12, 16, 3))
     ctx = SeedContext(tilted)
-    seeds = ctx.cells(thickness=0.2, opacity=0.9)
-    round_ones = ctx.cells()
+    seeds = ctx.cells()
+    round_ones = ctx.cells(thickness=1.0, opacity=0.5)
     assert len(seeds) == 1
     axes = quaternion.to_matrix(seeds.quat)[0]
     normal = torch.tensor([1.0, 0.0, -1.0]) / 2**0.5

@@ -497,7 +497,7 @@ def test_vg_mapping_seeds_what_is_new_or_looks_different():
         sample_nearest=lambda xyz: SimpleNamespace(W=(xyz[:, 0] < 0).float() * 4),
     )
     settings = SeedingConfig(quadtree_contrast="std", quadtree_threshold=0.05)
-    count = len(first(fine, config=settings).cells())
+    count = len(first(fine, config=settings).cells(largest_m=0.0))  # vg_mapping has whole cells
     assert (
         len(apply_rule("vg_mapping", staged(fine, rgb=fine.rgb, volume=seen, config=settings))) == 0
     )

@@ -130,7 +130,9 @@ STEP_P = 0.75 * 22 / 37  # B |Laplacian| 1.5 pixels left of a step (test_a_step_
 # 1/32 in the first frame
 # P = 1.05: one pixel
 CASES: dict[str, Case] = {
-    "gsfusion": Case(sigma=ball(Z * HALF_DIAGONAL_PX / FX), at=(32.0, 24.0)),
+    "gsfusion": Case(  # cut four times: 4 x 3 pixels at 2 m are 8 cm
+        sigma=disc(Z * HALF_DIAGONAL_PX / 16 / FX, 0.2), opacity=0.9, at=(34.0, 25.5)
+    ),
     "vg_mapping": Case(  # n = 1 / (1 + (0, 0, 1)) = (1, 1, 1/2), |n| = 3/2
         sigma=disc(Z * HALF_DIAGONAL_PX / FX * 2 / 3, 0.5), at=(32.0, 24.0)
     ),
@@ -411,13 +413,14 @@ def test_none_where_the_map_shows_something_or_nothing_is_missing(small_walk):
 
 def test_the_setting_adds_them_to_the_rule_and_skip_is_as_published(small_walk):
     frame = holed(small_walk[0])
-    skip = SeedContext(frame, config=dataclasses.replace(FINE, without_depth="skip"))
+    whole = dataclasses.replace(FINE, quadtree_largest_m=0.0)
+    skip = SeedContext(frame, config=dataclasses.replace(whole, without_depth="skip"))
     with_depth = apply_rule("gsfusion", skip, {"coverage": False})
-    both = apply_rule("gsfusion", SeedContext(frame, config=FINE), {"coverage": False})
+    both = apply_rule("gsfusion", SeedContext(frame, config=whole), {"coverage": False})
     assert torch.equal(with_depth.xyz_W, skip.cells().xyz_W)
     n = len(with_depth)
     assert torch.equal(both.xyz_W[:n], with_depth.xyz_W)
-    assert len(both) - n == len(cells_without_depth(SeedContext(frame, config=FINE))) > 0
+    assert len(both) - n == len(cells_without_depth(SeedContext(frame, config=whole))) > 0
 
 
 def test_cells_in_a_hole_are_cut_by_the_depth_around_it(small_walk):
@@ -432,11 +435,14 @@ def test_cells_in_a_hole_are_cut_by_the_depth_around_it(small_walk):
 
 
 def test_the_rule_follows_the_settings_of_size_shape_and_opacity():
-    """A plain wall, 64 x 48 pixels at 2 m, is cut four times: 4 x 3 pixels are 8 cm."""
+    """A plain wall, 64 x 48 pixels at 2 m: as published one ball of 40 pixels; one cut makes four
+    of 20."""
     ctx = context(CASES["gsfusion"])
-    settings = SeedingConfig(quadtree_largest_m=0.1, thickness=0.2, opacity=0.9)
-    seeds = apply_rule("gsfusion", dataclasses.replace(ctx, config=settings))
-    assert len(seeds) == 256
-    d = Z * HALF_DIAGONAL_PX / 16 / FX
-    torch.testing.assert_close(seeds.scale_m, torch.tensor([d, d, 0.2 * d]).expand(256, 3))
-    torch.testing.assert_close(seeds.opacity, torch.full((256,), 0.9))
+    d = Z * HALF_DIAGONAL_PX / FX
+    for settings, n, sigma in (
+        (SeedingConfig(quadtree_largest_m=0.0, thickness=1.0, opacity=0.5), 1, ball(d)),
+        (SeedingConfig(quadtree_largest_m=d * 0.9, thickness=0.5, opacity=0.7), 4, disc(d / 2, 0.5)),
+    ):
+        seeds = apply_rule("gsfusion", dataclasses.replace(ctx, config=settings))
+        torch.testing.assert_close(seeds.scale_m, torch.tensor(sigma).expand(n, 3))
+        torch.testing.assert_close(seeds.opacity, torch.full((n,), settings.opacity))
