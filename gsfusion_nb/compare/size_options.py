@@ -26,9 +26,9 @@ class SizeOption:
 
 
 _SHARE = SizeOption("share", 1e-5, 1.0)
-_THRESHOLD = SizeOption("seeding.quadtree_threshold", 1e-6, 100.0)
 SIZE_OPTIONS: dict[str, SizeOption] = {
-    **dict.fromkeys(("gsfusion", "vg_mapping"), _THRESHOLD),
+    "gsfusion": SizeOption("coarseness", 1e-3, 1e3),
+    "vg_mapping": SizeOption("seeding.quadtree_threshold", 1e-6, 100.0),
     "uniform": SizeOption("fraction", 1e-5, 1.0),
     **dict.fromkeys(("edge_discs", "edge_strokes"), SizeOption("spacing_px", 1.0, 200.0)),
     **dict.fromkeys(("monogs", "monogs_like"), SizeOption("density", 1e-4, 128.0)),

@@ -157,7 +157,7 @@ def test_it_repeats_bit_for_bit_and_equal_rules_tie(spec):
     ("rule", "changes", "option"),
     [
         ("uniform", {}, "fraction"),
-        ("gsfusion", {}, "seeding.quadtree_threshold"),
+        ("gsfusion", {}, "coarseness"),
         ("dense", {"size_option": "thin"}, "thin"),
         ("two.py:one", {"rule_source": TWO_RULES, "size_option": "every"}, "every"),
     ],

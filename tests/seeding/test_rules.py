@@ -434,6 +434,30 @@ def test_cells_in_a_hole_are_cut_by_the_depth_around_it(small_walk):
             assert (seeds.scale_m.max() <= 0.4) == is_reached
 
 
+@pytest.mark.parametrize("contrast", ["released", "std"])
+def test_coarser_cells_are_larger_and_less_even(contrast):
+    """Twice the coarseness: twice the largest size, and twice the deviation of colours."""
+    ramp = torch.linspace(0, 1, 64).expand(48, 64)[..., None].expand(48, 64, 3)
+    ctx = context(CASES["gsfusion"])
+    ctx = dataclasses.replace(ctx, frame=dataclasses.replace(ctx.frame, colour=ramp.contiguous()))
+    threshold = {"released": 0.004, "std": 0.1}[contrast]
+    settings = SeedingConfig(
+        quadtree_threshold=threshold, quadtree_contrast=contrast, quadtree_largest_m=0.4
+    )
+    by_hand = dataclasses.replace(
+        settings,
+        quadtree_threshold=threshold * (4 if contrast == "released" else 2),
+        quadtree_largest_m=0.8,
+    )
+    fine = apply_rule("gsfusion", dataclasses.replace(ctx, config=settings))
+    coarse = apply_rule("gsfusion", dataclasses.replace(ctx, config=settings), {"coarseness": 2.0})
+    expected = apply_rule("gsfusion", dataclasses.replace(ctx, config=by_hand))
+    assert 1 < len(coarse) < len(fine)
+    assert torch.equal(coarse.xyz_W, expected.xyz_W)
+    with pytest.raises(ValueError, match="coarseness must be above 0, got 0"):
+        apply_rule("gsfusion", dataclasses.replace(ctx, config=settings), {"coarseness": 0.0})
+
+
 def test_the_rule_follows_the_settings_of_size_shape_and_opacity():
     """A plain wall, 64 x 48 pixels at 2 m: as published one ball of 40 pixels; one cut makes four
     of 20."""
@@ -441,7 +465,11 @@ def test_the_rule_follows_the_settings_of_size_shape_and_opacity():
     d = Z * HALF_DIAGONAL_PX / FX
     for settings, n, sigma in (
         (SeedingConfig(quadtree_largest_m=0.0, thickness=1.0, opacity=0.5), 1, ball(d)),
-        (SeedingConfig(quadtree_largest_m=d * 0.9, thickness=0.5, opacity=0.7), 4, disc(d / 2, 0.5)),
+        (
+            SeedingConfig(quadtree_largest_m=d * 0.9, thickness=0.5, opacity=0.7),
+            4,
+            disc(d / 2, 0.5),
+        ),
     ):
         seeds = apply_rule("gsfusion", dataclasses.replace(ctx, config=settings))
         torch.testing.assert_close(seeds.scale_m, torch.tensor(sigma).expand(n, 3))

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ...backends import piece
+from ...config import SeedingConfig
 from ...errors import ArgumentError
 from ...gaussians import Edit
 from ...types import Seeds
@@ -21,7 +22,13 @@ from ..rule import seeding_rule
 
 
 @seeding_rule
-def gsfusion(ctx: SeedContext, *, required_weight: float = 1.0, coverage: bool = True) -> Seeds:
+def gsfusion(
+    ctx: SeedContext,
+    *,
+    required_weight: float = 1.0,
+    coverage: bool = True,
+    coarseness: float = 1.0,
+) -> Seeds:
     """One Gaussian per quadtree leaf whose middle lies in a voxel that this frame was the first to
     observe.
 
@@ -44,15 +51,40 @@ def gsfusion(ctx: SeedContext, *, required_weight: float = 1.0, coverage: bool =
         ctx: Frame and volume.
         required_weight: Observation count that the voxel must have.
         coverage: False skips the voxel test; then every leaf with depth is seeded in every frame.
+        coarseness: Factor of the size and of the standard deviation of colours above which a cell
+            is cut. Larger: larger cells of both kinds, so fewer Gaussians. 1: as the settings say.
 
-    Source: GSFusion section III-B.2, Eq. 10.
+    Raises:
+        ValueError: ``coarseness`` is not above 0.
+
+    Source: GSFusion section III-B.2, Eq. 10; ``coarseness`` is ours.
     """
+    if coarseness != 1:
+        ctx = dataclasses.replace(ctx, config=coarser(ctx.config, coarseness))
     seeds = ctx.cells()
     seeds = seeds[first_seen(ctx.voxel_weight(seeds.xyz_W), required_weight)] if coverage else seeds
     return (
         Seeds.cat([seeds, cells_without_depth(ctx)])
         if ctx.config.without_depth == "sides"
         else seeds
+    )
+
+
+def coarser(config: SeedingConfig, factor: float) -> SeedingConfig:
+    """The settings with a quadtree whose cells may be ``factor`` times as large, with colours that
+    deviate ``factor`` times as much.
+
+    Raises:
+        ValueError: ``factor`` is not above 0.
+    """
+    if not factor > 0:
+        raise ArgumentError(f"gsfusion: coarseness must be above 0, got {factor}")
+    is_variance = config.quadtree_contrast == "released"
+    threshold = config.quadtree_threshold * (factor**2 if is_variance else factor)
+    return dataclasses.replace(
+        config,
+        quadtree_threshold=threshold,
+        quadtree_largest_m=config.quadtree_largest_m * factor,
     )
 
 
