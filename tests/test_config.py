@@ -75,7 +75,10 @@ def test_measured_has_its_loss_on_all_data_and_its_steps_where_views_are_close(p
     papers = gsfusion(preset, "paper_steps")
     default = gsfusion()
     assert (ours.optim.depth_weight, ours.keyframe_max_gap) == (0.2, 5)
-    assert replace(ours, optim=papers.optim, keyframe_max_gap=0) == papers
+    seeding = ours.seeding
+    assert (seeding.quadtree_largest_m, seeding.thickness, seeding.opacity) == (0.1, 0.2, 0.9)
+    papers_seeds = replace(ours, seeding=papers.seeding)
+    assert replace(papers_seeds, optim=papers.optim, keyframe_max_gap=0) == papers
     assert ours.optim.global_iterations == {"tum": 20, "online": 0}.get(preset, 10)
     assert ours.keep_all_frames == (preset == "scannetpp")
     if preset == "scannetpp":

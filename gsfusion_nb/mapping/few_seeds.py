@@ -18,7 +18,8 @@ def why_few(
     config: GSFusionConfig, camera: Camera | None, n_frames: int, n_gaussians: int, n_keyframes: int
 ) -> str:
     """A sentence if the frames so far gave fewer Gaussians than one keyframe has, or no keyframe;
-    else empty.
+    else empty. A ``keyframe_min_seeds`` of at least the number of pixels is a wish for none, and
+    gives no sentence.
 
     Args:
         config: Settings of the map.
@@ -26,7 +27,8 @@ def why_few(
         n_frames, n_gaussians, n_keyframes: So far.
     """
     least = config.keyframe_min_seeds
-    if n_keyframes and n_gaussians > least:
+    is_wish = camera is not None and least >= camera.width * camera.height
+    if is_wish or (n_keyframes and n_gaussians > least):
         return ""
     said = [f"there are only {n_gaussians:,} Gaussians after {n_frames} frames"]
     if not n_keyframes:

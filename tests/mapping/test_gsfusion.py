@@ -130,11 +130,13 @@ def test_a_rule_for_keyframes_needs_keyframes_that_do_not_depend_on_its_seeds(co
 
 
 def test_a_map_with_hardly_any_gaussians_says_why(small_room):
-    """At 80x60 the published threshold cuts almost nothing; both settings that are named then
-    do."""
+    """At 80x60 the published quadtree cuts almost nothing; both settings that are named then do,
+    and so does the default's largest size. Who asks for no keyframe is not told."""
 
     def mapped(**changes) -> MappingRun:
-        config = gsfusion("replica", data__stop=14, optim__global_iterations=1, **changes)
+        whole_cells = {"seeding__quadtree_largest_m": 0.0}
+        settings = {"data__stop": 14, "optim__global_iterations": 1, **whole_cells, **changes}
+        config = gsfusion("replica", **settings)
         run = MappingRun(apply_options(small_room, config.data), GSFusion(config))
         list(run.online())
         list(run.optimise())
@@ -152,7 +154,14 @@ def test_a_map_with_hardly_any_gaussians_says_why(small_room):
             in said
         )
         assert "--seeding.quadtree-threshold 0.00059" in said
-    for change in ({"seeding__quadtree_contrast": "std"}, {"seeding__quadtree_threshold": 0.00059}):
+    for change in (
+        {"seeding__quadtree_contrast": "std"},
+        {"seeding__quadtree_threshold": 0.00059},
+        {"seeding__quadtree_largest_m": 0.1},
+    ):
         better = mapped(**change)
         assert len(better.mapper.keyframes) > 1
         assert better.warnings == better.mapper.reports.run_notes(better.steps) == []
+    asked = mapped(keyframe_min_seeds=80 * 60)
+    assert len(asked.mapper.keyframes) == 0
+    assert asked.warnings == asked.mapper.reports.run_notes(asked.steps) == []

@@ -5,7 +5,8 @@ World frame: z up, origin on the floor in the middle of the room, metres; 5 m al
 2.6 m high.
 """
 
-from .camera import kinect_depth as kinect_depth
+from .depth_noise import kinect_depth as kinect_depth
+from .depth_noise import stereo_depth as stereo_depth
 from .sequence import RoomSequence as RoomSequence
 from .sequence import render_room as render_room
 from .sequence import room as room

@@ -55,7 +55,7 @@ class HandHeld:
     images_per_walk: int = 400
     """Images of which the whole walk through the room would have; fewer: faster motion."""
     noise: str = "kinect"
-    """Errors of the depth camera: "kinect" or "none"."""
+    """Errors of the depth camera: "kinect", "stereo" or "none"."""
     depth_units: float = 1000.0
     """Stored value of one metre. The TUM layout means 5000."""
     pose_delay_s: float = 0.15

@@ -25,10 +25,10 @@ from .camera import (
     disturbed_poses,
     exposed,
     exposure_gains,
-    kinect_depth,
     walk,
     without_depth,
 )
+from .depth_noise import kinect_depth, stereo_depth
 from .image_cache import cached
 from .scene import load_scene, version
 from .surface import room_mesh
@@ -39,6 +39,9 @@ _FOCAL_PER_WIDTH = 0.65
 _DEPTH_UNIT_M = 1e-4
 """Stored depth counts tenths of a millimetre in uint16, up to 6.55 m: the farthest z-depth in the
 room is 6.41 m."""
+
+NOISES = ("none", "kinect", "stereo")
+"""Errors of depth that a room can have."""
 
 ROOM_DISTANCE_M = 10.0
 
@@ -82,7 +85,8 @@ class RoomSequence:
     """"mapping" sees the whole room; "novel" is another path through it, for views that were never
     mapped."""
     noise: str = "none"
-    """"none": exact depth; "kinect": with the errors of a Kinect."""
+    """"none": exact depth; "kinect": with the errors of a Kinect; "stereo": with those of a stereo
+    camera, such as a RealSense D435."""
     exposure_stops: float = 0.0
     """Auto exposure: the brightness wanders by this many stops (standard deviation), white balance
     by a fifth."""
@@ -114,7 +118,7 @@ class RoomSequence:
                 raise ArgumentError(
                     f"room: {name} must be a whole number >= {least}, got {value!r}"
                 )
-        for name, choices in (("trajectory", tuple(TRAJECTORIES)), ("noise", ("none", "kinect"))):
+        for name, choices in (("trajectory", tuple(TRAJECTORIES)), ("noise", NOISES)):
             if getattr(self, name) not in choices:
                 raise ArgumentError(
                     f"room: {name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}"
@@ -209,10 +213,11 @@ class RoomSequence:
         depth_m = torch.from_numpy(images["depth"].astype(np.float32) * np.float32(_DEPTH_UNIT_M))
         rgb = images["rgb"]
         hole = self._without_depth(depth_m, i)
+        rng = np.random.default_rng([self.seed, 3, i])
         if self.noise == "kinect":
-            depth_m = kinect_depth(
-                depth_m, self.camera, rng=np.random.default_rng([self.seed, 3, i])
-            )
+            depth_m = kinect_depth(depth_m, self.camera, rng=rng)
+        elif self.noise == "stereo":
+            depth_m = stereo_depth(depth_m, torch.from_numpy(rgb), self.camera, rng=rng)
         if hole is not None:
             depth_m[hole] = 0.0
         if self.exposure_stops:

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from gsfusion_nb.data.room import kinect_depth, render_room, room, room_mesh, room_sdf
-from gsfusion_nb.data.room.camera import DISPARITY_STEP_PX, FOCAL_BASELINE_PX_M, walk
+from gsfusion_nb.data.room.camera import walk
+from gsfusion_nb.data.room.depth_noise import DISPARITY_STEP_PX, FOCAL_BASELINE_PX_M
 from gsfusion_nb.data.room.scene import load_scene
 from gsfusion_nb.files import cache_folder
 from gsfusion_nb.geometry import backproject, depth_to_points, pixel_grid, se3
