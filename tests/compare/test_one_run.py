@@ -139,7 +139,7 @@ def test_what_a_result_holds(spec, tmp_path):
     assert expected <= set(result.metrics)
     assert set(result.pictures) == {"held_out 2", "truth 2", "held_out 6", "truth 6"}
     assert all((tmp_path / name).is_file() for name in result.pictures.values())
-    assert "def gsfusion(ctx" in result.rule_source
+    assert "def gsfusion(\n" in result.rule_source
     assert "PyTorch" in result.versions
 
 

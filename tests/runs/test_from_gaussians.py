@@ -14,13 +14,19 @@ from gsfusion_nb.types import GaussianParams
 
 def test_the_map_goes_on_where_the_file_ends(whole_run, config, tmp_path):
     began = read_gaussian_ply(whole_run.folder / "gaussians.ply")
-    config = dataclasses.replace(config, data=dataclasses.replace(config.data, stop=4))
+    seeding = dataclasses.replace(
+        config.seeding, quadtree_largest_m=0.0, thickness=1.0, opacity=0.5
+    )
+    config = dataclasses.replace(
+        config, seeding=seeding, data=dataclasses.replace(config.data, stop=4)
+    )
     options = {"evaluate": False, "n_frames": 120, "width": 80, "height": 60}
     file = whole_run.folder / "gaussians.ply"
     run = run_mapping("room", config, folder=tmp_path / "on", from_gaussians=file, **options)
+    fresh = run_mapping("room", config, folder=tmp_path / "fresh", **options)
     first = run.run.steps[0]
     rows = run.mapper.gaussians
-    assert first.psnr_before_db > whole_run.run.steps[0].psnr_before_db + 3
+    assert first.psnr_before_db > fresh.run.steps[0].psnr_before_db + 3
     assert f"the map began with {len(began):,} Gaussians of gaussians.ply" in run.run.warnings
     assert (rows.birth_frame[: len(began)] == -1).all()
     assert len(rows) == len(began) + sum(step.n_seeds for step in run.run.steps)

@@ -65,6 +65,11 @@ class gps_slam(MapRule):
             no TSDF.
         only_with_depth: Leave out pixels without measured depth. The release seeds them where the
             TSDF has a surface.
+        min_confidence: Only in voxels of the TSDF with at least this weight, its number of
+            observations; 0: all. Larger: fewer discs, none where a surface was measured once by
+            mistake, which a noisy camera does. With the colour error and a surface to lie on it is
+            the third gate of AnythingReality (2607.09260), whose threshold was not found. Usual
+            there: 2 to 5.
 
     Left out: removal of discs that are small (3 mm), large (10 cm) or transparent (0.005), which
     the system does. In the system gps_slam normals come from differences of the surface's points,
@@ -85,6 +90,7 @@ class gps_slam(MapRule):
     base: Literal["map", "tsdf"] = "map"
     surface: Literal["tsdf", "depth"] = "tsdf"
     only_with_depth: bool = True
+    min_confidence: float = 0.0
 
     when: ClassVar[When] = every(10)
 
@@ -102,6 +108,11 @@ class gps_slam(MapRule):
         column = column[sample]
         uv = torch.stack([column, row], dim=-1) + 0.5
         seeds = ctx.seeds_at(uv, 1.0, depth_m=depth_m, opacity=self.opacity)
+        if self.min_confidence > 0:
+            is_sure = ctx.voxel_weight(seeds.xyz_W) >= self.min_confidence
+            seeds = seeds[is_sure]
+            row = row[is_sure]
+            column = column[is_sure]
         # 1 px before it is sized
         most_m = (seeds.scale_m[:, 0] * self.max_radius_px).clamp(min=self.max_radius_m)
         seeds = sized_by_neighbours(ctx, seeds)
