@@ -1,10 +1,10 @@
-"""A bank of multiple-choice questions, one for each wrong answer of which a checker also finds
-something true.
+"""A bank of multiple-choice questions with a reason for each answer: about concepts and
+predictions, and one for each wrong answer of which a checker also finds something true.
 
-Each question shows a function and four statements, of which the checker finds one broken: the first
-property that fails. The other three were tested on the same function by the same checker, and hold.
-A property can hold on all inputs of the checker and yet not be true of the function; those that a
-reader found are left out (``NOT_OFFERED``).
+The first are in ``quiz_concepts.toml``. Each of the others shows a function and four statements, of
+which the checker finds one broken: the first property that fails. The other three were tested on
+the same function by the same checker, and hold. A property can hold on all inputs of the checker
+and yet not be true of the function; those that a reader found are left out (``NOT_OFFERED``).
 
 ``python tools/quiz.py OUT`` writes for every chapter ``chapter_NN.xml``, which Moodle and other
 learning platforms import. The web book has the same questions to read and answer.
@@ -33,7 +33,8 @@ log = logging.getLogger(__name__)
 
 PROMPT = "Which of these statements does the checker find broken?"
 INTRODUCTION = (
-    "Each question shows a function that somebody might hand in; none of them is right. "
+    "First come questions about concepts and predictions. Each of the others shows a function that "
+    "somebody might hand in; none of them is right. "
     "`correct_...` stands for a "
     "right function of that name; names that are not explained are those of the chapter."
 )
@@ -46,8 +47,8 @@ class Judged(Attempt):
         super().__init__(LocalSubject(function))
         self.broken: list[Failed] = []
         """Properties that failed, the first one first."""
-        self.held: list[str] = []
-        """Properties that were tested."""
+        self.held: dict[str, list[str]] = {}
+        """Properties that were tested, and the inputs on which they were."""
 
     def holds(self, condition: Any, prop: str, **more: Any) -> None:
         """Note the property, and whether it fails."""
@@ -67,7 +68,9 @@ class Judged(Attempt):
 
     @contextmanager
     def _noting(self, prop: str) -> Iterator[None]:
-        self.held.append(prop)
+        inputs = self.held.setdefault(prop, [])
+        if self.words not in inputs:
+            inputs.append(self.words)
         try:
             yield
         except Failed as e:
@@ -108,24 +111,59 @@ class Question:
     """One question, and what to say after the answer."""
 
     name: str
-    """Exercise and number of the wrong answer, counted from 1."""
+    """Exercise and number of the wrong answer, counted from 1; or a name."""
     chapter: int
     title: str
-    """What the exercise asks for."""
+    """What the exercise asks for; empty for a concept."""
     code: str
+    """The function; empty for a concept."""
+    prompt: str
     options: tuple[str, ...]
     answer: int
     """Position of the right option."""
-    said: str
-    """The checker's sentence: what fails, on which input, what came back and what was expected."""
+    reasons: tuple[str, ...]
+    """Why each option is right or wrong."""
+
+    @property
+    def said(self) -> str:
+        """The reason of the right option. Of a function it is the checker's sentence: what fails,
+        on which input, what came back and what was expected."""
+        return self.reasons[self.answer]
 
 
 def bank() -> list[Question]:
-    """All questions, by chapter."""
+    """All questions, by chapter; those about concepts first."""
     questions = (
         question(e, number) for e in exercises().values() for number in range(1, len(e.wrong) + 1)
     )
-    return [q for q in questions if q is not None]
+    both = [*concepts(), *(q for q in questions if q is not None)]
+    return sorted(both, key=lambda q: q.chapter)
+
+
+def concepts() -> list[Question]:
+    """The questions of ``quiz_concepts.toml``."""
+    text = Path(__file__).with_name("quiz_concepts.toml").read_text(encoding="utf-8")
+    return [
+        _concept(int(key.removeprefix("chapter_")), entry)
+        for key, entries in tomllib.loads(text).items()
+        for entry in entries
+    ]
+
+
+def _concept(chapter: int, entry: dict[str, Any]) -> Question:
+    order = list(range(len(entry["options"])))
+    random.Random(entry["name"]).shuffle(order)
+    options = [entry["options"][i] for i in order]
+    return Question(
+        name=entry["name"],
+        chapter=chapter,
+        title="",
+        code="",
+        prompt=entry["question"],
+        options=tuple(text for text, _ in options),
+        answer=order.index(0),
+        reasons=tuple(reason for _, reason in options),
+    )
 
 
 def question(exercise: Exercise, number: int) -> Question | None:
@@ -146,15 +184,23 @@ def question(exercise: Exercise, number: int) -> Question | None:
         return None
     options = [first.prop, *[*properties, _ALWAYS][:3]]
     random.Random(name).shuffle(options)
+    said = (
+        f"not true is: {first.prop}. Input: {first.on}. "
+        f"{first.detail[:1].upper()}{first.detail[1:]}"
+    )
+    reasons = {
+        prop: f"This holds. Tested with: {'; '.join(judge.held[prop])}." for prop in judge.held
+    }
+    reasons |= {first.prop: said, _ALWAYS: "This holds: the checker called it."}
     return Question(
         name=name,
         chapter=exercise.chapter,
         title=exercise.title,
         code=snippet(exercise, function),
+        prompt=PROMPT,
         options=tuple(options),
         answer=options.index(first.prop),
-        said=f"not true is: {first.prop}. Input: {first.on}. "
-        f"{first.detail[:1].upper()}{first.detail[1:]}",
+        reasons=tuple(reasons[option] for option in options),
     )
 
 
@@ -179,23 +225,25 @@ def by_chapter(questions: Iterable[Question]) -> dict[int, list[Question]]:
 
 
 def moodle_xml(chapter: int, questions: list[Question]) -> str:
-    """The questions of a chapter in Moodle's XML; the feedback is the checker's sentence."""
+    """The questions of a chapter in Moodle's XML, with a reason for each answer."""
     quiz = ET.Element("quiz")
     category = ET.SubElement(quiz, "question", type="category")
     _text(ET.SubElement(category, "category"), f"$course$/gsfusion_nb/chapter {chapter:02}")
     for q in questions:
         question = ET.SubElement(quiz, "question", type="multichoice")
         _text(ET.SubElement(question, "name"), q.name)
-        question_html = f"<p>{escape(q.title)}</p><pre>{escape(q.code)}</pre><p>{PROMPT}</p>"
+        about = f"<p>{escape(q.title)}</p><pre>{escape(q.code)}</pre>" if q.code else ""
+        question_html = f"{about}<p>{escape(q.prompt)}</p>"
         _text(ET.SubElement(question, "questiontext", format="html"), question_html)
         _text(ET.SubElement(question, "generalfeedback", format="html"), f"<p>{escape(q.said)}</p>")
         ET.SubElement(question, "single").text = "true"
         ET.SubElement(question, "shuffleanswers").text = "true"
         for i, option in enumerate(q.options):
             fraction = "100" if i == q.answer else "0"
-            _text(
-                ET.SubElement(question, "answer", fraction=fraction, format="html"), escape(option)
-            )
+            answer = ET.SubElement(question, "answer", fraction=fraction, format="html")
+            _text(answer, escape(option))
+            feedback = ET.SubElement(answer, "feedback", format="html")
+            _text(feedback, f"<p>{escape(q.reasons[i])}</p>")
     ET.indent(quiz)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(quiz, encoding="unicode") + "\n"
 

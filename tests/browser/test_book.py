@@ -373,9 +373,11 @@ def test_the_quiz_answers(opened):
     right = form.get_attribute("data-right")
     wrong = "A" if right != "A" else "B"
     form.locator(f"input[value={wrong}]").check()
-    assert "Not this one" in form.inner_text()
+    chosen = form.locator("label", has=page.locator(f"input[value={wrong}]"))
+    assert f"Not this one. {chosen.get_attribute('data-why')}" in form.inner_text()
     form.locator(f"input[value={right}]").check()
-    assert "The checker says" in form.inner_text()
+    assert "Right." in form.inner_text()
+    assert "The checker says" in page.locator("form.gsnb-quiz").last.text_content()
 
 
 def test_the_search_finds_a_word(opened):

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-from quiz import INTRODUCTION, PROMPT, Question
+from quiz import INTRODUCTION, Question
 
 from gsfusion_nb.course.copies import FIRST
 from gsfusion_nb.course.course import TITLES
@@ -53,22 +53,22 @@ def opening_bar(notebook: str) -> str:
 
 
 def quiz_page(chapter: int, questions: Sequence[Question]) -> str:
-    """The questions of a chapter with options to choose; the checker's sentence comes after the
-    right choice."""
+    """The questions of a chapter with options to choose; a choice shows its reason."""
     parts = [f"# Quiz, chapter {chapter}: {TITLES[chapter]}\n\n{INTRODUCTION}"]
     for q in questions:
         rows = "".join(
-            f'<label><input type="radio" name="{q.name}" value="{key}"><span>{key}. '
-            f"{escape(text)}</span></label>"
-            for key, text in zip("ABCD", q.options, strict=True)
+            f'<label data-why="{escape(why)}"><input type="radio" name="{q.name}" value="{key}">'
+            f"<span>{key}. {escape(text)}</span></label>"
+            for key, text, why in zip("ABCD", q.options, q.reasons, strict=True)
         )
+        said = f"{'The checker says: ' if q.code else ''}{escape(q.said)}"
         form = (
             '<form class="gsnb-quiz" '
-            f'data-right="{"ABCD"[q.answer]}"><fieldset><legend>{PROMPT}</legend>{rows}'
-            '</fieldset><p role="status"></p><p class="gsnb-said" hidden>The checker says: '
-            f"{escape(q.said)}</p></form>"
+            f'data-right="{"ABCD"[q.answer]}"><fieldset><legend>{escape(q.prompt)}</legend>{rows}'
+            f'</fieldset><p role="status"></p><p class="gsnb-said" hidden>{said}</p></form>'
         )
-        parts.append(f"## {q.name}\n\n{escape(q.title)}\n\n```python\n{q.code}\n```\n{raw(form)}")
+        about = f"{escape(q.title)}\n\n```python\n{q.code}\n```" if q.code else escape(q.prompt)
+        parts.append(f"## {q.name}\n\n{about}\n{raw(form)}")
     return "\n\n".join(parts) + "\n"
 
 

@@ -62,7 +62,8 @@ function prepareQuiz(form) {
     const right = target.value === form.dataset.right;
     for (const label of form.querySelectorAll("label")) label.classList.remove("gsnb-chosen-right", "gsnb-chosen-wrong");
     target.closest("label").classList.add(right ? "gsnb-chosen-right" : "gsnb-chosen-wrong");
-    form.querySelector("[role=status]").textContent = right ? "Right." : "Not this one. Try again.";
+    const why = target.closest("label").dataset.why;
+    form.querySelector("[role=status]").textContent = right ? "Right." : `Not this one. ${why}`;
     form.querySelector(".gsnb-said").hidden = !right;
   });
 }
