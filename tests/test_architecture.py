@@ -185,7 +185,7 @@ class ToySystem(TsdfMapping):
         return 1
 
     def map_frame(self, frame) -> StepReport:
-        seeds = self.propose_seeds(self._context(frame, volume=self.volume, near_m=0.1))
+        seeds = self.propose_seeds(self.seed_context(frame, volume=self.volume, near_m=0.1))
         with self.transaction.changes():
             self.gaussians.append(seeds, frame.index)
             self.keyframes.append(frame)

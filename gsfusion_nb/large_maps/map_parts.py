@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
+from jaxtyping import Int
 from torch import Tensor
 
 from ..gaussians import GaussianModel
@@ -91,7 +92,8 @@ class MapParts:
         self.boxes.forget()
 
     def params_now(self, rows: MapRows = ALL_ROWS) -> GaussianParams:
-        """The rows with the steps that they missed; the map does not change.
+        """The rows with the steps that they missed while no view showed them; the map does not
+        change. What is written, scored, drawn or given to a rule is made from these.
 
         Returns:
             A copy, or the map's own tensors if all are asked for and none misses a step.
@@ -101,12 +103,24 @@ class MapParts:
         return params_now(self._model, self._catch_up, rows)
 
     def take_missed_steps(self) -> None:
-        """Bring all rows of the map up to date, in place."""
+        """Bring all rows of the map up to date, in place.
+
+        That changes when a row is rounded, so it is done where the run says, not where somebody
+        looks at the map.
+        """
         if self._catch_up is None or not self._steps_missed:
             return
         self._model.undo_log.will_change()
         self._catch_up(MapPart(self._model))
         self._steps_missed = False
+
+    def rows_changed(self, old_rows: Int[Tensor, " N"]) -> None:
+        """Called after rows were removed or a rule edited the map; parts that hold copies of rows
+        bring them up to date.
+
+        Args:
+            old_rows: For each row of the map its number before, -1 for new rows. [N]
+        """
 
     def snapshot(self) -> Callable[[], None]:
         """A function that undoes what steps from now on change here, besides the map."""

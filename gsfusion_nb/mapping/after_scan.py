@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..interrupts import DelayedInterrupt
+from .lost_rows import remove_lost
 from .step_report import GlobalStep
 from .usual_torch import usual_torch
 
@@ -83,7 +84,7 @@ class AfterScan:
         mapper = self._mapper
         n_keyframes = len(mapper.keyframes)
         yield from mapper.passes.run(passes, n_keyframes, mapper.random.passes, self._watched_step)
-        mapper.take_missed_steps()
+        mapper.parts.take_missed_steps()
 
     def _whole_step(self, steps: Iterator[GlobalStep]) -> GlobalStep | None:
         """The next step, all of it or nothing; None: there are no more. Ctrl-C takes effect after
@@ -100,7 +101,7 @@ class AfterScan:
     def _make_ready(self) -> None:
         mapper = self._mapper
         mapper.lost.begin_frame()
-        mapper.take_missed_steps()
+        mapper.parts.take_missed_steps()
         mapper._follow(mapper.localiser.finish())
         self._n_frames_ready = mapper.n_frames
 
@@ -110,5 +111,5 @@ class AfterScan:
         with mapper.watch(None):
             loss = mapper._global_step(i)
             if not mapper.passes.queue:
-                mapper.remove_lost()
+                remove_lost(mapper)
             return loss

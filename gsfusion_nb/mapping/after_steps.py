@@ -150,7 +150,7 @@ class AfterSteps:
         """
         if not self.edits:
             return
-        mapper.take_missed_steps()  # an edit reads, copies and removes any row
+        mapper.parts.take_missed_steps()  # an edit reads, copies and removes any row
         if self._context is not None:
             self._edit(
                 mapper, dataclasses.replace(self._context), self._stats(step, view, view_step)
@@ -210,7 +210,7 @@ class AfterSteps:
             raise ArgumentError(
                 f"seeding rule {self._name!r} returned an impossible edit: {error}"
             ) from None
-        mapper.rows_changed(old_rows)
+        mapper.parts.rows_changed(old_rows)
 
 
 def _of_all_rows(

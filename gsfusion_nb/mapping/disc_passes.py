@@ -1,5 +1,6 @@
 """The passes of RTG-SLAM over all keyframes after the scan, on all discs."""
 
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -7,6 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..gaussians import STABLE
+from ..large_maps import MapParts
 from ..optim import Keyframe, TrainingView
 from ..types import ALL_ROWS, GaussianParams, MapRows
 from .disc_optimisation import edit_after, step_on
@@ -32,7 +34,7 @@ class DiscPasses:
         if self.optimiser is None:
             mapper.gaussians.undo_log.will_change()
             mapper.gaussians.state.fill_(STABLE)
-            self.optimiser = self._optimiser_of_map()
+            self.optimiser = self.optimiser_of_map()
         step = step_on(mapper, self.optimiser, keyframe, TrainingView.of(keyframe))
         self.optimiser.write_back()
         mapper.lost.stepped(self.optimiser.trained_params)
@@ -42,30 +44,6 @@ class DiscPasses:
     def forget(self) -> None:
         """The next step begins with a new optimiser."""
         self.optimiser = None
-
-    def params_now(self, rows: MapRows = ALL_ROWS) -> GaussianParams:
-        """Discs of the map with the steps that they missed."""
-        if self.optimiser is not None:
-            return self.optimiser.params_now(rows)
-        return self._mapper.gaussians.params[rows]
-
-    def take_missed_steps(self) -> None:
-        """Bring all discs up to date."""
-        if self.optimiser is not None:
-            self.optimiser.take_missed_steps()
-            self.optimiser.write_back()
-
-    def rows_changed(self, old_rows: Int[Tensor, " N"]) -> None:
-        """All rows stay stable, and Adam goes on with those that are left.
-
-        Args:
-            old_rows: For each row of the map its number before, -1 for new rows. [N]
-        """
-        if self.optimiser is not None:
-            self._mapper.gaussians.state.fill_(STABLE)
-            earlier = self.optimiser
-            self.optimiser = self._optimiser_of_map()
-            self.optimiser.take_over(earlier, old_rows)
 
     def snapshot(self) -> Undo:
         """A function that undoes what changes from now on."""
@@ -92,10 +70,11 @@ class DiscPasses:
     def load_state_dict(self, state: dict[str, Any] | None) -> None:
         """Restore what ``state_dict`` saved, for the same map."""
         if state is not None:
-            self.optimiser = self._optimiser_of_map()
+            self.optimiser = self.optimiser_of_map()
             self.optimiser.load_state_dict(state)
 
-    def _optimiser_of_map(self) -> SurfelOptimiser:
+    def optimiser_of_map(self) -> SurfelOptimiser:
+        """A new optimiser of all discs."""
         mapper = self._mapper
         config = mapper.config.final
         return SurfelOptimiser(
@@ -109,3 +88,38 @@ class DiscPasses:
             training=mapper.training,
             weight_depth=config.weight_depth,
         )
+
+
+class DiscParts(MapParts):
+    """The rows of RTG-SLAM's map that a view may show. Rows miss steps in the passes after the scan
+    only, whose optimiser knows them.
+
+    Args:
+        mapper: The ``RTGSLAM``.
+        depth_of: As for ``MapParts``.
+    """
+
+    def __init__(self, mapper: Any, depth_of: Callable[[Any], Tensor | None]):
+        super().__init__(mapper.gaussians, None, depth_of)
+        self._discs = mapper.gaussians
+        self._passes = mapper.disc_passes
+
+    def params_now(self, rows: MapRows = ALL_ROWS) -> GaussianParams:
+        """Discs of the map with the steps that they missed."""
+        optimiser = self._passes.optimiser
+        return self._discs.params[rows] if optimiser is None else optimiser.params_now(rows)
+
+    def take_missed_steps(self) -> None:
+        """Bring all discs up to date."""
+        optimiser = self._passes.optimiser
+        if optimiser is not None:
+            optimiser.take_missed_steps()
+            optimiser.write_back()
+
+    def rows_changed(self, old_rows: Int[Tensor, " N"]) -> None:
+        """All rows stay stable, and Adam goes on with those that are left."""
+        earlier = self._passes.optimiser
+        if earlier is not None:
+            self._discs.state.fill_(STABLE)
+            self._passes.optimiser = self._passes.optimiser_of_map()
+            self._passes.optimiser.take_over(earlier, old_rows)

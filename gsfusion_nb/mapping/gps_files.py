@@ -39,7 +39,7 @@ class GpsFiles(TsdfFiles):
         mapper = self.mapper
         over = OverSurface(
             volume=mapper.volume,
-            params=mapper.params_now(),
+            params=mapper.parts.params_now(),
             config=mapper.config.base,
             look=self.stored_looks.of(mapper.volume, mapper.n_frames),
         )
@@ -60,7 +60,7 @@ class GpsFiles(TsdfFiles):
         if mapper.n_frames > n_frames + n_frames // 10:
             n_frames = mapper.n_frames
             discs = None
-        rows = plain_gaussians(mapper.volume, mapper.params_now(), discs)
+        rows = plain_gaussians(mapper.volume, mapper.parts.params_now(), discs)
         self._discs = n_frames, rows[len(mapper.gaussians) :]
         return rows
 

@@ -2,6 +2,7 @@
 frame by frame."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -15,12 +16,14 @@ from ..optim import Keyframe, ViewLoss, ViewStep, l1_mse_vjp, l2_mse_vjp
 from ..render import OverBaseOutput, SurfacePicture
 from ..seeding import SeedContext, SurfaceInputs
 from ..tracking import Correction
-from ..tsdf import FusedView, fuse_frame_
-from ..types import Camera, Frame, RenderOutput
+from ..tsdf import FusedView, TsdfVolume, fuse_frame_
+from ..types import Camera, Frame, RenderOutput, Seeds
 from .description import SystemDescription
 from .gps_files import GpsFiles
 from .gps_surface import OverSurface
 from .gps_views import PassViews, SurfaceKeyframe, ViewRound, look_at
+from .lost_rows import remove_lost
+from .rule_calls import rule_is_due
 from .step_report import StepReport, as_floats
 from .training import Training
 from .tsdf_mapping import TsdfMapping
@@ -28,6 +31,19 @@ from .view_steps import step_on_view
 
 LEAST_OPACITY = 0.005
 """Gaussians with a smaller opacity are removed (released code)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramePlan:
+    """What is done with a frame."""
+
+    is_keyframe: bool
+    asks_rule: bool
+    """Whether the seeding rule is asked, which begins a round."""
+    in_window: bool
+    """Whether the frame becomes one of the views."""
+    needs_surface: bool
+    """Whether somebody wants to know what the frame's camera sees of the surface."""
 
 
 class GPSSLAM(TsdfMapping):
@@ -68,50 +84,74 @@ class GPSSLAM(TsdfMapping):
         see of the surface is without it. The first frame is therefore only fused, unless the rule
         needs no surface.
         """
-        is_keyframe = self.is_next_keyframe(frame)
-        asks_rule = self.rule_is_due(is_keyframe)
-        in_window = self.n_frames % self.config.schedule.window_every == 0
+        plan = self._plan(frame)
         with self.clock("tsdf"):
             missing = self._make_room(frame)
         with self.clock("base"):
-            has_loss = self.training.loss is not None
-            needs_surface = asks_rule or in_window or self.after_steps.edits
-            view = self._look(Keyframe.of(frame, with_depth=has_loss)) if needs_surface else None
+            view = self._look_at_frame(frame) if plan.needs_surface else None
         with self.clock("seeding"):
-            preview = FusedView(self.volume, frame, missing)
-            context = self._context(frame, view and view.surface, volume=preview)
+            context = self.seed_context(frame, FusedView(self.volume, frame, missing), view)
             seeds = self.propose_seeds(context)
         with self.transaction.changes(undoable=self.views.steps_in(self.n_frames) > 0):
-            if asks_rule:
-                self._begin_round()
-            self.parts.append(seeds, frame.index)
-            if is_keyframe:
-                self.keyframes.append(frame, with_depth=self.training.loss is not None)
+            self._append(seeds, frame, plan)
             with self.clock("base"):
-                self._pass_views = PassViews()  # the surface will be another one
-                newest = view if in_window else None
-                self.views.renew(
-                    self.n_frames, newest, self.keyframes, self._look, self.random.keyframes
-                )
+                self._renew_views(view if plan.in_window else None)
             with self.clock("optimise"):
                 steps = self._optimise(context)
-            if steps and not self.config.schedule.spread:
-                self._prune()
         with self.clock("tsdf"):
             self.volume.allocate_missing(missing)
             fuse_frame_(self.volume, frame)
-        return self.reports.of_frame(frame, seeds, is_keyframe, steps)
+        return self.reports.of_frame(frame, seeds, plan.is_keyframe, steps)
 
-    def seed_context(self, frame: Frame) -> SeedContext:
-        """What a seeding rule sees of this frame, after it was fused into the TSDF."""
-        view = self._look(Keyframe.of(frame.to(self.device)))
-        return self._context(frame, view.surface, volume=self.volume)
+    def seed_context(
+        self,
+        frame: Frame,
+        volume: TsdfVolume | FusedView | None = None,
+        view: SurfaceKeyframe | None = None,
+    ) -> SeedContext:
+        """What a seeding rule sees of this frame; by default after it was fused into the TSDF.
 
-    def _context(self, frame: Frame, surface: SurfacePicture | None, **more: Any) -> SeedContext:
+        Args:
+            frame: The frame.
+            volume: The volume, if another one.
+            view: What the frame's camera sees of the surface, if ``volume`` is given. None: the
+                rule needs no surface.
+        """
+        if volume is None:
+            volume = self.volume
+            view = self._look(Keyframe.of(frame.to(self.device)))
         system = None
-        if surface is not None:
-            system = SurfaceInputs(surface=surface, seen_before=self._seen_before(frame))
-        return super()._context(frame, near_m=self.config.tsdf.near_m, system=system, **more)
+        if view is not None:
+            system = SurfaceInputs(surface=view.surface, seen_before=self._seen_before(frame))
+        return super().seed_context(frame, volume=volume, system=system)
+
+    def _plan(self, frame: Frame) -> FramePlan:
+        """Whether the frame is a keyframe, and what is done with it."""
+        is_keyframe = self.is_next_keyframe(frame)
+        asks_rule = rule_is_due(self, is_keyframe)
+        in_window = self.n_frames % self.config.schedule.window_every == 0
+        return FramePlan(
+            is_keyframe=is_keyframe,
+            asks_rule=asks_rule,
+            in_window=in_window,
+            needs_surface=asks_rule or in_window or self.after_steps.edits,
+        )
+
+    def _append(self, seeds: Seeds, frame: Frame, plan: FramePlan) -> None:
+        """Begin a round where the rule was asked; add the new Gaussians and the keyframe."""
+        if plan.asks_rule:
+            self._begin_round()
+        self.parts.append(seeds, frame.index)
+        if plan.is_keyframe:
+            self.keyframes.append(frame, with_depth=self.training.loss is not None)
+
+    def _look_at_frame(self, frame: Frame) -> SurfaceKeyframe:
+        return self._look(Keyframe.of(frame, with_depth=self.training.loss is not None))
+
+    def _renew_views(self, newest: SurfaceKeyframe | None) -> None:
+        """Look again at the views whose turn it is; ``newest`` becomes one of them."""
+        self._pass_views = PassViews()  # the surface will be another one
+        self.views.renew(self.n_frames, newest, self.keyframes, self._look, self.random.keyframes)
 
     def is_next_keyframe(self, frame: Frame) -> bool:
         """Whether the camera has turned or moved far enough since the last keyframe, or it is time
@@ -143,7 +183,7 @@ class GPSSLAM(TsdfMapping):
     def _over_surface(self) -> OverSurface:
         return OverSurface(
             volume=self.volume,
-            params=self.params_now(),
+            params=self.parts.params_now(),
             config=self.config.base,
         )
 
@@ -177,8 +217,8 @@ class GPSSLAM(TsdfMapping):
 
     def _prune(self) -> None:
         """Remove Gaussians that have become too small, too large or transparent."""
-        self.take_missed_steps()
-        self.remove_lost()
+        self.parts.take_missed_steps()
+        remove_lost(self)
         limits = self.config.residual
         params = self.gaussians.params
         radius_m = params.log_scale.amax(dim=1).exp()
@@ -194,19 +234,22 @@ class GPSSLAM(TsdfMapping):
         if self.config.schedule.spread:
             self._prune()
         if self.config.residual.restart_adam:
-            self.take_missed_steps()
+            self.parts.take_missed_steps()
             self.gaussians.undo_log.will_change()
             restart_optimiser(self.gaussians)
 
     def _optimise(self, context: SeedContext) -> list[list[float]]:
-        """The steps of this frame, each on one of the views. Returns loss and mean squared error
-        before each."""
+        """The steps of this frame, each on one of the views; after a burst of them rows are
+        removed. Returns loss and mean squared error before each."""
         n = self.views.steps_in(self.n_frames) if len(self.views) and len(self.gaussians) else 0
         self.after_steps.frame_begins(context, n)
         views = [self.views.next_view(self.random.keyframes) for _ in range(n)]
-        return as_floats(
+        steps = as_floats(
             [self._optimise_view(view, views[i + 1 :]) for i, view in enumerate(views)]
         )
+        if steps and not self.config.schedule.spread:
+            self._prune()
+        return steps
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
         """One step on the i-th keyframe after the scan; each pass ends as a burst does, with the

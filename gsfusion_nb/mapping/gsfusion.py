@@ -99,7 +99,7 @@ class GSFusion(TsdfMapping):
             missing = self._make_room(frame)  # III-B.1, the blocks
         with self.clock("seeding"), self.clock.operation("quadtree", of="seeding"):
             preview = FusedView(self.volume, frame, missing)
-            context = self._context(frame, volume=preview, near_m=self.config.tsdf.near_m)
+            context = self.seed_context(frame, volume=preview)
             seeds = self.propose_seeds(context)  # III-B.2, Eq. 10
         with self.transaction.changes():
             self.parts.append(seeds, frame.index)
@@ -113,9 +113,9 @@ class GSFusion(TsdfMapping):
             fuse_frame_(self.volume, frame)  # III-B.1, Eq. 6-9
         return self.reports.of_frame(frame, seeds, is_keyframe, steps[:n_steps], n_steps=len(steps))
 
-    def seed_context(self, frame: Frame) -> SeedContext:
-        """What a seeding rule sees of this frame, after it was fused into the TSDF."""
-        return self._context(frame, volume=self.volume, near_m=self.config.tsdf.near_m)
+    def seed_context(self, frame: Frame, **inputs: Any) -> SeedContext:
+        """What a seeding rule sees of this frame; by default after it was fused into the TSDF."""
+        return super().seed_context(frame, **{"volume": self.volume} | inputs)
 
     def is_next_keyframe(self, frame: Frame) -> bool | None:
         """Whether this frame, mapped next, becomes a keyframe; None if that depends on the number

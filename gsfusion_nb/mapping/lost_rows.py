@@ -1,5 +1,7 @@
 """Gaussians that a gradient step made NaN or infinite: they are found, counted, and said."""
 
+from typing import Any
+
 import torch
 from jaxtyping import Bool
 from torch import Tensor
@@ -66,6 +68,16 @@ class LostRows:
             "were removed; look for wrong depth or poses (gsfusion-nb check) or try smaller "
             "learning rates; metrics.json counts all as n_not_finite"
         )
+
+
+def remove_lost(mapper: Any) -> None:
+    """Remove the Gaussians of a mapper's map that the last steps made NaN or infinite, and count
+    them."""
+    finite = mapper.lost.count(mapper.gaussians.params)
+    if finite is not None:
+        mapper.gaussians.undo_log.will_change()
+        mapper.gaussians.keep(finite)
+        mapper.parts.rows_changed(finite.nonzero()[:, 0])
 
 
 def finite_rows(params: GaussianParams) -> Bool[Tensor, " N"]:

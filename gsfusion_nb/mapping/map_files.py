@@ -60,7 +60,7 @@ class MapFiles:
     def maps(self) -> dict[str, dict[str, Tensor]]:
         """The tensors of each map, by name; two runs have the same maps if these are equal
         (``order_of_rows``)."""
-        return {"gaussians": vars(self.mapper.params_now())}
+        return {"gaussians": vars(self.mapper.parts.params_now())}
 
     def order_of_rows(self, name: str) -> Tensor | None:
         """Order in which the rows of a map of ``maps`` are compared; None: as they are."""
@@ -90,7 +90,7 @@ class MapFiles:
     def standard_gaussians(self) -> GaussianParams:
         """Gaussians whose sorted picture, as any viewer of splats draws it, is about that of the
         map."""
-        return self.mapper.params_now()
+        return self.mapper.parts.params_now()
 
     @classmethod
     def render_gaussians(

@@ -14,12 +14,11 @@ from functools import partial
 from typing import Any, ClassVar, TypeVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import shown
 from ..config import OptimConfig, SystemConfig, from_run, to_dict
-from ..errors import ArgumentError
 from ..gaussians import GaussianModel
 from ..interrupts import DelayedInterrupt
 from ..large_maps import MapParts, drawn_in_part
@@ -31,22 +30,16 @@ from ..optim import (
 )
 from ..resources import MAP_MEMORY
 from ..seeding import (
-    MapReading,
     SeedContext,
     SeedingRule,
-    apply_rule,
     move_memory,
     rule_name,
 )
-from ..seeding.input_guard import ChangedInputError
 from ..seeding.rule_code import find_rule
 from ..tracking import Correction
 from ..types import (
-    ALL_ROWS,
     Camera,
     Frame,
-    GaussianParams,
-    MapRows,
     Mesh,
     RenderOutput,
     Seeds,
@@ -60,6 +53,7 @@ from .lost_rows import LostRows
 from .map_files import MapFiles
 from .map_reports import MapReports
 from .random_streams import RandomStreams
+from .rule_calls import ask_rule, context_of
 from .rule_in_use import RuleInUse, check_registered
 from .rule_settings import settings_of_run, settings_with_rule
 from .stage_clock import StageClock
@@ -67,12 +61,12 @@ from .step_report import GlobalStep, StepReport
 from .tracking_surface import tracking_surface
 from .training import LossFunction, Training, given_functions
 from .transaction import Transaction
-from .usual_torch import changeable, in_usual_torch, usual_torch
+from .usual_torch import InUsualTorch, changeable, in_usual_torch, usual_torch
 
 M = TypeVar("M", bound="Mapper")
 
 
-class Mapper(ABC):
+class Mapper(InUsualTorch, ABC):
     """A mapping system: give it frames with ``step``; the map is ``gaussians``, and what the
     subclass adds.
 
@@ -98,6 +92,8 @@ class Mapper(ABC):
     TSDF, and ``files_type`` and ``reports_type`` if its files or reports have more in them.
     """
 
+    _OFFERS = ("__init__", "surface", "mesh", "render", "seed_context")
+
     description: ClassVar[SystemDescription]
     """What the system says of itself."""
     config_type: ClassVar[type[SystemConfig]]
@@ -121,20 +117,6 @@ class Mapper(ABC):
     """Share of the surface seen that the last ``mesh`` has, where it is made from some of the
     views."""
 
-    def __init_subclass__(cls, **rest: Any):
-        """What a subclass offers to callers runs in ``usual_torch``, as what this class offers."""
-        super().__init_subclass__(**rest)
-        for name in (
-            "__init__",
-            "surface",
-            "mesh",
-            "render",
-            "seed_context",
-        ):
-            if name in vars(cls):
-                setattr(cls, name, in_usual_torch(vars(cls)[name]))
-
-    @in_usual_torch
     def __init__(
         self,
         config: Any = None,
@@ -252,7 +234,6 @@ class Mapper(ABC):
         """One step of the optimisation after the scan, on the i-th keyframe. Returns the loss
         before it."""
 
-    @in_usual_torch
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
         """The Gaussian map seen by a camera."""
         T_WC = T_WC.to(self.device)
@@ -262,7 +243,7 @@ class Mapper(ABC):
             self.parts.boxes,
             camera,
             T_WC,
-            take=self.params_now,
+            take=self.parts.params_now,
         )
 
     @property
@@ -270,48 +251,12 @@ class Mapper(ABC):
         """Settings of the Adam whose steps rows of the map may miss; None if there is none."""
         return None
 
-    def params_now(self, rows: MapRows = ALL_ROWS) -> GaussianParams:
-        """The Gaussians with the steps that they missed while no view showed them; the map does not
-        change.
-
-        What is written, scored, drawn or given to a rule is made from these.
-
-        Args:
-            rows: Rows of the map.
-
-        Returns:
-            A copy, or the map's own tensors if all are asked for and none misses a step.
-        """
-        return self.parts.params_now(rows)
-
-    def take_missed_steps(self) -> None:
-        """Bring all rows of the map up to date, in place.
-
-        That changes when a row is rounded, so it is done where the run says, not where somebody
-        looks at the map.
-        """
-        self.parts.take_missed_steps()
-
-    def remove_lost(self) -> None:
-        """Remove the Gaussians that the last steps made NaN or infinite, and count them."""
-        finite = self.lost.count(self.gaussians.params)
-        if finite is not None:
-            self.gaussians.undo_log.will_change()
-            self.gaussians.keep(finite)
-            self.rows_changed(finite.nonzero()[:, 0])
-
     def _parts_of_map(self) -> MapParts:
-        optim = self.row_optim
+        """The rows of the map that a view may show, and the steps that the others miss."""
         catch_up = None
-        if optim is not None and self.training.optimiser is None:
-            catch_up = partial(take_missed_steps, config=optim)
-        return MapParts(self.gaussians, catch_up, self._depth_of)
-
-    def _depth_of(self, view: Frame | Keyframe) -> Tensor | None:
-        """Measured depth of a view, behind which its steps reach no rows."""
-        if self.config.all_in_view:
-            return None
-        return view.farthest_m if isinstance(view, Keyframe) else view.depth_m
+        if self.row_optim is not None and self.training.optimiser is None:
+            catch_up = partial(take_missed_steps, config=self.row_optim)
+        return MapParts(self.gaussians, catch_up, depth_behind_views(self.config))
 
     def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
         """Optimise over the keyframes after the scan: each pass visits all of them once in a new
@@ -326,39 +271,10 @@ class Mapper(ABC):
         """
         return self._after_scan.steps(self.n_passes if passes is None else passes)
 
-    def rows_changed(self, old_rows: Int[Tensor, " N"]) -> None:  # noqa: B027
-        """Called after a rule's edit of the map; a subclass that holds copies of rows brings them
-        up to date.
-
-        Args:
-            old_rows: For each row of the map its number before the edit, -1 for new rows. [N]
-        """
-
-    @in_usual_torch
-    def seed_context(self, frame: Frame) -> SeedContext:
-        """What a seeding rule sees of this frame."""
-        return self._context(frame)
-
-    def _context(self, frame: Frame, **more: Any) -> SeedContext:
-        """A context with what every system gives a rule, and ``more`` of this one."""
-        return SeedContext(
-            frame,
-            gaussians=self.gaussians,
-            reading=MapReading(
-                boxes=self.parts.boxes,
-                params=self.params_now,
-                all_in_view=self.config.all_in_view,
-            ),
-            generator=self.random.rule,
-            config=self.config.seeding,
-            memory=self.rule_in_use.memory,
-            starts_submap=self.rule_in_use.when.starts_submap(
-                self.n_frames, stride=self.config.source_stride
-            ),
-            keyframes=tuple(self.keyframes),
-            past_T_WC=tuple(self.localiser.poses),
-            **more,
-        )
+    def seed_context(self, frame: Frame, **inputs: Any) -> SeedContext:
+        """What a seeding rule sees of this frame, with what the system gives besides: ``inputs``
+        are further arguments of ``SeedContext``."""
+        return context_of(self, frame, **inputs)
 
     def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
         """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not due
@@ -368,31 +284,7 @@ class Mapper(ABC):
             context: What the rule sees.
             checks: Further arguments of ``apply_rule``.
         """
-        when = self.rule_in_use.when
-        # may wait for a GPU
-        is_keyframe = self.is_next_keyframe(context.frame) if when.only_keyframes else None
-        if when.only_keyframes and is_keyframe is None:
-            raise ArgumentError(
-                f"the seeding rule {rule_name(self.rule)!r} is asked in keyframes only, but "
-                f"{self.description.title} chooses its keyframes after the seeding"
-            )
-        if not self.rule_is_due(is_keyframe):
-            return Seeds.empty(context.frame.depth_m)
-        try:
-            with self.rule_in_use.call_context():
-                return apply_rule(self.rule, context, self.config.seeding.options, **checks)
-        except ChangedInputError as e:
-            if not e.what.startswith("frame."):  # which is as it was
-                self.guard.half_mapped = (
-                    f"the map was changed by its seeding rule {rule_name(self.rule)!r} ({e.what})"
-                )
-            raise
-
-    def rule_is_due(self, is_keyframe: bool | None) -> bool:
-        """Whether the rule is asked in the frame that is mapped next (``MapRule.when``)."""
-        return self.rule_in_use.when.is_due(
-            self.n_frames, is_keyframe, stride=self.config.source_stride
-        )
+        return ask_rule(self, context, **checks)
 
     def is_next_keyframe(self, frame: Frame) -> bool | None:
         """Whether this frame, mapped next, becomes a keyframe; None if that depends on its
@@ -478,3 +370,15 @@ class Mapper(ABC):
         if correction is not None:
             move_map(correction, self.gaussians, self.keyframes)
             move_memory(self.rule_in_use.memory, correction.transform_of)
+
+
+def depth_behind_views(config: SystemConfig) -> Callable[[Frame | Keyframe], Tensor | None]:
+    """A function from a view to its measured depth, behind which its steps reach no rows; to None
+    where they reach all of them."""
+
+    def depth_of(view: Frame | Keyframe) -> Tensor | None:
+        if config.all_in_view:
+            return None
+        return view.farthest_m if isinstance(view, Keyframe) else view.depth_m
+
+    return depth_of

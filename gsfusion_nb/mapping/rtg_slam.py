@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelities, rtg_slam_fidelity
@@ -19,13 +19,14 @@ from ..large_maps import drawn_in_part
 from ..render import SurfaceView, view_surface
 from ..seeding import DiscInputs, SeedContext, disc_view
 from ..tracking import Correction
-from ..types import ALL_ROWS, Camera, Frame, GaussianParams, MapRows, Mesh, Seeds
+from ..types import Camera, Frame, Mesh, Seeds
 from .description import CURVES, SystemDescription
 from .disc_files import DiscFiles, disc_mesh
 from .disc_optimisation import optimise_keyframes, optimise_window
-from .disc_passes import DiscPasses
+from .disc_passes import DiscParts, DiscPasses
 from .disc_states import STATES, DiscReports, manage_states, n_stable
-from .mapper import Mapper
+from .lost_rows import remove_lost
+from .mapper import Mapper, depth_behind_views
 from .step_report import StepReport, psnr_db
 from .transaction import Undo
 
@@ -73,11 +74,11 @@ class RTGSLAM(Mapper):
     gaussians: SurfelModel
 
     def __init__(self, *args: Any, **options: Any):
+        self.disc_passes = DiscPasses(self)
+        """The optimisation of all discs after the scan."""
         super().__init__(*args, **options)
         self.camera: Camera | None = None
         self.window: deque[Frame] = deque(maxlen=self.config.window.frames)
-        self.disc_passes = DiscPasses(self)
-        """The optimisation of all discs after the scan."""
         self.transaction.protect(self._undo_of_window)
         self.transaction.protect(self.disc_passes.snapshot, self.disc_passes.end_log)
 
@@ -103,7 +104,7 @@ class RTGSLAM(Mapper):
             with self.clock("keyframes"):
                 n_steps = optimise_keyframes(self) if plan.keyframes_are_due else 0
             self.guard.may_stop()
-            self.remove_lost()
+            remove_lost(self)
             with self.clock("states"):
                 psnr_after_db, transitions = manage_states(self, frame)
             self.gaussians.clock.advance(self.n_frames + 1)
@@ -118,13 +119,11 @@ class RTGSLAM(Mapper):
             counts=state_counts(self.gaussians) | vars(transitions),
         )
 
-    def seed_context(self, frame: Frame) -> SeedContext:
+    def seed_context(self, frame: Frame, **inputs: Any) -> SeedContext:
         """What a seeding rule sees of this frame."""
-        return self._context(
-            frame,
-            system=DiscInputs(discs=self.config.discs),
-            near_m=self.config.data.depth_min_m,
-        )
+        discs = DiscInputs(discs=self.config.discs)
+        near_m = self.config.data.depth_min_m
+        return super().seed_context(frame, system=discs, near_m=near_m, **inputs)
 
     def is_next_keyframe(self, frame: Frame) -> bool:
         """Whether the camera has turned or moved far enough since the last keyframe."""
@@ -171,18 +170,8 @@ class RTGSLAM(Mapper):
         """One step on the i-th keyframe, on all pixels and all Gaussians."""
         return self.disc_passes.step(self.keyframes[i].to(self.device))
 
-    def params_now(self, rows: MapRows = ALL_ROWS) -> GaussianParams:
-        """In the passes after the scan, the discs with the steps that they missed; else those of
-        the map."""
-        return self.disc_passes.params_now(rows)
-
-    def take_missed_steps(self) -> None:
-        """In the passes after the scan: bring all discs up to date."""
-        self.disc_passes.take_missed_steps()
-
-    def rows_changed(self, old_rows: Int[Tensor, " N"]) -> None:
-        """In the passes after the scan, Adam goes on with the rows that are left."""
-        self.disc_passes.rows_changed(old_rows)
+    def _parts_of_map(self) -> DiscParts:
+        return DiscParts(self, depth_behind_views(self.config))
 
     def _undo_of_window(self) -> Undo:
         window = list(self.window)
@@ -212,7 +201,7 @@ class RTGSLAM(Mapper):
             camera,
             T_WC,
             depth_m,
-            take=self.params_now,
+            take=self.parts.params_now,
         )
 
     def mesh(self) -> Mesh:

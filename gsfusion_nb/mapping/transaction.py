@@ -11,6 +11,7 @@ from ..interrupts import DelayedInterrupt, undisturbed
 from ..seeding import copy_memory
 from .after_scan import KeyframePasses
 from .frame_guard import FrameGuard
+from .lost_rows import remove_lost
 
 Undo = Callable[[], None]
 """Brings back what was there when it was made."""
@@ -70,7 +71,7 @@ class Transaction:
         if runs_foreign_code:
             mapper.gaussians.undo_log.will_change()
         yield
-        mapper.remove_lost()
+        remove_lost(mapper)
         if not is_first:
             self.keep()
 

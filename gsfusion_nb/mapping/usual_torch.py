@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import functools
 from collections.abc import Callable, Iterator
-from typing import ParamSpec, TypeVar
+from typing import Any, ClassVar, ParamSpec, TypeVar
 
 import torch
 
@@ -43,6 +43,19 @@ def in_usual_torch(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
 
     return run
+
+
+class InUsualTorch:
+    """What a class and its subclasses offer to callers runs in ``usual_torch``: the methods that
+    ``_OFFERS`` names."""
+
+    _OFFERS: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls, **rest: Any):
+        super().__init_subclass__(**rest)
+        for name in cls._OFFERS:
+            if name in vars(cls):
+                setattr(cls, name, in_usual_torch(vars(cls)[name]))
 
 
 def changeable(frame: Frame) -> Frame:

@@ -86,7 +86,7 @@ def _write_maps(run: MappingRun, folder: Path, mesh: Mesh) -> None:
     write_rule(run, folder)
     write_json(folder / VIEWS, views_as_json(scored_views(run)))
     _write_trajectory(run, folder)
-    write_gaussian_ply(folder / "gaussians.ply", run.mapper.params_now())
+    write_gaussian_ply(folder / "gaussians.ply", run.mapper.parts.params_now())
     run.mapper.files.write_besides(folder)
     write_mesh_ply(folder / "mesh.ply", mesh)
 

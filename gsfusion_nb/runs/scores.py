@@ -36,7 +36,7 @@ def score(
     with_lpips: bool = False,
 ) -> dict[str, Any]:
     """PSNR, SSIM, LPIPS and depth error of the current map on mapped and held-out views."""
-    params = run.mapper.params_now()
+    params = run.mapper.parts.params_now()
     mapper = run.mapper
     with run.clock("view_scores"):
         draw = mapper.files.drawn_as_stored()
@@ -154,7 +154,7 @@ def score_mesh(
     scores = mesh_scores(mesh, visible_surface, generator=generator, n_samples=n_samples)
     metrics |= _named("mesh", scores)
     if run.mapper.description.gaussians_are_discs:
-        discs = run.mapper.params_now()
+        discs = run.mapper.parts.params_now()
         scores = disc_scores(discs, visible_surface, generator=generator, n_samples=n_samples)
         metrics |= _named("disc", scores)
     return metrics
@@ -177,7 +177,7 @@ def score_centres(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
     if mapper.description.gaussians_are_discs:
         return {}
     generator = torch.Generator().manual_seed(mapper.config.seed)
-    distance = centres_to_own_mesh(mapper.params_now(), mesh, generator=generator)
+    distance = centres_to_own_mesh(mapper.parts.params_now(), mesh, generator=generator)
     names = ("centres_to_own_mesh_m", "centres_to_own_mesh_m2")
     return (
         {names[0]: distance}

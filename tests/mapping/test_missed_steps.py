@@ -156,7 +156,7 @@ def test_what_is_shown_written_or_given_to_a_rule_has_the_missed_steps(
     frame = next(walk([small_room[0]], [0], 1))
     whole = make_mapper(mapper.config)
     whole._load(copy.deepcopy(before))
-    whole.take_missed_steps()
+    whole.parts.take_missed_steps()
     assert missing(whole) == 0
     for name, column in vars(finished.params).items():
         assert torch.equal(mapper.files.maps()["gaussians"][name], column)
@@ -212,10 +212,10 @@ def test_discs_have_their_missed_steps_between_two_passes(small_room):
     next(steps)
     mapper.disc_passes.optimiser.copies.clock.check()
     assert int(mapper.disc_passes.optimiser.copies.clock.steps_missed.sum()) > 0
-    now = mapper.params_now()
+    now = mapper.parts.params_now()
     stored = mapper.gaussians.params
     up_to_date = copy.deepcopy(mapper.disc_passes.optimiser)
-    up_to_date.take_missed_steps()
+    up_to_date.parts.take_missed_steps()
     assert len(up_to_date.copies) == len(stored)
     for name, column in vars(up_to_date.trained_params).items():
         assert torch.equal(getattr(now, name), column)
@@ -253,7 +253,7 @@ def test_three_places_by_view_are_those_of_the_whole_map(system, fidelity, small
         assert (min(shares) < 0.6) == (whole_below == 0)
         maps.append(mapper)
     assert len(maps[0].gaussians) == len(maps[1].gaussians)
-    whole, by_view = (mapper.params_now() for mapper in maps)
+    whole, by_view = (mapper.parts.params_now() for mapper in maps)
     # Adam makes the sign of a gradient of nearly 0 a whole step
     for name, column in vars(whole).items():
         assert float((column - getattr(by_view, name)).abs().mean()) < 1e-5, name

@@ -256,7 +256,7 @@ class MixMicroscope(PixelMicroscope):
         pixel: tuple[int, int] | None = None,
     ):
         self.surface = mapper.surface_picture(camera, T_WC)
-        splats = project_splats(mapper.params_now(), camera, T_WC)
+        splats = project_splats(mapper.parts.params_now(), camera, T_WC)
         self._open(splats, to_uint8(mapper.render(camera, T_WC).rgb), pixel)
 
     def _stack_at(self, u: int, v: int) -> PixelMix:
