@@ -215,7 +215,7 @@ def test_discs_have_their_missed_steps_between_two_passes(small_room):
     now = mapper.parts.params_now()
     stored = mapper.gaussians.params
     up_to_date = copy.deepcopy(mapper.disc_passes.optimiser)
-    up_to_date.parts.take_missed_steps()
+    up_to_date.take_missed_steps()
     assert len(up_to_date.copies) == len(stored)
     for name, column in vars(up_to_date.trained_params).items():
         assert torch.equal(getattr(now, name), column)
