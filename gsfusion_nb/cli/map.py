@@ -20,7 +20,7 @@ from .settings import SettingsOptions, layout_names, parse, recording_to_open
 
 if TYPE_CHECKING:
     from ..config import SystemConfig
-    from ..data import OpenedSequence, SequenceView
+    from ..data import FrameSubset, OpenedSequence
     from ..runs import CheckpointEvery, FinishedRun
 
 _WITH_RESUME = (
@@ -212,7 +212,7 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
     whole = TsdfVolume(settings)
     part = TsdfVolume(settings)
 
-    def view(limit: int) -> "SequenceView":
+    def view(limit: int) -> "FrameSubset":
         return dataclasses.replace(
             frames, positions=[frames.positions[i] for i in evenly(n, limit)]
         )

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..config import SystemConfig
 from ..data import OpenedSequence, open_sequence
-from ..data.adjust.selection import SequenceView
+from ..data.adjust.selection import FrameSubset
 from ..data.room import RoomSequence
 from ..errors import ArgumentError
 from ..mapping import Mapper, StepReport, make_mapper
@@ -270,7 +270,7 @@ def _questions(mapper: Mapper, n_mapped: int) -> list[str]:
     ]
 
 
-class _PrivateFrames(SequenceView):
+class _PrivateFrames(FrameSubset):
     """The frames of a run, whose images no other run has: what a rule does to them stays there."""
 
     def __getitem__(self, i: int) -> Frame:

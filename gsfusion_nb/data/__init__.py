@@ -9,8 +9,8 @@ from ..errors import SequenceError as SequenceError
 from ..errors import SequenceNotFoundError as SequenceNotFoundError
 from .adjust.repair import repaired as repaired
 from .adjust.resize import resize_frame as resize_frame
+from .adjust.selection import FrameSubset as FrameSubset
 from .adjust.selection import OpenedSequence as OpenedSequence
-from .adjust.selection import SequenceView as SequenceView
 from .adjust.selection import apply_options as apply_options
 from .frame_store import FrameStore as FrameStore
 from .open import data_files as data_files

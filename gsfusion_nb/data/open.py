@@ -19,7 +19,7 @@ from ..errors import ArgumentError, SequenceError, SequenceNotFoundError
 from ..files import UNREADABLE, file_hashes, noting_files
 from . import readers
 from .adjust.repair import RepairedSequence, as_read
-from .adjust.selection import ExtraOf, OpenedSequence, SequenceView, apply_options
+from .adjust.selection import ExtraOf, FrameSubset, OpenedSequence, apply_options
 from .recorded.files import missing
 from .recorded.recorded_sequence import Layout, RecordedSequence
 
@@ -211,14 +211,14 @@ def _pixel_hashes(source: Any, walk: Iterable[int]) -> Iterator[str]:
             yield hashlib.blake2b(pixels.tobytes()).hexdigest()
 
 
-def _pose_bytes(view: SequenceView, i: int) -> bytes:
+def _pose_bytes(view: FrameSubset, i: int) -> bytes:
     try:
         return view.pose(i).to("cpu", torch.float64).contiguous().numpy().tobytes()
     except SequenceError:
         return b"no pose"
 
 
-def _add_pixels(digest: Any, view: SequenceView, at_most: int = -1) -> None:
+def _add_pixels(digest: Any, view: FrameSubset, at_most: int = -1) -> None:
     """Add the images of the first ``at_most`` frames that can be read; of all by default."""
     for i in range(len(view)):
         try:

@@ -132,6 +132,7 @@ class AfterSteps:
         step: StepStatistics,
         view: Frame | Keyframe,
         view_step: ViewStep,
+        target_rgb: Float[Tensor, "H W 3"],
     ) -> None:
         """Let the rule edit the map, after a step was written to it.
 
@@ -141,6 +142,7 @@ class AfterSteps:
             step: From ``add_up``.
             view: What was rendered.
             view_step: Loss and picture before the step.
+            target_rgb: The image of the view.
 
         Raises:
             Exception: what the rule raises, or ``ValueError`` if its edit is not possible. The map
@@ -151,16 +153,15 @@ class AfterSteps:
         if not self.edits:
             return
         mapper.parts.take_missed_steps()  # an edit reads, copies and removes any row
+        stats = self._stats(step, view, view_step, target_rgb)
         if self._context is not None:
-            self._edit(
-                mapper, dataclasses.replace(self._context), self._stats(step, view, view_step)
-            )
+            self._edit(mapper, dataclasses.replace(self._context), stats)
             return
         ctx = mapper.seed_context(_as_frame(view))
         memory = copy_memory(ctx.memory)
         random_numbers = ctx.generator.get_state()
         try:
-            self._edit(mapper, ctx, self._stats(step, view, view_step))
+            self._edit(mapper, ctx, stats)
         except BaseException:
             ctx.memory.clear()
             ctx.memory.update(memory)
@@ -168,7 +169,11 @@ class AfterSteps:
             raise
 
     def _stats(
-        self, step: StepStatistics, view: Frame | Keyframe, view_step: ViewStep
+        self,
+        step: StepStatistics,
+        view: Frame | Keyframe,
+        view_step: ViewStep,
+        target_rgb: Float[Tensor, "H W 3"],
     ) -> StepStats:
         online = self._context is not None
         in_view = step.footprints
@@ -180,7 +185,7 @@ class AfterSteps:
             frame_index=view.index,
             camera=view.camera,
             T_WC=view.T_WC,
-            target=view.rgb,
+            target=target_rgb,
             loss=view_step.loss,
             rgb=view_step.rgb if "render" in self._needs else None,
             visible=None if in_view is None else in_view.visible,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..gaussians import fuse_with_history
@@ -36,6 +36,8 @@ class DiscStep:
 
     source: Frame | Keyframe
     """What was compared with."""
+    target_rgb: Float[Tensor, "H W 3"]
+    """Its image."""
     view_step: ViewStep
     statistics: StepStatistics
 
@@ -116,7 +118,7 @@ def optimise_keyframes(mapper: Any) -> int:
         all_in_view=mapper.config.all_in_view,
         training=mapper.training,
     )
-    views = [TrainingView.of(keyframe, _worst_pixels(mapper, keyframe)) for keyframe in keyframes]
+    views = [_worst_pixels(mapper, keyframe) for keyframe in keyframes]
     _, last_step = _take_steps(mapper, optimiser, keyframes, views, config.iterations)
     optimiser.write_back()
     edit_after(mapper, last_step)
@@ -138,13 +140,15 @@ def step_on(
     statistics = mapper.after_steps.watch(mapper.gaussians, view, len(rows))
     view_step = optimiser.step(view, statistics.outputs)
     statistics = mapper.after_steps.add_up(mapper.gaussians, statistics, view.camera, rows)
-    return DiscStep(source, view_step, statistics)
+    return DiscStep(source, view.rgb, view_step, statistics)
 
 
 def edit_after(mapper: Any, step: DiscStep | None) -> None:
     """Let the rule edit the map after the rows of its last step, if any, were written back."""
     if step is not None:
-        mapper.after_steps.edit(mapper, step.statistics, step.source, step.view_step)
+        mapper.after_steps.edit(
+            mapper, step.statistics, step.source, step.view_step, step.target_rgb
+        )
 
 
 def _take_steps(
@@ -192,8 +196,11 @@ def _rows_in_views(mapper: Any, views: Iterable[Frame | Keyframe]) -> Bool[Tenso
     return is_in_view
 
 
-def _worst_pixels(mapper: Any, keyframe: Keyframe) -> Bool[Tensor, "H W"]:
-    """The pixels with the largest colour errors, a fixed share of the image."""
-    view = mapper.surface(keyframe.camera, keyframe.T_WC, keyframe.farthest_m)
-    error = (view.rgb - keyframe.rgb).abs().mean(dim=-1)
-    return error >= error.flatten().quantile(1 - WORST_SHARE)
+def _worst_pixels(mapper: Any, keyframe: Keyframe) -> TrainingView:
+    """The view of a keyframe with the pixels of the largest colour errors, a fixed share of the
+    image."""
+    rgb = keyframe.rgb
+    surface = mapper.surface(keyframe.camera, keyframe.T_WC, keyframe.farthest_m)
+    error = (surface.rgb - rgb).abs().mean(dim=-1)
+    pixels = error >= error.flatten().quantile(1 - WORST_SHARE)
+    return TrainingView.of(keyframe, pixels, rgb)

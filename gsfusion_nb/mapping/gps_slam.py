@@ -12,7 +12,7 @@ from torch import Tensor
 from ..config import GpsSlamConfig, OptimConfig, gps_slam, gps_slam_fidelities, gps_slam_fidelity
 from ..gaussians import GaussianModel, restart_optimiser
 from ..geometry import se3
-from ..optim import Keyframe, ViewLoss, ViewStep, l1_mse_vjp, l2_mse_vjp
+from ..optim import Keyframe, TrainingView, ViewLoss, ViewStep, l1_mse_vjp, l2_mse_vjp
 from ..render import OverBaseOutput, SurfacePicture
 from ..seeding import SeedContext, SurfaceInputs
 from ..tracking import Correction
@@ -273,29 +273,35 @@ class GPSSLAM(TsdfMapping):
         """
         self.guard.may_stop()
         keyframe = view.keyframe
+        target_rgb = keyframe.rgb
         part = self.parts.in_view(keyframe, [v.keyframe for v in later_views])
         step, statistics = step_on_view(
             self,
             keyframe,
             part,
             view.render,
-            partial(loss_of_view, self.config, self.training, view),
+            partial(loss_of_view, self.config, self.training, view, target_rgb),
             writes_back=not later_views or self.after_steps.is_used,
         )
-        self.after_steps.edit(self, statistics, keyframe, step)
+        self.after_steps.edit(self, statistics, keyframe, step, target_rgb)
         return step
 
 
 def loss_of_view(
-    config: GpsSlamConfig, training: Training, view: SurfaceKeyframe, picture: OverBaseOutput
+    config: GpsSlamConfig,
+    training: Training,
+    view: SurfaceKeyframe,
+    target_rgb: Float[Tensor, "H W 3"],
+    picture: OverBaseOutput,
 ) -> tuple[ViewLoss, Tensor]:
     """L2 or L1 of the colours, or the given loss; and the MSE."""
     of_pixels = l2_mse_vjp if config.residual.loss == "l2" else l1_mse_vjp
-    pixels = of_pixels(picture.rgb, view.keyframe.rgb)
+    pixels = of_pixels(picture.rgb, target_rgb)
     if training.loss is None:
         return ViewLoss(value=pixels.value, v_rgb=pixels.v_rgb), pixels.mse
     output = picture.as_render_output(view.surface.base)
-    return training.view_loss(output, view.keyframe, with_depth=False), pixels.mse
+    target = TrainingView.of(view.keyframe, rgb=target_rgb)
+    return training.view_loss(output, target, with_depth=False), pixels.mse
 
 
 def notes_on_fidelity(config: GpsSlamConfig) -> list[str]:

@@ -18,6 +18,7 @@ from ..optim import (
     Loss,
     PictureVjp,
     Regulariser,
+    TrainingView,
     ViewLoss,
     ViewStep,
     add_penalties_,
@@ -198,17 +199,18 @@ class GSFusion(TsdfMapping):
         self.guard.may_stop()
         view = view.to(self.device)
         part = self.parts.in_view(view)
-        loss: Loss = partial(self._loss, view=view, ssim_weight=ssim_weight)
+        target_rgb = view.rgb
+        loss: Loss = partial(self._loss, view=view, target_rgb=target_rgb, ssim_weight=ssim_weight)
         fit = self.fits if fits else None
         keyframe: Any = view  # where poses and exposures are fitted
         if fit is not None:
-            loss = fit.exposed_loss(loss, self.keyframes, keyframe)
+            loss = fit.exposed_loss(loss, self.keyframes, keyframe, target_rgb)
         step, statistics = step_on_view(
             self, view, part, partial(draw, view=view), loss, self._regulariser(part)
         )
         if fit is not None:
-            fit.move(self.keyframes, keyframe)
-        self.after_steps.edit(self, statistics, view, step)
+            fit.move(self.keyframes, keyframe, target_rgb)
+        self.after_steps.edit(self, statistics, view, step, target_rgb)
         return step
 
     def _regulariser(self, part: MapPart) -> Regulariser | None:
@@ -224,20 +226,24 @@ class GSFusion(TsdfMapping):
         return lambda gradients: add_penalties_(gradients, part.params, **weights)
 
     def _loss(
-        self, picture: RenderOutput, view: Frame | Keyframe, ssim_weight: float
+        self,
+        picture: RenderOutput,
+        view: Frame | Keyframe,
+        target_rgb: Float[Tensor, "H W 3"],
+        ssim_weight: float,
     ) -> tuple[ViewLoss, Float[Tensor, ""]]:
         """L1 (Eq. 12), with D-SSIM and depth where the settings say so, or the given loss; and the
         MSE."""
-        target = view.rgb  # of a keyframe, made from bytes each time
-        pixels = l1_mse_vjp(picture.rgb, target)
+        pixels = l1_mse_vjp(picture.rgb, target_rgb)
         optim = self.config.optim
         if self.training.loss is not None:
-            return self.training.view_loss(picture, view), pixels.mse
+            target = TrainingView.of(view, rgb=target_rgb)
+            return self.training.view_loss(picture, target), pixels.mse
         loss = pixels.value
         v_rgb = pixels.v_rgb
         v_depth_m = None
         if ssim_weight > 0:
-            structural, v_structural = dssim_vjp(picture.rgb, target)
+            structural, v_structural = dssim_vjp(picture.rgb, target_rgb)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural
             v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
         if optim.depth_weight > 0 and view.depth_m is not None:

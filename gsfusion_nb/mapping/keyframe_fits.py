@@ -50,15 +50,21 @@ class KeyframeFits:
         self._picture: RenderOutput | None = None
         """The map's picture of the keyframe that is visited, with its exposure."""
 
-    def exposed_loss(self, loss: Loss, keyframes: KeyframeList, keyframe: Keyframe) -> Loss:
-        """``loss`` of the map's picture with the exposure of the keyframe; that of its next visit
-        is fitted to the map of now."""
+    def exposed_loss(
+        self,
+        loss: Loss,
+        keyframes: KeyframeList,
+        keyframe: Keyframe,
+        target_rgb: Float[Tensor, "H W 3"],
+    ) -> Loss:
+        """``loss`` of the map's picture with the exposure of the keyframe, whose image is
+        ``target_rgb``; the exposure of its next visit is fitted to the map of now."""
 
         def of_picture(output: RenderOutput) -> tuple[ViewLoss, Tensor | None]:
             if not self._optim.fit_exposure:
                 self._picture = output
                 return loss(output)
-            fitted_exposure = fit_exposure(output.rgb, keyframe.rgb, output.alpha >= SHOWN_ALPHA)
+            fitted_exposure = fit_exposure(output.rgb, target_rgb, output.alpha >= SHOWN_ALPHA)
             keyframes.set_exposure(keyframe.index, fitted_exposure)
             exposure = (
                 fitted_exposure
@@ -72,15 +78,17 @@ class KeyframeFits:
 
         return of_picture
 
-    def move(self, keyframes: KeyframeList, keyframe: Keyframe) -> None:
-        """Move a keyframe one step, by the map's picture of it that its last gradient was computed
-        from."""
+    def move(
+        self, keyframes: KeyframeList, keyframe: Keyframe, target_rgb: Float[Tensor, "H W 3"]
+    ) -> None:
+        """Move a keyframe, whose image is ``target_rgb``, one step, by the map's picture of it that
+        its last gradient was computed from."""
         picture = self._picture
         self._picture = None
         if not self._optim.refine_poses or picture is None:
             return
         row = self._localiser.frame_indices.index(keyframe.index)
-        system = pose_system(picture, keyframe.rgb, keyframe.camera)
+        system = pose_system(picture, target_rgb, keyframe.camera)
         if system.share >= LEAST_SHARE:
             T_WC = pose_step(system, keyframe.T_WC, self._localiser.given_poses[row], self._sigma)
             keyframes.set_pose(keyframe.index, T_WC)

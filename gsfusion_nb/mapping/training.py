@@ -11,7 +11,7 @@ from ..checks import check_finite, check_shape, shown
 from ..errors import ArgumentError, KindError, SequenceError
 from ..optim import TrainingView, UpdateFunction, ViewLoss
 from ..seeding import rule_fingerprint, rule_name
-from ..types import Frame, RenderOutput
+from ..types import RenderOutput
 
 LossFunction = Callable[[RenderOutput, TrainingView], ViewLoss]
 """``loss(rendered, view)``: the value for one view, and its gradient with respect to the rendered
@@ -61,13 +61,13 @@ class Training:
         return {name: rule_name(f) for name, f in self._given.items()}
 
     def view_loss(
-        self, rendered: RenderOutput, source: "Frame | Any", *, with_depth: bool = True
+        self, rendered: RenderOutput, view: TrainingView, *, with_depth: bool = True
     ) -> ViewLoss:
         """The given loss of one view.
 
         Args:
             rendered: The picture, without gradient.
-            source: The frame, keyframe or ``TrainingView``.
+            view: What it is compared with.
             with_depth: Whether the system has a gradient of its depth.
 
         Raises:
@@ -75,7 +75,6 @@ class Training:
             ValueError: the gradient is of another shape, not finite, or of a depth that has none.
         """
         assert self.loss is not None
-        view = source if isinstance(source, TrainingView) else TrainingView.of(source)
         found = self.loss(rendered, view)
         name = f"loss {self.names['loss']!r}"
         if not isinstance(found, ViewLoss):

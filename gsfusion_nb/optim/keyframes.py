@@ -50,7 +50,7 @@ class Keyframe:
 
     @property
     def rgb(self) -> Float[Tensor, "H W 3"]:
-        """Colour, 0..1."""
+        """Colour, 0..1, made from bytes at each access: a step asks once."""
         return rgb_of_bytes(self.rgb_u8)
 
     def state_dict(self) -> dict[str, Any]:
@@ -91,9 +91,16 @@ class TrainingView:
     def of(
         source: Frame | Keyframe,
         pixels: Bool[Tensor, "H W"] | None = None,
+        rgb: Float[Tensor, "H W 3"] | None = None,
     ) -> "TrainingView":
-        """The view of a frame or keyframe; all pixels by default."""
-        rgb = source.rgb  # of a keyframe, made from bytes each time
+        """The view of a frame or keyframe; all pixels by default.
+
+        Args:
+            source: The frame or keyframe.
+            pixels: Those that count.
+            rgb: ``source.rgb``, where it was asked before.
+        """
+        rgb = source.rgb if rgb is None else rgb
         depth_m = source.depth_m
         if depth_m is None:
             depth_m = torch.zeros(rgb.shape[:2], device=rgb.device)

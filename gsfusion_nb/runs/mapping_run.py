@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from ..data import (
+    FrameSubset,
     OpenedSequence,
     RecordedSequence,
     SequenceError,
-    SequenceView,
     data_files,
 )
 from ..data.stream import read_ahead
@@ -258,7 +258,7 @@ class MappingRun:
             view, start=self.next_position, depth=READ_AHEAD if _is_on_disk(view) else 0
         )
 
-    def mapped_views(self, limit: int) -> SequenceView:
+    def mapped_views(self, limit: int) -> FrameSubset:
         """At most ``limit`` of the frames mapped so far, evenly spread; 0 means all."""
         mapping = self.sequence.mapping
         n = self.next_position
@@ -266,7 +266,7 @@ class MappingRun:
             mapping, positions=[mapping.positions[i] for i in evenly(n, limit)]
         )
 
-    def covering_views(self, least: int) -> SequenceView:
+    def covering_views(self, least: int) -> FrameSubset:
         """At least this many mapped frames, evenly spread, and those where the camera has moved by
         1 m or turned by 30 degrees since the last one, so that neighbours overlap on any walk."""
         localiser = self.mapper.localiser
@@ -372,7 +372,7 @@ class MappingRun:
         return f"none of the {n} frames could be mapped, the first because {reason}"
 
 
-def has_poses(view: SequenceView) -> bool:
+def has_poses(view: FrameSubset) -> bool:
     """Whether the data came with poses."""
     return getattr(view.source, "has_poses", True)
 
@@ -385,7 +385,7 @@ def evenly(n: int, limit: int) -> list[int]:
     return [round(i * (n - 1) / max(limit - 1, 1)) for i in range(limit)]
 
 
-def _is_on_disk(view: SequenceView) -> bool:
+def _is_on_disk(view: FrameSubset) -> bool:
     """Whether the frames are decoded from files, even if they are changed afterwards."""
     source: Any = view
     while not isinstance(source, RecordedSequence) and hasattr(source, "source"):

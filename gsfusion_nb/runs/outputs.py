@@ -25,7 +25,7 @@ from .map_hashes import map_hashes
 from .mapping_run import MappingRun, evenly
 from .poses_in_map import frames_in_map
 from .ran_on import ran_on
-from .report import ReportData, ReportView, write_report
+from .report import ReportData, ReportPanel, write_report
 from .run_folder import METRICS, RULE
 from .scored_views import VIEWS, scored_views, views_as_json
 
@@ -181,7 +181,7 @@ def _strict(value: Any) -> Any:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def report_views(run: MappingRun) -> list[ReportView]:
+def report_views(run: MappingRun) -> list[ReportPanel]:
     """A few held-out and mapped views: input image and render."""
     panels = []
     map_views = run.mapped_views(1000)
@@ -194,7 +194,7 @@ def report_views(run: MappingRun) -> list[ReportView]:
         for frame in frames:
             output = run.mapper.render(frame.camera, frame.T_WC)
             panels.append(
-                ReportView.of(
+                ReportPanel.of(
                     frame, output, held_out=held_out, cells=run.mapper.files.quadtree_cells(frame)
                 )
             )

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..data import SequenceView
+from ..data import FrameSubset
 from ..data.adjust.repair import as_read
 from ..errors import SequenceError
 from ..geometry import se3
@@ -16,7 +16,7 @@ from ..types import Frame
 from .mapping_run import has_poses
 
 
-def readable_frames(view: SequenceView) -> Iterator[Frame]:
+def readable_frames(view: FrameSubset) -> Iterator[Frame]:
     """The frames of a view, without those that cannot be read (the run's warnings name them)."""
     for i in range(len(view)):
         try:
@@ -26,7 +26,7 @@ def readable_frames(view: SequenceView) -> Iterator[Frame]:
 
 
 def poses_in_map(
-    view: SequenceView, localiser: Localiser, mapping: SequenceView
+    view: FrameSubset, localiser: Localiser, mapping: FrameSubset
 ) -> list[Float[Tensor, "4 4"] | None]:
     """The camera-to-world pose in the map of each frame of a view, or ``None``; no images are read.
 
@@ -63,16 +63,14 @@ def poses_in_map(
     return poses
 
 
-def frames_in_map(
-    view: SequenceView, localiser: Localiser, mapping: SequenceView
-) -> Iterator[Frame]:
+def frames_in_map(view: FrameSubset, localiser: Localiser, mapping: FrameSubset) -> Iterator[Frame]:
     """The readable frames of a view with their ``poses_in_map``; frames without one are left
     out."""
     yield from frames_at(view, poses_in_map(view, localiser, mapping))
 
 
 def frames_at(
-    view: SequenceView,
+    view: FrameSubset,
     poses: list[Float[Tensor, "4 4"] | None],
 ) -> Iterator[Frame]:
     """The readable frames of a view with other poses, one per frame; frames with ``None`` are left
@@ -86,7 +84,7 @@ def frames_at(
         yield dataclasses.replace(frame, T_WC=poses[i])
 
 
-def _data_pose(view: SequenceView, i: int) -> Float[Tensor, "4 4"] | None:
+def _data_pose(view: FrameSubset, i: int) -> Float[Tensor, "4 4"] | None:
     """Pose of frame ``i`` of a view in the data; ``None`` if it cannot be used."""
     try:
         return view.pose(i)
@@ -94,9 +92,7 @@ def _data_pose(view: SequenceView, i: int) -> Float[Tensor, "4 4"] | None:
         return None
 
 
-def ground_truth_poses(
-    localiser: Localiser, mapping: SequenceView
-) -> Float[Tensor, "N 4 4"] | None:
+def ground_truth_poses(localiser: Localiser, mapping: FrameSubset) -> Float[Tensor, "N 4 4"] | None:
     """The true poses of the mapped frames where the source knows them (``true_pose``), otherwise
     those of the data; ``None`` if one is missing."""
     source = as_read(mapping.source)

@@ -38,7 +38,7 @@ HEADLINE = (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ReportView:
+class ReportPanel:
     """One view: input image and render."""
 
     name: str
@@ -64,10 +64,10 @@ class ReportView:
         *,
         held_out: bool,
         cells: Any = None,
-    ) -> "ReportView":
+    ) -> "ReportPanel":
         """A frame and the render of its view, with their scores."""
         view = view.to(frame.rgb.device)
-        return ReportView(
+        return ReportPanel(
             name=f"Frame {frame.index}",
             held_out=held_out,
             rgb=frame.rgb,
@@ -98,7 +98,7 @@ class ReportData:
     """Names of those counts of each frame that add up to its Gaussians."""
     global_losses: Sequence[float | int] = ()
     """Mean loss of each pass of the global optimisation."""
-    views: Sequence[ReportView] = ()
+    views: Sequence[ReportPanel] = ()
     mesh_pictures: Mapping[str, AnyImage] = field(default_factory=dict)
     """Caption -> picture of the mesh."""
     warnings: Sequence[str] = ()
@@ -155,7 +155,7 @@ def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     return boxes
 
 
-def _views(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
+def _views(panels: Sequence[ReportPanel]) -> list[dict[str, Any]]:
     """Input, render and error of each view, and the same for depth; held-out views come first."""
     views = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):
@@ -171,7 +171,7 @@ def _views(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
     return views
 
 
-def _pictures(panel: ReportView) -> list[dict[str, Any]]:
+def _pictures(panel: ReportPanel) -> list[dict[str, Any]]:
     depth_m = panel.depth_m
     render_depth_m = panel.render_depth_m
     near_m, far_m = pictures.depth_range_m(depth_m, render_depth_m)
@@ -208,7 +208,7 @@ def _pictures(panel: ReportView) -> list[dict[str, Any]]:
     ]
 
 
-def _quadtrees(panels: Sequence[ReportView]) -> list[dict[str, Any]]:
+def _quadtrees(panels: Sequence[ReportPanel]) -> list[dict[str, Any]]:
     """The input of each view that has quadtree cells, with the cells drawn over it."""
     trees = []
     for panel in sorted(panels, key=lambda panel: not panel.held_out):

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose, check_saved, check_whole
-from ..data import SequenceView
+from ..data import FrameSubset
 from ..errors import ArgumentError, SequenceError, reason_of
 from ..evaluation import ImageScores, score_view
 from ..files import read_object
@@ -51,10 +51,10 @@ class ScoredViews:
             self.exposures,
         )
 
-    def frames(self, sequence: SequenceView) -> Iterator[Frame]:
+    def frames(self, sequence: FrameSubset) -> Iterator[Frame]:
         """The readable frames with their poses in the map; size and depth limits are those of
         ``sequence``."""
-        view = SequenceView(
+        view = FrameSubset(
             source=sequence.source,
             positions=self.positions,
             camera=sequence.camera,
@@ -64,9 +64,7 @@ class ScoredViews:
         )
         yield from frames_at(view, list(self.poses))
 
-    def scores(
-        self, draw: Draw, sequence: SequenceView, *, with_lpips: bool = False
-    ) -> ImageScores:
+    def scores(self, draw: Draw, sequence: FrameSubset, *, with_lpips: bool = False) -> ImageScores:
         """The scores of the readable frames; what ``draw`` renders is shown with the exposure of
         each view."""
         return ImageScores(
@@ -131,7 +129,7 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
 
 
 def _localised(
-    run: MappingRun, view: SequenceView, poses: list[Float[Tensor, "4 4"] | None]
+    run: MappingRun, view: FrameSubset, poses: list[Float[Tensor, "4 4"] | None]
 ) -> list[Float[Tensor, "4 4"] | None]:
     """The poses of held-out views, and where the map was tracked of those without one: aligned with
     the map as it is.
@@ -201,7 +199,7 @@ def _exposures_between(
 def score_in_map(
     render: Draw,
     views: dict[str, ScoredViews],
-    sequence: SequenceView,
+    sequence: FrameSubset,
     suffix: str = "",
     *,
     with_lpips: bool = False,

@@ -10,7 +10,7 @@ from ..drawing.page import ColourBar, fill, page_graph, page_picture
 from ..evaluation.metrics import NBSP, format_metric
 from ..files import write_file
 from . import outputs
-from .report import ReportView
+from .report import ReportPanel
 
 if TYPE_CHECKING:
     from .driver import FinishedRun
@@ -90,7 +90,7 @@ def numbers_of(runs: Sequence["FinishedRun"]) -> list[list[str]]:
 
 
 def _views(
-    of_runs: Sequence[Sequence[ReportView]],
+    of_runs: Sequence[Sequence[ReportPanel]],
     names: Sequence[str],
 ) -> list[dict[str, Any]]:
     """Each view that all runs held out: what was recorded, and of each run the picture and the

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..data import BadFrameError, OpenedSequence, Sequence, SequenceError, SequenceView
+from ..data import BadFrameError, FrameSubset, OpenedSequence, Sequence, SequenceError
 from ..data.stream import BackgroundFrames, Policy, SelectedFrames
 from ..mapping import Mapper
 from ..mapping.after_scan import KeyframePasses
@@ -141,11 +141,11 @@ class StreamRun(MappingRun):
         corrected so far."""
         return self.mapper.localiser.poses[self._n_earlier :]
 
-    def covering_views(self, least: int) -> SequenceView:
+    def covering_views(self, least: int) -> FrameSubset:
         """The frames that were kept, at most ``least``."""
         return self.mapped_views(least)
 
-    def mapped_views(self, limit: int) -> SequenceView:
+    def mapped_views(self, limit: int) -> FrameSubset:
         """At most ``limit`` of the kept mapped frames, evenly spread."""
         indices = [frame.index for frame in self.kept.kept_mapped.items]
         return self.kept.view(indices[:: -(-len(indices) // limit)] if indices else [])
@@ -260,9 +260,9 @@ class KeptFrames:
         """Record a held-out frame: it is not mapped, so that the map can be scored with it."""
         self.kept_held_out.add(frame)
 
-    def view(self, positions: list[int]) -> SequenceView:
+    def view(self, positions: list[int]) -> FrameSubset:
         """The frames with these indices."""
-        return SequenceView(source=self, positions=positions, camera=self.camera)
+        return FrameSubset(source=self, positions=positions, camera=self.camera)
 
     def state_dict(self) -> dict[str, Any]:
         """All kept frames and poses, as tensors and plain values."""

@@ -28,7 +28,7 @@ LOOKS_BACK = 40
 drawn."""
 
 
-class LiveView(LiveOutput):
+class LivePictures(LiveOutput):
     """Buttons, pictures with a slider that goes back, and curves of work that is done step by step
     in a thread.
 
@@ -181,7 +181,7 @@ class LiveView(LiveOutput):
             self.error.value = error_html(self.player.error)
 
 
-class LiveLoop(LiveView):
+class LiveLoop(LivePictures):
     """Runs an iterator step by step in its own thread, controlled by buttons; other cells can run
     meanwhile.
 
@@ -236,7 +236,7 @@ class LiveLoop(LiveView):
         ]
 
 
-class LiveMapper(LiveView):
+class LiveMapper(LivePictures):
     """Runs the online part of a ``MappingRun`` frame by frame in its own thread; other cells can
     run meanwhile.
 

@@ -41,7 +41,7 @@ _CHUNK = 256
 _ALL_ROWS = np.empty(0, np.bool_)
 
 
-class View(NamedTuple):
+class PosedCamera(NamedTuple):
     """The camera and its pose, float32."""
 
     R_WC: np.ndarray
@@ -125,9 +125,11 @@ def _arrays(params: GaussianParams) -> list[np.ndarray]:
     return [t.detach().contiguous().numpy() for t in (params.xyz_W, params.log_scale, params.quat)]
 
 
-def _view(camera: Camera, T_WC: Tensor) -> View:
+def _view(camera: Camera, T_WC: Tensor) -> PosedCamera:
     T = T_WC.detach().float().numpy()
-    return View(R_WC=T[:3, :3].copy(), centre_W=T[:3, 3].copy(), **lens_of(camera, f32)._asdict())
+    return PosedCamera(
+        R_WC=T[:3, :3].copy(), centre_W=T[:3, 3].copy(), **lens_of(camera, f32)._asdict()
+    )
 
 
 def _offset(max_offset: float | None) -> np.float32:

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from gsfusion_nb.data import FrameStore, SequenceView, apply_options
+from gsfusion_nb.data import FrameStore, FrameSubset, apply_options
 from gsfusion_nb.types import Frame
 
 FRAME_BYTES = 80 * 60 * (3 + 4)
@@ -38,9 +38,9 @@ def counted(small_room) -> Counted:
 
 def view(
     counted: Counted, store: FrameStore | None, positions: list[int] | None = None
-) -> SequenceView:
+) -> FrameSubset:
     positions = list(range(6)) if positions is None else positions
-    return SequenceView(source=counted, positions=positions, camera=counted.camera, kept=store)
+    return FrameSubset(source=counted, positions=positions, camera=counted.camera, kept=store)
 
 
 def test_a_frame_that_is_kept_is_the_frame_that_was_read(counted):

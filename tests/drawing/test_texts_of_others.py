@@ -16,7 +16,7 @@ from gsfusion_nb.compare.run_all import ResultStore
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.drawing.page import html_table, page_picture
 from gsfusion_nb.recordings.checkup import CheckupReport, Finding
-from gsfusion_nb.runs import ReportData, ReportView, write_report
+from gsfusion_nb.runs import ReportData, ReportPanel, write_report
 from gsfusion_nb.viz.player import error_html
 
 PACKAGE = Path(gsfusion_nb.__file__).parent
@@ -69,7 +69,7 @@ def picture():
 
 
 def test_the_report(tmp_path):
-    view = ReportView(
+    view = ReportPanel(
         name=EVIL,
         held_out=True,
         rgb=picture(),

@@ -12,7 +12,7 @@ from gsfusion_nb.config import gps_slam, replace
 from gsfusion_nb.evaluation import NotComputed
 from gsfusion_nb.evaluation.metrics import format_metric
 from gsfusion_nb.mapping import StepReport
-from gsfusion_nb.runs import ReportData, ReportView, run_mapping, write_report
+from gsfusion_nb.runs import ReportData, ReportPanel, run_mapping, write_report
 from gsfusion_nb.runs.side_by_side import write_side_by_side
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
@@ -83,7 +83,7 @@ def panel(generator, held_out=False, **changes):
         "psnr": 21.5,
         "ssim": 0.71,
     }
-    return ReportView(**{**values, **changes})
+    return ReportPanel(**{**values, **changes})
 
 
 def row(index, **changes):
@@ -224,7 +224,7 @@ def test_panel_of_a_frame_scores_the_render(generator):
     view = RenderOutput(
         rgb=rgb, depth_m=depth * 0.8, alpha=depth * 0.8, first_index=index, dominant_index=index
     )
-    made = ReportView.of(frame, view, held_out=True)
+    made = ReportPanel.of(frame, view, held_out=True)
     assert (made.name, made.psnr, made.ssim) == ("Frame 12", math.inf, 1.0)
     assert torch.allclose(made.render_depth_m, depth)
 

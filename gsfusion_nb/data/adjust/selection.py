@@ -26,7 +26,7 @@ ExtraOf = Callable[[Frame], Mapping[str, Any]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class SequenceView:
+class FrameSubset:
     """Some frames of a sequence, resized and with depth limits (a ``Sequence``). Frames keep the
     source's index."""
 
@@ -87,13 +87,13 @@ class SequenceView:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class OpenedSequence(SequenceView):
+class OpenedSequence(FrameSubset):
     """All selected frames of a sequence (itself a ``Sequence``), split into those to map and those
     held out."""
 
-    mapping: SequenceView
+    mapping: FrameSubset
     """Frames to map."""
-    held_out: SequenceView
+    held_out: FrameSubset
     """Frames never mapped, for novel-view evaluation; may be empty."""
 
     def keeping(self, store: FrameStore) -> "OpenedSequence":
@@ -156,8 +156,8 @@ def apply_options(
         )
     camera = resized_camera(source.camera, data.width, data.height)
 
-    def view(positions: list[int]) -> SequenceView:
-        return SequenceView(
+    def view(positions: list[int]) -> FrameSubset:
+        return FrameSubset(
             source=source,
             positions=positions,
             camera=camera,
@@ -168,7 +168,7 @@ def apply_options(
 
     everything = view(selection + novel)
     return OpenedSequence(
-        **{f.name: getattr(everything, f.name) for f in dataclasses.fields(SequenceView)},
+        **{f.name: getattr(everything, f.name) for f in dataclasses.fields(FrameSubset)},
         mapping=view(map_positions),
         held_out=view(held_positions + novel),
     )

@@ -167,7 +167,7 @@ def _rounded_edges(box: Box, charts: ndarray) -> list[CurvedPatch]:
 _NEAR_M = 0.02
 
 
-class RoomView:
+class CameraPatches:
     """The patches in the frame of one camera: linear forms in (x, y, 1)."""
 
     def __init__(
@@ -232,7 +232,7 @@ class RoomView:
         return np.clip(low_high, 0, size).astype(np.int64)
 
 
-def cast(view: RoomView) -> tuple[ndarray, ndarray]:
+def cast(view: CameraPatches) -> tuple[ndarray, ndarray]:
     """Inverse z-depth of the first patch that each pixel centre's ray meets (1/metres, 0 if there
     is none, [H, W] float32), and its number (flat ones first, -1 if there is none, [H, W]
     int32)."""
@@ -243,7 +243,7 @@ def cast(view: RoomView) -> tuple[ndarray, ndarray]:
     return w, patch
 
 
-def _cast_flat(view: RoomView, w: ndarray, patch: ndarray) -> None:
+def _cast_flat(view: CameraPatches, w: ndarray, patch: ndarray) -> None:
     flat = view.flat
     right = flat.right * flat.half_w[:, None]
     up = flat.up * flat.half_h[:, None]
@@ -280,7 +280,7 @@ def _cast_flat(view: RoomView, w: ndarray, patch: ndarray) -> None:
 
 
 def _row_intervals(
-    view: RoomView,
+    view: CameraPatches,
     i: int | np.intp,
     y: ndarray,
 ) -> tuple[ndarray, ndarray]:
@@ -321,7 +321,7 @@ def _row_intervals(
 
 
 def _inside_disc(
-    view: RoomView,
+    view: CameraPatches,
     i: int | np.intp,
     x: ndarray,
     y: ndarray,
@@ -339,7 +339,7 @@ _BOX_CORNERS = np.array(
 )
 
 
-def _cast_curved(view: RoomView, w: ndarray, patch: ndarray) -> None:
+def _cast_curved(view: CameraPatches, w: ndarray, patch: ndarray) -> None:
     first = len(view.flat.chart)
     shapes = [piece.shape for piece in view.curved]
     corners = np.stack([shape.t + (_BOX_CORNERS * shape.extent) @ shape.R.T for shape in shapes])

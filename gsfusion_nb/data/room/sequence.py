@@ -346,7 +346,7 @@ def render_room(
     """
     check_pose("T_WC", T_WC)
     scene = load_scene(seed, cache)
-    view = raycast.RoomView(
+    view = raycast.CameraPatches(
         scene.flat,
         scene.curved,
         camera,

@@ -9,7 +9,7 @@ import numpy as np
 from numpy import ndarray
 
 from .atlas import LEVELS, level_offsets, texels
-from .raycast import RoomView
+from .raycast import CameraPatches
 from .scene import Scene
 
 _POINTS = np.array(
@@ -23,7 +23,7 @@ _DITHER = np.array([0.125, 0.625, 0.875, 0.375], np.float32)
 levels."""
 
 
-def colour(scene: Scene, view: RoomView, inverse_depth: ndarray, patches: ndarray) -> ndarray:
+def colour(scene: Scene, view: CameraPatches, inverse_depth: ndarray, patches: ndarray) -> ndarray:
     """sRGB image, 0..1, of what ``cast`` found. [H, W, 3] float32"""
     H, W = patches.shape
     lookup = _TextureLookup(scene, view)
@@ -46,7 +46,7 @@ def colour(scene: Scene, view: RoomView, inverse_depth: ndarray, patches: ndarra
 class _TextureLookup:
     """Tables of one view, one row per patch, and the lookups that use them."""
 
-    def __init__(self, scene: Scene, view: RoomView):
+    def __init__(self, scene: Scene, view: CameraPatches):
         self.view = view
         self.scene = scene
         flat = view.flat
@@ -237,7 +237,7 @@ def _edge_colour(
 
 
 def _inverse_depth(
-    lookup: _TextureLookup, view: RoomView, patch: ndarray, x: ndarray, y: ndarray
+    lookup: _TextureLookup, view: CameraPatches, patch: ndarray, x: ndarray, y: ndarray
 ) -> ndarray:
     """Inverse depth of rays [N, 4] on given patches [N]; -1 where they miss."""
     row = np.minimum(patch, lookup.n_flat - 1)
