@@ -13,7 +13,7 @@ from ..data import frame_fingerprints, sequence_fingerprint
 from ..drawing.pictures import encode_png
 from ..errors import SequenceError
 from ..evaluation import NotComputed, frame_rates
-from ..evaluation.image import lpips_unavailable
+from ..evaluation.learned_distance import lpips_unavailable
 from ..files import write_file
 from ..gaussians import PLY_BYTES
 from ..runs import MappingRun

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..gaussians import surfels
+from ..gaussians import surfel_states
 from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 STABLE_CONFIDENCE = 100
@@ -44,10 +44,10 @@ def _any_errors(stable: bool, eta: int, errors: int, age: int) -> str:
 
 
 _CODES = {
-    STAYS: surfels.STAYS,
-    BECOMES_STABLE: surfels.BECOMES_STABLE,
-    BECOMES_UNSTABLE: surfels.BECOMES_UNSTABLE,
-    DELETED: surfels.DELETED,
+    STAYS: surfel_states.STAYS,
+    BECOMES_STABLE: surfel_states.BECOMES_STABLE,
+    BECOMES_UNSTABLE: surfel_states.BECOMES_UNSTABLE,
+    DELETED: surfel_states.DELETED,
 }
 
 

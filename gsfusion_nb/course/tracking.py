@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from ..geometry import se3
-from ..tracking.icp import IcpSystem, Step
+from ..tracking.icp_step import Step
+from ..tracking.icp_system import IcpSystem
 from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from ..config import TsdfConfig
-from ..tsdf import octree, tsdf_update
+from ..tsdf import morton, tsdf_update
 from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 
@@ -349,7 +349,7 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
             numbers[xyz] = int(yours(*xyz, gives={"the code": one}))
         return numbers[xyz]
 
-    rows = (coords.long() + octree.OFFSET).tolist()
+    rows = (coords.long() + morton.OFFSET).tolist()
     codes = [
         sum(ten_bits(*(c >> shift & 1023 for c in row)) << 3 * shift for shift in (0, 10, 20))
         for row in rows
@@ -363,7 +363,7 @@ def _as_interleave(yours: Yours, coords: Tensor) -> Tensor:
     minutes=15,
     solution=_morton,
     becomes=Becomes("interleave", _as_interleave),
-    replaces=(octree.encode, octree.interleave),
+    replaces=(morton.encode, morton.interleave),
     hints=(
         "Bit i of x is (x >> i) & 1. Where must it go?",
         "Bit i of x becomes bit 3 i, of y bit 3 i + 1, of z bit 3 i + 2; collect them with |.",
@@ -388,12 +388,12 @@ def morton_code(attempt: Attempt) -> None:
         code = int(attempt(*coords))
         parent = int(attempt(*(c // 2 for c in coords)))
         attempt.close(code >> 3, parent, "the parent's code is code >> 3")
-        origin = int(octree.encode(torch.zeros(1, 3, dtype=torch.int64)))
-        library = int(octree.encode(torch.tensor([coords]))) - origin
+        origin = int(morton.encode(torch.zeros(1, 3, dtype=torch.int64)))
+        library = int(morton.encode(torch.tensor([coords]))) - origin
         attempt.close(
             code,
             library,
-            "it agrees with gsfusion_nb.tsdf.octree.encode, minus the code of the origin",
+            "it agrees with gsfusion_nb.tsdf.morton.encode, minus the code of the origin",
         )
 
 

@@ -1,16 +1,10 @@
 """Scores of a map: images, geometry and trajectory."""
 
-from .image import ImageScores as ImageScores
-from .image import ViewScores as ViewScores
-from .image import depth_l1_m as depth_l1_m
-from .image import expected_depth_m as expected_depth_m
-from .image import lpips as lpips
-from .image import lpips_as_released as lpips_as_released
 from .image import psnr as psnr
-from .image import score_view as score_view
-from .image import score_views as score_views
 from .image import ssim as ssim
 from .image import ssim_as_released as ssim_as_released
+from .learned_distance import lpips as lpips
+from .learned_distance import lpips_as_released as lpips_as_released
 from .metrics import ONLINE as ONLINE
 from .metrics import NotComputed as NotComputed
 from .metrics import format_metric as format_metric
@@ -28,3 +22,9 @@ from .trajectory import align_umeyama as align_umeyama
 from .trajectory import ate_rmse as ate_rmse
 from .trajectory import rpe as rpe
 from .trajectory import trajectory_scores as trajectory_scores
+from .view_scores import ImageScores as ImageScores
+from .view_scores import ViewScores as ViewScores
+from .view_scores import depth_l1_m as depth_l1_m
+from .view_scores import expected_depth_m as expected_depth_m
+from .view_scores import score_view as score_view
+from .view_scores import score_views as score_views

@@ -12,8 +12,9 @@ from ..checks import check_shape
 from ..errors import ArgumentError
 from ..geometry.spherical_harmonics import SH_C0, rgb_to_sh_dc
 from ..types import GaussianParams, MapRows, Seeds
+from .apply_edit import apply_edit
 from .columns import PARAMETERS, GaussianColumns, Layout, OptionalColumns
-from .edit import Edit, apply_edit
+from .edit import Edit
 from .moments import MOMENTS, Moments
 from .step_clock import StepClock, StepCount
 from .undo_log import UndoLog

@@ -10,7 +10,7 @@ import torch
 from ..backends import runs_learners_code
 from ..config import RtgSlamConfig
 from ..gaussians import Transitions
-from ..gaussians.surfels import change_states, count_errors, count_views, state_counts
+from ..gaussians.surfel_states import change_states, count_errors, count_views, state_counts
 from ..types import Frame
 from .map_reports import MapReports
 from .step_report import StepReport, psnr_db

@@ -13,13 +13,8 @@ from ..gaussians import GaussianModel
 from ..gaussians.rigid_motion import move_map_
 from ..geometry import se3
 from ..optim import Keyframe, KeyframeList, Loss, ViewLoss
-from ..optim.fit_view import (
-    apply_exposure,
-    apply_exposure_vjp,
-    fit_exposure,
-    pose_step,
-    pose_system,
-)
+from ..optim.exposure import apply_exposure, apply_exposure_vjp, fit_exposure
+from ..optim.pose_system import pose_step, pose_system
 from ..render.constants import SHOWN_ALPHA
 from ..types import RenderOutput
 from .localiser import Localiser, between

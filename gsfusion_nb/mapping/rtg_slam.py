@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ..config import RtgSlamConfig, rtg_slam, rtg_slam_fidelities, rtg_slam_fidelity
 from ..gaussians import SurfelModel
-from ..gaussians.surfels import state_counts
+from ..gaussians.surfel_states import state_counts
 from ..geometry import se3
 from ..large_maps import drawn_in_part
 from ..render import SurfaceView, view_surface

@@ -6,12 +6,8 @@ from .composite import CompositeOutput as CompositeOutput
 from .composite import composite as composite
 from .composite import composite_vjp as composite_vjp
 from .disc import DiscDepth as DiscDepth
-from .disc import SurfaceView as SurfaceView
-from .disc import blended_depth_m as blended_depth_m
 from .disc import disc_depth as disc_depth
 from .disc import disc_depth_vjp as disc_depth_vjp
-from .disc import surface_depth_m as surface_depth_m
-from .disc import view_surface as view_surface
 from .on_screen import Footprints as Footprints
 from .on_screen import ScreenGaussians as ScreenGaussians
 from .on_screen import TileBlend as TileBlend
@@ -35,5 +31,9 @@ from .rasterize import render_forward as render_forward
 from .rasterize import render_vjp as render_vjp
 from .surface_picture import SurfacePicture as SurfacePicture
 from .surface_picture import surface_picture as surface_picture
+from .surface_view import SurfaceView as SurfaceView
+from .surface_view import blended_depth_m as blended_depth_m
+from .surface_view import surface_depth_m as surface_depth_m
+from .surface_view import view_surface as view_surface
 from .tiles import TileLists as TileLists
 from .tiles import tile_intersections as tile_intersections

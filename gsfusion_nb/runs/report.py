@@ -13,7 +13,7 @@ from torch import Tensor
 from ..drawing import pictures
 from ..drawing.page import PICTURE_WIDTH, ColourBar, PageGraph, fill, page_graph, page_picture
 from ..drawing.pictures import AnyImage
-from ..evaluation.image import expected_depth_m, psnr, ssim
+from ..evaluation.image import psnr, ssim
 from ..evaluation.metrics import (
     METRIC_GROUPS,
     METRICS,
@@ -22,6 +22,7 @@ from ..evaluation.metrics import (
     format_value,
     reason_missing,
 )
+from ..evaluation.view_scores import expected_depth_m
 from ..files import write_file
 from ..mapping.step_report import StepReport
 from ..types import Frame, RenderOutput

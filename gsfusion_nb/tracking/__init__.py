@@ -1,7 +1,6 @@
 """Camera tracking: frame-to-model ICP, relocalisation, and the back end that closes loops."""
 
 from .back_end import BackEnd as BackEnd
-from .back_end import Correction as Correction
 from .back_end import moved_enough as moved_enough
 from .brightness import BrightnessSystem as BrightnessSystem
 from .brightness import Pictures as Pictures
@@ -9,16 +8,17 @@ from .brightness import brightness_levels as brightness_levels
 from .brightness import brightness_rows as brightness_rows
 from .brightness import brightness_system as brightness_system
 from .brightness import picture_of as picture_of
+from .correction import Correction as Correction
 from .features import Features as Features
 from .features import extract_features as extract_features
 from .icp import IcpResult as IcpResult
-from .icp import IcpSystem as IcpSystem
 from .icp import align as align
-from .icp import associate as associate
-from .icp import depth_weight as depth_weight
 from .icp import icp as icp
-from .icp import icp_system as icp_system
-from .icp import point_to_plane as point_to_plane
+from .icp_system import IcpSystem as IcpSystem
+from .icp_system import associate as associate
+from .icp_system import depth_weight as depth_weight
+from .icp_system import icp_system as icp_system
+from .icp_system import point_to_plane as point_to_plane
 from .keyframe_database import KeyframeDatabase as KeyframeDatabase
 from .landmark_map import LandmarkMap as LandmarkMap
 from .landmark_map import Sighting as Sighting

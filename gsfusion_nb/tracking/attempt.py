@@ -13,7 +13,8 @@ from ..config import TrackingConfig
 from ..geometry import se3, sum_rows
 from ..types import Frame
 from .brightness import Pictures, brightness_levels
-from .icp import ExtraRows, IcpResult, align, icp_system
+from .icp import ExtraRows, IcpResult, align
+from .icp_system import icp_system
 from .surface import DepthLevel, Surface, SurfaceSource, depth_pyramid, smooth_normals
 
 WIDE_DISTANCE = 3.0

@@ -14,7 +14,8 @@ from ..errors import ArgumentError
 from ..geometry.operands import check_operand
 from .block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK, BlockPool
 from .cells import cell_corners, corner_weights
-from .octree import BlockIndex, NewBlocks, encode
+from .morton import encode
+from .octree import BlockIndex, NewBlocks
 from .voxels import block_of
 
 

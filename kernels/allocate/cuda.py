@@ -11,7 +11,7 @@ from torch import Tensor
 from gsfusion_nb import tsdf
 from gsfusion_nb.tsdf import NewBlocks, TsdfVolume
 from gsfusion_nb.tsdf.allocate import OUTLIER_RATIO
-from gsfusion_nb.tsdf.octree import BITS, OFFSET
+from gsfusion_nb.tsdf.morton import BITS, OFFSET
 from gsfusion_nb.types import Frame
 
 from ..runtime.arguments import check_dtype, packed, parts

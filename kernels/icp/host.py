@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from gsfusion_nb.tracking.icp import IcpSystem
+from gsfusion_nb.tracking.icp_system import IcpSystem
 from gsfusion_nb.tracking.surface import DepthLevel, Surface
 
 H_ROWS = H_0, H_1, H_2, H_3, H_4, H_5 = 0, 6, 11, 15, 18, 20

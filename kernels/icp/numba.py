@@ -15,8 +15,8 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.tracking.icp import IcpSystem
-from gsfusion_nb.tracking.icp import icp_system as reference
+from gsfusion_nb.tracking.icp_system import IcpSystem
+from gsfusion_nb.tracking.icp_system import icp_system as reference
 from gsfusion_nb.tracking.surface import DepthLevel, Surface
 
 from ..runtime.arguments import lens_of

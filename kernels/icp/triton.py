@@ -14,8 +14,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.tracking.icp import IcpSystem
-from gsfusion_nb.tracking.icp import icp_system as reference
+from gsfusion_nb.tracking.icp_system import IcpSystem
+from gsfusion_nb.tracking.icp_system import icp_system as reference
 from gsfusion_nb.tracking.surface import DepthLevel, Surface, about_the_surface
 
 from ..runtime.arguments import lens_of

@@ -21,14 +21,14 @@ from numba import int32, njit, prange, uint32, uint64
 
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tsdf.block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK
-from gsfusion_nb.tsdf.integrate import (
+from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
+from gsfusion_nb.tsdf.volume import TsdfVolume
+from gsfusion_nb.tsdf.voxel_update import (
     INT16_ONE,
     LEAST_COLOUR_WEIGHT,
     LITTLE_COLOUR,
     NEAREST_COLOUR_M,
 )
-from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
-from gsfusion_nb.tsdf.volume import TsdfVolume
 from gsfusion_nb.types import Frame
 
 from ..runtime.numba.blocks import blocks_in_view

@@ -11,8 +11,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.optim.losses import RgbdLoss
-from gsfusion_nb.optim.losses import rgbd_l1_vjp as reference
+from gsfusion_nb.optim.rgbd_loss import RgbdLoss
+from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp as reference
 
 from ..runtime.triton.launch import device_of, launch, load3, parts, store3
 

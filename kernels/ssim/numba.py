@@ -13,7 +13,7 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.optim import losses as reference
+from gsfusion_nb.optim import structural as reference
 
 from ..runtime.numba.launch import launching, scratch
 from ..runtime.numba.simd import LANES, iota, load, reduce_add, select, splat, store

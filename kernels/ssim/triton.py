@@ -13,7 +13,7 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-from gsfusion_nb.optim import losses as reference
+from gsfusion_nb.optim import structural as reference
 
 from ..runtime.triton.launch import device_of, launch, parts
 from . import window as planes

@@ -8,7 +8,7 @@ import functools
 import torch
 from torch import Tensor
 
-from gsfusion_nb.optim.losses import WINDOW_PX, WINDOW_SIGMA_PX
+from gsfusion_nb.optim.structural import WINDOW_PX, WINDOW_SIGMA_PX
 
 
 @functools.cache

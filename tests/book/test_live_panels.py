@@ -16,8 +16,8 @@ from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.geometry import backproject, project, se3
 from gsfusion_nb.seeding import quadtree
-from gsfusion_nb.tsdf.integrate import fuse_voxels
 from gsfusion_nb.tsdf.volume import TsdfSample
+from gsfusion_nb.tsdf.voxel_update import fuse_voxels
 from gsfusion_nb.types import GaussianParams
 
 LIVE = Path(__file__).resolve().parents[2] / "tools/book/live"

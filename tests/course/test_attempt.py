@@ -10,7 +10,7 @@ from gsfusion_nb.course.attempt import Attempt, Failed, LocalSubject, NotWritten
 from gsfusion_nb.course.exercise import Wrong, exercise, exercises
 from gsfusion_nb.course.progress import read_section
 from gsfusion_nb.geometry import backproject
-from gsfusion_nb.tsdf.octree import encode
+from gsfusion_nb.tsdf.morton import encode
 
 
 def double(x):

@@ -10,7 +10,8 @@ from gsfusion_nb.config import rtg_slam
 from gsfusion_nb.course import exercises, mine
 from gsfusion_nb.course.learner_backend import LearnerError
 from gsfusion_nb.evaluation import psnr
-from gsfusion_nb.gaussians.surfels import fuse, next_states
+from gsfusion_nb.gaussians.history import fuse
+from gsfusion_nb.gaussians.surfel_states import next_states
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import RTGSLAM
 from gsfusion_nb.mapping.gsfusion import plan_frame
@@ -28,10 +29,11 @@ from gsfusion_nb.seeding.quadtree import cell_gaussians, quadtree
 from gsfusion_nb.seeding.rules.gsfusion import first_seen
 from gsfusion_nb.seeding.rules.rtg_slam import adding_masks
 from gsfusion_nb.tracking import IcpSystem, point_to_plane, pose_graph_step, relative_pose_error
-from gsfusion_nb.tracking.icp import Extent, next_pose, solve_step
+from gsfusion_nb.tracking.icp import next_pose
+from gsfusion_nb.tracking.icp_step import Extent, solve_step
 from gsfusion_nb.tracking.tracker import constant_velocity
 from gsfusion_nb.tsdf.marching_cubes import zero_crossing
-from gsfusion_nb.tsdf.octree import OFFSET, interleave
+from gsfusion_nb.tsdf.morton import OFFSET, interleave
 from gsfusion_nb.tsdf.voxels import block_of
 from gsfusion_nb.types import Camera, GaussianParams
 

@@ -16,6 +16,7 @@ from gsfusion_nb.evaluation import (
     expected_depth_m,
     format_metric,
     frame_rates,
+    learned_distance,
     lpips,
     lpips_as_released,
     mesh_psnr,
@@ -25,7 +26,6 @@ from gsfusion_nb.evaluation import (
     ssim,
     ssim_as_released,
 )
-from gsfusion_nb.evaluation import image as image_module
 from gsfusion_nb.evaluation.metrics import METRICS, format_value
 from gsfusion_nb.types import Camera, Frame, Mesh, RenderOutput
 
@@ -159,7 +159,7 @@ class Network(torch.nn.Module):
 
 def test_each_lpips_gives_the_network_its_own_images(monkeypatch):
     network = Network()
-    monkeypatch.setattr(image_module, "_lpips_network", lambda: network)
+    monkeypatch.setattr(learned_distance, "_lpips_network", lambda: network)
     rgb = torch.zeros(8, 9, 3)
     other = torch.full((8, 9, 3), 1.0)
     rgb[..., 0] = 51 / 255  # red
@@ -511,9 +511,9 @@ def test_ssim_as_released_does_not_see_the_border(generator):
 
 @pytest.fixture
 def no_cached_network():
-    image_module._lpips_network.cache_clear()
+    learned_distance._lpips_network.cache_clear()
     yield
-    image_module._lpips_network.cache_clear()
+    learned_distance._lpips_network.cache_clear()
 
 
 def test_lpips_without_its_package_says_so(monkeypatch, no_cached_network):

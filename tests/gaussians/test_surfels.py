@@ -23,7 +23,7 @@ from gsfusion_nb.gaussians import (
     state_counts,
 )
 from gsfusion_nb.gaussians.rigid_motion import move_map_
-from gsfusion_nb.gaussians.surfels import (
+from gsfusion_nb.gaussians.surfel_states import (
     BECOMES_STABLE,
     BECOMES_UNSTABLE,
     DELETED,

@@ -14,7 +14,7 @@ from gsfusion_nb.evaluation import ate_rmse
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
 from gsfusion_nb.seeding import MapRule, SeedContext, Seeds, copy_memory
-from gsfusion_nb.tracking import Correction
+from gsfusion_nb.tracking import Correction, loop_finder
 from gsfusion_nb.tracking import back_end as back_end_module
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Frame
@@ -212,7 +212,7 @@ def mapper_of(system: str) -> Any:
 def test_a_loop_closes_and_a_loss_is_overcome(there_and_back, system, monkeypatch):
     """After the way back the camera is covered, then shown another part of the way, half a metre
     away."""
-    monkeypatch.setattr(back_end_module, "MIN_GAP", 3)
+    monkeypatch.setattr(loop_finder, "MIN_GAP", 3)
     monkeypatch.setattr(back_end_module, "KEYFRAME_DEG", 4.0)
     monkeypatch.setattr(back_end_module, "CORRECT_FROM_M", 0.0)
     mapper = mapper_of(system)

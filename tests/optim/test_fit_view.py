@@ -16,12 +16,8 @@ from gsfusion_nb.optim import (
     pose_step,
     pose_system,
 )
-from gsfusion_nb.optim.fit_view import (
-    PIXELS_PER_OBSERVATION,
-    SMALL_RESIDUAL,
-    fit_pose_by_flow,
-    image_gradient,
-)
+from gsfusion_nb.optim.fit_view import fit_pose_by_flow
+from gsfusion_nb.optim.pose_system import PIXELS_PER_OBSERVATION, SMALL_RESIDUAL, image_gradient
 from gsfusion_nb.render import pose_vjp, render, render_forward, render_vjp
 from gsfusion_nb.render.constants import SHOWN_ALPHA
 from gsfusion_nb.types import Camera, GaussianParams

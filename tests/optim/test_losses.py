@@ -20,16 +20,15 @@ from gsfusion_nb.optim import (
     mse_vjp,
     rgbd_l1_vjp,
 )
-from gsfusion_nb.optim.losses import (
-    _ssim_factors,
+from gsfusion_nb.optim.penalties import (
     anisotropy,
     anisotropy_vjp,
     mean_opacity,
     mean_opacity_vjp,
     mean_scale,
     mean_scale_vjp,
-    window_mean,
 )
+from gsfusion_nb.optim.structural import _ssim_factors, window_mean
 from gsfusion_nb.types import GaussianParams
 
 

@@ -12,8 +12,9 @@ from gsfusion_nb.data.room.camera import look_at
 from gsfusion_nb.evaluation import ate_rmse
 from gsfusion_nb.export import CheckpointStore
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.tracking import back_end as back_end_module
-from gsfusion_nb.tracking.back_end import BackEnd, Correction
+from gsfusion_nb.tracking import loop_finder
+from gsfusion_nb.tracking.back_end import BackEnd
+from gsfusion_nb.tracking.correction import Correction
 from gsfusion_nb.types import Camera, Frame
 
 CAMERA = Camera(
@@ -173,7 +174,7 @@ def test_wants_a_keyframe_after_enough_motion(circle):
 
 def test_wallpaper_closes_no_loop(monkeypatch):
     """A periodic wall, walked along: views one period apart are the same picture."""
-    monkeypatch.setattr(back_end_module, "MIN_GAP", 2)
+    monkeypatch.setattr(loop_finder, "MIN_GAP", 2)
     back_end = BackEnd(CAMERA)
     generator = torch.Generator().manual_seed(5)
     tile = torch.rand(24, 32, 3, generator=generator)
@@ -197,7 +198,7 @@ def test_wallpaper_closes_no_loop(monkeypatch):
 def test_two_rooms_that_look_the_same_are_two_rooms(circle, monkeypatch):
     """After a corridor without features, 12 m further, the same room again: nothing but the path
     tells them apart."""
-    monkeypatch.setattr(back_end_module, "MIN_GAP", 3)
+    monkeypatch.setattr(loop_finder, "MIN_GAP", 3)
     back_end = BackEnd(CAMERA)
     for frame in circle[:4]:
         back_end.add(frame, frame.T_WC)
@@ -220,7 +221,7 @@ def test_two_rooms_that_look_the_same_are_two_rooms(circle, monkeypatch):
 
 @pytest.mark.parametrize("kind", ["black", "no depth", "no depth, black"])
 def test_bad_keyframes_are_survived(circle, kind, monkeypatch):
-    monkeypatch.setattr(back_end_module, "MIN_GAP", 3)
+    monkeypatch.setattr(loop_finder, "MIN_GAP", 3)
     back_end = BackEnd(CAMERA)
     poses = []
     for i, frame in enumerate(circle[:9]):

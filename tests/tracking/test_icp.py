@@ -21,7 +21,8 @@ from gsfusion_nb.tracking import (
     icp_system,
     point_to_plane,
 )
-from gsfusion_nb.tracking.icp import Extent, depth_weight, solve_step
+from gsfusion_nb.tracking.icp_step import Extent, solve_step
+from gsfusion_nb.tracking.icp_system import depth_weight
 from gsfusion_nb.types import Camera
 
 EXACT = TrackingConfig(

@@ -7,13 +7,13 @@ import torch
 
 from gsfusion_nb.data.room import render_room, room
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.tracking.back_end import (
+from gsfusion_nb.tracking.features import extract_features
+from gsfusion_nb.tracking.loop_finder import (
     depth_agreement,
     depth_thumbnail,
     may_drift,
     why_not_same_place,
 )
-from gsfusion_nb.tracking.features import extract_features
 from gsfusion_nb.tracking.matching import relative_pose
 
 

@@ -7,7 +7,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.data.room import room_sdf
 from gsfusion_nb.tsdf import TsdfVolume, fuse_frame_, integrate, tsdf_update
-from gsfusion_nb.tsdf.integrate import colour_weight
+from gsfusion_nb.tsdf.voxel_update import colour_weight
 from gsfusion_nb.tsdf.voxels import voxel_centres, voxels_of
 from gsfusion_nb.types import Camera
 

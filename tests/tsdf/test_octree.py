@@ -1,8 +1,7 @@
 import pytest
 import torch
 
-from gsfusion_nb.tsdf import octree
-from gsfusion_nb.tsdf import octree as morton
+from gsfusion_nb.tsdf import morton
 from gsfusion_nb.tsdf.octree import BlockIndex
 
 
@@ -53,7 +52,7 @@ def test_against_a_dictionary(generator):
 
 def test_missing_blocks_are_new_sorted_and_different(generator):
     index = BlockIndex()
-    edge = octree.OFFSET
+    edge = morton.OFFSET
     insert(index, torch.randint(-9, 9, (300, 3), generator=generator))
     # old and new ones, and some twice
     coords = torch.randint(-12, 12, (500, 3), generator=generator)
@@ -72,7 +71,7 @@ def test_missing_blocks_are_new_sorted_and_different(generator):
         }
         assert sorted(map(tuple, new.coords.tolist())) == sorted(wanted)
         assert len(new) == len(wanted)
-        assert torch.equal(new.codes, octree.encode(new.coords))
+        assert torch.equal(new.codes, morton.encode(new.coords))
         assert bool((new.codes.diff() > 0).all())
         assert new.contains(given).tolist() == [tuple(c) in wanted for c in given.tolist()]
         assert len(index) == before
@@ -90,7 +89,7 @@ def test_a_table_grows_as_if_it_had_been_made_at_once(generator):
     for size in (2, 3, 20, 21, 400, 4000):
         coords = torch.randint(-size, size, (200, 3), generator=generator)
         insert(grown, coords)
-        at_once = BlockIndex.of_blocks(octree.decode(grown.codes))
+        at_once = BlockIndex.of_blocks(morton.decode(grown.codes))
         query = torch.cat(
             [torch.randint(-60, 60, (3000, 3), generator=generator), coords, coords + 1]
         )
@@ -98,7 +97,7 @@ def test_a_table_grows_as_if_it_had_been_made_at_once(generator):
             grown.rows[at_once.find(query)].where(at_once.find(query) >= 0, -1),
             grown.find(query),
         )
-        assert torch.equal(grown.find(query), grown._search(octree.encode(query)))
+        assert torch.equal(grown.find(query), grown._search(morton.encode(query)))
 
 
 @pytest.mark.parametrize("far", [[3000, -1500, 12], [3000, 0, 0]])
@@ -146,8 +145,8 @@ def test_levels(generator):
     index = BlockIndex()
     coords = torch.randint(-9, 9, (100, 3), generator=generator)
     insert(index, coords)
-    assert index.level(1).tolist() == (octree.encode(coords) >> 3).unique().tolist()
-    assert index.level(octree.BITS).tolist() == [0]
+    assert index.level(1).tolist() == (morton.encode(coords) >> 3).unique().tolist()
+    assert index.level(morton.BITS).tolist() == [0]
     with pytest.raises(ValueError, match="level"):
         index.level(22)
 
@@ -160,26 +159,26 @@ def test_rows_of_given_blocks(generator):
 
 
 def test_by_hand():
-    o = octree.OFFSET
+    o = morton.OFFSET
     coords = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [5, 3, 6]]) - o
     # 5 = 101, 3 = 011, 6 = 110 -> bits (z y x) from the top: 1 0 1, 1 1 0, 0 1 1 -> 0b101110011
-    assert octree.encode(coords).tolist() == [0, 1, 2, 4, 0b101110011]
+    assert morton.encode(coords).tolist() == [0, 1, 2, 4, 0b101110011]
 
 
 def test_round_trip(generator):
-    edge = octree.OFFSET
+    edge = morton.OFFSET
     coords = torch.randint(-edge, edge, (5000, 3), generator=generator)
     coords = torch.cat([coords, torch.tensor([[-edge] * 3, [edge - 1] * 3, [0, -1, 1]])])
-    codes = octree.encode(coords)
+    codes = morton.encode(coords)
     assert bool((codes >= 0).all())
-    assert torch.equal(octree.decode(codes), coords)
-    assert octree.decode(octree.encode(coords.to(torch.int32))).dtype == torch.int64
+    assert torch.equal(morton.decode(codes), coords)
+    assert morton.decode(morton.encode(coords.to(torch.int32))).dtype == torch.int64
 
 
 def test_refuses_what_does_not_fit():
     with pytest.raises(ValueError, match=r"must lie in \[-1048576, 1048576\), got 0 to 1048576"):
-        octree.encode(torch.tensor([[0, 0, octree.OFFSET]]))
-    assert octree.encode(torch.zeros(0, 3, dtype=torch.int64)).shape == (0,)
+        morton.encode(torch.tensor([[0, 0, morton.OFFSET]]))
+    assert morton.encode(torch.zeros(0, 3, dtype=torch.int64)).shape == (0,)
 
 
 def test_parent_holds_its_eight_children():

@@ -12,7 +12,7 @@ from ...config import TrackingConfig
 from ...drawing.curves import BETWEEN, PALETTE, style
 from ...errors import ArgumentError
 from ...tracking import Surface, align, depth_pyramid, icp_system
-from ...tracking.icp import solve_step
+from ...tracking.icp_step import solve_step
 from ...types import Camera
 from ..panels.icp import RESIDUAL_M
 from ..panels.tsdf import distance_colours

@@ -8,7 +8,7 @@ from torch import Tensor
 from gsfusion_nb.config import rtg_slam
 from gsfusion_nb.data.room import room
 from gsfusion_nb.mapping import RTGSLAM
-from gsfusion_nb.optim.losses import rgbd_l1_vjp
+from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp
 from gsfusion_nb.render import disc_depth, disc_depth_vjp, render_forward, render_vjp
 from gsfusion_nb.types import GaussianParams
 

@@ -17,7 +17,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.geometry import depth_to_normals
 from gsfusion_nb.optim import dssim_vjp
-from gsfusion_nb.optim.losses import rgbd_l1_vjp
+from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp
 from gsfusion_nb.render import disc_depth, disc_depth_vjp, render_forward
 from gsfusion_nb.tracking import DepthLevel, Surface, icp_system
 from gsfusion_nb.tsdf import TsdfVolume, integrate, raycast

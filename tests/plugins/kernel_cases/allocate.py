@@ -16,7 +16,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tsdf import TsdfVolume, band_blocks, new_band_blocks
-from gsfusion_nb.tsdf.octree import encode
+from gsfusion_nb.tsdf.morton import encode
 from gsfusion_nb.types import Frame
 
 from . import Case, make_frame
