@@ -257,13 +257,15 @@ def against_reference(
     """
     reference = reference or named_reference(result.spec for result in results)
     labels = _labels(results, budget)
-    units = scene_units(results)
     if reference not in labels:
         return []
-    others = [label for label in labels if label != reference]
-    return corrected(
-        [compare(results, other, reference, budget=budget, units=units) for other in others]
-    )
+    units = scene_units(results)
+    comparisons = [
+        compare(results, label, reference, budget=budget, units=units)
+        for label in labels
+        if label != reference
+    ]
+    return corrected(comparisons)
 
 
 def all_pairs(results: "Sequence[RunResult]", budget: str) -> list[Comparison]:

@@ -266,24 +266,24 @@ def _as_tile_intersections(
     tile_px: int = TILE_PX,
     pixels: Tensor | None = None,
 ) -> TileLists:
-    """Lists from the box of yours around each Gaussian, nearest first."""
+    """The Gaussians of each tile, nearest first, by your box of tiles around each Gaussian."""
     tiles_x = -(-camera.width // tile_px)
     tiles_y = -(-camera.height // tile_px)
     lists: list[list[int]] = [[] for _ in range(tiles_x * tiles_y)]
-    four = torch.zeros(4, dtype=torch.int64)
+    like_box = torch.zeros(4, dtype=torch.int64)
     nearest_first = projection.depth_m.argsort(stable=True)
     for k in nearest_first[projection.visible[nearest_first]].tolist():
         u, v = projection.uv[k].tolist()
         extent_px = float(projection.extent_px[k].max())
         inputs = (u, v, extent_px, camera.width, camera.height, tile_px)
-        x0, x1, y0, y1 = yours(*inputs, gives={"x0, x1, y0, y1": four}).tolist()
+        x0, x1, y0, y1 = yours(*inputs, gives={"x0, x1, y0, y1": like_box}).tolist()
         if min(x0, y0) < 0 or x1 > tiles_x or y1 > tiles_y:
             yours.fail(
                 f"returned {(x0, x1, y0, y1)}, but there are {tiles_x} x {tiles_y} tiles", inputs
             )
         for tile in [y * tiles_x + x for y in range(y0, y1) for x in range(x0, x1)]:
             lists[tile].append(k)
-    if pixels is not None:
+    if pixels is not None:  # tiles without any of them are not drawn
         for tile, members in enumerate(lists):
             y = tile // tiles_x * tile_px
             x = tile % tiles_x * tile_px

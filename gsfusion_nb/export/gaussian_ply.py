@@ -48,6 +48,7 @@ COARSE_FILE_M = 1e-3
 """Larger steps of the places in a file are said."""
 
 _WHAT = "a PLY file of Gaussians"
+"""What is expected, in messages."""
 
 
 def write_gaussian_ply(path: str | Path, params: GaussianParams) -> None:
@@ -139,19 +140,14 @@ def read_gaussian_ply(
     notes += _notes_on_places(data, moved_m)
     _make_finite(table)
     bad = _bad_rows(table)
-    if bad and (strict or np.logical_or.reduce([rows for rows, _ in bad.values()]).all()):
-        raise SequenceError(f"{path} {next(iter(bad.values()))[1]}; expected {_WHAT}")
     is_good = np.ones(len(data), dtype=bool)
     for rows, _ in bad.values():
         is_good &= ~rows
+    if bad and (strict or not is_good.any()):
+        _, first_clause = next(iter(bad.values()))
+        raise SequenceError(f"{path} {first_clause}; expected {_WHAT}")
     if bad:
-        reasons = "; ".join(
-            f"{int(rows.sum())} {why}, the first in row {rows.argmax()}"
-            for why, (rows, _) in bad.items()
-        )
-        notes.append(
-            f"{int((~is_good).sum()):,} of {len(is_good):,} Gaussians were left out: {reasons}"
-        )
+        notes.append(_note_on_bad_rows(bad, is_good))
     for note in notes:
         log.warning("%s: %s", path, note)
     return _filtered(
@@ -221,6 +217,16 @@ def _bad_rows(table: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, str]]
             )
             counts[f"with {reason}"] = (rows, clause)
     return counts
+
+
+def _note_on_bad_rows(bad: dict[str, tuple[np.ndarray, str]], is_good: np.ndarray) -> str:
+    """How many rows were left out, and why."""
+    reasons = [
+        f"{int(rows.sum())} {why}, the first in row {rows.argmax()}"
+        for why, (rows, _) in bad.items()
+    ]
+    n_bad = int((~is_good).sum())
+    return f"{n_bad:,} of {len(is_good):,} Gaussians were left out: {'; '.join(reasons)}"
 
 
 def _stacked(

@@ -1,7 +1,7 @@
 """The places that a tracked camera has seen: they start the tracker, bring it back when it is lost,
 and close loops."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxtyping import Float
 from torch import Tensor
@@ -14,6 +14,15 @@ from ..types import Camera, Frame
 OFF_M = 0.02
 OFF_DEG = 1.0
 """ICP starts from the landmarks' pose where it differs by more than this from the predicted one."""
+
+
+class _Look(NamedTuple):
+    """A look at a frame for landmarks."""
+
+    frame_index: int
+    features: tracking.Features
+    sighting: tracking.Sighting | None
+    """The landmarks that it sees; None if too few."""
 
 
 class KeyframeMemory:
@@ -29,9 +38,8 @@ class KeyframeMemory:
         self._database: tracking.KeyframeDatabase | None = None
         """Keyframes by appearance, to relocalise when tracking is lost; the map's, if there is
         one."""
-        self._view: tuple[int, tracking.Features, tracking.Sighting | None] | None = None
-        """Index of the frame that was located last, its features, and the landmarks that it
-        sees."""
+        self._last_look: _Look | None = None
+        """At the frame that was located last."""
 
     @property
     def camera(self) -> Camera | None:
@@ -52,20 +60,25 @@ class KeyframeMemory:
     def sight(
         self, frame: Frame, tracker: tracking.Tracker
     ) -> tuple[tracking.Sighting | None, Float[Tensor, "4 4"] | None]:
-        """Landmarks that the frame sees, None if they are not wanted, or too few; and their pose,
-        if the predicted one is wrong. If it is not, it is the more exact start for ICP."""
-        self._view = None
+        """What the frame sees of the landmarks, and where ICP starts because of it.
+
+        Returns:
+            The landmarks, None if they are not wanted or too few; and their pose. It is None where
+            it agrees with the predicted one, which then is the more exact start.
+        """
+        self._last_look = None
         if self._map is None or not self._config.landmarks or frame.camera != self._map.camera:
             return None, None
         features = self._features(frame)
         T_predicted = tracker.predict(frame.timestamp_s)
         sighting = self._map.see(features, T_predicted)
-        self._view = frame.index, features, sighting
+        self._last_look = _Look(frame.index, features, sighting)
         if sighting is None:
             return None, None
         angle_deg, distance_m = se3.motion(T_predicted, sighting.T_WC)
         is_off = distance_m > OFF_M or angle_deg > OFF_DEG
-        return sighting, sighting.T_WC if is_off else None
+        T_start = sighting.T_WC if is_off else None
+        return sighting, T_start
 
     def add(self, frame: Frame) -> tracking.Correction | None:
         """Make the frame a keyframe if the camera has moved enough; returns the back end's
@@ -75,9 +88,9 @@ class KeyframeMemory:
             back_end = tracking.BackEnd(frame.camera) if self._config.back_end else None
             self._begin(frame.camera, back_end)
         assert self._database is not None
-        index, _, sighting = self._view or (None, None, None)
-        if self._map is not None and sighting is not None and index == frame.index:
-            self._map.count(sighting)
+        look = self._look_at(frame)
+        if self._map is not None and look is not None and look.sighting is not None:
+            self._map.count(look.sighting)
         if len(self._database) and not tracking.moved_enough(self._database.T_WC[-1], T_WC):
             return None
         features = self._features(frame)
@@ -92,9 +105,15 @@ class KeyframeMemory:
         scan."""
         return None if self.back_end is None else self.back_end.finish()
 
+    def _look_at(self, frame: Frame) -> _Look | None:
+        """The last look, if it was at this frame."""
+        look = self._last_look
+        return look if look is not None and look.frame_index == frame.index else None
+
     def _features(self, frame: Frame) -> tracking.Features:
-        if self._view is not None and self._view[0] == frame.index:
-            return self._view[1]
+        look = self._look_at(frame)
+        if look is not None:
+            return look.features
         assert self._database is not None
         return self._database.extract(frame)
 

@@ -108,10 +108,10 @@ class MapFiles:
 
     @classmethod
     def drawn_from(cls, folder: Path, params: GaussianParams, config: Any) -> Draw:
-        """The map of a finished run, drawn from its folder.
+        """The map of a finished run, drawn from its folder. Here its Gaussians are all of it.
 
         Args:
-            folder: Of the run.
+            folder: Of the run, for systems whose pictures need its other files.
             params: Its Gaussians, on the device to draw on.
             config: Settings of the run.
 

@@ -169,15 +169,17 @@ def add_class(digest: Digest, x: type) -> None:
     """A class: one of a library by its name, an own one with its bases and attributes."""
     digest.text(f"{_home_name(x.__module__)}.{x.__qualname__}")
     home = sys.modules.get(x.__module__) or _home_of_methods(x)
-    if is_library_module(home) if isinstance(home, types.ModuleType) else is_library(x.__module__):
+    has_module = isinstance(home, types.ModuleType)
+    of_library = is_library_module(home) if has_module else is_library(x.__module__)
+    if of_library:
         digest.libraries.add(x.__module__)
         return
-    if isinstance(home, types.ModuleType):
+    if has_module:
         digest.modules[id(home)] = home
     digest.add_all((type(x), *x.__bases__))
     digest.add_attributes(vars(x), _NOT_OF_A_CLASS)
-    notes = vars(x).get("__annotations__", {})
-    digest.text(repr([(name, _plain_repr(value)) for name, value in notes.items()]))
+    annotations = vars(x).get("__annotations__", {})
+    digest.text(repr([(name, _plain_repr(value)) for name, value in annotations.items()]))
     digest.text(_plain_repr(vars(x).get("__doc__")))
 
 

@@ -270,22 +270,23 @@ def player_buttons(commands: Any, css_prefix: str, player: Player) -> dict[str, 
         button.on_click(lambda _, name=name: getattr(commands, name.lower())())
     writing = threading.RLock()
 
-    def enable() -> None:
+    def show_state() -> None:
+        """Disable the buttons that do nothing now."""
         with writing:  # two threads change the state: who writes last has read last
             is_over = player.state == "finished"
             runs = player.keeps_running
-            stands = is_over or not (runs or player.state in ("running", "paused"))
-            useless = {
+            has_begun = runs or player.state in ("running", "paused")
+            is_disabled = {
                 "Start": is_over or runs,
                 "Pause": is_over or not runs,
                 "Step": is_over or runs,
-                "Stop": stands,
+                "Stop": is_over or not has_begun,
             }
             for name, button in buttons.items():
-                button.disabled = useless[name]
+                button.disabled = is_disabled[name]
 
-    player.on_state = enable
-    enable()
+    player.on_state = show_state
+    show_state()
     return buttons
 
 

@@ -390,18 +390,15 @@ def coffee_table() -> list[Solid]:
 
 
 def radiator(width: float = 1.2) -> list[Solid]:
-    """A ribbed radiator."""
-    n = round(width / 0.06)
-    ribs = [
-        cone(
-            ((k + 0.5) * width / n - width / 2, 0, 0.14),
-            0.56,
-            (0.025, 0.025),
-            WHITE,
-        )
-        for k in range(n)
-    ]
-    return [
-        *ribs,
-        *(box((0, 0.01, z), (width, 0.04, 0.05), WHITE, hide="x- x+") for z in (0.2, 0.64)),
-    ]
+    """A ribbed radiator: upright tubes between a lower and an upper pipe."""
+    foot_m = 0.14
+    height_m = 0.56
+    radius_m = 0.025
+    n_ribs = round(width / 0.06)
+    spacing_m = width / n_ribs
+    ribs = []
+    for k in range(n_ribs):
+        x = (k + 0.5) * spacing_m - width / 2
+        ribs.append(cone((x, 0, foot_m), height_m, (radius_m, radius_m), WHITE))
+    pipes = [box((0, 0.01, z), (width, 0.04, 0.05), WHITE, hide="x- x+") for z in (0.2, 0.64)]
+    return [*ribs, *pipes]

@@ -45,15 +45,30 @@ def tint(colour: Colour, shade: ndarray) -> ndarray:
     ).astype(np.uint8)
 
 
+MOTTLE_M = 0.4
+"""Size of the lighter and darker patches of wall paint."""
+
+
 def paint(
-    w, h, texel_m, rng, colour: Colour, gradient: float = 0.06, mottle: float = 0.008
+    w: int,
+    h: int,
+    texel_m: float,
+    rng: np.random.Generator,
+    colour: Colour,
+    gradient: float = 0.06,
+    mottle: float = 0.008,
 ) -> ndarray:
-    """Smooth wall paint, a little darker towards the bottom."""
+    """Smooth wall paint.
+
+    Args:
+        w, h, texel_m, rng: As for every material.
+        colour: At the top.
+        gradient: How much darker the bottom is, as a share.
+        mottle: How much lighter and darker its patches are, as a share.
+    """
     ramp = np.linspace(1.0, 1.0 - gradient, h, dtype=np.float32)[:, None]
-    return tint(
-        colour,
-        ramp + mottle * noise(w, h, 0.4 / texel_m, 0.4 / texel_m, rng),
-    )
+    patch_px = MOTTLE_M / texel_m
+    return tint(colour, ramp + mottle * noise(w, h, patch_px, patch_px, rng))
 
 
 def wood(
