@@ -13,7 +13,8 @@ import sys
 from pathlib import Path
 
 from gsfusion_nb.recordings import fetch
-from gsfusion_nb.recordings.fetch import ArchiveError, Item, Plan, SequenceOnDisk
+from gsfusion_nb.recordings.fetch import Item, Plan, SequenceOnDisk
+from gsfusion_nb.recordings.unpack import ArchiveError
 
 HOST = "https://download.microsoft.com/download/2/8/5/28564B23-0828-408F-8631-23B1EFF1DAC8"
 FRAMES = {

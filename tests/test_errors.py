@@ -16,7 +16,7 @@ from gsfusion_nb.errors import (
     SequenceNotFoundError,
     UnknownNameError,
 )
-from gsfusion_nb.recordings.fetch import ArchiveError
+from gsfusion_nb.recordings.unpack import ArchiveError
 
 
 def test_values_of_others_are_shown_short():

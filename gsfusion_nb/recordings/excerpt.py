@@ -20,8 +20,9 @@ from ..data.open import open_sequence
 from ..data.recorded.recorded_sequence import RecordedSequence
 from ..errors import BadFrameError, SequenceError
 from ..files import atomic_folder, noting_files, parsing, read_object, read_text
+from .convert.depth_files import read_array
 from .convert.formats import FORMATS, detect_format, readable_layout
-from .convert.recording import ConvertOptions, read_array
+from .convert.recording import ConvertOptions
 from .convert.run import convert
 
 _BY_PLACE = ("open3d",)

@@ -246,7 +246,7 @@ def rescore(path: Path) -> None:
 
 
 def archive(path: Path) -> None:
-    from gsfusion_nb.recordings.fetch import unpack
+    from gsfusion_nb.recordings.unpack import unpack
 
     folder = path.parent / "unpacked-by-the-campaign"
     unpack(path, folder)

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from gsfusion_nb.data import SequenceError
-from gsfusion_nb.data.lens import CameraModel, register_depth, same_proportions, warp_depth
+from gsfusion_nb.data.depth_registration import register_depth, warp_depth
+from gsfusion_nb.data.lens import CameraModel, same_proportions
 from gsfusion_nb.geometry import pixel_grid, rays, se3
 from gsfusion_nb.types import Camera
 

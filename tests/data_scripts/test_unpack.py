@@ -2,7 +2,7 @@
 
 import pytest
 
-from gsfusion_nb.recordings.fetch import ArchiveError, unpack
+from gsfusion_nb.recordings.unpack import ArchiveError, unpack
 
 GOOD = {"set/a.txt": b"a" * 100, "set/deep/b.bin": bytes(range(256)), "set/empty": b""}
 

@@ -17,7 +17,8 @@ from ...errors import BadFrameError, SequenceError
 from ...geometry import pixel_grid, rays, se3
 from ...geometry.pose_path import PosePath, pose_between
 from ...types import Camera, Frame
-from ..lens import same_proportions, warp_depth
+from ..depth_registration import warp_depth
+from ..lens import same_proportions
 from ..recorded.images import read_depth
 from ..recorded.recorded_sequence import RecordedSequence
 from ..recorded.times import associate

@@ -10,7 +10,7 @@ import torch
 from ...config import RepairConfig
 from ...data.adjust.depth_agreement import relative_poses, thinned
 from ...data.adjust.poses import reread_poses
-from ...data.lens import warp_depth
+from ...data.depth_registration import warp_depth
 from ...data.sequence import Sequence
 from ...drawing.curves import curve_figure
 from ...drawing.page import PageGraph

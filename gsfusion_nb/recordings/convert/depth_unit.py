@@ -14,7 +14,8 @@ import numpy as np
 from ...data.readers.tum import DEPTH_SCALE, benchmark_camera
 from ...data.recorded.images import LOST_PRECISION
 from ...errors import BadFrameError, SequenceError
-from .recording import DepthUnit, OptionNeeded, read_depth_file
+from .depth_files import read_depth_file
+from .recording import DepthUnit, OptionNeeded
 
 USUAL = (1000.0, 5000.0)
 KNOWN = (1000.0, 5000.0, 10_000.0, 6553.5, 4000.0, 2000.0, 512.0, 256.0, 100.0, 1.0)

@@ -9,7 +9,8 @@ from ...errors import SequenceError
 from .calibration_tree import WAYS, tree_of_file
 from .camera_in_tree import model_of_tree
 from .camera_numbers import model_of, model_of_matrix
-from .recording import ConvertOptions, OptionNeeded, RecordedFrame, read_array
+from .depth_files import read_array
+from .recording import ConvertOptions, OptionNeeded, RecordedFrame
 from .trajectory import read_numbers
 
 

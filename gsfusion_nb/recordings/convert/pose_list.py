@@ -15,7 +15,8 @@ from ...data.recorded.poses import (
 )
 from ...errors import SequenceError
 from ...files import parsing
-from .recording import ConvertOptions, Recording, read_array
+from .depth_files import read_array
+from .recording import ConvertOptions, Recording
 from .trajectory import ARKIT_SUFFIX, frame_key, read_numbers
 
 _LAST_ROW = re.compile(r"(-?0(\.0*)?(e[+-]00)? ){3}1(\.0*)?(e\+00)?")

@@ -7,15 +7,8 @@ import numpy as np
 import torch
 
 from ...data.adjust.resize import resize_colour
-from ...data.lens import (
-    TIE,
-    CameraModel,
-    pixel_map,
-    register_depth,
-    same_proportions,
-    same_rays,
-    z_of_range,
-)
+from ...data.depth_registration import TIE, register_depth
+from ...data.lens import CameraModel, pixel_map, same_proportions, same_rays, z_of_range
 from ...types import Camera
 from .recording import OptionNeeded, RecordedFrame, RgbdImages
 

@@ -8,7 +8,7 @@ import torch
 from published_layouts import seven_scenes_layout as write
 
 from gsfusion_nb.data import SequenceError, folder, open_sequence, seven_scenes
-from gsfusion_nb.data.lens import warp_depth
+from gsfusion_nb.data.depth_registration import warp_depth
 from gsfusion_nb.data.readers.seven_scenes import T_DEPTH_COLOUR
 from gsfusion_nb.recordings.convert import ConvertOptions, convert
 from gsfusion_nb.recordings.convert.formats import readable_layout

@@ -174,7 +174,7 @@ def test_seven_scenes_is_told_to_register(shared_sequence, tmp_path):
     import cv2
 
     from gsfusion_nb.data import seven_scenes
-    from gsfusion_nb.data.lens import warp_depth
+    from gsfusion_nb.data.depth_registration import warp_depth
     from gsfusion_nb.data.readers.seven_scenes import DEPTH_CAMERA, T_DEPTH_COLOUR
 
     view = open_sequence(

@@ -22,7 +22,8 @@ from ....errors import SequenceError
 from ....files import parsing, read_object
 from ....geometry import se3
 from ..camera_numbers import model_of_matrix
-from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair
+from ..depth_files import find_depth
+from ..recording import ConvertOptions, RecordedFrame, Recording, load_pair
 from .image_recording import size_of_colour
 
 _FILE = "scene_camera.json"

@@ -26,14 +26,8 @@ from ....files import is_file, open_regular, parsing, read_exactly, read_text
 from ....geometry import quaternion, se3
 from ....types import Camera
 from ..camera_numbers import model_of
-from ..recording import (
-    ConvertOptions,
-    RecordedFrame,
-    Recording,
-    find_depth,
-    load_pair,
-    read_depth_file,
-)
+from ..depth_files import find_depth, read_depth_file
+from ..recording import ConvertOptions, RecordedFrame, Recording, load_pair
 
 _MODELS = {
     0: ("SIMPLE_PINHOLE", 3),

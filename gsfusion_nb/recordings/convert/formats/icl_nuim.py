@@ -20,15 +20,8 @@ from ....data.recorded.files import images_in
 from ....data.recorded.images import read_image_bytes
 from ....errors import SequenceError, SequenceNotFoundError
 from ....types import Camera
-from ..recording import (
-    ConvertOptions,
-    RecordedFrame,
-    Recording,
-    RgbdImages,
-    load_pair,
-    metres,
-    with_colour,
-)
+from ..depth_files import metres
+from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, with_colour
 from ..trajectory import read_trajectory
 
 _WIDTH = 640

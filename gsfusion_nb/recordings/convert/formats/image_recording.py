@@ -20,18 +20,11 @@ from ....files import is_file
 from ..calibration_tree import Tree, tree_of_file
 from ..confidence import confidence_of
 from ..depth_camera import depth_camera_beside, poses_of_a_robot, told_unit
+from ..depth_files import check_exr, read_depth_file
 from ..depth_unit import find_depth_unit, some_depths
 from ..focal_length import estimated_model
 from ..intrinsics import read_intrinsics
-from ..recording import (
-    ConvertOptions,
-    DepthUnit,
-    RecordedFrame,
-    Recording,
-    check_exr,
-    load_pair,
-    read_depth_file,
-)
+from ..recording import ConvertOptions, DepthUnit, RecordedFrame, Recording, load_pair
 from .pairing import FrameFiles
 
 _POSES = (

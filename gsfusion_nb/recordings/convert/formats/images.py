@@ -14,7 +14,8 @@ from pathlib import Path
 
 from ....data.recorded.files import images_in, natural_order
 from ....errors import BadFrameError, SequenceError
-from ..recording import DEPTH_SUFFIXES, ConvertOptions, OptionNeeded, Recording, read_depth_file
+from ..depth_files import DEPTH_SUFFIXES, read_depth_file
+from ..recording import ConvertOptions, OptionNeeded, Recording
 from .image_recording import recording_of
 from .pairing import Numbered, judged, paired
 from .unread import video_of_colour

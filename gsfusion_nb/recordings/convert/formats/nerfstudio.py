@@ -28,7 +28,8 @@ from ....errors import SequenceError
 from ....files import is_file, parsing, read_object
 from ....geometry import se3
 from ..camera_numbers import model_of
-from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair
+from ..depth_files import find_depth
+from ..recording import ConvertOptions, RecordedFrame, Recording, load_pair
 
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")
 

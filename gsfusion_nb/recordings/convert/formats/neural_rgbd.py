@@ -12,8 +12,9 @@ from pathlib import Path
 from ....data.recorded.files import images_in
 from ....data.recorded.poses import GL_TO_CV, image_number, read_rows
 from ....errors import SequenceError
+from ..depth_files import DEPTH_SUFFIXES
 from ..intrinsics import read_intrinsics
-from ..recording import DEPTH_SUFFIXES, ConvertOptions, Recording
+from ..recording import ConvertOptions, Recording
 from .image_recording import recording_of, size_of_colour
 from .pairing import FrameFiles, paired_by_name
 

@@ -21,7 +21,8 @@ from ....errors import SequenceError, SequenceNotFoundError
 from ....files import parsing, read_bytes, read_object, read_text
 from ....geometry import se3
 from ..camera_in_tree import model_of_tree
-from ..recording import DEPTH_SUFFIXES, ConvertOptions, Recording
+from ..depth_files import DEPTH_SUFFIXES
+from ..recording import ConvertOptions, Recording
 from .image_recording import recording_of
 from .pairing import FrameFiles, paired_by_name
 

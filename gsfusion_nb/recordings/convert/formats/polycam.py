@@ -22,7 +22,8 @@ from ....data.recorded.poses import GL_TO_CV
 from ....files import parsing, read_object
 from ..camera_in_tree import model_of_tree
 from ..confidence import confidence_of
-from ..recording import ConvertOptions, RecordedFrame, Recording, find_depth, load_pair
+from ..depth_files import find_depth
+from ..recording import ConvertOptions, RecordedFrame, Recording, load_pair
 
 LOOKS_FOR = "keyframes/ with images/, depth/ and cameras/"
 

@@ -35,16 +35,8 @@ from ....files import (
     read_member,
 )
 from ..camera_numbers import model_of
-from ..recording import (
-    ConvertOptions,
-    RecordedFrame,
-    Recording,
-    RgbdImages,
-    check_exr,
-    load_pair,
-    metres,
-    with_colour,
-)
+from ..depth_files import check_exr, metres
+from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, with_colour
 
 _SIZES = ((192, 256), (256, 192), (640, 480), (480, 640))
 """Heights and widths of LiDAR and TrueDepth images, for files without this information."""

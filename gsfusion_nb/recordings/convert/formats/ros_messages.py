@@ -9,7 +9,8 @@ import numpy as np
 from ....checks import shown
 from ....data.recorded.images import decode_image, decode_rgb
 from ....errors import BadFrameError, SequenceError
-from ..recording import is_picture_file, metres
+from ..depth_files import metres
+from ..recording import is_picture_file
 
 _CHANNELS = {"rgb8": 3, "bgr8": 3, "8UC3": 3, "rgba8": 4, "bgra8": 4, "mono8": 1, "8UC1": 1}
 _BAYER = {

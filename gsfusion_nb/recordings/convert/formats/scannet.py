@@ -26,15 +26,8 @@ from ....errors import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import inflate, open_regular, read_exactly
 from ....geometry import se3
 from ..camera_numbers import model_of_matrix
-from ..recording import (
-    ConvertOptions,
-    RecordedFrame,
-    Recording,
-    RgbdImages,
-    find_depth,
-    metres,
-    with_colour,
-)
+from ..depth_files import find_depth, metres
+from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, with_colour
 from .image_recording import recording_of
 from .pairing import FrameFiles
 

@@ -20,8 +20,9 @@ from ....data.recorded.images import decode_depth, read_image_bytes
 from ....data.recorded.poses import read_rows
 from ....data.recorded.times import associate
 from ....errors import SequenceError
+from ..depth_files import metres
 from ..intrinsics import read_intrinsics
-from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, metres, with_colour
+from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, with_colour
 from .image_recording import size_of_colour
 
 _TURNED_BITS = 3

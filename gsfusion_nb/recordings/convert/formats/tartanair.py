@@ -21,16 +21,8 @@ from ....data.recorded.images import decode_image, read_image_bytes
 from ....data.recorded.poses import matrices, read_rows
 from ....errors import BadFrameError, SequenceError
 from ....types import Camera
-from ..recording import (
-    DEPTH_SUFFIXES,
-    ConvertOptions,
-    RecordedFrame,
-    Recording,
-    RgbdImages,
-    load_pair,
-    metres,
-    with_colour,
-)
+from ..depth_files import DEPTH_SUFFIXES, metres
+from ..recording import ConvertOptions, RecordedFrame, Recording, RgbdImages, load_pair, with_colour
 from .image_recording import size_of_colour
 from .pairing import paired_by_name
 

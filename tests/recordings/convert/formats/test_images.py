@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.data import BadFrameError, SequenceError, folder
-from gsfusion_nb.recordings.convert import ConvertOptions, convert, detect_format, recording
+from gsfusion_nb.recordings.convert import ConvertOptions, convert, depth_files, detect_format
+from gsfusion_nb.recordings.convert.depth_files import check_exr, read_depth_file
 from gsfusion_nb.recordings.convert.formats import images
-from gsfusion_nb.recordings.convert.recording import OptionNeeded, check_exr, read_depth_file
+from gsfusion_nb.recordings.convert.recording import OptionNeeded
 
 
 def write(root, takes, colour="color/{}.jpg", depth="depth/{}.png"):
@@ -266,7 +267,7 @@ def test_many_channels_of_an_openexr_file_are_not_unpacked(tmp_path, monkeypatch
     few = dict.fromkeys("RGBZ", depth_m)
     OpenEXR.File(header, few).write(str(tmp_path / "few.exr"))
     OpenEXR.File(header, few | {"A": depth_m}).write(str(tmp_path / "many.exr"))
-    monkeypatch.setattr(recording, "_EXR_VALUES", 4 * depth_m.size)
+    monkeypatch.setattr(depth_files, "_EXR_VALUES", 4 * depth_m.size)
     np.testing.assert_array_equal(read_depth_file(tmp_path / "few.exr", 1.0), depth_m)
     with pytest.raises(BadFrameError, match=r"many\.exr claims 12,000 numbers .* most 9,600"):
         read_depth_file(tmp_path / "many.exr", 1.0)
