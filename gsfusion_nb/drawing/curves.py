@@ -45,6 +45,7 @@ def curve_figure(
     stacked: bool = False,
     marks: Numbers = (),
     marks_label: str = "",
+    logarithmic: bool = False,
 ) -> "Figure":
     """A graph of one or more curves over a common axis; NaN leaves a gap.
 
@@ -56,12 +57,15 @@ def curve_figure(
         stacked: Stacked areas (parts of a whole) instead of lines.
         marks: Positions of ticks along the bottom, for example keyframes.
         marks_label: Meaning of the ticks, for the legend.
+        logarithmic: Both axes are logarithmic, so that a power of x is a straight line. All values
+            are above 0.
 
     Returns:
         A ``matplotlib.figure.Figure`` with an Agg canvas, 5.2 x 3 inches at 100 dpi.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     figure = Figure(figsize=(5.2, 3.0), dpi=100, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
@@ -89,6 +93,13 @@ def curve_figure(
                 marker=lone,
             )
     axes.margins(x=0.01)
+    if logarithmic:
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axis.set_minor_formatter(NullFormatter())
     if len(marks):
         axes.margins(y=0.1)  # keeps the curve above the ticks
         axes.plot(

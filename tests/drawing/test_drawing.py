@@ -145,6 +145,18 @@ def line_columns(image):
     ]
 
 
+def test_logarithmic_axes_make_a_power_a_straight_line():
+    x = [1, 10, 100]
+    figure = curves.curve_figure(
+        x, {"1 / x": [1, 0.1, 0.01]}, x_label="x", y_label="y", logarithmic=True
+    )
+    (axes,) = figure.axes
+    figure.canvas.draw()
+    points = axes.transData.transform(axes.lines[0].get_xydata())
+    first, middle, last = points
+    assert middle == pytest.approx((first + last) / 2)
+
+
 def test_a_small_curve_fills_as_much_as_is_done_and_nan_leaves_a_gap():
     done = line_columns(
         small_curves(
