@@ -416,6 +416,22 @@ def test_gps_slam_seeds_the_surface_of_the_tsdf_where_the_colour_is_wrong():
     assert len(apply_rule("gps_slam", shown, {"colour_error": 0.07})) == 0
 
 
+def test_gps_slam_waits_until_a_voxel_is_sure():
+    """The weight of ``SeenTwice`` is 2 in the upper half and 5 in the lower."""
+
+    class SeenTwice(SeenVolume):
+        def sample_nearest(self, xyz_W):
+            return SimpleNamespace(W=torch.where(xyz_W[:, 1] < 0, 2.0, 5.0))
+
+    ctx = first(volume=SeenTwice())
+    whole = apply_rule("gps_slam", ctx)
+    assert len(apply_rule("gps_slam", ctx, {"min_confidence": 2.0})) == len(whole)
+    sure = apply_rule("gps_slam", ctx, {"min_confidence": 2.5})
+    assert 0 < len(sure) < 0.7 * len(whole)
+    assert (sure.xyz_W[:, 1] >= 0).all()
+    assert len(apply_rule("gps_slam", ctx, {"min_confidence": 6.0})) == 0
+
+
 def test_vings_counts_the_wrong_pixels_and_draws_from_all():
     bare = some(N // 4, "right")
     ctx = staged(alpha=with_values(1.0, (bare, 0.98)), depth_m=2.0)
