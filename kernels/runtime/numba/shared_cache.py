@@ -24,6 +24,8 @@ from numba.core.caching import FunctionCache, NullCache
 
 from gsfusion_nb.files import try_lock
 
+from .installed_cache import installed_cache
+
 _KERNELS = __name__.split(".runtime.")[0]
 _TOOLKIT = _KERNELS.split(".")[0]
 
@@ -62,18 +64,32 @@ def newest(files: tuple[Path, ...]) -> float:
     return max((path.stat().st_mtime for path in files), default=0.0)
 
 
+def note_imports(cache: FunctionCache) -> None:
+    """What a cache holds of a kernel counts only as long as all files are as old that it
+    imports."""
+    module = cache._py_func.__module__
+    if module.startswith(_KERNELS):
+        stamp = cache._impl.locator.get_source_stamp()
+        cache._cache_file._source_stamp = (*stamp, newest(imported_files(module)))
+
+
 class SharedCache(FunctionCache):
-    """The cache of one function."""
+    """The cache of one function: what its user may write, and what was installed with the
+    package."""
+
+    def __init__(self, py_func):
+        super().__init__(py_func)
+        self._installed = installed_cache(py_func)
 
     def load_overload(self, sig, target_context):
         """What is in the cache, or None, and then the lock is held until ``save_overload`` or
         ``release``."""
-        if self._py_func.__module__.startswith(_KERNELS):
-            stamp = self._impl.locator.get_source_stamp()
-            self._cache_file._source_stamp = (
-                *stamp,
-                newest(imported_files(self._py_func.__module__)),
-            )
+        if self._installed is not None:
+            note_imports(self._installed)
+            overload = self._installed.load_overload(sig, target_context)
+            if overload is not None:
+                return overload
+        note_imports(self)
         overload = self._saved(sig, target_context)
         if overload is None and self._py_func.__module__.startswith(_KERNELS):
             self._hold()
@@ -124,7 +140,7 @@ def cache_of(function):
     try:
         return SharedCache(function)
     except RuntimeError:
-        return NullCache()
+        return installed_cache(function) or NullCache()
 
 
 dispatcher.FunctionCache = cache_of  # of @njit(cache=True), from here on # pyright: ignore[reportAttributeAccessIssue]
