@@ -131,6 +131,7 @@ def _sphinx(
     for line in process.stderr.splitlines():
         log.warning("%s", line)
     if process.returncode:
+        shutil.rmtree(doctrees, ignore_errors=True)  # the next build begins anew
         raise RuntimeError("Sphinx could not build the book; its messages are above")
     # GitHub Pages would leave out folders that begin with an underscore
     (target / ".nojekyll").touch()
