@@ -3,6 +3,7 @@ outside, and an end that nothing in it can put off."""
 
 import contextlib
 import ctypes
+import multiprocessing
 import os
 import selectors
 import signal
@@ -240,6 +241,9 @@ def become_reaper() -> None:
         _IS_REAPER = prctl(36, 1, 0, 0, 0) == 0  # PR_SET_CHILD_SUBREAPER
         prctl(4, 0, 0, 0, 0)  # PR_SET_DUMPABLE: its memory is closed to others of this user
         prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG: it ends with the program
+    program = multiprocessing.parent_process()
+    if program is not None and not program.is_alive():  # it ended before that
+        os._exit(1)
 
 
 def _end_orphans() -> None:
