@@ -31,7 +31,7 @@ VALUES = {
 
 
 def crossed(value):
-    return decode(encode(value)[LENGTH.size :])
+    return decode(bytearray(encode(value)[LENGTH.size :]))
 
 
 def test_values_arrive_as_they_were():

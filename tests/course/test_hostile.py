@@ -20,17 +20,17 @@ HONEST = HERE / "submissions"
 RIGHT = {"right", "endless", "out_of_memory", "raises", "child_holds_output", "thread_stays"}
 """Whose zero_crossing is right, whatever else they do."""
 SAID = {
-    "endless_bare_except": "more than 5 s",
-    "endless_signals": "more than 5 s",
-    "endless_import": "more than 5 s",
-    "stopped": "more than 5 s",
+    "endless_bare_except": "more than 10 s",
+    "endless_signals": "more than 10 s",
+    "endless_import": "more than 10 s",
+    "stopped": "more than 10 s",
     "long_message": "characters)",
     "link": "is a link",
     "killed_parent": "SIGKILL",
     "changed_inputs": "has changed",
     "library_function": "computes what the exercise asks for",
 }
-LIMITS = Limits(seconds=5.0, memory_mb=1500)
+LIMITS = Limits(seconds=10.0, memory_mb=1500)
 needs_bubblewrap = pytest.mark.skipif(
     bool(sandbox.why_no_bubblewrap()), reason=sandbox.why_no_bubblewrap() or "-"
 )

@@ -144,7 +144,7 @@ def _tensor_tree(value: Tensor, buffers: list[bytes]) -> dict[str, Any]:
     }
 
 
-def _value(tree: Any, buffers: Sequence[bytes]) -> Any:
+def _value(tree: Any, buffers: Sequence[bytes | bytearray]) -> Any:
     if not isinstance(tree, dict):
         if tree is None or type(tree) in (bool, int, float, str):
             return tree
@@ -171,7 +171,7 @@ def _value(tree: Any, buffers: Sequence[bytes]) -> Any:
     raise DataError(f"there is no kind {kind!r}")
 
 
-def _tensor(tree: dict[str, Any], buffers: Sequence[bytes]) -> Tensor:
+def _tensor(tree: dict[str, Any], buffers: Sequence[bytes | bytearray]) -> Tensor:
     dtype = _DTYPES[tree["dtype"]]
     data = bytearray(buffers[tree["tensor"]])
     if not data:

@@ -222,8 +222,8 @@ def _memory_of(pid: int) -> int:
     total = 0
     with contextlib.suppress(OSError), open(f"/proc/{pid}/smaps_rollup") as file:
         total += next((int(line.split()[1]) << 10 for line in file if line[:4] == "Pss:"), 0)
-    with contextlib.suppress(OSError):
-        for entry in os.scandir(f"/proc/{pid}/fd"):
+    with contextlib.suppress(OSError), os.scandir(f"/proc/{pid}/fd") as entries:
+        for entry in entries:
             if os.readlink(entry.path).startswith("/memfd:"):
                 total += entry.stat().st_blocks * 512
     return total
