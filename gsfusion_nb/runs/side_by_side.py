@@ -28,6 +28,21 @@ NUMBERS = {
 }
 """The metrics shown of each run, if any run has them, and their labels."""
 
+MEANINGS = {
+    "psnr_held_out_db": "how near the drawn pictures are to photographs that the map has never "
+    "seen: 20 dB is blurred, 30 dB is good, 10 dB more is a tenth of the squared error",
+    "ssim_held_out": "how alike their structures are: 1 is equal",
+    "depth_l1_held_out_m": "how far the drawn surface is from the measured one, on average",
+    "n_gaussians": "small soft discs of colour that the map is made of; fewer are faster and "
+    "take less memory",
+    "mesh_accuracy_m": "how far the map's triangles are from the room as it was built",
+    "mesh_completion_ratio": "share of what was filmed that has triangles within 5 cm",
+    "fps_total": "frames that became part of the map in a second",
+    "seconds_online": "time for the whole walk",
+    "seconds_global": "time to go through the pictures again afterwards",
+}
+"""What each of them says, for somebody who reads it for the first time."""
+
 
 def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
     """Write one HTML file, atomically, that loads no other files; it links to the report of each
@@ -56,7 +71,10 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
         title=f"{' and '.join(names)} on {runs[0].run.sequence.name}",
         names=names,
         links=[(run.folder / "report.html").relative_to(path.parent).as_posix() for run in runs],
-        numbers=numbers_of(runs)[1:],
+        numbers=[
+            (row, meaning)
+            for row, meaning in zip(numbers_of(runs)[1:], meanings_of(runs), strict=True)
+        ],
         views=_views([outputs.report_views(run.run) for run in runs], names),
         meshes=[
             page_picture(picture, f"{name}, {words.partition(',')[0]}")
@@ -81,12 +99,20 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
 def numbers_of(runs: Sequence["FinishedRun"]) -> list[list[str]]:
     """The rows of a table: a head with the names of the systems, then each number's label and its
     values."""
-    names = [name for name in NUMBERS if any(name in run.metrics for run in runs)]
     rows = [
         [NUMBERS[name], *(format_metric(name, run.metrics.get(name)) for run in runs)]
-        for name in names
+        for name in _measured(runs)
     ]
     return [["", *(run.mapper.description.title for run in runs)], *rows]
+
+
+def meanings_of(runs: Sequence["FinishedRun"]) -> list[str]:
+    """What each number of ``numbers_of`` says, in its order."""
+    return [MEANINGS[name] for name in _measured(runs)]
+
+
+def _measured(runs: Sequence["FinishedRun"]) -> list[str]:
+    return [name for name in NUMBERS if any(name in run.metrics for run in runs)]
 
 
 def _views(

@@ -243,6 +243,8 @@ def test_two_systems_side_by_side(config, tmp_path):
     }
     assert all((tmp_path / name / "report.html").is_file() for name in configs)
     assert "GSFusion and GPS-SLAM on room" in page.words
+    assert page.words.index("Photograph and map") < page.words.index("Numbers")
+    assert "how near the drawn pictures are to photographs" in page.words
     for run in runs:
         assert (
             format_metric("psnr_held_out_db", run.metrics["psnr_held_out_db"]).replace(
