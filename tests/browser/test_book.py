@@ -382,10 +382,16 @@ def test_the_quiz_answers(opened):
 
 def test_the_search_finds_a_word(opened):
     page = opened("search")
-    page.goto(page.url + "?q=quadtree")
+    address = page.url
+    page.goto(f"{address}?q=quadtree")
     page.wait_for_selector("ul.search li a")
     assert page.locator("ul.search li a").first.get_attribute("href").startswith("notebooks/")
     assert page.locator("ul.search li").count() > 3
+    # where it is explained is among the first, though chapter 10 comes before 2 in the alphabet
+    page.goto(f"{address}?q=truncation")
+    page.wait_for_selector("ul.search li a")
+    first = [a.get_attribute("href") for a in page.locator("ul.search li > a").all()[:5]]
+    assert any("02_tsdf_fusion" in href for href in first)
 
 
 def faults(page, rules=None) -> list[str]:
