@@ -14,9 +14,11 @@ from pathlib import Path
 
 import torch
 
+from ...errors import ForeseenError
 from ...resources import usable_cores
 from ..attempt import Verdict
 from ..exercise import exercises
+from .data import cut
 from .journal import Journal, mark_key
 from .judge import Limits, judge
 from .library import copy_library, grader_digest
@@ -156,6 +158,13 @@ class _Judges:
         except BrokenProcessPool:
             self._of_thread.pool = None
             detail = "the process that marks it was ended while it ran"
-            return Verdict(
-                exercise=item.exercise, state="failed", prop="it returns an answer", detail=detail
-            )
+        except (OSError, ForeseenError):  # of this machine, not of the submission
+            raise
+        except Exception as e:
+            detail = f"the judge could not go on: {type(e).__name__}: {e}"
+        return Verdict(
+            exercise=item.exercise,
+            state="failed",
+            prop="it returns an answer",
+            detail=cut(detail),
+        )

@@ -113,11 +113,14 @@ class RemoteSubject:
             while "call" in reply or "reference" in reply:
                 said = self._answer_question(reply, outgoing)
                 reply = self._process.exchange(said, deadline, limit_s)
+        except DataError as e:  # an answer of the judge that cannot cross
+            raise Failed("it runs", "", str(e)) from None
         finally:
             self._rest_s -= time.monotonic() - began
         if "failed" in reply:
-            prop, detail = (*reply["failed"], "", "")[:2]
-            raise Failed(cut(prop), "", cut(detail))
+            said = reply["failed"] if isinstance(reply["failed"], list) else [reply["failed"]]
+            prop, detail = (*map(cut, said), "", "")[:2]
+            raise Failed(prop, "", detail)
         return reply
 
     def _answer_question(

@@ -37,6 +37,7 @@ class SubmissionProcess:
         self._memory_mb = memory_mb
         self._errors = bytearray()
         self._received = bytearray()
+        self._is_ended = False
         self._process = subprocess.Popen(
             start.command,
             stdin=subprocess.PIPE,
@@ -64,6 +65,9 @@ class SubmissionProcess:
 
     def end(self) -> None:
         """Kill it and what it started."""
+        if self._is_ended:
+            return
+        self._is_ended = True
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
@@ -102,11 +106,13 @@ class SubmissionProcess:
             selector.register(self._output, selectors.EVENT_READ)
             if self._error >= 0:
                 selector.register(self._error, selectors.EVENT_READ)
-            while not (document := self._document()):
+            while True:
                 rest = deadline - time.monotonic()
-                if rest <= 0:
+                if rest <= 0:  # also where one message follows the other
                     self.end()
                     raise Ended(endless(limit_s).prop, "", endless(limit_s).detail)
+                if document := self._document():
+                    break
                 for key, _ in selector.select(min(rest, _WATCH_S)):
                     if key.fd == self._input:
                         to_send = self._send(to_send, selector)
