@@ -18,16 +18,16 @@ import re
 import shutil
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from ..checks import shown
-from ..errors import ArgumentError, DiskFullError, KindError, reason_of
+from ..errors import ArgumentError, DiskFullError, reason_of
 from ..files import (
     LEAST_MEMORY_BYTES,
     MOST_MEMORY_PER_BYTE,
@@ -37,16 +37,25 @@ from ..files import (
     write_file,
 )
 from ..resources import MAP_MEMORY
+from .checkpoint_values import (
+    CONSTANT,
+    PARTS,
+    FileThatGivesBack,
+    check_buffers,
+    is_one_part,
+    joined_bytes,
+    on_disk,
+    parts_of,
+    plain_values,
+    whole_values,
+)
 
 FORMAT = "gsfusion_nb checkpoint"
+
 VERSION = 7
-_CONSTANT = "$constant"
-_PARTS = "$parts"
-_COPIED_BYTES = 1 << 16
-_PART_BYTES = 1 << 23
-"""Of larger tensors the memory is written as it is; still larger ones are written in parts of this
-size."""
+
 _NAME = re.compile(r"\d{6}\.(state|constants)")
+
 _ROOM_FOR_COPY = 4
 """A file of constants is copied where the disk has room for so many of them."""
 
@@ -105,19 +114,17 @@ class CheckpointStore:
 
         def stored(tensor: Tensor) -> Any:
             if id(tensor) not in constants:
-                plain = _on_disk(tensor)
+                plain = on_disk(tensor)
                 return (
-                    plain
-                    if plain.nbytes <= _PART_BYTES
-                    else {_PARTS: [in_part(x) for x in _parts_of(plain)]}
+                    plain if is_one_part(plain) else {PARTS: [in_part(x) for x in parts_of(plain)]}
                 )
             if id(tensor) not in used:
                 used[id(tensor)] = self._constants.get(
                     id(tensor), (tensor, f"{number:06d}.constants {len(fresh)}")
                 )
                 if id(tensor) not in self._constants:
-                    fresh[used[id(tensor)][1]] = _on_disk(tensor)
-            return {_CONSTANT: used[id(tensor)][1]}
+                    fresh[used[id(tensor)][1]] = on_disk(tensor)
+            return {CONSTANT: used[id(tensor)][1]}
 
         def in_part(rows: Tensor) -> str:
             digest = hashlib.sha256(rows.view(torch.uint8).view(-1).numpy().data).hexdigest()
@@ -128,7 +135,7 @@ class CheckpointStore:
                     fresh[parts[digest]] = rows
             return parts[digest]
 
-        tree = _plain(state, "state", stored)
+        tree = plain_values(state, "state", stored)
         needed_files = {
             place.partition(" ")[0]
             for place in (*(place for _, place in used.values()), *parts.values())
@@ -212,7 +219,7 @@ class CheckpointStore:
         """Write one file; returns its SHA-256."""
         with atomic_file(self.folder / name) as temporary, temporary.open("w+b") as file:
             try:
-                torch.save(content, _GivesBack(file))  # pyright: ignore[reportArgumentType]
+                torch.save(content, FileThatGivesBack(file))  # pyright: ignore[reportArgumentType]
             except RuntimeError as e:  # torch's writer fails once more after the error of the disk
                 cause: BaseException | None = e
                 while cause is not None and not isinstance(cause, OSError):
@@ -279,19 +286,19 @@ class CheckpointStore:
                     weights_only=True,
                     mmap=maps_memory,
                 )
-                _check_buffers(content, name)
+                check_buffers(content, name)
             used.append(source)
             if name.endswith(".constants"):
                 constants |= content
             else:
                 state = content
         size = sum(source.stat().st_size for source in used)
-        whole = _joined_bytes(state, constants)
+        whole = joined_bytes(state, constants)
         if whole > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
             raise ArgumentError(
                 f"its files of {size / 1e6:.1f} MB ask for {whole / 1e9:.1f} GB of memory"
             )
-        return _whole(state, constants), list(document["files"])
+        return whole_values(state, constants), list(document["files"])
 
     def _remove_all_but(self, names: set[str]) -> None:
         """Remove the files of other checkpoints, also those left by a killed process."""
@@ -317,114 +324,3 @@ def _checked(path: Path, digest: str) -> Path:
         if hashlib.file_digest(file, "sha256").hexdigest() != digest:
             raise ArgumentError(f"the checksum of {path.name} is wrong")
     return path
-
-
-def _plain(
-    value: Any,
-    name: str,
-    stored: Callable[[Tensor], Any],
-) -> Any:
-    """``value`` with what is ``stored`` in place of each tensor. Raises ``TypeError`` for what
-    cannot be saved."""
-    if isinstance(value, Tensor):
-        return stored(value)
-    if value is None or type(value) in (bool, int, float, str):
-        return value
-    if type(value) is dict:
-        for key in value:
-            if type(key) is not str or key in (_CONSTANT, _PARTS):
-                raise KindError(f"{name} must have strings as keys, got {key!r}")
-        return {key: _plain(v, f"{name}[{key!r}]", stored) for key, v in value.items()}
-    if type(value) in (list, tuple):
-        return type(value)(_plain(v, f"{name}[{i}]", stored) for i, v in enumerate(value))
-    raise KindError(
-        f"{name} must be a tensor, number, string, None, or a dict, list or tuple of those, got "
-        f"{type(value)}"
-    )
-
-
-class _GivesBack:
-    """A file; after each tensor that is written to it, its memory may be given back."""
-
-    def __init__(self, file: IO[bytes]):
-        self._file = file
-
-    def write(self, data: Any) -> int:
-        n = self._file.write(data)
-        MAP_MEMORY.give_back()
-        return n
-
-    def flush(self) -> None:
-        self._file.flush()
-
-
-def _parts_of(tensor: Tensor) -> Sequence[Tensor]:
-    return [
-        _on_disk(part) for part in tensor.split(max(1, _PART_BYTES * len(tensor) // tensor.nbytes))
-    ]
-
-
-def _joined(parts: list[Tensor]) -> Tensor:
-    sizes = [len(part) for part in parts]
-    first = parts[0]
-    whole = MAP_MEMORY.rows(
-        sum(sizes),
-        *first.shape[1:],
-        dtype=first.dtype,
-        device=first.device,
-    )
-    for place, part in zip(whole.split(sizes), parts, strict=True):
-        place.copy_(part)
-        MAP_MEMORY.give_back()
-    return whole
-
-
-def _on_disk(tensor: Tensor) -> Tensor:
-    """The tensor on the CPU, as a buffer of its own size: torch saves whole buffers."""
-    plain = tensor.detach().cpu().contiguous()
-    if plain.nbytes < _COPIED_BYTES:
-        return plain.clone()
-    # NumPy does not know all types
-    values = torch.from_numpy(plain.view(-1).view(torch.uint8).numpy())
-    return values.view(plain.dtype).view(plain.shape)
-
-
-def _check_buffers(value: Any, name: str) -> None:
-    """Raise ``ValueError`` for a tensor that stands for more memory than it has, as one with a
-    stride of 0."""
-    if isinstance(value, Tensor):
-        if value.nbytes > value.untyped_storage().nbytes():
-            raise ArgumentError(
-                f"{name} has a tensor {list(value.shape)} of more values than are stored for it"
-            )
-    elif isinstance(value, dict):
-        for part in value.values():
-            _check_buffers(part, name)
-    elif isinstance(value, list | tuple):
-        for part in value:
-            _check_buffers(part, name)
-
-
-def _joined_bytes(value: Any, constants: dict[str, Tensor]) -> int:
-    """Memory that the tensors in parts take when they are joined; a part may occur several
-    times."""
-    if isinstance(value, dict):
-        if _PARTS in value:
-            return sum(constants[place].nbytes for place in value[_PARTS])
-        return sum(_joined_bytes(part, constants) for part in value.values())
-    if isinstance(value, list | tuple):
-        return sum(_joined_bytes(part, constants) for part in value)
-    return 0
-
-
-def _whole(value: Any, constants: dict[str, Tensor]) -> Any:
-    """The state that ``_plain`` was given. Raises ``KeyError`` for a constant that is nowhere."""
-    if type(value) is dict:
-        if _CONSTANT in value:
-            return constants[value[_CONSTANT]]
-        if _PARTS in value:
-            return _joined([constants[place] for place in value[_PARTS]])
-        return {key: _whole(v, constants) for key, v in value.items()}
-    if type(value) in (list, tuple):
-        return type(value)(_whole(v, constants) for v in value)
-    return value

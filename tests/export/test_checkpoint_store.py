@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from gsfusion_nb.export import CheckpointStore, checkpoint_store
+from gsfusion_nb.export import CheckpointStore, checkpoint_values
 
 
 def state(seed: int = 0) -> dict:
@@ -91,8 +91,8 @@ def test_what_is_constant_is_written_once(tmp_path):
 
 
 def test_parts_of_a_large_tensor_that_did_not_change_are_not_written_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(checkpoint_store, "_PART_BYTES", 40_000)
-    monkeypatch.setattr(checkpoint_store, "_COPIED_BYTES", 10_000)
+    monkeypatch.setattr(checkpoint_values, "PART_BYTES", 40_000)
+    monkeypatch.setattr(checkpoint_values, "COPIED_BYTES", 10_000)
     store = CheckpointStore(tmp_path)
     rows = torch.rand(100, 1000, generator=torch.Generator().manual_seed(0))
     buffer = torch.cat([rows, rows])

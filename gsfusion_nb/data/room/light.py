@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy import ndarray
 
-from .solids import SIZE_M, Solid, shell_distance
+from .distance import shell_distance
+from .solids import SIZE_M, Solid
 
 _VOXEL_M = 0.03
 

@@ -13,10 +13,10 @@ from ...checks import check_positive
 from ...files import cache_folder
 from ...types import Mesh
 from .atlas import LEVELS, level_offsets, texels
+from .distance import signed_distance
 from .image_cache import cached
 from .interior import SHELL_SOLIDS, furnishing
 from .scene import Scene, load_scene, version
-from .solids import signed_distance
 
 _LIFT_M = 0.002
 
