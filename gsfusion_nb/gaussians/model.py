@@ -90,11 +90,6 @@ class GaussianModel:
         return StepClock(self._steps, self.columns["birth_step"], self.columns["last_step"])
 
     @property
-    def step_count(self) -> int:
-        """Optimiser steps so far, shared by all rows."""
-        return self._steps.value
-
-    @property
     def tag(self) -> Int[Tensor, " N"]:
         """Label that the seeding rule gave each row."""
         return self.columns["tag"]
@@ -217,7 +212,7 @@ class GaussianModel:
         change the tensors."""
         columns = self.columns.snapshot() if copies else self.columns
         rows = {name: column for name, column in columns.items() if not name.startswith("trace.")}
-        return {"sh_degree": self.sh_degree, "step_count": self.step_count, "rows": rows}
+        return {"sh_degree": self.sh_degree, "step_count": self.clock.count, "rows": rows}
 
     @classmethod
     def from_state_dict(

@@ -121,7 +121,7 @@ def change_states(
     in k - t_i.
     """
     stable = model.is_stable
-    age = model.frames_in_view if config.age == "in_view" else model.step_count - model.clock.birth
+    age = model.frames_in_view if config.age == "in_view" else model.clock.count - model.clock.birth
     errors = model.depth_errors
     if config.on_error == "release":
         errors = errors.maximum(model.colour_errors)

@@ -57,4 +57,4 @@ class MapPart:
 def edits_of(model: GaussianModel) -> tuple[int, ...]:
     """Another value when any value of the map has changed, or the number of rows or steps."""
     buffers = model.columns.buffers()
-    return (len(model), model.step_count, *edit_count(*buffers))
+    return (len(model), model.clock.count, *edit_count(*buffers))

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..config import GpsSlamConfig, OptimConfig, gps_slam, gps_slam_fidelities, gps_slam_fidelity
-from ..gaussians import GaussianModel, restart_optimiser
+from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import Keyframe, TrainingView, ViewLoss, ViewStep, l1_mse_vjp, l2_mse_vjp
 from ..render import OverBaseOutput, SurfacePicture
@@ -20,17 +20,14 @@ from ..tsdf import FusedView, TsdfVolume, fuse_frame_
 from ..types import Camera, Frame, RenderOutput, Seeds
 from .description import SystemDescription
 from .gps_files import GpsFiles
+from .gps_rounds import begin_round, remove_useless
 from .gps_surface import OverSurface
 from .gps_views import PassViews, SurfaceKeyframe, ViewRound, look_at
-from .lost_rows import remove_lost
 from .rule_calls import rule_is_due
 from .step_report import StepReport, as_floats
 from .training import Training
 from .tsdf_mapping import TsdfMapping
 from .view_steps import step_on_view
-
-LEAST_OPACITY = 0.005
-"""Gaussians with a smaller opacity are removed (released code)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +85,8 @@ class GPSSLAM(TsdfMapping):
         with self.clock("tsdf"):
             missing = self._make_room(frame)
         with self.clock("base"):
-            view = self._look_at_frame(frame) if plan.needs_surface else None
+            keyframe = Keyframe.of(frame, with_depth=self.training.loss is not None)
+            view = self._look(keyframe) if plan.needs_surface else None
         with self.clock("seeding"):
             context = self.seed_context(frame, FusedView(self.volume, frame, missing), view)
             seeds = self.propose_seeds(context)
@@ -140,13 +138,10 @@ class GPSSLAM(TsdfMapping):
     def _append(self, seeds: Seeds, frame: Frame, plan: FramePlan) -> None:
         """Begin a round where the rule was asked; add the new Gaussians and the keyframe."""
         if plan.asks_rule:
-            self._begin_round()
+            begin_round(self)
         self.parts.append(seeds, frame.index)
         if plan.is_keyframe:
             self.keyframes.append(frame, with_depth=self.training.loss is not None)
-
-    def _look_at_frame(self, frame: Frame) -> SurfaceKeyframe:
-        return self._look(Keyframe.of(frame, with_depth=self.training.loss is not None))
 
     def _renew_views(self, newest: SurfaceKeyframe | None) -> None:
         """Look again at the views whose turn it is; ``newest`` becomes one of them."""
@@ -215,29 +210,6 @@ class GPSSLAM(TsdfMapping):
     def _look(self, keyframe: Keyframe) -> SurfaceKeyframe:
         return look_at(self.volume, keyframe.to(self.device), self.config.base)
 
-    def _prune(self) -> None:
-        """Remove Gaussians that have become too small, too large or transparent."""
-        self.parts.take_missed_steps()
-        remove_lost(self)
-        limits = self.config.residual
-        params = self.gaussians.params
-        radius_m = params.log_scale.amax(dim=1).exp()
-        is_useful = (radius_m >= limits.min_radius_m) & (radius_m <= limits.max_radius_m)
-        is_useful &= params.opacity_logit.sigmoid() >= LEAST_OPACITY
-        if not bool(is_useful.all()):
-            self.gaussians.undo_log.will_change()
-            self.gaussians.keep(is_useful)
-
-    def _begin_round(self) -> None:
-        """Remove Gaussians and forget all moments and the number of steps, where the settings say
-        so."""
-        if self.config.schedule.spread:
-            self._prune()
-        if self.config.residual.restart_adam:
-            self.parts.take_missed_steps()
-            self.gaussians.undo_log.will_change()
-            restart_optimiser(self.gaussians)
-
     def _optimise(self, context: SeedContext) -> list[list[float]]:
         """The steps of this frame, each on one of the views; after a burst of them rows are
         removed. Returns loss and mean squared error before each."""
@@ -248,7 +220,7 @@ class GPSSLAM(TsdfMapping):
             [self._optimise_view(view, views[i + 1 :]) for i, view in enumerate(views)]
         )
         if steps and not self.config.schedule.spread:
-            self._prune()
+            remove_useless(self)
         return steps
 
     def _global_step(self, i: int) -> Float[Tensor, ""]:
@@ -260,7 +232,7 @@ class GPSSLAM(TsdfMapping):
         )
         step = self._optimise_view(view)
         if not self.passes.queue:
-            self._prune()
+            remove_useless(self)
         return step.loss
 
     def _optimise_view(

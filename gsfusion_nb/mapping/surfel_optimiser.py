@@ -248,7 +248,7 @@ class SurfelOptimiser:
         is_old = old_rows >= 0
         old_rows = old_rows[is_old]
         clock = self.copies.clock
-        clock.advance(earlier.copies.step_count)
+        clock.advance(earlier.copies.clock.count)
         clock.last[is_old] = earlier.copies.clock.last[old_rows]
         for mine, theirs in zip(_moments(self.copies), _moments(earlier.copies), strict=True):
             for name, values in vars(theirs).items():

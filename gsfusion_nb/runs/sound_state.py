@@ -240,7 +240,9 @@ def _check_rows(model: Any) -> None:
         if not len(column):
             continue
         low, high = (int(x) for x in torch.aminmax(column))
-        least, most = {"state": (0, 1), "birth_frame": (-1, _MOST)}.get(name, (0, model.step_count))
+        least, most = {"state": (0, 1), "birth_frame": (-1, _MOST)}.get(
+            name, (0, model.clock.count)
+        )
         if low < least or high > most:
             raise SequenceError(
                 f"{name} of the Gaussians must be from {least} to {most}, got {low} to {high}"

@@ -122,7 +122,7 @@ class Walk:
             2.5  # some large ones, and some nearly transparent ones, of which some are both
         )
         params.opacity_logit[n_old::3] = -6.0
-        self.gaussians.clock.advance(self.gaussians.step_count + 5)
+        self.gaussians.clock.advance(self.gaussians.clock.count + 5)
 
 
 def _scene_frame(width: int, height: int, shift_m: float = 0.0) -> Frame:

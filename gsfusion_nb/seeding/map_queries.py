@@ -55,7 +55,8 @@ def map_view(inputs: SeedInputs) -> MapView:
 def step_count(inputs: SeedInputs) -> int:
     """Gradient steps of the map so far; in RTG-SLAM the number of frames. 0 if the map does not
     count."""
-    return getattr(inputs.gaussians, "step_count", 0)
+    clock = getattr(inputs.gaussians, "clock", None)
+    return 0 if clock is None else clock.count
 
 
 def surface_inputs(inputs: SeedInputs) -> SurfaceInputs | None:

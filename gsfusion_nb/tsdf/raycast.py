@@ -30,7 +30,7 @@ from ..geometry import pixel_grid, rays, se3
 from ..geometry.operands import check_view
 from ..types import Camera
 from .cells import cell_corners, corner_gradients, corner_weights
-from .volume import TsdfVolume, check_volume, rgb_at
+from .volume import TsdfVolume, check_volume, is_observed, rgb_at
 from .voxels import block_corners
 
 STEP = 0.7
@@ -95,7 +95,7 @@ def raycast(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> R
         z = _surface_depths(volume, T_WC, ray_W)
         point_W = T_WC[:3, 3] + z.nan_to_num()[:, None] * ray_W
         at, f = cell_corners(volume, point_W)
-        hit = volume.observed(at).all(1) & ~z.isnan()
+        hit = is_observed(volume, at).all(1) & ~z.isnan()
         at = at[hit]
         f = f[hit]
         depth_m[hit] = z[hit]
@@ -150,7 +150,7 @@ def _distance_at(
 ) -> tuple[Float[Tensor, " N"], Bool[Tensor, " N"]]:
     """D at points, NaN where not observed; and whether their block is allocated."""
     voxel = volume.find_voxels(volume.voxel_index(point_W))
-    nearest = volume.D.view(-1)[voxel].where(volume.observed(voxel), torch.nan)
+    nearest = volume.D.view(-1)[voxel].where(is_observed(volume, voxel), torch.nan)
     close = nearest.abs() * volume.config.truncation_m < CLOSE_VOXELS * volume.config.voxel_size_m
     interpolated, valid = volume.interpolate(point_W[close])
     D = nearest.clone()

@@ -178,19 +178,11 @@ class TsdfVolume:
         """
         check_shape("xyz_W", xyz_W, ("N", 3))
         at, f = cell_corners(self, xyz_W)
-        valid = self.observed(at).all(1)
+        valid = is_observed(self, at).all(1)
         D = torch.ones_like(f[:, 0])
         around = self.D.view(-1)[at[valid]]
         D[valid] = (around * corner_weights(f[valid])).sum(1)
         return D, valid
-
-    def observed(self, flat: Int[Tensor, "*N"]) -> Bool[Tensor, "*N"]:
-        """Whether voxels, given by their position in the flattened pool, are allocated (not -1) and
-        have a weight."""
-        allocated = flat >= 0
-        observed = torch.zeros_like(allocated)
-        observed[allocated] = self.W.view(-1)[flat[allocated]] > 0
-        return observed
 
     def state_dict(self, *, copies: bool = True) -> dict[str, Any]:
         """Everything needed to continue: configuration and blocks; without ``copies`` later frames
@@ -203,7 +195,7 @@ class TsdfVolume:
     def to(self, device: torch.device | str) -> "TsdfVolume":
         """A copy of the map on ``device``."""
         volume = TsdfVolume(self.config, device, memory_limit_bytes=self.memory_limit_bytes)
-        volume._take(self.pool.stored(self.n_blocks))
+        _take(volume, self.pool.stored(self.n_blocks))
         return volume
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -220,9 +212,10 @@ class TsdfVolume:
                 f"the saved map was made with {config}, this volume has {self.config}"
             )
         _check_saved_blocks(state)
-        self._take(
+        _take(
+            self,
             {name: state[name] for name in ("D", "W", "rgb", "block_coords")}
-            | {"W_rgb": _colour_weights(state)}
+            | {"W_rgb": _colour_weights(state)},
         )
 
     def _pool_for(self, n_blocks: int) -> BlockPool:
@@ -230,14 +223,24 @@ class TsdfVolume:
         voxel_size_m = self.config.voxel_size_m
         return self.pool.with_room_for(n_blocks, limit_bytes=limit_bytes, voxel_size_m=voxel_size_m)
 
-    def _take(self, tensors: dict[str, Tensor]) -> None:
-        """Replace the blocks by those of ``BlockPool.stored``, which may be on another device,
-        whose memory may be full."""
-        coords = tensors["block_coords"].to(self.device)
-        self.pool = BlockPool(0, self.device, weighs_colours=self.config.weighs_colours)
-        self.pool = self._pool_for(len(coords))
-        self.index = BlockIndex.of_blocks(coords)
-        self.pool.fill(tensors)
+
+def _take(volume: TsdfVolume, tensors: dict[str, Tensor]) -> None:
+    """Replace the blocks of a volume by those of ``BlockPool.stored``, which may be on another
+    device, whose memory may be full."""
+    coords = tensors["block_coords"].to(volume.device)
+    volume.pool = BlockPool(0, volume.device, weighs_colours=volume.config.weighs_colours)
+    volume.pool = volume._pool_for(len(coords))
+    volume.index = BlockIndex.of_blocks(coords)
+    volume.pool.fill(tensors)
+
+
+def is_observed(volume: TsdfVolume, flat: Int[Tensor, "*N"]) -> Bool[Tensor, "*N"]:
+    """Whether voxels, given by their position in the flattened pool, are allocated (not -1) and
+    have a weight."""
+    allocated = flat >= 0
+    observed = torch.zeros_like(allocated)
+    observed[allocated] = volume.W.view(-1)[flat[allocated]] > 0
+    return observed
 
 
 def _check_saved_blocks(state: dict[str, Any]) -> None:

@@ -72,7 +72,7 @@ def test_state_round_trip(generator):
     model.append(seeds(5000, generator), 2)
     model.clock.advance(17)
     again = GaussianModel.from_state_dict(model.state_dict())
-    assert again.step_count == 17
+    assert again.clock.count == 17
     for name in PARAMETERS:
         assert torch.equal(getattr(again.params, name), getattr(model.params, name))
         assert torch.equal(

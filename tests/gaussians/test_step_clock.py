@@ -159,7 +159,7 @@ def test_parts_with_their_missed_steps_are_the_whole_map_in_any_order(adam_steps
         for model in twins.both:
             model.clock.check()
         assert torch.equal(twins.parts.clock.birth, twins.whole.clock.birth)
-        assert twins.parts.step_count == twins.whole.step_count
+        assert twins.parts.clock.count == twins.whole.clock.count
     before = twins.parts.state_dict()
     now = params_now(twins.parts, twins.catch_up_part)
     some = torch.arange(0, len(twins.parts), 2)
@@ -299,7 +299,7 @@ def test_a_clock_does_not_go_back_and_an_old_part_is_refused(generator):
     model.append(seeds(3, generator))
     old = model.clock.part(torch.tensor([0]))
     model.clock.step()
-    assert model.step_count == 1
+    assert model.clock.count == 1
     with pytest.raises(ValueError, match="does not go back, from 1 to 0"):
         model.clock.advance(0)
     with pytest.raises(ValueError, match="a part with 0 steps is older than its map, which has 1"):

@@ -192,7 +192,7 @@ def test_state_round_trip(generator):
     model.params.xyz_W.add_(1.0)
     again = SurfelModel.from_state_dict(model.state_dict())
     assert isinstance(again, SurfelModel)
-    assert (len(again), again.step_count, again.sh_degree) == (5000, 17, 2)
+    assert (len(again), again.clock.count, again.sh_degree) == (5000, 17, 2)
     saved = model.state_dict()["rows"]
     restored = again.state_dict()["rows"]
     assert saved.keys() == restored.keys()

@@ -165,7 +165,7 @@ def test_a_gradient_of_another_map_changes_nothing():
             OptimConfig(),
         )
     assert all(torch.equal(column, before[name]) for name, column in vars(model.params).items())
-    assert model.step_count == 0
+    assert model.clock.count == 0
 
 
 def _unchecked(columns: dict[str, torch.Tensor]) -> GaussianParams:

@@ -201,7 +201,7 @@ def test_a_step_leaves_what_no_view_shows_as_it_is(small_room, cloud):
     far = dataclasses.replace(cloud, xyz_W=cloud.xyz_W + 100.0)
     mapper.files.begin_with(far)
     mapper.step(small_room[0])
-    steps = mapper.gaussians.step_count
+    steps = mapper.gaussians.clock.count
     assert steps > 0
     n = len(far) // CHUNK * CHUNK  # the last chunk has new rows, too
     for name in vars(far):
@@ -326,7 +326,7 @@ def test_steps_of_gps_slam_in_parts_are_those_on_the_whole_map(rule, small_room,
         for i in range(14):
             mapper.step(small_room[i])
         maps.append(mapper.gaussians)
-    assert maps[0].step_count == maps[1].step_count > 4
+    assert maps[0].clock.count == maps[1].clock.count > 4
     assert len(maps[0]) == len(maps[1]) > 0
     for name, column in vars(maps[0].params).items():
         torch.testing.assert_close(

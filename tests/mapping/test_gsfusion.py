@@ -50,8 +50,8 @@ def test_steps_per_frame_follow_the_paper(split, config):
     for frame in split.mapping:
         n_keyframes = len(mapper.keyframes)
         report = mapper.step(frame)
-        taken = mapper.gaussians.step_count - steps_before
-        steps_before = mapper.gaussians.step_count
+        taken = mapper.gaussians.clock.count - steps_before
+        steps_before = mapper.gaussians.clock.count
         assert taken == (4 if report.is_keyframe else 2 + min(3, n_keyframes))
         assert len(report.losses) == (4 if report.is_keyframe else 2)
         kinds.add(report.is_keyframe)

@@ -132,7 +132,7 @@ def test_what_a_step_reports(mapped):
     assert len(mapper.gaussians) == total
     assert sum(r.is_keyframe for r in reports) == len(mapper.keyframes) > 1
     assert reports[0].is_keyframe
-    assert mapper.n_frames == mapper.gaussians.step_count == 20
+    assert mapper.n_frames == mapper.gaussians.clock.count == 20
     assert len(mapper.window) == config.window.frames
     assert [f.index for f in mapper.window][-1] == 19
 

@@ -267,4 +267,4 @@ def test_state_round_trip(generator):
         resumed.step(seen)
     for name, column in vars(whole.params).items():
         assert torch.equal(column, getattr(resumed.params, name)), name
-    assert resumed.copies.step_count == 8
+    assert resumed.copies.clock.count == 8

@@ -199,7 +199,7 @@ def test_each_group_moves_at_its_own_rate(mode, multiple):
         rtol=1e-3,
         atol=1e-7,
     )
-    assert model.step_count == 1
+    assert model.clock.count == 1
 
 
 def test_late_rows_in_a_shared_model(generator):
@@ -496,7 +496,7 @@ def test_an_optimiser_from_outside_is_told_rates_and_ages(generator):
     adam_step(model, gradients(model.params, generator), config, notes)
     assert told[4, 4, 3] == ([5, 5, 5, 1], pytest.approx([0.2, 0.3, 0.3, 0.3]))
     assert told[4,] == ([5, 5, 5, 1], 0.4)
-    assert model.step_count == 5
+    assert model.clock.count == 5
     assert model.clock.last.tolist() == [5] * 4
     told.clear()
     window = copies_of(rows(2, generator))
@@ -513,7 +513,7 @@ def test_a_part_knows_whether_its_map_has_changed(generator):
     adam_step(part, gradients(part.params, generator), OptimConfig())
     part.write_back()
     assert part.is_current
-    assert model.step_count == part.clock.count == 1
+    assert model.clock.count == part.clock.count == 1
     assert model.clock.last.tolist() == [1, 0, 0, 0, 1, 0, 0, 0, 0]
     model.params.xyz_W.add_(1.0)
     assert not part.is_current

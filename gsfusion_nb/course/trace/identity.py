@@ -132,7 +132,7 @@ class Identities:
             "cause": cause,
             "frame_index": frame_index,
             "rule": rule,
-            "step": self.model.step_count,
+            "step": self.model.clock.count,
         }
         self._births.append((self.count, fields, {"tag": tag, **own}))
         ids[rows] = torch.arange(
