@@ -85,8 +85,7 @@ class GPSSLAM(TsdfMapping):
         with self.clock("tsdf"):
             missing = self._make_room(frame)
         with self.clock("base"):
-            keyframe = Keyframe.of(frame, with_depth=self.training.loss is not None)
-            view = self._look(keyframe) if plan.needs_surface else None
+            view = self._look_at_frame(frame) if plan.needs_surface else None
         with self.clock("seeding"):
             context = self.seed_context(frame, FusedView(self.volume, frame, missing), view)
             seeds = self.propose_seeds(context)
@@ -143,6 +142,9 @@ class GPSSLAM(TsdfMapping):
         if plan.is_keyframe:
             self.keyframes.append(frame, with_depth=self.training.loss is not None)
 
+    def _look_at_frame(self, frame: Frame) -> SurfaceKeyframe:
+        return self._look(Keyframe.of(frame, with_depth=self.training.loss is not None))
+
     def _renew_views(self, newest: SurfaceKeyframe | None) -> None:
         """Look again at the views whose turn it is; ``newest`` becomes one of them."""
         self._pass_views = PassViews()  # the surface will be another one
@@ -167,20 +169,12 @@ class GPSSLAM(TsdfMapping):
 
     def surface_picture(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfacePicture:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
-        return self._over_surface.surface_picture(camera, T_WC)
+        return over_surface(self).surface_picture(camera, T_WC)
 
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
         """Surface and Gaussians seen by a camera; alpha is 1 where there is a surface, and depth is
         the surface's."""
-        return self._over_surface.render(camera, T_WC)
-
-    @property
-    def _over_surface(self) -> OverSurface:
-        return OverSurface(
-            volume=self.volume,
-            params=self.parts.params_now(),
-            config=self.config.base,
-        )
+        return over_surface(self).render(camera, T_WC)
 
     @property
     def row_optim(self) -> OptimConfig:
@@ -257,6 +251,12 @@ class GPSSLAM(TsdfMapping):
         )
         self.after_steps.edit(self, statistics, keyframe, step, target_rgb)
         return step
+
+
+def over_surface(mapper: GPSSLAM) -> OverSurface:
+    """The two maps of a mapper, one over the other, as they are now."""
+    params = mapper.parts.params_now()
+    return OverSurface(volume=mapper.volume, params=params, config=mapper.config.base)
 
 
 def loss_of_view(
