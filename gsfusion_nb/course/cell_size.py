@@ -56,6 +56,7 @@ def _parts_without_end(camera: Camera, cell: Cell, depth_m: Tensor, largest_m: f
     difficulty=3,
     minutes=10,
     solution=_parts,
+    goes_on_with=("split_cell",),
     hints=(
         "A recursion as in 3.3: return [cell], or the parts of its four parts in one list.",
         "The size is that of 3.4, z r / fx, with the depth of the cell's own middle.",

@@ -1,12 +1,15 @@
 """Marks for a class: what a submission needs, what it may do in the sandbox, who gets which
 mark."""
 
+import ast
 import csv
+import re
 from pathlib import Path
 
 import pytest
 
 from gsfusion_nb.course.attempt import Failed
+from gsfusion_nb.course.exercise import exercises
 from gsfusion_nb.course.grading.grade import grade
 from gsfusion_nb.course.grading.judge import Limits, judge
 from gsfusion_nb.course.grading.library import copy_library
@@ -141,6 +144,17 @@ def test_a_function_that_ends_its_process_or_sleeps_leaves_the_next_one_alone(li
     assert "exit status 3" in found["psnr"].detail
     assert "4 s" in found["block_of"].detail
     assert found["zero_crossing"], found["zero_crossing"]
+
+
+@pytest.mark.ci
+def test_an_exercise_is_given_the_functions_that_its_notebook_gives_it():
+    for path in (Path(__file__).parents[2] / "notebooks").glob("*.ipynb"):
+        code = read_code(path)
+        for exercise in exercises().values():
+            if exercise.chapter == int(path.name[:2]):
+                lines = [ast.unparse(node) for _, node in needed(code.cells, exercise.name)]
+                given = re.findall(r"check\.(\w+)\.working", "\n".join(lines))
+                assert set(given) == set(exercise.goes_on_with), exercise.name
 
 
 SOLVED = {
