@@ -102,7 +102,7 @@ def _room_map() -> dict[str, Any]:
     """The map of the room after every fifth frame and after passes over the keyframes, without
     revisits; and how well each map shows each frame."""
     run = _mapping_run(
-        128, n_frames=ROOM_FRAMES, threshold=0.05, passes=STORED_PASSES[-1], steps=(10, 0)
+        128, n_frames=ROOM_FRAMES, threshold=0.08, passes=STORED_PASSES[-1], steps=(10, 0)
     )
     mapper = run.mapper
     frames = list(run.sequence.mapping)
@@ -125,7 +125,7 @@ def _room_map() -> dict[str, Any]:
         n_passes, unfinished = divmod(n_steps, len(mapper.keyframes))
         if not unfinished and n_passes in STORED_PASSES:
             keep(len(frames), n_passes)
-    revisiting = _mapping_run(128, n_frames=ROOM_FRAMES, threshold=0.05, passes=0, steps=(5, 5))
+    revisiting = _mapping_run(128, n_frames=ROOM_FRAMES, threshold=0.08, passes=0, steps=(5, 5))
     for frame in frames:
         revisiting.mapper.step(frame)
     camera = frames[0].camera
@@ -171,6 +171,9 @@ def _mapping_run(
         tsdf__voxel_size_m=0.04,
         seeding__quadtree_threshold=threshold,
         seeding__quadtree_min_cell_px=2,
+        seeding__quadtree_largest_m=0.25,
+        seeding__thickness=0.3,
+        seeding__opacity=0.8,
         optim__keyframe_iterations=own,
         optim__frame_iterations=own,
         optim__random_keyframe_iterations=revisits,
