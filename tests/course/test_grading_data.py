@@ -51,8 +51,6 @@ def test_an_object_leaves_only_its_name():
         def __eq__(self, other):
             return True
 
-        __hash__ = None
-
     assert type(crossed(Liar())).__name__ == "Liar"
     assert crossed(Liar()) != 3
 

@@ -37,6 +37,7 @@ def test_every_chapter_has_questions_about_concepts():
 def test_every_answer_has_its_reason_in_the_book_and_on_a_learning_platform():
     concept = quiz.concepts()[0]
     function = quiz.question(exercises()["psnr"], 1)
+    assert function is not None
     page = quiz_page(0, [concept, function])
     xml = quiz.moodle_xml(0, [concept, function])
     given = [e.findtext("text") for e in ET.fromstring(xml).iter("feedback")]
