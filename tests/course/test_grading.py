@@ -176,5 +176,6 @@ def test_solved_chapters_pass_in_the_sandbox(library):
     ]
     for name, chapter in SOLVED.items():
         code = choose(codes, name, chapter)
+        assert code is not None
         verdict = judge(name, code.cells, Limits(), library)
         assert verdict, repr(verdict)
