@@ -36,7 +36,7 @@ MEANINGS = {
     "n_gaussians": "small soft discs of colour that the map is made of; fewer are faster and "
     "take less memory",
     "mesh_accuracy_m": "how far the map's triangles are from the room as it was built",
-    "mesh_completion_ratio": "share of what was filmed that has triangles within 5 cm",
+    "mesh_completion_ratio": "share of what was filmed that has triangles within 3 cm",
     "fps_total": "frames that became part of the map in a second",
     "seconds_online": "time for the whole walk",
     "seconds_global": "time to go through the pictures again afterwards",
