@@ -31,7 +31,7 @@ def test_progress_by_chapter(course_file, capsys):
     shown = capsys.readouterr().out
     assert " 0  Quickstart" in shown
     assert "1 of 3 exercises  60 min" in shown
-    assert "1 of 59 exercises, 1 prediction" in shown
+    assert "1 of 60 exercises, 1 prediction" in shown
     assert "next: exam_frames\n" in shown
 
 
