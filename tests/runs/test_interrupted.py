@@ -178,7 +178,7 @@ PLACES = {
     ],
     "gsfusion_fits": [
         (keyframe_fits.KeyframeFits, "move"),
-        (gaussians.GaussianModel, "move"),
+        (keyframe_fits, "move_map_"),
         (keyframe_fits, "fit_exposure"),
     ],
 }

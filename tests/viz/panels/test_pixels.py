@@ -211,7 +211,7 @@ def mapper(generator):
     surface = SurfacePicture(base=base, depth_everywhere_m=depth_m, behind_m=0.1)
     output = render_over_base(params, MIDDLE, EYE, base, behind_m=0.1)[0]
     return SimpleNamespace(
-        params_now=lambda: params,
+        parts=SimpleNamespace(params_now=lambda: params),
         surface_picture=lambda *_: surface,
         render=lambda *_: output,
         output=output,
