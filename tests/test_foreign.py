@@ -76,12 +76,16 @@ ALLOWED = {
     "compare/executors.py": "a picture it has just drawn",
     "data/recorded/images.py": "decodes after the header was looked at",
     "data/room/image_cache.py": "pictures of its own, from bytes of a limited size",
-    "recordings/convert/recording.py": "an array that is mapped, and so is not larger than its "
+    "recordings/convert/depth_files.py": "an array that is mapped, and so is not larger than its "
     "file",
     "recordings/convert/formats/ros_files.py": "a file that gives no more bytes than it has",
     "recordings/convert/formats/unpacking.py": "a file that gives no more bytes than it may have",
-    "recordings/fetch.py": "downloads, and unpacking into a new folder within a limit",
-    "course/grading/sandbox.py": "tasks and verdicts of its own",
+    "recordings/unpack.py": "unpacking into a new folder within a limit",
+    "course/grading/answering.py": "the null device",
+    "course/grading/data.py": "messages of a limited size, in which no value is more than data",
+    "course/grading/journal.py": "marks that it has written",
+    "course/grading/library.py": "source files of this package",
+    "course/grading/process.py": "files of /proc",
     "viz/steppers/recording.py": "source files of this package",
     "export/checkpoint_store.py": "tensors and plain values whose checksum is right",
     "runs/run_folder.py": "text of a checkpoint whose checksum is right, and "

@@ -126,7 +126,11 @@ def switches(
 def test_options_and_choices():
     assert rule_options(switches) == {"n": 3, "far": False, "where": "near"}
     assert rule_choices(switches) == {"where": ("near", "far")}
-    assert rule_options("gsfusion") == {"required_weight": 1.0, "coverage": True}
+    assert rule_options("gsfusion") == {
+        "required_weight": 1.0,
+        "coverage": True,
+        "coarseness": 1.0,
+    }
 
 
 @pytest.mark.parametrize(
