@@ -14,7 +14,7 @@ def texts_in(path):
 
 
 def solutions():
-    for place in [*sys.path, os.getcwd(), "/work/main", "/home", "/root", "/srv"]:
+    for place in [*sys.path, os.getcwd(), "/home", "/root", "/srv"]:
         for folder, _, files in os.walk(place):
             if "hostile" in folder or "torch" in folder or folder.count(os.sep) > 9:
                 continue
