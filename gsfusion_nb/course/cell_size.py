@@ -5,8 +5,8 @@ from torch import Tensor
 
 from ..seeding.quadtree import Cell, cut
 from ..types import Camera
-from .attempt import as_rows
 from .exercise import Attempt, Wrong, exercise
+from .quadtree import as_cells
 
 SMALLEST_HALF_PX = 1
 """A cell is cut only while half its width and half its height are above this."""
@@ -107,14 +107,7 @@ def _same_cells(
     attempt: Attempt, arguments: tuple[Camera, Cell, Tensor, float], proposition: str
 ) -> None:
     """The student's cells of these arguments are the solution's, in any order."""
-    value = as_rows(attempt(*arguments))
-    attempt.holds(
-        isinstance(value, (list, tuple)),
-        "it returns a list of cells",
-        detail=f"got a {type(value).__name__}",
-    )
-    rows = [attempt.unpack(c, ("x0", "y0", "width", "height")) for c in value]  # pyright: ignore[reportGeneralTypeIssues]
-    got = sorted((int(x), int(y), int(w), int(h)) for x, y, w, h in rows)
+    got = sorted(as_cells(attempt, attempt(*arguments)))
     right = sorted(_parts(*arguments))
     attempt.holds(
         got == right, proposition, detail=f"got {len(got)} cells, and {len(right)} are right"

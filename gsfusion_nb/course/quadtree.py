@@ -308,11 +308,11 @@ def quadtree_leaves(attempt: Attempt) -> None:
         plain,
         noise,
     )
-    got = _as_cells(attempt, attempt.on("an image of one grey")(plain, 0.01, 1))
+    got = set(as_cells(attempt, attempt.on("an image of one grey")(plain, 0.01, 1)))
     attempt.holds(
         got == {(0, 0, 28, 20)}, "a plain image stays one cell", detail=f"got {len(got)} cells"
     )
-    cells = _as_cells(attempt, attempt.on("an image of noise")(noise, 0.001, 5))
+    cells = set(as_cells(attempt, attempt.on("an image of noise")(noise, 0.001, 5)))
     attempt.holds(len(cells) > 1, "a busy image is split", detail=f"got {len(cells)} cell")
     coverage = torch.zeros(20, 28, dtype=torch.int64)
     for x, y, w, h in cells:
@@ -349,7 +349,7 @@ def quadtree_leaves(attempt: Attempt) -> None:
                 strict=True,
             )
         )
-        got = _as_cells(attempt, attempt.on(case)(image, threshold, least))
+        got = set(as_cells(attempt, attempt.on(case)(image, threshold, least)))
         detail = (
             f"threshold {threshold}, min_cell_px {least}: {len(got)} leaves, expected "
             f"{len(reference)}"
@@ -357,7 +357,12 @@ def quadtree_leaves(attempt: Attempt) -> None:
         attempt.holds(got == reference, prop, detail=detail)
 
 
-def _as_cells(attempt: Attempt, value: object) -> set[Cell]:
+def as_cells(attempt: Attempt, value: object) -> list[Cell]:
+    """The cells that a student's function returned, as whole numbers.
+
+    Raises:
+        Failed: it is no list, or a row of it is no cell.
+    """
     value = as_rows(value)
     attempt.holds(
         isinstance(value, (list, tuple)),
@@ -365,7 +370,7 @@ def _as_cells(attempt: Attempt, value: object) -> set[Cell]:
         detail=f"got a {type(value).__name__}",
     )
     rows = [attempt.unpack(c, ("x0", "y0", "width", "height")) for c in value]  # pyright: ignore[reportGeneralTypeIssues]
-    return {(int(x), int(y), int(w), int(h)) for x, y, w, h in rows}
+    return [(int(x), int(y), int(w), int(h)) for x, y, w, h in rows]
 
 
 def _gaussian(
