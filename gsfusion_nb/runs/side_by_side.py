@@ -2,6 +2,7 @@
 map as it grew."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,33 +16,48 @@ from .report import ReportPanel
 if TYPE_CHECKING:
     from .driver import FinishedRun
 
-NUMBERS = {
-    "psnr_held_out_db": "PSNR of held-out views",
-    "ssim_held_out": "SSIM of held-out views",
-    "depth_l1_held_out_m": "depth error of held-out views",
-    "n_gaussians": "Gaussians",
-    "mesh_accuracy_m": "mesh to true surface",
-    "mesh_completion_ratio": "true surface in the mesh",
-    "fps_total": "speed while mapping",
-    "seconds_online": "mapping",
-    "seconds_global": "passes after the scan",
-}
-"""The metrics shown of each run, if any run has them, and their labels."""
 
-MEANINGS = {
-    "psnr_held_out_db": "how near the drawn pictures are to photographs that the map has never "
-    "seen: 20 dB is blurred, 30 dB is good, 10 dB more is a tenth of the squared error",
-    "ssim_held_out": "how alike their structures are: 1 is equal",
-    "depth_l1_held_out_m": "how far the drawn surface is from the measured one, on average",
-    "n_gaussians": "small soft discs of colour that the map is made of; fewer are faster and "
-    "take less memory",
-    "mesh_accuracy_m": "how far the map's triangles are from the room as it was built",
-    "mesh_completion_ratio": "share of what was filmed that has triangles within 3 cm",
-    "fps_total": "frames that became part of the map in a second",
-    "seconds_online": "time for the whole walk",
-    "seconds_global": "time to go through the pictures again afterwards",
+@dataclass(frozen=True)
+class ShownNumber:
+    """A metric on the page."""
+
+    label: str
+    meaning: str
+    """What it says, for somebody who reads it for the first time."""
+
+
+NUMBERS = {
+    "psnr_held_out_db": ShownNumber(
+        "PSNR of held-out views",
+        "how near the drawn pictures are to photographs that the map has never seen: 20 dB is "
+        "blurred, 30 dB is good, 10 dB more is a tenth of the squared error",
+    ),
+    "ssim_held_out": ShownNumber(
+        "SSIM of held-out views", "how alike their structures are: 1 is equal"
+    ),
+    "depth_l1_held_out_m": ShownNumber(
+        "depth error of held-out views",
+        "how far the drawn surface is from the measured one, on average",
+    ),
+    "n_gaussians": ShownNumber(
+        "Gaussians",
+        "small soft discs of colour that the map is made of; fewer are faster and take less memory",
+    ),
+    "mesh_accuracy_m": ShownNumber(
+        "mesh to true surface", "how far the map's triangles are from the room as it was built"
+    ),
+    "mesh_completion_ratio": ShownNumber(
+        "true surface in the mesh", "share of what was filmed that has triangles within 3 cm"
+    ),
+    "fps_total": ShownNumber(
+        "speed while mapping", "frames that became part of the map in a second"
+    ),
+    "seconds_online": ShownNumber("mapping", "time for the whole walk"),
+    "seconds_global": ShownNumber(
+        "passes after the scan", "time to go through the pictures again afterwards"
+    ),
 }
-"""What each of them says, for somebody who reads it for the first time."""
+"""The metrics shown of each run, if any run has them."""
 
 
 def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
@@ -71,10 +87,7 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
         title=f"{' and '.join(names)} on {runs[0].run.sequence.name}",
         names=names,
         links=[(run.folder / "report.html").relative_to(path.parent).as_posix() for run in runs],
-        numbers=[
-            (row, meaning)
-            for row, meaning in zip(numbers_of(runs)[1:], meanings_of(runs), strict=True)
-        ],
+        numbers=list(zip(numbers_of(runs)[1:], meanings_of(runs), strict=True)),
         views=_views([outputs.report_views(run.run) for run in runs], names),
         meshes=[
             page_picture(picture, f"{name}, {words.partition(',')[0]}")
@@ -100,7 +113,7 @@ def numbers_of(runs: Sequence["FinishedRun"]) -> list[list[str]]:
     """The rows of a table: a head with the names of the systems, then each number's label and its
     values."""
     rows = [
-        [NUMBERS[name], *(format_metric(name, run.metrics.get(name)) for run in runs)]
+        [NUMBERS[name].label, *(format_metric(name, run.metrics.get(name)) for run in runs)]
         for name in _measured(runs)
     ]
     return [["", *(run.mapper.description.title for run in runs)], *rows]
@@ -108,7 +121,7 @@ def numbers_of(runs: Sequence["FinishedRun"]) -> list[list[str]]:
 
 def meanings_of(runs: Sequence["FinishedRun"]) -> list[str]:
     """What each number of ``numbers_of`` says, in its order."""
-    return [MEANINGS[name] for name in _measured(runs)]
+    return [NUMBERS[name].meaning for name in _measured(runs)]
 
 
 def _measured(runs: Sequence["FinishedRun"]) -> list[str]:
