@@ -213,11 +213,8 @@ class RoomSequence:
         depth_m = torch.from_numpy(images["depth"].astype(np.float32) * np.float32(_DEPTH_UNIT_M))
         rgb = images["rgb"]
         hole = self._without_depth(depth_m, i)
-        rng = np.random.default_rng([self.seed, 3, i])
-        if self.noise == "kinect":
-            depth_m = kinect_depth(depth_m, self.camera, rng=rng)
-        elif self.noise == "stereo":
-            depth_m = stereo_depth(depth_m, torch.from_numpy(rgb), self.camera, rng=rng)
+        if self.noise != "none":
+            depth_m = self._measured(depth_m, rgb, i)
         if hole is not None:
             depth_m[hole] = 0.0
         if self.exposure_stops:
@@ -230,6 +227,13 @@ class RoomSequence:
             camera=self.camera,
             T_WC=self.pose(i),
         )
+
+    def _measured(self, depth_m: Tensor, rgb: np.ndarray, i: int) -> Tensor:
+        """Depth with the errors of the camera, each frame with random numbers of its own."""
+        rng = np.random.default_rng([self.seed, 3, i])
+        if self.noise == "kinect":
+            return kinect_depth(depth_m, self.camera, rng=rng)
+        return stereo_depth(depth_m, torch.from_numpy(rgb), self.camera, rng=rng)
 
     @functools.cached_property
     def _walk(self) -> tuple[np.ndarray, np.ndarray]:
