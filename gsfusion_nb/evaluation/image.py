@@ -144,4 +144,6 @@ def _filtered_by_torch(image: Float[Tensor, "H W 3"]) -> Float[Tensor, "H W 3"]:
 
 
 def without_border(image: Tensor) -> Tensor:
+    """The image without the pixels whose window reaches over its edge, ``BORDER_PX`` on each side.
+    [H, W, ...]"""
     return image[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
