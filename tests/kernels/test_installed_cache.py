@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from trial_kernels import LOAD_TRIAL
 
 pytest.importorskip("numba")
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="owners and modes of POSIX")
@@ -20,7 +21,7 @@ def cube(x):
     return x * x * x
 """
 
-_PROCESS = """
+_BEFORE = """
 import importlib.util, os, pathlib, sys
 import gsfusion_nb.kernels
 from numba.core import event
@@ -30,20 +31,15 @@ folder, may_write = pathlib.Path(sys.argv[1]), sys.argv[2] == "owner"
 may = os.access
 if not may_write:
     os.access = lambda path, mode: mode != os.W_OK and may(path, mode)
-spec = importlib.util.spec_from_file_location("gsfusion_nb.kernels.trial", folder / "trial.py")
-trial = sys.modules["gsfusion_nb.kernels.trial"] = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(trial)
-class Count(event.Listener):
-    names = []
-    def on_start(self, event):
-        self.names.append(event.data["dispatcher"].py_func.__name__)
-    def on_end(self, event):
-        pass
-event.register("numba:compile", Count())
+"""
+
+_AFTER = """
 for number in (3, 1.5):
     assert trial.cube(number) == number**3
 print(Count.names.count("cube"))
 """
+
+_PROCESS = _BEFORE + LOAD_TRIAL + _AFTER
 
 
 def compiled(folder: Path, user: str) -> int:

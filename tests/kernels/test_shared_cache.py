@@ -8,6 +8,7 @@ import subprocess
 import sys
 
 import pytest
+from trial_kernels import LOAD_TRIAL
 
 pytest.importorskip("numba")
 pytestmark = pytest.mark.slow
@@ -29,7 +30,7 @@ def whole(x):
     return part(x) + part(x + x)
 """
 
-_PROCESS = """
+_BEFORE = """
 import importlib.util, pathlib, sys, time
 import numba
 import gsfusion_nb.kernels
@@ -38,22 +39,17 @@ from gsfusion_nb.kernels.runtime import numba as _
 
 folder, types = pathlib.Path(sys.argv[1]), sys.argv[2:]
 gsfusion_nb.kernels.__path__.append(str(folder))
-spec = importlib.util.spec_from_file_location("gsfusion_nb.kernels.trial", folder / "trial.py")
-trial = sys.modules["gsfusion_nb.kernels.trial"] = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(trial)
-class Count(event.Listener):
-    names = []
-    def on_start(self, event):
-        self.names.append(event.data["dispatcher"].py_func.__name__)
-    def on_end(self, event):
-        pass
-event.register("numba:compile", Count())
+"""
+
+_AFTER = """
 print("ready", flush=True)
 sys.stdin.readline()
 for name in types:
     assert trial.whole(getattr(numba, name)(2)) == trial.whole.py_func(2)
 print(*(name for name in Count.names if name in ("part", "whole")), flush=True)
 """
+
+_PROCESS = _BEFORE + LOAD_TRIAL + _AFTER
 
 
 def write_trial(folder, start=0):
