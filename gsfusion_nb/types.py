@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
+from .arrays import colour_tensor, depth_tensor, pose_tensor
 from .checks import check_number, check_positive, check_shape
 from .errors import ArgumentError, UnknownNameError
 
@@ -114,8 +115,13 @@ class Frame:
     0..1. Bytes are carried as bytes; ``frame.rgb`` makes floats of them when they are first asked
     for, and keeps them.
 
+    Images and pose may be NumPy arrays, which are copied: colour in the order red, green, blue as
+    uint8 or as floats in 0..1, depth as floats in metres. ``conversions`` says what was made of
+    them.
+
     Raises:
-        ValueError: a tensor of the wrong type or shape.
+        ValueError: a tensor of the wrong type or shape, or an array whose scale is not known, such
+            as depth in whole numbers.
     """
 
     index: int
@@ -139,14 +145,25 @@ class Frame:
         *,
         index: int,
         timestamp_s: float,
-        depth_m: Tensor,
+        depth_m: Tensor | np.ndarray,
         camera: Camera,
-        T_WC: Tensor,
-        rgb: Tensor | None = None,
-        colour: Tensor | None = None,
+        T_WC: Tensor | np.ndarray,
+        rgb: Tensor | np.ndarray | None = None,
+        colour: Tensor | np.ndarray | None = None,
         extra: "Mapping[str, Tensor | np.ndarray] | None" = None,
     ):
         colour = colour if rgb is None else rgb  # dataclasses.replace(frame, rgb=...) gives both
+        given = {"rgb": colour, "depth_m": depth_m, "T_WC": T_WC}
+        arrays = {name: x for name, x in given.items() if isinstance(x, np.ndarray)}
+        tensors = {
+            name: _OF_ARRAY[name](f"{name} of frame {index}", x) for name, x in arrays.items()
+        }
+        self.__dict__["_conversions"] = tuple(
+            f"{name}: numpy.ndarray of {x.dtype} copied to a torch.Tensor of "
+            f"{str(tensors[name].dtype).removeprefix('torch.')}"
+            for name, x in arrays.items()
+        )
+        colour, depth_m, T_WC = (given | tensors).values()
         size = (camera.height, camera.width)
         for name, value, shape in (
             ("rgb", colour, (*size, 3)),
@@ -182,6 +199,12 @@ class Frame:
             ValueError: a value of the wrong type or shape.
         """
         return Frame(**{**state, "camera": Camera(**state["camera"])})
+
+    @property
+    def conversions(self) -> tuple[str, ...]:
+        """What was made of the NumPy arrays that were given, a sentence for each: "depth_m:
+        numpy.ndarray of float64 copied to a torch.Tensor of float32"."""
+        return self.__dict__["_conversions"]
 
     @property
     def is_8_bit(self) -> bool:
@@ -223,6 +246,10 @@ class Frame:
         frame = dataclasses.replace(self, **moved, extra=Extras(extra))
         frame.__dict__["T_WC_cpu"] = self.T_WC_cpu
         return frame
+
+
+_OF_ARRAY = {"rgb": colour_tensor, "depth_m": depth_tensor, "T_WC": pose_tensor}
+"""What makes a tensor of each part of a frame that is given as a NumPy array."""
 
 
 class Extras(dict[str, Tensor]):

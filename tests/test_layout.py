@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "gsfusion_nb"
 
 FLOORS = {
-    **dict.fromkeys(("types", "config", "checks", "errors", "files", "interrupts"), 0),
+    **dict.fromkeys(("types", "arrays", "config", "checks", "errors", "files", "interrupts"), 0),
     **dict.fromkeys(("progress", "resources", "edit_count", "backends"), 0),
     **dict.fromkeys(("geometry", "drawing"), 1),
     **dict.fromkeys(("data", "tsdf", "gaussians", "render"), 2),

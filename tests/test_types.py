@@ -1,5 +1,6 @@
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
 
@@ -95,3 +96,63 @@ def test_check_pose_names_the_fault():
 def test_check_finite_counts():
     with pytest.raises(ValueError, match=r"got 2 NaN or infinite values, the first at \[1\]"):
         check_finite("x", torch.tensor([0.0, torch.inf, torch.nan]))
+
+
+def frame_of_arrays(**changes) -> Frame:
+    given = {
+        "rgb": np.full((6, 8, 3), 51, dtype=np.uint8),
+        "depth_m": np.full((6, 8), 1.5),
+        "T_WC": np.eye(4),
+    }
+    return Frame(index=7, timestamp_s=0.0, camera=CAMERA, **(given | changes))
+
+
+def test_a_frame_of_arrays_is_that_of_tensors_and_says_what_was_converted():
+    frame = frame_of_arrays()
+    assert frame.is_8_bit
+    assert float(frame.rgb.max()) == pytest.approx(0.2)
+    assert torch.equal(frame.depth_m, torch.full((6, 8), 1.5))
+    assert torch.equal(frame.T_WC, torch.eye(4))
+    assert frame.conversions == (
+        "rgb: numpy.ndarray of uint8 copied to a torch.Tensor of uint8",
+        "depth_m: numpy.ndarray of float64 copied to a torch.Tensor of float32",
+        "T_WC: numpy.ndarray of float64 copied to a torch.Tensor of float32",
+    )
+    assert not dataclasses.replace(frame).conversions
+    in_floats = frame_of_arrays(rgb=np.full((6, 8, 3), 0.2, dtype=">f8"), T_WC=np.eye(4, dtype=int))
+    assert not in_floats.is_8_bit
+    assert float(in_floats.rgb.max()) == pytest.approx(0.2)
+
+
+def test_a_camera_may_fill_its_array_again():
+    depth_m = np.ones((6, 8), dtype=np.float32)
+    colours = np.zeros((6, 8, 3), dtype=np.uint8)
+    frame = frame_of_arrays(rgb=colours[..., ::-1], depth_m=depth_m[::-1])
+    depth_m[:] = 9
+    colours[:] = 9
+    assert float(frame.depth_m.max()) == 1
+    assert int(frame.rgb_u8.max()) == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"depth_m": np.full((6, 8), 1500, dtype=np.uint16)},
+            r"depth_m of frame 7 must be float, in metres, .* uint16, whose unit .* depth / 1000.0",
+        ),
+        (
+            {"rgb": np.full((6, 8, 3), 51)},
+            r"rgb of frame 7 must be uint8 \(0..255\) or float \(0..1\), .* int64, whose scale",
+        ),
+        (
+            {"rgb": np.full((6, 8, 3), 51.0)},
+            r"rgb of frame 7 of floats must be in 0..1, got values up to 51; .*astype\(np.uint8\)",
+        ),
+        ({"rgb": np.zeros((6, 8, 4), dtype=np.uint8)}, r"rgb must be \[6, 8, 3\], got \[6, 8, 4\]"),
+        ({"T_WC": np.full((4, 4), "x")}, "T_WC of frame 7 must hold numbers"),
+    ],
+)
+def test_an_array_whose_scale_is_not_known_is_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        frame_of_arrays(**changes)

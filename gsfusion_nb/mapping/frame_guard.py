@@ -79,6 +79,14 @@ class FrameGuard:
             self._undo = None
             self._lock.release()
 
+    def check_idle(self, purpose: str) -> None:
+        """Raise ``RuntimeError`` while a frame is being mapped, which changes the map; ``purpose``
+        ends the sentence."""
+        if self._lock.locked():
+            raise RuntimeError(
+                f"frame {self._index} is being mapped; wait for its end before {purpose}"
+            )
+
     @contextlib.contextmanager
     def while_optimising(self, undo: Callable[[], None]) -> Iterator[None]:
         """Context for a step after the scan; if it fails, ``undo`` brings back the map before it.

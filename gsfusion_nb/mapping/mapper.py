@@ -52,6 +52,7 @@ from .localiser import Localiser, move_map
 from .lost_rows import LostRows
 from .map_files import MapFiles
 from .map_reports import MapReports
+from .mapper_copy import parts_of_copy
 from .random_streams import RandomStreams
 from .rule_calls import ask_rule, context_of
 from .rule_in_use import RuleInUse, check_registered
@@ -167,6 +168,19 @@ class Mapper(InUsualTorch, ABC):
             f"{type(self).__name__}({self.n_frames} frames, {len(self.gaussians):,} Gaussians, "
             f"{len(self.keyframes)} keyframes, rule {rule_name(self.rule)!r})"
         )
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For ``pickle`` and ``copy``: a mapper that goes on from exactly this state.
+
+        Rule, loss and optimiser are those of this mapper. ``copy`` shares them, ``pickle`` stores
+        where they can be imported from, so a function made in a cell needs ``cloudpickle``. An
+        observer (``watch``) stays with this mapper.
+
+        Raises:
+            RuntimeError: a frame is being mapped.
+            SequenceError: the rule stored something that a checkpoint does not hold either.
+        """
+        return parts_of_copy(self)
 
     @property
     @abstractmethod
