@@ -20,13 +20,11 @@ from .over_base import render_over_base as render_over_base
 from .over_base import render_over_base_vjp as render_over_base_vjp
 from .project import Projection as Projection
 from .project import ProjectionGradient as ProjectionGradient
+from .project import intrinsics_vjp as intrinsics_vjp
 from .project import pose_matrix_vjp as pose_matrix_vjp
 from .project import pose_vjp as pose_vjp
 from .project import project_gaussians as project_gaussians
 from .project import project_gaussians_vjp as project_gaussians_vjp
-from .rasterize import Render as Render
-from .rasterize import render as render
-from .rasterize import render_autograd as render_autograd
 from .rasterize import render_forward as render_forward
 from .rasterize import render_vjp as render_vjp
 from .surface_picture import SurfacePicture as SurfacePicture
@@ -37,3 +35,6 @@ from .surface_view import surface_depth_m as surface_depth_m
 from .surface_view import view_surface as view_surface
 from .tiles import TileLists as TileLists
 from .tiles import tile_intersections as tile_intersections
+from .views import Render as Render
+from .views import render as render
+from .views import render_autograd as render_autograd

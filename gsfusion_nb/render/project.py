@@ -63,7 +63,11 @@ class ProjectionGradient:
 
 @piece
 def project_gaussians(
-    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    *,
+    near_m: float = NEAR_PLANE_M,
 ) -> Projection:
     """Project every Gaussian onto the image plane.
 
@@ -72,13 +76,14 @@ def project_gaussians(
         camera: Pinhole camera. The clamp in J is symmetric about the image centre, whatever cx and
             cy are.
         T_WC: Camera-to-world pose.
+        near_m: Distance of the near plane, metres.
 
     Returns:
         The screen-space Gaussians, one row per row of ``params``.
 
     Differentiable: ``project_gaussians_vjp``.
     """
-    s = _splat(params, camera, T_WC)
+    s = _splat(params, camera, T_WC, near_m)
     u = camera.fx * s.x / s.z + camera.cx  # GSFusion Eq. 4
     v = camera.fy * s.y / s.z + camera.cy
     opacity = params.opacity_logit.sigmoid()
@@ -118,6 +123,8 @@ def project_gaussians_vjp(
     v_conic: Float[Tensor, "N 3"],
     v_depth_m: Float[Tensor, " N"],
     v_opacity: Float[Tensor, " N"],
+    *,
+    near_m: float = NEAR_PLANE_M,
 ) -> ProjectionGradient:
     """Gradient of ``project_gaussians``, from the screen-space Gaussians to the parameters.
 
@@ -125,14 +132,12 @@ def project_gaussians_vjp(
     zero.
 
     Args:
-        params, camera, T_WC: as given to ``project_gaussians``.
+        params, camera, T_WC, near_m: as given to ``project_gaussians``.
         v_uv, v_conic, v_depth_m, v_opacity: dL/d of its results.
     """
-    s = _splat(params, camera, T_WC)
-    # Q = cov^-1, so dQ = -Q dcov Q; the number B of the conic is two entries of Q
-    v_A, v_B, v_C = v_conic.unbind(-1)
-    v_Q = _matrix([[v_A, v_B / 2], [v_B / 2, v_C]])
-    v_cov = -s.Q @ v_Q @ s.Q
+    s = _splat(params, camera, T_WC, near_m)
+    v_Q = _inverse_covariance_vjp(v_conic)
+    v_cov = -s.Q @ v_Q @ s.Q  # Q = cov^-1, so dQ = -Q dcov Q
     # cov = M M^T + 0.3 I,  M = J W R S
     v_M = 2 * v_cov @ s.M
     v_J = v_M @ (s.W @ s.R @ s.S).mT
@@ -182,12 +187,12 @@ class _Splat:
     """Inverse of ``cov``."""
 
 
-def _splat(params: GaussianParams, camera: Camera, T_WC: Tensor) -> _Splat:
+def _splat(params: GaussianParams, camera: Camera, T_WC: Tensor, near_m: float) -> _Splat:
     T_CW = se3.inverse(T_WC.to(params.xyz_W))
     W = T_CW[:3, :3]
     xyz_C = se3.apply(T_CW, params.xyz_W)
     depth_m = xyz_C[:, 2]
-    in_front = depth_m > NEAR_PLANE_M
+    in_front = depth_m > near_m
     x, y, z = torch.where(in_front[:, None], xyz_C, xyz_C.new_tensor([0.0, 0.0, 1.0])).unbind(-1)
 
     limit_x = FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx
@@ -229,11 +234,46 @@ def _splat(params: GaussianParams, camera: Camera, T_WC: Tensor) -> _Splat:
     )
 
 
+def _inverse_covariance_vjp(v_conic: Float[Tensor, "N 3"]) -> Float[Tensor, "N 2 2"]:
+    """dL/dQ of the inverse 2D covariances from dL/d of the conics, whose number B is two entries of
+    Q."""
+    v_A, v_B, v_C = v_conic.unbind(-1)
+    return _matrix([[v_A, v_B / 2], [v_B / 2, v_C]])
+
+
 def _matrix(rows: list[list[Tensor]]) -> Tensor:
     return torch.stack(
         [torch.stack(row, dim=-1) for row in rows],
         dim=-2,
     )
+
+
+def intrinsics_vjp(
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    v_uv: Float[Tensor, "N 2"],
+    v_conic: Float[Tensor, "N 3"],
+    *,
+    near_m: float = NEAR_PLANE_M,
+) -> Float[Tensor, " 4"]:
+    """dL/d(fx, fy, cx, cy), a sum over the Gaussians.
+
+    Args:
+        params, camera, T_WC, near_m: as given to ``project_gaussians``.
+        v_uv, v_conic: dL/d of its results, as ``render_vjp`` fills them.
+    """
+    s = _splat(params, camera, T_WC, near_m)
+    v_cov = -s.Q @ _inverse_covariance_vjp(v_conic) @ s.Q
+    v_J = 2 * v_cov @ s.M @ (s.W @ s.R @ s.S).mT
+    # u = fx x/z + cx,  J = 1/z [[fx, 0, -fx tx], [0, fy, -fy ty]]; where tx is clamped, it is a
+    # number divided by fx, and the entry does not depend on fx
+    tx = torch.where(s.tx == s.x / s.z, s.tx, 0.0)
+    ty = torch.where(s.ty == s.y / s.z, s.ty, 0.0)
+    v_fx = (s.x * v_uv[:, 0] + v_J[:, 0, 0] - tx * v_J[:, 0, 2]) / s.z
+    v_fy = (s.y * v_uv[:, 1] + v_J[:, 1, 1] - ty * v_J[:, 1, 2]) / s.z
+    columns = torch.stack([v_fx, v_fy, v_uv[:, 0], v_uv[:, 1]], dim=-1)
+    return torch.where(s.in_front[:, None], columns, 0.0).sum(0)
 
 
 def pose_vjp(

@@ -2,6 +2,7 @@
 reverse order."""
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,13 +11,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..backends import Record, op
-from ..checks import check_positive
+from ..checks import check_number, check_positive
 from ..geometry.operands import MASK, check_gaussians, check_operand, check_view
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
 from ..types import Camera, GaussianParams, RenderOutput
 from .composite import check_image_gradients, check_record, composite, composite_vjp
+from .constants import NEAR_PLANE_M
 from .on_screen import ScreenGaussians
-from .project import pose_matrix_vjp, project_gaussians, project_gaussians_vjp
+from .project import project_gaussians, project_gaussians_vjp
 from .tiles import tile_intersections
 
 
@@ -27,28 +29,12 @@ class RenderSaved(Record):
     params: GaussianParams
     camera: Camera
     T_WC: Float[Tensor, "4 4"]
+    near_m: float
     drawn: Bool[Tensor, " N"]
     """Rows that may be in the picture."""
     composite: Record
     screen: ScreenGaussians
     """What was blended."""
-
-
-def render(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
-    """Draw the Gaussian map from a camera: colour, blended depth, alpha, first and dominant
-    Gaussian.
-
-    Args:
-        params: The map; any number of rows, even none; float32 or float64. A Gaussian whose centre,
-            size, opacity or colour is NaN or infinite is not drawn and has zero gradient.
-        camera: Pinhole camera, any image size.
-        T_WC: Camera-to-world pose.
-
-    Differentiable: use ``render_forward`` with ``render_vjp``, or ``render_autograd``.
-    Source: Kerbl et al. 2023; the clamps and cuts, which are not in the paper, are in
-    ``constants``.
-    """
-    return render_forward(params, camera, T_WC)[0]
 
 
 def check_render(
@@ -59,10 +45,15 @@ def check_render(
     with_indices: bool = True,
     opaque_alpha: float | None = None,
     pixels: Any = None,
+    near_m: Any = NEAR_PLANE_M,
+    far_m: Any = math.inf,
 ) -> None:
     """Raise ``ValueError`` for arguments that ``render_forward`` refuses."""
     check_gaussians(params)
     check_view(camera, T_WC, params.xyz_W.device)
+    check_positive("near_m", near_m)
+    if far_m != math.inf:
+        check_number("far_m", far_m, near_m)
     if opaque_alpha is not None:
         check_positive("opaque_alpha", opaque_alpha)
     if pixels is not None:
@@ -84,11 +75,15 @@ def check_render_vjp(
     rows: Any = None,
     v_uv: Any = None,
     v_uv_abs: Any = None,
+    v_conic: Any = None,
 ) -> None:
     """Raise ``ValueError`` for arguments that ``render_vjp`` refuses."""
     check_record(saved, "render_forward", "params")
-    check_image_gradients(saved.camera, v_rgb, v_depth_m, v_alpha, saved.params.xyz_W.device)
-    check_rows(saved.params.xyz_W, rows, v_uv=v_uv, v_uv_abs=v_uv_abs)
+    like = saved.params.xyz_W
+    check_image_gradients(saved.camera, v_rgb, v_depth_m, v_alpha, like.device)
+    check_rows(like, rows, v_uv=v_uv, v_uv_abs=v_uv_abs)
+    if v_conic is not None:
+        check_operand("v_conic", v_conic, like.shape, dtypes=(like.dtype,), device=like.device)
 
 
 def check_rows(like: Tensor, rows: Any, **centres: Any) -> None:
@@ -116,6 +111,8 @@ def render_forward(
     with_indices: bool = True,
     opaque_alpha: float | None = None,
     pixels: Bool[Tensor, "H W"] | None = None,
+    near_m: float = NEAR_PLANE_M,
+    far_m: float = math.inf,
 ) -> tuple[RenderOutput, Record]:
     """``render``, and a record of the pass for ``render_vjp``. No autograd graph is made.
 
@@ -128,14 +125,20 @@ def render_forward(
         pixels: Draw only where this is true; elsewhere all images are 0, indices -1 and gradients
             zero. Tiles without such a pixel take no time. (Peng et al. 2024, RTG-SLAM, section
             3.2.) [H, W]
+        near_m, far_m: Gaussians whose centre is not deeper than ``near_m``, or deeper than
+            ``far_m``, are not drawn. Metres.
 
     Raises:
-        ValueError: ``pixels`` is not boolean or not of the camera's size.
+        ValueError: ``pixels`` is not boolean or not of the camera's size; ``near_m`` is not above
+            0, or ``far_m`` below it.
     """
+    # a function of a learner has the near plane of the course
+    plane = {} if near_m == NEAR_PLANE_M else {"near_m": near_m}
     with torch.no_grad():
         T_WC = T_WC.to(params.xyz_W)
-        projection = project_gaussians(params, camera, T_WC)
+        projection = project_gaussians(params, camera, T_WC, **plane)
         is_drawn = projection.visible & params.sh.isfinite().all(2).all(1)
+        is_drawn = is_drawn & (projection.depth_m <= far_m)
         projection = dataclasses.replace(projection, visible=is_drawn)
         rgb = torch.where(
             is_drawn[:, None],
@@ -174,6 +177,7 @@ def render_forward(
         params=params,
         camera=camera,
         T_WC=T_WC,
+        near_m=near_m,
         drawn=is_drawn,
         composite=image.saved,
         screen=screen,
@@ -190,6 +194,7 @@ def render_vjp(
     rows: Bool[Tensor, " N"] | None = None,
     v_uv: Float[Tensor, "N 2"] | None = None,
     v_uv_abs: Float[Tensor, "N 2"] | None = None,
+    v_conic: Float[Tensor, "N 3"] | None = None,
 ) -> GaussianParams:
     """dL/d of every parameter from dL/d of the images: the vjp of each stage, last stage first.
 
@@ -205,6 +210,8 @@ def render_vjp(
         v_uv_abs: If given, it is filled with the same sum over the pixels, but of absolute values:
             pixels that pull a Gaussian to opposite sides do not cancel (Ye et al. 2024, AbsGS).
             Zero as the other gradients are.
+        v_conic: If given, it is filled with dL/d of the conics, which ``intrinsics_vjp`` needs
+            besides ``v_uv``. Zero as the other gradients are.
 
     Returns:
         Gradients, in the shape of the parameters; zero for a Gaussian that is not seen or is
@@ -212,9 +219,10 @@ def render_vjp(
 
     Raises:
         ValueError: ``rows`` is not boolean or not of the length of the parameters; ``v_uv`` or
-            ``v_uv_abs`` is not [N, 2] of the parameters' type.
+            ``v_uv_abs`` is not [N, 2] of the parameters' type, or ``v_conic`` not [N, 3].
     """
     params = saved.params
+    plane = {} if saved.near_m == NEAR_PLANE_M else {"near_m": saved.near_m}
     with torch.no_grad():
         v = composite_vjp(
             saved.composite, v_rgb, v_depth_m, v_alpha, with_uv_abs=v_uv_abs is not None
@@ -233,6 +241,7 @@ def render_vjp(
             v.conic,
             v.depth_m,
             v.opacity,
+            **plane,
         )
     gradient = {
         "xyz_W": g.xyz_W + v_xyz_W,  # the centre affects position and view direction
@@ -244,69 +253,7 @@ def render_vjp(
     frozen = ~saved.drawn if rows is None else ~(saved.drawn & rows)
     for value in gradient.values():
         value[frozen] = 0.0
-    for target, value in ((v_uv, v.uv), (v_uv_abs, v.uv_abs)):
+    for target, value in ((v_uv, v.uv), (v_uv_abs, v.uv_abs), (v_conic, v.conic)):
         if target is not None:
             target.copy_(value).masked_fill_(frozen[:, None], 0.0)
     return GaussianParams(**gradient)
-
-
-class Render(torch.autograd.Function):
-    """Binds ``render_forward``, ``render_vjp`` and ``pose_matrix_vjp`` to autograd; no arithmetic
-    here."""
-
-    @staticmethod
-    def forward(ctx, camera, T_WC, xyz_W, log_scale, quat, opacity_logit, sh):
-        params = GaussianParams(
-            xyz_W=xyz_W, log_scale=log_scale, quat=quat, opacity_logit=opacity_logit, sh=sh
-        )
-        output, ctx.record = render_forward(params, camera, T_WC)
-        # the check of saved tensors notices a change in place, also of the images, which a fast
-        # record may share
-        ctx.save_for_backward(
-            T_WC,
-            *vars(params).values(),
-            output.rgb,
-            output.depth_m,
-            output.alpha,
-        )
-        ctx.mark_non_differentiable(output.first_index, output.dominant_index)
-        return output.rgb, output.depth_m, output.alpha, output.first_index, output.dominant_index
-
-    @staticmethod
-    def backward(ctx, *v):
-        if torch.is_grad_enabled():
-            raise RuntimeError(
-                "render_autograd has first derivatives only; expected a backward without "
-                "create_graph"
-            )
-        T_WC, *columns = ctx.saved_tensors[:-3]
-        g = render_vjp(ctx.record, *v[:3])
-        params = GaussianParams(**dict(zip(vars(g), columns, strict=True)))
-        v_T_WC = pose_matrix_vjp(params, g, T_WC) if ctx.needs_input_grad[1] else None
-        return None, v_T_WC, g.xyz_W, g.log_scale, g.quat, g.opacity_logit, g.sh
-
-
-def render_autograd(
-    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]
-) -> RenderOutput:
-    """``render`` for ``loss.backward()``, with the same arguments.
-
-    Differentiable: once, in every parameter and in the pose. The gradient of ``T_WC`` is that of
-    ``pose_matrix_vjp``: it is exact for every way to compute a rigid ``T_WC``, such as
-    ``T_0 @ se3.exp(xi)`` or ``se3.inverse(T_CW)``. A matrix that is itself a leaf has to be moved
-    along it as a rigid motion.
-
-    Raises:
-        RuntimeError: in a backward with ``create_graph``: there are no second derivatives; or after
-            a parameter, the pose or a picture was changed in place since.
-    """
-    rgb, depth_m, alpha, first_index, dominant_index = Render.apply(
-        camera, T_WC, params.xyz_W, params.log_scale, params.quat, params.opacity_logit, params.sh
-    )  # pyright: ignore[reportGeneralTypeIssues]
-    return RenderOutput(
-        rgb=rgb,
-        depth_m=depth_m,
-        alpha=alpha,
-        first_index=first_index,
-        dominant_index=dominant_index,
-    )

@@ -1,12 +1,13 @@
 """Rows of projected Gaussians, and the numbers of a camera that the kernels read."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from torch import Tensor
 
 from gsfusion_nb.geometry import se3
-from gsfusion_nb.render.constants import FRUSTUM_CLAMP
+from gsfusion_nb.render.constants import FRUSTUM_CLAMP, NEAR_PLANE_M
 from gsfusion_nb.types import Camera, GaussianParams
 
 from ..runtime.arguments import lens_of
@@ -32,20 +33,25 @@ SPLAT = 12
 """Numbers in a row."""
 
 
-def projection_lens(camera: Camera) -> dict[str, float]:
-    """Focal lengths, principal point, and the largest |x / z| and |y / z| at which the projection
-    is linearised."""
+def projection_lens(
+    camera: Camera, near_m: float = NEAR_PLANE_M, far_m: float = math.inf
+) -> dict[str, float]:
+    """Focal lengths, principal point, the largest |x / z| and |y / z| at which the projection is
+    linearised, and the depths between which a centre is drawn."""
     limits = {
         "limit_x": FRUSTUM_CLAMP * 0.5 * camera.width / camera.fx,
         "limit_y": FRUSTUM_CLAMP * 0.5 * camera.height / camera.fy,
+        "near_m": near_m,
+        "far_m": far_m,
     }
     return lens_of(camera)._asdict() | limits
 
 
 R00, R01, R02, R10, R11, R12, R20, R21, R22, T0, T1, T2 = range(12)
-CENTRE_X, CENTRE_Y, CENTRE_Z, FX, FY, CX, CY, LIMIT_X, LIMIT_Y, WIDTH, HEIGHT = range(12, 23)
-"""The camera as 23 float32: R_CW, t_CW, its centre, fx, fy, cx, cy, limits of x/z and y/z in J,
-image size."""
+CENTRE_X, CENTRE_Y, CENTRE_Z, FX, FY, CX, CY, LIMIT_X, LIMIT_Y = range(12, 21)
+NEAR, FAR, WIDTH, HEIGHT = range(21, 25)
+"""The camera as 25 float32: R_CW, t_CW, its centre, fx, fy, cx, cy, limits of x/z and y/z in J,
+depths between which a centre is drawn, image size."""
 
 
 class Params(NamedTuple):
@@ -63,11 +69,13 @@ def arrays_of(params: GaussianParams) -> Params:
     return Params(*(column.detach().contiguous().numpy() for column in vars(params).values()))
 
 
-def pack_camera(camera: Camera, T_WC: Tensor) -> np.ndarray:
+def pack_camera(
+    camera: Camera, T_WC: Tensor, near_m: float = NEAR_PLANE_M, far_m: float = math.inf
+) -> np.ndarray:
     """The camera and its pose as one float32 array, in the order of the constants above."""
     T = T_WC.detach().double()
     T_CW = se3.inverse(T).numpy()
-    tail = [*projection_lens(camera).values(), camera.width, camera.height]
+    tail = [*projection_lens(camera, near_m, far_m).values(), camera.width, camera.height]
     return np.concatenate([T_CW[:3, :3].ravel(), T_CW[:3, 3], T[:3, 3].numpy(), tail]).astype(
         np.float32
     )

@@ -14,7 +14,7 @@ import torch
 from numba import njit, prange
 from torch import Tensor
 
-from gsfusion_nb.render.constants import ALPHA_MIN, FARTHEST_PX, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from gsfusion_nb.render.constants import ALPHA_MIN, FARTHEST_PX, SCREEN_BLUR_PX2
 from gsfusion_nb.types import GaussianParams
 
 from ..binning.layout import FIRST_X, FIRST_Y, LAST_X, LAST_Y, TileWindows
@@ -28,7 +28,6 @@ from .layout import arrays_of
 
 f32 = np.float32
 _SMALL = f32(1e-12)
-_NEAR = f32(NEAR_PLANE_M)
 _BLUR = f32(SCREEN_BLUR_PX2)
 _FARTHEST = f32(FARTHEST_PX)
 _INFINITE = f32(np.inf)
@@ -179,6 +178,25 @@ def centre_vjp(splats, start, train_rows, pair_sums, v_uv):
 
 
 @njit(cache=True, error_model="numpy")
+def conic_vjp(start, train_rows, pair_sums, v_conic):
+    """Write dL/d(A, B, C) to every row of ``v_conic`` [N, 3]; arguments as for
+    ``project_rows_vjp``. From ln alpha as in ``centre_vjp``."""
+    all_trained = train_rows.shape[0] == 0
+    for i in range(v_conic.shape[0]):
+        g_xx = np.float32(0.0)
+        g_xy = np.float32(0.0)
+        g_yy = np.float32(0.0)
+        if all_trained or train_rows[i]:
+            for slot in range(start[i], start[i + 1]):
+                g_xx += pair_sums[slot, pair.SUM_GXX]
+                g_xy += pair_sums[slot, pair.SUM_GXY]
+                g_yy += pair_sums[slot, pair.SUM_GYY]
+        v_conic[i, 0] = -_HALF * g_xx
+        v_conic[i, 1] = -g_xy
+        v_conic[i, 2] = -_HALF * g_yy
+
+
+@njit(cache=True, error_model="numpy")
 def row_sums(start, train_rows, abs_sums, v_uv_abs):
     """Write the sum of |dL/d(u, v)| over the pixels to every row of ``v_uv_abs`` [N, 2];
     ``abs_sums``: over those of each tile, from ``composite_backward``."""
@@ -213,15 +231,16 @@ def gradients_of(
     abs_sums: np.ndarray | None,
     v_uv: Tensor | None,
     v_uv_abs: Tensor | None,
+    v_conic: Tensor | None = None,
 ) -> GaussianParams:
-    """dL/d of the parameters of a drawn map from the sums of its splats; also fills dL/d of the
-    centres if asked to.
+    """dL/d of the parameters of a drawn map from the sums of its splats; also fills dL/d of centres
+    and conics if asked to.
 
     Args:
         saved: The map, ``params``; its camera, ``lens``; ``splats`` and ``start``, as for
             ``project_rows_vjp``.
         train_rows, sums, abs_sums: As for ``project_rows_vjp`` and ``row_sums``.
-        v_uv, v_uv_abs: Of ``render_vjp``.
+        v_uv, v_uv_abs, v_conic: Of ``render_vjp``.
     """
     columns = vars(saved.params).items()
     gradients = GaussianParams(
@@ -244,6 +263,10 @@ def gradients_of(
         plane = v_uv_abs.contiguous()
         row_sums(saved.start, train_rows, abs_sums, plane.numpy())
         v_uv_abs.copy_(plane)
+    if v_conic is not None:
+        plane = v_conic.contiguous()
+        conic_vjp(saved.start, train_rows, sums, plane.numpy())
+        v_conic.copy_(plane)
     return gradients
 
 
@@ -281,7 +304,7 @@ def project_rows(params, cam, tiles, splats, count, tile_notes):
             i = candidates[j]
             x, y, z = camera_point(cam, xyz[i, 0], xyz[i, 1], xyz[i, 2])
             opacity = _ONE / (_ONE + math.exp(-logit[i]))
-            if not (z > _NEAR and opacity >= _ALPHA_MIN):
+            if not (z > cam[col.NEAR] and z <= cam[col.FAR] and opacity >= _ALPHA_MIN):
                 continue
             s = splats[i]
             s[col.DEPTH] = z
@@ -310,6 +333,7 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, candidates):
     """
     fx = cam[col.FX]
     fy = cam[col.FY]
+    near = cam[col.NEAR]
     width = int(cam[col.WIDTH])
     height = int(cam[col.HEIGHT])
     limit = f32(1e6)  # keeps the conversion to int defined
@@ -319,7 +343,7 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, candidates):
         Y = xyz[i, 1]
         Z = xyz[i, 2]
         x, y, z = camera_point(cam, X, Y, Z)
-        inv_z = _ONE / max(z, _NEAR)
+        inv_z = _ONE / max(z, near)
         x = x * inv_z
         y = y * inv_z
         tx = clamp(x, cam[col.LIMIT_X])
@@ -340,7 +364,7 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, candidates):
         y1 = (min(max(bottom, -1), height - 1) + pair.TILE) // pair.TILE
         tiles = sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]
         candidates[n] = i
-        n += int((z > _NEAR) & (tiles > 0))
+        n += int((z > near) & (tiles > 0))
     return n
 
 

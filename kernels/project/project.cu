@@ -8,7 +8,7 @@
 #include "splat.cuh"
 
 struct ProjectionLens {
-    float fx, fy, cx, cy, limit_x, limit_y;
+    float fx, fy, cx, cy, limit_x, limit_y, near_m, far_m;
 };
 
 struct Params {
@@ -81,7 +81,7 @@ __device__ __forceinline__ void project(Params p, ProjectionLens c, float4* spla
     camera_axes(p, i, t);
     const float opacity = 1.0f / (1.0f + expf(-p.opacity_logit[i]));
     depth[i] = __int_as_float(0x7f800000);  // infinite: not drawn
-    if (!(t.z > GS_NEAR_PLANE_M && opacity >= GS_ALPHA_MIN)) return;
+    if (!(t.z > c.near_m && t.z <= c.far_m && opacity >= GS_ALPHA_MIN)) return;
     ellipse(p, c, i, t);
     const float uu = dot3(t.mu, t.mu), vv = dot3(t.mv, t.mv), uv = dot3(t.mu, t.mv);
     // det(M M^T + e I) = |m_u x m_v|^2 + e (uu + vv) + e^2: no difference of large numbers

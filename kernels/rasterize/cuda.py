@@ -6,6 +6,7 @@ reference. Gradients are added up by atomics, in an order that changes from run 
 to rounding, not bit for bit.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import Record
+from gsfusion_nb.render.constants import NEAR_PLANE_M
 from gsfusion_nb.render.on_screen import ScreenGaussians
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
@@ -65,6 +67,8 @@ def render_forward(
     with_indices: bool = True,
     opaque_alpha: float | None = None,
     pixels: Tensor | None = None,
+    near_m: float = NEAR_PLANE_M,
+    far_m: float = math.inf,
 ) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``. The pose may be on any device.
 
@@ -75,7 +79,7 @@ def render_forward(
     check_dtype("render_forward", torch.float32, **vars(params))
     with_hits = opaque_alpha is not None
     pose = packed(T_WC.to(device, torch.float32))
-    splats, depth = project_rows(params, camera, pose)
+    splats, depth = project_rows(params, camera, pose, near_m, far_m)
     out = blank(camera, device, with_indices=with_indices, with_hits=with_hits)
     picture = CudaPicture(
         params=params,
@@ -107,6 +111,7 @@ def render_vjp(
     rows: Tensor | None = None,
     v_uv: Tensor | None = None,
     v_uv_abs: Tensor | None = None,
+    v_conic: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``.
 
@@ -118,7 +123,7 @@ def render_vjp(
     seen = saved.image | {
         name: None if v is None else packed(v.float()) for name, v in gradients.items()
     }
-    centres = {"v_uv": v_uv, "v_uv_abs": v_uv_abs}
+    centres = {"v_uv": v_uv, "v_uv_abs": v_uv_abs, "v_conic": v_conic}
     return gradients_of(
         "render_vjp", "composite:composite_backward", saved, seen, rows=rows, **centres
     )

@@ -8,6 +8,7 @@ the reference.
 # Arrays are passed on as a list, which pyright cannot follow:
 # pyright: reportCallIssue=false
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import Record
+from gsfusion_nb.render.constants import NEAR_PLANE_M
 from gsfusion_nb.render.on_screen import ScreenGaussians
 from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
@@ -72,10 +74,12 @@ def render_forward(
     with_indices: bool = True,
     opaque_alpha: float | None = None,
     pixels: Tensor | None = None,
+    near_m: float = NEAR_PLANE_M,
+    far_m: float = math.inf,
 ) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``."""
     pixel_list = _ALL_PIXELS if pixels is None else pixels.contiguous().numpy()
-    cam = pack_camera(camera, T_WC)
+    cam = pack_camera(camera, T_WC, near_m, far_m)
     N = len(params)
     H = camera.height
     W = camera.width
@@ -120,6 +124,7 @@ def render_vjp(
     rows: Tensor | None = None,
     v_uv: Tensor | None = None,
     v_uv_abs: Tensor | None = None,
+    v_conic: Tensor | None = None,
 ) -> GaussianParams:
     """See ``gsfusion_nb.render.render_vjp``."""
     train_rows = _ALL_ROWS if rows is None else rows.contiguous().numpy()
@@ -135,4 +140,4 @@ def render_vjp(
         composite_backward(
             saved.splats, saved.lists, selection, saved.image, Image(*v_image), pair_sums, abs_sums
         )
-        return gradients_of(saved, train_rows, pair_sums, abs_sums, v_uv, v_uv_abs)
+        return gradients_of(saved, train_rows, pair_sums, abs_sums, v_uv, v_uv_abs, v_conic)

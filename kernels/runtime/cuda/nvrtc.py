@@ -24,7 +24,6 @@ log = logging.getLogger(__name__)
 KERNELS = Path(__file__).parents[2]
 
 _NUMBERS = (
-    "NEAR_PLANE_M",
     "SCREEN_BLUR_PX2",
     "ALPHA_MAX",
     "ALPHA_MIN",

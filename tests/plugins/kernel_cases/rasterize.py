@@ -4,7 +4,9 @@ Cases of ``render_forward`` and ``render_vjp``: every degree and option, and map
 fifty Gaussians.
 """
 
+import dataclasses
 import functools
+import math
 from collections.abc import Iterator
 
 import torch
@@ -35,6 +37,8 @@ def cases() -> Iterator[Case]:
     yield _case(
         "centres in the image, some pixels and rows", with_centres=True, masked=True, some_rows=True
     )
+    yield _case("a near and a far plane", with_centres=True, near_m=1.8, far_m=2.2)
+    yield _case("a near plane behind the usual one", close=True, with_centres=True, near_m=0.01)
     yield _case("some pixels", masked=True)
     yield _case("some rows", some_rows=True)
     yield _case(
@@ -77,13 +81,18 @@ def _run(
     gradients: int = 3,
     broken: bool = False,
     with_centres: bool = False,
+    close: bool = False,
     **options,
 ) -> dict[str, Tensor]:
     """``gradients``: how many of colour, depth and alpha have one. ``broken``: some rows must not
-    be drawn. ``with_centres``: also the gradient of the centres in the image, and the sum of its
-    absolute values."""
+    be drawn. ``with_centres``: also the gradient of the centres in the image, the sum of its
+    absolute values, and the gradient of the conics. ``close``: a map a tenth as large, as near."""
     params = make_params(degree, device, dtype, n)
     frame = make_frame(device)
+    if close:
+        params = dataclasses.replace(
+            params, xyz_W=params.xyz_W / 10, log_scale=params.log_scale - math.log(10)
+        )
     if broken:
         break_rows(params)
     g = torch.Generator().manual_seed(1)
@@ -97,8 +106,11 @@ def _run(
     out, saved = render_forward(
         params, frame.camera, frame.T_WC, pixels=pixels if masked else None, **options
     )
-    names = ("v_uv", "v_uv_abs") if with_centres else ()
-    centres = {name: torch.full((n, 2), torch.nan, dtype=dtype, device=device) for name in names}
+    widths = {"v_uv": 2, "v_uv_abs": 2, "v_conic": 3} if with_centres else {}
+    centres = {
+        name: torch.full((n, width), torch.nan, dtype=dtype, device=device)
+        for name, width in widths.items()
+    }
     gradient = render_vjp(saved, *v[:gradients], rows=rows if some_rows else None, **centres)
     results = {name: image for name, image in vars(out).items() if image is not None}
     results |= {f"v_{name}": value for name, value in vars(gradient).items()}
