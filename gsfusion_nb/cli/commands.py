@@ -85,6 +85,12 @@ COMMANDS: Mapping[str, Command] = {
         about="map a sequence; map --resume RUN: continue an interrupted run",
         module="cli.map",
     ),
+    "locate": Command(
+        words="RUN DATA",
+        about="find the frames of another recording in the map of a run",
+        module="cli.locate",
+        options="LocateOptions",
+    ),
     "live": Command(
         words="SOURCE",
         about="map a camera (realsense), or a folder while it is written (folder)",

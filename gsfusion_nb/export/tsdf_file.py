@@ -1,4 +1,5 @@
-"""The TSDF in a run's folder, ``tsdf.npz``: what the pictures of a map need that draws its surface.
+"""The TSDF in a run's folder, ``tsdf.npz``: what pictures need of a map that draws its surface, and
+what a camera is aligned with that is to be found in the map.
 
 A compressed numpy archive with the observed voxels only: ``block_coords`` [B, 3] int32,
 ``observed`` [B, 64] (512 bits a block, the first voxel in the highest bit), and for the V observed
@@ -22,6 +23,8 @@ from ..files import LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE, atomic_file, open_
 from ..tsdf import TsdfVolume
 from ..tsdf.block_pool import VOXELS_PER_BLOCK
 
+TSDF = "tsdf.npz"
+"""The file in a run's folder."""
 WHAT = "the TSDF of a run, written by write_tsdf"
 D_LEVELS = 32767.0
 RGB_LEVELS = 255.0

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import math
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -11,10 +12,12 @@ from torch import Tensor
 
 from ..config import RtgSlamConfig, TsdfConfig
 from ..geometry import depth_to_points, se3
-from ..render import render_forward, surface_depth_m
+from ..render import render_forward, surface_depth_m, view_surface
+from ..tracking import SurfaceSource
 from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
 from .map_files import MapFiles
+from .tracking_surface import surface_seen
 
 MESH_VIEWS = 60
 """Fewest views whose rendered depth is fused to the mesh, if there are as many; a long walk has
@@ -41,6 +44,14 @@ class DiscFiles(MapFiles):
         output, _ = render_forward(params, camera, T_WC, opaque_alpha=config.discs.opaque_alpha)
         depth_m = surface_depth_m(params, camera, T_WC, output, config.discs)
         return dataclasses.replace(output, surface_depth_m=depth_m)
+
+    @classmethod
+    def surface_from(cls, folder: Path, params: GaussianParams, config: Any) -> SurfaceSource:
+        """The surface of the discs."""
+        device = params.xyz_W.device
+        return lambda camera, T_WC: surface_seen(
+            view_surface(params, camera, T_WC.to(device), config.discs), camera, T_WC
+        )
 
 
 def disc_mesh(mapper: Any) -> tuple[Mesh, float]:

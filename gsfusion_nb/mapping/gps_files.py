@@ -7,10 +7,9 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
-from ..export.tsdf_file import write_tsdf
 from ..optim import fit_pose_by_flow
 from ..types import Frame, GaussianParams
-from .gps_surface import TSDF, OverSurface, StoredLooks, fit_to_pictures, plain_gaussians
+from .gps_surface import OverSurface, StoredLooks, fit_to_pictures, plain_gaussians
 from .map_files import Draw
 from .tsdf_mapping import TsdfFiles
 from .usual_torch import in_usual_torch
@@ -29,10 +28,6 @@ class GpsFiles(TsdfFiles):
     def constant_tensors(self) -> list[Tensor]:
         """Images of keyframes and of the views."""
         return [*super().constant_tensors(), *self.mapper.views.constant_tensors()]
-
-    def write_besides(self, folder: Path) -> None:
-        """Write the TSDF."""
-        write_tsdf(folder / TSDF, self.mapper.volume)
 
     def drawn_as_stored(self) -> Draw:
         """The map with its TSDF rounded as in the file."""

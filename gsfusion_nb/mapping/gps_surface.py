@@ -29,7 +29,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..config import BaseConfig, OptimConfig
-from ..export.tsdf_file import as_stored, read_tsdf
+from ..export.tsdf_file import TSDF, as_stored, read_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
@@ -185,10 +185,6 @@ def _means(
 ) -> Float[Tensor, "N C"]:
     total = rows.new_zeros(n, rows.shape[1]).index_add_(0, group, rows)
     return total / torch.bincount(group, minlength=n).clamp_min(1)[:, None]
-
-
-TSDF = "tsdf.npz"
-"""The TSDF in a run's folder."""
 
 
 Look = Callable[[Camera, Float[Tensor, "4 4"]], tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]]

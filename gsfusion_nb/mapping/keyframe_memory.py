@@ -1,8 +1,10 @@
 """The places that a tracked camera has seen: they start the tracker, bring it back when it is lost,
 and close loops."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -100,6 +102,37 @@ class KeyframeMemory:
         keyframes.add(frame.index, T_WC, features)
         return None
 
+    def collect(self, frame: Frame) -> None:
+        """Make a frame with a given pose a keyframe if none was taken near there, so that the map
+        can be found again (``places``)."""
+        T_WC = frame.T_WC_cpu
+        if self._database is None:
+            self._begin(frame.camera, None)
+        database = self._database
+        assert database is not None
+        if frame.camera != database.camera:
+            return
+        if len(database) and not tracking.moved_enough(
+            database.T_WC[database.nearest_view(T_WC)], T_WC
+        ):
+            return
+        database.add(frame.index, T_WC, database.extract(frame))
+
+    def places(self, poses: Mapping[int, Tensor]) -> tracking.Places | None:
+        """The keyframes, for a file; None if there are none.
+
+        Args:
+            poses: Frame index -> camera-to-world pose by now, of those that have another.
+        """
+        database = self._database
+        if database is None or not len(database):
+            return None
+        T_WC = [
+            poses.get(index, T_WC).double().cpu()
+            for index, T_WC in zip(database.index, database.T_WC, strict=True)
+        ]
+        return tracking.Places.of(database, torch.stack(T_WC))
+
     def finish(self) -> tracking.Correction | None:
         """The last optimisation of the back end, over all keyframes and landmarks, after the
         scan."""
@@ -121,7 +154,7 @@ class KeyframeMemory:
         self.back_end = back_end
         if back_end is not None:
             self._map = back_end.map
-        elif self._config.landmarks:
+        elif self._config.landmarks and self._config.poses == "tracked":
             self._map = tracking.LandmarkMap(camera)
         self._database = (
             tracking.KeyframeDatabase(camera) if self._map is None else self._map.database

@@ -53,7 +53,7 @@ class Localiser:
         """State of the tracker before the frame that it was given last, until that frame is
         recorded or refused."""
         self.memory = KeyframeMemory(config)
-        """The keyframes of tracked poses."""
+        """The keyframes by appearance."""
 
     @property
     def is_tracking(self) -> bool:
@@ -115,6 +115,12 @@ class Localiser:
         twists = self._twists(range(len(self.poses)))
         xi = between(torch.tensor(self.frame_indices), twists, index)
         return (T_WC.double() @ se3.exp(xi)).to(T_WC)
+
+    def places(self) -> tracking.Places | None:
+        """What finds a camera again in this map: keyframes with their poses as they are by now;
+        None if there are none."""
+        moved = () if self.is_tracking else zip(self.frame_indices, self.poses, strict=True)
+        return self.memory.places(dict(moved))
 
     def pose_near(self, index: int) -> Float[Tensor, "4 4"]:
         """A pose between those of the mapped frames before and after any frame of the source, or
@@ -185,6 +191,7 @@ class Localiser:
         self.frame_indices.append(frame.index)
         if not self.is_tracking:
             self._jumps.record(frame)
+            self.memory.collect(frame)
             return None
         return self._apply(self.memory.add(frame))
 

@@ -12,7 +12,9 @@ from ..errors import ArgumentError
 from ..optim import fit_pose
 from ..render import render
 from ..seeding import Cells
+from ..tracking import SurfaceSource
 from ..types import Camera, Frame, GaussianParams, RenderOutput
+from .tracking_surface import surface_of_picture
 from .usual_torch import in_usual_torch
 
 Draw = Callable[[Camera, Tensor], RenderOutput]
@@ -120,6 +122,20 @@ class MapFiles:
         """
         device = params.xyz_W.device
         return lambda camera, T_WC: cls.render_gaussians(params, camera, T_WC.to(device), config)
+
+    @classmethod
+    def surface_from(cls, folder: Path, params: GaussianParams, config: Any) -> SurfaceSource:
+        """The surface of the map of a finished run, from its folder, to which frames are aligned.
+        Here it is what the picture of its Gaussians shows.
+
+        Args:
+            folder, params, config: As for ``drawn_from``.
+
+        Raises:
+            FileNotFoundError, ValueError: a file that the surface needs is missing or damaged.
+        """
+        draw = cls.drawn_from(folder, params, config)
+        return lambda camera, T_WC: surface_of_picture(draw(camera, T_WC), camera, T_WC)
 
     @classmethod
     def aligned_pose(

@@ -1,15 +1,17 @@
 """What mappers with a TSDF have in common: the volume, its surface and mesh, its files and
 reports."""
 
+from pathlib import Path
 from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
 from ..errors import BadFrameError
+from ..export.tsdf_file import TSDF, read_tsdf, write_tsdf
 from ..geometry import se3
 from ..seeding import SeedContext
-from ..tracking import Correction
+from ..tracking import Correction, SurfaceSource
 from ..tsdf import (
     NewBlocks,
     RaycastOutput,
@@ -18,12 +20,13 @@ from ..tsdf import (
     new_band_blocks,
     raycast,
 )
-from ..types import Camera, Frame, Mesh, Seeds
+from ..types import Camera, Frame, GaussianParams, Mesh, Seeds
 from .fused_frames import FusedFrames
 from .map_files import MapFiles
 from .map_reports import MapReports
 from .mapper import Mapper
 from .step_report import StepReport
+from .tracking_surface import surface_seen
 from .transaction import Undo
 
 MOVED_VOXELS = 0.5
@@ -57,6 +60,18 @@ class TsdfFiles(MapFiles):
     def constant_tensors(self) -> list[Tensor]:
         """Images of keyframes and of the frames in the TSDF."""
         return [*super().constant_tensors(), *self.mapper.fused.images()]
+
+    def write_besides(self, folder: Path) -> None:
+        """Write the TSDF."""
+        write_tsdf(folder / TSDF, self.mapper.volume)
+
+    @classmethod
+    def surface_from(cls, folder: Path, params: GaussianParams, config: Any) -> SurfaceSource:
+        """The surface of the TSDF."""
+        volume = read_tsdf(folder / TSDF, config.tsdf, params.xyz_W.device)
+        return lambda camera, T_WC: surface_seen(
+            raycast(volume, camera, T_WC.to(volume.device)), camera, T_WC
+        )
 
 
 class TsdfReports(MapReports):

@@ -20,6 +20,7 @@ from ..files import write_file
 from ..mapping import system_of
 from ..seeding import is_built_in, rule_name, rule_source
 from ..seeding.rule_code import RULE_MODULES, beside_sources, file_source
+from ..tracking import PLACES, write_places
 from ..types import Mesh
 from .map_hashes import map_hashes
 from .mapping_run import MappingRun, evenly
@@ -33,8 +34,10 @@ FILES = {
     "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender "
     "and Unity plug-ins",
     "mesh.ply": "TSDF surface with vertex colours: MeshLab, Blender, CloudCompare",
-    "tsdf.npz": "the coloured TSDF that GPS-SLAM draws its Gaussians over; gaussians.ply alone "
-    "shows them over black",
+    "tsdf.npz": "the coloured TSDF, in which gsfusion-nb locate finds a camera; GPS-SLAM draws its "
+    "Gaussians over it, and gaussians.ply alone shows them over black",
+    "places.npz": "what keyframes look like and where they were: gsfusion-nb locate finds another "
+    "recording by them",
     "trajectory.txt": "poses, TUM format: evo_traj tum trajectory.txt",
     "trajectory_given.txt": "the poses before they were refined, if they were",
     "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
@@ -88,6 +91,9 @@ def _write_maps(run: MappingRun, folder: Path, mesh: Mesh) -> None:
     _write_trajectory(run, folder)
     write_gaussian_ply(folder / "gaussians.ply", run.mapper.parts.params_now())
     run.mapper.files.write_besides(folder)
+    places = run.mapper.localiser.places()
+    if places is not None:
+        write_places(folder / PLACES, places)
     write_mesh_ply(folder / "mesh.ply", mesh)
 
 

@@ -1,6 +1,5 @@
 """Score the map in a run's folder again, only from its files, exactly as the run did."""
 
-import dataclasses
 import logging
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,10 @@ from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
 from ..files import parsing, read_object
 from ..mapping.systems import get_system
-from ..types import GaussianParams
 from .outputs import write_json
 from .run_folder import METRICS
 from .scored_views import read_views, score_in_map
+from .stored_map import of_degree
 
 log = logging.getLogger(__name__)
 
@@ -78,7 +77,7 @@ def rescore(
             "scores compare the map with other images",
         )
     place = torch.device(device or (stored_device if torch.cuda.is_available() else "cpu"))
-    params = _of_degree(
+    params = of_degree(
         read_gaussian_ply(folder / "gaussians.ply", strict=True), config.sh_degree, place
     )
 
@@ -130,16 +129,6 @@ def _warn(document: dict[str, Any], sentence: str) -> None:
     """Log a warning, and write it, once, among those of metrics.json."""
     log.warning(sentence)
     document["warnings"] = list(dict.fromkeys([*document.get("warnings", ()), sentence]))
-
-
-def _of_degree(params: GaussianParams, degree: int, device: torch.device) -> GaussianParams:
-    """The Gaussians with the SH degree of the run (the file is padded to degree 3), on
-    ``device``."""
-    params = dataclasses.replace(
-        params,
-        sh=params.sh[:, : (degree + 1) ** 2].contiguous(),
-    )
-    return GaussianParams(**{name: column.to(device) for name, column in vars(params).items()})
 
 
 def _is_number(value: Any) -> bool:

@@ -23,6 +23,13 @@ from .keyframe_database import KeyframeDatabase as KeyframeDatabase
 from .landmark_map import LandmarkMap as LandmarkMap
 from .landmark_map import Sighting as Sighting
 from .localise import localise as localise
+from .locator import Location as Location
+from .locator import Locator as Locator
+from .locator import locate_all as locate_all
+from .places import PLACES as PLACES
+from .places import Places as Places
+from .places import read_places as read_places
+from .places import write_places as write_places
 from .pose_graph import Edge as Edge
 from .pose_graph import odometry_information as odometry_information
 from .pose_graph import optimise_poses as optimise_poses

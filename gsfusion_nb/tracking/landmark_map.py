@@ -96,6 +96,8 @@ class _Local:
     landmark: Int[ndarray, " N"]
     xyz_W: Float[ndarray, "N 3"]
     descriptors: ndarray
+    around: int = -1
+    """Keyframe around which it was chosen; -1: the last one."""
 
     def part(self, rows: Bool[ndarray, " N"]) -> "_Local":
         """Some of the landmarks."""
@@ -168,11 +170,22 @@ class LandmarkMap:
             local = self._seen_from(self.around(self.database.T_WC[-1]))
             self._local = local.part(self.landmarks.is_good(local.landmark))
 
+    def collect_around(self, T_WC: Float[Tensor, "4 4"]) -> None:
+        """Choose the landmarks of the local map for a view near a pose, in a map that does not
+        grow: those of the nearest keyframe and of the others that see them."""
+        if not len(self):
+            return
+        nearest = self.database.nearest_view(T_WC)
+        if self._local is not None and self._local.around == nearest:
+            return
+        keyframes = sorted({nearest, *self._covisible(nearest, len(self))})
+        self._local = dataclasses.replace(self._seen_from(keyframes), around=nearest)
+
     def see(self, features: Features, T_WC: Float[Tensor, "4 4"]) -> Sighting | None:
         """The landmarks of the local map in a view, and its pose.
 
         They are searched where ``T_WC``, a prediction, puts them. If too few agree there, the view
-        is matched with the last keyframe, which needs no prediction.
+        is matched with the keyframe of the local map, which needs no prediction.
 
         Returns:
             None if fewer than 20 landmarks, or 40 % of the matches, agree with a pose.
@@ -184,10 +197,10 @@ class LandmarkMap:
     def _sighting(self, features: Features, T_WC: Tensor, local: "_Local") -> Sighting | None:
         sighting = self.find(features, T_WC, local) or self.find(features, T_WC, local, SEARCHES)
         if sighting is None:
-            pose = self.database.compare(features, len(self) - 1)
+            pose = self.database.compare(features, local.around)
             sighting = pose and self.find(
                 features,
-                self.database.T_WC[-1] @ pose.T_RQ,
+                self.database.T_WC[local.around] @ pose.T_RQ,
                 local,
             )
         return sighting

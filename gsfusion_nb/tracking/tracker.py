@@ -186,6 +186,60 @@ class Tracker:
             icp=best.result,
         )
 
+    def find(self, frame: Frame, surface: SurfaceSource, relocalise: Relocaliser) -> TrackingReport:
+        """Pose of a frame in a map where the camera was not seen before: by appearance alone, and
+        then by ICP.
+
+        ``track`` goes on from there. A pose must look like the map, and fit it as well as after a
+        failed prediction, unless landmarks confirm it.
+
+        Args:
+            frame: Its ``T_WC`` is not used.
+            surface: Renders the map; may be called several times.
+            relocalise: Gives the starting poses.
+
+        Raises:
+            TrackingLostError: no start led to a pose that fits, or there was none.
+        """
+        sight = Sight.of(frame, self.config)
+        if not sight.has_depth:
+            raise self._lost(
+                f"frame {frame.index} cannot be tracked: none of its pixels have usable depth"
+            )
+        failures: list[str] = []
+        for start in _places(frame, relocalise):
+            with_rows = dataclasses.replace(sight, extra=start.extra)
+            fit = attempt(with_rows, surface, surface, start, self.config)
+            problem = why_no_fit(fit.result, strict=start.extra is None) or why_not_alike(
+                frame, surface(frame.camera, fit.result.T_WC.float()), doubtful=False
+            )
+            if problem:
+                failures.append(f"from {start.name} {problem}")
+                continue
+            self._usual.add(fit.result)
+            self._accept(frame, fit.result.T_WC, moved=False)
+            return TrackingReport(
+                status="recovered",
+                T_WC=fit.result.T_WC.to(frame.T_WC),
+                start=start.name,
+                icp=fit.result,
+            )
+        reason = "; ".join(failures) or "it looks like no place of the map"
+        raise self._lost(f"frame {frame.index} cannot be tracked: {reason}")
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether a frame was tracked, so that the next can be predicted."""
+        return self._last is not None
+
+    def begin_at(self, T_WC: Float[Tensor, "4 4"], timestamp_s: float) -> None:
+        """Go on from a pose that is known, as if the frame of that time had been tracked."""
+        check_pose("T_WC", T_WC)
+        self._last = _TrackedPose(T_WC=T_WC.double().cpu(), timestamp_s=timestamp_s)
+        self._last_but_one = None
+        self._own = None
+        self.lost_in_a_row = 0
+
     def _problem(
         self, found: Attempt, frame: Frame, surface: SurfaceSource, *, strict: bool
     ) -> str:
@@ -278,14 +332,8 @@ class Tracker:
         if self.lost_in_a_row > 0 or self._last_but_one is not None:
             yield Start("the last pose", last)
         yield Start("the last pose with wide limits", last, wide=True)
-        for n, (T_WC, extra) in enumerate([] if fits else relocalise(frame)):
-            yield Start(
-                f"place {n + 1}",
-                T_WC.double().cpu(),
-                wide=extra is None,
-                anywhere=True,
-                extra=extra,
-            )
+        if not fits:
+            yield from _places(frame, relocalise)
 
     def _target(self, source: SurfaceSource) -> SurfaceSource:
         """What ICP aligns a frame with: the model, or the model mixed with the last frame, seen
@@ -317,6 +365,18 @@ class Tracker:
     def _lost(self, reason: str) -> TrackingLostError:
         self.lost_in_a_row += 1
         return TrackingLostError(reason)
+
+
+def _places(frame: Frame, relocalise: Relocaliser) -> Iterator[Start]:
+    """Starts of ICP by the appearance of a frame."""
+    for n, (T_WC, extra) in enumerate(relocalise(frame)):
+        yield Start(
+            f"place {n + 1}",
+            T_WC.double().cpu(),
+            wide=extra is None,
+            anywhere=True,
+            extra=extra,
+        )
 
 
 @piece

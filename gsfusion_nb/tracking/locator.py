@@ -1,0 +1,204 @@
+"""The poses of another recording in a map that does not change.
+
+Each frame is found by what was found before: near the pose that the frames before it predict, or,
+where there is none, by appearance in the whole map. Landmarks and ICP against the map's surface
+give the pose. A pose counts only if two things say the same: landmarks confirm it, or the frame
+fits the surface in every direction of motion and looks like the map there.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from ..config import TrackingConfig
+from ..geometry import se3
+from ..types import Frame
+from .attempt import why_no_fit, why_not_alike
+from .features import Features
+from .icp import ExtraRows
+from .landmark_map import LandmarkMap, Sighting
+from .places import Places
+from .surface import SurfaceSource
+from .tracker import Tracker, TrackingLostError, TrackingReport
+
+OFF_M = 0.02
+OFF_DEG = 1.0
+"""ICP starts from the landmarks' pose where it differs by more than this from the predicted one."""
+
+AGREE_M = 0.05
+AGREE_DEG = 3.0
+"""Landmarks confirm a pose if theirs is within this."""
+
+MOST_LOST = 2
+"""After this many frames in a row that were not found, a frame is looked for in the whole map."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Location:
+    """Where a frame was taken in the map, or why that is not known."""
+
+    T_WC: Float[Tensor, "4 4"] | None
+    """Camera-to-world pose, float32; None: the frame was not located."""
+    way: str = ""
+    """Where ICP started that led to the pose: "the predicted pose", "place 1", ..."""
+    n_landmarks: int = 0
+    """Landmarks of the map in the frame that agree with the pose."""
+    rms_m: float = 0.0
+    """Root mean square distance of its points from the map's surface, metres."""
+    inlier_share: float = 0.0
+    """Share of its pixels with depth that fit the surface."""
+    reason: str = ""
+    """Why it was not located, as a sentence; "" if it was."""
+
+    @property
+    def is_located(self) -> bool:
+        """Whether the pose is known."""
+        return self.T_WC is not None
+
+
+class Locator:
+    """Finds frames in a map, which it does not change.
+
+    Args:
+        places: Keyframes of the map.
+        surface: Renders the map's surface.
+        config: Pyramid levels and limits.
+    """
+
+    def __init__(
+        self,
+        places: Places,
+        surface: SurfaceSource,
+        config: TrackingConfig | None = None,
+    ):
+        self.places = places
+        self.surface = surface
+        self.config = dataclasses.replace(config or TrackingConfig(), target="model")
+        self._landmarks: LandmarkMap | None = None
+        self._tracker = Tracker(self.config)
+
+    def locate(self, frame: Frame) -> Location:
+        """The pose of the next frame; its own ``T_WC`` is not used.
+
+        Raises:
+            BadFrameError: the frame cannot be used.
+        """
+        landmarks = self._landmarks_for(frame)
+        features = landmarks.database.extract(frame)
+        if self._tracker.lost_in_a_row > MOST_LOST:
+            self.forget()
+        before = self._tracker.standing
+        sighting = self._sighting(frame, features)
+        try:
+            report = self._track(frame, features, sighting)
+        except TrackingLostError as e:
+            return Location(T_WC=None, reason=str(e))
+        confirmed = self._confirmed(features, report, sighting)
+        reason = "" if confirmed else self._why_doubtful(frame, report)
+        if reason:
+            self._tracker.standing = before
+            self._tracker.lost_in_a_row += 1
+            return Location(T_WC=None, reason=f"frame {frame.index} cannot be located: {reason}")
+        fit = report.icp
+        return Location(
+            T_WC=report.T_WC,
+            way=report.start,
+            n_landmarks=len(confirmed.pairs) if confirmed else 0,
+            rms_m=fit.rms_m if fit else 0.0,
+            inlier_share=fit.inlier_share if fit else 0.0,
+        )
+
+    def forget(self) -> None:
+        """Look for the next frame in the whole map, as if it were the first."""
+        self._tracker = Tracker(self.config)
+
+    def go_on_from(self, T_WC: Float[Tensor, "4 4"], timestamp_s: float = 0.0) -> None:
+        """Look for the next frame near a pose that is known."""
+        self._tracker = Tracker(self.config)
+        self._tracker.begin_at(T_WC, timestamp_s)
+
+    def _landmarks_for(self, frame: Frame) -> LandmarkMap:
+        if self._landmarks is None or self._landmarks.camera != frame.camera:
+            self._landmarks = self.places.landmark_map(frame.camera)
+        return self._landmarks
+
+    def _sighting(self, frame: Frame, features: Features) -> Sighting | None:
+        """The landmarks near the predicted pose, if there is one."""
+        assert self._landmarks is not None
+        if not self._tracker.has_pose:
+            return None
+        T_predicted = self._tracker.predict(frame.timestamp_s)
+        self._landmarks.collect_around(T_predicted)
+        return self._landmarks.see(features, T_predicted)
+
+    def _track(self, frame: Frame, features: Features, sighting: Sighting | None) -> TrackingReport:
+        tracker = self._tracker
+        landmarks = self._landmarks
+        assert landmarks is not None
+
+        def relocalise(_: Frame) -> list[tuple[Tensor, ExtraRows | None]]:
+            seen: list[tuple[Tensor, Any]] = [
+                (s.T_WC, s.extra) for s in landmarks.relocalise(features)
+            ]
+            return seen or [(T_WC, None) for T_WC in landmarks.database.relocalise(features)]
+
+        if not tracker.has_pose:
+            return tracker.find(frame, self.surface, relocalise)
+        guess = None
+        if sighting is not None:
+            angle_deg, distance_m = se3.motion(tracker.predict(frame.timestamp_s), sighting.T_WC)
+            guess = sighting.T_WC if distance_m > OFF_M or angle_deg > OFF_DEG else None
+        extra = None if sighting is None else sighting.extra
+        return tracker.track(frame, self.surface, relocalise, extra, guess)
+
+    def _confirmed(
+        self, features: Features, report: TrackingReport, sighting: Sighting | None
+    ) -> Sighting | None:
+        """The landmarks of the frame, if their pose agrees with the tracked one."""
+        assert self._landmarks is not None
+        T_WC = report.T_WC.double().cpu()
+        if sighting is None:
+            self._landmarks.collect_around(T_WC)
+            sighting = self._landmarks.see(features, T_WC)
+        if sighting is None:
+            return None
+        angle_deg, distance_m = se3.motion(T_WC, sighting.T_WC)
+        return sighting if distance_m <= AGREE_M and angle_deg <= AGREE_DEG else None
+
+    def _why_doubtful(self, frame: Frame, report: TrackingReport) -> str:
+        """The reason not to believe a pose that no landmarks confirm, or ""."""
+        assert report.icp is not None
+        surface = self.surface(frame.camera, report.T_WC)
+        return why_no_fit(report.icp, strict=True) or why_not_alike(frame, surface, doubtful=False)
+
+
+def locate_all(locator: Locator, frames: Sequence[Frame]) -> Iterator[tuple[int, Location]]:
+    """Locate the frames of a recording in order, and then those before a frame that was found, from
+    there back.
+
+    Args:
+        locator: Finds them.
+        frames: A sequence; each frame is read once or twice.
+
+    Yields:
+        Number of the frame and its location, twice for a frame that was found on the way back.
+    """
+    n = len(frames)
+    poses: dict[int, Tensor] = {}
+    for i in range(n):
+        location = locator.locate(frames[i])
+        if location.T_WC is not None:
+            poses[i] = location.T_WC
+        yield i, location
+    for i in reversed(range(n - 1)):
+        if i in poses or i + 1 not in poses:
+            continue
+        locator.go_on_from(poses[i + 1])
+        location = locator.locate(frames[i])
+        if location.T_WC is not None:
+            poses[i] = location.T_WC
+            yield i, location
