@@ -127,7 +127,7 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     from ..config import from_run
     from ..export import read_trajectory_tum
     from ..files import parsing, read_object
-    from ..mapping.gps_surface import TSDF
+    from ..export.tsdf_file import TSDF
     from ..mapping.systems import get_system
 
     folder = options.source
@@ -141,6 +141,8 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     with parsing(folder / "config.json", "the settings of a run"):
         system = get_system(settings.get("system", "gsfusion"))
         config = from_run(system.config_type, settings["config"])
+    if not system.description.needs_volume_to_render:
+        return gaussians
     trajectory = folder / "trajectory.txt"
     poses = read_trajectory_tum(trajectory)[1].float() if trajectory.is_file() else []
     print(

@@ -29,6 +29,8 @@ def run_files() -> set[str]:
         "config.json",
         "metrics.json",
         "views.json",
+        "tsdf.npz",
+        "places.npz",
         "report.html",
         ".lock",
     }
