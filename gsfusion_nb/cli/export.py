@@ -126,8 +126,8 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     """The Gaussians for a .ply file: a surface that they are drawn over as discs, too."""
     from ..config import from_run
     from ..export import read_trajectory_tum
-    from ..files import parsing, read_object
     from ..export.tsdf_file import TSDF
+    from ..files import parsing, read_object
     from ..mapping.systems import get_system
 
     folder = options.source

@@ -198,16 +198,16 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
     },
     "Location in the map": {
         "share_located": _share("Frames located", "The others are not in the trajectory."),
-        "n_located": _count("Frames located"),
         "n_frames_to_locate": _count("Frames"),
+        "n_located": _count("Of these, located"),
         "share_within_3_cm": _share(
             "Located within 3 cm", "Share of all frames, also of those that were not located."
         ),
         "location_error_median_m": _cm("Error, median", "Of located frames, against their poses."),
         "location_error_mean_m": _cm("Error, mean"),
         "location_error_max_m": _cm("Error, largest"),
-        "location_error_median_deg": Metric("Error of rotation, median", "°", 2),
-        "location_error_max_deg": Metric("Error of rotation, largest", "°", 2),
+        "location_error_median_deg": Metric("Rotation error, median", "°", 2),
+        "location_error_max_deg": Metric("Rotation error, largest", "°", 2),
         "seconds_per_located_frame": Metric(
             "Time of a frame", "ms", 1, 1e3, "Median, without reading it."
         ),

@@ -287,9 +287,9 @@ def location_metrics(rows: Rows[LocatedFrame], *, has_truth: bool) -> dict[str, 
 
 def _write(found: LocatedRecording, stored: StoredMap, sequence: OpenedSequence) -> None:
     """Write trajectory, report and numbers, which come last."""
-    located_rows = [row for row in found.frames if row.location.T_WC is not None]
+    located_rows = [row for row in found.frames if row.location.is_located]
     if located_rows:
-        poses = torch.stack([row.location.T_WC for row in located_rows])
+        poses = torch.stack(list(found.poses.values()))
         write_trajectory_tum(found.folder / "trajectory.txt", _times(located_rows), poses.cpu())
     write_location_page(found.folder / "report.html", found, stored, sequence)
     document = {

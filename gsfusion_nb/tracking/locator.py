@@ -7,14 +7,15 @@ fits the surface in every direction of motion and looks like the map there.
 """
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
 
 from ..config import TrackingConfig
+from ..errors import SequenceError
 from ..geometry import se3
 from ..types import Frame
 from .attempt import why_no_fit, why_not_alike
@@ -176,7 +177,17 @@ class Locator:
         return why_no_fit(report.icp, strict=True) or why_not_alike(frame, surface, doubtful=False)
 
 
-def locate_all(locator: Locator, frames: Sequence[Frame]) -> Iterator[tuple[int, Location]]:
+@runtime_checkable
+class FramesByNumber(Protocol):
+    """Frames that can be read again, such as a ``Sequence``; one that cannot be read raises a
+    ``SequenceError``."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, i: int) -> Frame: ...
+
+
+def locate_all(locator: Locator, frames: FramesByNumber) -> Iterator[tuple[int, Location]]:
     """Locate the frames of a recording in order, and then those before a frame that was found, from
     there back.
 
@@ -190,7 +201,7 @@ def locate_all(locator: Locator, frames: Sequence[Frame]) -> Iterator[tuple[int,
     n = len(frames)
     poses: dict[int, Tensor] = {}
     for i in range(n):
-        location = locator.locate(frames[i])
+        location = _located(locator, frames, i)
         if location.T_WC is not None:
             poses[i] = location.T_WC
         yield i, location
@@ -198,7 +209,15 @@ def locate_all(locator: Locator, frames: Sequence[Frame]) -> Iterator[tuple[int,
         if i in poses or i + 1 not in poses:
             continue
         locator.go_on_from(poses[i + 1])
-        location = locator.locate(frames[i])
+        location = _located(locator, frames, i)
         if location.T_WC is not None:
             poses[i] = location.T_WC
             yield i, location
+
+
+def _located(locator: Locator, frames: FramesByNumber, i: int) -> Location:
+    """Where one frame is; one that cannot be read has no pose."""
+    try:
+        return locator.locate(frames[i])
+    except SequenceError as e:
+        return Location(T_WC=None, reason=str(e))

@@ -114,8 +114,8 @@ def write_places(path: str | Path, places: Places) -> None:
         "n_features": [len(f) for f in places.features],
     }
     for name in _OF_FEATURES:
-        kind, shape = _ARRAYS[name]
-        none = np.zeros((0, *shape[1:]), kind)
+        kind, (_, *others) = _ARRAYS[name]
+        none = np.zeros([0, *map(int, others)], kind)
         rows = [getattr(f, name).numpy() for f in places.features]
         columns[name] = np.concatenate([none, *rows])
     columns["xyz_C"] = np.where(columns["has_depth"][:, None], columns["xyz_C"], 0)
