@@ -2,8 +2,8 @@
 files and scores."""
 
 from .driver import FinishedRun as FinishedRun
-from .located import LocatedRecording as LocatedRecording
 from .located import locate as locate
+from .located_frames import LocatedRecording as LocatedRecording
 from .map_sequence import map_stream as map_stream
 from .map_sequence import resume_mapping as resume_mapping
 from .map_sequence import run_mapping as run_mapping

@@ -4,7 +4,7 @@ side, numbers, and errors over the frames."""
 import math
 from collections.abc import Sequence as Rows
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
@@ -13,10 +13,8 @@ from ..drawing.page import fill, page_graph, page_picture
 from ..errors import SequenceError
 from ..evaluation.metrics import METRIC_GROUPS, NBSP, format_metric, reason_missing
 from ..files import write_file
+from .located_frames import LocatedFrame, LocatedRecording
 from .stored_map import StoredMap
-
-if TYPE_CHECKING:
-    from .located import LocatedFrame, LocatedRecording
 
 SHOWN = 6
 """Number of located frames that are shown, and of others."""
@@ -31,7 +29,7 @@ _HEADLINE = (
 
 
 def write_location_page(
-    path: Path, found: "LocatedRecording", stored: StoredMap, sequence: OpenedSequence
+    path: Path, found: LocatedRecording, stored: StoredMap, sequence: OpenedSequence
 ) -> None:
     """Write report.html, atomically."""
     located_rows = [row for row in found.frames if row.location.is_located]
@@ -66,7 +64,7 @@ def write_location_page(
     write_file(path, page)
 
 
-def _spread(rows: Rows["LocatedFrame"]) -> list["LocatedFrame"]:
+def _spread(rows: Rows[LocatedFrame]) -> list[LocatedFrame]:
     """At most ``SHOWN`` rows, evenly spread from the first to the last."""
     n = len(rows)
     if n <= SHOWN:
@@ -79,7 +77,7 @@ def _card(label: str, text: str) -> dict[str, str]:
     return {"label": label, "number": number, "unit": unit}
 
 
-def _view(row: "LocatedFrame", stored: StoredMap, sequence: OpenedSequence) -> dict[str, Any]:
+def _view(row: LocatedFrame, stored: StoredMap, sequence: OpenedSequence) -> dict[str, Any]:
     """The picture, and the map as the camera sees it from the pose that was found."""
     T_WC = row.location.T_WC
     assert T_WC is not None
@@ -103,7 +101,7 @@ def _view(row: "LocatedFrame", stored: StoredMap, sequence: OpenedSequence) -> d
     return {"name": f"Frame {row.index}", "lines": lines, "pictures": images}
 
 
-def _lost_view(row: "LocatedFrame", sequence: OpenedSequence) -> dict[str, Any]:
+def _lost_view(row: LocatedFrame, sequence: OpenedSequence) -> dict[str, Any]:
     """The picture of a frame that was not located, and why."""
     frame = _frame(row, sequence)
     images = []
@@ -112,7 +110,7 @@ def _lost_view(row: "LocatedFrame", sequence: OpenedSequence) -> dict[str, Any]:
     return {"name": f"Frame {row.index}", "lines": [row.location.reason], "pictures": images}
 
 
-def _frame(row: "LocatedFrame", sequence: OpenedSequence) -> Any:
+def _frame(row: LocatedFrame, sequence: OpenedSequence) -> Any:
     """The frame, or None if it cannot be read."""
     view = sequence.mapping
     try:
@@ -121,7 +119,7 @@ def _frame(row: "LocatedFrame", sequence: OpenedSequence) -> Any:
         return None
 
 
-def _graphs(rows: Rows["LocatedFrame"]) -> list[Any]:
+def _graphs(rows: Rows[LocatedFrame]) -> list[Any]:
     """Error, and landmarks in view, over the frames; gaps are frames that were not located."""
     if not rows:
         return []
