@@ -137,8 +137,9 @@ class Frame:
     """Camera-to-world pose, OpenCV axes, metres."""
     extra: Mapping[str, Shaped[Tensor, "H W *C"]]
     """Further images of this frame by name, such as labels of a segmentation (whole numbers) or
-    uncertainties (floats, finite). They are resized with the frame, and reach seeding rules;
-    keyframes and checkpoints do not keep them."""
+    uncertainties (floats, finite). They are resized with the frame, and reach seeding rules and
+    a loss that was given to the mapper; without one, keyframes and checkpoints do not keep
+    them."""
 
     def __init__(
         self,

@@ -17,7 +17,7 @@ from ..render import OverBaseOutput, SurfacePicture
 from ..seeding import SeedContext, SurfaceInputs
 from ..tracking import Correction
 from ..tsdf import FusedView, TsdfVolume, fuse_frame_
-from ..types import Camera, Frame, RenderOutput, Seeds
+from ..types import Camera, Frame, GaussianParams, RenderOutput, Seeds
 from .description import SystemDescription
 from .gps_files import GpsFiles
 from .gps_rounds import begin_round, remove_useless
@@ -140,10 +140,12 @@ class GPSSLAM(TsdfMapping):
             begin_round(self)
         self.parts.append(seeds, frame.index)
         if plan.is_keyframe:
-            self.keyframes.append(frame, with_depth=self.training.loss is not None)
+            has_loss = self.training.loss is not None
+            self.keyframes.append(frame, with_depth=has_loss, with_extra=has_loss)
 
     def _look_at_frame(self, frame: Frame) -> SurfaceKeyframe:
-        return self._look(Keyframe.of(frame, with_depth=self.training.loss is not None))
+        has_loss = self.training.loss is not None
+        return self._look(Keyframe.of(frame, with_depth=has_loss, with_extra=has_loss))
 
     def _renew_views(self, newest: SurfaceKeyframe | None) -> None:
         """Look again at the views whose turn it is; ``newest`` becomes one of them."""
@@ -246,7 +248,7 @@ class GPSSLAM(TsdfMapping):
             keyframe,
             part,
             view.render,
-            partial(loss_of_view, self.config, self.training, view, target_rgb),
+            partial(loss_of_view, self.config, self.training, view, target_rgb, part.params),
             writes_back=not later_views or self.after_steps.is_used,
         )
         self.after_steps.edit(self, statistics, keyframe, step, target_rgb)
@@ -264,6 +266,7 @@ def loss_of_view(
     training: Training,
     view: SurfaceKeyframe,
     target_rgb: Float[Tensor, "H W 3"],
+    params: GaussianParams,
     picture: OverBaseOutput,
 ) -> tuple[ViewLoss, Tensor]:
     """L2 or L1 of the colours, or the given loss; and the MSE."""
@@ -273,7 +276,7 @@ def loss_of_view(
         return ViewLoss(value=pixels.value, v_rgb=pixels.v_rgb), pixels.mse
     output = picture.as_render_output(view.surface.base)
     target = TrainingView.of(view.keyframe, rgb=target_rgb)
-    return training.view_loss(output, target, with_depth=False), pixels.mse
+    return training.view_loss(output, target, params, with_geometry=False), pixels.mse
 
 
 def notes_on_fidelity(config: GpsSlamConfig) -> list[str]:

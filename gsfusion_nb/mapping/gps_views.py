@@ -67,7 +67,7 @@ class SurfaceKeyframe:
         output, saved = render_over_base(
             params, view.camera, view.T_WC, self.surface.base, behind_m=self.surface.behind_m
         )
-        return output, lambda v_rgb, _, **outputs: render_over_base_vjp(saved, v_rgb, **outputs)
+        return output, lambda v_rgb, *_, **outputs: render_over_base_vjp(saved, v_rgb, **outputs)
 
     def state_dict(self) -> dict[str, Any]:
         """Plain values."""
@@ -256,7 +256,12 @@ class ViewRound:
         return [
             x
             for view in views
-            for x in (view.keyframe.rgb_u8, view.surface_rgb, view.surface_depth_m)
+            for x in (
+                view.keyframe.rgb_u8,
+                view.surface_rgb,
+                view.surface_depth_m,
+                *view.keyframe.extra.values(),
+            )
         ]
 
     def state_dict(self) -> dict[str, Any]:

@@ -106,7 +106,11 @@ class GSFusion(TsdfMapping):
             self.parts.append(seeds, frame.index)
             is_keyframe, n_steps, n_revisits = self._plan(frame, len(seeds))  # III-B.3
             if is_keyframe or self.config.keep_all_frames:
-                self.keyframes.append(frame, with_depth=self._keeps_depth)
+                self.keyframes.append(
+                    frame,
+                    with_depth=self._keeps_depth,
+                    with_extra=self.training.loss is not None,
+                )
             with self.clock("optimise"):
                 steps = self._optimise_online(context, n_steps, n_revisits)  # Eq. 12
         with self.clock("tsdf"):
@@ -200,7 +204,9 @@ class GSFusion(TsdfMapping):
         view = view.to(self.device)
         part = self.parts.in_view(view)
         target_rgb = view.rgb
-        loss: Loss = partial(self._loss, view=view, target_rgb=target_rgb, ssim_weight=ssim_weight)
+        loss: Loss = partial(
+            self._loss, part=part, view=view, target_rgb=target_rgb, ssim_weight=ssim_weight
+        )
         fit = self.fits if fits else None
         keyframe: Any = view  # where poses and exposures are fitted
         if fit is not None:
@@ -228,6 +234,7 @@ class GSFusion(TsdfMapping):
     def _loss(
         self,
         picture: RenderOutput,
+        part: MapPart,
         view: Frame | Keyframe,
         target_rgb: Float[Tensor, "H W 3"],
         ssim_weight: float,
@@ -238,7 +245,7 @@ class GSFusion(TsdfMapping):
         optim = self.config.optim
         if self.training.loss is not None:
             target = TrainingView.of(view, rgb=target_rgb)
-            return self.training.view_loss(picture, target), pixels.mse
+            return self.training.view_loss(picture, target, part.params), pixels.mse
         loss = pixels.value
         v_rgb = pixels.v_rgb
         v_depth_m = None

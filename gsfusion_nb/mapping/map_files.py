@@ -70,7 +70,11 @@ class MapFiles:
 
     def constant_tensors(self) -> list[Tensor]:
         """Tensors in ``Mapper.state_dict`` that never change: a checkpoint writes them once."""
-        images = [image for k in self.mapper.keyframes for image in (k.rgb_u8, k.depth_m)]
+        images = [
+            image
+            for k in self.mapper.keyframes
+            for image in (k.rgb_u8, k.depth_m, *k.extra.values())
+        ]
         return [image for image in images if image is not None]
 
     def quadtree_cells(self, frame: Frame) -> Cells | None:

@@ -158,7 +158,8 @@ class RTGSLAM(Mapper):
         self.disc_passes.forget()
         self.window.append(frame)
         if plan.is_keyframe:
-            self.keyframes.append(frame, with_depth=True)
+            has_loss = self.training.loss is not None
+            self.keyframes.append(frame, with_depth=True, with_extra=has_loss)
         n_steps = 0
         if plan.window_is_due:
             n_steps += self.config.window.iterations

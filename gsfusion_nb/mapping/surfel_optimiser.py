@@ -175,7 +175,7 @@ class SurfelOptimiser:
         step = optimise_view(
             part,
             lambda params: render_discs(params, frozen_params, view, self.discs),
-            lambda picture: (self._loss(picture, view), None),
+            lambda picture: (self._loss(picture, view, part.params), None),
             self.adam,
             regulariser=regularise,
             update=self.training.optimiser,
@@ -199,9 +199,9 @@ class SurfelOptimiser:
         is_trained = numbers < self.n
         return MapPart(self.copies, numbers[is_trained]), self.params[numbers[~is_trained]]
 
-    def _loss(self, picture: RenderOutput, view: TrainingView) -> ViewLoss:
+    def _loss(self, picture: RenderOutput, view: TrainingView, params: GaussianParams) -> ViewLoss:
         if self.training.loss is not None:
-            return self.training.view_loss(picture, view)
+            return self.training.view_loss(picture, view, params)
         loss = rgbd_l1_vjp(
             picture.rgb,
             picture.depth_m,
@@ -342,18 +342,25 @@ def render_discs(
     else:
         depth_m = blended_depth_m(output)
 
-    def vjp(v_rgb: Tensor, v_depth_m: Tensor | None, **outputs: Tensor | None) -> GaussianParams:
+    def vjp(
+        v_rgb: Tensor,
+        v_depth_m: Tensor | None,
+        v_alpha: Tensor | None,
+        **outputs: Tensor | None,
+    ) -> GaussianParams:
         if v_depth_m is None:
             v_depth_m = torch.zeros_like(depth_m)
         if discs.depth == "disc":
-            g = render_vjp(saved, v_rgb, rows=rows, **outputs)
+            g = render_vjp(saved, v_rgb, None, v_alpha, rows=rows, **outputs)
             v_xyz, v_quat = disc_depth_vjp(
                 params, view.camera, view.T_WC, hit_index, v_depth_m, rows=rows, **options
             )
             g = dataclasses.replace(g, xyz_W=g.xyz_W + v_xyz, quat=g.quat + v_quat)
         else:  # of D / A: v_D = v / A,  v_A = -v D / A^2
             v_D = v_depth_m / output.alpha.clamp_min(1e-6)
-            g = render_vjp(saved, v_rgb, v_D, -v_D * depth_m, rows=rows, **outputs)
+            v_A = -v_D * depth_m
+            v_A = v_A if v_alpha is None else v_A + v_alpha
+            g = render_vjp(saved, v_rgb, v_D, v_A, rows=rows, **outputs)
         return g[:n]
 
     return dataclasses.replace(output, depth_m=depth_m), vjp

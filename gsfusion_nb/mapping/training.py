@@ -1,25 +1,29 @@
 """What a mapper optimises with: loss, optimiser, passes over the keyframes, and fits of poses and
 exposures in them."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..checks import check_finite, check_shape, shown
+from ..checks import check_finite, check_name, check_shape, shown
 from ..errors import ArgumentError, KindError, SequenceError
 from ..optim import TrainingView, UpdateFunction, ViewLoss
+from ..optim.map_step import column_argument
 from ..seeding import rule_fingerprint, rule_name
-from ..types import RenderOutput
+from ..types import GaussianParams, RenderOutput
 
 LossFunction = Callable[[RenderOutput, TrainingView], ViewLoss]
 """``loss(rendered, view)``: the value for one view, and its gradient with respect to the rendered
 images.
 
-``rendered`` has ``rgb``, ``alpha`` and ``depth_m``. The depth is the one that the system's own loss
-would use: blended in GSFusion, of the discs in RTG-SLAM, of surface and Gaussians in GPS-SLAM,
-where it has no gradient. In RTG-SLAM only ``view.pixels`` are drawn and count."""
+``rendered`` has ``rgb``, ``alpha`` and ``depth_m``. ``view`` also has ``extra``, further images of
+its frame, and ``params``, the Gaussians that the step changes. The depth is the one that the
+system's own loss would use: blended in GSFusion, of the discs in RTG-SLAM, of surface and Gaussians
+in GPS-SLAM, where depth and alpha have no gradient. In RTG-SLAM only ``view.pixels`` are drawn and
+count."""
 
 
 def given_functions(loss: LossFunction | None, optimiser: UpdateFunction | None) -> dict[str, Any]:
@@ -61,36 +65,54 @@ class Training:
         return {name: rule_name(f) for name, f in self._given.items()}
 
     def view_loss(
-        self, rendered: RenderOutput, view: TrainingView, *, with_depth: bool = True
+        self,
+        rendered: RenderOutput,
+        view: TrainingView,
+        params: GaussianParams | None = None,
+        *,
+        with_geometry: bool = True,
     ) -> ViewLoss:
         """The given loss of one view.
 
         Args:
             rendered: The picture, without gradient.
             view: What it is compared with.
-            with_depth: Whether the system has a gradient of its depth.
+            params: The Gaussians that the step changes.
+            with_geometry: Whether the system has a gradient of its depth and alpha.
 
         Raises:
             TypeError: the result is not a ``ViewLoss``.
-            ValueError: the gradient is of another shape, not finite, or of a depth that has none.
+            ValueError: a gradient is of another shape, not finite, of no column, or of an image
+                that has none.
         """
         assert self.loss is not None
-        found = self.loss(rendered, view)
+        found = self.loss(rendered, dataclasses.replace(view, params=params))
         name = f"loss {self.names['loss']!r}"
         if not isinstance(found, ViewLoss):
             raise KindError(
                 f"{name} must return a ViewLoss (gsfusion_nb.optim), got {shown(found)}"
             )
         check_shape(f"value of the {name}", found.value, ())
-        for column, like in (("v_rgb", rendered.rgb), ("v_depth_m", rendered.depth_m)):
-            gradient = getattr(found, column)
-            if gradient is not None:
-                check_shape(f"{column} of the {name}", gradient, tuple(like.shape))
-                check_finite(f"{column} of the {name}", gradient)
-        if found.v_depth_m is not None and not with_depth:
-            raise ArgumentError(
-                f"{name} returned v_depth_m, but this system's depth has no gradient; leave it out"
+        columns = {} if params is None else vars(params)
+        for column in found.v_params or {}:
+            check_name(
+                f"column, which the {name} gives a gradient in v_params", column, vars(params)
             )
+        likes = {f"v_{x}": getattr(rendered, x) for x in ("rgb", "depth_m", "alpha")}
+        gradients = {x: getattr(found, x) for x in likes}
+        likes |= {f"v_params[{x!r}]": column for x, column in columns.items()}
+        gradients |= {f"v_params[{x!r}]": v for x, v in (found.v_params or {}).items()}
+        for gradient_name, gradient in gradients.items():
+            if gradient is not None:
+                what = f"{gradient_name} of the {name}"
+                check_shape(what, gradient, tuple(likes[gradient_name].shape))
+                check_finite(what, gradient)
+        for image in ("depth_m", "alpha"):
+            if gradients[f"v_{image}"] is not None and not with_geometry:
+                raise ArgumentError(
+                    f"{name} returned v_{image}, but this system's {image.removesuffix('_m')} has "
+                    "no gradient; leave it out"
+                )
         return found.detached(rendered.rgb)
 
     def state_dict(self) -> dict[str, dict[str, str]]:
@@ -139,6 +161,7 @@ def _try_out(optimiser: UpdateFunction, name: str) -> None:
         v,
         torch.full((2,), 1000),
         lr=0.1,
+        **column_argument(optimiser, "xyz_W"),
     )
     if returned is not None:
         raise KindError(

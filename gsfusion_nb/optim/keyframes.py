@@ -2,18 +2,18 @@
 
 import dataclasses
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from ..backends import piece
 from ..large_maps import farthest_depth
 from ..resources import MAP_MEMORY
-from ..types import Camera, Frame, rgb_of_bytes
+from ..types import Camera, Extras, Frame, GaussianParams, rgb_of_bytes
 
 IN_MEMORY_BYTES = 1 << 30
 """Images of keyframes beyond these are in temporary files, of whose pages the system keeps what
@@ -35,10 +35,14 @@ class Keyframe:
     """The factor of each colour between the map's picture and this one; None is 1."""
     farthest_m: Float[Tensor, "12 16"] | None = None
     """Largest depth in parts of the image (``gsfusion_nb.large_maps.farthest_depth``)."""
+    extra: Mapping[str, Shaped[Tensor, "H W *C"]] = field(default_factory=Extras)
+    """Further images (``Frame.extra``); none if the mapper has its own loss, which asks for
+    none."""
 
     @classmethod
-    def of(cls, frame: Frame, *, with_depth: bool = False) -> "Keyframe":
-        """The view of a frame, with its depth if ``with_depth``."""
+    def of(cls, frame: Frame, *, with_depth: bool = False, with_extra: bool = False) -> "Keyframe":
+        """The view of a frame, with its depth if ``with_depth``, and further images if
+        ``with_extra``."""
         return cls(
             index=frame.index,
             rgb_u8=frame.rgb_u8,
@@ -46,6 +50,7 @@ class Keyframe:
             T_WC=frame.T_WC,
             depth_m=frame.depth_m if with_depth else None,
             farthest_m=farthest_depth(frame.depth_m),
+            extra=frame.extra if with_extra else Extras(),
         )
 
     @property
@@ -55,21 +60,27 @@ class Keyframe:
 
     def state_dict(self) -> dict[str, Any]:
         """Plain values; files call the exposure "gain"."""
-        values = vars(self) | {"camera": vars(self.camera)}
+        values = vars(self) | {"camera": vars(self.camera), "extra": dict(self.extra)}
+        if not self.extra:
+            values.pop("extra")
         return {"gain" if name == "exposure" else name: x for name, x in values.items()}
 
     @staticmethod
     def from_state_dict(state: dict[str, Any]) -> "Keyframe":
         """The keyframe that was saved with ``state_dict``."""
         values = {"exposure" if name == "gain" else name: x for name, x in state.items()}
-        return Keyframe(**{**values, "camera": Camera(**state["camera"])})
+        extra = Extras(state.get("extra", {}))
+        return Keyframe(**{**values, "camera": Camera(**state["camera"]), "extra": extra})
 
     def to(self, device: torch.device | str) -> "Keyframe":
         """The same keyframe with its tensors on ``device``; the keyframe itself if they are."""
         images = {name: x.to(device) for name, x in vars(self).items() if isinstance(x, Tensor)}
-        if all(value is getattr(self, name) for name, value in images.items()):
+        extra = Extras({name: x.to(device) for name, x in self.extra.items()})
+        if all(value is getattr(self, name) for name, value in images.items()) and all(
+            value is self.extra[name] for name, value in extra.items()
+        ):
             return self
-        return dataclasses.replace(self, **images)
+        return dataclasses.replace(self, **images, extra=extra)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,6 +97,11 @@ class TrainingView:
     """Those that count."""
     index: int = -1
     """Number of its frame; -1 if not known."""
+    extra: Mapping[str, Shaped[Tensor, "H W *C"]] = field(default_factory=Extras)
+    """Further images of the frame, such as labels (``Frame.extra``)."""
+    params: GaussianParams | None = None
+    """The Gaussians that the step changes, R rows; what it only draws (RTG-SLAM) is not among
+    them. Filled where a loss is asked."""
 
     @staticmethod
     def of(
@@ -112,6 +128,7 @@ class TrainingView:
             T_WC=source.T_WC,
             pixels=all_pixels if pixels is None else pixels,
             index=source.index,
+            extra=source.extra,
         )
 
 
@@ -150,9 +167,10 @@ class KeyframeList:
             )
         return self._poses
 
-    def append(self, frame: Frame, *, with_depth: bool = False) -> None:
-        """Add ``frame`` as a keyframe, with its depth if ``with_depth``."""
-        self._keep(Keyframe.of(frame, with_depth=with_depth))
+    def append(self, frame: Frame, *, with_depth: bool = False, with_extra: bool = False) -> None:
+        """Add ``frame`` as a keyframe, with its depth if ``with_depth``, and further images if
+        ``with_extra``."""
+        self._keep(Keyframe.of(frame, with_depth=with_depth, with_extra=with_extra))
 
     def snapshot(self) -> tuple[list[Keyframe], int]:
         """The keyframes of now, for ``restore``; a keyframe itself never changes."""
@@ -220,14 +238,17 @@ class KeyframeList:
         images = {
             name: x for name in ("rgb_u8", "depth_m") if (x := getattr(keyframe, name)) is not None
         }
-        self._bytes_kept += sum(image.nbytes for image in images.values())
+        extra = keyframe.extra
+        self._bytes_kept += sum(image.nbytes for image in (*images.values(), *extra.values()))
         device = keyframe.rgb_u8.device
         is_full = (
             self._bytes_kept > IN_MEMORY_BYTES and device.type == "cpu" and sys.platform != "win32"
         )
         if is_full or MAP_MEMORY.is_in_files(device):
             keyframe = dataclasses.replace(
-                keyframe, **{name: MAP_MEMORY.in_file(x) for name, x in images.items()}
+                keyframe,
+                **{name: MAP_MEMORY.in_file(x) for name, x in images.items()},
+                extra=Extras({name: MAP_MEMORY.in_file(x) for name, x in extra.items()}),
             )
         self._items.append(keyframe)
 

@@ -1,5 +1,6 @@
 """Losses of a picture and of its depth, each with its gradient beside it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,13 +52,27 @@ class ViewLoss:
     """dL/d of the rendered colours."""
     v_depth_m: Float[Tensor, "H W"] | None = None
     """dL/d of the rendered depth, 1/metres; None is zero."""
+    v_alpha: Float[Tensor, "H W"] | None = None
+    """dL/d of the rendered alpha; None is zero."""
+    v_params: Mapping[str, Tensor] | None = None
+    """dL/d of parameters of the Gaussians themselves, by the name of the column, for the rows of
+    ``TrainingView.params``: "log_scale" [R, 3]. Those of the picture are not in it. None is
+    zero."""
 
     def detached(self, like: Tensor) -> "ViewLoss":
         """Without an autograd graph, in the type and on the device of ``like``."""
-        value = self.value.detach().to(like)
-        v_rgb = self.v_rgb.detach().to(like)
-        v_depth_m = None if self.v_depth_m is None else self.v_depth_m.detach().to(like)
-        return ViewLoss(value=value, v_rgb=v_rgb, v_depth_m=v_depth_m)
+
+        def plain(value: Tensor | None) -> Tensor | None:
+            return None if value is None else value.detach().to(like)
+
+        params = self.v_params and {name: v.detach().to(like) for name, v in self.v_params.items()}
+        return ViewLoss(
+            value=self.value.detach().to(like),
+            v_rgb=self.v_rgb.detach().to(like),
+            v_depth_m=plain(self.v_depth_m),
+            v_alpha=plain(self.v_alpha),
+            v_params=params,
+        )
 
 
 def check_pictures(rgb: Any, target: Any, v_loss: float = 1.0) -> None:

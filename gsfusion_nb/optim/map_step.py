@@ -1,6 +1,7 @@
 """One step of Adam on a map that grows while it is optimised."""
 
 import contextlib
+import inspect
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Literal, NamedTuple
 
@@ -24,7 +25,8 @@ It changes one column of the map in place: ``param`` [N, ...], and ``m`` and ``v
 shape. These two are its memory: they begin at zero, follow each row when rows are added and
 removed, and are saved in checkpoints. ``steps`` [N] counts the steps of each row, this one
 included. ``lr`` is the learning rate of the settings, a number or a tensor that fits a row. A
-column whose learning rate is 0 is left alone."""
+column whose learning rate is 0 is left alone. A function with an argument ``column`` is told the
+name of the column: "xyz_W", "log_scale", "quat", "opacity_logit" or "sh"."""
 
 
 class AdamSettings(NamedTuple):
@@ -129,12 +131,21 @@ def take_step(
         ValueError: a value is no longer finite that was before.
     """
     finite = param.isfinite()
-    update(param, gradient, m, v, ages, lr=lr)
+    update(param, gradient, m, v, ages, lr=lr, **column_argument(update, name))
     if n_lost := int((finite & ~param.isfinite()).sum()):
         raise ArgumentError(
             f"the optimiser made {n_lost} values of {name} NaN or infinite; try smaller learning "
             "rates"
         )
+
+
+def column_argument(update: UpdateFunction, column: str) -> dict[str, str]:
+    """The argument ``column`` of an optimiser from outside, if it has one."""
+    try:
+        takes_column = "column" in inspect.signature(update).parameters
+    except (TypeError, ValueError):  # something in C
+        takes_column = False
+    return {"column": column} if takes_column else {}
 
 
 @contextlib.contextmanager

@@ -1,5 +1,6 @@
 """One gradient step on one view, which every system takes in the same way."""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -16,7 +17,7 @@ from .losses import ViewLoss
 from .map_step import AdamSettings, UpdateFunction, adam_step
 
 PictureVjp = Callable[..., GaussianParams]
-"""``vjp(v_rgb, v_depth_m, **outputs)``: dL/dparams from dL/d of the images of a picture.
+"""``vjp(v_rgb, v_depth_m, v_alpha, **outputs)``: dL/dparams from dL/d of the images of a picture.
 ``outputs`` are those of ``render_vjp``, which it fills."""
 
 Render = Callable[[GaussianParams], tuple[Any, PictureVjp]]
@@ -66,7 +67,10 @@ def optimise_view(
     """
     picture, vjp = render(part.params)
     view_loss, mse = loss(picture)
-    gradients = vjp(view_loss.v_rgb, view_loss.v_depth_m, **outputs)
+    gradients = vjp(view_loss.v_rgb, view_loss.v_depth_m, view_loss.v_alpha, **outputs)
+    if view_loss.v_params:
+        of_params = {name: getattr(gradients, name) + v for name, v in view_loss.v_params.items()}
+        gradients = dataclasses.replace(gradients, **of_params)
     value = view_loss.value
     if regulariser is not None:
         value = value + regulariser(gradients)

@@ -484,4 +484,4 @@ def test_what_a_loss_must_return(returned, error, sentence):
         pixels=torch.ones(2, 3, dtype=torch.bool),
     )
     with pytest.raises(error, match=sentence):
-        Training(own).view_loss(PICTURE, view, with_depth=False)
+        Training(own).view_loss(PICTURE, view, with_geometry=False)
