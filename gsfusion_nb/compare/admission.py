@@ -18,6 +18,7 @@ from typing import Any
 
 import cloudpickle
 
+from ..data.adjust.extra_files import ExtraFiles, ExtraSample, read_extra
 from ..files import read_object, read_sealed, write_sealed
 from ..seeding import SeedingRule, is_built_in, rule_name
 from ..seeding.code_key import differing, where_module
@@ -193,7 +194,17 @@ def _job(entry: Entry, rule: SeedingRule) -> bytes:
 
 
 def _extra(entry: Entry) -> bytes:
-    extra = entry.sequence.mapping.extra if entry.sequence is not None else None
+    """The pickled function that gives the scenes of the check further images; where they come from
+    files, those of the first frame stand for all."""
+    has_files = "extra" in entry.spec.reader
+    sequence = entry.opened() if has_files else entry.sequence
+    if sequence is None:
+        return b""
+    extra = sequence.mapping.extra
+    if isinstance(extra, ExtraFiles):
+        first = extra.files(sequence.mapping.positions[:1])
+        images = {name: read_extra(file) for name, file in zip(extra.patterns, first, strict=True)}
+        extra = ExtraSample(images=images)
     return b"" if extra is None else _pickle_bytes(extra)
 
 

@@ -40,7 +40,14 @@ _RULE = {
     "tuned_on": (str,),
     "settings": (dict,),
 }
-_SCENE = {"data": (str,), "label": (str,), "reader": (dict,), "settings": (dict,), "preset": (str,)}
+_SCENE = {
+    "data": (str,),
+    "label": (str,),
+    "reader": (dict,),
+    "extra": (dict,),
+    "settings": (dict,),
+    "preset": (str,),
+}
 _BUDGET = {"steps": (str,), "gaussians": (int,), "tolerance": (int, float)}
 Kinds = Mapping[str, tuple[type, ...]]
 
@@ -245,8 +252,9 @@ def _scene(
         data = str(neighbour if neighbour.is_dir() else Path(data).resolve())
     parts: dict[str, Any] = {"preset": values["preset"]} if "preset" in values else {}
     parts |= {"data": data, "scene": values.get("label", Path(values["data"]).name)}
+    extra = {"extra": values["extra"]} if "extra" in values else {}
     parts |= {
-        "reader": values.get("reader", {}),
+        "reader": values.get("reader", {}) | extra,
         "settings": _flat_names(values.get("settings", {})),
     }
     if len(Entry(spec=RunSpec(rule="uniform", **_merge(shared, parts))).opened().held_out) == 0:

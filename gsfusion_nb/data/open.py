@@ -18,6 +18,7 @@ from ..config import DataConfig
 from ..errors import ArgumentError, SequenceError, SequenceNotFoundError
 from ..files import UNREADABLE, file_hashes, noting_files
 from . import readers
+from .adjust.extra_files import ExtraFiles
 from .adjust.repair import RepairedSequence, as_read
 from .adjust.selection import ExtraOf, FrameSubset, OpenedSequence, apply_options
 from .recorded.files import missing
@@ -42,7 +43,7 @@ def open_sequence(
     *,
     format: str = "auto",
     data: DataConfig | None = None,
-    extra: ExtraOf | None = None,
+    extra: ExtraOf | Mapping[str, str] | None = None,
     **options: Any,
 ) -> OpenedSequence:
     """Open a sequence: the frames to map are ``.mapping``, those held out for evaluation are
@@ -55,7 +56,8 @@ def open_sequence(
         data: Size, range, depth limits, held-out frames.
         extra: A function from a frame, at its recorded size, to further images of it by name:
             labels, uncertainties, or anything [H, W, ...]. They become ``frame.extra``, are resized
-            with the frame, and reach seeding rules.
+            with the frame, and reach seeding rules and losses of your own. Or name -> pattern of
+            the files in the folder: ``{"class": "labels/{index:06d}.png"}`` (``ExtraFiles``).
         options: Keyword arguments of the layout's reader, such as ``undistort`` of ``tum``,
             ``register`` of ``seven_scenes`` or ``split`` of ``scannetpp``.
 
@@ -64,7 +66,8 @@ def open_sequence(
         SequenceError: the folder fits no layout (the message lists what each layout looks for), or
             its content is invalid.
         KeyError: unknown format.
-        ValueError: an option that the layout's reader does not have.
+        ValueError: an option that the layout's reader does not have; or files of further images for
+            a sequence without files.
     """
     check_name("format", format, ("auto", "room", *known_layouts()))
     if format == "room" or (format == "auto" and str(path_or_name) == "room"):
@@ -74,6 +77,8 @@ def open_sequence(
         if data is not None and data.width and data.height:
             options = {"width": data.width, "height": data.height, **options}
         _check_options("room", room, options)
+        if isinstance(extra, Mapping):
+            raise ArgumentError("files of further images need a recording in a folder, not room")
         source: Any = room(**options)
         return apply_options(source, data, extra)
     path = Path(path_or_name).expanduser()
@@ -89,6 +94,11 @@ def open_sequence(
         recording = reader(path, **options)
     if isinstance(recording, RecordedSequence):
         recording = dataclasses.replace(recording, read_from=tuple(dict.fromkeys(read_from)))
+    if isinstance(extra, Mapping):
+        if not isinstance(recording, RecordedSequence):
+            raise ArgumentError(f"files of further images need a recording with images, not {name}")
+        stems = [file.stem for file in recording.rgb_files]
+        extra = ExtraFiles(folder=path, patterns=dict(extra), stems=stems)
     return apply_options(recording, data, extra)
 
 
@@ -176,7 +186,9 @@ def data_files(sequence: OpenedSequence) -> dict[str, str]:
         return {}
     positions = [*sequence.mapping.positions, *sequence.held_out.positions]
     images = [file for i in positions for file in (source.rgb_files[i], source.depth_files[i])]
-    return file_hashes([*source.read_from, *images])
+    extra = sequence.mapping.extra
+    others = extra.files(positions) if isinstance(extra, ExtraFiles) else []
+    return file_hashes([*source.read_from, *images, *others])
 
 
 def frame_fingerprints(sequence: OpenedSequence) -> list[str]:
