@@ -14,7 +14,7 @@ from ..backends import use_backend
 from ..checks import check_name
 from ..config.options import named
 from ..errors import ArgumentError
-from . import roofline
+from . import roofline, view_study
 from .command import run_and_write
 from .recording_specs import RecordingOptions, Values, output_folder, ran_under, recording_specs
 from .run_result import RunResult
@@ -72,14 +72,18 @@ def _read_studies() -> Iterator[tuple[str, Study]]:
 
 
 STUDIES = dict(_read_studies())
-"""Name on the command line -> study. "roofline" has a module of its own."""
+"""Name on the command line -> study."""
+OTHER_STUDIES = {
+    "views": view_study.QUESTION,
+    "roofline": "kernels and the limits of this machine",
+}
+"""Name -> question of the studies that have a module of their own."""
 
 
 def study_names() -> list[str]:
     """Names of all studies, each with its question."""
-    return [f"{name} ({study.question})" for name, study in STUDIES.items()] + [
-        "roofline (kernels and the limits of this machine)"
-    ]
+    questions = {name: study.question for name, study in STUDIES.items()} | OTHER_STUDIES
+    return [f"{name} ({question})" for name, question in questions.items()]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,11 +111,14 @@ def study(options: StudyOptions) -> int:
         KeyError: no such study. ValueError: ``only`` leaves nothing.
     """
     name = options.name
-    check_name("study", name, ("roofline", *STUDIES))
+    check_name("study", name, (*OTHER_STUDIES, *STUDIES))
     folder = output_folder(options, f"study-{name}", options.data)
     if name == "roofline":
         folder.mkdir(parents=True, exist_ok=True)
         return roofline.main(options.device, folder)
+    if name == "views":
+        with use_backend(options.backend):
+            return view_study.main(options, options.data, folder, options.only)
     named_study = STUDIES[name]
     with use_backend(options.backend):
         specs = study_specs(name, options, options.data, options.only)
