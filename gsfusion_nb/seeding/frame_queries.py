@@ -11,7 +11,7 @@ from ..errors import ArgumentError
 from ..geometry import backproject, depth_to_normals, pixel_grid, se3
 from ..types import Seeds
 from .depth_from_sides import depth_from_sides
-from .discs import as_discs
+from .discs import as_discs, stretched
 from .image_features import canny
 from .inputs import SeedInputs, cached_result
 from .quadtree import Cells, cell_gaussians, cut_to_size, quadtree
@@ -113,7 +113,7 @@ def leaf_seeds(
     inputs: SeedInputs, *, thickness: float | None, opacity: float | None, **overrides: Any
 ) -> Seeds:
     """One seed per quadtree leaf whose middle has depth (GSFusion III-B.2, Eq. 10): a disc in the
-    surface, or round where ``thickness`` is 1."""
+    surface that covers its leaf in the picture, or round where ``thickness`` is 1."""
     frame = inputs.frame
     config = inputs.config
     thickness = config.thickness if thickness is None else thickness
@@ -131,7 +131,8 @@ def leaf_seeds(
     )
     if thickness == 1:
         return seeds
-    return as_discs(inputs, seeds, normals_W(inputs).flatten(0, 1)[pixel], thickness)
+    discs = as_discs(inputs, seeds, normals_W(inputs).flatten(0, 1)[pixel], thickness)
+    return stretched(inputs, seeds, discs, leaves.half_diagonal_px)
 
 
 def seeds_at(

@@ -10,7 +10,8 @@ import torch
 from gsfusion_nb.config import SeedingConfig, TsdfConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import project, quaternion, se3
-from gsfusion_nb.seeding import SeedContext, check_contexts, voxel_index
+from gsfusion_nb.seeding import SeedContext, as_discs, check_contexts, voxel_index
+from gsfusion_nb.seeding.discs import stretched
 from gsfusion_nb.types import Camera, Frame, Seeds
 
 
@@ -54,7 +55,8 @@ def test_published_size_of_a_cell():
 
 
 def test_the_disc_of_a_cell_lies_in_the_surface():
-    """A wall that is turned by 45 degrees about y: z = 2 + x. Its normal is (1, 0, -1) / sqrt 2."""
+    """A wall that is turned by 45 degrees about y: z = 2 + x. Its normal is (1, 0, -1) / sqrt 2.
+    The disc, of 10 pixels, is longer by 1 / cos 45."""
     j, i = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
     ray_x = (i + 0.5 - 8) / 600
     tilted = frame(2 / (1 - ray_x) + 0 * j, torch.zeros(12, 16, 3))
@@ -66,9 +68,31 @@ def test_the_disc_of_a_cell_lies_in_the_surface():
     normal = torch.tensor([1.0, 0.0, -1.0]) / 2**0.5
     assert abs(float(axes[:, 2] @ normal)) == pytest.approx(1, abs=1e-4)
     d = round_ones.scale_m[0, 0].item()
-    assert seeds.scale_m.tolist() == [pytest.approx([d, d, 0.2 * d])]
+    assert seeds.scale_m.tolist() == [pytest.approx([2**0.5 * d, d, 0.2 * d], rel=1e-4)]
     assert seeds.opacity.tolist() == [pytest.approx(0.9)]
     assert torch.equal(seeds.xyz_W, round_ones.xyz_W)
+
+
+@pytest.mark.parametrize(("lean_deg", "stretch"), [(40, 1 / 0.766044), (60, 1.5)])
+def test_a_large_disc_covers_its_cell_in_the_picture(lean_deg, stretch):
+    """Seen along its lean, 1 / cos(lean) cancels the foreshortening, up to 1.5 times. A small disc,
+    and one that faces the camera, stay as they are."""
+    lean = torch.deg2rad(torch.tensor(float(lean_deg)))
+    normal = torch.tensor([[torch.sin(lean), 0.0, -torch.cos(lean)], [0.0, 0.0, -1.0]])
+    ctx = SeedContext(frame(torch.full((2, 4), 2.0)))
+    centre = torch.tensor([[0.0, 0.0, 2.0]]).expand(2, 3)
+    seeds = Seeds.isotropic(centre, torch.zeros(2, 3), torch.tensor([0.1, 0.1]))
+    discs = as_discs(ctx, seeds, normal, 0.2)
+    large = stretched(ctx, seeds, discs, torch.tensor([10.0, 10.0]))
+    small = stretched(ctx, seeds, discs, torch.tensor([9.9, 9.9]))
+    for name in ("quat", "scale_m"):
+        assert torch.equal(getattr(small, name), getattr(discs, name))
+        assert torch.equal(getattr(large, name)[1], getattr(discs, name)[1])
+    axes = quaternion.to_matrix(large.quat)[0]
+    torch.testing.assert_close(large.scale_m[0], torch.tensor([0.1 * stretch, 0.1, 0.02]))
+    torch.testing.assert_close(axes[:, 2], normal[0], atol=1e-6, rtol=0)
+    leaning = torch.tensor([torch.cos(lean), 0.0, torch.sin(lean)])
+    assert abs(float(axes[:, 0] @ leaning)) == pytest.approx(1, abs=1e-6)
 
 
 def test_a_plain_wall_is_cut_by_its_depth():

@@ -460,7 +460,7 @@ def test_coarser_cells_are_larger_and_less_even(contrast):
 
 def test_the_rule_follows_the_settings_of_size_shape_and_opacity():
     """A plain wall, 64 x 48 pixels at 2 m: as published one ball of 40 pixels; one cut makes four
-    of 20."""
+    of 20, which lean by the angle of their rays."""
     ctx = context(CASES["gsfusion"])
     d = Z * HALF_DIAGONAL_PX / FX
     for settings, n, sigma in (
@@ -472,5 +472,8 @@ def test_the_rule_follows_the_settings_of_size_shape_and_opacity():
         ),
     ):
         seeds = apply_rule("gsfusion", dataclasses.replace(ctx, config=settings))
-        torch.testing.assert_close(seeds.scale_m, torch.tensor(sigma).expand(n, 3))
+        expected = torch.tensor(sigma).repeat(n, 1)
+        if settings.thickness < 1:
+            expected[:, 0] *= seeds.xyz_W.norm(dim=1) / Z  # 1 / cos of the ray
+        torch.testing.assert_close(seeds.scale_m, expected)
         torch.testing.assert_close(seeds.opacity, torch.full((n,), settings.opacity))
