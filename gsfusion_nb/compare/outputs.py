@@ -17,6 +17,8 @@ from .equal_maps import equal_maps
 from .markdown import as_markdown, markdown_sentence
 from .page import figure_of, page_html
 from .paired_tests import TESTS, Comparison, against_reference, all_pairs, named_reference
+from .paper_table import PaperTable, paper_tables
+from .paper_table import as_csv as papers_csv
 from .program import package_fingerprint
 from .rank_test import rank_test
 from .results_json import budget_json
@@ -111,6 +113,12 @@ class Results:
             self.runs, reference=self.reference, tests=about.tests, tuned_on=about.tuned_on
         )
 
+    def paper_tables(self, views: str = "held_out") -> list[PaperTable]:
+        """For each budget a table as papers print it, with a row of each scene and rule:
+        ``table.as_latex()``. ``views``: those that are scored, held_out or mapped."""
+        about = self.about
+        return paper_tables(self.runs, reference=self.reference, tests=about.tests, views=views)
+
     def figure(self) -> "Figure":
         """Held-out PSNR over each cost."""
         return figure_of(self.runs)
@@ -121,7 +129,8 @@ class Results:
         *,
         pictures: bool = True,
     ) -> list[Path]:
-        """Write ``runs.csv``, ``table.md``, ``table.json``, ``page.html`` and the Pareto plot.
+        """Write ``runs.csv``, ``table.md``, ``table.json``, ``paper.tex``, ``paper.csv``,
+        ``paper.md``, ``page.html`` and the Pareto plot.
 
         Existing files are replaced, each completely or not at all; so it can be called again after
         every run.
@@ -138,6 +147,12 @@ class Results:
             "runs.csv": as_csv(self.runs),
             "table.md": self._as_markdown(),
             "table.json": json.dumps(self.as_json(), indent=1, allow_nan=False),
+        }
+        papers = self.paper_tables()
+        texts |= {
+            "paper.tex": "\n".join(table.as_latex() for table in papers),
+            "paper.csv": papers_csv(papers),
+            "paper.md": "\n".join(table.as_markdown() for table in papers),
         }
         if pictures:
             texts["page.html"] = page_html(

@@ -241,7 +241,10 @@ def named_reference(specs: "Iterable[RunSpec]") -> str:
 
 
 def against_reference(
-    results: "Sequence[RunResult]", budget: str, reference: str = ""
+    results: "Sequence[RunResult]",
+    budget: str,
+    reference: str = "",
+    metric: str = FIRST_METRIC,
 ) -> list[Comparison]:
     """Each rule (a) against the reference (b) at one budget, best rule first, with p values
     corrected by Holm's method.
@@ -251,6 +254,7 @@ def against_reference(
         budget: Text of the budget.
         reference: Label of a rule, chosen before the results were known; ``named_reference`` if
             empty.
+        metric: Name of the number, one of ``COLUMNS``.
 
     Returns:
         The comparisons; none if the reference has no completed run at this budget.
@@ -261,19 +265,23 @@ def against_reference(
         return []
     units = scene_units(results)
     comparisons = [
-        compare(results, label, reference, budget=budget, units=units)
+        compare(results, label, reference, budget=budget, metric=metric, units=units)
         for label in labels
         if label != reference
     ]
     return corrected(comparisons)
 
 
-def all_pairs(results: "Sequence[RunResult]", budget: str) -> list[Comparison]:
+def all_pairs(
+    results: "Sequence[RunResult]", budget: str, metric: str = FIRST_METRIC
+) -> list[Comparison]:
     """Every pair of rules at one budget, the better rules first, with p values corrected for all
     pairs by Holm's method."""
     units = scene_units(results)
     pairs = itertools.combinations(_labels(results, budget), 2)
-    return corrected([compare(results, a, b, budget=budget, units=units) for a, b in pairs])
+    return corrected(
+        [compare(results, a, b, budget=budget, metric=metric, units=units) for a, b in pairs]
+    )
 
 
 def _labels(results: "Iterable[RunResult]", budget: str) -> list[str]:

@@ -15,7 +15,8 @@ from gsfusion_nb.compare.statistics import group_runs
 
 def test_the_files(folder, written):
     assert all(path.parent == folder and path.stat().st_size > 1000 for path in written)
-    names = {"runs.csv", "table.md", "table.json", "pareto.pdf", "pareto.png", "page.html"}
+    papers = {"paper.tex", "paper.csv", "paper.md"}
+    names = {"runs.csv", "table.md", "table.json", "pareto.pdf", "pareto.png", "page.html"} | papers
     assert {path.name for path in written} == names
     assert (folder / "pareto.pdf").read_bytes()[:5] == b"%PDF-"
     assert np.asarray(cv2.imread(str(folder / "pareto.png"))).shape == (1200, 1920, 3)
