@@ -60,8 +60,8 @@ class WhereOptions:
 class LabOptions(WhereOptions):
     """Compare seeding rules: rules x scenes x seeds x budgets, as a file says.
 
-    Writes runs.csv, table.md, table.json, paper.tex, a figure and a page. After Ctrl-C the same command
-    continues; no run is computed twice, also in later commands."""
+    Writes runs.csv, table.md, table.json, paper.tex, a figure and a page. After Ctrl-C the same
+    command continues; no run is computed twice, also in later commands."""
 
     table: Annotated[str, tyro.conf.Positional] = ""
     """The file that describes the comparison (TOML)."""
