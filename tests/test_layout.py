@@ -12,7 +12,7 @@ PACKAGE = ROOT / "gsfusion_nb"
 
 FLOORS = {
     **dict.fromkeys(("types", "arrays", "config", "checks", "errors", "files", "interrupts"), 0),
-    **dict.fromkeys(("progress", "resources", "edit_count", "backends"), 0),
+    **dict.fromkeys(("progress", "resources", "edit_count", "backends", "extensions"), 0),
     **dict.fromkeys(("geometry", "drawing"), 1),
     **dict.fromkeys(("data", "tsdf", "gaussians", "render"), 2),
     "large_maps": 3,

@@ -33,24 +33,23 @@ class Command:
     def run(self, name: str, arguments: list[str]) -> int:
         """Do it, under its name.
 
-        Rules in files that nobody named are executed only if the user allows it.
+        Code in files that nobody named is executed only if the user allows it.
         """
         module = importlib.import_module(f"gsfusion_nb.{self.module}")
         function = getattr(module, self.function)
         if not self.options:
             return function(arguments)
-        from ..seeding.named_rules import RuleNotNamedError
-        from .permission import ask_or_refuse
+        from ..seeding.named_code import CodeNotNamedError
+        from .permission import ask_or_refuse, naming_options
 
         prog = f"{PROGRAM} {name}"
         options: Any = getattr(module, self.options)
         try:
             return function(parse_options(options, prog=prog, arguments=arguments))
-        except RuleNotNamedError as e:
-            if not hasattr(options, "rule_file"):
+        except CodeNotNamedError as e:
+            naming = naming_options(e, options)
+            if not naming:
                 raise
-            files = dict.fromkeys(rule.rpartition(":")[0] for rule in e.rules)
-            naming = [word for file in files for word in ("--rule-file", file)]
             ask_or_refuse(e, prog, arguments, naming)
         return self.run(name, [*arguments, *naming])
 

@@ -38,6 +38,9 @@ class ExportOptions:
     upright."""
     mesh: bool = True
     """Put the mesh of a run into a .glb or .usda file."""
+    system: str = ""
+    """File of the system, FILE.py:Name, if the run's came from a file and its surface becomes
+    discs; it is executed."""
     bake_steps: int = 200
     """A run of GPS-SLAM draws its Gaussians over a surface. In a .ply file the surface becomes
     discs, and all are fitted to this many pictures of the map; 0: no fit, which is quick and less
@@ -128,7 +131,7 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     from ..export import read_trajectory_tum
     from ..export.tsdf_file import TSDF
     from ..files import parsing, read_object
-    from ..mapping.systems import get_system
+    from ..runs.system_of_run import system_of_run
 
     folder = options.source
     if (
@@ -138,8 +141,8 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     ):
         return gaussians
     settings = read_object(folder / "config.json", "the settings of a run", objects=("config",))
+    system = system_of_run(folder, settings, options.system or None)
     with parsing(folder / "config.json", "the settings of a run"):
-        system = get_system(settings.get("system", "gsfusion"))
         config = from_run(system.config_type, settings["config"])
     if not system.description.needs_volume_to_render:
         return gaussians

@@ -11,8 +11,8 @@ from ..config import TsdfConfig, replace
 from ..config.options import named
 from ..errors import ArgumentError
 from ..resources import MAP_MEMORY
-from ..seeding.named_rules import RuleNotNamedError
-from ..seeding.rule_code import is_rule_file
+from ..seeding.code_files import is_code_file
+from ..seeding.named_code import CodeNotNamedError
 from ..tsdf import estimate_memory
 from .permission import ask_or_refuse
 from .result import print_result
@@ -23,9 +23,12 @@ if TYPE_CHECKING:
     from ..data import FrameSubset, OpenedSequence
     from ..runs import CheckpointEvery, FinishedRun
 
+_NAMING = {"rule": "--seeding.rule", "system": "--system"}
+"""Kind of code -> the option that names it."""
 _WITH_RESUME = (
     "--resume",
     "--seeding.rule",
+    "--system",
     "--device",
     "--evaluate",
     "--no-evaluate",
@@ -57,8 +60,8 @@ class MapOptions(SettingsOptions):
     """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the
     recording's poses; they are optimised with the new ones. GSFusion only."""
     resume: str = ""
-    """Folder of an interrupted run to continue; no other option is needed, but --seeding.rule if
-    its rule came from a file, which is executed."""
+    """Folder of an interrupted run to continue; no other option is needed, but --seeding.rule or
+    --system if its rule or its system came from a file, which is executed."""
     evaluate: bool = True
     """Score mapped and held-out views and write the report."""
     checkpoint_every_s: float = 30.0
@@ -135,31 +138,37 @@ def run(arguments: list[str]) -> int:
 def _continue_run(
     options: MapOptions, arguments: list[str], every: "CheckpointEvery"
 ) -> "FinishedRun":
-    """Continue a run; its rule's file is executed only if it was named, or if the user allows it
-    now."""
+    """Continue a run; the files of its rule and its system are executed only if they were named, or
+    if the user allows it now."""
     from ..runs import resume_mapping
 
-    def resume(rule: str | None) -> "FinishedRun":
+    def resume(named: dict[str, str]) -> "FinishedRun":
         return resume_mapping(
             options.resume,
-            seeding=rule,
+            seeding=named.get("rule"),
+            system=named.get("system"),
             device=options.device,
             evaluate=options.evaluate,
             checkpoints=every,
         )
 
-    rule_file = options.config.seeding.rule
-    try:
-        return resume(rule_file if is_rule_file(rule_file) else None)
-    except RuleNotNamedError as e:
-        ask_or_refuse(e, "gsfusion-nb map", arguments, ("--seeding.rule", *e.rules))
-        allowed_rule = e.rules[0]
-    return resume(allowed_rule)
+    texts = {"rule": options.config.seeding.rule, "system": options.system}
+    named = {kind: text for kind, text in texts.items() if is_code_file(text)}
+    while True:
+        try:
+            return resume(named)
+        except CodeNotNamedError as e:
+            naming = (_NAMING[e.kind], *e.code)
+            ask_or_refuse(e, "gsfusion-nb map", arguments, naming)
+            arguments = [*arguments, *naming]
+            named[e.kind] = e.code[0]
 
 
 def _refuse_more(options: MapOptions, arguments: list[str]) -> None:
     """A resumed run has its own settings and data: raise ``ValueError`` if others are given."""
     more = [a for a in arguments if a.startswith("-") and a.split("=")[0] not in _WITH_RESUME]
+    if "--system" in {a.split("=")[0] for a in arguments} and not is_code_file(options.system):
+        more.append("--system")
     if more or options.data:
         raise ArgumentError(
             f"--resume continues with the run's own settings and data; leave out {options.data} "

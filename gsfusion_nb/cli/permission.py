@@ -5,11 +5,26 @@ import sys
 from collections.abc import Iterable, Sequence
 
 from ..errors import SequenceError
-from ..seeding.named_rules import RuleNotNamedError
+from ..seeding.named_code import CodeNotNamedError
+
+
+def naming_options(error: CodeNotNamedError, options: type) -> list[str]:
+    """The arguments by which a command with these options names the code that ``error`` is about;
+    empty if it has none.
+
+    Args:
+        error: Who asks for what.
+        options: Class of the options: with ``rule_file`` or ``system_file`` for files, ``system``
+            for FILE.py:Name.
+    """
+    if hasattr(options, f"{error.kind}_file"):
+        files = dict.fromkeys(text.rpartition(":")[0] for text in error.code)
+        return [word for file in files for word in (f"--{error.kind}-file", file)]
+    return [f"--{error.kind}", *error.code] if hasattr(options, error.kind) else []
 
 
 def ask_or_refuse(
-    error: RuleNotNamedError, prog: str, arguments: Sequence[str], naming: Iterable[str]
+    error: CodeNotNamedError, prog: str, arguments: Sequence[str], naming: Iterable[str]
 ) -> None:
     """Return if the user allows, on a terminal, that the code which ``error`` names is executed.
 
@@ -17,7 +32,7 @@ def ask_or_refuse(
         error: Who asks for what.
         prog: The command, such as ``gsfusion-nb map``.
         arguments: Its arguments as they were typed.
-        naming: Those that would have named the rules.
+        naming: Those that would have named the code.
 
     Raises:
         SequenceError: the user does not allow it, or there is nobody to ask. It has the command to

@@ -30,7 +30,7 @@ def print_result(run: "FinishedRun") -> int:
     if is_interrupted and run.run.resumable:
         from ..runs.resume import resume_command
 
-        print(f"To continue: {resume_command(run.folder, run.mapper.rule)}")
+        print(f"To continue: {resume_command(run.folder, run.mapper)}")
     return 130 if is_interrupted else 3 if lost_frames or run.run.status == "stopped" else 0
 
 

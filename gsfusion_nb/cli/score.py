@@ -20,6 +20,8 @@ class EvalOptions:
     """Folder of the run."""
     data: str = ""
     """Folder of the sequence, if it was moved."""
+    system: str = ""
+    """File of the system, FILE.py:Name, if the run's came from a file; it is executed."""
     lpips: bool = False
     """Also compute LPIPS (needs the extra "lpips" and AlexNet's weights)."""
     device: str = ""
@@ -36,6 +38,7 @@ def run(options: EvalOptions) -> int:
         metrics = rescore(
             options.run,
             data=options.data or None,
+            system=options.system or None,
             with_lpips=options.lpips,
             device=options.device or None,
         )

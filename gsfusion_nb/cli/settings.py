@@ -23,7 +23,7 @@ from ..files import read_object
 from .options import EVERYDAY, HELP, parse_options
 
 if TYPE_CHECKING:
-    from ..seeding.named_rules import RuleNotNamedError
+    from ..seeding.named_code import RuleNotNamedError
 
 O = TypeVar("O", bound="SettingsOptions")  # noqa: E741
 ROOM = "room"
@@ -31,10 +31,10 @@ ROOM = "room"
 
 
 def system_names() -> tuple[str, ...]:
-    """Names of the mapping systems."""
-    from ..mapping import SYSTEMS
+    """Names of the mapping systems, also of those that installed packages add."""
+    from ..mapping import system_names
 
-    return tuple(SYSTEMS)
+    return tuple(system_names())
 
 
 def layout_names() -> list[str]:
@@ -91,7 +91,9 @@ class _StartOptions:
         from ..mapping import get_system
 
         if self.from_config:
-            return _read_settings(Path(self.from_config), rule=self.seeding.rule)
+            return _read_settings(
+                Path(self.from_config), rule=self.seeding.rule, system=self.system or None
+            )
         system = get_system(self.system or "gsfusion")
         if self.fidelity and self.fidelity not in system.description.fidelities:
             raise ArgumentError(
@@ -107,7 +109,7 @@ class SettingsOptions:
     """Which system maps, with which settings, and where."""
 
     system: str = named("gsfusion", system_names)
-    """Name of the mapping system."""
+    """Name of the mapping system, or one in a file, which is executed: FILE.py:Name."""
     preset: str = named("", presets)
     """Settings for a data set; single options override them. Where none is given: room for the
     built-in scene, otherwise replica."""
@@ -116,8 +118,8 @@ class SettingsOptions:
     measured, in each case the choice that gave better results."""
     from_config: str = ""
     """The config.json of an earlier run, whose settings are used instead of system, preset and
-    fidelity. A rule of that run in a file is executed, so it has to be named with
-    --seeding.rule."""
+    fidelity. A rule of that run in a file is executed, so it has to be named with --seeding.rule,
+    and a system in a file with --system."""
     rule_options: tuple[str, ...] = ()
     """Options of the seeding rule, such as: --rule-options share=0.2 transparent=false."""
     device: str = "cpu"
@@ -195,7 +197,7 @@ def parse(
     Raises:
         KeyError, ValueError: unknown system, preset or fidelity, or a file that holds no settings.
     """
-    arguments = _with_rule_named(prog, arguments)
+    arguments = _with_code_named(prog, arguments)
     start = _StartOptions.of(prog, arguments)
     preset = "replica"
     if data and ROOM in arguments and not start.preset:
@@ -256,60 +258,68 @@ def with_settings(options: type[O], config: SystemConfig) -> type[O]:
     return cls
 
 
-def _with_rule_named(prog: str, arguments: list[str]) -> list[str]:
-    """``arguments`` and, if the user allows it, the rule in a file that ``--from-config`` asks for.
+def _with_code_named(prog: str, arguments: list[str]) -> list[str]:
+    """``arguments`` and, if the user allows it, the rule and the system in files that
+    ``--from-config`` asks for.
 
     Nothing is executed for a help text, so nobody is asked there.
 
     Raises:
         SequenceError: as ``ask_or_refuse``. ValueError: options that ``--from-config`` excludes.
     """
-    from ..seeding.named_rules import RuleNotNamedError
+    from ..seeding.code_files import is_code_file
+    from ..seeding.named_code import CodeNotNamedError
     from .permission import ask_or_refuse
 
     start = _StartOptions.of(prog, arguments)
     if not start.from_config:
         return arguments
-    others = [f"--{name}" for name in ("system", "preset", "fidelity") if getattr(start, name)]
+    others = [f"--{name}" for name in ("preset", "fidelity") if getattr(start, name)]
+    if start.system and not is_code_file(start.system):
+        others.insert(0, "--system")
     if others:
         raise ArgumentError(
             f"--from-config sets all settings; leave out {' '.join(others)}, or --from-config"
         )
-    if start.seeding.rule:
-        return arguments
-    try:
-        start.config("")
-    except RuleNotNamedError as e:
-        naming = ["--seeding.rule", *e.rules]
-        if not HELP & set(arguments):
-            ask_or_refuse(e, prog, arguments, naming)
-        return [*arguments, *naming]
-    return arguments
+    options = {"rule": "--seeding.rule", "system": "--system"}
+    while True:
+        try:
+            start.config("")
+        except CodeNotNamedError as e:
+            naming = [options[e.kind], *e.code]
+            if not HELP & set(arguments):
+                ask_or_refuse(e, prog, arguments, naming)
+            arguments = [*arguments, *naming]
+            start = _StartOptions.of(prog, arguments)
+        else:
+            return arguments
 
 
-def _read_settings(path: Path, rule: str | None) -> SystemConfig:
+def _read_settings(path: Path, rule: str | None = None, system: str | None = None) -> SystemConfig:
     """The settings in a run's config.json; ``rule`` is the seeding rule to use instead of the
-    run's, if given.
+    run's, if given, and ``system`` names the file of the run's system.
 
     Raises:
-        RuleNotNamedError: its rule is in a file, and no rule is given.
+        CodeNotNamedError: its rule or its system is in a file, and none is given.
         ValueError: not the config.json of a run, or its rule is not part of this package and no
             other is given.
     """
-    from ..mapping import get_system
-    from ..seeding.rule_code import is_rule_file
+    from ..runs.system_of_run import system_of_run
+    from ..seeding import registered
+    from ..seeding.code_files import file_source, is_code_file
 
     document = read_object(path, "the config.json of a run", objects=("config",))
     name = document.get("rule")
     values = document["config"]
     seeding = values.get("seeding")
     in_settings = seeding.get("rule") if isinstance(seeding, dict) else None
-    if isinstance(in_settings, str) and is_rule_file(in_settings):
+    if isinstance(in_settings, str) and is_code_file(in_settings):
         if rule is None:
             raise _not_named(path, in_settings)
         values = {**values, "seeding": {**seeding, "rule": in_settings.rpartition(":")[2]}}
+    mapper = system_of_run(path.parent, document, system, lambda own: f"--system {own}")
     try:
-        config = from_run(get_system(document.get("system", "gsfusion")).config_type, values)
+        config = from_run(mapper.config_type, values)
         own_rule = config.seeding.rule
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as e:
         raise ArgumentError(f"{path} is not the config.json of a run: {reason_of(e)}") from None
@@ -321,6 +331,11 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
             "loss=...)"
         )
     name = own_rule if name is None else name
+    is_of_system = bool(file_source(mapper)) and (
+        file_source(registered().get(str(name))) == file_source(mapper)
+    )
+    if rule is None and is_of_system:
+        return config
     if rule is None and document.get("rule_from_file") and (path.parent / "rule.py").is_file():
         raise _not_named(path, f"{path.parent / 'rule.py'}:{name}")
     if rule is None and not document.get("rule_is_built_in", name == own_rule):
@@ -334,6 +349,6 @@ def _read_settings(path: Path, rule: str | None) -> SystemConfig:
 
 
 def _not_named(path: Path, rule: str) -> "RuleNotNamedError":
-    from ..seeding.named_rules import RuleNotNamedError
+    from ..seeding.named_code import RuleNotNamedError
 
     return RuleNotNamedError(path, [rule], f"--seeding.rule {rule}")

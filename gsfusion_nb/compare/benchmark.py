@@ -17,7 +17,7 @@ from ..data.open import known_layouts
 from ..data.recorded.files import missing
 from ..errors import ArgumentError, SequenceError
 from ..files import write_file
-from ..mapping import SYSTEMS, get_system
+from ..mapping import SYSTEMS, get_system, system_names
 from .command import run_and_write
 from .equal_maps import equal_maps, unknown_maps
 from .recording_specs import RecordingOptions, recording_specs
@@ -86,8 +86,8 @@ class BenchmarkOptions(RecordingOptions):
     """Which data set."""
     folder: Annotated[str, tyro.conf.Positional]
     """The folder with the scenes, or one scene."""
-    systems: tuple[str, ...] = named(tuple(SYSTEMS), lambda: SYSTEMS)
-    """Names of the mapping systems."""
+    systems: tuple[str, ...] = named(tuple(SYSTEMS), system_names)
+    """Names of the mapping systems, also one in a file, which is executed: FILE.py:Name."""
 
 
 def benchmark(options: BenchmarkOptions) -> int:
@@ -145,7 +145,7 @@ def benchmark_specs(
     Raises:
         KeyError, FileNotFoundError, ValueError: as for ``benchmark``.
     """
-    variants = {get_system(name).description.title: {"system": name} for name in options.systems}
+    variants = {title: {"system": name} for name, title in titles_of(options.systems).items()}
     preset = dataclasses.replace(options, preset=options.preset or data_set.preset)
     reader: dict[str, Any] = {"format": data_set.format, **data_set.reader}
     specs = list[RunSpec]()
@@ -159,6 +159,21 @@ def benchmark_specs(
     if not specs:
         raise ArgumentError("\n".join(unread))
     return specs, unread
+
+
+def titles_of(systems: Sequence[str]) -> dict[str, str]:
+    """Name of a system, or "FILE.py:Name" -> what its row is called: its title, with its name where
+    others have the same title.
+
+    Raises:
+        KeyError, TypeError, ValueError, FileNotFoundError: as for ``get_system``.
+    """
+    titles = {name: get_system(name).description.title for name in systems}
+    same = [title for title in titles.values() if list(titles.values()).count(title) > 1]
+    return {
+        name: f"{title} ({name.rpartition(':')[2]})" if title in same else title
+        for name, title in titles.items()
+    }
 
 
 def report(

@@ -68,6 +68,9 @@ class LabOptions(WhereOptions):
     rule_file: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A file of rules that the table names, such as --rule-file my_rules.py: its code is executed
     only if it is named here, or after a question. Repeat it for several files."""
+    system_file: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """The file of the system that the table names, if it is in one, such as --system-file
+    my_system.py: the same holds for its code."""
     new: str = ""
     """Write a commented example to this file, and do nothing else."""
 
@@ -87,7 +90,9 @@ def main(options: LabOptions) -> int:
             "writes one)"
         )
     with use_backend(options.backend):
-        table = read_table(options.table, rule_files=options.rule_file)
+        table = read_table(
+            options.table, rule_files=options.rule_file, system_files=options.system_file
+        )
         print(table)
         folder = Path(options.out or f"runs/{Path(options.table).stem}").expanduser()
         return run_and_write(table.specs, folder, options, table=table)[0]

@@ -12,17 +12,18 @@ from ..checks import check_name
 from ..config import SystemConfig, gsfusion
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..errors import ArgumentError, SequenceError
-from ..mapping import get_system, system_of
+from ..mapping.systems import system_class
 from ..progress import ProgressDisplay
 from ..seeding import Option, SeedingRule, check_options, rule_name
-from ..seeding.rule_code import find_rule, is_rule_file, read_rule_file, rule_folder
+from ..seeding.code_files import code_folder, is_code_file, read_code_file
+from ..seeding.rule_code import find_rule
 from .map_scene import Entry
 from .outputs import Results, Table
 from .run_all import ResultStore, run_all
 from .run_result import RunResult
 from .schedule import changed_settings
 from .size_options import size_option, start_value
-from .spec import Budget, RunSpec, label_of
+from .spec import Budget, RunSpec, label_of, system_fields
 
 
 @dataclass(frozen=True)
@@ -60,8 +61,8 @@ class Entrant:
                 it does not have.
         """
         rule = self.rule
-        file = rule if isinstance(rule, str) and is_rule_file(rule) else ""
-        source = read_rule_file(file)[0] if file else ""
+        file = rule if isinstance(rule, str) and is_code_file(rule) else ""
+        source = read_code_file(file)[0] if file else ""
         own_rule = find_rule(rule)
         check_options(own_rule, self.options)
         spec = RunSpec(
@@ -71,7 +72,7 @@ class Entrant:
             size_option=self.size_option,
             size_range=self.size_range,
             rule_source=source,
-            rule_folder=str(rule_folder(file)) if file else "",
+            rule_folder=str(code_folder(file)) if file else "",
             **fields,
         ).with_code(own_rule)
         return Entry(spec=spec, rule=None if isinstance(rule, str) else rule, sequence=sequence)
@@ -173,11 +174,11 @@ def _extra_hash(scene: OpenedSequence) -> str:
 def _fields_of_config(config: SystemConfig) -> dict[str, Any]:
     """System, preset, and the settings that differ from it; a run has its own rule, options and
     seed."""
-    system = system_of(config)
-    settings = changed_settings(config, get_system(system).preset("room"))
+    mapper = system_class(config)
+    settings = changed_settings(config, mapper.preset("room"))
     for name in ("seeding.rule", "seeding.options", "seed"):
         settings.pop(name, None)
-    return {"system": system, "preset": "room", "settings": settings}
+    return {**system_fields(mapper), "preset": "room", "settings": settings}
 
 
 def compare_rules(

@@ -18,11 +18,12 @@ from typing import Any
 from ..errors import ArgumentError
 from ..files import cache_folder
 from ..seeding import CodeKey, check_rule, code_key
+from ..seeding.code_files import refuse_undeclared
 from ..seeding.code_origin import is_library_namespace
 from ..seeding.installed import is_installed
 from ..seeding.patches import changes_since, library_state, switches
 from ..seeding.rule import option_paths
-from ..seeding.rule_code import refuse_undeclared, rule_of_source
+from ..seeding.rule_code import rule_of_source
 from ..seeding.rule_guard import only_declared
 from ..seeding.rule_watch import SYSTEM_FOLDERS
 

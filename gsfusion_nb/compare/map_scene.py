@@ -22,9 +22,9 @@ from ..resources import PeakMemory
 from ..runs import MappingRun
 from ..runs.scores import score
 from ..seeding import SeedingRule, get_rule, is_built_in, is_map_rule
+from ..seeding.code_files import refuse_undeclared
 from ..seeding.code_key import code_key, differing
 from ..seeding.rule import option_paths
-from ..seeding.rule_code import refuse_undeclared
 from ..seeding.rule_guard import only_declared
 from ..types import Frame
 from .rule_variants import original, thinned, variant_of

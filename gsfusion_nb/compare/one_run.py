@@ -159,7 +159,7 @@ def _training(entry: Entry) -> str:
     spec = entry.spec
     rule = entry.found_rule()
     own_steps = any("iterations" in name for name in getattr(rule, "overrides", {}))
-    if spec.rule_name == spec.system or (own_steps and spec.budget.steps == "own"):
+    if spec.rule_name == spec.system_name or (own_steps and spec.budget.steps == "own"):
         return ""
     return published_training(rule)
 

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..mapping import get_system
+from ..mapping import Mapper
+from ..mapping.systems import system_key
 from ..seeding import SeedingRule, code_key, installed, is_built_in, rule_files
 from ..seeding.patches import changed_values, library_state, patches, switches
 
@@ -121,13 +122,13 @@ def _source_folders() -> list[Path]:
 def own_code(
     rule: SeedingRule,
     options: Mapping[str, Any],
-    system: str,
+    mapper: type[Mapper],
 ) -> dict[str, Any]:
     """The fields ``code`` and ``not_kept`` of a run: what its rule and its system are made of, if
     they are not this package's, and the files that options of the rule name.
 
     Raises:
-        FileNotFoundError: an option names a file that does not exist. KeyError: no such system.
+        FileNotFoundError: an option names a file that does not exist.
     """
     parts: dict[str, str] = {}
     not_kept = ""
@@ -136,9 +137,8 @@ def own_code(
         parts |= key.parts
         not_kept = key.reason
         parts |= {f"option {name}": digest for name, digest in rule_files(rule, options).items()}
-    mapper = get_system(system)
     if not is_built_in(mapper):
-        key = code_key(mapper)
+        key = system_key(mapper)
         parts |= {f"system: {name}": digest for name, digest in key.parts.items()}
         not_kept = not_kept or key.reason
     return {"code": parts, "not_kept": not_kept}

@@ -9,12 +9,11 @@ from typing import Any
 from ..checks import check_whole
 from ..config import presets
 from ..config.options import named, named_values
-from ..mapping import get_system
-from ..seeding import check_options
-from ..seeding.rule_code import is_rule_file, read_rule_file, rule_folder
+from ..seeding import check_options, get_rule
+from ..seeding.code_files import code_folder, file_source, is_code_file, read_code_file
 from .command import WhereOptions
 from .map_scene import Entry
-from .spec import Budget, RunSpec
+from .spec import Budget, RunSpec, system_fields
 
 Values = Mapping[str, Any]
 """Name -> value: "system", "fidelity", "seeding.rule", an option of the rule as "rule.<name>", or a
@@ -99,8 +98,8 @@ def ran_under(specs: Sequence[RunSpec]) -> str:
 def _values_of(spec: RunSpec) -> dict[str, Any]:
     """Everything that a run sets, by name; a setting that nobody named is that of the preset and
     the fidelity."""
-    fidelity = spec.fidelity or next(iter(get_system(spec.system).description.fidelities), "")
-    names = {"system": spec.system, "preset": spec.preset} | (
+    fidelity = spec.fidelity or next(iter(spec.found_system().description.fidelities), "")
+    names = {"system": spec.system_name, "preset": spec.preset} | (
         {"fidelity": fidelity} if fidelity else {}
     )
     options = {f"{OPTION}{name}": value for name, value in spec.options.items()}
@@ -124,26 +123,27 @@ def spec_with(values: Values, label: str, **fields: Any) -> RunSpec:
     system = values.pop("system", "gsfusion")
     fidelity = values.pop("fidelity", "")
     base = RunSpec(
-        rule=system,
+        rule="",
         label=label,
-        system=system,
+        **system_fields(system),
         fidelity=fidelity,
         budget=Budget(steps="own"),
         **fields,
     )
-    own = (
-        get_system(system)
-        .preset(base.preset, **({"fidelity": fidelity} if fidelity else {}))
-        .seeding
-    )
+    mapper = base.found_system()
+    own = mapper.preset(base.preset, **({"fidelity": fidelity} if fidelity else {})).seeding
     rule = values.pop(RULE, own.rule)
     options = dict(own.options) if rule == own.rule else {}
     options |= {
         name.removeprefix(OPTION): v for name, v in values.items() if name.startswith(OPTION)
     }
     settings = {name: v for name, v in values.items() if not name.startswith(OPTION)}
-    source = read_rule_file(rule)[0] if is_rule_file(rule) else ""
-    folder = str(rule_folder(rule)) if source else ""
+    source = read_code_file(rule)[0] if is_code_file(rule) else ""
+    folder = str(code_folder(rule)) if source else ""
+    if not source and base.system_source and file_source(get_rule(rule)) == base.system_source:
+        rule = f"{base.system.rpartition(':')[0]}:{rule}"  # it is in the file of the system
+        source = base.system_source
+        folder = base.system_folder
     return dataclasses.replace(
         base, rule=rule, options=options, settings=settings, rule_source=source, rule_folder=folder
     )

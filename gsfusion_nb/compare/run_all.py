@@ -144,6 +144,8 @@ def with_code_of_now(entries: Sequence[Entry]) -> list[Entry]:
             spec.rule_source,
             spec.rule_folder,
             spec.system,
+            spec.system_source,
+            spec.system_folder,
             repr(spec.options),
         )
         if place not in specs:

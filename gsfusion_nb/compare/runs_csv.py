@@ -81,7 +81,7 @@ def _row(result: RunResult) -> dict[str, Any]:
         "data": spec.data,
         "reader": dict(spec.reader),
         "seed": spec.seed,
-        "system": spec.system,
+        "system": spec.system_name,
         "steps": spec.budget.steps,
         "budget_gaussians": spec.budget.gaussians,
         "budget_tolerance": spec.budget.tolerance,

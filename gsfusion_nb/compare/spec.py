@@ -15,8 +15,10 @@ from ..config import to_dict
 from ..config.values import check_kinds, within
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..errors import ArgumentError
-from ..mapping import get_system
+from ..mapping import Mapper, get_system, system_of
+from ..mapping.systems import system_of_source
 from ..seeding import Option, SeedingRule, get_rule
+from ..seeding.code_files import file_of, file_source
 from ..seeding.rule_code import rule_of_source
 from .program import look_at_program_again, own_code, run_key
 from .schedule import with_settings
@@ -75,7 +77,11 @@ class RunSpec:
     budget: Budget = field(default_factory=Budget)
     """What the run may spend."""
     system: str = "gsfusion"
-    """Name of the mapping system."""
+    """Name of the mapping system, or "FILE.py:Name"."""
+    system_source: str = ""
+    """Source of the file that the system comes from; empty for one that is known by its name."""
+    system_folder: str = ""
+    """Folder of that file, where the modules are that it imports from beside it."""
     preset: str = ""
     """Settings published for a data set; "room" for the built-in scene and "replica" for others if
     empty."""
@@ -133,6 +139,23 @@ class RunSpec:
         """Name of the rule, without the file that it comes from."""
         return self.rule.rpartition(":")[2]
 
+    @property
+    def system_name(self) -> str:
+        """Name of the system, without the file that it comes from."""
+        return self.system.rpartition(":")[2]
+
+    def found_system(self) -> type[Mapper]:
+        """Class of the mapper that the run names.
+
+        Raises:
+            KeyError: no such system. ValueError, TypeError: the source of the system cannot be
+                loaded, or has no such system.
+        """
+        if not self.system_source:
+            return get_system(self.system)
+        place, folder = _place_of(self.system, self.system_folder)
+        return system_of_source(self.system_source, self.system_name, place, folder)
+
     def config(self) -> Any:
         """The settings of the mapper, before the budget changes any.
 
@@ -142,7 +165,7 @@ class RunSpec:
             KeyError: unknown system or preset. ValueError: a setting that does not exist, or has an
                 invalid value.
         """
-        base = get_system(self.system).preset(
+        base = self.found_system().preset(
             self.preset, **({"fidelity": self.fidelity} if self.fidelity else {})
         )
         settings = {name.replace("-", "_"): value for name, value in self.settings.items()}
@@ -206,8 +229,11 @@ class RunSpec:
             "settings",
             "rule_source",
             "rule_folder",
+            "system_source",
+            "system_folder",
         ):
             parts.pop(name)  # names, and what the settings and the code say
+        parts["system"] = self.system_name
         parts |= self._code()
         return run_key(
             **parts,
@@ -223,11 +249,11 @@ class RunSpec:
             KeyError: no such rule. ValueError: the source of the rule cannot be loaded.
         """
         if not self.rule_source:
+            if self.system_source:
+                self.found_system()  # its file may register the rule
             return get_rule(self.rule)
-        file, _, name = self.rule.rpartition(":")
-        folder = Path(self.rule_folder) if self.rule_folder else None
-        place = file if folder is None else str(folder / Path(file).name)
-        return rule_of_source(self.rule_source, name, place, folder)
+        place, folder = _place_of(self.rule, self.rule_folder)
+        return rule_of_source(self.rule_source, self.rule_name, place, folder)
 
     def with_code(self, rule: SeedingRule) -> "RunSpec":
         """The run with what its code is now: ``code``, and ``not_kept``.
@@ -235,7 +261,7 @@ class RunSpec:
         Raises:
             FileNotFoundError: an option names a file that does not exist. KeyError: no such system.
         """
-        code = own_code(rule, self.options, self.system)
+        code = own_code(rule, self.options, self.found_system())
         if code["not_kept"]:
             code["code"][ONLY_NOW] = uuid.uuid4().hex
         return dataclasses.replace(self, **code)
@@ -270,6 +296,33 @@ class RunSpec:
                 else (float(size_range[0]), float(size_range[1])),
             }
         )
+
+
+def _place_of(text: str, folder: str) -> tuple[str, Path | None]:
+    """The file of "FILE.py:name", in the folder where the modules beside it are; and that
+    folder."""
+    file = text.rpartition(":")[0]
+    if not folder:
+        return file, None
+    return str(Path(folder) / Path(file).name), Path(folder)
+
+
+def system_fields(system: str | type[Mapper]) -> dict[str, str]:
+    """The fields of a run that say which system maps: by its name, "FILE.py:Name" or class.
+
+    Raises:
+        KeyError, ValueError, TypeError, FileNotFoundError: as for ``get_system``.
+    """
+    mapper = get_system(system)
+    name = system if isinstance(system, str) else system_of(mapper.preset("room"))
+    if not file_source(mapper):
+        return {"system": name}
+    file, folder = file_of(mapper)
+    return {
+        "system": f"{file}:{name.rpartition(':')[2]}",
+        "system_source": file_source(mapper),
+        "system_folder": "" if folder is None else str(folder),
+    }
 
 
 def label_of(rule: str, options: Mapping[str, Option]) -> str:

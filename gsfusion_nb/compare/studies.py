@@ -14,6 +14,7 @@ from ..backends import use_backend
 from ..checks import check_name
 from ..config.options import named
 from ..errors import ArgumentError
+from ..mapping import get_system, system_names
 from . import roofline, view_study
 from .command import run_and_write
 from .recording_specs import RecordingOptions, Values, output_folder, ran_under, recording_specs
@@ -100,6 +101,9 @@ class StudyOptions(RecordingOptions):
     only: str = ""
     """Only the variants whose name contains this text, in capital or small letters: --only given.
     Default: all."""
+    system: str = named("", system_names)
+    """Another system, by its name or as FILE.py:Name, which is executed. It is compared with those
+    that the variants name; where they name none, it takes the place of the study's system."""
     device: str = "cpu"
     """Only for roofline: the device to measure, cpu or cuda."""
 
@@ -121,7 +125,7 @@ def study(options: StudyOptions) -> int:
             return view_study.main(options, options.data, folder, options.only)
     named_study = STUDIES[name]
     with use_backend(options.backend):
-        specs = study_specs(name, options, options.data, options.only)
+        specs = study_specs(name, options, options.data, options.only, options.system)
         print(f"{named_study.question}, on {options.data}\n{ran_under(specs)}")
         status, results = run_and_write(specs, folder, options)
         if named_study.paper:
@@ -134,6 +138,7 @@ def study_specs(
     options: RecordingOptions,
     data: str,
     only: str = "",
+    system: str = "",
 ) -> list[RunSpec]:
     """All runs of a study, checked.
 
@@ -152,7 +157,31 @@ def study_specs(
             f"--only: no variant's name contains {only!r}; "
             f"there are {', '.join(named_study.variants)}"
         )
-    return recording_specs(variants, options, data, common=named_study.common, online=True)
+    common = named_study.common
+    if system and any("system" in values for values in variants.values()):
+        variants |= _variants_of(system, variants)
+    elif system:
+        common = {**common, "system": system}
+    return recording_specs(variants, options, data, common=common, online=True)
+
+
+def _variants_of(system: str, variants: Mapping[str, Values]) -> dict[str, Values]:
+    """The variants of a study with another system in place of theirs, each once. They are called
+    after its title and the values in which they differ."""
+    title = get_system(system).description.title
+    own: list[dict[str, Any]] = []
+    for values in variants.values():
+        others = {name: v for name, v in values.items() if name not in ("system", "fidelity")}
+        if "system" in values and others not in own:
+            own.append(others)
+    differing_names = [name for name in own[0] if len({str(v.get(name)) for v in own}) > 1]
+    return {
+        ", ".join([title, *(str(values.get(name)) for name in differing_names)]): {
+            "system": system,
+            **values,
+        }
+        for values in own
+    }
 
 
 def beside_paper(named_study: Study, results: Sequence[RunResult]) -> str:

@@ -10,7 +10,7 @@ from ..backends import use_backend
 from ..checks import shown
 from ..config.options import named, parse_value
 from ..errors import ArgumentError
-from ..mapping import SYSTEMS
+from ..mapping import system_names
 from .command import run_and_write
 from .recording_specs import RULE, RecordingOptions, output_folder, recording_specs
 from .spec import RunSpec
@@ -29,8 +29,8 @@ class SweepOptions(RecordingOptions):
     """Values of a setting: --grid tsdf.voxel-size-m=0.01,0.02; of an option of the rule: --grid
     rule.fraction=0.1,0.2; rules: --grid seeding.rule=gsfusion,my_rules.py:mine. Repeat it for
     several settings."""
-    system: str = named("gsfusion", lambda: SYSTEMS)
-    """Name of the mapping system."""
+    system: str = named("gsfusion", system_names)
+    """Name of the mapping system, or one in a file, which is executed: FILE.py:Name."""
 
 
 def sweep(options: SweepOptions) -> int:

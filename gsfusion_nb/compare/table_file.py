@@ -11,13 +11,18 @@ from typing import Any
 from ..checks import check_name, shown
 from ..errors import ArgumentError, ForeseenError, SequenceError
 from ..files import read_text
-from ..seeding.named_rules import RuleNotNamedError, is_named
-from ..seeding.rule_code import is_rule_file, read_rule_file, rule_folder
+from ..seeding.code_files import code_folder, is_code_file, read_code_file
+from ..seeding.named_code import (
+    CodeNotNamedError,
+    RuleNotNamedError,
+    SystemNotNamedError,
+    is_named,
+)
 from .entries import check_run
 from .map_scene import Entry
 from .outputs import Table
 from .paired_tests import TESTS
-from .spec import Budget, RunSpec, label_of
+from .spec import Budget, RunSpec, label_of, system_fields
 
 _TOP = {
     "seeds": (int, list),
@@ -61,7 +66,7 @@ def _at(path: Path, place: str) -> Iterator[None]:
     """A block whose errors are said with their place in the file."""
     try:
         yield
-    except RuleNotNamedError:
+    except CodeNotNamedError:
         raise
     except (SequenceError, ValueError, TypeError, KeyError, OSError) as e:
         what = e.args[0] if isinstance(e, KeyError) and e.args else e
@@ -72,16 +77,18 @@ def read_table(
     path: str | Path,
     *,
     rule_files: Sequence[str | Path] = (),
+    system_files: Sequence[str | Path] = (),
 ) -> Table:
     """Read and check the file of a comparison.
 
     Args:
         path: Of the file.
-        rule_files: The files of rules that it names and that may be executed.
+        rule_files, system_files: The files of rules and systems that it names and that may be
+            executed.
 
     Raises:
-        RuleNotNamedError: it asks for a rule in a file that is not among ``rule_files``; nothing
-            was executed.
+        CodeNotNamedError: it asks for a rule or a system in a file that is not among them; nothing
+            of it was executed.
         TableError: a mistake, with its place in the file. FileNotFoundError: no such file.
     """
     path = Path(path).expanduser()
@@ -93,9 +100,10 @@ def read_table(
     with _at(path, "TOML"):
         top = _valid_values(tomllib.loads(text), _TOP)
     _refuse_unnamed(path, top.get("rules", []), rule_files)
-    shared: dict[str, Any] = {
-        name: top[name] for name in ("system", "preset", "device") if name in top
-    }
+    shared: dict[str, Any] = {name: top[name] for name in ("preset", "device") if name in top}
+    if "system" in top:
+        with _at(path, "system"):
+            shared |= _system(path, top["system"], system_files)
     shared["settings"] = _flat_names(top.get("settings", {}))
     with _at(path, "settings"):
         RunSpec(rule="uniform", **shared).config()
@@ -149,7 +157,7 @@ def _refuse_unnamed(
     """Raise ``RuleNotNamedError`` with all rules in files that the caller did not name."""
     texts = [values.get("rule") for values in rules if isinstance(values, dict)]
     rules_in_files = [
-        str(path.parent / text) for text in texts if isinstance(text, str) and is_rule_file(text)
+        str(path.parent / text) for text in texts if isinstance(text, str) and is_code_file(text)
     ]
     if missing := [
         rule
@@ -160,6 +168,19 @@ def _refuse_unnamed(
         raise RuleNotNamedError(
             path, missing, f"read_table({str(path)!r}, rule_files={list(dict.fromkeys(files))})"
         )
+
+
+def _system(path: Path, text: str, system_files: Sequence[str | Path]) -> dict[str, str]:
+    """The system of all runs, as fields of a run. Raises ``SystemNotNamedError`` if it is in a file
+    that the caller did not name."""
+    if not is_code_file(text):
+        return system_fields(text)
+    place = str(path.parent / text)
+    file = place.rpartition(":")[0]
+    if not is_named(file, system_files):
+        how = f"read_table({str(path)!r}, system_files=[{file!r}])"
+        raise SystemNotNamedError(path, [place], how)
+    return system_fields(place)
 
 
 def _items_of(
@@ -223,10 +244,10 @@ def _rule(
     parts = {"label": label_of(values["rule"].rpartition(":")[2], options), **values}
     parts["settings"] = _flat_names(values.get("settings", {}))
     tuned_on = parts.pop("tuned_on", "")
-    if is_rule_file(parts["rule"]):
+    if is_code_file(parts["rule"]):
         place = str(path.parent / parts["rule"])
-        parts["rule_source"], _ = read_rule_file(place)
-        parts["rule_folder"] = str(rule_folder(place))
+        parts["rule_source"], _ = read_code_file(place)
+        parts["rule_folder"] = str(code_folder(place))
     if "size_range" in parts:
         parts["size_range"] = tuple(parts["size_range"])
     spec = RunSpec(**_merge(shared, parts), budget=budget)

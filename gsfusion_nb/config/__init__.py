@@ -18,6 +18,7 @@ from .parts import SeedingConfig as SeedingConfig
 from .parts import SystemConfig as SystemConfig
 from .parts import TrackingConfig as TrackingConfig
 from .parts import TsdfConfig as TsdfConfig
+from .preset_table import Presets as Presets
 from .repair import RepairConfig as RepairConfig
 from .rtg_slam import DiscConfig as DiscConfig
 from .rtg_slam import RtgSlamConfig as RtgSlamConfig

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from .gsfusion import OptimConfig
 from .parts import SeedingConfig, SystemConfig, TsdfConfig
-from .presets import Presets
+from .preset_table import ROOM_IMAGES, Presets
 from .values import Settings, setting, with_values, within
 
 
@@ -226,7 +226,7 @@ _PRESETS = Presets(
         "scannetpp": {"data": {"hold_out_every": 0}},
         "tum": {},
         "azure": {},
-        "room": {"data": {"width": 320, "height": 240}},
+        "room": ROOM_IMAGES,
         "online": {"final": {"passes": 0}},
     },
 )

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from ..errors import ArgumentError
 from .parts import SystemConfig, TsdfConfig
-from .presets import Changes, Presets
+from .preset_table import NAMES, ROOM_IMAGES, Changes, Presets
 from .values import Settings, replace, with_values, within
 
 
@@ -211,7 +211,7 @@ _PRESETS = Presets(
         "scannetpp": {"data": {"hold_out_every": 0}, "keep_all_frames": True},
         "tum": {"optim": {"global_iterations": 20}},
         "azure": {},
-        "room": {"data": {"width": 320, "height": 240}},
+        "room": ROOM_IMAGES,
         "online": {"optim": {"global_iterations": 0}},
     },
 )
@@ -248,4 +248,4 @@ gsfusion_fidelity = _PRESETS.fidelity_of
 
 def presets() -> list[str]:
     """Names of the presets, the same for every system."""
-    return list(_PRESETS.data_sets)
+    return list(NAMES)

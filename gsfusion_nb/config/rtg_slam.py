@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from .parts import DataConfig, SeedingConfig, SystemConfig, TrackingConfig
-from .presets import Changes, Presets
+from .preset_table import ROOM_IMAGES, Changes, Presets
 from .values import Settings, positive, replace, setting, with_values, within
 
 PUBLISHED_LR_XYZ_M = 1e-3
@@ -303,7 +303,7 @@ _PRESETS = Presets(
             "data": {"depth_max_m": 10.0, "hold_out_every": 0},
         },
         "azure": {"states": {"unstable_frames": 400}, "data": {"depth_max_m": 2.5}},
-        "room": {"data": {"width": 320, "height": 240}},
+        "room": ROOM_IMAGES,
         "online": {"final": {"passes": 0}},
     },
 )

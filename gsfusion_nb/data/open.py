@@ -3,6 +3,7 @@ reads of it."""
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import importlib
 import inspect
@@ -13,9 +14,10 @@ from typing import Any
 
 import torch
 
-from ..checks import check_name
+from ..checks import check_name, shown
 from ..config import DataConfig
 from ..errors import ArgumentError, SequenceError, SequenceNotFoundError
+from ..extensions import Extension, extensions, warn_once
 from ..files import UNREADABLE, file_hashes, noting_files
 from . import readers
 from .adjust.extra_files import ExtraFiles
@@ -26,10 +28,34 @@ from .recorded.recorded_sequence import Layout, RecordedSequence
 
 
 def known_layouts() -> dict[str, Layout]:
-    """Layouts by name: ``LAYOUT`` of every file in ``readers``, in the order in which they are
-    tried."""
+    """Layouts by name, in the order in which they are tried: ``LAYOUT`` of every file in
+    ``readers``, and those that installed packages add (``extensions``).
+
+    One that cannot be loaded is left out, and a warning says why.
+    """
     names = sorted(module.name for module in pkgutil.iter_modules(readers.__path__))
-    return {name: importlib.import_module(f"{readers.__name__}.{name}").LAYOUT for name in names}
+    layouts: dict[str, Layout] = {
+        name: importlib.import_module(f"{readers.__name__}.{name}").LAYOUT for name in names
+    }
+    for name, extension in extensions("readers", built_in=("auto", "room", *names)).items():
+        layout, problem = _layout_of(extension)
+        if layout is None:
+            warn_once(problem)
+        else:
+            layouts[name] = layout
+    return layouts
+
+
+@functools.cache
+def _layout_of(extension: Extension) -> tuple[Layout | None, str]:
+    """The layout that an installed package adds, loaded once; or None, and why there is none."""
+    try:
+        layout = extension.load()
+    except ArgumentError as e:
+        return None, str(e)
+    if not isinstance(layout, Layout):
+        return None, f"expected a Layout, got {shown(layout)}: {extension.in_words}"
+    return layout, ""
 
 
 _CONVERT = (

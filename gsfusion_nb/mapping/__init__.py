@@ -1,5 +1,6 @@
 """The mapping systems, one frame step each."""
 
+from .description import SystemDescription as SystemDescription
 from .frame_guard import FrameUndone as FrameUndone
 from .frame_guard import HalfMappedError as HalfMappedError
 from .gps_slam import GPSSLAM as GPSSLAM
@@ -11,5 +12,9 @@ from .step_report import StepReport as StepReport
 from .systems import SYSTEMS as SYSTEMS
 from .systems import get_system as get_system
 from .systems import make_mapper as make_mapper
+from .systems import mapping_system as mapping_system
+from .systems import package_of as package_of
+from .systems import system_names as system_names
 from .systems import system_of as system_of
 from .training import LossFunction as LossFunction
+from .tsdf_mapping import TsdfMapping as TsdfMapping

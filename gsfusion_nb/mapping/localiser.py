@@ -141,13 +141,31 @@ class Localiser:
         return se3.log(se3.inverse(T_given) @ T_refined)
 
     def locate(self, frame: Frame, surface: tracking.SurfaceSource) -> Frame:
-        """The frame with its pose in the map.
+        """The frame with its pose in the map: the given one, or by ICP to the surface.
 
         Raises:
             BadFrameError: tracking is lost and could not recover with this frame; or the given pose
                 is a jump that no camera makes, both from the last mapped frame and from a frame
                 just refused.
         """
+
+        def align() -> tracking.TrackingReport:
+            sighting, guess = self.memory.sight(frame, self._tracker)
+            extra = None if sighting is None else sighting.extra
+            return self._tracker.track(frame, surface, self.memory.relocalise, extra, guess)
+
+        return self._locate(frame, align)
+
+    def locate_by(self, find: tracking.PoseFinder, frame: Frame) -> Frame:
+        """The frame with its pose in the map: the given one, or as a system's own tracking finds
+        it, from the predicted pose (``Tracker.track_by``).
+
+        Raises:
+            BadFrameError: as for ``locate``. Exception: what ``find`` raises.
+        """
+        return self._locate(frame, lambda: self._tracker.track_by(find, frame))
+
+    def _locate(self, frame: Frame, track: Callable[[], tracking.TrackingReport]) -> Frame:
         self.report = {}
         self.jump = ""
         self._earlier_state = None
@@ -155,10 +173,8 @@ class Localiser:
             self.jump = self._jumps.check(frame)
             return frame
         self._earlier_state = self._tracker.standing
-        sighting, guess = self.memory.sight(frame, self._tracker)
-        extra = None if sighting is None else sighting.extra
         try:
-            pose = self._tracker.track(frame, surface, self.memory.relocalise, extra, guess)
+            pose = track()
         except tracking.TrackingLostError as e:
             raise BadFrameError(f"frame {frame.index} cannot be mapped: {e}") from None
         fit = pose.icp

@@ -214,7 +214,7 @@ class Mapper(InUsualTorch, ABC):
                 self.clock = StageClock()
                 frame = check_frame(changeable(frame), self.device, needs_depth=needs_depth)
                 with self.clock("tracking"):
-                    frame = self.localiser.locate(frame, partial(tracking_surface, self))
+                    frame = self.track_frame(frame)
                 report = self.map_frame(frame)
                 self.transaction.keep()
                 with self.clock("tracking"):
@@ -223,6 +223,18 @@ class Mapper(InUsualTorch, ABC):
             MAP_MEMORY.give_back()
             measured = {"tracking": self.localiser.report, "seconds": self.clock.seconds}
             return dataclasses.replace(report, **measured)
+
+    def track_frame(self, frame: Frame) -> Frame:
+        """The frame with its pose in the map, before it is mapped: the given one, or by ICP to
+        ``surface``.
+
+        A system that tracks in another way returns ``self.localiser.locate_by(find, frame)``, where
+        ``find(frame, T_predicted)`` gives the camera-to-world pose [4, 4]. Nothing may change here.
+
+        Raises:
+            BadFrameError: the frame cannot be tracked.
+        """
+        return self.localiser.locate(frame, partial(tracking_surface, self))
 
     @abstractmethod
     def map_frame(self, frame: Frame) -> StepReport:

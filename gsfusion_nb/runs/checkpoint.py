@@ -4,17 +4,18 @@ from pathlib import Path
 from typing import Any
 
 from ..export import CheckpointStore
-from ..mapping import system_of
-from ..seeding.rule_code import file_source
+from ..seeding.code_files import file_source
 from .mapping_run import MappingRun
 from .ran_on import ran_on
 from .run_folder import CHECKPOINTS, random_state
+from .system_of_run import about_system, code_of_system
 
 
 def document_of(run: MappingRun) -> dict[str, Any]:
     """All that a checkpoint of the run holds."""
     return {
-        "system": system_of(run.mapper.config),
+        **about_system(run.mapper),
+        "system_code": code_of_system(run.mapper),
         "run": run.state_dict(),
         "source": run.source or run.stream(),
         "mapper": run.mapper.state_dict(copies=False),

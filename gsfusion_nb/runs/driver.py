@@ -28,6 +28,7 @@ from .run_folder import (
     CheckpointEvery,
     StopRequest,
 )
+from .system_of_run import write_system
 
 log = logging.getLogger(__name__)
 
@@ -83,6 +84,7 @@ def drive(
     if evaluate:
         _keep_frames(run)
     outputs.write_rule(run, folder)
+    write_system(run.mapper, folder)
     run.after_step = Autosave(
         run.mapper, lambda: _checkpoint(run, folder, stop), every or CheckpointEvery()
     )
@@ -239,9 +241,7 @@ def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseExcepti
         extent = "saved" if not notes else "saved as far as the disk has space"
         notes.insert(0, f"The {len(run.steps)} frames mapped before are {extent} in {folder}.")
     if run.resumable and CheckpointStore(folder / CHECKPOINTS).exists:
-        notes.append(
-            f"To continue from the last checkpoint: {resume_command(folder, run.mapper.rule)}"
-        )
+        notes.append(f"To continue from the last checkpoint: {resume_command(folder, run.mapper)}")
     if memory_is_full(error):
         raise MemoryFullError(" ".join([f"{_describe_full(run.mapper)}.", *notes])) from error
     for note in notes:

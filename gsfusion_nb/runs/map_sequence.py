@@ -13,6 +13,7 @@ from ..data import Sequence, apply_options, open_sequence
 from ..data.stream import Policy
 from ..export import read_gaussian_ply
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
+from ..mapping.training import given_functions
 from ..optim import UpdateFunction
 from ..seeding import SeedingRule
 from ..types import Frame
@@ -35,7 +36,7 @@ def run_mapping(
     data: str | Path | Sequence,
     config: SystemConfig | str | None = None,
     *,
-    system: str = "gsfusion",
+    system: str | type[Mapper] = "gsfusion",
     folder: Path | str | None = None,
     seeding: "str | SeedingRule | None" = None,
     device: torch.device | str = "cpu",
@@ -54,8 +55,8 @@ def run_mapping(
         data: Folder of a sequence, "room" for the built-in scene, or any ``Sequence``.
         config: Settings, or the name of a preset; by default "room" for the built-in scene, else
             "replica".
-        system: Name of the system (``gsfusion_nb.mapping.SYSTEMS``), used only if ``config`` is not
-            a settings object.
+        system: Name of the system, "FILE.py:Name", or its class (``get_system``); used only if
+            ``config`` is not a settings object.
         folder: New or empty folder for the results; ``runs/<name>-<time>`` by default.
         seeding: Name of a seeding rule, "FILE.py:name", or the rule itself.
         device: Device of the maps.
@@ -107,6 +108,7 @@ def resume_mapping(
     folder: Path | str,
     *,
     seeding: "str | SeedingRule | None" = None,
+    system: str | type[Mapper] | None = None,
     device: torch.device | str = "cpu",
     evaluate: bool = True,
     checkpoints: CheckpointEvery | None = None,
@@ -124,9 +126,12 @@ def resume_mapping(
         seeding: The rule, if it is not part of the package. Of one in a file the name is wanted,
             "RUN/rule.py:name" or your own "FILE.py:name" with the same content: code in a run's
             folder is not executed unless it is named.
+        system: The same of a system in a file, "RUN/system.py:Name" or your own "FILE.py:Name"; or
+            the class of one that was defined in Python.
 
     Raises:
-        RuleNotNamedError: The run's rule came from a file, and ``seeding`` names none.
+        CodeNotNamedError: The run's rule or system came from a file, and ``seeding`` or ``system``
+            names none.
         FileNotFoundError: The folder holds no checkpoint. FileExistsError: The run is still
             running.
         SequenceError: Files of the recording were changed, added or deleted since the run began;
@@ -137,7 +142,8 @@ def resume_mapping(
             f"{folder} does not exist; expected the folder of an interrupted run"
         )
     with RunFolder(folder) as place:
-        run = load_run(folder, seeding=seeding, device=device, loss=loss, optimiser=optimiser)
+        given = given_functions(loss, optimiser)
+        run = load_run(folder, seeding=seeding, system=system, device=device, **given)
         return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
 
 

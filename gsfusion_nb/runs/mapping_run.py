@@ -25,6 +25,7 @@ from ..export import CheckpointStore
 from ..geometry import se3
 from ..interrupts import DelayedInterrupt
 from ..mapping import FrameUndone, GlobalStep, Mapper, StepReport
+from ..mapping.systems import know_system
 from ..types import Frame, Mesh
 from .frame_watch import QuietWatch
 from .run_clock import RunClock
@@ -112,6 +113,7 @@ class MappingRun:
             raise KindError(
                 f"expected a mapper, such as GSFusion(config), got {type(mapper).__name__}"
             )
+        know_system(mapper)
         self.mapper: Any = mapper
         if self.mapper.config.tracking.poses == "given" and not has_poses(sequence):
             raise SequenceError(

@@ -17,9 +17,8 @@ from ..evaluation import (
 )
 from ..export import write_gaussian_ply, write_mesh_ply, write_trajectory_tum
 from ..files import write_file
-from ..mapping import system_of
 from ..seeding import is_built_in, rule_name, rule_source
-from ..seeding.rule_code import RULE_MODULES, beside_sources, file_source
+from ..seeding.code_files import RULE_MODULES, beside_sources, file_source
 from ..tracking import PLACES, write_places
 from ..types import Mesh
 from .map_hashes import map_hashes
@@ -29,6 +28,7 @@ from .ran_on import ran_on
 from .report import ReportData, ReportPanel, write_report
 from .run_folder import METRICS, RULE
 from .scored_views import VIEWS, scored_views, views_as_json
+from .system_of_run import about_system, write_system
 
 FILES = {
     "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender "
@@ -44,6 +44,8 @@ FILES = {
     "metrics.json": "all metrics, and one row per frame",
     "rule.py": "source of the seeding rule, if it is not part of the package",
     "rule_modules": "modules that rule.py imports from beside it",
+    "system.py": "source of the system, if it came from a file",
+    "system_modules": "modules that system.py imports from beside it",
     "views.json": "the scored views and their poses: gsfusion-nb eval scores them again",
 }
 
@@ -74,7 +76,7 @@ def _write_maps(run: MappingRun, folder: Path, mesh: Mesh) -> None:
     run.hashes = map_hashes(run, mesh)
     settings = {
         "gsfusion_nb": __version__,
-        "system": system_of(run.mapper.config),
+        **about_system(run.mapper),
         "source": run.source,
         "camera": dataclasses.asdict(run.sequence.mapping.camera),
         "data_content": sequence_fingerprint(run.sequence) if run.source else "",
@@ -87,6 +89,7 @@ def _write_maps(run: MappingRun, folder: Path, mesh: Mesh) -> None:
     }
     write_json(folder / "config.json", settings)
     write_rule(run, folder)
+    write_system(run.mapper, folder)
     write_json(folder / VIEWS, views_as_json(scored_views(run)))
     _write_trajectory(run, folder)
     write_gaussian_ply(folder / "gaussians.ply", run.mapper.parts.params_now())

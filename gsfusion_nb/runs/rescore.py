@@ -12,11 +12,12 @@ from ..errors import ArgumentError, SequenceNotFoundError
 from ..evaluation import metrics_as_json
 from ..export import read_gaussian_ply
 from ..files import parsing, read_object
-from ..mapping.systems import get_system
+from ..mapping import Mapper
 from .outputs import write_json
 from .run_folder import METRICS
 from .scored_views import read_views, score_in_map
 from .stored_map import of_degree
+from .system_of_run import system_of_run
 
 log = logging.getLogger(__name__)
 
@@ -25,6 +26,7 @@ def rescore(
     folder: Path | str,
     *,
     data: str | None = None,
+    system: str | type[Mapper] | None = None,
     with_lpips: bool = False,
     device: torch.device | str | None = None,
 ) -> dict[str, Any]:
@@ -39,6 +41,8 @@ def rescore(
     Args:
         folder: Folder of the run.
         data: Current folder of the sequence, if it has moved.
+        system: Of a run whose system came from a file: "RUN/system.py:Name", or your own
+            "FILE.py:Name" with the same content, which is executed; or its class.
         with_lpips: Also compute LPIPS.
         device: Where to render; by default the device of the run.
 
@@ -46,6 +50,7 @@ def rescore(
         All metrics of the run.
 
     Raises:
+        SystemNotNamedError: The run's system came from a file, and ``system`` names none.
         FileNotFoundError: The folder has no config.json, metrics.json, views.json or gaussians.ply
             (or tsdf.npz).
         ValueError: One of them is damaged, or the sequence of the run is not on disk.
@@ -55,10 +60,12 @@ def rescore(
         folder / "config.json", "the settings of a run", objects=("source", "config")
     )
     document = read_object(folder / METRICS, "the numbers of a run", objects=("metrics",))
+    mapper_type = system_of_run(
+        folder, settings, system, lambda own: f"rescore({str(folder)!r}, system={own!r})"
+    )
     with parsing(folder / "config.json", "the settings of a run"):
         source = dict(settings["source"])
-        system = get_system(settings.get("system", "gsfusion"))
-        config = from_run(system.config_type, settings["config"])
+        config = from_run(mapper_type.config_type, settings["config"])
         stored_device = torch.device(settings["device"])
     if data is not None:
         source["path_or_name"] = data
@@ -81,9 +88,9 @@ def rescore(
         read_gaussian_ply(folder / "gaussians.ply", strict=True), config.sh_degree, place
     )
 
-    draw = system.files_type.drawn_from(folder, params, config)
+    draw = mapper_type.files_type.drawn_from(folder, params, config)
     align = (
-        (lambda frame: system.files_type.aligned_pose(draw, params, frame))
+        (lambda frame: mapper_type.files_type.aligned_pose(draw, params, frame))
         if config.data.align_held_out
         else None
     )

@@ -10,38 +10,50 @@ from ..data import open_sequence
 from ..errors import ArgumentError, SequenceError, reason_of
 from ..export import CheckpointStore
 from ..files import UNREADABLE, file_hashes
-from ..mapping import get_system
+from ..mapping import Mapper
 from ..seeding import SeedingRule, rule_name
-from ..seeding.named_rules import RuleNotNamedError, is_named
-from ..seeding.rule_code import (
+from ..seeding.code_files import (
+    code_folder,
+    file_of,
     file_source,
-    is_rule_file,
-    read_rule_file,
-    rule_folder,
-    rule_of_source,
+    is_code_file,
+    read_code_file,
 )
+from ..seeding.named_code import RuleNotNamedError, is_named
+from ..seeding.rule_code import rule_of_source
 from .checkpoint import document_of
 from .mapping_run import MappingRun
 from .ran_on import difference, ran_on
-from .run_folder import CHECKPOINTS, RULE, is_complete, load_random_state, random_state, unpacked
+from .run_folder import (
+    CHECKPOINTS,
+    RULE,
+    SYSTEM,
+    is_complete,
+    load_random_state,
+    random_state,
+    unpacked,
+)
 from .sound_state import check_agreement, check_names, check_same, check_values
 from .stream_run import StreamRun
+from .system_of_run import refuse_other_system, system_of_run
 
 
 def load_run(
     folder: Path | str,
     *,
     seeding: "str | SeedingRule | None" = None,
+    system: str | type[Mapper] | None = None,
     device: torch.device | str = "cpu",
     **given: Any,
 ) -> MappingRun:
     """The run that was interrupted or killed in ``folder``; a stream gives no more frames.
     ``given``: loss, optimiser.
 
-    No code from the folder is executed, unless ``seeding`` names it.
+    No code from the folder is executed, unless ``seeding`` or ``system`` names it.
 
     Raises:
-        RuleNotNamedError: The run's seeding rule came from a file, and ``seeding`` names none.
+        CodeNotNamedError: The run's seeding rule or its system came from a file, and ``seeding`` or
+            ``system`` names none.
         FileNotFoundError: The folder holds no checkpoint (a complete run leaves none).
         ValueError: All checkpoints are damaged, the run's sequence was in memory, or its files have
             changed.
@@ -60,13 +72,14 @@ def load_run(
         check_values({name: checkpoint.state[name] for name in ("run", "mapper")})
         check_names(checkpoint.state.get("ran_on"), "ran_on")
         check_values(_reports(checkpoint.state["run"]), ("run", "steps"))
-        run = _run_of(checkpoint.state, path, seeding, device, given)
+        run = _run_of(checkpoint.state, path, seeding, system, device, given)
         load_random_state(checkpoint.state["random"])
         check_same(
             checkpoint.state["random"],
             random_state() | {"torch_cuda": checkpoint.state["random"]["torch_cuda"]},
         )
-        check_same({name: checkpoint.state[name] for name in _KEPT}, document_of(run))
+        kept = {name: checkpoint.state[name] for name in _KEPT if name in checkpoint.state}
+        check_same(kept, document_of(run))
         check_agreement(run)
         run.warnings += [note for note in run.mapper.notes if note not in run.warnings]
     except SequenceError as e:
@@ -89,7 +102,7 @@ def load_run(
     return run
 
 
-_KEPT = ("system", "run", "mapper", "rule_from_file")
+_KEPT = ("system", "system_from_file", "run", "mapper", "rule_from_file")
 """Parts of a checkpoint that a run does not change by going on from them."""
 
 
@@ -102,12 +115,16 @@ def _reports(state: dict[str, Any]) -> list[Any]:
     ]
 
 
-def resume_command(folder: Path, rule: SeedingRule) -> str:
-    """What to type to continue the run in ``folder``; the file of its rule is named, so that it may
-    be executed."""
+def resume_command(folder: Path, mapper: Mapper) -> str:
+    """What to type to continue the run in ``folder``; the files of its rule and its system are
+    named, so that they may be executed."""
+    rule = mapper.rule
+    system = type(mapper)
     words = ["gsfusion-nb", "map", "--resume", str(folder)]
     if file_source(rule):
         words += ["--seeding.rule", f"{folder / RULE}:{rule_name(rule)}"]
+    if file_source(system):
+        words += ["--system", f"{folder / SYSTEM}:{system.__name__}"]
     return shlex.join(words)
 
 
@@ -154,10 +171,13 @@ def _refuse_changes(
 
 
 def _rule_of(
-    path: Path, document: dict[str, Any], seeding: "str | SeedingRule | None"
+    path: Path,
+    document: dict[str, Any],
+    seeding: "str | SeedingRule | None",
+    mapper_type: type[Mapper],
 ) -> "str | SeedingRule | None":
     """The rule to continue with. Code in the run's folder is somebody else's until the caller names
-    it.
+    it; a rule in the file of the system was named with that.
 
     Raises:
         RuleNotNamedError: the run's rule came from a file, and none is given.
@@ -167,18 +187,20 @@ def _rule_of(
         return seeding
     own = path / RULE
     name = document["mapper"]["rule"]["name"]
-    own_rule, _ = read_rule_file(f"{own}:{name}")
+    own_rule, _ = read_code_file(f"{own}:{name}")
+    if seeding is None and own_rule == file_source(mapper_type):
+        return rule_of_source(own_rule, name, *file_of(mapper_type))
     if seeding is None:
         rule = f"{own}:{name}"
         raise RuleNotNamedError(path, [rule], f"resume_mapping({str(path)!r}, seeding={rule!r})")
-    if not (isinstance(seeding, str) and is_rule_file(seeding)):
+    if not (isinstance(seeding, str) and is_code_file(seeding)):
         return seeding
-    if read_rule_file(seeding) != (own_rule, name):
+    if read_code_file(seeding) != (own_rule, name):
         raise SequenceError(
             f"{seeding} is not the seeding rule with which the run in {path} began: the run's "
             f"own is {own}:{name}; name that one to continue, or map again with the new one"
         )
-    return rule_of_source(own_rule, name, seeding.rpartition(":")[0], rule_folder(seeding))
+    return rule_of_source(own_rule, name, seeding.rpartition(":")[0], code_folder(seeding))
 
 
 def _is_own(path: Path, seeding: "str | SeedingRule | None") -> bool:
@@ -188,7 +210,7 @@ def _is_own(path: Path, seeding: "str | SeedingRule | None") -> bool:
         return True
     return (
         isinstance(seeding, str)
-        and is_rule_file(seeding)
+        and is_code_file(seeding)
         and is_named(seeding.rpartition(":")[0], [path / RULE])
     )
 
@@ -197,6 +219,7 @@ def _run_of(
     document: dict[str, Any],
     path: Path,
     seeding: "str | SeedingRule | None",
+    system: str | type[Mapper] | None,
     device: torch.device | str,
     mapper_options: dict[str, Any],
 ) -> MappingRun:
@@ -207,11 +230,15 @@ def _run_of(
             f"{path} was mapped from a sequence in memory; only runs on a sequence opened by path "
             "or name can resume"
         )
-    rule = _rule_of(path, document, seeding)
-    system = get_system(document["system"])
-    mapper = system.from_state_dict(
+    mapper_type = system_of_run(
+        path, document, system, lambda own: f"resume_mapping({str(path)!r}, system={own!r})"
+    )
+    rule = _rule_of(path, document, seeding, mapper_type)
+    mapper = mapper_type.from_state_dict(
         document["mapper"], seeding=rule, device=device, **mapper_options
     )
+    check_names(document.get("system_code"), "system_code")
+    refuse_other_system(path, mapper, document.get("system_code") or {})
     changes = mapper.rule_in_use.difference(document["mapper"]["rule"])
     if changes and _is_own(path, seeding):
         raise SequenceError(

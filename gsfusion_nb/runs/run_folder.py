@@ -23,12 +23,14 @@ from torch import Tensor
 from ..errors import ArgumentError, DiskFullError
 from ..files import read_object, remove_partial, try_lock
 from ..mapping import Mapper, StepReport
-from ..seeding.rule_code import RULE_MODULES
+from ..seeding.code_files import RULE_MODULES, SYSTEM_MODULES
 
 LOCK = ".lock"
 METRICS = "metrics.json"
 RULE = "rule.py"
 """Source of the seeding rule, if it is not part of this package."""
+SYSTEM = "system.py"
+"""Source of the system, if it came from a file."""
 CHECKPOINTS = "checkpoint"
 """Folder of the checkpoints in a run's folder: all of a run's state."""
 
@@ -97,9 +99,8 @@ def new_folder(name: str, folder: Path | str | None = None) -> Path:
 def holds_nothing(path: Path) -> bool:
     """Whether the folder holds only what a run writes before its first checkpoint."""
     names = {p.name for p in path.iterdir() if ".partial" not in p.name}
-    return names <= {LOCK, RULE, RULE_MODULES, CHECKPOINTS} and not any(
-        (path / CHECKPOINTS).glob("*.json")
-    )
+    code = {RULE, RULE_MODULES, SYSTEM, SYSTEM_MODULES}
+    return names <= {LOCK, CHECKPOINTS, *code} and not any((path / CHECKPOINTS).glob("*.json"))
 
 
 def is_complete(folder: Path) -> bool:

@@ -4,6 +4,7 @@ it, that of libraries by its name."""
 import re
 import sys
 import types
+import typing
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,7 @@ NOT_OF_A_PROGRAM = {
     "__build_class__",
     "__debug__",
     "__rules__",
+    "__registered__",
     "__undeclared__",
     "__imported_files__",
     "display",
@@ -226,7 +228,12 @@ def _is_importable(f: types.FunctionType) -> bool:
 
 
 def _plain_repr(annotation: Any) -> str:
-    """An annotation in words, without addresses."""
+    """An annotation in words, without addresses, and without the help texts that the command line
+    attaches to settings."""
+    if typing.get_origin(annotation) is typing.Annotated:
+        kind, *marks = typing.get_args(annotation)
+        own = [mark for mark in marks if not type(mark).__module__.startswith("tyro")]
+        return _plain_repr(kind) + "".join(map(_plain_repr, own))
     return (
         annotation
         if isinstance(annotation, str)

@@ -8,10 +8,11 @@ import contextlib
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
-from ..checks import check_name
-from ..errors import KindError
+from ..checks import check_name, shown
+from ..errors import ArgumentError, KindError
+from ..extensions import Extension, extensions
 from .map_rule import MapRule, Option, SeedingRule, rule_name
 from .options import option_values, options_of
 
@@ -71,15 +72,18 @@ def published_training(rule: SeedingRule) -> str:
 
 
 def get_rule(rule: str | SeedingRule) -> SeedingRule:
-    """The rule registered under a name; a function or class is returned unchanged after its
-    signature was checked.
+    """The rule registered under a name, or that an installed package adds by it; a function or
+    class is returned unchanged after its signature was checked.
 
     Raises:
-        KeyError: no rule of that name; the message lists the registered ones. TypeError: bad
-            signature.
+        KeyError: no rule of that name; the message lists the known ones. TypeError: bad signature.
+        ValueError: the package that adds it cannot be loaded, or adds something else.
     """
     if isinstance(rule, str):
-        check_name("seeding rule", rule, _RULES)
+        if rule not in _RULES:
+            installed = extensions("rules", built_in=_RULES)
+            check_name("seeding rule", rule, [*_RULES, *installed])
+            _RULES[rule] = _rule_of(installed[rule])
         return _RULES[rule]
     if isinstance(rule, MapRule):
         raise KindError(
@@ -88,6 +92,21 @@ def get_rule(rule: str | SeedingRule) -> SeedingRule:
         )
     if not callable(rule):
         raise KindError(f"a seeding rule is a name or a function, got {type(rule).__name__}")
+    options_of(rule)
+    return rule
+
+
+def _rule_of(extension: Extension) -> SeedingRule:
+    """The rule that an installed package adds. Others that its module registers are not
+    registered."""
+    with keep_registered():
+        loaded = extension.load()
+    rule = cast(SeedingRule, loaded)
+    if not callable(loaded) or rule_name(rule) != extension.name:
+        raise ArgumentError(
+            f"expected a seeding rule called {extension.name!r}, got {shown(loaded)}: "
+            f"{extension.in_words}"
+        )
     options_of(rule)
     return rule
 

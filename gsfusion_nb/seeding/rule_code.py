@@ -5,22 +5,25 @@ import hashlib
 import inspect
 import linecache
 import os
-import sys
 import textwrap
-import traceback
 import types
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
 from ..checks import shown
 from ..errors import ArgumentError
-from ..files import UNREADABLE, file_hashes, read_text
-from .beside import Beside, sources_digest
-from .code_origin import BESIDE, RULE_SOURCE, is_library_code
+from ..files import UNREADABLE, file_hashes
+from .code_files import (
+    code_folder,
+    definitions_in,
+    is_code_file,
+    module_of_source,
+    read_code_file,
+)
+from .code_origin import is_library_code
 from .map_rule import SeedingRule, rule_name
-from .rule import get_rule, keep_registered, option_paths, registered
-from .rule_guard import refuse, watch_reads
+from .rule import get_rule, option_paths
 
 _OWN = __name__.partition(".")[0]
 
@@ -125,33 +128,6 @@ def path_hash(path: Path) -> str:
     return digest.hexdigest()
 
 
-MOST_BYTES = 1_000_000
-RULE_MODULES = "rule_modules"
-"""Folder, in that of a run, of the modules that the file of its rule imports from beside it."""
-
-
-def is_rule_file(text: str) -> bool:
-    """Whether ``text`` names a file and a rule in it, rather than a registered rule."""
-    return ".py" in text
-
-
-def read_rule_file(text: str) -> tuple[str, str]:
-    """Source and name of the rule that "FILE.py:name" names.
-
-    Raises:
-        ValueError: no name, or the file is not text. FileNotFoundError: no such file.
-    """
-    file, colon, name = text.rpartition(":")
-    if not colon or not file.endswith(".py") or not name.isidentifier():
-        raise ArgumentError(f"expected a seeding rule in a file as FILE.py:name, got {shown(text)}")
-    path = Path(file).expanduser()
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"{path} does not exist; expected the file of the seeding rule {name}"
-        )
-    return read_text(path, "a seeding rule", at_most=MOST_BYTES), name
-
-
 def load_rule_file(text: str) -> SeedingRule:
     """The rule that "FILE.py:name" names. It may import the modules beside the file, as a script
     may.
@@ -159,43 +135,23 @@ def load_rule_file(text: str) -> SeedingRule:
     Raises:
         ValueError: the file cannot be loaded, or has no such rule. FileNotFoundError: no such file.
     """
-    source, name = read_rule_file(text)
-    return rule_of_source(source, name, text.rpartition(":")[0], rule_folder(text))
-
-
-def rule_folder(text: str) -> Path:
-    """The folder of the modules beside the file that "FILE.py:name" names; in the folder of a run
-    it is another one."""
-    file = Path(text.rpartition(":")[0]).expanduser().resolve()
-    of_a_run = file.parent / RULE_MODULES
-    return of_a_run if file.name == "rule.py" and of_a_run.is_dir() else file.parent
+    source, name = read_code_file(text)
+    return rule_of_source(source, name, text.rpartition(":")[0], code_folder(text))
 
 
 def rule_of_source(
     source: str, name: str, file: str = "rule.py", folder: Path | None = None
 ) -> SeedingRule:
-    """The rule ``name`` of a file's source. The rules that it registers are not registered outside
-    of it.
-
-    Args:
-        source: The whole file. It may import installed packages, modules on Python's path, and
-            those in ``folder``.
-        name: The function or class.
-        file: Name of the file, for messages and for ``__file__``.
-        folder: Where the modules beside the file are; None: there are none.
+    """The rule ``name`` of a file's source (``module_of_source``).
 
     Raises:
         ValueError: the source cannot be loaded, or has no such rule. TypeError: its signature is
             not that of a rule.
     """
-    finder = Beside(folder)
-    module_name = f"rule_file_{sources_digest(source.encode(), finder)}"
-    module = sys.modules.get(module_name)
-    if module is None:
-        module = _load(source, module_name, file, finder)
+    module = module_of_source(source, file, folder)
     rule: Any = getattr(module, name, None)
     if rule is None or not callable(rule):
-        rule_names = ", ".join(module.__dict__["__rules__"]) or "none"
+        rule_names = ", ".join(definitions_in(module)) or "none"
         raise ArgumentError(f"{file} has no seeding rule {shown(name)}; it defines: {rule_names}")
     return get_rule(cast(SeedingRule, rule))
 
@@ -208,88 +164,4 @@ def find_rule(rule: str | SeedingRule) -> SeedingRule:
         KeyError: no rule of that name. TypeError: bad signature. ValueError, FileNotFoundError: as
             ``load_rule_file``.
     """
-    return load_rule_file(rule) if isinstance(rule, str) and is_rule_file(rule) else get_rule(rule)
-
-
-def file_source(rule: SeedingRule) -> str:
-    """Source of the whole file that a rule was loaded from; empty for a rule that was not loaded
-    from a file."""
-    return getattr(_module_of(rule), RULE_SOURCE, "")
-
-
-def beside_sources(rule: SeedingRule) -> dict[str, bytes]:
-    """Path, relative to the folder of the rule's file, -> content of the modules that it imports
-    from there."""
-    module = _module_of(rule)
-    finder: Beside | None = getattr(module, BESIDE, None)
-    if finder is None or finder.folder is None:
-        return {}
-    return finder.files_of(file_source(rule).encode())
-
-
-def refuse_undeclared(rule: SeedingRule, files: Iterable[Path]) -> None:
-    """Raise ``UndeclaredError`` if the file of a rule read something undeclared when it was loaded.
-
-    Args:
-        rule: The rule.
-        files: The files of the modules that are part of its key.
-    """
-    module = _module_of(rule)
-    imported_files = getattr(module, _IMPORTED, frozenset())
-    refuse(rule_name(rule), getattr(module, _READ, ""), imported_files - set(files))
-
-
-_READ = "__undeclared__"
-_IMPORTED = "__imported_files__"
-"""Names in the module of a rule's file: what it read while it was loaded, and the files that it
-imported."""
-
-
-def _module_of(rule: SeedingRule) -> types.ModuleType | None:
-    return sys.modules.get(getattr(rule, "__module__", "") or "")
-
-
-def _load(source: str, name: str, file: str, finder: Beside) -> types.ModuleType:
-    module = types.ModuleType(name)
-    path = Path(file).expanduser()
-    shown_name = f"<{path.name} {name[-16:]}>"
-    module.__file__ = str(path.resolve()) if path.is_file() else shown_name
-    vars(module)[RULE_SOURCE] = source
-    finder.prepare(module, source.encode())
-    lines = source.splitlines(keepends=True)
-    linecache.cache[shown_name] = (
-        len(source),
-        None,
-        lines,
-        shown_name,
-    )  # for its source in reports
-    sys.modules[name] = module  # dataclasses look there
-    try:
-        with keep_registered() as old_rules, watch_reads(Path(file).name) as watch:
-            exec(compile(source, shown_name, "exec", dont_inherit=True), module.__dict__)
-            own = [
-                rule_name(rule)
-                for key, rule in registered().items()
-                if old_rules.get(key) is not rule
-            ]
-    except Exception as e:
-        del sys.modules[name]
-        at = [
-            frame.lineno
-            for frame in traceback.extract_tb(e.__traceback__)
-            if frame.filename == shown_name
-        ]
-        line = e.lineno if isinstance(e, SyntaxError) else (at[-1] if at else None)
-        where = file if line is None else f"{file}, line {line}"
-        raise ArgumentError(f"{where}: {type(e).__name__}: {getattr(e, 'msg', e)}") from None
-    vars(module)[_READ] = watch.offence
-    vars(module)[_IMPORTED] = frozenset(watch.imported_files)
-    functions = [
-        k
-        for k, v in vars(module).items()
-        if isinstance(v, types.FunctionType) and v.__module__ == name
-    ]
-    module.__dict__["__rules__"] = list(
-        dict.fromkeys([*own, *(f for f in functions if not f.startswith("_"))])
-    )
-    return module
+    return load_rule_file(rule) if isinstance(rule, str) and is_code_file(rule) else get_rule(rule)

@@ -40,5 +40,7 @@ from .surface import Surface as Surface
 from .surface import SurfaceSource as SurfaceSource
 from .surface import depth_pyramid as depth_pyramid
 from .surface import tsdf_surface as tsdf_surface
+from .tracker import PoseFinder as PoseFinder
 from .tracker import Tracker as Tracker
 from .tracker import TrackingLostError as TrackingLostError
+from .tracker import TrackingReport as TrackingReport

@@ -57,6 +57,9 @@ class TrackingLostError(ForeseenError, ValueError):
     """No pose of this frame fits the model; the message lists what was tried and why it failed."""
 
 
+PoseFinder = Callable[[Frame, Tensor], Tensor]
+"""``find(frame, T_predicted)``: the camera-to-world pose of a frame, found from the predicted one;
+both [4, 4]. It raises ``TrackingLostError`` where it finds none."""
 Relocaliser = Callable[[Frame], Sequence[tuple[Tensor, ExtraRows | None]]]
 """Returns possible poses ``T_WC`` [4, 4] of a frame by its appearance, the most likely first, and
 the further rows for ICP of the landmarks that agree with it, if there are any."""
@@ -144,9 +147,7 @@ class Tracker:
                 f"frame {frame.index} cannot be tracked: none of its pixels have usable depth"
             )
         if self._last is None:
-            check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
-            self._accept(frame, frame.T_WC.double().cpu(), moved=False)
-            return TrackingReport(status="first", T_WC=frame.T_WC)
+            return self._first(frame)
         failures: list[str] = []
         fits: list[Attempt] = []
         mixed_surface = self._target(surface)
@@ -185,6 +186,36 @@ class Tracker:
             doubt=doubt,
             icp=best.result,
         )
+
+    def track_by(self, find: PoseFinder, frame: Frame) -> TrackingReport:
+        """Pose of the next frame as somebody else's tracking finds it. That of the first frame is
+        taken from the data.
+
+        Args:
+            find: Finds it from the predicted pose.
+            frame: Its ``T_WC`` is used only if it is the first.
+
+        Raises:
+            TrackingLostError: ``find`` raises it, or its pose is farther away than a camera moves
+                between two frames (``max_step_m``, ``max_step_deg``). Only the count of lost frames
+                changes, so the next frame is tried again.
+            ValueError: what ``find`` returns is no rigid motion.
+        """
+        if self._last is None:
+            return self._first(frame)
+        T_predicted = self.predict(frame.timestamp_s).to(frame.T_WC)
+        try:
+            T_WC = find(frame, T_predicted).detach()
+        except TrackingLostError as e:
+            raise self._lost(f"frame {frame.index} cannot be tracked: {e}") from None
+        check_pose(f"the tracked T_WC of frame {frame.index}", T_WC)
+        T_on_cpu = se3.rigid(T_WC.double().cpu())
+        frames = 1 + self.lost_in_a_row
+        if problem := why_too_far(self._last.T_WC, T_on_cpu, self.config, frames=frames):
+            raise self._lost(f"frame {frame.index} cannot be tracked: {problem}")
+        status = "ok" if self.lost_in_a_row == 0 else "recovered"
+        self._accept(frame, T_on_cpu, moved=self.lost_in_a_row == 0)
+        return TrackingReport(status=status, T_WC=T_on_cpu.to(frame.T_WC))
 
     def find(self, frame: Frame, surface: SurfaceSource, relocalise: Relocaliser) -> TrackingReport:
         """Pose of a frame in a map where the camera was not seen before: by appearance alone, and
@@ -353,6 +384,12 @@ class Tracker:
             )
 
         return lambda camera, T_WC: seen(camera)
+
+    def _first(self, frame: Frame) -> TrackingReport:
+        """The first frame, whose pose is that of the data."""
+        check_pose(f"T_WC of frame {frame.index}", frame.T_WC)
+        self._accept(frame, frame.T_WC.double().cpu(), moved=False)
+        return TrackingReport(status="first", T_WC=frame.T_WC)
 
     def _accept(self, frame: Frame, T_WC: Tensor, *, moved: bool) -> None:
         self._last_but_one = self._last if moved else None

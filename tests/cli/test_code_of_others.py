@@ -15,7 +15,7 @@ from gsfusion_nb.errors import SequenceError
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.runs import resume_mapping, run_mapping
 from gsfusion_nb.runs.resume import load_run
-from gsfusion_nb.seeding.named_rules import RuleNotNamedError
+from gsfusion_nb.seeding.named_code import RuleNotNamedError
 
 RULE = "def near(ctx, *, step=5):\n    return ctx.seeds_at(ctx.pixels()[::step], 1.0)\n"
 HELPER = "STEP = 5\n"

@@ -123,7 +123,7 @@ def test_a_helper_module_is_part_of_the_key(how, entry, tmp_path, monkeypatch):
         helper.write_text(HELPER.format(scale=scale))
         importlib.invalidate_caches()
         for name in [
-            name for name in sys.modules if name == "the_helper" or name.startswith("rule_file_")
+            name for name in sys.modules if name == "the_helper" or name.startswith("code_file_")
         ]:
             monkeypatch.delitem(sys.modules, name)
         keys.append(entry(f"{file}:helped").spec.key)

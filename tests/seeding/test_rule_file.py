@@ -4,13 +4,8 @@ line."""
 import pytest
 
 from gsfusion_nb.seeding import is_built_in, registered, rule_fingerprint, rule_options, rule_source
-from gsfusion_nb.seeding.rule_code import (
-    file_source,
-    find_rule,
-    is_rule_file,
-    load_rule_file,
-    rule_of_source,
-)
+from gsfusion_nb.seeding.code_files import file_source, is_code_file
+from gsfusion_nb.seeding.rule_code import find_rule, load_rule_file, rule_of_source
 
 FILE = '''"""Two rules."""
 from dataclasses import dataclass
@@ -85,8 +80,8 @@ def test_mistakes_name_the_file_and_the_line(path, source, name, message):
 
 
 def test_names_of_rules_and_files(path):
-    assert is_rule_file("a/b.py:c")
-    assert not is_rule_file("uniform")
+    assert is_code_file("a/b.py:c")
+    assert not is_code_file("uniform")
     with pytest.raises(ValueError, match=r"FILE\.py:name"):
         find_rule(str(path))
     with pytest.raises(FileNotFoundError, match="expected the file of the seeding rule a"):

@@ -241,7 +241,7 @@ def test_check_rule_refuses_a_rule_that_reads_what_no_option_names(folder):
 
 
 def test_what_a_file_reads_while_it_is_loaded_is_noted(tmp_path):
-    from gsfusion_nb.seeding.rule_code import refuse_undeclared
+    from gsfusion_nb.seeding.code_files import refuse_undeclared
 
     (tmp_path / "step.txt").write_text("3")
     (tmp_path / "helper.py").write_text(

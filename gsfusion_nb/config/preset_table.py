@@ -15,6 +15,11 @@ from .values import leaves, replace, to_dict
 Changes = Mapping[str, Any]
 """Settings by name: a group of them as a dictionary."""
 
+NAMES = ("replica", "scannetpp", "tum", "azure", "room", "online")
+"""The presets that every system has."""
+ROOM_IMAGES: Changes = {"data": {"width": 320, "height": 240}}
+"""Of the built-in scene."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Presets:
@@ -28,6 +33,30 @@ class Presets:
 
     fidelities: Mapping[str, Callable[[str], Any]]
     data_sets: Mapping[str, Changes]
+
+    @classmethod
+    def of(cls, config: type[Any], **data_sets: Changes) -> "Presets":
+        """Presets of a system of one's own, whose defaults are those of its settings. They have all
+        names that commands ask for.
+
+        Example: ``preset = Presets.of(MyConfig, tum={"steps": 30})``.
+
+        Args:
+            config: Class of the settings.
+            data_sets: Preset -> what it changes in the defaults, a group of settings as a
+                dictionary. By default only "room" changes any: the size of the built-in scene's
+                images.
+        """
+        changes = {name: {} for name in NAMES} | {"room": ROOM_IMAGES} | data_sets
+        return cls(fidelities={"": lambda _: config()}, data_sets=changes)
+
+    def __call__(
+        self, preset: str = "replica", fidelity: str | None = None, **overrides: Any
+    ) -> Any:
+        """``make`` with the first fidelity, if none is named, and with ``overrides`` as for
+        ``replace``."""
+        first = next(iter(self.fidelities))
+        return self.make(preset, first if fidelity is None else fidelity, overrides)
 
     def make(self, preset: str, fidelity: str, overrides: Changes) -> Any:
         """The settings of a preset and a fidelity, with fields changed as for ``replace``.
