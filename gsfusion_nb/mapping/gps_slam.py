@@ -83,7 +83,7 @@ class GPSSLAM(TsdfMapping):
         """
         plan = self._plan(frame)
         with self.clock("tsdf"):
-            missing = self._make_room(frame)
+            missing = self.make_room(frame)
         with self.clock("base"):
             view = self._look_at_frame(frame) if plan.needs_surface else None
         with self.clock("seeding"):

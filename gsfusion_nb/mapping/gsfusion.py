@@ -97,7 +97,7 @@ class GSFusion(TsdfMapping):
         """
         self.camera = frame.camera
         with self.clock("tsdf"):
-            missing = self._make_room(frame)  # III-B.1, the blocks
+            missing = self.make_room(frame)  # III-B.1, the blocks
         with self.clock("seeding"), self.clock.operation("quadtree", of="seeding"):
             preview = FusedView(self.volume, frame, missing)
             context = self.seed_context(frame, volume=preview)

@@ -202,7 +202,7 @@ class TsdfMapping(Mapper):
                 f"{int(correction.frame_index[-1])}: {e}"
             )
 
-    def _make_room(self, frame: Frame) -> NewBlocks:
+    def make_room(self, frame: Frame) -> NewBlocks:
         """Make room for the blocks that the frame needs. Returns those that do not exist yet."""
         try:
             return self.volume.reserve(new_band_blocks(self.volume, frame))
