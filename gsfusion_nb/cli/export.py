@@ -141,6 +141,8 @@ def _standard(options: ExportOptions, gaussians: GaussianParams) -> GaussianPara
     ):
         return gaussians
     settings = read_object(folder / "config.json", "the settings of a run", objects=("config",))
+    if settings.get("drawn_over_volume") is False:
+        return gaussians
     system = system_of_run(folder, settings, options.system or None)
     with parsing(folder / "config.json", "the settings of a run"):
         config = from_run(system.config_type, settings["config"])

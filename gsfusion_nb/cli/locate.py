@@ -45,6 +45,8 @@ class LocateOptions:
     same_frame: Literal["auto", "yes", "no"] = "auto"
     """Whether the poses of the recording are in the frame of the map, so that errors can be
     computed. auto: if it is the recording of the run."""
+    system: str = ""
+    """File of the system, FILE.py:Name, if the run's came from a file; it is executed."""
     device: str = "cpu"
     """Where the map is drawn: cpu or cuda."""
     backend: str = named(from_environment, backend_names)
@@ -58,7 +60,8 @@ def run(options: LocateOptions) -> int:
 
     data, reader = recording_to_open(options, options.data)
     with use_backend(options.backend):
-        frames = default_frames(open_map(options.run))
+        system = options.system or None
+        frames = default_frames(open_map(options.run, system=system))
         frames = dataclasses.replace(
             frames,
             width=options.width or frames.width,
@@ -72,6 +75,7 @@ def run(options: LocateOptions) -> int:
             folder=options.out or None,
             frames=frames,
             same_frame=options.same_frame,
+            system=system,
             device=options.device,
             **reader,
         )

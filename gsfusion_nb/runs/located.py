@@ -17,6 +17,7 @@ from ..data.adjust.repair import as_read
 from ..errors import SequenceError
 from ..evaluation import metrics_as_json
 from ..export import write_trajectory_tum
+from ..mapping import Mapper
 from ..mapping.usual_torch import in_usual_torch
 from ..progress import ProgressDisplay
 from ..tracking import Location, Locator, locate_all
@@ -41,6 +42,7 @@ def locate(
     folder: Path | str | None = None,
     frames: DataConfig | None = None,
     same_frame: SameFrame = "auto",
+    system: str | type[Mapper] | None = None,
     device: torch.device | str = "cpu",
     **reader_options: Any,
 ) -> LocatedRecording:
@@ -57,6 +59,8 @@ def locate(
         frames: Which frames, and their size; by default all, as wide as those of the run.
         same_frame: Whether the poses of the recording are in the frame of the map, so that they are
             the truth to compare with. "auto": if it is the recording of the run.
+        system: Of a run whose system came from a file: "RUN/system.py:Name", which is executed, or
+            its class.
         device: Where the map is drawn.
         reader_options: For ``open_sequence``: ``format``, options of the reader.
 
@@ -65,7 +69,7 @@ def locate(
         ValueError: a file is damaged.
     """
     start = time.perf_counter()
-    stored = open_map(run, device)
+    stored = open_map(run, device, system)
     locator = Locator(stored.places, stored.surface, stored.config.tracking)
     selection = frames or default_frames(stored)
     if isinstance(data, (str, Path)):

@@ -1,5 +1,5 @@
 """The map of a finished run, opened from its folder without a mapper; no code of the run is
-executed."""
+executed, but that of its system if the caller names its file."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -12,10 +12,11 @@ from ..config import from_run
 from ..errors import SequenceNotFoundError
 from ..export import read_gaussian_ply
 from ..files import parsing, read_object
+from ..mapping import Mapper
 from ..mapping.map_files import Draw
-from ..mapping.systems import get_system
 from ..tracking import PLACES, Places, SurfaceSource, read_places
 from ..types import GaussianParams
+from .system_of_run import system_of_run
 
 CONFIG = "config.json"
 
@@ -44,10 +45,16 @@ class StoredMap:
         return dict(source) if isinstance(source, dict) else {}
 
 
-def open_map(folder: Path | str, device: torch.device | str = "cpu") -> StoredMap:
-    """The map in the folder of a finished or interrupted run.
+def open_map(
+    folder: Path | str,
+    device: torch.device | str = "cpu",
+    system: str | type[Mapper] | None = None,
+) -> StoredMap:
+    """The map in the folder of a finished or interrupted run; ``system`` as for
+    ``system_of_run``.
 
     Raises:
+        SystemNotNamedError: the run's system came from a file, and ``system`` names none.
         FileNotFoundError: no such run, or one of a version that did not keep what finds a camera.
         ValueError: a file is damaged.
     """
@@ -56,10 +63,11 @@ def open_map(folder: Path | str, device: torch.device | str = "cpu") -> StoredMa
         raise SequenceNotFoundError(f"{folder} does not exist; expected the folder of a run")
     path = folder / CONFIG
     document = read_object(path, "the settings of a run", objects=("source", "config"))
+    mapper = system_of_run(
+        folder, document, system, lambda own: f"locate({str(folder)!r}, ..., system={own!r})"
+    )
     with parsing(path, "the settings of a run"):
-        name = document.get("system", "gsfusion")
-        system = get_system(name)
-        config = from_run(system.config_type, document["config"])
+        config = from_run(mapper.config_type, document["config"])
     if not (folder / PLACES).exists():
         raise SequenceNotFoundError(
             f"{folder / PLACES} does not exist, by which a camera is found in the map; the run is "
@@ -70,11 +78,11 @@ def open_map(folder: Path | str, device: torch.device | str = "cpu") -> StoredMa
     )
     return StoredMap(
         folder=folder,
-        system=name,
+        system=str(document.get("system", "gsfusion")),
         config=config,
         document=document,
-        surface=system.files_type.surface_from(folder, params, config),
-        draw=system.files_type.drawn_from(folder, params, config),
+        surface=mapper.files_type.surface_from(folder, params, config),
+        draw=mapper.files_type.drawn_from(folder, params, config),
         places=read_places(folder / PLACES),
     )
 

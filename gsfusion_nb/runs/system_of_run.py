@@ -27,14 +27,15 @@ _PARTS: dict[type[Mapper], dict[str, str]] = {}
 
 
 def about_system(mapper: Mapper) -> dict[str, Any]:
-    """What a run's files say of its system: its name, whether it came from a file, and which
-    installed package adds it."""
+    """What a run's files say of its system: its name, whether it came from a file, which installed
+    package adds it, and whether its Gaussians alone are no picture."""
     name = system_of(mapper.config)
     about: dict[str, Any] = {"system": name}
     if file_source(type(mapper)):
         about["system_from_file"] = True
     elif package := package_of(name):
         about["system_package"] = package
+    about["drawn_over_volume"] = mapper.description.needs_volume_to_render
     return about
 
 

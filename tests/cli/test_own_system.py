@@ -80,6 +80,9 @@ def test_map_and_eval(toy, tmp_path, capsys, monkeypatch):
         assert main(["eval", str(run), "--system", named]) == 0
     assert document(run)["warnings"] == []
     assert document(run)["metrics"] == scores
+    said = refusal(["locate", str(run), "room"], capsys)
+    assert said.endswith(shlex.join(["locate", str(run), "room", "--system", own]))
+    assert main(["export", str(run), str(tmp_path / "map.ply")]) == 0  # needs no code
     write_toy(tmp_path / "mine", SOURCE + "# an edit\n")
     said = refusal(["eval", str(run), "--system", toy], capsys)
     assert "is not the system with which the run in" in said
