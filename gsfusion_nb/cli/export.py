@@ -9,8 +9,10 @@ from typing import Annotated, Any
 import torch
 import tyro
 
+from ..config.options import named
 from ..errors import ArgumentError
 from ..types import Camera, GaussianParams, Mesh
+from .settings import system_names
 
 _AS_IN_FILES = "-y"
 """Up in files of Gaussians that come without a trajectory: most trainers start from the first
@@ -38,9 +40,9 @@ class ExportOptions:
     upright."""
     mesh: bool = True
     """Put the mesh of a run into a .glb or .usda file."""
-    system: str = ""
-    """File of the system, FILE.py:Name, if the run's came from a file and its surface becomes
-    discs; it is executed."""
+    system: str = named("", system_names)
+    """System of the run; needed only if it came from a file, FILE.py:Name, which is executed, and
+    its surface becomes discs."""
     bake_steps: int = 200
     """A run of GPS-SLAM draws its Gaussians over a surface. In a .ply file the surface becomes
     discs, and all are fitted to this many pictures of the map; 0: no fit, which is quick and less

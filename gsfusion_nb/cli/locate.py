@@ -9,7 +9,7 @@ import tyro
 from ..backends import backend_names, from_environment, use_backend
 from ..config.options import named
 from .result import print_metrics
-from .settings import layout_names, recording_to_open
+from .settings import layout_names, recording_to_open, system_names
 
 if TYPE_CHECKING:
     from ..runs import LocatedRecording
@@ -45,8 +45,8 @@ class LocateOptions:
     same_frame: Literal["auto", "yes", "no"] = "auto"
     """Whether the poses of the recording are in the frame of the map, so that errors can be
     computed. auto: if it is the recording of the run."""
-    system: str = ""
-    """File of the system, FILE.py:Name, if the run's came from a file; it is executed."""
+    system: str = named("", system_names)
+    """System of the run; needed only if it came from a file, FILE.py:Name, which is executed."""
     device: str = "cpu"
     """Where the map is drawn: cpu or cuda."""
     backend: str = named(from_environment, backend_names)

@@ -8,6 +8,7 @@ import tyro
 from ..backends import backend_names, from_environment, use_backend
 from ..config.options import named
 from .result import print_metrics
+from .settings import system_names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,8 +21,8 @@ class EvalOptions:
     """Folder of the run."""
     data: str = ""
     """Folder of the sequence, if it was moved."""
-    system: str = ""
-    """File of the system, FILE.py:Name, if the run's came from a file; it is executed."""
+    system: str = named("", system_names)
+    """System of the run; needed only if it came from a file, FILE.py:Name, which is executed."""
     lpips: bool = False
     """Also compute LPIPS (needs the extra "lpips" and AlexNet's weights)."""
     device: str = ""
