@@ -102,6 +102,15 @@ class KeyframeMemory:
         keyframes.add(frame.index, T_WC, features)
         return None
 
+    def begin_with(self, places: tracking.Places, camera: Camera) -> None:
+        """Take over the keyframes of another run, for frames of a camera."""
+        self._begin(camera, None)
+        if self._map is not None:
+            self._map = places.landmark_map(camera)
+            self._database = self._map.database
+        else:
+            self._database = places.seen_by(camera).database()
+
     def collect(self, frame: Frame) -> None:
         """Make a frame with a given pose a keyframe if none was taken near there, so that the map
         can be found again (``places``)."""

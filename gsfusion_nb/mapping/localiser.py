@@ -17,7 +17,7 @@ from ..gaussians import GaussianModel
 from ..gaussians.rigid_motion import move_map_
 from ..geometry import se3
 from ..optim import KeyframeList
-from ..types import Frame
+from ..types import Camera, Frame
 from .keyframe_memory import KeyframeMemory
 from .pose_jumps import PoseJumps
 
@@ -150,6 +150,8 @@ class Localiser:
         """
 
         def align() -> tracking.TrackingReport:
+            if self.is_before_first_look:
+                return self._tracker.find(frame, surface, self.memory.relocalise)
             sighting, guess = self.memory.sight(frame, self._tracker)
             extra = None if sighting is None else sighting.extra
             return self._tracker.track(frame, surface, self.memory.relocalise, extra, guess)
@@ -186,6 +188,32 @@ class Localiser:
         if pose.doubt:
             self.report["doubt"] = pose.doubt
         return dataclasses.replace(frame, T_WC=pose.T_WC.to(frame.T_WC))
+
+    @property
+    def is_before_first_look(self) -> bool:
+        """Whether the camera was not yet found in the map of an earlier run."""
+        return bool(self.poses) and not self._tracker.has_pose
+
+    def go_on_in(
+        self,
+        poses: list[Float[Tensor, "4 4"]],
+        frame_indices: list[int],
+        places: tracking.Places,
+        camera: Camera,
+    ) -> None:
+        """Begin in the map of an earlier run: a tracked camera is looked for in it by appearance.
+
+        Args:
+            poses, frame_indices: Of the frames of that run, before those to come.
+            places: Its keyframes.
+            camera: Of the frames to come.
+        """
+        self.poses = [self._in_block(T_WC.cpu()) for T_WC in poses]
+        self.given_poses = list(self.poses)
+        self.frame_indices = list(frame_indices)
+        self._tracker = tracking.Tracker(self.config)
+        self.memory = KeyframeMemory(self.config)
+        self.memory.begin_with(places, camera)
 
     def take_back(self, *, was_refused: bool = False) -> None:
         """Undo the last ``locate``, because its frame was not mapped.

@@ -85,6 +85,11 @@ class MapFiles:
     def write_besides(self, folder: Path) -> None:
         """Write the files that the pictures need besides ``gaussians.ply``."""
 
+    def stored_volume(self, folder: Path) -> dict[str, Any]:
+        """State of the volume in the folder of a run, for a system that has one (``_load`` takes
+        it)."""
+        raise NotImplementedError
+
     def drawn_as_stored(self) -> Draw:
         """The map as its files hold it, which is what a run scores; made now, so not changed by
         later frames."""

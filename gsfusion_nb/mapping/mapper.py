@@ -214,7 +214,7 @@ class Mapper(InUsualTorch, ABC):
                 self.clock = StageClock()
                 frame = check_frame(changeable(frame), self.device, needs_depth=needs_depth)
                 with self.clock("tracking"):
-                    frame = self.track_frame(frame)
+                    frame = self._track_frame(frame)
                 report = self.map_frame(frame)
                 self.transaction.keep()
                 with self.clock("tracking"):
@@ -235,6 +235,12 @@ class Mapper(InUsualTorch, ABC):
             BadFrameError: the frame cannot be tracked.
         """
         return self.localiser.locate(frame, partial(tracking_surface, self))
+
+    def _track_frame(self, frame: Frame) -> Frame:
+        """``track_frame``; in the map of an earlier run the first frame is found by appearance."""
+        if self.localiser.is_before_first_look:
+            return Mapper.track_frame(self, frame)
+        return self.track_frame(frame)
 
     @abstractmethod
     def map_frame(self, frame: Frame) -> StepReport:

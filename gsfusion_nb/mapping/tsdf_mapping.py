@@ -65,6 +65,10 @@ class TsdfFiles(MapFiles):
         """Write the TSDF."""
         write_tsdf(folder / TSDF, self.mapper.volume)
 
+    def stored_volume(self, folder: Path) -> dict[str, Any]:
+        """State of the volume in the folder of a run with the mapper's settings."""
+        return read_tsdf(folder / TSDF, self.mapper.config.tsdf).state_dict(copies=False)
+
     @classmethod
     def surface_from(cls, folder: Path, params: GaussianParams, config: Any) -> SurfaceSource:
         """The surface of the TSDF."""

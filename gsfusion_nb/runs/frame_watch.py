@@ -350,7 +350,7 @@ class QuietWatch:
 
     def _look(self, run: WatchedRun, frame: Frame | None) -> str:
         localiser = run.mapper.localiser
-        poses = localiser.poses
+        poses = localiser.poses[run.mapper.n_frames - len(run.steps) :]
         if self._watch is None:
             self._watch = FrameWatch(is_tracking=localiser.is_tracking)
             earlier = len(run.steps) - (frame is not None)
@@ -364,5 +364,6 @@ class QuietWatch:
 
 def _frame_of(run: WatchedRun, number: int) -> Frame:
     """A frame that was mapped, read once more."""
-    index = run.mapper.localiser.frame_indices[number]
+    n_earlier = run.mapper.n_frames - len(run.steps)
+    index = run.mapper.localiser.frame_indices[n_earlier + number]
     return dataclasses.replace(run.sequence.mapping, positions=[index])[0]

@@ -11,6 +11,7 @@ import torch
 from ..config import SystemConfig
 from ..data import Sequence, apply_options, open_sequence
 from ..data.stream import Policy
+from ..errors import ArgumentError
 from ..export import read_gaussian_ply
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..mapping.training import given_functions
@@ -19,6 +20,7 @@ from ..seeding import SeedingRule
 from ..types import Frame
 from .driver import FinishedRun, drive, map_with_progress
 from .mapping_run import MappingRun, RunWatcher
+from .onto import mapper_onto, read_parent, settings_onto
 from .resume import load_run
 from .run_clock import RunClock
 from .run_folder import (
@@ -43,6 +45,7 @@ def run_mapping(
     evaluate: bool = True,
     checkpoints: CheckpointEvery | None = None,
     from_gaussians: Path | str | None = None,
+    onto: Path | str | None = None,
     watch: RunWatcher | None = None,
     loss: LossFunction | None = None,
     optimiser: UpdateFunction | None = None,
@@ -65,6 +68,9 @@ def run_mapping(
             every 30 s by default.
         from_gaussians: File of Gaussians (``read_gaussian_ply``) that the map begins with, in the
             frame of the poses.
+        onto: Folder of a finished run: the camera is located in its map, and the run goes on in a
+            copy of it. The files of that run stay as they are. ``config`` is that of the run, with
+            tracked poses, by default.
         watch: Sees every mapped frame and the finished maps; ``docs/outputs.md`` has one for the
             Rerun viewer.
         loss, optimiser: Instead of the system's own loss and Adam (``Mapper``); metrics.json and
@@ -77,10 +83,15 @@ def run_mapping(
     """
     clock = RunClock()
     is_room = str(data) == "room"
-    preset = "room" if is_room else "replica"
-    settings = (
-        config if isinstance(config, SystemConfig) else get_system(system).preset(config or preset)
-    )
+    parent = None if onto is None else read_parent(onto)
+    if parent is not None and from_gaussians is not None:
+        raise ArgumentError("a map begins with that of a run or with Gaussians, not with both")
+    if isinstance(config, SystemConfig):
+        settings: Any = config
+    elif parent is not None and config is None:
+        settings = settings_onto(parent.config)
+    else:
+        settings = get_system(system).preset(config or ("room" if is_room else "replica"))
     with clock("opening"):
         if isinstance(data, (str, Path)):
             is_folder = Path(data).expanduser().is_dir() and not is_room
@@ -92,14 +103,23 @@ def run_mapping(
         else:
             source = {}
             sequence = apply_options(data, settings.data)
-        mapper = make_mapper(
-            settings, seeding=seeding, device=device, loss=loss, optimiser=optimiser
+        given = {"seeding": seeding, "device": device, "loss": loss, "optimiser": optimiser}
+        mapper = (
+            make_mapper(settings, **given)
+            if parent is None
+            else mapper_onto(parent, settings, sequence.camera, **given)
         )
         if from_gaussians is not None:
             mapper.files.begin_with(
                 read_gaussian_ply(from_gaussians, keep_place=True), Path(from_gaussians).name
             )
-        run = MappingRun(sequence, mapper, source=source, clock=clock)
+        run = MappingRun(
+            sequence,
+            mapper,
+            source=source,
+            clock=clock,
+            parent=None if parent is None else parent.as_json,
+        )
     with RunFolder(new_folder(sequence.name, folder)) as place:
         return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
 

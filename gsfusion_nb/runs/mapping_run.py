@@ -29,7 +29,7 @@ from ..mapping.systems import know_system
 from ..types import Frame, Mesh
 from .frame_watch import QuietWatch
 from .run_clock import RunClock
-from .run_folder import StepLog, packed
+from .run_folder import StepLog, packed, unpacked
 from .run_warnings import RunWarnings
 
 log = logging.getLogger(__name__)
@@ -93,6 +93,7 @@ class MappingRun:
         source: How the sequence was opened (path, format), written to config.json so that it can be
             opened again.
         clock: Of the run, if it began before, to open the data.
+        parent: The run whose map the mapper began with, as results name it.
 
     Raises:
         SequenceError: The data has no poses, and the settings do not ask to track them.
@@ -108,6 +109,7 @@ class MappingRun:
         *,
         source: dict[str, Any] | None = None,
         clock: RunClock | None = None,
+        parent: dict[str, Any] | None = None,
     ):
         if not isinstance(mapper, Mapper):
             raise KindError(
@@ -123,6 +125,9 @@ class MappingRun:
         """Where the time of the run goes."""
         self.sequence = sequence
         self.source = source or {}
+        self.parent = parent or {}
+        """The run whose map this one goes on in: its folder and the hashes of its maps; empty if
+        there is none."""
         self.data_files = data_files(sequence) if source else {}
         """Path -> hash of the content of every file of the recording that the run reads, when it
         began."""
@@ -170,9 +175,14 @@ class MappingRun:
 
     @property
     def poses(self) -> list[torch.Tensor]:
-        """Camera-to-world pose of every mapped frame, as given or as tracked and corrected so
+        """Camera-to-world pose of every frame of this run, as given or as tracked and corrected so
         far."""
-        return self.mapper.localiser.poses
+        return self.mapper.localiser.poses[self.n_earlier :]
+
+    @property
+    def n_earlier(self) -> int:
+        """Number of frames that the mapper mapped before this run."""
+        return self.mapper.n_frames - len(self.steps)
 
     def online(self) -> Generator[StepReport, None, None]:
         """Map the remaining frames one by one; those that cannot be used are skipped and listed in
@@ -271,10 +281,10 @@ class MappingRun:
     def covering_views(self, least: int) -> FrameSubset:
         """At least this many mapped frames, evenly spread, and those where the camera has moved by
         1 m or turned by 30 degrees since the last one, so that neighbours overlap on any walk."""
-        localiser = self.mapper.localiser
+        frame_indices = self.mapper.localiser.frame_indices[self.n_earlier :]
+        poses = self.poses
         selection = list[int]()
-        stride = max(1, len(localiser.poses) // least)
-        poses = localiser.poses
+        stride = max(1, len(poses) // least)
         for i, T_WC in enumerate(poses):
             turned_deg, moved_m = (
                 se3.motion(poses[selection[-1]], T_WC) if i % stride else (math.inf, math.inf)
@@ -282,7 +292,7 @@ class MappingRun:
             if turned_deg >= 30 or moved_m >= 1:
                 selection.append(i)
         return dataclasses.replace(
-            self.sequence.mapping, positions=[localiser.frame_indices[i] for i in selection]
+            self.sequence.mapping, positions=[frame_indices[i] for i in selection]
         )
 
     def extra_metrics(self) -> dict[str, Any]:
@@ -340,6 +350,7 @@ class MappingRun:
         """The state of the run without its mapper, as tensors and plain values."""
         return {
             "data_files": self._data_files,
+            "onto": packed(self.parent),
             "steps": self._step_log.state_dict(self.steps),
             "pass_losses": torch.stack(self._pass_losses) if self._pass_losses else torch.zeros(0),
             "timestamps_s": torch.tensor(self.timestamps_s, dtype=torch.float64),
@@ -350,6 +361,7 @@ class MappingRun:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` saved."""
+        self.parent = unpacked(state["onto"]) if "onto" in state else {}
         self.steps = self._step_log.load_state_dict(state["steps"])
         self._pass_losses = list(state["pass_losses"].to(self.mapper.device))
         self.timestamps_s = state["timestamps_s"].tolist()

@@ -22,6 +22,7 @@ from ..seeding.code_files import RULE_MODULES, beside_sources, file_source
 from ..tracking import PLACES, write_places
 from ..types import Mesh
 from .map_hashes import map_hashes
+from .map_state import STATE, write_map_state
 from .mapping_run import MappingRun, evenly
 from .poses_in_map import frames_in_map
 from .ran_on import ran_on
@@ -38,6 +39,7 @@ FILES = {
     "Gaussians over it, and gaussians.ply alone shows them over black",
     "places.npz": "what keyframes look like and where they were: gsfusion-nb locate finds another "
     "recording by them",
+    "state.zip": "keyframes and the rule's memory: gsfusion-nb map --onto goes on in this map",
     "trajectory.txt": "poses, TUM format: evo_traj tum trajectory.txt",
     "trajectory_given.txt": "the poses before they were refined, if they were",
     "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
@@ -86,6 +88,7 @@ def _write_maps(run: MappingRun, folder: Path, mesh: Mesh) -> None:
         "fidelity": run.mapper.description.fidelity_of(run.mapper.config),
         "training": run.mapper.training.names,
         "config": to_dict(run.mapper.config),
+        **({"onto": run.parent} if run.parent else {}),
     }
     write_json(folder / "config.json", settings)
     write_rule(run, folder)
@@ -97,6 +100,7 @@ def _write_maps(run: MappingRun, folder: Path, mesh: Mesh) -> None:
     places = run.mapper.localiser.places()
     if places is not None:
         write_places(folder / PLACES, places)
+    write_map_state(folder / STATE, run.mapper)
     write_mesh_ply(folder / "mesh.ply", mesh)
 
 
@@ -121,7 +125,9 @@ def _write_trajectory(run: MappingRun, folder: Path) -> None:
     localiser = run.mapper.localiser
     if localiser.is_refined:
         write_trajectory_tum(
-            folder / "trajectory_given.txt", run.timestamps_s, torch.stack(localiser.given_poses)
+            folder / "trajectory_given.txt",
+            run.timestamps_s,
+            torch.stack(localiser.given_poses[run.n_earlier :]),
         )
 
 
@@ -142,6 +148,7 @@ def write_numbers(
         "warnings": run.warnings,
         "sha256": run.hashes,
         "ran_on": ran_on(run.mapper.device),
+        **({"onto": run.parent} if run.parent else {}),
         "metrics": metrics_as_json(metrics),
         "processor_seconds": run.clock.cpu_seconds,
         "frames": rows,
@@ -158,6 +165,7 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
         f"SH degree {config.sh_degree}",
         *(f"{kind} {name}" for kind, name in run.mapper.training.names.items()),
         f"rule {rule_name(run.mapper.rule)}",
+        *([f"in the map of {Path(run.parent['run']).name}"] if run.parent else []),
     ]
     data = ReportData(
         title=f"{run.mapper.description.title} on {run.sequence.name}",

@@ -92,17 +92,19 @@ def _data_pose(view: FrameSubset, i: int) -> Float[Tensor, "4 4"] | None:
         return None
 
 
-def ground_truth_poses(localiser: Localiser, mapping: FrameSubset) -> Float[Tensor, "N 4 4"] | None:
-    """The true poses of the mapped frames where the source knows them (``true_pose``), otherwise
+def ground_truth_poses(
+    frame_indices: list[int], mapping: FrameSubset
+) -> Float[Tensor, "N 4 4"] | None:
+    """The true poses of frames where the source knows them (``true_pose``), otherwise
     those of the data; ``None`` if one is missing."""
     source = as_read(mapping.source)
     true_pose = getattr(source, "true_pose", None)
     if true_pose is not None:
-        return torch.stack([true_pose(index) for index in localiser.frame_indices])
+        return torch.stack([true_pose(index) for index in frame_indices])
     position = {index: i for i, index in enumerate(mapping.positions)}
-    if not has_poses(mapping) or not position.keys() >= set(localiser.frame_indices):
+    if not has_poses(mapping) or not position.keys() >= set(frame_indices):
         return None
     try:
-        return torch.stack([mapping.pose(position[index]) for index in localiser.frame_indices])
+        return torch.stack([mapping.pose(position[index]) for index in frame_indices])
     except SequenceError:
         return None

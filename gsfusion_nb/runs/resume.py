@@ -255,7 +255,7 @@ def _run_of(
     run.load_state_dict(state)
     cameras = [
         run.mapper.localiser.memory.camera,
-        *(keyframe.camera for keyframe in run.mapper.keyframes),
+        *(keyframe.camera for keyframe in run.mapper.keyframes if keyframe.index >= 0),
     ]
     others = [camera for camera in cameras if camera not in (None, run.sequence.camera)]
     if others:

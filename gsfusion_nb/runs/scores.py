@@ -107,10 +107,12 @@ def score_trajectory(run: MappingRun) -> dict[str, Any]:
     knows them, else the data's own; empty if no pose moved, or there are none to compare."""
     localiser = run.mapper.localiser
     has_moved = localiser.is_tracking or localiser.is_refined
-    truth = ground_truth_poses(localiser, run.sequence.mapping) if has_moved else None
-    if truth is None or len(localiser.poses) < 3:
+    poses = run.poses
+    frame_indices = localiser.frame_indices[run.n_earlier :]
+    truth = ground_truth_poses(frame_indices, run.sequence.mapping) if has_moved else None
+    if truth is None or len(poses) < 3:
         return {}
-    scores = trajectory_scores(torch.stack(localiser.poses), truth)
+    scores = trajectory_scores(torch.stack(poses), truth)
     if not localiser.is_tracking:
         return scores
     status = [s.tracking.get("status") for s in run.steps]

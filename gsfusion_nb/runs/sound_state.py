@@ -206,9 +206,11 @@ def check_agreement(run: Any) -> None:
             f"a state has {n} reports of frames, but goes on at position {run.next_position}"
         )
     indices = localiser.frame_indices
-    if min(indices, default=0) < 0:
+    n_earlier = mapper.n_frames - n
+    if indices[n_earlier:] and min(indices[n_earlier:]) < 0:
         raise SequenceError(
-            f"a mapped frame of a state has the index {min(indices)}, expected at least 0"
+            f"a mapped frame of a state has the index {min(indices[n_earlier:])}, expected at "
+            "least 0"
         )
     numbers = [keyframe.index for keyframe in keyframes]
     if absent := {step.frame_index for step in run.steps if step.is_keyframe} - set(numbers):
@@ -309,7 +311,8 @@ def _check_plain(value: Any, where: tuple[str, ...]) -> None:
     name = next((part for part in reversed(where) if not part.isdigit()), "")
     if name in COUNTS or "counts" in names:
         try:
-            check_whole("it", value, 0, _MOST)
+            # frames of an earlier run are counted back from 0
+            check_whole("it", value, -_MOST if name == "index" else 0, _MOST)
         except ValueError as e:
             raise _refusal(where, "a whole number of at least 0", str(e)) from None
     elif not math.isfinite(value) and not names & MAY_BE_NAN:

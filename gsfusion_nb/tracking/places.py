@@ -95,6 +95,17 @@ class Places:
         ]
         return dataclasses.replace(self, camera=camera, features=features)
 
+    def counted_back(self, shift: int) -> "Places":
+        """The same keyframes with ``shift`` taken from their frame indices."""
+        return dataclasses.replace(self, index=[index - shift for index in self.index])
+
+    def database(self) -> KeyframeDatabase:
+        """The keyframes by appearance."""
+        database = KeyframeDatabase(self.camera)
+        for index, T_WC, features in zip(self.index, self.T_WC, self.features, strict=True):
+            database.add(index, T_WC, features)
+        return database
+
     def landmark_map(self, camera: Camera | None = None) -> LandmarkMap:
         """Keyframes and the landmarks that they share, for views of a camera (default: their
         own)."""
@@ -194,8 +205,6 @@ def _check_values(path: Path, arrays: dict[str, np.ndarray], camera: Camera) -> 
     if (counts < 0).any() or (counts > n).any() or int(counts.sum()) != n:
         raise SequenceError(f"{path} has {n} features, but its keyframes do not add up to them")
     index = arrays["index"]
-    if len(index) and index.min() < 0:
-        raise SequenceError(f"{path}: index must be at least 0, got {index.min()}")
     if len(np.unique(index)) < len(index):
         raise SequenceError(f"{path} has a keyframe twice")
     for k, T_WC in enumerate(arrays["T_WC"]):
