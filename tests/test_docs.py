@@ -168,6 +168,16 @@ def test_make_targets_that_are_named_exist(page):
             assert target in targets, f"{page.name}: no target {target} in the Makefile"
 
 
+def _write_run(folder: Path) -> None:
+    """The files of a run that say which settings another goes on with."""
+    folder.mkdir(parents=True, exist_ok=True)
+    document = {"source": {}, "config": to_dict(gsfusion()), "sha256": {}}
+    for name in ("config.json", "metrics.json"):
+        (folder / name).write_text(json.dumps(document))
+    for name in ("places.npz", "state.zip"):
+        (folder / name).touch()
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_commands_are_understood(page, dry, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -175,6 +185,8 @@ def test_commands_are_understood(page, dry, tmp_path, monkeypatch):
         json.dumps({"config": to_dict(gsfusion())} | to_dict(gsfusion()))
     )
     for command in set(commands(page)):
+        if "--onto " in command:
+            _write_run(tmp_path / command.partition("--onto ")[2].split()[0])
         arguments = shlex.split(command)[1:]
         try:
             status = cli.main(arguments)

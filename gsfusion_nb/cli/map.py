@@ -59,6 +59,9 @@ class MapOptions(SettingsOptions):
     from_gaussians: str = ""
     """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the
     recording's poses; they are optimised with the new ones. GSFusion only."""
+    onto: str = ""
+    """Folder of a finished run: the camera is located in its map, and mapping goes on in a copy of
+    it, with that run's settings and tracked poses. That run stays as it is."""
     resume: str = ""
     """Folder of an interrupted run to continue; no other option is needed, but --seeding.rule or
     --system if its rule or its system came from a file, which is executed."""
@@ -130,6 +133,7 @@ def run(arguments: list[str]) -> int:
             evaluate=options.evaluate,
             checkpoints=every,
             from_gaussians=options.from_gaussians or None,
+            onto=options.onto or None,
             **reader,
         )
     return print_result(finished_run)

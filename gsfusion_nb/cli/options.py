@@ -26,6 +26,7 @@ EVERYDAY = (
     "data",
     "out",
     "reader",
+    "onto",
     "resume",
     "evaluate",
     "sh_degree",

@@ -75,6 +75,7 @@ class _StartOptions:
     preset: str = ""
     fidelity: str = ""
     from_config: str = ""
+    onto: str = ""
     seeding: _RuleOption = field(default_factory=_RuleOption)
 
     @classmethod
@@ -94,6 +95,8 @@ class _StartOptions:
             return _read_settings(
                 Path(self.from_config), rule=self.seeding.rule, system=self.system or None
             )
+        if self.onto:
+            return self._config_onto()
         system = get_system(self.system or "gsfusion")
         if self.fidelity and self.fidelity not in system.description.fidelities:
             raise ArgumentError(
@@ -102,6 +105,20 @@ class _StartOptions:
             )
         fidelity = {"fidelity": self.fidelity} if self.fidelity else {}
         return system.preset(self.preset or preset, **fidelity)
+
+    def _config_onto(self) -> SystemConfig:
+        """The settings of the run in whose map another goes on."""
+        from ..runs.onto import check_is_run, settings_onto
+
+        path = Path(self.onto) / "config.json"
+        check_is_run(self.onto)
+        config = _read_settings(path, rule=self.seeding.rule, system=self.system or None)
+        return settings_onto(config)
+
+    @property
+    def settings_file(self) -> str:
+        """The config.json of a run from which the settings come; "" if there is none."""
+        return self.from_config or (str(Path(self.onto) / "config.json") if self.onto else "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,26 +277,28 @@ def with_settings(options: type[O], config: SystemConfig) -> type[O]:
 
 def _with_code_named(prog: str, arguments: list[str]) -> list[str]:
     """``arguments`` and, if the user allows it, the rule and the system in files that
-    ``--from-config`` asks for.
+    ``--from-config``, or the run of ``--onto``, asks for.
 
     Nothing is executed for a help text, so nobody is asked there.
 
     Raises:
-        SequenceError: as ``ask_or_refuse``. ValueError: options that ``--from-config`` excludes.
+        SequenceError: as ``ask_or_refuse``. ValueError: options that these exclude.
     """
     from ..seeding.code_files import is_code_file
     from ..seeding.named_code import CodeNotNamedError
     from .permission import ask_or_refuse
 
     start = _StartOptions.of(prog, arguments)
-    if not start.from_config:
+    if not start.settings_file:
         return arguments
-    others = [f"--{name}" for name in ("preset", "fidelity") if getattr(start, name)]
-    if start.system and not is_code_file(start.system):
+    option = "--onto" if start.onto else "--from-config"
+    names = ("preset", "fidelity", *(("from_config",) if start.onto else ()))
+    others = [f"--{name.replace('_', '-')}" for name in names if getattr(start, name)]
+    if start.system and not (start.onto or is_code_file(start.system)):
         others.insert(0, "--system")
     if others:
         raise ArgumentError(
-            f"--from-config sets all settings; leave out {' '.join(others)}, or --from-config"
+            f"{option} sets all settings; leave out {' '.join(others)}, or {option}"
         )
     options = {"rule": "--seeding.rule", "system": "--system"}
     while True:

@@ -192,7 +192,7 @@ class Localiser:
     @property
     def is_before_first_look(self) -> bool:
         """Whether the camera was not yet found in the map of an earlier run."""
-        return bool(self.poses) and not self._tracker.has_pose
+        return self.is_tracking and bool(self.poses) and not self._tracker.has_pose
 
     def go_on_in(
         self,

@@ -14,6 +14,7 @@ from ..data.stream import Policy
 from ..errors import ArgumentError
 from ..export import read_gaussian_ply
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
+from ..mapping.systems import system_class
 from ..mapping.training import given_functions
 from ..optim import UpdateFunction
 from ..seeding import SeedingRule
@@ -83,7 +84,7 @@ def run_mapping(
     """
     clock = RunClock()
     is_room = str(data) == "room"
-    parent = None if onto is None else read_parent(onto)
+    parent = None if onto is None else read_parent(onto, _named_system(config, system))
     if parent is not None and from_gaussians is not None:
         raise ArgumentError("a map begins with that of a run or with Gaussians, not with both")
     if isinstance(config, SystemConfig):
@@ -122,6 +123,15 @@ def run_mapping(
         )
     with RunFolder(new_folder(sequence.name, folder)) as place:
         return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
+
+
+def _named_system(
+    config: SystemConfig | str | None, system: str | type[Mapper]
+) -> str | type[Mapper] | None:
+    """The system that a run in the map of another was given; None: that of the other."""
+    if isinstance(config, SystemConfig):
+        return system_class(config)
+    return None if system == "gsfusion" else system
 
 
 def resume_mapping(

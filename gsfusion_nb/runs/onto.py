@@ -15,16 +15,17 @@ from ..errors import ArgumentError, SequenceError, reason_of
 from ..export import read_gaussian_ply
 from ..files import parsing, read_object
 from ..gaussians.columns import PARAMETERS
-from ..mapping import Mapper, get_system, make_mapper, system_of
+from ..mapping import Mapper, make_mapper, system_of
 from ..mapping.usual_torch import in_usual_torch
 from ..seeding import SeedingRule, rule_name
-from ..seeding.rule_code import is_rule_file
+from ..seeding.code_files import is_code_file
 from ..tracking import PLACES, read_places
 from ..types import Camera
 from .map_state import STATE, map_state, read_map_state
 from .run_folder import METRICS
 from .sound_state import check_same
 from .stored_map import CONFIG, of_degree
+from .system_of_run import system_of_run
 
 GAP = 1000
 """Numbers between the last frame of the earlier run, counted back from 0, and the first new one."""
@@ -52,22 +53,39 @@ class Parent:
         return {"run": str(self.folder), "sha256": self.hashes}
 
 
-def read_parent(folder: Path | str) -> Parent:
+def check_is_run(folder: Path | str) -> None:
+    """Raise ``FileNotFoundError`` unless ``folder`` is one."""
+    if not Path(folder).expanduser().is_dir():
+        raise FileNotFoundError(f"{folder} does not exist; expected the folder of a finished run")
+
+
+def read_parent(folder: Path | str, system: "str | type[Mapper] | None" = None) -> Parent:
     """The run in ``folder``; only its settings and numbers are read.
 
+    Args:
+        folder: Of the run.
+        system: "FILE.py:Name" of a run whose system came from a file, or the class of the system
+            that goes on.
+
     Raises:
+        SystemNotNamedError: the run's system came from a file, and ``system`` names none.
         FileNotFoundError: no such run, or one of a version that did not keep its state.
         ValueError: a file is damaged.
     """
     path = Path(folder).expanduser().resolve()
-    if not path.is_dir():
-        raise FileNotFoundError(f"{folder} does not exist; expected the folder of a finished run")
+    check_is_run(folder)
     file = path / CONFIG
     document = read_object(file, "the settings of a run", objects=("source", "config"))
+    name = str(document.get("system", "gsfusion"))
+    if isinstance(system, type) and (own := system_of(system.config_type())) != name:
+        raise ArgumentError(
+            f"{path} was mapped with the system {name}; {own} cannot go on in its map"
+        )
+    mapper = system_of_run(
+        path, document, system, lambda own: f"run_mapping(..., onto=..., system={own!r})"
+    )
     with parsing(file, "the settings of a run"):
-        system = document.get("system", "gsfusion")
-        values = with_default_rule(document["config"])
-        config = from_run(get_system(system).config_type, values)
+        config = from_run(mapper.config_type, with_default_rule(document["config"]))
     for name in (PLACES, STATE):
         if not (path / name).exists():
             raise FileNotFoundError(
@@ -80,7 +98,7 @@ def read_parent(folder: Path | str) -> Parent:
         if not isinstance(hashes, dict):
             raise ArgumentError("it has no hashes of maps")
         hashes = {str(name): str(digest) for name, digest in hashes.items()}
-    return Parent(folder=path, system=system, config=config, document=document, hashes=hashes)
+    return Parent(folder=path, system=name, config=config, document=document, hashes=hashes)
 
 
 def with_default_rule(values: dict[str, Any]) -> dict[str, Any]:
@@ -89,7 +107,7 @@ def with_default_rule(values: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(seeding, dict):
         return values
     rule = seeding.get("rule")
-    if not isinstance(rule, str) or not is_rule_file(rule):
+    if not isinstance(rule, str) or not is_code_file(rule):
         return values
     return {**values, "seeding": {**seeding, "rule": rule.rpartition(":")[2]}}
 
@@ -114,12 +132,6 @@ def settings_onto(config: SystemConfig) -> Any:
 
 def check_together(parent: Parent, config: SystemConfig) -> None:
     """Raise ``ValueError`` if a run with these settings cannot go on in the map of ``parent``."""
-    name = system_of(config)
-    if name != parent.system:
-        raise ArgumentError(
-            f"{parent.folder} was mapped with the system {parent.system}; {name} cannot go on in "
-            "its map"
-        )
     mine = leaves(to_dict(config))
     theirs = leaves(to_dict(parent.config))
     others = [
@@ -187,8 +199,10 @@ def mapper_onto(
             camera,
         )
         _check(mapper, state)
-    except SequenceError:
-        raise
+    except SequenceError as e:
+        if str(folder) in str(e):
+            raise
+        raise SequenceError(f"{folder}: {e}") from None
     except Exception as e:  # files that do not belong together
         raise ArgumentError(
             f"the files of {folder} do not fit together, or are damaged: {reason_of(e)}"

@@ -247,10 +247,11 @@ class Tracker:
             if problem:
                 failures.append(f"from {start.name} {problem}")
                 continue
+            was_lost = self.lost_in_a_row > 0
             self._usual.add(fit.result)
             self._accept(frame, fit.result.T_WC, moved=False)
             return TrackingReport(
-                status="recovered",
+                status="recovered" if was_lost else "ok",
                 T_WC=fit.result.T_WC.to(frame.T_WC),
                 start=start.name,
                 icp=fit.result,

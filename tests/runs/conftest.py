@@ -31,6 +31,7 @@ def run_files() -> set[str]:
         "views.json",
         "tsdf.npz",
         "places.npz",
+        "state.zip",
         "report.html",
         ".lock",
     }
