@@ -150,6 +150,17 @@ def check_number(
         raise ArgumentError(f"{name} must be {limits}, got {value}")
 
 
+def check_device(name: str, device: str) -> None:
+    """Raise ``ValueError`` with the reason if tensors cannot be on a device here."""
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as e:
+        raise ArgumentError(
+            f"{name} {device} cannot be used here, expected cpu or a CUDA device: "
+            f"{str(e).splitlines()[0]}"
+        ) from None
+
+
 def check_name(kind: str, name: str, names) -> None:
     """Raise ``KeyError`` unless ``name`` is one of ``names``; the message lists them."""
     if name not in names:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import tyro
 
 from ..backends import backend_names, from_environment
-from ..checks import shown
+from ..checks import check_device, shown
 from ..config import SystemConfig, from_run, presets, to_dict
 from ..config.options import named, named_values
 from ..config.values import leaves, with_own_settings
@@ -183,16 +183,7 @@ class SettingsOptions:
 
     def check_device(self) -> None:
         """Raise ``ValueError`` with the reason if the device cannot be used here."""
-        import torch
-
-        try:
-            torch.zeros(1, device=self.device)
-        except (RuntimeError, AssertionError, NotImplementedError) as e:
-            reason = str(e).splitlines()[0]
-            raise ArgumentError(
-                f"--device {self.device} cannot be used here, expected cpu or a CUDA device: "
-                f"{reason}"
-            ) from None
+        check_device("--device", self.device)
 
 
 def parse(

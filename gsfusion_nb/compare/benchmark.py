@@ -2,16 +2,16 @@
 of the papers."""
 
 import dataclasses
+import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, field
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
 from ..backends import use_backend
-from ..checks import check_name
 from ..config.options import named, named_values
 from ..data.open import known_layouts
 from ..data.recorded.files import missing
@@ -19,59 +19,19 @@ from ..errors import ArgumentError, SequenceError
 from ..files import write_file
 from ..mapping import SYSTEMS, get_system, system_names
 from .command import run_and_write
+from .data_sets import COLUMNS, DATA_SETS, DataSet, column_of, data_set_of
 from .equal_maps import equal_maps, unknown_maps
+from .paper_table import PaperRow, PaperTable
 from .recording_specs import RecordingOptions, recording_specs
 from .run_result import RunResult
 from .scene_units import scene_units, shared_frames
 from .schedule import flat_settings
 from .spec import RunSpec
 from .statistics import group_runs, over_units
-from .studies import read_packaged
+from .tables import Cell
 
 DEEPEST = 3
 """Scenes are looked for in so many levels of folders."""
-COLUMNS = {
-    "psnr": ("PSNR, dB", ".2f", "psnr_{}_db", 1),
-    "ssim": ("SSIM", ".3f", "ssim_{}", 1),
-    "lpips": ("LPIPS", ".3f", "lpips_{}", 1),
-    "ate": ("ATE RMSE, cm", ".2f", "ate_rmse_m", 100),
-    "fps": ("frames/s", ".2f", "fps_mean_inverse", 1),
-    "mb": ("MB", ".1f", "model_size_mb", 1),
-    "memory": ("memory, MB", ".0f", "peak_memory_mb", 1),
-}
-"""Column -> heading, format, our metric with {} for the group of views, and factor to the unit
-shown."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DataSet:
-    """How a data set is measured."""
-
-    title: str
-    format: str
-    """Name of its reader."""
-    preset: str
-    views: str
-    """Views that are scored: mapped or held_out."""
-    scenes: Sequence[str]
-    """Names of the folders of the scenes that papers report."""
-    settings: Mapping[str, Any]
-    """Settings of all runs."""
-    protocol: Sequence[str]
-    """Sentences: which frames are mapped, which are scored, and what cannot be compared."""
-    reader: Mapping[str, Any] = field(default_factory=dict)
-    published: Sequence[Mapping[str, Any]] = ()
-    """Rows of papers, means over the scenes: system, source (paper and table), numbers (column ->
-    value)."""
-    tables: Sequence[Mapping[str, Any]] = ()
-    """Tables of papers with other columns, or of other data: title, columns, and rows (name ->
-    values as text)."""
-
-
-DATA_SETS = {
-    name: DataSet(**values)
-    for name, values in read_packaged(Path(__file__).with_suffix(".toml")).items()
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,11 +39,12 @@ class BenchmarkOptions(RecordingOptions):
     """Map all scenes of a data set by its published protocol, and write a table beside the numbers
     of the papers.
 
-    Writes benchmark.md and the files of gsfusion-nb lab. After Ctrl-C the same command continues.
-    Whatever --set changes in the protocol is named in the table."""
+    Writes benchmark.md, benchmark.tex and the files of gsfusion-nb lab. After Ctrl-C the same
+    command continues. Whatever --set changes in the protocol is named in the table."""
 
     name: Annotated[str, tyro.conf.Positional] = named(MISSING, lambda: DATA_SETS)
-    """Which data set."""
+    """Which data set; or a TOML file with one of your own, or with rows of papers to add to one
+    (docs/data_sets.md): FILE.toml or FILE.toml:NAME."""
     folder: Annotated[str, tyro.conf.Positional]
     """The folder with the scenes, or one scene."""
     systems: tuple[str, ...] = named(tuple(SYSTEMS), system_names)
@@ -99,14 +60,15 @@ def benchmark(options: BenchmarkOptions) -> int:
         ValueError: a setting that does not exist, a value that is refused, or no scene that can be
             read.
     """
-    check_name("data set", options.name, DATA_SETS)
-    data_set = DATA_SETS[options.name]
+    data_set = data_set_of(options.name)
+    name = Path(options.name.rpartition(".toml:")[2]).stem
     with use_backend(options.backend):
         specs, unread = benchmark_specs(data_set, options)
-        folder = Path(options.out or f"runs/benchmark-{options.name}").expanduser()
+        folder = Path(options.out or f"runs/benchmark-{name}").expanduser()
         status, results = run_and_write(specs, folder, options)
         text = report(data_set, results, named_values(options.set), unread)
         write_file(folder / "benchmark.md", text)
+        write_file(folder / "benchmark.tex", beside_papers(data_set, results).as_latex())
         print(text)
     return status
 
@@ -209,10 +171,6 @@ def report(
     rows += [[row["system"], *_cells(row["numbers"]), row["source"]] for row in data_set.published]
     scene_names = {r.spec.scene for r in results}
     absent = [name for name in data_set.scenes if not any(name in scene for scene in scene_names)]
-    sentences = [
-        *data_set.protocol,
-        *([f"Scenes of the papers that are not here: {', '.join(absent)}."] if absent else []),
-    ]
     failure_lines = [
         f"{r.spec.label} failed on {r.spec.scene}: {r.reason}"
         for r in results
@@ -222,11 +180,48 @@ def report(
         f"| {' | '.join(row)} |" for row in (heads, ["---", *["---:"] * len(COLUMNS), "---"], *rows)
     ]
     seeming = [*map(str, equal_maps(results)), *unknown_maps(results), *shared_frames(units)]
-    bullets = [
-        f"- {sentence}" for sentence in (*sentences, *cards, *seeming, *unread, *failure_lines)
-    ]
+    if absent:
+        cards.append(f"scenes of the papers that are not here: {', '.join(absent)}")
+    ran = (*cards, *seeming, *unread, *failure_lines)
     more = [line for paper_table in data_set.tables for line in _published_table(paper_table)]
-    return "\n".join([f"# {data_set.title}", "", *table, "", *bullets, "", *more])
+    parts = [f"# {data_set.title}", "", *table, "", *_bullets("What ran here", ran)]
+    parts += _bullets("The protocol of the papers", data_set.protocol)
+    return "\n".join([*parts, *more])
+
+
+def beside_papers(data_set: DataSet, results: Sequence[RunResult]) -> PaperTable:
+    """The table for a paper: our means and the published numbers. None is bold, because no test
+    compares numbers of others."""
+    columns = tuple(column_of(name) for name in COLUMNS)
+    units = scene_units(results)
+    rows = []
+    for label in dict.fromkeys(r.spec.label for r in results):
+        own = [r for r in results if r.spec.label == label and r.status == "done"]
+        if own:
+            rows.append(("here", label, _means(own, data_set.views, units)))
+    rows += [(row["source"], row["system"], row["numbers"]) for row in data_set.published]
+    return PaperTable(
+        title=data_set.title,
+        columns=columns,
+        rows=tuple(
+            PaperRow(
+                scene=source,
+                label=label,
+                cells=tuple(
+                    Cell(text=c.text(v), value=c.shown(v))
+                    for c, v in ((c, numbers.get(c.metric, math.nan)) for c in columns)
+                ),
+            )
+            for source, label, numbers in rows
+        ),
+        notes=(*data_set.protocol, "what ran here, and how: benchmark.md"),
+        first_heading="Source",
+    )
+
+
+def _bullets(title: str, sentences: Sequence[str]) -> list[str]:
+    """The lines of a list under its heading; none without a sentence."""
+    return [f"## {title}", "", *(f"- {s}" for s in sentences), ""] if sentences else []
 
 
 def _published_table(paper_table: Mapping[str, Any]) -> list[str]:
@@ -274,22 +269,38 @@ def _card(
     data_set: DataSet,
     changes: Mapping[str, Any],
 ) -> str:
-    """What a reader must know of our row: frames, size, poses, passes, seeds, and what was
-    changed."""
-    settings = flat_settings(own[0].spec.config())
+    """What a reader must know of our row, as it was: fidelity, frames, size, poses, passes, seeds,
+    device, program, and what was changed."""
+    spec = own[0].spec
+    settings = flat_settings(spec.config())
     frames = sorted({round(r.metrics["n_frames"]) for r in own})
     several = f"{frames[0]:,}" if len(frames) == 1 else f"{frames[0]:,} to {frames[-1]:,}"
+    sizes = sorted({r.image_size for r in own if r.image_size})
     passes = settings.get("optim.global_iterations", settings.get("final.passes"))
     seeds = len({r.spec.seed for r in own})
-    words = (
-        f"{label}: {several} frames mapped a scene, poses {settings['tracking.poses']}, "
-        f"{passes} passes over the "
-    )
-    views = data_set.views.replace("_", "-")
-    words += f"keyframes after the scan, scores of {views} views, {seeds} seed"
-    words += "s" if seeds > 1 else ""
-    return (
-        f"{words}; changed: {', '.join(f'{k}={v}' for k, v in changes.items())}"
-        if changes
-        else words
-    )
+    programs = {r.versions["program"] for r in own if "program" in r.versions}
+    parts = [
+        _fidelity_words(spec),
+        f"{several} frames mapped a scene" + (f" at {' and '.join(sizes)}" if sizes else ""),
+        f"poses {settings['tracking.poses']}",
+        *([] if passes is None else [f"{passes} passes over the keyframes after the scan"]),
+        f"scores of {data_set.views.replace('_', '-')} views",
+        f"{seeds} seed{'s' if seeds > 1 else ''}",
+        f"on {spec.device}",
+        *sorted(programs),
+    ]
+    words = f"{label}: {', '.join(parts)}"
+    if not changes:
+        return words
+    return f"{words}; changed: {', '.join(f'{name}={value}' for name, value in changes.items())}"
+
+
+def _fidelity_words(spec: RunSpec) -> str:
+    """Which settings a run has: a published fidelity, or this package's own."""
+    description = spec.found_system().description
+    fidelity = description.fidelity_of(spec.config())
+    if not description.fidelities:
+        return "its only settings"
+    if fidelity.partition(",")[0] == description.fidelities[0]:
+        return f'fidelity "{fidelity}", which are settings of this package, not of the paper'
+    return f'fidelity "{fidelity}"'

@@ -28,7 +28,7 @@ from ..runs.scores import (
 )
 from ..seeding import published_training, rule_source
 from .map_scene import Entry, Mapped, OnStep, budgeted, finished, map_scene
-from .program import libraries
+from .program import libraries, program_in_words
 from .run_result import RunResult
 from .spec import Budget, RunSpec
 from .tune import is_tuned, tune, tuning_spec, with_tuned
@@ -146,6 +146,7 @@ def _result(
         frames=frame_fingerprints(run.sequence),
         rule_source=entry.spec.rule_source or rule_source(entry.found_rule()),
         training=_training(entry),
+        image_size=f"{run.sequence.camera.width}x{run.sequence.camera.height}",
         versions=versions(),
         pictures=_pictures(entry, map_run, views["held_out"], folder, content)
         if folder is not None
@@ -231,7 +232,14 @@ def _costs(map_run: Mapped) -> dict[str, Any]:
 
 def versions() -> dict[str, str]:
     """Versions of the programs that decide the numbers, and the kind of machine."""
-    return environment() | libraries() | {"processor": platform.processor() or platform.machine()}
+    return (
+        environment()
+        | libraries()
+        | {
+            "processor": platform.processor() or platform.machine(),
+            "program": program_in_words(),
+        }
+    )
 
 
 def _pictures(

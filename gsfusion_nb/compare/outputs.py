@@ -113,7 +113,7 @@ class Results:
             self.runs, reference=self.reference, tests=about.tests, tuned_on=about.tuned_on
         )
 
-    def paper_tables(self, views: str = "held_out") -> list[PaperTable]:
+    def paper_tables(self, views: str = "") -> list[PaperTable]:
         """For each budget a table as papers print it, with a row of each scene and rule:
         ``table.as_latex()``. ``views``: those that are scored, held_out or mapped."""
         about = self.about

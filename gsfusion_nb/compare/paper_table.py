@@ -17,7 +17,16 @@ from .markdown import plain_markdown
 from .paired_tests import TESTS, Comparison, against_reference, all_pairs, named_reference
 from .rank_test import rank_test
 from .scene_units import scene_units
-from .statistics import COLUMNS, Column, Group, by_budget, group_runs, over_units, summarise
+from .statistics import (
+    COLUMNS,
+    FIRST_METRIC,
+    Column,
+    Group,
+    by_budget,
+    group_runs,
+    over_units,
+    summarise,
+)
 from .tables import Cell
 
 if TYPE_CHECKING:
@@ -77,6 +86,8 @@ class PaperTable:
     """Those of a scene one after the other."""
     notes: tuple[str, ...] = ()
     """Sentences that belong to the table."""
+    first_heading: str = "Scene"
+    """Heading of ``PaperRow.scene``."""
 
     @property
     def headings(self) -> tuple[str, ...]:
@@ -97,7 +108,7 @@ class PaperTable:
             )
             lines.append(rf"{' & '.join([latex_text(scene), latex_text(row.label), *cells])} \\")
             last_scene = row.scene
-        heads = " & ".join(map(latex_text, ("Scene", "Method", *self.headings)))
+        heads = " & ".join(map(latex_text, (self.first_heading, "Method", *self.headings)))
         notes = (f"% {' '.join(note.split())}" for note in self.notes)
         return "\n".join(
             [
@@ -165,7 +176,7 @@ def paper_tables(
     *,
     reference: str = "",
     tests: str = "reference",
-    views: str = "held_out",
+    views: str = "",
 ) -> list[PaperTable]:
     """A table of each budget.
 
@@ -177,8 +188,10 @@ def paper_tables(
         reference: Label of the row that all others are tested against; ``named_reference`` if
             empty.
         tests: What is tested: a name in ``TESTS``.
-        views: Views that are scored: held_out or mapped.
+        views: Views that are scored: held_out or mapped; mapped where none is held out if empty.
     """
+    has_held_out = any(FIRST_METRIC in result.metrics for result in results)
+    views = views or ("held_out" if has_held_out else "mapped")
     reference = reference or named_reference(result.spec for result in results)
     return [
         _table(groups, results, reference, tests, views)

@@ -7,6 +7,7 @@ import importlib.metadata
 import importlib.util
 import json
 import platform
+import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,35 @@ def libraries() -> dict[str, str]:
     }
     versions |= {name: importlib.metadata.version(name) for name in ("scipy", "kornia")}
     return versions | {"python": platform.python_version()}
+
+
+@functools.cache
+def program_in_words() -> str:
+    """Version of this package, and the commit of its repository where it is used from one."""
+    words = f"gsfusion_nb {__version__}"
+    folder = Path(__file__).parents[2]
+    if not (folder / ".git").exists():
+        return words
+    commit = _git(folder, "rev-parse", "--short=10", "HEAD")
+    if not commit:
+        return words
+    changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
+    return f"{words}, commit {commit}{' with changes' if changed else ''}"
+
+
+def _git(folder: Path, *words: str) -> str:
+    """What git says about a repository; empty if it cannot be asked."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *words],
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip() if done.returncode == 0 else ""
 
 
 @functools.cache

@@ -1,14 +1,18 @@
 """The runs of several variants on one recording, as a command asks for them."""
 
+import contextlib
 import dataclasses
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..checks import check_whole
+from ..checks import check_device, check_whole
 from ..config import presets
 from ..config.options import named, named_values
+from ..errors import ArgumentError
+from ..mapping import SYSTEMS
 from ..seeding import check_options, get_rule
 from ..seeding.code_files import code_folder, file_source, is_code_file, read_code_file
 from .command import WhereOptions
@@ -22,6 +26,12 @@ setting."""
 RULE = "seeding.rule"
 OPTION = "rule."
 """The setting whose values are rules, and the beginning of the names of a rule's options."""
+
+
+def fidelity_names() -> list[str]:
+    """Fidelities of the systems of this package; a system has some of them."""
+    fidelities = (mapper.description.fidelities for mapper in SYSTEMS.values())
+    return list(dict.fromkeys(itertools.chain.from_iterable(fidelities)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +48,12 @@ class RecordingOptions(WhereOptions):
     replica."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: n_frames=60 (room)."""
+    fidelity: str = named("", fidelity_names)
+    """What all runs follow where paper and released code differ, unless a variant names another:
+    one of the system's fidelities, such as paper or code. Default: the settings of this
+    package."""
+    device: str = "cpu"
+    """Device of the maps: cpu, or cuda."""
 
 
 def output_folder(options: RecordingOptions, name: str, data: str) -> Path:
@@ -66,17 +82,30 @@ def recording_specs(
     """
     check_whole("seeds", options.seeds, 1)
     place = data if data == "room" else str(Path(data).expanduser().resolve())
-    shared = {**(common or {}), **named_values(options.set)}
+    check_device("--device", options.device)
+    asked = {"fidelity": options.fidelity} if options.fidelity else {}
+    shared = {**(common or {}), **asked, **named_values(options.set)}
     reader = named_values(options.reader)
-    fields = {"scene": Path(data).name, "data": place, "preset": options.preset} | fields
+    own = {"preset": options.preset, "device": options.device}
+    fields = {"scene": Path(data).name, "data": place, **own} | fields
     fields["reader"] = {**fields.get("reader", {}), **reader}
     specs = [spec_with({**shared, **values}, label, **fields) for label, values in variants.items()]
     for spec in specs:
-        spec.config()
+        with _said_of(spec.system_name):
+            spec.config()
         check_options(spec.found_rule(), spec.options)
     Entry(spec=specs[0]).opened()
     specs = [spec.with_code(spec.found_rule()) for spec in specs]
     return [dataclasses.replace(spec, seed=seed) for spec in specs for seed in range(options.seeds)]
+
+
+@contextlib.contextmanager
+def _said_of(system: str) -> Iterator[None]:
+    """A block whose errors about settings name the system that refuses them."""
+    try:
+        yield
+    except ValueError as e:
+        raise ArgumentError(f"system {system}: {e}") from None
 
 
 def ran_under(specs: Sequence[RunSpec]) -> str:
@@ -102,6 +131,7 @@ def _values_of(spec: RunSpec) -> dict[str, Any]:
     names = {"system": spec.system_name, "preset": spec.preset} | (
         {"fidelity": fidelity} if fidelity else {}
     )
+    names |= {"device": spec.device} if spec.device != "cpu" else {}
     options = {f"{OPTION}{name}": value for name, value in spec.options.items()}
     reader = {f"reader {name}": value for name, value in spec.reader.items()}
     return names | dict(spec.settings) | options | reader
@@ -131,6 +161,12 @@ def spec_with(values: Values, label: str, **fields: Any) -> RunSpec:
         **fields,
     )
     mapper = base.found_system()
+    fidelities = mapper.description.fidelities
+    if fidelity and fidelity not in fidelities:
+        raise ArgumentError(
+            f"system {base.system_name} has no fidelity {fidelity!r}; it has: "
+            f"{', '.join(fidelities) or 'none'}"
+        )
     own = mapper.preset(base.preset, **({"fidelity": fidelity} if fidelity else {})).seeding
     rule = values.pop(RULE, own.rule)
     options = dict(own.options) if rule == own.rule else {}

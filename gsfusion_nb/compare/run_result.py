@@ -59,6 +59,8 @@ class RunResult:
     training: str = ""
     """How the publication of the rule trains the Gaussians, if not as in this run
     (``trained_otherwise``)."""
+    image_size: str = ""
+    """Width and height of the frames that were mapped, pixels: "640x480"."""
     versions: Mapping[str, str] = field(default_factory=dict)
     """Versions of the programs, and the machine."""
     copied_from: str = ""

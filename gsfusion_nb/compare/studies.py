@@ -104,8 +104,6 @@ class StudyOptions(RecordingOptions):
     system: str = named("", system_names)
     """Another system, by its name or as FILE.py:Name, which is executed. It is compared with those
     that the variants name; where they name none, it takes the place of the study's system."""
-    device: str = "cpu"
-    """Only for roofline: the device to measure, cpu or cuda."""
 
 
 def study(options: StudyOptions) -> int:

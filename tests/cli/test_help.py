@@ -13,7 +13,7 @@ import tyro
 from gsfusion_nb import cli
 from gsfusion_nb.backends import BACKENDS, use_backend
 from gsfusion_nb.cli.commands import COMMANDS
-from gsfusion_nb.compare.benchmark import DATA_SETS
+from gsfusion_nb.compare.data_sets import DATA_SETS
 from gsfusion_nb.compare.studies import STUDIES
 from gsfusion_nb.config import presets
 from gsfusion_nb.data.open import known_layouts

@@ -8,14 +8,14 @@ from box_room import Box
 
 from gsfusion_nb.cli import main as cli
 from gsfusion_nb.compare.benchmark import (
-    COLUMNS,
-    DATA_SETS,
     BenchmarkOptions,
     _card,
     benchmark_specs,
+    beside_papers,
     report,
     scenes_in,
 )
+from gsfusion_nb.compare.data_sets import COLUMNS, DATA_SETS, data_set_of
 from gsfusion_nb.compare.run_result import RunResult
 from gsfusion_nb.compare.spec import RunSpec
 
@@ -52,8 +52,8 @@ def test_scenes_are_found_by_their_files(replica):
 @pytest.mark.parametrize(
     ("frames", "seeds", "words"),
     [
-        ((7,), (0, 0), "7 frames mapped a scene, .* 1 seed"),
-        ((7, 2500), (0, 1), "7 to 2,500 frames .* 2 seeds"),
+        ((7,), (0, 0), "7 frames mapped a scene at 64x48, poses given, .* 1 seed, on cpu, ours 1"),
+        ((7, 2500), (0, 1), "7 to 2,500 frames .* 2 seeds, on cpu, ours 1"),
     ],
 )
 def test_a_row_says_its_frames_and_seeds(frames, seeds, words):
@@ -62,12 +62,14 @@ def test_a_row_says_its_frames_and_seeds(frames, seeds, words):
             spec=RunSpec(rule="uniform", seed=seed),
             status="done",
             metrics={"n_frames": float(n)},
+            image_size="64x48",
+            versions={"program": "ours 1"},
         )
         for n in frames
         for seed in seeds
     ]
     said = _card("ours", own, DATA_SETS["replica"], {})
-    assert re.fullmatch(f"ours: {words}", said)
+    assert re.fullmatch(f'ours: fidelity "measured", which are settings of .*, {words}', said)
     assert (
         _card("ours", own, DATA_SETS["replica"], {"sh_degree": 0})
         == f"{said}; changed: sh_degree=0"
@@ -179,6 +181,114 @@ def test_means_over_scenes_stand_above_the_papers_numbers(replica):
         "no poses",
     ):
         assert words in text
+
+
+def test_what_ran_stands_apart_from_what_was_published():
+    own = RunResult(
+        spec=RunSpec(rule="gsfusion", fidelity="paper", label="GSFusion", preset="replica"),
+        status="done",
+        metrics={"n_frames": 4.0},
+        image_size="120x68",
+    )
+    text = report(DATA_SETS["replica"], [own], {})
+    ran, _, published = text.partition("## The protocol of the papers")
+    assert "4 frames mapped a scene at 120x68" in ran
+    assert 'fidelity "paper"' in ran
+    assert "2,000" not in ran
+    assert "All 2,000 frames of each scene are mapped at 1200x680" in published
+
+
+def test_the_table_for_a_paper_has_our_row_and_theirs():
+    own = RunResult(
+        spec=RunSpec(rule="gsfusion", label="GSFusion", preset="replica"),
+        status="done",
+        metrics={"n_frames": 4.0, "psnr_mapped_db": 31.25},
+    )
+    table = beside_papers(DATA_SETS["replica"], [own])
+    assert table.headings[0] == "PSNR, dB ↑"
+    assert (table.rows[0].scene, table.rows[0].cells[0].text) == ("here", "31.25")
+    assert len(table.rows) == 1 + len(DATA_SETS["replica"].published)
+    assert r"Wei \& Leutenegger 2024, Tables II and III & GSFusion & 34.65" in table.as_latex()
+    assert not any(cell.best for row in table.rows for cell in row.cells)
+
+
+def test_fidelity_and_device_are_those_that_are_asked_for(replica):
+    def specs(**options):
+        asked = BenchmarkOptions(name="replica", folder=str(replica / "room0"), **options)
+        return benchmark_specs(DATA_SETS["replica"], asked)[0]
+
+    assert {spec.fidelity for spec in specs(fidelity="paper")} == {"paper"}
+    assert {spec.device for spec in specs()} == {"cpu"}
+    with pytest.raises(ValueError, match="system gsfusion has no fidelity 'rrg'; it has: measured"):
+        specs(fidelity="rrg")
+    assert (
+        specs(fidelity="rrg", systems=("gps_slam",))[0].config()
+        != specs(systems=("gps_slam",))[0].config()
+    )
+    with pytest.raises(ValueError, match="--device gpu cannot be used here"):
+        specs(device="gpu")
+
+
+def test_a_setting_that_one_system_lacks_names_it(replica):
+    options = BenchmarkOptions(
+        name="replica", folder=str(replica / "room0"), set=("tsdf.voxel_size_m=0.05",)
+    )
+    with pytest.raises(ValueError, match=r"system rtg_slam: .*tsdf"):
+        benchmark_specs(DATA_SETS["replica"], options)
+
+
+OWN = """
+[lab]
+title = "Our room"
+format = "replica"
+views = "held_out"
+scenes = ["room0"]
+settings = { "data.hold_out_every" = 4, "data.hold_out_offset" = 1 }
+[[lab.published]]
+system = "Ours"
+source = "We 2026, Table 1"
+numbers = { psnr = 30.0 }
+
+[replica]
+[[replica.published]]
+system = "NewSLAM"
+source = "They 2026, Table 2"
+numbers = { psnr = 41.0, ssim = 0.99 }
+"""
+
+
+def test_data_sets_and_rows_of_ones_own(replica, tmp_path):
+    file = tmp_path / "sets.toml"
+    file.write_text(OWN)
+    own = data_set_of(f"{file}:lab")
+    specs, _ = benchmark_specs(own, BenchmarkOptions(name="x", folder=str(replica / "room0")))
+    assert specs[0].config().data.hold_out_every == 4
+    assert "| Ours | 30.00 |" in report(own, [], {})
+    extended = data_set_of(f"{file}:replica")
+    assert extended.title == DATA_SETS["replica"].title
+    assert len(extended.published) == len(DATA_SETS["replica"].published) + 1
+    assert "| NewSLAM | 41.00 | 0.990 |" in report(extended, [], {})
+    assert data_set_of("tum") is DATA_SETS["tum"]
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "message"),
+    [
+        (OWN, "", "has 2 data sets, lab, replica; name one"),
+        (OWN, ":other", "no data set in .*other"),
+        ("[a]\ntitle = 3", "", r"\[a\]: title: expected str, got 3"),
+        ("[a]\ntitle = 'A'", "", "expected format, scenes, views as well"),
+        (OWN.replace('"replica"', '"raplica"', 1), ":lab", "no layout.*raplica"),
+        (OWN.replace("psnr = 30", "psrn = 30"), ":lab", "no column.*psrn"),
+        (OWN.replace("views", "view", 1), ":lab", "no key.*view"),
+        ("[a", "", "sets.toml: "),
+    ],
+)
+def test_mistakes_in_a_file_of_data_sets_are_named(tmp_path, text, name, message):
+    file = tmp_path / "sets.toml"
+    file.write_text(text)
+    with pytest.raises((ValueError, KeyError), match=message):
+        data_set_of(f"{file}{name}")
 
 
 @pytest.mark.ci

@@ -8,7 +8,8 @@ import pytest
 
 from gsfusion_nb.cli import main as cli
 from gsfusion_nb.compare import RunSpec, studies
-from gsfusion_nb.compare.benchmark import DATA_SETS, report
+from gsfusion_nb.compare.benchmark import report
+from gsfusion_nb.compare.data_sets import DATA_SETS
 from gsfusion_nb.compare.equal_maps import equal_maps, unknown_maps
 from gsfusion_nb.compare.outputs import Results
 from gsfusion_nb.compare.run_result import RunResult

@@ -87,6 +87,13 @@ def test_views_are_those_that_are_asked_for(made_runs):
     assert table.rows[0].cells[0].value == 26.0
 
 
+def test_without_held_out_views_the_mapped_ones_are_scored(made_runs):
+    runs = runs_of(made_runs, "a", 24.0)
+    for run in runs:
+        run.metrics.pop("psnr_held_out_db")
+    assert paper_tables(runs)[0].columns[0].metric == "psnr_mapped_db"
+
+
 def test_names_of_others_are_text():
     assert latex_text("50% of a_b & {c} \\x\n~^#$") == (
         r"50\% of a\_b \& \{c\} \textbackslash{}x \textasciitilde{}\textasciicircum{}\#\$"
