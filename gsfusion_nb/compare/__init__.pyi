@@ -5,5 +5,6 @@ from .live_table import LiveTable as LiveTable
 from .one_run import run_spec as run_spec
 from .paired_tests import compare as compare
 from .run_result import RunResult as RunResult
+from .size_curve import size_curve as size_curve
 from .spec import Budget as Budget
 from .spec import RunSpec as RunSpec

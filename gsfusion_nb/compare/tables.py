@@ -30,6 +30,9 @@ _TEST_COLUMNS = (
     Column(metric="p", heading="p", digits=3),
 )
 
+SHORT = (FIRST_METRIC, "depth_l1_held_out_m", "n_gaussians", "ms_per_frame")
+"""Numbers of the short table."""
+
 OTHERWISE = "†"
 """Mark of a row whose publication trains the Gaussians otherwise."""
 
@@ -73,6 +76,20 @@ class ResultTable:
     def title(self) -> str:
         """Scene and budget."""
         return f"{self.scene or 'All scenes'}, {self.budget}"
+
+    @property
+    def short(self) -> "ResultTable":
+        """The table with the columns that a reader looks at first, ``SHORT``, without notes; the
+        same table if it is one of all scenes."""
+        picked = [i for i, column in enumerate(self.columns) if column.metric in SHORT]
+        if not self.scene or len(picked) == len(self.columns):
+            return self
+        rows = (
+            dataclasses.replace(row, cells=tuple(row.cells[i] for i in picked)) for row in self.rows
+        )
+        return dataclasses.replace(
+            self, columns=tuple(self.columns[i] for i in picked), rows=tuple(rows), notes=()
+        )
 
 
 def all_tables(
