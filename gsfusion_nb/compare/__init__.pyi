@@ -8,3 +8,4 @@ from .run_result import RunResult as RunResult
 from .size_curve import size_curve as size_curve
 from .spec import Budget as Budget
 from .spec import RunSpec as RunSpec
+from .view_study import compare_views as compare_views

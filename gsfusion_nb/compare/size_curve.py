@@ -73,7 +73,9 @@ def size_curve(results: Iterable[RunResult], metric: str = FIRST_METRIC) -> "Fig
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda n, _: f"{n:,.0f}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.set_xticks(sorted({round(g.summary("n_gaussians").mean, -2) for g in groups}))
+    budgets = {run.spec.budget.gaussians for g in groups for run in g.runs} - {None}
+    if budgets:
+        axes.set_xticks(sorted(budgets))
     axes.set_xlabel("Gaussians", color=MUTED)
     axes.set_ylabel(column.name, color=MUTED)
     axes.tick_params(colors=MUTED)

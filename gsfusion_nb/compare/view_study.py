@@ -21,6 +21,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ..checks import check_name
 from ..drawing.pictures import to_uint8
 from ..errors import ArgumentError
 from ..evaluation import ImageScores, NotComputed, score_view
@@ -118,6 +119,49 @@ def main(options: RecordingOptions, data: str, folder: Path, only: str = "") -> 
     views_figure(split, scores).savefig(folder / "views.png")
     print(f"\nFiles in {folder}")
     return 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewComparison:
+    """Maps of one walk and how they show its views; as text the table."""
+
+    split: WalkSplit
+    scores: Sequence[WayScores]
+
+    def __repr__(self) -> str:
+        lines = [f"{way.label}: {_in_words(way)}" for way in self.scores]
+        return "\n".join([views_in_words(self.split), *lines])
+
+    def figure(self) -> "Figure":
+        """A mapped view and a far one, as a photograph and as each way shows it."""
+        return views_figure(self.split, self.scores)
+
+
+def compare_views(
+    data: str = "room",
+    *,
+    ways: Sequence[str] = WAYS,
+    settings: Sequence[str] = (),
+    reader: Sequence[str] = (),
+) -> ViewComparison:
+    """What ``gsfusion-nb study views`` does, with one seed.
+
+    Args:
+        data: Folder of a recording, or "room" for the built-in scene.
+        ways: Some of ``WAYS``.
+        settings: Of all systems, such as ``("data.width=160", "data.height=120")``.
+        reader: Options of the layout's reader, such as ``("n_frames=60",)``.
+
+    Raises:
+        ValueError, KeyError, TypeError: a recording that is too short, a way or a setting that does
+            not exist, or a value that is refused.
+    """
+    for way in ways:
+        check_name("way", way, WAYS)
+    options = RecordingOptions(set=tuple(settings), reader=tuple(reader))
+    specs = view_specs(options, data)
+    split = WalkSplit.of(Entry(spec=specs[0]).opened())
+    return ViewComparison(split=split, scores=list(score_ways(specs, split, ways)))
 
 
 def view_specs(options: RecordingOptions, data: str) -> list[RunSpec]:

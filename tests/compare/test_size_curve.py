@@ -44,6 +44,7 @@ def test_a_curve_for_each_rule_through_its_budgets():
     assert axes.get_legend_handles_labels()[1] == ["mine", "theirs"]
     assert mine.get_marker() != theirs.get_marker()
     assert axes.get_ylabel() == "PSNR held out, dB"
+    assert axes.get_xticks().tolist() == [1000, 4000]
 
 
 def test_a_number_in_the_unit_of_the_tables():

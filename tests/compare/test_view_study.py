@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from gsfusion_nb.cli import main as cli
+from gsfusion_nb.compare import compare_views
 from gsfusion_nb.compare.frame_owned import (
     FrameOwnedMap,
     FrameOwnedSettings,
@@ -17,7 +18,7 @@ from gsfusion_nb.compare.frame_owned import (
     train_step,
     without_holes,
 )
-from gsfusion_nb.compare.view_study import OWN_SETS, WAYS
+from gsfusion_nb.compare.view_study import ONE_MAP, OWN_SETS, WAYS
 from gsfusion_nb.compare.walk_split import WalkSplit, pose_distance
 from gsfusion_nb.config import DataConfig
 from gsfusion_nb.data import open_sequence
@@ -168,6 +169,19 @@ def test_settings_out_of_range_are_refused():
     for bad in ({"stride_px": 0}, {"steps": -1}, {"opacity": 1.5}):
         with pytest.raises(ValueError, match=next(iter(bad))):
             FrameOwnedSettings(**bad)
+
+
+def test_the_comparison_from_python():
+    """The same numbers as the command's, and a name that is refused."""
+    settings = ("data.width=24", "data.height=18")
+    views = compare_views(ways=[ONE_MAP], settings=settings, reader=("n_frames=20",))
+    (way,) = views.scores
+    assert way.label == ONE_MAP
+    assert way.n_gaussians == 14 * 24 * 18
+    assert f"{way.psnr_db['far']:.2f} dB far" in repr(views)
+    assert len(views.figure().axes) == 4
+    with pytest.raises(KeyError, match="frame-owmed"):
+        compare_views(ways=["frame-owmed"])
 
 
 def test_the_command_shows_the_inflation(tmp_path, capsys):
