@@ -73,9 +73,9 @@ def size_curve(results: Iterable[RunResult], metric: str = FIRST_METRIC) -> "Fig
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda n, _: f"{n:,.0f}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
-    budgets = {run.spec.budget.gaussians for g in groups for run in g.runs} - {None}
-    if budgets:
-        axes.set_xticks(sorted(budgets))
+    budgets = [run.spec.budget.gaussians for g in groups for run in g.runs]
+    if fixed_sizes := sorted({n for n in budgets if n is not None}):
+        axes.set_xticks(fixed_sizes)
     axes.set_xlabel("Gaussians", color=MUTED)
     axes.set_ylabel(column.name, color=MUTED)
     axes.tick_params(colors=MUTED)
