@@ -1,6 +1,7 @@
 """The mapping systems, one frame step each."""
 
 from .description import SystemDescription as SystemDescription
+from .disc_files import disc_mesh as disc_mesh
 from .frame_guard import FrameUndone as FrameUndone
 from .frame_guard import HalfMappedError as HalfMappedError
 from .gps_slam import GPSSLAM as GPSSLAM
