@@ -286,6 +286,7 @@ def _card(
         *([] if passes is None else [f"{passes} passes over the keyframes after the scan"]),
         f"scores of {data_set.views.replace('_', '-')} views",
         f"{seeds} seed{'s' if seeds > 1 else ''}",
+        *(f"{kind} {code['name']}" for kind, code in spec.training.items()),
         f"on {spec.device}",
         *sorted(programs),
     ]

@@ -66,8 +66,9 @@ class LabOptions(WhereOptions):
     table: Annotated[str, tyro.conf.Positional] = ""
     """The file that describes the comparison (TOML)."""
     rule_file: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A file of rules that the table names, such as --rule-file my_rules.py: its code is executed
-    only if it is named here, or after a question. Repeat it for several files."""
+    """A file of rules, losses or optimisers that the table names, such as --rule-file my_rules.py:
+    its code is executed only if it is named here, or after a question. Repeat it for several
+    files."""
     system_file: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """The file of the system that the table names, if it is in one, such as --system-file
     my_system.py: the same holds for its code."""

@@ -30,6 +30,7 @@ from ..types import Frame
 from .rule_variants import original, thinned, variant_of
 from .schedule import dotted, fixed_schedule, flat_settings, with_settings
 from .spec import ONLY_NOW, RunSpec
+from .training_code import training_functions
 
 OnStep = Callable[[StepReport | None], object]
 """Called after each piece of work: with the report of a mapped frame, or with None."""
@@ -184,7 +185,8 @@ def _mapper(entry: Entry, config: SystemConfig) -> tuple[Mapper, list[str]]:
     rule = _asked_at_its_pace(entry.found_rule(), spec, config)
     if spec.keep_share < 1:
         rule = thinned(rule, spec.keep_share)
-    mapper = make_mapper(config, seeding=rule, device=spec.device)
+    functions = training_functions(spec.training)
+    mapper = make_mapper(config, seeding=rule, device=spec.device, **functions)
     if not is_built_in(own):
         files = code_key(own).files
         refuse_undeclared(own, files)

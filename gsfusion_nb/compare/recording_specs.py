@@ -18,10 +18,11 @@ from ..seeding.code_files import code_folder, file_source, is_code_file, read_co
 from .command import WhereOptions
 from .map_scene import Entry
 from .spec import Budget, RunSpec, system_fields
+from .training_code import training_code
 
 Values = Mapping[str, Any]
-"""Name -> value: "system", "fidelity", "seeding.rule", an option of the rule as "rule.<name>", or a
-setting."""
+"""Name -> value: "system", "fidelity", "loss", "optimiser", "seeding.rule", an option of the rule
+as "rule.<name>", or a setting."""
 
 RULE = "seeding.rule"
 OPTION = "rule."
@@ -54,6 +55,10 @@ class RecordingOptions(WhereOptions):
     package."""
     device: str = "cpu"
     """Device of the maps: cpu, or cuda."""
+    loss: str = ""
+    """A loss in place of the systems' own: FILE.py:name, which is executed (docs/api.md)."""
+    optimiser: str = ""
+    """An optimiser in place of the systems' own: FILE.py:name, which is executed."""
 
 
 def output_folder(options: RecordingOptions, name: str, data: str) -> Path:
@@ -83,7 +88,8 @@ def recording_specs(
     check_whole("seeds", options.seeds, 1)
     place = data if data == "room" else str(Path(data).expanduser().resolve())
     check_device("--device", options.device)
-    asked = {"fidelity": options.fidelity} if options.fidelity else {}
+    asked = {name: getattr(options, name) for name in ("fidelity", "loss", "optimiser")}
+    asked = {name: value for name, value in asked.items() if value}
     shared = {**(common or {}), **asked, **named_values(options.set)}
     reader = named_values(options.reader)
     own = {"preset": options.preset, "device": options.device}
@@ -132,6 +138,7 @@ def _values_of(spec: RunSpec) -> dict[str, Any]:
         {"fidelity": fidelity} if fidelity else {}
     )
     names |= {"device": spec.device} if spec.device != "cpu" else {}
+    names |= {kind: code["name"] for kind, code in spec.training.items()}
     options = {f"{OPTION}{name}": value for name, value in spec.options.items()}
     reader = {f"reader {name}": value for name, value in spec.reader.items()}
     return names | dict(spec.settings) | options | reader
@@ -147,14 +154,17 @@ def spec_with(values: Values, label: str, **fields: Any) -> RunSpec:
         fields: Other fields of ``RunSpec``.
 
     Raises:
-        ValueError: the file of a rule cannot be read. FileNotFoundError: it does not exist.
+        ValueError: the file of a rule, a loss or an optimiser cannot be read.
+        FileNotFoundError: it does not exist.
     """
     values = dict(values)
     system = values.pop("system", "gsfusion")
     fidelity = values.pop("fidelity", "")
+    training = {kind: values.pop(kind, "") for kind in ("loss", "optimiser")}
     base = RunSpec(
         rule="",
         label=label,
+        training=training_code(**training),
         **system_fields(system),
         fidelity=fidelity,
         budget=Budget(steps="own"),

@@ -146,6 +146,7 @@ def with_code_of_now(entries: Sequence[Entry]) -> list[Entry]:
             spec.system,
             spec.system_source,
             spec.system_folder,
+            repr(spec.training),
             repr(spec.options),
         )
         if place not in specs:

@@ -22,6 +22,7 @@ from ..seeding.code_files import file_of, file_source
 from ..seeding.rule_code import rule_of_source
 from .program import look_at_program_again, own_code, run_key
 from .schedule import with_settings
+from .training_code import TrainingCode, training_key
 
 ONLY_NOW = "only in this command"
 """Part of the code of a run whose code cannot be hashed, so that no other run has the same key."""
@@ -99,10 +100,12 @@ class RunSpec:
     rule_folder: str = ""
     """Folder of that file, where the modules are that it imports from beside it; empty: there are
     none."""
+    training: TrainingCode = field(default_factory=dict)
+    """Loss and optimiser in place of the system's own (``training_code``)."""
     code: Mapping[str, str] | None = None
-    """What decides what the rule does, and a system that is not of this package: part -> its hash
-    or version (``CodeKey.parts``), with the files that the rule's options name. Found when the key
-    is asked for if None."""
+    """What decides what the rule does, and a system, loss or optimiser that is not of this package:
+    part -> its hash or version (``CodeKey.parts``), with the files that the rule's options name.
+    Found when the key is asked for if None."""
     not_kept: str = ""
     """Why no later command can use the result of this run; empty if it can."""
     data_hash: str = ""
@@ -231,6 +234,7 @@ class RunSpec:
             "rule_folder",
             "system_source",
             "system_folder",
+            "training",
         ):
             parts.pop(name)  # names, and what the settings and the code say
         parts["system"] = self.system_name
@@ -262,6 +266,9 @@ class RunSpec:
             FileNotFoundError: an option names a file that does not exist. KeyError: no such system.
         """
         code = own_code(rule, self.options, self.found_system())
+        training_parts, reason = training_key(self.training)
+        code["code"] |= training_parts
+        code["not_kept"] = code["not_kept"] or reason
         if code["not_kept"]:
             code["code"][ONLY_NOW] = uuid.uuid4().hex
         return dataclasses.replace(self, **code)

@@ -16,6 +16,7 @@ from ..seeding.named_code import (
     CodeNotNamedError,
     RuleNotNamedError,
     SystemNotNamedError,
+    TrainingNotNamedError,
     is_named,
 )
 from .entries import check_run
@@ -23,6 +24,7 @@ from .map_scene import Entry
 from .outputs import Table
 from .paired_tests import TESTS
 from .spec import Budget, RunSpec, label_of, system_fields
+from .training_code import training_code
 
 _TOP = {
     "seeds": (int, list),
@@ -31,6 +33,9 @@ _TOP = {
     "system": (str,),
     "preset": (str,),
     "device": (str,),
+    "fidelity": (str,),
+    "loss": (str,),
+    "optimiser": (str,),
     "settings": (dict,),
     "rules": (list,),
     "scenes": (list,),
@@ -43,6 +48,8 @@ _RULE = {
     "size_option": (str,),
     "size_range": (list,),
     "tuned_on": (str,),
+    "loss": (str,),
+    "optimiser": (str,),
     "settings": (dict,),
 }
 _SCENE = {
@@ -53,6 +60,7 @@ _SCENE = {
     "settings": (dict,),
     "preset": (str,),
 }
+_TRAINING = ("loss", "optimiser")
 _BUDGET = {"steps": (str,), "gaussians": (int,), "tolerance": (int, float)}
 Kinds = Mapping[str, tuple[type, ...]]
 
@@ -84,7 +92,7 @@ def read_table(
     Args:
         path: Of the file.
         rule_files, system_files: The files of rules and systems that it names and that may be
-            executed.
+            executed; those of losses and optimisers are among the first.
 
     Raises:
         CodeNotNamedError: it asks for a rule or a system in a file that is not among them; nothing
@@ -100,10 +108,14 @@ def read_table(
     with _at(path, "TOML"):
         top = _valid_values(tomllib.loads(text), _TOP)
     _refuse_unnamed(path, top.get("rules", []), rule_files)
-    shared: dict[str, Any] = {name: top[name] for name in ("preset", "device") if name in top}
+    shared: dict[str, Any] = {
+        name: top[name] for name in ("preset", "device", "fidelity") if name in top
+    }
     if "system" in top:
         with _at(path, "system"):
             shared |= _system(path, top["system"], system_files)
+    with _at(path, "loss or optimiser"):
+        shared["training"] = _training(path, top, rule_files)
     shared["settings"] = _flat_names(top.get("settings", {}))
     with _at(path, "settings"):
         RunSpec(rule="uniform", **shared).config()
@@ -129,7 +141,7 @@ def read_table(
         "rules",
         _RULE,
         "rule",
-        lambda values: _rule(path, values, shared, size_budget),
+        lambda values: _rule(path, values, shared, size_budget, rule_files),
         "label",
     )
     scenes = _items_of(
@@ -168,6 +180,21 @@ def _refuse_unnamed(
         raise RuleNotNamedError(
             path, missing, f"read_table({str(path)!r}, rule_files={list(dict.fromkeys(files))})"
         )
+
+
+def _training(
+    path: Path, values: Mapping[str, Any], code_files: Sequence[str | Path]
+) -> dict[str, dict[str, str]]:
+    """Loss and optimiser that a table names, as the field of a run. Raises
+    ``TrainingNotNamedError`` if the caller did not name their files."""
+    places = {kind: str(path.parent / values[kind]) for kind in _TRAINING if kind in values}
+    for place in places.values():
+        file = place.rpartition(":")[0]
+        if file.endswith(".py") and not is_named(file, code_files):
+            raise TrainingNotNamedError(
+                path, [place], f"read_table({str(path)!r}, rule_files={[file]})"
+            )
+    return training_code(**places)
 
 
 def _system(path: Path, text: str, system_files: Sequence[str | Path]) -> dict[str, str]:
@@ -238,12 +265,16 @@ def _rule(
     values: dict[str, Any],
     shared: Mapping[str, Any],
     budget: Budget,
+    code_files: Sequence[str | Path],
 ) -> dict[str, Any]:
     """A rule as fields of a run, and ``tuned_on``, checked for a budget."""
     options = values.get("options", {})
     parts = {"label": label_of(values["rule"].rpartition(":")[2], options), **values}
     parts["settings"] = _flat_names(values.get("settings", {}))
     tuned_on = parts.pop("tuned_on", "")
+    own = _training(path, parts, code_files)
+    parts = {name: value for name, value in parts.items() if name not in _TRAINING}
+    parts["training"] = {**shared["training"], **own}
     if is_code_file(parts["rule"]):
         place = str(path.parent / parts["rule"])
         parts["rule_source"], _ = read_code_file(place)

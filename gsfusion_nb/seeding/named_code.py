@@ -51,6 +51,13 @@ class RuleNotNamedError(CodeNotNamedError):
     in_words = "the seeding rule"
 
 
+class TrainingNotNamedError(CodeNotNamedError):
+    """A file asks for a loss or an optimiser in a file that the user did not name."""
+
+    kind = "rule"
+    in_words = "the loss or optimiser"
+
+
 class SystemNotNamedError(CodeNotNamedError):
     """A file asks for a system in a file that the user did not name."""
 
