@@ -32,19 +32,20 @@ from .tables import Cell
 if TYPE_CHECKING:
     from .run_result import RunResult
 
-METRICS = (
-    "psnr_{}_db",
-    "ssim_{}",
-    "lpips_{}",
-    "depth_l1_{}_m",
-    "mesh_accuracy_m",
-    "mesh_completion_m",
-    "ate_rmse_m",
-    "n_gaussians",
-    "fps_mapping",
-    "peak_memory_mb",
-)
-"""The columns, with {} for the group of views; those that no run has are left out."""
+METRICS = {
+    "psnr_{}_db": "PSNR",
+    "ssim_{}": "SSIM",
+    "lpips_{}": "LPIPS",
+    "depth_l1_{}_m": "Depth error",
+    "mesh_accuracy_m": "Accuracy",
+    "mesh_completion_m": "Completion",
+    "ate_rmse_m": "ATE",
+    "n_gaussians": "Gaussians",
+    "fps_mapping": "Speed",
+    "peak_memory_mb": "Memory",
+}
+"""The columns, with {} for the group of views, and their headings, which are short; those that no
+run has are left out."""
 
 MEAN = "mean"
 """Stands for the name of a scene in the rows of the means."""
@@ -115,7 +116,7 @@ class PaperTable:
                 r"% \usepackage{booktabs}",
                 *notes,
                 r"\begin{table}",
-                r"\centering",
+                r"\centering\small\setlength{\tabcolsep}{4pt}",
                 rf"\caption{{{latex_text(self.title)}}}",
                 rf"\begin{{tabular}}{{ll{'r' * len(self.columns)}}}",
                 r"\toprule",
@@ -206,7 +207,10 @@ def _table(
     tests: str,
     views: str,
 ) -> PaperTable:
-    columns = [COLUMNS[metric.format(views)] for metric in METRICS]
+    columns = [
+        dataclasses.replace(COLUMNS[metric.format(views)], heading=heading)
+        for metric, heading in METRICS.items()
+    ]
     columns = [c for c in columns if any(g.summary(c.metric).n for g in groups)]
     scenes = list(dict.fromkeys(group.scene for group in groups))
     labels = list(dict.fromkeys(group.label for group in groups))

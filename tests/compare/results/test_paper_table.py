@@ -71,8 +71,8 @@ def test_rows_are_scenes_and_their_mean(made_runs):
     runs = runs_of(made_runs, "a", 24.0, mesh_completion_m=0.02, peak_memory_mb=900.0)
     [table] = paper_tables(runs)
     assert [(row.scene, row.label) for row in table.rows] == [(s, "a") for s in (*SCENES, "mean")]
-    assert table.headings[0] == "PSNR held out, dB ↑"
-    assert "Mesh completion, cm ↓" in table.headings
+    assert table.headings[0] == "PSNR, dB ↑"
+    assert "Completion, cm ↓" in table.headings
     assert "Memory, MB ↓" in table.headings
     first = table.rows[1].cells[0]
     assert first.text == "25.05 ± 0.07"
@@ -105,7 +105,7 @@ def test_csv_holds_the_numbers_of_all_tables(made_runs):
     fixed = runs_of(made_runs, "=b", 23.0, budget=Budget(gaussians=4000))
     rows = list(csv.DictReader(io.StringIO(as_csv(paper_tables([*own, *fixed])))))
     assert len(rows) == 10
-    assert float(rows[0]["PSNR held out, dB"]) == 24.0
+    assert float(rows[0]["PSNR, dB"]) == 24.0
     assert {row["method"] for row in rows} == {"a", "'=b"}
     assert len({row["table"] for row in rows}) == 2
 
