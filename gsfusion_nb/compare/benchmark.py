@@ -303,5 +303,5 @@ def _fidelity_words(spec: RunSpec) -> str:
     if not description.fidelities:
         return "its only settings"
     if fidelity.partition(",")[0] == description.fidelities[0]:
-        return f'fidelity "{fidelity}", which are settings of this package, not of the paper'
+        return f'fidelity "{fidelity}" (settings of this package, not of the paper)'
     return f'fidelity "{fidelity}"'

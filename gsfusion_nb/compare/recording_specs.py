@@ -87,7 +87,8 @@ def recording_specs(
     """
     check_whole("seeds", options.seeds, 1)
     place = data if data == "room" else str(Path(data).expanduser().resolve())
-    check_device("--device", options.device)
+    if not options.dask:  # its workers may have what this machine lacks
+        check_device("--device", options.device)
     asked = {name: getattr(options, name) for name in ("fidelity", "loss", "optimiser")}
     asked = {name: value for name, value in asked.items() if value}
     shared = {**(common or {}), **asked, **named_values(options.set)}

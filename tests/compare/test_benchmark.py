@@ -69,7 +69,7 @@ def test_a_row_says_its_frames_and_seeds(frames, seeds, words):
         for seed in seeds
     ]
     said = _card("ours", own, DATA_SETS["replica"], {})
-    assert re.fullmatch(f'ours: fidelity "measured", which are settings of .*, {words}', said)
+    assert re.fullmatch(rf'ours: fidelity "measured" \(settings of .*\), {words}', said)
     assert (
         _card("ours", own, DATA_SETS["replica"], {"sh_degree": 0})
         == f"{said}; changed: sh_degree=0"
