@@ -32,8 +32,8 @@ def test_every_name_of_the_table_imports_and_has_a_docstring():
 
 
 def test_the_examples_run():
-    """The camera finds its pose again, to a tenth of the distance; the mappers say that they are
-    not the default."""
+    """The camera finds its pose again, to a tenth of the distance; Gaussians learn labels; the
+    mappers say that they are not the default."""
     blocks = re.findall(
         r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
     )
@@ -44,6 +44,8 @@ def test_the_examples_run():
     start = known["T_start"]
     found = known["T_found"]
     assert (found - true).norm() < 0.25 * (start - true).norm()
+    seen_labels = known["seen"].argmax(dim=2)
+    assert float((seen_labels == known["labelled"][-1].extra["dark"]).float().mean()) > 0.85
     assert known["mapper"].training.names == {"loss": "charbonnier", "optimiser": "sgd"}
     assert len(known["mapper"].gaussians) > 100
     assert bool(
