@@ -12,12 +12,14 @@ from pathlib import Path
 
 import pytest
 import tyro
+from egg_package import write_metadata
 
 from gsfusion_nb import cli
 from gsfusion_nb.config import gsfusion, replace, to_dict
 from gsfusion_nb.config.options import parse_value
 from gsfusion_nb.config.values import leaves
-from gsfusion_nb.mapping import SYSTEMS
+from gsfusion_nb.mapping import SYSTEMS, get_system, systems
+from gsfusion_nb.seeding.rule import keep_registered
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
@@ -110,11 +112,35 @@ def dry(monkeypatch):
                     if "names" in f.metadata
                     else [each]
                 )
-                if f.name != "words" and each and each not in known and not each.isupper():
+                is_file = f.name in ("system", "systems") and ".py:" in str(each)
+                if f.name == "words" or is_file or not each or each in known:
+                    continue
+                if not each.isupper():
                     raise ValueError(f"{f.name} {each} is none of {known}")
         raise Parsed
 
     monkeypatch.setattr(tyro, "cli", parse_only)
+
+
+@pytest.fixture
+def own_systems(tmp_path, monkeypatch):
+    """The systems that pages name: the example in a file, also in the folder of a run, the class
+    that a page shows, and the package with an entry point."""
+    example = text(ROOT / "docs/examples/splatam_like.py")
+    (tmp_path / "splatam_like.py").write_text(example, encoding="utf-8")
+    (tmp_path / "mine.py").write_text(blocks(ROOT / "docs/own_system.md", "python")[0])
+    (tmp_path / "RUN").mkdir()
+    (tmp_path / "RUN/system.py").write_text(example, encoding="utf-8")
+    about = {"system": "SplatamLike", "system_from_file": True}
+    config = {
+        "config": to_dict(get_system(f"{tmp_path}/splatam_like.py:SplatamLike").config_type())
+    }
+    (tmp_path / "RUN/config.json").write_text(json.dumps(about | config))
+    monkeypatch.setattr(systems, "_NAMES", dict(systems._NAMES))
+    monkeypatch.setattr(systems, "_REGISTERED", dict(systems._REGISTERED))
+    monkeypatch.syspath_prepend(str(write_metadata(tmp_path / "site")))
+    with keep_registered():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -179,7 +205,7 @@ def _write_run(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_commands_are_understood(page, dry, tmp_path, monkeypatch):
+def test_commands_are_understood(page, dry, own_systems, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "FILE").write_text(
         json.dumps({"config": to_dict(gsfusion())} | to_dict(gsfusion()))
@@ -254,7 +280,7 @@ SETTINGS = {
     for name, value in leaves(to_dict(mapper.config_type())).items()
 }
 GROUPS = {name.partition(".")[0] for name in SETTINGS if "." in name}
-OTHER_NAMES = ("views.json", "tsdf.npz", "window.lr_sh_rest")
+OTHER_NAMES = ("views.json", "views.csv", "tsdf.npz", "window.lr_sh_rest")
 """Files of a run, and a setting of an earlier version."""
 
 

@@ -3,7 +3,6 @@ commands that know it by its entry point."""
 
 import dataclasses
 import json
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -12,6 +11,7 @@ from egg_fusion import EggFusion, SurfelState, egg_insertion, fused
 from egg_fusion.mapper import smoothed
 from egg_fusion.picture import draw
 from egg_fusion.surfel_filter import information, normals_of, turned
+from egg_package import write_metadata
 
 from gsfusion_nb.cli import main
 from gsfusion_nb.data.room import room
@@ -23,8 +23,6 @@ from gsfusion_nb.seeding import check_rule, registered
 from gsfusion_nb.seeding.discs import quat_from_normals
 from gsfusion_nb.seeding.rule import keep_registered
 from gsfusion_nb.types import Camera, Frame, Seeds
-
-PACKAGE = Path(__file__).resolve().parents[2] / "docs/examples/egg_fusion"
 
 
 def state(p, n, w_p, w_n):
@@ -153,18 +151,7 @@ def test_its_rule_is_one():
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
     """The package as pip leaves it: its metadata on Python's path."""
-    project = tomllib.loads((PACKAGE / "pyproject.toml").read_text())["project"]
-    about = tmp_path / "site/egg_fusion_example-0.1.0.dist-info"
-    about.mkdir(parents=True)
-    (about / "METADATA").write_text(
-        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
-    )
-    points = [
-        f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in entries.items())
-        for group, entries in project["entry-points"].items()
-    ]
-    (about / "entry_points.txt").write_text("\n".join(points))
-    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    monkeypatch.syspath_prepend(str(write_metadata(tmp_path / "site")))
     monkeypatch.setattr(systems, "_NAMES", dict(systems._NAMES))
     monkeypatch.setattr(systems, "_REGISTERED", dict(systems._REGISTERED))
     with keep_registered():
