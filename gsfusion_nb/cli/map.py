@@ -55,13 +55,17 @@ class MapOptions(SettingsOptions):
     """Layout of the data."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM),
-    split=train (ScanNet++), poses=false (folder, TUM), n_frames=480 or rooms=64 (room)."""
+    split=train (ScanNet++), poses=false (folder, TUM), n_frames=480, rooms=64 or
+    moved=chair (room)."""
     from_gaussians: str = ""
     """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the
     recording's poses; they are optimised with the new ones. GSFusion only."""
     onto: str = ""
     """Folder of a finished run: the camera is located in its map, and mapping goes on in a copy of
     it, with that run's settings and tracked poses. That run stays as it is."""
+    keep_moved: bool = False
+    """With --onto: leave surfaces in the map that the recording sees through, because something
+    moved."""
     resume: str = ""
     """Folder of an interrupted run to continue; no other option is needed, but --seeding.rule or
     --system if its rule or its system came from a file, which is executed."""
@@ -134,6 +138,7 @@ def run(arguments: list[str]) -> int:
             checkpoints=every,
             from_gaussians=options.from_gaussians or None,
             onto=options.onto or None,
+            keep_moved=options.keep_moved,
             **reader,
         )
     return print_result(finished_run)

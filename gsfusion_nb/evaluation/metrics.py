@@ -196,6 +196,11 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         ),
         "n_frames_unusable": _count("Frames unusable"),
     },
+    "Taken out of the map of the earlier run": {
+        "n_voxels_moved": _count("Voxels", "Frames of this run saw through them."),
+        "n_gaussians_moved": _count("Gaussians"),
+        "n_keyframes_moved": _count("Keyframes", "They show what is not there any more."),
+    },
     "Location in the map": {
         "share_located": _share("Frames located", "The others are not in the trajectory."),
         "n_frames_to_locate": _count("Frames"),

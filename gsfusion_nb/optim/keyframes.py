@@ -2,7 +2,7 @@
 
 import dataclasses
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -208,6 +208,14 @@ class KeyframeList:
 
     def _place(self, index: int) -> int:
         return next(i for i, k in enumerate(self._items) if k.index == index)
+
+    def drop(self, is_dropped: Callable[[Keyframe], bool]) -> int:
+        """Remove the keyframes for which this is true; returns their number."""
+        items = [k for k in self._items if not is_dropped(k)]
+        n = len(self._items) - len(items)
+        self._items = items
+        self._poses = self._poses[:0]
+        return n
 
     def draw(self, count: int, generator: torch.Generator) -> list[Keyframe]:
         """Up to ``count`` different keyframes at random (GSFusion III-B.3: the first of the

@@ -181,6 +181,8 @@ def _work(
     if not stop:
         for note in run.mapper.reports.run_notes(run.steps):
             run.warnings.note_ending(note)
+        if run.moved is not None and (sentence := run.moved.in_words()):
+            run.warnings.note_ending(sentence)
     if run.steps and not len(run.mapper.gaussians):
         run.warnings.note_ending(_why_empty(run))
 

@@ -14,6 +14,7 @@ from ..data.stream import Policy
 from ..errors import ArgumentError
 from ..export import read_gaussian_ply
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
+from ..mapping.moved_surfaces import MovedSurfaces
 from ..mapping.systems import system_class
 from ..mapping.training import given_functions
 from ..optim import UpdateFunction
@@ -47,6 +48,7 @@ def run_mapping(
     checkpoints: CheckpointEvery | None = None,
     from_gaussians: Path | str | None = None,
     onto: Path | str | None = None,
+    keep_moved: bool = False,
     watch: RunWatcher | None = None,
     loss: LossFunction | None = None,
     optimiser: UpdateFunction | None = None,
@@ -72,6 +74,7 @@ def run_mapping(
         onto: Folder of a finished run: the camera is located in its map, and the run goes on in a
             copy of it. The files of that run stay as they are. ``config`` is that of the run, with
             tracked poses, by default.
+        keep_moved: With ``onto``: leave surfaces in the map that the recording sees through.
         watch: Sees every mapped frame and the finished maps; ``docs/outputs.md`` has one for the
             Rerun viewer.
         loss, optimiser: Instead of the system's own loss and Adam (``Mapper``); metrics.json and
@@ -121,6 +124,8 @@ def run_mapping(
             clock=clock,
             parent=None if parent is None else parent.as_json,
         )
+        if parent is not None:
+            run.moved = MovedSurfaces(mapper, keeps=keep_moved)
     with RunFolder(new_folder(sequence.name, folder)) as place:
         return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
 

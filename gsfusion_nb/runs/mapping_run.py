@@ -25,6 +25,7 @@ from ..export import CheckpointStore
 from ..geometry import se3
 from ..interrupts import DelayedInterrupt
 from ..mapping import FrameUndone, GlobalStep, Mapper, StepReport
+from ..mapping.moved_surfaces import MovedSurfaces
 from ..mapping.systems import know_system
 from ..types import Frame, Mesh
 from .frame_watch import QuietWatch
@@ -153,6 +154,9 @@ class MappingRun:
         self.localised: tuple[Any, dict[int, Tensor]] | None = None
         """A state of the map, and frame -> pose of the held-out frames that were aligned with
         it."""
+        self.moved: MovedSurfaces | None = None
+        """Takes out of the map of an earlier run what its frames see through, or keeps it; None in
+        a run with a map of its own."""
         self.next_position = 0
         self.bad_in_a_row = 0
         """Number of unusable frames directly before ``next_position``."""
@@ -229,12 +233,20 @@ class MappingRun:
             self.steps.append(report)
             self.timestamps_s.append(frame.timestamp_s)
             self._passed(frame)
+            self._look_for_moved(frame)
             for sentence in self.mapper.reports.step_warnings(frame, report):
                 self.warnings.warn(sentence)
             self._watch.look(self, frame)
         for watcher in self.watchers:
             watcher.frame_mapped(self.mapper, frame, report)
         return report
+
+    def _look_for_moved(self, frame: Frame) -> None:
+        """Take out of the map what enough frames have seen through."""
+        if self.moved is not None:
+            T_WC = self.mapper.localiser.poses[-1].to(self.mapper.device)
+            with self.clock("mapping"):
+                self.moved.look(dataclasses.replace(frame.to(self.mapper.device), T_WC=T_WC))
 
     def _skip(self, error: SequenceError) -> Literal["skipped", "end"]:
         """Record a frame that could not be used; "end": there were too many in a row.
@@ -334,7 +346,9 @@ class MappingRun:
 
     def constant_tensors(self) -> list[Tensor]:
         """Tensors of the state that never change."""
-        return [*self.mapper.files.constant_tensors(), self._data_files, *self._step_log.blocks]
+        kept = [] if self.moved is None else list(self.moved.kept or ())
+        files = self.mapper.files.constant_tensors()
+        return [*files, self._data_files, *self._step_log.blocks, *kept]
 
     def stream(self) -> dict[str, Any]:
         """Description of a source that cannot be opened again, if the run can be finished without
@@ -351,6 +365,7 @@ class MappingRun:
         return {
             "data_files": self._data_files,
             "onto": packed(self.parent),
+            "moved": None if self.moved is None else self.moved.state_dict(),
             "steps": self._step_log.state_dict(self.steps),
             "pass_losses": torch.stack(self._pass_losses) if self._pass_losses else torch.zeros(0),
             "timestamps_s": torch.tensor(self.timestamps_s, dtype=torch.float64),
@@ -362,6 +377,9 @@ class MappingRun:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` saved."""
         self.parent = unpacked(state["onto"]) if "onto" in state else {}
+        if state.get("moved") is not None:
+            self.moved = MovedSurfaces(self.mapper)
+            self.moved.load_state_dict(state["moved"])
         self.steps = self._step_log.load_state_dict(state["steps"])
         self._pass_losses = list(state["pass_losses"].to(self.mapper.device))
         self.timestamps_s = state["timestamps_s"].tolist()

@@ -17,6 +17,7 @@ from ..evaluation import (
     trajectory_scores,
 )
 from ..gaussians import PLY_BYTES
+from ..mapping.moved_surfaces import MovedSurfaces
 from ..types import Mesh
 from .mapping_run import MappingRun
 from .poses_in_map import ground_truth_poses, readable_frames
@@ -84,9 +85,19 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         **frame_rates(seconds),
         **tracking_rates(run),
         **run.extra_metrics(),
+        **({} if run.moved is None or run.moved.keeps else moved_metrics(run.moved)),
         "seconds_online": sum(seconds),
         "seconds_global": run.seconds_global,
         "peak_memory_mb": peak_memory_mb(run.mapper.device),
+    }
+
+
+def moved_metrics(moved: MovedSurfaces) -> dict[str, int]:
+    """What was taken out of the map of an earlier run."""
+    return {
+        "n_voxels_moved": moved.n_voxels,
+        "n_gaussians_moved": moved.n_gaussians,
+        "n_keyframes_moved": moved.n_keyframes,
     }
 
 

@@ -151,6 +151,7 @@ def test_a_resumed_run_ends_with_the_same_maps(parent, whole, tmp_path):
     assert numbers["onto"] == whole.run.parent
 
 
+@pytest.mark.ci
 @pytest.mark.parametrize("system", ["rtg_slam", "gps_slam"])
 def test_other_systems_go_on(system, tmp_path):
     config = get_system(system).preset("replica", data__stop=8, data__hold_out_every=0)

@@ -25,23 +25,32 @@ _WEST = -_EAST
 _SOUTH = -_NORTH
 
 
-def interior(seed: int) -> list[Solid]:
-    """Every solid of the room; ``seed`` varies books, leaves and fruit."""
+MOVED = ("none", "chair")
+"""What can stand elsewhere than in the room as it is."""
+
+_CHAIR = ((1.58, -0.67, 0.0), 186)
+_CHAIR_MOVED = ((0.45, -0.55, 0.0), 140)
+"""Place of the yellow chair, and its rotation about z in degrees: as it is, and moved."""
+
+
+def interior(seed: int, moved: str = "none") -> list[Solid]:
+    """Every solid of the room; ``seed`` varies books, leaves and fruit, ``moved`` is one of
+    ``MOVED``."""
     rng = np.random.default_rng([seed, 1])
     return [
         *_shell(),
         *_trim(),
         *_window_side(),
         *_sofa_side(),
-        *_table_side(rng),
+        *_table_side(rng, _CHAIR_MOVED if moved == "chair" else _CHAIR),
         *_shelf_side(rng),
     ]
 
 
 @functools.lru_cache(maxsize=4)
-def furnishing(seed: int) -> tuple[Solid, ...]:
+def furnishing(seed: int, moved: str = "none") -> tuple[Solid, ...]:
     """Every solid except floor, walls and ceiling (which ``interior`` lists first)."""
-    return tuple(interior(seed)[SHELL_SOLIDS:])
+    return tuple(interior(seed, moved)[SHELL_SOLIDS:])
 
 
 def _arranged(*pieces: tuple[list[Solid], Vector, int]) -> list[Solid]:
@@ -306,7 +315,7 @@ def _sofa_side() -> list[Solid]:
     ]
 
 
-def _table_side(rng: np.random.Generator) -> list[Solid]:
+def _table_side(rng: np.random.Generator, chair: tuple[Vector, int]) -> list[Solid]:
     """East, in front of the brick wall: table with objects on it, chairs, lamp, pictures, plant."""
     x = _EAST
     tx = 1.5
@@ -335,7 +344,7 @@ def _table_side(rng: np.random.Generator) -> list[Solid]:
         (furniture.table(), (tx, ty, 0), 90),
         (furniture.chair((0.72, 0.30, 0.24)), (tx - 0.62, ty + 0.32, 0), 80),
         (furniture.chair((0.25, 0.42, 0.5)), (tx - 0.66, ty - 0.36, 0), 105),
-        (furniture.chair((0.80, 0.68, 0.35)), (tx + 0.08, ty - 1.02, 0), 186),
+        (furniture.chair((0.80, 0.68, 0.35)), *chair),
         (small_things.laptop(), (tx - 0.12, ty - 0.32, z), -84),
         (bowl, (tx + 0.02, ty + 0.12, z), 0),
         (small_things.globe(), (tx + 0.22, ty + 0.50, z), 200),

@@ -52,10 +52,10 @@ class Scene:
 
 
 @functools.lru_cache(maxsize=2)
-def load_scene(seed: int, cache: bool = True) -> Scene:
-    """The room for ``seed``; its atlas is baked once (seconds) and then read from the disk
-    cache."""
-    solids = interior(seed)
+def load_scene(seed: int, cache: bool = True, moved: str = "none") -> Scene:
+    """The room for ``seed``, with what ``moved`` names at another place; its atlas is baked once
+    (seconds) and then read from the disk cache."""
+    solids = interior(seed, moved)
     charts = [
         Chart(solid=i, face=f, paint=p) for i, s in enumerate(solids) for f, p in s.paints.items()
     ]
@@ -65,7 +65,7 @@ def load_scene(seed: int, cache: bool = True) -> Scene:
     chart_of_patch = np.concatenate(
         [flat.chart, [int(c.charts.max()) for c in curved_patches]]
     ).astype(int)
-    key = hashlib.sha256(f"atlas {version()} {seed}".encode()).hexdigest()[:16]
+    key = hashlib.sha256(f"atlas {version()} {seed}{place_of(moved)}".encode()).hexdigest()[:16]
     level0 = cached(
         cache_folder() / "room" / f"atlas-{key}.npz" if cache else None,
         lambda: {"atlas": _painted(solids, charts, layout, seed)},
@@ -80,6 +80,11 @@ def load_scene(seed: int, cache: bool = True) -> Scene:
         atlas=with_mips(level0),
         texel_of_patch=layout.texel_m[chart_of_patch],
     )
+
+
+def place_of(moved: str) -> str:
+    """What is added to the names of cached files of a room in which something was moved."""
+    return "" if moved == "none" else f" moved {moved}"
 
 
 def version() -> str:

@@ -7,6 +7,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -30,7 +31,8 @@ from .camera import (
 )
 from .depth_noise import kinect_depth, stereo_depth
 from .image_cache import cached
-from .scene import load_scene, version
+from .interior import MOVED
+from .scene import load_scene, place_of, version
 from .surface import room_mesh
 
 _FOCAL_PER_WIDTH = 0.65
@@ -100,6 +102,8 @@ class RoomSequence:
     this much later."""
     holes: float = 0.0
     """Share of the room's surface that never gives depth, 0 to 1, in pieces of up to 40 cm."""
+    moved: str = "none"
+    """What stands elsewhere than in the room as it is: "none", or "chair", the yellow one."""
     seed: int = 0
     """Seed of the scene, the hand's tremor and everything random."""
     cache: bool = True
@@ -118,7 +122,11 @@ class RoomSequence:
                 raise ArgumentError(
                     f"room: {name} must be a whole number >= {least}, got {value!r}"
                 )
-        for name, choices in (("trajectory", tuple(TRAJECTORIES)), ("noise", NOISES)):
+        for name, choices in (
+            ("trajectory", tuple(TRAJECTORIES)),
+            ("noise", NOISES),
+            ("moved", MOVED),
+        ):
             if getattr(self, name) not in choices:
                 raise ArgumentError(
                     f"room: {name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}"
@@ -155,7 +163,7 @@ class RoomSequence:
 
     def mesh(self) -> Mesh:
         """Ground truth of the surface, 3 cm triangles."""
-        room = room_mesh(0.03, seed=self.seed, cache=self.cache)
+        room = room_mesh(0.03, seed=self.seed, moved=self.moved, cache=self.cache)
         device = torch.device("cpu")
         n = len(room.vertices_W)
         m = len(room.faces)
@@ -181,14 +189,21 @@ class RoomSequence:
     @property
     def content(self) -> str:
         """A text that decides all frames: every option, and the version of the scene."""
-        return repr(dataclasses.asdict(self) | {"cache": "", "version": version()})
+        return repr(self._options() | {"cache": "", "version": version()})
+
+    def _options(self) -> dict[str, Any]:
+        """All options; a room in which nothing was moved has the names that it always had."""
+        options = dataclasses.asdict(self)
+        if self.moved == "none":
+            del options["moved"]
+        return options
 
     def moments(self, frames: range) -> list[str]:
         """What the walk from the first to the last of ``frames`` shows, as one text for each frame
         and each tenth of a second: equal for all rooms with this seed and walk, whatever their
         number of frames, size, noise and errors."""
         times_s = self._walk[1][: self.n_frames]
-        name = f"room {self.seed}, {self.trajectory}"
+        name = f"room {self.seed}{place_of(self.moved)}, {self.trajectory}"
         texts = [f"{name}, {times_s[i % self.n_frames]:.3f} s" for i in frames]
         # all look the same
         for room in range(frames[0] // self.n_frames, frames[-1] // self.n_frames + 1):
@@ -283,7 +298,7 @@ class RoomSequence:
     def _folder(self) -> Path:
         walk_W = self._walk[0][: self.n_frames].round(6)  # another walk needs other images
         poses = hashlib.sha256(walk_W.tobytes()).hexdigest()
-        options = dataclasses.asdict(self) | {
+        options = self._options() | {
             "noise": "",
             "cache": "",
             "version": version(),
@@ -308,6 +323,7 @@ class RoomSequence:
             self.camera,
             self.true_pose(i),
             seed=self.seed,
+            moved=self.moved,
             cache=self.cache,
         )
         return {
@@ -327,6 +343,7 @@ def render_room(
     T_WC: Float[Tensor, "4 4"],
     *,
     seed: int = 0,
+    moved: str = "none",
     cache: bool = True,
 ) -> tuple[Float[Tensor, "H W 3"], Float[Tensor, "H W"]]:
     """Colour and depth of the room from any pose.
@@ -338,6 +355,7 @@ def render_room(
         camera: Intrinsics.
         T_WC: Camera-to-world pose, OpenCV axes, metres; the world's z points up. [4, 4]
         seed: The room's seed.
+        moved: What stands elsewhere (``RoomSequence.moved``).
         cache: Store the lit textures on disk.
 
     Returns:
@@ -349,7 +367,7 @@ def render_room(
     Differentiable: no.
     """
     check_pose("T_WC", T_WC)
-    scene = load_scene(seed, cache)
+    scene = load_scene(seed, cache, moved)
     view = raycast.CameraPatches(
         scene.flat,
         scene.curved,

@@ -1,7 +1,7 @@
 """The true surface of the room: distances to it, and its mesh in the colours of the atlas."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import torch
@@ -16,7 +16,8 @@ from .atlas import LEVELS, level_offsets, texels
 from .distance import signed_distance
 from .image_cache import cached
 from .interior import SHELL_SOLIDS, furnishing
-from .scene import Scene, load_scene, version
+from .scene import Scene, load_scene, place_of, version
+from .solids import Solid
 
 _LIFT_M = 0.002
 
@@ -29,6 +30,7 @@ def room_sdf(
     xyz_W: Float[Tensor, "*N 3"],
     *,
     seed: int = 0,
+    moved: str = "none",
 ) -> Float[Tensor, "*N"]:
     """Signed distance to the room's surfaces, metres: positive in free space, negative inside
     solids and outside.
@@ -40,6 +42,7 @@ def room_sdf(
     Args:
         xyz_W: World points, metres (z up, origin on the floor in the middle). [*N, 3]
         seed: The room's seed.
+        moved: What stands elsewhere (``RoomSequence.moved``).
 
     Returns:
         Signed distance, metres, in the dtype and on the device of ``xyz_W``. [*N]
@@ -47,7 +50,7 @@ def room_sdf(
     Differentiable: no.
     """
     points = xyz_W.detach().cpu().double().reshape(-1, 3).numpy()
-    distance = torch.from_numpy(signed_distance(furnishing(seed), points))
+    distance = torch.from_numpy(signed_distance(furnishing(seed, moved), points))
     return distance.reshape(xyz_W.shape[:-1]).to(xyz_W.device, xyz_W.dtype)
 
 
@@ -55,6 +58,7 @@ def room_mesh(
     resolution_m: float = 0.02,
     *,
     seed: int = 0,
+    moved: str = "none",
     cache: bool = True,
 ) -> Mesh:
     """The visible surface of the room, coloured, as ground truth for reconstructed meshes.
@@ -65,6 +69,7 @@ def room_mesh(
     Args:
         resolution_m: Largest edge along a face's axes, metres.
         seed: The room's seed.
+        moved: What stands elsewhere (``RoomSequence.moved``).
         cache: Keep the mesh and the painted and lit textures on disk.
 
     Returns:
@@ -74,11 +79,10 @@ def room_mesh(
         ValueError: ``resolution_m`` is not positive.
     """
     check_positive("resolution_m", resolution_m)
-    key = hashlib.sha256(f"mesh {version()} {seed} {float(resolution_m)!r}".encode()).hexdigest()[
-        :16
-    ]
+    text = f"mesh {version()} {seed} {float(resolution_m)!r}{place_of(moved)}"
+    key = hashlib.sha256(text.encode()).hexdigest()[:16]
     path = cache_folder() / "room" / f"mesh-{key}.npz" if cache else None
-    arrays = cached(path, lambda: _made(resolution_m, seed, cache))
+    arrays = cached(path, lambda: _made(resolution_m, seed, cache, moved))
     return Mesh(
         vertices_W=torch.from_numpy(arrays["xyz"]),
         faces=torch.from_numpy(arrays["faces"].astype(np.int64)),
@@ -86,11 +90,11 @@ def room_mesh(
     )
 
 
-def _made(resolution_m: float, seed: int, cache: bool) -> dict[str, ndarray]:
+def _made(resolution_m: float, seed: int, cache: bool, moved: str) -> dict[str, ndarray]:
     """World points [V, 3], triangles [F, 3] and colours [V, 3]."""
-    scene = load_scene(seed, cache)
+    scene = load_scene(seed, cache, moved)
     chart, uv, faces = _tessellate(scene, resolution_m)
-    clearance = _clearance(scene, seed)
+    clearance = _clearance(scene, furnishing(seed, moved))
     chart, uv, faces = _cut(chart, uv, faces, clearance)
     xyz, _ = _points(scene, chart, uv)
     a, b, c = (xyz[faces[:, k]] for k in range(3))
@@ -155,14 +159,14 @@ def _points(scene: Scene, chart: ndarray, uv: ndarray) -> tuple[ndarray, ndarray
     return xyz, normal
 
 
-def _clearance(scene: Scene, seed: int) -> Callable[[ndarray, ndarray], ndarray]:
+def _clearance(scene: Scene, solids: Sequence[Solid]) -> Callable[[ndarray, ndarray], ndarray]:
     solid_of_chart = np.array([c.solid for c in scene.charts])
 
     def clearance(chart: ndarray, uv: ndarray) -> ndarray:
         xyz, normal = _points(scene, chart, uv)
         owner = np.maximum(solid_of_chart[chart] - SHELL_SOLIDS, -1)
         xyz_off = xyz + _LIFT_M * normal
-        return signed_distance(furnishing(seed), xyz_off, owner, at_most=2 * _CLEAR_M) - _CLEAR_M
+        return signed_distance(solids, xyz_off, owner, at_most=2 * _CLEAR_M) - _CLEAR_M
 
     return clearance
 
