@@ -1,6 +1,7 @@
 """The lab's tables: one row per rule, with mean and spread in each cell."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -79,17 +80,23 @@ class ResultTable:
 
     @property
     def short(self) -> "ResultTable":
-        """The table with the columns that a reader looks at first, ``SHORT``, without notes; the
-        same table if it is one of all scenes."""
-        picked = [i for i, column in enumerate(self.columns) if column.metric in SHORT]
-        if not self.scene or len(picked) == len(self.columns):
-            return self
+        """The table with the columns that a reader looks at first, ``SHORT``; all columns if it is
+        a table of all scenes."""
+        return self._with([not self.scene or c.metric in SHORT for c in self.columns])
+
+    @property
+    def rest(self) -> "ResultTable":
+        """The table with the columns that ``short`` leaves out."""
+        return self._with([bool(self.scene) and c.metric not in SHORT for c in self.columns])
+
+    def _with(self, is_shown: Sequence[bool]) -> "ResultTable":
+        """The table with some of its columns."""
         rows = (
-            dataclasses.replace(row, cells=tuple(row.cells[i] for i in picked)) for row in self.rows
+            dataclasses.replace(row, cells=tuple(itertools.compress(row.cells, is_shown)))
+            for row in self.rows
         )
-        return dataclasses.replace(
-            self, columns=tuple(self.columns[i] for i in picked), rows=tuple(rows), notes=()
-        )
+        columns = tuple(itertools.compress(self.columns, is_shown))
+        return dataclasses.replace(self, columns=columns, rows=tuple(rows))
 
 
 def all_tables(

@@ -331,7 +331,7 @@ def views_figure(split: WalkSplit, scores: Sequence[WayScores]) -> "Figure":
     rows_of_block = math.ceil((1 + len(ways)) / columns)
     n_rows = rows_of_block * len(blocks)
     figure = Figure(
-        figsize=(2.6 * columns, 2.4 * n_rows), dpi=100, facecolor="white", layout="constrained"
+        figsize=(2.1 * columns, 2.0 * n_rows), dpi=100, facecolor="white", layout="constrained"
     )
     FigureCanvasAgg(figure)
     grid = figure.subplots(n_rows, columns, squeeze=False)
@@ -341,5 +341,5 @@ def views_figure(split: WalkSplit, scores: Sequence[WayScores]) -> "Figure":
         cells = grid[i * rows_of_block : (i + 1) * rows_of_block].flat
         for axes, (title, picture) in zip(cells, shown, strict=False):
             axes.imshow(to_uint8(picture))
-            axes.set_title(title, fontsize=10)
+            axes.set_title(title, fontsize=9)
     return figure

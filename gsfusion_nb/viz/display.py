@@ -100,7 +100,9 @@ def with_picture(
         text: For readers without pictures.
         alt: The picture's description for screen readers; by default ``text``.
     """
-    return with_stored(bundle, "image/jpeg", encode_jpeg(picture), text, {"alt": alt or text})
+    kinds = {"image/png": encode_png(picture), "image/jpeg": encode_jpeg(picture)}
+    kind = min(kinds, key=lambda name: len(kinds[name]))  # PNG for graphs, JPEG for photographs
+    return with_stored(bundle, kind, kinds[kind], text, {"alt": alt or text})
 
 
 _IMPORT = re.compile(r'^import .* from "[./\w]+\.js";\n', re.MULTILINE)

@@ -105,7 +105,7 @@ def test_a_stored_notebook_has_table_and_picture(live, monkeypatch):
     assert WIDGET_MIME not in bundle
     assert "quadtree</th>" in bundle["text/html"]
     assert "stride=-1, wall, own size, own steps, seed 0 failed:" in bundle["text/html"]
-    assert bundle["image/jpeg"]
+    assert bundle["image/png"]
     assert bundle["text/plain"] == repr(live)
 
 

@@ -62,13 +62,14 @@ def test_what_cannot_be_drawn_is_refused():
         size_curve(RUNS, "psnr_held_aut_db")
 
 
-def test_the_short_table_has_four_numbers_and_all_are_behind_a_click():
+def test_the_short_table_has_four_numbers_and_the_rest_is_behind_a_click():
     results = Results(runs=RUNS, about=Table(specs=[r.spec for r in RUNS]))
     table = results.tables()[0]
     assert [column.metric for column in table.short.columns] == list(SHORT)
     assert [column.metric for column in table.columns] == [*SHORT[:1], "ssim_held_out", *SHORT[1:]]
     assert [row.label for row in table.short.rows] == [row.label for row in table.rows]
     page = results._repr_html_()
+    assert [column.metric for column in table.rest.columns] == ["ssim_held_out"]
     assert page.count("<details>") == 2
-    assert page.count("All 5 numbers") == 2
+    assert page.count("1 more number") == 2
     assert page.index("<details>") < page.index("SSIM")
