@@ -181,3 +181,10 @@ def test_who_gives_a_bag_to_map_is_sent_to_convert(tmp_path):
 def test_an_option_that_the_reader_lacks_is_named():
     with pytest.raises(ValueError, match=r"noize.*noise"):
         open_sequence("room", noize="kinect")
+
+
+def test_a_recording_as_text_is_one_line(tmp_path, box):
+    """Not the paths and poses of all its frames."""
+    source = open_sequence(box.folder(tmp_path / "scan")).source
+    size = f"{source.camera.width}x{source.camera.height}"
+    assert repr(source) == f"RecordedSequence({source.name!r}, {len(source)} frames, {size})"

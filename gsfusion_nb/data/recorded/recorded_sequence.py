@@ -35,7 +35,7 @@ class Rectification(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class RecordedSequence:
     """Files, poses and times of a recorded sequence (a ``Sequence``).
 
@@ -84,6 +84,11 @@ class RecordedSequence:
         with refusing():
             check_plausible_camera(f"{self.name}: camera", self.camera)
             check_depth_scale(self.name, self.depth_scale)
+
+    def __repr__(self) -> str:
+        size = f"{self.camera.width}x{self.camera.height}"
+        poses = "" if self.has_poses else ", no poses"
+        return f"RecordedSequence({self.name!r}, {len(self)} frames, {size}{poses})"
 
     def __len__(self) -> int:
         return len(self.rgb_files)
