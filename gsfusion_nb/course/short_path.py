@@ -24,6 +24,8 @@ _FOLDED = {"source_hidden": True}
 _HEADING = re.compile(r"^## (?:\d+\. )?", re.MULTILINE)
 """Of a section of a chapter."""
 
+_SECTION_COMMENT = re.compile(r" *#[^#\n]*\bsection \d+.*$")
+
 
 def short_path(folder: Path) -> dict[str, Any]:
     """The notebook, solved, with the outputs that its cells have in their chapters, in the form
@@ -46,20 +48,25 @@ def short_path(folder: Path) -> dict[str, Any]:
         for cell in chapter["cells"]
     }
     names = [name for part in parts for name in part["cells"]]
-    if missing := [name for name in names if name not in all_cells]:
+    picture_cells = [part["attachments"] for part in parts if "attachments" in part]
+    if missing := [name for name in [*names, *picture_cells] if name not in all_cells]:
         raise ArgumentError(f"{plan} names cells that no chapter has: {', '.join(missing)}")
     cells: list[Cell] = []
     for number, part in enumerate(parts):
-        cells.append(_text(f"part-{number}", part["text"]))
+        pictures = all_cells[part["attachments"]] if "attachments" in part else {}
+        cells.append(_text(f"part-{number}", part["text"], pictures))
         cells += [
             _fitting(all_cells[name], fresh=name in part.get("fresh", ())) for name in part["cells"]
         ]
+    cells = [_used_constants(cell, cells) for cell in cells]
     notebooks = [chapters[number] for number in sorted({name[:2] for name in names})]
     return notebooks[0] | {"cells": [cells[0], _imports(notebooks, cells), *cells[1:]]}
 
 
-def _text(name: str, text: str) -> Cell:
-    return {
+def _text(name: str, text: str, pictures: Cell) -> Cell:
+    """A cell with the text of a part, and the pictures that are attached to another cell."""
+    attachments = {"attachments": pictures["attachments"]} if pictures else {}
+    return attachments | {
         "cell_type": "markdown",
         "id": name,
         "metadata": {},
@@ -74,6 +81,33 @@ def _fitting(cell: Cell, *, fresh: bool) -> Cell:
     return cell | {
         "source": _HEADING.sub("### ", "".join(cell["source"])).splitlines(keepends=True)
     }
+
+
+def _used_constants(cell: Cell, cells: Iterable[Cell]) -> Cell:
+    """A chapter's cell of constants with those that ``cells`` use, and without comments that name a
+    section of the chapter. Other cells are as they are."""
+    if "parameters" not in cell["metadata"].get("tags", ()):
+        return cell
+    source = "".join(cell["source"])
+    others = [other for other in cells if other is not cell]
+    used = {
+        node.id
+        for node in _nodes([*others, cell])
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)
+    }
+    dropped = {
+        node.lineno
+        for node in ast.parse(source).body
+        if isinstance(node, ast.Assign)
+        and node.lineno == node.end_lineno
+        and not used & {target.id for target in node.targets if isinstance(target, ast.Name)}
+    }
+    lines = [
+        _SECTION_COMMENT.sub("", line)
+        for number, line in enumerate(source.splitlines(), 1)
+        if number not in dropped
+    ]
+    return cell | {"source": "\n".join(lines).splitlines(keepends=True)}
 
 
 def _imports(

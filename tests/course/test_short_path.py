@@ -76,3 +76,29 @@ def test_a_cell_that_is_gone_is_told(tmp_path):
         ValueError, match=r"short_path\.toml names cells that no chapter has: 00/gone, 02/q02"
     ):
         short_path(tmp_path)
+
+
+def test_the_first_screen_has_the_picture_that_moves(tmp_path):
+    """It is attached to a cell of chapter 0, which is not in this notebook."""
+    first = short_path(NOTEBOOKS)["cells"][0]
+    (name,) = first["attachments"]
+    assert f"(attachment:{name})" in "".join(first["source"])
+    assert "|" not in "".join(first["source"])
+    shutil.copytree(NOTEBOOKS, tmp_path / "copy")
+    plan = tmp_path / "copy/short_path.toml"
+    plan.write_text(PLAN.replace('attachments = "00/q00"', 'attachments = "00/gone"'))
+    with pytest.raises(ValueError, match="names cells that no chapter has: 00/gone"):
+        short_path(tmp_path / "copy")
+
+
+def test_no_constant_that_nothing_here_uses():
+    """Chapter 3's SWEEP is for its section 7, which is not in this notebook."""
+    notebook = short_path(NOTEBOOKS)
+    constants = [
+        "".join(cell["source"])
+        for cell in notebook["cells"]
+        if "parameters" in cell["metadata"].get("tags", ())
+    ]
+    assert len(constants) >= 4
+    assert not re.search(r"SWEEP|SMALL_STEPS|section \d", "\n".join(constants))
+    assert "VOXEL_M = 0.02  # edge of a voxel, metres" in "\n".join(constants)
