@@ -110,10 +110,13 @@ def study(options: StudyOptions) -> int:
     """Run ``gsfusion-nb study``. Returns the exit status.
 
     Raises:
-        KeyError: no such study. ValueError: ``only`` leaves nothing.
+        KeyError: no such study. ValueError: ``only`` leaves nothing, or the study takes no other
+            system.
     """
     name = options.name
     check_name("study", name, (*OTHER_STUDIES, *STUDIES))
+    if options.system and name not in STUDIES:
+        raise ArgumentError(f"the study {name} takes no other system; leave out --system")
     folder = output_folder(options, f"study-{name}", options.data)
     if name == "roofline":
         folder.mkdir(parents=True, exist_ok=True)

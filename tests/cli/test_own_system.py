@@ -188,6 +188,12 @@ def test_sweep_and_study_and_keys(toy, tmp_path):
     assert labels[-2:] == ["Toy of one file, given", "Toy of one file, tracked"]
 
 
+def test_a_study_without_variants_of_systems_refuses_one(toy, capsys):
+    for name in ("views", "roofline"):
+        said = refusal(["study", name, "room", "--system", toy], capsys)
+        assert said.endswith(f"the study {name} takes no other system; leave out --system")
+
+
 def test_benchmark_and_lab(toy, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Box().replica(tmp_path / "data/room0")
