@@ -2,12 +2,11 @@
 
 import dataclasses
 import functools
-from typing import Any
 
 import pytest
 import torch
+from small_configs import CONFIGS
 
-from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.errors import ArgumentError, UnknownNameError
 from gsfusion_nb.export import CheckpointStore
@@ -16,17 +15,6 @@ from gsfusion_nb.mapping.training import Training
 from gsfusion_nb.optim import TrainingView, ViewLoss, l1_mse_vjp
 from gsfusion_nb.runs.sound_state import check_values
 from gsfusion_nb.types import GaussianParams, RenderOutput
-
-SMALL: dict[str, Any] = {"data__width": 40, "data__height": 30, "data__stop": 6}
-CONFIGS = {
-    "gsfusion": gsfusion(
-        "room", tsdf__voxel_size_m=0.05, seeding__quadtree_threshold=0.002, **SMALL
-    ),
-    "rtg_slam": rtg_slam("room", **SMALL),
-    "gps_slam": gps_slam(
-        "room", data__width=64, data__height=48, data__stop=16, tsdf__voxel_size_m=0.04
-    ),
-}
 
 
 def labels(frame):

@@ -2,25 +2,14 @@
 
 import copy
 import pickle
-from typing import Any
 
 import pytest
+from small_configs import CONFIGS
 
-from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.optim import ViewLoss
 
-SMALL: dict[str, Any] = {"data__width": 40, "data__height": 30, "data__stop": 8}
-CONFIGS = {
-    "gsfusion": gsfusion(
-        "room", tsdf__voxel_size_m=0.05, seeding__quadtree_threshold=0.002, **SMALL
-    ),
-    "rtg_slam": rtg_slam("room", **SMALL),
-    "gps_slam": gps_slam(
-        "room", data__width=64, data__height=48, data__stop=16, tsdf__voxel_size_m=0.04
-    ),
-}
 COPIES = {
     "pickle": lambda mapper: pickle.loads(pickle.dumps(mapper)),
     "deepcopy": copy.deepcopy,
