@@ -107,7 +107,15 @@ def _used_constants(cell: Cell, cells: Iterable[Cell]) -> Cell:
         for number, line in enumerate(source.splitlines(), 1)
         if number not in dropped
     ]
-    return cell | {"source": "\n".join(lines).splitlines(keepends=True)}
+    text = "\n".join(lines)
+    metadata = dict(cell["metadata"])
+    if "quick" in metadata:  # pieces of the source, and smaller ones for tests
+        pairs = {
+            _SECTION_COMMENT.sub("", full): _SECTION_COMMENT.sub("", less)
+            for full, less in metadata["quick"].items()
+        }
+        metadata["quick"] = {full: less for full, less in pairs.items() if full in text}
+    return cell | {"source": text.splitlines(keepends=True), "metadata": metadata}
 
 
 def _imports(
