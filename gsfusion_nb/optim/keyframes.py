@@ -211,11 +211,13 @@ class KeyframeList:
 
     def drop(self, is_dropped: Callable[[Keyframe], bool]) -> int:
         """Remove the keyframes for which this is true; returns their number."""
-        items = [k for k in self._items if not is_dropped(k)]
-        n = len(self._items) - len(items)
-        self._items = items
+        dropped_items = [k for k in self._items if is_dropped(k)]
+        dropped = {id(k) for k in dropped_items}
+        self._items = [k for k in self._items if id(k) not in dropped]
         self._poses = self._poses[:0]
-        return n
+        for k in dropped_items:
+            self._bytes_kept -= k.rgb_u8.nbytes + (0 if k.depth_m is None else k.depth_m.nbytes)
+        return len(dropped_items)
 
     def draw(self, count: int, generator: torch.Generator) -> list[Keyframe]:
         """Up to ``count`` different keyframes at random (GSFusion III-B.3: the first of the
