@@ -26,6 +26,8 @@ from .progress import Entries, forgiving, note, now, read_section
 Answer = str | float | int
 
 _SECTION = "predictions"
+DECIBEL = "dB"
+"""Unit of numbers of which the difference counts, not the ratio."""
 _unkept: Entries = {}
 """Predictions of this process, for when the file cannot be read or written."""
 
@@ -183,7 +185,7 @@ def predict(
 
 def came(name: str, value: Any, *, right: Answer | None = None) -> Outcome:
     """What came, beside what was predicted. Of choices that are numbers the nearest one in ratio
-    was right.
+    was right, in dB the one with the smallest difference.
 
     Args:
         name: Of the prediction.
@@ -207,9 +209,13 @@ def came(name: str, value: Any, *, right: Answer | None = None) -> Outcome:
         verdict = answer == right
         words = "" if verdict else f"Right was: {_answer_words(right, unit)}."
     elif isinstance(answer, (int, float)) and isinstance(value, (int, float)):
-        verdict, words = _compare(float(answer), float(value))
-        choices = [c for c in entry.get("choices", ()) if isinstance(c, (int, float)) and c > 0]
-        if choices and value > 0:
+        is_level = unit == DECIBEL
+        compare = _compare_levels if is_level else _compare
+        verdict, words = compare(float(answer), float(value))
+        choices = [c for c in entry.get("choices", ()) if isinstance(c, (int, float))]
+        if choices and is_level:
+            verdict = answer == min(choices, key=lambda c: abs(c - value))
+        elif choices := [c for c in choices if c > 0 and value > 0]:
             verdict = answer == min(choices, key=lambda c: abs(math.log(c / value)))
     return Outcome(
         predicted=_yours(entry),
@@ -227,6 +233,16 @@ def _compare(answer: float, value: float) -> tuple[bool, str]:
     if 0.8 < times < 1.25:
         return True, "Close."
     return 0.5 <= times <= 2, f"That is {times:.2g} times your number."
+
+
+def _compare_levels(answer: float, value: float) -> tuple[bool, str]:
+    """Decibels are logarithms already, so their difference counts: up to 3 dB is good, a factor of
+    two in the mean squared error."""
+    difference = value - answer
+    if abs(difference) < 1:
+        return True, "Close."
+    direction = "more" if difference > 0 else "less"
+    return abs(difference) <= 3, f"That is {abs(difference):.2g} dB {direction} than your number."
 
 
 def _yours(entry: dict[str, Any]) -> str:

@@ -35,10 +35,32 @@ def test_words_and_numbers():
     predict("gain", "How many dB?", unit="dB", answer=0.5)
     assert (
         repr(came("gain", 2.0))
-        == "You predicted 0.5 dB. It came: 2 dB. That is 4 times your number."
+        == "You predicted 0.5 dB. It came: 2 dB. That is 1.5 dB more than your number."
     )
     predict("sign", "By how much?", answer=1)
     assert came("sign", -1.0).words == "That is another sign, or zero."
+
+
+@pytest.mark.parametrize(
+    ("answer", "value", "right", "words"),
+    [
+        (30.0, 29.5, True, "Close."),
+        (28.0, 30.5, True, "That is 2.5 dB more than your number."),
+        (40.0, 32.0, False, "That is 8 dB less than your number."),
+        (2.0, -1.5, False, "That is 3.5 dB less than your number."),
+    ],
+)
+def test_of_decibels_the_difference_counts(answer, value, right, words):
+    """20 dB and 40 dB are a factor of 100 in the squared error, not of two."""
+    predict("level", "How many dB?", unit="dB", answer=answer)
+    outcome = came("level", value)
+    assert (outcome.right, outcome.words) == (right, words)
+
+
+def test_of_choices_in_decibels_the_nearest_is_right():
+    """1.9 is nearer to 1 than to 3, though not in ratio."""
+    predict("gain", "How many dB?", [0.1, 1, 3], unit="dB", answer=1)
+    assert came("gain", 1.9).right
 
 
 @pytest.mark.parametrize(
