@@ -56,7 +56,7 @@ class Prediction(LiveOutput):
         """
         entry = _entry(self.name)
         if "came" in entry:
-            return f"It came already; {_yours(entry)}"
+            return f"It came already. {_yours(entry)}"
         if self.choices and value not in self.choices:
             raise ArgumentError(
                 f"prediction {self.name}: expected one of {self.choices}, got {value!r}"

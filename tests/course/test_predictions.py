@@ -22,7 +22,7 @@ def test_a_choice_is_recorded_and_compared():
     assert outcome.right
     assert repr(outcome) == "You predicted 3,000. It came: 2,890. Close."
     assert "#1a7f37" in outcome._repr_html_()
-    assert asked.answer(300) == "It came already; You predicted 3,000."
+    assert asked.answer(300) == "It came already. You predicted 3,000."
     assert progress.read_section("predictions")["seeds"]["came"] == 2890
     assert "1 prediction made" in repr(course_progress(0))
 
