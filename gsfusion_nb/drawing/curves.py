@@ -25,6 +25,11 @@ PAPER = "#fffffe"
 PALETTE = ("#3d85c6", "#e08a2e", "#6a9e1f", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
 """Colours of medium lightness, visible on white and on black."""
 
+LEGEND_LETTERS = 78
+"""Letters that fit into the width of a ``curve_figure``."""
+SAMPLE_LETTERS = 5
+"""Width of a line in a legend, and of the space behind its name, in letters."""
+
 BETWEEN = "#{:02x}{:02x}{:02x}".format(*pictures.BETWEEN)
 """``pictures.BETWEEN`` as matplotlib and pages write it."""
 CARD, CARD_INK = ("#{:02x}{:02x}{:02x}".format(*rgb) for rgb in (pictures.CARD, pictures.CARD_INK))
@@ -117,7 +122,7 @@ def curve_figure(
     if len(series) + bool(len(marks)) > 1:
         legend: Any = figure.legend(
             loc="outside upper left",
-            ncols=3,
+            ncols=_legend_columns([*series, *([marks_label] if len(marks) else [])]),
             frameon=False,
             fontsize=9.5,
             labelcolor=INK,
@@ -127,6 +132,12 @@ def curve_figure(
         )
         legend.set_in_layout(True)
     return figure
+
+
+def _legend_columns(labels: Sequence[str]) -> int:
+    """How many names fit beside each other above a ``curve_figure``, at most 3."""
+    longest = max(map(len, labels))
+    return max(1, min(3, int(LEGEND_LETTERS / (longest + SAMPLE_LETTERS))))
 
 
 def figure_png(figure) -> bytes:

@@ -183,3 +183,22 @@ def test_texts_are_escaped_and_markup_is_not():
 def test_a_value_that_is_not_given_is_an_error():
     with pytest.raises(UndefinedError, match="'verdict' is undefined"):
         fill("verdict.html", colour="red")
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("frame to frame, from the last pose", "frame to frame, from the prediction", "to model"),
+        ("opacity 0.9", "opacity 0.3", "opacity 0.05"),
+        ("as it was recorded", "with the corrections", "keyframes and more"),
+    ],
+)
+def test_every_name_of_a_legend_lies_in_the_picture(names):
+    series = {name: [0.0, 1.0] for name in names}
+    figure = curve_figure([0, 1], series, x_label="frame", y_label="cm")
+    figure.canvas.draw()
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == list(names)
+    for text in legend.get_texts():
+        box = text.get_window_extent()
+        assert 0 <= box.x0 < box.x1 <= figure.bbox.width

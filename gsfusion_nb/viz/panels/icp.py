@@ -225,7 +225,7 @@ def convergence_basin(
 def basin_picture(
     errors_m: Float[np.ndarray, "R C"], sideways_m: Sequence[float], turns_deg: Sequence[float]
 ) -> Picture:
-    """Green: from this start ICP ended within 2 cm of the true pose; yellow to red: up to 20 cm and
+    """Blue: from this start ICP ended within 2 cm of the true pose; yellow to red: up to 20 cm and
     more."""
     from matplotlib.colors import ListedColormap
 
@@ -242,7 +242,7 @@ def basin_picture(
     )
     axes.pcolormesh(
         worse,
-        cmap=ListedColormap(stops).with_extremes(under="#3a9d6a"),
+        cmap=ListedColormap(stops).with_extremes(under="#3d85c6"),
         vmin=0,
         vmax=1,
         edgecolor=CARD,
