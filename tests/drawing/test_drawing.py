@@ -12,7 +12,7 @@ from jinja2 import UndefinedError
 from markupsafe import Markup
 
 from gsfusion_nb.drawing import curves, pictures
-from gsfusion_nb.drawing.curves import PALETTE, small_curves
+from gsfusion_nb.drawing.curves import PALETTE, curve_figure, small_curves
 from gsfusion_nb.drawing.page import fill, html_table
 from gsfusion_nb.drawing.pictures import CARD, LABEL_PX, side_by_side
 
