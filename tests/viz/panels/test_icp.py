@@ -91,4 +91,4 @@ def test_the_basin_holds_the_truth_and_coarse_levels_widen_it(pair):
     assert wide[1, 1] < 0.02
     assert (narrow < 0.02).sum() <= (wide < 0.02).sum() < 9
     picture = basin_picture(wide, sideways, turns)
-    assert (picture == (58, 157, 106)).all(-1).sum() > 500 * (wide < 0.02).sum()
+    assert (picture == (61, 133, 198)).all(-1).sum() > 500 * (wide < 0.02).sum()
