@@ -1,6 +1,7 @@
 """Quality against the number of Gaussians, and the short table, by hand."""
 
 import dataclasses
+from typing import Any
 
 import pytest
 
@@ -34,11 +35,12 @@ RUNS = [
 
 def test_a_curve_for_each_rule_through_its_budgets():
     axes = size_curve(RUNS).axes[0]
-    mine, theirs = (container.lines[0] for container in axes.containers)
+    containers: Any = axes.containers
+    mine, theirs = (container.lines[0] for container in containers)
     assert mine.get_xdata().tolist() == [1010.0, 4010.0]
     assert mine.get_ydata().tolist() == [21.0, 24.0]
     assert theirs.get_ydata().tolist() == [19.0, 25.0]
-    (bars,) = axes.containers[0].lines[2]
+    (bars,) = containers[0].lines[2]
     low, high = bars.get_segments()[0][:, 1]
     assert (low, high) == (pytest.approx(21 - 2**0.5), pytest.approx(21 + 2**0.5))
     assert axes.get_legend_handles_labels()[1] == ["mine", "theirs"]
@@ -49,7 +51,8 @@ def test_a_curve_for_each_rule_through_its_budgets():
 
 def test_a_number_in_the_unit_of_the_tables():
     axes = size_curve(RUNS, "depth_l1_held_out_m").axes[0]
-    assert axes.containers[0].lines[0].get_ydata().tolist() == [pytest.approx(2.1)] * 2
+    containers: Any = axes.containers
+    assert containers[0].lines[0].get_ydata().tolist() == [pytest.approx(2.1)] * 2
     assert axes.get_ylabel().endswith(", cm")
 
 

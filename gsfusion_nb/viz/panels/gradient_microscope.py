@@ -207,17 +207,17 @@ def pixel_gradient_table(gradient: PixelGradient, unit: float | int) -> str:
     return numbers_table(heads, lines, n=len(s))
 
 
-MORE = "#1a7f37"
-LESS = "#c62828"
-"""Green: gradient descent makes the Gaussian more opaque there; red: less."""
+MORE = "#3d85c6"
+LESS = "#d55e00"
+"""Blue: gradient descent makes the Gaussian more opaque there; orange: less."""
 _SHOWN = 8
 
 
 def pixel_gradient_picture(
     image: AnyImage, splats: Splats, gradient: PixelGradient, *, size: int = 300
 ) -> Picture:
-    """The Gaussians with the largest weights at a pixel, ellipses green (descent makes them more
-    opaque) or red (less).
+    """The Gaussians with the largest weights at a pixel, ellipses blue (descent makes them more
+    opaque) or orange (less).
 
     An arrow points along -(dL/du, dL/dv), where descent moves the centre; the longest has a fixed
     length.
@@ -241,8 +241,8 @@ def pixel_gradient_picture(
 def gaussian_gradient_picture(
     image: AnyImage, splats: Splats, gradient: GaussianGradient, *, size: int = 300
 ) -> Picture:
-    """The pixels under a Gaussian: green where descent makes it more opaque, red where less; arrows
-    where it moves it.
+    """The pixels under a Gaussian: blue where descent makes it more opaque, orange where less;
+    arrows where it moves it.
 
     Small arrows are -(dL/du, dL/dv) of single pixels, averaged over a grid of at most 11 x 11; the
     thick one is their sum, not to the same scale.

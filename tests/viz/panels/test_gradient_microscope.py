@@ -125,7 +125,7 @@ def one_dot():
     )
 
 
-def test_green_is_more_opaque_and_red_less():
+def test_blue_is_more_opaque_and_orange_less():
     splats = project_splats(one_dot(), CAMERA, EYE)
     image = torch.zeros(24, 32, 3)
     for sign, ink, other in ((-1.0, MORE, LESS), (1.0, LESS, MORE)):
