@@ -9,12 +9,13 @@ import tyro
 from ..backends import use_backend
 from ..checks import check_name
 from ..data.stream import GrowingFolder, LiveSource, RealSense
+from ..errors import ArgumentError
 from .options import HELP, print_names
 from .result import print_result
 from .settings import SettingsOptions, parse
 
 if TYPE_CHECKING:
-    from ..runs import FinishedRun
+    from ..runs import FinishedRun, StreamRun
 
 _ABOUT = """Map frames as they arrive. Ctrl-C ends the scan; then the report is written.
 
@@ -33,6 +34,13 @@ class LiveOptions(SettingsOptions):
     policy: Literal["", "all", "latest"] = ""
     """What happens if mapping is slower than the camera. all: the source waits; latest: only the
     newest frame waits, older ones are dropped. Default: latest for cameras, all for folders."""
+    onto: str = ""
+    """Folder of a finished run: the camera is looked for in its map. From the first frame that is
+    located on, mapping goes on in a copy of it, with that run's settings and tracked poses. That
+    run stays as it is."""
+    keep_moved: bool = False
+    """With --onto: leave surfaces in the map that the camera sees through, because something
+    moved."""
     frames: int = 0
     """End after this many frames; 0: continue until the source ends or Ctrl-C."""
     evaluate: bool = True
@@ -117,21 +125,39 @@ def live(arguments: list[str]) -> "FinishedRun":
     name = arguments[0] if arguments else ""
     check_name("live source", name, SOURCES)
     options: LiveOptions = parse(SOURCES[name], f"gsfusion-nb live {name}", arguments[1:])
-    from ..mapping import make_mapper
     from ..runs import CheckpointEvery, map_stream
 
     with use_backend(options.backend):
         options.check_device()
-        source = options.source()
         return map_stream(
-            source,
-            make_mapper(_settings(options, source), device=options.device),
-            policy=options.policy or None,
+            _run(options),
             folder=options.out or None,
             evaluate=options.evaluate,
             on_stop="finish",
             checkpoints=CheckpointEvery(seconds=options.checkpoint_every_s),
         )
+
+
+def _run(options: LiveOptions) -> "StreamRun":
+    """The run of the source's frames, in a map of its own or in that of ``--onto``."""
+    from ..mapping import make_mapper
+    from ..runs import StreamRun, stream_onto
+
+    source = options.source()
+    settings = _settings(options, source)
+    policy: Any = options.policy or None
+    if options.onto:
+        return stream_onto(
+            source,
+            options.onto,
+            settings,
+            device=options.device,
+            keep_moved=options.keep_moved,
+            policy=policy,
+        )
+    if options.keep_moved:
+        raise ArgumentError("--keep-moved is for --onto RUN, in whose map something may have moved")
+    return StreamRun(source, make_mapper(settings, device=options.device), policy=policy)
 
 
 def _settings(options: LiveOptions, source: LiveSource) -> Any:

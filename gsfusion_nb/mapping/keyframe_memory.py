@@ -111,6 +111,14 @@ class KeyframeMemory:
         else:
             self._database = places.seen_by(camera).database()
 
+    def see_through(self, camera: Camera) -> None:
+        """Compare the keyframes of another run with frames of this camera from now on."""
+        if camera == self.camera:
+            return
+        places = self.places({})
+        if places is not None:
+            self.begin_with(places, camera)
+
     def collect(self, frame: Frame) -> None:
         """Make a frame with a given pose a keyframe if none was taken near there, so that the map
         can be found again (``places``)."""

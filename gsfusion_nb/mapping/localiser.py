@@ -151,6 +151,7 @@ class Localiser:
 
         def align() -> tracking.TrackingReport:
             if self.is_before_first_look:
+                self.memory.see_through(frame.camera)
                 return self._tracker.find(frame, surface, self.memory.relocalise)
             sighting, guess = self.memory.sight(frame, self._tracker)
             extra = None if sighting is None else sighting.extra

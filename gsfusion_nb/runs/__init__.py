@@ -13,4 +13,5 @@ from .report import ReportPanel as ReportPanel
 from .report import write_report as write_report
 from .rescore import rescore as rescore
 from .run_folder import CheckpointEvery as CheckpointEvery
+from .stream_onto import stream_onto as stream_onto
 from .stream_run import StreamRun as StreamRun

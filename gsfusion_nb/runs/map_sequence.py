@@ -15,14 +15,13 @@ from ..errors import ArgumentError
 from ..export import read_gaussian_ply
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..mapping.moved_surfaces import MovedSurfaces
-from ..mapping.systems import system_class
 from ..mapping.training import given_functions
 from ..optim import UpdateFunction
 from ..seeding import SeedingRule
 from ..types import Frame
 from .driver import FinishedRun, drive, map_with_progress
 from .mapping_run import MappingRun, RunWatcher
-from .onto import mapper_onto, read_parent, settings_onto
+from .onto import mapper_onto, named_system, read_parent, settings_onto
 from .resume import load_run
 from .run_clock import RunClock
 from .run_folder import (
@@ -87,7 +86,7 @@ def run_mapping(
     """
     clock = RunClock()
     is_room = str(data) == "room"
-    parent = None if onto is None else read_parent(onto, _named_system(config, system))
+    parent = None if onto is None else read_parent(onto, named_system(config, system))
     if parent is not None and from_gaussians is not None:
         raise ArgumentError("a map begins with that of a run or with Gaussians, not with both")
     if isinstance(config, SystemConfig):
@@ -128,15 +127,6 @@ def run_mapping(
             run.moved = MovedSurfaces(mapper, keeps=keep_moved)
     with RunFolder(new_folder(sequence.name, folder)) as place:
         return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
-
-
-def _named_system(
-    config: SystemConfig | str | None, system: str | type[Mapper]
-) -> str | type[Mapper] | None:
-    """The system that a run in the map of another was given; None: that of the other."""
-    if isinstance(config, SystemConfig):
-        return system_class(config)
-    return None if system == "gsfusion" else system
 
 
 def resume_mapping(
@@ -183,8 +173,8 @@ def resume_mapping(
 
 
 def map_stream(
-    frames: Iterable[Frame] | Sequence,
-    mapper: Mapper,
+    frames: Iterable[Frame] | Sequence | StreamRun,
+    mapper: Mapper | None = None,
     *,
     policy: Policy | None = None,
     folder: Path | str | None = None,
@@ -203,7 +193,8 @@ def map_stream(
     for scoring.
 
     Args:
-        frames: Any iterable: a list, a generator, a camera (``RealSense``), a ``GrowingFolder``.
+        frames: Any iterable: a list, a generator, a camera (``RealSense``), a ``GrowingFolder``; or
+            the run of a stream with its mapper, such as ``stream_onto(camera, "runs/first")``.
         mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
         policy: "all" or "latest" (``gsfusion_nb.data.stream.POLICIES``); the source's own by
             default ("latest" for cameras, "all" for anything else).
@@ -220,8 +211,10 @@ def map_stream(
 
     Raises:
         SequenceError: No frame could be mapped; the message gives the first reason.
+        ValueError: Frames without a mapper, or a run with another mapper or policy.
         Exception: Raised by the source; everything mapped was saved before.
     """
+    run = _run_of_stream(frames, mapper, policy)
 
     def map_frames(run: MappingRun, stop: StopRequest) -> None:
         assert isinstance(run, StreamRun)
@@ -231,6 +224,20 @@ def map_stream(
             run.warnings.append(f"the stream was ended by hand after {len(run.steps)} frames")
             stop.wanted = False
 
-    with RunFolder(new_folder(getattr(frames, "name", "stream"), folder)) as place:
-        run = StreamRun(frames, mapper, policy=policy)
+    with RunFolder(new_folder(run.sequence.name, folder)) as place:
         return drive(run, place.path, evaluate, map_frames, watch=watch, every=checkpoints)
+
+
+def _run_of_stream(
+    frames: Iterable[Frame] | Sequence | StreamRun,
+    mapper: Mapper | None,
+    policy: Policy | None,
+) -> StreamRun:
+    """The run that maps the frames, if it is not a run already."""
+    if not isinstance(frames, StreamRun):
+        if mapper is None:
+            raise ArgumentError("expected a mapper for the frames, such as GSFusion(config)")
+        return StreamRun(frames, mapper, policy=policy)
+    if mapper is not None or policy is not None:
+        raise ArgumentError("the run of a stream has a mapper and a policy; leave out others")
+    return frames

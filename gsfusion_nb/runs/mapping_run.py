@@ -188,6 +188,12 @@ class MappingRun:
         """Number of frames that the mapper mapped before this run."""
         return self.mapper.n_frames - len(self.steps)
 
+    @property
+    def is_looking(self) -> bool:
+        """Whether the camera was not yet located in the map of the run that this one goes on
+        from."""
+        return self.mapper.localiser.is_before_first_look
+
     def online(self) -> Generator[StepReport, None, None]:
         """Map the remaining frames one by one; those that cannot be used are skipped and listed in
         ``warnings``.
@@ -263,8 +269,9 @@ class MappingRun:
             return "skipped"
         if self.mapper.localiser.frames_lost:
             if self.bad_in_a_row == MAX_BAD_FRAMES_IN_A_ROW + 1:
+                state = "not located yet" if self.is_looking else "lost"
                 self.warnings.warn(
-                    "tracking is lost; the camera is looked for in every frame until the recording "
+                    f"the camera is {state}; it is looked for in every frame until the recording "
                     "ends"
                 )
             return "skipped"

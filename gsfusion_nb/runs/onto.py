@@ -16,6 +16,7 @@ from ..export import read_gaussian_ply
 from ..files import parsing, read_object
 from ..gaussians.columns import PARAMETERS
 from ..mapping import Mapper, make_mapper, system_of
+from ..mapping.systems import system_class
 from ..mapping.usual_torch import in_usual_torch
 from ..seeding import SeedingRule, rule_name
 from ..seeding.code_files import is_code_file
@@ -51,6 +52,15 @@ class Parent:
     def as_json(self) -> dict[str, Any]:
         """How the new run names it."""
         return {"run": str(self.folder), "sha256": self.hashes}
+
+
+def named_system(
+    config: SystemConfig | str | None, system: str | type[Mapper]
+) -> str | type[Mapper] | None:
+    """The system that a run in the map of another was given; None: that of the other."""
+    if isinstance(config, SystemConfig):
+        return system_class(config)
+    return None if system == "gsfusion" else system
 
 
 def check_is_run(folder: Path | str) -> None:
@@ -155,7 +165,7 @@ def check_together(parent: Parent, config: SystemConfig) -> None:
 def mapper_onto(
     parent: Parent,
     config: SystemConfig,
-    camera: Camera,
+    camera: Camera | None = None,
     *,
     seeding: "str | SeedingRule | None" = None,
     device: torch.device | str = "cpu",
@@ -166,7 +176,7 @@ def mapper_onto(
     Args:
         parent: The run.
         config: Settings of the mapper (``settings_onto``).
-        camera: Of the new recording.
+        camera: Of the new recording; None: that of its first frame.
         seeding: As for ``make_mapper``.
         device: Device of the maps.
         given: A loss, an optimiser.
@@ -192,11 +202,12 @@ def mapper_onto(
             whole["volume"] = mapper.files.stored_volume(folder)
         mapper._load(whole)
         _take_rule(mapper, state["rule"])
+        places = read_places(folder / PLACES).counted_back(_shift(state))
         mapper.localiser.go_on_in(
             list(state["poses"]),
             [index - _shift(state) for index in state["frame_indices"].tolist()],
-            read_places(folder / PLACES).counted_back(_shift(state)),
-            camera,
+            places,
+            camera or places.camera,
         )
         _check(mapper, state)
     except SequenceError as e:

@@ -44,7 +44,9 @@ class StreamRun(MappingRun):
         mapper: The mapper, such as ``GSFusion(config)``; one that has a map already continues it.
         policy: What happens to frames when mapping is slower than the source
             (``gsfusion_nb.data.stream.POLICIES``); by default the policy of the source, or "all".
-        until: Called while no frame arrives; the stream ends when it returns True.
+        until: Called while no frame arrives, or none can be mapped; the stream ends when it returns
+            True.
+        parent: As for ``MappingRun``.
 
     Raises:
         SequenceError: The source has no poses and the settings do not ask to track them, or
@@ -60,10 +62,11 @@ class StreamRun(MappingRun):
         *,
         policy: Policy | None = None,
         until: Callable[[], bool] = lambda: False,
+        parent: dict[str, Any] | None = None,
     ):
         name = getattr(frames, "name", "stream")
         self.kept = KeptFrames(name, has_poses=getattr(frames, "has_poses", True))
-        super().__init__(self.kept.opened(), mapper)
+        super().__init__(self.kept.opened(), mapper, parent=parent)
         self.frames_source = frames
         self.until = until
         self.policy: Policy = policy or getattr(frames, "policy", "all")
@@ -73,7 +76,7 @@ class StreamRun(MappingRun):
             frames,
             data,
             name=name,
-            first_index=max(earlier, default=-1) + 1,
+            first_index=max([-1, *earlier]) + 1,  # frames of a run before have numbers below 0
         )
         self._feed = BackgroundFrames(selection, policy=self.policy, until=lambda: self.until())
         self._n_taken = self.n_unusable = 0
@@ -163,6 +166,9 @@ class StreamRun(MappingRun):
         """The next frame to map; held-out frames are stored and passed over."""
         data = self.mapper.config.data
         while True:
+            if self.bad_in_a_row and self.until():
+                self._note_the_end()
+                raise StopIteration
             try:
                 frame = next(self._feed)
             except StopIteration:
