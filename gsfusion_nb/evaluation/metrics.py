@@ -214,7 +214,7 @@ METRIC_GROUPS: dict[str, dict[str, Metric]] = {
         "location_error_median_deg": Metric("Rotation error, median", "°", 2),
         "location_error_max_deg": Metric("Rotation error, largest", "°", 2),
         "seconds_per_located_frame": Metric(
-            "Time of a frame", "ms", 1, 1e3, "Median, without reading it."
+            "Time of a frame", "s", 3, 1.0, "Median, without reading it."
         ),
         "seconds_opening_map": Metric("Opening the map", "s", 1),
     },

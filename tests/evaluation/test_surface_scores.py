@@ -1,5 +1,6 @@
 """Mesh scores on shapes whose distances are known, sampling, and what the frames have seen."""
 
+import dataclasses
 import math
 
 import pytest
@@ -253,7 +254,7 @@ def test_seen_by_any_frame_uses_each_pose():
     moved = front_frame(torch.full((30, 40), 2.0))
     T = torch.eye(4)
     T[0, 3] = 5.0
-    moved = Frame(**{**vars(moved), "T_WC": T})
+    moved = dataclasses.replace(moved, T_WC=T)
     xyz = torch.tensor([[0.0, 0, 2], [5.0, 0, 2], [10.0, 0, 2]])
     frames = iter([front_frame(torch.full((30, 40), 2.0)), moved])
     assert seen_by(xyz, frames).tolist() == [True, True, False]

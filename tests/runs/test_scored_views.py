@@ -128,7 +128,7 @@ def test_a_mapped_frame_has_its_tracked_pose_and_others_follow_the_nearest(views
 
 def test_ground_truth_poses_of_the_mapped_frames(views):
     found = localiser("tracked", dict.fromkeys((0, 3, 9), MOTION))
-    truth = ground_truth_poses(found, views.mapping)
+    truth = ground_truth_poses(found.frame_indices, views.mapping)
     assert truth is not None
     assert torch.equal(
         truth,
@@ -145,7 +145,8 @@ def test_the_true_poses_count_more_than_those_of_the_data(views):
 
     for source in (Wrong(), repaired(Wrong(), RepairConfig(depth_factor=2.0))):
         truth = ground_truth_poses(
-            localiser("given", {0: MOTION}), dataclasses.replace(views.mapping, source=source)
+            localiser("given", {0: MOTION}).frame_indices,
+            dataclasses.replace(views.mapping, source=source),
         )
         assert truth is not None
         assert torch.equal(truth[0], Walk().pose(0))
@@ -158,7 +159,7 @@ def test_only_poses_that_moved_have_a_trajectory_error(views):
     )
     found.given_poses = list(found.poses)
     run = object.__new__(MappingRun)
-    run.mapper = SimpleNamespace(localiser=found)
+    run.mapper = SimpleNamespace(localiser=found, n_frames=0)
     run.sequence = views
     run.steps = []
     assert score_trajectory(run) == {}

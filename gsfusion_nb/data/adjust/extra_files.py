@@ -94,8 +94,8 @@ def read_extra(file: Path) -> np.ndarray:
     """
     data = read_image_bytes(file, "further")
     if file.suffix == ".npy":
-        try:
-            image = np.load(io.BytesIO(data), allow_pickle=False)
+        try:  # mapped, so that a header cannot ask for more memory than the file has
+            image = np.array(np.load(file, mmap_mode="r", allow_pickle=False))
         except (ValueError, EOFError, OSError) as e:
             raise BadFrameError(f"{file} is not an array of NumPy: {e}") from None
     else:
