@@ -285,9 +285,16 @@ def map_with_progress(run: MappingRun, stop: StopRequest) -> None:
     seconds = 0.0
     with (
         ProgressDisplay("mapping", total=total, unit="frame", first=run.next_position) as progress,
-        contextlib.closing(run.online()) as reports,
+        contextlib.closing(run.frame_by_frame()) as reports,
     ):
-        for n, report in enumerate(reports, start=1):
+        n = 0
+        for report in reports:
+            if report is None:
+                progress.show(run.next_position, note=run.lost_in_words())
+                if stop and run.steps:
+                    return
+                continue
+            n += 1
             seconds += report.total_seconds
             # a system may not time its stages
             rate = f"{n / seconds:.1f} frames/s, " if seconds > 0 else ""

@@ -1,6 +1,7 @@
 """One run over a sequence: the loop over frames, timing, interruption, state. ``driver`` does it
 from the first frame to the report, and ``outputs`` writes the results."""
 
+import contextlib
 import copy
 import dataclasses
 import logging
@@ -194,6 +195,14 @@ class MappingRun:
         from."""
         return self.mapper.localiser.is_before_first_look
 
+    def lost_in_words(self) -> str:
+        """That the camera is looked for, and since how many frames; "" if it is not."""
+        since = f": {self.bad_in_a_row} frames so far" if self.bad_in_a_row else ""
+        if self.is_looking:
+            return f"looking for the place in the map{since}"
+        is_lost = self.mapper.localiser.frames_lost > 0
+        return f"the camera is lost, looking for it{since}" if is_lost else ""
+
     def online(self) -> Generator[StepReport, None, None]:
         """Map the remaining frames one by one; those that cannot be used are skipped and listed in
         ``warnings``.
@@ -204,6 +213,14 @@ class MappingRun:
         Raises:
             SequenceError: No frame could be mapped; the message gives the first reason.
         """
+        with contextlib.closing(self.frame_by_frame()) as reports:
+            for report in reports:
+                if report is not None:
+                    yield report
+
+    def frame_by_frame(self) -> Generator[StepReport | None, None, None]:
+        """As ``online``, and None for each frame that was skipped: while the camera is looked for,
+        the caller can say so, or stop."""
         frames = self.frames()
         self._watch.begin(self)
         try:
@@ -211,6 +228,8 @@ class MappingRun:
                 if isinstance(outcome, StepReport):
                     self.after_step()
                     yield outcome
+                else:
+                    yield None
             self._watch.look(self, None)
         except FrameUndone:  # the run is asked to stop
             return

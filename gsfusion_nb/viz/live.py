@@ -1,5 +1,6 @@
 """Live views: of online mapping, and of any other iterative computation."""
 
+import contextlib
 import dataclasses
 import html
 import math
@@ -12,12 +13,21 @@ import cv2
 import numpy as np
 
 from ..drawing.curves import small_curves
-from ..drawing.pictures import Picture, encode_jpeg
+from ..drawing.pictures import Picture, encode_jpeg, side_by_side
 from ..runs import MappingRun
-from ..types import Frame
+from ..types import Frame, GaussianParams
 from .display import Bundle, ClickImage, LiveOutput, LostNotice, with_picture
+from .map_from_above import PLACE, drawable, map_from_above, stacked
 from .map_pictures import captions_of, columns_for, live_panels, mosaic
-from .player import MIN_INTERVAL_S, Player, Scrubber, error_html, player_buttons, take_the_stage
+from .player import (
+    MIN_INTERVAL_S,
+    WAITING,
+    Player,
+    Scrubber,
+    error_html,
+    player_buttons,
+    take_the_stage,
+)
 from .splat_viewer import SplatViewer
 
 DRAWING_REST = 3.0
@@ -60,7 +70,9 @@ class LivePictures(LiveOutput):
         self._next_draw_s = 0.0
         self._shown_step = 0
         self._writing = threading.RLock()
-        self.player = Player(make_steps, on_step=self._on_step, on_rest=self.store_output)
+        self.player = Player(
+            make_steps, on_step=self._on_step, on_rest=self.store_output, on_wait=self._on_wait
+        )
         self.lock = self.player.lock
         self.buttons = player_buttons(self.player, f"gsnb-{name}", self.player)
         self.scrubber = Scrubber(self._show_kept, what=what, css_class=f"gsnb-{name}-back")
@@ -150,6 +162,11 @@ class LivePictures(LiveOutput):
             self._keep()
         if time.monotonic() >= self._next_draw_s:
             self._draw()
+
+    def _on_wait(self) -> None:
+        if (now := time.monotonic()) >= self._next_draw_s:
+            self._write_status()
+            self._next_draw_s = now + MIN_INTERVAL_S
 
     def _draw(self) -> None:
         began = time.monotonic()
@@ -252,6 +269,9 @@ class LiveMapper(LivePictures):
 
     ``splats()`` makes a splat viewer that follows the map; show it in a cell of its own. The slider
     ``frame`` goes back through the frames that were mapped.
+
+    A run in the map of another (``stream_onto``) has a panel more: the map from above, with the
+    camera in it once it is located.
     """
 
     def __init__(self, run: MappingRun, *, panel_width: int = 320):
@@ -261,12 +281,20 @@ class LiveMapper(LivePictures):
         """The splat viewer made by ``splats``; it is updated together with the panels."""
         self.panels: dict[str, Picture] = {}
         self._last_stored = run.next_position
+        self._seen_from_above: GaussianParams | None = None
         n = len(run.sequence.mapping)
-        captions = captions_of(run.mapper)
+        captions = captions_of(run.mapper) | ({"place": PLACE} if run.parent else {})
         super().__init__(
-            run.online, captions, name="live", what="frame", n_steps=n, width=panel_width
+            self._frames, captions, name="live", what="frame", n_steps=n, width=panel_width
         )
+        if run.parent:
+            self.images["place"].show(self._place())
         self._write_status()
+
+    def _frames(self) -> Iterator[Any]:
+        with contextlib.closing(self.run.frame_by_frame()) as reports:
+            for report in reports:
+                yield WAITING if report is None else report
 
     def stop(self) -> None:
         """Stop after the current frame."""
@@ -295,14 +323,29 @@ class LiveMapper(LivePictures):
         }
 
     def _mosaic(self) -> Picture | None:
-        if not self.panels:
-            return None
-        small = next(iter(self.panels.values())).shape[1]
-        return mosaic(
-            self.panels,
-            captions_of(self.run.mapper),
-            max(1, round(self._panel_width / small)),
-        )
+        panels = None
+        if self.panels:
+            small = next(iter(self.panels.values())).shape[1]
+            panels = mosaic(
+                self.panels,
+                captions_of(self.run.mapper),
+                max(1, round(self._panel_width / small)),
+            )
+        if not self.run.parent:
+            return panels
+        place = side_by_side([self._place()], [PLACE])
+        return place if panels is None else stacked(panels, place)
+
+    def _place(self) -> Picture:
+        """Where the camera is in the map of the earlier run."""
+        poses = self.run.mapper.localiser.poses
+        n_earlier = self.run.n_earlier
+        size = (self._panel_width, 3 * self._panel_width // 4)
+        mapper = self.run.mapper
+        if "base" in mapper.description.panels:  # its surface takes longer: drawn as it began
+            self._seen_from_above = self._seen_from_above or drawable(mapper)
+        params = self._seen_from_above or drawable(mapper)
+        return map_from_above(params, poses[:n_earlier], poses[n_earlier:], size)
 
     def _draw(self) -> None:
         super()._draw()
@@ -314,7 +357,8 @@ class LiveMapper(LivePictures):
             return
         self._last_stored = self.run.next_position
         self.panels = live_panels(self.run.mapper, self._last_frame())
-        pictures = {name: encode_jpeg(self.panels[name]) for name in self.images}
+        shown = self.panels | ({"place": self._place()} if self.run.parent else {})
+        pictures = {name: encode_jpeg(shown[name]) for name in self.images}
         self.scrubber.add((len(self.run.steps), pictures))
 
     def _last_frame(self) -> Frame:
@@ -334,6 +378,7 @@ class LiveMapper(LivePictures):
         words = [
             f"{title} ({html.escape(fidelity)})" if fidelity else title,
             f"{run.next_position} of {len(run.sequence.mapping)} frames",
+            html.escape(run.lost_in_words()),
         ]
         at = len(run.steps) if self.scrubber.following else self._shown_step
         if not at:

@@ -17,6 +17,9 @@ log = logging.getLogger(__name__)
 
 MIN_INTERVAL_S = 0.1
 """What is shown of the work is renewed at most ten times a second."""
+WAITING = object()
+"""What ``make_steps()`` may yield while a step waits for something: no step is counted, and the
+work can be paused or stopped there."""
 State = Literal["ready", "running", "paused", "stopped", "finished", "failed"]
 
 
@@ -33,6 +36,7 @@ class Player:
         on_step: Called after each step with what the iterator yielded, in the thread of the step,
             with the lock held.
         on_rest: Called with the lock held when the work has paused, stopped, finished or failed.
+        on_wait: Called with the lock held each time that the iterator yielded ``WAITING``.
 
     An exception ends the work: ``state`` is "failed" and ``error`` holds the exception. It is not
     printed, because the output of a thread may appear under any cell.
@@ -44,10 +48,12 @@ class Player:
         *,
         on_step: Callable[[Any], None] = lambda _: None,
         on_rest: Callable[[], None] = lambda: None,
+        on_wait: Callable[[], None] = lambda: None,
     ):
         self._make_steps = make_steps
         self._on_step = on_step
         self._on_rest = on_rest
+        self._on_wait = on_wait
         self._steps: Iterator[Any] | None = None
         self.lock = threading.RLock()
         self.on_state: Callable[[], None] = lambda: None
@@ -131,8 +137,8 @@ class Player:
         self.error = None
         self.state = "running"
         try:
-            while (n is None or n_done < n) and self._advance():
-                n_done += 1
+            while (n is None or n_done < n) and (outcome := self._advance()) != "end":
+                n_done += outcome == "step"
         except KeyboardInterrupt:
             self._steps = None  # a generator that was interrupted cannot continue
             self._rest("paused")
@@ -169,9 +175,12 @@ class Player:
         try:
             while self._take():
                 self.state = "running"
-                if not self._advance():
+                outcome = self._advance()
+                if outcome == "end":
                     break
                 with self._asking:
+                    if outcome == "waiting":
+                        continue
                     self._steps_left = max(self._steps_left - 1, 0)
             self._leave()
             self._rest(self._next_state)
@@ -189,8 +198,8 @@ class Player:
         with self._asking:
             self._serving = False
 
-    def _advance(self) -> bool:
-        """One step; False when there is none left."""
+    def _advance(self) -> Literal["step", "waiting", "end"]:
+        """One step, or a part of one that waits; "end" when there is none left."""
         with self.lock:
             if self._steps is None:
                 self._steps = self._make_steps()
@@ -198,11 +207,14 @@ class Player:
                 result = next(self._steps)
             except StopIteration:
                 self.state = "finished"
-                return False
-            self.n_steps += 1
-            self._on_step(result)
+                return "end"
+            if result is WAITING:
+                self._on_wait()
+            else:
+                self.n_steps += 1
+                self._on_step(result)
         time.sleep(0.001)  # long enough for a thread that waits for the lock to get it
-        return True
+        return "waiting" if result is WAITING else "step"
 
     def _rest(self, state: State) -> None:
         with self.lock:
