@@ -251,6 +251,9 @@ def _whole_rows(
             f"{folder / STATE} is of {max(set(lengths.values()) - {n})} Gaussians, gaussians.ply "
             f"of {n}"
         )
+    for name, column in fresh["rows"].items():
+        if name in rows and rows[name].dtype != column.dtype:
+            raise SequenceError(f"{name} of the Gaussians is of {rows[name].dtype}")
     zeros = {
         name: torch.zeros(n, *column.shape[1:], dtype=column.dtype)
         for name, column in fresh["rows"].items()
@@ -267,12 +270,16 @@ def _whole_rows(
 
 def _take_rule(mapper: Mapper, state: dict[str, Any]) -> None:
     """Give the rule its memory, if it is the rule of the run."""
+    if not isinstance(state["name"], str):
+        raise SequenceError("the state of a map does not name its seeding rule")
     if state["name"] == rule_name(mapper.rule):
         mapper.rule_in_use.load_state_dict(state)
         if changes := mapper.rule_in_use.difference(state):
             mapper.notes.append(
                 f"the seeding rule is not as it was in the run before; different: {changes}"
             )
+        else:
+            check_same(state, mapper.rule_in_use.state_dict(), ("rule",))
     else:
         mapper.notes.append(
             f"the run goes on with the seeding rule {rule_name(mapper.rule)}; its memory is empty"
@@ -289,4 +296,18 @@ def _check(mapper: Mapper, state: dict[str, Any]) -> None:
         raise SequenceError(
             f"the state of a map has {mapper.n_frames} frames and {len(mapper.localiser.poses)} "
             "poses"
+        )
+    if strange := set(state["gaussians"]) - set(mine["gaussians"]):
+        raise SequenceError(f"of the Gaussians a state has unknown parts: {sorted(strange)}")
+    frame_indices = state["frame_indices"].tolist()
+    numbers = [keyframe["index"] for keyframe in state["keyframes"]]
+    if strange := set(numbers) - set(frame_indices):
+        raise SequenceError(f"keyframe {min(strange)} of a state is not among its mapped frames")
+    # else of two recordings, one by one
+    if len(set(numbers)) < len(numbers) and len(set(frame_indices)) == len(frame_indices):
+        raise SequenceError("the state of a map has a keyframe twice")
+    if len(frame_indices) != mapper.n_frames:
+        raise SequenceError(
+            f"the state of a map has {mapper.n_frames} frames and {len(frame_indices)} "
+            "numbers of frames"
         )

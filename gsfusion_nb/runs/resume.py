@@ -102,7 +102,7 @@ def load_run(
     return run
 
 
-_KEPT = ("system", "system_from_file", "run", "mapper", "rule_from_file")
+_KEPT = ("system", "system_from_file", "drawn_over_volume", "run", "mapper", "rule_from_file")
 """Parts of a checkpoint that a run does not change by going on from them."""
 
 

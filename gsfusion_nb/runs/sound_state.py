@@ -127,6 +127,8 @@ def check_values(value: Any, where: tuple[str, ...] = ()) -> None:
             check_values(part, (*where, str(i)))
     elif isinstance(value, Tensor):
         _check_tensor(value, where)
+    elif where[-1:] == ("T_WC",) and "keyframes" in where:
+        raise _refusal(where, "a pose", _kind(value))
     elif value is not None:
         _check_plain(value, where)
 
@@ -274,7 +276,11 @@ def _check_holder(value: Any, where: tuple[str, ...]) -> None:
 def _check_tensor(value: Tensor, where: tuple[str, ...]) -> None:
     if where[-1] in ("pass_losses", "timestamps_s", "frame_indices") and value.ndim != 1:
         raise _refusal(where, "one number for each", _kind(value))
-    if where[-1] == "farthest_m" and tuple(value.shape) != (12, 16):
+    if where[-1] == "frame_indices" and value.dtype != torch.int64:
+        raise _refusal(where, "whole numbers", _kind(value))
+    if where[-1] == "farthest_m" and (
+        tuple(value.shape) != (12, 16) or value.dtype != torch.float32
+    ):
         raise _refusal(where, "a distance for each of 12 x 16 parts of the picture", _kind(value))
     if where[-1] == "gain" and (tuple(value.shape) != (3,) or value.dtype != torch.float32):
         raise _refusal(where, "three brightnesses", _kind(value))

@@ -1,5 +1,5 @@
-"""Checkpoints and TSDFs with one wrong thing in them and right checksums: what a program with an
-error would write.
+"""Checkpoints, TSDFs, and what another recording goes on with, with one wrong thing in them and
+right checksums: what a program with an error would write.
 
 A file that was damaged by a disk is found by its checksum. Here somebody made the file: values that
 are not finite, rows too few or too many, another type, another kind, another count, a tensor whose
@@ -8,8 +8,10 @@ stride is 0.
 
 import copy
 import hashlib
+import io
 import json
 import random
+import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +22,9 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.export import CheckpointStore
+from gsfusion_nb.runs.map_state import STATE
 from gsfusion_nb.runs.run_folder import CHECKPOINTS, packed, unpacked
+from gsfusion_nb.tracking import PLACES
 
 Way = tuple[str | int, ...]
 """Keys and places from the root of a state to a part of it."""
@@ -66,10 +70,44 @@ def alter_checkpoint(folder: Path, rng: random.Random) -> Alteration:
     return made
 
 
-def alter_tsdf(path: Path, rng: random.Random) -> Alteration:
-    """Alter one array of a ``tsdf.npz``."""
+def alter_onto(folder: Path, rng: random.Random) -> Alteration:
+    """Alter what another recording goes on with in the map of a run: ``places.npz`` or
+    ``state.zip``."""
     if rng.randrange(20) == 0:
         return UNALTERED
+    if rng.randrange(3) == 0:
+        return alter_arrays(folder / PLACES, rng)
+    with zipfile.ZipFile(folder / STATE) as archive:
+        (member,) = archive.namelist()
+        document = torch.load(io.BytesIO(archive.read(member)), weights_only=True)
+    state = document["state"]
+    made = None
+    while made is None:
+        made = _altered(state, rng.choice(_ways(state, rng)), rng)
+    with (
+        zipfile.ZipFile(folder / STATE, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open(member, "w") as file,
+    ):
+        torch.save(document, file)
+    is_fewer = made.where == "keyframes" and made.what in ("shorter", "empty")  # as other runs have
+    return Alteration(f"{STATE}/{made.where}", made.what, made.wrong and not is_fewer)
+
+
+def alter_tsdf(folder: Path, rng: random.Random) -> Alteration:
+    """Alter one array of the ``tsdf.npz`` of a run's folder."""
+    return UNALTERED if rng.randrange(20) == 0 else alter_arrays(folder / "tsdf.npz", rng)
+
+
+ALTERERS = {
+    "altered": alter_checkpoint,
+    "altered_tsdf": alter_tsdf,
+    "altered_onto": alter_onto,
+}
+"""Name of a target -> what alters the folder of a run for it."""
+
+
+def alter_arrays(path: Path, rng: random.Random) -> Alteration:
+    """Alter one array of an archive of NumPy's."""
     with np.load(path, allow_pickle=False) as archive:
         arrays = dict(archive.items())
     name = rng.choice(sorted(arrays))
@@ -80,7 +118,7 @@ def alter_tsdf(path: Path, rng: random.Random) -> Alteration:
         del arrays[name]
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays)
-    return Alteration(name, what, wrong)
+    return Alteration(f"{path.name}/{name}", what, wrong)
 
 
 def _loose(value: Any) -> Any:
@@ -248,7 +286,7 @@ def _changes(value: Any, way: Way) -> Iterator[Change]:
 
 
 def _tensor_changes(value: Tensor, name: str, free: bool) -> Iterator[Change]:
-    yield lambda: None, "nothing", True
+    yield lambda: None, "nothing", name != "farthest_m"  # of a view whose depth was not looked at
     yield lambda: "text", "text", True
     yield lambda: 3.0, "a number", True
     yield lambda: value[None], "a dimension more", True
@@ -286,18 +324,24 @@ def _array_changes(array: np.ndarray, name: str) -> Iterator[Change]:
     yield lambda: array[None], "a dimension more", True
     yield lambda: array.astype(np.complex64), "another type", True
     yield lambda: array.astype("U"), "text", True
-    if array.ndim:
+    if array.ndim and len(array):
         yield lambda: array[:-1], "a row less", True
         yield lambda: np.concatenate([array, array[-1:]]), "a row more", True
         yield lambda: array[:0], "empty", True
-        yield lambda: array.astype(np.float64), "another type", True
-    else:
+        other = np.float64 if array.dtype != np.float64 else np.float32
+        yield lambda: array.astype(other), "another type", True
+    elif not array.ndim:
         for number in (np.nan, np.inf, -0.1, 0.0):
             yield lambda number=number: np.float64(number), "not finite or not positive", True
     if name in ("W", "D"):
         bad = {"W": (np.nan, np.inf, -1.0), "D": (-32768,)}[name]
         for number in bad:
             yield lambda number=number: _filled_array(array, number), "no value of a voxel", True
+    if name in ("camera", "T_WC", "uv", "xyz_C", "sigma_px") and array.size:
+        for number in (np.nan, np.inf, -np.inf):
+            yield lambda number=number: _filled_array(array, number), "not finite", True
+    if name == "index" and len(array) > 1:
+        yield lambda: np.repeat(array[:1], len(array)), "one keyframe again and again", True
     if name == "block_coords":
         yield lambda: _filled_array(array, 2**30), "very large", True
         yield lambda: np.repeat(array[:1], len(array), 0), "one block again and again", True

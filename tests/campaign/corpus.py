@@ -447,6 +447,8 @@ def _run_folder(root: Path, takes) -> list[Seed]:
             for seed in interrupted
         ]
         interrupted.append(_gps_run(root))
+    for name in ("run", "gps"):
+        interrupted.append(Seed(f"altered_onto {name}", "altered_onto", root / name))
     for name in ("report.html", "mesh.ply"):
         (root / "run" / name).unlink(missing_ok=True)
     return [

@@ -4,7 +4,8 @@ rightly.
     python tests/campaign/fuzz.py --inputs 20000 --seed 1 --keep /tmp/offending
     python tests/campaign/fuzz.py --inputs 1200 --target altered
 
-The target "altered" is checkpoints and TSDFs whose checksums are right.
+The target "altered" is checkpoints, TSDFs, and what another recording goes on with (places.npz,
+state.zip), whose checksums are right.
 
 Each input is made from its number and the seed alone, so ``--only 1234`` repeats one. Inputs are
 read in forked copies of a warm process, each input with 10 s and 1 GB.
@@ -100,8 +101,7 @@ class Campaign:
         place = folder / name
         shutil.copytree(seed.root, place)
         if seed.target.startswith("altered"):
-            change = alter.alter_checkpoint if seed.target == "altered" else alter.alter_tsdf
-            made = change(place if seed.target == "altered" else place / "tsdf.npz", rng)
+            made = alter.ALTERERS[seed.target](place, rng)
             made.write(folder / targets.ALTERATION)
             return seed, place, None
         files = sorted(p for p in place.rglob("*") if p.is_file())

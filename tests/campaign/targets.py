@@ -1,12 +1,13 @@
 """What reads an input, and what nobody may accept without a word."""
 
+import contextlib
 import itertools
 import json
 import logging
 import math
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -177,31 +178,56 @@ def resume(path: Path) -> None:
 
     with use_backend("numba"):
         run = load_run(path)
-        for name, table in run.mapper.files.maps().items():
-            for column in table.values():
-                finite = bool(torch.isfinite(column.float()).all())
-                _need(
-                    finite or any("NaN" in note for note in run.mapper.notes),
-                    f"{name} is not finite",
-                )
-        states = getattr(run.mapper.gaussians, "state", torch.zeros(0))
-        _need(
-            bool(((states == 0) | (states == 1)).all()),
-            "a state that there is not",
-        )
-        for keyframe in run.mapper.keyframes:
-            _need(
-                keyframe.rgb_u8.shape[:2] == (keyframe.camera.height, keyframe.camera.width),
-                "a keyframe's size",
-            )
-            _need(bool(torch.isfinite(keyframe.T_WC).all()), "a keyframe's pose is not finite")
+        _look_at(run.mapper)
         for steps in (run.online(), run.optimise()):
-            try:
-                next(iter(steps), None)
-            except Exception as e:
-                if not isinstance(e, FORESEEN):
-                    raise
-                raise SequenceError(f"{path}: {e}") from e
+            _go_on(path, steps)
+
+
+def _look_at(mapper: Any) -> None:
+    """The maps and the keyframes have values that can be."""
+    for name, table in mapper.files.maps().items():
+        for column in table.values():
+            finite = bool(torch.isfinite(column.float()).all())
+            _need(
+                finite or any("NaN" in note for note in mapper.notes),
+                f"{name} is not finite",
+            )
+    states = getattr(mapper.gaussians, "state", torch.zeros(0))
+    _need(
+        bool(((states == 0) | (states == 1)).all()),
+        "a state that there is not",
+    )
+    for keyframe in mapper.keyframes:
+        _need(
+            keyframe.rgb_u8.shape[:2] == (keyframe.camera.height, keyframe.camera.width),
+            "a keyframe's size",
+        )
+        _need(bool(torch.isfinite(keyframe.T_WC).all()), "a keyframe's pose is not finite")
+
+
+def _go_on(path: Path, steps: Iterable[Any]) -> None:
+    """Take the first step."""
+    try:
+        next(iter(steps), None)
+    except Exception as e:
+        if not isinstance(e, FORESEEN):
+            raise
+        raise SequenceError(f"{path}: {e}") from e
+
+
+def onto(path: Path) -> None:
+    """Go on in the map of a run: load it, look at it, optimise it, and look for a place in it."""
+    from gsfusion_nb.backends import use_backend
+    from gsfusion_nb.runs.onto import mapper_onto, read_parent, settings_onto
+
+    with use_backend("numba"):
+        parent = read_parent(path)
+        mapper = mapper_onto(parent, settings_onto(parent.config))
+        _look_at(mapper)
+        frame = open_sequence(**parent.document["source"], data=mapper.config.data).mapping[0]
+        with contextlib.suppress(BadFrameError):  # too small to be located
+            mapper.step(frame)
+        _go_on(path, mapper.global_optimise(1))
 
 
 ALTERATION = "alteration.json"
@@ -216,6 +242,11 @@ def altered(path: Path) -> None:
 def altered_tsdf(path: Path) -> None:
     """A TSDF with one wrong thing."""
     _judge_alteration(path, rescore)
+
+
+def altered_onto(path: Path) -> None:
+    """Places, or the state of a map, with one wrong thing."""
+    _judge_alteration(path, onto)
 
 
 def _judge_alteration(path: Path, read: Callable[[Path], None]) -> None:
@@ -268,8 +299,10 @@ TARGETS: dict[str, Callable[[Path], None]] = {
         gaussians,
         mesh,
     )
-} | {f.__name__: f for f in (resume, settings, rescore, archive, altered, altered_tsdf)}
-CORRECTED = ("growing", "resume", "altered", "altered_tsdf")
+} | {
+    f.__name__: f for f in (resume, settings, rescore, archive, altered, altered_tsdf, altered_onto)
+}
+CORRECTED = ("growing", "resume", "altered", "altered_tsdf", "altered_onto")
 """Targets that continue without a damaged file: a folder may still grow."""
 
 

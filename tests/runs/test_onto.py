@@ -215,6 +215,7 @@ def test_a_damaged_file_is_a_sentence(parent, tmp_path, name):
 
 def test_a_wrong_value_in_the_state_is_refused(parent, tmp_path):
     state = read_map_state(parent / "state.zip")
+    rows = state["gaussians"]["rows"]
     copy = tmp_path / "copy"
     copy.mkdir()
     for path in parent.iterdir():
@@ -226,6 +227,13 @@ def test_a_wrong_value_in_the_state_is_refused(parent, tmp_path):
         {"poses": 2 * state["poses"]},
         {"frame_indices": state["frame_indices"].float()},
         {"keyframes": state["keyframes"][0]},
+        {"keyframes": [*state["keyframes"], state["keyframes"][-1]]},
+        {"keyframes": [state["keyframes"][0] | {"T_WC": None}]},
+        {"frame_indices": state["frame_indices"][:0]},
+        {"rule": state["rule"] | {"name": None}},
+        {"rule": state["rule"] | {"memory": []}},
+        {"gaussians": state["gaussians"] | {"more": 1}},
+        {"gaussians": state["gaussians"] | {"rows": rows | {"last_step": rows["last_step"] * 1.0}}},
     ):
         document = {"format": "gsfusion_nb map state", "version": 1, "state": state | change}
         with (
