@@ -10,9 +10,9 @@ from typing import Any
 from ..checks import check_name
 from ..drawing.curves import figure_picture, figure_words
 from ..drawing.page import fill
-from ..drawing.pictures import Picture
+from ..drawing.pictures import Picture, encode_palette
 from ..mapping import StepReport
-from ..viz.display import Bundle, LiveOutput, with_picture
+from ..viz.display import Bundle, LiveOutput, with_stored
 from ..viz.player import MIN_INTERVAL_S, Player, error_html, player_buttons, take_the_stage
 from .executors import InProcess, Task
 from .map_scene import Entry
@@ -143,8 +143,12 @@ class LiveTable(LiveOutput):
         results = self._now_known()
         figure = results.figure()
         bundle = self.widget._repr_mimebundle_(**kwargs)
-        data, words = with_picture(
-            bundle, figure_picture(figure), repr(self), alt=figure_words(figure)
+        data, words = with_stored(
+            bundle,
+            "image/png",
+            encode_palette(figure_picture(figure)),
+            repr(self),
+            {"alt": figure_words(figure)},
         )
         data["text/html"] = results._repr_html_()
         return data, words

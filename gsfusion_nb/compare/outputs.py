@@ -268,7 +268,7 @@ class Results:
         return "\n\n".join([*map(as_markdown, self.tables()), *dict.fromkeys(lines)])
 
     def _repr_html_(self) -> str:
-        picture = data_uri(figure_picture(self.figure()), "png")
+        picture = data_uri(figure_picture(self.figure()), "graph")
         return fill(
             "live_table.html", tables=self.tables(), failures=failures(self.runs), picture=picture
         )

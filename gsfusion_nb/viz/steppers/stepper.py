@@ -1,7 +1,6 @@
 """The widget of a stepper: press Next, and see the line that runs, a picture of it, and its
 numbers."""
 
-import io
 import textwrap
 import threading
 from collections.abc import Callable, Sequence
@@ -16,7 +15,7 @@ from markupsafe import Markup
 
 from ...drawing.curves import BETWEEN, figure_picture
 from ...drawing.page import html_table
-from ...drawing.pictures import encode_rgba
+from ...drawing.pictures import encode_palette, encode_rgba
 from ...errors import ArgumentError
 from ..display import Bundle, LiveOutput, source, synced, with_stored
 from .recording import Line, file_lines
@@ -146,7 +145,7 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
         words = {"width": round(picture.shape[1] / SHARPNESS), "alt": alt}
         text = f"{self.label}: {self.count} steps"
         return with_stored(
-            super()._repr_mimebundle_(**kwargs), "image/png", _palette_png(picture), text, words
+            super()._repr_mimebundle_(**kwargs), "image/png", encode_palette(picture), text, words
         )
 
     def _still_picture(self, steps: Sequence[Step]) -> np.ndarray:
@@ -221,14 +220,3 @@ def text_of(value: Any, digits: int = 4) -> str:
     if isinstance(value, float):
         return f"{value:.{digits}g}".replace("-", "−")
     return str(value).replace("-", "−") if isinstance(value, int) else str(value)
-
-
-def _palette_png(rgba: np.ndarray) -> bytes:
-    """128 colours: a quarter of the size, for a picture that a notebook stores."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.fromarray(rgba).quantize(128, method=Image.Quantize.FASTOCTREE).save(
-        buffer, "PNG", optimize=True
-    )
-    return buffer.getvalue()
