@@ -32,24 +32,27 @@ from .scored_views import VIEWS, scored_views, views_as_json
 from .system_of_run import about_system, write_system
 
 FILES = {
-    "gaussians.ply": "Gaussian map, standard 3DGS layout: SuperSplat, antimatter15/splat, Blender "
-    "and Unity plug-ins",
-    "mesh.ply": "TSDF surface with vertex colours: MeshLab, Blender, CloudCompare",
-    "tsdf.npz": "the coloured TSDF, in which gsfusion-nb locate finds a camera; GPS-SLAM draws its "
+    "gaussians.ply": "The Gaussians, in the standard 3DGS layout: SuperSplat, antimatter15/splat, "
+    "PlayCanvas, plug-ins of Blender and Unity",
+    "mesh.ply": "The surface of the TSDF, a coloured triangle mesh in metres: MeshLab, "
+    "CloudCompare, Blender, pyvista.read",
+    "tsdf.npz": "The coloured TSDF, in which gsfusion-nb locate finds a camera; GPS-SLAM draws its "
     "Gaussians over it, and gaussians.ply alone shows them over black",
-    "places.npz": "what keyframes look like and where they were: gsfusion-nb locate finds another "
+    "places.npz": "What keyframes look like and where they were: gsfusion-nb locate finds another "
     "recording by them",
-    "state.zip": "keyframes and the rule's memory: gsfusion-nb map --onto goes on in this map",
-    "trajectory.txt": "poses, TUM format: evo_traj tum trajectory.txt",
-    "trajectory_given.txt": "the poses before they were refined, if they were",
-    "config.json": "all settings: gsfusion-nb map --from-config config.json repeats the run",
-    "metrics.json": "all metrics, and one row per frame",
-    "rule.py": "source of the seeding rule, if it is not part of the package",
-    "rule_modules": "modules that rule.py imports from beside it",
-    "system.py": "source of the system, if it came from a file",
-    "system_modules": "modules that system.py imports from beside it",
-    "views.json": "the scored views and their poses: gsfusion-nb eval scores them again",
+    "state.zip": "Keyframes and the rule's memory: gsfusion-nb map --onto goes on in this map",
+    "trajectory.txt": "Poses, camera to world, TUM format: evo_traj tum trajectory.txt --plot",
+    "trajectory_given.txt": "The poses before they were refined, if they were",
+    "config.json": "All settings: gsfusion-nb map DATA --from-config config.json repeats the run",
+    "metrics.json": "The numbers of this page, and a row for each frame: json.load",
+    "rule.py": "Source of the seeding rule, if it is not part of the package: run_mapping(data, "
+    "config, seeding=rule) repeats the run",
+    "rule_modules": "Modules that rule.py imports from beside it",
+    "system.py": "Source of the system, if it came from a file",
+    "system_modules": "Modules that system.py imports from beside it",
+    "views.json": "The scored views and their poses: gsfusion-nb eval scores exactly these again",
 }
+"""File of a run -> what it holds, and what opens it."""
 
 
 def write_maps(run: MappingRun, folder: Path) -> Mesh:

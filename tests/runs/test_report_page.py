@@ -128,7 +128,7 @@ def test_the_whole_page(generator, tmp_path):
         mesh_pictures={"From above": torch.rand(20, 30, 3, generator=generator)},
         warnings=["Stopped at frame 5: depth is truncated."],
         environment={"torch": "2.x", "threads": 1},
-        files={"gaussians.ply": "8,386 Gaussians", "notes.txt": "own"},
+        files={"gaussians.ply": "8,386 Gaussians: SuperSplat", "notes.txt": "own"},
     )
     page = page_of(run, tmp_path)
     for text in (
