@@ -232,7 +232,7 @@ def test_without_scripts_all_tables_are_there(open_page):
 def test_the_live_table_in_a_notebook(lab):
     page = lab.open([LIVE])
     status = page.locator(".gsnb-lab-status")
-    table = page.locator(".gsnb-lab-stored")
+    table = page.locator(".gsnb-lab-stored").first  # the short one
     page.locator(".gsnb-lab-start").click()
     lab.wait_for(lambda: "frame" in status.inner_text(), "frames")
     page.locator(".gsnb-lab-pause").click()
