@@ -158,6 +158,7 @@ def installed(tmp_path, monkeypatch):
         yield
 
 
+@pytest.mark.ci
 @pytest.mark.usefixtures("installed")
 def test_map_and_eval_as_a_user_types_them(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -122,6 +122,7 @@ def moved(parent, tmp_path_factory):
     return go_on(parent, tmp_path_factory.mktemp("moved") / "run")
 
 
+@pytest.mark.ci
 def test_the_old_chair_goes_and_the_new_one_comes(parent, moved):
     old = of_chair("none", "chair")
     new = of_chair("chair", "none")
