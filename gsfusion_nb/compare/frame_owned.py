@@ -7,7 +7,6 @@ numbers for three measured colours of a pixel, such a set can store its picture.
 """
 
 import dataclasses
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -41,6 +40,7 @@ RATES = ColumnRates(
 )
 """Learning rates of colour (0.0025 of its range), logarithm of the radius, and opacity (SGAD-SLAM,
 supplement); positions are frozen."""
+ADAM = AdamSettings(rates=RATES, beta1=0.9, beta2=0.999, eps=1e-15, steps="shared")
 INPAINT_RADIUS_PX = 5
 SSIM_WEIGHT = 0.2
 DEPTH_WEIGHT = 1.0
@@ -111,11 +111,6 @@ class FrameOwnedMap:
         self._recent_frames = [*self._recent_frames, frame][-NEIGHBOURS:]
         return owned
 
-    def extend(self, frames: Iterable[Frame]) -> Iterator[FrameSet]:
-        """``add`` each frame; yields its set."""
-        for frame in frames:
-            yield self.add(frame)
-
     def render(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RenderOutput:
         """What a view shows: the set of the frame whose pose is nearest, and the sets of the two
         frames before that one."""
@@ -163,22 +158,15 @@ def without_holes(depth_m: Float[Tensor, "H W"]) -> Float[Tensor, "H W"]:
     return torch.from_numpy(filled).to(depth_m).clamp_min(nearest_m)
 
 
-def train_step(
-    model: GaussianModel,
-    view: Frame,
-    frozen: list[GaussianParams],
-    rates: ColumnRates = RATES,
-) -> None:
+def train_step(model: GaussianModel, view: Frame, frozen: list[GaussianParams]) -> None:
     """One step of Adam on a view: 0.8 L1 + 0.2 D-SSIM + L1 of the depth.
 
     Args:
         model: What learns, changed in place.
         view: Picture, depth and pose.
         frozen: Gaussians that are drawn together with the model's and stay.
-        rates: Learning rates.
     """
-    settings = AdamSettings(rates=rates, beta1=0.9, beta2=0.999, eps=1e-15, steps="shared")
-    optimise_view(model, partial(_draw, view=view, frozen=frozen), partial(_loss, view), settings)
+    optimise_view(model, partial(_draw, view=view, frozen=frozen), partial(_loss, view), ADAM)
 
 
 def joined(sets: list[GaussianParams]) -> GaussianParams:

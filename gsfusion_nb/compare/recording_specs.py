@@ -62,6 +62,8 @@ class RecordingOptions(WhereOptions):
 
 
 def output_folder(options: RecordingOptions, name: str, data: str) -> Path:
+    """Where the results go: ``--out``, else a folder in runs/ with the names of the command and of
+    the recording."""
     return Path(options.out or f"runs/{name}-{Path(data).name}").expanduser()
 
 

@@ -192,8 +192,8 @@ def score_ways(
     if not {OWN_SETS, ONE_MAP, TRAINED_MAP} & set(labels):
         return
     owned = FrameOwnedMap()
-    for _ in owned.extend(split.sequence.mapping):
-        pass
+    for frame in split.sequence.mapping:
+        owned.add(frame)
     if OWN_SETS in labels:
         yield _scores(OWN_SETS, owned.render, len(owned), split)
     merged = owned.merged()

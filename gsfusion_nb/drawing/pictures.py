@@ -7,7 +7,7 @@ changed.
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import cv2
@@ -232,12 +232,17 @@ def encode_rgba(rgba: UInt8[np.ndarray, "H W 4"]) -> bytes:
 
 def data_uri(image: ImageLike, kind: Literal["jpeg", "png", "graph"] = "jpeg") -> str:
     """The picture as text for an HTML page; a graph has 128 colours (``encode_palette``)."""
-    if kind == "jpeg":
-        encoded = encode_jpeg(image)
-    else:
-        encoded = encode_palette(to_uint8(image)) if kind == "graph" else encode_png(image)
-    format_name = "jpeg" if kind == "jpeg" else "png"
-    return f"data:image/{format_name};base64,{base64.b64encode(encoded).decode('ascii')}"
+    format_name, encode = _ENCODERS[kind]
+    content = base64.b64encode(encode(to_uint8(image))).decode("ascii")
+    return f"data:image/{format_name};base64,{content}"
+
+
+_ENCODERS: dict[str, tuple[str, Callable[[Picture], bytes]]] = {
+    "jpeg": ("jpeg", encode_jpeg),
+    "png": ("png", encode_png),
+    "graph": ("png", encode_palette),
+}
+"""Kind of a ``data_uri`` -> its format and what encodes it."""
 
 
 def colour_stops(name: str, n: int = 12) -> list[str]:

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from ..config import TsdfConfig, to_dict
 from ..errors import SequenceError
-from ..files import LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE, atomic_file, open_regular, parsing
+from ..files import atomic_file, check_memory, open_regular, parsing
 from ..tsdf import TsdfVolume
 from ..tsdf.block_pool import VOXELS_PER_BLOCK
 
@@ -85,7 +85,7 @@ def read_tsdf(
         parsing(path, WHAT),
         np.load(file, allow_pickle=False) as archive,
     ):
-        _check_memory(path, sum(entry.file_size for entry in archive.zip.infolist()))
+        check_memory(path, sum(entry.file_size for entry in archive.zip.infolist()), WHAT)
         _check_arrays(path, archive)
         for name, expected_type in (
             ("voxel_size_m", config.voxel_size_m),
@@ -97,7 +97,7 @@ def read_tsdf(
                     f"{expected_type:g}"
                 )
         coords = archive["block_coords"]
-        _check_memory(path, len(coords) * _BLOCK_BYTES)
+        check_memory(path, len(coords) * _BLOCK_BYTES, WHAT)
         D, W, rgb = (archive[name] for name in ("D", "W", "rgb"))
         has_weight = torch.from_numpy(np.unpackbits(archive["observed"], axis=1).astype(bool))
     n = len(coords)
@@ -173,17 +173,6 @@ def _check_arrays(path: Path, archive: Any) -> None:
 
 _BLOCK_BYTES = 20 * VOXELS_PER_BLOCK
 """Of a block in memory: D, W and three colours as float32."""
-
-
-def _check_memory(path: Path, n_bytes: int) -> None:
-    """Raise ``SequenceError`` before a file takes far more memory than one of its size can hold a
-    map of."""
-    size = path.stat().st_size
-    if n_bytes > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
-        raise SequenceError(
-            f"{path} of {size / 1e6:.1f} MB asks for {n_bytes / 1e9:.1f} GB of memory, more than "
-            f"{MOST_MEMORY_PER_BYTE} times its size; expected {WHAT}"
-        )
 
 
 def as_stored(volume: TsdfVolume) -> TsdfVolume:

@@ -7,6 +7,7 @@ from ..errors import BadFrameError as BadFrameError
 from ..errors import SequenceError as SequenceError
 from .archives import LEAST_MEMORY_BYTES as LEAST_MEMORY_BYTES
 from .archives import MOST_MEMORY_PER_BYTE as MOST_MEMORY_PER_BYTE
+from .archives import check_memory as check_memory
 from .archives import inflate as inflate
 from .archives import open_archive as open_archive
 from .archives import read_member as read_member

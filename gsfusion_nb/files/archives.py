@@ -4,7 +4,7 @@ import zipfile
 import zlib
 from pathlib import Path
 
-from ..errors import BadFrameError, reason_of
+from ..errors import BadFrameError, SequenceError, reason_of
 from .foreign import open_regular, parsing
 
 LEAST_MEMORY_BYTES = 1 << 29
@@ -12,6 +12,17 @@ MOST_MEMORY_PER_BYTE = 100
 """A packed file of ours may take as much memory as the first, or as many times its size as the
 second: the TSDFs of runs take 8 to 16 times the size of their files, and files that are made to
 harm a thousand times and more."""
+
+
+def check_memory(path: Path, n_bytes: int, what: str) -> None:
+    """Raise ``SequenceError`` before a file, expected to be ``what``, takes far more memory than
+    one of its size can hold."""
+    size = path.stat().st_size
+    if n_bytes > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
+        raise SequenceError(
+            f"{path} of {size / 1e6:.1f} MB asks for {n_bytes / 1e9:.1f} GB of memory, more than "
+            f"{MOST_MEMORY_PER_BYTE} times its size; expected {what}"
+        )
 
 
 def inflate(data: bytes, source: str | Path, *, at_most: int) -> bytes:

@@ -15,14 +15,7 @@ import torch
 
 from ..errors import ArgumentError, SequenceError, reason_of
 from ..export.checkpoint_values import check_buffers, on_disk, plain_values
-from ..files import (
-    LEAST_MEMORY_BYTES,
-    MOST_MEMORY_PER_BYTE,
-    atomic_file,
-    open_archive,
-    parsing,
-    read_member,
-)
+from ..files import atomic_file, check_memory, open_archive, parsing, read_member
 from ..gaussians.columns import PARAMETERS
 from ..gaussians.moments import MOMENTS
 from ..mapping import Mapper
@@ -87,13 +80,8 @@ def read_map_state(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     with open_archive(path, _WHAT) as archive, parsing(path, _WHAT):
         size = archive.getinfo(_MEMBER).file_size
-        most = max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * path.stat().st_size)
-        if size > most:
-            raise SequenceError(
-                f"{path} asks for {size / 1e9:.1f} GB of memory, more than {MOST_MEMORY_PER_BYTE} "
-                f"times its size; expected {_WHAT}"
-            )
-        content = read_member(archive, _MEMBER, path, at_most=most)
+        check_memory(path, size, _WHAT)
+        content = read_member(archive, _MEMBER, path, at_most=size)
         document = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
         check_buffers(document, path.name)
     if not isinstance(document, dict) or document.get("format") != _FORMAT:

@@ -12,7 +12,6 @@ from torch import Tensor
 from ..config import DataConfig, SystemConfig, from_run, replace, to_dict
 from ..config.values import leaves
 from ..errors import ArgumentError, SequenceError, reason_of
-from ..export import read_gaussian_ply
 from ..files import parsing, read_object
 from ..gaussians.columns import PARAMETERS
 from ..mapping import Mapper, make_mapper, system_of
@@ -25,7 +24,7 @@ from ..types import Camera
 from .map_state import STATE, map_state, read_map_state
 from .run_folder import METRICS
 from .sound_state import check_same
-from .stored_map import CONFIG, of_degree
+from .stored_map import CONFIG, read_gaussians
 from .system_of_run import system_of_run
 
 GAP = 1000
@@ -239,9 +238,7 @@ def _whole_rows(
     fresh: dict[str, Any], stored: dict[str, Any], folder: Path, config: SystemConfig
 ) -> dict[str, Any]:
     """All columns of the Gaussians: parameters from gaussians.ply, moments of zero."""
-    params = of_degree(
-        read_gaussian_ply(folder / "gaussians.ply", strict=True), config.sh_degree, "cpu"
-    )
+    params = read_gaussians(folder, config.sh_degree, "cpu")
     n = len(params)
     rows: dict[str, Tensor] = {name: getattr(params, name) for name in PARAMETERS}
     rows |= stored["rows"]

@@ -10,13 +10,12 @@ from ..config import DataConfig, from_run
 from ..data import OpenedSequence, open_sequence, sequence_fingerprint
 from ..errors import ArgumentError, SequenceNotFoundError
 from ..evaluation import metrics_as_json
-from ..export import read_gaussian_ply
 from ..files import parsing, read_object
 from ..mapping import Mapper
 from .outputs import write_json
 from .run_folder import METRICS
 from .scored_views import read_views, score_in_map
-from .stored_map import of_degree
+from .stored_map import read_gaussians
 from .system_of_run import system_of_run
 
 log = logging.getLogger(__name__)
@@ -84,10 +83,7 @@ def rescore(
             "scores compare the map with other images",
         )
     place = torch.device(device or (stored_device if torch.cuda.is_available() else "cpu"))
-    params = of_degree(
-        read_gaussian_ply(folder / "gaussians.ply", strict=True), config.sh_degree, place
-    )
-
+    params = read_gaussians(folder, config.sh_degree, place)
     draw = mapper_type.files_type.drawn_from(folder, params, config)
     align = (
         (lambda frame: mapper_type.files_type.aligned_pose(draw, params, frame))

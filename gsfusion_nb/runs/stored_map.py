@@ -73,9 +73,7 @@ def open_map(
             f"{folder / PLACES} does not exist, by which a camera is found in the map; the run is "
             "from an older version, or it mapped no frame: map its recording again"
         )
-    params = of_degree(
-        read_gaussian_ply(folder / "gaussians.ply", strict=True), config.sh_degree, device
-    )
+    params = read_gaussians(folder, config.sh_degree, device)
     return StoredMap(
         folder=folder,
         system=str(document.get("system", "gsfusion")),
@@ -87,11 +85,13 @@ def open_map(
     )
 
 
-def of_degree(params: GaussianParams, degree: int, device: torch.device | str) -> GaussianParams:
-    """The Gaussians with the SH degree of the run (the file is padded to degree 3), on
-    ``device``."""
-    params = dataclasses.replace(
-        params,
-        sh=params.sh[:, : (degree + 1) ** 2].contiguous(),
-    )
+def read_gaussians(folder: Path, degree: int, device: torch.device | str) -> GaussianParams:
+    """The Gaussians of the run in ``folder``, with its SH degree (the file is padded to degree 3),
+    on ``device``.
+
+    Raises:
+        FileNotFoundError: there are none. ValueError: the file is damaged.
+    """
+    params = read_gaussian_ply(folder / "gaussians.ply", strict=True)
+    params = dataclasses.replace(params, sh=params.sh[:, : (degree + 1) ** 2].contiguous())
     return GaussianParams(**{name: column.to(device) for name, column in vars(params).items()})

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose
 from ..errors import SequenceError
-from ..files import LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE, atomic_file, open_regular, parsing
+from ..files import atomic_file, check_memory, open_regular, parsing
 from ..types import Camera
 from .features import DESCRIPTOR_BYTES, Features
 from .keyframe_database import KeyframeDatabase
@@ -149,7 +149,7 @@ def read_places(path: str | Path) -> Places:
         parsing(path, _WHAT),
         np.load(file, allow_pickle=False) as archive,
     ):
-        _check_memory(path, sum(entry.file_size for entry in archive.zip.infolist()))
+        check_memory(path, sum(entry.file_size for entry in archive.zip.infolist()), _WHAT)
         arrays = _arrays_of(path, archive)
     with parsing(path, _WHAT):
         width, height, *others = arrays["camera"].tolist()
@@ -220,14 +220,3 @@ def _check_values(path: Path, arrays: dict[str, np.ndarray], camera: Camera) -> 
         raise SequenceError(f"{path}: sigma_px must be above 0; expected {_WHAT}")
     if not (arrays["xyz_C"][arrays["has_depth"], 2] > 0).all():
         raise SequenceError(f"{path}: points with depth must be in front of the camera")
-
-
-def _check_memory(path: Path, n_bytes: int) -> None:
-    """Raise ``SequenceError`` before a file takes far more memory than one of its size can
-    hold."""
-    size = path.stat().st_size
-    if n_bytes > max(LEAST_MEMORY_BYTES, MOST_MEMORY_PER_BYTE * size):
-        raise SequenceError(
-            f"{path} of {size / 1e6:.1f} MB asks for {n_bytes / 1e9:.1f} GB of memory, more than "
-            f"{MOST_MEMORY_PER_BYTE} times its size; expected {_WHAT}"
-        )

@@ -149,7 +149,7 @@ def test_a_frame_stores_its_picture_and_its_set_stays():
 def test_a_view_shows_the_nearest_set_and_two_before_it():
     owned = FrameOwnedMap(FrameOwnedSettings(steps=0))
     frames = [wall(i, x_m=0.2 * i) for i in range(5)]
-    assert [s.index for s in owned.extend(frames)] == [0, 1, 2, 3, 4]
+    assert [owned.add(frame).index for frame in frames] == [0, 1, 2, 3, 4]
     shown = owned.render(CAMERA, frames[3].T_WC)
     by_hand = joined([owned.sets[i].model.params for i in (1, 2, 3)])
     assert torch.equal(shown.rgb, render_forward(by_hand, CAMERA, frames[3].T_WC)[0].rgb)

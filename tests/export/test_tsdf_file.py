@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from gsfusion_nb.config import TsdfConfig
-from gsfusion_nb.export import read_tsdf, tsdf_file, write_tsdf
+from gsfusion_nb.export import read_tsdf, write_tsdf
 from gsfusion_nb.export.tsdf_file import as_stored
+from gsfusion_nb.files import archives
 from gsfusion_nb.tsdf import TsdfVolume, integrate, raycast
 from gsfusion_nb.types import Camera, Frame
 
@@ -118,7 +119,7 @@ def test_a_file_that_is_not_in_order_is_refused(damage, says, volume, tmp_path):
 
 def test_a_small_file_cannot_ask_for_much_memory(tmp_path, monkeypatch):
     """Blocks of nothing, and an archive that unpacks to a thousand times its size."""
-    monkeypatch.setattr(tsdf_file, "LEAST_MEMORY_BYTES", 1 << 20)
+    monkeypatch.setattr(archives, "LEAST_MEMORY_BYTES", 1 << 20)
     n = 100_000
     coords = np.zeros((n, 3), np.int32)
     coords[:, 0] = np.arange(n)

@@ -2,7 +2,6 @@
 anywhere, without poses and times."""
 
 import dataclasses
-import hashlib
 import json
 import math
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import pytest
 import torch
+from earlier_runs import hashes
 
 from gsfusion_nb.cli import main
 from gsfusion_nb.config import gsfusion
@@ -35,11 +35,6 @@ def mapped(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("mapped") / "run"
     run_mapping("room", gsfusion("replica", **SMALL), folder=folder, evaluate=False, **ROOM)
     return folder
-
-
-def hashes(folder: Path) -> dict[str, str]:
-    """File -> SHA-256."""
-    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.iterdir()}
 
 
 @dataclasses.dataclass(frozen=True)

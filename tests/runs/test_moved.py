@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 import torch
+from earlier_runs import StopAfter
 
 from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.data.room import room, room_mesh, room_sdf
@@ -160,24 +161,9 @@ def test_where_nothing_moved_nothing_is_taken_out(parent, tmp_path):
     assert run.metrics["n_keyframes_moved"] <= 2
 
 
-class _StopAfter:
-    """Ends a run after some frames, as an error does."""
-
-    def __init__(self, n: int):
-        self.n = n
-
-    def frame_mapped(self, mapper, frame, report):
-        self.n -= 1
-        if not self.n:
-            raise RuntimeError("stopped")
-
-    def finished(self, mapper, mesh, metrics):
-        pass
-
-
 @pytest.mark.ci
 def test_a_resumed_run_takes_out_the_same(parent, moved, tmp_path):
-    options = {"watch": _StopAfter(9), "checkpoints": CheckpointEvery(frames=1)}
+    options = {"watch": StopAfter(9), "checkpoints": CheckpointEvery(frames=1)}
     with pytest.raises(RuntimeError, match="stopped"):
         go_on(parent, tmp_path / "run", **options)
     resumed = resume_mapping(tmp_path / "run", evaluate=False)

@@ -1,7 +1,6 @@
 """A recording goes on in the map of another run, which stays as it is; so does its resume."""
 
 import dataclasses
-import hashlib
 import json
 import zipfile
 from pathlib import Path
@@ -9,9 +8,10 @@ from typing import Any
 
 import pytest
 import torch
+from earlier_runs import ROOM, StopAfter, hashes, map_first_frames
 
 from gsfusion_nb.cli import main
-from gsfusion_nb.config import gps_slam, gsfusion, replace
+from gsfusion_nb.config import gps_slam, replace
 from gsfusion_nb.data.room import room
 from gsfusion_nb.errors import SequenceError
 from gsfusion_nb.export import read_gaussian_ply
@@ -20,29 +20,11 @@ from gsfusion_nb.runs import CheckpointEvery, resume_mapping, run_mapping
 from gsfusion_nb.runs.map_state import read_map_state
 from gsfusion_nb.runs.onto import read_parent, settings_onto
 
-ROOM: dict[str, Any] = {"n_frames": 120, "width": 160, "height": 120}
-SMALL: dict[str, Any] = {
-    "tsdf__voxel_size_m": 0.04,
-    "tsdf__truncation_voxels": 4.0,
-    "sh_degree": 0,
-    "data__hold_out_every": 0,
-    "optim__global_iterations": 1,
-    "seeding__quadtree_threshold": 0.05,
-}
-
-
-def hashes(folder: Path) -> dict[str, str]:
-    """File -> SHA-256."""
-    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.iterdir()}
-
 
 @pytest.fixture(scope="module")
 def parent(tmp_path_factory) -> Path:
     """The folder of a run on the first frames of the walk."""
-    folder = tmp_path_factory.mktemp("parent") / "run"
-    config = gsfusion("replica", **SMALL, data__stop=10)
-    run_mapping("room", config, folder=folder, evaluate=False, **ROOM)
-    return folder
+    return map_first_frames(tmp_path_factory.mktemp("parent") / "run")
 
 
 def settings(parent: Path, **changes: Any) -> Any:
@@ -117,21 +99,6 @@ def test_a_run_goes_on_in_the_map_of_a_run_that_went_on(whole, tmp_path):
     assert indices[-4:] == [14, 15, 16, 17]
 
 
-class _StopAfter:
-    """Ends a run after some frames, as an error does."""
-
-    def __init__(self, n: int):
-        self.n = n
-
-    def frame_mapped(self, mapper, frame, report):
-        self.n -= 1
-        if not self.n:
-            raise RuntimeError("stopped")
-
-    def finished(self, mapper, mesh, metrics):
-        pass
-
-
 def test_a_resumed_run_ends_with_the_same_maps(parent, whole, tmp_path):
     with pytest.raises(RuntimeError, match="stopped"):
         run_mapping(
@@ -140,7 +107,7 @@ def test_a_resumed_run_ends_with_the_same_maps(parent, whole, tmp_path):
             onto=parent,
             folder=tmp_path / "run",
             evaluate=False,
-            watch=_StopAfter(4),
+            watch=StopAfter(4),
             checkpoints=CheckpointEvery(frames=1),
             **ROOM,
         )

@@ -1,7 +1,6 @@
 """A camera is looked for in the map of a finished run, and goes on in it; a simulated one here."""
 
 import dataclasses
-import hashlib
 import itertools
 import json
 from pathlib import Path
@@ -11,10 +10,11 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from earlier_runs import ROOM, StopAfter, hashes, map_first_frames
 
 from gsfusion_nb.cli import main
 from gsfusion_nb.cli.live import live
-from gsfusion_nb.config import gsfusion, replace
+from gsfusion_nb.config import replace
 from gsfusion_nb.data.room import room
 from gsfusion_nb.data.stream import LiveSource
 from gsfusion_nb.errors import SequenceError
@@ -24,19 +24,8 @@ from gsfusion_nb.runs import (
     StreamRun,
     map_stream,
     resume_mapping,
-    run_mapping,
     stream_onto,
 )
-
-ROOM: dict[str, Any] = {"n_frames": 120, "width": 160, "height": 120}
-SMALL: dict[str, Any] = {
-    "tsdf__voxel_size_m": 0.04,
-    "tsdf__truncation_voxels": 4.0,
-    "sh_degree": 0,
-    "data__hold_out_every": 0,
-    "optim__global_iterations": 1,
-    "seeding__quadtree_threshold": 0.05,
-}
 
 
 class Camera(LiveSource):
@@ -60,15 +49,7 @@ class Camera(LiveSource):
 @pytest.fixture(scope="module")
 def parent(tmp_path_factory) -> Path:
     """The folder of a run on the first frames of the walk."""
-    folder = tmp_path_factory.mktemp("parent") / "run"
-    config = gsfusion("replica", **SMALL, data__stop=10)
-    run_mapping("room", config, folder=folder, evaluate=False, **ROOM)
-    return folder
-
-
-def hashes(folder: Path) -> dict[str, str]:
-    """File -> SHA-256."""
-    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.iterdir()}
+    return map_first_frames(tmp_path_factory.mktemp("parent") / "run")
 
 
 def errors_m(run: Any, indices: list[int], **size: Any) -> list[float]:
@@ -118,21 +99,6 @@ def test_a_camera_that_is_nowhere_in_the_map_can_be_ended(parent, tmp_path):
     assert run.is_looking
 
 
-class _StopAfter:
-    """Ends a run after some frames, as an error does."""
-
-    def __init__(self, n: int):
-        self.n = n
-
-    def frame_mapped(self, mapper, frame, report):
-        self.n -= 1
-        if not self.n:
-            raise RuntimeError("stopped")
-
-    def finished(self, mapper, mesh, metrics):
-        pass
-
-
 def test_a_killed_run_is_finished_with_its_parent(parent, tmp_path):
     run = stream_onto(Camera(range(8, 14)), parent, keep_moved=True)
     with pytest.raises(RuntimeError, match="stopped"):
@@ -140,7 +106,7 @@ def test_a_killed_run_is_finished_with_its_parent(parent, tmp_path):
             run,
             folder=tmp_path / "run",
             evaluate=False,
-            watch=_StopAfter(3),
+            watch=StopAfter(3),
             checkpoints=CheckpointEvery(frames=1),
         )
     resumed = resume_mapping(tmp_path / "run", evaluate=False).run
