@@ -100,19 +100,48 @@ def test_a_table_is_old_when_what_it_depends_on_has_changed(project):
     assert old() == ["walls"]
 
 
-def test_a_commit_that_only_lays_out_source_makes_no_table_old(project):
+@pytest.mark.parametrize(
+    ("source", "is_old"),
+    [
+        ('"""About."""\n\nLIMIT = (  # of what\n    1\n)\n', False),
+        ('"""About this."""\nLIMIT = 1\n"""Of what."""\n', False),
+        ('"""About."""\nLIMIT = 2\n', True),
+        ('"""About."""\nLIMIT = "1"\n', True),
+        ('"""About."""\n', True),
+        (None, True),
+    ],
+    ids=["layout", "docstrings", "value", "type", "statement less", "file gone"],
+)
+def test_of_a_python_file_its_statements_count(project, source, is_old):
     def old():
+        measured.is_same_program.cache_clear()  # commits of one second have one name
         return measured.list_old(measured.read_recipes(project), project)
 
-    (project / "code.py").write_text("( 2 )\n")
+    path = project / "code.py"
+    path.write_text('"""About."""\nLIMIT = 1\n')
     commit(project)
-    assert old() == ["walls"]
-    layout = measured.git("rev-parse", "HEAD", root=project)
-    (project / measured.LAYOUT_COMMITS).write_text(f"# laid out anew\n{layout}")
-    assert old() == []
-    (project / "code.py").write_text("3\n")
+    with_commit(project, measured.git("rev-parse", "HEAD", root=project).strip())
+    path.unlink()
+    if source is not None:
+        path.write_text(source)
     commit(project)
-    assert old() == ["walls"]
+    assert old() == (["walls"] if is_old else [])
+
+
+def test_of_other_files_every_byte_counts(project, capsys):
+    (project / "docs/measured/recipes.toml").write_text(
+        RECIPE.replace('depends = ["code"]', 'depends = ["code", "rooms/*.toml"]')
+    )
+    (project / "rooms").mkdir()
+    (project / "rooms/a.toml").write_text("# a room\n")
+    (project / "rooms/b.toml").write_text("# a room\n")
+    commit(project)
+    with_commit(project, measured.git("rev-parse", "HEAD", root=project).strip())
+    (project / "rooms/a.toml").write_text("# a large room\n")
+    (project / "rooms/b.toml").write_text("# a small room\n")
+    commit(project)
+    assert measured.list_old(measured.read_recipes(project), project) == ["walls"]
+    assert "rooms/a.toml changed since 2026-01-01 (2 files in all)" in capsys.readouterr().out
 
 
 def with_commit(project, commit):

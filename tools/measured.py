@@ -11,6 +11,7 @@ A table is out of date where something that it depends on has changed since it w
 """
 
 import argparse
+import ast
 import csv
 import datetime
 import json
@@ -23,15 +24,12 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = "docs/measured"
-LAYOUT_COMMITS = ".git-blame-ignore-revs"
-"""Commits that changed only how the source is laid out; ``git blame`` skips them, and so does the
-age of a table."""
-
 COMMIT_HERE = "commit_here"
 """Key of a file of numbers: whether its commit is in the history of this repository; absent means
 that it is."""
@@ -210,20 +208,59 @@ def reason_of_age(
         return f"its commit is not in this repository: {numbers['commit'][:8]} of {numbers['date']}"
     if any(numbers[key] != recipe[key] for key in ("commands", "columns")):
         return "the recipe has changed"
-    since = git(
-        "log", "--format=%H", f"{numbers['commit']}..HEAD", "--", *recipe["depends"], root=root
-    ).split()
-    changes = [commit for commit in since if commit not in layout_commits(root)]
-    return f"{len(changes)} commits since {numbers['date']}" if changes else ""
+    changed = changed_files(numbers["commit"], tuple(recipe["depends"]), root)
+    if not changed:
+        return ""
+    more = f" ({len(changed)} files in all)" if len(changed) > 1 else ""
+    return f"{changed[0]} changed since {numbers['date']}{more}"
 
 
-def layout_commits(root: Path = ROOT) -> set[str]:
-    """Full names of the commits that changed only the layout of the source (``LAYOUT_COMMITS``)."""
-    path = root / LAYOUT_COMMITS
-    if not path.is_file():
-        return set()
-    lines = path.read_text(encoding="utf-8").splitlines()
-    return {line.strip() for line in lines if line.strip() and not line.startswith("#")}
+def changed_files(
+    commit: str,
+    paths: tuple[str, ...],
+    root: Path = ROOT,
+) -> list[str]:
+    """Files below ``paths`` that are not today what they were at ``commit``. Of a Python file its
+    statements count, and neither its layout nor its comments and docstrings."""
+    different = git(
+        "diff", "--name-only", "--no-renames", f"{commit}..HEAD", "--", *paths, root=root
+    ).splitlines()
+    return [path for path in different if not is_same_program(commit, path, root)]
+
+
+@cache
+def is_same_program(
+    commit: str,
+    path: str,
+    root: Path = ROOT,
+) -> bool:
+    """Whether a Python file has the same statements at ``commit`` and today."""
+    if not path.endswith(".py"):
+        return False
+    try:
+        then, now = (git("show", f"{side}:{path}", root=root) for side in (commit, "HEAD"))
+    except MeasuredError:  # on one side there is no such file
+        return False
+    return statements(then) == statements(now)
+
+
+def statements(source: str) -> str:
+    """The statements of a Python file as text, without layout, comments and docstrings."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [part for part in body if not _is_text(part)]
+    return ast.dump(tree)
+
+
+def _is_text(statement: ast.AST) -> bool:
+    """Whether a statement is a text that stands by itself, as docstrings do."""
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
 
 
 def note_commits(root: Path = ROOT) -> list[str]:
