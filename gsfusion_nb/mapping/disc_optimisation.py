@@ -2,8 +2,9 @@
 (Peng et al. 2024, section 3.2, Eq. 7-9)."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from ..gaussians import fuse_with_history
 from ..optim import Keyframe, TrainingView, ViewStep
-from ..render import rows_in_view
+from ..render import render_forward, rows_in_view
 from ..types import Frame, GaussianParams
 from .after_steps import StepStatistics
 from .surfel_optimiser import SurfelOptimiser
@@ -68,14 +69,14 @@ def optimise_window(mapper: Any) -> list[float]:
         **{name: value.clone() for name, value in vars(optimiser.trained_params).items()}
     )
     masks = config.only_unstable and optimiser.n < MASKED_BELOW * int(is_in_view.sum())
-    views = [
-        TrainingView.of(f, optimiser.covered_pixels(f.camera, f.T_WC) if masks else None)
-        for f in mapper.window
-    ]
     newest_from = config.iterations / 2 if config.draw == "newest_half" else math.inf
     sources = list(mapper.window)
+
+    def view_of(source: Frame) -> TrainingView:
+        return TrainingView.of(source, _covered_pixels(old_params, source) if masks else None)
+
     losses, last_step = _take_steps(
-        mapper, optimiser, sources, views, config.iterations, newest_from
+        mapper, optimiser, sources, view_of, config.iterations, newest_from
     )
     old_confidence = model.confidence[optimiser.rows]
     confidence = old_confidence + optimiser.colour_steps
@@ -118,11 +119,18 @@ def optimise_keyframes(mapper: Any) -> int:
         all_in_view=mapper.config.all_in_view,
         training=mapper.training,
     )
-    views = [_worst_pixels(mapper, keyframe) for keyframe in keyframes]
-    _, last_step = _take_steps(mapper, optimiser, keyframes, views, config.iterations)
+    _, last_step = _take_steps(
+        mapper, optimiser, keyframes, partial(_worst_pixels, mapper), config.iterations
+    )
     optimiser.write_back()
     edit_after(mapper, last_step)
     return config.iterations
+
+
+def _covered_pixels(params: GaussianParams, view: Frame | Keyframe) -> Bool[Tensor, "H W"]:
+    """Pixels of a view that some of the rows cover, even if other rows of the map hide them."""
+    output, _ = render_forward(params, view.camera, view.T_WC, with_indices=False)
+    return output.alpha > 0
 
 
 def step_on(
@@ -155,19 +163,23 @@ def _take_steps(
     mapper: Any,
     optimiser: SurfelOptimiser,
     sources: list[Any],
-    views: list[TrainingView],
+    view_of: Callable[[Any], TrainingView],
     n: int,
     newest_from: float = math.inf,
 ) -> tuple[list[Tensor], DiscStep | None]:
-    """``n`` gradient steps on views drawn at random, from step ``newest_from`` on only on the
-    newest. Returns the losses before them, and the last step."""
+    """``n`` gradient steps on sources drawn at random, from step ``newest_from`` on only on the
+    newest. ``view_of`` makes the view of a source at its first step. Returns the losses before the
+    steps, and the last step."""
     losses = []
     step = None
+    views: dict[int, TrainingView] = {}
     for k in range(n):
         mapper.guard.may_stop()
-        i = len(views) - 1
+        i = len(sources) - 1
         if k < newest_from:
-            i = int(torch.randint(len(views), (), generator=mapper.random.keyframes))
+            i = int(torch.randint(len(sources), (), generator=mapper.random.keyframes))
+        if i not in views:
+            views[i] = view_of(sources[i])
         step = step_on(mapper, optimiser, sources[i], views[i])
         losses.append(step.view_step.loss)
     optimiser.take_missed_steps()

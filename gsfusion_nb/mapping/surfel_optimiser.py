@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from torch import Tensor
 
 from ..config import DiscConfig, WindowConfig
@@ -32,7 +32,7 @@ from ..render import (
     render_forward,
     render_vjp,
 )
-from ..types import ALL_ROWS, Camera, GaussianParams, MapRows, RenderOutput
+from ..types import ALL_ROWS, GaussianParams, MapRows, RenderOutput
 from .training import Training
 
 _GEOMETRY = ("xyz_W", "log_scale", "quat")
@@ -137,15 +137,6 @@ class SurfelOptimiser:
         )
         rows = self.rows[self._transparent]
         self._anchor = {name: start[name][rows].clone() for name in _GEOMETRY}
-
-    def covered_pixels(
-        self,
-        camera: Camera,
-        T_WC: Float[Tensor, "4 4"],
-    ) -> Bool[Tensor, "H W"]:
-        """Pixels that a trained row covers, even if other rows hide it."""
-        output, _ = render_forward(self.trained_params, camera, T_WC, with_indices=False)
-        return output.alpha > 0
 
     def step(
         self, view: TrainingView, outputs: Mapping[str, Tensor | None] = MappingProxyType({})

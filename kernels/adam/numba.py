@@ -5,7 +5,6 @@ written once."""
 # pyright: reportCallIssue=false
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -13,7 +12,9 @@ from torch import Tensor
 from torch.autograd.graph import increment_version
 
 from gsfusion_nb.backends import load
+from gsfusion_nb.optim.adam import ColumnRates
 from gsfusion_nb.optim.adam import adam_update as reference
+from gsfusion_nb.types import GaussianParams
 
 from ..runtime.numba.launch import launching
 from .host import corrections, is_simple, step_sizes
@@ -40,20 +41,58 @@ def adam_update(
         return
     if param.numel() == 0:
         return
-    arrays = tuple(t.detach().view(param.shape[0], -1).numpy() for t in tensors)
-    rate = step_sizes(lr, param).contiguous().numpy()
+    with launching():
+        _take_step(tensors, lr, *_shared_by_columns(steps, beta1, beta2, eps))
+
+
+def adam_update_map(
+    params: GaussianParams,
+    gradients: GaussianParams,
+    exp_avg: GaussianParams,
+    exp_avg_sq: GaussianParams,
+    steps: int | Tensor | None,
+    *,
+    rates: ColumnRates,
+    beta1: float,
+    beta2: float,
+    eps: float,
+) -> None:
+    """See ``gsfusion_nb.optim.adam_update_map``."""
+    maps = (params, gradients, exp_avg, exp_avg_sq)
+    if not all(
+        is_simple(*columns) for columns in zip(*(vars(m).values() for m in maps), strict=True)
+    ):
+        decay = {"beta1": beta1, "beta2": beta2, "eps": eps}
+        load("adam_update_map", "reference")(*maps, steps, rates=rates, **decay)
+        return
+    if len(params) == 0:
+        return
+    shared = _shared_by_columns(steps, beta1, beta2, eps)
+    with launching():
+        for name, lr in rates.by_column(params.sh).items():
+            _take_step(tuple(getattr(m, name) for m in maps), lr, *shared)
+
+
+def _shared_by_columns(
+    steps: int | Tensor | None, beta1: float, beta2: float, eps: float
+) -> tuple[tuple[np.ndarray, ...], tuple[np.float32, ...]]:
+    """``corrections`` and ``decay`` of ``_update``."""
     t = np.atleast_1d(np.inf if steps is None else np.asarray(steps, np.float64))
     by_row = tuple(correction.astype(np.float32) for correction in corrections(t, beta1, beta2))
-    decay = tuple(map(f32, (beta1, 1 - beta1, beta2, 1 - beta2, eps)))
-    with launching():
-        _update(arrays, by_row, rate, decay)
+    return by_row, tuple(map(f32, (beta1, 1 - beta1, beta2, 1 - beta2, eps)))
+
+
+def _take_step(
+    tensors: tuple[Tensor, ...],
+    lr: float | Tensor,
+    by_row: tuple[np.ndarray, ...],
+    decay: tuple[np.float32, ...],
+) -> None:
+    """One step of a column: parameter, gradient and moments; only inside ``launching``."""
+    param = tensors[0]
+    arrays = tuple(t.detach().view(len(param), -1).numpy() for t in tensors)
+    _update(arrays, by_row, step_sizes(lr, param).contiguous().numpy(), decay)
     increment_version(param)
-
-
-def adam_update_map(*operands: Any, **options: Any) -> None:
-    """See ``gsfusion_nb.optim.adam_update_map``: it is that function, whose columns are updated on
-    this backend."""
-    load("adam_update_map", "reference")(*operands, **options)
 
 
 @njit(parallel=True, cache=True, error_model="numpy")

@@ -78,7 +78,8 @@ def disc_depth(
     normal = torch.empty(*disc.shape, 3)
     on_plane = torch.empty(disc.shape, dtype=torch.bool)
     with launching():
-        discs = _list_discs(*arrays, view, _offset(max_offset), _ALL_ROWS)
+        hit_rows = _rows_hit(disc.reshape(-1), len(params))
+        discs = _list_discs(*arrays, view, _offset(max_offset), hit_rows)
         _meet_all(
             discs, disc, view, f32(min_cosine), depth.numpy(), normal.numpy(), on_plane.numpy()
         )
@@ -105,9 +106,11 @@ def disc_depth_vjp(
     v_xyz = torch.empty(len(params), 3)
     v_quat = torch.empty(len(params), 4)
     with launching():
-        discs = _list_discs(*arrays, view, _offset(max_offset), train_rows)
-        pixel, start = _pixels_by_row(disc.reshape(-1), len(params), train_rows)
+        pixel, start = _pixels_by_row(
+            disc.reshape(-1), v_depth.reshape(-1), len(params), train_rows
+        )
         lists = PixelLists(pixel=pixel, start=start, width=disc.shape[1])
+        discs = _list_discs(*arrays, view, _offset(max_offset), start[1:] > start[:-1])
         _meet_all_vjp(
             discs,
             *arrays[1:],
@@ -154,11 +157,9 @@ def _unit(q):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _list_discs(xyz, log_scale, quat, view, max_offset, train_rows):
-    """The discs [N, DISC]; those of rows outside ``train_rows`` stay empty. An empty array stands
-    for all rows."""
+def _list_discs(xyz, log_scale, quat, view, max_offset, rows):
+    """The discs [N, DISC]; those outside ``rows``, bool [N], stay empty."""
     N = xyz.shape[0]
-    all_wanted = train_rows.shape[0] == 0
     R = view.R_WC
     centre = view.centre_W
     discs = np.empty((N, DISC), np.float32)
@@ -168,7 +169,7 @@ def _list_discs(xyz, log_scale, quat, view, max_offset, train_rows):
         if part >= n_parts:
             continue
         for i in range(part * _CHUNK, min(N, part * _CHUNK + _CHUNK)):
-            if not (all_wanted or train_rows[i]):
+            if not rows[i]:
                 continue
             d = discs[i]
             _, w, x, y, z = _unit(quat[i])
@@ -236,16 +237,27 @@ def _meet_all(discs, disc, view, min_cosine, depth, normal, on_plane):
 
 
 @njit(cache=True, error_model="numpy")
-def _pixels_by_row(disc, N, train_rows):
-    """Places in the image of the pixels that hit row g, in order:
+def _rows_hit(disc, N):
+    """Which rows some pixel hits. [N]"""
+    is_hit = np.zeros(N, np.bool_)
+    for g in disc:
+        if g >= 0:
+            is_hit[g] = True
+    return is_hit
+
+
+@njit(cache=True, error_model="numpy")
+def _pixels_by_row(disc, v_depth, N, train_rows):
+    """Places in the image of the pixels that hit row g and whose depth has a gradient, in order:
     ``pixel[start[g] : start[g + 1]]``.
 
     Rows outside ``train_rows`` have none; an empty array stands for all rows.
     """
     start = np.zeros(N + 1, np.int32)
     all_wanted = train_rows.shape[0] == 0
-    for g in disc:
-        if g >= 0 and (all_wanted or train_rows[g]):
+    for o in range(disc.shape[0]):
+        g = disc[o]
+        if g >= 0 and v_depth[o] != _ZERO and (all_wanted or train_rows[g]):
             start[g + 1] += 1
     for g in range(N):
         start[g + 1] += start[g]
@@ -253,7 +265,7 @@ def _pixels_by_row(disc, N, train_rows):
     pixel = np.empty(start[N], np.int32)
     for o in range(disc.shape[0]):
         g = disc[o]
-        if g >= 0 and (all_wanted or train_rows[g]):
+        if g >= 0 and v_depth[o] != _ZERO and (all_wanted or train_rows[g]):
             pixel[cursor[g]] = o
             cursor[g] += 1
     return pixel, start

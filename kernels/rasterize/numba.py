@@ -78,7 +78,9 @@ def render_forward(
     far_m: float = math.inf,
 ) -> tuple[RenderOutput, Any]:
     """See ``gsfusion_nb.render.render_forward``."""
-    pixel_list = _ALL_PIXELS if pixels is None else pixels.contiguous().numpy()
+    pixel_list = (
+        _ALL_PIXELS if pixels is None or bool(pixels.all()) else pixels.contiguous().numpy()
+    )
     cam = pack_camera(camera, T_WC, near_m, far_m)
     N = len(params)
     H = camera.height
