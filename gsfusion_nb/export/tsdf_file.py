@@ -19,7 +19,7 @@ from torch import Tensor
 
 from ..config import TsdfConfig, to_dict
 from ..errors import SequenceError
-from ..files import atomic_file, check_memory, open_regular, parsing
+from ..files import atomic_file, check_memory, open_arrays, parsing
 from ..tsdf import TsdfVolume
 from ..tsdf.block_pool import VOXELS_PER_BLOCK
 
@@ -80,12 +80,7 @@ def read_tsdf(
             another size.
     """
     path = Path(path)
-    with (
-        open_regular(path, WHAT) as file,
-        parsing(path, WHAT),
-        np.load(file, allow_pickle=False) as archive,
-    ):
-        check_memory(path, sum(entry.file_size for entry in archive.zip.infolist()), WHAT)
+    with open_arrays(path, WHAT) as archive:
         _check_arrays(path, archive)
         for name, expected_type in (
             ("voxel_size_m", config.voxel_size_m),

@@ -10,6 +10,7 @@ from .archives import MOST_MEMORY_PER_BYTE as MOST_MEMORY_PER_BYTE
 from .archives import check_memory as check_memory
 from .archives import inflate as inflate
 from .archives import open_archive as open_archive
+from .archives import open_arrays as open_arrays
 from .archives import read_member as read_member
 from .atomic import atomic_file as atomic_file
 from .atomic import atomic_folder as atomic_folder

@@ -2,7 +2,12 @@
 
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from ..errors import BadFrameError, SequenceError, reason_of
 from .foreign import open_regular, parsing
@@ -23,6 +28,25 @@ def check_memory(path: Path, n_bytes: int, what: str) -> None:
             f"{path} of {size / 1e6:.1f} MB asks for {n_bytes / 1e9:.1f} GB of memory, more than "
             f"{MOST_MEMORY_PER_BYTE} times its size; expected {what}"
         )
+
+
+@contextmanager
+def open_arrays(path: Path, what: str) -> Iterator[Any]:
+    """The arrays of an ``.npz`` file of ours, expected to be ``what``, as ``np.load`` gives them
+    (``NpzFile``). Nothing in the file is executed, and it takes no more memory than its size
+    allows.
+
+    Raises:
+        FileNotFoundError: no such file. SequenceError: another file, a damaged one, or any error
+            while its arrays are read.
+    """
+    with (
+        open_regular(path, what) as file,
+        parsing(path, what),
+        np.load(file, allow_pickle=False) as arrays,
+    ):
+        check_memory(path, sum(entry.file_size for entry in arrays.zip.infolist()), what)
+        yield arrays
 
 
 def inflate(data: bytes, source: str | Path, *, at_most: int) -> bytes:

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from ..checks import SAVED_RIGIDITY_ERROR, check_pose
 from ..errors import SequenceError
-from ..files import atomic_file, check_memory, open_regular, parsing
+from ..files import atomic_file, open_arrays, parsing
 from ..types import Camera
 from .features import DESCRIPTOR_BYTES, Features
 from .keyframe_database import KeyframeDatabase
@@ -144,12 +144,7 @@ def read_places(path: str | Path) -> Places:
         FileNotFoundError: no such file. ValueError: another file, or a damaged one.
     """
     path = Path(path)
-    with (
-        open_regular(path, _WHAT) as file,
-        parsing(path, _WHAT),
-        np.load(file, allow_pickle=False) as archive,
-    ):
-        check_memory(path, sum(entry.file_size for entry in archive.zip.infolist()), _WHAT)
+    with open_arrays(path, _WHAT) as archive:
         arrays = _arrays_of(path, archive)
     with parsing(path, _WHAT):
         width, height, *others = arrays["camera"].tolist()
