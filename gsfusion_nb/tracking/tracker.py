@@ -35,10 +35,11 @@ from .surface import Surface, SurfaceSource, hybrid_surface
 class TrackingReport:
     """The pose of one frame and how it was found."""
 
-    status: Literal["first", "ok", "degenerate", "recovered"]
+    status: Literal["first", "ok", "degenerate", "recovered", "located"]
     """"first": pose from the data; "degenerate": some directions of motion, which the scene does
     not determine, are predicted; "recovered": ICP failed from the predicted pose, also with
-    smoothed normals, but not from another start."""
+    smoothed normals, but not from another start; "located": by appearance, in a map where the
+    camera was not seen before."""
     T_WC: Float[Tensor, "4 4"]
     """Camera-to-world pose, float32."""
     start: str = ""
@@ -247,11 +248,10 @@ class Tracker:
             if problem:
                 failures.append(f"from {start.name} {problem}")
                 continue
-            was_lost = self.lost_in_a_row > 0
             self._usual.add(fit.result)
             self._accept(frame, fit.result.T_WC, moved=False)
             return TrackingReport(
-                status="recovered" if was_lost else "ok",
+                status="located",
                 T_WC=fit.result.T_WC.to(frame.T_WC),
                 start=start.name,
                 icp=fit.result,

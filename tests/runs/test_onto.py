@@ -47,6 +47,7 @@ def test_the_camera_is_located_and_the_map_goes_on(parent, whole):
     mapper = whole.mapper
     assert whole.run.status == "complete"
     assert len(whole.run.steps) == 8
+    assert [step.tracking["status"] for step in whole.run.steps] == ["located"] + ["ok"] * 7
     assert mapper.n_frames == 18
     assert len(mapper.gaussians) > len(first)
     assert mapper.localiser.frame_indices[10:] == list(range(8, 16))
