@@ -94,7 +94,6 @@ ALLOWED = {
     "export/tsdf_file.py": "arrays without objects",
     "data/adjust/extra_files.py": "an array that is mapped, and an image that was decoded before",
     "runs/map_state.py": "tensors and plain values within a limit of memory",
-    "tracking/places.py": "arrays without objects, of a limited size",
 }
 
 
