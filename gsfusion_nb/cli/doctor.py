@@ -41,7 +41,6 @@ PACKAGES = (
     "pyvista",
     "scipy",
     "scikit-posthocs",
-    "statsmodels",
     "tyro",
 )
 
