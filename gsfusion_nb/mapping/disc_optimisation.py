@@ -19,8 +19,10 @@ from .after_steps import StepStatistics
 from .surfel_optimiser import SurfelOptimiser
 
 WORST_SHARE = 0.4
-"""Share of a keyframe's pixels that have a loss in the optimisation over keyframes, those with the
-largest colour errors."""
+TILE_PX = 16
+"""Share of a keyframe's tiles that have a loss in the optimisation over keyframes, those with the
+largest colour errors, and their side, pixels. Tiles of this size without a loss take no time to
+draw."""
 
 KEYFRAMES_LR_FACTOR = 0.1
 """Learning rates of the optimisation over keyframes as a multiple of the window's; centres do not
@@ -94,7 +96,7 @@ def optimise_window(mapper: Any) -> list[float]:
 
 
 def optimise_keyframes(mapper: Any) -> int:
-    """Optimise over the latest and some random keyframes, on the pixels with the largest colour
+    """Optimise over the latest and some random keyframes, on the tiles with the largest colour
     errors. Returns the number of gradient steps.
 
     Args:
@@ -209,10 +211,27 @@ def _rows_in_views(mapper: Any, views: Iterable[Frame | Keyframe]) -> Bool[Tenso
 
 
 def _worst_pixels(mapper: Any, keyframe: Keyframe) -> TrainingView:
-    """The view of a keyframe with the pixels of the largest colour errors, a fixed share of the
-    image."""
+    """The view of a keyframe with the pixels of its worst tiles."""
     rgb = keyframe.rgb
     surface = mapper.surface(keyframe.camera, keyframe.T_WC, keyframe.farthest_m)
     error = (surface.rgb - rgb).abs().mean(dim=-1)
-    pixels = error >= error.flatten().quantile(1 - WORST_SHARE)
-    return TrainingView.of(keyframe, pixels, rgb)
+    return TrainingView.of(keyframe, worst_tiles(error), rgb)
+
+
+def worst_tiles(
+    error: Float[Tensor, "H W"], share: float = WORST_SHARE, tile_px: int = TILE_PX
+) -> Bool[Tensor, "H W"]:
+    """Pixels of the tiles with the largest mean errors.
+
+    Args:
+        error: Error of each pixel. [H, W]
+        share: Of the tiles, rounded to at least one.
+        tile_px: Side of a tile; those at the right and lower border may be smaller.
+    """
+    height, width = error.shape
+    tiles = torch.nn.functional.avg_pool2d(error[None], tile_px, ceil_mode=True)[0]
+    n = max(1, round(share * tiles.numel()))
+    is_worst = torch.zeros_like(tiles, dtype=torch.bool).flatten()
+    is_worst[tiles.flatten().topk(n).indices] = True
+    by_row = is_worst.view(tiles.shape).repeat_interleave(tile_px, dim=0)
+    return by_row.repeat_interleave(tile_px, dim=1)[:height, :width].contiguous()

@@ -13,6 +13,7 @@ from gsfusion_nb.data.room import room, room_sdf
 from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.mapping import RTGSLAM, StepReport, disc_files
 from gsfusion_nb.mapping import rtg_slam as rtg_slam_module
+from gsfusion_nb.mapping.disc_optimisation import worst_tiles
 from gsfusion_nb.tsdf import integrate
 from gsfusion_nb.types import Frame
 
@@ -153,6 +154,20 @@ def test_a_keyframe_may_take_the_place_of_the_window(small_walk, monkeypatch):
     ]  # 14 steps > 12: stable after frame 1
     slow = replace(replaced, states__stable_confidence=1000.0)
     assert optimised_frames(slow, small_walk[:6]) == [0, 1, 3, 5]
+
+
+def test_the_worst_tiles_are_those_with_the_largest_means():
+    error = torch.full((20, 40), 0.5)
+    error[3, 5] = 20.0  # mean of its tile of 8x8: 0.80
+    error[8:16, 8:16] = 0.7
+    error[16:, 32:] = 0.9  # a smaller tile at the border
+    error[0:8, 32:40] = 0.6
+    expected = torch.zeros_like(error, dtype=torch.bool)
+    for y, x in ((0, 0), (8, 8), (16, 32)):
+        expected[y : y + 8, x : x + 8] = True
+    assert torch.equal(worst_tiles(error, share=0.2, tile_px=8), expected)  # 3 of 15 tiles
+    assert int(worst_tiles(error, share=1e-6, tile_px=8).sum()) == 4 * 8
+    assert worst_tiles(error, share=1.0).all()
 
 
 def test_the_end_of_a_scan(small_walk):
