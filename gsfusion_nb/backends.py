@@ -371,7 +371,9 @@ def _why_slow(name: str, device: str) -> str:
 def _devices(values: Iterable) -> Iterator[str]:
     """Kinds of device of tensors, of volumes, and of what dataclasses hold."""
     for value in values:
-        if isinstance(getattr(value, "device", None), torch.device):
+        if isinstance(value, GaussianParams):  # its columns are on one device
+            yield value.xyz_W.device.type
+        elif isinstance(getattr(value, "device", None), torch.device):
             yield value.device.type
         elif dataclasses.is_dataclass(value):
             yield from _devices(vars(value).values())
