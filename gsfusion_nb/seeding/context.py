@@ -85,10 +85,9 @@ class SeedContext(SeedInputs):
 
         The middle is back-projected with the depth of the pixel that contains it, and takes that
         pixel's colour; the standard deviation is d = z sqrt((w/2)^2 + (h/2)^2) / fx, and along the
-        normal of the depth image ``thickness`` times d. A large disc that leans away from the
-        camera is longer in that direction (``stretched``). ``tag`` is the leaf's level. As
-        published: ``cells(largest_m=0.0, thickness=1.0, opacity=0.5)``, whole leaves and round
-        Gaussians.
+        normal of the depth image ``thickness`` times d. The disc of a large leaf is as large as
+        the leaf on the surface (``over_cells``). ``tag`` is the leaf's level. As published:
+        ``cells(largest_m=0.0, thickness=1.0, opacity=0.5)``, whole leaves and round Gaussians.
 
         Args:
             thickness: In place of the setting; 1: round.

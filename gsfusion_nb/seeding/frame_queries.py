@@ -11,7 +11,7 @@ from ..errors import ArgumentError
 from ..geometry import backproject, depth_to_normals, pixel_grid, se3
 from ..types import Seeds
 from .depth_from_sides import depth_from_sides
-from .discs import as_discs, stretched
+from .discs import as_discs, over_cells
 from .image_features import canny
 from .inputs import SeedInputs, cached_result
 from .quadtree import Cells, cell_gaussians, cut_to_size, quadtree
@@ -132,7 +132,7 @@ def leaf_seeds(
     if thickness == 1:
         return seeds
     discs = as_discs(inputs, seeds, normals_W(inputs).flatten(0, 1)[pixel], thickness)
-    return stretched(inputs, seeds, discs, leaves.half_diagonal_px)
+    return over_cells(inputs, discs, leaves)
 
 
 def seeds_at(

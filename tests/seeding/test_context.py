@@ -10,8 +10,10 @@ import torch
 from gsfusion_nb.config import SeedingConfig, TsdfConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.geometry import project, quaternion, se3
+from gsfusion_nb.render import project_gaussians
 from gsfusion_nb.seeding import SeedContext, as_discs, check_contexts, voxel_index
-from gsfusion_nb.seeding.discs import stretched
+from gsfusion_nb.seeding.discs import cell_on_plane, over_cells
+from gsfusion_nb.seeding.quadtree import Cells
 from gsfusion_nb.types import Camera, Frame, Seeds
 
 
@@ -56,7 +58,8 @@ def test_published_size_of_a_cell():
 
 def test_the_disc_of_a_cell_lies_in_the_surface():
     """A wall that is turned by 45 degrees about y: z = 2 + x. Its normal is (1, 0, -1) / sqrt 2.
-    The disc, of 10 pixels, is longer by 1 / cos 45."""
+    The cell of 16 x 12 pixels covers (16 / sqrt 2) / 600 / cos 45 = 1.6 d along the wall, of which
+    1.5 d are allowed, and (12 / sqrt 2) / 500 = 1.018 d across."""
     j, i = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
     ray_x = (i + 0.5 - 8) / 600
     tilted = frame(2 / (1 - ray_x) + 0 * j, torch.zeros(12, 16, 3))
@@ -68,31 +71,108 @@ def test_the_disc_of_a_cell_lies_in_the_surface():
     normal = torch.tensor([1.0, 0.0, -1.0]) / 2**0.5
     assert abs(float(axes[:, 2] @ normal)) == pytest.approx(1, abs=1e-4)
     d = round_ones.scale_m[0, 0].item()
-    assert seeds.scale_m.tolist() == [pytest.approx([2**0.5 * d, d, 0.2 * d], rel=1e-4)]
+    assert seeds.scale_m.tolist() == [pytest.approx([1.5 * d, 1.018234 * d, 0.2 * d], rel=1e-4)]
     assert seeds.opacity.tolist() == [pytest.approx(0.9)]
     assert torch.equal(seeds.xyz_W, round_ones.xyz_W)
 
 
+def cells_around_the_middle(*levels: int, width: int = 12, height: int = 12) -> Cells:
+    """Cells of this size, one of each level, in the middle of an image of 64 x 48 pixels."""
+    n = torch.ones(len(levels), dtype=torch.int32)
+    return Cells(
+        x0=(32 - width // 2) * n,
+        y0=(24 - height // 2) * n,
+        width=width * n,
+        height=height * n,
+        level=torch.tensor(levels, dtype=torch.int32),
+    )
+
+
 @pytest.mark.parametrize(("lean_deg", "stretch"), [(40, 1 / 0.766044), (60, 1.5)])
 def test_a_large_disc_covers_its_cell_in_the_picture(lean_deg, stretch):
-    """Seen along its lean, 1 / cos(lean) cancels the foreshortening, up to 1.5 times. A small disc,
-    and one that faces the camera, stay as they are."""
+    """Seen along its lean, 1 / cos(lean) cancels the foreshortening, up to 1.5 times. A small disc
+    stays as it is, and one that faces the camera as large as it is."""
     lean = torch.deg2rad(torch.tensor(float(lean_deg)))
-    normal = torch.tensor([[torch.sin(lean), 0.0, -torch.cos(lean)], [0.0, 0.0, -1.0]])
-    ctx = SeedContext(frame(torch.full((2, 4), 2.0)))
-    centre = torch.tensor([[0.0, 0.0, 2.0]]).expand(2, 3)
-    seeds = Seeds.isotropic(centre, torch.zeros(2, 3), torch.tensor([0.1, 0.1]))
-    discs = as_discs(ctx, seeds, normal, 0.2)
-    large = stretched(ctx, seeds, discs, torch.tensor([10.0, 10.0]))
-    small = stretched(ctx, seeds, discs, torch.tensor([9.9, 9.9]))
+    leaning = torch.tensor([torch.sin(lean), 0.0, -torch.cos(lean)])
+    facing = torch.tensor([0.0, 0.0, -1.0])
+    ctx = SeedContext(frame(torch.full((48, 64), 2.0), fx=500.0))
+    size_m = 2 * 72**0.5 / 500
+    seeds = Seeds.isotropic(
+        torch.tensor([[0.0, 0.0, 2.0]]).expand(4, 3), torch.zeros(4, 3), torch.full((4,), size_m)
+    )
+    discs = as_discs(ctx, seeds, torch.stack([leaning, facing, leaning, leaning]), 0.2)
+    made = over_cells(ctx, discs, cells_around_the_middle(3, 3, 4, 5))
     for name in ("quat", "scale_m"):
-        assert torch.equal(getattr(small, name), getattr(discs, name))
-        assert torch.equal(getattr(large, name)[1], getattr(discs, name)[1])
-    axes = quaternion.to_matrix(large.quat)[0]
-    torch.testing.assert_close(large.scale_m[0], torch.tensor([0.1 * stretch, 0.1, 0.02]))
-    torch.testing.assert_close(axes[:, 2], normal[0], atol=1e-6, rtol=0)
-    leaning = torch.tensor([torch.cos(lean), 0.0, torch.sin(lean)])
-    assert abs(float(axes[:, 0] @ leaning)) == pytest.approx(1, abs=1e-6)
+        assert torch.equal(getattr(made, name)[2:], getattr(discs, name)[2:])
+    expected = size_m * torch.tensor([[stretch, 1.0, 0.2], [1.0, 1.0, 0.2]])
+    torch.testing.assert_close(made.scale_m[:2], expected)
+    axes = quaternion.to_matrix(made.quat[:2])
+    torch.testing.assert_close(axes[:, :, 2], torch.stack([leaning, facing]), atol=1e-6, rtol=0)
+    along = torch.tensor([torch.cos(lean), 0.0, torch.sin(lean)])
+    assert abs(float(axes[0, :, 0] @ along)) == pytest.approx(1, abs=1e-6)
+
+
+def test_the_footprint_of_a_cell_is_the_cell_again_in_the_picture():
+    """A flat Gaussian with the standard deviations of the footprint, on a plane that leans, off the
+    middle of the picture, seen by a turned camera: projected, it has the variances w^2 / 2 and h^2
+    / 2 of the cell of 12 x 6 pixels, and the 0.3 of the renderer."""
+    T_WC = se3.exp(torch.tensor([0.3, -0.2, 0.1, 0.4, -0.3, 0.5]))
+    view = frame(torch.full((48, 64), 2.0), T_WC=T_WC)
+    cells = dataclasses.replace(
+        cells_around_the_middle(2, width=12, height=6),
+        x0=torch.tensor([40], dtype=torch.int32),
+        y0=torch.tensor([4], dtype=torch.int32),
+    )
+    x = (cells.centre_uv[0, 0] - 32) / 600
+    y = (cells.centre_uv[0, 1] - 24) / 500
+    xyz_W = se3.apply(T_WC, 2 * torch.stack([x, y, torch.tensor(1.0)]))[None]
+    normal_C = torch.nn.functional.normalize(torch.tensor([[0.5, -0.7, -0.9]]), dim=1)
+    normal_W = se3.rotate(T_WC, normal_C)
+    longest, size_m = cell_on_plane(SeedContext(view), xyz_W, normal_W, cells)
+    assert float((longest * normal_W).sum()) == pytest.approx(0, abs=1e-6)
+    assert size_m[0, 0] > size_m[0, 1]
+    axes = torch.stack([longest, torch.linalg.cross(normal_W, longest), normal_W], dim=-1)
+    model = GaussianModel(sh_degree=0)
+    disc = Seeds.isotropic(xyz_W, torch.zeros(1, 3), torch.tensor([0.1]))
+    scale_m = torch.cat([size_m, torch.full((1, 1), 1e-6)], dim=1)
+    model.append(dataclasses.replace(disc, quat=quaternion.from_matrix(axes), scale_m=scale_m))
+    a, b, c = project_gaussians(model.params, view.camera, T_WC).conic[0].double().tolist()
+    cov = torch.tensor([[a, b], [b, c]]).inverse()
+    torch.testing.assert_close(cov, torch.tensor([[72.3, 0.0], [0.0, 18.3]]), atol=0.02, rtol=1e-3)
+
+
+def test_discs_do_not_depend_on_the_size_of_the_picture():
+    """The same tilted wall at 32 x 24 and 64 x 48 pixels."""
+
+    def seeds(factor: int) -> Seeds:
+        j, i = torch.meshgrid(
+            torch.arange(24.0 * factor), torch.arange(32.0 * factor), indexing="ij"
+        )
+        ray_x = (i + 0.5 - 16 * factor) / (30 * factor)
+        wall = Frame(
+            index=0,
+            timestamp_s=0.0,
+            rgb=torch.full((24 * factor, 32 * factor, 3), 0.5),
+            depth_m=2 / (1 - 0.4 * ray_x) + 0 * j,
+            camera=Camera(
+                width=32 * factor,
+                height=24 * factor,
+                fx=30.0 * factor,
+                fy=30.0 * factor,
+                cx=16.0 * factor,
+                cy=12.0 * factor,
+            ),
+            T_WC=torch.eye(4),
+        )
+        return SeedContext(wall).cells(largest_m=0.25)
+
+    small = seeds(1)
+    large = seeds(2)
+    assert small.tag.tolist() == large.tag.tolist()
+    assert set(small.tag.tolist()) == {3}
+    # the middle of a cell is the corner of a pixel, and its depth that of the pixel's own middle
+    torch.testing.assert_close(large.scale_m, small.scale_m, rtol=0.03, atol=0)
+    assert float((small.scale_m[:, 0] / small.scale_m[:, 1] - 1).abs().max()) > 0.1
 
 
 def test_a_plain_wall_is_cut_by_its_depth():
