@@ -271,6 +271,16 @@ def kernel_threads() -> tuple[str, Callable[[], None]]:
     return launch.threads_from(), launch.start_threads
 
 
+def is_compiled(name: str) -> bool:
+    """Whether the numba kernels of an operation are on disk already, or cannot run here, so that
+    there is nothing to compile."""
+    if _problem(name, "numba") is not None:
+        return True
+    module = sys.modules[f"{_FOLDERS[name]}.numba"]
+    has_saved = importlib.import_module(f"{_KERNELS}.runtime.numba.shared_cache").has_saved
+    return any(has_saved(value) for value in vars(module).values() if hasattr(value, "py_func"))
+
+
 def report() -> list[tuple[str, str, str]]:
     """Rows (operation, backend, "ok" or the reason it cannot run)."""
     return [

@@ -13,11 +13,12 @@ PACKAGE = ROOT / "gsfusion_nb"
 FLOORS = {
     **dict.fromkeys(("types", "arrays", "config", "checks", "errors", "files", "interrupts"), 0),
     **dict.fromkeys(("progress", "resources", "edit_count", "backends", "extensions"), 0),
+    **dict.fromkeys(("compile_clock",), 0),
     **dict.fromkeys(("geometry", "drawing"), 1),
     **dict.fromkeys(("data", "tsdf", "gaussians", "render"), 2),
     "large_maps": 3,
     **dict.fromkeys(("seeding", "optim", "tracking", "export", "evaluation"), 4),
-    "mapping": 5,
+    **dict.fromkeys(("mapping", "viewer"), 5),
     **dict.fromkeys(("recordings", "runs"), 6),
     **dict.fromkeys(("viz", "course"), 7),
     "compare": 8,

@@ -14,7 +14,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -253,6 +253,13 @@ def _map(config: SystemConfig) -> None:
         mapper.render(camera, frame.T_WC)
     if not mapper.description.gaussians_are_discs:
         mapper.mesh()
+
+
+def map_examples(configs: Iterable[SystemConfig]) -> None:
+    """Compile what systems with these settings need, without a message."""
+    with _quietly():
+        for config in configs:
+            _map(config)
 
 
 @contextlib.contextmanager

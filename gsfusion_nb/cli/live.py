@@ -11,11 +11,12 @@ from ..checks import check_name
 from ..data.stream import GrowingFolder, LiveSource, RealSense
 from ..errors import ArgumentError
 from .options import HELP, print_names
-from .result import print_result
 from .settings import SettingsOptions, parse
+from .watch import WatchOptions
 
 if TYPE_CHECKING:
     from ..runs import FinishedRun, StreamRun
+    from ..viz import BrowserTab
 
 _ABOUT = """Map frames as they arrive. Ctrl-C ends the scan; then the report is written.
 
@@ -26,7 +27,7 @@ All options of a source: gsfusion-nb live folder --help"""
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiveOptions(SettingsOptions):
+class LiveOptions(WatchOptions, SettingsOptions):
     """Options of all sources."""
 
     out: str = ""
@@ -113,7 +114,9 @@ def run(arguments: list[str]) -> int:
             "gsfusion-nb live", _ABOUT, {name: source.__doc__ for name, source in SOURCES.items()}
         )
         return 0
-    return print_result(live(arguments))
+    options = _options(arguments)
+    with options.tab() as tab:
+        return options.print_and_stay(_map(options, tab), tab)
 
 
 def live(arguments: list[str]) -> "FinishedRun":
@@ -122,9 +125,18 @@ def live(arguments: list[str]) -> "FinishedRun":
     Raises:
         ValueError, KeyError, OSError: invalid options, or a source that cannot be opened.
     """
+    options = _options(arguments)
+    with options.tab() as tab:
+        return _map(options, tab)
+
+
+def _options(arguments: list[str]) -> LiveOptions:
     name = arguments[0] if arguments else ""
     check_name("live source", name, SOURCES)
-    options: LiveOptions = parse(SOURCES[name], f"gsfusion-nb live {name}", arguments[1:])
+    return parse(SOURCES[name], f"gsfusion-nb live {name}", arguments[1:])
+
+
+def _map(options: LiveOptions, tab: "BrowserTab | None") -> "FinishedRun":
     from ..runs import CheckpointEvery, map_stream
 
     with use_backend(options.backend):
@@ -135,6 +147,7 @@ def live(arguments: list[str]) -> "FinishedRun":
             evaluate=options.evaluate,
             on_stop="finish",
             checkpoints=CheckpointEvery(seconds=options.checkpoint_every_s),
+            watch=tab,
         )
 
 

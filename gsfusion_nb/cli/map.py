@@ -15,13 +15,14 @@ from ..seeding.code_files import is_code_file
 from ..seeding.named_code import CodeNotNamedError
 from ..tsdf import estimate_memory
 from .permission import ask_or_refuse
-from .result import print_result
 from .settings import SettingsOptions, layout_names, parse, recording_to_open
+from .watch import WatchOptions
 
 if TYPE_CHECKING:
     from ..config import SystemConfig
     from ..data import FrameSubset, OpenedSequence
     from ..runs import CheckpointEvery, FinishedRun
+    from ..viz import BrowserTab
 
 _NAMING = {"rule": "--seeding.rule", "system": "--system"}
 """Kind of code -> the option that names it."""
@@ -36,11 +37,16 @@ _WITH_RESUME = (
     "--checkpoint-every-s",
     "--checkpoint-every-frames",
     "--memory-gb",
+    "--watch",
+    "--watch-host",
+    "--watch-port",
+    "--watch-stays",
+    "--no-watch-stays",
 )
 
 
 @dataclass(frozen=True, kw_only=True)
-class MapOptions(SettingsOptions):
+class MapOptions(WatchOptions, SettingsOptions):
     """Map a sequence online, optimise over its keyframes, and score it. Writes maps, numbers and a
     report to a folder.
 
@@ -107,7 +113,8 @@ def run(arguments: list[str]) -> int:
         options.check_device()
         if options.resume:
             _refuse_more(options, arguments)
-            return print_result(_continue_run(options, arguments, every))
+            with options.tab() as tab:
+                return options.print_and_stay(_continue_run(options, arguments, every, tab), tab)
         if not options.data:
             raise ArgumentError(
                 "expected the folder of a sequence or the name of a built-in scene: gsfusion-nb "
@@ -129,23 +136,28 @@ def run(arguments: list[str]) -> int:
             return 0
         if options.said_of_preset():
             print(options.said_of_preset())
-        finished_run = run_mapping(
-            data,
-            settings,
-            folder=options.out or None,
-            device=options.device,
-            evaluate=options.evaluate,
-            checkpoints=every,
-            from_gaussians=options.from_gaussians or None,
-            onto=options.onto or None,
-            keep_moved=options.keep_moved,
-            **reader,
-        )
-    return print_result(finished_run)
+        with options.tab() as tab:
+            finished_run = run_mapping(
+                data,
+                settings,
+                folder=options.out or None,
+                device=options.device,
+                evaluate=options.evaluate,
+                checkpoints=every,
+                from_gaussians=options.from_gaussians or None,
+                onto=options.onto or None,
+                keep_moved=options.keep_moved,
+                watch=tab,
+                **reader,
+            )
+            return options.print_and_stay(finished_run, tab)
 
 
 def _continue_run(
-    options: MapOptions, arguments: list[str], every: "CheckpointEvery"
+    options: MapOptions,
+    arguments: list[str],
+    every: "CheckpointEvery",
+    tab: "BrowserTab | None",
 ) -> "FinishedRun":
     """Continue a run; the files of its rule and its system are executed only if they were named, or
     if the user allows it now."""
@@ -159,6 +171,7 @@ def _continue_run(
             device=options.device,
             evaluate=options.evaluate,
             checkpoints=every,
+            watch=tab,
         )
 
     texts = {"rule": options.config.seeding.rule, "system": options.system}

@@ -29,6 +29,7 @@ EVERYDAY = (
     "onto",
     "resume",
     "evaluate",
+    "watch",
     "sh_degree",
     "seed",
     "keyframe_every",

@@ -1,11 +1,11 @@
-"""Wall time of the stages of a frame."""
+"""Wall time of the stages of a frame, without that of compiling kernels."""
 
 import contextlib
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 from ..backends import also_observing
+from ..compile_clock import working_time
 
 
 class StageClock:
@@ -16,11 +16,11 @@ class StageClock:
 
     @contextlib.contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
+        start = working_time()
         try:
             yield
         finally:
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + working_time() - start
 
     @contextlib.contextmanager
     def operation(self, name: str, *, of: str) -> Iterator[None]:
@@ -30,11 +30,11 @@ class StageClock:
 
         def time_calls(called: str, f: Callable, args: tuple, kwargs: dict[str, Any]) -> Any:
             nonlocal seconds
-            start = time.perf_counter()
+            start = working_time()
             try:
                 return f(*args, **kwargs)
             finally:
-                seconds += time.perf_counter() - start if called == name else 0.0
+                seconds += working_time() - start if called == name else 0.0
 
         try:
             with also_observing(time_calls):

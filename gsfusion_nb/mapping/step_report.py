@@ -43,11 +43,11 @@ class StepReport:
     """How the frame was tracked: status, rms_m, inlier_share. Empty for given poses."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Wall time by stage. Each system names its stages, such as tsdf, seeding, optimise; "tracking"
-    is the time for the pose, which a run reports separately."""
+    is the time for the pose, which a run reports separately. Compiling kernels is not counted."""
 
     @property
     def total_seconds(self) -> float:
-        """Wall time of the whole step."""
+        """Wall time of the whole step, without that of compiling kernels."""
         return sum(self.seconds.values())
 
     @property

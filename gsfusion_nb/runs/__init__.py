@@ -9,8 +9,8 @@ from .map_sequence import resume_mapping as resume_mapping
 from .map_sequence import run_mapping as run_mapping
 from .mapping_run import MappingRun as MappingRun
 from .report import ReportData as ReportData
-from .report import ReportPanel as ReportPanel
 from .report import write_report as write_report
+from .report_panel import ReportPanel as ReportPanel
 from .rescore import rescore as rescore
 from .run_folder import CheckpointEvery as CheckpointEvery
 from .stream_onto import stream_onto as stream_onto

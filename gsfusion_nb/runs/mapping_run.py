@@ -6,13 +6,13 @@ import copy
 import dataclasses
 import logging
 import math
-import time
 from collections.abc import Callable, Generator, Iterator
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
+from ..compile_clock import working_time
 from ..data import (
     FrameSubset,
     OpenedSequence,
@@ -79,6 +79,15 @@ class RunWatcher(Protocol):
         metrics: dict[str, Any],
     ) -> None:
         """Called once, when the maps are written and scored."""
+        ...
+
+
+@runtime_checkable
+class PassWatcher(RunWatcher, Protocol):
+    """Sees also the optimisation after the scan."""
+
+    def optimised(self, mapper: Any, step: GlobalStep) -> None:
+        """Called after each step, when the state is complete."""
         ...
 
 
@@ -350,6 +359,9 @@ class MappingRun:
                     self.warnings.warn(lost_rows.in_words(name))
                     has_warned = True
                 self.after_step()
+                for watcher in self.watchers:
+                    if isinstance(watcher, PassWatcher):
+                        watcher.optimised(self.mapper, step)
                 yield step
         except FrameUndone:  # the run is asked to stop
             return
@@ -357,7 +369,7 @@ class MappingRun:
     def _next_global_step(self, steps: Iterator[GlobalStep]) -> GlobalStep | None:
         """Take a step and count it, or note that there are no more; Ctrl-C takes effect after
         both."""
-        start = time.perf_counter()
+        start = working_time()
         with DelayedInterrupt(), self.clock("passes"):
             step = next(steps, None)
             if step is None:
@@ -367,7 +379,7 @@ class MappingRun:
             if not self.mapper.passes.queue:
                 self.global_losses.append(float(torch.stack(self._pass_losses).mean()))
                 self._pass_losses = []
-            self.seconds_global += time.perf_counter() - start
+            self.seconds_global += working_time() - start
             return step
 
     def constant_tensors(self) -> list[Tensor]:

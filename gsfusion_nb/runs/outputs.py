@@ -12,6 +12,7 @@ import torch
 from .. import __version__
 from ..config import to_dict
 from ..data import sequence_fingerprint
+from ..drawing.shading import shaded_view
 from ..evaluation import (
     metrics_as_json,
 )
@@ -26,7 +27,9 @@ from .map_state import STATE, write_map_state
 from .mapping_run import MappingRun, evenly
 from .poses_in_map import frames_in_map
 from .ran_on import ran_on
-from .report import ReportData, ReportPanel, write_report
+from .report import ReportData, write_report
+from .report_map import opening_of
+from .report_panel import ReportPanel
 from .run_folder import METRICS, RULE
 from .scored_views import VIEWS, scored_views, views_as_json
 from .system_of_run import about_system, write_system
@@ -170,21 +173,33 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
         f"rule {rule_name(run.mapper.rule)}",
         *([f"in the map of {Path(run.parent['run']).name}"] if run.parent else []),
     ]
+    views = report_views(run)
     data = ReportData(
         title=f"{run.mapper.description.title} on {run.sequence.name}",
+        about=_about(run),
+        opening=opening_of(run, views),
         subtitle=", ".join([*about, f"fidelity {fidelity}"] if fidelity else about),
         metrics=metrics,
         config=to_dict(config),
         frames=run.steps,
         states=run.mapper.description.states,
         global_losses=run.global_losses,
-        views=report_views(run),
+        views=views,
         mesh_pictures=mesh_pictures(run),
         warnings=_headline_warnings(run),
         environment=ran_on(run.mapper.device) | {"threads": str(torch.get_num_threads())},
         files={name: text for name, text in FILES.items() if (folder / name).exists()},
     )
     return write_report(folder / "report.html", data)
+
+
+def _about(run: MappingRun) -> str:
+    """What a run did, in a sentence without terms of the field."""
+    return (
+        f"A camera gave {len(run.steps)} pictures, each in colour and with the distance of every "
+        f"point. {run.mapper.description.title} made a map of {len(run.mapper.gaussians):,} small "
+        "soft discs of colour from them, 3D Gaussians, which shows the place from any side."
+    )
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -222,16 +237,17 @@ def report_views(run: MappingRun) -> list[ReportPanel]:
 
 
 def mesh_pictures(run: MappingRun) -> dict[str, torch.Tensor]:
-    """The surface seen from two mapped views: in colour, and grey, lit from the camera."""
+    """The surface seen from two mapped views: in its colours, and grey."""
     pictures = {}
     poses = run.poses
     for i, T_WC in enumerate([poses[0], poses[-1]] if poses else []):
         T_WC = T_WC.to(run.mapper.device)
         surface = run.mapper.surface(run.sequence.camera, T_WC)
-        towards = -(surface.normal_W * T_WC[:3, 2]).sum(-1)  # cosine to the optical axis
-        shading = (0.15 + 0.85 * towards.clamp(0, 1)) * (surface.depth_m > 0)
-        pictures[f"colour, view {i + 1}"] = surface.rgb.clamp(0, 1).cpu()
-        pictures[f"shape, view {i + 1}"] = shading[..., None].expand(-1, -1, 3).cpu()
+        normal_C = surface.normal_W @ T_WC[:3, :3]
+        is_seen = surface.depth_m > 0
+        colour = shaded_view(normal_C, is_seen, surface.rgb.clamp(0, 1))
+        pictures[f"colour, view {i + 1}"] = colour.cpu()
+        pictures[f"shape, view {i + 1}"] = shaded_view(normal_C, is_seen).cpu()
     return pictures
 
 

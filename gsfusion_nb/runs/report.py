@@ -7,13 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jaxtyping import Float
-from torch import Tensor
-
 from ..drawing import pictures
 from ..drawing.page import PICTURE_WIDTH, ColourBar, PageGraph, fill, page_graph, page_picture
 from ..drawing.pictures import AnyImage
-from ..evaluation.image import psnr, ssim
 from ..evaluation.metrics import (
     METRIC_GROUPS,
     METRICS,
@@ -22,63 +18,22 @@ from ..evaluation.metrics import (
     format_value,
     reason_missing,
 )
-from ..evaluation.view_scores import expected_depth_m
 from ..files import write_file
 from ..mapping.step_report import StepReport
-from ..types import Frame, RenderOutput
+from .number_words import NUMBERS
+from .report_map import Opening, opening_values
+from .report_panel import ReportPanel
 
 HEADLINE = (
-    ("psnr_held_out_db", "PSNR, held out", "ssim_held_out", "SSIM {}"),
-    ("psnr_mapped_db", "PSNR, mapped", "ssim_mapped", "SSIM {}"),
-    ("n_gaussians", "Gaussians", "model_size_mb", "{}"),
-    ("n_keyframes", "Keyframes", "n_frames", "of {} frames"),
-    ("fps_total", "Frames / total time", "fps_mean_inverse", "mean 1/dt: {}"),
-    ("peak_memory_mb", "Peak memory", "seconds_total", "whole run: {}"),
+    ("psnr_held_out_db", "ssim_held_out", "SSIM {}"),
+    ("psnr_mapped_db", "ssim_mapped", "SSIM {}"),
+    ("n_gaussians", "model_size_mb", "{}"),
+    ("n_keyframes", "n_frames", "of {} frames"),
+    ("fps_total", "fps_mean_inverse", "mean 1/dt: {}"),
+    ("peak_memory_mb", "seconds_total", "whole run: {}"),
 )
-"""Per box: metric shown large, its label, metric in the line below, and the text of that line."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ReportPanel:
-    """One view: input image and render."""
-
-    name: str
-    """For example "Frame 60"."""
-    held_out: bool
-    """True if the view was never mapped."""
-    rgb: Float[Tensor, "H W 3"]
-    render: Float[Tensor, "H W 3"]
-    depth_m: Float[Tensor, "H W"]
-    """Measured depth, metres."""
-    render_depth_m: Float[Tensor, "H W"]
-    """Rendered depth, metres, 0 where the map covers nothing."""
-    psnr: float
-    """dB."""
-    ssim: float
-    cells: Any = None
-    """Quadtree cells of this frame (``x0, y0, width, height, level``), or None."""
-
-    @staticmethod
-    def of(
-        frame: Frame,
-        view: RenderOutput,
-        *,
-        held_out: bool,
-        cells: Any = None,
-    ) -> "ReportPanel":
-        """A frame and the render of its view, with their scores."""
-        view = view.to(frame.rgb.device)
-        return ReportPanel(
-            name=f"Frame {frame.index}",
-            held_out=held_out,
-            rgb=frame.rgb,
-            render=view.rgb,
-            depth_m=frame.depth_m,
-            render_depth_m=expected_depth_m(view),
-            cells=cells,
-            psnr=psnr(view.rgb, frame.rgb),
-            ssim=ssim(view.rgb, frame.rgb) if min(frame.rgb.shape[:2]) >= 6 else float("nan"),
-        )
+"""Per box: metric shown large, metric in the line below, and the text of that line. What the first
+one says is in ``NUMBERS``."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,8 +42,12 @@ class ReportData:
     shown."""
 
     title: str
+    about: str = ""
+    """A sentence for somebody who sees such a report for the first time."""
     subtitle: str = ""
-    """One line: data set, preset, date."""
+    """One line: settings that people compare."""
+    opening: Opening | None = None
+    """The map and a photograph, at the top."""
     metrics: Mapping[str, Any] = field(default_factory=dict)
     """Name -> number or ``NotComputed``; the known names, labels and units are in
     ``metrics.METRIC_GROUPS``."""
@@ -120,6 +79,8 @@ def write_report(path: Path | str, run: ReportData) -> Path:
     page = fill(
         "report.html",
         title=run.title,
+        about=run.about,
+        opening=_opening(run.opening),
         subtitle=run.subtitle,
         warnings=run.warnings,
         headline=_headline(run.metrics),
@@ -139,10 +100,19 @@ def write_report(path: Path | str, run: ReportData) -> Path:
     return path
 
 
+def _opening(opening: Opening | None) -> dict[str, Any] | None:
+    """The map and the photograph beside it."""
+    if opening is None:
+        return None
+    seen = "This photograph was not mapped." if opening.photo.held_out else ""
+    caption = f"{opening.photo.name} of the camera. {seen}"
+    return opening_values([opening], caption.strip())
+
+
 def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The main numbers, shown at the top."""
     boxes = []
-    for name, label, second, line in HEADLINE if metrics else ():
+    for name, second, line in HEADLINE if metrics else ():
         value = metrics.get(name)
         more = ""
         if reason_missing(metrics.get(second)) is None:
@@ -151,7 +121,14 @@ def _headline(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
         text = format_metric(name, value)
         number, _, unit = (text, "", "") if missing else text.partition(NBSP)
         boxes.append(
-            {"label": label, "number": number, "unit": unit, "is_missing": missing, "more": more}
+            {
+                "label": NUMBERS[name].label,
+                "meaning": NUMBERS[name].meaning,
+                "number": number,
+                "unit": unit,
+                "is_missing": missing,
+                "more": more,
+            }
         )
     return boxes
 

@@ -5,8 +5,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
+from ..compile_clock import COMPILE_CLOCK
+
 STAGES = (
     "opening",
+    "compiling",
     "reading",
     "mapping",
     "passes",
@@ -18,7 +21,8 @@ STAGES = (
     "report",
     "other",
 )
-"""Names of the stages, in about the order of a run; what is in no stage counts as other."""
+"""Names of the stages, in about the order of a run; what is in no stage counts as other. Compiling
+kernels is a stage of its own wherever it happens."""
 
 
 class RunClock:
@@ -47,6 +51,7 @@ class RunClock:
         self._thread = threading.get_ident()
         self._inside = ["other"]
         self._since = clock(), cpu()
+        self._compiled = COMPILE_CLOCK.seconds, COMPILE_CLOCK.cpu_seconds
 
     @contextlib.contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
@@ -89,7 +94,13 @@ class RunClock:
         """Add the time since the last change to the stage that is open."""
         instant = self._now()
         cpu = self._cpu()
+        compiled = COMPILE_CLOCK.seconds, COMPILE_CLOCK.cpu_seconds
+        compiling_s = compiled[0] - self._compiled[0]
+        compiling_cpu_s = compiled[1] - self._compiled[1]
         stage = self._inside[-1]
-        self.seconds[stage] += instant - self._since[0]
-        self.cpu_seconds[stage] += cpu - self._since[1]
+        self.seconds[stage] += instant - self._since[0] - compiling_s
+        self.cpu_seconds[stage] += cpu - self._since[1] - compiling_cpu_s
+        self.seconds["compiling"] += compiling_s
+        self.cpu_seconds["compiling"] += compiling_cpu_s
         self._since = instant, cpu
+        self._compiled = compiled

@@ -2,7 +2,6 @@
 map as it grew."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,52 +10,26 @@ from ..drawing.page import ColourBar, fill, page_graph, page_picture
 from ..evaluation.metrics import NBSP, format_metric
 from ..files import write_file
 from . import outputs
-from .report import ReportPanel
+from .number_words import NUMBERS
+from .report_map import opening_of, opening_values
+from .report_panel import ReportPanel
 
 if TYPE_CHECKING:
     from .driver import FinishedRun
 
 
-@dataclass(frozen=True)
-class ShownNumber:
-    """A metric on the page."""
-
-    label: str
-    meaning: str
-    """What it says, for somebody who reads it for the first time."""
-
-
-NUMBERS = {
-    "psnr_held_out_db": ShownNumber(
-        "PSNR of held-out views",
-        "how near the drawn pictures are to photographs that the map has never seen: 20 dB is "
-        "blurred, 30 dB is good, 10 dB more is a tenth of the squared error",
-    ),
-    "ssim_held_out": ShownNumber(
-        "SSIM of held-out views", "how alike their structures are: 1 is equal"
-    ),
-    "depth_l1_held_out_m": ShownNumber(
-        "depth error of held-out views",
-        "how far the drawn surface is from the measured one, on average",
-    ),
-    "n_gaussians": ShownNumber(
-        "Gaussians",
-        "small soft discs of colour that the map is made of; fewer are faster and take less memory",
-    ),
-    "mesh_accuracy_m": ShownNumber(
-        "mesh to true surface", "how far the map's triangles are from the room as it was built"
-    ),
-    "mesh_completion_ratio": ShownNumber(
-        "true surface in the mesh", "share of what was filmed that has triangles within 3 cm"
-    ),
-    "fps_total": ShownNumber(
-        "speed while mapping", "frames that became part of the map in a second"
-    ),
-    "seconds_online": ShownNumber("mapping", "time for the whole walk"),
-    "seconds_global": ShownNumber(
-        "passes after the scan", "time to go through the pictures again afterwards"
-    ),
-}
+SHOWN = (
+    "psnr_held_out_db",
+    "ssim_held_out",
+    "depth_l1_held_out_m",
+    "n_gaussians",
+    "mesh_accuracy_m",
+    "mesh_completion_ratio",
+    "fps_total",
+    "seconds_online",
+    "seconds_compiling",
+    "seconds_global",
+)
 """The metrics shown of each run, if any run has them."""
 
 
@@ -82,13 +55,18 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
         for name, run in zip(names, runs, strict=True)
     }
     frames = [step.frame_index for step in runs[0].run.steps]
+    views = [outputs.report_views(run.run) for run in runs]
+    openings = [opening_of(run.run, panels) for run, panels in zip(runs, views, strict=True)]
+    shown = [opening for opening in openings if opening is not None]
+    caption = f"{shown[0].photo.name} of the camera" if shown else ""
     page = fill(
         "side_by_side.html",
         title=f"{' and '.join(names)} on {runs[0].run.sequence.name}",
+        opening=opening_values(shown, caption) if shown else None,
         names=names,
         links=[(run.folder / "report.html").relative_to(path.parent).as_posix() for run in runs],
         numbers=list(zip(numbers_of(runs)[1:], meanings_of(runs), strict=True)),
-        views=_views([outputs.report_views(run.run) for run in runs], names),
+        views=_views(views, names),
         meshes=[
             page_picture(picture, f"{name}, {words.partition(',')[0]}")
             for views in zip(*(outputs.mesh_pictures(run.run).items() for run in runs), strict=True)
@@ -125,7 +103,9 @@ def meanings_of(runs: Sequence["FinishedRun"]) -> list[str]:
 
 
 def _measured(runs: Sequence["FinishedRun"]) -> list[str]:
-    return [name for name in NUMBERS if any(name in run.metrics for run in runs)]
+    measured = [name for name in SHOWN if any(name in run.metrics for run in runs)]
+    compiled_s = max(run.metrics.get("seconds_compiling", 0.0) for run in runs)
+    return [name for name in measured if name != "seconds_compiling" or compiled_s >= 0.05]
 
 
 def _views(

@@ -1,3 +1,4 @@
+from .browser_tab import BrowserTab as BrowserTab
 from .display import colour_depth as colour_depth
 from .display import curve_figure as curve_figure
 from .display import error_map as error_map
@@ -11,6 +12,7 @@ from .display import to_uint8 as to_uint8
 from .live import LiveLoop as LiveLoop
 from .live import LiveMapper as LiveMapper
 from .map_pictures import map_picture as map_picture
+from .meshes import orbit_camera as orbit_camera
 from .meshes import show_mesh as show_mesh
 from .panels.discs import disc_adding_panel as disc_adding_panel
 from .panels.discs import disc_panel as disc_panel
@@ -68,4 +70,3 @@ from .steppers.pose_graph import pose_graph_stepper as pose_graph_stepper
 from .steppers.quadtree import quadtree_stepper as quadtree_stepper
 from .steppers.raycast import raycast_stepper as raycast_stepper
 from .steppers.stepper import Stepper as Stepper
-from .viewpoint import orbit_camera as orbit_camera

@@ -1,10 +1,7 @@
 """Pictures and widgets in a notebook's output: what every panel and viewer uses."""
 
-import json
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import anywidget
@@ -25,10 +22,15 @@ from ..drawing.stored import Bundle as Bundle
 from ..drawing.stored import LiveOutput as LiveOutput
 from ..drawing.stored import static_views as static_views
 from ..drawing.stored import with_stored as with_stored
+from ..viewer.front_end import join_modules, source
 
 if TYPE_CHECKING:
     from IPython.display import Image
     from matplotlib.figure import Figure
+
+
+ROOM = "viz"
+"""Where the JavaScript of notebooks is; that of the splat viewer is in the room ``viewer``."""
 
 
 def show(
@@ -105,45 +107,6 @@ def with_picture(
     return with_stored(bundle, kind, kinds[kind], text, {"alt": alt or text})
 
 
-_IMPORT = re.compile(r'^import .* from "[./\w]+\.js";\n', re.MULTILINE)
-_EXPORT = re.compile(r"^export (?!default)", re.MULTILINE)
-
-
-def source(name: str) -> str:
-    """The text of ``static/NAME``."""
-    return files("gsfusion_nb.viz").joinpath("static", *name.split("/")).read_text(encoding="utf-8")
-
-
-def join_modules(modules: Sequence[str]) -> str:
-    """JavaScript modules one after the other, without the imports and exports between them.
-
-    anywidget takes one module, and a page may load nothing else.
-    """
-    return "\n".join(_EXPORT.sub("", _IMPORT.sub("", source(f"{name}.js"))) for name in modules)
-
-
-def front_end(
-    worker: Sequence[str],
-    page: Sequence[str],
-    worker_name: str,
-    texts: Mapping[str, str],
-) -> str:
-    """The module of a viewer that computes in a worker.
-
-    Args:
-        worker: Modules of the worker, in the order of their imports; without a page, so that node
-            runs them too.
-        page: Modules of the page.
-        worker_name: Constant that holds the worker's text; its code is also in the page, for where
-            none is allowed.
-        texts: Constant -> name of a file that it holds.
-    """
-    code = join_modules(worker)
-    constants = {worker_name: code, **{name: source(file) for name, file in texts.items()}}
-    lines = "\n".join(f"const {name} = {json.dumps(text)};" for name, text in constants.items())
-    return f"{code}\n{lines}\n{join_modules(page)}"
-
-
 _LOST_CSS = """
 .gsnb-lost:empty { display: none; }
 .gsnb-lost { margin: 6px 0; padding: 4px 8px; border-left: 3px solid #d1495b; }
@@ -157,7 +120,7 @@ class LostNotice(anywidget.AnyWidget):
     does not.
     """
 
-    _esm = join_modules(("lost", "notice"))
+    _esm = join_modules((("viewer", "lost"), (ROOM, "notice")))
     _css = _LOST_CSS
 
 
@@ -197,8 +160,8 @@ class ClickImage(anywidget.AnyWidget):
         touch: "stroke", or "" for a picture that is only looked at.
     """
 
-    _esm = source("click_image.js")
-    _css = source("click_image.css")
+    _esm = source(ROOM, "click_image.js")
+    _css = source(ROOM, "click_image.css")
 
     value = synced(t.Bytes(b""))
     format = synced(t.Enum(("jpeg", "png"), "jpeg"))

@@ -1,7 +1,6 @@
 """Pictures of a map: its colours, depth and numbers, the states of discs, one mapping step."""
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +12,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..drawing import pictures as draw
-from ..drawing.curves import rgb_of
 from ..drawing.pictures import AnyImage, Picture, paint_cells, side_by_side, to_uint8
 from ..evaluation import expected_depth_m
 from ..gaussians import GaussianModel, SurfelModel
@@ -22,15 +20,8 @@ from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..mapping import Mapper
 from ..render import SurfaceView, render
 from ..types import Camera, Frame, GaussianParams, RenderOutput
+from ..viewer.palettes import STATE_COLOURS, palette
 
-STATE_COLOURS = {
-    "stable_opaque": (66, 133, 198),
-    "unstable_opaque": (240, 150, 50),
-    "stable_transparent": (40, 200, 190),
-    "unstable_transparent": (230, 60, 160),
-}
-"""Names as in ``state_counts``. Opaque: blue and orange; transparent, as dots: turquoise and
-pink."""
 CAUSES = {
     1: ("new area", (60, 210, 90)),
     2: ("depth wrong", (255, 60, 60)),
@@ -42,18 +33,6 @@ _NOTHING = (24, 24, 28)
 
 
 _BAR_PX = 14
-PALETTES = ("turbo", "viridis", "state")
-"""Depth, numbers, and the two states in the colours of ``state_picture``."""
-
-
-@functools.cache
-def palette(name: str) -> np.ndarray:
-    """The 256 colours of a palette, bytes. [256, 3]"""
-    if name != "state":
-        return np.array([rgb_of(stop) for stop in draw.colour_stops(name, 256)], np.uint8)
-    return np.repeat(
-        [STATE_COLOURS["unstable_opaque"], STATE_COLOURS["stable_opaque"]], 128, axis=0
-    ).astype(np.uint8)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

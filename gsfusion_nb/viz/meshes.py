@@ -8,20 +8,23 @@ import sys
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from ..checks import check_pose
 from ..drawing.pictures import Picture, to_uint8
+from ..drawing.shading import NOTHING, shaded
 from ..errors import ArgumentError
 from ..types import Camera, Mesh
+from ..viewer.viewpoint import Vector, extent, orbit_camera
 from .display import show
-from .viewpoint import Vector, extent, orbit_camera
 
 if TYPE_CHECKING:
     from IPython.display import Image
 
-BACKGROUND = (245, 246, 248)
+BACKGROUND = tuple(round(255 * channel) for channel in NOTHING)
+"""In bytes."""
 _VIEW_ANGLE_DEG = 30.0
 """Vertical angle of view."""
 _PROBE = (
@@ -45,7 +48,8 @@ def mesh_picture(
         camera: Its size and its vertical angle of view count; the principal point is taken as the
             middle.
         T_WC: Camera-to-world pose.
-        shading: "colour" shows the vertex colours, "shape" a grey surface under a lamp.
+        shading: "colour" shows the vertex colours, "shape" a grey surface; the lamps
+            are those of ``drawing.shading``.
 
     Raises:
         RuntimeError: VTK cannot draw on this machine; the message says what to install.
@@ -67,26 +71,14 @@ def _plotter(mesh: Mesh, camera: Camera, T_WC: Tensor, shading: str) -> Any:
     plotter = pv.Plotter(
         off_screen=True, window_size=[camera.width, camera.height], lighting="none"
     )
-    plotter.add_light(pv.Light(light_type="headlight"))
-    plotter.set_background([c / 255 for c in BACKGROUND])  # pyright: ignore[reportArgumentType]
+    plotter.set_background(NOTHING)  # pyright: ignore[reportArgumentType]
     if len(mesh.faces):
         surface = pv.PolyData.from_regular_faces(
             mesh.vertices_W.cpu().numpy(), mesh.faces.cpu().numpy()
         )
-        if shading == "colour":
-            surface["rgb"] = to_uint8(mesh.rgb[None])[0]
-            plotter.add_mesh(
-                surface, scalars="rgb", rgb=True, ambient=0.7, diffuse=0.3, culling="back"
-            )
-        else:
-            plotter.add_mesh(
-                surface,
-                color="#e6e6e6",
-                ambient=0.2,
-                diffuse=0.8,
-                smooth_shading=False,
-                culling="back",
-            )
+        values = surface.point_data if shading == "colour" else surface.cell_data
+        values["rgb"] = to_uint8(_lit(mesh, T_WC, shading)[None])[0]
+        plotter.add_mesh(surface, scalars="rgb", rgb=True, lighting=False, culling="back")
     T = T_WC.detach().cpu().double().numpy()
     plotter.camera.position = T[:3, 3]
     plotter.camera.focal_point = T[:3, 3] + T[:3, 2]
@@ -94,6 +86,19 @@ def _plotter(mesh: Mesh, camera: Camera, T_WC: Tensor, shading: str) -> Any:
     plotter.camera.view_angle = math.degrees(2 * math.atan(0.5 * camera.height / camera.fy))
     plotter.reset_camera_clipping_range()
     return plotter
+
+
+def _lit(mesh: Mesh, T_WC: Tensor, shading: str) -> Float[Tensor, "_ 3"]:
+    """Colour of each vertex, or with "shape" of each triangle, 0..1."""
+    corners = mesh.vertices_W.float()[mesh.faces]
+    across = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    to_C = T_WC.to(across)[:3, :3]
+    if shading != "colour":
+        return shaded(torch.nn.functional.normalize(across, dim=1) @ to_C)
+    sums = torch.zeros_like(mesh.vertices_W, dtype=torch.float32)
+    for corner in range(3):
+        sums.index_add_(0, mesh.faces[:, corner], across)
+    return shaded(torch.nn.functional.normalize(sums, dim=1) @ to_C, mesh.rgb.float())
 
 
 def mesh_camera(size: tuple[int, int]) -> Camera:
@@ -157,7 +162,8 @@ def show_mesh(
         mesh: What ``mapper.mesh()`` gives.
         T_WC: Camera-to-world pose to look from; by default from above, at an angle.
         up_W: The world's up direction.
-        shading: "colour" shows the vertex colours, "shape" a grey surface under a lamp.
+        shading: "colour" shows the vertex colours, "shape" a grey surface; the lamps
+            are those of ``drawing.shading``.
         size: Width and height, pixels.
 
     Raises:

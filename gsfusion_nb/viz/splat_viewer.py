@@ -1,9 +1,9 @@
 """The splat viewer: a Gaussian map in a notebook cell, turned with the mouse, coloured by a chosen
 quantity.
 
-The browser draws (``static/``): with WebGL2 where there is a graphics card, else with a rasteriser
-in a worker. Rows are sent as binary messages and are not part of the widget's state, so a saved
-notebook does not hold the map.
+The browser draws (``viewer/static/``): with WebGL2 where there is a graphics card, else with a
+rasteriser in a worker. Rows are sent as binary messages and are not part of the widget's state, so
+a saved notebook does not hold the map.
 """
 
 import threading
@@ -23,52 +23,15 @@ from ..checks import check_name, check_pose
 from ..drawing.pictures import Picture, to_uint8
 from ..errors import KindError
 from ..geometry.upright import world_up
-from ..render.constants import (
-    ALPHA_MAX,
-    ALPHA_MIN,
-    FRUSTUM_CLAMP,
-    NEAR_PLANE_M,
-    SCREEN_BLUR_PX2,
-    TRANSMITTANCE_MIN,
-)
 from ..types import Camera, GaussianParams, RenderOutput
-from . import splat_rows
-from .display import Bundle, LiveOutput, front_end, source, static_views, synced, with_picture
-from .map_pictures import PALETTES, Paint, depth_picture, map_picture, palette
-from .splat_rows import Column, GaussianRecord, RowLayout
-from .viewpoint import Vector, places_of, viewing_camera
+from ..viewer import front_end, splat_rows, splat_state
+from ..viewer.splat_rows import Column, GaussianRecord, RowLayout
+from ..viewer.viewpoint import Vector, places_of, viewing_camera
+from .display import Bundle, LiveOutput, static_views, synced, with_picture
+from .map_pictures import Paint, depth_picture, map_picture
 
-ENGINE = ("splats/rows", "projection", "splats/colour", "splats/raster", "splats/engine")
-"""JavaScript modules of the worker."""
-PAGE = (
-    "lost",
-    "camera",
-    "splats/webgl",
-    "splats/worker",
-    "splats/panel",
-    "mouse",
-    "splats/time",
-    "splats/widget",
-)
-"""JavaScript modules of the page."""
 MIN_INTERVAL_S = 0.2
 """Shortest time between two updates of a growing map."""
-SOFTWARE_ROWS = 150_000
-"""The software rasteriser draws at most this many rows, the most important; with more it would
-react too slowly."""
-PICK_ALPHA = 0.25
-"""A click picks the front-most Gaussian whose alpha at the pixel is at least this."""
-
-_RULES = {
-    "near_m": NEAR_PLANE_M,
-    "blur_px2": SCREEN_BLUR_PX2,
-    "clamp": FRUSTUM_CLAMP,
-    "alpha_min": ALPHA_MIN,
-    "alpha_max": ALPHA_MAX,
-    "transmittance_min": TRANSMITTANCE_MIN,
-    "pick_alpha": PICK_ALPHA,
-    "software_rows": SOFTWARE_ROWS,
-}
 
 
 class SplatViewer(LiveOutput, anywidget.AnyWidget):
@@ -99,17 +62,8 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
             is not rigid.
     """
 
-    _esm = front_end(
-        ENGINE,
-        PAGE,
-        "ENGINE_SOURCE",
-        {
-            "PANEL_HTML": "splats/viewer.html",
-            "VERTEX": "splats/splat.vert",
-            "FRAGMENT": "splats/splat.frag",
-        },
-    )
-    _css = source("splats/viewer.css")
+    _esm = front_end.splat_module()
+    _css = front_end.splat_style()
 
     width = synced(t.Int())
     height = synced(t.Int())
@@ -121,7 +75,7 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
     """Everything nearer than this is hidden, metres: opens a closed room."""
     reach_m = synced(t.Float(1.0))
     up_W = synced(t.List(t.Float()))
-    rules = synced(t.Dict(_RULES))
+    rules = synced(t.Dict(splat_state.RULES))
     palettes = synced(t.Dict())
     columns = synced(t.List(t.Dict()))
     birth_range = synced(t.List(t.Float()))
@@ -173,21 +127,8 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
             places = places_of(
                 self._params[splat_rows.finite_rows(self._params)], self.camera, start, up_axis
             )
-        first = places["photo"].T_WC.flatten().tolist()
-        c = self.camera
         super().__init__(
-            width=c.width,
-            height=c.height,
-            intrinsics=[c.fx, c.fy, c.cx, c.cy],
-            up_W=(up_axis / up_axis.norm()).tolist(),
-            pose=first,
-            pivot_m=places["photo"].pivot_m,
-            reach_m=1.5 * places["above"].pivot_m,
-            places={
-                name: [p.T_WC.flatten().tolist(), p.pivot_m, p.cut_m] for name, p in places.items()
-            },
-            palettes={name: palette(name).tobytes().hex() for name in PALETTES},
-            colour_by=colour_by,
+            colour_by=colour_by, **splat_state.view_state(self.camera, places, up_axis)
         )
         self._describe()
         self.observe(lambda _change: self._show_record(), "picked")
@@ -359,13 +300,8 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
     def _describe(self) -> None:
         """Send the front end the columns, and a warning if the map has invalid rows."""
         with self.hold_sync():
-            self.columns = [c.as_dict() for c in self._columns]
-            frames = [c for c in self._columns if c.kind == "frame" and len(c.values)]
-            self.birth_range = list(frames[0].limits) if frames else []
-            bad = len(self._params) - int(splat_rows.finite_rows(self._params).sum())
-            self.notice = (
-                f"{bad:,} of the rows hold NaN or infinite numbers and are not drawn" if bad else ""
-            )
+            for name, value in splat_state.map_state(self._params, self._columns).items():
+                setattr(self, name, value)
 
     def _refresh(self) -> None:
         with (

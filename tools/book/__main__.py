@@ -13,6 +13,8 @@ from pathlib import Path
 
 from quiz import Question, bank, by_chapter
 
+from gsfusion_nb.viewer.page_map import page_style
+
 from .assemble import ARCHIVE, Assembly
 from .chapters import places_of
 from .live_panels import PANELS, POSTERS, common_script, panel_script
@@ -75,6 +77,8 @@ def _write_static(folder: Path) -> None:
     folder.mkdir(parents=True)
     for file in (Path(__file__).parent / "static").iterdir():
         (folder / file.name).write_bytes(file.read_bytes())
+    with (folder / "book.css").open("a", encoding="utf-8") as style:
+        style.write(page_style())
     shutil.copytree(POSTERS, folder / "posters", ignore=shutil.ignore_patterns("*.html"))
     drawn = moving_map()
     (folder / "moving_map.js").write_text(drawn.script, encoding="utf-8")

@@ -16,8 +16,8 @@ from gsfusion_nb import GSFusion, gsfusion, open_sequence
 from gsfusion_nb.data.room import RoomSequence
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.types import Frame, GaussianParams
-from gsfusion_nb.viz.map_pictures import palette
-from gsfusion_nb.viz.viewpoint import places_of
+from gsfusion_nb.viewer.palettes import palette
+from gsfusion_nb.viewer.viewpoint import places_of
 
 WALK = 60
 """Frames of the room's walk."""

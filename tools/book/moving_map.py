@@ -1,15 +1,15 @@
 """The map of the built-in room that turns on the first page of the book, without a kernel."""
 
-import base64
 import io
-import json
 from dataclasses import dataclass
-from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
 from gsfusion_nb import GSFusion, gsfusion, open_sequence
+from gsfusion_nb.geometry.upright import world_up
 from gsfusion_nb.runs import MappingRun
+from gsfusion_nb.viewer.page_map import page_map, page_script
+from gsfusion_nb.viewer.viewpoint import viewing_camera
 from gsfusion_nb.viz import SplatViewer
 
 
@@ -39,33 +39,26 @@ def moving_map() -> MovingMap:
         "optim__global_iterations": 6,
     }
     config = gsfusion("room", sh_degree=0, seeding__quadtree_threshold=0.02, **options)
-    run = MappingRun(open_sequence("room", data=config.data, n_frames=60), GSFusion(config))
+    sequence = open_sequence("room", data=config.data, n_frames=60)
+    run = MappingRun(sequence, GSFusion(config))
     for _ in (*run.online(), *run.optimise()):
         pass
-    viewer = SplatViewer(run.mapper, width=480, height=360).look_from("above")
-    poster = io.BytesIO()
-    Image.fromarray(viewer.picture()).save(poster, "WEBP", quality=75, method=6)
-    return MovingMap(
-        script=_script(viewer), poster=poster.getvalue(), share=_share_picture(run.mapper)
+    camera = viewing_camera(sequence.camera, 480, 360)
+    keyframes = run.mapper.keyframes
+    shown = page_map(
+        run.mapper.gaussians.params,
+        camera,
+        keyframes[0].T_WC,
+        world_up([keyframe.T_WC for keyframe in keyframes]),
+        birth_frames=run.mapper.gaussians.birth_frame,
     )
-
-
-def _script(viewer: SplatViewer) -> str:
-    frames_sent = []
-    # what the page would get
-    viewer.send = lambda content, buffers: frames_sent.extend((content["head"], *buffers))
-    viewer._on_message(None, {"kind": "ready"}, [])
-    state = {
-        name: value
-        for name, value in viewer.get_state().items()
-        if name[0] != "_" and name in SplatViewer.__dict__
-    }
-    rows = base64.b64encode(frames_sent[1]).decode("ascii")
-    values = {"STYLE": str(viewer._css), "STATE": state, "HEAD": frames_sent[0], "ROWS": rows}
-    constants = "\n".join(f"const {name} = {json.dumps(value)};" for name, value in values.items())
-    module = str(viewer._esm).replace("export default {", "const VIEWER = {")
-    start = (Path(__file__).parent / "static/moving_map.js").read_text(encoding="utf-8")
-    return f"(() => {{\n{module}\n{constants}\n{start}}})();\n"
+    poster = io.BytesIO()
+    Image.fromarray(shown.poster).save(poster, "WEBP", quality=75, method=6)
+    return MovingMap(
+        script=f"(() => {{\nconst MAP = {shown.data};\n{page_script()}}})();\n",
+        poster=poster.getvalue(),
+        share=_share_picture(run.mapper),
+    )
 
 
 def _share_picture(mapper: GSFusion) -> bytes:

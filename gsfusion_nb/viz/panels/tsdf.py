@@ -15,9 +15,9 @@ from ...drawing.pictures import LABEL_PX, Picture, side_by_side, to_uint8
 from ...errors import ArgumentError
 from ...tsdf import TsdfVolume, integrate, raycast
 from ...types import Camera, Frame
+from ...viewer.palettes import palette
+from ...viewer.viewpoint import orbit_camera
 from ..display import Stroke
-from ..map_pictures import palette
-from ..viewpoint import orbit_camera
 from .panel import Choice, Drawn, Panel, Point, Slider, Switch, draw_handles, nearest_handle
 
 LEGENDS = {"distance": "; red behind, blue free", "weight": "; dark 1, bright 20", "colour": ""}

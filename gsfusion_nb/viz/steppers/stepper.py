@@ -17,7 +17,8 @@ from ...drawing.curves import BETWEEN, figure_picture
 from ...drawing.page import html_table
 from ...drawing.pictures import encode_palette, encode_rgba
 from ...errors import ArgumentError
-from ..display import Bundle, LiveOutput, source, synced, with_stored
+from ...viewer.front_end import source
+from ..display import ROOM, Bundle, LiveOutput, synced, with_stored
 from .recording import Line, file_lines
 
 if TYPE_CHECKING:
@@ -61,8 +62,8 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
         size: Width and height of the picture on screen, pixels.
     """
 
-    _esm = source("steppers/stepper.js")
-    _css = source("steppers/stepper.css")
+    _esm = source(ROOM, "steppers/stepper.js")
+    _css = source(ROOM, "steppers/stepper.css")
 
     step = synced(t.Int(0))
     count = synced(t.Int(1))

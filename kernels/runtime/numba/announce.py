@@ -1,13 +1,14 @@
 """Say once that kernels are being compiled: the first call on a machine takes some seconds without
 it looking so.
 
-And let Ctrl-C end it, between two passes of the compiler.
+And let Ctrl-C end it, between two passes of the compiler; and count its time.
 """
 
 import logging
 
 from numba.core import event
 
+from gsfusion_nb.compile_clock import COMPILE_CLOCK
 from gsfusion_nb.interrupts import compiler_goes_on
 
 log = logging.getLogger(__name__)
@@ -38,6 +39,18 @@ class CompileNotice(event.Listener):
         """Nothing to say."""
 
 
+class CompileTimer(event.Listener):
+    """Counts the time of compiling, so that it is not taken for mapping."""
+
+    def on_start(self, event: event.Event) -> None:
+        """Called by numba before it compiles a function."""
+        COMPILE_CLOCK.begin()
+
+    def on_end(self, event: event.Event) -> None:
+        """Called by numba after it, and after it failed."""
+        COMPILE_CLOCK.end()
+
+
 class PassEnd(event.Listener):
     """Lets a signal take effect after each pass of numba's compiler."""
 
@@ -51,4 +64,5 @@ class PassEnd(event.Listener):
 
 
 event.register("numba:compile", CompileNotice())
+event.register("numba:compile", CompileTimer())
 event.register("numba:run_pass", PassEnd())

@@ -22,6 +22,7 @@ from pathlib import Path
 from numba.core import dispatcher
 from numba.core.caching import FunctionCache, NullCache
 
+from gsfusion_nb.compile_clock import COMPILE_CLOCK
 from gsfusion_nb.files import try_lock
 
 from .installed_cache import installed_cache
@@ -127,12 +128,25 @@ class SharedCache(FunctionCache):
             self._impl.locator.ensure_cache_path()
             handles.append(os.open(self._lock, os.O_RDWR | os.O_CREAT, 0o644))
             until = time.monotonic() + WAIT_S
-            while len(handles) == 1 and not try_lock(handles[0]) and time.monotonic() < until:
-                time.sleep(_POLL_S)
+            with COMPILE_CLOCK.compiling():  # by another process
+                while len(handles) == 1 and not try_lock(handles[0]) and time.monotonic() < until:
+                    time.sleep(_POLL_S)
 
     @property
     def _lock(self) -> Path:
         return Path(self._cache_path, f"{self._impl.filename_base}.lock")
+
+
+def has_saved(function) -> bool:
+    """Whether a compiled function is on disk, for some types, and as new as its source."""
+    cache = getattr(function, "_cache", None)
+    caches = [cache, getattr(cache, "_installed", None)]
+    for each in caches:
+        if isinstance(each, FunctionCache):
+            note_imports(each)
+            if each._cache_file._load_index():
+                return True
+    return False
 
 
 def cache_of(function):

@@ -11,10 +11,11 @@ import torch
 from gsfusion_nb.geometry.spherical_harmonics import sh_to_rgb
 from gsfusion_nb.render import project_gaussians, render
 from gsfusion_nb.types import Camera, GaussianParams
+from gsfusion_nb.viewer.front_end import ENGINE, viewer_modules
+from gsfusion_nb.viewer.splat_rows import layout_for, pack_rows, packet_between
+from gsfusion_nb.viewer.splat_state import RULES
 from gsfusion_nb.viz import orbit_camera
-from gsfusion_nb.viz.display import join_modules
-from gsfusion_nb.viz.splat_rows import layout_for, pack_rows, packet_between
-from gsfusion_nb.viz.splat_viewer import _RULES, ENGINE, SplatViewer
+from gsfusion_nb.viz.splat_viewer import SplatViewer
 
 CAMERA = Camera(
     width=90,
@@ -87,12 +88,12 @@ def ask(node, tmp_path):
             "width": c.width,
             "height": c.height,
             "look": LOOK | look,
-            "rules": _RULES,
+            "rules": RULES,
             "scale": scale,
             "ask": list(questions),
         }
         (tmp_path / "input.json").write_text(json.dumps(data))
-        (tmp_path / "engine.mjs").write_text(join_modules(ENGINE) + _SCRIPT)
+        (tmp_path / "engine.mjs").write_text(viewer_modules(ENGINE) + _SCRIPT)
         done = subprocess.run(
             [node, tmp_path / "engine.mjs", tmp_path], capture_output=True, text=True
         )
@@ -264,7 +265,7 @@ def test_a_pick_is_the_frontmost_that_covers_the_pixel_or_else_the_strongest(ask
         dx, dy = torch.tensor([x, y]).sub(p.uv).T
         A, B, C = p.conic.T
         alpha = p.opacity * (-0.5 * (A * dx * dx + C * dy * dy) - B * dx * dy).exp() * p.visible
-        covers = alpha >= _RULES["pick_alpha"]
+        covers = alpha >= RULES["pick_alpha"]
         expected = int(
             torch.where(covers, p.depth_m, torch.inf).argmin() if covers.any() else alpha.argmax()
         )
@@ -295,7 +296,7 @@ def test_parts_add_up_to_the_map(ask, scene, generator):
 
 def test_the_hand_moves_the_camera_like_orbit_camera(node, tmp_path):
     script = (
-        join_modules(("camera",))
+        viewer_modules(("camera",))
         + """
     const [pose, up] = JSON.parse(process.argv[2]);
     const round = new OrbitCamera(pose, 2.5, up);

@@ -8,7 +8,7 @@ import torch
 from gsfusion_nb.checks import check_pose
 from gsfusion_nb.geometry import camera, se3
 from gsfusion_nb.types import Camera
-from gsfusion_nb.viz.viewpoint import extent, orbit_camera
+from gsfusion_nb.viewer.viewpoint import extent, orbit_camera
 
 CAMERA = Camera(
     width=320,

@@ -1,5 +1,5 @@
 // The rows of a map, in the packed form that is sent and in the form in which they are stored.
-// The records are packed by gsfusion_nb/viz/splat_rows.py:
+// The records are packed by gsfusion_nb/viewer/splat_rows.py:
 // xyz 3 x f32 | quaternion wxyz 4 x f16 | log scale 3 x f16 | opacity f16 | columns C x f32 | harmonics 3 K x f16.
 
 /** Every float16 as a float32. Not all browsers have Float16Array. */

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb.types import GaussianParams
-from gsfusion_nb.viz.splat_rows import layout_for, pack_rows, packet_between
+from gsfusion_nb.viewer.splat_rows import layout_for, pack_rows, packet_between
 
 
 def random_map(n, generator, harmonics=4):
@@ -64,7 +64,7 @@ def test_rows_with_nan_or_infinity_are_hidden_and_keep_their_place(generator):
 def test_huge_maps_leave_the_higher_harmonics_at_home(generator, monkeypatch):
     params = random_map(100, generator, harmonics=16)
     assert layout_for(params, 1).harmonics == 16
-    monkeypatch.setattr("gsfusion_nb.viz.splat_rows.PACKET_BYTES", 100 * 100)
+    monkeypatch.setattr("gsfusion_nb.viewer.splat_rows.PACKET_BYTES", 100 * 100)
     layout = layout_for(params, 1)
     assert layout.harmonics == 9
     rows = pack_rows(params, np.zeros((100, 1), np.float32), layout)
