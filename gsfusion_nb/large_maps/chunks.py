@@ -19,6 +19,7 @@ from numpy import ndarray
 from torch import Tensor
 from torch.nn.functional import adaptive_avg_pool2d, adaptive_max_pool2d
 
+from ..backends import op
 from ..geometry import se3
 from ..render.constants import ALPHA_MIN, FRUSTUM_CLAMP, SCREEN_BLUR_PX2
 from ..types import Camera, GaussianParams
@@ -32,7 +33,7 @@ GRID = (12, 16)
 BEHIND_M = 0.5
 """Gaussians less far behind the measured depth are drawn, metres: depth and centres have errors."""
 
-_REACH = math.sqrt(2 * math.log(1 / ALPHA_MIN))
+PIXEL_REACH = math.sqrt(2 * math.log(1 / ALPHA_MIN))
 """An opaque Gaussian is above 1/255 up to this many standard deviations."""
 
 _MORE = 1.001
@@ -58,18 +59,32 @@ def seen_chunks(
 ) -> Int[ndarray, " C"]:
     """Numbers of the chunks that a camera may see, rising; arguments as for ``Boxes.rows``."""
     T_CW = se3.inverse(T_WC.detach().cpu().double()).numpy()
-    numbers = chunks_in_view(chunks, camera, T_CW).nonzero()[0]
-    if depth_m is None:
-        return numbers
-    chunks_seen = Chunks(*(x[numbers] for x in chunks))
-    return numbers[
-        ~chunks_behind(
-            chunks_seen,
-            camera,
-            T_CW,
-            farthest_depth(depth_m).cpu().numpy(),
-        )
-    ]
+    farthest_m = None if depth_m is None else farthest_depth(depth_m).cpu().numpy()
+    return chunks_shown(chunks, camera, T_CW, farthest_m).nonzero()[0]
+
+
+@op("chunks")
+def chunks_shown(
+    chunks: Chunks,
+    camera: Camera,
+    T_CW: Float[ndarray, "4 4"],
+    farthest_m: Float[ndarray, "12 16"] | None = None,
+) -> Bool[ndarray, " C"]:
+    """Whether a view may show Gaussians of a chunk: they may reach its picture
+    (``chunks_in_view``), and not all of them are hidden (``chunks_behind``).
+
+    Args:
+        chunks: Of the map.
+        camera: as given to ``render``.
+        T_CW: World-to-camera pose, float64.
+        farthest_m: From ``farthest_depth``; None: no depth was measured.
+    """
+    is_shown = chunks_in_view(chunks, camera, T_CW)
+    if farthest_m is not None:
+        numbers = is_shown.nonzero()[0]
+        in_view = Chunks(*(x[numbers] for x in chunks))
+        is_shown[numbers] = ~chunks_behind(in_view, camera, T_CW, farthest_m)
+    return is_shown
 
 
 def rows_of_chunks(chunks: Int[ndarray, " C"], n: int) -> Int[Tensor, " R"]:
@@ -86,7 +101,7 @@ def chunks_of_points(xyz_W: Float[Tensor, "N 3"]) -> Chunks:
 
 def chunks_of_gaussians(params: GaussianParams) -> Chunks:
     """Boxes around chunks of Gaussians, with the largest extent in each."""
-    reach_m = _REACH * _by_chunk(torch.amax, params.log_scale).amax(1).exp()
+    reach_m = PIXEL_REACH * _by_chunk(torch.amax, params.log_scale).amax(1).exp()
     return chunks_of_points(params.xyz_W)._replace(reach_m=reach_m.cpu().numpy())
 
 
@@ -136,17 +151,9 @@ def chunks_in_view(
         camera: as given to ``render``.
         T_CW: World-to-camera pose.
     """
-    # normal in the camera frame, and factor of reach_m: seen if n . x <= k reach_m
-    planes = [(0.0, 0.0, -1.0, 0.0)]
-    for axis, f, c, size in _axes(camera):
-        h = size / 2
-        limit = FRUSTUM_CLAMP * size / (2 * f)
-        for sign in (1.0, -1.0):
-            n = [0.0, 0.0, sign * (c - h) - h - _MORE * _REACH * math.sqrt(SCREEN_BLUR_PX2)]
-            n[axis] = sign * f
-            planes.append((n[0], n[1], n[2], _MORE * f * math.sqrt(1 + limit**2)))
-    normal = np.array(planes)[:, :3] @ T_CW[:3]
-    factor = np.array(planes)[:, 3:]
+    planes = view_planes(camera)
+    normal = planes[:, :3] @ T_CW[:3]
+    factor = planes[:, 3:]
     middle = (chunks.low + chunks.high) / 2
     half = (chunks.high - chunks.low) / 2
     nearest = normal[:, :3] @ middle.T + normal[:, 3:] - np.abs(normal[:, :3]) @ half.T  # [5, C]
@@ -154,7 +161,24 @@ def chunks_in_view(
     return ~is_outside
 
 
-def _axes(camera: Camera) -> tuple[tuple[int, float, float, int], tuple[int, float, float, int]]:
+def view_planes(camera: Camera) -> Float[ndarray, "5 4"]:
+    """Planes that bound the view: normal n in the camera frame, and factor k of ``reach_m``; a
+    centre x is in view where  n . x <= k reach_m  for each."""
+    planes = [(0.0, 0.0, -1.0, 0.0)]
+    for axis, f, c, size in axes_of(camera):
+        h = size / 2
+        limit = FRUSTUM_CLAMP * size / (2 * f)
+        for sign in (1.0, -1.0):
+            n = [0.0, 0.0, sign * (c - h) - h - _MORE * PIXEL_REACH * math.sqrt(SCREEN_BLUR_PX2)]
+            n[axis] = sign * f
+            planes.append((n[0], n[1], n[2], _MORE * f * math.sqrt(1 + limit**2)))
+    return np.array(planes)
+
+
+def axes_of(
+    camera: Camera,
+) -> tuple[tuple[int, float, float, int], tuple[int, float, float, int]]:
+    """Both axes of a picture: its number, focal length, principal point and number of pixels."""
     return (0, camera.fx, camera.cx, camera.width), (1, camera.fy, camera.cy, camera.height)
 
 
@@ -199,10 +223,10 @@ def chunks_behind(
     z = np.where(in_front[:, None], xyz[..., 2], 1.0)
     slope = reach_m / np.where(in_front, nearest_m, 1.0)
     touches = np.ones((len(low), *GRID), bool)
-    for axis, f, c, size in _axes(camera):
+    for axis, f, c, size in axes_of(camera):
         uv = f * xyz[..., axis] / z + c
         cells = GRID[1 - axis]
-        more_px = f * (1 + FRUSTUM_CLAMP * size / (2 * f)) * slope + _REACH
+        more_px = f * (1 + FRUSTUM_CLAMP * size / (2 * f)) * slope + PIXEL_REACH
         first, last = (
             np.floor(edge * cells / size) for edge in (uv.min(1) - more_px, uv.max(1) + more_px)
         )
