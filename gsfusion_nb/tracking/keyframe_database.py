@@ -54,6 +54,8 @@ class KeyframeDatabase:
         """Camera-to-world pose of every row, float64."""
         self.features: list[Features] = []
         self._words: list[ndarray] = []
+        self._stacked = torch.empty(0, 4, 4, dtype=torch.float64)
+        """The first of the poses, as one tensor, for ``nearest_view``."""
         self._frequency = np.zeros(TABLES << BITS, np.int32)
 
     def __len__(self) -> int:
@@ -85,7 +87,8 @@ class KeyframeDatabase:
             raise ArgumentError(
                 f"T_WC must have one pose for each of the {len(self)} keyframes, got {len(T_WC)}"
             )
-        self.T_WC = list(T_WC.detach().cpu().double().unbind(0))
+        self._stacked = T_WC.detach().cpu().double().clone()
+        self.T_WC = list(self._stacked.unbind(0))
 
     def similar(
         self, features: Features, k: int, *, exclude_after: int | None = None
@@ -168,10 +171,12 @@ class KeyframeDatabase:
         Raises:
             ValueError: there is none.
         """
-        poses = self.T_WC[:before]
-        if not poses:
+        if not self.T_WC[:before]:
             raise ArgumentError("the database must have a keyframe to compare with, got none")
-        step = se3.inverse(T_WC.detach().cpu().double()) @ torch.stack(poses)
+        if len(self._stacked) < len(self):
+            more = torch.stack(self.T_WC[len(self._stacked) :])
+            self._stacked = torch.cat([self._stacked, more])
+        step = se3.inverse(T_WC.detach().cpu().double()) @ self._stacked[:before]
         distance = (
             step[:, :3, 3].norm(dim=1) / 0.5
             + torch.rad2deg(se3.rotation_angle(step[:, :3, :3])) / 45.0
