@@ -3,12 +3,15 @@
 import math
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from ..backends import op
 from ..config import OptimConfig
 from ..gaussians import GaussianModel
 from ..large_maps import MapPart
+from ..types import GaussianParams
+from .adam import ColumnRates
 from .map_step import AdamSettings
 
 _NOTHING_LEFT = 8e-10
@@ -40,11 +43,60 @@ def take_missed_steps(model: GaussianModel | MapPart, config: OptimConfig | Adam
     adam = AdamSettings.of(config)
     start = {"none": None, "shared": clock.last, "per_row": clock.age_at_last}[adam.steps]
     steps = MissedSteps(n_missed, start, adam.beta1, adam.beta2, adam.eps)
-    for name, lr in adam.rates.by_column(model.params.sh).items():
-        m = getattr(model.moments.exp_avg, name)
-        v = getattr(model.moments.exp_avg_sq, name)
-        steps.take(getattr(model.params, name), m, v, lr, model.rates.get(name))
+    m = model.moments.exp_avg
+    v = model.moments.exp_avg_sq
+    if model.rates:
+        for name, lr in adam.rates.by_column(model.params.sh).items():
+            column, m_, v_ = (getattr(rows, name) for rows in (model.params, m, v))
+            steps.take(column, m_, v_, lr, model.rates.get(name))
+    else:
+        decays = (steps.distance, steps.decay1, steps.decay2)
+        missed_steps_map(model.params, m, v, *decays, rates=adam.rates, eps=adam.eps)
     clock.catch_up()
+
+
+@op("missed_steps")
+def missed_steps_map(
+    params: GaussianParams,
+    exp_avg: GaussianParams,
+    exp_avg_sq: GaussianParams,
+    distance: Float[Tensor, " R"],
+    decay1: Float[Tensor, " R"],
+    decay2: Float[Tensor, " R"],
+    *,
+    rates: ColumnRates,
+    eps: float,
+) -> None:
+    """The steps that rows missed, of every column of a map:
+
+        param <- param - lr distance m / (sqrt(v) + eps),   m <- decay1 m,   v <- decay2 v
+
+    Args:
+        params: Values to update, in place.
+        exp_avg: m of each value, updated in place.
+        exp_avg_sq: v of each value, updated in place.
+        distance: sum_j c_j r^j of each row; 0 for a row that missed nothing. [R]
+        decay1, decay2: b1^k and b2^k of each row; 1 for a row that missed nothing. [R]
+        rates: Learning rates.
+        eps: Keeps the division finite where v = 0.
+    """
+    for name, lr in rates.by_column(params.sh).items():
+        column, m, v = (getattr(rows, name) for rows in (params, exp_avg, exp_avg_sq))
+        _take_at_once(column, m, v, lr, (distance, decay1, decay2), eps)
+
+
+def _take_at_once(
+    column: Tensor,
+    m: Tensor,
+    v: Tensor,
+    lr: float | Tensor,
+    of_rows: tuple[Tensor, Tensor, Tensor],
+    eps: float,
+) -> None:
+    distances, decay1, decay2 = (x.to(m).view(-1, *[1] * (m.ndim - 1)) for x in of_rows)
+    column -= lr * distances * m / (v.sqrt() + eps)
+    m *= decay1
+    v *= decay2
 
 
 class MissedSteps:
@@ -96,9 +148,4 @@ class MissedSteps:
         """Change a column and its moments in place; ``factor`` of the learning rate is one for each
         row."""
         distance = self.distance if factor is None else self.distance * factor
-        distances, decay1, decay2 = (
-            x.to(m).view(-1, *[1] * (m.ndim - 1)) for x in (distance, self.decay1, self.decay2)
-        )
-        column -= lr * distances * m / (v.sqrt() + self.eps)
-        m *= decay1
-        v *= decay2
+        _take_at_once(column, m, v, lr, (distance, self.decay1, self.decay2), self.eps)
