@@ -31,7 +31,9 @@ def distance_to_points(
     xyz = xyz.cpu()
     order = _by_place(xyz)
     distance = torch.empty(len(xyz), dtype=torch.float64)
-    distance[order] = torch.from_numpy(_tree(points.cpu()).query(xyz[order].numpy())[0])
+    distance[order] = torch.from_numpy(
+        _tree(points.cpu()).query(xyz[order].numpy(), workers=torch.get_num_threads())[0]
+    )
     return distance
 
 
@@ -86,7 +88,9 @@ def distance_to_mesh(xyz: Tensor, mesh: Mesh, samples: tuple[Tensor, Tensor]) ->
             # a face whose middle is beyond is not nearer
             limit = 1.001 * (float(distance[rows].max()) + extent)
             # tree.n if there are fewer
-            index = tree.query(xyz[rows].numpy(), k=k, distance_upper_bound=limit)[1]
+            index = tree.query(
+                xyz[rows].numpy(), k=k, distance_upper_bound=limit, workers=torch.get_num_threads()
+            )[1]
             candidates = faces[torch.from_numpy(index).reshape(len(rows), k)]
             for some_rows, tried_faces in zip(
                 rows.split(POINTS_AT_A_TIME), candidates.split(POINTS_AT_A_TIME), strict=True

@@ -53,7 +53,7 @@ def opening_of(run: MappingRun, views: Sequence[ReportPanel]) -> Opening | None:
         world_up(run.poses),
         birth_frames=None if draws_surface else mapper.gaussians.birth_frame,
     )
-    few = f"Like neighbours became one: {shown.n:,} are in this page, of {shown.n_whole:,}."
+    few = f"Like neighbours are joined: {shown.n:,} in this page, {shown.n_whole:,} in the map."
     notes = [*([_DISCS] if draws_surface else []), *([few] if shown.has_fewer else [])]
     title = mapper.description.title
     return Opening(map=shown, title=title, photo=photo, notes=notes) if shown.n else None

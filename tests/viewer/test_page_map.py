@@ -93,6 +93,17 @@ def test_a_smaller_map_looks_like_the_large_one():
     assert float(-10 * error.mean().log10()) > 15, "the border is blurred more than by a cell"
 
 
+def test_detail_stays_where_the_colours_change():
+    """Stripes of 10 cm at x > 0.5; beside them one colour."""
+    params = carpet(60)
+    stripe = (params.xyz_W[:, 0] * 10).long() % 2 == 0
+    is_striped = params.xyz_W[:, 0] > 0.5
+    params.sh[:, 0] = torch.where((stripe & is_striped)[:, None], 1.5, -1.5)
+    fewer, _ = merged(params, 300)
+    n_striped = int((fewer.xyz_W[:, 0] > 0.5).sum())
+    assert n_striped > 2 * (len(fewer) - n_striped)
+
+
 def test_a_map_that_is_small_enough_stays_as_it_is():
     params = carpet(4)
     fewer, rows = merged(params, 16)
