@@ -144,6 +144,9 @@ class KeyframeConfig(Settings, group="keyframes"):
     Published: 50. Usual: 0 to 100."""
     rows: Literal["all", "stable"] = "all"
     """Which Gaussians are drawn and optimised: "all" (paper) or only the "stable" ones (code)."""
+    worst: Literal["tiles", "pixels"] = "tiles"
+    """Of what the 40 % with the largest colour errors have a loss: "tiles" of 16x16 pixels (code),
+    of which the others take no time to draw, or "pixels" (paper)."""
     instead_of_window: bool = False
     """On: at a keyframe this optimisation replaces that of the window (code, except on
     ScanNet++)."""
@@ -246,6 +249,7 @@ def _paper(preset: str) -> RtgSlamConfig:
             "max_offset": None,
         },
         window={"draw": "random", "depth_behind_m": None},
+        keyframes={"worst": "pixels"},
         states={
             "error_count": 10,
             "colour_error": 0.1,

@@ -19,10 +19,10 @@ from .after_steps import StepStatistics
 from .surfel_optimiser import SurfelOptimiser
 
 WORST_SHARE = 0.4
+"""Share of a keyframe's tiles, or pixels, that have a loss in the optimisation over keyframes,
+those with the largest colour errors."""
 TILE_PX = 16
-"""Share of a keyframe's tiles that have a loss in the optimisation over keyframes, those with the
-largest colour errors, and their side, pixels. Tiles of this size without a loss take no time to
-draw."""
+"""Side of a tile, pixels. Tiles of this size without a loss take no time to draw."""
 
 KEYFRAMES_LR_FACTOR = 0.1
 """Learning rates of the optimisation over keyframes as a multiple of the window's; centres do not
@@ -96,8 +96,8 @@ def optimise_window(mapper: Any) -> list[float]:
 
 
 def optimise_keyframes(mapper: Any) -> int:
-    """Optimise over the latest and some random keyframes, on the tiles with the largest colour
-    errors. Returns the number of gradient steps.
+    """Optimise over the latest and some random keyframes, where their colour errors are largest
+    (``KeyframeConfig.worst``). Returns the number of gradient steps.
 
     Args:
         mapper: The ``RTGSLAM``.
@@ -211,11 +211,15 @@ def _rows_in_views(mapper: Any, views: Iterable[Frame | Keyframe]) -> Bool[Tenso
 
 
 def _worst_pixels(mapper: Any, keyframe: Keyframe) -> TrainingView:
-    """The view of a keyframe with the pixels of its worst tiles."""
+    """The view of a keyframe with the pixels that have a loss: its worst tiles, or pixels."""
     rgb = keyframe.rgb
     surface = mapper.surface(keyframe.camera, keyframe.T_WC, keyframe.farthest_m)
     error = (surface.rgb - rgb).abs().mean(dim=-1)
-    return TrainingView.of(keyframe, worst_tiles(error), rgb)
+    if mapper.config.keyframes.worst == "tiles":
+        pixels = worst_tiles(error)
+    else:
+        pixels = error >= error.flatten().quantile(1 - WORST_SHARE)
+    return TrainingView.of(keyframe, pixels, rgb)
 
 
 def worst_tiles(

@@ -2,6 +2,7 @@
 frames."""
 
 import copy
+import dataclasses
 import math
 from typing import Any
 
@@ -11,7 +12,7 @@ import torch
 from gsfusion_nb.config import RtgSlamConfig, replace, rtg_slam
 from gsfusion_nb.data.room import room, room_sdf
 from gsfusion_nb.evaluation import psnr
-from gsfusion_nb.mapping import RTGSLAM, StepReport, disc_files
+from gsfusion_nb.mapping import RTGSLAM, StepReport, disc_files, disc_optimisation
 from gsfusion_nb.mapping import rtg_slam as rtg_slam_module
 from gsfusion_nb.mapping.disc_optimisation import worst_tiles
 from gsfusion_nb.tsdf import integrate
@@ -168,6 +169,21 @@ def test_the_worst_tiles_are_those_with_the_largest_means():
     assert torch.equal(worst_tiles(error, share=0.2, tile_px=8), expected)  # 3 of 15 tiles
     assert int(worst_tiles(error, share=1e-6, tile_px=8).sum()) == 4 * 8
     assert worst_tiles(error, share=1.0).all()
+
+
+@pytest.mark.parametrize(("fidelity", "worst"), [("paper", "pixels"), ("code", "tiles")])
+def test_a_keyframe_counts_where_paper_and_code_say(small_walk, fidelity, worst):
+    mapper, _ = run(small_walk, quick())
+    config = rtg_slam(fidelity=fidelity).keyframes
+    assert config.worst == worst
+    mapper.config = dataclasses.replace(mapper.config, keyframes=config)
+    keyframe = mapper.keyframes[0]
+    view = disc_optimisation._worst_pixels(mapper, keyframe)
+    error = (mapper.surface(keyframe.camera, keyframe.T_WC).rgb - keyframe.rgb).abs().mean(dim=-1)
+    limit = error.flatten().quantile(0.6)
+    has_loss = view.pixels
+    assert float(has_loss.float().mean()) == pytest.approx(0.4, abs=0.1)
+    assert bool((has_loss == (error >= limit)).all()) == (worst == "pixels")
 
 
 def test_the_end_of_a_scan(small_walk):
