@@ -112,6 +112,24 @@ def test_corrected_poses_move_what_is_found(known, sequence):
         database.move(shift[None])
 
 
+def test_the_nearest_view_follows_new_and_moved_keyframes(known):
+    database = KeyframeDatabase(known.camera)
+
+    def pose(x_m: float) -> torch.Tensor:
+        T_WC = torch.eye(4, dtype=torch.float64)
+        T_WC[0, 3] = x_m
+        return T_WC
+
+    for i, x_m in enumerate((0.0, 1.0)):
+        database.add(i, pose(x_m), known.features[0])
+    assert database.nearest_view(pose(1.8)) == 1
+    database.add(2, pose(2.0), known.features[0])
+    assert database.nearest_view(pose(1.8)) == 2
+    assert database.nearest_view(pose(1.8), before=2) == 1
+    database.move(torch.stack([pose(1.9), pose(0.0), pose(1.0)]))
+    assert database.nearest_view(pose(1.8)) == 0
+
+
 def test_another_camera_is_refused(known):
     with pytest.raises(ValueError, match="must come from the keyframes' camera"):
         known.relocalise(room(n_frames=2, width=160, height=120)[0])
