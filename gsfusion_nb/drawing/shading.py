@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-NOTHING = (0.80, 0.85, 0.92)
-"""Colour where there is no surface: a light blue, which no grey surface has."""
+NOTHING = (0.11, 0.13, 0.17)
+"""Colour where there is no surface: darker than any surface of a lit picture."""
 _GREY = 0.95
 _AMBIENT = 0.34
 _KEY = 0.50

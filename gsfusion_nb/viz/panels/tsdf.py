@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...drawing.pictures import LABEL_PX, Picture, side_by_side, to_uint8
+from ...drawing.shading import shaded_view
 from ...errors import ArgumentError
 from ...tsdf import TsdfVolume, integrate, raycast
 from ...types import Camera, Frame
@@ -168,10 +169,9 @@ def level_pose(
 
 
 def shape_picture(volume: TsdfVolume, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Picture:
-    """The surface in the volume under a lamp at the camera; black where none has been measured."""
+    """The surface in the volume, lit from the upper left; dark where none has been measured."""
     surface = raycast(volume, camera, T_WC)
-    lamp = -(surface.normal_W @ T_WC[:3, 2]).clamp(-1, 0)
-    return to_uint8(lamp[..., None].expand(-1, -1, 3))
+    return to_uint8(shaded_view(surface.normal_W @ T_WC[:3, :3], surface.depth_m > 0))
 
 
 def camera_handles(x_m: float, y_m: float, heading_deg: float) -> dict[str, Point]:
