@@ -9,6 +9,7 @@ from markupsafe import Markup
 from ..drawing import pictures
 from ..drawing.page import page_picture
 from ..geometry.upright import world_up
+from ..resources import MAP_MEMORY
 from ..viewer.page_map import PageMap, page_map, page_script, page_style
 from ..viewer.viewpoint import viewing_camera
 from .mapping_run import MappingRun
@@ -34,18 +35,21 @@ class Opening:
 
 def opening_of(run: MappingRun, views: Sequence[ReportPanel]) -> Opening | None:
     """The map of a run, seen from above without its ceiling, and one of its views, a held-out one
-    if there is any; None if the map is empty or there is no view.
+    if there is any; None if the map is empty, there is no view, or the memory is limited and the
+    system draws a surface.
 
     Args:
         run: The run, when its maps are complete.
         views: Those of its report.
     """
     mapper = run.mapper
+    draws_surface = mapper.description.needs_volume_to_render
+    if draws_surface and MAP_MEMORY.limit_bytes is not None:
+        return None  # all discs of a large surface would not fit
     params = mapper.files.standard_gaussians()
     photo = min(views, key=lambda view: not view.held_out, default=None)
     if not len(params) or photo is None or photo.T_WC is None:
         return None
-    draws_surface = mapper.description.needs_volume_to_render
     shown = page_map(
         params,
         viewing_camera(run.sequence.camera, CANVAS_WIDTH, None),

@@ -27,9 +27,6 @@ smallest cells."""
 _SPREAD = 4.5
 """Factor on the variance of the centres, so that neighbours overlap."""
 
-_MOST_READ = 5
-"""Of a map with more than this many times the Gaussians that are wanted, only every second, third,
-... is looked at."""
 _PLACE_MASK = (1 << 21) - 1
 """Numbers of cells along an axis are taken modulo two million, to fit three into one number."""
 _OPAQUE = math.log(0.97 / 0.03)
@@ -69,10 +66,6 @@ def merged(params: GaussianParams, most: int) -> tuple[GaussianParams, Int[Tenso
     flat = GaussianParams(**{**vars(params), "sh": params.sh[:, :1]})
     if len(params) <= most:
         return flat, torch.arange(len(params))
-    stride = max(1, len(params) // (_MOST_READ * most))
-    if stride > 1:
-        smaller, rows = merged(params[torch.arange(0, len(params), stride)], most)
-        return smaller, rows * stride
     size_m = float(params.log_scale.amax(1).exp().median())
     levels = [_cells_of(flat, _FINEST * size_m)]
     most_std = math.inf

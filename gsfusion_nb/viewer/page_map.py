@@ -21,6 +21,9 @@ from .viewpoint import Place, places_of
 
 MOST_ROWS = 80_000
 """A page holds at most this many Gaussians: 2 to 3 MB."""
+MOST_READ = 5
+"""Of a map with more than this many times the Gaussians of the page, only every second, third, ...
+is looked at."""
 _BACKGROUND = "#10141a"
 _EXPORT = "export default {"
 _OFF = {"renderer": "auto", "renderer_used": "", "gpu": "", "stats": {}, "picked": None}
@@ -68,9 +71,11 @@ def page_map(
         place: Where the viewer is at first: "photo", "above" or "inside".
         most_rows: Gaussians in the page, at most; of more, like neighbours become one.
     """
-    finite = splat_rows.finite_rows(params).nonzero().flatten()
-    few, of_finite = merged(_on_cpu(params[finite]), most_rows)
-    rows = finite.cpu()[of_finite]
+    stride = max(1, len(params) // (MOST_READ * most_rows))  # not all of a map of millions
+    read = _on_cpu(params, stride)
+    finite = splat_rows.finite_rows(read).nonzero().flatten()
+    few, of_finite = merged(read[finite], most_rows)
+    rows = stride * finite[of_finite]
     columns = []
     if birth_frames is not None:
         values = torch.as_tensor(birth_frames).cpu()[rows]
@@ -119,8 +124,10 @@ def page_style() -> str:
     return source(ROOM, "page.css")
 
 
-def _on_cpu(params: GaussianParams) -> GaussianParams:
-    return GaussianParams(**{name: column.detach().cpu() for name, column in vars(params).items()})
+def _on_cpu(params: GaussianParams, stride: int) -> GaussianParams:
+    """Every ``stride``-th row, without view-dependent colour."""
+    columns = {**vars(params), "sh": params.sh[:, :1]}
+    return GaussianParams(**{name: x[::stride].detach().cpu() for name, x in columns.items()})
 
 
 def _packed(records: UInt8[np.ndarray, "N S"]) -> str:

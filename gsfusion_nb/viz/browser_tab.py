@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import io
 import ipaddress
+import logging
 import math
 import socket
 import threading
@@ -28,6 +29,8 @@ from ..geometry.spherical_harmonics import SH_C0
 from ..geometry.upright import world_up
 from ..types import Frame, GaussianParams
 from ..viewer.splat_rows import finite_rows
+
+log = logging.getLogger(__name__)
 
 UPDATE_S = 0.5
 """Shortest time between two updates."""
@@ -197,9 +200,13 @@ class BrowserTab:
                 moment = self._waiting
                 if moment is None:
                     return
-            with self.server.atomic():
-                self._send(moment)
-            self.server.flush()
+            try:
+                with self.server.atomic():
+                    self._send(moment)
+                self.server.flush()
+            except Exception as e:  # mapping goes on
+                log.warning("the tab in the browser is not updated any more: %s", e)
+                return
             self.n_updates += 1
             with self._wanted:
                 if self._waiting is moment:

@@ -69,6 +69,20 @@ def test_the_rows_of_a_page_are_those_of_the_map():
     assert "<" not in shown.data
 
 
+def test_a_page_of_a_map_of_many_names_the_rows_that_it_stands_for():
+    params = carpet(60)
+    births = torch.arange(len(params))
+    shown = page_map(params, CAMERA, torch.eye(4), UP_W, birth_frames=births, most_rows=300)
+    _, records = unpacked(shown.data)
+    layout = splat_rows.RowLayout(columns=1, harmonics=1)
+    fields = np.ascontiguousarray(records).view(layout.dtype)[:, 0]
+    rows = fields["columns"][:, 0].astype(int)
+    assert 100 < shown.n <= 300
+    assert shown.n_whole == 3600
+    distance = np.linalg.norm(fields["xyz_W"] - params.xyz_W.numpy()[rows], axis=1)
+    assert distance.max() < 0.3, "a row is far from the one that it stands for"
+
+
 def test_a_row_that_is_not_finite_is_left_out():
     params = carpet(3)
     params.xyz_W[4, 0] = math.nan
@@ -78,7 +92,7 @@ def test_a_row_that_is_not_finite_is_left_out():
 
 def test_a_smaller_map_looks_like_the_large_one():
     params = carpet(60)
-    fewer, rows = merged(params, 300)
+    fewer, rows = merged(params[::2], 300)  # as a page reads a map of so many
     assert 20 < len(fewer) <= 300
     assert torch.allclose(fewer.xyz_W[:, 2], torch.zeros(()), atol=1e-6)
     assert not len(set(rows.tolist())) < len(rows)

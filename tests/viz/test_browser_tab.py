@@ -179,3 +179,21 @@ def test_who_can_open_it_is_said():
         assert not tab.is_private
         assert "everyone whose device reaches this address" in tab.who_sees()
         assert "0.0.0.0" not in tab.url
+
+
+def test_a_port_that_is_taken_gives_another_one():
+    pytest.importorskip("viser", reason="the extra watch is not installed")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with BrowserTab(port=port) as tab:
+            assert tab.port != port
+
+
+def test_a_tab_that_fails_says_so_and_the_run_goes_on(tab, mapped, monkeypatch, caplog):
+    mapper, frame, report = mapped
+    monkeypatch.setattr(tab, "_send_camera", lambda moment: 1 / 0)
+    tab.frame_mapped(mapper, frame, report)
+    _until(lambda: "not updated any more: division by zero" in caplog.text)
+    tab.finished(mapper, None, {})
