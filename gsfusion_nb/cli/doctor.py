@@ -22,8 +22,12 @@ import torch
 from .. import __version__, backends
 from ..config import DataConfig, SystemConfig, gps_slam, gsfusion, rtg_slam
 from ..data import open_sequence
+from ..large_maps import boxes
 from ..mapping import make_mapper
+from ..optim import ColumnRates
+from ..optim.missed_steps import MissedSteps, missed_steps_map
 from ..progress import ProgressDisplay
+from ..types import GaussianParams
 
 PACKAGES = (
     "torch",
@@ -137,6 +141,7 @@ def warm() -> int:
         for position, config in enumerate(todo):
             display.show(position, note=type(config).__name__)
             _map(config)
+        _take_missed_steps()
         display.show(len(todo))
     print(
         f"All fast kernels are compiled and stored on disk ({time.perf_counter() - start:.0f} s)."
@@ -235,17 +240,19 @@ def _examples() -> list[SystemConfig]:
 
 
 def _map(config: SystemConfig) -> None:
-    """Map five frames: colours from 8 bits and between them, and a jump after which the camera is
-    sought again."""
+    """Map five frames, the last three as a large map: colours from 8 bits and between them, and a
+    jump after which the camera is sought again."""
     room = open_sequence(
         "room", data=DataConfig(width=320, height=240, hold_out_every=0), n_frames=600
     ).mapping
     mapper = make_mapper(config)
     for index, position in enumerate((0, 1, 2, 40, 41)):
         frame = dataclasses.replace(room[position], index=index, timestamp_s=float(index))
-        mapper.step(dataclasses.replace(frame, rgb=frame.rgb) if index == 2 else frame)
-    for _ in mapper.global_optimise(1):
-        pass
+        with _in_parts() if index > 1 else contextlib.nullcontext():
+            mapper.step(dataclasses.replace(frame, rgb=frame.rgb) if index == 2 else frame)
+    with _in_parts():
+        for _ in mapper.global_optimise(1):
+            pass
     for camera in (
         frame.camera,
         frame.camera.resized(24, 18),
@@ -255,9 +262,41 @@ def _map(config: SystemConfig) -> None:
         mapper.mesh()
 
 
+def _take_missed_steps() -> None:
+    """Steps that rows of a large map missed; in one of five frames every row takes part in each."""
+    rows, m, v = (
+        GaussianParams(
+            xyz_W=torch.zeros(2, 3),
+            log_scale=torch.zeros(2, 3),
+            quat=torch.ones(2, 4),
+            opacity_logit=torch.zeros(2),
+            sh=torch.zeros(2, 16, 3),
+        )
+        for _ in range(3)
+    )
+    steps = MissedSteps(torch.ones(2, dtype=torch.int32), None, 0.9, 0.999, 1e-15)
+    rates = ColumnRates(
+        xyz_W=0.0, log_scale=0.0, quat=0.0, opacity_logit=0.0, sh_dc=0.0, sh_rest=0.0
+    )
+    decays = (steps.distance, steps.decay1, steps.decay2)
+    missed_steps_map(rows, m, v, *decays, rates=rates, eps=1e-15)
+
+
+@contextlib.contextmanager
+def _in_parts() -> Iterator[None]:
+    """A map is drawn and stepped by part, as a large one."""
+    whole_below = boxes.WHOLE_BELOW
+    boxes.WHOLE_BELOW = 0
+    try:
+        yield
+    finally:
+        boxes.WHOLE_BELOW = whole_below
+
+
 def map_examples(configs: Iterable[SystemConfig]) -> None:
     """Compile what systems with these settings need, without a message."""
     with _quietly():
+        _take_missed_steps()
         for config in configs:
             _map(config)
 
