@@ -15,6 +15,7 @@ from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.seeding import SeedContext, Seeds, apply_rule, check_contexts
 from gsfusion_nb.seeding.depth_from_sides import depth_from_sides
 from gsfusion_nb.seeding.depth_holes import cells_without_depth
+from gsfusion_nb.seeding.discs import LONGEST
 from gsfusion_nb.tsdf import TsdfVolume, integrate
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 
@@ -424,14 +425,18 @@ def test_the_setting_adds_them_to_the_rule_and_skip_is_as_published(small_walk):
 
 
 def test_cells_in_a_hole_are_cut_by_the_depth_around_it(small_walk):
-    """No seed is larger than the setting says, measured or guessed."""
+    """No cell is larger than the setting says, measured or guessed, and no disc larger than it may
+    be for its cell."""
     frame = holed(small_walk[0])
     coarse = dataclasses.replace(FINE, quadtree_threshold=0.1)
     for largest_m, is_reached in ((0.0, False), (0.4, True)):
         ctx = SeedContext(frame, config=dataclasses.replace(coarse, quadtree_largest_m=largest_m))
-        for seeds in (cells_without_depth(ctx), ctx.cells()):
+        guessed = cells_without_depth(ctx), 1.0  # as balls
+        measured = ctx.cells(), ctx.config.thickness
+        for seeds, thickness in (guessed, measured):
             assert len(seeds) > 0
-            assert (seeds.scale_m.max() <= 0.4) == is_reached
+            assert (seeds.scale_m.max() <= LONGEST * 0.4) == is_reached
+            assert (seeds.scale_m[:, 2].max() <= thickness * 0.4) == is_reached
 
 
 @pytest.mark.parametrize("contrast", ["released", "std"])
@@ -460,7 +465,7 @@ def test_coarser_cells_are_larger_and_less_even(contrast):
 
 def test_the_rule_follows_the_settings_of_size_shape_and_opacity():
     """A plain wall, 64 x 48 pixels at 2 m: as published one ball of 40 pixels; one cut makes four
-    of 20, which lean by the angle of their rays."""
+    of 32 x 24, each with a disc of its size on the wall."""
     ctx = context(CASES["gsfusion"])
     d = Z * HALF_DIAGONAL_PX / FX
     for settings, n, sigma in (
@@ -474,6 +479,6 @@ def test_the_rule_follows_the_settings_of_size_shape_and_opacity():
         seeds = apply_rule("gsfusion", dataclasses.replace(ctx, config=settings))
         expected = torch.tensor(sigma).repeat(n, 1)
         if settings.thickness < 1:
-            expected[:, 0] *= seeds.xyz_W.norm(dim=1) / Z  # 1 / cos of the ray
+            expected[:, :2] = torch.tensor([32.0 / FX, 24.0 / FY]) / 2**0.5 * Z
         torch.testing.assert_close(seeds.scale_m, expected)
         torch.testing.assert_close(seeds.opacity, torch.full((n,), settings.opacity))
