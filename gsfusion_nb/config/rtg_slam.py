@@ -139,7 +139,7 @@ class KeyframeConfig(Settings, group="keyframes"):
     random: int = within(3, 0)
     """How many randomly drawn earlier keyframes take part (paper 3, code 0). Larger: less
     forgetting. Usual: 0 to 8."""
-    iterations: int = within(10, 0)
+    iterations: int = within(20, 0)
     """Steps of the optimisation at each keyframe. Larger: earlier views improve more, slower.
     Published: 50. Usual: 0 to 100."""
     rows: Literal["all", "stable"] = "all"
