@@ -12,7 +12,7 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -26,7 +26,7 @@ from ..resources import usable_cores
 from ..seeding import SeedingRule, rule_name
 from .map_scene import Entry, OnStep
 from .one_run import run_entry
-from .program import look_at_program_again, run_key
+from .program import differing_parts, look_at_program_again
 from .run_result import RunResult
 from .spec import RunSpec
 from .tune import tune, tuning_spec
@@ -50,8 +50,8 @@ class Task:
     """Frames that the caller has opened; they cannot be sent."""
     tuned: dict[str, Any] | None = None
     """Result of the tuning, for a run."""
-    program: str = ""
-    """``run_key()`` where the comparison was started; empty asks for nothing."""
+    program: Mapping[str, str] | None = None
+    """``program_parts()`` where the comparison was started; None asks for nothing."""
 
     def packed(self) -> "Task":
         """The task as it is sent to another process.
@@ -90,11 +90,7 @@ def do_task(task: Task, on_step: OnStep = lambda report: None) -> Answer:
     """
     with _ONE_AT_A_TIME, use_backend(task.backend):
         try:
-            if task.program not in ("", run_key()):
-                raise ArgumentError(
-                    "this process has another version of gsfusion_nb, or of a library, than the "
-                    "comparison, or one of their files was edited after it began: restart it"
-                )
+            _check_program(task)
             rule = pickle.loads(task.rule) if isinstance(task.rule, bytes) else task.rule
             entry = Entry(spec=task.spec, rule=rule, sequence=task.sequence)
             if task.kind == "tune":
@@ -109,6 +105,25 @@ def do_task(task: Task, on_step: OnStep = lambda report: None) -> Answer:
             return Answer(result=result, pictures=pictures)
         except Exception as e:  # a user's rule may raise anything
             return Answer(reason=f"{type(e).__name__}: {e}")
+
+
+def _check_program(task: Task) -> None:
+    """Check that this process has the program of the comparison.
+
+    Raises:
+        ValueError: it has another version of the package or of a library, a file was edited after
+            one of the two began, or a function of a library is another one there.
+    """
+    different = [] if task.program is None else differing_parts(task.program)
+    if different:
+        shown = "; ".join(different[:_SHOWN_PARTS])
+        more = len(different) - _SHOWN_PARTS
+        raise ArgumentError(
+            "this process computes with another program than the comparison, so its numbers "
+            "could differ: "
+            f"{shown}{f'; and {more} more' if more > 0 else ''}. A file that was edited after a "
+            "process began, or something that only one of them has set: restart both"
+        )
 
 
 def do_sent_task(task: Task) -> Answer:
@@ -135,6 +150,8 @@ CONNECT_S = 10.0
 NO_WORKER_S = 60.0
 """How long a Dask cluster may be without a worker before a comparison ends, seconds."""
 _LOOK_S = 1.0
+_SHOWN_PARTS = 5
+"""How many differences of two programs a message names."""
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 

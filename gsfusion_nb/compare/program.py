@@ -80,7 +80,7 @@ def _git(folder: Path, *words: str) -> str:
 
 
 @functools.cache
-def _state_of_process() -> dict[str, Any]:
+def _state_of_process() -> dict[str, dict[str, str]]:
     """Files of libraries that were edited, their functions that were replaced, and switches of
     torch."""
     edits = {}
@@ -106,17 +106,42 @@ def look_at_program_again() -> None:
 
 
 def run_key(**parts: Any) -> str:
-    """A key of ``parts`` (plain values), of this package's version and source, and of the
-    libraries: 32 hexadecimal digits.
+    """A key of ``parts`` (plain values) and of ``program_parts``: 32 hexadecimal digits.
 
     Two runs with the same key give the same map on one machine. A change in the data, the settings,
     a rule, an option, the seed, the program or its libraries gives another key. So does a function
     of a library that was replaced.
     """
-    parts |= {"version": __version__, "package": package_fingerprint(), "libraries": libraries()}
-    parts |= {"process": _state_of_process()}
-    text = json.dumps(parts, sort_keys=True, default=str)
+    text = json.dumps(parts | {"program": program_parts()}, sort_keys=True, default=str)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def program_parts() -> dict[str, str]:
+    """What computes a run in this process: each part in words -> its version, a hash or a value.
+
+    The parts are this package and its sources, the libraries, their files that were edited and
+    their functions that were replaced, and the switches of torch.
+    """
+    state = _state_of_process()
+    return (
+        {"the version of gsfusion_nb": __version__}
+        | {"the sources of gsfusion_nb": package_fingerprint()}
+        | {f"the version of {name}": version for name, version in libraries().items()}
+        | {f"the files of {name}": files for name, files in state["edited"].items()}
+        | {f"{name}, replaced": digest for name, digest in state["patches"].items()}
+        | {f"{name}, changed": digest for name, digest in state["swapped"].items()}
+        | {f"torch's or numpy's {name}": value for name, value in state["switches"].items()}
+    )
+
+
+def differing_parts(there: Mapping[str, str]) -> list[str]:
+    """The parts of the program that another process has otherwise than this one, sorted.
+
+    Args:
+        there: Its ``program_parts``.
+    """
+    here = program_parts()
+    return sorted(name for name in here.keys() | there if here.get(name) != there.get(name))
 
 
 @functools.cache

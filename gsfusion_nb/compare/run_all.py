@@ -14,7 +14,7 @@ from ..seeding import SeedingRule, is_built_in, registered
 from .admission import Admission, admission
 from .executors import Answer, Executor, InProcess, Task
 from .map_scene import Entry
-from .program import run_key
+from .program import program_parts, run_key
 from .rule_variants import original
 from .run_result import RunResult
 from .spec import ONLY_NOW, RunSpec, look_again
@@ -252,7 +252,7 @@ class _Plan:
                 rule=_own_rule(entry),
                 sequence=entry.sequence,
                 tuned=tuned,
-                program=run_key(),
+                program=program_parts(),
             ),
         )
 

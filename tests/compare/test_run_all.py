@@ -155,9 +155,27 @@ def test_data_or_programs_that_differ_where_a_run_is_done_fail_it(
     assert result is not None
     assert result.status == "failed"
     assert str(tmp_path / "wall") in result.reason
-    assert (
-        "another version" in do_task(dataclasses.replace(task, program="of another machine")).reason
-    )
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"the version of torch": "0.1"}, "the version of torch"),
+        ({"the sources of gsfusion_nb": "other"}, "the sources of gsfusion_nb"),
+        ({"torch.nn.functional.conv2d, replaced": "5e"}, "torch.nn.functional.conv2d, replaced"),
+    ],
+)
+def test_a_process_with_another_program_says_which_part_differs(spec, change, word):
+    task = Task(kind="run", spec=spec(), backend="auto", program=program.program_parts() | change)
+    assert f"could differ: {word}. " in do_task(task).reason
+
+
+def test_a_process_names_some_of_many_differences(spec):
+    others = {f"numpy.f{i}, replaced": "5e" for i in range(8)}
+    task = Task(kind="run", spec=spec(), backend="auto", program=program.program_parts() | others)
+    reason = do_task(task).reason
+    assert "numpy.f4, replaced; and 3 more" in reason
+    assert "numpy.f5" not in reason
 
 
 def test_the_key_has_the_versions_of_the_libraries(monkeypatch):
