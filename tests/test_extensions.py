@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from toy_system import SOURCE, write_toy
 
+from gsfusion_nb.code_keys import code_key, installed
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.data.open import known_layouts
 from gsfusion_nb.extensions import extensions, warn_once
 from gsfusion_nb.mapping import get_system, package_of, system_names, system_of, systems
 from gsfusion_nb.runs import rescore, run_mapping
-from gsfusion_nb.seeding import code_key, get_rule, installed, registered
+from gsfusion_nb.seeding import get_rule, registered
 from gsfusion_nb.seeding.rule import keep_registered
 
 RULE = """

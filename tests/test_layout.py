@@ -14,7 +14,7 @@ FLOORS = {
     **dict.fromkeys(("types", "arrays", "config", "checks", "errors", "files", "interrupts"), 0),
     **dict.fromkeys(("progress", "resources", "edit_count", "backends", "extensions"), 0),
     **dict.fromkeys(("compile_clock",), 0),
-    **dict.fromkeys(("geometry", "drawing"), 1),
+    **dict.fromkeys(("geometry", "drawing", "code_keys"), 1),
     **dict.fromkeys(("data", "tsdf", "gaussians", "render"), 2),
     "large_maps": 3,
     **dict.fromkeys(("seeding", "optim", "tracking", "export", "evaluation"), 4),

@@ -18,11 +18,11 @@ from typing import Any
 
 import cloudpickle
 
+from ..code_keys.key import differing, where_module
+from ..code_keys.origin import is_library_module
 from ..data.adjust.extra_files import ExtraFiles, ExtraSample, read_extra
 from ..files import read_object, read_sealed, write_sealed
 from ..seeding import SeedingRule, is_built_in, rule_name
-from ..seeding.code_key import differing, where_module
-from ..seeding.code_origin import is_library_module
 from .fresh_check import CheckJob
 from .map_scene import Entry
 from .program import run_key

@@ -15,13 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..code_keys import CodeKey, code_key
+from ..code_keys.installed import is_installed
+from ..code_keys.origin import is_library_namespace
+from ..code_keys.patches import changes_since, library_state, switches
 from ..errors import ArgumentError
 from ..files import cache_folder
-from ..seeding import CodeKey, check_rule, code_key
+from ..seeding import check_rule
 from ..seeding.code_files import refuse_undeclared
-from ..seeding.code_origin import is_library_namespace
-from ..seeding.installed import is_installed
-from ..seeding.patches import changes_since, library_state, switches
 from ..seeding.rule import option_paths
 from ..seeding.rule_code import rule_of_source
 from ..seeding.rule_guard import only_declared

@@ -12,6 +12,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from ..code_keys.key import code_key, differing
 from ..config import SystemConfig
 from ..data import OpenedSequence, open_sequence
 from ..data.adjust.selection import FrameSubset
@@ -23,7 +24,6 @@ from ..runs import MappingRun
 from ..runs.scores import score
 from ..seeding import SeedingRule, get_rule, is_built_in, is_map_rule
 from ..seeding.code_files import refuse_undeclared
-from ..seeding.code_key import code_key, differing
 from ..seeding.rule import option_paths
 from ..seeding.rule_guard import only_declared
 from ..types import Frame

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..code_keys import code_key, installed
+from ..code_keys.patches import changed_values, library_state, patches, switches
 from ..mapping import Mapper
 from ..mapping.systems import system_key
-from ..seeding import SeedingRule, code_key, installed, is_built_in, rule_files
-from ..seeding.patches import changed_values, library_state, patches, switches
+from ..seeding import SeedingRule, is_built_in, rule_files
 
 _CODE = {".py", ".toml", ".cu", ".cuh"}
 _LIBRARIES = {

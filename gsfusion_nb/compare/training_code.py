@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..code_keys import code_key
 from ..errors import ArgumentError
 from ..mapping.training import Training
-from ..seeding import code_key
 from ..seeding.code_files import code_folder, module_of_source, read_code_file
 
 TrainingCode = Mapping[str, Mapping[str, str]]

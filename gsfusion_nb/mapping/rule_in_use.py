@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..checks import shown
+from ..code_keys.key import code_key, differing, loaded_values, rule_fingerprint
 from ..errors import SequenceError
 from ..seeding import (
     EVERY_FRAME,
@@ -14,7 +15,6 @@ from ..seeding import (
     check_memory,
     copy_memory,
 )
-from ..seeding.code_key import code_key, differing, loaded_values, rule_fingerprint
 from ..seeding.map_rule import is_map_rule, rule_name
 from ..seeding.options import option_values
 from ..seeding.rule import registered

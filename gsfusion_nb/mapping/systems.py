@@ -7,11 +7,12 @@ from typing import Any, TypeVar
 
 import torch
 
+from ..code_keys import CodeKey, code_key
 from ..config import SystemConfig
 from ..errors import ArgumentError, KindError, UnknownNameError
 from ..extensions import Extension, extensions
 from ..optim import UpdateFunction
-from ..seeding import CodeKey, SeedingRule, code_key
+from ..seeding import SeedingRule
 from ..seeding.code_files import (
     code_folder,
     is_code_file,

@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from ..checks import check_finite, check_name, check_shape, shown
+from ..code_keys import rule_fingerprint
 from ..errors import ArgumentError, KindError, SequenceError
 from ..optim import TrainingView, UpdateFunction, ViewLoss
 from ..optim.map_step import column_argument
-from ..seeding import rule_fingerprint, rule_name
+from ..seeding import rule_name
 from ..types import GaussianParams, RenderOutput
 
 LossFunction = Callable[[RenderOutput, TrainingView], ViewLoss]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..checks import shown
+from ..code_keys.key import differing
 from ..errors import SequenceError, UnknownNameError
 from ..files import write_file
 from ..mapping import SYSTEMS, Mapper, get_system, package_of, system_of
@@ -18,7 +19,6 @@ from ..seeding.code_files import (
     is_code_file,
     read_code_file,
 )
-from ..seeding.code_key import differing
 from ..seeding.named_code import SystemNotNamedError
 from .run_folder import SYSTEM
 

@@ -8,9 +8,6 @@ from .apply import apply_rule as apply_rule
 from .apply import keep_one_per_voxel as keep_one_per_voxel
 from .check import check_rule as check_rule
 from .check_scenes import check_contexts as check_contexts
-from .code_key import CodeKey as CodeKey
-from .code_key import code_key as code_key
-from .code_key import rule_fingerprint as rule_fingerprint
 from .context import SeedContext as SeedContext
 from .coverage import unmapped_pixels as unmapped_pixels
 from .discs import as_discs as as_discs

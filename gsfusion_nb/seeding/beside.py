@@ -13,8 +13,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from .code_key import imported_names, where_module
-from .code_origin import BESIDE, LOADED_SOURCE, keep_home
+from ..code_keys.key import imported_names, where_module
+from ..code_keys.origin import BESIDE, LOADED_SOURCE, keep_home
 
 _SWAPPING = threading.RLock()
 """While the modules of one rule are in ``sys.modules``, no other thread imports those of

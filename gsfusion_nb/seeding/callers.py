@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from types import FrameType
 
-from .code_origin import CHECKS_TYPES, OWN_PACKAGE, is_library_namespace
+from ..code_keys.origin import CHECKS_TYPES, OWN_PACKAGE, is_library_namespace
 
 _GUARD = {f"{__package__}.{file}" for file in ("callers", "rule_guard", "rule_watch")}
 """Modules that look at the stack themselves, and are no callers."""

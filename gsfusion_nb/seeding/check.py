@@ -12,6 +12,8 @@ import numpy as np
 import torch
 
 from ..checks import shown
+from ..code_keys.key import code_key, loaded_values
+from ..code_keys.values import ValueHash
 from ..errors import KindError
 from ..gaussians import Edit
 from ..geometry import se3
@@ -19,8 +21,6 @@ from ..render import footprints, render
 from ..types import Frame, Seeds
 from .apply import apply_rule
 from .check_scenes import Walk, check_contexts
-from .code_key import code_key, loaded_values
-from .code_values import ValueHash
 from .context import SeedContext
 from .input_guard import ChangedInputError, context_tensors
 from .map_rule import MapRule, Option, SeedingRule, StepStats, check_needs, is_map_rule, rule_name

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from ..checks import shown
+from ..code_keys.origin import BESIDE, RULE_SOURCE
 from ..errors import ArgumentError
 from ..files import read_text
 from .beside import Beside, sources_digest
-from .code_origin import BESIDE, RULE_SOURCE
 from .map_rule import SeedingRule, rule_name
 from .rule import keep_registered, registered, seeding_rule
 from .rule_guard import refuse, watch_reads

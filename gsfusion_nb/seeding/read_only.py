@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .code_origin import is_library_namespace
+from ..code_keys.origin import is_library_namespace
 
 _local = threading.local()
 _patching = threading.RLock()

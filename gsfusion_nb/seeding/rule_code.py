@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from ..checks import shown
+from ..code_keys.origin import is_library_code
 from ..errors import ArgumentError
 from ..files import UNREADABLE, file_hashes
 from .code_files import (
@@ -21,7 +22,6 @@ from .code_files import (
     module_of_source,
     read_code_file,
 )
-from .code_origin import is_library_code
 from .map_rule import SeedingRule, rule_name
 from .rule import get_rule, option_paths
 

@@ -9,10 +9,10 @@ from typing import Any
 
 from platformdirs import user_cache_path
 
+from ..code_keys.installed import is_installed
+from ..code_keys.origin import OWN_PACKAGE
 from ..files import cache_folder
 from .callers import asker, caller, functions, is_for_package, is_only_a_name
-from .code_origin import OWN_PACKAGE
-from .installed import is_installed
 
 
 def _folders_of_kernels() -> list[str]:

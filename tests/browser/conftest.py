@@ -202,8 +202,9 @@ class Lab:
             slider.page.keyboard.press("ArrowRight" if steps > 0 else "ArrowLeft")
 
     def _note(self, url: str) -> None:
-        local = (f"http://127.0.0.1:{self.port}/", f"ws://127.0.0.1:{self.port}/", "data:", "blob:")
-        if not url.startswith(local):
+        server = (f"http://127.0.0.1:{self.port}/", f"ws://127.0.0.1:{self.port}/")
+        in_page = ("data:", "blob:", "attachment:")  # an attachment is a part of its notebook
+        if not url.startswith((*server, *in_page)):
             self.requests.append(url)
 
 

@@ -8,10 +8,10 @@ import sys
 import pytest
 import torch
 
+from gsfusion_nb.code_keys import rule_fingerprint
 from gsfusion_nb.compare import Entrant
 from gsfusion_nb.compare.one_run import run_entry
 from gsfusion_nb.compare.run_all import ResultStore, run_all
-from gsfusion_nb.seeding import rule_fingerprint
 
 LEARNED = '''
 import functools

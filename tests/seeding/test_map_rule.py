@@ -9,6 +9,7 @@ from typing import Any, ClassVar, Literal
 import pytest
 import torch
 
+from gsfusion_nb.code_keys import rule_fingerprint
 from gsfusion_nb.seeding import (
     EVERY_FRAME,
     KEYFRAMES,
@@ -23,7 +24,6 @@ from gsfusion_nb.seeding import (
     get_rule,
     is_map_rule,
     rule_choices,
-    rule_fingerprint,
     rule_name,
     rule_options,
     rule_source,

@@ -3,7 +3,8 @@ line."""
 
 import pytest
 
-from gsfusion_nb.seeding import is_built_in, registered, rule_fingerprint, rule_options, rule_source
+from gsfusion_nb.code_keys import rule_fingerprint
+from gsfusion_nb.seeding import is_built_in, registered, rule_options, rule_source
 from gsfusion_nb.seeding.code_files import file_source, is_code_file
 from gsfusion_nb.seeding.rule_code import find_rule, load_rule_file, rule_of_source
 

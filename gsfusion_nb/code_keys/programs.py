@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from .code_digest import ATOMS, Digest, UnhashableError
-from .code_names import globals_of, imported_inside, looks_up, named_in, names_of, walks_sets
-from .code_origin import (
+from .digest import ATOMS, Digest, UnhashableError
+from .names import globals_of, imported_inside, looks_up, named_in, names_of, walks_sets
+from .origin import (
     BESIDE,
     LOADED_SOURCE,
     OWN_PACKAGE,

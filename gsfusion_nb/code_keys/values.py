@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from .code_digest import ATOMS, Digest, UnhashableError
-from .code_names import words_of
-from .code_objects import add_by_name, add_reduced
-from .code_programs import add_class, add_code, add_function, add_module
+from .digest import ATOMS, Digest, UnhashableError
+from .names import words_of
+from .objects import add_by_name, add_reduced
+from .programs import add_class, add_code, add_function, add_module
 
 _DESCRIPTORS = (
     types.MemberDescriptorType,

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from .code_origin import is_library_code, is_library_module, is_made_by_library, is_own_class
-from .code_values import ValueHash
+from .origin import is_library_code, is_library_module, is_made_by_library, is_own_class
+from .values import ValueHash
 
 _CALLED = (
     types.FunctionType,

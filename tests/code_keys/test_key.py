@@ -38,16 +38,17 @@ import pytest
 import torch
 
 from gsfusion_nb import backends
-from gsfusion_nb.seeding import SeedContext, code_key, installed, is_built_in, registered
-from gsfusion_nb.seeding.code_key import differing, loaded_values
-from gsfusion_nb.seeding.code_values import ValueHash
-from gsfusion_nb.seeding.patches import (
+from gsfusion_nb.code_keys import code_key, installed
+from gsfusion_nb.code_keys.key import differing, loaded_values
+from gsfusion_nb.code_keys.patches import (
     changed_values,
     changes_since,
     library_state,
     patches,
     switches,
 )
+from gsfusion_nb.code_keys.values import ValueHash
+from gsfusion_nb.seeding import SeedContext, is_built_in, registered
 from gsfusion_nb.seeding.rule_code import load_rule_file
 
 
@@ -931,7 +932,7 @@ MADE = C()
 KEY_OF_A_FILE = """
 import json
 import sys
-from gsfusion_nb.seeding import code_key
+from gsfusion_nb.code_keys import code_key
 from gsfusion_nb.seeding.rule_code import load_rule_file
 print(json.dumps(dict(code_key(load_rule_file(sys.argv[1])).parts)))
 """

@@ -7,8 +7,8 @@ import types
 import pytest
 import torch
 
-from gsfusion_nb.seeding import code_key
-from gsfusion_nb.seeding.code_names import names_of, walks_sets, words_of
+from gsfusion_nb.code_keys import code_key
+from gsfusion_nb.code_keys.names import names_of, walks_sets, words_of
 from gsfusion_nb.seeding.rule_code import load_rule_file
 
 
@@ -81,7 +81,7 @@ def test_what_is_looked_up_anywhere_is_no_key(cell, by, use):
 
 
 def test_a_library_that_looks_names_up_does_not_end_the_search_for_patches(monkeypatch):
-    from gsfusion_nb.seeding.patches import patches
+    from gsfusion_nb.code_keys.patches import patches
 
     monkeypatch.setattr(torch, "sum", lambda *_: sys._getframe(1))
     assert "torch.sum" in patches()

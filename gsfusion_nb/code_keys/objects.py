@@ -7,9 +7,9 @@ from typing import Any
 
 import cloudpickle
 
-from .code_digest import Digest
-from .code_names import named_in
-from .code_origin import is_library
+from .digest import Digest
+from .names import named_in
+from .origin import is_library
 
 _REDUCERS = cloudpickle.Pickler.dispatch_table
 

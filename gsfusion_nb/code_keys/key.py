@@ -17,11 +17,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .code_digest import UnhashableError
-from .code_origin import BESIDE, LOADED_SOURCE, RULE_SOURCE, is_library_module
-from .code_programs import NOT_OF_A_PROGRAM
-from .code_values import ValueHash
+from .digest import UnhashableError
 from .installed import distribution_of, is_installed, state_of, with_requirements
+from .origin import BESIDE, LOADED_SOURCE, RULE_SOURCE, is_library_module
+from .programs import NOT_OF_A_PROGRAM
+from .values import ValueHash
 
 _PACKAGE = __name__.partition(".")[0]
 _LOOKUPS = {"globals", "vars", "eval", "exec", "locals", "getattr", "__import__"}
