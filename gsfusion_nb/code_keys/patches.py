@@ -41,13 +41,17 @@ _AROUND_FUNCTIONS = (
 )
 _HOOKS = {"builtins._", "builtins.display", "builtins.get_ipython"}
 """What interactive programs set, and no computation reads."""
+_WRITES_METHODS = {"multiprocessing.managers", "multiprocessing.sharedctypes", "turtle"}
+"""Python's own modules that write methods of their classes as text, and execute it in a namespace
+that says nothing of a module. No number of a map comes from them."""
 
 
 def patches() -> dict[str, str]:
     """Name in a loaded library -> hash of somebody's own function or object there. It takes about
     0.15 s."""
     hashes: dict[str, str] = {}
-    for place, names, _ in _namespaces():
+    for place, names, owner in _namespaces():
+        home = owner.__module__ if isinstance(owner, type) else owner.__name__
         for name, value in list(names.items()):
             kind = type(value)
             if kind is types.FunctionType:
@@ -56,6 +60,8 @@ def patches() -> dict[str, str]:
             elif kind not in _AROUND_FUNCTIONS and not is_own_class(kind):
                 continue
             own = value if is_own_class(kind) else _own_function(value)
+            if home in _WRITES_METHODS and _has_no_module(own):
+                continue
             if own is not None and place != "sys" and f"{place}.{name}" not in _HOOKS:
                 code = ValueHash(strict=False)
                 code.add(own)
@@ -221,6 +227,11 @@ def _namespaces() -> Iterator[tuple[str, Any, Any]]:
                 ):
                     class_ids.add(id(value))
                     yield f"{name}.{key}", vars(value), value
+
+
+def _has_no_module(value: Any) -> bool:
+    """Whether a function was executed in a namespace without a name."""
+    return type(value) is types.FunctionType and "__name__" not in value.__globals__
 
 
 def _own_function(value: Any) -> Any:
