@@ -34,7 +34,16 @@ PRODUCTS = ("arith_expr", "term", "expr", "xor_expr", "and_expr", "shift_expr", 
 """What a binary operator is part of; a star in a list of arguments is not."""
 CONTENT = tuple(
     f"gsfusion_nb/data/room/{name}.py"
-    for name in ("drawings", "furniture", "interior", "scene", "camera")
+    for name in (
+        "drawings",
+        "furniture",
+        "books",
+        "small_things",
+        "materials",
+        "interior",
+        "scene",
+        "camera",
+    )
 )
 """What the built-in room looks like and how one walks through it: with another number it is another
 room, and none is right."""

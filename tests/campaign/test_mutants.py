@@ -59,6 +59,10 @@ def test_every_mutant_of_a_source():
     }
 
 
+def test_files_without_mutants_exist():
+    assert [file for file in mutant_sites.CONTENT if not (mutants.ROOT / file).is_file()] == []
+
+
 @pytest.mark.parametrize(
     ("line", "lines"),
     [

@@ -7,11 +7,13 @@ from typing import Any
 import pytest
 import torch
 
+from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.gaussians import GaussianModel
 from gsfusion_nb.seeding import SeedContext, Seeds, StepStats, apply_rule
 from gsfusion_nb.seeding.points import add_up
 from gsfusion_nb.seeding.rules import cone_gs, game, monogs_like, splatam_like, vg_mapping
 from gsfusion_nb.seeding.rules.splatam import PRUNED_AFTER
+from gsfusion_nb.tsdf import TsdfVolume
 from gsfusion_nb.types import Camera, Frame
 
 
@@ -115,6 +117,23 @@ def test_vg_mapping_removes_what_the_frame_sees_through(frame, values, prunes):
     assert (edit is not None) == prunes
     if edit is not None and edit.keep is not None:
         assert edit.keep.tolist() == [False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("voxel_m", "keep"),
+    [(0.02, [False, True, True]), (0.04, [True, True, True]), (0.005, [False, False, True])],
+)
+def test_vg_mapping_spares_what_is_nearer_than_a_voxel_and_a_half(frame, voxel_m, keep):
+    """Three Gaussians 4 cm, 2 cm and 1 cm before the wall, which is 3 m away; at least 1.5 cm are
+    spared."""
+    volume = TsdfVolume(TsdfConfig(voxel_size_m=voxel_m))
+    model = placed([0.5] * 3, [2.96, 2.98, 2.99])
+    ctx = SeedContext(frame, gaussians=model, volume=volume)
+    edit = vg_mapping().after_step(ctx, stats_of(frame), {})
+    assert (
+        edit.keep.tolist() if edit is not None and edit.keep is not None else [True] * 3
+    ) == keep
+    assert vg_mapping(prunes=False).after_step(ctx, stats_of(frame), {}) is None
 
 
 @pytest.mark.parametrize(

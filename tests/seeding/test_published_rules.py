@@ -726,6 +726,24 @@ def test_gaussian_slam_pushes_back_and_rejects_what_is_near(preset, left):
         assert len(apply_rule("gaussian_slam", ctx, {"preset": preset})) == left
 
 
+@pytest.mark.parametrize(("preset", "filters"), [("replica", False), ("tum", True)])
+def test_gaussian_slam_leaves_out_a_lone_point_but_in_the_first_frame(preset, filters):
+    """One pixel is 1 m behind the wall; its 40 nearest points are a metre away, those of the others
+    a few pixels."""
+    middle = W * (H // 2) + W // 2
+    depth_m = torch.full((N,), 2.0)
+    depth_m[middle] = 3.0
+    frame = wall(depth_m=depth_m.view(H, W))
+    everything = apply_rule("gaussian_slam", first(frame), {"preset": preset})
+    assert everything.xyz_W[middle, 2] == pytest.approx(3.0 * 1.005)
+    seeds = apply_rule("gaussian_slam", staged(frame, alpha=0.0), {"preset": preset})
+    assert bool((seeds.xyz_W[:, 2] > 2.5).any()) != filters
+    inside = torch.zeros(H, W, dtype=torch.bool)
+    inside[8:-8, 8:-8] = True
+    inside[H // 2, W // 2] = False
+    assert pixels_of(staged(frame), seeds)[inside].all()
+
+
 def pair() -> torch.Tensor:
     """Two places in the image."""
     return torch.tensor([[60.5, 1.5], [50.5, 3.5]])

@@ -183,6 +183,32 @@ def test_stable_discs_get_a_transparent_one_over_their_wrong_colour():
     assert not over_left.any()
 
 
+@pytest.mark.parametrize("share", [0.0, -0.1, 1.01, float("nan")])
+def test_a_share_that_is_none_is_refused(share):
+    with pytest.raises(
+        ValueError, match=f"rtg_slam: share must be above 0 and at most 1, got {share}"
+    ):
+        apply_rule("rtg_slam", context(patches()), {"share": share})
+
+
+def test_without_transparent_discs_the_opaque_ones_stay():
+    options = {"share": 0.3, "fidelity": "paper"}
+    both = apply_rule("rtg_slam", context(patches()), options)
+    opaque = apply_rule("rtg_slam", context(patches()), options | {"transparent": False})
+    assert (both.opacity < 0.5).sum() > 20
+    assert torch.equal(opaque.xyz_W, both.xyz_W[both.opacity > 0.5])
+    assert (opaque.opacity > 0.5).all()
+
+
+def test_code_without_transparent_discs_adds_none_on_a_stable_plane():
+    model = small_discs(24, 2.0 - 0.04, 0.01, (0.95, 0.05, 0.05), stable=True)
+    both = apply_rule("rtg_slam", context(model), CODE)
+    opaque = apply_rule("rtg_slam", context(model), CODE | {"transparent": False})
+    assert (both.opacity < 0.5).any()
+    assert len(opaque)
+    assert (opaque.opacity > 0.5).all()
+
+
 def test_transparent_discs_are_not_piled_up():
     """One of radius 0.1 m in the middle of the wrong colour covers 0.3 m; in the paper it covers
     nothing."""

@@ -320,6 +320,92 @@ def test_motion_is_large_only_for_transparent_ones_and_has_the_shape_of_the_gaus
     assert float(away[:20, 1:].max()) < 1e-5
 
 
+@pytest.mark.parametrize(
+    ("revised", "removed"),
+    [(False, [3]), (True, [1, 3])],
+)
+def test_halves_are_judged_by_their_own_opacity(model, frame, generator, revised, removed):
+    """Of an opacity of 0.0075 a revised half has 1 - sqrt(1 - 0.0075) = 0.0038, below the limit of
+    0.005. Row 0 is not split; row 3 is too faint itself."""
+    seen(model, frame, generator)
+    model.params.log_scale.fill_(math.log(0.02))
+    model.params.opacity_logit.fill_(0.0)
+    model.params.opacity_logit[:2] = math.log(0.0075 / 0.9925)
+    model.params.opacity_logit[3] = -6.0
+    model.row_memory("image_gradient").zero_()[1:3] = 4 * 3e-4
+    rule = default_strategy(scene_scale_m=1.0, revised_opacity=revised)
+    edit = refined(rule, model, frame, 701, generator)
+    assert edit is not None
+    assert (~edit.keep).nonzero()[:, 0].tolist() == removed
+    assert edit.split.nonzero()[:, 0].tolist() == [row for row in (1, 2) if row not in removed]
+    assert edit.split_shares == revised
+
+
+@pytest.mark.parametrize(
+    ("step", "stop", "split", "removed"),
+    [
+        (701, 10_000, [1, 2], []),  # before the first reset nothing is too large
+        (3201, 10_000, [1], [2, 3]),
+        (3201, 0, [], [3]),  # sizes in the image do not count
+    ],
+)
+def test_large_ones_in_the_image_or_the_scene(model, frame, generator, step, stop, split, removed):
+    """Rows 1 and 2 are 0.1 and 0.2 of the image's longer side wide, the limits are 0.05 and 0.15;
+    row 3 is 0.11 of the scene, the limit is 0.1."""
+    seen(model, frame, generator)
+    model.params.log_scale.fill_(math.log(0.005))
+    model.params.log_scale[3] = math.log(0.11)
+    model.params.opacity_logit.fill_(0.0)
+    model.row_memory("image_gradient").zero_()
+    radius_px = torch.zeros(N)
+    radius_px[1:3] = torch.tensor([0.1, 0.2]) * frame.camera.width
+    rule = default_strategy(scene_scale_m=1.0, refine_scale2d_stop_iter=stop)
+    edit = refined(rule, model, frame, step, generator, radius_px=radius_px)
+    assert edit is not None
+    assert edit.split.nonzero()[:, 0].tolist() == split
+    assert (~edit.keep).nonzero()[:, 0].tolist() == removed
+    assert not edit.clone.any()
+
+
+@pytest.mark.parametrize(
+    ("cap", "added"),
+    [(1_000_000, 2), (41, 1), (40, 0), (30, 0)],  # 5 % of 40, as far as there is room
+)
+def test_faint_ones_move_and_some_are_added_up_to_the_cap(model, frame, generator, cap, added):
+    model.params.opacity_logit.fill_(0.0)
+    model.params.opacity_logit[[3, 5]] = -7.0
+    rule = mcmc(cap_max=cap, noise_lr=0.0)
+    edit = refined(rule, model, frame, 601, generator)
+    assert edit is not None
+    dead_rows, targets = edit.relocate
+    assert dead_rows.tolist() == [3, 5]
+    assert not {3, 5} & set(targets.tolist())
+    assert (0 if edit.clone is None else len(edit.clone)) == added
+    if added:
+        assert edit.clone_shares
+
+
+@pytest.mark.parametrize(
+    ("step", "moves"),
+    [(401, False), (501, False), (601, True), (650, False), (24_901, True), (25_001, False)],
+)
+def test_when_faint_ones_move(model, frame, generator, step, moves):
+    model.params.opacity_logit[3] = -7.0
+    edit = refined(mcmc(noise_lr=0.0), model, frame, step, generator)
+    assert (edit is not None) == moves
+
+
+def test_seeds_stop_at_the_cap(model, frame, generator):
+    """Of 40 rows behind the camera and a cap of 45 there is room for 5."""
+    behind = frame.T_WC[:3, 3] - 5.0 * frame.T_WC[:3, 2]
+    model.params.xyz_W.copy_(behind.expand(N, 3))
+    ctx = SeedContext(frame, gaussians=model, generator=generator)
+    empty = SeedContext(frame, gaussians=GaussianModel(sh_degree=1), generator=generator)
+    for cap, n in ((45, 5), (40, 0), (30, 0)):
+        assert len(mcmc(share=0.5, cap_max=cap).seeds(ctx, {})) == n
+        assert len(mcmc(share=0.5, cap_max=cap).seeds(empty, {})) == cap
+
+
 def test_the_scene_is_as_large_as_the_way_of_the_camera(frame, model):
     """1.1 times the largest distance of a camera from the mean of all, at least one metre."""
     past = []
