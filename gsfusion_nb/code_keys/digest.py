@@ -95,6 +95,7 @@ class Digest(ABC):
         """Take over what another digest met."""
         self.modules |= part.modules
         self.libraries |= part.libraries
+        self.caches += part.caches
         self.words |= part.words
 
     def enter(self, place: str) -> None:

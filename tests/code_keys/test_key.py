@@ -39,6 +39,7 @@ import torch
 
 from gsfusion_nb import backends
 from gsfusion_nb.code_keys import code_key, installed
+from gsfusion_nb.code_keys.digest import UnhashableError
 from gsfusion_nb.code_keys.key import differing, loaded_values
 from gsfusion_nb.code_keys.patches import (
     changed_values,
@@ -887,6 +888,52 @@ def test_what_a_name_of_a_library_leads_to_is_part_of_the_key(monkeypatch):
         monkeypatch.undo()
         assert found[0].keys() == found[1].keys() != set()
         assert found[0] != found[1]
+
+
+def test_a_text_that_a_function_of_a_library_holds_is_part_of_what_it_is(monkeypatch):
+    monkeypatch.setattr(backends.chosen, "mode", "near", raising=False)
+    before = library_state("gsfusion_nb.backends.")
+    for text, is_seen in (("".join(["ne", "ar"]), False), ("far", True)):
+        monkeypatch.setattr(backends.chosen, "mode", text)
+        assert any(key.endswith(".chosen") for key in changes_since(before)) == is_seen
+
+
+def test_the_same_function_under_another_name_of_a_library_is_seen(monkeypatch):
+    def rule(ctx):
+        return math.floor(ctx.depth) + math.ceil(ctx.depth)
+
+    hashes = []
+    for name in ("floor", "ceil"):
+        with monkeypatch.context() as patch:
+            patch.setattr(math, name, mine)
+            hashes.append(loaded_values(rule))
+    assert hashes[0] != hashes[1]
+
+
+def test_cached_functions_that_code_reaches_are_known():
+    """Also in a set, whose items are hashed by themselves."""
+
+    @functools.cache
+    def read():
+        return 3
+
+    @functools.lru_cache(maxsize=2)
+    def read_again():
+        return 4
+
+    held = {read_again}
+    assert set(code_key(lambda: [read(), *held]).caches) == {read, read_again}
+    assert code_key(lambda: 3).caches == ()
+
+
+def test_a_message_names_the_place_of_its_value_alone(tmp_path):
+    values = ValueHash()
+    values.add([1], "default of f")
+    with (
+        (tmp_path / "open").open("w") as file,
+        pytest.raises(UnhashableError, match=r"^global FILE\.file is a TextIOWrapper"),
+    ):
+        values.add(types.SimpleNamespace(file=file), "global FILE")
 
 
 def test_a_swapped_function_that_the_rule_names_is_seen(monkeypatch):

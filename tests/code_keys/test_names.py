@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb.code_keys import code_key
-from gsfusion_nb.code_keys.names import names_of, walks_sets, words_of
+from gsfusion_nb.code_keys.names import looks_up, names_of, walks_sets, words_of
 from gsfusion_nb.seeding.rule_code import load_rule_file
 
 
@@ -132,6 +132,17 @@ def test_other_values_of_a_notebook_are_no_part_of_the_key(cell):
     before = code_key(notebook.rule).digest
     notebook.frame = 5
     assert code_key(notebook.rule).digest == before
+
+
+def test_lookups_by_name_count_in_a_notebook_only():
+    """Of a module everything can be hashed."""
+
+    def rule(ctx):
+        return globals()["STEP"]
+
+    assert looks_up(rule, in_a_module=False) == "globals()"
+    assert looks_up(rule, in_a_module=True) == ""
+    assert looks_up(lambda net: net.eval(), in_a_module=False) == ""
 
 
 def test_names_and_words():

@@ -1,19 +1,28 @@
 """The states of RTG-SLAM's Gaussians over a run: when they occur, whatever the schedule, and what
 is said of them."""
 
+import dataclasses
 import html
 import json
 from typing import Any
 
 import pytest
+import torch
 
 from gsfusion_nb.cli.result import print_result
 from gsfusion_nb.config import RtgSlamConfig, rtg_slam
 from gsfusion_nb.data.room import room
+from gsfusion_nb.gaussians import STABLE
 from gsfusion_nb.mapping import RTGSLAM, StepReport
-from gsfusion_nb.mapping.disc_states import STATES, n_stable, state_shares, why_never_stable
+from gsfusion_nb.mapping.disc_states import (
+    STATES,
+    manage_states,
+    n_stable,
+    state_shares,
+    why_never_stable,
+)
 from gsfusion_nb.runs import run_mapping
-from gsfusion_nb.types import Frame
+from gsfusion_nb.types import Camera, Frame, Seeds
 
 SMALL: dict[str, Any] = {"width": 48, "height": 36}
 
@@ -110,6 +119,43 @@ def test_the_published_schedule_keeps_its_count_of_steps(walk, fidelity):
 @pytest.mark.parametrize("fidelity", ["paper", "code"])
 def test_a_published_step_has_confidence_1(preset, fidelity):
     assert rtg_slam(preset, fidelity).window.confidence_per_step == 1.0
+
+
+@pytest.mark.parametrize(
+    ("fidelity", "wall_m", "errors"),
+    [
+        ("code", 2.5, 1),  # the map is in front of the measurement
+        ("code", 1.5, 0),
+        ("code", 2.1, 0),  # within 0.2 m
+        ("paper", 2.5, 1),
+        ("paper", 1.5, 1),
+    ],
+)
+def test_a_wrong_depth_counts_on_one_side_as_released_and_on_both_in_the_paper(
+    fidelity, wall_m, errors
+):
+    """A stable grey disc 2 m away fills the view of a grey wall."""
+    mapper = RTGSLAM(rtg_slam("room", fidelity))
+    disc = Seeds.isotropic(
+        torch.tensor([[0.0, 0.0, 2.0]]),
+        torch.full((1, 3), 0.5),
+        torch.ones(1),
+        opacity=0.99,
+    )
+    disc = dataclasses.replace(disc, scale_m=torch.tensor([[9.0, 9.0, 0.001]]))
+    mapper.gaussians.append(disc)
+    mapper.gaussians.state.fill_(STABLE)
+    frame = Frame(
+        index=0,
+        timestamp_s=0.0,
+        rgb=torch.full((24, 32, 3), 0.5),
+        depth_m=torch.full((24, 32), wall_m),
+        camera=Camera(width=32, height=24, fx=30.0, fy=30.0, cx=16.0, cy=12.0),
+        T_WC=torch.eye(4),
+    )
+    manage_states(mapper, frame)
+    assert mapper.gaussians.depth_errors.tolist() == [errors]
+    assert mapper.gaussians.colour_errors.tolist() == [0]
 
 
 def test_a_run_says_the_share_of_each_state_or_that_none_was_stable(tmp_path, capsys):

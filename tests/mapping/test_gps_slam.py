@@ -11,12 +11,14 @@ from gsfusion_nb.config import ScheduleConfig, gps_slam, gps_slam_fidelity
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import GPSSLAM, make_mapper, tsdf_mapping
+from gsfusion_nb.mapping.gps_rounds import remove_useless
 from gsfusion_nb.mapping.gps_views import ViewRound
 from gsfusion_nb.optim import fit_pose_by_flow
 from gsfusion_nb.render import surface_picture
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.runs.scores import score
 from gsfusion_nb.seeding.rules.gps_slam import gps_slam as gps_slam_rule
+from gsfusion_nb.types import Seeds
 
 ROOM: dict[str, Any] = {"path_or_name": "room", "n_frames": 240, "width": 64, "height": 48}
 SMALL: dict[str, Any] = {
@@ -173,10 +175,40 @@ def test_a_keyframe_is_more_than_30_cm_or_30_degrees_away(run):
     for moved, expected in (
         ([0.299, 0, 0, 0, 0, 0], False),
         ([0, 0.301, 0, 0, 0, 0], True),
+        ([0] * 5 + [0.52], False),  # 29.8 degrees
         ([0] * 5 + [0.53], True),
     ):
         T_WC = frame.T_WC @ se3.exp(torch.tensor(moved, dtype=torch.float32))
         assert mapper.is_next_keyframe(dataclasses.replace(frame, T_WC=T_WC)) == expected
+
+
+@pytest.mark.parametrize(("fidelity", "expected"), [("code", True), ("measured", False)])
+def test_as_released_nobody_asks_whether_a_place_was_seen_before(
+    run, monkeypatch, fidelity, expected
+):
+    mapper = GPSSLAM(gps_slam("room", fidelity, data__width=0, data__height=0))
+    assert bool(mapper.config.views.every_frames) != expected
+    frame = run.sequence.mapping[0]
+    mapper.keyframes.append(frame)
+    aside = se3.exp(torch.tensor([2.0, 0, 0, 0, 0, 0]))
+    monkeypatch.setattr(tsdf_mapping.TsdfMapping, "_seen_before", lambda *_: True)
+    far = dataclasses.replace(frame, T_WC=frame.T_WC @ aside)
+    assert mapper.is_next_keyframe(far) == expected
+
+
+def test_rows_that_are_small_large_or_transparent_are_useless():
+    """The limits themselves are not beyond the limits."""
+    mapper = GPSSLAM(gps_slam("room"))
+    limits = mapper.config.residual
+    low = limits.min_radius_m
+    high = limits.max_radius_m
+    scale_m = torch.tensor([0.99 * low, 1.01 * low, 0.99 * high, 1.01 * high, low * 2, low * 2])
+    opacity = torch.tensor([0.5, 0.5, 0.5, 0.5, 0.0049, 0.0051])
+    x = torch.arange(6.0)
+    seeds = Seeds.isotropic(torch.stack([x, x, x], dim=1), torch.full((6, 3), 0.5), scale_m)
+    mapper.gaussians.append(dataclasses.replace(seeds, opacity=opacity))
+    remove_useless(mapper)
+    assert mapper.gaussians.params.xyz_W[:, 0].tolist() == [1.0, 2.0, 5.0]
 
 
 def test_looking_again_adds_few_keyframes_and_few_gaussians(run, monkeypatch):

@@ -7,6 +7,7 @@ from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.data import apply_options
 from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.mapping import GSFusion
+from gsfusion_nb.mapping.gsfusion import plan_frame
 from gsfusion_nb.optim import depth_l1
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import voxel_index
@@ -117,6 +118,31 @@ def test_a_depth_loss_brings_the_rendered_depth_closer(split, config):
         views = [(mapper.render(f.camera, f.T_WC).depth_m, f.depth_m) for f in split.mapping]
         errors.append(sum(float(depth_l1(seen, measured)) for seen, measured in views))
     assert errors[1] < 0.8 * errors[0]
+
+
+PENALTIES = {
+    "opacity": lambda p: p.opacity_logit.sigmoid().mean(),
+    "scale": lambda p: p.log_scale.exp().mean(),
+    "isotropy": lambda p: p.log_scale.std(dim=1).mean(),
+}
+"""Penalty -> what of a map it makes smaller."""
+
+
+@pytest.mark.parametrize(("name", "size"), PENALTIES.items(), ids=PENALTIES)
+def test_a_penalty_of_the_settings_reaches_the_map(split, config, name, size):
+    sizes = []
+    for weight in (0.0, 10.0):
+        mapper = GSFusion(replace(config, **{f"optim__{name}_weight": weight}))
+        mapper.step(split.mapping[0])
+        sizes.append(float(size(mapper.gaussians.params)))
+    assert sizes[1] < 0.98 * sizes[0]
+
+
+def test_a_keyframe_has_more_seeds_than_the_least_and_others_visit_those_that_there_are():
+    steps = {"keyframe_steps": 4, "frame_steps": 3, "revisits": 6, "min_seeds": 5}
+    assert plan_frame(5, n_keyframes=2, **steps) == (False, 3, 2)
+    assert plan_frame(5, n_keyframes=9, **steps) == (False, 3, 6)
+    assert plan_frame(6, n_keyframes=9, **steps) == (True, 4, 0)
 
 
 def test_a_rule_for_keyframes_needs_keyframes_that_do_not_depend_on_its_seeds(config):

@@ -12,6 +12,7 @@ import torch
 from gsfusion_nb.config import RtgSlamConfig, replace, rtg_slam
 from gsfusion_nb.data.room import room, room_sdf
 from gsfusion_nb.evaluation import psnr
+from gsfusion_nb.geometry import se3
 from gsfusion_nb.mapping import RTGSLAM, StepReport, disc_files, disc_optimisation
 from gsfusion_nb.mapping import rtg_slam as rtg_slam_module
 from gsfusion_nb.mapping.disc_optimisation import worst_tiles
@@ -141,6 +142,26 @@ def test_what_a_step_reports(mapped):
 
 def optimised_frames(config: RtgSlamConfig, frames: list[Frame]) -> list[int]:
     return [i for i, r in enumerate(run(frames, config)[1]) if r.losses]
+
+
+@pytest.mark.parametrize(
+    ("moved_m", "turned_deg", "expected"),
+    [
+        (0.299, 0.0, False),
+        (0.301, 0.0, True),
+        (0.0, 29.9, False),
+        (0.0, 30.1, True),
+        (0.29, 29, False),
+    ],
+)
+def test_a_keyframe_is_30_cm_or_30_degrees_away(small_walk, moved_m, turned_deg, expected):
+    mapper = RTGSLAM(quick())
+    first = small_walk[0]
+    assert mapper.is_next_keyframe(first)
+    mapper.keyframes.append(first)
+    motion = torch.tensor([0.0, moved_m, 0.0, 0.0, 0.0, math.radians(turned_deg)])
+    T_WC = first.T_WC @ se3.exp(motion)
+    assert mapper.is_next_keyframe(dataclasses.replace(first, T_WC=T_WC)) == expected
 
 
 def test_a_keyframe_may_take_the_place_of_the_window(small_walk, monkeypatch):

@@ -1,6 +1,7 @@
 """The rule of a mapper: its options, its state, when it is asked, and the settings that it
 brings."""
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -74,6 +75,25 @@ def test_a_rule_that_changes_the_frame_leaves_it_as_it_was(config, frames):
     with pytest.raises(ChangedInputError, match=r"frame\.depth_m"):
         mapper.step(frames[0])
     assert torch.equal(frames[0].depth_m, depth_m)
+
+
+def test_what_a_rule_has_cached_ends_with_its_mapper(config, frames):
+    """A file that it read may have changed since."""
+    reads = []
+
+    @functools.cache
+    def nth() -> int:
+        reads.append(3)
+        return 3
+
+    def cached(ctx: SeedContext) -> Seeds:
+        return ctx.cells()[:: nth()]
+
+    for n_mappers in (1, 2):
+        mapper = GSFusion(config, seeding=cached)
+        for frame in frames[:2]:
+            mapper.step(frame)
+        assert len(reads) == n_mappers
 
 
 def test_a_rule_that_keeps_something_cannot_be_resumed(config, frames):
