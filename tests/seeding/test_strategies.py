@@ -344,19 +344,20 @@ def test_halves_are_judged_by_their_own_opacity(model, frame, generator, revised
 @pytest.mark.parametrize(
     ("step", "stop", "split", "removed"),
     [
-        (701, 10_000, [1, 2], []),  # before the first reset nothing is too large
-        (3201, 10_000, [1], [2, 3]),
-        (3201, 0, [], [3]),  # sizes in the image do not count
+        (701, 10_000, [1, 2, 4], []),  # before the first reset nothing is too large
+        (3201, 10_000, [1, 4], [2, 3]),
+        (3201, 0, [4], [3]),  # sizes in the image do not count
     ],
 )
 def test_large_ones_in_the_image_or_the_scene(model, frame, generator, step, stop, split, removed):
     """Rows 1 and 2 are 0.1 and 0.2 of the image's longer side wide, the limits are 0.05 and 0.15;
-    row 3 is 0.11 of the scene, the limit is 0.1."""
+    row 3 is 0.11 of the scene, the limit is 0.1; row 4 is 0.12, but its halves are smaller."""
     seen(model, frame, generator)
     model.params.log_scale.fill_(math.log(0.005))
     model.params.log_scale[3] = math.log(0.11)
+    model.params.log_scale[4] = math.log(0.12)
     model.params.opacity_logit.fill_(0.0)
-    model.row_memory("image_gradient").zero_()
+    model.row_memory("image_gradient").zero_()[4] = 4 * 3e-4
     radius_px = torch.zeros(N)
     radius_px[1:3] = torch.tensor([0.1, 0.2]) * frame.camera.width
     rule = default_strategy(scene_scale_m=1.0, refine_scale2d_stop_iter=stop)
