@@ -10,15 +10,14 @@ from .display import side_by_side as side_by_side
 from .display import static_views as static_views
 from .display import to_uint8 as to_uint8
 from .live import LiveLoop as LiveLoop
-from .live import LiveMapper as LiveMapper
+from .live_mapper import LiveMapper as LiveMapper
 from .map_pictures import map_picture as map_picture
 from .meshes import orbit_camera as orbit_camera
 from .meshes import show_mesh as show_mesh
-from .panels.discs import disc_adding_panel as disc_adding_panel
+from .panels.disc_adding import disc_adding_panel as disc_adding_panel
+from .panels.disc_scene import disc_scene as disc_scene
 from .panels.discs import disc_panel as disc_panel
-from .panels.discs import disc_scene as disc_scene
 from .panels.discs import disc_scene_picture as disc_scene_picture
-from .panels.discs import surface_panel as surface_panel
 from .panels.ellipses import ellipse_picture as ellipse_picture
 from .panels.ellipses import resize_to_height as resize_to_height
 from .panels.frames import displaced_pose as displaced_pose
@@ -34,27 +33,28 @@ from .panels.icp import path_picture as path_picture
 from .panels.icp import pose_error as pose_error
 from .panels.icp import residual_picture as residual_picture
 from .panels.icp import single_level_config as single_level_config
-from .panels.one_gaussian import basis_atlas as basis_atlas
 from .panels.one_gaussian import gaussian_row as gaussian_row
 from .panels.one_gaussian import one_gaussian_panel as one_gaussian_panel
 from .panels.one_gaussian import orientation_from_angles as orientation_from_angles
-from .panels.one_gaussian import sh_ball_panel as sh_ball_panel
-from .panels.one_gaussian import tile_picture as tile_picture
 from .panels.pixel_blend import project_splats as project_splats
 from .panels.pixel_microscope import MixMicroscope as MixMicroscope
 from .panels.pixel_microscope import PixelMicroscope as PixelMicroscope
 from .panels.pixel_stack import pixel_stack as pixel_stack
-from .panels.seeding import cell_means as cell_means
-from .panels.seeding import quadtree_panel as quadtree_panel
-from .panels.seeding import quadtree_picture as quadtree_picture
+from .panels.quadtree import cell_means as cell_means
+from .panels.quadtree import quadtree_panel as quadtree_panel
+from .panels.quadtree import quadtree_picture as quadtree_picture
 from .panels.seeding import rule_context as rule_context
 from .panels.seeding import rule_panel as rule_panel
 from .panels.seeding import rule_picture as rule_picture
+from .panels.sh_ball import basis_atlas as basis_atlas
+from .panels.sh_ball import sh_ball_panel as sh_ball_panel
 from .panels.stage_bars import amdahl_panel as amdahl_panel
 from .panels.stage_bars import keyframe_strip as keyframe_strip
 from .panels.stage_bars import sped_up as sped_up
 from .panels.stage_bars import stage_bars as stage_bars
 from .panels.stage_bars import stage_means as stage_means
+from .panels.surface import surface_panel as surface_panel
+from .panels.tiles import tile_picture as tile_picture
 from .panels.trace import TracePanel as TracePanel
 from .panels.tsdf import distance_colours as distance_colours
 from .panels.tsdf import slice_picture as slice_picture
@@ -62,8 +62,10 @@ from .panels.tsdf import tsdf_fill_panel as tsdf_fill_panel
 from .player import Player as Player
 from .splat_viewer import SplatViewer as SplatViewer
 from .steppers.adam import adam_stepper as adam_stepper
-from .steppers.compositing import compositing_gradient_stepper as compositing_gradient_stepper
 from .steppers.compositing import compositing_stepper as compositing_stepper
+from .steppers.compositing_gradient import (
+    compositing_gradient_stepper as compositing_gradient_stepper,
+)
 from .steppers.icp import icp_stepper as icp_stepper
 from .steppers.marching_cubes import marching_cubes_stepper as marching_cubes_stepper
 from .steppers.pose_graph import pose_graph_stepper as pose_graph_stepper

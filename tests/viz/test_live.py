@@ -7,7 +7,7 @@ import numpy as np
 
 from gsfusion_nb.drawing.pictures import error_map
 from gsfusion_nb.viz import LiveLoop, LiveMapper
-from gsfusion_nb.viz.map_pictures import captions_of, live_panels, mosaic
+from gsfusion_nb.viz.mapped_frame import captions_of, live_panels, mosaic
 
 
 def decoded(data):

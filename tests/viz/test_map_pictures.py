@@ -19,13 +19,11 @@ from gsfusion_nb.viz.map_pictures import (
     CAUSES,
     STATE_COLOURS,
     Paint,
-    captions_of,
     cause_picture,
-    live_panels,
     map_picture,
-    mosaic,
     state_picture,
 )
+from gsfusion_nb.viz.mapped_frame import captions_of, live_panels, mosaic
 
 CAMERA = Camera(
     width=48,

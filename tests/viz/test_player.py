@@ -6,8 +6,9 @@ import time
 import torch
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.viz import player as live_player
-from gsfusion_nb.viz.player import Player, Scrubber
+from gsfusion_nb.viz import scrubber
+from gsfusion_nb.viz.player import Player
+from gsfusion_nb.viz.scrubber import Scrubber
 
 
 class Work:
@@ -149,7 +150,7 @@ def test_backend_and_threads_reach_the_worker():
 
 
 def test_a_long_run_keeps_its_beginning_and_its_end(monkeypatch):
-    monkeypatch.setattr(live_player, "MOST_ENTRIES", 10)
+    monkeypatch.setattr(scrubber, "MOST_ENTRIES", 10)
     shown = []
     slider = Scrubber(shown.append, what="step", css_class="x")
     slider.show_newest()

@@ -19,7 +19,8 @@ from ...recordings.checkup.pictures import depth_error, edge_overlay
 from ...types import Camera, Frame
 from ..display import Stroke
 from .ellipses import draw_cross, resize_to_height
-from .panel import Choice, Drawn, Number, Panel, Slider, pixel_sliders, touched_pixel
+from .panel import Choice, Drawn, Number, Panel, Slider
+from .touch import pixel_sliders, touched_pixel
 
 POINT_COLOURS = ("colour", "depth", "normals")
 """What can colour the points."""

@@ -14,9 +14,10 @@ from ...render import SurfacePicture, render
 from ...render.over_base import not_behind
 from ...types import Camera, GaussianParams
 from .ellipses import lens_picture, with_cross
-from .panel import Drawn, Panel, pixel_sliders, touched_pixel
+from .panel import Drawn, Panel
 from .pixel_blend import Splats, project_splats, reaching
 from .pixel_stack import TABLE_ROWS, numbers_table, pixel_stack, rgb_text, swatch, weights_graph
+from .touch import pixel_sliders, touched_pixel
 
 PICTURE_PX = 300
 """Height of the pictures, pixels."""

@@ -19,7 +19,8 @@ from ...types import Camera, Frame
 from ...viewer.palettes import palette
 from ...viewer.viewpoint import orbit_camera
 from ..display import Stroke
-from .panel import Choice, Drawn, Panel, Point, Slider, Switch, draw_handles, nearest_handle
+from .panel import Choice, Drawn, Panel, Slider, Switch
+from .touch import Point, draw_handles, nearest_handle
 
 LEGENDS = {"distance": "; red behind, blue free", "weight": "; dark 1, bright 20", "colour": ""}
 QUANTITIES = tuple(LEGENDS)

@@ -5,11 +5,9 @@ import torch
 
 from gsfusion_nb.render import SurfaceView
 from gsfusion_nb.types import Camera, Frame
-from gsfusion_nb.viz.panels.discs import (
-    disc_panel,
-    disc_scene,
-    masks_by_cause,
-)
+from gsfusion_nb.viz.panels.disc_adding import masks_by_cause
+from gsfusion_nb.viz.panels.disc_scene import disc_scene
+from gsfusion_nb.viz.panels.discs import disc_panel
 
 
 def test_on_a_plane_the_disc_depth_is_exact_and_the_blended_one_is_not():

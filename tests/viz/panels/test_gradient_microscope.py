@@ -14,12 +14,11 @@ from gsfusion_nb.viz import GradientMicroscope
 from gsfusion_nb.viz.panels.gradient_microscope import (
     LESS,
     MORE,
-    gaussian_gradient,
     gaussian_gradient_picture,
-    pixel_gradient,
     pixel_gradient_picture,
 )
 from gsfusion_nb.viz.panels.pixel_blend import project_splats
+from gsfusion_nb.viz.panels.pixel_gradients import gaussian_gradient, pixel_gradient
 
 CAMERA = Camera(
     width=32,

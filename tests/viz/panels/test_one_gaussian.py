@@ -14,10 +14,9 @@ from gsfusion_nb.viz.panels.one_gaussian import (
     one_gaussian_panel,
     orientation_from_angles,
     projection_picture,
-    sh_ball,
-    sh_ball_panel,
-    tile_picture,
 )
+from gsfusion_nb.viz.panels.sh_ball import sh_ball, sh_ball_panel
+from gsfusion_nb.viz.panels.tiles import tile_picture
 
 CAMERA = Camera(
     width=80,

@@ -11,15 +11,8 @@ from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.seeding import Seeds, quadtree, registered, rule_options
 from gsfusion_nb.viz.panels.panel import Choice, Slider, Switch
-from gsfusion_nb.viz.panels.seeding import (
-    QUADTREE_SHOWS,
-    cell_means,
-    quadtree_picture,
-    rule_context,
-    rule_controls,
-    rule_panel,
-    rule_picture,
-)
+from gsfusion_nb.viz.panels.quadtree import QUADTREE_SHOWS, cell_means, quadtree_picture
+from gsfusion_nb.viz.panels.seeding import rule_context, rule_controls, rule_panel, rule_picture
 
 
 @pytest.fixture
