@@ -1,30 +1,20 @@
-"""A learner's function under test, the statements that a judge makes about what it returns, and the
-verdict."""
+"""A learner's function under test, and the statements that a judge makes about what it returns."""
 
 import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ..drawing.page import fill
 from ..errors import ForeseenError
 from ..types import Camera
-from .learner_code import (
-    CodeInUse,
-    argument_copy,
-    calls_of_library,
-    full_name,
-    in_words,
-    line_in_words,
-    line_of_error,
-    run_learner,
-)
+from .in_words import in_words, line_in_words, line_of_error
 from .learner_code import Failed as Failed
+from .learner_code import argument_copy, calls_of_library, full_name, run_learner
 
 
 class NotWritten(ForeseenError):
@@ -286,71 +276,3 @@ def _numbers(value: Any, prop: str, case: str) -> Tensor:
 def _short(value: Tensor) -> str:
     number = float(value) + 0.0  # no -0
     return f"{number:.0f}" if number.is_integer() and abs(number) < 1e12 else f"{number:.5g}"
-
-
-_COLOURS = {"passed": "#1a7f37", "failed": "#c62828", "not written": "#6e7781"}
-_SIGNS = {"passed": "✓", "failed": "✗", "not written": "…"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
-    """The answer of ``check.<name>(fn)``; true if everything holds. Notebooks show it in colour."""
-
-    exercise: str
-    """Name of the exercise."""
-    state: Literal["passed", "failed", "not written"]
-    prop: str = ""
-    """The property that failed."""
-    on: str = ""
-    """The input on which it failed, in words."""
-    detail: str = ""
-    """What was returned and what was expected; or, when passed, what was checked."""
-    hints_left: int = 0
-    """Hints not yet asked for."""
-
-    def __bool__(self) -> bool:
-        return self.state == "passed"
-
-    @property
-    def code_in_use(self) -> CodeInUse:
-        """Whose code a chapter goes on with, after this verdict on the learner's function."""
-        if self:
-            return CodeInUse(exercise=self.exercise, state="yours")
-        if self.state == "not written":
-            return CodeInUse(exercise=self.exercise, state="not yet yours", why="not yet yours.")
-        case = f" (on {self.on})" if self.on else ""
-        return CodeInUse(
-            exercise=self.exercise,
-            state="fails",
-            why=f"yours fails “{self.prop}”{case}: {self.detail}",
-        )
-
-    @property
-    def headline(self) -> str:
-        """One line without the details."""
-        if self.state == "failed":
-            return f"{_SIGNS['failed']} {self.exercise}: not true yet: “{self.prop}”"
-        return (
-            f"{_SIGNS[self.state]} {self.exercise}: "
-            f"{self.state if self.state == 'not written' else 'all checks pass'}"
-        )
-
-    @property
-    def lines(self) -> list[str]:
-        """What follows the headline."""
-        rest = [f"input: {self.on}"] if self.on else []
-        rest += [self.detail] if self.detail else []
-        if not self and self.hints_left:
-            rest.append(
-                f"{self.hints_left} hint{'s' if self.hints_left > 1 else ''}: "
-                f"check.{self.exercise}.hint()"
-            )
-        elif self.state == "failed":
-            rest.append(f"a solution: check.{self.exercise}.solution()")
-        return rest
-
-    def __repr__(self) -> str:
-        return "\n  ".join([self.headline, *self.lines])
-
-    def _repr_html_(self) -> str:
-        return fill("verdict.html", verdict=self, colour=_COLOURS[self.state])

@@ -53,12 +53,14 @@ from ..backends import use_backend
 from ..errors import ArgumentError
 from .attempt import Attempt as Attempt
 from .attempt import Failed as Failed
-from .attempt import LocalSubject, NotWritten, Subject, Verdict, describe
-from .learner_code import keep_source, with_reference
+from .attempt import LocalSubject, NotWritten, Subject, describe
+from .kept_functions import keep_source
+from .learner_code import with_reference
 from .learner_operation import Becomes as Becomes
 from .learner_operation import Yours as Yours
 from .learner_operation import remember
 from .progress import forgiving, note, now, read_section
+from .verdict import Verdict
 
 DIFFICULTIES = {1: "warm-up", 2: "easy", 3: "medium", 4: "hard", 5: "challenge"}
 

@@ -1,15 +1,15 @@
-"""Exercises of chapter 1: pinhole, back-projection, poses, normals, pixel centres."""
+"""Exercises of chapter 1: pinhole, back-projection, poses, pixel centres."""
 
 import math
 
 import torch
 from torch import Tensor
 
-from ..geometry import depth_to_points, se3
+from ..geometry import se3
 from ..types import Camera
 from .exercise import Attempt, Wrong, exercise
 
-_CAMERA = Camera(
+SMALL_CAMERA = Camera(
     width=8,
     height=6,
     fx=10.0,
@@ -74,13 +74,13 @@ def _project_to_whole_pixels(camera: Camera, xyz_C: Tensor) -> Tensor:
 def project_points(attempt: Attempt) -> None:
     """Project camera-frame points to pixels (Eq. 4)."""
     uv = attempt.on("a point on the optical axis, 2 m away")(
-        _CAMERA, torch.tensor([[0.0, 0.0, 2.0]])
+        SMALL_CAMERA, torch.tensor([[0.0, 0.0, 2.0]])
     )
     attempt.close(
         uv, [[4.0, 3.0]], "the optical axis meets the image at the principal point (cx, cy)"
     )
     uv = attempt.on("points (0.2, 0, 1) and (0.2, 0, 2)")(
-        _CAMERA, torch.tensor([[0.2, 0.0, 1.0], [0.2, 0.0, 2.0]])
+        SMALL_CAMERA, torch.tensor([[0.2, 0.0, 1.0], [0.2, 0.0, 2.0]])
     )
     attempt.close(
         uv,
@@ -88,7 +88,7 @@ def project_points(attempt: Attempt) -> None:
         "a point twice as far lands half as far from the principal point",
     )
     uv = attempt.on("a point 0.4 m below the axis, 2 m away")(
-        _CAMERA, torch.tensor([[0.0, 0.4, 2.0]])
+        SMALL_CAMERA, torch.tensor([[0.0, 0.4, 2.0]])
     )
     v = float(torch.as_tensor(uv).reshape(-1)[-1])
     axis_words = "y points down, in the camera's frame and in the image"
@@ -97,7 +97,7 @@ def project_points(attempt: Attempt) -> None:
     )
     attempt.close(uv, [[4.0, 4.0]], "u takes fx and v takes fy: they may differ")
     uv = attempt.on("a point that projects between pixel centres")(
-        _CAMERA, torch.tensor([[0.03, 0.01, 1.0]])
+        SMALL_CAMERA, torch.tensor([[0.03, 0.01, 1.0]])
     )
     attempt.close(
         uv, [[4.3, 3.05]], "pixel coordinates are continuous: a point may fall between centres"
@@ -139,7 +139,7 @@ def lift_pixels(attempt: Attempt) -> None:
     """Lift pixels with depth to camera-frame points (Eq. 10)."""
     uv = torch.tensor([[7.5, 5.5]])
     depth = torch.tensor([2.0])
-    point = attempt.on("a corner pixel at depth 2 m")(_CAMERA, uv, depth)
+    point = attempt.on("a corner pixel at depth 2 m")(SMALL_CAMERA, uv, depth)
     attempt.close(_last(point), [2.0], "the depth is z, not the distance to the camera")
     for where, pixel, reference, prop in (
         (
@@ -162,7 +162,7 @@ def lift_pixels(attempt: Attempt) -> None:
         ),
     ):
         attempt.close(
-            attempt.on(f"{where}, at depth 2 m")(_CAMERA, torch.tensor([pixel]), depth),
+            attempt.on(f"{where}, at depth 2 m")(SMALL_CAMERA, torch.tensor([pixel]), depth),
             [reference],
             prop,
         )
@@ -170,8 +170,10 @@ def lift_pixels(attempt: Attempt) -> None:
     uv = torch.rand(50, 2, generator=generator) * torch.tensor([8.0, 6.0])
     depth = 0.5 + torch.rand(50, generator=generator)
     uv_again = _project(
-        _CAMERA,
-        torch.as_tensor(attempt.on("many pixels, lifted and projected again")(_CAMERA, uv, depth)),
+        SMALL_CAMERA,
+        torch.as_tensor(
+            attempt.on("many pixels, lifted and projected again")(SMALL_CAMERA, uv, depth)
+        ),
     )
     attempt.close(uv_again, uv, "projecting the point gives the pixel back", tolerance=1e-4)
 
@@ -234,95 +236,6 @@ def invert_pose(attempt: Attempt) -> None:
     T = se3.exp(torch.tensor([0.3, -0.2, 0.5, 0.4, -0.7, 0.2]))
     attempt.close(
         torch.as_tensor(attempt(T)) @ T, torch.eye(4), "T_CW T_WC is the identity", tolerance=1e-4
-    )
-
-
-def _normals(points: Tensor) -> Tensor:
-    tangent_u = points[1:-1, 2:] - points[1:-1, :-2]
-    tangent_v = points[2:, 1:-1] - points[:-2, 1:-1]
-    n = torch.linalg.cross(tangent_v, tangent_u)
-    return n / n.norm(dim=-1, keepdim=True)
-
-
-def _normals_away(points: Tensor) -> Tensor:
-    return -_normals(points)
-
-
-def _normals_not_unit(points: Tensor) -> Tensor:
-    tangent_u = points[1:-1, 2:] - points[1:-1, :-2]
-    tangent_v = points[2:, 1:-1] - points[:-2, 1:-1]
-    return torch.linalg.cross(tangent_v, tangent_u)
-
-
-@exercise(
-    chapter=1,
-    difficulty=3,
-    minutes=10,
-    solution=_normals,
-    hints=(
-        "Two directions in the surface: from the left to the right neighbour, and from the upper "
-        "to the lower one.",
-        "Their cross product is normal to both. Which order points back at the camera, to negative "
-        "z?",
-        "torch.linalg.cross(down, across), divided by its length.",
-    ),
-    wrong=(
-        Wrong(_normals_away, says="faces the camera"),
-        Wrong(_normals_not_unit, says="length 1"),
-    ),
-)
-def normals_of_points(attempt: Attempt) -> None:
-    """Normals of an image of points, by central differences."""
-    points = depth_to_points(_CAMERA, torch.full((6, 8), 2.0))
-    n = attempt.on("a wall at z = 2 m, seen straight on")(points)
-    attempt.close(
-        torch.as_tensor(n).shape,
-        [4, 6, 3],
-        "the border has no normal: the result is [H - 2, W - 2, 3]",
-    )
-    n = torch.as_tensor(n)
-    attempt.close(
-        n.norm(dim=-1),
-        torch.ones(4, 6),
-        "a normal has length 1",
-        tolerance=1e-4,
-    )
-    attempt.holds(
-        (n[..., 2] < 0).all(),
-        "the normal faces the camera: its z is negative",
-        detail=f"z of the normal is {float(n[..., 2].max()):.3g}",
-    )
-    attempt.on("a floor 1 m below the camera")
-    uv = torch.stack(
-        torch.meshgrid(torch.arange(8) + 0.5, torch.arange(6) + 0.5, indexing="xy"),
-        dim=-1,
-    )
-    camera = Camera(
-        width=8,
-        height=6,
-        fx=10.0,
-        fy=5.0,
-        cx=4.0,
-        cy=-3.0,
-    )
-    floor = depth_to_points(camera, camera.fy / (uv[..., 1] - camera.cy))
-    vertical = torch.tensor([0.0, -1.0, 0.0]).expand(4, 6, 3)
-    attempt.close(
-        attempt(floor), vertical, "the floor's normal points up, to negative y", tolerance=1e-4
-    )
-    bowl = depth_to_points(
-        _CAMERA,
-        2 - 0.3 * (uv[..., 0] - 3) ** 2 / 16 - 0.2 * (uv[..., 1] - 2) ** 2 / 9,
-    )
-    prop = (
-        "central differences: from the left to the right neighbour, and from the upper to the "
-        "lower one"
-    )
-    attempt.close(
-        attempt.on("a curved surface")(bowl),
-        _normals(bowl),
-        prop,
-        tolerance=1e-4,
     )
 
 

@@ -22,7 +22,7 @@ from typing import Any, Literal
 from ..backends import CALLS, FUNCTIONS, Calls
 from ..errors import UnknownNameError
 from .exercise import exercises
-from .learner_code import functions_of_earlier_chapters
+from .kept_functions import functions_of_earlier_chapters
 from .learner_operation import KEPT as KEPT
 from .learner_operation import LearnerError as LearnerError
 from .learner_operation import remember

@@ -1,9 +1,8 @@
-"""A learner's function outside the library: where it is, how it is run, and how it comes to the
-next chapter.
+"""A learner's function outside the library: how it is run, and whose code a
+chapter goes on with.
 
 It runs with a limit of time, and its results become plain values. A chapter goes on with it if it
-passes, else with the reference's. An accepted function is kept as source code in the course file,
-because a notebook is a process of its own.
+passes, else with the reference's.
 """
 
 import contextlib
@@ -11,12 +10,9 @@ import copy
 import functools
 import inspect
 import itertools
-import linecache
 import signal
 import sys
-import textwrap
 import threading
-import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -30,14 +26,12 @@ from .. import backends
 from ..drawing.page import fill
 from ..errors import ForeseenError
 from ..types import Camera
-from .progress import note, now, read_section
+from .in_words import line_of_error
 
 LIMIT_S = 60.0
 """How long one call of a learner's function may take, seconds."""
 _LONGEST = 10_000
 """Most values that are taken from a generator."""
-SECTION = "functions"
-"""Of the course file."""
 
 
 class Failed(ForeseenError):
@@ -49,65 +43,6 @@ class Failed(ForeseenError):
         self.prop = prop
         self.on = case
         self.detail = detail
-
-
-def line_of_error(error: BaseException, function: Callable[..., Any]) -> str:
-    """``line 3 of cell 7, `u = x / z` ``: the innermost line of the function's file on the error's
-    way; or "".
-
-    A notebook has one file for each cell, so helper functions of the same cell are found too.
-    """
-    code = getattr(inspect.unwrap(function), "__code__", None)
-    line = 0
-    trace = error.__traceback__
-    while trace is not None:
-        if code is not None and trace.tb_frame.f_code.co_filename == code.co_filename:
-            line = trace.tb_lineno
-        trace = trace.tb_next
-    return "" if code is None or not line else line_in_words(code.co_filename, line)
-
-
-def line_of_definition(function: Callable[..., Any]) -> str:
-    """``line 1 of cell 7, `def project(xyz_C):` ``: the first line of a function; its type if it
-    has no code."""
-    code = getattr(inspect.unwrap(function), "__code__", None)
-    return (
-        type(function).__name__
-        if code is None
-        else line_in_words(code.co_filename, code.co_firstlineno)
-    )
-
-
-def line_in_words(file: str, line: int) -> str:
-    """The line, the number in the brackets of its cell, if it is one of the running notebook, and
-    its text."""
-    ipython = sys.modules.get("IPython")
-    shell = ipython.get_ipython() if ipython is not None else None
-    cell = getattr(getattr(shell, "compile", None), "_filename_map", {}).get(file)
-    text = linecache.getline(file, line).strip()
-    return f"line {line}{'' if cell is None else f' of cell {cell}'}{f', `{text}`' if text else ''}"
-
-
-def kind_of(tensor: Tensor) -> str:
-    """Shape and type of a tensor."""
-    return f"{list(tensor.shape)} {str(tensor.dtype).removeprefix('torch.')}"
-
-
-def in_words(value: Any) -> str:
-    """A value in a few words: a small one in full, a tensor by shape, type and range."""
-    if isinstance(value, (bool, int, float, str)) or value is None:
-        return repr(value)
-    if not isinstance(value, Tensor):
-        count = f" of {len(value)}" if isinstance(value, (list, tuple)) else ""
-        return f"a {type(value).__name__}{count}"
-    if value.numel() <= 4 and value.ndim <= 1:
-        return str(value.tolist())
-    words = kind_of(value)
-    finite = value[value.isfinite()].double()
-    if finite.numel():
-        words += f", {float(finite.min()):.4g} to {float(finite.max()):.4g}"
-    missing = value.numel() - finite.numel()
-    return words + (f", {missing} not finite" if missing else "")
 
 
 def plain_value(value: Any) -> Any:
@@ -212,7 +147,7 @@ def _is_of_library(module: str) -> bool:
 
 def _passes_on(module: str) -> bool:
     """Whether frames of a module stand between a learner's call and the library's function."""
-    return module == backends.__name__ or module.startswith("jaxtyping")
+    return module.startswith((backends.__name__, "jaxtyping"))
 
 
 def run_learner(
@@ -302,79 +237,3 @@ def with_reference(
         return reference(*args, **kwargs)
 
     return call
-
-
-def keep_source(exercise: str, function: Callable[..., Any]) -> None:
-    """Note the source of a function of the running notebook, with what it uses, in the course file.
-
-    Functions that are not a notebook's, or have no source, are not noted.
-
-    Raises:
-        CourseFileError: the file cannot be read or written.
-    """
-    function = inspect.unwrap(function)
-    is_plain = isinstance(function, types.FunctionType) and function.__closure__ is None
-    if not is_plain or function.__module__ != "__main__" or function.__name__ == "<lambda>":
-        return
-    try:
-        source = "\n".join(_needed(function, set()))
-    except (OSError, TypeError):  # typed where Python keeps no source
-        return
-    note(SECTION, exercise, function=function.__name__, source=source, kept=now())
-
-
-def functions_of_earlier_chapters() -> dict[str, Callable[..., Any]]:
-    """Exercise -> the function noted for it, made from its source; a source that does not run any
-    more is left out.
-
-    Raises:
-        CourseFileError: the file is damaged, or a newer version of the program wrote it.
-    """
-    functions = {}
-    for exercise, entry in read_section(SECTION).items():
-        source = str(entry.get("source"))
-        file = f"<your {exercise}>"
-        linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)
-        namespace: dict[str, Any] = {"__name__": "__main__"}
-        try:
-            # the learner's own code, from the learner's own file
-            exec(compile(source, file, "exec"), namespace)
-            functions[exercise] = namespace[str(entry.get("function"))]
-        except Exception:
-            continue
-    return {exercise: function for exercise, function in functions.items() if callable(function)}
-
-
-def _needed(function: types.FunctionType, visited: set[int]) -> Iterator[str]:
-    """Source of a function, after that of everything in its notebook that it uses: imports,
-    numbers, functions."""
-    visited.add(id(function))
-    for name in sorted(_names(function.__code__)):
-        if name in function.__globals__:
-            yield from _definition(name, function.__globals__[name], visited)
-    yield textwrap.dedent(inspect.getsource(function))
-
-
-def _definition(name: str, value: Any, visited: set[int]) -> Iterator[str]:
-    """Lines that define a global of the notebook; none for what has no short definition, such as an
-    image."""
-    if isinstance(value, types.ModuleType):
-        package, _, module = value.__name__.rpartition(".")
-        yield f"{f'from {package} ' if package else ''}import {module} as {name}"
-        return
-    inner = inspect.unwrap(value) if callable(value) else value
-    if isinstance(inner, types.FunctionType) and inner.__module__ == "__main__":
-        if id(inner) not in visited:
-            yield from _needed(inner, visited)
-        if inner.__name__ != name:
-            yield f"{name} = {inner.__name__}"
-    elif callable(value) and getattr(value, "__qualname__", ".").isidentifier():
-        yield f"from {value.__module__} import {value.__qualname__} as {name}"
-    elif isinstance(value, (bool, int, float, str)):
-        yield f"{name} = {value!r}"
-
-
-def _names(code: types.CodeType) -> set[str]:
-    """Global names that a function and the functions inside it may use."""
-    inner_codes = [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
-    return set(code.co_names).union(*(_names(each) for each in inner_codes))

@@ -12,7 +12,8 @@ from torch import Tensor
 
 from ..backends import FUNCTIONS, use_backend
 from ..errors import ForeseenError
-from .learner_code import Failed, in_words, kind_of, line_of_definition, line_of_error, plain_value
+from .in_words import in_words, kind_of, line_of_definition, line_of_error
+from .learner_code import Failed, plain_value
 
 KEPT: dict[str, Callable[..., Any]] = {}
 """Exercise -> the learner's newest accepted function."""

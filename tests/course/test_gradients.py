@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import gsfusion_nb
-from gsfusion_nb.course import gradients
+from gsfusion_nb.course import hand_written_gradients
 from gsfusion_nb.course.gradients import central_difference, compare_gradients
 from gsfusion_nb.course.source_lines import source_lines
 from gsfusion_nb.render import project_gaussians
@@ -65,15 +65,15 @@ def test_all_solutions_pass_three_ways():
     alpha = torch.tensor([0.5, 0.8, 0.3], dtype=F64)
     rgb = torch.rand(3, 3, dtype=F64)
     assert compare_gradients(
-        gradients._blend,
-        lambda v, a, c: gradients._blend_vjp(a, c, v),
+        hand_written_gradients._blend,
+        lambda v, a, c: hand_written_gradients._blend_vjp(a, c, v),
         {"alpha": alpha, "rgb": rgb},
         v=v_C,
     )
     cov = torch.tensor([[2.0, 0.8], [0.8, 1.0]], dtype=F64)
     assert compare_gradients(
         torch.linalg.inv,
-        lambda v, s: gradients._inverse_vjp(s.inverse(), v),
+        lambda v, s: hand_written_gradients._inverse_vjp(s.inverse(), v),
         {"cov": cov},
     )
 
@@ -82,7 +82,7 @@ def test_all_solutions_pass_three_ways():
 
     assert compare_gradients(
         pinhole,
-        lambda v, p: gradients._pinhole_vjp(p, 90.0, 110.0, v),
+        lambda v, p: hand_written_gradients._pinhole_vjp(p, 90.0, 110.0, v),
         {"p": X},
     )
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 
 from gsfusion_nb.cli import grade as command
-from gsfusion_nb.course.attempt import Verdict
 from gsfusion_nb.course.grading import grade as module
 from gsfusion_nb.course.grading.grade import grade
 from gsfusion_nb.course.grading.journal import Journal
 from gsfusion_nb.course.grading.judge import Limits
 from gsfusion_nb.course.grading.submission import find_submissions
+from gsfusion_nb.course.verdict import Verdict
 
 NAMES = ("block_of", "zero_crossing")
 STUDENTS = ("ann", "bob", "eve")

@@ -3,6 +3,7 @@
 import torch
 
 from gsfusion_nb.course import check, splatting
+from gsfusion_nb.course.tiles import _tiles_touched
 from gsfusion_nb.geometry import quaternion
 from gsfusion_nb.render import project_gaussians, tile_intersections
 from gsfusion_nb.types import Camera
@@ -50,7 +51,7 @@ def test_the_tiles_contain_the_librarys():
     p = project_gaussians(one(), CAMERA, torch.eye(4))
     tiles = tile_intersections(p, CAMERA)
     u, v = p.uv[0].tolist()
-    x0, x1, y0, y1 = splatting._tiles_touched(
+    x0, x1, y0, y1 = _tiles_touched(
         u,
         v,
         float(p.extent_px.max()),

@@ -16,8 +16,8 @@ import torch
 
 from ...errors import ForeseenError
 from ...resources import usable_cores
-from ..attempt import Verdict
 from ..exercise import exercises
+from ..verdict import Verdict
 from .data import cut
 from .journal import Journal, mark_key
 from .judge import Limits, judge

@@ -18,9 +18,10 @@ import torch
 
 from ...backends import use_backend
 from ...errors import ArgumentError
-from ..attempt import Answer, Failed, NotWritten, Verdict
+from ..attempt import Answer, Failed, NotWritten
 from ..exercise import exercises
 from ..learner_code import LIMIT_S
+from ..verdict import Verdict
 from .data import LONGEST_WORDS, DataError, cut
 from .library import library_for
 from .pickled import Outgoing

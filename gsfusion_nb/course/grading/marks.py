@@ -8,8 +8,8 @@ from pathlib import Path
 
 from ...errors import ArgumentError
 from ...files import plain_cell, write_file
-from ..attempt import Verdict
 from ..exercise import exercises
+from ..verdict import Verdict
 from .submission import Submission, defines, read_code
 
 COLUMNS = ("student", "exercise", "points", "max", "failed property", "message", "seconds")
