@@ -12,10 +12,11 @@ import tyro
 from ..config.options import named, parse_value
 from ..errors import ArgumentError, SequenceError
 from ..files import read_object
+from ..recordings.convert.conversion import ConvertReport
 from ..recordings.convert.formats import FORMATS, known_formats, readable_layout
 from ..recordings.convert.formats.unread import unread_recording
 from ..recordings.convert.recording import ConvertOptions, OptionNeeded
-from ..recordings.convert.run import ConvertReport, convert
+from ..recordings.convert.run import convert
 
 CONVERTED = Path("converted")
 """Where ``mappable`` writes, below the current folder."""

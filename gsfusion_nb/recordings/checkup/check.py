@@ -15,9 +15,9 @@ from ...data.recorded.decoded_images import DecodedImages
 from ...data.recorded.recorded_sequence import RecordedSequence
 from ...data.sequence import Sequence
 from ...drawing.page import PageGraph
+from .agreement import CalibrationCorrection, FitData
 from .colour import fit_colour
 from .explain import explain
-from .fit import CalibrationCorrection, FitData
 from .frames import (
     exposure_finding,
     gains,

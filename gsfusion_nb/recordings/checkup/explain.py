@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 from ...config import RepairConfig
 from ...types import Camera
-from . import fit
+from .agreement import Agreement, CalibrationCorrection, FitData, agreement
+from .fit import KINDS, FittedCorrection, correct, cost_of, search, together
 from .interpretations import DEPTH_FACTORS, PRICE, ScoredInterpretation, best_interpretation
 from .sample import WINDOW, Sample
 
@@ -42,16 +43,16 @@ class Explanation:
 
     interpretation: RepairConfig
     """Direction, axes, quaternion order and units."""
-    correction: fit.CalibrationCorrection
-    adopted: dict[str, fit.FittedCorrection]
+    correction: CalibrationCorrection
+    adopted: dict[str, FittedCorrection]
     """The corrections that every part of the recording confirms, by kind."""
     contradicted: frozenset[str]
     """Kinds of corrections that a part of the recording does not confirm."""
-    fits: dict[str, fit.FittedCorrection]
+    fits: dict[str, FittedCorrection]
     """The last fit of every kind, adopted or only tried."""
-    as_read: fit.Agreement
-    repaired: fit.Agreement
-    data: fit.FitData
+    as_read: Agreement
+    repaired: Agreement
+    data: FitData
     """Data of the pairs under ``interpretation``."""
     tried: list[ScoredInterpretation]
     """The interpretations that were compared, best first."""
@@ -72,9 +73,9 @@ def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation
     distant_pairs = [p for p in pairs if p[1] - p[0] > 1] or list(pairs)
     outcomes = []
     for t in (as_read, *others):
-        data = fit.FitData.of(sample, distant_pairs, t.repair)
-        fits, last = fit.correct(data)
-        share = fit.agreement(data, fit.together(fits)).share
+        data = FitData.of(sample, distant_pairs, t.repair)
+        fits, last = correct(data)
+        share = agreement(data, together(fits)).share
         outcomes.append(
             (
                 share - PRICE * (len(t.repair.changes) + 2 * len(fits)),
@@ -87,17 +88,17 @@ def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation
     _, interpretation, fits, last, data = max(outcomes, key=lambda f: f[0])
     contradictions = _contradicted(fits, sample, distant_pairs, interpretation)
     corrections = [f for f in fits if f.kind not in contradictions]
-    correction = fit.together(corrections)
+    correction = together(corrections)
     units = with_units(interpretation, sample)
-    final_agreement = fit.agreement(data, correction)
+    final_agreement = agreement(data, correction)
     return Explanation(
         interpretation=units,
         correction=correction,
         adopted={f.kind: f for f in corrections},
         contradicted=contradictions,
         fits={f.kind: f for f in (*last, *corrections)},
-        as_read=fit.agreement(
-            fit.FitData.of(sample, distant_pairs, RepairConfig()), fit.CalibrationCorrection()
+        as_read=agreement(
+            FitData.of(sample, distant_pairs, RepairConfig()), CalibrationCorrection()
         ),
         repaired=final_agreement._replace(
             median_m=final_agreement.median_m * units.depth_factor / interpretation.depth_factor
@@ -109,7 +110,7 @@ def explain(sample: Sample, pairs: abc.Sequence[tuple[int, int]]) -> Explanation
 
 
 def _contradicted(
-    corrections: list[fit.FittedCorrection],
+    corrections: list[FittedCorrection],
     sample: Sample,
     pairs: abc.Sequence[tuple[int, int]],
     interpretation: RepairConfig,
@@ -124,21 +125,21 @@ def _contradicted(
     in_order = sorted(pairs, key=sum)
     cuts = [round(k * len(in_order) / _PARTS) for k in range(_PARTS + 1)]
     parts = [in_order[a:b] for a, b in itertools.pairwise(cuts) if b - a >= _LEAST_PAIRS]
-    whole = fit.together(corrections)
+    whole = together(corrections)
     kinds = set()
     brief = len(sample.frames) < WINDOW and any(f.kind == "pose time" for f in corrections)
     for one in corrections if len(parts) > 1 else []:
-        kind = fit.KINDS[one.kind]
-        start = fit.together(f for f in corrections if f is not one)
+        kind = KINDS[one.kind]
+        start = together(f for f in corrections if f is not one)
         if not kind.width:
             continue
         field = max(one.added, key=lambda x: abs(one.added[x]))
         full_value = one.added[field]
         knowing = 0
         agreeing = True
-        for data in (fit.FitData.of(sample, part, interpretation) for part in parts):
-            cost = fit.cost_of(data, whole)
-            best, uncertainty = fit.search(
+        for data in (FitData.of(sample, part, interpretation) for part in parts):
+            cost = cost_of(data, whole)
+            best, uncertainty = search(
                 cost,
                 start,
                 kind,
@@ -169,7 +170,7 @@ _SAME_HALF_PX = 0.2
 
 
 def repair_of(
-    c: fit.CalibrationCorrection, camera: Camera, interpretation: RepairConfig
+    c: CalibrationCorrection, camera: Camera, interpretation: RepairConfig
 ) -> RepairConfig:
     """An interpretation and a correction as the options of a reader, rounded to the precision of
     the measurement."""
@@ -188,7 +189,7 @@ def repair_of(
     return replace(interpretation, **changes)
 
 
-def _focal_lengths(c: fit.CalibrationCorrection, camera: Camera) -> dict[str, float]:
+def _focal_lengths(c: CalibrationCorrection, camera: Camera) -> dict[str, float]:
     """The corrected focal lengths; those of the camera if they are only exchanged."""
     fx = round(camera.fx * math.exp(c.log_focal + c.log_aspect), 1)
     fy = round(camera.fy * math.exp(c.log_focal - c.log_aspect), 1)
@@ -198,7 +199,7 @@ def _focal_lengths(c: fit.CalibrationCorrection, camera: Camera) -> dict[str, fl
     return {"fx": fx, "fy": fy}
 
 
-def _principal_point(c: fit.CalibrationCorrection, camera: Camera) -> dict[str, float]:
+def _principal_point(c: CalibrationCorrection, camera: Camera) -> dict[str, float]:
     """The corrected principal point: a shift by half a pixel, the camera's own with cx and cy
     exchanged, or another one."""
     half = math.copysign(0.5, c.cx_px)

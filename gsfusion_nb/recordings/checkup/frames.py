@@ -16,7 +16,7 @@ from ...data.adjust.steps import STILL_DEG, STILL_M, find_jumps
 from ...drawing.page import PageGraph, page_graph
 from ...geometry import se3
 from ...types import Camera
-from .fit import CalibrationCorrection, FitData, reproject
+from .agreement import CalibrationCorrection, FitData, reproject
 from .report import Finding, flags_of
 from .sample import Sample
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 from ...config import RepairConfig
 from ...config.repair import NAMED_AXES
 from ...types import Camera
+from .agreement import median_error
 from .explain import Explanation
-from .fit import median_error
 from .judge_intrinsics import correction_finding, intrinsics_findings
 from .report import Finding
 

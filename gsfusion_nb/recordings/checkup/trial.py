@@ -13,9 +13,9 @@ from ...config import DataConfig, RepairConfig
 from ...data.adjust.poses import times_of
 from ...data.adjust.selection import apply_options
 from ...data.sequence import Sequence
+from .agreement import CalibrationCorrection, FitData
 from .edges import depth_edges, on_edges
 from .explain import Explanation
-from .fit import CalibrationCorrection, FitData
 from .frames import gains
 from .report import Finding
 from .sample import Sample, read_sample

@@ -20,7 +20,7 @@ from ...data.lens import same_proportions
 from ...errors import BadFrameError
 from ...geometry import pixel_grid
 from ...types import Camera
-from ..checkup.fit import CalibrationCorrection, FitData, reproject
+from ..checkup.agreement import CalibrationCorrection, FitData, reproject
 from .depth_unit import KNOWN
 from .frame_poses import FramePoses
 from .intrinsics import intrinsics_of_frame, read_intrinsics

@@ -6,8 +6,9 @@ import math
 import pytest
 
 from gsfusion_nb.config import RepairConfig
+from gsfusion_nb.recordings.checkup.agreement import CalibrationCorrection
 from gsfusion_nb.recordings.checkup.explain import Explanation, repair_of
-from gsfusion_nb.recordings.checkup.fit import CalibrationCorrection, FittedCorrection
+from gsfusion_nb.recordings.checkup.fit import FittedCorrection
 from gsfusion_nb.recordings.checkup.judge_intrinsics import intrinsics_findings
 from gsfusion_nb.types import Camera
 

@@ -11,9 +11,9 @@ from gsfusion_nb.cli import main
 from gsfusion_nb.data import SequenceError, folder
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.convert import ConvertOptions, convert
+from gsfusion_nb.recordings.convert.conversion import Conversion
 from gsfusion_nb.recordings.convert.focal_length import estimated_model
 from gsfusion_nb.recordings.convert.recording import OptionNeeded
-from gsfusion_nb.recordings.convert.run import _Conversion
 from gsfusion_nb.types import Camera
 
 
@@ -38,7 +38,7 @@ def scan(tmp_path, takes):
 
 
 def test_the_result_appears_whole_or_not_at_all(tmp_path, takes, scan, monkeypatch):
-    add = _Conversion.add
+    add = Conversion.add
 
     def stop_after_two(self, place, frame):
         if len(self._times) == 2:
@@ -47,7 +47,7 @@ def test_the_result_appears_whole_or_not_at_all(tmp_path, takes, scan, monkeypat
 
     before = sorted(tmp_path.iterdir())
     with monkeypatch.context() as patch:
-        patch.setattr(_Conversion, "add", stop_after_two)
+        patch.setattr(Conversion, "add", stop_after_two)
         with pytest.raises(KeyboardInterrupt):
             convert(scan, tmp_path / "out")
     assert sorted(tmp_path.iterdir()) == before
