@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from .equal_maps import equal_maps, unknown_maps
-from .paired_tests import TESTS, Comparison, against_reference, all_pairs, named_reference, p_text
+from .paired_tests import Comparison, against_reference, all_pairs, named_reference, p_text
 from .scene_units import scene_units, shared_frames
 from .statistics import (
     COLUMNS,
@@ -19,6 +18,14 @@ from .statistics import (
     by_budget,
     group_runs,
     standings,
+)
+from .table_notes import (
+    OTHERWISE,
+    note_on_seeds,
+    note_on_tests,
+    notes_on_rows,
+    notes_on_table,
+    trained_otherwise,
 )
 
 if TYPE_CHECKING:
@@ -33,9 +40,6 @@ _TEST_COLUMNS = (
 
 SHORT = (FIRST_METRIC, "depth_l1_held_out_m", "n_gaussians", "ms_per_frame")
 """Numbers of the short table."""
-
-OTHERWISE = "†"
-"""Mark of a row whose publication trains the Gaussians otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,26 +140,11 @@ def all_tables(
             )
             tables.append(
                 dataclasses.replace(
-                    table, notes=(*table.notes, _note_on_tests(reference, tests, comparisons))
+                    table, notes=(*table.notes, note_on_tests(reference, tests, comparisons))
                 )
             )
         tables += [scene_table([g for g in of_budget if g.scene == scene]) for scene in scenes]
     return tables
-
-
-def _note_on_tests(reference: str, tests: str, comparisons: Sequence[Comparison]) -> str:
-    """What was tested, and what the tests needed to be told before."""
-    if tests == "reference" and not comparisons:
-        return (
-            f"nothing is tested: the reference {reference} has no completed run, or no other "
-            "rule has one"
-        )
-    rule = (
-        f"; the reference is {reference}, which does not depend on the results"
-        if tests != "nemenyi"
-        else ""
-    )
-    return f"tests: {TESTS[tests]}{rule}"
 
 
 def scene_table(groups: Sequence[Group]) -> ResultTable:
@@ -177,8 +166,8 @@ def scene_table(groups: Sequence[Group]) -> ResultTable:
         budget=groups[0].budget,
         scene=groups[0].scene,
         columns=tuple(columns),
-        rows=_rows([g.label for g in order], cells, _trained_otherwise(groups)),
-        notes=tuple(_notes(groups)),
+        rows=_rows([g.label for g in order], cells, trained_otherwise(groups)),
+        notes=tuple(notes_on_table(groups)),
     )
 
 
@@ -222,7 +211,7 @@ def _scenes_table(
             "paired t test over "
             f"the {n_units} scenes, corrected by Holm's method for {tests[0].n_tests} comparisons"
         )
-    notes += _notes_on_rows(groups)
+    notes += notes_on_rows(groups)
     notes += [
         f"{label} was tuned on: {where}" for label, where in tuned_on.items() if label in labels
     ]
@@ -234,8 +223,8 @@ def _scenes_table(
             RANK,
             *(_TEST_COLUMNS if against else ()),
         ),
-        rows=_rows(labels, cells, _trained_otherwise(groups)),
-        notes=(*notes, _seeds_note(groups)),
+        rows=_rows(labels, cells, trained_otherwise(groups)),
+        notes=(*notes, note_on_seeds(groups)),
     )
 
 
@@ -253,12 +242,6 @@ def _rows(
         )
         for i, label in enumerate(labels)
     )
-
-
-def _trained_otherwise(groups: Sequence[Group]) -> dict[str, str]:
-    """Label of a rule -> how its publication trains the Gaussians, of the rules of which that is
-    not as here."""
-    return {run.spec.label: run.training for group in groups for run in group.runs if run.training}
 
 
 def _cells(
@@ -294,60 +277,6 @@ def _test_cells(test: Comparison | None) -> tuple[Cell, Cell]:
     words = f"{column.text(test.mean)} ({low} to {high})"
     p_words = p_text(p).removeprefix("p ").removeprefix("= ")
     return Cell(text=words, value=column.shown(test.mean)), Cell(text=p_words, value=p)
-
-
-def _notes(groups: Sequence[Group]) -> list[str]:
-    """What a reader must know about the runs of one table: seeds, failures, and what was not
-    equal."""
-    runs = [run for group in groups for run in group.runs]
-    if not runs:
-        return ["no run was completed"]
-    most = max(len(g.runs) + len(g.failed) for g in groups)
-    notes = [
-        _seeds_note(groups),
-        *(f"{g.label}: {len(g.runs)} of {most} runs" for g in groups if len(g.runs) < most),
-    ]
-    budget = runs[0].spec.budget
-    parts = []
-    for metric, noun, own in (
-        ("n_gaussians", "Gaussians", budget.gaussians is None),
-        ("n_steps", "gradient steps", budget.steps == "own"),
-    ):
-        means = [s.mean for s in (g.summary(metric) for g in groups) if s.n]
-        if own and means and max(means) > min(means):
-            parts.append(f"{min(means):,.0f} to {max(means):,.0f} {noun}")
-    if parts:
-        notes.append(
-            f"not equal between the rules: {' and '.join(parts)}; quality also depends on these"
-        )
-    notes += _notes_on_rows(groups)
-    return list(
-        dict.fromkeys(
-            [*notes, *(f"{run.spec.label}: {note}" for run in runs for note in run.notes)]
-        )
-    )
-
-
-def _notes_on_rows(groups: Sequence[Group]) -> list[str]:
-    """Which rows have equal maps, and which are not trained as their publication trains them."""
-    runs = [run for group in groups for run in group.runs]
-    notes = [*map(str, equal_maps(runs)), *unknown_maps(runs)]
-    if trainings := _trained_otherwise(groups):
-        rows = "; ".join(f"{label} ({training})" for label, training in trainings.items())
-        notes.append(
-            f"{OTHERWISE} the publication trains the Gaussians otherwise than here, so the row is "
-            f"about this rule, and not about that system: {rows}"
-        )
-    return notes
-
-
-def _seeds_note(groups: Sequence[Group]) -> str:
-    seeds = len({run.spec.seed for group in groups for run in group.runs})
-    if seeds < 2:
-        return "one seed: no standard deviation within a scene"
-    return (
-        f"± within a scene: standard deviation over {seeds} seeds, which change only random draws"
-    )
 
 
 def _descending(value: float) -> float:

@@ -19,7 +19,7 @@ from ..seeding import rule_name
 from ..types import Mesh
 from . import outputs, scores
 from .checkpoint import save_checkpoint
-from .mapping_run import MappingRun, RunWatcher, evenly
+from .mapping_run import MappingRun, evenly
 from .resume import resume_command
 from .run_folder import (
     CHECKPOINTS,
@@ -28,6 +28,7 @@ from .run_folder import (
     CheckpointEvery,
     StopRequest,
 )
+from .run_watchers import RunWatcher
 from .system_of_run import write_system
 
 log = logging.getLogger(__name__)

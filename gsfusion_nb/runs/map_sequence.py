@@ -20,7 +20,7 @@ from ..optim import UpdateFunction
 from ..seeding import SeedingRule
 from ..types import Frame
 from .driver import FinishedRun, drive, map_with_progress
-from .mapping_run import MappingRun, RunWatcher
+from .mapping_run import MappingRun
 from .onto import mapper_onto, named_system, read_parent, settings_onto
 from .resume import load_run
 from .run_clock import RunClock
@@ -30,6 +30,7 @@ from .run_folder import (
     StopRequest,
     new_folder,
 )
+from .run_watchers import RunWatcher
 from .stream_run import StreamRun
 
 log = logging.getLogger(__name__)

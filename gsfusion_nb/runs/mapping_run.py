@@ -28,11 +28,12 @@ from ..interrupts import DelayedInterrupt
 from ..mapping import FrameUndone, GlobalStep, Mapper, StepReport
 from ..mapping.moved_surfaces import MovedSurfaces
 from ..mapping.systems import know_system
-from ..types import Frame, Mesh
-from .frame_watch import QuietWatch
+from ..types import Frame
+from .quiet_watch import QuietWatch
 from .run_clock import RunClock
 from .run_folder import StepLog, packed, unpacked
 from .run_warnings import RunWarnings
+from .run_watchers import PassWatcher, RunWatcher
 
 log = logging.getLogger(__name__)
 
@@ -61,33 +62,6 @@ class Frames(Protocol):
 
     def close(self) -> None:
         """Stop: no more frames will be read."""
-        ...
-
-
-@runtime_checkable
-class RunWatcher(Protocol):
-    """Sees what a run maps, such as a file for another program; it changes nothing."""
-
-    def frame_mapped(self, mapper: Any, frame: Frame, report: StepReport) -> None:
-        """Called after each mapped frame, when the state is complete."""
-        ...
-
-    def finished(
-        self,
-        mapper: Any,
-        mesh: Mesh,
-        metrics: dict[str, Any],
-    ) -> None:
-        """Called once, when the maps are written and scored."""
-        ...
-
-
-@runtime_checkable
-class PassWatcher(RunWatcher, Protocol):
-    """Sees also the optimisation after the scan."""
-
-    def optimised(self, mapper: Any, step: GlobalStep) -> None:
-        """Called after each step, when the state is complete."""
         ...
 
 

@@ -33,7 +33,8 @@ from .run_folder import (
     random_state,
     unpacked,
 )
-from .sound_state import check_agreement, check_names, check_same, check_values
+from .sound_state import check_names, check_same, check_values
+from .state_agreement import check_agreement
 from .stream_run import StreamRun
 from .system_of_run import refuse_other_system, system_of_run
 

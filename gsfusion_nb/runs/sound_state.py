@@ -2,9 +2,9 @@
 
 Its checksums say that no disk changed it. They do not say who wrote it: a checkpoint may be
 somebody else's, or that of a program with an error. Three things are looked at, before the run goes
-on: every value by its name, sizes that have to agree, and whether the run that was made of the
-state would write the same state again. The last finds what was converted, filled up or passed over
-without a word.
+on: every value by its name, sizes that have to agree (``state_agreement``), and whether the run
+that was made of the state would write the same state again. The last finds what was converted,
+filled up or passed over without a word.
 """
 
 import math
@@ -106,7 +106,7 @@ _NOT_OF_A_MAP = ("config", "rule", "training", "data_files")
 """What is checked where it is read."""
 _GOES_ON = (*_NOT_OF_A_MAP, "clock", "warnings")
 """What is another when the same state is written again: times, sentences."""
-_MOST = 1 << 53
+LARGEST_COUNT = 1 << 53
 """Largest whole number: what a float64 counts exactly."""
 
 
@@ -174,85 +174,6 @@ def check_names(values: Any, where: str) -> None:
         raise _refusal((where,), "texts by name", _kind(values))
 
 
-def check_agreement(run: Any) -> None:
-    """Check that the sizes and numbers of a run's parts belong together.
-
-    Args:
-        run: The ``MappingRun`` that was made of a state.
-
-    Raises:
-        SequenceError: with the two that do not.
-    """
-    mapper = run.mapper
-    n = len(run.steps)
-    localiser = mapper.localiser
-    keyframes = mapper.keyframes
-    sizes = {
-        "frames of the mapper": mapper.n_frames,
-        "poses": len(localiser.poses),
-        "given poses": len(localiser.given_poses),
-        "indices of frames": len(localiser.frame_indices),
-    }
-    if len(set(sizes.values())) > 1:
-        raise SequenceError(
-            f"a state has {', '.join(f'{size} {name}' for name, size in sizes.items())}, not "
-            "equally many"
-        )
-    if len(run.timestamps_s) != n or n > mapper.n_frames:
-        raise SequenceError(
-            f"a state has {n} reports of frames, {len(run.timestamps_s)} times and "
-            f"{mapper.n_frames} mapped frames"
-        )
-    if run.next_position < n:
-        raise SequenceError(
-            f"a state has {n} reports of frames, but goes on at position {run.next_position}"
-        )
-    indices = localiser.frame_indices
-    n_earlier = mapper.n_frames - n
-    if indices[n_earlier:] and min(indices[n_earlier:]) < 0:
-        raise SequenceError(
-            f"a mapped frame of a state has the index {min(indices[n_earlier:])}, expected at "
-            "least 0"
-        )
-    numbers = [keyframe.index for keyframe in keyframes]
-    if absent := {step.frame_index for step in run.steps if step.is_keyframe} - set(numbers):
-        raise SequenceError(
-            f"keyframe {min(absent)} of the reports of a state is not among its keyframes"
-        )
-    if strange := set(numbers) - set(indices):
-        raise SequenceError(f"keyframe {min(strange)} of a state is not among its mapped frames")
-    # else of two recordings, one by one
-    if len(set(numbers)) < len(numbers) and len(set(indices)) == len(indices):
-        raise SequenceError("a state has a keyframe twice")
-    queue = mapper.passes.queue
-    if len(set(queue)) < len(queue) or any(not 0 <= k < len(keyframes) for k in queue):
-        raise SequenceError(
-            f"the passes of a state wait for keyframes {shown(queue)}; it has {len(keyframes)}"
-        )
-    _check_rows(mapper.gaussians)
-
-
-def _check_rows(model: Any) -> None:
-    """Numbers of rows that are negative, or later than the present."""
-    names = [
-        name
-        for name in model.columns
-        if name in ("last_step", "birth_step", "birth_frame", "state")
-    ]
-    for name in names:
-        column = model.columns[name]
-        if not len(column):
-            continue
-        low, high = (int(x) for x in torch.aminmax(column))
-        least, most = {"state": (0, 1), "birth_frame": (-1, _MOST)}.get(
-            name, (0, model.clock.count)
-        )
-        if low < least or high > most:
-            raise SequenceError(
-                f"{name} of the Gaussians must be from {least} to {most}, got {low} to {high}"
-            )
-
-
 def _check_holder(value: Any, where: tuple[str, ...]) -> None:
     """Lists and dictionaries are where they belong, and nowhere else."""
     holder, name = ("", "", *where)[-2:]
@@ -318,12 +239,12 @@ def _check_plain(value: Any, where: tuple[str, ...]) -> None:
     if name in COUNTS or "counts" in names:
         try:
             # frames of an earlier run are counted back from 0
-            check_whole("it", value, -_MOST if name == "index" else 0, _MOST)
+            check_whole("it", value, -LARGEST_COUNT if name == "index" else 0, LARGEST_COUNT)
         except ValueError as e:
             raise _refusal(where, "a whole number of at least 0", str(e)) from None
     elif not math.isfinite(value) and not names & MAY_BE_NAN:
         raise _refusal(where, "a finite number", shown(value))
-    elif abs(value) > _MOST and math.isfinite(value) and isinstance(value, int):
+    elif abs(value) > LARGEST_COUNT and math.isfinite(value) and isinstance(value, int):
         raise _refusal(where, "a number that a computer counts to", shown(value))
 
 

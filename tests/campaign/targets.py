@@ -263,9 +263,9 @@ def _judge_alteration(path: Path, read: Callable[[Path], None]) -> None:
 
 
 def settings(path: Path) -> None:
-    from gsfusion_nb.cli.settings import _read_settings
+    from gsfusion_nb.cli.run_settings import read_settings
 
-    _read_settings(path, rule=None)
+    read_settings(path, rule=None)
 
 
 def rescore(path: Path) -> None:

@@ -8,7 +8,7 @@ import shlex
 import pytest
 
 from gsfusion_nb.cli import main
-from gsfusion_nb.cli.settings import _read_settings
+from gsfusion_nb.cli.run_settings import read_settings
 from gsfusion_nb.compare.table_file import read_table
 from gsfusion_nb.config import GSFusionConfig, from_dict, from_run, gsfusion, to_dict
 from gsfusion_nb.errors import SequenceError
@@ -156,7 +156,7 @@ def test_settings_of_others_execute_nothing(tmp_path, ran, capsys, monkeypatch, 
     with pytest.raises(SystemExit):
         main([*typed, "--help"])
     assert not ran.exists()
-    assert _read_settings(file, rule="uniform").seeding.rule in ("near", "uniform")
+    assert read_settings(file, rule="uniform").seeding.rule in ("near", "uniform")
 
 
 def test_settings_in_python_name_no_file(tmp_path):

@@ -15,7 +15,8 @@ from gsfusion_nb.data import folder
 from gsfusion_nb.data.room import room
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.runs import frame_watch, run_mapping
-from gsfusion_nb.runs.frame_watch import ADVICE, FrameWatch, QuietWatch
+from gsfusion_nb.runs.frame_watch import ADVICE, FrameWatch
+from gsfusion_nb.runs.quiet_watch import QuietWatch
 
 N_FRAMES = 14
 
