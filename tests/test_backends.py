@@ -5,16 +5,24 @@ import pytest
 import torch
 
 from gsfusion_nb import backends
-from gsfusion_nb.backends import BackendUnavailable, look_again, op, use_backend
+from gsfusion_nb.backends import (
+    BackendUnavailable,
+    dispatch,
+    look_again,
+    offers,
+    op,
+    registry,
+    use_backend,
+)
 from gsfusion_nb.types import GaussianParams
 
 
 @pytest.fixture
 def double(monkeypatch):
-    monkeypatch.setattr(backends, "_OPS", dict(backends._OPS))
-    monkeypatch.setattr(backends, "_FOLDERS", dict(backends._FOLDERS))
-    monkeypatch.setattr(backends, "_messages", set())
-    monkeypatch.setattr(backends, "_KERNELS", "made_kernels")
+    monkeypatch.setattr(registry, "OPERATIONS", dict(registry.OPERATIONS))
+    monkeypatch.setattr(registry, "FOLDERS", dict(registry.FOLDERS))
+    monkeypatch.setattr(dispatch, "_messages", set())
+    monkeypatch.setattr(registry, "KERNELS", "made_kernels")
     look_again()
 
     @op("double")
@@ -135,7 +143,7 @@ def test_auto_names_the_devices_that_faster_versions_take(double, write_kernel, 
 
 def test_auto_goes_on_to_the_next_backend_that_loads(double, write_kernel, caplog, monkeypatch):
     """Without a warning: numba on the CPU, cuda and triton on a GPU, the reference elsewhere."""
-    monkeypatch.setattr(backends, "_PREFERRED", {"cpu": ("triton", "numba")})
+    monkeypatch.setattr(offers, "PREFERRED", {"cpu": ("triton", "numba")})
     write_kernel("triton", _NEEDS_A_PACKAGE)
     write_kernel("numba", "def double(x):\n    return x + x\n")
     with caplog.at_level(logging.INFO, logger="gsfusion_nb.backends"):

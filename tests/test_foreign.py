@@ -55,7 +55,7 @@ ALLOWED = {
         ),
         "the place",
     ),
-    "backends.py": "source files of this package",
+    "backends/offers.py": "source files of this package",
     "course/source_lines.py": "source files of this package",
     **dict.fromkeys(
         ("viewer/front_end.py", "compare/table_file.py", "compare/studies.py"),

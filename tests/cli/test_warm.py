@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from gsfusion_nb import backends
+from gsfusion_nb.backends import dispatch, offers
 from gsfusion_nb.cli import doctor
 
 
@@ -14,13 +15,13 @@ from gsfusion_nb.cli import doctor
 def dispatched(monkeypatch):
     """Operations that ran, in order."""
     ran = []
-    real = backends._select
+    real = dispatch._implementation
 
     def select(name, args, kwargs):
         ran.append(name)
         return real(name, args, kwargs)
 
-    monkeypatch.setattr(backends, "_select", select)
+    monkeypatch.setattr(dispatch, "_implementation", select)
     return ran
 
 
@@ -78,7 +79,7 @@ def test_the_maps_use_every_compiled_operation_and_nothing_is_compiled_again(dis
 
 
 def test_without_fast_backends_there_is_nothing_to_do(monkeypatch, capsys):
-    monkeypatch.setattr(backends, "offered", lambda name: ())
+    monkeypatch.setattr(offers, "offered", lambda name: ())
     # nothing is remembered
     monkeypatch.setattr(backends, "automatic", backends.automatic.__wrapped__)
     assert doctor.warm() == 1

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from gsfusion_nb import backends, open_sequence
-from gsfusion_nb.backends import use_backend
+from gsfusion_nb.backends import registry, use_backend
 from gsfusion_nb.config import rtg_slam
 from gsfusion_nb.course import exercises, mine
 from gsfusion_nb.course.learner_backend import LearnerError
@@ -81,7 +81,7 @@ def test_what_becomes_of_the_exercises():
     assert {
         name: e.becomes.operation for name, e in exercises().items() if e.becomes is not None
     } == RUNS_AS
-    assert set(RUNS_AS.values()) <= {*backends._OPS, *backends._PIECES}
+    assert set(RUNS_AS.values()) <= {*registry.OPERATIONS, *registry.PIECES}
 
 
 @pytest.fixture(autouse=True)

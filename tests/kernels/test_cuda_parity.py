@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from gsfusion_nb import backends
-from gsfusion_nb.backends import BackendUnavailable, use_backend
+from gsfusion_nb.backends import BackendUnavailable, offers, use_backend
 from gsfusion_nb.render import render_forward
 from gsfusion_nb.types import Camera, GaussianParams
 
@@ -91,7 +91,7 @@ print([backends.automatic(name, "cuda") for name in operations])
 
 def test_on_an_amd_gpu_the_reference_takes_their_place():
     """Each operation asks, and each is refused."""
-    environment = {k: v for k, v in os.environ.items() if k not in backends._EMULATED_BY.values()}
+    environment = {k: v for k, v in os.environ.items() if k not in offers.EMULATED_BY.values()}
     done = subprocess.run(
         [sys.executable, "-c", ON_AN_AMD_GPU], capture_output=True, text=True, env=environment
     )

@@ -13,9 +13,10 @@ import torch
 from kernel_cases import Case, all_cases
 
 from gsfusion_nb import backends
-from gsfusion_nb.backends import BackendUnavailable, use_backend
+from gsfusion_nb.backends import BackendUnavailable, registry, use_backend
+from gsfusion_nb.backends.offers import EMULATED_BY
 
-EMULATES = [b for b, variable in backends._EMULATED_BY.items() if os.environ.get(variable)]
+EMULATES = [b for b, variable in EMULATED_BY.items() if os.environ.get(variable)]
 """Backends for GPUs that this session of pytest runs on the processor; it is started for them
 alone."""
 
@@ -112,9 +113,9 @@ def test_every_offered_operation_has_a_case():
 def made_kernels(tmp_path, monkeypatch):
     """A package of kernels with one folder, ``halve``, whose operation is declared; the folder to
     write into."""
-    monkeypatch.setattr(backends, "_OPS", dict(backends._OPS))
-    monkeypatch.setattr(backends, "_FOLDERS", dict(backends._FOLDERS))
-    monkeypatch.setattr(backends, "_KERNELS", "made_kernels")
+    monkeypatch.setattr(registry, "OPERATIONS", dict(registry.OPERATIONS))
+    monkeypatch.setattr(registry, "FOLDERS", dict(registry.FOLDERS))
+    monkeypatch.setattr(registry, "KERNELS", "made_kernels")
     monkeypatch.syspath_prepend(tmp_path)
     folder = tmp_path / "made_kernels" / "halve"
     folder.mkdir(parents=True)

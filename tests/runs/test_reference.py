@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from gsfusion_nb import backends
-from gsfusion_nb.backends import use_backend
+from gsfusion_nb.backends import dispatch, use_backend
 from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
 from gsfusion_nb.runs import run_mapping
 
@@ -57,7 +57,7 @@ CONFIGS = {
 def used(monkeypatch):
     """Backends whose implementation of an operation was used."""
     found = set()
-    select = backends._select
+    select = dispatch._implementation
 
     def note(name, args, kwargs):
         implementation = select(name, args, kwargs)
@@ -69,7 +69,7 @@ def used(monkeypatch):
         )
         return implementation
 
-    monkeypatch.setattr(backends, "_select", note)
+    monkeypatch.setattr(dispatch, "_implementation", note)
     return found
 
 

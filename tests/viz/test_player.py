@@ -6,6 +6,7 @@ import time
 import torch
 
 from gsfusion_nb.backends import use_backend
+from gsfusion_nb.backends.choice import choice_of_block
 from gsfusion_nb.viz import scrubber
 from gsfusion_nb.viz.player import Player
 from gsfusion_nb.viz.scrubber import Scrubber
@@ -134,12 +135,10 @@ def test_the_lock_is_held_during_a_step():
 
 
 def test_backend_and_threads_reach_the_worker():
-    from gsfusion_nb import backends
-
     found = []
 
     def steps():
-        found.append((backends._choice.get(), torch.get_num_threads()))
+        found.append((choice_of_block.get(), torch.get_num_threads()))
         yield
 
     with use_backend("reference"):

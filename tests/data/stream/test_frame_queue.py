@@ -7,7 +7,8 @@ from contextlib import closing
 
 import pytest
 
-from gsfusion_nb.backends import _choice, use_backend
+from gsfusion_nb.backends import use_backend
+from gsfusion_nb.backends.choice import choice_of_block
 from gsfusion_nb.config import DataConfig, RepairConfig
 from gsfusion_nb.data import BadFrameError, SequenceError, folder
 from gsfusion_nb.data.stream import BackgroundFrames, LiveSource, SelectedFrames, read_ahead
@@ -167,7 +168,7 @@ def test_the_chosen_backend_reaches_the_thread(sequence):
 
     class Asking(Counting):
         def __getitem__(self, i):
-            seen.append(_choice.get())
+            seen.append(choice_of_block.get())
             return super().__getitem__(i)
 
     with use_backend("reference"), closing(read_ahead(Asking(sequence))) as frames:

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gsfusion_nb import backends
-from gsfusion_nb.backends import use_backend
+from gsfusion_nb.backends import dispatch, offers, use_backend
 from gsfusion_nb.optim import dssim_vjp
 
 
@@ -25,15 +25,15 @@ def test_tensors_on_two_devices_are_refused(device):
 
 def test_cuda_tensors_are_found_wherever_they_are(make_scene, make_camera, pose, monkeypatch):
     """A map or a frame is on its tensors' device; a pose may be anywhere."""
-    monkeypatch.setitem(backends._PREFERRED, "meta", ("triton",))
+    monkeypatch.setitem(offers.PREFERRED, "meta", ("triton",))
     # nothing is remembered
-    monkeypatch.setattr(backends, "automatic", backends.automatic.__wrapped__)
+    monkeypatch.setattr(dispatch, "automatic", backends.automatic.__wrapped__)
     scene = make_scene(2, 0)
     there = type(scene)(**{name: value.to("meta") for name, value in vars(scene).items()})
-    chosen = backends._select("disc_depth", (there, make_camera(4, 4), pose), {})
+    chosen = dispatch._implementation("disc_depth", (there, make_camera(4, 4), pose), {})
     assert chosen is backends.load("disc_depth", "triton")
     assert (
-        backends._select(
+        dispatch._implementation(
             "disc_depth",
             (scene, make_camera(4, 4), pose),
             {},
