@@ -207,13 +207,7 @@ def parse(
     """
     arguments = _with_code_named(prog, arguments)
     start = _StartOptions.of(prog, arguments)
-    preset = "replica"
-    if data and ROOM in arguments and not start.preset:
-        plain = [a for a in arguments if a not in HELP]
-        first = parse_options(
-            with_settings(options, start.config(preset)), prog=prog, arguments=plain
-        )
-        preset = ROOM if getattr(first, data) == ROOM else preset
+    preset = _default_preset(options, prog, arguments, start, data)
     values = parse_options(
         with_settings(options, start.config(preset)),
         prog=prog,
@@ -222,6 +216,28 @@ def parse(
     )
     own_settings = _settings_in(arguments, values.config)
     return dataclasses.replace(values, config=with_own_settings(values.config, own_settings))
+
+
+def _default_preset(
+    options: type[O],
+    prog: str,
+    arguments: list[str],
+    start: _StartOptions,
+    data: str,
+) -> str:
+    """The preset where none was typed: that of the built-in scene if it is what is mapped.
+
+    The word ``room`` may be the data or the value of another option, so the arguments are parsed
+    once to tell.
+    """
+    usual = "replica"
+    if not data or ROOM not in arguments or start.preset:
+        return usual
+    without_help = [a for a in arguments if a not in HELP]
+    values = parse_options(
+        with_settings(options, start.config(usual)), prog=prog, arguments=without_help
+    )
+    return ROOM if getattr(values, data) == ROOM else usual
 
 
 def _settings_in(arguments: list[str], config: SystemConfig) -> list[str]:

@@ -108,17 +108,18 @@ def run_all(
     look_again()
     entries = with_code_of_now(entries)
     admissions = _Admissions(store)
-    same: dict[str, list[int]] = {}
+    positions_of_key: dict[str, list[int]] = {}
     results: dict[int, RunResult] = {}
     for i, entry in enumerate(entries):
-        stored_result = store.find(entry.spec)
-        if stored_result is None:
-            entries[i], stored_result = admissions.ask(entry)
-        if stored_result is not None:
-            results[i] = stored_result
+        result = store.find(entry.spec)
+        if result is None:
+            entries[i], result = admissions.ask(entry)
+        if result is not None:
+            results[i] = result
         else:
-            same.setdefault(entries[i].spec.key, []).append(i)
-    remaining = {positions[0]: positions for positions in same.values()}
+            positions_of_key.setdefault(entries[i].spec.key, []).append(i)
+    # the first of equal runs is done, and its result is that of all of them
+    remaining = {positions[0]: positions for positions in positions_of_key.values()}
     plan = _Plan(entries, store, executor or InProcess())
     plan.begin(list(remaining))
     yield from results.items()

@@ -7,9 +7,10 @@ from torch import Tensor
 from ..config import gsfusion, replace
 from ..mapping import GSFusion
 from ..tsdf import integrate
-from ..types import Camera, Frame
+from ..types import Frame
 from .exercise import Attempt, Becomes, Failed, Wrong, Yours, exercise
 from .stand_ins import Log as Log
+from .stand_ins import chequered_wall
 
 
 def _frame_rate(seconds: list[float]) -> float:
@@ -327,7 +328,7 @@ def map_frame(attempt: Attempt) -> None:
     theirs = _small_mapper()
     ours = _small_mapper()
     log = Log(theirs)
-    first = _wall(0)
+    first = chequered_wall(0)
     reference = _map_frame(ours, first, lambda view: None)
     got = attempt.on("a first frame of a patterned wall")(theirs, first, log)
     attempt.holds(
@@ -362,7 +363,7 @@ def _second(attempt: Attempt, mapper: GSFusion, log: Log, case: str) -> None:
     """The frame shows nothing new: three steps on it, then one on the only keyframe."""
     log.calls.clear()
     attempt.close(
-        attempt.on(case)(mapper, _wall(1), log),
+        attempt.on(case)(mapper, chequered_wall(1), log),
         0,
         "what was seen is not seeded again",
     )
@@ -382,29 +383,3 @@ def _small_mapper() -> GSFusion:
     small = {"sh_degree": 0, "tsdf__voxel_size_m": 0.05, "seeding__quadtree_contrast": "std"}
     config = gsfusion("online", "paper_steps", **small)
     return GSFusion(config)
-
-
-def _wall(index: int) -> Frame:
-    """A chequered wall 2 m away, 64 x 48."""
-    camera = Camera(
-        width=64,
-        height=48,
-        fx=60.0,
-        fy=60.0,
-        cx=32.0,
-        cy=24.0,
-    )
-    j, i = torch.meshgrid(
-        torch.arange(48),
-        torch.arange(64),
-        indexing="ij",
-    )
-    grey = (((i // 8) + (j // 8)) % 2).float() * 0.8 + 0.1
-    return Frame(
-        index=index,
-        timestamp_s=float(index),
-        rgb=grey[..., None].expand(-1, -1, 3).contiguous(),
-        depth_m=torch.full((48, 64), 2.0),
-        camera=camera,
-        T_WC=torch.eye(4),
-    )

@@ -196,33 +196,49 @@ def came(name: str, value: Any, *, right: Answer | None = None) -> Outcome:
     value = value if isinstance(value, (str, int, float)) else float(value)
     entry = _entry(name)
     unit = str(entry.get("unit", ""))
-    answer = entry.get("answer")
     if "answer" in entry:
         _note(name, came=value)
-    if answer is None:
+    if entry.get("answer") is None:
         return Outcome(
             predicted="You made no prediction.", came=_answer_words(value, unit), right=None
         )
-    verdict = None
-    words = ""
-    if right is not None:
-        verdict = answer == right
-        words = "" if verdict else f"Right was: {_answer_words(right, unit)}."
-    elif isinstance(answer, (int, float)) and isinstance(value, (int, float)):
-        is_level = unit == DECIBEL
-        compare = _compare_levels if is_level else _compare
-        verdict, words = compare(float(answer), float(value))
-        choices = [c for c in entry.get("choices", ()) if isinstance(c, (int, float))]
-        if choices and is_level:
-            verdict = answer == min(choices, key=lambda c: abs(c - value))
-        elif choices := [c for c in choices if c > 0 and value > 0]:
-            verdict = answer == min(choices, key=lambda c: abs(math.log(c / value)))
+    verdict, words = _judgement(entry, value, right)
     return Outcome(
         predicted=_yours(entry),
         came=_answer_words(value, unit),
         right=verdict,
         words=words,
     )
+
+
+def _judgement(
+    entry: dict[str, Any], value: Answer, right: Answer | None
+) -> tuple[bool | None, str]:
+    """Whether the recorded answer was right, ``None`` if that cannot be told, and what is said
+    about it."""
+    answer = entry["answer"]
+    unit = str(entry.get("unit", ""))
+    if right is not None:
+        is_right = answer == right
+        return is_right, "" if is_right else f"Right was: {_answer_words(right, unit)}."
+    if isinstance(answer, str) or isinstance(value, str):
+        return None, ""
+    compare = _compare_levels if unit == DECIBEL else _compare
+    is_good, words = compare(float(answer), float(value))
+    choices = [c for c in entry.get("choices", ()) if isinstance(c, (int, float))]
+    nearest = _nearest_choice(choices, value, unit)
+    return is_good if nearest is None else answer == nearest, words
+
+
+def _nearest_choice(
+    choices: Sequence[int | float], value: int | float, unit: str
+) -> int | float | None:
+    """The choice nearest to ``value``: in dB by the difference, else by the ratio, which only
+    positive numbers have; ``None`` if there is none."""
+    if unit == DECIBEL:
+        return min(choices, key=lambda c: abs(c - value), default=None)
+    positive = [c for c in choices if c > 0 and value > 0]
+    return min(positive, key=lambda c: abs(math.log(c / value)), default=None)
 
 
 def _compare(answer: float, value: float) -> tuple[bool, str]:

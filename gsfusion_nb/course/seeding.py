@@ -8,36 +8,15 @@ from torch import Tensor
 from ..config import SeedingConfig
 from ..geometry import pixel_grid, project, se3
 from ..seeding import SeedContext, SeedingRule, check_contexts, check_rule
-from ..types import Camera, Frame, GaussianParams, Seeds
+from ..types import GaussianParams, Seeds
 from .exercise import Attempt, Failed, Wrong, exercise
-from .stand_ins import FreshVolume
+from .stand_ins import FreshVolume, chequered_wall
 
 
 def wall_context(coverage: str = "nothing") -> SeedContext:
     """A chequered wall 2 m away, seen by 64 x 48 pixels; "quarter": opaque Gaussians on its upper
     left quarter."""
-    camera = Camera(
-        width=64,
-        height=48,
-        fx=60.0,
-        fy=60.0,
-        cx=32.0,
-        cy=24.0,
-    )
-    j, i = torch.meshgrid(
-        torch.arange(48),
-        torch.arange(64),
-        indexing="ij",
-    )
-    grey = (((i // 4) + (j // 4)) % 2).float() * 0.8 + 0.1
-    frame = Frame(
-        index=0,
-        timestamp_s=0.0,
-        rgb=grey[..., None].expand(-1, -1, 3).contiguous(),
-        depth_m=torch.full((48, 64), 2.0),
-        camera=camera,
-        T_WC=torch.eye(4),
-    )
+    frame = chequered_wall(square_px=4)
     x, y = torch.meshgrid(
         torch.linspace(-1.2, -0.1, 12),
         torch.linspace(-0.9, -0.1, 9),

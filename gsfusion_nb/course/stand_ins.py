@@ -1,5 +1,5 @@
-"""What judges pass in place of a volume and of an optimiser. A submission sees them, so no solution
-is here."""
+"""What judges pass in place of a recording, a volume and an optimiser. A submission sees them, so
+no solution is here."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +10,34 @@ from torch import Tensor
 from ..config import TsdfConfig
 from ..mapping import GSFusion
 from ..optim import Keyframe
-from ..types import Frame
+from ..types import Camera, Frame
+
+
+def chequered_wall(index: int = 0, *, square_px: int = 8) -> Frame:
+    """A wall 2 m away with grey squares of so many pixels, seen by 64 x 48 pixels from the
+    origin."""
+    camera = Camera(
+        width=64,
+        height=48,
+        fx=60.0,
+        fy=60.0,
+        cx=32.0,
+        cy=24.0,
+    )
+    row, column = torch.meshgrid(
+        torch.arange(48),
+        torch.arange(64),
+        indexing="ij",
+    )
+    grey = (((column // square_px) + (row // square_px)) % 2).float() * 0.8 + 0.1
+    return Frame(
+        index=index,
+        timestamp_s=float(index),
+        rgb=grey[..., None].expand(-1, -1, 3).contiguous(),
+        depth_m=torch.full((48, 64), 2.0),
+        camera=camera,
+        T_WC=torch.eye(4),
+    )
 
 
 class FreshVolume:

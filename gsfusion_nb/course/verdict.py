@@ -57,7 +57,8 @@ class Verdict:
     def lines(self) -> list[str]:
         """What follows the headline."""
         rest = [f"input: {self.on}"] if self.on else []
-        rest += [self.detail] if self.detail else []
+        if self.detail:
+            rest.append(self.detail)
         if not self and self.hints_left:
             rest.append(
                 f"{self.hints_left} hint{'s' if self.hints_left > 1 else ''}: "

@@ -80,7 +80,8 @@ def drive(
         every: How often to save a checkpoint.
     """
     run.warnings.go_on()
-    run.watchers += [watch] if watch is not None else []
+    if watch is not None:
+        run.watchers.append(watch)
     stop = StopRequest()
     if evaluate:
         _keep_frames(run)
@@ -235,7 +236,8 @@ def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseExcepti
         try:
             attempt()
         except DiskFullError as e:
-            notes += [str(e)] if str(e) != str(error) else []
+            if str(e) != str(error):
+                notes.append(str(e))
         except Exception as e:
             if not memory_is_full(e):
                 raise

@@ -4,6 +4,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 from ..compile_clock import COMPILE_CLOCK
 
@@ -23,6 +24,17 @@ STAGES = (
 )
 """Names of the stages, in about the order of a run; what is in no stage counts as other. Compiling
 kernels is a stage of its own wherever it happens."""
+
+
+class Times(NamedTuple):
+    """Readings of two clocks, or what passed on both, seconds."""
+
+    wall_s: float
+    cpu_s: float
+
+    def since(self, earlier: "Times") -> "Times":
+        """What passed between ``earlier`` and these readings."""
+        return Times(self.wall_s - earlier.wall_s, self.cpu_s - earlier.cpu_s)
 
 
 class RunClock:
@@ -49,9 +61,10 @@ class RunClock:
         self.cpu_seconds: dict[str, float] = dict.fromkeys(STAGES, 0.0)
         """Stage -> processor time so far, seconds, of all threads."""
         self._thread = threading.get_ident()
-        self._inside = ["other"]
-        self._since = clock(), cpu()
-        self._compiled = COMPILE_CLOCK.seconds, COMPILE_CLOCK.cpu_seconds
+        self._open_stages = ["other"]
+        """The stages that the run is in, the innermost last."""
+        self._last_count = Times(clock(), cpu())
+        self._last_compiled = _compiled()
 
     @contextlib.contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
@@ -59,12 +72,12 @@ class RunClock:
             yield
             return
         self._count()
-        self._inside.append(stage)
+        self._open_stages.append(stage)
         try:
             yield
         finally:
             self._count()
-            self._inside.pop()
+            self._open_stages.pop()
 
     def metrics(self) -> dict[str, float]:
         """Seconds of each stage so far, and their sum, with their names in metrics.json."""
@@ -91,16 +104,21 @@ class RunClock:
                 mine[stage] = mine.get(stage, 0.0) + seconds
 
     def _count(self) -> None:
-        """Add the time since the last change to the stage that is open."""
-        instant = self._now()
-        cpu = self._cpu()
-        compiled = COMPILE_CLOCK.seconds, COMPILE_CLOCK.cpu_seconds
-        compiling_s = compiled[0] - self._compiled[0]
-        compiling_cpu_s = compiled[1] - self._compiled[1]
-        stage = self._inside[-1]
-        self.seconds[stage] += instant - self._since[0] - compiling_s
-        self.cpu_seconds[stage] += cpu - self._since[1] - compiling_cpu_s
-        self.seconds["compiling"] += compiling_s
-        self.cpu_seconds["compiling"] += compiling_cpu_s
-        self._since = instant, cpu
-        self._compiled = compiled
+        """Add the time since the last count to the innermost stage; that of compiling to its
+        own."""
+        now = Times(self._now(), self._cpu())
+        compiled = _compiled()
+        passed = now.since(self._last_count)
+        compiling = compiled.since(self._last_compiled)
+        stage = self._open_stages[-1]
+        self.seconds[stage] += passed.wall_s - compiling.wall_s
+        self.cpu_seconds[stage] += passed.cpu_s - compiling.cpu_s
+        self.seconds["compiling"] += compiling.wall_s
+        self.cpu_seconds["compiling"] += compiling.cpu_s
+        self._last_count = now
+        self._last_compiled = compiled
+
+
+def _compiled() -> Times:
+    """The time that this process has spent on compiling kernels."""
+    return Times(COMPILE_CLOCK.seconds, COMPILE_CLOCK.cpu_seconds)

@@ -4,6 +4,7 @@ import torch
 
 from gsfusion_nb.config import gsfusion
 from gsfusion_nb.course import mapping
+from gsfusion_nb.course.stand_ins import chequered_wall
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.optim import Keyframe
 
@@ -12,7 +13,7 @@ def test_the_reference_step_maps_as_the_library_does():
     ours = mapping._small_mapper()
     theirs = mapping._small_mapper()
     for k in range(3):
-        frame = mapping._wall(k)
+        frame = chequered_wall(k)
         n = mapping._map_frame(ours, frame, ours._optimise_view)
         assert n == theirs.step(frame).n_seeds
     torch.testing.assert_close(
@@ -32,7 +33,7 @@ def test_the_plan_is_the_librarys():
 def test_the_log_tells_key_frames_from_frames():
     mapper = GSFusion()
     log = mapping.Log(mapper)
-    frame = mapping._wall(4)
+    frame = chequered_wall(4)
     log(frame)
     log(
         Keyframe(

@@ -33,7 +33,8 @@ def raster_rows(options: BenchOptions) -> Iterator[BenchRow]:
         (COUNTS[:2], SIZES[:1], (3,)) if options.quick else (COUNTS, SIZES, SH_DEGREES)
     )
     cases = [(n, *size, degree, "cpu") for degree in degrees for size in sizes for n in counts]
-    cases += [ON_A_GPU] if torch.cuda.is_available() else []
+    if torch.cuda.is_available():
+        cases.append(ON_A_GPU)
     for n, width, height, degree, device in cases:
         scene = random_scene(n, width, height, sh_degree=degree)
         for with_gradient in (False, True):
@@ -42,7 +43,8 @@ def raster_rows(options: BenchOptions) -> Iterator[BenchRow]:
             )
             ours = our_backends(options, "render_forward", "render_vjp")
             methods = [b for b in ours if device == "cpu" or DEVICES[b] == "cuda"]
-            methods += [GSPLAT] if device == "cuda" and has_gsplat() else []
+            if device == "cuda" and has_gsplat():
+                methods.append(GSPLAT)
             for method in methods:
                 device_name = DEVICES.get(method, "cuda")
                 own_scene = scene.to(device_name)

@@ -44,9 +44,13 @@ class Birth:
     def __str__(self) -> str:
         where = "" if self.frame_index is None else f" in frame {self.frame_index}"
         words = [f"{self.cause}{where}"]
-        words += [f"rule {self.rule}"] if self.rule else []
-        words += [f"of Gaussian {self.parent}"] if self.parent is not None else []
-        words += [f"pixel ({self.uv[0]:.1f}, {self.uv[1]:.1f})"] if self.uv else []
+        if self.rule:
+            words.append(f"rule {self.rule}")
+        if self.parent is not None:
+            words.append(f"of Gaussian {self.parent}")
+        if self.uv:
+            u, v = self.uv
+            words.append(f"pixel ({u:.1f}, {v:.1f})")
         if self.cell:
             x, y, w, h, level = self.cell
             words.append(f"quadtree cell {w} x {h} px at ({x}, {y}), level {level}")

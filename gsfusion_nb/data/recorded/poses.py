@@ -200,12 +200,14 @@ def no_poses(n: int) -> Float[Tensor, "n 4 4"]:
 
 POSE_LINE = "16 row-major numbers of a camera-to-world pose, or the name of an image and these"
 _SUFFIXES = (".jpg", ".jpeg", ".png")
+_WORDS_WITH_NAME = 1 + 16
+"""The name of an image, and the numbers of a 4x4 pose."""
 
 
 def split_name(line: str) -> tuple[str | None, list[str]]:
     """Name of the image without its suffix, or ``None``, and the words after it."""
     words = line.replace(",", " ").split()
-    if len(words) != 17:
+    if len(words) != _WORDS_WITH_NAME:
         return None, words
     name = words[0]
     for suffix in _SUFFIXES:

@@ -234,7 +234,8 @@ class Conversion:
 
     def _drop(self, reason: str, error: str = "") -> None:
         self._dropped[reason] += 1
-        self._errors += [error] if error else []
+        if error:
+            self._errors.append(error)
 
     def _rectified(self, frame: RecordedFrame, images: RgbdImages) -> RgbdImages:
         height, width = images.rgb.shape[:2]

@@ -34,8 +34,9 @@ class FramePoses:
         if file:
             self._T_body_cam = camera_in_body(options.T_cam_body, options.T_body_cam)
             per_frame = poses_per_frame(Path(file), recording, options)
-            self._per_frame = None if per_frame is None else per_frame[0]
-            self.notes += [] if per_frame is None else per_frame[1]
+            if per_frame is not None:
+                self._per_frame, notes = per_frame
+                self.notes += notes
         if file and self._per_frame is not None:
             self.notes.append(
                 f"{file}: one pose per frame, taken as camera-to-world, OpenCV axes, metres"

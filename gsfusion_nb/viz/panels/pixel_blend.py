@@ -5,6 +5,7 @@ evaluated at the chosen pixels, with the formulas of ``render.composite`` but wi
 the tiles: a Gaussian that is missing in a list is seen here.
 """
 
+import dataclasses
 from dataclasses import dataclass
 
 import torch
@@ -131,3 +132,14 @@ def check_pixel(camera: Camera, u: int, v: int) -> None:
             f"pixel ({u}, {v}) is outside the picture: columns 0..{camera.width - 1}, rows "
             f"0..{camera.height - 1}"
         )
+
+
+def camera_of_pixel(camera: Camera, u: int, v: int) -> Camera:
+    """The camera whose whole picture is pixel (u, v) of ``camera``."""
+    return dataclasses.replace(
+        camera,
+        width=1,
+        height=1,
+        cx=camera.cx - u,
+        cy=camera.cy - v,
+    )

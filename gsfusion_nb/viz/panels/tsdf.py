@@ -191,12 +191,12 @@ def touch_camera(
     """What a drag over the panel's picture changes: a handle in the slice, or the direction of view
     in the view."""
     du, dv = stroke.moved
-    width, height = slice_pixel(X_M[1], Y_M[0])
-    # the scene in the view, which is as high as the slice, follows the pointer
-    if stroke.start[0] >= width:
-        turn = math.degrees(camera.height / height / camera.fx)
-        heading = wrapped_deg(values["heading_deg"] + du * turn)
-        return {"heading_deg": heading, "tilt_deg": values["tilt_deg"] + dv * turn}
+    # the lower right corner of the slice; the view is beside it, and as high
+    slice_width, slice_height = slice_pixel(X_M[1], Y_M[0])
+    if stroke.start[0] >= slice_width:  # the scene in the view follows the pointer
+        deg_per_px = math.degrees(camera.height / slice_height / camera.fx)
+        heading_deg = wrapped_deg(values["heading_deg"] + du * deg_per_px)
+        return {"heading_deg": heading_deg, "tilt_deg": values["tilt_deg"] + dv * deg_per_px}
     handles = camera_handles(values["x_m"], values["y_m"], values["heading_deg"])
     handle = nearest_handle(handles, (stroke.start[0], stroke.start[1] - LABEL_PX))
     if handle is None:

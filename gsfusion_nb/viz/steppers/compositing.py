@@ -13,7 +13,7 @@ from ...errors import ArgumentError
 from ...render import TileLists, composite, composite_vjp
 from ...render.constants import TILE_PX
 from ...types import Camera, GaussianParams
-from ..panels.pixel_blend import project_splats, reaching
+from ..panels.pixel_blend import camera_of_pixel, project_splats, reaching
 from .recording import Recording, record
 from .stepper import Step, Stepper, text_of
 
@@ -82,13 +82,7 @@ def record_pixel(
     rows = rows[p.depth_m[rows].argsort(stable=True)]
     if not len(rows):
         raise ArgumentError(f"no Gaussian reaches pixel {pixel}")
-    one = dataclasses.replace(
-        camera,
-        width=1,
-        height=1,
-        cx=camera.cx - pixel[0],
-        cy=camera.cy - pixel[1],
-    )
+    one = camera_of_pixel(camera, *pixel)
     lists = TileLists(
         gaussian=rows,
         offset=torch.tensor([0, len(rows)]),

@@ -1,6 +1,5 @@
 """A stepper through the march along one ray of a TSDF volume."""
 
-import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from ...drawing.curves import BETWEEN, PALETTE, style
 from ...geometry import rays, se3
 from ...tsdf import TsdfVolume, raycast
 from ...types import Camera
-from ..panels.pixel_blend import check_pixel
+from ..panels.pixel_blend import camera_of_pixel, check_pixel
 from ..panels.tsdf import distance_colours
 from .recording import Recording, record
 from .stepper import Step, Stepper, text_of
@@ -66,13 +65,7 @@ def raycast_stepper(
         ValueError: the pixel is outside the image, or the volume is empty.
     """
     check_pixel(camera, *pixel)
-    one = dataclasses.replace(
-        camera,
-        width=1,
-        height=1,
-        cx=camera.cx - pixel[0],
-        cy=camera.cy - pixel[1],
-    )
+    one = camera_of_pixel(camera, *pixel)
     recording = record(lambda: raycast(volume, one, T_WC), RAY_WATCH)
     steps = [*_march(recording), *_interpolate(recording)]
     end = recording.at("return RaycastOutput")[0]
