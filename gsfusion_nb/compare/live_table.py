@@ -9,8 +9,9 @@ from typing import Any
 
 from ..checks import check_name
 from ..drawing.curves import figure_picture, figure_words
+from ..drawing.encoding import encode_palette
 from ..drawing.page import fill
-from ..drawing.pictures import Picture, encode_palette
+from ..drawing.pictures import Picture
 from ..mapping import StepReport
 from ..viz.display import Bundle, LiveOutput, with_stored
 from ..viz.player import MIN_INTERVAL_S, Player, error_html, player_buttons, take_the_stage

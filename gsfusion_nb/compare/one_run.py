@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..data import frame_fingerprints, sequence_fingerprint
-from ..drawing.pictures import encode_png
+from ..drawing.encoding import encode_png
 from ..errors import SequenceError
 from ..evaluation import NotComputed, frame_rates
 from ..evaluation.learned_distance import lpips_unavailable

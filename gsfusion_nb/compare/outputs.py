@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..drawing.curves import figure_picture
+from ..drawing.encoding import data_uri
 from ..drawing.page import fill
-from ..drawing.pictures import data_uri
 from ..errors import UnknownNameError
 from ..files import atomic_file, write_file
 from .equal_maps import equal_maps

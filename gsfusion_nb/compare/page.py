@@ -14,8 +14,9 @@ import numpy as np
 from ..data import BadFrameError
 from ..data.recorded.images import decode_rgb, read_image_bytes
 from ..drawing.curves import GRID, INK, MUTED, PAPER
+from ..drawing.encoding import data_uri
 from ..drawing.page import ColourBar, PageGraph, fill
-from ..drawing.pictures import ERROR_COLOURS, ERROR_LIMIT, Picture, data_uri, error_map, fit_width
+from ..drawing.pictures import ERROR_COLOURS, ERROR_LIMIT, Picture, error_map, fit_width
 from .paired_tests import all_pairs
 from .run_result import RunResult
 from .statistics import COLUMNS, FIRST_METRIC, Group, group_runs

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import pictures
 from .curves import Numbers, curve_figure, figure_png
+from .encoding import data_uri
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -64,7 +65,7 @@ def page_picture(
     """
     small = pictures.fit_width(image, PICTURE_WIDTH)
     height, width = small.shape[:2]
-    src = pictures.data_uri(small)
+    src = data_uri(small)
     return {
         "src": src,
         "width": width,

@@ -23,7 +23,7 @@ from torch import Tensor
 from ..checks import check_name
 from ..data import OpenedSequence
 from ..data.recorded.poses import GL_TO_CV
-from ..drawing.pictures import encode_png
+from ..drawing.encoding import encode_png
 from ..errors import BadFrameError, SequenceError
 from ..files import atomic_folder
 from ..geometry import backproject, quaternion, se3

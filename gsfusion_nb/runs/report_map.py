@@ -6,7 +6,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from ..drawing import pictures
+from ..drawing.encoding import data_uri
 from ..drawing.page import page_picture
 from ..geometry.upright import world_up
 from ..resources import MAP_MEMORY
@@ -82,7 +82,7 @@ def opening_values(openings: Sequence[Opening], caption: str) -> dict[str, Any]:
 def _map_values(opening: Opening) -> dict[str, Any]:
     height, width = opening.map.poster.shape[:2]
     return {
-        "src": pictures.data_uri(opening.map.poster),
+        "src": data_uri(opening.map.poster),
         "width": width,
         "height": height,
         "alt": f"The map that {opening.title} made, seen from above without its ceiling",

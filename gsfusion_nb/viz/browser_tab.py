@@ -18,17 +18,15 @@ from typing import Any
 
 import cv2
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from ..drawing.pictures import Picture
 from ..errors import ArgumentError, ForeseenError
 from ..geometry import quaternion
-from ..geometry.spherical_harmonics import SH_C0
 from ..geometry.upright import world_up
 from ..types import Frame, GaussianParams
-from ..viewer.splat_rows import finite_rows
+from .viser_rows import records_of, rows_to_show
 
 log = logging.getLogger(__name__)
 
@@ -36,8 +34,6 @@ UPDATE_S = 0.5
 """Shortest time between two updates."""
 REST = 20.0
 """After it was read, the map is left alone for this many times as long: 5 % of the time at most."""
-MOST_ROWS = 150_000
-"""Of a map with more Gaussians every second, third, ... is shown, larger."""
 CHUNK_ROWS = 8192
 """Rows that are sent together, if one of them has changed."""
 _PHOTO_WIDTH = 320
@@ -180,7 +176,7 @@ class BrowserTab:
             if self._waiting is not None and not now:
                 return
         moment = _Moment(
-            params=_copied(mapper.files.standard_gaussians()),
+            params=rows_to_show(mapper.files.standard_gaussians()),
             poses=list(mapper.localiser.poses),
             frame=self._last_frame,
             words=words,
@@ -215,7 +211,7 @@ class BrowserTab:
     def _send(self, moment: _Moment) -> None:
         if not self._handles:
             self._look_at_start(moment)
-        records = _records(moment.params)
+        records = records_of(moment.params)
         chunks = [records[k : k + CHUNK_ROWS] for k in range(0, len(records), CHUNK_ROWS)]
         for number, chunk in enumerate(chunks):
             if number >= len(self._chunks) or not np.array_equal(chunk, self._chunks[number]):
@@ -315,45 +311,6 @@ def _is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
-
-
-def _copied(params: GaussianParams) -> GaussianParams:
-    """A copy on the processor, of at most ``MOST_ROWS`` rows, without view-dependent colour."""
-    stride = -(-len(params) // MOST_ROWS) or 1
-    columns = {name: column[::stride] for name, column in vars(params).items()}
-    columns["sh"] = columns["sh"][:, :1]
-    columns["log_scale"] = columns["log_scale"] + 0.5 * math.log(stride)
-    return GaussianParams(
-        **{name: column.detach().cpu().clone() for name, column in columns.items()}
-    )
-
-
-_RECORD = np.dtype(
-    [
-        ("xyz", "<f4", (3,)),
-        ("covariance", "<f2", (3, 3)),
-        ("rgb", "u1", (3,)),
-        ("opacity", "u1", (1,)),
-    ]
-)
-
-
-def _records(params: GaussianParams) -> np.ndarray:
-    """The rows as viser draws them; a row with a NaN or an infinity is transparent."""
-    records = np.zeros(len(params), _RECORD)
-    good = finite_rows(params)
-    xyz, log_scale, quat = (
-        torch.where(good[:, None], column, torch.ones(()))
-        for column in (params.xyz_W, params.log_scale, params.quat)
-    )
-    axes = quaternion.to_matrix(quat) * log_scale.clamp(-7.0, 4.0).exp()[:, None, :]
-    opacity = torch.where(good, params.opacity_logit.sigmoid(), torch.zeros(()))
-    rgb = torch.where(good[:, None], params.sh[:, 0] * SH_C0 + 0.5, torch.zeros(()))
-    records["xyz"] = xyz.numpy()
-    records["covariance"] = (axes @ axes.mT).numpy()
-    records["rgb"] = (255 * rgb.clamp(0, 1)).round().to(torch.uint8).numpy()
-    records["opacity"] = (255 * opacity).round().to(torch.uint8)[:, None].numpy()
-    return records
 
 
 def _small(frame: Frame) -> Picture:

@@ -11,7 +11,8 @@ import traitlets as t
 from ..drawing.curves import curve_figure as curve_figure
 from ..drawing.curves import figure_png as figure_png
 from ..drawing.curves import figure_words
-from ..drawing.pictures import AnyImage, encode_jpeg, encode_png
+from ..drawing.encoding import encode_jpeg, encode_png
+from ..drawing.pictures import AnyImage
 from ..drawing.pictures import colour_depth as colour_depth
 from ..drawing.pictures import error_map as error_map
 from ..drawing.pictures import paint_cells as paint_cells

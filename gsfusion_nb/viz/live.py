@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 
 from ..drawing.curves import small_curves
-from ..drawing.pictures import Picture, encode_jpeg
+from ..drawing.encoding import encode_jpeg
+from ..drawing.pictures import Picture
 from .display import Bundle, ClickImage, LiveOutput, LostNotice, with_picture
 from .mapped_frame import columns_for
 from .player import MIN_INTERVAL_S, Player, error_html, player_buttons

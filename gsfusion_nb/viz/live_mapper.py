@@ -8,7 +8,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from ..drawing.pictures import Picture, encode_jpeg, side_by_side
+from ..drawing.encoding import encode_jpeg
+from ..drawing.pictures import Picture, side_by_side
 from ..runs import MappingRun
 from ..types import Frame, GaussianParams
 from .live import LivePictures

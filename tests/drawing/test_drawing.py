@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from gsfusion_nb.drawing import curves, pictures
 from gsfusion_nb.drawing.curves import PALETTE, curve_figure, small_curves
+from gsfusion_nb.drawing.encoding import data_uri, encode_palette, encode_png
 from gsfusion_nb.drawing.page import fill, html_table
 from gsfusion_nb.drawing.pictures import CARD, LABEL_PX, side_by_side
 
@@ -208,8 +209,8 @@ def test_a_graph_is_stored_with_few_colours():
     """A quarter of the size; its colours are the same."""
     figure = curve_figure([0, 1, 2], {"a": [0.0, 1.0, 0.5]}, x_label="frame", y_label="cm")
     picture = curves.figure_picture(figure)
-    stored = pictures.encode_palette(picture)
-    assert len(stored) < 0.5 * len(pictures.encode_png(picture))
+    stored = encode_palette(picture)
+    assert len(stored) < 0.5 * len(encode_png(picture))
     difference = np.abs(decoded(stored).astype(int) - picture.astype(int))
     assert difference.max() <= 24
-    assert pictures.data_uri(picture, "graph").startswith("data:image/png;base64,")
+    assert data_uri(picture, "graph").startswith("data:image/png;base64,")

@@ -12,7 +12,7 @@ import torch
 
 from gsfusion_nb.errors import ArgumentError
 from gsfusion_nb.runs import run_mapping
-from gsfusion_nb.viz import BrowserTab, browser_tab
+from gsfusion_nb.viz import BrowserTab, browser_tab, viser_rows
 from gsfusion_nb.viz.browser_tab import WatchUnavailable
 
 
@@ -96,13 +96,12 @@ def test_only_the_part_that_changed_is_sent(tab, mapped, monkeypatch):
 def test_updates_that_come_too_soon_are_left_out_but_the_last(tab, mapped, monkeypatch):
     mapper, frame, report = mapped
     copies = []
-    copied = browser_tab._copied
 
     def noted(params):
         copies.append(len(params))
-        return copied(params)
+        return viser_rows.rows_to_show(params)
 
-    monkeypatch.setattr(browser_tab, "_copied", noted)
+    monkeypatch.setattr(browser_tab, "rows_to_show", noted)
     monkeypatch.setattr(browser_tab, "UPDATE_S", 3600.0)
     tab.frame_mapped(mapper, frame, report)
     _until(lambda: tab.n_updates == 1)
@@ -116,15 +115,15 @@ def test_updates_that_come_too_soon_are_left_out_but_the_last(tab, mapped, monke
 
 def test_a_large_map_is_thinned_and_a_broken_row_is_transparent(mapped, monkeypatch):
     params = mapped[0].gaussians.params
-    few = browser_tab._copied(params)
+    few = viser_rows.rows_to_show(params)
     broken = dataclasses.replace(few, xyz_W=few.xyz_W.clone())
     broken.xyz_W[3, 1] = torch.nan
-    records = browser_tab._records(broken)
+    records = viser_rows.records_of(broken)
     assert records["opacity"][3] == 0
     assert records["opacity"][2] > 0
     assert np.isfinite(records["xyz"]).all()
-    monkeypatch.setattr(browser_tab, "MOST_ROWS", len(params) // 3)
-    thin = browser_tab._copied(params)
+    monkeypatch.setattr(viser_rows, "MOST_ROWS", len(params) // 3)
+    thin = viser_rows.rows_to_show(params)
     assert len(thin) <= len(params) // 3
     stride = round(float((thin.log_scale[1] - params.log_scale[1]).mean().mul(2).exp()))
     assert stride in (3, 4)

@@ -14,8 +14,8 @@ import traitlets as t
 from markupsafe import Markup
 
 from ...drawing.curves import BETWEEN, figure_picture
+from ...drawing.encoding import encode_palette, encode_rgba
 from ...drawing.page import html_table
-from ...drawing.pictures import encode_palette, encode_rgba
 from ...errors import ArgumentError
 from ...viewer.front_end import source
 from ..display import ROOM, Bundle, LiveOutput, synced, with_stored
