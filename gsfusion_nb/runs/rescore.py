@@ -100,20 +100,20 @@ def rescore(
             for name, value in scores.items()
             if not (name.startswith("lpips") and name in stored_metrics)
         }
-    changed_names = [
-        name
-        for name, value in scores.items()
-        if _is_number(stored_metrics.get(name)) and value != stored_metrics[name]
-    ]
-    if changed_names:
-        differences = ", ".join(
-            f"{name} {_short(stored_metrics[name])} -> {_short(scores[name])}"
-            for name in changed_names
-        )
+    if differences := _differences(stored_metrics, scores):
         _warn(document, f"these scores differ from those of the run: {differences}")
     document["metrics"] = stored_metrics | scores
     write_json(folder / METRICS, document)
     return document["metrics"]
+
+
+def _differences(stored_metrics: dict[str, Any], scores: dict[str, Any]) -> str:
+    """The scores that are other numbers now, "psnr_db 30.1 -> 30.2"; "" if none is."""
+    return ", ".join(
+        f"{name} {_short(stored_metrics[name])} -> {_short(value)}"
+        for name, value in scores.items()
+        if _is_number(stored_metrics.get(name)) and value != stored_metrics[name]
+    )
 
 
 def _sequence_of(folder: Path, source: dict[str, Any], data: DataConfig) -> OpenedSequence:

@@ -19,7 +19,7 @@ from ...types import Camera, Frame
 from ...viewer.palettes import palette
 from ...viewer.viewpoint import orbit_camera
 from ..display import Stroke
-from .panel import Choice, Drawn, Panel, Slider, Switch
+from .panel import Choice, Control, Drawn, Panel, Slider, Switch
 from .touch import Point, draw_handles, nearest_handle
 
 LEGENDS = {"distance": "; red behind, blue free", "weight": "; dark 1, bright 20", "colour": ""}
@@ -276,24 +276,46 @@ def tsdf_fill_panel(
         )
         return side_by_side([slice_image, shape_picture(volume, camera, T_WC)], titles), text
 
-    x_m, y_m, turn_deg = map(float, start)
-    controls = {
+    controls = _fill_controls(*start)
+    buttons = {"measure": measure, "forget": forget}
+    text = "A slice of a TSDF volume with the camera in it, and what the camera sees of the map"
+    touch = functools.partial(touch_camera, camera=camera)
+    panel = Panel(
+        draw,
+        controls,
+        buttons=buttons,
+        name="fill",
+        kind="png",
+        text=text,
+        touch=touch,
+    )
+    return panel
+
+
+def _fill_controls(x_m: float, y_m: float, heading_deg: float) -> dict[str, Control]:
+    """The sliders and choices of ``tsdf_fill_panel``, with the camera at the given place."""
+    return {
         "x_m": Slider(
-            value=x_m,
+            value=float(x_m),
             low=-2.2,
             high=2.2,
             step=0.05,
             label="x, m",
         ),
         "y_m": Slider(
-            value=y_m,
+            value=float(y_m),
             low=-1.7,
             high=1.7,
             step=0.05,
             label="y, m",
         ),
         "heading_deg": Slider(
-            value=turn_deg, low=-180, high=180, step=1.0, label="heading, °", readout=".0f"
+            value=float(heading_deg),
+            low=-180,
+            high=180,
+            step=1.0,
+            label="heading, °",
+            readout=".0f",
         ),
         "tilt_deg": Slider(
             value=0.0,
@@ -313,16 +335,3 @@ def tsdf_fill_panel(
         "quantity": Choice(value="distance", options=QUANTITIES, label="show"),
         "at_every_move": Switch(value=False, label="measure at every move"),
     }
-    buttons = {"measure": measure, "forget": forget}
-    text = "A slice of a TSDF volume with the camera in it, and what the camera sees of the map"
-    touch = functools.partial(touch_camera, camera=camera)
-    panel = Panel(
-        draw,
-        controls,
-        buttons=buttons,
-        name="fill",
-        kind="png",
-        text=text,
-        touch=touch,
-    )
-    return panel

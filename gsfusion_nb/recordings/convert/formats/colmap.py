@@ -8,12 +8,14 @@ from motion has no unit of length: metres per unit are measured, as the median o
 
 import statistics
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
+from ....data.lens import CameraModel
 from ....data.recorded.files import natural_order
 from ....errors import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import is_file
@@ -81,14 +83,47 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     others = ", ".join(
         f"{other} has {len(model[1])}" for other, model in models.items() if other != folder
     )
-    images = sorted(images, key=lambda i: natural_order(Path(i.name)))
     colour = _beside(path, folder, ("images",), "colour images")
+    reconstruction = _Reconstruction(
+        folder=folder,
+        cameras=cameras,
+        images=sorted(images, key=lambda i: natural_order(Path(i.name))),
+        colour=colour,
+        depth=_depth_folder(path, folder, colour, options),
+        depth_scale=options.depth_scale or 1000.0,
+    )
+    notes = [
+        f"COLMAP model {folder}; depth {reconstruction.depth} read as "
+        f"{reconstruction.depth_scale:g} per metre, registered to the colour images"
+    ]
+    if others:
+        notes.append(
+            f"{folder} is the largest model, of {len(images)} images; {others}: give its folder"
+        )
+    return Recording(
+        name=str(path),
+        frames=reconstruction.frames,
+        n_frames=len(images),
+        depth_scale=reconstruction.depth_scale,
+        up_to_scale=True,
+        measured_scale=reconstruction.measured_scale,
+        notes=tuple(notes),
+    )
+
+
+def _depth_folder(path: Path, folder: Path, colour: Path, options: ConvertOptions) -> Path:
+    """Where the measured depth of the model in ``folder`` is.
+
+    Raises:
+        SequenceError: there is only depth that is in no unit of length.
+        SequenceNotFoundError: there is none.
+    """
     own_depth = next(path.glob("**/depth_maps/*.bin"), None)
     if own_depth is not None and not options.depth:
         raise SequenceError(
             f"{own_depth} is a depth map of COLMAP's own, computed from the images and in the "
-            "model's unit, not "
-            "measured; RGB-D mapping needs measured depth: give its folder with --depth"
+            "model's unit, not measured; RGB-D mapping needs measured depth: give its folder with "
+            "--depth"
         )
     depth = (
         Path(options.depth)
@@ -98,52 +133,58 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     if not options.depth and (folder / _INVERSE_DEPTH).is_file():
         raise SequenceError(
             f"{folder / _INVERSE_DEPTH} says that {depth} holds inverse depth, as for the depth "
-            "regularisation of 3D "
-            "Gaussian splatting: no distances; give a folder of measured depth with --depth"
+            "regularisation of 3D Gaussian splatting: no distances; give a folder of measured "
+            "depth with --depth"
         )
     if not depth.is_dir():
         raise SequenceNotFoundError(
             f"{depth} is not a folder; expected the depth images that belong to {colour}"
         )
-    scale = options.depth_scale or 1000.0
+    return depth
 
-    def depth_file(image: ColmapImage) -> Path:
-        name = depth / image.name
-        depth_path = find_depth(name.parent, name.stem)
-        return depth_path if is_file(depth_path) else find_depth(name.parent, name.name)
 
-    def recorded_frames() -> Iterator[RecordedFrame]:
-        for image in images:
-            load = partial(load_pair, colour / image.name, depth_file(image), scale)
+@dataclass(frozen=True, kw_only=True)
+class _Reconstruction:
+    """A model, and the folders of its colour and depth images."""
+
+    folder: Path
+    """Of the model."""
+    cameras: dict[int, CameraModel]
+    images: list[ColmapImage]
+    colour: Path
+    depth: Path
+    depth_scale: float
+    """Stored depth of one metre."""
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        """The images in order, with their poses in the unit of the model."""
+        for image in self.images:
+            colour_file = self.colour / image.name
             yield RecordedFrame(
-                source=str(colour / image.name),
+                source=str(colour_file),
                 time_s=None,
-                model=cameras[image.camera],
+                model=self.cameras[image.camera],
                 T_WC=se3.inverse(image.T_CW),
-                load=load,
+                load=partial(load_pair, colour_file, self._depth_file(image), self.depth_scale),
             )
 
-    def measured() -> tuple[float, str]:
-        sample = images[:: max(1, len(images) // _MEASURED_IMAGES)]
-        points = read_points(folder)
-        ratios = []
-        for image in sample:
-            try:
-                depth_m = read_depth_file(depth_file(image), scale)
-            except BadFrameError:
-                continue
-            ratios += metres_per_unit(cameras[image.camera].camera, image, depth_m, points)
+    def measured_scale(self) -> tuple[float, str]:
+        """Metres in a unit of the model, and how that was measured.
+
+        Raises:
+            SequenceError: the depth images are not those of this model.
+        """
+        ratios = self._metres_per_unit()
         if len(ratios) < _FEWEST_RATIOS:
             return 1.0, f"only {len(ratios)} sparse points have depth, too few to measure it"
         low, middle, high = statistics.quantiles(ratios, n=4)
         spread_percent = 100 * (high - low) / middle
         if spread_percent > _LARGEST_SPREAD_PERCENT:
             raise SequenceError(
-                f"{depth} does not hold the depth of this model: in metres per unit of the model, "
-                f"half of the {len(ratios)} sparse points with depth lie within "
-                f"{spread_percent:.0f} %, "
-                f"and must within {_LARGEST_SPREAD_PERCENT:g} %; inverse depth must be inverted "
-                "first; --scale and --depth-scale tell a unit"
+                f"{self.depth} does not hold the depth of this model: in metres per unit of the "
+                f"model, half of the {len(ratios)} sparse points with depth lie within "
+                f"{spread_percent:.0f} %, and must within {_LARGEST_SPREAD_PERCENT:g} %; inverse "
+                "depth must be inverted first; --scale and --depth-scale tell a unit"
             )
         return (
             middle,
@@ -151,26 +192,22 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             f"{spread_percent:.1f} %",
         )
 
-    return Recording(
-        name=str(path),
-        frames=recorded_frames,
-        n_frames=len(images),
-        depth_scale=scale,
-        up_to_scale=True,
-        measured_scale=measured,
-        notes=(
-            f"COLMAP model {folder}; depth {depth} read as {scale:g} per metre, registered to the "
-            "colour images",
-            *(
-                [
-                    f"{folder} is the largest model, of {len(images)} images; {others}: give its "
-                    "folder"
-                ]
-                if others
-                else []
-            ),
-        ),
-    )
+    def _metres_per_unit(self) -> list[float]:
+        """Of the points that a sample of the images sees."""
+        points = read_points(self.folder)
+        ratios = []
+        for image in self.images[:: max(1, len(self.images) // _MEASURED_IMAGES)]:
+            try:
+                depth_m = read_depth_file(self._depth_file(image), self.depth_scale)
+            except BadFrameError:
+                continue
+            ratios += metres_per_unit(self.cameras[image.camera].camera, image, depth_m, points)
+        return ratios
+
+    def _depth_file(self, image: ColmapImage) -> Path:
+        name = self.depth / image.name
+        depth_path = find_depth(name.parent, name.stem)
+        return depth_path if is_file(depth_path) else find_depth(name.parent, name.name)
 
 
 def _model_folders(path: Path) -> list[Path]:
