@@ -21,14 +21,6 @@ def doubled(x):
     return x + x
 
 
-def split(x0, y0, width, height):
-    left = (x0, width // 2)
-    right = (x0 + width // 2, width - width // 2)
-    upper = (y0, height // 2)
-    lower = (y0 + height // 2, height - height // 2)
-    return [(x, y, w, h) for x, w in (left, right) for y, h in (upper, lower)]
-
-
 @pytest.fixture
 def twice(monkeypatch):
     """An exercise that only this test knows."""

@@ -35,21 +35,10 @@ def scene(n: int, generator: torch.Generator) -> GaussianParams:
     )
 
 
-def view(width: int, height: int) -> Camera:
-    return Camera(
-        width=width,
-        height=height,
-        fx=0.8 * width,
-        fy=0.9 * width,
-        cx=0.45 * width,
-        cy=0.6 * height,
-    )
-
-
 @pytest.mark.parametrize(("n", "width", "height"), SIZES)
-def test_frozen_rows_have_no_gradient(n, width, height, generator):
+def test_frozen_rows_have_no_gradient(n, width, height, generator, make_camera):
     params = scene(n, generator)
-    camera = view(width, height)
+    camera = make_camera(width, height)
     v = torch.randn(height, width, generator=generator)
     rows = torch.rand(n, generator=generator) < 0.4
     with use_backend("numba"):
@@ -117,7 +106,7 @@ def test_a_finished_pixel_still_finds_its_hit(backend):
             assert torch.equal(found.alpha, plain.alpha)
 
 
-def test_a_plane_met_behind_the_camera_gives_the_centre():
+def test_a_plane_met_behind_the_camera_gives_the_centre(make_camera):
     """Normal at 80 degrees from the axis: rays on one side of the image meet the plane behind the
     camera."""
     angle = math.radians(40)
@@ -125,7 +114,7 @@ def test_a_plane_met_behind_the_camera_gives_the_centre():
         **{**vars(layers(0.9)), "quat": torch.tensor([[math.cos(angle), 0, math.sin(angle), 0]])}
     )
     params = GaussianParams(**{**vars(params), "log_scale": torch.tensor([[0.5, 0.5, 0.01]]).log()})
-    camera = view(33, 17)
+    camera = make_camera(33, 17)
     hit_index = torch.zeros(17, 33, dtype=torch.int64)
     depths = []
     for backend in ("reference", "numba"):
@@ -143,10 +132,10 @@ def test_a_plane_met_behind_the_camera_gives_the_centre():
     assert (depths[1] != 2).any()
 
 
-def test_equal_scales_take_the_first_axis(generator):
+def test_equal_scales_take_the_first_axis(generator, make_camera):
     params = scene(60, generator)
     params = GaussianParams(**{**vars(params), "log_scale": params.log_scale[:, :1].expand(60, 3)})
-    camera = view(33, 17)
+    camera = make_camera(33, 17)
     hit_index = torch.randint(-1, 60, (17, 33), generator=generator)
     normals = []
     for backend in ("reference", "numba"):

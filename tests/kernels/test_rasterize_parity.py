@@ -68,17 +68,6 @@ def masks(
     ]
 
 
-def odd_view(width: int, height: int) -> Camera:
-    return Camera(
-        width=width,
-        height=height,
-        fx=0.8 * width,
-        fy=0.9 * width,
-        cx=0.45 * width,
-        cy=0.6 * height,
-    )
-
-
 def both(params: GaussianParams, camera: Camera, v: list[torch.Tensor]):
     results = {}
     for name in ("reference", "numba"):
@@ -101,8 +90,8 @@ def assert_close_but_for_flips(ours: torch.Tensor, theirs: torch.Tensor, share: 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize(("n", "width", "height"), SIZES)
-def test_picture_and_gradients(n, width, height, degree, generator):
-    camera = odd_view(width, height)
+def test_picture_and_gradients(n, width, height, degree, generator, make_camera):
+    camera = make_camera(width, height)
     params = scene(n, degree, generator)
     v = images(camera, generator)
     (a, grad_a), (b, grad_b) = both(params, camera, v)
@@ -142,9 +131,9 @@ def test_results_repeat_bit_for_bit_on_any_number_of_threads(generator):
 
 
 @pytest.mark.parametrize(("n", "width", "height"), SIZES)
-def test_masked_picture_is_the_whole_one_bit_for_bit(n, width, height, generator):
+def test_masked_picture_is_the_whole_one_bit_for_bit(n, width, height, generator, make_camera):
     params = scene(n, 1, generator)
-    camera = odd_view(width, height)
+    camera = make_camera(width, height)
     with use_backend("numba"):
         whole, _ = render_forward(params, camera, T_WC, opaque_alpha=0.6)
         for pixels in masks(height, width, generator):
@@ -156,9 +145,9 @@ def test_masked_picture_is_the_whole_one_bit_for_bit(n, width, height, generator
 
 
 @pytest.mark.parametrize(("n", "width", "height"), SIZES)
-def test_masked_gradients(n, width, height, generator):
+def test_masked_gradients(n, width, height, generator, make_camera):
     params = scene(n, 2, generator)
-    camera = odd_view(width, height)
+    camera = make_camera(width, height)
     v = images(camera, generator)
     rows = torch.rand(n, generator=generator) < 0.4
     for pixels in masks(height, width, generator):
@@ -201,11 +190,11 @@ def test_masked_gradients(n, width, height, generator):
             assert (s - e).norm() <= 1e-2 * e.norm() + 1e-6, name
 
 
-def test_large_gaussians_off_the_image_are_drawn(generator):
+def test_large_gaussians_off_the_image_are_drawn(generator, make_camera):
     """Centres up to ten image widths away; what is listed must not depend on where the centre
     is."""
     n = 250
-    camera = odd_view(159, 121)
+    camera = make_camera(159, 121)
     p = scene(n, 0, generator, spread=8.0)
     params = GaussianParams(**{**vars(p), "log_scale": p.log_scale + math.log(20.0)})
     v = images(camera, generator)

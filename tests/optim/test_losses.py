@@ -316,18 +316,6 @@ def test_penalties_are_added_to_the_gradients(generator):
     assert add_penalties_(after, params, isotropy=0.0, scale=0.0, opacity=0.0) == 0
 
 
-def params(
-    value: float, quat: tuple[float, ...], n: int = 1, opacity_logit: float = 0.0
-) -> GaussianParams:
-    return GaussianParams(
-        xyz_W=torch.full((n, 3), value),
-        log_scale=torch.full((n, 3), value - 5),
-        quat=torch.tensor([quat]).repeat(n, 1),
-        opacity_logit=torch.full((n,), opacity_logit),
-        sh=torch.full((n, 4, 3), 10 * value),
-    )
-
-
 def test_equal_images_have_no_dssim(generator):
     x, _ = pair(20, 31, generator)
     loss, v = dssim_vjp(x, x)
