@@ -209,6 +209,8 @@ class _Closure:
             self._add_import(module_name, finder)
 
     def _look_at_lookups(self, tree: ast.AST, name: str) -> None:
+        """Note what the calls in ``tree`` look up while the program runs: modules by a name that is
+        made then, which is a reason to keep no result, and attributes."""
         for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
             function_name = (
                 call.func.id if isinstance(call.func, ast.Name) else getattr(call.func, "attr", "")

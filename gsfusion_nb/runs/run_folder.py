@@ -182,6 +182,7 @@ class Autosave:
             self._take()
 
     def _take(self) -> None:
+        """Save a checkpoint; the next one is due later the longer this one took."""
         began = self._clock()
         try:
             self._save()

@@ -2,7 +2,7 @@
 them."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -141,17 +141,23 @@ class Recorder:
         } | self._next()
         view_step = f(*args, **kwargs)
         self._step = None
-        at = view.index
         if "screen" in step and "adam" in step:
-            stage = (
-                "passes"
-                if self.frame_index is None
-                else "frame"
-                if at == self.frame_index
-                else "keyframe"
+            self._add(
+                StepRecord(
+                    stage=self._stage(view.index),
+                    view_index=view.index,
+                    loss=view_step.loss,
+                    **step,
+                )
             )
-            self._add(StepRecord(stage=stage, view_index=at, loss=view_step.loss, **step))
         return view_step
+
+    def _stage(self, view_index: int) -> Literal["frame", "keyframe", "passes"]:
+        """When a view is optimised: as the present frame, as an earlier keyframe, or after the
+        scan."""
+        if self.frame_index is None:
+            return "passes"
+        return "frame" if view_index == self.frame_index else "keyframe"
 
     def _render_forward(self, f: Call, args: tuple, kwargs: dict) -> Any:
         output, context = f(*args, **kwargs)
