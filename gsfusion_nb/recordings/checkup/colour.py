@@ -27,6 +27,10 @@ _AS_WELL = 3.0
 _BETTER = 1.15
 """Another score is accepted if it is this much higher than the score as read."""
 
+_REGISTERED_SCORE = 0.6
+"""Smallest score of another time that is accepted: the right time has 0.74 to 1.56, and the best of
+several wrong ones up to 0.41."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ColourFit:
@@ -80,7 +84,8 @@ def fit_colour(sample: Sample) -> ColourFit | None:
         score = near_score
         shift = near_shift
         scale = 1.0
-    if best_time and time_score > max(_BETTER * now_score, 0.9 * score):
+    least_time_score = max(_BETTER * now_score, 0.9 * score, _REGISTERED_SCORE)
+    if best_time and time_score > least_time_score:
         score = time_score
         shift = (0.0, 0.0)
         scale = 1.0

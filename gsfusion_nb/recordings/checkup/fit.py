@@ -98,7 +98,7 @@ def _fit_all(data: FitData, start: CalibrationCorrection) -> list[FittedCorrecti
     corrections = []
     for name, kind in KINDS.items():
         if kind.width:
-            best, uncertainty = search(f, start, kind, data.thinning * data.camera.width / 640)
+            best, uncertainty = search_from_starts(data, f, start, name)
         else:
             sizes = [_resized(data, start, k) for k in _SIZES]
             best = min(
@@ -112,6 +112,13 @@ def _fit_all(data: FitData, start: CalibrationCorrection) -> list[FittedCorrecti
             )
         )
     return corrections
+
+
+def _with_exchanged_centre(data: FitData, c: CalibrationCorrection) -> CalibrationCorrection:
+    """``c`` with cx and cy exchanged: a mistake of writing, farther away than a search reaches."""
+    cx_px = data.camera.cx * data.thinning + c.cx_px
+    cy_px = data.camera.cy * data.thinning + c.cy_px
+    return replace(c, cx_px=c.cx_px + cy_px - cx_px, cy_px=c.cy_px + cx_px - cy_px)
 
 
 def _resized(data: FitData, c: CalibrationCorrection, k: float) -> CalibrationCorrection:
@@ -139,6 +146,22 @@ def cost_of(
         return (float(each.sum()) + 1e-9) / (float(is_measured.sum()) + 1e-9)
 
     return cost
+
+
+def search_from_starts(
+    data: FitData,
+    f: Callable[[CalibrationCorrection], float],
+    start: CalibrationCorrection,
+    name: str,
+) -> tuple[CalibrationCorrection, float]:
+    """``search`` for a kind with a range; for the principal point also from where cx and cy are
+    exchanged, and the better of the two."""
+    pixels = data.thinning * data.camera.width / 640
+    starts = [start]
+    if name == "principal point":
+        starts.append(_with_exchanged_centre(data, start))
+    found = [search(f, each, KINDS[name], pixels) for each in starts]
+    return min(found, key=lambda best_and_uncertainty: f(best_and_uncertainty[0]))
 
 
 def search(
