@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from book.assemble import api_page, quiz_page, root_page
-from book.chapters import Chapter, Places, in_the_book, places_of
+from book.chapters import Chapter, Places, in_the_book, picture_html, places_of
 from quiz import question
 
 from gsfusion_nb.course import exercises
@@ -85,6 +85,16 @@ def test_a_chapter_has_text_numbers_hints_solution_and_pictures(chapter):
     assert f'src="{address}" width="12" height="8"' in page
     assert 'alt="a &quot;black&quot; picture"' in page
     assert list(chapter.files) == [address]
+
+
+def test_a_wide_picture_has_its_words_below_it_and_can_be_enlarged():
+    png = cv2.imencode(".png", np.zeros((4, 6, 3), np.uint8))[1].tobytes()
+    wide = picture_html("a/b.png", png, {"alt": "left < right", "width": 600}, "png")
+    assert '<a href="a/b.png"><img' in wide
+    assert '<figcaption aria-hidden="true">left &lt; right</figcaption>' in wide
+    narrow = picture_html("a/b.png", png, {"alt": "left < right", "width": 300}, "png")
+    assert narrow.startswith("<img")
+    assert "figcaption" not in narrow
 
 
 def test_what_came_waits_for_the_prediction(chapter):

@@ -394,6 +394,35 @@ def test_the_search_finds_a_word(opened):
     assert any("02_tsdf_fusion" in href for href in first)
 
 
+@pytest.mark.parametrize(
+    ("words", "pages"),
+    [
+        ("install windows", {"docs/classroom.html", "docs/install.html"}),
+        ("own recording", {"docs/own_data.html", "notebooks/11_a_real_recording.html"}),
+        ("quadtree", {"notebooks/03_quadtree_decomposition.html"}),
+        ("install", {"docs/install.html"}),
+        # questions of the quiz come after the pages that explain
+        ("psnr", {"notebooks/00_quickstart.html"}),
+    ],
+)
+def test_the_search_finds_first_what_is_named_so(opened, words, pages):
+    page = opened("search")
+    page.goto(f"{page.url}?q={words.replace(' ', '+')}")
+    page.wait_for_selector("ul.search li a")
+    first = page.locator("ul.search li > a").all()[: len(pages)]
+    assert {a.get_attribute("href").partition("?")[0] for a in first} == pages
+
+
+def test_labels_in_a_wide_picture_are_text_on_a_phone(opened):
+    page = opened("notebooks/08_tracking")
+    caption = page.locator(".gsnb-wide figcaption", has_text="what the camera sees now").first
+    assert not caption.is_visible()
+    page.set_viewport_size({"width": 390, "height": 844})
+    assert caption.is_visible()
+    assert caption.evaluate("c => parseFloat(getComputedStyle(c).fontSize)") >= 12
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
 def faults(page, rules=None) -> list[str]:
     """What axe-core finds grave on a page, by all of its rules or some: rule, element, what is
     wrong."""

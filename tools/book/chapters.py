@@ -138,20 +138,34 @@ def source_links(html: str, places: Places) -> str:
     return _SOURCE.sub(link, html)
 
 
+_PHONE_PX = 400
+"""A picture wider than this is scaled down on a phone, and what is written in it with it."""
+
+
 def picture_html(
     address: str,
     content: bytes,
     metadata: Mapping[str, Any],
     suffix: str,
 ) -> str:
-    """An image with its size, so that the page does not move when it is loaded."""
+    """An image with its size, so that the page does not move when it is loaded.
+
+    A wide one is a link to itself, to be enlarged, and its words stand below it on a narrow page:
+    the labels in it are then too small to be read.
+    """
     width, height = Image.open(io.BytesIO(content)).size
     wide = int(metadata.get("width", width))
+    words = escape(str(metadata.get("alt", "")) or "picture")
     drawing = ' class="gsnb-figure"' if suffix == "png" else ""
-    return (
+    image = (
         f'<img{drawing} src="{address}" width="{wide}" height="{round(wide * height / width)}" '
-        f'loading="lazy" alt="{escape(str(metadata.get("alt", "")) or "picture")}">'
+        f'loading="lazy" alt="{words}">'
     )
+    if wide <= _PHONE_PX:
+        return image
+    # screen readers have the same words from the image
+    caption = f'<figcaption aria-hidden="true">{words}</figcaption>'
+    return f'<figure class="gsnb-wide"><a href="{address}">{image}</a>{caption}</figure>'
 
 
 _ATTACHED = re.compile(r"!\[[^\]]*\]\(attachment:[^)]*\)\s*")
