@@ -174,7 +174,10 @@ def show_mesh(
             "the mesh has no triangles: nothing was mapped, or no surface was seen closely enough"
         )
     pose = _from_above(mesh, up_W, size) if T_WC is None else T_WC
-    return show(mesh_picture(mesh, mesh_camera(size), pose, shading=shading))
+    look = "in its colours" if shading == "colour" else "as a grey surface"
+    place = "" if T_WC is not None else ", seen from above at an angle"
+    words = f"A mesh of {len(mesh.faces):,} triangles, {look}{place}"
+    return show(mesh_picture(mesh, mesh_camera(size), pose, shading=shading), alt=words)
 
 
 def _from_above(mesh: Mesh, up_W: Vector, size: tuple[int, int]) -> Tensor:

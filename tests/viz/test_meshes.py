@@ -77,6 +77,15 @@ def test_a_square_lies_where_the_camera_sees_it(vtk):
     assert (mesh_picture(none, CAMERA, FROM_ABOVE) == BACKGROUND).all()
 
 
+def test_a_picture_of_a_mesh_says_what_it_shows(monkeypatch):
+    drawn = np.zeros((120, 160, 3), np.uint8)
+    monkeypatch.setattr(meshes, "mesh_picture", lambda *_, **__: drawn)
+    words = "A mesh of 200 triangles, in its colours, seen from above at an angle"
+    assert show_mesh(sheet(11), size=(160, 120)).alt == words
+    grey = show_mesh(sheet(11), T_WC=FROM_ABOVE, size=(160, 120), shading="shape")
+    assert grey.alt == "A mesh of 200 triangles, as a grey surface"
+
+
 def test_without_vtk_a_picture_is_refused(monkeypatch):
     monkeypatch.setattr(meshes, "can_draw", lambda: (False, "apt-get install libgl1"))
     with pytest.raises(RuntimeError, match="libgl1"):
