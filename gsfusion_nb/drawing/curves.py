@@ -22,8 +22,9 @@ MUTED = "#5c6675"
 GRID = "#dfe4ea"
 PAPER = "#fffffe"
 """White, behind names and around points; the colour of a card in a page."""
-PALETTE = ("#3d85c6", "#e08a2e", "#6a9e1f", "#d1495b", "#8e6bbf", "#8a8f98", "#2aa5a0", "#b8860b")
-"""Colours of medium lightness, visible on white and on black."""
+PALETTE = ("#3d85c6", "#e08a2e", "#1d743b", "#ff3061", "#7d43d5", "#aaaaaa", "#22b7d5", "#846409")
+"""Blue, orange, green, red, violet, grey, turquoise, olive: visible on white and on a card. Each is
+unlike the others, also to eyes that lack the cones for red, green or blue."""
 
 LEGEND_LETTERS = 78
 """Letters that fit into the width of a ``curve_figure``."""

@@ -140,6 +140,51 @@ def test_curve_figure_has_labels_a_legend_and_no_pyplot():
     assert getattr(sys.modules.get("matplotlib.pyplot"), "get_fignums", list)() == []
 
 
+# Machado, Oliveira and Fernandes 2009, full severity: linear RGB -> what the eye tells apart
+_EYES = {
+    "all cones": np.eye(3),
+    "no red cones": [
+        [0.152286, 1.052583, -0.204868],
+        [0.114503, 0.786281, 0.099216],
+        [-0.003882, -0.048116, 1.051998],
+    ],
+    "no green cones": [
+        [0.367322, 0.860646, -0.227968],
+        [0.280085, 0.672501, 0.047413],
+        [-0.011820, 0.042940, 0.968881],
+    ],
+    "no blue cones": [
+        [1.255528, -0.076749, -0.178779],
+        [-0.078411, 0.930809, 0.147602],
+        [0.004733, 0.691367, 0.303900],
+    ],
+}
+
+
+def as_seen(colours, eye):
+    """CIELAB of "#rrggbb" as an eye sees them. [N, 3]"""
+    linear = (np.array([curves.rgb_of(c) for c in colours]) / 255) ** 2.2
+    seen = np.clip(linear @ np.array(_EYES[eye]).T, 0, 1) ** (1 / 2.2)
+    return cv2.cvtColor(seen.astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0]
+
+
+@pytest.mark.parametrize(("eye", "apart"), [(e, 14 if e == "no blue cones" else 18) for e in _EYES])
+def test_colours_of_curves_can_be_told_apart(eye, apart):
+    lab = as_seen(PALETTE, eye)
+    distance = np.linalg.norm(lab[:, None] - lab, axis=2) + 1000 * np.eye(len(lab))
+    assert distance.min() > apart
+
+
+def test_colours_of_curves_can_be_seen_on_every_ground():
+    def luminance(colours):
+        linear = (np.array([curves.rgb_of(c) for c in colours]) / 255) ** 2.2
+        return linear @ (0.2126, 0.7152, 0.0722)
+
+    lightness = luminance(PALETTE)
+    assert (1.05 / (lightness + 0.05)).min() > 2.2
+    assert ((lightness + 0.05) / (luminance([curves.CARD]) + 0.05)).min() > 2.2
+
+
 def line_columns(image):
     return np.nonzero((np.abs(image.astype(int) - curves.rgb_of(PALETTE[0])).sum(-1) < 60).any(0))[
         0

@@ -27,8 +27,6 @@ from .frames import displaced_pose, point_view
 from .panel import Drawn, Number, Panel, Slider, Switch
 from .tsdf import distance_colours
 
-RESIDUAL_M = 0.03
-"""Point-to-plane distance at the end of the colour scale."""
 ROWS = 270
 """Height of the two pictures of the panel, pixels."""
 _REJECTED = (70, 74, 82)
@@ -68,11 +66,24 @@ def single_level_config(config: TrackingConfig) -> TrackingConfig:
     )
 
 
+def residual_level(
+    r_m: Float[np.ndarray, "H W"] | Float[Tensor, "H W"], gate_m: float
+) -> Float[np.ndarray, "H W"]:
+    """Where on a scale of colours a residual is, -1..1: the root of its share of ``gate_m``, with
+    its sign.
+
+    A residual is never longer than the gate, so the scale ends where residuals end; its root still
+    shows the noise of a few millimetres.
+    """
+    share = np.asarray(r_m, dtype=np.float32) / gate_m
+    return np.sign(share) * np.sqrt(np.abs(share))
+
+
 def residual_picture(
     frame: Frame, surface: Surface, T_WC: Float[Tensor, "4 4"], config: TrackingConfig
 ) -> Picture:
     """Point-to-plane residual of the finest level: red behind the surface, white on it, blue in
-    front of it.
+    front of it; full colour at ``config.max_distance_m`` (``residual_level``).
 
     Grey pixels fall on the surface but are rejected by distance or angle; dark ones do not fall on
     it.
@@ -90,7 +101,8 @@ def residual_picture(
         pairs.surface_xyz.flatten(0, 1),
         pairs.surface_normal.flatten(0, 1),
     )
-    picture = distance_colours(r.view(pairs.inlier.shape) / RESIDUAL_M)
+    r_m = r.view(pairs.inlier.shape)
+    picture = distance_colours(residual_level(r_m, config.max_distance_m))
     picture[~pairs.inlier.numpy()] = _REJECTED
     picture[~pairs.overlap.numpy()] = _OUTSIDE
     return picture
@@ -122,9 +134,9 @@ def _icp_picture(
     T_WC = poses[min(step, len(poses) - 1)]
     pictures = overlay_picture(frame, surface, T_WC), residual_picture(frame, surface, T_WC, config)
     parts = [resize_to_height(p, ROWS) for p in pictures]
-    top = side_by_side(
-        parts, ["surface and frame, mixed", "residual: red behind, blue in front, 3 cm"]
-    )
+    most_cm = 100 * config.max_distance_m
+    residual_label = f"residual: red behind, blue in front, to {most_cm:g} cm"
+    top = side_by_side(parts, ["surface and frame, mixed", residual_label])
     errors = [pose_error(T, frame.T_WC) for T in poses[: step + 1]]
     rms = [h.rms_m for h in result.history] + [result.rms_m]
     series = {

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from ...drawing.curves import CARD_INK, PALETTE, card_figure, figure_picture, style
+from ...drawing.curves import CARD, CARD_INK, PALETTE, card_figure, figure_picture, rgb_of, style
 from ...drawing.pictures import Picture, fit_width, side_by_side
 from ...errors import ArgumentError
 from ...optim import Keyframe
@@ -29,51 +29,61 @@ def stage_means(
     return {name: value for name, value in means.items() if value > least_share * total}
 
 
+_NAMED_SHARE = 0.06
+"""A part of a bar that is at least this long, of the axis, has its number in it."""
+
+
 def stage_bars(
     runs: Mapping[str, Mapping[str, float]],
     *,
+    shares: bool = False,
     width: int = 720,
 ) -> Picture:
-    """One bar for each run, cut into its stages, all to the same scale.
+    """One bar for each run, cut into its stages.
 
     Args:
         runs: Label -> stage -> seconds per frame. At least one.
+        shares: All bars are equally long, so that the stages of a fast run can be seen beside those
+            of a slow one; a part has its share in it, per cent. Otherwise all bars have the same
+            scale, milliseconds.
         width: Of the picture, pixels.
     """
     if not runs:
         raise ArgumentError("stage_bars needs at least one run, got none")
     figure, (axes,) = card_figure(width, 70 * len(runs) + 60)
-    longest = max(sum(run.values()) for run in runs.values()) or 1.0
-    offsets = dict.fromkeys(runs, 0.0)
+    total_ms = [1e3 * sum(run.values()) for run in runs.values()]
+    scales = [100 / (ms or 1.0) if shares else 1.0 for ms in total_ms]
+    longest = max(ms * scale for ms, scale in zip(total_ms, scales, strict=True)) or 1.0
+    ends = np.zeros(len(runs))
     for stage, ink in zip(
         dict.fromkeys(stage for run in runs.values() for stage in run),
         PALETTE * 3,
         strict=False,
     ):
-        ms = [1e3 * run.get(stage, 0.0) for run in runs.values()]
+        lengths = np.array(
+            [1e3 * run.get(stage, 0.0) * s for run, s in zip(runs.values(), scales, strict=True)]
+        )
         bars = axes.barh(
             list(runs),
-            ms,
-            left=list(offsets.values()),
+            lengths,
+            left=ends,
             color=ink,
+            edgecolor=CARD,
+            linewidth=0.6,
             label=stage,
         )
-        labels = [_short(x) if x > 60 * longest else "" for x in ms]
-        axes.bar_label(bars, labels, label_type="center", color="white", fontsize=8)
-        offsets = {label: offsets[label] + x for label, x in zip(runs, ms, strict=True)}
-    rates = [f" {_short(x)} ms, {_short(1e3 / x)} frames/s" if x else "" for x in offsets.values()]
-    for row, rate in enumerate(rates):
-        axes.text(
-            list(offsets.values())[row],
-            row,
-            rate,
-            color=CARD_INK,
-            fontsize=8,
-            va="center",
-        )
-    axes.set_xlim(0, 1250 * longest)
+        unit = " %" if shares else ""
+        labels = [_short(x) + unit if x > _NAMED_SHARE * longest else "" for x in lengths]
+        axes.bar_label(bars, labels, label_type="center", color=_ink_on(ink), fontsize=8)
+        ends = ends + lengths
+    for row, (end, ms) in enumerate(zip(ends, total_ms, strict=True)):
+        rate = f" {_short(ms)} ms, {_short(1e3 / ms)} frames/s" if ms else ""
+        axes.text(end, row, rate, color=CARD_INK, fontsize=8, va="center")
+    axes.set_xlim(0, 1.32 * longest)
+    if shares:
+        axes.set_xticks(range(0, 101, 20))
     axes.invert_yaxis()
-    style(axes, x="ms per frame", ink=CARD_INK)
+    style(axes, x="% of the frame" if shares else "ms per frame", ink=CARD_INK)
     figure.legend(
         loc="outside lower left",
         ncols=8,
@@ -83,6 +93,11 @@ def stage_bars(
         handlelength=1,
     )
     return figure_picture(figure)
+
+
+def _ink_on(colour: str) -> str:
+    """Black or white, whichever can be read on a colour."""
+    return "black" if np.dot(rgb_of(colour), (0.299, 0.587, 0.114)) > 140 else "white"
 
 
 def sped_up(

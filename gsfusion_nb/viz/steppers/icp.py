@@ -14,7 +14,7 @@ from ...errors import ArgumentError
 from ...tracking import Surface, align, depth_pyramid, icp_system
 from ...tracking.icp_step import solve_step
 from ...types import Camera
-from ..panels.icp import RESIDUAL_M
+from ..panels.icp import residual_level
 from ..panels.tsdf import distance_colours
 from .recording import Line, Recording, record
 from .stepper import Step, Stepper, text_of
@@ -103,13 +103,13 @@ def _some_pixels(gate: Line, count: int) -> list[tuple[int, int]]:
     return [(int(row), int(column)) for row, column in pixels]
 
 
-def _residuals(recording: Recording, nth: int) -> np.ndarray:
-    """Point-to-plane distances of the pixels that pass the gates in the n-th system; NaN
-    elsewhere."""
-    inlier = recording.at("inlier = overlap & is_near & is_aligned")[nth]["inlier"]
-    image = torch.full(inlier.shape, torch.nan)
-    image[inlier] = recording.at("r = ((xyz - surface_xyz)")[nth]["r"].float()
-    return image.numpy()
+def _residuals(recording: Recording, nth: int) -> dict[str, Any]:
+    """Of a scene: point-to-plane distances, metres, of the pixels that pass the gates in the n-th
+    system, NaN elsewhere; and the gate, metres."""
+    gate = recording.at("inlier = overlap & is_near & is_aligned")[nth]
+    residual_m = torch.full(gate["inlier"].shape, torch.nan)
+    residual_m[gate["inlier"]] = recording.at("r = ((xyz - surface_xyz)")[nth]["r"].float()
+    return {"residual_m": residual_m.numpy(), "gate_m": gate["max_distance_m"]}
 
 
 def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
@@ -123,7 +123,7 @@ def _of_pixel(recording: Recording, at: tuple[int, int]) -> list[Step]:
     q = partner["surface_xyz"][at]
     n = partner["surface_normal"][at]
     scene = {
-        "residual": _residuals(recording, 0),
+        **_residuals(recording, 0),
         "pixel": at,
         "p": p.numpy(),
         "q": None,
@@ -192,7 +192,7 @@ def _sums(recording: Recording) -> list[Step]:
     step = recording.at("step = _step(")[0]["step"]
     poses = recording.at("T_WC = se3.translate(next_pose(")[0]
     scene = {
-        "residual": _residuals(recording, 0),
+        **_residuals(recording, 0),
         "pixel": None,
         "p": None,
         "q": None,
@@ -217,7 +217,7 @@ def _sums(recording: Recording) -> list[Step]:
         (name, f"{1000 * float(x):.2f} mm" if k < 3 else f"{float(x.rad2deg()):.3f}°")
         for k, (name, x) in enumerate(zip(names, step.xi, strict=True))
     ]
-    next_scene = scene | {"residual": _residuals(recording, 1)}
+    next_scene = scene | _residuals(recording, 1)
     steps.append(
         Step(
             poses,
@@ -244,11 +244,13 @@ def _icp_picture(figure: "Figure", scene: dict[str, Any]) -> None:
     image_axes = figure.add_axes((0.01, 0.30, 0.57, 0.60))
     sketch = figure.add_axes((0.63, 0.52, 0.35, 0.40))
     matrix = figure.add_axes((0.66, 0.03, 0.32, 0.36))
-    style(image_axes, title=f"residual, ±{1000 * RESIDUAL_M:.0f} mm (red −, blue +)")
+    style(image_axes, title=f"residual, to {100 * scene['gate_m']:g} cm (red −, blue +)")
     style(sketch, title="p, q and the plane of q")
     style(matrix, title="H (blue +, red −)")
     image_axes.imshow(
-        _colours(scene["residual"] / RESIDUAL_M), interpolation="nearest", aspect="auto"
+        _colours(residual_level(scene["residual_m"], scene["gate_m"])),
+        interpolation="nearest",
+        aspect="auto",
     )
     if scene["pixel"]:
         image_axes.plot(

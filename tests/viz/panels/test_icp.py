@@ -59,6 +59,23 @@ def test_a_point_behind_the_surface_is_red_and_one_before_it_blue(pair):
         assert (red > blue) == reddish
 
 
+def test_a_longer_residual_has_a_stronger_colour_up_to_the_gate(pair):
+    wall = dataclasses.replace(
+        pair[0],
+        depth_m=torch.full((60, 80), 2.0),
+        T_WC=torch.eye(4),
+    )
+    surface = frame_surface(wall)
+    config = TrackingConfig(max_distance_m=0.2)
+    greens = []
+    for z in (0.0, 0.002, 0.03, 0.08, 0.19):
+        T = torch.eye(4).double()
+        T[2, 3] = -z
+        greens.append(int(residual_picture(wall, surface, T, config)[15, 20, 1]))
+    steps = -np.diff(greens)
+    assert (steps > 8).all()
+
+
 def test_the_overlay_of_a_frame_on_itself_is_the_frame(pair):
     known = pair[0]
     picture = overlay_picture(known, frame_surface(known), known.T_WC.double())

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from gsfusion_nb.drawing.curves import PALETTE, rgb_of
 from gsfusion_nb.drawing.pictures import LABEL_PX
 from gsfusion_nb.optim import Keyframe
 from gsfusion_nb.types import Camera
@@ -32,6 +33,18 @@ def test_a_bar_is_as_long_as_its_time():
     picture = stage_bars({"a": {"x": 0.1}, "b": {"x": 0.05}})
     blue = (picture == (61, 133, 198)).all(-1).sum(1)  # the first colour of the palette
     assert blue[:70].max() == pytest.approx(2 * blue[90:150].max(), abs=3)
+
+
+def test_shares_make_bars_of_one_length():
+    picture = stage_bars({"a": {"x": 0.9, "y": 0.1}, "b": {"x": 0.001, "y": 0.003}}, shares=True)
+    blue = (picture == rgb_of(PALETTE[0])).all(-1).sum(1)
+    orange = (picture == rgb_of(PALETTE[1])).all(-1).sum(1)
+    slow = slice(0, 70)
+    fast = slice(90, 150)
+    whole = blue[slow].max() + orange[slow].max()
+    assert blue[slow].max() == pytest.approx(0.9 * whole, abs=4)
+    assert blue[fast].max() == pytest.approx(0.25 * whole, abs=4)
+    assert orange[fast].max() == pytest.approx(0.75 * whole, abs=4)
 
 
 CAMERA = Camera(
