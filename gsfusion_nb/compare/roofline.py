@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from ..backends import BACKENDS, report, use_backend
+from ..drawing.curves import PALETTE
 from ..errors import ArgumentError
 from .bench.options import DEVICES
 from .bench.timing import describe, header, lap, threads
@@ -133,7 +134,7 @@ def kernel_points(
     return points
 
 
-_COLOURS = {"reference": "#3d85c6", "numba": "#d1495b", "triton": "#8e5bb5"}
+_COLOURS = {"reference": PALETTE[0], "numba": PALETTE[3], "triton": PALETTE[1]}
 
 
 def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
@@ -172,7 +173,7 @@ def roofline_figure(roofs: Roofs, points: Sequence[KernelPoint]) -> "Figure":
     )
     for backend in dict.fromkeys(p.backend for p in points):
         own = [p for p in points if p.backend == backend]
-        colour = _COLOURS.get(backend, "#6a9e1f")
+        colour = _COLOURS.get(backend, PALETTE[2])
         fill = "none" if backend == "reference" else colour
         axes.scatter(
             [p.intensity for p in own],
