@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 import torch
 
-from gsfusion_nb import backends, gaussians, interrupts, optim
+from gsfusion_nb import gaussians, interrupts, optim
+from gsfusion_nb.backends import dispatch
 from gsfusion_nb.config import gps_slam, replace, rtg_slam
 from gsfusion_nb.config import gsfusion as gsfusion_settings
 from gsfusion_nb.data import apply_options
@@ -288,9 +289,9 @@ def test_what_hides_a_keyboard_interrupt_becomes_one(monkeypatch):
         raise SystemError("broken")
 
     picture = torch.rand(16, 16, 3)
-    monkeypatch.setattr(backends, "load", lambda *_: hiding)
+    monkeypatch.setattr(dispatch, "load", lambda *_: hiding)
     with pytest.raises(KeyboardInterrupt):
         optim.l1_mse_vjp(picture, picture)
-    monkeypatch.setattr(backends, "load", lambda *_: broken)
+    monkeypatch.setattr(dispatch, "load", lambda *_: broken)
     with pytest.raises(SystemError, match="broken"):
         optim.l1_mse_vjp(picture, picture)
