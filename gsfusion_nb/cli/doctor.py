@@ -115,8 +115,8 @@ def warm() -> int:
     """Compile the fast kernels once and show for what. Returns 0, or 1 if no fast kernel can run
     here.
 
-    Uses what ``auto`` would choose, and leaves out what is not installed. On one
-    thread: more of them gain nothing on so little data, and wait for each other on a busy machine.
+    Uses what ``auto`` would choose, and leaves out what is not installed. On one thread: more of
+    them gain nothing on so little data, and wait for each other on a busy machine.
     """
     from ..compare.bench.timing import threads
 

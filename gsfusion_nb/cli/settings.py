@@ -9,7 +9,7 @@ import dataclasses
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import tyro
 
@@ -21,9 +21,6 @@ from ..config.values import leaves, with_own_settings
 from ..errors import ArgumentError
 from .options import EVERYDAY, HELP, parse_options
 from .run_settings import read_settings
-
-if TYPE_CHECKING:
-    pass
 
 O = TypeVar("O", bound="SettingsOptions")  # noqa: E741
 ROOM = "room"
