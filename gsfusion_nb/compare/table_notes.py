@@ -78,6 +78,7 @@ def notes_on_rows(groups: Sequence[Group]) -> list[str]:
 
 
 def note_on_seeds(groups: Sequence[Group]) -> str:
+    """What ± means within a scene, or that one seed has none."""
     seeds = len({run.spec.seed for group in groups for run in group.runs})
     if seeds < 2:
         return "one seed: no standard deviation within a scene"

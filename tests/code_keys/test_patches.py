@@ -3,10 +3,12 @@ than another."""
 
 import json
 import multiprocessing.managers
+import multiprocessing.pool
 import subprocess
 import sys
 
 import pytest
+import torch
 
 from gsfusion_nb.code_keys.patches import patches
 
@@ -51,15 +53,11 @@ def in_a_namespace_without_a_name():
     return names["other"]
 
 
-@pytest.mark.parametrize("owner", ["torch.Tensor", "multiprocessing.pool.Pool"])
-def test_a_function_without_a_module_is_a_patch_elsewhere(monkeypatch, owner):
-    import multiprocessing.pool
-
-    import torch
-
-    place = {"torch.Tensor": torch.Tensor, "multiprocessing.pool.Pool": multiprocessing.pool.Pool}
-    name = {"torch.Tensor": "sum", "multiprocessing.pool.Pool": "map"}[owner]
-    monkeypatch.setattr(place[owner], name, in_a_namespace_without_a_name())
+@pytest.mark.parametrize(
+    ("owner", "name"), [(torch.Tensor, "sum"), (multiprocessing.pool.Pool, "map")]
+)
+def test_a_function_without_a_module_is_a_patch_elsewhere(monkeypatch, owner, name):
+    monkeypatch.setattr(owner, name, in_a_namespace_without_a_name())
     assert [found for found in patches() if found.endswith(f".{name}")]
 
 

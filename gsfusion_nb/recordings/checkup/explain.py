@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from ...config import RepairConfig
 from ...types import Camera
 from .agreement import Agreement, CalibrationCorrection, FitData, agreement
-from .fit import KINDS, FittedCorrection, correct, cost_of, search_from_starts, together
+from .fit import KINDS, FittedCorrection, correct, cost_of, search_from_nearest, together
 from .interpretations import DEPTH_FACTORS, PRICE, ScoredInterpretation, best_interpretation
 from .sample import WINDOW, Sample
 
@@ -139,7 +139,7 @@ def _contradicted(
         agreeing = True
         for data in (FitData.of(sample, part, interpretation) for part in parts):
             cost = cost_of(data, whole)
-            best, uncertainty = search_from_starts(data, cost, start, one.kind)
+            best, uncertainty = search_from_nearest(data, cost, start, one.kind)
             best = min(best, whole, key=cost)  # the search may end in another valley
             knowing += uncertainty < abs(full_value)
             value = getattr(best, field) - getattr(start, field)

@@ -98,7 +98,7 @@ def _fit_all(data: FitData, start: CalibrationCorrection) -> list[FittedCorrecti
     corrections = []
     for name, kind in KINDS.items():
         if kind.width:
-            best, uncertainty = search_from_starts(data, f, start, name)
+            best, uncertainty = search_from_nearest(data, f, start, name)
         else:
             sizes = [_resized(data, start, k) for k in _SIZES]
             best = min(
@@ -148,20 +148,17 @@ def cost_of(
     return cost
 
 
-def search_from_starts(
+def search_from_nearest(
     data: FitData,
     f: Callable[[CalibrationCorrection], float],
     start: CalibrationCorrection,
     name: str,
 ) -> tuple[CalibrationCorrection, float]:
-    """``search`` for a kind with a range; for the principal point also from where cx and cy are
-    exchanged, and the better of the two."""
-    pixels = data.thinning * data.camera.width / 640
-    starts = [start]
+    """``search`` for a kind with a range; for the principal point it begins where cx and cy are
+    exchanged, if the cost is smaller there."""
     if name == "principal point":
-        starts.append(_with_exchanged_centre(data, start))
-    found = [search(f, each, KINDS[name], pixels) for each in starts]
-    return min(found, key=lambda best_and_uncertainty: f(best_and_uncertainty[0]))
+        start = min(start, _with_exchanged_centre(data, start), key=f)
+    return search(f, start, KINDS[name], data.thinning * data.camera.width / 640)
 
 
 def search(
