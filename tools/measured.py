@@ -336,7 +336,7 @@ def records_of(
                 )
             if program == "python":
                 return leaves(json.loads(process.stdout.strip().splitlines()[-1]))
-        if what in ("sweep", "study") and (target / "runs.csv").is_file():
+        if what in ("sweep", "study", "benchmark") and (target / "runs.csv").is_file():
             rows = csv.DictReader((target / "runs.csv").read_text(encoding="utf-8").splitlines())
             return [
                 {k.removeprefix("metric."): _value_of(k, t) for k, t in r.items()} for r in rows
@@ -353,7 +353,9 @@ def records_of(
             )
         path = target / ("metrics.json" if what == "map" else "table.json")
         records = json.loads(path.read_text(encoding="utf-8"))
-        return of_the_lab(records) if what == "lab" else leaves(records.get("metrics", records))
+        if what == "map":
+            return [of_the_map(records)]
+        return of_the_lab(records) if what == "lab" else leaves(records)
 
 
 def _value_of(column: str, text: str) -> float | str:
@@ -373,6 +375,14 @@ def leaves(table: Any, label: str = "") -> list[Record]:
             for r in leaves(value, f"{label}/{key}" if label else key)
         ]
     return [{"label": label} | table]
+
+
+def of_the_map(document: Mapping[str, Any]) -> Record:
+    """The record of a run: its metrics, and the processor time of each stage, in seconds, under the
+    stage's name with ``processor_seconds_`` before it."""
+    stages = document["processor_seconds"]
+    seconds = {f"processor_seconds_{stage}": took for stage, took in stages.items()}
+    return {"label": ""} | document["metrics"] | seconds
 
 
 def of_the_lab(table: Mapping[str, Any]) -> list[Record]:

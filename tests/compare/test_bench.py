@@ -5,8 +5,10 @@ import sys
 
 import pytest
 import torch
+from toy_system import write_toy
 
 from gsfusion_nb.compare.bench import BenchOptions, raster, run, volume
+from gsfusion_nb.compare.bench.growth import growth_rows
 from gsfusion_nb.compare.bench.mapper import STAGES
 from gsfusion_nb.compare.bench.options import BenchRow
 from gsfusion_nb.compare.bench.scene import random_scene
@@ -78,7 +80,25 @@ def test_growth(tmp_path, capsys):
     for name in SYSTEMS:
         sizes = [row["values"]["n_gaussians"] for row in rows if row["method"] == name]
         assert sizes == sorted(sizes)
+        exponents = [row["values"].get("exponent") for row in rows if row["method"] == name]
+        assert exponents[:-1] == [None, None]
+        last = [row for row in rows if row["method"] == name][-1]
+        assert last["note"].endswith(f"exponent {last['values']['exponent']:.2f}")
     assert capsys.readouterr().out.count("exponent") == len(SYSTEMS)
+
+
+def test_growth_of_a_system_in_a_file(tmp_path):
+    name = write_toy(tmp_path)
+    options = BenchOptions(what="growth", quick=True, size=("64x48",), system=(name,))
+    options.check()
+    rows = list(growth_rows(options))
+    assert [row.method for row in rows] == [name] * 3
+    assert rows[-1].values["n_gaussians"] > 0
+
+
+def test_an_unknown_system_is_refused_before_anything_is_timed():
+    with pytest.raises(KeyError, match="no system 'gsfuson'"):
+        BenchOptions(what="growth", system=("gsfuson",)).check()
 
 
 def test_ctrl_c_keeps_what_was_measured(monkeypatch, tmp_path, capsys):

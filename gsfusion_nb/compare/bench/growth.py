@@ -7,7 +7,7 @@ import numpy as np
 from ...config import replace
 from ...data.room import RoomSequence
 from ...errors import ArgumentError
-from ...mapping import SYSTEMS
+from ...mapping import get_system
 from ...resources import PeakMemory
 from .options import BenchOptions, BenchRow
 from .timing import Lap, lap, summary
@@ -23,9 +23,9 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
     """A square building of equal rooms through which the camera walks, room by room: the mean time
     of a frame in each.
 
-    Rooms 1, 2, 3 to 4, 5 to 8 and so on have a row, the median of these rooms. The last note of a
-    system has the exponent b of  time = a rooms^b  by least squares over all rooms. It is 0 if the
-    size of the map does not matter.
+    Rooms 1, 2, 3 to 4, 5 to 8 and so on have a row, the median of these rooms. The last row of a
+    system has the exponent b of  time = a rooms^b  by least squares over all rooms, in its note and
+    its values. It is 0 if the size of the map does not matter.
     """
     if options.data != "room":
         raise ArgumentError(
@@ -36,7 +36,8 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
     width, height = options.sizes[0] if options.size else ROOM_SIZE
     building = RoomSequence(n_frames=n_frames, rooms=n_rooms, width=width, height=height)
     case = f"room {width}x{height}, rooms"
-    for name, system in SYSTEMS.items():
+    for name in options.system:
+        system = get_system(name)
         config = system.preset("room")
         laps = list[Lap]()
         config = (
@@ -55,14 +56,9 @@ def growth_rows(options: BenchOptions) -> Iterator[BenchRow]:
                 laps.append(Lap(took.wall_s / n_frames, took.cpu_s / n_frames))
                 if n < n_rooms and n & (n - 1) == 0:
                     yield _growth_row(case, name, len(mapper.gaussians), laps)
-        b = np.polyfit(
-            np.log(np.arange(1, n_rooms + 1)),
-            np.log([x.cpu_s for x in laps]),
-            1,
-        )[0]
-        yield _growth_row(
-            case, name, len(mapper.gaussians), laps, f", exponent {b:.2f}", memory.peak_mb
-        )
+        rooms = np.arange(1, n_rooms + 1)
+        exponent, _ = np.polyfit(np.log(rooms), np.log([x.cpu_s for x in laps]), 1)
+        yield _growth_row(case, name, len(mapper.gaussians), laps, float(exponent), memory.peak_mb)
 
 
 def _growth_row(
@@ -70,14 +66,23 @@ def _growth_row(
     name: str,
     n: int,
     laps: list[Lap],
-    more: str = "",
-    mb: float | None = None,
+    exponent: float | None = None,
+    peak_mb: float | None = None,
 ) -> BenchRow:
+    """The row of the later half of ``laps``, those of the rooms since the row before; the last row
+    of a system has an exponent and its memory."""
     half = len(laps) // 2
     case = f"{case} {half + 1} to {len(laps)}"
-    note = f"{n / 1e3:.1f}k{more}"
-    timing = summary(laps[half:], mb)
-    values = {"n_gaussians": n}
+    note = f"{n / 1e3:.1f}k"
+    values: dict[str, float] = {"n_gaussians": n}
+    if exponent is not None:
+        note += f", exponent {exponent:.2f}"
+        values["exponent"] = exponent
     return BenchRow(
-        section="growth", case=case, method=name, timing=timing, note=note, values=values
+        section="growth",
+        case=case,
+        method=name,
+        timing=summary(laps[half:], peak_mb),
+        note=note,
+        values=values,
     )

@@ -13,6 +13,8 @@ from ...config import DataConfig
 from ...config.options import named
 from ...data import OpenedSequence, open_sequence
 from ...errors import ArgumentError
+from ...mapping import get_system
+from ...mapping.systems import SYSTEMS, system_names
 from .timing import Timing
 
 SECTIONS = {
@@ -38,7 +40,7 @@ class BenchOptions:
         "all", lambda: ("all (but growth)", *SECTIONS)
     )
     """What to time: raster is the rasteriser, tsdf TSDF integration, map the whole mapper, growth
-    the three systems in a building of 64 rooms, a quarter of an hour."""
+    the systems in a building of 64 rooms, a quarter of an hour for the three of this package."""
     data: str = "room"
     """Folder of the sequence used by tsdf and map, or "room" for the built-in scene."""
     size: tuple[str, ...] = ()
@@ -49,6 +51,8 @@ class BenchOptions:
     backend: tuple[str, ...] = named((), lambda: TIMED_BACKENDS)
     """Backends of gsfusion-nb to time. Where none is given: all that run on this machine except
     reference, which is slow because it is written for reading."""
+    system: tuple[str, ...] = named(tuple(SYSTEMS), system_names)
+    """Systems that growth times, also one in a file, which is executed: FILE.py:Name."""
     threads: int = 1
     """Number of threads for every method."""
     quick: bool = False
@@ -91,6 +95,8 @@ class BenchOptions:
         check_name("bench", self.what, ("all", *SECTIONS))
         for backend in self.backend:
             check_name("backend", backend, TIMED_BACKENDS)
+        for system in self.system:
+            get_system(system)
         check_whole("--threads", self.threads, 1, os.cpu_count() or 1)
         check_whole("--frames", self.n_frames, 2)
         for size in self.sizes:
