@@ -30,6 +30,7 @@ from ..mapping.moved_surfaces import MovedSurfaces
 from ..mapping.systems import know_system
 from ..types import Frame
 from .quiet_watch import QuietWatch
+from .range_watch import RangeWatch
 from .run_clock import RunClock
 from .run_folder import StepLog, packed, unpacked
 from .run_warnings import RunWarnings
@@ -152,6 +153,7 @@ class MappingRun:
         complete."""
         self.watchers: list[RunWatcher] = []
         self._watch = QuietWatch()
+        self._range_watch = RangeWatch()
         self.store: CheckpointStore | None = None
         """Where the last checkpoint was saved, or read; it knows what need not be written again."""
         self.status = "running"
@@ -214,6 +216,7 @@ class MappingRun:
                 else:
                     yield None
             self._watch.look(self, None)
+            self._range_watch.look(self, None)
         except FrameUndone:  # the run is asked to stop
             return
         finally:
@@ -245,6 +248,7 @@ class MappingRun:
             for sentence in self.mapper.reports.step_warnings(frame, report):
                 self.warnings.warn(sentence)
             self._watch.look(self, frame)
+            self._range_watch.look(self, frame)
         for watcher in self.watchers:
             watcher.frame_mapped(self.mapper, frame, report)
         return report

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import RepairConfig, TsdfConfig
+from ...data.adjust.depth_range import DepthRange
 from ...data.adjust.poses import raw_matrices
 from ...data.lens import same_proportions
 from ...data.recorded.images import read_depth, read_rgb
@@ -170,9 +171,10 @@ _CODE_GAP = 1.3
 """A code at the far end is at least this many times the 99th percentile of the other depths."""
 _MANY_MISSING = 0.5
 _MOST_MISSING = 0.85
-_LEAST_IN_RANGE = 0.25
-"""Share of the depth in the range that is mapped by default; hand-held recordings of rooms have 0.9
-and more."""
+_SMALLEST_SCENE = 0.1
+_LARGEST_SCENE = 2.0
+"""A scene smaller or larger than the default range by such a factor needs voxels of another
+size."""
 DepthCode = tuple[float, bool]
 
 
@@ -246,28 +248,18 @@ def missing_finding(frames: abc.Sequence[FrameFacts], depth_factor: float = 1.0)
 
 
 def _range_finding(depths_m: torch.Tensor, text: str) -> Finding | None:
-    """A finding where little of the depth is in the range that is mapped by default; ``text`` is
-    its beginning."""
+    """A finding where much of the depth is outside of the range that is mapped by default; ``text``
+    is its beginning."""
     tsdf = TsdfConfig()
-    in_range = (depths_m > tsdf.near_m) & (depths_m < tsdf.far_m)
-    share = float(in_range.float().mean()) if len(depths_m) else 1.0
-    if share >= _LEAST_IN_RANGE:
+    outside = DepthRange(near_m=tsdf.near_m, far_m=tsdf.far_m).outside(depths_m)
+    if not outside.is_much:
         return None
-    near_m = 0.9 * _percentile(depths_m, 0.01)
-    far_m = 1.1 * _percentile(depths_m, 0.99)
-    text += (
-        f" Only {share:.0%} of it lies between {tsdf.near_m:g} and {tsdf.far_m:g} m, where "
-        "depth is mapped."
-    )
-    flags = f"--tsdf.near-m {near_m:.2g} --tsdf.far-m {far_m:.2g}"
-    voxel_m = max(0.001, far_m / _VOXELS_ACROSS)
-    return Finding(
-        "depth coverage", "doubtful", text, f"map with {flags} --tsdf.voxel-size-m {voxel_m:.1g}"
-    )
-
-
-_VOXELS_ACROSS = 600
-"""Voxels over the farthest depth: 1 cm at 6 m, the default."""
+    text = f"{text} By default, {outside.sentence}."
+    ratio = outside.last_m / tsdf.far_m
+    repair = f"map with {outside.flags}"
+    if not _SMALLEST_SCENE < ratio < _LARGEST_SCENE:
+        repair += f" --tsdf.voxel-size-m {max(0.001, ratio * tsdf.voxel_size_m):.1g}"
+    return Finding("depth coverage", "doubtful", text, repair)
 
 
 def _percentile(values: torch.Tensor, q: float) -> float:

@@ -3,6 +3,7 @@ points."""
 
 import dataclasses
 import math
+import re
 from typing import Any
 
 import cv2
@@ -175,19 +176,25 @@ def test_only_speckle_is_filled(generator):
 
 
 @pytest.mark.parametrize(
-    ("factor", "verdict"),
-    [(1.0, "ok"), (20.0, "doubtful"), (0.04, "doubtful")],
+    ("factor", "verdict", "options"),
+    [
+        (1.0, "ok", []),
+        (3.0, "doubtful", ["--tsdf.far-m"]),
+        (20.0, "doubtful", ["--tsdf.far-m", "--tsdf.voxel-size-m"]),
+        (0.2, "doubtful", ["--tsdf.near-m"]),
+        (0.04, "doubtful", ["--tsdf.near-m", "--tsdf.voxel-size-m"]),
+    ],
 )
-def test_depth_outside_of_the_mapped_range_is_told(factor, verdict):
-    """A street, and what an endoscope sees: in order as it is, but nothing of it is mapped by
-    default."""
+def test_depth_outside_of_the_mapped_range_is_told(factor, verdict, options):
+    """A hall, a street, a close-up and what an endoscope sees: in order as they are, but not mapped
+    by default."""
     frames = [
         dataclasses.replace(f, depth_m=factor * f.depth_m)
         for f in read_sample(Speckled(1.0)).frames
     ]
     finding = missing_finding(frames, depth_factor=0.1)
     assert finding.verdict == verdict
-    assert ("--tsdf.far-m" in finding.repair) == (verdict == "doubtful")
+    assert re.findall(r"--[\w.-]+", finding.repair) == options
 
 
 def test_what_was_not_measured_is_no_reason_against_a_repair():
