@@ -64,12 +64,14 @@ campaign: dev
 	$(BIN)/python tests/campaign/mutants.py --sample $(MUTANTS) --minutes $(MINUTES)
 
 # The tables in docs/ whose numbers are older than the code that they depend on, and the commands that measure them again.
+# make measured CONFIRM=1 asks whether today's maps are those of the old tables, bit for bit: then they are not old.
 # make measured RENEW="tracking-accuracy ..." RECORDINGS=PATH/TO runs these commands in the folder of the recordings and
 # fills the pages: docs/measured/index.md.
+CONFIRM ?=
 RENEW ?=
 RECORDINGS ?= .
 measured: dev
-	$(BIN)/python tools/measured.py $(if $(RENEW),--renew $(RENEW) --recordings "$(RECORDINGS)")
+	$(BIN)/python tools/measured.py $(if $(CONFIRM),--confirm) $(if $(RENEW),--renew $(RENEW) --recordings "$(RECORDINGS)")
 
 # The stored chapters, executed again in place: all of them, or make chapters CHAPTERS="09 12". Kernels are compiled
 # before, and chapter 10, which measures times, comes last. What the chapters write in notebooks/runs is removed.

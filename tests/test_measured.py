@@ -1,22 +1,16 @@
 """Every number in a table of the docs comes from a file that a command wrote, and the files fit
 their recipes."""
 
-import importlib.util
 import json
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
+import measured
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-_spec = importlib.util.spec_from_file_location("measured", ROOT / "tools/measured.py")
-assert _spec is not None
-assert _spec.loader is not None
-measured = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(measured)
-
 RECIPE = """\
 [groups]
 code = ["code.py", "room"]
@@ -364,3 +358,60 @@ def test_each_file_of_numbers_says_whether_its_commit_is_in_the_history():
         if measured.is_in_history(of["commit"]) != of.get("commit_here", True)
     ]
     assert wrong == [], "run: python tools/measured.py --fill"
+
+
+@pytest.fixture
+def same_rooms(monkeypatch):
+    """The project's code is what makes its maps; hashes of both sides by commit."""
+    hashes = {"now": {"a": "1", "b": "2"}, "then": {"a": "1", "b": "2"}}
+    monkeypatch.setattr(measured.same_maps, "ROOMS", ("code.py",))
+    monkeypatch.setattr(measured.same_maps, "hashes_of_folder", lambda folder: hashes["now"])
+    monkeypatch.setattr(measured.same_maps, "hashes_of_commit", lambda *_: hashes["then"])
+    return hashes
+
+
+def change_code(project, text):
+    (project / "code.py").write_text(text)
+    commit(project)
+
+
+def test_a_table_whose_maps_are_the_same_is_not_old(project, same_rooms):
+    recipes = measured.read_recipes(project)
+    change_code(project, "2\n")
+    assert measured.list_old(recipes, project) == ["walls"]
+    assert measured.confirm(recipes, project) == {"walls": ""}
+    assert measured.list_old(recipes, project) == []
+    head = measured.git("rev-parse", "HEAD", root=project).strip()
+    measured.fill(project, write=True)
+    page = (project / "docs/a.md").read_text()
+    assert f"Commit `{head[:8]}` makes the same maps." in page
+    change_code(project, "3\n")  # what comes later is compared with the later commit
+    assert measured.list_old(recipes, project) == ["walls"]
+
+
+@pytest.mark.parametrize("now", [{"a": "1", "b": "3"}, {"a": "1"}])
+def test_a_table_with_another_map_stays_old(project, same_rooms, now):
+    recipes = measured.read_recipes(project)
+    change_code(project, "2\n")
+    same_rooms["now"] = now
+    assert "1 maps are others" in measured.confirm(recipes, project)["walls"]
+    assert measured.list_old(recipes, project) == ["walls"]
+
+
+def test_maps_say_nothing_of_times_and_of_other_code(project, same_rooms, monkeypatch):
+    recipes = measured.read_recipes(project)
+    change_code(project, "2\n")
+    recipes["walls"]["quiet"] = True
+    assert measured.confirm(recipes, project)["walls"] == "its times must be measured"
+    recipes["walls"]["quiet"] = False
+    monkeypatch.setattr(measured.same_maps, "ROOMS", ("room/",))
+    assert measured.confirm(recipes, project)["walls"] == "code.py changed, which makes no map"
+    recipes["walls"]["columns"] = ["", "PSNR", "error"]
+    assert measured.confirm(recipes, project)["walls"] == "the recipe has changed"
+
+
+def test_uncommitted_code_is_not_confirmed(project, same_rooms):
+    change_code(project, "2\n")
+    (project / "code.py").write_text("3\n")
+    with pytest.raises(measured.MeasuredError, match="commit first"):
+        measured.confirm(measured.read_recipes(project), project)

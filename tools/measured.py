@@ -3,6 +3,7 @@ pages from there.
 
     python tools/measured.py                 # list the tables that are out of date; needs git
     python tools/measured.py --renew NAME    # run a table's commands, fill the pages
+    python tools/measured.py --confirm       # are today's maps those of the tables, bit for bit?
     python tools/measured.py --fill          # fill the pages from the JSON files
 
 A table is out of date where something that it depends on has changed since it was measured.
@@ -28,11 +29,15 @@ from functools import cache
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
+import same_maps
+
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED = "docs/measured"
 COMMIT_HERE = "commit_here"
 """Key of a file of numbers: whether its commit is in the history of this repository; absent means
 that it is."""
+SAME_MAPS = "same_maps"
+"""Key of a file of numbers: a later commit that makes the same maps, and when that was found."""
 KEYS = {"about", "depends", "columns", "rows", "runs", "cells", "texts", "minutes", "quiet"}
 MARKER = re.compile(
     r"(?<!`)<!-- (table|commands|text): ([\w-]+)(?: ([\w-]+))? -->(.*?)<!-- end -->", re.DOTALL
@@ -108,7 +113,9 @@ def origin(name: str, numbers: Mapping[str, Any]) -> str:
     """The sentence under a table: when it was measured, and with which commit."""
     commit = numbers["commit"][:8]
     if numbers.get(COMMIT_HERE, True):
-        return f"Measured on {numbers['date']} with commit `{commit}`."
+        text = f"Measured on {numbers['date']} with commit `{commit}`."
+        later = numbers.get(SAME_MAPS)
+        return f"{text} Commit `{later['commit'][:8]}` makes the same maps." if later else text
     return (
         f"**These are not today's numbers.** They were measured on {numbers['date']} with commit "
         f"`{commit}`, which is "
@@ -208,11 +215,17 @@ def reason_of_age(
         return f"its commit is not in this repository: {numbers['commit'][:8]} of {numbers['date']}"
     if any(numbers[key] != recipe[key] for key in ("commands", "columns")):
         return "the recipe has changed"
-    changed = changed_files(numbers["commit"], tuple(recipe["depends"]), root)
+    changed = changed_files(last_commit(numbers, root), tuple(recipe["depends"]), root)
     if not changed:
         return ""
     more = f" ({len(changed)} files in all)" if len(changed) > 1 else ""
     return f"{changed[0]} changed since {numbers['date']}{more}"
+
+
+def last_commit(numbers: Mapping[str, Any], root: Path = ROOT) -> str:
+    """The commit with which a table was measured, or the last one that makes the same maps."""
+    later = numbers.get(SAME_MAPS, {}).get("commit", "")
+    return later if later and is_in_history(later, root) else numbers["commit"]
 
 
 def changed_files(
@@ -301,6 +314,64 @@ def list_old(
             )
     print(f"{len(old)} tables are older than what they depend on.")
     return old
+
+
+# ---- Confirming ----------------------------------------------------------------------------------
+
+
+def confirm(recipes: Mapping[str, dict[str, Any]], root: Path = ROOT) -> dict[str, str]:
+    """Compare today's maps with those of the commits of old tables, bit for bit. Where they are the
+    same, the table is as good as measured today, and its file says so.
+
+    A table of times, one whose recipe has changed, and one that depends on a changed file outside
+    of ``same_maps.ROOMS`` must be measured again.
+
+    Returns:
+        Name of each old table -> why it is not confirmed; empty if it is.
+
+    Raises:
+        MeasuredError: this cannot be known here, or what the maps depend on is not committed.
+    """
+    check_history(root)
+    if dirty_files := git("status", "--porcelain", "--", *same_maps.ROOMS, root=root).strip():
+        raise MeasuredError(f"commit first what the maps depend on:\n{dirty_files}")
+    reasons: dict[str, str] = {}
+    by_commit: dict[str, list[str]] = {}
+    for name, recipe in recipes.items():
+        if reason_of_age(name, recipe, root):
+            reasons[name] = reason_to_measure(name, recipe, root)
+            if not reasons[name]:
+                by_commit.setdefault(last_commit(read_numbers(name, root), root), []).append(name)
+    if not by_commit:
+        return reasons
+    now = same_maps.hashes_of_folder(root)
+    head = git("rev-parse", "HEAD", root=root).strip()
+    for commit, names in by_commit.items():
+        others = same_maps.differences(same_maps.hashes_of_commit(commit, root), now)
+        for name in names:
+            if others:
+                reasons[name] = f"{len(others)} maps are others since {commit[:8]}: {others[0]}"
+                continue
+            numbers = read_numbers(name, root)
+            numbers[SAME_MAPS] = {"commit": head, "date": datetime.date.today().isoformat()}
+            write_numbers(root / MEASURED / f"{name}.json", numbers)
+    return reasons
+
+
+def reason_to_measure(name: str, recipe: Mapping[str, Any], root: Path = ROOT) -> str:
+    """Why equal maps would not make an old table current; empty if they would."""
+    if recipe.get("quiet"):
+        return "its times must be measured"
+    if not (root / MEASURED / f"{name}.json").is_file():
+        return "never measured"
+    numbers = read_numbers(name, root)
+    if not is_in_history(numbers["commit"], root) or any(
+        numbers[key] != recipe[key] for key in ("commands", "columns")
+    ):
+        return reason_of_age(name, recipe, root)
+    changed = changed_files(last_commit(numbers, root), tuple(recipe["depends"]), root)
+    elsewhere = [path for path in changed if not path.startswith(same_maps.ROOMS)]
+    return f"{elsewhere[0]} changed, which makes no map" if elsewhere else ""
 
 
 # ---- Measuring -----------------------------------------------------------------------------------
@@ -571,10 +642,20 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--fill", action="store_true", help="fill the pages from the files of numbers"
     )
+    parser.add_argument(
+        "--confirm",
+        action="store_true",
+        help="compare today's maps with those of the old tables, which takes ten minutes",
+    )
     options = parser.parse_args(arguments)
     recipes = read_recipes()
     finished_records: dict[str, list[Record]] = {}
     try:
+        if options.confirm:
+            for name, reason in confirm(recipes).items():
+                print(f"{name}: {reason or 'the same maps'}")
+            fill(write=True)
+            return 0
         if not options.renew and not options.fill:
             list_old(recipes)
             return 0
