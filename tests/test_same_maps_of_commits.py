@@ -1,6 +1,8 @@
 """The maps by which another version of the program is compared: which there are, and that a change
 shows."""
 
+from typing import Any
+
 import pytest
 import same_maps
 
@@ -32,7 +34,7 @@ def test_a_changed_rule_changes_its_hash_alone(monkeypatch):
     other = ("gsfusion", "measured", {"seeding__rule": "dense", "sh_degree": 0})
     before = same_maps.hash_of_map(*small), same_maps.hash_of_map(*other)
     assert before == (same_maps.hash_of_map(*small), same_maps.hash_of_map(*other))
-    rule = registered()["uniform"]
+    rule: Any = registered()["uniform"]
 
     def smaller(ctx, **options) -> Seeds:
         seeds = rule(ctx, **options)

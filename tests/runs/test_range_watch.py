@@ -2,24 +2,25 @@
 map it."""
 
 import dataclasses
+from typing import Any
 
 import pytest
 import torch
 
 from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
-from gsfusion_nb.data import apply_options
+from gsfusion_nb.data import open_sequence
 from gsfusion_nb.data.room import room
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.runs.range_watch import LOOKED_AT, RangeWatch
 from gsfusion_nb.runs.run_warnings import RunWarnings
 
-SMALL = {"data__width": 32, "data__height": 24, "data__hold_out_every": 0}
+SMALL: dict[str, Any] = {"data__width": 32, "data__height": 24, "data__hold_out_every": 0}
 
 
 def run_of(config, n_frames=LOOKED_AT + 2):
     """A run of a few small frames, mapped without passes."""
-    sequence = apply_options(room(n_frames=n_frames, width=32, height=24), config.data)
+    sequence = open_sequence("room", data=config.data, n_frames=n_frames, width=32, height=24)
     run = MappingRun(sequence, make_mapper(config))
     for _ in run.online():
         pass
