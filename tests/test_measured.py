@@ -360,6 +360,19 @@ def test_each_file_of_numbers_says_whether_its_commit_is_in_the_history():
     assert wrong == [], "run: python tools/measured.py --fill"
 
 
+@pytest.mark.parametrize(
+    ("quiet", "threads", "words"),
+    [
+        (True, 1, "`, with one thread."),
+        (True, 2, "`, with 2 threads."),
+        (False, 2, "`."),
+    ],
+)
+def test_a_table_of_times_says_its_threads(quiet, threads, words):
+    numbers = {"commit": "0123456789", "date": "2026-01-01", "machine": {"threads": threads}}
+    assert measured.origin("walls", numbers | {"quiet": quiet}).endswith(words)
+
+
 @pytest.fixture
 def same_rooms(monkeypatch):
     """The project's code is what makes its maps; hashes of both sides by commit."""

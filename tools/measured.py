@@ -113,7 +113,7 @@ def origin(name: str, numbers: Mapping[str, Any]) -> str:
     """The sentence under a table: when it was measured, and with which commit."""
     commit = numbers["commit"][:8]
     if numbers.get(COMMIT_HERE, True):
-        text = f"Measured on {numbers['date']} with commit `{commit}`."
+        text = f"Measured on {numbers['date']} with commit `{commit}`{with_threads(numbers)}."
         later = numbers.get(SAME_MAPS)
         return f"{text} Commit `{later['commit'][:8]}` makes the same maps." if later else text
     return (
@@ -121,6 +121,14 @@ def origin(name: str, numbers: Mapping[str, Any]) -> str:
         f"`{commit}`, which is "
         f'not in this repository. Measure again with `make measured RENEW="{name}"`.'
     )
+
+
+def with_threads(numbers: Mapping[str, Any]) -> str:
+    """Of a table with times: with how many threads; otherwise nothing."""
+    if not numbers.get("quiet"):
+        return ""
+    threads = numbers["machine"]["threads"]
+    return f", with {threads} threads" if threads > 1 else ", with one thread"
 
 
 def of_one_seed(commands: Iterable[str]) -> list[str]:
@@ -585,6 +593,8 @@ def renew(
     numbers = {key: recipe[key] for key in ("about", "commands", "depends")} | made(recipe, values)
     numbers |= {"commit": git("rev-parse", "HEAD").strip()}
     numbers |= {"date": datetime.date.today().isoformat(), "versions": machine["versions"]}
+    if recipe.get("quiet"):
+        numbers["quiet"] = True
     numbers["machine"] = {
         "cpu": machine["processor"],
         "cores": machine["cores"],
