@@ -50,6 +50,11 @@ class CompileClock:
             self._times.seconds += time.perf_counter() - wall
             self._times.cpu_seconds += time.thread_time() - cpu
 
+    def add_cpu(self, seconds: float) -> None:
+        """A compiler that the calling thread waited for has taken so much processor time,
+        seconds."""
+        self._times.cpu_seconds += seconds
+
     @contextlib.contextmanager
     def compiling(self) -> Iterator[None]:
         """A block in which the calling thread compiles."""

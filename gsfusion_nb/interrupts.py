@@ -27,15 +27,29 @@ def undisturbed(function: F) -> F:
 
 
 while_compiling: list[Callable[[], None]] = []
-"""Called, the last of them, between two steps of a compiler: it may raise ``KeyboardInterrupt`` to
-end the compilation, which takes up to a minute. Whoever delays signals puts a function here that
-knows whether that is possible."""
+"""Called, the last of them, while a compiler works: it may raise ``KeyboardInterrupt``, so that
+nobody waits for the compiler, which takes up to a minute. Whoever delays signals puts a function
+here that knows whether that is possible."""
 
 
 def compiler_goes_on() -> None:
-    """Called by those who compile, between two steps."""
+    """Called again and again by those who wait for a compiler."""
     if while_compiling and _is_main_thread():
         while_compiling[-1]()
+
+
+not_waited_for: list[threading.Thread] = []
+"""Threads in a compiler, which nothing can stop, and which a program that was interrupted does not
+wait for."""
+
+
+def end_process(status: int) -> None:
+    """End the process at once if it would wait for such a thread; otherwise nothing happens. What
+    was printed is written out."""
+    if not_waited_for:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
 
 
 def as_interrupt(error: BaseException) -> KeyboardInterrupt | None:

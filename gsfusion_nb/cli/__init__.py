@@ -8,6 +8,7 @@ import os
 import sys
 
 from ..errors import FORESEEN, crash_sentence
+from ..interrupts import end_process
 from .commands import COMMANDS, PROGRAM, print_help
 
 _REFUSED = {
@@ -19,6 +20,14 @@ _REFUSED = {
 
 NOBODY_READS = 141
 """Exit status, as of a program that the signal SIGPIPE ended."""
+
+
+def program() -> int:
+    """What is installed as ``gsfusion-nb``: ``main`` with the arguments of the process, which ends
+    then, also while a compiler still works."""
+    status = main()
+    end_process(status)
+    return status
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -1,7 +1,5 @@
 """Say once that kernels are being compiled: the first call on a machine takes some seconds without
-it looking so.
-
-And let Ctrl-C end it, between two passes of the compiler; and count its time.
+it looking so. And count its time.
 """
 
 import logging
@@ -9,7 +7,6 @@ import logging
 from numba.core import event
 
 from gsfusion_nb.compile_clock import COMPILE_CLOCK
-from gsfusion_nb.interrupts import compiler_goes_on
 
 log = logging.getLogger(__name__)
 
@@ -51,18 +48,5 @@ class CompileTimer(event.Listener):
         COMPILE_CLOCK.end()
 
 
-class PassEnd(event.Listener):
-    """Lets a signal take effect after each pass of numba's compiler."""
-
-    def on_start(self, event: event.Event) -> None:
-        """Nothing to do."""
-
-    def on_end(self, event: event.Event) -> None:
-        """Called by numba after a pass."""
-        if not event.is_failed:
-            compiler_goes_on()
-
-
 event.register("numba:compile", CompileNotice())
 event.register("numba:compile", CompileTimer())
-event.register("numba:run_pass", PassEnd())

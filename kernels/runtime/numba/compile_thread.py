@@ -1,0 +1,93 @@
+"""Compile kernels in a thread of their own, so that Ctrl-C is heard meanwhile.
+
+Python hears a signal between two of its own instructions, and the compiler of one kernel may take
+half a minute without any. The main thread waits for it here in small steps. After Ctrl-C the
+compiler goes on until its kernel is on disk: the next call has it then, or waits for it.
+"""
+
+import atexit
+import functools
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from numba.core import dispatcher
+
+from gsfusion_nb.compile_clock import COMPILE_CLOCK
+from gsfusion_nb.interrupts import compiler_goes_on, not_waited_for
+
+_KERNELS = __name__.split(".runtime.")[0]
+_POLL_S = 0.05
+_STACK_BYTES = 64 << 20
+"""Of the thread; the compiler's recursion is deep, and threads have 1 MB on Windows."""
+
+
+class Compilation(threading.Thread):
+    """One call of the compiler."""
+
+    def __init__(self, call: Callable[[], Any], name: str):
+        super().__init__(name=f"compiling {name}", daemon=True)
+        self._call = call
+        self._value: Any = None
+        self._error: BaseException | None = None
+        self.cpu_s = 0.0
+        """Processor time of the thread, when it has ended."""
+
+    def run(self) -> None:
+        """Called by the thread."""
+        try:
+            self._value = self._call()
+        except BaseException as error:
+            self._error = error
+        finally:
+            self.cpu_s = time.thread_time()
+            not_waited_for.remove(self)
+
+    def result(self) -> Any:
+        """Wait for the end; what the call returned or raised. ``KeyboardInterrupt`` leaves the
+        compiler alone."""
+        with COMPILE_CLOCK.compiling():
+            while self.is_alive():
+                self.join(_POLL_S)
+                compiler_goes_on()
+        COMPILE_CLOCK.add_cpu(self.cpu_s)
+        if self._error is not None:
+            raise self._error
+        return self._value
+
+    @classmethod
+    def begin(cls, call: Callable[[], Any], name: str) -> "Compilation":
+        """Start the thread."""
+        compilation = cls(call, name)
+        usual_bytes = threading.stack_size(_STACK_BYTES)
+        try:
+            not_waited_for.append(compilation)
+            compilation.start()
+        finally:
+            threading.stack_size(usual_bytes)
+        return compilation
+
+
+@atexit.register
+def wait_for_compilers() -> None:
+    """At the end of a process that nobody ended at once (``end_process``): the library of the
+    compiler must not be taken away while it works."""
+    for compilation in list(not_waited_for):
+        compilation.join()
+
+
+_compile = dispatcher.Dispatcher.compile
+
+
+@functools.wraps(_compile)
+def compile_and_listen(self: dispatcher.Dispatcher, sig: Any) -> Any:
+    """``Dispatcher.compile``, in a thread where the main thread compiles one of our functions."""
+    is_ours = self.py_func.__module__.startswith(_KERNELS)
+    if not is_ours or threading.current_thread() is not threading.main_thread():
+        return _compile(self, sig)
+    compilation = Compilation.begin(lambda: _compile(self, sig), self.py_func.__name__)
+    return compilation.result()
+
+
+dispatcher.Dispatcher.compile = compile_and_listen  # pyright: ignore[reportAttributeAccessIssue]
