@@ -256,6 +256,18 @@ def agreement_of(
     )
 
 
+def colour_difference(frames: Sequence[SmallFrame], poses: Sequence[Float[Tensor, "4 4"]]) -> float:
+    """``FirstAgreement.colour`` alone, of frames with the same camera; arguments as for
+    ``agreement_of``."""
+    places = [(i, i + gap) for gap in GAPS for i in range(len(frames) - gap)]
+    if not places:
+        return math.nan
+    pairs = pairs_of(frames, poses, places)
+    as_is = pairs.moved()
+    agrees = as_is.known & (as_is.residual.abs() < AGREES)
+    return _colour(frames, places, pairs, as_is.uv_b, agrees)
+
+
 def _colour(
     frames: Sequence[SmallFrame],
     places: Sequence[tuple[int, int]],

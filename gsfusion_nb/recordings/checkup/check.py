@@ -27,7 +27,7 @@ from .frames import (
     measure_over_frames,
 )
 from .interpretations import pairs_of
-from .judge_colour import registration_findings
+from .judge_colour import registration_findings, unrelated_pictures
 from .judge_fit import agreement_finding, fit_findings
 from .pictures import path_from_above, pictures_of
 from .report import CheckupReport, Finding, flags_of, reader_flags
@@ -170,6 +170,11 @@ def _examine(
     colour, colour_findings = registration_findings(
         fit_colour(trials.mapped(sample)), sample.camera
     )
+    if has_poses and colour_findings[0].verdict != "wrong" and not e.interpretation.changes:
+        unrelated = unrelated_pictures(trials.mapped(sample), colour.rgb_shift_frames)
+        if unrelated:
+            colour = RepairConfig()
+            colour_findings = [unrelated]
     colour_fits_depth = colour_findings[0].verdict != "wrong" or bool(colour.changes)
     reader = {}
     if hint and colour_findings[0].verdict in (

@@ -3,9 +3,11 @@
 import math
 
 from ...config import RepairConfig
+from ...data.adjust.first_frames import SmallFrame, colour_difference
 from ...types import Camera
 from .colour import ColourFit
 from .report import Finding
+from .sample import Sample
 
 SHIFT_LIMITS = ((3.0, 1.2), (5.0, 2.0))
 """Shifts from which a recording is doubtful and wrong, in 640ths of the image width, and in
@@ -21,6 +23,48 @@ _CLEAR_PEAK = 5.0
 _UNRELATED_SCORE = 0.4
 """With no clear peak either, colour has no edges on the depth edges under any shift: wrongly paired
 frames give up to 4 and 0.2, registered ones 6 to 10 and 0.9 to 1.4."""
+
+
+PAIR_AGAIN = (
+    "pair every depth image with the colour image of its time; register the cameras with their "
+    "calibration"
+)
+_UNRELATED_DIFFERENCE = 0.87
+"""Where the same points of two frames differ more in brightness than this share of what pixels in
+the same place do, the pictures are not those of the depth images. Wrongly paired frames give 0.92
+to 1.05, registered ones 0.15 to 0.31, and up to 0.81 where colour is late or the poses are."""
+_FRAMES = 62
+"""At most so many frames are compared with each other."""
+
+
+def unrelated_pictures(sample: Sample, shift_frames: int) -> Finding | None:
+    """A finding where the pictures do not move as depth and poses do; None if they do, or if it
+    cannot be seen. Edges of depth alone cannot tell: slow motion leaves them nearly in place.
+
+    Args:
+        sample: Frames with poses that are right as they are read.
+        shift_frames: The picture of a frame is taken from so many frames later.
+    """
+    by_place = sample.by_place
+    facts = [f for f in sample.frames if f.place + shift_frames in by_place][:_FRAMES]
+    frames = [
+        SmallFrame(
+            index=f.number,
+            camera=sample.depth_camera,
+            depth_m=f.depth_m,
+            grey=by_place[f.place + shift_frames].grey,
+        )
+        for f in facts
+    ]
+    poses = [f.T_stored for f in facts]
+    difference = colour_difference(frames, poses)
+    if not difference > _UNRELATED_DIFFERENCE:  # nor where it is NaN
+        return None
+    text = (
+        "The colour images are those of other frames: the same points of two frames differ in "
+        f"brightness by {difference:.0%} of what pixels in the same place do (usual: at most 54 %)."
+    )
+    return Finding("registration", "wrong", text, PAIR_AGAIN)
 
 
 def registration_findings(
@@ -40,11 +84,7 @@ def registration_findings(
             "The colour images do not lie on the depth images under any shift, scale, mirroring or "
             "time: they are those of other frames, or of a second camera that is not registered."
         )
-        repair = (
-            "pair every depth image with the colour image of its time; register the cameras "
-            "with their calibration"
-        )
-        return none, [Finding("registration", "wrong", text, repair)]
+        return none, [Finding("registration", "wrong", text, PAIR_AGAIN)]
     time = Finding("colour time", "ok", "Colour and depth belong to the same frame.")
     repair = none
     if fit.shift_frames:
