@@ -10,7 +10,7 @@ from toy_system import write_toy
 from gsfusion_nb.compare.bench import BenchOptions, raster, run, volume
 from gsfusion_nb.compare.bench.growth import growth_rows
 from gsfusion_nb.compare.bench.mapper import STAGES
-from gsfusion_nb.compare.bench.options import BenchRow
+from gsfusion_nb.compare.bench.options import SECTIONS, BenchRow
 from gsfusion_nb.compare.bench.scene import random_scene
 from gsfusion_nb.compare.bench.timing import Lap, summary
 from gsfusion_nb.geometry import project, se3
@@ -191,3 +191,16 @@ def test_about_thirty_gaussians_are_visible_at_a_pixel(n, size):
     A, B, C = p.conic.unbind(-1)
     alpha = p.opacity * torch.exp(-0.5 * (A * dx**2 + C * dy**2) - B * dx * dy)
     assert float((alpha >= ALPHA_MIN).sum(1).float().mean()) == pytest.approx(30, rel=0.25)
+
+
+def test_the_truncation_is_what_the_table_says(small, monkeypatch):
+    made = []
+    volume_type = volume.TsdfVolume
+    monkeypatch.setattr(
+        volume, "TsdfVolume", lambda config, **o: made.append(config) or volume_type(config, **o)
+    )
+    options = BenchOptions(what="tsdf", quick=True, size=("64x48",), frames=2)
+    assert list(volume.tsdf_rows(options))
+    words = f"truncation {made[0].truncation_voxels:g} voxels"
+    assert words in SECTIONS["tsdf"]
+    assert {config.truncation_voxels for config in made} == {4.0}
