@@ -119,9 +119,11 @@ class RemoteSubject:
         finally:
             self._rest_s -= time.monotonic() - began
         if "failed" in reply:
-            said = reply["failed"] if isinstance(reply["failed"], list) else [reply["failed"]]
-            prop, detail = (*map(cut, said), "", "")[:2]
-            raise Failed(prop, "", detail)
+            failed = reply["failed"]
+            words = [cut(text) for text in (failed if isinstance(failed, list) else [failed])]
+            name = words[0] if words else ""
+            detail = words[1] if len(words) > 1 else ""
+            raise Failed(name, "", detail)
         return reply
 
     def _answer_question(

@@ -124,20 +124,18 @@ def pixel_stack(
         ValueError: the pixel is not in the picture.
     """
     check_pixel(splats.camera, u, v)
-    b = blend or blend_at(
-        splats,
-        splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]]),
-    )
+    if blend is None:
+        blend = blend_at(splats, splats.projection.uv.new_tensor([[u + 0.5, v + 0.5]]))
     return PixelStack(
         u=u,
         v=v,
-        row=b.row,
-        depth_m=splats.projection.depth_m[b.row],
-        alpha=b.alpha[0],
-        weight=b.weight[0],
-        transmittance=b.transmittance[0, :-1],
-        rgb=splats.rgb[b.row],
-        light_left=float(b.transmittance[0, -1]),
+        row=blend.row,
+        depth_m=splats.projection.depth_m[blend.row],
+        alpha=blend.alpha[0],
+        weight=blend.weight[0],
+        transmittance=blend.transmittance[0, :-1],
+        rgb=splats.rgb[blend.row],
+        light_left=float(blend.transmittance[0, -1]),
     )
 
 
