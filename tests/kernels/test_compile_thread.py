@@ -112,6 +112,19 @@ def test_functions_of_others_are_compiled_as_usual(monkeypatch):
     assert asked_thread(monkeypatch, theirs) is threading.main_thread()
 
 
+def test_what_a_function_in_the_compiler_calls_is_compiled_with_it(monkeypatch):
+    """The compiler has one lock, which its thread holds."""
+    ours = Dispatcher("gsfusion_nb.kernels.project.numba")
+    with compile_thread.global_compiler_lock:
+        assert asked_thread(monkeypatch, ours) is threading.main_thread()
+    assert asked_thread(monkeypatch, ours) is not threading.main_thread()
+
+
+def test_a_function_of_a_user_may_call_a_kernel():
+    process = ended(CALLER, timeout=300)
+    assert (process.returncode, process.stdout, process.stderr) == (0, "0.5\n", "")
+
+
 def test_another_thread_than_the_main_one_compiles_itself(monkeypatch):
     ours = Dispatcher("gsfusion_nb.kernels.project.numba")
     found = []
@@ -125,6 +138,19 @@ def test_another_thread_than_the_main_one_compiles_itself(monkeypatch):
     assert found == [True]
 
 
+CALLER = """
+import numba
+import numpy as np
+from gsfusion_nb.kernels.runtime.numba.scalars import solve_into
+
+@numba.njit
+def solution(H, b):
+    x = np.zeros_like(b)
+    solve_into(H, b, x)
+    return x[0]
+
+print(solution(np.array([[4.0]]), np.array([2.0])))
+"""
 BEGIN = """
 import sys, time
 from gsfusion_nb.interrupts import end_process

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import Any
 
 from numba.core import dispatcher
+from numba.core.compiler_lock import global_compiler_lock
 
 from gsfusion_nb.compile_clock import COMPILE_CLOCK
 from gsfusion_nb.interrupts import compiler_goes_on, not_waited_for
@@ -82,9 +83,11 @@ _compile = dispatcher.Dispatcher.compile
 
 @functools.wraps(_compile)
 def compile_and_listen(self: dispatcher.Dispatcher, sig: Any) -> Any:
-    """``Dispatcher.compile``, in a thread where the main thread compiles one of our functions."""
+    """``Dispatcher.compile``, in a thread where the main thread compiles one of our functions. One
+    that a function in the compiler calls is compiled with it, under the lock of its thread."""
     is_ours = self.py_func.__module__.startswith(_KERNELS)
-    if not is_ours or threading.current_thread() is not threading.main_thread():
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_ours or not is_main or global_compiler_lock.is_locked():
         return _compile(self, sig)
     compilation = Compilation.begin(lambda: _compile(self, sig), self.py_func.__name__)
     return compilation.result()
