@@ -112,6 +112,18 @@ def test_functions_of_others_are_compiled_as_usual(monkeypatch):
     assert asked_thread(monkeypatch, theirs) is threading.main_thread()
 
 
+def test_where_no_thread_can_be_started_the_main_one_compiles(monkeypatch):
+    def cannot(self):
+        raise RuntimeError("can't start new thread")
+
+    usual_bytes = threading.stack_size()
+    monkeypatch.setattr(Compilation, "start", cannot)
+    ours = Dispatcher("gsfusion_nb.kernels.project.numba")
+    assert asked_thread(monkeypatch, ours) is threading.main_thread()
+    assert interrupts.not_waited_for == []
+    assert threading.stack_size() == usual_bytes
+
+
 def test_what_a_function_in_the_compiler_calls_is_compiled_with_it(monkeypatch):
     """The compiler has one lock, which its thread holds."""
     ours = Dispatcher("gsfusion_nb.kernels.project.numba")

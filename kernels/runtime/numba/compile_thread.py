@@ -20,8 +20,9 @@ from gsfusion_nb.interrupts import compiler_goes_on, not_waited_for
 
 _KERNELS = __name__.split(".runtime.")[0]
 _POLL_S = 0.05
-_STACK_BYTES = 64 << 20
-"""Of the thread; the compiler's recursion is deep, and threads have 1 MB on Windows."""
+_STACK_BYTES = 16 << 20
+"""Of the thread: twice what a main thread has on Linux. Other threads have 1 MB on Windows, and the
+compiler's recursion is deep."""
 
 
 class Compilation(threading.Thread):
@@ -59,12 +60,19 @@ class Compilation(threading.Thread):
 
     @classmethod
     def begin(cls, call: Callable[[], Any], name: str) -> "Compilation":
-        """Start the thread."""
+        """Start the thread.
+
+        Raises:
+            RuntimeError: no thread can be started, because memory is limited.
+        """
         compilation = cls(call, name)
         usual_bytes = threading.stack_size(_STACK_BYTES)
+        not_waited_for.append(compilation)
         try:
-            not_waited_for.append(compilation)
             compilation.start()
+        except RuntimeError:
+            not_waited_for.remove(compilation)
+            raise
         finally:
             threading.stack_size(usual_bytes)
         return compilation
@@ -89,7 +97,10 @@ def compile_and_listen(self: dispatcher.Dispatcher, sig: Any) -> Any:
     is_main = threading.current_thread() is threading.main_thread()
     if not is_ours or not is_main or global_compiler_lock.is_locked():
         return _compile(self, sig)
-    compilation = Compilation.begin(lambda: _compile(self, sig), self.py_func.__name__)
+    try:
+        compilation = Compilation.begin(lambda: _compile(self, sig), self.py_func.__name__)
+    except RuntimeError:
+        return _compile(self, sig)
     return compilation.result()
 
 
