@@ -50,10 +50,10 @@ class CompileClock:
             self._times.seconds += time.perf_counter() - wall
             self._times.cpu_seconds += time.thread_time() - cpu
 
-    def add_cpu(self, seconds: float) -> None:
-        """A compiler that the calling thread waited for has taken so much processor time,
-        seconds."""
-        self._times.cpu_seconds += seconds
+    def add(self, seconds: float, cpu_seconds: float) -> None:
+        """Another thread has compiled so long, while the calling one waited for it."""
+        self._times.seconds += seconds
+        self._times.cpu_seconds += cpu_seconds
 
     @contextlib.contextmanager
     def compiling(self) -> Iterator[None]:

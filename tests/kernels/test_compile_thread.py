@@ -71,15 +71,27 @@ def test_whoever_delays_signals_is_asked_meanwhile(released):
     assert asked == [True]
 
 
-def test_its_processor_time_counts_as_compiling():
-    def work():
-        until = time.thread_time() + 0.05
-        while time.thread_time() < until:
-            pass
+def work(cpu_s=0.05):
+    until = time.thread_time() + cpu_s
+    while time.thread_time() < until:
+        pass
 
-    before = COMPILE_CLOCK.cpu_seconds
+
+def test_what_its_thread_compiles_counts_for_the_one_that_waits():
+    def compile_long():
+        with COMPILE_CLOCK.compiling():
+            work()
+
+    before = COMPILE_CLOCK.seconds, COMPILE_CLOCK.cpu_seconds
+    Compilation.begin(compile_long, "kernel").result()
+    assert COMPILE_CLOCK.seconds - before[0] >= 0.05
+    assert COMPILE_CLOCK.cpu_seconds - before[1] >= 0.05
+
+
+def test_a_kernel_that_was_on_disk_is_not_compiled():
+    before = COMPILE_CLOCK.seconds, COMPILE_CLOCK.cpu_seconds
     Compilation.begin(work, "kernel").result()
-    assert COMPILE_CLOCK.cpu_seconds - before >= 0.05
+    assert before == (COMPILE_CLOCK.seconds, COMPILE_CLOCK.cpu_seconds)
 
 
 class Dispatcher:

@@ -8,7 +8,6 @@ compiler goes on until its kernel is on disk: the next call has it then, or wait
 import atexit
 import functools
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -33,8 +32,8 @@ class Compilation(threading.Thread):
         self._call = call
         self._value: Any = None
         self._error: BaseException | None = None
-        self.cpu_s = 0.0
-        """Processor time of the thread, when it has ended."""
+        self._compiled_s = 0.0
+        self._compiled_cpu_s = 0.0
 
     def run(self) -> None:
         """Called by the thread."""
@@ -43,17 +42,18 @@ class Compilation(threading.Thread):
         except BaseException as error:
             self._error = error
         finally:
-            self.cpu_s = time.thread_time()
+            # nothing, where the kernel was on disk
+            self._compiled_s = COMPILE_CLOCK.seconds
+            self._compiled_cpu_s = COMPILE_CLOCK.cpu_seconds
             not_waited_for.remove(self)
 
     def result(self) -> Any:
         """Wait for the end; what the call returned or raised. ``KeyboardInterrupt`` leaves the
         compiler alone."""
-        with COMPILE_CLOCK.compiling():
-            while self.is_alive():
-                self.join(_POLL_S)
-                compiler_goes_on()
-        COMPILE_CLOCK.add_cpu(self.cpu_s)
+        while self.is_alive():
+            self.join(_POLL_S)
+            compiler_goes_on()
+        COMPILE_CLOCK.add(self._compiled_s, self._compiled_cpu_s)
         if self._error is not None:
             raise self._error
         return self._value
