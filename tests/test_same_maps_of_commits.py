@@ -43,3 +43,9 @@ def test_a_changed_rule_changes_its_hash_alone(monkeypatch):
     monkeypatch.setitem(rule_registry._RULES, "uniform", smaller)
     assert same_maps.hash_of_map(*small) != before[0]
     assert same_maps.hash_of_map(*other) == before[1]
+
+
+def test_the_version_of_another_folder_is_not_taken_for_it(tmp_path):
+    same_maps.check_imported(same_maps.ROOT)
+    with pytest.raises(RuntimeError, match="expected gsfusion_nb of the version in"):
+        same_maps.check_imported(tmp_path)

@@ -186,9 +186,28 @@ def hashes_of_commit(commit: str, root: Path = ROOT) -> dict[str, str]:
         git = ["git", "-C", str(root), "worktree"]
         subprocess.run([*git, "add", "--quiet", "--detach", str(place), commit], check=True)
         try:
+            # where the installed package has them; without, the reference would make the maps
+            (place / "gsfusion_nb/kernels").symlink_to(place / "kernels")
             return hashes_of_folder(place)
         finally:
             subprocess.run([*git, "remove", "--force", str(place)], check=True)
+
+
+def check_imported(folder: Path) -> None:
+    """Check that package and kernels are those in ``folder``.
+
+    Raises:
+        RuntimeError: they are others.
+    """
+    import gsfusion_nb
+    import gsfusion_nb.kernels
+
+    for module in (gsfusion_nb, gsfusion_nb.kernels):
+        place = Path(module.__path__[0]).resolve().parent
+        if place != folder:
+            raise RuntimeError(
+                f"expected {module.__name__} of the version in {folder}, imported that in {place}"
+            )
 
 
 def differences(then: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
@@ -206,11 +225,8 @@ def main(arguments: list[str] | None = None) -> int:
         others = differences(hashes_of_commit(options.since), hashes_of_folder(ROOT))
         print("\n".join(others) or "all maps are the same")
         return 1 if others else 0
-    import gsfusion_nb
-
-    place = Path(gsfusion_nb.__file__).resolve().parents[1]
-    if options.expect and place != Path(options.expect).resolve():
-        raise RuntimeError(f"expected the version in {options.expect}, imported that in {place}")
+    if options.expect:
+        check_imported(Path(options.expect).resolve())
     print(json.dumps(hashes()))
     return 0
 
