@@ -216,6 +216,19 @@ def reason_of_age(
     root: Path = ROOT,
 ) -> str:
     """Why a table is older than what it depends on; empty if it is not."""
+    if reason := reason_to_start_anew(name, recipe, root):
+        return reason
+    numbers = read_numbers(name, root)
+    changed = changed_files(last_commit(numbers, root), tuple(recipe["depends"]), root)
+    if not changed:
+        return ""
+    more = f" ({len(changed)} files in all)" if len(changed) > 1 else ""
+    return f"{changed[0]} changed since {numbers['date']}{more}"
+
+
+def reason_to_start_anew(name: str, recipe: Mapping[str, Any], root: Path = ROOT) -> str:
+    """Why there are no numbers of this recipe that today's code could be compared with; empty if
+    there are."""
     if not (root / MEASURED / f"{name}.json").is_file():
         return "never measured"
     numbers = read_numbers(name, root)
@@ -223,11 +236,7 @@ def reason_of_age(
         return f"its commit is not in this repository: {numbers['commit'][:8]} of {numbers['date']}"
     if any(numbers[key] != recipe[key] for key in ("commands", "columns")):
         return "the recipe has changed"
-    changed = changed_files(last_commit(numbers, root), tuple(recipe["depends"]), root)
-    if not changed:
-        return ""
-    more = f" ({len(changed)} files in all)" if len(changed) > 1 else ""
-    return f"{changed[0]} changed since {numbers['date']}{more}"
+    return ""
 
 
 def last_commit(numbers: Mapping[str, Any], root: Path = ROOT) -> str:
@@ -370,13 +379,9 @@ def reason_to_measure(name: str, recipe: Mapping[str, Any], root: Path = ROOT) -
     """Why equal maps would not make an old table current; empty if they would."""
     if recipe.get("quiet"):
         return "its times must be measured"
-    if not (root / MEASURED / f"{name}.json").is_file():
-        return "never measured"
+    if reason := reason_to_start_anew(name, recipe, root):
+        return reason
     numbers = read_numbers(name, root)
-    if not is_in_history(numbers["commit"], root) or any(
-        numbers[key] != recipe[key] for key in ("commands", "columns")
-    ):
-        return reason_of_age(name, recipe, root)
     changed = changed_files(last_commit(numbers, root), tuple(recipe["depends"]), root)
     elsewhere = [path for path in changed if not path.startswith(same_maps.ROOMS)]
     return f"{elsewhere[0]} changed, which makes no map" if elsewhere else ""

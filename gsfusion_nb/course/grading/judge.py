@@ -120,7 +120,8 @@ class RemoteSubject:
             self._rest_s -= time.monotonic() - began
         if "failed" in reply:
             failed = reply["failed"]
-            words = [cut(text) for text in (failed if isinstance(failed, list) else [failed])]
+            texts = failed if isinstance(failed, list) else [failed]
+            words = [cut(text) for text in texts]
             name = words[0] if words else ""
             detail = words[1] if len(words) > 1 else ""
             raise Failed(name, "", detail)
