@@ -140,6 +140,12 @@ def covered(
         raise RuntimeError(
             f"the tests in {', '.join(folders)} cannot be measured; see {scratch / 'out.txt'}"
         )
+    failed = json.loads(file.read_text())["failed"]
+    if failed:
+        sys.stderr.write(
+            f"{len(failed)} tests fail without any change, so they guard nothing here: "
+            f"{', '.join(failed)}\n"
+        )
 
 
 def read_coverage(files: Iterable[Path]) -> Coverage:
@@ -357,5 +363,7 @@ def _measure(
             line: tests for line, tests in by_line.items() if tests
         }
     seconds = {test: recorder.seconds[test] for test in kept}
-    file.write_text(json.dumps({"tests": kept, "seconds": seconds, "lines": lines}))
+    failed = sorted(recorder.failed)
+    measured = {"tests": kept, "failed": failed, "seconds": seconds, "lines": lines}
+    file.write_text(json.dumps(measured))
     return 0 if code in (0, 1) else code

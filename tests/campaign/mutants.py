@@ -63,8 +63,6 @@ TESTS = (
 """Folders of the tests that count."""
 SURVIVED = ("survived", "not executed")
 """What becomes of a mutant that no test notices."""
-MOST_S = 30.0
-"""Of tests for one mutant, seconds."""
 
 
 def main() -> int:
@@ -87,6 +85,12 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="another seed draws other mutants")
     parser.add_argument(
         "--minutes", type=float, default=120.0, help="no further mutant is begun after so long"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=30.0,
+        help="of tests for one mutant; with more, tests that run whole maps are among them",
     )
     parser.add_argument(
         "--least", type=float, default=90.0, help="per cent of each room's mutants to be killed"
@@ -140,7 +144,7 @@ def campaign(options: argparse.Namespace, folder: Path) -> list[dict]:
         if time.monotonic() > end:
             sys.stdout.write("the time is over; not all mutants of the sample were run\n")
             break
-        tests = coverage.of(mutant, MOST_S)
+        tests = coverage.of(mutant, options.seconds)
         spent = sum(coverage.seconds[test] for test in tests)
         what = verdict(tree, mutant, tests, spent, folder / "scratch") if tests else "not executed"
         verdicts.append({"verdict": what, "tests": len(tests), **dataclasses.asdict(mutant)})

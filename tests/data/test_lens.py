@@ -9,7 +9,7 @@ import torch
 
 from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.depth_registration import register_depth, warp_depth
-from gsfusion_nb.data.lens import CameraModel, same_proportions
+from gsfusion_nb.data.lens import CameraModel, Undistorter, same_proportions
 from gsfusion_nb.geometry import pixel_grid, rays, se3
 from gsfusion_nb.types import Camera
 
@@ -192,3 +192,12 @@ def test_same_proportions(first, second, same):
     else:
         with pytest.raises(SequenceError, match=r"an image is .* of other proportions"):
             model.fitted(second[0], second[1], "an image")
+
+
+def test_a_depth_camera_in_the_place_of_the_colour_camera_needs_no_pose():
+    low = COLOUR.resized(32, 24)
+    lens = Undistorter(CameraModel(camera=COLOUR), depth_camera=low)
+    depth_m = np.full((24, 32), 1.5, np.float32)
+    found = lens.depth(depth_m)
+    assert (found[1::3, 1::3] == 1.5).all()  # each pixel's middle
+    assert np.count_nonzero(found) == depth_m.size

@@ -7,6 +7,7 @@ import torch
 
 from gsfusion_nb.config import gps_slam
 from gsfusion_nb.evaluation import psnr
+from gsfusion_nb.geometry.spherical_harmonics import SH_C0
 from gsfusion_nb.mapping.gps_surface import CAMERA, fit_to_pictures, plain_gaussians, surface_discs
 from gsfusion_nb.render import render
 from gsfusion_nb.runs import FinishedRun, run_mapping
@@ -79,3 +80,17 @@ def test_discs_lie_flat_on_the_mesh(run):
         rgb=torch.zeros(0, 3),
     )
     assert len(surface_discs(empty, 0.03)) == 0
+
+
+def test_a_disc_has_the_mean_place_and_colour_of_its_voxel():
+    mesh = Mesh(
+        vertices_W=torch.tensor([[0.1, 0.1, 0.5], [0.3, 0.1, 0.5], [0.1, 0.3, 0.5], [2.5, 0, 0.5]]),
+        faces=torch.tensor([[0, 1, 2]], dtype=torch.int32),
+        rgb=torch.tensor([[0.2, 0.0, 0.0], [0.4, 0.3, 0.0], [0.6, 0.3, 0.9], [1.0, 1.0, 0.0]]),
+    )
+    discs = surface_discs(mesh, 1.0)
+    near, far = discs.xyz_W[:, 0].argsort()
+    torch.testing.assert_close(discs.xyz_W[near], torch.tensor([0.5 / 3, 0.5 / 3, 0.5]))
+    rgb = 0.5 + SH_C0 * discs.sh[:, 0]
+    torch.testing.assert_close(rgb[near], torch.tensor([0.4, 0.2, 0.3]))
+    torch.testing.assert_close(rgb[far], mesh.rgb[3])

@@ -240,3 +240,27 @@ def test_a_loop_closes_and_a_loss_is_overcome(there_and_back, system, monkeypatc
     degrees, metres = se3.motion(localiser.poses[-1], far.T_WC)
     assert metres < 0.02
     assert degrees < 0.5
+
+
+def test_a_tsdf_that_cannot_be_made_again_stays_and_says_so(frames, monkeypatch):
+    mapper = mapped(frames)
+    before = mapper.volume
+
+    def no_room(*_):
+        raise MemoryError("no room for 7 blocks")
+
+    monkeypatch.setattr(type(mapper.fused), "fused_again", no_room)
+    correct(mapper, 2 * VOXEL_M)
+    assert mapper.volume is before
+    last = mapper.localiser.frame_indices[-1]
+    assert mapper.notes[-1] == (
+        f"the TSDF stays as it was before the loop at frame {last}: no room for 7 blocks"
+    )
+
+
+def test_a_frame_that_was_recorded_is_not_taken_back(frames):
+    mapper = mapped(frames)
+    before = mapper.localiser._tracker.standing
+    mapper.localiser.take_back()
+    after = mapper.localiser._tracker.standing
+    assert all(a is b for a, b in zip(after, before, strict=True))

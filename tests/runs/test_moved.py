@@ -11,7 +11,7 @@ from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.data.room import room, room_mesh, room_sdf
 from gsfusion_nb.evaluation.point_distances import distance_to_points
 from gsfusion_nb.mapping import get_system
-from gsfusion_nb.mapping.moved_surfaces import VIEWS, View, count
+from gsfusion_nb.mapping.moved_surfaces import VIEWS, View, count, project_into
 from gsfusion_nb.runs import CheckpointEvery, resume_mapping, run_mapping
 from gsfusion_nb.runs.onto import read_parent, settings_onto
 from gsfusion_nb.types import Camera, Frame
@@ -195,3 +195,23 @@ def test_the_room_with_a_moved_chair_has_the_truth():
     assert room(**ROOM).content != room(**ROOM, moved="chair").content
     with pytest.raises(ValueError, match="moved must be one of none, chair"):
         room(moved="sofa")
+
+
+def test_points_beside_the_picture_count_within_the_margin_on_every_side():
+    camera = Camera(width=16, height=12, fx=20.0, fy=20.0, cx=8.0, cy=6.0)
+    just_outside_px = torch.tensor(
+        [[-0.5, 6.0], [16.5, 6.0], [8.0, -0.5], [8.0, 12.5], [8.0, 6.0]],
+        dtype=torch.float64,
+    )
+    z = 2.0
+    xyz = torch.cat(
+        [
+            (just_outside_px - torch.tensor([camera.cx, camera.cy])) * z / camera.fx,
+            torch.full((5, 1), z, dtype=torch.float64),
+        ],
+        dim=1,
+    )
+    T_WC = torch.eye(4).double()
+    for margin_m, beside in ((0.0, False), (0.04, False), (0.06, True)):  # 0.5 pixel is 0.05 m
+        is_inside = project_into(camera, T_WC, xyz, margin_m)[3]
+        assert is_inside.tolist() == [beside] * 4 + [True]

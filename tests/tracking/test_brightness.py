@@ -105,3 +105,16 @@ def test_pixels_without_a_known_neighbour_or_behind_the_surface_say_nothing(plan
     grey = dataclasses.replace(surface, rgb=torch.full_like(surface.rgb, 0.5))
     assert n(grey) == 0
     assert Pictures.of({1: brightness}, dataclasses.replace(surface, rgb=None)) is None
+
+
+def test_a_small_picture_has_the_depth_of_the_middle_of_each_block(plane_scene):
+    scene = plane_scene("wall", painted=True)
+    surface = scene(CAMERA, torch.eye(4).double())
+    height, width = surface.depth_m.shape
+    number = torch.arange(height * width).view(height, width)
+    numbered = dataclasses.replace(surface, depth_m=1 + number.to(surface.depth_m))
+    for factor in (2, 4):
+        picture = picture_of(numbered, surface.rgb, factor)
+        first, second = picture.depth_m[0, 0], picture.depth_m[1, 1]
+        assert first == 1 + number[factor // 2, factor // 2]
+        assert second == 1 + number[factor + factor // 2, factor + factor // 2]

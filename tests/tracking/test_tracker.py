@@ -320,3 +320,26 @@ def test_a_hybrid_target_is_rendered_from_the_last_pose(plane_scene, assert_pose
     reports = track_all(tracker, scene, path(4))
     assert_pose(scene.rendered[-1], reports[-2].T_WC, 1e-6, 1e-3)
     assert_pose(reports[-1].T_WC, path(4)[3], 1e-3, 0.05)
+
+
+def test_a_motion_found_by_somebody_else_is_carried_on_but_not_across_a_gap(
+    plane_scene, assert_pose
+):
+    scene = plane_scene("corner")
+    tracker = Tracker()
+    poses = path(5)
+
+    def is_at(T_WC):
+        return lambda frame, T_predicted: T_WC
+
+    def is_nowhere(frame, T_predicted):
+        raise TrackingLostError("no pose")
+
+    tracked = [tracker.track_by(is_at(poses[i]), scene.frame(poses[i], i)) for i in range(3)]
+    assert [report.status for report in tracked] == ["first", "ok", "ok"]
+    assert_pose(tracker.predict(3.0), poses[3], 1e-6, 1e-3)
+    with pytest.raises(TrackingLostError, match="frame 3 cannot be tracked: no pose"):
+        tracker.track_by(is_nowhere, scene.frame(poses[3], 3))
+    report = tracker.track_by(is_at(poses[4]), scene.frame(poses[4], 4))
+    assert report.status == "recovered"
+    assert_pose(tracker.predict(5.0), poses[4], 1e-6, 1e-3)

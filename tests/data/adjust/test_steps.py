@@ -102,3 +102,27 @@ def test_beside_a_repeated_image_no_step_is_judged():
     values = steps(moved_m=(9, 1.7), error=(9, 0.3))
     values["frozen"][9] = True
     assert find_jumps(**values) == set()
+
+
+def test_a_step_below_what_a_hand_does_is_no_jump():
+    """Half a degree and 2 cm where the camera nearly stands still."""
+    values = steps(error=(9, 0.3))
+    values["turned_deg"][:] = 0.01
+    values["moved_m"][:] = 0.001
+    values["moved_m"][9] = 0.02
+    assert find_jumps(**values) == set()
+    values["moved_m"][9] = 0.04
+    assert find_jumps(**values) == {9}
+
+
+def test_as_many_steps_after_a_jump_as_before_it_are_compared():
+    """At the first step ten others follow: with the last of them the median is 6 cm, without it
+    3 cm."""
+    values = steps(error=(0, 0.3))
+    values["turned_deg"][:] = 0.0
+    values["moved_m"][:] = 0.03
+    values["moved_m"][0] = 0.08
+    values["moved_m"][6:11] = 0.06
+    assert find_jumps(**values) == set()
+    values["moved_m"][10] = 0.03
+    assert find_jumps(**values) == {0}
