@@ -199,6 +199,22 @@ def test_a_view_is_seen_from_a_wrong_prediction(known, sequence, views, assert_p
     assert set(seen.pairs[:, 1]) <= set(seen.expected)
 
 
+def test_where_the_prediction_fails_the_last_keyframe_is_matched(
+    known, sequence, views, monkeypatch
+):
+    asked = []
+    compare = known.database.compare
+
+    def asked_for(features, keyframe):
+        asked.append(range(len(known))[keyframe])
+        return compare(features, keyframe)
+
+    monkeypatch.setattr(known.database, "compare", asked_for)
+    turned = se3.exp(torch.tensor([0, 0, 0, 0, 0.6, 0], dtype=torch.float64))
+    assert known.see(views[57], sequence.pose(57).double() @ turned) is not None
+    assert asked == [len(known) - 1]
+
+
 def test_landmarks_of_several_keyframes_confirm_what_one_cannot(
     known, views, sequence, assert_pose
 ):
