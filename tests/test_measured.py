@@ -344,6 +344,13 @@ def test_a_file_of_numbers_has_a_recipe_and_whole_rows(name):
     assert all(len(row) == len(numbers["columns"]) for row in numbers["rows"])
 
 
+def test_each_table_that_was_measured_stands_on_a_page():
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    text = "".join(page.read_text("utf-8") for page in pages)
+    names = [path.stem for path in (ROOT / measured.MEASURED).glob("*.json")]
+    assert [name for name in names if f"<!-- table: {name} -->" not in text] == []
+
+
 def test_each_file_of_numbers_says_whether_its_commit_is_in_the_history():
     try:
         measured.check_history()
