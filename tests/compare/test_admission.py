@@ -3,6 +3,7 @@ other rules."""
 
 import dataclasses
 import json
+import subprocess
 
 import pytest
 import torch
@@ -167,6 +168,26 @@ def test_what_the_check_refuses_is_a_row_that_failed(fresh_checks, entry, tmp_pa
     )
     result = only(run_all.run_all([entry("clock")], ResultStore(tmp_path / "cache")))
     assert (result.status, result.reason) == ("failed", "it asks for the time")
+
+
+def test_a_check_that_cannot_be_made_is_a_row_that_failed(
+    fresh_checks, entry, tmp_path, monkeypatch
+):
+    def broken(*_):
+        raise TypeError("no answer")
+
+    monkeypatch.setattr(admission, "_run", broken)
+    result = only(run_all.run_all([entry("clock")], ResultStore(tmp_path / "cache")))
+    assert (result.status, result.reason) == ("failed", "TypeError: no answer")
+
+
+def test_a_check_that_ends_early_says_its_last_words(fresh_checks, entry, tmp_path, monkeypatch):
+    def ended(*_, **__):
+        return subprocess.CompletedProcess([], 1, "", "Traceback\n  a line\nMemoryError: 3 GB\n")
+
+    monkeypatch.setattr(subprocess, "run", ended)
+    found = admission.admission(entry("plain"), tmp_path / "checks")
+    assert found.refused.endswith("ended early: MemoryError: 3 GB")
 
 
 REFUSED = {

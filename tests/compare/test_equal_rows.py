@@ -13,6 +13,7 @@ from gsfusion_nb.compare.data_sets import DATA_SETS
 from gsfusion_nb.compare.equal_maps import equal_maps, unknown_maps
 from gsfusion_nb.compare.outputs import Results
 from gsfusion_nb.compare.run_result import RunResult
+from gsfusion_nb.compare.runs_csv import as_csv
 from gsfusion_nb.compare.studies import Study
 
 QUICK = [
@@ -169,6 +170,22 @@ def test_rows_are_joined_over_scenes_and_seeds(made_result):
         "a and b made the same map on y (seed 0)",
     ]
     assert Results(runs=runs).tables()[1].notes.count(str(equal_maps(runs[:6])[0])) == 1
+
+
+def test_a_row_names_the_equal_rows_of_its_own_scene_and_seed(made_result):
+    runs = [
+        made_result(label, map_hash=map_hash, scene=scene)
+        for scene, label, map_hash in (
+            ("x", "a", "1"),
+            ("x", "b", "1"),
+            ("x", "c", "2"),
+            ("y", "a", "3"),
+            ("y", "b", "4"),
+            ("y", "c", "4"),
+        )
+    ]
+    rows = csv.DictReader(as_csv(runs).splitlines())
+    assert [row["same_map_as"] for row in rows] == ["b", "a", "", "", "c", "b"]
 
 
 def test_a_map_without_a_hash_is_not_known_to_be_equal(made_result):

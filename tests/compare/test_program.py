@@ -74,6 +74,13 @@ def test_each_change_of_the_program_has_a_key_of_its_own(
     assert key() == keys[0]
 
 
+def test_the_kernels_are_code_of_the_package():
+    own, *kernels = program._source_folders()
+    assert (own / "compare" / "program.py").is_file()
+    assert kernels
+    assert all((folder / "composite" / "numba.py").is_file() for folder in kernels)
+
+
 def test_the_source_of_the_package_is_part_of_the_key(monkeypatch, tmp_path):
     """Content and name of each file of code; not copies that JupyterLab makes, nor files of other
     kinds."""
