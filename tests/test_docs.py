@@ -8,7 +8,6 @@ import io
 import json
 import re
 import shlex
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -16,6 +15,7 @@ import tyro
 from egg_package import write_metadata
 
 from gsfusion_nb import cli
+from gsfusion_nb.compare.data_sets import data_set_of
 from gsfusion_nb.config import gsfusion, replace, to_dict
 from gsfusion_nb.config.options import parse_value
 from gsfusion_nb.config.values import leaves
@@ -95,12 +95,6 @@ class Parsed(BaseException):
     """The command line was understood; nothing is to run."""
 
 
-def has_table(name: str) -> bool:
-    """Whether ``FILE.toml:NAME`` is a table of a file of this project."""
-    file, _, table = name.partition(":")
-    return file.endswith(".toml") and table in tomllib.loads(text(ROOT / file))
-
-
 @pytest.fixture
 def dry(monkeypatch):
     """Commands end where their arguments have been parsed; each name must be one that its registry
@@ -120,8 +114,10 @@ def dry(monkeypatch):
                     else [each]
                 )
                 is_file = f.name in ("system", "systems") and ".py:" in str(each)
-                is_table = f.name == "name" and has_table(str(each))
-                if f.name == "words" or is_file or is_table or not each or each in known:
+                if f.name == "words" or is_file or not each or each in known:
+                    continue
+                if f.name == "name" and ".toml:" in each:
+                    data_set_of(f"{ROOT}/{each}")
                     continue
                 if not each.isupper():
                     raise ValueError(f"{f.name} {each} is none of {known}")

@@ -345,8 +345,7 @@ def test_a_file_of_numbers_has_a_recipe_and_whole_rows(name):
 
 
 def test_each_table_that_was_measured_stands_on_a_page():
-    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
-    text = "".join(page.read_text("utf-8") for page in pages)
+    text = "".join(page.read_text("utf-8") for page in measured.pages())
     names = [path.stem for path in (ROOT / measured.MEASURED).glob("*.json")]
     assert [name for name in names if f"<!-- table: {name} -->" not in text] == []
 

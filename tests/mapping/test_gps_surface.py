@@ -84,9 +84,23 @@ def test_discs_lie_flat_on_the_mesh(run):
 
 def test_a_disc_has_the_mean_place_and_colour_of_its_voxel():
     mesh = Mesh(
-        vertices_W=torch.tensor([[0.1, 0.1, 0.5], [0.3, 0.1, 0.5], [0.1, 0.3, 0.5], [2.5, 0, 0.5]]),
+        vertices_W=torch.tensor(
+            [
+                [0.1, 0.1, 0.5],
+                [0.3, 0.1, 0.5],
+                [0.1, 0.3, 0.5],
+                [2.5, 0.0, 0.5],
+            ]
+        ),
         faces=torch.tensor([[0, 1, 2]], dtype=torch.int32),
-        rgb=torch.tensor([[0.2, 0.0, 0.0], [0.4, 0.3, 0.0], [0.6, 0.3, 0.9], [1.0, 1.0, 0.0]]),
+        rgb=torch.tensor(
+            [
+                [0.2, 0.0, 0.0],
+                [0.4, 0.3, 0.0],
+                [0.6, 0.3, 0.9],
+                [1.0, 1.0, 0.0],
+            ]
+        ),
     )
     discs = surface_discs(mesh, 1.0)
     near, far = discs.xyz_W[:, 0].argsort()

@@ -115,6 +115,6 @@ def test_a_small_picture_has_the_depth_of_the_middle_of_each_block(plane_scene):
     numbered = dataclasses.replace(surface, depth_m=1 + number.to(surface.depth_m))
     for factor in (2, 4):
         picture = picture_of(numbered, surface.rgb, factor)
-        first, second = picture.depth_m[0, 0], picture.depth_m[1, 1]
-        assert first == 1 + number[factor // 2, factor // 2]
-        assert second == 1 + number[factor + factor // 2, factor + factor // 2]
+        middle = factor // 2
+        assert picture.depth_m[0, 0] == 1 + number[middle, middle]
+        assert picture.depth_m[1, 1] == 1 + number[factor + middle, factor + middle]
