@@ -12,11 +12,12 @@ import importlib.machinery
 import json
 import sys
 import types
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..extensions import extensions
 from .digest import UnhashableError
 from .installed import distribution_of, is_installed, state_of, with_requirements
 from .origin import BESIDE, LOADED_SOURCE, RULE_SOURCE, is_library_module
@@ -68,7 +69,7 @@ def code_key(code: Any) -> CodeKey:
         parts["values"] = values.hexdigest()
     except UnhashableError as e:
         reason = str(e)
-    files = _Closure(values.modules.values())
+    files = _Closure(values.modules.values(), _modules_by_rule_name(values.words))
     parts |= files.parts
     for name, module in sorted(files.whole.items()):
         loose = ValueHash(strict=False)
@@ -82,6 +83,14 @@ def code_key(code: Any) -> CodeKey:
         caches=tuple(values.caches),
         walks_sets=values.walks_sets,
     )
+
+
+def _modules_by_rule_name(words: Container[str]) -> list[str]:
+    """Modules of installed packages whose seeding rules code asks for by their names, if these are
+    among its ``words``."""
+    if "get_rule" not in words:
+        return []
+    return [rule.entry.module for name, rule in extensions("rules").items() if name in words]
 
 
 def loaded_values(code: Any) -> str:
@@ -150,9 +159,10 @@ class _Closure:
 
     Args:
         modules: Modules to begin with, as they are loaded.
+        names: Names of further modules.
     """
 
-    def __init__(self, modules: Iterable[types.ModuleType]):
+    def __init__(self, modules: Iterable[types.ModuleType], names: Iterable[str] = ()):
         self.parts: dict[str, str] = {}
         self.libraries: set[str] = set()
         self.files: list[Path] = []
@@ -165,6 +175,8 @@ class _Closure:
         self._looks_up = False
         for module in sorted(modules, key=lambda module: module.__name__):
             self._add_module(module)
+        for name in sorted(names):
+            self._add_import(name, None)
         if self._looks_up:
             self.whole = dict(self._modules)
 

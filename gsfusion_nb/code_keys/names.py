@@ -19,12 +19,13 @@ _ANYWHERE = {
     "f_globals",
     "f_locals",
     "get_objects",
+    "__subclasses__",
 }
 """Attributes by which a program reaches names of other modules, or all objects of the process."""
 _MAKE_SETS = {"BUILD_SET", "SET_ADD", "SET_UPDATE"}
 _OF_VIEWS = {"&", "|", "^", "-"}
 """Operators that make sets of the views of a dict: ``a.keys() & b.keys()``."""
-_OF_SYS = {"modules", "argv", "orig_argv"}
+_OF_SYS = {"modules", "argv", "orig_argv", "stdin"}
 
 
 def parts_of(code: types.CodeType) -> Iterator[types.CodeType]:

@@ -5,10 +5,11 @@ They decide what all code of a process does.
 
 import decimal
 import functools
+import locale
 import sys
 import types
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -70,14 +71,15 @@ def patches() -> dict[str, str]:
 
 
 def switches() -> dict[str, str]:
-    """The settings of torch and numpy that change results and hold for the whole process."""
+    """The settings of torch, numpy and Python that change results and hold for the whole
+    process."""
     return {
         "default dtype": str(torch.get_default_dtype()),
         "default device": str(torch.get_default_device()),
         "matmul precision": torch.get_float32_matmul_precision(),
         "deterministic": str(torch.are_deterministic_algorithms_enabled()),
         "gradients": str(torch.is_grad_enabled()),
-        "small numbers": "kept" if float(torch.tensor([1e-40]) * 1.0) else "zero",
+        "small numbers": "kept" if float(torch.tensor([1e-40], device="cpu") * 1.0) else "zero",
         "oneDNN": str(torch.backends.mkldnn.enabled),
         "TF32": f"{torch.backends.cuda.matmul.allow_tf32} {torch.backends.cudnn.allow_tf32}",
         "cuDNN": str(
@@ -86,9 +88,52 @@ def switches() -> dict[str, str]:
                 for name in ("enabled", "benchmark", "deterministic")
             ]
         ),
+        "mixed precision": _mixed_precision(),
+        "function modes": _kinds(torch.overrides._get_current_function_mode_stack()),
+        "hooks of all networks": _global_hooks(),
         "numpy errors": str(sorted(np.geterr().items())),
-        "decimal": str(decimal.getcontext().prec),
+        "decimal": _decimal_context(),
+        "locale of numbers": locale.setlocale(locale.LC_NUMERIC),
     }
+
+
+def _mixed_precision() -> str:
+    """Types in which ``torch.autocast`` computes now; empty if it is off."""
+    kinds = [
+        f"{device} {torch.get_autocast_dtype(device)}"
+        for device in ("cpu", "cuda")
+        if torch.is_autocast_enabled(device)
+    ]
+    return ", ".join(kinds)
+
+
+def _kinds(objects: Iterable[Any]) -> str:
+    """Names of the classes of objects, in their order."""
+    return ", ".join(f"{type(x).__module__}.{type(x).__qualname__}" for x in objects)
+
+
+def _global_hooks() -> str:
+    """A hash of the functions that are called around every network of the process; empty if there
+    are none."""
+    names = vars(torch.nn.modules.module)
+    hooks = [
+        (name, list(value.values()))
+        for name, value in sorted(names.items())
+        if name.startswith("_global_") and isinstance(value, dict) and value
+    ]
+    if not hooks:
+        return ""
+    digest = ValueHash(strict=False)
+    digest.add(hooks)
+    return digest.hexdigest()
+
+
+def _decimal_context() -> str:
+    """How Python's decimal numbers are computed; without the signals of what was computed."""
+    context = decimal.getcontext()
+    traps = sorted(signal.__name__ for signal, is_on in context.traps.items() if is_on)
+    limits = (context.Emin, context.Emax, context.capitals, context.clamp)
+    return f"{context.prec} {context.rounding} {limits} {traps}"
 
 
 @dataclass(frozen=True)
@@ -153,8 +198,10 @@ def _changes(
 
 
 def _is_change(namespace: Namespace, key: str, value: Any, all_of_package: bool) -> bool:
-    if key.startswith("__") or issubclass(type(value), types.ModuleType):
+    if issubclass(type(value), types.ModuleType):
         return False
+    if key.startswith("__"):
+        return _is_other_operator(namespace, key, value)
     if (
         all_of_package
         and namespace.name.startswith(_PACKAGE)
@@ -180,6 +227,19 @@ def _is_change(namespace: Namespace, key: str, value: Any, all_of_package: bool)
         return issubclass(type(was), _CALLED)
     is_number = type(value) in (int, float, str, bool, tuple)
     return is_number and type(was) is type(value) and not key.startswith("_") and value != was
+
+
+def _is_other_operator(namespace: Namespace, key: str, value: Any) -> bool:
+    """Whether a class has another function for what Python calls by a name with underscores, such
+    as an operator."""
+    if not isinstance(namespace.owner, type):
+        return False
+    bases = namespace.owner.__mro__[1:]
+    base_value = next((vars(base)[key] for base in bases if key in vars(base)), value)
+    was = namespace.names.get(key, base_value)
+    return was is not value and all(
+        issubclass(type(x), _CALLED) and not isinstance(x, type) for x in (was, value)
+    )
 
 
 def _function_contents(names: Mapping[str, Any]) -> dict[str, tuple[Any, ...]]:

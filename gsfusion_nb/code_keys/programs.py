@@ -72,6 +72,8 @@ def add_module(digest: Digest, x: types.ModuleType, names: set[str] | None = Non
         digest.libraries.add(x.__name__)
         _add_library_names(digest, x, names or set())
         return
+    if type(x) is not types.ModuleType and id(x) not in digest.modules:
+        digest.add(type(x), f"class of {x.__name__}")
     digest.modules[id(x)] = x
     old_names = digest.names_at.setdefault(id(x), set())
     for name in sorted(
@@ -186,8 +188,13 @@ def add_class(digest: Digest, x: type) -> None:
 
 
 def _home_of_methods(x: type) -> types.ModuleType | None:
+    """The module of a class, as its methods know it; a library's function can be among them, as in
+    an enumeration."""
     methods = [member for member in vars(x).values() if isinstance(member, types.FunctionType)]
-    return next((home for method in methods if (home := home_of(method)) is not None), None)
+    homes = (home_of(method) for method in methods)
+    return next(
+        (home for home in homes if home is not None and home.__name__ == x.__module__), None
+    )
 
 
 def _home_name(module: str | None) -> str:

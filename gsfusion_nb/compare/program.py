@@ -28,7 +28,13 @@ _LIBRARIES = {
     "scipy": "scipy",
     "kornia": "kornia",
 }
-_WATCHED = ("gsfusion_nb.", "torch.Tensor.", "torch.nn.functional.", "numpy.linalg.", "math.")
+_WATCHED = (
+    "gsfusion_nb.",
+    "torch._tensor.Tensor.",
+    "torch.nn.functional.",
+    "numpy.linalg.",
+    "math.",
+)
 _at_start = library_state(*_WATCHED)
 """The package and the most used names of libraries, as they were when this module was imported."""
 

@@ -8,6 +8,7 @@ another.
 import array
 import base64
 import collections
+import contextlib
 import contextvars
 import dataclasses
 import datetime
@@ -36,6 +37,8 @@ import numba
 import numpy as np
 import pytest
 import torch
+from torch.nn.modules.module import register_module_forward_hook
+from torch.overrides import TorchFunctionMode
 
 from gsfusion_nb import backends
 from gsfusion_nb.code_keys import code_key, installed
@@ -563,6 +566,141 @@ def test_a_change_of_a_loaded_module_is_seen(files, use, change):
     assert "file helper" not in differing(before.parts, after.parts)
 
 
+HELPERS: dict[str, tuple[str, str, Any]] = {
+    "value of an enumeration": (
+        "import enum\nclass Mode(enum.Enum):\n    FEW = 3\n",
+        "helper.Mode.FEW.value",
+        lambda helper: setattr(helper.Mode.FEW, "_value_", 5),
+    ),
+    "default of a named tuple": (
+        "import collections\nP = collections.namedtuple('P', 'step', defaults=(3,))\n",
+        "helper.P().step",
+        lambda helper: setattr(helper.P.__new__, "__defaults__", (5,)),
+    ),
+    "class that has a function of a library": (
+        "import torch\nclass A:\n    act = torch.nn.functional.relu\n    step = 3\n",
+        "helper.A.step",
+        lambda helper: setattr(helper.A, "step", 5),
+    ),
+    "module of another class": (
+        "import types\nclass M(types.ModuleType):\n    step = property(lambda self: 5)\n",
+        "getattr(helper, 'step', 3)",
+        lambda helper: setattr(helper, "__class__", helper.M),
+    ),
+    "attribute of the class of a module": (
+        "import sys, types\nclass M(types.ModuleType):\n    kept = 3\n"
+        "    step = property(lambda self: self.kept)\n",
+        "(setattr(helper, '__class__', helper.M), helper.step)",
+        lambda helper: setattr(helper.M, "kept", 5),
+    ),
+    "default of a lambda in a dict": (
+        "F = {'f': lambda x, step=3: x * step}\n",
+        "helper.F['f'](1)",
+        lambda helper: setattr(helper.F["f"], "__defaults__", (5,)),
+    ),
+    "content of a cell": (
+        "def made(step):\n    return lambda: step\nf = made(3)\n",
+        "helper.f()",
+        lambda helper: setattr(helper.f.__closure__[0], "cell_contents", 5),
+    ),
+    "keyword in a partial": (
+        "import functools\nf = functools.partial(dict, step=3)\n",
+        "helper.f()['step']",
+        lambda helper: helper.f.keywords.update(step=5),
+    ),
+    "class of an object": (
+        "class A:\n    step = 3\nclass B:\n    step = 5\na = A()\n",
+        "helper.a.step",
+        lambda helper: setattr(helper.a, "__class__", helper.B),
+    ),
+    "bases of a class": (
+        "class A:\n    step = 3\nclass B:\n    step = 5\nclass C(A):\n    pass\n",
+        "helper.C.step",
+        lambda helper: setattr(helper.C, "__bases__", (helper.B,)),
+    ),
+    "attribute of a metaclass": (
+        "class Meta(type):\n    step = 3\nclass A(metaclass=Meta):\n    pass\n",
+        "helper.A.step",
+        lambda helper: setattr(helper.Meta, "step", 5),
+    ),
+    "classes that register themselves": (
+        "class A:\n    known = []\n    def __init_subclass__(cls):\n        A.known.append(cls)\n",
+        "len(helper.A.known)",
+        lambda helper: type("B", (helper.A,), {}),
+    ),
+    "globals of a function": (
+        "import types\nf = types.FunctionType((lambda: STEP).__code__, {'STEP': 3})\n",
+        "helper.f()",
+        lambda helper: helper.f.__globals__.update(STEP=5),
+    ),
+    "global that shadows a builtin": (
+        "def f():\n    return abs(-3)\n",
+        "helper.f()",
+        lambda helper: setattr(helper, "abs", lambda x: 5),
+    ),
+    "global that shadowed a builtin": (
+        "def abs(x):\n    return 5\ndef f():\n    return abs(-3)\n",
+        "helper.f()",
+        lambda helper: delattr(helper, "abs"),
+    ),
+    "text that is evaluated": (
+        "CODE = '3'\n",
+        "eval(helper.CODE)",
+        lambda helper: setattr(helper, "CODE", "5"),
+    ),
+    "cached property": (
+        "import functools\nclass A:\n    @functools.cached_property\n    def step(self):\n"
+        "        return 3\na = A()\n",
+        "helper.a.step",
+        lambda helper: vars(helper.a).update(step=5),
+    ),
+    "factory of a dataclass": (
+        "import dataclasses\nSTEP = 3\n@dataclasses.dataclass\nclass A:\n"
+        "    step: int = dataclasses.field(default_factory=lambda: STEP)\n",
+        "helper.A().step",
+        lambda helper: setattr(helper, "STEP", 5),
+    ),
+    "function that gives a context": (
+        "import contextlib\nSTEP = 3\n@contextlib.contextmanager\ndef held():\n    yield STEP\n",
+        "helper.held().__enter__()",
+        lambda helper: setattr(helper, "STEP", 5),
+    ),
+    "forward of one network": (
+        "import torch\nnet = torch.nn.Identity()\n",
+        "helper.net(3)",
+        lambda helper: setattr(helper.net, "forward", lambda x: 5),
+    ),
+    "array under a view": (
+        "import numpy as np\nall_rows = np.full(4, 3)\nrows = all_rows[:2]\n",
+        "helper.rows[0]",
+        lambda helper: helper.all_rows.fill(5),
+    ),
+    "number of C": (
+        "import ctypes\nstep = ctypes.c_int(3)\n",
+        "helper.step.value",
+        lambda helper: setattr(helper.step, "value", 5),
+    ),
+    "operator of a class": (
+        "class A:\n    def __mul__(self, x):\n        return 3\na = A()\n",
+        "helper.a * 1",
+        lambda helper: setattr(helper.A, "__mul__", lambda self, x: 5),
+    ),
+}
+"""A helper module, what the rule uses of it, and a change of the module after it was loaded."""
+
+
+@pytest.mark.parametrize(("helper", "use", "change"), HELPERS.values(), ids=HELPERS)
+def test_what_changes_in_a_helper_is_seen(files, helper, use, change):
+    rule = files(rule=f"import helper\ndef rule(ctx):\n    return {use}\n", helper=helper)
+    first_value = rule(None)
+    keys = [code_key(rule), code_key(rule)]
+    change(vars(sys.modules[rule.__module__])["helper"])
+    keys.append(code_key(rule))
+    assert rule(None) != first_value
+    assert [key.reason for key in keys] == [""] * 3
+    assert keys[0].digest == keys[1].digest != keys[2].digest
+
+
 DECORATOR = """
 import functools
 def NAME(f):
@@ -771,6 +909,31 @@ def test_the_version_of_what_a_package_requires_is_seen(files, site):
     )
 
 
+BY_NAME = """
+from gsfusion_nb.seeding import get_rule
+def rule(ctx):
+    return get_rule("bought_rule")(ctx)
+"""
+
+
+def test_the_version_of_a_rule_that_is_asked_for_by_its_name_is_seen(files, site):
+    """The package is imported by nobody but ``get_rule``."""
+    text = "def bought_rule(ctx):\n    return None\n"
+    keys = []
+    for version in ("1.0", "1.0", "1.1"):
+        info = site("bought", text, version=version).with_name(f"bought-{version}.dist-info")
+        (info / "entry_points.txt").write_text(
+            "[gsfusion_nb.rules]\nbought_rule = bought:bought_rule\n"
+        )
+        importlib.invalidate_caches()
+        keys.append(code_key(files(rule=BY_NAME)))
+    assert keys[0].parts["package bought"] == "1.0"
+    assert keys[0].digest == keys[1].digest
+    assert differing(keys[1].parts, keys[2].parts) == "package bought (1.0, 1.1)"
+    names_it_only = "def rule(ctx):\n    return 'bought_rule'\n"
+    assert "package bought" not in code_key(files(rule=names_it_only)).parts
+
+
 def test_an_edited_file_of_an_installed_package_is_seen(files, site):
     """The process may have loaded the file as it was, so the key is one that no other process
     has."""
@@ -781,6 +944,39 @@ def test_an_edited_file_of_an_installed_package_is_seen(files, site):
     after = code_key(files(rule=USES_BOUGHT))
     assert "edited" in after.parts["package bought"]
     assert before.digest != after.digest
+
+
+def test_a_package_that_is_used_from_its_sources_is_seen_by_its_files(
+    files, site, tmp_path, monkeypatch
+):
+    """As ``pip install -e`` leaves it: among the packages is only the list of its files."""
+    sources = tmp_path / "sources"
+    sources.mkdir()
+    monkeypatch.syspath_prepend(sources)
+    site("bought").unlink()
+    (sources / "bought.py").write_text("X = 1\n")
+    before = code_key(files(rule=USES_BOUGHT))
+    (sources / "bought.py").write_text("X = 2\n")
+    after = code_key(files(rule=USES_BOUGHT))
+    assert "file bought" in differing(before.parts, after.parts)
+
+
+def test_the_order_of_folders_is_seen(files, tmp_path, monkeypatch):
+    """Of two modules of one name, Python takes that of the first folder."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "bought.py").write_text(f"X = '{name}'\n")
+    keys = []
+    for order in ("ab", "ab", "ba"):
+        with monkeypatch.context() as patch:
+            for name in reversed(order):
+                patch.syspath_prepend(tmp_path / name)
+            patch.delitem(sys.modules, "bought", raising=False)
+            rule = files(rule=USES_BOUGHT)
+            keys.append(code_key(rule))
+            for name in ("bought", rule.__module__):  # as another process begins
+                del sys.modules[name]
+    assert keys[0].digest == keys[1].digest != keys[2].digest
 
 
 def test_a_file_among_the_packages_that_none_installed_is_seen(files, site):
@@ -858,6 +1054,7 @@ SWAPS = {
     "code of a function": (backends.chosen, "__code__", (lambda *args: None).__code__),
     "default of a method": (SeedContext.edges, "__defaults__", (5,)),
     "new attribute of the context": (SeedContext, "step", 5),
+    "operator of a tensor": (torch.Tensor, "__mul__", torch.Tensor.__add__),
 }
 
 
@@ -869,7 +1066,8 @@ SWAPS = {
 def test_a_name_of_a_library_that_leads_elsewhere_is_seen(monkeypatch, owner, name, value):
     before = library_state("torch.", "math.", "gsfusion_nb.seeding.", "gsfusion_nb.backends.")
     monkeypatch.setattr(owner, name, value, raising=False)
-    changed = getattr(owner, "__name__", "") if name.startswith("__") else name
+    is_of_function = isinstance(owner, types.FunctionType)
+    changed = owner.__name__ if is_of_function else name
     assert any(key.endswith(f".{changed}") for key in changes_since(before))
 
 
@@ -947,25 +1145,87 @@ def test_a_swapped_function_that_the_rule_names_is_seen(monkeypatch):
     assert len(set(keys)) == 3
 
 
-def test_settings_of_the_whole_process_are_seen():
-    before = switches()
-    with torch.no_grad():
-        assert switches() != before
-    with np.errstate(divide="raise"):
-        assert switches() != before
-    with decimal.localcontext(prec=5):
-        assert switches() != before
-    torch.backends.cudnn.benchmark = True
-    try:
-        assert switches() != before
-    finally:
-        torch.backends.cudnn.benchmark = False
+@contextlib.contextmanager
+def default_dtype():
     torch.set_default_dtype(torch.float64)
     try:
-        assert switches() != before
+        yield
     finally:
         torch.set_default_dtype(torch.float32)
+
+
+@contextlib.contextmanager
+def benchmark():
+    torch.backends.cudnn.benchmark = True
+    try:
+        yield
+    finally:
+        torch.backends.cudnn.benchmark = False
+
+
+@contextlib.contextmanager
+def global_hook(hook):
+    handle = register_module_forward_hook(hook)
+    try:
+        yield
+    finally:
+        handle.remove()
+
+
+@contextlib.contextmanager
+def trap():
+    with decimal.localcontext() as context:
+        context.traps[decimal.Inexact] = True
+        yield
+
+
+class AddsOne(TorchFunctionMode):
+    """Changes what functions of torch give."""
+
+    def __torch_function__(self, func, types, args=(), kwargs=None):
+        return func(*args, **(kwargs or {}))
+
+
+SWITCHES = {
+    "no gradients": torch.no_grad,
+    "inference": torch.inference_mode,
+    "mixed precision": lambda: torch.autocast("cpu", dtype=torch.bfloat16),
+    "default dtype": default_dtype,
+    "default device": lambda: torch.device("meta"),
+    "mode of functions": AddsOne,
+    "cuDNN": benchmark,
+    "hook of all networks": lambda: global_hook(doubled),
+    "errors of NumPy": lambda: np.errstate(divide="raise"),
+    "precision of decimal numbers": lambda: decimal.localcontext(prec=5),
+    "rounding of decimal numbers": lambda: decimal.localcontext(rounding=decimal.ROUND_UP),
+    "trap of decimal numbers": trap,
+}
+
+
+@pytest.mark.parametrize("switch", SWITCHES.values(), ids=SWITCHES)
+def test_settings_of_the_whole_process_are_seen(switch):
+    before = switches()
+    with switch():
+        assert switches() != before
     assert switches() == before
+
+
+def test_what_a_setting_of_the_process_is_counts():
+    """Not only that there is one."""
+    found = []
+    for hook in (doubled, doubled, tripled):
+        with global_hook(hook):
+            found.append(switches())
+    assert found[0] == found[1] != found[2]
+
+
+def test_signals_of_decimal_numbers_are_no_setting():
+    with decimal.localcontext() as context:
+        context.clear_flags()
+        before = switches()
+        assert decimal.Decimal(1) / 3
+        assert context.flags[decimal.Inexact]
+        assert switches() == before
 
 
 A_DATACLASS = """

@@ -71,6 +71,8 @@ LOOKUPS = {
     "currentframe": "inspect.currentframe().f_back",
     "__globals__": "rule.__globals__['STEP']",
     "get_objects": "len(gc.get_objects())",
+    "__subclasses__": "len(SeedContext.__subclasses__())",
+    "sys.stdin": "int(sys.stdin.readline())",
 }
 
 

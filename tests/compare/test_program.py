@@ -39,6 +39,8 @@ CHANGES = {
     "defaults of a method": (SeedContext.edges, "__defaults__", (1,), (2,)),
     "attributes of a class": (Neighbours, "step", (1,), (2,)),
     "a number of Python": (math, "pi", 3.0, 3.1),
+    "a method of a tensor": (torch.Tensor, "median", torch.Tensor.mean, torch.Tensor.sum),
+    "an operator of a tensor": (torch.Tensor, "__mul__", torch.Tensor.__add__, torch.Tensor.mul),
 }
 
 
@@ -72,6 +74,12 @@ def test_each_change_of_the_program_has_a_key_of_its_own(
     assert len(set(keys)) == 3
     assert keys[2] == keys[3]
     assert key() == keys[0]
+
+
+@pytest.mark.parametrize("beginning", program._WATCHED)
+def test_each_name_that_is_watched_is_there(beginning):
+    names = [f"{namespace.name}." for namespace in program._at_start]
+    assert any(name.startswith(beginning) for name in names)
 
 
 def test_the_kernels_are_code_of_the_package():
