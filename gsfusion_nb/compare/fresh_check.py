@@ -116,7 +116,9 @@ _OF_PROCESS = {
         for m in _SYSTEM
         for name in ("getpid", "getppid", "getcwd", "getcwdb", "getlogin", "uname", "times")
     ),
-    *((m, name) for m in _SYSTEM for name in ("urandom", "getloadavg")),
+    *((m, name) for m in _SYSTEM for name in ("urandom", "getloadavg", "statvfs")),
+    *((m, name) for m in _SYSTEM for name in ("cpu_count", "sched_getaffinity")),
+    ("torch._C", "get_num_threads"),
     *(
         ("_socket", "gethostname"),
         ("socket", "gethostname"),
@@ -126,6 +128,21 @@ _OF_PROCESS = {
     *(("builtins", "id"), ("resource", "getrusage")),
 }
 """Module and name of functions whose answer another process, or another machine, does not get."""
+_TOLD_BY_PYTHON = {
+    ("platform", "node"),
+    ("platform", "uname"),
+    ("uuid", "getnode"),
+    ("uuid", "uuid1"),
+    ("email.utils", "formatdate"),
+    ("email.utils", "localtime"),
+    ("pathlib", "cwd"),
+    ("pathlib._local", "cwd"),
+    ("shutil", "disk_usage"),
+}
+"""The same for functions that Python itself has in its own language."""
+_OF_A_GIVEN_TIME = {"sleep": -1, "strftime": 1, "gmtime": 0}
+"""Functions of ``time`` that can be told a time -> the number of their arguments without one; -1:
+they say nothing of the time."""
 
 
 class _clock_is_watched:
@@ -149,18 +166,35 @@ class _clock_is_watched:
             )
 
     def _note(self, frame: Any, event: str, function: Any) -> None:
-        if event != "c_call" or self._asked:
+        if self._asked:
             return
-        owner = getattr(function, "__self__", None)
-        name = getattr(function, "__name__", "")
-        module = getattr(owner, "__name__", "") or getattr(owner, "__module__", "")
-        is_clock = (module == "time" and name not in ("sleep", "strftime", "gmtime")) or (
-            module in ("datetime", "date") and name in ("now", "utcnow", "today")
-        )
-        is_of_process = (module, name) in _OF_PROCESS
-        if (is_clock or is_of_process) and not is_library_namespace(frame.f_globals):
+        if event == "call":
+            asked = frame.f_globals.get("__name__"), frame.f_code.co_name
+            if asked in _TOLD_BY_PYTHON and frame.f_back is not None:
+                self._note_asked(frame.f_back, *asked, is_clock=False)
+        elif event == "c_call":
+            owner = getattr(function, "__self__", None)
+            name = getattr(function, "__name__", "")
+            module = getattr(owner, "__name__", "") or getattr(owner, "__module__", "")
+            is_clock = (module == "time" and _is_without_a_time(name, frame)) or (
+                module in ("datetime", "date") and name in ("now", "utcnow", "today")
+            )
+            if is_clock or (module, name) in _OF_PROCESS:
+                self._note_asked(frame, module, name, is_clock=is_clock)
+
+    def _note_asked(self, frame: Any, module: str, name: str, *, is_clock: bool) -> None:
+        """A function was called from ``frame``, which may be somebody's own code."""
+        if not is_library_namespace(frame.f_globals):
             self._what = "the time" if is_clock else "what differs from process to process"
             self._asked = f"{module}.{name}"
+
+
+def _is_without_a_time(name: str, frame: Any) -> bool:
+    """Whether a function of ``time`` that is called now in ``frame`` says something of now. The
+    number of arguments stands in the compiled code, behind the call."""
+    if name not in _OF_A_GIVEN_TIME:
+        return True
+    return frame.f_code.co_code[frame.f_lasti + 1] == _OF_A_GIVEN_TIME[name]
 
 
 _CREATE_RULESET = 444

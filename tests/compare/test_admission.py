@@ -2,8 +2,16 @@
 other rules."""
 
 import dataclasses
+import email.utils
 import json
+import logging
+import os
+import platform
 import subprocess
+import tempfile
+import time
+import uuid
+from pathlib import Path
 
 import pytest
 import torch
@@ -283,16 +291,45 @@ def test_what_compiled_code_reads_is_refused_where_the_system_can(fresh_checks, 
     )
 
 
-def test_the_clock_of_own_code_is_noticed_and_that_of_libraries_is_not():
-    import time
+ASKS = {
+    "time.perf_counter": ("the time", time.perf_counter),
+    "time.strftime": ("the time", lambda: time.strftime("%Y")),
+    "time.gmtime": ("the time", lambda: time.gmtime().tm_year),
+    "posix.cpu_count": ("what differs", lambda: os.cpu_count()),
+    "posix.statvfs": ("what differs", lambda: os.statvfs("/").f_bfree),
+    "torch._C.get_num_threads": ("what differs", lambda: torch.get_num_threads()),
+    "platform.node": ("what differs", lambda: platform.node()),
+    "uuid.getnode": ("what differs", lambda: uuid.getnode()),
+    "email.utils.formatdate": ("what differs", lambda: email.utils.formatdate()),
+    "pathlib.*.cwd": ("what differs", lambda: Path.cwd().name),
+}
+"""What is named in the message -> of what kind it is, and who asks."""
 
+
+@pytest.mark.parametrize(("name", "asking"), ASKS.items(), ids=ASKS)
+def test_what_only_this_process_knows_is_noticed(name, asking):
+    kind, ask = asking
     with (
-        pytest.raises(ValueError, match=r"asks for the time \(time\.perf_counter\)"),
+        pytest.raises(ValueError, match=rf"asks for {kind}.* \({name}\)"),
         _clock_is_watched("mine"),
     ):
-        time.perf_counter()
+        ask()
+
+
+ASKS_NOTHING = {
+    "a library": lambda: torch.ones(3).sum(),
+    "a time that is given": lambda: time.strftime("%Y", time.gmtime(3)),
+    "waiting": lambda: time.sleep(0),
+    "a message to a log": lambda: logging.getLogger("mine").debug("a"),
+    "the full name of a file": lambda: Path("a").resolve(),
+    "a temporary file": lambda: tempfile.TemporaryFile().close(),
+}
+
+
+@pytest.mark.parametrize("work", ASKS_NOTHING.values(), ids=ASKS_NOTHING)
+def test_what_decides_nothing_is_not_noticed(work):
     with _clock_is_watched("mine"):
-        torch.ones(3).sum()
+        work()
 
 
 def test_without_landlock_nothing_is_confined(monkeypatch):
