@@ -88,7 +88,6 @@ def curve_figure(
         )
         axes.set_ylim(bottom=0)
     else:
-        lone = "o" if len(x) == 1 else None
         for i, (label, values) in enumerate(series.items()):
             axes.plot(
                 x,
@@ -96,7 +95,9 @@ def curve_figure(
                 label=label,
                 color=PALETTE[i % len(PALETTE)],
                 linewidth=1.6,
-                marker=lone,
+                marker="o",
+                markersize=3 if len(x) > 1 else None,
+                markevery=_lone(values),
             )
     axes.margins(x=0.01)
     if logarithmic:
@@ -133,6 +134,12 @@ def curve_figure(
         )
         legend.set_in_layout(True)
     return figure
+
+
+def _lone(values: Numbers) -> list[int]:
+    """Positions of the values beside which there is none, so that no line goes through them."""
+    gaps = np.pad(np.isnan(np.asarray(values, float)), 1, constant_values=True)
+    return np.flatnonzero(~gaps[1:-1] & gaps[:-2] & gaps[2:]).tolist()
 
 
 def _legend_columns(labels: Sequence[str]) -> int:

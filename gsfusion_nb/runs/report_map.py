@@ -10,14 +10,13 @@ from ..drawing.encoding import data_uri
 from ..drawing.page import page_picture
 from ..geometry.upright import world_up
 from ..resources import MAP_MEMORY
-from ..viewer.page_map import PageMap, page_map, page_script, page_style
+from ..viewer.page_map import PageMap, page_map, page_script, page_style, waiting_controls
 from ..viewer.viewpoint import viewing_camera
 from .mapping_run import MappingRun
 from .report_panel import ReportPanel
 
 CANVAS_WIDTH = 480
 """Of the picture of the map, pixels; the page stretches it."""
-_DISCS = "Here the surface is drawn as discs, coarser than the system's own pictures below."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,8 +56,16 @@ def opening_of(run: MappingRun, views: Sequence[ReportPanel]) -> Opening | None:
         world_up(run.poses),
         birth_frames=None if draws_surface else mapper.gaussians.birth_frame,
     )
-    few = f"Like neighbours are joined: {shown.n:,} in this page, {shown.n_whole:,} in the map."
-    notes = [*([_DISCS] if draws_surface else []), *([few] if shown.has_fewer else [])]
+    notes = []
+    if draws_surface:
+        notes += [
+            f"This map is a surface that {len(mapper.gaussians):,} Gaussians correct.",
+            "Here the surface is drawn as discs too, coarser than in the pictures below.",
+        ]
+    if shown.has_fewer:
+        unit = "discs" if draws_surface else "Gaussians"
+        kept = f"{shown.n:,} {unit} in this page, {shown.n_whole:,} before"
+        notes.append(f"Like neighbours are joined: {kept}.")
     title = mapper.description.title
     return Opening(map=shown, title=title, photo=photo, notes=notes) if shown.n else None
 
@@ -74,6 +81,7 @@ def opening_values(openings: Sequence[Opening], caption: str) -> dict[str, Any]:
     return {
         "maps": [_map_values(opening) for opening in openings],
         "photo": page_picture(photo.rgb, caption, alt=f"{photo.name}, a photograph"),
+        "controls": Markup(waiting_controls()),
         "script": Markup(page_script()),
         "style": Markup(page_style()),
     }

@@ -74,7 +74,7 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
         ][: 2 * len(runs)],
         graphs=[
             page_graph(
-                "PSNR of the frame after its step",
+                "PSNR of the frame after its steps; a gap: no step for it",
                 frames,
                 of_frames,
                 x_label="frame",

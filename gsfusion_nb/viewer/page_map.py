@@ -98,6 +98,7 @@ def page_map(
         "background": _BACKGROUND,
         "born_until": None,
         "record": [],
+        "names_renderer": False,
         **_OFF,
     }
     head = {"n": len(few), "stride": layout.stride, "columns": layout.columns, "harmonics": 1}
@@ -115,13 +116,18 @@ def page_script() -> str:
     """What shows every ``.gsnb-moving-map`` of a page that has the data of a map in a script
     element in it, or else the map ``MAP``, a constant put before this text."""
     module = splat_module().replace(_EXPORT, "const VIEWER = {")
-    style = json.dumps(splat_style())
-    return f"{module}\nconst STYLE = {style};\n{source(ROOM, 'page.js')}"
+    return f"{module}\n{source(ROOM, 'page.js')}"
 
 
 def page_style() -> str:
-    """The style sheet of a page with maps: it keeps the place of a map before the script runs."""
-    return source(ROOM, "page.css")
+    """The style sheet of a page with maps and of the buttons under their posters."""
+    return f"{splat_style()}{source(ROOM, 'page.css')}"
+
+
+def waiting_controls() -> str:
+    """HTML of the viewer's buttons, disabled: they stand under a poster until its map has come, and
+    not where a page runs no script."""
+    return source(ROOM, "waiting.html")
 
 
 def _on_cpu(params: GaussianParams, stride: int) -> GaussianParams:

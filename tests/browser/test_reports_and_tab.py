@@ -48,7 +48,10 @@ def test_the_map_of_a_report_turns_when_it_is_dragged(book_browser, report, widt
     look = lambda: canvas.evaluate("c => c.toDataURL()")  # noqa: E731
     page.wait_for_timeout(1000)
     before = look()
+    assert page.locator(".gsnb-moving-map-soon").count() == 0
     box = page.locator(".gsnb-splat-scene").bounding_box()
+    photo = page.locator(".opening figure img").bounding_box()
+    assert (photo["y"] == pytest.approx(box["y"], abs=1)) == (width > 500)
     assert box["y"] + box["height"] < 800, "the map is not above the fold"
     page.mouse.move(box["x"] + 100, box["y"] + 100)
     page.mouse.down()
@@ -78,9 +81,32 @@ def test_without_javascript_nothing_is_empty(book_browser, report):
     poster = page.locator(".gsnb-moving-map img")
     assert poster.is_visible()
     assert poster.bounding_box()["height"] > 200
+    place = page.locator(".gsnb-moving-map")
+    assert place.bounding_box()["height"] == pytest.approx(poster.bounding_box()["height"], abs=1)
     assert "With JavaScript the map can be turned" in page.locator("noscript").nth(1).inner_text()
     assert not page.get_by_text("Drag the map").is_visible()
     context.close()
+
+
+def test_buttons_wait_under_a_poster_and_leave_where_no_map_comes(book_browser, report):
+    heights = []
+    for script in ("Response.prototype.arrayBuffer = () => new Promise(() => {})", ""):
+        page = book_browser.new_page(viewport={"width": 1280, "height": 800})
+        page.add_init_script(script)
+        page.goto(report)
+        if not script:
+            page.wait_for_function(_LIVE)
+        place = page.locator(".gsnb-moving-map")
+        assert place.get_by_text("inside").is_disabled() == bool(script)
+        heights.append(place.bounding_box()["height"])
+        page.close()
+    assert heights[0] == pytest.approx(heights[1], abs=1)
+    page = book_browser.new_page()
+    page.add_init_script("delete window.DecompressionStream")
+    page.goto(report)
+    page.wait_for_function("!document.querySelector('.gsnb-moving-map-soon')")
+    assert page.locator(".gsnb-moving-map > img").is_visible()
+    page.close()
 
 
 def test_the_tab_shows_the_map_and_loads_nothing_from_elsewhere(launch, config, tmp_path):

@@ -203,6 +203,14 @@ def test_logarithmic_axes_make_a_power_a_straight_line():
     assert middle == pytest.approx((first + last) / 2)
 
 
+def test_a_value_between_two_gaps_is_a_point():
+    values = [1.0, math.nan, 2.0, math.nan, 3.0, 4.0, math.nan, 5.0]
+    series = {"a": values, "b": [1.0] * 8}
+    figure = curves.curve_figure(range(8), series, x_label="x", y_label="y")
+    marked = [line.get_markevery() for line in figure.axes[0].lines]
+    assert marked == [[0, 2, 7], []]
+
+
 def test_a_small_curve_fills_as_much_as_is_done_and_nan_leaves_a_gap():
     done = line_columns(
         small_curves(

@@ -2,6 +2,7 @@
 missing."""
 
 import math
+import re
 from html.parser import HTMLParser
 from types import SimpleNamespace
 
@@ -244,6 +245,13 @@ def test_two_systems_side_by_side(config, tmp_path):
     assert all((tmp_path / name / "report.html").is_file() for name in configs)
     assert "GSFusion and GPS-SLAM on room" in page.words
     assert page.words.index("Photograph and map") < page.words.index("Numbers")
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    opening = text[text.index('<section class="opening"') : text.index("</section>")]
+    heads = re.findall(
+        r"<div>\s*<h2>([^<]*)</h2>\s*<(?:div class=.gsnb-moving-map|figure)", opening
+    )
+    assert heads == ["GSFusion", "GPS-SLAM", "Photograph"]  # each directly above its picture
+    assert f"a surface that {len(runs[1].run.mapper.gaussians):,} Gaussians correct" in page.words
     assert "how near the drawn pictures are to photographs" in page.words
     for run in runs:
         assert (

@@ -4,6 +4,7 @@ large one."""
 import base64
 import json
 import math
+import re
 import zlib
 
 import numpy as np
@@ -15,7 +16,7 @@ from gsfusion_nb.render import render
 from gsfusion_nb.types import Camera, GaussianParams, Seeds
 from gsfusion_nb.viewer import splat_rows
 from gsfusion_nb.viewer.fewer_rows import merged
-from gsfusion_nb.viewer.page_map import page_map, page_script
+from gsfusion_nb.viewer.page_map import page_map, page_script, page_style, waiting_controls
 from gsfusion_nb.viewer.viewpoint import orbit_camera
 
 CAMERA = Camera(
@@ -124,6 +125,18 @@ def test_a_map_that_is_small_enough_stays_as_it_is():
     assert torch.equal(fewer.xyz_W, params.xyz_W)
     assert torch.equal(rows, torch.arange(16))
     assert fewer.sh.shape == (16, 1, 3)
+
+
+def test_the_buttons_under_a_poster_are_those_that_the_map_brings():
+    shown = page_map(carpet(4), CAMERA, orbit_camera((0.5, 0.5, 0.0), 20, 40, 2.0), UP_W)
+    state = json.loads(shown.data)["state"]
+    html = waiting_controls()
+    labels = re.findall(r"<button disabled>(\w+)</button>", html)
+    assert labels == [*state["places"], "more"]
+    assert html.count("<button") == html.count("<button disabled") == len(labels) + 1
+    assert 'aria-hidden="true"' in html
+    classes = set(re.findall(r"gsnb-splat-\w+", html))
+    assert all(f".{name}" in page_style() for name in classes - {"gsnb-splat-timeline"})
 
 
 def test_the_script_is_whole_and_has_no_end_tag():

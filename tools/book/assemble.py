@@ -18,6 +18,7 @@ from quiz import INTRODUCTION, Question
 from gsfusion_nb.course.copies import FIRST
 from gsfusion_nb.course.course import TITLES
 from gsfusion_nb.course.short_path import SHORT_PATH, short_path
+from gsfusion_nb.viewer.page_map import waiting_controls
 
 from .chapters import ROOT_PAGES, Chapter, Places, in_the_book, raw
 from .live_panels import panel_html
@@ -34,7 +35,7 @@ def moving_map_html(root: str) -> str:
         'fetchpriority="high">'
     )
     script = f'<script defer src="{root}_static/moving_map.js"></script>'
-    return f'<div class="gsnb-moving-map">{poster}</div>{script}'
+    return f'<div class="gsnb-moving-map">{poster}{waiting_controls()}</div>{script}'
 
 
 def opening_bar(notebook: str) -> str:
@@ -229,7 +230,8 @@ class Assembly:
         content = (
             json.dumps(short_path(file.parent)).encode() if path == _SHORT else file.read_bytes()
         )
-        bar = (moving_map_html("../") if path.endswith(FIRST) else "") + opening_bar(path)
+        opens_with_map = path.endswith((FIRST, SHORT_PATH))
+        bar = (moving_map_html("../") if opens_with_map else "") + opening_bar(path)
         chapter = Chapter(json.loads(content), path, self.places, bar=bar)
         self._put(self.pages / f"{path.removesuffix('.ipynb')}.md", chapter.markdown())
         for address, picture in chapter.files.items():

@@ -1,6 +1,6 @@
 // A map that turns by itself until it is touched: the splat viewer of the notebooks without a kernel.
-// page_map.py puts the viewer's modules (VIEWER, OrbitCamera) and its style (STYLE) before this text. A page has the
-// data of each map in a script element, or one map for all places in a constant (MAP).
+// page_map.py puts the viewer's modules (VIEWER, OrbitCamera) before this text. A page has the viewer's style sheet, and
+// the data of each map in a script element, or one map for all places in a constant (MAP).
 const FRAME_MS = 60;
 const TURN_DEG = 0.6; // per picture
 
@@ -52,21 +52,21 @@ async function recordsOf({ head, rows }) {
   return records.buffer;
 }
 
-/** The poster stays until there is a picture; where something is missing in the browser, it stays for good. */
+/** The poster and its disabled buttons stay until there is a picture; where something is missing in the browser, the poster stays for good. */
 async function showMap(place, map) {
   const model = new StoredModel(map.state, map.head, await recordsOf(map));
-  const poster = place.querySelector("img"), stage = place.appendChild(document.createElement("div"));
+  const still = place.querySelectorAll("img, .gsnb-moving-map-soon"), stage = place.appendChild(document.createElement("div"));
   stage.className = "gsnb-moving-map-waiting";
   VIEWER.render({ model, el: stage });
   const drawn = new MutationObserver(() => {
     if (!stage.querySelector(".gsnb-splat-status")?.textContent.includes("in view")) return;
     drawn.disconnect();
-    poster?.remove();
+    for (const part of still) part.remove();
     stage.className = "";
     place.classList.add("gsnb-moving-map-live");
   });
   drawn.observe(stage, { subtree: true, childList: true, characterData: true });
-  if (place.dataset.controls === "few") foldControls(stage);
+  foldControls(stage);
   turn(place, model);
 }
 
@@ -94,8 +94,10 @@ function turn(place, model) {
   for (const touch of ["pointerdown", "wheel", "keydown"]) place.addEventListener(touch, () => clearInterval(turning), { capture: true, passive: true });
 }
 
-document.head.append(Object.assign(document.createElement("style"), { textContent: STYLE }));
 for (const place of document.querySelectorAll(".gsnb-moving-map")) {
   const own = place.querySelector('script[type="application/json"]');
-  showMap(place, own ? JSON.parse(own.textContent) : MAP).catch((error) => console.warn("the map stays a picture:", error));
+  showMap(place, own ? JSON.parse(own.textContent) : MAP).catch((error) => {
+    place.querySelector(".gsnb-moving-map-soon")?.remove();
+    console.warn("the map stays a picture:", error);
+  });
 }

@@ -194,7 +194,8 @@ class SplatView {
     else showLegend(this.nodes.legend, paint, paint.label ?? paint.by);
     const count = (v) => v.toLocaleString("en");
     const few = thinned && `only the ${count(thinned.shown)} most important of ${count(thinned.of)} are drawn`;
-    const words = [`${count(drawn)} Gaussians in view`, this.gpu ? "WebGL" : "software", few, this.trouble, this.model.get("notice")];
+    const renderer = this.model.get("names_renderer") === false ? "" : this.gpu ? "WebGL" : "software";
+    const words = [`${count(drawn)} Gaussians in view`, renderer, few, this.trouble, this.model.get("notice")];
     this.nodes.status.textContent = words.filter(Boolean).join(" · ");
   }
 
