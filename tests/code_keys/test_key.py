@@ -41,7 +41,7 @@ from torch.nn.modules.module import register_module_forward_hook
 from torch.overrides import TorchFunctionMode
 
 from gsfusion_nb import backends
-from gsfusion_nb.code_keys import code_key, installed
+from gsfusion_nb.code_keys import CodeKey, code_key, installed
 from gsfusion_nb.code_keys.digest import UnhashableError
 from gsfusion_nb.code_keys.key import differing, loaded_values
 from gsfusion_nb.code_keys.patches import (
@@ -886,6 +886,18 @@ def site(tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
+def locked(f):
+    lock = threading.Lock()
+
+    @functools.wraps(f)
+    def g():
+        with lock:
+            return f()
+
+    return g
+
+
+LOCKED_HERE = locked(lambda: 3)
 USES_BOUGHT = "import bought\ndef rule(ctx):\n    return bought.X\n"
 
 
@@ -896,6 +908,37 @@ def test_the_version_of_an_installed_package_is_seen(files, site):
     site("bought", version="1.1")
     after = code_key(files(rule=USES_BOUGHT))
     assert differing(before.parts, after.parts) == "package bought (1.0, 1.1)"
+
+
+LOCKED = """
+import functools
+import threading
+def locked(f):
+    lock = threading.Lock()
+    @functools.wraps(f)
+    def g():
+        with lock:
+            return f()
+    return g
+@locked
+def X():
+    return 3
+"""
+
+
+def test_of_a_packages_own_function_the_version_says_all(files, site):
+    """It is not looked into: a lock around it, which cannot be hashed, leaves the key complete."""
+    site("bought", LOCKED, version="1.0")
+    key = code_key(files(rule="from bought import X\ndef rule(ctx):\n    return X()\n"))
+    assert key.reason == ""
+    assert key.parts["package bought"] == "1.0"
+    assert code_key(LOCKED_HERE).reason != ""
+
+
+def test_a_key_prints_its_parts_and_no_objects_or_paths():
+    """Objects and paths are others in every process; the same key reads the same in a notebook."""
+    key = CodeKey(parts={"values": "1"}, files=(Path("a.py"),), caches=(print,), walks_sets=True)
+    assert repr(key) == "CodeKey(parts={'values': '1'}, reason='')"
 
 
 def test_the_version_of_what_a_package_requires_is_seen(files, site):
