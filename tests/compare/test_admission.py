@@ -15,14 +15,20 @@ from pathlib import Path
 
 import pytest
 import torch
+from box_room import Box
 
 from gsfusion_nb.compare import Entrant, admission, run_all
 from gsfusion_nb.compare.admission import Admission
+from gsfusion_nb.compare.benchmark import BenchmarkOptions, benchmark_specs
+from gsfusion_nb.compare.data_sets import DATA_SETS
 from gsfusion_nb.compare.executors import Task, do_sent_task
 from gsfusion_nb.compare.fresh_check import _clock_is_watched, confine
 from gsfusion_nb.compare.map_scene import Entry, _PrivateFrames
 from gsfusion_nb.compare.one_run import run_entry
+from gsfusion_nb.compare.recording_specs import RecordingOptions
 from gsfusion_nb.compare.run_all import ResultStore
+from gsfusion_nb.compare.studies import study_specs
+from gsfusion_nb.compare.sweep import SweepOptions, sweep_specs
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.mapping import SYSTEMS, GSFusion
 
@@ -32,9 +38,11 @@ import os
 import random
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import torch
+from box_room import Box
 from cv2 import imread
 
 import beside
@@ -53,6 +61,10 @@ def every(ctx, step):
 
 def plain(ctx):
     return every(ctx, beside.STEP)
+
+
+def weighed(ctx, *, weights: Path = Path("{weights}")):
+    return every(ctx, beside.STEP + int(weights.read_text()))
 
 
 def unhashable(ctx):
@@ -145,7 +157,11 @@ def picture(ctx):
 def file(tmp_path):
     """``FILE.py`` of the rules, with a module beside it."""
     (tmp_path / "beside.py").write_text("STEP = 9\n")
-    (tmp_path / "rules.py").write_text(RULES.replace("{picture}", str(tmp_path / "nine.png")))
+    places = {"{picture}": "nine.png", "{weights}": "weights"}
+    text = RULES
+    for name, path in places.items():
+        text = text.replace(name, str(tmp_path / path))
+    (tmp_path / "rules.py").write_text(text)
     return tmp_path / "rules.py"
 
 
@@ -408,15 +424,38 @@ def test_a_process_that_loaded_an_older_module_refuses(entry, file):
     assert (result.status, "file beside" in result.reason) == ("failed", True)
 
 
-def test_a_sweep_sees_a_changed_helper_and_changed_weights(file, scene, tmp_path):
-    from gsfusion_nb.compare.recording_specs import RecordingOptions, recording_specs
+def of_a_sweep(rule, folder):
+    return sweep_specs(
+        SweepOptions(data=str(folder / "room0"), grid=(f"seeding.rule={rule}",), preset="replica")
+    )
 
-    options = RecordingOptions(set=("data.hold_out_every=4", "data.hold_out_offset=2"))
+
+def of_a_study(rule, folder):
+    options = RecordingOptions(set=(f"seeding.rule={rule}",))
+    return study_specs("table-v", options, str(folder / "room0"), only="0.1")
+
+
+def of_a_benchmark(rule, folder):
+    options = BenchmarkOptions(
+        name="replica",
+        folder=str(folder / "room0"),
+        systems=("gsfusion",),
+        set=(f"seeding.rule={rule}",),
+    )
+    return benchmark_specs(DATA_SETS["replica"], options)[0]
+
+
+@pytest.mark.parametrize("specs_of", [of_a_sweep, of_a_study, of_a_benchmark])
+@pytest.mark.parametrize("changed", ["beside.py", "weights"])
+def test_a_changed_helper_and_changed_weights_are_seen(file, tmp_path, specs_of, changed):
+    Box().replica(tmp_path / "data" / "room0")
+    (file.parent / "weights").write_text("9")
     keys = []
     for step in (9, 9, 7):
-        (file.parent / "beside.py").write_text(f"STEP = {step}\n")
-        (one,) = recording_specs({"mine": {"seeding.rule": f"{file}:plain"}}, options, str(scene))
-        keys.append(one.key)
+        text = f"STEP = {step}\n" if changed == "beside.py" else str(step)
+        (file.parent / changed).write_text(text)
+        spec, *_ = specs_of(f"{file}:weighed", tmp_path / "data")
+        keys.append(spec.key)
     assert keys[0] == keys[1] != keys[2]
 
 
