@@ -18,6 +18,8 @@ from gsfusion_nb.mapping import SYSTEMS, make_mapper
 from gsfusion_nb.mapping.lost_rows import finite_rows
 from gsfusion_nb.optim import take_missed_steps
 from gsfusion_nb.runs import MappingRun, run_mapping
+from gsfusion_nb.runs.outputs import write_maps
+from gsfusion_nb.runs.scores import score
 from gsfusion_nb.seeding import map_params
 
 APART_M = 25.0
@@ -78,6 +80,24 @@ def walk(frames, places, n):
             T_WC[0, 3] += APART_M * place
             yield dataclasses.replace(frame, T_WC=T_WC, index=index, timestamp_s=float(index))
             index += 1
+
+
+class TwoPlaces:
+    """A sequence whose first three frames are in one place and the others in another."""
+
+    def __init__(self, sequence):
+        self.name, self.camera, self._sequence = sequence.name, sequence.camera, sequence
+
+    def __len__(self):
+        return len(self._sequence)
+
+    def pose(self, i):
+        T_WC = self._sequence.pose(i).clone()
+        T_WC[0, 3] += APART_M * (i >= 3)
+        return T_WC
+
+    def __getitem__(self, i):
+        return dataclasses.replace(self._sequence[i], T_WC=self.pose(i))
 
 
 def mapped(config, room, places=(0, 1, 0), n=4):
@@ -202,6 +222,31 @@ def test_the_files_of_a_run_hold_the_map_without_missed_steps(system, tmp_path):
         )
     if system == "rtg_slam":
         assert int(mapper.disc_passes.optimiser.copies.clock.steps_missed.sum()) == 0
+
+
+@pytest.mark.parametrize("system", ["gsfusion", "gps_slam"])
+def test_what_is_written_or_scored_before_the_passes_has_the_missed_steps(
+    system, small_room, tmp_path
+):
+    data = {"width": 0, "height": 0, "stop": 6, "hold_out_every": 3, "hold_out_offset": 1}
+    config = settings(system, "measured", **HERE_ONLY[system], data=data)
+    run = MappingRun(apply_options(TwoPlaces(small_room), config.data), make_mapper(config))
+    list(run.online())
+    assert missing(run.mapper) > 0
+    (tmp_path / "maps").mkdir()
+    write_maps(run, tmp_path / "maps")
+    stored = read_gaussian_ply(tmp_path / "maps/gaussians.ply")
+    scores = score(run)
+    assert missing(run.mapper) > 0
+    before = run.mapper.gaussians.params.xyz_W.clone()
+    run.mapper.parts.take_missed_steps()
+    finished = run.mapper.gaussians.params
+    assert not torch.equal(finished.xyz_W, before)
+    for name in ("xyz_W", "log_scale", "opacity_logit"):
+        torch.testing.assert_close(
+            getattr(stored, name), getattr(finished, name), atol=1e-6, rtol=1e-6
+        )
+    assert scores["psnr_held_out_db"] == pytest.approx(score(run)["psnr_held_out_db"], abs=1e-4)
 
 
 def test_discs_have_their_missed_steps_between_two_passes(small_room):
