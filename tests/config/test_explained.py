@@ -27,17 +27,18 @@ def config_classes(cls: type) -> set[type]:
 
 
 def explanations(cls: type) -> dict[str, str]:
-    """The text under each field, inherited ones included."""
+    """The text under each field, inherited ones included, and under each value without a type."""
     texts = {}
     for base in (base for base in reversed(cls.__mro__) if dataclasses.is_dataclass(base)):
         source: Any = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
         for field, text in itertools.pairwise(source.body):
             if (
-                isinstance(field, ast.AnnAssign)
+                isinstance(field, ast.AnnAssign | ast.Assign)
                 and isinstance(text, ast.Expr)
                 and isinstance(text.value, ast.Constant)
             ):
-                texts[field.target.id] = str(text.value.value)  # pyright: ignore[reportAttributeAccessIssue]
+                target = field.target if isinstance(field, ast.AnnAssign) else field.targets[0]
+                texts[ast.unparse(target)] = str(text.value.value)
     return texts
 
 

@@ -4,6 +4,7 @@ is said of them."""
 import dataclasses
 import html
 import json
+import re
 from typing import Any
 
 import pytest
@@ -21,7 +22,7 @@ from gsfusion_nb.mapping.disc_states import (
     state_shares,
     why_never_stable,
 )
-from gsfusion_nb.runs import run_mapping
+from gsfusion_nb.runs import report, run_mapping
 from gsfusion_nb.types import Camera, Frame, Seeds
 
 SMALL: dict[str, Any] = {"width": 48, "height": 36}
@@ -158,7 +159,15 @@ def test_a_wrong_depth_counts_on_one_side_as_released_and_on_both_in_the_paper(
     assert mapper.gaussians.colour_errors.tolist() == [0]
 
 
-def test_a_run_says_the_share_of_each_state_or_that_none_was_stable(tmp_path, capsys):
+def test_a_run_says_the_share_of_each_state_or_that_none_was_stable(tmp_path, capsys, monkeypatch):
+    drawn = {}
+    page_graph = report.page_graph
+
+    def noted(title, x, series, **options):
+        drawn[title] = series
+        return page_graph(title, x, series, **options)
+
+    monkeypatch.setattr(report, "page_graph", noted)
     few: dict[str, Any] = {
         "window__every_frames": 2,
         "window__iterations": 10,
@@ -184,7 +193,13 @@ def test_a_run_says_the_share_of_each_state_or_that_none_was_stable(tmp_path, ca
         text = capsys.readouterr().out
         page = html.unescape((run.folder / "report.html").read_text())
         assert f"Stable                       {100 * shares['share_stable']:.1f}" in text
-        assert "States of the Gaussians" in page
+        counts = {n.replace("_", " "): [s.counts[n] for s in run.run.steps] for n in STATES}
+        assert drawn.pop("States of the Gaussians") == counts
+        assert 'alt="Graph: States of the Gaussians"' in page
+        for words, share in (("Stable", "stable"), ("Unstable", "unstable")):
+            row = re.search(rf"<tr>\s*<t[hd][^>]*>{words}<.*?</tr>", page, re.DOTALL)
+            assert row is not None
+            assert f"{100 * shares[f'share_{share}']:.1f}" in row[0]
         for said in (text, page, " ".join(stored["warnings"])):
             assert (
                 f"RTG-SLAM's stable state never occurred: in {len(run.run.steps)} frames" in said
