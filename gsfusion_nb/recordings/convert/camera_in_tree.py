@@ -33,6 +33,7 @@ _SIZES = (
     ("width", "height"),
     ("image_width", "image_height"),
     ("w", "h"),
+    ("W", "H"),
     ("m_colorWidth", "m_colorHeight"),
 )
 
@@ -48,10 +49,22 @@ _LISTS = (
     "distortion",
     "distortionCoeff",
     "coeffs",
+    "distortion_parameters",
     "D",
 )
+"""The last but one is a group of VINS-Fusion, beside that of the focal lengths."""
 
-_LENSES = ("distortion_model", "type", "model", "camera_model")
+_LENSES = (
+    "distortion_model",
+    "distortion_type",
+    "type",
+    "model",
+    "model_type",
+    "camera_model",
+    "camera_type",
+    "lens_model",
+    "lens_type",
+)
 
 _BROWN = (
     "",
@@ -61,6 +74,7 @@ _BROWN = (
     "perspective",
     "pinhole",
     "plumb_bob",
+    "radial-tangential",
     "radtan",
     "rational_polynomial",
     "simple_pinhole",
@@ -72,6 +86,9 @@ _OF_A_LENS = re.compile(
     r"k\d+|p\d+|xi|alpha|beta|skew|s|radial\w*|tangential\w*|distort\w*|is_fisheye|fisheye"
 )
 """Names of what changes a camera."""
+
+_OF_A_PART = re.compile(r"roi|binning(_[xy])?|[xy]_offset|offset_[xy]|crop_(x|y|left|top)")
+"""Names of what makes the images a part of the sensor, or every second pixel of it."""
 
 _REALSENSE = (
     "none",
@@ -145,7 +162,7 @@ def _cameras(
         yield path or "the camera", {**outer, **tree}
         return
     common = tree.get("Camera")
-    single = {**outer, **_single_values(tree)}
+    single = {**outer, **_single_values(tree), **_lens_groups(tree)}
     if isinstance(common, Mapping):
         single |= _single_values(common)
     for name, values in tree.items():
@@ -186,12 +203,22 @@ def _single_values(tree: Tree) -> dict[str, Any]:
     }
 
 
+def _lens_groups(tree: Tree) -> dict[str, Any]:
+    """Groups and lists of a lens, which may stand beside the group of its focal lengths."""
+    return {
+        name: value
+        for name, value in tree.items()
+        if isinstance(value, Mapping | list | tuple) and _OF_A_LENS.fullmatch(str(name))
+    }
+
+
 def _model_of_values(
     values: Tree, size: tuple[int, int] | None, source: str, centre: float
 ) -> CameraModel:
     stored_size = _size(values) or size
     if stored_size is None:
         raise SequenceError(f"{source} lacks the size of the images; expected width and height")
+    _check_whole_sensor(values, stored_size, source)
     centre = float(values.get("pixel_centre", centre))
     fisheye = _is_fisheye(values, source)
     coefficients = _coefficients(values, source, fisheye=fisheye)
@@ -216,6 +243,27 @@ def _model_of_values(
     return model_of(_list_of(values[_FOUR]), stored_size, source, centre=centre, **lens)
 
 
+def _check_whole_sensor(values: Tree, size: tuple[int, int], source: str) -> None:
+    """Raises ``SequenceError`` where the camera may be that of a larger image than its own."""
+    for name, value in values.items():
+        if not _OF_A_PART.fullmatch(str(name)):
+            continue
+        parts = value if isinstance(value, Mapping) else {name: value}
+        whole = {"width": size[0], "height": size[1]}
+        changes = (
+            _is_not_zero(part)
+            and part != whole.get(part_name)
+            and not (str(part_name).startswith("binning") and part == 1)
+            for part_name, part in parts.items()
+        )
+        if any(changes):
+            raise SequenceError(
+                f"{source}: {name} = {shown(value)} says that the images are a part of the sensor, "
+                "and not whether the intrinsics are those of the images; give these as "
+                "--intrinsics 'fx fy cx cy [k1 k2 p1 p2 k3]'"
+            )
+
+
 def _size(values: Tree) -> tuple[int, int] | None:
     resolution = values.get("resolution")
     if isinstance(resolution, list | tuple) and len(resolution) == 2:
@@ -238,19 +286,33 @@ def _is_fisheye(values: Tree, source: str) -> bool:
     not."""
     if values.get("is_fisheye") or values.get("fisheye"):
         return True
-    names = [
-        _lens_name(values[name]) for name in _LENSES if isinstance(values.get(name), str | int)
-    ]
+    names = _lens_names(values)
     if any(name in _FISHEYE for name in names):
         return True
     unknown = [name for name in names if name not in _BROWN]
     coefficients = [values.get(name, 0.0) for name in _COEFFICIENTS]
-    if unknown and (any(_listed_coefficients(values)) or any(map(_is_not_zero, coefficients))):
+    listed = _listed_coefficients(values, _COEFFICIENTS, source) if unknown else []
+    if unknown and (any(listed) or any(map(_is_not_zero, coefficients))):
         raise SequenceError(
             f"{source}: the lens {shown(unknown[0])} with other coefficients than 0 cannot be "
             f"undistorted; known: {', '.join(name for name in (*_BROWN, *_FISHEYE) if name)}"
         )
     return False
+
+
+def _lens_names(values: Tree) -> list[str]:
+    """What the lens is called: also by a name where others have its coefficients."""
+    named = [values[name] for name in _LENSES if isinstance(values.get(name), str | int)]
+    instead = [values[name] for name in _LISTS if isinstance(values.get(name), str)]
+    return [
+        *map(_lens_name, named),
+        *(_lens_name(value) for value in instead if _is_lens_name(value)),
+    ]
+
+
+def _is_lens_name(value: Any) -> bool:
+    """Whether ``value`` stands for a lens; nothing stands for one without distortion."""
+    return value is None or (isinstance(value, str) and _lens_name(value) in (*_BROWN, *_FISHEYE))
 
 
 def _lens_name(value: str | int) -> str:
@@ -276,7 +338,13 @@ def _coefficients(
                 f"{source}: {name} = {shown(value)} changes the camera in a way that is not known "
                 f"here; undistort the images first; known: {', '.join(names)}"
             )
-    coefficient_list = _listed_coefficients(values)
+    needs_model = _is_not_zero(values.get("k4", 0)) and not {"p1", "p2"} & values.keys()
+    if needs_model and not fisheye and not _lens_names(values):
+        raise SequenceError(
+            f"{source} has k1 to k4 without p1 and p2, as a fisheye has, but does not name the "
+            "lens; expected a model, such as fisheye or rational_polynomial"
+        )
+    coefficient_list = _listed_coefficients(values, names, source)
     coefficients = [float(values.get(name, 0.0)) for name in names]
     if any(coefficient_list):
         if fisheye and len(coefficient_list) != len(_FISHEYE_COEFFICIENTS):
@@ -285,18 +353,42 @@ def _coefficients(
                 f"{len(coefficient_list)}"
             )
         return tuple(coefficient_list)
-    while len(coefficients) > 5 and not coefficients[-1]:
-        coefficients.pop()
-    return tuple(coefficients) if any(coefficients) or fisheye else ()
+    return _used(coefficients) if any(coefficients) or fisheye else ()
 
 
-def _listed_coefficients(values: Tree) -> list[float]:
-    name = next((name for name in _LISTS if name in values), None)
-    if name is None or isinstance(values[name], str):
+def _used(coefficients: list[float]) -> tuple[float, ...]:
+    """Without the last ones that are 0; OpenCV takes five at least."""
+    n = max((i for i, value in enumerate(coefficients, 1) if value), default=0)
+    return tuple(coefficients[: max(n, 5)])
+
+
+def _listed_coefficients(values: Tree, names: tuple[str, ...], source: str) -> list[float]:
+    """The distortion of a list, or of a group that names its coefficients; empty where there is
+    neither, or only the name of the lens.
+
+    Args:
+        values: Of the camera.
+        names: Coefficients that a group may have, in OpenCV's order.
+        source: The file, for messages.
+
+    Raises:
+        SequenceError: the group has other names, or the text is neither numbers nor a lens.
+    """
+    name = next((name for name in _LISTS if not _is_lens_name(values.get(name, ""))), None)
+    if name is None:
         return []
     value = values[name]
+    if isinstance(value, str):
+        with parsing(source, f"numbers of {name}"):
+            return [float(word) for word in value.strip("[]() ").replace(",", " ").split()]
     if isinstance(value, Mapping) and "data" not in value:
-        return [float(value.get(coefficient, 0.0)) for coefficient in _COEFFICIENTS]
+        unknown = [key for key, part in value.items() if key not in names and _is_not_zero(part)]
+        if unknown:
+            raise SequenceError(
+                f"{source}: {name} has {shown(', '.join(map(str, unknown)))}; expected "
+                f"{', '.join(names)}"
+            )
+        return list(_used([float(value.get(coefficient, 0.0)) for coefficient in names]))
     return _list_of(value)
 
 

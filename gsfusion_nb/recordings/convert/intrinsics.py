@@ -1,11 +1,13 @@
 """Camera intrinsics as an option or a frame gives them: numbers, matrices, JSON, YAML, and lines
 that name values."""
 
+import re
 from pathlib import Path
 
 from ...checks import shown
 from ...data.lens import CameraModel
 from ...errors import SequenceError
+from ...files import read_text
 from .calibration_tree import WAYS, tree_of_file
 from .camera_in_tree import model_of_tree
 from .camera_numbers import model_of, model_of_matrix
@@ -86,8 +88,12 @@ def intrinsics_of_frame(
 
 
 def _numbers_of(path: Path) -> list[float]:
-    return (
-        read_array(path, WAYS).ravel().tolist()
-        if path.suffix == ".npy"
-        else read_numbers(path, WAYS)
-    )
+    if path.suffix == ".npy":
+        return read_array(path, WAYS).ravel().tolist()
+    lines = [line.split("#")[0].strip() for line in read_text(path, WAYS).splitlines()]
+    words = next((line for line in lines if re.search("[A-Za-z]{3}", line)), "")
+    if words:
+        raise SequenceError(
+            f"{path} holds no camera in a way that is known, but {shown(words)}; known: {WAYS}"
+        )
+    return read_numbers(path, WAYS)

@@ -87,6 +87,36 @@ m_calibrationColorIntrinsic = 208.5 0 159.0 0 0 209.5 119.25 0 0 0 1 0 0 0 0 1
 """
 
 
+VINS = """%YAML:1.0
+---
+model_type: {model}
+camera_name: camera
+image_width: 320
+image_height: 240
+distortion_parameters:
+   k1: 0.26
+   k2: -0.95
+   p1: -0.005
+   p2: 0.0026
+projection_parameters:
+   fx: 208.5
+   fy: 209.5
+   cx: 159.0
+   cy: 119.25
+"""
+NICE_SLAM = """cam:
+  H: 240
+  W: 320
+  fx: 208.5
+  fy: 209.5
+  cx: 159.0
+  cy: 119.25
+  png_depth_scale: 6553.5
+  crop_edge: 10
+"""
+PINHOLE = {"fx": 208.5, "fy": 209.5, "cx": 159.0, "cy": 119.25}
+
+
 def opencv_yaml(path):
     """What OpenCV itself writes: numbers such as 2.0850000000000000e+02, and tagged matrices."""
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
@@ -155,6 +185,48 @@ def opencv_yaml(path):
             BROWN,
             False,
         ),
+        ("vins.yaml", VINS.format(model="PINHOLE"), (*BROWN[:4], 0.0), False),
+        ("slam.yaml", NICE_SLAM, (), False),
+        (
+            "text.yaml",
+            ORB_3.replace("Camera1.k1", "Camera1.distortion")
+            .replace(": 0.26\n", ": 0.26 -0.95 -0.005 0.0026\n")
+            .replace("Camera1.k2: -0.95\n", "")
+            .replace("Camera1.p1: -0.005\nCamera1.p2: 0.0026\nCamera1.k3: 1.16\n", ""),
+            BROWN[:4],
+            False,
+        ),
+        (
+            "named.json",
+            json.dumps(PINHOLE | {"distortion": "equidistant", "coeffs": FISHEYE}),
+            FISHEYE,
+            True,
+        ),
+        (
+            "group.json",
+            json.dumps(
+                PINHOLE
+                | {
+                    "camera_type": "fisheye",
+                    "distortion": dict(zip(("k1", "k2", "k3", "k4"), FISHEYE, strict=True)),
+                }
+            ),
+            FISHEYE,
+            True,
+        ),
+        (
+            "whole.json",
+            json.dumps(
+                PINHOLE
+                | {
+                    "binning_x": 1,
+                    "binning_y": 0,
+                    "roi": {"x_offset": 0, "width": 320, "height": 0, "do_rectify": False},
+                }
+            ),
+            (),
+            False,
+        ),
         ("lines.txt", "fx: 2.085e+02\nfy = 209.5\ncx 159.0, cy: 1.1925e2\n", (), False),
         (
             "sections.txt",
@@ -213,6 +285,28 @@ def test_a_size_in_the_file_counts(tmp_path):
             "what.yaml",
             "focal: 525\nsensor: [1, 2]\n",
             "holds no camera in a way that is known, but 'focal, sensor'",
+        ),
+        ("vins.yaml", VINS.format(model="MEI"), "the lens 'mei' with other coefficients"),
+        (
+            "group.json",
+            json.dumps(PINHOLE | {"distortion": {"model": "fov", "parameters": [0.9]}}),
+            "distortion has 'model, parameters'",
+        ),
+        (
+            "numbered.json",
+            json.dumps(PINHOLE | {"k1": 0.1, "k2": 0.1, "k3": 0.1, "k4": 0.1}),
+            "k1 to k4 without p1 and p2",
+        ),
+        ("half.json", json.dumps(PINHOLE | {"binning_x": 2}), "binning_x = 2 says"),
+        (
+            "part.yaml",
+            ROS_BROWN + "roi: {x_offset: 40, y_offset: 0, width: 240, height: 240}\n",
+            "roi = .* a part of the sensor",
+        ),
+        (
+            "cameras.txt",
+            "# Camera list\n1 OPENCV 320 240 208.5 209.5 159 119.25 0.1 -0.2 0 0\n",
+            "holds no camera in a way that is known, but '1 OPENCV 320 240",
         ),
         ("what.yaml", "- 1\n- 2\n", "holds no camera in a way that is known"),
         (
