@@ -36,7 +36,8 @@ def poses_per_frame(
 
     Raises:
         SequenceError: another number of poses than of frames, of which neither the numbers of the
-            images nor the options say whose they are, or a quaternion whose length is not 1.
+            images nor the options say whose they are, a matrix whose last row is not 0 0 0 1, or a
+            quaternion whose length is not 1.
     """
     if path.suffix == ARKIT_SUFFIX:
         return None
@@ -65,20 +66,21 @@ def poses_per_frame(
         )
         if table.shape[1] == 7:
             poses = matrices(_checked_quaternions(table, path))
+            how = ["quaternions taken as x y z w; if w comes first, change the order of the file"]
         else:
             poses = table.reshape(-1, 3 if table.shape[1] == 12 else 4, 4)
-            poses = torch.cat(
-                [poses[:, :3], torch.eye(4).double()[3:].expand(len(poses), 1, 4)],
-                1,
-            )
+            last_row = torch.eye(4).double()[3:].expand(len(poses), 1, 4)
+            check_last_rows(poses, path)
+            poses = torch.cat([poses[:, :3], last_row], 1)
+            how = []
     if names:
         return {
             frame_key(Path(name).stem): pose for name, pose in zip(names, poses, strict=True)
-        }, []
+        }, how
     if len(poses) == recording.n_frames:
-        return dict(enumerate(poses)), []
+        return dict(enumerate(poses)), how
     rows_of, note = _rows_of_frames(path, len(poses), recording, options)
-    return {place: poses[row] for place, row in rows_of.items()}, [note]
+    return {place: poses[row] for place, row in rows_of.items()}, [note, *how]
 
 
 def _rows_of_frames(
@@ -164,6 +166,22 @@ def _checked_quaternions(rows: Float[Tensor, "N 7"], path: Path) -> Float[Tensor
             f"that ends in {ARKIT_SUFFIX}"
         )
     return rows
+
+
+def check_last_rows(poses: Float[Tensor, "N R 4"], source: Path | str) -> None:
+    """Raises ``SequenceError`` where the last of four rows is not 0 0 0 1: a matrix that is stored
+    column by column has its position there."""
+    if poses.shape[1] < 4:
+        return
+    last = poses[:, 3]
+    wrong = ((last - last.new_tensor([0.0, 0.0, 0.0, 1.0])).abs() > 1e-6) & torch.isfinite(last)
+    if bool(wrong.any()):
+        i = int(wrong.any(1).nonzero()[0])
+        row = " ".join(f"{value:g}" for value in last[i].tolist())
+        raise SequenceError(
+            f"{source}: pose {i} must have the last row 0 0 0 1, got {row}; matrices are read row "
+            "by row: transpose those that are stored column by column"
+        )
 
 
 def _numbers_of(path: Path, what: str) -> list[float]:

@@ -29,6 +29,7 @@ from ....files import is_file, parsing, read_object
 from ....geometry import se3
 from ..camera_numbers import model_of
 from ..depth_files import find_depth
+from ..pose_list import check_last_rows
 from ..recording import ConvertOptions, RecordedFrame, Recording, load_pair
 
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")
@@ -36,7 +37,7 @@ _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHE
 _DEPTH_KEYS = ("depth_file_path", "depth_path")
 """Of nerfstudio, and of instant-ngp and NeRFCapture."""
 _OTHER_LENS = re.compile(
-    r"(is_)?(equirectangular|latlong|orthographic|ftheta)\w*|ftheta_\w+|lens|xi"
+    r"(is_)?(equirectangular|latlong|orthographic|ftheta)\w*|ftheta_\w+|lens|xi|k[5-9]|skew"
 )
 """Names of lenses that are neither a pinhole nor OpenCV's fisheye."""
 
@@ -156,6 +157,7 @@ def _matrix(rows: Any, source: str) -> Float[Tensor, "4 4"]:
         matrix = torch.tensor(rows, dtype=torch.float64)
     if matrix.ndim != 2 or tuple(matrix.shape) not in ((4, 4), (3, 4)):
         raise SequenceError(f"{source} must be 4x4 or 3x4 numbers, got {list(matrix.shape)}")
+    check_last_rows(matrix[None], source)
     return torch.cat([matrix[:3], torch.eye(4, dtype=matrix.dtype)[3:]])
 
 

@@ -67,6 +67,28 @@ def test_poses(tmp_path, takes, write_poses):
     takes.check(tmp_path / "out", rgb=3)
 
 
+@pytest.mark.parametrize("file", ["poses.txt", "pos.npy"])
+def test_matrices_that_are_stored_column_by_column_are_refused(tmp_path, takes, file):
+    """Their rotation is rigid too, but that of the world to the camera, and their position is
+    lost."""
+    root = write(tmp_path / "scan", takes)
+    columns = takes.T_WC.numpy().transpose(0, 2, 1)
+    (np.save if file.endswith("npy") else np.savetxt)(root / file, columns.reshape(-1, 16))
+    np.savetxt(root / "K.txt", K(takes))
+    with pytest.raises(SequenceError, match=rf"{file}: pose 0 must have the last row 0 0 0 1"):
+        convert(root, tmp_path / "out", options=ConvertOptions(poses=str(root / file)))
+
+
+def test_a_list_of_quaternions_without_names_says_their_order(tmp_path, takes):
+    root = write(tmp_path / "scan", takes)
+    rows = [takes.tum_row(i) for i in range(len(takes))]
+    np.savetxt(root / "poses.txt", np.array(rows, dtype=float))
+    np.savetxt(root / "K.txt", K(takes))
+    report = convert(root, tmp_path / "out")
+    assert any("quaternions taken as x y z w" in note for note in report.notes)
+    takes.check(tmp_path / "out", rgb=3, pose=1e-5)
+
+
 def test_frame_numbers_pair_images_and_are_no_times(tmp_path, takes):
     """Frames chosen out of a video, of which one colour and another depth image are lost: nothing
     else pairs them."""

@@ -79,7 +79,9 @@ def test_is_fisheye_is_a_fisheye(tmp_path, takes):
     assert depth_files[0].read_bytes() == depth_files[1].read_bytes() != takes.depth_png(1)
 
 
-@pytest.mark.parametrize("key", ["is_equirectangular", "ftheta_p0", "orthographic", "xi"])
+@pytest.mark.parametrize(
+    "key", ["is_equirectangular", "ftheta_p0", "orthographic", "xi", "k5", "skew"]
+)
 def test_other_lenses_are_refused_by_name(tmp_path, takes, key):
     root = write_nerfstudio(tmp_path / "scan", takes, **{key: 1.0})
     with pytest.raises(SequenceError, match=f"has {key}, a lens that cannot be undistorted"):
@@ -142,6 +144,23 @@ def test_numpy_depth_and_its_unit(tmp_path, takes):
         ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR"),
         ({"fl_x": None}, "fl_x"),
         ({"k4": 0.1}, "k4"),
+        (
+            {
+                "frames": [
+                    {
+                        "file_path": "frame_8.png",
+                        "depth_file_path": "depth/frame_8.png",
+                        "transform_matrix": [
+                            [1, 0, 0, 0],
+                            [0, 1, 0, 0],
+                            [0, 0, 1, 0],
+                            [0, 0, 2, 1],
+                        ],
+                    }
+                ]
+            },
+            "last row 0 0 0 1, got 0 0 2 1",
+        ),
         ({"applied_transform": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]]}, "applied_transform"),
     ],
 )
