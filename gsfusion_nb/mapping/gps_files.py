@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..optim import fit_pose_by_flow
-from ..types import Frame, GaussianParams
+from ..types import Frame, GaussianParams, Mesh
 from .gps_surface import OverSurface, StoredLooks, fit_to_pictures, plain_gaussians
 from .map_files import Draw
 from .tsdf_mapping import TsdfFiles
@@ -45,7 +45,7 @@ class GpsFiles(TsdfFiles):
         self.stored_looks.forget()
 
     @in_usual_torch
-    def standard_gaussians(self) -> GaussianParams:
+    def standard_gaussians(self, mesh: Mesh | None = None) -> GaussianParams:
         """The Gaussians in front of the surface, then the surface as discs.
 
         While a map grows, the discs are made anew only when a tenth more frames were mapped.
@@ -55,7 +55,7 @@ class GpsFiles(TsdfFiles):
         if mapper.n_frames > n_frames + n_frames // 10:
             n_frames = mapper.n_frames
             discs = None
-        rows = plain_gaussians(mapper.volume, mapper.parts.params_now(), discs)
+        rows = plain_gaussians(mapper.volume, mapper.parts.params_now(), discs, mesh)
         self._discs = n_frames, rows[len(mapper.gaussians) :]
         return rows
 

@@ -33,6 +33,7 @@ from ..export.tsdf_file import TSDF, as_stored, read_tsdf
 from ..gaussians import GaussianModel
 from ..geometry import quaternion
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
+from ..geometry.voxel_keys import voxel_keys
 from ..optim import adam_step, l1_mse_vjp
 from ..render import SurfacePicture, render_forward, render_over_base, render_vjp, surface_picture
 from ..tsdf import TsdfVolume, extract_mesh, raycast
@@ -69,19 +70,27 @@ _RATES = OptimConfig(
 
 
 def plain_gaussians(
-    volume: TsdfVolume, params: GaussianParams, discs: GaussianParams | None = None
+    volume: TsdfVolume,
+    params: GaussianParams,
+    discs: GaussianParams | None = None,
+    mesh: Mesh | None = None,
 ) -> GaussianParams:
     """Surface and Gaussians as Gaussians for a sorted renderer: first the Gaussians, in their
     order, then the discs.
 
-    Holes of the surface stay holes. ``discs`` are those of an earlier surface, to save the time of
-    making new ones. Differentiable: no.
+    Holes of the surface stay holes.
+
+    Args:
+        volume: Of the map.
+        params: Its Gaussians.
+        discs: Those of an earlier surface, to save the time of making new ones.
+        mesh: The surface, if it is known; otherwise it is extracted from the volume.
+
+    Differentiable: no.
     """
-    discs = (
-        surface_discs(extract_mesh(volume), volume.config.voxel_size_m, params.sh.shape[1])
-        if discs is None
-        else discs
-    )
+    if discs is None:
+        mesh = extract_mesh(volume) if mesh is None else mesh
+        discs = surface_discs(mesh, volume.config.voxel_size_m, params.sh.shape[1])
     raised = in_front(volume, params)
     return GaussianParams(
         **{name: torch.cat([rows, getattr(discs, name)]) for name, rows in vars(raised).items()}
@@ -120,11 +129,7 @@ def surface_discs(mesh: Mesh, voxel_size_m: float, coefficients: int = 1) -> Gau
     """An opaque disc in each voxel that holds vertices of the mesh, at their mean place and in
     their mean colour."""
     xyz = mesh.vertices_W
-    _, voxel = torch.unique(
-        (xyz / voxel_size_m).floor().long(),
-        dim=0,
-        return_inverse=True,
-    )
+    _, voxel = voxel_keys((xyz / voxel_size_m).floor().long()).unique(return_inverse=True)
     n = int(voxel.max()) + 1 if len(voxel) else 0
     mean = _means(
         torch.cat([xyz, mesh.rgb, vertex_normals(mesh)], dim=1),

@@ -13,7 +13,7 @@ from ..optim import fit_pose
 from ..render import render
 from ..seeding import Cells
 from ..tracking import SurfaceSource
-from ..types import Camera, Frame, GaussianParams, RenderOutput
+from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
 from .tracking_surface import surface_of_picture
 from .usual_torch import in_usual_torch
 
@@ -98,9 +98,14 @@ class MapFiles:
     def forget_drawn(self) -> None:
         """Give back the memory that ``drawn_as_stored`` keeps to draw the same views again."""
 
-    def standard_gaussians(self) -> GaussianParams:
+    def standard_gaussians(self, mesh: Mesh | None = None) -> GaussianParams:
         """Gaussians whose sorted picture, as any viewer of splats draws it, is about that of the
-        map."""
+        map.
+
+        Args:
+            mesh: The map's mesh, if it is at hand: a system that draws a surface saves the time to
+                make it.
+        """
         return self.mapper.parts.params_now()
 
     @classmethod

@@ -20,6 +20,7 @@ from ..types import Mesh
 from . import outputs, scores
 from .checkpoint import save_checkpoint
 from .mapping_run import MappingRun, evenly
+from .report import ReportData
 from .resume import resume_command
 from .run_folder import (
     CHECKPOINTS,
@@ -45,6 +46,8 @@ class FinishedRun:
     run: MappingRun
     folder: Path
     metrics: dict[str, Any]
+    report: ReportData | None = None
+    """What ``report.html`` shows; None if nothing was scored."""
 
     @property
     def mapper(self):
@@ -106,10 +109,11 @@ def drive(
             _rescue(run, folder, stop, e)
             raise
         metrics: dict[str, Any] = scores.map_metrics(run, mesh) | run.online_scores
+        report: ReportData | None = None
         if evaluate:
             _score(run, folder, stop, mesh, metrics)
             with run.clock("report"):
-                outputs.write_page(run, folder, metrics | run.clock.metrics())
+                report = outputs.write_page(run, folder, metrics | run.clock.metrics(), mesh)
         for watcher in run.watchers:
             watcher.finished(run.mapper, mesh, metrics)
         _forget_pictures(run)
@@ -119,7 +123,7 @@ def drive(
         if run.status != "interrupted" or not run.resumable:
             CheckpointStore(folder / CHECKPOINTS).remove()
             run.store = None
-    return FinishedRun(run, folder, metrics)
+    return FinishedRun(run, folder, metrics, report)
 
 
 def _keep_frames(run: MappingRun) -> None:

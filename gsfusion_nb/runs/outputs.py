@@ -162,8 +162,20 @@ def write_numbers(
     write_json(folder / METRICS, document)
 
 
-def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
-    """Write report.html."""
+def write_page(
+    run: MappingRun,
+    folder: Path,
+    metrics: dict[str, Any],
+    mesh: Mesh,
+) -> ReportData:
+    """Write report.html, and return what it shows.
+
+    Args:
+        run: When its maps are complete.
+        folder: Of the run.
+        metrics: Numbers to show.
+        mesh: Of the run.
+    """
     fidelity = run.mapper.description.fidelity_of(run.mapper.config)
     config = run.mapper.config
     about = [
@@ -177,7 +189,7 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
     data = ReportData(
         title=f"{run.mapper.description.title} on {run.sequence.name}",
         about=_about(run),
-        opening=opening_of(run, views),
+        opening=opening_of(run, views, mesh),
         subtitle=", ".join([*about, f"fidelity {fidelity}"] if fidelity else about),
         metrics=metrics,
         config=to_dict(config),
@@ -190,7 +202,8 @@ def write_page(run: MappingRun, folder: Path, metrics: dict[str, Any]) -> Path:
         environment=ran_on(run.mapper.device) | {"threads": str(torch.get_num_threads())},
         files={name: text for name, text in FILES.items() if (folder / name).exists()},
     )
-    return write_report(folder / "report.html", data)
+    write_report(folder / "report.html", data)
+    return data
 
 
 def _about(run: MappingRun) -> str:

@@ -10,6 +10,7 @@ from ..drawing.encoding import data_uri
 from ..drawing.page import page_picture
 from ..geometry.upright import world_up
 from ..resources import MAP_MEMORY
+from ..types import Mesh
 from ..viewer.page_map import PageMap, page_map, page_script, page_style, waiting_controls
 from ..viewer.viewpoint import viewing_camera
 from .mapping_run import MappingRun
@@ -32,7 +33,7 @@ class Opening:
     """Sentences below the map: what is not as in the run's own pictures, and why."""
 
 
-def opening_of(run: MappingRun, views: Sequence[ReportPanel]) -> Opening | None:
+def opening_of(run: MappingRun, views: Sequence[ReportPanel], mesh: Mesh) -> Opening | None:
     """The map of a run, seen from above without its ceiling, and one of its views, a held-out one
     if there is any; None if the map is empty, there is no view, or the memory is limited and the
     system draws a surface.
@@ -40,12 +41,13 @@ def opening_of(run: MappingRun, views: Sequence[ReportPanel]) -> Opening | None:
     Args:
         run: The run, when its maps are complete.
         views: Those of its report.
+        mesh: Its surface.
     """
     mapper = run.mapper
     draws_surface = mapper.description.needs_volume_to_render
     if draws_surface and MAP_MEMORY.limit_bytes is not None:
         return None  # all discs of a large surface would not fit
-    params = mapper.files.standard_gaussians()
+    params = mapper.files.standard_gaussians(mesh)
     photo = min(views, key=lambda view: not view.held_out, default=None)
     if not len(params) or photo is None or photo.T_WC is None:
         return None

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from ..drawing import pictures
 from ..drawing.page import ColourBar, fill, page_graph, page_picture
+from ..errors import ArgumentError
 from ..evaluation.metrics import NBSP, format_metric
 from ..files import write_file
-from . import outputs
 from .number_words import NUMBERS
-from .report_map import opening_of, opening_values
+from .report import ReportData
+from .report_map import opening_values
 from .report_panel import ReportPanel
 
 if TYPE_CHECKING:
@@ -43,8 +44,12 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
 
     Returns:
         The path written.
+
+    Raises:
+        ValueError: a run was not scored, so that it has no report.
     """
     path = Path(path)
+    reports = [_report_of(run) for run in runs]
     names = [run.mapper.description.title for run in runs]
     of_frames = {
         name: [step.psnr_after_db for step in run.run.steps]
@@ -55,9 +60,7 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
         for name, run in zip(names, runs, strict=True)
     }
     frames = [step.frame_index for step in runs[0].run.steps]
-    views = [outputs.report_views(run.run) for run in runs]
-    openings = [opening_of(run.run, panels) for run, panels in zip(runs, views, strict=True)]
-    shown = [opening for opening in openings if opening is not None]
+    shown = [report.opening for report in reports if report.opening is not None]
     caption = f"{shown[0].photo.name} of the camera" if shown else ""
     page = fill(
         "side_by_side.html",
@@ -66,10 +69,10 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
         names=names,
         links=[(run.folder / "report.html").relative_to(path.parent).as_posix() for run in runs],
         numbers=list(zip(numbers_of(runs)[1:], meanings_of(runs), strict=True)),
-        views=_views(views, names),
+        views=_views([report.views for report in reports], names),
         meshes=[
             page_picture(picture, f"{name}, {words.partition(',')[0]}")
-            for views in zip(*(outputs.mesh_pictures(run.run).items() for run in runs), strict=True)
+            for views in zip(*(report.mesh_pictures.items() for report in reports), strict=True)
             for name, (words, picture) in zip(names, views, strict=True)
         ][: 2 * len(runs)],
         graphs=[
@@ -85,6 +88,14 @@ def write_side_by_side(path: Path | str, runs: Sequence["FinishedRun"]) -> Path:
     )
     write_file(path, page)
     return path
+
+
+def _report_of(run: "FinishedRun") -> ReportData:
+    if run.report is None:
+        raise ArgumentError(
+            f"{run.folder} was not scored, so it has no report to show beside others"
+        )
+    return run.report
 
 
 def numbers_of(runs: Sequence["FinishedRun"]) -> list[list[str]]:

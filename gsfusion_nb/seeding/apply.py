@@ -12,6 +12,7 @@ from ..backends import observed
 from ..checks import check_finite, check_shape
 from ..errors import ArgumentError, KindError
 from ..geometry.operands import MAX_DISTANCE_M
+from ..geometry.voxel_keys import voxel_keys
 from ..types import Seeds
 from .context import SeedContext
 from .input_guard import unchanged_inputs
@@ -98,19 +99,14 @@ def keep_one_per_voxel(
         The seeds that are kept, in their order.
     """
     if map_voxels is not None and len(map_voxels) and len(seeds):
-        _, group = torch.unique(
-            torch.cat([voxel, map_voxels]),
-            dim=0,
-            return_inverse=True,
-        )
-        free = ~torch.isin(group[: len(seeds)], group[len(seeds) :])
+        free = ~torch.isin(voxel_keys(voxel), voxel_keys(map_voxels))
         seeds = seeds[free]
         voxel = voxel[free]
     if len(seeds) == 0:
         return seeds
     size = seeds.scale_m.amax(dim=-1)
     order = size.argsort(descending=True, stable=True)
-    _, group = torch.unique(voxel[order], dim=0, return_inverse=True)
+    _, group = voxel_keys(voxel[order]).unique(return_inverse=True)
     rank = torch.arange(len(seeds), device=group.device)
     best = torch.full_like(rank, len(seeds)).scatter_reduce_(0, group, rank, "amin")
     return seeds[order[best[best < len(seeds)]].sort().values]

@@ -21,7 +21,7 @@ from ..render import (
 from ..render.disc import PUBLISHED_DISCS
 from ..types import ALL_ROWS, GaussianParams, MapRows, RenderOutput
 from .inputs import DiscInputs, SeedInputs, SurfaceInputs, cached_result
-from .points import MapView, Neighbours, k_nearest, nearest_others, view_map, voxel_keys
+from .points import MapView, Neighbours, k_nearest, keys_of_points, nearest_others, view_map
 
 View = TypeVar("View")
 
@@ -140,7 +140,7 @@ def occupied_voxels(
 ) -> Bool[Tensor, " M"]:
     """Whether the voxel that contains each point holds the centre of a Gaussian of the map."""
     map_xyz_W = map_view(inputs).xyz_W if inputs.has_map else xyz_W[:0]
-    return torch.isin(voxel_keys(xyz_W, voxel_size_m), voxel_keys(map_xyz_W, voxel_size_m))
+    return torch.isin(keys_of_points(xyz_W, voxel_size_m), keys_of_points(map_xyz_W, voxel_size_m))
 
 
 def _draw_visible(

@@ -13,6 +13,7 @@ from ..gaussians import radius_of
 from ..geometry import quaternion
 from ..geometry.operands import check_operand
 from ..geometry.spherical_harmonics import SH_C0
+from ..geometry.voxel_keys import voxel_keys
 from ..types import Camera, GaussianParams
 
 
@@ -92,20 +93,14 @@ def nearest_others(
     )
 
 
-_BITS = 21
-"""Bits of a voxel coordinate in a key; one that needs more is cut to the last of these."""
-
-
-def voxel_keys(xyz_W: Float[Tensor, "N 3"], voxel_size_m: float) -> Int[Tensor, " N"]:
-    """One whole number for the voxel floor(xyz / voxel size) that contains each point. Two voxels
-    have the same number only if they are 2^21 voxels apart."""
-    x, y, z = ((xyz_W / voxel_size_m).floor().long() & ((1 << _BITS) - 1)).unbind(dim=1)
-    return (x << 2 * _BITS) | (y << _BITS) | z
+def keys_of_points(xyz_W: Float[Tensor, "N 3"], voxel_size_m: float) -> Int[Tensor, " N"]:
+    """The number (``voxel_keys``) of the voxel floor(xyz / voxel size) that contains each point."""
+    return voxel_keys((xyz_W / voxel_size_m).floor().long())
 
 
 def first_in_voxel(xyz_W: Float[Tensor, "M 3"], voxel_size_m: float) -> Bool[Tensor, " M"]:
     """True for the first of the points in each voxel of a grid at the world's origin. [M]"""
-    keys, group = voxel_keys(xyz_W, voxel_size_m).unique(return_inverse=True)
+    keys, group = keys_of_points(xyz_W, voxel_size_m).unique(return_inverse=True)
     row = torch.arange(len(xyz_W), device=xyz_W.device)
     first = torch.full_like(keys, len(xyz_W)).scatter_reduce_(0, group, row, "amin")
     return first[group] == row

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ..geometry.quaternion import from_matrix, to_matrix
 from ..geometry.spherical_harmonics import SH_C0
+from ..geometry.voxel_keys import voxel_keys
 from ..types import GaussianParams
 
 _FINEST = 3.0
@@ -27,8 +28,6 @@ smallest cells."""
 _SPREAD = 4.5
 """Factor on the variance of the centres, so that neighbours overlap."""
 
-_PLACE_MASK = (1 << 21) - 1
-"""Numbers of cells along an axis are taken modulo two million, to fit three into one number."""
 _OPAQUE = math.log(0.97 / 0.03)
 """Logit of the opacity of one that stands for several, at least."""
 
@@ -128,8 +127,7 @@ def _count(levels: list[_Cells], level_of_row: Int[Tensor, " N"]) -> int:
 def _cells_of(params: GaussianParams, edge_m: float) -> _Cells:
     xyz = params.xyz_W.double()
     colour = params.sh[:, 0].double()
-    place = (xyz / edge_m).floor().long() & _PLACE_MASK
-    keys = (place[:, 0] << 42) | (place[:, 1] << 21) | place[:, 2]
+    keys = voxel_keys((xyz / edge_m).floor().long())
     _, of_row, counts = keys.unique(return_inverse=True, return_counts=True)
     n = len(counts)
     count = counts.double()

@@ -8,6 +8,7 @@ import torch
 from gsfusion_nb.config import gps_slam
 from gsfusion_nb.evaluation import psnr
 from gsfusion_nb.geometry.spherical_harmonics import SH_C0
+from gsfusion_nb.mapping import gps_surface
 from gsfusion_nb.mapping.gps_surface import CAMERA, fit_to_pictures, plain_gaussians, surface_discs
 from gsfusion_nb.render import render
 from gsfusion_nb.runs import FinishedRun, run_mapping
@@ -33,6 +34,17 @@ def run(tmp_path_factory) -> FinishedRun:
     return run_mapping(
         "room", config, folder=tmp_path_factory.mktemp("baked") / "run", evaluate=False, **ROOM
     )
+
+
+def test_the_discs_are_those_of_a_mesh_that_is_at_hand(run, monkeypatch):
+    files = run.run.mapper.files
+    mesh = run.run.mapper.mesh()
+    files.forget_discs()
+    wanted = files.standard_gaussians()
+    files.forget_discs()
+    monkeypatch.setattr(gps_surface, "extract_mesh", None)
+    got = files.standard_gaussians(mesh)
+    assert all(torch.equal(column, vars(wanted)[name]) for name, column in vars(got).items())
 
 
 def test_the_discs_show_the_surface_and_a_fit_shows_it_better(run):

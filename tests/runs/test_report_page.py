@@ -244,6 +244,9 @@ def test_two_systems_side_by_side(config, tmp_path):
     }
     assert all((tmp_path / name / "report.html").is_file() for name in configs)
     assert "GSFusion and GPS-SLAM on room" in page.words
+    not_scored = replace(runs[0], report=None)
+    with pytest.raises(ValueError, match="one was not scored"):
+        write_side_by_side(tmp_path / "report.html", [not_scored, runs[1]])
     assert page.words.index("Photograph and map") < page.words.index("Numbers")
     text = (tmp_path / "report.html").read_text(encoding="utf-8")
     opening = text[text.index('<section class="opening"') : text.index("</section>")]
