@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..checks import shown
@@ -19,6 +19,7 @@ from ..seeding.input_guard import unchanged_inputs
 from ..seeding.map_rule import check_needs, rule_name
 from ..seeding.points import add_up
 from ..types import ALL_ROWS, Camera, Frame, MapRows
+from .lost_rows import remove_lost
 from .rule_in_use import RuleInUse
 
 
@@ -37,6 +38,16 @@ class StepStatistics:
     def outputs(self) -> dict[str, Tensor | None]:
         """What ``render_vjp`` is asked to fill, by the name of its argument."""
         return {"v_uv": self.v_uv, "v_uv_abs": self.v_uv_abs}
+
+    def of_rows(self, stays: Bool[Tensor, " N"]) -> "StepStatistics":
+        """Those of the rows that stay in the map."""
+        in_view = self.footprints
+        if in_view is not None:
+            in_view = Footprints(visible=in_view.visible[stays], radius_px=in_view.radius_px[stays])
+        v_uv, v_uv_abs = (
+            None if values is None else values[stays] for values in (self.v_uv, self.v_uv_abs)
+        )
+        return StepStatistics(footprints=in_view, v_uv=v_uv, v_uv_abs=v_uv_abs)
 
 
 class AfterSteps:
@@ -153,6 +164,9 @@ class AfterSteps:
         if not self.edits:
             return
         mapper.parts.take_missed_steps()  # an edit reads, copies and removes any row
+        stays = remove_lost(mapper)  # the rule would remove what is NaN, and nobody would know
+        if stays is not None:
+            step = step.of_rows(stays)
         stats = self._stats(step, view, view_step, target_rgb)
         if self._context is not None:
             self._edit(mapper, dataclasses.replace(self._context), stats)

@@ -70,14 +70,19 @@ class LostRows:
         )
 
 
-def remove_lost(mapper: Any) -> None:
+def remove_lost(mapper: Any) -> Bool[Tensor, " N"] | None:
     """Remove the Gaussians of a mapper's map that the last steps made NaN or infinite, and count
-    them."""
+    them.
+
+    Returns:
+        Which rows of the map before stay; None: all of them. [N]
+    """
     finite = mapper.lost.count(mapper.gaussians.params)
     if finite is not None:
         mapper.gaussians.undo_log.will_change()
         mapper.gaussians.keep(finite)
         mapper.parts.rows_changed(finite.nonzero()[:, 0])
+    return finite
 
 
 def finite_rows(params: GaussianParams) -> Bool[Tensor, " N"]:

@@ -4,7 +4,7 @@ miss."""
 import copy
 import dataclasses
 import importlib
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import torch
@@ -20,7 +20,7 @@ from gsfusion_nb.optim import take_missed_steps
 from gsfusion_nb.runs import MappingRun, run_mapping
 from gsfusion_nb.runs.outputs import write_maps
 from gsfusion_nb.runs.scores import score
-from gsfusion_nb.seeding import map_params
+from gsfusion_nb.seeding import Edit, MapRule, map_params
 
 APART_M = 25.0
 """From one place to the next: no camera sees two of them."""
@@ -368,3 +368,47 @@ def test_gaussians_that_become_nan_are_counted_and_said_once(
         "pass 1 over the keyframes"
     ]
     assert bool(finite_rows(mapper.gaussians.params).all())
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Prunes(MapRule):
+    """Removes transparent Gaussians after each step, as many published rules do."""
+
+    needs: ClassVar[frozenset[str]] = frozenset({"image_gradients", "abs_image_gradients"})
+
+    def seeds(self, ctx, memory):
+        return ctx.seeds_at(ctx.pixels()[::7], 1.0)
+
+    def after_step(self, ctx, stats: Any, memory):
+        of_rows = (stats.visible, stats.radius_px, stats.v_uv, stats.v_uv_abs)
+        assert {len(values) for values in of_rows} == {len(ctx.map)}
+        assert bool(finite_rows(ctx.gaussians.params).all())
+        return Edit(keep=ctx.map.opacity >= 0.0)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_a_rule_that_edits_removes_no_lost_gaussian_without_a_word(system, small_room, monkeypatch):
+    """No comparison holds for NaN, so a rule that keeps what is opaque removes what was lost."""
+    module, name = VJPS[system].rsplit(".", 1)
+    usual = getattr(importlib.import_module(module), name)
+    broken = []
+
+    def vjp(*args, **kwargs):
+        g = usual(*args, **kwargs)
+        if broken:
+            g.opacity_logit[:2] = torch.nan
+        return g
+
+    monkeypatch.setattr(VJPS[system], vjp)
+    mapper = make_mapper(settings(system, "measured"), seeding=Prunes)
+    for i in range(6):
+        broken[:] = [1] if i in (3, 5) else []
+        before = len(mapper.gaussians)
+        report = mapper.step(small_room[i])
+        gone = before + report.n_seeds - len(mapper.gaussians)
+        assert report.n_not_finite >= 2 * bool(broken)
+        assert system == "rtg_slam" or gone == report.n_not_finite
+    total = mapper.lost.total
+    broken[:] = [1]
+    list(mapper.global_optimise(1))
+    assert mapper.lost.total > total
