@@ -22,6 +22,9 @@ _ONLY_NAMES = {
 """Functions of Python that ask so on the way to a path's full name, a message's source line, or to
 remove something."""
 
+_OF_MESSAGES = {"traceback", "inspect", "warnings"}
+"""Modules of Python that show source lines."""
+
 
 def _frames() -> Iterator[FrameType]:
     """The frames on the stack, the nearest first, from where the guard was called."""
@@ -52,6 +55,14 @@ def is_only_a_name() -> bool:
         lambda function: function[0].partition(".")[0] in sys.stdlib_module_names, functions()
     )
     return any(name in _ONLY_NAMES for _, name in of_python)
+
+
+def is_for_a_message() -> bool:
+    """Whether a source line is read for a message, or by a library; not by the rule's own code."""
+    of_python = itertools.takewhile(
+        lambda function: function[0].partition(".")[0] in sys.stdlib_module_names, functions()
+    )
+    return caller() != "" or any(module in _OF_MESSAGES for module, _ in of_python)
 
 
 def asker() -> str:

@@ -77,6 +77,9 @@ def _report_calls(watch: RuleWatch) -> Iterator[None]:
     def tell_of_thread(_: Any) -> None:
         watch.note_thread()
 
+    def tell_of_variables(_: Any) -> None:
+        watch.note_variables()
+
     def tell_of_variable(environ: Any, name: Any) -> Any:
         if _watch() is watch:
             watch.note_variable(os.fsdecode(name))
@@ -85,6 +88,10 @@ def _report_calls(watch: RuleWatch) -> Iterator[None]:
     with _patching:
         read = kind.__getitem__
         replacements: list[tuple[Any, str, Any]] = [(kind, "__getitem__", tell_of_variable)]
+        replacements += [
+            (kind, name, reporting(getattr(kind, name), tell_of_variables))
+            for name in ("__iter__", "__len__")
+        ]
         replacements += [
             (os, name, reporting(getattr(os, name), watch.note_query)) for name in _ASKS
         ]

@@ -12,7 +12,14 @@ from platformdirs import user_cache_path
 from ..code_keys.installed import is_installed
 from ..code_keys.origin import OWN_PACKAGE
 from ..files import cache_folder
-from .callers import asker, caller, functions, is_for_package, is_only_a_name
+from .callers import (
+    asker,
+    caller,
+    functions,
+    is_for_a_message,
+    is_for_package,
+    is_only_a_name,
+)
 
 
 def _folders_of_kernels() -> list[str]:
@@ -38,7 +45,12 @@ SYSTEM_FOLDERS = (
     str(Path(__file__).parents[1]),
     *_folders_of_kernels(),
 )
-"""What the rule's own process may read without being told: the system, Python, and this package."""
+"""What libraries may read in the rule's process without being told: the system, Python, and this
+package. The rule's own code may not: a file of the system is another one on another machine."""
+_FOR_THE_RULE = (str(Path(__file__).parents[1]), *_folders_of_kernels(), os.devnull)
+"""What the rule's own code may read without being told, besides modules of Python and packages."""
+_DATA_READERS = {"numpy", "PIL", "scipy"}
+"""Libraries that open only the files that they are told to."""
 _COMPILED = {".nbi", ".nbc"}
 _IMPORT = {"importlib._bootstrap_external", "_frozen_importlib_external"}
 _NEW = os.O_CREAT | os.O_EXCL
@@ -88,6 +100,11 @@ class RuleWatch:
             place.expanduser().resolve()
             for place in (*map(Path, SYSTEM_FOLDERS), cache_folder(), *paths)
         ]
+        self.own_places = [
+            place.expanduser().resolve()
+            for place in (*map(Path, _FOR_THE_RULE), cache_folder(), *paths)
+        ]
+        """Of these, those for the rule's own code."""
         self.own_files: set[str] = set()
         """Files and folders that the rule made itself."""
         self.imported_files: set[Path] = set()
@@ -125,13 +142,18 @@ class RuleWatch:
 
     def note_variable(self, name: str) -> None:
         """The environment variable ``name`` is read."""
-        asker, function = next(
-            (asking for asking in functions() if asking[0] not in _READING), ("", "")
-        )
-        if caller() == "" and (asker not in _OF_THE_USER or function.startswith("expandvars")):
+        if _asks_for_variables():
             self._refuse(
                 f"reads the environment variable {name}",
                 f'make it an option: {name.lower()}: str = "..."',
+            )
+
+    def note_variables(self) -> None:
+        """The names of all environment variables are read, or their number."""
+        if _asks_for_variables():
+            self._refuse(
+                "reads which environment variables there are",
+                'make an option of what it looks for: mode: str = "..."',
             )
 
     def _note_open(self, file: Any, _mode: Any, flags: Any) -> None:
@@ -143,18 +165,18 @@ class RuleWatch:
         if not path or self._is_its_own(path) or is_for_package():
             return
         opener = asker()
-        if opener == "tokenize":  # the source of a function, for a message
+        if opener == "tokenize" and is_for_a_message():  # the source of a function
             return
         is_import = opener in _IMPORT
         if is_import:
             path = _source_of(path)
-        if self._may_read(Path(path)):
+        if self._may_read(Path(path), is_own=not is_import and _reads_for_the_rule(opener)):
             return
         if is_import:
             self.imported_files.add(Path(path))
         elif isinstance(flags, int) and flags & os.O_WRONLY:
             self._refuse(f"writes {path}", "keep what it must remember in ctx.memory")
-        elif os.path.isfile(path):
+        elif os.path.exists(path) and not os.path.isdir(path):
             self._refuse(
                 f"reads {path}, which none of its options names",
                 f'declare it: weights: Path = Path("{path}")',
@@ -184,7 +206,7 @@ class RuleWatch:
         if not isinstance(file, str | bytes | os.PathLike) or caller() != "" or is_only_a_name():
             return
         path = Path(os.path.abspath(os.fsdecode(file)))
-        if not self._may_read(path) and not self._is_its_own(path):
+        if not self._may_read(path, is_own=True) and not self._is_its_own(path):
             self._refuse(
                 f"asks for {path} (whether it exists, its size or date), which none of its options "
                 "names",
@@ -195,26 +217,41 @@ class RuleWatch:
         if folder is None or isinstance(folder, int) or caller() != "":
             return
         path = Path(os.path.abspath(os.fsdecode(folder)))
-        if not self._may_read(path) and not self._is_its_own(path):
+        if not self._may_read(path, is_own=True) and not self._is_its_own(path):
             self._refuse(
                 f"lists {path}, which none of its options names",
                 f'declare it: masks: Path = Path("{path}")',
             )
 
-    def _may_read(self, path: Path) -> bool:
+    def _may_read(self, path: Path, *, is_own: bool) -> bool:
+        """Whether a file may be read; ``is_own``: by the rule's own code."""
         if path.suffix in _COMPILED or is_installed(path):
             return True
+        places = self.own_places if is_own else self.open_places
         try:
             paths = {path, path.resolve()}
         except OSError:
             paths = {path}
-        return any(path.is_relative_to(place) for path in paths for place in self.open_places)
+        return any(path.is_relative_to(place) for path in paths for place in places)
 
     def _refuse(self, what: str, advice: str) -> None:
         self.offence = self.offence or (
             f"the seeding rule {self.rule!r} {what}, so a comparison would keep its old results "
             f"when that changes; {advice}"
         )
+
+
+def _asks_for_variables() -> bool:
+    """Whether the rule's own code looks into the environment, and not for the user's folders."""
+    asker, function = next(
+        (asking for asking in functions() if asking[0] not in _READING), ("", "")
+    )
+    return caller() == "" and (asker not in _OF_THE_USER or function.startswith("expandvars"))
+
+
+def _reads_for_the_rule(opener: str) -> bool:
+    """Whether a file is opened by the rule's own code, or by a library that it told to do so."""
+    return caller() in ("", *_DATA_READERS) or opener == "torch.serialization"
 
 
 def _source_of(path: str) -> str:

@@ -5,6 +5,8 @@ import _thread
 import contextlib
 import ctypes
 import glob
+import inspect
+import linecache
 import os
 import sqlite3
 import subprocess
@@ -110,6 +112,25 @@ READS = {
     "os.getenv": (lambda folder: os.getenv("NOT_THERE"), "environment variable NOT_THERE"),
     "in os.environ": (lambda folder: "PATH" in os.environ, "environment variable PATH"),
     "all of os.environ": (lambda folder: dict(os.environ), "environment variable"),
+    "names in os.environ": (lambda folder: list(os.environ), "which environment variables"),
+    "number in os.environ": (lambda folder: len(os.environ), "which environment variables"),
+    "the process in /proc": (
+        lambda folder: Path("/proc/self/environ").read_bytes(),
+        "reads /proc/self/environ",
+    ),
+    "a file in /etc": (lambda folder: Path("/etc/hostname").read_text(), "reads /etc/hostname"),
+    "random bytes": (lambda folder: open("/dev/urandom", "rb").close(), "/dev/urandom"),
+    "NumPy in /etc": (
+        lambda folder: np.fromfile("/etc/hostname", dtype=np.uint8),
+        "reads /etc/hostname",
+    ),
+    "torch in /etc": (lambda folder: torch.load("/etc/hostname"), "reads /etc/hostname"),
+    "whether there is a file in /etc": (
+        lambda folder: os.path.exists("/etc/hostname"),
+        "asks for /etc/hostname",
+    ),
+    "files in /etc": (lambda folder: os.listdir("/etc"), "lists /etc"),
+    "linecache": (lambda folder: linecache.getline(str(folder / "text"), 1), "reads .*text"),
     "variable in a text": (expanded, "environment variable PATH"),
     "variable as bytes": (lambda folder: os.environb[b"PATH"], "environment variable PATH"),
     "whether a file exists": (lambda folder: (folder / "text").exists(), "asks for .*text"),
@@ -199,6 +220,8 @@ ALLOWED = {
     "declared folder": lambda folder: (folder / "text").read_text(),
     "temporary file of its own": temporary,
     "a module of Python": lambda folder: __import__("colorsys"),
+    "the source of a function": lambda folder: inspect.getsource(traced_back),
+    "nothing": lambda folder: Path(os.devnull).read_bytes(),
     "the user's folder": lambda folder: Path("~/x").expanduser(),
     "a table in memory": lambda folder: sqlite3.connect(":memory:").close(),
 }
