@@ -87,14 +87,6 @@ class StepClock:
         self._steps.value = count
         self.catch_up()
 
-    def copy(self) -> "StepClock":
-        """A clock of its own that stands at the same steps."""
-        return StepClock(
-            StepCount(self.count),
-            self.birth.clone(),
-            self.last.clone(),
-        )
-
     def part(self, rows: MapRows) -> "StepClock":
         """A clock of its own for copies of some rows, which ``write_back`` brings home; for a
         slice, whose rows are no copies, one that shares the count and these rows."""
