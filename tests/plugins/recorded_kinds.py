@@ -680,6 +680,56 @@ def nerfstudio_crop(root: Path, takes: Any) -> Path:
     return nerfstudio(root, takes, camera_model="OPENCV_FISHEYE", fisheye_crop_radius=700.0)
 
 
+def nerfstudio_ray(root: Path, takes: Any) -> Path:
+    """Depth as the distance from the camera's centre, as renderers write it."""
+    nerfstudio(root, takes, depth_type="ray")
+    c = takes.camera
+    u, v = np.meshgrid(np.arange(c.width) + 0.5, np.arange(c.height) + 0.5)
+    per_z = np.sqrt(1 + ((u - c.cx) / c.fx) ** 2 + ((v - c.cy) / c.fy) ** 2)
+    for i in range(len(takes)):
+        stored = np.rint(takes.depth_m[i] * per_z * 10_000).astype(np.uint16)
+        file = root / f"depth/frame_{i:05d}.png"
+        file.write_bytes(cv2.imencode(".png", stored)[1].tobytes())
+    return root
+
+
+def nerfstudio_relative(root: Path, takes: Any) -> Path:
+    return nerfstudio(root, takes, depth_type="relative")
+
+
+def named_poses(root: Path, takes: Any) -> Path:
+    """A list of poses that names the images, not their times, in another order, w first."""
+    write_images(root, takes, "color/view_{:02d}.png", "depth/view_{:02d}.png")
+    rows = []
+    for i in reversed(range(len(takes))):
+        *place, x, y, z, w = takes.tum_row(i)
+        rows.append(f"view_{i:02d}.png,{','.join(map(str, (*place, w, x, y, z)))}")
+    write_text(root / "poses.csv", ["name,tx,ty,tz,qw,qx,qy,qz", *rows])
+    return root
+
+
+def poses_without_header(root: Path, takes: Any) -> Path:
+    """Lists of TUM, whose poses have lost the comment that names their columns."""
+    tum_lists(root, takes)
+    rows = (root / "groundtruth.txt").read_text().splitlines()[1:]
+    write_text(root / "groundtruth.txt", rows)
+    return root
+
+
+def scaled_calibration(root: Path, takes: Any) -> Path:
+    """A calibration that says that the images were made smaller, and not which ones it holds
+    for."""
+    write_images(root, takes, "color/{:d}.png", "depth/{:d}.png")
+    (root / "calibration.json").write_text(json.dumps(camera_names(takes) | {"scale": 0.5}))
+    return root
+
+
+def turned_calibration(root: Path, takes: Any) -> Path:
+    write_images(root, takes, "color/{:d}.png", "depth/{:d}.png")
+    (root / "calibration.json").write_text(json.dumps(camera_names(takes) | {"rotation": 90}))
+    return root
+
+
 def realsense_db3(root: Path, takes: Any) -> Path:
     """A recording of librealsense 2.58 and newer: a ROS 2 database without metadata.yaml."""
     root.mkdir(parents=True)

@@ -27,6 +27,7 @@ before 10). Where lines of poses.txt begin with names, an image may be missing; 
 many poses as images.
 """
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,9 @@ from ...files import read_object
 from ..recorded.files import camera, given_name, images_in, number, numbers, pair_by_stem, require
 from ..recorded.poses import no_poses, poses_of_images
 from ..recorded.recorded_sequence import Layout, RecordedSequence
-from ..recorded.times import TIMES, times_of_images
+from ..recorded.times import TIMES, doubt_on_times, times_of_images
+
+log = logging.getLogger(__name__)
 
 LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
 _CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
@@ -44,7 +47,7 @@ _REQUIRED = (*_CAMERA_KEYS, "depth_scale")
 _OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "pose_convention")
 
 
-def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
+def folder(path: str | Path, *, poses: bool = True, times: bool = True) -> RecordedSequence:
     """Read a sequence in the plain layout (module docstring).
 
     Depth scale: ``depth_scale`` of the JSON. Poses: camera-to-world, OpenCV axes. Pixel centres:
@@ -53,6 +56,8 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
     Args:
         path: Folder of the sequence.
         poses: False for a recording without ``poses.txt``; the camera must then be tracked.
+        times: False: ``times.txt`` is not read, because its numbers are no times. Times that may
+            not be seconds are read, and a warning says why they are doubted.
 
     Raises:
         SequenceNotFoundError: the folder or one of its parts is missing.
@@ -70,17 +75,29 @@ def folder(path: str | Path, *, poses: bool = True) -> RecordedSequence:
     )
     poses_file = root / "poses.txt"
     T_WC = poses_of_images(poses_file, rgb_files) if poses else no_poses(len(rgb_files))
-    times, no_times = times_of_images(root / TIMES, rgb_files)
+    read_times, no_times = (
+        times_of_images(root / TIMES, rgb_files)
+        if times
+        else (None, f"the user says that {TIMES} holds none")
+    )
+    doubt = doubt_on_times(
+        [t for t, _ in read_times or []],
+        if_counted="--reader times=false",
+        name=TIMES,
+    )
+    if doubt is not None:
+        log.warning("%s: %s; %s", root / TIMES, doubt.sentence, doubt.remedy)
     return recording_of(
         root,
         values,
         rgb_files=rgb_files,
         depth_files=depth_files,
-        timestamps_s=[t for t, _ in times or []]
+        timestamps_s=[t for t, _ in read_times or []]
         or [i / values.get("fps", 30.0) for i in range(len(rgb_files))],
-        depth_times_s=[t for _, t in times]
-        if times and any(t != t_depth for t, t_depth in times)
+        depth_times_s=[t for _, t in read_times]
+        if read_times and any(t != t_depth for t, t_depth in read_times)
         else None,
+        doubtful_times=doubt,
         no_times="" if "fps" in values else no_times,
         poses=T_WC,
         pose_sources=[f"{poses_file} pose {i}" for i in range(len(T_WC))],

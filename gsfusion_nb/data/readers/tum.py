@@ -22,7 +22,7 @@ from ..lens import CameraModel, Undistorter
 from ..recorded.files import calibration_in, given_name, natural_order, require, told_outside
 from ..recorded.poses import checked_rows, matrices, no_poses, read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
-from ..recorded.times import associate, judge_stamps, read_image_list
+from ..recorded.times import associate, doubt_on_times, judge_stamps, read_image_list
 
 log = logging.getLogger(__name__)
 
@@ -104,6 +104,13 @@ def tum(
     depth_s, depth_files = _stream(root / "depth.txt")
     pairs = associate(depth_s, rgb_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
     triples = [(rgb_s[c], d, c) for d, c in pairs]
+    doubt = doubt_on_times(
+        rgb_s,
+        if_counted=f"gsfusion-nb convert {root} OUT --image-time-unit none",
+        name="rgb.txt",
+    )
+    if doubt is not None:
+        log.warning("%s: %s; %s", root / "rgb.txt", doubt.sentence, doubt.remedy)
     if poses:
         frames = _with_poses(root / "groundtruth.txt", triples)
         T_WC = torch.stack([T for *_, T in frames]) if frames else no_poses(0)
@@ -132,6 +139,7 @@ def tum(
         depth_files=[depth_files[d] for _, d, _, _ in frames],
         timestamps_s=[t for t, *_ in frames],
         depth_times_s=[depth_s[d] for _, d, _, _ in frames],
+        doubtful_times=doubt,
         poses=T_WC,
         has_poses=poses,
         pose_sources=[f"{root / 'groundtruth.txt'} at {t:.6f} s" for t, *_ in frames],

@@ -19,6 +19,7 @@ from ..sequence import Sequence, position
 from .decoded_images import DecodedImages
 from .images import read_depth, read_rgb
 from .poses import checked_pose
+from .times import DoubtfulTimes
 
 
 @runtime_checkable
@@ -69,6 +70,8 @@ class RecordedSequence:
     """Resize colour images of another size than the camera's instead of refusing them."""
     no_times: str = ""
     """Why the recording has no times; ``timestamps_s`` then only count the frames."""
+    doubtful_times: DoubtfulTimes | None = None
+    """Why ``timestamps_s`` may not be seconds; None: nothing speaks against it."""
     has_poses: bool = True
     """False: the recording has no poses; every pose is the identity, and the mapper must track."""
     novel: frozenset[int] = field(default_factory=frozenset)

@@ -141,6 +141,10 @@ def time_stamps(source: RecordedSequence) -> list[Finding]:
             "--data.start, --data.stop"
         )
         return [Finding(name, "doubtful", text, repair)]
+    doubt = source.doubtful_times
+    if doubt is not None:
+        text = f"Times increase without gaps; {doubt.sentence}."
+        return [Finding(name, "doubtful", text, doubt.remedy)]
     return [Finding(name, "ok", f"Times increase without gaps, one frame in {usual:.3g} s.")]
 
 

@@ -17,6 +17,7 @@ from ...errors import SequenceError
 from ...files import parsing
 from .calibration_tree import WAYS, Tree
 from .camera_numbers import model_of, model_of_matrix
+from .image_changes import check_unchanged
 
 _PINHOLES = (("fx", "fy", "cx", "cy"), ("fx", "fy", "ppx", "ppy"), ("fl_x", "fl_y", "cx", "cy"))
 
@@ -219,6 +220,7 @@ def _model_of_values(
     if stored_size is None:
         raise SequenceError(f"{source} lacks the size of the images; expected width and height")
     _check_whole_sensor(values, stored_size, source)
+    check_unchanged(values, source)
     centre = float(values.get("pixel_centre", centre))
     fisheye = _is_fisheye(values, source)
     coefficients = _coefficients(values, source, fisheye=fisheye)

@@ -45,6 +45,7 @@ class FramePoses:
             self.trajectory = read_trajectory(
                 Path(file),
                 time_unit=options.pose_time_unit,
+                quaternions=options.pose_quaternions,
                 max_gap_s=options.max_gap_s,
                 T_body_cam=self._T_body_cam,
                 frame_time_s=_first_time(recording),

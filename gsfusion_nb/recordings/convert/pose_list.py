@@ -16,8 +16,9 @@ from ...data.recorded.poses import (
 from ...errors import SequenceError
 from ...files import parsing
 from .depth_files import read_array
+from .named_poses import read_named_poses
 from .recording import ConvertOptions, Recording
-from .trajectory import ARKIT_SUFFIX, frame_key, read_numbers
+from .trajectory import ARKIT_SUFFIX, NOTE_ON_ORDER, frame_key, read_numbers
 
 _LAST_ROW = re.compile(r"(-?0(\.0*)?(e[+-]00)? ){3}1(\.0*)?(e\+00)?")
 """Of a matrix after the name of an image; rows of EuRoC have as many columns."""
@@ -31,8 +32,8 @@ def poses_per_frame(
     and notes; None for a file with times.
 
     Rows of a file hold 16 or 12 numbers of a matrix, "tx ty tz qx qy qz qw", or the name of the
-    image and 16 numbers; a matrix may take four rows. A folder has a file with a matrix for each
-    image.
+    image and 16 or those seven numbers; a matrix may take four rows. A folder has a file with a
+    matrix for each image.
 
     Raises:
         SequenceError: another number of poses than of frames, of which neither the numbers of the
@@ -43,6 +44,9 @@ def poses_per_frame(
         return None
     what = "one pose per frame: " + ", ".join(_PER_FRAME.values())
     names: list[str] = []
+    named_poses = None if path.is_dir() or path.suffix == ".npy" else _read_named(path, options)
+    if named_poses is not None:
+        return named_poses
     if path.is_dir():
         files = images_in(path, (".txt", ".npy"))
         files = [f for f in files if "pose" in f.name] or files
@@ -65,8 +69,10 @@ def poses_per_frame(
             dtype=torch.float64,
         )
         if table.shape[1] == 7:
+            if options.pose_quaternions == "wxyz":
+                table = table[:, [0, 1, 2, 4, 5, 6, 3]]
             poses = matrices(_checked_quaternions(table, path))
-            how = ["quaternions taken as x y z w; if w comes first, change the order of the file"]
+            how = [NOTE_ON_ORDER] if options.pose_quaternions == "auto" else []
         else:
             poses = table.reshape(-1, 3 if table.shape[1] == 12 else 4, 4)
             last_row = torch.eye(4).double()[3:].expand(len(poses), 1, 4)
@@ -81,6 +87,24 @@ def poses_per_frame(
         return dict(enumerate(poses)), how
     rows_of, note = _rows_of_frames(path, len(poses), recording, options)
     return {place: poses[row] for place, row in rows_of.items()}, [note, *how]
+
+
+def _read_named(
+    path: Path, options: ConvertOptions
+) -> tuple[dict[Any, Float[Tensor, "4 4"]], list[str]] | None:
+    """Poses of a file that names the images, and notes; None for another file."""
+    named = read_named_poses(path, options.pose_quaternions)
+    if named is None:
+        return None
+    keys = [frame_key(Path(name).stem) for name in named.names]
+    if len(set(keys)) < len(keys):
+        repeated_name = next(
+            name for name, key in zip(named.names, keys, strict=True) if keys.count(key) > 1
+        )
+        raise SequenceError(f"{path} holds two poses of {repeated_name}; expected one per image")
+    poses = matrices(_checked_quaternions(named.rows, path))
+    is_assumed = named.order_is_assumed and options.pose_quaternions == "auto"
+    return dict(zip(keys, poses, strict=True)), [NOTE_ON_ORDER] * is_assumed
 
 
 def _rows_of_frames(

@@ -88,6 +88,9 @@ class ConvertOptions(Settings):
     pose_time_unit: Literal["auto", "s", "ms", "us", "100ns", "ns"] = "auto"
     """Unit of the trajectory's times; "auto" takes the one in which they are dates of today, or in
     which they span the times of the frames, or in which their steps are those of a camera."""
+    pose_quaternions: Literal["auto", "xyzw", "wxyz"] = "auto"
+    """Order of the quaternions of poses in a file whose header does not say it; "auto" takes x y z
+    w, and the report says so."""
     image_time_unit: Literal["auto", "none", "s", "ms", "us", "100ns", "ns"] = "auto"
     """Unit of the numbers in the names or lists of images. "none": they only number the frames;
     "auto" decides by the numbers and says how."""

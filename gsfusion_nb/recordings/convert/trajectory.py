@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...checks import check_pose
+from ...checks import check_pose, shown
 from ...data.recorded.poses import (
     check_decimal_points,
     checked_rows,
@@ -55,8 +55,8 @@ def _rows_of_arkit(rows: Float[Tensor, "N 7"]) -> Float[Tensor, "N 8"]:
 
 
 _TUM = [0, 1, 2, 3, 4, 5, 6, 7]
-_EUROC = [0, 1, 2, 3, 5, 6, 7, 4]
-"""Columns of time, position and quaternion xyzw."""
+_W_FIRST = [0, 1, 2, 3, 5, 6, 7, 4]
+"""Columns of time, position and quaternion xyzw, where w is the last and where it is the first."""
 _EUROC_COLUMNS = 17
 """time, position, quaternion, velocity and two biases: an EuRoC ground truth without its header."""
 
@@ -86,10 +86,14 @@ class Trajectory:
         return None if T is None else T @ self.T_body_cam
 
 
+NOTE_ON_ORDER = "quaternions taken as x y z w; if w comes first: --pose-quaternions wxyz"
+
+
 def read_trajectory(
     path: Path,
     *,
     time_unit: str = "auto",
+    quaternions: str = "auto",
     max_gap_s: float = 0.2,
     T_body_cam: Float[Tensor, "4 4"] | None = None,
     frame_time_s: float | None = None,
@@ -107,6 +111,8 @@ def read_trajectory(
         time_unit: Unit of its times; "auto" takes the unit in which they are dates of today, or in
             which they span ``frame_time_s``, or else the one in which the steps are those of a
             camera.
+        quaternions: Their order where no header says it: "xyzw", "wxyz", or "auto" for xyzw and a
+            note.
         max_gap_s: Largest gap to interpolate over, seconds.
         T_body_cam: From the camera's frame to the body's; the identity if the poses are those of
             the camera.
@@ -121,9 +127,12 @@ def read_trajectory(
             read_rows(path, 7, "time, axis times angle and translation, 7 numbers")
         )
         frames = {}
+        is_assumed = False
     else:
-        rows, frames = _table(path)
+        rows, frames, is_assumed = _table(path, quaternions)
     table, notes = checked_rows(rows, path, ordered=True)
+    if is_assumed and quaternions == "auto":
+        notes.append(f"{path}: {NOTE_ON_ORDER}")
     if not len(table):
         raise SequenceError(f"{path} holds no finite pose; expected rows 't tx ty tz qx qy qz qw'")
     stamps = judge_stamps(table[:, 0].tolist())
@@ -173,12 +182,15 @@ def _unit_of(times: list[float], frame_time_s: float | None) -> str:
     return spanning[0] if len(spanning) == 1 else find_time_unit(times)
 
 
-def _table(path: Path) -> tuple[Float[Tensor, "N 8"], dict[Any, float]]:
-    """Rows t tx ty tz qx qy qz qw in the file's unit of time, float64, and the time of each frame
-    that they name."""
+def _table(path: Path, quaternions: str) -> tuple[Float[Tensor, "N 8"], dict[Any, float], bool]:
+    """Rows t tx ty tz qx qy qz qw in the file's unit of time, float64; the time of each frame that
+    they name; and whether the order of the quaternions is that of ``quaternions``, because neither
+    a header nor EuRoC's format says it."""
     lines = read_text(path, "rows 't tx ty tz qx qy qz qw'").splitlines()
     columns = None
     frame_column = None
+    is_assumed = False
+    text = ""
     rows: list[list[float]] = []
     time_of_frame: dict[Any, float] = {}
     for number, line in enumerate(lines, 1):
@@ -189,31 +201,60 @@ def _table(path: Path) -> tuple[Float[Tensor, "N 8"], dict[Any, float]]:
             or line.lstrip().startswith(("#", "%"))
             or (not rows and words[0][:1].isalpha())
         ):
+            if not line.lstrip().startswith(("#", "%")):
+                text = text or line.strip()
             if columns is None:
-                columns = _columns_of_header(line)
+                columns = columns_of_header(line)
                 frame_column = _frame_column(line) if columns else None
+                check_order(columns, quaternions, path)
             continue
-        columns = columns or (_EUROC if len(words) == _EUROC_COLUMNS else _TUM)
-        with parsing(
-            f"{path} line {number}", "a time, a position and a quaternion in at least 8 numbers"
-        ):
+        if columns is None:
+            is_euroc = len(words) == _EUROC_COLUMNS
+            is_assumed = not is_euroc
+            columns = _W_FIRST if is_euroc or quaternions == "wxyz" else _TUM
+        try:
             rows.append([float(words[c]) for c in columns])
             if frame_column is not None:
                 time_of_frame[frame_key(Path(words[frame_column]).stem)] = rows[-1][0]
+        except (ValueError, IndexError):
+            raise SequenceError(
+                f"{path} line {number} must hold a time, a position and a quaternion in at least 8 "
+                f"numbers, got {shown(line.strip())}; a file that names images instead of times "
+                "needs lines 'name tx ty tz qx qy qz qw', or a header such as "
+                "'name,tx,ty,tz,qw,qx,qy,qz'"
+            ) from None
     if not rows:
-        raise SequenceError(f"{path} is empty; expected rows 't tx ty tz qx qy qz qw'")
-    return torch.tensor(rows, dtype=torch.float64), time_of_frame
+        content = f"holds no row of numbers, but {shown(text)}" if text else "is empty"
+        raise SequenceError(
+            f"{path} {content}; expected rows 't tx ty tz qx qy qz qw', or 'name tx ty tz qx qy qz "
+            "qw' for the image of that name"
+        )
+    return torch.tensor(rows, dtype=torch.float64), time_of_frame, is_assumed
 
 
-def _names_in(header: str) -> list[str]:
+def check_order(columns: list[int] | None, quaternions: str, path: Path) -> None:
+    """Raise ``SequenceError`` where the columns of a header have another order of quaternions than
+    the user gives."""
+    if columns is None or quaternions == "auto":
+        return
+    told = "wxyz" if columns[7] < columns[4] else "xyzw"
+    if told != quaternions:
+        raise SequenceError(
+            f"{path}: its header says that quaternions are {told}, but --pose-quaternions "
+            f"{quaternions}; leave out the option, or the header"
+        )
+
+
+def names_in(header: str) -> list[str]:
     """Names of the columns in a header, in small letters, without units in brackets."""
     text = re.sub(r"\[[^\]]*\]", "", header.strip().lstrip("#%").lower()).replace(".", "_")
     return [n.strip() for n in (text.split(",") if "," in text else text.split())]
 
 
-def _columns_of_header(line: str) -> list[int] | None:
-    """Columns of time, position and quaternion xyzw that a header names, if it names them all."""
-    names = _names_in(line)
+def columns_of_header(line: str) -> list[int] | None:
+    """Columns of time, position and quaternion xyzw that a header names, if it names them all; the
+    first column counts as time."""
+    names = names_in(line)
     patterns = [*(rf"(t|p|p_.*_|){a}" for a in "xyz"), *(rf"q(_|_.*_|){a}" for a in "xyzw")]
     columns = [
         next(
@@ -228,7 +269,7 @@ def _columns_of_header(line: str) -> list[int] | None:
 def _frame_column(line: str) -> int | None:
     """The column in which a header says that the number or name of an image stands (StrayScanner,
     RTAB-Map)."""
-    names = _names_in(line)
+    names = names_in(line)
     return next(
         (
             i

@@ -1,5 +1,6 @@
 """Which numbers are times, and pairing by time."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from gsfusion_nb.data.recorded.files import natural_order
 from gsfusion_nb.data.recorded.times import (
     associate,
     common_unit,
+    doubt_on_times,
     judge_stamps,
     read_image_list,
     time_unit,
@@ -109,6 +111,48 @@ def test_a_slow_recording_has_its_times(tmp_path):
     times, why_not = times_of_images(tmp_path / "times.txt", images)
     assert why_not == ""
     assert times == [(1700000000.0 + 8 * i,) * 2 for i in range(4)]
+
+
+@pytest.mark.parametrize(
+    ("times", "sentence", "remedy"),
+    [
+        (range(40), "one frame in 1 s, but they are whole numbers.*from 0 to 39", "times=false"),
+        (range(100, 140, 2), "one frame in 2 s, but they are whole", "times=false"),
+        ([0, 3, 4, 9, 12, 13], "they are whole numbers", "times=false"),
+        (
+            [i / 900 for i in range(40)],
+            "one frame in 0.00111 s, .* 1 to 120 frames a second; in minutes .* 0.0667 s",
+            "holds minutes: multiply them by 60",
+        ),
+        (
+            [i / 15 / 3600 for i in range(40)],
+            "in hours it would be one in 0.0667 s",
+            "multiply them by 3600",
+        ),
+        (
+            [33.3 * i for i in range(40)],
+            "one frame in 33.3 s, .* in ms .* 0.0333 s",
+            "divide them by 1000",
+        ),
+        ([2.5 * i for i in range(40)], "one frame in 2.5 s, .* 120 frames a second$", "seconds"),
+    ],
+)
+def test_times_that_may_not_be_seconds_are_doubted(times, sentence, remedy):
+    doubt = doubt_on_times(
+        [*map(float, times)], if_counted="--reader times=false", name="times.txt"
+    )
+    assert doubt is not None
+    assert re.search(sentence, doubt.sentence)
+    assert remedy in doubt.remedy
+
+
+@pytest.mark.parametrize("step", [1 / 125, 1 / 90, 1 / 30, 0.5, 1.0])
+def test_times_of_films_are_not_doubted(step):
+    """Also a recording of which every 30th frame was kept."""
+    from_start = [0.123 + step * i for i in range(40)]
+    dated = [1700000000.0 + 8 * i for i in range(40)]
+    for times in (from_start, dated, CAMERA, [], [0.0], [0.0, 0.0], [0.0, 0.1, 0.4]):
+        assert doubt_on_times(times, if_counted="", name="times.txt") is None
 
 
 def test_decimal_names_are_in_the_order_of_their_numbers():

@@ -4,6 +4,7 @@ points."""
 import dataclasses
 import math
 import re
+import shutil
 from typing import Any
 
 import cv2
@@ -77,6 +78,24 @@ def test_what_nothing_makes_rigid(poses):
     _, finding = pose_matrices(poses)
     assert finding.verdict == "doubtful"
     assert pose_matrices(torch.full((3, 4, 4), torch.nan))[1].verdict == "wrong"
+
+
+def test_times_that_count_frames_are_doubted(broken, tmp_path, caplog):
+    recording, _ = broken("small room", "clean")
+    root = tmp_path / "counted"
+    shutil.copytree(recording.root, root)
+    names = [path.stem for path in sorted((root / "rgb").iterdir())]
+    (root / "times.txt").write_text("".join(f"{name} {i}\n" for i, name in enumerate(names)))
+    (finding,) = time_stamps(folder(root))
+    assert finding.verdict == "doubtful"
+    assert "one frame in 1 s, but they are whole numbers" in finding.sentence
+    assert finding.repair == "if they number the frames: --reader times=false"
+    assert "if they number the frames: --reader times=false" in caplog.text
+    caplog.clear()
+    sequence = folder(root, times=False)
+    assert time_stamps(sequence)[0].verdict == "unknown"
+    assert sequence.timestamps_s[:3] == [0, 1 / 30, 2 / 30]
+    assert not caplog.text
 
 
 def test_times(broken):

@@ -325,6 +325,50 @@ def test_what_would_change_the_camera_is_refused_by_name(tmp_path, name, text, w
     assert "damaged" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("scale", 0.5),
+        ("scale", [2, 2]),
+        ("imageScale", 0.5),
+        ("downscale_factor", 4),
+        ("zoom", 1.5),
+        ("rotation", 90),
+        ("rotation", [0, -1, 0, 1, 0, 0, 0, 0, 1]),
+        ("rotation", "cw"),
+        ("orientation", 6),
+        ("flip_horizontal", True),
+        ("mirrored", 1.5),
+        ("transposed", True),
+        ("translation", [0.015, 0, 0]),
+    ],
+)
+@pytest.mark.parametrize("is_group", [False, True])
+def test_what_may_say_that_images_were_changed_is_refused_by_name(tmp_path, name, value, is_group):
+    values = PINHOLE | {name: value}
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps({"camera": values} if is_group else values))
+    with pytest.raises(SequenceError, match=rf"calibration\.json: {name} = .*--intrinsics 'fx fy"):
+        read_intrinsics(str(path), SIZE)
+
+
+def test_what_says_that_images_were_not_changed_is_read(tmp_path):
+    same = {
+        "scale": 1.0,
+        "image_scale": [1, 1],
+        "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        "rotate": 0,
+        "orientation": 1,
+        "flipped": False,
+        "mirror": None,
+        "translation": [0, 0, 0],
+    }
+    (tmp_path / "c.json").write_text(json.dumps(PINHOLE | same))
+    assert read_intrinsics(str(tmp_path / "c.json"), SIZE).camera.fx == PINHOLE["fx"]
+    (tmp_path / "c.json").write_text(json.dumps(PINHOLE | {"scale": 6553.5}))  # unit of depth
+    assert read_intrinsics(str(tmp_path / "c.json"), SIZE).camera.fx == PINHOLE["fx"]
+
+
 @pytest.mark.parametrize("name", ["camera.yaml", "camera.txt"])
 def test_a_name_that_is_a_value_and_a_group_is_one_sentence(tmp_path, name):
     (tmp_path / name).write_text("Camera: 1\nCamera.fx: 208.5\nCamera.fy: 209.5\n")

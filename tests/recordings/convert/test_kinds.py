@@ -87,6 +87,15 @@ READ = {
     "nerfstudio, fisheye cropped": Kind(
         kinds.nerfstudio_crop, r"fisheye_crop_radius is not used", moved=True
     ),
+    "nerfstudio, depth along the ray": Kind(
+        kinds.nerfstudio_ray, r"10000 per metre along the ray, and turned into z-depth"
+    ),
+    "poses that name images": Kind(kinds.named_poses, r"one pose per frame", camera=False),
+    "poses with times, no header": Kind(
+        kinds.poses_without_header,
+        r"quaternions taken as x y z w; if w comes first: --pose-quaternions wxyz",
+        camera=False,
+    ),
     "Matterport3D": Kind(
         kinds.matterport,
         r"nothing proves it: 4000 would be .*--depth-scale",
@@ -121,16 +130,34 @@ REFUSED = {
     "Hypersim": Kind(kinds.hypersim, r"HDF5 and the distance from the camera"),
     "AirSim": Kind(kinds.airsim, r"x forward, y right, z down"),
     "COLMAP, its own depth": Kind(kinds.colmap_own_depth, r"COLMAP's own.*not measured"),
+    "nerfstudio, depth of another type": Kind(
+        kinds.nerfstudio_relative, r"depth_type = 'relative' is not known; expected z, .* or ray"
+    ),
+    "a calibration with a scale": Kind(
+        kinds.scaled_calibration, r"scale = 0\.5 may say .* scaled.*--intrinsics", WITHOUT_POSES
+    ),
+    "a calibration with a rotation": Kind(
+        kinds.turned_calibration, r"rotation = 90 may say .* turned.*--intrinsics", WITHOUT_POSES
+    ),
     "an archive": Kind(kinds.file_of("scan.zip"), r"unpack it first"),
     "a model": Kind(kinds.file_of("scan.usdz"), r"a model, not a recording"),
 }
 
+DOUBTED = {
+    "times that count frames": (1.0, r"one frame in 1 s, but they are whole numbers"),
+    "times in minutes": (1 / 15 / 60, r"in minutes it would be one in 0\.0667 s"),
+    "times in milliseconds": (33.3, r"in ms it would be one in 0\.0333 s"),
+}
+"""Times of the plain layout: one frame in so many seconds, and what is said."""
+
 
 def test_the_table_of_the_documentation_has_these_kinds():
     page = (Path(__file__).parents[3] / "docs/formats.md").read_text()
-    read, refused = (
-        re.findall(r"^\| (.+?) \|", part, re.MULTILINE) for part in page.split("Refused, by name")
+    read, refused, doubted = (
+        re.findall(r"^\| (.+?) \|", part, re.MULTILINE)
+        for part in re.split("Refused, by name|Opened, and doubted", page)
     )
+    assert [name for name in doubted if name != "kind"] == list(DOUBTED)
     assert [name for name in read if name != "kind"] == list(READ)
     assert [name for name in refused if name != "kind"] == list(REFUSED)
 
@@ -164,6 +191,18 @@ def test_what_is_refused_by_name(tmp_path, takes, name):
     with pytest.raises(SequenceError, match=kind.says):
         convert(source, tmp_path / "out", options=ConvertOptions(**kind.given))
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", DOUBTED)
+def test_what_is_doubted(tmp_path, takes, name):
+    step, says = DOUBTED[name]
+    convert(kinds.nerfstudio(tmp_path / "scan", takes), tmp_path / "out")
+    lines = [f"{i:06d} {step * i}" for i in range(len(takes))]
+    (tmp_path / "out/times.txt").write_text("\n".join(lines))
+    doubt = folder(tmp_path / "out").doubtful_times
+    assert doubt is not None
+    assert re.search(says, doubt.sentence)
+    assert folder(tmp_path / "out", times=False).doubtful_times is None
 
 
 def test_the_largest_number_of_16_bits_is_no_distance(tmp_path, takes):

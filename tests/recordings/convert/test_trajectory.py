@@ -151,6 +151,66 @@ def test_bad_files(tmp_path, text):
         read_trajectory(tmp_path / "p.txt")
 
 
+@pytest.mark.parametrize("text", ["f1.png,0,0,0,1\n", "t,roll,pitch,yaw\n1,0,0,0\n"])
+def test_rows_of_something_else_are_not_called_damaged(tmp_path, text):
+    (tmp_path / "p.csv").write_text(text)
+    with pytest.raises(SequenceError, match=r"'(f1\.png|1,0,0).*'name tx ty tz") as error:
+        read_trajectory(tmp_path / "p.csv")
+    assert "damaged" not in str(error.value)
+
+
+def rows_of(takes, *, w_first=False):
+    rows = [takes.tum_row(i) for i in range(len(takes))]
+    return [[*r[:3], r[6], *r[3:6]] for r in rows] if w_first else rows
+
+
+@pytest.mark.parametrize("w_first", [False, True])
+@pytest.mark.parametrize("begins_with", ["time", "name", "nothing"])
+def test_an_assumed_order_of_quaternions_is_told_and_can_be_changed(
+    tmp_path, takes, w_first, begins_with
+):
+    options = tum_folder(tmp_path, takes)
+    texts = [" ".join(map(str, row)) for row in rows_of(takes, w_first=w_first)]
+    if begins_with != "nothing":
+        suffix = ".png" * (begins_with == "name")
+        texts = [f"{t:.6f}{suffix} {text}" for t, text in zip(takes.times_s, texts, strict=True)]
+    (tmp_path / "p.txt").write_text("\n".join(texts))
+    told = replace(options, pose_quaternions="wxyz" if w_first else "xyzw")
+    report = convert(tmp_path, tmp_path / "told", options=told)
+    takes.check(tmp_path / "told")
+    assert not any("quaternions" in note for note in report.notes)
+    if not w_first:
+        report = convert(tmp_path, tmp_path / "out", options=options)
+        takes.check(tmp_path / "out")
+        (note,) = (note for note in report.notes if "quaternions" in note)
+        assert note.endswith(
+            "quaternions taken as x y z w; if w comes first: --pose-quaternions wxyz"
+        )
+
+
+@pytest.mark.parametrize("comment", ["", "# "])
+def test_a_list_that_names_images_is_read_by_its_header(tmp_path, takes, comment):
+    options = tum_folder(tmp_path, takes)
+    rows = rows_of(takes, w_first=True)
+    lines = [
+        f'"rgb/{t:.6f}.png",{",".join(map(str, row))},1'
+        for t, row in zip(takes.times_s, rows, strict=True)
+    ]
+    header = f"{comment}name,tx,ty,tz,qw,qx,qy,qz,camera\n"
+    (tmp_path / "p.txt").write_text(header + "\n".join(lines[::-1]))
+    report = convert(tmp_path, tmp_path / "out", options=options)
+    takes.check(tmp_path / "out")
+    assert not any("quaternions" in note for note in report.notes)
+    with pytest.raises(SequenceError, match="its header says that quaternions are wxyz"):
+        convert(tmp_path, tmp_path / "no", options=replace(options, pose_quaternions="xyzw"))
+    (tmp_path / "p.txt").write_text(f"{header}{lines[0]}\n{lines[0]}\n")
+    with pytest.raises(SequenceError, match="two poses of rgb/"):
+        convert(tmp_path, tmp_path / "no", options=options)
+    (tmp_path / "p.txt").write_text(f"{header}{lines[0]}\na.png,1,2\n")
+    with pytest.raises(SequenceError, match=r"line 3 must hold the name of an image.* got 'a\.png"):
+        convert(tmp_path, tmp_path / "no", options=options)
+
+
 def tum_folder(root, takes):
     for i, t in enumerate(takes.times_s):
         takes.write(root / f"rgb/{t:.6f}.png", takes.png(i))

@@ -4,8 +4,8 @@ similar programs, with the depth image of each frame in ``depth_file_path`` or `
 Poses are camera-to-world with OpenGL axes (y up, z backward), converted to OpenCV axes by C2W
 diag(1, -1, -1, 1). Pixel centres at 0.5. Intrinsics are global or per frame; k1..k4, p1, p2 are
 removed. ``applied_transform`` and ``applied_scale``, which say how the world was moved and scaled,
-are undone, so that depth and poses have the same unit. Depth is in millimetres unless
-``depth_scale``, ``integer_depth_scale`` or ``depth_unit_scale_factor`` say otherwise.
+are undone, so that depth and poses have the same unit. What the file or a frame says of its depth
+(``nerfstudio_depth``) is used.
 """
 
 import math
@@ -31,6 +31,7 @@ from ..camera_numbers import model_of
 from ..depth_files import find_depth
 from ..pose_list import check_last_rows
 from ..recording import ConvertOptions, RecordedFrame, Recording, load_pair
+from .nerfstudio_depth import meaning_of_depth, note_on_depth
 
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")
 
@@ -63,8 +64,16 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             "RGB-D mapping needs depth: give its folder with --depth, or add the key"
         )
     world, notes = _undo(values, file)
-    scale = options.depth_scale or _depth_scale(values, file)
+    meanings = [meaning_of_depth(values | frame, file) for frame in frames]
+    along_ray = meanings[0].along_ray
+    if any(meaning.along_ray != along_ray for meaning in meanings):
+        raise SequenceError(
+            f"{file}: depth of some frames is along the ray, of others along the axis; expected "
+            "one kind"
+        )
+    scales = [options.depth_scale or meaning.per_metre for meaning in meanings]
     notes += _notes_on_unused(values, frames)
+    notes += [note_on_depth(scales, along_ray=along_ray)]
     keys = ("file_path", *_DEPTH_KEYS)
     outside_note = told_outside(
         file.parent,
@@ -72,7 +81,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     )
 
     def recorded_frames() -> Iterator[RecordedFrame]:
-        for frame in frames:
+        for frame, scale in zip(frames, scales, strict=True):
             colour = _image(file.parent / frame["file_path"])
             yield RecordedFrame(
                 source=str(colour),
@@ -86,8 +95,9 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         name=str(file),
         frames=recorded_frames,
         n_frames=len(frames),
-        depth_scale=scale,
-        notes=(*notes, f"depth read as {scale:g} per metre", *filter(None, [outside_note])),
+        depth_scale=scales[0],
+        depth_along_ray=along_ray,
+        notes=(*notes, *filter(None, [outside_note])),
     )
 
 
@@ -229,15 +239,6 @@ def _depth(
     if name is None:
         return file.parent / f"depth of {colour.name}, which the file does not name"
     return _image(file.parent / name)
-
-
-def _depth_scale(values: dict[str, Any], file: Path) -> float:
-    key = next(
-        (k for k in ("integer_depth_scale", "depth_unit_scale_factor") if k in values),
-        "depth_scale",
-    )
-    unit = number(values, key, 1e-3, file)
-    return 1.0 / unit
 
 
 def _time(frame: dict[str, Any]) -> float | None:

@@ -4,6 +4,7 @@ import json
 import math
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -133,6 +134,70 @@ def test_numpy_depth_and_its_unit(tmp_path, takes):
     (root / "transforms.json").write_text(text)
     report = convert(root, tmp_path / "out")
     assert report.depth_scale == 1000
+    takes.check(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    "changes", [{"depth_type": "ray"}, {"depth_type": "Euclidean"}, {"is_euclidean_depth": True}]
+)
+def test_depth_along_the_ray_becomes_z_depth(tmp_path, takes, changes):
+    root = write_nerfstudio(tmp_path / "scan", takes, depth_unit_scale_factor=1e-4, **changes)
+    c = takes.camera
+    u, v = np.meshgrid(np.arange(c.width) + 0.5, np.arange(c.height) + 0.5)
+    per_z = np.sqrt(1 + ((u - c.cx) / c.fx) ** 2 + ((v - c.cy) / c.fy) ** 2)
+    for i in range(4):
+        stored = np.rint(takes.depth_m[i] * per_z * 1e4).astype(np.uint16)
+        assert cv2.imwrite(str(root / f"depth/frame_{i + 8}.png"), stored)
+    report = convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out")
+    assert "depth read as 10000 per metre along the ray, and turned into z-depth" in report.notes
+
+
+def test_each_frame_may_have_its_unit_of_depth(tmp_path, takes):
+    root = write_nerfstudio(tmp_path / "scan", takes)
+    values = json.loads((root / "transforms.json").read_text())
+    for frame in values["frames"]:
+        i = int(frame["file_path"].removesuffix(".png").split("_")[1]) - 8
+        frame["depth_unit_scale_factor"] = [1e-4, 1e-3, 2e-4, 5e-4][i]
+        takes.write(root / frame["depth_file_path"], takes.depth_png(i, (1e4, 1e3, 5e3, 2e3)[i]))
+    (root / "transforms.json").write_text(json.dumps(values))
+    report = convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out")
+    assert "depth read as 1000 to 10000 per metre" in report.notes
+
+
+@pytest.mark.parametrize("unit", [{"depth_scale": 5000}, {"depth_scale": 2e-4, "depth_type": "z"}])
+def test_a_depth_scale_is_one_metre_or_one_unit(tmp_path, takes, unit):
+    root = write_nerfstudio(tmp_path / "scan", takes, **unit)
+    for i in range(4):
+        takes.write(root / f"depth/frame_{i + 8}.png", takes.depth_png(i, 5000))
+    convert(root, tmp_path / "out")
+    takes.check(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"depth_type": "relative"}, "depth_type = 'relative' is not known; expected z, .* or ray"),
+        ({"depth_type": "z", "is_euclidean_depth": True}, "contradict each other"),
+        (
+            {"depth_unit_scale_factor": 1e-3, "integer_depth_scale": 1e-4},
+            "several units of depth, depth_unit_scale_factor 1000, integer_depth_scale 10000",
+        ),
+        ({"depth_unit_scale_factor": 0}, "depth_unit_scale_factor must be > 0"),
+        ({"depth_offset": 0.5}, "depth_offset = 0.5 may change what the stored depth means"),
+        ({"is_inverse_depth": True}, "is_inverse_depth = True may change"),
+    ],
+)
+def test_depth_of_another_meaning_is_refused_by_name(tmp_path, takes, changes, named):
+    root = write_nerfstudio(tmp_path / "scan", takes, **changes)
+    with pytest.raises(SequenceError, match=named):
+        convert(root, tmp_path / "out")
+
+
+def test_files_of_depth_beside_it_change_nothing(tmp_path, takes):
+    names = {"mono_depth_file_path": "a.npy", "depth_scale_file": "b.txt", "depth_offset": 0}
+    convert(write_nerfstudio(tmp_path / "scan", takes, **names), tmp_path / "out")
     takes.check(tmp_path / "out")
 
 

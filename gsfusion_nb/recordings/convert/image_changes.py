@@ -1,0 +1,84 @@
+"""Values of a calibration that say that the images are not as its camera saw them: scaled, turned
+or mirrored afterwards, or taken from another place."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ...checks import shown
+from ...errors import SequenceError
+
+_SCALES = re.compile(
+    r"(?i)((image|img)_?)?(scale(_?factor)?|resize(_?(factor|scale))?|(down|up)_?scal(e|ing)"
+    r"(_?factor)?|(down|sub)_?sampl(e|ing)(_?factor)?|(digital_?)?zoom)"
+)
+_TURNS = re.compile(
+    r"(?i)((image|img|exif)_?)?(rotat(e|ed|ion)(_?(deg|degrees|angle|matrix))?|orientation"
+    r"|[hv]?_?flip(ped)?(_?(x|y|h|v|horizontal(ly)?|vertical(ly)?))?|mirror(ed)?|transposed?)"
+)
+_PLACES = re.compile(r"(?i)translation")
+
+_DEPTH_UNIT_FROM = 10.0
+"""A scale from here on is the stored depth of one metre (``depth_camera``)."""
+
+_NOTHING = ("", "none", "no", "false", "normal", "identity", "landscape")
+
+
+def check_unchanged(values: Mapping[str, Any], source: str) -> None:
+    """Raise ``SequenceError`` where the values of a camera say that its images were changed: a
+    scale other than 1, a turn, a mirror, or a place beside another camera."""
+    changes = (
+        (_SCALES, _is_no_scale, "that images or intrinsics were scaled"),
+        (_TURNS, _is_no_turn, "that the images or their camera are turned"),
+        (_PLACES, _is_zero, "that the camera stands beside another one"),
+    )
+    for name, value in values.items():
+        for pattern, changes_nothing, meaning in changes:
+            if pattern.fullmatch(str(name)) and not changes_nothing(value):
+                raise SequenceError(
+                    f"{source}: {name} = {shown(value)} may say {meaning}, which is not known "
+                    "here; give the intrinsics of the images as they are stored: --intrinsics "
+                    "'fx fy cx cy [k1 k2 p1 p2 k3]'"
+                )
+
+
+def _is_no_scale(value: Any) -> bool:
+    numbers = _numbers(value)
+    if numbers is None:
+        return _is_nothing(value)
+    return bool((numbers == 1).all() or (numbers.size == 1 and numbers[0] >= _DEPTH_UNIT_FROM))
+
+
+def _is_no_turn(value: Any) -> bool:
+    """Whether this is an angle of 0, a matrix or quaternion that does not turn, or EXIF's 1."""
+    numbers = _numbers(value)
+    if numbers is None:
+        return _is_nothing(value)
+    no_turns = [np.zeros(n) for n in (1, 3)]
+    no_turns += [np.ones(1), np.eye(3).ravel(), np.eye(4)[0], np.eye(4)[3]]
+    return any(
+        numbers.size == still.size and np.allclose(numbers, still, atol=1e-6) for still in no_turns
+    )
+
+
+def _is_zero(value: Any) -> bool:
+    numbers = _numbers(value)
+    return _is_nothing(value) if numbers is None else not numbers.any()
+
+
+def _is_nothing(value: Any) -> bool:
+    return value is None or value is False or str(value).strip().lower() in _NOTHING
+
+
+def _numbers(value: Any) -> np.ndarray | None:
+    """The numbers of a value, also those in a group's ``data``; None where it has none. [N]"""
+    if isinstance(value, Mapping):
+        value = value.get("data")
+    if value is None or isinstance(value, bool):
+        return None
+    try:
+        return np.ravel(np.array(value, dtype=float))
+    except (TypeError, ValueError):
+        return None
