@@ -62,7 +62,7 @@ def icp_stepper(
 
     Left: the residual of every pixel that passes the gates, red behind the surface and blue in
     front of it; the pixel in question is framed. Right: its point p, its partner q, and the plane
-    of q. Below: H.
+    of q, when the partner is known. Below: H, when it is.
 
     Args:
         depth_m, camera: The frame.
@@ -90,7 +90,16 @@ def icp_stepper(
     steps += _sums(recording)
     shape = tuple(gate["inlier"].shape)
     label = f"One iteration of ICP, {shape[1]} x {shape[0]} pixels"
-    return Stepper(steps, _icp_picture, name="icp", label=label, size=(450, 350))
+    has_partner = [k for k, step in enumerate(steps) if step.scene["q"] is not None]
+    has_sums = [k for k, step in enumerate(steps) if step.scene["H"] is not None]
+    return Stepper(
+        steps,
+        _icp_picture,
+        name="icp",
+        label=label,
+        size=(450, 350),
+        stills=[has_partner[0], has_sums[0], len(steps) - 1],
+    )
 
 
 def _some_pixels(gate: Line, count: int) -> list[tuple[int, int]]:
@@ -242,11 +251,7 @@ def _sums(recording: Recording) -> list[Step]:
 
 def _icp_picture(figure: "Figure", scene: dict[str, Any]) -> None:
     image_axes = figure.add_axes((0.01, 0.30, 0.57, 0.60))
-    sketch = figure.add_axes((0.63, 0.52, 0.35, 0.40))
-    matrix = figure.add_axes((0.66, 0.03, 0.32, 0.36))
     style(image_axes, title=f"residual, to {100 * scene['gate_m']:g} cm (red −, blue +)")
-    style(sketch, title="p, q and the plane of q")
-    style(matrix, title="H (blue +, red −)")
     image_axes.imshow(
         _colours(residual_level(scene["residual_m"], scene["gate_m"])),
         interpolation="nearest",
@@ -261,56 +266,69 @@ def _icp_picture(figure: "Figure", scene: dict[str, Any]) -> None:
             fillstyle="none",
             mew=2,
         )
-    sketch.set(xlim=(-1, 1), ylim=(-1, 1))
+    image_axes.set(xticks=[], yticks=[])
     if scene["q"] is not None:
-        p, q, n = _flat(scene["p"], scene["q"], scene["n"])
-        foot = p - n * float((p - q) @ n)
-        sketch.plot(
-            [-0.95, 0.95],
-            [q[1], q[1]],
-            color=PALETTE[0],
-            linewidth=2,
+        _draw_pair(figure, scene["p"], scene["q"], scene["n"])
+    if scene["H"] is not None:
+        _draw_matrix(figure, scene["H"])
+
+
+def _draw_pair(figure: "Figure", p_W: np.ndarray, q_W: np.ndarray, n_W: np.ndarray) -> None:
+    """A point, its partner, and the plane of the partner, seen along the plane."""
+    sketch = figure.add_axes((0.63, 0.52, 0.35, 0.40))
+    style(sketch, title="p, q and the plane of q")
+    sketch.set(xlim=(-1, 1), ylim=(-1, 1), xticks=[], yticks=[])
+    p, q, n = _flat(p_W, q_W, n_W)
+    foot = p - n * float((p - q) @ n)
+    sketch.plot(
+        [-0.95, 0.95],
+        [q[1], q[1]],
+        color=PALETTE[0],
+        linewidth=2,
+    )
+    sketch.plot(
+        [q[0], q[0]],
+        [q[1], q[1] + 0.6],
+        color=PALETTE[2],
+        linewidth=1.6,
+    )
+    sketch.plot(
+        [p[0], foot[0]],
+        [p[1], foot[1]],
+        "--",
+        color=PALETTE[3],
+        linewidth=1.6,
+    )
+    sketch.plot(
+        [p[0], q[0]],
+        [p[1], q[1]],
+        "o",
+        color=PALETTE[1],
+        markersize=7,
+    )
+    for name, at in zip(
+        "pqn",
+        (p, q, q + 0.6 * n),
+        strict=True,
+    ):
+        sketch.text(
+            at[0] + 0.08,
+            at[1] + 0.03,
+            name,
+            color=BETWEEN,
+            fontsize=9,
         )
-        sketch.plot(
-            [q[0], q[0]],
-            [q[1], q[1] + 0.6],
-            color=PALETTE[2],
-            linewidth=1.6,
-        )
-        sketch.plot(
-            [p[0], foot[0]],
-            [p[1], foot[1]],
-            "--",
-            color=PALETTE[3],
-            linewidth=1.6,
-        )
-        sketch.plot(
-            [p[0], q[0]],
-            [p[1], q[1]],
-            "o",
-            color=PALETTE[1],
-            markersize=7,
-        )
-        for name, at in zip(
-            "pqn",
-            (p, q, q + 0.6 * n),
-            strict=True,
-        ):
-            sketch.text(
-                at[0] + 0.08,
-                at[1] + 0.03,
-                name,
-                color=BETWEEN,
-                fontsize=9,
-            )
-    H = scene["H"]
-    if H is not None:
-        matrix.imshow(
-            _colours(H / np.sqrt(np.outer(H.diagonal(), H.diagonal()))),
-            interpolation="nearest",
-        )
-    for axes in (image_axes, sketch, matrix):
-        axes.set(xticks=[], yticks=[])
+
+
+def _draw_matrix(figure: "Figure", H: np.ndarray) -> None:
+    """H, scaled so that its diagonal is 1."""
+    matrix = figure.add_axes((0.66, 0.03, 0.32, 0.36))
+    style(matrix, title="H (blue +, red −)")
+    matrix.imshow(
+        _colours(H / np.sqrt(np.outer(H.diagonal(), H.diagonal()))),
+        interpolation="nearest",
+    )
+    matrix.set(xticks=[], yticks=[])
 
 
 def _colours(values: np.ndarray) -> np.ndarray:

@@ -60,6 +60,8 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
         name: Part of the CSS class: ``gsnb-stepper-NAME``.
         label: What is stepped through, for screen readers.
         size: Width and height of the picture on screen, pixels.
+        stills: Numbers of the steps that a stored notebook shows, from 0; by default three, evenly
+            spread.
     """
 
     _esm = source(ROOM, "steppers/stepper.js")
@@ -86,6 +88,7 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
         name: str,
         label: str,
         size: tuple[int, int] = (450, 340),
+        stills: Sequence[int] | None = None,
     ):
         from matplotlib.figure import Figure
 
@@ -98,6 +101,8 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
             width=size[0],
         )
         self.steps = tuple(steps)
+        thirds = sorted({round(i * (len(steps) - 1) / 3) for i in range(1, 4)})
+        self._stills = [self.steps[k] for k in (thirds if stills is None else stills)]
         self._draw = draw
         self._lock = threading.RLock()  # the page's messages may be handled in another thread
         self._figure = Figure(
@@ -138,11 +143,9 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
             self.shown += 1
 
     def _repr_mimebundle_(self, **kwargs: Any) -> Bundle:
-        stills = [
-            self.steps[k] for k in sorted({round(i * (self.count - 1) / 3) for i in range(1, 4)})
-        ]
-        picture = self._still_picture(stills)
-        alt = f"{self.label}, steps of {self.count}: {'; '.join(step.title for step in stills)}"
+        picture = self._still_picture(self._stills)
+        titles = "; ".join(step.title for step in self._stills)
+        alt = f"{self.label}, steps of {self.count}: {titles}"
         words = {"width": round(picture.shape[1] / SHARPNESS), "alt": alt}
         text = f"{self.label}: {self.count} steps"
         return with_stored(

@@ -6,6 +6,7 @@ import math
 
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TrackingConfig
@@ -13,6 +14,7 @@ from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking import icp
 from gsfusion_nb.tracking.pose_graph import Edge, odometry_information, optimise_poses
 from gsfusion_nb.viz import displaced_pose, frame_surface, icp_stepper, pose_graph_stepper
+from gsfusion_nb.viz.steppers import icp as icp_stepper_module
 
 
 def find(stepper, title):
@@ -37,6 +39,26 @@ def test_icp_ends_with_the_pose_of_one_iteration(frame, press):
     far = displaced_pose(frame.T_WC, 50.0, 0.0)
     with pytest.raises(ValueError, match="gates"):
         icp_stepper(frame.depth_m, frame.camera, surface, far, factor=2)
+
+
+def test_a_stored_notebook_shows_the_pair_and_the_sums(frame, monkeypatch):
+    """Evenly spread steps showed neither; what is not known yet has no empty frame."""
+    monkeypatch.setenv("GSNB_VIEW", "static")
+    start = displaced_pose(frame.T_WC, 0.03, 0.0)
+    stepper = icp_stepper(frame.depth_m, frame.camera, frame_surface(frame), start, factor=2)
+    _, metadata = stepper._repr_mimebundle_()
+    shown = metadata["image/png"]["alt"]
+    titles = ("The surface's point q and normal n", "H = sum w J^T J", "One iteration is done")
+    assert all(title in shown for title in titles)
+
+    def frames(title):
+        figure = Figure()
+        icp_stepper_module._icp_picture(figure, stepper.steps[find(stepper, title)].scene)
+        return [axes.get_title(loc="left") or axes.get_title() for axes in figure.axes]
+
+    assert len(frames("its point p")) == 1
+    assert frames(titles[0])[1:] == ["p, q and the plane of q"]
+    assert frames(titles[1])[1:] == ["H (blue +, red −)"]
 
 
 @pytest.fixture
