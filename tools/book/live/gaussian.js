@@ -71,9 +71,9 @@ function start(section) {
     drawEllipse(view, u, v, cov, 1, "#fff", 0.35);
     drawEllipse(view, u, v, cov, 2, "#fff", 0.2);
     if (values.points) drawPoints(map, now());
-    const covered = rgb.filter((c, k) => k % 3 === 2 && c > 0).length, [a, b, c] = cov.map((x) => x.toFixed(1));
+    const covered = rgb.filter((c, k) => k % 3 === 2 && c > 0).length, [a, b, c] = cov.map((x) => written(x.toFixed(1)));
     const matrix = `<span class="gsnb-live-matrix" role="img" aria-label="rows ${a}, ${b} and ${b}, ${c}"><span>${a}</span><span>${b}</span><span>${b}</span><span>${c}</span></span>`;
     return `Covariance on the image, px²: ${matrix} Its ellipse of one standard deviation has half axes of <b>${long.toFixed(1)}</b> and
-      <b>${short.toFixed(1)} px</b>, turned by ${((angle * 180) / Math.PI).toFixed(0)}°. It colours <b>${covered.toLocaleString("en")}</b> pixels.`;
+      <b>${short.toFixed(1)} px</b>, turned by ${written(((angle * 180) / Math.PI).toFixed(0))}°. It colours <b>${covered.toLocaleString("en")}</b> pixels.`;
   }
 }

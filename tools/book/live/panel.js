@@ -66,6 +66,11 @@ function drawPixels(context, rgb, { width, height }, smooth = false) {
   drawImage(context, small, smooth);
 }
 
+/** A number as text, with a minus in place of a hyphen. */
+function written(number) {
+  return String(number).replace(/^-/, "−");
+}
+
 /** The covariance [uu, uv, vv] of a row of projected Gaussians, px^2. */
 function covarianceOf({ conic }, i) {
   const [A, B, C] = conic.subarray(3 * i, 3 * i + 3), det = A * C - B * B;
@@ -145,7 +150,8 @@ function openPanel(section, { from = {}, words = {}, draw }) {
     const now = values();
     for (const [name, input] of Object.entries(inputs)) {
       if (input.type !== "range") continue;
-      input.nextElementSibling.textContent = (words[name] ?? ((x) => Number(x.toPrecision(3))))(now[name]);
+      const text = (words[name] ?? ((x) => Number(x.toPrecision(3))))(now[name]);
+      input.nextElementSibling.textContent = written(text);
       input.setAttribute("aria-valuetext", input.nextElementSibling.textContent);
     }
     const text = draw(now);
