@@ -39,13 +39,16 @@ def moving_map_html(root: str) -> str:
 
 
 def opening_bar(notebook: str) -> str:
-    """HTML under a chapter's title; ``notebook`` is its path in the project."""
+    """HTML under a chapter's title: how to come from this page, which is read, to a copy in which
+    one types; ``notebook`` is its path in the project."""
     name = escape(notebook.rpartition("/")[2])
     short = name == SHORT_PATH
     run = "gsfusion-nb course course --path short --open" if short else "make lab"
     next_step = "" if short else f", then open <code>course/{name}</code>"
     return (
-        f'<div class="gsnb-open"><a href="{name}" download>Download this notebook</a> '
+        '<div class="gsnb-open"><span>On this page you read and predict. Where it says '
+        "<code>...</code>, you type in JupyterLab.</span> "
+        f'<a href="{name}" download>Download this notebook</a> '
         f"<details><summary>Run it in JupyterLab</summary>"
         f"<p>In the project's folder: <code>{run}</code>{next_step}: a copy with "
         f"empty exercises, which is yours to change. With pip: "
