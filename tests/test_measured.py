@@ -248,6 +248,23 @@ def test_a_wrong_recipe_is_named(project, old, new, names):
         measured.made(measured.read_recipes(project)["walls"], VALUES)
 
 
+def test_times_are_measured_and_not_taken_from_an_earlier_command(tmp_path):
+    """A study keeps its results: measured again, a table of times had those of the hour before."""
+    study, bench = "gsfusion-nb study rtg-rate kitchen --seeds 3", "gsfusion-nb bench raster"
+
+    def call(command, measures_times):
+        return measured.call_of(
+            command, tmp_path / "out", tmp_path / "bench.json", measures_times=measures_times
+        )
+
+    assert call(study, True)[-1] == "--no-cache"
+    assert "--no-cache" not in call(study, False)
+    assert call(bench, True)[-2:] == ["--json", str(tmp_path / "bench.json")]
+    assert call("python docs/measured/x.py", True)[1] == str(measured.ROOT / "docs/measured/x.py")
+    with pytest.raises(measured.MeasuredError, match="expected a command"):
+        call("rm all", True)
+
+
 def test_records_of_nested_tables():
     found = measured.leaves({"disc": {"500": {"error": 1.0}}, "blended": {"500": {"error": 2.0}}})
     assert found == [{"label": "disc/500", "error": 1.0}, {"label": "blended/500", "error": 2.0}]

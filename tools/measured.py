@@ -390,27 +390,55 @@ def reason_to_measure(name: str, recipe: Mapping[str, Any], root: Path = ROOT) -
 # ---- Measuring -----------------------------------------------------------------------------------
 
 
+COMPARISONS = ("lab", "study", "sweep", "benchmark")
+"""Commands that keep their results for later commands."""
+
+
+def call_of(
+    command: str,
+    target: Path,
+    bench: Path,
+    *,
+    measures_times: bool = False,
+) -> list[str]:
+    """A command line of a recipe as a list for ``subprocess``.
+
+    Args:
+        command: Begins with gsfusion-nb or python.
+        target: Folder for its results.
+        bench: File for the results of ``bench``.
+        measures_times: No result of an earlier command is used: its times are those of another
+            hour.
+    """
+    program, what, *rest = shlex.split(command)
+    if program not in ("gsfusion-nb", "python"):
+        raise MeasuredError(f"expected a command of gsfusion-nb or python, got {command!r}")
+    call = [sys.executable, what, *rest]
+    if program == "gsfusion-nb":
+        call.insert(1, "-m")
+        call.insert(2, "gsfusion_nb")
+        call += ["--json", str(bench)] if what == "bench" else ["--out", str(target)]
+        call += ["--no-cache"] if measures_times and what in COMPARISONS else []
+    return [str(ROOT / part) if part.startswith("docs/") else part for part in call]
+
+
 def records_of(
     command: str,
     recordings: Path,
     target_file: Path | None = None,
+    *,
+    measures_times: bool = False,
 ) -> list[Record]:
     """Run one command line in the folder of the recordings; what it wrote, as flat records.
 
     With ``target_file``, the folder of an earlier call of the same command, nothing runs.
     """
-    program, what, *rest = shlex.split(command)
-    if program not in ("gsfusion-nb", "python"):
-        raise MeasuredError(f"expected a command of gsfusion-nb or python, got {command!r}")
+    program, what, *_ = shlex.split(command)
     with tempfile.TemporaryDirectory() as folder:
         target = target_file or Path(folder) / "out"
         bench = Path(folder) / "bench.json"
-        call = [sys.executable, "-m", "gsfusion_nb", what, *rest]
-        call += ["--json", str(bench)] if what == "bench" else ["--out", str(target)]
-        if program == "python":
-            call = [sys.executable, what, *rest]
+        call = call_of(command, target, bench, measures_times=measures_times)
         if target_file is None:
-            call = [str(ROOT / part) if part.startswith("docs/") else part for part in call]
             process = subprocess.run(call, cwd=recordings, stdout=subprocess.PIPE, text=True)
             # a run failed: its cell is empty, or the page says so
             may_fail = what == "lab" and process.returncode == 1
@@ -589,7 +617,9 @@ def renew(
     for line in recipe["commands"]:
         if line not in finished_records:
             print(f"{name}: {line}", flush=True)
-            finished_records[line] = records_of(line, recordings)
+            finished_records[line] = records_of(
+                line, recordings, measures_times=recipe.get("quiet", False)
+            )
     values = {
         run: [r for line in lines for r in finished_records[line]]
         for run, lines in recipe["runs"].items()
