@@ -13,6 +13,7 @@ from torch import Tensor
 from ...checks import shown
 from ...data.recorded.poses import read_lines
 from ...errors import SequenceError
+from ...files import read_text
 from .trajectory import check_order, columns_of_header, names_in
 
 _NAMES = re.compile(
@@ -83,7 +84,8 @@ def read_named_poses(path: Path, quaternions: str) -> NamedPoses | None:
 
 def _first_lines(path: Path) -> list[str]:
     """Comments and the first row: where a header may stand."""
-    lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()]
+    text = read_text(path, "a list of poses")
+    lines = [line for line in text.splitlines() if line.strip()]
     n_comments = next(
         (i for i, line in enumerate(lines) if not line.lstrip().startswith("#")),
         len(lines),
