@@ -318,14 +318,9 @@ VJPS = {
 """Where each system gets its gradients from."""
 
 
-@pytest.mark.parametrize(
-    ("system", "fidelity"), [*((name, "measured") for name in SYSTEMS), ("gps_slam", "code")]
-)
-@pytest.mark.parametrize("columns", [("sh",), ("log_scale", "opacity_logit")])
-def test_gaussians_that_become_nan_are_counted_and_said_once(
-    system, fidelity, columns, small_room, monkeypatch
-):
-    """Also those that the rules for removal would remove: no limit holds for what is NaN."""
+def break_gradients(monkeypatch, system, columns):
+    """Make the gradients of two rows NaN in these columns whenever the list that is returned holds
+    something."""
     module, name = VJPS[system].rsplit(".", 1)
     usual = getattr(importlib.import_module(module), name)
     broken = []
@@ -338,6 +333,18 @@ def test_gaussians_that_become_nan_are_counted_and_said_once(
         return g
 
     monkeypatch.setattr(VJPS[system], vjp)
+    return broken
+
+
+@pytest.mark.parametrize(
+    ("system", "fidelity"), [*((name, "measured") for name in SYSTEMS), ("gps_slam", "code")]
+)
+@pytest.mark.parametrize("columns", [("sh",), ("log_scale", "opacity_logit")])
+def test_gaussians_that_become_nan_are_counted_and_said_once(
+    system, fidelity, columns, small_room, monkeypatch
+):
+    """Also those that the rules for removal would remove: no limit holds for what is NaN."""
+    broken = break_gradients(monkeypatch, system, columns)
     mapper = make_mapper(settings(system, fidelity, **ONE_PASS.get(system, {})))
     told = []
     counted = []
@@ -389,17 +396,7 @@ class Prunes(MapRule):
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_a_rule_that_edits_removes_no_lost_gaussian_without_a_word(system, small_room, monkeypatch):
     """No comparison holds for NaN, so a rule that keeps what is opaque removes what was lost."""
-    module, name = VJPS[system].rsplit(".", 1)
-    usual = getattr(importlib.import_module(module), name)
-    broken = []
-
-    def vjp(*args, **kwargs):
-        g = usual(*args, **kwargs)
-        if broken:
-            g.opacity_logit[:2] = torch.nan
-        return g
-
-    monkeypatch.setattr(VJPS[system], vjp)
+    broken = break_gradients(monkeypatch, system, ("opacity_logit",))
     mapper = make_mapper(settings(system, "measured"), seeding=Prunes)
     for i in range(6):
         broken[:] = [1] if i in (3, 5) else []
