@@ -27,7 +27,6 @@ before 10). Where lines of poses.txt begin with names, an image may be missing; 
 many poses as images.
 """
 
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +36,7 @@ from ...files import read_object
 from ..recorded.files import camera, given_name, images_in, number, numbers, pair_by_stem, require
 from ..recorded.poses import no_poses, poses_of_images
 from ..recorded.recorded_sequence import Layout, RecordedSequence
-from ..recorded.times import TIMES, doubt_on_times, times_of_images
-
-log = logging.getLogger(__name__)
+from ..recorded.times import TIMES, times_of_images, warn_of_doubt
 
 LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
 _CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")
@@ -80,13 +77,11 @@ def folder(path: str | Path, *, poses: bool = True, times: bool = True) -> Recor
         if times
         else (None, f"the user says that {TIMES} holds none")
     )
-    doubt = doubt_on_times(
+    doubt = warn_of_doubt(
+        root / TIMES,
         [t for t, _ in read_times or []],
         if_counted="--reader times=false",
-        name=TIMES,
     )
-    if doubt is not None:
-        log.warning("%s: %s; %s", root / TIMES, doubt.sentence, doubt.remedy)
     return recording_of(
         root,
         values,

@@ -22,7 +22,7 @@ from ..lens import CameraModel, Undistorter
 from ..recorded.files import calibration_in, given_name, natural_order, require, told_outside
 from ..recorded.poses import checked_rows, matrices, no_poses, read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
-from ..recorded.times import associate, doubt_on_times, judge_stamps, read_image_list
+from ..recorded.times import associate, judge_stamps, read_image_list, warn_of_doubt
 
 log = logging.getLogger(__name__)
 
@@ -104,13 +104,11 @@ def tum(
     depth_s, depth_files = _stream(root / "depth.txt")
     pairs = associate(depth_s, rgb_s, max_difference_s=MAX_TIME_DIFFERENCE_S)
     triples = [(rgb_s[c], d, c) for d, c in pairs]
-    doubt = doubt_on_times(
+    doubt = warn_of_doubt(
+        root / "rgb.txt",
         rgb_s,
         if_counted=f"gsfusion-nb convert {root} OUT --image-time-unit none",
-        name="rgb.txt",
     )
-    if doubt is not None:
-        log.warning("%s: %s; %s", root / "rgb.txt", doubt.sentence, doubt.remedy)
     if poses:
         frames = _with_poses(root / "groundtruth.txt", triples)
         T_WC = torch.stack([T for *_, T in frames]) if frames else no_poses(0)

@@ -3,6 +3,7 @@ streams by time."""
 
 import bisect
 import itertools
+import logging
 import math
 import re
 import statistics
@@ -15,6 +16,8 @@ from ...checks import shown
 from ...errors import SequenceError
 from ...files import is_file
 from .poses import image_key, read_lines, read_words
+
+log = logging.getLogger(__name__)
 
 TIMES = "times.txt"
 
@@ -206,6 +209,16 @@ def doubt_on_times(
         f"{sentence}; in {unit} it would be one in {step * unit_s:.3g} s",
         f"if {name} holds {unit}: {change}",
     )
+
+
+def warn_of_doubt(
+    file: Path, times_s: abc.Sequence[float], *, if_counted: str
+) -> DoubtfulTimes | None:
+    """``doubt_on_times`` on those of ``file``, which a warning names."""
+    doubt = doubt_on_times(times_s, if_counted=if_counted, name=file.name)
+    if doubt is not None:
+        log.warning("%s: %s; %s", file, doubt.sentence, doubt.remedy)
+    return doubt
 
 
 def _check_seconds(times: list[float], path: Path) -> None:

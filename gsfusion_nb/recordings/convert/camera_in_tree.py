@@ -17,7 +17,7 @@ from ...errors import SequenceError
 from ...files import parsing
 from .calibration_tree import WAYS, Tree
 from .camera_numbers import model_of, model_of_matrix
-from .image_changes import check_unchanged
+from .image_changes import check_unchanged, check_whole_sensor, is_not_zero
 
 _PINHOLES = (("fx", "fy", "cx", "cy"), ("fx", "fy", "ppx", "ppy"), ("fl_x", "fl_y", "cx", "cy"))
 
@@ -87,9 +87,6 @@ _OF_A_LENS = re.compile(
     r"k\d+|p\d+|xi|alpha|beta|skew|s|radial\w*|tangential\w*|distort\w*|is_fisheye|fisheye"
 )
 """Names of what changes a camera."""
-
-_OF_A_PART = re.compile(r"roi|binning(_[xy])?|[xy]_offset|offset_[xy]|crop_(x|y|left|top)")
-"""Names of what makes the images a part of the sensor, or every second pixel of it."""
 
 _REALSENSE = (
     "none",
@@ -219,7 +216,7 @@ def _model_of_values(
     stored_size = _size(values) or size
     if stored_size is None:
         raise SequenceError(f"{source} lacks the size of the images; expected width and height")
-    _check_whole_sensor(values, stored_size, source)
+    check_whole_sensor(values, stored_size, source)
     check_unchanged(values, source)
     centre = float(values.get("pixel_centre", centre))
     fisheye = _is_fisheye(values, source)
@@ -243,27 +240,6 @@ def _model_of_values(
             matrix, stored_size, f"{source}: {matrix_name}", centre=centre, **lens
         )
     return model_of(_list_of(values[_FOUR]), stored_size, source, centre=centre, **lens)
-
-
-def _check_whole_sensor(values: Tree, size: tuple[int, int], source: str) -> None:
-    """Raises ``SequenceError`` where the camera may be that of a larger image than its own."""
-    for name, value in values.items():
-        if not _OF_A_PART.fullmatch(str(name)):
-            continue
-        parts = value if isinstance(value, Mapping) else {name: value}
-        whole = {"width": size[0], "height": size[1]}
-        changes = (
-            _is_not_zero(part)
-            and part != whole.get(part_name)
-            and not (str(part_name).startswith("binning") and part == 1)
-            for part_name, part in parts.items()
-        )
-        if any(changes):
-            raise SequenceError(
-                f"{source}: {name} = {shown(value)} says that the images are a part of the sensor, "
-                "and not whether the intrinsics are those of the images; give these as "
-                "--intrinsics 'fx fy cx cy [k1 k2 p1 p2 k3]'"
-            )
 
 
 def _size(values: Tree) -> tuple[int, int] | None:
@@ -294,7 +270,7 @@ def _is_fisheye(values: Tree, source: str) -> bool:
     unknown = [name for name in names if name not in _BROWN]
     coefficients = [values.get(name, 0.0) for name in _COEFFICIENTS]
     listed = _listed_coefficients(values, _COEFFICIENTS, source) if unknown else []
-    if unknown and (any(listed) or any(map(_is_not_zero, coefficients))):
+    if unknown and (any(listed) or any(map(is_not_zero, coefficients))):
         raise SequenceError(
             f"{source}: the lens {shown(unknown[0])} with other coefficients than 0 cannot be "
             f"undistorted; known: {', '.join(name for name in (*_BROWN, *_FISHEYE) if name)}"
@@ -335,12 +311,12 @@ def _coefficients(
     names = _FISHEYE_COEFFICIENTS if fisheye else _COEFFICIENTS
     for name, value in values.items():
         is_known = name in names or name in _LISTS or name in ("is_fisheye", "fisheye", *_LENSES)
-        if _OF_A_LENS.fullmatch(str(name)) and not is_known and _is_not_zero(value):
+        if _OF_A_LENS.fullmatch(str(name)) and not is_known and is_not_zero(value):
             raise SequenceError(
                 f"{source}: {name} = {shown(value)} changes the camera in a way that is not known "
                 f"here; undistort the images first; known: {', '.join(names)}"
             )
-    needs_model = _is_not_zero(values.get("k4", 0)) and not {"p1", "p2"} & values.keys()
+    needs_model = is_not_zero(values.get("k4", 0)) and not {"p1", "p2"} & values.keys()
     if needs_model and not fisheye and not _lens_names(values):
         raise SequenceError(
             f"{source} has k1 to k4 without p1 and p2, as a fisheye has, but does not name the "
@@ -384,7 +360,7 @@ def _listed_coefficients(values: Tree, names: tuple[str, ...], source: str) -> l
         with parsing(source, f"numbers of {name}"):
             return [float(word) for word in value.strip("[]() ").replace(",", " ").split()]
     if isinstance(value, Mapping) and "data" not in value:
-        unknown = [key for key, part in value.items() if key not in names and _is_not_zero(part)]
+        unknown = [key for key, part in value.items() if key not in names and is_not_zero(part)]
         if unknown:
             raise SequenceError(
                 f"{source}: {name} has {shown(', '.join(map(str, unknown)))}; expected "
@@ -392,10 +368,3 @@ def _listed_coefficients(values: Tree, names: tuple[str, ...], source: str) -> l
             )
         return list(_used([float(value.get(coefficient, 0.0)) for coefficient in names]))
     return _list_of(value)
-
-
-def _is_not_zero(value: Any) -> bool:
-    try:
-        return bool(np.any(np.array(value, dtype=float) != 0))
-    except (TypeError, ValueError):
-        return True

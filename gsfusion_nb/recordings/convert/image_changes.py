@@ -1,5 +1,5 @@
-"""Values of a calibration that say that the images are not as its camera saw them: scaled, turned
-or mirrored afterwards, or taken from another place."""
+"""Values of a calibration that say that the images are not as its camera saw them: a part of the
+sensor, scaled, turned or mirrored afterwards, or taken from another place."""
 
 import re
 from collections.abc import Mapping
@@ -19,6 +19,9 @@ _TURNS = re.compile(
     r"|[hv]?_?flip(ped)?(_?(x|y|h|v|horizontal(ly)?|vertical(ly)?))?|mirror(ed)?|transposed?)"
 )
 _PLACES = re.compile(r"(?i)translation")
+
+_OF_A_PART = re.compile(r"roi|binning(_[xy])?|[xy]_offset|offset_[xy]|crop_(x|y|left|top)")
+"""Names of what makes the images a part of the sensor, or every second pixel of it."""
 
 _DEPTH_UNIT_FROM = 10.0
 """A scale from here on is the stored depth of one metre (``depth_camera``)."""
@@ -42,6 +45,27 @@ def check_unchanged(values: Mapping[str, Any], source: str) -> None:
                     "here; give the intrinsics of the images as they are stored: --intrinsics "
                     "'fx fy cx cy [k1 k2 p1 p2 k3]'"
                 )
+
+
+def check_whole_sensor(values: Mapping[str, Any], size: tuple[int, int], source: str) -> None:
+    """Raises ``SequenceError`` where the camera may be that of a larger image than its own."""
+    for name, value in values.items():
+        if not _OF_A_PART.fullmatch(str(name)):
+            continue
+        parts = value if isinstance(value, Mapping) else {name: value}
+        whole = {"width": size[0], "height": size[1]}
+        changes = (
+            is_not_zero(part)
+            and part != whole.get(part_name)
+            and not (str(part_name).startswith("binning") and part == 1)
+            for part_name, part in parts.items()
+        )
+        if any(changes):
+            raise SequenceError(
+                f"{source}: {name} = {shown(value)} says that the images are a part of the sensor, "
+                "and not whether the intrinsics are those of the images; give these as "
+                "--intrinsics 'fx fy cx cy [k1 k2 p1 p2 k3]'"
+            )
 
 
 def _is_no_scale(value: Any) -> bool:
@@ -82,3 +106,11 @@ def _numbers(value: Any) -> np.ndarray | None:
         return np.ravel(np.array(value, dtype=float))
     except (TypeError, ValueError):
         return None
+
+
+def is_not_zero(value: Any) -> bool:
+    """Whether a value is another than 0; text that is no number counts as another."""
+    try:
+        return bool(np.any(np.array(value, dtype=float) != 0))
+    except (TypeError, ValueError):
+        return True
