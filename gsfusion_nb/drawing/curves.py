@@ -28,6 +28,8 @@ unlike the others, also to eyes that lack the cones for red, green or blue."""
 
 LEGEND_LETTERS = 78
 """Letters that fit into the width of a ``curve_figure``."""
+_LINE_SHARE = 0.003
+"""Half of the width of a line, in heights of a ``curve_figure``."""
 SAMPLE_LETTERS = 5
 """Width of a line in a legend, and of the space behind its name, in letters."""
 
@@ -53,7 +55,8 @@ def curve_figure(
     marks_label: str = "",
     logarithmic: bool = False,
 ) -> "Figure":
-    """A graph of one or more curves over a common axis; NaN leaves a gap.
+    """A graph of one or more curves over a common axis; NaN leaves a gap. A curve that lies on an
+    earlier one is dashed, so that both can be seen.
 
     Args:
         x: Positions, for example frame numbers.
@@ -88,13 +91,16 @@ def curve_figure(
         )
         axes.set_ylim(bottom=0)
     else:
+        heights = [np.log(v) if logarithmic else np.asarray(v, float) for v in series.values()]
         for i, (label, values) in enumerate(series.items()):
+            is_dashed = _lies_on_another(heights[i], heights[:i])
             axes.plot(
                 x,
                 values,
                 label=label,
                 color=PALETTE[i % len(PALETTE)],
                 linewidth=1.6,
+                linestyle=(0, (4, 4)) if is_dashed else "-",
                 marker="o",
                 markersize=3 if len(x) > 1 else None,
                 markevery=_lone(values),
@@ -140,6 +146,18 @@ def _lone(values: Numbers) -> list[int]:
     """Positions of the values beside which there is none, so that no line goes through them."""
     gaps = np.pad(np.isnan(np.asarray(values, float)), 1, constant_values=True)
     return np.flatnonzero(~gaps[1:-1] & gaps[:-2] & gaps[2:]).tolist()
+
+
+def _lies_on_another(curve: np.ndarray, earlier: Sequence[np.ndarray]) -> bool:
+    """Whether a curve of more than one value runs over one of those drawn before it, for more than
+    half of its way and within the width of a line in a graph of all of them."""
+    is_known = np.isfinite(curve)
+    if is_known.sum() < 2:
+        return False
+    every = np.concatenate([curve, *earlier])
+    line = _LINE_SHARE * float(np.nanmax(every) - np.nanmin(every))
+    apart = [np.abs(curve - other)[is_known] for other in earlier]
+    return any(float((off <= line).mean()) > 0.5 for off in apart)
 
 
 def _legend_columns(labels: Sequence[str]) -> int:

@@ -21,11 +21,13 @@ from ..types import Camera, Frame, GaussianParams, RenderOutput
 from ..viewer.palettes import STATE_COLOURS, palette
 
 CAUSES = {
-    1: ("new area", (60, 210, 90)),
+    1: ("new area", (250, 220, 70)),
     2: ("depth wrong", (255, 60, 60)),
     3: ("colour wrong", (70, 150, 255)),
 }
-"""Tag of a Gaussian from the rule ``rtg_slam`` -> why it was added, its colour."""
+"""Tag of a Gaussian from the rule ``rtg_slam`` -> why it was added, its colour: yellow, red, blue.
+Over a grey picture, each is unlike the others also to eyes that lack the cones for red, green or
+blue."""
 
 _NOTHING = (24, 24, 28)
 

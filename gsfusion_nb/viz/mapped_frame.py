@@ -81,7 +81,7 @@ PANELS: dict[str, tuple[str, Callable[[MappedFrame], Picture]]] = {
     ),
     "quadtree_seeds": ("quadtree cells, new Gaussians in red", _quadtree_seeds),
     "seed_causes": (
-        "added for: green area, red depth, blue colour",
+        "added for: yellow area, red depth, blue colour",
         lambda step: cause_picture(step.photo, step.mapper.gaussians, step.frame),
     ),
     "states": ("blue stable, orange unstable", _states),

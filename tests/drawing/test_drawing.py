@@ -16,6 +16,7 @@ from gsfusion_nb.drawing.curves import PALETTE, curve_figure, small_curves
 from gsfusion_nb.drawing.encoding import data_uri, encode_palette, encode_png
 from gsfusion_nb.drawing.page import fill, html_table
 from gsfusion_nb.drawing.pictures import CARD, LABEL_PX, side_by_side
+from gsfusion_nb.viz.map_pictures import CAUSES
 
 
 def decoded(data):
@@ -175,6 +176,16 @@ def test_colours_of_curves_can_be_told_apart(eye, apart):
     assert distance.min() > apart
 
 
+@pytest.mark.parametrize("eye", _EYES)
+def test_causes_over_a_grey_picture_can_be_told_apart(eye):
+    for grey in (70, 130, 190):
+        causes = [0.35 * grey + 0.65 * np.array(rgb) for _, rgb in CAUSES.values()]
+        written = [f"#{int(r):02x}{int(g):02x}{int(b):02x}" for r, g, b in [*causes, [grey] * 3]]
+        lab = as_seen(written, eye)
+        distance = np.linalg.norm(lab[:, None] - lab, axis=2) + 1000 * np.eye(len(lab))
+        assert distance.min() > 16, grey
+
+
 def test_colours_of_curves_can_be_seen_on_every_ground():
     def luminance(colours):
         linear = (np.array([curves.rgb_of(c) for c in colours]) / 255) ** 2.2
@@ -209,6 +220,22 @@ def test_a_value_between_two_gaps_is_a_point():
     figure = curves.curve_figure(range(8), series, x_label="x", y_label="y")
     marked = [line.get_markevery() for line in figure.axes[0].lines]
     assert marked == [[0, 2, 7], []]
+
+
+def test_a_curve_on_an_earlier_one_is_dashed_and_both_are_seen():
+    mean = [0.1, 0.06, 0.05, 0.04]
+    series = {"last": [0.1, 0.11, 0.1, 0.1], "fused": mean, "mean": [m + 1e-5 for m in mean]}
+    figure = curves.curve_figure([1, 2, 3, 4], series, x_label="windows", y_label="error")
+    assert [line.get_linestyle() for line in figure.axes[0].lines] == ["-", "-", "--"]
+    picture = curves.figure_picture(figure).astype(int)[60:]  # below the legend
+    for colour in PALETTE[:3]:
+        assert (np.abs(picture - curves.rgb_of(colour)).sum(-1) < 60).sum() > 100, colour
+
+
+def test_curves_that_only_meet_are_drawn_through():
+    series = {"a": [1.0, 2.0, 3.0, 4.0], "b": [1.0, 2.0, 2.5, 2.0], "c": [math.nan] * 4}
+    figure = curves.curve_figure(range(4), series, x_label="x", y_label="y")
+    assert {line.get_linestyle() for line in figure.axes[0].lines} == {"-"}
 
 
 def test_a_small_curve_fills_as_much_as_is_done_and_nan_leaves_a_gap():

@@ -120,8 +120,8 @@ def test_panels_of_rtg_slam(rtg_run):
         "seed_causes",
     ]
     assert {p.shape for p in panels.values()} == {(36, 48, 3)}
-    green = (panels["seed_causes"] == CAUSES[1][1]).all(-1).sum()
-    assert report.n_seeds / 4 < green <= 4 * report.n_seeds
+    new_area = (panels["seed_causes"] == CAUSES[1][1]).all(-1).sum()
+    assert report.n_seeds / 4 < new_area <= 4 * report.n_seeds
     assert mosaic(panels, captions_of(run.mapper)).shape[1] == 3 * 48 + 2 * 6
 
 

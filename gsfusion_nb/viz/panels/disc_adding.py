@@ -63,7 +63,7 @@ def disc_adding_panel(view: SurfaceView, frame: Frame) -> Panel:
         k = max(1, round(300 / picture.shape[1]))
         pictures = [p.repeat(k, 0).repeat(k, 1) for p in pictures]
         top = side_by_side(pictures[:2], ["new frame", "map so far"])
-        low = side_by_side(pictures[2:], ["colour error", "green new, red depth, blue colour"])
+        low = side_by_side(pictures[2:], ["colour error", "yellow new, red depth, blue colour"])
         return np.concatenate([top, low]), html_table(rows)
 
     controls = {
