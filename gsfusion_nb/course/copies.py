@@ -31,6 +31,8 @@ _COMMENT = re.compile(r"\s*<!--.*?-->", re.DOTALL)
 """What tests read: which numbers of the outputs the text speaks of."""
 _CHECK = re.compile(r"^check\.(?P<name>\w+)\((?P=name)\)$", re.MULTILINE)
 _PREDICT, _CAME = (re.compile(rf"\b{word}\(\s*\"(\w+)\"") for word in ("predict", "came"))
+_GUESS = re.compile(r"^> \*\*Guess", re.MULTILINE)
+"""A text cell that asks before the code below it answers."""
 _WHOSE = re.compile(r"^\w+: (your code is used\.|the reference's is used: )")
 _TELLS_NOTHING = re.compile(r"^(Predict: |what you should see: ✓ \w+: all checks pass$)")
 _LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)\s]+)\)")
@@ -39,10 +41,10 @@ _TO_A_SOURCE_FILE = re.compile(r'<a href=\\"(?:\.\./)+gsfusion_nb/[^>]*>(.*?)</a
 
 _NOTE = (
     "*The pictures and numbers below were stored: they show what to expect. Running a cell "
-    "replaces them by yours. What answers a prediction is not shown before. As long as you have "
+    "replaces them by yours. What answers a question is not shown before. As long as you have "
     "not solved an exercise, the chapter uses the reference's code, and says so.*"
 )
-_NOT_SHOWN = "Not shown before you run this cell: it answers a prediction."
+_NOT_SHOWN = "Not shown before you run this cell: it answers a question."
 
 
 def notebooks_folder() -> Path:
@@ -118,25 +120,26 @@ def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
     to expect.
 
     What would show the learner's own answer stands as "what you should see" (a verdict) or goes
-    (whose code was used). What comes of a prediction is left out, from the cell that asks to the
-    one that compares: JupyterLab shows the first line of a folded output.
+    (whose code was used). What answers an open question is left out, because JupyterLab shows the
+    first line of a folded output.
 
     Raises:
         ValueError: a marker of a solution without its partner; the message names the cell.
     """
     notebook_copy = copy.deepcopy(notebook)
-    unknown = set()
+    questions = _OpenQuestions()
     for cell in notebook_copy["cells"]:
-        if cell["cell_type"] != "code":
-            continue
         source = "".join(cell["source"])
+        if cell["cell_type"] != "code":
+            questions.read_text(source)
+            continue
         outputs = [output for output in cell["outputs"] if not _WHOSE.match(_text_of(output))]
         if _BEGIN[0] in source or _CHECK.search(source) is not None:
             outputs = [_answer_output(output) for output in outputs]
-        if unknown:
+        if questions.are_open:
             outputs = _without_answers(outputs)
         cell["outputs"] = outputs
-        unknown = (unknown | set(_PREDICT.findall(source))) - set(_CAME.findall(source))
+        questions.read_code(source, answers=bool(outputs))
     learner = without_solutions(notebook_copy, outputs=True)
     learner["cells"].insert(
         1, {"cell_type": "markdown", "id": "what-to-expect", "metadata": {}, "source": [_NOTE]}
@@ -144,13 +147,44 @@ def learner_copy(notebook: dict[str, Any]) -> dict[str, Any]:
     return learner
 
 
+class _OpenQuestions:
+    """Which questions of a notebook are open, while its cells are read in their order.
+
+    A prediction is open from its cell to the one that compares. A guess, which a text asks for, is
+    open from there to the text that follows its first output.
+    """
+
+    def __init__(self) -> None:
+        self._predictions: set[str] = set()
+        self._guess = False
+        self._guess_has_output = False
+
+    @property
+    def are_open(self) -> bool:
+        return self._guess or bool(self._predictions)
+
+    def read_text(self, source: str) -> None:
+        """The next cell is a text."""
+        if _GUESS.search(source) is not None:
+            self._guess = True
+            self._guess_has_output = False
+        elif self._guess_has_output:
+            self._guess = False
+
+    def read_code(self, source: str, *, answers: bool) -> None:
+        """The next cell is code; ``answers``: it has outputs."""
+        self._guess_has_output |= answers
+        self._predictions |= set(_PREDICT.findall(source))
+        self._predictions -= set(_CAME.findall(source))
+
+
 def _text_of(output: dict[str, Any]) -> str:
     return "".join(output.get("data", {}).get("text/plain", ""))
 
 
 def _without_answers(outputs: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of the outputs before a prediction is compared: questions and verdicts, and a note where
-    there were others."""
+    """Of the outputs while a question is open: questions and verdicts, and a note where there
+    were others."""
     shown = [output for output in outputs if _TELLS_NOTHING.match(_text_of(output))]
     return shown if len(shown) == len(outputs) else [*shown, _grey(_NOT_SHOWN)]
 

@@ -143,6 +143,9 @@ def test_a_learner_sees_what_to_expect_and_no_answer():
     assert [cell["execution_count"] for cell in (unwritten, checked, used)] == [None] * 3
 
 
+NOT_SHOWN = "Not shown before you run this cell: it answers a question."
+
+
 def test_what_comes_of_a_prediction_is_not_in_the_copy():
     stream = {"output_type": "stream", "name": "stdout", "text": ["frame 1: 189 new"]}
     cells = [
@@ -155,7 +158,7 @@ def test_what_comes_of_a_prediction_is_not_in_the_copy():
     ]
     copied = learner_copy(notebook(*cells))["cells"][2:]
     texts = [[o["data"]["text/plain"] for o in cell["outputs"]] for cell in copied]
-    note = ["Not shown before you run this cell: it answers a prediction."]
+    note = [NOT_SHOWN]
     assert texts == [
         [["Predict: ?\n  not predicted yet"]],
         [note],
@@ -176,29 +179,69 @@ def test_no_output_is_folded(path):
     assert "gsnb-outcome" not in json.dumps(learner)
 
 
-def stored_between_predictions(stored):
-    """Pictures of cells that answer a prediction."""
-    unknown = set()
-    count = 0
-    for cell in stored["cells"]:
-        if cell["cell_type"] == "code":
-            source = "".join(cell["source"])
-            if unknown:
-                count += json.dumps(cell["outputs"]).count('"image/')
-            unknown |= set(re.findall(r'\bpredict\(\s*"(\w+)"', source))
-            unknown -= set(re.findall(r'\bcame\(\s*"(\w+)"', source))
-    return count
+def test_what_answers_a_guess_is_not_in_the_copy():
+    stream = {"output_type": "stream", "name": "stdout", "text": ["frame 1: 189 new"]}
+    cells = [
+        code("0", shown("0")),
+        text("Once more.\n\n> **Guess.** What share is new?"),
+        text("### Exercise"),
+        code("def f(x):\n    ..."),
+        code("check.f(f)", shown("✓ f: all checks pass")),
+        code("1", stream),
+        code("2", PICTURE),
+        text("It is 6 %."),
+        code("3", shown("3")),
+        text("> **Guess** before you drag."),
+        text("> **Guess** this, too."),
+        code("4", shown("A panel")),
+    ]
+    copied = learner_copy(notebook(*cells))["cells"][2:]
+    texts = [
+        [output["data"]["text/plain"][0] for output in cell["outputs"]]
+        for cell in copied
+        if cell["cell_type"] == "code"
+    ]
+    verdict = "what you should see: ✓ f: all checks pass"
+    assert texts == [["0"], [], [verdict], [NOT_SHOWN], [NOT_SHOWN], ["3"], [NOT_SHOWN]]
+
+
+def text_of(output) -> str:
+    """What an output says, without its pictures."""
+    return "".join(output.get("text") or output.get("data", {}).get("text/plain", ""))
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
-def test_every_chapter_has_its_pictures_and_no_solution(path):
+def test_no_output_stands_right_below_a_question(path):
+    learner = learner_copy(json.loads(path.read_text(encoding="utf-8")))
+    says_no_answer = ("Predict: ", "what you should see: ✓ ", NOT_SHOWN)
+    is_below = False
+    questions = 0
+    for cell in learner["cells"]:
+        if "> **Guess" in "".join(cell["source"]):
+            is_below = True
+            questions += 1
+        elif is_below and cell.get("outputs"):
+            for output in cell["outputs"]:
+                assert text_of(output).startswith(says_no_answer), (cell["id"], text_of(output))
+            is_below = False
+    assert questions >= 2
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_a_chapter_keeps_what_answers_no_question_and_no_solution(path):
     stored = json.loads(path.read_text(encoding="utf-8"))
-    learner = json.dumps(learner_copy(stored), ensure_ascii=False)
-    assert "SOLUTION" not in learner
-    assert not re.search(r'["<>]✓ \w+: all checks', learner)
-    every = json.dumps(stored).count('"image/')
-    assert every >= 3
-    assert learner.count('"image/') == every - stored_between_predictions(stored) >= 2
+    learner = learner_copy(stored)
+    text = json.dumps(learner, ensure_ascii=False)
+    assert "SOLUTION" not in text
+    assert not re.search(r'["<>]✓ \w+: all checks', text)
+    pictures = {c["id"]: json.dumps(c.get("outputs")).count('"image/') for c in stored["cells"]}
+    kept = 0
+    for cell in learner["cells"]:
+        copied = json.dumps(cell.get("outputs", []))
+        if cell["cell_type"] == "code" and NOT_SHOWN not in copied:
+            assert copied.count('"image/') == pictures[cell["id"]]
+            kept += 1
+    assert kept >= 10
 
 
 def test_a_notebook_that_is_there_stays(tmp_path):
