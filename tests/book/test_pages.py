@@ -138,6 +138,14 @@ def test_the_pages_at_the_root_lead_from_there(places):
     assert in_the_book(one_page, "docs/index.md", places) == "[one page](../splatting.md)"
 
 
+def test_the_list_of_pages_names_them_all_by_what_they_are():
+    text = (ROOT / "docs/book/index.md").read_text(encoding="utf-8")
+    listed = text.rpartition("```{toctree}")[0]  # the last list is out of sight
+    names = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index", "api"}
+    assert [name for name in sorted(names) if f"docs/{name}\n" not in listed] == []
+    assert "\nWhat is in the package <README>\n" in listed
+
+
 def test_the_page_of_splatting_has_its_panels(places):
     text = (ROOT / "docs/book/splatting.md").read_text(encoding="utf-8")
     page = root_page(text, "docs/book/splatting.md", places)
