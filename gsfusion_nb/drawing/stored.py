@@ -38,8 +38,8 @@ def with_stored(
         kind: MIME type of the picture.
         content: The picture's file.
         text: For readers without pictures.
-        words: Metadata of the picture: its description for screen readers, ``alt``, and its
-            ``width``, pixels.
+        words: Metadata of the picture: its description for screen readers, ``alt``, its
+            ``width``, pixels, and what else a page that shows it says.
     """
     data = dict(bundle[0] if isinstance(bundle, tuple) else bundle or {})
     if static_views():

@@ -97,6 +97,30 @@ def test_a_wide_picture_has_its_words_below_it_and_can_be_enlarged():
     assert "figcaption" not in narrow
 
 
+def test_the_words_of_a_steppers_still_are_text(places):
+    still = np.zeros((6, 8, 4), np.uint8)
+    still[:3, :4] = (1, 2, 3, 255)
+    still[3:, :4] = (7, 8, 9, 255)
+    png = base64.b64encode(cv2.imencode(".png", still)[1].tobytes()).decode()
+    steps = [
+        {"title": "a < b", "place": "x.py:1", "code": "y = a & b", "numbers": [["p", "1"]]},
+        {"title": "Next", "place": "x.py:2", "code": "return y", "numbers": []},
+    ]
+    output = shown("image/png", png, alt="both", width=900, steps=steps)
+    output["data"]["text/plain"] = "A stepper: 2 steps"
+    made = Chapter({"cells": [code("go", "s", output)]}, "notebooks/03_q.ipynb", places)
+    page = made.markdown()
+    assert list(made.files) == ["03_q_files/go-0-0.png", "03_q_files/go-0-1.png"]
+    second = cv2.imdecode(
+        np.frombuffer(made.files["03_q_files/go-0-1.png"], np.uint8), cv2.IMREAD_UNCHANGED
+    )
+    assert second.shape == (3, 4, 4)
+    assert (second == (7, 8, 9, 255)).all()
+    assert page.count('width="450" height="338"') == 2
+    for text in ("<p>a &lt; b</p>", "<pre>y = a &amp; b</pre>", "<td>p</td><td>1</td>"):
+        assert text in page
+
+
 def test_what_came_waits_for_the_prediction(chapter):
     page = chapter.markdown()
     # the question, what came, the outputs before and after it

@@ -7,7 +7,7 @@ import io
 import posixpath
 import re
 import subprocess
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import count, groupby
@@ -168,6 +168,43 @@ def picture_html(
     return f'<figure class="gsnb-wide"><a href="{address}">{image}</a>{caption}</figure>'
 
 
+def steps_html(pictures: Sequence[tuple[str, bytes]], metadata: Mapping[str, Any]) -> str:
+    """The stills of a stepper: each picture (address, content), with its words as text beside it,
+    or below it on a narrow page."""
+    width = int(metadata["width"]) // 2
+    parts = []
+    for (address, content), step in zip(pictures, metadata["steps"], strict=True):
+        across, down = Image.open(io.BytesIO(content)).size
+        title = escape(step["title"])
+        rows = (
+            "".join(f"<td>{escape(cell, quote=False)}</td>" for cell in row)
+            for row in step["numbers"]
+        )
+        table = "".join(f"<tr>{row}</tr>" for row in rows)
+        parts.append(
+            f'<figure class="gsnb-step"><img class="gsnb-figure" src="{address}" width="{width}" '
+            f'height="{round(width * down / across)}" loading="lazy" alt="{title}">'
+            f"<figcaption><p>{title}</p>"
+            f"<p><code>{escape(step['place'], quote=False)}</code></p>"
+            f"<pre>{escape(step['code'], quote=False)}</pre>"
+            f"<table>{table}</table></figcaption></figure>"
+        )
+    return "".join(parts)
+
+
+def cut_steps(still: bytes, n_steps: int) -> list[bytes]:
+    """The pictures in a stepper's still, which are its left half, from top to bottom."""
+    image = Image.open(io.BytesIO(still))
+    width = image.width // 2
+    height = image.height // n_steps
+    pictures = []
+    for k in range(n_steps):
+        part = io.BytesIO()
+        image.crop((0, k * height, width, (k + 1) * height)).save(part, "PNG", optimize=True)
+        pictures.append(part.getvalue())
+    return pictures
+
+
 _ATTACHED = re.compile(r"!\[[^\]]*\]\(attachment:[^)]*\)\s*")
 """A picture that a text cell holds; the book has the map itself in its place."""
 _DRAWING = ("show", "show_figure", "show_mesh")
@@ -292,18 +329,27 @@ class Chapter:
             )
         for kind, suffix in _PICTURES.items():
             if kind in data:
+                content = base64.b64decode("".join(data[kind]))
+                words = metadata.get(kind, {})
+                if "steps" in words:
+                    return self._steps_html(content, words, name) + _STILL
                 address = f"{self.stem}_files/{name}.{suffix}"
-                self.files[address] = base64.b64decode("".join(data[kind]))
+                self.files[address] = content
                 picture = (
                     ""
                     if "".join(data.get("text/plain", "<IPython")).startswith("<IPython")
                     else _STILL
                 )
-                return (
-                    picture_html(address, self.files[address], metadata.get(kind, {}), suffix)
-                    + picture
-                )
+                return picture_html(address, content, words, suffix) + picture
         return _printed("".join(data.get("text/plain", output.get("traceback", ""))))
+
+    def _steps_html(self, still: bytes, words: Mapping[str, Any], name: str) -> str:
+        contents = cut_steps(still, len(words["steps"]))
+        pictures = [
+            (f"{self.stem}_files/{name}-{k}.png", content) for k, content in enumerate(contents)
+        ]
+        self.files |= dict(pictures)
+        return steps_html(pictures, words)
 
 
 def _printed(text: str) -> str:

@@ -146,15 +146,19 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
         picture = self._still_picture(self._stills)
         titles = "; ".join(step.title for step in self._stills)
         alt = f"{self.label}, steps of {self.count}: {titles}"
-        words = {"width": round(picture.shape[1] / SHARPNESS), "alt": alt}
+        words = {
+            "width": round(picture.shape[1] / SHARPNESS),
+            "alt": alt,
+            "steps": [still_words(step) for step in self._stills],
+        }
         text = f"{self.label}: {self.count} steps"
         return with_stored(
             super()._repr_mimebundle_(**kwargs), "image/png", encode_palette(picture), text, words
         )
 
     def _still_picture(self, steps: Sequence[Step]) -> np.ndarray:
-        """Some steps below each other, each with its title, line and numbers: what a notebook
-        stores."""
+        """Some steps of equal height below each other: the picture in the left half, in the right
+        one its title, line and numbers (``still_words``). What a notebook stores."""
         from matplotlib.figure import Figure
 
         pictures = [self._draw_step(step) for step in steps]
@@ -192,6 +196,17 @@ class Stepper(LiveOutput, anywidget.AnyWidget):
                 linespacing=1.35,
             )
         return figure_picture(figure, channels=4)
+
+
+def still_words(step: Step) -> dict[str, Any]:
+    """What stands to the right of a step's picture in a stored still: a page that is made of the
+    notebook writes it as text."""
+    return {
+        "title": step.title,
+        "place": step.line.place,
+        "code": step.line.text,
+        "numbers": [list(row) for row in (step.heads, *step.numbers) if row],
+    }
 
 
 def code_html(line: Line) -> str:

@@ -71,6 +71,16 @@ def test_a_stored_notebook_keeps_some_steps_as_one_picture(stepper, monkeypatch)
     assert shown["width"] <= 1000
     assert "Adam on a growing map" in shown["alt"]
     assert stepper.steps[-1].title in shown["alt"]
+    # a page writes the words as text: the left half of each third is the picture of its step
+    last = shown["steps"][-1]
+    assert last["title"] == stepper.steps[-1].title
+    assert last["code"] == stepper.steps[-1].line.text
+    assert last["numbers"][-1] == list(stepper.steps[-1].numbers[-1])
+    height, width = png.shape[0] // len(shown["steps"]), png.shape[1] // 2
+    picture = stepper.go_to(-1).picture()
+    assert picture.shape[:2] == (height, width)
+    drawn = png[-height:, :width, 3].astype(int)
+    assert np.abs(drawn - picture[..., 3]).mean() < 4
     monkeypatch.delenv("GSNB_VIEW")
     monkeypatch.setenv("GSNB_SMOKE", "0")
     assert WIDGET_MIME in stepper._repr_mimebundle_()[0]
