@@ -26,7 +26,7 @@ from ..errors import ArgumentError, ForeseenError
 from ..geometry import quaternion
 from ..geometry.upright import world_up
 from ..types import Frame, GaussianParams
-from .viser_rows import records_of, rows_to_show
+from .viser_rows import final_rows, records_of, rows_to_show
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ CHUNK_ROWS = 8192
 _PHOTO_WIDTH = 320
 _ORANGE = (255, 150, 30)
 _INSTALL = "pip install 'gsfusion-nb[watch]'"
-_HELP = "Drag to turn, scroll to come nearer, right button to move."
+_HELP = "Drag to turn, scroll or pinch to come nearer, right button or two fingers to move."
 
 
 class WatchUnavailable(ForeseenError, RuntimeError):
@@ -175,8 +175,9 @@ class BrowserTab:
         with self._wanted:
             if self._waiting is not None and not now:
                 return
+        params = mapper.files.standard_gaussians()
         moment = _Moment(
-            params=rows_to_show(mapper.files.standard_gaussians()),
+            params=final_rows(params) if now else rows_to_show(params),
             poses=list(mapper.localiser.poses),
             frame=self._last_frame,
             words=words,

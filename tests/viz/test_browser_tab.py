@@ -12,6 +12,7 @@ import torch
 
 from gsfusion_nb.errors import ArgumentError
 from gsfusion_nb.runs import run_mapping
+from gsfusion_nb.types import GaussianParams
 from gsfusion_nb.viz import BrowserTab, browser_tab, viser_rows
 from gsfusion_nb.viz.browser_tab import WatchUnavailable
 
@@ -124,10 +125,45 @@ def test_a_large_map_is_thinned_and_a_broken_row_is_transparent(mapped, monkeypa
     assert np.isfinite(records["xyz"]).all()
     monkeypatch.setattr(viser_rows, "MOST_ROWS", len(params) // 3)
     thin = viser_rows.rows_to_show(params)
-    assert len(thin) <= len(params) // 3
-    stride = round(float((thin.log_scale[1] - params.log_scale[1]).mean().mul(2).exp()))
-    assert stride in (3, 4)
-    assert torch.equal(thin.xyz_W, params.xyz_W[::stride])
+    assert 0.15 * len(params) < len(thin) < 0.4 * len(params)
+    shown = (params.xyz_W[:, None] == thin.xyz_W).all(-1).any(1)
+    assert shown.sum() == len(thin)
+    assert torch.equal(thin.xyz_W, params.xyz_W[shown])
+    larger = (thin.log_scale - params.log_scale[shown]).exp()
+    assert larger.min() > 3**0.5
+    assert torch.allclose(larger, larger[0, 0].expand_as(larger))
+    few = viser_rows.final_rows(params)
+    assert 0.15 * len(params) < len(few) <= len(params) // 3
+
+
+def wall_of_discs(n: int) -> GaussianParams:
+    """n x n discs in a grid of 1 cm, as a surface is shown."""
+    numbers = torch.arange(n * n)
+    xyz_W = torch.stack([numbers // n, numbers % n, torch.zeros(n * n)], dim=1) * 0.01
+    return GaussianParams(
+        xyz_W=xyz_W.float(),
+        log_scale=torch.tensor([0.006, 0.006, 0.001]).log().expand(n * n, 3).clone(),
+        quat=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(n * n, 4).clone(),
+        opacity_logit=torch.full((n * n,), 3.0),
+        sh=torch.zeros(n * n, 1, 3),
+    )
+
+
+@pytest.mark.parametrize("show", [viser_rows.rows_to_show, viser_rows.final_rows])
+@pytest.mark.parametrize("share", [4, 8, 10])
+def test_a_thinned_wall_has_no_holes(show, share, monkeypatch):
+    n = 120
+    monkeypatch.setattr(viser_rows, "MOST_ROWS", n * n // share)
+    records = viser_rows.records_of(show(wall_of_discs(n)))
+    assert len(records) < 1.1 * n * n / share
+    places = (20 + 80 * torch.rand(2000, 2, generator=torch.Generator().manual_seed(0))) * 0.01
+    offset = places[:, None] - torch.from_numpy(records["xyz"][:, :2].copy())
+    inverse = torch.from_numpy(records["covariance"][:, :2, :2].astype(np.float32)).inverse()
+    squared = torch.einsum("pni,nij,pnj->pn", offset, inverse, offset)
+    alpha = torch.from_numpy(records["opacity"].astype(np.float32) / 255).T * (-squared / 2).exp()
+    light_behind = (1 - alpha).prod(dim=1)
+    assert light_behind.max() < 0.5
+    assert light_behind.mean() < 0.1
 
 
 def test_a_run_is_seen_from_the_first_frame_to_the_passes(tab, config, tmp_path, monkeypatch):
