@@ -43,6 +43,7 @@ from .panels.pixel_stack import pixel_stack as pixel_stack
 from .panels.quadtree import cell_means as cell_means
 from .panels.quadtree import quadtree_panel as quadtree_panel
 from .panels.quadtree import quadtree_picture as quadtree_picture
+from .panels.rule_table import rule_table as rule_table
 from .panels.seeding import rule_context as rule_context
 from .panels.seeding import rule_panel as rule_panel
 from .panels.seeding import rule_picture as rule_picture

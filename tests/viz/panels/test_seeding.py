@@ -12,6 +12,7 @@ from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.seeding import Seeds, quadtree, registered, rule_options
 from gsfusion_nb.viz.panels.panel import Choice, Slider, Switch
 from gsfusion_nb.viz.panels.quadtree import QUADTREE_SHOWS, cell_means, quadtree_picture
+from gsfusion_nb.viz.panels.rule_table import rule_table
 from gsfusion_nb.viz.panels.seeding import rule_context, rule_controls, rule_panel, rule_picture
 
 
@@ -125,3 +126,16 @@ def test_the_dots_lie_where_the_seeds_project(scenes):
     red = np.argwhere((picture == (255, 48, 64)).all(-1))
     assert len(seeds) == 1
     assert np.abs(red - (60, 100)).max() <= 1
+
+
+def test_the_table_of_rules_has_a_sentence_and_the_options_of_each():
+    table = rule_table()
+    rows = {name: (sentence, options) for name, sentence, options in table.rows}
+    assert set(rows) == set(registered())
+    assert all(len(sentence) < 130 for sentence, _ in rows.values())
+    assert all(sentence.endswith((".", ")")) for sentence, _ in rows.values())
+    assert "`" not in repr(table)
+    assert rows["uniform"][1] == rule_options("uniform")
+    html = table._repr_html_()
+    assert html.count("<tr>") == 1 + len(rows)
+    assert "fraction 0.05, required_weight 1, coverage yes" in html
