@@ -97,6 +97,10 @@ def _no_tree_on_source(app, pagename, templatename, context, doctree):
 
 
 HOME_TITLE = "3D Gaussian splatting and RGB-D mapping: a course in your browser"
+HOME_DESCRIPTION = (
+    "3D Gaussian splatting in six panels to drag, and a course on mapping a room with it: thirteen "
+    "chapters in Jupyter, on a laptop without a GPU."
+)
 _LONGEST_DESCRIPTION = 200
 _ADDRESS = os.environ.get("GSNB_BOOK_ADDRESS", "")
 
@@ -118,7 +122,7 @@ def _share(app, pagename, templatename, context, doctree):
     is_home = pagename == app.config.root_doc
     title = HOME_TITLE if is_home else Markup(context.get("title", "")).striptags()
     tags = {"og:title": title, "og:type": "website", "og:site_name": app.config.project}
-    description = _description(doctree)
+    description = HOME_DESCRIPTION if is_home else _description(doctree)
     if description:
         tags["og:description"] = description
     if _ADDRESS:

@@ -326,6 +326,8 @@ def test_the_first_page_says_what_it_is_to_other_sites(opened):
     assert "Gaussian splatting" in page.title()
     named = "meta[property='og:title'], meta[property='og:description'], meta[name=description]"
     assert page.locator(named).count() == 3
+    for words in page.locator("meta[property='og:description'], meta[name=description]").all():
+        assert "3D Gaussian splatting" in (words.get_attribute("content") or "")
 
 
 @pytest.mark.parametrize("chapter", CHAPTERS)
