@@ -136,6 +136,14 @@ def test_links_to_files_lead_to_the_repository_if_there_is_one(places):
     assert in_the_book(text, "docs/x.md", places).startswith("the volume\n")
 
 
+@pytest.mark.parametrize("path", ["docs/book/index.md", "docs/install.md"])
+def test_a_page_says_where_the_repository_is_if_there_is_one(places, path):
+    text = (ROOT / path).read_text(encoding="utf-8")
+    page = in_the_book(text, path, places_of(ROOT, "https://example.org/name/blob/HEAD/"))
+    assert "`git clone https://example.org/name`" in page
+    assert "git clone" not in in_the_book(text, path, places)
+
+
 def test_a_question_of_the_quiz_can_be_answered():
     asked = question(exercises()["psnr"], 1)
     assert asked is not None

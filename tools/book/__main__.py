@@ -16,7 +16,7 @@ from quiz import Question, bank, by_chapter
 from gsfusion_nb.viewer.page_map import page_style
 
 from .assemble import ARCHIVE, Assembly
-from .chapters import places_of
+from .chapters import FILES_OF_REPOSITORY, places_of
 from .live_panels import PANELS, POSTERS, common_script, panel_script
 from .moving_map import moving_map
 
@@ -170,7 +170,9 @@ def main(arguments: list[str] | None = None) -> int:
                 raise ValueError(
                     f"--{name}: expected an address such as https://example.org/name, got {given!r}"
                 )
-        files = f"{options.repository.rstrip('/')}/blob/HEAD/" if options.repository else ""
+        files = (
+            f"{options.repository.rstrip('/')}{FILES_OF_REPOSITORY}" if options.repository else ""
+        )
         address = f"{options.address.rstrip('/')}/" if options.address else ""
         build(_ROOT, options.out, files, by_chapter(bank()), address)
     except (RuntimeError, ValueError, OSError) as e:

@@ -28,6 +28,11 @@ _PAGES = re.compile(
 ROOT_PAGES = {"docs/book/index.md": "index.md", "docs/book/splatting.md": "splatting.md"}
 """Pages that stand at the root of the book."""
 
+FILES_OF_REPOSITORY = "/blob/HEAD/"
+"""Between the address of a repository and the path of a file."""
+WHERE_TO_GET_IT = "<!-- where to get it -->\n"
+"""In a page: here the book says where the repository is."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Places:
@@ -49,6 +54,13 @@ class Places:
         """Address of a file in the repository; "" if there is none."""
         is_public = self.repository and path in self.files
         return f"{self.repository}{path}{f'#L{line}' if line else ''}" if is_public else ""
+
+    def where_to_get_it(self) -> str:
+        """The sentence that stands at ``WHERE_TO_GET_IT``; "" without a repository."""
+        home = self.repository.removesuffix(FILES_OF_REPOSITORY).rstrip("/")
+        if not home:
+            return ""
+        return f"The project is at [{home}]({home}), and `git clone {home}` fetches it.\n"
 
 
 def places_of(root: Path, repository: str = "") -> Places:
@@ -94,7 +106,8 @@ def in_the_book(text: str, page: str, places: Places) -> str:
             return f"[{words}]({shown}#{anchor})" if anchor else f"[{words}]({shown})"
         return f"[{words}]({places.source_url(path)})" if places.source_url(path) else words
 
-    return _outside_code(text, lambda piece: _LINK.sub(link, _REMARK.sub("", piece)))
+    placed = text.replace(WHERE_TO_GET_IT, places.where_to_get_it())
+    return _outside_code(placed, lambda piece: _LINK.sub(link, _REMARK.sub("", piece)))
 
 
 def numbered(text: str, chapter: str, count: Callable[[], int]) -> str:
