@@ -114,6 +114,7 @@ def test_the_words_of_a_steppers_still_are_text(places):
     second = cv2.imdecode(
         np.frombuffer(made.files["03_q_files/go-0-1.png"], np.uint8), cv2.IMREAD_UNCHANGED
     )
+    assert second is not None
     assert second.shape == (3, 4, 4)
     assert (second == (7, 8, 9, 255)).all()
     assert page.count('width="450" height="338"') == 2
