@@ -6,6 +6,7 @@ out who do not see the page or use no mouse; it comes from npm:
 ``npm install --prefix DIR axe-core``, then GSNB_NPM=DIR.
 """
 
+import re
 from pathlib import Path
 
 import npm_programs
@@ -157,6 +158,7 @@ def test_a_panel_computes_in_the_page(opened, chapter, name, says):
     panel = panel_of(opened(f"notebooks/{CHAPTERS[chapter]}", reduced_motion="reduce"), name)
     text = panel.get_by_role("status")
     text.filter(has_text=says).wait_for()
+    assert not re.search(r"[ (]-\d", text.inner_text()), "a hyphen is no minus"
     before = text.inner_text(), [look(picture) for picture in panel.locator("canvas").all()]
     if name == "paint":
         panel.get_by_role("button", name="One step").click()

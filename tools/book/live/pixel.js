@@ -12,7 +12,7 @@ async function start(section) {
   panel.press(first, choose);
   panel.handle(first, "Pixel", { at: () => [Number(panel.inputs.u.value) + 0.5, Number(panel.inputs.v.value) + 0.5], move: choose, className: "gsnb-live-ring" });
   const cross = (context, [x, y], colour) => stroke(context, `M${x - 4} ${y}h8M${x} ${y - 4}v8`, colour, 0.8);
-  const list = (numbers, digits) => `(${numbers.map((x) => x.toFixed(digits)).join(", ")})`;
+  const list = (numbers, digits) => `(${numbers.map((x) => written(x.toFixed(digits))).join(", ")})`;
 
   function draw({ u, v }) {
     const z = depths[0][v * camera.width + u], point = (depth) => backproject(camera, u + 0.5, v + 0.5, depth);
