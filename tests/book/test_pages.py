@@ -12,6 +12,7 @@ from book.chapters import Chapter, Places, in_the_book, picture_html, places_of
 from quiz import question
 
 from gsfusion_nb.course import exercises
+from gsfusion_nb.drawing.curves import BETWEEN, PALETTE
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -120,6 +121,27 @@ def test_the_words_of_a_steppers_still_are_text(places):
     assert page.count('width="450" height="338"') == 2
     for text in ("<p>a &lt; b</p>", "<pre>y = a &amp; b</pre>", "<td>p</td><td>1</td>"):
         assert text in page
+
+
+def contrast(colour: str, brightness: float, ground: str) -> float:
+    """Contrast ratio of WCAG, of a colour that a page makes brighter."""
+
+    def luminance(name: str, factor: float) -> float:
+        values = [min(1.0, factor * int(name[i : i + 2], 16) / 255) for i in (1, 3, 5)]
+        linear = [v / 12.92 if v <= 0.03928 else ((v + 0.055) / 1.055) ** 2.4 for v in values]
+        return float(np.dot([0.2126, 0.7152, 0.0722], linear))
+
+    low, high = sorted((luminance(colour, brightness), luminance(ground, 1.0)))
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_graphs_are_seen_on_a_dark_page():
+    css = (ROOT / "tools/book/static/book.css").read_text()
+    light, *dark = [float(x) for x in re.findall(r"--gsnb-graph: ([\d.]+);", css)]
+    assert light == 1
+    assert len(dark) == 2  # chosen by the reader, and by the system
+    for colour in (*PALETTE, BETWEEN):
+        assert all(contrast(colour, factor, "#131416") >= 4 for factor in dark), colour
 
 
 def test_what_came_waits_for_the_prediction(chapter):
