@@ -23,7 +23,7 @@ class CheckOptions:
     """Layout of the data."""
     reader: tuple[str, ...] = ()
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM),
-    poses=false (folder, TUM), times=false (folder), n_frames=480 (room)."""
+    poses=false (folder, TUM), times=false, colour_bits=12 (folder), n_frames=480 (room)."""
     data: DataConfig = field(default_factory=DataConfig)
     out: str = ""
     """Name of the HTML file. Default: check-<name>.html."""

@@ -44,7 +44,9 @@ _REQUIRED = (*_CAMERA_KEYS, "depth_scale")
 _OPTIONAL = ("pixel_centre", "depth_invalid", "fps", "pose_convention")
 
 
-def folder(path: str | Path, *, poses: bool = True, times: bool = True) -> RecordedSequence:
+def folder(
+    path: str | Path, *, poses: bool = True, times: bool = True, colour_bits: int = 16
+) -> RecordedSequence:
     """Read a sequence in the plain layout (module docstring).
 
     Depth scale: ``depth_scale`` of the JSON. Poses: camera-to-world, OpenCV axes. Pixel centres:
@@ -55,13 +57,17 @@ def folder(path: str | Path, *, poses: bool = True, times: bool = True) -> Recor
         poses: False for a recording without ``poses.txt``; the camera must then be tracked.
         times: False: ``times.txt`` is not read, because its numbers are no times. Times that may
             not be seconds are read, and a warning says why they are doubted.
+        colour_bits: How many of their lowest bits colour images of 16 bits use, 8 to 16. A warning
+            says where images of 16 bits use 12 or fewer.
 
     Raises:
         SequenceNotFoundError: the folder or one of its parts is missing.
         SequenceError: no images, a colour image without depth, an image whose pose is missing or
-            not known by name, number or count, or an unknown, missing or impossible key.
+            not known by name, number or count, or an unknown, missing or impossible key or option.
     """
     root = Path(path)
+    if colour_bits not in range(8, 17):
+        raise SequenceError(f"{root}: colour_bits must be 8 to 16, got {shown(colour_bits)}")
     require(
         root, (*LOOKS_FOR, "poses.txt") if poses else LOOKS_FOR, "folder", without_poses="poses.txt"
     )
@@ -93,6 +99,7 @@ def folder(path: str | Path, *, poses: bool = True, times: bool = True) -> Recor
         if read_times and any(t != t_depth for t, t_depth in read_times)
         else None,
         doubtful_times=doubt,
+        colour_bits=colour_bits,
         no_times="" if "fps" in values else no_times,
         poses=T_WC,
         pose_sources=[f"{poses_file} pose {i}" for i in range(len(T_WC))],

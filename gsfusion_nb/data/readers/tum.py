@@ -15,11 +15,12 @@ from torch import Tensor
 
 from ...checks import shown
 from ...errors import SequenceError, SequenceNotFoundError
-from ...files import is_file
+from ...files import is_file, read_text
 from ...geometry.pose_path import pose_at
 from ...types import Camera
 from ..lens import CameraModel, Undistorter
 from ..recorded.files import calibration_in, given_name, natural_order, require, told_outside
+from ..recorded.pose_headers import check_metres
 from ..recorded.poses import checked_rows, matrices, no_poses, read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
 from ..recorded.times import associate, judge_stamps, read_image_list, warn_of_doubt
@@ -203,7 +204,9 @@ def _with_poses(
 ) -> list[tuple[float, int, int, Float[Tensor, "4 4"]]]:
     """Frames whose time has a ground-truth pose, with that pose. Rows with NaN or infinities count
     as no pose."""
-    table, notes = checked_rows(read_rows(path, 8, "timestamp tx ty tz qx qy qz qw"), path)
+    what = "timestamp tx ty tz qx qy qz qw"
+    table, notes = checked_rows(read_rows(path, 8, what), path)
+    check_metres(read_text(path, what).splitlines(), path)
     for note in notes:
         log.warning("%s", note)
     stamps = table[:, 0].contiguous()

@@ -31,22 +31,27 @@ _EXR_WINDOW = re.compile(rb"dataWindow\0box2i\0\x10\0\0\0(.{16})", re.DOTALL)
 Layout")."""
 
 
-def read_rgb(path: Path) -> np.ndarray:
+def read_rgb(path: Path, *, bits: int = 16) -> np.ndarray:
     """8-bit colour image as stored (EXIF orientation is ignored, because the intrinsics refer to
     the stored pixels).
 
     Grey images become colour, an alpha channel is dropped, 16-bit images are reduced to 8 bits.
 
+    Args:
+        path: The file.
+        bits: How many of its lowest bits an image of 16 bits uses, 8 to 16: 12 for a camera of 12
+            bits whose values were stored as they are.
+
     Returns:
         RGB, uint8. [H, W, 3]
 
     Raises:
-        BadFrameError: the file is missing, truncated or not an image.
+        BadFrameError: the file is missing, truncated, not an image, or uses more bits.
     """
     data = read_image_bytes(path, "colour")
     if is_to_be_turned(data):
         _tell_of_turned(path.parent)
-    return decode_rgb(data, path)
+    return decode_rgb(data, path, bits=bits)
 
 
 @functools.cache
@@ -64,8 +69,16 @@ _DARKEST_OF_16_BITS = 16
 """Of 256: an image of 16 bits that is nowhere brighter uses 12 bits or fewer."""
 
 
-def _is_png_of_16_bits(data: bytes) -> bool:
-    return data[:8] == b"\x89PNG\r\n\x1a\n" and data[24:25] == b"\x10"
+_OF_16_BITS = (b"II*\0", b"MM\0*", b"P5", b"P6")
+"""How files begin, besides PNG, that may hold 16 bits: TIFF and PNM."""
+
+
+def _has_16_bits(data: bytes, source: Path | str) -> bool:
+    if data[:8] == b"\x89PNG\r\n\x1a\n":
+        return data[24:25] == b"\x10"
+    if not data.startswith(_OF_16_BITS):
+        return False
+    return decode_image(data, _STORED_COLOUR | cv2.IMREAD_ANYDEPTH, source, "colour").itemsize == 2
 
 
 @functools.cache
@@ -73,17 +86,35 @@ def _tell_of_dark(folder: Path) -> None:
     """Say once for a folder that its images of 16 bits may be of a camera with fewer."""
     log.warning(
         "%s: colour images of 16 bits use 12 or fewer of them, and are taken as they are; if the "
-        "camera has 12 bits, they are 16 times too dark: multiply the values by 16",
+        "camera has 12 bits, they are 16 times too dark: --reader colour_bits=12 (plain layout), "
+        "or gsfusion-nb convert --colour-bits 12",
         folder,
     )
 
 
-def decode_rgb(data: bytes, source: Path | str) -> np.ndarray:
+_STORED_COLOUR = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+
+
+def decode_rgb(data: bytes, source: Path | str, *, bits: int = 16) -> np.ndarray:
     """``read_rgb`` of an encoded image in memory; ``source`` is its name for messages."""
-    bgr = decode_image(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION, source, "colour")
-    if _is_png_of_16_bits(data) and 0 < bgr.max() < _DARKEST_OF_16_BITS:
+    if bits < 16 and _has_16_bits(data, source):
+        deep = decode_image(data, _STORED_COLOUR | cv2.IMREAD_ANYDEPTH, source, "colour")
+        return cv2.cvtColor(_upper_8_bits(deep, bits, source), cv2.COLOR_BGR2RGB)
+    bgr = decode_image(data, _STORED_COLOUR, source, "colour")
+    if bits == 16 and 0 < bgr.max() < _DARKEST_OF_16_BITS and _has_16_bits(data, source):
         _tell_of_dark(Path(source).parent)
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+
+
+def _upper_8_bits(image: np.ndarray, bits: int, source: Path | str) -> np.ndarray:
+    """The upper 8 of the lowest ``bits`` bits. Raises ``BadFrameError`` if a value has more."""
+    largest = int(image.max())
+    if largest >= 1 << bits:
+        raise BadFrameError(
+            f"{source} holds the value {largest}, and colour of {bits} bits is at most "
+            f"{(1 << bits) - 1}; expected colour_bits of {largest.bit_length()} or more"
+        )
+    return (image >> (bits - 8)).astype(np.uint8)
 
 
 def read_depth(

@@ -13,6 +13,7 @@ from ...errors import ArgumentError, BadFrameError, SequenceError, refusing
 from ...files import read_text
 from ...geometry import quaternion
 from ...geometry.operands import check_place
+from .pose_headers import check_direction, check_metres
 
 GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 """T GL_TO_CV is a camera-to-world pose in OpenCV axes, where T has OpenGL's (y up, z backward)."""
@@ -61,10 +62,11 @@ def read_words(
 
 def read_lines(path: Path, what: str) -> list[tuple[int, str]]:
     """Line number and text of every line that is neither empty nor a ``#`` comment. At least one,
-    or an error."""
+    or an error, and none may say that poses are world-to-camera."""
     lines = []
     for number, line in enumerate(read_text(path, what).splitlines(), 1):
         line = line.strip()
+        check_direction(line, path)
         if line.strip(" ,") and not line.startswith("#"):
             lines.append((number, line))
     if not lines:
@@ -248,6 +250,7 @@ def poses_of_images(path: Path, images: list[Path]) -> Float[Tensor, "N 4 4"]:
             or, where lines go by order, another number of lines than of images.
     """
     lines = [(number, split_name(" ".join(words))) for number, words in read_words(path, POSE_LINE)]
+    check_metres(read_text(path, POSE_LINE).splitlines(), path)
     names = []
     rows = []
     for number, (name, words) in lines:

@@ -60,6 +60,8 @@ class RecordedSequence:
     """Where each pose was written, for messages."""
     depth_scale: float
     """Stored depth value of one metre."""
+    colour_bits: int = 16
+    """How many of their lowest bits colour images of 16 bits use (``read_rgb``)."""
     depth_times_s: list[float] | None = None
     """When the depth images were taken, seconds; None: at the times of the colour images."""
     depth_invalid: tuple[int, ...] = ()
@@ -108,7 +110,8 @@ class RecordedSequence:
         """Colour of frame ``i``, the same as ``sequence[i].colour``. No other file is decoded."""
         i = position(i, len(self))
         file = self.rgb_files[i]
-        rgb = self._decoded(("colour", file), lambda: read_rgb(file))
+        bits = self.colour_bits
+        rgb = self._decoded(("colour", file, bits), lambda: read_rgb(file, bits=bits))
         if self.fit_sizes:
             rgb = resize_colour(rgb, self.camera.width, self.camera.height)
         self._check_size(file, rgb)

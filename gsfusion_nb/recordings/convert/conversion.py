@@ -19,7 +19,14 @@ from ...files import parsing
 from ...types import Camera
 from .frame_poses import FramePoses
 from .intrinsics import intrinsics_of_frame, read_intrinsics
-from .recording import ConvertOptions, RecordedFrame, Recording, RgbdImages
+from .recording import (
+    ConvertOptions,
+    RecordedFrame,
+    Recording,
+    RgbdImages,
+    is_picture_file,
+    with_colour_bits,
+)
 from .rectifier import Rectifier
 from .trajectory import read_matrix
 
@@ -128,7 +135,7 @@ class Conversion:
                 return self._drop(reason)
         try:
             with parsing(frame.source, "colour and depth", BadFrameError):
-                images = frame.load()
+                images = with_colour_bits(frame.load(), self._options.colour_bits, frame.source)
         except BadFrameError as e:
             return self._drop("image missing or damaged", str(e))
         try:
@@ -147,7 +154,7 @@ class Conversion:
         name = f"{len(self._times):06d}"
         lossless = not images.encoded.startswith(b"\xff\xd8")
         colour = self._folder / f"rgb/{name}{'.png' if lossless else '.jpg'}"
-        if pinhole_images.encoded:
+        if is_picture_file(pinhole_images.encoded):
             colour.write_bytes(pinhole_images.encoded)
         else:
             write_rgb(colour, pinhole_images.rgb)

@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ...data.recorded.poses import (
-    checked_pose,
-)
+from ...data.recorded.pose_headers import metres_per_unit
+from ...data.recorded.poses import checked_pose
 from ...errors import SequenceError
+from ...files import read_text
 from .pose_list import poses_per_frame
 from .recording import ConvertOptions, OptionNeeded, RecordedFrame, Recording
 from .trajectory import Trajectory, camera_in_body, frame_key, read_trajectory
@@ -60,7 +60,7 @@ class FramePoses:
                 question="Which file holds the poses? none: they are estimated by tracking the "
                 "camera",
             )
-        self._scale = 1.0 if self.none else self._metres_per_unit(options)
+        self._scale = 1.0 if self.none else self._metres_per_unit(options, file)
 
     @property
     def by_place(self) -> bool:
@@ -121,10 +121,16 @@ class FramePoses:
             time_s
         ), "the trajectory has no pose of its number"
 
-    def _metres_per_unit(self, options: ConvertOptions) -> float:
+    def _metres_per_unit(self, options: ConvertOptions, file: str) -> float:
         if options.scale:
             self.notes.append(f"positions were multiplied by {options.scale:g} (--scale)")
             return options.scale
+        told = _metres_of_header(Path(file)) if file else None
+        if told is not None:
+            self.notes.append(
+                f"positions were multiplied by {told:g}, as the header of {file} says (--scale)"
+            )
+            return told
         if self.trajectory is not None or not self._recording.up_to_scale:
             return 1.0
         scale = 1.0
@@ -136,6 +142,13 @@ class FramePoses:
             "--scale)"
         )
         return scale
+
+
+def _metres_of_header(file: Path) -> float | None:
+    """Metres of one unit of the positions, where the header of a text file names another unit."""
+    if file.is_dir() or file.suffix == ".npy":
+        return None
+    return metres_per_unit(read_text(file, "poses").splitlines())
 
 
 def _first_time(recording: Recording) -> float | None:

@@ -130,6 +130,9 @@ class ConvertOptions(Settings):
     pixel_centre: float = 0.0
     """Coordinate of the first pixel's centre in these intrinsics: 0 as in OpenCV and ROS, 0.5 as in
     COLMAP."""
+    colour_bits: int = within(0, 0, 16)
+    """How many of their lowest bits colour images of 16 bits use: 12 for a camera of 12 bits whose
+    values were stored as they are. 0: all 16, and a line where images use 12 or fewer."""
     width: int = within(0, 0)
     """Width of the images to write, pixels. 0: in proportion to the height, or that of the colour
     images; if these have more than 16 times as many pixels as the depth, 640 for the longer
@@ -151,6 +154,8 @@ class ConvertOptions(Settings):
         super().__post_init__()
         if self.pixel_centre not in (0.0, 0.5):
             raise SequenceError(f"pixel_centre must be 0.0 or 0.5, got {self.pixel_centre}")
+        if self.colour_bits not in (0, *range(8, 17)):
+            raise SequenceError(f"colour_bits must be 0, or 8 to 16, got {self.colour_bits}")
         if self.T_cam_body and self.T_body_cam:
             raise SequenceError("give T_cam_body or its inverse T_body_cam, not both")
         if self.T_colour_depth and self.depth_intrinsics == "colour":
@@ -168,7 +173,8 @@ class RgbdImages:
     depth_m: np.ndarray
     """float32, metres, 0 = missing. [h, w]"""
     encoded: bytes = b""
-    """The JPEG or PNG file that ``rgb`` came from: written unchanged if no pixel has to change."""
+    """The file that ``rgb`` came from; a JPEG or PNG is written unchanged if no pixel has to
+    change."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -253,7 +259,18 @@ def load_pair(
 
 def with_colour(data: bytes, source: str, depth_m: np.ndarray) -> RgbdImages:
     """An encoded colour image, decoded, and depth in metres."""
-    return RgbdImages(decode_rgb(data, source), depth_m, data if is_picture_file(data) else b"")
+    return RgbdImages(decode_rgb(data, source), depth_m, data)
+
+
+def with_colour_bits(images: RgbdImages, bits: int, source: str) -> RgbdImages:
+    """The images with colour decoded anew from a file of 16 bits of which so many are used; 0: as
+    they are. Raises ``BadFrameError`` if a value has more bits."""
+    if not bits or not images.encoded:
+        return images
+    rgb = decode_rgb(images.encoded, source, bits=bits)
+    if np.array_equal(rgb, images.rgb):
+        return images
+    return RgbdImages(rgb, images.depth_m)
 
 
 def is_picture_file(data: bytes) -> bool:

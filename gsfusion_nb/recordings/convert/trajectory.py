@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose, shown
+from ...data.recorded.pose_headers import check_direction
 from ...data.recorded.poses import (
     check_decimal_points,
     checked_rows,
@@ -195,6 +196,7 @@ def _table(path: Path, quaternions: str) -> tuple[Float[Tensor, "N 8"], dict[Any
     time_of_frame: dict[Any, float] = {}
     for number, line in enumerate(lines, 1):
         check_decimal_points(line, path)
+        check_direction(line, path)
         words = [w for w in re.split(r"[,\s]+", line.strip()) if w]
         if (
             not words
@@ -246,9 +248,11 @@ def check_order(columns: list[int] | None, quaternions: str, path: Path) -> None
 
 
 def names_in(header: str) -> list[str]:
-    """Names of the columns in a header, in small letters, without units in brackets."""
-    text = re.sub(r"\[[^\]]*\]", "", header.strip().lstrip("#%").lower()).replace(".", "_")
-    return [n.strip() for n in (text.split(",") if "," in text else text.split())]
+    """Names of the columns in a header, in small letters, without units in brackets or behind an
+    underline."""
+    text = re.sub(r"\[[^\]]*\]|\([^)]*\)", "", header.strip().lstrip("#%").lower())
+    words = text.replace(".", "_").split("," if "," in text else None)
+    return [re.sub(r"_(mm?|cm|inch|ft|s|ns|us|ms)$", "", word.strip()) for word in words]
 
 
 def columns_of_header(line: str) -> list[int] | None:

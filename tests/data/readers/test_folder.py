@@ -213,19 +213,41 @@ def test_a_colour_image_is_no_depth(tmp_path, box):
 
 def test_dark_colour_of_16_bits_is_told(tmp_path, box, caplog):
     """12 bits in an image of 16 are 16 times too dark; 8 bits spread over 16 are right."""
-    root = box.folder(tmp_path)
     grey = np.tile(np.arange(64, dtype=np.uint16) * 4, (48, 1))
-    (root / "rgb/000001.jpg").unlink()
-    for factor, told in ((257, False), (16, True)):
+    as_8_bits = torch.from_numpy(grey[0]).float()
+    for factor, told, options in (
+        (257, False, {}),
+        (16, True, {}),
+        (16, False, {"colour_bits": 12}),
+    ):
+        root = box.folder(tmp_path / f"{factor}{len(options)}")
+        (root / "rgb/000001.jpg").unlink()
         cv2.imwrite(str(root / "rgb/000001.png"), grey * factor)
+        caplog.clear()
         with caplog.at_level(logging.WARNING):
-            rgb = folder(root)[1].rgb
-        assert torch.allclose(
-            rgb[0, :, 0] * 255,
-            torch.from_numpy(grey[0] * factor // 256).float(),
-            atol=1,
-        )
+            rgb = folder(root, **options)[1].rgb
+        expected = as_8_bits if factor == 257 or options else torch.floor(as_8_bits / 16)
+        assert torch.allclose(rgb[0, :, 0] * 255, expected, atol=1)
         assert ("use 12 or fewer" in caplog.text) == told
+        assert ("--reader colour_bits=12" in caplog.text) == told
+
+
+def test_more_bits_than_said_are_refused(tmp_path, box):
+    root = box.folder(tmp_path)
+    (root / "rgb/000001.jpg").unlink()
+    cv2.imwrite(str(root / "rgb/000001.png"), np.full((48, 64), 4096, np.uint16))
+    expect(
+        BadFrameError,
+        r"000001\.png holds the value 4096.* 12 bits .* colour_bits of 13 or more",
+        lambda: folder(root, colour_bits=12)[1],
+    )
+    expect(SequenceError, "colour_bits must be 8 to 16, got 4", lambda: folder(root, colour_bits=4))
+
+
+def test_images_of_8_bits_have_all_their_bits(tmp_path, box):
+    root = box.folder(tmp_path)
+    for frame, same in zip(folder(root), folder(root, colour_bits=12), strict=True):
+        assert torch.equal(frame.rgb_u8, same.rgb_u8)
 
 
 def test_webp_is_colour(tmp_path, box):

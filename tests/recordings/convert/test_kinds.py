@@ -214,6 +214,16 @@ def test_the_largest_number_of_16_bits_is_no_distance(tmp_path, takes):
         assert np.abs(depth_m - takes.depth_m[i])[4:].max() <= 5.1e-4
 
 
+def test_a_pose_of_polycam_without_its_position_is_refused(tmp_path, takes):
+    root = kinds.polycam(tmp_path / "scan", takes)
+    file = root / "keyframes/cameras/2000.json"
+    values = kinds.json.loads(file.read_text())
+    del values["t_03"], values["t_23"]
+    file.write_text(kinds.json.dumps(values))
+    with pytest.raises(SequenceError, match=r"2000\.json lacks t_03, t_23; expected"):
+        convert(root, tmp_path / "out")
+
+
 def test_depth_of_a_camera_beside_colour_is_where_a_sens_file_puts_it(tmp_path, takes):
     """The folders of ScanNet's exporter say what its .sens file says, so both become the same
     images."""

@@ -244,6 +244,35 @@ def test_extrinsics_take_the_body_to_the_camera(tmp_path, takes, option):
     takes.check(tmp_path / "out", depth_m=1.1e-4)
 
 
+@pytest.mark.parametrize(
+    ("header", "factor"),
+    [
+        ("# timestamp tx[mm] ty[mm] tz[mm] qw qx qy qz", 1000),
+        ("time_s,x_cm,y_cm,z_cm,qw,qx,qy,qz", 100),
+        ("# time (s), x (m), y (m), z (m), qw, qx, qy, qz", 1),
+    ],
+)
+def test_a_header_says_the_unit_of_positions(tmp_path, takes, header, factor):
+    """And its columns are found though the unit stands in their names."""
+    import recorded_kinds as kinds
+
+    root = kinds.tum_lists(tmp_path / "scan", takes)
+    rows = []
+    for i, time_s in enumerate(takes.times_s):
+        x, y, z, *xyzw = takes.tum_row(i)
+        values = [time_s, *(factor * v for v in (x, y, z)), xyzw[3], *xyzw[:3]]
+        rows.append(("," if "," in header else " ").join(f"{v:.9f}" for v in values))
+    (root / "groundtruth.txt").write_text("\n".join([header, *rows]))
+    c = takes.camera
+    given = ConvertOptions(
+        intrinsics=f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}", depth_scale=5000
+    )
+    notes = "; ".join(convert(root, tmp_path / "out", options=given).notes)
+    takes.check(tmp_path / "out", pose=1e-5)
+    assert (f"positions were multiplied by {1 / factor:g}, as the header" in notes) == (factor > 1)
+    assert "--pose-quaternions" not in notes
+
+
 def test_frames_outside_and_in_gaps_are_dropped_and_counted(tmp_path, takes):
     options = tum_folder(tmp_path, takes)
     t = takes.times_s

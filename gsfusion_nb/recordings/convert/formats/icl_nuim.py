@@ -82,6 +82,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         has_poses=poses is not None,
         notes=(
             "y was mirrored in the world and the cameras (ICL-NUIM is left-handed, its fy is -480)",
+            f"depth read as {scale:g} per metre; times are frame numbers at 30 Hz",
         ),
     )
 

@@ -5,7 +5,8 @@ Poses are camera-to-world with OpenGL axes (y up, z backward), converted to Open
 diag(1, -1, -1, 1). Pixel centres at 0.5. Intrinsics are global or per frame; k1..k4, p1, p2 are
 removed. ``applied_transform`` and ``applied_scale``, which say how the world was moved and scaled,
 are undone, so that depth and poses have the same unit. What the file or a frame says of its depth
-(``nerfstudio_depth``) is used.
+(``nerfstudio_depth``) is used; what may say that poses are others is refused, and other keys are
+named (``nerfstudio_keys``).
 """
 
 import math
@@ -32,6 +33,7 @@ from ..depth_files import find_depth
 from ..pose_list import check_last_rows
 from ..recording import ConvertOptions, RecordedFrame, Recording, load_pair
 from .nerfstudio_depth import meaning_of_depth, note_on_depth
+from .nerfstudio_keys import check_poses_as_read, notes_on_unused
 
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "OPENCV_FISHEYE")
 
@@ -56,12 +58,19 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     if file is None:
         raise SequenceError(f"{path} holds no transforms.json; expected that file or its folder")
     values = read_object(file, "nerfstudio transforms")
-    frames = values["frames"]
+    frames = _complete(values["frames"], file)
     frames = sorted(frames, key=lambda f: natural_order(Path(f["file_path"])))
     if not options.depth and not any(key in f for f in frames for key in _DEPTH_KEYS):
         raise SequenceError(
             f"{file} has no {' or '.join(_DEPTH_KEYS)}; "
             "RGB-D mapping needs depth: give its folder with --depth, or add the key"
+        )
+    for frame in frames:
+        check_poses_as_read(
+            values | frame,
+            file,
+            unit_is_given=bool(options.scale),
+            camera_is_given=bool(options.intrinsics),
         )
     world, notes = _undo(values, file)
     meanings = [meaning_of_depth(values | frame, file) for frame in frames]
@@ -72,8 +81,12 @@ def read(path: Path, options: ConvertOptions) -> Recording:
             "one kind"
         )
     scales = [options.depth_scale or meaning.per_metre for meaning in meanings]
-    notes += _notes_on_unused(values, frames)
+    notes += notes_on_unused(values, frames)
     notes += [note_on_depth(scales, along_ray=along_ray)]
+    if not options.intrinsics and any(
+        "fl_x" in entry and not {"w", "h"} <= entry.keys() for entry in (values | f for f in frames)
+    ):
+        notes.append("there is no w and h: the focal length is taken as that of the images")
     keys = ("file_path", *_DEPTH_KEYS)
     outside_note = told_outside(
         file.parent,
@@ -101,29 +114,25 @@ def read(path: Path, options: ConvertOptions) -> Recording:
     )
 
 
+def _complete(frames: list[dict[str, Any]], file: Path) -> list[dict[str, Any]]:
+    """The frames. Raises ``SequenceError`` where one lacks its image or its pose."""
+    for number_of_frame, frame in enumerate(frames):
+        for key in ("file_path", "transform_matrix"):
+            if key not in frame:
+                raise SequenceError(
+                    f"{file}: frame {number_of_frame} has no {key}, but {shown(', '.join(frame))}; "
+                    "expected file_path, the colour image, and transform_matrix, its "
+                    "camera-to-world pose, for each frame"
+                )
+    return frames
+
+
 def _file(path: Path) -> Path | None:
     if path.is_file():
         return (
             path if path.suffix.lower() == ".json" and path.name.startswith("transforms") else None
         )
     return path / "transforms.json" if (path / "transforms.json").is_file() else None
-
-
-_UNUSED = {
-    "mask_path": "masks are not used: what they hide is mapped too",
-    "fisheye_crop_radius": "fisheye_crop_radius is not used: pixels beyond it are mapped too",
-    "is_bad": "frames that are marked as bad (is_bad) are used",
-}
-"""Keys that say which pixels or frames to leave out -> what is said about them."""
-
-
-def _notes_on_unused(
-    values: dict[str, Any],
-    frames: list[dict[str, Any]],
-) -> list[str]:
-    return [
-        note for key, note in _UNUSED.items() if any(entry.get(key) for entry in (values, *frames))
-    ]
 
 
 def _undo(

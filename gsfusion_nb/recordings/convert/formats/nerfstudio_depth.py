@@ -31,7 +31,9 @@ _ALONG_RAY = ("ray", "raydepth", "raydistance", "alongray", "euclidean", "distan
 
 _CHANGES_DEPTH = re.compile(
     r"(?i).*depth.*(scale|unit|factor|type|kind|shift|offset|bias|inver|dispar|encod|conven"
-    r"|projec|euclid|ray|normali).*|.*(inver\w*|dispar\w*|scale|unit|euclidean|normali\w*)_depth"
+    r"|projec|euclid|ray|normali|min|max|near|far|range|bound|clip|bits|log|power|gamma|format"
+    r"|intrins|extrins|camera|matrix|_to_|fov|_fl_|_c[xy]|_[wh]$|width|height|transform).*"
+    r"|.*(inver\w*|dispar\w*|scale|unit|euclidean|normali\w*|min|max|near|far|log|relative)_depth"
 )
 """Names that may say what a stored depth means."""
 

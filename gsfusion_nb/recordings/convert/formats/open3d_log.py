@@ -3,10 +3,13 @@
 
 The log holds camera-to-world matrices in blocks of five lines, the first of which begins with the
 frame's number; a ``PinholeCameraTrajectory`` JSON holds column-major world-to-camera ones, with
-intrinsics. Axes are OpenCV's, pixel centres at integers, depth in millimetres.
+intrinsics. Axes are OpenCV's, pixel centres at integers. Depth is in millimetres unless the
+calibration or the camera's motion says otherwise. Redwood's names hold microseconds after the
+number; without them times are the numbers of the frames at 30 a second.
 """
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +25,7 @@ from ....files import parsing, read_bytes, read_object, read_text
 from ....geometry import se3
 from ..camera_in_tree import model_of_tree
 from ..depth_files import DEPTH_SUFFIXES
-from ..recording import ConvertOptions, Recording
+from ..recording import ConvertOptions, DepthUnit, Recording
 from .image_recording import recording_of
 from .pairing import FrameFiles, paired_by_name
 
@@ -71,14 +74,33 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         raise SequenceError(
             f"{file} has a pose of frame {beyond[0]}, but {path} holds {len(pairs)} images, from 0"
         )
-    options = replace(options, depth_scale=options.depth_scale or 1000.0)
-    frames = FrameFiles([*pairs.values()], [i / 30 for i in pairs])
-    return recording_of(
-        path,
-        frames,
-        options,
-        model=model,
-        T_WC=[poses.get(i) for i in pairs] if poses else (),
+    times_s, about_times = _times(pairs)
+    files = FrameFiles([*pairs.values()], times_s, notes=(about_times,))
+    T_WC = [poses.get(i) for i in pairs] if poses else ()
+    recording = recording_of(path, files, options, model=model, T_WC=T_WC)
+    if recording.unit is None or not recording.unit.is_guess:
+        return recording
+    in_millimetres = replace(options, depth_scale=_MILLIMETRES)
+    recording = recording_of(path, files, in_millimetres, model=model, T_WC=T_WC)
+    unit = DepthUnit(
+        _MILLIMETRES, "depth was taken as 1000 units a metre, as Open3D's (--depth-scale)", True
+    )
+    return replace(recording, unit=unit)
+
+
+_MILLIMETRES = 1000.0
+_FRAMES_PER_S = 30
+
+
+def _times(pairs: Mapping[int, tuple[Path, Path]]) -> tuple[list[float], str]:
+    """Times of frames by their numbers, seconds, and what they are."""
+    in_names = [re.fullmatch(r"\d+-(\d{6,})", colour.stem) for colour, _ in pairs.values()]
+    times_s = [int(match[1]) / 1e6 for match in in_names if match]
+    if len(times_s) == len(pairs):
+        return times_s, "times are the microseconds of the images' names"
+    return (
+        [i / _FRAMES_PER_S for i in pairs],
+        f"times are the numbers of the frames at {_FRAMES_PER_S} a second",
     )
 
 

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from ....data.recorded.files import images_in, number
 from ....data.recorded.poses import GL_TO_CV
+from ....errors import SequenceError
 from ....files import parsing, read_object
 from ..camera_in_tree import model_of_tree
 from ..confidence import confidence_of
@@ -76,6 +77,12 @@ def _keyframes(path: Path) -> Path:
 
 def _pose(values: dict[str, Any], file: Path) -> Float[Tensor, "4 4"]:
     T = torch.eye(4, dtype=torch.float64)
+    names = [f"t_{row}{column}" for row in range(3) for column in range(4)]
+    if missing := [name for name in names if name not in values]:
+        raise SequenceError(
+            f"{file} lacks {', '.join(missing)}; expected t_00 to t_23, three rows of the "
+            "camera-to-world matrix"
+        )
     with parsing(file, "t_00 to t_23, three rows of a camera-to-world matrix"):
         for row in range(3):
             for column in range(4):

@@ -109,7 +109,7 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         n_frames=len(numbers),
         depth_scale=1.0,
         has_poses=poses is not None,
-        notes=(note,),
+        notes=(note, *_notes_on_short_lists(metadata, 1 + numbers[-1])),
     )
 
 
@@ -214,13 +214,25 @@ def _model(metadata: dict[str, Any], i: int, path: Path) -> CameraModel:
     return model_of([fx, fy, cx, cy], size, f"{path}: the metadata", centre=0.5)
 
 
-def _time(metadata: dict[str, Any], i: int, path: Path) -> float:
+def _time(metadata: dict[str, Any], i: int, path: Path) -> float | None:
+    """When a frame was taken; None where others have a time and it has none."""
     stamps = metadata.get("frameTimestamps") or []
-    return (
-        float(stamps[i])
-        if i < len(stamps)
-        else i / number(metadata, "fps", 30, f"{path}: the metadata")
-    )
+    if stamps:
+        return float(stamps[i]) if i < len(stamps) else None
+    return i / number(metadata, "fps", 30, f"{path}: the metadata")
+
+
+def _notes_on_short_lists(metadata: dict[str, Any], n: int) -> list[str]:
+    """What is said about lists of the metadata that end before the last of ``n`` frames."""
+    meanings = {
+        "perFrameIntrinsicCoeffs": "the others have the intrinsics K",
+        "frameTimestamps": "the others have no time",
+    }
+    return [
+        f"{name} is of the first {len(metadata[name])} of {n} frames: {meaning}"
+        for name, meaning in meanings.items()
+        if 0 < len(metadata.get(name) or []) < n
+    ]
 
 
 def _metadata_file(path: Path) -> Path | None:

@@ -67,6 +67,22 @@ def test_poses(tmp_path, takes, write_poses):
     takes.check(tmp_path / "out", rgb=3)
 
 
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_colour_of_12_bits_in_16(tmp_path, takes, suffix):
+    root = write(tmp_path / "scan", takes, colour=f"color/{{}}.{suffix}")
+    for i, rgb in enumerate(takes.rgb):
+        deep = rgb[..., ::-1].astype(np.uint16) * 16
+        cv2.imwrite(str(root / f"color/{i}.{suffix}"), deep)
+    poses_txt(root, takes.T_WC.numpy())
+    np.savetxt(root / "K.txt", K(takes))
+    convert(root, tmp_path / "out", options=ConvertOptions(colour_bits=12))
+    takes.check(tmp_path / "out")
+    with pytest.raises(SequenceError, match=r"holds the value .* expected colour_bits of"):
+        convert(root, tmp_path / "fewer", options=ConvertOptions(colour_bits=10))
+    with pytest.raises(SequenceError, match="colour_bits must be 0, or 8 to 16, got 4"):
+        ConvertOptions(colour_bits=4)
+
+
 @pytest.mark.parametrize("file", ["poses.txt", "pos.npy"])
 def test_matrices_that_are_stored_column_by_column_are_refused(tmp_path, takes, file):
     """Their rotation is rigid too, but that of the world to the camera, and their position is

@@ -187,11 +187,78 @@ def test_a_depth_scale_is_one_metre_or_one_unit(tmp_path, takes, unit):
         ({"depth_unit_scale_factor": 0}, "depth_unit_scale_factor must be > 0"),
         ({"depth_offset": 0.5}, "depth_offset = 0.5 may change what the stored depth means"),
         ({"is_inverse_depth": True}, "is_inverse_depth = True may change"),
+        ({"depth_min": 0.5, "depth_max": 10.0}, "depth_min = 0.5 may change"),
+        ({"max_depth": 10.0}, "max_depth = 10.0 may change"),
+        ({"is_log_depth": True}, "is_log_depth = True may change"),
+        ({"depth_fl_x": 145.6}, "depth_fl_x = 145.6 may change"),
+        ({"depth_to_color": [1.0]}, r"depth_to_color = \[1.0\] may change"),
     ],
 )
 def test_depth_of_another_meaning_is_refused_by_name(tmp_path, takes, changes, named):
     root = write_nerfstudio(tmp_path / "scan", takes, **changes)
     with pytest.raises(SequenceError, match=named):
+        convert(root, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"coordinate_system": "opencv"}, "coordinate_system = 'opencv' may say .* OpenGL's axes"),
+        ({"is_opengl": False}, "is_opengl = False may say"),
+        ({"pose_convention": "w2c"}, "pose_convention = 'w2c' may say"),
+        ({"invert_poses": True}, "invert_poses = True may say"),
+        ({"units": "cm"}, "units = 'cm' may say that positions are not metres; .* --scale"),
+        ({"scene_scale": 3.0}, "scene_scale = 3.0 may say"),
+        ({"downscale_factor": 4}, "downscale_factor = 4 may say that images .* --intrinsics"),
+        ({"rotation": 90}, "rotation = 90 may say that the images .* turned"),
+    ],
+)
+def test_poses_and_images_of_another_meaning_are_refused_by_name(tmp_path, takes, changes, named):
+    root = write_nerfstudio(tmp_path / "scan", takes, **changes)
+    with pytest.raises(SequenceError, match=named):
+        convert(root, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"is_opengl": True},
+        {"coordinate_system": "OpenGL", "units": "metres", "scale_factor": 1},
+        {"pose_convention": "camera-to-world", "world_to_camera": False, "orientation": None},
+        {"scale": 0.33, "offset": [0.5, 0.5, 0.5], "aabb_scale": 16, "depth_count": 4},
+    ],
+)
+def test_keys_that_say_what_is_read_anyway(tmp_path, takes, changes):
+    convert(write_nerfstudio(tmp_path / "scan", takes, **changes), tmp_path / "out")
+    takes.check(tmp_path / "out")
+
+
+def test_what_the_options_answer_is_not_asked(tmp_path, takes):
+    """A unit of the poses, and intrinsics of the images as stored."""
+    c = takes.camera
+    root = write_nerfstudio(tmp_path / "scan", takes, units="cm", downscale_factor=4)
+    given = ConvertOptions(scale=1.0, intrinsics=f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}")
+    convert(root, tmp_path / "out", options=given)
+    takes.check(tmp_path / "out")
+
+
+def test_unknown_keys_are_named(tmp_path, takes):
+    root = write_nerfstudio(
+        tmp_path / "scan", takes, w=None, exposure=1.5, rolling_shutter=[0, 0, 1, 0], near=0
+    )
+    notes = "; ".join(convert(root, tmp_path / "out").notes)
+    assert "keys that are not known and not used: exposure;" in notes
+    assert "all rows have the pose of the frame" in notes
+    assert "no w and h: the focal length is taken as that of the images" in notes
+
+
+@pytest.mark.parametrize("key", ["file_path", "transform_matrix"])
+def test_a_frame_without_its_image_or_pose_is_named(tmp_path, takes, key):
+    root = write_nerfstudio(tmp_path / "scan", takes)
+    values = json.loads((root / "transforms.json").read_text())
+    values["frames"][2]["rotation"] = values["frames"][2].pop(key)
+    (root / "transforms.json").write_text(json.dumps(values))
+    with pytest.raises(SequenceError, match=f"frame 2 has no {key}, but .*rotation"):
         convert(root, tmp_path / "out")
 
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from gsfusion_nb.data import SequenceError
+from gsfusion_nb.data import SequenceError, folder
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.recordings.convert import convert, detect_format
 
@@ -91,3 +91,43 @@ def test_mistakes_are_answered_with_a_sentence(tmp_path, takes):
     (root / "camera_intrinsic.json").write_text(json.dumps(values))
     with pytest.raises(SequenceError, match=r"camera_intrinsic\.json"):
         convert(root, tmp_path / "out")
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_the_unit_of_depth_is_not_always_millimetres(tmp_path, takes, told):
+    """A calibration that says 5000 is believed; else the camera's motion tells it."""
+    root = write_open3d(tmp_path / "scan", takes)
+    for i in range(4):
+        takes.write(root / f"depth/{i:05d}.png", takes.depth_png(i, 5000))
+    if told:
+        (root / "camera_intrinsic.json").write_text(
+            json.dumps(intrinsic(takes) | {"depth_scale": 5000})
+        )
+    report = convert(root, tmp_path / "out")
+    assert report.depth_scale == 5000
+    assert any("5000 units a metre" in note for note in report.notes)
+    takes.check(tmp_path / "out")
+
+
+def test_millimetres_are_told_as_a_guess(tmp_path, takes):
+    """Of one frame nothing moves, so nothing proves the unit."""
+    root = write_open3d(tmp_path / "scan", takes, frames=(0,))
+    for kind in ("color", "depth"):
+        for i in (1, 2, 3):
+            (root / f"{kind}/{i:05d}.png").unlink()
+    notes = "; ".join(convert(root, tmp_path / "out").notes)
+    assert "1000 units a metre, as Open3D's (--depth-scale)" in notes
+
+
+def test_times_are_those_of_redwoods_names(tmp_path, takes):
+    root = write_open3d(tmp_path / "scan", takes)
+    report = convert(root, tmp_path / "numbers")
+    assert "times are the numbers of the frames at 30 a second" in report.notes
+    for kind in ("color", "depth"):
+        for i in range(4):
+            (root / kind / f"{i:05d}.png").rename(
+                root / kind / f"{i + 1:07d}-{50_000 * i:012d}.png"
+            )
+    report = convert(root, tmp_path / "names")
+    assert "times are the microseconds of the images' names" in report.notes
+    assert folder(tmp_path / "names").timestamps_s == pytest.approx([0.0, 0.05, 0.1, 0.15])

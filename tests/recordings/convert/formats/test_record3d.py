@@ -123,6 +123,21 @@ def test_a_missing_image_does_not_shift_poses_and_times(tmp_path, takes):
     assert b.timestamps_s == pytest.approx([5.0, 5.2, 5.3])
 
 
+def test_lists_that_end_before_the_last_frame_are_told(tmp_path, takes):
+    """Times since the start are not put behind times of a clock."""
+    c = takes.camera
+    files = members(
+        takes,
+        frameTimestamps=[5.0, 5.1, 5.2],
+        perFrameIntrinsicCoeffs=[[c.fx, c.fy, c.cx, c.cy]] * 2,
+    )
+    notes = convert(write_r3d(tmp_path / "short.r3d", files), tmp_path / "out").notes
+    assert "frameTimestamps is of the first 3 of 4 frames: the others have no time" in notes
+    assert any(note.startswith("perFrameIntrinsicCoeffs is of the first 2 of 4") for note in notes)
+    times = (tmp_path / "out/times.txt").read_text().split()
+    assert times[3::2] == ["5.0", "5.1", "5.2", "nan"]
+
+
 @pytest.mark.parametrize(
     ("least", "holes"),
     [(0, []), (2, [(1, 1), (1, 2)])],
