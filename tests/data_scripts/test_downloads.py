@@ -3,15 +3,18 @@ the real layout."""
 
 import hashlib
 import json
+import runpy
 from pathlib import Path
 
 import pytest
+import torch
 
 from gsfusion_nb.data import open_sequence
 from gsfusion_nb.data.readers.tum import LENSES
 from gsfusion_nb.types import Camera
 
-SCRIPTS = sorted((Path(__file__).resolve().parents[2] / "data_scripts").glob("*.py"))
+SCRIPTS_FOLDER = Path(__file__).resolve().parents[2] / "data_scripts"
+SCRIPTS = sorted(SCRIPTS_FOLDER.glob("*.py"))
 
 
 def run(module, site, out, *arguments):
@@ -192,3 +195,29 @@ def test_import_does_nothing_and_help_helps(name, script, capsys, tmp_path, monk
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(SystemExit):
         module.main([])
+
+
+@pytest.mark.parametrize("name", sorted(runpy.run_path(str(SCRIPTS_FOLDER / "tum.py"))["SIZES_GB"]))
+def test_every_sequence_of_tum_opens(script, site, tmp_path, box, archives, writer, files, name):
+    """In the folder that the benchmark gives it, which says whose camera it is, with what the
+    published ground truth has: a time twice, 1.2 mm apart (fr2_desk), and its three comments."""
+    module = script("tum")
+    plan = module.plan(name)
+    folder_name = Path(plan.folder).name
+    camera = folder_name.split("_")[2]
+    root = writer("tum")(tmp_path / "made" / folder_name, box, n=2, camera=LENSES[camera].camera)
+    truth = root / "groundtruth.txt"
+    rows = [line for line in truth.read_text().splitlines() if not line.startswith("#")]
+    time, x, *rest = rows[0].split()
+    comments = ["# ground truth trajectory", f"# file: '{folder_name}.bag'"]
+    header = "# timestamp tx ty tz qx qy qz qw"
+    again = " ".join([time, f"{float(x) + 0.0012:.6f}", *rest])
+    truth.write_text("\n".join([*comments, header, rows[0], again, *rows[1:], ""]))
+    (item,) = plan.items
+    path = item.url.removeprefix(module.HOST)
+    site.files[path] = archives.tgz(files(root, f"{folder_name}/"))
+    assert run(module, site, tmp_path / "data", name) == 0
+    sequence = open_sequence(tmp_path / "data" / plan.folder)
+    assert len(sequence) == 2
+    assert sequence.camera.fx == pytest.approx(LENSES[camera].camera.fx, rel=0.07)
+    assert torch.allclose(sequence[0].T_WC.double(), box.pose_at(0.112), atol=2e-3)

@@ -3,7 +3,7 @@
 import math
 import os
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -78,14 +78,19 @@ _OF_POSES = re.compile(r"pose|traj|imu|odom", re.IGNORECASE)
 
 def calibration_in(*folders: Path) -> Path | None:
     """The first calibration file in some folders; None if there is none."""
-    candidates = (
+    return next(calibrations_in(*folders), None)
+
+
+def calibrations_in(*folders: Path) -> Iterator[Path]:
+    """Calibration files in some folders, the most telling names of each folder first; one may come
+    twice."""
+    return (
         file
         for folder in folders
         for pattern in CALIBRATIONS
         for file in sorted(folder.glob(pattern))
         if file.suffix.lower() in CALIBRATION_SUFFIXES and not _OF_POSES.search(file.name)
     )
-    return next(candidates, None)
 
 
 def first_of(

@@ -16,6 +16,14 @@ _TO_WORLD = re.compile(
     r"(?i)cam(era)?[\s_-]*(to|2)[\s_-]*world|(?<![a-z])(c2w|t_?wc|world_from_cam(era)?)(?![a-z])"
 )
 
+_OTHER_AXES = re.compile(
+    r"(?i)(?<![a-z])(opengl|blender|unity|left[\s_-]*handed|right[\s_-]*up[\s_-]*back|y[\s_-]*up)"
+    r"(?![a-z])"
+)
+_OPENCV = re.compile(r"(?i)opencv|right[\s_-]*down[\s_-]*forward")
+
+_OF_COLMAP = re.compile(r"(?i)POINTS2D|IMAGE_ID.*CAMERA_ID")
+
 _UNIT = re.compile(
     r"(?i)(?<![a-z])(?:(mm|millimet(?:re|er)s?)|(cm|centimet(?:re|er)s?)|(inch(?:es)?)|(ft|feet))"
     r"(?![a-z])"
@@ -28,6 +36,15 @@ _ABOUT_POSITIONS = re.compile(
 )
 
 
+_LOST = re.compile(r"(?i)[-+]?1\.#(inf|ind|qnan|snan)\d*")
+
+
+def with_nan(text: str) -> str:
+    """The text with what Microsoft's compilers write for NaN and infinities (``-1.#IND``) as
+    nan."""
+    return _LOST.sub("nan", text) if "#" in text else text
+
+
 def is_header(line: str) -> bool:
     """Whether a line of a file with poses is a comment, or begins with a word."""
     text = line.lstrip("\ufeff \t")
@@ -35,8 +52,23 @@ def is_header(line: str) -> bool:
 
 
 def check_direction(line: str, path: Path) -> None:
-    """Raise ``SequenceError`` for a comment or header that says world-to-camera."""
-    if is_header(line) and _FROM_WORLD.search(line) and not _TO_WORLD.search(line):
+    """Raise ``SequenceError`` for a comment or header that says that poses are not camera-to-world
+    with OpenCV's axes."""
+    if not is_header(line):
+        return
+    if _OF_COLMAP.search(line):
+        raise SequenceError(
+            f"{path} is the list of images of a COLMAP model, whose poses are world-to-camera and "
+            "have no unit; expected camera-to-world poses in metres: gsfusion-nb convert the "
+            "folder of the model"
+        )
+    if _OTHER_AXES.search(line) and not _OPENCV.search(line):
+        raise SequenceError(
+            f"{path}: {shown(line.strip())} says that its poses have other axes than OpenCV's "
+            "(right, down, forward); turn them, or remove that line and map with "
+            "--data.repair.axes, which gsfusion-nb check finds"
+        )
+    if _FROM_WORLD.search(line) and not _TO_WORLD.search(line):
         raise SequenceError(
             f"{path}: {shown(line.strip())} says that its poses are world-to-camera; expected "
             "camera-to-world: invert them, or remove that line if they are"

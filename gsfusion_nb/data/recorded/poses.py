@@ -13,7 +13,7 @@ from ...errors import ArgumentError, BadFrameError, SequenceError, refusing
 from ...files import read_text
 from ...geometry import quaternion
 from ...geometry.operands import check_place
-from .pose_headers import check_direction, check_metres
+from .pose_headers import check_direction, check_metres, with_nan
 
 GL_TO_CV = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
 """T GL_TO_CV is a camera-to-world pose in OpenCV axes, where T has OpenGL's (y up, z backward)."""
@@ -64,7 +64,7 @@ def read_lines(path: Path, what: str) -> list[tuple[int, str]]:
     """Line number and text of every line that is neither empty nor a ``#`` comment. At least one,
     or an error, and none may say that poses are world-to-camera."""
     lines = []
-    for number, line in enumerate(read_text(path, what).splitlines(), 1):
+    for number, line in enumerate(with_nan(read_text(path, what)).splitlines(), 1):
         line = line.strip()
         check_direction(line, path)
         if line.strip(" ,") and not line.startswith("#"):

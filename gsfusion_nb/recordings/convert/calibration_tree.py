@@ -86,7 +86,9 @@ def _named_values(text: str, path: Path) -> Tree:
 
 
 def _value(text: str) -> Any:
-    """A number, a list of numbers, or the text without its quotes."""
+    """A number, a list of numbers, or the text without its quotes; a comment behind it is left
+    out."""
+    text = re.sub(r"\s+(#|//).*", "", text)
     words = text.strip("[]() ").replace(",", " ").split()
     try:
         numbers = [float(word) for word in words]

@@ -67,3 +67,34 @@ def model_of_matrix(
         )
     pinhole = [values[0], values[n + 1], values[2], values[n + 2]]
     return model_of(pinhole, size, source, centre=centre, distortion=distortion, fisheye=fisheye)
+
+
+_FAR_FROM_MIDDLE = 0.2
+"""Of the width or height; those of cameras are within a tenth."""
+_NOT_SQUARE = 0.1
+_USUAL_FOCAL = (0.3, 3.0)
+"""Focal lengths in widths of the image: 118 to 19 degrees."""
+
+
+def doubt_of(camera: Camera) -> str:
+    """Why intrinsics may be those of other images, or in another order; empty where they are as
+    those of most cameras."""
+    size = f"{camera.width}x{camera.height}"
+    off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
+    focal = camera.fx / camera.width
+    reasons = []
+    if off > _FAR_FROM_MIDDLE:
+        reasons.append(
+            f"the principal point {camera.cx:g}, {camera.cy:g} is far from the middle of images of "
+            f"{size}"
+        )
+    if abs(camera.fx / camera.fy - 1) > _NOT_SQUARE:
+        reasons.append(f"fx {camera.fx:g} and fy {camera.fy:g} differ")
+    if not _USUAL_FOCAL[0] <= focal <= _USUAL_FOCAL[1]:
+        reasons.append(f"fx {camera.fx:g} is unusual for a width of {camera.width}")
+    if not reasons:
+        return ""
+    return (
+        f"doubtful intrinsics: {', and '.join(reasons)}; they may be those of images of another "
+        "size, or in another order (--intrinsics)"
+    )

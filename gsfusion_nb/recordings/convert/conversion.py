@@ -17,6 +17,7 @@ from ...data.room.hand_held import write_depth, write_rgb
 from ...errors import BadFrameError, SequenceError
 from ...files import parsing
 from ...types import Camera
+from .camera_numbers import doubt_of
 from .frame_poses import FramePoses
 from .intrinsics import intrinsics_of_frame, read_intrinsics
 from .recording import (
@@ -114,8 +115,8 @@ class Conversion:
         self._lines: list[str] = []
         """The poses of the frames that were written."""
         self._far_pixels = 0
-        self._smaller: list[str] = []
-        """A note that images were made smaller."""
+        self._about_camera: list[str] = []
+        """Notes that intrinsics are doubtful, and that images were made smaller."""
         (folder / "rgb").mkdir()
 
     def add(self, place: int, frame: RecordedFrame) -> None:
@@ -182,7 +183,7 @@ class Conversion:
                 f"({reasons or 'it has none'}){self._time_hint()}; expected at least one"
             )
         stamps = judge_stamps([t for t in self._times if t is not None], unit="s")
-        notes = [*self._recording.notes, *self._poses.notes, *self._smaller]
+        notes = [*self._recording.notes, *self._poses.notes, *self._about_camera]
         if self._far_pixels:
             limit = 65535 / self._depth_scale
             notes.append(
@@ -249,16 +250,18 @@ class Conversion:
         model = intrinsics_of_frame(frame, (width, height), self._recording.name, self._options)
         frame = self._with_depth_camera(frame, images.depth_m.shape)
         if self._rectifier is None:
-            pinhole = model.fitted(width, height, frame.source).pinhole()
+            fitted = model.fitted(width, height, frame.source)
+            self._about_camera += filter(None, [doubt_of(fitted.camera)])
+            pinhole = fitted.pinhole()
             h, w = images.depth_m.shape
             size = (self._options.width, self._options.height)
             coarse = width * height > _PIXELS_PER_DEPTH * h * w
             if coarse and not any(size) and max(width, height) > _LONG_SIDE:
                 size = (_LONG_SIDE, 0) if width >= height else (0, _LONG_SIDE)
-                self._smaller = [
+                self._about_camera.append(
                     f"colour is {width}x{height}, depth {w}x{h}: written with {_LONG_SIDE} pixels "
                     f"on the longer side, --width {width} writes all of them"
-                ]
+                )
             camera = resized_camera(pinhole, *size)
             self._rectifier = Rectifier(camera, along_ray=self._recording.depth_along_ray)
         return self._rectifier(frame, model, images)

@@ -4,6 +4,7 @@ BundleFusion's and ScanNet's info.txt, ScanNet's exported ``intrinsic/``, ``scal
 cam_params.json, ``DepthMapFactor`` of ORB-SLAM, ``depth_scale`` of several programs.
 """
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,9 @@ from ...data.recorded.files import CALIBRATION_SUFFIXES, first_of
 from ...errors import SequenceError
 from ...geometry import se3
 from .calibration_tree import Tree
+from .camera_in_tree import cameras_in
 from .camera_numbers import model_of_matrix
+from .image_changes import is_no_motion
 from .intrinsics import read_intrinsics
 from .recording import DepthUnit
 from .trajectory import read_matrix
@@ -151,6 +154,38 @@ def depth_camera_beside(
         moved_mm = 1000 * float(T[:3, 3].norm())
         notes.append(f"depth was moved to colour, {moved_mm:.1f} mm from its camera")
     return model, T, notes
+
+
+_SAYS_DEPTH = re.compile(r"(?i).*(depth|(^|[._])(ir|infra(red)?|tof))([._].*)?")
+_DEPTH_TO_COLOUR = re.compile(
+    r"(?i)(\w*depth\w*_?(to|2)_?(colou?r|rgb)\w*|\w*(colou?r|rgb)\w*_?(to|2)_?depth\w*"
+    r"|t_?(colou?r|rgb)_?(depth|d)|t_?(depth|d)_?(colou?r|rgb)|(depth_?)?extrinsics?)"
+)
+
+
+def notes_on_a_second_camera(tree: Tree, source: str) -> list[str]:
+    """What is said about a camera of depth that a calibration holds beside that of colour, where
+    depth is taken as registered to colour.
+
+    Raises:
+        SequenceError: the file says where one camera stands beside the other, in a way that is not
+            known.
+    """
+    for name, value in tree.items():
+        if _DEPTH_TO_COLOUR.fullmatch(name) and not is_no_motion(value):
+            raise SequenceError(
+                f"{source}: {name} says where the depth camera stands beside the colour camera; "
+                "if depth is to be moved to colour: --T-colour-depth FILE and --depth-intrinsics; "
+                "if that was done before: --depth-intrinsics colour"
+            )
+    cameras = cameras_in(tree)
+    depth = [name for name in cameras if _SAYS_DEPTH.fullmatch(name)]
+    if not depth or len(cameras) == len(depth):
+        return []
+    return [
+        f"{source} also holds the camera {depth[0]}; depth is taken as registered to colour "
+        "(--depth-intrinsics)"
+    ]
 
 
 def poses_of_a_robot(poses: Path, tree: Tree) -> str:

@@ -7,6 +7,7 @@ the right one makes the points of one depth image fall on the surface in another
 
 import contextlib
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -93,6 +94,7 @@ def measured_unit(recording: Recording, options: ConvertOptions) -> DepthUnit | 
         for gap in _GAPS
         if {a, a + gap} <= by_place.keys()
     ]
+    pairs = _of_one_size(pairs)
     best = units_per_metre(pairs)
     if best is None:
         return None
@@ -114,6 +116,15 @@ def measured_unit(recording: Recording, options: ConvertOptions) -> DepthUnit | 
         f"{len(pairs)} pairs of frames ({best:.4g}; --depth-scale)"
     )
     return DepthUnit(usual_scale, sentence)
+
+
+def _of_one_size(
+    pairs: Sequence[tuple[PosedDepth, PosedDepth]],
+) -> list[tuple[PosedDepth, PosedDepth]]:
+    """Those pairs whose images have the size that most have."""
+    sizes = Counter(image.stored.shape for pair in pairs for image in pair)
+    usual = [size for size, _ in sizes.most_common(1)]
+    return [pair for pair in pairs if all(image.stored.shape in usual for image in pair)]
 
 
 def units_per_metre(pairs: Sequence[tuple[PosedDepth, PosedDepth]]) -> float | None:

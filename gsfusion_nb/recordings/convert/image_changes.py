@@ -87,6 +87,23 @@ def _is_no_turn(value: Any) -> bool:
     )
 
 
+def is_no_motion(value: Any) -> bool:
+    """Whether a matrix, or a group of a rotation and a translation, moves nothing."""
+    if isinstance(value, Mapping) and "data" not in value:
+        return all(
+            _is_zero(part) if _PLACES.fullmatch(str(name)) else _is_no_turn(part)
+            for name, part in value.items()
+        )
+    numbers = _numbers(value)
+    if numbers is None:
+        return _is_nothing(value)
+    no_motions = [np.eye(4).ravel(), np.eye(4)[:3].ravel()]
+    return any(
+        numbers.size == still.size and np.allclose(numbers, still, atol=1e-6)
+        for still in no_motions
+    )
+
+
 def _is_zero(value: Any) -> bool:
     numbers = _numbers(value)
     return _is_nothing(value) if numbers is None else not numbers.any()

@@ -37,9 +37,10 @@ class NamedPoses:
 
 
 def read_named_poses(path: Path, quaternions: str) -> NamedPoses | None:
-    """Poses of a file whose rows begin with names that are no numbers, or None for other files.
+    """Poses of a file whose rows begin with the names of images, or None for other files.
 
-    Without a header a row must be a name and seven numbers. A header decides on the columns.
+    Without a header a row must be a name that is no number, and seven numbers. A header decides on
+    the columns, and its first one may be the number of an image.
 
     Args:
         path: The file.
@@ -51,7 +52,7 @@ def read_named_poses(path: Path, quaternions: str) -> NamedPoses | None:
     """
     what = "lines 'name tx ty tz qx qy qz qw'"
     lines = [(number, _words(line)) for number, line in read_lines(path, what)]
-    header = next((line for line in _first_lines(path) if columns_of_header(line)), "")
+    header = next((line for line in first_lines(path) if columns_of_header(line)), "")
     columns = columns_of_header(header)
     name_column = 0
     if columns is not None:
@@ -64,7 +65,8 @@ def read_named_poses(path: Path, quaternions: str) -> NamedPoses | None:
         columns = [1, 2, 3, *_WITHOUT_HEADER["wxyz" if quaternions == "wxyz" else "xyzw"]]
     if not header and not all(len(words) == 8 for _, words in lines):
         return None
-    has_names = name_column == 0 and lines and not any(_is_number(words[0]) for _, words in lines)
+    are_words = not any(is_number(words[0]) for _, words in lines)
+    has_names = name_column == 0 and lines and (header or are_words)
     if not has_names or not (header or _is_pose(lines[0][1], columns)):
         return None
     rows = []
@@ -82,7 +84,7 @@ def read_named_poses(path: Path, quaternions: str) -> NamedPoses | None:
     )
 
 
-def _first_lines(path: Path) -> list[str]:
+def first_lines(path: Path) -> list[str]:
     """Comments and the first row: where a header may stand."""
     text = read_text(path, "a list of poses")
     lines = [line for line in text.splitlines() if line.strip()]
@@ -99,10 +101,10 @@ def _words(line: str) -> list[str]:
 
 
 def _is_pose(words: list[str], columns: list[int]) -> bool:
-    return max(columns) < len(words) and all(_is_number(words[column]) for column in columns)
+    return max(columns) < len(words) and all(is_number(words[column]) for column in columns)
 
 
-def _is_number(word: str) -> bool:
+def is_number(word: str) -> bool:
     try:
         return not math.isnan(float(word)) or word.lower() == "nan"
     except ValueError:

@@ -1,6 +1,7 @@
 """Lists of poses without times: one per frame, by its place, by its name or by its number."""
 
 import re
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -8,21 +9,31 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from ...checks import shown
 from ...data.recorded.files import images_in
-from ...data.recorded.poses import (
-    matrices,
-    read_words,
-)
+from ...data.recorded.pose_headers import check_direction
+from ...data.recorded.poses import matrices, read_lines
 from ...errors import SequenceError
-from ...files import parsing
+from ...files import parsing, read_text
 from .depth_files import read_array
-from .named_poses import read_named_poses
+from .named_poses import first_lines, is_number, read_named_poses
 from .recording import ConvertOptions, Recording
-from .trajectory import ARKIT_SUFFIX, NOTE_ON_ORDER, frame_key, read_numbers
+from .trajectory import (
+    ARKIT_SUFFIX,
+    NOTE_ON_ORDER,
+    check_order,
+    columns_of_header,
+    frame_key,
+    names_in,
+    read_numbers,
+)
 
 _LAST_ROW = re.compile(r"(-?0(\.0*)?(e[+-]00)? ){3}1(\.0*)?(e\+00)?")
 """Of a matrix after the name of an image; rows of EuRoC have as many columns."""
 _PER_FRAME = {4: "4x4 numbers", 7: "tx ty tz qx qy qz qw", 12: "3x4 numbers", 16: "4x4 numbers"}
+
+
+_SEPARATORS = str.maketrans(",[];", "    ")
 
 
 def poses_per_frame(
@@ -42,9 +53,12 @@ def poses_per_frame(
     """
     if path.suffix == ARKIT_SUFFIX:
         return None
-    what = "one pose per frame: " + ", ".join(_PER_FRAME.values())
+    what = "one pose per frame: " + ", ".join(dict.fromkeys(_PER_FRAME.values()))
     names: list[str] = []
-    named_poses = None if path.is_dir() or path.suffix == ".npy" else _read_named(path, options)
+    columns = None
+    named_poses = (
+        None if path.is_dir() or path.suffix == ".npy" else _read_named(path, recording, options)
+    )
     if named_poses is not None:
         return named_poses
     if path.is_dir():
@@ -57,10 +71,11 @@ def poses_per_frame(
         array = read_array(path, what)
         rows = array.reshape(len(array), -1).tolist()
     else:
-        rows = [words for _, words in read_words(path, what)]
+        rows, columns = _rows_of_text(path, what, options)
         if all(len(row) == 17 and _LAST_ROW.fullmatch(" ".join(row[-4:])) for row in rows):
             names = [row[0] for row in rows]
             rows = [row[1:] for row in rows]
+            _check_each_once([frame_key(Path(name).stem) for name in names], names, path)
         if {len(row) for row in rows} - set(_PER_FRAME):
             return None
     with parsing(path, what):
@@ -69,10 +84,13 @@ def poses_per_frame(
             dtype=torch.float64,
         )
         if table.shape[1] == 7:
-            if options.pose_quaternions == "wxyz":
-                table = table[:, [0, 1, 2, 4, 5, 6, 3]]
+            if columns is None and options.pose_quaternions == "wxyz":
+                columns = [0, 1, 2, 4, 5, 6, 3]
+                how = []
+            else:
+                how = [] if columns or options.pose_quaternions == "xyzw" else [NOTE_ON_ORDER]
+            table = table if columns is None else table[:, columns]
             poses = matrices(_checked_quaternions(table, path))
-            how = [NOTE_ON_ORDER] if options.pose_quaternions == "auto" else []
         else:
             poses = table.reshape(-1, 3 if table.shape[1] == 12 else 4, 4)
             last_row = torch.eye(4).double()[3:].expand(len(poses), 1, 4)
@@ -80,9 +98,7 @@ def poses_per_frame(
             poses = torch.cat([poses[:, :3], last_row], 1)
             how = []
     if names:
-        return {
-            frame_key(Path(name).stem): pose for name, pose in zip(names, poses, strict=True)
-        }, how
+        return _by_name([frame_key(Path(name).stem) for name in names], poses, recording, how)
     if len(poses) == recording.n_frames:
         return dict(enumerate(poses)), how
     rows_of, note = _rows_of_frames(path, len(poses), recording, options)
@@ -90,21 +106,94 @@ def poses_per_frame(
 
 
 def _read_named(
-    path: Path, options: ConvertOptions
+    path: Path, recording: Recording, options: ConvertOptions
 ) -> tuple[dict[Any, Float[Tensor, "4 4"]], list[str]] | None:
     """Poses of a file that names the images, and notes; None for another file."""
     named = read_named_poses(path, options.pose_quaternions)
     if named is None:
         return None
     keys = [frame_key(Path(name).stem) for name in named.names]
-    if len(set(keys)) < len(keys):
-        repeated_name = next(
-            name for name, key in zip(named.names, keys, strict=True) if keys.count(key) > 1
-        )
-        raise SequenceError(f"{path} holds two poses of {repeated_name}; expected one per image")
+    _check_each_once(keys, named.names, path)
     poses = matrices(_checked_quaternions(named.rows, path))
     is_assumed = named.order_is_assumed and options.pose_quaternions == "auto"
-    return dict(zip(keys, poses, strict=True)), [NOTE_ON_ORDER] * is_assumed
+    return _by_name(keys, poses, recording, [NOTE_ON_ORDER] * is_assumed)
+
+
+def _check_each_once(keys: list[Any], names: list[str], path: Path) -> None:
+    counts = Counter(keys)
+    repeated = next((n for n, key in zip(names, keys, strict=True) if counts[key] > 1), None)
+    if repeated is not None:
+        raise SequenceError(f"{path} holds two poses of {repeated}; expected one per image")
+
+
+def _by_name(
+    keys: list[Any],
+    poses: Float[Tensor, "N 4 4"],
+    recording: Recording,
+    notes: list[str],
+) -> tuple[dict[Any, Float[Tensor, "4 4"]], list[str]]:
+    """Poses by ``frame_key`` of the images. Where poses and images are as many, and one kind is
+    numbered from 1 and the other from 0, the first pose goes to the first image, and a note says
+    so."""
+    of_images = [frame_key(Path(frame.source).stem) for frame in recording.frames()]
+    shift = _shift_of_numbers(keys, of_images)
+    if shift:
+        first = "1" if shift < 0 else "0"
+        keys = [(key[0] + shift,) for key in keys]
+        notes = [
+            f"the numbers of the poses count from {first} and those of the images do not, so the "
+            "first pose goes to the first image",
+            *notes,
+        ]
+    return dict(zip(keys, poses, strict=True)), notes
+
+
+def _shift_of_numbers(keys: list[Any], of_images: list[Any]) -> int:
+    """1 or -1 where numbers of poses are those of the images less or plus one; else 0."""
+    are_numbers = all(isinstance(key, tuple) and len(key) == 1 for key in (*keys, *of_images))
+    if not are_numbers or not keys or len(keys) != len(of_images):
+        return 0
+    ours = sorted(key[0] for key in keys)
+    theirs = sorted(key[0] for key in of_images)
+    if {ours[0], theirs[0]} != {0, 1}:
+        return 0
+    shift = theirs[0] - ours[0]
+    return shift if [n + shift for n in ours] == theirs else 0
+
+
+def _rows_of_text(
+    path: Path, what: str, options: ConvertOptions
+) -> tuple[list[list[str]], list[int] | None]:
+    """Words of the rows of a text file without its header, and the columns of tx ty tz qx qy qz qw
+    where a header names these seven and no others.
+
+    Raises:
+        SequenceError: a first row that is neither numbers nor such a header, nor a name and
+            numbers.
+    """
+    lines = read_lines(path, what)
+    header = next(
+        (
+            line
+            for line in first_lines(path)
+            if columns_of_header(line) and len(names_in(line)) == 7
+        ),
+        None,
+    )
+    columns = None
+    if header is not None:
+        columns = (columns_of_header(header) or [])[1:]
+        check_order([0, *(c + 1 for c in columns)], options.pose_quaternions, path)
+        lines = [(n, line) for n, line in lines if line != header.strip()]
+    rows = [line.translate(_SEPARATORS).split() for _, line in lines]
+    is_header = len(rows) > 1 and not any(is_number(word) for word in rows[0])
+    if is_header and columns_of_header(lines[0][1]) is None:
+        raise SequenceError(
+            f"{path} line {lines[0][0]} names columns that are not known, {shown(lines[0][1])}; "
+            "known: x y z qx qy qz qw, also after a time or the name of an image; or no header, "
+            f"and {what}"
+        )
+    return rows, columns
 
 
 def _rows_of_frames(
@@ -209,8 +298,8 @@ def check_last_rows(poses: Float[Tensor, "N R 4"], source: Path | str) -> None:
 
 
 def _numbers_of(path: Path, what: str) -> list[float]:
-    return (
-        read_array(path, what).ravel().tolist()
-        if path.suffix == ".npy"
-        else read_numbers(path, what)
-    )
+    if path.suffix == ".npy":
+        return read_array(path, what).ravel().tolist()
+    for line in read_text(path, what).splitlines():
+        check_direction(line, path)
+    return read_numbers(path, what)

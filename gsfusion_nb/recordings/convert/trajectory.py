@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...checks import check_pose, shown
-from ...data.recorded.pose_headers import check_direction
+from ...data.recorded.pose_headers import check_direction, with_nan
 from ...data.recorded.poses import (
     check_decimal_points,
     checked_rows,
@@ -187,7 +187,7 @@ def _table(path: Path, quaternions: str) -> tuple[Float[Tensor, "N 8"], dict[Any
     """Rows t tx ty tz qx qy qz qw in the file's unit of time, float64; the time of each frame that
     they name; and whether the order of the quaternions is that of ``quaternions``, because neither
     a header nor EuRoC's format says it."""
-    lines = read_text(path, "rows 't tx ty tz qx qy qz qw'").splitlines()
+    lines = with_nan(read_text(path, "rows 't tx ty tz qx qy qz qw'")).splitlines()
     columns = None
     frame_column = None
     is_assumed = False
@@ -310,7 +310,7 @@ def read_matrix(path: Path) -> Float[Tensor, "4 4"]:
 
 def read_numbers(path: Path, what: str) -> list[float]:
     """All numbers of a text file; brackets, commas and ``#`` comments are ignored."""
-    lines = [line.split("#")[0] for line in read_text(path, what).splitlines()]
+    lines = [line.split("#")[0] for line in with_nan(read_text(path, what)).splitlines()]
     for line in lines:
         check_decimal_points(line, path)
     words = " ".join(lines).translate(str.maketrans("[](){},;", "        ")).split()

@@ -26,8 +26,22 @@ def test_a_header_that_says_world_to_camera_is_refused(header):
 
 
 @pytest.mark.parametrize(
+    ("header", "named"),
+    [
+        ("# OpenGL camera-to-world", "other axes than OpenCV's"),
+        ("# camera poses, y-up", "other axes than OpenCV's"),
+        ("#   IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "a COLMAP model"),
+    ],
+)
+def test_a_header_of_other_axes_is_refused(header, named):
+    with pytest.raises(SequenceError, match=named):
+        check_direction(header, Path("poses.txt"))
+
+
+@pytest.mark.parametrize(
     "line",
     [
+        "# axes of OpenCV, turned from OpenGL's",
         "# timestamp tx ty tz qx qy qz qw",
         "# camera-to-world, not world-to-camera",
         "# T_WC of the camera",

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gsfusion_nb.data import SequenceError
+from gsfusion_nb.recordings.convert.camera_numbers import doubt_of, model_of
 from gsfusion_nb.recordings.convert.intrinsics import read_intrinsics
 
 K = (208.5, 209.5, 159.0, 119.25)
@@ -298,6 +299,20 @@ def test_a_size_in_the_file_counts(tmp_path):
             "k1 to k4 without p1 and p2",
         ),
         ("half.json", json.dumps(PINHOLE | {"binning_x": 2}), "binning_x = 2 says"),
+        ("dist.json", json.dumps(PINHOLE | {"dist": [0.1, 0, 0, 0]}), r"dist = \[0.1"),
+        ("line.json", json.dumps(PINHOLE | {"k_1": 0.1}), "k_1 = 0.1 changes the camera"),
+        ("cap.json", json.dumps(PINHOLE | {"K1": 0.1}), "K1 = 0.1 changes the camera"),
+        (
+            "lens.json",
+            json.dumps(PINHOLE | {"lens_distortion": {"k1": 0.1}}),
+            "lens_distortion = .* changes the camera",
+        ),
+        ("unit.json", json.dumps(PINHOLE | {"unit": "mm"}), "unit = 'mm' may say .* in pixels"),
+        (
+            "origin.json",
+            json.dumps(PINHOLE | {"half_pixel_offset": True}),
+            "half_pixel_offset = True may say where pixels are counted from",
+        ),
         (
             "part.yaml",
             ROS_BROWN + "roi: {x_offset: 40, y_offset: 0, width: 240, height: 240}\n",
@@ -367,6 +382,38 @@ def test_what_says_that_images_were_not_changed_is_read(tmp_path):
     assert read_intrinsics(str(tmp_path / "c.json"), SIZE).camera.fx == PINHOLE["fx"]
     (tmp_path / "c.json").write_text(json.dumps(PINHOLE | {"scale": 6553.5}))  # unit of depth
     assert read_intrinsics(str(tmp_path / "c.json"), SIZE).camera.fx == PINHOLE["fx"]
+
+
+def test_the_centre_of_the_first_pixel_is_spelled_in_two_ways(tmp_path):
+    for name in ("pixel_centre", "pixel_center"):
+        (tmp_path / "c.json").write_text(json.dumps(PINHOLE | {name: 0.5, "unit": "px"}))
+        camera = read_intrinsics(str(tmp_path / "c.json"), SIZE).camera
+        assert (camera.cx, camera.cy) == (PINHOLE["cx"], PINHOLE["cy"])
+
+
+def test_comments_behind_values(tmp_path):
+    lines = (f"{name}: {value} # pixels" for name, value in PINHOLE.items())
+    (tmp_path / "camera.txt").write_text("\n".join(lines))
+    assert read_intrinsics(str(tmp_path / "camera.txt"), SIZE).camera.fx == PINHOLE["fx"]
+
+
+@pytest.mark.parametrize(
+    ("values", "size", "reason"),
+    [
+        ((208.5, 209.5, 159.5, 119.5), (320, 240), ""),
+        ((585.0, 585.0, 320.0, 240.0), (640, 480), ""),
+        ((200.0, 200.0, 160.0, 150.0), (320, 240), ""),
+        ((208.5, 209.5, 159.5, 119.5), (160, 120), "the principal point 160, 120 is far from"),
+        ((208.5, 209.5, 159.5, 119.5), (640, 480), "the principal point 160, 120 is far from"),
+        ((159.5, 119.5, 159.5, 119.5), (320, 240), "fx 159.5 and fy 119.5 differ"),
+        ((60.0, 60.0, 159.5, 119.5), (320, 240), "fx 60 is unusual for a width of 320"),
+    ],
+)
+def test_intrinsics_of_other_images_are_doubted(values, size, reason):
+    doubt = doubt_of(model_of([*values], size, "it", centre=0.0).camera)
+    assert reason in doubt
+    assert bool(doubt) == bool(reason)
+    assert not doubt or "(--intrinsics)" in doubt
 
 
 @pytest.mark.parametrize("name", ["camera.yaml", "camera.txt"])

@@ -265,7 +265,7 @@ def test_a_header_says_the_unit_of_positions(tmp_path, takes, header, factor):
     (root / "groundtruth.txt").write_text("\n".join([header, *rows]))
     c = takes.camera
     given = ConvertOptions(
-        intrinsics=f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}", depth_scale=5000
+        intrinsics=f"{c.fx} {c.fy} {c.cx - 0.5} {c.cy - 0.5}", depth_scale=5000.0
     )
     notes = "; ".join(convert(root, tmp_path / "out", options=given).notes)
     takes.check(tmp_path / "out", pose=1e-5)

@@ -3,6 +3,7 @@ the poses."""
 
 import contextlib
 import itertools
+import re
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,13 +14,18 @@ from torch import Tensor
 from ....data.lens import CameraModel
 from ....data.readers.seven_scenes import calibrated_folders
 from ....data.readers.tum import LENSES, benchmark_camera
-from ....data.recorded.files import calibration_in, first_of, told_outside
+from ....data.recorded.files import calibration_in, calibrations_in, first_of, told_outside
 from ....data.recorded.images import read_rgb
 from ....errors import BadFrameError, SequenceError
 from ....files import is_file
 from ..calibration_tree import Tree, tree_of_file
 from ..confidence import confidence_of
-from ..depth_camera import depth_camera_beside, poses_of_a_robot, told_unit
+from ..depth_camera import (
+    depth_camera_beside,
+    notes_on_a_second_camera,
+    poses_of_a_robot,
+    told_unit,
+)
 from ..depth_files import check_exr, read_depth_file
 from ..depth_unit import find_depth_unit, some_depths
 from ..focal_length import estimated_model
@@ -69,6 +75,8 @@ def recording_of(
     depth_model, T_colour_depth, about_depth = depth_camera_beside(
         path, tree, str(file), _size_of_depth(frame_files)
     )
+    if depth_model is None and T_colour_depth is None and not _says_where_depth_is(options):
+        about_depth += notes_on_a_second_camera(tree, str(file))
     sure = confidence_of(frame_files.pairs[0][1], options.confidence)
     if sure is not None:
         about_depth.append(
@@ -127,6 +135,10 @@ def recording_of(
     )
 
 
+def _says_where_depth_is(options: ConvertOptions) -> bool:
+    return bool(options.depth_intrinsics or options.T_colour_depth)
+
+
 def _calibration(path: Path, options: ConvertOptions) -> Path | None:
     """The file with the camera: that of the options, or one in the folder."""
     if not options.intrinsics:
@@ -179,10 +191,35 @@ def _model(
         return None, []
     if file:
         centre = options.pixel_centre if options.intrinsics else 0.0
-        return read_intrinsics(file, (width, height), centre=centre), [f"intrinsics from {file}"]
+        model = read_intrinsics(file, (width, height), centre=centre)
+        others = [] if options.intrinsics else _other_cameras(path, Path(file), model)
+        return model, [f"intrinsics from {file}", *others]
     if (LENSES[lens_name].camera.width, LENSES[lens_name].camera.height) != (width, height):
         return None, []
     return LENSES[lens_name], [f"intrinsics of the TUM benchmark's {lens_name}"]
+
+
+_OF_OTHER_THINGS = re.compile(r"(?i)depth|(^|[._-])(ir|right|gyro|imu)([._-]|$)")
+"""In the name of a calibration that is not that of the colour images."""
+
+_DIFFERENT = 0.01
+"""Intrinsics that differ by more are those of two cameras."""
+
+
+def _other_cameras(path: Path, used_file: Path, model: CameraModel) -> list[str]:
+    """What is said about another calibration in the folder that gives another camera."""
+    for file in dict.fromkeys(calibrations_in(*calibrated_folders(path))):
+        is_of_images = not _OF_OTHER_THINGS.search(file.name) and file.suffix != ".pincam"
+        if file.resolve() == used_file.resolve() or not is_of_images:
+            continue
+        with contextlib.suppress(SequenceError):
+            other = read_intrinsics(str(file), (model.camera.width, model.camera.height)).camera
+            pairs = [
+                (getattr(other, n), getattr(model.camera, n)) for n in ("fx", "fy", "cx", "cy")
+            ]
+            if any(abs(a / b - 1) > _DIFFERENT for a, b in pairs if b):
+                return [f"{file} gives other intrinsics, fx {other.fx:g}, and is not used"]
+    return []
 
 
 def _sizes(pairs: list[tuple[Path, Path]]) -> Iterator[tuple[int, ...]]:

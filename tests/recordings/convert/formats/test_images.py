@@ -328,3 +328,130 @@ def test_a_focal_length_that_nothing_shows_is_asked_for(tmp_path, takes):
     root = write(tmp_path / "scan", takes)
     with pytest.raises(OptionNeeded, match="cannot be measured"):
         convert(root, tmp_path / "out", options=ConvertOptions(poses="none", intrinsics="estimate"))
+
+
+def test_a_second_camera_of_a_calibration_is_told(tmp_path, takes):
+    """Depth is taken as registered to colour; where the file says how the cameras stand, it is
+    asked for."""
+    root = write(tmp_path / "scan", takes)
+    poses_txt(root, takes.T_WC.numpy())
+    c = takes.camera
+    colour = {"fx": c.fx, "fy": c.fy, "cx": c.cx - 0.5, "cy": c.cy - 0.5}
+    cameras = {"color": colour, "depth": colour | {"fx": 0.7 * c.fx}}
+    (root / "calibration.json").write_text(json.dumps(cameras))
+    notes = "; ".join(convert(root, tmp_path / "a").notes)
+    assert "also holds the camera depth; depth is taken as registered to colour" in notes
+    given = ConvertOptions(depth_intrinsics="colour")
+    assert "also holds" not in "; ".join(convert(root, tmp_path / "b", options=given).notes)
+    still = {"rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1], "translation": [0, 0, 0]}
+    (root / "calibration.json").write_text(json.dumps(cameras | {"extrinsics": still}))
+    convert(root, tmp_path / "c")
+    moved = still | {"translation": [0.015, 0, 0]}
+    for name in ("depth_to_color", "T_color_depth", "extrinsics"):
+        (root / "calibration.json").write_text(json.dumps(cameras | {name: moved}))
+        with pytest.raises(SequenceError, match=f"{name} says where the depth camera stands"):
+            convert(root, tmp_path / "d")
+    convert(root, tmp_path / "d", options=given)
+
+
+def test_depth_of_another_size_in_one_frame(tmp_path, takes):
+    """The unit is measured on the frames that have the size of most."""
+    root = write(tmp_path / "scan", takes)
+    poses_txt(root, takes.T_WC.numpy())
+    np.savetxt(root / "K.txt", K(takes))
+    small = takes.depth_raw(3)[::2, ::2]
+    takes.write(root / "depth/3.png", cv2.imencode(".png", small)[1].tobytes())
+    notes = "; ".join(convert(root, tmp_path / "out").notes)
+    assert "1000 units a metre, measured by the camera's motion" in notes
+    assert len(folder(tmp_path / "out")) == 4
+
+
+def scan(root, takes):
+    """A folder of images with its intrinsics, and without poses."""
+    write(root, takes)
+    np.savetxt(root / "K.txt", K(takes))
+    return root
+
+
+@pytest.mark.parametrize("comment", ["", "# "])
+@pytest.mark.parametrize("order", ["wxyz", "xyzw", "first"])
+def test_a_header_says_the_order_of_quaternions(tmp_path, takes, comment, order):
+    root = scan(tmp_path / "scan", takes)
+    rows = []
+    for i in range(len(takes)):
+        *t, x, y, z, w = takes.tum_row(i)
+        rows.append({"wxyz": [*t, w, x, y, z], "xyzw": [*t, x, y, z, w], "first": [x, y, z, w, *t]})
+    header = {
+        "wxyz": "tx ty tz qw qx qy qz",
+        "xyzw": "x y z qx qy qz qw",
+        "first": "qx qy qz qw tx ty tz",
+    }[order]
+    lines = [comment + header, *(" ".join(map(str, row[order])) for row in rows)]
+    (root / "poses.txt").write_text("\n".join(lines))
+    notes = "; ".join(convert(root, tmp_path / "out").notes)
+    takes.check(tmp_path / "out", rgb=3)
+    assert "--pose-quaternions" not in notes
+
+
+@pytest.mark.parametrize("matrices", [True, False])
+def test_numbers_of_poses_that_count_from_1(tmp_path, takes, matrices):
+    root = scan(tmp_path / "scan", takes)
+    lines = [
+        f"{i + 1} {' '.join(map(str, T.ravel() if matrices else takes.tum_row(i)))}"
+        for i, T in enumerate(takes.T_WC.numpy())
+    ]
+    if not matrices:
+        lines.insert(0, "frame tx ty tz qx qy qz qw")
+    (root / "poses.txt").write_text("\n".join(lines))
+    notes = "; ".join(convert(root, tmp_path / "out").notes)
+    takes.check(tmp_path / "out", rgb=3)
+    assert "numbers of the poses count from 1" in notes
+    assert "no times" in notes
+
+
+def test_two_poses_of_one_image_are_refused(tmp_path, takes):
+    root = scan(tmp_path / "scan", takes)
+    (root / "poses.txt").write_text(
+        "\n".join(
+            f"{max(i, 1)} {' '.join(map(str, T.ravel()))}" for i, T in enumerate(takes.T_WC.numpy())
+        )
+    )
+    with pytest.raises(SequenceError, match=r"poses\.txt holds two poses of 1; expected one"):
+        convert(root, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("name,x,y,z,roll,pitch,yaw\n0,1,2,3,4,5,6\n", "names columns that are not known"),
+        ("# world to camera\n" + "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 4, "world-to-camera"),
+        ("# OpenGL\n" + "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n" * 4, "other axes than OpenCV's"),
+    ],
+)
+def test_what_poses_are_not_is_said_by_their_header(tmp_path, takes, text, named):
+    root = scan(tmp_path / "scan", takes)
+    (root / "poses.txt").write_text(text)
+    with pytest.raises(SequenceError, match=named) as error:
+        convert(root, tmp_path / "out")
+    assert "damaged" not in str(error.value)
+
+
+def test_poses_in_brackets_and_lost_ones_of_windows(tmp_path, takes):
+    root = scan(tmp_path / "scan", takes)
+    lines = [str(T.tolist()) for T in takes.T_WC.numpy()]
+    lines[2] = " ".join(["-1.#IND"] * 12 + ["0", "0", "0", "1"])
+    (root / "poses.txt").write_text("\n".join(lines))
+    report = convert(root, tmp_path / "out")
+    assert report.dropped == {"tracking was lost (pose is NaN or infinite)": 1}
+    takes.check(tmp_path / "out", (0, 1, 3), rgb=3)
+
+
+def test_another_calibration_in_the_folder_is_named(tmp_path, takes):
+    root = scan(tmp_path / "scan", takes)
+    poses_txt(root, takes.T_WC.numpy())
+    np.savetxt(root / "intrinsics.txt", K(takes))
+    assert "is not used" not in "; ".join(convert(root, tmp_path / "same").notes)
+    np.savetxt(root / "intrinsics.txt", K(takes) * [[1.1], [1.1], [1]])
+    notes = "; ".join(convert(root, tmp_path / "out").notes)
+    assert "intrinsics.txt gives other intrinsics, fx" in notes
+    assert "intrinsics from" in notes
