@@ -5,6 +5,9 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ..checks import shown
 from ..errors import ArgumentError, SequenceError
 from ..files import open_regular
 
@@ -43,6 +46,16 @@ _BESIDE = re.compile(
 """Properties that say something beside the Gaussian."""
 _MODE = re.compile(r"\s*(?:SplatRenderMode:\s*(\S+)|antialiased\s+(\d+))\s*", re.IGNORECASE)
 """Comments of Brush and of Postshot."""
+
+
+_MAY_CHANGE_PLACES = re.compile(
+    r"(?i).*(?<![a-z])(units?|scale|offset|shift|origin|epsg|crs|(vertical|up)[\s_-]*axis|y[\s_-]*up"
+    r"|z[\s_-]*up)(?![a-z]).*"
+)
+"""Comments that may say in which unit, axes or place the Gaussians are."""
+
+_FEWEST_TO_JUDGE = 100
+"""Gaussians whose numbers may be told from logarithms and logits."""
 
 
 def refuse_packed(path: Path, what: str) -> None:
@@ -122,6 +135,12 @@ def notes_on_meaning(ply: Any) -> list[str]:
             f"it was trained for the render mode {mode[:40]}, which this package does not have: "
             "Gaussians smaller than a pixel are drawn stronger than they should be"
         )
+    notes += [
+        f"its comment {shown(comment)} is not used: places are read as metres as they stand"
+        for comment in ply.comments
+        if _MAY_CHANGE_PLACES.fullmatch(comment)
+    ][:3]
+    notes += _doubts(ply)
     unknown = [
         name
         for name in present
@@ -130,6 +149,27 @@ def notes_on_meaning(ply: Any) -> list[str]:
     if unknown:
         notes.append(f"the properties {', '.join(unknown[:8])} are not known and not used")
     return notes
+
+
+def _doubts(ply: Any) -> list[str]:
+    """Sentences on numbers that are not as those that trainers write."""
+    rows = ply["vertex"].data if "vertex" in ply else np.empty(0)
+    if len(rows) < _FEWEST_TO_JUDGE:
+        return []
+    doubts = []
+    scales = np.stack([rows[name] for name in SCALES])
+    if bool(((scales > 0) & (scales < 1)).all()):
+        doubts.append(
+            "its scales are all between 0 and 1, as lengths are, but are read as their logarithms, "
+            "as trainers write them: each Gaussian becomes larger than 1 m"
+        )
+    opacity = rows["opacity"]
+    if bool(((opacity >= 0) & (opacity <= 1)).all()):
+        doubts.append(
+            "its opacities are all between 0 and 1, as opacities are, but are read as their "
+            "logits, as trainers write them: none becomes smaller than 0.5"
+        )
+    return doubts
 
 
 def _properties(ply: Any) -> list[str]:

@@ -174,6 +174,36 @@ def scannetpp_iphone(root: Path, takes: Any) -> Path:
     return root
 
 
+def record3d(root: Path, takes: Any) -> Path:
+    """Record3D's .r3d: an archive with the metadata, and for each frame a JPEG, depth in metres and
+    confidences, as LZFSE blocks that are not packed."""
+    import struct
+    import zipfile
+
+    def lzfse(data: bytes) -> bytes:
+        return b"bvx-" + struct.pack("<I", len(data)) + data + b"bvx$"
+
+    c = takes.camera
+    rows = []
+    for T in poses(takes):
+        x, y, z, *quaternion = row_of(T @ GL)
+        rows.append([*quaternion, x, y, z])
+    metadata = {"w": c.width, "h": c.height, "dw": c.width, "dh": c.height, "fps": 60}
+    metadata |= {"K": [c.fx, 0, 0, 0, c.fy, 0, c.cx, c.cy, 1], "poses": rows}
+    metadata |= {"frameTimestamps": [1000.5 + t for t in range(len(takes))]}
+    root.mkdir(parents=True, exist_ok=True)
+    file = root / "2023-05-01--10-00-00.r3d"
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("metadata", json.dumps(metadata))
+        for i in range(len(takes)):
+            depth = takes.depth_m[i].astype("<f4")
+            archive.writestr(f"rgbd/{i}.jpg", takes.jpeg(i))
+            archive.writestr(f"rgbd/{i}.depth", lzfse(depth.tobytes()))
+            confident = np.full(depth.shape, 2, np.uint8)
+            archive.writestr(f"rgbd/{i}.conf", lzfse(confident.tobytes()))
+    return file
+
+
 def arkitscenes(root: Path, takes: Any) -> Path:
     """lowres_wide, lowres_depth, a .pincam for each image and a .traj: time, axis times angle,
     translation."""

@@ -45,6 +45,7 @@ READ = {
     "Polycam, corrected": Kind(kinds.polycam_corrected, r"corrected images and cameras"),
     "3D Scanner App": Kind(kinds.scanner_app, r"3D Scanner App: depth read as 1000"),
     "ARKitScenes": Kind(kinds.arkitscenes, r"times read as s"),
+    "Record3D": Kind(kinds.record3d, r"depth of confidence 1 and above"),
     "Azure Kinect by Open3D": Kind(kinds.azure_open3d, r"intrinsic\.json", WITHOUT_POSES),
     "RTAB-Map, exported": Kind(kinds.rtabmap_export, r"its column of frames says whose they are"),
     "ZED, exported": Kind(kinds.zed_export, r"1000 units a metre", WITHOUT_POSES, camera=False),
@@ -62,6 +63,7 @@ READ = {
     "BundleFusion": Kind(
         kinds.bundlefusion, r"5000 units a metre, as m_depthShift of .*info\.txt says"
     ),
+    "3DMatch": Kind(kinds.three_d_match, r"camera-intrinsics\.txt", moved=True),
     "SUN3D": Kind(kinds.sun3d, r"bits of depth were turned back"),
     "Redwood": Kind(kinds.redwood, camera=False),
     "ETH3D SLAM": Kind(kinds.eth3d, r"calibration\.txt"),
@@ -155,11 +157,21 @@ def test_the_table_of_the_documentation_has_these_kinds():
     page = (Path(__file__).parents[3] / "docs/formats.md").read_text()
     read, refused, doubted = (
         re.findall(r"^\| (.+?) \|", part, re.MULTILINE)
-        for part in re.split("Refused, by name|Opened, and doubted", page)
+        for part in re.split("Refused, by name|Opened, and doubted|## Numbers that", page)[:3]
     )
     assert [name for name in doubted if name != "kind"] == list(DOUBTED)
     assert [name for name in read if name != "kind"] == list(READ)
     assert [name for name in refused if name != "kind"] == list(REFUSED)
+
+
+def test_each_test_that_the_documentation_names_is_there():
+    """In the table of what was taken for something else."""
+    root = Path(__file__).parents[3]
+    page = (root / "docs/formats.md").read_text().split("## Numbers that")[1]
+    named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page)
+    assert len(named) > 60
+    for file, test in named:
+        assert f"def {test}(" in (root / file).read_text(), (file, test)
 
 
 @pytest.mark.parametrize("name", READ)
