@@ -153,7 +153,7 @@ def notes_on_meaning(ply: Any) -> list[str]:
 
 def _doubts(ply: Any) -> list[str]:
     """Sentences on numbers that are not as those that trainers write."""
-    rows = ply["vertex"].data if "vertex" in ply else np.empty(0)
+    rows: Any = ply["vertex"].data if "vertex" in ply else ()
     if len(rows) < _FEWEST_TO_JUDGE:
         return []
     doubts = []

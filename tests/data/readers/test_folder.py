@@ -215,18 +215,14 @@ def test_dark_colour_of_16_bits_is_told(tmp_path, box, caplog):
     """12 bits in an image of 16 are 16 times too dark; 8 bits spread over 16 are right."""
     grey = np.tile(np.arange(64, dtype=np.uint16) * 4, (48, 1))
     as_8_bits = torch.from_numpy(grey[0]).float()
-    for factor, told, options in (
-        (257, False, {}),
-        (16, True, {}),
-        (16, False, {"colour_bits": 12}),
-    ):
-        root = box.folder(tmp_path / f"{factor}{len(options)}")
+    for factor, told, bits in ((257, False, 16), (16, True, 16), (16, False, 12)):
+        root = box.folder(tmp_path / f"{factor}-{bits}")
         (root / "rgb/000001.jpg").unlink()
         cv2.imwrite(str(root / "rgb/000001.png"), grey * factor)
         caplog.clear()
         with caplog.at_level(logging.WARNING):
-            rgb = folder(root, **options)[1].rgb
-        expected = as_8_bits if factor == 257 or options else torch.floor(as_8_bits / 16)
+            rgb = folder(root, colour_bits=bits)[1].rgb
+        expected = torch.floor(as_8_bits / 16) if told else as_8_bits
         assert torch.allclose(rgb[0, :, 0] * 255, expected, atol=1)
         assert ("use 12 or fewer" in caplog.text) == told
         assert ("--reader colour_bits=12" in caplog.text) == told

@@ -82,10 +82,11 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         return recording
     in_millimetres = replace(options, depth_scale=_MILLIMETRES)
     recording = recording_of(path, files, in_millimetres, model=model, T_WC=T_WC)
-    unit = DepthUnit(
-        _MILLIMETRES, "depth was taken as 1000 units a metre, as Open3D's (--depth-scale)", True
-    )
-    return replace(recording, unit=unit)
+    # a unit of the poses that the user gives says nothing of the unit of depth
+    sentence = "depth was taken as 1000 units a metre, as Open3D's (--depth-scale)"
+    unit = DepthUnit(_MILLIMETRES, sentence, is_guess=not options.scale)
+    notes = recording.notes if unit.is_guess else (*recording.notes, sentence)
+    return replace(recording, unit=unit, notes=notes)
 
 
 _MILLIMETRES = 1000.0
