@@ -1,12 +1,14 @@
 """``gsfusion-nb map``: map a sequence, or continue a run that was interrupted."""
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from ..backends import use_backend
+from ..checks import shown
 from ..config import TsdfConfig, replace
 from ..config.options import named
 from ..errors import ArgumentError
@@ -63,6 +65,11 @@ class MapOptions(WatchOptions, SettingsOptions):
     """Options of the layout's reader, name=value: register=true (7-Scenes), undistort=false (TUM),
     split=train (ScanNet++), poses=false (folder, TUM), n_frames=480, rooms=64 or
     moved=chair (room)."""
+    extra: tuple[str, ...] = ()
+    """Further images of the frames, NAME=PATTERN of files in the folder of the recording:
+    class=labels/{index:06d}.png or class=labels/{stem}.png, by the number of the frame or the name
+    of its colour image. A seeding rule and a system of your own see them, and extra.npz has the
+    label, or the mean of the image, of each Gaussian."""
     from_gaussians: str = ""
     """File of Gaussians that the map begins with (.ply), in metres, in the world frame of the
     recording's poses; they are optimised with the new ones. GSFusion only."""
@@ -124,6 +131,8 @@ def run(arguments: list[str]) -> int:
         data, reader = recording_to_open(options, options.data)
         if data != options.data and reader.get("poses") is False:
             settings = replace(settings, tracking__poses="tracked")
+        if options.extra:
+            reader["extra"] = patterns_of(options.extra)
         if options.estimate_memory:
             memory_gb = memory_needed_gb(
                 open_sequence(data, data=settings.data, **reader), settings
@@ -151,6 +160,23 @@ def run(arguments: list[str]) -> int:
                 **reader,
             )
             return options.print_and_stay(finished_run, tab)
+
+
+def patterns_of(texts: Sequence[str]) -> dict[str, str]:
+    """``NAME=PATTERN`` texts as a dictionary.
+
+    Raises:
+        ValueError: a text without a name or a pattern, or a name twice.
+    """
+    patterns = dict[str, str]()
+    for text in texts:
+        name, _, pattern = text.partition("=")
+        if not (name and pattern):
+            raise ArgumentError(f"expected further images as NAME=PATTERN, got {shown(text)}")
+        if name in patterns:
+            raise ArgumentError(f"the further image {shown(name)} was named twice")
+        patterns[name] = pattern
+    return patterns
 
 
 def _continue_run(

@@ -143,12 +143,7 @@ def map_scene(
         for _ in run.optimise():
             n_steps += 1
             yield None
-    empty = sum(report.n_gaussians == 0 for report in run.steps)
-    if empty:
-        notes.append(
-            f"after {empty} of {len(run.steps)} frames the map was empty, so no gradient steps "
-            "were taken"
-        )
+    notes += _gaps(run)
     return Mapped(
         run=run,
         n_steps=n_steps,
@@ -157,6 +152,24 @@ def map_scene(
         notes=notes,
         online=online,
     )
+
+
+def _gaps(run: MappingRun) -> list[str]:
+    """Notes on frames that are not in the map, and on frames after which it was empty."""
+    notes = []
+    n = len(run.sequence.mapping)
+    if len(run.steps) < n:
+        skipped = "skipped a frame: "
+        reasons = [text.removeprefix(skipped) for text in run.warnings if text.startswith(skipped)]
+        why = f", the first because {reasons[0]}" if reasons else ""
+        notes.append(f"{n - len(run.steps)} of {n} frames are not in the map{why}")
+    empty = [report for report in run.steps if report.n_gaussians == 0]
+    if empty:
+        without = (
+            "" if any(report.n_steps for report in empty) else ", so no gradient steps were taken"
+        )
+        notes.append(f"after {len(empty)} of {len(run.steps)} frames the map was empty{without}")
+    return notes
 
 
 def finished(

@@ -19,6 +19,7 @@ from ..seeding import rule_name
 from ..types import Mesh
 from . import outputs, scores
 from .checkpoint import save_checkpoint
+from .extra_columns import EXTRA_COLUMNS, write_extra_columns
 from .mapping_run import MappingRun, evenly
 from .report import ReportData
 from .resume import resume_command
@@ -105,6 +106,7 @@ def drive(
                 log.warning("interrupted: the maps are being written%s", about_scores)
             _checkpoint_before_files(run, folder, stop)
             mesh = _save(run, folder, stop)
+            _write_columns(run, folder, stop)
         except BaseException as e:
             _rescue(run, folder, stop, e)
             raise
@@ -284,6 +286,21 @@ def _save(run: MappingRun, folder: Path, stop: StopRequest) -> Mesh:
             run, folder, scores.map_metrics(run, mesh) | run.online_scores, status
         )
         return mesh
+
+
+def _write_columns(run: MappingRun, folder: Path, stop: StopRequest) -> None:
+    """Write what each Gaussian shows of the frames' further images, unless the run is asked to
+    stop."""
+    if stop:
+        return
+    with stop.ending_at_once(), run.clock("writing"):
+        write_extra_columns(run, folder)
+    if stop:
+        run.status = "interrupted"
+        run.warnings.note_ending(
+            f"interrupted while {EXTRA_COLUMNS} was made; the maps are complete"
+        )
+        _checkpoint(run, folder, stop)
 
 
 def map_with_progress(run: MappingRun, stop: StopRequest) -> None:

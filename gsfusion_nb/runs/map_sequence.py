@@ -2,16 +2,18 @@
 line."""
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
 
-from ..config import SystemConfig
-from ..data import Sequence, apply_options, open_sequence
+from ..checks import shown
+from ..config import DataConfig, SystemConfig
+from ..data import OpenedSequence, Sequence, apply_options, open_sequence
+from ..data.adjust.selection import ExtraOf
 from ..data.stream import Policy
-from ..errors import ArgumentError
+from ..errors import ArgumentError, KindError
 from ..export import read_gaussian_ply
 from ..mapping import LossFunction, Mapper, get_system, make_mapper
 from ..mapping.moved_surfaces import MovedSurfaces
@@ -52,6 +54,7 @@ def run_mapping(
     watch: RunWatcher | None = None,
     loss: LossFunction | None = None,
     optimiser: UpdateFunction | None = None,
+    extra: ExtraOf | Mapping[str, str] | None = None,
     **reader_options: Any,
 ) -> FinishedRun:
     """Map a sequence online, optimise over its keyframes, score it and write everything to a
@@ -79,6 +82,9 @@ def run_mapping(
             Rerun viewer.
         loss, optimiser: Instead of the system's own loss and Adam (``Mapper``); metrics.json and
             config.json name them.
+        extra: Further images of the frames, as for ``open_sequence``; ``extra.npz`` then has a
+            label or a mean of each Gaussian. A run can be resumed if they are named by patterns of
+            files.
         reader_options: For ``open_sequence``: ``format``, options of the reader.
 
     Returns:
@@ -97,16 +103,7 @@ def run_mapping(
     else:
         settings = get_system(system).preset(config or ("room" if is_room else "replica"))
     with clock("opening"):
-        if isinstance(data, (str, Path)):
-            is_folder = Path(data).expanduser().is_dir() and not is_room
-            source = {
-                "path_or_name": str(Path(data).expanduser().resolve() if is_folder else data),
-                **reader_options,
-            }
-            sequence = open_sequence(**source, data=settings.data)
-        else:
-            source = {}
-            sequence = apply_options(data, settings.data)
+        sequence, source = _opened(data, settings.data, extra, reader_options)
         given = {"seeding": seeding, "device": device, "loss": loss, "optimiser": optimiser}
         mapper = (
             make_mapper(settings, **given)
@@ -128,6 +125,37 @@ def run_mapping(
             run.moved = MovedSurfaces(mapper, keeps=keep_moved)
     with RunFolder(new_folder(sequence.name, folder)) as place:
         return drive(run, place.path, evaluate, watch=watch, every=checkpoints)
+
+
+def _opened(
+    data: str | Path | Sequence,
+    settings: DataConfig,
+    extra: ExtraOf | Mapping[str, str] | None,
+    reader_options: dict[str, Any],
+) -> tuple[OpenedSequence, dict[str, Any]]:
+    """The sequence, and how ``open_sequence`` opens it again; empty if it cannot, because frames or
+    their further images are made in Python."""
+    if not (extra is None or callable(extra) or isinstance(extra, Mapping)):
+        raise KindError(
+            f"extra must be a function of a frame, or name -> pattern of files, got {shown(extra)}"
+        )
+    if isinstance(data, (str, Path)):
+        is_folder = str(data) != "room" and Path(data).expanduser().is_dir()
+        source = {
+            "path_or_name": str(Path(data).expanduser().resolve() if is_folder else data),
+            **reader_options,
+        }
+        if isinstance(extra, Mapping):
+            source["extra"] = dict(extra)
+            return open_sequence(**source, data=settings), source
+        return open_sequence(**source, data=settings, extra=extra), {} if extra else source
+    patterns = {"extra": extra} if isinstance(extra, Mapping) else {}
+    if reader_options or patterns:
+        raise ArgumentError(
+            "an open sequence takes no options of a reader and no patterns of files: leave out "
+            f"{', '.join([*reader_options, *patterns])}, or give them to open_sequence"
+        )
+    return apply_options(data, settings, extra if callable(extra) else None), {}
 
 
 def resume_mapping(

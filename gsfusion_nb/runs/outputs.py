@@ -37,6 +37,8 @@ from .system_of_run import about_system, write_system
 FILES = {
     "gaussians.ply": "The Gaussians, in the standard 3DGS layout: SuperSplat, antimatter15/splat, "
     "PlayCanvas, plug-ins of Blender and Unity",
+    "extra.npz": "What each Gaussian, row for row, shows of the frames' further images: its label, "
+    "or the mean of an image: numpy.load",
     "mesh.ply": "The surface of the TSDF, a coloured triangle mesh in metres: MeshLab, "
     "CloudCompare, Blender, pyvista.read",
     "tsdf.npz": "The coloured TSDF, in which gsfusion-nb locate finds a camera; GPS-SLAM draws its "

@@ -5,6 +5,7 @@ import dataclasses
 import inspect
 import itertools
 import math
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -298,3 +299,19 @@ def test_a_run_that_misses_its_size_is_tuned_once_more_with_its_own_seed(
     numbers: Any = inspect.unwrap(one_run.run_entry)(entry, None, {"n_runs": 4})
     assert numbers == {"n_runs": runs, "error_percent": pytest.approx(error)}
     assert seeds == [5] * (len(errors) - 1)
+
+
+def test_a_row_says_how_many_frames_are_not_in_its_map(scene, tmp_path):
+    """Frames that cannot be read, or are not located, are few steps and a poor score for no reason
+    of the rule."""
+    wall = shutil.copytree(scene, tmp_path / "wall")
+    (wall / "rgb/000002.png").write_bytes(b"no image")
+    settings = {"tsdf.voxel_size_m": 0.08, "sh_degree": 0, "optim.global_iterations": 0}
+    result = run_spec(
+        RunSpec(rule="uniform", data=str(wall), scene="wall", settings=settings, seed=0)
+    )
+    assert result.status == "done", result.reason
+    (note,) = (note for note in result.notes if "not in the map" in note)
+    n = len(open_sequence(wall).mapping)
+    assert note.startswith(f"1 of {n} frames are not in the map, the first because ")
+    assert "000002.png" in note
