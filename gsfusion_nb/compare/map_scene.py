@@ -15,6 +15,7 @@ import numpy as np
 from ..code_keys.key import code_key, differing
 from ..config import SystemConfig
 from ..data import OpenedSequence, open_sequence
+from ..data.adjust.repair import as_read
 from ..data.adjust.selection import FrameSubset
 from ..data.room import RoomSequence
 from ..errors import ArgumentError
@@ -247,13 +248,11 @@ def _with_pace(config: SystemConfig, sequence: OpenedSequence) -> SystemConfig:
     """``config`` with the spacing of the frames of the built-in room, which is a walk of 49 s with
     few or many frames: the number of frames that a camera with 30 Hz takes from one to the next. A
     spacing in the settings stays."""
-    if (
-        config.seeding.source_stride
-        or not isinstance(sequence.source, RoomSequence)
-        or len(sequence.source) < 2
-    ):
+    source = as_read(sequence.source)
+    is_walk = isinstance(source, RoomSequence) and len(source) > 1
+    if config.seeding.source_stride or not is_walk:
         return config
-    seconds = float(np.diff(sequence.source.times_s).mean()) * config.data.stride
+    seconds = float(np.diff(source.times_s).mean()) * config.data.stride
     return with_settings(config, {"seeding.source_stride": max(1, round(RATE_HZ * seconds))})
 
 

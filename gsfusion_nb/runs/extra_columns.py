@@ -101,7 +101,7 @@ def write_extra_columns(run: MappingRun, folder: Path) -> None:
         return
     params = run.mapper.parts.params_now()
     try:
-        columns = extra_columns(params, itertools.chain([first], frames))
+        columns: dict[str, Any] = extra_columns(params, itertools.chain([first], frames))
     except (ArgumentError, KeyError) as e:
         run.warnings.note_ending(f"no {EXTRA_COLUMNS}: {e}")
         return

@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 
+from ..data.adjust.repair import as_read
 from ..evaluation import (
     NotComputed,
     centres_to_own_mesh,
@@ -158,7 +159,7 @@ def score_mesh(
     metrics: dict[str, Any] = {}
     if len(held_out.positions):
         metrics["mesh_psnr_held_out_db"] = mesh_psnr(mesh, held_out.frames(run.sequence))
-    truth = getattr(run.sequence.source, "mesh", None)
+    truth = getattr(as_read(run.sequence.source), "mesh", None)
     if truth is None:
         return metrics
     n_samples = n_samples or SURFACE_SAMPLES

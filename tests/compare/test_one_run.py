@@ -258,14 +258,16 @@ def test_in_the_equal_schedule_a_rule_for_keyframes_has_those_of_its_release(spe
     assert result.metrics["n_keyframes"] == (2 if steps == "equal" else 5)
 
 
+@pytest.mark.parametrize("poses", ["given", "tracked"])
 @pytest.mark.parametrize(
     ("stride", "given", "used"),
     [(1, 0, 6), (2, 0, 12), (1, 7, 7)],
 )
-def test_the_rooms_frames_are_as_far_apart_as_they_were_seen(stride, given, used):
+def test_the_rooms_frames_are_as_far_apart_as_they_were_seen(stride, given, used, poses):
     """240 frames of a walk of 49 s: six frames of a camera with 30 Hz from one to the next; a
     setting stays."""
-    config = gsfusion("room", data__stride=stride, seeding__source_stride=given)
+    settings = {"data__stride": stride, "seeding__source_stride": given}
+    config = gsfusion("room", tracking__poses=poses, **settings)
     sequence = open_sequence("room", n_frames=240, width=16, height=12, data=config.data)
     assert _with_pace(config, sequence).seeding.source_stride == used
 

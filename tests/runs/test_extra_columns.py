@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shutil
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +60,9 @@ def frames(map_of_three, generator):
 def blending_weights(params, frame):
     """w(k, p) of each Gaussian and pixel: the picture of a colour that only this Gaussian has."""
     rows = torch.eye(len(params))
-    return render_autograd(params, frame.camera, frame.T_WC, features=rows).features.movedim(2, 0)
+    features = render_autograd(params, frame.camera, frame.T_WC, features=rows).features
+    assert features is not None
+    return features.movedim(2, 0)
 
 
 @pytest.mark.parametrize("backend", ["reference", "numba"])
@@ -181,7 +184,7 @@ def dark(frame):
 
 
 def test_a_function_gives_images_also_to_a_recording_opened_by_name(tmp_path):
-    options = {"n_frames": 120, "width": 48, "height": 36}
+    options: dict[str, Any] = {"n_frames": 120, "width": 48, "height": 36}
     run = run_mapping("room", SMALL, folder=tmp_path / "a", extra=dark, evaluate=False, **options)
     opened = open_sequence("room", extra=dark, **options)
     same = run_mapping(opened, SMALL, folder=tmp_path / "b", evaluate=False)

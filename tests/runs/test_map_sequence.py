@@ -1,5 +1,6 @@
 import dataclasses
 import importlib
+import itertools
 import json
 import math
 import re
@@ -14,7 +15,8 @@ from gsfusion_nb.data import BadFrameError, SequenceError, apply_options
 from gsfusion_nb.evaluation import score_view
 from gsfusion_nb.export import read_gaussian_ply, read_mesh_ply, read_trajectory_tum
 from gsfusion_nb.mapping import GPSSLAM, RTGSLAM, GSFusion
-from gsfusion_nb.runs import rescore, resume_mapping, run_mapping, scored_views
+from gsfusion_nb.runs import MappingRun, rescore, resume_mapping, run_mapping, scored_views
+from gsfusion_nb.runs.scores import score_mesh
 from gsfusion_nb.seeding import SeedContext
 from gsfusion_nb.types import Seeds
 
@@ -392,3 +394,14 @@ def test_an_option_that_the_rule_does_not_have_is_refused_before_there_is_a_fold
     assert "'uniform' has no options ['fration']; known: ['coverage', 'fraction'" in said
     assert "unexpected error" not in said
     assert not folder.exists()
+
+
+def test_a_tracked_map_of_the_room_is_compared_with_its_true_surface(small_room, config):
+    """Tracked frames are read as a corrected sequence, which hides what the room itself knows."""
+    tracked = replace(config, tracking__poses="tracked")
+    run = MappingRun(apply_options(small_room, tracked.data), GSFusion(tracked))
+    for _ in itertools.islice(run.online(), 3):
+        pass
+    scores = score_mesh(run, run.mapper.mesh(), n_samples=2_000)
+    assert scores["mesh_accuracy_m"] < 0.05
+    assert scores["mesh_completion_m"] < 0.2
