@@ -93,6 +93,46 @@ def test_what_a_backend_does_not_offer_runs_on_the_reference(double, write_kerne
             assert double(torch.full((1,), 3.0)).tolist() == [expected]
 
 
+def test_it_says_once_what_another_backend_would_have(double, write_kernel, caplog):
+    write_kernel("numba", "def double(x):\n    return x * x\n")
+    with caplog.at_level(logging.INFO, logger="gsfusion_nb.backends"), use_backend("cuda"):
+        double(torch.ones(1))
+        double(torch.ones(1))
+        assert double(torch.ones(1, device="meta")).device.type == "meta"
+    with caplog.at_level(logging.INFO, logger="gsfusion_nb.backends"), use_backend("reference"):
+        double(torch.ones(1))
+    assert [(r.levelname, r.message) for r in caplog.records] == [
+        (
+            "WARNING",
+            "backend 'cuda' has no double, which runs on the slower reference; numba would have it",
+        )
+    ]
+
+
+def test_on_an_old_gpu_auto_passes_triton_over_and_says_so(
+    double, write_kernel, caplog, monkeypatch
+):
+    """A T4 has compute capability 7.5. Who asks for Triton by name may try it."""
+    write_kernel("triton", "def double(x):\n    return x * x\n")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda: (7, 5))
+    monkeypatch.setattr(dispatch, "_device", lambda args, kwargs: "cuda")
+    with caplog.at_level(logging.INFO, logger="gsfusion_nb.backends"):
+        assert double(torch.full((1,), 3.0)).tolist() == [6.0]
+        with use_backend("triton"):
+            assert double(torch.full((1,), 3.0)).tolist() == [9.0]
+    assert [(r.levelname, r.message) for r in caplog.records] == [
+        (
+            "WARNING",
+            "double: Triton supports GPUs of compute capability 8.0 and newer, and this one has "
+            "7.5; double runs on the slower reference: `gsfusion-nb doctor` says what to install",
+        )
+    ]
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda: (8, 0))
+    look_again()
+    assert double(torch.full((1,), 3.0)).tolist() == [9.0]
+
+
 @pytest.mark.parametrize("asked", ["numba", "triton", "cuda"])
 def test_the_reference_runs_where_nobody_has_kernels(double, asked):
     """Whole maps can be made on any backend: some operations have no kernels."""

@@ -112,19 +112,36 @@ def _implementation(name: str, args: tuple, kwargs: dict) -> Callable:
         return lambda *args, **kwargs: run_counted(name, registry.OPERATIONS[name], args, kwargs)
     if choice != "auto":
         check_name("backend", choice, ("auto", *BACKENDS))  # it may be from the environment
-        return load(name, choice if choice in offered(name) else "reference")
+        if choice in offered(name):
+            return load(name, choice)
+        if choice != "reference":
+            _say_what_is_missing(name, choice, args, kwargs)
+        return load(name, "reference")
     if not offered(name):
         return registry.OPERATIONS[name]
-    device = next(
-        (kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"),
-        "cpu",
-    )
+    device = _device(args, kwargs)
     backend = automatic(name, device)
     if backend == "reference" and (device != "cpu" or set(PREFERRED["cpu"]) & set(offered(name))):
         _log_once(logging.WARNING, name, _why_slow(name, device))
     else:
         _log_once(logging.INFO, name, f"{name}: {backend}")
     return load(name, backend)
+
+
+def _say_what_is_missing(name: str, choice: str, args: tuple, kwargs: dict) -> None:
+    """Warn that the backend that was asked for does not offer an operation that another one offers
+    on the same device."""
+    if not offered(name):
+        return
+    device = _device(args, kwargs)
+    others = [b for b in PREFERRED.get(device, ()) if b in offered(name)]
+    if others:
+        _log_once(
+            logging.WARNING,
+            name,
+            f"backend {choice!r} has no {name}, which runs on the slower reference; "
+            f"{' and '.join(others)} would have it",
+        )
 
 
 def _is_double(args: tuple, kwargs: dict) -> bool:
@@ -150,6 +167,11 @@ def _why_slow(name: str, device: str) -> str:
         f"{name} runs on the slower reference: its faster versions take {devices} tensors, and "
         f"these are on {device!r}"
     )
+
+
+def _device(args: tuple, kwargs: dict) -> str:
+    """The kind of device of a call: that of its tensors, of which small ones may be on the CPU."""
+    return next((kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"), "cpu")
 
 
 def _devices(values: Iterable) -> Iterator[str]:

@@ -30,6 +30,11 @@ PREFERRED = {"cpu": ("numba",), "cuda": ("cuda", "triton")}
 reference runs."""
 
 
+TRITON_FROM = (8, 0)
+"""Compute capability from which on Triton supports an NVIDIA GPU; "auto" passes it over on older
+ones."""
+
+
 class BackendUnavailable(ForeseenError, RuntimeError):
     """A backend was asked for by name and cannot run; the message says what is missing."""
 
@@ -96,12 +101,22 @@ def load(name: str, backend: str) -> Callable:
 
 @functools.cache
 def problem_of(name: str, backend: str) -> str | None:
-    """Why ``backend`` cannot run operation ``name`` here, or ``None``."""
+    """Why ``backend`` cannot run operation ``name`` here, or is not made for this GPU; or
+    ``None``."""
     try:
         load(name, backend)
     except BackendUnavailable as e:
         return str(e)
-    return None
+    if backend != "triton" or not torch.cuda.is_available():
+        return None
+    capability = torch.cuda.get_device_capability()
+    if capability >= TRITON_FROM:
+        return None
+    wanted, own = (".".join(map(str, version)) for version in (TRITON_FROM, capability))
+    return (
+        f"{name}: Triton supports GPUs of compute capability {wanted} and newer, and this one has "
+        f"{own}"
+    )
 
 
 @functools.cache
