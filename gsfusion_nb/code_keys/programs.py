@@ -235,14 +235,13 @@ def _is_importable(f: types.FunctionType) -> bool:
 
 
 def _plain_repr(annotation: Any) -> str:
-    """An annotation in words, without addresses, and without the help texts that the command line
-    attaches to settings."""
+    """An annotation in words, without addresses, without the help texts that the command line
+    attaches to settings, and without where the file of a rule or a system is."""
     if typing.get_origin(annotation) is typing.Annotated:
         kind, *marks = typing.get_args(annotation)
         own = [mark for mark in marks if not type(mark).__module__.startswith("tyro")]
         return _plain_repr(kind) + "".join(map(_plain_repr, own))
-    return (
-        annotation
-        if isinstance(annotation, str)
-        else re.sub(r" at 0x[0-9a-fA-F]+", "", repr(annotation))
-    )
+    if isinstance(annotation, str):
+        return annotation
+    text = re.sub(r" at 0x[0-9a-fA-F]+", "", repr(annotation))
+    return re.sub(r"\b\w+(?=\.)", lambda module: _home_name(module[0]), text)

@@ -2,6 +2,7 @@
 commands of the page."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,8 @@ from gsfusion_nb.cli import main
 from gsfusion_nb.data.room import room
 from gsfusion_nb.errors import BadFrameError
 from gsfusion_nb.geometry import se3
+from gsfusion_nb.mapping import get_system, make_mapper
+from gsfusion_nb.runs.system_of_run import code_of_system
 from gsfusion_nb.seeding.rule import keep_registered
 from gsfusion_nb.types import Frame
 
@@ -36,6 +39,17 @@ def mapper():
 
 def test_it_fits_in_200_lines():
     assert len(FILE.read_text(encoding="utf-8").splitlines()) <= 200
+
+
+def test_the_copy_in_a_runs_folder_is_the_same_system(tmp_path):
+    """A run that was interrupted is continued by it."""
+    copy = shutil.copy(FILE, tmp_path / "system.py")
+    with keep_registered():
+        systems = [get_system(f"{file}:SplatamLike") for file in (FILE, copy)]
+        parts = [code_of_system(make_mapper(system.preset("room"))) for system in systems]
+    assert systems[0] is not systems[1]
+    assert parts[0] == parts[1]
+    assert parts[0]["values"]
 
 
 def test_gaussians_stay_round(mapper):
