@@ -249,8 +249,7 @@ def _with_pace(config: SystemConfig, sequence: OpenedSequence) -> SystemConfig:
     few or many frames: the number of frames that a camera with 30 Hz takes from one to the next. A
     spacing in the settings stays."""
     source = as_read(sequence.source)
-    is_walk = isinstance(source, RoomSequence) and len(source) > 1
-    if config.seeding.source_stride or not is_walk:
+    if not isinstance(source, RoomSequence) or len(source) < 2 or config.seeding.source_stride:
         return config
     seconds = float(np.diff(source.times_s).mean()) * config.data.stride
     return with_settings(config, {"seeding.source_stride": max(1, round(RATE_HZ * seconds))})

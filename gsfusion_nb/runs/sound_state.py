@@ -203,6 +203,10 @@ def _check_tensor(value: Tensor, where: tuple[str, ...]) -> None:
         tuple(value.shape) != (12, 16) or value.dtype != torch.float32
     ):
         raise _refusal(where, "a distance for each of 12 x 16 parts of the picture", _kind(value))
+    if where[-1] == "farthest_m":  # infinite where most of a part has no depth
+        if not (value > 0).all():
+            raise _refusal(where, "distances above 0", "others, or NaN")
+        return
     if where[-1] == "gain" and (tuple(value.shape) != (3,) or value.dtype != torch.float32):
         raise _refusal(where, "three brightnesses", _kind(value))
     finite = value.isfinite().all() if value.is_floating_point() and value.numel() else True

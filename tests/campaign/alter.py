@@ -297,8 +297,9 @@ def _tensor_changes(value: Tensor, name: str, free: bool) -> Iterator[Change]:
     )
     yield lambda: value.to(torch.complex64), "another type", True
     if value.numel() and value.is_floating_point():
-        bad = name not in _MAY_BE_NAN
         for number in (float("nan"), float("inf"), -float("inf")):
+            is_hole = name == "farthest_m" and number > 0  # a part of the picture without depth
+            bad = name not in _MAY_BE_NAN and not is_hole
             yield lambda number=number: _filled(value, number), "not finite", bad
         yield lambda: _filled(value, 3e38), "very large", False
         yield lambda: value.half(), "another type", True

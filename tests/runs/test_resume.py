@@ -2,6 +2,7 @@
 with a sentence."""
 
 import copy
+import dataclasses
 import itertools
 import json
 import shutil
@@ -12,14 +13,16 @@ import pytest
 import torch
 
 from gsfusion_nb.backends import use_backend
-from gsfusion_nb.config import gsfusion, rtg_slam
+from gsfusion_nb.config import gps_slam, gsfusion, rtg_slam
 from gsfusion_nb.data import SequenceError, open_sequence
 from gsfusion_nb.export import CheckpointStore
 from gsfusion_nb.mapping import make_mapper
 from gsfusion_nb.runs import MappingRun, resume_mapping, run_mapping
 from gsfusion_nb.runs.checkpoint import save_checkpoint
+from gsfusion_nb.runs.map_state import read_map_state, write_map_state
 from gsfusion_nb.runs.resume import load_run
 from gsfusion_nb.runs.run_folder import CHECKPOINTS
+from gsfusion_nb.runs.sound_state import check_values
 
 ROOM: dict[str, Any] = {"n_frames": 240, "width": 96, "height": 72}
 DATA: dict[str, Any] = {"data__stop": 5, "data__hold_out_every": 0}
@@ -377,3 +380,27 @@ def test_the_same_data_go_on(killed):
     (wall / "notes.txt").write_text("not read by a run")
     whole = resume_mapping(folder, evaluate=False)
     assert (whole.run.status, whole.run.warnings) == ("complete", [])
+
+
+@pytest.mark.parametrize("name", ["gsfusion", "rtg_slam", "gps_slam"])
+def test_keyframes_with_holes_in_their_depth_are_sound(name, tmp_path):
+    """Where most of a part of the picture has no depth, its farthest depth is infinite: in every
+    recording of a real camera."""
+    config = SETTINGS.get(name) or gps_slam("room", data__width=0, data__height=0, **DATA)
+    mapper = make_mapper(config)
+    for frame in list(open_sequence("room", data=config.data, **ROOM).mapping)[:2]:
+        depth_m = frame.depth_m.clone()
+        depth_m[:30] = 0.0
+        mapper.step(dataclasses.replace(frame, depth_m=depth_m))
+    state = mapper.state_dict()
+    farthest_m = state["keyframes"][0]["farthest_m"]
+    assert farthest_m.isinf().any()
+    check_values({"mapper": state})
+    write_map_state(tmp_path / "state.zip", mapper)
+    assert torch.equal(
+        read_map_state(tmp_path / "state.zip")["keyframes"][0]["farthest_m"], farthest_m
+    )
+    for number in (float("nan"), 0.0, -float("inf")):
+        farthest_m[0, 0] = number
+        with pytest.raises(SequenceError, match="farthest_m must be distances above 0"):
+            check_values({"mapper": state})
