@@ -128,7 +128,7 @@ def main(arguments: list[str] | None = None) -> int:
     size = {"data__width": args.width, "data__height": args.height, "data__hold_out_every": 0}
     config = get_system(args.system).preset("online", tracking__poses="tracked", **size)
     run = run_mapping(sequence, config, folder=args.exp_folder / f"{args.exp_it:05}_{args.system}")
-    localiser = run.mapper.localiser
+    trajectory = run.mapper.trajectory
     with open(
         args.exp_folder / f"{args.exp_it:05}_KeyFrameTrajectory.csv",
         "w",
@@ -137,7 +137,7 @@ def main(arguments: list[str] | None = None) -> int:
     ) as file:
         writer = csv.writer(file)
         writer.writerow(["ts (ns)", "tx (m)", "ty (m)", "tz (m)", "qx", "qy", "qz", "qw"])
-        for index, T_WC in zip(localiser.frame_indices, localiser.poses, strict=True):
+        for index, T_WC in zip(trajectory.frame_indices, trajectory.poses, strict=True):
             w, x, y, z = from_matrix(T_WC[:3, :3]).tolist()
             writer.writerow([stamps[index], *T_WC[:3, 3].tolist(), x, y, z, w])
     return 0

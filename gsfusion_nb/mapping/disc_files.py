@@ -69,7 +69,7 @@ def disc_mesh(mapper: Any) -> tuple[Mesh, float]:
         voxel_size_m=mapper.config.mesh_voxel_m, truncation_voxels=4.0, near_m=0.2
     )
     volume = TsdfVolume(settings, device=mapper.device)
-    poses = mapper.localiser.poses
+    poses = mapper.trajectory.poses
     camera = mapper.camera
     stride = max(1, len(poses) // MESH_VIEWS)
     fused_rows = []

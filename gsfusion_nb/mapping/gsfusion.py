@@ -77,13 +77,13 @@ class GSFusion(TsdfMapping):
             )
         optim = self.config.optim
         self.fits = (
-            KeyframeFits(optim, self.localiser)
+            KeyframeFits(optim, self.trajectory)
             if optim.refine_poses or optim.fit_exposure
             else None
         )
         """What the passes after the scan fit to keyframes besides the Gaussians, if anything."""
         if self.fits is not None:
-            self.transaction.protect(self.localiser.undo_of_refinement)
+            self.transaction.protect(self.trajectory.undo_of_refinement)
         self.camera: Camera | None = None
         """Of the last frame; None before the first, and after a resume until the next."""
 
@@ -129,7 +129,7 @@ class GSFusion(TsdfMapping):
         gap = self.config.keyframe_max_gap
         if every:
             return self.n_frames % every == 0
-        indices = self.localiser.frame_indices
+        indices = self.trajectory.frame_indices
         is_overdue = False
         if gap and len(self.keyframes):
             n_since = len(indices) - bisect.bisect_left(indices, self.keyframes[-1].index)

@@ -17,7 +17,7 @@ from ..optim.exposure import apply_exposure, apply_exposure_vjp, fit_exposure
 from ..optim.pose_system import pose_step, pose_system
 from ..render.constants import SHOWN_ALPHA
 from ..types import RenderOutput
-from .localiser import Localiser, between
+from .trajectory import Trajectory, between
 
 LEAST_SHARE = 0.5
 """A view moves only if the map shows at least this share of its pixels."""
@@ -34,12 +34,12 @@ class KeyframeFits:
     whenever it is visited, because the map's picture of it is there anyway. A prior holds each pose
     at that of the data. After each pass, the mean motion of all keyframes is taken back, by moving
     map and keyframes together, so that the map stays where the data puts it; and the frames between
-    keyframes follow them. The poses are the localiser's and the keyframes'.
+    keyframes follow them. The poses are the trajectory's and the keyframes'.
     """
 
-    def __init__(self, optim: OptimConfig, localiser: Localiser):
+    def __init__(self, optim: OptimConfig, trajectory: Trajectory):
         self._optim = optim
-        self._localiser = localiser
+        self._trajectory = trajectory
         sigma = [optim.pose_sigma_m] * 3 + [radians(optim.pose_sigma_deg)] * 3
         self._sigma = torch.tensor(sigma, dtype=torch.float64)
         self._picture: RenderOutput | None = None
@@ -82,12 +82,12 @@ class KeyframeFits:
         self._picture = None
         if not self._optim.refine_poses or picture is None:
             return
-        row = self._localiser.frame_indices.index(keyframe.index)
+        row = self._trajectory.frame_indices.index(keyframe.index)
         system = pose_system(picture, target_rgb, keyframe.camera)
         if system.share >= LEAST_SHARE:
-            T_WC = pose_step(system, keyframe.T_WC, self._localiser.given_poses[row], self._sigma)
+            T_WC = pose_step(system, keyframe.T_WC, self._trajectory.given_poses[row], self._sigma)
             keyframes.set_pose(keyframe.index, T_WC)
-            self._localiser.refine(row, T_WC.cpu())
+            self._trajectory.refine(row, T_WC.cpu())
 
     def end_pass(self, keyframes: KeyframeList, gaussians: GaussianModel) -> None:
         """Take back what all keyframes share: it belongs to the map, and no picture can tell it."""
@@ -102,20 +102,20 @@ class KeyframeFits:
     def _take_back_motion(self, keyframes: KeyframeList, gaussians: GaussianModel) -> None:
         """Where all keyframes move together by G, T_i = G T_i(given), the pictures do not change:
         nothing holds G."""
-        poses = self._localiser.poses
-        given_poses = self._localiser.given_poses
-        rows = sorted(self._localiser.frame_indices.index(k.index) for k in keyframes)
+        poses = self._trajectory.poses
+        given_poses = self._trajectory.given_poses
+        rows = sorted(self._trajectory.frame_indices.index(k.index) for k in keyframes)
         T_WC, T_given = (torch.stack([p[r] for r in rows]).double() for p in (poses, given_poses))
         T_back = se3.exp(-se3.log(T_WC @ se3.inverse(T_given)).mean(0))
         gaussians.undo_log.will_change()
         T = T_back.to(gaussians.device, torch.float32)
         move_map_(gaussians, T.expand(len(gaussians), 4, 4))
         for keyframe in list(keyframes):
-            row = self._localiser.frame_indices.index(keyframe.index)
+            row = self._trajectory.frame_indices.index(keyframe.index)
             T_new = (T_back @ poses[row].double()).float()
             keyframes.set_pose(keyframe.index, T_new)
-            self._localiser.refine(row, T_new)
-        self._localiser.follow(rows)
+            self._trajectory.refine(row, T_new)
+        self._trajectory.follow(rows)
 
 
 def exposure_between(

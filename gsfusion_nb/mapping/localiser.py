@@ -1,13 +1,11 @@
-"""The pose of each frame, given by the data or tracked against the map; the trajectory and its
-corrections."""
+"""The pose of each frame, given by the data or tracked against the map."""
 
-import bisect
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from .. import tracking
@@ -15,18 +13,15 @@ from ..config import TrackingConfig
 from ..errors import BadFrameError
 from ..gaussians import GaussianModel
 from ..gaussians.rigid_motion import move_map_
-from ..geometry import se3
 from ..optim import KeyframeList
 from ..types import Camera, Frame
 from .keyframe_memory import KeyframeMemory
 from .pose_jumps import PoseJumps
-
-_BLOCK = 1024
-"""Number of poses that are stored in one tensor."""
+from .trajectory import Trajectory
 
 
 class Localiser:
-    """The trajectory of a run, one pose per mapped frame.
+    """Finds the pose of each frame and records it in the trajectory.
 
     With ``config.poses == "given"`` a frame keeps its pose. With "tracked" only the first does; the
     others are aligned to the map (Peng et al. 2024, Eq. 10), and the back end, where enabled,
@@ -35,13 +30,8 @@ class Localiser:
 
     def __init__(self, config: TrackingConfig):
         self.config = config
-        self.poses: list[Float[Tensor, "4 4"]] = []
-        """Camera-to-world pose of every mapped frame, on the CPU; corrected when a loop closes."""
-        self.given_poses: list[Float[Tensor, "4 4"]] = []
-        """The same poses before pictures refined them; the same tensors where none did."""
-        self.frame_indices: list[int] = []
-        self._block = torch.zeros(_BLOCK, 4, 4)
-        self._n_in_blocks = 0
+        self.trajectory = Trajectory()
+        """The pose of every mapped frame."""
         self.report: dict[str, Any] = {}
         """How the last frame was tracked: status, rms_m, inlier_share. Empty for given poses."""
         self.jump = ""
@@ -66,79 +56,13 @@ class Localiser:
         was."""
         return self._tracker.lost_in_a_row
 
-    @property
-    def is_refined(self) -> bool:
-        """Whether pictures have moved a pose away from the given one (``optim.refine_poses``)."""
-        pairs = zip(self.poses, self.given_poses, strict=False)
-        return any(T_WC is not T_given for T_WC, T_given in pairs)
-
-    def refine(self, row: int, T_WC: Float[Tensor, "4 4"]) -> None:
-        """Give the mapped frame with this number another pose; ``given_poses`` keeps the one
-        before."""
-        if self.poses[row] is self.given_poses[row]:
-            self.poses[row] = self._in_block(self.given_poses[row])
-        self.poses[row].copy_(T_WC)
-
-    def undo_of_refinement(self) -> Callable[[], None]:
-        """A function that undoes what ``refine`` and ``follow`` change from now on."""
-        poses = list(self.poses)
-        values = [pose.clone() for pose in poses]
-
-        def undo() -> None:
-            self.poses = list(poses)
-            for pose, value in zip(self.poses, values, strict=True):
-                pose.copy_(value)
-
-        return undo
-
-    def follow(self, rows: list[int]) -> None:
-        """Refine the frames between those with the numbers ``rows``, which were refined: each by
-        what they were."""
-        indices = torch.tensor([self.frame_indices[row] for row in rows])
-        twists = self._twists(rows)
-        for row in set(range(len(self.poses))) - set(rows):
-            xi = between(indices, twists, self.frame_indices[row])
-            self.refine(
-                row,
-                (self.given_poses[row].double() @ se3.exp(xi)).float(),
-            )
-
-    def refined_pose(
-        self,
-        index: int,
-        T_WC: Float[Tensor, "4 4"],
-    ) -> Float[Tensor, "4 4"]:
-        """The given pose of any frame of the source, moved as the mapped frames before and after it
-        were refined."""
-        if not self.is_refined:
-            return T_WC
-        twists = self._twists(range(len(self.poses)))
-        xi = between(torch.tensor(self.frame_indices), twists, index)
-        return (T_WC.double() @ se3.exp(xi)).to(T_WC)
-
     def places(self) -> tracking.Places | None:
         """What finds a camera again in this map: keyframes with their poses as they are by now;
         None if there are none."""
-        moved = () if self.is_tracking else zip(self.frame_indices, self.poses, strict=True)
-        return self.memory.places(dict(moved))
-
-    def pose_near(self, index: int) -> Float[Tensor, "4 4"]:
-        """A pose between those of the mapped frames before and after any frame of the source, or
-        the first or last."""
-        poses = torch.stack(self.poses).double()
-        row = bisect.bisect(self.frame_indices, index)
-        if row in (0, len(poses)):
-            return poses[min(row, len(poses) - 1)]
-        first, last = self.frame_indices[row - 1 : row + 1]
-        step = se3.log(se3.inverse(poses[row - 1]) @ poses[row])
-        return poses[row - 1] @ se3.exp((index - first) / (last - first) * step)
-
-    def _twists(self, rows: Iterable[int]) -> Float[Tensor, "R 6"]:
-        """How far some frames were refined, each in its camera's frame."""
-        rows = list(rows)
-        T_given = torch.stack([self.given_poses[row] for row in rows]).double()
-        T_refined = torch.stack([self.poses[row] for row in rows]).double()
-        return se3.log(se3.inverse(T_given) @ T_refined)
+        if self.is_tracking:
+            return self.memory.places({})
+        poses = zip(self.trajectory.frame_indices, self.trajectory.poses, strict=True)
+        return self.memory.places(dict(poses))
 
     def locate(self, frame: Frame, surface: tracking.SurfaceSource) -> Frame:
         """The frame with its pose in the map: the given one, or by ICP to the surface.
@@ -193,7 +117,7 @@ class Localiser:
     @property
     def is_before_first_look(self) -> bool:
         """Whether the camera was not yet found in the map of an earlier run."""
-        return self.is_tracking and bool(self.poses) and not self._tracker.has_pose
+        return self.is_tracking and bool(self.trajectory.poses) and not self._tracker.has_pose
 
     def go_on_in(
         self,
@@ -209,9 +133,7 @@ class Localiser:
             places: Its keyframes.
             camera: Of the frames to come.
         """
-        self.poses = [self._in_block(T_WC.cpu()) for T_WC in poses]
-        self.given_poses = list(self.poses)
-        self.frame_indices = list(frame_indices)
+        self.trajectory.begin_with(poses, frame_indices)
         self._tracker = tracking.Tracker(self.config)
         self.memory = KeyframeMemory(self.config)
         self.memory.begin_with(places, camera)
@@ -228,29 +150,15 @@ class Localiser:
         self._earlier_state = None
 
     def record(self, frame: Frame) -> tracking.Correction | None:
-        """Add a mapped frame to the trajectory. If it closed a loop, returns the correction
-        (applied to ``poses``)."""
+        """Add a mapped frame to the trajectory. If it closed a loop, returns the correction,
+        which the trajectory has followed."""
         self._earlier_state = None
-        self.poses.append(self._in_block(frame.T_WC_cpu))
-        self.given_poses.append(self.poses[-1])
-        self.frame_indices.append(frame.index)
+        self.trajectory.add(frame)
         if not self.is_tracking:
             self._jumps.record(frame)
             self.memory.collect(frame)
             return None
         return self._apply(self.memory.add(frame))
-
-    def _in_block(self, T_WC: Float[Tensor, "4 4"]) -> Float[Tensor, "4 4"]:
-        """A copy of the pose inside a larger tensor.
-
-        A small tensor of its own per frame, between the large ones of the frames, would prevent the
-        allocator from reusing the frames' memory: measured, 50 to 220 kB lost per frame of 160x120.
-        """
-        n = self._n_in_blocks % _BLOCK
-        if n == 0:
-            self._block = torch.zeros(_BLOCK, 4, 4)
-        self._n_in_blocks += 1
-        return self._block[n].copy_(T_WC)
 
     def finish(self) -> tracking.Correction | None:
         """The last optimisation of the back end, over all keyframes and landmarks, after the
@@ -260,50 +168,27 @@ class Localiser:
     def _apply(self, correction: tracking.Correction | None) -> tracking.Correction | None:
         if correction is None:
             return None
-        moves = correction.transform_of(torch.tensor(self.frame_indices)).float()
-        old_poses = self.poses
-        self.poses = [T @ pose for T, pose in zip(moves, old_poses, strict=True)]
-        pairs = zip(moves, self.poses, old_poses, self.given_poses, strict=True)
-        self.given_poses = [
-            T_new if T_given is T_old else T @ T_given for T, T_new, T_old, T_given in pairs
-        ]
+        indices = torch.tensor(self.trajectory.frame_indices)
+        moves = correction.transform_of(indices).float()
+        self.trajectory.move(moves)
         self._tracker.correct(moves[-1])
         return correction
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue."""
         return {
-            "poses": torch.stack(self.poses) if self.poses else torch.zeros(0, 4, 4),
-            "given": torch.stack(self.given_poses) if self.is_refined else None,
-            "frame_indices": torch.tensor(self.frame_indices, dtype=torch.int64),
+            **self.trajectory.state_dict(),
             "stands": self._jumps.state_dict(),
             "tracker": self._tracker.state_dict(),
-        } | self.memory.state_dict()
+            **self.memory.state_dict(),
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what ``state_dict`` saved."""
-        self.frame_indices = state["frame_indices"].tolist()
-        self.poses = [self._in_block(T_WC) for T_WC in state["poses"].cpu()]
-        self.given_poses = list(self.poses)
-        if state["given"] is not None:
-            self.given_poses = [self._in_block(T_WC) for T_WC in state["given"].cpu()]
+        self.trajectory.load_state_dict(state)
         self._jumps.load_state_dict(state["stands"])
         self._tracker = tracking.Tracker.from_state_dict(self.config, state["tracker"])
         self.memory.load_state_dict(state)
-
-
-def between(
-    indices: Int[Tensor, " R"], values: Float[Tensor, "R D"], index: int
-) -> Float[Tensor, " D"]:
-    """Values at increasing numbers of frames, interpolated for another frame; outside of them the
-    first or last."""
-    row = int(torch.searchsorted(indices, index).clamp(1, max(len(indices) - 1, 1)))
-    if len(indices) == 1:
-        return values[0]
-    first = int(indices[row - 1])
-    last = int(indices[row])
-    share = min(max((index - first) / max(last - first, 1), 0.0), 1.0)
-    return (1 - share) * values[row - 1] + share * values[row]
 
 
 def move_map(

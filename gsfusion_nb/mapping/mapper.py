@@ -142,6 +142,8 @@ class Mapper(InUsualTorch, ABC):
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
         self.random = RandomStreams(self.config.seed)
         self.localiser = Localiser(self.config.tracking)
+        self.trajectory = self.localiser.trajectory
+        """The pose of every frame mapped so far."""
         self.passes = KeyframePasses()
         self.transaction = Transaction(self)
         """Makes a frame change all of the map or nothing."""
@@ -214,7 +216,7 @@ class Mapper(InUsualTorch, ABC):
                 self.clock = StageClock()
                 frame = check_frame(changeable(frame), self.device, needs_depth=needs_depth)
                 with self.clock("tracking"):
-                    frame = self._track_frame(frame)
+                    frame = _located(self, frame)
                 report = self.map_frame(frame)
                 self.transaction.keep()
                 with self.clock("tracking"):
@@ -235,12 +237,6 @@ class Mapper(InUsualTorch, ABC):
             BadFrameError: the frame cannot be tracked.
         """
         return self.localiser.locate(frame, partial(tracking_surface, self))
-
-    def _track_frame(self, frame: Frame) -> Frame:
-        """``track_frame``; in the map of an earlier run the first frame is found by appearance."""
-        if self.localiser.is_before_first_look:
-            return Mapper.track_frame(self, frame)
-        return self.track_frame(frame)
 
     @abstractmethod
     def map_frame(self, frame: Frame) -> StepReport:
@@ -402,6 +398,14 @@ class Mapper(InUsualTorch, ABC):
         if correction is not None:
             move_map(correction, self.gaussians, self.keyframes)
             move_memory(self.rule_in_use.memory, correction.transform_of)
+
+
+def _located(mapper: Mapper, frame: Frame) -> Frame:
+    """``track_frame``; in the map of an earlier run the first frame is found by appearance, also
+    where a system tracks in a way of its own."""
+    if mapper.localiser.is_before_first_look:
+        return Mapper.track_frame(mapper, frame)
+    return mapper.track_frame(frame)
 
 
 def depth_behind_views(config: SystemConfig) -> Callable[[Frame | Keyframe], Tensor | None]:

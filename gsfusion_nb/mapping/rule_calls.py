@@ -31,7 +31,7 @@ def context_of(mapper: Any, frame: Frame, **inputs: Any) -> SeedContext:
         memory=in_use.memory,
         starts_submap=in_use.when.starts_submap(mapper.n_frames, stride=config.source_stride),
         keyframes=tuple(mapper.keyframes),
-        past_T_WC=tuple(mapper.localiser.poses),
+        past_T_WC=tuple(mapper.trajectory.poses),
         **inputs,
     )
 

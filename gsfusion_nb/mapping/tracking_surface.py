@@ -59,5 +59,5 @@ def localised_pose(mapper: Any, frame: Frame) -> Float[Tensor, "4 4"] | None:
     needs_depth = mapper.description.needs_depth
     frame = check_frame(changeable(frame), mapper.device, needs_depth=needs_depth)
     source = functools.partial(tracking_surface, mapper)
-    guess = mapper.localiser.pose_near(frame.index)
+    guess = mapper.trajectory.pose_near(frame.index)
     return localise(frame, source, guess, mapper.config.tracking)

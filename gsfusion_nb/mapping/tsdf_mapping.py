@@ -195,7 +195,7 @@ class TsdfMapping(Mapper):
         super()._follow(correction)
         if correction is None or not len(self.fused):
             return
-        poses = self.localiser.poses
+        poses = self.trajectory.poses
         if self.fused.moved_m(poses) <= MOVED_VOXELS * self.volume.config.voxel_size_m:
             return
         try:

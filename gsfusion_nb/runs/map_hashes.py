@@ -18,9 +18,9 @@ def map_hashes(run: MappingRun, mesh: Mesh | None = None) -> dict[str, str]:
     """SHA-256 of each map of a run, by name: "gaussians", "trajectory", "tsdf" if the system has
     one, and "mesh" if it is given; it follows from the others."""
     trajectory = {
-        "frame_index": torch.tensor(run.mapper.localiser.frame_indices, dtype=torch.int64),
-        "T_WC": torch.stack(run.mapper.localiser.poses)
-        if run.mapper.localiser.poses
+        "frame_index": torch.tensor(run.mapper.trajectory.frame_indices, dtype=torch.int64),
+        "T_WC": torch.stack(run.mapper.trajectory.poses)
+        if run.mapper.trajectory.poses
         else torch.zeros(0, 4, 4),
     }
     maps = (

@@ -167,7 +167,7 @@ class MappingRun:
     def poses(self) -> list[torch.Tensor]:
         """Camera-to-world pose of every frame of this run, as given or as tracked and corrected so
         far."""
-        return self.mapper.localiser.poses[self.n_earlier :]
+        return self.mapper.trajectory.poses[self.n_earlier :]
 
     @property
     def n_earlier(self) -> int:
@@ -256,7 +256,7 @@ class MappingRun:
     def _look_for_moved(self, frame: Frame) -> None:
         """Take out of the map what enough frames have seen through."""
         if self.moved is not None:
-            T_WC = self.mapper.localiser.poses[-1].to(self.mapper.device)
+            T_WC = self.mapper.trajectory.poses[-1].to(self.mapper.device)
             with self.clock("mapping"):
                 self.moved.look(dataclasses.replace(frame.to(self.mapper.device), T_WC=T_WC))
 
@@ -306,7 +306,7 @@ class MappingRun:
     def covering_views(self, least: int) -> FrameSubset:
         """At least this many mapped frames, evenly spread, and those where the camera has moved by
         1 m or turned by 30 degrees since the last one, so that neighbours overlap on any walk."""
-        frame_indices = self.mapper.localiser.frame_indices[self.n_earlier :]
+        frame_indices = self.mapper.trajectory.frame_indices[self.n_earlier :]
         poses = self.poses
         selection = list[int]()
         stride = max(1, len(poses) // least)

@@ -289,9 +289,9 @@ def _check(mapper: Mapper, state: dict[str, Any]) -> None:
     for name in ("n_frames", "steps_taken", "n_not_finite", "random", "poses"):
         check_same(state[name], mine[name], (name,))
     check_same(_counted_back(state["keyframes"], _shift(state)), mine["keyframes"], ("keyframes",))
-    if mapper.n_frames != len(mapper.localiser.poses):
+    if mapper.n_frames != len(mapper.trajectory.poses):
         raise SequenceError(
-            f"the state of a map has {mapper.n_frames} frames and {len(mapper.localiser.poses)} "
+            f"the state of a map has {mapper.n_frames} frames and {len(mapper.trajectory.poses)} "
             "poses"
         )
     if strange := set(state["gaussians"]) - set(mine["gaussians"]):

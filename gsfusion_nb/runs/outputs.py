@@ -130,12 +130,12 @@ def write_rule(run: MappingRun, folder: Path) -> None:
 def _write_trajectory(run: MappingRun, folder: Path) -> None:
     if run.poses:
         write_trajectory_tum(folder / "trajectory.txt", run.timestamps_s, torch.stack(run.poses))
-    localiser = run.mapper.localiser
-    if localiser.is_refined:
+    trajectory = run.mapper.trajectory
+    if trajectory.is_refined:
         write_trajectory_tum(
             folder / "trajectory_given.txt",
             run.timestamps_s,
-            torch.stack(localiser.given_poses[run.n_earlier :]),
+            torch.stack(trajectory.given_poses[run.n_earlier :]),
         )
 
 

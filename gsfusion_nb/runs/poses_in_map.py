@@ -36,20 +36,18 @@ def poses_in_map(
     T_WC = T_WC(n) T_data(n)^-1 T_data. If the data has no poses, only mapped frames have a pose in
     the map.
     """
-    if not localiser.is_tracking or not localiser.poses:
-        refined_poses = (
-            zip(localiser.frame_indices, localiser.poses, strict=True)
-            if localiser.is_refined
-            else ()
-        )
-        mapped_at = dict(refined_poses)
+    trajectory = localiser.trajectory
+    if not localiser.is_tracking or not trajectory.poses:
+        mapped_at: dict[int, Tensor] = {}
+        if trajectory.is_refined:
+            mapped_at = dict(zip(trajectory.frame_indices, trajectory.poses, strict=True))
         return [mapped_at.get(index, _data_pose(view, i)) for i, index in enumerate(view.positions)]
-    map_indices = torch.tensor(localiser.frame_indices)
+    map_indices = torch.tensor(trajectory.frame_indices)
     position = {index: i for i, index in enumerate(mapping.positions)}
     poses = []
     for i, index in enumerate(view.positions):
         nearest = int((map_indices - index).abs().argmin())
-        T_WC: Tensor | None = localiser.poses[nearest]
+        T_WC: Tensor | None = trajectory.poses[nearest]
         if int(map_indices[nearest]) != index:
             at = position.get(int(map_indices[nearest])) if has_poses(mapping) else None
             T_data_nearest = None if at is None else _data_pose(mapping, at)

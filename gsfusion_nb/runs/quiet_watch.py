@@ -50,10 +50,9 @@ class QuietWatch:
             run.warnings.warn_once(sentence)
 
     def _look(self, run: WatchedRun, frame: Frame | None) -> str:
-        localiser = run.mapper.localiser
-        poses = localiser.poses[run.mapper.n_frames - len(run.steps) :]
+        poses = run.mapper.trajectory.poses[run.mapper.n_frames - len(run.steps) :]
         if self._watch is None:
-            self._watch = FrameWatch(is_tracking=localiser.is_tracking)
+            self._watch = FrameWatch(is_tracking=run.mapper.localiser.is_tracking)
             earlier = len(run.steps) - (frame is not None)
             if earlier > 0 and run.resumable:
                 earlier_poses = poses if frame is None else poses[:-1]
@@ -66,5 +65,5 @@ class QuietWatch:
 def _frame_of(run: WatchedRun, number: int) -> Frame:
     """A frame that was mapped, read once more."""
     n_earlier = run.mapper.n_frames - len(run.steps)
-    index = run.mapper.localiser.frame_indices[n_earlier + number]
+    index = run.mapper.trajectory.frame_indices[n_earlier + number]
     return dataclasses.replace(run.sequence.mapping, positions=[index])[0]

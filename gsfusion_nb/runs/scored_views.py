@@ -98,9 +98,10 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
     and with an exposure between theirs; their own pictures are not used.
     """
     localiser = run.mapper.localiser
+    trajectory = run.mapper.trajectory
     mapping = run.sequence.mapping
     map_views = run.mapped_views(run.mapper.config.data.scored_views)
-    not_mapped = set(map_views.positions) - set(localiser.frame_indices)  # read, but not mapped
+    not_mapped = set(map_views.positions) - set(trajectory.frame_indices)  # read, but not mapped
     map_views = dataclasses.replace(
         map_views, positions=[p for p in map_views.positions if p not in not_mapped]
     )
@@ -119,9 +120,9 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
         )
     held_out = groups["held_out"]
     exposures = _exposures_between(run, held_out.positions)
-    if localiser.is_refined or exposures:
+    if trajectory.is_refined or exposures:
         refined_poses = [
-            localiser.refined_pose(*view)
+            trajectory.refined_pose(*view)
             for view in zip(held_out.positions, held_out.poses, strict=True)
         ]
         groups["held_out_between"] = ScoredViews(held_out.positions, refined_poses, exposures)
@@ -138,7 +139,7 @@ def _localised(
     """
     mapper = run.mapper
     missing = [i for i, T_WC in enumerate(poses) if T_WC is None]
-    if not missing or not mapper.localiser.is_tracking or not mapper.localiser.poses:
+    if not missing or not mapper.localiser.is_tracking or not mapper.trajectory.poses:
         return poses
     state = (
         run.next_position,
@@ -182,7 +183,7 @@ def _exposures_between(
     exposure_of = {k.index: k.exposure for k in mapper.keyframes if k.exposure is not None}
     if not exposure_of:
         return {}
-    poses = dict(zip(mapper.localiser.frame_indices, mapper.localiser.poses, strict=True))
+    poses = dict(zip(mapper.trajectory.frame_indices, mapper.trajectory.poses, strict=True))
     indices = sorted(poses)
     places = [bisect.bisect(indices, p) for p in positions]
     neighbours = {i for at in places for i in indices[max(at - 1, 0) : at + 1]} - exposure_of.keys()

@@ -118,9 +118,10 @@ def score_trajectory(run: MappingRun) -> dict[str, Any]:
     """Absolute trajectory error of tracked or refined poses against the true ones, where the data
     knows them, else the data's own; empty if no pose moved, or there are none to compare."""
     localiser = run.mapper.localiser
-    has_moved = localiser.is_tracking or localiser.is_refined
+    trajectory = run.mapper.trajectory
+    has_moved = localiser.is_tracking or trajectory.is_refined
     poses = run.poses
-    frame_indices = localiser.frame_indices[run.n_earlier :]
+    frame_indices = trajectory.frame_indices[run.n_earlier :]
     truth = ground_truth_poses(frame_indices, run.sequence.mapping) if has_moved else None
     if truth is None or len(poses) < 3:
         return {}

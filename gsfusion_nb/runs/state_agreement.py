@@ -20,13 +20,13 @@ def check_agreement(run: Any) -> None:
     """
     mapper = run.mapper
     n = len(run.steps)
-    localiser = mapper.localiser
+    trajectory = mapper.trajectory
     keyframes = mapper.keyframes
     sizes = {
         "frames of the mapper": mapper.n_frames,
-        "poses": len(localiser.poses),
-        "given poses": len(localiser.given_poses),
-        "indices of frames": len(localiser.frame_indices),
+        "poses": len(trajectory.poses),
+        "given poses": len(trajectory.given_poses),
+        "indices of frames": len(trajectory.frame_indices),
     }
     if len(set(sizes.values())) > 1:
         raise SequenceError(
@@ -42,7 +42,7 @@ def check_agreement(run: Any) -> None:
         raise SequenceError(
             f"a state has {n} reports of frames, but goes on at position {run.next_position}"
         )
-    indices = localiser.frame_indices
+    indices = trajectory.frame_indices
     n_earlier = mapper.n_frames - n
     if indices[n_earlier:] and min(indices[n_earlier:]) < 0:
         raise SequenceError(

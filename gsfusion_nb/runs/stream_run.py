@@ -71,7 +71,7 @@ class StreamRun(MappingRun):
         self.until = until
         self.policy: Policy = policy or getattr(frames, "policy", "all")
         data = self.mapper.config.data
-        earlier = self.mapper.localiser.frame_indices
+        earlier = self.mapper.trajectory.frame_indices
         selection = SelectedFrames(
             frames,
             data,
@@ -142,7 +142,7 @@ class StreamRun(MappingRun):
     def poses(self) -> list[Any]:
         """Camera-to-world pose [4, 4] of every frame of this run, as given, or as tracked and
         corrected so far."""
-        return self.mapper.localiser.poses[self._n_earlier :]
+        return self.mapper.trajectory.poses[self._n_earlier :]
 
     def covering_views(self, least: int) -> FrameSubset:
         """The frames that were kept, at most ``least``."""

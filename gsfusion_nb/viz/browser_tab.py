@@ -178,7 +178,7 @@ class BrowserTab:
         params = mapper.files.standard_gaussians()
         moment = _Moment(
             params=final_rows(params) if now else rows_to_show(params),
-            poses=list(mapper.localiser.poses),
+            poses=list(mapper.trajectory.poses),
             frame=self._last_frame,
             words=words,
         )

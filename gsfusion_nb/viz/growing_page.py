@@ -38,7 +38,7 @@ class GrowingPage:
         """Called by the run after each frame."""
         if time.monotonic() < self._next_s:
             return
-        poses = mapper.localiser.poses
+        poses = mapper.trajectory.poses
         pictures = [
             page_picture(frame.rgb_u8, "What the camera sees"),
             page_picture(

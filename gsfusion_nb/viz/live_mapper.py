@@ -104,7 +104,7 @@ class LiveMapper(LivePictures):
 
     def _place(self) -> Picture:
         """Where the camera is in the map of the earlier run."""
-        poses = self.run.mapper.localiser.poses
+        poses = self.run.mapper.trajectory.poses
         n_earlier = self.run.n_earlier
         size = (self._panel_width, 3 * self._panel_width // 4)
         mapper = self.run.mapper
@@ -130,11 +130,11 @@ class LiveMapper(LivePictures):
     def _last_frame(self) -> Frame:
         """The frame mapped last, with the pose it was mapped at."""
         frame = self.run.sequence.mapping[self.run.next_position - 1]
-        localiser = self.run.mapper.localiser
+        trajectory = self.run.mapper.trajectory
         # frames after it were skipped
-        if not localiser.poses or localiser.frame_indices[-1] != frame.index:
+        if not trajectory.poses or trajectory.frame_indices[-1] != frame.index:
             return frame
-        return dataclasses.replace(frame, T_WC=localiser.poses[-1].to(frame.T_WC))
+        return dataclasses.replace(frame, T_WC=trajectory.poses[-1].to(frame.T_WC))
 
     def _words(self) -> list[str]:
         self.progress.value = self.run.next_position

@@ -49,7 +49,7 @@ def test_the_discs_are_those_of_a_mesh_that_is_at_hand(run, monkeypatch):
 
 def test_the_discs_show_the_surface_and_a_fit_shows_it_better(run):
     mapper = run.run.mapper
-    poses = list(mapper.localiser.poses)
+    poses = list(mapper.trajectory.poses)
     rows = mapper.files.standard_gaussians()
     n = len(mapper.gaussians)
     assert len(rows) > n > 20

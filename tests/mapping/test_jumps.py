@@ -39,7 +39,7 @@ def test_a_jump_in_a_real_recording_is_noticed_and_the_way_back_is_found(shared_
         try:
             mapper.step(frame)
             off_m.append(
-                float(se3.motion(mapper.localiser.poses[-1].double(), frame.T_WC.double())[1])
+                float(se3.motion(mapper.trajectory.poses[-1].double(), frame.T_WC.double())[1])
             )
         except BadFrameError:
             lost.append(i)

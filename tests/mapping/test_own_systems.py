@@ -153,12 +153,12 @@ def test_tracking_of_its_own(tmp_path):
         report = mapper.step(frame(index))
     assert report.tracking["status"] == "ok"
     off_m = [
-        float(pose[0, 3] - frame(i).T_WC[0, 3]) for i, pose in enumerate(mapper.localiser.poses)
+        float(pose[0, 3] - frame(i).T_WC[0, 3]) for i, pose in enumerate(mapper.trajectory.poses)
     ]
     assert off_m == pytest.approx([0, 0.001, 0.001], abs=1e-6)
     again = system.from_state_dict(mapper.state_dict())
     assert again.step(frame(3)).tracking == mapper.step(frame(3)).tracking
-    assert torch.equal(again.localiser.poses[-1], mapper.localiser.poses[-1])
+    assert torch.equal(again.trajectory.poses[-1], mapper.trajectory.poses[-1])
 
 
 def test_a_pose_of_its_own_tracking_is_checked(tmp_path, monkeypatch):

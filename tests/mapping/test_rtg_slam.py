@@ -239,7 +239,7 @@ def test_state_goes_on_where_it_was(small_walk, poses, monkeypatch):
     for frame in small_walk[5:9]:
         resumed.step(frame)
     assert_same_map(whole, resumed)
-    assert torch.equal(torch.stack(whole.localiser.poses), torch.stack(resumed.localiser.poses))
+    assert torch.equal(torch.stack(whole.trajectory.poses), torch.stack(resumed.trajectory.poses))
     assert len(whole.keyframes) == len(resumed.keyframes)
     torch.testing.assert_close(whole.mesh().vertices_W, resumed.mesh().vertices_W)
 

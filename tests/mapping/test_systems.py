@@ -93,7 +93,7 @@ def test_a_jump_that_no_camera_makes_is_not_mapped(system, view):
     with pytest.raises(BadFrameError, match=r"frame 1 .* 1e\+03 m .* --tracking.pose-jumps map"):
         mapper.step(placed(view, 1, 1000.0))
     mapper.step(placed(view, 2, 0.01))
-    assert mapper.localiser.frame_indices == [0, 2]
+    assert mapper.trajectory.frame_indices == [0, 2]
     asked = small(system, tracking__pose_jumps="map")
     for index, right_m in enumerate((0.0, 1000.0)):
         frame = placed(view, index, right_m)
@@ -112,7 +112,7 @@ def test_after_a_jump_the_frames_that_go_on_are_mapped_also_after_a_pause(view):
     mapper = GSFusion.from_state_dict(mapper.state_dict())
     for index in (2, 3):
         mapper.step(placed(view, index, 0.0))
-    assert mapper.localiser.frame_indices == [0, 2, 3]
+    assert mapper.trajectory.frame_indices == [0, 2, 3]
 
 
 def test_a_depth_that_no_camera_measures_is_told_once(view):

@@ -341,11 +341,11 @@ def test_poses_come_closer_to_the_truth_and_the_given_ones_remain(walk):
     for _ in mapper.global_optimise():
         pass
     given = [frame.T_WC for frame in frames]
-    assert all(torch.equal(a, b) for a, b in zip(mapper.localiser.given_poses, given, strict=True))
-    assert error(true, mapper.localiser.poses) < 0.9 * error(true, given)
+    assert all(torch.equal(a, b) for a, b in zip(mapper.trajectory.given_poses, given, strict=True))
+    assert error(true, mapper.trajectory.poses) < 0.9 * error(true, given)
     for keyframe in mapper.keyframes:
-        row = mapper.localiser.frame_indices.index(keyframe.index)
-        assert torch.equal(keyframe.T_WC, mapper.localiser.poses[row])
+        row = mapper.trajectory.frame_indices.index(keyframe.index)
+        assert torch.equal(keyframe.T_WC, mapper.trajectory.poses[row])
 
 
 def test_a_resumed_run_has_the_same_poses_bit_for_bit(walk, same):
@@ -372,7 +372,7 @@ def test_the_mean_motion_is_taken_back_from_map_and_keyframes(walk):
     move_map_(mapper.gaussians, G.expand(len(xyz_W), 4, 4))
     mapper.keyframes.move(G.expand(len(mapper.keyframes), 4, 4))
     for k in mapper.keyframes:
-        mapper.localiser.refine(k.index, k.T_WC)
+        mapper.trajectory.refine(k.index, k.T_WC)
     assert mapper.fits is not None
     mapper.fits.end_pass(mapper.keyframes, mapper.gaussians)
     torch.testing.assert_close(mapper.gaussians.params.xyz_W, xyz_W, atol=1e-5, rtol=0)

@@ -39,7 +39,7 @@ def mapped(frames, tracking=TRACKING):
 def correct(mapper, shift_m):
     """A loop that moves the last frame sideways, the frame before it half as far, and the first one
     not at all."""
-    old = torch.stack([mapper.localiser.poses[0], mapper.localiser.poses[-1]]).double()
+    old = torch.stack([mapper.trajectory.poses[0], mapper.trajectory.poses[-1]]).double()
     new = torch.stack(
         [
             old[0],
@@ -49,7 +49,7 @@ def correct(mapper, shift_m):
             ),
         ]
     )
-    ends = torch.tensor([mapper.localiser.frame_indices[i] for i in (0, -1)])
+    ends = torch.tensor([mapper.trajectory.frame_indices[i] for i in (0, -1)])
     found = Correction(frame_index=ends, T_WC_old=old, T_WC_new=new, loops=[])
     mapper._follow(mapper.localiser._apply(found))
 
@@ -76,15 +76,15 @@ def vars_of(frame):
 
 def test_the_volume_is_that_of_the_corrected_poses(frames):
     mapper = mapped(frames)
-    tracked = list(mapper.localiser.poses)
+    tracked = list(mapper.trajectory.poses)
     correct(mapper, 0.3 * VOXEL_M)
     assert_fused_at(mapper, frames, tracked)  # less than half a voxel
     correct(mapper, 2 * VOXEL_M)
-    assert_fused_at(mapper, frames, mapper.localiser.poses)
+    assert_fused_at(mapper, frames, mapper.trajectory.poses)
     moved_m = [
-        float((a - b)[:3, 3].norm()) for a, b in zip(mapper.localiser.poses, tracked, strict=True)
+        float((a - b)[:3, 3].norm()) for a, b in zip(mapper.trajectory.poses, tracked, strict=True)
     ]
-    assert not mapper.localiser.is_refined  # a loop is no refinement by pictures
+    assert not mapper.trajectory.is_refined  # a loop is no refinement by pictures
     assert moved_m == pytest.approx([0, 1.15 * VOXEL_M, 2.3 * VOXEL_M], abs=1e-5)
 
 
@@ -92,20 +92,20 @@ def test_the_window_of_rtg_slam_and_the_tracker_move_with_a_loop(frames):
     mapper = RTGSLAM(rtg_slam("room", tracking=TRACKING))
     for frame in frames:
         mapper.step(frame)
-    assert [f.index for f in mapper.window] == mapper.localiser.frame_indices
-    before = mapper.localiser.poses[-1].clone()
+    assert [f.index for f in mapper.window] == mapper.trajectory.frame_indices
+    before = mapper.trajectory.poses[-1].clone()
     correct(mapper, 0.05)
-    for frame, T_WC in zip(mapper.window, mapper.localiser.poses, strict=True):
+    for frame, T_WC in zip(mapper.window, mapper.trajectory.poses, strict=True):
         torch.testing.assert_close(frame.T_WC, T_WC)
     torch.testing.assert_close(
-        mapper.localiser.poses[-1][:3, 3] - before[:3, 3],
+        mapper.trajectory.poses[-1][:3, 3] - before[:3, 3],
         torch.tensor([0.05, 0, 0]),
     )
     last = mapper.localiser._tracker._last
     assert last is not None
     torch.testing.assert_close(
         last.T_WC.float(),
-        mapper.localiser.poses[-1],
+        mapper.trajectory.poses[-1],
         atol=1e-5,
         rtol=0,
     )
@@ -116,7 +116,7 @@ def test_a_state_goes_on_with_its_frames(frames):
     again = GSFusion.from_state_dict(mapper.state_dict())
     for m in (mapper, again):
         correct(m, 2 * VOXEL_M)
-    assert_fused_at(again, frames, mapper.localiser.poses)
+    assert_fused_at(again, frames, mapper.trajectory.poses)
 
 
 def test_no_frame_is_kept_that_no_loop_may_move(frames):
@@ -158,7 +158,7 @@ def test_what_a_rule_remembers_of_the_world_moves_with_the_gaussians(frames):
     (seen,) = mapper.rule_in_use.memory["seen"]
     torch.testing.assert_close(seen["xyz_W"], mapper.gaussians.params.xyz_W)
     assert not torch.equal(seen["xyz_W"], before["seen"][0]["xyz_W"])
-    poses = torch.stack(mapper.localiser.poses)
+    poses = torch.stack(mapper.trajectory.poses)
     torch.testing.assert_close(mapper.rule_in_use.memory["T_WC"], poses)
     torch.testing.assert_close(
         seen["xyz_W"] + 2 * seen["normal_W"], poses[seen["frame_index"], :3, 3]
@@ -174,7 +174,7 @@ def test_gps_slam_looks_at_the_new_volume_from_the_corrected_poses(frames):
     old_discs = mapper.files.standard_gaussians().xyz_W
     assert len(mapper.views) > 0
     correct(mapper, 2 * VOXEL_M)
-    poses = mapper.localiser.poses
+    poses = mapper.trajectory.poses
     assert_fused_at(mapper, frames, poses)
     assert len(mapper.views) == 0  # what they saw was the old volume
     discs = mapper.files.standard_gaussians().xyz_W
@@ -227,7 +227,7 @@ def test_a_loop_closes_and_a_loss_is_overcome(there_and_back, system, monkeypatc
     ]
     assert any(late >= 11 and early <= 4 for late, early in closed)
     true = torch.stack([f.T_WC for f in there_and_back]).double()
-    assert ate_rmse(torch.stack(localiser.poses).double(), true) < 0.01
+    assert ate_rmse(torch.stack(localiser.trajectory.poses).double(), true) < 0.01
 
     last = there_and_back[-1]
     far = there_and_back[6]
@@ -237,7 +237,7 @@ def test_a_loop_closes_and_a_loss_is_overcome(there_and_back, system, monkeypatc
     with pytest.raises(BadFrameError, match="frame 16 cannot be mapped"):
         mapper.step(covered)
     mapper.step(dataclasses.replace(far, index=17, timestamp_s=1.7))
-    degrees, metres = se3.motion(localiser.poses[-1], far.T_WC)
+    degrees, metres = se3.motion(localiser.trajectory.poses[-1], far.T_WC)
     assert metres < 0.02
     assert degrees < 0.5
 
@@ -252,7 +252,7 @@ def test_a_tsdf_that_cannot_be_made_again_stays_and_says_so(frames, monkeypatch)
     monkeypatch.setattr(type(mapper.fused), "fused_again", no_room)
     correct(mapper, 2 * VOXEL_M)
     assert mapper.volume is before
-    last = mapper.localiser.frame_indices[-1]
+    last = mapper.trajectory.frame_indices[-1]
     assert mapper.notes[-1] == (
         f"the TSDF stays as it was before the loop at frame {last}: no room for 7 blocks"
     )

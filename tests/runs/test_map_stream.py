@@ -116,7 +116,7 @@ def test_a_mapper_goes_on_with_its_maps(tmp_path, frames, config):
     n = len(mapper.gaussians)
     run = map_stream(frames[4:8], mapper, folder=tmp_path / "b")
     assert len(mapper.gaussians) > n
-    assert mapper.localiser.frame_indices == list(range(8))
+    assert mapper.trajectory.frame_indices == list(range(8))
     assert len(run.run.poses) == run.metrics["n_frames"] == 4
     assert len(read_trajectory_tum(run.folder / "trajectory.txt")[0]) == 4
     assert run.metrics["psnr_mapped_db"] > 15
@@ -277,7 +277,7 @@ def test_a_tracked_stream(tmp_path, config, has_poses):
     tracked = replace(config, tracking__poses="tracked", tsdf__voxel_size_m=0.03)
     run = map_stream(source, make_mapper(tracked), policy="all", folder=tmp_path / "out")
     _, poses = read_trajectory_tum(run.folder / "trajectory.txt")
-    truth = torch.stack([walk.pose(i) for i in run.mapper.localiser.frame_indices]).double()
+    truth = torch.stack([walk.pose(i) for i in run.mapper.trajectory.frame_indices]).double()
     assert (poses[:, :3, 3] - truth[:, :3, 3]).norm(dim=1).max() < 0.02
     if has_poses:
         assert run.metrics["n_views_held_out"] == 3
@@ -376,7 +376,7 @@ def open_stream(frames):
 
 def errors_m(run, frames):
     truth = {i: f.T_WC for i, f in enumerate(frames) if isinstance(f, Frame)}
-    indices = run.mapper.localiser.frame_indices
+    indices = run.mapper.trajectory.frame_indices
     return [
         float((p[:3, 3] - truth[i][:3, 3]).norm()) for i, p in zip(indices, run.poses, strict=True)
     ]
@@ -400,7 +400,7 @@ def test_frames_that_cannot_be_used_are_named_and_the_path_goes_on(room, system)
         *room[11:20],
     ]
     run = mapped(frames, system)
-    assert run.mapper.localiser.frame_indices == [0, 1, 2, 3, 4, 5, 6, 7, *range(11, 20)]
+    assert run.mapper.trajectory.frame_indices == [0, 1, 2, 3, 4, 5, 6, 7, *range(11, 20)]
     assert len(run.warnings) >= 3
     assert "depth" in run.warnings[0]
     assert "black" in run.warnings[1]
@@ -420,11 +420,11 @@ def test_a_jump_loses_the_camera_until_it_returns(room, system):
     away = [room[-10 + i % 6] for i in range(24)]  # another corner of the room, never mapped
     frames = room[:14] + away + room[10:20]
     run = mapped(frames, system)
-    lost = set(range(14, 38)) - set(run.mapper.localiser.frame_indices)
+    lost = set(range(14, 38)) - set(run.mapper.trajectory.frame_indices)
     assert len(lost) >= 23
     assert any("cannot be tracked" in w for w in run.warnings)
     assert sum("skipped a frame" in w for w in run.warnings) == 20
-    back = [i for i in run.mapper.localiser.frame_indices if i >= 38]
+    back = [i for i in run.mapper.trajectory.frame_indices if i >= 38]
     assert len(back) >= 8
     assert max(errors_m(run, frames)) < 0.03
 

@@ -50,8 +50,8 @@ def test_the_camera_is_located_and_the_map_goes_on(parent, whole):
     assert [step.tracking["status"] for step in whole.run.steps] == ["located"] + ["ok"] * 7
     assert mapper.n_frames == 18
     assert len(mapper.gaussians) > len(first)
-    assert mapper.localiser.frame_indices[10:] == list(range(8, 16))
-    assert max(mapper.localiser.frame_indices[:10]) < 0
+    assert mapper.trajectory.frame_indices[10:] == list(range(8, 16))
+    assert max(mapper.trajectory.frame_indices[:10]) < 0
     assert len(whole.run.poses) == 8
     source = room(**ROOM)
     for k, T_WC in enumerate(whole.run.poses):
@@ -95,7 +95,7 @@ def test_a_run_goes_on_in_the_map_of_a_run_that_went_on(whole, tmp_path):
         "room", config, onto=whole.folder, folder=tmp_path / "third", evaluate=False, **ROOM
     )
     assert third.mapper.n_frames == 22
-    indices = third.mapper.localiser.frame_indices
+    indices = third.mapper.trajectory.frame_indices
     assert indices == sorted(indices)
     assert indices[-4:] == [14, 15, 16, 17]
 

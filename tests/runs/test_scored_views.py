@@ -84,8 +84,8 @@ def views():
 
 def localiser(poses: str, moved: dict[int, torch.Tensor]) -> Localiser:
     found = Localiser(TrackingConfig(poses=poses))  # pyright: ignore[reportArgumentType]
-    found.frame_indices = list(moved)
-    found.poses = list(moved.values())
+    found.trajectory.frame_indices = list(moved)
+    found.trajectory.poses = list(moved.values())
     return found
 
 
@@ -128,7 +128,7 @@ def test_a_mapped_frame_has_its_tracked_pose_and_others_follow_the_nearest(views
 
 def test_ground_truth_poses_of_the_mapped_frames(views):
     found = localiser("tracked", dict.fromkeys((0, 3, 9), MOTION))
-    truth = ground_truth_poses(found.frame_indices, views.mapping)
+    truth = ground_truth_poses(found.trajectory.frame_indices, views.mapping)
     assert truth is not None
     assert torch.equal(
         truth,
@@ -145,7 +145,7 @@ def test_the_true_poses_count_more_than_those_of_the_data(views):
 
     for source in (Wrong(), repaired(Wrong(), RepairConfig(depth_factor=2.0))):
         truth = ground_truth_poses(
-            localiser("given", {0: MOTION}).frame_indices,
+            localiser("given", {0: MOTION}).trajectory.frame_indices,
             dataclasses.replace(views.mapping, source=source),
         )
         assert truth is not None
@@ -157,13 +157,13 @@ def test_only_poses_that_moved_have_a_trajectory_error(views):
         "given",
         {i: MOTION @ Walk().pose(i) for i in (0, 1, 3, 5)},
     )
-    found.given_poses = list(found.poses)
+    found.trajectory.given_poses = list(found.trajectory.poses)
     run = object.__new__(MappingRun)
-    run.mapper = SimpleNamespace(localiser=found, n_frames=0)
+    run.mapper = SimpleNamespace(localiser=found, trajectory=found.trajectory, n_frames=0)
     run.sequence = views
     run.steps = []
     assert score_trajectory(run) == {}
-    found.refine(
+    found.trajectory.refine(
         2,
         MOTION @ Walk().pose(3) @ se3.exp(torch.tensor([0.0, 0.04, 0.0, 0.0, 0.0, 0.0])),
     )

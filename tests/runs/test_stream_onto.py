@@ -67,7 +67,7 @@ def test_a_camera_is_located_and_its_frames_count_from_zero(parent, tmp_path):
     finished = map_stream(run, folder=tmp_path / "run")
     assert not run.is_looking
     assert run.status == "complete"
-    indices = run.mapper.localiser.frame_indices
+    indices = run.mapper.trajectory.frame_indices
     assert indices[10:] == [2, 3, 4, 5, 6, 7]
     assert max(indices[:10]) < 0
     assert max(errors_m(run, list(range(8, 14)))) < 0.02

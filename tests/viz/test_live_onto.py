@@ -94,7 +94,7 @@ def test_it_can_be_paused_and_stopped_while_it_looks(parent):
 
 def test_the_camera_is_drawn_where_it_is(parent):
     mapper = stream_onto(camera([]), parent).mapper
-    earlier = mapper.localiser.poses
+    earlier = mapper.trajectory.poses
     ahead = earlier[0].clone()
     ahead[:3, 3] += 0.5 * earlier[0][:3, 2]
     shown = {}

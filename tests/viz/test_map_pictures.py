@@ -129,11 +129,11 @@ def test_a_tracked_frame_is_drawn_at_the_pose_where_it_was_mapped(rtg_run):
     run = rtg_run(n=3)
     live = LiveMapper(run)
     live.run_sync()
-    moved = run.mapper.localiser.poses[-1].clone()
+    moved = run.mapper.trajectory.poses[-1].clone()
     moved[0, 3] += 0.1
-    run.mapper.localiser.poses[-1] = moved
+    run.mapper.trajectory.poses[-1] = moved
     assert torch.equal(live._last_frame().T_WC, moved)
-    run.mapper.localiser.frame_indices[-1] = 99
+    run.mapper.trajectory.frame_indices[-1] = 99
     assert not torch.equal(live._last_frame().T_WC, moved)
 
 
