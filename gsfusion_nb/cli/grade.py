@@ -69,7 +69,8 @@ def run(options: GradeOptions) -> int:
             _set_aside(path)
     elif earlier := len(journal.read()):
         print(
-            f"{earlier} marks are known from before ({journal.path}); --no-resume: mark all again"
+            f"{earlier} marks are known from before ({journal.path}). They are taken where the "
+            "code, the limits and this program have not changed; --no-resume: mark all again"
         )
     marks = grade(
         submissions,

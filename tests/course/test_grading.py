@@ -3,6 +3,7 @@ mark."""
 
 import ast
 import csv
+import os
 import re
 from pathlib import Path
 
@@ -85,6 +86,19 @@ def test_what_is_no_submission_is_said(tmp_path):
     assert all(read_code(file).problem for file in tmp_path.iterdir())
     with pytest.raises(ValueError, match="absent"):
         find_submissions([tmp_path / "absent"])
+
+
+def test_what_is_no_file_gets_a_line_and_stops_nothing(tmp_path):
+    folder = tmp_path / "class"
+    (folder / "folder.py").mkdir(parents=True)
+    os.mkfifo(folder / "endless.py")  # whose end never comes
+    (folder / "link").symlink_to(SUBMISSIONS)
+    (folder / "data").symlink_to(tmp_path / "empty")
+    submissions = find_submissions([folder])
+    assert [s.student for s in submissions] == ["endless", "folder", "link"]
+    problems = [read_code(file).problem for s in submissions for file in s.files]
+    for problem, words in zip(problems, ("a pipe", "a folder", "a link to"), strict=True):
+        assert words in problem
 
 
 def test_whose_a_file_is(tmp_path):

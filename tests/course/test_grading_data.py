@@ -46,6 +46,16 @@ def test_values_arrive_as_they_were():
     assert len(crossed(Seeds.empty())) == 0
 
 
+@pytest.mark.parametrize("kind", ["set", "frozenset", "dict"])
+def test_keys_with_equal_hashes_take_no_hours(kind):
+    keys = [number * (2**61 - 1) for number in range(100_000)]  # all have the hash 0
+    assert len({hash(key) for key in keys}) == 1
+    content = [[key, 0] for key in keys] if kind == "dict" else keys
+    for value in ({kind: content}, {"list": [0, {"tuple": [{kind: content}]}]}):
+        with pytest.raises(DataError, match="more than 20,000 entries"):
+            decode(message({"value": value, "sizes": []}))
+
+
 def test_an_object_leaves_only_its_name():
     class Liar:
         def __eq__(self, other):

@@ -1,6 +1,7 @@
 """A grading that is stopped loses nothing, and goes on where it was."""
 
 import csv
+import time
 from pathlib import Path
 
 import pytest
@@ -100,6 +101,23 @@ def test_marks_of_another_program_are_not_taken(tmp_path, judged, monkeypatch):
     monkeypatch.setattr(module, "grader_digest", lambda: "a checker that was changed")
     grade(submissions, NAMES, limits=Limits(), journal=journal)
     assert len(judged) == 12
+
+
+def busy_judge(exercise, cells, limits, library):
+    """A judge that a submission keeps busy, if it is asked about block_of."""
+    time.sleep(600 if exercise == "block_of" else 0)
+    return Verdict(exercise=exercise, state="passed")
+
+
+def test_a_judge_that_is_kept_busy_is_replaced(tmp_path, monkeypatch):
+    submit(tmp_path / "class")
+    submissions = find_submissions([tmp_path / "class"])[:1]
+    monkeypatch.setattr(module, "judge", busy_judge)
+    monkeypatch.setattr(module, "copy_library", lambda folder: folder)
+    monkeypatch.setattr(module, "_JUDGE_S", 2.0)
+    busy, free = grade(submissions, NAMES, limits=Limits(seconds=1.0), jobs=1)
+    assert (busy.points, free.points) == (0, 2)
+    assert "busy for more than 3 s" in busy.message
 
 
 def test_a_journal_that_is_none_is_refused(tmp_path):

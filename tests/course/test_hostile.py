@@ -25,6 +25,7 @@ SAID = {
     "endless_import": "more than 10 s",
     "stopped": "more than 10 s",
     "long_message": "characters)",
+    "equal_hashes": "more than 20,000 entries",
     "link": "is a link",
     "killed_parent": "SIGKILL",
     "changed_inputs": "has changed",

@@ -26,6 +26,9 @@ LARGEST_BYTES = 64 << 20
 """Of a message."""
 _LARGEST_HEAD = 8 << 20
 """Of the JSON in it: what is not an array."""
+_MOST_KEYS = 20_000
+"""Entries of all sets and dicts of a message. Keys with equal hashes, which anybody can choose,
+take a time that grows with the square of their number."""
 LONGEST_WORDS = 2000
 """Characters of what is said of a submission."""
 LENGTH = struct.Struct("<Q")
@@ -44,6 +47,7 @@ _SEQUENCES: dict[str, Any] = {
     "set": set,
     "frozenset": frozenset,
 }
+_WITH_KEYS = ("set", "frozenset", "dict")
 _OBJECTS = {"Camera": Camera, "Seeds": Seeds}
 
 
@@ -97,6 +101,8 @@ def decode(document: bytes | bytearray) -> Any:
             start += length
         if start != len(document):
             raise DataError("the buffers are not as long as it says")
+        if _count_keys(head["value"]) > _MOST_KEYS:
+            raise DataError(f"its sets and dicts have more than {_MOST_KEYS:,} entries")
         return _value(head["value"], buffers)
     except DataError:
         raise
@@ -142,6 +148,20 @@ def _tensor_tree(value: Tensor, buffers: list[bytes]) -> dict[str, Any]:
         "dtype": str(plain.dtype).removeprefix("torch."),
         "shape": list(plain.shape),
     }
+
+
+def _count_keys(tree: Any) -> int:
+    """Entries of all sets and dicts in a tree; nothing is hashed."""
+    count = 0
+    rest = [tree]
+    while rest:
+        part = rest.pop()
+        if isinstance(part, list):
+            rest += part
+        elif isinstance(part, dict):
+            count += sum(len(part.get(kind, ())) for kind in _WITH_KEYS)
+            rest += part.values()
+    return count
 
 
 def _value(tree: Any, buffers: Sequence[bytes | bytearray]) -> Any:

@@ -1,8 +1,11 @@
 """Grading a class: each function in a process of its own, several at a time, each mark kept as soon
 as it is known."""
 
+import contextlib
 import multiprocessing
+import os
 import platform
+import signal
 import tempfile
 import threading
 import time
@@ -26,6 +29,10 @@ from .marks import Mark, mark_of
 from .process import become_reaper
 from .sandbox import bubblewrap
 from .submission import Cell, Submission, choose, read_code
+
+_JUDGE_S = 300.0
+"""For the start of a process and for what the judge itself computes, beside the time of the
+function."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,6 +137,7 @@ class _Judges:
     def __init__(self, limits: Limits, library: Path):
         self._limits = limits
         self._library = library
+        self._longest_s = limits.seconds + _JUDGE_S
         self._of_thread = threading.local()
         self._every: list[ProcessPoolExecutor] = []
 
@@ -140,24 +148,37 @@ class _Judges:
         for pool in self._every:
             pool.shutdown(cancel_futures=True)
 
+    def _pool(self) -> ProcessPoolExecutor:
+        """That of this thread, with one process."""
+        if getattr(self._of_thread, "pool", None) is None:
+            spawn = multiprocessing.get_context("spawn")
+            pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=become_reaper)
+            self._every.append(pool)
+            self._of_thread.pid = pool.submit(os.getpid).result()
+            self._of_thread.pool = pool
+        return self._of_thread.pool
+
     def verdict(self, item: _Item) -> Verdict:
         """The verdict on one function."""
         if item.cells is None:
             return Verdict(
                 exercise=item.exercise, state="failed", prop="it is submitted", detail=item.problem
             )
-        pool = getattr(self._of_thread, "pool", None)
-        if pool is None:
-            spawn = multiprocessing.get_context("spawn")
-            pool = ProcessPoolExecutor(1, mp_context=spawn, initializer=become_reaper)
-            self._of_thread.pool = pool
-            self._every.append(pool)
         arguments = (item.exercise, item.cells, self._limits, self._library)
         try:
-            return pool.submit(judge, *arguments).result()
+            pool = self._pool()
+            return pool.submit(judge, *arguments).result(self._longest_s)
         except BrokenProcessPool:
             self._of_thread.pool = None
             detail = "the process that marks it was ended while it ran"
+        except TimeoutError:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self._of_thread.pid, signal.SIGKILL)
+            self._of_thread.pool = None
+            detail = (
+                f"what it sent kept the process that marks it busy for more than "
+                f"{self._longest_s:g} s"
+            )
         except (OSError, ForeseenError):  # of this machine, not of the submission
             raise
         except Exception as e:

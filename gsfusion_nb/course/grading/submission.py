@@ -4,7 +4,7 @@ needs."""
 import ast
 import re
 import symtable
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from ..attempt import Failed
 
 _OF_CHAPTER = re.compile(r"\d\d[_.]")
 _MAGIC = re.compile(r"^(\s*)[%!?].*$", re.MULTILINE)
+_KINDS = ("*.ipynb", "*.py")
 _LARGEST_BYTES = 64 << 20
 
 
@@ -56,11 +57,7 @@ def find_submissions(paths: Sequence[Path]) -> list[Submission]:
     """
     files: dict[str, list[Path]] = {}
     for path in paths:
-        submissions = (
-            [path]
-            if path.is_file()
-            else sorted(f for kind in ("*.ipynb", "*.py") for f in path.rglob(kind))
-        )
+        submissions = [path] if path.is_file() else sorted(_files_in(path))
         submissions = [
             file
             for file in submissions
@@ -79,12 +76,22 @@ def find_submissions(paths: Sequence[Path]) -> list[Submission]:
     ]
 
 
+def _files_in(folder: Path) -> Iterator[Path]:
+    """Notebooks and .py files of a folder and its sub-folders; a sub-folder that is a link to a
+    folder with some stands for itself, so that its student gets a line."""
+    for kind in _KINDS:
+        yield from folder.rglob(kind)
+    for path in folder.glob("*"):
+        if path.is_symlink() and any(any(path.resolve().rglob(kind)) for kind in _KINDS):
+            yield path
+
+
 def read_code(file: Path) -> Code:
     """The code cells of a notebook, or a .py file as one cell; nothing is run. A link is not
     followed: it may lead to what somebody else handed in."""
     try:
         if file.is_symlink():
-            raise ArgumentError("it is a link to another file; hand in the file itself")
+            raise ArgumentError("it is a link to another place; hand in the file itself")
         if file.suffix == ".ipynb":
             return Code(
                 file=file, cells=_cells(read_object(file, "a notebook", at_most=_LARGEST_BYTES))
