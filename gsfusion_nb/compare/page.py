@@ -5,7 +5,7 @@ The plot has one part for each scene and cost, with the front of the rules that 
 """
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -96,9 +96,11 @@ def _draw(
     cost_name: str,
     scene: str,
 ) -> None:
+    from matplotlib.ticker import NullFormatter
+
     axes.set_xlabel(COSTS[cost_name], color=MUTED)
     axes.set_ylabel(COLUMNS[FIRST_METRIC].name, color=MUTED)
-    axes.tick_params(colors=MUTED)
+    axes.tick_params(colors=MUTED, which="both")
     axes.grid(True, which="major", color=GRID, linewidth=0.8)
     axes.set_axisbelow(True)
     title = f"{scene}\nred: on the Pareto front".strip()
@@ -146,19 +148,64 @@ def _draw(
             alpha=0.5,
             zorder=1,
         )
-        i = max(own, key=lambda i: quality[i])
-        axes.annotate(
+    axes.margins(x=0.2, y=0.15)
+    if cost.max() >= 2 * cost.min():
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(_plain_number)
+        is_short = cost.max() < 10 * cost.min()  # then powers of ten alone are too few
+        axes.xaxis.set_minor_formatter(_plain_number if is_short else NullFormatter())
+    best_of = {name: max(_rows_of(names, name), key=lambda i: quality[i]) for name in names}
+    _write_names(axes, best_of, cost, quality)
+
+
+def _rows_of(names: Sequence[str], name: str) -> list[int]:
+    return [i for i, other in enumerate(names) if other == name]
+
+
+def _plain_number(value: float, _: int) -> str:
+    """A tick of a logarithmic axis at 1, 2, 3 or 5 times a power of ten; another one has no
+    number."""
+    first_digit = f"{value:.0e}"[0]
+    return f"{value:,.6g}" if first_digit in "1235" else ""
+
+
+_PLACES = tuple(
+    {"xytext": (side * 5, height), "ha": "left" if side > 0 else "right"}
+    for height in (4, -11, 14, -21, 24, -31)
+    for side in (1, -1)
+)
+"""Where a name may stand beside its point, the best place first; in points."""
+
+
+def _write_names(
+    axes: "Axes", best_of: Mapping[str, int], cost: np.ndarray, quality: np.ndarray
+) -> None:
+    """Write each name beside its best point, at the first place in the graph at which it covers no
+    other name and no point; at the first one where there is none."""
+    from matplotlib.transforms import Bbox
+
+    axes.figure.draw_without_rendering()
+    taken = [
+        Bbox.from_bounds(u - 3, v - 3, 6, 6)
+        for u, v in axes.transData.transform(np.stack([cost, quality], axis=1))
+    ]
+    for name, i in best_of.items():
+        written = axes.annotate(
             name,
             (float(cost[i]), float(quality[i])),
-            xytext=(5, 4),
             textcoords="offset points",
             fontsize=8,
             color=INK,
             parse_math=False,
+            **_PLACES[0],
         )
-    axes.margins(x=0.2, y=0.15)
-    if cost.max() >= 2 * cost.min():
-        axes.set_xscale("log")
+        for place in (*_PLACES, _PLACES[0]):
+            written.set(position=place["xytext"], ha=place["ha"])
+            box = written.get_window_extent()
+            is_inside = axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1
+            if is_inside and not any(box.overlaps(other) for other in taken):
+                break
+        taken.append(box)
 
 
 _RENDER = re.compile(r"held_out (\S+)")
