@@ -147,8 +147,7 @@ def adam(attempt: Attempt) -> None:
         why="returned without the correction",
     )
     attempt.close(v, 0.001 * g**2, "v averages the squared gradient, without the correction")
-    direction = torch.as_tensor(param).sign()
-    attempt.close(direction, [[-1.0], [1.0]], "a positive gradient makes the parameter smaller")
+    attempt.signs(param, [[-1.0], [1.0]], "a positive gradient makes the parameter smaller")
     why = "m_hat / sqrt(v_hat) is the sign of the gradient at t = 1"
     attempt.close(
         param,

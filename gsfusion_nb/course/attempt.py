@@ -192,8 +192,7 @@ class Attempt:
         )
         if excess.numel() and float(excess.max()) > 0:
             at = int(excess.argmax())
-            position = [int(i) for i in np.unravel_index(at, tuple(right.shape))]
-            place = f" for {names[at]}" if names else f" at {position}" if position else ""
+            place = f" for {names[at]}" if names else _place(at, right)
             detail = (
                 f"got {_short(mine.reshape(-1)[at])}{place}, expected "
                 f"{_short(right.reshape(-1)[at])}"
@@ -201,6 +200,35 @@ class Attempt:
             raise Failed(
                 prop, case, f"{detail}{': ' if why[0].islower() else '. '}{why}" if why else detail
             )
+
+    def signs(self, got: Any, reference: Any, prop: str, *, why: str = "") -> None:
+        """``prop`` fails unless ``got`` has the shape of ``reference`` and the signs of its values.
+
+        What is said is the value that was returned, and not its sign.
+        """
+        right = as_tensor(reference)
+        mine = _numbers(got, prop, self.words)
+        if mine.shape != right.shape:
+            shapes = f"the shape is {list(mine.shape)}, expected {list(right.shape)}"
+            self.holds(False, prop, detail=shapes)
+            return
+        others = (mine.sign() != right.sign()).flatten()  # so is NaN
+        at = int(others.int().argmax()) if others.any() else 0
+        expected = {1.0: "a positive number", -1.0: "a negative number", 0.0: "0"}
+        words = expected[float(right.sign().flatten()[at])]
+        detail = f"got {_short(mine.flatten()[at])}{_place(at, right)}, expected {words}"
+        self.holds(not others.any(), prop, detail=f"{detail}: {why}" if why else detail)
+
+    def rigid(self, R: Any, prop: str, *, why: str = "") -> None:
+        """``prop`` fails unless ``R`` [3, 3] is a rotation or a reflection."""
+        rows = _numbers(R, prop, self.words)
+        off = (rows @ rows.T - torch.eye(3, dtype=rows.dtype)).abs()
+        lengths = ", ".join(_short(length) for length in rows.norm(dim=1))
+        detail = (
+            f"the rows of its rotation have the lengths {lengths}; expected 1, 1, 1, and right "
+            "angles between them"
+        )
+        self.holds(off.max() <= 1e-6, prop, detail=f"{detail}: {why}" if why else detail)
 
     def unpack(self, value: Any, names: Sequence[str]) -> tuple[Any, ...]:
         """The parts of a returned tuple, one for each name; fails unless there are exactly that
@@ -271,6 +299,12 @@ def _numbers(value: Any, prop: str, case: str) -> Tensor:
         raise Failed(
             prop, case, f"it returned {describe([value])}, which is not an array of numbers"
         ) from None
+
+
+def _place(at: int, values: Tensor) -> str:
+    """Where element number ``at`` stands, in words; empty for a single number."""
+    position = [int(i) for i in np.unravel_index(at, tuple(values.shape))]
+    return f" at {position}" if position else ""
 
 
 def _short(value: Tensor) -> str:

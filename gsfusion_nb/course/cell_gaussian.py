@@ -122,7 +122,9 @@ def cell_to_gaussian(attempt: Attempt) -> None:
         names,
     )
     prop = "on a wall twice as far the same cell is twice as large in metres"
-    attempt.close(float(scale_far) / float(scale), 2.0, prop, tolerance=1e-4)
+    near, far = float(scale), float(scale_far)
+    detail = f"got {near:.5g} m on the near wall and {far:.5g} m on the far one"
+    attempt.holds(abs(far - 2 * near) <= 2e-4 * abs(near), prop, detail=detail)
     attempt.on(case).close(
         scale,
         2.0 * math.hypot(2, 4) / 20,

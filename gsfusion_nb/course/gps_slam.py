@@ -386,12 +386,7 @@ def blend_over_vjp(attempt: Attempt) -> None:
         v_c, [[0.5, 0.0, 0.0]], "q = v_C / (1 + W)", why="1 / (1 + 1), times the weight 1"
     )
     prop = "more weight pulls the pixel towards the Gaussian's colour"
-    attempt.close(
-        torch.as_tensor(v_w).sign(),
-        [1.0],
-        prop,
-        why="white is brighter than the pixel",
-    )
+    attempt.signs(v_w, [1.0], prop, why="white is brighter than the pixel")
     attempt.on("a Gaussian with exactly the colour of the pixel")
     own = torch.tensor([0.2, 0.5, 0.7], dtype=F64)
     v_w, _ = attempt.unpack(

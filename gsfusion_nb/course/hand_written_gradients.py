@@ -114,9 +114,7 @@ def l1_gradient(attempt: Attempt) -> None:
     """Gradient of the mean absolute difference of two images."""
     dark = torch.full((2, 2, 3), 0.4)
     got = attempt.on("a picture of 2 x 2 pixels, everywhere 0.2 too bright")(dark + 0.2, dark)
-    attempt.close(
-        torch.as_tensor(got).sign(), torch.ones(2, 2, 3), "too bright means a positive gradient"
-    )
+    attempt.signs(got, torch.ones(2, 2, 3), "too bright means a positive gradient")
     attempt.close(
         got,
         torch.full((2, 2, 3), 1 / 12),

@@ -67,8 +67,7 @@ def predict(attempt: Attempt) -> None:
     attempt.close(got[:3, 3], [0.0, 0.0, 0.2], "a constant motion continues")
     curve = se3.exp(torch.tensor([0.0, 0.0, 0.1, 0.0, 0.3, 0.0], dtype=torch.float64))
     got = attempt.on("forward and turning by 17 degrees")(curve, curve @ curve)
-    R = got[:3, :3]
-    attempt.close(R @ R.T, torch.eye(3), "the result is a rigid motion", tolerance=1e-6)
+    attempt.rigid(got[:3, :3], "the result is a rigid motion")
     attempt.close(
         got,
         curve @ curve @ curve,

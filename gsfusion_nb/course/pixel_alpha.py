@@ -237,8 +237,8 @@ def splat_alpha_vjp(attempt: Attempt) -> None:
     v_uv, _, v_opacity = attempt.unpack(attempt(one, 0 * one, conic, o, -one), names)
     bell = torch.exp(torch.tensor(-0.125, dtype=f64))
     why = "the gradient is negative there, and descent goes against it"
-    attempt.close(
-        torch.as_tensor(v_uv).sign(),
+    attempt.signs(
+        v_uv,
         [-1.0, 0.0],
         "more alpha to the right of it pulls the centre to the right",
         why=why,

@@ -215,10 +215,4 @@ def gauss_newton(attempt: Attempt) -> None:
         quarter,
         [0.0, 0.0, 0.0, 0.1, -0.2, 0.2],
     )[:3, :3]
-    attempt.close(
-        R @ R.T,
-        torch.eye(3),
-        "the result is a rigid motion",
-        tolerance=1e-6,
-        why="use se3.exp, not I + hat",
-    )
+    attempt.rigid(R, "the result is a rigid motion", why="use se3.exp, not I + hat")

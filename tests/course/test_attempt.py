@@ -1,6 +1,7 @@
 """The machinery: what a verdict says, hints on request, and what an attempt notices."""
 
 import dataclasses
+import math
 
 import pytest
 import torch
@@ -269,3 +270,43 @@ def test_choosing_rows_of_a_value_of_the_library_is_no_borrowed_answer():
         return ctx.cells()[ctx.render().alpha[y, x][ctx.has_depth()[y, x]] < max_alpha]
 
     assert check.silhouette_rule(silhouette_rule).state == "passed"
+
+
+SAYS = {
+    ("adam", 1): "got 0.01 at [0, 0], expected a negative number",
+    ("l1_gradient", 1): "got -0.083333 at [0, 0, 0], expected a positive number",
+    ("splat_alpha_vjp", 1): "got 0.11031 at [0], expected a negative number",
+    ("blend_over_vjp", 5): "got -0.25 at [0], expected a positive number",
+    ("cell_to_gaussian", 4): "got 0.22361 m on the near wall and 0.22361 m on the far one",
+    ("gauss_newton", 4): "have the lengths 1.0399, 1.0232, 1.0259; expected 1, 1, 1",
+    ("predict", 2): "have the lengths 1.0857, 1, 1.0857; expected 1, 1, 1",
+}
+
+
+@pytest.mark.parametrize(("name", "number"), SAYS)
+def test_a_verdict_names_what_was_returned_and_no_sign_or_ratio_of_it(name, number):
+    exercise = exercises()[name]
+    verdict = exercise.verdict_on(LocalSubject(exercise.wrong[number - 1].function))
+    assert SAYS[name, number] in verdict.detail
+
+
+def test_signs_by_hand():
+    attempt = Attempt(LocalSubject(lambda: None)).on("an input")
+    attempt.signs([2.0, -0.1, 0.0], [1.0, -1.0, 0.0], "they point there")
+    for got, words in (
+        ([2.0, 0.3, 0.0], r"got 0.3 at \[1\], expected a negative number: downhill"),
+        ([2.0, -0.3, 0.5], r"got 0.5 at \[2\], expected 0"),
+        ([math.nan, -0.3, 0.0], r"got nan at \[0\], expected a positive number"),
+        ([2.0], r"the shape is \[1\], expected \[3\]"),
+        ("a text", "not an array of numbers"),
+    ):
+        with pytest.raises(Failed, match=words):
+            attempt.signs(got, [1.0, -1.0, 0.0], "they point there", why="downhill")
+
+
+def test_a_rotation_by_hand():
+    attempt = Attempt(LocalSubject(lambda: None)).on("an input")
+    attempt.rigid([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]], "it is rigid")
+    for R in ([[1.0, 1, 0], [0, 1, 0], [0, 0, 1]], [[math.nan] * 3] * 3):
+        with pytest.raises(Failed, match="right angles"):
+            attempt.rigid(R, "it is rigid")
