@@ -5,6 +5,7 @@ import math
 import torch
 from torch import Tensor
 
+from ..geometry import camera as cameras
 from ..geometry import se3
 from ..types import Camera
 from .exercise import Attempt, Wrong, exercise
@@ -60,6 +61,7 @@ def _project_to_whole_pixels(camera: Camera, xyz_C: Tensor) -> Tensor:
     difficulty=1,
     minutes=5,
     solution=_project,
+    replaces=(cameras.project,),
     hints=(
         "Similar triangles: a point twice as far away lands half as far from the principal point.",
         "u = fx x / z + cx, and the same for v.",
@@ -125,6 +127,7 @@ def _lift_with_one_focal_length(camera: Camera, uv: Tensor, depth_m: Tensor) -> 
     difficulty=2,
     minutes=8,
     solution=_lift,
+    replaces=(cameras.backproject,),
     hints=(
         "Solve Eq. 4 for x and y; z is known.",
         "The ray ((u - cx) / fx, (v - cy) / fy, 1) has z = 1. What must it be multiplied by to get "
@@ -201,6 +204,7 @@ def _invert_by_transposing(T: Tensor) -> Tensor:
     difficulty=2,
     minutes=8,
     solution=_invert,
+    replaces=(se3.inverse,),
     hints=(
         "x_W = R x_C + t. Solve for x_C; R^-1 = R^T.",
         "x_C = R^T (x_W - t) = R^T x_W - R^T t: the translation is turned too.",

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from ..data import open_sequence
+from ..evaluation import image
 from .exercise import Attempt, Becomes, Wrong, Yours, exercise
 
 
@@ -98,6 +99,7 @@ def _negative(rendered: Tensor, photo: Tensor) -> Tensor:
     difficulty=2,
     minutes=8,
     solution=_psnr,
+    replaces=(image.psnr,),
     hints=(
         "Peak signal to noise: the peak is 1 here. Noise is the mean of the squared differences.",
         "10 log10(peak^2 / MSE). With peak 1 that is -10 log10(MSE).",

@@ -83,6 +83,7 @@ def test_what_is_no_submission_is_said(tmp_path):
     (tmp_path / "latin.py").write_bytes(b"# \xe9")
     (tmp_path / "link.py").symlink_to(SUBMISSIONS / "right.py")  # what somebody else handed in
     (tmp_path / "deep.ipynb").write_text("[" * 100_000)
+    (tmp_path / "long.py").write_text("def psnr(a, b): return 1\n" + "\n" * 4_000_000)
     assert all(read_code(file).problem for file in tmp_path.iterdir())
     with pytest.raises(ValueError, match="absent"):
         find_submissions([tmp_path / "absent"])

@@ -13,6 +13,7 @@ from gsfusion_nb.course.grading.journal import Journal
 from gsfusion_nb.course.grading.judge import Limits
 from gsfusion_nb.course.grading.submission import find_submissions
 from gsfusion_nb.course.verdict import Verdict
+from gsfusion_nb.errors import ArgumentError
 
 NAMES = ("block_of", "zero_crossing")
 STUDENTS = ("ann", "bob", "eve")
@@ -107,6 +108,23 @@ def busy_judge(exercise, cells, limits, library):
     """A judge that a submission keeps busy, if it is asked about block_of."""
     time.sleep(600 if exercise == "block_of" else 0)
     return Verdict(exercise=exercise, state="passed")
+
+
+def astonished_judge(exercise, cells, limits, library):
+    """A judge for whom the library refuses what a submission sent."""
+    if exercise == "block_of":
+        raise ArgumentError("a camera 0 pixels wide")
+    return Verdict(exercise=exercise, state="passed")
+
+
+def test_an_error_of_the_library_is_the_mark_of_one_function(tmp_path, monkeypatch):
+    submit(tmp_path / "class")
+    submissions = find_submissions([tmp_path / "class"])[:1]
+    monkeypatch.setattr(module, "judge", astonished_judge)
+    monkeypatch.setattr(module, "copy_library", lambda folder: folder)
+    refused, passed = grade(submissions, NAMES, limits=Limits(), jobs=1)
+    assert (refused.points, passed.points) == (0, 2)
+    assert "a camera 0 pixels wide" in refused.message
 
 
 def test_a_judge_that_is_kept_busy_is_replaced(tmp_path, monkeypatch):

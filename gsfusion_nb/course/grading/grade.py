@@ -17,13 +17,12 @@ from pathlib import Path
 
 import torch
 
-from ...errors import ForeseenError
 from ...resources import usable_cores
 from ..exercise import exercises
 from ..verdict import Verdict
 from .data import cut
 from .journal import Journal, mark_key
-from .judge import Limits, judge
+from .judge import Limits, check_system, judge
 from .library import copy_library, grader_digest
 from .marks import Mark, mark_of
 from .process import become_reaper
@@ -68,7 +67,12 @@ def grade(
         journal: What an earlier grading found is taken from it, and what this one finds is added.
         tell: Gets a line for each student.
         keep: Gets all marks so far, in order, whenever there is one more.
+
+    Raises:
+        ValueError: this system cannot judge a submission.
+        OSError: this machine could not, for example because its disk is full.
     """
+    check_system()
     items = [
         item for i, submission in enumerate(submissions) for item in _items(i, submission, names)
     ]
@@ -179,7 +183,7 @@ class _Judges:
                 f"what it sent kept the process that marks it busy for more than "
                 f"{self._longest_s:g} s"
             )
-        except (OSError, ForeseenError):  # of this machine, not of the submission
+        except OSError:  # of this machine, not of the submission
             raise
         except Exception as e:
             detail = f"the judge could not go on: {type(e).__name__}: {e}"

@@ -163,6 +163,16 @@ def _parameters(shown: Sequence[Any]) -> list[inspect.Parameter]:
     return parameters
 
 
+def check_system() -> None:
+    """Refuse a system on which no submission can be judged.
+
+    Raises:
+        ValueError: it has no processes of the kind that is needed.
+    """
+    if find_spec("resource") is None:
+        raise ArgumentError("grading needs Linux, macOS, or the Windows Subsystem for Linux")
+
+
 def judge(name: str, cells: Sequence[Cell], limits: Limits, library: Path) -> Verdict:
     """The verdict on the function of an exercise in the cells of a submission; nothing is kept.
 
@@ -175,8 +185,7 @@ def judge(name: str, cells: Sequence[Cell], limits: Limits, library: Path) -> Ve
     Raises:
         ValueError: this system has no processes of the kind that is needed.
     """
-    if find_spec("resource") is None:
-        raise ArgumentError("grading needs Linux, macOS, or the Windows Subsystem for Linux")
+    check_system()
     exercise = exercises()[name]
     task = {
         "name": name,

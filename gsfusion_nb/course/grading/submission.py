@@ -17,6 +17,8 @@ _OF_CHAPTER = re.compile(r"\d\d[_.]")
 _MAGIC = re.compile(r"^(\s*)[%!?].*$", re.MULTILINE)
 _KINDS = ("*.ipynb", "*.py")
 _LARGEST_BYTES = 64 << 20
+_LARGEST_CODE = 4_000_000
+"""Characters of a student's code cells; more cannot be sent to its process for certain."""
 
 
 @dataclass(frozen=True)
@@ -93,11 +95,16 @@ def read_code(file: Path) -> Code:
         if file.is_symlink():
             raise ArgumentError("it is a link to another place; hand in the file itself")
         if file.suffix == ".ipynb":
-            return Code(
-                file=file, cells=_cells(read_object(file, "a notebook", at_most=_LARGEST_BYTES))
+            cells = _cells(read_object(file, "a notebook", at_most=_LARGEST_BYTES))
+        else:
+            source = read_bytes(file, "a Python file", at_most=_LARGEST_BYTES).decode("utf-8-sig")
+            cells = (Cell(file.name, source),)
+        n_characters = sum(len(cell.source) for cell in cells)
+        if n_characters > _LARGEST_CODE:
+            raise ArgumentError(
+                f"its code has {n_characters:,} characters, more than {_LARGEST_CODE:,}"
             )
-        source = read_bytes(file, "a Python file", at_most=_LARGEST_BYTES).decode("utf-8-sig")
-        return Code(file=file, cells=(Cell(file.name, source),))
+        return Code(file=file, cells=cells)
     except (SequenceError, ValueError, OSError, RecursionError) as e:
         return Code(file=file, problem=f"{file.name} cannot be read: {e}")
 
