@@ -162,7 +162,7 @@ def _rows_of(names: Sequence[str], name: str) -> list[int]:
     return [i for i, other in enumerate(names) if other == name]
 
 
-def _plain_number(value: float, _: int) -> str:
+def _plain_number(value: float | int, _: float | int) -> str:
     """A tick of a logarithmic axis at 1, 2, 3 or 5 times a power of ten; another one has no
     number."""
     first_digit = f"{value:.0e}"[0]
@@ -184,7 +184,8 @@ def _write_names(
     other name and no point; at the first one where there is none."""
     from matplotlib.transforms import Bbox
 
-    axes.figure.draw_without_rendering()
+    figure: Any = axes.figure
+    figure.draw_without_rendering()
     taken = [
         Bbox.from_bounds(u - 3, v - 3, 6, 6)
         for u, v in axes.transData.transform(np.stack([cost, quality], axis=1))
