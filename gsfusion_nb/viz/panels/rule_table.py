@@ -22,13 +22,15 @@ class RuleTable:
         )
 
     def _repr_html_(self) -> str:
+        code = Markup("<code>{}</code>")
+        words = Markup("{}<br><small>{}</small>")  # below each other: two columns fit a phone
         rows = [
-            (Markup("<code>{}</code>").format(name), sentence, _in_words(options))
+            (code.format(name), words.format(sentence, _in_words(options)))
             for name, sentence, options in self.rows
         ]
         return html_table(
             rows,
-            heads=("rule", "what it does", "options and their defaults"),
+            heads=("rule", "what it does; its options and their defaults"),
             style="font-size:12px",
             cell_style="text-align:left;vertical-align:top",
         )
