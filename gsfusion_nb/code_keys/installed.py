@@ -2,6 +2,7 @@
 edited since."""
 
 import base64
+import contextlib
 import functools
 import hashlib
 import importlib.metadata
@@ -132,7 +133,7 @@ def _edits(name: str) -> str:
     are none.
 
     Only a file that changed after the list of files was written is read: a change sets a file's
-    ctime, which no program sets back.
+    ctime, which no program sets back. One that is gone is always an edit.
     """
     record = _records().get(name)
     if record is None:
@@ -148,9 +149,10 @@ def _edits(name: str) -> str:
             continue
         path = os.path.join(record.root, relative)
         changed_ns = changed_at(path)
-        if changed_ns <= installed_ns:
+        is_here = os.path.isfile(path)
+        if is_here and changed_ns <= installed_ns:
             continue
-        content = Path(path).read_bytes() if os.path.isfile(path) else b""
+        content = Path(path).read_bytes() if is_here else b""
         if _as_recorded(content) != recorded_hash:
             has_edits = True
             latest_ns = max(latest_ns, changed_ns)
@@ -163,11 +165,12 @@ def _edits(name: str) -> str:
 
 
 def changed_at(path: str | Path) -> int:
-    """When a file was changed last, nanoseconds since 1970; now for one that is gone."""
-    try:
-        return os.stat(path).st_ctime_ns
-    except OSError:
-        return time.time_ns()
+    """When a file was changed last, nanoseconds since 1970; of one that is gone, when the folder
+    that held it was."""
+    for place in (Path(path), *Path(path).parents):
+        with contextlib.suppress(OSError):
+            return os.stat(place).st_ctime_ns
+    return time.time_ns()
 
 
 def _as_recorded(content: bytes) -> str:

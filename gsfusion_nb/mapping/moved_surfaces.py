@@ -83,10 +83,12 @@ class MovedSurfaces:
         """A sentence on what was taken out; "" if nothing was."""
         if not (self.n_voxels or self.n_gaussians):
             return ""
+        keyframes = ""
+        if self.n_keyframes:
+            keyframes = f"; {self.n_keyframes} keyframes that show them are no longer optimised"
         return (
             f"the recording saw through {self.n_voxels:,} voxels and {self.n_gaussians:,} "
-            f"Gaussians of the map, which were taken out; {self.n_keyframes} keyframes that show "
-            "them are no longer optimised (--keep-moved leaves all)"
+            f"Gaussians of the map, which were taken out{keyframes} (--keep-moved leaves all)"
         )
 
     def _counts(self, frame: Frame) -> bool:

@@ -989,6 +989,22 @@ def test_an_edited_file_of_an_installed_package_is_seen(files, site):
     assert before.digest != after.digest
 
 
+def test_a_file_that_was_deleted_before_this_process_began_has_one_key(site, monkeypatch):
+    """An environment may lack a file since long; each process that uses it is alike."""
+    file = site("bought")
+    file.unlink()
+    changed_ns = file.parent.stat().st_ctime_ns
+    for began_ns, is_one in ((changed_ns + 1, True), (changed_ns - 1, False)):
+        monkeypatch.setattr(installed, "BEGAN_NS", began_ns)
+        states = []
+        for process in ("a", "b"):
+            monkeypatch.setattr(installed, "ONLY_HERE", process)
+            installed.look_again()
+            states.append(installed.state_of("bought"))
+        assert "edited" in states[0]
+        assert (states[0] == states[1]) == is_one
+
+
 def test_a_package_that_is_used_from_its_sources_is_seen_by_its_files(
     files, site, tmp_path, monkeypatch
 ):
