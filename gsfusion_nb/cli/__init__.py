@@ -25,6 +25,10 @@ NOBODY_READS = 141
 def program() -> int:
     """What is installed as ``gsfusion-nb``: ``main`` with the arguments of the process, which ends
     then, also while a compiler still works."""
+    if sys.argv[1:2] != ["course"]:  # Jupyter's kernels import what is beside a notebook
+        # a recording's folder in which the command is started may hold a pickle.py: the processes
+        # that the command starts import from it as little as the command itself
+        os.environ.setdefault("PYTHONSAFEPATH", "1")
     status = main()
     end_process(status)
     return status

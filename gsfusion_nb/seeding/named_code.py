@@ -34,7 +34,8 @@ class CodeNotNamedError(SequenceError):
         self.code = list(code)
         names = [text.rpartition(":")[::2] for text in code]
         code_words = " and ".join(
-            f"{shown(name)} in {_shown_path(os.path.abspath(file))}" for file, name in names
+            f"{shown(name)} in {_shown_path(os.path.abspath(os.path.expanduser(file)))}"
+            for file, name in names
         )
         self.wish = (
             f"{_shown_path(str(asking))} asks for {self.in_words} {code_words}, whose code is "

@@ -3,10 +3,15 @@ on a terminal."""
 
 import io
 import json
+import os
 import shlex
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+from gsfusion_nb import cli
 from gsfusion_nb.cli import main
 from gsfusion_nb.cli.run_settings import read_settings
 from gsfusion_nb.compare.table_file import read_table
@@ -207,3 +212,59 @@ def test_a_path_with_signs_of_a_terminal_is_shown_as_it_is():
     error = RuleNotNamedError("run", ["\x1b[2K/safe.py:near"], "-")
     assert "\x1b" not in error.wish
     assert "\\x1b[2K" in error.wish
+
+
+def test_the_path_that_is_shown_is_the_one_that_would_be_executed():
+    error = RuleNotNamedError("run", ["~/rule.py:near"], "-")
+    assert str(Path.home() / "rule.py") in error.wish
+    assert "~" not in error.wish
+
+
+COMMAND = """
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+
+import gsfusion_nb.cli as cli
+
+
+def main():
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(int, "7").result()
+
+
+if __name__ == "__main__":
+    cli.main = main
+    cli.end_process = print
+    cli.program()
+"""
+"""A program that is installed outside of the folder in which it is started."""
+
+
+def test_processes_of_a_command_import_nothing_from_the_folder_it_is_started_in(
+    tmp_path, ran, monkeypatch
+):
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    started_in = tmp_path / "recording"
+    started_in.mkdir()
+    (started_in / "pickle.py").write_text(SPY.format(place=str(ran)))
+    (tmp_path / "command.py").write_text(COMMAND)
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "command.py"), "lab"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=started_in,
+    )
+    assert done.stdout.strip() == "7", done.stderr
+    assert not ran.exists()
+
+
+def test_jupyter_still_imports_what_is_beside_a_notebook(monkeypatch):
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    monkeypatch.setattr(cli, "main", lambda: 0)
+    monkeypatch.setattr(cli, "end_process", lambda status: None)
+    for command, value in (("course", None), ("lab", "1")):
+        monkeypatch.setattr(sys, "argv", ["gsfusion-nb", command])
+        cli.program()
+        assert os.environ.get("PYTHONSAFEPATH") == value
+    monkeypatch.delenv("PYTHONSAFEPATH")
