@@ -2,6 +2,7 @@
 at a time."""
 
 import dataclasses
+import os
 import sys
 from dataclasses import MISSING, dataclass, field
 from pathlib import Path
@@ -89,27 +90,48 @@ def mappable(source: str) -> tuple[str, bool]:
         return source, False
     folder = CONVERTED / path.resolve().name
     report_file = folder / "conversion.json"
-    if not report_file.is_file():
+    report = read_object(report_file, "the report of a conversion") if report_file.is_file() else {}
+    if not report:
         print(f"{path} is converted to {folder} first")
         try:
-            report = convert_or_ask(path, folder)
+            made = convert_or_ask(path, folder)
         except OptionNeeded as e:
             option = e.option.replace("_", "-")
             raise SequenceError(
                 f"{e}; before mapping: gsfusion-nb convert {path} {folder} --{option} ..."
             ) from None
-        print(report)
-    elif (
-        Path(read_object(report_file, "the report of a conversion").get("source", "")).resolve()
-        != path.resolve()
-    ):
+        print(made)
+    elif Path(str(report.get("source", ""))).resolve() != path.resolve():
         raise SequenceError(
             f"{folder} is another recording; convert {path} to another folder, with gsfusion-nb "
             "convert"
         )
     else:
+        if changed := _changed_since(path, report_file):
+            raise SequenceError(
+                f"{changed} has changed since {path} was converted to {folder}; remove that folder "
+                "to convert it again, or give it to go on with what was converted"
+            )
         print(f"{path} was converted to {folder} before; remove that folder to convert it again")
+        notes = report.get("notes")
+        for note in notes if isinstance(notes, list) else ():
+            print(f"  note: {note}")
     return str(folder), not (folder / "poses.txt").is_file()
+
+
+def _changed_since(recording: Path, report_file: Path) -> Path | None:
+    """The first file of a recording that was written after its conversion, or None. Pages of
+    ``check`` and folders that commands write below the recording do not count."""
+    converted = report_file.stat().st_mtime
+    if recording.is_file():
+        return recording if recording.stat().st_mtime > converted else None
+    for folder, names, files in os.walk(recording):
+        names[:] = sorted(set(names) - {CONVERTED.name, "runs"})
+        for name in sorted(files):
+            file = Path(folder, name)
+            if file.suffix != ".html" and file.is_file() and file.stat().st_mtime > converted:
+                return file
+    return None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -92,7 +92,7 @@ def read_tsdf(
                     f"{expected_type:g}"
                 )
         coords = archive["block_coords"]
-        check_memory(path, len(coords) * _BLOCK_BYTES, WHAT)
+        check_memory(path, len(coords) * _READ_BYTES, WHAT)
         D, W, rgb = (archive[name] for name in ("D", "W", "rgb"))
         has_weight = torch.from_numpy(np.unpackbits(archive["observed"], axis=1).astype(bool))
     n = len(coords)
@@ -168,6 +168,9 @@ def _check_arrays(path: Path, archive: Any) -> None:
 
 _BLOCK_BYTES = 20 * VOXELS_PER_BLOCK
 """Of a block in memory: D, W and three colours as float32."""
+_READ_BYTES = 3 * _BLOCK_BYTES
+"""Of a block while it is read: unpacked, with its colours in the volume's order, and in the
+volume."""
 
 
 def as_stored(volume: TsdfVolume) -> TsdfVolume:

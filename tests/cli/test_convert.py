@@ -1,6 +1,9 @@
 """Recordings that do not say everything: questions at a terminal, and a sentence where there is
 none."""
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -49,7 +52,27 @@ def test_one_question_at_a_time(scan, terminal, capsys):
     sequence = open_sequence(folder, poses=False).source
     assert (len(sequence), sequence.camera.fx) == (8, 265.7)
     assert mappable(str(scan)) == (folder, True)
-    assert "was converted to" in capsys.readouterr().out
+    again = capsys.readouterr().out
+    assert "was converted to" in again
+    notes = [line for line in text.splitlines() if line.lstrip().startswith("note: ")]
+    assert notes
+    assert [line.strip() for line in again.splitlines()[1:]] == [line.strip() for line in notes]
+
+
+def test_a_recording_that_has_changed_is_not_taken_from_its_conversion(scan, terminal, capsys):
+    terminal("2", "none", "265.7")
+    folder, _ = mappable(str(scan))
+    later = (Path(folder) / "conversion.json").stat().st_mtime + 5
+    page = scan / "check-scan.html"
+    page.write_text("")
+    os.utime(page, (later, later))
+    assert mappable(str(scan)) == (folder, True)
+    image = next(p for p in sorted(scan.rglob("*.png")))
+    os.utime(image, (later, later))
+    with pytest.raises(SequenceError, match="has changed since") as refused:
+        mappable(str(scan))
+    assert str(image) in str(refused.value)
+    assert folder in str(refused.value)
 
 
 def test_nobody_is_asked_without_a_terminal(scan, monkeypatch, capsys):
