@@ -249,7 +249,7 @@ def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseExcepti
                 raise
             notes.append("There is too little memory to write all files.")
     if run.steps:
-        extent = "saved" if not notes else "saved as far as the disk has space"
+        extent = "saved" if not notes else "saved as far as there is room"
         notes.insert(0, f"The {len(run.steps)} frames mapped before are {extent} in {folder}.")
     if run.resumable and CheckpointStore(folder / CHECKPOINTS).exists:
         notes.append(f"To continue from the last checkpoint: {resume_command(folder, run.mapper)}")
