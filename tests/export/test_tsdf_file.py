@@ -140,7 +140,7 @@ def test_a_small_file_cannot_ask_for_much_memory(tmp_path, monkeypatch):
         **nothing,
         **size,
     )
-    with pytest.raises(ValueError, match=r"tsdf\.npz of .* MB asks for 1\.0 GB of memory"):
+    with pytest.raises(ValueError, match=r"tsdf\.npz of .* MB asks for 3\.1 GB of memory"):
         read_tsdf(path, CONFIG)
     np.savez_compressed(
         path,
