@@ -4,6 +4,7 @@ by one."""
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from ....data.readers.tum import MAX_TIME_DIFFERENCE_S
 from ....data.recorded.files import natural_order
@@ -98,7 +99,8 @@ def paired(path: Path, rgb: Stream, depth: Stream) -> FrameFiles:
         return _paired_by_time(path, rgb, depth)
     pairs = paired_by_name(path, rgb.files, depth.files)
     frames = without_times(pairs, timeless.source, timeless.stamps)
-    return replace(frames, dropped=_left_out(rgb, depth, len(pairs)))
+    notes = (*frames.notes, *_note_on_first_numbers(rgb, depth, pairs))
+    return replace(frames, dropped=_left_out(rgb, depth, len(pairs)), notes=notes)
 
 
 def _have_common_numbers(rgb: Stream, depth: Stream) -> bool:
@@ -146,6 +148,26 @@ def _left_out(rgb: Stream, depth: Stream, n_pairs: int) -> dict[str, int]:
         "no depth image of its number": len(rgb.files) - n_pairs,
     }
     return {reason: n for reason, n in unpaired_numbers.items() if n > 0}
+
+
+def _note_on_first_numbers(
+    rgb: Stream, depth: Stream, pairs: list[tuple[Path, Path]]
+) -> tuple[str, ...]:
+    """What is said where as many images of both kinds are numbered from 0 and from 1."""
+    keys: list[list[Any]] = [
+        [frame_key(file.stem) for file in stream.files] for stream in (rgb, depth)
+    ]
+    if len(keys[0]) != len(keys[1]) or len(pairs) != len(keys[0]) - 1:
+        return ()
+    if not all(isinstance(key, tuple) and len(key) == 1 for kind in keys for key in kind):
+        return ()
+    first = [min(kind) for kind in keys]
+    if sorted(first) != [(0,), (1,)]:
+        return ()
+    return (
+        f"colour images are numbered from {first[0][0]} and depth images from {first[1][0]}, and "
+        "those of one number were paired; if the first belongs to the first, rename one kind",
+    )
 
 
 def notes_on_times(stream: Stream) -> tuple[str, ...]:

@@ -455,3 +455,22 @@ def test_another_calibration_in_the_folder_is_named(tmp_path, takes):
     notes = "; ".join(convert(root, tmp_path / "out").notes)
     assert "intrinsics.txt gives other intrinsics, fx" in notes
     assert "intrinsics from" in notes
+
+
+def test_images_that_are_numbered_from_0_and_from_1_are_told(tmp_path, takes):
+    root = scan(tmp_path / "scan", takes)
+    (root / "depth").rename(root / "old")
+    (root / "depth").mkdir()
+    for i in range(len(takes)):
+        (root / f"old/{i}.png").rename(root / f"depth/{i + 1}.png")
+    (root / "old").rmdir()
+    given = ConvertOptions(poses="none", depth_scale=1000.0)
+    report = convert(root, tmp_path / "out", options=given)
+    assert "colour images are numbered from 0 and depth images from 1" in "; ".join(report.notes)
+    assert report.dropped == {
+        "no colour image of its number": 1,
+        "no depth image of its number": 1,
+    }
+    (root / "depth/4.png").unlink()
+    report = convert(root, tmp_path / "fewer", options=given)
+    assert "numbered from 0" not in "; ".join(report.notes)
