@@ -6,6 +6,8 @@ from typing import Any
 import pytest
 import same_maps
 
+from gsfusion_nb.compare import map_scene
+from gsfusion_nb.compare.schedule import with_settings
 from gsfusion_nb.mapping.systems import SYSTEMS
 from gsfusion_nb.seeding import rule as rule_registry
 from gsfusion_nb.seeding.rule import registered
@@ -43,6 +45,21 @@ def test_a_changed_rule_changes_its_hash_alone(monkeypatch):
     monkeypatch.setitem(rule_registry._RULES, "uniform", smaller)
     assert same_maps.hash_of_map(*small) != before[0]
     assert same_maps.hash_of_map(*other) == before[1]
+
+
+@pytest.mark.ci
+def test_a_change_in_how_the_lab_maps_changes_its_rows_alone(monkeypatch):
+    small = ("gsfusion", "measured", {"seeding__rule": "uniform", "sh_degree": 0})
+    before = same_maps.hash_of_map(*small), same_maps.hash_of_row("uniform")
+    assert before[1] == same_maps.hash_of_row("uniform")
+    pace = map_scene._with_pace
+
+    def slower(config, sequence):
+        return with_settings(pace(config, sequence), {"optim.frame_iterations": 2})
+
+    monkeypatch.setattr(map_scene, "_with_pace", slower)
+    assert same_maps.hash_of_map(*small) == before[0]
+    assert same_maps.hash_of_row("uniform") != before[1]
 
 
 def test_the_version_of_another_folder_is_not_taken_for_it(tmp_path):

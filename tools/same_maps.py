@@ -1,5 +1,5 @@
 """Whether another version of the program makes the same maps: small maps of every system, fidelity,
-seeding rule and switch, as hashes of their bits and scores.
+seeding rule and switch, and small rows of the lab, as hashes of their bits and scores.
 
     python tools/same_maps.py                    # prints the hashes of this version, as JSON
     python tools/same_maps.py --since COMMIT     # compares them with those of a commit
@@ -24,6 +24,10 @@ from typing import Any, Literal
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
+    "gsfusion_nb/compare/map_scene.py",
+    "gsfusion_nb/compare/one_run.py",
+    "gsfusion_nb/compare/schedule.py",
+    "gsfusion_nb/compare/tune.py",
     "gsfusion_nb/config/",
     "gsfusion_nb/data/room/",
     "gsfusion_nb/evaluation/",
@@ -38,7 +42,7 @@ ROOMS = (
     "gsfusion_nb/tsdf/",
     "kernels/",
 )
-"""What these maps are made by. Of a change elsewhere they say nothing."""
+"""What these maps and rows are made by. Of a change elsewhere they say nothing."""
 WALK: dict[str, Any] = {"n_frames": 90, "width": 160, "height": 120, "noise": "kinect"}
 SMALL: dict[str, Any] = {
     "data__width": 64,
@@ -66,6 +70,17 @@ OFTEN: dict[str, dict[str, Any]] = {
     },
 }
 """Settings with which all parts of a system take part in a walk of nine frames."""
+LAB_GAUSSIANS = 300
+"""Budget of the rows of the lab, which is reached by tuning."""
+LAB_ROWS: dict[str, dict[str, Any]] = {
+    "gsfusion": {},
+    "uniform": {},
+    "edge_strokes": {},
+    "rtg_slam": {"system": "rtg_slam"},
+    "gps_slam": {"system": "gps_slam"},
+    "mcmc": {"options": {"seeds_by": "uniform", "refine_start_iter": 10, "refine_every": 5}},
+}
+"""Rule -> what its row of the lab has besides."""
 NOT_OF_THE_MAP = ("seconds_", "fps_", "peak_", "processor_")
 """Metrics that begin so are times and memory."""
 Changes = dict[str, Any]
@@ -160,9 +175,33 @@ def is_scored(changes: Changes) -> bool:
     return not changes or "data__align_held_out" in changes
 
 
+def hash_of_row(rule: str) -> str:
+    """Hash of map and numbers of a small row of the lab; of one that failed, why."""
+    from gsfusion_nb.compare import Budget, RunSpec, run_spec
+    from gsfusion_nb.compare.run_result import MEASURED
+
+    given = LAB_ROWS[rule]
+    small = SMALL | OFTEN[given.get("system", "gsfusion")]
+    spec = RunSpec(
+        rule=rule,
+        data="room",
+        reader=WALK,
+        budget=Budget(gaussians=LAB_GAUSSIANS),
+        settings={path.replace("__", "."): value for path, value in small.items()},
+        **given,
+    )
+    result = run_spec(spec)
+    if result.status == "failed":
+        return result.reason
+    numbers = {k: v for k, v in result.metrics.items() if k not in MEASURED}
+    text = json.dumps([result.map_hash, numbers, dict(result.tuned)], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 def hashes() -> dict[str, str]:
-    """Name of each map -> its hash, by the version that is imported."""
-    return {name: hash_of_map(*case) for name, *case in cases()}  # pyright: ignore[reportArgumentType]
+    """Name of each map or row -> its hash, by the version that is imported."""
+    maps = {name: hash_of_map(*case) for name, *case in cases()}  # pyright: ignore[reportArgumentType]
+    return maps | {f"row of {rule}": hash_of_row(rule) for rule in LAB_ROWS}
 
 
 def hashes_of_folder(folder: Path) -> dict[str, str]:
