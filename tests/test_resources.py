@@ -1,15 +1,18 @@
 import errno
 import os
+import re
+import subprocess
+import sys
 import tempfile
 
 import pytest
 import torch
 
 from gsfusion_nb.cli.map import memory_needed_gb
-from gsfusion_nb.config import TsdfConfig, gps_slam, gsfusion, replace, rtg_slam
+from gsfusion_nb.config import DataConfig, TsdfConfig, gps_slam, gsfusion, replace, rtg_slam
 from gsfusion_nb.data import SequenceError, open_sequence
 from gsfusion_nb.data.room import RoomSequence
-from gsfusion_nb.mapping import make_mapper
+from gsfusion_nb.mapping import get_system, make_mapper
 from gsfusion_nb.resources import MAP_MEMORY, map_memory
 from gsfusion_nb.runs.map_hashes import hash_of
 from gsfusion_nb.tsdf import TsdfVolume, estimate_memory
@@ -105,6 +108,39 @@ def test_the_memory_of_a_map_is_known_before_it_is_made():
     n_bytes = sum(column.nbytes for column in mapper.gaussians.columns.values())
     assert needed["Gaussians"] == pytest.approx(n_bytes / 1e9, rel=0.5)
     assert needed["mesh"] == pytest.approx(len(mapper.mesh().faces) * 130 / 1e9, rel=0.3)
+
+
+_RUN = """
+import pathlib, sys
+from gsfusion_nb.cli import main
+status = main(sys.argv[1:])
+print(pathlib.Path("/proc/self/status").read_text())
+sys.exit(status)
+"""
+"""Not ``getrusage``, which counts what the process that starts this one takes."""
+
+
+@pytest.mark.ci
+@pytest.mark.skipif(sys.platform != "linux", reason="peak memory is read from /proc")
+@pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
+def test_a_run_takes_the_memory_that_was_foretold(system, tmp_path):
+    """Of a whole run: the mesh and the copies that are written and scored are in it."""
+    options = {"n_frames": 40, "width": 160, "height": 120}
+    data = DataConfig(width=160, height=120)
+    config = replace(get_system(system).preset("room"), data=data)
+    foretold_gb = sum(
+        memory_needed_gb(open_sequence("room", data=data, **options), config).values()
+    )
+    call = ["map", "room", "--system", system, "--out", str(tmp_path / "run")]
+    call += ["--reader", *(f"{name}={value}" for name, value in options.items())]
+    call += ["--data.width", "160", "--data.height", "120"]
+    process = subprocess.run(
+        [sys.executable, "-c", _RUN, *call], capture_output=True, text=True, check=True
+    )
+    peak_kb = re.search(r"VmHWM:\s+(\d+) kB", process.stdout)
+    assert peak_kb is not None
+    peak_gb = int(peak_kb[1]) / 1e6
+    assert 0.9 * peak_gb < foretold_gb < 1.4 * peak_gb
 
 
 def test_without_poses_the_memory_is_not_known(monkeypatch):

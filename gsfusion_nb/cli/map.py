@@ -227,8 +227,11 @@ def _refuse_more(options: MapOptions, arguments: list[str]) -> None:
 _COUNTED_VIEWS = 200
 _TRIAL = 8
 """Frames of which the blocks are counted, and frames that are mapped, both evenly spread."""
-_PROCESS_GB = 0.5
+_PROCESS_GB = 0.6
 """Of a process without a map."""
+_COPIES = 1.1
+"""Copies of the voxel blocks that a run makes at its end, while it writes and scores them; 0.8 to
+1.1 were measured."""
 _BYTES_PER_TRIANGLE = 130
 """What a mesh takes while it is made, with its edges and vertices; 100 to 140 were measured."""
 
@@ -287,6 +290,7 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
     volume_gb = estimate_memory(whole.n_blocks, weighs_colours=whole.config.weighs_colours) / 1e9
     return {
         "voxel blocks": volume_gb if has_volume else 0.0,
+        "the blocks while they are written": _COPIES * volume_gb if has_volume else 0.0,
         "Gaussians": share * sum(column.nbytes for column in columns) / 1e9,
         "mesh": mesh_gb + (0.0 if has_volume else volume_gb),
         "pictures, at most": n * pixels * (3 + 4) / 1e9,
