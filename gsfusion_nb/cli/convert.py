@@ -120,18 +120,27 @@ def mappable(source: str) -> tuple[str, bool]:
 
 
 def _changed_since(recording: Path, report_file: Path) -> Path | None:
-    """The first file of a recording that was written after its conversion, or None. Pages of
-    ``check`` and folders that commands write below the recording do not count."""
+    """The first file of a recording that was written after its conversion, or None. Hidden files,
+    pages of ``check`` and folders that commands write below the recording do not count."""
     converted = report_file.stat().st_mtime
     if recording.is_file():
         return recording if recording.stat().st_mtime > converted else None
     for folder, names, files in os.walk(recording):
-        names[:] = sorted(set(names) - {CONVERTED.name, "runs"})
+        written_here = {CONVERTED.name, "runs"}
+        names[:] = sorted(
+            name for name in names if not _is_hidden(name) and name not in written_here
+        )
         for name in sorted(files):
             file = Path(folder, name)
-            if file.suffix != ".html" and file.is_file() and file.stat().st_mtime > converted:
+            counts = not _is_hidden(name) and file.suffix != ".html" and file.is_file()
+            if counts and file.stat().st_mtime > converted:
                 return file
     return None
+
+
+def _is_hidden(name: str) -> bool:
+    """Whether a file manager hides it; many leave such files of their own in a folder."""
+    return name.startswith(".")
 
 
 @dataclass(frozen=True, kw_only=True)

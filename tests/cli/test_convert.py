@@ -63,9 +63,10 @@ def test_a_recording_that_has_changed_is_not_taken_from_its_conversion(scan, ter
     terminal("2", "none", "265.7")
     folder, _ = mappable(str(scan))
     later = (Path(folder) / "conversion.json").stat().st_mtime + 5
-    page = scan / "check-scan.html"
-    page.write_text("")
-    os.utime(page, (later, later))
+    for name in ("check-scan.html", ".DS_Store"):
+        file = scan / name
+        file.write_text("")
+        os.utime(file, (later, later))
     assert mappable(str(scan)) == (folder, True)
     image = next(p for p in sorted(scan.rglob("*.png")))
     os.utime(image, (later, later))
