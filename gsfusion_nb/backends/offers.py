@@ -32,7 +32,7 @@ reference runs."""
 
 TRITON_FROM = (8, 0)
 """Compute capability from which on Triton supports an NVIDIA GPU; "auto" passes it over on older
-ones."""
+ones. AMD's GPUs count in another way."""
 
 
 class BackendUnavailable(ForeseenError, RuntimeError):
@@ -107,7 +107,7 @@ def problem_of(name: str, backend: str) -> str | None:
         load(name, backend)
     except BackendUnavailable as e:
         return str(e)
-    if backend != "triton" or not torch.cuda.is_available():
+    if backend != "triton" or torch.version.hip or not torch.cuda.is_available():
         return None
     capability = torch.cuda.get_device_capability()
     if capability >= TRITON_FROM:
