@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import tempfile
+from typing import Any
 
 import pytest
 import torch
@@ -125,7 +126,7 @@ sys.exit(status)
 @pytest.mark.parametrize("system", ["gsfusion", "rtg_slam", "gps_slam"])
 def test_a_run_takes_the_memory_that_was_foretold(system, tmp_path):
     """Of a whole run: the mesh and the copies that are written and scored are in it."""
-    options = {"n_frames": 40, "width": 160, "height": 120}
+    options: dict[str, Any] = {"n_frames": 40, "width": 160, "height": 120}
     data = DataConfig(width=160, height=120)
     config = replace(get_system(system).preset("room"), data=data)
     foretold_gb = sum(
