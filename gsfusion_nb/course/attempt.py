@@ -180,11 +180,7 @@ class Attempt:
         """
         case = self.words
         right = as_tensor(reference)
-        mine = _numbers(got, prop, case)
-        if mine.shape != right.shape:
-            raise Failed(
-                prop, case, f"the shape is {list(mine.shape)}, expected {list(right.shape)}"
-            )
+        mine = self._of_shape(got, right, prop)
         if not torch.isfinite(mine).eq(torch.isfinite(right)).all():
             raise Failed(prop, case, "a value is NaN or infinite")
         excess = (mine - right).nan_to_num().abs() - tolerance * right.nan_to_num().abs().clamp(
@@ -207,17 +203,21 @@ class Attempt:
         What is said is the value that was returned, and not its sign.
         """
         right = as_tensor(reference)
-        mine = _numbers(got, prop, self.words)
-        if mine.shape != right.shape:
-            shapes = f"the shape is {list(mine.shape)}, expected {list(right.shape)}"
-            self.holds(False, prop, detail=shapes)
-            return
+        mine = self._of_shape(got, right, prop)
         others = (mine.sign() != right.sign()).flatten()  # so is NaN
         at = int(others.int().argmax()) if others.any() else 0
         expected = {1.0: "a positive number", -1.0: "a negative number", 0.0: "0"}
         words = expected[float(right.sign().flatten()[at])]
         detail = f"got {_short(mine.flatten()[at])}{_place(at, right)}, expected {words}"
         self.holds(not others.any(), prop, detail=f"{detail}: {why}" if why else detail)
+
+    def _of_shape(self, got: Any, right: Tensor, prop: str) -> Tensor:
+        """``got`` as numbers; ``prop`` fails unless they have the shape of ``right``."""
+        mine = _numbers(got, prop, self.words)
+        if mine.shape != right.shape:
+            detail = f"the shape is {list(mine.shape)}, expected {list(right.shape)}"
+            raise Failed(prop, self.words, detail)
+        return mine
 
     def rigid(self, R: Any, prop: str, *, why: str = "") -> None:
         """``prop`` fails unless ``R`` [3, 3] is a rotation or a reflection."""

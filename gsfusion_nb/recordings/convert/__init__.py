@@ -7,5 +7,5 @@ from .formats import known_formats as known_formats
 from .recording import ConvertOptions as ConvertOptions
 from .recording import RosOptions as RosOptions
 from .run import convert as convert
-from .trajectory import Trajectory as Trajectory
+from .trajectory import RecordedTrajectory as RecordedTrajectory
 from .trajectory import read_trajectory as read_trajectory

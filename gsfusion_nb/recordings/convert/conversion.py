@@ -251,7 +251,8 @@ class Conversion:
         frame = self._with_depth_camera(frame, images.depth_m.shape)
         if self._rectifier is None:
             fitted = model.fitted(width, height, frame.source)
-            self._about_camera += filter(None, [doubt_of(fitted.camera)])
+            if doubt := doubt_of(fitted.camera):
+                self._about_camera.append(doubt)
             pinhole = fitted.pinhole()
             h, w = images.depth_m.shape
             size = (self._options.width, self._options.height)

@@ -16,7 +16,7 @@ from ...errors import SequenceError
 from ...files import read_text
 from .pose_list import poses_per_frame
 from .recording import ConvertOptions, OptionNeeded, RecordedFrame, Recording
-from .trajectory import Trajectory, camera_in_body, frame_key, read_trajectory
+from .trajectory import RecordedTrajectory, camera_in_body, frame_key, read_trajectory
 
 
 class FramePoses:
@@ -24,7 +24,7 @@ class FramePoses:
     to metres and checked."""
 
     def __init__(self, recording: Recording, options: ConvertOptions):
-        self.trajectory: Trajectory | None = None
+        self.trajectory: RecordedTrajectory | None = None
         self._per_frame: dict[Any, Tensor] | None = None
         self.none = options.poses == "none"
         self._offset_s = options.time_offset_s
@@ -104,7 +104,7 @@ class FramePoses:
         return T, ""
 
     def _of_trajectory(
-        self, trajectory: "Trajectory", frame: RecordedFrame
+        self, trajectory: "RecordedTrajectory", frame: RecordedFrame
     ) -> tuple[Float[Tensor, "4 4"] | None, str]:
         """The pose at the time of a frame, or, where the frame has no time, of its number."""
         if frame.time_s is not None:

@@ -105,6 +105,7 @@ def _is_pose(words: list[str], columns: list[int]) -> bool:
 
 
 def is_number(word: str) -> bool:
+    """Whether a word is a number, or stands for a lost one (nan)."""
     try:
         return not math.isnan(float(word)) or word.lower() == "nan"
     except ValueError:

@@ -63,7 +63,7 @@ _EUROC_COLUMNS = 17
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class RecordedTrajectory:
     """Poses of a camera at increasing times, interpolated between them."""
 
     path: str
@@ -98,7 +98,7 @@ def read_trajectory(
     max_gap_s: float = 0.2,
     T_body_cam: Float[Tensor, "4 4"] | None = None,
     frame_time_s: float | None = None,
-) -> Trajectory:
+) -> RecordedTrajectory:
     """Read poses ``T_world_body`` with times.
 
     Known: TUM text and ORB-SLAM3 ("t tx ty tz qx qy qz qw", seconds or nanoseconds), OKVIS2 csv
@@ -158,7 +158,7 @@ def read_trajectory(
         )
     else:
         notes.append(f"{path}: {len(table)} poses, times read as {unit}")
-    return Trajectory(
+    return RecordedTrajectory(
         path=str(path),
         stamps_s=(table[:, 0] / PER_SECOND[unit]).contiguous(),
         T_world_body=matrices(table[:, 1:]),

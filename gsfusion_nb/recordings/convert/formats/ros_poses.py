@@ -12,7 +12,7 @@ from torch import Tensor
 from ....checks import shown
 from ....errors import SequenceError
 from ..recording import ConvertOptions, OptionNeeded
-from ..trajectory import Trajectory, camera_in_body
+from ..trajectory import RecordedTrajectory, camera_in_body
 from .ros_tf import TransformPath, TransformTree, in_order, pose_rows, seconds
 
 PoseAt = Callable[[float], Float[Tensor, "4 4"] | None]
@@ -160,7 +160,7 @@ class RosPoses:
             )
             T_body_cam = torch.eye(4, dtype=torch.float64)
         self._note_conflicts(timed_rows.conflicts, f"poses of {name}")
-        return Trajectory(
+        return RecordedTrajectory(
             path=name,
             stamps_s=timed_rows.times_s,
             T_world_body=timed_rows.poses,
