@@ -138,4 +138,5 @@ def nearest(counts: Mapping[Number, Number], target: Number, tolerance: Number) 
 
 
 def error_ratios(counts: Mapping[Number, Number], target: Number) -> dict[Number, float]:
+    """For each value, how far its count is from the target, as a share of the target."""
     return {value: abs(n - target) / target for value, n in counts.items()}

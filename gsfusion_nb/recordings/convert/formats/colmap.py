@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from ....data.lens import CameraModel
-from ....data.recorded.files import natural_order
+from ....data.recorded.files import natural_order, told_outside
 from ....errors import BadFrameError, SequenceError, SequenceNotFoundError
 from ....files import is_file
 from ....geometry import se3
@@ -100,6 +100,8 @@ def read(path: Path, options: ConvertOptions) -> Recording:
         notes.append(
             f"{folder} is the largest model, of {len(images)} images; {others}: give its folder"
         )
+    if outside_note := told_outside(colour, (colour / image.name for image in images)):
+        notes.append(outside_note)
     return Recording(
         name=str(path),
         frames=reconstruction.frames,

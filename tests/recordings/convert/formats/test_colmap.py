@@ -157,6 +157,19 @@ def test_reads_what_was_written_and_measures_the_scale(tmp_path, takes, suffix):
     assert float(note.split("taken as ")[1].split()[0]) == pytest.approx(UNIT_M, rel=1e-4)
 
 
+def test_images_that_are_named_outside_of_the_folder_are_told(tmp_path, takes):
+    root = write_colmap(tmp_path / "scan", takes, ".txt")
+    listed = root / "sparse/0/images.txt"
+    listed.write_text(listed.read_text().replace("left/frame8.png", "../../elsewhere/frame8.jpg"))
+    takes.write(tmp_path / "elsewhere/frame8.jpg", takes.png(0))
+    takes.write(tmp_path / "elsewhere/frame8.png", takes.depth_png(0))
+    report = convert(root, tmp_path / "out")
+    note = next(n for n in report.notes if "lie outside" in n)
+    assert note.startswith("1 of the listed images lie outside of")
+    assert str(tmp_path / "elsewhere/frame8.jpg") in note
+    takes.check(tmp_path / "out", pose=2e-4)
+
+
 def test_inverse_depth_is_refused(tmp_path, takes):
     """As prepared for the depth regularisation of 3D Gaussian splatting; and without the file that
     says so."""
