@@ -253,7 +253,8 @@ def memory_needed_gb(sequence: "OpenedSequence", config: "SystemConfig") -> dict
     """
     from ..errors import SequenceError
     from ..mapping import make_mapper
-    from ..runs.mapping_run import evenly, has_poses
+    from ..runs.mapped_views import evenly
+    from ..runs.mapping_run import has_poses
     from ..runs.poses_in_map import readable_frames
     from ..tsdf import TsdfVolume
     from ..tsdf.allocate import new_band_blocks

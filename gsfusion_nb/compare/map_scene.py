@@ -100,7 +100,7 @@ class Mapped:
     @property
     def seconds(self) -> float:
         """Wall time of all mapping steps and of the optimisation after the scan."""
-        return sum(s.total_seconds for s in self.run.steps) + self.run.seconds_global
+        return sum(s.total_seconds for s in self.run.steps) + self.run.global_passes.seconds
 
 
 def map_scene(

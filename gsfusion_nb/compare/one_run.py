@@ -221,7 +221,7 @@ def _costs(map_run: Mapped) -> dict[str, Any]:
         "ms_per_frame": 1e3 * sum(s.total_seconds for s in late_steps) / len(late_steps),
         "cpu_ms_per_frame": 1e3 * sum(map_run.cpu_s[-len(late_steps) :]) / len(late_steps),
         "seeding_ms": 1e3 * sum(seeding_s) / len(late_steps),
-        "seconds_global": run.seconds_global,
+        "seconds_global": run.global_passes.seconds,
         "seconds_total": map_run.seconds,
         "model_size_mb": PLY_BYTES * len(run.mapper.gaussians) / 1e6,
         "peak_memory_mb": NotComputed("not reported here")

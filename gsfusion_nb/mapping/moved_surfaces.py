@@ -7,6 +7,7 @@ a surface there are taken from the count. Views that count are taken from differ
 appears needs no extra work: it is fused and seeded like anything new.
 """
 
+import dataclasses
 from typing import Any
 
 import torch
@@ -66,14 +67,17 @@ class MovedSurfaces:
         """What was taken out so far."""
 
     def look(self, frame: Frame) -> None:
-        """Count a frame that was mapped, with its pose in the map, and take out what enough views
-        have seen through."""
+        """Count the frame that was mapped last, and take out what enough views have seen
+        through."""
+        device = self._mapper.device
+        T_WC = self._mapper.trajectory.poses[-1].to(device)
+        frame = dataclasses.replace(frame.to(device), T_WC=T_WC)
         if self.keeps:
-            self._restore_voxels(View(frame.to(self._mapper.device)))
+            self._restore_voxels(View(frame))
             return
         if not self._counts(frame):
             return
-        view = View(frame.to(self._mapper.device))
+        view = View(frame)
         xyz_W = self._clear_voxels(view)
         self._remove_gaussians(view)
         if len(xyz_W):

@@ -20,7 +20,8 @@ from ..types import Mesh
 from . import outputs, scores
 from .checkpoint import save_checkpoint
 from .extra_columns import EXTRA_COLUMNS, write_extra_columns
-from .mapping_run import MappingRun, evenly
+from .mapped_views import evenly
+from .mapping_run import MappingRun, lost_in_words
 from .report import ReportData
 from .resume import resume_command
 from .run_folder import (
@@ -168,13 +169,13 @@ def _work(
         map_frames(run, stop)
     if (
         evaluate
-        and not (stop or run.mapper.passes.begun or run.is_optimised)
+        and not (stop or run.mapper.passes.begun or run.global_passes.is_finished)
         and run.mapper.n_passes
     ):
         with stop.ending_at_once():
             online = scores.score(run, "_online")
             run.online_scores = {k: online[k] for k in ONLINE if isinstance(online[k], float)}
-    if run.status == "running" and not (stop or run.is_optimised):
+    if run.status == "running" and not (stop or run.global_passes.is_finished):
         with _heard_between_steps(run, stop):
             _with_progress_of_passes(run, stop)
     if stop:
@@ -314,7 +315,7 @@ def map_with_progress(run: MappingRun, stop: StopRequest) -> None:
         n = 0
         for report in reports:
             if report is None:
-                progress.show(run.next_position, note=run.lost_in_words())
+                progress.show(run.next_position, note=lost_in_words(run))
                 if stop and run.steps:
                     return
                 continue
@@ -351,7 +352,7 @@ def _why_empty(run: MappingRun) -> str:
         f"{len(run.steps)} frames"
     )
     with contextlib.suppress(SequenceError, StopIteration):
-        frame = next(iter(run.mapped_views(1)))
+        frame = next(iter(run.views.sample(1)))
         depth_values = frame.depth_m[frame.depth_m > 0]
         low, high = (
             (float(depth_values.min()), float(depth_values.max()))

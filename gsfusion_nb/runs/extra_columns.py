@@ -88,7 +88,7 @@ def extra_columns(
 def write_extra_columns(run: MappingRun, folder: Path) -> None:
     """Write ``extra.npz`` beside ``gaussians.ply``, row for row, if the mapped frames have further
     images; a warning of the run says why there is none, if they cannot become columns."""
-    view = run.mapped_views(MOST_VIEWS)
+    view = run.views.sample(MOST_VIEWS)
     frames = frames_in_map(view, run.mapper.localiser, run.sequence.mapping)
     first = next(frames, None)
     if first is None or not first.extra:

@@ -3,16 +3,13 @@ from the first frame to the report, and ``outputs`` writes the results."""
 
 import contextlib
 import copy
-import dataclasses
 import logging
-import math
 from collections.abc import Callable, Generator, Iterator
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
-from ..compile_clock import working_time
 from ..data import (
     FrameSubset,
     OpenedSequence,
@@ -23,12 +20,14 @@ from ..data import (
 from ..data.stream import read_ahead
 from ..errors import KindError
 from ..export import CheckpointStore
-from ..geometry import se3
 from ..interrupts import DelayedInterrupt
 from ..mapping import FrameUndone, GlobalStep, Mapper, StepReport
 from ..mapping.moved_surfaces import MovedSurfaces
 from ..mapping.systems import know_system
 from ..types import Frame
+from .global_passes import GlobalPasses
+from .mapped_views import MappedViews, RecordedViews
+from .mapped_views import evenly as evenly
 from .quiet_watch import QuietWatch
 from .range_watch import RangeWatch
 from .run_clock import RunClock
@@ -43,14 +42,7 @@ MAX_BAD_FRAMES_IN_A_ROW = 20
 the end."""
 READ_AHEAD = 4
 """Number of frames of a recording on disk that another thread decodes in advance."""
-_PLAIN = (
-    "global_losses",
-    "online_scores",
-    "next_position",
-    "bad_in_a_row",
-    "seconds_global",
-    "is_optimised",
-)
+_PLAIN = ("online_scores", "next_position", "bad_in_a_row")
 """Fields of a run that a checkpoint holds as they are."""
 
 
@@ -120,15 +112,16 @@ class MappingRun:
         self._data_files = packed(self.data_files)
         self.steps: list[StepReport] = []
         self._step_log = StepLog()
-        self.global_losses: list[float] = []
-        """Mean loss of each finished pass of the global optimisation."""
-        self._pass_losses: list[torch.Tensor] = []
         self.online_scores: dict[str, float] = {}
         """PSNR of the map after the scan, before the global optimisation."""
         self.timestamps_s: list[float] = []
         self.hashes: dict[str, str] = {}
         """SHA-256 of each written map."""
         self.warnings = RunWarnings()
+        self.global_passes = GlobalPasses(self.mapper, self.clock, self.warnings)
+        """The optimisation after the scan."""
+        self.views: MappedViews = RecordedViews(self)
+        """The mapped frames that can be read again."""
         for note in self.mapper.notes:
             self.warnings.warn(note)
         if not has_poses(sequence) and len(sequence.held_out):
@@ -145,9 +138,6 @@ class MappingRun:
         self.next_position = 0
         self.bad_in_a_row = 0
         """Number of unusable frames directly before ``next_position``."""
-        self.seconds_global = 0.0
-        self.is_optimised = False
-        """Whether the optimisation after the scan is finished."""
         self.after_step: Callable[[], None] = lambda: None
         """Called after every frame and every step of the optimisation, when the state is
         complete."""
@@ -173,20 +163,6 @@ class MappingRun:
     def n_earlier(self) -> int:
         """Number of frames that the mapper mapped before this run."""
         return self.mapper.n_frames - len(self.steps)
-
-    @property
-    def is_looking(self) -> bool:
-        """Whether the camera was not yet located in the map of the run that this one goes on
-        from."""
-        return self.mapper.localiser.is_before_first_look
-
-    def lost_in_words(self) -> str:
-        """That the camera is looked for, and since how many frames; "" if it is not."""
-        since = f": {self.bad_in_a_row} frames so far" if self.bad_in_a_row else ""
-        if self.is_looking:
-            return f"looking for the place in the map{since}"
-        is_lost = self.mapper.localiser.frames_lost > 0
-        return f"the camera is lost, looking for it{since}" if is_lost else ""
 
     def online(self) -> Generator[StepReport, None, None]:
         """Map the remaining frames one by one; those that cannot be used are skipped and listed in
@@ -244,7 +220,9 @@ class MappingRun:
             self.steps.append(report)
             self.timestamps_s.append(frame.timestamp_s)
             self._passed(frame)
-            self._look_for_moved(frame)
+            if self.moved is not None:
+                with self.clock("mapping"):
+                    self.moved.look(frame)
             for sentence in self.mapper.reports.step_warnings(frame, report):
                 self.warnings.warn(sentence)
             self._watch.look(self, frame)
@@ -252,13 +230,6 @@ class MappingRun:
         for watcher in self.watchers:
             watcher.frame_mapped(self.mapper, frame, report)
         return report
-
-    def _look_for_moved(self, frame: Frame) -> None:
-        """Take out of the map what enough frames have seen through."""
-        if self.moved is not None:
-            T_WC = self.mapper.trajectory.poses[-1].to(self.mapper.device)
-            with self.clock("mapping"):
-                self.moved.look(dataclasses.replace(frame.to(self.mapper.device), T_WC=T_WC))
 
     def _skip(self, error: SequenceError) -> Literal["skipped", "end"]:
         """Record a frame that could not be used; "end": there were too many in a row.
@@ -275,7 +246,8 @@ class MappingRun:
             return "skipped"
         if self.mapper.localiser.frames_lost:
             if self.bad_in_a_row == MAX_BAD_FRAMES_IN_A_ROW + 1:
-                state = "not located yet" if self.is_looking else "lost"
+                is_looking = self.mapper.localiser.is_before_first_look
+                state = "not located yet" if is_looking else "lost"
                 self.warnings.warn(
                     f"the camera is {state}; it is looked for in every frame until the recording "
                     "ends"
@@ -295,70 +267,18 @@ class MappingRun:
             view, start=self.next_position, depth=READ_AHEAD if _is_on_disk(view) else 0
         )
 
-    def mapped_views(self, limit: int) -> FrameSubset:
-        """At most ``limit`` of the frames mapped so far, evenly spread; 0 means all."""
-        mapping = self.sequence.mapping
-        n = self.next_position
-        return dataclasses.replace(
-            mapping, positions=[mapping.positions[i] for i in evenly(n, limit)]
-        )
-
-    def covering_views(self, least: int) -> FrameSubset:
-        """At least this many mapped frames, evenly spread, and those where the camera has moved by
-        1 m or turned by 30 degrees since the last one, so that neighbours overlap on any walk."""
-        frame_indices = self.mapper.trajectory.frame_indices[self.n_earlier :]
-        poses = self.poses
-        selection = list[int]()
-        stride = max(1, len(poses) // least)
-        for i, T_WC in enumerate(poses):
-            turned_deg, moved_m = (
-                se3.motion(poses[selection[-1]], T_WC) if i % stride else (math.inf, math.inf)
-            )
-            if turned_deg >= 30 or moved_m >= 1:
-                selection.append(i)
-        return dataclasses.replace(
-            self.sequence.mapping, positions=[frame_indices[i] for i in selection]
-        )
-
     def extra_metrics(self) -> dict[str, Any]:
         """Metrics that only this kind of run has."""
         return {}
 
     def optimise(self) -> Iterator[GlobalStep]:
         """Run the remaining passes of the global optimisation, continuing an interrupted pass."""
-        steps = self.mapper.global_optimise(self.mapper.n_passes - self.mapper.passes.done)
-        lost_rows = self.mapper.lost
-        n_lost = lost_rows.total
-        has_warned = False
-        try:
-            while (step := self._next_global_step(steps)) is not None:
-                if lost_rows.total > n_lost and not self.mapper.passes.queue and not has_warned:
-                    name = f"pass {self.mapper.passes.done} over the keyframes"
-                    self.warnings.warn(lost_rows.in_words(name))
-                    has_warned = True
-                self.after_step()
-                for watcher in self.watchers:
-                    if isinstance(watcher, PassWatcher):
-                        watcher.optimised(self.mapper, step)
-                yield step
-        except FrameUndone:  # the run is asked to stop
-            return
-
-    def _next_global_step(self, steps: Iterator[GlobalStep]) -> GlobalStep | None:
-        """Take a step and count it, or note that there are no more; Ctrl-C takes effect after
-        both."""
-        start = working_time()
-        with DelayedInterrupt(), self.clock("passes"):
-            step = next(steps, None)
-            if step is None:
-                self.is_optimised = True
-                return None
-            self._pass_losses.append(step.loss_value)
-            if not self.mapper.passes.queue:
-                self.global_losses.append(float(torch.stack(self._pass_losses).mean()))
-                self._pass_losses = []
-            self.seconds_global += working_time() - start
-            return step
+        for step in self.global_passes.steps():
+            self.after_step()
+            for watcher in self.watchers:
+                if isinstance(watcher, PassWatcher):
+                    watcher.optimised(self.mapper, step)
+            yield step
 
     def constant_tensors(self) -> list[Tensor]:
         """Tensors of the state that never change."""
@@ -383,10 +303,10 @@ class MappingRun:
             "onto": packed(self.parent),
             "moved": None if self.moved is None else self.moved.state_dict(),
             "steps": self._step_log.state_dict(self.steps),
-            "pass_losses": torch.stack(self._pass_losses) if self._pass_losses else torch.zeros(0),
             "timestamps_s": torch.tensor(self.timestamps_s, dtype=torch.float64),
             "clock": self.clock.state_dict(),
             **self.warnings.state_dict(),
+            **self.global_passes.state_dict(),
             **{name: copy.copy(getattr(self, name)) for name in _PLAIN},
         }
 
@@ -397,12 +317,12 @@ class MappingRun:
             self.moved = MovedSurfaces(self.mapper)
             self.moved.load_state_dict(state["moved"])
         self.steps = self._step_log.load_state_dict(state["steps"])
-        self._pass_losses = list(state["pass_losses"].to(self.mapper.device))
         self.timestamps_s = state["timestamps_s"].tolist()
         self.clock.load_state_dict(state.get("clock", {}))
         for name in _PLAIN:
             setattr(self, name, state[name])
         self.warnings.load_state_dict(state)
+        self.global_passes.load_state_dict(state)
 
     def _passed(self, frame: Frame | None) -> None:
         """Count a frame that was mapped, or could not be used (None)."""
@@ -425,12 +345,13 @@ def has_poses(view: FrameSubset) -> bool:
     return getattr(view.source, "has_poses", True)
 
 
-def evenly(n: int, limit: int) -> list[int]:
-    """At most ``limit`` of the numbers 0..n-1, evenly spread from the first to the last; 0 means
-    all."""
-    if not limit or n <= limit:
-        return list(range(n))
-    return [round(i * (n - 1) / max(limit - 1, 1)) for i in range(limit)]
+def lost_in_words(run: MappingRun) -> str:
+    """That the camera is looked for, and since how many frames; "" if it is not."""
+    localiser = run.mapper.localiser
+    since = f": {run.bad_in_a_row} frames so far" if run.bad_in_a_row else ""
+    if localiser.is_before_first_look:
+        return f"looking for the place in the map{since}"
+    return f"the camera is lost, looking for it{since}" if localiser.frames_lost > 0 else ""
 
 
 def _is_on_disk(view: FrameSubset) -> bool:

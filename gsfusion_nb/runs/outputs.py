@@ -24,7 +24,8 @@ from ..tracking import PLACES, write_places
 from ..types import Mesh
 from .map_hashes import map_hashes
 from .map_state import STATE, write_map_state
-from .mapping_run import MappingRun, evenly
+from .mapped_views import evenly
+from .mapping_run import MappingRun
 from .poses_in_map import frames_in_map
 from .ran_on import ran_on
 from .report import ReportData, write_report
@@ -197,7 +198,7 @@ def write_page(
         config=to_dict(config),
         frames=run.steps,
         states=run.mapper.description.states,
-        global_losses=run.global_losses,
+        global_losses=run.global_passes.losses,
         views=views,
         mesh_pictures=mesh_pictures(run),
         warnings=_headline_warnings(run),
@@ -234,7 +235,7 @@ def _strict(value: Any) -> Any:
 def report_views(run: MappingRun) -> list[ReportPanel]:
     """A few held-out and mapped views: input image and render."""
     panels = []
-    map_views = run.mapped_views(1000)
+    map_views = run.views.sample(1000)
     map_views = dataclasses.replace(
         map_views, positions=[map_views.positions[i] for i in evenly(len(map_views), 3)]
     )

@@ -23,7 +23,8 @@ from ..mapping.tracking_surface import localised_pose
 from ..optim import apply_exposure, fit_exposure
 from ..render.constants import SHOWN_ALPHA
 from ..types import Frame, RenderOutput
-from .mapping_run import MappingRun, evenly
+from .mapped_views import evenly
+from .mapping_run import MappingRun
 from .poses_in_map import frames_at, poses_in_map
 
 VIEWS = "views.json"
@@ -100,7 +101,7 @@ def scored_views(run: MappingRun) -> dict[str, ScoredViews]:
     localiser = run.mapper.localiser
     trajectory = run.mapper.trajectory
     mapping = run.sequence.mapping
-    map_views = run.mapped_views(run.mapper.config.data.scored_views)
+    map_views = run.views.sample(run.mapper.config.data.scored_views)
     not_mapped = set(map_views.positions) - set(trajectory.frame_indices)  # read, but not mapped
     map_views = dataclasses.replace(
         map_views, positions=[p for p in map_views.positions if p not in not_mapped]

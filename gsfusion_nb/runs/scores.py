@@ -88,7 +88,7 @@ def map_metrics(run: MappingRun, mesh: Mesh) -> dict[str, Any]:
         **run.extra_metrics(),
         **({} if run.moved is None or run.moved.keeps else moved_metrics(run.moved)),
         "seconds_online": sum(seconds),
-        "seconds_global": run.seconds_global,
+        "seconds_global": run.global_passes.seconds,
         "peak_memory_mb": peak_memory_mb(run.mapper.device),
     }
 
@@ -164,7 +164,7 @@ def score_mesh(
     if truth is None:
         return metrics
     n_samples = n_samples or SURFACE_SAMPLES
-    visible_surface = cull_unseen(truth(), readable_frames(run.covering_views(50)))
+    visible_surface = cull_unseen(truth(), readable_frames(run.views.covering(50)))
     generator = torch.Generator().manual_seed(run.mapper.config.seed if seed is None else seed)
     scores = mesh_scores(mesh, visible_surface, generator=generator, n_samples=n_samples)
     metrics |= _named("mesh", scores)

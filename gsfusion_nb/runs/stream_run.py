@@ -67,6 +67,7 @@ class StreamRun(MappingRun):
         name = getattr(frames, "name", "stream")
         self.kept = KeptFrames(name, has_poses=getattr(frames, "has_poses", True))
         super().__init__(self.kept.opened(), mapper, parent=parent)
+        self.views = self.kept
         self.frames_source = frames
         self.until = until
         self.policy: Policy = policy or getattr(frames, "policy", "all")
@@ -143,15 +144,6 @@ class StreamRun(MappingRun):
         """Camera-to-world pose [4, 4] of every frame of this run, as given, or as tracked and
         corrected so far."""
         return self.mapper.trajectory.poses[self._n_earlier :]
-
-    def covering_views(self, least: int) -> FrameSubset:
-        """The frames that were kept, at most ``least``."""
-        return self.mapped_views(least)
-
-    def mapped_views(self, limit: int) -> FrameSubset:
-        """At most ``limit`` of the kept mapped frames, evenly spread."""
-        indices = [frame.index for frame in self.kept.kept_mapped.items]
-        return self.kept.view(indices[:: -(-len(indices) // limit)] if indices else [])
 
     def extra_metrics(self) -> dict[str, Any]:
         """Numbers of frames received, dropped and unusable, and the policy."""
@@ -269,6 +261,17 @@ class KeptFrames:
     def view(self, positions: list[int]) -> FrameSubset:
         """The frames with these indices."""
         return FrameSubset(source=self, positions=positions, camera=self.camera)
+
+    def sample(self, limit: int) -> FrameSubset:
+        """At most ``limit`` of the kept mapped frames, evenly spread; 0 means all."""
+        indices = [frame.index for frame in self.kept_mapped.items]
+        stride = max(1, -(-len(indices) // limit)) if limit else 1
+        return self.view(indices[::stride])
+
+    def covering(self, least: int) -> FrameSubset:
+        """The mapped frames that were kept, at most ``least``: they are spread over the whole
+        walk."""
+        return self.sample(least)
 
     def state_dict(self) -> dict[str, Any]:
         """All kept frames and poses, as tensors and plain values."""

@@ -11,6 +11,7 @@ from typing import Any
 from ..drawing.encoding import encode_jpeg
 from ..drawing.pictures import Picture, side_by_side
 from ..runs import MappingRun
+from ..runs.mapping_run import lost_in_words
 from ..types import Frame, GaussianParams
 from .live import LivePictures
 from .map_from_above import PLACE, drawable, map_from_above, stacked
@@ -144,7 +145,7 @@ class LiveMapper(LivePictures):
         words = [
             f"{title} ({html.escape(fidelity)})" if fidelity else title,
             f"{run.next_position} of {len(run.sequence.mapping)} frames",
-            html.escape(run.lost_in_words()),
+            html.escape(lost_in_words(run)),
         ]
         at = len(run.steps) if self.scrubber.following else self._shown_step
         if not at:

@@ -101,7 +101,7 @@ def whole(config, small_room):
                 list(run.online())
             with ctrl_c_at(-1) as passes:
                 list(run.optimise())
-            done[variant] = map_hashes(run), online[0], passes[0], list(run.global_losses)
+            done[variant] = map_hashes(run), online[0], passes[0], list(run.global_passes.losses)
         return done[variant]
 
     return of
@@ -124,7 +124,7 @@ def test_passes_that_are_interrupted_anywhere_and_called_again_end_in_the_same_m
     list(run.online())
     n_keyframes = len(run.mapper.keyframes)
     assert n_keyframes > 1
-    while not run.is_optimised:
+    while not run.global_passes.is_finished:
         try:
             with ctrl_c_at(draw.randint(1, n_events // (3 * n_keyframes))):
                 for _ in run.optimise():
@@ -134,7 +134,7 @@ def test_passes_that_are_interrupted_anywhere_and_called_again_end_in_the_same_m
         assert is_quiet()
     assert n_interrupts >= n_keyframes
     assert map_hashes(run) == hashes
-    assert run.global_losses == losses
+    assert run.global_passes.losses == losses
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -222,7 +222,7 @@ def test_a_step_after_the_scan_that_fails_in_any_operation_can_be_repeated(
                     next(iter(run.optimise()), None)
                 except MemoryError:
                     n_failed += 1
-            assert n_failed or run.is_optimised, name
+            assert n_failed or run.global_passes.is_finished, name
     list(run.optimise())
     assert map_hashes(run) == map_hashes(still)
 

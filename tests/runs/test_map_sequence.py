@@ -171,7 +171,7 @@ def test_a_pass_cut_short_goes_on_where_it_was(
     resumed = resume_mapping(stopped.folder)
     assert not any("interrupted" in w for w in resumed.run.warnings)
     assert torch.equal(resumed.mapper.gaussians.params.sh, whole_run.mapper.gaussians.params.sh)
-    assert len(resumed.run.global_losses) == 2
+    assert len(resumed.run.global_passes.losses) == 2
     for key in ("psnr_held_out_online_db", "psnr_mapped_online_db"):
         assert resumed.metrics[key] == stopped.metrics[key]
     assert resumed.metrics["psnr_mapped_online_db"] < resumed.metrics["psnr_mapped_db"]

@@ -120,7 +120,7 @@ def test_a_mapper_goes_on_with_its_maps(tmp_path, frames, config):
     assert len(run.run.poses) == run.metrics["n_frames"] == 4
     assert len(read_trajectory_tum(run.folder / "trajectory.txt")[0]) == 4
     assert run.metrics["psnr_mapped_db"] > 15
-    assert run.run.global_losses
+    assert run.run.global_passes.losses
 
 
 def test_unusable_frames_are_named_and_counted(tmp_path, frames, config):
@@ -215,11 +215,11 @@ def test_ctrl_c_while_no_frame_comes(tmp_path, frames, config, monkeypatch, on_s
     assert {p.name for p in run.folder.iterdir()} == run_files
     if on_stop == "save":
         assert run.run.status == "interrupted"
-        assert not run.run.global_losses
+        assert not run.run.global_passes.losses
         assert "interrupted after 5 frames" in run.run.warnings[-1]
     else:
         assert run.run.status == "complete"
-        assert len(run.run.global_losses) == 2
+        assert len(run.run.global_passes.losses) == 2
         assert run.run.warnings == ["the stream was ended by hand after 5 frames"]
 
 
@@ -306,6 +306,10 @@ def test_few_frames_are_kept_evenly_spread_and_all_poses(frames):
         (kept.hold_out if i % 10 == 5 else kept.add)(frame)
     assert [f.index for f in kept.kept_mapped.items] == [0, 36, 71]
     assert [f.index for f in kept.kept_held_out.items] == [5, 45, 85]
+    assert kept.sample(0).positions == [0, 36, 71]
+    assert kept.sample(2).positions == [0, 71]
+    assert kept.sample(1).positions == [0]
+    assert kept.covering(50).positions == [0, 36, 71]
     assert kept[99].index == 99
     with pytest.raises(BadFrameError, match="frame 1 of long was not kept"):
         kept[1]

@@ -208,7 +208,7 @@ def test_a_stream_that_was_killed_keeps_its_map(tmp_path, small_room, config):
     after = resume_mapping(tmp_path)
     assert after.run.status == "complete"
     assert after.mapper.n_frames == len(run.steps) == 8
-    assert len(after.run.global_losses) == 2
+    assert len(after.run.global_passes.losses) == 2
     assert after.metrics["n_views_held_out"] == 2
     assert after.run.warnings == [
         "the stream was interrupted after 8 frames, when its process was killed"

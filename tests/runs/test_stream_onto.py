@@ -62,10 +62,10 @@ def errors_m(run: Any, indices: list[int], **size: Any) -> list[float]:
 def test_a_camera_is_located_and_its_frames_count_from_zero(parent, tmp_path):
     before = hashes(parent)
     run = stream_onto(Camera([60, 61, *range(8, 14)]), parent)
-    assert run.is_looking
+    assert run.mapper.localiser.is_before_first_look
     assert len(run.mapper.gaussians)
     finished = map_stream(run, folder=tmp_path / "run")
-    assert not run.is_looking
+    assert not run.mapper.localiser.is_before_first_look
     assert run.status == "complete"
     indices = run.mapper.trajectory.frame_indices
     assert indices[10:] == [2, 3, 4, 5, 6, 7]
@@ -96,7 +96,7 @@ def test_a_camera_that_is_nowhere_in_the_map_can_be_ended(parent, tmp_path):
     with pytest.raises(SequenceError, match="no frame of camera could be mapped, the first"):
         list(run.online())
     assert run.n_unusable <= 4
-    assert run.is_looking
+    assert run.mapper.localiser.is_before_first_look
 
 
 def test_a_killed_run_is_finished_with_its_parent(parent, tmp_path):
