@@ -36,7 +36,8 @@ from ...files import read_object
 from ..recorded.files import camera, given_name, images_in, number, numbers, pair_by_stem, require
 from ..recorded.poses import no_poses, poses_of_images
 from ..recorded.recorded_sequence import Layout, RecordedSequence
-from ..recorded.times import TIMES, times_of_images, warn_of_doubt
+from ..recorded.time_doubts import warn_of_doubt
+from ..recorded.times import TIMES, times_of_images
 
 LOOKS_FOR = ("rgb/", "depth/", "intrinsics.json")
 _CAMERA_KEYS = ("width", "height", "fx", "fy", "cx", "cy")

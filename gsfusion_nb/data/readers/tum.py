@@ -23,7 +23,9 @@ from ..recorded.files import calibration_in, given_name, natural_order, require,
 from ..recorded.pose_headers import check_metres
 from ..recorded.poses import checked_rows, matrices, no_poses, read_rows
 from ..recorded.recorded_sequence import Layout, RecordedSequence
-from ..recorded.times import associate, judge_stamps, read_image_list, warn_of_doubt
+from ..recorded.stamps import judge_stamps
+from ..recorded.time_doubts import warn_of_doubt
+from ..recorded.times import associate, read_image_list
 
 log = logging.getLogger(__name__)
 

@@ -19,7 +19,7 @@ from ..sequence import Sequence, position
 from .decoded_images import DecodedImages
 from .images import read_depth, read_rgb
 from .poses import checked_pose
-from .times import DoubtfulTimes
+from .time_doubts import DoubtfulTimes
 
 
 @runtime_checkable

@@ -1,23 +1,15 @@
-"""Times of images: whether numbers are times and in which unit, ``times.txt``, and pairing two
-streams by time."""
+"""Times of images in files, ``times.txt`` and lists, and pairing two streams by time."""
 
 import bisect
-import itertools
-import logging
 import math
 import re
-import statistics
-from collections import abc
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from ...checks import shown
 from ...errors import SequenceError
 from ...files import is_file
 from .poses import image_key, read_lines, read_words
-
-log = logging.getLogger(__name__)
+from .stamps import PER_SECOND, date_unit, median_step, time_unit
 
 TIMES = "times.txt"
 
@@ -154,79 +146,12 @@ LONGEST_STEP_S = 60.0
 """Frames of a recording are nearer to each other in the median."""
 
 
-USUAL_STEPS_S = (1 / 130, 1.0)
-"""People film with 1 to 120 frames a second; 130, since whole milliseconds are rounded."""
-
-_UNITS_S = {"ms": 1e-3, "us": 1e-6, "minutes": 60.0, "hours": 3600.0}
-"""Units in which somebody may have written times, in seconds."""
-
-
-@dataclass(frozen=True)
-class DoubtfulTimes:
-    """Why the times of frames may not be seconds."""
-
-    sentence: str
-    remedy: str
-    """What to do if they are not."""
-
-
-def doubt_on_times(
-    times_s: abc.Sequence[float], *, if_counted: str, name: str
-) -> DoubtfulTimes | None:
-    """A doubt on times that are taken as seconds; None where nothing speaks against them.
-
-    A date is never doubted, since its size fixes its unit.
-
-    Args:
-        times_s: Of all frames, in any order.
-        if_counted: What to do if they number the frames.
-        name: Of the file that holds them.
-    """
-    in_order = sorted(times_s)
-    step = _median_step(in_order)
-    if step <= 0 or date_unit(in_order[-1]):
-        return None
-    least, most = USUAL_STEPS_S
-    beginning = f"as seconds they would be one frame in {step:.3g} s"
-    if step >= most and _counter(in_order, is_padded=False):
-        return DoubtfulTimes(
-            f"{beginning}, but they are whole numbers, as those are that count frames, from "
-            f"{in_order[0]:g} to {in_order[-1]:g}",
-            f"if they number the frames: {if_counted}",
-        )
-    if least <= step <= most:
-        return None
-    sentence = f"{beginning}, but what people film has 1 to 120 frames a second"
-    unit = next(
-        (unit for unit, unit_s in _UNITS_S.items() if least <= step * unit_s <= most),
-        "",
-    )
-    if not unit:
-        return DoubtfulTimes(sentence, f"write seconds into {name}, or, without: {if_counted}")
-    unit_s = _UNITS_S[unit]
-    change = f"multiply them by {unit_s:g}" if unit_s > 1 else f"divide them by {1 / unit_s:g}"
-    return DoubtfulTimes(
-        f"{sentence}; in {unit} it would be one in {step * unit_s:.3g} s",
-        f"if {name} holds {unit}: {change}",
-    )
-
-
-def warn_of_doubt(
-    file: Path, times_s: abc.Sequence[float], *, if_counted: str
-) -> DoubtfulTimes | None:
-    """``doubt_on_times`` on those of ``file``, which a warning names."""
-    doubt = doubt_on_times(times_s, if_counted=if_counted, name=file.name)
-    if doubt is not None:
-        log.warning("%s: %s; %s", file, doubt.sentence, doubt.remedy)
-    return doubt
-
-
 def _check_seconds(times: list[float], path: Path) -> None:
     """Raise ``SequenceError`` for times that are not seconds; the message names the unit that they
     have."""
     in_order = sorted(times)
     unit = time_unit(in_order)
-    step = _median_step(in_order)
+    step = median_step(in_order)
     if unit == "s" or (not date_unit(in_order[-1]) and step <= LONGEST_STEP_S):
         return
     raise SequenceError(
@@ -234,176 +159,3 @@ def _check_seconds(times: list[float], path: Path) -> None:
         f"{unit} it is one in "
         f"{step / PER_SECOND[unit]:.3g} s: divide the times by {PER_SECOND[unit]:g}"
     )
-
-
-PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "100ns": 1e7, "ns": 1e9}
-"""Units of times; "100ns" are the ticks of Windows and .NET."""
-LARGEST_STEP = {"s": 5.0, "ms": 5e3, "us": 5e5, "ns": float("inf")}
-"""A median step above this belongs to the next finer unit: 5 s, 5 s, and 0.5 s, since 5e5 ns are 2
-kHz. Ticks are known by their dates alone."""
-DATES = (
-    ("s", 1e9, 1e10),
-    ("ms", 1e12, 1e13),
-    ("us", 1e15, 1e16),
-    ("ns", 1e18, 1e19),
-    ("100ns", 1.26e17, 1.6e17),
-    ("100ns", 6.3e17, 6.7e17),
-)
-"""Unit, first and last of numbers that are dates: from 2001 to 2286 since 1970, or, in ticks, from
-2000 to 2107 since 1601 (Windows), and from 1997 to 2124 since the year 1 (.NET)."""
-MOST_PER_SECOND = 1000.0
-"""No depth camera takes more frames per second: numbers that are nearer to each other are not
-times."""
-_REPEATED = 0.1
-"""Share of equal neighbours above which numbers are not times."""
-_COUNTER_BELOW = 1e6
-_COUNTER_STEP = 20
-"""Whole numbers below the first with a constant step below the second count frames; a clock has
-larger numbers, and in milliseconds larger steps."""
-_LEAST_STEP_MS = 15.0
-"""Whole numbers of a clock in milliseconds have a larger median step: no more than 66 frames a
-second."""
-
-
-@dataclass(frozen=True)
-class Stamps:
-    """What was decided on a list of numbers."""
-
-    times_s: list[float] | None
-    """Seconds, in the order of the numbers; None: they are not times."""
-    why_not: str = ""
-    """Why they are not times."""
-    unit: str = "s"
-    unordered: int = 0
-    """Numbers that are smaller than the one before, in a list that must be sorted by time."""
-    is_guess: bool = False
-    """They are whole and small enough to number frames, too."""
-    counts_frames: bool = False
-    """They are no times, but those of a counter."""
-
-
-def judge_stamps(
-    numbers: abc.Sequence[float],
-    *,
-    names: abc.Sequence[Any] = (),
-    unit: str = "auto",
-    common: str = "",
-    padded: bool = False,
-) -> Stamps:
-    """Are these numbers the times at which images were taken?
-
-    Durations of the frames, frame counters, equal or negative numbers are not. Numbers that do not
-    increase in the order given are times only if the names of the images say the same order.
-
-    Args:
-        numbers: Finite numbers, in the order of the list or file.
-        names: Sorting keys of the images' names; empty where nothing but the numbers tells an
-            order.
-        unit: One of ``PER_SECOND`` where the file's format or the user fixes it; "none": they are
-            not times; "auto" finds it by the numbers.
-        common: For "auto", the unit of all lists of the recording, ``common_unit``.
-        padded: They are written with leading zeros, as counters are.
-    """
-    values = list(numbers)
-    in_order = sorted(numbers)
-    if not values:
-        return Stamps([])
-    if unit == "none":
-        return Stamps(None, "the user says so")
-    best_unit = unit
-    if unit == "auto":
-        best_unit = common or time_unit(in_order)
-    counter = _counter(in_order, is_padded=padded) if unit == "auto" else ""
-    reason = _no_times(in_order, PER_SECOND[best_unit]) or counter
-    times = [v / PER_SECOND[best_unit] for v in values]
-    guess = unit == "auto" and _may_count(in_order)
-    n_backward = sum(b < a for a, b in itertools.pairwise(values))
-    if n_backward and not reason:
-        by_time = sorted(range(len(values)), key=values.__getitem__)
-        if names and [names[i] for i in by_time] == sorted(names):
-            return Stamps(times, unit=best_unit, unordered=n_backward, is_guess=guess)
-        reason = f"{n_backward} of {len(values)} are smaller than the one before"
-    if reason:
-        return Stamps(None, reason, best_unit, counts_frames=bool(counter))
-    return Stamps(times, unit=best_unit, is_guess=guess)
-
-
-def date_unit(value: float) -> str:
-    """The unit in which a number is a date of today; empty if it is none."""
-    return next(
-        (unit for unit, first, last in DATES if first <= abs(value) < last),
-        "",
-    )
-
-
-def time_unit(increasing: abc.Sequence[float]) -> str:
-    """Unit in which times are dates of today (``DATES``), or in which the median step is that of a
-    camera."""
-    return date_unit(increasing[-1]) or _unit_of_step(_median_step(increasing))
-
-
-def common_unit(lists: abc.Iterable[abc.Sequence[float]]) -> str:
-    """The unit of several lists of one recording: that of their dates, or that of the list with the
-    smallest steps."""
-    sorted_lists = [sorted(numbers) for numbers in lists if len(numbers)]
-    if not sorted_lists:
-        return "s"
-    dates = [unit for numbers in sorted_lists if (unit := date_unit(numbers[-1]))]
-    steps = [step for numbers in sorted_lists if (step := _median_step(numbers)) > 0]
-    return dates[0] if dates else _unit_of_step(min(steps, default=0.0))
-
-
-def _median_step(increasing: abc.Sequence[float]) -> float:
-    steps = [b - a for a, b in itertools.pairwise(increasing)]
-    return statistics.median(steps) if steps else 0.0
-
-
-def _unit_of_step(step: float) -> str:
-    return next(unit for unit, most in LARGEST_STEP.items() if step <= most)
-
-
-def _no_times(in_order: list[float], per_second: float) -> str:
-    """Why these numbers, sorted, cannot be times; empty if they can."""
-    n = len(in_order)
-    if in_order[0] < 0:
-        return f"{sum(v < 0 for v in in_order)} of {n} are negative, the smallest {in_order[0]:g}"
-    if n == 1:
-        return ""
-    if in_order[0] == in_order[-1]:
-        return f"all {n} are {in_order[0]:g}"
-    steps = [b - a for a, b in itertools.pairwise(in_order)]
-    n_repeats = sum(step == 0 for step in steps)
-    if n_repeats > max(1, _REPEATED * n):
-        return f"{n_repeats} of {n} repeat another"
-    rate = per_second / statistics.median(steps)
-    if rate > MOST_PER_SECOND:
-        return (
-            "sorted, they are far closer together than the frames of a camera, at "
-            f"{in_order[0]:g} to {in_order[-1]:g}"
-        )
-    return ""
-
-
-def _counter(in_order: list[float], *, is_padded: bool) -> str:
-    """Why these numbers, sorted, are frame numbers; empty if they are not."""
-    steps = [b - a for a, b in itertools.pairwise(in_order)]
-    if len(steps) < 2 or not _may_count(in_order):
-        return ""
-    span = f"from {in_order[0]:g} to {in_order[-1]:g}"
-    low = min(steps)
-    if (
-        0 < low < _COUNTER_STEP
-        and statistics.median(steps) == low
-        and all(step % low == 0 for step in steps)
-    ):
-        return f"they count the frames, {span}"
-    if is_padded:
-        return f"they number the frames, with leading zeros, {span}"
-    if statistics.median(steps) < _LEAST_STEP_MS:
-        return f"they number the frames, {span}: in milliseconds they would be too close together"
-    return ""
-
-
-def _may_count(in_order: list[float]) -> bool:
-    """Whether these numbers, sorted, are whole and small enough to be those of frames."""
-    return in_order[-1] < _COUNTER_BELOW and all(v == int(v) for v in in_order)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ...data.adjust.resize import resized_camera
-from ...data.recorded.times import judge_stamps
+from ...data.recorded.stamps import judge_stamps
 from ...data.room.hand_held import write_depth, write_rgb
 from ...errors import BadFrameError, SequenceError
 from ...files import parsing

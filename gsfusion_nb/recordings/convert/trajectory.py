@@ -19,8 +19,8 @@ from ...data.recorded.poses import (
     matrices,
     read_rows,
 )
-from ...data.recorded.times import PER_SECOND, date_unit, judge_stamps
-from ...data.recorded.times import time_unit as find_time_unit
+from ...data.recorded.stamps import PER_SECOND, date_unit, judge_stamps
+from ...data.recorded.stamps import time_unit as find_time_unit
 from ...errors import SequenceError, refusing
 from ...files import parsing, read_text
 from ...geometry import quaternion, se3

@@ -7,15 +7,9 @@ import pytest
 
 from gsfusion_nb.data import SequenceError
 from gsfusion_nb.data.recorded.files import natural_order
-from gsfusion_nb.data.recorded.times import (
-    associate,
-    common_unit,
-    doubt_on_times,
-    judge_stamps,
-    read_image_list,
-    time_unit,
-    times_of_images,
-)
+from gsfusion_nb.data.recorded.stamps import common_unit, judge_stamps, time_unit
+from gsfusion_nb.data.recorded.time_doubts import doubt_on_times
+from gsfusion_nb.data.recorded.times import associate, read_image_list, times_of_images
 
 CAMERA = [1305031102.17 + i / 30 for i in range(12)]
 

@@ -8,7 +8,8 @@ from typing import Any
 
 from ....data.readers.tum import MAX_TIME_DIFFERENCE_S
 from ....data.recorded.files import natural_order
-from ....data.recorded.times import Stamps, associate, common_unit, judge_stamps
+from ....data.recorded.stamps import Stamps, common_unit, judge_stamps
+from ....data.recorded.times import associate
 from ....errors import SequenceError
 from ..trajectory import frame_key
 

@@ -48,7 +48,7 @@ def associations_of(path: Path) -> Path | None:
 def frames_of(path: Path, unit: str = "auto") -> FrameFiles:
     """The frames of a folder with lists.
 
-    Numbers that are not times (``recorded.times``) neither sort nor pair the images: the list's
+    Numbers that are not times (``recorded.stamps``) neither sort nor pair the images: the list's
     order does, or that of the images' names.
 
     Args:
