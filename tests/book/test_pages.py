@@ -8,7 +8,9 @@ import cv2
 import numpy as np
 import pytest
 from book.assemble import api_page, quiz_page, root_page
-from book.chapters import Chapter, Places, in_the_book, picture_html, places_of
+from book.chapters import Chapter
+from book.page_text import Places, in_the_book, places_of
+from book.pictures import picture_html
 from quiz import question
 
 from gsfusion_nb.course import exercises

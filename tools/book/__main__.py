@@ -16,9 +16,9 @@ from quiz import Question, bank, by_chapter
 from gsfusion_nb.viewer.page_map import page_style
 
 from .assemble import ARCHIVE, Assembly
-from .chapters import FILES_OF_REPOSITORY, places_of
 from .live_panels import PANELS, POSTERS, common_script, panel_script
 from .moving_map import moving_map
+from .page_text import FILES_OF_REPOSITORY, places_of
 
 log = logging.getLogger(__name__)
 

@@ -20,8 +20,9 @@ from gsfusion_nb.course.course import TITLES
 from gsfusion_nb.course.short_path import SHORT_PATH, short_path
 from gsfusion_nb.viewer.page_map import waiting_controls
 
-from .chapters import ROOT_PAGES, Chapter, Places, in_the_book, raw
+from .chapters import Chapter
 from .live_panels import panel_html
+from .page_text import ROOT_PAGES, Places, in_the_book, raw
 
 MOVING_MAP = '<div class="gsnb-moving-map"></div>'
 """Where a page of ``docs/book`` has the map of ``moving_map.py``."""
