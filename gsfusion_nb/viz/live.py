@@ -10,8 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ..drawing.curves import small_curves
 from ..drawing.encoding import encode_jpeg
+from ..drawing.live_curves import small_curves
 from ..drawing.pictures import Picture
 from .display import Bundle, ClickImage, LiveOutput, LostNotice, with_picture
 from .mapped_frame import columns_for

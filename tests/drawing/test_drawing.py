@@ -12,8 +12,9 @@ from jinja2 import UndefinedError
 from markupsafe import Markup
 
 from gsfusion_nb.drawing import curves, pictures
-from gsfusion_nb.drawing.curves import PALETTE, curve_figure, small_curves
+from gsfusion_nb.drawing.curves import PALETTE, curve_figure
 from gsfusion_nb.drawing.encoding import data_uri, encode_palette, encode_png
+from gsfusion_nb.drawing.live_curves import small_curves
 from gsfusion_nb.drawing.page import fill, html_table
 from gsfusion_nb.drawing.pictures import CARD, LABEL_PX, side_by_side
 from gsfusion_nb.viz.map_pictures import CAUSES

@@ -9,15 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ...config import TrackingConfig
-from ...drawing.curves import (
-    CARD,
-    CARD_INK,
-    PALETTE,
-    card_figure,
-    figure_picture,
-    small_curves,
-    style,
-)
+from ...drawing.curves import CARD, CARD_INK, PALETTE, card_figure, figure_picture, style
+from ...drawing.live_curves import small_curves
 from ...drawing.pictures import Picture, side_by_side, to_uint8
 from ...geometry import depth_to_normals, se3
 from ...tracking import IcpResult, Surface, associate, depth_pyramid, icp, point_to_plane
