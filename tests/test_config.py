@@ -33,7 +33,7 @@ def test_presets_carry_the_published_numbers(preset, m, n, random, passes, all_f
     assert (o.global_iterations, c.keep_all_frames) == (passes, all_frames)
     assert (o.lr_xyz, o.lr_sh_dc, o.lr_sh_rest) == (1.6e-4, 2.5e-3, 1.25e-4)
     assert (o.lr_opacity_logit, o.lr_log_scale, o.lr_quat) == (0.05, 1e-3, 1e-3)
-    assert (o.depth_weight, c.keyframe_max_gap) == (0.0, 0)
+    assert (o.depth_weight, o.depth_over_alpha, c.keyframe_max_gap) == (0.0, False, 0)
     assert (c.tsdf.voxel_size_m, c.tsdf.truncation_m, c.tsdf.max_weight) == (
         0.01,
         pytest.approx(0.08),
@@ -74,7 +74,9 @@ def test_measured_has_its_loss_on_all_data_and_its_steps_where_views_are_close(p
     ours = gsfusion(preset)
     papers = gsfusion(preset, "paper_steps")
     default = gsfusion()
-    assert (ours.optim.depth_weight, ours.keyframe_max_gap) == (0.2, 5)
+    depth = (ours.optim.depth_weight, ours.optim.depth_over_alpha, ours.optim.depth_coverage)
+    assert depth == (0.2, True, 0.1)
+    assert ours.keyframe_max_gap == 5
     seeding = ours.seeding
     assert (seeding.quadtree_largest_m, seeding.thickness, seeding.opacity) == (0.1, 0.2, 0.9)
     papers_seeds = replace(ours, seeding=papers.seeding)
@@ -82,7 +84,8 @@ def test_measured_has_its_loss_on_all_data_and_its_steps_where_views_are_close(p
     assert ours.optim.global_iterations == {"tum": 20, "online": 0}.get(preset, 10)
     assert ours.keep_all_frames == (preset == "scannetpp")
     if preset == "scannetpp":
-        assert replace(ours.optim, depth_weight=0.0) == papers.optim
+        without_depth = replace(ours.optim, depth_weight=0.0, depth_over_alpha=False)
+        assert without_depth == papers.optim
     else:
         assert replace(ours.optim, global_iterations=10) == default.optim
         assert (ours.optim.keyframe_iterations, ours.optim.lr_xyz) == (3, 2 * papers.optim.lr_xyz)

@@ -15,7 +15,7 @@ from ..checks import check_name
 from ..config.options import named
 from ..errors import ArgumentError
 from ..mapping import get_system, system_names
-from . import roofline, view_study
+from . import error_study, roofline, view_study
 from .command import run_and_write
 from .recording_specs import RecordingOptions, Values, output_folder, ran_under, recording_specs
 from .run_result import RunResult
@@ -76,6 +76,7 @@ STUDIES = dict(_read_studies())
 """Name on the command line -> study."""
 OTHER_STUDIES = {
     "views": view_study.QUESTION,
+    "errors": error_study.QUESTION,
     "roofline": "kernels and the limits of this machine",
 }
 """Name -> question of the studies that have a module of their own."""
@@ -121,9 +122,10 @@ def study(options: StudyOptions) -> int:
     if name == "roofline":
         folder.mkdir(parents=True, exist_ok=True)
         return roofline.main(options.device, folder)
-    if name == "views":
+    if name in ("views", "errors"):
+        of_views = view_study if name == "views" else error_study
         with use_backend(options.backend):
-            return view_study.main(options, options.data, folder, options.only)
+            return of_views.main(options, options.data, folder, options.only)
     named_study = STUDIES[name]
     with use_backend(options.backend):
         specs = study_specs(name, options, options.data, options.only, options.system)

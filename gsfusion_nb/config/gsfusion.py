@@ -10,7 +10,7 @@ from typing import Any, Literal
 from ..errors import ArgumentError
 from .parts import SystemConfig, TsdfConfig
 from .preset_table import NAMES, ROOM_IMAGES, Changes, Presets
-from .values import Settings, replace, with_values, within
+from .values import Settings, replace, setting, with_values, within
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +85,16 @@ class OptimConfig(Settings, group="optim"):
     costs a little sharpness."""
     depth_weight: float = within(0.2, 0, 1e6, before=0.0)
     """Weight of the mean depth error in metres, over the pixels with measured depth, in all steps.
-    The rendered depth is not divided by alpha, so the loss also closes holes. Larger: closer to the
-    measured depth, noise included. 0 as published; SplaTAM has 2 in units of its colour loss."""
+    Larger: closer to the measured depth, noise included. 0 as published; SplaTAM has 2 in units of
+    its colour loss."""
+    depth_over_alpha: bool = setting(True, before=False)
+    """What of a picture is compared with the measured depth, where depth_weight is above 0. On: the
+    blended depth divided by alpha, as the score of the depth does. Off: the blended depth as it is,
+    as in SplaTAM: where alpha is 0.99, the surface comes to lie 1 % too far away."""
+    depth_coverage: float = within(0.1, 0, 100)
+    """With depth_over_alpha, how much a pixel with measured depth is pulled to alpha 1: its depth
+    error has depth_coverage times depth times (1 - alpha) more. Larger: holes close sooner, colours
+    count less. Usual: 0 to 1."""
     isotropy_weight: float = within(0.0, 0, 1e6)
     """Weight of the mean difference, in metres, between a Gaussian's three sizes and their mean, in
     all steps. Larger: rounder Gaussians, fewer long needles. 0 as published; MonoGS has 10."""
@@ -167,6 +175,7 @@ def _paper_steps(preset: str) -> GSFusionConfig:
         "keyframe_iterations": 5,
         "frame_iterations": 3,
         "depth_weight": 0.0,
+        "depth_over_alpha": False,
         **_PUBLISHED_RATES,
     }
     seeding = {"quadtree_largest_m": 0.0, "thickness": 1.0, "opacity": 0.5}

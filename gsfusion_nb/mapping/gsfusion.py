@@ -25,6 +25,8 @@ from ..optim import (
     depth_l1,
     depth_l1_vjp,
     dssim_vjp,
+    expected_depth_l1,
+    expected_depth_l1_vjp,
     l1_mse_vjp,
 )
 from ..render import render_forward, render_vjp
@@ -253,10 +255,24 @@ class GSFusion(TsdfMapping):
             structural, v_structural = dssim_vjp(picture.rgb, target_rgb)
             loss = (1 - ssim_weight) * loss + ssim_weight * structural
             v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
+        v_alpha = None
         if optim.depth_weight > 0 and view.depth_m is not None:
-            loss = loss + optim.depth_weight * depth_l1(picture.depth_m, view.depth_m)
-            v_depth_m = depth_l1_vjp(picture.depth_m, view.depth_m, optim.depth_weight)
-        return ViewLoss(value=loss, v_rgb=v_rgb, v_depth_m=v_depth_m), pixels.mse
+            depth_loss, v_depth_m, v_alpha = _depth_loss(picture, view.depth_m, optim)
+            loss = loss + depth_loss
+        return ViewLoss(value=loss, v_rgb=v_rgb, v_depth_m=v_depth_m, v_alpha=v_alpha), pixels.mse
+
+
+def _depth_loss(
+    picture: RenderOutput, measured_m: Float[Tensor, "H W"], optim: OptimConfig
+) -> tuple[Float[Tensor, ""], Float[Tensor, "H W"], Float[Tensor, "H W"] | None]:
+    """The term of the depth with its weight, and its gradient with respect to the blended depth and
+    to alpha; None is zero."""
+    weight = optim.depth_weight
+    if optim.depth_over_alpha:
+        inputs = (picture.depth_m, picture.alpha, measured_m, optim.depth_coverage)
+        return weight * expected_depth_l1(*inputs), *expected_depth_l1_vjp(*inputs, weight)
+    value = weight * depth_l1(picture.depth_m, measured_m)
+    return value, depth_l1_vjp(picture.depth_m, measured_m, weight), None
 
 
 def draw(params: GaussianParams, view: Frame | Keyframe) -> tuple[RenderOutput, PictureVjp]:

@@ -16,6 +16,8 @@ from .losses import PictureLoss as PictureLoss
 from .losses import ViewLoss as ViewLoss
 from .losses import depth_l1 as depth_l1
 from .losses import depth_l1_vjp as depth_l1_vjp
+from .losses import expected_depth_l1 as expected_depth_l1
+from .losses import expected_depth_l1_vjp as expected_depth_l1_vjp
 from .losses import l1 as l1
 from .losses import l1_mse_vjp as l1_mse_vjp
 from .losses import l1_vjp as l1_vjp

@@ -42,7 +42,7 @@ NAMES = {
 OWN_NAMES = {
     ("bench", "backend"): {"reference", "numba", "cuda"},
     ("bench", "what"): {"all", "raster", "tsdf", "map", "growth"},
-    ("study", "name"): {*STUDIES, "roofline"},
+    ("study", "name"): {*STUDIES, "errors", "roofline", "views"},
     ("benchmark", "name"): set(DATA_SETS),
     ("convert", "words"): set(FORMATS),
 }

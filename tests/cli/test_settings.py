@@ -87,7 +87,12 @@ def test_settings_of_an_earlier_run_are_a_start(tmp_path):
 
 
 BEFORE = {
-    "gsfusion": {"keyframe_max_gap": 0, "optim.depth_weight": 0.0, "tsdf.colour_band_voxels": 0.0},
+    "gsfusion": {
+        "keyframe_max_gap": 0,
+        "optim.depth_weight": 0.0,
+        "optim.depth_over_alpha": False,
+        "tsdf.colour_band_voxels": 0.0,
+    },
     "rtg_slam": {"states.age": "all", "tracking.landmarks": False, "tracking.brightness_m": None},
     "gps_slam": {"residual.loss": "l1", "schedule.recalled_new": 0, "tracking.pose_jumps": "map"},
 }

@@ -5,12 +5,13 @@ import torch
 
 from gsfusion_nb.config import gsfusion, replace
 from gsfusion_nb.data import apply_options
-from gsfusion_nb.evaluation import psnr
+from gsfusion_nb.evaluation import expected_depth_m, psnr
 from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.mapping.gsfusion import plan_frame
 from gsfusion_nb.optim import depth_l1
 from gsfusion_nb.runs import MappingRun
 from gsfusion_nb.seeding import voxel_index
+from gsfusion_nb.types import Camera, Frame
 
 
 def held_out_psnr(mapper, split) -> float:
@@ -118,6 +119,37 @@ def test_a_depth_loss_brings_the_rendered_depth_closer(split, config):
         views = [(mapper.render(f.camera, f.T_WC).depth_m, f.depth_m) for f in split.mapping]
         errors.append(sum(float(depth_l1(seen, measured)) for seen, measured in views))
     assert errors[1] < 0.8 * errors[0]
+
+
+@pytest.mark.parametrize("over_alpha", [False, True])
+def test_a_wall_that_shines_through_lies_where_it_was_measured(over_alpha):
+    """Gaussians of a wall at 2 m, of which only the centres move. Blended depth that is not divided
+    is right where they lie (1 - alpha) / alpha of the distance too far away."""
+    camera = Camera(width=24, height=18, fx=20.0, fy=20.0, cx=12.0, cy=9.0)
+    depth_m = torch.full((18, 24), 2.0)
+    frame = Frame(
+        index=0,
+        camera=camera,
+        colour=torch.full((18, 24, 3), 0.5),
+        depth_m=depth_m,
+        T_WC=torch.eye(4),
+        timestamp_s=0.0,
+    )
+    still = dict.fromkeys(("sh_dc", "sh_rest", "log_scale", "quat", "opacity_logit"), 0.0)
+    optim = {f"lr_{name}": rate for name, rate in still.items()}
+    optim |= {"lr_xyz": 2e-3, "depth_weight": 1.0, "depth_over_alpha": over_alpha}
+    mapper = GSFusion(gsfusion("replica", optim=optim, seeding={"opacity": 0.7}))
+    mapper.step(frame)
+    for _ in range(100):
+        mapper._optimise_view(frame)
+    picture = mapper.render(camera, frame.T_WC)
+    behind = float((expected_depth_m(picture) / depth_m - 1).median())
+    shines_through = float((1 / picture.alpha - 1).median())
+    assert shines_through > 0.05
+    if over_alpha:
+        assert abs(behind) < 0.005
+    else:
+        assert behind == pytest.approx(shines_through, rel=0.1)
 
 
 PENALTIES = {

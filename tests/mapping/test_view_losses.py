@@ -13,7 +13,7 @@ from gsfusion_nb.mapping import GSFusion
 from gsfusion_nb.mapping.gps_slam import loss_of_view
 from gsfusion_nb.mapping.gps_views import SurfaceKeyframe
 from gsfusion_nb.mapping.training import Training
-from gsfusion_nb.optim import Keyframe, depth_l1, dssim, l1
+from gsfusion_nb.optim import Keyframe, depth_l1, dssim, expected_depth_l1, l1
 from gsfusion_nb.render import OverBaseOutput
 from gsfusion_nb.types import RenderOutput
 
@@ -80,6 +80,35 @@ def test_gsfusion_weighs_colour_structure_and_depth(
     rise = slope(lambda image: loss_of(rgb, image).value, depth_m, direction)
     assert float((found.v_depth_m * direction).sum()) == pytest.approx(rise, rel=2e-2)
     assert not found.v_depth_m[:20].any()
+
+
+def test_gsfusion_divides_the_depth_by_alpha_where_it_is_asked_to(config, frame, generator):
+    """Value and slopes along depth and alpha; without the setting alpha does not count."""
+    depth_m = away_from(frame.depth_m, generator)
+    alpha = 0.6 + 0.3 * torch.rand(depth_m.shape, generator=generator)
+
+    def loss_of(depth_m: torch.Tensor, alpha: torch.Tensor, over_alpha: bool = True):
+        optim = {"depth_weight": 0.7, "depth_over_alpha": over_alpha, "depth_coverage": 0.4}
+        mapper = GSFusion(replace(config, optim=optim))
+        picture = RenderOutput(
+            rgb=frame.rgb, depth_m=depth_m, alpha=alpha, first_index=None, dominant_index=None
+        )
+        return mapper._loss(picture, MapPart(mapper.gaussians), frame, frame.rgb, 0.0)[0]
+
+    found = loss_of(depth_m, alpha)
+    expected = 0.7 * expected_depth_l1(depth_m, alpha, frame.depth_m, 0.4)
+    torch.testing.assert_close(found.value, expected)
+    assert found.v_depth_m is not None
+    direction = found.v_depth_m.sign()
+    rise = slope(lambda image: loss_of(image, alpha).value, depth_m, direction)
+    assert float((found.v_depth_m * direction).sum()) == pytest.approx(rise, rel=2e-2)
+    assert found.v_alpha is not None
+    direction = found.v_alpha.sign()
+    rise = slope(lambda image: loss_of(depth_m, image).value, alpha, direction)
+    assert float((found.v_alpha * direction).sum()) == pytest.approx(rise, rel=2e-2)
+    as_it_is = loss_of(depth_m, alpha, over_alpha=False)
+    assert as_it_is.v_alpha is None
+    torch.testing.assert_close(as_it_is.value, 0.7 * depth_l1(depth_m, frame.depth_m))
 
 
 @pytest.mark.parametrize(("kind", "power"), [("l1", 1), ("l2", 2)])

@@ -14,6 +14,8 @@ from gsfusion_nb.optim import (
     depth_l1_vjp,
     dssim,
     dssim_vjp,
+    expected_depth_l1,
+    expected_depth_l1_vjp,
     l1,
     l1_vjp,
     l2_mse_vjp,
@@ -284,6 +286,37 @@ def test_depth_counts_where_it_is_measured(generator):
     assert depth_l1_vjp(depth, target, 3.0).tolist() == [[-1.0, 0.0], [1.0, -1.0]]
     torch.autograd.gradcheck(lambda d: depth_l1(d, target), depth.clone().requires_grad_(True))
     assert depth_l1(depth, torch.zeros_like(target)) == 0
+
+
+def test_depth_over_alpha_by_hand():
+    """Pixels: right where alpha is 0.8, too near, not measured, hardly covered (divided by 1/2)."""
+    depth = torch.tensor([1.6, 0.9, 7.0, 0.1], dtype=torch.float64)[None]
+    alpha = torch.tensor([0.8, 0.9, 0.9, 0.25], dtype=torch.float64)[None]
+    target = torch.tensor([2.0, 4.0, 0.0, 2.0], dtype=torch.float64)[None]
+    assert expected_depth_l1(depth, alpha, target).item() == pytest.approx((0 + 3 + 1.8) / 3)
+    holes = (2 * 0.2 + 4 * 0.1 + 2 * 0.75) / 3
+    covered = expected_depth_l1(depth, alpha, target, 0.5).item()
+    assert covered == pytest.approx((0 + 3 + 1.8) / 3 + 0.5 * holes)
+    v_depth, v_alpha = expected_depth_l1_vjp(depth, alpha, target, 0.5, 3.0)
+    assert v_depth[0, 1:].tolist() == pytest.approx([-1 / 0.9, 0, -2])
+    assert v_alpha[0, 1:].tolist() == pytest.approx([0.9 / 0.81 - 0.5 * 4, 0, -0.5 * 2])
+    assert expected_depth_l1(depth, alpha, torch.zeros_like(target)) == 0
+
+
+@pytest.mark.parametrize("coverage", [0.0, 0.3])
+def test_gradient_of_depth_over_alpha(generator, coverage):
+    alpha = torch.rand(6, 5, dtype=torch.float64, generator=generator)
+    depth = 3 * torch.rand(6, 5, dtype=torch.float64, generator=generator)
+    target = (3 * torch.rand(6, 5, dtype=torch.float64, generator=generator) - 0.5).clamp_min(0)
+    assert (alpha < 0.5).any()
+    assert (target == 0).any()
+    inputs = (depth.clone().requires_grad_(True), alpha.clone().requires_grad_(True))
+    torch.autograd.gradcheck(lambda d, a: expected_depth_l1(d, a, target, coverage), inputs)
+    loss = 2.5 * expected_depth_l1(inputs[0], inputs[1], target, coverage)
+    by_torch = torch.autograd.grad(loss, inputs)
+    by_hand = expected_depth_l1_vjp(depth, alpha, target, coverage, 2.5)
+    for ours, found in zip(by_hand, by_torch, strict=True):
+        torch.testing.assert_close(ours, found)
 
 
 def test_penalties_are_added_to_the_gradients(generator):
