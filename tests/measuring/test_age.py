@@ -150,6 +150,20 @@ def test_a_table_with_another_map_stays_old(project, same_rooms, now):
     assert list_old(recipes, project) == ["walls"]
 
 
+def test_numbers_of_some_maps_need_only_these_to_be_the_same(project, same_rooms):
+    recipes = read_recipes(project)
+    change_code(project, "2\n")
+    same_rooms["now"] = {"a": "1", "b": "3"}
+    recipes["walls"]["maps"] = ["b"]
+    assert "1 maps are others" in confirm(recipes, project)["walls"]
+    recipes["walls"]["maps"] = ["a", "c"]
+    with pytest.raises(MeasuredError, match="walls: no map begins with 'c'"):
+        confirm(recipes, project)
+    recipes["walls"]["maps"] = ["a"]
+    assert confirm(recipes, project) == {"walls": ""}
+    assert list_old(recipes, project) == []
+
+
 def test_maps_say_nothing_of_times_and_of_other_code(project, same_rooms, monkeypatch):
     recipes = read_recipes(project)
     change_code(project, "2\n")

@@ -3,7 +3,7 @@ same."""
 
 import datetime
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +104,9 @@ def confirm(recipes: Mapping[str, dict[str, Any]], root: Path = ROOT) -> dict[st
     A table of times, one whose recipe has changed, and one that depends on a changed file outside
     of ``same_maps.ROOMS`` must be measured again.
 
+    A recipe whose numbers are of some of the maps alone, as those of one system, names them by how
+    they begin (``maps``); then only these must be the same.
+
     Returns:
         Name of each old table -> why it is not confirmed; empty if it is.
 
@@ -123,17 +126,34 @@ def confirm(recipes: Mapping[str, dict[str, Any]], root: Path = ROOT) -> dict[st
     if not by_commit:
         return reasons
     now = same_maps.hashes_of_folder(root)
+    for names in by_commit.values():
+        for name in names:
+            check_maps(name, recipes[name], now)
     head = git("rev-parse", "HEAD", root=root).strip()
     for commit, names in by_commit.items():
-        others = same_maps.differences(same_maps.hashes_of_commit(commit, root), now)
+        different = same_maps.differences(same_maps.hashes_of_commit(commit, root), now)
         for name in names:
-            if others:
+            if others := maps_of(recipes[name], different):
                 reasons[name] = f"{len(others)} maps are others since {commit[:8]}: {others[0]}"
                 continue
             numbers = read_numbers(name, root)
             numbers[SAME_MAPS] = {"commit": head, "date": datetime.date.today().isoformat()}
             write_numbers(root / MEASURED / f"{name}.json", numbers)
     return reasons
+
+
+def maps_of(recipe: Mapping[str, Any], maps: Iterable[str]) -> list[str]:
+    """Those of the maps that the numbers of a recipe are of: all, or those that begin as its
+    ``maps`` say."""
+    return [name for name in maps if name.startswith(tuple(recipe.get("maps", [""])))]
+
+
+def check_maps(name: str, recipe: Mapping[str, Any], maps: Iterable[str]) -> None:
+    """Raise ``MeasuredError`` if the ``maps`` of a recipe name none of the maps."""
+    known = list(maps)
+    for beginning in recipe.get("maps", [""]):
+        if not any(map_name.startswith(beginning) for map_name in known):
+            raise MeasuredError(f"{name}: no map begins with {beginning!r}; there are {known}")
 
 
 def reason_to_measure(name: str, recipe: Mapping[str, Any], root: Path = ROOT) -> str:

@@ -14,7 +14,18 @@ COMMIT_HERE = "commit_here"
 that it is."""
 SAME_MAPS = "same_maps"
 """Key of a file of numbers: a later commit that makes the same maps, and when that was found."""
-KEYS = {"about", "depends", "columns", "rows", "runs", "cells", "texts", "minutes", "quiet"}
+KEYS = {
+    "about",
+    "cells",
+    "columns",
+    "depends",
+    "maps",
+    "minutes",
+    "quiet",
+    "rows",
+    "runs",
+    "texts",
+}
 ABSOLUTE_PATH = re.compile(r"(?<![\w.~:/\\])(?:~|[A-Za-z]:)?(?:[/\\][^/\\\s\"']+){2,}[/\\]?")
 
 
