@@ -102,7 +102,7 @@ class AfterScan:
         mapper = self._mapper
         mapper.lost.begin_frame()
         mapper.parts.take_missed_steps()
-        mapper._follow(mapper.localiser.finish())
+        mapper.localiser.finish()
         self._n_frames_ready = mapper.n_frames
 
     def _watched_step(self, i: int) -> Float[Tensor, ""]:

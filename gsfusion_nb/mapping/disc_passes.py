@@ -1,6 +1,5 @@
 """The passes of RTG-SLAM over all keyframes after the scan, on all discs."""
 
-from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -12,6 +11,7 @@ from ..large_maps import MapParts
 from ..optim import Keyframe, TrainingView
 from ..types import ALL_ROWS, GaussianParams, MapRows
 from .disc_optimisation import edit_after, step_on
+from .parts_of_map import depth_behind_views
 from .surfel_optimiser import SurfelOptimiser
 from .transaction import Undo
 
@@ -96,11 +96,10 @@ class DiscParts(MapParts):
 
     Args:
         mapper: The ``RTGSLAM``.
-        depth_of: As for ``MapParts``.
     """
 
-    def __init__(self, mapper: Any, depth_of: Callable[[Any], Tensor | None]):
-        super().__init__(mapper.gaussians, None, depth_of)
+    def __init__(self, mapper: Any):
+        super().__init__(mapper.gaussians, None, depth_behind_views(mapper.config))
         self._discs = mapper.gaussians
         self._passes = mapper.disc_passes
 

@@ -70,6 +70,7 @@ class GPSSLAM(TsdfMapping):
         super().__init__(*args, **options)
         self.views = ViewRound(self.config.schedule)
         self.transaction.protect(self.views.undo_log)
+        self.localiser.followers.append(self._forget_surface)
         self._pass_views = PassViews()
         self.notes += notes_on_fidelity(self.config)
 
@@ -196,12 +197,10 @@ class GPSSLAM(TsdfMapping):
         super()._load(state)
         self.views.load_state_dict(state["views"], self.config.base, self.device)
 
-    def _follow(self, correction: Correction | None) -> None:
+    def _forget_surface(self, correction: Correction) -> None:
         """After a loop closure the views are at other poses, and the surface is another one."""
-        super()._follow(correction)
-        if correction is not None:
-            self.views.forget()
-            self.files.forget_discs()
+        self.views.forget()
+        self.files.forget_discs()
 
     def _look(self, keyframe: Keyframe) -> SurfaceKeyframe:
         return look_at(self.volume, keyframe.to(self.device), self.config.base)

@@ -44,6 +44,9 @@ class Localiser:
         recorded or refused."""
         self.memory = KeyframeMemory(config)
         """The keyframes by appearance."""
+        self.followers: list[Callable[[tracking.Correction], None]] = []
+        """Called with each correction of the trajectory, after it moved: what lies in the world
+        moves with it."""
 
     @property
     def is_tracking(self) -> bool:
@@ -149,30 +152,31 @@ class Localiser:
             self._tracker.standing = self._earlier_state
         self._earlier_state = None
 
-    def record(self, frame: Frame) -> tracking.Correction | None:
-        """Add a mapped frame to the trajectory. If it closed a loop, returns the correction,
-        which the trajectory has followed."""
+    def record(self, frame: Frame) -> None:
+        """Add a mapped frame to the trajectory. If it closes a loop, the trajectory and its
+        ``followers`` move."""
         self._earlier_state = None
         self.trajectory.add(frame)
         if not self.is_tracking:
             self._jumps.record(frame)
             self.memory.collect(frame)
-            return None
-        return self._apply(self.memory.add(frame))
+            return
+        self._apply(self.memory.add(frame))
 
-    def finish(self) -> tracking.Correction | None:
-        """The last optimisation of the back end, over all keyframes and landmarks, after the
-        scan."""
-        return self._apply(self.memory.finish())
+    def finish(self) -> None:
+        """The last optimisation of the back end, over all keyframes and landmarks, after the scan.
+        The trajectory and its ``followers`` move."""
+        self._apply(self.memory.finish())
 
-    def _apply(self, correction: tracking.Correction | None) -> tracking.Correction | None:
+    def _apply(self, correction: tracking.Correction | None) -> None:
         if correction is None:
-            return None
+            return
         indices = torch.tensor(self.trajectory.frame_indices)
         moves = correction.transform_of(indices).float()
         self.trajectory.move(moves)
         self._tracker.correct(moves[-1])
-        return correction
+        for follow in self.followers:
+            follow(correction)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue."""

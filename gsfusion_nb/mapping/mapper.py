@@ -23,10 +23,8 @@ from ..gaussians import GaussianModel
 from ..interrupts import DelayedInterrupt
 from ..large_maps import MapParts, drawn_in_part
 from ..optim import (
-    Keyframe,
     KeyframeList,
     UpdateFunction,
-    take_missed_steps,
 )
 from ..resources import MAP_MEMORY
 from ..seeding import (
@@ -53,6 +51,7 @@ from .lost_rows import LostRows
 from .map_files import MapFiles
 from .map_reports import MapReports
 from .mapper_copy import parts_of_copy
+from .parts_of_map import parts_of_map
 from .random_streams import RandomStreams
 from .rule_calls import ask_rule, context_of
 from .rule_in_use import RuleInUse, check_registered
@@ -90,7 +89,8 @@ class Mapper(InUsualTorch, ABC):
     A subclass defines ``description``, ``config_type``, ``preset``, ``n_passes``, ``map_frame``,
     ``surface``, ``mesh`` and ``_global_step``. It overrides the rest where the default does not
     fit: ``state_dict`` and ``_load`` if it has state of its own, which ``TsdfMapping`` does for a
-    TSDF, and ``files_type`` and ``reports_type`` if its files or reports have more in them.
+    TSDF, and ``files_type`` and ``reports_type`` if its files or reports have more in them. What
+    else it has that lies in the world is moved with a loop by ``localiser.followers``.
     """
 
     _OFFERS = ("__init__", "surface", "mesh", "render", "seed_context")
@@ -105,6 +105,8 @@ class Mapper(InUsualTorch, ABC):
     line."""
     model_type: ClassVar[type[GaussianModel]] = GaussianModel
     """Class of the Gaussian map."""
+    parts_type: ClassVar[Callable[..., MapParts]] = staticmethod(parts_of_map)
+    """``parts_type(mapper)``: its ``parts``, the rows of the map that a view may show."""
     files_type: ClassVar[type[MapFiles]] = MapFiles
     """Class of ``files``, how the map is written and drawn from files."""
     reports_type: ClassVar[type[MapReports]] = MapReports
@@ -135,13 +137,14 @@ class Mapper(InUsualTorch, ABC):
         self.after_steps = AfterSteps(self.rule_in_use)
         self.device = torch.device(device)
         self.gaussians = self.model_type(self.config.sh_degree, device=self.device)
-        self.parts = self._parts_of_map()
+        self.parts = self.parts_type(self)
         """The rows of ``gaussians`` that a view may show, which are drawn and stepped."""
         self.lost = LostRows()
         """How many Gaussians a step made NaN or infinite."""
         self.keyframes = KeyframeList("cpu" if self.config.keyframes_on == "cpu" else self.device)
         self.random = RandomStreams(self.config.seed)
         self.localiser = Localiser(self.config.tracking)
+        self.localiser.followers.append(partial(_move_map, self))
         self.trajectory = self.localiser.trajectory
         """The pose of every frame mapped so far."""
         self.passes = KeyframePasses()
@@ -279,13 +282,6 @@ class Mapper(InUsualTorch, ABC):
         """Settings of the Adam whose steps rows of the map may miss; None if there is none."""
         return None
 
-    def _parts_of_map(self) -> MapParts:
-        """The rows of the map that a view may show, and the steps that the others miss."""
-        catch_up = None
-        if self.row_optim is not None and self.training.optimiser is None:
-            catch_up = partial(take_missed_steps, config=self.row_optim)
-        return MapParts(self.gaussians, catch_up, depth_behind_views(self.config))
-
     def global_optimise(self, passes: int | None = None) -> Iterator[GlobalStep]:
         """Optimise over the keyframes after the scan: each pass visits all of them once in a new
         random order.
@@ -384,20 +380,13 @@ class Mapper(InUsualTorch, ABC):
         self.lost.total = state.get("n_not_finite", 0)
         self.random.load_state_dict(state["random"])
         self.gaussians = self.model_type.from_state_dict(state["gaussians"], self.device)
-        self.parts = self._parts_of_map()
+        self.parts = self.parts_type(self)
         self.keyframes = KeyframeList.from_state_dict(state["keyframes"], self.keyframes.device)
         self.passes.load_state_dict(state["passes"])
 
     def _record(self, frame: Frame) -> None:
-        """Add a mapped frame to the trajectory, and follow the correction if it closes a loop."""
-        self._follow(self.localiser.record(frame))
-
-    def _follow(self, correction: Correction | None) -> None:
-        """After a loop closure, move Gaussians, keyframes and what the rule remembers of the world
-        with the trajectory."""
-        if correction is not None:
-            move_map(correction, self.gaussians, self.keyframes)
-            move_memory(self.rule_in_use.memory, correction.transform_of)
+        """Add a mapped frame to the trajectory; the map moves with it if it closes a loop."""
+        self.localiser.record(frame)
 
 
 def _located(mapper: Mapper, frame: Frame) -> Frame:
@@ -408,13 +397,8 @@ def _located(mapper: Mapper, frame: Frame) -> Frame:
     return mapper.track_frame(frame)
 
 
-def depth_behind_views(config: SystemConfig) -> Callable[[Frame | Keyframe], Tensor | None]:
-    """A function from a view to its measured depth, behind which its steps reach no rows; to None
-    where they reach all of them."""
-
-    def depth_of(view: Frame | Keyframe) -> Tensor | None:
-        if config.all_in_view:
-            return None
-        return view.farthest_m if isinstance(view, Keyframe) else view.depth_m
-
-    return depth_of
+def _move_map(mapper: Mapper, correction: Correction) -> None:
+    """After a loop closure, move Gaussians, keyframes and what the rule remembers of the world with
+    the trajectory."""
+    move_map(correction, mapper.gaussians, mapper.keyframes)
+    move_memory(mapper.rule_in_use.memory, correction.transform_of)

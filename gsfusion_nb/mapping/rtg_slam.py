@@ -26,7 +26,7 @@ from .disc_optimisation import optimise_keyframes, optimise_window
 from .disc_passes import DiscParts, DiscPasses
 from .disc_states import STATES, DiscReports, manage_states, n_stable
 from .lost_rows import remove_lost
-from .mapper import Mapper, depth_behind_views
+from .mapper import Mapper
 from .step_report import StepReport, psnr_db
 from .transaction import Undo
 
@@ -67,6 +67,7 @@ class RTGSLAM(Mapper):
     config_type = RtgSlamConfig
     preset = staticmethod(rtg_slam)
     model_type = SurfelModel
+    parts_type = DiscParts
     files_type = DiscFiles
     reports_type = DiscReports
 
@@ -80,6 +81,7 @@ class RTGSLAM(Mapper):
         self.camera: Camera | None = None
         self.window: deque[Frame] = deque(maxlen=self.config.window.frames)
         self.transaction.protect(self._undo_of_window)
+        self.localiser.followers.append(self._move_window)
         self.transaction.protect(self.disc_passes.snapshot, self.disc_passes.end_log)
 
     def __repr__(self) -> str:
@@ -171,9 +173,6 @@ class RTGSLAM(Mapper):
         """One step on the i-th keyframe, on all pixels and all Gaussians."""
         return self.disc_passes.step(self.keyframes[i].to(self.device))
 
-    def _parts_of_map(self) -> DiscParts:
-        return DiscParts(self, depth_behind_views(self.config))
-
     def _undo_of_window(self) -> Undo:
         window = list(self.window)
 
@@ -234,11 +233,8 @@ class RTGSLAM(Mapper):
         self.camera = frame.camera
         super()._record(frame)
 
-    def _follow(self, correction: Correction | None) -> None:
+    def _move_window(self, correction: Correction) -> None:
         """After a loop closure the window moves as well."""
-        super()._follow(correction)
-        if correction is None:
-            return
         moves = correction.transform_of(torch.tensor([f.index for f in self.window])).float()
         frames = [
             dataclasses.replace(f, T_WC=T.to(f.T_WC) @ f.T_WC)

@@ -123,6 +123,7 @@ class TsdfMapping(Mapper):
         self.fused = FusedFrames()
         """The frames in ``volume``, if a loop may move them; empty without the back end."""
         self.transaction.protect(self._undo_of_first_frame)
+        self.localiser.followers.append(self._fuse_again)
 
     def __repr__(self) -> str:
         return (
@@ -189,11 +190,10 @@ class TsdfMapping(Mapper):
             self.fused.add(frame)
         super()._record(frame)
 
-    def _follow(self, correction: Correction | None) -> None:
+    def _fuse_again(self, correction: Correction) -> None:
         """After a loop closure that moved a frame by more than half a voxel, the TSDF is made
         again."""
-        super()._follow(correction)
-        if correction is None or not len(self.fused):
+        if not len(self.fused):
             return
         poses = self.trajectory.poses
         if self.fused.moved_m(poses) <= MOVED_VOXELS * self.volume.config.voxel_size_m:

@@ -51,7 +51,7 @@ def correct(mapper, shift_m):
     )
     ends = torch.tensor([mapper.trajectory.frame_indices[i] for i in (0, -1)])
     found = Correction(frame_index=ends, T_WC_old=old, T_WC_new=new, loops=[])
-    mapper._follow(mapper.localiser._apply(found))
+    mapper.localiser._apply(found)
 
 
 def assert_fused_at(mapper, frames, poses):
