@@ -21,14 +21,8 @@ from ...geometry import backproject, pixel_grid, se3
 from ...resources import MAP_MEMORY
 from ...types import Camera, Frame, Mesh
 from . import raycast, shade
-from .camera import (
-    TRAJECTORIES,
-    disturbed_poses,
-    exposed,
-    exposure_gains,
-    walk,
-    without_depth,
-)
+from .building_walk import BuildingWalk
+from .camera import TRAJECTORIES, exposed, exposure_gains, without_depth
 from .depth_noise import kinect_depth, stereo_depth
 from .image_cache import cached
 from .interior import MOVED
@@ -44,11 +38,6 @@ room is 6.41 m."""
 
 NOISES = ("none", "kinect", "stereo")
 """Errors of depth that a room can have."""
-
-ROOM_DISTANCE_M = 10.0
-
-ROOM_TIME_S = 60.0
-"""Between the rooms of a building, and between their first frames."""
 
 _IMPERFECT = {
     "exposure_stops": 3,
@@ -154,12 +143,12 @@ class RoomSequence:
 
     def pose(self, i: int) -> Float[Tensor, "4 4"]:
         """Camera-to-world pose of frame ``i`` as it is given, without rendering it."""
-        return torch.from_numpy(self._given_poses[self._index(i)]).float()
+        return torch.from_numpy(self._walk.given_poses[self._index(i)]).float()
 
     def true_pose(self, i: int) -> Float[Tensor, "4 4"]:
         """Camera-to-world pose that frame ``i`` was taken at: ``pose(i)`` without its error and
         delay."""
-        return torch.from_numpy(self._walk[0][self._index(i)]).float()
+        return torch.from_numpy(self._walk.poses[self._index(i)]).float()
 
     def mesh(self) -> Mesh:
         """Ground truth of the surface, 3 cm triangles."""
@@ -174,7 +163,7 @@ class RoomSequence:
             dtype=room.faces.dtype,
             device=device,
         )
-        for k, away_m in enumerate(torch.from_numpy(self._rooms_W).float()):
+        for k, away_m in enumerate(torch.from_numpy(self._walk.rooms_W).float()):
             vertices_W[k * n : (k + 1) * n] = room.vertices_W + away_m
             rgb[k * n : (k + 1) * n] = room.rgb
             faces[k * m : (k + 1) * m] = room.faces + k * n
@@ -184,7 +173,7 @@ class RoomSequence:
     @property
     def times_s(self) -> np.ndarray:
         """Time of every frame, seconds. [N]"""
-        return self._walk[1]
+        return self._walk.times_s
 
     @property
     def content(self) -> str:
@@ -202,7 +191,7 @@ class RoomSequence:
         """What the walk from the first to the last of ``frames`` shows, as one text for each frame
         and each tenth of a second: equal for all rooms with this seed and walk, whatever their
         number of frames, size, noise and errors."""
-        times_s = self._walk[1][: self.n_frames]
+        times_s = self.times_s[: self.n_frames]
         name = f"room {self.seed}{place_of(self.moved)}, {self.trajectory}"
         texts = [f"{name}, {times_s[i % self.n_frames]:.3f} s" for i in frames]
         # all look the same
@@ -251,36 +240,9 @@ class RoomSequence:
         return stereo_depth(depth_m, torch.from_numpy(rgb), self.camera, rng=rng)
 
     @functools.cached_property
-    def _walk(self) -> tuple[np.ndarray, np.ndarray]:
-        poses, times_s = walk(self.trajectory, self.n_frames, self.seed)
-        starts_s = ROOM_TIME_S * np.arange(self.rooms)[:, None]
-        return self._in_all_rooms(poses), (starts_s + times_s).reshape(-1)
-
-    @property
-    def _rooms_W(self) -> np.ndarray:
-        """Where the rooms of the building are, world frame, metres. [rooms, 3]"""
-        room = np.arange(self.rooms)
-        side = math.ceil(math.sqrt(self.rooms))
-        return ROOM_DISTANCE_M * np.stack([room % side, room // side, 0 * room], 1)
-
-    def _in_all_rooms(self, poses: np.ndarray) -> np.ndarray:
-        """The poses of a walk through one room in one room after another."""
-        poses = np.tile(poses, (self.rooms, 1, 1))
-        poses[:, :3, 3] += self._rooms_W.repeat(self.n_frames, 0)
-        return poses
-
-    @functools.cached_property
-    def _given_poses(self) -> np.ndarray:
-        poses, times_s = self._walk
-        if self.pose_delay_s:
-            poses = self._in_all_rooms(
-                walk(self.trajectory, self.n_frames, self.seed, delay_s=self.pose_delay_s)[0]
-            )
-        if self.pose_error_m or self.pose_error_deg:
-            poses = disturbed_poses(
-                poses, times_s, self.pose_error_m, self.pose_error_deg, self.seed
-            )
-        return poses
+    def _walk(self) -> BuildingWalk:
+        fields = dataclasses.fields(BuildingWalk)
+        return BuildingWalk(**{field.name: getattr(self, field.name) for field in fields})
 
     def _without_depth(
         self,
@@ -296,7 +258,7 @@ class RoomSequence:
 
     @functools.cached_property
     def _folder(self) -> Path:
-        walk_W = self._walk[0][: self.n_frames].round(6)  # another walk needs other images
+        walk_W = self._walk.poses[: self.n_frames].round(6)  # another walk needs other images
         poses = hashlib.sha256(walk_W.tobytes()).hexdigest()
         options = self._options() | {
             "noise": "",
