@@ -26,6 +26,9 @@ FLOORS = {
     "__main__": 10,
 }
 
+MOST_METHODS = 20
+"""Of a class, properties included; what is more has a second job, or is a function."""
+
 MODULES = sorted(p for p in PACKAGE.rglob("*.py") if p != PACKAGE / "__init__.py")
 
 
@@ -211,6 +214,34 @@ def test_a_circle_through_a_package_is_found(tmp_path):
     for name, text in files.items():
         (tmp_path / name).write_text(text)
     assert ImportGraph({"pkg": tmp_path}).circles() == [{"pkg.a", "pkg.b"}]
+
+
+def large_classes(path: Path) -> list[str]:
+    """The classes in a file with more than ``MOST_METHODS``, with their number of methods."""
+    classes = [
+        node
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    ]
+    sizes = {
+        node.name: len([part for part in node.body if isinstance(part, ast.FunctionDef)])
+        for node in classes
+    }
+    return [f"{path.name}: {name} has {n}" for name, n in sizes.items() if n > MOST_METHODS]
+
+
+def test_a_class_has_one_job():
+    files = [p for room in ("gsfusion_nb", "kernels", "tools") for p in (ROOT / room).rglob("*.py")]
+    assert len(files) > 300
+    assert [sentence for path in files for sentence in large_classes(path)] == []
+
+
+def test_a_class_with_too_many_methods_is_found(tmp_path):
+    path = tmp_path / "large.py"
+    methods = [f"    def f{i}(self): ...\n" for i in range(MOST_METHODS)]
+    small = "class Small:\n    def __len__(self): ...\n"
+    path.write_text("".join(["class Large:\n", *methods, "    def __len__(self): ...\n", small]))
+    assert large_classes(path) == [f"large.py: Large has {MOST_METHODS + 1}"]
 
 
 def test_no_postponed_annotations():
