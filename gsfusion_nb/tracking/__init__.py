@@ -35,12 +35,12 @@ from .pose_graph import odometry_information as odometry_information
 from .pose_graph import optimise_poses as optimise_poses
 from .pose_graph import pose_graph_step as pose_graph_step
 from .pose_graph import relative_pose_error as relative_pose_error
+from .report import PoseFinder as PoseFinder
+from .report import TrackingLostError as TrackingLostError
+from .report import TrackingReport as TrackingReport
 from .surface import DepthLevel as DepthLevel
 from .surface import Surface as Surface
 from .surface import SurfaceSource as SurfaceSource
 from .surface import depth_pyramid as depth_pyramid
 from .surface import tsdf_surface as tsdf_surface
-from .tracker import PoseFinder as PoseFinder
 from .tracker import Tracker as Tracker
-from .tracker import TrackingLostError as TrackingLostError
-from .tracker import TrackingReport as TrackingReport

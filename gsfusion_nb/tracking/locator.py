@@ -26,8 +26,9 @@ from .features import Features
 from .icp import ExtraRows
 from .landmark_map import LandmarkMap, Sighting
 from .places import Places
+from .report import Relocaliser, TrackingLostError, TrackingReport
 from .surface import SurfaceSource
-from .tracker import Relocaliser, Tracker, TrackingLostError, TrackingReport
+from .tracker import Tracker
 
 OFF_M = 0.02
 OFF_DEG = 1.0

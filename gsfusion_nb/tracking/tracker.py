@@ -3,17 +3,15 @@ if it is bad."""
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
-from ..backends import piece
 from ..checks import check_pose
 from ..config import TrackingConfig
-from ..errors import ArgumentError, ForeseenError
 from ..geometry import se3
 from ..types import Camera, Frame
 from .attempt import (
@@ -27,51 +25,10 @@ from .attempt import (
     why_not_alike,
     why_too_far,
 )
-from .icp import ExtraRows, IcpResult
+from .camera_path import CameraPath, TrackedPose
+from .icp import ExtraRows
+from .report import PoseFinder, Relocaliser, TrackingLostError, TrackingReport
 from .surface import Surface, SurfaceSource, hybrid_surface
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrackingReport:
-    """The pose of one frame and how it was found."""
-
-    status: Literal["first", "ok", "degenerate", "recovered", "located"]
-    """"first": pose from the data; "degenerate": some directions of motion, which the scene does
-    not determine, are predicted; "recovered": ICP failed from the predicted pose, also with
-    smoothed normals, but not from another start; "located": by appearance, in a map where the
-    camera was not seen before."""
-    T_WC: Float[Tensor, "4 4"]
-    """Camera-to-world pose, float32."""
-    start: str = ""
-    """Where the successful ICP started: "the predicted pose", "the last pose", ..."""
-    doubt: str = ""
-    """Why other starts were tried although the first led to a pose within the limits."""
-    icp: IcpResult | None = None
-    """How well the pose fits, and every step of the successful ICP; None for the first frame."""
-
-
-MAX_TIME_RATIO = 4.0
-"""The last motion is extrapolated for at most this many times its duration."""
-
-
-class TrackingLostError(ForeseenError, ValueError):
-    """No pose of this frame fits the model; the message lists what was tried and why it failed."""
-
-
-PoseFinder = Callable[[Frame, Tensor], Tensor]
-"""``find(frame, T_predicted)``: the camera-to-world pose of a frame, found from the predicted one;
-both [4, 4]. It raises ``TrackingLostError`` where it finds none."""
-Relocaliser = Callable[[Frame], Sequence[tuple[Tensor, ExtraRows | None]]]
-"""Returns possible poses ``T_WC`` [4, 4] of a frame by its appearance, the most likely first, and
-the further rows for ICP of the landmarks that agree with it, if there are any."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _TrackedPose:
-    """A tracked pose, float64, and its time."""
-
-    T_WC: Tensor
-    timestamp_s: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,10 +52,7 @@ class Tracker:
         self.config = config or TrackingConfig()
         self.lost_in_a_row = 0
         """Number of frames that could not be tracked, up to the last one."""
-        self._last: _TrackedPose | None = None
-        self._last_but_one: _TrackedPose | None = None
-        """The frame before the last one, if both were tracked; the motion between them is the
-        velocity."""
+        self._path = CameraPath()
         self._own: _OwnFrame | None = None
         """The frame that a hybrid target is mixed with."""
         self._usual = UsualFit()
@@ -107,11 +61,11 @@ class Tracker:
     def standing(self) -> tuple[Any, ...]:
         """The state of the path (last poses and last frame), opaque to others, so that a step can
         be undone."""
-        return self._last, self._last_but_one, self.lost_in_a_row, self._own, self._usual.fits
+        return self._path, self.lost_in_a_row, self._own, self._usual.fits
 
     @standing.setter
     def standing(self, standing: tuple[Any, ...]) -> None:
-        self._last, self._last_but_one, self.lost_in_a_row, self._own, self._usual.fits = standing
+        self._path, self.lost_in_a_row, self._own, self._usual.fits = standing
 
     def track(
         self,
@@ -147,7 +101,7 @@ class Tracker:
             raise self._lost(
                 f"frame {frame.index} cannot be tracked: none of its pixels have usable depth"
             )
-        if self._last is None:
+        if self._path.last is None:
             return self._first(frame)
         failures: list[str] = []
         fits: list[Attempt] = []
@@ -202,7 +156,7 @@ class Tracker:
                 changes, so the next frame is tried again.
             ValueError: what ``find`` returns is no rigid motion.
         """
-        if self._last is None:
+        if self._path.last is None:
             return self._first(frame)
         T_predicted = self.predict(frame.timestamp_s).to(frame.T_WC)
         try:
@@ -212,7 +166,7 @@ class Tracker:
         check_pose(f"the tracked T_WC of frame {frame.index}", T_WC)
         T_on_cpu = se3.rigid(T_WC.double().cpu())
         frames = 1 + self.lost_in_a_row
-        if problem := why_too_far(self._last.T_WC, T_on_cpu, self.config, frames=frames):
+        if problem := why_too_far(self._path.last.T_WC, T_on_cpu, self.config, frames=frames):
             raise self._lost(f"frame {frame.index} cannot be tracked: {problem}")
         status = "ok" if self.lost_in_a_row == 0 else "recovered"
         self._accept(frame, T_on_cpu, moved=self.lost_in_a_row == 0)
@@ -262,13 +216,13 @@ class Tracker:
     @property
     def has_pose(self) -> bool:
         """Whether a frame was tracked, so that the next can be predicted."""
-        return self._last is not None
+        return self._path.last is not None
 
     def begin_at(self, T_WC: Float[Tensor, "4 4"], timestamp_s: float) -> None:
         """Go on from a pose that is known, as if the frame of that time had been tracked."""
         check_pose("T_WC", T_WC)
-        self._last = _TrackedPose(T_WC=T_WC.double().cpu(), timestamp_s=timestamp_s)
-        self._last_but_one = None
+        pose = TrackedPose(T_WC=T_WC.double().cpu(), timestamp_s=timestamp_s)
+        self._path = CameraPath(last=pose)
         self._own = None
         self.lost_in_a_row = 0
 
@@ -277,12 +231,13 @@ class Tracker:
     ) -> str:
         """The reason to reject the pose that an attempt found, or "".  ``strict``: an earlier start
         has failed."""
-        assert self._last is not None
+        last = self._path.last
+        assert last is not None
         result = found.result
         problem = why_no_fit(result, strict=strict and found.start.extra is None)
         if not problem and not found.start.anywhere:
             problem = why_too_far(
-                self._last.T_WC, result.T_WC, self.config, frames=1 + self.lost_in_a_row
+                last.T_WC, result.T_WC, self.config, frames=1 + self.lost_in_a_row
             )
         if not problem and (strict or self._usual.why_unusual(result)):
             problem = why_not_alike(
@@ -291,48 +246,28 @@ class Tracker:
         return problem
 
     def correct(self, T_change: Float[Tensor, "4 4"]) -> None:
-        """Apply a correction by the back end to the last poses: every pose T becomes
-        ``T_change @ T``.
-
-        The products are made rigid: a correction is T_new T_old^-1, so what is not rigid in the
-        last pose is in the next correction, too, and would more than double each time.
-        """
+        """Apply a correction by the back end to the last poses (``CameraPath.corrected``)."""
         check_pose("T_change", T_change)
         change = T_change.double().cpu()
-        self._last, self._last_but_one = (
-            seen and _TrackedPose(T_WC=se3.rigid(change @ seen.T_WC), timestamp_s=seen.timestamp_s)
-            for seen in (self._last, self._last_but_one)
-        )
+        self._path = self._path.corrected(change)
         self._own = self._own and dataclasses.replace(
             self._own, T_WC=se3.rigid(change @ self._own.T_WC)
         )
 
     def predict(self, timestamp_s: float) -> Float[Tensor, "4 4"]:
-        """Predicted pose at a time: the last motion extrapolated in proportion to time, or the last
-        pose. float64
-
-        Frames are not evenly spaced in time (some are held out or dropped), so the motion is scaled
-        by time.
+        """Predicted pose at a time (``CameraPath.predict``), float64.
 
         Raises:
             ValueError: before the first frame.
         """
-        if self._last is None:
-            raise ArgumentError("no pose can be predicted before the first frame has been tracked")
-        if self.config.prior == "previous" or self._last_but_one is None:
-            return self._last.T_WC
-        step_s = self._last.timestamp_s - self._last_but_one.timestamp_s
-        ahead_s = timestamp_s - self._last.timestamp_s
-        ratio = min(ahead_s / step_s, MAX_TIME_RATIO) if step_s > 0 and ahead_s > 0 else 1.0
-        return constant_velocity(self._last_but_one.T_WC, self._last.T_WC, ratio)
+        return self._path.predict(timestamp_s, prior=self.config.prior)
 
     def state_dict(self) -> dict[str, Any]:
         """Everything needed to continue later from exactly this state, as tensors and plain
         values."""
         return {
             "lost_in_a_row": self.lost_in_a_row,
-            "last": self._last and dataclasses.asdict(self._last),
-            "before": self._last_but_one and dataclasses.asdict(self._last_but_one),
+            **self._path.state_dict(),
             "own": self._own and dataclasses.asdict(self._own),
             "usual_fit": list(self._usual.fits),
         }
@@ -342,9 +277,7 @@ class Tracker:
         """The tracker that was saved with ``state_dict``; the settings are stored elsewhere."""
         tracker = cls(config)
         tracker.lost_in_a_row = state["lost_in_a_row"]
-        tracker._last, tracker._last_but_one = (
-            saved and _TrackedPose(**saved) for saved in (state["last"], state["before"])
-        )
+        tracker._path = CameraPath.from_state_dict(state)
         tracker._own = state["own"] and _OwnFrame(**state["own"])
         tracker._usual.fits = [(rms_m, share) for rms_m, share in state["usual_fit"]]
         return tracker
@@ -353,17 +286,17 @@ class Tracker:
         self, frame: Frame, relocalise: Relocaliser, fits: list[Attempt], guess: Tensor | None
     ) -> Iterator[Start]:
         """The starting poses of ICP, in order; those by appearance only while ``fits`` is empty."""
-        assert self._last is not None
-        last = self._last.T_WC
+        last = self._path.last
+        assert last is not None
         if guess is not None:
             yield Start("the landmarks", guess)
         if self.lost_in_a_row == 0:
             T_predicted = self.predict(frame.timestamp_s)
             yield Start("the predicted pose", T_predicted)
             yield Start("the predicted pose with smooth normals", T_predicted, smooth=True)
-        if self.lost_in_a_row > 0 or self._last_but_one is not None:
-            yield Start("the last pose", last)
-        yield Start("the last pose with wide limits", last, wide=True)
+        if self.lost_in_a_row > 0 or self._path.last_but_one is not None:
+            yield Start("the last pose", last.T_WC)
+        yield Start("the last pose with wide limits", last.T_WC, wide=True)
         if not fits:
             yield from _places(frame, relocalise)
 
@@ -393,8 +326,8 @@ class Tracker:
         return TrackingReport(status="first", T_WC=frame.T_WC)
 
     def _accept(self, frame: Frame, T_WC: Tensor, *, moved: bool) -> None:
-        self._last_but_one = self._last if moved else None
-        self._last = _TrackedPose(T_WC=T_WC, timestamp_s=frame.timestamp_s)
+        pose = TrackedPose(T_WC=T_WC, timestamp_s=frame.timestamp_s)
+        self._path = self._path.then(pose, moved=moved)
         self.lost_in_a_row = 0
         if self.config.target == "hybrid":
             rgb = frame.rgb if self.config.brightness_m else None
@@ -415,18 +348,3 @@ def _places(frame: Frame, relocalise: Relocaliser) -> Iterator[Start]:
             anywhere=True,
             extra=extra,
         )
-
-
-@piece
-def constant_velocity(
-    T_before: Float[Tensor, "4 4"], T_last: Float[Tensor, "4 4"], ratio: float = 1.0
-) -> Float[Tensor, "4 4"]:
-    """The pose after the last motion has gone on, in the camera's own axes.
-
-    Args:
-        T_before, T_last: Camera-to-world poses of the last two frames.
-        ratio: Time ahead as a share of the time between these frames.
-
-    Differentiable: yes.
-    """
-    return T_last @ se3.exp(ratio * se3.log(se3.inverse(T_before) @ T_last))

@@ -29,9 +29,9 @@ from gsfusion_nb.seeding.quadtree import cell_gaussians, quadtree
 from gsfusion_nb.seeding.rules.gsfusion import first_seen
 from gsfusion_nb.seeding.rules.rtg_slam import adding_masks
 from gsfusion_nb.tracking import IcpSystem, point_to_plane, pose_graph_step, relative_pose_error
+from gsfusion_nb.tracking.camera_path import constant_velocity
 from gsfusion_nb.tracking.icp import next_pose
 from gsfusion_nb.tracking.icp_step import Extent, solve_step
-from gsfusion_nb.tracking.tracker import constant_velocity
 from gsfusion_nb.tsdf.marching_cubes import zero_crossing
 from gsfusion_nb.tsdf.morton import OFFSET, interleave
 from gsfusion_nb.tsdf.voxels import block_of

@@ -101,7 +101,7 @@ def test_the_window_of_rtg_slam_and_the_tracker_move_with_a_loop(frames):
         mapper.trajectory.poses[-1][:3, 3] - before[:3, 3],
         torch.tensor([0.05, 0, 0]),
     )
-    last = mapper.localiser._tracker._last
+    last = mapper.localiser._tracker._path.last
     assert last is not None
     torch.testing.assert_close(
         last.T_WC.float(),
