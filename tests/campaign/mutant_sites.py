@@ -36,7 +36,10 @@ CONTENT = tuple(
     f"gsfusion_nb/data/room/{name}.py"
     for name in (
         "drawings",
+        "book_drawings",
+        "thing_drawings",
         "furniture",
+        "fittings",
         "books",
         "small_things",
         "materials",

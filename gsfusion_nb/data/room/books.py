@@ -6,8 +6,8 @@ from itertools import product
 
 import numpy as np
 
+from . import book_drawings, materials
 from . import drawings as draw
-from . import materials
 from .furniture import OAK
 from .painted import box, cone, drawn, plain
 from .solids import Solid, Vector
@@ -72,7 +72,7 @@ def _book(
     ink = (0.95, 0.9, 0.75) if sum(colour) < 1.6 else (0.15, 0.12, 0.12)
     back = drawn(
         0.0014,
-        draw.spine,
+        book_drawings.spine,
         _TITLES[rng.integers(len(_TITLES))],
         colour,
         ink,
@@ -291,9 +291,9 @@ def book_stack(rng: np.random.Generator) -> list[Solid]:
     z = 0.0
     for k, book in enumerate(books):
         thick = rng.uniform(0.022, 0.04)
-        front = drawn(0.0015, draw.cover, *book)
+        front = drawn(0.0015, book_drawings.cover, *book)
         faces = {
-            "y-": drawn(0.0015, draw.lying_spine, *book),
+            "y-": drawn(0.0015, book_drawings.lying_spine, *book),
             "x+": pages,
             "x-": pages,
             "y+": pages,
@@ -320,7 +320,7 @@ def open_book() -> list[Solid]:
     size = (0.166, 0.23, 0.016)
     paper = plain(0.9, 0.88, 0.8)
     for side, heading in ((-1, "CHAPTER 3"), (1, "EQUATION 9")):
-        page = {"z+": drawn(0.0012, draw.print_page, heading)}
+        page = {"z+": drawn(0.0012, book_drawings.print_page, heading)}
         solids.append(
             box(
                 (side * 0.082, 0, 0.012),

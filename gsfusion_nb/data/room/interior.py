@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from . import books, furniture, materials, small_things
+from . import books, fittings, furniture, materials, small_things
 from . import drawings as draw
 from .painted import ball, box, cone, drawn, placed, plain
 from .solids import BOX_FACES, SIZE_M, Solid, Vector
@@ -198,7 +198,7 @@ def _window_side() -> list[Solid]:
             hide="y+",
         )
     )
-    solids += placed(furniture.radiator(1.3), (x, y - 0.07, 0))
+    solids += placed(fittings.radiator(1.3), (x, y - 0.07, 0))
     solids.append(
         box(
             (x, y - 0.08, 2.36),
@@ -208,7 +208,7 @@ def _window_side() -> list[Solid]:
     )
     for dx in (-1.15, 1.15):
         solids += placed(
-            furniture.curtain(0.5, 2.3, (0.78, 0.70, 0.58)),
+            fittings.curtain(0.5, 2.3, (0.78, 0.70, 0.58)),
             (x + dx, y - 0.08, 0.05),
         )
     for dx, tall in ((-0.45, 0.16), (0.55, 0.12)):
@@ -234,7 +234,7 @@ def _window_side() -> list[Solid]:
                 (0.035, 0.05),
                 pot,
                 hide="bottom",
-                special={"top": furniture.SOIL},
+                special={"top": fittings.SOIL},
             ),
             ball(
                 (0, 0, 0.09 + 0.7 * tall / 2),
@@ -243,7 +243,7 @@ def _window_side() -> list[Solid]:
             ),
         ]
         solids += placed(parts, (x + dx, y - 0.095, low - 0.03))
-    return solids + placed(furniture.floor_lamp(), (-2.1, 1.62, 0))
+    return solids + placed(fittings.floor_lamp(), (-2.1, 1.62, 0))
 
 
 def _sofa_side() -> list[Solid]:
@@ -350,10 +350,10 @@ def _table_side(rng: np.random.Generator, chair: tuple[Vector, int]) -> list[Sol
         (small_things.globe(), (tx + 0.22, ty + 0.50, z), 200),
         (pile, (tx - 0.2, ty + 0.5, z), -75),
         (mug, (tx + 0.24, ty - 0.25, z), 200),
-        (furniture.pendant(), (tx, ty, SIZE_M[2]), 0),
+        (fittings.pendant(), (tx, ty, SIZE_M[2]), 0),
         (small_things.picture(0.62, 0.82, circles), (x, 0.75, 1.6), -90),
         (small_things.picture(0.7, 0.5, sunset), (x, -0.2, 1.62), -90),
-        (furniture.plant(rng), (2.12, 1.5, 0), 0),
+        (fittings.plant(rng), (2.12, 1.5, 0), 0),
         (small_things.carton((0.5, 0.4, 0.36), "FRAGILE"), (2.18, -1.72, 0), -75),
         (small_things.carton((0.36, 0.3, 0.26), "BOOKS"), (2.2, -1.7, 0.36), -60),
     )

@@ -15,7 +15,7 @@ from .atlas import WIDTH, AtlasLayout, pack, paste, with_mips
 from .image_cache import cached
 from .interior import SHELL_SOLIDS, interior
 from .light import DistanceGrid, irradiance
-from .raycast import CurvedPatch, FlatPatches, compile_patches
+from .patches import CurvedPatch, FlatPatches, compile_patches
 from .solids import Paint, Solid
 
 log = logging.getLogger(__name__)

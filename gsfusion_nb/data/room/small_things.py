@@ -3,8 +3,8 @@ it stands on, front towards -y."""
 
 import numpy as np
 
-from . import drawings as draw
 from . import materials
+from . import thing_drawings as draw
 from .painted import ball, box, cone, drawn, plain, rod
 from .solids import Colour, Paint, Solid
 
