@@ -7,18 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..data import FrameStore, RecordedSequence, SequenceError
+from ..data import FrameStore, RecordedSequence
 from ..data.adjust.repair import as_read
 from ..errors import DiskFullError, MemoryFullError, memory_is_full
 from ..evaluation import ONLINE
 from ..export import CheckpointStore
-from ..mapping import Mapper
 from ..progress import ProgressDisplay
 from ..resources import MAP_MEMORY
-from ..seeding import rule_name
 from ..types import Mesh
 from . import outputs, scores
 from .checkpoint import save_checkpoint
+from .explanations import describe_full, why_empty
 from .extra_columns import EXTRA_COLUMNS, write_extra_columns
 from .mapped_views import evenly
 from .mapping_run import MappingRun, lost_in_words
@@ -193,7 +192,7 @@ def _work(
         if run.moved is not None and (sentence := run.moved.in_words()):
             run.warnings.note_ending(sentence)
     if run.steps and not len(run.mapper.gaussians):
-        run.warnings.note_ending(_why_empty(run))
+        run.warnings.note_ending(why_empty(run))
 
 
 @contextlib.contextmanager
@@ -255,7 +254,7 @@ def _rescue(run: MappingRun, folder: Path, stop: StopRequest, error: BaseExcepti
     if run.resumable and CheckpointStore(folder / CHECKPOINTS).exists:
         notes.append(f"To continue from the last checkpoint: {resume_command(folder, run.mapper)}")
     if memory_is_full(error):
-        raise MemoryFullError(" ".join([f"{_describe_full(run.mapper)}.", *notes])) from error
+        raise MemoryFullError(" ".join([f"{describe_full(run.mapper)}.", *notes])) from error
     for note in notes:
         error.add_note(note)
 
@@ -336,36 +335,3 @@ def _with_progress_of_passes(run: MappingRun, stop: StopRequest) -> None:
             progress.show(step.step, total=step.n_steps, note=f"loss {step.loss:.4f}")
             if stop:
                 return
-
-
-def _why_empty(run: MappingRun) -> str:
-    """A sentence that explains why the map has no Gaussians after at least one frame."""
-    n_seeds = sum(step.n_seeds for step in run.steps)
-    rule = rule_name(run.mapper.rule)
-    if n_seeds:
-        why = (
-            f"all {n_seeds:,} that were created were removed again (see the settings under states)"
-        )
-        return f"the map has no Gaussians: {why}"
-    text = (
-        f"the map has no Gaussians: the seeding rule {rule!r} proposed none for any of the "
-        f"{len(run.steps)} frames"
-    )
-    with contextlib.suppress(SequenceError, StopIteration):
-        frame = next(iter(run.views.sample(1)))
-        depth_values = frame.depth_m[frame.depth_m > 0]
-        low, high = (
-            (float(depth_values.min()), float(depth_values.max()))
-            if len(depth_values)
-            else (0.0, 0.0)
-        )
-        text += f"; the depth of frame {frame.index} is from {low:.4g} to {high:.4g} m"
-    return f"{text}; the rule's options are {run.mapper.config.seeding.options or 'the defaults'}"
-
-
-def _describe_full(mapper: Mapper) -> str:
-    """A sentence that says what fills the memory, and which settings need less."""
-    less = ["smaller images (data.width)", *mapper.description.memory_savers]
-    if mapper.config.keyframes_on == "device":
-        less.append("keyframes in CPU memory (keyframes_on = 'cpu')")
-    return f"the memory of {mapper.device} is full of {mapper!r}; try {', '.join(less)}"

@@ -9,6 +9,8 @@ from .brightness import brightness_rows as brightness_rows
 from .brightness import brightness_system as brightness_system
 from .brightness import picture_of as picture_of
 from .correction import Correction as Correction
+from .edges import Edge as Edge
+from .edges import odometry_information as odometry_information
 from .features import Features as Features
 from .features import extract_features as extract_features
 from .icp import IcpResult as IcpResult
@@ -30,8 +32,6 @@ from .places import PLACES as PLACES
 from .places import Places as Places
 from .places import read_places as read_places
 from .places import write_places as write_places
-from .pose_graph import Edge as Edge
-from .pose_graph import odometry_information as odometry_information
 from .pose_graph import optimise_poses as optimise_poses
 from .pose_graph import pose_graph_step as pose_graph_step
 from .pose_graph import relative_pose_error as relative_pose_error

@@ -21,18 +21,12 @@ from ..geometry import se3
 from ..types import Camera, Frame
 from .bundle_adjustment import adjust
 from .correction import Correction
+from .edges import Edge, edge_error, fit_odometry, odometry_information, with_floor
 from .features import FEATURES, LEVELS, Features
 from .landmark_map import LandmarkMap
 from .loop_finder import LoopFinder
 from .matching import RelativePose, refine_pose, rows_of
-from .pose_graph import (
-    Edge,
-    edge_error,
-    fit_odometry,
-    odometry_information,
-    optimise_poses,
-    with_floor,
-)
+from .pose_graph import optimise_poses
 
 TIED_TO = 3
 """A new keyframe gets edges to this many keyframes around it, those with which it shares most

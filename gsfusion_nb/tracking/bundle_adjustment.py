@@ -25,10 +25,11 @@ from torch import Tensor
 
 from ..geometry import se3
 from ..types import Camera
+from .edges import Edge
 from .features import DEPTH_SIGMA_PER_M
 from .landmark_pose import inverse_or_zero, point_errors, robust_cost, robust_weight
 from .landmarks import Observations
-from .pose_graph import Edge, EdgeTerms
+from .pose_graph import EdgeTerms
 
 FIRST_DAMPING = 1e-4
 """Added to the diagonal of the normal equations, as a share of it; it falls with each step that

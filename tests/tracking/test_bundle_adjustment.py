@@ -9,9 +9,9 @@ import torch
 from gsfusion_nb.backends import use_backend
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking.bundle_adjustment import adjust
+from gsfusion_nb.tracking.edges import Edge, odometry_information
 from gsfusion_nb.tracking.landmark_pose import CAUCHY, LandmarkRows, landmark_pose, landmark_sums
 from gsfusion_nb.tracking.landmarks import Observations
-from gsfusion_nb.tracking.pose_graph import Edge, odometry_information
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(

@@ -9,18 +9,15 @@ import torch
 
 from gsfusion_nb.geometry import project, se3
 from gsfusion_nb.tracking import pose_graph_step, relative_pose_error
-from gsfusion_nb.tracking.landmarks import Observations
-from gsfusion_nb.tracking.pose_graph import (
+from gsfusion_nb.tracking.edges import (
     HELD_BY_MAP,
-    LOOP_CAUCHY,
-    TRACK_HUBER,
     Edge,
-    Optimised,
     edge_error,
     fit_odometry,
     odometry_information,
-    optimise_poses,
 )
+from gsfusion_nb.tracking.landmarks import Observations
+from gsfusion_nb.tracking.pose_graph import LOOP_CAUCHY, TRACK_HUBER, Optimised, optimise_poses
 from gsfusion_nb.types import Camera
 
 CAMERA = Camera(

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from ...drawing.curves import BETWEEN, PALETTE, style
 from ...errors import ArgumentError
-from ...tracking.pose_graph import Edge, optimise_poses
+from ...tracking.edges import Edge
+from ...tracking.pose_graph import optimise_poses
 from .recording import Line, Recording, record
 from .stepper import Step, Stepper, text_of
 

@@ -12,7 +12,8 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TrackingConfig
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tracking import icp
-from gsfusion_nb.tracking.pose_graph import Edge, odometry_information, optimise_poses
+from gsfusion_nb.tracking.edges import Edge, odometry_information
+from gsfusion_nb.tracking.pose_graph import optimise_poses
 from gsfusion_nb.viz import displaced_pose, frame_surface, icp_stepper, pose_graph_stepper
 from gsfusion_nb.viz.steppers import icp as icp_stepper_module
 
