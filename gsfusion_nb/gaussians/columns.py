@@ -36,6 +36,8 @@ class GaussianColumns(Mapping[str, Tensor]):
         self.device = device
         self._most_rows = 0
         """Rows of the buffers that have ever been in use."""
+        self._capacity = _FIRST_CAPACITY
+        """Rows of the buffers."""
         self._buffers = {
             name: MAP_MEMORY.rows(_FIRST_CAPACITY, *shape, dtype=dtype, device=device)
             for name, (shape, dtype) in layout.items()
@@ -61,7 +63,8 @@ class GaussianColumns(Mapping[str, Tensor]):
             views is not None
             and buffer is last
             and len(views) == self.n_rows
-            and not _is_differentiated(views)
+            # somebody may have asked for a derivative of one
+            and not any(column.requires_grad for column in vars(views).values())
         ):
             return views
         views = GaussianParams(**{name: self[prefix + name] for name in PARAMETERS})
@@ -82,21 +85,18 @@ class GaussianColumns(Mapping[str, Tensor]):
 
     def new_rows(self, n: int) -> slice:
         """Append ``n`` rows of zeros; returns which they are."""
-        rows = slice(self.n_rows, self.n_rows + n)
-        self._reserve(rows.stop)
-        if rows.start < self._most_rows:  # rows beyond, which were never in use, are zero
+        were_used = self.n_rows < self._most_rows  # rows that were never in use are zero
+        rows = self._more_rows(n)
+        if were_used:
             for buffer in self._buffers.values():
                 buffer[rows] = 0
-        self._use(rows.stop)
         return rows
 
     def copy_rows(self, rows: Int[Tensor, " M"]) -> slice:
         """Append a copy of each of these rows, which may repeat; returns which the copies are."""
-        copies = slice(self.n_rows, self.n_rows + len(rows))
-        self._reserve(copies.stop)
+        copies = self._more_rows(len(rows))
         for buffer in self._buffers.values():
             buffer[copies] = buffer[rows]
-        self._use(copies.stop)
         return copies
 
     def keep(self, rows: Bool[Tensor, " N"]) -> None:
@@ -123,22 +123,19 @@ class GaussianColumns(Mapping[str, Tensor]):
         for name, column in snapshot.items():
             self[name][:] = column
 
-    @property
-    def _capacity(self) -> int:
-        return next(iter(self._buffers.values())).shape[0]
-
-    def _reserve(self, count: int) -> None:
-        if count <= self._capacity:
-            return
-        capacity = max(count, int(_GROWTH[self.device.type] * self._capacity))
-        self._parameters.clear()  # views of the old buffers
-        self._buffers = {
-            name: MAP_MEMORY.extend(buffer, capacity) for name, buffer in self._buffers.items()
-        }
-
-    def _use(self, count: int) -> None:
-        self._most_rows = max(self._most_rows, count)
-        self.n_rows = count
+    def _more_rows(self, n: int) -> slice:
+        """Use ``n`` more rows, whatever is in them; returns which they are."""
+        rows = slice(self.n_rows, self.n_rows + n)
+        if rows.stop > self._capacity:
+            capacity = max(rows.stop, int(_GROWTH[self.device.type] * self._capacity))
+            self._parameters.clear()  # views of the old buffers
+            self._buffers = {
+                name: MAP_MEMORY.extend(buffer, capacity) for name, buffer in self._buffers.items()
+            }
+            self._capacity = capacity
+        self.n_rows = rows.stop
+        self._most_rows = max(self._most_rows, self.n_rows)
+        return rows
 
 
 class OptionalColumns(Mapping[str, Tensor]):
@@ -179,8 +176,3 @@ class OptionalColumns(Mapping[str, Tensor]):
     def remove(self, name: str) -> None:
         """Remove the column of this name, if it is there."""
         self._columns.remove(self._prefix + name)
-
-
-def _is_differentiated(params: GaussianParams) -> bool:
-    """Whether somebody asked for a derivative of one of these columns."""
-    return any(column.requires_grad for column in vars(params).values())

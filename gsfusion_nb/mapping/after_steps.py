@@ -212,7 +212,7 @@ class AfterSteps:
         assert self._rule is not None
         with (
             self._rule_in_use.call_context(),
-            unchanged_inputs(ctx, self._rule_in_use.rule, is_quick=True),
+            unchanged_inputs(ctx, self._rule_in_use.bound, is_quick=True),
         ):
             edit = self._rule.after_step(ctx, stats, ctx.memory)
         check_memory(self._name, ctx.memory)

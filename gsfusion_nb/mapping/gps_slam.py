@@ -23,7 +23,7 @@ from .gps_files import GpsFiles
 from .gps_rounds import begin_round, remove_useless
 from .gps_surface import OverSurface
 from .gps_views import PassViews, SurfaceKeyframe, ViewRound, look_at
-from .rule_calls import rule_is_due
+from .rule_calls import context_of, rule_is_due
 from .step_report import StepReport, as_floats
 from .training import Training
 from .tsdf_mapping import TsdfMapping
@@ -121,7 +121,7 @@ class GPSSLAM(TsdfMapping):
         system = None
         if view is not None:
             system = SurfaceInputs(surface=view.surface, seen_before=self._seen_before(frame))
-        return super().seed_context(frame, volume=volume, system=system)
+        return context_of(self, frame, volume=volume, system=system)
 
     def _plan(self, frame: Frame) -> FramePlan:
         """Whether the frame is a keyframe, and what is done with it."""

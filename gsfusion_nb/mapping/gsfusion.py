@@ -36,6 +36,7 @@ from ..types import Camera, Frame, GaussianParams, RenderOutput
 from .description import SystemDescription
 from .gsfusion_reports import GSFusionFiles, GSFusionReports
 from .keyframe_fits import KeyframeFits
+from .rule_calls import context_of
 from .step_report import StepReport, as_floats
 from .tsdf_mapping import TsdfMapping
 from .view_steps import step_on_view
@@ -108,11 +109,9 @@ class GSFusion(TsdfMapping):
             self.parts.append(seeds, frame.index)
             is_keyframe, n_steps, n_revisits = self._plan(frame, len(seeds))  # III-B.3
             if is_keyframe or self.config.keep_all_frames:
-                self.keyframes.append(
-                    frame,
-                    with_depth=self._keeps_depth,
-                    with_extra=self.training.loss is not None,
-                )
+                has_loss = self.training.loss is not None
+                compares_depth = has_loss or self.config.optim.depth_weight > 0
+                self.keyframes.append(frame, with_depth=compares_depth, with_extra=has_loss)
             with self.clock("optimise"):
                 steps = self._optimise_online(context, n_steps, n_revisits)  # Eq. 12
         with self.clock("tsdf"):
@@ -122,7 +121,7 @@ class GSFusion(TsdfMapping):
 
     def seed_context(self, frame: Frame, **inputs: Any) -> SeedContext:
         """What a seeding rule sees of this frame; by default after it was fused into the TSDF."""
-        return super().seed_context(frame, **{"volume": self.volume} | inputs)
+        return context_of(self, frame, **{"volume": self.volume} | inputs)
 
     def is_next_keyframe(self, frame: Frame) -> bool | None:
         """Whether this frame, mapped next, becomes a keyframe; None if that depends on the number
@@ -162,10 +161,6 @@ class GSFusion(TsdfMapping):
         if is_keyframe is None:
             return plan_frame(n_seeds, *numbers, self.config.keyframe_min_seeds)
         return plan_of_kind(is_keyframe, *numbers)
-
-    @property
-    def _keeps_depth(self) -> bool:
-        return self.config.optim.depth_weight > 0 or self.training.loss is not None
 
     def _optimise_online(
         self,

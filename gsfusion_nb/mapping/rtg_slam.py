@@ -27,6 +27,7 @@ from .disc_passes import DiscParts, DiscPasses
 from .disc_states import STATES, DiscReports, manage_states, n_stable
 from .lost_rows import remove_lost
 from .mapper import Mapper
+from .rule_calls import context_of
 from .step_report import StepReport, psnr_db
 from .transaction import Undo
 
@@ -125,7 +126,7 @@ class RTGSLAM(Mapper):
         """What a seeding rule sees of this frame."""
         discs = DiscInputs(discs=self.config.discs)
         near_m = self.config.data.depth_min_m
-        return super().seed_context(frame, system=discs, near_m=near_m, **inputs)
+        return context_of(self, frame, system=discs, near_m=near_m, **inputs)
 
     def is_next_keyframe(self, frame: Frame) -> bool:
         """Whether the camera has turned or moved far enough since the last keyframe."""

@@ -67,7 +67,7 @@ def ask_rule(mapper: Any, context: SeedContext, **checks: Any) -> Seeds:
         return Seeds.empty(context.frame.depth_m)
     try:
         with in_use.call_context():
-            return apply_rule(mapper.rule, context, mapper.config.seeding.options, **checks)
+            return apply_rule(in_use.bound, context, **checks)
     except ChangedInputError as e:
         if not e.what.startswith("frame."):  # which is as it was
             mapper.guard.half_mapped = (

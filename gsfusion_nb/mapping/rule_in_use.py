@@ -15,8 +15,8 @@ from ..seeding import (
     check_memory,
     copy_memory,
 )
+from ..seeding.bound_rule import bound_rule
 from ..seeding.map_rule import is_map_rule, rule_name
-from ..seeding.options import option_values
 from ..seeding.rule import registered
 
 
@@ -39,7 +39,9 @@ class RuleInUse:
 
     def __init__(self, rule: SeedingRule, options: dict[str, Any]):
         self.rule = rule
-        values: Any = option_values(rule, options)
+        self.bound = bound_rule(rule, options)
+        """The rule with its options, as it is asked in each frame."""
+        values: Any = self.bound.options
         self.map_rule: MapRule | None = rule(**values) if is_map_rule(rule) else None
         """The rule with its options, if it is a class."""
         self.when: When = self.map_rule.when if self.map_rule else EVERY_FRAME

@@ -53,17 +53,14 @@ class Training:
         self.loss = loss
         self.optimiser = optimiser
         self._given = given_functions(loss, optimiser)
+        self.names = {name: rule_name(f) for name, f in self._given.items()}
+        """The names of what was given, for metrics.json, config.json and the report; empty for the
+        defaults."""
         for name, f in self._given.items():
             if isinstance(f, type) or not callable(f):
                 raise KindError(f"{name} must be a function, got {shown(f)}")
         if optimiser is not None:
             _try_out(optimiser, self.names["optimiser"])
-
-    @property
-    def names(self) -> dict[str, str]:
-        """The names of what was given, for metrics.json, config.json and the report; empty for the
-        defaults."""
-        return {name: rule_name(f) for name, f in self._given.items()}
 
     def view_loss(
         self,

@@ -25,6 +25,7 @@ from .fused_frames import FusedFrames
 from .map_files import MapFiles
 from .map_reports import MapReports
 from .mapper import Mapper
+from .rule_calls import ask_rule
 from .step_report import StepReport
 from .tracking_surface import surface_seen
 from .transaction import Undo
@@ -135,9 +136,7 @@ class TsdfMapping(Mapper):
     def propose_seeds(self, context: SeedContext, **checks: Any) -> Seeds:
         """Ask the seeding rule for new Gaussians; there are none in a frame in which it is not
         due."""
-        return super().propose_seeds(
-            context, one_per_voxel=self.config.seeding.one_per_voxel, **checks
-        )
+        return ask_rule(self, context, one_per_voxel=self.config.seeding.one_per_voxel, **checks)
 
     def surface(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> RaycastOutput:
         """Depth, normals and colours of the TSDF map's surface seen by a camera."""

@@ -1,8 +1,8 @@
 """Running a seeding rule: it returns valid seeds, at most one in a voxel if asked."""
 
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, cast
+from collections.abc import Mapping
+from typing import Any
 
 import torch
 from jaxtyping import Int
@@ -14,13 +14,12 @@ from ..errors import ArgumentError, KindError
 from ..geometry.operands import MAX_DISTANCE_M
 from ..geometry.voxel_keys import voxel_keys
 from ..types import Seeds
+from .bound_rule import BoundRule, bound_rule
 from .context import SeedContext
 from .input_guard import unchanged_inputs
 from .map_queries import map_params
-from .map_rule import Option, SeedingRule, is_map_rule, rule_name
+from .map_rule import Option, SeedingRule
 from .memory import check_memory
-from .options import option_values
-from .rule import get_rule
 from .volume_queries import voxel_index
 
 _COLUMNS = {
@@ -35,7 +34,7 @@ _COLUMNS = {
 
 @observed
 def apply_rule(
-    rule: str | SeedingRule,
+    rule: str | SeedingRule | BoundRule,
     ctx: SeedContext,
     options: Mapping[str, Option] | None = None,
     one_per_voxel: bool = False,
@@ -43,7 +42,7 @@ def apply_rule(
     """Run a rule on one frame and check what it returns.
 
     Args:
-        rule: Name, function or class.
+        rule: Name, function or class; or one that has its options already.
         ctx: What the rule may look at, and its memory.
         options: Values of the rule's options, in place of its defaults.
         one_per_voxel: Afterwards keep at most one seed per voxel, and none in voxels that hold a
@@ -59,20 +58,15 @@ def apply_rule(
             0..1, or an implausibly large position or scale; or the rule changed what it was given
             to read.
     """
-    function = get_rule(rule)
-    values: Any = option_values(function, options or {})
-    with unchanged_inputs(ctx, function):
-        if is_map_rule(function):
-            seeds = function(**values).seeds(ctx, ctx.memory)
-        else:
-            seeds = cast(Callable[..., Seeds], function)(ctx, **values)
-    check_memory(rule_name(rule), ctx.memory)
+    if not isinstance(rule, BoundRule):
+        rule = bound_rule(rule, options or {})
+    with unchanged_inputs(ctx, rule):
+        seeds = rule.call(ctx)
+    check_memory(rule.name, ctx.memory)
     try:
         _check_seeds(seeds, ctx)
     except (TypeError, ValueError) as error:
-        raise type(error)(
-            f"seeding rule {rule_name(rule)!r} returned invalid seeds: {error}"
-        ) from None
+        raise type(error)(f"seeding rule {rule.name!r} returned invalid seeds: {error}") from None
     if not one_per_voxel:
         return seeds
     map_voxels = None if ctx.gaussians is None else voxel_index(ctx, map_params(ctx).xyz_W)

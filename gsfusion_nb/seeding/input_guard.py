@@ -9,10 +9,9 @@ from torch import Tensor
 
 from ..edit_count import edit_count, is_counted
 from ..errors import ForeseenError
+from .bound_rule import BoundRule
 from .context import SeedContext
-from .map_rule import SeedingRule, rule_name
 from .read_only import read_only
-from .rule_code import is_built_in
 
 
 class ChangedInputError(ForeseenError, ValueError):
@@ -28,11 +27,11 @@ class ChangedInputError(ForeseenError, ValueError):
 
 @contextmanager
 def unchanged_inputs(
-    ctx: SeedContext, rule: SeedingRule, *, is_quick: bool = False
+    ctx: SeedContext, rule: BoundRule, *, is_quick: bool = False
 ) -> Iterator[None]:
     """Context in which a rule may change its memory, but nothing else of what it was given.
 
-    The rules of this package are not watched. A change of the frame is undone. Of the Gaussians and
+    A rule that is not watched is only called. A change of the frame is undone. Of the Gaussians and
     the frame every change is seen, of the rest those that torch makes; NumPy's arrays of the rest
     cannot be written to.
 
@@ -45,7 +44,7 @@ def unchanged_inputs(
     Raises:
         ChangedInputError: at the end of the context, if the rule changed one of them in place.
     """
-    if is_built_in(rule):
+    if not rule.is_watched:
         yield
         return
     _ = ctx.frame.rgb  # made now, so that it is among them
@@ -71,7 +70,7 @@ def unchanged_inputs(
     except Exception as e:
         # NumPy's word, and OpenCV's
         if array_names and ("read-only" in str(e) or "readonly" in str(e)):
-            raise ChangedInputError(rule_name(rule), array_names[-1]) from e
+            raise ChangedInputError(rule.name, array_names[-1]) from e
         raise
     finally:
         for (name, tensor), count in zip(tensors, counts, strict=True):
@@ -91,7 +90,7 @@ def unchanged_inputs(
             (name for name in new_tensors if name not in dict(tensors)), ""
         )
     if changed_name:
-        raise ChangedInputError(rule_name(rule), changed_name)
+        raise ChangedInputError(rule.name, changed_name)
 
 
 def _place(tensor: Tensor) -> tuple[int, torch.Size, torch.dtype]:

@@ -14,7 +14,7 @@ from ..types import Camera, Frame
 from .integrate import check_fuse, corners_in_view, fuse_frame_
 from .octree import NewBlocks
 from .raycast import RaycastOutput, raycast
-from .volume import TsdfSample, TsdfVolume
+from .volume import TsdfSample, TsdfVolume, sample_voxels
 from .voxel_update import fuse_voxels
 from .voxels import block_corners, block_of, voxel_centres
 
@@ -97,7 +97,7 @@ def sample_fused_voxels(
     Source: GSFusion III-B.1, Eq. 6-9. Differentiable: no.
     """
     T_CW = se3.inverse(frame.T_WC.double())
-    before = volume.sample_nearest(xyz_W)
+    before = sample_voxels(volume, xyz_W)
     ijk = volume.voxel_index(xyz_W)
     block = block_of(ijk)
     corners_W = block_corners(block, volume.block_size_m)
