@@ -27,7 +27,6 @@ from .learner import CALLS as CALLS
 from .learner import FUNCTIONS as FUNCTIONS
 from .learner import MINE as MINE
 from .learner import Calls as Calls
-from .observers import also_observing as also_observing
 from .observers import observed as observed
 from .observers import observing as observing
 from .offers import BACKENDS as BACKENDS

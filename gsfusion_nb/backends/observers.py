@@ -15,7 +15,7 @@ Observer = Callable[[str, Callable[..., Any], tuple[Any, ...], dict[str, Any]], 
 """``observer(name, f, args, kwargs)`` must return ``f(*args, **kwargs)``; it may look at arguments
 and result before and after, and must not change them."""
 
-_observer: ContextVar[Observer | None] = ContextVar("gsfusion_observer", default=None)
+_observers: ContextVar[tuple[Observer, ...]] = ContextVar("gsfusion_observers", default=())
 
 
 def observed(f: F) -> F:
@@ -24,33 +24,30 @@ def observed(f: F) -> F:
 
     @functools.wraps(f)
     def call(*args: Any, **kwargs: Any) -> Any:
-        observer = _observer.get()
-        return f(*args, **kwargs) if observer is None else observer(f.__qualname__, f, args, kwargs)
+        run = f
+        for observer in _observers.get():
+            run = functools.partial(_seen, observer, f.__qualname__, run)
+        return run(*args, **kwargs)
 
     return call  # pyright: ignore[reportReturnType]
 
 
+def _seen(observer: Observer, name: str, f: Callable, *args: Any, **kwargs: Any) -> Any:
+    return observer(name, f, args, kwargs)
+
+
 @contextlib.contextmanager
-def observing(observer: Observer | None) -> Iterator[None]:
+def observing(observer: Observer | None, *, alone: bool = True) -> Iterator[None]:
     """Context in which ``observer`` sees the calls of marked functions in this thread; ``None``:
-    nobody does."""
-    token = _observer.set(observer)
+    nobody does.
+
+    Args:
+        observer: The observer.
+        alone: Whoever sees the calls already does not see them in this context. Else both do.
+    """
+    outer = () if alone else _observers.get()
+    token = _observers.set(outer if observer is None else (*outer, observer))
     try:
         yield
     finally:
-        _observer.reset(token)
-
-
-@contextlib.contextmanager
-def also_observing(observer: Observer) -> Iterator[None]:
-    """Context in which ``observer`` sees the calls, besides whoever sees them already."""
-    outer = _observer.get()
-
-    def both(name: str, f: Callable, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-        def seen_by_outer(*args: Any, **kwargs: Any) -> Any:
-            return f(*args, **kwargs) if outer is None else outer(name, f, args, kwargs)
-
-        return observer(name, seen_by_outer, args, kwargs)
-
-    with observing(both):
-        yield
+        _observers.reset(token)

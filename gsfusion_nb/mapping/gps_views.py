@@ -107,11 +107,8 @@ def small(camera: Camera, config: BaseConfig) -> Camera:
         return camera
     width = (camera.width + 1) // 2
     height = (camera.height + 1) // 2
-    return replace(camera.resized(2 * width, 2 * height), **_lens(camera)).resized(width, height)
-
-
-def _lens(camera: Camera) -> dict[str, float]:
-    return {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
+    lens = {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
+    return replace(camera.resized(2 * width, 2 * height), **lens).resized(width, height)
 
 
 class ViewRound:
@@ -134,10 +131,6 @@ class ViewRound:
     def __len__(self) -> int:
         return len(self.window) + len(self.recalls)
 
-    def add_frame(self, view: SurfaceKeyframe) -> None:
-        """The newest frame takes the place of the oldest."""
-        self.window = [*self.window, view][-WINDOW:]
-
     def renew(
         self,
         n_frames: int,
@@ -156,10 +149,12 @@ class ViewRound:
             generator: Keyframes are drawn from it.
         """
         if newest is not None and bool((newest.surface_depth_m > 0).any()):
-            self.add_frame(newest)
+            self.window = [*self.window, newest][-WINDOW:]
         if not self.config.spread and self.steps_in(n_frames):
             self.look_again(look)
-        self.recall(keyframes, look, generator, self.recalls_in(n_frames), self.new_in(n_frames))
+        n = self._share(self.config.recalled, n_frames)
+        n_new = min(n, self._share(self.config.recalled_new, n_frames))
+        self.recall(keyframes, look, generator, n, n_new)
 
     def recall(
         self,
@@ -189,14 +184,6 @@ class ViewRound:
         """Look at the frames of the window again."""
         self.window = [look(view.keyframe) for view in self.window]
 
-    def recalls_in(self, n_frames: int) -> int:
-        """Keyframes to look at in the frame before which ``n_frames`` were mapped."""
-        return self._share(self.config.recalled, n_frames)
-
-    def new_in(self, n_frames: int) -> int:
-        """How many of these were never looked at before, if there are such."""
-        return min(self._share(self.config.recalled_new, n_frames), self.recalls_in(n_frames))
-
     def steps_in(self, n_frames: int) -> int:
         """Gradient steps in the frame before which ``n_frames`` were mapped; fewer where other work
         is done."""
@@ -205,11 +192,11 @@ class ViewRound:
         return self._steps[n_frames % self.config.every_frames]
 
     def _share(self, in_round: int, n_frames: int) -> int:
-        """The part of what is done in a round that belongs to a frame."""
+        """What the frame before which ``n_frames`` were mapped does of what is done in a round."""
         position = n_frames % self.config.every_frames
         if not self.config.spread:
             return in_round if n_frames and position == 0 else 0
-        return _share(in_round, position, self.config.every_frames)
+        return _even_share(in_round, position, self.config.every_frames)
 
     @property
     def _turns_of_window(self) -> int:
@@ -308,7 +295,7 @@ class PassViews:
         return view
 
 
-def _share(in_round: int, position: int, every: int) -> int:
+def _even_share(in_round: int, position: int, every: int) -> int:
     """What the frame at ``position`` does of what is spread evenly over the ``every`` frames of a
     round."""
     return in_round * (position + 1) // every - in_round * position // every
@@ -322,7 +309,8 @@ def _even_steps(config: ScheduleConfig) -> list[int]:
     """
     every = config.every_frames
     looks = [
-        (k % config.window_every == 0) + _share(config.recalled, k, every) for k in range(every)
+        (k % config.window_every == 0) + _even_share(config.recalled, k, every)
+        for k in range(every)
     ]
     work = [LOOK_STEPS * n for n in looks]
     work[0] += SEEDING_STEPS

@@ -30,6 +30,8 @@ class Localiser:
 
     def __init__(self, config: TrackingConfig):
         self.config = config
+        self.is_tracking = config.poses == "tracked"
+        """Whether poses are estimated."""
         self.trajectory = Trajectory()
         """The pose of every mapped frame."""
         self.report: dict[str, Any] = {}
@@ -47,11 +49,6 @@ class Localiser:
         self.followers: list[Callable[[tracking.Correction], None]] = []
         """Called with each correction of the trajectory, after it moved: what lies in the world
         moves with it."""
-
-    @property
-    def is_tracking(self) -> bool:
-        """Whether poses are estimated."""
-        return self.config.poses == "tracked"
 
     @property
     def frames_lost(self) -> int:

@@ -111,6 +111,7 @@ class RTGSLAM(Mapper):
             with self.clock("states"):
                 psnr_after_db, transitions = manage_states(self, frame)
             self.gaussians.clock.advance(self.n_frames + 1)
+        self.camera = frame.camera
         return self.reports.of_frame(
             frame,
             seeds,
@@ -229,10 +230,6 @@ class RTGSLAM(Mapper):
         self.camera = None if state["camera"] is None else Camera(**state["camera"])
         self.window.extend(Frame.of_state(f).to(self.device) for f in state["window"])
         self.disc_passes.load_state_dict(state["final"])
-
-    def _record(self, frame: Frame) -> None:
-        self.camera = frame.camera
-        super()._record(frame)
 
     def _move_window(self, correction: Correction) -> None:
         """After a loop closure the window moves as well."""

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from ..backends import also_observing
+from ..backends import observing
 from ..compile_clock import working_time
 
 
@@ -37,7 +37,7 @@ class StageClock:
                 seconds += working_time() - start if called == name else 0.0
 
         try:
-            with also_observing(time_calls):
+            with observing(time_calls, alone=False):
                 yield
         finally:
             self.seconds[of] = self.seconds.get(of, 0.0) - seconds

@@ -159,7 +159,7 @@ class SurfelOptimiser:
             take_missed_steps(part, self.adam)
 
         def regularise(gradients: GaussianParams) -> float:
-            self._count_colour_steps(gradients, part)
+            self.colour_steps[part.rows] += (gradients.sh[:, 0] != 0).any(dim=1)
             self._add_regulariser(gradients, part)
             return 0.0
 
@@ -273,10 +273,6 @@ class SurfelOptimiser:
                 getattr(moments, name)[: self.n] = value
         for name, mine in self._anchor.items():
             mine.copy_(state["anchor"][name])
-
-    def _count_colour_steps(self, g: GaussianParams, part: MapPart) -> None:
-        """Count a step for the rows whose colour it changes."""
-        self.colour_steps[part.rows] += (g.sh[:, 0] != 0).any(dim=1)
 
     def _add_regulariser(self, g: GaussianParams, part: MapPart) -> None:
         """Add the gradient of w_reg times the mean squared distance of transparent rows to their

@@ -247,11 +247,17 @@ def _on_transparent(ctx: SeedContext, seeds: Seeds) -> Bool[Tensor, " M"]:
     states."""
     if ctx.gaussians is None or ctx.map.state is None:
         return torch.zeros_like(seeds.opacity, dtype=torch.bool)
-    rows = (ctx.map.opacity < 0.5).nonzero().squeeze(1)
-    distance, row = nearest(seeds.xyz_W, ctx.map.xyz_W[rows])
-    one_more = seeds.opacity.new_zeros(1)  # without any disc, ``nearest`` names row 0
-    radius = torch.cat([ctx.map.radius_m[rows], one_more])
-    return (distance < REACH * radius[row]).any(dim=1)
+    return _is_near(ctx, seeds, ctx.map.opacity < 0.5, REACH)
+
+
+def _is_near(
+    ctx: SeedContext, seeds: Seeds, discs: Bool[Tensor, " N"], reach: float
+) -> Bool[Tensor, " M"]:
+    """Whether each new disc lies within ``reach`` radii of one of these discs of the map."""
+    distance, row = k_nearest(seeds.xyz_W, ctx.map.xyz_W[discs], NEIGHBOURS)
+    none = seeds.opacity.new_zeros(1)  # where there are fewer, ``row`` is one beyond the last
+    radius = torch.cat([ctx.map.radius_m[discs], none])
+    return (distance < reach * radius[row]).any(dim=1)
 
 
 def _decide_by_hit(
@@ -281,10 +287,7 @@ def _decide_by_plane(
         else ctx.map.state == UNSTABLE
     )
     unstable = unstable.to(pixel.device)
-    distance, row = nearest(seeds.xyz_W, ctx.map.xyz_W[unstable])
-    one_more = seeds.opacity.new_zeros(1)  # without any disc, ``nearest`` names row 0
-    radius = torch.cat([ctx.map.radius_m[unstable], one_more])
-    is_crowded = (distance < UNSTABLE_REACH * radius[row]).any(dim=1)
+    is_crowded = _is_near(ctx, seeds, unstable, UNSTABLE_REACH)
 
     stable_rows = (~unstable).nonzero().squeeze(1)
     opacity = seeds.opacity.clone()
@@ -359,12 +362,3 @@ def gaps_around(
     found = nearest_others(xyz_W, neighbour_xyz_W[in_box], k)
     radius = torch.cat([xyz_W.new_zeros(M), neighbour_radius_m[in_box]])
     return Gaps(gap_m=found.distance_m - reach * radius[found.row])
-
-
-def nearest(
-    xyz_W: Float[Tensor, "M 3"], others_W: Float[Tensor, "N 3"], neighbours: int = NEIGHBOURS
-) -> tuple[Float[Tensor, "M K"], Tensor]:
-    """Distance to the nearest of ``others_W``, metres, and their rows; infinite, and row 0, if
-    there are fewer."""
-    distance, row = k_nearest(xyz_W, others_W, neighbours)
-    return distance, row.masked_fill(row == len(others_W), 0)
