@@ -137,7 +137,7 @@ def _packages(modules: Iterable[str]) -> dict[str, str]:
         file = (
             _file_of(sys.modules.get(module))
             or _file_of(sys.modules.get(top))
-            or _origin(where_module(top, None))
+            or _origin(where_module(top, None))  # of one that is not loaded
         )
         if file is not None and (name := distribution_of(file)):
             names.add(name)

@@ -85,9 +85,12 @@ class Edit:
         changes = (self.reset_opacity, self.relocate, self.clone, self.split, self.add, self.keep)
         return bool(self.rates) or bool(self.set) or any(value is not None for value in changes)
 
-    def resolved(self, sh: Tensor, surfels: bool) -> "Edit":
-        """The same edit for a map with these SH coefficients [N, K, 3], with row numbers for all
-        masks but ``keep``.
+    def resolved(self, sh: Tensor, has_states: bool) -> "Edit":
+        """The same edit with row numbers for all masks but ``keep``.
+
+        Args:
+            sh: SH coefficients of the map. [N, K, 3]
+            has_states: Whether its rows have a state (``SurfelModel``).
 
         Raises:
             ValueError: what cannot be applied to this map; the message names the field.
@@ -99,38 +102,31 @@ class Edit:
                 raise ArgumentError(
                     f"set: {activation} and {parameter} are the same numbers; give one of them"
                 )
-        new_set = {name: _checked_set(name, pair, sh, surfels) for name, pair in self.set.items()}
+        new_set = {
+            name: _checked_set(name, pair, sh, has_states) for name, pair in self.set.items()
+        }
         for name in ("reset_opacity", "min_opacity"):
             value = getattr(self, name)
             if value is not None and not 0 < value < 1:
                 raise ArgumentError(f"{name} must lie strictly between 0 and 1, got {value}")
         relocation = None if self.relocate is None else _checked_relocate(self.relocate, sh)
-        clone, split_rows = (
-            None if rows is None else _numbers(name, rows, sh)
-            for name, rows in (("clone", self.clone), ("split", self.split))
-        )
+        clone = None if self.clone is None else _numbers("clone", self.clone, sh)
+        split_rows = None if self.split is None else _numbers("split", self.split, sh)
         keep = self.keep
         if keep is not None:
             check_operand("keep", keep, (len(sh),), dtypes=MASK)
             keep = keep.to(sh.device)
         if self.add is not None:
             _check_add(self.add)
-        if (
-            clone is not None
-            and split_rows is not None
-            and (both := clone[torch.isin(clone, split_rows)]).numel()
-        ):
-            raise ArgumentError(f"row {int(both[0])} is both cloned and split; do one of them")
+        if clone is not None and split_rows is not None:
+            _refuse_both(clone[torch.isin(clone, split_rows)], "cloned and split")
         if keep is not None:
-            clone, split_rows = (
-                None if rows is None else rows[keep[rows]] for rows in (clone, split_rows)
-            )
-        used = {} if relocation is None else {"relocated": relocation[0], "moved to": relocation[1]}
-        for what, rows in used.items():
-            if keep is not None and (removed_rows := rows[~keep[rows]]).numel():
-                raise ArgumentError(
-                    f"row {int(removed_rows[0])} is both {what} and removed; do one of them"
-                )
+            clone = None if clone is None else clone[keep[clone]]
+            split_rows = None if split_rows is None else split_rows[keep[split_rows]]
+        if keep is not None and relocation is not None:
+            source, target = relocation
+            _refuse_both(source[~keep[source]], "relocated and removed")
+            _refuse_both(target[~keep[target]], "moved to and removed")
         return dataclasses.replace(
             self, set=new_set, relocate=relocation, clone=clone, split=split_rows, keep=keep
         )
@@ -148,6 +144,12 @@ def check_rate(name: str, factors: Any, n: int | None = None) -> None:
         )
 
 
+def _refuse_both(rows: Tensor, what: str) -> None:
+    """Raise ``ValueError`` if there is any row of which two things are asked, ``what``."""
+    if len(rows):
+        raise ArgumentError(f"row {int(rows[0])} is both {what}; do one of them")
+
+
 _RANGES = {"scale_m": (0.0, math.inf), "opacity": (0.0, 1.0), "rgb": (0.0, 1.0), "state": (0, 1)}
 
 
@@ -155,10 +157,10 @@ def _checked_set(
     name: str,
     pair: Any,
     sh: Tensor,
-    surfels: bool,
+    has_states: bool,
 ) -> tuple[Tensor, Tensor]:
     """Row numbers and values of ``Edit.set``."""
-    columns = (*STORED, *ACTIVATED, "tag", *(["state"] if surfels else []))
+    columns = (*STORED, *ACTIVATED, "tag", *(["state"] if has_states else []))
     if name not in columns:
         raise ArgumentError(
             f"set: no column {shown(name)} in this map; known: {', '.join(columns)}"

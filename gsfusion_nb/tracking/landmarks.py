@@ -135,14 +135,18 @@ class Landmarks:
         self._xyz_B[number] = np.einsum("nji,nj->ni", T[:, :3, :3], from_camera)
 
     def fuse(self, same: list[tuple[int, Tensor]]) -> None:
-        """Make one landmark, the oldest, of those that loops say are the same: (keyframe, pairs of
-        feature and landmark [I, 2]) each."""
+        """Make one landmark, the oldest, of those that loops say are the same.
+
+        Args:
+            same: Of each loop a keyframe, and which feature of it shows which landmark, pairs
+                [I, 2].
+        """
         if not same:
             return
-        name = self._merged(same)
-        oldest = np.unique(name, return_index=True)[1].astype(np.int32)
+        group = self._groups(same)
+        oldest = np.unique(group, return_index=True)[1].astype(np.int32)  # by group
         for row, landmark in enumerate(self.of_feature):
-            fused_landmark = np.where(landmark >= 0, oldest[name[landmark]], NO_LANDMARK)
+            fused_landmark = np.where(landmark >= 0, oldest[group[landmark]], NO_LANDMARK)
             # two features of one keyframe would be a wrong match
             first_rows = np.unique(fused_landmark, return_index=True)[1]
             self.of_feature[row] = np.full_like(landmark, NO_LANDMARK)
@@ -266,8 +270,8 @@ class Landmarks:
         every, latest = np.unique(np.concatenate(landmark), return_index=True)
         return every, np.concatenate(descriptors)[latest]
 
-    def _merged(self, same: list[tuple[int, Tensor]]) -> ndarray:
-        """A number per landmark, the same for landmarks that loops identify. [L]"""
+    def _groups(self, same: list[tuple[int, Tensor]]) -> ndarray:
+        """Number of the group of each landmark; landmarks that loops identify are one group. [L]"""
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import connected_components
 

@@ -242,9 +242,10 @@ def _add_colour(state, o, w, s):
 
 @njit(inline="always")
 def _note_indices(state, o, w, number):
-    """Keep the number of the splat where it is the heaviest so far, and where it is the first."""
+    """Keep the number of the splat where it is the heaviest so far, and where it is the first, in
+    the pixels of the row at ``o``."""
     heaviest = load(state, _HEAVIEST + o)
-    first = load(state, _FIRST + o)
+    first = load(state, _FIRST + o)  # below 0 where there was none
     heavier = w > heaviest
     store(state, _HEAVIEST + o, select(heavier, w, heaviest))
     store(state, _DOMINANT + o, select(heavier, number, load(state, _DOMINANT + o)))

@@ -17,7 +17,7 @@ from gsfusion_nb.seeding.rules.rtg_slam import (
     ERROR_SHARE,
     NEW_AREA,
     gaps_around,
-    nearest,
+    is_near,
     wrong_pixels,
 )
 from gsfusion_nb.types import Camera, Frame, Seeds
@@ -384,15 +384,22 @@ def test_distant_discs_do_not_count():
     torch.testing.assert_close(gaps.gap_m, torch.full((2, 1), 0.1))
 
 
-def test_nearest_by_a_loop(generator):
-    xyz = torch.rand(20, 3, generator=generator)
-    other = torch.rand(30, 3, generator=generator)
-    distance, row = nearest(xyz, other)
-    everything = (xyz[:, None] - other[None]).norm(dim=-1)
-    expected = everything.sort(dim=1)
-    torch.testing.assert_close(distance, expected.values[:, :3])
-    assert torch.equal(row, expected.indices[:, :3])
-    assert torch.equal(nearest(xyz, other, 1)[1], expected.indices[:, :1])
+@pytest.mark.parametrize("n_discs", [0, 2, 30])
+def test_reach_of_the_nearest_discs_by_a_loop(generator, n_discs):
+    """Of the discs that count, the three nearest; others of the map are as near, and do not."""
+    model = SurfelModel(sh_degree=0)
+    for xyz in (torch.rand(n_discs, 3, generator=generator), torch.rand(9, 3, generator=generator)):
+        discs = Seeds.isotropic(xyz, xyz, torch.rand(len(xyz), generator=generator) / 5 + 0.05)
+        model.append(discs)
+    counts = torch.arange(len(model)) < n_discs
+    new_xyz = torch.rand(60, 3, generator=generator)
+    new = Seeds.isotropic(new_xyz, new_xyz, torch.full((60,), 0.1))
+    away = (new_xyz[:, None] - model.params.xyz_W[:n_discs]).norm(dim=-1)
+    expected = [
+        any(row[i] < 1.5 * model.radius_m[i] for i in row.argsort()[:3].tolist()) for row in away
+    ]
+    assert is_near(context(model), new, counts, 1.5).tolist() == expected
+    assert any(expected) == (n_discs > 0)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.3, 1.0])

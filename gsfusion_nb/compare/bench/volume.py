@@ -1,6 +1,7 @@
 """Frames fused into an empty volume, and raycasts of it."""
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 from ...backends import use_backend
 from ...config import TsdfConfig
@@ -41,16 +42,17 @@ def _volume_rows(
     camera = frames[0].camera
     poses = [frame.T_WC for frame in frames[::LOOK_EVERY]]
     n_updated: list[int] = []
+
+    def fuse(frame: Frame) -> None:
+        n_updated.append(integrate(volume, frame).updated_voxels)
+
     with use_backend(backend):
-        volume = TsdfVolume(config, device=device)
-        integrate(volume, frames[0])  # compiles, as does the first raycast
-        raycast(volume, camera, poses[0])
+        warm_up_volume = TsdfVolume(config, device=device)
+        integrate(warm_up_volume, frames[0])  # compiles, as does the first raycast
+        raycast(warm_up_volume, camera, poses[0])
         with PeakMemory(device) as memory:
             volume = TsdfVolume(config, device=device)
-            fusion_laps = [
-                lap(lambda f=frame: n_updated.append(integrate(volume, f).updated_voxels), device)
-                for frame in frames
-            ]
+            fusion_laps = [lap(partial(fuse, frame), device) for frame in frames]
         raycast_laps = [lap(lambda T=T_WC: raycast(volume, camera, T), device) for T_WC in poses]
     yield BenchRow(
         section="tsdf",

@@ -220,8 +220,8 @@ def split_name(line: str) -> tuple[str | None, list[str]]:
 
 
 def parsed_pose(words: list[str]) -> Float[Tensor, "4 4"]:
-    """A matrix of 16 words; float64, not yet checked. Raises ``ValueError`` if they are not 16
-    numbers."""
+    """The pose that 16 words give row by row, float64; whether it is rigid is not looked at. Raises
+    ``ValueError`` if they are not 16 numbers."""
     values = [float(word) for word in words]
     if len(values) != 16:
         raise ArgumentError(f"expected 16 numbers, got {len(values)}")

@@ -211,10 +211,12 @@ def _check_pixels(values: Tree, source: str) -> None:
 
 
 def _size(values: Tree) -> tuple[int, int] | None:
+    """Width and height of the image, pixels, which some programs write as floats; None if they are
+    not there."""
     resolution = values.get("resolution")
     if isinstance(resolution, list | tuple) and len(resolution) == 2:
         return round(float(resolution[0])), round(float(resolution[1]))
-    names = next((names for names in _SIZES if set(names) <= values.keys()), None)
-    return (
-        None if names is None else (round(float(values[names[0]])), round(float(values[names[1]])))
-    )
+    for width, height in _SIZES:
+        if width in values and height in values:
+            return round(float(values[width])), round(float(values[height]))
+    return None

@@ -247,13 +247,21 @@ def _on_transparent(ctx: SeedContext, seeds: Seeds) -> Bool[Tensor, " M"]:
     states."""
     if ctx.gaussians is None or ctx.map.state is None:
         return torch.zeros_like(seeds.opacity, dtype=torch.bool)
-    return _is_near(ctx, seeds, ctx.map.opacity < 0.5, REACH)
+    return is_near(ctx, seeds, ctx.map.opacity < 0.5, REACH)
 
 
-def _is_near(
+def is_near(
     ctx: SeedContext, seeds: Seeds, discs: Bool[Tensor, " N"], reach: float
 ) -> Bool[Tensor, " M"]:
-    """Whether each new disc lies within ``reach`` radii of one of these discs of the map."""
+    """Whether each new disc lies within ``reach`` radii of one of the nearest of these discs of the
+    map, of which ``NEIGHBOURS`` are looked at.
+
+    Args:
+        ctx: With a map.
+        seeds: The new discs, M rows.
+        discs: Which discs of the map count. [N]
+        reach: In units of the radius of a disc of the map.
+    """
     distance, row = k_nearest(seeds.xyz_W, ctx.map.xyz_W[discs], NEIGHBOURS)
     none = seeds.opacity.new_zeros(1)  # where there are fewer, ``row`` is one beyond the last
     radius = torch.cat([ctx.map.radius_m[discs], none])
@@ -287,7 +295,7 @@ def _decide_by_plane(
         else ctx.map.state == UNSTABLE
     )
     unstable = unstable.to(pixel.device)
-    is_crowded = _is_near(ctx, seeds, unstable, UNSTABLE_REACH)
+    is_crowded = is_near(ctx, seeds, unstable, UNSTABLE_REACH)
 
     stable_rows = (~unstable).nonzero().squeeze(1)
     opacity = seeds.opacity.clone()
