@@ -213,7 +213,7 @@ class Mapper(InUsualTorch, ABC):
             with (
                 self.watch(index),
                 self.guard.while_mapping(index),
-                self.transaction.whole_frame(),
+                self.transaction,
             ):
                 DelayedInterrupt.allow()
                 self.clock = StageClock()

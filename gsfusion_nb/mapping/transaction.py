@@ -20,6 +20,9 @@ Undo = Callable[[], None]
 class Transaction:
     """Makes a frame, or a step after the scan, change all of a mapper or nothing.
 
+    A frame is mapped in the context ``with transaction:``, inside ``guard.while_mapping``. If it
+    fails before ``changes``, or in changes that can be undone, all is as it was.
+
     What a frame reads and cannot change goes first, then ``changes``. A part of a mapper that a
     frame changes is undone by its snapshot: those of every mapper are taken here, a system
     ``protect``s its own.
@@ -34,6 +37,9 @@ class Transaction:
         self._mapper = mapper
         self._snapshots: list[Callable[[], Undo]] = []
         self._ends: list[Callable[[], None]] = []
+        self._random_numbers: dict[str, Any] = {}
+        self._rule_memory: dict[str, Any] = {}
+        """As they were before the frame that is mapped."""
 
     def protect(self, snapshot: Callable[[], Undo], end: Callable[[], None] | None = None) -> None:
         """Undo one more part of the mapper with a frame.
@@ -46,9 +52,31 @@ class Transaction:
         if end is not None:
             self._ends.append(end)
 
-    def whole_frame(self) -> "WholeFrame":
-        """Context in which a frame is mapped, inside ``guard.while_mapping``."""
-        return WholeFrame(self._mapper)
+    @undisturbed
+    def __enter__(self) -> None:
+        mapper = self._mapper
+        self._random_numbers = mapper.random.state_dict()
+        self._rule_memory = copy_memory(mapper.rule_in_use.memory)
+        mapper.lost.begin_frame()
+
+    @undisturbed
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        mapper = self._mapper
+        if error is not None and self.guard.undo():
+            mapper.gaussians.undo_log.end()
+            mapper.random.load_state_dict(self._random_numbers)
+            mapper.rule_in_use.set_memory(self._rule_memory)
+            mapper.localiser.take_back(was_refused=isinstance(error, BadFrameError))
+        self._rule_memory = {}
+        mapper.after_steps.frame_ends()
+        mapper.parts.end_frame()
+        if error is None and mapper.passes.begun:
+            mapper.passes = KeyframePasses()  # with more frames, the passes start again
 
     @contextlib.contextmanager
     def changes(self, *, undoable: bool = False) -> Iterator[None]:
@@ -123,40 +151,3 @@ class Transaction:
                 undo_other()
 
         return undo
-
-
-class WholeFrame:
-    """Context manager in which a mapper maps a frame; if it fails before ``changes``, or in changes
-    that can be undone, all is as it was.
-
-    Args:
-        mapper: The ``Mapper``.
-    """
-
-    def __init__(self, mapper: Any):
-        self._mapper = mapper
-
-    @undisturbed
-    def __enter__(self) -> None:
-        mapper = self._mapper
-        self._random_numbers = mapper.random.state_dict()
-        self._memory = copy_memory(mapper.rule_in_use.memory)
-        mapper.lost.begin_frame()
-
-    @undisturbed
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        mapper = self._mapper
-        if error is not None and mapper.guard.undo():
-            mapper.gaussians.undo_log.end()
-            mapper.random.load_state_dict(self._random_numbers)
-            mapper.rule_in_use.set_memory(self._memory)
-            mapper.localiser.take_back(was_refused=isinstance(error, BadFrameError))
-        mapper.after_steps.frame_ends()
-        mapper.parts.end_frame()
-        if error is None and mapper.passes.begun:
-            mapper.passes = KeyframePasses()  # with more frames, the passes start again

@@ -370,8 +370,8 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, candidates):
 
 @njit(inline="always")
 def _project(cam, x, y, z, log_scale, quat, s):
-    """Write centre, conic and extent of a Gaussian at (x, y, z) in the camera frame into its splat
-    ``s``. Returns whether they are within limits."""
+    """Centre, conic and extent of a Gaussian at (x, y, z) in the camera frame; whether they are
+    within limits."""
     inv_z = _ONE / z
     u = cam[col.FX] * x * inv_z + cam[col.CX]
     v = cam[col.FY] * y * inv_z + cam[col.CY]
@@ -409,9 +409,9 @@ def _project(cam, x, y, z, log_scale, quat, s):
     s[col.CONIC_A] = (vv + _BLUR) * inv_det
     s[col.CONIC_B] = -uv * inv_det
     s[col.CONIC_C] = (uu + _BLUR) * inv_det
-    reach2 = _TWO * (s[col.LN_OPACITY] - _LOG_ALPHA_MIN)  # squared, in standard deviations
-    s[col.EXTENT_U] = math.sqrt(reach2 * (uu + _BLUR))
-    s[col.EXTENT_V] = math.sqrt(reach2 * (vv + _BLUR))
+    reach = _TWO * (s[col.LN_OPACITY] - _LOG_ALPHA_MIN)
+    s[col.EXTENT_U] = math.sqrt(reach * (uu + _BLUR))
+    s[col.EXTENT_V] = math.sqrt(reach * (vv + _BLUR))
     small = s[col.EXTENT_U] < _FARTHEST and s[col.EXTENT_V] < _FARTHEST
     return abs(u) < _FARTHEST and abs(v) < _FARTHEST and small
 
