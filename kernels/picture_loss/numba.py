@@ -46,7 +46,11 @@ def _pass(rgb, target, v_rgb, scale, squared):
             _squared_row(rgb[y], target[y], v_rgb[y], scale, sums[y])
         else:
             _row(rgb[y], target[y], v_rgb[y], scale, sums[y])
-    return sums.sum(axis=0)
+    total = np.zeros(2)  # np.sum along an axis takes seconds to compile
+    for y in range(len(rgb)):
+        total[_VALUE] += sums[y, _VALUE]
+        total[_SQUARE] += sums[y, _SQUARE]
+    return total
 
 
 @njit(cache=True, error_model="numpy", fastmath={"reassoc"})

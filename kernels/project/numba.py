@@ -22,7 +22,7 @@ from ..composite import layout as pair
 from ..harmonics.numba import basis_into, gradient_into
 from ..runtime.numba import shared_cache as shared_cache  # before the functions are made
 from ..runtime.numba.launch import scratch
-from ..runtime.numba.scalars import cyclic_size, cyclic_task
+from ..runtime.numba.scalars import cyclic_size, cyclic_task, kernel_part
 from . import layout as col
 from .layout import arrays_of
 
@@ -48,7 +48,7 @@ NOTED_PER_CHUNK = 16 * CHUNK
 found a second time."""
 
 
-@njit(inline="always")
+@kernel_part
 def camera_point(cam, X, Y, Z):
     """A point of the world in the camera frame."""
     x = cam[col.R00] * X + cam[col.R01] * Y + cam[col.R02] * Z + cam[col.T0]
@@ -57,7 +57,7 @@ def camera_point(cam, X, Y, Z):
     return x, y, z
 
 
-@njit(inline="always")
+@kernel_part
 def direction(cam, X, Y, Z):
     """Unit vector from the camera's centre to a point of the world, and 1 / its distance."""
     dx = X - cam[col.CENTRE_X]
@@ -67,7 +67,7 @@ def direction(cam, X, Y, Z):
     return dx * inv, dy * inv, dz * inv, inv
 
 
-@njit(inline="always")
+@kernel_part
 def rotation(q):
     """|q| and the entries of R(q / |q|), row by row."""
     norm = max(math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]), _SMALL)
@@ -89,7 +89,7 @@ def rotation(q):
     )
 
 
-@njit(inline="always")
+@kernel_part
 def clamp(x, limit):
     """x, between -limit and limit."""
     return min(max(x, -limit), limit)
@@ -368,7 +368,7 @@ def _find_candidates(xyz, log_scale, cam, sums, first, end, candidates):
     return n
 
 
-@njit(inline="always")
+@kernel_part
 def _project(cam, x, y, z, log_scale, quat, s):
     """Centre, conic and extent of a Gaussian at (x, y, z) in the camera frame; whether they are
     within limits."""
@@ -416,7 +416,7 @@ def _project(cam, x, y, z, log_scale, quat, s):
     return abs(u) < _FARTHEST and abs(v) < _FARTHEST and small
 
 
-@njit(inline="always")
+@kernel_part
 def _colour(cam, xyz, sh, basis, s):
     """Colour of a Gaussian towards the camera; whether it is finite."""
     K = sh.shape[0]
@@ -482,7 +482,7 @@ def project_rows_vjp(params, cam, splats, start, train_rows, pair_sums, v_params
             _colour_vjp(cam, s, total, xyz[i], sh[i], (basis, w), v_xyz[i], v_sh[i])
 
 
-@njit(inline="always")
+@kernel_part
 def _project_vjp(cam, s, total, row, v_xyz, v_log_scale, v_quat):
     """From the centre, the conic and the depth of a splat to its row: position, log scales,
     quaternion."""
@@ -528,7 +528,7 @@ def _project_vjp(cam, s, total, row, v_xyz, v_log_scale, v_quat):
     v_xyz[2] = cam[col.R02] * d0 + cam[col.R12] * d1 + cam[col.R22] * d2
 
 
-@njit(inline="always")
+@kernel_part
 def _column(cam, lens, q0, q1, q2, scale):
     """A column m (2) of M = J B, and z of that column of B = R_CW R_q S."""
     a, b, tx, ty = lens
@@ -538,7 +538,7 @@ def _column(cam, lens, q0, q1, q2, scale):
     return a * (x - tx * z), b * (y - ty * z), z
 
 
-@njit(inline="always")
+@kernel_part
 def _solved(mu0, mv0, mu1, mv1, mu2, mv2):
     """n_j = Q m_j of the columns of M, where Q is the inverse of cov = M M^T + blur I.
 
@@ -560,7 +560,7 @@ def _solved(mu0, mv0, mu1, mv1, mu2, mv2):
     )
 
 
-@njit(inline="always")
+@kernel_part
 def _column_vjp(s, total, n_u, n_v):
     """From n = Q m and the sums of a splat: m . v_m, which is dL/d of the log scale of the column
     m, and v_m (2).
@@ -577,7 +577,7 @@ def _column_vjp(s, total, n_u, n_v):
     return n_u * w_u + n_v * w_v, v_mu, v_mv
 
 
-@njit(inline="always")
+@kernel_part
 def _rotation_column_vjp(cam, lens, v_mu, v_mv, scale):
     """From a column of M to that column of R_q."""
     a, b, tx, ty = lens
@@ -591,7 +591,7 @@ def _rotation_column_vjp(cam, lens, v_mu, v_mv, scale):
     )
 
 
-@njit(inline="always")
+@kernel_part
 def _quaternion_vjp(quat, norm, v_R, v_quat):
     """From R, row by row, to the unit quaternion, then through its normalisation."""
     g00, g01, g02, g10, g11, g12, g20, g21, g22 = v_R
@@ -610,7 +610,7 @@ def _quaternion_vjp(quat, norm, v_R, v_quat):
     v_quat[3] = (v_z - qz * radial) / norm
 
 
-@njit(inline="always")
+@kernel_part
 def _colour_vjp(cam, s, total, xyz, sh, scratch, v_xyz, v_sh):
     """From the colour of a splat to its coefficients and, through the direction of view, added to
     its position."""

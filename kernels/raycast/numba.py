@@ -43,6 +43,7 @@ from ..runtime.arguments import (
 )
 from ..runtime.numba.blocks import blocks_in_view
 from ..runtime.numba.launch import launching, scratch
+from ..runtime.numba.scalars import kernel_part
 from ..runtime.numba.simd import (
     absolute,
     any_lane,
@@ -59,6 +60,7 @@ from ..runtime.numba.simd import (
     select_int,
     splat,
     splat_int,
+    splat_of_class,
     sqrt,
     store,
     truncate,
@@ -102,7 +104,7 @@ def values(field, at, mask):
     raise NotImplementedError
 
 
-@overload(values, inline="always")
+@overload(values, jit_options={"forceinline": True})
 def _(field, at, mask):
     if not isinstance(field, types.NamedTuple | types.NamedUniTuple):
         return None
@@ -128,38 +130,35 @@ class Near(NamedTuple):
     """Blocks along each axis. [3]"""
 
 
+_entry_shift = splat_of_class(lambda table: 3 if table is Near else NODE_SHIFT)
+_in_entry = splat_of_class(lambda table: 0 if table is Near else IN_NODE)
+
+
+@kernel_part
 def place(table, axis, voxel):
     """Where sixteen voxels are along an axis: what that adds to the number of an entry of the
     table's box, and to those of the block in this entry and of the voxel in the block; and whether
-    it is in the box. In compiled code only.
+    it is in the box.
     """
-    raise NotImplementedError
+    stride = int64(1)
+    if axis < 2:
+        stride = int64(table.size[2])
+    if axis == 0:
+        stride *= table.size[1]
+    entry = (voxel >> _entry_shift(table)) - splat_int(table.low[axis])
+    in_entry = ((voxel >> splat_int(int32(3))) & _in_entry(table)) * splat_int(
+        int32(1 << NODE_BITS * (2 - axis))
+    )
+    in_block = (voxel & splat_int(int32(7))) * splat_int(int32(1 << 3 * (2 - axis)))
+    return (
+        entry * splat_int(int32(stride)),
+        in_entry,
+        in_block,
+        below(entry, splat_int(table.size[axis])),
+    )
 
 
-@overload(place, inline="always")
-def _(table, axis, voxel):
-    shift, inside = (3, 0) if table.instance_class is Near else (NODE_SHIFT, IN_NODE)
-
-    def placed(table, axis, voxel):
-        strides = (table.size[1] * table.size[2], table.size[2], int32(1))
-        three = splat_int(int32(3))
-        seven = splat_int(int32(7))
-        entry = (voxel >> splat_int(int32(shift))) - splat_int(table.low[axis])
-        in_entry = ((voxel >> three) & splat_int(int32(inside))) * splat_int(
-            int32(1 << NODE_BITS * (2 - axis))
-        )
-        in_block = (voxel & seven) * splat_int(int32(1 << 3 * (2 - axis)))
-        return (
-            entry * splat_int(strides[axis]),
-            in_entry,
-            in_block,
-            below(entry, splat_int(table.size[axis])),
-        )
-
-    return placed
-
-
-@njit(inline="always")
+@kernel_part
 def at_places(x, y, z):
     """Entry, block in the entry, voxel in the block, and whether it is in the box, of places along
     the three axes."""
@@ -171,7 +170,7 @@ def rows_of(table, at, mask):
     raise NotImplementedError
 
 
-@overload(rows_of, inline="always")
+@overload(rows_of, jit_options={"forceinline": True})
 def _(table, at, mask):
     if table.instance_class is Near:
         return lambda table, at, mask: gather_int(

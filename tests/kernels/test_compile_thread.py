@@ -1,5 +1,6 @@
 """Ctrl-C is heard while a kernel is compiled, and the compiler is left alone."""
 
+import gc
 import os
 import signal
 import subprocess
@@ -142,6 +143,21 @@ def test_what_a_function_in_the_compiler_calls_is_compiled_with_it(monkeypatch):
     with compile_thread.global_compiler_lock:
         assert asked_thread(monkeypatch, ours) is threading.main_thread()
     assert asked_thread(monkeypatch, ours) is not threading.main_thread()
+
+
+def test_no_garbage_is_looked_for_while_kernels_are_compiled(monkeypatch):
+    ours = Dispatcher("gsfusion_nb.kernels.project.numba")
+    monkeypatch.setattr(compile_thread, "_compile", lambda self, signature: gc.isenabled())
+    assert not compile_thread.compile_and_listen(ours, "signature")
+    assert compile_thread.compile_and_listen(Dispatcher("somebody.else"), "signature")
+
+    def fails(self, signature):
+        raise ValueError("no such type")
+
+    monkeypatch.setattr(compile_thread, "_compile", fails)
+    with pytest.raises(ValueError, match="no such type"):
+        compile_thread.compile_and_listen(ours, "signature")
+    assert gc.isenabled()
 
 
 def test_a_function_of_a_user_may_call_a_kernel():

@@ -1,3 +1,5 @@
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,32 @@ def _mixture(x, y, out):
     )
     simd.store(out, 0, chosen)
     return simd.any_lane(a > b), simd.any_lane((a > b) & (a < b)), simd.reduce_add(simd.iota() * a)
+
+
+class Near(NamedTuple):
+    """One way to look up."""
+
+    rows: np.ndarray
+
+
+class Far(NamedTuple):
+    """Another one, of the same fields."""
+
+    rows: np.ndarray
+
+
+_shift = simd.splat_of_class(lambda table: 3 if table is Near else 5)
+
+
+@numba.njit
+def _shift_is(table, number):
+    return simd.any_lane(_shift(table) == simd.splat_int(np.int32(number)))
+
+
+def test_a_number_of_the_class_of_a_tuple():
+    rows = np.zeros(1, np.int32)
+    assert [_shift_is(Near(rows), 3), _shift_is(Near(rows), 5)] == [True, False]
+    assert [_shift_is(Far(rows), 3), _shift_is(Far(rows), 5)] == [False, True]
 
 
 @pytest.mark.parametrize(

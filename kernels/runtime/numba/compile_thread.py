@@ -1,4 +1,5 @@
-"""Compile kernels in a thread of their own, so that Ctrl-C is heard meanwhile.
+"""Compile kernels in a thread of their own, so that Ctrl-C is heard meanwhile, and without looking
+for garbage.
 
 Python hears a signal between two of its own instructions, and the compiler of one kernel may take
 half a minute without any. The main thread waits for it here in small steps. After Ctrl-C the
@@ -6,9 +7,11 @@ compiler goes on until its kernel is on disk: the next call has it then, or wait
 """
 
 import atexit
+import contextlib
 import functools
+import gc
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from numba.core import dispatcher
@@ -86,6 +89,22 @@ def wait_for_compilers() -> None:
         compilation.join()
 
 
+@contextlib.contextmanager
+def no_collection() -> Iterator[None]:
+    """A block in which Python does not look for cycles of objects that nobody uses.
+
+    The compiler makes millions of objects, so it looks often, each time at all that torch and numba
+    hold as well: a tenth of the time of compiling. What is left is found after the block.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
+
+
 _compile = dispatcher.Dispatcher.compile
 
 
@@ -95,13 +114,14 @@ def compile_and_listen(self: dispatcher.Dispatcher, sig: Any) -> Any:
     that a function in the compiler calls is compiled with it, under the lock of its thread."""
     is_ours = self.py_func.__module__.startswith(_KERNELS)
     is_main = threading.current_thread() is threading.main_thread()
-    if not is_ours or not is_main or global_compiler_lock.is_locked():
+    compilation = None
+    if not is_ours or global_compiler_lock.is_locked():
         return _compile(self, sig)
-    try:
-        compilation = Compilation.begin(lambda: _compile(self, sig), self.py_func.__name__)
-    except RuntimeError:
-        return _compile(self, sig)
-    return compilation.result()
+    with no_collection():
+        if is_main:
+            with contextlib.suppress(RuntimeError):
+                compilation = Compilation.begin(lambda: _compile(self, sig), self.py_func.__name__)
+        return compilation.result() if compilation else _compile(self, sig)
 
 
 dispatcher.Dispatcher.compile = compile_and_listen  # pyright: ignore[reportAttributeAccessIssue]

@@ -1,9 +1,22 @@
 """Small functions of numba kernels: tasks dealt out in turn to threads, twists."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import njit
 
 GROUPS = 16
+
+
+def kernel_part(function: Callable) -> Callable:
+    """A function that is compiled once, and whose machine code is then part of each kernel that
+    calls it.
+
+    ``inline="always"`` copies its statements into the caller instead. There numba works on them
+    four times, and again at each call: with it, kernels of many parts take twice as long to
+    compile.
+    """
+    return njit(function, error_model="numpy", forceinline=True)
 
 
 @njit(inline="always")

@@ -11,12 +11,14 @@ opaque pointers, that is numba 0.62 (llvmlite 0.45) or later.
 """
 
 import operator
+from collections.abc import Callable
 
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.core.datamodel import models
-from numba.core.extending import intrinsic, overload, register_model
+from numba.core.extending import intrinsic, lower_builtin, register_model
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 
 LANES = 16
 
@@ -71,6 +73,18 @@ splat = _splat(types.float32, f32x16, _FLOATS)
 """All lanes equal to a float32."""
 splat_int = _splat(types.int32, i32x16, _INTS)
 """All lanes equal to an int32."""
+
+
+def splat_of_class(number_of: Callable[[type], int]):
+    """All lanes equal to ``number_of`` the class of a named tuple, which is known when the caller
+    is compiled."""
+
+    @intrinsic
+    def operation(typingctx, value):
+        constant = ir.Constant(_INTS, [_lane(number_of(value.instance_class))] * LANES)
+        return i32x16(value), lambda context, builder, sig, args: constant
+
+    return operation
 
 
 @intrinsic
@@ -135,15 +149,21 @@ below = _binary(lambda b, x, y: b.icmp_unsigned("<", x, y), mask16)
 """``0 <= x < y`` for integers of which y is not negative."""
 
 
-def _let(symbol, argument, operation):
-    """Let the operator ``symbol`` between two vectors of the type ``argument`` mean
-    ``operation``."""
+def _let(symbol, argument, emit, result):
+    """Let the operator ``symbol`` between two vectors of the type ``argument`` mean the instruction
+    that ``emit`` writes.
 
-    @overload(symbol)
-    def _(a, b):
-        if a == argument and b == argument:
-            return lambda a, b: operation(a, b)
-        return None
+    Each is typed and written at once; as an ``overload`` it would be compiled as a function of its
+    own first.
+    """
+
+    class Operator(ConcreteTemplate):
+        cases = [signature(result, argument, argument)]  # noqa: RUF012  (numba reads it so)
+
+    infer_global(symbol)(Operator)
+    lower_builtin(symbol, argument, argument)(
+        lambda context, builder, sig, args: emit(builder, *args)
+    )
 
 
 for _symbol, _type, _emit, _result in (
@@ -163,7 +183,7 @@ for _symbol, _type, _emit, _result in (
     (operator.eq, i32x16, lambda b, x, y: b.icmp_signed("==", x, y), mask16),
     (operator.ge, i32x16, lambda b, x, y: b.icmp_signed(">=", x, y), mask16),
 ):
-    _let(_symbol, _type, _binary(_emit, _result))
+    _let(_symbol, _type, _emit, _result)
 
 
 def _select(result):
