@@ -23,11 +23,22 @@ PALETTE = ("#3d85c6", "#e08a2e", "#1d743b", "#ff3061", "#7d43d5", "#aaaaaa", "#2
 """Blue, orange, green, red, violet, grey, turquoise, olive: visible on white and on a card. Each is
 unlike the others, also to eyes that lack the cones for red, green or blue."""
 
+STROKES = (
+    "-",
+    (0, (4, 2)),
+    (0, (1.2, 1.4)),
+    (0, (5, 1.4, 1.2, 1.4)),
+    (0, (8, 2)),
+    (0, (2.4, 2.4)),
+    (0, (5, 1.4, 1.2, 1.4, 1.2, 1.4)),
+    (0, (1.2, 3)),
+)
+"""Strokes and gaps of the curves of a graph, in widths of the line: they tell curves apart without
+any colour, and a curve is seen through the gaps of another that lies on it."""
+
 LEGEND_LETTERS = 78
 """Letters that fit into the width of a ``curve_figure``."""
-_LINE_SHARE = 0.003
-"""Half of the width of a line, in heights of a ``curve_figure``."""
-SAMPLE_LETTERS = 5
+SAMPLE_LETTERS = 7
 """Width of a line in a legend, and of the space behind its name, in letters."""
 
 BETWEEN = "#{:02x}{:02x}{:02x}".format(*pictures.BETWEEN)
@@ -52,8 +63,8 @@ def curve_figure(
     marks_label: str = "",
     logarithmic: bool = False,
 ) -> "Figure":
-    """A graph of one or more curves over a common axis; NaN leaves a gap. A curve that lies on an
-    earlier one is dashed, so that both can be seen.
+    """A graph of one or more curves over a common axis; NaN leaves a gap. The first curve is drawn
+    through, each other one has strokes of its own.
 
     Args:
         x: Positions, for example frame numbers.
@@ -88,16 +99,14 @@ def curve_figure(
         )
         axes.set_ylim(bottom=0)
     else:
-        heights = [np.log(v) if logarithmic else np.asarray(v, float) for v in series.values()]
         for i, (label, values) in enumerate(series.items()):
-            is_dashed = _lies_on_another(heights[i], heights[:i])
             axes.plot(
                 x,
                 values,
                 label=label,
                 color=PALETTE[i % len(PALETTE)],
                 linewidth=1.6,
-                linestyle=(0, (4, 4)) if is_dashed else "-",
+                linestyle=STROKES[i % len(STROKES)],
                 marker="o",
                 markersize=3 if len(x) > 1 else None,
                 markevery=_lone(values),
@@ -131,11 +140,14 @@ def curve_figure(
             frameon=False,
             fontsize=9.5,
             labelcolor=INK,
-            handlelength=1.2,
+            handlelength=2.4,
             columnspacing=1.2,
             borderpad=0.1,
         )
         legend.set_in_layout(True)
+        for sample in legend.legend_handles:
+            if len(x) > 1 and not stacked and sample.get_marker() == "o":
+                sample.set_marker("")  # it would hide the gaps of the strokes
     return figure
 
 
@@ -143,18 +155,6 @@ def _lone(values: Numbers) -> list[int]:
     """Positions of the values beside which there is none, so that no line goes through them."""
     gaps = np.pad(np.isnan(np.asarray(values, float)), 1, constant_values=True)
     return np.flatnonzero(~gaps[1:-1] & gaps[:-2] & gaps[2:]).tolist()
-
-
-def _lies_on_another(curve: np.ndarray, earlier: Sequence[np.ndarray]) -> bool:
-    """Whether a curve of more than one value runs over one of those drawn before it, for more than
-    half of its way and within the width of a line in a graph of all of them."""
-    is_known = np.isfinite(curve)
-    if is_known.sum() < 2:
-        return False
-    every = np.concatenate([curve, *earlier])
-    line = _LINE_SHARE * float(np.nanmax(every) - np.nanmin(every))
-    apart = [np.abs(curve - other)[is_known] for other in earlier]
-    return any(float((off <= line).mean()) > 0.5 for off in apart)
 
 
 def _legend_columns(labels: Sequence[str]) -> int:
