@@ -33,11 +33,13 @@ from ..project.layout import (
 )
 from ..runtime.numba.scalars import cyclic_size, cyclic_task
 from ..runtime.numba.simd import (
+    absolute,
     any_lane,
     either,
     exp,
     iota,
     load,
+    load_triples,
     maximum,
     minimum,
     negative_abs,
@@ -45,6 +47,9 @@ from ..runtime.numba.simd import (
     select,
     splat,
     store,
+    store_triples,
+    store_wide,
+    times,
 )
 from . import layout as pair
 
@@ -266,6 +271,43 @@ def _note_hit(state, o, solid, number):
 def _write_tile(state, x0, y0, image, indices, pixels):
     """The tile's sums and indices into the images."""
     height, width = image.depth.shape
+    if x0 + pair.TILE > width:
+        _write_pixels(state, x0, y0, image, indices, pixels)
+        return
+    with_index = indices.first.shape[0] > 0
+    with_hit = indices.hit.shape[0] > 0
+    rgb = image.rgb.reshape(-1)
+    depth = image.depth.reshape(-1)
+    alpha = image.alpha.reshape(-1)
+    first = indices.first.reshape(-1)
+    dominant = indices.dominant.reshape(-1)
+    hit = indices.hit.reshape(-1)
+    for r in range(min(pair.TILE, height - y0)):
+        o = r * pair.TILE
+        at = (y0 + r) * width + x0
+        store_triples(
+            rgb,
+            3 * at,
+            load(state, _SUM_RED + o),
+            load(state, _SUM_GREEN + o),
+            load(state, _SUM_BLUE + o),
+        )
+        store(depth, at, load(state, _SUM_DEPTH + o))
+        store(alpha, at, splat(ONE) - absolute(load(state, o)))
+        if with_index:
+            store_wide(dominant, at, load(state, _DOMINANT + o))
+            store_wide(first, at, load(state, _FIRST + o))
+        if with_hit:
+            store_wide(hit, at, load(state, _HIT + o))
+            for i in range(pair.TILE if pixels.shape[0] > 0 else 0):
+                if not pixels[y0 + r, x0 + i]:
+                    hit[at + i] = -1
+
+
+@njit(cache=True, error_model="numpy")
+def _write_pixels(state, x0, y0, image, indices, pixels):
+    """``_write_tile`` of a tile that reaches beyond the right border."""
+    height, width = image.depth.shape
     with_index = indices.first.shape[0] > 0
     with_hit = indices.hit.shape[0] > 0
     for r in range(min(pair.TILE, height - y0)):
@@ -311,6 +353,7 @@ def composite_backward(splats, lists, selection, image, v_image, pair_sums, abs_
     slot = lists.slot
     pixels, train_rows = selection
     all_trained = train_rows.shape[0] == 0
+    has_more = v_image.depth.shape[0] > 0 or v_image.alpha.shape[0] > 0
     height, width = image.depth.shape
     tiles_x = (width + pair.TILE - 1) // pair.TILE
     tiles_y = (height + pair.TILE - 1) // pair.TILE
@@ -330,6 +373,7 @@ def composite_backward(splats, lists, selection, image, v_image, pair_sums, abs_
         rows_open = np.empty(pair.TILE, np.uint8)
         n_open = open_pixels(state, rows_open, pixels, x0, y0, width, height)
         _read_gradients(state, x0, y0, image, v_image, pixels.shape[0] > 0)
+        place = (x0, y0, height)
         for k in range(offset[tile], end):
             sums = pair_sums[slot[k]]
             if n_open == 0:
@@ -341,14 +385,56 @@ def composite_backward(splats, lists, selection, image, v_image, pair_sums, abs_
                 continue
             s = splats[ids[k]]
             if all_trained or train_rows[ids[k]]:
-                n_open -= _add_up(state, rows_open, s, (x0, y0, height), sums, abs_sums, slot[k])
+                n_open -= _add_up(state, rows_open, s, place, has_more, sums, abs_sums, slot[k])
             else:
-                n_open -= _pass_through(state, rows_open, s, (x0, y0, height))
+                n_open -= _pass_through(state, rows_open, s, place, has_more)
 
 
 @njit(cache=True, error_model="numpy")
 def _read_gradients(state, x0, y0, image, v_image, has_mask):
     """dL/d of the tile's pixels, and the whole of C . v, into their planes."""
+    if x0 + pair.TILE > image.depth.shape[1]:
+        _read_pixels(state, x0, y0, image, v_image)
+    else:
+        _read_rows(state, x0, y0, image, v_image)
+    if has_mask:  # a loss may have no gradient there, not even a number
+        for o in range(PIXELS):
+            if state[o] < ZERO:
+                for plane in range(_REST, _BACKWARD_STATE, PIXELS):
+                    state[plane + o] = ZERO
+
+
+@njit(cache=True, error_model="numpy")
+def _read_rows(state, x0, y0, image, v_image):
+    """``_read_gradients``, a row of the tile at a time."""
+    height, width = image.depth.shape
+    rgb = image.rgb.reshape(-1)
+    v_rgb = v_image.rgb.reshape(-1)
+    for r in range(min(pair.TILE, height - y0)):
+        o = r * pair.TILE
+        at = (y0 + r) * width + x0
+        red, green, blue = load_triples(rgb, 3 * at)
+        v_red, v_green, v_blue = load_triples(v_rgb, 3 * at)
+        store(state, _V_RED + o, v_red)
+        store(state, _V_GREEN + o, v_green)
+        store(state, _V_BLUE + o, v_blue)
+        # each product rounded by itself, as in ``_read_pixels``
+        total = splat(ZERO) + times(red, v_red)
+        total = total + times(green, v_green) + times(blue, v_blue)
+        if v_image.depth.shape[0] > 0:
+            v_depth = load(v_image.depth.reshape(-1), at)
+            store(state, _V_DEPTH + o, v_depth)
+            total = total + times(load(image.depth.reshape(-1), at), v_depth)
+        if v_image.alpha.shape[0] > 0:
+            v_alpha = load(v_image.alpha.reshape(-1), at)
+            store(state, _V_ALPHA + o, v_alpha)
+            total = total + times(load(image.alpha.reshape(-1), at), v_alpha)
+        store(state, _REST + o, total)
+
+
+@njit(cache=True, error_model="numpy")
+def _read_pixels(state, x0, y0, image, v_image):
+    """``_read_gradients`` of a tile that reaches beyond the right border."""
     height, width = image.depth.shape
     for r in range(min(pair.TILE, height - y0)):
         for i in range(min(pair.TILE, width - x0)):
@@ -366,30 +452,26 @@ def _read_gradients(state, x0, y0, image, v_image, has_mask):
                 state[_V_ALPHA + o] = v_image.alpha[y, x]
                 total += image.alpha[y, x] * v_image.alpha[y, x]
             state[_REST + o] = total
-    if has_mask:  # a loss may have no gradient there, not even a number
-        for o in range(PIXELS):
-            if state[o] < ZERO:
-                for plane in range(_REST, _BACKWARD_STATE, PIXELS):
-                    state[plane + o] = ZERO
 
 
 @njit(inline="always")
-def _pass_on(state, o, w, red, green, blue, z):
+def _pass_on(state, o, w, red, green, blue, z, has_more):
     """p of a splat with the weights ``w`` in the row at ``o``, and what is still to come behind
-    it."""
+    it. ``has_more``: depth or alpha have a gradient, too."""
     p = (
         red * load(state, _V_RED + o)
         + green * load(state, _V_GREEN + o)
         + blue * load(state, _V_BLUE + o)
     )
-    p = p + z * load(state, _V_DEPTH + o) + load(state, _V_ALPHA + o)
+    if has_more:
+        p = p + z * load(state, _V_DEPTH + o) + load(state, _V_ALPHA + o)
     rest = load(state, _REST + o) - w * p
     store(state, _REST + o, rest)
     return p, rest
 
 
 @njit(inline="always")
-def _add_up(state, rows_open, s, place, sums, abs_sums, slot):
+def _add_up(state, rows_open, s, place, has_more, sums, abs_sums, slot):
     """Write the sums of a trained splat over the tile at ``place`` (x0, y0, height of the image) to
     ``sums`` and to row ``slot`` of ``abs_sums``; returns how many rows it finished."""
     x0, y0, height = place
@@ -422,7 +504,7 @@ def _add_up(state, rows_open, s, place, sums, abs_sums, slot):
         raw = exp(log_alpha)
         alpha = select(visible, minimum(raw, splat(CEILING)), zero)
         w, T_open, T, goes_on = absorb(state, o, alpha)
-        p, rest = _pass_on(state, o, w, red, green, blue, z)
+        p, rest = _pass_on(state, o, w, red, green, blue, z, has_more)
         v_of_alpha = T_open * p - rest / (one - alpha)
         g = select(goes_on & (visible & (raw < splat(CEILING))), v_of_alpha * alpha, zero)
         gy = g * splat(dy)
@@ -432,7 +514,8 @@ def _add_up(state, rows_open, s, place, sums, abs_sums, slot):
         sum_r = sum_r + w * load(state, _V_RED + o)
         sum_gr = sum_gr + w * load(state, _V_GREEN + o)
         sum_b = sum_b + w * load(state, _V_BLUE + o)
-        sum_z = sum_z + w * load(state, _V_DEPTH + o)
+        if has_more:
+            sum_z = sum_z + w * load(state, _V_DEPTH + o)
         if abs_sums is not None:
             minus_u = minus_u + negative_abs(g * (splat(s[CONIC_A]) * dx + splat(s[CONIC_B] * dy)))
             minus_v = minus_v + negative_abs(g * (splat(s[CONIC_B]) * dx + splat(s[CONIC_C] * dy)))
@@ -457,12 +540,16 @@ def _add_up(state, rows_open, s, place, sums, abs_sums, slot):
 
 
 @njit(cache=True, error_model="numpy")
-def _pass_through(state, rows_open, s, place):
+def _pass_through(state, rows_open, s, place, has_more):
     """Take what a frozen splat absorbs from T and from what is still to come; returns how many rows
     it finished."""
     x0, y0, height = place
     first_row, end_row = rows_of(s, y0, height)
     _, q0, q1 = across(s, x0)
+    red = splat(s[RED])
+    green = splat(s[GREEN])
+    blue = splat(s[BLUE])
+    z = splat(s[DEPTH])
     n_finished = 0
     for r in range(first_row, end_row):
         if rows_open[r] == 0:
@@ -472,7 +559,7 @@ def _pass_through(state, rows_open, s, place):
             continue
         o = r * pair.TILE
         w, _, T, _ = absorb(state, o, alpha_of(log_alpha, visible))
-        _pass_on(state, o, w, splat(s[RED]), splat(s[GREEN]), splat(s[BLUE]), splat(s[DEPTH]))
+        _pass_on(state, o, w, red, green, blue, z, has_more)
         if not any_lane(splat(ZERO) < T):
             rows_open[r] = 0
             n_finished += 1

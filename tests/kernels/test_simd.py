@@ -80,3 +80,32 @@ def test_lane_operations():
     assert greater == bool((x > y).any())
     assert not never
     assert total == pytest.approx(float((np.arange(16) * x).sum()), rel=1e-5)
+
+
+@numba.njit
+def _swap_first_and_last(pixels, swapped):
+    first, second, third = simd.load_triples(pixels, 3)
+    simd.store_triples(swapped, 6, third, second, first)
+
+
+def test_triples_are_split_and_joined():
+    pixels = np.arange(3 * 20, dtype=np.float32)
+    swapped = np.full(3 * 20, -1, np.float32)
+    _swap_first_and_last(pixels, swapped)
+    np.testing.assert_array_equal(
+        swapped[6:54].reshape(16, 3), pixels[3:51].reshape(16, 3)[:, ::-1]
+    )
+    assert (swapped[:6] == -1).all()
+    assert (swapped[54:] == -1).all()
+
+
+@numba.njit
+def _store_wide(numbers, wide):
+    simd.store_wide(wide, 2, simd.load(numbers, 0))
+
+
+def test_whole_lanes_become_integers():
+    numbers = np.array([-1, 0, 1, 2**24 - 1] * 4, np.float32)
+    wide = np.full(20, 7, np.int64)
+    _store_wide(numbers, wide)
+    np.testing.assert_array_equal(wide, [7, 7, *numbers.astype(np.int64), 7, 7])

@@ -416,6 +416,58 @@ def store_pairs(typingctx, array, index, low, high):
 
 
 @intrinsic
+def load_triples(typingctx, array, index):
+    """Sixteen pixels of three numbers from ``array[index]`` on, of a one-dimensional contiguous
+    float32 array: the lanes of the first, second and third numbers."""
+    sig = types.UniTuple(f32x16, 3)(array, index)
+
+    def codegen(context, builder, sig, args):
+        triples = ir.VectorType(_FLOAT, 3 * LANES)
+        value = builder.load(_address(context, builder, sig, args, triples))
+        value.align = 4
+        empty = ir.Constant(triples, ir.Undefined)
+        numbers = [_shuffle(builder, value, empty, range(c, 3 * LANES, 3)) for c in range(3)]
+        return context.make_tuple(builder, sig.return_type, numbers)
+
+    return sig, codegen
+
+
+@intrinsic
+def store_triples(typingctx, array, index, first, second, third):
+    """Write sixteen pixels of three numbers, what ``load_triples`` reads."""
+    sig = types.void(array, index, first, second, third)
+
+    def codegen(context, builder, sig, args):
+        lanes = range(2 * LANES)
+        two = _shuffle(builder, args[2], args[3], lanes)
+        # a shuffle takes two vectors of one length
+        one = _shuffle(builder, args[4], args[4], lanes)
+        order = [c * LANES + i for i in range(LANES) for c in range(3)]
+        triples = _shuffle(builder, two, one, order)
+        instruction = builder.store(triples, _address(context, builder, sig, args, triples.type))
+        instruction.align = 4
+        return context.get_dummy_value()
+
+    return sig, codegen
+
+
+@intrinsic
+def store_wide(typingctx, array, index, vector):
+    """Write lanes that are whole numbers to consecutive elements of a one-dimensional contiguous
+    int64 array."""
+    sig = types.void(array, index, vector)
+
+    def codegen(context, builder, sig, args):
+        wides = ir.VectorType(_WIDE, LANES)
+        numbers = builder.fptosi(args[2], wides)
+        instruction = builder.store(numbers, _address(context, builder, sig, args, wides))
+        instruction.align = 8
+        return context.get_dummy_value()
+
+    return sig, codegen
+
+
+@intrinsic
 def mark(typingctx, array, index):
     """``array[index] = 1`` for every lane, in a one-dimensional contiguous uint8 array; the bounds
     are the caller's."""
