@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import sys
 
 import pytest
 import torch
@@ -233,6 +234,31 @@ def test_transparent_discs_are_not_piled_up():
     assert distances(before, "measured").min() < 0.3
     assert distances(after, "paper").min() < 0.3
     assert 0.3 <= distances(after, "measured").min() < 0.4
+
+
+def test_transparent_discs_far_from_new_ones_are_not_searched(monkeypatch):
+    """Of two hundred in the rooms beside this one; the seeds are the same without them."""
+    near = torch.tensor([[0.8, 0.0, 2.0], [0.7, 0.1, 2.0]])
+    far = torch.rand(200, 3, generator=torch.Generator().manual_seed(0)) + 5.0
+    seeds_of = {}
+    searched = []
+    rule = sys.modules[gaps_around.__module__]
+    search = rule.k_nearest
+
+    def count(points, others, k):
+        searched.append(len(others))
+        return search(points, others, k)
+
+    monkeypatch.setattr(rule, "k_nearest", count)
+    for name, xyz_W in (("near", near), ("all", torch.cat([near, far]))):
+        model = patches()
+        n = len(xyz_W)
+        radius_m = torch.full((n,), 0.1)
+        model.append(Seeds.isotropic(xyz_W, torch.full((n, 3), 0.5), radius_m, opacity=0.1))
+        seeds_of[name] = apply_rule("rtg_slam", context(model), {"share": 0.5})
+    assert searched == [2, 2]
+    assert torch.equal(seeds_of["all"].xyz_W, seeds_of["near"].xyz_W)
+    assert torch.equal(seeds_of["all"].scale_m, seeds_of["near"].scale_m)
 
 
 def small_discs(

@@ -262,10 +262,27 @@ def is_near(
         discs: Which discs of the map count. [N]
         reach: In units of the radius of a disc of the map.
     """
-    distance, row = k_nearest(seeds.xyz_W, ctx.map.xyz_W[discs], NEIGHBOURS)
+    rows = discs.nonzero().squeeze(1)
+    if len(rows) and len(seeds):  # those that reach no new disc need no search
+        reach_m = reach * float(ctx.map.radius_m[rows].nan_to_num(0.0).max())
+        rows = rows[in_box(ctx.map.xyz_W[rows], seeds.xyz_W, reach_m + BORDER_M)]
+    distance, row = k_nearest(seeds.xyz_W, ctx.map.xyz_W[rows], NEIGHBOURS)
     none = seeds.opacity.new_zeros(1)  # where there are fewer, ``row`` is one beyond the last
-    radius = torch.cat([ctx.map.radius_m[discs], none])
+    radius = torch.cat([ctx.map.radius_m[rows], none])
     return (distance < reach * radius[row]).any(dim=1)
+
+
+def in_box(
+    xyz_W: Float[Tensor, "N 3"], around_W: Float[Tensor, "M 3"], border_m: float
+) -> Bool[Tensor, " N"]:
+    """Which points lie in the bounding box of ``around_W``, at least one point, or at most
+    ``border_m`` outside it."""
+    low = around_W.amin(0) - border_m
+    high = around_W.amax(0) + border_m
+    is_inside = torch.ones(len(xyz_W), dtype=torch.bool, device=xyz_W.device)
+    for x, least, most in zip(xyz_W.unbind(1), low, high, strict=True):
+        is_inside = is_inside & (x >= least) & (x <= most)
+    return is_inside
 
 
 def _decide_by_hit(
@@ -355,18 +372,12 @@ def gaps_around(
     M = len(xyz_W)
     if M == 0:
         return Gaps(gap_m=xyz_W.new_zeros(0, neighbours))
-    low = xyz_W.amin(0) - BORDER_M
-    high = xyz_W.amax(0) + BORDER_M
-    in_box = (
-        torch.ones(len(neighbour_xyz_W), dtype=torch.bool, device=xyz_W.device)
-        if obstacles is None
-        else obstacles
-    )
-    for x, least, most in zip(neighbour_xyz_W.unbind(1), low, high, strict=True):
-        in_box = in_box & (x >= least) & (x <= most)
-    k = min(neighbours, M + int(in_box.sum()) - 1)
+    counts = in_box(neighbour_xyz_W, xyz_W, BORDER_M)
+    if obstacles is not None:
+        counts = obstacles & counts
+    k = min(neighbours, M + int(counts.sum()) - 1)
     if k == 0:
         return Gaps(gap_m=xyz_W.new_full((1, 1), torch.inf))
-    found = nearest_others(xyz_W, neighbour_xyz_W[in_box], k)
-    radius = torch.cat([xyz_W.new_zeros(M), neighbour_radius_m[in_box]])
+    found = nearest_others(xyz_W, neighbour_xyz_W[counts], k)
+    radius = torch.cat([xyz_W.new_zeros(M), neighbour_radius_m[counts]])
     return Gaps(gap_m=found.distance_m - reach * radius[found.row])
