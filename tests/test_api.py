@@ -43,7 +43,7 @@ def test_the_examples_run():
     true = known["frame"].T_WC
     start = known["T_start"]
     found = known["T_found"]
-    assert (found - true).norm() < 0.25 * (start - true).norm()
+    assert (found - true).norm() < 0.1 * (start - true).norm()
     seen_labels = known["seen"].argmax(dim=2)
     assert float((seen_labels == known["labelled"][-1].extra["dark"]).float().mean()) > 0.85
     assert known["mapper"].training.names == {"loss": "charbonnier", "optimiser": "sgd"}
