@@ -10,6 +10,7 @@ import torch
 from jaxtyping import TypeCheckError
 from jinja2 import UndefinedError
 from markupsafe import Markup
+from matplotlib.lines import Line2D
 
 from gsfusion_nb.drawing import curves, pictures
 from gsfusion_nb.drawing.curves import PALETTE, curve_figure
@@ -249,6 +250,7 @@ def test_curves_can_be_told_apart_without_any_colour():
         edges = np.flatnonzero(np.diff(is_ink.astype(int)))
         lengths = np.diff(edges)[:12]
         seen.add(tuple(sorted(set(lengths.tolist()))))
+        assert isinstance(sample, Line2D)
         assert sample.get_linestyle() == axes.lines[i].get_linestyle()
     assert len(seen) == len(PALETTE)
 

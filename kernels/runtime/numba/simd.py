@@ -160,7 +160,7 @@ def _let(symbol, argument, emit, result):
     class Operator(ConcreteTemplate):
         cases = [signature(result, argument, argument)]  # noqa: RUF012  (numba reads it so)
 
-    infer_global(symbol)(Operator)
+    infer_global(symbol)(Operator)  # pyright: ignore[reportOptionalCall]  # a decorator here
     lower_builtin(symbol, argument, argument)(
         lambda context, builder, sig, args: emit(builder, *args)
     )
