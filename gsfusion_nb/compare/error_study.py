@@ -2,8 +2,7 @@
 
 A mean error of two centimetres may be a few pixels at the edges of things, or a surface that lies
 two centimetres too far away everywhere. They have different reasons, so the pixels are parted by
-what is known of them without the map: edges of the depth, distance, angle, the border of the
-picture, and how many mapped views show the same place.
+what is known of them without the map (``pixel_kinds``).
 """
 
 import json
@@ -23,13 +22,18 @@ from ..errors import ArgumentError
 from ..evaluation import expected_depth_m
 from ..evaluation.image import to_8bit_grid
 from ..files import write_file
-from ..geometry import depth_to_normals, pixel_grid, rays, se3
-from ..geometry.camera import depth_to_points
-from ..runs.mapping_run import evenly
+from ..runs.mapped_views import evenly
 from ..types import Frame, RenderOutput
 from .map_scene import Entry, budgeted, finished, map_scene
-from .markdown import plain_markdown
-from .recording_specs import RecordingOptions, ran_under, recording_specs
+from .markdown import number_text, plain_markdown
+from .pixel_kinds import BORDER, EDGE_JUMP, EDGE_PX, FEW_VIEWS, LEANING_DEG, pixel_kinds
+from .recording_specs import (
+    RecordingOptions,
+    check_one_process,
+    labels_with,
+    ran_under,
+    recording_specs,
+)
 from .spec import RunSpec
 from .view_study import SYSTEMS
 
@@ -37,24 +41,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 QUESTION = "Where a map is wrong: error of depth and colour in held-out views by kind of pixel"
-EDGE_JUMP = 0.05
-"""The depth jumps where it changes by this share from a pixel to the next, beside what a plane
-does."""
-EDGE_PX = 2
-"""A pixel is at an edge of the depth if a jump is at most this far, pixels."""
-NEAR_M = 1.5
-FAR_M = 2.5
-"""Limits of the distances, metres."""
-LEANING_DEG = 60.0
-"""A surface leans away from the camera from this angle between its normal and the ray on."""
-FEW_VIEWS = 0.05
-"""A place is in few mapped views if at most this share of them shows it."""
 MOST_MAPPED_VIEWS = 64
 """Mapped views that are asked which places they show, evenly spread."""
-SAME_PLACE = 0.03
-"""A view shows a place if the depth that it measured there differs by at most this share."""
-BORDER = 0.05
-"""Width of the border of the picture, as a share of its width."""
 ERROR_SHOWN_M = 0.05
 """Depth error with the strongest colour in the picture, metres."""
 ABOUT = f"""\
@@ -93,15 +81,8 @@ def main(options: RecordingOptions, data: str, folder: Path, only: str = "") -> 
         ValueError: no view is held out, ``only`` leaves nothing, or more than one process is asked
             for.
     """
-    if options.jobs > 1 or options.dask:
-        raise ArgumentError("study errors runs in one process; leave out --jobs and --dask")
-    variants = {
-        label: {"system": name} for label, name in SYSTEMS.items() if only.lower() in label.lower()
-    }
-    if not variants:
-        raise ArgumentError(
-            f"--only: no system's name contains {only!r}; there are {', '.join(SYSTEMS)}"
-        )
+    check_one_process(options, "errors")
+    variants = {label: {"system": SYSTEMS[label]} for label in labels_with(only, SYSTEMS, "system")}
     specs = recording_specs(variants, options, data, common={"tracking.poses": "given"})
     sequence = Entry(spec=specs[0]).opened()
     if not len(sequence.held_out):
@@ -175,89 +156,6 @@ def squared_colour_error(picture: RenderOutput, frame: Frame) -> Float[Tensor, "
     return (to_8bit_grid(picture.rgb) - to_8bit_grid(target)).square().mean(dim=2)
 
 
-def pixel_kinds(frame: Frame, mapped: Sequence[Frame]) -> Iterator[tuple[str, Bool[Tensor, "H W"]]]:
-    """Name of each kind of pixel, and which pixels of the frame are of it. Kinds may overlap.
-
-    Args:
-        frame: The view; its measured depth decides.
-        mapped: Views that the map was made of.
-    """
-    depth_m = frame.depth_m
-    yield "all pixels", torch.ones_like(depth_m, dtype=torch.bool)
-    at_edge = is_at_edge(depth_m)
-    yield "at an edge of the depth", at_edge
-    inside = ~at_edge
-    yield "elsewhere", inside
-    yield f"nearer than {NEAR_M} m", inside & (depth_m < NEAR_M)
-    yield f"{NEAR_M} to {FAR_M} m", inside & (depth_m >= NEAR_M) & (depth_m < FAR_M)
-    yield f"farther than {FAR_M} m", inside & (depth_m >= FAR_M)
-    yield "leaning", inside & is_leaning(frame)
-    yield "in few mapped views", inside & (share_of_views(frame, mapped) <= FEW_VIEWS)
-    yield "at the border of the picture", inside & is_at_border(depth_m)
-
-
-def is_at_edge(depth_m: Float[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
-    """Whether a jump of the depth is within ``EDGE_PX`` pixels.
-
-    On a plane 1 / z is linear in the picture, however much the plane leans. So a jump is where the
-    second difference of 1 / z along a row or a column is above ``EDGE_JUMP`` times 1 / z, which is
-    so on both sides of it.
-    """
-    inverse = torch.where(depth_m > 0, 1 / depth_m, 0.0)
-    jumps = torch.zeros_like(depth_m)
-    jumps[:, 1:-1] += _bends(inverse)
-    jumps[1:-1] += _bends(inverse.T).T
-    around = torch.nn.functional.max_pool2d(jumps[None], 2 * EDGE_PX - 1, 1, EDGE_PX - 1)[0]
-    return around > 0
-
-
-def _bends(inverse: Float[Tensor, "M N"]) -> Bool[Tensor, "M K"]:
-    """For the inner elements of each row whether 1 / z jumps there; not where one of the three is
-    missing."""
-    before = inverse[:, :-2]
-    middle = inverse[:, 1:-1]
-    after = inverse[:, 2:]
-    is_measured = (before > 0) & (middle > 0) & (after > 0)
-    return is_measured & ((before - 2 * middle + after).abs() > EDGE_JUMP * middle)
-
-
-def is_leaning(frame: Frame) -> Bool[Tensor, "H W"]:
-    """Whether the ray meets the surface at ``LEANING_DEG`` or more from its normal; False where the
-    normal is unknown."""
-    normal = depth_to_normals(frame.camera, frame.depth_m)
-    ray = torch.nn.functional.normalize(rays(frame.camera, pixel_grid(frame.camera)), dim=-1)
-    cosine = (normal * ray).sum(dim=-1).abs()
-    return (normal != 0).any(dim=-1) & (cosine <= math.cos(math.radians(LEANING_DEG)))
-
-
-def is_at_border(image: Float[Tensor, "H W"]) -> Bool[Tensor, "H W"]:
-    """Whether a pixel is in the outer ``BORDER`` of the picture."""
-    width_px = round(BORDER * image.shape[1])
-    at_border = torch.ones_like(image, dtype=torch.bool)
-    at_border[width_px : image.shape[0] - width_px, width_px : image.shape[1] - width_px] = False
-    return at_border
-
-
-def share_of_views(frame: Frame, mapped: Sequence[Frame]) -> Float[Tensor, "H W"]:
-    """In which share of the mapped views the place of each pixel is seen, 0 to 1."""
-    xyz_W = se3.apply(frame.T_WC, depth_to_points(frame.camera, frame.depth_m).flatten(0, 1))
-    n_seen = torch.zeros(len(xyz_W))
-    for view in mapped:
-        camera = view.camera
-        x, y, z = se3.apply(se3.inverse(view.T_WC), xyz_W).unbind(dim=1)
-        in_front = z > 0
-        depth = torch.where(in_front, z, 1.0)
-        column = (x / depth * camera.fx + camera.cx).floor()
-        row = (y / depth * camera.fy + camera.cy).floor()
-        in_columns = (column >= 0) & (column < camera.width)
-        in_picture = in_front & in_columns & (row >= 0) & (row < camera.height)
-        measured_m = view.depth_m[
-            row.clamp(0, camera.height - 1).long(), column.clamp(0, camera.width - 1).long()
-        ]
-        n_seen += in_picture & ((measured_m - z).abs() <= SAME_PLACE * z)
-    return (n_seen / max(len(mapped), 1)).reshape(frame.depth_m.shape)
-
-
 def add_sums(
     kinds: dict[str, Sums],
     masks: Iterator[tuple[str, Bool[Tensor, "H W"]]],
@@ -318,18 +216,14 @@ def as_markdown(maps: Sequence[MapErrors]) -> str:
     for errors in maps:
         for kind, part in errors.parts.items():
             cells = [
-                _cell(100 * part.pixels, ".0f"),
-                _cell(100 * part.depth_l1_m, ".2f"),
-                _cell(100 * part.depth_bias_m, "+.2f"),
-                _cell(100 * part.depth_share, ".0f"),
-                _cell(100 * part.colour_share, ".0f"),
+                number_text(100 * part.pixels, ".0f"),
+                number_text(100 * part.depth_l1_m, ".2f"),
+                number_text(100 * part.depth_bias_m, "+.2f"),
+                number_text(100 * part.depth_share, ".0f"),
+                number_text(100 * part.colour_share, ".0f"),
             ]
             lines.append(f"| {' | '.join([plain_markdown(errors.label), kind, *cells])} |")
     return "\n".join(lines)
-
-
-def _cell(value: float, form: str) -> str:
-    return "-" if math.isnan(value) else format(value, form)
 
 
 def errors_figure(maps: Sequence[MapErrors]) -> "Figure":

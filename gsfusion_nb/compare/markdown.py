@@ -1,5 +1,6 @@
 """Tables and results of the lab as Markdown."""
 
+import math
 import re
 
 from .tables import ResultTable
@@ -32,3 +33,8 @@ def markdown_sentence(text: str) -> str:
 def plain_markdown(text: str) -> str:
     """Text that Markdown shows as it is, on one line."""
     return "".join(f"\\{c}" if c in "\\|*_`<>[]#" else " " if c in "\r\n" else c for c in text)
+
+
+def number_text(value: float, form: str) -> str:
+    """A number of a table in this format; a dash for NaN."""
+    return "-" if math.isnan(value) else format(value, form)

@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -115,6 +115,32 @@ def _said_of(system: str) -> Iterator[None]:
         yield
     except ValueError as e:
         raise ArgumentError(f"system {system}: {e}") from None
+
+
+def check_one_process(options: WhereOptions, study: str) -> None:
+    """Raise ``ValueError`` if a study that runs in one process is to run in several."""
+    if options.jobs > 1 or options.dask:
+        raise ArgumentError(f"study {study} runs in one process; leave out --jobs and --dask")
+
+
+def labels_with(only: str, labels: Iterable[str], what: str) -> list[str]:
+    """The labels that contain ``only``, capital letters or not.
+
+    Args:
+        only: Of the option --only; "" for all labels.
+        labels: Those to choose from.
+        what: What a label names, for the error.
+
+    Raises:
+        ValueError: no label does.
+    """
+    known = list(labels)
+    chosen = [label for label in known if only.lower() in label.lower()]
+    if not chosen:
+        raise ArgumentError(
+            f"--only: no {what}'s name contains {only!r}; there are {', '.join(known)}"
+        )
+    return chosen
 
 
 def ran_under(specs: Sequence[RunSpec]) -> str:

@@ -17,7 +17,14 @@ from ..errors import ArgumentError
 from ..mapping import get_system, system_names
 from . import error_study, roofline, view_study
 from .command import run_and_write
-from .recording_specs import RecordingOptions, Values, output_folder, ran_under, recording_specs
+from .recording_specs import (
+    RecordingOptions,
+    Values,
+    labels_with,
+    output_folder,
+    ran_under,
+    recording_specs,
+)
 from .run_result import RunResult
 from .spec import RunSpec
 from .statistics import Group, group_runs
@@ -150,16 +157,8 @@ def study_specs(
             is refused.
     """
     named_study = STUDIES[name]
-    variants = {
-        label: values
-        for label, values in named_study.variants.items()
-        if only.lower() in label.lower()
-    }
-    if not variants:
-        raise ArgumentError(
-            f"--only: no variant's name contains {only!r}; "
-            f"there are {', '.join(named_study.variants)}"
-        )
+    labels = labels_with(only, named_study.variants, "variant")
+    variants = {label: named_study.variants[label] for label in labels}
     common = named_study.common
     if system and any("system" in values for values in variants.values()):
         variants |= _variants_of(system, variants)

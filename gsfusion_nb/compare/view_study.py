@@ -23,7 +23,6 @@ from torch import Tensor
 
 from ..checks import check_name
 from ..drawing.pictures import to_uint8
-from ..errors import ArgumentError
 from ..evaluation import ImageScores, NotComputed, score_view
 from ..files import write_file
 from ..gaussians import GaussianModel
@@ -31,8 +30,14 @@ from ..render import render_forward
 from ..types import Camera, RenderOutput
 from .frame_owned import FrameOwnedMap, train_step
 from .map_scene import Entry, budgeted, finished, map_scene
-from .markdown import plain_markdown
-from .recording_specs import RecordingOptions, ran_under, recording_specs
+from .markdown import number_text, plain_markdown
+from .recording_specs import (
+    RecordingOptions,
+    check_one_process,
+    labels_with,
+    ran_under,
+    recording_specs,
+)
 from .spec import RunSpec
 from .walk_split import WalkSplit
 
@@ -97,11 +102,8 @@ def main(options: RecordingOptions, data: str, folder: Path, only: str = "") -> 
         ValueError: a recording that is too short, ``only`` leaves nothing, or more than one process
             is asked for.
     """
-    if options.jobs > 1 or options.dask:
-        raise ArgumentError("study views runs in one process; leave out --jobs and --dask")
-    labels = [label for label in WAYS if only.lower() in label.lower()]
-    if not labels:
-        raise ArgumentError(f"--only: no way's name contains {only!r}; there are {', '.join(WAYS)}")
+    check_one_process(options, "views")
+    labels = labels_with(only, WAYS, "way")
     specs = view_specs(options, data)
     split = WalkSplit.of(Entry(spec=specs[0]).opened())
     print(f"{QUESTION}, on {data}\n{ran_under(specs)}\n{views_in_words(split)}")
@@ -284,17 +286,13 @@ def as_markdown(scores: Sequence[WayScores]) -> str:
     for label, numbers in as_records(scores).items():
         depth_cm = {g: 100 * numbers.get(f"depth_l1_{g}_m", math.nan) for g in GROUPS}
         cells = [
-            *(_cell(numbers.get(f"psnr_{group}_db", math.nan), ".2f") for group in GROUPS),
-            _cell(numbers.get("inflation_db", math.nan), "+.2f"),
-            *(_cell(depth_cm[group], ".1f") for group in GROUPS),
-            _cell(numbers["n_gaussians"], ",.0f"),
+            *(number_text(numbers.get(f"psnr_{group}_db", math.nan), ".2f") for group in GROUPS),
+            number_text(numbers.get("inflation_db", math.nan), "+.2f"),
+            *(number_text(depth_cm[group], ".1f") for group in GROUPS),
+            number_text(numbers["n_gaussians"], ",.0f"),
         ]
         lines.append(f"| {' | '.join([plain_markdown(label), *cells])} |")
     return "\n".join(lines)
-
-
-def _cell(value: float, form: str) -> str:
-    return "-" if math.isnan(value) else format(value, form)
 
 
 def as_csv(scores: Sequence[WayScores]) -> str:

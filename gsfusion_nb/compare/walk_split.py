@@ -13,7 +13,7 @@ from torch import Tensor
 from ..data import OpenedSequence
 from ..errors import ArgumentError
 from ..geometry import se3
-from ..runs.mapping_run import evenly
+from ..runs.mapped_views import evenly
 from ..types import Frame
 
 GAPS = ((0.30, 0.40), (0.65, 0.75))

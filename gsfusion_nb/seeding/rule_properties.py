@@ -45,6 +45,8 @@ class RuleWithOptions:
 
 
 def with_extra(ctx: SeedContext, extra: Callable[[Frame], Mapping[str, Any]] | None) -> SeedContext:
+    """The same context whose frame has further images, those that ``extra`` gives for it; without
+    ``extra`` the context itself."""
     if extra is None:
         return ctx
     return dataclasses.replace(
@@ -124,6 +126,7 @@ def check_randomness(
 
 
 def check_in_front(seeds: Seeds, frame: Frame, where: str) -> None:
+    """All seeds lie in front of the camera."""
     z = se3.apply(se3.inverse(frame.T_WC), seeds.xyz_W)[:, 2]
     n_behind = int((z <= 0).sum())
     if n_behind:
@@ -134,6 +137,7 @@ def check_in_front(seeds: Seeds, frame: Frame, where: str) -> None:
 
 
 def check_missing_depth(subject: RuleWithOptions, ctx: SeedContext, where: str) -> None:
+    """A frame without depth gets no seeds."""
     blind = dataclasses.replace(ctx.frame, depth_m=torch.zeros_like(ctx.frame.depth_m))
     n_seeds = len(subject.seeds(fresh_context(ctx, frame=blind)))
     if n_seeds:

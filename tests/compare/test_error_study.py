@@ -11,13 +11,15 @@ from gsfusion_nb.cli import main as cli
 from gsfusion_nb.compare.error_study import (
     add_sums,
     depth_error_m,
+    parts_of,
+    squared_colour_error,
+)
+from gsfusion_nb.compare.pixel_kinds import (
     is_at_border,
     is_at_edge,
     is_leaning,
-    parts_of,
     pixel_kinds,
     share_of_views,
-    squared_colour_error,
 )
 from gsfusion_nb.types import Camera, Frame, RenderOutput
 

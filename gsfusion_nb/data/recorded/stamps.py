@@ -124,6 +124,7 @@ def common_unit(lists: abc.Iterable[abc.Sequence[float]]) -> str:
 
 
 def median_step(increasing: abc.Sequence[float]) -> float:
+    """The median difference of neighbours; 0 of fewer than two numbers."""
     steps = [b - a for a, b in itertools.pairwise(increasing)]
     return statistics.median(steps) if steps else 0.0
 
