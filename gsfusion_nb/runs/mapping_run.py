@@ -27,7 +27,6 @@ from ..mapping.systems import know_system
 from ..types import Frame
 from .global_passes import GlobalPasses
 from .mapped_views import MappedViews, RecordedViews
-from .mapped_views import evenly as evenly
 from .quiet_watch import QuietWatch
 from .range_watch import RangeWatch
 from .run_clock import RunClock
