@@ -24,8 +24,8 @@ class TsdfConfig(Settings, group="tsdf"):
     """Largest observation count of a voxel (w_max of GSFusion Eq. 8). Larger: smoother, but slower
     to follow a scene that changes. Usual: 20 to 255."""
     near_m: float = within(0.4, 0)
-    """Nearer depth is ignored, metres. Set it to the least distance that the sensor measures well.
-    Usual: 0.1 to 0.5."""
+    """Nearer depth is ignored, metres. Set it to the least distance that the sensor measures well;
+    below 0.2, Gaussians are drawn from there on. Usual: 0.1 to 0.5."""
     far_m: float = within(6.0, 0, 1000)
     """Depth beyond this creates no new voxels, metres. Larger: more of a big scene, with noisier
     depth and more memory. Usual with indoor depth cameras: 3 to 6."""
@@ -153,7 +153,8 @@ class DataConfig(Settings, group="data"):
     """Read every n-th frame. Larger: faster, but less overlap between frames; tracking needs small
     steps. Usual: 1 to 10."""
     depth_min_m: float = within(0.0, 0, 1000)
-    """Nearer depth counts as missing, metres; 0 keeps all."""
+    """Nearer depth counts as missing, metres; 0 keeps all. In RTG-SLAM Gaussians are drawn from
+    there on, where it is above 0 and below 0.2, otherwise from 0.2 m on."""
     depth_max_m: float = within(0.0, 0, 1000)
     """Farther depth counts as missing, metres; 0 means no limit. Set it where the sensor becomes
     unreliable. Usual with a depth camera: 3 to 8."""

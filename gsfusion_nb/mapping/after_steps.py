@@ -56,9 +56,11 @@ class AfterSteps:
 
     Args:
         rule: The rule of the mapper; a function neither asks for statistics nor edits.
+        near_m: Nearer Gaussians are not drawn, metres.
     """
 
-    def __init__(self, rule: RuleInUse):
+    def __init__(self, rule: RuleInUse, near_m: float):
+        self._near_m = near_m
         map_rule = rule.map_rule
         self._rule_in_use = rule
         self._rule = map_rule
@@ -104,7 +106,9 @@ class AfterSteps:
         )
         in_view = self._needs - {"render"}
         return StepStatistics(
-            footprints=footprints(model.params, view.camera, view.T_WC) if in_view else None,
+            footprints=footprints(model.params, view.camera, view.T_WC, self._near_m)
+            if in_view
+            else None,
             v_uv=v_uv,
             v_uv_abs=v_uv_abs,
         )

@@ -13,6 +13,7 @@ from torch import Tensor
 from ..config import RtgSlamConfig, TsdfConfig
 from ..geometry import depth_to_points, se3
 from ..render import render_forward, surface_depth_m, view_surface
+from ..render.near_plane import near_plane_m
 from ..tracking import SurfaceSource
 from ..tsdf import TsdfVolume, extract_mesh, integrate
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
@@ -41,7 +42,13 @@ class DiscFiles(MapFiles):
         config: RtgSlamConfig,
     ) -> RenderOutput:
         """The map seen by a camera, with the depth of its discs as ``surface_depth_m``."""
-        output, _ = render_forward(params, camera, T_WC, opaque_alpha=config.discs.opaque_alpha)
+        output, _ = render_forward(
+            params,
+            camera,
+            T_WC,
+            opaque_alpha=config.discs.opaque_alpha,
+            near_m=near_plane_m(config),
+        )
         depth_m = surface_depth_m(params, camera, T_WC, output, config.discs)
         return dataclasses.replace(output, surface_depth_m=depth_m)
 
@@ -50,7 +57,11 @@ class DiscFiles(MapFiles):
         """The surface of the discs."""
         device = params.xyz_W.device
         return lambda camera, T_WC: surface_seen(
-            view_surface(params, camera, T_WC.to(device), config.discs), camera, T_WC
+            view_surface(
+                params, camera, T_WC.to(device), config.discs, near_m=near_plane_m(config)
+            ),
+            camera,
+            T_WC,
         )
 
 
@@ -65,8 +76,9 @@ def disc_mesh(mapper: Any) -> tuple[Mesh, float]:
         The mesh, and the share of the surface seen halfway between the views whose voxels were
         observed.
     """
+    config = mapper.config
     settings = TsdfConfig(
-        voxel_size_m=mapper.config.mesh_voxel_m, truncation_voxels=4.0, near_m=0.2
+        voxel_size_m=config.mesh_voxel_m, truncation_voxels=4.0, near_m=near_plane_m(config)
     )
     volume = TsdfVolume(settings, device=mapper.device)
     poses = mapper.trajectory.poses

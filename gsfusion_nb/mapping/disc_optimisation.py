@@ -14,6 +14,7 @@ from torch import Tensor
 from ..gaussians import fuse_with_history
 from ..optim import Keyframe, TrainingView, ViewStep
 from ..render import render_forward, rows_in_view
+from ..render.near_plane import near_plane_m
 from ..types import Frame, GaussianParams
 from .after_steps import StepStatistics
 from .surfel_optimiser import SurfelOptimiser
@@ -66,6 +67,7 @@ def optimise_window(mapper: Any) -> list[float]:
         is_in_view=is_in_view,
         all_in_view=mapper.config.all_in_view,
         training=mapper.training,
+        near_m=near_plane_m(mapper.config),
     )
     old_params = GaussianParams(
         **{name: value.clone() for name, value in vars(optimiser.trained_params).items()}
@@ -73,9 +75,11 @@ def optimise_window(mapper: Any) -> list[float]:
     masks = config.only_unstable and optimiser.n < MASKED_BELOW * int(is_in_view.sum())
     newest_from = config.iterations / 2 if config.draw == "newest_half" else math.inf
     sources = list(mapper.window)
+    near_m = near_plane_m(mapper.config)
 
     def view_of(source: Frame) -> TrainingView:
-        return TrainingView.of(source, _covered_pixels(old_params, source) if masks else None)
+        pixels = _covered_pixels(old_params, source, near_m) if masks else None
+        return TrainingView.of(source, pixels)
 
     losses, last_step = _take_steps(
         mapper, optimiser, sources, view_of, config.iterations, newest_from
@@ -120,6 +124,7 @@ def optimise_keyframes(mapper: Any) -> int:
         move_centres=False,
         all_in_view=mapper.config.all_in_view,
         training=mapper.training,
+        near_m=near_plane_m(mapper.config),
     )
     _, last_step = _take_steps(
         mapper, optimiser, keyframes, partial(_worst_pixels, mapper), config.iterations
@@ -129,9 +134,11 @@ def optimise_keyframes(mapper: Any) -> int:
     return config.iterations
 
 
-def _covered_pixels(params: GaussianParams, view: Frame | Keyframe) -> Bool[Tensor, "H W"]:
+def _covered_pixels(
+    params: GaussianParams, view: Frame | Keyframe, near_m: float
+) -> Bool[Tensor, "H W"]:
     """Pixels of a view that some of the rows cover, even if other rows of the map hide them."""
-    output, _ = render_forward(params, view.camera, view.T_WC, with_indices=False)
+    output, _ = render_forward(params, view.camera, view.T_WC, with_indices=False, near_m=near_m)
     return output.alpha > 0
 
 
@@ -203,10 +210,11 @@ def _rows_in_views(mapper: Any, views: Iterable[Frame | Keyframe]) -> Bool[Tenso
     """Rows that any of the views may show."""
     params = mapper.gaussians.params
     is_in_view = torch.zeros_like(mapper.gaussians.is_stable)
+    near_m = near_plane_m(mapper.config)
     for view in views:
         depth_m = None if mapper.config.all_in_view else view.depth_m
         rows = mapper.parts.boxes.rows(params, view.camera, view.T_WC, depth_m)
-        is_in_view[rows] |= rows_in_view(params[rows], view.camera, view.T_WC)
+        is_in_view[rows] |= rows_in_view(params[rows], view.camera, view.T_WC, near_m)
     return is_in_view
 
 

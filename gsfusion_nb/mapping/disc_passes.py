@@ -9,6 +9,7 @@ from torch import Tensor
 from ..gaussians import STABLE
 from ..large_maps import MapParts
 from ..optim import Keyframe, TrainingView
+from ..render.near_plane import near_plane_m
 from ..types import ALL_ROWS, GaussianParams, MapRows
 from .disc_optimisation import edit_after, step_on
 from .parts_of_map import depth_behind_views
@@ -87,6 +88,7 @@ class DiscPasses:
             all_in_view=mapper.config.all_in_view,
             training=mapper.training,
             weight_depth=config.weight_depth,
+            near_m=near_plane_m(mapper.config),
         )
 
 

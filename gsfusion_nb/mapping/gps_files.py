@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..optim import fit_pose_by_flow
+from ..render.near_plane import near_plane_m
 from ..types import Frame, GaussianParams, Mesh
 from .gps_surface import OverSurface, StoredLooks, fit_to_pictures, plain_gaussians
 from .map_files import Draw
@@ -37,6 +38,7 @@ class GpsFiles(TsdfFiles):
             params=mapper.parts.params_now(),
             config=mapper.config.base,
             look=self.stored_looks.of(mapper.volume, mapper.n_frames),
+            near_m=near_plane_m(mapper.config),
         )
         return over.render
 
@@ -74,6 +76,7 @@ class GpsFiles(TsdfFiles):
         draw: Draw,
         params: GaussianParams,
         frame: Frame,
+        config: Any,
     ) -> Float[Tensor, "4 4"]:
         """The pose at which the whole picture fits the frame best; the surface moves in it, too."""
         rgb = frame.rgb.to(params.xyz_W.device)

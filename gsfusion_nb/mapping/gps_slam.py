@@ -14,6 +14,7 @@ from ..gaussians import GaussianModel
 from ..geometry import se3
 from ..optim import Keyframe, TrainingView, ViewLoss, ViewStep, l1_mse_vjp, l2_mse_vjp
 from ..render import OverBaseOutput, SurfacePicture
+from ..render.near_plane import near_plane_m
 from ..seeding import SeedContext, SurfaceInputs
 from ..tracking import Correction
 from ..tsdf import FusedView, TsdfVolume, fuse_frame_
@@ -246,7 +247,7 @@ class GPSSLAM(TsdfMapping):
             self,
             keyframe,
             part,
-            view.render,
+            partial(view.render, near_m=near_plane_m(self.config)),
             partial(loss_of_view, self.config, self.training, view, target_rgb, part.params),
             writes_back=not later_views or self.after_steps.is_used,
         )
@@ -257,7 +258,12 @@ class GPSSLAM(TsdfMapping):
 def over_surface(mapper: GPSSLAM) -> OverSurface:
     """The two maps of a mapper, one over the other, as they are now."""
     params = mapper.parts.params_now()
-    return OverSurface(volume=mapper.volume, params=params, config=mapper.config.base)
+    return OverSurface(
+        volume=mapper.volume,
+        params=params,
+        config=mapper.config.base,
+        near_m=near_plane_m(mapper.config),
+    )
 
 
 def loss_of_view(

@@ -36,6 +36,8 @@ from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..geometry.voxel_keys import voxel_keys
 from ..optim import adam_step, l1_mse_vjp
 from ..render import SurfacePicture, render_forward, render_over_base, render_vjp, surface_picture
+from ..render.constants import NEAR_PLANE_M
+from ..render.near_plane import near_plane_m
 from ..tsdf import TsdfVolume, extract_mesh, raycast
 from ..tsdf.cells import cell_corners, corner_gradients
 from ..types import Camera, GaussianParams, Mesh, RenderOutput
@@ -254,6 +256,8 @@ class OverSurface:
     config: BaseConfig
     look: Look | None = None
     """How its surface is seen; by default rays are cast through ``volume``."""
+    near_m: float = NEAR_PLANE_M
+    """Nearer Gaussians are not drawn, metres."""
 
     def surface_picture(self, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> SurfacePicture:
         """What a camera sees of the surface below the Gaussians, one ray for each pixel."""
@@ -277,7 +281,12 @@ class OverSurface:
         surface = self.surface_picture(camera, T_WC)
         device = self.volume.device
         output, _ = render_over_base(
-            self.params, camera, T_WC.to(device), surface.base, behind_m=surface.behind_m
+            self.params,
+            camera,
+            T_WC.to(device),
+            surface.base,
+            behind_m=surface.behind_m,
+            near_m=self.near_m,
         )
         return output.as_render_output(surface.base)
 
@@ -285,4 +294,6 @@ class OverSurface:
     def of_folder(folder: Path, params: GaussianParams, config: Any) -> "OverSurface":
         """The map of a finished run; ``params`` are its Gaussians, ``config`` its settings."""
         volume = read_tsdf(folder / TSDF, config.tsdf, params.xyz_W.device)
-        return OverSurface(volume=volume, params=params, config=config.base)
+        return OverSurface(
+            volume=volume, params=params, config=config.base, near_m=near_plane_m(config)
+        )

@@ -17,6 +17,7 @@ from ..render import (
     render_over_base_vjp,
     surface_picture,
 )
+from ..render.constants import NEAR_PLANE_M
 from ..tsdf import TsdfVolume, raycast
 from ..types import Camera, GaussianParams
 from .transaction import Undo
@@ -61,11 +62,19 @@ class SurfaceKeyframe:
             surface=surface_picture(rgb, depth_m, size, config.holes, config.behind_m),
         )
 
-    def render(self, params: GaussianParams) -> tuple[OverBaseOutput, PictureVjp]:
-        """Surface and Gaussians, and the gradient of the Gaussians; the surface is held fixed."""
+    def render(
+        self, params: GaussianParams, near_m: float = NEAR_PLANE_M
+    ) -> tuple[OverBaseOutput, PictureVjp]:
+        """Surface and Gaussians beyond ``near_m``, and the gradient of the Gaussians; the surface
+        is held fixed."""
         view = self.keyframe
         output, saved = render_over_base(
-            params, view.camera, view.T_WC, self.surface.base, behind_m=self.surface.behind_m
+            params,
+            view.camera,
+            view.T_WC,
+            self.surface.base,
+            behind_m=self.surface.behind_m,
+            near_m=near_m,
         )
         return output, lambda v_rgb, *_, **outputs: render_over_base_vjp(saved, v_rgb, **outputs)
 

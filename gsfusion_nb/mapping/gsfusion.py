@@ -30,6 +30,8 @@ from ..optim import (
     l1_mse_vjp,
 )
 from ..render import render_forward, render_vjp
+from ..render.constants import NEAR_PLANE_M
+from ..render.near_plane import near_plane_m
 from ..seeding import SeedContext, rule_name
 from ..tsdf import FusedView, fuse_frame_
 from ..types import Camera, Frame, GaussianParams, RenderOutput
@@ -208,9 +210,8 @@ class GSFusion(TsdfMapping):
         keyframe: Any = view  # where poses and exposures are fitted
         if fit is not None:
             loss = fit.exposed_loss(loss, self.keyframes, keyframe, target_rgb)
-        step, statistics = step_on_view(
-            self, view, part, partial(draw, view=view), loss, self._regulariser(part)
-        )
+        drawn = partial(draw, view=view, near_m=near_plane_m(self.config))
+        step, statistics = step_on_view(self, view, part, drawn, loss, self._regulariser(part))
         if fit is not None:
             fit.move(self.keyframes, keyframe, target_rgb)
         self.after_steps.edit(self, statistics, view, step, target_rgb)
@@ -270,9 +271,13 @@ def _depth_loss(
     return value, depth_l1_vjp(picture.depth_m, measured_m, weight), None
 
 
-def draw(params: GaussianParams, view: Frame | Keyframe) -> tuple[RenderOutput, PictureVjp]:
-    """The Gaussians as the camera of a view sees them, and the gradient."""
-    output, saved = render_forward(params, view.camera, view.T_WC, with_indices=False)
+def draw(
+    params: GaussianParams, view: Frame | Keyframe, near_m: float = NEAR_PLANE_M
+) -> tuple[RenderOutput, PictureVjp]:
+    """The Gaussians as the camera of a view sees them beyond ``near_m``, and the gradient."""
+    output, saved = render_forward(
+        params, view.camera, view.T_WC, with_indices=False, near_m=near_m
+    )
     return output, partial(render_vjp, saved)
 
 

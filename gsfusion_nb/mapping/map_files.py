@@ -11,6 +11,7 @@ from torch import Tensor
 from ..errors import ArgumentError
 from ..optim import fit_pose
 from ..render import render
+from ..render.near_plane import near_plane_m
 from ..seeding import Cells
 from ..tracking import SurfaceSource
 from ..types import Camera, Frame, GaussianParams, Mesh, RenderOutput
@@ -120,7 +121,7 @@ class MapFiles:
             camera, T_WC: The camera and its pose.
             config: Settings of the system.
         """
-        return render(params, camera, T_WC)
+        return render(params, camera, T_WC, near_m=near_plane_m(config))
 
     @classmethod
     def drawn_from(cls, folder: Path, params: GaussianParams, config: Any) -> Draw:
@@ -157,11 +158,13 @@ class MapFiles:
         draw: Draw,
         params: GaussianParams,
         frame: Frame,
+        config: Any,
     ) -> Float[Tensor, "4 4"]:
         """The pose at which the map's picture fits the frame best; default: by the Gaussians alone
         (``fit_pose``)."""
         rgb = frame.rgb.to(params.xyz_W.device)
-        return fit_pose(params, frame.camera, rgb, frame.T_WC).T_WC
+        near_m = near_plane_m(config)
+        return fit_pose(params, frame.camera, rgb, frame.T_WC, near_m=near_m).T_WC
 
     @classmethod
     def standard_from(

@@ -26,6 +26,7 @@ from ..optim import (
     KeyframeList,
     UpdateFunction,
 )
+from ..render.near_plane import near_plane_m
 from ..resources import MAP_MEMORY
 from ..seeding import (
     SeedContext,
@@ -134,7 +135,7 @@ class Mapper(InUsualTorch, ABC):
         self.rule = find_rule(seeding if seeding is not None else config.seeding.rule)
         self.config = settings_with_rule(config, self.rule)
         self.rule_in_use = RuleInUse(self.rule, self.config.seeding.options)
-        self.after_steps = AfterSteps(self.rule_in_use)
+        self.after_steps = AfterSteps(self.rule_in_use, near_plane_m(self.config))
         self.device = torch.device(device)
         self.gaussians = self.model_type(self.config.sh_degree, device=self.device)
         self.parts = self.parts_type(self)

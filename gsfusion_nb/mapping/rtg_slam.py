@@ -17,6 +17,7 @@ from ..gaussians.surfel_states import state_counts
 from ..geometry import se3
 from ..large_maps import drawn_in_part
 from ..render import SurfaceView, view_surface
+from ..render.near_plane import near_plane_m
 from ..seeding import DiscInputs, SeedContext, disc_view
 from ..tracking import Correction
 from ..types import Camera, Frame, Mesh, Seeds
@@ -197,7 +198,9 @@ class RTGSLAM(Mapper):
         depth_m = None if self.config.all_in_view else depth_m
         T_WC = T_WC.to(self.device)
         return drawn_in_part(
-            lambda params: view_surface(params, camera, T_WC, self.config.discs),
+            lambda params: view_surface(
+                params, camera, T_WC, self.config.discs, near_m=near_plane_m(self.config)
+            ),
             self.gaussians.params,
             self.parts.boxes,
             camera,

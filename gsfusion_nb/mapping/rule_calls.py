@@ -3,6 +3,7 @@
 from typing import Any
 
 from ..errors import ArgumentError
+from ..render.near_plane import near_plane_m
 from ..seeding import MapReading, SeedContext, apply_rule, rule_name
 from ..seeding.input_guard import ChangedInputError
 from ..types import Frame, Seeds
@@ -25,6 +26,7 @@ def context_of(mapper: Any, frame: Frame, **inputs: Any) -> SeedContext:
             boxes=mapper.parts.boxes,
             params=mapper.parts.params_now,
             all_in_view=config.all_in_view,
+            near_plane_m=near_plane_m(config),
         ),
         generator=mapper.random.rule,
         config=config.seeding,

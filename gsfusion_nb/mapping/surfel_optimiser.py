@@ -32,6 +32,7 @@ from ..render import (
     render_forward,
     render_vjp,
 )
+from ..render.constants import NEAR_PLANE_M
 from ..types import ALL_ROWS, GaussianParams, MapRows, RenderOutput
 from .training import Training
 
@@ -71,6 +72,7 @@ class SurfelOptimiser:
         all_in_view: A step on a large map also reaches rows far behind the measured depth of its
             view.
         training: Loss and optimiser, if they are given from outside.
+        near_m: Nearer discs are not drawn, metres.
     """
 
     def __init__(
@@ -87,11 +89,13 @@ class SurfelOptimiser:
         weight_depth: float = WEIGHT_DEPTH,
         all_in_view: bool = False,
         training: Training | None = None,
+        near_m: float = NEAR_PLANE_M,
     ):
         self.training = training or Training()
         self.config = window
         self.discs = discs
         self.weight_depth = weight_depth
+        self._near_m = near_m
         self._all_in_view = all_in_view
         self._model = model
         is_frozen = ~is_trained if is_drawn is None else is_drawn & ~is_trained
@@ -165,7 +169,7 @@ class SurfelOptimiser:
 
         step = optimise_view(
             part,
-            lambda params: render_discs(params, frozen_params, view, self.discs),
+            lambda params: render_discs(params, frozen_params, view, self.discs, self._near_m),
             lambda picture: (self._loss(picture, view, part.params), None),
             self.adam,
             regulariser=regularise,
@@ -300,7 +304,11 @@ def _moments(model: GaussianModel) -> tuple[GaussianParams, GaussianParams]:
 
 
 def render_discs(
-    trained: GaussianParams, frozen: GaussianParams, view: TrainingView, discs: DiscConfig
+    trained: GaussianParams,
+    frozen: GaussianParams,
+    view: TrainingView,
+    discs: DiscConfig,
+    near_m: float = NEAR_PLANE_M,
 ) -> tuple[RenderOutput, PictureVjp]:
     """Discs as a camera sees them, and the gradient of those that are trained.
 
@@ -309,6 +317,7 @@ def render_discs(
         frozen: Discs that are drawn with them.
         view: Camera, pose, and the pixels that are drawn.
         discs: When a ray counts as hitting a disc, and which depth the picture has.
+        near_m: Nearer discs are not drawn, metres.
     """
     n = len(trained)
     params = _joined(trained, frozen) if len(frozen) else trained
@@ -320,6 +329,7 @@ def render_discs(
         with_indices=False,
         opaque_alpha=discs.opaque_alpha,
         pixels=view.pixels,
+        near_m=near_m,
     )
     hit_index = output.hit_index
     assert hit_index is not None

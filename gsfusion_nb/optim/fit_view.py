@@ -14,6 +14,7 @@ from torch import Tensor
 from ..checks import check_whole
 from ..geometry import se3
 from ..render import pose_vjp, render_forward, render_vjp
+from ..render.constants import NEAR_PLANE_M
 from ..types import Camera, GaussianParams, RenderOutput
 from .pose_system import pose_step, pose_system
 
@@ -45,6 +46,7 @@ def fit_pose(
     T_WC: Float[Tensor, "4 4"],
     *,
     evaluations: int = EVALUATIONS,
+    near_m: float = NEAR_PLANE_M,
 ) -> PoseFit:
     """Move a camera until the map's picture fits the one that was taken: the mean squared error, by
     L-BFGS on a twist.
@@ -60,6 +62,7 @@ def fit_pose(
         T_WC: Its pose so far.
         evaluations: Pictures drawn with their gradients before the search ends; a few more end a
             line search.
+        near_m: Nearer Gaussians are not drawn, metres.
 
     Raises:
         ValueError: ``evaluations`` is no whole number of at least 1.
@@ -75,7 +78,7 @@ def fit_pose(
     def error() -> float:
         T_WC = T_start @ se3.exp(UNIT * x)
         T_try = T_WC.detach()
-        output, record = render_forward(params, camera, T_try, with_indices=False)
+        output, record = render_forward(params, camera, T_try, with_indices=False, near_m=near_m)
         difference = output.rgb - rgb
         mse = float(difference.square().mean())
         attempts.append((mse, T_try))

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..backends import op
+from ..checks import check_positive
 from ..geometry import se3
 from ..geometry.operands import check_gaussians, check_view
 from ..types import Camera, GaussianParams
@@ -117,26 +118,32 @@ class Footprints:
     """Half of the longer side of that box, pixels; 0 where not visible."""
 
 
-def check_footprints(params: Any, camera: Any, T_WC: Any) -> None:
+def check_footprints(params: Any, camera: Any, T_WC: Any, near_m: Any = NEAR_PLANE_M) -> None:
     """Raise ``ValueError`` for arguments that ``footprints`` refuses."""
     check_gaussians(params)
     check_view(camera, T_WC, params.xyz_W.device)
+    check_positive("near_m", near_m)
 
 
 @op("footprints", check_footprints)
 @torch.no_grad()
-def footprints(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]) -> Footprints:
+def footprints(
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    near_m: float = NEAR_PLANE_M,
+) -> Footprints:
     """Visibility and size in the image of every Gaussian.
 
     Args:
-        params, camera, T_WC: as given to ``render``.
+        params, camera, T_WC, near_m: as given to ``render``.
 
     Differentiable: no.
     Source: Kerbl et al. 2023, section 6; the size of the box is that of ``project_gaussians``,
     which depends on the opacity.
     """
-    rows = rows_in_view(params, camera, T_WC).nonzero()[:, 0]
-    p = project_gaussians(params[rows], camera, T_WC)
+    rows = rows_in_view(params, camera, T_WC, near_m).nonzero()[:, 0]
+    p = project_gaussians(params[rows], camera, T_WC, near_m=near_m)
     image_size = p.uv.new_tensor([camera.width, camera.height])
     in_image = ((p.uv + p.extent_px > 0) & (p.uv - p.extent_px < image_size)).all(1)
     visible = p.visible & in_image & params.sh[rows].isfinite().all(2).all(1)
@@ -149,7 +156,10 @@ def footprints(params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"
 
 @torch.no_grad()
 def rows_in_view(
-    params: GaussianParams, camera: Camera, T_WC: Float[Tensor, "4 4"]
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Float[Tensor, "4 4"],
+    near_m: float = NEAR_PLANE_M,
 ) -> Bool[Tensor, " N"]:
     """Rows that may reach a pixel of the picture; the others change nothing in it and get no
     gradient from it.
@@ -160,7 +170,7 @@ def rows_in_view(
         cov_uu = |first row of J W R S|^2 + 0.3 <= (fx s / z)^2 (1 + c^2) + 0.3
 
     Args:
-        params, camera, T_WC: as given to ``render``.
+        params, camera, T_WC, near_m: as given to ``render``.
 
     Returns:
         True for every row that is drawn, and for a few others. [N]
@@ -180,4 +190,4 @@ def rows_in_view(
     in_picture = meets(x, camera.fx, camera.cx, camera.width) & meets(
         y, camera.fy, camera.cy, camera.height
     )
-    return in_picture & (z > NEAR_PLANE_M) & (opacity >= ALPHA_MIN)
+    return in_picture & (z > near_m) & (opacity >= ALPHA_MIN)

@@ -32,13 +32,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from ..backends import Record, op, piece
-from ..checks import check_number
+from ..checks import check_number, check_positive
 from ..errors import ArgumentError
 from ..geometry.operands import check_gaussians, check_operand, check_view
 from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
 from ..types import Camera, GaussianParams, RenderOutput
 from .composite import absolute_uv_vjp, check_record, pixel_offsets, splat_alpha, splat_alpha_vjp
-from .constants import ALPHA_MAX
+from .constants import ALPHA_MAX, NEAR_PLANE_M
 from .on_screen import ScreenGaussians
 from .project import project_gaussians, project_gaussians_vjp
 from .rasterize import check_rows
@@ -99,6 +99,7 @@ class OverBaseSaved(Record):
     T_WC: Float[Tensor, "4 4"]
     base: Base
     behind_m: float
+    near_m: float
     drawn: Bool[Tensor, " N"]
     screen: ScreenGaussians
     output: OverBaseOutput
@@ -111,6 +112,7 @@ def check_over_base(
     base: Any,
     *,
     behind_m: float,
+    near_m: Any = NEAR_PLANE_M,
 ) -> None:
     """Raise ``ValueError`` for arguments that ``render_over_base`` refuses."""
     check_gaussians(params)
@@ -128,6 +130,7 @@ def check_over_base(
             device=like.device,
         )
     check_number("behind_m", behind_m, 0)
+    check_positive("near_m", near_m)
 
 
 def check_over_base_vjp(
@@ -160,6 +163,7 @@ def render_over_base(
     base: Base,
     *,
     behind_m: float,
+    near_m: float = NEAR_PLANE_M,
 ) -> tuple[OverBaseOutput, Record]:
     """Draw the Gaussians over ``base``, and a record of the pass for ``render_over_base_vjp``.
 
@@ -169,12 +173,13 @@ def render_over_base(
         base: What this camera sees of the surface.
         behind_m: eps of (1): a Gaussian whose centre is farther than this behind the surface is
             hidden, metres.
+        near_m: Gaussians whose centre is not deeper than this are not drawn, metres.
 
     Differentiable: ``render_over_base_vjp``, in the parameters of the Gaussians.
     """
     with torch.no_grad():
         T_WC = T_WC.to(params.xyz_W)
-        projection = project_gaussians(params, camera, T_WC)
+        projection = project_gaussians(params, camera, T_WC, near_m=near_m)
         is_drawn = projection.visible & params.sh.isfinite().all(2).all(1)
         projection = dataclasses.replace(projection, visible=is_drawn)
         screen = ScreenGaussians(
@@ -210,6 +215,7 @@ def render_over_base(
         T_WC=T_WC,
         base=base,
         behind_m=behind_m,
+        near_m=near_m,
         drawn=is_drawn,
         screen=screen,
         output=output,
@@ -279,7 +285,14 @@ def render_over_base_vjp(
         )
         no_depth = torch.zeros_like(screen.depth_m)
         g = project_gaussians_vjp(
-            params, camera, saved.T_WC, v["uv"], v["conic"], no_depth, v["opacity"]
+            params,
+            camera,
+            saved.T_WC,
+            v["uv"],
+            v["conic"],
+            no_depth,
+            v["opacity"],
+            near_m=saved.near_m,
         )
     gradient = vars(g) | {"xyz_W": g.xyz_W + v_xyz_W, "sh": v_sh}
     frozen = ~saved.drawn if rows is None else ~(saved.drawn & rows)

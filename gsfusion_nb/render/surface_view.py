@@ -8,6 +8,7 @@ from torch import Tensor
 
 from ..config import DiscConfig
 from ..types import Camera, GaussianParams, RenderOutput
+from .constants import NEAR_PLANE_M
 from .disc import PUBLISHED_DISCS, disc_depth
 from .rasterize import render_forward
 
@@ -40,6 +41,7 @@ def view_surface(
     config: DiscConfig | None = None,
     *,
     pixels: Bool[Tensor, "H W"] | None = None,
+    near_m: float = NEAR_PLANE_M,
 ) -> SurfaceView:
     """Everything that a mapper or tracker needs from the map at one pose, in one pass.
 
@@ -48,12 +50,15 @@ def view_surface(
         config: When a disc counts as hit, as published by default; with ``depth="blended"`` the
             depth is sum of w_k z_k / alpha instead.
         pixels: Draw only where this is true. [H, W]
+        near_m: Nearer Gaussians are not drawn, metres.
 
     Differentiable: no; ``render_forward``, ``disc_depth`` and their vjp are.
     """
     config = config or PUBLISHED_DISCS
     options = {} if pixels is None else {"pixels": pixels}
-    output, _ = render_forward(params, camera, T_WC, opaque_alpha=config.opaque_alpha, **options)
+    output, _ = render_forward(
+        params, camera, T_WC, opaque_alpha=config.opaque_alpha, near_m=near_m, **options
+    )
     hit_index = output.hit_index
     dominant = output.dominant_index
     assert hit_index is not None

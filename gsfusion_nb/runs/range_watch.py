@@ -5,6 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..data.adjust.depth_range import DepthRange
+from ..render.near_plane import near_plane_m
 from ..types import Frame
 from .quiet_watch import WatchedRun
 
@@ -15,7 +16,8 @@ _VALUES = 10_000
 
 
 class RangeWatch:
-    """Collects depth of the first frames of a run, and warns once if much of it is not mapped."""
+    """Collects depth of the first frames of a run, and warns once if much of it is not mapped, or
+    mapped but not drawn."""
 
     def __init__(self) -> None:
         self._depths_m: list[Tensor] = []
@@ -35,10 +37,20 @@ class RangeWatch:
         self._is_over = True
         if not self._depths_m:
             return
-        outside = depth_range.outside(torch.cat(self._depths_m))
+        depths_m = torch.cat(self._depths_m)
         self._depths_m = []
+        outside = depth_range.outside(depths_m)
         if outside.is_much:
             run.warnings.warn_once(f"{outside.sentence}; to map it: {outside.flags}")
+        plane_m = near_plane_m(run.mapper.config)
+        hidden = DepthRange(near_m=plane_m, far_m=torch.inf, settings=depth_range.settings)
+        not_drawn = hidden.outside(depths_m[depths_m >= depth_range.near_m])
+        if not_drawn.is_much:
+            run.warnings.warn_once(
+                f"{not_drawn.nearer:.0%} of the measured depth is nearer than {plane_m:g} m, where "
+                f"no Gaussians are drawn while {depth_range.settings[0]} is "
+                f"{depth_range.near_m:g}; to draw them: {not_drawn.flags}"
+            )
 
 
 def _measured_m(run: WatchedRun, frame: Frame, depth_range: DepthRange) -> Float[Tensor, " N"]:

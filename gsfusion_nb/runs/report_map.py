@@ -9,6 +9,7 @@ from markupsafe import Markup
 from ..drawing.encoding import data_uri
 from ..drawing.page import page_picture
 from ..geometry.upright import world_up
+from ..render.near_plane import near_plane_m
 from ..resources import MAP_MEMORY
 from ..types import Mesh
 from ..viewer.page_map import PageMap, page_map, page_script, page_style, waiting_controls
@@ -57,6 +58,7 @@ def opening_of(run: MappingRun, views: Sequence[ReportPanel], mesh: Mesh) -> Ope
         photo.T_WC,
         world_up(run.poses),
         birth_frames=None if draws_surface else mapper.gaussians.birth_frame,
+        near_m=near_plane_m(mapper.config),
     )
     notes = []
     if draws_surface:

@@ -1,6 +1,7 @@
 """Score the map in a run's folder again, only from its files, exactly as the run did."""
 
 import logging
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,11 +86,9 @@ def rescore(
     place = torch.device(device or (stored_device if torch.cuda.is_available() else "cpu"))
     params = read_gaussians(folder, config.sh_degree, place)
     draw = mapper_type.files_type.drawn_from(folder, params, config)
-    align = (
-        (lambda frame: mapper_type.files_type.aligned_pose(draw, params, frame))
-        if config.data.align_held_out
-        else None
-    )
+    align = None
+    if config.data.align_held_out:
+        align = partial(mapper_type.files_type.aligned_pose, draw, params, config=config)
     scores = metrics_as_json(
         score_in_map(draw, views, sequence, with_lpips=with_lpips, align=align)
     )

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Any
 
 import torch
@@ -43,7 +44,9 @@ def score(
     with run.clock("view_scores"):
         draw = mapper.files.drawn_as_stored()
         aligns = mapper.config.data.align_held_out and not suffix
-        align = (lambda frame: mapper.files.aligned_pose(draw, params, frame)) if aligns else None
+        align = None
+        if aligns:
+            align = partial(mapper.files.aligned_pose, draw, params, config=mapper.config)
         views = scored_views(run)
         metrics = score_in_map(
             draw, views, run.sequence, suffix, with_lpips=with_lpips, align=align

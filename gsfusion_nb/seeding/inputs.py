@@ -11,6 +11,7 @@ from torch import Tensor
 from ..config import DiscConfig, SeedingConfig, TsdfConfig
 from ..large_maps import Boxes
 from ..render import SurfacePicture
+from ..render.constants import NEAR_PLANE_M
 from ..render.disc import PUBLISHED_DISCS
 from ..types import Camera, Frame, GaussianParams, MapRows
 
@@ -28,6 +29,8 @@ class MapReading:
     all_in_view: bool = False
     """Whether ``disc_view`` draws also what is far behind the measured depth
     (``SystemConfig.all_in_view``)."""
+    near_plane_m: float = NEAR_PLANE_M
+    """Nearer Gaussians are not drawn, metres."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

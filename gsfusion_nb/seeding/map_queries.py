@@ -74,7 +74,11 @@ def picture(inputs: SeedInputs) -> RenderOutput:
         if surface is not None:
             return picture_over_surface(inputs).as_render_output(surface.surface.base)
         return _draw_visible(
-            inputs, params, lambda part: render(part, inputs.camera, inputs.frame.T_WC)
+            inputs,
+            params,
+            lambda part: render(
+                part, inputs.camera, inputs.frame.T_WC, near_m=inputs.reading.near_plane_m
+            ),
         )
 
     return cached_result(inputs, "render", draw)
@@ -94,7 +98,13 @@ def picture_over_surface(inputs: SeedInputs) -> OverBaseOutput:
 
     def draw(part: GaussianParams) -> OverBaseOutput:
         view = inputs.camera, inputs.frame.T_WC
-        output, _ = render_over_base(part, *view, surface.base, behind_m=surface.behind_m)
+        output, _ = render_over_base(
+            part,
+            *view,
+            surface.base,
+            behind_m=surface.behind_m,
+            near_m=inputs.reading.near_plane_m,
+        )
         return output
 
     return cached_result(inputs, "over surface", lambda: _draw_visible(inputs, params, draw))
@@ -114,7 +124,8 @@ def disc_view(inputs: SeedInputs, rows: Int[Tensor, " M"] | None = None) -> Surf
     depth_m = None if inputs.reading.all_in_view else inputs.frame.depth_m
 
     def draw(part: GaussianParams) -> SurfaceView:
-        return view_surface(part, inputs.camera, inputs.frame.T_WC, discs)
+        near_m = inputs.reading.near_plane_m
+        return view_surface(part, inputs.camera, inputs.frame.T_WC, discs, near_m=near_m)
 
     if rows is not None:
         return draw(map_params(inputs, rows))

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..drawing.pictures import Picture, to_uint8
 from ..render import render
+from ..render.constants import NEAR_PLANE_M
 from ..types import Camera, GaussianParams
 from . import splat_rows, splat_state
 from .fewer_rows import merged
@@ -59,6 +60,7 @@ def page_map(
     birth_frames: Sequence[int] | Tensor | None = None,
     place: str = "above",
     most_rows: int = MOST_ROWS,
+    near_m: float = NEAR_PLANE_M,
 ) -> PageMap:
     """A map as a page holds it.
 
@@ -70,6 +72,7 @@ def page_map(
         birth_frames: Frame that each Gaussian is from, to replay how the map grew. [N]
         place: Where the viewer is at first: "photo", "above" or "inside".
         most_rows: Gaussians in the page, at most; of more, like neighbours become one.
+        near_m: Nearer Gaussians are not drawn, metres.
     """
     stride = max(1, len(params) // (MOST_READ * most_rows))  # not all of a map of millions
     read = _on_cpu(params, stride)
@@ -90,7 +93,7 @@ def page_map(
         "pose": start.T_WC.flatten().tolist(),
         "pivot_m": start.pivot_m,
         "cut_m": start.cut_m,
-        "rules": splat_state.RULES,
+        "rules": splat_state.rules(near_m),
         "colour_by": "rgb",
         "size": 1.0,
         "opacity": 1.0,
@@ -105,7 +108,7 @@ def page_map(
     content = {"state": state, "head": {**head, "all": True}, "rows": _packed(records)}
     return PageMap(
         data=json.dumps(content, separators=(",", ":")).replace("<", "\\u003c"),
-        poster=_poster(few, camera, start),
+        poster=_poster(few, camera, start, near_m),
         has_timeline=len(set(state["birth_range"])) > 1,
         n=len(few),
         n_whole=len(params),
@@ -142,9 +145,9 @@ def _packed(records: UInt8[np.ndarray, "N S"]) -> str:
     return base64.b64encode(zlib.compress(records.T.tobytes(), 9)).decode("ascii")
 
 
-def _poster(params: GaussianParams, camera: Camera, place: Place) -> Picture:
+def _poster(params: GaussianParams, camera: Camera, place: Place, near_m: float) -> Picture:
     """The map without what the viewer cuts away at first."""
     depth_m = (params.xyz_W - place.T_WC[:3, 3]) @ place.T_WC[:3, 2]
-    view = render(params[depth_m > place.cut_m], camera, place.T_WC)
+    view = render(params[depth_m > place.cut_m], camera, place.T_WC, near_m=near_m)
     ground = torch.tensor([int(_BACKGROUND[k : k + 2], 16) / 255 for k in (1, 3, 5)])
     return to_uint8(view.rgb + (1 - view.alpha[..., None]) * ground)

@@ -24,17 +24,20 @@ SOFTWARE_ROWS = 150_000
 """The software rasteriser draws at most this many rows, the most important; with more it would
 react too slowly."""
 
-RULES = {
-    "near_m": NEAR_PLANE_M,
-    "blur_px2": SCREEN_BLUR_PX2,
-    "clamp": FRUSTUM_CLAMP,
-    "alpha_min": ALPHA_MIN,
-    "alpha_max": ALPHA_MAX,
-    "transmittance_min": TRANSMITTANCE_MIN,
-    "pick_alpha": PICK_ALPHA,
-    "software_rows": SOFTWARE_ROWS,
-}
-"""The numbers of the library's renderer, which the front end uses, too."""
+
+def rules(near_m: float = NEAR_PLANE_M) -> dict[str, float]:
+    """The numbers of the library's renderer, which the front end uses, too. Gaussians nearer than
+    ``near_m``, metres, are not drawn."""
+    return {
+        "near_m": near_m,
+        "blur_px2": SCREEN_BLUR_PX2,
+        "clamp": FRUSTUM_CLAMP,
+        "alpha_min": ALPHA_MIN,
+        "alpha_max": ALPHA_MAX,
+        "transmittance_min": TRANSMITTANCE_MIN,
+        "pick_alpha": PICK_ALPHA,
+        "software_rows": SOFTWARE_ROWS,
+    }
 
 
 def view_state(camera: Camera, places: dict[str, Place], up_W: torch.Tensor) -> dict[str, Any]:

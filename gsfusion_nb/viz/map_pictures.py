@@ -17,6 +17,7 @@ from ..gaussians import GaussianModel, SurfelModel
 from ..geometry import project, se3
 from ..geometry.spherical_harmonics import rgb_to_sh_dc
 from ..render import SurfaceView, render
+from ..render.constants import NEAR_PLANE_M
 from ..types import Camera, Frame, GaussianParams, RenderOutput
 from ..viewer.palettes import STATE_COLOURS, palette
 
@@ -70,6 +71,7 @@ def map_picture(
     size: float = 1.0,
     opacity: float = 1.0,
     background: Float[Tensor, "3"] | None = None,
+    near_m: float = NEAR_PLANE_M,
 ) -> Picture:
     """What a camera sees of a map, drawn by the library's own renderer.
 
@@ -80,6 +82,7 @@ def map_picture(
         size: Multiplies every standard deviation.
         opacity: Multiplies every opacity (clamped below 1).
         background: Behind the map, 0..1; black by default.
+        near_m: Nearer Gaussians are not drawn, metres.
 
     Returns:
         The picture, with the colours' scale in the lower left corner for ``paint`` and ``depth``.
@@ -92,7 +95,7 @@ def map_picture(
         params = dataclasses.replace(
             params, log_scale=params.log_scale + log_size, opacity_logit=o.logit()
         )
-    view = render(params, camera, T_WC)
+    view = render(params, camera, T_WC, near_m=near_m)
     if depth:
         return depth_picture(view)
     backdrop = 0 if background is None else (1 - view.alpha[..., None]) * background.to(view.rgb)

@@ -23,6 +23,8 @@ from ..checks import check_name, check_pose
 from ..drawing.pictures import Picture, to_uint8
 from ..errors import KindError
 from ..geometry.upright import world_up
+from ..render.constants import NEAR_PLANE_M
+from ..render.near_plane import near_plane_m
 from ..types import Camera, GaussianParams, RenderOutput
 from ..viewer import front_end, splat_rows, splat_state
 from ..viewer.splat_rows import Column, GaussianRecord, RowLayout
@@ -75,7 +77,7 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
     """Everything nearer than this is hidden, metres: opens a closed room."""
     reach_m = synced(t.Float(1.0))
     up_W = synced(t.List(t.Float()))
-    rules = synced(t.Dict(splat_state.RULES))
+    rules = synced(t.Dict())
     palettes = synced(t.Dict())
     columns = synced(t.List(t.Dict()))
     birth_range = synced(t.List(t.Float()))
@@ -115,6 +117,8 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
         self.camera = viewing_camera(
             camera or (keyframes[0].camera if keyframes else None), width, height
         )
+        config = getattr(source, "config", None)
+        self._near_m = NEAR_PLANE_M if config is None else near_plane_m(config)
         self._sending = threading.RLock()
         self._page_records: np.ndarray | None = None
         self._listening = False
@@ -128,7 +132,9 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
                 self._params[splat_rows.finite_rows(self._params)], self.camera, start, up_axis
             )
         super().__init__(
-            colour_by=colour_by, **splat_state.view_state(self.camera, places, up_axis)
+            colour_by=colour_by,
+            rules=splat_state.rules(self._near_m),
+            **splat_state.view_state(self.camera, places, up_axis),
         )
         self._describe()
         self.observe(lambda _change: self._show_record(), "picked")
@@ -221,6 +227,7 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
                 size=self.size,
                 opacity=self.opacity,
                 background=background,
+                near_m=self._near_m,
             )
 
     def _paint(self, column: Column | None, rows: Tensor) -> Paint | None:

@@ -18,6 +18,7 @@ from ..project.layout import (
     EXTENT_V,
     HEIGHT,
     LN_OPACITY,
+    NEAR,
     SPLAT,
     WIDTH,
     U,
@@ -29,17 +30,18 @@ from ..project.numba import CHUNK, _project, camera_point
 from ..runtime.numba.launch import launching
 
 f32 = np.float32
-_NEAR = f32(NEAR_PLANE_M)
 _ALPHA_MIN = f32(ALPHA_MIN)
 _ONE = f32(1.0)
 _ZERO = f32(0.0)
 
 
-def footprints(params: GaussianParams, camera: Camera, T_WC: Tensor) -> Footprints:
+def footprints(
+    params: GaussianParams, camera: Camera, T_WC: Tensor, near_m: float = NEAR_PLANE_M
+) -> Footprints:
     """See ``gsfusion_nb.render.on_screen``."""
     radius_px = torch.empty(len(params), dtype=torch.float32)
     with launching():
-        _radii(arrays_of(params), pack_camera(camera, T_WC), radius_px.numpy())
+        _radii(arrays_of(params), pack_camera(camera, T_WC, near_m), radius_px.numpy())
     return Footprints(visible=radius_px > 0, radius_px=radius_px)
 
 
@@ -59,7 +61,7 @@ def _radii(params, cam, radius):
             radius[i] = _ZERO
             x, y, z = camera_point(cam, xyz[i, 0], xyz[i, 1], xyz[i, 2])
             opacity = _ONE / (_ONE + math.exp(-logit[i]))
-            if not (z > _NEAR and opacity >= _ALPHA_MIN):
+            if not (z > cam[NEAR] and opacity >= _ALPHA_MIN):
                 continue
             s[DEPTH] = z
             s[LN_OPACITY] = math.log(opacity)

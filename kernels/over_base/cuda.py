@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.backends import Record
+from gsfusion_nb.render.constants import NEAR_PLANE_M
 from gsfusion_nb.render.over_base import Base, OverBaseOutput
 from gsfusion_nb.types import Camera, GaussianParams
 
@@ -49,7 +50,13 @@ class CudaOverBase(Record):
 
 
 def render_over_base(
-    params: GaussianParams, camera: Camera, T_WC: Tensor, base: Base, *, behind_m: float
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Tensor,
+    base: Base,
+    *,
+    behind_m: float,
+    near_m: float = NEAR_PLANE_M,
 ) -> tuple[OverBaseOutput, Any]:
     """See ``gsfusion_nb.render.render_over_base``. The pose may be on any device.
 
@@ -60,7 +67,7 @@ def render_over_base(
     device = device_of(name, params.xyz_W)
     check_dtype(name, torch.float32, **vars(params), **vars(base))
     pose = packed(T_WC.to(device, torch.float32))
-    splats, depth = project_rows(params, camera, pose)
+    splats, depth = project_rows(params, camera, pose, near_m)
     surface = {
         "rgb": packed(base.rgb),
         "depth": packed(base.depth_m),

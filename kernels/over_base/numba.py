@@ -21,6 +21,7 @@ from numba import njit, prange
 from torch import Tensor
 
 from gsfusion_nb.backends import Record
+from gsfusion_nb.render.constants import NEAR_PLANE_M
 from gsfusion_nb.render.over_base import Base, OverBaseOutput
 from gsfusion_nb.types import Camera, GaussianParams
 
@@ -356,10 +357,16 @@ class NumbaSaved(Record):
 
 
 def render_over_base(
-    params: GaussianParams, camera: Camera, T_WC: Tensor, base: Base, *, behind_m: float
+    params: GaussianParams,
+    camera: Camera,
+    T_WC: Tensor,
+    base: Base,
+    *,
+    behind_m: float,
+    near_m: float = NEAR_PLANE_M,
 ) -> tuple[OverBaseOutput, Any]:
     """See ``gsfusion_nb.render.render_over_base``."""
-    cam = pack_camera(camera, T_WC)
+    cam = pack_camera(camera, T_WC, near_m)
     N = len(params)
     H = camera.height
     W = camera.width

@@ -103,3 +103,19 @@ def test_of_a_stream_only_depth_within_the_limits_is_known():
     watch.look(run, dataclasses.replace(frame, depth_m=inside_m))
     watch.look(run, None)
     assert run.warnings == []
+
+
+@pytest.mark.parametrize(("nearest_m", "is_said"), [(0.0, True), (0.09, False)])
+def test_depth_that_is_mapped_but_not_drawn_is_said(nearest_m, is_said):
+    """RTG-SLAM maps depth of any distance where no limit is set, and draws it from 0.2 m on."""
+    frame = room(n_frames=4, width=32, height=24)[0]
+    generator = torch.Generator().manual_seed(0)
+    near_m = 0.15 - 0.05 * torch.rand(24, 32, generator=generator).square()
+    mapper = make_mapper(rtg_slam("room", data__depth_min_m=nearest_m))
+    run = FakeRun(mapper, steps=[None], warnings=RunWarnings(), resumable=False)
+    watch = RangeWatch()
+    watch.look(run, dataclasses.replace(frame, depth_m=near_m))
+    watch.look(run, None)
+    said = "100% of the measured depth is nearer than 0.2 m, where no Gaussians are drawn while "
+    advice = "data.depth_min_m is 0; to draw them: --data.depth-min-m 0.091"
+    assert list(run.warnings) == ([said + advice] if is_said else [])

@@ -13,7 +13,7 @@ from gsfusion_nb.render import project_gaussians, render
 from gsfusion_nb.types import Camera, GaussianParams
 from gsfusion_nb.viewer.front_end import ENGINE, viewer_modules
 from gsfusion_nb.viewer.splat_rows import layout_for, pack_rows, packet_between
-from gsfusion_nb.viewer.splat_state import RULES
+from gsfusion_nb.viewer.splat_state import rules
 from gsfusion_nb.viz import orbit_camera
 from gsfusion_nb.viz.splat_viewer import SplatViewer
 
@@ -88,7 +88,7 @@ def ask(node, tmp_path):
             "width": c.width,
             "height": c.height,
             "look": LOOK | look,
-            "rules": RULES,
+            "rules": rules(),
             "scale": scale,
             "ask": list(questions),
         }
@@ -265,7 +265,7 @@ def test_a_pick_is_the_frontmost_that_covers_the_pixel_or_else_the_strongest(ask
         dx, dy = torch.tensor([x, y]).sub(p.uv).T
         A, B, C = p.conic.T
         alpha = p.opacity * (-0.5 * (A * dx * dx + C * dy * dy) - B * dx * dy).exp() * p.visible
-        covers = alpha >= RULES["pick_alpha"]
+        covers = alpha >= rules()["pick_alpha"]
         expected = int(
             torch.where(covers, p.depth_m, torch.inf).argmin() if covers.any() else alpha.argmax()
         )

@@ -170,4 +170,5 @@ def blended_inverse_depth(ctx: SeedContext) -> Float[Tensor, "H W"]:
     # nearer ones are not drawn
     z = se3.apply(se3.inverse(T_WC), params.xyz_W)[:, 2].clamp_min(1e-3)
     sh = ((1 / z - 0.5) / SH_C0)[:, None, None].expand(-1, 1, 3)
-    return render(dataclasses.replace(params, sh=sh), ctx.camera, T_WC).rgb[..., 0]
+    inverse = dataclasses.replace(params, sh=sh)
+    return render(inverse, ctx.camera, T_WC, near_m=ctx.reading.near_plane_m).rgb[..., 0]

@@ -339,6 +339,7 @@ def alpha_behind(ctx: SeedContext) -> Float[Tensor, "H W"]:
         ctx.camera,
         ctx.frame.T_WC,
         with_indices=False,
+        near_m=ctx.reading.near_plane_m,
     )[1].screen
     A = torch.zeros_like(ctx.frame.depth_m)
     for tile in range(screen.tiles.tiles_x * screen.tiles.tiles_y):

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from gsfusion_nb.render import Base, render_over_base, render_over_base_vjp
+from gsfusion_nb.render.constants import NEAR_PLANE_M
 
 from . import Case, make_frame, make_params
 from .rasterize import break_rows
@@ -22,6 +23,7 @@ def cases() -> Iterator[Case]:
         yield _case(f"SH {degree}", degree=degree)
     yield _case("a base of all weights", weights=True)
     yield _case("some rows, centres in the image", some_rows=True, with_centres=True)
+    yield _case("a nearer near plane", degree=1, near_m=0.05)
     yield _case("rows with NaN, infinities and overflows", degree=1, broken=True)
     for n in (0, 1):
         yield _case(f"{n} Gaussians", n=n, weights=True)
@@ -44,10 +46,14 @@ def _run(
     some_rows: bool = False,
     broken: bool = False,
     with_centres: bool = False,
+    near_m: float = NEAR_PLANE_M,
 ) -> dict[str, Tensor]:
-    """``weights``: of the base, from 0 to 1; 1 else. ``broken``: some rows must not be drawn."""
+    """``weights``: of the base, from 0 to 1; 1 else. ``broken``: some rows must not be drawn. With
+    another ``near_m`` every fifth row is between it and the published one."""
     params = make_params(degree, device, dtype, n)
     frame = make_frame(device)
+    if near_m != NEAR_PLANE_M:
+        params.xyz_W[::5] *= 0.08  # of rows 1.5 m away and more
     if broken:
         break_rows(params)
     g = torch.Generator().manual_seed(1)
@@ -59,7 +65,8 @@ def _run(
     base = Base(rgb=rgb, depth_m=depth_m, weight=weight.to(device, dtype))
     v_rgb = torch.randn(*size, 3, generator=g).to(device, dtype)
     rows = (torch.rand(n, generator=g) < 0.5).to(device)
-    out, saved = render_over_base(params, frame.camera, frame.T_WC, base, behind_m=0.1)
+    view = (frame.camera, frame.T_WC)
+    out, saved = render_over_base(params, *view, base, behind_m=0.1, near_m=near_m)
     names = ("v_uv", "v_uv_abs") if with_centres else ()
     centres = {name: torch.full((n, 2), torch.nan, dtype=dtype, device=device) for name in names}
     gradient = render_over_base_vjp(saved, v_rgb, rows=rows if some_rows else None, **centres)
