@@ -24,3 +24,9 @@ def near_plane_m(config: Any) -> float:
     else:
         nearest_m = config.data.depth_min_m or NEAR_PLANE_M
     return min(NEAR_PLANE_M, nearest_m)
+
+
+def near_plane_option(near_m: float) -> dict[str, float]:
+    """``near_m`` as an argument of ``project_gaussians`` and its gradient; none for the published
+    plane, because a learner's function has only that of the course."""
+    return {} if near_m == NEAR_PLANE_M else {"near_m": near_m}

@@ -15,6 +15,7 @@ from ..geometry.operands import check_gaussians, check_view
 from ..types import Camera, GaussianParams
 from .composite import blend_weights, pixel_offsets, splat_alpha
 from .constants import ALPHA_MIN, FRUSTUM_CLAMP, NEAR_PLANE_M, SCREEN_BLUR_PX2
+from .near_plane import near_plane_option
 from .project import project_gaussians
 from .tiles import TileLists
 
@@ -143,7 +144,7 @@ def footprints(
     which depends on the opacity.
     """
     rows = rows_in_view(params, camera, T_WC, near_m).nonzero()[:, 0]
-    p = project_gaussians(params[rows], camera, T_WC, near_m=near_m)
+    p = project_gaussians(params[rows], camera, T_WC, **near_plane_option(near_m))
     image_size = p.uv.new_tensor([camera.width, camera.height])
     in_image = ((p.uv + p.extent_px > 0) & (p.uv - p.extent_px < image_size)).all(1)
     visible = p.visible & in_image & params.sh[rows].isfinite().all(2).all(1)

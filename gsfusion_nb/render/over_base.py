@@ -39,6 +39,7 @@ from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
 from ..types import Camera, GaussianParams, RenderOutput
 from .composite import absolute_uv_vjp, check_record, pixel_offsets, splat_alpha, splat_alpha_vjp
 from .constants import ALPHA_MAX, NEAR_PLANE_M
+from .near_plane import near_plane_option
 from .on_screen import ScreenGaussians
 from .project import project_gaussians, project_gaussians_vjp
 from .rasterize import check_rows
@@ -179,7 +180,7 @@ def render_over_base(
     """
     with torch.no_grad():
         T_WC = T_WC.to(params.xyz_W)
-        projection = project_gaussians(params, camera, T_WC, near_m=near_m)
+        projection = project_gaussians(params, camera, T_WC, **near_plane_option(near_m))
         is_drawn = projection.visible & params.sh.isfinite().all(2).all(1)
         projection = dataclasses.replace(projection, visible=is_drawn)
         screen = ScreenGaussians(
@@ -292,7 +293,7 @@ def render_over_base_vjp(
             v["conic"],
             no_depth,
             v["opacity"],
-            near_m=saved.near_m,
+            **near_plane_option(saved.near_m),
         )
     gradient = vars(g) | {"xyz_W": g.xyz_W + v_xyz_W, "sh": v_sh}
     frozen = ~saved.drawn if rows is None else ~(saved.drawn & rows)

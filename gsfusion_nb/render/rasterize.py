@@ -17,6 +17,7 @@ from ..geometry.spherical_harmonics import sh_to_rgb, sh_to_rgb_vjp
 from ..types import Camera, GaussianParams, RenderOutput
 from .composite import check_image_gradients, check_record, composite, composite_vjp
 from .constants import NEAR_PLANE_M
+from .near_plane import near_plane_option
 from .on_screen import ScreenGaussians
 from .project import project_gaussians, project_gaussians_vjp
 from .tiles import tile_intersections
@@ -132,8 +133,7 @@ def render_forward(
         ValueError: ``pixels`` is not boolean or not of the camera's size; ``near_m`` is not above
             0, or ``far_m`` below it.
     """
-    # a function of a learner has the near plane of the course
-    plane = {} if near_m == NEAR_PLANE_M else {"near_m": near_m}
+    plane = near_plane_option(near_m)
     with torch.no_grad():
         T_WC = T_WC.to(params.xyz_W)
         projection = project_gaussians(params, camera, T_WC, **plane)
@@ -222,7 +222,7 @@ def render_vjp(
             ``v_uv_abs`` is not [N, 2] of the parameters' type, or ``v_conic`` not [N, 3].
     """
     params = saved.params
-    plane = {} if saved.near_m == NEAR_PLANE_M else {"near_m": saved.near_m}
+    plane = near_plane_option(saved.near_m)
     with torch.no_grad():
         v = composite_vjp(
             saved.composite, v_rgb, v_depth_m, v_alpha, with_uv_abs=v_uv_abs is not None
