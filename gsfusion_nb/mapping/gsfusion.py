@@ -25,8 +25,7 @@ from ..optim import (
     depth_l1,
     depth_l1_vjp,
     dssim_vjp,
-    expected_depth_l1,
-    expected_depth_l1_vjp,
+    expected_depth_loss,
     l1_mse_vjp,
 )
 from ..render import render_forward, render_vjp
@@ -265,8 +264,10 @@ def _depth_loss(
     to alpha; None is zero."""
     weight = optim.depth_weight
     if optim.depth_over_alpha:
-        inputs = (picture.depth_m, picture.alpha, measured_m, optim.depth_coverage)
-        return weight * expected_depth_l1(*inputs), *expected_depth_l1_vjp(*inputs, weight)
+        loss = expected_depth_loss(
+            picture.depth_m, picture.alpha, measured_m, optim.depth_coverage, weight
+        )
+        return loss.value, loss.v_depth_m, loss.v_alpha
     value = weight * depth_l1(picture.depth_m, measured_m)
     return value, depth_l1_vjp(picture.depth_m, measured_m, weight), None
 

@@ -3,6 +3,12 @@
 from .adam import ColumnRates as ColumnRates
 from .adam import adam_update as adam_update
 from .adam import adam_update_map as adam_update_map
+from .depth_loss import DepthLoss as DepthLoss
+from .depth_loss import depth_l1 as depth_l1
+from .depth_loss import depth_l1_vjp as depth_l1_vjp
+from .depth_loss import expected_depth_l1 as expected_depth_l1
+from .depth_loss import expected_depth_l1_vjp as expected_depth_l1_vjp
+from .depth_loss import expected_depth_loss as expected_depth_loss
 from .exposure import apply_exposure as apply_exposure
 from .exposure import apply_exposure_vjp as apply_exposure_vjp
 from .exposure import fit_exposure as fit_exposure
@@ -14,10 +20,6 @@ from .keyframes import KeyframeList as KeyframeList
 from .keyframes import TrainingView as TrainingView
 from .losses import PictureLoss as PictureLoss
 from .losses import ViewLoss as ViewLoss
-from .losses import depth_l1 as depth_l1
-from .losses import depth_l1_vjp as depth_l1_vjp
-from .losses import expected_depth_l1 as expected_depth_l1
-from .losses import expected_depth_l1_vjp as expected_depth_l1_vjp
 from .losses import l1 as l1
 from .losses import l1_mse_vjp as l1_mse_vjp
 from .losses import l1_vjp as l1_vjp

@@ -2,7 +2,7 @@
 interleaved colour.
 
 A row is its 3 W values, so neighbours of one channel are 3 apart; rows are padded to whole vectors.
-The formulas are those of ``gsfusion_nb.optim.losses``.
+The formulas are those of ``gsfusion_nb.optim.structural``.
 """
 
 # Intrinsics are called without their typing context, which pyright cannot follow:

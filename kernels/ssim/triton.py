@@ -2,7 +2,7 @@
 colour.
 
 A row is its 3 W values, so neighbours of one channel are 3 apart. The formulas are those of
-``gsfusion_nb.optim.losses``. The eleven neighbours of a value come from the cache.
+``gsfusion_nb.optim.structural``. The eleven neighbours of a value come from the cache.
 """
 
 # pyright: reportCallIssue=false, reportArgumentType=false, reportOperatorIssue=false,

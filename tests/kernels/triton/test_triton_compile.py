@@ -17,6 +17,7 @@ from gsfusion_nb.backends import use_backend
 from gsfusion_nb.config import TsdfConfig
 from gsfusion_nb.geometry import depth_to_normals
 from gsfusion_nb.optim import dssim_vjp
+from gsfusion_nb.optim.depth_loss import expected_depth_loss
 from gsfusion_nb.optim.rgbd_loss import rgbd_l1_vjp
 from gsfusion_nb.render import disc_depth, disc_depth_vjp, render_forward
 from gsfusion_nb.tracking import DepthLevel, Surface, icp_system
@@ -88,6 +89,7 @@ def run_everything(scene, camera, images, pose, frame) -> None:
         disc_depth(scene, camera, pose, out.hit_index)
         disc_depth_vjp(scene, camera, pose, out.hit_index, images[1], rows=rows)
         dssim_vjp(images[0], out.rgb)
+        expected_depth_loss(out.depth_m, out.alpha, images[1], 0.1)
         rgbd_l1_vjp(out.rgb, out.depth_m, images[0], images[1], pixels)
         normal = depth_to_normals(frame.camera, frame.depth_m)
         level = DepthLevel(factor=1, camera=frame.camera, depth_m=frame.depth_m, normal_C=normal)
