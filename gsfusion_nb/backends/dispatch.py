@@ -10,7 +10,7 @@ import torch
 from ..checks import check_name
 from ..errors import ArgumentError
 from ..interrupts import as_interrupt
-from ..types import GaussianParams
+from ..types import Camera, GaussianParams
 from . import registry
 from .choice import choice_of_block, chosen, use_backend
 from .learner import MINE, check_course, run_counted
@@ -174,10 +174,17 @@ def _device(args: tuple, kwargs: dict) -> str:
     return next((kind for kind in _devices((*args, *kwargs.values())) if kind != "cpu"), "cpu")
 
 
+_WITHOUT_DEVICE = (Camera, float, int, str, type(None))
+
+
 def _devices(values: Iterable) -> Iterator[str]:
     """Kinds of device of tensors, of volumes, and of what dataclasses hold."""
     for value in values:
-        if isinstance(value, GaussianParams):  # its columns are on one device
+        if isinstance(value, torch.Tensor):
+            yield value.device.type
+        elif isinstance(value, _WITHOUT_DEVICE):  # most arguments; to look into them takes longer
+            continue
+        elif isinstance(value, GaussianParams):  # its columns are on one device
             yield value.xyz_W.device.type
         elif isinstance(getattr(value, "device", None), torch.device):
             yield value.device.type
