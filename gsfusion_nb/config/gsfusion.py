@@ -89,8 +89,9 @@ class OptimConfig(Settings, group="optim"):
     its colour loss."""
     depth_over_alpha: bool = setting(True, before=False)
     """What of a picture is compared with the measured depth, where depth_weight is above 0. On: the
-    blended depth divided by alpha, as the score of the depth does. Off: the blended depth as it is,
-    as in SplaTAM: where alpha is 0.99, the surface comes to lie 1 % too far away."""
+    blended depth divided by alpha, as the score of the depth does; pixels beyond ``tsdf.far_m``,
+    where nothing is mapped, count less. Off: the blended depth as it is, as in SplaTAM: where alpha
+    is 0.99, the surface comes to lie 1 % too far away."""
     depth_coverage: float = within(0.1, 0, 100)
     """With depth_over_alpha, how much a pixel with measured depth is pulled to alpha 1: its depth
     error has depth_coverage times depth times (1 - alpha) more. Larger: holes close sooner, colours

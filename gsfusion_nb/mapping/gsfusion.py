@@ -252,20 +252,26 @@ class GSFusion(TsdfMapping):
             v_rgb = (1 - ssim_weight) * v_rgb + ssim_weight * v_structural
         v_alpha = None
         if optim.depth_weight > 0 and view.depth_m is not None:
-            depth_loss, v_depth_m, v_alpha = _depth_loss(picture, view.depth_m, optim)
+            depth_loss, v_depth_m, v_alpha = _depth_loss(picture, view.depth_m, self.config)
             loss = loss + depth_loss
         return ViewLoss(value=loss, v_rgb=v_rgb, v_depth_m=v_depth_m, v_alpha=v_alpha), pixels.mse
 
 
 def _depth_loss(
-    picture: RenderOutput, measured_m: Float[Tensor, "H W"], optim: OptimConfig
+    picture: RenderOutput, measured_m: Float[Tensor, "H W"], config: GSFusionConfig
 ) -> tuple[Float[Tensor, ""], Float[Tensor, "H W"], Float[Tensor, "H W"] | None]:
     """The term of the depth with its weight, and its gradient with respect to the blended depth and
     to alpha; None is zero."""
+    optim = config.optim
     weight = optim.depth_weight
     if optim.depth_over_alpha:
         loss = expected_depth_loss(
-            picture.depth_m, picture.alpha, measured_m, optim.depth_coverage, weight
+            picture.depth_m,
+            picture.alpha,
+            measured_m,
+            optim.depth_coverage,
+            config.tsdf.far_m,
+            weight,
         )
         return loss.value, loss.v_depth_m, loss.v_alpha
     value = weight * depth_l1(picture.depth_m, measured_m)

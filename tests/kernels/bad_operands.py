@@ -191,6 +191,7 @@ def operations() -> dict[str, tuple[Callable, dict[str, Any]]]:
                 "alpha": v["v_alpha"],
                 "target_m": images["target_depth_m"],
                 "coverage": 0.1,
+                "far_m": 2.0,
                 "weight": 0.2,
             },
         ),

@@ -83,20 +83,23 @@ def test_gsfusion_weighs_colour_structure_and_depth(
 
 
 def test_gsfusion_divides_the_depth_by_alpha_where_it_is_asked_to(config, frame, generator):
-    """Value and slopes along depth and alpha; without the setting alpha does not count."""
+    """Value and slopes along depth and alpha, where what is not mapped counts less; without the
+    setting alpha does not count."""
+    far_m = float(frame.depth_m.median())
     depth_m = away_from(frame.depth_m, generator)
     alpha = 0.6 + 0.3 * torch.rand(depth_m.shape, generator=generator)
 
     def loss_of(depth_m: torch.Tensor, alpha: torch.Tensor, over_alpha: bool = True):
         optim = {"depth_weight": 0.7, "depth_over_alpha": over_alpha, "depth_coverage": 0.4}
-        mapper = GSFusion(replace(config, optim=optim))
+        mapper = GSFusion(replace(config, optim=optim, tsdf__far_m=far_m))
         picture = RenderOutput(
             rgb=frame.rgb, depth_m=depth_m, alpha=alpha, first_index=None, dominant_index=None
         )
         return mapper._loss(picture, MapPart(mapper.gaussians), frame, frame.rgb, 0.0)[0]
 
     found = loss_of(depth_m, alpha)
-    expected = 0.7 * expected_depth_l1(depth_m, alpha, frame.depth_m, 0.4)
+    expected = 0.7 * expected_depth_l1(depth_m, alpha, frame.depth_m, 0.4, far_m)
+    assert expected < 0.7 * expected_depth_l1(depth_m, alpha, frame.depth_m, 0.4)
     torch.testing.assert_close(found.value, expected)
     assert found.v_depth_m is not None
     direction = found.v_depth_m.sign()

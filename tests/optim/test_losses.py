@@ -297,24 +297,38 @@ def test_depth_over_alpha_by_hand():
     holes = (2 * 0.2 + 4 * 0.1 + 2 * 0.75) / 3
     covered = expected_depth_l1(depth, alpha, target, 0.5).item()
     assert covered == pytest.approx((0 + 3 + 1.8) / 3 + 0.5 * holes)
-    v_depth, v_alpha = expected_depth_l1_vjp(depth, alpha, target, 0.5, 3.0)
+    v_depth, v_alpha = expected_depth_l1_vjp(depth, alpha, target, 0.5, v_loss=3.0)
     assert v_depth[0, 1:].tolist() == pytest.approx([-1 / 0.9, 0, -2])
     assert v_alpha[0, 1:].tolist() == pytest.approx([0.9 / 0.81 - 0.5 * 4, 0, -0.5 * 2])
     assert expected_depth_l1(depth, alpha, torch.zeros_like(target)) == 0
 
 
-@pytest.mark.parametrize("coverage", [0.0, 0.3])
-def test_gradient_of_depth_over_alpha(generator, coverage):
+def test_depth_beyond_what_is_mapped_counts_less():
+    """Twice as far as ``far_m``: a quarter."""
+    depth = torch.tensor([[3.0, 3.0]], dtype=torch.float64)
+    target = torch.tensor([[2.0, 4.0]], dtype=torch.float64)
+    alpha = torch.tensor([[1.0, 0.5]], dtype=torch.float64)
+    loss = expected_depth_l1(depth, alpha, target, 0.5, far_m=2.0)
+    assert loss.item() == pytest.approx((1 + (2 + 0.5 * 4 * 0.5) / 4) / 2)
+    every, every_alpha = expected_depth_l1_vjp(depth, alpha, target, 0.5)
+    v_depth, v_alpha = expected_depth_l1_vjp(depth, alpha, target, 0.5, far_m=2.0)
+    assert torch.equal(v_depth, every * torch.tensor([1, 0.25], dtype=torch.float64))
+    assert torch.equal(v_alpha, every_alpha * torch.tensor([1, 0.25], dtype=torch.float64))
+
+
+@pytest.mark.parametrize(("coverage", "far_m"), [(0.0, math.inf), (0.3, math.inf), (0.3, 1.2)])
+def test_gradient_of_depth_over_alpha(generator, coverage, far_m):
     alpha = torch.rand(6, 5, dtype=torch.float64, generator=generator)
     depth = 3 * torch.rand(6, 5, dtype=torch.float64, generator=generator)
     target = (3 * torch.rand(6, 5, dtype=torch.float64, generator=generator) - 0.5).clamp_min(0)
     assert (alpha < 0.5).any()
     assert (target == 0).any()
     inputs = (depth.clone().requires_grad_(True), alpha.clone().requires_grad_(True))
-    torch.autograd.gradcheck(lambda d, a: expected_depth_l1(d, a, target, coverage), inputs)
-    loss = 2.5 * expected_depth_l1(inputs[0], inputs[1], target, coverage)
+    options = (target, coverage, far_m)
+    torch.autograd.gradcheck(lambda d, a: expected_depth_l1(d, a, *options), inputs)
+    loss = 2.5 * expected_depth_l1(*inputs, *options)
     by_torch = torch.autograd.grad(loss, inputs)
-    by_hand = expected_depth_l1_vjp(depth, alpha, target, coverage, 2.5)
+    by_hand = expected_depth_l1_vjp(depth, alpha, *options, v_loss=2.5)
     for ours, found in zip(by_hand, by_torch, strict=True):
         torch.testing.assert_close(ours, found)
 

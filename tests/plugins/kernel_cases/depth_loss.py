@@ -5,6 +5,7 @@ depth that is met, and no measured depth.
 """
 
 import functools
+import math
 from collections.abc import Iterator
 
 import torch
@@ -21,12 +22,19 @@ def cases() -> Iterator[Case]:
         for size in ((1, 1), (37, 53)):
             run = functools.partial(_loss, size, coverage, 0.8)
             yield Case(name=f"{size}, {coverage}", operations=("expected_depth_loss",), run=run)
+    far = functools.partial(_loss, (37, 53), 0.3, 0.8, far_m=1.5)
+    yield Case(name="some are far", operations=("expected_depth_loss",), run=far)
     none = functools.partial(_loss, (5, 7), 0.1, 0.0)
     yield Case(name="nothing measured", operations=("expected_depth_loss",), run=none)
 
 
 def _loss(
-    size: tuple[int, int], coverage: float, measured: float, device: torch.device, dtype
+    size: tuple[int, int],
+    coverage: float,
+    measured: float,
+    device: torch.device,
+    dtype: torch.dtype,
+    far_m: float = math.inf,
 ) -> dict[str, Tensor]:
     """``measured``: share of the pixels with measured depth."""
     g = torch.Generator().manual_seed(0)
@@ -39,4 +47,4 @@ def _loss(
         alpha[4] = 0.0
         depth_m[4] = 0.0
     images = (image.to(device, dtype) for image in (depth_m, alpha, target_m))
-    return vars(expected_depth_loss(*images, coverage, 0.7))
+    return vars(expected_depth_loss(*images, coverage, far_m, 0.7))
