@@ -21,6 +21,7 @@ from gsfusion_nb import mapping, optim
 from gsfusion_nb.geometry import depth_to_points, project, se3
 from gsfusion_nb.geometry.spherical_harmonics import SH_C0
 from gsfusion_nb.render import render_autograd
+from gsfusion_nb.render.near_plane import near_plane_m
 from gsfusion_nb.tracking import TrackingLostError
 from gsfusion_nb.tsdf import fuse_frame_
 from gsfusion_nb.types import Frame, GaussianParams, RenderOutput
@@ -98,7 +99,8 @@ class SplatamLike(mapping.TsdfMapping):
         for _ in range(self.config.track_steps):
             with torch.enable_grad():
                 T_WC = T_predicted @ se3.exp(xi)
-                seen = render_autograd(params, frame.camera, T_WC)
+                near_m = near_plane_m(self.config)
+                seen = render_autograd(params, frame.camera, T_WC, near_m=near_m)
                 counts = (seen.alpha > self.config.min_silhouette) & (frame.depth_m > 0)
                 if not counts.any():
                     raise TrackingLostError("the map shows nothing there")
@@ -172,9 +174,8 @@ class SplatamLike(mapping.TsdfMapping):
         view = view.to(self.device)
         part = self.parts.in_view(view)
         loss = partial(self._loss, view=view)
-        step, statistics = mapping.step_on_view(
-            self, view, part, partial(mapping.draw, view=view), loss, tie_scales
-        )
+        drawn = partial(mapping.draw, view=view, near_m=near_plane_m(self.config))
+        step, statistics = mapping.step_on_view(self, view, part, drawn, loss, tie_scales)
         self.after_steps.edit(self, statistics, view, step, view.rgb)
         return step
 
